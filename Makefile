@@ -1,0 +1,128 @@
+# A C compiler and make (GNU) are all that is needed. `make help` lists the targets.
+#   make CC=clang            another compiler
+#   make B=/tmp/b            another build folder
+#   make CFLAGS="-std=c99 -O3 -ffp-contract=off"
+# A new file in examples/, tests/ or bench/ needs no change here.
+
+CC      ?= cc
+ifeq ($(origin CC),default)
+CC      := cc
+endif
+CFLAGS  ?= -std=c99 -O2 -ffp-contract=off -Wall -Wextra
+LDFLAGS ?=
+LDLIBS  ?= -lm -lpthread
+PREFIX  ?= /usr/local
+DESTDIR ?=
+B       ?= build
+G       := $(B)/gallery
+
+HEADERS   := $(wildcard voxrt.h zbufrand.h tetcast.h)
+EXAMPLES  := $(patsubst examples/%.c,$(B)/%,$(wildcard examples/*.c))
+TESTS     := $(patsubst tests/test_%.c,$(B)/tests/test_%,$(wildcard tests/test_*.c))
+BENCHES   := $(patsubst bench/bench_%.c,$(B)/bench_%,$(wildcard bench/bench_*.c))
+REPORT    := $(patsubst bench/%.c,$(B)/%,$(wildcard bench/report.c))
+PROGRAMS  := $(EXAMPLES) $(TESTS) $(BENCHES) $(REPORT)
+GALLERY   :=
+
+# --- build ---------------------------------------------------------------------------------------
+
+.PHONY: all examples tests benches demo test check fuzz bench bench-full report install uninstall clean help \
+        test-asan test-tsan test-msan coverage FORCE
+
+all: $(PROGRAMS)
+examples: $(EXAMPLES)
+tests: $(TESTS)
+benches: $(BENCHES) $(REPORT)
+
+COMPILE = @mkdir -p $(@D); echo "$(CC) $<"; \
+	$(CC) $(CFLAGS) $(CPPFLAGS) -I. -MMD -MP -MF $@.d -MT $@ $(LDFLAGS) -o $@ $< $(LDLIBS)
+
+$(B)/%: examples/%.c $(B)/.flags
+	$(COMPILE)
+$(B)/bench_%: bench/bench_%.c $(B)/.flags
+	$(COMPILE)
+$(B)/report: bench/report.c $(B)/.flags
+	$(COMPILE)
+$(B)/tests/%: tests/%.c $(B)/.flags
+	$(COMPILE)
+
+# Rebuild everything when the compiler or the flags change.
+FLAGS_NOW := $(CC) $(CFLAGS) $(CPPFLAGS) $(LDFLAGS) $(LDLIBS)
+$(B)/.flags: FORCE
+	@mkdir -p $(B); echo '$(FLAGS_NOW)' | cmp -s - $@ || echo '$(FLAGS_NOW)' > $@
+
+-include $(wildcard $(B)/*.d $(B)/tests/*.d)
+
+# --- pictures: the rules are in examples/demo.mk -------------------------------------------------
+
+-include examples/demo.mk
+demo: $(EXAMPLES) $(GALLERY)
+	@echo "pictures are in $(G)/"
+
+# --- tests ---------------------------------------------------------------------------------------
+
+test: $(TESTS)
+	@sh tests/run.sh $(TESTS)
+
+check:
+	@bash tests/check.sh
+
+fuzz:
+	@bash tests/check.sh fuzz
+
+SAN = -std=c99 -g -O1 -ffp-contract=off -fno-omit-frame-pointer -Wall -Wextra
+test-asan:
+	@TEST_QUICK=1 $(MAKE) --no-print-directory B=$(B)/asan CC=gcc \
+	  CFLAGS='$(SAN) -fsanitize=address,undefined -fno-sanitize-recover=all' test
+test-tsan:
+	@TEST_QUICK=1 $(MAKE) --no-print-directory B=$(B)/tsan CC=clang CFLAGS='$(SAN) -fsanitize=thread' test
+test-msan:
+	@TEST_QUICK=1 $(MAKE) --no-print-directory B=$(B)/msan CC=clang \
+	  CFLAGS='$(SAN) -fsanitize=memory -fsanitize-memory-track-origins' test
+
+coverage:
+	@TEST_QUICK=1 $(MAKE) --no-print-directory B=$(B)/cov CC=gcc CFLAGS='-std=c99 -g -O0 -ffp-contract=off --coverage' tests
+	@bash tests/coverage.sh $(B)/cov $(HEADERS)
+
+# --- measuring: one program after the other, never in parallel -----------------------------------
+
+BENCH_ARGS :=
+bench-full: BENCH_ARGS := --full
+bench bench-full: $(BENCHES) $(REPORT)
+	@mkdir -p $(B)/bench
+	@set -e; for p in $(BENCHES); do n=$${p##*/bench_}; echo "bench_$$n $(BENCH_ARGS)"; \
+	  $$p $(BENCH_ARGS) > $(B)/bench/$$n.jsonl.part; mv $(B)/bench/$$n.jsonl.part $(B)/bench/$$n.jsonl; done
+	@if [ -n "$(REPORT)" ]; then $(REPORT) $(B)/bench; fi
+
+report: $(REPORT)
+	@$(REPORT) $(B)/bench
+
+# --- install -------------------------------------------------------------------------------------
+
+install:
+	@mkdir -p '$(DESTDIR)$(PREFIX)/include' '$(DESTDIR)$(PREFIX)/share/pkgconfig'
+	@set -e; for h in $(HEADERS); do n=$${h%.h}; cp $$h '$(DESTDIR)$(PREFIX)/include/'; \
+	  v=$$(for k in MAJOR MINOR PATCH; do sed -n "s/^# *define  *[A-Z]*_VERSION_$$k  *\([0-9]*\).*/\1/p" $$h; done | \
+	    tr '\n' . | sed 's/\.$$//'); \
+	  if [ -f $$n.pc.in ]; then sed -e 's|@PREFIX@|$(PREFIX)|g' -e "s|@VERSION@|$$v|g" $$n.pc.in \
+	    > '$(DESTDIR)$(PREFIX)/share/pkgconfig/'$$n.pc; fi; echo "installed $$h $$v"; done
+
+uninstall:
+	@for h in $(HEADERS); do n=$${h%.h}; rm -f '$(DESTDIR)$(PREFIX)/include/'$$h \
+	  '$(DESTDIR)$(PREFIX)/share/pkgconfig/'$$n.pc; done
+
+clean:
+	rm -rf $(B)
+
+help:
+	@echo "all         build every program into $(B)/ (examples, tests, benches: only those)"
+	@echo "demo        pictures from generated scenes into $(G)/"
+	@echo "test        build and run the tests (TEST=\"name part\" runs some, V=1 names each)"
+	@echo "check       compile gate, sanitizers, fuzzing, other processors; under 20 minutes"
+	@echo "fuzz        fuzzing only (FUZZ_SECONDS=60)"
+	@echo "test-asan test-tsan test-msan   tests under one sanitizer"
+	@echo "coverage    lines of the headers that the tests reach; $(B)/cov/NAME.uncovered lists the others"
+	@echo "bench       short measurements and plots into $(B)/bench/; bench-full: all of them"
+	@echo "install     headers and pkg-config files below PREFIX=$(PREFIX) (DESTDIR= for packagers); uninstall"
+	@echo "clean       remove $(B)/"
+	@echo "CC=$(CC) CFLAGS=$(CFLAGS) B=$(B)"

@@ -1,0 +1,217 @@
+/* voxrt_convert.c - mesh -> voxel file
+   SPDX-License-Identifier: MIT OR Unlicense */
+#include "support/camera.h"
+#include "support/cli.h"
+#include "support/mesh.h"
+#include "support/scenes.h"
+#define VOXRT_IMPLEMENTATION
+#include "voxrt.h"
+
+typedef struct convert_options {
+    const char *first, *second; /* positional arguments */
+    const char *in, *out, *scene;
+    int64_t resolution, palette, threads, detail, fill_depth;
+    int separating, palette_method, lod, format, normals, fill, no_colors, raw, keep_inside_out, stats, quiet;
+} convert_options;
+
+enum { NORMALS_SMOOTH, NORMALS_FLAT, NORMALS_NONE };
+enum { FORMAT_V5, FORMAT_V4 };
+
+static int parse(int argc, char **argv, convert_options *o) {
+    sup_option table[24];
+    size_t n = 0;
+    int status;
+    memset(o, 0, sizeof *o);
+    o->resolution = 1024;
+    o->palette = 32767;
+    table[n++] = sup_opt_positional("IN.{obj,ply,stl,off}", &o->first, 1, "mesh to convert; left out with --scene");
+    table[n++] = sup_opt_positional("OUT.vox", &o->second, 0, "voxel file to write");
+    table[n++] = sup_opt_int("res", &o->resolution, 1, 65536, "N", "voxels along the longest side (1024)");
+    table[n++] = sup_opt_choice("separating", &o->separating, "6|26|thesis", "6: thin and without holes (default); 26: every voxel the surface touches; thesis: the scan converter of 2009, has gaps");
+    table[n++] = sup_opt_int("palette", &o->palette, 1, 16777216, "N", "colours at most (32767)");
+    table[n++] = sup_opt_choice("palette-method", &o->palette_method, "oklab|thesis", "how colours are merged when there are more");
+    table[n++] = sup_opt_choice("lod", &o->lod, "mean|majority", "colours of the coarser levels: mean of the voxels, or the most frequent child as in the thesis");
+    table[n++] = sup_opt_choice("normals", &o->normals, "smooth|flat|none", "of the file or, if it has none, smooth over the edges; of the triangles; none: shade the faces of the cubes");
+    table[n++] = sup_opt_flag("no-colors", &o->no_colors, "one colour for all");
+    table[n++] = sup_opt_flag("keep-inside-out", &o->keep_inside_out, "do not turn the normals of a mesh that encloses a negative volume");
+    table[n++] = sup_opt_flag("fill", &o->fill, "fill closed hulls");
+    table[n++] = sup_opt_int("fill-depth", &o->fill_depth, 0, 1048576, "N", "with --fill: only so many voxels deep (0: all)");
+    table[n++] = sup_opt_choice("format", &o->format, "v5|v4", "v5: compact and lossless (default); v4: the thesis' octree file");
+    table[n++] = sup_opt_flag("raw", &o->raw, "v5 without compression: can be mapped into memory and used in place");
+    table[n++] = sup_opt_text("scene", &o->scene, SUP_SCENE_NAMES, "a generated mesh instead of a file");
+    table[n++] = sup_opt_int("detail", &o->detail, 0, 65536, "N", "how fine the generated mesh is (0: its default)");
+    table[n++] = sup_opt_int("threads", &o->threads, 0, 1024, "N", "threads, 0: one per core; the file is the same");
+    table[n++] = sup_opt_flag("stats", &o->stats, "one JSON object on stdout");
+    table[n++] = sup_opt_flag("quiet", &o->quiet, "no progress and no warnings");
+    status = sup_cli_parse(argc, argv, "Turns a triangle mesh into a voxel file.", table, n);
+    if (status >= 0) return status;
+    if (o->scene != NULL) {
+        if (o->second != NULL) return sup_bad_usage(argv[0], "with --scene there is only one file, OUT.vox");
+        if (sup_parse_choice(o->scene, SUP_SCENE_NAMES) < 0) return sup_bad_usage(argv[0], "--scene: \"%s\" is none of %s", o->scene, SUP_SCENE_NAMES);
+        o->in = o->scene;
+        o->out = o->first;
+    } else {
+        if (o->second == NULL) return sup_bad_usage(argv[0], "OUT.vox is missing");
+        o->in = o->first;
+        o->out = o->second;
+    }
+    if (o->raw && o->format == FORMAT_V4) return sup_bad_usage(argv[0], "--raw goes with --format v5");
+    return -1;
+}
+
+/* Twelve times the volume that the triangles enclose, seen from the middle of the mesh: negative if they face inwards. */
+static double signed_volume(const sup_mesh *m) {
+    float lo[3], hi[3];
+    double sum = 0.0;
+    if (sup_mesh_bounds(m, lo, hi)) return 0.0;
+    for (size_t t = 0; t < m->triangle_count; t++) {
+        double p[3][3];
+        for (int c = 0; c < 3; c++) {
+            for (int a = 0; a < 3; a++) {
+                p[c][a] = (double)m->positions[3 * (size_t)m->indices[3 * t + (size_t)c] + (size_t)a] - 0.5 * ((double)lo[a] + (double)hi[a]);
+            }
+        }
+        const double v = p[0][0] * (p[1][1] * p[2][2] - p[1][2] * p[2][1]) + p[0][1] * (p[1][2] * p[2][0] - p[1][0] * p[2][2]) +
+                         p[0][2] * (p[1][0] * p[2][1] - p[1][1] * p[2][0]);
+        if (fabs(v) <= DBL_MAX) sum += v;
+    }
+    return sum;
+}
+
+/* Turn the triangles round; with normals = NULL they follow. Returns 1 when it was done. */
+static int turn_outwards(sup_mesh *m) {
+    if (m->normals != NULL || !(signed_volume(m) < 0.0)) return 0;
+    for (size_t t = 0; t < m->triangle_count; t++) {
+        const uint32_t swap = m->indices[3 * t + 1];
+        m->indices[3 * t + 1] = m->indices[3 * t + 2];
+        m->indices[3 * t + 2] = swap;
+    }
+    return 1;
+}
+
+static int read_mesh(const char *program, const convert_options *o, sup_mesh *mesh, int *turned) {
+    sup_error err;
+    sup_error_clear(&err);
+    if (o->scene != NULL) {
+        const int failed = sup_scene_make(o->scene, (int)o->detail, mesh);
+        if (failed == 1) return sup_bad_usage(program, "--detail: out of range for %s", o->scene);
+        if (failed) return sup_bad_input(program, "out of memory");
+    } else {
+        if (sup_mesh_read(o->in, mesh, &err)) return sup_bad_input(program, err.text);
+        if (!o->quiet) sup_warn(program, err.text);
+    }
+    if (o->normals != NORMALS_SMOOTH) {
+        SUP_FREE(mesh->normals);
+        mesh->normals = NULL;
+    }
+    /* Generated rooms are seen from inside; files that face inwards are mostly mistakes. */
+    *turned = o->scene == NULL && !o->keep_inside_out && turn_outwards(mesh);
+    if (o->normals == NORMALS_SMOOTH && mesh->normals == NULL && mesh->triangle_count > 0 && sup_mesh_compute_normals(mesh, &err)) {
+        return sup_bad_input(program, err.text);
+    }
+    return 0;
+}
+
+static int write_v4(const convert_options *o, const voxrt_env *env, const voxrt_tree *tree, voxrt_error *error);
+
+static size_t file_size(const char *path) {
+    FILE *file = fopen(path, "rb");
+    long size = 0;
+    if (file != NULL) {
+        if (fseek(file, 0, SEEK_END) == 0) size = ftell(file);
+        (void)fclose(file);
+    }
+    return size > 0 ? (size_t)size : 0;
+}
+
+static void print_stats(const convert_options *o, const voxrt_build_stats *s, const voxrt_tree *tree, int turned, double read_s, double build_s, double write_s) {
+    voxrt_tree_info info;
+    voxrt_tree_get_info(tree, &info);
+    printf("{\"program\":\"voxrt_convert\",\"in\":");
+    sup_json_string(stdout, o->in);
+    printf(",\"triangles\":%llu,\"rejected\":%llu,\"degenerate\":%llu,\"fragments\":%llu", (unsigned long long)s->triangles,
+           (unsigned long long)s->rejected, (unsigned long long)s->degenerate, (unsigned long long)s->fragments);
+    printf(",\"turned\":%d,\"resolution\":%u,\"depth\":%u,\"voxels\":%llu,\"colors_in\":%llu,\"palette\":%u", turned, info.resolution, info.depth,
+           (unsigned long long)info.voxel_count, (unsigned long long)s->colors_in, info.palette_count);
+    printf(",\"geometry_bytes\":%llu,\"color_bytes\":%llu,\"normal_bytes\":%llu,\"bytes\":%llu,\"file_bytes\":%llu,\"peak_bytes\":%llu",
+           (unsigned long long)info.geometry_bytes, (unsigned long long)info.color_bytes, (unsigned long long)info.normal_bytes,
+           (unsigned long long)info.total_bytes, (unsigned long long)file_size(o->out), (unsigned long long)s->peak_bytes);
+    printf(",\"read_seconds\":%.6f,\"build_seconds\":%.6f,\"write_seconds\":%.6f}\n", read_s, build_s, write_s);
+}
+
+int main(int argc, char **argv) {
+    static const voxrt_separating separating[3] = {VOXRT_SEPARATING_6, VOXRT_SEPARATING_26, VOXRT_SEPARATING_THESIS};
+    convert_options o;
+    voxrt_build_desc desc = {0};
+    voxrt_build_stats stats = {0};
+    voxrt_mesh in = {0};
+    voxrt_error error = {VOXRT_OK, 0, ""};
+    voxrt_tree *tree = NULL;
+    voxrt_result result;
+    sup_mesh mesh = {0};
+    sup_error err;
+    sup_progress progress;
+    double start, read_s, build_s, write_s;
+    int turned = 0, status = parse(argc, argv, &o);
+    if (status >= 0) return status;
+
+    start = sup_now();
+    status = read_mesh(argv[0], &o, &mesh, &turned);
+    if (status) {
+        sup_mesh_free(&mesh);
+        return status;
+    }
+    read_s = sup_now() - start;
+
+    in.positions = mesh.positions;
+    in.vertex_count = mesh.vertex_count;
+    in.indices = mesh.indices;
+    in.triangle_count = mesh.triangle_count;
+    in.normals = mesh.normals;
+    in.vertex_rgb = mesh.vertex_rgb;
+    in.triangle_rgb = mesh.triangle_rgb;
+    sup_progress_begin(&progress, "voxelising", o.quiet);
+    if (!progress.quiet) {
+        desc.env.progress_fn = sup_progress_fn;
+        desc.env.progress_user = &progress;
+    }
+    desc.env.thread_count = (uint32_t)o.threads;
+    desc.env.error = &error;
+    desc.resolution = (uint32_t)o.resolution;
+    desc.separating = separating[o.separating];
+    desc.palette_size = (uint32_t)o.palette;
+    desc.palette_method = o.palette_method ? VOXRT_PALETTE_THESIS : VOXRT_PALETTE_OKLAB;
+    desc.lod_method = o.lod ? VOXRT_LOD_MAJORITY : VOXRT_LOD_MEAN;
+    desc.disable_normals = o.normals == NORMALS_NONE;
+    desc.disable_colors = (uint32_t)o.no_colors;
+    desc.fill = (uint32_t)o.fill;
+    desc.fill_depth = (uint32_t)o.fill_depth;
+    start = sup_now();
+    result = voxrt_tree_build(&desc, &in, &stats, &tree);
+    build_s = sup_now() - start;
+    sup_progress_end(&progress);
+    sup_mesh_free(&mesh);
+    if (result != VOXRT_OK) {
+        (void)sup_fail(&err, "%s: %s", o.in, error.text[0] ? error.text : voxrt_result_string(result));
+        return sup_bad_input(argv[0], err.text);
+    }
+
+    start = sup_now();
+    desc.env.progress_fn = NULL;
+    if (o.format == FORMAT_V4) {
+        result = (voxrt_result)write_v4(&o, &desc.env, tree, &error);
+    } else {
+        voxrt_save_desc save = {0};
+        save.env = desc.env;
+        save.encoding = o.raw ? VOXRT_ENCODING_RAW : VOXRT_ENCODING_COMPACT;
+        result = voxrt_tree_save_file(tree, &save, o.out);
+    }
+    write_s = sup_now() - start;
+    if (result == VOXRT_OK && o.stats) print_stats(&o, &stats, tree, turned, read_s, build_s, write_s);
+    voxrt_tree_destroy(tree);
+    if (result != VOXRT_OK) {
+        (void)sup_fail(&err, "%s: %s", o.out, error.text[0] ? error.text : voxrt_result_string(result));
+        return sup_bad_input(argv[0], err.text);
+    }
+    return 0;
+}

@@ -1,0 +1,282 @@
+/* voxrt_render.c - voxel file -> picture
+   SPDX-License-Identifier: MIT OR Unlicense */
+#include "support/camera.h"
+#include "support/cli.h"
+#include "support/png.h"
+#define VOXRT_IMPLEMENTATION
+#include "voxrt.h"
+
+enum { MAX_LIGHTS = 64 };
+enum { PATH_FAST, PATH_THESIS };
+
+typedef struct render_options {
+    sup_common common;
+    const char *in, *light, *lod;
+    int shadows, path, heat, has_heat, split, face_normals, thesis_compose, one_sided, progressive, has_background;
+    int64_t samples, lod_split;
+    double blur, heat_max;
+    int has_blur, smooth;
+    float background[3];
+    voxrt_light lights[MAX_LIGHTS];
+    size_t light_count;
+} render_options;
+
+typedef struct scene { /* what is to be drawn, and what the file held */
+    voxrt_tree *tree;
+    voxrt_octree *octree;
+    voxrt_geometry geometry;
+} scene;
+
+/* "[dir:]x,y,z[:r,g,b]"; returns 1 if it is not that. */
+static int parse_light(const char *text, voxrt_light *light) {
+    char part[2][64];
+    const char *colon;
+    size_t n;
+    memset(light, 0, sizeof *light);
+    if (strncmp(text, "dir:", 4) == 0) {
+        light->directional = 1;
+        text += 4;
+    }
+    colon = strchr(text, ':');
+    n = colon != NULL ? (size_t)(colon - text) : strlen(text);
+    if (n >= sizeof part[0] || (colon != NULL && strlen(colon + 1) >= sizeof part[1])) return 1;
+    memcpy(part[0], text, n);
+    part[0][n] = '\0';
+    (void)snprintf(part[1], sizeof part[1], "%s", colon != NULL ? colon + 1 : "1,1,1");
+    return sup_parse_vec3(part[0], light->position) || sup_parse_vec3(part[1], light->color);
+}
+
+/* --light may be given several times; the table keeps only the last. */
+static int collect_lights(int argc, char **argv, render_options *o) {
+    for (int i = 1; i < argc && strcmp(argv[i], "--") != 0; i++) {
+        const char *value = strcmp(argv[i], "--light") == 0 && i + 1 < argc ? argv[++i] :
+                            strncmp(argv[i], "--light=", 8) == 0 ? argv[i] + 8 : NULL;
+        if (value == NULL) continue;
+        if (o->light_count == MAX_LIGHTS) return sup_bad_usage(argv[0], "--light: more than %d lights", (int)MAX_LIGHTS);
+        if (parse_light(value, &o->lights[o->light_count])) return sup_bad_usage(argv[0], "--light: \"%s\" is not [dir:]x,y,z[:r,g,b]", value);
+        o->light_count++;
+    }
+    return -1;
+}
+
+static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *desc) {
+    sup_option table[SUP_COMMON_OPTIONS + 20];
+    size_t n;
+    int status, compose = 0, normals = 0;
+    memset(o, 0, sizeof *o);
+    o->samples = 1;
+    o->blur = 4.0;
+    o->heat_max = 64.0;
+    o->lod_split = -1;
+    n = sup_common_options(&o->common, table);
+    table[n++] = sup_opt_positional("IN.vox", &o->in, 1, "voxel file, format 5 or 4");
+    table[n++] = sup_opt_text("light", &o->light, "[dir:]x,y,z[:r,g,b]", "a point light, or the direction towards a distant one; may be repeated");
+    table[n++] = sup_opt_flag("shadows", &o->shadows, "trace shadow rays");
+    table[n++] = sup_opt_int("aa", &o->samples, 1, 65536, "N", "rays per pixel (1)");
+    table[n++] = sup_opt_text("lod", &o->lod, "off|object|LEVEL", "level of detail: full; one level for all by --tolerance; octree level LEVEL (0: one cube). Without it each pixel stops at cells of --tolerance pixels");
+    table[n++] = sup_opt_int("lod-split", &o->lod_split, 0, VOXRT_MAX_DEPTH, "LEVEL", "left half of the picture at this octree level");
+    table[n++] = sup_opt_choice("path", &o->path, "fast|thesis", "wide tree, or the octree of 2009");
+    table[n++] = sup_opt_given(sup_opt_choice("heat", &o->heat, "outer|inner", "cells left, or nodes entered, per ray"), &o->has_heat);
+    table[n++] = sup_opt_real("heat-max", &o->heat_max, 1.0, 1e6, "N", "cells that are fully red (64)");
+    table[n++] = sup_opt_flag("split", &o->split, "left third colours, middle the picture, right third brightness");
+    table[n++] = sup_opt_choice("normals", &normals, "stored|face", "shade by stored normals or by the faces of the cubes");
+    table[n++] = sup_opt_flag("one-sided", &o->one_sided, "do not turn normals towards the viewer");
+    table[n++] = sup_opt_choice("compose", &compose, "linear|thesis", "linear light, or bytes times brightness");
+    table[n++] = sup_opt_given(sup_opt_vec3("background", o->background, "linear r,g,b instead of transparent"), &o->has_background);
+    table[n++] = sup_opt_given(sup_opt_real("blur", &o->blur, 0.1, 64.0, "R", "Gauss over the finished picture, radius in pixels"), &o->has_blur);
+    table[n++] = sup_opt_flag("smooth", &o->smooth, "with --blur: only where voxels are larger than pixels, not over edges");
+    status = sup_cli_parse(argc, argv, "Draws a voxel file.", table, n);
+    if (status >= 0) return status;
+    if (o->common.out == NULL && o->common.depth == NULL && !o->common.stats) return sup_bad_usage(argv[0], "--out FILE is missing");
+    status = collect_lights(argc, argv, o);
+    if (status >= 0) return status;
+
+    memset(desc, 0, sizeof *desc);
+    desc->isa = (voxrt_isa)o->common.isa;
+    desc->env.thread_count = (uint32_t)o->common.threads;
+    desc->lights = o->light_count != 0 ? o->lights : NULL;
+    desc->light_count = o->light_count;
+    desc->shadows = (uint32_t)o->shadows;
+    desc->samples = (uint32_t)o->samples;
+    desc->tolerance = (float)o->common.tolerance;
+    desc->face_normals = normals == 1;
+    desc->one_sided = (uint32_t)o->one_sided;
+    desc->thesis_compose = compose == 1;
+    desc->heat_max = (float)o->heat_max;
+    desc->lod_split = (uint32_t)(o->lod_split + 1);
+    if (o->has_background) {
+        memcpy(desc->background, o->background, sizeof o->background);
+        desc->background[3] = 1.0f;
+    }
+    if (o->common.unlit) desc->view = VOXRT_VIEW_UNLIT;
+    if (o->split) desc->view = VOXRT_VIEW_SPLIT;
+    if (o->has_heat) desc->view = o->heat == 0 ? VOXRT_VIEW_HEAT_OUTER : VOXRT_VIEW_HEAT_INNER;
+    if (o->lod != NULL) {
+        const char *at = o->lod, *end = at + strlen(at);
+        int64_t level;
+        desc->tolerance = o->common.has_tolerance ? desc->tolerance : 0.0f;
+        if (strcmp(o->lod, "object") == 0) desc->object_lod = 1;
+        else if (strcmp(o->lod, "off") == 0) desc->tolerance = 0.0f;
+        else if (!sup_parse_int(&at, end, &level) && at == end && level >= 0 && level <= VOXRT_MAX_DEPTH) desc->max_level_plus_1 = (uint32_t)level + 1;
+        else return sup_bad_usage(argv[0], "--lod: \"%s\" is not off, object or a level from 0 to %d", o->lod, VOXRT_MAX_DEPTH);
+    }
+    return -1;
+}
+
+static int load(const char *program, const render_options *o, scene *s) {
+    voxrt_load_desc desc = {0};
+    voxrt_error error = {VOXRT_OK, 0, ""};
+    voxrt_result result = VOXRT_ERR_FORMAT;
+    sup_error err;
+    char *data;
+    size_t size;
+    if (sup_read_file(o->in, &data, &size, &err)) return sup_bad_input(program, err.text);
+    desc.env.thread_count = (uint32_t)o->common.threads;
+    desc.env.error = &error;
+    if (voxrt_file_kind(data, size) == 5) {
+        result = voxrt_tree_load_memory(&desc, data, size, &s->tree);
+    } else {
+        (void)sup_fail(&err, "%s: not a voxel file", o->in);
+        SUP_FREE(data);
+        return sup_bad_input(program, err.text);
+    }
+    SUP_FREE(data);
+    if (result == VOXRT_OK) return 0;
+    (void)sup_fail(&err, "%s: byte %llu: %s", o->in, (unsigned long long)error.where, error.text[0] ? error.text : voxrt_result_string(result));
+    return sup_bad_input(program, err.text);
+}
+
+static void set_camera(const render_options *o, const scene *s, voxrt_camera *camera) {
+    double box_min[3], box_max[3];
+    float lo[3], hi[3];
+    sup_camera framed;
+    voxrt_tree_bounds(s->tree, box_min, box_max);
+    for (int a = 0; a < 3; a++) {
+        lo[a] = (float)box_min[a];
+        hi[a] = (float)box_max[a];
+    }
+    sup_common_camera(&o->common, lo, hi, &framed);
+    memcpy(camera->eye, framed.eye, sizeof camera->eye);
+    memcpy(camera->at, framed.at, sizeof camera->at);
+    memcpy(camera->up, framed.up, sizeof camera->up);
+    camera->fov_y = framed.fov;
+}
+
+static int ends_with(const char *text, const char *end) {
+    const size_t n = strlen(text), k = strlen(end);
+    return n >= k && strcmp(text + n - k, end) == 0;
+}
+
+static int write_picture(const render_options *o, const voxrt_image *image, sup_error *err) {
+    const size_t pixels = (size_t)image->width * image->height;
+    if (o->common.depth != NULL && sup_pfm_write(o->common.depth, image->depth, image->width, image->height, 1, err)) return 1;
+    if (o->common.out == NULL) return 0;
+    if (!ends_with(o->common.out, ".pfm")) return sup_png_write8(o->common.out, image->rgba8, image->width, image->height, 4, err);
+    for (size_t i = 0; i < pixels; i++) memmove(image->rgba + 3 * i, image->rgba + 4 * i, 12);
+    return sup_pfm_write(o->common.out, image->rgba, image->width, image->height, 3, err);
+}
+
+static int blur(const render_options *o, const voxrt_render_desc *desc, const scene *s, const voxrt_image *image, voxrt_error *error) {
+    voxrt_blur_desc b = {0};
+    b.env = desc->env;
+    b.env.error = error;
+    b.radius = (float)o->blur;
+    if (o->smooth) {
+        voxrt_tree_info info;
+        voxrt_tree_get_info(s->tree, &info);
+        b.footprint = (float)(2.0 * tan((double)desc->camera.fov_y * (3.14159265358979323846 / 360.0)) / (double)image->height);
+        b.voxel_size = (float)info.voxel_size;
+        b.depth = info.depth;
+    }
+    return voxrt_blur(&b, image) != VOXRT_OK;
+}
+
+static void print_stats(const render_options *o, const scene *s, const voxrt_image *image, const voxrt_render_stats *stats, double seconds) {
+    const voxrt_isa best = voxrt_isa_best(), wanted = (voxrt_isa)o->common.isa;
+    const uint64_t rays = stats->primary.rays + stats->shadow.rays;
+    voxrt_env env = {0};
+    voxrt_tree_info info;
+    env.thread_count = (uint32_t)o->common.threads;
+    voxrt_tree_get_info(s->tree, &info);
+    printf("{\"program\":\"voxrt_render\",\"in\":");
+    sup_json_string(stdout, o->in);
+    printf(",\"path\":\"%s\",\"width\":%u,\"height\":%u,\"voxels\":%llu,\"depth\":%u,\"bytes\":%llu", o->path == PATH_THESIS ? "thesis" : "fast", image->width,
+           image->height, (unsigned long long)info.voxel_count, info.depth, (unsigned long long)info.total_bytes);
+    printf(",\"rays\":%llu,\"hits\":%llu,\"shadow_rays\":%llu,\"shadow_hits\":%llu,\"steps\":%llu,\"descents\":%llu",
+           (unsigned long long)stats->primary.rays, (unsigned long long)stats->primary.hits, (unsigned long long)stats->shadow.rays,
+           (unsigned long long)stats->shadow.hits, (unsigned long long)stats->primary.steps, (unsigned long long)stats->primary.descents);
+    printf(",\"seconds\":%.6f,\"mrays_per_second\":%.3f,\"isa\":\"%s\",\"threads\":%u}\n", seconds, seconds > 0.0 ? 1e-6 * (double)rays / seconds : 0.0,
+           voxrt_isa_name(wanted == VOXRT_ISA_AUTO || wanted > best ? best : wanted), voxrti_thread_count(&env));
+}
+
+static void free_image(voxrt_image *image) {
+    SUP_FREE(image->rgba8);
+    SUP_FREE(image->rgba);
+    SUP_FREE(image->depth);
+    SUP_FREE(image->normal);
+    SUP_FREE(image->hit);
+}
+
+/* Buffers for what is asked for; returns 1 when memory is short. */
+static int make_image(const render_options *o, voxrt_image *image) {
+    const size_t pixels = (size_t)o->common.size[0] * o->common.size[1];
+    const int linear = o->has_blur || (o->common.out != NULL && ends_with(o->common.out, ".pfm"));
+    memset(image, 0, sizeof *image);
+    image->width = o->common.size[0];
+    image->height = o->common.size[1];
+    image->rgba8 = (uint8_t *)sup_alloc(pixels, 4);
+    if (linear) image->rgba = (float *)sup_alloc(pixels, 16);
+    if (o->common.depth != NULL || o->smooth) image->depth = (float *)sup_alloc(pixels, 4);
+    if (o->smooth) {
+        image->normal = (float *)sup_alloc(pixels, 12);
+        image->hit = (voxrt_hit *)sup_alloc(pixels, sizeof(voxrt_hit));
+    }
+    return image->rgba8 == NULL || (linear && image->rgba == NULL) || ((o->common.depth != NULL || o->smooth) && image->depth == NULL) ||
+           (o->smooth && (image->normal == NULL || image->hit == NULL));
+}
+
+int main(int argc, char **argv) {
+    render_options o;
+    voxrt_render_desc desc;
+    voxrt_render_stats stats = {0};
+    voxrt_error error = {VOXRT_OK, 0, ""};
+    voxrt_image image;
+    sup_progress progress;
+    sup_error err;
+    scene s = {0};
+    double start, seconds;
+    int status = parse(argc, argv, &o, &desc);
+    if (status >= 0) return status;
+    status = load(argv[0], &o, &s);
+    if (status) return status;
+    if (make_image(&o, &image)) {
+        free_image(&image);
+        voxrt_tree_destroy(s.tree);
+        return sup_bad_input(argv[0], "out of memory for the picture");
+    }
+    set_camera(&o, &s, &desc.camera);
+    sup_progress_begin(&progress, "drawing", o.common.quiet);
+    if (!progress.quiet) {
+        desc.env.progress_fn = sup_progress_fn;
+        desc.env.progress_user = &progress;
+    }
+    desc.env.error = &error;
+    status = 0;
+    if (o.common.stats) status = voxrt_render(&desc, s.tree, &image, &stats) != VOXRT_OK; /* counting costs time: not measured */
+    start = sup_now();
+    if (!status) status = voxrt_render(&desc, s.tree, &image, NULL) != VOXRT_OK;
+    seconds = sup_now() - start;
+    sup_progress_end(&progress);
+    if (!status && o.has_blur) status = blur(&o, &desc, &s, &image, &error);
+    if (status) {
+        (void)sup_fail(&err, "%s: %s", o.in, error.text[0] ? error.text : "cannot be drawn");
+        (void)sup_bad_input(argv[0], err.text);
+    } else {
+        status = write_picture(&o, &image, &err);
+        if (status) (void)sup_bad_input(argv[0], err.text);
+        else if (o.common.stats) print_stats(&o, &s, &image, &stats, seconds);
+    }
+    free_image(&image);
+    voxrt_tree_destroy(s.tree);
+    return status;
+}

@@ -1,0 +1,612 @@
+#!/bin/bash
+# Everything that `make check` checks.
+#   bash tests/check.sh [group...]     groups: see GROUPS_ALL; without one all of them run
+#   V=1                                names and times of the checks that passed, too
+#   JOBS=2 FUZZ_SECONDS=60 OUT=build/check
+# Works on those of the three headers that exist. Each check is one line in the sum `N passed, N failed, N skipped`;
+# all names, results and seconds are in $OUT/results. A check that cannot run here (no tool) is skipped.
+cd "$(dirname "$0")/.." || exit 1
+export LC_ALL=C
+unset MAKEFLAGS MFLAGS MAKELEVEL MAKEOVERRIDES # each make that is started here has its own arguments
+
+# --- what may be edited ------------------------------------------------------------------------------------------
+
+GROUPS_ALL="text options matrix targets link symbols hygiene programs readme install modes sanitize fuzz emulate analyze"
+JOBS=${JOBS:-$(nproc)}
+OUT=${OUT:-build/check}
+FUZZ_SECONDS=${FUZZ_SECONDS:-60}
+
+STD_C="c99 c11 c17 gnu17"
+STD_CXX="c++11 c++17 c++20"
+WARN="-Wall -Wextra -Wpedantic -Werror -Wshadow -Wconversion -Wsign-conversion -Wdouble-promotion -Wfloat-conversion
+ -Wcast-qual -Wcast-align -Wundef -Wvla -Wformat=2 -Wnull-dereference"
+WARN_C="$WARN -Wstrict-prototypes -Wmissing-prototypes -Wold-style-definition"
+
+# Undefined symbols that an object file of a header may have.
+ALLOW_LIBC="malloc free calloc memcpy memset memmove memcmp memchr strlen strcmp strncmp sysconf getenv"
+ALLOW_FORMAT="snprintf vsnprintf"
+ALLOW_STDIO="fopen fread fwrite fclose fseek ftell fseeko ftello fflush ferror feof rename remove"
+ALLOW_LIBM="sqrt sqrtf"            # gcc calls them for negative arguments only (errno); all else is our own code
+ALLOW_THREADS="pthread_create pthread_join pthread_attr_init pthread_attr_setstacksize pthread_attr_destroy
+ pthread_mutex_init pthread_mutex_lock pthread_mutex_unlock pthread_mutex_destroy
+ pthread_cond_init pthread_cond_wait pthread_cond_signal pthread_cond_broadcast pthread_cond_destroy sched_yield"
+ALLOW_COMPILER="__assert_fail __stack_chk_fail _GLOBAL_OFFSET_TABLE_ __cpu_model __cpu_indicator_init __errno_location"
+STACK_LIMIT=16384                  # bytes in one function
+LINE_LIMIT=120                     # characters in a line of a header
+PROGRAM_LINE_LIMIT=160             # and of a program
+
+# Syntax checks for other machines: name, clang target, further flags (@P@ is the prefix); headers: stubs, and
+# stubs/posix unless the third column says `bare`.
+TARGETS="
+aarch64        aarch64-linux-gnu           posix
+armv7          armv7-linux-gnueabihf       posix
+riscv64        riscv64-linux-gnu           posix
+s390x          s390x-linux-gnu             posix
+powerpc        powerpc-linux-gnu           posix
+wasm32         wasm32-unknown-unknown      bare
+i686           i686-linux-gnu              posix
+mingw32        x86_64-w64-mingw32          posix
+msvc-x64       x86_64-pc-windows-msvc      bare   -D@P@_NO_THREADS
+msvc-arm64     aarch64-pc-windows-msvc     bare   -D@P@_NO_THREADS
+"
+
+# The quick tests are built and run once more in each of these ways: name, compiler, flags (@P@: for each prefix).
+MODES="
+clang-O2       clang   -std=c99 -O2 -ffp-contract=off
+gcc-native     gcc     -std=gnu17 -O3 -march=native
+no-simd-thread gcc     -std=c99 -O1 -ffp-contract=off -D@P@_NO_SIMD -D@P@_NO_THREADS
+m32            gcc     -std=c99 -O2 -ffp-contract=off -m32 -msse2 -mfpmath=sse
+"
+SANITIZERS="
+asan-ubsan     gcc     -fsanitize=address,undefined -fno-sanitize-recover=all
+tsan           clang   -fsanitize=thread
+msan           clang   -fsanitize=memory -fsanitize-memory-track-origins
+"
+SAN_FLAGS="-std=c99 -g -O1 -ffp-contract=off -fno-omit-frame-pointer"
+EMULATE="
+aarch64        aarch64-linux-gnu-gcc  qemu-aarch64
+s390x          s390x-linux-gnu-gcc    qemu-s390x
+"
+# Tests that some of these ways leave out because of time, as shell patterns of group-name:test without test_, for
+# example "emulate-*:voxrt_light sanitize-msan:zbufrand_*".
+SKIP_TESTS=""
+ITEM_TIMEOUT=${ITEM_TIMEOUT:-600}  # seconds for one test program in the slow ways
+
+# --- machinery ---------------------------------------------------------------------------------------------------
+
+HEADERS=(); for n in voxrt zbufrand tetcast; do [ -f $n.h ] && HEADERS+=($n); done
+mkdir -p "$OUT/log" "$OUT/tu" "$OUT/obj"; : > "$OUT/results"
+ROOT=$PWD
+running=0
+
+upper() { echo "$1" | tr a-z A-Z; }
+have() { command -v "$1" >/dev/null 2>&1; }
+cmd() { echo "\$ $*"; "$@"; }
+skip() { echo "$*"; return 77; }
+
+# run_item NAME COMMAND...: the command's status is the result, 77 means skipped and the last line says why
+run_item() {
+    local name=$1 log rc t0=$SECONDS text; shift
+    log=$OUT/log/${name//[^A-Za-z0-9.+-]/_}
+    ( "$@" ) > "$log" 2>&1 < /dev/null; rc=$?
+    case $rc in
+    0) text="ok    $name"; echo "ok $((SECONDS - t0)) $name" >> "$OUT/results"; [ -n "$V" ] && echo "$text ($((SECONDS - t0)) s)" ;;
+    77) echo "skip $((SECONDS - t0)) $name" >> "$OUT/results"; echo "skip  $name: $(tail -n 1 "$log")" ;;
+    *) echo "FAIL $((SECONDS - t0)) $name" >> "$OUT/results"
+       printf '%s\n' "FAIL  $name (status $rc, all of it in $log)
+$( (if [ "$(wc -l < "$log")" -le 60 ]; then cat "$log"; else head -n 25 "$log"; echo ...; tail -n 35 "$log"; fi) |
+           cut -c 1-400 | sed 's/^/      /')" ;;
+    esac
+}
+item() { # in the background, $JOBS at a time
+    if [ $running -ge "$JOBS" ]; then wait -n; running=$((running - 1)); fi
+    run_item "$@" & running=$((running + 1))
+}
+barrier() { wait; running=0; }
+solo() { barrier; run_item "$@"; }
+
+matches() { # NAME PATTERNS
+    local p; set -f; for p in $2; do case $1 in $p) set +f; return 0 ;; esac; done; set +f; return 1
+}
+fill() { # TEXT with @P@: each word that has it once for each header
+    local w n; for w in $1; do
+        case $w in *@P@*) for n in "${HEADERS[@]}"; do echo "${w//@P@/$(upper $n)}"; done ;; *) echo "$w" ;; esac
+    done
+}
+option_macros() { # NAME: the X_NO_* macros that the header asks for
+    grep -E '^ *# *(if|elif|ifdef|ifndef)' $1.h | grep -oE "\b$(upper $1)_NO_[A-Z0-9_]+" | sort -u
+}
+api_functions() { # NAME: functions declared before the implementation
+    sed "/defined($(upper $1)_IMPLEMENTATION)/q" $1.h | grep -E "^($(upper $1)_EXPERIMENTAL )?$(upper $1)_DEF " | grep -oE "\b$1_[a-z0-9_]+\(" | tr -d '(' | sort -u
+}
+make_units() { # source files that each compile check shares
+    local n P f
+    for n in "${HEADERS[@]}"; do
+        P=$(upper $n); mkdir -p "$OUT/tu/$n"
+        printf '#include "%s.h"\n#include "%s.h"\n#define %s_IMPLEMENTATION\n#include "%s.h"\n#include "%s.h"\n' \
+            $n $n $P $n $n > "$OUT/tu/$n/impl.c"
+        printf '#include "%s.h"\n#include "%s.h"\n' $n $n > "$OUT/tu/$n/decl.c"
+        { printf '#include "%s.h"\n#include <stdio.h>\ntypedef void (*any_fn)(void);\nstatic const any_fn all[] = {\n' $n
+          for f in $(api_functions $n); do echo "    (any_fn)$f,"; done
+          printf '    (any_fn)0\n};\nint main(void) {\n    size_t i = 0;\n    while (all[i]) i++;\n'
+          printf '    printf("%%d functions\\n", (int)i);\n    return i + 1 != sizeof all / sizeof all[0];\n}\n'; } > "$OUT/tu/$n/use.c"
+        { cat tests/compile/poison.h; cat "$OUT/tu/$n/impl.c"; } > "$OUT/tu/$n/poison.c"
+        { echo '#include <complex.h>'; cat "$OUT/tu/$n/impl.c"; } > "$OUT/tu/$n/complex.c"
+        { echo "#define ${P}_STATIC"; cat "$OUT/tu/$n/impl.c"; printf 'int static_one(void);\nint static_one(void) { return 1; }\n'; } > "$OUT/tu/$n/static1.c"
+        { echo "#define ${P}_STATIC"; cat "$OUT/tu/$n/impl.c"; printf 'int static_one(void);\nint main(void) { return static_one() - 1; }\n'; } > "$OUT/tu/$n/static2.c"
+        { printf '#include <stddef.h>\nvoid *my_malloc(size_t size, void *user);\nvoid my_free(void *ptr, size_t size, void *user);\n'
+          printf '#define %s_MALLOC(size, user) my_malloc(size, user)\n#define %s_FREE(ptr, size, user) my_free(ptr, size, user)\n' $P $P
+          printf '#define %s_ASSERT(cond) ((void)(cond))\n' $P
+          cat "$OUT/tu/$n/impl.c"; } > "$OUT/tu/$n/custom.c"
+    done
+    : > "$OUT/tu/all.c"; : > "$OUT/tu/all_reverse.c"
+    for n in "${HEADERS[@]}"; do printf '#define %s_IMPLEMENTATION\n#include "%s.h"\n' "$(upper $n)" $n >> "$OUT/tu/all.c"; done
+    for n in $(printf '%s\n' "${HEADERS[@]}" | tac); do printf '#include "%s.h"\n' $n >> "$OUT/tu/all_reverse.c"; done
+    for n in $(printf '%s\n' "${HEADERS[@]}" | tac); do printf '#define %s_IMPLEMENTATION\n#include "%s.h"\n' "$(upper $n)" $n >> "$OUT/tu/all_reverse.c"; done
+}
+c() { local cc=$1; shift; have "$cc" || skip "no $cc" || return; cmd "$cc" $WARN_C -I"$ROOT" "$@"; }
+cxx() { local cc=$1; shift; have "$cc" || skip "no $cc" || return; cmd "$cc" $WARN -I"$ROOT" "$@"; }
+
+# --- text: characters, lines, tags, banned words -----------------------------------------------------------------
+
+text_plain() { # LINE-LIMIT FILE...
+    local f bad=0 limit=$1; shift
+    for f; do
+        if grep -nP '[^\x0a\x20-\x7e]' "$f" | head -n 5 | grep . ; then echo "$f: only printable ASCII and LF, no tabs"; bad=1; fi
+        if awk -v n=$limit 'length > n { if (b++ < 5) print FILENAME ":" FNR ": " length " characters" } END { exit !b }' "$f"; then bad=1; fi
+        if grep -n ' $' "$f" | head -n 5 | grep .; then echo "$f: blanks at the end of a line"; bad=1; fi
+        [ -z "$(tail -c 1 "$f")" ] || { echo "$f: no newline at the end"; bad=1; }
+    done
+    return $bad
+}
+text_tags() { # NAME: @tag of the contents list and // >>tag of the sections
+    local n=$1
+    awk '/^#/ { exit } { print }' $n.h | grep -oE '(^|[ *])@[a-z][a-z0-9_]*' | grep -oE '[a-z][a-z0-9_]*' | sort > "$OUT/tu/$n/tags_contents"
+    grep -oE '// >>[a-z][a-z0-9_]*' $n.h | grep -oE '[a-z][a-z0-9_]*' | sort > "$OUT/tu/$n/tags_sections"
+    [ -s "$OUT/tu/$n/tags_contents" ] || { echo "$n.h: the first comment has no @tag"; return 1; }
+    diff -u "$OUT/tu/$n/tags_contents" "$OUT/tu/$n/tags_sections"
+}
+common_part() { # NAME: from // >>platform to the section after math, without the prefix
+    awk '/\/\/ >>platform/ { on = 1 } /\/\/ >>/ && seen { exit } /\/\/ >>math/ { seen = on } on { print }' $1.h |
+      awk '{ line[NR] = $0 } END { n = NR; while (n > 0 && line[n] ~ /^ *(\/\/|\/\*|\*|$)/) n--; for (i = 1; i <= n; i++) print line[i] }' |
+      sed -e "s/$1/xyz/g" -e "s/$(upper $1)/XYZ/g"
+}
+text_common() { # NAME OTHER
+    common_part $1 > "$OUT/tu/common_$1"; common_part $2 > "$OUT/tu/common_$2"
+    [ -s "$OUT/tu/common_$1" ] || { echo "$1.h has no section >>platform"; return 1; }
+    diff -u "$OUT/tu/common_$1" "$OUT/tu/common_$2"
+}
+text_banned() { # NAME
+    local bad=0
+    # what, why
+    while IFS='|' read -r what why; do
+        [ -n "$what" ] || continue
+        if grep -nE -- "$what" $1.h | grep -vE '^[0-9]+: *(/\*|//|\*)' | head -n 5 | grep .; then echo "^ $why"; bad=1; fi
+    done <<'LIST'
+pragma +(GCC|clang) +diagnostic|no warning is silenced
+pragma +warning|no warning is silenced
+_mm[0-9]*_(mask_|maskz_)?r(cp|sqrt)(14|28)?_|approximate instructions differ between processors
+target\("[^"]*fma|a fused multiply-add changes results
+\b(strcpy|strcat|sprintf|gets|alloca|setjmp|longjmp|abort|exit) *\(|not in a library
+__[a-z]+__ *\(\(constructor|not in a library
+\bgoto +\*|not C99
+LIST
+    return $bad
+}
+text_version() { # NAME: line 1, licence, version
+    local P; P=$(upper $1)
+    local v; v=$(for k in MAJOR MINOR PATCH; do sed -n "s/^# *define  *${P}_VERSION_$k  *\([0-9]*\).*/\1/p" $1.h; done | tr '\n' '.' | sed 's/\.$//')
+    head -n 1 $1.h | grep -qF "$1.h - v$v - " || { echo "line 1 is not '/* $1.h - v$v - ...'"; return 1; }
+    head -n 2 $1.h | grep -q 'SPDX-License-Identifier: MIT OR Unlicense' || { echo "no SPDX-License-Identifier in lines 1-2"; return 1; }
+    tail -n 80 $1.h | grep -q 'WITHOUT WARRANTY' || { echo "no licence text at the end"; return 1; }
+    grep -q "^## .*$v\|$1.*$v" CHANGELOG.md || { echo "CHANGELOG.md does not know version $v"; return 1; }
+}
+group_text() {
+    local n other=() files
+    for n in "${HEADERS[@]}"; do
+        item "text $n plain" text_plain $LINE_LIMIT $n.h
+        item "text $n tags" text_tags $n
+        item "text $n banned" text_banned $n
+        item "text $n version" text_version $n
+        [ ${#other[@]} -gt 0 ] && item "text $n common sections equal ${other[0]}" text_common ${other[0]} $n
+        other+=($n)
+    done
+    mapfile -t files < <(find examples tests bench -name '*.[ch]' ! -path '*/corpus/*' | sort)
+    item "text programs plain" text_plain $PROGRAM_LINE_LIMIT "${files[@]}"
+}
+
+# --- options: every X_NO_* is documented and known; wrong combinations are refused -------------------------------
+
+options_listed() { # NAME
+    local m bad=0
+    for m in $(option_macros $1); do
+        awk '/^#/ { exit } { print }' $1.h | grep -qw "$m" || { echo "$m is not in the comment at the top of $1.h"; bad=1; }
+    done
+    for m in $(awk '/^#/ { exit } { print }' $1.h | grep -oE "\b$(upper $1)_NO_[A-Z0-9_]+" | sort -u); do
+        grep -qE "^ *# *define +$m +[^ ]" $1.h && continue # a constant, not an option
+        option_macros $1 | grep -qx "$m" || { echo "$m is documented and does nothing"; bad=1; }
+    done
+    return $bad
+}
+refuses() { # FLAGS...: compiling must fail through #error
+    local out
+    if out=$(gcc -std=c99 -I"$ROOT" -fsyntax-only "$@" 2>&1); then echo "gcc $*: compiled, #error was expected"; return 1; fi
+    echo "$out" | grep '#error'
+}
+group_options() {
+    local n P
+    for n in "${HEADERS[@]}"; do
+        P=$(upper $n)
+        item "options $n documented" options_listed $n
+        item "options $n refuses MALLOC alone" refuses "-D${P}_MALLOC(s,u)=0" "$OUT/tu/$n/impl.c"
+        item "options $n refuses -ffast-math" refuses -ffast-math "$OUT/tu/$n/impl.c"
+        item "options $n accepts ALLOW_FAST_MATH" gcc -std=c99 -I"$ROOT" -fsyntax-only -ffast-math -D${P}_ALLOW_FAST_MATH "$OUT/tu/$n/impl.c"
+    done
+}
+
+# --- matrix: compilers, standards, options; zero warnings --------------------------------------------------------
+
+m32() { # COMPILER FLAGS...
+    echo '#include <stdlib.h>
+int main(void) { return 0; }' > "$OUT/tu/m32.$BASHPID.c"
+    $1 -m32 -c -o /dev/null "$OUT/tu/m32.$BASHPID.c" 2>/dev/null || skip "$1 -m32 finds no 32-bit headers" || return
+    c "$@"
+}
+group_matrix() {
+    local n P t cc s m k opts; local -a macros
+    for n in "${HEADERS[@]}"; do
+        P=$(upper $n); t=$OUT/tu/$n; mapfile -t macros < <(option_macros $n)
+        for cc in gcc clang; do
+            for s in $STD_C; do
+                item "matrix $n $cc $s" c $cc -std=$s -O0 -c -o /dev/null "$t/impl.c"
+                item "matrix $n $cc $s STATIC" c $cc -std=$s -fsyntax-only -D${P}_STATIC "$t/impl.c"
+                item "matrix $n $cc $s declarations" c $cc -std=$s -fsyntax-only "$t/decl.c"
+            done
+            item "matrix $n $cc NDEBUG -O1" c $cc -std=c99 -O1 -DNDEBUG -c -o /dev/null "$t/impl.c"
+            item "matrix $n $cc poison" c $cc -std=c99 -fsyntax-only "$t/poison.c"
+            item "matrix $n $cc complex.h" c $cc -std=c99 -fsyntax-only "$t/complex.c"
+            item "matrix $n $cc own allocator" c $cc -std=c99 -O0 -c -o /dev/null "$t/custom.c"
+            item "matrix $n $cc -O3 -march=native" c $cc -std=gnu17 -O3 -march=native -c -o /dev/null "$t/impl.c"
+            item "matrix $n $cc -m32" m32 $cc -m32 -std=c99 -O1 -c -o /dev/null "$t/impl.c"
+            for m in "${macros[@]}"; do
+                item "matrix $n $cc $m" c $cc -std=c99 -O0 -D$m -c -o /dev/null "$t/impl.c"
+                item "matrix $n $cc $m STATIC" c $cc -std=c99 -fsyntax-only -D$m -D${P}_STATIC "$t/impl.c"
+            done
+            [ ${#macros[@]} -gt 0 ] && item "matrix $n $cc every NO_ at once" c $cc -std=c99 -O0 "${macros[@]/#/-D}" -c -o /dev/null "$t/impl.c"
+        done
+        for ((m = 0; m < ${#macros[@]}; m++)); do for ((k = m + 1; k < ${#macros[@]}; k++)); do
+            opts="${macros[m]} ${macros[k]}"
+            item "matrix $n pair $opts" c gcc -std=c99 -fsyntax-only -D${macros[m]} -D${macros[k]} "$t/impl.c"
+        done; done
+        item "matrix $n clang -O2" c clang -std=c99 -O2 -c -o /dev/null "$t/impl.c"
+        for cc in g++ clang++; do
+            for s in $STD_CXX; do
+                item "matrix $n $cc $s" cxx $cc -x c++ -std=$s -O0 -c -o /dev/null "$t/impl.c"
+                item "matrix $n $cc $s STATIC" cxx $cc -x c++ -std=$s -fsyntax-only -D${P}_STATIC "$t/impl.c"
+                item "matrix $n $cc $s declarations" cxx $cc -x c++ -std=$s -fsyntax-only "$t/decl.c"
+            done
+            item "matrix $n $cc poison" cxx $cc -x c++ -std=c++17 -fsyntax-only "$t/poison.c"
+            for m in "${macros[@]}"; do
+                item "matrix $n $cc $m" cxx $cc -x c++ -std=c++17 -fsyntax-only -D$m "$t/impl.c"
+            done
+        done
+        item "matrix $n g++ -O2" cxx g++ -x c++ -std=c++17 -O2 -c -o /dev/null "$t/impl.c"
+    done
+    if [ ${#HEADERS[@]} -gt 1 ]; then
+        for s in all all_reverse; do
+            for cc in gcc clang; do item "matrix $s $cc" c $cc -std=c99 -fsyntax-only "$OUT/tu/$s.c"; done
+            for cc in g++ clang++; do item "matrix $s $cc" cxx $cc -x c++ -std=c++17 -fsyntax-only "$OUT/tu/$s.c"; done
+        done
+    fi
+}
+
+# --- targets: syntax for other machines, without their toolchains ------------------------------------------------
+
+target() { # NAME TARGET KIND FLAGS...
+    local n=$1 t=$2 kind=$3 inc; shift 3
+    have clang || skip "no clang" || return
+    inc="-isystem $(clang -print-resource-dir)/include -isystem tests/compile/stubs"
+    [ $kind = posix ] && inc="$inc -isystem tests/compile/stubs/posix"
+    cmd clang --target=$t -nostdinc $inc $WARN_C -I. -std=c99 -fsyntax-only "$@" "$OUT/tu/$n/impl.c" &&
+    cmd clang --target=$t -nostdinc $inc $WARN -I. -x c++ -std=c++11 -fsyntax-only "$@" "$OUT/tu/$n/impl.c"
+}
+group_targets() {
+    local n name t kind flags
+    for n in "${HEADERS[@]}"; do
+        while read -r name t kind flags; do
+            [ -n "$name" ] && item "targets $n $name" target $n $t $kind ${flags//@P@/$(upper $n)}
+        done <<< "$TARGETS"
+    done
+}
+
+# --- link: C and C++ together, two static copies -----------------------------------------------------------------
+
+link_pair() { # NAME IMPL-COMPILER IMPL-FLAGS USE-COMPILER USE-FLAGS FLAGS
+    local n=$1 d=$OUT/obj/link.$BASHPID; mkdir -p "$d"
+    have $2 && have $4 || skip "no $2 or $4" || return
+    cmd $2 $3 $6 -I. -c -o "$d/impl.o" "$OUT/tu/$n/impl.c" &&
+    cmd $4 $5 $6 $WARN -I. -c -o "$d/use.o" "$OUT/tu/$n/use.c" &&
+    cmd $7 $6 -o "$d/prog" "$d/use.o" "$d/impl.o" -lm -lpthread && "$d/prog"
+    local rc=$?; rm -rf "$d"; return $rc
+}
+link_static() { # NAME COMPILER FLAGS
+    local d=$OUT/obj/static.$BASHPID; mkdir -p "$d"
+    cmd $2 $3 -O0 -I. -o "$d/prog" "$OUT/tu/$1/static1.c" "$OUT/tu/$1/static2.c" -lm -lpthread && "$d/prog"
+    local rc=$?; rm -rf "$d"; return $rc
+}
+group_link() {
+    local n
+    for n in "${HEADERS[@]}"; do
+        item "link $n C in C" link_pair $n gcc "-std=c99 -O0" gcc "-std=c99 -O0" "" gcc
+        item "link $n C in C++" link_pair $n gcc "-std=c99 -O0" g++ "-x c++ -std=c++11 -O0" "" g++
+        item "link $n C++ in C" link_pair $n g++ "-x c++ -std=c++17 -O0" gcc "-std=c99 -O0" "" g++
+        item "link $n C in C++ -flto" link_pair $n gcc "-std=c99 -O1" g++ "-x c++ -std=c++17 -O1" -flto g++
+        item "link $n two STATIC gcc" link_static $n gcc -std=c99
+        item "link $n two STATIC clang++" link_static $n clang++ "-x c++ -std=c++17"
+    done
+}
+
+# --- symbols: what an object exports and needs; mutable data; stack ----------------------------------------------
+
+symbols() { # NAME exported|static "ALLOWED" COMPILER FLAGS...
+    local n=$1 kind=$2 allowed=$3 cc=$4 bad=0 o=$OUT/obj/sym.$BASHPID s; shift 4
+    have $cc || skip "no $cc" || return
+    cmd $cc $WARN_C -I. -fno-pic -fno-pie -fstack-usage "$@" -c -o "$o.o" "$OUT/tu/$n/impl.c" || return 1
+    s=$(nm "$o.o" | awk '$(NF-1) ~ /^[A-TV-Z]$/ { print $NF }' | if [ $kind = static ]; then cat; else grep -v "^$n\_"; fi)
+    [ -z "$s" ] || { echo "exported:" $s; bad=1; }
+    [ $kind = static ] || nm "$o.o" | grep -q " T $n\_" || { echo "exports nothing"; bad=1; }
+    s=$(nm "$o.o" | awk '$(NF-1) ~ /^[DdBbCcGgSs]$/ { print $NF }')
+    [ -z "$s" ] || { echo "mutable static data:" $s; bad=1; }
+    s=$(nm -u "$o.o" | awk '{ print $NF }' | sed 's/@.*//' | sort -u | grep -vxF "$(printf '%s\n' $allowed $ALLOW_COMPILER)")
+    [ -z "$s" ] || { echo "needs symbols that are not allowed:" $s; bad=1; }
+    if [ -f "$o.su" ]; then
+        awk -v limit=$STACK_LIMIT '$2 > limit || $3 ~ /^dynamic$/ { print "stack: " $0; bad = 1 } END { exit !bad }' "$o.su" && bad=1
+        sort -k2,2nr "$o.su" | head -n 3 | sed 's/^/most stack: /'
+    fi
+    rm -f "$o.o" "$o.su"; return $bad
+}
+group_symbols() {
+    local n P all="$ALLOW_LIBC $ALLOW_FORMAT $ALLOW_STDIO $ALLOW_LIBM $ALLOW_THREADS"
+    for n in "${HEADERS[@]}"; do
+        P=$(upper $n)
+        item "symbols $n gcc -O2" symbols $n exported "$all" gcc -std=c99 -O2
+        item "symbols $n gcc -O0" symbols $n exported "$all" gcc -std=c99 -O0
+        item "symbols $n clang -O1" symbols $n exported "$all" clang -std=c99 -O1
+        item "symbols $n STATIC" symbols $n static "$all" gcc -std=c99 -O0 -D${P}_STATIC
+        item "symbols $n NO_STDIO" symbols $n exported "$ALLOW_LIBC $ALLOW_FORMAT $ALLOW_LIBM $ALLOW_THREADS" gcc -std=c99 -O0 -D${P}_NO_STDIO
+        item "symbols $n NO_THREADS" symbols $n exported "$ALLOW_LIBC $ALLOW_FORMAT $ALLOW_STDIO $ALLOW_LIBM" gcc -std=c99 -O0 -D${P}_NO_THREADS
+        item "symbols $n NO_SIMD -O2" symbols $n exported "$all" gcc -std=c99 -O2 -D${P}_NO_SIMD
+    done
+}
+
+# --- hygiene: macros that a program sees after including a header ------------------------------------------------
+
+macros() { # NAME FILE
+    local n=$1 P d=$OUT/tu/$1/macros.$BASHPID; P=$(upper $n)
+    # everything the header may include, by itself, is not the header's fault
+    grep -oE '^ *# *include *<[^>]*>' $n.h | sed 's/^ *# */#/' | grep -v 'avx2*intrin' | sort -u |
+        awk -F'[<>]' '{ print "#if __has_include(<" $2 ">)\n" $0 "\n#endif" }' > "$d.c"
+    gcc -std=c99 -I. -dM -E "$d.c" | awk '{ sub(/\(.*/, "", $2); print $2 }' | sort -u > "$d.base"
+    gcc -std=c99 -I. -dM -E "$2" | awk '{ sub(/\(.*/, "", $2); print $2 }' | sort -u > "$d.have"
+    local leak; leak=$(comm -13 "$d.base" "$d.have" | grep -vE "^(${P}|$n)I?i?_")
+    rm -f "$d".*
+    [ -z "$leak" ] || { echo "macros without the prefix:" $leak; return 1; }
+}
+declarations_light() { # NAME: the declaration part includes only these
+    local bad; bad=$(gcc -std=c99 -I. -M "$OUT/tu/$1/decl.c" | tr ' \\' '\n\n' | grep -E '/(pthread|immintrin|emmintrin|windows|stdlib|string|stdio|math|unistd)\.h$')
+    [ -z "$bad" ] || { echo "the declarations include:" $bad; return 1; }
+}
+group_hygiene() {
+    local n
+    for n in "${HEADERS[@]}"; do
+        item "hygiene $n macros of the declarations" macros $n "$OUT/tu/$n/decl.c"
+        item "hygiene $n macros of the implementation" macros $n "$OUT/tu/$n/impl.c"
+        item "hygiene $n declarations include little" declarations_light $n
+    done
+}
+
+# --- programs: examples, tests, benches under the same warnings; pictures ----------------------------------------
+
+group_programs() {
+    local f name
+    for f in $(ls examples/*.c tests/test_*.c tests/fuzz/*.c bench/*.c 2>/dev/null); do
+        item "programs gcc $f" c gcc -std=c99 -fsyntax-only "$f"
+        item "programs clang $f" c clang -std=c99 -fsyntax-only "$f"
+    done
+    for f in $(ls *.c 2>/dev/null); do item "programs $f" c gcc -std=c99 -O0 -c -o /dev/null "$f"; done
+    for f in $(ls examples/support/*.h bench/baseline/*.h tests/*.h 2>/dev/null); do
+        grep -q '# *error "include ' "$f" && continue # a part of another one
+        name=$OUT/tu/$(echo "$f" | tr / _).c
+        printf '#include "%s"\n#include "%s"\n' "$f" "$f" > "$name"
+        item "programs include $f" c gcc -std=c99 -fsyntax-only -Wno-unused-function "$name"
+    done
+    solo "programs make all" make -j"$JOBS" all
+    solo "programs make demo" timeout 400 make -j"$JOBS" demo
+}
+
+# --- readme: code blocks and the program in the header's comment -------------------------------------------------
+
+readme_block() { # FILE LANGUAGE
+    local d=$OUT/obj/readme.$BASHPID rc
+    if [ $2 = c ]; then cmd gcc -std=c99 -O0 -Wall -Wextra -Werror -I. -Iexamples -o "$d" "$1" -lm -lpthread
+    else cmd g++ -x c++ -std=c++11 -O0 -Wall -Wextra -Werror -I. -Iexamples -o "$d" "$1" -lm -lpthread; fi
+    rc=$?; rm -f "$d"; return $rc
+}
+squeeze() { sed -e 's/^[ *]*//' -e 's/[ ]*$//' "$1" | grep -v '^$'; }
+minimal_same() { # NAME: the example, from its first # line, stands in the header's first comment
+    local f=examples/minimal_$1.c
+    [ -f $f ] || { echo "no $f"; return 1; }
+    [ "$(wc -l < $f)" -lt 100 ] || { echo "$f is not under 100 lines"; return 1; }
+    sed -n '/^#/,$p' $f > "$OUT/tu/$1/minimal"; squeeze "$OUT/tu/$1/minimal" > "$OUT/tu/$1/minimal_example"
+    local first count start; first=$(head -n 1 "$OUT/tu/$1/minimal_example"); count=$(wc -l < "$OUT/tu/$1/minimal_example")
+    awk '/\*\// { exit } { print }' $1.h > "$OUT/tu/$1/comment"; squeeze "$OUT/tu/$1/comment" > "$OUT/tu/$1/comment_s"
+    for start in $(grep -nxF -- "$first" "$OUT/tu/$1/comment_s" | cut -d: -f1); do
+        tail -n +$start "$OUT/tu/$1/comment_s" | head -n $count > "$OUT/tu/$1/minimal_header"
+        diff -u "$OUT/tu/$1/minimal_example" "$OUT/tu/$1/minimal_header" && return 0
+    done
+    echo "$1.h does not quote $f"; return 1
+}
+group_readme() {
+    local n f lang k=0 d=$OUT/tu/readme
+    rm -rf "$d"; mkdir -p "$d"
+    for f in README.md docs/*.md; do
+        [ -f "$f" ] || continue
+        awk -v d="$d" -v base="$(basename "$f" .md)" '
+            /^```(c|cpp|c\+\+)$/ { lang = $0 == "```c" ? "c" : "cc"; text = ""; on = 1; at = FNR; next }
+            /^```/ { if (on && text ~ /int main *\(/) { name = d "/" base "_line" at "." lang; printf "%s", text > name; close(name) } on = 0; next }
+            on { text = text $0 "\n" }' "$f"
+    done
+    for f in "$d"/*; do
+        [ -f "$f" ] || continue
+        lang=${f##*.}; k=$((k + 1)); item "readme $(basename "$f")" readme_block "$f" $lang
+    done
+    [ $k -gt 0 ] || item "readme code" skip "no code block with main in README.md"
+    for n in "${HEADERS[@]}"; do item "readme minimal_$n.c stands in $n.h" minimal_same $n; done
+}
+
+# --- install -----------------------------------------------------------------------------------------------------
+
+install_make() {
+    local d=$ROOT/$OUT/install n
+    rm -rf "$d"; cmd make --no-print-directory install DESTDIR="$d" PREFIX=/opt/x || return 1
+    for n in "${HEADERS[@]}"; do
+        [ -f "$d/opt/x/include/$n.h" ] || { echo "no $n.h"; return 1; }
+        [ -f "$d/opt/x/share/pkgconfig/$n.pc" ] || { echo "no $n.pc"; return 1; }
+        grep -E '^Version: [0-9]+\.[0-9]+\.[0-9]+$' "$d/opt/x/share/pkgconfig/$n.pc" || { echo "$n.pc: no version"; return 1; }
+        if have pkg-config; then PKG_CONFIG_PATH=$d/opt/x/share/pkgconfig cmd pkg-config --cflags --libs $n || return 1; fi
+    done
+}
+install_cmake() {
+    have cmake || skip "no cmake" || return
+    local d=$OUT/cmake; rm -rf "$d"; mkdir -p "$d/app"; local n=${HEADERS[0]}
+    printf 'cmake_minimum_required(VERSION 3.12)\nproject(app C)\nadd_subdirectory(%s lib)\nadd_executable(app %s %s)\ntarget_link_libraries(app voxrt::headers m)\n' \
+        "$ROOT" "$ROOT/$OUT/tu/$n/use.c" "$ROOT/$OUT/tu/$n/impl.c" > "$d/app/CMakeLists.txt"
+    cmd cmake -S "$d/app" -B "$d/build" && cmd cmake --build "$d/build" && "$d/build/app"
+}
+group_install() { item "install make" install_make; item "install cmake" install_cmake; }
+
+# --- modes, sanitizers, emulators: the quick tests once more -----------------------------------------------------
+
+test_names() { # GROUP-NAME
+    local f n; for f in tests/test_*.c; do n=$(basename "$f" .c); matches "$1:${n#test_}" "$SKIP_TESTS" || echo "$n"; done
+}
+one_test() { # PROGRAM [COMMAND BEFORE...]
+    local p=$1 rc; shift
+    TEST_QUICK=1 cmd timeout "$ITEM_TIMEOUT" "$@" "$p" -v; rc=$?
+    [ $rc -ne 124 ] || echo "took more than $ITEM_TIMEOUT s"
+    return $rc
+}
+build_and_test() { # GROUP NAME COMPILER FLAGS LDFLAGS [COMMAND BEFORE...]
+    local group=$1 name=$2 cc=$3 flags=$4 ld=$5 t; shift 5
+    local b=$OUT/$name list=(); mapfile -t list < <(test_names $group-$name)
+    [ ${#list[@]} -gt 0 ] || { run_item "$group $name" skip "no test left for it in SKIP_TESTS"; return; }
+    solo "$group $name build" make -k -j"$JOBS" --no-print-directory B="$b" CC="$cc" CFLAGS="$flags" LDFLAGS="$ld" "${list[@]/#/$b/tests/}"
+    for t in "${list[@]}"; do [ -x "$b/tests/$t" ] && item "$group $name $t" one_test "$b/tests/$t" "$@"; done
+    barrier
+}
+works() { # COMPILER FLAGS...: makes and runs a program
+    local p=$OUT/obj/works; rm -f "$p"; echo 'int main(void) { return 0; }' > "$p.c"
+    "$@" -o "$p" "$p.c" -lm -lpthread > "$p.log" 2>&1 && "$p" >> "$p.log" 2>&1
+}
+group_modes() {
+    local name cc flags
+    while read -r name cc flags; do
+        [ -n "$name" ] || continue
+        flags=$(fill "$flags" | tr '\n' ' ')
+        if works $cc $flags; then build_and_test modes $name $cc "$flags" ""
+        else run_item "modes $name" skip "$cc $flags makes no program here"; fi
+    done <<< "$MODES"
+}
+group_sanitize() {
+    local name cc flags before
+    export ASAN_OPTIONS=allocator_may_return_null=1 UBSAN_OPTIONS=print_stacktrace=1 TSAN_OPTIONS=halt_on_error=1
+    while read -r name cc flags; do
+        [ -n "$name" ] || continue
+        before=
+        if ! works $cc $SAN_FLAGS $flags; then
+            # the address layout of some kernels is too random for tsan and msan
+            if have setarch && [ -x "$OUT/obj/works" ] && setarch "$(uname -m)" -R "$OUT/obj/works" 2>/dev/null; then before="setarch $(uname -m) -R"
+            else run_item "sanitize $name" skip "$cc $flags makes no program that runs here"; continue; fi
+        fi
+        build_and_test sanitize $name $cc "$SAN_FLAGS $flags" "" $before
+    done <<< "$SANITIZERS"
+}
+group_emulate() {
+    local name cc emu
+    while read -r name cc emu; do
+        [ -n "$name" ] || continue
+        if have $cc && have $emu; then build_and_test emulate $name $cc "-std=c99 -O2 -ffp-contract=off" -static $emu
+        else run_item "emulate $name" skip "no $cc or no $emu"; fi
+    done <<< "$EMULATE"
+}
+
+# --- fuzz: tests/fuzz/fuzz_*.c, seeds in tests/fuzz/corpus/NAME/ -------------------------------------------------
+
+fuzz_standalone() { # NAME SECONDS
+    local p=$OUT/fuzz/$1.standalone
+    cmd gcc $SAN_FLAGS -fsanitize=address,undefined -fno-sanitize-recover=all -I. -o "$p" tests/fuzz/$1.c tests/fuzz/standalone.c -lm -lpthread &&
+    cmd timeout 300 "$p" -seconds="$2" -crash="$OUT/fuzz/$1.crash" $( [ -d tests/fuzz/corpus/${1#fuzz_} ] && echo tests/fuzz/corpus/${1#fuzz_} )
+}
+fuzz_libfuzzer() { # NAME SECONDS
+    local p=$OUT/fuzz/$1.libfuzzer dict= seeds=
+    [ -f tests/fuzz/${1#fuzz_}.dict ] && dict=-dict=tests/fuzz/${1#fuzz_}.dict
+    [ -d tests/fuzz/corpus/${1#fuzz_} ] && seeds=tests/fuzz/corpus/${1#fuzz_}
+    mkdir -p "$OUT/fuzz/$1.found"
+    cmd clang $SAN_FLAGS -fsanitize=fuzzer,address,undefined -fno-sanitize-recover=all -I. -o "$p" tests/fuzz/$1.c -lm -lpthread &&
+    cmd timeout 600 "$p" -max_total_time=$2 -timeout=10 -rss_limit_mb=3000 -seed=1 -print_final_stats=1 \
+        -artifact_prefix="$OUT/fuzz/$1." $dict "$OUT/fuzz/$1.found" $seeds
+}
+group_fuzz() {
+    local names=() f each libfuzzer=0
+    mkdir -p "$OUT/fuzz"; rm -rf "$OUT"/fuzz/*
+    export ASAN_OPTIONS=allocator_may_return_null=1
+    for f in tests/fuzz/fuzz_*.c; do [ -f "$f" ] && names+=("$(basename "$f" .c)"); done
+    if [ ${#names[@]} -eq 0 ]; then run_item "fuzz" skip "no tests/fuzz/fuzz_*.c"; return; fi
+    printf '#include <stddef.h>\n#include <stdint.h>\nint LLVMFuzzerTestOneInput(const uint8_t *d, size_t n);\nint LLVMFuzzerTestOneInput(const uint8_t *d, size_t n) { (void)d; (void)n; return 0; }\n' > "$OUT/tu/fuzz_nothing.c"
+    clang -fsanitize=fuzzer,address,undefined -o "$OUT/tu/fuzz_nothing" "$OUT/tu/fuzz_nothing.c" 2>/dev/null && libfuzzer=1
+    each=$((FUZZ_SECONDS * JOBS / ${#names[@]})); [ $each -ge 2 ] || each=2
+    [ $each -le "$FUZZ_SECONDS" ] || each=$FUZZ_SECONDS
+    for f in "${names[@]}"; do
+        if [ $libfuzzer = 1 ]; then
+            item "fuzz $f libfuzzer $each s" fuzz_libfuzzer $f $each
+            item "fuzz $f standalone 2 s" fuzz_standalone $f 2
+        else
+            item "fuzz $f standalone $each s" fuzz_standalone $f $each
+        fi
+    done
+}
+
+# --- analyze: clang's and cppcheck's findings --------------------------------------------------------------------
+
+analyze_clang() { # NAME
+    have clang || skip "no clang" || return
+    cmd timeout 600 clang --analyze -std=c99 -I. -Xclang -analyzer-output=text -Xclang -analyzer-werror \
+        -o /dev/null -D$(upper $1)_IMPLEMENTATION -x c $1.h # as the main file: functions of headers are not analyzed
+}
+analyze_cppcheck() { # NAME
+    have cppcheck || skip "no cppcheck" || return
+    cmd timeout 600 cppcheck --quiet --std=c99 --language=c --platform=unix64 --enable=warning,portability --inline-suppr --error-exitcode=1 --force --max-configs=2 \
+        -D__x86_64__=1 -D__GNUC__=12 -D__SSE2__=1 -D$(upper $1)_IMPLEMENTATION --suppress=missingIncludeSystem --suppress=missingInclude \
+        --suppress=unknownMacro --suppress=preprocessorErrorDirective $1.h
+}
+group_analyze() {
+    local n
+    for n in "${HEADERS[@]}"; do
+        item "analyze $n clang" analyze_clang $n
+        item "analyze $n cppcheck" analyze_cppcheck $n
+    done
+}
+
+# --- run ---------------------------------------------------------------------------------------------------------
+
+if [ ${#HEADERS[@]} -eq 0 ]; then echo "no header yet"; echo "0 passed, 0 failed, 1 skipped"; exit 0; fi
+make_units
+for g in ${*:-$GROUPS_ALL}; do
+    case " $GROUPS_ALL " in *" $g "*) ;; *) echo "no group $g; there are: $GROUPS_ALL" >&2; exit 2 ;; esac
+    t0=$SECONDS
+    group_$g
+    barrier
+    awk -v g=$g -v t=$((SECONDS - t0)) '$3 == g { n[$1]++ }
+        END { printf "%-9s %4d ok", g, n["ok"]; if (n["FAIL"]) printf ", %d failed", n["FAIL"]; if (n["skip"]) printf ", %d skipped", n["skip"]; printf "  (%d s)\n", t }' "$OUT/results"
+done
+awk '{ n[$1]++ } END { printf "%d passed, %d failed", n["ok"], n["FAIL"]; if (n["skip"]) printf ", %d skipped", n["skip"]; print ""; exit n["FAIL"] != 0 }' "$OUT/results"

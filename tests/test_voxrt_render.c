@@ -1,0 +1,1257 @@
+/* Pictures: rays and orientation, shading against a plain computation in double precision, shadows, levels of detail and
+   their promise in pixels, the same bits for any number of threads, progressive pictures, blur, frame budget. */
+#include "test.h"
+#define VOXRT_IMPLEMENTATION
+#include "../voxrt.h"
+
+typedef struct cells { voxrt_voxel *v; size_t n, room; } cells;
+
+static voxrt_voxel *add(cells *c, uint32_t x, uint32_t y, uint32_t z, int red, int green, int blue) {
+    voxrt_voxel *v;
+    if (c->n == c->room) {
+        c->room = c->room ? 2 * c->room : 64;
+        c->v = (voxrt_voxel *)realloc(c->v, c->room * sizeof *c->v);
+        if (c->v == NULL) exit(1);
+    }
+    v = &c->v[c->n++];
+    memset(v, 0, sizeof *v);
+    v->x = x;
+    v->y = y;
+    v->z = z;
+    v->rgb[0] = (uint8_t)red;
+    v->rgb[1] = (uint8_t)green;
+    v->rgb[2] = (uint8_t)blue;
+    return v;
+}
+
+static void add_box(cells *c, uint32_t x0, uint32_t y0, uint32_t z0, uint32_t x1, uint32_t y1, uint32_t z1) {
+    uint32_t x, y, z;
+    for (z = z0; z < z1; z++)
+        for (y = y0; y < y1; y++)
+            for (x = x0; x < x1; x++) (void)add(c, x, y, z, 255, 255, 255);
+}
+
+/* A tree of all cells; depth levels; the whole grid is the cube of edge `size` at the origin (0: unit voxels). */
+static voxrt_tree *make_tree(cells *c, uint32_t depth, double size, int normals) {
+    voxrt_build_desc d;
+    voxrt_tree *t = NULL;
+    memset(&d, 0, sizeof d);
+    d.disable_normals = !normals;
+    d.box_size = size;
+    CHECK(voxrt_tree_from_voxels(&d, c->v, c->n, depth, &t) == VOXRT_OK);
+    free(c->v);
+    memset(c, 0, sizeof *c);
+    return t;
+}
+
+/* Voxels of the sphere around the middle of a grid of 2^depth cells, 6-separating, with its exact normals. */
+static voxrt_tree *make_sphere(uint32_t depth, double part) {
+    uint32_t n = 1u << depth, x, y, z, a;
+    double h = n / 2.0, radius = h * part;
+    cells c;
+    memset(&c, 0, sizeof c);
+    for (z = 0; z < n; z++)
+        for (y = 0; y < n; y++)
+            for (x = 0; x < n; x++) {
+                double p[3], r, most = 0;
+                voxrt_voxel *v;
+                p[0] = x + 0.5 - h;
+                p[1] = y + 0.5 - h;
+                r = p[0] * p[0] + p[1] * p[1];
+                if (x == 0 && r > (radius + 1) * (radius + 1) && fabs(p[1]) > radius + 1) break;
+                p[2] = z + 0.5 - h;
+                r = sqrt(r + p[2] * p[2]);
+                if (fabs(r - radius) > 1) continue;
+                for (a = 0; a < 3; a++) most = fabs(p[a]) / r > most ? fabs(p[a]) / r : most;
+                if (fabs(r - radius) > 0.5 * most) continue;
+                v = add(&c, x, y, z, (int)(x * 255 / n), (int)(y * 255 / n), (int)(z * 37 & 255));
+                v->has_normal = 1;
+                for (a = 0; a < 3; a++) v->normal[a] = (float)(p[a] / r);
+            }
+    return make_tree(&c, depth, 2.0, 1);
+}
+
+/* All buffers of a picture; `pad` extra bytes behind each row, filled with 0xee. */
+typedef struct picture { voxrt_image m; size_t pad; } picture;
+
+static void *rows(size_t stride, uint32_t h) {
+    void *p = malloc(stride * h + 1);
+    if (p == NULL) exit(1);
+    memset(p, 0xee, stride * h + 1);
+    return p;
+}
+
+static picture make_picture(uint32_t w, uint32_t h, size_t pad, int with_sum) {
+    picture p;
+    memset(&p, 0, sizeof p);
+    p.pad = pad;
+    p.m.width = w;
+    p.m.height = h;
+    p.m.rgba8_stride = 4 * (size_t)w + pad;
+    p.m.rgba_stride = p.m.sum_stride = 16 * (size_t)w + pad;
+    p.m.depth_stride = 4 * (size_t)w + pad;
+    p.m.normal_stride = 12 * (size_t)w + pad;
+    p.m.hit_stride = sizeof(voxrt_hit) * (size_t)w + pad;
+    p.m.rgba8 = (uint8_t *)rows(p.m.rgba8_stride, h);
+    p.m.rgba = (float *)rows(p.m.rgba_stride, h);
+    p.m.sum = with_sum ? (float *)rows(p.m.sum_stride, h) : NULL;
+    p.m.depth = (float *)rows(p.m.depth_stride, h);
+    p.m.normal = (float *)rows(p.m.normal_stride, h);
+    p.m.hit = (voxrt_hit *)rows(p.m.hit_stride, h);
+    return p;
+}
+static void free_picture(picture *p) {
+    free(p->m.rgba8);
+    free(p->m.rgba);
+    free(p->m.sum);
+    free(p->m.depth);
+    free(p->m.normal);
+    free(p->m.hit);
+    memset(p, 0, sizeof *p);
+}
+static uint64_t hash_rows(const void *p, size_t stride, size_t bytes, uint32_t h, uint64_t hash) {
+    uint32_t y;
+    for (y = 0; y < h; y++) hash = test_fnv1a((const uint8_t *)p + stride * y, bytes, hash);
+    return hash;
+}
+static uint64_t hash_picture(const picture *p) {
+    uint64_t h = hash_rows(p->m.rgba8, p->m.rgba8_stride, 4 * (size_t)p->m.width, p->m.height, 0);
+    h = hash_rows(p->m.rgba, p->m.rgba_stride, 16 * (size_t)p->m.width, p->m.height, h);
+    h = hash_rows(p->m.depth, p->m.depth_stride, 4 * (size_t)p->m.width, p->m.height, h);
+    h = hash_rows(p->m.normal, p->m.normal_stride, 12 * (size_t)p->m.width, p->m.height, h);
+    return hash_rows(p->m.hit, p->m.hit_stride, sizeof(voxrt_hit) * (size_t)p->m.width, p->m.height, h);
+}
+static const uint8_t *px(const picture *p, uint32_t x, uint32_t y) {
+    return p->m.rgba8 + p->m.rgba8_stride * y + 4 * (size_t)x;
+}
+static const float *fpx(const picture *p, uint32_t x, uint32_t y) {
+    return (const float *)(const void *)((const uint8_t *)p->m.rgba + p->m.rgba_stride * y + 16 * (size_t)x);
+}
+static float depth_at(const picture *p, uint32_t x, uint32_t y) {
+    return *(const float *)(const void *)((const uint8_t *)p->m.depth + p->m.depth_stride * y + 4 * (size_t)x);
+}
+static const float *normal_at(const picture *p, uint32_t x, uint32_t y) {
+    return (const float *)(const void *)((const uint8_t *)p->m.normal + p->m.normal_stride * y + 12 * (size_t)x);
+}
+static const voxrt_hit *hit_at(const picture *p, uint32_t x, uint32_t y) {
+    return (const voxrt_hit *)(const void *)((const uint8_t *)p->m.hit + p->m.hit_stride * y + sizeof(voxrt_hit) * x);
+}
+
+static void set3(float *v, double x, double y, double z) {
+    v[0] = (float)x;
+    v[1] = (float)y;
+    v[2] = (float)z;
+}
+static voxrt_camera look(double ex, double ey, double ez, double ax, double ay, double az, float fov) {
+    voxrt_camera c;
+    memset(&c, 0, sizeof c);
+    set3(c.eye, ex, ey, ez);
+    set3(c.at, ax, ay, az);
+    c.fov_y = fov;
+    return c;
+}
+
+/* ---- rays -------------------------------------------------------------------------------------------------- */
+
+TEST(ray_conventions) {
+    voxrt_camera c = look(1, 2, 5, 1, 2, -3, 90);
+    voxrt_ray r;
+    CHECK(voxrt_camera_ray(&c, 4, 2, 0.5, 0.5, &r) == VOXRT_OK); /* tan 45 = 1: a pixel is 1 wide at depth 1 */
+    CHECK_NEAR(r.dir[0], -1.5, 1e-6);
+    CHECK_NEAR(r.dir[1], 0.5, 1e-6);
+    CHECK_NEAR(r.dir[2], -1, 1e-6);
+    CHECK(r.org[0] == 1 && r.org[1] == 2 && r.org[2] == 5 && r.t_min == 0 && r.t_max == INFINITY);
+    CHECK(voxrt_camera_ray(&c, 4, 2, 3.5, 1.5, &r) == VOXRT_OK);
+    CHECK_NEAR(r.dir[0], 1.5, 1e-6);
+    CHECK_NEAR(r.dir[1], -0.5, 1e-6);
+    /* from the right, z up: right in the picture is +y */
+    c = look(10, 0, 0, 0, 0, 0, 60);
+    set3(c.up, 0, 0, 2);
+    CHECK(voxrt_camera_ray(&c, 100, 100, 100, 50, &r) == VOXRT_OK);
+    CHECK_NEAR(r.dir[0], -1, 1e-6);
+    CHECK_NEAR(r.dir[1], tan(acos(-1.0) / 6), 1e-6);
+    CHECK_NEAR(r.dir[2], 0, 1e-6);
+    /* a tilted camera: the ray of the middle is the view, and t is the depth for every ray */
+    c = look(3, 4, 5, -1, 0.5, 2, 35);
+    set3(c.up, 0.2, 1, 0.1);
+    {
+        double f[3], l = 0;
+        uint32_t a, k;
+        for (a = 0; a < 3; a++) {
+            f[a] = (double)c.at[a] - (double)c.eye[a];
+            l += f[a] * f[a];
+        }
+        for (k = 0; k < 50; k++) {
+            double along = 0;
+            CHECK(voxrt_camera_ray(&c, 640, 480, k * 640.0 / 49, k * k % 480, &r) == VOXRT_OK);
+            for (a = 0; a < 3; a++) along += (double)r.dir[a] * f[a] / sqrt(l);
+            CHECK_NEAR(along, 1, 1e-6);
+        }
+        CHECK(voxrt_camera_ray(&c, 640, 480, 320, 240, &r) == VOXRT_OK);
+        for (a = 0; a < 3; a++) CHECK_NEAR(r.dir[a], f[a] / sqrt(l), 1e-6);
+    }
+    set3(c.up, 4, 3.5, 3); /* along the view: any roll, but a frame */
+    CHECK(voxrt_camera_ray(&c, 640, 480, 0, 0, &r) == VOXRT_OK);
+    CHECK(voxrt_camera_ray(NULL, 640, 480, 0, 0, &r) == VOXRT_ERR_INVALID_ARG);
+    c.fov_y = 180;
+    CHECK(voxrt_camera_ray(&c, 640, 480, 0, 0, &r) == VOXRT_ERR_INVALID_ARG);
+    c.fov_y = NAN;
+    CHECK(voxrt_camera_ray(&c, 640, 480, 0, 0, &r) == VOXRT_ERR_INVALID_ARG);
+    c = look(1, 1, 1, 1, 1, 1, 40);
+    CHECK(voxrt_camera_ray(&c, 640, 480, 0, 0, &r) == VOXRT_ERR_INVALID_ARG);
+    c = look(1, 1, 1, INFINITY, 1, 1, 40);
+    CHECK(voxrt_camera_ray(&c, 640, 480, 0, 0, &r) == VOXRT_ERR_INVALID_ARG);
+}
+
+TEST(camera_fit) {
+    static const double lo[3] = {-3, 10, -1}, hi[3] = {5, 11, 4};
+    test_rng rng = test_rng_make(7);
+    uint32_t k, a, corner;
+    for (k = 0; k < 200; k++) {
+        voxrt_camera c;
+        voxrt_ray r[3];
+        float view[3];
+        uint32_t w = 1 + test_rng_below(&rng, 2000), h = 1 + test_rng_below(&rng, 2000);
+        double most = 0;
+        memset(&c, 0, sizeof c);
+        for (a = 0; a < 3; a++) view[a] = test_rng_range(&rng, -1, 1);
+        c.fov_y = test_rng_range(&rng, 5, 120);
+        if (k & 1u) set3(c.up, 0, 0, 1);
+        CHECK(voxrt_camera_fit(&c, lo, hi, (k & 2u) ? view : NULL, w, h) == VOXRT_OK);
+        CHECK(voxrt_camera_ray(&c, w, h, w * 0.5, h * 0.5, &r[0]) == VOXRT_OK);
+        CHECK(voxrt_camera_ray(&c, w, h, w, h * 0.5, &r[1]) == VOXRT_OK);
+        CHECK(voxrt_camera_ray(&c, w, h, w * 0.5, 0, &r[2]) == VOXRT_OK);
+        for (corner = 0; corner < 8; corner++) { /* project: coordinates along forward, right edge, upper edge */
+            double p[3], x = 0, y = 0, z = 0, rx = 0, ry = 0;
+            for (a = 0; a < 3; a++) {
+                double right = (double)r[1].dir[a] - (double)r[0].dir[a], up = (double)r[2].dir[a] - (double)r[0].dir[a];
+                p[a] = ((corner >> a & 1u) ? hi[a] : lo[a]) - (double)c.eye[a];
+                z += p[a] * (double)r[0].dir[a];
+                x += p[a] * right;
+                y += p[a] * up;
+                rx += right * right;
+                ry += up * up;
+            }
+            CHECK(z > 0);
+            x = fabs(x / rx / z);
+            y = fabs(y / ry / z);
+            most = x > most ? x : most;
+            most = y > most ? y : most;
+        }
+        CHECK_MSG(most <= 1.0001 && most > 0.5, "corners reach %g of the picture", most);
+    }
+}
+
+/* A wall at z = 1 seen from an angle: depth is the distance of the hit point along the view, alpha and miss values. */
+TEST(depth_and_alpha) {
+    cells c;
+    voxrt_tree *t;
+    voxrt_render_desc d;
+    picture p = make_picture(61, 47, 12, 0);
+    uint32_t x, y, hits = 0, misses = 0, a;
+    double f[3], l = 0;
+    memset(&c, 0, sizeof c);
+    add_box(&c, 0, 0, 0, 16, 16, 1);
+    t = make_tree(&c, 4, 0, 0);
+    memset(&d, 0, sizeof d);
+    d.camera = look(20, 25, 30, 8, 8, 1, 40);
+    for (a = 0; a < 3; a++) {
+        f[a] = (double)d.camera.at[a] - (double)d.camera.eye[a];
+        l += f[a] * f[a];
+    }
+    CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+    for (y = 0; y < p.m.height; y++)
+        for (x = 0; x < p.m.width; x++) {
+            voxrt_ray r;
+            double s, q[2];
+            CHECK(voxrt_camera_ray(&d.camera, p.m.width, p.m.height, x + 0.5, y + 0.5, &r) == VOXRT_OK);
+            s = (1.0 - (double)r.org[2]) / (double)r.dir[2];
+            for (a = 0; a < 2; a++) q[a] = (double)r.org[a] + s * (double)r.dir[a];
+            if (q[0] > 0.01 && q[1] > 0.01 && q[0] < 15.99 && q[1] < 15.99) { /* meets the upper side of the wall */
+                double along = 0, point[3];
+                for (a = 0; a < 3; a++) {
+                    point[a] = (double)r.org[a] + s * (double)r.dir[a] - (double)d.camera.eye[a];
+                    along += point[a] * f[a] / sqrt(l);
+                }
+                CHECK_NEAR(depth_at(&p, x, y), along, 1e-4);
+                CHECK(px(&p, x, y)[3] == 255 && fpx(&p, x, y)[3] == 1);
+                CHECK(hit_at(&p, x, y)->face == 5 && normal_at(&p, x, y)[2] == 1);
+                if (fabs(q[0] - floor(q[0] + 0.5)) > 1e-5) CHECK_EQ_U64(hit_at(&p, x, y)->cell[0], (uint64_t)q[0]);
+                hits++;
+            } else if (depth_at(&p, x, y) == INFINITY) {
+                for (a = 0; a < 4; a++) CHECK(px(&p, x, y)[a] == 0 && fpx(&p, x, y)[a] == 0);
+                for (a = 0; a < 3; a++) CHECK(normal_at(&p, x, y)[a] == 0);
+                CHECK(hit_at(&p, x, y)->node == VOXRT_NO_NODE);
+                misses++;
+            }
+        }
+    CHECK(hits > 300 && misses > 300);
+    for (y = 0; y < p.m.height; y++) /* rows end where they end */
+        for (x = 0; x < 12; x++) {
+            CHECK(p.m.rgba8[p.m.rgba8_stride * y + 4 * p.m.width + x] == 0xee);
+            CHECK(((const uint8_t *)p.m.depth)[p.m.depth_stride * y + 4 * p.m.width + x] == 0xee);
+        }
+    voxrt_tree_destroy(t);
+    free_picture(&p);
+}
+
+/* Corners of a cube in different colours: where they have to be in the picture, and exactly as they are stored. */
+TEST(orientation_and_unlit_colors) {
+    cells c;
+    voxrt_tree *t;
+    voxrt_render_desc d;
+    picture p = make_picture(64, 64, 0, 0);
+    uint32_t i, x, y, wrong = 0;
+    memset(&c, 0, sizeof c);
+    (void)add(&c, 0, 0, 7, 200, 10, 11);
+    (void)add(&c, 7, 0, 7, 12, 201, 13);
+    (void)add(&c, 0, 7, 7, 14, 15, 202);
+    (void)add(&c, 7, 7, 7, 203, 204, 16);
+    t = make_tree(&c, 3, 0, 0);
+    memset(&d, 0, sizeof d);
+    d.camera = look(4, 4, 20, 4, 4, 0, 40);
+    d.view = VOXRT_VIEW_UNLIT;
+    CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+    /* the corner's centre at (+-3.5, +-3.5) and depth 12: 32 + 3.5 / (12 * tan 20) * 32 */
+    CHECK(px(&p, 6, 57)[0] == 200 && px(&p, 6, 57)[1] == 10 && px(&p, 6, 57)[2] == 11);
+    CHECK(px(&p, 57, 57)[0] == 12 && px(&p, 57, 57)[1] == 201 && px(&p, 57, 57)[2] == 13);
+    CHECK(px(&p, 6, 6)[0] == 14 && px(&p, 6, 6)[1] == 15 && px(&p, 6, 6)[2] == 202);
+    CHECK(px(&p, 57, 6)[0] == 203 && px(&p, 57, 6)[1] == 204 && px(&p, 57, 6)[2] == 16);
+    CHECK(px(&p, 32, 32)[3] == 0);
+    voxrt_tree_destroy(t);
+    /* every byte value, several samples, both ways to compose */
+    for (i = 0; i < 256; i++) (void)add(&c, i & 15u, i >> 4, 0, (int)i, (int)(255 - i), (int)(i * 7 & 255));
+    t = make_tree(&c, 4, 0, 0);
+    d.camera = look(8, 8, 30, 8, 8, 0, 30);
+    for (i = 0; i < 4; i++) {
+        d.thesis_compose = i & 1u;
+        d.samples = i < 2 ? 1 : 5;
+        CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+        for (y = 0; y < 64; y++)
+            for (x = 0; x < 64; x++) {
+                const voxrt_hit *h = hit_at(&p, x, y);
+                uint32_t v = h->cell[0] + 16 * h->cell[1];
+                if (h->node == VOXRT_NO_NODE || (i >= 2 && (x % 4 != 1 || y % 4 != 1))) continue;
+                if (i >= 2) { /* all samples in one voxel? */
+                    voxrt_ray r;
+                    voxrt_hit hit;
+                    uint32_t k, same = 1;
+                    for (k = 0; k < 4; k++) {
+                        CHECK(voxrt_camera_ray(&d.camera, 64, 64, x + (k & 1u), y + (k >> 1), &r) == VOXRT_OK);
+                        same &= voxrt_trace1(t, &r, &hit) && hit.cell[0] == h->cell[0] && hit.cell[1] == h->cell[1];
+                    }
+                    if (!same) continue;
+                }
+                wrong += px(&p, x, y)[0] != v || px(&p, x, y)[1] != 255 - v || px(&p, x, y)[2] != (v * 7 & 255);
+            }
+        CHECK_EQ_U64(wrong, 0);
+    }
+    voxrt_tree_destroy(t);
+    free_picture(&p);
+}
+
+/* ---- shading ----------------------------------------------------------------------------------------------- */
+
+static double to_linear(double c) { return c <= 0.04045 ? c / 12.92 : pow((c + 0.055) / 1.055, 2.4); }
+static double to_srgb(double c) { return c <= 0 ? 0 : c >= 1 ? 1 : c <= 0.0031308 ? c * 12.92 : 1.055 * pow(c, 1 / 2.4) - 0.055; }
+
+/* Spec S-6.3 and S-6.4 in double precision from normal, depth and colour of each pixel (no shadows). */
+static void shade_oracle(const voxrt_render_desc *d, const voxrt_material *m, const picture *p, uint32_t x, uint32_t y,
+                         const uint8_t rgb[3], double out[3]) {
+    voxrt_ray r;
+    double point[3], n[3], view = 0, len = 0;
+    size_t l;
+    uint32_t a;
+    CHECK(voxrt_camera_ray(&d->camera, p->m.width, p->m.height, x + 0.5, y + 0.5, &r) == VOXRT_OK);
+    for (a = 0; a < 3; a++) {
+        point[a] = (double)r.org[a] + (double)depth_at(p, x, y) * (double)r.dir[a];
+        n[a] = (double)normal_at(p, x, y)[a];
+        view += n[a] * (double)r.dir[a];
+        len += (double)r.dir[a] * (double)r.dir[a];
+    }
+    for (a = 0; a < 3; a++) out[a] = 0;
+    {
+        double bright[3], shine[3];
+        for (a = 0; a < 3; a++) {
+            bright[a] = (double)m->ambient[a];
+            shine[a] = 0;
+        }
+        for (l = 0; l < d->light_count; l++) {
+            const voxrt_light *light = &d->lights[l];
+            double to[3], length = 0, cosine = 0, along = 0, dot = 0;
+            for (a = 0; a < 3; a++) {
+                to[a] = (double)light->position[a] - (light->directional ? 0.0 : point[a]);
+                length += to[a] * to[a];
+            }
+            for (a = 0; a < 3; a++) {
+                to[a] /= sqrt(length);
+                cosine += to[a] * n[a];
+            }
+            if (cosine <= 0) continue;
+            for (a = 0; a < 3; a++) { /* mirrored light direction against the direction to the viewer */
+                dot = 2 * cosine * n[a] - to[a];
+                along += dot * -(double)r.dir[a] / sqrt(len);
+            }
+            for (a = 0; a < 3; a++) {
+                bright[a] += (double)m->diffuse * cosine * (double)light->color[a];
+                if (along > 0) shine[a] += (double)m->specular * pow(along, (double)m->shininess) * (double)light->color[a];
+            }
+        }
+        for (a = 0; a < 3; a++) {
+            out[a] = d->thesis_compose ? rgb[a] * bright[a] + 255 * shine[a] : to_linear(rgb[a] / 255.0) * bright[a] + shine[a];
+        }
+    }
+}
+
+TEST(compose) { /* TC14 */
+    voxrt_tree *t = make_sphere(5, 0.9);
+    voxrt_render_desc d;
+    voxrt_light light[3];
+    voxrt_material m;
+    picture p = make_picture(96, 80, 0, 0);
+    uint32_t mode, x, y, a, seen = 0, cut = 0;
+    memset(light, 0, sizeof light);
+    memset(&d, 0, sizeof d);
+    memset(&m, 0, sizeof m);
+    set3(light[0].position, -1, 3, 4);
+    set3(light[0].color, 0.9, 0.1, 0.05);
+    set3(light[1].position, 5, 1, 1);
+    set3(light[1].color, 0, 1.9, 0.4);
+    light[1].directional = 1;
+    set3(light[2].position, 1, -9, 2);
+    set3(light[2].color, 0.3, 0.3, 2.5);
+    set3(m.ambient, 0.1, 0.02, 0);
+    m.diffuse = 0.8f;
+    d.camera = look(3, 2, 4, 1, 1, 1, 45);
+    d.lights = light;
+    d.light_count = 3;
+    d.material = &m;
+    for (mode = 0; mode < 4; mode++) {
+        d.thesis_compose = mode & 1u;
+        m.specular = mode >= 2 ? 0.7f : 0.0f;
+        m.shininess = 12.5f;
+        CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+        for (y = 0; y < 80; y++)
+            for (x = 0; x < 96; x++) {
+                uint8_t rgb[3];
+                double want[3];
+                if (hit_at(&p, x, y)->node == VOXRT_NO_NODE) continue;
+                voxrt_hit_color(t, hit_at(&p, x, y), rgb);
+                shade_oracle(&d, &m, &p, x, y, rgb, want);
+                seen++;
+                for (a = 0; a < 3; a++) {
+                    double b, byte = px(&p, x, y)[a];
+                    if (d.thesis_compose) {
+                        cut += want[a] > 255;
+                        want[a] = want[a] > 255 ? 255 : want[a];
+                        CHECK_NEAR(fpx(&p, x, y)[a] * 255, want[a], 2e-3);
+                        b = want[a];
+                    } else {
+                        CHECK_NEAR(fpx(&p, x, y)[a], want[a], 1e-5 + 1e-5 * want[a]);
+                        b = to_srgb(want[a]) * 255;
+                    }
+                    CHECK_MSG(fabs(byte - b) <= 0.502, "byte %g for %g", byte, b); /* rounded to nearest */
+                }
+            }
+    }
+    CHECK(seen > 4000 && cut > 100);
+    voxrt_tree_destroy(t);
+    free_picture(&p);
+}
+
+TEST(default_picture) { /* everything zero: framed, lit, not black, not burnt out */
+    voxrt_tree *t = make_sphere(6, 0.95);
+    picture p = make_picture(80, 60, 0, 0);
+    uint32_t x, y, hits = 0, burnt = 0, dark = 0;
+    CHECK(voxrt_render(NULL, t, &p.m, NULL) == VOXRT_OK);
+    for (y = 0; y < 60; y++)
+        for (x = 0; x < 80; x++) {
+            if (px(&p, x, y)[3] == 0) continue;
+            hits++;
+            CHECK(x > 0 && x < 79 && y > 0 && y < 59);
+            burnt += fpx(&p, x, y)[0] >= 1;
+            dark += fpx(&p, x, y)[0] + fpx(&p, x, y)[1] + fpx(&p, x, y)[2] <= 0;
+        }
+    CHECK(hits > 600);
+    CHECK_EQ_U64(burnt, 0);
+    CHECK_EQ_U64(dark, 0);
+    voxrt_tree_destroy(t);
+    free_picture(&p);
+}
+
+/* Normals that look away are turned, unless asked not to; never those near the silhouette. */
+TEST(two_sided) {
+    cells c;
+    voxrt_tree *t;
+    voxrt_render_desc d;
+    voxrt_light light;
+    picture p = make_picture(32, 32, 0, 0);
+    uint32_t x, y;
+    memset(&c, 0, sizeof c);
+    memset(&d, 0, sizeof d);
+    memset(&light, 0, sizeof light);
+    for (y = 0; y < 16; y++)
+        for (x = 0; x < 16; x++) {
+            voxrt_voxel *v = add(&c, x, y, 8, 255, 255, 255);
+            v->has_normal = 1;
+            set3(v->normal, 0, 0, -1);
+        }
+    t = make_tree(&c, 4, 0, 1);
+    set3(light.position, 0, 0, 1);
+    set3(light.color, 0.5, 0.5, 0.5);
+    light.directional = 1;
+    d.lights = &light;
+    d.light_count = 1;
+    d.camera = look(8, 8, 30, 8, 8, 0, 30);
+    CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+    CHECK_NEAR(fpx(&p, 16, 16)[0], 0.55, 2e-4);
+    CHECK(normal_at(&p, 16, 16)[2] > 0.99f);
+    d.one_sided = 1;
+    CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+    CHECK_NEAR(fpx(&p, 16, 16)[0], 0.05, 1e-6);
+    CHECK(normal_at(&p, 16, 16)[2] < -0.99f);
+    d.face_normals = 1; /* I10 */
+    CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+    CHECK(normal_at(&p, 16, 16)[2] == 1);
+    voxrt_tree_destroy(t);
+    free_picture(&p);
+}
+
+/* ---- shadows ----------------------------------------------------------------------------------------------- */
+
+TEST(shadows) {
+    cells c;
+    voxrt_tree *t;
+    voxrt_render_desc d;
+    voxrt_render_stats stats;
+    voxrt_light light;
+    picture p = make_picture(96, 96, 0, 0);
+    uint32_t k, x, y;
+    memset(&c, 0, sizeof c);
+    add_box(&c, 0, 0, 0, 32, 1, 32);     /* floor */
+    add_box(&c, 12, 20, 12, 20, 22, 20); /* a lid above its middle */
+    t = make_tree(&c, 5, 0, 0);
+    memset(&d, 0, sizeof d);
+    memset(&light, 0, sizeof light);
+    d.camera = look(16, 12, 60, 16, 0, 16, 40);
+    d.lights = &light;
+    d.light_count = 1;
+    set3(light.color, 0.5, 0.5, 0.5);
+    for (k = 0; k < 5; k++) {
+        uint32_t lit = 0, dark = 0, wrong = 0;
+        light.directional = k != 2 && k != 3;
+        set3(light.position, 0, 1, 0);
+        if (k == 2) set3(light.position, 16, 31, 16);  /* above the lid */
+        if (k == 3) set3(light.position, 16, 15, 16);  /* below it: no shadow on the floor */
+        light.no_shadow = k == 4;
+        d.shadows = k != 1;
+        memset(&stats, 0, sizeof stats);
+        CHECK(voxrt_render(&d, t, &p.m, &stats) == VOXRT_OK);
+        for (y = 0; y < 96; y++)
+            for (x = 0; x < 96; x++) {
+                const voxrt_hit *h = hit_at(&p, x, y);
+                voxrt_ray r;
+                double q[3], s, u[2];
+                int shadowed, a;
+                if (h->node == VOXRT_NO_NODE || h->face != 3 || h->cell[1] != 0) continue;
+                CHECK(voxrt_camera_ray(&d.camera, 96, 96, x + 0.5, y + 0.5, &r) == VOXRT_OK);
+                for (a = 0; a < 3; a++) q[a] = (double)r.org[a] + (double)depth_at(&p, x, y) * (double)r.dir[a];
+                s = k == 2 ? (22.0 - 1.0) / (31.0 - 1.0) : 0.0; /* where the ray to the light passes the lid's upper side */
+                for (a = 0; a < 2; a++) u[a] = q[2 * a] + s * (16.0 - q[2 * a]);
+                if (fabs(fabs(u[0] - 16) - 4) < 0.6 || fabs(fabs(u[1] - 16) - 4) < 0.6) continue; /* at its edge */
+                shadowed = fabs(u[0] - 16) < 4 && fabs(u[1] - 16) < 4 && k != 1 && k != 3 && k != 4;
+                lit += !shadowed;
+                dark += (uint32_t)shadowed;
+                wrong += (fpx(&p, x, y)[0] < 0.051f) != shadowed;
+            }
+        CHECK_EQ_U64(wrong, 0);
+        CHECK(lit > 500 && (dark > 50) == (k == 0 || k == 2));
+        CHECK((stats.shadow.rays > 0) == (k != 1 && k != 4));
+        CHECK_EQ_U64(stats.primary.rays, 96 * 96);
+    }
+    voxrt_tree_destroy(t);
+    free_picture(&p);
+}
+
+/* TQ2: pixels of a smooth sphere that face the light, but are dark. A convex body throws no shadow on itself. */
+TEST(self_shadow) {
+    static const double elevation[6] = {5, 20, 40, 60, 75, 89};
+    uint32_t depth, i, x, y, most = test_quick() ? 6 : 7;
+    const char *deeper = getenv("TEST_DEPTH");
+    if (deeper != NULL) most = (uint32_t)atoi(deeper);
+    for (depth = 5; depth <= most; depth++) {
+        voxrt_tree *t = make_sphere(depth, 0.95);
+        picture p = make_picture(200, 200, 0, 0);
+        uint32_t way, lit = 0, dark[2] = {0, 0};
+        for (way = 0; way < 2; way++)
+            for (i = 0, lit = 0; i < 6; i++) {
+                voxrt_render_desc d;
+                voxrt_light light;
+                memset(&d, 0, sizeof d);
+                memset(&light, 0, sizeof light);
+                light.directional = 1;
+                set3(light.position, cos(elevation[i] * 0.0174532925), sin(elevation[i] * 0.0174532925), 0.3);
+                set3(light.color, 1, 1, 1);
+                d.lights = &light;
+                d.light_count = 1;
+                d.shadows = 1;
+                d.thesis_shadows = way == 0;
+                d.camera = look(2.6, 2.2, 4, 1, 1, 1, 32);
+                CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+                for (y = 0; y < 200; y++)
+                    for (x = 0; x < 200; x++) {
+                        uint8_t rgb[3];
+                        double n = 0, l = 0;
+                        uint32_t a;
+                        if (hit_at(&p, x, y)->node == VOXRT_NO_NODE) continue;
+                        voxrt_hit_color(t, hit_at(&p, x, y), rgb);
+                        for (a = 0; a < 3; a++) {
+                            n += (double)normal_at(&p, x, y)[a] * (double)light.position[a];
+                            l += (double)light.position[a] * (double)light.position[a];
+                        }
+                        if (n / sqrt(l) < 0.02 || rgb[0] < 30) continue;
+                        lit++;
+                        dark[way] += fpx(&p, x, y)[0] < (float)to_linear(rgb[0] / 255.0) * 0.0501f;
+                    }
+            }
+        if (test_g.verbose)
+            printf("     sphere %u^3: %u lit pixels, falsely dark: thesis %.2f %%, lifted origin %.4f %%\n", 1u << depth, lit,
+                   100.0 * dark[0] / lit, 100.0 * dark[1] / lit);
+        CHECK(lit > 20000);
+        CHECK_MSG(dark[0] > lit / 50, "the thesis' origin gives only %u of %u", dark[0], lit);
+        CHECK_MSG(dark[1] * 100 <= dark[0], "%u, thesis %u", dark[1], dark[0]); /* -99 % */
+        voxrt_tree_destroy(t);
+        free_picture(&p);
+    }
+}
+
+/* ---- levels of detail -------------------------------------------------------------------------------------- */
+
+typedef struct level_cells { cells c; } level_cells;
+static int take_cell(void *user, const voxrt_voxel *v, uint32_t index) {
+    level_cells *l = (level_cells *)user;
+    voxrt_voxel *out = add(&l->c, v->x, v->y, v->z, v->rgb[0], v->rgb[1], v->rgb[2]);
+    (void)index;
+    out->has_normal = v->has_normal;
+    memcpy(out->normal, v->normal, sizeof out->normal);
+    return 0;
+}
+
+TEST(forced_level) { /* TC16 */
+    uint32_t depth, k, x, y;
+    for (depth = 5; depth <= 6; depth++) {
+        voxrt_tree *t = make_sphere(depth, 0.9);
+        for (k = 1; k <= depth; k++) {
+            picture p = make_picture(72, 56, 0, 0), q = make_picture(72, 56, 0, 0);
+            voxrt_render_desc d;
+            level_cells l;
+            voxrt_tree *coarse;
+            uint32_t differ = 0;
+            memset(&l, 0, sizeof l);
+            memset(&d, 0, sizeof d);
+            CHECK(voxrt_tree_each(t, k, take_cell, &l) == 0);
+            coarse = make_tree(&l.c, k, 2.0, 1);
+            d.camera = look(3.1, 2.3, 4.2, 1, 1.05, 0.95, 40);
+            CHECK(voxrt_render(&d, coarse, &q.m, NULL) == VOXRT_OK);
+            d.max_level_plus_1 = k + 1;
+            CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+            for (y = 0; y < 56; y++)
+                for (x = 0; x < 72; x++) {
+                    const voxrt_hit *a = hit_at(&p, x, y), *b = hit_at(&q, x, y);
+                    differ += memcmp(px(&p, x, y), px(&q, x, y), 4) != 0;
+                    differ += depth_at(&p, x, y) != depth_at(&q, x, y);
+                    differ += a->face != b->face || memcmp(a->cell, b->cell, sizeof a->cell) != 0;
+                    differ += a->node != VOXRT_NO_NODE && a->level != k;
+                }
+            CHECK_MSG(differ == 0, "depth %u level %u: %u differences", depth, k, differ);
+            voxrt_tree_destroy(coarse);
+            free_picture(&p);
+            free_picture(&q);
+        }
+        voxrt_tree_destroy(t);
+    }
+}
+
+/* The promise of `tolerance`: cells are at most E pixels wide, as coarse as that allows, and the outline is off by no
+   more than a cell. */
+TEST(tolerance_in_pixels) {
+    static const float tolerance[4] = {0.5f, 1.0f, 2.5f, 7.0f};
+    voxrt_tree *t = make_sphere(test_quick() ? 6 : 7, 0.9);
+    voxrt_tree_info info;
+    picture p = make_picture(130, 110, 0, 0), full = make_picture(130, 110, 0, 0);
+    uint32_t e, k, x, y;
+    voxrt_tree_get_info(t, &info);
+    for (k = 0; k < 3; k++) {
+        voxrt_render_desc d;
+        double pixel;
+        memset(&d, 0, sizeof d);
+        d.camera = k == 0 ? look(2, 2, 9, 1, 1, 1, 25) : k == 1 ? look(1.2, 2.6, 2.2, 1, 1, 1, 60) : look(-60, 20, 90, 1, 1, 1, 2);
+        pixel = 2 * tan((double)d.camera.fov_y * 0.00872664626) / 110;
+        CHECK(voxrt_render(&d, t, &full.m, NULL) == VOXRT_OK);
+        for (e = 0; e < 4; e++) {
+            uint32_t coarse = 0, fine = 0, lost = 0, stray = 0, finer = 0;
+            int32_t reach = (int32_t)(tolerance[e] * 1.8f) + 2, i, j;
+            d.tolerance = tolerance[e];
+            CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+            for (y = 0; y < 110; y++)
+                for (x = 0; x < 130; x++) {
+                    const voxrt_hit *h = hit_at(&p, x, y);
+                    int here = h->node != VOXRT_NO_NODE, there = hit_at(&full, x, y)->node != VOXRT_NO_NODE;
+                    if (here) {
+                        double edge = info.voxel_size * (double)(1u << (info.depth - h->level));
+                        double allowed = (double)tolerance[e] * pixel * (double)h->t;
+                        if (h->level < info.depth) coarse += edge > allowed * 1.0001;
+                        fine += edge * 2 * 1.3 < allowed * 0.9999; /* the ray may have entered the parent before */
+                        finer += h->level < info.depth;
+                    }
+                    if (here == there) continue;
+                    {   /* outline: the other state has to be near */
+                        int found = 0;
+                        for (j = -reach; j <= reach && !found; j++)
+                            for (i = -reach; i <= reach && !found; i++) {
+                                int32_t u = (int32_t)x + i, v = (int32_t)y + j;
+                                if (u < 0 || v < 0 || u >= 130 || v >= 110) continue;
+                                found = (hit_at(&full, (uint32_t)u, (uint32_t)v)->node != VOXRT_NO_NODE) == here;
+                            }
+                        if (there) lost++;
+                        else stray += !found;
+                    }
+                }
+            CHECK_EQ_U64(coarse, 0);
+            CHECK_EQ_U64(fine, 0);
+            CHECK_MSG(lost == 0, "%u pixels lost", lost); /* a coarse cell covers all that is in it */
+            CHECK_MSG(stray == 0, "%u pixels are more than %d pixels outside", stray, reach);
+            if (k == 2 && e > 1) CHECK(finer > 100);
+        }
+    }
+    voxrt_tree_destroy(t);
+    free_picture(&p);
+    free_picture(&full);
+}
+
+TEST(object_level) { /* spec S-5.7: Lmax = 1 + ceil(log2(size / (q e))), root = level 1, e at the box's nearest point */
+    voxrt_tree *t = make_sphere(6, 0.9);
+    voxrt_tree_info info;
+    picture p = make_picture(64, 64, 0, 0);
+    uint32_t k, levels = 0;
+    double box_min[3], box_max[3];
+    voxrt_tree_get_info(t, &info);
+    voxrt_tree_bounds(t, box_min, box_max);
+    for (k = 0; k < 30; k++) {
+        double far_away = 1.5 * pow(1.35, k), e, dist = 0, want;
+        voxrt_render_desc d;
+        const voxrt_hit *h = hit_at(&p, 32, 32);
+        uint32_t a;
+        memset(&d, 0, sizeof d);
+        d.object_lod = 1;
+        d.tolerance = k % 3 == 0 ? 0.0f : 0.7f * (float)(k % 3);
+        d.camera = look(1 + far_away, 1.01, 1.02, 1, 1.01, 1.02, 50);
+        CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+        for (a = 0; a < 3; a++) {
+            double low = box_min[a] - (double)d.camera.eye[a], high = (double)d.camera.eye[a] - box_max[a];
+            low = low > high ? low : high;
+            dist += low > 0 ? low * low : 0;
+        }
+        e = 2 * tan(25 * 0.0174532925) / 64 * sqrt(dist);
+        want = ceil(log2(2.0 / ((d.tolerance > 0 ? (double)d.tolerance : 1.0) * e)));
+        want = want < 0 ? 0 : want > info.depth ? info.depth : want;
+        if (h->node == VOXRT_NO_NODE) continue;
+        CHECK_EQ_U64(h->level, want);
+        levels |= 1u << h->level;
+    }
+    CHECK(levels == (levels | 0x7cu));
+    voxrt_tree_destroy(t);
+    free_picture(&p);
+}
+
+/* ---- same bits --------------------------------------------------------------------------------------------- */
+
+static void backwards(voxrt_task_fn *task, void *ctx, uint32_t count, void *user) {
+    (void)user;
+    while (count > 0) task(ctx, --count);
+}
+
+TEST(threads_tiles_isa) { /* TC13 */
+    static const uint32_t threads[5] = {1, 2, 3, 8, 64};
+    voxrt_tree *t = make_sphere(6, 0.9);
+    uint32_t k, mode;
+    for (mode = 0; mode < 3; mode++) {
+        voxrt_render_desc d;
+        uint64_t first = 0;
+        memset(&d, 0, sizeof d);
+        d.shadows = 1;
+        d.samples = mode == 0 ? 1 : 3;
+        d.tolerance = mode == 2 ? 1.5f : 0.0f;
+        for (k = 0; k < 11; k++) {
+            picture p = make_picture(133, 75, k == 4 ? 20 : 0, k & 1u);
+            voxrt_render_stats stats;
+            uint64_t h;
+            memset(&stats, 0, sizeof stats);
+            memset(&d.env, 0, sizeof d.env);
+            d.isa = VOXRT_ISA_AUTO;
+            if (k < 5) d.env.thread_count = threads[k];
+            else if (k == 5) d.env.parallel.for_fn = backwards;
+            else if (k < 10) d.isa = (voxrt_isa)(k - 5);
+            CHECK(voxrt_render(&d, t, &p.m, k == 10 ? &stats : NULL) == VOXRT_OK);
+            h = hash_picture(&p);
+            if (k == 0) first = h;
+            CHECK_MSG(h == first, "mode %u, way %u: another picture", mode, k);
+            if (k == 10) CHECK(stats.primary.rays == 133u * 75u * d.samples && stats.primary.hits > 1000);
+            free_picture(&p);
+        }
+    }
+    voxrt_tree_destroy(t);
+}
+
+TEST(progressive) { /* TC15 */
+    voxrt_tree *t = make_sphere(6, 0.9);
+    picture p = make_picture(75, 66, 0, 1), q = make_picture(75, 66, 0, 0), ref = make_picture(75, 66, 0, 0);
+    voxrt_render_desc d;
+    uint32_t k, x, y, a, partial = 0;
+    double error[2] = {0, 0}, last = 0;
+    memset(&d, 0, sizeof d);
+    d.shadows = 1;
+    d.samples = 400;
+    CHECK(voxrt_render(&d, t, &ref.m, NULL) == VOXRT_OK);
+    for (k = 0; k < 33; k++) {
+        d.samples = 1;
+        d.first_sample = k;
+        CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+        if (k != 0 && k != 6 && k != 32) continue;
+        d.samples = k + 1;
+        d.first_sample = 0;
+        CHECK(voxrt_render(&d, t, &q.m, NULL) == VOXRT_OK);
+        CHECK_MSG(hash_picture(&p) == hash_picture(&q), "%u passes differ from %u samples", k + 1, k + 1);
+        error[0] = 0;
+        for (y = 0; y < 66; y++)
+            for (x = 0; x < 75; x++) {
+                for (a = 0; a < 4; a++) error[0] += pow((double)fpx(&q, x, y)[a] - (double)fpx(&ref, x, y)[a], 2);
+                partial += fpx(&q, x, y)[3] > 0 && fpx(&q, x, y)[3] < 1;
+            }
+        if (k != 0) CHECK_MSG(error[0] < last / 3, "error %g after %g", error[0], last);
+        last = error[0];
+    }
+    CHECK(partial > 100);
+    /* alpha counts the samples that hit */
+    d.samples = 8;
+    CHECK(voxrt_render(&d, t, &q.m, NULL) == VOXRT_OK);
+    for (y = 0; y < 66; y++)
+        for (x = 0; x < 75; x++) {
+            CHECK(fpx(&q, x, y)[3] * 8 == floorf(fpx(&q, x, y)[3] * 8));
+            CHECK(px(&q, x, y)[3] == (int)(fpx(&q, x, y)[3] * 255 + 0.5f));
+        }
+    voxrt_tree_destroy(t);
+    free_picture(&p);
+    free_picture(&q);
+    free_picture(&ref);
+}
+
+/* ---- views, background, stages ----------------------------------------------------------------------------- */
+
+TEST(views) {
+    voxrt_tree *t = make_sphere(5, 0.9);
+    picture p[5];
+    voxrt_render_desc d;
+    uint32_t k, x, y, wrong = 0;
+    memset(&d, 0, sizeof d);
+    d.camera = look(4, 3, 5, 1, 1, 1, 30);
+    for (k = 0; k < 4; k++) {
+        p[k] = make_picture(100, 40, 0, 0);
+        d.view = (voxrt_view)k; /* shaded, unlit, light, split */
+        CHECK(voxrt_render(&d, t, &p[k].m, NULL) == VOXRT_OK);
+    }
+    for (y = 0; y < 40; y++)
+        for (x = 0; x < 100; x++) {
+            uint32_t from = x * 3 < 100 ? 1 : x * 3 < 200 ? 0 : 2;
+            wrong += memcmp(px(&p[3], x, y), px(&p[from], x, y), 4) != 0;
+        }
+    CHECK_EQ_U64(wrong, 0);
+    /* I9: two levels side by side */
+    p[4] = make_picture(100, 40, 0, 0);
+    d.view = VOXRT_VIEW_SHADED;
+    d.lod_split = 4;
+    CHECK(voxrt_render(&d, t, &p[4].m, NULL) == VOXRT_OK);
+    d.lod_split = 0;
+    d.max_level_plus_1 = 4;
+    CHECK(voxrt_render(&d, t, &p[3].m, NULL) == VOXRT_OK);
+    for (y = 0; y < 40; y++)
+        for (x = 0; x < 100; x++) wrong += memcmp(px(&p[4], x, y), px(&p[x < 50 ? 3 : 0], x, y), 4) != 0;
+    CHECK_EQ_U64(wrong, 0);
+    /* background, also under a partly covered pixel */
+    d.max_level_plus_1 = 0;
+    d.samples = 4;
+    CHECK(voxrt_render(&d, t, &p[3].m, NULL) == VOXRT_OK);
+    d.background[0] = 0.25f;
+    d.background[1] = 0.5f;
+    d.background[3] = 1;
+    CHECK(voxrt_render(&d, t, &p[4].m, NULL) == VOXRT_OK);
+    for (y = 0; y < 40; y++)
+        for (x = 0; x < 100; x++) {
+            const float *a = fpx(&p[3], x, y), *b = fpx(&p[4], x, y);
+            CHECK(b[3] == 1 && px(&p[4], x, y)[3] == 255);
+            CHECK_NEAR(b[0], (double)a[0] + (1 - (double)a[3]) * 0.25, 1e-6);
+            CHECK_NEAR(b[1], (double)a[1] + (1 - (double)a[3]) * 0.5, 1e-6);
+        }
+    for (k = 0; k < 5; k++) free_picture(&p[k]);
+    voxrt_tree_destroy(t);
+}
+
+TEST(heat) { /* I1, I2, TC17 */
+    voxrt_tree *t = make_sphere(6, 0.9);
+    picture p[2];
+    voxrt_render_desc d;
+    uint32_t k, x, y, seen[5] = {0, 0, 0, 0, 0};
+    memset(&d, 0, sizeof d);
+    d.camera = look(4, 3, 5, 1, 1, 1, 30);
+    d.heat_max = 20;
+    for (k = 0; k < 2; k++) {
+        p[k] = make_picture(60, 40, 0, 0);
+        d.view = k == 0 ? VOXRT_VIEW_HEAT_OUTER : VOXRT_VIEW_HEAT_INNER;
+        CHECK(voxrt_render(&d, t, &p[k].m, NULL) == VOXRT_OK);
+    }
+    for (y = 0; y < 40; y++)
+        for (x = 0; x < 60; x++) {
+            voxrt_ray r;
+            voxrt_hit h;
+            voxrt_stats s;
+            voxrt_trace_desc td;
+            const float *a = fpx(&p[0], x, y), *b = fpx(&p[1], x, y);
+            double hot;
+            uint32_t band;
+            memset(&s, 0, sizeof s);
+            memset(&td, 0, sizeof td);
+            td.stats = &s;
+            td.isa = VOXRT_ISA_SCALAR;
+            CHECK(voxrt_camera_ray(&d.camera, 60, 40, x + 0.5, y + 0.5, &r) == VOXRT_OK);
+            CHECK(voxrt_trace(t, &td, &r, &h, 1) == VOXRT_OK);
+            hot = 1 - (double)s.steps / 20;
+            CHECK(a[0] == 1 && a[3] == 1);
+            CHECK_NEAR(a[1], hot > 0 ? hot : 0, 1e-6);
+            band = s.descents > 120 ? 4 : s.descents > 80 ? 3 : s.descents > 40 ? 2 : s.descents > 15 ? 1 : 0;
+            seen[band]++;
+            if (band == 0) CHECK(b[0] == 1 && b[1] == 1 && b[2] == 1);
+            if (band == 1) CHECK(b[0] == 0 && b[1] > 0 && b[2] == 0); /* green */
+            if (band == 2) CHECK(b[0] == 1 && b[1] == 1 && b[2] == 0); /* yellow */
+        }
+    CHECK(seen[0] > 0);
+    for (k = 0; k < 2; k++) free_picture(&p[k]);
+    voxrt_tree_destroy(t);
+}
+
+TEST(stages) {
+    voxrt_tree *t = make_sphere(5, 0.9);
+    uint32_t k, x, y, hits[4] = {0, 0, 0, 0};
+    for (k = 0; k < 4; k++) {
+        picture p = make_picture(60, 40, 0, 0);
+        voxrt_render_desc d;
+        voxrt_render_stats stats;
+        memset(&d, 0, sizeof d);
+        memset(&stats, 0, sizeof stats);
+        d.stage = (voxrt_stage)k;
+        CHECK(voxrt_render(&d, t, &p.m, &stats) == VOXRT_OK);
+        for (y = 0; y < 40; y++)
+            for (x = 0; x < 60; x++) hits[k] += px(&p, x, y)[3] == 255;
+        if (k == VOXRT_STAGE_SETUP) CHECK(stats.primary.rays == 2400 && stats.primary.steps == 0);
+        d.no_compose = 1;
+        memset(p.m.rgba8, 7, 60 * 40 * 4);
+        CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+        for (x = 0; x < 60 * 40 * 4; x++) CHECK(p.m.rgba8[x] == 7);
+        free_picture(&p);
+    }
+    CHECK(hits[VOXRT_STAGE_FULL] > 300 && hits[VOXRT_STAGE_TRACE] == hits[VOXRT_STAGE_FULL]);
+    CHECK(hits[VOXRT_STAGE_RAYS] == 0 && hits[VOXRT_STAGE_SETUP] == 0);
+    voxrt_tree_destroy(t);
+}
+
+/* ---- several trees ----------------------------------------------------------------------------------------- */
+
+TEST(geometry) { /* H18: two trees drawn together are the picture of one tree with all voxels */
+    cells c[3];
+    voxrt_tree *t[3];
+    voxrt_geometry g[2];
+    voxrt_render_desc d;
+    picture p = make_picture(90, 70, 0, 0), q = make_picture(90, 70, 0, 0);
+    test_rng rng = test_rng_make(3);
+    uint32_t i, k, x, y;
+    memset(c, 0, sizeof c);
+    for (i = 0; i < 3; i++) (void)0;
+    for (i = 0; i < 400; i++) {
+        uint32_t at[3], a;
+        for (a = 0; a < 3; a++) at[a] = test_rng_below(&rng, 16);
+        k = (at[0] ^ at[1] ^ at[2]) & 1u;
+        (void)add(&c[k], at[0], at[1], at[2], (int)at[0] * 16, (int)at[1] * 16, (int)at[2] * 16);
+        (void)add(&c[2], at[0], at[1], at[2], (int)at[0] * 16, (int)at[1] * 16, (int)at[2] * 16);
+    }
+    for (i = 0; i < 3; i++) t[i] = make_tree(&c[i], 4, 0, 0);
+    memset(&d, 0, sizeof d);
+    d.shadows = 1;
+    d.camera = look(30, 25, 40, 8, 8, 8, 30);
+    CHECK(voxrt_render(&d, t[2], &p.m, NULL) == VOXRT_OK);
+    for (k = 0; k < 2; k++) {
+        uint32_t differ = 0;
+        voxrt_tree_geometry(t[0], &g[0]);
+        voxrt_tree_geometry(t[1], &g[1]);
+        d.geometry = k == 0 ? g + 1 : g;
+        d.geometry_count = k == 0 ? 1 : 2;
+        CHECK(voxrt_render(&d, k == 0 ? t[0] : NULL, &q.m, NULL) == VOXRT_OK);
+        for (y = 0; y < 70; y++)
+            for (x = 0; x < 90; x++) {
+                differ += memcmp(px(&p, x, y), px(&q, x, y), 4) != 0;
+                differ += depth_at(&p, x, y) != depth_at(&q, x, y);
+            }
+        CHECK_EQ_U64(differ, 0);
+    }
+    memset(&d.camera, 0, sizeof d.camera); /* framed without a tree */
+    CHECK(voxrt_render(&d, NULL, &q.m, NULL) == VOXRT_OK);
+    g[0].occluded_fn = NULL;
+    CHECK(voxrt_render(&d, NULL, &q.m, NULL) == VOXRT_ERR_INVALID_ARG);
+    for (i = 0; i < 3; i++) voxrt_tree_destroy(t[i]);
+    free_picture(&p);
+    free_picture(&q);
+}
+
+/* ---- edges ------------------------------------------------------------------------------------------------- */
+
+static int cancel_fn(void *user, uint64_t done, uint64_t total) {
+    uint32_t *calls = (uint32_t *)user;
+    CHECK(done <= total);
+    return ++*calls == 2;
+}
+
+TEST(edges) {
+    static const uint32_t size[6][2] = {{0, 0}, {1, 1}, {0, 5}, {5, 0}, {1, 77}, {77, 1}};
+    voxrt_tree *t = make_sphere(4, 0.9);
+    voxrt_render_desc d;
+    voxrt_light light;
+    voxrt_image empty;
+    voxrt_error error;
+    picture p = make_picture(33, 100, 0, 0);
+    uint32_t k, calls = 0;
+    memset(&d, 0, sizeof d);
+    memset(&light, 0, sizeof light);
+    for (k = 0; k < 6; k++) {
+        picture q = make_picture(size[k][0], size[k][1], 0, 1);
+        d.shadows = 1;
+        d.samples = 2;
+        CHECK(voxrt_render(&d, t, &q.m, NULL) == VOXRT_OK);
+        if (k == 1) CHECK(px(&q, 0, 0)[3] > 0);
+        d.view = VOXRT_VIEW_SPLIT;
+        d.lod_split = 1;
+        CHECK(voxrt_render(&d, t, &q.m, NULL) == VOXRT_OK);
+        d.view = VOXRT_VIEW_SHADED;
+        d.lod_split = 0;
+        CHECK(voxrt_blur(NULL, &q.m) == VOXRT_OK);
+        free_picture(&q);
+    }
+    memset(&empty, 0, sizeof empty); /* no buffer at all */
+    empty.width = 40;
+    empty.height = 30;
+    CHECK(voxrt_render(&d, t, &empty, NULL) == VOXRT_OK);
+    CHECK(voxrt_render(&d, NULL, &empty, NULL) == VOXRT_ERR_INVALID_ARG);
+    CHECK(voxrt_render(&d, t, NULL, NULL) == VOXRT_ERR_INVALID_ARG);
+    d._begin_zero = 1;
+    CHECK(voxrt_render(&d, t, &empty, NULL) == VOXRT_ERR_UNINIT_DESC);
+    memset(&d, 0, sizeof d);
+    d._end_zero = 1;
+    CHECK(voxrt_render(&d, t, &empty, NULL) == VOXRT_ERR_UNINIT_DESC);
+    memset(&d, 0, sizeof d);
+    memset(&error, 0, sizeof error);
+    d.env.error = &error;
+    d.tolerance = -1;
+    CHECK(voxrt_render(&d, t, &empty, NULL) == VOXRT_ERR_INVALID_ARG);
+    CHECK(error.code == VOXRT_ERR_INVALID_ARG && error.text[0] != 0);
+    d.tolerance = NAN;
+    CHECK(voxrt_render(&d, t, &empty, NULL) == VOXRT_ERR_INVALID_ARG);
+    d.tolerance = 0;
+    d.view = (voxrt_view)7;
+    CHECK(voxrt_render(&d, t, &empty, NULL) == VOXRT_ERR_INVALID_ARG);
+    d.view = VOXRT_VIEW_SHADED;
+    d.light_count = 1;
+    CHECK(voxrt_render(&d, t, &empty, NULL) == VOXRT_ERR_INVALID_ARG);
+    d.lights = &light;
+    light.color[1] = NAN;
+    CHECK(voxrt_render(&d, t, &empty, NULL) == VOXRT_ERR_INVALID_ARG);
+    light.color[1] = 0;
+    light.directional = 1; /* no direction: no light */
+    CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+    d.lights = NULL;
+    d.light_count = 0;
+    d.env.progress_fn = cancel_fn;
+    d.env.progress_user = &calls;
+    CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_ERR_CANCELLED);
+    CHECK_EQ_U64(calls, 2);
+    d.env.progress_fn = NULL;
+    d.camera = look(1, 1, 1, 5, 1, 1, 40); /* from inside, and away */
+    CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+    CHECK(depth_at(&p, 16, 50) > 0.5f && depth_at(&p, 16, 50) < 1.0f);
+    d.camera = look(9, 1, 1, 50, 1, 1, 40);
+    CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+    CHECK(depth_at(&p, 16, 50) == INFINITY);
+    d.camera = look(1.9, 1, 1, 1, 1, 1, 40); /* eye within a voxel */
+    CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+    voxrt_tree_destroy(t);
+    free_picture(&p);
+}
+
+TEST(allocations) { /* drawing takes none; blur fails cleanly */
+    voxrt_tree *t = make_sphere(4, 0.9);
+    test_alloc ta;
+    voxrt_render_desc d;
+    voxrt_blur_desc b;
+    picture p = make_picture(50, 50, 0, 1);
+    uint64_t before;
+    test_alloc_init(&ta);
+    memset(&d, 0, sizeof d);
+    memset(&b, 0, sizeof b);
+    d.env.allocator.alloc_fn = test_alloc_fn;
+    d.env.allocator.free_fn = test_free_fn;
+    d.env.allocator.user = &ta;
+    d.shadows = 1;
+    CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+    CHECK_EQ_I64(ta.count, 0);
+    b.env = d.env;
+    before = hash_picture(&p);
+    ta.fail_at = 0;
+    CHECK(voxrt_blur(&b, &p.m) == VOXRT_ERR_NO_MEMORY);
+    CHECK(hash_picture(&p) == before);
+    ta.fail_at = -1;
+    b.env.memory_limit = 1000;
+    CHECK(voxrt_blur(&b, &p.m) == VOXRT_ERR_NO_MEMORY);
+    b.env.memory_limit = 0;
+    CHECK(voxrt_blur(&b, &p.m) == VOXRT_OK);
+    CHECK(hash_picture(&p) != before);
+    test_alloc_check(&ta);
+    voxrt_tree_destroy(t);
+    free_picture(&p);
+}
+
+/* ---- post -------------------------------------------------------------------------------------------------- */
+
+TEST(encode_and_blur) {
+    voxrt_tree *t = make_sphere(5, 0.9);
+    picture p = make_picture(70, 50, 8, 0), q;
+    voxrt_render_desc d;
+    voxrt_blur_desc b;
+    float *before;
+    uint8_t *bytes;
+    uint32_t x, y, a;
+    int32_t i, j;
+    memset(&d, 0, sizeof d);
+    memset(&b, 0, sizeof b);
+    d.samples = 5;
+    CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+    bytes = (uint8_t *)malloc(p.m.rgba8_stride * 50);
+    REQUIRE(bytes != NULL);
+    memcpy(bytes, p.m.rgba8, p.m.rgba8_stride * 50);
+    memset(p.m.rgba8, 0xee, p.m.rgba8_stride * 50);
+    CHECK(voxrt_image_encode(NULL, &p.m) == VOXRT_OK);
+    CHECK(memcmp(bytes, p.m.rgba8, p.m.rgba8_stride * 50) == 0);
+    /* the Gauss, directly and in double precision */
+    before = (float *)malloc(p.m.rgba_stride * 50);
+    REQUIRE(before != NULL);
+    memcpy(before, p.m.rgba, p.m.rgba_stride * 50);
+    b.radius = 3;
+    CHECK(voxrt_blur(&b, &p.m) == VOXRT_OK);
+    for (y = 0; y < 50; y += 3)
+        for (x = 0; x < 70; x += 2) {
+            double sum[4] = {0, 0, 0, 0}, total = 0;
+            for (j = -3; j <= 3; j++)
+                for (i = -3; i <= 3; i++) {
+                    int32_t u = (int32_t)x + i, v = (int32_t)y + j;
+                    double w = exp(-(i * i + j * j) / (2 * 1.5 * 1.5));
+                    const float *s;
+                    if (u < 0 || v < 0 || u >= 70 || v >= 50) continue;
+                    s = (const float *)(const void *)((const uint8_t *)before + p.m.rgba_stride * (uint32_t)v) + 4 * u;
+                    for (a = 0; a < 4; a++) sum[a] += w * (double)s[a];
+                    total += w;
+                }
+            for (a = 0; a < 4; a++) CHECK_NEAR(fpx(&p, x, y)[a], sum[a] / total, 1e-5);
+        }
+    b.radius = 65;
+    CHECK(voxrt_blur(&b, &p.m) == VOXRT_ERR_INVALID_ARG);
+    b.radius = NAN;
+    CHECK(voxrt_blur(&b, &p.m) == VOXRT_ERR_INVALID_ARG);
+    free(before);
+    free(bytes);
+    free_picture(&p);
+    /* by voxel size: leaves alone what is sharp enough and never crosses the outline */
+    p = make_picture(90, 90, 0, 0);
+    q = make_picture(90, 90, 0, 0);
+    d.samples = 1;
+    for (i = 0; i < 2; i++) {
+        uint32_t changed = 0, outline = 0;
+        voxrt_tree_info info;
+        voxrt_tree_get_info(t, &info);
+        d.camera = i == 0 ? look(1, 1, 40, 1, 1, 1, 40) : look(1, 1, 3.4, 1, 1, 1, 40);
+        CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+        CHECK(voxrt_render(&d, t, &q.m, NULL) == VOXRT_OK);
+        memset(&b, 0, sizeof b);
+        b.radius = 16;
+        b.footprint = (float)(2 * tan(20 * 0.0174532925) / 90);
+        b.voxel_size = (float)info.voxel_size;
+        b.depth = info.depth;
+        CHECK(voxrt_blur(&b, &q.m) == VOXRT_OK);
+        for (y = 0; y < 90; y++)
+            for (x = 0; x < 90; x++) {
+                changed += memcmp(fpx(&p, x, y), fpx(&q, x, y), 16) != 0;
+                outline += fpx(&p, x, y)[3] != fpx(&q, x, y)[3] && fabsf(fpx(&p, x, y)[3] - fpx(&q, x, y)[3]) > 1e-5f;
+            }
+        CHECK_EQ_U64(outline, 0);
+        CHECK((changed == 0) == (i == 0));
+    }
+    q.m.hit_stride = 0;
+    b.voxel_size = 0;
+    CHECK(voxrt_blur(&b, &q.m) == VOXRT_ERR_INVALID_ARG);
+    voxrt_tree_destroy(t);
+    free_picture(&p);
+    free_picture(&q);
+}
+
+TEST(frame_budget) { /* G28: a machine on which a frame takes cost / tolerance^power + 2 ms */
+    static const double power[3] = {0.5, 1.0, 2.0};
+    uint32_t p, k;
+    for (p = 0; p < 3; p++) {
+        voxrt_budget b;
+        float tolerance = 0.5f;
+        uint32_t over = 0;
+        memset(&b, 0, sizeof b);
+        for (k = 0; k < 200; k++) {
+            double cost = k < 100 ? 20.0 : 4.0, ms;
+            ms = 2 + cost * pow(0.5 / (double)tolerance, power[p]);
+            if (k >= 30 && k < 100) over += ms > 10 * 1.1;
+            tolerance = voxrt_budget_update(&b, (float)ms, 10.0f, 0.5f);
+            CHECK(tolerance >= 0.4999f && tolerance <= 64.01f);
+            if (k == 99) CHECK_NEAR(ms, 10, 1);
+        }
+        CHECK_EQ_U64(over, 0);
+        CHECK_NEAR(tolerance, 0.5, 1e-3); /* best quality again */
+        CHECK(voxrt_budget_update(&b, NAN, 10.0f, 0.5f) == tolerance);
+    }
+}
+
+int main(int argc, char **argv) {
+    test_begin(argc, argv);
+    RUN(ray_conventions);
+    RUN(camera_fit);
+    RUN(depth_and_alpha);
+    RUN(orientation_and_unlit_colors);
+    RUN(compose);
+    RUN(default_picture);
+    RUN(two_sided);
+    RUN(shadows);
+    RUN(self_shadow);
+    RUN(forced_level);
+    RUN(tolerance_in_pixels);
+    RUN(object_level);
+    RUN(threads_tiles_isa);
+    RUN(progressive);
+    RUN(views);
+    RUN(heat);
+    RUN(stages);
+    RUN(geometry);
+    RUN(edges);
+    RUN(allocations);
+    RUN(encode_and_blur);
+    RUN(frame_budget);
+    return test_end();
+}

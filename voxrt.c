@@ -1,0 +1,2 @@
+#define VOXRT_IMPLEMENTATION
+#include "voxrt.h"
