@@ -55,6 +55,7 @@ static int parse(int argc, char **argv, convert_options *o) {
         o->in = o->first;
         o->out = o->second;
     }
+    if (o->format == FORMAT_V4 && o->palette > 32767) return sup_bad_usage(argv[0], "--format v4 holds at most 32767 colours");
     if (o->raw && o->format == FORMAT_V4) return sup_bad_usage(argv[0], "--raw goes with --format v5");
     return -1;
 }
@@ -112,7 +113,18 @@ static int read_mesh(const char *program, const convert_options *o, sup_mesh *me
     return 0;
 }
 
-static int write_v4(const convert_options *o, const voxrt_env *env, const voxrt_tree *tree, voxrt_error *error);
+static voxrt_result write_v4(const convert_options *o, const voxrt_env *env, const voxrt_tree *tree) {
+    voxrt_octree_desc desc = {0};
+    voxrt_octree *octree = NULL;
+    voxrt_result result;
+    desc.env = *env;
+    desc.disable_grid = 1;
+    desc.lod_majority = (uint32_t)o->lod;
+    result = voxrt_octree_from_tree(&desc, tree, &octree);
+    if (result == VOXRT_OK) result = voxrt_octree_save_file(octree, env, o->out);
+    voxrt_octree_destroy(octree);
+    return result;
+}
 
 static size_t file_size(const char *path) {
     FILE *file = fopen(path, "rb");
@@ -199,7 +211,7 @@ int main(int argc, char **argv) {
     start = sup_now();
     desc.env.progress_fn = NULL;
     if (o.format == FORMAT_V4) {
-        result = (voxrt_result)write_v4(&o, &desc.env, tree, &error);
+        result = write_v4(&o, &desc.env, tree);
     } else {
         voxrt_save_desc save = {0};
         save.env = desc.env;

@@ -87,6 +87,7 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
     table[n++] = sup_opt_flag("smooth", &o->smooth, "with --blur: only where voxels are larger than pixels, not over edges");
     status = sup_cli_parse(argc, argv, "Draws a voxel file.", table, n);
     if (status >= 0) return status;
+    if (o->smooth && o->path == PATH_THESIS) return sup_bad_usage(argv[0], "--smooth goes with --path fast");
     if (o->common.out == NULL && o->common.depth == NULL && !o->common.stats) return sup_bad_usage(argv[0], "--out FILE is missing");
     status = collect_lights(argc, argv, o);
     if (status >= 0) return status;
@@ -125,6 +126,7 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
 
 static int load(const char *program, const render_options *o, scene *s) {
     voxrt_load_desc desc = {0};
+    voxrt_octree_desc octree = {0};
     voxrt_error error = {VOXRT_OK, 0, ""};
     voxrt_result result = VOXRT_ERR_FORMAT;
     sup_error err;
@@ -133,8 +135,13 @@ static int load(const char *program, const render_options *o, scene *s) {
     if (sup_read_file(o->in, &data, &size, &err)) return sup_bad_input(program, err.text);
     desc.env.thread_count = (uint32_t)o->common.threads;
     desc.env.error = &error;
+    octree.env = desc.env;
     if (voxrt_file_kind(data, size) == 5) {
         result = voxrt_tree_load_memory(&desc, data, size, &s->tree);
+        if (result == VOXRT_OK && o->path == PATH_THESIS) result = voxrt_octree_from_tree(&octree, s->tree, &s->octree);
+    } else if (voxrt_file_kind(data, size) == 4) {
+        result = voxrt_octree_load_memory(&octree, data, size, &s->octree);
+        if (result == VOXRT_OK) result = voxrt_tree_from_octree(&octree, s->octree, &s->tree);
     } else {
         (void)sup_fail(&err, "%s: not a voxel file", o->in);
         SUP_FREE(data);
@@ -160,6 +167,23 @@ static void set_camera(const render_options *o, const scene *s, voxrt_camera *ca
     memcpy(camera->at, framed.at, sizeof camera->at);
     memcpy(camera->up, framed.up, sizeof camera->up);
     camera->fov_y = framed.fov;
+}
+
+/* Draw the octree in place of the tree; its level of detail is one level for all. */
+static void use_octree(scene *s, voxrt_render_desc *desc, uint32_t height) {
+    const double spread = 2.0 * tan((double)desc->camera.fov_y * (3.14159265358979323846 / 360.0)) / (double)height;
+    voxrt_octree_geometry(s->octree, &s->geometry);
+    desc->geometry = &s->geometry;
+    desc->geometry_count = 1;
+    if (desc->object_lod) {
+        const float pixels = desc->tolerance > 0.0f ? desc->tolerance : 1.0f;
+        desc->max_level_plus_1 = voxrt_octree_lod_level(s->octree, desc->camera.eye, (float)spread, pixels) + 1;
+    }
+}
+
+static void free_scene(scene *s) {
+    voxrt_tree_destroy(s->tree);
+    voxrt_octree_destroy(s->octree);
 }
 
 static int ends_with(const char *text, const char *end) {
@@ -191,7 +215,8 @@ static int blur(const render_options *o, const voxrt_render_desc *desc, const sc
     return voxrt_blur(&b, image) != VOXRT_OK;
 }
 
-static void print_stats(const render_options *o, const scene *s, const voxrt_image *image, const voxrt_render_stats *stats, double seconds) {
+static void print_stats(const render_options *o, const scene *s, const voxrt_camera *camera, const voxrt_image *image, const voxrt_render_stats *stats,
+                        double seconds) {
     const voxrt_isa best = voxrt_isa_best(), wanted = (voxrt_isa)o->common.isa;
     const uint64_t rays = stats->primary.rays + stats->shadow.rays;
     voxrt_env env = {0};
@@ -205,6 +230,8 @@ static void print_stats(const render_options *o, const scene *s, const voxrt_ima
     printf(",\"rays\":%llu,\"hits\":%llu,\"shadow_rays\":%llu,\"shadow_hits\":%llu,\"steps\":%llu,\"descents\":%llu",
            (unsigned long long)stats->primary.rays, (unsigned long long)stats->primary.hits, (unsigned long long)stats->shadow.rays,
            (unsigned long long)stats->shadow.hits, (unsigned long long)stats->primary.steps, (unsigned long long)stats->primary.descents);
+    printf(",\"eye\":[%.9g,%.9g,%.9g],\"at\":[%.9g,%.9g,%.9g]", (double)camera->eye[0], (double)camera->eye[1], (double)camera->eye[2],
+           (double)camera->at[0], (double)camera->at[1], (double)camera->at[2]);
     printf(",\"seconds\":%.6f,\"mrays_per_second\":%.3f,\"isa\":\"%s\",\"threads\":%u}\n", seconds, seconds > 0.0 ? 1e-6 * (double)rays / seconds : 0.0,
            voxrt_isa_name(wanted == VOXRT_ISA_AUTO || wanted > best ? best : wanted), voxrti_thread_count(&env));
 }
@@ -215,6 +242,7 @@ static void free_image(voxrt_image *image) {
     SUP_FREE(image->depth);
     SUP_FREE(image->normal);
     SUP_FREE(image->hit);
+    memset(image, 0, sizeof *image);
 }
 
 /* Buffers for what is asked for; returns 1 when memory is short. */
@@ -231,8 +259,12 @@ static int make_image(const render_options *o, voxrt_image *image) {
         image->normal = (float *)sup_alloc(pixels, 12);
         image->hit = (voxrt_hit *)sup_alloc(pixels, sizeof(voxrt_hit));
     }
-    return image->rgba8 == NULL || (linear && image->rgba == NULL) || ((o->common.depth != NULL || o->smooth) && image->depth == NULL) ||
-           (o->smooth && (image->normal == NULL || image->hit == NULL));
+    if (image->rgba8 != NULL && (!linear || image->rgba != NULL) && ((o->common.depth == NULL && !o->smooth) || image->depth != NULL) &&
+        (!o->smooth || (image->normal != NULL && image->hit != NULL))) {
+        return 0;
+    }
+    free_image(image);
+    return 1;
 }
 
 int main(int argc, char **argv) {
@@ -244,17 +276,18 @@ int main(int argc, char **argv) {
     sup_progress progress;
     sup_error err;
     scene s = {0};
+    const voxrt_tree *drawn;
     double start, seconds;
     int status = parse(argc, argv, &o, &desc);
     if (status >= 0) return status;
     status = load(argv[0], &o, &s);
-    if (status) return status;
-    if (make_image(&o, &image)) {
-        free_image(&image);
-        voxrt_tree_destroy(s.tree);
-        return sup_bad_input(argv[0], "out of memory for the picture");
+    if (status || make_image(&o, &image)) {
+        free_scene(&s);
+        return status ? status : sup_bad_input(argv[0], "out of memory for the picture");
     }
     set_camera(&o, &s, &desc.camera);
+    if (o.path == PATH_THESIS) use_octree(&s, &desc, image.height);
+    drawn = o.path == PATH_THESIS ? NULL : s.tree;
     sup_progress_begin(&progress, "drawing", o.common.quiet);
     if (!progress.quiet) {
         desc.env.progress_fn = sup_progress_fn;
@@ -262,9 +295,9 @@ int main(int argc, char **argv) {
     }
     desc.env.error = &error;
     status = 0;
-    if (o.common.stats) status = voxrt_render(&desc, s.tree, &image, &stats) != VOXRT_OK; /* counting costs time: not measured */
+    if (o.common.stats) status = voxrt_render(&desc, drawn, &image, &stats) != VOXRT_OK; /* counting costs time: not measured */
     start = sup_now();
-    if (!status) status = voxrt_render(&desc, s.tree, &image, NULL) != VOXRT_OK;
+    if (!status) status = voxrt_render(&desc, drawn, &image, NULL) != VOXRT_OK;
     seconds = sup_now() - start;
     sup_progress_end(&progress);
     if (!status && o.has_blur) status = blur(&o, &desc, &s, &image, &error);
@@ -274,9 +307,9 @@ int main(int argc, char **argv) {
     } else {
         status = write_picture(&o, &image, &err);
         if (status) (void)sup_bad_input(argv[0], err.text);
-        else if (o.common.stats) print_stats(&o, &s, &image, &stats, seconds);
+        else if (o.common.stats) print_stats(&o, &s, &desc.camera, &image, &stats, seconds);
     }
     free_image(&image);
-    voxrt_tree_destroy(s.tree);
+    free_scene(&s);
     return status;
 }

@@ -206,8 +206,8 @@ PNG_READ_FN int png_unfilter(png_picture *p, const uint8_t *raw) {
         if (from[0] > 4) return 1;
         p->filters[from[0]]++;
         for (x = 0; x < n; x++) {
-            const int a = x >= step ? to[x - step] : 0, b = y ? to[x - n] : 0,
-                      c = y && x >= step ? to[x - n - step] : 0;
+            const int a = x >= step ? to[x - step] : 0, b = y ? (to - n)[x] : 0,
+                      c = y && x >= step ? (to - n)[x - step] : 0;
             const int guess = a + b - c, da = abs(guess - a), db = abs(guess - b), dc = abs(guess - c);
             int add = 0;
             switch (from[0]) {

@@ -633,6 +633,8 @@ TEST(ply_ascii) {
 
 TEST(ply_malformed) {
     expect_failure("plx\n", SUP_FORMAT_PLY, "not a PLY");
+    expect_failure(PLY_HEAD "element vertex 4\nend_header\n", SUP_FORMAT_PLY, "no x, y, z");
+    expect_failure(PLY_HEAD "element face 4\nelement junk 3\nend_header\n", SUP_FORMAT_PLY, "no vertices");
     expect_failure("ply\n", SUP_FORMAT_PLY, "cut off");
     expect_failure("ply\nelement vertex 0\nend_header\n", SUP_FORMAT_PLY, "format");
     expect_failure("ply\nformat binary_middle_endian 1.0\nend_header\n", SUP_FORMAT_PLY, "line 2");
@@ -892,7 +894,7 @@ TEST(every_allocation_fails_once) {
             sup_mesh_free(&mesh);
             CHECK_EQ_I64(g_memory.live, 0);
         }
-        CHECK(!failed && k > 3);
+        CHECK(!failed && k > 3 && k > g_memory.count); /* the last round had nothing left to fail */
     }
 }
 
@@ -951,6 +953,30 @@ TEST(file_errors) {
     SUP_FREE(data);
     remove(path);
     CHECK_EQ_I64(g_memory.live, 0);
+}
+
+TEST(large_file) {
+    const char *path = test_temp_path(".obj");
+    const size_t lines = 30000;
+    FILE *file = fopen(path, "wb");
+    sup_mesh mesh;
+    sup_error err;
+    size_t i;
+    REQUIRE(file != NULL);
+    for (i = 0; i < lines; i++) fprintf(file, "v %d.5 1 2\n", (int)i);
+    for (i = 2; i < lines; i++) fprintf(file, "f %d %d %d\n", (int)i - 1, (int)i, (int)i + 1);
+    fclose(file);
+    CHECK(!sup_mesh_read(path, &mesh, &err) && mesh.vertex_count == lines && mesh.triangle_count == lines - 2);
+    if (mesh.positions) CHECK(mesh.positions[3 * lines - 3] == (float)lines - 0.5f);
+    sup_mesh_free(&mesh);
+    for (i = 0; i < 8; i++) { /* memory runs out while reading */
+        memory_reset((int64_t)i);
+        if (sup_mesh_read(path, &mesh, &err)) CHECK(strstr(err.text, "out of memory") != NULL);
+        g_memory.fail_at = -1;
+        sup_mesh_free(&mesh);
+        CHECK_EQ_I64(g_memory.live, 0);
+    }
+    remove(path);
 }
 
 TEST(materials_from_files) {
@@ -1468,11 +1494,8 @@ TEST(command_lines) {
                                         "in --out"};
     line l;
     size_t i;
-    FILE *saved = stderr;
-    fflush(stderr);
     for (i = 0; i < sizeof wrong / sizeof wrong[0]; i++)
         CHECK_MSG(parse_line(&l, wrong[i]) == 2, "\"%s\" was accepted", wrong[i]);
-    CHECK(saved == stderr);
     CHECK(parse_line(&l, "in") == -1);
     CHECK_STR(l.in, "in");
     CHECK(!l.out && l.common.size[0] == 1312 && l.common.size[1] == 640 && !l.common.has_eye && !l.common.out &&
@@ -1795,6 +1818,7 @@ int main(int argc, char **argv) {
     RUN(every_allocation_fails_once);
     RUN(hostile_counts);
     RUN(file_errors);
+    RUN(large_file);
     RUN(materials_from_files);
     RUN(normals_of_a_cube_weigh_angles);
     RUN(normals_edge_cases);

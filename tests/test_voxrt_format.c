@@ -203,39 +203,85 @@ static void use(const voxrt_tree *t) {
 
 /* ---- an independent reader: docs/formats.md in the plainest code ------------------------------------------- */
 
-typedef struct slow_rans { const uint8_t *p; uint32_t x; uint16_t freq[258][256]; int empty[258]; } slow_rans;
+/* `bad` is set by whatever the description forbids. */
+typedef struct slow_rans {
+    const uint8_t *section, *tables, *chunk;  /* ends of the parts are checked by the order in which they stand */
+    size_t size, at, end;
+    uint32_t x, bad, chunks, next;
+    uint16_t freq[258][256];
+    int empty[258];
+} slow_rans;
 
-static uint32_t slow_varint(const uint8_t **p) {
-    uint32_t v = *(*p)++;
-    return v < 128 ? v : (v & 127u) | (uint32_t)*(*p)++ << 7;
+static uint32_t slow_byte(slow_rans *r) {
+    if (r->at >= r->end) { r->bad = 1; return 0; }
+    return r->section[r->at++];
+}
+
+static uint32_t slow_number(slow_rans *r) {
+    uint32_t v = slow_byte(r), high;
+    if (v < 128) return v;
+    high = slow_byte(r);
+    if (high == 0 || high > 127) r->bad = 1;
+    return (v & 127u) | high << 7;
+}
+
+static void slow_open(slow_rans *r, const uint8_t *section, size_t size) {
+    uint32_t i, k, n, sum;
+    uint64_t total = 0;
+    int last;
+    memset(r, 0, sizeof *r);
+    r->section = section;
+    r->size = size;
+    if (size < 8) { r->bad = 1; return; }
+    r->chunks = (uint32_t)get(section, 4);
+    r->at = 8 + 2 * (size_t)r->chunks;
+    r->end = r->at + (size_t)get(section + 4, 4);
+    if (r->end > size) { r->bad = 1; return; }
+    for (i = 0; i < r->chunks; i++) {
+        k = (uint32_t)get(section + 8 + 2 * i, 2);
+        if (k < 4 || k % 2 != 0) r->bad = 1;
+        total += k;
+    }
+    if (r->end + total != size) r->bad = 1;
+    for (i = 0; i < 258 && !r->bad; i++) {
+        n = slow_number(r);
+        r->empty[i] = n == 0;
+        for (k = 0, sum = 0, last = -1; k < n && !r->bad; k++) {
+            int s = (int)slow_byte(r);
+            uint32_t f = slow_number(r);
+            if (s <= last || f == 0) r->bad = 1;
+            r->freq[i][s] = (uint16_t)f;
+            last = s;
+            sum += f;
+        }
+        if (n != 0 && sum != 4096) r->bad = 1;
+    }
+    if (r->at != r->end) r->bad = 1;
+    r->x = 65536;
+}
+
+static void slow_chunk(slow_rans *r) { /* the one before has to be used up */
+    if (r->bad || r->x != 65536 || r->at != r->end || r->next == r->chunks) { r->bad = 1; return; }
+    r->end = r->at + (size_t)get(r->section + 8 + 2 * r->next++, 2);
+    r->x = (uint32_t)get(r->section + r->at, 4);
+    r->at += 4;
+    if (r->x < 65536) r->bad = 1;
 }
 
 static uint32_t slow_symbol(slow_rans *r, uint32_t context) {
-    uint32_t t = r->empty[2 + context] ? context / 128 : 2 + context, slot = r->x & 4095u, s = 0, start = 0;
+    uint32_t t = r->empty[2 + context] ? context / 128 : 2 + context, slot = r->x & 4095u, s = 0, start = 0, low;
+    if (r->empty[t]) r->bad = 1;
+    if (r->bad) return 1;
     while (start + r->freq[t][s] <= slot) start += r->freq[t][s++];
     r->x = r->freq[t][s] * (r->x >> 12) + slot - start;
     if (r->x < 65536) {
-        r->x = r->x << 16 | (uint32_t)get(r->p, 2);
-        r->p += 2;
+        low = slow_byte(r);
+        r->x = r->x << 16 | low | slow_byte(r) << 8;
     }
     return s;
 }
 
-static const uint8_t *slow_tables(slow_rans *r, const uint8_t *section) {
-    const uint8_t *p = section + 8 + 2 * get(section, 4);
-    uint32_t i, k, n;
-    memset(r, 0, sizeof *r);
-    for (i = 0; i < 258; i++) {
-        n = slow_varint(&p);
-        r->empty[i] = n == 0;
-        for (k = 0; k < n; k++) {
-            uint32_t s = *p++;
-            r->freq[i][s] = (uint16_t)slow_varint(&p);
-        }
-    }
-    CHECK(p == section + 8 + 2 * get(section, 4) + get(section + 4, 4));
-    return p;
-}
+static int slow_close(const slow_rans *r) { return !r->bad && r->x == 65536 && r->at == r->size && r->next == r->chunks; }
 
 static uint32_t slow_mirror(uint32_t mask, uint32_t b) {
     uint32_t i, r = 0;
@@ -243,48 +289,205 @@ static uint32_t slow_mirror(uint32_t mask, uint32_t b) {
     return r;
 }
 
-/* All leaf masks of a compact file in order; returns their number. */
-static size_t slow_geometry(const uint8_t *file, const uint8_t *section, uint64_t *leaf, size_t room) {
+static uint32_t slow_bits(uint64_t x) {
+    uint32_t n = 0;
+    for (; x != 0; x &= x - 1) n++;
+    return n;
+}
+
+/* All leaf masks of a compact file in order; returns their number, 0: the file is not as described. */
+static size_t slow_geometry(uint8_t *file, uint64_t *leaf, size_t room) {
     slow_rans *r = (slow_rans *)malloc(sizeof *r);
-    const uint8_t *place = file + get(file + 64 + 8, 8), *p;
-    uint32_t wide = ((uint32_t)get(file + 36, 4) + 1) / 2, w, i, chunk = 0;
-    uint64_t *above = (uint64_t *)malloc(room * 8), *level = (uint64_t *)malloc(room * 8);
-    size_t n = 0, before;
+    const uint8_t *place = file + get(entry(file, 1) + 8, 8), *e = entry(file, 6);
+    uint32_t wide = ((uint32_t)get(file + 36, 4) + 1) / 2, w, i;
+    uint64_t *above = (uint64_t *)calloc(room, 8), *level = (uint64_t *)malloc(room * 8), voxels = 0;
+    size_t n = 1, below = 1;
     if (r == NULL || above == NULL || level == NULL) exit(1);
-    p = slow_tables(r, section);
+    slow_open(r, file + get(e + 8, 8), (size_t)get(e + 16, 8));
     above[0] = 1;
-    for (w = 0; w < wide; w++) {
-        uint32_t parent = 0, bit = 0, o, b;
-        before = n;
+    for (w = 0; w < wide && !r->bad; w++) {
+        uint32_t parent = 0, bit = 0, o, b, octant_count = 0;
         n = (size_t)get(place + 64 + 4 * w, 4);
-        if (n > room || n == 0) { n = 0; break; }
-        for (i = 0; i < n; i++, bit++) {
+        if (n > room || n != below) { r->bad = 1; break; }
+        for (i = 0, below = 0; i < n; i++, bit++) {
             uint32_t siblings, octants;
-            if (i % 4096 == 0) {
-                if (i != 0 || w != 0) CHECK(r->x == 65536 && r->p == p);
-                r->p = p;
-                r->x = (uint32_t)get(r->p, 4);
-                r->p += 4;
-                p += get(section + 8 + 2 * chunk++, 2);
+            if (i % 4096 == 0) slow_chunk(r);
+            for (;;) {
+                if (bit == 64) { bit = 0; parent++; }
+                else if (above[parent] >> bit & 1u) break;
+                else bit++;
             }
-            while (bit == 64 || (above[parent] >> bit & 1u) == 0)
-                if (bit == 64) { bit = 0; parent++; } else bit++;
-            CHECK(w == 0 || parent < before);
             siblings = (uint32_t)(above[parent] >> (bit & 56u)) & 255u;
             b = bit & 7u;
             octants = slow_mirror(slow_symbol(r, slow_mirror(siblings, b) / 2), b);
+            if (octants == 0) r->bad = 1;
             level[i] = 0;
-            for (o = 0; o < 8; o++)
-                if (octants >> o & 1u)
-                    level[i] |= (uint64_t)slow_mirror(slow_symbol(r, (w + 1 == wide ? 128u : 0u) + slow_mirror(octants, o) / 2), o) << (8 * o);
+            for (o = 0; o < 8; o++) {
+                uint32_t s;
+                if ((octants >> o & 1u) == 0) continue;
+                octant_count++;
+                s = slow_symbol(r, (w + 1 == wide ? 128u : 0u) + slow_mirror(octants, o) / 2);
+                if (s == 0) r->bad = 1;
+                level[i] |= (uint64_t)slow_mirror(s, o) << (8 * o);
+            }
+            below += slow_bits(level[i]);
+            if (w + 1 == wide) voxels += slow_bits(level[i]);
         }
+        if (octant_count != get(place + 104 + 4 * w, 4)) r->bad = 1;
         memcpy(above, level, n * 8);
     }
+    if (!slow_close(r) || voxels != get(file + 56, 8)) n = 0;
     memcpy(leaf, above, n * 8);
     free(above);
     free(level);
     free(r);
     return n;
+}
+
+static uint32_t slow_class(uint32_t d) {
+    uint32_t m = d < 128 ? d : 256 - d, n = 0;
+    for (; m != 0; m >>= 1) n++;
+    return n;
+}
+
+/* All normals; 0: not as described. */
+static int slow_normals(uint8_t *file, uint16_t *normal, uint64_t count) {
+    slow_rans *r = (slow_rans *)malloc(sizeof *r);
+    const uint8_t *e = entry(file, 7);
+    uint32_t x = 0, y = 0, k = 0;
+    uint64_t i;
+    int ok;
+    if (r == NULL) exit(1);
+    slow_open(r, file + get(e + 8, 8), (size_t)get(e + 16, 8));
+    for (i = 0; i < count && !r->bad; i++) {
+        uint32_t dx, dy;
+        if (i % 4096 == 0) {
+            slow_chunk(r);
+            x = y = 0x80;
+            k = 0;
+        }
+        dx = slow_symbol(r, k);
+        dy = slow_symbol(r, 128 + 4 * slow_class(dx) + k / 4);
+        k = slow_class(dx) + slow_class(dy);
+        if (k > 12) k = 12;
+        x = (x + dx) & 255;
+        y = (y + dy) & 255;
+        normal[i] = (uint16_t)(x | y << 8);
+    }
+    ok = slow_close(r);
+    free(r);
+    return ok;
+}
+
+/* What load takes is what the slow reader takes: changes of a few bytes, checksums made right. */
+TEST(coded_sections_exactly) {
+    static const int kinds[4] = {1, 2, 4, 6};
+    test_rng rng = test_rng_make(77);
+    uint32_t round, taken = 0;
+    int kind, normals;
+    for (kind = 0; kind < 4; kind++)
+        for (normals = 0; normals < 2; normals++) {
+            voxrt_tree *t = make_tree(kinds[kind], 0, normals), *u;
+            size_t size, at, bytes, n;
+            uint8_t *p, *q;
+            uint64_t leaf[600];
+            uint16_t *normal;
+            REQUIRE(t != NULL);
+            p = save(t, 0, &size);
+            REQUIRE(p != NULL);
+            q = (uint8_t *)malloc(size);
+            normal = (uint16_t *)malloc((size_t)t->attr_count * 2);
+            REQUIRE(q != NULL && normal != NULL);
+            at = (size_t)get(entry(p, normals ? 7 : 6) + 8, 8);
+            bytes = (size_t)get(entry(p, normals ? 7 : 6) + 16, 8);
+            if (get(entry(p, normals ? 7 : 6) + 4, 4) != 1) bytes = 0; /* so few normals are stored raw */
+            for (round = 0; bytes != 0 && round < (test_quick() || TEST_SANITIZED ? 100u : 400u); round++) {
+                uint32_t k, m = round % 4 != 0 ? 1 : 1 + test_rng_below(&rng, 3);
+                memcpy(q, p, size);
+                for (k = 0; k < m; k++) {
+                    size_t i = at + test_rng_below(&rng, (uint32_t)(round % 2 && bytes > 600 ? 600 : bytes));
+                    if (round % 3 != 0) q[i] = (uint8_t)(q[i] + (round % 3 == 1 ? 1 : 255));
+                    else q[i] ^= (uint8_t)(1u << test_rng_below(&rng, 8));
+                }
+                if (round % 8 == 7 && bytes > 300) { /* move a frequency from one symbol to the next, or a word */
+                    size_t i = at + bytes - 1 - test_rng_below(&rng, 40);
+                    q[i]++;
+                    q[i - 2]--;
+                }
+                seal(q, size);
+                u = NULL;
+                (void)voxrt_tree_load_memory(NULL, q, size, &u);
+                n = slow_geometry(q, leaf, 600);
+                if (u == NULL) continue;
+                taken++;
+                CHECK(n == u->level_nodes[u->wide - 1]);
+                if (n != 0) CHECK(memcmp(leaf, u->leaf, n * 8) == 0);
+                if (normals) CHECK(slow_normals(q, normal, u->attr_count) && memcmp(normal, u->normal, (size_t)u->attr_count * 2) == 0);
+                voxrt_tree_destroy(u);
+            }
+            free(normal);
+            free(p);
+            free(q);
+            voxrt_tree_destroy(t);
+        }
+    CHECK_MSG(taken > 0, "no changed file was valid");
+}
+
+/* Sections made by hand: each rule of coded sections broken alone. */
+TEST(coded_sections_by_hand) {
+    /* depth 2, one node, all 64 voxels: octant mask 255 in context 0, eight bytes 255 in context 128 + 127 */
+    static const uint8_t good[4] = {0, 0, 1, 0};
+    uint32_t test;
+    for (test = 0; test < 12; test++) {
+        uint8_t file[2048], *p = file, *s, *e;
+        voxrt_tree *t = NULL, *u = NULL;
+        cells c;
+        uint32_t i;
+        size_t size, n = 0;
+        voxrt_build_desc d;
+        memset(&d, 0, sizeof d);
+        memset(&c, 0, sizeof c);
+        d.disable_colors = d.disable_normals = 1;
+        for (i = 0; i < 64; i++) add(&c, i & 3, i >> 2 & 3, i >> 4);
+        CHECK(voxrt_tree_from_voxels(&d, c.v, c.n, 2, &t) == VOXRT_OK);
+        free(c.v);
+        REQUIRE(t != NULL);
+        p = save(t, 0, &size);
+        REQUIRE(p != NULL && size < 1000);
+        voxrt_tree_destroy(t);
+        memset(file, 0, sizeof file);
+        memcpy(file, p, size);
+        free(p);
+        e = entry(file, 6);
+        s = file + get(e + 8, 8);
+        put(s, 4, 1);
+        n = 10;
+        for (i = 0; i < 258; i++) {
+            s[n++] = (uint8_t)(i < 2 ? (test == 1 ? 2 - i : test == 2 ? 2 : 1) : 0);
+            if (i >= 2) continue;
+            if (test == 1 && i == 0) { s[n++] = 255; s[n++] = 0x80; s[n++] = 0x10; s[n++] = 255; s[n++] = 0x80; s[n++] = 0x10; } /* twice */
+            else if (test == 2) { s[n++] = 255; s[n++] = 0x80; s[n++] = 0x10; s[n++] = 254; s[n++] = 1; }                         /* descending, too much */
+            else if (test == 3) { s[n++] = 255; s[n++] = 0xff; s[n++] = 0x1f; }                                                   /* sums up to 4095 */
+            else if (test == 4) { s[n++] = 0; s[n++] = 0x80; s[n++] = 0x20; }                                                     /* symbol 0 */
+            else { s[n++] = 255; s[n++] = 0x80; s[n++] = 0x20; }
+        }
+        if (test == 5) s[n++] = 0;              /* tables end, bytes do not */
+        put(s + 4, 4, n - 10);
+        if (test == 6) put(s + 4, 4, n - 11);
+        memcpy(s + n, good, 4);
+        n += 4;
+        if (test == 7) s[n - 4] = 1;            /* ends in another state */
+        if (test == 8) s[n - 2] = 0;            /* begins in a state that does not exist */
+        if (test == 9) { s[n++] = 0; s[n++] = 0; } /* a word too many */
+        put(s + 8, 2, test == 9 ? 6 : test == 10 ? 2 : 4);
+        if (test == 11) put(s, 4, 2);
+        put(e + 16, 8, n);
+        size = (size_t)(s - file) + n;
+        put(file + 16, 8, size);
+        seal(file, size);
+        CHECK_MSG(voxrt_tree_load_memory(NULL, file, size, &u) == (test == 0 ? VOXRT_OK : VOXRT_ERR_FORMAT), "case %u", test);
+        voxrt_tree_destroy(u);
+    }
 }
 
 TEST(independent_reader) {
@@ -305,7 +508,7 @@ TEST(independent_reader) {
         leaves = t->level_nodes[t->wide - 1];
         leaf = (uint64_t *)malloc((leaves + t->node_count + 1) * 8);
         REQUIRE(leaf != NULL);
-        n = slow_geometry(p, p + get(entry(p, 6) + 8, 8), leaf, leaves + t->node_count + 1);
+        n = slow_geometry(p, leaf, leaves + t->node_count + 1);
         CHECK_EQ_U64(n, leaves);
         for (i = 0; i < n; i++) {
             CHECK(leaf[i] == t->leaf[i]);
@@ -318,6 +521,12 @@ TEST(independent_reader) {
             CHECK(get(q, 8) == t->node[i].mask && get(q + 8, 4) == t->node[i].child && get(q + 12, 4) == t->node[i].octant);
         }
         for (i = 0; i < t->attr_count; i++) CHECK(get(raw + get(entry(raw, 7) + 8, 8) + 2 * i, 2) == t->normal[i]);
+        if (get(entry(p, 7) + 4, 4) == 1) {
+            uint16_t *normal = (uint16_t *)malloc((size_t)t->attr_count * 2);
+            REQUIRE(normal != NULL);
+            CHECK(slow_normals(p, normal, t->attr_count) && memcmp(normal, t->normal, (size_t)t->attr_count * 2) == 0);
+            free(normal);
+        }
         palette_count = get(p + get(entry(p, 1) + 8, 8) + 56, 4);
         CHECK_EQ_U64(palette_count, t->palette_count);
         CHECK(memcmp(p + get(entry(p, 2) + 8, 8), t->palette, (size_t)palette_count * 3) == 0);
@@ -620,7 +829,7 @@ TEST(versions_and_sections) {
         p = save(t, encoding, &size);
         REQUIRE(p != NULL);
         n = (size_t)get(p + 14, 2);
-        q = (uint8_t *)malloc(size + 256);
+        q = (uint8_t *)malloc(size + 512);
         REQUIRE(q != NULL);
 #define AGAIN() memcpy(q, p, size)
 #define EXPECT(result) do { seal(q, size); CHECK_EQ_U64(try_load(q, size), result); } while (0)
@@ -663,7 +872,7 @@ TEST(versions_and_sections) {
         at = (size_t)get(p + 64 + 8, 8);
         for (id = 0; id < 2; id++) {
             size_t end = (size + 63) & ~(size_t)63, move = 64 + (n + 1) * 40 > at ? 64 : 0, i;
-            memset(q, 0, size + 256);
+            memset(q, 0, size + 512);
             memcpy(q, p, 64 + n * 40);
             memcpy(q + at + move, p + at, size - at);
             for (i = 0; i < n; i++) put(q + 64 + 40 * i + 8, 8, get(q + 64 + 40 * i + 8, 8) + move);
@@ -677,7 +886,28 @@ TEST(versions_and_sections) {
             put(q + 16, 8, end + move + 5);
             seal(q, end + move + 5);
             CHECK_EQ_U64(try_load(q, end + move + 5), id == 0 ? VOXRT_OK : VOXRT_ERR_VERSION);
-            e[-8] ^= 1; /* also what is skipped has to be whole */
+            if (id == 0) { /* two of them: only in order */
+                uint32_t second;
+                size_t last = end + move + 64;
+                put(q + 14, 2, n + 2);
+                for (i = 0; i < n + 1; i++) put(q + 64 + 40 * i + 8, 8, get(q + 64 + 40 * i + 8, 8) + 64);
+                memmove(q + at + 64, q + at, last - at);
+                memset(q + at, 0, 64);
+                memset(q + last + 5, 0, 59);
+                put(e + 40, 4, 0);
+                put(e + 44, 4, 0);
+                put(e + 48, 8, last + 64);
+                put(e + 56, 8, 1);
+                put(e + 64, 8, 0);
+                put(q + 16, 8, last + 65);
+                for (second = 0; second < 3; second++) {
+                    put(e + 40, 4, 0x80000000u + second);
+                    seal(q, last + 65);
+                    CHECK_EQ_U64(try_load(q, last + 65), second == 2 ? VOXRT_OK : VOXRT_ERR_FORMAT);
+                }
+                continue;
+            }
+            e[32] ^= 1; /* also what is skipped has to be whole */
             CHECK(is_damage(try_load(q, end + move + 5)));
         }
         free(q);
@@ -727,10 +957,60 @@ TEST(wrong_values) {
             AGAIN(); put(q + nodes + 16 + 12, 4, 99); EXPECT(VOXRT_ERR_FORMAT);
             AGAIN(); put(q + leaves + 16, 8, 0); EXPECT(VOXRT_ERR_FORMAT);
             AGAIN(); put(q + leaves + (size_t)get(entry(p, 4) + 16, 8) - 8, 8, 1); EXPECT(VOXRT_ERR_FORMAT);
+            { /* an empty leaf node, its voxel moved to another one of the same 16: only the empty mask tells */
+                size_t one[2] = {0, 0}, found = 0, k;
+                for (k = 0; k < 16 && found < 2; k++)
+                    if (slow_bits(get(p + leaves + 8 * k, 8)) == 1) one[found++] = leaves + 8 * k;
+                CHECK(found == 2);
+                AGAIN();
+                put(q + one[0], 8, 0);
+                put(q + one[1], 8, get(q + one[1], 8) | (get(q + one[1], 8) > 255 ? 1u : 0x100u));
+                EXPECT(VOXRT_ERR_FORMAT);
+            }
             AGAIN(); put(q + ranks, 4, 1); EXPECT(VOXRT_ERR_FORMAT);
             AGAIN(); put(q + ranks + (size_t)get(entry(p, 5) + 16, 8) - 4, 4, 1); EXPECT(VOXRT_ERR_FORMAT);
         }
         free(q);
+        free(p);
+    }
+    voxrt_tree_destroy(t);
+}
+
+TEST(wrong_counts_without_attributes) {
+    voxrt_tree *t = make_tree(6, 0, 0), *u = NULL;
+    voxrt_load_desc d;
+    size_t size, place;
+    uint8_t *p, *q;
+    uint32_t i, encoding;
+    REQUIRE(t != NULL);
+    for (encoding = 0; encoding < 2; encoding++) {
+        p = save(t, (int)encoding, &size);
+        REQUIRE(p != NULL);
+        q = (uint8_t *)malloc(size);
+        REQUIRE(q != NULL);
+        place = (size_t)get(entry(p, 1) + 8, 8);
+        AGAIN(); EXPECT(VOXRT_OK);
+        for (i = 0; i < 10; i++) {
+            AGAIN(); put(q + place + 104 + 4 * i, 4, get(q + place + 104 + 4 * i, 4) + 1); EXPECT(VOXRT_ERR_FORMAT);
+        }
+        AGAIN(); put(q + 56, 8, get(q + 56, 8) + 1); EXPECT(VOXRT_ERR_FORMAT);
+        free(q);
+        free(p);
+    }
+    voxrt_tree_destroy(t);
+    t = make_tree(1, 0, 0); /* depth 2 with voxels in two octants is no tree of depth 1, trusted or not */
+    REQUIRE(t != NULL);
+    for (encoding = 0; encoding < 2; encoding++) {
+        p = save(t, (int)encoding, &size);
+        REQUIRE(p != NULL);
+        place = (size_t)get(entry(p, 1) + 8, 8);
+        put(p + 36, 4, 1);
+        put(p + 40, 4, 2);
+        for (i = 0; i < 6; i++) put(p + place + 32 + 4 * i, 4, i < 3 ? 0 : 2);
+        seal(p, size);
+        memset(&d, 0, sizeof d);
+        for (d.trust_input = 0; d.trust_input < 2; d.trust_input++)
+            CHECK(voxrt_tree_load_memory(&d, p, size, &u) == VOXRT_ERR_FORMAT);
         free(p);
     }
     voxrt_tree_destroy(t);
@@ -759,6 +1039,7 @@ TEST(hostile_counts) {
             for (id = 0; id + 1 < wide; id++) nodes += get(p + place + 64 + 4 * id, 4);
             put(p + 48, 8, nodes);
             put(p + 56, 8, 4200000000u);
+            if (encoding == 0) put(p + get(entry(p, 6) + 8, 8), 4, wide - 1 + (wide > 1 ? 976563u : 1u));
             for (id = 3; id < 8; id++) {
                 e = entry(p, id);
                 if (e != NULL) put(e + 24, 8, id == 7 ? 8200000000u : id == 6 ? nodes : 4000000000u);
@@ -1002,6 +1283,8 @@ TEST(files) {
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(independent_reader);
+    RUN(coded_sections_exactly);
+    RUN(coded_sections_by_hand);
     RUN(round_trips);
     RUN(map_in_place);
     RUN(without_normals);
@@ -1011,6 +1294,7 @@ int main(int argc, char **argv) {
     RUN(random_damage_with_right_checksums);
     RUN(versions_and_sections);
     RUN(wrong_values);
+    RUN(wrong_counts_without_attributes);
     RUN(hostile_counts);
     RUN(allocation_failures);
     RUN(memory_limit);

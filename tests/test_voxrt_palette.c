@@ -513,51 +513,79 @@ static uint32_t oracle_thesis(const uint32_t *color, const uint32_t *use, uint32
     return count;
 }
 
+/* Compare with the oracle for n distinct ascending colours. */
+static void check_thesis(const uint32_t *color, const uint32_t *use, uint32_t n, uint32_t k, test_rng *r) {
+    uint32_t merged[60], rgb[60 * 9], total = 0, bad = 0, i, j, t;
+    built b;
+    for (i = 0; i < n; i++)
+        for (j = 0; j < use[i]; j++) rgb[total++] = color[i];
+    for (i = total; i > 1; i--) { /* any order */
+        j = test_rng_below(r, i);
+        t = rgb[i - 1];
+        rgb[i - 1] = rgb[j];
+        rgb[j] = t;
+    }
+    oracle_thesis(color, use, n, k, merged);
+    b = build(rgb, total, total, k, VOXRT_PALETTE_THESIS);
+    REQUIRE(b.result == VOXRT_OK);
+    CHECK(b.count <= k);
+    for (i = 0; i < total; i++) {
+        uint32_t want = 0, kept = 0;
+        for (j = 0; j < n; j++)
+            if (color[j] == rgb[i]) want = merged[j];
+        for (j = 0; j < b.count; j++) kept |= entry(&b, j) == rgb[i];
+        if (kept) want = rgb[i]; /* a colour that is in the palette is exact */
+        bad += b.index[i] >= b.count || entry(&b, b.index[i]) != want;
+    }
+    CHECK_MSG(bad == 0, "%u colours to %u: %u of %u differ", n, k, bad, total);
+    for (j = 0; j < b.count; j++) { /* and the palette has no other entries */
+        for (i = 0; i < n && merged[i] != entry(&b, j); i++) { }
+        CHECK(i < n);
+    }
+    CHECK(entries_differ(&b));
+    drop(&b);
+}
+
 TEST(thesis_oracle) {
-    int rounds = test_quick() ? 60 : 400, round;
+    /* on a line many merged colours meet again and costs are often equal */
+    static const uint32_t masks[5] = { 0x070707u, 0x3f003fu, 0xffffffu, 0x0000ffu, 0x00003fu };
+    int rounds = test_quick() ? 60 : 300, round;
     test_rng r = test_rng_make(4);
     for (round = 0; round < rounds; round++) {
-        /* on a line many merged colours meet again and costs are often equal */
-        static const uint32_t masks[5] = { 0x070707u, 0x3f003fu, 0xffffffu, 0x0000ffu, 0x00003fu };
-        uint32_t color[60], use[60], merged[60], rgb[60 * 9], mask = masks[round % 5];
-        uint32_t n = 2 + test_rng_below(&r, 59), k = 1 + test_rng_below(&r, n), total = 0, bad = 0, i, j, m = 0;
-        built b;
-        for (i = 0; i < n; i++) color[i] = test_rng_u32(&r) & mask;
+        uint32_t color[60], use[60], n = 2 + test_rng_below(&r, 59), k = 1 + test_rng_below(&r, n), i, m = 0;
+        for (i = 0; i < n; i++) color[i] = test_rng_u32(&r) & masks[round % 5];
         qsort(color, n, sizeof color[0], compare_u32);
         for (i = 0; i < n; i++)
             if (i == 0 || color[i] != color[i - 1]) color[m++] = color[i];
-        n = m;
-        k = k > n ? n : k;
-        for (i = 0; i < n; i++) {
-            use[i] = round % 2 ? 1 : 1 + test_rng_below(&r, 9);
-            for (j = 0; j < use[i]; j++) rgb[total++] = color[i];
-        }
-        for (i = total; i > 1; i--) { /* any order */
-            j = test_rng_below(&r, i);
-            m = rgb[i - 1];
-            rgb[i - 1] = rgb[j];
-            rgb[j] = m;
-        }
-        oracle_thesis(color, use, n, k, merged);
-        b = build(rgb, total, total, k, VOXRT_PALETTE_THESIS);
-        REQUIRE(b.result == VOXRT_OK);
-        CHECK(b.count <= k);
-        for (i = 0; i < total; i++) {
-            uint32_t want = 0, kept = 0;
-            for (j = 0; j < n; j++)
-                if (color[j] == rgb[i]) want = merged[j];
-            for (j = 0; j < b.count; j++) kept |= entry(&b, j) == rgb[i];
-            if (kept) want = rgb[i]; /* a colour that is in the palette is exact */
-            bad += b.index[i] >= b.count || entry(&b, b.index[i]) != want;
-        }
-        CHECK_MSG(bad == 0, "round %d: %u colours to %u: %u of %u differ", round, n, k, bad, total);
-        for (j = 0; j < b.count; j++) { /* and the palette has no other entries */
-            for (i = 0; i < n && merged[i] != entry(&b, j); i++) { }
-            CHECK(i < n);
-        }
-        CHECK(entries_differ(&b));
-        drop(&b);
+        for (i = 0; i < m; i++) use[i] = round % 2 ? 1 : 1 + test_rng_below(&r, 9);
+        check_thesis(color, use, m, k > m ? m : k, &r);
     }
+}
+
+#define RGB(r, g, b) ((uint32_t)(r) | (uint32_t)(g) << 8 | (uint32_t)(b) << 16)
+
+/* A pair (i, j) merges around a colour x of high drift, so that the new one is nearer to x than both were: x, whose
+   partner is another one, y, has to notice. First nearer than y, then as near as y with a lower index. */
+TEST(thesis_rare) {
+    uint32_t color[12], use[12], n = 0, i;
+    test_rng r = test_rng_make(1);
+    for (i = 0; i < 12; i++) use[i] = 1;
+    for (i = 0; i < 5; i++) color[n++] = RGB(100, 0, i);      /* x: drift 4 */
+    for (i = 0; i < 3; i++) color[n++] = RGB(100, 30 + i, 2); /* y: drift 2, S(x, y) = 7 * 31^2 = 6727 */
+    color[n++] = RGB(60, 0, 2);                               /* i, j: S = 80^2 = 6400, S(x, i) = 5 * 40^2 = 8000 */
+    color[n++] = RGB(140, 0, 2);
+    color[n++] = RGB(0, 255, 2);                              /* next if x does not notice: 81^2 = 6561 */
+    color[n++] = RGB(81, 255, 2);
+    qsort(color, n, sizeof color[0], compare_u32);
+    check_thesis(color, use, n, 4, &r);
+    n = 0;
+    for (i = 0; i < 5; i++) color[n++] = RGB(100, 100, i);    /* x */
+    color[n++] = RGB(99, 133, 2);                             /* y: drift 1, S(x, y) = 6 * 33^2 */
+    color[n++] = RGB(101, 133, 2);
+    color[n++] = RGB(60, 67, 2);                              /* i, j: merged they cost 6 * 33^2 with x, too */
+    color[n++] = RGB(140, 67, 2);
+    qsort(color, n, sizeof color[0], compare_u32);
+    check_thesis(color, use, n, 2, &r);
 }
 
 /* Oklab, clusters far from each other: entries are the weighted means, and Ward's cost decides what is kept apart. */
@@ -594,8 +622,8 @@ TEST(determinism) {
     int method, photo, t;
     for (method = 0; method < 2; method++) {
         for (photo = 0; photo < 2; photo++) {
-            size_t n = test_quick() ? 9000 : 30000, i;
-            uint32_t k = method == 0 ? 300 : test_quick() ? 8000 : 22000;
+            size_t n = test_quick() ? 9000 : 24000, i;
+            uint32_t k = method == 0 ? 300 : test_quick() ? 8000 : 21000;
             uint32_t *rgb = make_colors(n, photo, 5), *mixed = (uint32_t *)malloc(n * sizeof(uint32_t)), bad = 0;
             test_rng r = test_rng_make(1);
             built a, b;
@@ -699,8 +727,8 @@ TEST(quality) {
             eb = mean_error(rgb, &b);
             ec = median_cut(copy, n, sizes[s]) / (double)n;
             if (test_g.verbose)
-                printf("  %s K %u: Oklab %.5f thesis %.5f median cut %.5f\n", photo ? "photo" : "noise", sizes[s], ea, eb,
-                       ec);
+                printf("  %s K %u: Oklab %.5f thesis %.5f median cut %.5f\n", photo ? "photo" : "noise", sizes[s], ea,
+                       eb, ec);
             CHECK_MSG(ea < eb, "photo %d K %u: Oklab %g, thesis %g", photo, sizes[s], ea, eb);
             CHECK_MSG(ea < ec, "photo %d K %u: Oklab %g, median cut %g", photo, sizes[s], ea, ec);
             drop(&a);
@@ -794,6 +822,7 @@ int main(int argc, char **argv) {
     RUN(usage_counts);
     RUN(nearest);
     RUN(thesis_oracle);
+    RUN(thesis_rare);
     RUN(oklab_means);
     RUN(determinism);
     RUN(quality);

@@ -146,6 +146,12 @@ typedef struct sup_file {
     char *temporary;
 } sup_file;
 
+SUP_FN void supi_file_forget(sup_file *file) {
+    SUP_FREE(file->path);
+    SUP_FREE(file->temporary);
+    memset(file, 0, sizeof *file);
+}
+
 /* Begin to write `path` so that it appears whole or not at all: out->stream is a new file beside it.
    End with sup_file_commit, which gives it its name, or with sup_file_abort, which removes it.
    Returns 0, or 1 with err->text set and nothing to clean up. */
@@ -157,9 +163,9 @@ SUP_FN int sup_file_open(const char *path, sup_file *out, sup_error *err) {
     out->path = (char *)sup_alloc(length + 1, 1);
     out->temporary = (char *)sup_alloc(room, 1);
     if (!out->path || !out->temporary) {
-        SUP_FREE(out->path);
-        SUP_FREE(out->temporary);
-        return sup_fail(err, "%s: out of memory", path);
+        supi_file_forget(out);
+        (void)sup_fail(err, "%s: out of memory", path);
+        return 1;
     }
     memcpy(out->path, path, length + 1);
     /* The process and the address of a block in use make the name unique even among threads. */
@@ -173,9 +179,9 @@ SUP_FN int sup_file_open(const char *path, sup_file *out, sup_error *err) {
     out->stream = fopen(out->temporary, "wb");
     if (!out->stream) {
         const int code = errno;
-        SUP_FREE(out->path);
-        SUP_FREE(out->temporary);
-        return sup_fail(err, "%s: %s", path, strerror(code));
+        supi_file_forget(out);
+        (void)sup_fail(err, "%s: %s", path, strerror(code));
+        return 1;
     }
     return 0;
 }
@@ -184,9 +190,7 @@ SUP_FN int sup_file_open(const char *path, sup_file *out, sup_error *err) {
 SUP_FN void sup_file_abort(sup_file *file) {
     (void)fclose(file->stream);
     (void)remove(file->temporary);
-    SUP_FREE(file->path);
-    SUP_FREE(file->temporary);
-    file->stream = NULL;
+    supi_file_forget(file);
 }
 
 /* Finish a file begun with sup_file_open and give it its name, replacing an older file of that name.
@@ -213,8 +217,7 @@ SUP_FN int sup_file_commit(sup_file *file, sup_error *err) {
         (void)remove(file->temporary);
         (void)sup_fail(err, "%s: %s", file->path, code ? strerror(code) : "write error");
     }
-    SUP_FREE(file->path);
-    SUP_FREE(file->temporary);
+    supi_file_forget(file);
     return failed ? 1 : 0;
 }
 

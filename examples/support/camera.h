@@ -85,7 +85,7 @@ SUP_FN void sup_camera_view(const sup_camera *camera, sup_view *out) {
 }
 
 /* The ray through the point (x, y) of a picture of width * height pixels; pixel centres are at i + 0.5.
-   org, dir   out, [3]; dir reaches from the eye to the plane at distance 1, so a depth along the viewing axis is t itself */
+   org, dir   out, [3]; dir reaches from the eye to the plane at distance 1: depth along the viewing axis is t itself */
 SUP_FN void sup_camera_ray(const sup_camera *camera, const sup_view *view, uint32_t width, uint32_t height, double x,
                            double y, float org[3], float dir[3]) {
     const double a = (2.0 * x - (double)width) / (double)height * view->tangent;
@@ -97,8 +97,9 @@ SUP_FN void sup_camera_ray(const sup_camera *camera, const sup_view *view, uint3
     }
 }
 
-/* Place the eye so that the whole box lo..hi is in a picture of the given aspect (width / height): a three-quarter view,
-   slightly from above. Uses camera->up and camera->fov; sets eye and at. An empty or infinite box counts as a unit box. */
+/* Place the eye so that the whole box lo..hi is in a picture of the given aspect (width / height): a three-quarter
+   view, slightly from above. Uses camera->up and camera->fov; sets eye and at. An empty or infinite box counts as a
+   unit box. */
 SUP_FN void sup_camera_frame(sup_camera *camera, const float lo[3], const float hi[3], double aspect) {
     static const double sideways[3] = {1.0, 0.0, 0.0}, upwards[3] = {0.0, 1.0, 0.0};
     double low[3], high[3], centre[3], up[3], side[3], front[3], direction[3], back[3], view[3], right[3], above[3];
@@ -204,7 +205,7 @@ SUP_FN size_t sup_common_options(sup_common *common, sup_option *options) {
     return n;
 }
 
-/* The camera for an object in the box lo..hi: as given by --eye, --at, --up, --fov; what is not given frames the box. */
+/* The camera for an object in the box lo..hi: by --eye, --at, --up, --fov; what is not given frames the box. */
 SUP_FN void sup_common_camera(const sup_common *common, const float lo[3], const float hi[3], sup_camera *out) {
     sup_camera framed = common->camera;
     int k;

@@ -9,9 +9,10 @@
        sup_mesh_free(&mesh);
 
    All readers: the file is read whole; every size that a file claims is checked against the bytes it has before
-   memory is taken for it (memory stays proportional to the file, at most some tens of bytes per byte); indices are checked; NaN and infinite
-   coordinates are kept; triangles with repeated corners are kept; faces with fewer than three corners are skipped
-   and counted; convex polygons become fans, concave ones are cut by ear clipping. Coordinates keep the axes of the file. */
+   memory is taken for it (memory stays proportional to the file, at most some tens of bytes per byte); indices are
+   checked; NaN and infinite coordinates are kept; triangles with repeated corners are kept; faces with fewer than
+   three corners are skipped and counted; convex polygons become fans, concave ones are cut by ear clipping.
+   Coordinates keep the axes of the file. */
 #ifndef SUP_MESH_H
 #define SUP_MESH_H
 
@@ -287,7 +288,8 @@ SUP_FN uint32_t *supi_map_at(supi_map *map, uint64_t key) {
 /* ---- normals and bounds ------------------------------------------------------------------------------------- */
 
 /* Give the mesh unit vertex normals, replacing those it has: the mean of the normals of the triangles around a vertex,
-   each weighted by its angle there (G. Thuermer, C. A. Wuethrich, Computing vertex normals from polygonal facets, 1998).
+   each weighted by its angle there (G. Thuermer, C. A. Wuethrich, Computing vertex
+   normals from polygonal facets, 1998).
    Triangles without area or with coordinates that are not finite contribute nothing; a vertex with nothing around
    it gets (0, 1, 0). Never NaN. Sums in double, in the order of the triangles.
    Returns 0, or 1 with err->text set (memory, or an index out of range). O(n); 24 bytes per vertex while it runs. */
@@ -323,7 +325,7 @@ SUP_FN int sup_mesh_compute_normals(sup_mesh *mesh, sup_error *err) {
             normal[j] = edge[0][u] * edge[1][v] - edge[0][v] * edge[1][u];
         }
         area = sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2]);
-        /* Edges that nearly cancel leave a normal that is rounding only; 1e-12 is far below what float corners can mean. */
+        /* Edges that nearly cancel leave a normal of rounding only; 1e-12 is far below what float corners can mean. */
         if (!(area > 1e-12 * length[0] * length[1]) || !(area <= DBL_MAX)) continue;
         for (k = 0; k < 3; k++) {
             const double *in = edge[(k + 2) % 3], *out = edge[k];

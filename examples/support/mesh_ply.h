@@ -354,7 +354,7 @@ SUP_FN int supi_ply_bad_index(const supi_ply *ply, uint64_t face, double index) 
     return supi_ply_fail(ply, what);
 }
 
-/* Strips: each corner makes a triangle with the two before it, every second one turned around; -1 begins a new strip. */
+/* Strips: each corner makes a triangle with the two before it, every second one turned; -1 begins a new strip. */
 SUP_FN int supi_ply_add_strip(supi_ply *ply, size_t n) {
     size_t i, start = 0;
     for (i = 0; i < n; i++) {
@@ -490,7 +490,9 @@ SUP_FN int supi_read_ply(const sup_text *text, const char *name, sup_mesh *out, 
     ply.name = name;
     ply.err = err;
     ply.mesh = out;
-    failed = supi_ply_header(&ply) || supi_ply_body(&ply);
+    /* Never NULL, so that elements without properties may point into it. */
+    ply.properties = (supi_ply_property *)sup_grow(NULL, &ply.property_capacity, 1, sizeof *ply.properties);
+    failed = ply.properties ? supi_ply_header(&ply) || supi_ply_body(&ply) : sup_fail(err, "%s: out of memory", name);
     if (!failed) {
         supi_faces_finish(&ply.faces, out);
         if (out->triangle_count == 0)

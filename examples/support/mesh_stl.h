@@ -12,7 +12,7 @@ SUP_FN uint32_t supi_little32(const char *p) {
     return b0 | (b1 << 8) | (b2 << 16) | (b3 << 24);
 }
 
-/* A binary file is as long as its count says. Many of them begin with "solid" as text files do, so the length decides. */
+/* A binary file is as long as its count says. Many begin with "solid" as text files do, so the length decides. */
 SUP_FN int supi_stl_is_binary(const char *data, size_t size) {
     return size >= 84 && (size - 84) % 50 == 0 && (size - 84) / 50 == supi_little32(data + 80);
 }

@@ -469,45 +469,47 @@ SUP_FN uint32_t supi_adler32(const uint8_t *data, size_t size) {
 SUP_FN uint32_t supi_magnitude(uint8_t value) { return value < 128 ? value : 256u - value; }
 
 /* Filter one row in all five ways and keep the one with the smallest sum of magnitudes, the measure that the PNG
-   specification suggests. row, above: n bytes behind `step` bytes of zero; candidates: five rows of n + 1 bytes. */
+   specification suggests. row, above: n bytes behind `step` bytes of zero, and 16 bytes of room; candidates: five rows
+   of n + 17 bytes. Work goes in pieces of 16 through local arrays: compilers make vector code of that. */
 SUP_FN void supi_filter_row(const uint8_t *row, const uint8_t *above, size_t n, size_t step, uint8_t *candidates,
                             uint8_t *out) {
-    uint32_t best = 0xffffffffu;
-    size_t i, k, chosen = 0;
-    if (n < 4000000u && memcmp(row, above, n) == 0) { /* all zero by the second filter: nothing beats that */
+    uint32_t sums[5] = {0, 0, 0, 0, 0};
+    size_t at, i, k, best = 0;
+    if (memcmp(row, above, n) == 0) { /* all zero by the second filter: nothing beats that */
         out[0] = 2;
         memset(out + 1, 0, n);
         return;
     }
-    for (k = 0; k < 5; k++) {
-        uint8_t *to = candidates + k * (n + 1);
-        const uint8_t *left = row - step, *corner = above - step;
-        uint32_t sum = 0;
-        *to++ = (uint8_t)k;
-        if (k == 0) {
-            memcpy(to, row, n);
-        } else if (k == 1) {
-            for (i = 0; i < n; i++) to[i] = (uint8_t)(row[i] - left[i]);
-        } else if (k == 2) {
-            for (i = 0; i < n; i++) to[i] = (uint8_t)(row[i] - above[i]);
-        } else if (k == 3) {
-            for (i = 0; i < n; i++) to[i] = (uint8_t)(row[i] - ((left[i] + above[i]) >> 1));
-        } else {
-            for (i = 0; i < n; i++) {
-                const int a = left[i], b = above[i], c = corner[i];
-                const int to_a = abs(b - c), to_b = abs(a - c), to_c = abs(a + b - 2 * c);
-                const int pick = to_b <= to_c ? b : c;
-                to[i] = (uint8_t)(row[i] - (to_a <= to_b && to_a <= to_c ? a : pick));
-            }
+    for (at = 0; at < n; at += 16) {
+        uint8_t x[16], a[16], b[16], c[16], made[5][16];
+        memcpy(x, row + at, 16);
+        memcpy(a, row + at - step, 16);
+        memcpy(b, above + at, 16);
+        memcpy(c, above + at - step, 16);
+        for (i = 0; i < 16; i++) made[0][i] = x[i];
+        for (i = 0; i < 16; i++) made[1][i] = (uint8_t)(x[i] - a[i]);
+        for (i = 0; i < 16; i++) made[2][i] = (uint8_t)(x[i] - b[i]);
+        for (i = 0; i < 16; i++) made[3][i] = (uint8_t)(x[i] - ((a[i] + b[i]) >> 1));
+        for (i = 0; i < 16; i++) {
+            const int16_t to_a = (int16_t)abs(b[i] - c[i]), to_b = (int16_t)abs(a[i] - c[i]);
+            const int16_t to_c = (int16_t)abs(a[i] + b[i] - 2 * c[i]);
+            const uint8_t pick = to_b <= to_c ? b[i] : c[i];
+            made[4][i] = (uint8_t)(x[i] - (to_a <= to_b && to_a <= to_c ? a[i] : pick));
         }
-        /* Sums saturate in theory only: a row of 2^24 bytes of 128 each still fits. */
-        for (i = 0; i < n; i++) sum += supi_magnitude(to[i]);
-        if (sum < best) {
-            best = sum;
-            chosen = k;
+        for (k = 0; k < 5; k++) {
+            const size_t used = n - at < 16 ? n - at : 16;
+            uint32_t sum = 0;
+            memcpy(candidates + k * (n + 17) + 1 + at, made[k], 16);
+            memset(made[k] + used, 0, 16 - used);
+            for (i = 0; i < 16; i++) sum += supi_magnitude(made[k][i]);
+            sums[k] += sum; /* one that wraps round, beyond 2^25 bytes, makes a poorer choice but no wrong picture */
         }
     }
-    memcpy(out, candidates + chosen * (n + 1), n + 1);
+    for (k = 1; k < 5; k++) {
+        if (sums[k] < sums[best]) best = k;
+    }
+    candidates[best * (n + 17)] = (uint8_t)best;
+    memcpy(out, candidates + best * (n + 17), n + 1);
 }
 
 SUP_FN void supi_big32(uint8_t *p, uint32_t value) {
@@ -517,7 +519,7 @@ SUP_FN void supi_big32(uint8_t *p, uint32_t value) {
     p[3] = (uint8_t)value;
 }
 
-/* CRC-32 of ISO 3309, four bits at a time: only what has been compressed goes through it. */
+/* CRC-32 of ISO 3309. One table is enough: only what has been compressed goes through it. */
 SUP_FN uint32_t supi_crc32(const uint8_t *data, size_t size) {
     uint32_t table[256], crc = 0xffffffffu, i, k;
     for (i = 0; i < 256; i++) {
@@ -542,13 +544,14 @@ SUP_FN size_t supi_begin_chunk(supi_deflate *d, const char *type) {
     return start;
 }
 
-/* Filter all rows into `out`, height rows of n + 1 bytes. scratch: two rows behind `step` zeros, five candidates. */
+/* Filter all rows into `out`, height rows of n + 1 bytes. scratch: two rows behind `step` zeros and with 16 bytes of
+   room behind them, five candidates. */
 SUP_FN void supi_png_rows(const sup_picture *picture, size_t n, size_t step, size_t stride, uint8_t *scratch,
                           uint8_t *out) {
-    uint8_t *row = scratch + step, *above = scratch + 2 * step + n, *candidates = scratch + 2 * (step + n);
+    uint8_t *row = scratch + step, *above = row + n + 16 + step, *candidates = above + n + 16;
     const uint8_t *from = (const uint8_t *)picture->pixels;
     size_t y, i;
-    memset(scratch, 0, 2 * (step + n));
+    memset(scratch, 0, 2 * (step + n + 16));
     for (y = 0; y < picture->height; y++) {
         uint8_t *swap;
         if (picture->bits == 8) {
@@ -571,7 +574,7 @@ SUP_FN void supi_png_rows(const sup_picture *picture, size_t n, size_t step, siz
 /* Encode a picture as a PNG file in memory.
    data, size  out: the file; free with SUP_FREE. NULL and 0 on error
    Returns 0, or 1 with err->text set: no rows or columns, other channels or bits, more than 2 GB of pixels, memory.
-   Memory: about the picture twice. Speed: about 60 MB of pixels a second. */
+   Memory: about the picture twice. Speed: 50 to 150 MB of pixels a second. */
 SUP_FN int sup_png_encode(const sup_picture *picture, uint8_t **data, size_t *size, sup_error *err) {
     static const uint8_t signature[8] = {0x89, 'P', 'N', 'G', '\r', '\n', 0x1a, '\n'};
     static const uint8_t colour_type[5] = {0, 0, 4, 2, 6};
@@ -600,7 +603,7 @@ SUP_FN int sup_png_encode(const sup_picture *picture, uint8_t **data, size_t *si
     if (stride < n)
         return sup_fail(err, "the rows of a picture overlap: stride %lu, row %lu bytes", (unsigned long)stride,
                         (unsigned long)n);
-    scratch = (uint8_t *)sup_alloc(2 * step + 7 * n + 5, 1);
+    scratch = (uint8_t *)sup_alloc(n + 32, 8); /* covers 2 * (step + n + 16) + 5 * (n + 17) */
     rows = (uint8_t *)sup_alloc(raw, 1);
     d = (supi_deflate *)sup_alloc(1, sizeof *d);
     failed = !scratch || !rows || !d;
@@ -678,7 +681,7 @@ SUP_FN int sup_png_write8(const char *path, const uint8_t *pixels, uint32_t widt
     return sup_png_write(path, &picture, err);
 }
 
-/* Write floats as the PFM file `path`, whole or not at all: little-endian, rows from bottom to top as that format has it.
+/* Write floats as the PFM file `path`, whole or not at all: little-endian, rows from bottom to top as that format has.
    pixels    in, [width * height * channels], rows from top to bottom, linear
    channels  1 or 3
    Returns 0, or 1 with err->text set. */

@@ -2,7 +2,6 @@
 #include "../../examples/support/mesh.h"
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
-
 /* The materials of an OBJ: the file itself, so that the fuzzer reaches that reader too. */
 static int open_itself(void *user, const char *name, char **data, size_t *size) {
     const sup_text *text = (const sup_text *)user;

@@ -1,49 +1,54 @@
-/* fuzz_vox.c - any bytes as a voxel file. What is accepted must be safe to use and come back unchanged when it is saved
-   and loaded. Checksums are made right first: otherwise only they would be tested. */
-#include <stdlib.h>
+/* fuzz_vox.c - any bytes as a voxel file: what is accepted is used, and is the same after it was saved and loaded.
+   Checksums are made right first, otherwise only they would be tested. */
+#define _POSIX_C_SOURCE 200112L
 #define VOXRT_IMPLEMENTATION
 #include "../../voxrt.h"
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
-static void use(const voxrt_tree *t, int encoding) {
-    voxrt_tree_info f;
+static void use(voxrt_tree *t) {
+    uint8_t *file;
+    size_t size = 0, i;
+    voxrt_tree *again = NULL;
     voxrt_ray r;
     voxrt_hit hit;
-    voxrt_save_desc d;
-    voxrt_tree *again = NULL;
-    uint8_t *p = NULL;
-    size_t size = 0, k, a;
-    memset(&d, 0, sizeof d);
-    voxrt_tree_get_info(t, &f);
-    for (k = 0; k < 4; k++) {
+    if (t == NULL) return;
+    for (i = 0; i < 4; i++) {
+        double cells[3];
+        size_t a;
+        for (a = 0; a < 3; a++) cells[a] = (i + a) % 3 == 0 ? -3.0 : (double)t->cell_max[a];
         memset(&r, 0, sizeof r);
-        for (a = 0; a < 3; a++) r.org[a] = (float)(f.world_origin[a] + f.voxel_size * ((k + a) % 3 ? -1.0 : f.cell_max[a]));
-        for (a = 0; a < 3; a++) r.dir[a] = (float)(f.world_origin[a] + f.voxel_size * f.cell_min[a]) - r.org[a];
+        for (a = 0; a < 3; a++) r.org[a] = (float)(t->origin[a] + t->voxel_size * cells[a]);
+        for (a = 0; a < 3; a++) r.dir[a] = (float)(t->origin[a] + t->voxel_size * t->cell_min[a]) - r.org[a];
         r.t_max = 1e30f;
-        if (voxrt_trace1(t, &r, &hit)) voxrt_hit_color(t, &hit, (uint8_t *)&a);
+        if (voxrt_trace1(t, &r, &hit)) voxrt_hit_normal(t, &hit, r.dir);
     }
-    (void)voxrt_tree_get(t, f.depth, f.cell_min[0], f.cell_min[1], f.cell_min[2], NULL);
-    d.encoding = (voxrt_encoding)encoding;
-    if (voxrt_tree_save_memory(t, &d, NULL, 0, &size) == VOXRT_OK) p = (uint8_t *)malloc(size);
-    if (p == NULL || voxrt_tree_save_memory(t, &d, p, size, &size) != VOXRT_OK) abort();
-    if (voxrt_tree_load_memory(NULL, p, size, &again) != VOXRT_OK || voxrt_tree_hash(again) != voxrt_tree_hash(t)) abort();
+    (void)voxrt_tree_get(t, t->depth, t->cell_min[0], t->cell_min[1], t->cell_min[2], NULL);
+    if (voxrt_tree_save_memory(t, NULL, NULL, 0, &size) || (file = (uint8_t *)malloc(size)) == NULL) abort();
+    if (voxrt_tree_save_memory(t, NULL, file, size, &size)) abort();
+    if (voxrt_tree_load_memory(NULL, file, size, &again) || voxrt_tree_hash(again) != voxrt_tree_hash(t)) abort();
+    free(file);
     voxrt_tree_destroy(again);
-    free(p);
+    voxrt_tree_destroy(t);
 }
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
-    uint8_t *p = (uint8_t *)malloc(size + 64), *q = p + (64 - ((uintptr_t)p & 63u)) % 64;
+    void *copy = NULL;
     voxrt_load_desc d;
+    voxrt_octree_desc od;
     voxrt_tree *t = NULL;
+    voxrt_octree *o = NULL;
     memset(&d, 0, sizeof d);
+    memset(&od, 0, sizeof od);
     d.env.thread_count = 1;
     d.env.memory_limit = (size_t)1 << 26;
-    if (size != 0) memcpy(q, data, size);
-    if (voxrt_file_kind(q, size) == 5) voxrti_v5_seal(q, size);
-    if (voxrt_tree_load_memory(&d, q, size, &t) == VOXRT_OK) use(t, 0);
-    voxrt_tree_destroy(t);
-    if (voxrt_tree_map_memory(&d, q, size, &t) == VOXRT_OK) use(t, 1);
-    voxrt_tree_destroy(t);
-    free(p);
+    od.env = d.env;
+    if (posix_memalign(&copy, 64, size + !size) != 0) return 0;
+    if (size != 0) memcpy(copy, data, size);
+    if (voxrt_file_kind(copy, size) == 5) voxrti_v5_seal((uint8_t *)copy, size);
+    if (voxrt_tree_load_memory(&d, copy, size, &t) == VOXRT_OK) use(t);
+    if (voxrt_tree_map_memory(&d, copy, size, &t) == VOXRT_OK) use(t);
+    if (voxrt_octree_load_memory(&od, copy, size, &o) == VOXRT_OK && voxrt_tree_from_octree(&od, o, &t) == VOXRT_OK) use(t);
+    voxrt_octree_destroy(o);
+    free(copy);
     return 0;
 }
