@@ -107,7 +107,8 @@ static int read_mesh(const char *program, const convert_options *o, sup_mesh *me
     }
     /* Generated rooms are seen from inside; files that face inwards are mostly mistakes. */
     *turned = o->scene == NULL && !o->keep_inside_out && turn_outwards(mesh);
-    if (o->normals == NORMALS_SMOOTH && mesh->normals == NULL && mesh->triangle_count > 0 && sup_mesh_compute_normals(mesh, &err)) {
+    /* Generated meshes without normals have sharp edges. */
+    if (o->scene == NULL && o->normals == NORMALS_SMOOTH && mesh->normals == NULL && mesh->triangle_count > 0 && sup_mesh_compute_normals(mesh, &err)) {
         return sup_bad_input(program, err.text);
     }
     return 0;

@@ -438,7 +438,7 @@ TEST(coded_sections_by_hand) {
     /* depth 2, one node, all 64 voxels: octant mask 255 in context 0, eight bytes 255 in context 128 + 127 */
     static const uint8_t good[4] = {0, 0, 1, 0};
     uint32_t test;
-    for (test = 0; test < 12; test++) {
+    for (test = 0; test < 13; test++) {
         uint8_t file[2048], *p = file, *s, *e;
         voxrt_tree *t = NULL, *u = NULL;
         cells c;
@@ -463,7 +463,8 @@ TEST(coded_sections_by_hand) {
         put(s, 4, 1);
         n = 10;
         for (i = 0; i < 258; i++) {
-            s[n++] = (uint8_t)(i < 2 ? (test == 1 ? 2 - i : test == 2 ? 2 : 1) : 0);
+            if (test == 12 && i == 0) { s[n++] = 0x81; s[n++] = 0; } /* 1 in two bytes */
+            else s[n++] = (uint8_t)(i < 2 ? (test == 1 ? 2 - i : test == 2 ? 2 : 1) : 0);
             if (i >= 2) continue;
             if (test == 1 && i == 0) { s[n++] = 255; s[n++] = 0x80; s[n++] = 0x10; s[n++] = 255; s[n++] = 0x80; s[n++] = 0x10; } /* twice */
             else if (test == 2) { s[n++] = 255; s[n++] = 0x80; s[n++] = 0x10; s[n++] = 254; s[n++] = 1; }                         /* descending, too much */
@@ -480,6 +481,7 @@ TEST(coded_sections_by_hand) {
         if (test == 8) s[n - 2] = 0;            /* begins in a state that does not exist */
         if (test == 9) { s[n++] = 0; s[n++] = 0; } /* a word too many */
         put(s + 8, 2, test == 9 ? 6 : test == 10 ? 2 : 4);
+        if (test == 10) n -= 2;
         if (test == 11) put(s, 4, 2);
         put(e + 16, 8, n);
         size = (size_t)(s - file) + n;
@@ -755,7 +757,7 @@ TEST(every_byte_changed) {
             REQUIRE(t != NULL);
             p = save(t, encoding, &size);
             REQUIRE(p != NULL);
-            step = size > 3000 ? (test_quick() || TEST_SANITIZED ? 29 : 5) : 1;
+            step = size > 3000 ? (test_quick() || TEST_SANITIZED ? 29 : 11) : 1;
             for (k = 0; k < size; k += step) {
                 was = p[k];
                 for (bit = 0; bit < 8; bit += 3) { /* found as it is: each byte is covered */
@@ -888,22 +890,18 @@ TEST(versions_and_sections) {
             CHECK_EQ_U64(try_load(q, end + move + 5), id == 0 ? VOXRT_OK : VOXRT_ERR_VERSION);
             if (id == 0) { /* two of them: only in order */
                 uint32_t second;
-                size_t last = end + move + 64;
+                size_t from = at + move, more = 64 + (n + 2) * 40 > from ? 64 : 0, last = end + move + 64 + more;
                 put(q + 14, 2, n + 2);
-                for (i = 0; i < n + 1; i++) put(q + 64 + 40 * i + 8, 8, get(q + 64 + 40 * i + 8, 8) + 64);
-                memmove(q + at + 64, q + at, last - at);
-                memset(q + at, 0, 64);
-                memset(q + last + 5, 0, 59);
-                put(e + 40, 4, 0);
-                put(e + 44, 4, 0);
-                put(e + 48, 8, last + 64);
+                for (i = 0; i < n + 1; i++) put(q + 64 + 40 * i + 8, 8, get(q + 64 + 40 * i + 8, 8) + more);
+                memmove(q + from + more, q + from, end + move + 64 - from);
+                memset(q + 64 + 40 * (n + 1), 0, from + more - (64 + 40 * (n + 1)));
+                put(e + 48, 8, last);
                 put(e + 56, 8, 1);
-                put(e + 64, 8, 0);
-                put(q + 16, 8, last + 65);
+                put(q + 16, 8, last + 1);
                 for (second = 0; second < 3; second++) {
                     put(e + 40, 4, 0x80000000u + second);
-                    seal(q, last + 65);
-                    CHECK_EQ_U64(try_load(q, last + 65), second == 2 ? VOXRT_OK : VOXRT_ERR_FORMAT);
+                    seal(q, last + 1);
+                    CHECK_EQ_U64(try_load(q, last + 1), second == 2 ? VOXRT_OK : VOXRT_ERR_FORMAT);
                 }
                 continue;
             }
@@ -994,6 +992,17 @@ TEST(wrong_counts_without_attributes) {
             AGAIN(); put(q + place + 104 + 4 * i, 4, get(q + place + 104 + 4 * i, 4) + 1); EXPECT(VOXRT_ERR_FORMAT);
         }
         AGAIN(); put(q + 56, 8, get(q + 56, 8) + 1); EXPECT(VOXRT_ERR_FORMAT);
+        for (i = 1; encoding == 0 && i < t->wide; i++) { /* one node more or less, wherever it is counted */
+            uint32_t k, less;
+            for (less = 0; less < 2; less++) {
+                uint64_t change = less ? ~(uint64_t)0 : 1;
+                AGAIN();
+                put(q + place + 64 + 4 * i, 4, get(q + place + 64 + 4 * i, 4) + change);
+                put(q + 48, 8, get(q + 48, 8) + change);
+                for (k = 0; k < 6; k++) if (entry(q, 6) == q + 64 + 40 * k) put(q + 64 + 40 * k + 24, 8, get(q + 48, 8));
+                EXPECT(VOXRT_ERR_FORMAT);
+            }
+        }
         free(q);
         free(p);
     }
@@ -1019,15 +1028,15 @@ TEST(wrong_counts_without_attributes) {
 /* Files of a few hundred bytes that speak of billions. */
 TEST(hostile_counts) {
     int kind, encoding;
-    for (kind = 0; kind < 4; kind++)
+    for (kind = 0; kind < 8; kind++)
         for (encoding = 0; encoding < 2; encoding++) {
-            voxrt_tree *t = make_tree(kind, 0, 1), *u = NULL;
+            voxrt_tree *t = make_tree(kind / 2, 0, kind & 1), *u = NULL;
             voxrt_load_desc d;
             test_alloc ta;
             size_t size, place;
             uint8_t *p, *e;
             uint32_t id, wide;
-            uint64_t nodes;
+            uint64_t nodes, attributes = 4200000000u;
             REQUIRE(t != NULL);
             wide = t->wide;
             p = save(t, encoding, &size);
@@ -1037,12 +1046,14 @@ TEST(hostile_counts) {
             put(p + place + 64 + 4 * (wide - 1), 4, nodes);
             put(p + place + 104 + 4 * (wide - 1), 4, 4000000000u);
             for (id = 0; id + 1 < wide; id++) nodes += get(p + place + 64 + 4 * id, 4);
+            for (id = 0; id < wide; id++) attributes += get(p + place + 104 + 4 * id, 4);
+            attributes += nodes;
             put(p + 48, 8, nodes);
             put(p + 56, 8, 4200000000u);
             if (encoding == 0) put(p + get(entry(p, 6) + 8, 8), 4, wide - 1 + (wide > 1 ? 976563u : 1u));
             for (id = 3; id < 8; id++) {
                 e = entry(p, id);
-                if (e != NULL) put(e + 24, 8, id == 7 ? 8200000000u : id == 6 ? nodes : 4000000000u);
+                if (e != NULL) put(e + 24, 8, id == 7 ? attributes : id == 6 ? nodes : 4000000000u);
             }
             seal(p, size);
             for (id = 0; id < 2; id++) {

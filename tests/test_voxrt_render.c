@@ -362,14 +362,13 @@ static double to_srgb(double c) {
 static void shade_oracle(const voxrt_render_desc *d, const voxrt_material *m, const picture *p, uint32_t x, uint32_t y,
                          const uint8_t rgb[3], double out[3]) {
     voxrt_ray r;
-    double point[3], n[3], view = 0, len = 0;
+    double point[3], n[3], len = 0;
     size_t l;
     uint32_t a;
     CHECK(voxrt_camera_ray(&d->camera, p->m.width, p->m.height, x + 0.5, y + 0.5, &r) == VOXRT_OK);
     for (a = 0; a < 3; a++) {
         point[a] = (double)r.org[a] + (double)depth_at(p, x, y) * (double)r.dir[a];
         n[a] = (double)normal_at(p, x, y)[a];
-        view += n[a] * (double)r.dir[a];
         len += (double)r.dir[a] * (double)r.dir[a];
     }
     for (a = 0; a < 3; a++) out[a] = 0;

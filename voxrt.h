@@ -1,0 +1,10166 @@
+/* voxrt.h - v0.1.0 - sparse voxel octrees: build, file, ray traversal, pictures - MIT OR Unlicense, see end of file
+   SPDX-License-Identifier: MIT OR Unlicense */
+#ifndef VOXRT_H_INCLUDED
+#define VOXRT_H_INCLUDED
+#include <stddef.h>
+#include <stdint.h>
+
+#define VOXRT_VERSION_MAJOR 0
+#define VOXRT_VERSION_MINOR 1
+#define VOXRT_VERSION_PATCH 0
+#define VOXRT_VERSION (VOXRT_VERSION_MAJOR * 1000000 + VOXRT_VERSION_MINOR * 1000 + VOXRT_VERSION_PATCH)
+
+#define VOXRT_MAX_DEPTH 20          /* a tree has at most 2^20 cells along an axis */
+#define VOXRT_MAX_VOXELIZE_DEPTH 16 /* a mesh is voxelised at 2^16 at most (exact 64-bit predicates) */
+#define VOXRT_NO_NODE 0xffffffffu   /* voxrt_hit.node of a miss */
+
+#ifndef VOXRT_DEF
+#  ifdef VOXRT_STATIC
+#    if defined(__GNUC__) || defined(__clang__)
+#      define VOXRT_DEF static __attribute__((unused))
+#    else
+#      define VOXRT_DEF static
+#    endif
+#  else
+#    define VOXRT_DEF extern
+#  endif
+#endif
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* ---- results, memory, threads ---- */
+
+#define VOXRT_RESULT_LIST(X) \
+    X(OK, 0, "success") \
+    X(ERR_INVALID_ARG, 1, "invalid argument") \
+    X(ERR_UNINIT_DESC, 2, "desc struct was not zero-initialised") \
+    X(ERR_NO_MEMORY, 3, "out of memory, or memory_limit reached") \
+    X(ERR_TRUNCATED, 4, "data ends early") \
+    X(ERR_FORMAT, 5, "malformed data") \
+    X(ERR_VERSION, 6, "unknown format version") \
+    X(ERR_IO, 7, "file could not be read or written") \
+    X(ERR_CANCELLED, 8, "cancelled by the progress callback") \
+    X(ERR_RANGE, 9, "a size is out of the supported range") \
+    X(ERR_EMPTY, 10, "nothing to build: no usable triangle or voxel") \
+    X(ERR_CHECKSUM, 11, "checksum mismatch: the data is damaged")
+
+typedef enum voxrt_result {
+#define VOXRTI_X(name, value, text) VOXRT_##name = value,
+    VOXRT_RESULT_LIST(VOXRTI_X)
+#undef VOXRTI_X
+    VOXRT_RESULT_FORCE_32BIT = 0x7fffffff
+} voxrt_result;
+
+/* What went wrong and where. `where` is a byte offset, a triangle or a voxel index, as `text` says. */
+typedef struct voxrt_error {
+    voxrt_result code;
+    uint64_t where;
+    char text[200];
+} voxrt_error;
+
+typedef struct voxrt_allocator {
+    void *(*alloc_fn)(size_t size, void *user); /* 16-byte aligned, or NULL; any thread */
+    void (*free_fn)(void *ptr, size_t size, void *user);
+    void *user;
+} voxrt_allocator;
+
+typedef void voxrt_task_fn(void *task_ctx, uint32_t index);
+typedef struct voxrt_parallel { /* run task(ctx, i) once for each i in [0, count), return when all are done */
+    void (*for_fn)(voxrt_task_fn *task, void *task_ctx, uint32_t count, void *user);
+    void *user;
+} voxrt_parallel;
+
+/* Where memory, threads and messages come from; part of every desc. All zero: malloc, one thread per core,
+   no limit, silent. */
+typedef struct voxrt_env {
+    voxrt_allocator allocator;
+    voxrt_parallel parallel;  /* set: the host's job system runs the work, no thread is started */
+    uint32_t thread_count;    /* 0: one per core; 1: never start a thread */
+    size_t memory_limit;      /* bytes that one call and its results may hold at once; 0: none */
+    int (*progress_fn)(void *user, uint64_t done, uint64_t total); /* non-zero cancels; called by one thread */
+    void *progress_user;
+    voxrt_error *error;       /* receives the place and the reason of a failure; may be NULL */
+} voxrt_env;
+
+/* ---- building ---- */
+
+/* Triangles to voxelise. Borrowed for the call. */
+typedef struct voxrt_mesh {
+    const float *positions;        /* xyz per vertex, any unit */
+    size_t vertex_count;
+    size_t position_stride;        /* bytes, 0: 12 */
+    const uint32_t *indices;       /* 3 per triangle; NULL: vertices 3i, 3i+1, 3i+2 */
+    size_t triangle_count;
+    const float *normals;          /* xyz per vertex, need not be unit; NULL: the triangle's own normal */
+    size_t normal_stride;          /* bytes, 0: 12 */
+    const uint8_t *vertex_rgb;     /* sRGB bytes per vertex, interpolated in linear light; or NULL */
+    size_t vertex_rgb_stride;      /* bytes, 0: 3 */
+    const uint8_t *triangle_rgb;   /* sRGB bytes, 3 per triangle, wins over vertex_rgb; or NULL */
+} voxrt_mesh;
+
+/* One filled cell. */
+typedef struct voxrt_voxel {
+    uint32_t x, y, z;
+    uint8_t rgb[3];        /* sRGB */
+    uint8_t has_normal;
+    float normal[3];
+} voxrt_voxel;
+
+typedef enum voxrt_separating {
+    VOXRT_SEPARATING_6 = 0,      /* every 6-connected path through the surface meets a voxel (default) */
+    VOXRT_SEPARATING_26 = 1,     /* every voxel the surface touches (conservative) */
+    VOXRT_SEPARATING_THESIS = 2, /* the scan converter of the 2009 thesis: has gaps, for comparison */
+    VOXRT_SEPARATING_FORCE_32BIT = 0x7fffffff
+} voxrt_separating;
+
+typedef enum voxrt_palette_method {
+    VOXRT_PALETTE_OKLAB = 0,  /* pairwise nearest neighbour in Oklab, Ward cost, then k-means (default) */
+    VOXRT_PALETTE_THESIS = 1, /* pair merging in RGB with drift damping */
+    VOXRT_PALETTE_FORCE_32BIT = 0x7fffffff
+} voxrt_palette_method;
+
+typedef enum voxrt_lod_method {
+    VOXRT_LOD_MEAN = 0,     /* mean colour in linear light, mean normal, weighted by filled leaves (default) */
+    VOXRT_LOD_MAJORITY = 1, /* colour of most children, as in the thesis; mean normal of the children */
+    VOXRT_LOD_FORCE_32BIT = 0x7fffffff
+} voxrt_lod_method;
+
+/* field           zero means
+   resolution      1024 cells along the longest side of the mesh
+   separating      6-separating
+   palette_size    32767 colours (15 bits); up to 16777216
+   margin          half a voxel kept free on each side (thesis: the same); a fixed box: set box_size > 0 */
+typedef struct voxrt_build_desc {
+    uint32_t _begin_zero;
+    voxrt_env env;
+    uint32_t resolution;
+    voxrt_separating separating;
+    uint32_t palette_size;
+    voxrt_palette_method palette_method;
+    voxrt_lod_method lod_method;
+    uint32_t disable_colors;  /* 1: one colour (white) for all */
+    uint32_t disable_normals; /* 1: shade by the face that was hit */
+    uint32_t fill;            /* 1: fill closed hulls; cells get the attributes of the nearest surface voxel */
+    uint32_t fill_depth;      /* with fill: only this many voxels deep, 0: all */
+    uint32_t strict;          /* 1: bad triangles are an error instead of being skipped and counted */
+    double box_min[3];        /* with box_size > 0: the world cube that maps to the whole grid */
+    double box_size;
+    uint32_t _end_zero;
+} voxrt_build_desc;
+
+typedef struct voxrt_build_stats {
+    uint64_t triangles;   /* given */
+    uint64_t rejected;    /* NaN, infinite or out-of-range index: left out */
+    uint64_t degenerate;  /* zero area at grid precision: kept as a line or a point of voxels */
+    uint64_t fragments;   /* triangle-voxel pairs */
+    uint64_t voxels;      /* filled leaves */
+    uint64_t colors_in;   /* distinct colours before the palette */
+    uint64_t peak_bytes;  /* most memory held at once */
+} voxrt_build_stats;
+
+typedef struct voxrt_tree voxrt_tree;     /* wide tree: 64-bit masks, what everything traces by default */
+typedef struct voxrt_octree voxrt_octree; /* the thesis' octree: 8 bytes a voxel, 8 children a block */
+
+typedef struct voxrt_tree_info {
+    uint32_t depth;          /* octree levels below the root: 2^depth cells along an axis */
+    uint32_t resolution;     /* as asked for at build time, <= 2^depth */
+    double world_origin[3];  /* world position of grid corner (0,0,0) */
+    double voxel_size;       /* world edge of a leaf voxel */
+    uint32_t cell_min[3], cell_max[3]; /* box of the filled leaves, max exclusive */
+    uint32_t has_colors, has_normals;
+    uint32_t palette_count;
+    uint64_t voxel_count;    /* filled leaves */
+    uint64_t level_count[VOXRT_MAX_DEPTH + 1]; /* non-empty cells of each octree level, 0 = root */
+    uint64_t geometry_bytes; /* masks and what traversal and addressing need */
+    uint64_t color_bytes, normal_bytes, total_bytes;
+} voxrt_tree_info;
+
+/* Voxelise a mesh and build the tree with colours, normals and all levels of detail.
+   desc   in, NULL: all defaults
+   mesh   in, borrowed; triangles with a NaN, infinite or missing vertex are skipped and counted
+   stats  out, may be NULL
+   The result depends on the triangles as a set, not on their order nor on threads. Cost: O(triangles + voxels);
+   holds about 12 bytes a voxel at its peak. Errors: INVALID_ARG, UNINIT_DESC, RANGE, EMPTY, NO_MEMORY, CANCELLED.
+   Thread safety: calls are independent. Source: Laine 2013 (6), Schwarz & Seidel 2010 (26), thesis 3.1.3. */
+VOXRT_DEF voxrt_result voxrt_tree_build(const voxrt_build_desc *desc, const voxrt_mesh *mesh, voxrt_build_stats *stats,
+                                        voxrt_tree **out_tree);
+
+/* Build a tree from a list of filled cells in any order; of cells given twice the means are kept.
+   depth in 1..VOXRT_MAX_DEPTH; coordinates below 2^depth (else RANGE, error->where = the voxel's index). One voxel
+   is a unit cube, the grid's corner is the world's origin; desc's box_min and box_size override that.
+   Otherwise as voxrt_tree_build. */
+VOXRT_DEF voxrt_result voxrt_tree_from_voxels(const voxrt_build_desc *desc, const voxrt_voxel *voxels, size_t count,
+                                              uint32_t depth, voxrt_tree **out_tree);
+
+VOXRT_DEF void voxrt_tree_destroy(voxrt_tree *tree); /* NULL is allowed */
+VOXRT_DEF void voxrt_tree_get_info(const voxrt_tree *tree, voxrt_tree_info *info);
+
+/* Look up cell (x, y, z) of an octree level (0 = root, depth = leaves).
+   Returns 1 and fills `out` (may be NULL) if anything in the cell is filled, else 0. out->normal is a unit vector,
+   or zero with has_normal = 0. Any thread. O(depth). */
+VOXRT_DEF int voxrt_tree_get(const voxrt_tree *tree, uint32_t level, uint32_t x, uint32_t y, uint32_t z, voxrt_voxel *out);
+
+/* Call fn for every non-empty cell of an octree level in Morton order (x fastest, z slowest bit of each triple).
+   fn returns non-zero to stop; that value is returned. */
+VOXRT_DEF int voxrt_tree_each(const voxrt_tree *tree, uint32_t level,
+                              int (*fn)(void *user, const voxrt_voxel *voxel, uint32_t palette_index), void *user);
+
+/* The palette: 3 sRGB bytes an entry. Owned by the tree. */
+VOXRT_DEF const uint8_t *voxrt_tree_palette(const voxrt_tree *tree, uint32_t *out_count);
+
+/* 64-bit hash of occupancy, attributes and placement: equal trees have equal hashes on every machine. */
+VOXRT_DEF uint64_t voxrt_tree_hash(const voxrt_tree *tree);
+
+/* ---- rays ---- */
+
+typedef enum voxrt_isa {
+    VOXRT_ISA_AUTO = 0,
+    VOXRT_ISA_SCALAR = 1,
+    VOXRT_ISA_SSE = 2,
+    VOXRT_ISA_AVX2 = 3,
+    VOXRT_ISA_AVX512 = 4,
+    VOXRT_ISA_FORCE_32BIT = 0x7fffffff
+} voxrt_isa;
+
+/* 32 bytes. A hit has t_min <= t < t_max, t in units of dir's length. */
+typedef struct voxrt_ray {
+    float org[3];
+    float t_min;
+    float dir[3]; /* need not be unit length; components may be 0 or -0 */
+    float t_max;
+} voxrt_ray;
+
+/* 24 bytes. On a miss t = INFINITY, node = VOXRT_NO_NODE, level = 0 and the rest 0. */
+typedef struct voxrt_hit {
+    float t;
+    uint32_t cell[3];  /* of the octree level `level` */
+    uint32_t node;     /* wide node that holds the cell; with `slot` the handle of its attributes */
+    uint8_t slot;      /* bit of the node's mask, or octant*8 when level is an octant level */
+    uint8_t level;     /* octree level of the cell that was hit; the tree's depth unless level of detail stopped it */
+    uint8_t face;      /* face through which the ray entered: 0 -x, 1 +x, 2 -y, 3 +y, 4 -z, 5 +z, 6 origin inside */
+    uint8_t _reserved;
+} voxrt_hit;
+
+typedef struct voxrt_stats { /* added to, so that many calls sum up */
+    uint64_t rays, hits, bad_rays;
+    uint64_t steps;    /* cells left (outer iterations) */
+    uint64_t descents; /* nodes entered (inner iterations) */
+} voxrt_stats;
+
+/* field          zero means
+   cone_width     a ray is a line. A cell whose edge (world) is <= cone_width + cone_spread * t counts as a leaf
+   cone_spread    growth of the footprint per unit of t
+   max_level      no limit; k: octree level k is the finest (k+1 is given, so 1 = root only) */
+typedef struct voxrt_trace_desc {
+    uint32_t _begin_zero;
+    voxrt_isa isa;
+    float cone_width, cone_spread;
+    uint32_t max_level_plus_1;
+    voxrt_stats *stats; /* NULL: not counted, which is faster */
+    uint32_t _end_zero;
+} voxrt_trace_desc;
+
+/* Closest filled cell along each ray, on the calling thread.
+   desc   in, NULL: defaults
+   rays   in, [count]; world units
+   hits   out, [count]; must not overlap rays
+   Rays with a NaN or infinite origin or direction, direction 0, or t_min > t_max report a miss (bad_rays counts
+   them). Runs of rays with one origin (camera tiles) are found and start together behind the empty space that all
+   of them cross. The cells visited are 6-connected and ordered by exact events: nothing slips through a surface.
+   The same bits for every isa and every grouping of rays. Errors: INVALID_ARG, UNINIT_DESC.
+   Thread safety: any number of threads on one tree. Allocates nothing. */
+VOXRT_DEF voxrt_result voxrt_trace(const voxrt_tree *tree, const voxrt_trace_desc *desc, const voxrt_ray *rays,
+                                   voxrt_hit *hits, size_t count);
+
+/* Is anything hit in [t_min, t_max)?  occluded out, [count], 0 or 1; exactly when voxrt_trace reports a hit. */
+VOXRT_DEF voxrt_result voxrt_occluded(const voxrt_tree *tree, const voxrt_trace_desc *desc, const voxrt_ray *rays,
+                                      uint8_t *occluded, size_t count);
+
+/* One ray; returns 1 on a hit. The scalar path of voxrt_trace. */
+VOXRT_DEF int voxrt_trace1(const voxrt_tree *tree, const voxrt_ray *ray, voxrt_hit *hit);
+
+/* Attributes of a hit. rgb: sRGB bytes; normal: unit vector facing as stored, or the face that was hit when the tree
+   has no normals. hit must be a hit of this tree. Any thread. */
+VOXRT_DEF void voxrt_hit_color(const voxrt_tree *tree, const voxrt_hit *hit, uint8_t rgb[3]);
+VOXRT_DEF void voxrt_hit_normal(const voxrt_tree *tree, const voxrt_hit *hit, float normal[3]);
+
+/* ---- the octree of the thesis ---- */
+
+/* 8 bytes. Voxel i of a block of 8 is child i = (x >= mid) + 2 (y >= mid) + 4 (z >= mid) of its parent.
+   Normal: (sin t cos p, sin t sin p, cos t) with t = theta pi/256, p = phi pi/128. */
+typedef struct voxrt_octree_voxel {
+    uint16_t index;    /* 0: transparent; i: palette entry i-1 */
+    uint8_t theta;
+    int8_t phi;
+    uint32_t children; /* number of the block of its 8 children, voxels 8*children...; 0: a leaf */
+} voxrt_octree_voxel;
+
+/* field             zero means
+   box_min, box_size one voxel is a unit cube and the grid's corner the world's origin; box_size > 0: the world cube
+                     that the root covers. Not for from_tree, which keeps the tree's
+   lod_majority      inner voxels get the tree's own level of detail. 1: recompute it as voxrt_octree_build_lod
+   disable_collapse  8 equal leaves become one when the octree is made from a tree
+   grid_level        start grid of 64 cells an axis (level 7) for trees that deep; g: 2^(g-1), 1..10
+   disable_grid      1: no start grid
+   flip_y, flip_z    files whose y or z runs the other way: children and normals are mirrored
+   swap_angles       1: files with phi before theta */
+typedef struct voxrt_octree_desc {
+    uint32_t _begin_zero;
+    voxrt_env env;
+    double box_min[3], box_size;
+    uint32_t lod_majority;
+    uint32_t disable_collapse;
+    uint32_t grid_level, disable_grid;
+    uint32_t flip_y, flip_z, swap_angles;
+    uint32_t _end_zero;
+} voxrt_octree_desc;
+
+typedef struct voxrt_octree_info {
+    uint32_t depth;          /* levels below the root: 2^depth leaf cells along an axis (thesis: level depth + 1) */
+    double world_origin[3];  /* world position of grid corner (0,0,0) */
+    double voxel_size;       /* world edge of a leaf of the deepest level */
+    uint32_t palette_count;
+    uint32_t has_normals;
+    uint32_t grid_level;     /* 0: none */
+    uint64_t voxel_count;    /* nodes + leaves = 8 * nodes + 1 */
+    uint64_t node_count, leaf_count;
+    uint64_t filled_leaves;  /* leaves that are not transparent, of any size */
+    uint64_t level_count[VOXRT_MAX_DEPTH + 1]; /* voxels of each level, 0 = root */
+    uint64_t voxel_bytes;    /* 8 * voxel_count, what the thesis counts */
+    uint64_t grid_bytes, total_bytes;
+} voxrt_octree_info;
+
+/* An octree of one transparent leaf.
+   desc     in, NULL: all defaults
+   depth    0..VOXRT_MAX_DEPTH
+   palette  in, 3 sRGB bytes an entry, copied; palette_count 0..32767 (else RANGE)
+   Errors: INVALID_ARG, UNINIT_DESC, RANGE, NO_MEMORY. Thread safety: calls are independent. */
+VOXRT_DEF voxrt_result voxrt_octree_create(const voxrt_octree_desc *desc, uint32_t depth, const uint8_t *palette,
+                                           uint32_t palette_count, voxrt_octree **out_octree);
+
+/* Convert. Same cells, same palette (index = entry + 1; more than 32767 entries: RANGE), placement kept. Normals go from
+   octahedral to spherical codes, each rounded to the nearest: up to 0.79 degrees off. Blocks stand in pre-order.
+   O(voxels), 64 bytes a node. Errors: INVALID_ARG, UNINIT_DESC, RANGE, NO_MEMORY. */
+VOXRT_DEF voxrt_result voxrt_octree_from_tree(const voxrt_octree_desc *desc, const voxrt_tree *tree,
+                                              voxrt_octree **out_octree);
+
+/* Convert back. Same cells (large filled leaves become voxels), same palette and indices of the leaves; levels of detail
+   by majority; normals to octahedral codes, each rounded to the nearest: up to 0.64 degrees off. Only env of desc is
+   used. EMPTY: nothing is filled. RANGE: 2^32 - 2 voxels or more. Otherwise as voxrt_octree_from_tree. */
+VOXRT_DEF voxrt_result voxrt_tree_from_octree(const voxrt_octree_desc *desc, const voxrt_octree *octree,
+                                              voxrt_tree **out_tree);
+
+VOXRT_DEF void voxrt_octree_destroy(voxrt_octree *octree); /* NULL is allowed */
+VOXRT_DEF void voxrt_octree_get_info(const voxrt_octree *octree, voxrt_octree_info *info); /* O(voxels) */
+
+/* The voxels as they are in memory: voxel 0 is the root, 1..7 are unused, then blocks of 8. A child's block has a higher
+   number than its parent's. Owned by the octree; valid until it is changed. */
+VOXRT_DEF const voxrt_octree_voxel *voxrt_octree_voxels(const voxrt_octree *octree, size_t *out_count);
+VOXRT_DEF const uint8_t *voxrt_octree_palette(const voxrt_octree *octree, uint32_t *out_count);
+
+/* The voxel that covers cell (x, y, z) of a level (0 = root): of that level, or a larger leaf. *out_level, if not NULL, is
+   its level. A cell outside: a transparent leaf, level 0. Any thread. O(depth). */
+VOXRT_DEF voxrt_octree_voxel voxrt_octree_get(const voxrt_octree *octree, uint32_t level, uint32_t x, uint32_t y,
+                                              uint32_t z, uint32_t *out_level);
+
+/* Set a leaf of the deepest level, creating what is missing above it with all siblings. A filled leaf that has to be
+   split hands its payload to the eight. Drops the start grid; levels of detail are stale until build_lod.
+   index   0: make it transparent; 1..palette_count
+   normal  need not be unit length; NULL or no direction: +z
+   Errors: INVALID_ARG, RANGE (cell or index), NO_MEMORY (the octree covers the same space as before).
+   Thread safety: one thread at a time. Thesis 3.1.3. */
+VOXRT_DEF voxrt_result voxrt_octree_insert(voxrt_octree *octree, uint32_t x, uint32_t y, uint32_t z, uint32_t index,
+                                           const float normal[3]);
+
+/* Payloads of all inner voxels from their children, bottom up: the index most of the filled children have (ties: more
+   leaf volume, then the lower index) and the mean of their normals; transparent when nothing below is filled.
+   O(voxels), 9 bytes a node meanwhile. Errors: INVALID_ARG, NO_MEMORY (unchanged). Thesis 3.1.4. */
+VOXRT_DEF voxrt_result voxrt_octree_build_lod(voxrt_octree *octree);
+
+/* Replace 8 leaves of equal index and normal by their parent, bottom up, and put the blocks in pre-order: equal octrees
+   have equal voxels, however they were made. Drops the start grid. Errors: as build_lod. Thesis 3.1.4. */
+VOXRT_DEF voxrt_result voxrt_octree_collapse(voxrt_octree *octree);
+
+/* Grid of (2^(level-1))^3 start voxels, level 1..10 but at most depth + 1; 0: none. All coarser grids are kept too, for
+   rays with a level limit: 4.6 bytes a cell. Errors: INVALID_ARG, RANGE, NO_MEMORY (no grid then). */
+VOXRT_DEF voxrt_result voxrt_octree_build_grid(voxrt_octree *octree, uint32_t level);
+
+typedef struct voxrt_octree_stats { /* added to */
+    uint64_t rays, hits, bad_rays;
+    uint64_t outer; /* points located, one for each leaf crossed */
+    uint64_t inner; /* descents to a child */
+    uint64_t grid;  /* points that started in the grid */
+    uint64_t stuck; /* rays given up without progress: only with a fixed offset */
+} voxrt_octree_stats;
+
+/* field             zero means
+   isa               SSE packets of four rays if the machine has SSE4.1; SCALAR: one ray at a time
+   max_level_plus_1  no limit; k+1: voxels of octree level k count as leaves
+   offset            points lie 2^-23 of the grid beyond each face, doubled where a ray does not get on. Else a fixed
+                     offset in leaf edges, as in the thesis
+   disable_grid      1: start at the root */
+typedef struct voxrt_octree_trace_desc {
+    uint32_t _begin_zero;
+    voxrt_isa isa;
+    uint32_t max_level_plus_1;
+    float offset;
+    uint32_t disable_grid;
+    voxrt_octree_stats *stats; /* NULL: not counted, which is faster */
+    uint32_t _end_zero;
+} voxrt_octree_trace_desc;
+
+/* Closest filled voxel along each ray by point location, as in the thesis (3.5): single precision, so a few rays in
+   10^4 meet a wrong voxel next to the right one (docs/algorithms.md); voxrt_trace is exact.
+   rays, hits  as voxrt_trace. Rays 4i..4i+3 form a packet: give them neighbouring pixels
+   hit->node   index in voxrt_octree_voxels, slot 0; cell, level: of the voxel, above `depth` for large leaves
+   The same bits for every isa and every grouping of rays. Errors: INVALID_ARG, UNINIT_DESC.
+   Thread safety: any number of threads on one octree. Allocates nothing. */
+VOXRT_DEF voxrt_result voxrt_octree_trace(const voxrt_octree *octree, const voxrt_octree_trace_desc *desc,
+                                          const voxrt_ray *rays, voxrt_hit *hits, size_t count);
+
+/* Level (for max_level_plus_1 add 1) at which voxels of the point of the octree's box that is closest to the eye are at
+   most `pixels` pixels wide. spread: width of a pixel at distance 1, 2 tan(fov_y/2) / height. Thesis 4.3.1. */
+VOXRT_DEF uint32_t voxrt_octree_lod_level(const voxrt_octree *octree, const float eye[3], float spread, float pixels);
+
+/* Attributes of a hit, as voxrt_hit_color and voxrt_hit_normal. */
+VOXRT_DEF void voxrt_octree_hit_color(const voxrt_octree *octree, const voxrt_hit *hit, uint8_t rgb[3]);
+VOXRT_DEF void voxrt_octree_hit_normal(const voxrt_octree *octree, const voxrt_hit *hit, float normal[3]);
+/* xyz for each of `count` hits, four at a time, the same bits; 0 for a miss. */
+VOXRT_DEF void voxrt_octree_hit_normals(const voxrt_octree *octree, const voxrt_hit *hits, float *normals, size_t count);
+
+/* Write a version 4 .vox file (docs/formats.md). Placement and depth are not part of it.
+   env       where temporary memory and errors go, NULL: the defaults
+   buffer, capacity, out_size, errors: as voxrt_tree_save_memory. A file that was read is written as it was.
+   O(voxels), 4 bytes a voxel. */
+VOXRT_DEF voxrt_result voxrt_octree_save_memory(const voxrt_octree *octree, const voxrt_env *env, void *buffer,
+                                                size_t capacity, size_t *out_size);
+
+/* Read a version 4 .vox file, any alignment. Safe for any bytes: holds about twice the size of the file (and the
+   start grid). The depth is the deepest level found. A separator other than "||" is accepted; error->text then says so.
+   Errors: INVALID_ARG, UNINIT_DESC, TRUNCATED, FORMAT, VERSION (1 to 3 were never documented), NO_MEMORY; error->where is
+   a byte offset. */
+VOXRT_DEF voxrt_result voxrt_octree_load_memory(const voxrt_octree_desc *desc, const void *data, size_t size,
+                                                voxrt_octree **out_octree);
+
+#ifndef VOXRT_NO_STDIO
+/* As voxrt_tree_save_file and voxrt_tree_load_file. */
+VOXRT_DEF voxrt_result voxrt_octree_save_file(const voxrt_octree *octree, const voxrt_env *env, const char *path);
+VOXRT_DEF voxrt_result voxrt_octree_load_file(const voxrt_octree_desc *desc, const char *path,
+                                              voxrt_octree **out_octree);
+#endif
+
+/* ---- files ---- */
+
+typedef enum voxrt_encoding {
+    VOXRT_ENCODING_COMPACT = 0, /* smallest: entropy coded (default) */
+    VOXRT_ENCODING_RAW = 1,     /* the arrays as they are in memory: voxrt_tree_map_memory can use the file in place */
+    VOXRT_ENCODING_FORCE_32BIT = 0x7fffffff
+} voxrt_encoding;
+
+/* field             zero means
+   encoding          compact
+   disable_normals   normals are written when the tree has them */
+typedef struct voxrt_save_desc {
+    uint32_t _begin_zero;
+    voxrt_env env;
+    voxrt_encoding encoding;
+    uint32_t disable_normals;
+    uint32_t _end_zero;
+} voxrt_save_desc;
+
+/* field         zero means
+   trust_input   everything is checked. 1: the bytes are known to be what save wrote; checksums and the walks over all
+                 nodes are left out, the layout of the file is still checked */
+typedef struct voxrt_load_desc {
+    uint32_t _begin_zero;
+    voxrt_env env;
+    uint32_t trust_input;
+    uint32_t _end_zero;
+} voxrt_load_desc;
+
+/* Format of a file by its first bytes (12 are enough): 5 for a tree (voxrt_tree_load_memory), 4 for an octree of the
+   thesis (voxrt_octree_load_memory), 0 for anything else. data may be NULL when size is 0. */
+VOXRT_DEF uint32_t voxrt_file_kind(const void *data, size_t size);
+
+/* Write a tree as a format 5 file (docs/formats.md) to memory.
+   desc      in, NULL: all defaults
+   buffer    out, [capacity] bytes, any alignment; NULL: only the size is found (costs as much as writing)
+   out_size  out, size of the file; ERR_RANGE when capacity is less, then the buffer is untouched
+   The same tree gives the same bytes on every machine. O(tree); holds about the size of the file beside the buffer.
+   Errors: INVALID_ARG, UNINIT_DESC, RANGE, NO_MEMORY. Thread safety: any number of calls on one tree. */
+VOXRT_DEF voxrt_result voxrt_tree_save_memory(const voxrt_tree *tree, const voxrt_save_desc *desc, void *buffer,
+                                              size_t capacity, size_t *out_size);
+
+/* Read a format 5 file from memory, any alignment; nothing of `data` is used after the call.
+   Safe for any bytes: whatever is accepted is a tree that can be traced. What a file can make this allocate is bounded
+   by its size: about once the file for raw, at most about 11000 times for a hostile compact one (env.memory_limit),
+   and 2 MB.
+   Errors: INVALID_ARG, UNINIT_DESC, TRUNCATED, FORMAT, VERSION, CHECKSUM, NO_MEMORY; error->where is a byte offset.
+   Thread safety: calls are independent. */
+VOXRT_DEF voxrt_result voxrt_tree_load_memory(const voxrt_load_desc *desc, const void *data, size_t size,
+                                              voxrt_tree **out_tree);
+
+/* Use a raw format 5 file in place, for example a memory-mapped one: nothing is copied.
+   data   in, 64-byte aligned; must stay valid and unchanged until the tree is destroyed, which does not free it
+   Allocates only the tree's header; with trust_input O(1), else every byte is read once. Checks what load checks.
+   Errors: as voxrt_tree_load_memory; INVALID_ARG also for a compact file, a wrong alignment or a big-endian machine
+   (load such files instead). */
+VOXRT_DEF voxrt_result voxrt_tree_map_memory(const voxrt_load_desc *desc, const void *data, size_t size,
+                                             voxrt_tree **out_tree);
+
+#ifndef VOXRT_NO_STDIO
+/* As the memory functions; ERR_IO when the file cannot be read or written. Save writes to `path` with ".part" behind
+   it and renames when all is written, so that a file is complete or not there. Load holds the whole file meanwhile. */
+VOXRT_DEF voxrt_result voxrt_tree_save_file(const voxrt_tree *tree, const voxrt_save_desc *desc, const char *path);
+VOXRT_DEF voxrt_result voxrt_tree_load_file(const voxrt_load_desc *desc, const char *path, voxrt_tree **out_tree);
+#endif
+
+/* ---- pictures ---- */
+
+/* A pinhole. Right-handed coordinates; `up` need not be at right angles to the view. */
+typedef struct voxrt_camera {
+    float eye[3], at[3];
+    float up[3];  /* all zero: +y */
+    float fov_y;  /* vertical angle in degrees, below 180; 0: 40 */
+} voxrt_camera;
+
+/* color is what a surface of albedo 1 facing the light shows, linear; no falloff with distance. */
+typedef struct voxrt_light {
+    float position[3];    /* of a point light; directional: the direction towards the light, any length */
+    uint32_t directional;
+    float color[3];
+    uint32_t no_shadow;   /* 1: nothing shadows this light */
+} voxrt_light;
+
+/* Phong: colour * (ambient + sum of lights * diffuse * cos) + sum of lights * specular * cos^shininess. */
+typedef struct voxrt_material {
+    float ambient[3];
+    float diffuse;        /* 1: the colour is the albedo; 0.5: the thesis' mid grey */
+    float specular, shininess;
+} voxrt_material;
+
+/* Where one ray met a surface. On a miss t = INFINITY and the rest 0. */
+typedef struct voxrt_surface {
+    float t;
+    float normal[3];      /* unit length, or all zero: the face's */
+    float edge;           /* world edge of the cell that was hit; lifts the origins of shadow rays */
+    uint8_t rgb[3];       /* sRGB */
+    uint8_t face;         /* as voxrt_hit.face */
+} voxrt_surface;
+
+/* Anything a ray can hit: octrees, other trees, polygons. The nearest surface wins, all of them cast shadows.
+   trace_fn and occluded_fn get 1..64 rays and are called by many threads at once; they add to desc->stats if it is
+   not NULL, and may ignore the other fields. */
+typedef struct voxrt_geometry {
+    void (*trace_fn)(void *user, const voxrt_trace_desc *desc, const voxrt_ray *rays, voxrt_surface *surfaces,
+                     size_t count);
+    void (*occluded_fn)(void *user, const voxrt_trace_desc *desc, const voxrt_ray *rays, uint8_t *occluded,
+                        size_t count);
+    void *user;
+    double box_min[3], box_max[3]; /* world; frames the default camera */
+} voxrt_geometry;
+
+typedef enum voxrt_view {
+    VOXRT_VIEW_SHADED = 0,
+    VOXRT_VIEW_UNLIT = 1,      /* plain surface colours */
+    VOXRT_VIEW_LIGHT = 2,      /* brightness alone, as if all were white */
+    VOXRT_VIEW_SPLIT = 3,      /* left third colours, middle shaded, right third brightness */
+    VOXRT_VIEW_NORMALS = 4,    /* (n + 1) / 2 as linear colours */
+    VOXRT_VIEW_HEAT_OUTER = 5, /* cells left per ray: white to red at heat_max */
+    VOXRT_VIEW_HEAT_INNER = 6, /* nodes entered per ray: over 15 green, 40 yellow, 80 orange, 120 red */
+    VOXRT_VIEW_FORCE_32BIT = 0x7fffffff
+} voxrt_view;
+
+typedef enum voxrt_stage { /* for measuring: stop after ... */
+    VOXRT_STAGE_FULL = 0,
+    VOXRT_STAGE_RAYS = 1,  /* making the rays; all of them miss */
+    VOXRT_STAGE_SETUP = 2, /* setting them up in the grid; all of them miss */
+    VOXRT_STAGE_TRACE = 3, /* tracing: white where something is hit, no attributes are read */
+    VOXRT_STAGE_FORCE_32BIT = 0x7fffffff
+} voxrt_stage;
+
+/* field             zero means
+   camera            (eye equals at) one that frames everything
+   lights            NULL: a key light from the upper left behind the camera, a weak fill light, some ambient light
+   material          NULL: ambient 0.05, diffuse 1, no specular
+   samples           1 per pixel, at its centre; n: the first n points of a fixed low-discrepancy sequence that begins
+                     with the centre
+   first_sample      start of the sequence; with image->sum: how many samples the sum holds already
+   tolerance         full detail. E: a ray stops at the first cell whose edge is at most E pixels wide
+   object_lod        off. 1: instead one level for all, chosen so that the nearest cell is at most `tolerance` (0: 1)
+                     pixels wide
+   max_level_plus_1  no limit. k+1: octree level k is the finest
+   lod_split         off. k+1: left half of the picture at most octree level k, for comparison
+   background        transparent; linear RGBA, premultiplied */
+typedef struct voxrt_render_desc {
+    uint32_t _begin_zero;
+    voxrt_env env;
+    voxrt_isa isa;
+    voxrt_camera camera;
+    const voxrt_light *lights;
+    size_t light_count;
+    const voxrt_material *material;
+    const voxrt_geometry *geometry; /* besides the tree; NULL: none */
+    size_t geometry_count;
+    voxrt_view view;
+    uint32_t shadows;
+    uint32_t face_normals;    /* 1: shade by the faces of the cubes */
+    uint32_t one_sided;       /* 1: surfaces seen from behind stay dark instead of turning their normal */
+    uint32_t thesis_compose;  /* 1: bytes * brightness, cut at 255, as in 2009; default: linear light, then sRGB */
+    uint32_t thesis_shadows;  /* 1: shadow rays start at the hit itself, with stripes; for comparison */
+    uint32_t samples, first_sample;
+    float tolerance;
+    uint32_t object_lod;
+    uint32_t max_level_plus_1;
+    uint32_t lod_split;
+    float background[4];
+    float heat_max;           /* cells that are fully red; 0: 64 */
+    voxrt_stage stage;
+    uint32_t no_compose;      /* 1: trace and shade, but leave rgba8 and rgba alone; for measuring */
+    uint32_t _end_zero;
+} voxrt_render_desc;
+
+/* Buffers of the caller, row 0 on top; any may be NULL. Strides in bytes, 0: rows lie close together. */
+typedef struct voxrt_image {
+    uint32_t width, height;
+    uint8_t *rgba8;        /* sRGB, not premultiplied; alpha = coverage, 0 where nothing was hit */
+    float *rgba;           /* linear, premultiplied */
+    float *sum;            /* rgba of all samples so far, added up: see first_sample */
+    float *depth;          /* along the viewing axis; INFINITY where nothing was hit */
+    float *normal;         /* xyz, 0 where nothing was hit */
+    voxrt_hit *hit;        /* of the tree; a miss where other geometry is nearer */
+    size_t rgba8_stride, rgba_stride, sum_stride, depth_stride, normal_stride, hit_stride;
+} voxrt_image;
+
+typedef struct voxrt_render_stats { /* added to */
+    voxrt_stats primary, shadow;
+} voxrt_render_stats;
+
+/* The ray through point (x, y) of the picture plane, in pixels from its upper left corner: (i+0.5, j+0.5) is the
+   centre of pixel (i, j). dir has length 1 along the viewing axis, so that t is the depth. t_min 0, t_max INFINITY.
+   INVALID_ARG: eye equals at, a number is not finite, or the angle is not in (0, 180). */
+VOXRT_DEF voxrt_result voxrt_camera_ray(const voxrt_camera *camera, uint32_t width, uint32_t height, double x, double y,
+                                        voxrt_ray *out_ray);
+
+/* Set eye and at so that the box fills the picture; keeps up and fov_y.
+   view  from the object towards the eye, any length; NULL: from the front, a little from above and the right */
+VOXRT_DEF voxrt_result voxrt_camera_fit(voxrt_camera *camera, const double box_min[3], const double box_max[3],
+                                        const float view[3], uint32_t width, uint32_t height);
+
+/* World box of the filled voxels. */
+VOXRT_DEF void voxrt_tree_bounds(const voxrt_tree *tree, double box_min[3], double box_max[3]);
+
+/* A tree as voxrt_geometry: to show several. The tree is borrowed. */
+VOXRT_DEF void voxrt_tree_geometry(const voxrt_tree *tree, voxrt_geometry *out_geometry);
+
+/* The thesis' octree as voxrt_geometry, traced by its packets: max_level_plus_1 counts, tolerance does not. steps and
+   descents of the stats are its outer and inner loops. Borrowed. O(1); its box is the whole grid. */
+VOXRT_DEF void voxrt_octree_geometry(const voxrt_octree *octree, voxrt_geometry *out_geometry);
+
+/* Draw.
+   desc    in, NULL: all defaults
+   tree    in, NULL: only desc->geometry
+   image   buffers in and out; with more than one sample depth, normal and hit are those of sample 0, and they are
+           left alone when first_sample > 0. A width or height of 0 is allowed
+   stats   may be NULL; counting costs a little
+   Progressive pictures: call with samples = 1, first_sample = 0, 1, 2, ... and image->sum: each call leaves the mean of
+   all samples so far, the same bits as one call with that many samples.
+   The same bits for any number of threads and any isa. Allocates nothing. Errors: INVALID_ARG, UNINIT_DESC, CANCELLED
+   (then the picture is incomplete). Thread safety: any number of calls on one tree. */
+VOXRT_DEF voxrt_result voxrt_render(const voxrt_render_desc *desc, const voxrt_tree *tree, const voxrt_image *image,
+                                    voxrt_render_stats *stats);
+
+/* rgba -> rgba8, for pictures that were changed after drawing. Both buffers have to be there. */
+VOXRT_DEF voxrt_result voxrt_image_encode(const voxrt_env *env, const voxrt_image *image);
+
+/* field      zero means
+   radius     4 pixels: a Gauss with a standard deviation of radius / 2, cut off at radius; at most 64
+   footprint  blur all with `radius`. Width of a pixel at depth 1 (2 tan(fov_y/2) / height): blur only where voxels are
+              larger than 1.5 pixels, with a radius of the voxel's size, at most `radius`, and not across edges: needs
+              depth and hit, and normal if there is one
+   voxel_size world edge of a leaf voxel; depth levels of the tree: with footprint */
+typedef struct voxrt_blur_desc {
+    uint32_t _begin_zero;
+    voxrt_env env;
+    float radius;
+    float footprint;
+    float voxel_size;
+    uint32_t depth;
+    uint32_t _end_zero;
+} voxrt_blur_desc;
+
+/* Blur image->rgba in place, then write rgba8 if it is there. Holds one copy of rgba.
+   Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY (picture unchanged). */
+VOXRT_DEF voxrt_result voxrt_blur(const voxrt_blur_desc *desc, const voxrt_image *image);
+
+/* Keep frames within a time: turns the tolerance up when they take too long, and down again, to `finest`, when there is
+   time to spare. budget: zeroed before the first frame. Returns the tolerance for the next frame, finest..64. */
+typedef struct voxrt_budget {
+    float bias, sum;
+} voxrt_budget;
+VOXRT_DEF float voxrt_budget_update(voxrt_budget *budget, float frame_ms, float target_ms, float finest);
+
+/* ---- misc ---- */
+
+VOXRT_DEF const char *voxrt_result_string(voxrt_result result);
+VOXRT_DEF uint32_t voxrt_version(void);
+VOXRT_DEF const char *voxrt_isa_name(voxrt_isa isa);
+VOXRT_DEF voxrt_isa voxrt_isa_best(void); /* what VOXRT_ISA_AUTO picks on this machine */
+
+#ifdef __cplusplus
+}
+#endif
+#endif /* VOXRT_H_INCLUDED */
+
+/* End of API. Stop here if you only use the library. */
+
+#if defined(__INTELLISENSE__) || defined(__JETBRAINS_IDE__)
+#  define VOXRT_IMPLEMENTATION
+#endif
+#if defined(VOXRT_IMPLEMENTATION) && !defined(VOXRT_IMPLEMENTATION_DONE)
+#define VOXRT_IMPLEMENTATION_DONE
+
+/* ---------------------------------------------------------------------------
+   platform: compiler, instruction sets, asserts, bytes.                        // >>platform
+   Equal in all three headers but for the prefix, up to and including math.
+   --------------------------------------------------------------------------- */
+#include <string.h>
+#include <math.h>
+#if defined(VOXRT_MALLOC) != defined(VOXRT_FREE)
+#  error "define both or neither of VOXRT_MALLOC(size,user) and VOXRT_FREE(ptr,size,user)"
+#endif
+#ifndef VOXRT_MALLOC
+#  include <stdlib.h>
+#  define VOXRT_MALLOC(size, user) ((void)(user), malloc(size))
+#  define VOXRT_FREE(ptr, size, user) ((void)(user), (void)(size), free(ptr))
+#endif
+#ifndef VOXRT_ASSERT
+#  include <assert.h>
+#  define VOXRT_ASSERT(cond) assert(cond)
+#endif
+#if defined(__FAST_MATH__) && !defined(VOXRT_ALLOW_FAST_MATH)
+#  error "voxrt.h needs NaN and infinity; build without -ffast-math or define VOXRT_ALLOW_FAST_MATH"
+#endif
+#if defined(__wasm__) && !defined(VOXRT_NO_THREADS)
+#  define VOXRT_NO_THREADS
+#endif
+#ifndef VOXRT_NO_THREADS
+#  include <pthread.h>
+#  include <unistd.h>
+#endif
+#ifndef VOXRT_NO_STDIO
+#  include <stdio.h>
+#endif
+#if !defined(VOXRT_NO_SIMD) && (defined(__x86_64__) || defined(_M_X64))
+#  define VOXRTI_X64 1
+#  include <immintrin.h>
+#  if defined(_MSC_VER)
+#    include <intrin.h>
+#  endif
+#  if defined(_MSC_VER) && defined(__clang__) && !defined(__AVX2__) /* clang-cl hides AVX behind __AVX__ */
+#    include <avxintrin.h>
+#    include <avx2intrin.h>
+#  endif
+#  if defined(_MSC_VER) && !defined(__clang__)
+#    define VOXRTI_TARGET_AVX2
+#  else
+#    define VOXRTI_TARGET_AVX2 __attribute__((target("avx2,bmi,bmi2,lzcnt,popcnt"))) /* never "fma": same bits */
+#  endif
+#  if !defined(VOXRT_NO_AVX2) && !defined(VOXRT_NO_AVX512) && !defined(_MSC_VER)
+#    define VOXRTI_AVX512 1
+#    define VOXRTI_TARGET_AVX512 __attribute__(( \
+         target("avx2,bmi,bmi2,lzcnt,popcnt,avx512f,avx512dq,avx512bw,avx512vl,avx512cd,avx512vpopcntdq")))
+#  else
+#    define VOXRTI_AVX512 0
+#  endif
+#else
+#  define VOXRTI_X64 0
+#  define VOXRTI_AVX512 0
+#endif
+#if VOXRTI_X64 && !defined(VOXRT_NO_AVX2)
+#  define VOXRTI_AVX2 1
+#else
+#  define VOXRTI_AVX2 0
+#endif
+#if defined(__GNUC__) && !defined(__clang__)
+#  pragma GCC push_options
+#  pragma GCC optimize("fp-contract=off")
+#elif defined(__clang__)
+#  pragma STDC FP_CONTRACT OFF
+#endif
+#if defined(__GNUC__) || defined(__clang__)
+#  define VOXRTI_INLINE static inline __attribute__((always_inline, unused))
+#  define VOXRTI_UNUSED __attribute__((unused))
+#  define VOXRTI_NOINLINE __attribute__((noinline))
+#  define VOXRTI_LIKELY(x) __builtin_expect(!!(x), 1)
+#  define VOXRTI_UNLIKELY(x) __builtin_expect(!!(x), 0)
+#  define VOXRTI_PREFETCH(p) __builtin_prefetch(p)
+#else
+#  define VOXRTI_INLINE static inline
+#  define VOXRTI_UNUSED
+#  define VOXRTI_NOINLINE
+#  define VOXRTI_LIKELY(x) (x)
+#  define VOXRTI_UNLIKELY(x) (x)
+#  define VOXRTI_PREFETCH(p) ((void)(p))
+#endif
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Levels: 1 scalar, 2 SSE (4.1), 3 AVX2 with BMI, 4 AVX-512 F/DQ/BW/VL/CD/VPOPCNTDQ. */
+VOXRTI_UNUSED static int voxrti_cpu_level(void) {
+#if VOXRTI_X64 && !defined(_MSC_VER)
+    int level = __builtin_cpu_supports("sse4.1") ? 2 : 1;
+    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("bmi2") && __builtin_cpu_supports("popcnt")) level = 3;
+    if (level == 3 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
+        __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl") &&
+        __builtin_cpu_supports("avx512cd") && __builtin_cpu_supports("avx512vpopcntdq"))
+        level = 4;
+    return level;
+#elif VOXRTI_X64
+    int r[4];
+    __cpuid(r, 1);
+    if ((r[2] & (1 << 19)) == 0) return 1;
+    if ((r[2] & (1 << 27)) == 0 || (_xgetbv(0) & 6) != 6) return 2;
+    __cpuidex(r, 7, 0);
+    return (r[1] >> 5) & 1 ? 3 : 2;
+#else
+    return 1;
+#endif
+}
+
+#if defined(__GNUC__) || defined(__clang__)
+#  define voxrti_popcount64(x) ((uint32_t)__builtin_popcountll(x))
+#  define voxrti_ctz64(x) ((uint32_t)__builtin_ctzll(x)) /* x != 0 */
+#  define voxrti_clz32(x) ((uint32_t)__builtin_clz(x))   /* x != 0 */
+#else
+VOXRTI_INLINE uint32_t voxrti_popcount64(uint64_t x) {
+    x -= (x >> 1) & 0x5555555555555555u;
+    x = (x & 0x3333333333333333u) + ((x >> 2) & 0x3333333333333333u);
+    x = (x + (x >> 4)) & 0x0f0f0f0f0f0f0f0fu;
+    return (uint32_t)((x * 0x0101010101010101u) >> 56);
+}
+VOXRTI_INLINE uint32_t voxrti_ctz64(uint64_t x) { return voxrti_popcount64((x & (0u - x)) - 1u); }
+VOXRTI_INLINE uint32_t voxrti_clz32(uint32_t x) {
+    x |= x >> 1; x |= x >> 2; x |= x >> 4; x |= x >> 8; x |= x >> 16;
+    return 32u - voxrti_popcount64(x);
+}
+#endif
+
+VOXRTI_INLINE uint32_t voxrti_load_u16(const uint8_t *p) { return (uint32_t)p[0] | (uint32_t)p[1] << 8; }
+VOXRTI_INLINE uint32_t voxrti_load_u32(const uint8_t *p) {
+    return (uint32_t)p[0] | (uint32_t)p[1] << 8 | (uint32_t)p[2] << 16 | (uint32_t)p[3] << 24;
+}
+VOXRTI_INLINE uint64_t voxrti_load_u64(const uint8_t *p) {
+    return (uint64_t)voxrti_load_u32(p) | (uint64_t)voxrti_load_u32(p + 4) << 32;
+}
+VOXRTI_INLINE void voxrti_store_u16(uint8_t *p, uint32_t v) { p[0] = (uint8_t)v; p[1] = (uint8_t)(v >> 8); }
+VOXRTI_INLINE void voxrti_store_u32(uint8_t *p, uint32_t v) {
+    p[0] = (uint8_t)v; p[1] = (uint8_t)(v >> 8); p[2] = (uint8_t)(v >> 16); p[3] = (uint8_t)(v >> 24);
+}
+VOXRTI_INLINE void voxrti_store_u64(uint8_t *p, uint64_t v) {
+    voxrti_store_u32(p, (uint32_t)v);
+    voxrti_store_u32(p + 4, (uint32_t)(v >> 32));
+}
+VOXRTI_INLINE int voxrti_little_endian(void) {
+    const uint16_t one = 1;
+    uint8_t b;
+    memcpy(&b, &one, 1);
+    return b;
+}
+
+/* ---------------------------------------------------------------------------
+   memory: every byte comes from here; counted, limited, 64-byte aligned.       // >>memory
+   --------------------------------------------------------------------------- */
+
+typedef struct voxrti_mem {
+    voxrt_allocator allocator;
+    size_t limit;          /* 0: none */
+    size_t used, peak;     /* atomics */
+} voxrti_mem;
+
+static void *voxrti_default_alloc(size_t size, void *user) { return VOXRT_MALLOC(size, user); }
+static void voxrti_default_free(void *ptr, size_t size, void *user) { VOXRT_FREE(ptr, size, user); }
+
+VOXRTI_INLINE int voxrti_mul_size(size_t a, size_t b, size_t *out) {
+    if (b != 0 && a > (size_t)-1 / b) return 0;
+    *out = a * b;
+    return 1;
+}
+
+#if defined(__GNUC__)
+#  define voxrti_atomic_add(p, v) __atomic_add_fetch(p, v, __ATOMIC_SEQ_CST)
+#  define voxrti_atomic_load(p) __atomic_load_n(p, __ATOMIC_SEQ_CST)
+#  define voxrti_atomic_store(p, v) __atomic_store_n(p, v, __ATOMIC_SEQ_CST)
+#  define voxrti_atomic_max_step(p, seen, v) \
+       __atomic_compare_exchange_n(p, seen, v, 0, __ATOMIC_SEQ_CST, __ATOMIC_SEQ_CST)
+#else /* no built-in threads there: the host's parallel-for has to be serial */
+#  define voxrti_atomic_add(p, v) (*(p) += (v))
+#  define voxrti_atomic_load(p) (*(p))
+#  define voxrti_atomic_store(p, v) (*(p) = (v))
+#  define voxrti_atomic_max_step(p, seen, v) (*(p) = (v), 1)
+#endif
+
+/* Before each block stand 64..127 bytes: the padding, then size and padding in the last 16. */
+static VOXRTI_UNUSED void *voxrti_alloc(voxrti_mem *mem, size_t bytes) {
+    size_t total, used, seen, skip;
+    uint8_t *raw, *p;
+    if (bytes > (size_t)-1 - 256) return NULL;
+    total = bytes + 128;
+    used = voxrti_atomic_add(&mem->used, total);
+    if (mem->limit != 0 && used > mem->limit) {
+        (void)voxrti_atomic_add(&mem->used, (size_t)0 - total);
+        return NULL;
+    }
+    raw = (uint8_t *)mem->allocator.alloc_fn(total, mem->allocator.user);
+    if (raw == NULL) {
+        (void)voxrti_atomic_add(&mem->used, (size_t)0 - total);
+        return NULL;
+    }
+    seen = voxrti_atomic_load(&mem->peak);
+    while (seen < used && !voxrti_atomic_max_step(&mem->peak, &seen, used)) { }
+    skip = 128 - (size_t)((uintptr_t)raw & 63u);
+    if (skip > 64 + 63) skip -= 64;
+    p = raw + skip;
+    memcpy(p - 8, &skip, sizeof skip);
+    memcpy(p - 16, &total, sizeof total);
+    return p;
+}
+
+static VOXRTI_UNUSED void *voxrti_alloc_array(voxrti_mem *mem, size_t count, size_t size) {
+    size_t bytes;
+    return voxrti_mul_size(count, size, &bytes) ? voxrti_alloc(mem, bytes) : NULL;
+}
+
+static VOXRTI_UNUSED void *voxrti_alloc_zero(voxrti_mem *mem, size_t count, size_t size) {
+    size_t bytes;
+    void *p = NULL;
+    if (voxrti_mul_size(count, size, &bytes)) p = voxrti_alloc(mem, bytes);
+    if (p != NULL) memset(p, 0, bytes);
+    return p;
+}
+
+static VOXRTI_UNUSED void voxrti_free(voxrti_mem *mem, void *ptr) {
+    size_t total = 0, skip = 0;
+    uint8_t *p = (uint8_t *)ptr;
+    if (p == NULL) return;
+    memcpy(&skip, p - 8, sizeof skip);
+    memcpy(&total, p - 16, sizeof total);
+    (void)voxrti_atomic_add(&mem->used, (size_t)0 - total);
+    mem->allocator.free_fn(p - skip, total, mem->allocator.user);
+}
+
+/* Make room for `need` elements by doubling; keeps the old block when it fails. 1 on success. */
+static VOXRTI_UNUSED int voxrti_grow(voxrti_mem *mem, void **array, size_t *capacity, size_t count, size_t need,
+                                     size_t size) {
+    size_t cap = *capacity;
+    void *p;
+    if (need <= cap) return 1;
+    if (cap < 16) cap = 16;
+    while (cap < need) {
+        if (cap > (size_t)-1 / 2) return 0;
+        cap *= 2;
+    }
+    p = voxrti_alloc_array(mem, cap, size);
+    if (p == NULL) return 0;
+    if (count != 0) memcpy(p, *array, count * size);
+    voxrti_free(mem, *array);
+    *array = p;
+    *capacity = cap;
+    return 1;
+}
+
+/* ---------------------------------------------------------------------------
+   threads: one parallel-for; tasks are cut by a fixed rule, so results do not  // >>threads
+   depend on how many threads run them. Error reports.
+   --------------------------------------------------------------------------- */
+
+typedef struct voxrti_for {
+    voxrt_task_fn *task;
+    void *ctx;
+    uint32_t count;
+    uint32_t next; /* atomic */
+} voxrti_for;
+
+static void voxrti_for_drain(voxrti_for *f) {
+    for (;;) {
+        uint32_t i = voxrti_atomic_add(&f->next, 1u) - 1u;
+        if (i >= f->count) return;
+        f->task(f->ctx, i);
+    }
+}
+
+#ifndef VOXRT_NO_THREADS
+static void *voxrti_for_thread(void *arg) {
+    voxrti_for_drain((voxrti_for *)arg);
+    return NULL;
+}
+#endif
+
+static uint32_t voxrti_thread_count(const voxrt_env *env) {
+    uint32_t n = env->thread_count;
+#ifndef VOXRT_NO_THREADS
+#  ifdef _SC_NPROCESSORS_ONLN
+    if (n == 0) {
+        long cores = sysconf(_SC_NPROCESSORS_ONLN);
+        n = cores > 0 ? (uint32_t)cores : 1u;
+    }
+#  endif
+#endif
+    if (n == 0) n = 1;
+    return n > 64 ? 64 : n;
+}
+
+/* Run task(ctx, i) for i in [0, count) and return when all are done. count < 2^31. */
+static VOXRTI_UNUSED void voxrti_parallel_for(const voxrt_env *env, voxrt_task_fn *task, void *ctx, uint32_t count) {
+    voxrti_for f;
+    f.task = task;
+    f.ctx = ctx;
+    f.count = count;
+    f.next = 0;
+    if (count == 0) return;
+    if (env->parallel.for_fn != NULL) {
+        env->parallel.for_fn(task, ctx, count, env->parallel.user);
+        return;
+    }
+#ifndef VOXRT_NO_THREADS
+    {
+        pthread_t thread[64];
+        pthread_attr_t attr;
+        uint32_t want = voxrti_thread_count(env), started = 0, i;
+        if (want > count) want = count;
+        if (want > 1 && pthread_attr_init(&attr) == 0) {
+            (void)pthread_attr_setstacksize(&attr, 512 * 1024);
+            while (started + 1 < want && pthread_create(&thread[started], &attr, voxrti_for_thread, &f) == 0) started++;
+            (void)pthread_attr_destroy(&attr);
+        }
+        voxrti_for_drain(&f);
+        for (i = 0; i < started; i++) (void)pthread_join(thread[i], NULL);
+    }
+#else
+    voxrti_for_drain(&f);
+#endif
+}
+
+/* Check a desc's env and take its allocator. */
+static VOXRTI_UNUSED voxrt_result voxrti_env_open(const voxrt_env *env, voxrti_mem *mem) {
+    if ((env->allocator.alloc_fn == NULL) != (env->allocator.free_fn == NULL)) return VOXRT_ERR_INVALID_ARG;
+    memset(mem, 0, sizeof *mem);
+    mem->allocator = env->allocator;
+    mem->limit = env->memory_limit;
+    if (mem->allocator.alloc_fn == NULL) {
+        mem->allocator.alloc_fn = voxrti_default_alloc;
+        mem->allocator.free_fn = voxrti_default_free;
+    }
+    return VOXRT_OK;
+}
+
+/* text may hold one "%": it is replaced by the number `where`. */
+static VOXRTI_UNUSED voxrt_result voxrti_fail(voxrt_error *error, voxrt_result code, uint64_t where, const char *text) {
+    if (error != NULL) {
+        char digits[24];
+        size_t n = 0, k = 0;
+        uint64_t v = where;
+        do { digits[n++] = (char)('0' + (char)(v % 10)); v /= 10; } while (v != 0);
+        error->code = code;
+        error->where = where;
+        for (; *text != 0 && k + 1 < sizeof error->text; text++) {
+            if (*text == '%') {
+                while (n > 0 && k + 1 < sizeof error->text) error->text[k++] = digits[--n];
+            } else {
+                error->text[k++] = *text;
+            }
+        }
+        error->text[k] = 0;
+    }
+    return code;
+}
+
+/* ---------------------------------------------------------------------------
+   math: small vectors, own polynomials (libm differs between platforms),       // >>math
+   Morton codes, octahedral normals, sRGB, hashes.
+   --------------------------------------------------------------------------- */
+
+VOXRTI_INLINE int voxrti_finite_f(float x) { return x - x == 0.0f; }
+VOXRTI_INLINE int voxrti_finite(double x) { return x - x == 0.0; }
+VOXRTI_INLINE double voxrti_min(double a, double b) { return a < b ? a : b; }
+VOXRTI_INLINE double voxrti_max(double a, double b) { return a > b ? a : b; }
+VOXRTI_INLINE double voxrti_abs(double a) { return a < 0 ? -a : a; }
+VOXRTI_INLINE float voxrti_absf(float a) { return a < 0 ? -a : a; }
+VOXRTI_INLINE float voxrti_dot3(const float *a, const float *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+/* floor for |x| < 2^62 */
+VOXRTI_INLINE int64_t voxrti_floor(double x) {
+    int64_t i = (int64_t)x;
+    return i - ((double)i > x);
+}
+
+VOXRTI_INLINE int voxrti_normalize(float v[3]) { /* 0: no direction, v unchanged */
+    double x = (double)v[0], y = (double)v[1], z = (double)v[2], l = x * x + y * y + z * z;
+    if (!(l > 0.0) || !voxrti_finite(l)) return 0;
+    l = 1.0 / sqrt(l);
+    v[0] = (float)(x * l);
+    v[1] = (float)(y * l);
+    v[2] = (float)(z * l);
+    return 1;
+}
+
+/* 2^x, |x| < 1000; relative error < 1e-13 */
+static VOXRTI_UNUSED double voxrti_exp2(double x) {
+    int64_t n = voxrti_floor(x + 0.5);
+    double f = (x - (double)n) * 0.69314718055994530942, r = 1.0, p = 1.0, scale;
+    uint64_t bits = (uint64_t)(n + 1023) << 52;
+    int i;
+    for (i = 1; i < 13; i++) {
+        p = p * f / (double)i;
+        r = r + p;
+    }
+    memcpy(&scale, &bits, sizeof scale);
+    return r * scale;
+}
+
+/* log2(x) for normal x > 0; absolute error < 1e-13 */
+static VOXRTI_UNUSED double voxrti_log2(double x) {
+    uint64_t bits;
+    int64_t e;
+    double m, s, s2, r = 0.0, p;
+    int i;
+    memcpy(&bits, &x, sizeof bits);
+    e = (int64_t)((bits >> 52) & 2047u) - 1023;
+    bits = (bits & 0xfffffffffffffu) | (uint64_t)1023 << 52;
+    memcpy(&m, &bits, sizeof m);
+    if (m > 1.41421356237309504880) {
+        m *= 0.5;
+        e++;
+    }
+    s = (m - 1.0) / (m + 1.0);
+    s2 = s * s;
+    p = s;
+    for (i = 1; i < 24; i += 2) {
+        r = r + p / (double)i;
+        p = p * s2;
+    }
+    return (double)e + r * 2.88539008177792681472;
+}
+
+static VOXRTI_UNUSED double voxrti_pow(double x, double y) {
+    return x > 0.0 ? voxrti_exp2(y * voxrti_log2(x)) : 0.0;
+}
+
+/* sin and cos of |x| < 1e5; absolute error < 1e-15 */
+static VOXRTI_UNUSED void voxrti_sincos(double x, double *s, double *c) {
+    int64_t q = voxrti_floor(x * 0.63661977236758134308 + 0.5);
+    double r = (x - (double)q * 1.5707963267948965580) - (double)q * 6.1232339957367660359e-17;
+    double r2 = r * r, ps = r, pc = 1.0, ts = r, tc = 1.0, v;
+    int i;
+    for (i = 2; i < 18; i += 2) {
+        tc = -tc * r2 / (double)((i - 1) * i);
+        ts = -ts * r2 / (double)(i * (i + 1));
+        pc = pc + tc;
+        ps = ps + ts;
+    }
+    if (q & 1) {
+        v = ps;
+        ps = pc;
+        pc = -v;
+    }
+    *s = (q & 2) ? -ps : ps;
+    *c = (q & 2) ? -pc : pc;
+}
+
+VOXRTI_INLINE uint64_t voxrti_spread3(uint64_t x) { /* 21 bits, two zeros between each */
+    x &= 0x1fffff;
+    x = (x | x << 32) & 0x1f00000000ffffu;
+    x = (x | x << 16) & 0x1f0000ff0000ffu;
+    x = (x | x << 8) & 0x100f00f00f00f00fu;
+    x = (x | x << 4) & 0x10c30c30c30c30c3u;
+    x = (x | x << 2) & 0x1249249249249249u;
+    return x;
+}
+VOXRTI_INLINE uint32_t voxrti_compact3(uint64_t x) {
+    x &= 0x1249249249249249u;
+    x = (x | x >> 2) & 0x10c30c30c30c30c3u;
+    x = (x | x >> 4) & 0x100f00f00f00f00fu;
+    x = (x | x >> 8) & 0x1f0000ff0000ffu;
+    x = (x | x >> 16) & 0x1f00000000ffffu;
+    x = (x | x >> 32) & 0x1fffffu;
+    return (uint32_t)x;
+}
+VOXRTI_INLINE uint64_t voxrti_morton(uint32_t x, uint32_t y, uint32_t z) {
+    return voxrti_spread3(x) | voxrti_spread3(y) << 1 | voxrti_spread3(z) << 2;
+}
+
+VOXRTI_INLINE uint64_t voxrti_hash_mix(uint64_t h, uint64_t v) {
+    h = (h ^ v) * 0x9e3779b97f4a7c15u;
+    return h ^ (h >> 29);
+}
+/* counter-based random bits */
+VOXRTI_INLINE uint32_t voxrti_hash32(uint32_t x) {
+    x ^= x >> 16;
+    x *= 0x7feb352du;
+    x ^= x >> 15;
+    x *= 0x846ca68bu;
+    return x ^ (x >> 16);
+}
+static VOXRTI_UNUSED uint64_t voxrti_hash_bytes(uint64_t h, const void *data, size_t size) {
+    const uint8_t *p = (const uint8_t *)data;
+    for (; size >= 8; size -= 8, p += 8) h = voxrti_hash_mix(h, voxrti_load_u64(p));
+    for (; size > 0; size--, p++) h = voxrti_hash_mix(h, *p);
+    return h;
+}
+
+/* sRGB byte <-> linear; IEC 61966-2-1 */
+static VOXRTI_UNUSED double voxrti_srgb_to_linear(double c) {
+    return c <= 0.04045 ? c / 12.92 : voxrti_pow((c + 0.055) / 1.055, 2.4);
+}
+static VOXRTI_UNUSED double voxrti_linear_to_srgb(double c) {
+    if (!(c > 0.0)) return 0.0;
+    if (c >= 1.0) return 1.0;
+    return c <= 0.0031308 ? c * 12.92 : 1.055 * voxrti_pow(c, 1.0 / 2.4) - 0.055;
+}
+/* table[i] = linear light of sRGB byte i in units of 1/65535, rounded; strictly ascending */
+static VOXRTI_UNUSED void voxrti_srgb_table(uint32_t table[256]) {
+    int i;
+    for (i = 0; i < 256; i++) table[i] = (uint32_t)(voxrti_srgb_to_linear((double)i / 255.0) * 65535.0 + 0.5);
+}
+/* nearest table entry in linear light: exact inverse of the table */
+static VOXRTI_UNUSED uint32_t voxrti_srgb_find(const uint32_t table[256], uint32_t linear) {
+    uint32_t lo = 0, hi = 255;
+    while (lo < hi) {
+        uint32_t mid = (lo + hi + 1) / 2;
+        if (table[mid] <= linear) lo = mid;
+        else hi = mid - 1;
+    }
+    return lo < 255 && table[lo + 1] - linear < linear - table[lo] ? lo + 1 : lo;
+}
+
+/* Octahedral unit vectors in 8+8 bits (Cigolle et al. 2014), best of the four neighbours when encoding:
+   mean error 0.315 degrees, largest 0.64. */
+VOXRTI_INLINE void voxrti_oct_decode(uint32_t code, float n[3]) {
+    float x = (float)(code & 255u) * (2.0f / 255.0f) - 1.0f, y = (float)(code >> 8) * (2.0f / 255.0f) - 1.0f;
+    float z = 1.0f - (x < 0 ? -x : x) - (y < 0 ? -y : y), l;
+    if (z < 0) {
+        float ox = x;
+        x = (1.0f - (y < 0 ? -y : y)) * (x < 0 ? -1.0f : 1.0f);
+        y = (1.0f - (ox < 0 ? -ox : ox)) * (y < 0 ? -1.0f : 1.0f);
+    }
+    l = 1.0f / sqrtf(x * x + y * y + z * z);
+    n[0] = x * l;
+    n[1] = y * l;
+    n[2] = z * l;
+}
+/* Cosine * length and squared length of the decoded vectors of the codes (ix..ix+1, iy..iy+1). The two forms do the
+   same operations and give the same bits. */
+#if VOXRTI_X64
+VOXRTI_INLINE void voxrti_oct_candidates(int ix, int iy, const float m[3], float dot[4], float len[4]) {
+    const __m128 sign = _mm_set1_ps(-0.0f), one = _mm_set1_ps(1.0f), zero = _mm_setzero_ps();
+    __m128 x = _mm_min_ps(_mm_add_ps(_mm_set1_ps((float)ix), _mm_setr_ps(0, 1, 0, 1)), _mm_set1_ps(255.0f));
+    __m128 y = _mm_min_ps(_mm_add_ps(_mm_set1_ps((float)iy), _mm_setr_ps(0, 0, 1, 1)), _mm_set1_ps(255.0f));
+    __m128 z, ax, ay, fx, fy, fold;
+    x = _mm_sub_ps(_mm_mul_ps(x, _mm_set1_ps(2.0f / 255.0f)), one);
+    y = _mm_sub_ps(_mm_mul_ps(y, _mm_set1_ps(2.0f / 255.0f)), one);
+    ax = _mm_andnot_ps(sign, x);
+    ay = _mm_andnot_ps(sign, y);
+    z = _mm_sub_ps(_mm_sub_ps(one, ax), ay);
+    fold = _mm_cmplt_ps(z, zero);
+    fx = _mm_mul_ps(_mm_sub_ps(one, ay), _mm_or_ps(one, _mm_and_ps(sign, _mm_cmplt_ps(x, zero))));
+    fy = _mm_mul_ps(_mm_sub_ps(one, ax), _mm_or_ps(one, _mm_and_ps(sign, _mm_cmplt_ps(y, zero))));
+    x = _mm_or_ps(_mm_and_ps(fold, fx), _mm_andnot_ps(fold, x));
+    y = _mm_or_ps(_mm_and_ps(fold, fy), _mm_andnot_ps(fold, y));
+    _mm_storeu_ps(dot, _mm_add_ps(_mm_add_ps(_mm_mul_ps(x, _mm_set1_ps(m[0])), _mm_mul_ps(y, _mm_set1_ps(m[1]))),
+                                  _mm_mul_ps(z, _mm_set1_ps(m[2]))));
+    _mm_storeu_ps(len, _mm_add_ps(_mm_add_ps(_mm_mul_ps(x, x), _mm_mul_ps(y, y)), _mm_mul_ps(z, z)));
+}
+#else
+VOXRTI_INLINE void voxrti_oct_candidates(int ix, int iy, const float m[3], float dot[4], float len[4]) {
+    int k;
+    for (k = 0; k < 4; k++) {
+        float x = (float)(ix + (k & 1)), y = (float)(iy + (k >> 1)), z, ax, ay;
+        x = (x > 255.0f ? 255.0f : x) * (2.0f / 255.0f) - 1.0f;
+        y = (y > 255.0f ? 255.0f : y) * (2.0f / 255.0f) - 1.0f;
+        ax = x < 0 ? -x : x;
+        ay = y < 0 ? -y : y;
+        z = 1.0f - ax - ay;
+        if (z < 0) {
+            x = (1.0f - ay) * (x < 0 ? -1.0f : 1.0f);
+            y = (1.0f - ax) * (y < 0 ? -1.0f : 1.0f);
+        }
+        dot[k] = x * m[0] + y * m[1] + z * m[2];
+        len[k] = x * x + y * y + z * z;
+    }
+}
+#endif
+
+static VOXRTI_UNUSED uint32_t voxrti_oct_encode(const float n[3]) {
+    float ax = n[0] < 0 ? -n[0] : n[0], ay = n[1] < 0 ? -n[1] : n[1], az = n[2] < 0 ? -n[2] : n[2];
+    float s = ax + ay + az, x, y, best = 0.0f, best_len = 1.0f, m[3], dot[4], len[4];
+    uint32_t code = 0x8080u;
+    int ix, iy, k;
+    if (!(s > 0.0f)) return code;
+    s = 1.0f / s;
+    m[0] = x = n[0] * s;
+    m[1] = y = n[1] * s;
+    m[2] = n[2] * s;
+    if (n[2] < 0) {
+        float ox = x;
+        x = (1.0f - (y < 0 ? -y : y)) * (x < 0 ? -1.0f : 1.0f);
+        y = (1.0f - (ox < 0 ? -ox : ox)) * (y < 0 ? -1.0f : 1.0f);
+    }
+    ix = (int)((x + 1.0f) * 127.5f);
+    iy = (int)((y + 1.0f) * 127.5f);
+    ix = ix < 0 ? 0 : ix > 255 ? 255 : ix;
+    iy = iy < 0 ? 0 : iy > 255 ? 255 : iy;
+    voxrti_oct_candidates(ix, iy, m, dot, len);
+    for (k = 0; k < 4; k++) { /* largest cosine */
+        if (dot[k] > 0 && dot[k] * dot[k] * best_len > best * len[k]) {
+            int cx = ix + (k & 1), cy = iy + (k >> 1);
+            best = dot[k] * dot[k];
+            best_len = len[k];
+            code = (uint32_t)(cx > 255 ? 255 : cx) | (uint32_t)(cy > 255 ? 255 : cy) << 8;
+        }
+    }
+    return code;
+}
+
+/* ---------------------------------------------------------------------------
+   core: the bytes of a tree.                                                    // >>core
+
+   A tree has `wide` levels; a node of wide level w covers 4x4x4 cells of octree level v = 2w+2 (v counts from the
+   virtual root, a cube of 4^wide cells; when the depth is odd the model lives in the virtual root's octant 0).
+   A node is one 64-bit mask. Bit i = x0 + 2*y0 + 4*z0 + 8*x1 + 16*y1 + 32*z1 (x = 2*x1 + x0 ...), Morton order, so
+   that byte o of the mask is octant o, and every octree level can be addressed: level 2w+2 by bits, 2w+1 by bytes.
+   Nodes of a level stand in Morton order. So the children of a node are contiguous, and the position of a cell
+   among the filled cells of its level (its rank) is the index of its attributes. Nothing else is stored:
+     interior nodes   16 bytes: mask, index of the first child, rank of the first octant
+     leaf nodes        8 bytes: mask; and 8 bytes per 16 leaf nodes: ranks of the first voxel and octant
+   Attributes of virtual level v start at attr_first[v], leaves first (attr_first[2*wide] = 0, then level 2*wide-1 and
+   so on up to the root): palette index (compressed blocks of 64) and 16-bit normal.
+   --------------------------------------------------------------------------- */
+
+#define VOXRTI_MAX_WIDE 10
+
+typedef struct voxrti_node {
+    uint64_t mask;
+    uint32_t child;  /* index of the first child: in tree->node, on the last interior level in tree->leaf */
+    uint32_t octant; /* rank of the node's first non-empty octant in its level */
+} voxrti_node;
+
+/* Colour indices of attr_count cells in blocks of 64 (see palette). index_bytes = 0: all cells have entry 0. */
+typedef struct voxrti_colors {
+    uint32_t *block;     /* [ceil(count/64)] */
+    uint8_t *data;       /* [data_bytes], padded by 8 readable bytes */
+    size_t block_count, data_bytes;
+} voxrti_colors;
+
+struct voxrt_tree {
+    voxrti_mem mem;
+    int cpu_level;
+    uint32_t depth, wide, resolution;
+    double origin[3], voxel_size;
+    uint32_t cell_min[3], cell_max[3];        /* leaf cells, max exclusive */
+    voxrti_node *node;                        /* wide levels 0..wide-2 */
+    uint32_t level_first[VOXRTI_MAX_WIDE];    /* first node of wide level w in `node`; [wide-1] = 0 for leaves */
+    uint32_t level_nodes[VOXRTI_MAX_WIDE];    /* nodes of wide level w; [wide-1]: leaf nodes */
+    uint32_t node_count;                      /* interior nodes */
+    uint64_t *leaf;                           /* [level_nodes[wide-1]], padded by 8 */
+    uint32_t *rank;                           /* [2*(leaves/16 + 1)]: voxels, octants before leaf node 16*i */
+    uint64_t attr_first[2 * VOXRTI_MAX_WIDE + 2]; /* by virtual level 0..2*wide, descending; [2*wide+1] = 0 */
+    uint64_t attr_count;
+    uint64_t voxel_count;
+    uint16_t *normal;                         /* [attr_count] or NULL */
+    voxrti_colors colors;                     /* block = NULL: one colour */
+    uint8_t *palette;                         /* [3*palette_count], at least one entry */
+    uint32_t palette_count;
+    const void *borrowed;                     /* the memory image the arrays point into, or NULL: owned */
+};
+
+/* Filled leaves on their way into a tree: 4x4x4 blocks in ascending Morton order, the attributes of their voxels in
+   the same order (block after block, bit after bit). */
+typedef struct voxrti_leafset {
+    uint64_t *key;    /* [block_count] Morton code of the block (voxel coordinates / 4) */
+    uint64_t *mask;   /* [block_count] never 0 */
+    uint32_t *rgb;    /* [voxel_count] 0x00BBGGRR, sRGB; NULL: no colours */
+    uint16_t *normal; /* [voxel_count] oct codes; NULL: no normals */
+    size_t block_count, voxel_count;
+} voxrti_leafset;
+
+static VOXRTI_UNUSED void voxrti_leafset_free(voxrti_mem *mem, voxrti_leafset *set) {
+    voxrti_free(mem, set->key);
+    voxrti_free(mem, set->mask);
+    voxrti_free(mem, set->rgb);
+    voxrti_free(mem, set->normal);
+    memset(set, 0, sizeof *set);
+}
+
+/* How world positions map to cells: grid = (world - origin) / voxel_size. */
+typedef struct voxrti_grid {
+    double origin[3], voxel_size;
+    uint32_t depth, resolution; /* resolution <= 2^depth */
+} voxrti_grid;
+
+/* bit of a mask <-> cell 0..3 in it */
+VOXRTI_INLINE uint32_t voxrti_slot(uint32_t x, uint32_t y, uint32_t z) {
+    return (x & 1u) | (y & 1u) << 1 | (z & 1u) << 2 | (x & 2u) << 2 | (y & 2u) << 3 | (z & 2u) << 4;
+}
+VOXRTI_INLINE uint32_t voxrti_slot_x(uint32_t s) { return (s & 1u) | (s >> 2 & 2u); }
+VOXRTI_INLINE uint32_t voxrti_slot_y(uint32_t s) { return (s >> 1 & 1u) | (s >> 3 & 2u); }
+VOXRTI_INLINE uint32_t voxrti_slot_z(uint32_t s) { return (s >> 2 & 1u) | (s >> 4 & 2u); }
+
+/* bit o of the result = byte o of the mask is not 0 */
+VOXRTI_INLINE uint32_t voxrti_octants(uint64_t mask) {
+    uint64_t m = mask | mask >> 4;
+    m |= m >> 2;
+    m |= m >> 1;
+    m &= 0x0101010101010101u;
+    return (uint32_t)((m * 0x0102040810204080u) >> 56);
+}
+
+/* ---------------------------------------------------------------------------
+   palette: colours become indices.                                              // >>palette
+
+   A palette has 3 sRGB bytes an entry, sorted by the Morton code of (green, red, blue), so that similar colours have
+   near indices. Few enough colours are kept exactly. Otherwise they are merged pair by pair: in Oklab with Ward's cost
+   and k-means on top, or in RGB as the thesis does it.
+   The stream of indices: blocks of 64, one little-endian word each (in memory: host order), bits 0..3 kind:
+     0      all 64 are index word>>4. Other kinds: data at byte 4*(word>>4)
+     1      u32: base | bits<<24 (bits 1..24); then 64 codes of `bits` bits: index = base + code
+     2..6   64 codes of kind-1 bits, then a table of u16: index = table[code]
+     7..11  64 codes of kind-6 bits, then a table of u24
+   Code j starts at bit j*bits, low bits first. The table ends with the largest code in use.
+   --------------------------------------------------------------------------- */
+
+VOXRTI_INLINE uint32_t voxrti_colors_bits(uint32_t x) { return x == 0 ? 0 : 32u - voxrti_clz32(x); }
+
+VOXRTI_INLINE uint32_t voxrti_load_u24(const uint8_t *p) {
+    return (uint32_t)p[0] | (uint32_t)p[1] << 8 | (uint32_t)p[2] << 16;
+}
+
+/* code j of a block of codes; may read 3 bytes past them */
+VOXRTI_INLINE uint32_t voxrti_colors_code(const uint8_t *codes, uint32_t bits, uint32_t j) {
+    uint32_t bit = j * bits;
+    return voxrti_load_u32(codes + (bit >> 3)) >> (bit & 7u) & ((1u << bits) - 1u);
+}
+
+/* Palette index of cell i. c->block must not be NULL, i < count. */
+VOXRTI_INLINE uint32_t voxrti_colors_get(const voxrti_colors *c, uint64_t i) {
+    uint32_t word = c->block[i >> 6], kind = word & 15u, j = (uint32_t)i & 63u, bits;
+    const uint8_t *p;
+    if (kind == 0) return word >> 4;
+    p = c->data + (size_t)(word >> 4) * 4;
+    if (kind == 1) {
+        word = voxrti_load_u32(p);
+        return (word & 0xffffffu) + voxrti_colors_code(p + 4, word >> 24, j);
+    }
+    bits = kind < 7 ? kind - 1 : kind - 6;
+    j = voxrti_colors_code(p, bits, j);
+    p += 8 * bits;
+    return kind < 7 ? voxrti_load_u16(p + 2 * j) : voxrti_load_u24(p + 3 * j);
+}
+
+/* out[k] = index of cell first + k; c->block may be NULL (all 0). */
+static VOXRTI_UNUSED void voxrti_colors_decode(const voxrti_colors *c, uint64_t first, size_t n, uint32_t *out) {
+    size_t k = 0;
+    while (k < n) {
+        uint64_t i = first + k;
+        uint32_t word = c->block != NULL ? c->block[i >> 6] : 0;
+        size_t stop = 64 - (size_t)(i & 63u);
+        stop = n - k < stop ? n : k + stop;
+        if ((word & 15u) == 0) {
+            for (; k < stop; k++) out[k] = word >> 4;
+        } else {
+            for (; k < stop; k++) out[k] = voxrti_colors_get(c, first + k);
+        }
+    }
+}
+
+/* 1 if every index of untrusted blocks is < palette_count and lies in the data, so that get and decode are safe. */
+static VOXRTI_UNUSED int voxrti_colors_valid(const voxrti_colors *c, uint64_t count, uint32_t palette_count) {
+    size_t b;
+    if (palette_count == 0) return 0;
+    if (c->block == NULL) return c->block_count == 0 && c->data_bytes == 0;
+    if (c->block_count != (count + 63) / 64 || (c->data == NULL && c->data_bytes != 0)) return 0;
+    for (b = 0; b < c->block_count; b++) {
+        uint32_t word = c->block[b], kind = word & 15u, bits, j, code, high = 0;
+        size_t at = (size_t)(word >> 4) * 4, room;
+        const uint8_t *p = c->data;
+        if (kind == 0) {
+            if (word >> 4 >= palette_count) return 0;
+            continue;
+        }
+        if (kind > 11 || at > c->data_bytes || c->data_bytes - at < 8) return 0;
+        p += at;
+        room = c->data_bytes - at;
+        bits = kind == 1 ? p[3] : kind < 7 ? kind - 1 : kind - 6;
+        if (bits < 1 || bits > 24) return 0;
+        if (kind == 1) {
+            room -= 4;
+            p += 4;
+        }
+        if (room < 8 * (size_t)bits) return 0;
+        room -= 8 * (size_t)bits;
+        for (j = 0; j < 64; j++) {
+            code = voxrti_colors_code(p, bits, j);
+            if (code > high) high = code;
+        }
+        if (kind == 1) {
+            if ((voxrti_load_u32(p - 4) & 0xffffffu) + high >= palette_count) return 0;
+            continue;
+        }
+        if (room < (size_t)(high + 1) * (kind < 7 ? 2u : 3u)) return 0;
+        for (j = 0; j < 64; j++)
+            if (voxrti_colors_get(c, (uint64_t)b * 64 + j) >= palette_count) return 0;
+    }
+    return 1;
+}
+
+#define VOXRTI_COLORS_CHUNK 1024 /* blocks in one task */
+
+typedef struct voxrti_colors_plan { /* the cheapest form of one block */
+    uint32_t kind, bits, base, entries, bytes; /* bytes: multiple of 4 */
+    uint32_t table[32];
+    uint8_t code[64];
+} voxrti_colors_plan;
+
+static void voxrti_colors_choose(const uint32_t *v, voxrti_colors_plan *p) {
+    uint32_t lo = v[0], hi = v[0], j, k = 0, width, bits, bytes;
+    uint8_t slot[128];
+    for (j = 1; j < 64; j++) {
+        lo = v[j] < lo ? v[j] : lo;
+        hi = v[j] > hi ? v[j] : hi;
+    }
+    p->base = lo;
+    p->kind = 0;
+    p->bytes = 0;
+    if (lo == hi) return;
+    p->kind = 1;
+    p->bits = voxrti_colors_bits(hi - lo);
+    p->bytes = 4 + 8 * p->bits;
+    if (p->bits < 2) return;
+    width = hi < 0x10000u ? 2 : 3;
+    memset(slot, 255, sizeof slot);
+    for (j = 0; j < 64; j++) {
+        uint32_t h = v[j] * 0x9e3779b1u >> 25;
+        while (slot[h] != 255 && p->table[slot[h]] != v[j]) h = (h + 1) & 127u;
+        if (slot[h] == 255) {
+            if (k == 32) return;
+            slot[h] = (uint8_t)k;
+            p->table[k++] = v[j];
+        }
+        p->code[j] = slot[h];
+    }
+    bits = voxrti_colors_bits(k - 1);
+    bytes = (8 * bits + width * k + 3u) & ~3u;
+    if (bytes >= p->bytes) return;
+    p->kind = width == 2 ? bits + 1 : bits + 6;
+    p->bits = bits;
+    p->entries = k;
+    p->bytes = bytes;
+}
+
+static void voxrti_colors_write(const voxrti_colors_plan *p, const uint32_t *v, uint8_t *out) {
+    uint64_t acc = 0;
+    uint32_t j, held = 0;
+    if (p->kind == 1) {
+        voxrti_store_u32(out, p->base | p->bits << 24);
+        out += 4;
+    }
+    for (j = 0; j < 64; j++) {
+        acc |= (uint64_t)(p->kind == 1 ? v[j] - p->base : p->code[j]) << held;
+        for (held += p->bits; held >= 8; held -= 8, acc >>= 8) *out++ = (uint8_t)acc;
+    }
+    for (j = 0; p->kind != 1 && j < p->entries; j++) {
+        voxrti_store_u16(out, p->table[j]);
+        out += 2;
+        if (p->kind >= 7) *out++ = (uint8_t)(p->table[j] >> 16);
+    }
+}
+
+typedef struct voxrti_colors_job {
+    const uint32_t *index;
+    size_t count, block_count;
+    uint32_t *block;
+    uint8_t *data;
+    uint64_t *first; /* per task: pass 1 writes its bytes, pass 2 reads where they start */
+    uint32_t *top;   /* per task: largest index */
+    int pass;
+} voxrti_colors_job;
+
+static void voxrti_colors_task(void *ctx, uint32_t t) {
+    voxrti_colors_job *job = (voxrti_colors_job *)ctx;
+    size_t b = (size_t)t * VOXRTI_COLORS_CHUNK, stop = b + VOXRTI_COLORS_CHUNK;
+    uint64_t at = job->pass == 1 ? 0 : job->first[t];
+    voxrti_colors_plan plan;
+    uint32_t tail[64], top = 0, j;
+    memset(&plan, 0, sizeof plan);
+    if (stop > job->block_count) stop = job->block_count;
+    for (; b < stop; b++) {
+        const uint32_t *v = job->index + b * 64;
+        if (job->pass == 2 && (job->block[b] & 15u) == 0) continue;
+        if (job->count - b * 64 < 64) { /* the last block repeats its last index */
+            for (j = 0; j < 64; j++) tail[j] = v[b * 64 + j < job->count ? j : job->count - 1 - b * 64];
+            v = tail;
+        }
+        voxrti_colors_choose(v, &plan);
+        if (job->pass == 1) {
+            for (j = 0; j < 64; j++) top = v[j] > top ? v[j] : top;
+            job->block[b] = plan.kind != 0 ? plan.kind : plan.base << 4;
+        } else {
+            memset(job->data + at + plan.bytes - 4, 0, 4);
+            voxrti_colors_write(&plan, v, job->data + at);
+            job->block[b] = plan.kind | (uint32_t)(at / 4) << 4;
+        }
+        at += plan.bytes;
+    }
+    if (job->pass == 1) {
+        job->first[t] = at;
+        job->top[t] = top;
+    }
+}
+
+/* Compress palette indices (each < 2^24). out->block = NULL if all are 0. The same bytes for any thread count.
+   Errors: NO_MEMORY, RANGE (an index >= 2^24, or more than 1 GB of data); then *out is all zero. */
+static VOXRTI_UNUSED voxrt_result voxrti_colors_encode(voxrti_mem *mem, const voxrt_env *env, const uint32_t *index,
+                                                       size_t count, voxrti_colors *out) {
+    voxrti_colors_job job;
+    size_t tasks, t;
+    uint64_t total = 0;
+    uint32_t top = 0;
+    voxrt_result r = VOXRT_OK;
+    memset(out, 0, sizeof *out);
+    memset(&job, 0, sizeof job);
+    if (count == 0) return VOXRT_OK;
+    job.index = index;
+    job.count = count;
+    job.block_count = (count - 1) / 64 + 1;
+    tasks = (job.block_count - 1) / VOXRTI_COLORS_CHUNK + 1;
+    if (tasks > 0x7fffffffu) return VOXRT_ERR_RANGE;
+    job.block = (uint32_t *)voxrti_alloc_array(mem, job.block_count, sizeof(uint32_t));
+    job.first = (uint64_t *)voxrti_alloc_array(mem, tasks, sizeof(uint64_t));
+    job.top = (uint32_t *)voxrti_alloc_array(mem, tasks, sizeof(uint32_t));
+    if (job.block == NULL || job.first == NULL || job.top == NULL) r = VOXRT_ERR_NO_MEMORY;
+    if (r == VOXRT_OK) {
+        job.pass = 1;
+        voxrti_parallel_for(env, voxrti_colors_task, &job, (uint32_t)tasks);
+        for (t = 0; t < tasks; t++) {
+            uint64_t bytes = job.first[t];
+            job.first[t] = total;
+            total += bytes;
+            top = job.top[t] > top ? job.top[t] : top;
+        }
+        if (top >= 0x1000000u) r = voxrti_fail(env->error, VOXRT_ERR_RANGE, top, "palette index % is too large");
+        else if (total > (uint64_t)1 << 30)
+            r = voxrti_fail(env->error, VOXRT_ERR_RANGE, total, "colours take % bytes, more than 1 GB");
+    }
+    if (r == VOXRT_OK && total != 0) {
+        job.data = (uint8_t *)voxrti_alloc(mem, (size_t)total + 8);
+        if (job.data == NULL) r = VOXRT_ERR_NO_MEMORY;
+        else {
+            memset(job.data + total, 0, 8);
+            job.pass = 2;
+            voxrti_parallel_for(env, voxrti_colors_task, &job, (uint32_t)tasks);
+        }
+    }
+    voxrti_free(mem, job.first);
+    voxrti_free(mem, job.top);
+    if (r != VOXRT_OK || top == 0) {
+        voxrti_free(mem, job.block);
+        return r;
+    }
+    out->block = job.block;
+    out->data = job.data;
+    out->block_count = job.block_count;
+    out->data_bytes = (size_t)total;
+    return VOXRT_OK;
+}
+
+/* ---- sets of colours: a bit for each of the 2^24, and ranks ---- */
+
+#define VOXRTI_CSET_WORDS 524288u
+
+typedef struct voxrti_cset {
+    uint32_t *bits;   /* [VOXRTI_CSET_WORDS]; 32 bits, as not every machine has 64-bit atomics */
+    uint32_t *before; /* [VOXRTI_CSET_WORDS] members before each word, after voxrti_cset_rank */
+    uint32_t count;
+} voxrti_cset;
+
+static int voxrti_cset_open(voxrti_mem *mem, voxrti_cset *s) {
+    s->bits = (uint32_t *)voxrti_alloc_zero(mem, VOXRTI_CSET_WORDS, sizeof(uint32_t));
+    s->before = (uint32_t *)voxrti_alloc_array(mem, VOXRTI_CSET_WORDS, sizeof(uint32_t));
+    s->count = 0;
+    return s->bits != NULL && s->before != NULL;
+}
+
+static void voxrti_cset_close(voxrti_mem *mem, voxrti_cset *s) {
+    voxrti_free(mem, s->bits);
+    voxrti_free(mem, s->before);
+}
+
+static void voxrti_cset_rank(voxrti_cset *s) {
+    uint32_t w, n = 0;
+    for (w = 0; w < VOXRTI_CSET_WORDS; w++) {
+        s->before[w] = n;
+        if (s->bits[w] != 0) n += voxrti_popcount64(s->bits[w]);
+    }
+    s->count = n;
+}
+
+VOXRTI_INLINE void voxrti_cset_add(voxrti_cset *s, uint32_t c) { s->bits[c >> 5] |= 1u << (c & 31u); }
+VOXRTI_INLINE int voxrti_cset_has(const voxrti_cset *s, uint32_t c) { return (int)(s->bits[c >> 5] >> (c & 31u) & 1u); }
+VOXRTI_INLINE uint32_t voxrti_cset_index(const voxrti_cset *s, uint32_t c) {
+    return s->before[c >> 5] + voxrti_popcount64(s->bits[c >> 5] & ((1u << (c & 31u)) - 1u));
+}
+
+/* list[] = members in ascending order */
+static void voxrti_cset_list(const voxrti_cset *s, uint32_t *list) {
+    uint32_t w, n = 0;
+    for (w = 0; w < VOXRTI_CSET_WORDS; w++) {
+        uint32_t m = s->bits[w];
+        for (; m != 0; m &= m - 1) list[n++] = w * 32 + voxrti_ctz64(m);
+    }
+}
+
+/* Passes over all cells. A small cache per task saves most of the look-ups, as models have few colours at a place. */
+#define VOXRTI_PAL_CHUNK ((size_t)1 << 18)
+#define VOXRTI_PAL_CACHE 1024
+#define VOXRTI_PAL_SLICES 16u /* tasks of the counting pass, each with its own counters while colours are few */
+
+typedef struct voxrti_pal_pass {
+    uint32_t *rgb;
+    size_t count, slice;
+    voxrti_cset *set;
+    const uint32_t *map; /* replace: by rank */
+    uint32_t *use;       /* count: by rank; one array per slice, or one for all */
+    int apart;
+} voxrti_pal_pass;
+
+static void voxrti_pal_mark_task(void *ctx, uint32_t t) {
+    voxrti_pal_pass *p = (voxrti_pal_pass *)ctx;
+    size_t i = (size_t)t * VOXRTI_PAL_CHUNK, stop = i + VOXRTI_PAL_CHUNK;
+    uint32_t seen[VOXRTI_PAL_CACHE];
+    memset(seen, 255, sizeof seen);
+    if (stop > p->count) stop = p->count;
+    for (; i < stop; i++) {
+        uint32_t c = p->rgb[i] & 0xffffffu, h = c * 0x9e3779b1u >> 22;
+        if (seen[h] != c) {
+            uint32_t *word = &p->set->bits[c >> 5], bit = 1u << (c & 31u), old = voxrti_atomic_load(word);
+            while ((old & bit) == 0 && !voxrti_atomic_max_step(word, &old, old | bit)) { }
+            seen[h] = c;
+        }
+    }
+}
+
+static void voxrti_pal_replace_task(void *ctx, uint32_t t) {
+    voxrti_pal_pass *p = (voxrti_pal_pass *)ctx;
+    size_t i = (size_t)t * VOXRTI_PAL_CHUNK, stop = i + VOXRTI_PAL_CHUNK;
+    uint32_t seen[VOXRTI_PAL_CACHE], value[VOXRTI_PAL_CACHE];
+    memset(seen, 255, sizeof seen);
+    memset(value, 0, sizeof value);
+    if (stop > p->count) stop = p->count;
+    for (; i < stop; i++) {
+        uint32_t c = p->rgb[i] & 0xffffffu, h = c * 0x9e3779b1u >> 22;
+        if (seen[h] != c) {
+            seen[h] = c;
+            value[h] = p->map[voxrti_cset_index(p->set, c)];
+        }
+        p->rgb[i] = value[h];
+    }
+}
+
+static void voxrti_pal_count_task(void *ctx, uint32_t t) {
+    voxrti_pal_pass *p = (voxrti_pal_pass *)ctx;
+    size_t i = t * p->slice, stop = i + p->slice;
+    uint32_t seen[VOXRTI_PAL_CACHE], value[VOXRTI_PAL_CACHE];
+    uint32_t *use = p->use + (p->apart ? (size_t)t * p->set->count : 0);
+    memset(seen, 255, sizeof seen);
+    memset(value, 0, sizeof value);
+    if (stop > p->count) stop = p->count;
+    while (i < stop) {
+        uint32_t c = p->rgb[i] & 0xffffffu, h = c * 0x9e3779b1u >> 22;
+        size_t first = i++;
+        if (seen[h] != c) {
+            seen[h] = c;
+            value[h] = voxrti_cset_index(p->set, c);
+        }
+        while (i < stop && (p->rgb[i] & 0xffffffu) == c) i++;
+        if (p->apart) use[value[h]] += (uint32_t)(i - first);
+        else (void)voxrti_atomic_add(&use[value[h]], (uint32_t)(i - first));
+    }
+}
+
+/* out[rank] = uses of each colour of the set in rgb[0..count) */
+static voxrt_result voxrti_pal_count(voxrti_mem *mem, const voxrt_env *env, uint32_t *rgb, size_t count,
+                                     voxrti_cset *set, uint32_t **out) {
+    voxrti_pal_pass p;
+    uint32_t tasks, i, t;
+    memset(&p, 0, sizeof p);
+    p.rgb = rgb;
+    p.count = count;
+    p.set = set;
+    p.slice = count / VOXRTI_PAL_SLICES + 1;
+    if (p.slice < 65536) p.slice = 65536;
+    tasks = (uint32_t)((count + p.slice - 1) / p.slice);
+    p.apart = set->count <= 65536u;
+    p.use = (uint32_t *)voxrti_alloc_zero(mem, set->count, sizeof(uint32_t) * (p.apart && tasks > 1 ? tasks : 1));
+    *out = p.use;
+    if (p.use == NULL) return VOXRT_ERR_NO_MEMORY;
+    voxrti_parallel_for(env, voxrti_pal_count_task, &p, tasks);
+    for (t = 1; p.apart && t < tasks; t++)
+        for (i = 0; i < set->count; i++) p.use[i] += p.use[(size_t)t * set->count + i];
+    return VOXRT_OK;
+}
+
+/* ---- Oklab (Ottosson 2020) ---- */
+
+typedef struct voxrti_oklab {
+    double linear[256];   /* of an sRGB byte */
+    double between[255];  /* linear light halfway (in sRGB) from byte i to i+1 */
+} voxrti_oklab;
+
+static VOXRTI_UNUSED void voxrti_oklab_init(voxrti_oklab *o) {
+    int i;
+    for (i = 0; i < 256; i++) o->linear[i] = voxrti_srgb_to_linear((double)i / 255.0);
+    for (i = 0; i < 255; i++) o->between[i] = voxrti_srgb_to_linear(((double)i + 0.5) / 255.0);
+}
+
+/* x in [0, 2]; two Halley steps from a bit trick's 5 %: relative error < 1e-12 */
+static double voxrti_cbrt(double x) {
+    uint64_t bits;
+    double t, t3;
+    int i;
+    if (!(x > 1e-30)) return 0.0;
+    memcpy(&bits, &x, sizeof bits);
+    bits = bits / 3 + 0x2a9f7893782da1ceu;
+    memcpy(&t, &bits, sizeof t);
+    for (i = 0; i < 2; i++) {
+        t3 = t * t * t;
+        t = t * (t3 + 2.0 * x) / (2.0 * t3 + x);
+    }
+    return t;
+}
+
+static void voxrti_oklab_from(const voxrti_oklab *o, uint32_t rgb, double c[3]) {
+    double r = o->linear[rgb & 255u], g = o->linear[rgb >> 8 & 255u], b = o->linear[rgb >> 16 & 255u];
+    double l = voxrti_cbrt(0.4122214708 * r + 0.5363325363 * g + 0.0514459929 * b);
+    double m = voxrti_cbrt(0.2119034982 * r + 0.6806995451 * g + 0.1073969566 * b);
+    double s = voxrti_cbrt(0.0883024619 * r + 0.2817188376 * g + 0.6299787005 * b);
+    c[0] = 0.2104542553 * l + 0.7936177850 * m - 0.0040720468 * s;
+    c[1] = 1.9779984951 * l - 2.4285922050 * m + 0.4505937099 * s;
+    c[2] = 0.0259040371 * l + 0.7827717662 * m - 0.8086757660 * s;
+}
+
+static uint32_t voxrti_oklab_byte(const voxrti_oklab *o, double x) {
+    uint32_t lo = 0, hi = 255;
+    while (lo < hi) {
+        uint32_t mid = (lo + hi) / 2;
+        if (x < o->between[mid]) hi = mid;
+        else lo = mid + 1;
+    }
+    return lo;
+}
+
+static uint32_t voxrti_oklab_to(const voxrti_oklab *o, const double c[3]) {
+    double l = c[0] + 0.3963377774 * c[1] + 0.2158037573 * c[2];
+    double m = c[0] - 0.1055613458 * c[1] - 0.0638541728 * c[2];
+    double s = c[0] - 0.0894841775 * c[1] - 1.2914855480 * c[2];
+    l = l * l * l;
+    m = m * m * m;
+    s = s * s * s;
+    return voxrti_oklab_byte(o, 4.0767416621 * l - 3.3077115913 * m + 0.2309699292 * s) |
+           voxrti_oklab_byte(o, -1.2684380046 * l + 2.6097574011 * m - 0.3413193965 * s) << 8 |
+           voxrti_oklab_byte(o, -0.0041960863 * l - 0.7034186147 * m + 1.7076147010 * s) << 16;
+}
+
+/* ---- merging ---- */
+
+typedef struct voxrti_pcell { /* a cluster of colours */
+    double c[3];  /* usage-weighted mean: Oklab, or sRGB bytes (thesis) */
+    double v;     /* uses */
+    double g;     /* drift: merges it stems from (thesis) */
+} voxrti_pcell;
+
+/* A uniform grid for nearest-neighbour search. Distinct sRGB colours keep a distance, which bounds the crowd in a
+   cell; at about four grid cells a point even clustered input stays fast. */
+typedef struct voxrti_pitem {
+    double c[3], v; /* v: uses, or drift (thesis) */
+    uint32_t id;
+} voxrti_pitem;
+
+typedef struct voxrti_pgrid {
+    double lo[3], edge, inv;
+    int32_t dim[3];
+    uint32_t *start;    /* [cells + 1] */
+    voxrti_pitem *item; /* [n] by grid cell, in a cell by id */
+} voxrti_pgrid;
+
+static void voxrti_pgrid_free(voxrti_mem *mem, voxrti_pgrid *g) {
+    voxrti_free(mem, g->start);
+    voxrti_free(mem, g->item);
+    g->start = NULL;
+    g->item = NULL;
+}
+
+VOXRTI_INLINE int32_t voxrti_pgrid_axis(const voxrti_pgrid *g, double c, int k) {
+    double t = (c - g->lo[k]) * g->inv;
+    int32_t i = t > 0.0 ? t < 1e9 ? (int32_t)t : 1000000000 : 0;
+    return i < g->dim[k] ? i : g->dim[k] - 1;
+}
+
+VOXRTI_INLINE size_t voxrti_pgrid_cell(const voxrti_pgrid *g, const double c[3]) {
+    return ((size_t)voxrti_pgrid_axis(g, c[2], 2) * (size_t)g->dim[1] + (size_t)voxrti_pgrid_axis(g, c[1], 1)) *
+           (size_t)g->dim[0] + (size_t)voxrti_pgrid_axis(g, c[0], 0);
+}
+
+/* n >= 1; 0: out of memory */
+static int voxrti_pgrid_build(voxrti_mem *mem, voxrti_pgrid *g, const voxrti_pcell *p, uint32_t n, int thesis) {
+    double hi[3], size = 0.0, want = 4.0 * (double)n + 64.0;
+    size_t cells, i;
+    int k;
+    memset(g, 0, sizeof *g);
+    for (k = 0; k < 3; k++) {
+        g->lo[k] = hi[k] = p[0].c[k];
+        for (i = 1; i < n; i++) {
+            g->lo[k] = voxrti_min(g->lo[k], p[i].c[k]);
+            hi[k] = voxrti_max(hi[k], p[i].c[k]);
+        }
+        size = voxrti_max(size, hi[k] - g->lo[k]);
+    }
+    if (!(size > 0.0)) size = 1.0;
+    g->edge = size;
+    for (;;) {
+        double e = g->edge * 0.875, prod = 1.0;
+        for (k = 0; k < 3; k++) prod *= (double)voxrti_floor((hi[k] - g->lo[k]) / e) + 1.0;
+        if (prod > want || e < size * 1e-4) break;
+        g->edge = e;
+    }
+    g->inv = 1.0 / g->edge;
+    cells = 1;
+    for (k = 0; k < 3; k++) {
+        g->dim[k] = (int32_t)voxrti_floor((hi[k] - g->lo[k]) * g->inv) + 1;
+        cells *= (size_t)g->dim[k];
+    }
+    g->start = (uint32_t *)voxrti_alloc_zero(mem, cells + 2, sizeof(uint32_t));
+    g->item = (voxrti_pitem *)voxrti_alloc_array(mem, n, sizeof(voxrti_pitem));
+    if (g->start == NULL || g->item == NULL) {
+        voxrti_pgrid_free(mem, g);
+        return 0;
+    }
+    for (i = 0; i < n; i++) g->start[voxrti_pgrid_cell(g, p[i].c) + 2]++;
+    for (i = 2; i < cells + 2; i++) g->start[i] += g->start[i - 1];
+    for (i = 0; i < n; i++) {
+        voxrti_pitem *t = &g->item[g->start[voxrti_pgrid_cell(g, p[i].c) + 1]++];
+        memcpy(t->c, p[i].c, sizeof t->c);
+        t->v = thesis ? p[i].g : p[i].v;
+        t->id = (uint32_t)i;
+    }
+    return 1;
+}
+
+typedef struct voxrti_pquery {
+    double c[3], v, best, scale; /* a point at squared distance d2 costs at least d2 * scale */
+    uint32_t id, found;
+} voxrti_pquery;
+
+enum { VOXRTI_FIND_NEAREST, VOXRTI_FIND_WARD, VOXRTI_FIND_THESIS };
+
+VOXRTI_INLINE void voxrti_pgrid_scan(const voxrti_pgrid *g, size_t first, size_t last, voxrti_pquery *q, int find) {
+    uint32_t i = g->start[first], stop = g->start[last + 1];
+    for (; i < stop; i++) {
+        const voxrti_pitem *t = &g->item[i];
+        double x = t->c[0] - q->c[0], y = t->c[1] - q->c[1], z = t->c[2] - q->c[2];
+        double cost = x * x + y * y + z * z;
+        if (cost * q->scale > q->best) continue;
+        if (find == VOXRTI_FIND_WARD) {
+            if (t->v < q->v || (t->v == q->v && t->id <= q->id)) continue;
+            cost = cost * (q->v * t->v / (q->v + t->v));
+        } else if (find == VOXRTI_FIND_THESIS) {
+            if (t->id == q->id) continue;
+            cost = cost * (1.0 + q->v + t->v);
+        }
+        if (cost < q->best || (cost == q->best && t->id < q->found)) {
+            q->best = cost;
+            q->found = t->id;
+        }
+    }
+}
+
+/* Search outwards, ring of grid cells by ring: the nearest point, or the cheapest partner to merge with. Ward's cost
+   is bounded only towards heavier points (of equal weight: later ones): cost >= d2 * v/2; so the lighter point of a
+   pair finds it. Ties go to the lower id. q->best and q->found hold the start value. */
+VOXRTI_INLINE void voxrti_pgrid_search(const voxrti_pgrid *g, voxrti_pquery *q, int find) {
+    int32_t at[3], r, rings = 0, x, y, z, k;
+    double border = 1e30;
+    q->scale = find == VOXRTI_FIND_WARD ? q->v * 0.5 : find == VOXRTI_FIND_THESIS ? 1.0 + q->v : 1.0;
+    q->scale = q->scale * 0.999999999; /* rounding must not hide an equal cost */
+    for (k = 0; k < 3; k++) {
+        double below, above;
+        at[k] = voxrti_pgrid_axis(g, q->c[k], k);
+        below = q->c[k] - (g->lo[k] + (double)at[k] * g->edge);
+        above = g->lo[k] + (double)(at[k] + 1) * g->edge - q->c[k];
+        if (at[k] > 0) border = voxrti_min(border, below);
+        if (at[k] + 1 < g->dim[k]) border = voxrti_min(border, above);
+        rings = at[k] > rings ? at[k] : rings;
+        rings = g->dim[k] - 1 - at[k] > rings ? g->dim[k] - 1 - at[k] : rings;
+    }
+    for (r = 0; r <= rings; r++) {
+        double reach = (double)(r - 1) * g->edge + border;
+        int32_t z0 = at[2] - r > 0 ? at[2] - r : 0, z1 = at[2] + r < g->dim[2] - 1 ? at[2] + r : g->dim[2] - 1;
+        int32_t y0 = at[1] - r > 0 ? at[1] - r : 0, y1 = at[1] + r < g->dim[1] - 1 ? at[1] + r : g->dim[1] - 1;
+        int32_t x0 = at[0] - r > 0 ? at[0] - r : 0, x1 = at[0] + r < g->dim[0] - 1 ? at[0] + r : g->dim[0] - 1;
+        if (r > 0 && reach > 0.0 && reach * reach * q->scale > q->best) break;
+        for (z = z0; z <= z1; z++) {
+            double dz = z > at[2] ? g->lo[2] + (double)z * g->edge - q->c[2] :
+                        z < at[2] ? q->c[2] - (g->lo[2] + (double)(z + 1) * g->edge) : 0.0;
+            if (dz > 0.0 && dz * dz * q->scale > q->best) continue;
+            for (y = y0; y <= y1; y++) {
+                double dy = y > at[1] ? g->lo[1] + (double)y * g->edge - q->c[1] :
+                            y < at[1] ? q->c[1] - (g->lo[1] + (double)(y + 1) * g->edge) : 0.0;
+                size_t row = ((size_t)z * (size_t)g->dim[1] + (size_t)y) * (size_t)g->dim[0];
+                if (dy > 0.0 && dy * dy * q->scale > q->best) continue;
+                if (z == at[2] - r || z == at[2] + r || y == at[1] - r || y == at[1] + r)
+                    voxrti_pgrid_scan(g, row + (size_t)x0, row + (size_t)x1, q, find);
+                else
+                    for (x = at[0] - r; x <= at[0] + r; x += 2 * r)
+                        if (x >= 0 && x < g->dim[0]) voxrti_pgrid_scan(g, row + (size_t)x, row + (size_t)x, q, find);
+            }
+        }
+    }
+}
+
+static uint32_t voxrti_pgrid_nearest(const voxrti_pgrid *g, const double c[3], uint32_t guess, double guess_d2) {
+    voxrti_pquery q;
+    memcpy(q.c, c, sizeof q.c);
+    q.v = 1.0;
+    q.id = 0;
+    q.best = guess_d2;
+    q.found = guess;
+    voxrti_pgrid_search(g, &q, VOXRTI_FIND_NEAREST);
+    return q.found;
+}
+
+VOXRTI_INLINE double voxrti_pcell_d2(const double a[3], const double b[3]) {
+    double x = a[0] - b[0], y = a[1] - b[1], z = a[2] - b[2];
+    return x * x + y * y + z * z;
+}
+
+VOXRTI_INLINE double voxrti_pcell_cost(const voxrti_pcell *a, const voxrti_pcell *b, int thesis) {
+    double d2 = voxrti_pcell_d2(a->c, b->c);
+    return thesis ? d2 * (1.0 + a->g + b->g) : d2 * (a->v * b->v / (a->v + b->v));
+}
+
+static void voxrti_pcell_merge(voxrti_pcell *a, const voxrti_pcell *b) { /* a takes in b (eq. 3) */
+    double v = a->v + b->v;
+    int k;
+    for (k = 0; k < 3; k++) a->c[k] = (a->c[k] * a->v + b->c[k] * b->v) / v;
+    a->v = v;
+    a->g = a->g + b->g + 1.0;
+}
+
+/* Everything a reduction works on. */
+typedef struct voxrti_preduce {
+    const voxrt_env *env;
+    voxrti_pcell *cell;   /* [n] clusters now */
+    uint32_t *label;      /* [points] cluster of each input point */
+    uint32_t n, points;
+    voxrti_pcell *point;  /* [points] input, for k-means; may be NULL */
+    uint32_t *partner;    /* [n] cheapest partner, or VOXRT_NO_NODE */
+    double *key;          /* [n] and its cost */
+    uint32_t *link;       /* [n] cluster it went into */
+    uint64_t *order;      /* [2n] */
+    voxrti_pgrid grid;
+    int thesis;
+} voxrti_preduce;
+
+/* Cheapest partner of slot i among the slots after it. Merged slots stand at 1e30, too far for the start value. */
+static void voxrti_pal_row(voxrti_preduce *w, uint32_t i) {
+    double best = 1e50;
+    uint32_t j, found = VOXRT_NO_NODE;
+    const voxrti_pcell a = w->cell[i];
+    if (w->thesis) {
+        for (j = i + 1; j < w->n; j++) {
+            double cost = voxrti_pcell_cost(&a, &w->cell[j], 1);
+            if (cost < best) {
+                best = cost;
+                found = j;
+            }
+        }
+    } else {
+        for (j = i + 1; j < w->n; j++) {
+            double cost = voxrti_pcell_cost(&a, &w->cell[j], 0);
+            if (cost < best) {
+                best = cost;
+                found = j;
+            }
+        }
+    }
+    w->key[i] = best;
+    w->partner[i] = found;
+}
+
+static void voxrti_pal_row_task(void *ctx, uint32_t t) {
+    voxrti_preduce *w = (voxrti_preduce *)ctx;
+    uint32_t i = t * 64, stop = i + 64;
+    for (; i < stop && i < w->n; i++) voxrti_pal_row(w, i);
+}
+
+/* Squeeze the merged slots out (link[i] != i), keeping the order; label, partner follow. */
+static void voxrti_pal_squeeze(voxrti_preduce *w) {
+    uint32_t i, m = 0;
+    for (i = 0; i < w->n; i++) { /* links point to lower slots, so these are final already */
+        if (w->link[i] == i) {
+            w->cell[m] = w->cell[i];
+            w->key[m] = w->key[i];
+            w->partner[m] = w->partner[i];
+            w->link[i] = m++;
+        } else w->link[i] = w->link[w->link[i]];
+    }
+    for (i = 0; i < m; i++)
+        if (w->partner[i] != VOXRT_NO_NODE) w->partner[i] = w->link[w->partner[i]];
+    for (i = 0; i < w->points; i++) w->label[i] = w->link[w->label[i]];
+    for (i = 0; i < m; i++) w->link[i] = i;
+    w->n = m;
+}
+
+/* Greedy merging, exact: always the cheapest pair (i, j), i < j; ties by lower i, then lower j. The merged cluster
+   takes the place of i. O(n) for each merge and each row whose partner is gone. */
+static void voxrti_pal_merge_exact(voxrti_preduce *w, uint32_t target) {
+    uint32_t alive = w->n, i, j, x;
+    for (i = 0; i < w->n; i++) w->link[i] = i;
+    voxrti_parallel_for(w->env, voxrti_pal_row_task, w, (w->n + 63) / 64);
+    while (alive > target) {
+        voxrti_pcell merged;
+        double best = w->key[0];
+        i = 0;
+        for (x = 1; x < w->n; x++) {
+            if (w->key[x] < best) {
+                best = w->key[x];
+                i = x;
+            }
+        }
+        j = w->partner[i];
+        voxrti_pcell_merge(&w->cell[i], &w->cell[j]);
+        w->link[j] = i;
+        w->cell[j].c[0] = 1e30;
+        w->key[j] = 1e50;
+        alive--;
+        merged = w->cell[i];
+        for (x = 0; x < i; x++) {
+            if (w->link[x] != x) continue;
+            if (w->partner[x] == i || w->partner[x] == j) voxrti_pal_row(w, x);
+            else {
+                double cost = voxrti_pcell_cost(&w->cell[x], &merged, w->thesis);
+                if (cost < w->key[x] || (cost == w->key[x] && i < w->partner[x])) {
+                    w->key[x] = cost;
+                    w->partner[x] = i;
+                }
+            }
+        }
+        voxrti_pal_row(w, i);
+        for (x = i + 1; x < j; x++)
+            if (w->partner[x] == j && w->link[x] == x) voxrti_pal_row(w, x);
+        if (alive < w->n - w->n / 4) voxrti_pal_squeeze(w);
+    }
+    voxrti_pal_squeeze(w);
+}
+
+static void voxrti_pal_partner_task(void *ctx, uint32_t t) {
+    voxrti_preduce *w = (voxrti_preduce *)ctx;
+    uint32_t i = t * 512, stop = i + 512;
+    for (; i < stop && i < w->n; i++) {
+        const voxrti_pitem *a = &w->grid.item[i];
+        voxrti_pquery q;
+        memcpy(q.c, a->c, sizeof q.c);
+        q.v = a->v;
+        q.id = a->id;
+        q.best = 1e50;
+        q.found = VOXRT_NO_NODE;
+        if (w->thesis) voxrti_pgrid_search(&w->grid, &q, VOXRTI_FIND_THESIS);
+        else voxrti_pgrid_search(&w->grid, &q, VOXRTI_FIND_WARD);
+        w->partner[a->id] = q.found;
+        w->key[a->id] = q.best;
+    }
+}
+
+/* Stable sort by the upper 32 bits. Result in a; b is scratch of the same size. */
+static void voxrti_pal_sort(uint64_t *a, uint64_t *b, size_t n) {
+    uint32_t start[256], shift, k, sum, c;
+    size_t i;
+    int pass;
+    for (pass = 0; pass < 4; pass++) { /* an even number of passes ends in a */
+        uint64_t *t = a;
+        shift = 32u + 8u * (uint32_t)pass;
+        memset(start, 0, sizeof start);
+        for (i = 0; i < n; i++) start[a[i] >> shift & 255u]++;
+        for (k = 0, sum = 0; k < 256; k++) {
+            c = start[k];
+            start[k] = sum;
+            sum += c;
+        }
+        for (i = 0; i < n; i++) b[start[a[i] >> shift & 255u]++] = a[i];
+        a = b;
+        b = t;
+    }
+}
+
+/* Merging in rounds for many clusters: all find their cheapest partner, the cheapest eighth merges. */
+static voxrt_result voxrti_pal_merge_rounds(voxrti_mem *mem, voxrti_preduce *w, uint32_t target) {
+    while (w->n > target) {
+        uint32_t want = w->n / 8 + 1, done = 0, i, n = 0;
+        if (want > w->n - target) want = w->n - target;
+        if (!voxrti_pgrid_build(mem, &w->grid, w->cell, w->n, w->thesis)) return VOXRT_ERR_NO_MEMORY;
+        voxrti_parallel_for(w->env, voxrti_pal_partner_task, w, (w->n + 511) / 512);
+        voxrti_pgrid_free(mem, &w->grid);
+        for (i = 0; i < w->n; i++) {
+            float f = (float)w->key[i];
+            uint32_t bits;
+            memcpy(&bits, &f, sizeof bits);
+            if (w->partner[i] != VOXRT_NO_NODE) w->order[n++] = (uint64_t)bits << 32 | i;
+            w->link[i] = i;
+        }
+        voxrti_pal_sort(w->order, w->order + w->n, n);
+        for (i = 0; i < n && done < want; i++) {
+            uint32_t a = (uint32_t)w->order[i], b = w->partner[a], t;
+            if (b < a) {
+                t = a;
+                a = b;
+                b = t;
+            }
+            if (w->key[a] < 0.0 || w->key[b] < 0.0) continue; /* merged in this round */
+            voxrti_pcell_merge(&w->cell[a], &w->cell[b]);
+            w->link[b] = a;
+            w->key[a] = w->key[b] = -1.0;
+            done++;
+        }
+        for (i = 0; i < w->n; i++) w->partner[i] = VOXRT_NO_NODE;
+        voxrti_pal_squeeze(w);
+    }
+    return VOXRT_OK;
+}
+
+static void voxrti_pal_assign_task(void *ctx, uint32_t t) {
+    voxrti_preduce *w = (voxrti_preduce *)ctx;
+    uint32_t i = t * 512, stop = i + 512;
+    for (; i < stop && i < w->points; i++) {
+        const double *c = w->point[i].c;
+        uint32_t guess = w->label[i];
+        w->label[i] = voxrti_pgrid_nearest(&w->grid, c, guess, voxrti_pcell_d2(c, w->cell[guess].c));
+    }
+}
+
+/* k-means from the merged clusters; a cluster that loses all its points stays where it is */
+static voxrt_result voxrti_pal_kmeans(voxrti_mem *mem, voxrti_preduce *w, uint32_t rounds) {
+    voxrti_pcell *sum = (voxrti_pcell *)voxrti_alloc_array(mem, w->n, sizeof(voxrti_pcell));
+    uint32_t i, round;
+    int k;
+    if (sum == NULL) return VOXRT_ERR_NO_MEMORY;
+    for (round = 0; round < rounds; round++) {
+        if (!voxrti_pgrid_build(mem, &w->grid, w->cell, w->n, 0)) {
+            voxrti_free(mem, sum);
+            return VOXRT_ERR_NO_MEMORY;
+        }
+        voxrti_parallel_for(w->env, voxrti_pal_assign_task, w, (w->points + 511) / 512);
+        voxrti_pgrid_free(mem, &w->grid);
+        memset(sum, 0, w->n * sizeof *sum);
+        for (i = 0; i < w->points; i++) { /* one thread: floating-point sums have one order */
+            const voxrti_pcell *p = &w->point[i];
+            voxrti_pcell *s = &sum[w->label[i]];
+            for (k = 0; k < 3; k++) s->c[k] += p->c[k] * p->v;
+            s->v += p->v;
+        }
+        for (i = 0; i < w->n; i++)
+            for (k = 0; k < 3; k++)
+                if (sum[i].v > 0.0) w->cell[i].c[k] = sum[i].c[k] / sum[i].v;
+    }
+    voxrti_free(mem, sum);
+    return VOXRT_OK;
+}
+
+/* ---- building a palette ---- */
+
+#define VOXRTI_PAL_POINTS 262144u       /* more colours than this share cells of 7 or 6 bits a channel first */
+#define VOXRTI_PAL_EXACT 4096u          /* up to here each merge is the cheapest of all; above, rounds */
+#define VOXRTI_PAL_EXACT_THESIS 20480u
+#define VOXRTI_PAL_KMEANS 4u
+
+typedef struct voxrti_palbuild {
+    const voxrt_env *env;
+    voxrti_oklab lab;
+    int thesis;
+    voxrti_cset all, pal;   /* colours of the cells; colours of the palette, there by Morton code */
+    uint32_t *color;        /* [all.count] ascending */
+    uint32_t *use, *use_lod;/* [all.count] */
+    uint32_t *target;       /* [all.count] thesis: colour it was merged into, or VOXRT_NO_NODE */
+    uint32_t *map;          /* [all.count] palette index */
+    uint32_t *bin;          /* reduce: cell of a bin */
+    uint32_t *cell_of;      /* reduce: cell of a colour */
+    voxrti_preduce red;
+    voxrti_pcell *entry;    /* [palette] as points */
+} voxrti_palbuild;
+
+VOXRTI_INLINE uint32_t voxrti_pal_code(uint32_t rgb) { /* Morton code: green, red, blue from the top */
+    return (uint32_t)voxrti_morton(rgb >> 16 & 255u, rgb & 255u, rgb >> 8 & 255u);
+}
+
+static void voxrti_pal_point(const voxrti_palbuild *b, uint32_t rgb, double c[3]) {
+    if (!b->thesis) {
+        voxrti_oklab_from(&b->lab, rgb, c);
+        return;
+    }
+    c[0] = (double)(rgb & 255u);
+    c[1] = (double)(rgb >> 8 & 255u);
+    c[2] = (double)(rgb >> 16 & 255u);
+}
+
+static uint32_t voxrti_pal_rgb(const voxrti_palbuild *b, const double c[3]) {
+    if (!b->thesis) return voxrti_oklab_to(&b->lab, c);
+    return (uint32_t)(c[0] + 0.5) | (uint32_t)(c[1] + 0.5) << 8 | (uint32_t)(c[2] + 0.5) << 16;
+}
+
+static uint32_t voxrti_pal_bin(uint32_t rgb, uint32_t bits) {
+    uint32_t s = 8 - bits;
+    return (rgb & 255u) >> s | (rgb >> 8 & 255u) >> s << bits | (rgb >> 16 & 255u) >> s << (2 * bits);
+}
+
+/* Number the cells that the used colours fall into, at the finest bits a channel that leaves at most `limit` cells. */
+static voxrt_result voxrti_pal_bins(voxrti_mem *mem, voxrti_palbuild *b, const uint32_t *use, uint32_t limit,
+                                    uint32_t *out_cells) {
+    uint32_t bits, i, n = 0;
+    b->cell_of = (uint32_t *)voxrti_alloc_array(mem, b->all.count, sizeof(uint32_t));
+    if (b->cell_of == NULL) return VOXRT_ERR_NO_MEMORY;
+    for (i = 0; i < b->all.count; i++) b->cell_of[i] = use[i] != 0 ? n++ : VOXRT_NO_NODE;
+    for (bits = 7; n > limit; bits--) {
+        if (b->bin == NULL) b->bin = (uint32_t *)voxrti_alloc_array(mem, (size_t)1 << 21, sizeof(uint32_t));
+        if (b->bin == NULL) return VOXRT_ERR_NO_MEMORY;
+        memset(b->bin, 255, sizeof(uint32_t) << (3 * bits));
+        for (i = 0, n = 0; i < b->all.count; i++) {
+            uint32_t *bin = &b->bin[voxrti_pal_bin(b->color[i], bits)];
+            if (use[i] == 0) continue;
+            if (*bin == VOXRT_NO_NODE) *bin = n++;
+            b->cell_of[i] = *bin;
+        }
+    }
+    *out_cells = n;
+    return VOXRT_OK;
+}
+
+/* Reduce the colours with use > 0 to at most `target` and add them to the palette. */
+static voxrt_result voxrti_pal_reduce(voxrti_mem *mem, voxrti_palbuild *b, const uint32_t *use, uint32_t target) {
+    voxrti_preduce *w = &b->red;
+    uint32_t i, n = 0;
+    int k;
+    voxrt_result r = voxrti_pal_bins(mem, b, use, VOXRTI_PAL_POINTS, &n);
+    if (r != VOXRT_OK) return r;
+    w->env = b->env;
+    w->thesis = b->thesis;
+    w->n = w->points = n;
+    w->cell = (voxrti_pcell *)voxrti_alloc_zero(mem, n, sizeof(voxrti_pcell));
+    w->label = (uint32_t *)voxrti_alloc_array(mem, n, sizeof(uint32_t));
+    w->partner = (uint32_t *)voxrti_alloc_array(mem, n, sizeof(uint32_t));
+    w->key = (double *)voxrti_alloc_array(mem, n, sizeof(double));
+    w->link = (uint32_t *)voxrti_alloc_array(mem, n, sizeof(uint32_t));
+    if (w->cell == NULL || w->label == NULL || w->partner == NULL || w->key == NULL || w->link == NULL)
+        return VOXRT_ERR_NO_MEMORY;
+    for (i = 0; i < b->all.count; i++) {
+        voxrti_pcell *cell = &w->cell[b->cell_of[i] != VOXRT_NO_NODE ? b->cell_of[i] : 0];
+        double c[3], v = (double)use[i];
+        if (use[i] == 0) continue;
+        voxrti_pal_point(b, b->color[i], c);
+        for (k = 0; k < 3; k++) cell->c[k] += c[k] * v;
+        cell->v += v;
+    }
+    for (i = 0; i < n; i++) {
+        for (k = 0; k < 3; k++) w->cell[i].c[k] /= w->cell[i].v;
+        w->label[i] = i;
+    }
+    if (n > target) {
+        uint32_t exact = b->thesis ? VOXRTI_PAL_EXACT_THESIS : VOXRTI_PAL_EXACT;
+        w->order = (uint64_t *)voxrti_alloc_array(mem, (size_t)n * 2, sizeof(uint64_t));
+        if (w->order == NULL) return VOXRT_ERR_NO_MEMORY;
+        if (!b->thesis) {
+            w->point = (voxrti_pcell *)voxrti_alloc_array(mem, n, sizeof(voxrti_pcell));
+            if (w->point == NULL) return VOXRT_ERR_NO_MEMORY;
+            memcpy(w->point, w->cell, n * sizeof(voxrti_pcell));
+        }
+        r = voxrti_pal_merge_rounds(mem, w, target > exact ? target : exact);
+        if (r != VOXRT_OK) return r;
+    }
+    if (w->n > target) voxrti_pal_merge_exact(w, target);
+    if (w->point != NULL) r = voxrti_pal_kmeans(mem, w, VOXRTI_PAL_KMEANS);
+    if (r != VOXRT_OK) return r;
+    for (i = 0; i < w->n; i++) voxrti_cset_add(&b->pal, voxrti_pal_code(voxrti_pal_rgb(b, w->cell[i].c)));
+    if (b->thesis) {
+        b->target = (uint32_t *)voxrti_alloc_array(mem, b->all.count, sizeof(uint32_t));
+        if (b->target == NULL) return VOXRT_ERR_NO_MEMORY;
+        for (i = 0; i < b->all.count; i++)
+            b->target[i] = use[i] != 0 ? voxrti_pal_rgb(b, w->cell[w->label[b->cell_of[i]]].c) : VOXRT_NO_NODE;
+    }
+    return VOXRT_OK;
+}
+
+static void voxrti_pal_reduce_free(voxrti_mem *mem, voxrti_palbuild *b) {
+    voxrti_free(mem, b->bin);
+    voxrti_free(mem, b->cell_of);
+    voxrti_free(mem, b->red.cell);
+    voxrti_free(mem, b->red.label);
+    voxrti_free(mem, b->red.point);
+    voxrti_free(mem, b->red.partner);
+    voxrti_free(mem, b->red.key);
+    voxrti_free(mem, b->red.link);
+    voxrti_free(mem, b->red.order);
+    memset(&b->red, 0, sizeof b->red);
+    b->bin = NULL;
+    b->cell_of = NULL;
+}
+
+/* map[colour] = its own entry, or the one it was merged into, or the nearest */
+static void voxrti_pal_map_task(void *ctx, uint32_t t) {
+    voxrti_palbuild *b = (voxrti_palbuild *)ctx;
+    uint32_t i = t * 4096, stop = i + 4096, last = 0;
+    double c[3];
+    for (; i < stop && i < b->all.count; i++) {
+        uint32_t code = voxrti_pal_code(b->color[i]);
+        if (voxrti_cset_has(&b->pal, code)) last = voxrti_cset_index(&b->pal, code);
+        else if (b->target != NULL && b->target[i] != VOXRT_NO_NODE)
+            last = voxrti_cset_index(&b->pal, voxrti_pal_code(b->target[i]));
+        else {
+            voxrti_pal_point(b, b->color[i], c);
+            last = voxrti_pgrid_nearest(&b->red.grid, c, last, voxrti_pcell_d2(c, b->entry[last].c));
+        }
+        b->map[i] = last;
+    }
+}
+
+static voxrt_result voxrti_pal_run(voxrti_mem *mem, voxrti_palbuild *b, uint32_t *rgb, size_t count, size_t census,
+                                   uint32_t max_colors, uint8_t **out_palette, uint32_t *out_count,
+                                   uint64_t *out_colors_in) {
+    voxrti_pal_pass pass;
+    uint32_t i, leaf_colors;
+    voxrt_result r = VOXRT_OK;
+    memset(&pass, 0, sizeof pass);
+    if (!voxrti_cset_open(mem, &b->all) || !voxrti_cset_open(mem, &b->pal)) return VOXRT_ERR_NO_MEMORY;
+    pass.rgb = rgb;
+    pass.count = census;
+    pass.set = &b->all;
+    voxrti_parallel_for(b->env, voxrti_pal_mark_task, &pass, (uint32_t)((census - 1) / VOXRTI_PAL_CHUNK + 1));
+    voxrti_cset_rank(&b->all);
+    leaf_colors = b->all.count;
+    if (count > census) {
+        pass.rgb = rgb + census;
+        pass.count = count - census;
+        voxrti_parallel_for(b->env, voxrti_pal_mark_task, &pass, (uint32_t)((pass.count - 1) / VOXRTI_PAL_CHUNK + 1));
+        voxrti_cset_rank(&b->all);
+    }
+    b->color = (uint32_t *)voxrti_alloc_array(mem, b->all.count, sizeof(uint32_t));
+    b->map = (uint32_t *)voxrti_alloc_array(mem, b->all.count, sizeof(uint32_t));
+    if (b->color == NULL || b->map == NULL) return VOXRT_ERR_NO_MEMORY;
+    voxrti_cset_list(&b->all, b->color);
+    if (b->all.count > max_colors) {
+        r = voxrti_pal_count(mem, b->env, rgb, census, &b->all, &b->use);
+        if (r == VOXRT_OK && leaf_colors > max_colors) r = voxrti_pal_reduce(mem, b, b->use, max_colors);
+        else if (r == VOXRT_OK && leaf_colors < max_colors) { /* the rest of the room for the level-of-detail colours */
+            r = voxrti_pal_count(mem, b->env, rgb + census, count - census, &b->all, &b->use_lod);
+            for (i = 0; r == VOXRT_OK && i < b->all.count; i++)
+                if (b->use[i] != 0) b->use_lod[i] = 0;
+            if (r == VOXRT_OK) r = voxrti_pal_reduce(mem, b, b->use_lod, max_colors - leaf_colors);
+        }
+        voxrti_pal_reduce_free(mem, b);
+        if (r != VOXRT_OK) return r;
+    }
+    for (i = 0; leaf_colors <= max_colors && i < b->all.count; i++)
+        if (b->use == NULL || b->use[i] != 0) voxrti_cset_add(&b->pal, voxrti_pal_code(b->color[i]));
+    voxrti_cset_rank(&b->pal);
+
+    *out_palette = (uint8_t *)voxrti_alloc_array(mem, b->pal.count, 3);
+    b->entry = (voxrti_pcell *)voxrti_alloc_zero(mem, b->use != NULL ? b->pal.count : 1, sizeof(voxrti_pcell));
+    if (*out_palette == NULL || b->entry == NULL) return VOXRT_ERR_NO_MEMORY;
+    *out_count = b->pal.count;
+    *out_colors_in = leaf_colors;
+    {
+        uint32_t word, n = 0;
+        for (word = 0; word < VOXRTI_CSET_WORDS; word++) {
+            uint32_t m = b->pal.bits[word];
+            for (; m != 0; m &= m - 1, n++) {
+                uint32_t code = word * 32 + voxrti_ctz64(m);
+                uint32_t red = voxrti_compact3(code >> 1), green = voxrti_compact3(code >> 2);
+                uint32_t blue = voxrti_compact3(code);
+                (*out_palette)[(size_t)n * 3] = (uint8_t)red;
+                (*out_palette)[(size_t)n * 3 + 1] = (uint8_t)green;
+                (*out_palette)[(size_t)n * 3 + 2] = (uint8_t)blue;
+                if (b->use != NULL) voxrti_pal_point(b, red | green << 8 | blue << 16, b->entry[n].c);
+            }
+        }
+    }
+    if (b->use != NULL && !voxrti_pgrid_build(mem, &b->red.grid, b->entry, b->pal.count, 0)) return VOXRT_ERR_NO_MEMORY;
+    voxrti_parallel_for(b->env, voxrti_pal_map_task, b, (b->all.count + 4095) / 4096);
+    pass.rgb = rgb;
+    pass.count = count;
+    pass.map = b->map;
+    voxrti_parallel_for(b->env, voxrti_pal_replace_task, &pass, (uint32_t)((count - 1) / VOXRTI_PAL_CHUNK + 1));
+    return VOXRT_OK;
+}
+
+/* Make a palette of at most max_colors (1..2^24) and replace colours by indices.
+   rgb_to_index  in: 0x00BBGGRR of `count` cells; out: palette index of each
+   census_count  the first so many (leaves) decide the palette, by their usage; 0: all
+   out_palette   3 bytes an entry, from voxrti_alloc; at least one entry
+   out_colors_in distinct colours of the leaves
+   All colours are kept if they fit, else all of the leaves' if these fit; else at most max_colors means remain.
+   A colour gets its own entry if the palette has it; with the thesis' method the one it was merged into; else the
+   nearest. The thesis' order of colours is that of 0x00BBGGRR. The result depends on how often each colour occurs, not
+   on the order of the cells nor on threads. On failure rgb_to_index is unchanged.
+   Errors: INVALID_ARG, RANGE, NO_MEMORY. */
+static VOXRTI_UNUSED voxrt_result voxrti_palette_build(voxrti_mem *mem, const voxrt_env *env, uint32_t *rgb_to_index,
+        size_t count, size_t census_count, uint32_t max_colors, voxrt_palette_method method, uint8_t **out_palette,
+        uint32_t *out_count, uint64_t *out_colors_in) {
+    voxrti_palbuild *b;
+    voxrt_result r;
+    *out_palette = NULL;
+    *out_count = 0;
+    *out_colors_in = 0;
+    if (max_colors == 0 || (uint32_t)method > 1u) return VOXRT_ERR_INVALID_ARG;
+    if ((uint64_t)count > 0xffffffffu)
+        return voxrti_fail(env->error, VOXRT_ERR_RANGE, count, "% cells are too many for colours");
+    if (count == 0) { /* one white entry */
+        *out_palette = (uint8_t *)voxrti_alloc(mem, 3);
+        if (*out_palette == NULL) return VOXRT_ERR_NO_MEMORY;
+        memset(*out_palette, 255, 3);
+        *out_count = 1;
+        return VOXRT_OK;
+    }
+    if (census_count == 0 || census_count > count) census_count = count;
+    b = (voxrti_palbuild *)voxrti_alloc_zero(mem, 1, sizeof *b);
+    if (b == NULL) return VOXRT_ERR_NO_MEMORY;
+    b->env = env;
+    b->thesis = method == VOXRT_PALETTE_THESIS;
+    voxrti_oklab_init(&b->lab);
+    r = voxrti_pal_run(mem, b, rgb_to_index, count, census_count, max_colors, out_palette, out_count, out_colors_in);
+    voxrti_pgrid_free(mem, &b->red.grid);
+    voxrti_pal_reduce_free(mem, b);
+    voxrti_cset_close(mem, &b->all);
+    voxrti_cset_close(mem, &b->pal);
+    voxrti_free(mem, b->color);
+    voxrti_free(mem, b->use);
+    voxrti_free(mem, b->use_lod);
+    voxrti_free(mem, b->target);
+    voxrti_free(mem, b->map);
+    voxrti_free(mem, b->entry);
+    voxrti_free(mem, b);
+    if (r != VOXRT_OK) {
+        voxrti_free(mem, *out_palette);
+        *out_palette = NULL;
+        *out_count = 0;
+    }
+    return r;
+}
+
+/* ---------------------------------------------------------------------------
+   voxelize: triangles -> filled leaves with mean colours and normals.           // >>voxelize
+
+   Vertices are snapped to fixed point, 2^sub units a voxel with depth + sub <= 20: coordinates stay below 2^20, edge
+   functions below 2^41, plane values below 2^63, so every decision is an exact 64-bit integer one, and shared
+   vertices snap alike: what is closed stays closed, whatever the order of triangles or the number of threads.
+   Triangles are binned by bricks of 32^3 voxels (sorted by Morton code). A task works through some bricks one after
+   the other with a dense mask, a table voxel -> sum, and sums in integers (exact, so order does not matter), and
+   emits its voxels in Morton order: the results of the tasks one after the other are the leaf set.
+   --------------------------------------------------------------------------- */
+
+typedef struct voxrti_fragsum { /* weighted sums over the fragments of a voxel */
+    uint64_t weight, rgb[3]; /* linear light 0..65535 */
+    int64_t normal[3];       /* 2^14 = 1 */
+} voxrti_fragsum;
+
+typedef struct voxrti_tri {
+    int64_t p[3][3];   /* snapped vertices */
+    int64_t n[3];      /* normal: twice the area */
+    float rgb[3][3];   /* linear light 0..65535 per vertex */
+    float normal[3][3];
+    double area;       /* in voxels^2 */
+} voxrti_tri;
+
+typedef struct voxrti_vox {
+    voxrti_mem *mem;
+    const voxrt_build_desc *d;
+    const voxrt_mesh *mesh;
+    const voxrti_grid *grid;
+    uint32_t sub, brick_bits;
+    int has_rgb, has_normal;
+    uint64_t *ref;             /* brick << 32 | triangle, sorted */
+    size_t ref_count;
+    size_t *task_first;        /* [tasks + 1] first ref of a task, at a brick's border */
+    uint64_t *count;           /* [bin tasks] refs, degenerate, rejected */
+    voxrti_leafset *out;       /* [tasks] */
+    uint32_t first_task;
+    uint32_t failed;           /* atomic */
+    uint64_t fragments;        /* atomic */
+    uint32_t srgb[256];
+    uint8_t *to_srgb;          /* [65536] linear -> byte */
+} voxrti_vox;
+
+/* What a task owns while it works. */
+typedef struct voxrti_brick {
+    voxrti_vox *v;
+    uint32_t lo[3];            /* first voxel of the brick */
+    uint32_t size;             /* voxels along an axis */
+    uint64_t *mask;            /* [size^3/64] target voxels, Morton order */
+    uint32_t *slot;            /* [size^3] 1 + index of the voxel's sum; 0: none */
+    voxrti_fragsum *sum;
+    uint32_t *cell;            /* [sum_capacity] voxel of a sum */
+    size_t sum_count, sum_capacity, cell_capacity;
+    uint32_t *tiny;            /* voxels touched by triangles that caught no target */
+    size_t tiny_count, tiny_capacity;
+    uint64_t fragments;
+    int failed;
+} voxrti_brick;
+
+#define VOXRTI_WEIGHT 1024.0 /* weight of one voxel face of area */
+
+/* ---- input ---- */
+
+static int voxrti_mesh_vertex(const voxrt_mesh *m, size_t triangle, uint32_t corner, size_t *vertex, float p[3]) {
+    size_t i = triangle * 3 + corner, stride = m->position_stride != 0 ? m->position_stride : 12;
+    if (m->indices != NULL) i = m->indices[i];
+    *vertex = i;
+    if (i >= m->vertex_count) return 0;
+    memcpy(p, (const uint8_t *)m->positions + i * stride, 12);
+    return voxrti_finite_f(p[0]) && voxrti_finite_f(p[1]) && voxrti_finite_f(p[2]);
+}
+
+static VOXRTI_UNUSED voxrt_result voxrti_grid_from_mesh(const voxrt_build_desc *d, const voxrt_mesh *mesh,
+                                                        voxrti_grid *grid) {
+    double lo[3], hi[3], longest = 0;
+    size_t i;
+    uint32_t a, k, any = 0;
+    memset(grid, 0, sizeof *grid);
+    grid->resolution = d->resolution;
+    grid->depth = 1;
+    while (((uint32_t)1 << grid->depth) < grid->resolution) grid->depth++;
+    if (d->box_size > 0) {
+        memcpy(grid->origin, d->box_min, sizeof grid->origin);
+        grid->voxel_size = d->box_size / (double)grid->resolution;
+        return VOXRT_OK;
+    }
+    for (a = 0; a < 3; a++) lo[a] = hi[a] = 0;
+    for (i = 0; i < mesh->triangle_count; i++) {
+        float p[3][3];
+        size_t vertex;
+        if (!voxrti_mesh_vertex(mesh, i, 0, &vertex, p[0]) || !voxrti_mesh_vertex(mesh, i, 1, &vertex, p[1]) ||
+            !voxrti_mesh_vertex(mesh, i, 2, &vertex, p[2]))
+            continue;
+        for (k = 0; k < 3; k++) {
+            for (a = 0; a < 3; a++) {
+                double x = (double)p[k][a];
+                if (!any || x < lo[a]) lo[a] = x;
+                if (!any || x > hi[a]) hi[a] = x;
+            }
+            any = 1;
+        }
+    }
+    if (!any) return voxrti_fail(d->env.error, VOXRT_ERR_EMPTY, 0, "the mesh has no usable triangle");
+    for (a = 0; a < 3; a++) longest = voxrti_max(longest, hi[a] - lo[a]);
+    /* half a voxel stays free on both sides; one voxel for a point or a grid of one cell */
+    grid->voxel_size = grid->resolution > 1 ? longest / (double)(grid->resolution - 1) : longest;
+    if (!(grid->voxel_size > 0)) grid->voxel_size = 1.0;
+    for (a = 0; a < 3; a++)
+        grid->origin[a] = 0.5 * (lo[a] + hi[a]) - 0.5 * (double)grid->resolution * grid->voxel_size;
+    return VOXRT_OK;
+}
+
+/* Corners of a triangle in voxels. 0: not usable. */
+static int voxrti_tri_corners(const voxrti_vox *v, size_t i, double p[3][3], size_t vertex[3]) {
+    double scale = 1.0 / v->grid->voxel_size;
+    uint32_t k, a;
+    for (k = 0; k < 3; k++) {
+        float f[3];
+        if (!voxrti_mesh_vertex(v->mesh, i, k, &vertex[k], f)) return 0;
+        for (a = 0; a < 3; a++) {
+            p[k][a] = ((double)f[a] - v->grid->origin[a]) * scale;
+            if (!voxrti_finite(p[k][a])) return 0;
+        }
+    }
+    return 1;
+}
+
+static void voxrti_tri_finish(const voxrti_vox *v, voxrti_tri *t) {
+    double x, y, z, s = (double)((uint32_t)1 << v->sub);
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        uint32_t b = (a + 1) % 3, c = (a + 2) % 3;
+        t->n[a] = (t->p[1][b] - t->p[0][b]) * (t->p[2][c] - t->p[0][c]) -
+                  (t->p[1][c] - t->p[0][c]) * (t->p[2][b] - t->p[0][b]);
+    }
+    x = (double)t->n[0];
+    y = (double)t->n[1];
+    z = (double)t->n[2];
+    t->area = 0.5 * sqrt(x * x + y * y + z * z) / (s * s);
+}
+
+/* Attributes of a triangle's corners. */
+static void voxrti_tri_attributes(const voxrti_vox *v, size_t i, const size_t vertex[3], const double p[3][3],
+                                  voxrti_tri *t) {
+    const voxrt_mesh *m = v->mesh;
+    uint32_t k, a;
+    memset(t->rgb, 0, sizeof t->rgb);
+    memset(t->normal, 0, sizeof t->normal);
+    for (k = 0; v->has_rgb && k < 3; k++) {
+        const uint8_t *c = m->triangle_rgb != NULL ? m->triangle_rgb + 3 * i :
+            m->vertex_rgb + vertex[k] * (m->vertex_rgb_stride != 0 ? m->vertex_rgb_stride : 3);
+        for (a = 0; a < 3; a++) t->rgb[k][a] = (float)v->srgb[c[a]];
+    }
+    if (v->has_normal) {
+        float face[3];
+        double n[3], l;
+        for (a = 0; a < 3; a++) {
+            uint32_t b = (a + 1) % 3, c = (a + 2) % 3;
+            n[a] = (p[1][b] - p[0][b]) * (p[2][c] - p[0][c]) - (p[1][c] - p[0][c]) * (p[2][b] - p[0][b]);
+        }
+        l = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+        for (a = 0; a < 3; a++) face[a] = l > 0 && voxrti_finite(l) ? (float)(n[a] / l) : 0.0f;
+        for (k = 0; k < 3; k++) {
+            memcpy(t->normal[k], face, sizeof face);
+            if (m->normals != NULL) {
+                size_t stride = m->normal_stride != 0 ? m->normal_stride : 12;
+                float f[3];
+                memcpy(f, (const uint8_t *)m->normals + vertex[k] * stride, 12);
+                if (voxrti_normalize(f)) memcpy(t->normal[k], f, sizeof f);
+            }
+        }
+    }
+}
+
+/* A corner of a clipped polygon: position and attributes. */
+typedef struct voxrti_corner { double p[3]; float rgb[3], normal[3]; } voxrti_corner;
+
+static uint32_t voxrti_clip_plane(const voxrti_corner *in, uint32_t n, voxrti_corner *out, uint32_t a, double at, int below) {
+    uint32_t i, k, count = 0;
+    for (i = 0; i < n; i++) {
+        const voxrti_corner *p = &in[i], *q = &in[(i + 1) % n];
+        double dp = below ? at - p->p[a] : p->p[a] - at, dq = below ? at - q->p[a] : q->p[a] - at;
+        if (dp >= 0) out[count++] = *p;
+        if ((dp >= 0) != (dq >= 0)) {
+            double s = dp / (dp - dq);
+            for (k = 0; k < 3; k++) {
+                out[count].p[k] = p->p[k] + s * (q->p[k] - p->p[k]);
+                out[count].rgb[k] = p->rgb[k] + (float)s * (q->rgb[k] - p->rgb[k]);
+                out[count].normal[k] = p->normal[k] + (float)s * (q->normal[k] - p->normal[k]);
+            }
+            out[count++].p[a] = at;
+        }
+    }
+    return count;
+}
+
+/* Call fn for triangle i, snapped; clipped to the grid (plus one voxel around) where it leaves it.
+   Returns 0 when it is not usable. */
+static int voxrti_tri_each(const voxrti_vox *v, size_t i, int attributes,
+                           void (*fn)(void *ctx, const voxrti_tri *t, size_t i), void *ctx) {
+    double p[3][3], s = (double)((uint32_t)1 << v->sub), end = (double)v->grid->resolution + 1.0;
+    size_t vertex[3];
+    voxrti_tri t;
+    uint32_t k, a, inside = 1, n;
+    memset(vertex, 0, sizeof vertex);
+    if (!voxrti_tri_corners(v, i, p, vertex)) return 0;
+    if (attributes) voxrti_tri_attributes(v, i, vertex, (const double (*)[3])p, &t);
+    for (k = 0; k < 3; k++)
+        for (a = 0; a < 3; a++) inside &= p[k][a] >= -1.0 && p[k][a] <= end;
+    if (inside) {
+        for (k = 0; k < 3; k++)
+            for (a = 0; a < 3; a++) t.p[k][a] = voxrti_floor(p[k][a] * s + 0.5);
+        voxrti_tri_finish(v, &t);
+        fn(ctx, &t, i);
+    } else {
+        voxrti_corner c[2][12];
+        memset(c, 0, sizeof c);
+        for (k = 0; k < 3; k++) {
+            memcpy(c[0][k].p, p[k], sizeof p[k]);
+            if (attributes) {
+                memcpy(c[0][k].rgb, t.rgb[k], sizeof t.rgb[k]);
+                memcpy(c[0][k].normal, t.normal[k], sizeof t.normal[k]);
+            }
+        }
+        for (a = 0, n = 3; a < 3 && n != 0; a++) {
+            n = voxrti_clip_plane(c[0], n, c[1], a, -1.0, 0);
+            n = voxrti_clip_plane(c[1], n, c[0], a, end, 1);
+        }
+        for (k = 1; k + 1 < n; k++) {
+            uint32_t j;
+            for (j = 0; j < 3; j++) {
+                const voxrti_corner *q = &c[0][j == 0 ? 0 : k + j - 1];
+                for (a = 0; a < 3; a++) t.p[j][a] = voxrti_floor(q->p[a] * s + 0.5);
+                if (attributes) {
+                    memcpy(t.rgb[j], q->rgb, sizeof q->rgb);
+                    memcpy(t.normal[j], q->normal, sizeof q->normal);
+                }
+            }
+            voxrti_tri_finish(v, &t);
+            fn(ctx, &t, i);
+        }
+    }
+    return 1;
+}
+
+/* ---- binning ---- */
+
+typedef struct voxrti_bin {
+    voxrti_vox *v;
+    uint64_t *out; /* NULL: count */
+    uint64_t count, degenerate, rejected, last;
+} voxrti_bin;
+
+static void voxrti_bin_tri(void *ctx, const voxrti_tri *t, size_t i) {
+    voxrti_bin *b = (voxrti_bin *)ctx;
+    uint32_t shift = b->v->brick_bits + b->v->sub, a, k, many;
+    int64_t lo[3], hi[3], c[3], size = (int64_t)1 << shift, end = (((int64_t)b->v->grid->resolution - 1) >> b->v->brick_bits);
+    if (t->n[0] == 0 && t->n[1] == 0 && t->n[2] == 0) b->degenerate++;
+    for (a = 0; a < 3; a++) {
+        lo[a] = hi[a] = t->p[0][a];
+        for (k = 1; k < 3; k++) {
+            if (t->p[k][a] < lo[a]) lo[a] = t->p[k][a];
+            if (t->p[k][a] > hi[a]) hi[a] = t->p[k][a];
+        }
+        lo[a] = lo[a] - 1 < 0 ? 0 : (lo[a] - 1) >> shift; /* -1: closed boxes touch on a brick's face */
+        hi[a] = hi[a] < 0 ? -1 : hi[a] >> shift;
+        if (hi[a] > end) hi[a] = end;
+    }
+    many = (hi[0] - lo[0] > 1) + (hi[1] - lo[1] > 1) + (hi[2] - lo[2] > 1) > 1;
+    for (c[2] = lo[2]; c[2] <= hi[2]; c[2]++) {
+        for (c[1] = lo[1]; c[1] <= hi[1]; c[1]++) {
+            for (c[0] = lo[0]; c[0] <= hi[0]; c[0]++) {
+                uint64_t ref;
+                if (many) { /* does the plane miss the brick? */
+                    double d = 0, r = 0;
+                    for (a = 0; a < 3; a++) {
+                        d += (double)t->n[a] * ((double)(c[a] * size) + 0.5 * (double)size - (double)t->p[0][a]);
+                        r += voxrti_abs((double)t->n[a]);
+                    }
+                    if (voxrti_abs(d) > r * (0.5 * (double)size + 2.0) * 1.0001) continue;
+                }
+                ref = voxrti_morton((uint32_t)c[0], (uint32_t)c[1], (uint32_t)c[2]) << 32 | (uint64_t)i;
+                if (ref == b->last) continue; /* pieces of a clipped triangle */
+                b->last = ref;
+                if (b->out != NULL) *b->out++ = ref;
+                b->count++;
+            }
+        }
+    }
+}
+
+#define VOXRTI_BIN_CHUNK 16384u
+
+static void voxrti_bin_task(void *ctx, uint32_t task) {
+    voxrti_vox *v = (voxrti_vox *)ctx;
+    voxrti_bin b;
+    size_t i = (size_t)task * VOXRTI_BIN_CHUNK, end = i + VOXRTI_BIN_CHUNK;
+    memset(&b, 0, sizeof b);
+    b.v = v;
+    b.out = v->ref != NULL ? v->ref + v->count[3 * task] : NULL;
+    if (end > v->mesh->triangle_count) end = v->mesh->triangle_count;
+    for (; i < end; i++) {
+        b.last = ~(uint64_t)0;
+        if (!voxrti_tri_each(v, i, 0, voxrti_bin_tri, &b)) b.rejected++;
+    }
+    if (v->ref == NULL) {
+        v->count[3 * task] = b.count;
+        v->count[3 * task + 1] = b.degenerate;
+        v->count[3 * task + 2] = b.rejected;
+    }
+}
+
+/* Stable sort by the bits above `low`; tmp: as many elements. The result is in `a`. */
+static void voxrti_radix_sort(uint64_t *a, uint64_t *tmp, size_t n, uint32_t low, uint32_t bits) {
+    size_t count[2048], i, sum, c;
+    uint64_t *from = a, *to = tmp, *x;
+    uint32_t done;
+    for (done = 0; done < bits; done += 11) {
+        uint32_t shift = low + done;
+        memset(count, 0, sizeof count);
+        for (i = 0; i < n; i++) count[from[i] >> shift & 2047u]++;
+        for (i = 0, sum = 0; i < 2048; i++) {
+            c = count[i];
+            count[i] = sum;
+            sum += c;
+        }
+        for (i = 0; i < n; i++) to[count[from[i] >> shift & 2047u]++] = from[i];
+        x = from;
+        from = to;
+        to = x;
+    }
+    if (from != a) memcpy(a, from, n * sizeof *a);
+}
+
+static voxrt_result voxrti_bin_all(voxrti_vox *v, voxrt_build_stats *stats) {
+    uint32_t tasks = (uint32_t)((v->mesh->triangle_count + VOXRTI_BIN_CHUNK - 1) / VOXRTI_BIN_CHUNK), i;
+    uint64_t total = 0, *tmp;
+    v->count = (uint64_t *)voxrti_alloc_zero(v->mem, tasks, 3 * sizeof(uint64_t));
+    if (v->count == NULL) return VOXRT_ERR_NO_MEMORY;
+    voxrti_parallel_for(&v->d->env, voxrti_bin_task, v, tasks);
+    for (i = 0; i < tasks; i++) {
+        uint64_t c = v->count[3 * i];
+        v->count[3 * i] = total;
+        total += c;
+        stats->degenerate += v->count[3 * i + 1];
+        stats->rejected += v->count[3 * i + 2];
+    }
+    if (stats->rejected != 0 && v->d->strict) {
+        double p[3][3];
+        size_t vertex[3], k;
+        for (k = 0; k < v->mesh->triangle_count && voxrti_tri_corners(v, k, p, vertex); k++) { }
+        return voxrti_fail(v->d->env.error, VOXRT_ERR_FORMAT, k, "triangle % has a bad vertex");
+    }
+    v->ref_count = (size_t)total;
+    v->ref = (uint64_t *)voxrti_alloc_array(v->mem, v->ref_count + 1, sizeof(uint64_t));
+    tmp = (uint64_t *)voxrti_alloc_array(v->mem, v->ref_count + 1, sizeof(uint64_t));
+    if (v->ref != NULL && tmp != NULL) {
+        voxrti_parallel_for(&v->d->env, voxrti_bin_task, v, tasks);
+        voxrti_radix_sort(v->ref, tmp, v->ref_count, 32,
+                          v->grid->depth > v->brick_bits ? 3 * (v->grid->depth - v->brick_bits) : 0);
+    }
+    voxrti_free(v->mem, tmp);
+    return v->ref != NULL && tmp != NULL ? VOXRT_OK : VOXRT_ERR_NO_MEMORY;
+}
+
+/* ---- rasterising into a brick ---- */
+
+/* Attributes as planes over the columns of an axis: value = at + i * di + k * dk, six channels. */
+typedef struct voxrti_ramp { float at[6], di[6], dk[6]; int flat; } voxrti_ramp;
+
+static void voxrti_ramp_make(const voxrti_vox *v, const voxrti_tri *t, uint32_t a, voxrti_ramp *r) {
+    uint32_t u = (a + 1) % 3, w = (a + 2) % 3, c;
+    double s = (double)((uint32_t)1 << v->sub), inv = t->n[a] != 0 ? 1.0 / (double)t->n[a] : 0.0;
+    double e1u = (double)(t->p[1][u] - t->p[0][u]), e1w = (double)(t->p[1][w] - t->p[0][w]);
+    double e2u = (double)(t->p[2][u] - t->p[0][u]), e2w = (double)(t->p[2][w] - t->p[0][w]);
+    double ou = 0.5 * s - (double)t->p[0][u], ow = 0.5 * s - (double)t->p[0][w];
+    r->flat = 1;
+    for (c = 0; c < 6; c++) {
+        double f0 = (double)(c < 3 ? t->rgb[0][c] : t->normal[0][c - 3]);
+        double f1 = (double)(c < 3 ? t->rgb[1][c] : t->normal[1][c - 3]) - f0;
+        double f2 = (double)(c < 3 ? t->rgb[2][c] : t->normal[2][c - 3]) - f0;
+        double gu = (f1 * e2w - f2 * e1w) * inv, gw = (f2 * e1u - f1 * e2u) * inv;
+        if (f1 != 0.0 || f2 != 0.0) r->flat = 0;
+        r->at[c] = (float)(f0 + gu * ou + gw * ow);
+        r->di[c] = (float)(gu * s);
+        r->dk[c] = (float)(gw * s);
+    }
+}
+
+VOXRTI_INLINE uint32_t voxrti_brick_cell(const voxrti_brick *b, const uint32_t c[3]) {
+    return (uint32_t)voxrti_morton(c[0] - b->lo[0], c[1] - b->lo[1], c[2] - b->lo[2]);
+}
+
+/* Sum of a voxel; made when it is met first. NULL: no memory. */
+VOXRTI_INLINE voxrti_fragsum *voxrti_brick_sum(voxrti_brick *b, uint32_t cell) {
+    uint32_t i = b->slot[cell];
+    if (i == 0) {
+        if (b->sum_count == b->sum_capacity || b->sum_count == b->cell_capacity) {
+            if (!voxrti_grow(b->v->mem, (void **)&b->sum, &b->sum_capacity, b->sum_count, b->sum_count + 4096, sizeof *b->sum) ||
+                !voxrti_grow(b->v->mem, (void **)&b->cell, &b->cell_capacity, b->sum_count, b->sum_count + 4096, sizeof *b->cell)) {
+                b->failed = 1;
+                return NULL;
+            }
+        }
+        memset(&b->sum[b->sum_count], 0, sizeof *b->sum);
+        b->cell[b->sum_count++] = cell;
+        b->slot[cell] = i = (uint32_t)b->sum_count;
+    }
+    return &b->sum[i - 1];
+}
+
+VOXRTI_INLINE void voxrti_fragment(voxrti_brick *b, uint32_t cell, uint64_t weight, const float f[6]) {
+    voxrti_fragsum *s = voxrti_brick_sum(b, cell);
+    uint32_t a;
+    if (s == NULL) return;
+    b->fragments++;
+    s->weight += weight;
+    if (b->v->has_rgb) {
+        for (a = 0; a < 3; a++) {
+            float x = f[a] + 0.5f;
+            int32_t q = (int32_t)(x < 0.0f ? 0.0f : x > 65535.0f ? 65535.0f : x);
+            s->rgb[a] += (uint64_t)(uint32_t)q * weight;
+        }
+    }
+    if (b->v->has_normal) {
+        for (a = 0; a < 3; a++) {
+            float x = f[3 + a] * 16384.0f;
+            int32_t q = (int32_t)(x < -65536.0f ? -65536.0f : x > 65536.0f ? 65536.0f : x);
+            s->normal[a] += (int64_t)q * (int64_t)weight;
+        }
+    }
+}
+
+/* Columns i of row k in [i0, i1] for which e + i * step >= 0. */
+VOXRTI_INLINE void voxrti_row_clip(int64_t e, int64_t step, double inv, int64_t *i0, int64_t *i1) {
+    int64_t i;
+    if (step == 0) {
+        if (e < 0) *i1 = *i0 - 1;
+        return;
+    }
+    if (*i0 > *i1) return;
+    i = voxrti_floor(-(double)e * inv); /* near the root; then exactly */
+    if (step > 0) {
+        while (e + i * step >= 0) i--;
+        while (e + i * step < 0) i++;
+        if (i > *i0) *i0 = i;
+    } else {
+        while (e + i * step >= 0) i++;
+        while (e + i * step < 0) i--;
+        if (i < *i1) *i1 = i;
+    }
+}
+
+/* Crosshair targets of axis a (Laine 2013): columns whose centre line meets the triangle, edges included; the voxel is
+   the floor of the depth. clip: only the brick's, adding fragments; else only count (stops at the first).
+   Returns the number of targets. */
+static uint64_t voxrti_raster_axis(voxrti_brick *b, const voxrti_tri *t, uint32_t a, int clip) {
+    const voxrti_vox *v = b->v;
+    uint32_t u = (a + 1) % 3, w = (a + 2) % 3, e, k3;
+    int64_t size = (int64_t)1 << v->sub, half = size >> 1, sign = t->n[a] < 0 ? -1 : 1, na = t->n[a] * sign;
+    int64_t lo[2], hi[2], limit = (int64_t)v->grid->resolution, i, k, div = na * size;
+    int64_t at[3], step_i[3], step_k[3], depth0, depth_i, depth_k;
+    double inv[3], inv_div, len;
+    uint64_t found = 0, weight;
+    voxrti_ramp ramp;
+    if (na == 0) return 0;
+    for (e = 0; e < 2; e++) { /* columns and rows whose centres the box of the projection holds */
+        uint32_t x = e == 0 ? u : w;
+        lo[e] = hi[e] = t->p[0][x];
+        for (k3 = 1; k3 < 3; k3++) {
+            if (t->p[k3][x] < lo[e]) lo[e] = t->p[k3][x];
+            if (t->p[k3][x] > hi[e]) hi[e] = t->p[k3][x];
+        }
+        lo[e] = (lo[e] - half + size - 1) >> v->sub;
+        hi[e] = (hi[e] - half) >> v->sub;
+        if (clip) {
+            if (lo[e] < (int64_t)b->lo[x]) lo[e] = (int64_t)b->lo[x];
+            if (hi[e] > (int64_t)(b->lo[x] + b->size) - 1) hi[e] = (int64_t)(b->lo[x] + b->size) - 1;
+        }
+        if (lo[e] < 0) lo[e] = 0;
+        if (hi[e] > limit - 1) hi[e] = limit - 1;
+        if (lo[e] > hi[e]) return 0;
+    }
+    for (e = 0; e < 3; e++) { /* edge functions, >= 0 inside */
+        const int64_t *p = t->p[e], *q = t->p[(e + 1) % 3];
+        int64_t du = (q[u] - p[u]) * sign, dw = (q[w] - p[w]) * sign;
+        at[e] = du * (half - p[w]) - dw * (half - p[u]);
+        step_i[e] = -dw * size;
+        step_k[e] = du * size;
+        inv[e] = step_i[e] != 0 ? 1.0 / (double)step_i[e] : 0.0;
+    }
+    depth0 = t->p[0][a] * na - (t->n[u] * (half - t->p[0][u]) + t->n[w] * (half - t->p[0][w])) * sign;
+    depth_i = -t->n[u] * size * sign;
+    depth_k = -t->n[w] * size * sign;
+    inv_div = 1.0 / (double)div;
+    len = 2.0 * t->area * (double)size * (double)size;
+    weight = (uint64_t)(VOXRTI_WEIGHT * (double)na / len) + 1;
+    if (clip) voxrti_ramp_make(v, t, a, &ramp);
+    for (k = lo[1]; k <= hi[1]; k++) {
+        int64_t i0 = lo[0], i1 = hi[0], depth;
+        float row[6];
+        for (e = 0; e < 3; e++) voxrti_row_clip(at[e] + k * step_k[e], step_i[e], inv[e], &i0, &i1);
+        if (i0 > i1) continue;
+        if (!clip) return 1;
+        depth = depth0 + k * depth_k + i0 * depth_i;
+        for (e = 0; e < 6; e++) row[e] = ramp.at[e] + (float)k * ramp.dk[e];
+        for (i = i0; i <= i1; i++, depth += depth_i) {
+            int64_t q = (int64_t)((double)depth * inv_div), r = depth - q * div;
+            uint32_t c[3], cell;
+            float f[6];
+            q += r < 0 ? -1 : r >= div ? 1 : 0;
+            if (q == limit && depth == limit * div) q--; /* on the far face of the grid */
+            if (q < (int64_t)b->lo[a] || q >= (int64_t)(b->lo[a] + b->size) || q >= limit) continue;
+            c[a] = (uint32_t)q;
+            c[u] = (uint32_t)i;
+            c[w] = (uint32_t)k;
+            cell = voxrti_brick_cell(b, c);
+            b->mask[cell >> 6] |= (uint64_t)1 << (cell & 63u);
+            for (e = 0; e < 6; e++) f[e] = row[e] + (float)i * ramp.di[e];
+            voxrti_fragment(b, cell, weight, f);
+            found++;
+        }
+    }
+    return found;
+}
+
+static void voxrti_tri_mean(const voxrti_tri *t, float f[6]) {
+    uint32_t c;
+    for (c = 0; c < 3; c++) {
+        f[c] = (t->rgb[0][c] + t->rgb[1][c] + t->rgb[2][c]) / 3.0f;
+        f[3 + c] = (t->normal[0][c] + t->normal[1][c] + t->normal[2][c]) / 3.0f;
+    }
+}
+
+/* A triangle that caught no target anywhere: its attributes go to the voxels along its longest edge and at the third
+   corner, which are remembered as tiny. */
+static void voxrti_tri_tiny(voxrti_brick *b, const voxrti_tri *t) {
+    const voxrti_vox *v = b->v;
+    uint32_t e, a, best = 0, points, j;
+    int64_t longest = -1, steps = 1;
+    uint64_t weight;
+    float f[6];
+    for (e = 0; e < 3; e++) {
+        int64_t l = 0, m = 0;
+        for (a = 0; a < 3; a++) {
+            int64_t d = t->p[(e + 1) % 3][a] - t->p[e][a];
+            d = d < 0 ? -d : d;
+            l += d;
+            m = d > m ? d : m;
+        }
+        if (l > longest) {
+            longest = l;
+            best = e;
+            steps = (m * 2 >> v->sub) + 1;
+        }
+    }
+    points = (uint32_t)steps + 2;
+    weight = (uint64_t)(VOXRTI_WEIGHT * t->area / (double)points) + 1;
+    voxrti_tri_mean(t, f);
+    for (j = 0; j < points; j++) {
+        uint32_t c[3], cell, inside = 1;
+        for (a = 0; a < 3; a++) {
+            const int64_t *p = t->p[best], *q = t->p[(best + 1) % 3];
+            int64_t x = j == points - 1 ? t->p[(best + 2) % 3][a] : p[a] + (q[a] - p[a]) * (int64_t)j / steps;
+            x >>= v->sub;
+            if (x == (int64_t)v->grid->resolution) x--;
+            inside &= x >= (int64_t)b->lo[a] && x < (int64_t)(b->lo[a] + b->size) && x < (int64_t)v->grid->resolution;
+            c[a] = (uint32_t)(x < 0 ? 0 : x);
+        }
+        if (!inside) continue;
+        cell = voxrti_brick_cell(b, c);
+        voxrti_fragment(b, cell, weight, f);
+        if (!voxrti_grow(v->mem, (void **)&b->tiny, &b->tiny_capacity, b->tiny_count, b->tiny_count + 1, sizeof *b->tiny)) {
+            b->failed = 1;
+            return;
+        }
+        b->tiny[b->tiny_count++] = cell;
+    }
+}
+
+/* All voxels of the brick that the closed triangle touches (separating axes, Schwarz & Seidel 2010), row by row. */
+static void voxrti_raster_26(voxrti_brick *b, const voxrti_tri *t, uint64_t weight) {
+    const voxrti_vox *v = b->v;
+    int64_t size = (int64_t)1 << v->sub, lo[3], hi[3], y, z, x, limit = (int64_t)v->grid->resolution;
+    uint32_t a, e, main_axis = 0, u, w;
+    voxrti_ramp ramp;
+    for (a = 0; a < 3; a++) {
+        lo[a] = hi[a] = t->p[0][a];
+        for (e = 1; e < 3; e++) {
+            if (t->p[e][a] < lo[a]) lo[a] = t->p[e][a];
+            if (t->p[e][a] > hi[a]) hi[a] = t->p[e][a];
+        }
+        lo[a] = (lo[a] - 1) >> v->sub; /* closed: a face that is touched counts */
+        hi[a] = hi[a] >> v->sub;
+        if (lo[a] < (int64_t)b->lo[a]) lo[a] = (int64_t)b->lo[a];
+        if (hi[a] > (int64_t)(b->lo[a] + b->size) - 1) hi[a] = (int64_t)(b->lo[a] + b->size) - 1;
+        if (hi[a] > limit - 1) hi[a] = limit - 1;
+        if ((t->n[a] < 0 ? -t->n[a] : t->n[a]) > (t->n[main_axis] < 0 ? -t->n[main_axis] : t->n[main_axis])) main_axis = a;
+    }
+    u = (main_axis + 1) % 3;
+    w = (main_axis + 2) % 3;
+    voxrti_ramp_make(v, t, main_axis, &ramp);
+    for (z = lo[2]; z <= hi[2]; z++) {
+        for (y = lo[1]; y <= hi[1]; y++) {
+            int64_t i0 = lo[0], i1 = hi[0], c[3], plane, step = t->n[0] * size, reach[2] = {0, 0};
+            uint32_t pair;
+            c[0] = 0;
+            c[1] = y * size;
+            c[2] = z * size;
+            /* plane: largest value over the cube >= 0 >= smallest */
+            plane = 0;
+            for (a = 0; a < 3; a++) {
+                plane += t->n[a] * (c[a] - t->p[0][a]);
+                reach[t->n[a] > 0] += t->n[a] * size;
+            }
+            voxrti_row_clip(plane + reach[1], step, step != 0 ? 1.0 / (double)step : 0.0, &i0, &i1);
+            voxrti_row_clip(-plane - reach[0], -step, step != 0 ? -1.0 / (double)step : 0.0, &i0, &i1);
+            for (pair = 0; pair < 3 && i0 <= i1; pair++) { /* projections along x, y, z */
+                uint32_t pu = (pair + 1) % 3, pw = (pair + 2) % 3;
+                int64_t sign = t->n[pair] < 0 ? -1 : 1;
+                for (e = 0; e < 3; e++) {
+                    const int64_t *p = t->p[e], *q = t->p[(e + 1) % 3];
+                    int64_t eu = -(q[pw] - p[pw]) * sign, ew = (q[pu] - p[pu]) * sign, at, si;
+                    at = eu * (c[pu] - p[pu]) + ew * (c[pw] - p[pw]);
+                    at += (eu > 0 ? eu * size : 0) + (ew > 0 ? ew * size : 0);
+                    si = pair == 0 ? 0 : (pu == 0 ? eu : ew) * size;
+                    voxrti_row_clip(at, si, si != 0 ? 1.0 / (double)si : 0.0, &i0, &i1);
+                }
+            }
+            for (x = i0; x <= i1; x++) {
+                uint32_t cc[3], cell;
+                float f[6], i, k;
+                cc[0] = (uint32_t)x;
+                cc[1] = (uint32_t)y;
+                cc[2] = (uint32_t)z;
+                cell = voxrti_brick_cell(b, cc);
+                b->mask[cell >> 6] |= (uint64_t)1 << (cell & 63u);
+                i = (float)cc[u];
+                k = (float)cc[w];
+                for (e = 0; e < 6; e++) f[e] = ramp.at[e] + k * ramp.dk[e] + i * ramp.di[e];
+                if (ramp.flat) voxrti_tri_mean(t, f);
+                voxrti_fragment(b, cell, weight, f);
+            }
+        }
+    }
+}
+
+/* The thesis' scan converter (3.1.3): two nested loops along the longest edge and at right angles to it. Has gaps. */
+static void voxrti_raster_thesis(voxrti_brick *b, const voxrti_tri *t) {
+    const voxrti_vox *v = b->v;
+    double s = 1.0 / (double)((uint32_t)1 << v->sub), p[3], q[3], dp[3], dq[3], best = -1, f, h, len, mp = 0, mq = 0, tiny;
+    double vertex[3][3], lp, lq;
+    uint32_t e, a, k = 0, c;
+    for (e = 0; e < 3; e++) {
+        double l = 0;
+        for (a = 0; a < 3; a++) {
+            double d = (double)(t->p[(e + 1) % 3][a] - t->p[e][a]);
+            l += d * d;
+        }
+        if (l > best) {
+            best = l;
+            k = e;
+        }
+    }
+    for (e = 0; e < 3; e++)
+        for (a = 0; a < 3; a++) vertex[e][a] = (double)t->p[(k + e) % 3][a] * s;
+    tiny = 1e-6 * (double)v->grid->resolution;
+    len = sqrt(best) * s;
+    f = 0;
+    for (a = 0; a < 3; a++) {
+        p[a] = vertex[1][a] - vertex[0][a];
+        mp = voxrti_max(mp, voxrti_abs(p[a]));
+        f += (vertex[2][a] - vertex[0][a]) * p[a];
+    }
+    f = len > 0 ? f / len : 0;
+    h = 0;
+    for (a = 0; a < 3; a++) {
+        q[a] = vertex[2][a] - vertex[0][a] - (len > 0 ? p[a] * f / len : 0);
+        mq = voxrti_max(mq, voxrti_abs(q[a]));
+        h += q[a] * q[a];
+    }
+    h = sqrt(h);
+    for (a = 0; a < 3; a++) {
+        dp[a] = mp > 0 ? p[a] / mp : 0;
+        dq[a] = mq > 0 ? q[a] / mq : 0;
+    }
+    lp = sqrt(dp[0] * dp[0] + dp[1] * dp[1] + dp[2] * dp[2]);
+    lq = sqrt(dq[0] * dq[0] + dq[1] * dq[1] + dq[2] * dq[2]);
+    {
+        uint32_t n = len < tiny ? 0 : (uint32_t)(len / lp), i, j;
+        for (i = 0; i <= n; i++) {
+            double along = (double)i * lp, lam1 = f > 0 ? h * along / f : h, lam2 = len - f > 0 ? h * (len - along) / (len - f) : h;
+            double lam = voxrti_min(lam1, lam2);
+            uint32_t m = h < 1e-6 || lq <= 0 || !(lam > 0) ? 0 : (uint32_t)(lam / lq);
+            for (j = 0; j <= m; j++) {
+                uint32_t cc[3], inside = 1;
+                double b2, b1, b0, across = (double)j * lq;
+                float attr[6];
+                for (a = 0; a < 3; a++) {
+                    int64_t x = voxrti_floor(vertex[0][a] + (double)i * dp[a] + (double)j * dq[a]);
+                    inside &= x >= (int64_t)b->lo[a] && x < (int64_t)(b->lo[a] + b->size) && x < (int64_t)v->grid->resolution;
+                    cc[a] = (uint32_t)(x < 0 ? 0 : x);
+                }
+                if (!inside) continue;
+                b2 = h > 0 ? across / h : 0;
+                b1 = len > 0 ? (along - f * b2) / len : 0;
+                b0 = 1 - b1 - b2;
+                for (c = 0; c < 6; c++) {
+                    const float *x0 = c < 3 ? &t->rgb[k][c] : &t->normal[k][c - 3];
+                    const float *x1 = c < 3 ? &t->rgb[(k + 1) % 3][c] : &t->normal[(k + 1) % 3][c - 3];
+                    const float *x2 = c < 3 ? &t->rgb[(k + 2) % 3][c] : &t->normal[(k + 2) % 3][c - 3];
+                    attr[c] = (float)(b0 * (double)*x0 + b1 * (double)*x1 + b2 * (double)*x2);
+                }
+                e = voxrti_brick_cell(b, cc);
+                b->mask[e >> 6] |= (uint64_t)1 << (e & 63u);
+                voxrti_fragment(b, e, (uint64_t)VOXRTI_WEIGHT, attr);
+            }
+        }
+    }
+}
+
+static void voxrti_brick_tri(void *ctx, const voxrti_tri *t, size_t i) {
+    voxrti_brick *b = (voxrti_brick *)ctx;
+    uint64_t found = 0;
+    uint32_t a;
+    (void)i;
+    if (b->failed) return;
+    if (b->v->d->separating == VOXRT_SEPARATING_THESIS) {
+        voxrti_raster_thesis(b, t);
+        return;
+    }
+    for (a = 0; a < 3; a++) found += voxrti_raster_axis(b, t, a, 1);
+    if (found == 0)
+        for (a = 0; a < 3 && found == 0; a++) found += voxrti_raster_axis(b, t, a, 0);
+    if (b->v->d->separating == VOXRT_SEPARATING_26)
+        voxrti_raster_26(b, t, found == 0 ? (uint64_t)(VOXRTI_WEIGHT * 0.25 * t->area) + 1 : 1);
+    else if (found == 0)
+        voxrti_tri_tiny(b, t);
+}
+
+/* ---- bricks ---- */
+
+/* Voxels that only tiny triangles touch are filled where nothing else is near: no sliver or wire vanishes, and dense
+   meshes do not get thicker. Decided by the targets alone. */
+static void voxrti_brick_tiny(voxrti_brick *b) {
+    size_t i, keep = 0;
+    for (i = 0; i < b->tiny_count; i++) {
+        uint32_t x = voxrti_compact3(b->tiny[i]), y = voxrti_compact3(b->tiny[i] >> 1), z = voxrti_compact3(b->tiny[i] >> 2);
+        uint32_t k, any = 0;
+        for (k = 0; k < 27 && !any; k++) {
+            uint32_t nx = x + k % 3 - 1, ny = y + k / 3 % 3 - 1, nz = z + k / 9 - 1, cell;
+            if (nx >= b->size || ny >= b->size || nz >= b->size) continue; /* beyond the brick: as if empty */
+            cell = (uint32_t)voxrti_morton(nx, ny, nz);
+            any = (uint32_t)(b->mask[cell >> 6] >> (cell & 63u) & 1u);
+        }
+        if (!any) b->tiny[keep++] = b->tiny[i];
+    }
+    for (i = 0; i < keep; i++) b->mask[b->tiny[i] >> 6] |= (uint64_t)1 << (b->tiny[i] & 63u);
+    b->tiny_count = 0;
+}
+
+static uint32_t voxrti_fragsum_rgb(const voxrti_vox *v, const voxrti_fragsum *s) {
+    double inv = 1.0 / (double)s->weight;
+    uint32_t r = (uint32_t)((double)s->rgb[0] * inv + 0.5), g = (uint32_t)((double)s->rgb[1] * inv + 0.5);
+    uint32_t b = (uint32_t)((double)s->rgb[2] * inv + 0.5);
+    return (uint32_t)v->to_srgb[r] | (uint32_t)v->to_srgb[g] << 8 | (uint32_t)v->to_srgb[b] << 16;
+}
+
+static uint16_t voxrti_fragsum_normal(const voxrti_fragsum *s) {
+    float n[3];
+    uint32_t a;
+    for (a = 0; a < 3; a++) n[a] = (float)((double)s->normal[a] / (double)s->weight);
+    if (n[0] == 0 && n[1] == 0 && n[2] == 0) n[2] = 1.0f; /* opposite normals cancelled */
+    return (uint16_t)voxrti_oct_encode(n);
+}
+
+/* Emit the brick's voxels behind `out` and clear the brick for the next one. */
+static int voxrti_brick_emit(voxrti_brick *b, uint64_t brick, voxrti_leafset *out, size_t capacity[4]) {
+    voxrti_vox *v = b->v;
+    uint32_t blocks = 1u << (3 * v->brick_bits - 6), i;
+    size_t nb = 0, nv = 0, k;
+    for (i = 0; i < blocks; i++) {
+        nb += b->mask[i] != 0;
+        nv += voxrti_popcount64(b->mask[i]);
+    }
+    if (!voxrti_grow(v->mem, (void **)&out->key, &capacity[0], out->block_count, out->block_count + nb, 8) ||
+        !voxrti_grow(v->mem, (void **)&out->mask, &capacity[1], out->block_count, out->block_count + nb, 8) ||
+        (v->has_rgb && !voxrti_grow(v->mem, (void **)&out->rgb, &capacity[2], out->voxel_count, out->voxel_count + nv, 4)) ||
+        (v->has_normal && !voxrti_grow(v->mem, (void **)&out->normal, &capacity[3], out->voxel_count, out->voxel_count + nv, 2)))
+        return 0;
+    for (i = 0; i < blocks; i++) {
+        uint64_t m = b->mask[i];
+        if (m == 0) continue;
+        out->key[out->block_count] = brick << (3 * v->brick_bits - 6) | i;
+        out->mask[out->block_count++] = m;
+        for (; m != 0; m &= m - 1) {
+            const voxrti_fragsum *s = &b->sum[b->slot[i * 64 + voxrti_ctz64(m)] - 1];
+            if (v->has_rgb) out->rgb[out->voxel_count] = voxrti_fragsum_rgb(v, s);
+            if (v->has_normal) out->normal[out->voxel_count] = voxrti_fragsum_normal(s);
+            out->voxel_count++;
+        }
+        b->mask[i] = 0;
+    }
+    for (k = 0; k < b->sum_count; k++) b->slot[b->cell[k]] = 0;
+    b->sum_count = 0;
+    return 1;
+}
+
+static void voxrti_brick_task(void *ctx, uint32_t index) {
+    voxrti_vox *v = (voxrti_vox *)ctx;
+    uint32_t task = v->first_task + index;
+    size_t i = v->task_first[task], end = v->task_first[task + 1], cells = (size_t)1 << (3 * v->brick_bits);
+    size_t capacity[4] = {0, 0, 0, 0};
+    voxrti_brick b;
+    int ok = voxrti_atomic_load(&v->failed) == 0;
+    memset(&b, 0, sizeof b);
+    b.v = v;
+    b.size = 1u << v->brick_bits;
+    if (ok) {
+        b.mask = (uint64_t *)voxrti_alloc_zero(v->mem, cells / 64, sizeof(uint64_t));
+        b.slot = (uint32_t *)voxrti_alloc_zero(v->mem, cells, sizeof(uint32_t));
+        ok = b.mask != NULL && b.slot != NULL;
+    }
+    while (ok && i < end) {
+        uint64_t brick = v->ref[i] >> 32;
+        b.lo[0] = voxrti_compact3(brick) << v->brick_bits;
+        b.lo[1] = voxrti_compact3(brick >> 1) << v->brick_bits;
+        b.lo[2] = voxrti_compact3(brick >> 2) << v->brick_bits;
+        for (; i < end && v->ref[i] >> 32 == brick && !b.failed; i++)
+            (void)voxrti_tri_each(v, (size_t)(v->ref[i] & 0xffffffffu), 1, voxrti_brick_tri, &b);
+        if (!b.failed && b.tiny_count != 0) voxrti_brick_tiny(&b);
+        ok = !b.failed && voxrti_brick_emit(&b, brick, &v->out[task], capacity);
+    }
+    voxrti_free(v->mem, b.mask);
+    voxrti_free(v->mem, b.slot);
+    voxrti_free(v->mem, b.sum);
+    voxrti_free(v->mem, b.cell);
+    voxrti_free(v->mem, b.tiny);
+    (void)voxrti_atomic_add(&v->fragments, b.fragments);
+    if (!ok) voxrti_atomic_store(&v->failed, 1u);
+}
+
+/* Put the task's results one after the other. */
+static voxrt_result voxrti_leafset_join(voxrti_vox *v, uint32_t tasks, voxrti_leafset *out) {
+    size_t blocks = 0, voxels = 0;
+    uint32_t i;
+    for (i = 0; i < tasks; i++) {
+        blocks += v->out[i].block_count;
+        voxels += v->out[i].voxel_count;
+    }
+    out->key = (uint64_t *)voxrti_alloc_array(v->mem, blocks + 1, sizeof(uint64_t));
+    out->mask = (uint64_t *)voxrti_alloc_array(v->mem, blocks + 1, sizeof(uint64_t));
+    if (out->key == NULL || out->mask == NULL) return VOXRT_ERR_NO_MEMORY;
+    if (v->has_rgb && (out->rgb = (uint32_t *)voxrti_alloc_array(v->mem, voxels + 1, 4)) == NULL) return VOXRT_ERR_NO_MEMORY;
+    if (v->has_normal && (out->normal = (uint16_t *)voxrti_alloc_array(v->mem, voxels + 1, 2)) == NULL) return VOXRT_ERR_NO_MEMORY;
+    for (i = 0; i < tasks; i++) {
+        voxrti_leafset *s = &v->out[i];
+        if (s->block_count != 0) {
+            memcpy(out->key + out->block_count, s->key, s->block_count * 8);
+            memcpy(out->mask + out->block_count, s->mask, s->block_count * 8);
+            if (v->has_rgb) memcpy(out->rgb + out->voxel_count, s->rgb, s->voxel_count * 4);
+            if (v->has_normal) memcpy(out->normal + out->voxel_count, s->normal, s->voxel_count * 2);
+        }
+        out->block_count += s->block_count;
+        out->voxel_count += s->voxel_count;
+        voxrti_leafset_free(v->mem, s);
+    }
+    return VOXRT_OK;
+}
+
+static voxrt_result voxrti_voxelize_run(voxrti_vox *v, voxrt_build_stats *stats, voxrti_leafset *out) {
+    size_t i, target;
+    uint32_t tasks = 0, k;
+    voxrt_result r = voxrti_bin_all(v, stats);
+    if (r != VOXRT_OK) return r;
+    v->task_first = (size_t *)voxrti_alloc_array(v->mem, v->ref_count / 512 + 4, sizeof(size_t));
+    if (v->task_first == NULL) return VOXRT_ERR_NO_MEMORY;
+    v->task_first[0] = 0;
+    for (i = 0, target = 1024; i < v->ref_count; i++) { /* about 1024 refs a task, whole bricks */
+        if (i >= target && v->ref[i] >> 32 != v->ref[i - 1] >> 32) {
+            v->task_first[++tasks] = i;
+            target = i + 1024;
+        }
+    }
+    v->task_first[++tasks] = v->ref_count;
+    v->out = (voxrti_leafset *)voxrti_alloc_zero(v->mem, tasks, sizeof *v->out);
+    if (v->out == NULL) return VOXRT_ERR_NO_MEMORY;
+    for (k = 0; k < tasks && r == VOXRT_OK; k += 256) { /* in batches, so that progress can be told */
+        v->first_task = k;
+        voxrti_parallel_for(&v->d->env, voxrti_brick_task, v, tasks - k < 256 ? tasks - k : 256);
+        if (voxrti_atomic_load(&v->failed)) r = VOXRT_ERR_NO_MEMORY;
+        else if (v->d->env.progress_fn != NULL &&
+                 v->d->env.progress_fn(v->d->env.progress_user, k + 256 < tasks ? k + 256 : tasks, tasks) != 0)
+            r = VOXRT_ERR_CANCELLED;
+    }
+    voxrti_free(v->mem, v->ref);
+    v->ref = NULL;
+    if (r == VOXRT_OK) r = voxrti_leafset_join(v, tasks, out);
+    for (k = 0; k < tasks; k++) voxrti_leafset_free(v->mem, &v->out[k]);
+    return r;
+}
+
+static VOXRTI_UNUSED voxrt_result voxrti_voxelize(voxrti_mem *mem, const voxrt_build_desc *d, const voxrt_mesh *mesh,
+                                                  const voxrti_grid *grid, voxrt_build_stats *stats,
+                                                  voxrti_leafset *out) {
+    voxrti_vox v;
+    voxrt_result r = VOXRT_OK;
+    uint32_t i;
+    memset(&v, 0, sizeof v);
+    memset(out, 0, sizeof *out);
+    stats->triangles = mesh->triangle_count;
+    if (mesh->triangle_count >= 0xffffffffu) return VOXRT_ERR_RANGE;
+    v.mem = mem;
+    v.d = d;
+    v.mesh = mesh;
+    v.grid = grid;
+    v.sub = 20 - grid->depth < 8 ? 20 - grid->depth : 8;
+    v.brick_bits = grid->depth > 15 ? 6 : 5;
+    v.has_rgb = !d->disable_colors && (mesh->triangle_rgb != NULL || mesh->vertex_rgb != NULL);
+    v.has_normal = !d->disable_normals;
+    voxrti_srgb_table(v.srgb);
+    v.to_srgb = (uint8_t *)voxrti_alloc(mem, 65537);
+    if (v.to_srgb == NULL) return VOXRT_ERR_NO_MEMORY;
+    for (i = 0; i < 65536; i++) v.to_srgb[i] = (uint8_t)voxrti_srgb_find(v.srgb, i);
+    v.to_srgb[65536] = 255;
+    r = voxrti_voxelize_run(&v, stats, out);
+    if (r != VOXRT_OK) voxrti_leafset_free(mem, out);
+    stats->fragments = v.fragments;
+    stats->voxels = out->voxel_count;
+    voxrti_free(mem, v.to_srgb);
+    voxrti_free(mem, v.count);
+    voxrti_free(mem, v.ref);
+    voxrti_free(mem, v.task_first);
+    voxrti_free(mem, v.out);
+    return r;
+}
+
+/* ---- lists of voxels ---- */
+
+typedef struct voxrti_keyed { uint64_t key; uint32_t index; } voxrti_keyed;
+
+static void voxrti_keyed_sort(voxrti_keyed *a, voxrti_keyed *tmp, size_t n, uint32_t bits) {
+    size_t count[2048], i, sum, c;
+    voxrti_keyed *from = a, *to = tmp, *x;
+    uint32_t shift;
+    for (shift = 0; shift < bits; shift += 11) {
+        memset(count, 0, sizeof count);
+        for (i = 0; i < n; i++) count[from[i].key >> shift & 2047u]++;
+        for (i = 0, sum = 0; i < 2048; i++) {
+            c = count[i];
+            count[i] = sum;
+            sum += c;
+        }
+        for (i = 0; i < n; i++) to[count[from[i].key >> shift & 2047u]++] = from[i];
+        x = from;
+        from = to;
+        to = x;
+    }
+    if (from != a) memcpy(a, from, n * sizeof *a);
+}
+
+static VOXRTI_UNUSED voxrt_result voxrti_leafset_from_voxels(voxrti_mem *mem, const voxrt_build_desc *d,
+                                                             const voxrt_voxel *list, size_t n, uint32_t depth,
+                                                             voxrti_leafset *out) {
+    voxrti_keyed *a = NULL, *tmp = NULL;
+    uint32_t srgb[256], any_normal = 0, limit = (uint32_t)1 << depth;
+    size_t i, k, blocks = 0, voxels = 0;
+    int ok;
+    memset(out, 0, sizeof *out);
+    if (n >= 0xffffffffu) return voxrti_fail(d->env.error, VOXRT_ERR_RANGE, n, "% voxels are too many");
+    for (i = 0; i < n; i++) {
+        if (list[i].x >= limit || list[i].y >= limit || list[i].z >= limit)
+            return voxrti_fail(d->env.error, VOXRT_ERR_RANGE, i, "voxel % lies outside the grid");
+        any_normal |= list[i].has_normal;
+    }
+    a = (voxrti_keyed *)voxrti_alloc_array(mem, n + 1, sizeof *a);
+    tmp = (voxrti_keyed *)voxrti_alloc_array(mem, n + 1, sizeof *tmp);
+    ok = a != NULL && tmp != NULL;
+    if (ok) {
+        for (i = 0; i < n; i++) {
+            a[i].key = voxrti_morton(list[i].x, list[i].y, list[i].z);
+            a[i].index = (uint32_t)i;
+        }
+        voxrti_keyed_sort(a, tmp, n, 3 * depth);
+        for (i = 0; i < n; i++) {
+            voxels += i == 0 || a[i].key != a[i - 1].key;
+            blocks += i == 0 || a[i].key >> 6 != a[i - 1].key >> 6;
+        }
+    }
+    voxrti_free(mem, tmp);
+    if (ok) {
+        out->key = (uint64_t *)voxrti_alloc_array(mem, blocks + 1, 8);
+        out->mask = (uint64_t *)voxrti_alloc_array(mem, blocks + 1, 8);
+        if (!d->disable_colors) out->rgb = (uint32_t *)voxrti_alloc_array(mem, voxels + 1, 4);
+        if (!d->disable_normals && any_normal) out->normal = (uint16_t *)voxrti_alloc_array(mem, voxels + 1, 2);
+        ok = out->key != NULL && out->mask != NULL && (d->disable_colors || out->rgb != NULL) &&
+             (d->disable_normals || !any_normal || out->normal != NULL);
+    }
+    voxrti_srgb_table(srgb);
+    for (i = 0; ok && i < n; i = k) {
+        uint64_t sum[3] = {0, 0, 0}, c;
+        double m[3] = {0, 0, 0};
+        uint32_t x;
+        if (out->block_count == 0 || out->key[out->block_count - 1] != a[i].key >> 6) {
+            out->key[out->block_count] = a[i].key >> 6;
+            out->mask[out->block_count++] = 0;
+        }
+        out->mask[out->block_count - 1] |= (uint64_t)1 << (a[i].key & 63u);
+        for (k = i; k < n && a[k].key == a[i].key; k++) {
+            const voxrt_voxel *e = &list[a[k].index];
+            for (x = 0; x < 3; x++) {
+                sum[x] += srgb[e->rgb[x]];
+                if (e->has_normal && voxrti_finite_f(e->normal[x])) /* integers: the order does not matter */
+                    m[x] += (double)voxrti_floor(voxrti_min(voxrti_max((double)e->normal[x], -1e6), 1e6) * 16384.0);
+            }
+        }
+        c = k - i;
+        if (out->rgb != NULL)
+            out->rgb[out->voxel_count] = voxrti_srgb_find(srgb, (uint32_t)((sum[0] + c / 2) / c)) |
+                                         voxrti_srgb_find(srgb, (uint32_t)((sum[1] + c / 2) / c)) << 8 |
+                                         voxrti_srgb_find(srgb, (uint32_t)((sum[2] + c / 2) / c)) << 16;
+        if (out->normal != NULL) {
+            float f[3];
+            for (x = 0; x < 3; x++) f[x] = k - i == 1 && list[a[i].index].has_normal ? list[a[i].index].normal[x] : (float)m[x];
+            if (!voxrti_normalize(f)) {
+                f[0] = f[1] = 0;
+                f[2] = 1;
+            }
+            out->normal[out->voxel_count] = (uint16_t)voxrti_oct_encode(f);
+        }
+        out->voxel_count++;
+    }
+    voxrti_free(mem, a);
+    if (!ok) {
+        voxrti_leafset_free(mem, out);
+        return voxrti_fail(d->env.error, VOXRT_ERR_NO_MEMORY, 0, "out of memory");
+    }
+    return VOXRT_OK;
+}
+
+/* ---------------------------------------------------------------------------
+   fill: the inside of closed hulls.                                             // >>fill
+   Outside is what a 6-connected walk through empty cells reaches from the border of the grid; what is neither filled
+   nor outside is inside. Three sizes of cell: voxels in the masks of mixed 4x4x4 blocks, empty blocks, and empty
+   words of 4x4x4 blocks (16^3 voxels), all addressed by Morton code: a word of a bit set holds 64 blocks.
+   20 bytes per 16^3 voxels of the grid's cube (2.5 MB at 1024^3, 168 MB at 4096^3).
+   --------------------------------------------------------------------------- */
+
+typedef struct voxrti_flood {
+    voxrti_mem *mem;
+    uint64_t *mixed;         /* [words] blocks with filled voxels */
+    uint32_t *rank;          /* [words] mixed blocks before the word */
+    uint64_t *outside;       /* [words] empty blocks that are outside */
+    const uint64_t *filled;  /* [blocks] masks */
+    uint64_t *reached;       /* [blocks] outside voxels of mixed blocks */
+    uint64_t *queue;         /* block codes; bit 63: a whole word */
+    size_t head, tail, capacity;
+    uint32_t blocks;         /* blocks along an axis */
+    int failed;
+} voxrti_flood;
+
+/* axis masks in a 4x4x4 mask: cells with index 0 and 3, even, and 1 */
+static const uint64_t voxrti_first4[3] = {0x0055005500550055u, 0x0000333300003333u, 0x000000000f0f0f0fu};
+static const uint64_t voxrti_last4[3] = {0xaa00aa00aa00aa00u, 0xcccc0000cccc0000u, 0xf0f0f0f000000000u};
+static const uint64_t voxrti_even4[3] = {0x5555555555555555u, 0x3333333333333333u, 0x0f0f0f0f0f0f0f0fu};
+static const uint64_t voxrti_one4[3] = {0x00aa00aa00aa00aau, 0x0000cccc0000ccccu, 0x00000000f0f0f0f0u};
+static const uint64_t voxrti_two4[3] = {0x5500550055005500u, 0x3333000033330000u, 0x0f0f0f0f00000000u};
+
+/* The cells of m and their face neighbours inside the block. */
+static uint64_t voxrti_dilate4(uint64_t m) {
+    uint64_t r = m;
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        uint32_t s = 1u << a, j = 7u << a; /* even -> odd: s; 1 -> 2: 8*s - s */
+        r |= (m & voxrti_even4[a]) << s | (m & ~voxrti_even4[a]) >> s | (m & voxrti_one4[a]) << j |
+             (m & voxrti_two4[a]) >> j;
+    }
+    return r;
+}
+
+/* Morton code of the neighbour along axis a; *inside = 0 at the border. `n`: cells along an axis. */
+static uint64_t voxrti_step_code(uint64_t code, uint32_t a, int up, uint32_t n, int *inside) {
+    uint32_t c[3];
+    c[0] = voxrti_compact3(code);
+    c[1] = voxrti_compact3(code >> 1);
+    c[2] = voxrti_compact3(code >> 2);
+    *inside = up ? c[a] + 1 < n : c[a] > 0;
+    c[a] = up ? c[a] + 1 : c[a] - 1;
+    return *inside ? voxrti_morton(c[0], c[1], c[2]) : 0;
+}
+
+static void voxrti_flood_push(voxrti_flood *f, uint64_t item) {
+    if (f->head > 4096 && f->head * 2 > f->tail) { /* reuse the front */
+        memmove(f->queue, f->queue + f->head, (f->tail - f->head) * sizeof *f->queue);
+        f->tail -= f->head;
+        f->head = 0;
+    }
+    if (!voxrti_grow(f->mem, (void **)&f->queue, &f->capacity, f->tail, f->tail + 1, sizeof *f->queue)) {
+        f->failed = 1;
+        return;
+    }
+    f->queue[f->tail++] = item;
+}
+
+/* Some voxels `seed` of a block are next to the outside. */
+static void voxrti_flood_block(voxrti_flood *f, uint64_t code, uint64_t seed) {
+    uint64_t word = code >> 6, bit = (uint64_t)1 << (code & 63u);
+    if (f->mixed[word] == 0) {
+        if (f->outside[word] == 0) {
+            f->outside[word] = ~(uint64_t)0;
+            voxrti_flood_push(f, word << 6 | (uint64_t)1 << 63);
+        }
+    } else if ((f->mixed[word] & bit) == 0) {
+        if ((f->outside[word] & bit) == 0) {
+            f->outside[word] |= bit;
+            voxrti_flood_push(f, code);
+        }
+    } else {
+        uint32_t i = f->rank[word] + voxrti_popcount64(f->mixed[word] & (bit - 1));
+        uint64_t open = ~f->filled[i], old = f->reached[i], now = old | (seed & open), next;
+        while ((next = voxrti_dilate4(now) & open) != now) now = next;
+        if (now != old) {
+            f->reached[i] = now;
+            voxrti_flood_push(f, code);
+        }
+    }
+}
+
+static void voxrti_flood_run(voxrti_flood *f) {
+    while (f->head < f->tail && !f->failed) {
+        uint64_t item = f->queue[f->head++], code = item & ~((uint64_t)1 << 63), word = code >> 6, k;
+        uint32_t a, up;
+        int inside;
+        if (item >> 63) { /* an empty word: to the six words around it */
+            for (a = 0; a < 3; a++) {
+                for (up = 0; up < 2; up++) {
+                    uint64_t w = voxrti_step_code(word, a, (int)up, f->blocks / 4, &inside), face;
+                    if (!inside) continue;
+                    if (f->mixed[w] == 0) {
+                        voxrti_flood_block(f, w << 6, 0);
+                        continue;
+                    }
+                    face = up ? voxrti_first4[a] : voxrti_last4[a]; /* its blocks that touch */
+                    for (k = face; k != 0; k &= k - 1)
+                        voxrti_flood_block(f, w << 6 | voxrti_ctz64(k), face);
+                }
+            }
+            continue;
+        }
+        {
+            uint64_t bit = (uint64_t)1 << (code & 63u), e = ~(uint64_t)0;
+            if (f->mixed[word] & bit) e = f->reached[f->rank[word] + voxrti_popcount64(f->mixed[word] & (bit - 1))];
+            for (a = 0; a < 3; a++) {
+                uint32_t shift = 9u << a;
+                for (up = 0; up < 2; up++) {
+                    uint64_t seed = up ? (e & voxrti_last4[a]) >> shift : (e & voxrti_first4[a]) << shift;
+                    uint64_t n = voxrti_step_code(code, a, (int)up, f->blocks, &inside);
+                    if (inside && seed != 0) voxrti_flood_block(f, n, seed);
+                }
+            }
+        }
+    }
+}
+
+/* Flood from the border of the grid. */
+static void voxrti_flood_border(voxrti_flood *f) {
+    uint32_t a, up, i, k, last = f->blocks - 1;
+    for (a = 0; a < 3; a++) {
+        for (up = 0; up < 2; up++) {
+            for (i = 0; i <= last && !f->failed; i++) {
+                for (k = 0; k <= last; k++) {
+                    uint32_t c[3];
+                    c[a] = up ? last : 0;
+                    c[(a + 1) % 3] = i;
+                    c[(a + 2) % 3] = k;
+                    voxrti_flood_block(f, voxrti_morton(c[0], c[1], c[2]), up ? voxrti_last4[a] : voxrti_first4[a]);
+                }
+            }
+            voxrti_flood_run(f);
+        }
+    }
+}
+
+/* ---- attributes of the inside: breadth first from the surface ---- */
+
+typedef struct voxrti_inside {
+    const uint64_t *word;   /* [words] blocks of the new set */
+    const uint32_t *rank;   /* [words] */
+    uint64_t *left;         /* [blocks] voxels without attributes yet */
+    const uint32_t *first;  /* [blocks] rank of the block's first voxel */
+    const uint64_t *mask;   /* [blocks] */
+} voxrti_inside;
+
+VOXRTI_INLINE size_t voxrti_inside_rank(const voxrti_inside *s, uint32_t block, uint32_t slot) {
+    return s->first[block] + voxrti_popcount64(s->mask[block] & (((uint64_t)1 << slot) - 1));
+}
+
+/* Spread rgb and normal from voxels that have them, layer by layer; stops after `layers` (0: no limit). */
+static voxrt_result voxrti_inside_spread(voxrti_mem *mem, voxrti_inside *s, const uint64_t *key, size_t blocks,
+                                         uint32_t axis_blocks, uint32_t layers, voxrti_leafset *set) {
+    uint64_t *front[2] = {NULL, NULL};
+    size_t count[2] = {0, 0}, capacity[2] = {0, 0}, i, k;
+    uint32_t a, up, cur = 0, layer = 0;
+    int inside, ok = 1;
+    for (i = 0; i < blocks && ok; i++) { /* surface voxels next to something inside, in their own block or beyond */
+        uint64_t m = s->mask[i] & ~s->left[i];
+        for (; m != 0 && ok; m &= m - 1) {
+            ok = voxrti_grow(mem, (void **)&front[0], &capacity[0], count[0], count[0] + 1, sizeof(uint64_t));
+            if (ok) front[0][count[0]++] = (uint64_t)i << 6 | voxrti_ctz64(m);
+        }
+    }
+    for (; ok && count[cur] != 0 && (layers == 0 || layer < layers); layer++, cur ^= 1) {
+        count[cur ^ 1] = 0;
+        for (k = 0; k < count[cur] && ok; k++) {
+            uint32_t block = (uint32_t)(front[cur][k] >> 6), slot = (uint32_t)(front[cur][k] & 63u);
+            uint64_t code = key[block] << 6 | slot;
+            for (a = 0; a < 3; a++) {
+                for (up = 0; up < 2; up++) {
+                    uint64_t n = voxrti_step_code(code, a, (int)up, axis_blocks * 4, &inside), w, bit;
+                    uint32_t b;
+                    size_t from, to;
+                    if (!inside) continue;
+                    w = n >> 12;
+                    bit = (uint64_t)1 << (n >> 6 & 63u);
+                    if ((s->word[w] & bit) == 0) continue;
+                    b = s->rank[w] + voxrti_popcount64(s->word[w] & (bit - 1));
+                    bit = (uint64_t)1 << (n & 63u);
+                    if ((s->left[b] & bit) == 0) continue;
+                    s->left[b] &= ~bit;
+                    from = voxrti_inside_rank(s, block, slot);
+                    to = voxrti_inside_rank(s, b, (uint32_t)(n & 63u));
+                    if (set->rgb != NULL) set->rgb[to] = set->rgb[from];
+                    if (set->normal != NULL) set->normal[to] = set->normal[from];
+                    ok = ok && voxrti_grow(mem, (void **)&front[cur ^ 1], &capacity[cur ^ 1], count[cur ^ 1],
+                                           count[cur ^ 1] + 1, sizeof(uint64_t));
+                    if (ok) front[cur ^ 1][count[cur ^ 1]++] = (uint64_t)b << 6 | (n & 63u);
+                }
+            }
+        }
+    }
+    voxrti_free(mem, front[0]);
+    voxrti_free(mem, front[1]);
+    return ok ? VOXRT_OK : VOXRT_ERR_NO_MEMORY;
+}
+
+/* Replace `set` by the set with the inside `inner` ([old blocks] masks; whole empty blocks where neither mixed nor
+   outside) filled. */
+static voxrt_result voxrti_fill_emit(voxrti_mem *mem, const voxrti_flood *f, size_t words, uint32_t layers,
+                                     voxrti_leafset *set) {
+    voxrti_leafset n;
+    voxrti_inside s;
+    uint64_t *word = (uint64_t *)voxrti_alloc_array(mem, words, sizeof(uint64_t));
+    uint32_t *rank = (uint32_t *)voxrti_alloc_array(mem, words, sizeof(uint32_t)), *first = NULL;
+    uint64_t *left = NULL;
+    size_t i, k, old = 0, at = 0, from = 0;
+    voxrt_result r = VOXRT_ERR_NO_MEMORY;
+    memset(&n, 0, sizeof n);
+    memset(&s, 0, sizeof s);
+    if (word != NULL && rank != NULL) {
+        for (i = 0; i < words; i++) {
+            rank[i] = (uint32_t)n.block_count;
+            word[i] = f->mixed[i] | ~f->outside[i];
+            n.block_count += voxrti_popcount64(word[i]);
+            if (n.block_count > 0xfffffff0u) r = VOXRT_ERR_RANGE;
+        }
+        if (r != VOXRT_ERR_RANGE) {
+            n.key = (uint64_t *)voxrti_alloc_array(mem, n.block_count, sizeof(uint64_t));
+            n.mask = (uint64_t *)voxrti_alloc_array(mem, n.block_count, sizeof(uint64_t));
+            left = (uint64_t *)voxrti_alloc_array(mem, n.block_count, sizeof(uint64_t));
+            first = (uint32_t *)voxrti_alloc_array(mem, n.block_count, sizeof(uint32_t));
+            if (n.key != NULL && n.mask != NULL && left != NULL && first != NULL) r = VOXRT_OK;
+        }
+    }
+    for (i = 0; r == VOXRT_OK && i < words; i++) {
+        uint64_t m;
+        for (m = word[i]; m != 0; m &= m - 1, at++) {
+            uint64_t bit = m & (0u - m);
+            n.key[at] = (uint64_t)i << 6 | voxrti_ctz64(m);
+            if (f->mixed[i] & bit) {
+                left[at] = ~(f->reached[old] | f->filled[old]);
+                n.mask[at] = ~f->reached[old++];
+            } else {
+                left[at] = n.mask[at] = ~(uint64_t)0;
+            }
+            first[at] = (uint32_t)n.voxel_count;
+            n.voxel_count += voxrti_popcount64(n.mask[at]);
+            if (n.voxel_count > 0xfffffffeu) r = VOXRT_ERR_RANGE;
+        }
+    }
+    if (r == VOXRT_OK && set->rgb != NULL) {
+        n.rgb = (uint32_t *)voxrti_alloc_zero(mem, n.voxel_count, sizeof(uint32_t));
+        if (n.rgb == NULL) r = VOXRT_ERR_NO_MEMORY;
+    }
+    if (r == VOXRT_OK && set->normal != NULL) {
+        n.normal = (uint16_t *)voxrti_alloc_zero(mem, n.voxel_count, sizeof(uint16_t));
+        if (n.normal == NULL) r = VOXRT_ERR_NO_MEMORY;
+    }
+    for (i = 0, k = 0; r == VOXRT_OK && i < n.block_count; i++) {
+        uint64_t m;
+        for (m = n.mask[i]; m != 0; m &= m - 1, k++) {
+            if (left[i] & m & (0u - m)) continue;
+            if (n.rgb != NULL) n.rgb[k] = set->rgb[from];
+            if (n.normal != NULL) n.normal[k] = set->normal[from];
+            from++;
+        }
+    }
+    if (r == VOXRT_OK) {
+        s.word = word;
+        s.rank = rank;
+        s.left = left;
+        s.first = first;
+        s.mask = n.mask;
+        r = voxrti_inside_spread(mem, &s, n.key, n.block_count, f->blocks, layers, &n);
+    }
+    if (r == VOXRT_OK) { /* drop what the layers did not reach */
+        size_t blocks = 0, voxels = 0;
+        for (i = 0, k = 0; i < n.block_count; i++) {
+            uint64_t m, keep = n.mask[i] & ~left[i];
+            for (m = n.mask[i]; m != 0; m &= m - 1, k++) {
+                if ((keep & m & (0u - m)) == 0) continue;
+                if (n.rgb != NULL) n.rgb[voxels] = n.rgb[k];
+                if (n.normal != NULL) n.normal[voxels] = n.normal[k];
+                voxels++;
+            }
+            if (keep == 0) continue;
+            n.key[blocks] = n.key[i];
+            n.mask[blocks++] = keep;
+        }
+        n.block_count = blocks;
+        n.voxel_count = voxels;
+        voxrti_leafset_free(mem, set);
+        *set = n;
+    } else {
+        voxrti_leafset_free(mem, &n);
+    }
+    voxrti_free(mem, word);
+    voxrti_free(mem, rank);
+    voxrti_free(mem, left);
+    voxrti_free(mem, first);
+    return r;
+}
+
+/* Fill closed hulls; new voxels take the attributes of the nearest surface voxel (in steps through faces), at most
+   d->fill_depth layers deep. On failure the set is unchanged. O(voxels + (2^depth/16)^3). */
+static VOXRTI_UNUSED voxrt_result voxrti_leafset_fill(voxrti_mem *mem, const voxrt_build_desc *d, uint32_t depth,
+                                                      voxrti_leafset *set) {
+    voxrti_flood f;
+    uint32_t word_bits = depth > 4 ? 3 * (depth - 4) : 0;
+    size_t words, i;
+    voxrt_result r = VOXRT_OK;
+    if (set->block_count == 0) return VOXRT_OK;
+    if (depth > 14) return voxrti_fail(d->env.error, VOXRT_ERR_RANGE, depth, "fill supports a depth of 14, not %");
+    words = (size_t)1 << word_bits;
+    memset(&f, 0, sizeof f);
+    f.mem = mem;
+    f.blocks = depth > 4 ? 1u << (depth - 2) : 4u;
+    f.filled = set->mask;
+    f.mixed = (uint64_t *)voxrti_alloc_zero(mem, words, sizeof(uint64_t));
+    f.outside = (uint64_t *)voxrti_alloc_zero(mem, words, sizeof(uint64_t));
+    f.rank = (uint32_t *)voxrti_alloc_zero(mem, words, sizeof(uint32_t));
+    f.reached = (uint64_t *)voxrti_alloc_zero(mem, set->block_count, sizeof(uint64_t));
+    if (f.mixed == NULL || f.outside == NULL || f.rank == NULL || f.reached == NULL) {
+        r = VOXRT_ERR_NO_MEMORY;
+    } else {
+        uint32_t before = 0;
+        for (i = 0; i < set->block_count; i++) f.mixed[set->key[i] >> 6] |= (uint64_t)1 << (set->key[i] & 63u);
+        for (i = 0; i < words; i++) {
+            f.rank[i] = before;
+            before += voxrti_popcount64(f.mixed[i]);
+        }
+        voxrti_flood_border(&f);
+        r = f.failed ? VOXRT_ERR_NO_MEMORY : voxrti_fill_emit(mem, &f, words, d->fill_depth, set);
+    }
+    voxrti_free(mem, f.mixed);
+    voxrti_free(mem, f.outside);
+    voxrti_free(mem, f.rank);
+    voxrti_free(mem, f.reached);
+    voxrti_free(mem, f.queue);
+    return r;
+}
+
+/* ---------------------------------------------------------------------------
+   tree: leaves -> wide nodes of all levels -> level-of-detail attributes;      // >>tree
+   lookup of any cell of any octree level.
+   --------------------------------------------------------------------------- */
+
+static void voxrti_tree_free(voxrti_mem *mem, voxrt_tree *t) {
+    if (t == NULL) return;
+    if (t->borrowed == NULL) {
+        voxrti_free(mem, t->node);
+        voxrti_free(mem, t->leaf);
+        voxrti_free(mem, t->rank);
+        voxrti_free(mem, t->normal);
+        voxrti_free(mem, t->colors.block);
+        voxrti_free(mem, t->colors.data);
+        voxrti_free(mem, t->palette);
+    }
+    voxrti_free(mem, t);
+}
+
+VOXRT_DEF void voxrt_tree_destroy(voxrt_tree *tree) {
+    if (tree != NULL) {
+        voxrti_mem mem = tree->mem;
+        voxrti_tree_free(&mem, tree);
+    }
+}
+
+/* Given wide, depth, level_nodes and the masks of all nodes, derive the rest of the geometry: level_first, child,
+   octant, rank, attr_first, counts and the box of the filled cells. Arrays are allocated by the caller: node, leaf
+   (padded by 8), rank. ERR_FORMAT: the masks do not describe a tree. O(nodes). */
+static VOXRTI_UNUSED voxrt_result voxrti_tree_index(voxrt_tree *t) {
+    uint32_t w, i, k, octants = 0, at = 0;
+    uint64_t count[2 * VOXRTI_MAX_WIDE + 1], voxels = 0, total = 0;
+    memset(count, 0, sizeof count);
+    if (t->depth < 1 || t->depth > VOXRT_MAX_DEPTH || t->wide != (t->depth + 1) / 2) return VOXRT_ERR_FORMAT;
+    if (t->level_nodes[0] != 1) return VOXRT_ERR_FORMAT;
+    for (w = 0; w + 1 < t->wide; w++) {
+        uint64_t children = 0;
+        uint32_t first_child = w + 2 < t->wide ? at + t->level_nodes[w] : 0;
+        t->level_first[w] = at;
+        octants = 0;
+        for (i = 0; i < t->level_nodes[w]; i++) {
+            voxrti_node *n = &t->node[at + i];
+            if (n->mask == 0 || children > 0xffffffffu) return VOXRT_ERR_FORMAT;
+            n->child = (uint32_t)(first_child + children);
+            n->octant = octants;
+            children += voxrti_popcount64(n->mask);
+            octants += voxrti_popcount64(voxrti_octants(n->mask));
+        }
+        if (children != t->level_nodes[w + 1]) return VOXRT_ERR_FORMAT;
+        count[2 * w] = t->level_nodes[w];
+        count[2 * w + 1] = octants;
+        at += t->level_nodes[w];
+    }
+    if (at != t->node_count) return VOXRT_ERR_FORMAT;
+    t->level_first[w] = 0;
+    octants = 0;
+    for (i = 0; i < t->level_nodes[w]; i++) {
+        if ((i & 15u) == 0) {
+            t->rank[2 * (i >> 4)] = (uint32_t)voxels;
+            t->rank[2 * (i >> 4) + 1] = octants;
+        }
+        if (t->leaf[i] == 0) return VOXRT_ERR_FORMAT;
+        voxels += voxrti_popcount64(t->leaf[i]);
+        octants += voxrti_popcount64(voxrti_octants(t->leaf[i]));
+        if (voxels > 0xfffffffeu) return VOXRT_ERR_RANGE;
+    }
+    for (k = 0; k < 8; k++) t->leaf[i + k] = 0;
+    for (; (i & 15u) != 0; i++) { }
+    t->rank[2 * (i >> 4)] = (uint32_t)voxels;
+    t->rank[2 * (i >> 4) + 1] = octants;
+    count[2 * w] = t->level_nodes[w];
+    count[2 * w + 1] = octants;
+    count[2 * w + 2] = voxels;
+    t->voxel_count = voxels;
+    memset(t->attr_first, 0, sizeof t->attr_first);
+    for (k = 2 * t->wide + 1; k-- > 0;) {
+        t->attr_first[k] = total;
+        total += count[k];
+    }
+    t->attr_count = total;
+    return VOXRT_OK;
+}
+
+/* Box of the filled leaves; also checks that an odd-depth model stays in octant 0 of the virtual root. O(nodes),
+   descending only where the box can still grow. */
+static VOXRTI_UNUSED voxrt_result voxrti_tree_box(voxrt_tree *t) {
+    struct { uint32_t node, x, y, z, w; uint64_t left; } stack[VOXRTI_MAX_WIDE];
+    uint32_t sp = 1, a, lo[3] = {0xffffffffu, 0xffffffffu, 0xffffffffu}, hi[3] = {0, 0, 0};
+    uint64_t root = t->wide > 1 ? t->node[0].mask : t->leaf[0];
+    if ((t->depth & 1u) != 0 && (root & ~(uint64_t)0xff) != 0) return VOXRT_ERR_FORMAT;
+    memset(stack, 0, sizeof stack);
+    stack[0].left = root;
+    while (sp > 0) {
+        uint32_t s, w = stack[sp - 1].w, sh = 2 * (t->wide - 1 - w), c[3], inside = 1;
+        uint64_t mask, bit;
+        if (stack[sp - 1].left == 0) {
+            sp--;
+            continue;
+        }
+        s = voxrti_ctz64(stack[sp - 1].left);
+        bit = (uint64_t)1 << s;
+        stack[sp - 1].left &= ~bit;
+        c[0] = stack[sp - 1].x + (voxrti_slot_x(s) << sh);
+        c[1] = stack[sp - 1].y + (voxrti_slot_y(s) << sh);
+        c[2] = stack[sp - 1].z + (voxrti_slot_z(s) << sh);
+        for (a = 0; a < 3; a++) inside &= c[a] >= lo[a] && c[a] + (1u << sh) <= hi[a];
+        if (inside) continue;
+        if (w + 1 == t->wide) {
+            for (a = 0; a < 3; a++) {
+                if (c[a] < lo[a]) lo[a] = c[a];
+                if (c[a] + 1 > hi[a]) hi[a] = c[a] + 1;
+            }
+            continue;
+        }
+        mask = t->node[stack[sp - 1].node].mask;
+        stack[sp].node = t->node[stack[sp - 1].node].child + voxrti_popcount64(mask & (bit - 1));
+        stack[sp].left = w + 2 < t->wide ? t->node[stack[sp].node].mask : t->leaf[stack[sp].node];
+        stack[sp].x = c[0];
+        stack[sp].y = c[1];
+        stack[sp].z = c[2];
+        stack[sp].w = w + 1;
+        sp++;
+    }
+    for (a = 0; a < 3; a++) {
+        t->cell_min[a] = lo[a];
+        t->cell_max[a] = hi[a];
+    }
+    return VOXRT_OK;
+}
+
+/* ---- attributes ---- */
+
+/* Rank of the first voxel of leaf node i. */
+VOXRTI_INLINE uint32_t voxrti_leaf_rank(const voxrt_tree *t, uint32_t i) {
+    uint32_t r = t->rank[2 * (i >> 4)], k;
+    for (k = i & ~15u; k < i; k++) r += voxrti_popcount64(t->leaf[k]);
+    return r;
+}
+
+/* Index of the attributes of a cell of virtual level v: `node` holds it, at bit `slot` (v even) or octant slot/8 (v
+   odd). v = 0: the virtual root. */
+static VOXRTI_UNUSED uint64_t voxrti_attr_index(const voxrt_tree *t, uint32_t v, uint32_t node, uint32_t slot) {
+    uint32_t w, r, k;
+    if (v == 0) return t->attr_first[0];
+    w = (v - 1) / 2;
+    if ((v & 1u) == 0) {
+        uint64_t below = ((uint64_t)1 << slot) - 1;
+        if (w + 1 == t->wide) r = voxrti_leaf_rank(t, node) + voxrti_popcount64(t->leaf[node] & below);
+        else r = t->node[node].child + voxrti_popcount64(t->node[node].mask & below) - t->level_first[w + 1];
+    } else {
+        uint32_t below = (1u << (slot >> 3)) - 1u;
+        if (w + 1 == t->wide) {
+            r = t->rank[2 * (node >> 4) + 1];
+            for (k = node & ~15u; k < node; k++) r += voxrti_popcount64(voxrti_octants(t->leaf[k]));
+            r += voxrti_popcount64(voxrti_octants(t->leaf[node]) & below);
+        } else {
+            r = t->node[node].octant + voxrti_popcount64(voxrti_octants(t->node[node].mask) & below);
+        }
+    }
+    return t->attr_first[v] + r;
+}
+
+VOXRTI_INLINE uint32_t voxrti_color_index(const voxrt_tree *t, uint64_t attr) {
+    return t->colors.block != NULL ? voxrti_colors_get(&t->colors, attr) : 0;
+}
+
+static void voxrti_attr_voxel(const voxrt_tree *t, uint64_t attr, voxrt_voxel *out) {
+    const uint8_t *p = t->palette + (size_t)3 * voxrti_color_index(t, attr);
+    out->rgb[0] = p[0];
+    out->rgb[1] = p[1];
+    out->rgb[2] = p[2];
+    out->has_normal = t->normal != NULL;
+    out->normal[0] = out->normal[1] = out->normal[2] = 0;
+    if (t->normal != NULL) voxrti_oct_decode(t->normal[attr], out->normal);
+}
+
+/* ---- build ---- */
+
+/* Exact sums over the filled leaves of a cell. */
+typedef struct voxrti_sum {
+    uint64_t rgb[3];  /* linear light, 16 bits */
+    int64_t normal[3]; /* of 2^14 times the unit vectors */
+    uint64_t count;
+} voxrti_sum;
+
+typedef struct voxrti_lod {
+    voxrt_tree *t;
+    voxrt_lod_method method;
+    uint32_t w;                 /* the level in work */
+    uint32_t *value;            /* [attr_count] colours (mean) or palette indices (majority), or NULL */
+    const voxrti_sum *children; /* sums of the nodes of level w+1; NULL on the leaf level */
+    voxrti_sum *sums;           /* sums of the nodes of level w */
+    uint32_t srgb[256];
+} voxrti_lod;
+
+static void voxrti_sum_add_cell(voxrti_lod *l, uint64_t attr, voxrti_sum *s) {
+    if (l->value != NULL && l->method == VOXRT_LOD_MEAN) {
+        uint32_t c = l->value[attr];
+        s->rgb[0] += l->srgb[c & 255u];
+        s->rgb[1] += l->srgb[c >> 8 & 255u];
+        s->rgb[2] += l->srgb[c >> 16 & 255u];
+    }
+    if (l->t->normal != NULL) {
+        float n[3];
+        voxrti_oct_decode(l->t->normal[attr], n);
+        s->normal[0] += (int64_t)(n[0] * 16384.0f);
+        s->normal[1] += (int64_t)(n[1] * 16384.0f);
+        s->normal[2] += (int64_t)(n[2] * 16384.0f);
+    }
+    s->count++;
+}
+
+/* Normal of a sum; opposite normals that cancel leave `fallback`. */
+static uint32_t voxrti_sum_normal(const voxrti_sum *s, uint32_t fallback) {
+    double x = (double)s->normal[0], y = (double)s->normal[1], z = (double)s->normal[2];
+    double l = sqrt(x * x + y * y + z * z);
+    float n[3];
+    if (!(l > 16.384 * (double)s->count)) return fallback;
+    n[0] = (float)(x / l);
+    n[1] = (float)(y / l);
+    n[2] = (float)(z / l);
+    return voxrti_oct_encode(n);
+}
+
+static uint32_t voxrti_sum_color(const voxrti_lod *l, const voxrti_sum *s) {
+    uint64_t h = s->count / 2;
+    return voxrti_srgb_find(l->srgb, (uint32_t)((s->rgb[0] + h) / s->count)) |
+           voxrti_srgb_find(l->srgb, (uint32_t)((s->rgb[1] + h) / s->count)) << 8 |
+           voxrti_srgb_find(l->srgb, (uint32_t)((s->rgb[2] + h) / s->count)) << 16;
+}
+
+/* Thesis 3.1.4: the index most children have; ties: more leaves below, then the lower index. */
+static uint32_t voxrti_majority(const uint32_t *index, const uint32_t *weight, uint32_t n) {
+    uint32_t best = 0, best_votes = 0, i, k;
+    uint64_t best_weight = 0;
+    for (i = 0; i < n; i++) {
+        uint32_t votes = 0;
+        uint64_t leaves = 0;
+        for (k = 0; k < n; k++) {
+            if (index[k] == index[i]) {
+                votes++;
+                leaves += weight[k];
+            }
+        }
+        if (votes > best_votes || (votes == best_votes && (leaves > best_weight ||
+            (leaves == best_weight && index[i] < best)))) {
+            best = index[i];
+            best_votes = votes;
+            best_weight = leaves;
+        }
+    }
+    return best;
+}
+
+#define VOXRTI_LOD_CHUNK 4096u
+
+static void voxrti_lod_node(voxrti_lod *l, uint32_t i, uint64_t cell, uint64_t oct_attr) {
+    voxrt_tree *t = l->t;
+    uint32_t w = l->w, o, leaf = w + 1 == t->wide, majority = l->method == VOXRT_LOD_MAJORITY && l->value != NULL;
+    uint64_t mask = leaf ? t->leaf[i] : t->node[t->level_first[w] + i].mask;
+    uint64_t node_attr = t->attr_first[2 * w] + i, first = t->attr_first[2 * w + 2];
+    uint32_t vote[8], vote_weight[8], octants = 0;
+    voxrti_sum node_sum;
+    memset(&node_sum, 0, sizeof node_sum);
+    for (o = 0; o < 8; o++) {
+        uint32_t bits = (uint32_t)(mask >> (8 * o)) & 255u, n = 0, index[8], weight[8], a;
+        voxrti_sum s;
+        if (bits == 0) continue;
+        memset(&s, 0, sizeof s);
+        for (; bits != 0; bits &= bits - 1, n++, cell++) {
+            if (leaf) {
+                voxrti_sum_add_cell(l, cell, &s);
+            } else {
+                const voxrti_sum *c = &l->children[cell - first];
+                for (a = 0; a < 3; a++) {
+                    s.rgb[a] += c->rgb[a];
+                    s.normal[a] += c->normal[a];
+                }
+                s.count += c->count;
+            }
+            if (majority) {
+                index[n] = l->value[cell];
+                weight[n] = leaf ? 1u : (uint32_t)l->children[cell - first].count;
+            }
+        }
+        if (t->normal != NULL)
+            t->normal[oct_attr] = (uint16_t)voxrti_sum_normal(&s, t->normal[cell - n]);
+        if (majority) {
+            l->value[oct_attr] = vote[octants] = voxrti_majority(index, weight, n);
+            vote_weight[octants] = (uint32_t)s.count;
+        } else if (l->value != NULL) {
+            l->value[oct_attr] = voxrti_sum_color(l, &s);
+        }
+        for (a = 0; a < 3; a++) {
+            node_sum.rgb[a] += s.rgb[a];
+            node_sum.normal[a] += s.normal[a];
+        }
+        node_sum.count += s.count;
+        octants++;
+        oct_attr++;
+    }
+    if (t->normal != NULL) t->normal[node_attr] = (uint16_t)voxrti_sum_normal(&node_sum, t->normal[oct_attr - octants]);
+    if (majority) l->value[node_attr] = voxrti_majority(vote, vote_weight, octants);
+    else if (l->value != NULL) l->value[node_attr] = voxrti_sum_color(l, &node_sum);
+    l->sums[i] = node_sum;
+}
+
+static void voxrti_lod_task(void *ctx, uint32_t task) {
+    voxrti_lod *l = (voxrti_lod *)ctx;
+    voxrt_tree *t = l->t;
+    uint32_t w = l->w, leaf = w + 1 == t->wide, i = task * VOXRTI_LOD_CHUNK, end = i + VOXRTI_LOD_CHUNK;
+    uint32_t n0 = leaf ? i : t->level_first[w] + i;
+    uint64_t cell = voxrti_attr_index(t, 2 * w + 2, n0, 0), oct = voxrti_attr_index(t, 2 * w + 1, n0, 0);
+    if (end > t->level_nodes[w]) end = t->level_nodes[w];
+    for (; i < end; i++) {
+        uint64_t mask = leaf ? t->leaf[i] : t->node[t->level_first[w] + i].mask;
+        voxrti_lod_node(l, i, cell, oct);
+        cell += voxrti_popcount64(mask);
+        oct += voxrti_popcount64(voxrti_octants(mask));
+    }
+}
+
+/* Attributes of all levels above the leaves, bottom up. */
+static voxrt_result voxrti_tree_lod(voxrti_mem *mem, const voxrt_env *env, voxrt_tree *t, voxrt_lod_method method,
+                                    uint32_t *value) {
+    voxrti_lod l;
+    voxrti_sum *below = NULL;
+    uint32_t w;
+    if (value == NULL && t->normal == NULL) return VOXRT_OK;
+    memset(&l, 0, sizeof l);
+    l.t = t;
+    l.method = method;
+    l.value = value;
+    voxrti_srgb_table(l.srgb);
+    for (w = t->wide; w-- > 0;) {
+        l.sums = (voxrti_sum *)voxrti_alloc_array(mem, t->level_nodes[w], sizeof *l.sums);
+        if (l.sums == NULL) {
+            voxrti_free(mem, below);
+            return VOXRT_ERR_NO_MEMORY;
+        }
+        l.w = w;
+        l.children = below;
+        voxrti_parallel_for(env, voxrti_lod_task, &l, (t->level_nodes[w] + VOXRTI_LOD_CHUNK - 1) / VOXRTI_LOD_CHUNK);
+        voxrti_free(mem, below);
+        below = l.sums;
+    }
+    voxrti_free(mem, below);
+    return VOXRT_OK;
+}
+
+/* Masks of all levels from the leaf blocks; consumes set->mask. */
+static voxrt_result voxrti_tree_masks(voxrti_mem *mem, voxrt_tree *t, voxrti_leafset *set) {
+    size_t n = set->block_count, total = 0, i, k;
+    uint32_t w;
+    uint64_t *key[2];
+    voxrti_node *level[VOXRTI_MAX_WIDE];
+    int ok = 1;
+    memset(level, 0, sizeof level);
+    if (n > 0xfffffff0u || set->voxel_count > 0xfffffffeu) return VOXRT_ERR_RANGE;
+    key[0] = set->key;
+    key[1] = (uint64_t *)voxrti_alloc_array(mem, n, sizeof(uint64_t));
+    if (key[1] == NULL) return VOXRT_ERR_NO_MEMORY;
+    t->level_nodes[t->wide - 1] = (uint32_t)n;
+    for (w = t->wide - 1; w-- > 0 && ok;) {
+        const uint64_t *from = w + 2 == t->wide ? key[0] : key[1];
+        uint64_t last = ~(uint64_t)0;
+        for (i = 0, k = 0; i < n; i++) {
+            if (from[i] >> 6 != last) k++;
+            last = from[i] >> 6;
+        }
+        level[w] = (voxrti_node *)voxrti_alloc_zero(mem, k, sizeof(voxrti_node));
+        ok = level[w] != NULL;
+        for (i = 0, k = 0, last = ~(uint64_t)0; ok && i < n; i++) {
+            uint64_t f = from[i];
+            if (f >> 6 != last) {
+                last = f >> 6;
+                key[1][k++] = last;
+            }
+            level[w][k - 1].mask |= (uint64_t)1 << (f & 63u);
+        }
+        n = k;
+        t->level_nodes[w] = (uint32_t)n;
+        total += n;
+    }
+    if (ok) {
+        t->node_count = (uint32_t)total;
+        t->node = (voxrti_node *)voxrti_alloc_array(mem, total + 1, sizeof(voxrti_node));
+        t->leaf = (uint64_t *)voxrti_alloc_array(mem, set->block_count + 8, sizeof(uint64_t));
+        t->rank = (uint32_t *)voxrti_alloc_array(mem, 2 * (set->block_count / 16 + 2), sizeof(uint32_t));
+        ok = t->node != NULL && t->leaf != NULL && t->rank != NULL;
+    }
+    if (ok) {
+        for (w = 0, total = 0; w + 1 < t->wide; w++) {
+            memcpy(t->node + total, level[w], t->level_nodes[w] * sizeof(voxrti_node));
+            total += t->level_nodes[w];
+        }
+        memcpy(t->leaf, set->mask, set->block_count * sizeof(uint64_t));
+    }
+    for (w = 0; w < VOXRTI_MAX_WIDE; w++) voxrti_free(mem, level[w]);
+    voxrti_free(mem, key[1]);
+    voxrti_free(mem, set->key);
+    voxrti_free(mem, set->mask);
+    set->key = NULL;
+    set->mask = NULL;
+    return ok ? VOXRT_OK : VOXRT_ERR_NO_MEMORY;
+}
+
+/* The colour stream: palette of the leaves' colours (or the given one, then set->rgb holds its indices). */
+static voxrt_result voxrti_tree_colors(voxrti_mem *mem, const voxrt_build_desc *d, voxrt_tree *t, uint32_t *value,
+                                       const uint8_t *palette, uint32_t palette_count, uint64_t *colors_in) {
+    voxrt_result r = VOXRT_OK;
+    size_t leaves = (size_t)t->voxel_count, all = (size_t)t->attr_count;
+    voxrt_lod_method lod = palette != NULL ? VOXRT_LOD_MAJORITY : d->lod_method;
+    if (palette == NULL && lod == VOXRT_LOD_MEAN) r = voxrti_tree_lod(mem, &d->env, t, lod, value);
+    if (r == VOXRT_OK && palette == NULL)
+        r = voxrti_palette_build(mem, &d->env, value, lod == VOXRT_LOD_MEAN ? all : leaves, leaves,
+                                 d->palette_size, d->palette_method, &t->palette, &t->palette_count, colors_in);
+    if (r == VOXRT_OK && palette != NULL) {
+        t->palette = (uint8_t *)voxrti_alloc_array(mem, palette_count, 3);
+        t->palette_count = palette_count;
+        if (t->palette == NULL) return VOXRT_ERR_NO_MEMORY;
+        memcpy(t->palette, palette, (size_t)3 * palette_count);
+    }
+    if (r == VOXRT_OK && lod == VOXRT_LOD_MAJORITY) r = voxrti_tree_lod(mem, &d->env, t, lod, value);
+    if (r == VOXRT_OK) r = voxrti_colors_encode(mem, &d->env, value, all, &t->colors);
+    return r;
+}
+
+/* Build a tree from filled leaves. Consumes the set (also on failure). palette != NULL: set->rgb holds indices into
+   it and level of detail votes by majority, so that an octree of the thesis survives the way there and back. */
+static VOXRTI_UNUSED voxrt_result voxrti_tree_from_leafset_palette(
+        voxrti_mem *mem, const voxrt_build_desc *d, const voxrti_grid *grid, voxrti_leafset *set,
+        const uint8_t *palette, uint32_t palette_count, voxrt_build_stats *stats, voxrt_tree **out) {
+    voxrt_tree *t;
+    uint32_t *value = NULL;
+    uint64_t colors_in = 1;
+    voxrt_result r = VOXRT_OK;
+    *out = NULL;
+    if (set->block_count == 0) {
+        voxrti_leafset_free(mem, set);
+        return voxrti_fail(d->env.error, VOXRT_ERR_EMPTY, 0, "no voxel is filled");
+    }
+    t = (voxrt_tree *)voxrti_alloc_zero(mem, 1, sizeof *t);
+    if (t == NULL) r = VOXRT_ERR_NO_MEMORY;
+    if (r == VOXRT_OK) {
+        t->cpu_level = voxrti_cpu_level();
+        t->depth = grid->depth;
+        t->wide = (grid->depth + 1) / 2;
+        t->resolution = grid->resolution;
+        memcpy(t->origin, grid->origin, sizeof t->origin);
+        t->voxel_size = grid->voxel_size;
+        r = voxrti_tree_masks(mem, t, set);
+    }
+    if (r == VOXRT_OK) r = voxrti_tree_index(t);
+    if (r == VOXRT_OK) r = voxrti_tree_box(t);
+    if (r == VOXRT_OK && set->normal != NULL) {
+        t->normal = (uint16_t *)voxrti_alloc_array(mem, (size_t)t->attr_count, sizeof(uint16_t));
+        if (t->normal == NULL) r = VOXRT_ERR_NO_MEMORY;
+        else memcpy(t->normal, set->normal, (size_t)t->voxel_count * sizeof(uint16_t));
+        voxrti_free(mem, set->normal);
+        set->normal = NULL;
+    }
+    if (r == VOXRT_OK && set->rgb != NULL) {
+        value = (uint32_t *)voxrti_alloc_array(mem, (size_t)t->attr_count, sizeof(uint32_t));
+        if (value == NULL) r = VOXRT_ERR_NO_MEMORY;
+        else memcpy(value, set->rgb, (size_t)t->voxel_count * sizeof(uint32_t));
+        voxrti_free(mem, set->rgb);
+        set->rgb = NULL;
+        if (r == VOXRT_OK) r = voxrti_tree_colors(mem, d, t, value, palette, palette_count, &colors_in);
+        /* mean level of detail made the normals too; majority of a one-colour model as well */
+    } else if (r == VOXRT_OK) {
+        r = voxrti_tree_lod(mem, &d->env, t, VOXRT_LOD_MEAN, NULL);
+    }
+    if (r == VOXRT_OK && t->palette == NULL) {
+        t->palette = (uint8_t *)voxrti_alloc(mem, 3);
+        t->palette_count = 1;
+        if (t->palette == NULL) r = VOXRT_ERR_NO_MEMORY;
+        else memset(t->palette, 255, 3);
+    }
+    voxrti_free(mem, value);
+    voxrti_leafset_free(mem, set);
+    if (r != VOXRT_OK) {
+        voxrti_tree_free(mem, t);
+        return voxrti_fail(d->env.error, r, 0, voxrt_result_string(r));
+    }
+    if (stats != NULL) {
+        stats->voxels = t->voxel_count;
+        stats->colors_in = colors_in;
+        stats->peak_bytes = mem->peak;
+    }
+    t->mem = *mem;
+    t->mem.limit = 0;
+    *out = t;
+    return VOXRT_OK;
+}
+
+static VOXRTI_UNUSED voxrt_result voxrti_tree_from_leafset(voxrti_mem *mem, const voxrt_build_desc *d,
+                                                           const voxrti_grid *grid, voxrti_leafset *set,
+                                                           voxrt_build_stats *stats, voxrt_tree **out) {
+    return voxrti_tree_from_leafset_palette(mem, d, grid, set, NULL, 0, stats, out);
+}
+
+/* Copy a build desc with the defaults filled in. */
+static voxrt_result voxrti_build_open(const voxrt_build_desc *desc, voxrt_build_desc *d, voxrti_mem *mem) {
+    memset(d, 0, sizeof *d);
+    if (desc != NULL) *d = *desc;
+    if (d->env.error != NULL) memset(d->env.error, 0, sizeof *d->env.error);
+    if (d->_begin_zero != 0 || d->_end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
+    if (d->resolution == 0) d->resolution = 1024;
+    if (d->palette_size == 0) d->palette_size = 32767;
+    if ((uint32_t)d->separating > 2u || (uint32_t)d->palette_method > 1u || (uint32_t)d->lod_method > 1u)
+        return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "unknown enumerator in the build desc");
+    if (d->palette_size > 16777216u)
+        return voxrti_fail(d->env.error, VOXRT_ERR_RANGE, d->palette_size, "palette of % colours is too large");
+    if (d->resolution > 1u << VOXRT_MAX_VOXELIZE_DEPTH)
+        return voxrti_fail(d->env.error, VOXRT_ERR_RANGE, d->resolution, "resolution % is too large");
+    if (!voxrti_finite(d->box_size) || d->box_size < 0 || !voxrti_finite(d->box_min[0]) ||
+        !voxrti_finite(d->box_min[1]) || !voxrti_finite(d->box_min[2]))
+        return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "box_min or box_size is not finite");
+    return voxrti_env_open(&d->env, mem);
+}
+
+VOXRT_DEF voxrt_result voxrt_tree_build(const voxrt_build_desc *desc, const voxrt_mesh *mesh, voxrt_build_stats *stats,
+                                        voxrt_tree **out_tree) {
+    voxrt_build_desc d;
+    voxrt_build_stats local;
+    voxrti_mem mem;
+    voxrti_grid grid;
+    voxrti_leafset set;
+    voxrt_result r;
+    if (stats == NULL) stats = &local;
+    memset(stats, 0, sizeof *stats);
+    if (out_tree == NULL) return VOXRT_ERR_INVALID_ARG;
+    *out_tree = NULL;
+    r = voxrti_build_open(desc, &d, &mem);
+    if (r != VOXRT_OK) return r;
+    if (mesh == NULL || (mesh->triangle_count != 0 && mesh->positions == NULL))
+        return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no mesh");
+    memset(&set, 0, sizeof set);
+    r = voxrti_grid_from_mesh(&d, mesh, &grid);
+    if (r != VOXRT_OK) return r;
+    r = voxrti_voxelize(&mem, &d, mesh, &grid, stats, &set);
+    if (r == VOXRT_OK && d.fill) r = voxrti_leafset_fill(&mem, &d, grid.depth, &set);
+    if (r != VOXRT_OK) {
+        voxrti_leafset_free(&mem, &set);
+        if (d.env.error != NULL && d.env.error->code == VOXRT_OK)
+            (void)voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
+        return r;
+    }
+    return voxrti_tree_from_leafset(&mem, &d, &grid, &set, stats, out_tree);
+}
+
+VOXRT_DEF voxrt_result voxrt_tree_from_voxels(const voxrt_build_desc *desc, const voxrt_voxel *voxels, size_t count,
+                                              uint32_t depth, voxrt_tree **out_tree) {
+    voxrt_build_desc d;
+    voxrti_mem mem;
+    voxrti_grid grid;
+    voxrti_leafset set;
+    voxrt_result r;
+    if (out_tree == NULL) return VOXRT_ERR_INVALID_ARG;
+    *out_tree = NULL;
+    r = voxrti_build_open(desc, &d, &mem);
+    if (r != VOXRT_OK) return r;
+    if (voxels == NULL && count != 0) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no voxels");
+    if (depth < 1 || depth > VOXRT_MAX_DEPTH)
+        return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, depth, "depth % is out of range");
+    memset(&set, 0, sizeof set);
+    memset(&grid, 0, sizeof grid);
+    grid.depth = depth;
+    grid.resolution = 1u << depth;
+    grid.voxel_size = 1.0;
+    if (d.box_size > 0) {
+        memcpy(grid.origin, d.box_min, sizeof grid.origin);
+        grid.voxel_size = d.box_size / (double)grid.resolution;
+    }
+    r = voxrti_leafset_from_voxels(&mem, &d, voxels, count, depth, &set);
+    if (r == VOXRT_OK && d.fill) r = voxrti_leafset_fill(&mem, &d, depth, &set);
+    if (r != VOXRT_OK) {
+        voxrti_leafset_free(&mem, &set);
+        return r;
+    }
+    return voxrti_tree_from_leafset(&mem, &d, &grid, &set, NULL, out_tree);
+}
+
+/* ---- queries ---- */
+
+VOXRT_DEF void voxrt_tree_get_info(const voxrt_tree *t, voxrt_tree_info *info) {
+    uint32_t e, shift;
+    memset(info, 0, sizeof *info);
+    if (t == NULL) return;
+    shift = 2 * t->wide - t->depth;
+    info->depth = t->depth;
+    info->resolution = t->resolution;
+    memcpy(info->world_origin, t->origin, sizeof t->origin);
+    info->voxel_size = t->voxel_size;
+    memcpy(info->cell_min, t->cell_min, sizeof t->cell_min);
+    memcpy(info->cell_max, t->cell_max, sizeof t->cell_max);
+    info->has_colors = t->colors.block != NULL || t->palette_count > 1;
+    info->has_normals = t->normal != NULL;
+    info->palette_count = t->palette_count;
+    info->voxel_count = t->voxel_count;
+    for (e = 0; e <= t->depth; e++) {
+        uint32_t v = e + shift;
+        info->level_count[e] = (v == 0 ? t->attr_count : t->attr_first[v - 1]) - t->attr_first[v];
+    }
+    info->geometry_bytes = (uint64_t)t->node_count * sizeof(voxrti_node) +
+                           (uint64_t)t->level_nodes[t->wide - 1] * 8 +
+                           (uint64_t)(t->level_nodes[t->wide - 1] / 16 + 1) * 8;
+    info->color_bytes = t->colors.block_count * sizeof(uint32_t) + t->colors.data_bytes + (uint64_t)3 * t->palette_count;
+    info->normal_bytes = t->normal != NULL ? t->attr_count * sizeof(uint16_t) : 0;
+    info->total_bytes = info->geometry_bytes + info->color_bytes + info->normal_bytes + sizeof *t;
+}
+
+VOXRT_DEF const uint8_t *voxrt_tree_palette(const voxrt_tree *tree, uint32_t *out_count) {
+    if (out_count != NULL) *out_count = tree != NULL ? tree->palette_count : 0;
+    return tree != NULL ? tree->palette : NULL;
+}
+
+VOXRT_DEF int voxrt_tree_get(const voxrt_tree *t, uint32_t level, uint32_t x, uint32_t y, uint32_t z, voxrt_voxel *out) {
+    uint32_t v, w, node = 0, slot = 0;
+    if (out != NULL) memset(out, 0, sizeof *out);
+    if (t == NULL || level > t->depth || (x | y | z) >> level != 0) return 0;
+    v = level + 2 * t->wide - t->depth;
+    for (w = 0; v != 0; w++) {
+        uint64_t mask = w + 1 == t->wide ? t->leaf[node] : t->node[node].mask;
+        uint32_t sh;
+        if (v == 2 * w + 1) { /* an octant of this node */
+            slot = 8 * ((x & 1u) | (y & 1u) << 1 | (z & 1u) << 2);
+            if ((mask >> slot & 255u) == 0) return 0;
+            break;
+        }
+        sh = v - 2 * w - 2;
+        slot = voxrti_slot(x >> sh, y >> sh, z >> sh);
+        if ((mask >> slot & 1u) == 0) return 0;
+        if (sh == 0) break;
+        node = t->node[node].child + voxrti_popcount64(mask & (((uint64_t)1 << slot) - 1));
+    }
+    if (out != NULL) {
+        out->x = x;
+        out->y = y;
+        out->z = z;
+        voxrti_attr_voxel(t, voxrti_attr_index(t, v, node, slot), out);
+    }
+    return 1;
+}
+
+VOXRT_DEF int voxrt_tree_each(const voxrt_tree *t, uint32_t level,
+                              int (*fn)(void *user, const voxrt_voxel *voxel, uint32_t palette_index), void *user) {
+    struct { uint32_t node, x, y, z; uint64_t left, mask; } stack[VOXRTI_MAX_WIDE];
+    uint32_t sp = 1, v, target;
+    uint64_t attr;
+    voxrt_voxel voxel;
+    if (t == NULL || fn == NULL || level > t->depth) return 0;
+    v = level + 2 * t->wide - t->depth;
+    attr = t->attr_first[v];
+    memset(&voxel, 0, sizeof voxel);
+    if (v == 0) {
+        voxrti_attr_voxel(t, attr, &voxel);
+        return fn(user, &voxel, voxrti_color_index(t, attr));
+    }
+    target = (v - 1) / 2; /* wide level whose bits or octants are the cells */
+    memset(stack, 0, sizeof stack);
+    stack[0].left = stack[0].mask = t->wide > 1 ? t->node[0].mask : t->leaf[0];
+    while (sp > 0) {
+        uint32_t w = sp - 1, s, sx, sy, sz;
+        uint64_t bit;
+        if (stack[w].left == 0) {
+            sp--;
+            continue;
+        }
+        s = voxrti_ctz64(stack[w].left);
+        bit = (uint64_t)1 << s;
+        sx = voxrti_slot_x(s);
+        sy = voxrti_slot_y(s);
+        sz = voxrti_slot_z(s);
+        if (w == target) {
+            int stop;
+            if (v & 1u) { /* the whole octant at once */
+                stack[w].left &= ~((uint64_t)255 << (s & 56u));
+                voxel.x = stack[w].x * 2 + (sx >> 1);
+                voxel.y = stack[w].y * 2 + (sy >> 1);
+                voxel.z = stack[w].z * 2 + (sz >> 1);
+            } else {
+                stack[w].left &= ~bit;
+                voxel.x = stack[w].x * 4 + sx;
+                voxel.y = stack[w].y * 4 + sy;
+                voxel.z = stack[w].z * 4 + sz;
+            }
+            voxrti_attr_voxel(t, attr, &voxel);
+            stop = fn(user, &voxel, voxrti_color_index(t, attr));
+            if (stop) return stop;
+            attr++;
+            continue;
+        }
+        stack[w].left &= ~bit;
+        stack[sp].node = t->node[stack[w].node].child + voxrti_popcount64(stack[w].mask & (bit - 1));
+        stack[sp].mask = sp + 1 == t->wide ? t->leaf[stack[sp].node] : t->node[stack[sp].node].mask;
+        stack[sp].left = stack[sp].mask;
+        stack[sp].x = stack[w].x * 4 + sx;
+        stack[sp].y = stack[w].y * 4 + sy;
+        stack[sp].z = stack[w].z * 4 + sz;
+        sp++;
+    }
+    return 0;
+}
+
+VOXRT_DEF uint64_t voxrt_tree_hash(const voxrt_tree *t) {
+    uint64_t h = 0x243f6a8885a308d3u, i, bits;
+    uint32_t a;
+    if (t == NULL) return 0;
+    h = voxrti_hash_mix(h, t->depth | (uint64_t)t->resolution << 32);
+    for (a = 0; a < 4; a++) {
+        memcpy(&bits, a < 3 ? &t->origin[a] : &t->voxel_size, sizeof bits);
+        h = voxrti_hash_mix(h, bits);
+    }
+    for (i = 0; i < t->node_count; i++) h = voxrti_hash_mix(h, t->node[i].mask);
+    for (i = 0; i < t->level_nodes[t->wide - 1]; i++) h = voxrti_hash_mix(h, t->leaf[i]);
+    h = voxrti_hash_bytes(h, t->palette, (size_t)3 * t->palette_count);
+    if (t->normal != NULL)
+        for (i = 0; i < t->attr_count; i++) h = voxrti_hash_mix(h, t->normal[i]);
+    if (t->colors.block != NULL)
+        for (i = 0; i < t->attr_count; i++) h = voxrti_hash_mix(h, voxrti_colors_get(&t->colors, i));
+    return h;
+}
+
+/* ---------------------------------------------------------------------------
+   octree: the thesis' structure, for comparison and for its files.              // >>octree
+
+   One array of blocks of 8 voxels, 64 bytes each and aligned to that: a cache line. A voxel is 8 bytes (see the public
+   struct). Block 0 holds the root in its first voxel; so 0 as the number of a child block can mean "none". Blocks are
+   only ever appended or renumbered in pre-order: a child's block has a higher number than its parent's, and sweeping
+   the blocks from last to first visits children before parents.
+   --------------------------------------------------------------------------- */
+
+#define VOXRTI_MAX_BLOCKS 0x1fffffffu /* so that every voxel has a 32-bit index other than VOXRT_NO_NODE */
+
+typedef struct voxrt_octree_voxel voxrti_voxel;
+
+struct voxrt_octree {
+    voxrti_mem mem;
+    int cpu_level;
+    uint32_t depth, resolution; /* resolution: kept for the way back to a tree */
+    double origin[3], voxel_size;
+    voxrti_voxel *voxel;        /* [8 * block_capacity] */
+    size_t block_count, block_capacity;
+    uint32_t has_normals;
+    uint32_t palette_count;
+    uint8_t *palette;           /* [3 * palette_count], at least one entry */
+    uint32_t *grid;             /* start grids of octree levels 0 .. grid_level-1, one after the other; or NULL */
+    uint32_t grid_level;
+};
+
+/* ---- spherical normals: 8+8 bits (thesis eq. 12) ---- */
+
+/* angle of (x, y), error < 1e-13; 0 for the zero vector */
+static double voxrti_atan2(double y, double x) {
+    double ax = voxrti_abs(x), ay = voxrti_abs(y), m = voxrti_max(ax, ay), r, base = 0, p, s = 0;
+    int i;
+    if (!(m > 0)) return 0;
+    r = voxrti_min(ax, ay) / m;
+    if (r > 0.41421356237309504880) {
+        r = (r - 1) / (r + 1);
+        base = 0.78539816339744830962;
+    }
+    p = r;
+    for (i = 1; i < 36; i += 2) {
+        s = s + p / (double)i;
+        p = -p * r * r;
+    }
+    s = base + s;
+    if (ay > ax) s = 1.57079632679489661923 - s;
+    if (x < 0) s = 3.14159265358979323846 - s;
+    return y < 0 ? -s : s;
+}
+
+/* Nearest code: theta | phi << 8. -z is out of reach (theta <= 179.3 degrees). At the pole theta = 0 phi is 0, so that
+   every direction has one code. */
+static VOXRTI_UNUSED uint32_t voxrti_sph_encode(const float n[3]) {
+    double x = (double)n[0], y = (double)n[1], z = (double)n[2];
+    double theta = voxrti_atan2(sqrt(x * x + y * y), z) * 81.487330863050416;  /* 256 / pi */
+    double phi = voxrti_atan2(y, x) * 40.743665431525208;
+    int64_t t, p;
+    if (!voxrti_finite(theta) || !voxrti_finite(phi)) return 0;
+    t = voxrti_floor(theta + 0.5);
+    p = voxrti_floor(phi + 0.5);
+    if (t > 255) t = 255;
+    if (t <= 0) return 0;
+    return (uint32_t)t | ((uint32_t)p & 255u) << 8;
+}
+
+/* sin and cos of k pi/256. Exact reduction to +-pi/4 in units of the code, then polynomials (Cephes): error < 1e-7. The
+   4-wide form does the same operations. */
+VOXRTI_INLINE void voxrti_sph_sincos(int32_t k, float *s, float *c) {
+    int32_t q = (k + 64) >> 7;
+    float x = (float)(k - q * 128) * 0.012271846303085130f, x2 = x * x, ps, pc, v;
+    ps = ((-1.9515295891e-4f * x2 + 8.3321608736e-3f) * x2 + -1.6666654611e-1f) * x2 * x + x;
+    pc = ((2.443315711809948e-5f * x2 + -1.388731625493765e-3f) * x2 + 4.166664568298827e-2f) * x2 * x2 + (1.0f - 0.5f * x2);
+    if (q & 1) {
+        v = ps;
+        ps = pc;
+        pc = -v;
+    }
+    *s = (q & 2) ? -ps : ps;
+    *c = (q & 2) ? -pc : pc;
+}
+VOXRTI_INLINE void voxrti_sph_decode(uint32_t theta, int32_t phi, float n[3]) {
+    float st, ct, sp, cp;
+    voxrti_sph_sincos((int32_t)theta, &st, &ct);
+    voxrti_sph_sincos(2 * phi, &sp, &cp);
+    n[0] = st * cp;
+    n[1] = st * sp;
+    n[2] = ct;
+}
+
+/* index, theta and phi as one number; all transparent voxels are equal, and all codes of the pole */
+VOXRTI_INLINE uint32_t voxrti_voxel_key(const voxrti_voxel *v) {
+    uint32_t k = (uint32_t)v->index | (uint32_t)v->theta << 16;
+    if (v->theta != 0) k |= (uint32_t)(uint8_t)v->phi << 24;
+    return v->index == 0 ? 0 : k;
+}
+VOXRTI_INLINE void voxrti_voxel_set(voxrti_voxel *v, uint32_t index, uint32_t sph) {
+    v->index = (uint16_t)index;
+    v->theta = (uint8_t)sph;
+    v->phi = (int8_t)((int32_t)((sph >> 8 ^ 128u) & 255u) - 128);
+}
+
+/* ---- life ---- */
+
+static void voxrti_octree_free(voxrti_mem *mem, voxrt_octree *t) {
+    if (t == NULL) return;
+    voxrti_free(mem, t->voxel);
+    voxrti_free(mem, t->palette);
+    voxrti_free(mem, t->grid);
+    voxrti_free(mem, t);
+}
+
+VOXRT_DEF void voxrt_octree_destroy(voxrt_octree *octree) {
+    if (octree != NULL) {
+        voxrti_mem mem = octree->mem;
+        voxrti_octree_free(&mem, octree);
+    }
+}
+
+/* Room for `count` blocks. Blocks behind block_count are not zero. */
+static int voxrti_octree_reserve(voxrt_octree *t, size_t count) {
+    void *p = t->voxel;
+    int ok = count <= VOXRTI_MAX_BLOCKS && voxrti_grow(&t->mem, &p, &t->block_capacity, t->block_count, count, 64);
+    t->voxel = (voxrti_voxel *)p;
+    return ok;
+}
+
+/* Append a block of transparent leaves; its number, or 0 when there is no memory. */
+VOXRTI_INLINE uint32_t voxrti_octree_block(voxrt_octree *t) {
+    if (t->block_count == t->block_capacity && !voxrti_octree_reserve(t, t->block_count + 1)) return 0;
+    memset(t->voxel + 8 * t->block_count, 0, 64);
+    return (uint32_t)t->block_count++;
+}
+
+/* Copy the desc, check it, take its memory. */
+static voxrt_result voxrti_octree_open(const voxrt_octree_desc *desc, voxrt_octree_desc *d, voxrti_mem *mem) {
+    memset(d, 0, sizeof *d);
+    if (desc != NULL) *d = *desc;
+    if (d->_begin_zero != 0 || d->_end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
+    if (d->env.error != NULL) memset(d->env.error, 0, sizeof *d->env.error);
+    if (!voxrti_finite(d->box_size) || d->box_size < 0 || !voxrti_finite(d->box_min[0]) ||
+        !voxrti_finite(d->box_min[1]) || !voxrti_finite(d->box_min[2]))
+        return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "box_min or box_size is not finite");
+    if (d->grid_level > 10)
+        return voxrti_fail(d->env.error, VOXRT_ERR_RANGE, d->grid_level, "start grid of level % is too fine");
+    return voxrti_env_open(&d->env, mem);
+}
+
+/* A root without children. block_count: room to make. Takes mem over on success. */
+static voxrt_octree *voxrti_octree_new(voxrti_mem *mem, size_t block_count, const uint8_t *palette, uint32_t palette_count) {
+    voxrt_octree *t = (voxrt_octree *)voxrti_alloc_zero(mem, 1, sizeof *t);
+    if (t == NULL) return NULL;
+    t->mem = *mem;
+    t->palette = (uint8_t *)voxrti_alloc_zero(&t->mem, (size_t)palette_count + (palette_count == 0), 3);
+    t->voxel = block_count <= VOXRTI_MAX_BLOCKS ? (voxrti_voxel *)voxrti_alloc_array(&t->mem, block_count, 64) : NULL;
+    t->block_capacity = block_count;
+    if (t->palette == NULL || t->voxel == NULL) {
+        *mem = t->mem;
+        voxrti_octree_free(mem, t);
+        return NULL;
+    }
+    if (palette_count != 0) memcpy(t->palette, palette, (size_t)3 * palette_count);
+    t->palette_count = palette_count;
+    t->cpu_level = voxrti_cpu_level();
+    t->voxel_size = 1.0;
+    t->has_normals = 1;
+    (void)voxrti_octree_block(t);
+    return t;
+}
+
+static voxrt_result voxrti_octree_fail(voxrt_octree *t, voxrt_error *error, voxrt_result r, uint64_t where, const char *text) {
+    voxrt_octree_destroy(t);
+    return voxrti_fail(error, r, where, text != NULL ? text : voxrt_result_string(r));
+}
+
+/* Placement for octrees that have none of their own, and the start grid. */
+static voxrt_result voxrti_octree_finish(voxrt_octree *t, const voxrt_octree_desc *d, int place) {
+    uint32_t g = d->grid_level != 0 ? d->grid_level : 7;
+    if (place) {
+        t->resolution = 1u << t->depth;
+        if (d->box_size > 0) {
+            memcpy(t->origin, d->box_min, sizeof t->origin);
+            t->voxel_size = d->box_size / (double)t->resolution;
+        }
+    }
+    if (d->disable_grid) return VOXRT_OK;
+    return voxrt_octree_build_grid(t, g <= t->depth + 1 ? g : t->depth + 1);
+}
+
+VOXRT_DEF voxrt_result voxrt_octree_create(const voxrt_octree_desc *desc, uint32_t depth, const uint8_t *palette,
+                                           uint32_t palette_count, voxrt_octree **out_octree) {
+    voxrt_octree_desc d;
+    voxrti_mem mem;
+    voxrt_octree *t;
+    voxrt_result r;
+    if (out_octree == NULL) return VOXRT_ERR_INVALID_ARG;
+    *out_octree = NULL;
+    r = voxrti_octree_open(desc, &d, &mem);
+    if (r != VOXRT_OK) return r;
+    if (palette == NULL && palette_count != 0) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no palette");
+    if (depth > VOXRT_MAX_DEPTH) return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, depth, "depth % is out of range");
+    if (palette_count > 32767)
+        return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, palette_count, "an octree has at most 32767 colours, not %");
+    t = voxrti_octree_new(&mem, 16, palette, palette_count);
+    if (t == NULL) return voxrti_octree_fail(NULL, d.env.error, VOXRT_ERR_NO_MEMORY, 0, NULL);
+    t->depth = depth;
+    d.disable_grid = 1; /* the first insertion would drop it */
+    (void)voxrti_octree_finish(t, &d, 1);
+    *out_octree = t;
+    return VOXRT_OK;
+}
+
+/* ---- walking ---- */
+
+/* All voxels in pre-order, which is the order of the file. */
+typedef struct voxrti_walk {
+    const voxrt_octree *t;
+    uint32_t block[VOXRT_MAX_DEPTH + 1], i[VOXRT_MAX_DEPTH + 1];
+    uint32_t sp, started;
+    uint64_t parent;          /* Morton code of the parent of the next voxel */
+    uint32_t voxel, level;    /* where we are */
+    uint64_t code;            /* Morton code of the voxel's cell in its level */
+} voxrti_walk;
+
+static void voxrti_walk_start(voxrti_walk *w, const voxrt_octree *t) {
+    memset(w, 0, sizeof *w);
+    w->t = t;
+}
+
+static int voxrti_walk_next(voxrti_walk *w) {
+    uint32_t children;
+    if (!w->started) {
+        w->started = 1;
+    } else {
+        while (w->sp > 0 && w->i[w->sp - 1] == 8) {
+            w->sp--;
+            w->parent >>= 3;
+        }
+        if (w->sp == 0) return 0;
+        w->voxel = 8 * w->block[w->sp - 1] + w->i[w->sp - 1];
+        w->code = w->parent << 3 | w->i[w->sp - 1]++;
+    }
+    w->level = w->sp;
+    children = w->t->voxel[w->voxel].children;
+    if (children != 0) {
+        w->block[w->sp] = children;
+        w->i[w->sp++] = 0;
+        w->parent = w->code;
+    }
+    return 1;
+}
+
+VOXRT_DEF void voxrt_octree_get_info(const voxrt_octree *t, voxrt_octree_info *info) {
+    voxrti_walk w;
+    uint32_t g;
+    memset(info, 0, sizeof *info);
+    if (t == NULL) return;
+    info->depth = t->depth;
+    memcpy(info->world_origin, t->origin, sizeof t->origin);
+    info->voxel_size = t->voxel_size;
+    info->palette_count = t->palette_count;
+    info->has_normals = t->has_normals;
+    info->grid_level = t->grid != NULL ? t->grid_level : 0;
+    voxrti_walk_start(&w, t);
+    while (voxrti_walk_next(&w)) {
+        const voxrti_voxel *v = &t->voxel[w.voxel];
+        info->level_count[w.level]++;
+        info->voxel_count++;
+        if (v->children != 0) info->node_count++;
+        else info->filled_leaves += v->index != 0;
+    }
+    info->leaf_count = info->voxel_count - info->node_count;
+    info->voxel_bytes = 8 * info->voxel_count;
+    for (g = 0; g < info->grid_level; g++) info->grid_bytes += (uint64_t)4 << 3 * g;
+    info->total_bytes = (uint64_t)t->block_capacity * 64 + info->grid_bytes + (uint64_t)3 * t->palette_count + sizeof *t;
+}
+
+VOXRT_DEF const voxrt_octree_voxel *voxrt_octree_voxels(const voxrt_octree *octree, size_t *out_count) {
+    if (out_count != NULL) *out_count = octree != NULL ? 8 * octree->block_count : 0;
+    return octree != NULL ? octree->voxel : NULL;
+}
+
+VOXRT_DEF const uint8_t *voxrt_octree_palette(const voxrt_octree *octree, uint32_t *out_count) {
+    if (out_count != NULL) *out_count = octree != NULL ? octree->palette_count : 0;
+    return octree != NULL ? octree->palette : NULL;
+}
+
+VOXRTI_INLINE uint32_t voxrti_child(uint32_t x, uint32_t y, uint32_t z, uint32_t shift) {
+    return (x >> shift & 1u) | (y >> shift & 1u) << 1 | (z >> shift & 1u) << 2;
+}
+
+VOXRT_DEF voxrt_octree_voxel voxrt_octree_get(const voxrt_octree *t, uint32_t level, uint32_t x, uint32_t y, uint32_t z,
+                                              uint32_t *out_level) {
+    voxrti_voxel v;
+    uint32_t l = 0;
+    memset(&v, 0, sizeof v);
+    if (out_level != NULL) *out_level = 0;
+    if (t == NULL || level > t->depth || (x | y | z) >> level != 0) return v;
+    for (v = t->voxel[0]; l < level && v.children != 0; l++)
+        v = t->voxel[8 * (size_t)v.children + voxrti_child(x, y, z, level - 1 - l)];
+    if (out_level != NULL) *out_level = l;
+    return v;
+}
+
+/* ---- changing ---- */
+
+static void voxrti_octree_drop_grid(voxrt_octree *t) {
+    voxrti_free(&t->mem, t->grid);
+    t->grid = NULL;
+    t->grid_level = 0;
+}
+
+VOXRT_DEF voxrt_result voxrt_octree_insert(voxrt_octree *t, uint32_t x, uint32_t y, uint32_t z, uint32_t index,
+                                           const float normal[3]) {
+    uint32_t l, vi = 0, i;
+    if (t == NULL) return VOXRT_ERR_INVALID_ARG;
+    if ((x | y | z) >> t->depth != 0 || index > t->palette_count) return VOXRT_ERR_RANGE;
+    voxrti_octree_drop_grid(t);
+    for (l = t->depth; l-- > 0;) {
+        uint32_t b = t->voxel[vi].children;
+        if (b == 0) {
+            voxrti_voxel old = t->voxel[vi];
+            b = voxrti_octree_block(t);
+            if (b == 0) return VOXRT_ERR_NO_MEMORY;
+            if (old.index != 0)
+                for (i = 0; i < 8; i++) t->voxel[8 * (size_t)b + i] = old;
+            t->voxel[vi].children = b;
+        }
+        vi = 8 * b + voxrti_child(x, y, z, l);
+    }
+    voxrti_voxel_set(&t->voxel[vi], index, index != 0 && normal != NULL ? voxrti_sph_encode(normal) : 0);
+    return VOXRT_OK;
+}
+
+/* Thesis 3.1.4 for one parent: payload of `v` from its block of children. volume: of the leaves that vote for the
+   index of each child. */
+static void voxrti_octree_lod_voxel(voxrti_voxel *v, const voxrti_voxel *child, const uint64_t volume[8], int normals) {
+    uint32_t i, k, best = 8, best_votes = 0;
+    uint64_t best_volume = 0;
+    float sum[3] = {0, 0, 0}, n[3];
+    uint32_t sph;
+    for (i = 0; i < 8; i++) {
+        uint32_t votes = 0;
+        uint64_t leaves = 0;
+        if (child[i].index == 0) continue;
+        for (k = 0; k < 8; k++) {
+            if (child[k].index == child[i].index) {
+                votes++;
+                leaves += volume[k];
+            }
+        }
+        if (best == 8 || votes > best_votes || (votes == best_votes && (leaves > best_volume ||
+            (leaves == best_volume && child[i].index < child[best].index)))) {
+            best = i;
+            best_votes = votes;
+            best_volume = leaves;
+        }
+        voxrti_sph_decode(child[i].theta, child[i].phi, n);
+        sum[0] += n[0];
+        sum[1] += n[1];
+        sum[2] += n[2];
+    }
+    if (best == 8) {
+        voxrti_voxel_set(v, 0, 0);
+        return;
+    }
+    sph = (uint32_t)child[best].theta | (uint32_t)(uint8_t)child[best].phi << 8;
+    if (!(sqrtf(voxrti_dot3(sum, sum)) < 1e-3f)) sph = voxrti_sph_encode(sum);
+    voxrti_voxel_set(v, child[best].index, normals ? sph : 0);
+}
+
+VOXRT_DEF voxrt_result voxrt_octree_build_lod(voxrt_octree *t) {
+    uint64_t *volume; /* of the filled leaves below a block */
+    uint8_t *level;   /* of its voxels */
+    size_t b, i;
+    if (t == NULL) return VOXRT_ERR_INVALID_ARG;
+    volume = (uint64_t *)voxrti_alloc_zero(&t->mem, t->block_count, sizeof *volume);
+    level = (uint8_t *)voxrti_alloc_zero(&t->mem, t->block_count, 1);
+    if (volume == NULL || level == NULL) {
+        voxrti_free(&t->mem, volume);
+        voxrti_free(&t->mem, level);
+        return VOXRT_ERR_NO_MEMORY;
+    }
+    for (b = 0; b < t->block_count; b++)
+        for (i = 0; i < 8; i++)
+            if (t->voxel[8 * b + i].children != 0) level[t->voxel[8 * b + i].children] = (uint8_t)(level[b] + 1);
+    for (b = t->block_count; b-- > 0;) {
+        for (i = 0; i < 8; i++) {
+            voxrti_voxel *v = &t->voxel[8 * b + i];
+            const voxrti_voxel *child = t->voxel + 8 * (size_t)v->children;
+            uint64_t w[8];
+            uint32_t k;
+            if (v->children == 0) {
+                if (v->index != 0) volume[b] += (uint64_t)1 << 3 * (t->depth - level[b]);
+                continue;
+            }
+            for (k = 0; k < 8; k++) {
+                if (child[k].children != 0) w[k] = volume[child[k].children];
+                else w[k] = (uint64_t)1 << 3 * (t->depth - level[v->children]);
+            }
+            voxrti_octree_lod_voxel(v, child, w, t->has_normals != 0);
+            volume[b] += volume[v->children];
+        }
+    }
+    voxrti_free(&t->mem, volume);
+    voxrti_free(&t->mem, level);
+    return VOXRT_OK;
+}
+
+/* If the children are equal leaves, `v` becomes that leaf. 1 when it did. */
+VOXRTI_INLINE int voxrti_octree_merge(voxrti_voxel *v, const voxrti_voxel *child) {
+    uint32_t i, key = voxrti_voxel_key(child), sph;
+    for (i = 0; i < 8; i++)
+        if (child[i].children != 0 || voxrti_voxel_key(child + i) != key) return 0;
+    sph = key >> 16;
+    voxrti_voxel_set(v, key & 0xffffu, sph);
+    v->children = 0;
+    return 1;
+}
+
+VOXRT_DEF voxrt_result voxrt_octree_collapse(voxrt_octree *t) {
+    size_t b, i, kept = 1, at = 0;
+    voxrti_voxel *out;
+    voxrti_walk w;
+    if (t == NULL) return VOXRT_ERR_INVALID_ARG;
+    /* enough for what is kept: not all blocks may be in use */
+    out = (voxrti_voxel *)voxrti_alloc_array(&t->mem, t->block_count, 64);
+    if (out == NULL) return VOXRT_ERR_NO_MEMORY;
+    voxrti_octree_drop_grid(t);
+    for (b = t->block_count; b-- > 0;) {
+        for (i = 0; i < 8; i++) {
+            voxrti_voxel *v = &t->voxel[8 * b + i];
+            if (v->children != 0) (void)voxrti_octree_merge(v, t->voxel + 8 * (size_t)v->children);
+        }
+    }
+    memset(out, 0, 64);
+    voxrti_walk_start(&w, t);
+    { /* number[level]: new number of the block whose voxels the walk gives on that level */
+        uint32_t number[VOXRT_MAX_DEPTH + 1];
+        memset(number, 0, sizeof number);
+        while (voxrti_walk_next(&w)) {
+            voxrti_voxel v = t->voxel[w.voxel];
+            at = 8 * (size_t)number[w.level] + (w.voxel & 7u);
+            if (v.children != 0) {
+                number[w.level + 1] = (uint32_t)kept++;
+                v.children = number[w.level + 1];
+            }
+            out[at] = v;
+        }
+    }
+    voxrti_free(&t->mem, t->voxel);
+    t->voxel = out;
+    t->block_capacity = t->block_count;
+    t->block_count = kept;
+    return VOXRT_OK;
+}
+
+/* ---- start grid ---- */
+
+/* An entry holds what the tracer needs, without a look at the voxel: block of its children << 1 | 1 for an inner voxel,
+   which is of the grid's own level; (edge of its box in leaf edges - 1) << 2 | filled << 1 for a leaf, of that level or
+   larger. The grid of level l has 8^l cells, x fastest. */
+#define voxrti_grid_first(l) (((((size_t)1) << 3 * (l)) - 1) / 7) /* start of the grid of octree level l */
+
+VOXRTI_INLINE uint32_t voxrti_grid_entry(const voxrt_octree *t, const voxrti_voxel *v, uint32_t level) {
+    if (v->children != 0) return v->children << 1 | 1u;
+    return ((1u << (t->depth - level)) - 1u) << 2 | (v->index != 0 ? 2u : 0u);
+}
+
+VOXRT_DEF voxrt_result voxrt_octree_build_grid(voxrt_octree *t, uint32_t level) {
+    uint32_t l, x, y, z;
+    if (t == NULL) return VOXRT_ERR_INVALID_ARG;
+    if (level > 10 || level > t->depth + 1) return VOXRT_ERR_RANGE;
+    voxrti_octree_drop_grid(t);
+    if (level == 0) return VOXRT_OK;
+    t->grid = (uint32_t *)voxrti_alloc_array(&t->mem, voxrti_grid_first(level), sizeof *t->grid);
+    if (t->grid == NULL) return VOXRT_ERR_NO_MEMORY;
+    t->grid_level = level;
+    t->grid[0] = voxrti_grid_entry(t, &t->voxel[0], 0);
+    for (l = 1; l < level; l++) { /* each from the one above it */
+        const uint32_t *from = t->grid + voxrti_grid_first(l - 1);
+        uint32_t *to = t->grid + voxrti_grid_first(l), n = 1u << l;
+        for (z = 0; z < n; z++) {
+            for (y = 0; y < n; y++) {
+                for (x = 0; x < n; x++) {
+                    uint32_t e = from[((size_t)(z >> 1) * (n >> 1) + (y >> 1)) * (n >> 1) + (x >> 1)];
+                    if (e & 1u) e = voxrti_grid_entry(t, &t->voxel[8 * (size_t)(e >> 1) + voxrti_child(x, y, z, 0)], l);
+                    *to++ = e;
+                }
+            }
+        }
+    }
+    return VOXRT_OK;
+}
+
+/* ---- from and to the wide tree ---- */
+
+typedef struct voxrti_octree_frame { /* an inner voxel whose children are being filled */
+    uint32_t voxel, block;
+    uint32_t left;    /* children to come, one bit each */
+    uint64_t mask;    /* of the wide node that the voxel is (even level), or is an octant of (odd) */
+    uint64_t attr;    /* of the next child */
+} voxrti_octree_frame;
+
+typedef struct voxrti_octree_maker {
+    voxrt_octree *t;
+    const voxrt_tree *s;
+    uint32_t *sph;    /* [65536] spherical + 1 by octahedral code, 0: not asked for yet */
+    uint64_t next[2 * VOXRTI_MAX_WIDE + 1]; /* attributes of each virtual level, used in order */
+} voxrti_octree_maker;
+
+static void voxrti_octree_payload(voxrti_octree_maker *m, uint64_t attr, voxrti_voxel *v) {
+    uint32_t sph = 0;
+    if (m->s->normal != NULL) {
+        uint32_t oct = m->s->normal[attr];
+        if (m->sph[oct] == 0) {
+            float n[3];
+            voxrti_oct_decode(oct, n);
+            m->sph[oct] = voxrti_sph_encode(n) + 1;
+        }
+        sph = m->sph[oct] - 1;
+    }
+    voxrti_voxel_set(v, voxrti_color_index(m->s, attr) + 1, sph);
+}
+
+/* Give a voxel of virtual level v its block of children with their payloads; `bits` of them are filled. */
+static int voxrti_octree_open_voxel(voxrti_octree_maker *m, voxrti_octree_frame *f, uint32_t v, uint32_t voxel,
+                                    uint32_t bits, uint64_t mask) {
+    uint32_t i;
+    f->voxel = voxel;
+    f->block = voxrti_octree_block(m->t);
+    f->left = bits;
+    f->mask = mask;
+    f->attr = m->next[v + 1];
+    if (f->block == 0) return 0;
+    m->t->voxel[voxel].children = f->block;
+    for (i = 0; i < 8; i++)
+        if (bits >> i & 1u) voxrti_octree_payload(m, m->next[v + 1]++, &m->t->voxel[8 * (size_t)f->block + i]);
+    return 1;
+}
+
+static uint64_t voxrti_wide_mask(const voxrt_tree *s, uint32_t v, uint64_t attr) { /* of the node that is this cell */
+    size_t i = (size_t)(attr - s->attr_first[v]);
+    return v / 2 + 1 == s->wide ? s->leaf[i] : s->node[s->level_first[v / 2] + i].mask;
+}
+
+/* Depth first, so that blocks are numbered in pre-order, and equal leaves can be taken back as soon as a block is
+   complete: it is the last one then. */
+static int voxrti_octree_make(voxrti_octree_maker *m, int collapse) {
+    voxrti_octree_frame frame[2 * VOXRTI_MAX_WIDE + 1];
+    const voxrt_tree *s = m->s;
+    voxrt_octree *t = m->t;
+    uint32_t top = 2 * s->wide - s->depth, v = top, k; /* v: virtual level of the innermost frame's voxel */
+    uint64_t mask = s->wide > 1 ? s->node[0].mask : s->leaf[0];
+    for (k = 0; k <= 2 * s->wide; k++) m->next[k] = s->attr_first[k];
+    voxrti_octree_payload(m, m->next[v]++, &t->voxel[0]);
+    if (!voxrti_octree_open_voxel(m, &frame[v], v, 0, v == 0 ? voxrti_octants(mask) : (uint32_t)mask & 255u, mask)) return 0;
+    for (;;) {
+        voxrti_octree_frame *f = &frame[v];
+        if (f->left != 0 && v + 1 < 2 * s->wide) {
+            uint32_t i = voxrti_ctz64(f->left), voxel = 8 * f->block + i;
+            f->left &= f->left - 1;
+            mask = (v & 1u) != 0 ? voxrti_wide_mask(s, v + 1, f->attr) : f->mask;
+            f->attr++;
+            k = (v & 1u) != 0 ? voxrti_octants(mask) : (uint32_t)(mask >> 8 * i) & 255u;
+            v++;
+            if (!voxrti_octree_open_voxel(m, &frame[v], v, voxel, k, mask)) return 0;
+            continue;
+        }
+        if (collapse && voxrti_octree_merge(&t->voxel[f->voxel], t->voxel + 8 * (size_t)f->block)) t->block_count--;
+        if (v == top) return 1;
+        v--;
+    }
+}
+
+/* Give back what growing by doubling has left over, if that is much and there is memory for the copy. */
+static void voxrti_octree_trim(voxrt_octree *t) {
+    voxrti_voxel *p;
+    if (t->block_count > t->block_capacity - t->block_capacity / 8) return;
+    p = (voxrti_voxel *)voxrti_alloc_array(&t->mem, t->block_count, 64);
+    if (p == NULL) return;
+    memcpy(p, t->voxel, 64 * t->block_count);
+    voxrti_free(&t->mem, t->voxel);
+    t->voxel = p;
+    t->block_capacity = t->block_count;
+}
+
+VOXRT_DEF voxrt_result voxrt_octree_from_tree(const voxrt_octree_desc *desc, const voxrt_tree *s, voxrt_octree **out_octree) {
+    voxrt_octree_desc d;
+    voxrti_octree_maker m;
+    voxrti_mem mem;
+    voxrt_octree *t;
+    voxrt_result r;
+    uint64_t nodes;
+    uint32_t top;
+    if (out_octree == NULL) return VOXRT_ERR_INVALID_ARG;
+    *out_octree = NULL;
+    r = voxrti_octree_open(desc, &d, &mem);
+    if (r != VOXRT_OK) return r;
+    if (s == NULL) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no tree");
+    if (s->palette_count > 32767)
+        return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, s->palette_count, "an octree has at most 32767 colours, not %");
+    top = 2 * s->wide - s->depth;
+    nodes = s->attr_count - s->voxel_count - top; /* odd depth: the virtual root is not ours */
+    if (nodes >= VOXRTI_MAX_BLOCKS) return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, nodes, "% nodes are too many");
+    /* When most blocks of leaves are full they may all collapse: grow. Else they hardly can: the exact size. */
+    if (!d.disable_collapse && s->voxel_count >= 6 * (s->attr_first[2 * s->wide - 2] - s->attr_first[2 * s->wide - 1]))
+        nodes = nodes < 1024 ? nodes : 1024;
+    t = voxrti_octree_new(&mem, (size_t)nodes + 1, s->palette, s->palette_count);
+    if (t == NULL) return voxrti_octree_fail(NULL, d.env.error, VOXRT_ERR_NO_MEMORY, 0, NULL);
+    t->depth = s->depth;
+    t->resolution = s->resolution;
+    memcpy(t->origin, s->origin, sizeof t->origin);
+    t->voxel_size = s->voxel_size;
+    t->has_normals = s->normal != NULL;
+    memset(&m, 0, sizeof m);
+    m.t = t;
+    m.s = s;
+    m.sph = (uint32_t *)voxrti_alloc_zero(&t->mem, 65536, sizeof *m.sph);
+    if (m.sph == NULL || !voxrti_octree_make(&m, !d.disable_collapse)) r = VOXRT_ERR_NO_MEMORY;
+    voxrti_free(&t->mem, m.sph);
+    voxrti_octree_trim(t);
+    if (r == VOXRT_OK && d.lod_majority) r = voxrt_octree_build_lod(t);
+    if (r == VOXRT_OK) r = voxrti_octree_finish(t, &d, 0);
+    if (r != VOXRT_OK) return voxrti_octree_fail(t, d.env.error, r, 0, NULL);
+    *out_octree = t;
+    return VOXRT_OK;
+}
+
+/* Filled leaves as Morton-ordered blocks of 4x4x4. With set->key = NULL only counts. 0: too many voxels. */
+static int voxrti_octree_leaves(const voxrt_octree *t, uint32_t depth, voxrti_leafset *set, uint32_t *oct) {
+    voxrti_walk w;
+    uint64_t last = ~(uint64_t)0;
+    size_t blocks = 0, voxels = 0;
+    int fill = set->key != NULL;
+    voxrti_walk_start(&w, t);
+    while (voxrti_walk_next(&w)) {
+        const voxrti_voxel *v = &t->voxel[w.voxel];
+        uint32_t bits = 3 * (depth - w.level), sph = (uint32_t)v->theta | (uint32_t)(uint8_t)v->phi << 8;
+        uint64_t code = w.code << bits, n = (uint64_t)1 << bits, i;
+        if (v->children != 0 || v->index == 0) continue;
+        if (n > 0xfffffffeu - voxels) return 0;
+        if (!fill) {
+            if (code >> 6 != last) blocks++;
+            last = (code + n - 1) >> 6;
+            blocks += (size_t)(last - (code >> 6));
+            voxels += (size_t)n;
+            continue;
+        }
+        if (set->normal != NULL && oct[sph] == 0) {
+            float nv[3];
+            voxrti_sph_decode(v->theta, v->phi, nv);
+            oct[sph] = voxrti_oct_encode(nv) + 1;
+        }
+        for (i = 0; i < n; i++, code++, voxels++) {
+            if (code >> 6 != last) {
+                last = code >> 6;
+                set->key[blocks] = last;
+                set->mask[blocks++] = 0;
+            }
+            set->mask[blocks - 1] |= (uint64_t)1 << (code & 63u);
+            set->rgb[voxels] = v->index - 1u;
+            if (set->normal != NULL) set->normal[voxels] = (uint16_t)(oct[sph] - 1);
+        }
+    }
+    set->block_count = blocks;
+    set->voxel_count = voxels;
+    return 1;
+}
+
+VOXRT_DEF voxrt_result voxrt_tree_from_octree(const voxrt_octree_desc *desc, const voxrt_octree *t, voxrt_tree **out_tree) {
+    voxrt_octree_desc d;
+    voxrt_build_desc build;
+    voxrti_mem mem;
+    voxrti_grid grid;
+    voxrti_leafset set;
+    uint32_t *oct;
+    int ok;
+    voxrt_result r;
+    if (out_tree == NULL) return VOXRT_ERR_INVALID_ARG;
+    *out_tree = NULL;
+    r = voxrti_octree_open(desc, &d, &mem);
+    if (r != VOXRT_OK) return r;
+    if (t == NULL) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no octree");
+    memset(&build, 0, sizeof build);
+    build.env = d.env;
+    build.lod_method = VOXRT_LOD_MAJORITY;
+    build.palette_size = 32767;
+    memset(&grid, 0, sizeof grid);
+    memcpy(grid.origin, t->origin, sizeof grid.origin);
+    grid.depth = t->depth > 0 ? t->depth : 1; /* a tree has at least one level below the root */
+    grid.resolution = t->depth > 0 ? t->resolution : 2;
+    grid.voxel_size = t->depth > 0 ? t->voxel_size : 0.5 * t->voxel_size;
+    memset(&set, 0, sizeof set);
+    if (!voxrti_octree_leaves(t, grid.depth, &set, NULL))
+        return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, 0, "2^32 - 2 voxels or more");
+    if (set.voxel_count == 0) return voxrti_fail(d.env.error, VOXRT_ERR_EMPTY, 0, "no voxel is filled");
+    oct = (uint32_t *)voxrti_alloc_zero(&mem, 65536, sizeof *oct);
+    set.key = (uint64_t *)voxrti_alloc_array(&mem, set.block_count, sizeof *set.key);
+    set.mask = (uint64_t *)voxrti_alloc_array(&mem, set.block_count, sizeof *set.mask);
+    set.rgb = (uint32_t *)voxrti_alloc_array(&mem, set.voxel_count, sizeof *set.rgb);
+    if (t->has_normals) set.normal = (uint16_t *)voxrti_alloc_array(&mem, set.voxel_count, sizeof *set.normal);
+    ok = oct != NULL && set.key != NULL && set.mask != NULL && set.rgb != NULL && (!t->has_normals || set.normal != NULL);
+    if (ok) (void)voxrti_octree_leaves(t, grid.depth, &set, oct);
+    voxrti_free(&mem, oct);
+    if (!ok) {
+        voxrti_leafset_free(&mem, &set);
+        return voxrti_fail(d.env.error, VOXRT_ERR_NO_MEMORY, 0, voxrt_result_string(VOXRT_ERR_NO_MEMORY));
+    }
+    return voxrti_tree_from_leafset_palette(&mem, &build, &grid, &set, t->palette, t->palette_count, NULL, out_tree);
+}
+
+/* ---------------------------------------------------------------------------
+   format v4: the thesis' .vox file.                                             // >>format_v4
+
+   "MB", u16 version 4, u16 N, N x RGB, "||", then one 4-byte record a voxel in pre-order: u16 (index << 1 | node),
+   u8 theta, i8 phi; after a node come its 8 children. Little-endian. Neither placement nor depth are stored.
+   Versions 1 to 3 existed but were never documented.
+   --------------------------------------------------------------------------- */
+
+VOXRTI_INLINE size_t voxrti_v4_header(uint32_t palette_count) { return 8 + (size_t)3 * palette_count; }
+
+static void voxrti_v4_write(const voxrt_octree *t, uint8_t *p) {
+    voxrti_walk w;
+    p[0] = 0x4d;
+    p[1] = 0x42;
+    voxrti_store_u16(p + 2, 4);
+    voxrti_store_u16(p + 4, t->palette_count);
+    memcpy(p + 6, t->palette, (size_t)3 * t->palette_count);
+    p += voxrti_v4_header(t->palette_count);
+    p[-2] = p[-1] = 0x7c;
+    voxrti_walk_start(&w, t);
+    for (; voxrti_walk_next(&w); p += 4) {
+        const voxrti_voxel *v = &t->voxel[w.voxel];
+        voxrti_store_u16(p, (uint32_t)v->index << 1 | (v->children != 0));
+        p[2] = v->theta;
+        p[3] = (uint8_t)v->phi;
+    }
+}
+
+static size_t voxrti_v4_size(const voxrt_octree *t) {
+    voxrt_octree_info info;
+    voxrt_octree_get_info(t, &info);
+    return voxrti_v4_header(t->palette_count) + (size_t)(4 * info.voxel_count);
+}
+
+static voxrt_result voxrti_v4_save_open(const voxrt_octree *t, const voxrt_env *env, voxrt_env *e, voxrti_mem *mem) {
+    memset(e, 0, sizeof *e);
+    if (env != NULL) *e = *env;
+    if (e->error != NULL) memset(e->error, 0, sizeof *e->error);
+    if (t == NULL) return voxrti_fail(e->error, VOXRT_ERR_INVALID_ARG, 0, "no octree");
+    return voxrti_env_open(e, mem);
+}
+
+VOXRT_DEF voxrt_result voxrt_octree_save_memory(const voxrt_octree *octree, const voxrt_env *env, void *buffer,
+                                                size_t capacity, size_t *out_size) {
+    voxrt_env e;
+    voxrti_mem mem;
+    voxrt_result r;
+    if (out_size == NULL) return VOXRT_ERR_INVALID_ARG;
+    *out_size = 0;
+    r = voxrti_v4_save_open(octree, env, &e, &mem);
+    if (r != VOXRT_OK) return r;
+    *out_size = voxrti_v4_size(octree);
+    if (buffer == NULL) return VOXRT_OK;
+    if (capacity < *out_size) return voxrti_fail(e.error, VOXRT_ERR_RANGE, *out_size, "the buffer is smaller than % bytes");
+    voxrti_v4_write(octree, (uint8_t *)buffer);
+    return VOXRT_OK;
+}
+
+/* One record. Mirrored axes mirror the normal: phi -> -phi, theta -> pi - theta (255 for the pole, which has no code). */
+static uint32_t voxrti_v4_record(const voxrt_octree_desc *d, const uint8_t *p, voxrti_voxel *v) {
+    uint32_t w = voxrti_load_u16(p), theta = d->swap_angles ? p[3] : p[2], phi = d->swap_angles ? p[2] : p[3];
+    if (d->flip_y) phi = (0u - phi) & 255u;
+    if (d->flip_z) theta = theta == 0 ? 255 : 256 - theta;
+    voxrti_voxel_set(v, w >> 1, theta | phi << 8);
+    v->children = 0;
+    return w & 1u;
+}
+
+/* The voxels behind the header. t has room for as many blocks as `size` bytes can hold complete. */
+static voxrt_result voxrti_v4_read(voxrt_octree *t, const voxrt_octree_desc *d, const uint8_t *p, size_t size, size_t at) {
+    uint32_t block[VOXRT_MAX_DEPTH], i[VOXRT_MAX_DEPTH], sp = 0, vi = 0, flip = (d->flip_y ? 2u : 0u) | (d->flip_z ? 4u : 0u);
+    for (;;) {
+        if (size - at < 4) return voxrti_fail(d->env.error, VOXRT_ERR_TRUNCATED, size, "the voxels end early, at byte %");
+        if (voxrti_v4_record(d, p + at, &t->voxel[vi])) {
+            if (sp == VOXRT_MAX_DEPTH) return voxrti_fail(d->env.error, VOXRT_ERR_FORMAT, at, "deeper than 20 levels at byte %");
+            if (t->block_count == t->block_capacity)
+                return voxrti_fail(d->env.error, VOXRT_ERR_TRUNCATED, size, "the voxels end early, at byte %");
+            block[sp] = t->voxel[vi].children = voxrti_octree_block(t);
+            i[sp++] = 0;
+            if (sp > t->depth) t->depth = sp;
+        }
+        if (t->voxel[vi].index > t->palette_count)
+            return voxrti_fail(d->env.error, VOXRT_ERR_FORMAT, at, "palette index out of range at byte %");
+        at += 4;
+        while (sp > 0 && i[sp - 1] == 8) sp--;
+        if (sp == 0) break;
+        vi = 8 * block[sp - 1] + (i[sp - 1]++ ^ flip);
+    }
+    return at == size ? VOXRT_OK : voxrti_fail(d->env.error, VOXRT_ERR_FORMAT, at, "more data behind the last voxel, at byte %");
+}
+
+VOXRT_DEF voxrt_result voxrt_octree_load_memory(const voxrt_octree_desc *desc, const void *data, size_t size,
+                                                voxrt_octree **out_octree) {
+    voxrt_octree_desc d;
+    voxrti_mem mem;
+    voxrt_octree *t;
+    const uint8_t *p = (const uint8_t *)data;
+    size_t at;
+    uint32_t n;
+    voxrt_result r;
+    if (out_octree == NULL) return VOXRT_ERR_INVALID_ARG;
+    *out_octree = NULL;
+    r = voxrti_octree_open(desc, &d, &mem);
+    if (r != VOXRT_OK) return r;
+    if (p == NULL && size != 0) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no data");
+    if ((size > 0 && p[0] != 0x4d) || (size > 1 && p[1] != 0x42))
+        return voxrti_fail(d.env.error, VOXRT_ERR_FORMAT, 0, "not a .vox file of version 4");
+    if (size >= 4 && voxrti_load_u16(p + 2) != 4)
+        return voxrti_fail(d.env.error, VOXRT_ERR_VERSION, voxrti_load_u16(p + 2), "version % is unknown");
+    if (size < 6) return voxrti_fail(d.env.error, VOXRT_ERR_TRUNCATED, size, "the header ends early, at byte %");
+    n = voxrti_load_u16(p + 4);
+    if (n > 32767) return voxrti_fail(d.env.error, VOXRT_ERR_FORMAT, 4, "more than 32767 colours");
+    at = voxrti_v4_header(n);
+    if (size < at) return voxrti_fail(d.env.error, VOXRT_ERR_TRUNCATED, size, "the palette ends early, at byte %");
+    if ((p[at - 2] != 0x7c || p[at - 1] != 0x7c))
+        (void)voxrti_fail(d.env.error, VOXRT_OK, at - 2, "warning: unusual separator at byte %");
+    t = voxrti_octree_new(&mem, (size - at) / 32 + 2, p + 6, n);
+    if (t == NULL) return voxrti_octree_fail(NULL, d.env.error, VOXRT_ERR_NO_MEMORY, 0, NULL);
+    r = voxrti_v4_read(t, &d, p, size, at);
+    if (r == VOXRT_OK) {
+        r = voxrti_octree_finish(t, &d, 1);
+        if (r != VOXRT_OK) (void)voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
+    }
+    if (r != VOXRT_OK) {
+        voxrt_octree_destroy(t);
+        return r;
+    }
+    *out_octree = t;
+    return VOXRT_OK;
+}
+
+#ifndef VOXRT_NO_STDIO
+static voxrt_result voxrti_write_file(voxrti_mem *mem, const char *path, const void *data, size_t size);
+static voxrt_result voxrti_read_file(voxrti_mem *mem, const char *path, void **data, size_t *size);
+
+VOXRT_DEF voxrt_result voxrt_octree_save_file(const voxrt_octree *octree, const voxrt_env *env, const char *path) {
+    voxrt_env e;
+    voxrti_mem mem;
+    uint8_t *data;
+    size_t size;
+    voxrt_result r = voxrti_v4_save_open(octree, env, &e, &mem);
+    if (r != VOXRT_OK) return r;
+    if (path == NULL) return voxrti_fail(e.error, VOXRT_ERR_INVALID_ARG, 0, "no path");
+    size = voxrti_v4_size(octree);
+    data = (uint8_t *)voxrti_alloc(&mem, size);
+    if (data == NULL) {
+        r = VOXRT_ERR_NO_MEMORY;
+    } else {
+        voxrti_v4_write(octree, data);
+        r = voxrti_write_file(&mem, path, data, size);
+    }
+    voxrti_free(&mem, data);
+    return r == VOXRT_OK ? r : voxrti_fail(e.error, r, 0, voxrt_result_string(r));
+}
+
+VOXRT_DEF voxrt_result voxrt_octree_load_file(const voxrt_octree_desc *desc, const char *path, voxrt_octree **out_octree) {
+    voxrt_octree_desc d;
+    voxrti_mem mem;
+    voxrt_result r;
+    void *data;
+    size_t size;
+    if (out_octree == NULL) return VOXRT_ERR_INVALID_ARG;
+    *out_octree = NULL;
+    r = voxrti_octree_open(desc, &d, &mem);
+    if (r != VOXRT_OK) return r;
+    if (path == NULL) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no path");
+    r = voxrti_read_file(&mem, path, &data, &size);
+    if (r != VOXRT_OK) return voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
+    if (d.env.memory_limit != 0) /* what the file itself holds counts */
+        d.env.memory_limit = d.env.memory_limit > mem.used ? d.env.memory_limit - mem.used : 1;
+    r = voxrt_octree_load_memory(&d, data, size, out_octree);
+    voxrti_free(&mem, data);
+    return r;
+}
+#endif
+
+/* ---------------------------------------------------------------------------
+   format: version 5 files, a voxrt_tree as core describes it.                  // >>format
+
+   Little-endian. 64-byte header, table of sections, sections in the order of their ids, each at the next multiple of
+   64 bytes; what lies between is zero. Every byte is covered by a checksum or must be zero. docs/formats.md has the
+   byte tables. Raw sections are the arrays of the tree. Coded sections are chunks of 4096 items that decode
+   independently, range coded (rANS: Duda 2013) with static tables: 12-bit frequencies of a byte in up to 256 contexts.
+   --------------------------------------------------------------------------- */
+
+#define VOXRTI_V5_HEADER 64u
+#define VOXRTI_V5_ENTRY 40u
+#define VOXRTI_V5_PLACE 144u
+#define VOXRTI_V5_MAX_SECTIONS 64u
+#define VOXRTI_V5_OPTIONAL 0x80000000u /* flag in an id: readers that do not know it skip the section */
+
+enum { /* ids */
+    VOXRTI_V5_PLACEMENT = 1, VOXRTI_V5_PALETTE = 2, VOXRTI_V5_NODES = 3, VOXRTI_V5_LEAVES = 4, VOXRTI_V5_RANKS = 5,
+    VOXRTI_V5_GEOMETRY = 6, VOXRTI_V5_NORMALS = 7, VOXRTI_V5_BLOCKS = 8, VOXRTI_V5_COLORS = 9, VOXRTI_V5_IDS = 10
+};
+enum { VOXRTI_V5_RAW_FILE = 1, VOXRTI_V5_HAS_NORMALS = 2, VOXRTI_V5_HAS_COLORS = 4 }; /* flags of the header */
+
+static const uint8_t voxrti_v5_magic[8] = {0x89, 0x56, 0x4f, 0x58, 0x0d, 0x0a, 0x1a, 0x0a}; /* 89 V O X CR LF ^Z LF */
+
+VOXRT_DEF uint32_t voxrt_file_kind(const void *data, size_t size) {
+    const uint8_t *p = (const uint8_t *)data;
+    if (p == NULL || size < 4) return 0;
+    if (size >= 12 && memcmp(p, voxrti_v5_magic, 8) == 0 && voxrti_load_u16(p + 8) == 5) return 5;
+    return p[0] == 0x4d && p[1] == 0x42 && p[2] == 4 && p[3] == 0 ? 4 : 0;
+}
+
+/* Any change within one aligned 8-byte word changes it: each step is invertible. */
+static uint64_t voxrti_v5_checksum(const uint8_t *data, size_t size) {
+    return voxrti_hash_bytes(0x243f6a8885a308d3u ^ size, data, size);
+}
+
+/* ---- coded sections ----
+
+   u32 chunk count, u32 bytes of the tables, u16 bytes of each chunk, tables, chunks. Tables: two that groups of 128
+   contexts share, then one for each of 256 contexts; a context with an empty table uses its group's. */
+
+#define VOXRTI_CHUNK 4096u
+#define VOXRTI_CHUNK_SYMBOLS (9u * VOXRTI_CHUNK) /* most symbols of a chunk: octant mask and 8 bytes a node */
+#define VOXRTI_RANS_BITS 12
+#define VOXRTI_RANS_ONE (1u << VOXRTI_RANS_BITS)
+#define VOXRTI_RANS_LOW 65536u   /* states are in [LOW, 2^32), 16 bits go in and out */
+#define VOXRTI_CONTEXTS 256u
+#define VOXRTI_TABLES (VOXRTI_CONTEXTS + 2u)
+
+/* mirror[b][m]: bit i of mask m moves to bit i ^ b. It turns what cell b of 2x2x2 sees into what cell 0 would. */
+static void voxrti_mirror_table(uint8_t mirror[8][256]) {
+    uint32_t b, m, i;
+    for (b = 0; b < 8; b++) {
+        for (m = 0; m < 256; m++) {
+            uint32_t r = 0;
+            for (i = 0; i < 8; i++) r |= (m >> i & 1u) << (i ^ b);
+            mirror[b][m] = (uint8_t)r;
+        }
+    }
+}
+
+typedef struct voxrti_symbols { /* what a chunk is made of */
+    uint16_t context[VOXRTI_CHUNK_SYMBOLS];
+    uint8_t symbol[VOXRTI_CHUNK_SYMBOLS];
+    uint32_t count;
+} voxrti_symbols;
+
+/* Fill `out` with the symbols of the next chunk; called for chunks 0, 1, 2, ... */
+typedef void voxrti_source_fn(void *user, uint32_t chunk, voxrti_symbols *out);
+
+typedef struct voxrti_encoder {
+    voxrti_symbols symbols;
+    uint64_t count[VOXRTI_TABLES][256];
+    uint16_t freq[VOXRTI_TABLES][256], start[VOXRTI_TABLES][256];
+    uint16_t table[VOXRTI_CONTEXTS];
+    uint16_t words[VOXRTI_CHUNK_SYMBOLS];
+    uint16_t price[VOXRTI_RANS_ONE + 1]; /* of a symbol of this frequency, in 1/256 bit */
+} voxrti_encoder;
+
+typedef struct voxrti_bytes {
+    voxrti_mem *mem;
+    uint8_t *data;
+    size_t size, capacity;
+} voxrti_bytes;
+
+/* Room for n more bytes, not yet counted in size; NULL: no memory. */
+static uint8_t *voxrti_bytes_more(voxrti_bytes *b, size_t n) {
+    void *p = b->data;
+    int ok = n <= (size_t)-1 - b->size && voxrti_grow(b->mem, &p, &b->capacity, b->size, b->size + n, 1);
+    b->data = (uint8_t *)p;
+    return ok ? b->data + b->size : NULL;
+}
+
+/* Frequencies that sum up to 4096, none of a symbol that occurs is 0. */
+static void voxrti_frequencies(const uint64_t count[256], uint16_t freq[256]) {
+    uint64_t total = 0;
+    uint32_t i, sum = 0, most = 0, f[256];
+    for (i = 0; i < 256; i++) total += count[i];
+    memset(freq, 0, 256 * sizeof *freq);
+    if (total == 0) return;
+    for (i = 0; i < 256; i++) {
+        /* counts are below 2^34, the product fits */
+        f[i] = (uint32_t)((count[i] * VOXRTI_RANS_ONE + total / 2) / total);
+        if (f[i] == 0 && count[i] != 0) f[i] = 1;
+        sum += f[i];
+    }
+    while (sum != VOXRTI_RANS_ONE) {
+        for (i = 0; i < 256; i++)
+            if (f[i] > f[most]) most = i;
+        if (sum < VOXRTI_RANS_ONE) {
+            f[most] += VOXRTI_RANS_ONE - sum;
+            break;
+        }
+        f[most]--;
+        sum--;
+    }
+    for (i = 0; i < 256; i++) freq[i] = (uint16_t)f[i];
+}
+
+static uint8_t *voxrti_put_varint(uint8_t *p, uint32_t v) { /* v < 16384 */
+    if (v < 128) {
+        *p++ = (uint8_t)v;
+        return p;
+    }
+    *p++ = (uint8_t)(v | 128u);
+    *p++ = (uint8_t)(v >> 7);
+    return p;
+}
+
+/* Tables from the counts of the 256 contexts: those that do not pay for themselves join their group's. */
+static void voxrti_encoder_tables(voxrti_encoder *e) {
+    uint32_t c, i, g;
+    for (i = 1; i <= VOXRTI_RANS_ONE; i++)
+        e->price[i] = (uint16_t)(256.0 * ((double)VOXRTI_RANS_BITS - voxrti_log2((double)i)) + 0.5);
+    for (c = 0; c < VOXRTI_CONTEXTS; c++)
+        for (i = 0; i < 256; i++) e->count[c / 128][i] += e->count[2 + c][i];
+    for (g = 0; g < 2; g++) voxrti_frequencies(e->count[g], e->freq[g]);
+    for (c = 0; c < VOXRTI_CONTEXTS; c++) {
+        uint64_t shared = 0, own = 0;
+        voxrti_frequencies(e->count[2 + c], e->freq[2 + c]);
+        for (i = 0; i < 256; i++) {
+            if (e->count[2 + c][i] == 0) continue;
+            shared += e->count[2 + c][i] * e->price[e->freq[c / 128][i]];
+            own += e->count[2 + c][i] * e->price[e->freq[2 + c][i]] + (e->freq[2 + c][i] < 128 ? 16u : 24u) * 256u;
+        }
+        e->table[c] = (uint16_t)(own < shared ? 2 + c : c / 128);
+    }
+    memset(e->count, 0, 2 * sizeof e->count[0]);
+    for (c = 0; c < VOXRTI_CONTEXTS; c++) {
+        if (e->table[c] == 2 + c) continue;
+        for (i = 0; i < 256; i++) e->count[c / 128][i] += e->count[2 + c][i];
+        memset(e->freq[2 + c], 0, sizeof e->freq[2 + c]);
+    }
+    for (g = 0; g < 2; g++) voxrti_frequencies(e->count[g], e->freq[g]);
+    for (c = 0; c < VOXRTI_TABLES; c++) {
+        uint32_t sum = 0;
+        for (i = 0; i < 256; i++) {
+            e->start[c][i] = (uint16_t)sum;
+            sum += e->freq[c][i];
+        }
+    }
+}
+
+/* Code e->symbols, last symbol first, so that they decode in order. Returns the bytes written to p. */
+static uint32_t voxrti_encode_chunk(voxrti_encoder *e, uint8_t *p) {
+    uint32_t x = VOXRTI_RANS_LOW, n = 0, i;
+    for (i = e->symbols.count; i-- > 0;) {
+        uint32_t t = e->table[e->symbols.context[i]], s = e->symbols.symbol[i], f = e->freq[t][s];
+        if (x >= (uint64_t)f << (32 - VOXRTI_RANS_BITS)) {
+            e->words[n++] = (uint16_t)x;
+            x >>= 16;
+        }
+        x = ((x / f) << VOXRTI_RANS_BITS) + x % f + e->start[t][s];
+    }
+    voxrti_store_u32(p, x);
+    for (i = 0; i < n; i++) voxrti_store_u16(p + 4 + 2 * i, e->words[n - 1 - i]);
+    return 4 + 2 * n;
+}
+
+static voxrt_result voxrti_encode(voxrti_mem *mem, voxrti_source_fn *source, void *user, uint32_t chunks,
+                                  voxrti_bytes *out) {
+    voxrti_encoder *e = (voxrti_encoder *)voxrti_alloc_zero(mem, 1, sizeof *e);
+    size_t fixed = 8 + (size_t)2 * chunks, tables;
+    uint32_t k, c, i, n;
+    uint8_t *p;
+    if (e == NULL) return VOXRT_ERR_NO_MEMORY;
+    for (k = 0; k < chunks; k++) {
+        source(user, k, &e->symbols);
+        for (i = 0; i < e->symbols.count; i++) e->count[2 + e->symbols.context[i]][e->symbols.symbol[i]]++;
+    }
+    voxrti_encoder_tables(e);
+    p = voxrti_bytes_more(out, fixed + VOXRTI_TABLES * (size_t)(2 + 256 * 3));
+    if (p == NULL) {
+        voxrti_free(mem, e);
+        return VOXRT_ERR_NO_MEMORY;
+    }
+    p += fixed;
+    for (c = 0; c < VOXRTI_TABLES; c++) {
+        for (i = 0, n = 0; i < 256; i++) n += e->freq[c][i] != 0;
+        p = voxrti_put_varint(p, n);
+        for (i = 0; i < 256; i++) {
+            if (e->freq[c][i] == 0) continue;
+            *p++ = (uint8_t)i;
+            p = voxrti_put_varint(p, e->freq[c][i]);
+        }
+    }
+    tables = (size_t)(p - out->data) - out->size - fixed;
+    voxrti_store_u32(out->data + out->size, chunks);
+    voxrti_store_u32(out->data + out->size + 4, (uint32_t)tables);
+    p = out->data + out->size + 8;
+    fixed = (size_t)(p - out->data); /* where the chunks' sizes stand */
+    out->size = fixed + (size_t)2 * chunks + tables;
+    for (k = 0; k < chunks; k++) {
+        source(user, k, &e->symbols);
+        p = voxrti_bytes_more(out, 4 + 2 * VOXRTI_CHUNK_SYMBOLS);
+        if (p == NULL) {
+            voxrti_free(mem, e);
+            return VOXRT_ERR_NO_MEMORY;
+        }
+        n = voxrti_encode_chunk(e, p);
+        voxrti_store_u16(out->data + fixed + (size_t)2 * k, n); /* 12 bits a symbol at most: below 2^16 */
+        out->size += n;
+    }
+    voxrti_free(mem, e);
+    return VOXRT_OK;
+}
+
+typedef struct voxrti_rans_table {
+    uint32_t range[256]; /* frequency | sum of the frequencies before << 16 */
+    uint8_t symbol[VOXRTI_RANS_ONE];
+} voxrti_rans_table;
+
+typedef struct voxrti_decoder {
+    voxrti_rans_table *table;
+    const voxrti_rans_table *of[VOXRTI_CONTEXTS];
+    const uint8_t *data;
+    uint64_t *offset;   /* [chunks + 1] in data */
+    uint32_t chunks;
+    uint32_t bad;       /* atomic: a chunk did not decode */
+} voxrti_decoder;
+
+static void voxrti_decoder_close(voxrti_mem *mem, voxrti_decoder *d) {
+    voxrti_free(mem, d->table);
+    voxrti_free(mem, d->offset);
+    memset(d, 0, sizeof *d);
+}
+
+static int voxrti_get_varint(const uint8_t **p, const uint8_t *end, uint32_t *v) {
+    if (*p == end) return 0;
+    *v = *(*p)++;
+    if (*v < 128) return 1;
+    if (*p == end || **p == 0 || **p > 127) return 0; /* one form for each number */
+    *v = (*v & 127u) | (uint32_t)*(*p)++ << 7;
+    return 1;
+}
+
+static int voxrti_read_table(const uint8_t **p, const uint8_t *end, uint32_t n, voxrti_rans_table *t) {
+    uint32_t i, sum = 0, last = 0;
+    memset(t, 0, sizeof *t);
+    for (i = 0; i < n; i++) {
+        uint32_t s, f;
+        if (*p == end) return 0;
+        s = *(*p)++;
+        if ((i != 0 && s <= last) || !voxrti_get_varint(p, end, &f) || f == 0 || f > VOXRTI_RANS_ONE - sum) return 0;
+        t->range[s] = f | sum << 16;
+        memset(t->symbol + sum, (int)s, f);
+        sum += f;
+        last = s;
+    }
+    return sum == VOXRTI_RANS_ONE;
+}
+
+/* Read tables and chunk sizes of a coded section with exactly `chunks` chunks. */
+static voxrt_result voxrti_decoder_open(voxrti_mem *mem, const uint8_t *data, size_t size, uint64_t chunks,
+                                        voxrti_decoder *d) {
+    const uint8_t *p, *end;
+    uint32_t pass, c, used = 0;
+    size_t tables, k;
+    uint64_t at = 0;
+    memset(d, 0, sizeof *d);
+    if (size < 8 || voxrti_load_u32(data) != chunks || chunks > (size - 8) / 6) return VOXRT_ERR_FORMAT;
+    tables = voxrti_load_u32(data + 4);
+    if (tables > size - 8 - 2 * (size_t)chunks) return VOXRT_ERR_FORMAT;
+    d->chunks = (uint32_t)chunks;
+    d->offset = (uint64_t *)voxrti_alloc_array(mem, (size_t)chunks + 1, sizeof(uint64_t));
+    if (d->offset == NULL) return VOXRT_ERR_NO_MEMORY;
+    for (k = 0; k < chunks; k++) {
+        uint32_t n = voxrti_load_u16(data + 8 + 2 * k);
+        if (n < 4 || (n & 1u) != 0) return VOXRT_ERR_FORMAT;
+        d->offset[k] = at;
+        at += n;
+    }
+    d->offset[k] = at;
+    if (at != size - 8 - 2 * (size_t)chunks - tables) return VOXRT_ERR_FORMAT;
+    d->data = data + 8 + 2 * (size_t)chunks + tables;
+    end = d->data;
+    for (pass = 0; pass < 2; pass++) { /* count, then read; table 0 stands for "none" and gives symbol 0 for ever */
+        p = data + 8 + 2 * (size_t)chunks;
+        if (pass == 1) {
+            d->table = (voxrti_rans_table *)voxrti_alloc_array(mem, used + 1, sizeof(voxrti_rans_table));
+            if (d->table == NULL) return VOXRT_ERR_NO_MEMORY;
+            memset(&d->table[0], 0, sizeof d->table[0]);
+            d->table[0].range[0] = VOXRTI_RANS_ONE;
+            for (c = 0; c < VOXRTI_CONTEXTS; c++) d->of[c] = &d->table[0];
+        }
+        for (c = 0, used = 0; c < VOXRTI_TABLES; c++) {
+            uint32_t n, i, f;
+            if (!voxrti_get_varint(&p, end, &n) || n > 256) return VOXRT_ERR_FORMAT;
+            if (n == 0) continue;
+            used++;
+            if (pass == 1) {
+                if (!voxrti_read_table(&p, end, n, &d->table[used])) return VOXRT_ERR_FORMAT;
+                if (c < 2) for (i = 0; i < 128; i++) d->of[128 * c + i] = &d->table[used];
+                else d->of[c - 2] = &d->table[used];
+                continue;
+            }
+            for (i = 0; i < n; i++)
+                if (p == end || (p++, !voxrti_get_varint(&p, end, &f))) return VOXRT_ERR_FORMAT;
+        }
+        if (p != end) return VOXRT_ERR_FORMAT;
+    }
+    return VOXRT_OK;
+}
+
+typedef struct voxrti_rans {
+    const uint8_t *p, *end;
+    uint32_t x, bad;
+} voxrti_rans;
+
+static void voxrti_rans_open(const voxrti_decoder *d, uint32_t chunk, voxrti_rans *r) {
+    r->p = d->data + d->offset[chunk];
+    r->end = d->data + d->offset[chunk + 1];
+    r->x = voxrti_load_u32(r->p);
+    r->p += 4;
+    r->bad = r->x < VOXRTI_RANS_LOW;
+}
+
+VOXRTI_INLINE uint32_t voxrti_rans_get(voxrti_rans *r, const voxrti_rans_table *t) {
+    uint32_t slot = r->x & (VOXRTI_RANS_ONE - 1), s = t->symbol[slot], range = t->range[s];
+    uint32_t x = (range & 0xffffu) * (r->x >> VOXRTI_RANS_BITS) + slot - (range >> 16);
+    if (x < VOXRTI_RANS_LOW) {
+        if (VOXRTI_LIKELY(r->p < r->end)) {
+            x = x << 16 | voxrti_load_u16(r->p);
+            r->p += 2;
+        } else {
+            r->bad = 1;
+            x = VOXRTI_RANS_LOW;
+        }
+    }
+    r->x = x;
+    return s;
+}
+
+/* Everything was read and the state is the one that the encoder began with. */
+VOXRTI_INLINE int voxrti_rans_done(const voxrti_rans *r) {
+    return r->bad == 0 && r->p == r->end && r->x == VOXRTI_RANS_LOW;
+}
+
+/* ---- coded geometry ----
+
+   The octree's child masks, level by level: of each node of a wide level the octant mask (children at octree level
+   2w+1), then the bytes of its octants. Each is coded in the context of the cell's siblings (the mask that the cell is
+   a bit of), both mirrored so that the cell is number 0; the bytes of the finest level in a group of their own. */
+
+typedef struct voxrti_family { /* goes through the nodes of a level with the masks that they are bits of */
+    const voxrti_node *parent;
+    uint64_t mask, left;
+} voxrti_family;
+
+static const voxrti_node voxrti_root_family = {1, 0, 0};
+
+/* Bit of the next node among its siblings; *siblings = their mask. */
+VOXRTI_INLINE uint32_t voxrti_family_next(voxrti_family *f, uint32_t *siblings) {
+    uint32_t s;
+    if (f->left == 0) f->left = f->mask = (++f->parent)->mask;
+    s = voxrti_ctz64(f->left);
+    f->left &= f->left - 1;
+    *siblings = (uint32_t)(f->mask >> (s & 56u)) & 255u;
+    return s & 7u;
+}
+
+static uint64_t voxrti_chunks(const voxrt_tree *t) {
+    uint64_t n = 0;
+    uint32_t w;
+    for (w = 0; w < t->wide; w++) n += ((uint64_t)t->level_nodes[w] + VOXRTI_CHUNK - 1) / VOXRTI_CHUNK;
+    return n;
+}
+
+typedef struct voxrti_geometry_source {
+    const voxrt_tree *t;
+    uint32_t w, at;       /* next node: wide level, index in it */
+    voxrti_family family;
+    uint8_t mirror[8][256];
+} voxrti_geometry_source;
+
+static void voxrti_geometry_symbols(void *user, uint32_t chunk, voxrti_symbols *out) {
+    voxrti_geometry_source *g = (voxrti_geometry_source *)user;
+    const voxrt_tree *t = g->t;
+    uint32_t end, n = 0, group, o;
+    if (chunk == 0) g->w = g->at = 0;
+    if (g->at == t->level_nodes[g->w]) {
+        g->w++;
+        g->at = 0;
+    }
+    if (g->at == 0) {
+        g->family.parent = g->w == 0 ? &voxrti_root_family : t->node + t->level_first[g->w - 1];
+        g->family.mask = g->family.left = g->family.parent->mask;
+    }
+    group = g->w + 1 == t->wide ? 128 : 0;
+    end = t->level_nodes[g->w] - g->at < VOXRTI_CHUNK ? t->level_nodes[g->w] : g->at + VOXRTI_CHUNK;
+    for (; g->at < end; g->at++) {
+        uint64_t mask = group ? t->leaf[g->at] : t->node[t->level_first[g->w] + g->at].mask;
+        uint32_t octants = voxrti_octants(mask), siblings, b = voxrti_family_next(&g->family, &siblings);
+        out->context[n] = g->mirror[b][siblings] >> 1;
+        out->symbol[n++] = g->mirror[b][octants];
+        for (o = 0; o < 8; o++) {
+            if ((octants >> o & 1u) == 0) continue;
+            out->context[n] = (uint16_t)(group + (g->mirror[o][octants] >> 1));
+            out->symbol[n++] = g->mirror[o][mask >> (8 * o) & 255u];
+        }
+    }
+    out->count = n;
+}
+
+typedef struct voxrti_geometry_decoder {
+    voxrti_decoder d;
+    voxrt_tree *t;
+    uint32_t w, first_chunk;  /* of the level in work */
+    uint32_t *start;          /* per chunk: parent node of its first node, and how many of the parent's are before */
+    uint8_t mirror[8][256];
+} voxrti_geometry_decoder;
+
+static void voxrti_geometry_task(void *ctx, uint32_t task) {
+    voxrti_geometry_decoder *g = (voxrti_geometry_decoder *)ctx;
+    voxrt_tree *t = g->t;
+    uint32_t leaf = g->w + 1 == t->wide, i = task * VOXRTI_CHUNK, k, o, group = leaf ? 128 : 0, bad = 0;
+    uint32_t end = t->level_nodes[g->w] - i < VOXRTI_CHUNK ? t->level_nodes[g->w] : i + VOXRTI_CHUNK;
+    voxrti_family family;
+    voxrti_rans r;
+    family.parent = &voxrti_root_family;
+    if (g->w != 0) family.parent = t->node + t->level_first[g->w - 1] + g->start[2 * task];
+    family.mask = family.left = family.parent->mask;
+    for (k = g->w != 0 ? g->start[2 * task + 1] : 0; k > 0; k--) family.left &= family.left - 1;
+    voxrti_rans_open(&g->d, g->first_chunk + task, &r);
+    for (; i < end; i++) {
+        uint32_t siblings, b = voxrti_family_next(&family, &siblings), octants;
+        uint64_t mask = 0;
+        octants = g->mirror[b][voxrti_rans_get(&r, g->d.of[g->mirror[b][siblings] >> 1])];
+        bad |= octants == 0;
+        for (k = octants; k != 0; k &= k - 1) {
+            uint32_t s;
+            o = voxrti_ctz64(k);
+            s = voxrti_rans_get(&r, g->d.of[group + (g->mirror[o][octants] >> 1)]);
+            bad |= s == 0;
+            mask |= (uint64_t)g->mirror[o][s] << (8 * o);
+        }
+        if (leaf) t->leaf[i] = mask;
+        else t->node[t->level_first[g->w] + i].mask = mask;
+    }
+    if (bad || !voxrti_rans_done(&r)) voxrti_atomic_store(&g->d.bad, 1u);
+}
+
+/* Where the chunks of level w+1 begin among the nodes of level w; their number must be what the file says. */
+static voxrt_result voxrti_geometry_starts(voxrti_mem *mem, voxrti_geometry_decoder *g, uint32_t w) {
+    const voxrti_node *node = g->t->node + g->t->level_first[w];
+    uint32_t i, n = g->t->level_nodes[w + 1], chunk = 0;
+    uint64_t total = 0;
+    voxrti_free(mem, g->start);
+    g->start = (uint32_t *)voxrti_alloc_array(mem, n / VOXRTI_CHUNK + 1, 2 * sizeof(uint32_t));
+    if (g->start == NULL) return VOXRT_ERR_NO_MEMORY;
+    for (i = 0; i < g->t->level_nodes[w]; i++) {
+        uint64_t before = total;
+        total += voxrti_popcount64(node[i].mask);
+        if (total > n) return VOXRT_ERR_FORMAT;
+        if ((uint64_t)chunk * VOXRTI_CHUNK < total) { /* at most 64 children: at most one start */
+            g->start[2 * chunk] = i;
+            g->start[2 * chunk + 1] = (uint32_t)((uint64_t)chunk * VOXRTI_CHUNK - before);
+            chunk++;
+        }
+    }
+    return total == n ? VOXRT_OK : VOXRT_ERR_FORMAT;
+}
+
+static voxrt_result voxrti_geometry_levels(voxrti_mem *mem, const voxrt_env *env, voxrti_geometry_decoder *g,
+                                           const uint8_t *data, size_t size) {
+    voxrt_tree *t = g->t;
+    size_t leaves = t->level_nodes[t->wide - 1];
+    voxrt_result r = voxrti_decoder_open(mem, data, size, voxrti_chunks(t), &g->d);
+    uint32_t w, at = 0;
+    if (r != VOXRT_OK) return r;
+    t->node = (voxrti_node *)voxrti_alloc_array(mem, (size_t)t->node_count + 1, sizeof(voxrti_node));
+    if (t->node == NULL) return VOXRT_ERR_NO_MEMORY;
+    for (w = 0; w < t->wide; w++) {
+        uint32_t chunks = (uint32_t)(((uint64_t)t->level_nodes[w] + VOXRTI_CHUNK - 1) / VOXRTI_CHUNK);
+        if (w != 0) {
+            r = voxrti_geometry_starts(mem, g, w - 1);
+            if (r != VOXRT_OK) return r;
+        }
+        if (w + 1 == t->wide) { /* not before the levels above have shown that there are so many */
+            t->leaf = (uint64_t *)voxrti_alloc_array(mem, leaves + 8, sizeof(uint64_t));
+            t->rank = (uint32_t *)voxrti_alloc_array(mem, 2 * (leaves / 16 + 2), sizeof(uint32_t));
+            if (t->leaf == NULL || t->rank == NULL) return VOXRT_ERR_NO_MEMORY;
+        }
+        t->level_first[w] = w + 1 == t->wide ? 0 : at;
+        g->w = w;
+        voxrti_parallel_for(env, voxrti_geometry_task, g, chunks);
+        if (voxrti_atomic_load(&g->d.bad)) return VOXRT_ERR_FORMAT;
+        g->first_chunk += chunks;
+        at += t->level_nodes[w];
+    }
+    return VOXRT_OK;
+}
+
+static voxrt_result voxrti_geometry_decode(voxrti_mem *mem, const voxrt_env *env, voxrt_tree *t, const uint8_t *data,
+                                           size_t size) {
+    voxrti_geometry_decoder *g = (voxrti_geometry_decoder *)voxrti_alloc_zero(mem, 1, sizeof *g);
+    voxrt_result r;
+    if (g == NULL) return VOXRT_ERR_NO_MEMORY;
+    g->t = t;
+    voxrti_mirror_table(g->mirror);
+    r = voxrti_geometry_levels(mem, env, g, data, size);
+    voxrti_decoder_close(mem, &g->d);
+    voxrti_free(mem, g->start);
+    voxrti_free(mem, g);
+    return r == VOXRT_OK ? voxrti_tree_index(t) : r;
+}
+
+/* ---- coded normals ----
+
+   Each byte of an oct code as the difference to the cell before it (the first of a chunk to 0x80), in the context of
+   how large the differences before it were. */
+
+VOXRTI_INLINE uint32_t voxrti_delta_class(uint32_t delta) { /* 0..8: bits of the magnitude */
+    uint32_t m = delta < 128 ? delta : 256 - delta;
+    return m == 0 ? 0 : 32 - voxrti_clz32(m);
+}
+
+VOXRTI_INLINE uint32_t voxrti_normal_context(uint32_t last) { /* last: the classes of the two differences before */
+    return last > 12 ? 12 : last;
+}
+
+typedef struct voxrti_normal_source {
+    const voxrt_tree *t;
+} voxrti_normal_source;
+
+static void voxrti_normal_symbols(void *user, uint32_t chunk, voxrti_symbols *out) {
+    const voxrt_tree *t = ((voxrti_normal_source *)user)->t;
+    uint64_t i = (uint64_t)chunk * VOXRTI_CHUNK, end = i + VOXRTI_CHUNK;
+    uint32_t n = 0, x = 0x80, y = 0x80, last = 0;
+    if (end > t->attr_count) end = t->attr_count;
+    for (; i < end; i++) {
+        uint32_t c = t->normal[i], dx = (c - x) & 255u, dy = ((c >> 8) - y) & 255u, k = voxrti_delta_class(dx);
+        out->context[n] = (uint16_t)voxrti_normal_context(last);
+        out->symbol[n++] = (uint8_t)dx;
+        out->context[n] = (uint16_t)(128 + 4 * k + voxrti_normal_context(last) / 4);
+        out->symbol[n++] = (uint8_t)dy;
+        last = k + voxrti_delta_class(dy);
+        x = c & 255u;
+        y = c >> 8;
+    }
+    out->count = n;
+}
+
+typedef struct voxrti_normal_decoder {
+    voxrti_decoder d;
+    voxrt_tree *t;
+} voxrti_normal_decoder;
+
+static void voxrti_normal_task(void *ctx, uint32_t task) {
+    voxrti_normal_decoder *g = (voxrti_normal_decoder *)ctx;
+    uint64_t i = (uint64_t)task * VOXRTI_CHUNK, end = i + VOXRTI_CHUNK;
+    uint32_t x = 0x80, y = 0x80, last = 0;
+    voxrti_rans r;
+    if (end > g->t->attr_count) end = g->t->attr_count;
+    voxrti_rans_open(&g->d, task, &r);
+    for (; i < end; i++) {
+        uint32_t dx = voxrti_rans_get(&r, g->d.of[voxrti_normal_context(last)]), k = voxrti_delta_class(dx);
+        uint32_t dy = voxrti_rans_get(&r, g->d.of[128 + 4 * k + voxrti_normal_context(last) / 4]);
+        last = k + voxrti_delta_class(dy);
+        x = (x + dx) & 255u;
+        y = (y + dy) & 255u;
+        g->t->normal[i] = (uint16_t)(x | y << 8);
+    }
+    if (!voxrti_rans_done(&r)) voxrti_atomic_store(&g->d.bad, 1u);
+}
+
+static voxrt_result voxrti_normals_decode(voxrti_mem *mem, const voxrt_env *env, voxrt_tree *t, const uint8_t *data,
+                                          size_t size) {
+    voxrti_normal_decoder g;
+    uint64_t chunks = (t->attr_count + VOXRTI_CHUNK - 1) / VOXRTI_CHUNK;
+    voxrt_result r;
+    memset(&g, 0, sizeof g);
+    g.t = t;
+    r = voxrti_decoder_open(mem, data, size, chunks, &g.d);
+    if (r == VOXRT_OK) {
+        t->normal = (uint16_t *)voxrti_alloc_array(mem, (size_t)t->attr_count, sizeof(uint16_t));
+        if (t->normal == NULL) r = VOXRT_ERR_NO_MEMORY;
+    }
+    if (r == VOXRT_OK) {
+        voxrti_parallel_for(env, voxrti_normal_task, &g, (uint32_t)chunks);
+        if (voxrti_atomic_load(&g.d.bad)) r = VOXRT_ERR_FORMAT;
+    }
+    voxrti_decoder_close(mem, &g.d);
+    return r;
+}
+
+/* ---- file: what both directions share ---- */
+
+typedef struct voxrti_v5_section {
+    uint32_t id, encoding;      /* 0 raw, 1 coded */
+    uint64_t offset, size, count;
+} voxrti_v5_section;
+
+typedef struct voxrti_v5_file {
+    uint32_t section_count;
+    voxrti_v5_section section[VOXRTI_V5_IDS]; /* write: in order; read: by id, id = 0: not there */
+    voxrti_bytes geometry, normals;           /* write: coded sections */
+} voxrti_v5_file;
+
+VOXRTI_INLINE uint64_t voxrti_v5_align(uint64_t x) { return (x + 63u) & ~(uint64_t)63; }
+
+/* Of header and table, the field itself taken as 0. */
+static uint64_t voxrti_v5_head_checksum(const uint8_t *data, uint32_t section_count) {
+    uint8_t head[VOXRTI_V5_HEADER];
+    memcpy(head, data, sizeof head);
+    memset(head + 24, 0, 8);
+    return voxrti_hash_bytes(voxrti_v5_checksum(head, sizeof head), data + VOXRTI_V5_HEADER,
+                             (size_t)section_count * VOXRTI_V5_ENTRY);
+}
+
+/* Enter the checksums of a file that is otherwise complete. Whatever it holds, only its own bytes are touched. */
+static void voxrti_v5_seal(uint8_t *p, size_t size) {
+    size_t i, n = size < VOXRTI_V5_HEADER ? 0 : voxrti_load_u16(p + 14);
+    if (size < VOXRTI_V5_HEADER + n * VOXRTI_V5_ENTRY) return;
+    for (i = 0; i < n; i++) {
+        uint8_t *e = p + VOXRTI_V5_HEADER + i * VOXRTI_V5_ENTRY;
+        uint64_t at = voxrti_load_u64(e + 8), bytes = voxrti_load_u64(e + 16);
+        if (at <= size && bytes <= size - at)
+            voxrti_store_u64(e + 32, voxrti_v5_checksum(p + (size_t)at, (size_t)bytes));
+    }
+    voxrti_store_u64(p + 24, voxrti_v5_head_checksum(p, (uint32_t)n));
+}
+
+static uint64_t voxrti_rank_count(const voxrt_tree *t) {
+    return 2 * (((uint64_t)t->level_nodes[t->wide - 1] + 15) / 16 + 1);
+}
+
+/* Size of a raw section of `count` elements. */
+static uint64_t voxrti_v5_raw_size(uint32_t id, uint64_t count) {
+    switch (id) {
+    case VOXRTI_V5_PLACEMENT: return VOXRTI_V5_PLACE;
+    case VOXRTI_V5_PALETTE: return 3 * count;
+    case VOXRTI_V5_NODES: return 16 * count;
+    case VOXRTI_V5_LEAVES: return 8 * (count + 8);
+    case VOXRTI_V5_NORMALS: return 2 * count;
+    case VOXRTI_V5_COLORS: return count + 8;
+    default: return 4 * count; /* ranks, colour blocks */
+    }
+}
+
+/* Elements of a section. */
+static uint64_t voxrti_v5_count(const voxrt_tree *t, uint32_t id) {
+    switch (id) {
+    case VOXRTI_V5_PLACEMENT: return 1;
+    case VOXRTI_V5_PALETTE: return t->palette_count;
+    case VOXRTI_V5_NODES: return t->node_count;
+    case VOXRTI_V5_LEAVES: return t->level_nodes[t->wide - 1];
+    case VOXRTI_V5_RANKS: return voxrti_rank_count(t);
+    case VOXRTI_V5_GEOMETRY: return (uint64_t)t->node_count + t->level_nodes[t->wide - 1];
+    case VOXRTI_V5_NORMALS: return t->attr_count;
+    case VOXRTI_V5_BLOCKS: return (t->attr_count + 63) / 64;
+    default: return t->colors.data_bytes;
+    }
+}
+
+/* ---- writing ---- */
+
+static void voxrti_store_f64(uint8_t *p, double v) {
+    uint64_t bits;
+    memcpy(&bits, &v, sizeof bits);
+    voxrti_store_u64(p, bits);
+}
+
+static void voxrti_v5_write_placement(const voxrt_tree *t, uint8_t *p) {
+    uint32_t i;
+    memset(p, 0, VOXRTI_V5_PLACE);
+    for (i = 0; i < 3; i++) {
+        voxrti_store_f64(p + 8 * i, t->origin[i]);
+        voxrti_store_u32(p + 32 + 4 * i, t->cell_min[i]);
+        voxrti_store_u32(p + 44 + 4 * i, t->cell_max[i]);
+    }
+    voxrti_store_f64(p + 24, t->voxel_size);
+    voxrti_store_u32(p + 56, t->palette_count);
+    for (i = 0; i < t->wide; i++) {
+        voxrti_store_u32(p + 64 + 4 * i, t->level_nodes[i]);
+        voxrti_store_u32(p + 104 + 4 * i, (uint32_t)(t->attr_first[2 * i] - t->attr_first[2 * i + 1]));
+    }
+}
+
+static void voxrti_v5_write_section(const voxrt_tree *t, const voxrti_v5_file *f, const voxrti_v5_section *s,
+                                    uint8_t *p) {
+    size_t i, n = (size_t)s->count;
+    switch (s->id) {
+    case VOXRTI_V5_PLACEMENT: voxrti_v5_write_placement(t, p); break;
+    case VOXRTI_V5_PALETTE: memcpy(p, t->palette, 3 * n); break;
+    case VOXRTI_V5_NODES:
+        for (i = 0; i < n; i++) {
+            voxrti_store_u64(p + 16 * i, t->node[i].mask);
+            voxrti_store_u32(p + 16 * i + 8, t->node[i].child);
+            voxrti_store_u32(p + 16 * i + 12, t->node[i].octant);
+        }
+        break;
+    case VOXRTI_V5_LEAVES:
+        for (i = 0; i < n; i++) voxrti_store_u64(p + 8 * i, t->leaf[i]);
+        memset(p + 8 * n, 0, 64);
+        break;
+    case VOXRTI_V5_RANKS: for (i = 0; i < n; i++) voxrti_store_u32(p + 4 * i, t->rank[i]); break;
+    case VOXRTI_V5_GEOMETRY: memcpy(p, f->geometry.data, f->geometry.size); break;
+    case VOXRTI_V5_NORMALS:
+        if (s->encoding == 1) memcpy(p, f->normals.data, f->normals.size);
+        else for (i = 0; i < n; i++) voxrti_store_u16(p + 2 * i, t->normal[i]);
+        break;
+    case VOXRTI_V5_BLOCKS: for (i = 0; i < n; i++) voxrti_store_u32(p + 4 * i, t->colors.block[i]); break;
+    default: /* colours */
+        if (n != 0) memcpy(p, t->colors.data, n);
+        memset(p + n, 0, 8);
+        break;
+    }
+}
+
+/* Code what is coded and lay out the sections. */
+static voxrt_result voxrti_v5_plan(voxrti_mem *mem, const voxrt_save_desc *d, const voxrt_tree *t, voxrti_v5_file *f,
+                                   size_t *out_size) {
+    uint32_t raw = d->encoding == VOXRT_ENCODING_RAW, id, n = 0, i;
+    uint64_t at;
+    voxrt_result r = VOXRT_OK;
+    memset(f, 0, sizeof *f);
+    f->geometry.mem = f->normals.mem = mem;
+    for (id = VOXRTI_V5_PLACEMENT; id < VOXRTI_V5_IDS && r == VOXRT_OK; id++) {
+        voxrti_v5_section *s = &f->section[n];
+        if (id >= VOXRTI_V5_NODES && id <= VOXRTI_V5_RANKS && !raw) continue;
+        if (id == VOXRTI_V5_GEOMETRY && raw) continue;
+        if (id == VOXRTI_V5_NORMALS && (t->normal == NULL || d->disable_normals != 0)) continue;
+        if (id >= VOXRTI_V5_BLOCKS && t->colors.block == NULL) continue;
+        s->id = id;
+        s->count = voxrti_v5_count(t, id);
+        s->size = voxrti_v5_raw_size(id, s->count);
+        n++;
+        if (id == VOXRTI_V5_GEOMETRY) {
+            voxrti_geometry_source *g = (voxrti_geometry_source *)voxrti_alloc_zero(mem, 1, sizeof *g);
+            if (g == NULL) return VOXRT_ERR_NO_MEMORY;
+            g->t = t;
+            voxrti_mirror_table(g->mirror);
+            r = voxrti_encode(mem, voxrti_geometry_symbols, g, (uint32_t)voxrti_chunks(t), &f->geometry);
+            voxrti_free(mem, g);
+            s->encoding = 1;
+            s->size = f->geometry.size;
+        } else if (id == VOXRTI_V5_NORMALS && !raw) {
+            voxrti_normal_source g;
+            g.t = t;
+            r = voxrti_encode(mem, voxrti_normal_symbols, &g,
+                              (uint32_t)((t->attr_count + VOXRTI_CHUNK - 1) / VOXRTI_CHUNK), &f->normals);
+            if (r == VOXRT_OK && f->normals.size < s->size) {
+                s->encoding = 1;
+                s->size = f->normals.size;
+            }
+        }
+    }
+    if (r != VOXRT_OK) return r;
+    f->section_count = n;
+    at = VOXRTI_V5_HEADER + (uint64_t)n * VOXRTI_V5_ENTRY;
+    for (i = 0; i < n; i++) {
+        f->section[i].offset = voxrti_v5_align(at);
+        at = f->section[i].offset + f->section[i].size;
+    }
+    if (at > (size_t)-1) return VOXRT_ERR_RANGE;
+    *out_size = (size_t)at;
+    return VOXRT_OK;
+}
+
+static void voxrti_v5_write(const voxrt_tree *t, const voxrti_v5_file *f, uint8_t *out, size_t size) {
+    uint32_t i, flags = 0, n = f->section_count;
+    size_t at = VOXRTI_V5_HEADER + (size_t)n * VOXRTI_V5_ENTRY;
+    memset(out, 0, at);
+    for (i = 0; i < n; i++) {
+        const voxrti_v5_section *s = &f->section[i];
+        uint8_t *e = out + VOXRTI_V5_HEADER + (size_t)i * VOXRTI_V5_ENTRY;
+        memset(out + at, 0, (size_t)s->offset - at);
+        voxrti_v5_write_section(t, f, s, out + (size_t)s->offset);
+        at = (size_t)(s->offset + s->size);
+        voxrti_store_u32(e, s->id);
+        voxrti_store_u32(e + 4, s->encoding);
+        voxrti_store_u64(e + 8, s->offset);
+        voxrti_store_u64(e + 16, s->size);
+        voxrti_store_u64(e + 24, s->count);
+        if (s->id == VOXRTI_V5_NODES) flags |= VOXRTI_V5_RAW_FILE;
+        if (s->id == VOXRTI_V5_NORMALS) flags |= VOXRTI_V5_HAS_NORMALS;
+        if (s->id == VOXRTI_V5_BLOCKS) flags |= VOXRTI_V5_HAS_COLORS;
+    }
+    memcpy(out, voxrti_v5_magic, 8);
+    voxrti_store_u16(out + 8, 5);
+    voxrti_store_u16(out + 12, VOXRTI_V5_HEADER);
+    voxrti_store_u16(out + 14, n);
+    voxrti_store_u64(out + 16, size);
+    voxrti_store_u32(out + 32, flags);
+    voxrti_store_u32(out + 36, t->depth);
+    voxrti_store_u32(out + 40, t->resolution);
+    voxrti_store_u64(out + 48, (uint64_t)t->node_count + t->level_nodes[t->wide - 1]);
+    voxrti_store_u64(out + 56, t->voxel_count);
+    voxrti_v5_seal(out, size);
+}
+
+static voxrt_result voxrti_save_open(const voxrt_tree *tree, const voxrt_save_desc *desc, voxrt_save_desc *d,
+                                     voxrti_mem *mem) {
+    memset(d, 0, sizeof *d);
+    if (desc != NULL) *d = *desc;
+    if (d->_begin_zero != 0 || d->_end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
+    if (d->env.error != NULL) memset(d->env.error, 0, sizeof *d->env.error);
+    if (tree == NULL) return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "no tree");
+    if ((uint32_t)d->encoding > 1u) return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "unknown encoding");
+    return voxrti_env_open(&d->env, mem);
+}
+
+VOXRT_DEF voxrt_result voxrt_tree_save_memory(const voxrt_tree *tree, const voxrt_save_desc *desc, void *buffer,
+                                              size_t capacity, size_t *out_size) {
+    voxrt_save_desc d;
+    voxrti_mem mem;
+    voxrti_v5_file f;
+    size_t size = 0;
+    voxrt_result r;
+    if (out_size == NULL) return VOXRT_ERR_INVALID_ARG;
+    *out_size = 0;
+    r = voxrti_save_open(tree, desc, &d, &mem);
+    if (r != VOXRT_OK) return r;
+    r = voxrti_v5_plan(&mem, &d, tree, &f, &size);
+    if (r == VOXRT_OK) {
+        *out_size = size;
+        if (buffer != NULL && capacity < size) r = VOXRT_ERR_RANGE;
+        else if (buffer != NULL) voxrti_v5_write(tree, &f, (uint8_t *)buffer, size);
+    }
+    voxrti_free(&mem, f.geometry.data);
+    voxrti_free(&mem, f.normals.data);
+    if (r == VOXRT_ERR_RANGE) return voxrti_fail(d.env.error, r, size, "the file needs % bytes");
+    return r == VOXRT_OK ? r : voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
+}
+
+/* ---- reading ---- */
+
+static double voxrti_load_f64(const uint8_t *p) {
+    uint64_t bits = voxrti_load_u64(p);
+    double v;
+    memcpy(&v, &bits, sizeof v);
+    return v;
+}
+
+typedef struct voxrti_v5_reader {
+    voxrt_load_desc desc;
+    voxrti_mem mem;
+    voxrti_v5_file f;
+    const uint8_t *data;
+    size_t size;
+    int map;                /* use the arrays where they are */
+    uint32_t flags;
+} voxrti_v5_reader;
+
+static voxrt_result voxrti_v5_fail(voxrti_v5_reader *r, voxrt_result code, uint64_t where, const char *text) {
+    return voxrti_fail(r->desc.env.error, code, where, text);
+}
+
+static const uint8_t *voxrti_v5_at(const voxrti_v5_reader *r, uint32_t id) {
+    return r->data + (size_t)r->f.section[id].offset;
+}
+
+/* Header and table: afterwards every section is inside the file, behind the one before it, and unchanged. */
+static voxrt_result voxrti_v5_read_table(voxrti_v5_reader *r) {
+    const uint8_t *p = r->data;
+    uint32_t n, i, last = 0;
+    uint64_t at;
+    size_t have = r->size < 8 ? r->size : 8, k;
+    if (memcmp(p, voxrti_v5_magic, have) != 0)
+        return voxrti_v5_fail(r, VOXRT_ERR_FORMAT, 0, "not a voxrt file of format 5");
+    if (r->size < VOXRTI_V5_HEADER) return voxrti_v5_fail(r, VOXRT_ERR_TRUNCATED, r->size, "file ends in the header");
+    if (voxrti_load_u16(p + 8) != 5)
+        return voxrti_v5_fail(r, VOXRT_ERR_VERSION, voxrti_load_u16(p + 8), "format version % is unknown");
+    n = voxrti_load_u16(p + 14);
+    if (voxrti_load_u16(p + 12) != VOXRTI_V5_HEADER || n > VOXRTI_V5_MAX_SECTIONS)
+        return voxrti_v5_fail(r, VOXRT_ERR_FORMAT, 12, "bad header at byte %");
+    if (r->size < voxrti_load_u64(p + 16))
+        return voxrti_v5_fail(r, VOXRT_ERR_TRUNCATED, r->size, "file ends at byte %");
+    at = VOXRTI_V5_HEADER + (uint64_t)n * VOXRTI_V5_ENTRY;
+    if (r->size > voxrti_load_u64(p + 16) || r->size < at)
+        return voxrti_v5_fail(r, VOXRT_ERR_FORMAT, 16, "size of the file is not the one in its header");
+    if (!r->desc.trust_input && voxrti_load_u64(p + 24) != voxrti_v5_head_checksum(p, n))
+        return voxrti_v5_fail(r, VOXRT_ERR_CHECKSUM, 24, "header is damaged");
+    for (i = 0; i < n; i++) {
+        const uint8_t *e = p + VOXRTI_V5_HEADER + (size_t)i * VOXRTI_V5_ENTRY;
+        voxrti_v5_section s;
+        s.id = voxrti_load_u32(e);
+        s.encoding = voxrti_load_u32(e + 4);
+        s.offset = voxrti_load_u64(e + 8);
+        s.size = voxrti_load_u64(e + 16);
+        s.count = voxrti_load_u64(e + 24);
+        if (s.id <= last || s.offset != voxrti_v5_align(at) || s.offset > r->size || s.size > r->size - s.offset)
+            return voxrti_v5_fail(r, VOXRT_ERR_FORMAT, (uint64_t)(e - p), "bad section table at byte %");
+        for (k = (size_t)at; k < (size_t)s.offset; k++)
+            if (p[k] != 0) return voxrti_v5_fail(r, VOXRT_ERR_FORMAT, k, "byte % is not zero");
+        at = s.offset + s.size;
+        last = s.id;
+        if (!r->desc.trust_input && voxrti_load_u64(e + 32) != voxrti_v5_checksum(p + (size_t)s.offset, (size_t)s.size))
+            return voxrti_v5_fail(r, VOXRT_ERR_CHECKSUM, s.offset, "section at byte % is damaged");
+        if (s.id < VOXRTI_V5_IDS) r->f.section[s.id] = s;
+        else if ((s.id & VOXRTI_V5_OPTIONAL) == 0)
+            return voxrti_v5_fail(r, VOXRT_ERR_VERSION, s.id, "section % is unknown and required");
+        if (s.id < VOXRTI_V5_IDS && s.encoding != (s.id == VOXRTI_V5_GEOMETRY ? 1u : 0u) &&
+            !(s.id == VOXRTI_V5_NORMALS && s.encoding == 1))
+            return voxrti_v5_fail(r, VOXRT_ERR_VERSION, s.id, "section % has an unknown encoding");
+    }
+    if (at != r->size) return voxrti_v5_fail(r, VOXRT_ERR_FORMAT, at, "something follows the last section");
+    return VOXRT_OK;
+}
+
+/* Header and placement section -> the tree's fields; every count is checked against its section's size. */
+static voxrt_result voxrti_v5_read_placement(voxrti_v5_reader *r, voxrt_tree *t) {
+    const uint8_t *h = r->data, *p;
+    const voxrti_v5_section *s = r->f.section;
+    uint64_t nodes = 0, total = 0, count[2 * VOXRTI_MAX_WIDE + 1];
+    uint32_t i, raw = s[VOXRTI_V5_NODES].id != 0, flags = 0, ok, first = 0;
+    if (raw) flags |= VOXRTI_V5_RAW_FILE;
+    if (s[VOXRTI_V5_NORMALS].id != 0) flags |= VOXRTI_V5_HAS_NORMALS;
+    if (s[VOXRTI_V5_BLOCKS].id != 0) flags |= VOXRTI_V5_HAS_COLORS;
+    r->flags = flags;
+    if (voxrti_load_u32(h + 32) != flags || voxrti_load_u32(h + 44) != 0 || s[VOXRTI_V5_PLACEMENT].id == 0 ||
+        s[VOXRTI_V5_PLACEMENT].size != VOXRTI_V5_PLACE || s[VOXRTI_V5_PALETTE].id == 0 ||
+        (s[VOXRTI_V5_LEAVES].id != 0) != raw || (s[VOXRTI_V5_RANKS].id != 0) != raw ||
+        (s[VOXRTI_V5_GEOMETRY].id != 0) == raw || (s[VOXRTI_V5_BLOCKS].id != 0) != (s[VOXRTI_V5_COLORS].id != 0))
+        return voxrti_v5_fail(r, VOXRT_ERR_FORMAT, 0, "sections do not belong together");
+    p = voxrti_v5_at(r, VOXRTI_V5_PLACEMENT);
+    t->depth = voxrti_load_u32(h + 36);
+    t->resolution = voxrti_load_u32(h + 40);
+    t->voxel_count = voxrti_load_u64(h + 56);
+    t->voxel_size = voxrti_load_f64(p + 24);
+    t->palette_count = voxrti_load_u32(p + 56);
+    if (t->depth < 1 || t->depth > VOXRT_MAX_DEPTH)
+        return voxrti_v5_fail(r, VOXRT_ERR_FORMAT, t->depth, "depth % is out of range");
+    t->wide = (t->depth + 1) / 2;
+    memset(count, 0, sizeof count);
+    ok = voxrti_load_u32(p + 60) == 0 && t->resolution >= 1 && t->resolution <= 1u << t->depth;
+    ok = ok && t->palette_count >= 1 && t->palette_count <= 1u << 24;
+    ok = ok && t->voxel_size > 0 && voxrti_finite(t->voxel_size * (double)(1u << t->depth));
+    for (i = 0; i < 3; i++) {
+        t->origin[i] = voxrti_load_f64(p + 8 * i);
+        t->cell_min[i] = voxrti_load_u32(p + 32 + 4 * i);
+        t->cell_max[i] = voxrti_load_u32(p + 44 + 4 * i);
+        ok = ok && voxrti_finite(t->origin[i]) && t->cell_min[i] < t->cell_max[i] && t->cell_max[i] <= 1u << t->depth;
+    }
+    for (i = 0; i < VOXRTI_MAX_WIDE; i++) {
+        uint32_t n = voxrti_load_u32(p + 64 + 4 * i), o = voxrti_load_u32(p + 104 + 4 * i);
+        ok = ok && (i < t->wide ? n >= 1 && o >= 1 : n == 0 && o == 0);
+        if (!ok) break;
+        t->level_nodes[i] = n;
+        if (i + 1 < t->wide) t->level_first[i] = first;
+        if (i + 1 < t->wide) first += n;
+        nodes += n;
+        count[2 * i] = n;
+        count[2 * i + 1] = o;
+    }
+    ok = ok && nodes == voxrti_load_u64(h + 48) && nodes <= 0xffffffffu && t->level_nodes[0] == 1;
+    ok = ok && t->voxel_count >= 1 && t->voxel_count < 0xffffffffu;
+    if (!ok)
+        return voxrti_v5_fail(r, VOXRT_ERR_FORMAT, s[VOXRTI_V5_PLACEMENT].offset, "bad placement section at byte %");
+    t->node_count = (uint32_t)nodes - t->level_nodes[t->wide - 1];
+    count[2 * t->wide] = t->voxel_count;
+    for (i = 2 * t->wide + 1; i-- > 0;) {
+        t->attr_first[i] = total;
+        total += count[i];
+    }
+    t->attr_count = total;
+    for (i = VOXRTI_V5_PLACEMENT; i < VOXRTI_V5_IDS; i++) {
+        if (s[i].id == 0) continue;
+        if (i == VOXRTI_V5_COLORS) {
+            ok = s[i].size >= 8 && s[i].count == s[i].size - 8;
+            t->colors.data_bytes = ok ? (size_t)s[i].count : 0;
+        } else { /* counts are below 2^35 here: no overflow */
+            ok = s[i].count == voxrti_v5_count(t, i) &&
+                 (s[i].encoding == 1 || s[i].size == voxrti_v5_raw_size(i, s[i].count));
+        }
+        if (!ok) return voxrti_v5_fail(r, VOXRT_ERR_FORMAT, s[i].offset, "section at byte % has a wrong size");
+    }
+    return VOXRT_OK;
+}
+
+/* The array of a section: in place, or room for it. `size` bytes, of which the file has the first part. */
+static void *voxrti_v5_array(voxrti_v5_reader *r, uint32_t id) {
+    const uint8_t *from = voxrti_v5_at(r, id);
+    void *p;
+    if (!r->map) return voxrti_alloc(&r->mem, (size_t)r->f.section[id].size);
+    memcpy(&p, &from, sizeof p); /* a tree is only read; its pointers are not const for those who build it */
+    return p;
+}
+
+static voxrt_result voxrti_v5_read_raw(voxrti_v5_reader *r, voxrt_tree *t) {
+    size_t i, leaves = t->level_nodes[t->wide - 1], ranks = (size_t)voxrti_rank_count(t);
+    const uint8_t *p;
+    t->node = (voxrti_node *)voxrti_v5_array(r, VOXRTI_V5_NODES);
+    t->leaf = (uint64_t *)voxrti_v5_array(r, VOXRTI_V5_LEAVES);
+    t->rank = (uint32_t *)voxrti_v5_array(r, VOXRTI_V5_RANKS);
+    if (t->node == NULL || t->leaf == NULL || t->rank == NULL) return VOXRT_ERR_NO_MEMORY;
+    if (r->map) return VOXRT_OK;
+    p = voxrti_v5_at(r, VOXRTI_V5_NODES);
+    for (i = 0; i < t->node_count; i++, p += 16) {
+        t->node[i].mask = voxrti_load_u64(p);
+        t->node[i].child = voxrti_load_u32(p + 8);
+        t->node[i].octant = voxrti_load_u32(p + 12);
+    }
+    p = voxrti_v5_at(r, VOXRTI_V5_LEAVES);
+    for (i = 0; i < leaves + 8; i++) t->leaf[i] = voxrti_load_u64(p + 8 * i);
+    p = voxrti_v5_at(r, VOXRTI_V5_RANKS);
+    for (i = 0; i < ranks; i++) t->rank[i] = voxrti_load_u32(p + 4 * i);
+    return VOXRT_OK;
+}
+
+/* Palette, normals, colours. */
+static voxrt_result voxrti_v5_read_attributes(voxrti_v5_reader *r, voxrt_tree *t) {
+    size_t i;
+    const uint8_t *p;
+    t->palette = (uint8_t *)voxrti_v5_array(r, VOXRTI_V5_PALETTE);
+    if (t->palette == NULL) return VOXRT_ERR_NO_MEMORY;
+    if (!r->map) memcpy(t->palette, voxrti_v5_at(r, VOXRTI_V5_PALETTE), (size_t)3 * t->palette_count);
+    if ((r->flags & VOXRTI_V5_HAS_NORMALS) != 0) {
+        const voxrti_v5_section *s = &r->f.section[VOXRTI_V5_NORMALS];
+        p = voxrti_v5_at(r, VOXRTI_V5_NORMALS);
+        if (s->encoding == 1) {
+            voxrt_result result;
+            if (t->attr_count > (size_t)-1 / 2) return VOXRT_ERR_NO_MEMORY;
+            result = voxrti_normals_decode(&r->mem, &r->desc.env, t, p, (size_t)s->size);
+            if (result != VOXRT_OK) return result;
+        } else {
+            t->normal = (uint16_t *)voxrti_v5_array(r, VOXRTI_V5_NORMALS);
+            if (t->normal == NULL) return VOXRT_ERR_NO_MEMORY;
+            for (i = 0; !r->map && i < t->attr_count; i++) t->normal[i] = (uint16_t)voxrti_load_u16(p + 2 * i);
+        }
+    }
+    if ((r->flags & VOXRTI_V5_HAS_COLORS) != 0) {
+        t->colors.block_count = (size_t)r->f.section[VOXRTI_V5_BLOCKS].count;
+        t->colors.block = (uint32_t *)voxrti_v5_array(r, VOXRTI_V5_BLOCKS);
+        t->colors.data = (uint8_t *)voxrti_v5_array(r, VOXRTI_V5_COLORS);
+        if (t->colors.block == NULL || t->colors.data == NULL) return VOXRT_ERR_NO_MEMORY;
+        if (r->map) return VOXRT_OK;
+        p = voxrti_v5_at(r, VOXRTI_V5_BLOCKS);
+        for (i = 0; i < t->colors.block_count; i++) t->colors.block[i] = voxrti_load_u32(p + 4 * i);
+        memcpy(t->colors.data, voxrti_v5_at(r, VOXRTI_V5_COLORS), t->colors.data_bytes + 8);
+    }
+    return VOXRT_OK;
+}
+
+/* Is what voxrti_tree_index would derive from the masks what the arrays hold? Writes nothing. */
+static int voxrti_v5_consistent(const voxrt_tree *t) {
+    uint32_t w, i, leaves = t->level_nodes[t->wide - 1];
+    uint64_t octants, cells;
+    for (w = 0; w + 1 < t->wide; w++) {
+        const voxrti_node *n = t->node + t->level_first[w];
+        uint64_t child = w + 2 < t->wide ? t->level_first[w + 1] : 0;
+        for (i = 0, octants = 0, cells = 0; i < t->level_nodes[w]; i++) {
+            if (n[i].mask == 0 || n[i].child != child + cells || n[i].octant != octants) return 0;
+            cells += voxrti_popcount64(n[i].mask);
+            octants += voxrti_popcount64(voxrti_octants(n[i].mask));
+        }
+        if (cells != t->level_nodes[w + 1] || octants != t->attr_first[2 * w] - t->attr_first[2 * w + 1]) return 0;
+    }
+    for (i = 0, octants = 0, cells = 0; i < leaves; i++) {
+        if ((i & 15u) == 0 && (t->rank[i >> 3] != cells || t->rank[(i >> 3) + 1] != octants)) return 0;
+        if (t->leaf[i] == 0) return 0;
+        cells += voxrti_popcount64(t->leaf[i]);
+        octants += voxrti_popcount64(voxrti_octants(t->leaf[i]));
+    }
+    for (i = 0; i < 8; i++)
+        if (t->leaf[(size_t)leaves + i] != 0) return 0;
+    i = (uint32_t)voxrti_rank_count(t);
+    return t->rank[i - 2] == cells && t->rank[i - 1] == octants && cells == t->voxel_count &&
+           octants == t->attr_first[2 * w] - t->attr_first[2 * w + 1];
+}
+
+/* Arrays of the tree whose header fields are set, and what may be wrong with them. */
+static voxrt_result voxrti_v5_read_arrays(voxrti_v5_reader *r, voxrt_tree *t) {
+    uint32_t raw = (r->flags & VOXRTI_V5_RAW_FILE) != 0, lo[3], hi[3];
+    uint64_t attr_first[2 * VOXRTI_MAX_WIDE + 2], root;
+    voxrt_result result;
+    memcpy(lo, t->cell_min, sizeof lo);
+    memcpy(hi, t->cell_max, sizeof hi);
+    memcpy(attr_first, t->attr_first, sizeof attr_first);
+    if (raw) {
+        result = voxrti_v5_read_raw(r, t);
+    } else {
+        const voxrti_v5_section *s = &r->f.section[VOXRTI_V5_GEOMETRY];
+        result = voxrti_geometry_decode(&r->mem, &r->desc.env, t, voxrti_v5_at(r, VOXRTI_V5_GEOMETRY), (size_t)s->size);
+        /* voxel_count is part of attr_first */
+        if (result == VOXRT_OK && memcmp(attr_first, t->attr_first, sizeof attr_first) != 0) result = VOXRT_ERR_FORMAT;
+    }
+    if (result != VOXRT_OK) return result;
+    root = t->wide > 1 ? t->node[0].mask : t->leaf[0];
+    if ((t->depth & 1u) != 0 && (root & ~(uint64_t)0xff) != 0) return VOXRT_ERR_FORMAT;
+    result = voxrti_v5_read_attributes(r, t);
+    if (result != VOXRT_OK || r->desc.trust_input) return result;
+    if (raw && !voxrti_v5_consistent(t)) return VOXRT_ERR_FORMAT;
+    result = voxrti_tree_box(t);
+    if (result != VOXRT_OK) return result;
+    if (memcmp(lo, t->cell_min, sizeof lo) != 0 || memcmp(hi, t->cell_max, sizeof hi) != 0) return VOXRT_ERR_FORMAT;
+    return voxrti_colors_valid(&t->colors, t->attr_count, t->palette_count) ? VOXRT_OK : VOXRT_ERR_FORMAT;
+}
+
+static voxrt_result voxrti_v5_open(voxrti_v5_reader *r, voxrt_tree **out) {
+    voxrt_tree *t;
+    voxrt_result result = voxrti_v5_read_table(r);
+    if (result != VOXRT_OK) return result;
+    if (r->map && r->f.section[VOXRTI_V5_NODES].id == 0)
+        return voxrti_v5_fail(r, VOXRT_ERR_INVALID_ARG, 0, "only raw files can be used in place");
+    t = (voxrt_tree *)voxrti_alloc_zero(&r->mem, 1, sizeof *t);
+    if (t == NULL) return voxrti_v5_fail(r, VOXRT_ERR_NO_MEMORY, 0, voxrt_result_string(VOXRT_ERR_NO_MEMORY));
+    if (r->map) t->borrowed = r->data;
+    result = voxrti_v5_read_placement(r, t);
+    if (result == VOXRT_OK) {
+        result = voxrti_v5_read_arrays(r, t);
+        if (result != VOXRT_OK)
+            (void)voxrti_v5_fail(r, result, 0, result == VOXRT_ERR_NO_MEMORY ? voxrt_result_string(result) :
+                                 "masks, counts or colours are inconsistent");
+    }
+    if (result != VOXRT_OK) {
+        voxrti_tree_free(&r->mem, t);
+        return result;
+    }
+    t->cpu_level = voxrti_cpu_level();
+    t->mem = r->mem;
+    t->mem.limit = 0;
+    *out = t;
+    return VOXRT_OK;
+}
+
+static voxrt_result voxrti_v5_load(const voxrt_load_desc *desc, const void *data, size_t size, int map,
+                                   voxrt_tree **out_tree) {
+    voxrti_v5_reader r;
+    voxrt_result result;
+    if (out_tree == NULL) return VOXRT_ERR_INVALID_ARG;
+    *out_tree = NULL;
+    memset(&r, 0, sizeof r);
+    if (desc != NULL) r.desc = *desc;
+    if (r.desc._begin_zero != 0 || r.desc._end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
+    if (r.desc.env.error != NULL) memset(r.desc.env.error, 0, sizeof *r.desc.env.error);
+    if (data == NULL && size != 0) return voxrti_v5_fail(&r, VOXRT_ERR_INVALID_ARG, 0, "no data");
+    if (size == 0) return voxrti_v5_fail(&r, VOXRT_ERR_TRUNCATED, 0, "no data");
+    if (map && (((uintptr_t)data & 63u) != 0 || !voxrti_little_endian()))
+        return voxrti_v5_fail(&r, VOXRT_ERR_INVALID_ARG, 0, "mapping needs 64-byte alignment and a little-endian host");
+    result = voxrti_env_open(&r.desc.env, &r.mem);
+    if (result != VOXRT_OK) return result;
+    r.data = (const uint8_t *)data;
+    r.size = size;
+    r.map = map;
+    return voxrti_v5_open(&r, out_tree);
+}
+
+VOXRT_DEF voxrt_result voxrt_tree_load_memory(const voxrt_load_desc *desc, const void *data, size_t size,
+                                              voxrt_tree **out_tree) {
+    return voxrti_v5_load(desc, data, size, 0, out_tree);
+}
+
+VOXRT_DEF voxrt_result voxrt_tree_map_memory(const voxrt_load_desc *desc, const void *data, size_t size,
+                                             voxrt_tree **out_tree) {
+    return voxrti_v5_load(desc, data, size, 1, out_tree);
+}
+
+/* ---- files ---- */
+
+#ifndef VOXRT_NO_STDIO
+
+/* Write `size` bytes to path.part, then rename. Shared with the other format. */
+static VOXRTI_UNUSED voxrt_result voxrti_write_file(voxrti_mem *mem, const char *path, const void *data, size_t size) {
+    size_t n = strlen(path);
+    char *part = (char *)voxrti_alloc(mem, n + 6);
+    FILE *file;
+    int ok;
+    if (part == NULL) return VOXRT_ERR_NO_MEMORY;
+    memcpy(part, path, n);
+    memcpy(part + n, ".part", 6);
+    file = fopen(part, "wb");
+    ok = file != NULL;
+    if (ok) {
+        ok = fwrite(data, 1, size, file) == size;
+        ok = fclose(file) == 0 && ok;
+#ifdef _WIN32 /* rename does not replace there */
+        if (ok) (void)remove(path);
+#endif
+        ok = ok && rename(part, path) == 0;
+        if (!ok) (void)remove(part);
+    }
+    voxrti_free(mem, part);
+    return ok ? VOXRT_OK : VOXRT_ERR_IO;
+}
+
+/* The whole file into memory from `mem`; grows with what is really there. */
+static VOXRTI_UNUSED voxrt_result voxrti_read_file(voxrti_mem *mem, const char *path, void **data, size_t *size) {
+    FILE *file = fopen(path, "rb");
+    size_t capacity = 0, n = 0, got;
+    voxrt_result r = VOXRT_OK;
+    *data = NULL;
+    *size = 0;
+    if (file == NULL) return VOXRT_ERR_IO;
+    do {
+        if (n == capacity && !voxrti_grow(mem, data, &capacity, n, n < 65536 ? 65536 : n + 1, 1)) {
+            r = VOXRT_ERR_NO_MEMORY;
+            break;
+        }
+        got = fread((uint8_t *)*data + n, 1, capacity - n, file);
+        n += got;
+    } while (got != 0);
+    if (r == VOXRT_OK && ferror(file) != 0) r = VOXRT_ERR_IO;
+    (void)fclose(file);
+    if (r != VOXRT_OK) {
+        voxrti_free(mem, *data);
+        *data = NULL;
+    }
+    *size = n;
+    return r;
+}
+
+VOXRT_DEF voxrt_result voxrt_tree_save_file(const voxrt_tree *tree, const voxrt_save_desc *desc, const char *path) {
+    voxrt_save_desc d;
+    voxrti_mem mem;
+    voxrti_v5_file f;
+    size_t size = 0;
+    uint8_t *data = NULL;
+    voxrt_result r = voxrti_save_open(tree, desc, &d, &mem);
+    if (r != VOXRT_OK) return r;
+    if (path == NULL) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no path");
+    r = voxrti_v5_plan(&mem, &d, tree, &f, &size);
+    if (r == VOXRT_OK) {
+        data = (uint8_t *)voxrti_alloc(&mem, size);
+        if (data == NULL) r = VOXRT_ERR_NO_MEMORY;
+        else voxrti_v5_write(tree, &f, data, size);
+    }
+    voxrti_free(&mem, f.geometry.data);
+    voxrti_free(&mem, f.normals.data);
+    if (r == VOXRT_OK) r = voxrti_write_file(&mem, path, data, size);
+    voxrti_free(&mem, data);
+    return r == VOXRT_OK ? r : voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
+}
+
+VOXRT_DEF voxrt_result voxrt_tree_load_file(const voxrt_load_desc *desc, const char *path, voxrt_tree **out_tree) {
+    voxrt_load_desc d;
+    voxrti_mem mem;
+    voxrt_result r;
+    void *data;
+    size_t size;
+    if (out_tree == NULL) return VOXRT_ERR_INVALID_ARG;
+    *out_tree = NULL;
+    memset(&d, 0, sizeof d);
+    if (desc != NULL) d = *desc;
+    if (d._begin_zero != 0 || d._end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
+    if (d.env.error != NULL) memset(d.env.error, 0, sizeof *d.env.error);
+    if (path == NULL) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no path");
+    r = voxrti_env_open(&d.env, &mem);
+    if (r != VOXRT_OK) return r;
+    r = voxrti_read_file(&mem, path, &data, &size);
+    if (r != VOXRT_OK) return voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
+    if (d.env.memory_limit != 0) /* what the file itself holds counts */
+        d.env.memory_limit = d.env.memory_limit > mem.used ? d.env.memory_limit - mem.used : 1;
+    r = voxrt_tree_load_memory(&d, data, size, out_tree);
+    voxrti_free(&mem, data);
+    return r;
+}
+#endif
+/* ---------------------------------------------------------------------------
+   trace: rays through the wide tree.                                            // >>trace
+
+   A ray is mirrored so that it runs in the positive direction of every axis. Its crossing with plane i of axis a is
+   the event T_a(i) = (i - o_a) * inv_a, in double precision. All decisions compare events, ties go x before y before
+   z, and the cell at time t is the number of events up to t: so the sequence of leaf cells along a ray is fixed by
+   the ray alone, whatever empty space is jumped and wherever a beam starts. Exactly one axis steps at a time: the
+   path is 6-connected and cannot slip through a 6-separating surface. No epsilon, at most 3*2^depth steps.
+   Popping: the highest bit in which old and new cell differ tells the common ancestor.
+   Every instruction set computes the same events with the same operations: equal bits.
+   --------------------------------------------------------------------------- */
+
+#define VOXRTI_INF ((double)INFINITY)
+
+typedef struct voxrti_rayx {
+    double o[3], d[3], inv[3]; /* grid units, mirrored, d >= 0; for d = 0: o = centre of the cell, inv = infinity */
+    double t, t_end, t_min;    /* first and last time inside the box of filled cells; start of the ray */
+    double base;               /* added to t when the origin was moved next to the box */
+    uint32_t c[3];             /* cell at time t, mirrored */
+    uint32_t flip;             /* 9 << a for mirrored axes: turns a mirrored slot into a real one */
+} voxrti_rayx;
+
+typedef struct voxrti_cone { /* footprint in cells at time t: at least floor_, and width + spread * t */
+    double width, spread, floor_;
+    int on;
+    uint32_t lo[3], hi[3]; /* box of the filled cells, in whole cells of edge floor_ */
+} voxrti_cone;
+
+/* ---- exact setup for origins far away: double-double numbers (Dekker 1971, Knuth) ---- */
+
+typedef struct voxrti_dd { double h, l; } voxrti_dd;
+
+static voxrti_dd voxrti_two_sum(double a, double b) {
+    voxrti_dd r;
+    double bb;
+    r.h = a + b;
+    bb = r.h - a;
+    r.l = (a - (r.h - bb)) + (b - bb);
+    return r;
+}
+static voxrti_dd voxrti_two_prod(double a, double b) {
+    voxrti_dd r;
+    double p = a * 134217729.0, ah = p - (p - a), al = a - ah, q = b * 134217729.0, bh = q - (q - b), bl = b - bh;
+    r.h = a * b;
+    r.l = ((ah * bh - r.h) + ah * bl + al * bh) + al * bl;
+    return r;
+}
+static voxrti_dd voxrti_dd_add(voxrti_dd a, voxrti_dd b) {
+    voxrti_dd s = voxrti_two_sum(a.h, b.h);
+    return voxrti_two_sum(s.h, s.l + (a.l + b.l));
+}
+static voxrti_dd voxrti_dd_mul(voxrti_dd a, double b) {
+    voxrti_dd p = voxrti_two_prod(a.h, b);
+    return voxrti_two_sum(p.h, p.l + a.l * b);
+}
+static voxrti_dd voxrti_dd_div(voxrti_dd a, double b) {
+    double q = a.h / b;
+    voxrti_dd r = voxrti_two_prod(-q, b);
+    r = voxrti_dd_add(a, r);
+    return voxrti_two_sum(q, r.h / b);
+}
+
+/* Cell of axis b at time t, when axis k has just stepped at t (3: count all events at t). lo <= result <= hi. */
+VOXRTI_INLINE uint32_t voxrti_cell_at(const voxrti_rayx *r, uint32_t b, double t, uint32_t k, uint32_t lo, uint32_t hi) {
+    double p = r->o[b] + t * r->d[b], e;
+    uint32_t q = p > (double)lo ? p < (double)hi ? (uint32_t)(int32_t)p : hi : lo;
+    while (q < hi) {
+        e = ((double)(q + 1) - r->o[b]) * r->inv[b];
+        if (!(e < t || (e == t && b < k))) break;
+        q++;
+    }
+    while (q > lo) {
+        e = ((double)q - r->o[b]) * r->inv[b];
+        if (!(e > t || (e == t && b > k))) break;
+        q--;
+    }
+    return q;
+}
+
+/* Move the origin of a ray that starts far outside next to the box, exactly to 2^-40 cells up to 2^60 cells away.
+   og, dg: the unmirrored ray in grid units as double-doubles and doubles. */
+static VOXRTI_NOINLINE void voxrti_ray_rebase(voxrti_rayx *r, const voxrti_dd og[3], const double lo[3], const double hi[3]) {
+    voxrti_dd t, p, q;
+    uint32_t a, k = 3;
+    t.h = t.l = 0;
+    for (a = 0; a < 3; a++) {
+        if (r->d[a] == 0) continue;
+        p.h = lo[a];
+        p.l = 0;
+        q.h = -og[a].h;
+        q.l = -og[a].l;
+        p = voxrti_dd_div(voxrti_dd_add(p, q), r->d[a]);
+        if (p.h > t.h || (p.h == t.h && p.l > t.l)) {
+            t = p;
+            k = a;
+        }
+    }
+    r->base = t.h;
+    for (a = 0; a < 3; a++) {
+        if (r->d[a] == 0) continue;
+        p = voxrti_dd_add(og[a], voxrti_dd_mul(t, r->d[a]));
+        r->o[a] = a == k ? lo[a] : p.h + p.l;
+        if (!(r->o[a] >= lo[a] - 2)) r->o[a] = lo[a] - 2; /* passes by, or NaN */
+        if (r->o[a] > hi[a] + 2) r->o[a] = hi[a] + 2;
+    }
+}
+
+VOXRTI_INLINE double voxrti_footprint(const voxrti_cone *cone, double t) {
+    return voxrti_max(cone->floor_, cone->width + cone->spread * t);
+}
+
+/* ---- beam: where the rays of a tile can first meet anything (after Laine & Karras 2010; Wald et al. 2006) ----
+   Rays with one origin that all run along axis m stay inside the slopes [lo, hi] of the two other axes. The tree is
+   walked front to back through that frustum, a node's 4x4x4 cells at a time as mask operations, down to cells about
+   as wide as the frustum. The nearest plane of axis m at which a non-empty cell starts is where all rays start. */
+
+typedef struct voxrti_beam {
+    int on;                 /* 0: no common start; 1: start at plane z; 2: nothing can be hit */
+    uint32_t m, u, v;       /* main axis and the others */
+    uint32_t back;          /* 1: the main axis is mirrored (rays run in its negative direction) */
+    double z;               /* plane of axis m, mirrored coordinates */
+    double om, o[2];        /* origin: main axis (mirrored), u, v */
+    double lo[2], hi[2];    /* slopes du/dm, dv/dm */
+    double slow;            /* with level of detail: most units of t per cell along the main axis */
+    double best;
+    uint32_t path[VOXRTI_MAX_WIDE];  /* nodes from the root to the nearest cell's node, while walking */
+    uint32_t chain[VOXRTI_MAX_WIDE]; /* the same for the best cell: rays may start at the deepest that holds them */
+    uint32_t chain_w, cell[3];       /* its last level; the leaf cell at its corner, not mirrored */
+} voxrti_beam;
+
+#define VOXRTI_BEAM_MARGIN 0.0078125 /* cells; covers rounding of slopes and positions up to 2^20 cells */
+
+/* cells of a mask whose index on axis a is i */
+static const uint64_t voxrti_axis_mask[3][4] = {
+    {0x0055005500550055u, 0x00aa00aa00aa00aau, 0x5500550055005500u, 0xaa00aa00aa00aa00u},
+    {0x0000333300003333u, 0x0000cccc0000ccccu, 0x3333000033330000u, 0xcccc0000cccc0000u},
+    {0x000000000f0f0f0fu, 0x00000000f0f0f0f0u, 0x0f0f0f0f00000000u, 0xf0f0f0f000000000u}
+};
+
+/* Cells i0..i1 that [from, to] covers on axis a, as a mask; size: edge of a cell. */
+VOXRTI_INLINE uint64_t voxrti_beam_range(uint32_t a, double from, double to, double inv_size) {
+    uint64_t r = 0;
+    int32_t i0, i1;
+    from *= inv_size;
+    to *= inv_size;
+    if (!(to >= 0) || !(from < 4)) return 0;
+    i0 = from > 0 ? (int32_t)from : 0;
+    i1 = to < 4 ? (int32_t)to : 3;
+    for (; i0 <= i1; i0++) r |= voxrti_axis_mask[a][i0];
+    return r;
+}
+
+static void voxrti_beam_best(const voxrt_tree *t, voxrti_beam *b, uint32_t w, double z, const double corner[3],
+                             uint64_t cells) {
+    uint32_t slot = voxrti_ctz64(cells), sh = 2 * (t->wide - 1 - w), i;
+    for (i = 0; i <= w; i++) b->chain[i] = b->path[i];
+    b->chain_w = w;
+    for (i = 0; i < 3; i++) b->cell[i] = (uint32_t)corner[i];
+    if (b->back) b->cell[b->m] = ((uint32_t)1 << (2 * t->wide)) - (b->cell[b->m] + (4u << sh));
+    b->cell[0] += voxrti_slot_x(slot) << sh;
+    b->cell[1] += voxrti_slot_y(slot) << sh;
+    b->cell[2] += voxrti_slot_z(slot) << sh;
+    b->best = z;
+}
+
+/* corner: of the node, main axis mirrored. */
+static void voxrti_beam_node(const voxrt_tree *t, const voxrti_cone *cone, voxrti_beam *b, uint32_t w, uint32_t node,
+                             const double corner[3]) {
+    uint64_t mask = w + 1 == t->wide ? t->leaf[node] : t->node[node].mask;
+    double size = (double)((uint32_t)1 << (2 * (t->wide - 1 - w))), inv_size = 1.0 / size, plane[5][4], width;
+    double child[3];
+    uint32_t s, i;
+    b->path[w] = node;
+    for (i = 0; i < 5; i++) {
+        double z = corner[b->m] + (double)i * size - b->om;
+        if (z < 0) z = 0;
+        plane[i][0] = b->o[0] + z * b->lo[0] - VOXRTI_BEAM_MARGIN - corner[b->u];
+        plane[i][1] = b->o[0] + z * b->hi[0] + VOXRTI_BEAM_MARGIN - corner[b->u];
+        plane[i][2] = b->o[1] + z * b->lo[1] - VOXRTI_BEAM_MARGIN - corner[b->v];
+        plane[i][3] = b->o[1] + z * b->hi[1] + VOXRTI_BEAM_MARGIN - corner[b->v];
+    }
+    for (s = 0; s < 4; s++) {
+        double z0 = corner[b->m] + (double)s * size;
+        uint64_t cells;
+        if (z0 >= b->best) return;
+        if (z0 + size < b->om) continue;
+        cells = mask & voxrti_axis_mask[b->m][b->back ? 3 - s : s];
+        if (cells == 0) continue;
+        cells &= voxrti_beam_range(b->u, voxrti_min(plane[s][0], plane[s + 1][0]), voxrti_max(plane[s][1], plane[s + 1][1]), inv_size);
+        if (cells == 0) continue;
+        cells &= voxrti_beam_range(b->v, voxrti_min(plane[s][2], plane[s + 1][2]), voxrti_max(plane[s][3], plane[s + 1][3]), inv_size);
+        if (cells == 0) continue;
+        width = voxrti_max(plane[s][1] - plane[s][0], plane[s][3] - plane[s][2]);
+        if (w + 1 == t->wide || size <= 0.25 * width) {
+            voxrti_beam_best(t, b, w, z0, corner, cells);
+            return;
+        }
+        if (cone->on) { /* never below the cells that level of detail accepts */
+            if (size <= voxrti_footprint(cone, (z0 + size - b->om) * b->slow)) {
+                voxrti_beam_best(t, b, w, z0, corner, cells);
+                return;
+            }
+        }
+        for (; cells != 0; cells &= cells - 1) {
+            uint32_t slot = voxrti_ctz64(cells), at[3];
+            at[0] = voxrti_slot_x(slot);
+            at[1] = voxrti_slot_y(slot);
+            at[2] = voxrti_slot_z(slot);
+            child[b->m] = z0;
+            child[b->u] = corner[b->u] + (double)at[b->u] * size;
+            child[b->v] = corner[b->v] + (double)at[b->v] * size;
+            voxrti_beam_node(t, cone, b, w + 1, t->node[node].child + voxrti_popcount64(mask & (((uint64_t)1 << slot) - 1)), child);
+            if (z0 >= b->best) return;
+        }
+    }
+}
+
+/* Range of the slopes of the rays; 0 when they do not make a narrow beam along axis m. */
+static int voxrti_beam_slopes(voxrti_beam *b, const voxrt_ray *rays, uint32_t n) {
+    float lo0 = INFINITY, hi0 = -INFINITY, lo1 = INFINITY, hi1 = -INFINITY, sign = b->back ? -1.0f : 1.0f;
+    uint32_t i, bad = 0;
+    for (i = 0; i < n; i++) {
+        float dm = rays[i].dir[b->m] * sign, su = rays[i].dir[b->u] / dm, sv = rays[i].dir[b->v] / dm;
+        bad |= !(dm > 0.0f);
+        lo0 = su < lo0 ? su : lo0;
+        hi0 = su > hi0 ? su : hi0;
+        lo1 = sv < lo1 ? sv : lo1;
+        hi1 = sv > hi1 ? sv : hi1;
+    }
+    if (bad || !(lo0 > -8.0f && hi0 < 8.0f && lo1 > -8.0f && hi1 < 8.0f) || hi0 - lo0 > 0.25f || hi1 - lo1 > 0.25f) return 0;
+    b->lo[0] = (double)lo0;
+    b->hi[0] = (double)hi0;
+    b->lo[1] = (double)lo1;
+    b->hi[1] = (double)hi1;
+    return 1;
+}
+
+#if VOXRTI_AVX512
+VOXRTI_TARGET_AVX512 static int voxrti_beam_slopes_avx512(voxrti_beam *b, const voxrt_ray *rays, uint32_t n) {
+    const __m512i step = _mm512_mullo_epi32(_mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15), _mm512_set1_epi32(8));
+    const __m512 inf = _mm512_set1_ps(INFINITY), minf = _mm512_set1_ps(-INFINITY);
+    __m512 lo0 = inf, hi0 = minf, lo1 = inf, hi1 = minf, sign = _mm512_set1_ps(b->back ? -1.0f : 1.0f);
+    __mmask16 bad = 0;
+    float a, c, d, e;
+    uint32_t i;
+    for (i = 0; i < n; i += 16) {
+        __mmask16 k = n - i >= 16 ? (__mmask16)0xffff : (__mmask16)((1u << (n - i)) - 1u);
+        const float *p = rays[i].dir;
+        __m512 dm = _mm512_mul_ps(_mm512_mask_i32gather_ps(minf, k, step, p + b->m, 4), sign);
+        __m512 su = _mm512_div_ps(_mm512_mask_i32gather_ps(minf, k, step, p + b->u, 4), dm);
+        __m512 sv = _mm512_div_ps(_mm512_mask_i32gather_ps(minf, k, step, p + b->v, 4), dm);
+        bad |= _mm512_mask_cmp_ps_mask(k, dm, _mm512_setzero_ps(), _CMP_NGT_UQ);
+        lo0 = _mm512_mask_min_ps(lo0, k, su, lo0);
+        hi0 = _mm512_mask_max_ps(hi0, k, su, hi0);
+        lo1 = _mm512_mask_min_ps(lo1, k, sv, lo1);
+        hi1 = _mm512_mask_max_ps(hi1, k, sv, hi1);
+    }
+    a = _mm512_reduce_min_ps(lo0);
+    c = _mm512_reduce_max_ps(hi0);
+    d = _mm512_reduce_min_ps(lo1);
+    e = _mm512_reduce_max_ps(hi1);
+    if (bad || !(a > -8.0f && c < 8.0f && d > -8.0f && e < 8.0f) || c - a > 0.25f || e - d > 0.25f) return 0;
+    b->lo[0] = (double)a;
+    b->hi[0] = (double)c;
+    b->lo[1] = (double)d;
+    b->hi[1] = (double)e;
+    return 1;
+}
+#endif
+
+/* Common start of n <= 64 rays, if they have one origin and make a beam. */
+static void voxrti_beam_find(const voxrt_tree *t, const voxrti_cone *cone, const voxrt_ray *rays, uint32_t n, int isa,
+                             voxrti_beam *b) {
+    double full = (double)((uint32_t)1 << (2 * t->wide)), scale = 1.0 / t->voxel_size, o[3], corner[3] = {0, 0, 0};
+    const float *org = rays[0].org, *dir = rays[0].dir;
+    uint32_t i, a, diff = 0;
+    float x = voxrti_absf(dir[0]), y = voxrti_absf(dir[1]), z = voxrti_absf(dir[2]);
+    b->on = 0;
+    if (n < 8 || memcmp(org, rays[n - 1].org, 12) != 0) return;
+    for (i = 1; i < n; i++) {
+        uint32_t p[3], q[3];
+        memcpy(p, org, 12);
+        memcpy(q, rays[i].org, 12);
+        diff |= (p[0] ^ q[0]) | (p[1] ^ q[1]) | (p[2] ^ q[2]);
+    }
+    if (diff != 0) return;
+    b->m = x > y ? (x > z ? 0u : 2u) : (y > z ? 1u : 2u);
+    b->u = b->m == 0 ? 1u : 0u;
+    b->v = b->m == 2 ? 1u : 2u;
+    b->back = dir[b->m] < 0;
+#if VOXRTI_AVX512
+    if (isa == VOXRT_ISA_AVX512 ? !voxrti_beam_slopes_avx512(b, rays, n) : !voxrti_beam_slopes(b, rays, n)) return;
+#else
+    (void)isa;
+    if (!voxrti_beam_slopes(b, rays, n)) return;
+#endif
+    for (a = 0; a < 3; a++) {
+        o[a] = ((double)org[a] - t->origin[a]) * scale;
+        if (!(voxrti_abs(o[a]) < 1048576.0)) return;
+    }
+    for (a = 0; a < 2; a++) { /* floats' rounding: 2^-23 relative per operation, distances below 2^21 */
+        double slack = 4e-7 * (1.0 + voxrti_abs(b->lo[a]) + voxrti_abs(b->hi[a]));
+        b->lo[a] -= slack;
+        b->hi[a] += slack;
+    }
+    b->slow = 0;
+    for (i = 0; cone->on && i < n; i++) b->slow = voxrti_max(b->slow, 1.0 / (voxrti_abs((double)rays[i].dir[b->m]) * scale));
+    b->om = b->back ? full - o[b->m] : o[b->m];
+    b->o[0] = o[b->u];
+    b->o[1] = o[b->v];
+    b->best = VOXRTI_INF;
+    voxrti_beam_node(t, cone, b, 0, 0, corner);
+    b->z = b->best;
+    b->on = b->best < full ? 1 : 2;
+}
+
+/* Ray -> grid. 0: misses the box of filled cells; -1: not a usable ray. */
+static VOXRTI_UNUSED int voxrti_ray_setup(const voxrt_tree *t, const voxrti_cone *cone, const voxrt_ray *ray,
+                                          const voxrti_beam *beam, voxrti_rayx *r) {
+    double lo[3], hi[3], full = (double)((uint32_t)1 << (2 * t->wide)), scale = 1.0 / t->voxel_size;
+    double big = 0, t_in = -VOXRTI_INF, t_out = VOXRTI_INF;
+    uint32_t a, k = 3;
+    int moving = 0;
+    r->flip = 0;
+    r->base = 0;
+    for (a = 0; a < 3; a++) {
+        double o = ((double)ray->org[a] - t->origin[a]) * scale, d = (double)ray->dir[a] * scale;
+        if (!voxrti_finite(o) || !voxrti_finite(d)) return -1;
+        lo[a] = (double)cone->lo[a];
+        hi[a] = (double)cone->hi[a];
+        r->inv[a] = VOXRTI_INF;
+        if (d < 0) {
+            o = full - o;
+            d = -d;
+            lo[a] = full - (double)cone->hi[a];
+            hi[a] = full - (double)cone->lo[a];
+            r->flip |= 9u << a;
+        }
+        if (d != 0) r->inv[a] = 1.0 / d;
+        if (r->inv[a] == VOXRTI_INF) d = 0;
+        else moving = 1;
+        r->o[a] = o;
+        r->d[a] = d;
+        big = voxrti_max(big, voxrti_abs(o));
+    }
+    if (!moving || !(ray->t_min <= ray->t_max)) return -1;
+    if (big > 16777216.0) {
+        voxrti_dd og[3];
+        for (a = 0; a < 3; a++) {
+            og[a] = voxrti_two_sum((double)ray->org[a], -t->origin[a]);
+            if (scale != 1.0) og[a] = voxrti_dd_mul(og[a], scale);
+            if (r->flip >> a & 1u) {
+                voxrti_dd f;
+                f.h = full;
+                f.l = 0;
+                og[a].h = -og[a].h;
+                og[a].l = -og[a].l;
+                og[a] = voxrti_dd_add(f, og[a]);
+            }
+        }
+        voxrti_ray_rebase(r, og, lo, hi);
+    }
+    for (a = 0; a < 3; a++) {
+        double e;
+        if (r->d[a] == 0) {
+            if (!(r->o[a] >= lo[a] && r->o[a] < hi[a])) return 0;
+            r->o[a] = (double)(int32_t)r->o[a] + 0.5;
+            continue;
+        }
+        e = (lo[a] - r->o[a]) * r->inv[a];
+        if (e > t_in) {
+            t_in = e;
+            k = a;
+        }
+        t_out = voxrti_min(t_out, (hi[a] - r->o[a]) * r->inv[a]);
+    }
+    r->t_min = (double)ray->t_min - r->base;
+    r->t = voxrti_max(t_in, r->t_min);
+    if (r->t > t_in) k = 3;
+    r->t_end = voxrti_min(t_out, (double)ray->t_max - r->base);
+    if (beam != NULL && beam->on && big <= 16777216.0) {
+        double e = (beam->z - r->o[beam->m]) * r->inv[beam->m];
+        if (e > r->t) {
+            r->t = e;
+            k = beam->m;
+            lo[k] = beam->z;
+        }
+    }
+    if (!(r->t < r->t_end)) return 0;
+    for (a = 0; a < 3; a++) {
+        uint32_t l = (uint32_t)lo[a];
+        r->c[a] = a == k ? l : r->d[a] == 0 ? (uint32_t)r->o[a] :
+                  voxrti_cell_at(r, a, r->t, k, l, (uint32_t)hi[a] - 1);
+    }
+    return 1;
+}
+
+VOXRTI_INLINE uint32_t voxrti_slot_of(const uint32_t c[3], uint32_t sh) {
+    static const uint8_t spread[4] = {0, 1, 8, 9};
+    return (uint32_t)spread[c[0] >> sh & 3u] | (uint32_t)spread[c[1] >> sh & 3u] << 1 |
+           (uint32_t)spread[c[2] >> sh & 3u] << 2;
+}
+
+/* Time at which the ray enters the cell of edge 2^ls that holds c, not before its start; and the face. */
+VOXRTI_INLINE double voxrti_entry(const voxrti_rayx *r, const uint32_t c[3], uint32_t ls, uint32_t *face) {
+    double t = -VOXRTI_INF, e;
+    uint32_t a, f = 6;
+    for (a = 0; a < 3; a++) {
+        if (r->d[a] == 0) continue;
+        e = ((double)(c[a] >> ls << ls) - r->o[a]) * r->inv[a];
+        if (e >= t) { /* ties: the axis that stepped last */
+            t = e;
+            f = a;
+        }
+    }
+    if (t < r->t_min) {
+        t = r->t_min;
+        f = 6;
+    }
+    *face = f == 6 ? 6 : 2 * f + (r->flip >> f & 1u);
+    return t;
+}
+
+static void voxrti_miss(voxrt_hit *hit) {
+    memset(hit, 0, sizeof *hit);
+    hit->t = INFINITY;
+    hit->node = VOXRT_NO_NODE;
+}
+
+/* The hit record of the cell of edge 2^ls around c. */
+VOXRTI_INLINE void voxrti_hit_fill(const voxrt_tree *t, const voxrti_rayx *r, const uint32_t c[3], uint32_t ls,
+                                   uint32_t node, uint32_t slot, voxrt_hit *hit) {
+    uint32_t a, face, full = ((uint32_t)1 << (2 * t->wide)) - 1u;
+    double te = voxrti_entry(r, c, ls, &face);
+    hit->t = (float)(te + r->base);
+    for (a = 0; a < 3; a++) hit->cell[a] = ((r->flip >> a & 1u) ? full - c[a] : c[a]) >> ls;
+    hit->node = node;
+    hit->slot = (uint8_t)slot;
+    hit->level = (uint8_t)(t->depth - ls);
+    hit->face = (uint8_t)face;
+    hit->_reserved = 0;
+}
+
+/* Closest hit of one prepared ray. The plain form of all kernels below. */
+static VOXRTI_UNUSED int voxrti_trace_scalar(const voxrt_tree *t, const voxrti_rayx *r, const voxrti_cone *cone,
+                                             voxrt_hit *hit, voxrt_stats *stats) {
+    uint32_t stack_node[VOXRTI_MAX_WIDE], c[3], leaf_w = t->wide - 1, w = 0, node = 0, a;
+    uint64_t stack_mask[VOXRTI_MAX_WIDE], mask = leaf_w == 0 ? t->leaf[0] : t->node[0].mask, steps = 0, descents = 0;
+    double time = r->t;
+    int found = 0;
+    for (a = 0; a < 3; a++) c[a] = r->c[a];
+    if (cone->on && cone->floor_ >= (double)(1u << 2 * t->wide)) { /* one cell for all */
+        voxrti_hit_fill(t, r, c, 2 * t->wide, 0, 0, hit);
+        return 1;
+    }
+    for (;;) {
+        uint32_t slot, sh, ls, face[3], old[3], k, x, common;
+        double e[3];
+        for (;;) { /* down to an empty cell or a voxel */
+            sh = 2 * (leaf_w - w);
+            slot = voxrti_slot_of(c, sh) ^ r->flip;
+            if ((mask >> slot & 1u) == 0) {
+                ls = sh + ((mask >> (slot & 56u) & 255u) == 0);
+                if (!cone->on || ls != sh || voxrti_footprint(cone, time) < (double)(2u << sh)) break;
+                if (voxrti_footprint(cone, voxrti_entry(r, c, sh + 1, &x)) < (double)(2u << sh)) break;
+                voxrti_hit_fill(t, r, c, sh + 1, node, slot & 56u, hit);
+                found = 1;
+                break;
+            }
+            if (cone->on && voxrti_footprint(cone, time) >= (double)(1u << sh)) {
+                if (voxrti_footprint(cone, voxrti_entry(r, c, sh + 1, &x)) >= (double)(2u << sh)) {
+                    voxrti_hit_fill(t, r, c, sh + 1, node, slot & 56u, hit);
+                    found = 1;
+                    break;
+                }
+                if (voxrti_footprint(cone, voxrti_entry(r, c, sh, &x)) >= (double)(1u << sh)) {
+                    voxrti_hit_fill(t, r, c, sh, node, slot, hit);
+                    found = 1;
+                    break;
+                }
+            }
+            if (w == leaf_w) {
+                voxrti_hit_fill(t, r, c, 0, node, slot, hit);
+                found = 1;
+                break;
+            }
+            stack_node[w] = node;
+            stack_mask[w] = mask;
+            node = t->node[node].child + voxrti_popcount64(mask & (((uint64_t)1 << slot) - 1));
+            w++;
+            mask = w == leaf_w ? t->leaf[node] : t->node[node].mask;
+            descents++;
+        }
+        if (found) break;
+        for (a = 0; a < 3; a++) {
+            old[a] = c[a];
+            face[a] = ((c[a] >> ls) + 1) << ls;
+            e[a] = ((double)face[a] - r->o[a]) * r->inv[a];
+        }
+        k = e[0] <= e[1] ? (e[0] <= e[2] ? 0u : 2u) : (e[1] <= e[2] ? 1u : 2u);
+        time = e[k];
+        steps++;
+        if (!(time < r->t_end)) break;
+        for (a = 0; a < 3; a++) {
+            if (a == k) c[a] = face[a];
+            else if (ls != 0) c[a] = voxrti_cell_at(r, a, time, k, old[a], face[a] - 1);
+        }
+        x = (c[0] ^ old[0]) | (c[1] ^ old[1]) | (c[2] ^ old[2]);
+        common = leaf_w - (31u - voxrti_clz32(x)) / 2;
+        if (common < w) {
+            w = common;
+            node = stack_node[w];
+            mask = stack_mask[w];
+        }
+    }
+    if (stats != NULL) {
+        stats->steps += steps;
+        stats->descents += descents;
+    }
+    if (!found) voxrti_miss(hit);
+    return found;
+}
+
+static void voxrti_trace_one(const voxrt_tree *t, const voxrti_cone *cone, const voxrti_beam *beam, const voxrt_ray *ray,
+                             voxrt_hit *hit, voxrt_stats *stats) {
+    voxrti_rayx r;
+    int ok = voxrti_ray_setup(t, cone, ray, beam, &r);
+    if (stats != NULL) {
+        stats->rays++;
+        stats->bad_rays += ok < 0;
+    }
+    if (ok > 0) {
+        ok = voxrti_trace_scalar(t, &r, cone, hit, stats);
+        if (stats != NULL) stats->hits += (uint64_t)ok;
+    } else {
+        voxrti_miss(hit);
+    }
+}
+
+/* ---- AVX-512: groups of eight rays in flight, a finished lane takes the next ray ---- */
+
+#if VOXRTI_AVX512
+
+#define VOXRTI_LOAD8(a) _mm256_loadu_si256((const __m256i *)(const void *)(a))
+#define VOXRTI_STORE8(a, v) _mm256_storeu_si256((__m256i *)(void *)(a), v)
+
+#define VOXRTI_RING 16   /* prepared rays waiting for a lane */
+#define VOXRTI_GROUPS 2  /* groups of eight rays in flight */
+#define VOXRTI_REFILL 6  /* lanes are refilled when at most so many are busy */
+
+/* Prepared rays, structure of arrays. */
+typedef struct voxrti_ring8 {
+    double o[3][VOXRTI_RING], d[3][VOXRTI_RING], inv[3][VOXRTI_RING], t[VOXRTI_RING], t_end[VOXRTI_RING],
+           t_min[VOXRTI_RING];
+    uint32_t c[3][VOXRTI_RING], flip[VOXRTI_RING], ray[VOXRTI_RING], w[VOXRTI_RING], node[VOXRTI_RING];
+    uint32_t count, taken;
+} voxrti_ring8;
+
+/* Eight rays in flight. */
+typedef struct voxrti_group8 {
+    double o[3][8], d[3][8], inv[3][8], t[8], t_end[8], t_min[8];
+    uint64_t mask[8];
+    uint32_t c[3][8], node[8], w[8], flip[8], ray[8], stack[VOXRTI_MAX_WIDE][8];
+    uint32_t live, found, used; /* bit per lane: on its way; stands on a voxel; taken, result not written yet */
+} voxrti_group8;
+
+VOXRTI_TARGET_AVX512 static inline void voxrti_transpose8(const voxrt_ray *rays, __m256 v[8]) {
+    __m256 r[8], s[8];
+    int i;
+    for (i = 0; i < 8; i++) r[i] = _mm256_loadu_ps(rays[i].org);
+    for (i = 0; i < 8; i += 2) {
+        s[i] = _mm256_unpacklo_ps(r[i], r[i + 1]);
+        s[i + 1] = _mm256_unpackhi_ps(r[i], r[i + 1]);
+    }
+    for (i = 0; i < 8; i += 4) {
+        r[i] = _mm256_shuffle_ps(s[i], s[i + 2], 0x44);
+        r[i + 1] = _mm256_shuffle_ps(s[i], s[i + 2], 0xee);
+        r[i + 2] = _mm256_shuffle_ps(s[i + 1], s[i + 3], 0x44);
+        r[i + 3] = _mm256_shuffle_ps(s[i + 1], s[i + 3], 0xee);
+    }
+    for (i = 0; i < 4; i++) {
+        v[i] = _mm256_permute2f128_ps(r[i], r[i + 4], 0x20);
+        v[i + 4] = _mm256_permute2f128_ps(r[i], r[i + 4], 0x31);
+    }
+}
+
+/* Prepare eight rays and append the ones that enter the box to the ring. `rare`: bit per ray that needs the scalar
+   path (bad or far away); `miss`: bit per ray that misses the box. The same arithmetic as voxrti_ray_setup. */
+VOXRTI_TARGET_AVX512 static void voxrti_setup8(const voxrt_tree *t, const voxrti_cone *cone, const voxrt_ray *rays,
+                                               uint32_t first, const voxrti_beam *beam, voxrti_ring8 *ring,
+                                               uint32_t *rare, uint32_t *miss) {
+    const __m512d zero = _mm512_setzero_pd(), inf = _mm512_set1_pd(VOXRTI_INF);
+    const __m512d scale = _mm512_set1_pd(1.0 / t->voxel_size);
+    const double full = (double)((uint32_t)1 << (2 * t->wide));
+    __m512d o[3], d[3], inv[3], t_in = _mm512_sub_pd(zero, inf), t_out = inf, time, t_end, tmin, tmax;
+    __m256i c[3], flip = _mm256_setzero_si256();
+    __m256 v[8];
+    __mmask8 bad = 0, out = 0, moving = 0, late = 0, axis[3] = {0, 0, 0}, doubt[3], still[3];
+    uint32_t a, keep, n;
+    voxrti_transpose8(rays, v);
+    tmin = _mm512_cvtps_pd(v[3]);
+    tmax = _mm512_cvtps_pd(v[7]);
+    for (a = 0; a < 3; a++) {
+        __m512d lo = _mm512_set1_pd((double)cone->lo[a]), hi = _mm512_set1_pd((double)cone->hi[a]), e;
+        __m512d oo = _mm512_mul_pd(_mm512_sub_pd(_mm512_cvtps_pd(v[a]), _mm512_set1_pd(t->origin[a])), scale);
+        __m512d dd = _mm512_mul_pd(_mm512_cvtps_pd(v[4 + a]), scale);
+        __mmask8 neg, closer;
+        bad |= _mm512_cmp_pd_mask(_mm512_sub_pd(dd, dd), zero, _CMP_NEQ_UQ);
+        neg = _mm512_cmp_pd_mask(dd, zero, _CMP_LT_OQ);
+        oo = _mm512_mask_sub_pd(oo, neg, _mm512_set1_pd(full), oo);
+        dd = _mm512_abs_pd(dd);
+        lo = _mm512_mask_mov_pd(lo, neg, _mm512_set1_pd(full - (double)cone->hi[a]));
+        hi = _mm512_mask_mov_pd(hi, neg, _mm512_set1_pd(full - (double)cone->lo[a]));
+        flip = _mm256_mask_or_epi32(flip, neg, flip, _mm256_set1_epi32(9 << a));
+        bad |= _mm512_cmp_pd_mask(_mm512_abs_pd(oo), _mm512_set1_pd(16777216.0), _CMP_NLE_UQ);
+        inv[a] = _mm512_div_pd(_mm512_set1_pd(1.0), dd);
+        still[a] = _mm512_cmp_pd_mask(inv[a], inf, _CMP_EQ_OQ);
+        moving |= (__mmask8)~still[a];
+        out |= _mm512_mask_cmp_pd_mask(still[a], oo, lo, _CMP_LT_OQ) | _mm512_mask_cmp_pd_mask(still[a], oo, hi, _CMP_NLT_UQ);
+        if (still[a]) {
+            __m512d mid = _mm512_add_pd(_mm512_roundscale_pd(oo, _MM_FROUND_TO_ZERO | _MM_FROUND_NO_EXC), _mm512_set1_pd(0.5));
+            oo = _mm512_mask_mov_pd(oo, still[a], mid);
+            dd = _mm512_mask_mov_pd(dd, still[a], zero);
+        }
+        o[a] = oo;
+        d[a] = dd;
+        e = _mm512_mul_pd(_mm512_sub_pd(lo, oo), inv[a]);
+        closer = _mm512_mask_cmp_pd_mask((__mmask8)~still[a], e, t_in, _CMP_GT_OQ);
+        t_in = _mm512_mask_mov_pd(t_in, closer, e);
+        axis[0] &= (__mmask8)~closer;
+        axis[1] &= (__mmask8)~closer;
+        axis[a] = closer;
+        e = _mm512_mul_pd(_mm512_sub_pd(hi, oo), inv[a]);
+        t_out = _mm512_mask_min_pd(t_out, (__mmask8)~still[a], t_out, e);
+    }
+    bad |= _mm512_cmp_pd_mask(tmin, tmax, _CMP_NLE_UQ);
+    bad |= (__mmask8)~moving;
+    time = _mm512_max_pd(t_in, tmin);
+    {
+        __mmask8 inside = _mm512_cmp_pd_mask(time, t_in, _CMP_GT_OQ);
+        for (a = 0; a < 3; a++) axis[a] &= (__mmask8)~inside;
+    }
+    if (beam->on) {
+        __m512d e = _mm512_mul_pd(_mm512_sub_pd(_mm512_set1_pd(beam->z), o[beam->m]), inv[beam->m]);
+        late = _mm512_cmp_pd_mask(e, time, _CMP_GT_OQ);
+        time = _mm512_mask_mov_pd(time, late, e);
+        for (a = 0; a < 3; a++) axis[a] &= (__mmask8)~late;
+        axis[beam->m] |= late;
+    }
+    t_end = _mm512_min_pd(t_out, tmax);
+    out |= _mm512_cmp_pd_mask(time, t_end, _CMP_NLT_UQ);
+    out &= (__mmask8)~bad;
+    *rare = bad;
+    *miss = out;
+    keep = (uint32_t)(__mmask8)~(bad | out);
+    if (keep == 0) return;
+    {
+        __mmask8 any = 0;
+        for (a = 0; a < 3; a++) {
+            __mmask8 neg = _mm256_test_epi32_mask(flip, _mm256_set1_epi32(1 << a));
+            __m512d p = _mm512_add_pd(o[a], _mm512_mul_pd(time, d[a]));
+            __m256i lo = _mm256_mask_mov_epi32(_mm256_set1_epi32((int)cone->lo[a]), neg, _mm256_set1_epi32((int)((uint32_t)full - cone->hi[a])));
+            __m256i hi = _mm256_mask_mov_epi32(_mm256_set1_epi32((int)cone->hi[a] - 1), neg, _mm256_set1_epi32((int)((uint32_t)full - cone->lo[a]) - 1));
+            __m256i q = _mm512_cvttpd_epi32(p);
+            q = _mm256_max_epi32(_mm256_min_epi32(q, hi), lo);
+            doubt[a] = _mm512_mask_cmp_pd_mask((__mmask8)(~axis[a] & ~still[a]), _mm512_abs_pd(_mm512_reduce_pd(p, 0)),
+                                               _mm512_set1_pd(0x1p-16), _CMP_LT_OQ);
+            any |= doubt[a];
+            if (late && a == beam->m) lo = _mm256_mask_mov_epi32(lo, late, _mm256_set1_epi32((int)voxrti_min(beam->z, full)));
+            c[a] = _mm256_mask_mov_epi32(q, axis[a], lo);
+        }
+        n = ring->count;
+        for (a = 0; a < 3; a++) {
+            _mm512_storeu_pd(&ring->o[a][n], _mm512_maskz_compress_pd((__mmask8)keep, o[a]));
+            _mm512_storeu_pd(&ring->d[a][n], _mm512_maskz_compress_pd((__mmask8)keep, d[a]));
+            _mm512_storeu_pd(&ring->inv[a][n], _mm512_maskz_compress_pd((__mmask8)keep, inv[a]));
+            _mm256_storeu_si256((__m256i *)(void *)&ring->c[a][n], _mm256_maskz_compress_epi32((__mmask8)keep, c[a]));
+        }
+        _mm512_storeu_pd(&ring->t[n], _mm512_maskz_compress_pd((__mmask8)keep, time));
+        _mm512_storeu_pd(&ring->t_end[n], _mm512_maskz_compress_pd((__mmask8)keep, t_end));
+        _mm512_storeu_pd(&ring->t_min[n], _mm512_maskz_compress_pd((__mmask8)keep, tmin));
+        _mm256_storeu_si256((__m256i *)(void *)&ring->flip[n], _mm256_maskz_compress_epi32((__mmask8)keep, flip));
+        _mm256_storeu_si256((__m256i *)(void *)&ring->ray[n], _mm256_maskz_compress_epi32((__mmask8)keep,
+            _mm256_add_epi32(_mm256_set1_epi32((int)first), _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7))));
+        ring->count += voxrti_popcount64(keep);
+        if (any & keep) { /* close to an event: decide exactly */
+            uint32_t lane, pos = n;
+            for (lane = 0; lane < 8; lane++) {
+                if ((keep >> lane & 1u) == 0) continue;
+                if (any >> lane & 1u) {
+                    voxrti_rayx x;
+                    uint32_t k = (axis[0] >> lane & 1u) ? 0u : (axis[1] >> lane & 1u) ? 1u : (axis[2] >> lane & 1u) ? 2u : 3u;
+                    for (a = 0; a < 3; a++) {
+                        x.o[a] = ring->o[a][pos];
+                        x.d[a] = ring->d[a][pos];
+                        x.inv[a] = ring->inv[a][pos];
+                    }
+                    for (a = 0; a < 3; a++) {
+                        uint32_t neg = ring->flip[pos] >> a & 1u;
+                        uint32_t lo = neg ? (uint32_t)full - cone->hi[a] : cone->lo[a];
+                        uint32_t hi = neg ? (uint32_t)full - cone->lo[a] : cone->hi[a];
+                        if (doubt[a] >> lane & 1u) ring->c[a][pos] = voxrti_cell_at(&x, a, ring->t[pos], k, lo, hi - 1);
+                    }
+                }
+                pos++;
+            }
+        }
+        { /* start at the deepest node of the beam's chain that holds the ray's first cell */
+            __m256i w = _mm256_setzero_si256(), node = w, x = w;
+            if (beam->on) {
+                for (a = 0; a < 3; a++) {
+                    __m256i cc = VOXRTI_LOAD8(&ring->c[a][n]), f = VOXRTI_LOAD8(&ring->flip[n]);
+                    __mmask8 neg = _mm256_test_epi32_mask(f, _mm256_set1_epi32(1 << a));
+                    cc = _mm256_mask_xor_epi32(cc, neg, cc, _mm256_set1_epi32((int)((uint32_t)full - 1u)));
+                    x = _mm256_or_si256(x, _mm256_xor_si256(cc, _mm256_set1_epi32((int)beam->cell[a])));
+                }
+                x = _mm256_srai_epi32(_mm256_sub_epi32(_mm256_set1_epi32(31), _mm256_lzcnt_epi32(x)), 1);
+                w = _mm256_sub_epi32(_mm256_set1_epi32((int)t->wide - 1), x);
+                w = _mm256_max_epi32(_mm256_min_epi32(w, _mm256_set1_epi32((int)(beam->chain_w < 7 ? beam->chain_w : 7u))), _mm256_setzero_si256());
+                node = _mm256_permutexvar_epi32(w, VOXRTI_LOAD8(beam->chain));
+            }
+            VOXRTI_STORE8(&ring->w[n], w);
+            VOXRTI_STORE8(&ring->node[n], node);
+        }
+    }
+}
+
+static inline void voxrti_group8_ray(const voxrti_group8 *g, uint32_t lane, voxrti_rayx *r) {
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        r->o[a] = g->o[a][lane];
+        r->d[a] = g->d[a][lane];
+        r->inv[a] = g->inv[a][lane];
+        r->c[a] = g->c[a][lane];
+    }
+    r->t_min = g->t_min[lane];
+    r->t = g->t[lane];
+    r->flip = g->flip[lane];
+    r->base = 0;
+}
+
+/* Take the next prepared ray into a lane. */
+static inline void voxrti_group8_load(const voxrt_tree *t, const voxrti_beam *beam, voxrti_group8 *g, uint32_t lane,
+                                      voxrti_ring8 *ring) {
+    uint32_t a, i = ring->taken++, w = ring->w[i], node = ring->node[i];
+    if (beam->on)
+        for (a = 1; a < w; a++) g->stack[a][lane] = beam->chain[a];
+    for (a = 0; a < 3; a++) {
+        g->o[a][lane] = ring->o[a][i];
+        g->d[a][lane] = ring->d[a][i];
+        g->inv[a][lane] = ring->inv[a][i];
+        g->c[a][lane] = ring->c[a][i];
+    }
+    g->t[lane] = ring->t[i];
+    g->t_end[lane] = ring->t_end[i];
+    g->t_min[lane] = ring->t_min[i];
+    g->flip[lane] = ring->flip[i];
+    g->ray[lane] = ring->ray[i];
+    g->node[lane] = node;
+    g->w[lane] = w;
+    g->mask[lane] = w + 1 == t->wide ? t->leaf[node] : t->node[node].mask;
+    g->live |= 1u << lane;
+    g->used |= 1u << lane;
+}
+
+/* Level of detail for lanes whose footprint may cover the cell: exact decision as in voxrti_trace_scalar.
+   Returns the lanes that hit. */
+static uint32_t voxrti_group8_lod(const voxrt_tree *t, const voxrti_cone *cone, voxrti_group8 *g, uint32_t lanes,
+                                  voxrt_hit *hits) {
+    uint32_t lane, done = 0, face;
+    for (lane = 0; lane < 8; lane++) {
+        voxrti_rayx r;
+        uint32_t sh, slot, ls;
+        if ((lanes >> lane & 1u) == 0) continue;
+        voxrti_group8_ray(g, lane, &r);
+        sh = 2 * (t->wide - 1 - g->w[lane]);
+        slot = voxrti_slot_of(r.c, sh) ^ r.flip;
+        for (ls = sh + 2; ls-- > sh;) {
+            uint32_t filled = ls > sh ? (g->mask[lane] >> (slot & 56u) & 255u) != 0 : (uint32_t)(g->mask[lane] >> slot & 1u);
+            if (filled && voxrti_footprint(cone, voxrti_entry(&r, r.c, ls, &face)) >= (double)(1u << ls)) {
+                voxrti_hit_fill(t, &r, r.c, ls, g->node[lane], ls > sh ? slot & 56u : slot, &hits[g->ray[lane]]);
+                done |= 1u << lane;
+                g->used &= ~(1u << lane); /* written */
+                break;
+            }
+        }
+    }
+    return done;
+}
+
+/* Lanes whose position is within 2^-16 of an event of another axis: decide exactly. c: cells before the step. */
+static VOXRTI_NOINLINE void voxrti_group8_doubt(voxrti_group8 *g, const double *time, const uint32_t k[8],
+                                                const uint32_t doubt[3], uint32_t face[3][8], uint32_t q[3][8]) {
+    uint32_t lane, a;
+    for (lane = 0; lane < 8; lane++) {
+        voxrti_rayx r;
+        if (((doubt[0] | doubt[1] | doubt[2]) >> lane & 1u) == 0) continue;
+        voxrti_group8_ray(g, lane, &r);
+        for (a = 0; a < 3; a++)
+            if (doubt[a] >> lane & 1u)
+                q[a][lane] = voxrti_cell_at(&r, a, time[lane], k[lane], g->c[a][lane], face[a][lane] - 1);
+    }
+}
+
+/* One step of every live lane: down into a filled cell, or over an empty one. No loop, hardly a branch. Lanes that
+   end leave g->live; those on a voxel are added to g->found. */
+VOXRTI_TARGET_AVX512 static inline void voxrti_group8_step(const voxrt_tree *t, const voxrti_cone *cone,
+                                                           voxrti_group8 *g, voxrt_hit *hits, voxrt_stats *stats) {
+    const __m256i three = _mm256_set1_epi32(3), nine = _mm256_set1_epi32(9), one = _mm256_set1_epi32(1);
+    const __m256i leaf_w = _mm256_set1_epi32((int)t->wide - 1);
+    const __m512i one64 = _mm512_set1_epi64(1);
+    const __m512d eps = _mm512_set1_pd(0x1p-16);
+    __mmask8 live = (__mmask8)g->live, set, go, step, on, pop, is_leaf, k0, k1, k2, b0, b1, b2;
+    __m256i c0 = VOXRTI_LOAD8(g->c[0]), c1 = VOXRTI_LOAD8(g->c[1]), c2 = VOXRTI_LOAD8(g->c[2]);
+    __m256i node = VOXRTI_LOAD8(g->node), w = VOXRTI_LOAD8(g->w), next, rank;
+    __m512i mask = _mm512_loadu_si512(g->mask), octant, slot64, addr;
+    __m512d time = _mm512_loadu_pd(g->t), e0, e1, e2, p0, p1, p2;
+    __m256i sh = _mm256_slli_epi32(_mm256_sub_epi32(leaf_w, w), 1), slot, ls, f0, f1, f2, q0, q1, q2, x;
+    uint32_t l;
+    x = _mm256_and_si256(_mm256_srlv_epi32(c0, sh), three);
+    slot = _mm256_and_si256(_mm256_or_si256(x, _mm256_slli_epi32(x, 2)), nine);
+    x = _mm256_and_si256(_mm256_srlv_epi32(c1, sh), three);
+    slot = _mm256_or_si256(slot, _mm256_slli_epi32(_mm256_and_si256(_mm256_or_si256(x, _mm256_slli_epi32(x, 2)), nine), 1));
+    x = _mm256_and_si256(_mm256_srlv_epi32(c2, sh), three);
+    slot = _mm256_or_si256(slot, _mm256_slli_epi32(_mm256_and_si256(_mm256_or_si256(x, _mm256_slli_epi32(x, 2)), nine), 2));
+    slot = _mm256_xor_si256(slot, VOXRTI_LOAD8(g->flip));
+    slot64 = _mm512_cvtepu32_epi64(slot);
+    set = _mm512_mask_test_epi64_mask(live, _mm512_srlv_epi64(mask, slot64), one64);
+    octant = _mm512_and_si512(_mm512_srlv_epi64(mask, _mm512_and_si512(slot64, _mm512_set1_epi64(56))),
+                              _mm512_set1_epi64(255));
+    if (cone->on) {
+        __m512d foot = _mm512_max_pd(_mm512_set1_pd(cone->floor_), _mm512_add_pd(_mm512_set1_pd(cone->width),
+                                     _mm512_mul_pd(_mm512_set1_pd(cone->spread), time)));
+        __m512d size = _mm512_cvtepi32_pd(_mm256_sllv_epi32(one, sh));
+        __mmask8 may = _mm512_mask_cmp_pd_mask(set, foot, size, _CMP_GE_OQ);
+        may |= _mm512_mask_cmp_pd_mask(_mm512_mask_test_epi64_mask(live, octant, octant), foot,
+                                       _mm512_add_pd(size, size), _CMP_GE_OQ);
+        if (may) {
+            uint32_t hit = voxrti_group8_lod(t, cone, g, may, hits);
+            live &= (__mmask8)~hit;
+            set &= live;
+            if (stats != NULL) stats->hits += voxrti_popcount64(hit);
+        }
+    }
+    is_leaf = _mm256_cmpeq_epi32_mask(w, leaf_w);
+    g->found |= (uint32_t)(set & is_leaf);
+    go = set & (__mmask8)~is_leaf;
+    step = live & (__mmask8)~set;
+    /* down: push the node, address the child */
+    rank = _mm512_cvtepi64_epi32(_mm512_popcnt_epi64(
+        _mm512_and_si512(mask, _mm512_sub_epi64(_mm512_sllv_epi64(one64, slot64), one64))));
+    for (l = 1; l + 1 < t->wide; l++) {
+        __mmask8 at = _mm256_mask_cmpeq_epi32_mask(go, w, _mm256_set1_epi32((int)l));
+        VOXRTI_STORE8(g->stack[l], _mm256_mask_mov_epi32(VOXRTI_LOAD8(g->stack[l]), at, node));
+    }
+    addr = _mm512_slli_epi64(_mm512_cvtepu32_epi64(node), 4);
+    next = _mm512_mask_i64gather_epi32(rank, go, addr, &t->node[0].child, 1);
+    next = _mm256_add_epi32(next, rank);
+    /* over: the first event of the three far faces of the empty cell */
+    ls = _mm256_mask_add_epi32(sh, _mm512_testn_epi64_mask(octant, octant), sh, one);
+    f0 = _mm256_sllv_epi32(_mm256_add_epi32(_mm256_srlv_epi32(c0, ls), one), ls);
+    f1 = _mm256_sllv_epi32(_mm256_add_epi32(_mm256_srlv_epi32(c1, ls), one), ls);
+    f2 = _mm256_sllv_epi32(_mm256_add_epi32(_mm256_srlv_epi32(c2, ls), one), ls);
+    e0 = _mm512_mul_pd(_mm512_sub_pd(_mm512_cvtepi32_pd(f0), _mm512_loadu_pd(g->o[0])), _mm512_loadu_pd(g->inv[0]));
+    e1 = _mm512_mul_pd(_mm512_sub_pd(_mm512_cvtepi32_pd(f1), _mm512_loadu_pd(g->o[1])), _mm512_loadu_pd(g->inv[1]));
+    e2 = _mm512_mul_pd(_mm512_sub_pd(_mm512_cvtepi32_pd(f2), _mm512_loadu_pd(g->o[2])), _mm512_loadu_pd(g->inv[2]));
+    k0 = _mm512_cmp_pd_mask(e0, e1, _CMP_LE_OQ) & _mm512_cmp_pd_mask(e0, e2, _CMP_LE_OQ);
+    k1 = (__mmask8)~k0 & _mm512_cmp_pd_mask(e1, e2, _CMP_LE_OQ);
+    k2 = (__mmask8)~(k0 | k1);
+    time = _mm512_mask_mov_pd(time, step, _mm512_min_pd(_mm512_min_pd(e0, e1), e2));
+    on = _mm512_mask_cmp_pd_mask(step, time, _mm512_loadu_pd(g->t_end), _CMP_LT_OQ);
+    p0 = _mm512_add_pd(_mm512_loadu_pd(g->o[0]), _mm512_mul_pd(time, _mm512_loadu_pd(g->d[0])));
+    p1 = _mm512_add_pd(_mm512_loadu_pd(g->o[1]), _mm512_mul_pd(time, _mm512_loadu_pd(g->d[1])));
+    p2 = _mm512_add_pd(_mm512_loadu_pd(g->o[2]), _mm512_mul_pd(time, _mm512_loadu_pd(g->d[2])));
+    b0 = _mm512_mask_cmp_pd_mask(on & (__mmask8)~k0, _mm512_abs_pd(_mm512_reduce_pd(p0, 0)), eps, _CMP_LT_OQ);
+    b1 = _mm512_mask_cmp_pd_mask(on & (__mmask8)~k1, _mm512_abs_pd(_mm512_reduce_pd(p1, 0)), eps, _CMP_LT_OQ);
+    b2 = _mm512_mask_cmp_pd_mask(on & (__mmask8)~k2, _mm512_abs_pd(_mm512_reduce_pd(p2, 0)), eps, _CMP_LT_OQ);
+    q0 = _mm256_max_epi32(_mm256_min_epi32(_mm512_cvttpd_epi32(p0), _mm256_sub_epi32(f0, one)), c0);
+    q1 = _mm256_max_epi32(_mm256_min_epi32(_mm512_cvttpd_epi32(p1), _mm256_sub_epi32(f1, one)), c1);
+    q2 = _mm256_max_epi32(_mm256_min_epi32(_mm512_cvttpd_epi32(p2), _mm256_sub_epi32(f2, one)), c2);
+    if (VOXRTI_UNLIKELY((b0 | b1 | b2) != 0)) {
+        uint32_t face[3][8], q[3][8], doubt[3], k[8];
+        double at[8];
+        VOXRTI_STORE8(face[0], f0);
+        VOXRTI_STORE8(face[1], f1);
+        VOXRTI_STORE8(face[2], f2);
+        VOXRTI_STORE8(q[0], q0);
+        VOXRTI_STORE8(q[1], q1);
+        VOXRTI_STORE8(q[2], q2);
+        _mm512_storeu_pd(at, time);
+        VOXRTI_STORE8(k, _mm256_mask_mov_epi32(_mm256_maskz_mov_epi32(k1, one), k2, _mm256_set1_epi32(2)));
+        doubt[0] = b0;
+        doubt[1] = b1;
+        doubt[2] = b2;
+        voxrti_group8_doubt(g, at, k, doubt, face, q);
+        q0 = VOXRTI_LOAD8(q[0]);
+        q1 = VOXRTI_LOAD8(q[1]);
+        q2 = VOXRTI_LOAD8(q[2]);
+    }
+    q0 = _mm256_mask_mov_epi32(c0, on, _mm256_mask_mov_epi32(q0, k0, f0));
+    q1 = _mm256_mask_mov_epi32(c1, on, _mm256_mask_mov_epi32(q1, k1, f1));
+    q2 = _mm256_mask_mov_epi32(c2, on, _mm256_mask_mov_epi32(q2, k2, f2));
+    x = _mm256_ternarylogic_epi32(_mm256_xor_si256(c0, q0), _mm256_xor_si256(c1, q1), _mm256_xor_si256(c2, q2), 0xfe);
+    x = _mm256_srli_epi32(_mm256_sub_epi32(_mm256_set1_epi32(31), _mm256_lzcnt_epi32(x)), 1);
+    x = _mm256_sub_epi32(leaf_w, x); /* wide level of the common ancestor */
+    pop = _mm256_mask_cmplt_epi32_mask(on, x, w);
+    node = _mm256_mask_mov_epi32(node, go, next);
+    node = _mm256_mask_mov_epi32(node, pop, _mm256_setzero_si256());
+    for (l = 1; l + 1 < t->wide; l++)
+        node = _mm256_mask_mov_epi32(node, _mm256_mask_cmpeq_epi32_mask(pop, x, _mm256_set1_epi32((int)l)),
+                                     VOXRTI_LOAD8(g->stack[l]));
+    w = _mm256_mask_add_epi32(w, go, w, one);
+    w = _mm256_mask_mov_epi32(w, pop, x);
+    is_leaf = _mm256_cmpeq_epi32_mask(w, leaf_w);
+    addr = _mm512_cvtepu32_epi64(node);
+    addr = _mm512_mask_blend_epi64(is_leaf,
+        _mm512_add_epi64(_mm512_slli_epi64(addr, 4), _mm512_set1_epi64((long long)(intptr_t)t->node)),
+        _mm512_add_epi64(_mm512_slli_epi64(addr, 3), _mm512_set1_epi64((long long)(intptr_t)t->leaf)));
+    mask = _mm512_mask_i64gather_epi64(mask, go | pop, addr, NULL, 1);
+    VOXRTI_STORE8(g->c[0], q0);
+    VOXRTI_STORE8(g->c[1], q1);
+    VOXRTI_STORE8(g->c[2], q2);
+    VOXRTI_STORE8(g->node, node);
+    VOXRTI_STORE8(g->w, w);
+    _mm512_storeu_si512(g->mask, mask);
+    _mm512_storeu_pd(g->t, time);
+    g->live = (uint32_t)(go | on);
+    if (stats != NULL) {
+        stats->steps += voxrti_popcount64(step);
+        stats->descents += voxrti_popcount64(go);
+    }
+}
+
+/* Write the hits of the lanes in g->found. */
+VOXRTI_TARGET_AVX512 static void voxrti_group8_hits(const voxrt_tree *t, voxrti_group8 *g, voxrt_hit *hits) {
+    const __m256i full = _mm256_set1_epi32((int)(((uint32_t)1 << (2 * t->wide)) - 1u));
+    __m512d te = _mm512_set1_pd(-VOXRTI_INF), tmin = _mm512_loadu_pd(g->t_min), e;
+    __m256i face = _mm256_set1_epi32(6), flip = VOXRTI_LOAD8(g->flip), cell[3];
+    uint32_t a, lane, out_cell[3][8], out_face[8], found = g->found;
+    float out_t[8];
+    __mmask8 m;
+    for (a = 0; a < 3; a++) {
+        __m256i c = VOXRTI_LOAD8(g->c[a]), neg;
+        __mmask8 flipped = _mm256_test_epi32_mask(flip, _mm256_set1_epi32(1 << a));
+        e = _mm512_mul_pd(_mm512_sub_pd(_mm512_cvtepi32_pd(c), _mm512_loadu_pd(g->o[a])), _mm512_loadu_pd(g->inv[a]));
+        m = _mm512_cmp_pd_mask(_mm512_loadu_pd(g->d[a]), _mm512_setzero_pd(), _CMP_NEQ_OQ);
+        m = _mm512_mask_cmp_pd_mask(m, e, te, _CMP_GE_OQ);
+        te = _mm512_mask_mov_pd(te, m, e);
+        neg = _mm256_mask_mov_epi32(_mm256_set1_epi32((int)(2 * a)), flipped, _mm256_set1_epi32((int)(2 * a + 1)));
+        face = _mm256_mask_mov_epi32(face, m, neg);
+        cell[a] = _mm256_mask_sub_epi32(c, flipped, full, c);
+        VOXRTI_STORE8(out_cell[a], cell[a]);
+    }
+    m = _mm512_cmp_pd_mask(te, tmin, _CMP_LT_OQ);
+    te = _mm512_mask_mov_pd(te, m, tmin);
+    face = _mm256_mask_mov_epi32(face, m, _mm256_set1_epi32(6));
+    VOXRTI_STORE8(out_face, face);
+    _mm256_storeu_ps(out_t, _mm512_cvtpd_ps(te));
+    for (; found != 0; found &= found - 1) {
+        voxrt_hit *h;
+        lane = voxrti_ctz64(found);
+        h = &hits[g->ray[lane]];
+        h->t = out_t[lane];
+        h->cell[0] = out_cell[0][lane];
+        h->cell[1] = out_cell[1][lane];
+        h->cell[2] = out_cell[2][lane];
+        h->node = g->node[lane];
+        h->slot = (uint8_t)voxrti_slot(out_cell[0][lane], out_cell[1][lane], out_cell[2][lane]);
+        h->level = (uint8_t)t->depth;
+        h->face = (uint8_t)out_face[lane];
+        h->_reserved = 0;
+    }
+    g->found = 0;
+}
+
+/* Prepare rays until one waits for a lane; 0: none is left. */
+VOXRTI_TARGET_AVX512 static int voxrti_ring8_fill(const voxrt_tree *t, const voxrti_cone *cone, const voxrt_ray *rays,
+                                                  voxrt_hit *hits, size_t count, size_t *next, voxrti_beam *beam,
+                                                  voxrti_ring8 *ring, voxrt_stats *stats) {
+    while (ring->taken == ring->count && *next < count) {
+        uint32_t rare = 0, miss = 0, k, n = count - *next < 8 ? (uint32_t)(count - *next) : 8u;
+        voxrt_ray tail[8];
+        const voxrt_ray *in = rays + *next;
+        ring->count = ring->taken = 0;
+        if ((*next & 63u) == 0) { /* rays come in runs of 64 */
+            uint32_t run = count - *next < 64 ? (uint32_t)(count - *next) : 64u, i;
+            voxrti_beam_find(t, cone, in, run, VOXRT_ISA_AVX512, beam);
+            if (beam->on == 2) {
+                uint32_t usable = 1;
+                for (i = 0; i < run; i++) usable &= in[i].t_min <= in[i].t_max;
+                if (usable) {
+                    for (i = 0; i < run; i++) voxrti_miss(hits + *next + i);
+                    if (stats != NULL) stats->rays += run;
+                    *next += run;
+                    continue;
+                }
+            }
+        }
+        if (n < 8) {
+            memset(tail, 0, sizeof tail); /* direction 0: rare, and not looked at */
+            memcpy(tail, in, n * sizeof *tail);
+            in = tail;
+        }
+        voxrti_setup8(t, cone, in, (uint32_t)*next, beam, ring, &rare, &miss);
+        rare &= (1u << n) - 1u;
+        miss &= (1u << n) - 1u;
+        for (k = rare; k != 0; k &= k - 1) {
+            size_t i = *next + voxrti_ctz64(k);
+            voxrti_trace_one(t, cone, NULL, rays + i, hits + i, stats);
+        }
+        for (k = miss; k != 0; k &= k - 1) voxrti_miss(hits + *next + voxrti_ctz64(k));
+        if (stats != NULL) stats->rays += n - voxrti_popcount64(rare);
+        *next += n;
+    }
+    return ring->taken != ring->count;
+}
+
+/* Trace count (< 2^32) rays. */
+VOXRTI_TARGET_AVX512 static void voxrti_trace_avx512(const voxrt_tree *t, const voxrti_cone *cone, const voxrt_ray *rays,
+                                                     voxrt_hit *hits, size_t count, voxrt_stats *stats) {
+    voxrti_ring8 ring;
+    voxrti_beam beam;
+    voxrti_group8 group[VOXRTI_GROUPS];
+    size_t next = 0;
+    uint32_t i, lane, busy, more = 1;
+    ring.count = ring.taken = 0;
+    beam.on = 0;
+    for (i = 0; i < VOXRTI_GROUPS; i++) memset(&group[i], 0, sizeof group[i]);
+    do {
+        busy = 0;
+        for (i = 0; i < VOXRTI_GROUPS; i++) {
+            voxrti_group8 *g = &group[i];
+            if (voxrti_popcount64(g->live) <= VOXRTI_REFILL && (more || g->live == 0)) {
+                uint32_t idle = ~g->live & g->used;
+                if (stats != NULL) stats->hits += voxrti_popcount64(g->found);
+                for (idle &= ~g->found; idle != 0; idle &= idle - 1) voxrti_miss(&hits[g->ray[voxrti_ctz64(idle)]]);
+                if (g->found != 0) voxrti_group8_hits(t, g, hits);
+                g->used = g->live;
+                for (lane = 0; lane < 8; lane++) {
+                    if (g->live >> lane & 1u) continue;
+                    if (ring.taken == ring.count)
+                        more = (uint32_t)voxrti_ring8_fill(t, cone, rays, hits, count, &next, &beam, &ring, stats);
+                    if (!more) break;
+                    voxrti_group8_load(t, &beam, g, lane, &ring);
+                }
+                if (g->live == 0) continue;
+            }
+            busy = 1;
+            voxrti_group8_step(t, cone, g, hits, stats);
+        }
+    } while (busy);
+}
+
+#endif /* VOXRTI_AVX512 */
+
+/* ---- AVX2: groups of four rays in flight; the same steps as above with vector masks ---- */
+
+#if VOXRTI_AVX2
+
+#define VOXRTI_LOAD4(a) _mm_loadu_si128((const __m128i *)(const void *)(a))
+#define VOXRTI_STORE4(a, v) _mm_storeu_si128((__m128i *)(void *)(a), v)
+#define VOXRTI_PS(v) _mm_castsi128_ps(v)
+#define VOXRTI_BLEND4(a, b, m) _mm_castps_si128(_mm_blendv_ps(VOXRTI_PS(a), VOXRTI_PS(b), VOXRTI_PS(m))) /* by sign */
+
+#define VOXRTI_GROUPS4 4 /* groups of four rays in flight */
+#define VOXRTI_REFILL4 2 /* lanes are refilled when at most so many are busy */
+
+/* Four rays: in flight, or (c, w, node prepared, bits in live) waiting for a lane. */
+typedef struct voxrti_group4 {
+    double o[3][4], d[3][4], inv[3][4], t[4], t_end[4], t_min[4];
+    uint32_t c[3][4], node[4], w[4], flip[4], ray[4], alive[4], stack[VOXRTI_MAX_WIDE][4];
+    uint32_t live, found, used; /* bit per lane: on its way; stands on a voxel; taken, result not written yet */
+} voxrti_group4;
+
+/* Low or high halves of four 64-bit lanes. */
+VOXRTI_TARGET_AVX2 static inline __m128i voxrti_low4(__m256i v) {
+    return _mm_castps_si128(_mm_shuffle_ps(VOXRTI_PS(_mm256_castsi256_si128(v)), VOXRTI_PS(_mm256_extracti128_si256(v, 1)), 0x88));
+}
+VOXRTI_TARGET_AVX2 static inline __m128i voxrti_high4(__m256i v) {
+    return _mm_castps_si128(_mm_shuffle_ps(VOXRTI_PS(_mm256_castsi256_si128(v)), VOXRTI_PS(_mm256_extracti128_si256(v, 1)), 0xdd));
+}
+VOXRTI_TARGET_AVX2 static inline __m128i voxrti_narrow4(__m256d mask) { return voxrti_high4(_mm256_castpd_si256(mask)); }
+
+/* p is within 2^-16 of a whole number (false for NaN) */
+VOXRTI_TARGET_AVX2 static inline __m256d voxrti_close4(__m256d p) {
+    __m256d f = _mm256_sub_pd(p, _mm256_round_pd(p, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC));
+    return _mm256_cmp_pd(_mm256_andnot_pd(_mm256_set1_pd(-0.0), f), _mm256_set1_pd(0x1p-16), _CMP_LT_OQ);
+}
+
+static inline void voxrti_group4_ray(const voxrti_group4 *g, uint32_t lane, voxrti_rayx *r) {
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        r->o[a] = g->o[a][lane];
+        r->d[a] = g->d[a][lane];
+        r->inv[a] = g->inv[a][lane];
+        r->c[a] = g->c[a][lane];
+    }
+    r->t_min = g->t_min[lane];
+    r->t = g->t[lane];
+    r->flip = g->flip[lane];
+    r->base = 0;
+}
+
+/* Prepare four rays; g->live: those that enter the box. `rare`: bit per ray that needs the scalar path (bad or far
+   away); `miss`: bit per ray that misses the box. The same arithmetic as voxrti_ray_setup. */
+VOXRTI_TARGET_AVX2 static void voxrti_setup4(const voxrt_tree *t, const voxrti_cone *cone, const voxrt_ray *rays,
+                                             uint32_t first, const voxrti_beam *beam, voxrti_group4 *g,
+                                             uint32_t *rare, uint32_t *miss) {
+    const __m256d zero = _mm256_setzero_pd(), inf = _mm256_set1_pd(VOXRTI_INF), sign = _mm256_set1_pd(-0.0);
+    const __m256d scale = _mm256_set1_pd(1.0 / t->voxel_size), limit = _mm256_set1_pd(16777216.0);
+    const double full = (double)((uint32_t)1 << (2 * t->wide));
+    const uint32_t leaf_w = t->wide - 1;
+    __m256d o[3], d[3], inv[3], lo[3], hi[3], axis[3], still[3], t_in = _mm256_sub_pd(zero, inf), t_out = inf;
+    __m256d bad, out = zero, moving = zero, late = zero, time, t_end, tmin, tmax, e;
+    __m128i flip = _mm_setzero_si128();
+    __m256 v[4], s[4];
+    uint32_t a, lane, doubt[3], any = 0, back[3];
+    for (a = 0; a < 4; a++) v[a] = _mm256_loadu_ps(rays[a].org);
+    s[0] = _mm256_unpacklo_ps(v[0], v[1]);
+    s[1] = _mm256_unpackhi_ps(v[0], v[1]);
+    s[2] = _mm256_unpacklo_ps(v[2], v[3]);
+    s[3] = _mm256_unpackhi_ps(v[2], v[3]);
+    v[0] = _mm256_shuffle_ps(s[0], s[2], 0x44); /* org[0] of four rays, dir[0] of four rays; ... */
+    v[1] = _mm256_shuffle_ps(s[0], s[2], 0xee);
+    v[2] = _mm256_shuffle_ps(s[1], s[3], 0x44);
+    v[3] = _mm256_shuffle_ps(s[1], s[3], 0xee);
+    tmin = _mm256_cvtps_pd(_mm256_castps256_ps128(v[3]));
+    tmax = _mm256_cvtps_pd(_mm256_extractf128_ps(v[3], 1));
+    bad = _mm256_cmp_pd(tmin, tmax, _CMP_NLE_UQ);
+    for (a = 0; a < 3; a++) {
+        __m256d oo = _mm256_cvtps_pd(_mm256_castps256_ps128(v[a])), dd = _mm256_cvtps_pd(_mm256_extractf128_ps(v[a], 1));
+        __m256d neg, closer;
+        oo = _mm256_mul_pd(_mm256_sub_pd(oo, _mm256_set1_pd(t->origin[a])), scale);
+        dd = _mm256_mul_pd(dd, scale);
+        bad = _mm256_or_pd(bad, _mm256_cmp_pd(_mm256_sub_pd(dd, dd), zero, _CMP_NEQ_UQ));
+        neg = _mm256_cmp_pd(dd, zero, _CMP_LT_OQ);
+        back[a] = (uint32_t)_mm256_movemask_pd(neg);
+        oo = _mm256_blendv_pd(oo, _mm256_sub_pd(_mm256_set1_pd(full), oo), neg);
+        dd = _mm256_andnot_pd(sign, dd);
+        lo[a] = _mm256_blendv_pd(_mm256_set1_pd((double)cone->lo[a]), _mm256_set1_pd(full - (double)cone->hi[a]), neg);
+        hi[a] = _mm256_blendv_pd(_mm256_set1_pd((double)cone->hi[a]), _mm256_set1_pd(full - (double)cone->lo[a]), neg);
+        flip = _mm_or_si128(flip, _mm_and_si128(voxrti_narrow4(neg), _mm_set1_epi32(9 << a)));
+        bad = _mm256_or_pd(bad, _mm256_cmp_pd(_mm256_andnot_pd(sign, oo), limit, _CMP_NLE_UQ));
+        inv[a] = _mm256_div_pd(_mm256_set1_pd(1.0), dd);
+        still[a] = _mm256_cmp_pd(inv[a], inf, _CMP_EQ_OQ);
+        moving = _mm256_or_pd(moving, _mm256_cmp_pd(inv[a], inf, _CMP_NEQ_UQ));
+        if (_mm256_movemask_pd(still[a]) != 0) {
+            __m256d mid = _mm256_add_pd(_mm256_round_pd(oo, _MM_FROUND_TO_ZERO | _MM_FROUND_NO_EXC), _mm256_set1_pd(0.5));
+            e = _mm256_or_pd(_mm256_cmp_pd(oo, lo[a], _CMP_LT_OQ), _mm256_cmp_pd(oo, hi[a], _CMP_NLT_UQ));
+            out = _mm256_or_pd(out, _mm256_and_pd(still[a], e));
+            oo = _mm256_blendv_pd(oo, mid, still[a]);
+            dd = _mm256_andnot_pd(still[a], dd);
+        }
+        o[a] = oo;
+        d[a] = dd;
+        e = _mm256_mul_pd(_mm256_sub_pd(lo[a], oo), inv[a]);
+        closer = _mm256_andnot_pd(still[a], _mm256_cmp_pd(e, t_in, _CMP_GT_OQ));
+        t_in = _mm256_blendv_pd(t_in, e, closer);
+        axis[a] = closer;
+        if (a > 0) axis[0] = _mm256_andnot_pd(closer, axis[0]);
+        if (a > 1) axis[1] = _mm256_andnot_pd(closer, axis[1]);
+        e = _mm256_mul_pd(_mm256_sub_pd(hi[a], oo), inv[a]);
+        t_out = _mm256_blendv_pd(_mm256_min_pd(t_out, e), t_out, still[a]);
+    }
+    time = _mm256_max_pd(t_in, tmin);
+    e = _mm256_cmp_pd(time, t_in, _CMP_GT_OQ); /* starts inside */
+    for (a = 0; a < 3; a++) axis[a] = _mm256_andnot_pd(e, axis[a]);
+    if (beam->on) {
+        e = _mm256_mul_pd(_mm256_sub_pd(_mm256_set1_pd(beam->z), o[beam->m]), inv[beam->m]);
+        late = _mm256_cmp_pd(e, time, _CMP_GT_OQ);
+        time = _mm256_blendv_pd(time, e, late);
+        for (a = 0; a < 3; a++) axis[a] = _mm256_andnot_pd(late, axis[a]);
+        axis[beam->m] = _mm256_or_pd(axis[beam->m], late);
+    }
+    t_end = _mm256_min_pd(t_out, tmax);
+    out = _mm256_or_pd(out, _mm256_cmp_pd(time, t_end, _CMP_NLT_UQ));
+    *rare = (uint32_t)_mm256_movemask_pd(bad) | (~(uint32_t)_mm256_movemask_pd(moving) & 15u);
+    *miss = (uint32_t)_mm256_movemask_pd(out) & ~*rare;
+    g->live = 15u & ~(*rare | *miss);
+    if (g->live == 0) return;
+    for (a = 0; a < 3; a++) {
+        __m256d p = _mm256_add_pd(o[a], _mm256_mul_pd(time, d[a]));
+        e = _mm256_andnot_pd(_mm256_or_pd(axis[a], still[a]), voxrti_close4(p));
+        doubt[a] = (uint32_t)_mm256_movemask_pd(e);
+        any |= doubt[a];
+        p = _mm256_max_pd(_mm256_min_pd(p, _mm256_sub_pd(hi[a], _mm256_set1_pd(1.0))), lo[a]);
+        if (beam->on && a == beam->m) lo[a] = _mm256_blendv_pd(lo[a], _mm256_set1_pd(voxrti_min(beam->z, full)), late);
+        VOXRTI_STORE4(g->c[a], _mm256_cvttpd_epi32(_mm256_blendv_pd(p, lo[a], axis[a])));
+        _mm256_storeu_pd(g->o[a], o[a]);
+        _mm256_storeu_pd(g->d[a], d[a]);
+        _mm256_storeu_pd(g->inv[a], inv[a]);
+    }
+    _mm256_storeu_pd(g->t, time);
+    _mm256_storeu_pd(g->t_end, t_end);
+    _mm256_storeu_pd(g->t_min, tmin);
+    VOXRTI_STORE4(g->flip, flip);
+    VOXRTI_STORE4(g->ray, _mm_add_epi32(_mm_set1_epi32((int)first), _mm_setr_epi32(0, 1, 2, 3)));
+    for (any &= g->live; any != 0; any &= any - 1) { /* close to an event: decide exactly */
+        voxrti_rayx r;
+        uint32_t k = 3;
+        lane = voxrti_ctz64(any);
+        voxrti_group4_ray(g, lane, &r);
+        for (a = 0; a < 3; a++)
+            if ((uint32_t)_mm256_movemask_pd(axis[a]) >> lane & 1u) k = a;
+        for (a = 0; a < 3; a++) {
+            uint32_t from = (back[a] >> lane & 1u) ? (uint32_t)full - cone->hi[a] : cone->lo[a];
+            uint32_t to = (back[a] >> lane & 1u) ? (uint32_t)full - cone->lo[a] : cone->hi[a];
+            if (doubt[a] >> lane & 1u) g->c[a][lane] = voxrti_cell_at(&r, a, r.t, k, from, to - 1);
+        }
+    }
+    { /* start at the deepest node of the beam's chain that holds the ray's first cell */
+        __m128i w = _mm_setzero_si128(), node = w, x = w;
+        uint32_t l;
+        if (beam->on) {
+            for (a = 0; a < 3; a++) {
+                __m128i neg = _mm_srai_epi32(_mm_slli_epi32(flip, 31 - (int)a), 31);
+                __m128i c = _mm_xor_si128(VOXRTI_LOAD4(g->c[a]), _mm_srli_epi32(neg, 32 - 2 * (int)t->wide));
+                x = _mm_or_si128(x, _mm_xor_si128(c, _mm_set1_epi32((int)beam->cell[a])));
+            }
+            for (l = 1; l <= beam->chain_w; l++) {
+                __m128i m = _mm_cmpgt_epi32(_mm_set1_epi32(4 << 2 * (leaf_w - l)), x);
+                w = _mm_sub_epi32(w, m);
+                node = VOXRTI_BLEND4(node, _mm_set1_epi32((int)beam->chain[l]), m);
+            }
+        }
+        VOXRTI_STORE4(g->w, w);
+        VOXRTI_STORE4(g->node, node);
+    }
+}
+
+/* Take the next prepared ray into a lane. */
+static inline void voxrti_group4_load(const voxrti_beam *beam, voxrti_group4 *g, uint32_t lane, voxrti_group4 *from) {
+    uint32_t a, i = voxrti_ctz64(from->live), w = from->w[i];
+    from->live &= from->live - 1;
+    if (beam->on)
+        for (a = 1; a < w; a++) g->stack[a][lane] = beam->chain[a];
+    for (a = 0; a < 3; a++) {
+        g->o[a][lane] = from->o[a][i];
+        g->d[a][lane] = from->d[a][i];
+        g->inv[a][lane] = from->inv[a][i];
+        g->c[a][lane] = from->c[a][i];
+    }
+    g->t[lane] = from->t[i];
+    g->t_end[lane] = from->t_end[i];
+    g->t_min[lane] = from->t_min[i];
+    g->flip[lane] = from->flip[i];
+    g->ray[lane] = from->ray[i];
+    g->node[lane] = from->node[i];
+    g->w[lane] = w;
+    g->alive[lane] = 0xffffffffu;
+    g->live |= 1u << lane;
+    g->used |= 1u << lane;
+}
+
+/* Level of detail for lanes whose footprint may cover the cell: exact decision as in voxrti_trace_scalar.
+   Returns the lanes that hit. */
+static VOXRTI_NOINLINE uint32_t voxrti_group4_lod(const voxrt_tree *t, const voxrti_cone *cone, voxrti_group4 *g,
+                                                  const uint64_t mask[4], uint32_t lanes, voxrt_hit *hits) {
+    uint32_t done = 0, face;
+    for (; lanes != 0; lanes &= lanes - 1) {
+        voxrti_rayx r;
+        uint32_t lane = voxrti_ctz64(lanes), sh = 2 * (t->wide - 1 - g->w[lane]), slot, ls;
+        voxrti_group4_ray(g, lane, &r);
+        slot = voxrti_slot_of(r.c, sh) ^ r.flip;
+        for (ls = sh + 2; ls-- > sh;) {
+            uint64_t filled = ls > sh ? mask[lane] >> (slot & 56u) & 255u : mask[lane] >> slot & 1u;
+            if (filled != 0 && voxrti_footprint(cone, voxrti_entry(&r, r.c, ls, &face)) >= (double)(1u << ls)) {
+                voxrti_hit_fill(t, &r, r.c, ls, g->node[lane], ls > sh ? slot & 56u : slot, &hits[g->ray[lane]]);
+                done |= 1u << lane;
+                g->used &= ~(1u << lane); /* written */
+                break;
+            }
+        }
+    }
+    return done;
+}
+
+/* Lanes whose position is within 2^-16 of an event of another axis: decide exactly. c, ls: cells before the step. */
+static VOXRTI_NOINLINE void voxrti_group4_doubt(const voxrti_group4 *g, const double time[4], const uint32_t ls[4],
+                                                uint32_t lanes, uint32_t q[3][4]) {
+    for (; lanes != 0; lanes &= lanes - 1) {
+        voxrti_rayx r;
+        uint32_t lane = voxrti_ctz64(lanes), a, k = 3, low = ((uint32_t)1 << ls[lane]) - 1u;
+        voxrti_group4_ray(g, lane, &r);
+        for (a = 0; a < 3; a++)
+            if (k == 3 && ((double)((r.c[a] | low) + 1u) - r.o[a]) * r.inv[a] == time[lane]) k = a;
+        for (a = 0; a < 3; a++)
+            if (a != k) q[a][lane] = voxrti_cell_at(&r, a, time[lane], k, r.c[a], r.c[a] | low);
+    }
+}
+
+/* Slot of the cell of edge 2^sh in its node: the low bits of x, y, z as bytes, spread by one table. */
+VOXRTI_TARGET_AVX2 static inline __m128i voxrti_slot4(__m128i x, __m128i y, __m128i z, __m128i sh, __m128i flip) {
+    const __m128i spread = _mm_setr_epi8(0, 1, 8, 9, 0, 2, 16, 18, 0, 4, 32, 36, 0, 0, 0, 0), three = _mm_set1_epi32(3);
+    __m128i s = _mm_and_si128(_mm_srlv_epi32(x, sh), three);
+    s = _mm_or_si128(s, _mm_slli_epi32(_mm_and_si128(_mm_srlv_epi32(y, sh), three), 8));
+    s = _mm_or_si128(s, _mm_slli_epi32(_mm_and_si128(_mm_srlv_epi32(z, sh), three), 16));
+    s = _mm_shuffle_epi8(spread, _mm_or_si128(s, _mm_set1_epi32(0x0c080400)));
+    s = _mm_madd_epi16(_mm_maddubs_epi16(s, _mm_set1_epi8(1)), _mm_set1_epi16(1));
+    return _mm_xor_si128(s, flip);
+}
+
+/* Bits set in each of four words. */
+VOXRTI_TARGET_AVX2 static inline __m256i voxrti_popcount4(__m256i v) {
+    const __m256i count = _mm256_setr_epi8(0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4,
+                                           0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4), low = _mm256_set1_epi8(15);
+    __m256i a = _mm256_shuffle_epi8(count, _mm256_and_si256(v, low));
+    __m256i b = _mm256_shuffle_epi8(count, _mm256_and_si256(_mm256_srli_epi64(v, 4), low));
+    return _mm256_sad_epu8(_mm256_add_epi8(a, b), _mm256_setzero_si256());
+}
+
+/* 16 bytes of a node: its mask, and (interior) its first child. The leaf array is padded. */
+#define VOXRTI_NODE4(address) _mm_loadu_si128((const __m128i *)(uintptr_t)(uint64_t)(address))
+
+/* One step of every live lane: over an empty cell, and down when the cell is filled or the next one is filled and in
+   the same node. Lanes that end leave g->live; those on a voxel are added to g->found. Masks count by their sign. */
+VOXRTI_TARGET_AVX2 static inline void voxrti_group4_step(const voxrt_tree *t, const voxrti_cone *cone, voxrti_group4 *g,
+                                                         voxrt_hit *hits, voxrt_stats *stats) {
+    const __m128i one = _mm_set1_epi32(1), leaf_w = _mm_set1_epi32((int)t->wide - 1);
+    const __m256i flip_slot = _mm256_set1_epi64x(63), low_byte = _mm256_set1_epi64x(255);
+    const __m256d unit = _mm256_set1_pd(1.0);
+    __m128i c0 = VOXRTI_LOAD4(g->c[0]), c1 = VOXRTI_LOAD4(g->c[1]), c2 = VOXRTI_LOAD4(g->c[2]);
+    __m128i node = VOXRTI_LOAD4(g->node), w = VOXRTI_LOAD4(g->w), flip = VOXRTI_LOAD4(g->flip), live = VOXRTI_LOAD4(g->alive);
+    __m128i is_leaf = _mm_cmpeq_epi32(w, leaf_w), sh = _mm_slli_epi32(_mm_sub_epi32(leaf_w, w), 1);
+    __m128i r0, r1, r2, r3, first, ls, low, g0, g1, g2, q0, q1, q2, x, on, set, go, pop, up_node, up_w, slot;
+    __m256i mask, base, slot64, word, leaf64 = _mm256_cvtepi32_epi64(is_leaf);
+    __m256d d0, d1, d2, f0, f1, f2, e0, e1, e2, p0, p1, p2, k0, k1, k01, time, b;
+    uint32_t l, doubt;
+    { /* the nodes: masks and first children */
+        __m128i lo, hi;
+        base = _mm256_blendv_epi8(_mm256_set1_epi64x((long long)(intptr_t)t->node),
+                                  _mm256_set1_epi64x((long long)(intptr_t)t->leaf), leaf64);
+        base = _mm256_add_epi64(base, _mm256_sllv_epi64(_mm256_cvtepu32_epi64(node), _mm256_add_epi64(leaf64, _mm256_set1_epi64x(4))));
+        lo = _mm256_castsi256_si128(base);
+        hi = _mm256_extracti128_si256(base, 1);
+        r0 = VOXRTI_NODE4(_mm_cvtsi128_si64(lo));
+        r1 = VOXRTI_NODE4(_mm_extract_epi64(lo, 1));
+        r2 = VOXRTI_NODE4(_mm_cvtsi128_si64(hi));
+        r3 = VOXRTI_NODE4(_mm_extract_epi64(hi, 1));
+        mask = _mm256_inserti128_si256(_mm256_castsi128_si256(_mm_unpacklo_epi64(r0, r1)), _mm_unpacklo_epi64(r2, r3), 1);
+        first = _mm_castps_si128(_mm_shuffle_ps(VOXRTI_PS(_mm_unpackhi_epi64(r0, r1)), VOXRTI_PS(_mm_unpackhi_epi64(r2, r3)), 0x88));
+    }
+    slot64 = _mm256_cvtepu32_epi64(voxrti_slot4(c0, c1, c2, sh, flip));
+    word = _mm256_sllv_epi64(mask, _mm256_xor_si256(slot64, flip_slot)); /* sign: the cell is filled */
+    slot64 = _mm256_and_si256(_mm256_srlv_epi64(mask, _mm256_and_si256(slot64, _mm256_set1_epi64x(56))), low_byte);
+    x = _mm_cmpeq_epi32(voxrti_low4(slot64), _mm_setzero_si128()); /* octants without cells */
+    set = _mm_and_si128(voxrti_high4(word), live);
+    if (cone->on) {
+        __m256d size = _mm256_cvtepi32_pd(_mm_sllv_epi32(one, sh)), foot;
+        foot = _mm256_add_pd(_mm256_set1_pd(cone->width), _mm256_mul_pd(_mm256_set1_pd(cone->spread), _mm256_loadu_pd(g->t)));
+        foot = _mm256_max_pd(_mm256_set1_pd(cone->floor_), foot);
+        on = _mm_and_si128(set, voxrti_narrow4(_mm256_cmp_pd(foot, size, _CMP_GE_OQ)));
+        q0 = _mm_andnot_si128(x, _mm_and_si128(live, voxrti_narrow4(_mm256_cmp_pd(foot, _mm256_add_pd(size, size), _CMP_GE_OQ))));
+        l = (uint32_t)_mm_movemask_ps(VOXRTI_PS(_mm_or_si128(on, q0)));
+        if (l != 0) {
+            uint64_t words[4];
+            uint32_t i;
+            _mm256_storeu_si256((__m256i *)(void *)words, mask);
+            l = voxrti_group4_lod(t, cone, g, words, l, hits);
+            for (i = 0; i < 4; i++)
+                if (l >> i & 1u) g->alive[i] = 0;
+            live = VOXRTI_LOAD4(g->alive);
+            set = _mm_and_si128(set, live);
+            if (stats != NULL) stats->hits += voxrti_popcount64(l);
+        }
+    }
+    /* over: the first event of the three far faces of the empty cell */
+    ls = _mm_sub_epi32(sh, x);
+    low = _mm_sub_epi32(_mm_sllv_epi32(one, ls), one);
+    g0 = _mm_or_si128(c0, low); /* last cells before the faces */
+    g1 = _mm_or_si128(c1, low);
+    g2 = _mm_or_si128(c2, low);
+    d0 = _mm256_cvtepi32_pd(g0);
+    d1 = _mm256_cvtepi32_pd(g1);
+    d2 = _mm256_cvtepi32_pd(g2);
+    f0 = _mm256_add_pd(d0, unit);
+    f1 = _mm256_add_pd(d1, unit);
+    f2 = _mm256_add_pd(d2, unit);
+    p0 = _mm256_loadu_pd(g->o[0]);
+    p1 = _mm256_loadu_pd(g->o[1]);
+    p2 = _mm256_loadu_pd(g->o[2]);
+    e0 = _mm256_mul_pd(_mm256_sub_pd(f0, p0), _mm256_loadu_pd(g->inv[0]));
+    e1 = _mm256_mul_pd(_mm256_sub_pd(f1, p1), _mm256_loadu_pd(g->inv[1]));
+    e2 = _mm256_mul_pd(_mm256_sub_pd(f2, p2), _mm256_loadu_pd(g->inv[2]));
+    time = _mm256_min_pd(_mm256_min_pd(e0, e1), e2);
+    k0 = _mm256_cmp_pd(e0, time, _CMP_EQ_OQ);
+    k1 = _mm256_andnot_pd(k0, _mm256_cmp_pd(e1, time, _CMP_EQ_OQ));
+    k01 = _mm256_or_pd(k0, k1);
+    on = voxrti_narrow4(_mm256_andnot_pd(_mm256_castsi256_pd(word), _mm256_cmp_pd(time, _mm256_loadu_pd(g->t_end), _CMP_LT_OQ)));
+    on = _mm_and_si128(live, on);
+    p0 = _mm256_add_pd(p0, _mm256_mul_pd(time, _mm256_loadu_pd(g->d[0])));
+    p1 = _mm256_add_pd(p1, _mm256_mul_pd(time, _mm256_loadu_pd(g->d[1])));
+    p2 = _mm256_add_pd(p2, _mm256_mul_pd(time, _mm256_loadu_pd(g->d[2])));
+    b = _mm256_or_pd(_mm256_andnot_pd(k0, voxrti_close4(p0)), _mm256_andnot_pd(k1, voxrti_close4(p1)));
+    b = _mm256_or_pd(b, _mm256_and_pd(k01, voxrti_close4(p2)));
+    doubt = (uint32_t)_mm256_movemask_pd(b) & (uint32_t)_mm_movemask_ps(VOXRTI_PS(on));
+    p0 = _mm256_blendv_pd(_mm256_min_pd(p0, d0), f0, k0);
+    p1 = _mm256_blendv_pd(_mm256_min_pd(p1, d1), f1, k1);
+    p2 = _mm256_blendv_pd(f2, _mm256_min_pd(p2, d2), k01);
+    q0 = _mm_max_epi32(_mm256_cvttpd_epi32(p0), c0);
+    q1 = _mm_max_epi32(_mm256_cvttpd_epi32(p1), c1);
+    q2 = _mm_max_epi32(_mm256_cvttpd_epi32(p2), c2);
+    if (VOXRTI_UNLIKELY(doubt != 0)) {
+        uint32_t q[3][4], size[4];
+        double at[4];
+        VOXRTI_STORE4(q[0], q0);
+        VOXRTI_STORE4(q[1], q1);
+        VOXRTI_STORE4(q[2], q2);
+        VOXRTI_STORE4(size, ls);
+        _mm256_storeu_pd(at, time);
+        voxrti_group4_doubt(g, at, size, doubt, q);
+        q0 = VOXRTI_LOAD4(q[0]);
+        q1 = VOXRTI_LOAD4(q[1]);
+        q2 = VOXRTI_LOAD4(q[2]);
+    }
+    if (cone->on) {
+        e0 = _mm256_castsi256_pd(_mm256_cvtepi32_epi64(on));
+        _mm256_storeu_pd(g->t, _mm256_blendv_pd(_mm256_loadu_pd(g->t), time, e0));
+    }
+    q0 = VOXRTI_BLEND4(c0, q0, on);
+    q1 = VOXRTI_BLEND4(c1, q1, on);
+    q2 = VOXRTI_BLEND4(c2, q2, on);
+    x = _mm_or_si128(_mm_or_si128(_mm_xor_si128(c0, q0), _mm_xor_si128(c1, q1)), _mm_xor_si128(c2, q2));
+    pop = _mm_cmpgt_epi32(x, _mm_sub_epi32(_mm_sllv_epi32(_mm_set1_epi32(4), sh), one)); /* left the node */
+    /* down: in the cell it stands in now, unless the node is left */
+    slot = voxrti_slot4(q0, q1, q2, sh, flip);
+    word = _mm256_sllv_epi64(mask, _mm256_xor_si256(_mm256_cvtepu32_epi64(slot), flip_slot));
+    if (stats != NULL) /* before `set` gains the lanes that stepped */
+        stats->steps += voxrti_popcount64((uint32_t)_mm_movemask_ps(VOXRTI_PS(_mm_andnot_si128(set, live))));
+    if (!cone->on) set = _mm_andnot_si128(pop, _mm_and_si128(voxrti_high4(word), live));
+    g->found |= (uint32_t)_mm_movemask_ps(VOXRTI_PS(_mm_and_si128(set, is_leaf)));
+    go = _mm_srai_epi32(_mm_andnot_si128(is_leaf, set), 31);
+    live = _mm_srai_epi32(_mm_or_si128(go, _mm_andnot_si128(set, on)), 31);
+    /* the cells before the slot, now at the top of the word */
+    first = _mm_add_epi32(first, voxrti_low4(voxrti_popcount4(_mm256_add_epi64(word, word))));
+    up_node = up_w = _mm_setzero_si128(); /* the common ancestor of old and new cell: the highest differing level */
+    for (l = 1; l + 1 < t->wide; l++) {
+        __m128i at = VOXRTI_BLEND4(VOXRTI_LOAD4(g->stack[l]), node, _mm_cmpeq_epi32(w, _mm_set1_epi32((int)l)));
+        __m128i m = _mm_cmpgt_epi32(_mm_set1_epi32(4 << 2 * (t->wide - 1 - l)), x);
+        VOXRTI_STORE4(g->stack[l], at);
+        up_node = VOXRTI_BLEND4(up_node, at, m);
+        up_w = _mm_sub_epi32(up_w, m);
+    }
+    node = VOXRTI_BLEND4(VOXRTI_BLEND4(node, first, go), up_node, pop);
+    w = VOXRTI_BLEND4(_mm_sub_epi32(w, go), up_w, pop);
+    VOXRTI_STORE4(g->c[0], q0);
+    VOXRTI_STORE4(g->c[1], q1);
+    VOXRTI_STORE4(g->c[2], q2);
+    VOXRTI_STORE4(g->node, node);
+    VOXRTI_STORE4(g->w, w);
+    VOXRTI_STORE4(g->alive, live);
+    g->live = (uint32_t)_mm_movemask_ps(VOXRTI_PS(live));
+    if (stats != NULL) stats->descents += voxrti_popcount64((uint32_t)_mm_movemask_ps(VOXRTI_PS(go)));
+}
+
+/* Write the hits of the lanes in g->found. */
+VOXRTI_TARGET_AVX2 static void voxrti_group4_hits(const voxrt_tree *t, voxrti_group4 *g, voxrt_hit *hits) {
+    const uint32_t full = ((uint32_t)1 << (2 * t->wide)) - 1u;
+    __m256d te = _mm256_set1_pd(-VOXRTI_INF), tmin = _mm256_loadu_pd(g->t_min), e, m;
+    __m128i face = _mm_set1_epi32(6), flip = VOXRTI_LOAD4(g->flip);
+    uint32_t a, cell[3][4], side[4], slot[4], found = g->found;
+    float at[4];
+    for (a = 0; a < 3; a++) {
+        __m128i c = VOXRTI_LOAD4(g->c[a]), neg = _mm_srai_epi32(_mm_slli_epi32(flip, 31 - (int)a), 31);
+        e = _mm256_mul_pd(_mm256_sub_pd(_mm256_cvtepi32_pd(c), _mm256_loadu_pd(g->o[a])), _mm256_loadu_pd(g->inv[a]));
+        m = _mm256_cmp_pd(_mm256_loadu_pd(g->d[a]), _mm256_setzero_pd(), _CMP_NEQ_OQ);
+        m = _mm256_and_pd(m, _mm256_cmp_pd(e, te, _CMP_GE_OQ));
+        te = _mm256_blendv_pd(te, e, m);
+        face = VOXRTI_BLEND4(face, _mm_sub_epi32(_mm_set1_epi32(2 * (int)a), neg), voxrti_narrow4(m));
+        VOXRTI_STORE4(cell[a], _mm_xor_si128(c, _mm_and_si128(neg, _mm_set1_epi32((int)full))));
+    }
+    m = _mm256_cmp_pd(te, tmin, _CMP_LT_OQ);
+    VOXRTI_STORE4(side, VOXRTI_BLEND4(face, _mm_set1_epi32(6), voxrti_narrow4(m)));
+    VOXRTI_STORE4(slot, voxrti_slot4(VOXRTI_LOAD4(cell[0]), VOXRTI_LOAD4(cell[1]), VOXRTI_LOAD4(cell[2]),
+                                     _mm_setzero_si128(), _mm_setzero_si128()));
+    _mm_storeu_ps(at, _mm256_cvtpd_ps(_mm256_blendv_pd(te, tmin, m)));
+    for (; found != 0; found &= found - 1) {
+        uint32_t lane = voxrti_ctz64(found);
+        voxrt_hit *h = &hits[g->ray[lane]];
+        h->t = at[lane];
+        h->cell[0] = cell[0][lane];
+        h->cell[1] = cell[1][lane];
+        h->cell[2] = cell[2][lane];
+        h->node = g->node[lane];
+        h->slot = (uint8_t)slot[lane];
+        h->level = (uint8_t)t->depth;
+        h->face = (uint8_t)side[lane];
+        h->_reserved = 0;
+    }
+    g->found = 0;
+}
+
+/* Prepare rays until one waits for a lane; 0: none is left. */
+VOXRTI_TARGET_AVX2 static int voxrti_group4_fill(const voxrt_tree *t, const voxrti_cone *cone, const voxrt_ray *rays,
+                                                 voxrt_hit *hits, size_t count, size_t *next, voxrti_beam *beam,
+                                                 voxrti_group4 *ready, voxrt_stats *stats) {
+    while (ready->live == 0 && *next < count) {
+        uint32_t rare = 0, miss = 0, i, n = count - *next < 4 ? (uint32_t)(count - *next) : 4u;
+        voxrt_ray tail[4];
+        const voxrt_ray *in = rays + *next;
+        if ((*next & 63u) == 0) { /* rays come in runs of 64 */
+            uint32_t run = count - *next < 64 ? (uint32_t)(count - *next) : 64u, usable = 1;
+            voxrti_beam_find(t, cone, in, run, VOXRT_ISA_AVX2, beam);
+            if (beam->on == 2) {
+                for (i = 0; i < run; i++) usable &= in[i].t_min <= in[i].t_max;
+                if (usable) {
+                    for (i = 0; i < run; i++) voxrti_miss(hits + *next + i);
+                    if (stats != NULL) stats->rays += run;
+                    *next += run;
+                    continue;
+                }
+            }
+        }
+        if (n < 4) {
+            memset(tail, 0, sizeof tail); /* direction 0: rare, and not looked at */
+            memcpy(tail, in, n * sizeof *tail);
+            in = tail;
+        }
+        voxrti_setup4(t, cone, in, (uint32_t)*next, beam, ready, &rare, &miss);
+        rare &= (1u << n) - 1u;
+        for (i = 0; i < n; i++) {
+            if (rare >> i & 1u) voxrti_trace_one(t, cone, NULL, rays + *next + i, hits + *next + i, stats);
+            else if (miss >> i & 1u) voxrti_miss(hits + *next + i);
+        }
+        if (stats != NULL) stats->rays += n - voxrti_popcount64(rare);
+        *next += n;
+    }
+    return ready->live != 0;
+}
+
+/* Trace count (< 2^32) rays. */
+VOXRTI_TARGET_AVX2 static void voxrti_trace_avx2(const voxrt_tree *t, const voxrti_cone *cone, const voxrt_ray *rays,
+                                                 voxrt_hit *hits, size_t count, voxrt_stats *stats) {
+    voxrti_group4 group[VOXRTI_GROUPS4], ready;
+    voxrti_beam beam;
+    size_t next = 0;
+    uint32_t i, busy, more = 1;
+    if (cone->on && cone->floor_ >= (double)((uint32_t)1 << (2 * t->wide))) { /* one cell for all */
+        for (; next < count; next++) voxrti_trace_one(t, cone, NULL, rays + next, hits + next, stats);
+        return;
+    }
+    beam.on = 0;
+    memset(group, 0, sizeof group);
+    ready.live = 0;
+    do {
+        busy = 0;
+        for (i = 0; i < VOXRTI_GROUPS4; i++) {
+            voxrti_group4 *g = &group[i];
+            if (voxrti_popcount64(g->live) <= VOXRTI_REFILL4 && (more || g->live == 0)) {
+                uint32_t idle = ~g->live & g->used & ~g->found;
+                if (stats != NULL) stats->hits += voxrti_popcount64(g->found);
+                for (; idle != 0; idle &= idle - 1) voxrti_miss(&hits[g->ray[voxrti_ctz64(idle)]]);
+                if (g->found != 0) voxrti_group4_hits(t, g, hits);
+                g->used = g->live;
+                for (idle = ~g->live & 15u; idle != 0; idle &= idle - 1) {
+                    if (ready.live == 0)
+                        more = (uint32_t)voxrti_group4_fill(t, cone, rays, hits, count, &next, &beam, &ready, stats);
+                    if (!more) break;
+                    voxrti_group4_load(&beam, g, voxrti_ctz64(idle), &ready);
+                }
+                if (g->live == 0) continue;
+            }
+            busy = 1;
+            voxrti_group4_step(t, cone, g, hits, stats);
+        }
+    } while (busy);
+}
+
+#endif /* VOXRTI_AVX2 */
+/* ---------------------------------------------------------------------------
+   trace_octree: rays through the thesis' octree.                                // >>trace_octree
+
+   Thesis 3.5: locate the ray's point in the tree, from the start grid down to a leaf; if the leaf is filled it is the
+   hit, else the point where the ray leaves it is the next one, pushed by a small offset into the next leaf. Single
+   rays, or packets of four in SSE registers, with masks instead of branches. Coordinates are leaf edges. The cell of
+   a point is found once, by cutting off its fraction; its bits are the way down, which gives the same boxes as the
+   thesis' comparisons with the middles, without a chain of additions. A box is the cell and a mask of its low bits.
+   Settings that the thesis leaves open, chosen so that no ray is ever stuck and few meet a wrong voxel (measured with
+   the offset sweep of the tests):
+   - the direction is scaled by a power of two so that its largest component is in [1, 2); components below 1e-20 of
+     that become +-1e-20; the origin moves to the entry into the box, in double precision, once per ray;
+   - points lie 2^-23 R behind the face on each axis, R the edge of the grid: about the rounding error of a point. A ray
+     that does not get on (its point still lies before the face) goes further, twice as far each time, until it does;
+   - the ray ends when its exit is not before its end; points a little outside count as the nearest cell;
+   - at most 6 R points, as a last resort.
+   --------------------------------------------------------------------------- */
+
+#define VOXRTI_OCTREE_OFFSET (1.0f / 8388608.0f) /* of the grid's edge */
+#if VOXRTI_X64
+#  if defined(_MSC_VER) && !defined(__clang__)
+#    define VOXRTI_TARGET_SSE4
+#  else
+#    define VOXRTI_TARGET_SSE4 __attribute__((target("sse4.1")))
+#  endif
+#endif
+
+/* What does not change between the rays of a call. */
+typedef struct voxrti_octrace {
+    const voxrt_octree *t;
+    const uint32_t *grid;      /* start grid in use, or NULL */
+    uint32_t grid_log;         /* 2^grid_log cells along an axis */
+    uint32_t leaf_log;         /* log2 of the edge of the voxels that count as leaves */
+    float full;                /* edge of the root */
+    float offset;
+    uint32_t fixed;            /* the offset does not grow */
+    uint32_t max_outer;
+    double scale;              /* cells per world unit */
+} voxrti_octrace;
+
+typedef struct voxrti_octray {
+    float o[3], d[3], inv[3]; /* origin at the box, direction, its inverse */
+    float end;                /* the ray leaves the box, or t_max */
+    uint32_t inside;          /* starts at t_min, not at a face of the box */
+    double base, unit;        /* t = (base + lambda) * unit */
+} voxrti_octray;
+
+/* 1: crosses the box; 0: misses it; -1: not a usable ray. */
+static VOXRTI_UNUSED int voxrti_octray_setup(const voxrti_octrace *c, const voxrt_ray *ray, voxrti_octray *r) {
+    double full = (double)c->full, o[3], in = -VOXRTI_INF, out = VOXRTI_INF, start, stop;
+    float m = 0, s;
+    uint32_t a, bits;
+    for (a = 0; a < 3; a++) {
+        if (!voxrti_finite_f(ray->org[a]) || !voxrti_finite_f(ray->dir[a])) return -1;
+        m = voxrti_absf(ray->dir[a]) > m ? voxrti_absf(ray->dir[a]) : m;
+    }
+    if (!(m > 0) || !(ray->t_min <= ray->t_max)) return -1;
+    memcpy(&bits, &m, sizeof bits);
+    bits = 0x7f000000u - (bits & 0x7f800000u); /* 2^-exponent; 2^127 if denormal */
+    if (bits == 0) bits = 0x00400000u;         /* 2^-127 */
+    memcpy(&s, &bits, sizeof s);
+    for (a = 0; a < 3; a++) {
+        double d, t0, t1;
+        float x = ray->dir[a] * s;
+        if (voxrti_absf(x) < 1e-20f) {
+            uint32_t sign;
+            memcpy(&sign, &ray->dir[a], sizeof sign);
+            x = sign >> 31 ? -1e-20f : 1e-20f;
+        }
+        o[a] = ((double)ray->org[a] - c->t->origin[a]) * c->scale;
+        r->d[a] = x;
+        r->inv[a] = 1.0f / x;
+        d = 1.0 / (double)x;
+        t0 = (0.0 - o[a]) * d;
+        t1 = (full - o[a]) * d;
+        in = voxrti_max(in, x < 0 ? t1 : t0);
+        out = voxrti_min(out, x < 0 ? t0 : t1);
+    }
+    r->unit = c->t->voxel_size * (double)s;
+    start = (double)ray->t_min / r->unit;
+    stop = (double)ray->t_max / r->unit;
+    r->inside = start > in;
+    start = voxrti_max(in, start);
+    if (!(start < voxrti_min(out, stop))) return 0;
+    r->base = start;
+    r->end = (float)(stop - start);
+    for (a = 0; a < 3; a++) {
+        float exit;
+        r->o[a] = (float)voxrti_min(voxrti_max(o[a] + start * (double)r->d[a], 0.0), full);
+        exit = ((r->d[a] < 0 ? 0.0f : c->full) - r->o[a]) * r->inv[a];
+        r->end = exit < r->end ? exit : r->end;
+    }
+    return 0.0f < r->end;
+}
+
+static void voxrti_octray_miss(voxrt_hit *hit) {
+    memset(hit, 0, sizeof *hit);
+    hit->t = INFINITY;
+    hit->node = VOXRT_NO_NODE;
+}
+
+/* The hit record; a hit that rounds to t_max is none. voxel: VOXRT_NO_NODE if only the grid was asked. */
+static int voxrti_octray_hit(const voxrti_octrace *c, const voxrti_octray *r, const voxrt_ray *ray, float lambda,
+                             uint32_t voxel, const uint32_t cell[3], uint32_t mask, voxrt_hit *hit) {
+    uint32_t a, ls = 0, face = 6, l;
+    float first = 0;
+    hit->t = (float)((r->base + (double)lambda) * r->unit);
+    if (!(hit->t < ray->t_max)) {
+        voxrti_octray_miss(hit);
+        return 0;
+    }
+    while (mask >> ls != 0) ls++;
+    for (a = 0; a < 3; a++) {
+        uint32_t lo = cell[a] & ~mask;
+        float t = ((float)(r->d[a] < 0 ? lo + mask + 1u : lo) - r->o[a]) * r->inv[a];
+        hit->cell[a] = cell[a] >> ls;
+        if (lambda == 0 && r->inside) continue;
+        if (face == 6 || t > first) {
+            first = t;
+            face = 2 * a + (r->d[a] < 0);
+        }
+    }
+    hit->level = (uint8_t)(c->t->depth - ls);
+    if (voxel == VOXRT_NO_NODE)
+        for (voxel = 0, l = hit->level; l-- > 0;)
+            voxel = 8 * c->t->voxel[voxel].children + voxrti_child(hit->cell[0], hit->cell[1], hit->cell[2], l);
+    hit->node = voxel;
+    hit->slot = 0;
+    hit->face = (uint8_t)face;
+    hit->_reserved = 0;
+    return 1;
+}
+
+/* A point that has to go further, and not out of the box. */
+VOXRTI_INLINE float voxrti_octray_boost(float p, float d, float boost, float full) {
+    p = d < 0 ? p - boost : p + boost;
+    return p < 0.0f ? 0.0f : p > full ? full : p;
+}
+
+/* ---- one ray (thesis listing 5, corrected) ---- */
+
+static VOXRTI_UNUSED void voxrti_octrace_one(const voxrti_octrace *c, const voxrt_ray *ray, voxrt_hit *hit,
+                                             voxrt_octree_stats *stats) {
+    const voxrti_voxel *voxels = c->t->voxel;
+    voxrti_octray r;
+    float lambda = 0, boost = 0, o[3]; /* o: origin and offset */
+    uint32_t a, last = (uint32_t)c->full - 1u, left = c->max_outer, inner = 0, top = c->t->depth - c->grid_log;
+    int ok = voxrti_octray_setup(c, ray, &r), found = 0, stuck = 0;
+    voxrti_octray_miss(hit);
+    stats->rays++;
+    stats->bad_rays += ok < 0;
+    if (ok <= 0) return;
+    for (a = 0; a < 3; a++) o[a] = r.o[a] + (r.d[a] < 0 ? -c->offset : c->offset);
+    while (left != 0) {
+        uint32_t cell[3], vi = 0, children, filled, s = top, mask = (1u << top) - 1u;
+        float exit = 0;
+        left--;
+        for (a = 0; a < 3; a++) {
+            float p = o[a] + lambda * r.d[a];
+            uint32_t i;
+            if (boost > 0) p = voxrti_octray_boost(p, r.d[a], boost, c->full);
+            i = (uint32_t)(int32_t)p; /* (-1, 0) gives 0 */
+            cell[a] = i < last ? i : last;
+        }
+        if (c->grid != NULL) {
+            uint32_t g = c->grid[(size_t)((cell[2] >> s) << c->grid_log | cell[1] >> s) << c->grid_log | cell[0] >> s];
+            children = g >> 1;
+            filled = 0;
+            vi = VOXRT_NO_NODE;
+            if ((g & 1u) == 0) {
+                children = 0;
+                filled = g & 2u;
+                mask = g >> 2;
+            }
+        } else {
+            children = voxels[0].children;
+            filled = voxels[0].index;
+        }
+        while (children != 0 && s > c->leaf_log) {
+            s--;
+            vi = children * 8 + voxrti_child(cell[0], cell[1], cell[2], s);
+            children = voxels[vi].children;
+            filled = voxels[vi].index;
+            mask = (1u << s) - 1u;
+            inner++;
+        }
+        if (filled != 0) {
+            found = voxrti_octray_hit(c, &r, ray, lambda, vi, cell, mask, hit);
+            break;
+        }
+        for (a = 0; a < 3; a++) {
+            uint32_t lo = cell[a] & ~mask;
+            float t = ((float)(int32_t)(r.d[a] < 0 ? lo : lo + mask + 1u) - r.o[a]) * r.inv[a];
+            exit = a == 0 || t < exit ? t : exit;
+        }
+        if (exit > lambda) {
+            lambda = exit;
+            boost = 0;
+            if (!(lambda < r.end)) break;
+        } else {
+            stuck = left == 0 || c->fixed;
+            if (stuck) break;
+            boost = boost > 0 ? boost + boost : c->offset;
+        }
+    }
+    stats->hits += (uint64_t)found;
+    stats->outer += c->max_outer - left;
+    if (c->grid != NULL) stats->grid += c->max_outer - left;
+    stats->inner += inner;
+    stats->stuck += (uint64_t)stuck;
+}
+
+/* ---- packets of four (thesis listing 4, corrected) ---- */
+
+#if VOXRTI_X64
+
+typedef struct voxrti_octpacket {
+    float o[3][4], d[3][4], inv[3][4], end[4];
+    double base[4], unit[4];
+    uint32_t inside; /* a bit for each lane */
+} voxrti_octpacket;
+
+/* Two lanes of the setup in double precision; h = 0 or 2. Returns a bit for each lane that meets the box. */
+VOXRTI_TARGET_SSE4 static uint32_t voxrti_octpacket_enter(const voxrti_octrace *c, voxrti_octpacket *p, uint32_t h,
+                                                          const __m128 org[3], const __m128 dir[3], __m128 t_min,
+                                                          __m128 t_max, __m128 s) {
+    const __m128d full = _mm_set1_pd((double)c->full), zero = _mm_setzero_pd();
+    __m128d o[3], in = _mm_set1_pd(-VOXRTI_INF), out = _mm_set1_pd(VOXRTI_INF), unit, start, stop;
+    uint32_t a, alive;
+    for (a = 0; a < 3; a++) {
+        __m128d x = _mm_cvtps_pd(dir[a]), d = _mm_div_pd(_mm_set1_pd(1.0), x), t0, t1;
+        o[a] = _mm_mul_pd(_mm_sub_pd(_mm_cvtps_pd(org[a]), _mm_set1_pd(c->t->origin[a])), _mm_set1_pd(c->scale));
+        t0 = _mm_mul_pd(_mm_sub_pd(zero, o[a]), d);
+        t1 = _mm_mul_pd(_mm_sub_pd(full, o[a]), d);
+        in = _mm_max_pd(in, _mm_blendv_pd(t0, t1, x));
+        out = _mm_min_pd(out, _mm_blendv_pd(t1, t0, x));
+    }
+    unit = _mm_mul_pd(_mm_set1_pd(c->t->voxel_size), _mm_cvtps_pd(s));
+    start = _mm_div_pd(_mm_cvtps_pd(t_min), unit);
+    stop = _mm_div_pd(_mm_cvtps_pd(t_max), unit);
+    p->inside |= (uint32_t)_mm_movemask_pd(_mm_cmpgt_pd(start, in)) << h;
+    start = _mm_max_pd(in, start);
+    alive = (uint32_t)_mm_movemask_pd(_mm_cmplt_pd(start, _mm_min_pd(out, stop)));
+    _mm_storeu_pd(p->base + h, start);
+    _mm_storeu_pd(p->unit + h, unit);
+    _mm_storel_pi((__m64 *)(void *)(p->end + h), _mm_cvtpd_ps(_mm_sub_pd(stop, start)));
+    for (a = 0; a < 3; a++) {
+        __m128d q = _mm_add_pd(o[a], _mm_mul_pd(start, _mm_cvtps_pd(dir[a])));
+        _mm_storel_pi((__m64 *)(void *)(p->o[a] + h), _mm_cvtpd_ps(_mm_min_pd(_mm_max_pd(q, zero), full)));
+    }
+    return alive << h;
+}
+
+/* voxrti_octray_setup of four rays: the lanes to trace; *bad: those that are not usable. */
+VOXRTI_TARGET_SSE4 static uint32_t voxrti_octpacket_setup(const voxrti_octrace *c, const voxrt_ray *rays, uint32_t n,
+                                                          voxrti_octpacket *p, uint32_t *bad) {
+    __m128 org[4], dir[4], high[3], high_dir[3], m = _mm_setzero_ps(), ok, s, end, test = _mm_setzero_ps();
+    const __m128 zero = _mm_setzero_ps(), sign = _mm_set1_ps(-0.0f), full = _mm_set1_ps(c->full);
+    uint32_t a, k, usable, alive;
+    __m128i bits;
+    for (k = 0; k < 4; k++) { /* a short packet repeats its last ray */
+        const voxrt_ray *ray = &rays[k < n ? k : n - 1];
+        org[k] = _mm_loadu_ps(ray->org);
+        dir[k] = _mm_loadu_ps(ray->dir);
+    }
+    _MM_TRANSPOSE4_PS(org[0], org[1], org[2], org[3]);
+    _MM_TRANSPOSE4_PS(dir[0], dir[1], dir[2], dir[3]);
+    for (a = 0; a < 3; a++) {
+        test = _mm_add_ps(test, _mm_add_ps(_mm_sub_ps(org[a], org[a]), _mm_sub_ps(dir[a], dir[a]))); /* 0 or NaN */
+        m = _mm_max_ps(_mm_andnot_ps(sign, dir[a]), m);
+    }
+    ok = _mm_and_ps(_mm_and_ps(_mm_cmpeq_ps(test, zero), _mm_cmpgt_ps(m, zero)), _mm_cmple_ps(org[3], dir[3]));
+    usable = (uint32_t)_mm_movemask_ps(ok) & ((1u << n) - 1u);
+    *bad = ~usable & ((1u << n) - 1u);
+    p->inside = 0;
+    if (usable == 0) return 0;
+    bits = _mm_sub_epi32(_mm_set1_epi32(0x7f000000), _mm_and_si128(_mm_castps_si128(m), _mm_set1_epi32(0x7f800000)));
+    bits = _mm_or_si128(bits, _mm_and_si128(_mm_cmpeq_epi32(bits, _mm_setzero_si128()), _mm_set1_epi32(0x00400000)));
+    s = _mm_castsi128_ps(bits);
+    for (a = 0; a < 3; a++) {
+        __m128 x = _mm_mul_ps(dir[a], s), tiny = _mm_cmplt_ps(_mm_andnot_ps(sign, x), _mm_set1_ps(1e-20f));
+        x = _mm_blendv_ps(x, _mm_or_ps(_mm_and_ps(dir[a], sign), _mm_set1_ps(1e-20f)), tiny);
+        x = _mm_blendv_ps(_mm_set1_ps(1.0f), x, ok); /* no NaN in lanes that are not used */
+        org[a] = _mm_and_ps(org[a], ok);
+        dir[a] = x;
+        _mm_storeu_ps(p->d[a], x);
+        _mm_storeu_ps(p->inv[a], _mm_div_ps(_mm_set1_ps(1.0f), x));
+        high[a] = _mm_movehl_ps(org[a], org[a]);
+        high_dir[a] = _mm_movehl_ps(x, x);
+    }
+    alive = voxrti_octpacket_enter(c, p, 0, org, dir, org[3], dir[3], s);
+    alive |= voxrti_octpacket_enter(c, p, 2, high, high_dir, _mm_movehl_ps(org[3], org[3]), _mm_movehl_ps(dir[3], dir[3]),
+                                    _mm_movehl_ps(s, s));
+    alive &= usable;
+    if (alive == 0) return 0;
+    end = _mm_loadu_ps(p->end);
+    for (a = 0; a < 3; a++) {
+        __m128 face = _mm_andnot_ps(_mm_cmplt_ps(dir[a], zero), full);
+        end = _mm_min_ps(_mm_mul_ps(_mm_sub_ps(face, _mm_loadu_ps(p->o[a])), _mm_loadu_ps(p->inv[a])), end);
+    }
+    _mm_storeu_ps(p->end, end);
+    return alive & (uint32_t)_mm_movemask_ps(_mm_cmpgt_ps(end, zero));
+}
+
+static int voxrti_octpacket_hit(const voxrti_octrace *c, const voxrti_octpacket *p, uint32_t k, const voxrt_ray *ray,
+                                const float lambda[4], const uint32_t vi[4], const uint32_t cell[3][4],
+                                const uint32_t mask[4], voxrt_hit *hit) {
+    voxrti_octray r;
+    uint32_t a, lane[3];
+    for (a = 0; a < 3; a++) {
+        r.o[a] = p->o[a][k];
+        r.d[a] = p->d[a][k];
+        r.inv[a] = p->inv[a][k];
+        lane[a] = cell[a][k];
+    }
+    r.end = p->end[k];
+    r.inside = p->inside >> k & 1u;
+    r.base = p->base[k];
+    r.unit = p->unit[k];
+    return voxrti_octray_hit(c, &r, ray, lambda[k], vi[k], lane, mask[k], hit);
+}
+
+#define voxrti_count4(m) ((uint32_t)(0x4332322132212110u >> 4 * (uint32_t)(m)) & 7u) /* bits set in 4 */
+#define voxrti_load_voxel(i) _mm_loadl_epi64((const __m128i *)(const void *)&voxels[(uint32_t)(i)])
+
+/* Lanes that are through go on computing the same point, so that they touch no new memory. `counted` is a constant. */
+VOXRTI_TARGET_SSE4 VOXRTI_INLINE void voxrti_octrace_four(const voxrti_octrace *c, const voxrt_ray *rays, voxrt_hit *hits,
+                                                          uint32_t n, voxrt_octree_stats *stats, int counted) {
+    const voxrti_voxel *voxels = c->t->voxel;
+    voxrti_octpacket r;
+    uint32_t k, alive, bad, left = c->max_outer, boosted = 0, top = c->t->depth - c->grid_log, outer = 0, inner = 0;
+    __m128 lambda = _mm_setzero_ps(), boost = lambda, end, ox, oy, oz, dx, dy, dz, ix, iy, iz, qx, qy, qz, px, py, pz;
+    __m128 e = _mm_set1_ps(c->offset), sign = _mm_set1_ps(-0.0f);
+    __m128i trace, posx, posy, posz;
+    const __m128i last = _mm_set1_epi32((int)c->full - 1), one = _mm_set1_epi32(1), zero = _mm_setzero_si128();
+    const __m128i two = _mm_set1_epi32(2), four = _mm_set1_epi32(4), start_mask = _mm_set1_epi32((int)((1u << top) - 1u));
+    const __m128i grid_shift = _mm_cvtsi32_si128((int)top), grid_log = _mm_cvtsi32_si128((int)c->grid_log);
+    alive = voxrti_octpacket_setup(c, rays, n, &r, &bad);
+    for (k = 0; k < n; k++) voxrti_octray_miss(&hits[k]);
+    if (counted) {
+        stats->rays += n;
+        stats->bad_rays += voxrti_count4(bad);
+    }
+    if (alive == 0) return;
+    trace = _mm_cmpgt_epi32(_mm_and_si128(_mm_set1_epi32((int)alive), _mm_setr_epi32(1, 2, 4, 8)), zero);
+    ox = _mm_loadu_ps(r.o[0]); oy = _mm_loadu_ps(r.o[1]); oz = _mm_loadu_ps(r.o[2]);
+    dx = _mm_loadu_ps(r.d[0]); dy = _mm_loadu_ps(r.d[1]); dz = _mm_loadu_ps(r.d[2]);
+    ix = _mm_loadu_ps(r.inv[0]); iy = _mm_loadu_ps(r.inv[1]); iz = _mm_loadu_ps(r.inv[2]);
+    end = _mm_loadu_ps(r.end);
+    px = qx = _mm_add_ps(ox, _mm_or_ps(_mm_and_ps(dx, sign), e));
+    py = qy = _mm_add_ps(oy, _mm_or_ps(_mm_and_ps(dy, sign), e));
+    pz = qz = _mm_add_ps(oz, _mm_or_ps(_mm_and_ps(dz, sign), e));
+    posx = _mm_castps_si128(_mm_cmpgt_ps(dx, _mm_setzero_ps()));
+    posy = _mm_castps_si128(_mm_cmpgt_ps(dy, _mm_setzero_ps()));
+    posz = _mm_castps_si128(_mm_cmpgt_ps(dz, _mm_setzero_ps()));
+    for (;;) {
+        __m128i jx = _mm_min_epu32(_mm_cvttps_epi32(px), last), jy = _mm_min_epu32(_mm_cvttps_epi32(py), last);
+        __m128i jz = _mm_min_epu32(_mm_cvttps_epi32(pz), last), vi = zero, children, filled, mask = start_mask, on, edge;
+        __m128 exit;
+        uint32_t m;
+        left--;
+        if (counted) outer += voxrti_count4(_mm_movemask_ps(_mm_castsi128_ps(trace)));
+        if (c->grid != NULL) {
+            __m128i g, inside;
+            g = _mm_or_si128(_mm_sll_epi32(_mm_srl_epi32(jz, grid_shift), grid_log), _mm_srl_epi32(jy, grid_shift));
+            g = _mm_or_si128(_mm_sll_epi32(g, grid_log), _mm_srl_epi32(jx, grid_shift));
+            g = _mm_setr_epi32((int)c->grid[(uint32_t)_mm_cvtsi128_si32(g)], (int)c->grid[(uint32_t)_mm_extract_epi32(g, 1)],
+                               (int)c->grid[(uint32_t)_mm_extract_epi32(g, 2)], (int)c->grid[(uint32_t)_mm_extract_epi32(g, 3)]);
+            inside = _mm_srai_epi32(_mm_slli_epi32(g, 31), 31);
+            children = _mm_and_si128(_mm_and_si128(_mm_srli_epi32(g, 1), inside), trace);
+            mask = _mm_blendv_epi8(_mm_srli_epi32(g, 2), start_mask, inside);
+            filled = _mm_andnot_si128(inside, _mm_and_si128(g, two));
+            vi = _mm_set1_epi32(-1);
+        } else {
+            children = _mm_and_si128(_mm_set1_epi32((int)voxels[0].children), trace);
+            filled = _mm_set1_epi32((int)voxels[0].index);
+        }
+        if (top > c->leaf_log) {
+            uint32_t s = top;
+            __m128i hy = _mm_slli_epi32(jy, 1), hz = _mm_slli_epi32(jz, 2);
+            for (;;) { /* down. Lanes that are not to go on have children = 0 and read the root's block */
+                __m128i down = _mm_cmpgt_epi32(children, zero), shift, w, v01, v23;
+                m = (uint32_t)_mm_movemask_ps(_mm_castsi128_ps(down));
+                if (m == 0) break;
+                if (counted) inner += voxrti_count4(m);
+                shift = _mm_cvtsi32_si128((int)--s);
+                w = _mm_or_si128(_mm_and_si128(_mm_srl_epi32(jx, shift), one), _mm_and_si128(_mm_srl_epi32(hy, shift), two));
+                w = _mm_or_si128(w, _mm_and_si128(_mm_srl_epi32(hz, shift), four));
+                w = _mm_or_si128(w, _mm_slli_epi32(children, 3));
+                v01 = voxrti_load_voxel(_mm_cvtsi128_si32(w));
+                v23 = voxrti_load_voxel(_mm_extract_epi32(w, 2));
+                v01 = _mm_unpacklo_epi64(v01, voxrti_load_voxel(_mm_extract_epi32(w, 1)));
+                v23 = _mm_unpacklo_epi64(v23, voxrti_load_voxel(_mm_extract_epi32(w, 3)));
+                children = _mm_castps_si128(_mm_shuffle_ps(_mm_castsi128_ps(v01), _mm_castsi128_ps(v23), 0xdd));
+                children = _mm_and_si128(children, down);
+                v01 = _mm_castps_si128(_mm_shuffle_ps(_mm_castsi128_ps(v01), _mm_castsi128_ps(v23), 0x88));
+                vi = _mm_blendv_epi8(vi, w, down);
+                filled = _mm_blendv_epi8(filled, _mm_slli_epi32(v01, 16), down); /* the low half is the index */
+                mask = _mm_blendv_epi8(mask, _mm_set1_epi32((int)((1u << s) - 1u)), down);
+                if (s == c->leaf_log) break;
+            }
+        }
+        on = _mm_andnot_si128(_mm_cmpeq_epi32(filled, zero), trace);
+        m = (uint32_t)_mm_movemask_ps(_mm_castsi128_ps(on));
+        if (m != 0) {
+            uint32_t cells[3][4], voxel[4], masks[4];
+            float at[4];
+            _mm_storeu_si128((__m128i *)(void *)cells[0], jx);
+            _mm_storeu_si128((__m128i *)(void *)cells[1], jy);
+            _mm_storeu_si128((__m128i *)(void *)cells[2], jz);
+            _mm_storeu_si128((__m128i *)(void *)voxel, vi);
+            _mm_storeu_si128((__m128i *)(void *)masks, mask);
+            _mm_storeu_ps(at, lambda);
+            for (; m != 0; m &= m - 1) {
+                int found;
+                k = voxrti_ctz64(m);
+                found = voxrti_octpacket_hit(c, &r, k, &rays[k], at, voxel, (const uint32_t (*)[4])cells, masks, &hits[k]);
+                if (counted) stats->hits += (uint64_t)found;
+            }
+            trace = _mm_andnot_si128(on, trace);
+        }
+        edge = _mm_add_epi32(mask, one);
+        exit = _mm_cvtepi32_ps(_mm_add_epi32(_mm_andnot_si128(mask, jx), _mm_and_si128(edge, posx)));
+        exit = _mm_mul_ps(_mm_sub_ps(exit, ox), ix);
+        exit = _mm_min_ps(_mm_mul_ps(_mm_sub_ps(_mm_cvtepi32_ps(
+            _mm_add_epi32(_mm_andnot_si128(mask, jy), _mm_and_si128(edge, posy))), oy), iy), exit);
+        exit = _mm_min_ps(_mm_mul_ps(_mm_sub_ps(_mm_cvtepi32_ps(
+            _mm_add_epi32(_mm_andnot_si128(mask, jz), _mm_and_si128(edge, posz))), oz), iz), exit);
+        on = _mm_and_si128(_mm_castps_si128(_mm_cmpgt_ps(exit, lambda)), trace);
+        lambda = _mm_blendv_ps(lambda, exit, _mm_castsi128_ps(on));
+        px = _mm_add_ps(qx, _mm_mul_ps(lambda, dx));
+        py = _mm_add_ps(qy, _mm_mul_ps(lambda, dy));
+        pz = _mm_add_ps(qz, _mm_mul_ps(lambda, dz));
+        m = (uint32_t)_mm_movemask_ps(_mm_castsi128_ps(_mm_xor_si128(on, trace)));
+        on = _mm_andnot_si128(_mm_castps_si128(_mm_cmpge_ps(lambda, end)), on);
+        if (VOXRTI_LIKELY(m == 0)) {
+            trace = on;
+            boosted = 0;
+        } else { /* some do not get on */
+            float fboost[4], fp[3][4];
+            uint32_t a;
+            if (c->fixed || left == 0) {
+                if (counted) stats->stuck += voxrti_count4(m);
+                trace = on;
+                m = 0;
+            } else {
+                trace = _mm_or_si128(on, _mm_cmpgt_epi32(_mm_and_si128(_mm_set1_epi32((int)m), _mm_setr_epi32(1, 2, 4, 8)), zero));
+            }
+            _mm_storeu_ps(fboost, boost);
+            _mm_storeu_ps(fp[0], px);
+            _mm_storeu_ps(fp[1], py);
+            _mm_storeu_ps(fp[2], pz);
+            for (k = 0; k < 4; k++) {
+                if ((m >> k & 1u) == 0 || !boosted) fboost[k] = 0;
+                if ((m >> k & 1u) == 0) continue;
+                fboost[k] = fboost[k] > 0 ? fboost[k] + fboost[k] : c->offset;
+                for (a = 0; a < 3; a++) fp[a][k] = voxrti_octray_boost(fp[a][k], r.d[a][k], fboost[k], c->full);
+            }
+            boost = _mm_loadu_ps(fboost);
+            px = _mm_loadu_ps(fp[0]);
+            py = _mm_loadu_ps(fp[1]);
+            pz = _mm_loadu_ps(fp[2]);
+            boosted = 1;
+        }
+        if (_mm_movemask_ps(_mm_castsi128_ps(trace)) == 0 || left == 0) break;
+    }
+    if (counted) {
+        stats->outer += outer;
+        stats->inner += inner;
+        if (c->grid != NULL) stats->grid += outer;
+    }
+}
+
+VOXRTI_TARGET_SSE4 static void voxrti_octrace_packets(const voxrti_octrace *c, const voxrt_ray *rays, voxrt_hit *hits,
+                                                      size_t count, voxrt_octree_stats *stats) {
+    size_t i;
+    for (i = 0; i < count; i += 4) {
+        uint32_t n = count - i < 4 ? (uint32_t)(count - i) : 4u;
+        if (stats != NULL) voxrti_octrace_four(c, rays + i, hits + i, n, stats, 1);
+        else voxrti_octrace_four(c, rays + i, hits + i, n, stats, 0);
+    }
+}
+#endif
+
+/* ---- entry points ---- */
+
+VOXRT_DEF voxrt_result voxrt_octree_trace(const voxrt_octree *t, const voxrt_octree_trace_desc *desc, const voxrt_ray *rays,
+                                          voxrt_hit *hits, size_t count) {
+    voxrt_octree_trace_desc d;
+    voxrt_octree_stats local;
+    voxrti_octrace c;
+    size_t i;
+    int packets;
+    memset(&d, 0, sizeof d);
+    if (desc != NULL) d = *desc;
+    if (d._begin_zero != 0 || d._end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
+    if (t == NULL || (uint32_t)d.isa > 4u || !(d.offset >= 0.0f && d.offset <= 0.5f)) return VOXRT_ERR_INVALID_ARG;
+    if (count != 0 && (rays == NULL || hits == NULL)) return VOXRT_ERR_INVALID_ARG;
+    memset(&local, 0, sizeof local);
+    memset(&c, 0, sizeof c);
+    c.t = t;
+    c.full = (float)(1u << t->depth);
+    if (d.max_level_plus_1 != 0 && d.max_level_plus_1 <= t->depth) c.leaf_log = t->depth + 1 - d.max_level_plus_1;
+    c.fixed = d.offset > 0;
+    c.offset = d.offset > 0 ? d.offset : c.full * VOXRTI_OCTREE_OFFSET;
+    c.max_outer = 6u << t->depth;
+    c.scale = 1.0 / t->voxel_size;
+    if (t->grid != NULL && !d.disable_grid) { /* with a limit: the grid of a coarser level, so that it is always nodes that are left */
+        uint32_t l = t->grid_level - 1;
+        if (d.max_level_plus_1 != 0 && l + 2 > d.max_level_plus_1) l = d.max_level_plus_1 - 2;
+        if (d.max_level_plus_1 != 1) {
+            c.grid = t->grid + voxrti_grid_first(l);
+            c.grid_log = l;
+        }
+    }
+    packets = d.isa != VOXRT_ISA_SCALAR && t->cpu_level >= 2;
+#if VOXRTI_X64
+    if (packets) voxrti_octrace_packets(&c, rays, hits, count, d.stats != NULL ? &local : NULL);
+#else
+    packets = 0;
+#endif
+    if (!packets)
+        for (i = 0; i < count; i++) voxrti_octrace_one(&c, rays + i, hits + i, &local);
+    if (d.stats != NULL) {
+        d.stats->rays += local.rays;
+        d.stats->hits += local.hits;
+        d.stats->bad_rays += local.bad_rays;
+        d.stats->outer += local.outer;
+        d.stats->inner += local.inner;
+        d.stats->grid += local.grid;
+        d.stats->stuck += local.stuck;
+    }
+    return VOXRT_OK;
+}
+
+VOXRT_DEF uint32_t voxrt_octree_lod_level(const voxrt_octree *t, const float eye[3], float spread, float pixels) {
+    double size, d2 = 0, want, edge;
+    uint32_t a, level = 0;
+    if (t == NULL || eye == NULL) return 0;
+    size = t->voxel_size * (double)(1u << t->depth);
+    for (a = 0; a < 3; a++) {
+        double below = t->origin[a] - (double)eye[a], above = (double)eye[a] - (t->origin[a] + size);
+        double d = voxrti_max(0.0, voxrti_max(below, above));
+        d2 += d * d;
+    }
+    want = (double)spread * (double)pixels * sqrt(d2); /* edge of the voxels that are small enough */
+    for (edge = size; level < t->depth && !(edge <= want); level++) edge = edge * 0.5;
+    return level;
+}
+
+VOXRT_DEF void voxrt_octree_hit_color(const voxrt_octree *t, const voxrt_hit *hit, uint8_t rgb[3]) {
+    uint32_t index = t->voxel[hit->node].index;
+    memcpy(rgb, t->palette + (size_t)3 * (index - (index != 0)), 3);
+}
+
+VOXRTI_INLINE void voxrti_face_normal(const voxrt_hit *hit, float n[3]) {
+    n[0] = n[1] = n[2] = 0.0f;
+    if (hit->node != VOXRT_NO_NODE && hit->face < 6) n[hit->face >> 1] = (hit->face & 1u) ? 1.0f : -1.0f;
+}
+
+VOXRT_DEF void voxrt_octree_hit_normal(const voxrt_octree *t, const voxrt_hit *hit, float normal[3]) {
+    if (t->has_normals) voxrti_sph_decode(t->voxel[hit->node].theta, t->voxel[hit->node].phi, normal);
+    else voxrti_face_normal(hit, normal);
+}
+
+#if VOXRTI_X64
+/* voxrti_sph_sincos of four codes */
+VOXRTI_TARGET_SSE4 static void voxrti_sph_sincos4(__m128i k, __m128 *s, __m128 *c) {
+    __m128i q = _mm_srai_epi32(_mm_add_epi32(k, _mm_set1_epi32(64)), 7);
+    __m128 x = _mm_mul_ps(_mm_cvtepi32_ps(_mm_sub_epi32(k, _mm_slli_epi32(q, 7))), _mm_set1_ps(0.012271846303085130f));
+    __m128 x2 = _mm_mul_ps(x, x), ps, pc, odd, sign = _mm_set1_ps(-0.0f), flip;
+    ps = _mm_add_ps(_mm_mul_ps(_mm_set1_ps(-1.9515295891e-4f), x2), _mm_set1_ps(8.3321608736e-3f));
+    ps = _mm_add_ps(_mm_mul_ps(ps, x2), _mm_set1_ps(-1.6666654611e-1f));
+    ps = _mm_add_ps(_mm_mul_ps(_mm_mul_ps(ps, x2), x), x);
+    pc = _mm_add_ps(_mm_mul_ps(_mm_set1_ps(2.443315711809948e-5f), x2), _mm_set1_ps(-1.388731625493765e-3f));
+    pc = _mm_add_ps(_mm_mul_ps(pc, x2), _mm_set1_ps(4.166664568298827e-2f));
+    pc = _mm_add_ps(_mm_mul_ps(_mm_mul_ps(pc, x2), x2), _mm_sub_ps(_mm_set1_ps(1.0f), _mm_mul_ps(_mm_set1_ps(0.5f), x2)));
+    odd = _mm_castsi128_ps(_mm_slli_epi32(q, 31));
+    flip = _mm_and_ps(_mm_castsi128_ps(_mm_slli_epi32(q, 30)), sign);
+    *s = _mm_xor_ps(_mm_blendv_ps(ps, pc, odd), flip);
+    *c = _mm_xor_ps(_mm_blendv_ps(pc, _mm_xor_ps(ps, sign), odd), flip);
+}
+
+/* thesis listing 2: normals of four voxels */
+VOXRTI_TARGET_SSE4 static void voxrti_sph_decode4(const voxrti_voxel *v[4], float *n) {
+    __m128 st, ct, sp, cp, x, y;
+    float f[3][4];
+    uint32_t k;
+    voxrti_sph_sincos4(_mm_setr_epi32(v[0]->theta, v[1]->theta, v[2]->theta, v[3]->theta), &st, &ct);
+    voxrti_sph_sincos4(_mm_setr_epi32(2 * v[0]->phi, 2 * v[1]->phi, 2 * v[2]->phi, 2 * v[3]->phi), &sp, &cp);
+    x = _mm_mul_ps(st, cp);
+    y = _mm_mul_ps(st, sp);
+    _mm_storeu_ps(f[0], x);
+    _mm_storeu_ps(f[1], y);
+    _mm_storeu_ps(f[2], ct);
+    for (k = 0; k < 4; k++) {
+        n[3 * k] = f[0][k];
+        n[3 * k + 1] = f[1][k];
+        n[3 * k + 2] = f[2][k];
+    }
+}
+#endif
+
+VOXRT_DEF void voxrt_octree_hit_normals(const voxrt_octree *t, const voxrt_hit *hits, float *normals, size_t count) {
+    size_t i = 0;
+#if VOXRTI_X64
+    if (t->has_normals && t->cpu_level >= 2) {
+        for (; i + 4 <= count; i += 4) {
+            const voxrti_voxel *v[4];
+            uint32_t k;
+            for (k = 0; k < 4; k++) v[k] = &t->voxel[hits[i + k].node != VOXRT_NO_NODE ? hits[i + k].node : 0];
+            voxrti_sph_decode4(v, normals + 3 * i);
+            for (k = 0; k < 4; k++)
+                if (hits[i + k].node == VOXRT_NO_NODE) memset(normals + 3 * (i + k), 0, 3 * sizeof(float));
+        }
+    }
+#endif
+    for (; i < count; i++) {
+        if (hits[i].node == VOXRT_NO_NODE) memset(normals + 3 * i, 0, 3 * sizeof(float));
+        else voxrt_octree_hit_normal(t, &hits[i], normals + 3 * i);
+    }
+}
+
+/* ---- entry points ---- */
+
+static voxrt_result voxrti_trace_open(const voxrt_tree *t, const voxrt_trace_desc *desc, voxrt_trace_desc *d,
+                                      voxrti_cone *cone, int *isa) {
+    double scale;
+    uint32_t a;
+    memset(d, 0, sizeof *d);
+    if (desc != NULL) *d = *desc;
+    if (d->_begin_zero != 0 || d->_end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
+    if (t == NULL || (uint32_t)d->isa > 4u) return VOXRT_ERR_INVALID_ARG;
+    if (!(d->cone_width >= 0.0f) || !(d->cone_spread >= 0.0f)) return VOXRT_ERR_INVALID_ARG;
+    scale = 1.0 / t->voxel_size;
+    cone->width = (double)d->cone_width * scale;
+    cone->spread = (double)d->cone_spread * scale;
+    cone->floor_ = 0;
+    if (d->max_level_plus_1 != 0 && d->max_level_plus_1 <= t->depth)
+        cone->floor_ = (double)((uint32_t)1 << (t->depth + 1 - d->max_level_plus_1));
+    for (a = 0; a < 3; a++) {
+        uint32_t f = cone->floor_ > 0 ? (uint32_t)cone->floor_ : 1u;
+        cone->lo[a] = t->cell_min[a] / f * f;
+        cone->hi[a] = (t->cell_max[a] + f - 1) / f * f;
+    }
+    cone->on = cone->width > 0 || cone->spread > 0 || cone->floor_ > 0;
+    *isa = (int)voxrt_isa_best();
+    if (d->isa != VOXRT_ISA_AUTO && (int)d->isa < *isa) *isa = (int)d->isa;
+    return VOXRT_OK;
+}
+
+VOXRT_DEF int voxrt_trace1(const voxrt_tree *tree, const voxrt_ray *ray, voxrt_hit *hit) {
+    voxrti_cone cone;
+    memset(&cone, 0, sizeof cone);
+    memcpy(cone.lo, tree->cell_min, sizeof cone.lo);
+    memcpy(cone.hi, tree->cell_max, sizeof cone.hi);
+    voxrti_trace_one(tree, &cone, NULL, ray, hit, NULL);
+    return hit->node != VOXRT_NO_NODE;
+}
+
+VOXRT_DEF voxrt_result voxrt_trace(const voxrt_tree *tree, const voxrt_trace_desc *desc, const voxrt_ray *rays,
+                                   voxrt_hit *hits, size_t count) {
+    voxrt_trace_desc d;
+    voxrti_cone cone;
+    voxrti_beam beam;
+    size_t i;
+    int isa;
+    voxrt_result r = voxrti_trace_open(tree, desc, &d, &cone, &isa);
+    if (r != VOXRT_OK) return r;
+    if (count != 0 && (rays == NULL || hits == NULL)) return VOXRT_ERR_INVALID_ARG;
+#if VOXRTI_AVX512
+    if (isa == VOXRT_ISA_AVX512) {
+        for (i = 0; i < count; i += 65536) {
+            size_t n = count - i < 65536 ? count - i : 65536;
+            voxrti_trace_avx512(tree, &cone, rays + i, hits + i, n, d.stats);
+        }
+        return VOXRT_OK;
+    }
+#endif
+#if VOXRTI_AVX2
+    if (isa == VOXRT_ISA_AVX2) {
+        for (i = 0; i < count; i += 65536) {
+            size_t n = count - i < 65536 ? count - i : 65536;
+            voxrti_trace_avx2(tree, &cone, rays + i, hits + i, n, d.stats);
+        }
+        return VOXRT_OK;
+    }
+#endif
+    for (i = 0; i < count; i++) {
+        if ((i & 63u) == 0) voxrti_beam_find(tree, &cone, rays + i, count - i < 64 ? (uint32_t)(count - i) : 64u, isa, &beam);
+        voxrti_trace_one(tree, &cone, &beam, rays + i, hits + i, d.stats);
+    }
+    return VOXRT_OK;
+}
+
+VOXRT_DEF voxrt_result voxrt_occluded(const voxrt_tree *tree, const voxrt_trace_desc *desc, const voxrt_ray *rays,
+                                      uint8_t *occluded, size_t count) {
+    voxrt_hit hit[64];
+    size_t i, k, n;
+    if (count != 0 && occluded == NULL) return VOXRT_ERR_INVALID_ARG;
+    for (i = 0; i < count; i += n) {
+        voxrt_result r;
+        n = count - i < 64 ? count - i : 64;
+        r = voxrt_trace(tree, desc, rays + i, hit, n);
+        if (r != VOXRT_OK) return r;
+        for (k = 0; k < n; k++) occluded[i + k] = hit[k].node != VOXRT_NO_NODE;
+    }
+    return VOXRT_OK;
+}
+
+static uint64_t voxrti_hit_attr(const voxrt_tree *t, const voxrt_hit *hit) {
+    return voxrti_attr_index(t, (uint32_t)hit->level + 2 * t->wide - t->depth, hit->node, hit->slot);
+}
+
+VOXRT_DEF void voxrt_hit_color(const voxrt_tree *tree, const voxrt_hit *hit, uint8_t rgb[3]) {
+    const uint8_t *p = tree->palette;
+    if (tree->colors.block != NULL) p += (size_t)3 * voxrti_colors_get(&tree->colors, voxrti_hit_attr(tree, hit));
+    rgb[0] = p[0];
+    rgb[1] = p[1];
+    rgb[2] = p[2];
+}
+
+VOXRT_DEF void voxrt_hit_normal(const voxrt_tree *tree, const voxrt_hit *hit, float normal[3]) {
+    if (tree->normal != NULL) {
+        voxrti_oct_decode(tree->normal[voxrti_hit_attr(tree, hit)], normal);
+    } else {
+        normal[0] = normal[1] = normal[2] = 0.0f;
+        if (hit->face < 6) normal[hit->face >> 1] = (hit->face & 1u) ? 1.0f : -1.0f;
+    }
+}
+
+/* ---------------------------------------------------------------------------
+   shade: surfaces -> colours.                                                   // >>shade
+   Rays come in runs of up to 64. Colours of one run: 64 values of red, green, blue, coverage; linear and premultiplied,
+   or with thesis_compose sRGB bytes times brightness, 0..255. Shadow rays of a run are traced together, light by light.
+   --------------------------------------------------------------------------- */
+
+#define VOXRTI_RUN 64 /* rays traced at once: 8x8 pixels */
+#define VOXRTI_TILE 32
+
+typedef struct voxrti_srgb {
+    float linear[256];    /* of a byte */
+    float from[257];      /* byte b is what values in [from[b], from[b+1]) are written as */
+    uint8_t start[1025];  /* byte of the value i/1024 */
+} voxrti_srgb;
+
+typedef struct voxrti_frame { /* a camera: direction of the picture point (x, y), both 0 in the middle, y up */
+    double forward[3], right[3], up[3]; /* right and up have the length of one pixel at depth 1 */
+    float eye[3];
+    double pixel;
+} voxrti_frame;
+
+typedef struct voxrti_render {
+    const voxrt_render_desc *d;
+    const voxrt_image *image;
+    const voxrt_tree *tree;
+    voxrt_material material;
+    voxrt_light light[2];           /* the default ones */
+    const voxrt_light *lights;
+    size_t light_count;
+    voxrti_frame frame;
+    voxrt_trace_desc trace, coarse; /* coarse: left half of a split picture */
+    uint32_t samples, tiles_x, first_tile, count, transparent;
+    voxrt_render_stats stats;       /* atomics */
+    voxrti_srgb srgb;
+} voxrti_render;
+
+static void voxrti_srgb_open(voxrti_srgb *s) {
+    uint32_t i, b = 0;
+    for (i = 0; i < 256; i++) {
+        s->linear[i] = (float)voxrti_srgb_to_linear((double)i / 255.0);
+        s->from[i] = i == 0 ? 0.0f : (float)voxrti_srgb_to_linear(((double)i - 0.5) / 255.0);
+    }
+    s->from[256] = INFINITY;
+    for (i = 0; i <= 1024; i++) {
+        while ((float)i * (1.0f / 1024.0f) >= s->from[b + 1]) b++;
+        s->start[i] = (uint8_t)b;
+    }
+}
+
+/* linear value -> nearest sRGB byte */
+VOXRTI_INLINE uint8_t voxrti_srgb_byte(const voxrti_srgb *s, float v) {
+    uint32_t b;
+    if (!(v > 0.0f)) return 0;
+    if (v >= 1.0f) return 255;
+    b = s->start[(uint32_t)(v * 1024.0f)];
+    while (v >= s->from[b + 1]) b++;
+    return (uint8_t)b;
+}
+/* value in units of 1/255 -> nearest byte */
+VOXRTI_INLINE uint8_t voxrti_unit_byte(float v) {
+    return !(v > 0.0f) ? (uint8_t)0 : v >= 255.0f ? (uint8_t)255 : (uint8_t)(v + 0.5f);
+}
+
+/* Trace a run through everything that is to be seen. hit may be NULL. */
+static void voxrti_run_trace(const voxrti_render *c, const voxrt_trace_desc *td, const voxrt_ray *ray,
+                             voxrt_surface *surface, voxrt_hit *hit, uint32_t n);
+
+static void voxrti_run_occluded(const voxrti_render *c, const voxrt_trace_desc *td, const voxrt_ray *ray,
+                                uint8_t *occluded, uint32_t n) {
+    uint8_t more[VOXRTI_RUN];
+    uint32_t g, i;
+    memset(occluded, 0, n);
+    if (c->tree != NULL) (void)voxrt_occluded(c->tree, td, ray, occluded, n);
+    for (g = 0; g < c->d->geometry_count; g++) {
+        memset(more, 0, sizeof more);
+        c->d->geometry[g].occluded_fn(c->d->geometry[g].user, td, ray, more, n);
+        for (i = 0; i < n; i++) occluded[i] = (uint8_t)(occluded[i] | more[i]);
+    }
+}
+
+/* Where a shadow ray starts. A voxel surface is a staircase around the real one: its corners stand up to half a voxel
+   diagonal above it. Lifting the origin by 1.5 voxels along the normal and a little towards the light clears the
+   stairs at any resolution; what is nearer than that throws no shadow. */
+VOXRTI_INLINE void voxrti_shadow_origin(const voxrt_render_desc *d, const voxrt_surface *s, const float p[3],
+                                        const float normal[3], const float to_light[3], float org[3]) {
+    uint32_t a;
+    float lift = d->thesis_shadows ? 0.0f : 1.5f * s->edge;
+    float ahead = d->thesis_shadows ? 0.01f * s->edge : 0.5f * s->edge;
+    for (a = 0; a < 3; a++) org[a] = p[a] + normal[a] * lift + to_light[a] * ahead;
+}
+
+/* Add one light to the brightness of a run. bright, shine: diffuse and specular sums, 3 floats a ray. */
+static VOXRTI_NOINLINE void voxrti_run_light(const voxrti_render *c, const voxrt_trace_desc *td, const voxrt_light *light,
+                             const voxrt_ray *ray, const voxrt_surface *surface, const float (*normal)[3], uint32_t n,
+                             float (*bright)[3], float (*shine)[3]) {
+    voxrt_ray shadow[VOXRTI_RUN];
+    float diffuse[VOXRTI_RUN], specular[VOXRTI_RUN];
+    uint8_t index[VOXRTI_RUN], dark[VOXRTI_RUN];
+    uint32_t i, k, a, m = 0;
+    float unit[3];
+    int shadows = c->d->shadows && !light->no_shadow;
+    for (a = 0; a < 3; a++) unit[a] = light->position[a];
+    if (light->directional) (void)voxrti_normalize(unit);
+    for (i = 0; i < n; i++) {
+        float p[3], to[3], cosine;
+        voxrt_ray *r = &shadow[m];
+        if (!(surface[i].t < INFINITY)) continue;
+        for (a = 0; a < 3; a++) {
+            p[a] = ray[i].org[a] + ray[i].dir[a] * surface[i].t;
+            to[a] = light->directional ? unit[a] : light->position[a] - p[a];
+        }
+        if (!light->directional) (void)voxrti_normalize(to);
+        cosine = voxrti_dot3(normal[i], to);
+        if (!(cosine > 0.0f)) continue;
+        diffuse[m] = cosine * c->material.diffuse;
+        specular[m] = 0.0f;
+        if (c->material.specular > 0.0f) {
+            float v[3], along;
+            for (a = 0; a < 3; a++) v[a] = -ray[i].dir[a];
+            (void)voxrti_normalize(v);
+            along = 2.0f * cosine * voxrti_dot3(normal[i], v) - voxrti_dot3(to, v);
+            if (along > 0.0f)
+                specular[m] = c->material.specular * (float)voxrti_pow((double)along, (double)c->material.shininess);
+        }
+        index[m] = (uint8_t)i;
+        dark[m] = 0;
+        if (shadows) {
+            voxrti_shadow_origin(c->d, &surface[i], p, normal[i], to, r->org);
+            r->t_min = 0.0f;
+            for (a = 0; a < 3; a++) r->dir[a] = light->directional ? unit[a] : light->position[a] - r->org[a];
+            r->t_max = light->directional ? INFINITY : 1.0f;
+        }
+        m++;
+    }
+    if (shadows && m != 0) voxrti_run_occluded(c, td, shadow, dark, m);
+    for (k = 0; k < m; k++) {
+        if (dark[k]) continue;
+        i = index[k];
+        for (a = 0; a < 3; a++) {
+            bright[i][a] += diffuse[k] * light->color[a];
+            shine[i][a] += specular[k] * light->color[a];
+        }
+    }
+}
+
+/* View of a pixel column: split pictures show three. */
+VOXRTI_INLINE voxrt_view voxrti_view_at(const voxrti_render *c, uint32_t x) {
+    uint64_t third = (uint64_t)3 * x / c->image->width;
+    if (c->d->view != VOXRT_VIEW_SPLIT) return c->d->view;
+    return third == 0 ? VOXRT_VIEW_UNLIT : third == 1 ? VOXRT_VIEW_SHADED : VOXRT_VIEW_LIGHT;
+}
+
+/* Unit normals of a run, turned towards the viewer if they are clearly seen from behind. Not at the silhouette, where
+   a voxel's normal may look away by the few degrees that its size spans. */
+static void voxrti_run_normals(const voxrti_render *c, const voxrt_ray *ray, const voxrt_surface *surface, uint32_t n,
+                               float (*normal)[3]) {
+    uint32_t i, a;
+    for (i = 0; i < n; i++) {
+        const float *dir = ray[i].dir, *v = surface[i].normal;
+        float along;
+        normal[i][0] = normal[i][1] = normal[i][2] = 0.0f;
+        if (!(surface[i].t < INFINITY)) continue;
+        if (c->d->face_normals || (v[0] == 0.0f && v[1] == 0.0f && v[2] == 0.0f)) {
+            uint32_t f = surface[i].face;
+            if (f < 6) {
+                normal[i][f >> 1] = (f & 1u) ? 1.0f : -1.0f;
+            } else {
+                for (a = 0; a < 3; a++) normal[i][a] = -dir[a];
+                (void)voxrti_normalize(normal[i]);
+            }
+            continue;
+        }
+        along = voxrti_dot3(v, dir);
+        if (!c->d->one_sided && along > 0.0f && along * along > 0.04f * voxrti_dot3(dir, dir)) {
+            for (a = 0; a < 3; a++) normal[i][a] = -v[a];
+        } else {
+            for (a = 0; a < 3; a++) normal[i][a] = v[a];
+        }
+    }
+}
+
+/* Colours of a run, x0 = pixel column of ray 0, columns rays in a row. */
+static void voxrti_run_shade(const voxrti_render *c, const voxrt_trace_desc *td, const voxrt_ray *ray,
+                             const voxrt_surface *surface, const float (*normal)[3], uint32_t n, uint32_t x0,
+                             uint32_t columns, float (*value)[4]) {
+    float bright[VOXRTI_RUN][3], shine[VOXRTI_RUN][3], full = c->d->thesis_compose ? 255.0f : 1.0f;
+    uint32_t i, a, l, lit = 0, hits = 0;
+    for (i = 0; i < n; i++) hits += surface[i].t < INFINITY;
+    if (hits == 0) {
+        memset(value, 0, n * sizeof *value);
+        return;
+    }
+    for (i = 0; i < n; i++) {
+        voxrt_view view = voxrti_view_at(c, x0 + i % columns);
+        lit |= (view == VOXRT_VIEW_SHADED || view == VOXRT_VIEW_LIGHT) && surface[i].t < INFINITY;
+        for (a = 0; a < 3; a++) {
+            bright[i][a] = c->material.ambient[a];
+            shine[i][a] = 0.0f;
+        }
+    }
+    for (l = 0; lit && l < c->light_count; l++)
+        voxrti_run_light(c, td, &c->lights[l], ray, surface, normal, n, bright, shine);
+    for (i = 0; i < n; i++) {
+        voxrt_view view = voxrti_view_at(c, x0 + i % columns);
+        float *v = value[i];
+        v[0] = v[1] = v[2] = v[3] = 0.0f;
+        if (!(surface[i].t < INFINITY)) continue;
+        v[3] = full;
+        for (a = 0; a < 3; a++) {
+            float color = view == VOXRT_VIEW_LIGHT || c->d->stage == VOXRT_STAGE_TRACE ? full :
+                          c->d->thesis_compose ? (float)surface[i].rgb[a] : c->srgb.linear[surface[i].rgb[a]];
+            if (view == VOXRT_VIEW_NORMALS) v[a] = (normal[i][a] + 1.0f) * 0.5f * full;
+            else if (view == VOXRT_VIEW_UNLIT || c->d->stage == VOXRT_STAGE_TRACE) v[a] = color;
+            else v[a] = color * bright[i][a] + full * shine[i][a];
+            if (c->d->thesis_compose && v[a] > 255.0f) v[a] = 255.0f;
+        }
+    }
+}
+
+/* Heat of one ray: how often it stepped (outer) or went down (inner). */
+static void voxrti_heat(const voxrti_render *c, const voxrt_ray *ray, float value[4]) {
+    static const uint32_t limit[4] = {120, 80, 40, 15};
+    static const float paint[5][3] = {{1, 0, 0}, {1, 0.25f, 0}, {1, 1, 0}, {0, 0.6f, 0}, {1, 1, 1}};
+    voxrt_trace_desc td = c->trace;
+    voxrt_surface surface;
+    voxrt_stats stats;
+    float full = c->d->thesis_compose ? 255.0f : 1.0f;
+    uint32_t k = 0, a;
+    memset(&stats, 0, sizeof stats);
+    td.stats = &stats;
+    td.isa = VOXRT_ISA_SCALAR;
+    voxrti_run_trace(c, &td, ray, &surface, NULL, 1);
+    value[3] = full;
+    if (c->d->view == VOXRT_VIEW_HEAT_OUTER) {
+        float h = (float)stats.steps / (c->d->heat_max > 0.0f ? c->d->heat_max : 64.0f);
+        value[0] = full;
+        value[1] = value[2] = h < 1.0f ? full * (1.0f - h) : 0.0f;
+        return;
+    }
+    while (k < 4 && stats.descents <= limit[k]) k++;
+    for (a = 0; a < 3; a++) value[a] = full * paint[k][a];
+}
+
+/* ---------------------------------------------------------------------------
+   render: camera -> rays -> tiles of 32x32 pixels over the threads -> buffers.  // >>render
+   A tile is cut into runs of 8x8 pixels; each run is traced sample by sample, shaded and written. A pixel depends on
+   its run only, so any number of threads gives the same bits. Nothing is allocated; a run lives on the stack (14 KB).
+   --------------------------------------------------------------------------- */
+
+/* Trace through the tree and fill in what the rays met. */
+static void voxrti_tree_trace(const voxrt_tree *tree, const voxrt_trace_desc *td, uint32_t bare, const voxrt_ray *ray,
+                              voxrt_surface *surface, voxrt_hit *hit, uint32_t n) {
+    uint32_t i;
+    if (voxrt_trace(tree, td, ray, hit, n) != VOXRT_OK) memset(hit, 0xff, n * sizeof *hit);
+    for (i = 0; i < n; i++) {
+        voxrt_surface *s = &surface[i];
+        memset(s, 0, sizeof *s);
+        s->t = INFINITY;
+        if (hit[i].node == VOXRT_NO_NODE) continue;
+        s->t = hit[i].t;
+        s->face = hit[i].face;
+        s->edge = (float)(tree->voxel_size * (double)((uint32_t)1 << (tree->depth - hit[i].level)));
+        if (bare) continue;
+        voxrt_hit_color(tree, &hit[i], s->rgb);
+        if (tree->normal != NULL) voxrt_hit_normal(tree, &hit[i], s->normal);
+    }
+}
+
+static void voxrti_run_trace(const voxrti_render *c, const voxrt_trace_desc *td, const voxrt_ray *ray,
+                             voxrt_surface *surface, voxrt_hit *hit, uint32_t n) {
+    voxrt_hit own[VOXRTI_RUN];
+    voxrt_surface other[VOXRTI_RUN];
+    uint32_t i, g;
+    if (hit == NULL) hit = own;
+    if (c->tree != NULL && c->d->stage != VOXRT_STAGE_RAYS) {
+        voxrti_tree_trace(c->tree, td, c->d->stage != VOXRT_STAGE_FULL, ray, surface, hit, n);
+    } else {
+        for (i = 0; i < n; i++) {
+            memset(&surface[i], 0, sizeof surface[i]);
+            surface[i].t = INFINITY;
+            voxrti_miss(&hit[i]);
+        }
+    }
+    for (g = 0; g < c->d->geometry_count && c->d->stage != VOXRT_STAGE_RAYS; g++) {
+        memset(other, 0, sizeof other);
+        for (i = 0; i < n; i++) other[i].t = INFINITY;
+        c->d->geometry[g].trace_fn(c->d->geometry[g].user, td, ray, other, n);
+        for (i = 0; i < n; i++) {
+            if (!(other[i].t < surface[i].t)) continue;
+            surface[i] = other[i];
+            voxrti_miss(&hit[i]);
+        }
+    }
+}
+
+/* Position of sample s in its pixel: the plastic-number sequence (Roberts 2018), sample 0 in the middle. */
+VOXRTI_INLINE void voxrti_sample_at(uint32_t s, double *x, double *y) {
+    *x = (double)(uint32_t)(0x80000000u + s * 0xc13fa9a9u) * (1.0 / 4294967296.0);
+    *y = (double)(uint32_t)(0x80000000u + s * 0x91e10da6u) * (1.0 / 4294967296.0);
+}
+
+VOXRTI_INLINE void voxrti_frame_ray(const voxrti_frame *f, double x, double y, voxrt_ray *ray) {
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        ray->org[a] = f->eye[a];
+        ray->dir[a] = (float)(f->forward[a] + x * f->right[a] + y * f->up[a]);
+    }
+    ray->t_min = 0.0f;
+    ray->t_max = INFINITY;
+}
+
+VOXRTI_INLINE void *voxrti_pixel(void *base, size_t stride, size_t size, uint32_t width, uint32_t x, uint32_t y) {
+    return (uint8_t *)base + (stride != 0 ? stride : size * width) * y + size * x;
+}
+
+/* The finished mean of a pixel -> rgba and rgba8. total: of all samples so far. */
+static void voxrti_pixel_write(const voxrti_render *c, uint32_t x, uint32_t y, const float total[4]) {
+    const voxrt_image *m = c->image;
+    float v[4], full = c->d->thesis_compose ? 255.0f : 1.0f, rest;
+    float scale = 1.0f / (float)(m->sum != NULL ? c->d->first_sample + c->samples : c->samples);
+    uint32_t a;
+    if (total[3] == 0.0f && c->transparent) {
+        if (m->rgba8 != NULL) memset(voxrti_pixel(m->rgba8, m->rgba8_stride, 4, m->width, x, y), 0, 4);
+        if (m->rgba != NULL) memset(voxrti_pixel(m->rgba, m->rgba_stride, 16, m->width, x, y), 0, 16);
+        return;
+    }
+    for (a = 0; a < 4; a++) v[a] = total[a] * scale;
+    rest = 1.0f - v[3] / full;
+    for (a = 0; a < 4; a++) v[a] = v[a] + rest * full * c->d->background[a];
+    if (m->rgba8 != NULL) {
+        uint8_t *out = (uint8_t *)voxrti_pixel(m->rgba8, m->rgba8_stride, 4, m->width, x, y);
+        int partly = v[3] > 0.0f && v[3] < full;
+        for (a = 0; a < 3; a++) {
+            float w = partly ? v[a] / v[3] : v[a];
+            if (c->d->thesis_compose) out[a] = voxrti_unit_byte(partly ? w * 255.0f : w);
+            else out[a] = voxrti_srgb_byte(&c->srgb, w);
+        }
+        out[3] = voxrti_unit_byte(v[3] * (255.0f / full));
+    }
+    if (m->rgba != NULL) {
+        for (a = 0; a < 4; a++) v[a] = v[a] / full;
+        memcpy(voxrti_pixel(m->rgba, m->rgba_stride, 16, m->width, x, y), v, sizeof v);
+    }
+}
+
+/* One run: all samples of the pixels [x0, x0+columns) x [y0, y0+rows). */
+static void voxrti_run(const voxrti_render *c, voxrt_render_stats *stats, uint32_t x0, uint32_t y0, uint32_t columns,
+                       uint32_t rows) {
+    const voxrt_image *m = c->image;
+    voxrt_ray ray[VOXRTI_RUN];
+    voxrt_surface surface[VOXRTI_RUN];
+    voxrt_hit hit[VOXRTI_RUN];
+    float normal[VOXRTI_RUN][3], value[VOXRTI_RUN][4], total[VOXRTI_RUN][4];
+    uint32_t n = columns * rows, s, i, a, x, y;
+    voxrt_trace_desc td = c->d->lod_split != 0 && x0 < m->width / 2 ? c->coarse : c->trace, shadow = td;
+    td.stats = stats != NULL ? &stats->primary : NULL;
+    shadow.stats = stats != NULL ? &stats->shadow : NULL;
+    memset(total, 0, sizeof total);
+    if (m->sum != NULL && c->d->first_sample != 0) {
+        for (i = 0; i < n; i++)
+            memcpy(total[i], voxrti_pixel(m->sum, m->sum_stride, 16, m->width, x0 + i % columns, y0 + i / columns), 16);
+    }
+    for (s = 0; s < c->samples; s++) {
+        double sx, sy;
+        float depth = INFINITY;
+        voxrti_sample_at(c->d->first_sample + s, &sx, &sy);
+        for (i = 0, y = y0; y < y0 + rows; y++) {
+            for (x = x0; x < x0 + columns; x++, i++)
+                voxrti_frame_ray(&c->frame, (double)x + sx - 0.5 * (double)m->width,
+                                 0.5 * (double)m->height - ((double)y + sy), &ray[i]);
+        }
+        if (c->d->stage == VOXRT_STAGE_SETUP) { /* rays that end where they begin */
+            for (i = 0; i < n; i++) ray[i].t_max = 0.0f;
+        }
+        if (c->d->view >= VOXRT_VIEW_HEAT_OUTER) {
+            for (i = 0; i < n; i++) voxrti_heat(c, &ray[i], value[i]);
+        } else {
+            voxrti_run_trace(c, &td, ray, surface, hit, n);
+            for (i = 0; i < n; i++) depth = surface[i].t < depth ? surface[i].t : depth;
+            /* shadow rays: as fine as the nearest pixel of the run */
+            shadow.cone_width = depth < INFINITY ? depth * td.cone_spread : 0.0f;
+            shadow.cone_spread = 0.0f;
+            voxrti_run_normals(c, ray, surface, n, normal);
+            voxrti_run_shade(c, &shadow, ray, surface, (const float (*)[3])normal, n, x0, columns, value);
+        }
+        for (i = 0; i < n; i++) {
+            for (a = 0; a < 4; a++) total[i][a] += value[i][a];
+        }
+        if (c->d->first_sample + s != 0 || c->d->view >= VOXRT_VIEW_HEAT_OUTER) continue;
+        if (m->depth == NULL && m->normal == NULL && m->hit == NULL) continue;
+        for (i = 0; i < n; i++) {
+            x = x0 + i % columns;
+            y = y0 + i / columns;
+            if (m->depth != NULL) memcpy(voxrti_pixel(m->depth, m->depth_stride, 4, m->width, x, y), &surface[i].t, 4);
+            if (m->normal != NULL) memcpy(voxrti_pixel(m->normal, m->normal_stride, 12, m->width, x, y), normal[i], 12);
+            if (m->hit != NULL)
+                memcpy(voxrti_pixel(m->hit, m->hit_stride, sizeof hit[i], m->width, x, y), &hit[i], sizeof hit[i]);
+        }
+    }
+    for (i = 0, y = y0; y < y0 + rows; y++) {
+        for (x = x0; x < x0 + columns; x++, i++) {
+            if (m->sum != NULL) memcpy(voxrti_pixel(m->sum, m->sum_stride, 16, m->width, x, y), total[i], 16);
+            if (!c->d->no_compose) voxrti_pixel_write(c, x, y, total[i]);
+        }
+    }
+}
+
+static void voxrti_stats_add(voxrt_stats *to, const voxrt_stats *s) {
+    (void)voxrti_atomic_add(&to->rays, s->rays);
+    (void)voxrti_atomic_add(&to->hits, s->hits);
+    (void)voxrti_atomic_add(&to->bad_rays, s->bad_rays);
+    (void)voxrti_atomic_add(&to->steps, s->steps);
+    (void)voxrti_atomic_add(&to->descents, s->descents);
+}
+
+static void voxrti_render_tile(void *ctx, uint32_t task) {
+    voxrti_render *c = (voxrti_render *)ctx;
+    const voxrt_image *m = c->image;
+    voxrt_render_stats stats;
+    uint32_t tile = c->first_tile + task, half = m->width / 2;
+    uint32_t x0 = tile % c->tiles_x * VOXRTI_TILE, y0 = tile / c->tiles_x * VOXRTI_TILE, x, y, w, h;
+    uint32_t x1 = m->width - x0 < VOXRTI_TILE ? m->width : x0 + VOXRTI_TILE;
+    uint32_t y1 = m->height - y0 < VOXRTI_TILE ? m->height : y0 + VOXRTI_TILE;
+    memset(&stats, 0, sizeof stats);
+    for (y = y0; y < y1; y += h) {
+        h = y1 - y < 8 ? y1 - y : 8;
+        for (x = x0; x < x1; x += w) {
+            w = x1 - x < 8 ? x1 - x : 8;
+            if (c->d->lod_split != 0 && x < half && x + w > half) w = half - x;
+            voxrti_run(c, c->count ? &stats : NULL, x, y, w, h);
+        }
+    }
+    if (c->count) {
+        voxrti_stats_add(&c->stats.primary, &stats.primary);
+        voxrti_stats_add(&c->stats.shadow, &stats.shadow);
+    }
+}
+
+/* ---- camera ---- */
+
+static void voxrti_cross(const double a[3], const double b[3], double out[3]) {
+    out[0] = a[1] * b[2] - a[2] * b[1];
+    out[1] = a[2] * b[0] - a[0] * b[2];
+    out[2] = a[0] * b[1] - a[1] * b[0];
+}
+
+static int voxrti_unit(double v[3]) { /* 0: no direction */
+    double big = voxrti_max(voxrti_max(voxrti_abs(v[0]), voxrti_abs(v[1])), voxrti_abs(v[2])), l;
+    uint32_t a;
+    if (!(big > 0.0) || !voxrti_finite(big)) return 0;
+    for (a = 0; a < 3; a++) v[a] /= big;
+    l = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+    for (a = 0; a < 3; a++) v[a] /= l;
+    return 1;
+}
+
+/* Right and up of a view. An `up` that says nothing (0, along the view) is replaced by the axis farthest from it. */
+static void voxrti_frame_axes(const double forward[3], const float up[3], double right[3], double above[3]) {
+    uint32_t a, k = 0;
+    for (a = 0; a < 3; a++) above[a] = (double)up[a];
+    if (up[0] == 0.0f && up[1] == 0.0f && up[2] == 0.0f) above[1] = 1.0;
+    if (voxrti_unit(above)) {
+        voxrti_cross(forward, above, right);
+        if (right[0] * right[0] + right[1] * right[1] + right[2] * right[2] > 1e-12) {
+            (void)voxrti_unit(right);
+            voxrti_cross(right, forward, above);
+            return;
+        }
+    }
+    for (a = 1; a < 3; a++) k = voxrti_abs(forward[a]) < voxrti_abs(forward[k]) ? a : k;
+    for (a = 0; a < 3; a++) above[a] = a == k ? 1.0 : 0.0;
+    voxrti_cross(forward, above, right);
+    (void)voxrti_unit(right);
+    voxrti_cross(right, forward, above);
+}
+
+/* tan(fov_y/2), or 0 for an angle that is none */
+static double voxrti_camera_tangent(const voxrt_camera *camera) {
+    double fov = camera->fov_y != 0.0f ? (double)camera->fov_y : 40.0, s, c;
+    if (!(fov > 0.0 && fov < 180.0)) return 0.0;
+    voxrti_sincos(fov * (3.14159265358979323846 / 360.0), &s, &c);
+    return s / c;
+}
+
+static voxrt_result voxrti_frame_open(const voxrt_camera *camera, uint32_t height, voxrti_frame *f) {
+    double tangent = voxrti_camera_tangent(camera);
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        if (!voxrti_finite_f(camera->eye[a]) || !voxrti_finite_f(camera->at[a]) || !voxrti_finite_f(camera->up[a]))
+            return VOXRT_ERR_INVALID_ARG;
+        f->eye[a] = camera->eye[a];
+        f->forward[a] = (double)camera->at[a] - (double)camera->eye[a];
+    }
+    if (!(tangent > 0.0) || !voxrti_unit(f->forward)) return VOXRT_ERR_INVALID_ARG;
+    voxrti_frame_axes(f->forward, camera->up, f->right, f->up);
+    f->pixel = height != 0 ? 2.0 * tangent / (double)height : 0.0;
+    for (a = 0; a < 3; a++) {
+        f->right[a] *= f->pixel;
+        f->up[a] *= f->pixel;
+    }
+    return VOXRT_OK;
+}
+
+VOXRT_DEF voxrt_result voxrt_camera_ray(const voxrt_camera *camera, uint32_t width, uint32_t height, double x, double y,
+                                        voxrt_ray *out_ray) {
+    voxrti_frame f;
+    voxrt_result r;
+    if (camera == NULL || out_ray == NULL || height == 0) return VOXRT_ERR_INVALID_ARG;
+    r = voxrti_frame_open(camera, height, &f);
+    if (r == VOXRT_OK) voxrti_frame_ray(&f, x - 0.5 * (double)width, 0.5 * (double)height - y, out_ray);
+    return r;
+}
+
+VOXRT_DEF voxrt_result voxrt_camera_fit(voxrt_camera *camera, const double box_min[3], const double box_max[3],
+                                        const float view[3], uint32_t width, uint32_t height) {
+    double back[3], forward[3], right[3], above[3], size = 0.0, distance = 0.0, tan_y, tan_x;
+    uint32_t a, corner;
+    if (camera == NULL || box_min == NULL || box_max == NULL) return VOXRT_ERR_INVALID_ARG;
+    tan_y = voxrti_camera_tangent(camera);
+    tan_x = width != 0 && height != 0 ? tan_y * (double)width / (double)height : tan_y;
+    if (!(tan_y > 0.0)) return VOXRT_ERR_INVALID_ARG;
+    for (a = 0; a < 3; a++) {
+        if (!voxrti_finite(box_min[a]) || !voxrti_finite(box_max[a]) || box_min[a] > box_max[a])
+            return VOXRT_ERR_INVALID_ARG;
+        size = voxrti_max(size, box_max[a] - box_min[a]);
+    }
+    if (view != NULL) {
+        for (a = 0; a < 3; a++) back[a] = (double)view[a];
+    } else { /* `up` and the x axis say where the front is: +z with y up, -y with z up */
+        double side[3], front[3], up[3];
+        for (a = 0; a < 3; a++) up[a] = (double)camera->up[a];
+        if (!voxrti_unit(up)) {
+            up[0] = up[2] = 0.0;
+            up[1] = 1.0;
+        }
+        for (a = 0; a < 3; a++) side[a] = a == 0 ? 1.0 : 0.0;
+        voxrti_cross(side, up, front);
+        if (front[0] * front[0] + front[1] * front[1] + front[2] * front[2] < 1e-3) {
+            side[0] = 0.0;
+            side[1] = 1.0;
+            voxrti_cross(side, up, front);
+        }
+        (void)voxrti_unit(front);
+        voxrti_cross(up, front, side);
+        for (a = 0; a < 3; a++) back[a] = 0.6 * side[a] + 0.42 * up[a] + front[a];
+    }
+    if (!voxrti_unit(back)) return VOXRT_ERR_INVALID_ARG;
+    for (a = 0; a < 3; a++) forward[a] = -back[a];
+    voxrti_frame_axes(forward, camera->up, right, above);
+    for (corner = 0; corner < 8; corner++) {
+        double x = 0.0, y = 0.0, z = 0.0;
+        for (a = 0; a < 3; a++) {
+            double p = 0.5 * ((corner >> a & 1u) ? box_max[a] - box_min[a] : box_min[a] - box_max[a]);
+            x += p * right[a];
+            y += p * above[a];
+            z += p * back[a];
+        }
+        distance = voxrti_max(distance, z + voxrti_max(voxrti_abs(x) / tan_x, voxrti_abs(y) / tan_y));
+    }
+    distance = size > 0.0 ? 1.04 * distance + 0.01 * size : 1.0;
+    for (a = 0; a < 3; a++) {
+        double centre = 0.5 * (box_min[a] + box_max[a]);
+        camera->at[a] = (float)centre;
+        camera->eye[a] = (float)(centre + distance * back[a]);
+    }
+    return VOXRT_OK;
+}
+
+/* ---- geometry ---- */
+
+VOXRT_DEF void voxrt_tree_bounds(const voxrt_tree *tree, double box_min[3], double box_max[3]) {
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        box_min[a] = tree->origin[a] + tree->voxel_size * (double)tree->cell_min[a];
+        box_max[a] = tree->origin[a] + tree->voxel_size * (double)tree->cell_max[a];
+    }
+}
+
+static void voxrti_geometry_trace(void *user, const voxrt_trace_desc *desc, const voxrt_ray *rays,
+                                  voxrt_surface *surfaces, size_t count) {
+    voxrt_hit hit[VOXRTI_RUN];
+    voxrti_tree_trace((const voxrt_tree *)user, desc, 0, rays, surfaces, hit, (uint32_t)count);
+}
+static void voxrti_geometry_occluded(void *user, const voxrt_trace_desc *desc, const voxrt_ray *rays, uint8_t *occluded,
+                                     size_t count) {
+    (void)voxrt_occluded((const voxrt_tree *)user, desc, rays, occluded, count);
+}
+
+VOXRT_DEF void voxrt_tree_geometry(const voxrt_tree *tree, voxrt_geometry *out_geometry) {
+    out_geometry->trace_fn = voxrti_geometry_trace;
+    out_geometry->occluded_fn = voxrti_geometry_occluded;
+    memcpy(&out_geometry->user, &tree, sizeof tree); /* const goes away; the tree is only read */
+    voxrt_tree_bounds(tree, out_geometry->box_min, out_geometry->box_max);
+}
+
+static void voxrti_octree_desc(const voxrt_trace_desc *desc, voxrt_octree_stats *stats, voxrt_octree_trace_desc *d) {
+    memset(stats, 0, sizeof *stats);
+    memset(d, 0, sizeof *d);
+    d->isa = desc->isa;
+    d->max_level_plus_1 = desc->max_level_plus_1;
+    d->stats = desc->stats != NULL ? stats : NULL;
+}
+static void voxrti_octree_add(const voxrt_trace_desc *desc, const voxrt_octree_stats *stats) {
+    if (desc->stats == NULL) return;
+    desc->stats->rays += stats->rays;
+    desc->stats->hits += stats->hits;
+    desc->stats->bad_rays += stats->bad_rays;
+    desc->stats->steps += stats->outer;
+    desc->stats->descents += stats->inner;
+}
+
+/* Packets are four rays in order: the same pixels form one at any resolution and on any thread. */
+static void voxrti_octree_trace(void *user, const voxrt_trace_desc *desc, const voxrt_ray *rays,
+                                voxrt_surface *surfaces, size_t count) {
+    const voxrt_octree *t = (const voxrt_octree *)user;
+    voxrt_octree_trace_desc d;
+    voxrt_octree_stats stats;
+    voxrt_hit hit[VOXRTI_RUN];
+    float normal[3 * VOXRTI_RUN];
+    size_t i;
+    voxrti_octree_desc(desc, &stats, &d);
+    if (voxrt_octree_trace(t, &d, rays, hit, count) != VOXRT_OK) return;
+    voxrti_octree_add(desc, &stats);
+    voxrt_octree_hit_normals(t, hit, normal, count);
+    for (i = 0; i < count; i++) {
+        voxrt_surface *s = &surfaces[i];
+        if (hit[i].node == VOXRT_NO_NODE) continue;
+        s->t = hit[i].t;
+        s->face = hit[i].face;
+        s->edge = (float)(t->voxel_size * (double)((uint32_t)1 << (t->depth - hit[i].level)));
+        voxrt_octree_hit_color(t, &hit[i], s->rgb);
+        if (t->has_normals) memcpy(s->normal, normal + 3 * i, sizeof s->normal);
+    }
+}
+static void voxrti_octree_occluded(void *user, const voxrt_trace_desc *desc, const voxrt_ray *rays, uint8_t *occluded,
+                                   size_t count) {
+    voxrt_octree_trace_desc d;
+    voxrt_octree_stats stats;
+    voxrt_hit hit[VOXRTI_RUN];
+    size_t i;
+    voxrti_octree_desc(desc, &stats, &d);
+    if (voxrt_octree_trace((const voxrt_octree *)user, &d, rays, hit, count) != VOXRT_OK) return;
+    voxrti_octree_add(desc, &stats);
+    for (i = 0; i < count; i++) occluded[i] = hit[i].node != VOXRT_NO_NODE;
+}
+
+VOXRT_DEF void voxrt_octree_geometry(const voxrt_octree *octree, voxrt_geometry *out_geometry) {
+    uint32_t a;
+    out_geometry->trace_fn = voxrti_octree_trace;
+    out_geometry->occluded_fn = voxrti_octree_occluded;
+    memcpy(&out_geometry->user, &octree, sizeof octree);
+    for (a = 0; a < 3; a++) {
+        out_geometry->box_min[a] = octree->origin[a];
+        out_geometry->box_max[a] = octree->origin[a] + octree->voxel_size * (double)((uint32_t)1 << octree->depth);
+    }
+}
+
+/* ---- the picture ---- */
+
+static int voxrti_finite3(const float *v) {
+    return voxrti_finite_f(v[0]) && voxrti_finite_f(v[1]) && voxrti_finite_f(v[2]);
+}
+
+/* Box of all that is to be seen; 0: nothing, or not finite. */
+static int voxrti_render_box(const voxrti_render *c, double lo[3], double hi[3]) {
+    size_t g;
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        lo[a] = VOXRTI_INF;
+        hi[a] = -VOXRTI_INF;
+    }
+    if (c->tree != NULL) voxrt_tree_bounds(c->tree, lo, hi);
+    for (g = 0; g < c->d->geometry_count; g++) {
+        for (a = 0; a < 3; a++) {
+            lo[a] = voxrti_min(lo[a], c->d->geometry[g].box_min[a]);
+            hi[a] = voxrti_max(hi[a], c->d->geometry[g].box_max[a]);
+        }
+    }
+    for (a = 0; a < 3; a++) {
+        if (!voxrti_finite(lo[a]) || !voxrti_finite(hi[a]) || lo[a] > hi[a]) return 0;
+    }
+    return 1;
+}
+
+/* Lights that go with any camera: over its left shoulder, and a weak one from the right. */
+static void voxrti_default_lights(voxrti_render *c) {
+    static const float place[2][3] = {{-0.75f, 0.85f, 0.6f}, {0.9f, -0.05f, 0.5f}};
+    static const float color[2][3] = {{0.76f, 0.74f, 0.7f}, {0.1f, 0.115f, 0.14f}};
+    uint32_t l, a;
+    for (l = 0; l < 2; l++) {
+        for (a = 0; a < 3; a++) {
+            double px = c->frame.pixel > 0.0 ? 1.0 / c->frame.pixel : 0.0;
+            c->light[l].position[a] = (float)(((double)place[l][0] * c->frame.right[a] +
+                                               (double)place[l][1] * c->frame.up[a]) * px -
+                                              (double)place[l][2] * c->frame.forward[a]);
+            c->light[l].color[a] = color[l][a];
+        }
+        c->light[l].directional = 1;
+        c->light[l].no_shadow = l != 0;
+    }
+    c->lights = c->light;
+    c->light_count = 2;
+}
+
+/* One level for the whole object: the cells of its nearest point are about `pixels` wide (thesis 4.3.1, spec S-5.7). */
+static uint32_t voxrti_object_level(const voxrti_render *c, double pixels) {
+    const voxrt_tree *t = c->tree;
+    double lo[3], hi[3], square = 0.0, width, edge = t->voxel_size;
+    uint32_t a, level = t->depth;
+    voxrt_tree_bounds(t, lo, hi);
+    for (a = 0; a < 3; a++) {
+        double e = (double)c->frame.eye[a], d = voxrti_max(voxrti_max(lo[a] - e, e - hi[a]), 0.0);
+        square += d * d;
+    }
+    width = pixels * c->frame.pixel * sqrt(square);
+    while (level > 0 && 2.0 * edge <= width) {
+        edge *= 2.0;
+        level--;
+    }
+    return level;
+}
+
+static voxrt_result voxrti_render_open(const voxrt_render_desc *d, voxrti_render *c) {
+    const voxrt_image *m = c->image;
+    voxrt_camera camera = d->camera;
+    double lo[3], hi[3];
+    size_t g;
+    uint32_t l, level;
+    voxrt_result r;
+    if ((uint32_t)d->view > 6u || (uint32_t)d->stage > 3u || (uint32_t)d->isa > 4u) return VOXRT_ERR_INVALID_ARG;
+    if (!(d->tolerance >= 0.0f) || !voxrti_finite_f(d->tolerance) || d->first_sample > 0xff000000u ||
+        d->samples > 0x00ffffffu || (d->lights == NULL && d->light_count != 0) ||
+        (d->geometry == NULL && d->geometry_count != 0) || (c->tree == NULL && d->geometry == NULL))
+        return VOXRT_ERR_INVALID_ARG;
+    for (l = 0; l < d->light_count; l++) {
+        if (!voxrti_finite3(d->lights[l].position) || !voxrti_finite3(d->lights[l].color)) return VOXRT_ERR_INVALID_ARG;
+    }
+    for (g = 0; g < d->geometry_count; g++) {
+        if (d->geometry[g].trace_fn == NULL || d->geometry[g].occluded_fn == NULL) return VOXRT_ERR_INVALID_ARG;
+    }
+    if (camera.eye[0] == camera.at[0] && camera.eye[1] == camera.at[1] && camera.eye[2] == camera.at[2]) {
+        if (!voxrti_render_box(c, lo, hi)) return VOXRT_ERR_INVALID_ARG;
+        r = voxrt_camera_fit(&camera, lo, hi, NULL, m->width, m->height);
+        if (r != VOXRT_OK) return r;
+    }
+    r = voxrti_frame_open(&camera, m->height, &c->frame);
+    if (r != VOXRT_OK) return r;
+    c->samples = d->samples != 0 ? d->samples : 1;
+    c->transparent = 1;
+    for (l = 0; l < 4; l++) {
+        if (!voxrti_finite_f(d->background[l])) return VOXRT_ERR_INVALID_ARG;
+        c->transparent &= d->background[l] == 0.0f;
+    }
+    c->material.ambient[0] = c->material.ambient[1] = c->material.ambient[2] = 0.05f;
+    c->material.diffuse = 1.0f;
+    if (d->material != NULL) c->material = *d->material;
+    c->lights = d->lights;
+    c->light_count = d->light_count;
+    if (d->lights == NULL) voxrti_default_lights(c);
+    c->trace.isa = d->isa;
+    c->trace.max_level_plus_1 = d->max_level_plus_1;
+    if (d->object_lod && c->tree != NULL) {
+        level = voxrti_object_level(c, d->tolerance > 0.0f ? (double)d->tolerance : 1.0) + 1;
+        if (d->max_level_plus_1 == 0 || level < d->max_level_plus_1) c->trace.max_level_plus_1 = level;
+    } else if (!d->object_lod) {
+        c->trace.cone_spread = (float)((double)d->tolerance * c->frame.pixel);
+    }
+    c->coarse = c->trace;
+    if (d->lod_split != 0 && (c->trace.max_level_plus_1 == 0 || d->lod_split < c->trace.max_level_plus_1))
+        c->coarse.max_level_plus_1 = d->lod_split;
+    voxrti_srgb_open(&c->srgb);
+    return VOXRT_OK;
+}
+
+VOXRT_DEF voxrt_result voxrt_render(const voxrt_render_desc *desc, const voxrt_tree *tree, const voxrt_image *image,
+                                    voxrt_render_stats *stats) {
+    voxrt_render_desc d;
+    voxrti_render c;
+    voxrt_result r;
+    uint32_t rows, y;
+    memset(&d, 0, sizeof d);
+    if (desc != NULL) d = *desc;
+    if (d._begin_zero != 0 || d._end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
+    if (image == NULL) return VOXRT_ERR_INVALID_ARG;
+    memset(&c, 0, sizeof c);
+    c.d = &d;
+    c.image = image;
+    c.tree = tree;
+    c.count = stats != NULL;
+    r = voxrti_render_open(&d, &c);
+    if (r != VOXRT_OK) return voxrti_fail(d.env.error, r, 0, "render: bad camera, light or option");
+    if (image->width == 0 || image->height == 0) return VOXRT_OK;
+    c.tiles_x = (image->width - 1) / VOXRTI_TILE + 1;
+    rows = (image->height - 1) / VOXRTI_TILE + 1;
+    if ((uint64_t)c.tiles_x * rows > 0x7fffffffu)
+        return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, 0, "picture too large");
+    if (d.env.progress_fn == NULL) {
+        voxrti_parallel_for(&d.env, voxrti_render_tile, &c, c.tiles_x * rows);
+    } else {
+        for (y = 0; y < rows; y++) {
+            c.first_tile = y * c.tiles_x;
+            voxrti_parallel_for(&d.env, voxrti_render_tile, &c, c.tiles_x);
+            if (d.env.progress_fn(d.env.progress_user, y + 1, rows) != 0)
+                return voxrti_fail(d.env.error, VOXRT_ERR_CANCELLED, y, "cancelled");
+        }
+    }
+    if (stats != NULL) {
+        voxrti_stats_add(&stats->primary, &c.stats.primary);
+        voxrti_stats_add(&stats->shadow, &c.stats.shadow);
+    }
+    return VOXRT_OK;
+}
+
+/* ---------------------------------------------------------------------------
+   post: work on finished pictures: encode, blur, keep to a frame time.          // >>post
+   --------------------------------------------------------------------------- */
+
+typedef struct voxrti_post {
+    const voxrt_image *image;
+    const voxrt_blur_desc *d;
+    float *copy;        /* rgba before (rows), or after the first pass (columns) */
+    float weight[65];
+    uint32_t radius, vertical;
+    voxrti_srgb srgb;
+} voxrti_post;
+
+static void voxrti_encode_row(void *ctx, uint32_t y) {
+    voxrti_post *p = (voxrti_post *)ctx;
+    const voxrt_image *m = p->image;
+    uint32_t x, a;
+    for (x = 0; x < m->width; x++) {
+        float v[4];
+        uint8_t *out = (uint8_t *)voxrti_pixel(m->rgba8, m->rgba8_stride, 4, m->width, x, y);
+        memcpy(v, voxrti_pixel(m->rgba, m->rgba_stride, 16, m->width, x, y), sizeof v);
+        for (a = 0; a < 3; a++)
+            out[a] = voxrti_srgb_byte(&p->srgb, v[3] > 0.0f && v[3] < 1.0f ? v[a] / v[3] : v[a]);
+        out[3] = voxrti_unit_byte(v[3] * 255.0f);
+    }
+}
+
+VOXRT_DEF voxrt_result voxrt_image_encode(const voxrt_env *env, const voxrt_image *image) {
+    voxrt_env none;
+    voxrti_post p;
+    if (image == NULL || image->rgba == NULL || image->rgba8 == NULL) return VOXRT_ERR_INVALID_ARG;
+    memset(&none, 0, sizeof none);
+    memset(&p, 0, sizeof p);
+    p.image = image;
+    voxrti_srgb_open(&p.srgb);
+    if (image->width != 0) voxrti_parallel_for(env != NULL ? env : &none, voxrti_encode_row, &p, image->height);
+    return VOXRT_OK;
+}
+
+/* One row of one pass of a separable Gauss; at the border the kernel is cut and weighed anew. */
+static void voxrti_blur_row(void *ctx, uint32_t y) {
+    voxrti_post *p = (voxrti_post *)ctx;
+    const voxrt_image *m = p->image;
+    int64_t w = m->width, h = m->height, r = p->radius, x, k;
+    uint32_t a;
+    for (x = 0; x < w; x++) {
+        int64_t at = p->vertical ? (int64_t)y : x, end = p->vertical ? h : w;
+        int64_t from = at - r > 0 ? at - r : 0, to = at + r < end - 1 ? at + r : end - 1;
+        float sum[4], total = 0.0f, v[4];
+        memset(sum, 0, sizeof sum);
+        for (k = from; k <= to; k++) {
+            float weight = p->weight[k < at ? at - k : k - at];
+            if (p->vertical) memcpy(v, p->copy + 4 * (k * w + x), sizeof v);
+            else memcpy(v, voxrti_pixel(m->rgba, m->rgba_stride, 16, m->width, (uint32_t)k, y), sizeof v);
+            for (a = 0; a < 4; a++) sum[a] += weight * v[a];
+            total += weight;
+        }
+        for (a = 0; a < 4; a++) v[a] = sum[a] / total;
+        if (p->vertical) memcpy(voxrti_pixel(m->rgba, m->rgba_stride, 16, m->width, (uint32_t)x, y), v, sizeof v);
+        else memcpy(p->copy + 4 * ((int64_t)y * w + x), v, sizeof v);
+    }
+}
+
+/* One row of the blur that knows voxels (spec S-7.8): the radius is the width of the pixel's voxel, and only pixels of
+   the same surface take part: depth within three voxels, normals less than 60 degrees apart. */
+static void voxrti_smooth_row(void *ctx, uint32_t y) {
+    voxrti_post *p = (voxrti_post *)ctx;
+    const voxrt_image *m = p->image;
+    int64_t w = m->width, h = m->height, x, i, j;
+    uint32_t a;
+    for (x = 0; x < w; x++) {
+        float sum[4], total = 0.0f, v[4], depth, other, edge, pixels, n[3], o[3];
+        voxrt_hit hit;
+        int64_t r;
+        memcpy(v, p->copy + 4 * ((int64_t)y * w + x), sizeof v);
+        memcpy(&depth, voxrti_pixel(m->depth, m->depth_stride, 4, m->width, (uint32_t)x, y), 4);
+        memcpy(&hit, voxrti_pixel(m->hit, m->hit_stride, sizeof hit, m->width, (uint32_t)x, y), sizeof hit);
+        if (!(depth < INFINITY) || hit.node == VOXRT_NO_NODE || hit.level > p->d->depth) continue;
+        edge = p->d->voxel_size * (float)((uint32_t)1 << (p->d->depth - hit.level));
+        pixels = edge / (p->d->footprint * depth);
+        if (!(pixels > 1.5f)) continue;
+        if (pixels > p->d->radius) pixels = p->d->radius;
+        r = (int64_t)pixels;
+        memset(n, 0, sizeof n);
+        if (m->normal != NULL) memcpy(n, voxrti_pixel(m->normal, m->normal_stride, 12, m->width, (uint32_t)x, y), 12);
+        memset(sum, 0, sizeof sum);
+        for (j = -r; j <= r; j++) {
+            if ((int64_t)y + j < 0 || (int64_t)y + j >= h) continue;
+            for (i = -r; i <= r; i++) {
+                uint32_t u = (uint32_t)(x + i), t = (uint32_t)((int64_t)y + j);
+                float weight, q = (float)(i * i + j * j) / (pixels * pixels);
+                if (x + i < 0 || x + i >= w || q > 1.0f) continue;
+                memcpy(&other, voxrti_pixel(m->depth, m->depth_stride, 4, m->width, u, t), 4);
+                if (!(other - depth < 3.0f * edge && depth - other < 3.0f * edge)) continue;
+                if (m->normal != NULL) {
+                    memcpy(o, voxrti_pixel(m->normal, m->normal_stride, 12, m->width, u, t), 12);
+                    if (!(voxrti_dot3(n, o) > 0.5f)) continue;
+                }
+                weight = (1.0f - q) * (1.0f - q) + 1e-3f;
+                memcpy(v, p->copy + 4 * ((int64_t)t * w + u), sizeof v);
+                for (a = 0; a < 4; a++) sum[a] += weight * v[a];
+                total += weight;
+            }
+        }
+        if (!(total > 0.0f)) continue;
+        for (a = 0; a < 4; a++) v[a] = sum[a] / total;
+        memcpy(voxrti_pixel(m->rgba, m->rgba_stride, 16, m->width, (uint32_t)x, y), v, sizeof v);
+    }
+}
+
+VOXRT_DEF voxrt_result voxrt_blur(const voxrt_blur_desc *desc, const voxrt_image *image) {
+    voxrt_blur_desc d;
+    voxrti_post p;
+    voxrti_mem mem;
+    voxrt_result r;
+    size_t bytes;
+    uint32_t i, y;
+    memset(&d, 0, sizeof d);
+    if (desc != NULL) d = *desc;
+    if (d._begin_zero != 0 || d._end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
+    if (image == NULL || image->rgba == NULL) return VOXRT_ERR_INVALID_ARG;
+    if (d.radius == 0.0f) d.radius = 4.0f;
+    if (!(d.radius > 0.0f && d.radius <= 64.0f) || !(d.footprint >= 0.0f) || d.depth > VOXRT_MAX_DEPTH)
+        return VOXRT_ERR_INVALID_ARG;
+    if (d.footprint > 0.0f && (image->depth == NULL || image->hit == NULL || !(d.voxel_size > 0.0f)))
+        return VOXRT_ERR_INVALID_ARG;
+    r = voxrti_env_open(&d.env, &mem);
+    if (r != VOXRT_OK || image->width == 0 || image->height == 0) return r;
+    memset(&p, 0, sizeof p);
+    p.image = image;
+    p.d = &d;
+    p.radius = (uint32_t)d.radius;
+    for (i = 0; i <= p.radius; i++) {
+        double q = 2.0 * (double)i / (double)d.radius; /* in standard deviations */
+        p.weight[i] = (float)voxrti_exp2(-0.72134752044448170368 * q * q);
+    }
+    if (voxrti_mul_size((size_t)image->width * 16, image->height, &bytes)) p.copy = (float *)voxrti_alloc(&mem, bytes);
+    if (p.copy == NULL) return voxrti_fail(d.env.error, VOXRT_ERR_NO_MEMORY, 0, "out of memory");
+    if (d.footprint > 0.0f) {
+        for (y = 0; y < image->height; y++)
+            memcpy(p.copy + (size_t)4 * y * image->width,
+                   voxrti_pixel(image->rgba, image->rgba_stride, 16, image->width, 0, y), (size_t)16 * image->width);
+        voxrti_parallel_for(&d.env, voxrti_smooth_row, &p, image->height);
+    } else {
+        voxrti_parallel_for(&d.env, voxrti_blur_row, &p, image->height);
+        p.vertical = 1;
+        voxrti_parallel_for(&d.env, voxrti_blur_row, &p, image->height);
+    }
+    voxrti_free(&mem, p.copy);
+    return image->rgba8 != NULL ? voxrt_image_encode(&d.env, image) : VOXRT_OK;
+}
+
+/* A PI controller on log2 of the tolerance (spec S-7.2): a frame costs about 1/tolerance^1..2, so the gains stay low
+   enough not to swing. */
+VOXRT_DEF float voxrt_budget_update(voxrt_budget *budget, float frame_ms, float target_ms, float finest) {
+    double lowest = finest > 0.0f ? (double)finest : 0.25, highest = voxrti_log2(64.0 / voxrti_min(lowest, 64.0));
+    double error, bias;
+    if (frame_ms > 0.0f && target_ms > 0.0f && voxrti_finite_f(frame_ms) && voxrti_finite_f(target_ms)) {
+        error = voxrti_log2((double)frame_ms / (double)target_ms);
+        error = voxrti_max(-2.0, voxrti_min(2.0, error));
+        budget->sum = (float)voxrti_max(0.0, voxrti_min(highest, (double)budget->sum + 0.35 * error));
+        bias = voxrti_max(0.0, voxrti_min(highest, (double)budget->sum + 0.35 * error));
+        budget->bias = (float)bias;
+    }
+    return (float)(lowest * voxrti_exp2((double)budget->bias));
+}
+
+/* ---------------------------------------------------------------------------
+   misc: names and versions.                                                     // >>misc
+   --------------------------------------------------------------------------- */
+
+VOXRT_DEF const char *voxrt_result_string(voxrt_result result) {
+    switch (result) {
+#define VOXRTI_X(name, value, text) case VOXRT_##name: return text;
+    VOXRT_RESULT_LIST(VOXRTI_X)
+#undef VOXRTI_X
+    case VOXRT_RESULT_FORCE_32BIT: break;
+    }
+    return "unknown result";
+}
+
+VOXRT_DEF uint32_t voxrt_version(void) { return VOXRT_VERSION; }
+
+VOXRT_DEF const char *voxrt_isa_name(voxrt_isa isa) {
+    switch (isa) {
+    case VOXRT_ISA_AUTO: return "auto";
+    case VOXRT_ISA_SCALAR: return "scalar";
+    case VOXRT_ISA_SSE: return "sse";
+    case VOXRT_ISA_AVX2: return "avx2";
+    case VOXRT_ISA_AVX512: return "avx512";
+    case VOXRT_ISA_FORCE_32BIT: break;
+    }
+    return "unknown";
+}
+
+VOXRT_DEF voxrt_isa voxrt_isa_best(void) {
+    switch (voxrti_cpu_level()) {
+    case 4: return VOXRTI_AVX512 ? VOXRT_ISA_AVX512 : VOXRTI_AVX2 ? VOXRT_ISA_AVX2 : VOXRT_ISA_SSE;
+    case 3: return VOXRTI_AVX2 ? VOXRT_ISA_AVX2 : VOXRT_ISA_SSE;
+    case 2: return VOXRT_ISA_SSE;
+    default: return VOXRT_ISA_SCALAR;
+    }
+}
+
+#ifdef __cplusplus
+}
+#endif
+#if defined(__GNUC__) && !defined(__clang__)
+#  pragma GCC pop_options
+#endif
+#endif /* VOXRT_IMPLEMENTATION */
+
+/*
+Choose either licence.
+
+MIT License
+
+Copyright (c) 2026 the voxrt authors
+
+Permission is hereby granted, free of charge, to any person obtaining a copy of this software and associated
+documentation files (the "Software"), to deal in the Software without restriction, including without limitation the
+rights to use, copy, modify, merge, publish, distribute, sublicense, and/or sell copies of the Software, and to permit
+persons to whom the Software is furnished to do so, subject to the following conditions:
+
+The above copyright notice and this permission notice shall be included in all copies or substantial portions of the
+Software.
+
+THE SOFTWARE IS PROVIDED "AS IS", WITHOUT WARRANTY OF ANY KIND, EXPRESS OR IMPLIED, INCLUDING BUT NOT LIMITED TO THE
+WARRANTIES OF MERCHANTABILITY, FITNESS FOR A PARTICULAR PURPOSE AND NONINFRINGEMENT. IN NO EVENT SHALL THE AUTHORS OR
+COPYRIGHT HOLDERS BE LIABLE FOR ANY CLAIM, DAMAGES OR OTHER LIABILITY, WHETHER IN AN ACTION OF CONTRACT, TORT OR
+OTHERWISE, ARISING FROM, OUT OF OR IN CONNECTION WITH THE SOFTWARE OR THE USE OR OTHER DEALINGS IN THE SOFTWARE.
+
+Unlicense: This is free and unencumbered software released into the public domain. Anyone is free to copy, modify,
+publish, use, compile, sell, or distribute this software, either in source code form or as a compiled binary, for any
+purpose, commercial or non-commercial, and by any means. For more information, see https://unlicense.org
+*/
