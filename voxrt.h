@@ -7013,7 +7013,7 @@ static void voxrti_beam_node(const voxrt_tree *t, const voxrti_cone *cone, voxrt
             return;
         }
         if (cone->on) { /* never below the cells that level of detail accepts */
-            if (size <= voxrti_footprint(cone, (z0 + size - b->om) * b->slow)) {
+            if (size <= 2.0 * voxrti_footprint(cone, (z0 + size - b->om) * b->slow)) {
                 voxrti_beam_best(t, b, w, z0, corner, cells);
                 return;
             }
@@ -7194,7 +7194,8 @@ static VOXRTI_UNUSED int voxrti_ray_setup(const voxrt_tree *t, const voxrti_cone
     r->t_min = (double)ray->t_min - r->base;
     r->t = voxrti_max(t_in, r->t_min);
     if (r->t > t_in) k = 3;
-    r->t_end = voxrti_min(t_out, (double)ray->t_max - r->base);
+    /* times beyond the largest float are misses: a hit's t is finite */
+    r->t_end = voxrti_min(t_out, voxrti_min((double)ray->t_max, 3.4028234663852886e38) - r->base);
     if (beam != NULL && beam->on && big <= 16777216.0) {
         double e = (beam->z - r->o[beam->m]) * r->inv[beam->m];
         if (e > r->t) {
@@ -7464,7 +7465,7 @@ VOXRTI_TARGET_AVX512 static void voxrti_setup8(const voxrt_tree *t, const voxrti
         for (a = 0; a < 3; a++) axis[a] &= (__mmask8)~late;
         axis[beam->m] |= late;
     }
-    t_end = _mm512_min_pd(t_out, tmax);
+    t_end = _mm512_min_pd(t_out, _mm512_min_pd(tmax, _mm512_set1_pd(3.4028234663852886e38)));
     out |= _mm512_cmp_pd_mask(time, t_end, _CMP_NLT_UQ);
     out &= (__mmask8)~bad;
     *rare = bad;
@@ -7870,33 +7871,50 @@ VOXRTI_TARGET_AVX512 static void voxrti_trace_avx512(const voxrt_tree *t, const 
 
 #endif /* VOXRTI_AVX512 */
 
-/* ---- AVX2: groups of four rays in flight; the same steps as above with vector masks ---- */
+/* ---- AVX2: groups of eight rays in flight; the same steps as above with vector masks ----
+   A vector of 32-bit integers holds all eight lanes, doubles come in two halves. `Even' pairs of lanes (0 1 4 5) are
+   the first half and odd pairs (2 3 6 7) the second, so that unpack and shuffle, which stay inside 128 bits, convert
+   between the two without moving anything across. */
 
 #if VOXRTI_AVX2
 
 #define VOXRTI_LOAD4(a) _mm_loadu_si128((const __m128i *)(const void *)(a))
 #define VOXRTI_STORE4(a, v) _mm_storeu_si128((__m128i *)(void *)(a), v)
-#define VOXRTI_PS(v) _mm_castsi128_ps(v)
-#define VOXRTI_BLEND4(a, b, m) _mm_castps_si128(_mm_blendv_ps(VOXRTI_PS(a), VOXRTI_PS(b), VOXRTI_PS(m))) /* by sign */
+#define VOXRTI_BLEND4(a, b, m) _mm_blendv_epi8(a, b, m)
+#define VOXRTI_LOADI(a) _mm256_loadu_si256((const __m256i *)(const void *)(a))
+#define VOXRTI_STOREI(a, v) _mm256_storeu_si256((__m256i *)(void *)(a), v)
+#define VOXRTI_PS(v) _mm256_castsi256_ps(v)
+#define VOXRTI_SIGNS(v) ((uint32_t)_mm256_movemask_ps(VOXRTI_PS(v)))
+/* b where m is negative */
+#define VOXRTI_BLENDI(a, b, m) _mm256_castps_si256(_mm256_blendv_ps(VOXRTI_PS(a), VOXRTI_PS(b), VOXRTI_PS(m)))
+/* low or high 32 bits of the eight 64-bit lanes of two halves */
+#define VOXRTI_LOW8(a, b) _mm256_castps_si256(_mm256_shuffle_ps(VOXRTI_PS(a), VOXRTI_PS(b), 0x88))
+#define VOXRTI_HIGH8(a, b) _mm256_castps_si256(_mm256_shuffle_ps(VOXRTI_PS(a), VOXRTI_PS(b), 0xdd))
+#define VOXRTI_MASK8(a, b) VOXRTI_HIGH8(_mm256_castpd_si256(a), _mm256_castpd_si256(b))
+#define VOXRTI_PLACE8(lane) (((lane) & 1u) | ((lane) >> 1 & 2u) | ((lane) << 1 & 4u)) /* of its double */
 
-#define VOXRTI_GROUPS4 4 /* groups of four rays in flight */
-#define VOXRTI_REFILL4 2 /* lanes are refilled when at most so many are busy */
+#define VOXRTI_OCTETS 2        /* groups of eight rays in flight */
+#define VOXRTI_OCTET_REFILL 6  /* lanes are refilled when at most so many are busy */
 
-/* Four rays: in flight, or (c, w, node prepared, bits in live) waiting for a lane. */
-typedef struct voxrti_group4 {
+/* Four prepared rays waiting for a lane: bits in live. */
+typedef struct voxrti_ready4 {
     double o[3][4], d[3][4], inv[3][4], t[4], t_end[4], t_min[4];
-    uint32_t c[3][4], node[4], w[4], flip[4], ray[4], alive[4], stack[VOXRTI_MAX_WIDE][4];
-    uint32_t live, found, used; /* bit per lane: on its way; stands on a voxel; taken, result not written yet */
-} voxrti_group4;
+    uint32_t c[3][4], node[4], w[4], flip[4], ray[4], live;
+} voxrti_ready4;
 
-/* Low or high halves of four 64-bit lanes. */
-VOXRTI_TARGET_AVX2 static inline __m128i voxrti_low4(__m256i v) {
-    return _mm_castps_si128(_mm_shuffle_ps(VOXRTI_PS(_mm256_castsi256_si128(v)), VOXRTI_PS(_mm256_extracti128_si256(v, 1)), 0x88));
+/* Eight rays in flight. Doubles and addresses of a lane stand at VOXRTI_PLACE8(lane). */
+typedef struct voxrti_octet {
+    double o[3][8], d[3][8], inv[3][8], t[8], t_end[8], t_min[8];
+    uint64_t at[8]; /* address of the node */
+    uint32_t c[3][8], node[8], w[8], flip[8], ray[8], alive[8], stack[VOXRTI_MAX_WIDE][8];
+    uint32_t live, found, used; /* bit per lane: on its way; stands on a voxel; taken, result not written yet */
+} voxrti_octet;
+
+VOXRTI_TARGET_AVX2 static inline __m128i voxrti_narrow4(__m256d mask) {
+    __m256i v = _mm256_castpd_si256(mask);
+    return _mm_castps_si128(_mm_shuffle_ps(_mm_castsi128_ps(_mm256_castsi256_si128(v)),
+                                           _mm_castsi128_ps(_mm256_extracti128_si256(v, 1)), 0xdd));
 }
-VOXRTI_TARGET_AVX2 static inline __m128i voxrti_high4(__m256i v) {
-    return _mm_castps_si128(_mm_shuffle_ps(VOXRTI_PS(_mm256_castsi256_si128(v)), VOXRTI_PS(_mm256_extracti128_si256(v, 1)), 0xdd));
-}
-VOXRTI_TARGET_AVX2 static inline __m128i voxrti_narrow4(__m256d mask) { return voxrti_high4(_mm256_castpd_si256(mask)); }
 
 /* p is within 2^-16 of a whole number (false for NaN) */
 VOXRTI_TARGET_AVX2 static inline __m256d voxrti_close4(__m256d p) {
@@ -7904,24 +7922,10 @@ VOXRTI_TARGET_AVX2 static inline __m256d voxrti_close4(__m256d p) {
     return _mm256_cmp_pd(_mm256_andnot_pd(_mm256_set1_pd(-0.0), f), _mm256_set1_pd(0x1p-16), _CMP_LT_OQ);
 }
 
-static inline void voxrti_group4_ray(const voxrti_group4 *g, uint32_t lane, voxrti_rayx *r) {
-    uint32_t a;
-    for (a = 0; a < 3; a++) {
-        r->o[a] = g->o[a][lane];
-        r->d[a] = g->d[a][lane];
-        r->inv[a] = g->inv[a][lane];
-        r->c[a] = g->c[a][lane];
-    }
-    r->t_min = g->t_min[lane];
-    r->t = g->t[lane];
-    r->flip = g->flip[lane];
-    r->base = 0;
-}
-
 /* Prepare four rays; g->live: those that enter the box. `rare`: bit per ray that needs the scalar path (bad or far
    away); `miss`: bit per ray that misses the box. The same arithmetic as voxrti_ray_setup. */
 VOXRTI_TARGET_AVX2 static void voxrti_setup4(const voxrt_tree *t, const voxrti_cone *cone, const voxrt_ray *rays,
-                                             uint32_t first, const voxrti_beam *beam, voxrti_group4 *g,
+                                             uint32_t first, const voxrti_beam *beam, voxrti_ready4 *g,
                                              uint32_t *rare, uint32_t *miss) {
     const __m256d zero = _mm256_setzero_pd(), inf = _mm256_set1_pd(VOXRTI_INF), sign = _mm256_set1_pd(-0.0);
     const __m256d scale = _mm256_set1_pd(1.0 / t->voxel_size), limit = _mm256_set1_pd(16777216.0);
@@ -7989,7 +7993,7 @@ VOXRTI_TARGET_AVX2 static void voxrti_setup4(const voxrt_tree *t, const voxrti_c
         for (a = 0; a < 3; a++) axis[a] = _mm256_andnot_pd(late, axis[a]);
         axis[beam->m] = _mm256_or_pd(axis[beam->m], late);
     }
-    t_end = _mm256_min_pd(t_out, tmax);
+    t_end = _mm256_min_pd(t_out, _mm256_min_pd(tmax, _mm256_set1_pd(3.4028234663852886e38)));
     out = _mm256_or_pd(out, _mm256_cmp_pd(time, t_end, _CMP_NLT_UQ));
     *rare = (uint32_t)_mm256_movemask_pd(bad) | (~(uint32_t)_mm256_movemask_pd(moving) & 15u);
     *miss = (uint32_t)_mm256_movemask_pd(out) & ~*rare;
@@ -8016,13 +8020,16 @@ VOXRTI_TARGET_AVX2 static void voxrti_setup4(const voxrt_tree *t, const voxrti_c
         voxrti_rayx r;
         uint32_t k = 3;
         lane = voxrti_ctz64(any);
-        voxrti_group4_ray(g, lane, &r);
-        for (a = 0; a < 3; a++)
+        for (a = 0; a < 3; a++) {
+            r.o[a] = g->o[a][lane];
+            r.d[a] = g->d[a][lane];
+            r.inv[a] = g->inv[a][lane];
             if ((uint32_t)_mm256_movemask_pd(axis[a]) >> lane & 1u) k = a;
+        }
         for (a = 0; a < 3; a++) {
             uint32_t from = (back[a] >> lane & 1u) ? (uint32_t)full - cone->hi[a] : cone->lo[a];
             uint32_t to = (back[a] >> lane & 1u) ? (uint32_t)full - cone->lo[a] : cone->hi[a];
-            if (doubt[a] >> lane & 1u) g->c[a][lane] = voxrti_cell_at(&r, a, r.t, k, from, to - 1);
+            if (doubt[a] >> lane & 1u) g->c[a][lane] = voxrti_cell_at(&r, a, g->t[lane], k, from, to - 1);
         }
     }
     { /* start at the deepest node of the beam's chain that holds the ray's first cell */
@@ -8045,24 +8052,39 @@ VOXRTI_TARGET_AVX2 static void voxrti_setup4(const voxrt_tree *t, const voxrti_c
     }
 }
 
+static inline void voxrti_octet_ray(const voxrti_octet *g, uint32_t lane, voxrti_rayx *r) {
+    uint32_t a, i = VOXRTI_PLACE8(lane);
+    for (a = 0; a < 3; a++) {
+        r->o[a] = g->o[a][i];
+        r->d[a] = g->d[a][i];
+        r->inv[a] = g->inv[a][i];
+        r->c[a] = g->c[a][lane];
+    }
+    r->t_min = g->t_min[i];
+    r->flip = g->flip[lane];
+    r->base = 0;
+}
+
 /* Take the next prepared ray into a lane. */
-static inline void voxrti_group4_load(const voxrti_beam *beam, voxrti_group4 *g, uint32_t lane, voxrti_group4 *from) {
-    uint32_t a, i = voxrti_ctz64(from->live), w = from->w[i];
+static inline void voxrti_octet_load(const voxrt_tree *t, const voxrti_beam *beam, voxrti_octet *g, uint32_t lane,
+                                     voxrti_ready4 *from) {
+    uint32_t a, i = voxrti_ctz64(from->live), w = from->w[i], node = from->node[i], to = VOXRTI_PLACE8(lane);
     from->live &= from->live - 1;
     if (beam->on)
         for (a = 1; a < w; a++) g->stack[a][lane] = beam->chain[a];
     for (a = 0; a < 3; a++) {
-        g->o[a][lane] = from->o[a][i];
-        g->d[a][lane] = from->d[a][i];
-        g->inv[a][lane] = from->inv[a][i];
+        g->o[a][to] = from->o[a][i];
+        g->d[a][to] = from->d[a][i];
+        g->inv[a][to] = from->inv[a][i];
         g->c[a][lane] = from->c[a][i];
     }
-    g->t[lane] = from->t[i];
-    g->t_end[lane] = from->t_end[i];
-    g->t_min[lane] = from->t_min[i];
+    g->t[to] = from->t[i];
+    g->t_end[to] = from->t_end[i];
+    g->t_min[to] = from->t_min[i];
+    g->at[to] = w + 1 == t->wide ? (uint64_t)(uintptr_t)(t->leaf + node) : (uint64_t)(uintptr_t)(t->node + node);
     g->flip[lane] = from->flip[i];
     g->ray[lane] = from->ray[i];
-    g->node[lane] = from->node[i];
+    g->node[lane] = node;
     g->w[lane] = w;
     g->alive[lane] = 0xffffffffu;
     g->live |= 1u << lane;
@@ -8071,20 +8093,22 @@ static inline void voxrti_group4_load(const voxrti_beam *beam, voxrti_group4 *g,
 
 /* Level of detail for lanes whose footprint may cover the cell: exact decision as in voxrti_trace_scalar.
    Returns the lanes that hit. */
-static VOXRTI_NOINLINE uint32_t voxrti_group4_lod(const voxrt_tree *t, const voxrti_cone *cone, voxrti_group4 *g,
-                                                  const uint64_t mask[4], uint32_t lanes, voxrt_hit *hits) {
+static VOXRTI_NOINLINE uint32_t voxrti_octet_lod(const voxrt_tree *t, const voxrti_cone *cone, voxrti_octet *g,
+                                                 uint32_t lanes, voxrt_hit *hits) {
     uint32_t done = 0, face;
     for (; lanes != 0; lanes &= lanes - 1) {
         voxrti_rayx r;
         uint32_t lane = voxrti_ctz64(lanes), sh = 2 * (t->wide - 1 - g->w[lane]), slot, ls;
-        voxrti_group4_ray(g, lane, &r);
+        uint64_t mask = g->w[lane] + 1 == t->wide ? t->leaf[g->node[lane]] : t->node[g->node[lane]].mask;
+        voxrti_octet_ray(g, lane, &r);
         slot = voxrti_slot_of(r.c, sh) ^ r.flip;
         for (ls = sh + 2; ls-- > sh;) {
-            uint64_t filled = ls > sh ? mask[lane] >> (slot & 56u) & 255u : mask[lane] >> slot & 1u;
+            uint64_t filled = ls > sh ? mask >> (slot & 56u) & 255u : mask >> slot & 1u;
             if (filled != 0 && voxrti_footprint(cone, voxrti_entry(&r, r.c, ls, &face)) >= (double)(1u << ls)) {
                 voxrti_hit_fill(t, &r, r.c, ls, g->node[lane], ls > sh ? slot & 56u : slot, &hits[g->ray[lane]]);
                 done |= 1u << lane;
                 g->used &= ~(1u << lane); /* written */
+                g->alive[lane] = 0;
                 break;
             }
         }
@@ -8092,29 +8116,32 @@ static VOXRTI_NOINLINE uint32_t voxrti_group4_lod(const voxrt_tree *t, const vox
     return done;
 }
 
-/* Lanes whose position is within 2^-16 of an event of another axis: decide exactly. c, ls: cells before the step. */
-static VOXRTI_NOINLINE void voxrti_group4_doubt(const voxrti_group4 *g, const double time[4], const uint32_t ls[4],
-                                                uint32_t lanes, uint32_t q[3][4]) {
+/* Lanes whose position is within 2^-16 of an event of another axis: decide exactly. g->c, ls: cells before the step. */
+static VOXRTI_NOINLINE void voxrti_octet_doubt(const voxrti_octet *g, const double time[8], const uint32_t ls[8],
+                                               uint32_t lanes, uint32_t q[3][8]) {
     for (; lanes != 0; lanes &= lanes - 1) {
         voxrti_rayx r;
         uint32_t lane = voxrti_ctz64(lanes), a, k = 3, low = ((uint32_t)1 << ls[lane]) - 1u;
-        voxrti_group4_ray(g, lane, &r);
+        double t = time[VOXRTI_PLACE8(lane)];
+        voxrti_octet_ray(g, lane, &r);
         for (a = 0; a < 3; a++)
-            if (k == 3 && ((double)((r.c[a] | low) + 1u) - r.o[a]) * r.inv[a] == time[lane]) k = a;
+            if (k == 3 && ((double)((r.c[a] | low) + 1u) - r.o[a]) * r.inv[a] == t) k = a;
         for (a = 0; a < 3; a++)
-            if (a != k) q[a][lane] = voxrti_cell_at(&r, a, time[lane], k, r.c[a], r.c[a] | low);
+            if (a != k) q[a][lane] = voxrti_cell_at(&r, a, t, k, r.c[a], r.c[a] | low);
     }
 }
 
-/* Slot of the cell of edge 2^sh in its node: the low bits of x, y, z as bytes, spread by one table. */
-VOXRTI_TARGET_AVX2 static inline __m128i voxrti_slot4(__m128i x, __m128i y, __m128i z, __m128i sh, __m128i flip) {
-    const __m128i spread = _mm_setr_epi8(0, 1, 8, 9, 0, 2, 16, 18, 0, 4, 32, 36, 0, 0, 0, 0), three = _mm_set1_epi32(3);
-    __m128i s = _mm_and_si128(_mm_srlv_epi32(x, sh), three);
-    s = _mm_or_si128(s, _mm_slli_epi32(_mm_and_si128(_mm_srlv_epi32(y, sh), three), 8));
-    s = _mm_or_si128(s, _mm_slli_epi32(_mm_and_si128(_mm_srlv_epi32(z, sh), three), 16));
-    s = _mm_shuffle_epi8(spread, _mm_or_si128(s, _mm_set1_epi32(0x0c080400)));
-    s = _mm_madd_epi16(_mm_maddubs_epi16(s, _mm_set1_epi8(1)), _mm_set1_epi16(1));
-    return _mm_xor_si128(s, flip);
+/* Slots of the cells of edge 2^sh in their nodes: the low bits of x, y, z as bytes, spread by one table. */
+VOXRTI_TARGET_AVX2 static inline __m256i voxrti_octet_slot(__m256i x, __m256i y, __m256i z, __m256i sh, __m256i flip) {
+    const __m256i spread = _mm256_setr_epi8(0, 1, 8, 9, 0, 2, 16, 18, 0, 4, 32, 36, 0, 0, 0, 0,
+                                            0, 1, 8, 9, 0, 2, 16, 18, 0, 4, 32, 36, 0, 0, 0, 0);
+    const __m256i three = _mm256_set1_epi32(3);
+    __m256i s = _mm256_and_si256(_mm256_srlv_epi32(x, sh), three);
+    s = _mm256_or_si256(s, _mm256_slli_epi32(_mm256_and_si256(_mm256_srlv_epi32(y, sh), three), 8));
+    s = _mm256_or_si256(s, _mm256_slli_epi32(_mm256_and_si256(_mm256_srlv_epi32(z, sh), three), 16));
+    s = _mm256_shuffle_epi8(spread, _mm256_or_si256(s, _mm256_set1_epi32(0x0c080400)));
+    s = _mm256_madd_epi16(_mm256_maddubs_epi16(s, _mm256_set1_epi8(1)), _mm256_set1_epi16(1));
+    return _mm256_xor_si256(s, flip);
 }
 
 /* Bits set in each of four words. */
@@ -8126,191 +8153,178 @@ VOXRTI_TARGET_AVX2 static inline __m256i voxrti_popcount4(__m256i v) {
     return _mm256_sad_epu8(_mm256_add_epi8(a, b), _mm256_setzero_si256());
 }
 
-/* 16 bytes of a node: its mask, and (interior) its first child. The leaf array is padded. */
-#define VOXRTI_NODE4(address) _mm_loadu_si128((const __m128i *)(uintptr_t)(uint64_t)(address))
+/* 16 bytes of each of two nodes: mask, and (interior) first child. The leaf array is padded. */
+VOXRTI_TARGET_AVX2 static inline __m256i voxrti_octet_nodes(uint64_t a, uint64_t b) {
+    return _mm256_inserti128_si256(_mm256_castsi128_si256(VOXRTI_LOAD4((uintptr_t)a)), VOXRTI_LOAD4((uintptr_t)b), 1);
+}
+
+/* Events of the planes behind cells g; g in the low half of each 64-bit lane, 2^52's high half in the other. */
+VOXRTI_TARGET_AVX2 static inline __m256d voxrti_octet_event(__m256i g, const double *o, const double *inv) {
+    __m256d f = _mm256_sub_pd(_mm256_castsi256_pd(g), _mm256_set1_pd(4503599627370495.0)); /* g + 1 */
+    return _mm256_mul_pd(_mm256_sub_pd(f, _mm256_loadu_pd(o)), _mm256_loadu_pd(inv));
+}
+
+/* Cells of one axis at time t0, t1; last + 1 where the axis steps. The position plus 2^20 is a fixed-point number:
+   20 bits of cell, 32 bits of fraction. *least: less than 2^17 when closer than 2^-16 to a plane of another axis;
+   otherwise, rounding being far below, the cell is certain. */
+VOXRTI_TARGET_AVX2 static inline __m256i voxrti_octet_cells(__m256d t0, __m256d t1, const double *o, const double *d,
+                                                            __m256i last, __m256i steps, __m256i *least) {
+    const __m256d bias = _mm256_set1_pd(1048576.0);
+    __m256i p0, p1, q;
+    p0 = _mm256_castpd_si256(_mm256_add_pd(_mm256_add_pd(_mm256_loadu_pd(o), _mm256_mul_pd(t0, _mm256_loadu_pd(d))), bias));
+    p1 = _mm256_castpd_si256(_mm256_add_pd(_mm256_add_pd(_mm256_loadu_pd(o + 4), _mm256_mul_pd(t1, _mm256_loadu_pd(d + 4))), bias));
+    q = _mm256_or_si256(_mm256_add_epi32(VOXRTI_LOW8(p0, p1), _mm256_set1_epi32(65536)), steps);
+    *least = _mm256_min_epu32(*least, q);
+    q = _mm256_sub_epi32(VOXRTI_HIGH8(p0, p1), _mm256_set1_epi32(0x41300000)); /* the exponent */
+    return VOXRTI_BLENDI(q, _mm256_add_epi32(last, _mm256_set1_epi32(1)), steps);
+}
+
+/* Lanes whose footprint may cover the cell (of edge 2^sh) or the octant they stand in. */
+VOXRTI_TARGET_AVX2 static uint32_t voxrti_octet_wide(const voxrti_cone *cone, const voxrti_octet *g, __m256i sh,
+                                                     uint32_t cell, uint32_t octant) {
+    uint32_t i, size[8], lanes = 0;
+    VOXRTI_STOREI(size, _mm256_sllv_epi32(_mm256_set1_epi32(1), sh));
+    for (i = 0; i < 8; i++) {
+        double foot = voxrti_footprint(cone, g->t[VOXRTI_PLACE8(i)]);
+        if ((cell >> i & 1u) && foot >= (double)size[i]) lanes |= 1u << i;
+        if ((octant >> i & 1u) && foot >= (double)(2 * size[i])) lanes |= 1u << i;
+    }
+    return lanes;
+}
 
 /* One step of every live lane: over an empty cell, and down when the cell is filled or the next one is filled and in
    the same node. Lanes that end leave g->live; those on a voxel are added to g->found. Masks count by their sign. */
-VOXRTI_TARGET_AVX2 static inline void voxrti_group4_step(const voxrt_tree *t, const voxrti_cone *cone, voxrti_group4 *g,
-                                                         voxrt_hit *hits, voxrt_stats *stats) {
-    const __m128i one = _mm_set1_epi32(1), leaf_w = _mm_set1_epi32((int)t->wide - 1);
-    const __m256i flip_slot = _mm256_set1_epi64x(63), low_byte = _mm256_set1_epi64x(255);
-    const __m256d unit = _mm256_set1_pd(1.0);
-    __m128i c0 = VOXRTI_LOAD4(g->c[0]), c1 = VOXRTI_LOAD4(g->c[1]), c2 = VOXRTI_LOAD4(g->c[2]);
-    __m128i node = VOXRTI_LOAD4(g->node), w = VOXRTI_LOAD4(g->w), flip = VOXRTI_LOAD4(g->flip), live = VOXRTI_LOAD4(g->alive);
-    __m128i is_leaf = _mm_cmpeq_epi32(w, leaf_w), sh = _mm_slli_epi32(_mm_sub_epi32(leaf_w, w), 1);
-    __m128i r0, r1, r2, r3, first, ls, low, g0, g1, g2, q0, q1, q2, x, on, set, go, pop, up_node, up_w, slot;
-    __m256i mask, base, slot64, word, leaf64 = _mm256_cvtepi32_epi64(is_leaf);
-    __m256d d0, d1, d2, f0, f1, f2, e0, e1, e2, p0, p1, p2, k0, k1, k01, time, b;
+VOXRTI_TARGET_AVX2 static inline void voxrti_octet_step(const voxrt_tree *t, const voxrti_cone *cone, voxrti_octet *g,
+                                                        voxrt_hit *hits, voxrt_stats *stats) {
+    const __m256i one = _mm256_set1_epi32(1), zero = _mm256_setzero_si256(), leaf_w = _mm256_set1_epi32((int)t->wide - 1);
+    const __m256i two52 = _mm256_set1_epi32(0x43300000);
+    __m256i c0 = VOXRTI_LOADI(g->c[0]), c1 = VOXRTI_LOADI(g->c[1]), c2 = VOXRTI_LOADI(g->c[2]);
+    __m256i node = VOXRTI_LOADI(g->node), w = VOXRTI_LOADI(g->w), flip = VOXRTI_LOADI(g->flip), live = VOXRTI_LOADI(g->alive);
+    __m256i is_leaf = _mm256_cmpeq_epi32(w, leaf_w), sh = _mm256_slli_epi32(_mm256_sub_epi32(leaf_w, w), 1);
+    __m256i m0, m1, first, slot, x, y, empty, set, on, ls, low, g0, g1, g2, q0, q1, q2, k0, k1, k2, least, go, pop, up, up_w;
+    __m256d e0, e1, e2, f0, f1, f2, t0, t1;
     uint32_t l, doubt;
-    { /* the nodes: masks and first children */
-        __m128i lo, hi;
-        base = _mm256_blendv_epi8(_mm256_set1_epi64x((long long)(intptr_t)t->node),
-                                  _mm256_set1_epi64x((long long)(intptr_t)t->leaf), leaf64);
-        base = _mm256_add_epi64(base, _mm256_sllv_epi64(_mm256_cvtepu32_epi64(node), _mm256_add_epi64(leaf64, _mm256_set1_epi64x(4))));
-        lo = _mm256_castsi256_si128(base);
-        hi = _mm256_extracti128_si256(base, 1);
-        r0 = VOXRTI_NODE4(_mm_cvtsi128_si64(lo));
-        r1 = VOXRTI_NODE4(_mm_extract_epi64(lo, 1));
-        r2 = VOXRTI_NODE4(_mm_cvtsi128_si64(hi));
-        r3 = VOXRTI_NODE4(_mm_extract_epi64(hi, 1));
-        mask = _mm256_inserti128_si256(_mm256_castsi128_si256(_mm_unpacklo_epi64(r0, r1)), _mm_unpacklo_epi64(r2, r3), 1);
-        first = _mm_castps_si128(_mm_shuffle_ps(VOXRTI_PS(_mm_unpackhi_epi64(r0, r1)), VOXRTI_PS(_mm_unpackhi_epi64(r2, r3)), 0x88));
-    }
-    slot64 = _mm256_cvtepu32_epi64(voxrti_slot4(c0, c1, c2, sh, flip));
-    word = _mm256_sllv_epi64(mask, _mm256_xor_si256(slot64, flip_slot)); /* sign: the cell is filled */
-    slot64 = _mm256_and_si256(_mm256_srlv_epi64(mask, _mm256_and_si256(slot64, _mm256_set1_epi64x(56))), low_byte);
-    x = _mm_cmpeq_epi32(voxrti_low4(slot64), _mm_setzero_si128()); /* octants without cells */
-    set = _mm_and_si128(voxrti_high4(word), live);
+    /* the nodes: masks and first children */
+    k0 = voxrti_octet_nodes(g->at[0], g->at[2]);
+    k1 = voxrti_octet_nodes(g->at[1], g->at[3]);
+    q0 = voxrti_octet_nodes(g->at[4], g->at[6]);
+    q1 = voxrti_octet_nodes(g->at[5], g->at[7]);
+    m0 = _mm256_unpacklo_epi64(k0, k1);
+    m1 = _mm256_unpacklo_epi64(q0, q1);
+    first = VOXRTI_LOW8(_mm256_unpackhi_epi64(k0, k1), _mm256_unpackhi_epi64(q0, q1));
+    /* octant to the top, then the cell */
+    slot = voxrti_octet_slot(c0, c1, c2, sh, flip);
+    x = _mm256_andnot_si256(slot, _mm256_set1_epi32(56));
+    x = VOXRTI_HIGH8(_mm256_sllv_epi64(m0, _mm256_unpacklo_epi32(x, zero)), _mm256_sllv_epi64(m1, _mm256_unpackhi_epi32(x, zero)));
+    empty = _mm256_cmpeq_epi32(_mm256_srli_epi32(x, 24), zero);
+    set = _mm256_and_si256(_mm256_sllv_epi32(x, _mm256_andnot_si256(slot, _mm256_set1_epi32(7))), live);
     if (cone->on) {
-        __m256d size = _mm256_cvtepi32_pd(_mm_sllv_epi32(one, sh)), foot;
-        foot = _mm256_add_pd(_mm256_set1_pd(cone->width), _mm256_mul_pd(_mm256_set1_pd(cone->spread), _mm256_loadu_pd(g->t)));
-        foot = _mm256_max_pd(_mm256_set1_pd(cone->floor_), foot);
-        on = _mm_and_si128(set, voxrti_narrow4(_mm256_cmp_pd(foot, size, _CMP_GE_OQ)));
-        q0 = _mm_andnot_si128(x, _mm_and_si128(live, voxrti_narrow4(_mm256_cmp_pd(foot, _mm256_add_pd(size, size), _CMP_GE_OQ))));
-        l = (uint32_t)_mm_movemask_ps(VOXRTI_PS(_mm_or_si128(on, q0)));
+        l = voxrti_octet_wide(cone, g, sh, VOXRTI_SIGNS(set), g->live & ~VOXRTI_SIGNS(empty));
         if (l != 0) {
-            uint64_t words[4];
-            uint32_t i;
-            _mm256_storeu_si256((__m256i *)(void *)words, mask);
-            l = voxrti_group4_lod(t, cone, g, words, l, hits);
-            for (i = 0; i < 4; i++)
-                if (l >> i & 1u) g->alive[i] = 0;
-            live = VOXRTI_LOAD4(g->alive);
-            set = _mm_and_si128(set, live);
+            l = voxrti_octet_lod(t, cone, g, l, hits);
+            live = VOXRTI_LOADI(g->alive);
+            set = _mm256_and_si256(set, live);
             if (stats != NULL) stats->hits += voxrti_popcount64(l);
         }
     }
+    if (stats != NULL) stats->steps += voxrti_popcount64(VOXRTI_SIGNS(_mm256_andnot_si256(set, live)));
     /* over: the first event of the three far faces of the empty cell */
-    ls = _mm_sub_epi32(sh, x);
-    low = _mm_sub_epi32(_mm_sllv_epi32(one, ls), one);
-    g0 = _mm_or_si128(c0, low); /* last cells before the faces */
-    g1 = _mm_or_si128(c1, low);
-    g2 = _mm_or_si128(c2, low);
-    d0 = _mm256_cvtepi32_pd(g0);
-    d1 = _mm256_cvtepi32_pd(g1);
-    d2 = _mm256_cvtepi32_pd(g2);
-    f0 = _mm256_add_pd(d0, unit);
-    f1 = _mm256_add_pd(d1, unit);
-    f2 = _mm256_add_pd(d2, unit);
-    p0 = _mm256_loadu_pd(g->o[0]);
-    p1 = _mm256_loadu_pd(g->o[1]);
-    p2 = _mm256_loadu_pd(g->o[2]);
-    e0 = _mm256_mul_pd(_mm256_sub_pd(f0, p0), _mm256_loadu_pd(g->inv[0]));
-    e1 = _mm256_mul_pd(_mm256_sub_pd(f1, p1), _mm256_loadu_pd(g->inv[1]));
-    e2 = _mm256_mul_pd(_mm256_sub_pd(f2, p2), _mm256_loadu_pd(g->inv[2]));
-    time = _mm256_min_pd(_mm256_min_pd(e0, e1), e2);
-    k0 = _mm256_cmp_pd(e0, time, _CMP_EQ_OQ);
-    k1 = _mm256_andnot_pd(k0, _mm256_cmp_pd(e1, time, _CMP_EQ_OQ));
-    k01 = _mm256_or_pd(k0, k1);
-    on = voxrti_narrow4(_mm256_andnot_pd(_mm256_castsi256_pd(word), _mm256_cmp_pd(time, _mm256_loadu_pd(g->t_end), _CMP_LT_OQ)));
-    on = _mm_and_si128(live, on);
-    p0 = _mm256_add_pd(p0, _mm256_mul_pd(time, _mm256_loadu_pd(g->d[0])));
-    p1 = _mm256_add_pd(p1, _mm256_mul_pd(time, _mm256_loadu_pd(g->d[1])));
-    p2 = _mm256_add_pd(p2, _mm256_mul_pd(time, _mm256_loadu_pd(g->d[2])));
-    b = _mm256_or_pd(_mm256_andnot_pd(k0, voxrti_close4(p0)), _mm256_andnot_pd(k1, voxrti_close4(p1)));
-    b = _mm256_or_pd(b, _mm256_and_pd(k01, voxrti_close4(p2)));
-    doubt = (uint32_t)_mm256_movemask_pd(b) & (uint32_t)_mm_movemask_ps(VOXRTI_PS(on));
-    p0 = _mm256_blendv_pd(_mm256_min_pd(p0, d0), f0, k0);
-    p1 = _mm256_blendv_pd(_mm256_min_pd(p1, d1), f1, k1);
-    p2 = _mm256_blendv_pd(f2, _mm256_min_pd(p2, d2), k01);
-    q0 = _mm_max_epi32(_mm256_cvttpd_epi32(p0), c0);
-    q1 = _mm_max_epi32(_mm256_cvttpd_epi32(p1), c1);
-    q2 = _mm_max_epi32(_mm256_cvttpd_epi32(p2), c2);
+    ls = _mm256_sub_epi32(sh, empty);
+    low = _mm256_sub_epi32(_mm256_sllv_epi32(one, ls), one);
+    g0 = _mm256_or_si256(c0, low); /* last cells before the faces */
+    g1 = _mm256_or_si256(c1, low);
+    g2 = _mm256_or_si256(c2, low);
+    e0 = voxrti_octet_event(_mm256_unpacklo_epi32(g0, two52), g->o[0], g->inv[0]);
+    f0 = voxrti_octet_event(_mm256_unpackhi_epi32(g0, two52), g->o[0] + 4, g->inv[0] + 4);
+    e1 = voxrti_octet_event(_mm256_unpacklo_epi32(g1, two52), g->o[1], g->inv[1]);
+    f1 = voxrti_octet_event(_mm256_unpackhi_epi32(g1, two52), g->o[1] + 4, g->inv[1] + 4);
+    e2 = voxrti_octet_event(_mm256_unpacklo_epi32(g2, two52), g->o[2], g->inv[2]);
+    f2 = voxrti_octet_event(_mm256_unpackhi_epi32(g2, two52), g->o[2] + 4, g->inv[2] + 4);
+    t0 = _mm256_min_pd(_mm256_min_pd(e0, e1), e2);
+    t1 = _mm256_min_pd(_mm256_min_pd(f0, f1), f2);
+    k0 = VOXRTI_MASK8(_mm256_cmp_pd(e0, t0, _CMP_EQ_OQ), _mm256_cmp_pd(f0, t1, _CMP_EQ_OQ));
+    k1 = VOXRTI_MASK8(_mm256_cmp_pd(e1, t0, _CMP_EQ_OQ), _mm256_cmp_pd(f1, t1, _CMP_EQ_OQ));
+    k1 = _mm256_andnot_si256(k0, k1);
+    k2 = _mm256_xor_si256(_mm256_or_si256(k0, k1), _mm256_set1_epi32(-1));
+    on = VOXRTI_MASK8(_mm256_cmp_pd(t0, _mm256_loadu_pd(g->t_end), _CMP_LT_OQ), _mm256_cmp_pd(t1, _mm256_loadu_pd(g->t_end + 4), _CMP_LT_OQ));
+    on = _mm256_andnot_si256(set, _mm256_and_si256(live, on));
+    least = _mm256_set1_epi32(-1);
+    q0 = voxrti_octet_cells(t0, t1, g->o[0], g->d[0], g0, k0, &least);
+    q1 = voxrti_octet_cells(t0, t1, g->o[1], g->d[1], g1, k1, &least);
+    q2 = voxrti_octet_cells(t0, t1, g->o[2], g->d[2], g2, k2, &least);
+    doubt = VOXRTI_SIGNS(_mm256_and_si256(on, _mm256_cmpeq_epi32(_mm256_srli_epi32(least, 17), zero)));
     if (VOXRTI_UNLIKELY(doubt != 0)) {
-        uint32_t q[3][4], size[4];
-        double at[4];
-        VOXRTI_STORE4(q[0], q0);
-        VOXRTI_STORE4(q[1], q1);
-        VOXRTI_STORE4(q[2], q2);
-        VOXRTI_STORE4(size, ls);
-        _mm256_storeu_pd(at, time);
-        voxrti_group4_doubt(g, at, size, doubt, q);
-        q0 = VOXRTI_LOAD4(q[0]);
-        q1 = VOXRTI_LOAD4(q[1]);
-        q2 = VOXRTI_LOAD4(q[2]);
+        uint32_t q[3][8], size[8];
+        double at[8];
+        VOXRTI_STOREI(q[0], q0);
+        VOXRTI_STOREI(q[1], q1);
+        VOXRTI_STOREI(q[2], q2);
+        VOXRTI_STOREI(size, ls);
+        _mm256_storeu_pd(at, t0);
+        _mm256_storeu_pd(at + 4, t1);
+        voxrti_octet_doubt(g, at, size, doubt, q);
+        q0 = VOXRTI_LOADI(q[0]);
+        q1 = VOXRTI_LOADI(q[1]);
+        q2 = VOXRTI_LOADI(q[2]);
     }
     if (cone->on) {
-        e0 = _mm256_castsi256_pd(_mm256_cvtepi32_epi64(on));
-        _mm256_storeu_pd(g->t, _mm256_blendv_pd(_mm256_loadu_pd(g->t), time, e0));
+        e0 = _mm256_castsi256_pd(_mm256_unpacklo_epi32(on, on));
+        e1 = _mm256_castsi256_pd(_mm256_unpackhi_epi32(on, on));
+        _mm256_storeu_pd(g->t, _mm256_blendv_pd(_mm256_loadu_pd(g->t), t0, e0));
+        _mm256_storeu_pd(g->t + 4, _mm256_blendv_pd(_mm256_loadu_pd(g->t + 4), t1, e1));
     }
-    q0 = VOXRTI_BLEND4(c0, q0, on);
-    q1 = VOXRTI_BLEND4(c1, q1, on);
-    q2 = VOXRTI_BLEND4(c2, q2, on);
-    x = _mm_or_si128(_mm_or_si128(_mm_xor_si128(c0, q0), _mm_xor_si128(c1, q1)), _mm_xor_si128(c2, q2));
-    pop = _mm_cmpgt_epi32(x, _mm_sub_epi32(_mm_sllv_epi32(_mm_set1_epi32(4), sh), one)); /* left the node */
-    /* down: in the cell it stands in now, unless the node is left */
-    slot = voxrti_slot4(q0, q1, q2, sh, flip);
-    word = _mm256_sllv_epi64(mask, _mm256_xor_si256(_mm256_cvtepu32_epi64(slot), flip_slot));
-    if (stats != NULL) /* before `set` gains the lanes that stepped */
-        stats->steps += voxrti_popcount64((uint32_t)_mm_movemask_ps(VOXRTI_PS(_mm_andnot_si128(set, live))));
-    if (!cone->on) set = _mm_andnot_si128(pop, _mm_and_si128(voxrti_high4(word), live));
-    g->found |= (uint32_t)_mm_movemask_ps(VOXRTI_PS(_mm_and_si128(set, is_leaf)));
-    go = _mm_srai_epi32(_mm_andnot_si128(is_leaf, set), 31);
-    live = _mm_srai_epi32(_mm_or_si128(go, _mm_andnot_si128(set, on)), 31);
-    /* the cells before the slot, now at the top of the word */
-    first = _mm_add_epi32(first, voxrti_low4(voxrti_popcount4(_mm256_add_epi64(word, word))));
-    up_node = up_w = _mm_setzero_si128(); /* the common ancestor of old and new cell: the highest differing level */
+    q0 = VOXRTI_BLENDI(c0, q0, on);
+    q1 = VOXRTI_BLENDI(c1, q1, on);
+    q2 = VOXRTI_BLENDI(c2, q2, on);
+    VOXRTI_STOREI(g->c[0], q0);
+    VOXRTI_STOREI(g->c[1], q1);
+    VOXRTI_STOREI(g->c[2], q2);
+    x = _mm256_or_si256(_mm256_or_si256(_mm256_xor_si256(c0, q0), _mm256_xor_si256(c1, q1)), _mm256_xor_si256(c2, q2));
+    pop = _mm256_cmpgt_epi32(x, _mm256_sub_epi32(_mm256_sllv_epi32(_mm256_set1_epi32(4), sh), one)); /* left the node */
+    /* down: in the cell it stands in now, unless the node is left; the cell to the top, below it those before it */
+    slot = _mm256_xor_si256(voxrti_octet_slot(q0, q1, q2, sh, flip), _mm256_set1_epi32(63));
+    m0 = _mm256_sllv_epi64(m0, _mm256_unpacklo_epi32(slot, zero));
+    m1 = _mm256_sllv_epi64(m1, _mm256_unpackhi_epi32(slot, zero));
+    if (!cone->on) set = _mm256_andnot_si256(pop, _mm256_and_si256(VOXRTI_HIGH8(m0, m1), live));
+    m0 = voxrti_popcount4(_mm256_add_epi64(m0, m0));
+    m1 = voxrti_popcount4(_mm256_add_epi64(m1, m1));
+    first = _mm256_add_epi32(first, VOXRTI_LOW8(m0, m1));
+    g->found |= VOXRTI_SIGNS(_mm256_and_si256(set, is_leaf));
+    go = _mm256_srai_epi32(_mm256_andnot_si256(is_leaf, set), 31);
+    live = _mm256_srai_epi32(_mm256_or_si256(go, _mm256_andnot_si256(set, on)), 31);
+    VOXRTI_STOREI(g->alive, live);
+    g->live = VOXRTI_SIGNS(live);
+    if (stats != NULL) stats->descents += voxrti_popcount64(VOXRTI_SIGNS(go));
+    /* the stack; the common ancestor of old and new cell: as deep as they agree */
+    up = up_w = zero;
     for (l = 1; l + 1 < t->wide; l++) {
-        __m128i at = VOXRTI_BLEND4(VOXRTI_LOAD4(g->stack[l]), node, _mm_cmpeq_epi32(w, _mm_set1_epi32((int)l)));
-        __m128i m = _mm_cmpgt_epi32(_mm_set1_epi32(4 << 2 * (t->wide - 1 - l)), x);
-        VOXRTI_STORE4(g->stack[l], at);
-        up_node = VOXRTI_BLEND4(up_node, at, m);
-        up_w = _mm_sub_epi32(up_w, m);
+        y = VOXRTI_BLENDI(VOXRTI_LOADI(g->stack[l]), node, _mm256_cmpeq_epi32(w, _mm256_set1_epi32((int)l)));
+        VOXRTI_STOREI(g->stack[l], y);
+        slot = _mm256_cmpgt_epi32(_mm256_set1_epi32(4 << 2 * (t->wide - 1 - l)), x);
+        up = VOXRTI_BLENDI(up, y, slot);
+        up_w = _mm256_sub_epi32(up_w, slot);
     }
-    node = VOXRTI_BLEND4(VOXRTI_BLEND4(node, first, go), up_node, pop);
-    w = VOXRTI_BLEND4(_mm_sub_epi32(w, go), up_w, pop);
-    VOXRTI_STORE4(g->c[0], q0);
-    VOXRTI_STORE4(g->c[1], q1);
-    VOXRTI_STORE4(g->c[2], q2);
-    VOXRTI_STORE4(g->node, node);
-    VOXRTI_STORE4(g->w, w);
-    VOXRTI_STORE4(g->alive, live);
-    g->live = (uint32_t)_mm_movemask_ps(VOXRTI_PS(live));
-    if (stats != NULL) stats->descents += voxrti_popcount64((uint32_t)_mm_movemask_ps(VOXRTI_PS(go)));
-}
-
-/* Write the hits of the lanes in g->found. */
-VOXRTI_TARGET_AVX2 static void voxrti_group4_hits(const voxrt_tree *t, voxrti_group4 *g, voxrt_hit *hits) {
-    const uint32_t full = ((uint32_t)1 << (2 * t->wide)) - 1u;
-    __m256d te = _mm256_set1_pd(-VOXRTI_INF), tmin = _mm256_loadu_pd(g->t_min), e, m;
-    __m128i face = _mm_set1_epi32(6), flip = VOXRTI_LOAD4(g->flip);
-    uint32_t a, cell[3][4], side[4], slot[4], found = g->found;
-    float at[4];
-    for (a = 0; a < 3; a++) {
-        __m128i c = VOXRTI_LOAD4(g->c[a]), neg = _mm_srai_epi32(_mm_slli_epi32(flip, 31 - (int)a), 31);
-        e = _mm256_mul_pd(_mm256_sub_pd(_mm256_cvtepi32_pd(c), _mm256_loadu_pd(g->o[a])), _mm256_loadu_pd(g->inv[a]));
-        m = _mm256_cmp_pd(_mm256_loadu_pd(g->d[a]), _mm256_setzero_pd(), _CMP_NEQ_OQ);
-        m = _mm256_and_pd(m, _mm256_cmp_pd(e, te, _CMP_GE_OQ));
-        te = _mm256_blendv_pd(te, e, m);
-        face = VOXRTI_BLEND4(face, _mm_sub_epi32(_mm_set1_epi32(2 * (int)a), neg), voxrti_narrow4(m));
-        VOXRTI_STORE4(cell[a], _mm_xor_si128(c, _mm_and_si128(neg, _mm_set1_epi32((int)full))));
-    }
-    m = _mm256_cmp_pd(te, tmin, _CMP_LT_OQ);
-    VOXRTI_STORE4(side, VOXRTI_BLEND4(face, _mm_set1_epi32(6), voxrti_narrow4(m)));
-    VOXRTI_STORE4(slot, voxrti_slot4(VOXRTI_LOAD4(cell[0]), VOXRTI_LOAD4(cell[1]), VOXRTI_LOAD4(cell[2]),
-                                     _mm_setzero_si128(), _mm_setzero_si128()));
-    _mm_storeu_ps(at, _mm256_cvtpd_ps(_mm256_blendv_pd(te, tmin, m)));
-    for (; found != 0; found &= found - 1) {
-        uint32_t lane = voxrti_ctz64(found);
-        voxrt_hit *h = &hits[g->ray[lane]];
-        h->t = at[lane];
-        h->cell[0] = cell[0][lane];
-        h->cell[1] = cell[1][lane];
-        h->cell[2] = cell[2][lane];
-        h->node = g->node[lane];
-        h->slot = (uint8_t)slot[lane];
-        h->level = (uint8_t)t->depth;
-        h->face = (uint8_t)side[lane];
-        h->_reserved = 0;
-    }
-    g->found = 0;
+    node = VOXRTI_BLENDI(VOXRTI_BLENDI(node, first, go), up, pop);
+    w = VOXRTI_BLENDI(_mm256_sub_epi32(w, go), up_w, pop);
+    VOXRTI_STOREI(g->node, node);
+    VOXRTI_STOREI(g->w, w);
+    /* addresses */
+    is_leaf = _mm256_cmpeq_epi32(w, leaf_w);
+    y = _mm256_add_epi32(is_leaf, _mm256_set1_epi32(4)); /* log2 of a node's bytes */
+    m0 = _mm256_sllv_epi64(_mm256_unpacklo_epi32(node, zero), _mm256_unpacklo_epi32(y, zero));
+    m1 = _mm256_sllv_epi64(_mm256_unpackhi_epi32(node, zero), _mm256_unpackhi_epi32(y, zero));
+    k0 = _mm256_set1_epi64x((long long)(intptr_t)t->node);
+    k1 = _mm256_set1_epi64x((long long)(intptr_t)t->leaf);
+    m0 = _mm256_add_epi64(m0, _mm256_blendv_epi8(k0, k1, _mm256_unpacklo_epi32(is_leaf, is_leaf)));
+    m1 = _mm256_add_epi64(m1, _mm256_blendv_epi8(k0, k1, _mm256_unpackhi_epi32(is_leaf, is_leaf)));
+    VOXRTI_STOREI(g->at, m0);
+    VOXRTI_STOREI(g->at + 4, m1);
 }
 
 /* Prepare rays until one waits for a lane; 0: none is left. */
-VOXRTI_TARGET_AVX2 static int voxrti_group4_fill(const voxrt_tree *t, const voxrti_cone *cone, const voxrt_ray *rays,
+VOXRTI_TARGET_AVX2 static int voxrti_ready4_fill(const voxrt_tree *t, const voxrti_cone *cone, const voxrt_ray *rays,
                                                  voxrt_hit *hits, size_t count, size_t *next, voxrti_beam *beam,
-                                                 voxrti_group4 *ready, voxrt_stats *stats) {
+                                                 voxrti_ready4 *ready, voxrt_stats *stats) {
     while (ready->live == 0 && *next < count) {
         uint32_t rare = 0, miss = 0, i, n = count - *next < 4 ? (uint32_t)(count - *next) : 4u;
         voxrt_ray tail[4];
@@ -8348,37 +8362,45 @@ VOXRTI_TARGET_AVX2 static int voxrti_group4_fill(const voxrt_tree *t, const voxr
 /* Trace count (< 2^32) rays. */
 VOXRTI_TARGET_AVX2 static void voxrti_trace_avx2(const voxrt_tree *t, const voxrti_cone *cone, const voxrt_ray *rays,
                                                  voxrt_hit *hits, size_t count, voxrt_stats *stats) {
-    voxrti_group4 group[VOXRTI_GROUPS4], ready;
+    voxrti_octet group[VOXRTI_OCTETS];
+    voxrti_ready4 ready;
     voxrti_beam beam;
     size_t next = 0;
-    uint32_t i, busy, more = 1;
+    uint32_t i, k, lane, busy, more = 1;
     if (cone->on && cone->floor_ >= (double)((uint32_t)1 << (2 * t->wide))) { /* one cell for all */
         for (; next < count; next++) voxrti_trace_one(t, cone, NULL, rays + next, hits + next, stats);
         return;
     }
     beam.on = 0;
-    memset(group, 0, sizeof group);
     ready.live = 0;
+    memset(group, 0, sizeof group);
+    for (i = 0; i < VOXRTI_OCTETS; i++) /* a readable address for lanes without ray */
+        for (k = 0; k < 8; k++) group[i].at[k] = t->wide == 1 ? (uint64_t)(uintptr_t)t->leaf : (uint64_t)(uintptr_t)t->node;
     do {
         busy = 0;
-        for (i = 0; i < VOXRTI_GROUPS4; i++) {
-            voxrti_group4 *g = &group[i];
-            if (voxrti_popcount64(g->live) <= VOXRTI_REFILL4 && (more || g->live == 0)) {
-                uint32_t idle = ~g->live & g->used & ~g->found;
+        for (i = 0; i < VOXRTI_OCTETS; i++) {
+            voxrti_octet *g = &group[i];
+            if (voxrti_popcount64(g->live) <= VOXRTI_OCTET_REFILL && (more || g->live == 0)) {
                 if (stats != NULL) stats->hits += voxrti_popcount64(g->found);
-                for (; idle != 0; idle &= idle - 1) voxrti_miss(&hits[g->ray[voxrti_ctz64(idle)]]);
-                if (g->found != 0) voxrti_group4_hits(t, g, hits);
+                for (k = ~g->live & g->used & ~g->found; k != 0; k &= k - 1) voxrti_miss(&hits[g->ray[voxrti_ctz64(k)]]);
+                for (k = g->found; k != 0; k &= k - 1) {
+                    voxrti_rayx r;
+                    lane = voxrti_ctz64(k);
+                    voxrti_octet_ray(g, lane, &r);
+                    voxrti_hit_fill(t, &r, r.c, 0, g->node[lane], voxrti_slot_of(r.c, 0) ^ r.flip, &hits[g->ray[lane]]);
+                }
+                g->found = 0;
                 g->used = g->live;
-                for (idle = ~g->live & 15u; idle != 0; idle &= idle - 1) {
+                for (k = ~g->live & 255u; k != 0; k &= k - 1) {
                     if (ready.live == 0)
-                        more = (uint32_t)voxrti_group4_fill(t, cone, rays, hits, count, &next, &beam, &ready, stats);
+                        more = (uint32_t)voxrti_ready4_fill(t, cone, rays, hits, count, &next, &beam, &ready, stats);
                     if (!more) break;
-                    voxrti_group4_load(&beam, g, voxrti_ctz64(idle), &ready);
+                    voxrti_octet_load(t, &beam, g, voxrti_ctz64(k), &ready);
                 }
                 if (g->live == 0) continue;
             }
             busy = 1;
-            voxrti_group4_step(t, cone, g, hits, stats);
+            voxrti_octet_step(t, cone, g, hits, stats);
         }
     } while (busy);
 }
@@ -9032,6 +9054,7 @@ static voxrt_result voxrti_trace_open(const voxrt_tree *t, const voxrt_trace_des
     cone->on = cone->width > 0 || cone->spread > 0 || cone->floor_ > 0;
     *isa = (int)voxrt_isa_best();
     if (d->isa != VOXRT_ISA_AUTO && (int)d->isa < *isa) *isa = (int)d->isa;
+    if (cone->floor_ >= (double)((uint32_t)1 << (2 * t->wide))) *isa = VOXRT_ISA_SCALAR; /* the root alone */
     return VOXRT_OK;
 }
 

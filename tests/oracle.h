@@ -228,7 +228,7 @@ ORACLE_FN int oracle_start(oracle_walk *w, int *tied, double *t) {
         }
     }
     *t = oracle_time(r, ea, ek);
-    if (*tied != 0) w->first.ties++;
+    if (ea == 3 && *tied != 0) w->first.ties++;
     return 1;
 }
 
@@ -243,8 +243,10 @@ ORACLE_FN const char *oracle_judge(const oracle_grid *g, const oracle_ray *r, co
     w.g = g;
     w.r = r;
     w.said = said;
-    if (!(r->t_min < r->t_max) || !oracle_start(&w, &tied, &t) || t > r->t_max + u) miss_ok = 1;
-    else {
+    if (!(r->t_min < r->t_max) || !oracle_start(&w, &tied, &t) || t > r->t_max + u) {
+        miss_ok = 1;
+        w.alive = 0;
+    } else {
         miss_ok = t >= r->t_max - u;
         oracle_event(&w, tied, t, 1);
         for (a = 0; a < 3; a++)
@@ -263,8 +265,8 @@ ORACLE_FN const char *oracle_judge(const oracle_grid *g, const oracle_ray *r, co
             }
         t = oracle_time(r, tied & 1 ? 0 : tied & 2 ? 1 : 2, tied & 1 ? w.c[0] + (w.step[0] > 0) :
                         tied & 2 ? w.c[1] + (w.step[1] > 0) : w.c[2] + (w.step[2] > 0));
-        if (t >= r->t_max - u || t > FLT_MAX) miss_ok = 1; /* so near the end that rounding decides */
-        if (t > r->t_max + u || t > 2.0 * FLT_MAX) break;
+        if (t >= r->t_max - u || t > (double)FLT_MAX) miss_ok = 1; /* so near the end that rounding decides */
+        if (t > r->t_max + u || t > 2.0 * (double)FLT_MAX) break;
         oracle_event(&w, tied, t, 0);
         for (a = 0; a < 3; a++) {
             if ((tied >> a & 1) == 0) continue;

@@ -595,6 +595,50 @@ TEST(round_trips) {
             }
 }
 
+/* wide tree -> octree -> version 4 -> octree -> wide tree -> version 5 -> wide tree: cells and colours stay, and from the
+   second tree on everything */
+TEST(through_both_formats) {
+    int kind;
+    for (kind = 0; kind < 7; kind++) {
+        voxrt_tree *t = make_tree(kind, 1, 1), *u = NULL, *v = NULL;
+        voxrt_octree *o = NULL, *o2 = NULL;
+        voxrt_tree_info x, y;
+        voxrt_voxel a, b;
+        uint8_t *p, *q;
+        size_t n = 0, size;
+        cells c;
+        uint32_t depth = make_cells(kind, &c), i;
+        REQUIRE(t != NULL);
+        CHECK(voxrt_octree_from_tree(NULL, t, &o) == VOXRT_OK);
+        REQUIRE(o != NULL && voxrt_octree_save_memory(o, NULL, NULL, 0, &n) == VOXRT_OK);
+        p = (uint8_t *)malloc(n);
+        REQUIRE(p != NULL && voxrt_octree_save_memory(o, NULL, p, n, &n) == VOXRT_OK);
+        CHECK(voxrt_octree_load_memory(NULL, p, n, &o2) == VOXRT_OK && voxrt_tree_from_octree(NULL, o2, &u) == VOXRT_OK);
+        REQUIRE(u != NULL);
+        q = save(u, kind & 1, &size);
+        REQUIRE(q != NULL);
+        CHECK(voxrt_tree_load_memory(NULL, q, size, &v) == VOXRT_OK);
+        REQUIRE(v != NULL);
+        same_tree(u, v);
+        voxrt_tree_get_info(t, &x);
+        voxrt_tree_get_info(v, &y);
+        CHECK_EQ_U64(x.voxel_count, y.voxel_count);
+        for (i = 0; kind != 4 && y.depth == depth && i < c.n; i++) {
+            CHECK(voxrt_tree_get(t, depth, c.v[i].x, c.v[i].y, c.v[i].z, &a) && voxrt_tree_get(v, depth, c.v[i].x, c.v[i].y, c.v[i].z, &b));
+            CHECK(memcmp(a.rgb, b.rgb, 3) == 0);
+            CHECK(a.normal[0] * b.normal[0] + a.normal[1] * b.normal[1] + a.normal[2] * b.normal[2] > 0.9995f);
+        }
+        free(c.v);
+        free(p);
+        free(q);
+        voxrt_octree_destroy(o);
+        voxrt_octree_destroy(o2);
+        voxrt_tree_destroy(t);
+        voxrt_tree_destroy(u);
+        voxrt_tree_destroy(v);
+    }
+}
+
 TEST(map_in_place) {
     int kind, trust;
     for (kind = 0; kind < KINDS; kind++)
@@ -1297,6 +1341,7 @@ int main(int argc, char **argv) {
     RUN(coded_sections_exactly);
     RUN(coded_sections_by_hand);
     RUN(round_trips);
+    RUN(through_both_formats);
     RUN(map_in_place);
     RUN(without_normals);
     RUN(bits_per_leaf);

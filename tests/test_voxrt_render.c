@@ -199,7 +199,7 @@ TEST(ray_conventions) {
     CHECK(voxrt_camera_ray(&c, 640, 480, 0, 0, &r) == VOXRT_ERR_INVALID_ARG);
     c = look(1, 1, 1, 1, 1, 1, 40);
     CHECK(voxrt_camera_ray(&c, 640, 480, 0, 0, &r) == VOXRT_ERR_INVALID_ARG);
-    c = look(1, 1, 1, INFINITY, 1, 1, 40);
+    c = look(1, 1, 1, (double)INFINITY, 1, 1, 40);
     CHECK(voxrt_camera_ray(&c, 640, 480, 0, 0, &r) == VOXRT_ERR_INVALID_ARG);
 }
 

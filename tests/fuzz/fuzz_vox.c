@@ -6,20 +6,17 @@
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
 static void use(voxrt_tree *t) {
-    uint8_t *file;
-    size_t size = 0, i;
     voxrt_tree *again = NULL;
-    voxrt_ray r;
     voxrt_hit hit;
-    if (t == NULL) return;
+    size_t size = 0, i, a;
+    uint8_t *file;
     for (i = 0; i < 4; i++) {
-        double cells[3];
-        size_t a;
-        for (a = 0; a < 3; a++) cells[a] = (i + a) % 3 == 0 ? -3.0 : (double)t->cell_max[a];
-        memset(&r, 0, sizeof r);
-        for (a = 0; a < 3; a++) r.org[a] = (float)(t->origin[a] + t->voxel_size * cells[a]);
-        for (a = 0; a < 3; a++) r.dir[a] = (float)(t->origin[a] + t->voxel_size * t->cell_min[a]) - r.org[a];
-        r.t_max = 1e30f;
+        voxrt_ray r = {{0, 0, 0}, 0, {0, 0, 0}, 1e30f};
+        for (a = 0; a < 3; a++) {
+            double from = (i + a) % 3 == 0 ? -3.0 : (double)t->cell_max[a];
+            r.org[a] = (float)(t->origin[a] + t->voxel_size * from);
+            r.dir[a] = (float)(t->voxel_size * (t->cell_min[a] - from));
+        }
         if (voxrt_trace1(t, &r, &hit)) voxrt_hit_normal(t, &hit, r.dir);
     }
     (void)voxrt_tree_get(t, t->depth, t->cell_min[0], t->cell_min[1], t->cell_min[2], NULL);
@@ -35,8 +32,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     void *copy = NULL;
     voxrt_load_desc d;
     voxrt_octree_desc od;
-    voxrt_tree *t = NULL;
-    voxrt_octree *o = NULL;
+    voxrt_tree *t;
+    voxrt_octree *o;
     memset(&d, 0, sizeof d);
     memset(&od, 0, sizeof od);
     d.env.thread_count = 1;
@@ -47,7 +44,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     if (voxrt_file_kind(copy, size) == 5) voxrti_v5_seal((uint8_t *)copy, size);
     if (voxrt_tree_load_memory(&d, copy, size, &t) == VOXRT_OK) use(t);
     if (voxrt_tree_map_memory(&d, copy, size, &t) == VOXRT_OK) use(t);
-    if (voxrt_octree_load_memory(&od, copy, size, &o) == VOXRT_OK && voxrt_tree_from_octree(&od, o, &t) == VOXRT_OK) use(t);
+    if (!voxrt_octree_load_memory(&od, copy, size, &o) && !voxrt_tree_from_octree(&od, o, &t)) use(t);
     voxrt_octree_destroy(o);
     free(copy);
     return 0;
