@@ -1,5 +1,91 @@
-# Pictures of `make demo`: one rule each, and its name in GALLERY. Rules may run at the same time (make -j2).
-#
-# GALLERY += $(G)/voxrt_bunny.png
-# $(G)/voxrt_bunny.png: $(B)/minimal_voxrt
-# 	@mkdir -p $(@D); echo "$@"; $(B)/minimal_voxrt $@
+# Pictures of `make demo`: generated scenes become voxel files in $(G)/vox, those become pictures in $(G). Rules may run
+# at the same time (make -j2). A picture of voxrt_render has one line: its voxel file, and one: its options.
+
+# --- voxel files: the name is the scene, `detail` how fine its mesh is -------------------------------------------
+
+VOX := $(G)/vox
+VOXRT_SCENES := $(addprefix $(VOX)/,sphere.vox gyroid.vox terrain.vox menger.vox cornell.vox pillars.vox blob.vox)
+
+$(VOX)/sphere.vox: detail = --detail 256
+$(VOX)/gyroid.vox: detail = --detail 128
+$(VOX)/terrain.vox: detail = --detail 512
+$(VOX)/menger.vox: detail = --detail 5
+$(VOX)/menger.vox $(VOX)/cornell.vox: res = 486
+$(VOX)/pillars.vox: res = 2048
+$(VOX)/%: res = 1024
+
+$(VOXRT_SCENES): $(VOX)/%.vox: $(B)/voxrt_convert
+	@mkdir -p $(@D); echo "$@"; $(B)/voxrt_convert --scene $* $@ --quiet --res $(res) $(detail)
+
+# The torus as the thesis of 2009 made it, and as it is made now.
+$(VOX)/torus-2009.vox: $(B)/voxrt_convert
+	@mkdir -p $(@D); echo "$@"; $(B)/voxrt_convert --scene torus --detail 128 $@ --quiet --res 512 \
+	  --separating thesis --palette-method thesis --lod majority --format v4
+$(VOX)/torus.vox: $(B)/voxrt_convert
+	@mkdir -p $(@D); echo "$@"; $(B)/voxrt_convert --scene torus --detail 128 $@ --quiet --res 512
+
+# --- pictures ----------------------------------------------------------------------------------------------------
+
+SKY := --background 0.55,0.66,0.8
+LAND := $(SKY) --one-sided --eye 1.5,0.75,1.9 --at 0,0.25,-0.2 --fov 45
+
+$(G)/voxrt_sphere.png: $(VOX)/sphere.vox
+$(G)/voxrt_sphere.png: options = --shadows --aa 8 --light dir:-1,0.9,0.3 $(SKY) --eye 1.3,0.9,2.1 --at 0,0,0 --fov 46
+
+$(G)/voxrt_gyroid.png: $(VOX)/gyroid.vox
+$(G)/voxrt_gyroid.png: options = --shadows --aa 8 $(SKY) --eye 1.3,0.95,2.1 --at 0,-0.02,0 --fov 44
+
+$(G)/voxrt_terrain.png: $(VOX)/terrain.vox
+$(G)/voxrt_terrain.png: options = --shadows --aa 8 $(LAND)
+
+$(G)/voxrt_terrain_heat.png: $(VOX)/terrain.vox
+$(G)/voxrt_terrain_heat.png: options = --heat outer --heat-max 40 $(LAND)
+
+$(G)/voxrt_terrain_lod.png: $(VOX)/terrain.vox
+$(G)/voxrt_terrain_lod.png: options = --shadows --aa 8 --lod-split 7 $(LAND)
+
+$(G)/voxrt_terrain_split.png: $(VOX)/terrain.vox
+$(G)/voxrt_terrain_split.png: options = --shadows --aa 8 --split $(LAND)
+
+$(G)/voxrt_menger.png: $(VOX)/menger.vox
+$(G)/voxrt_menger.png: options = --shadows --aa 8 $(SKY) --eye 0.15,0.1,0.95 --at -0.1,-0.15,-1 --fov 75
+
+$(G)/voxrt_cornell.png: $(VOX)/cornell.vox
+$(G)/voxrt_cornell.png: options = --size 640x640 --shadows --aa 8 --eye 2.78,2.73,8 --at 2.78,2.73,-2.8 --fov 37.7 \
+	--light dir:0,0,1:0.1,0.1,0.1 $(foreach x,2.3 2.62 2.94 3.26,\
+	$(foreach z,-2.4 -2.8 -3.2,--light $x,5.2,$z:0.065,0.06,0.053))
+
+$(G)/voxrt_pillars.png: $(VOX)/pillars.vox
+$(G)/voxrt_pillars.png: options = --shadows --aa 8 --eye -0.2,2.2,16 --at -1,3.2,0 --fov 62 \
+	--light 0,4,12:0.5,0.4,0.3 --light -4,5,2:0.5,0.42,0.35 --light 4,3,-8:0.3,0.35,0.5
+
+$(G)/voxrt_blob.png: $(VOX)/blob.vox
+$(G)/voxrt_blob.png: options = --shadows --aa 8 $(SKY) --eye 1.3,0.85,2.1 --at 0,-0.1,0 --fov 52
+
+$(G)/voxrt_blob_cubes.png: $(VOX)/blob.vox
+$(G)/voxrt_blob_cubes.png: options = --shadows --aa 8 $(SKY) --lod 6 --normals face --eye 1.3,0.85,2.1 --at 0,-0.1,0 --fov 52
+
+# A version 4 file has no placement: one voxel is a unit. Both see the same.
+$(G)/voxrt_torus_2009.png: $(VOX)/torus-2009.vox
+$(G)/voxrt_torus_2009.png: options = --path thesis --compose thesis --shadows --lod off $(SKY) \
+	--eye 456,446,676 --at 256,250,256 --fov 38
+
+$(G)/voxrt_torus.png: $(VOX)/torus.vox
+$(G)/voxrt_torus.png: options = --shadows --aa 8 $(SKY) --eye 1.096,1.041,2.301 --at 0,-0.033,0 --fov 38
+
+$(G)/voxrt_aa1.png: $(VOX)/menger.vox
+$(G)/voxrt_aa1.png: options = --size 328x160 --lod off --shadows $(SKY) --eye 3,2.5,4 --at 0,0,0 --fov 40
+
+$(G)/voxrt_aa64.png: $(VOX)/menger.vox
+$(G)/voxrt_aa64.png: options = --size 328x160 --aa 64 --shadows $(SKY) --eye 3,2.5,4 --at 0,0,0 --fov 40
+
+VOXRT_PICTURES := $(addprefix $(G)/voxrt_,sphere.png gyroid.png terrain.png terrain_heat.png terrain_lod.png \
+	terrain_split.png menger.png cornell.png pillars.png blob.png blob_cubes.png torus_2009.png torus.png aa1.png aa64.png)
+
+$(VOXRT_PICTURES): $(B)/voxrt_render
+	@mkdir -p $(@D); echo "$@"; $(B)/voxrt_render $(filter %.vox,$^) --out $@ --quiet $(options)
+
+$(G)/voxrt_minimal.png: $(B)/minimal_voxrt
+	@mkdir -p $(@D); echo "$@"; $(B)/minimal_voxrt $@
+
+GALLERY += $(VOXRT_PICTURES) $(G)/voxrt_minimal.png

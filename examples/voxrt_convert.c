@@ -24,7 +24,7 @@ static int parse(int argc, char **argv, convert_options *o) {
     memset(o, 0, sizeof *o);
     o->resolution = 1024;
     o->palette = 32767;
-    table[n++] = sup_opt_positional("IN.{obj,ply,stl,off}", &o->first, 1, "mesh to convert; left out with --scene");
+    table[n++] = sup_opt_positional("IN.{obj,ply,stl,off}", &o->first, 0, "mesh to convert; left out with --scene");
     table[n++] = sup_opt_positional("OUT.vox", &o->second, 0, "voxel file to write");
     table[n++] = sup_opt_int("res", &o->resolution, 1, 65536, "N", "voxels along the longest side (1024)");
     table[n++] = sup_opt_choice("separating", &o->separating, "6|26|thesis", "6: thin and without holes (default); 26: every voxel the surface touches; thesis: the scan converter of 2009, has gaps");
@@ -46,12 +46,13 @@ static int parse(int argc, char **argv, convert_options *o) {
     status = sup_cli_parse(argc, argv, "Turns a triangle mesh into a voxel file.", table, n);
     if (status >= 0) return status;
     if (o->scene != NULL) {
+        if (o->first == NULL) return sup_bad_usage(argv[0], "OUT.vox is missing");
         if (o->second != NULL) return sup_bad_usage(argv[0], "with --scene there is only one file, OUT.vox");
         if (sup_parse_choice(o->scene, SUP_SCENE_NAMES) < 0) return sup_bad_usage(argv[0], "--scene: \"%s\" is none of %s", o->scene, SUP_SCENE_NAMES);
         o->in = o->scene;
         o->out = o->first;
     } else {
-        if (o->second == NULL) return sup_bad_usage(argv[0], "OUT.vox is missing");
+        if (o->second == NULL) return sup_bad_usage(argv[0], "%s is missing", o->first == NULL ? "IN.{obj,ply,stl,off}" : "OUT.vox");
         o->in = o->first;
         o->out = o->second;
     }

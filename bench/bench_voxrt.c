@@ -1,0 +1,1254 @@
+/* bench_voxrt.c - how fast, how large and how wrong voxrt.h is - MIT OR Unlicense, see LICENSE
+
+   bench_voxrt [--full] [--only BM1,BM6] [--threads N] [--data DIR] [--table FILE]
+
+   BM1 paths: the thesis' and ours      BM6 shadows, occlusion, mirrors     BM10 stages: normals, compose, setup (BM3)
+   BM2 resolution                       BM7 ways through the octree         BM13 tolerance against error
+   BM3 stages of a picture              BM8 converter
+   BM4 start grid of the octree         BM9 loading
+   BM5 memory and files                 BM12 is bench/peers/embree_voxrt.cpp
+   One JSON object a line on stdout; the acceptance table on stderr and in bench/table.md beside the program. */
+#include "bench.h"
+#include "../examples/support/mesh.h"
+#include "../examples/support/scenes.h"
+#define VOXRT_IMPLEMENTATION
+#include "../voxrt.h"
+#include "../tests/oracle.h"
+#include "baseline/neighbour.h"
+#include "bench_models.h"
+
+enum { WIDTH = 1312, HEIGHT = 640, ROUNDS = 5 }; /* the thesis' picture */
+
+/* ---- paths ---- */
+
+enum { WITH_THESIS_SCALAR = 1, WITH_LOD = 2, WITH_OCCLUDED = 4 };
+
+typedef struct paths {
+    const char *bench, *kase;
+    const voxrt_tree *tree;
+    const voxrt_octree *octree; /* may be NULL */
+    const rayset *rays;
+    int with, grid;             /* grid: start grid of the octree, for the lines */
+    const char *peer;
+    double peer_value;
+    double rate, ratio, ratio_lod; /* out: our best path in rays/s, and times the thesis' packets */
+} paths;
+
+static void path_lines(const paths *p, const trace_job *t, const bench_job *b, const voxrt_hit *exact, int lod) {
+    const rayset *s = p->rays;
+    voxrt_tree_info info;
+    double error;
+    size_t wrong = 0, i;
+    voxrt_tree_get_info(p->tree, &info);
+    bench_line(p->bench, p->kase, lod ? "lod_rays_per_second" : "rays_per_second", bench_rate(b, (double)s->count), "1/s");
+    bench_num("best", bench_rate_best(b, (double)s->count));
+    if (t->octree != NULL) unorder(s, t->hit);
+    if (t->occluded != NULL) {
+        for (i = 0; i < s->count; i++) wrong += t->occluded[i] != (exact[i].node != VOXRT_NO_NODE);
+    } else {
+        wrong = count_wrong(exact, t->hit, s->count);
+    }
+    error = lod ? widest_cell(p->tree, s, t->hit) : (double)wrong;
+    bench_num("error", error);
+    bench_text("error_unit", lod ? "px" : "rays");
+    bench_text("method", b->name);
+    bench_text("isa", b->isa);
+    bench_num("threads", 1);
+    bench_num("rays", (double)s->count);
+    bench_num("hits", (double)(t->occluded != NULL ? count_hits(exact, s->count) : count_hits(t->hit, s->count)));
+    bench_num("ns_per_ray", 1e9 * bench_seconds(b) / (double)s->count);
+    if (t->octree != NULL) {
+        size_t n;
+        (void)voxrt_octree_voxels(t->octree, &n);
+        bench_num("bytes", 8.0 * (double)n);
+        bench_num("grid_level", p->grid);
+    } else {
+        bench_num("bytes", (double)info.geometry_bytes);
+    }
+    bench_hash(t->occluded != NULL ? bench_hash_bytes(t->occluded, s->count) : hash_hits(t->hit, s->count));
+    if (p->peer != NULL && !lod && t->occluded == NULL) {
+        bench_text("peer", p->peer);
+        bench_num("peer_value", p->peer_value);
+    }
+    bench_end();
+}
+
+/* All paths on one set of rays, in turn; the fastest of ours against the thesis' packets. */
+static void run_paths(paths *p) {
+    static const struct { const char *name, *isa; int octree, isa_id, lod, occluded, with; } kinds[8] = {
+        {"thesis single ray", "scalar", 1, VOXRT_ISA_SCALAR, 0, 0, WITH_THESIS_SCALAR},
+        {"thesis packets", "sse", 1, VOXRT_ISA_SSE, 0, 0, 0},
+        {"tree", "scalar", 0, VOXRT_ISA_SCALAR, 0, 0, 0},
+        {"tree", "avx2", 0, VOXRT_ISA_AVX2, 0, 0, 0},
+        {"tree", "avx512", 0, VOXRT_ISA_AVX512, 0, 0, 0},
+        {"tree, 1 px", "avx2", 0, VOXRT_ISA_AVX2, 1, 0, WITH_LOD},
+        {"tree, 1 px", "avx512", 0, VOXRT_ISA_AVX512, 1, 0, WITH_LOD},
+        {"tree, any hit", "auto", 0, VOXRT_ISA_AUTO, 0, 1, WITH_OCCLUDED}
+    };
+    trace_job t[8];
+    bench_job b[8];
+    int n = 0, i, base = -1, exact = -1, ours = -1, lod = -1;
+    memset(b, 0, sizeof b);
+    memset(t, 0, sizeof t);
+    for (i = 0; i < 8; i++) {
+        if ((kinds[i].with & p->with) != kinds[i].with) continue;
+        if (kinds[i].octree && p->octree == NULL) continue;
+        if (kinds[i].isa_id > (int)voxrt_isa_best()) continue;
+        t[n].octree = kinds[i].octree ? p->octree : NULL;
+        t[n].tree = p->tree;
+        t[n].rays = p->rays;
+        t[n].isa = (voxrt_isa)kinds[i].isa_id;
+        t[n].cone_spread = kinds[i].lod ? p->rays->spread : 0.0f;
+        t[n].hit = (voxrt_hit *)must_alloc(p->rays->count, sizeof(voxrt_hit));
+        if (kinds[i].occluded) t[n].occluded = (uint8_t *)must_alloc(p->rays->count, 1);
+        b[n].name = kinds[i].name;
+        b[n].isa = kinds[i].isa;
+        b[n].run = run_trace;
+        b[n].ctx = &t[n];
+        if (i == 1) base = n;
+        if (i == 2) exact = n;
+        n++;
+    }
+    bench_interleave(b, n, ROUNDS);
+    for (i = 0; i < n; i++) {
+        const int is_lod = t[i].cone_spread > 0.0f;
+        path_lines(p, &t[i], &b[i], t[exact].hit, is_lod);
+        if (t[i].octree != NULL || t[i].occluded != NULL) continue;
+        if (is_lod) lod = lod < 0 || bench_seconds(&b[i]) < bench_seconds(&b[lod]) ? i : lod;
+        else ours = ours < 0 || bench_seconds(&b[i]) < bench_seconds(&b[ours]) ? i : ours;
+    }
+    p->rate = bench_rate(&b[ours], (double)p->rays->count);
+    p->ratio = p->ratio_lod = 0.0;
+    for (i = 0; base >= 0 && i < n; i++) {
+        double r;
+        if (i == base || t[i].octree != NULL || t[i].occluded != NULL) continue;
+        r = bench_ratio(&b[base], &b[i]);
+        bench_line(p->bench, p->kase, "times_thesis_packets", r, "");
+        bench_text("method", b[i].name);
+        bench_text("isa", b[i].isa);
+        bench_end();
+        if (i == ours) p->ratio = r;
+        if (i == lod) p->ratio_lod = r;
+    }
+    for (i = 0; i < n; i++) {
+        free(t[i].hit);
+        free(t[i].occluded);
+    }
+}
+
+/* The start grid that is fastest for these rays; it is left built. */
+static int best_grid(voxrt_octree *o, const rayset *rays) {
+    voxrt_octree_info info;
+    int g, best = 0;
+    double least = 1e30;
+    voxrt_octree_get_info(o, &info);
+    for (g = 6; g <= 8 && g <= (int)info.depth + 1; g++) {
+        trace_job t;
+        bench_job b;
+        memset(&t, 0, sizeof t);
+        memset(&b, 0, sizeof b);
+        must(voxrt_octree_build_grid(o, (uint32_t)g), "grid");
+        t.octree = o;
+        t.rays = rays;
+        t.isa = VOXRT_ISA_SSE;
+        t.hit = (voxrt_hit *)must_alloc(rays->count, sizeof(voxrt_hit));
+        b.run = run_trace;
+        b.ctx = &t;
+        bench_interleave(&b, 1, 2);
+        if (bench_seconds_best(&b) < least) {
+            least = bench_seconds_best(&b);
+            best = g;
+        }
+        free(t.hit);
+    }
+    must(voxrt_octree_build_grid(o, (uint32_t)best), "grid");
+    return best;
+}
+
+static void paths_default_view(int id, uint32_t resolution) {
+    const voxrt_tree *tree = get_tree(id, resolution, KIND_DEFAULT);
+    char kase[64];
+    paths p;
+    voxrt_octree *o;
+    rayset rays;
+    if (tree == NULL) {
+        bench_skip("voxrt.paths", g_models[id].name, "no such file");
+        return;
+    }
+    snprintf(kase, sizeof kase, "%s-%u", g_models[id].name, resolution);
+    rays = camera_rays(tree, WIDTH, HEIGHT);
+    o = make_octree(tree);
+    memset(&p, 0, sizeof p);
+    p.grid = best_grid(o, &rays);
+    p.bench = "voxrt.paths";
+    p.kase = kase;
+    p.tree = tree;
+    p.octree = o;
+    p.rays = &rays;
+    p.with = WITH_THESIS_SCALAR | WITH_LOD;
+    run_paths(&p);
+    if (strcmp(kase, "dragon-4096") == 0) {
+        table_set("dragon-4096-ratio", "%.2f", p.ratio);
+        table_set("dragon-4096-lod", "%.2f", p.ratio_lod);
+    }
+    voxrt_octree_destroy(o);
+    free_rayset(&rays);
+}
+
+/* Rates of others on the same rays, M rays/s/core: VoxelRT at 512 and 1024, a port of ESVO at 2048. */
+static const double g_peers[2][3][3] = {
+    {{18.7, 11.7, 3.04}, {10.5, 6.8, 1.77}, {7.1, 3.9, 0.98}},
+    {{14.4, 10.7, 2.05}, {10.7, 7.4, 1.66}, {5.3, 3.4, 0.88}}
+};
+
+static void paths_peer_scene(int id, int at) {
+    static const char *const kinds[3] = {"primary", "diffuse", "random"};
+    const uint32_t resolution = 512u << at;
+    const voxrt_tree *tree = get_tree(id, resolution, KIND_PEER);
+    voxrt_octree *o = make_octree(tree);
+    rayset first = peer_rays(g_models[id].name), rays[3];
+    int k, grid = best_grid(o, &first);
+    memset(rays, 0, sizeof rays);
+    for (k = 0; k < 3; k++) {
+        char kase[64];
+        paths p;
+        if (k == 1) rays[1] = second_rays(tree, &first, SECOND_COSINE, 0.0f);
+        if (k == 2) rays[2] = chord_rays(tree, g_opt.full ? first.count : first.count / 4);
+        snprintf(kase, sizeof kase, "%s-%u-%s", g_models[id].name, resolution, kinds[k]);
+        memset(&p, 0, sizeof p);
+        p.bench = "voxrt.peer_scenes";
+        p.kase = kase;
+        p.tree = tree;
+        p.octree = o;
+        p.grid = grid;
+        p.rays = k == 0 ? &first : &rays[k];
+        p.with = (k == 0 ? WITH_LOD : 0) | (k == 1 ? WITH_OCCLUDED : 0);
+        p.peer = at == 2 ? "ESVO port" : "VoxelRT";
+        p.peer_value = 1e6 * g_peers[id][k][at];
+        run_paths(&p);
+        table_set(kase, "%.1f", 1e-6 * p.rate);
+    }
+    for (k = 1; k < 3; k++) free_rayset(&rays[k]);
+    free_rayset(&first);
+    voxrt_octree_destroy(o);
+}
+
+static int fill_oracle(void *user, const voxrt_voxel *v, uint32_t index) {
+    (void)index;
+    oracle_set((oracle_grid *)user, (int32_t)v->x, (int32_t)v->y, (int32_t)v->z);
+    return 0;
+}
+
+static int fill_voxels(void *user, const voxrt_voxel *v, uint32_t index) {
+    voxrt_voxel **at = (voxrt_voxel **)user;
+    (void)index;
+    *(*at)++ = *v;
+    return 0;
+}
+
+/* Rays in grid units, so that the exact stepper and the tracers start from the same numbers. */
+static rayset rays_in_grid(const rayset *s, const voxrt_tree_info *info, size_t every) {
+    rayset out = make_rayset(s->count / every);
+    size_t i;
+    int a;
+    for (i = 0; i < out.count; i++) {
+        const voxrt_ray *r = &s->ray[i * every];
+        out.ray[i] = *r;
+        for (a = 0; a < 3; a++) {
+            out.ray[i].org[a] = (float)(((double)r->org[a] - info->world_origin[a]) / info->voxel_size);
+        }
+    }
+    order_quads(&out, 0);
+    return out;
+}
+
+static size_t judge_hits(const oracle_grid *g, const rayset *s, const voxrt_hit *hit) {
+    size_t i, wrong = 0;
+    int a;
+    for (i = 0; i < s->count; i++) {
+        oracle_ray r;
+        oracle_hit said, first;
+        memset(&said, 0, sizeof said);
+        for (a = 0; a < 3; a++) {
+            r.o[a] = (double)s->ray[i].org[a];
+            r.d[a] = (double)s->ray[i].dir[a];
+            said.cell[a] = (int32_t)hit[i].cell[a];
+        }
+        r.t_min = (double)s->ray[i].t_min;
+        r.t_max = (double)s->ray[i].t_max;
+        said.hit = hit[i].node != VOXRT_NO_NODE;
+        said.t = (double)hit[i].t;
+        said.face = hit[i].face;
+        wrong += oracle_judge(g, &r, &said, &first) != NULL;
+    }
+    return wrong;
+}
+
+static void exactness(int id, size_t every, size_t *total) {
+    const voxrt_tree *tree = get_tree(id, 512, KIND_PEER);
+    const int32_t lo[3] = {0, 0, 0}, n[3] = {512, 512, 512};
+    voxrt_build_desc bd;
+    voxrt_tree_info info;
+    voxrt_tree *unit;
+    voxrt_octree *o;
+    voxrt_voxel *voxels, *end;
+    oracle_grid g;
+    rayset first = peer_rays(g_models[id].name), sets[3];
+    int k, i;
+    voxrt_tree_get_info(tree, &info);
+    voxels = end = (voxrt_voxel *)must_alloc(info.voxel_count, sizeof *voxels);
+    (void)voxrt_tree_each(tree, info.depth, fill_voxels, &end);
+    memset(&bd, 0, sizeof bd);
+    bd.disable_colors = bd.disable_normals = 1;
+    must(voxrt_tree_from_voxels(&bd, voxels, info.voxel_count, info.depth, &unit), "voxels");
+    free(voxels);
+    if (!oracle_grid_make(&g, lo, n)) run_failed("oracle", "not enough memory");
+    (void)voxrt_tree_each(unit, info.depth, fill_oracle, &g);
+    o = make_octree(unit);
+    sets[0] = first;
+    sets[1] = second_rays(tree, &first, SECOND_COSINE, 0.0f);
+    sets[2] = chord_rays(tree, first.count);
+    for (k = 0; k < 3; k++) {
+        static const char *const kinds[3] = {"primary", "diffuse", "random"};
+        rayset s = rays_in_grid(&sets[k], &info, every);
+        voxrt_hit *hit = (voxrt_hit *)must_alloc(s.count, sizeof *hit);
+        for (i = 0; i < 2; i++) {
+            trace_job t;
+            size_t wrong;
+            char kase[64];
+            memset(&t, 0, sizeof t);
+            t.tree = unit;
+            t.octree = i == 1 ? o : NULL;
+            t.rays = &s;
+            t.hit = hit;
+            run_trace(&t);
+            wrong = judge_hits(&g, &s, hit);
+            snprintf(kase, sizeof kase, "%s-512-%s", g_models[id].name, kinds[k]);
+            bench_line("voxrt.exact", kase, "wrong_rays", (double)wrong, "rays");
+            bench_num("rays", (double)s.count);
+            bench_text("method", i == 1 ? "thesis packets" : "tree");
+            bench_hash(hash_hits(hit, s.count));
+            bench_end();
+            if (i == 0) *total += wrong;
+        }
+        free(hit);
+        free_rayset(&s);
+        free_rayset(&sets[k]);
+    }
+    free(g.bits);
+    voxrt_octree_destroy(o);
+    voxrt_tree_destroy(unit);
+}
+
+static void bm1(void) {
+    static const int order[3] = {MODEL_DRAGON, MODEL_BLOB, MODEL_BUNNY};
+    size_t wrong = 0;
+    int i, at;
+    uint32_t r;
+    for (i = 0; i < (g_opt.full ? 3 : 2); i++) {
+        const uint32_t last = g_opt.full ? 8192u : order[i] == MODEL_DRAGON ? 4096u : 2048u;
+        for (r = 1024; r <= last; r *= 2) {
+            if (!g_opt.full && i == 1 && r == 1024) continue;
+            paths_default_view(order[i], r);
+            if (r > 2048) drop_trees();
+        }
+    }
+    drop_trees();
+    for (at = 0; at < 3; at++) {
+        for (i = MODEL_BLOB; i <= MODEL_HALL; i++) paths_peer_scene(i, at);
+        if (at == 0) for (i = MODEL_BLOB; i <= MODEL_HALL; i++) exactness(i, g_opt.full ? 1 : 16, &wrong);
+        drop_trees();
+    }
+    table_set("wrong", "%lu", (unsigned long)wrong);
+}
+
+/* ---- whole pictures ---- */
+
+typedef struct frame_job {
+    const voxrt_tree *tree;
+    voxrt_render_desc desc;
+    voxrt_image image;
+} frame_job;
+
+static void run_frame(void *ctx) {
+    frame_job *f = (frame_job *)ctx;
+    must(voxrt_render(&f->desc, f->tree, &f->image, NULL), "render");
+}
+
+static frame_job make_frame(const voxrt_tree *tree) {
+    frame_job f;
+    memset(&f, 0, sizeof f);
+    f.tree = tree;
+    f.desc.env.thread_count = 1;
+    frame_camera(tree, WIDTH, HEIGHT, &f.desc.camera);
+    f.image.width = WIDTH;
+    f.image.height = HEIGHT;
+    f.image.rgba8 = (uint8_t *)must_alloc((size_t)WIDTH * HEIGHT, 4);
+    return f;
+}
+
+/* Pixels that differ from those of the scalar path. */
+static size_t frame_differs(const frame_job *f) {
+    frame_job s = *f;
+    const size_t n = (size_t)WIDTH * HEIGHT;
+    size_t i, differ = 0;
+    s.desc.isa = VOXRT_ISA_SCALAR;
+    s.image.rgba8 = (uint8_t *)must_alloc(n, 4);
+    run_frame(&s);
+    for (i = 0; i < n; i++) differ += memcmp(s.image.rgba8 + 4 * i, f->image.rgba8 + 4 * i, 4) != 0;
+    free(s.image.rgba8);
+    return differ;
+}
+
+static void frame_line(const char *bench, const char *kase, const frame_job *f, const bench_job *b) {
+    bench_line(bench, kase, "frame_time", 1e3 * bench_seconds(b), "ms");
+    bench_num("best", 1e3 * bench_seconds_best(b));
+    bench_num("wall", 1e3 * bench_median(b->wall, b->rounds));
+    bench_num("error", (double)frame_differs(f));
+    bench_text("error_unit", "pixels");
+    bench_text("method", b->name);
+    bench_num("threads", f->desc.env.thread_count);
+    bench_hash(bench_hash_bytes(f->image.rgba8, (size_t)4 * WIDTH * HEIGHT));
+}
+
+/* BM2: small resolutions are levels of the first tree; from 1024 on each has a tree of its own. */
+static void bm2(void) {
+    const uint32_t last = g_opt.full ? 8192u : 4096u;
+    const int id = get_model(MODEL_DRAGON) != NULL ? MODEL_DRAGON : MODEL_BLOB;
+    frame_job f[32];
+    bench_job b[32];
+    double most[2] = {-1.0, -1.0};
+    int n = 0, i, k;
+    uint32_t r;
+    memset(b, 0, sizeof b);
+    for (r = 1; r <= last; r *= 2) {
+        const voxrt_tree *tree = get_tree(id, r < 1024 ? 1024 : r, KIND_DEFAULT);
+        for (k = 0; k < 2; k++, n++) {
+            uint32_t level = 0;
+            while (1u << level < r) level++;
+            f[n] = make_frame(tree);
+            f[n].desc.tolerance = k == 1 ? 1.0f : 0.0f;
+            if (r < 1024) f[n].desc.max_level_plus_1 = level + 1;
+            b[n].name = k == 1 ? "1 px" : "full detail";
+            b[n].run = run_frame;
+            b[n].ctx = &f[n];
+        }
+    }
+    bench_interleave(b, n, g_opt.full ? 11 : 7);
+    for (r = 1, i = 0; i < n; i += 2, r *= 2) {
+        for (k = 0; k < 2; k++) {
+            char kase[64];
+            snprintf(kase, sizeof kase, "%s-%u", g_models[id].name, r);
+            frame_line("voxrt.resolution", kase, &f[i + k], &b[i + k]);
+            if (r > 1024) {
+                const double growth = 1.0 / bench_ratio(&b[i + k - 2], &b[i + k]) - 1.0;
+                bench_num("growth", growth);
+                if (growth > most[k]) most[k] = growth;
+            }
+            bench_end();
+        }
+    }
+    if (id == MODEL_DRAGON) {
+        table_set("growth", "%+.1f %%", 100.0 * most[0]);
+        table_set("growth-lod", "%+.1f %%", 100.0 * most[1]);
+    }
+    for (i = 0; i < n; i++) free(f[i].image.rgba8);
+    drop_trees();
+}
+
+/* BM3 and BM10: what each stage adds to a frame, and the parts alone. */
+static void bm3(void) {
+    static const struct { const char *name; int stage, no_compose, face_normals, threads; } stages[7] = {
+        {"rays", VOXRT_STAGE_RAYS, 1, 0, 1}, {"rays, setup", VOXRT_STAGE_SETUP, 1, 0, 1},
+        {"rays, setup, trace", VOXRT_STAGE_TRACE, 1, 0, 1}, {"all but compose, face normals", VOXRT_STAGE_FULL, 1, 1, 1},
+        {"all but compose", VOXRT_STAGE_FULL, 1, 0, 1}, {"all", VOXRT_STAGE_FULL, 0, 0, 1},
+        {"all, threads", VOXRT_STAGE_FULL, 0, 0, 0}
+    };
+    static const int ids[2] = {MODEL_DRAGON, MODEL_BLOB};
+    int m, i;
+    for (m = 0; m < 2; m++) {
+        const voxrt_tree *tree = get_tree(ids[m], 1024, KIND_DEFAULT);
+        frame_job f[7];
+        bench_job b[7];
+        double full;
+        char kase[64];
+        if (tree == NULL) continue;
+        memset(b, 0, sizeof b);
+        snprintf(kase, sizeof kase, "%s-1024", g_models[ids[m]].name);
+        for (i = 0; i < 7; i++) {
+            f[i] = make_frame(tree);
+            f[i].desc.stage = (voxrt_stage)stages[i].stage;
+            f[i].desc.no_compose = (uint32_t)stages[i].no_compose;
+            f[i].desc.face_normals = (uint32_t)stages[i].face_normals;
+            f[i].desc.env.thread_count = stages[i].threads == 1 ? 1u : (uint32_t)g_opt.threads;
+            b[i].name = stages[i].name;
+            b[i].run = run_frame;
+            b[i].ctx = &f[i];
+        }
+        bench_interleave(b, 7, 11);
+        full = bench_seconds(&b[5]);
+        for (i = 0; i < 7; i++) {
+            frame_line("voxrt.stages", kase, &f[i], &b[i]);
+            bench_num("share", bench_seconds(&b[i]) / full);
+            bench_end();
+        }
+        bench_line("voxrt.stages", kase, "ray_setup_share", (bench_seconds(&b[1]) - bench_seconds(&b[0])) / full, "");
+        bench_end();
+        bench_line("voxrt.stages", kase, "normal_decode_share", (bench_seconds(&b[4]) - bench_seconds(&b[3])) / full, "");
+        bench_end();
+        bench_line("voxrt.stages", kase, "compose_share", (full - bench_seconds(&b[4])) / full, "");
+        bench_end();
+        for (i = 0; i < 7; i++) free(f[i].image.rgba8);
+    }
+}
+
+/* BM4 */
+static void bm4(void) {
+    const int id = get_model(MODEL_DRAGON) != NULL ? MODEL_DRAGON : MODEL_BLOB;
+    const voxrt_tree *tree = get_tree(id, 1024, KIND_DEFAULT);
+    voxrt_octree *o = make_octree(tree);
+    rayset rays = camera_rays(tree, WIDTH, HEIGHT);
+    voxrt_hit *exact = (voxrt_hit *)must_alloc(rays.count, sizeof *exact);
+    uint32_t g;
+    char kase[64];
+    must(voxrt_trace(tree, NULL, rays.ray, exact, rays.count), "trace");
+    snprintf(kase, sizeof kase, "%s-1024", g_models[id].name);
+    for (g = 0; g <= 9; g++) {
+        voxrt_octree_stats stats;
+        voxrt_octree_info info;
+        trace_job t;
+        bench_job b;
+        char name[32];
+        must(voxrt_octree_build_grid(o, g), "grid");
+        voxrt_octree_get_info(o, &info);
+        memset(&t, 0, sizeof t);
+        memset(&b, 0, sizeof b);
+        memset(&stats, 0, sizeof stats);
+        t.octree = o;
+        t.rays = &rays;
+        t.isa = VOXRT_ISA_SSE;
+        t.hit = (voxrt_hit *)must_alloc(rays.count, sizeof(voxrt_hit));
+        b.run = run_trace;
+        b.ctx = &t;
+        bench_interleave(&b, 1, ROUNDS);
+        t.octree_stats = &stats;
+        run_trace(&t);
+        unorder(&rays, t.hit);
+        if (g == 0) snprintf(name, sizeof name, "no grid");
+        else snprintf(name, sizeof name, "%u an axis", 1u << (g - 1));
+        bench_line("voxrt.start_grid", kase, "rays_per_second", bench_rate(&b, (double)rays.count), "1/s");
+        bench_num("best", bench_rate_best(&b, (double)rays.count));
+        bench_num("error", (double)count_wrong(exact, t.hit, rays.count));
+        bench_text("error_unit", "rays");
+        bench_text("method", name);
+        bench_text("isa", "sse");
+        bench_num("threads", 1);
+        bench_num("bytes", (double)info.grid_bytes);
+        bench_num("outer_per_ray", (double)stats.outer / (double)rays.count);
+        bench_num("inner_per_ray", (double)stats.inner / (double)rays.count);
+        bench_hash(hash_hits(t.hit, rays.count));
+        bench_end();
+        free(t.hit);
+    }
+    free(exact);
+    free_rayset(&rays);
+    voxrt_octree_destroy(o);
+}
+
+/* ---- BM5: memory ---- */
+
+static void size_line(const char *kase, const char *method, double bytes, const voxrt_tree_info *info) {
+    bench_line("voxrt.bytes", kase, "bits_per_leaf", 8.0 * bytes / (double)info->voxel_count, "bit");
+    bench_text("method", method);
+    bench_num("bytes", bytes);
+    bench_end();
+}
+
+static size_t file_bytes(const voxrt_tree *tree, voxrt_encoding encoding) {
+    voxrt_save_desc d;
+    size_t size = 0;
+    memset(&d, 0, sizeof d);
+    d.env.thread_count = (uint32_t)g_opt.threads;
+    d.encoding = encoding;
+    must(voxrt_tree_save_memory(tree, &d, NULL, 0, &size), "save");
+    return size;
+}
+
+/* `materials` bands of colour by height: few colours in large areas, as models have them. */
+static uint8_t *banded(const sup_mesh *m, unsigned materials) {
+    uint8_t *rgb = (uint8_t *)must_alloc(m->triangle_count, 3);
+    float lo[3], hi[3];
+    size_t t;
+    (void)sup_mesh_bounds(m, lo, hi);
+    for (t = 0; t < m->triangle_count; t++) {
+        const float y = m->positions[3 * (size_t)m->indices[3 * t] + 1];
+        const unsigned k = (unsigned)((float)materials * 0.999f * (y - lo[1]) / (hi[1] - lo[1]));
+        rgb[3 * t] = (uint8_t)(40 + k * 53 % 200);
+        rgb[3 * t + 1] = (uint8_t)(30 + k * 91 % 200);
+        rgb[3 * t + 2] = (uint8_t)(20 + k * 17 % 200);
+    }
+    return rgb;
+}
+
+/* Smooth colours that differ from vertex to vertex: the hard case for palette and blocks. */
+static uint8_t *smooth_rgb(const sup_mesh *m) {
+    uint8_t *rgb = (uint8_t *)must_alloc(m->vertex_count, 3);
+    size_t i;
+    for (i = 0; i < m->vertex_count; i++) {
+        const float *p = m->positions + 3 * i;
+        int a;
+        for (a = 0; a < 3; a++) {
+            const float v = 0.5f + 0.5f * supi_fbm(5.0f * p[0] + (float)(9 * a), 5.0f * p[1], 5.0f * p[2], 4);
+            rgb[3 * i + a] = (uint8_t)(255.0f * (v < 0.0f ? 0.0f : v > 1.0f ? 1.0f : v));
+        }
+    }
+    return rgb;
+}
+
+static void bytes_of_model(int id, uint32_t resolution) {
+    const voxrt_tree *tree = get_tree(id, resolution, KIND_DEFAULT);
+    voxrt_tree_info info, plain_info;
+    voxrt_octree_info oi;
+    voxrt_octree *o;
+    voxrt_build_desc bd;
+    voxrt_tree *plain, *coloured;
+    voxrt_mesh mesh;
+    char kase[64];
+    size_t v4 = 0;
+    uint32_t l;
+    uint8_t *rgb;
+    if (tree == NULL) return;
+    snprintf(kase, sizeof kase, "%s-%u", g_models[id].name, resolution);
+    voxrt_tree_get_info(tree, &info);
+    for (l = 1; l <= info.depth; l++) {
+        bench_line("voxrt.counts", kase, "cells", (double)info.level_count[l], "");
+        bench_num("level", l);
+        bench_num("growth", (double)info.level_count[l] / (double)info.level_count[l - 1]);
+        bench_end();
+    }
+    o = make_octree(tree);
+    voxrt_octree_get_info(o, &oi);
+    size_line(kase, "octree (T8)", (double)oi.voxel_bytes, &info);
+    must(voxrt_octree_save_memory(o, NULL, NULL, 0, &v4), "save v4");
+    size_line(kase, "file, version 4", (double)v4, &info);
+    voxrt_octree_destroy(o);
+    size_line(kase, "tree (T64), geometry", (double)info.geometry_bytes, &info);
+    size_line(kase, "tree (T64), normals, one colour", (double)info.total_bytes, &info);
+    size_line(kase, "file, compact, normals", (double)file_bytes(tree, VOXRT_ENCODING_COMPACT), &info);
+    size_line(kase, "file, raw, normals", (double)file_bytes(tree, VOXRT_ENCODING_RAW), &info);
+    size_line(kase, "uniform grid, 4 bytes a cell", 4.0 * pow((double)(1u << info.depth), 3.0), &info);
+    mesh = mesh_view(&get_model(id)->mesh);
+    memset(&bd, 0, sizeof bd);
+    bd.env.thread_count = (uint32_t)g_opt.threads;
+    bd.resolution = resolution;
+    bd.disable_colors = bd.disable_normals = 1;
+    must(voxrt_tree_build(&bd, &mesh, NULL, &plain), "build");
+    voxrt_tree_get_info(plain, &plain_info);
+    v4 = file_bytes(plain, VOXRT_ENCODING_COMPACT);
+    size_line(kase, "file, compact, geometry", (double)v4, &plain_info);
+    voxrt_tree_destroy(plain);
+    bd.disable_colors = bd.disable_normals = 0;
+    rgb = id == MODEL_BLOB ? smooth_rgb(&get_model(id)->mesh) : banded(&get_model(id)->mesh, 24);
+    if (id == MODEL_BLOB) mesh.vertex_rgb = rgb;
+    else mesh.triangle_rgb = rgb;
+    must(voxrt_tree_build(&bd, &mesh, NULL, &coloured), "build");
+    free(rgb);
+    voxrt_tree_get_info(coloured, &info);
+    size_line(kase, id == MODEL_BLOB ? "tree, smooth colours, normals" : "tree, 24 colours, normals",
+        (double)info.total_bytes, &info);
+    size_line(kase, id == MODEL_BLOB ? "file, compact, smooth colours, normals" : "file, compact, 24 colours, normals",
+        (double)file_bytes(coloured, VOXRT_ENCODING_COMPACT), &info);
+    voxrt_tree_destroy(coloured);
+    if (id != MODEL_BLOB) {
+        const double leaves = (double)info.voxel_count;
+        table_set("geometry-bits", "%.2f", 8.0 * (double)info.geometry_bytes / leaves);
+        table_set("file-bits", "%.2f", 8.0 * (double)v4 / leaves);
+        table_set("attributes", "%.0f", (double)info.total_bytes / leaves * 50e6 / 1048576.0);
+    }
+}
+
+static void bm5(void) {
+    uint32_t r;
+    for (r = g_opt.full ? 256 : 1024; r <= (g_opt.full ? 4096u : 2048u); r *= 2) {
+        bytes_of_model(MODEL_BLOB, g_opt.full ? r : 1024);
+        bytes_of_model(MODEL_DRAGON, g_opt.full ? r : 2048);
+        drop_trees();
+        if (!g_opt.full) break;
+    }
+}
+
+/* ---- BM6: shadows, occlusion, mirrors ---- */
+
+static void shadows(const voxrt_tree *tree, const char *kase, size_t lights) {
+    voxrt_light l[4];
+    voxrt_render_stats stats;
+    frame_job f = make_frame(tree);
+    bench_job b;
+    double lo[3], hi[3], rays;
+    size_t i;
+    int a;
+    memset(l, 0, sizeof l);
+    memset(&b, 0, sizeof b);
+    memset(&stats, 0, sizeof stats);
+    voxrt_tree_bounds(tree, lo, hi);
+    for (i = 0; i < 4; i++) {
+        const double side[4][3] = {{2.0, 3.0, 3.0}, {-2.0, 2.0, 3.0}, {0.5, 4.0, 1.0}, {-1.0, 3.0, -1.0}};
+        for (a = 0; a < 3; a++) {
+            l[i].position[a] = (float)(0.5 * (lo[a] + hi[a]) + side[i][a] * 0.5 * (hi[0] - lo[0]));
+            l[i].color[a] = 0.6f;
+        }
+    }
+    f.desc.lights = l;
+    f.desc.light_count = lights;
+    f.desc.shadows = 1;
+    b.name = lights == 1 ? "1 light" : "4 lights";
+    b.run = run_frame;
+    b.ctx = &f;
+    bench_interleave(&b, 1, ROUNDS);
+    must(voxrt_render(&f.desc, tree, &f.image, &stats), "render");
+    rays = (double)(stats.primary.rays + stats.shadow.rays);
+    frame_line("voxrt.shadows", kase, &f, &b);
+    bench_num("rays", rays);
+    bench_num("rays_per_second", rays / bench_seconds(&b));
+    bench_end();
+    free(f.image.rgba8);
+}
+
+static void bm6(void) {
+    static const int ids[2] = {MODEL_DRAGON, MODEL_BLOB};
+    const uint32_t resolution = g_opt.full ? 4096 : 2048;
+    int m;
+    for (m = 0; m < 2; m++) {
+        const voxrt_tree *tree = get_tree(ids[m], resolution, KIND_DEFAULT);
+        voxrt_octree *o;
+        rayset first, second;
+        int k;
+        char kase[64];
+        if (tree == NULL) {
+            bench_skip("voxrt.shadows", g_models[ids[m]].name, "no such file");
+            continue;
+        }
+        snprintf(kase, sizeof kase, "%s-%u", g_models[ids[m]].name, resolution);
+        shadows(tree, kase, 1);
+        shadows(tree, kase, 4);
+        first = camera_rays(tree, WIDTH, HEIGHT);
+        o = make_octree(tree);
+        for (k = 0; k < 3; k++) {
+            static const char *const kinds[3] = {"mirror", "occlusion", "random"};
+            paths p;
+            if (k < 2) second = second_rays(tree, &first, k == 0 ? SECOND_MIRROR : SECOND_COSINE, k == 1 ? 0.1f : 0.0f);
+            else second = chord_rays(tree, 200000);
+            snprintf(kase, sizeof kase, "%s-%u-%s", g_models[ids[m]].name, resolution, kinds[k]);
+            memset(&p, 0, sizeof p);
+            p.bench = "voxrt.second_rays";
+            p.kase = kase;
+            p.tree = tree;
+            p.octree = o;
+            p.grid = 7;
+            p.rays = &second;
+            p.with = WITH_OCCLUDED;
+            run_paths(&p);
+            free_rayset(&second);
+        }
+        voxrt_octree_destroy(o);
+        free_rayset(&first);
+    }
+    drop_trees();
+}
+
+/* ---- BM7: ways through the octree ---- */
+
+typedef struct walk_job {
+    const voxrt_octree *octree;
+    const rayset *rays;
+    baseline_desc desc;
+    baseline_stats stats;
+    voxrt_hit *hit;
+} walk_job;
+
+static void run_walk(void *ctx) {
+    walk_job *w = (walk_job *)ctx;
+    memset(&w->stats, 0, sizeof w->stats);
+    baseline_octree_trace(w->octree, &w->desc, w->rays->quad, w->hit, w->rays->count, &w->stats);
+}
+
+static void bm7(void) {
+    static const char *const names[5] = {"restart", "grid, leaf boxes", "grid, cell boxes", "neighbour search", "xor"};
+    const int id = get_model(MODEL_DRAGON) != NULL ? MODEL_DRAGON : MODEL_BLOB;
+    const voxrt_tree *tree = get_tree(id, 1024, KIND_DEFAULT);
+    voxrt_octree *o = make_octree(tree);
+    rayset rays = camera_rays(tree, WIDTH, HEIGHT);
+    voxrt_hit *exact = (voxrt_hit *)must_alloc(rays.count, sizeof *exact);
+    walk_job w[5];
+    bench_job b[5];
+    char kase[64];
+    int i;
+    memset(w, 0, sizeof w);
+    memset(b, 0, sizeof b);
+    must(voxrt_trace(tree, NULL, rays.ray, exact, rays.count), "trace");
+    snprintf(kase, sizeof kase, "%s-1024", g_models[id].name);
+    for (i = 0; i < 5; i++) {
+        w[i].octree = o;
+        w[i].rays = &rays;
+        w[i].desc.mode = (baseline_mode)i;
+        w[i].desc.offset = 1e-3f;
+        w[i].hit = (voxrt_hit *)must_alloc(rays.count, sizeof(voxrt_hit));
+        b[i].name = names[i];
+        b[i].run = run_walk;
+        b[i].ctx = &w[i];
+    }
+    bench_interleave(b, 5, ROUNDS);
+    for (i = 0; i < 5; i++) {
+        unorder(&rays, w[i].hit);
+        bench_line("voxrt.walks", kase, "rays_per_second", bench_rate(&b[i], (double)rays.count), "1/s");
+        bench_num("best", bench_rate_best(&b[i], (double)rays.count));
+        bench_num("error", (double)count_wrong(exact, w[i].hit, rays.count));
+        bench_text("error_unit", "rays");
+        bench_text("method", names[i]);
+        bench_text("isa", "scalar");
+        bench_num("threads", 1);
+        bench_num("outer_per_ray", (double)w[i].stats.outer / (double)rays.count);
+        bench_num("inner_per_ray", (double)w[i].stats.inner / (double)rays.count);
+        bench_num("up_per_ray", (double)w[i].stats.up / (double)rays.count);
+        bench_num("stuck", (double)w[i].stats.stuck);
+        bench_hash(hash_hits(w[i].hit, rays.count));
+        bench_end();
+        free(w[i].hit);
+    }
+    free(exact);
+    free_rayset(&rays);
+    voxrt_octree_destroy(o);
+}
+
+/* ---- BM8: converter ---- */
+
+typedef struct convert_job {
+    voxrt_mesh mesh;
+    uint32_t resolution, threads;
+    const char *path;             /* file to write, NULL: only build */
+    voxrt_build_stats stats;      /* out, of the last run */
+    double build, save;           /* out, wall seconds */
+    uint64_t hash;
+} convert_job;
+
+static void run_convert(void *ctx) {
+    convert_job *c = (convert_job *)ctx;
+    voxrt_build_desc d;
+    voxrt_tree *tree;
+    double start = bench_wall();
+    memset(&d, 0, sizeof d);
+    memset(&c->stats, 0, sizeof c->stats);
+    d.env.thread_count = c->threads;
+    d.resolution = c->resolution;
+    must(voxrt_tree_build(&d, &c->mesh, &c->stats, &tree), "build");
+    c->build = bench_wall() - start;
+    if (c->path != NULL) {
+        voxrt_save_desc s;
+        memset(&s, 0, sizeof s);
+        s.env.thread_count = c->threads;
+        start = bench_wall();
+        must(voxrt_tree_save_file(tree, &s, c->path), "save");
+        c->save = bench_wall() - start;
+    }
+    if (c->hash == 0) c->hash = voxrt_tree_hash(tree); /* once, in the warm-up */
+    voxrt_tree_destroy(tree);
+}
+
+static void convert_line(const char *kase, const char *metric, double value, const char *unit, const convert_job *c) {
+    bench_line("voxrt.convert", kase, metric, value, unit);
+    bench_num("threads", c->threads);
+    bench_num("voxels", (double)c->stats.voxels);
+    bench_num("fragments", (double)c->stats.fragments);
+    bench_num("build_s", c->build);
+    bench_num("save_s", c->save);
+    bench_num("bytes", (double)c->stats.peak_bytes);
+    bench_hash(c->hash);
+}
+
+/* Triangles -> file with colours and normals, as the peers do it. */
+static void convert_file(void) {
+    const model *m = get_model(MODEL_BLOB);
+    char path[64];
+    sup_mesh copy = m->mesh;
+    sup_error err;
+    uint8_t *rgb = smooth_rgb(&m->mesh);
+    int threads;
+    snprintf(path, sizeof path, "/tmp/bench_voxrt_%ld.vox", (long)getpid());
+    copy.normals = NULL;
+    if (sup_mesh_compute_normals(&copy, &err)) run_failed("normals", err.text);
+    for (threads = 1; threads <= g_opt.threads; threads += g_opt.threads > 1 ? g_opt.threads - 1 : 1) {
+        convert_job c;
+        bench_job b;
+        memset(&c, 0, sizeof c);
+        memset(&b, 0, sizeof b);
+        c.mesh = mesh_view(&copy);
+        c.mesh.vertex_rgb = rgb;
+        c.resolution = 1024;
+        c.threads = (uint32_t)threads;
+        c.path = path;
+        b.run = run_convert;
+        b.ctx = &c;
+        bench_interleave(&b, 1, ROUNDS);
+        convert_line("blob-1024-file", "wall_time", bench_median(b.wall, b.rounds), "s", &c);
+        bench_num("best", bench_least(b.wall, b.rounds));
+        bench_num("cpu", bench_seconds(&b));
+        bench_num("triangles_per_second", (double)m->mesh.triangle_count / bench_median(b.wall, b.rounds));
+        bench_text("peer", "ooc_svo_builder");
+        bench_num("peer_value", 4.5);
+        bench_end();
+        if (threads == g_opt.threads) {
+            table_set("convert", "%.2f (best %.2f)", bench_median(b.wall, b.rounds), bench_least(b.wall, b.rounds));
+        }
+        if (threads == g_opt.threads) break;
+    }
+    (void)remove(path);
+    free(rgb);
+    SUP_FREE(copy.normals);
+}
+
+static void convert_build(uint32_t resolution, int rounds) {
+    const model *m = get_model(MODEL_DRAGON);
+    char kase[64];
+    double rate[2] = {0.0, 0.0};
+    int k;
+    if (m == NULL) {
+        bench_skip("voxrt.convert", "dragon", "no such file");
+        return;
+    }
+    snprintf(kase, sizeof kase, "%s-%u-build", m->name, resolution);
+    for (k = 0; k < 2; k++) {
+        convert_job c;
+        bench_job b;
+        memset(&c, 0, sizeof c);
+        memset(&b, 0, sizeof b);
+        c.mesh = mesh_view(&m->mesh);
+        c.resolution = resolution;
+        c.threads = k == 0 ? 1u : (uint32_t)g_opt.threads;
+        b.run = run_convert;
+        b.ctx = &c;
+        bench_interleave(&b, 1, rounds);
+        rate[k] = (double)c.stats.voxels / (k == 0 ? bench_seconds(&b) : bench_median(b.wall, b.rounds));
+        convert_line(kase, "voxels_per_second", rate[k], "1/s", &c);
+        bench_num("best", (double)c.stats.voxels / bench_least(k == 0 ? b.cpu : b.wall, b.rounds));
+        bench_num("wall", bench_median(b.wall, b.rounds));
+        bench_num("cpu", bench_seconds(&b));
+        bench_num("bytes_per_voxel", (double)c.stats.peak_bytes / (double)c.stats.voxels);
+        bench_end();
+    }
+    if (resolution == 4096 && strcmp(m->name, "dragon") == 0) {
+        table_set("build-4096", "%.1f (%.1f)", 1e-6 * rate[1], 1e-6 * rate[0]);
+    }
+}
+
+static void bm8(void) {
+    convert_file();
+    if (g_opt.full) {
+        convert_build(1024, ROUNDS);
+        convert_build(2048, ROUNDS);
+    }
+    convert_build(4096, g_opt.full ? ROUNDS : 2);
+}
+
+/* ---- BM9: loading ---- */
+
+enum { LOAD_COMPACT, LOAD_RAW, LOAD_MAP, LOAD_MAP_TRUST, LOAD_V4 };
+
+typedef struct load_job {
+    int how;
+    uint32_t threads;
+    const void *data;
+    size_t size;
+    uint64_t hash;                /* out; of the first run */
+} load_job;
+
+static void run_load(void *ctx) {
+    load_job *l = (load_job *)ctx;
+    voxrt_tree *tree = NULL;
+    if (l->how == LOAD_V4) {
+        voxrt_octree_desc d;
+        voxrt_octree *o;
+        memset(&d, 0, sizeof d);
+        d.env.thread_count = l->threads;
+        must(voxrt_octree_load_memory(&d, l->data, l->size, &o), "load v4");
+        voxrt_octree_destroy(o);
+    } else {
+        voxrt_load_desc d;
+        memset(&d, 0, sizeof d);
+        d.env.thread_count = l->threads;
+        d.trust_input = l->how == LOAD_MAP_TRUST;
+        if (l->how >= LOAD_MAP) must(voxrt_tree_map_memory(&d, l->data, l->size, &tree), "map");
+        else must(voxrt_tree_load_memory(&d, l->data, l->size, &tree), "load");
+        if (l->hash == 0) l->hash = voxrt_tree_hash(tree);
+        voxrt_tree_destroy(tree);
+    }
+}
+
+static void *save_aligned(const voxrt_tree *tree, voxrt_encoding encoding, size_t *size) {
+    voxrt_save_desc d;
+    void *p = NULL;
+    *size = file_bytes(tree, encoding);
+    if (posix_memalign(&p, 64, *size) != 0) run_failed("memory", "not enough");
+    memset(&d, 0, sizeof d);
+    d.env.thread_count = (uint32_t)g_opt.threads;
+    d.encoding = encoding;
+    must(voxrt_tree_save_memory(tree, &d, p, *size, size), "save");
+    return p;
+}
+
+static void bm9(void) {
+    static const char *const names[5] = {"compact", "raw", "raw, mapped", "raw, mapped, trusted", "version 4"};
+    const int id = get_model(MODEL_DRAGON) != NULL ? MODEL_DRAGON : MODEL_BLOB;
+    const voxrt_tree *tree = get_tree(id, 2048, KIND_DEFAULT);
+    voxrt_octree *o = make_octree(tree);
+    voxrt_tree_info info;
+    void *data[3];
+    size_t size[3];
+    uint64_t hash = voxrt_tree_hash(tree);
+    char kase[64];
+    int i, k;
+    voxrt_tree_get_info(tree, &info);
+    snprintf(kase, sizeof kase, "%s-2048", g_models[id].name);
+    data[0] = save_aligned(tree, VOXRT_ENCODING_COMPACT, &size[0]);
+    data[1] = save_aligned(tree, VOXRT_ENCODING_RAW, &size[1]);
+    must(voxrt_octree_save_memory(o, NULL, NULL, 0, &size[2]), "save v4");
+    data[2] = must_alloc(size[2], 1);
+    must(voxrt_octree_save_memory(o, NULL, data[2], size[2], &size[2]), "save v4");
+    voxrt_octree_destroy(o);
+    for (i = 0; i < 5; i++) {
+        const int at = i == LOAD_COMPACT ? 0 : i == LOAD_V4 ? 2 : 1;
+        for (k = 0; k < 2; k++) {
+            load_job l;
+            bench_job b;
+            double s;
+            memset(&l, 0, sizeof l);
+            memset(&b, 0, sizeof b);
+            l.how = i;
+            l.threads = k == 0 ? 1u : (uint32_t)g_opt.threads;
+            l.data = data[at];
+            l.size = size[at];
+            b.run = run_load;
+            b.ctx = &l;
+            bench_interleave(&b, 1, ROUNDS);
+            s = k == 0 ? bench_seconds(&b) : bench_median(b.wall, b.rounds);
+            bench_line("voxrt.load", kase, "voxels_per_second", (double)info.voxel_count / s, "1/s");
+            bench_num("best", (double)info.voxel_count / bench_least(k == 0 ? b.cpu : b.wall, b.rounds));
+            bench_num("error", i == LOAD_V4 ? 0.0 : (double)(l.hash != hash));
+            bench_text("error_unit", "trees");
+            bench_text("method", names[i]);
+            bench_num("threads", l.threads);
+            bench_num("seconds_per_10m_voxels", s * 1e7 / (double)info.voxel_count);
+            bench_num("wall", bench_median(b.wall, b.rounds));
+            bench_num("bytes", (double)l.size);
+            bench_hash(l.hash);
+            bench_end();
+            if (k == 1 && i == LOAD_COMPACT) table_set("load-compact", "%.1f", 1e-6 * (double)info.voxel_count / s);
+            if (k == 1 && i == LOAD_RAW) table_set("load-raw", "%.1f", 1e-6 * (double)info.voxel_count / s);
+        }
+    }
+    for (i = 0; i < 3; i++) free(data[i]);
+}
+
+/* ---- BM10: normals ---- */
+
+typedef struct normal_job {
+    const voxrt_tree *tree;
+    const voxrt_octree *octree;
+    const voxrt_hit *hit;
+    float *normal;
+    size_t count;
+    int packets;
+} normal_job;
+
+static void run_normals(void *ctx) {
+    normal_job *n = (normal_job *)ctx;
+    size_t i;
+    if (n->packets) {
+        voxrt_octree_hit_normals(n->octree, n->hit, n->normal, n->count);
+    } else {
+        for (i = 0; i < n->count; i++) {
+            if (n->octree != NULL) voxrt_octree_hit_normal(n->octree, &n->hit[i], n->normal + 3 * i);
+            else voxrt_hit_normal(n->tree, &n->hit[i], n->normal + 3 * i);
+        }
+    }
+}
+
+static size_t keep_hits(voxrt_hit *hit, size_t count) {
+    size_t i, n = 0;
+    for (i = 0; i < count; i++) if (hit[i].node != VOXRT_NO_NODE) hit[n++] = hit[i];
+    return n;
+}
+
+static double angle_between(const float a[3], const float b[3]) { /* degrees; exact for small ones */
+    double c[3], dot = 0.0, s;
+    int k;
+    for (k = 0; k < 3; k++) {
+        c[k] = (double)a[(k + 1) % 3] * (double)b[(k + 2) % 3] - (double)a[(k + 2) % 3] * (double)b[(k + 1) % 3];
+        dot += (double)a[k] * (double)b[k];
+    }
+    s = sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2]);
+    return atan2(s, dot) * 57.29577951308232;
+}
+
+/* Error of the stored normals over random directions. */
+static void normal_error(int spherical, size_t count) {
+    bench_rng rng = {99};
+    double sum = 0.0, most = 0.0;
+    size_t i;
+    for (i = 0; i < count; i++) {
+        float n[3], d[3], a;
+        const float z = 2.0f * bench_random(&rng) - 1.0f, phi = 6.28318531f * bench_random(&rng), q = sqrtf(1.0f - z * z);
+        n[0] = q * cosf(phi);
+        n[1] = q * sinf(phi);
+        n[2] = z;
+        if (spherical) {
+            const uint32_t code = voxrti_sph_encode(n);
+            voxrti_sph_decode(code & 255u, (int8_t)(code >> 8), d);
+        } else {
+            voxrti_oct_decode(voxrti_oct_encode(n), d);
+        }
+        a = (float)angle_between(n, d);
+        sum += (double)a;
+        if ((double)a > most) most = (double)a;
+    }
+    bench_line("voxrt.normals", "random directions", "mean_error", sum / (double)count, "degrees");
+    bench_num("max", most);
+    bench_text("method", spherical ? "spherical, 16 bit" : "octahedral, 16 bit");
+    bench_end();
+    if (!spherical) table_set("normals", "%.3f / %.3f", sum / (double)count, most);
+}
+
+static void bm10(void) {
+    static const char *const names[3] = {"tree", "octree, one by one", "octree, packets"};
+    const int id = get_model(MODEL_DRAGON) != NULL ? MODEL_DRAGON : MODEL_BLOB;
+    const voxrt_tree *tree = get_tree(id, 1024, KIND_DEFAULT);
+    voxrt_octree *o = make_octree(tree);
+    rayset rays = camera_rays(tree, WIDTH, HEIGHT);
+    voxrt_hit *hit[2];
+    normal_job n[3];
+    bench_job b[3];
+    size_t count[2];
+    char kase[64];
+    int i;
+    snprintf(kase, sizeof kase, "%s-1024", g_models[id].name);
+    for (i = 0; i < 2; i++) {
+        hit[i] = (voxrt_hit *)must_alloc(rays.count, sizeof(voxrt_hit));
+        if (i == 0) must(voxrt_trace(tree, NULL, rays.ray, hit[0], rays.count), "trace");
+        else must(voxrt_octree_trace(o, NULL, rays.quad, hit[1], rays.count), "trace");
+        count[i] = keep_hits(hit[i], rays.count);
+    }
+    memset(n, 0, sizeof n);
+    memset(b, 0, sizeof b);
+    for (i = 0; i < 3; i++) {
+        n[i].tree = tree;
+        n[i].octree = i > 0 ? o : NULL;
+        n[i].hit = hit[i > 0];
+        n[i].count = count[i > 0];
+        n[i].packets = i == 2;
+        n[i].normal = (float *)must_alloc(rays.count, 12);
+        b[i].name = names[i];
+        b[i].run = run_normals;
+        b[i].ctx = &n[i];
+    }
+    bench_interleave(b, 3, 11);
+    for (i = 0; i < 3; i++) {
+        bench_line("voxrt.normals", kase, "decode_time", 1e9 * bench_seconds(&b[i]) / (double)n[i].count, "ns");
+        bench_num("best", 1e9 * bench_seconds_best(&b[i]) / (double)n[i].count);
+        bench_text("method", names[i]);
+        bench_num("threads", 1);
+        bench_hash(bench_hash_bytes(n[i].normal, 12 * n[i].count));
+        bench_end();
+        free(n[i].normal);
+    }
+    normal_error(0, g_opt.full ? 10000000 : 1000000);
+    normal_error(1, g_opt.full ? 10000000 : 1000000);
+    for (i = 0; i < 2; i++) free(hit[i]);
+    free_rayset(&rays);
+    voxrt_octree_destroy(o);
+}
+
+/* ---- BM13: tolerance against error ---- */
+
+static double rmse(const uint8_t *a, const uint8_t *b, size_t pixels) { /* of R, G, B with alpha, 1/255 */
+    double sum = 0.0;
+    size_t i, k;
+    for (i = 0; i < pixels; i++) {
+        for (k = 0; k < 3; k++) {
+            const double d = (double)(a[4 * i + k] * a[4 * i + 3]) - (double)(b[4 * i + k] * b[4 * i + 3]);
+            sum += d * d / (255.0 * 255.0);
+        }
+    }
+    return sqrt(sum / (3.0 * (double)pixels));
+}
+
+static void pareto(int id, uint32_t resolution) {
+    static const struct { const char *name; float tolerance; int object, faces; } ways[8] = {
+        {"full detail", 0.0f, 0, 0}, {"per pixel", 0.5f, 0, 0}, {"per pixel", 1.0f, 0, 0}, {"per pixel", 2.0f, 0, 0},
+        {"per pixel", 4.0f, 0, 0}, {"one level", 1.0f, 1, 0}, {"one level", 2.0f, 1, 0}, {"faces", 0.0f, 0, 1}
+    };
+    const voxrt_tree *tree = get_tree(id, resolution, KIND_DEFAULT);
+    const size_t pixels = (size_t)WIDTH * HEIGHT;
+    frame_job f[8], many;
+    bench_job b[8];
+    char kase[64];
+    int i;
+    if (tree == NULL) {
+        bench_skip("voxrt.tolerance", g_models[id].name, "no such file");
+        return;
+    }
+    snprintf(kase, sizeof kase, "%s-%u", g_models[id].name, resolution);
+    memset(b, 0, sizeof b);
+    for (i = 0; i < 8; i++) {
+        f[i] = make_frame(tree);
+        f[i].desc.tolerance = ways[i].tolerance;
+        f[i].desc.object_lod = (uint32_t)ways[i].object;
+        f[i].desc.face_normals = (uint32_t)ways[i].faces;
+        b[i].name = ways[i].name;
+        b[i].run = run_frame;
+        b[i].ctx = &f[i];
+    }
+    many = make_frame(tree); /* what a pixel should show: the mean of many rays */
+    many.desc.samples = 16;
+    many.desc.env.thread_count = (uint32_t)g_opt.threads;
+    run_frame(&many);
+    bench_interleave(b, 8, ROUNDS);
+    for (i = 0; i < 8; i++) {
+        bench_line("voxrt.tolerance", kase, "frame_time", 1e3 * bench_seconds(&b[i]), "ms");
+        bench_num("best", 1e3 * bench_seconds_best(&b[i]));
+        bench_num("error", rmse(f[i].image.rgba8, f[0].image.rgba8, pixels));
+        bench_text("error_unit", "RMSE/255");
+        bench_text("method", ways[i].name);
+        bench_num("tolerance_px", (double)ways[i].tolerance);
+        bench_num("rmse_16_samples", rmse(f[i].image.rgba8, many.image.rgba8, pixels));
+        bench_num("threads", 1);
+        bench_hash(bench_hash_bytes(f[i].image.rgba8, 4 * pixels));
+        bench_end();
+    }
+    for (i = 0; i < 8; i++) free(f[i].image.rgba8);
+    free(many.image.rgba8);
+}
+
+static void bm13(void) {
+    pareto(MODEL_DRAGON, g_opt.full ? 4096 : 2048);
+    pareto(MODEL_BLOB, g_opt.full ? 4096 : 2048);
+}
+
+int main(int argc, char **argv) {
+    static const struct { int number; void (*run)(void); } all[] = {
+        {1, bm1}, {2, bm2}, {3, bm3}, {4, bm4}, {7, bm7}, {10, bm10}, {13, bm13}, {9, bm9}, {5, bm5}, {6, bm6}, {8, bm8}
+    };
+    size_t i;
+    int status = bench_parse(argc, argv, &g_opt);
+    if (status) return status;
+    bench_machine("voxrt", argv[0]);
+    for (i = 0; i < sizeof all / sizeof all[0]; i++) {
+        const double start = bench_wall();
+        if (!bench_wanted(&g_opt, all[i].number)) continue;
+        all[i].run();
+        fprintf(stderr, "BM%d: %.1f s\n", all[i].number, bench_wall() - start);
+    }
+    drop_trees();
+    for (i = 0; i < MODEL_COUNT; i++) sup_mesh_free(&g_models[i].mesh);
+    table_write(argv[0]);
+    table_print(stderr);
+    return 0;
+}
