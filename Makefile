@@ -55,7 +55,7 @@ $(B)/.flags: FORCE
 
 # --- pictures: the rules are in examples/demo.mk -------------------------------------------------
 
--include examples/demo.mk
+-include examples/demo.mk bench/peers/peers.mk
 demo: $(EXAMPLES) $(GALLERY)
 	@echo "pictures are in $(G)/"
 

@@ -1,5 +1,183 @@
 /* voxrt.h - v0.1.0 - sparse voxel octrees: build, file, ray traversal, pictures - MIT OR Unlicense, see end of file
-   SPDX-License-Identifier: MIT OR Unlicense */
+   SPDX-License-Identifier: MIT OR Unlicense
+
+   CONTENTS
+   The declarations come first. Sections of the implementation, to be found by searching for >>name:
+   @platform      compiler, instruction sets, asserts, bytes
+   @memory        every byte comes from here: counted, limited, aligned
+   @threads       one parallel-for, error reports
+   @math          small vectors, polynomials instead of libm, Morton codes, octahedral normals, sRGB, hashes
+   @core          the bytes of a tree
+   @palette       colours become indices
+   @voxelize      triangles -> filled leaves with mean colours and normals
+   @fill          the inside of closed hulls
+   @tree          leaves -> nodes of all levels -> attributes of the levels of detail; look-up
+   @octree        the octree of the thesis: make, change, convert
+   @format_v4     files of the thesis
+   @format        version 5 files of trees
+   @trace         rays through the tree: scalar and AVX2; common starts of tiles
+   @trace_octree  rays through the octree of the thesis: single, and packets of four
+   @shade         surfaces -> colours; lights and shadows
+   @render        camera -> rays -> tiles -> buffers
+   @post          work on finished pictures: encode, blur, keep to a frame time
+   @misc          names and versions
+
+   DO THIS
+   In one C or C++ file, and only there:
+       #define VOXRT_IMPLEMENTATION
+       #include "voxrt.h"
+   and #include "voxrt.h" without the macro wherever else you use it. Link with -lm -lpthread.
+   -ffp-contract=off on the command line is a second guard for equal bits on all machines (see DETERMINISM).
+
+   A PROGRAM (examples/minimal_voxrt.c; png.h beside it writes the picture)
+
+    #include "support/png.h"
+    #define VOXRT_IMPLEMENTATION
+    #include "voxrt.h"
+
+    enum { N = 192, WIDTH = 800, HEIGHT = 500 };
+    static float position[N * N][3];
+    static uint8_t color[N * N][3], pixels[WIDTH * HEIGHT][4];
+    static uint32_t triangle[N * N * 2][3];
+
+    static void make_torus(void) {
+        for (uint32_t i = 0; i < N * N; i++) {
+            const uint32_t up = i / N * N + (i + 1) % N, right = (i + N) % (N * N), both = (up + N) % (N * N);
+            const uint32_t corners[6] = {i, up, both, i, both, right};
+            const float a = 6.2831853f / N * (float)(i / N), b = 6.2831853f / N * (float)(i % N);
+            const float r = 1.0f + 0.4f * cosf(b), p[3] = {r * cosf(a), 0.4f * sinf(b), r * sinf(a)};
+            memcpy(position[i], p, sizeof p);
+            memcpy(triangle[2 * i], corners, sizeof corners);
+            for (int k = 0; k < 3; k++) color[i][k] = (uint8_t)(160.0f + 90.0f * sinf(a + 2.0f * (float)k));
+        }
+    }
+
+    int main(int argc, char **argv) {
+        const voxrt_mesh mesh = {.positions = position[0], .vertex_count = N * N, .vertex_rgb = color[0],
+                                 .indices = triangle[0], .triangle_count = 2 * N * N};
+        const voxrt_build_desc build = {.resolution = 512};               // voxels along the longest side
+        const voxrt_render_desc render = {.samples = 16, .shadows = 1};   // the camera frames the torus
+        const voxrt_image image = {.width = WIDTH, .height = HEIGHT, .rgba8 = pixels[0]};
+        voxrt_tree *tree = NULL;
+        sup_error err;
+
+        make_torus();
+        voxrt_result result = voxrt_tree_build(&build, &mesh, NULL, &tree);
+        if (result == VOXRT_OK) result = voxrt_render(&render, tree, &image, NULL);
+        voxrt_tree_destroy(tree);
+
+        if (result != VOXRT_OK) (void)sup_fail(&err, "%s", voxrt_result_string(result));
+        else if (!sup_png_write8(argc > 1 ? argv[1] : "voxrt.png", pixels[0], WIDTH, HEIGHT, 4, &err)) return 0;
+        fprintf(stderr, "%s\n", err.text);
+        return 1;
+    }
+
+   WHAT IT DOES
+   - Triangle mesh -> sparse voxels of 2^1 to 2^16 cells along an axis, with colours and normals; no gaps: 6-separating
+     or conservative. Or a list of voxels, up to 2^20 along an axis. Fills closed hulls.
+   - Keeps them as a tree of 4x4x4 nodes in which each octree level can be addressed: 5 to 8 bits a voxel for geometry,
+     2 bytes a cell (of any level) for normals, 0 to 2 bytes for colours as a rule. Saves and
+     loads it, or maps a file into memory.
+   - Traces rays: closest hit, any hit, with a cone for level of detail, 1 ray or millions, any order.
+   - Draws pictures: camera, lights, shadows, anti-aliasing, progressive pictures, level of detail by pixels, heat maps,
+     depth, normals, ids; mixed with other geometry through two callbacks.
+   - Has the octree, the files and the packet tracer of the thesis that it comes from, for comparison.
+
+   WHAT IT DOES NOT DO
+   - No global illumination, reflection or refraction; no textures (colours come per vertex or per triangle).
+   - No animation. A tree does not change once it is built; the octree of the thesis can be edited voxel by voxel.
+   - No smooth surfaces: a voxel is a cube. Close up it is seen as one, with a shading normal.
+   - No mesh files, no picture files, no window: examples/support has readers, a PNG writer and a command line.
+   - No streaming from disk, no GPU.
+
+   LIMITS
+   depth of a tree            20 (VOXRT_MAX_DEPTH): 2^20 cells along an axis; of a voxelised mesh 16
+   filled voxels of a tree    2^32 - 2; and 2^32 - 1 nodes
+   triangles                  as many as memory holds
+   colours of a palette       2^24; in the octree of the thesis 32767
+   threads                    64
+   lights, geometry, rays     as many as memory holds
+   stack                      less than 16 KB in one function, less than 64 KB in all
+
+   OPTIONS
+   macro                     meaning                                                  default       same in all files?
+   VOXRT_IMPLEMENTATION      emit the code, in exactly one file                       off           no
+   VOXRT_STATIC              all functions static; only where the code is, too        off           yes
+   VOXRT_DEF                 what stands before declarations                          extern/static yes
+   VOXRT_MALLOC(size,user)   default allocator, 16-byte aligned; both or neither      malloc        code only
+   VOXRT_FREE(ptr,size,user) its other half                                           free          code only
+   VOXRT_ASSERT(cond)        what internal checks use; 0.1.0 makes none               assert        code only
+   VOXRT_NO_STDIO            no functions with file names, no <stdio.h>               off           yes
+   VOXRT_NO_THREADS          never start a thread; env.parallel still works           off, wasm: on code only
+   VOXRT_NO_SIMD             scalar code only                                         off           code only
+   VOXRT_NO_AVX2             no AVX2                                                  off           code only
+   VOXRT_ALLOW_FAST_MATH     accept -ffast-math; nothing is promised then             #error        code only
+   No macro changes a struct. The instruction set is chosen when the program runs; desc.isa can lower it.
+
+   MEMORY
+   All of it comes through desc.env: its allocator, else VOXRT_MALLOC, else malloc. An object keeps its allocator until
+   it is destroyed. env.memory_limit bounds what one call and its results hold at once. Tracing and drawing allocate
+   nothing. When memory runs out a call frees what it had and returns VOXRT_ERR_NO_MEMORY.
+   Building holds 8 to 18 bytes a voxel at its peak, most with many colours (voxrt_build_stats.peak_bytes); a tree takes
+   3 to 6 bytes a voxel with normals, about 1 without normals and colours.
+
+   THREADS
+   A call uses env.thread_count threads (0: one per core; 1: never more than the caller's), started and joined within
+   the call, with stacks of 512 KB. env.parallel hands the work to the host's job system instead. voxrt_trace and
+   voxrt_occluded always run on the calling thread. Trees and octrees may be read by any number of threads at once;
+   changing or destroying one needs it for itself. There is no global state, nothing has to be initialised.
+
+   DETERMINISM
+   The same input gives the same bits: for any number of threads, any instruction set, any order of triangles, any
+   grouping of rays; with gcc or clang at any optimisation. Work is cut by fixed rules, sums are integers or have a
+   fixed order, libm is not used but for sqrt, fused multiply-add is switched off (by pragmas in this file).
+   x87 code (-m32 without -mfpmath=sse) and -ffast-math break it.
+
+   ERRORS
+   Functions that can fail return a voxrt_result and set their outputs to NULL or 0 first. env.error receives the place
+   (byte, triangle, voxel) and a sentence. Bad triangles are left out and counted, unless desc.strict. Bad rays miss and
+   are counted. A desc has to be zeroed (memset, = {0} or = {} in C++); voxrt checks its first and last member.
+   The library never prints, never exits. Loading is safe for any bytes; voxrt_load_desc.trust_input is not.
+
+   COORDINATES AND UNITS
+   Right-handed world, any unit. Grid cell (x, y, z) covers world_origin + voxel_size * [x, x+1) and so on. Cells of
+   octree level l have an edge of 2^(depth-l) voxels; level 0 is the root (the thesis counts it as level 1). Face codes
+   0 to 5: -x +x -y +y -z +z. t is in lengths of dir; depth is the distance along the viewing axis. Row 0 of a picture
+   is on top, pixel (i, j) has its centre at (i+0.5, j+0.5), fov_y is the vertical angle.
+   Colours: bytes are sRGB, floats are linear; rgba is premultiplied, rgba8 is not.
+
+   FILE FORMAT
+   Version 5 (written by voxrt_tree_save_*) holds a tree with everything, raw or entropy coded, checked by checksums;
+   version 4 is the thesis' file. docs/formats.md has every byte. The format's version is not the library's.
+
+   ACCURACY
+   Voxelising   Vertices are snapped to 1/2^min(8, 20-depth) of a voxel: moved by at most 1/512 voxel along an axis up
+                to 4096 cells, 1/32 at 65536. From there on every decision is exact integer arithmetic.
+   Rays         Origin and crossings with cell faces are double precision, also for origins far away. The cells that a
+                ray visits are a 6-connected path ordered by these crossings: it cannot slip through a 6-separating
+                surface. t is rounded once, to float.
+   Detail       With cone_width, cone_spread or tolerance a ray stops at a cell no wider than its footprint; with 0 at
+                voxels only.
+   Normals      Octahedral, 16 bits: at most 0.64 degrees off, 0.32 on average.
+   Colours      Exact while they fit into the palette. Levels of detail: means in linear light.
+
+   REFERENCES
+   M. Bohnen: Ray Tracing von Volumendaten auf Basis des Augenblick-SDK. Diplomarbeit, Univ. Koblenz-Landau, 2009
+       (`the thesis': octree, v4 files, packets, start grid, pair-merged palette)
+   S. Laine: A Topological Approach to Voxelization. Computer Graphics Forum 32(4), 2013 (6-separating targets)
+   M. Schwarz, H.-P. Seidel: Fast Parallel Surface and Solid Voxelization on GPUs. ACM TOG 29(6), 2010 (26-separating)
+   J. Amanatides, A. Woo: A Fast Voxel Traversal Algorithm for Ray Tracing. Eurographics 1987 (crossings as events)
+   K. Museth: VDB: High-Resolution Sparse Volumes with Dynamic Topology. ACM TOG 32(3), 2013 (wide nodes with masks)
+   S. Laine, T. Karras: Efficient Sparse Voxel Octrees. I3D 2010 (stack and common ancestor by bits, beams, post filter)
+   I. Wald et al.: Ray Tracing Animated Scenes using Coherent Grid Traversal. ACM TOG 25(3), 2006 (frusta slab by slab)
+   T. Dekker: A Floating-Point Technique for Extending the Available Precision. Numer. Math. 18, 1971 (far origins)
+   Z. Cigolle et al.: A Survey of Efficient Representations for Independent Unit Vectors. JCGT 3(2), 2014 (normals)
+   B. Ottosson: A perceptual color space for image processing, 2020 (Oklab)
+   J. Ward: Hierarchical Grouping to Optimize an Objective Function. JASA 58, 1963; W. Equitz: A New Vector
+       Quantization Clustering Algorithm. IEEE Trans. ASSP 37(10), 1989 (palette by pairwise nearest neighbours)
+   J. Duda: Asymmetric numeral systems. arXiv:1311.2540, 2013 (entropy coding)
+   M. Roberts: The Unreasonable Effectiveness of Quasirandom Sequences, 2018 (sample positions)
+   docs/algorithms.md says which equation is where, and what was corrected. */
 #ifndef VOXRT_H_INCLUDED
 #define VOXRT_H_INCLUDED
 #include <stddef.h>
@@ -1241,10 +1419,10 @@ VOXRTI_INLINE void voxrti_oct_decode(uint32_t code, float n[3]) {
     n[1] = y * l;
     n[2] = z * l;
 }
-/* Cosine * length and squared length of the decoded vectors of the codes (ix..ix+1, iy..iy+1). The two forms do the
-   same operations and give the same bits. */
+/* Which of the codes (ix, iy), (ix+1, iy), (ix, iy+1), (ix+1, iy+1) decodes closest to m: largest squared cosine. The
+   two forms do the same operations and give the same bits. */
 #if VOXRTI_X64
-VOXRTI_INLINE void voxrti_oct_candidates(int ix, int iy, const float m[3], float dot[4], float len[4]) {
+VOXRTI_INLINE uint32_t voxrti_oct_nearest(int ix, int iy, const float m[3]) {
     const __m128 sign = _mm_set1_ps(-0.0f), one = _mm_set1_ps(1.0f), zero = _mm_setzero_ps();
     __m128 x = _mm_min_ps(_mm_add_ps(_mm_set1_ps((float)ix), _mm_setr_ps(0, 1, 0, 1)), _mm_set1_ps(255.0f));
     __m128 y = _mm_min_ps(_mm_add_ps(_mm_set1_ps((float)iy), _mm_setr_ps(0, 0, 1, 1)), _mm_set1_ps(255.0f));
@@ -1259,15 +1437,20 @@ VOXRTI_INLINE void voxrti_oct_candidates(int ix, int iy, const float m[3], float
     fy = _mm_mul_ps(_mm_sub_ps(one, ax), _mm_or_ps(one, _mm_and_ps(sign, _mm_cmplt_ps(y, zero))));
     x = _mm_or_ps(_mm_and_ps(fold, fx), _mm_andnot_ps(fold, x));
     y = _mm_or_ps(_mm_and_ps(fold, fy), _mm_andnot_ps(fold, y));
-    _mm_storeu_ps(dot, _mm_add_ps(_mm_add_ps(_mm_mul_ps(x, _mm_set1_ps(m[0])), _mm_mul_ps(y, _mm_set1_ps(m[1]))),
-                                  _mm_mul_ps(z, _mm_set1_ps(m[2]))));
-    _mm_storeu_ps(len, _mm_add_ps(_mm_add_ps(_mm_mul_ps(x, x), _mm_mul_ps(y, y)), _mm_mul_ps(z, z)));
+    fx = _mm_add_ps(_mm_add_ps(_mm_mul_ps(x, _mm_set1_ps(m[0])), _mm_mul_ps(y, _mm_set1_ps(m[1]))),
+                    _mm_mul_ps(z, _mm_set1_ps(m[2])));
+    fy = _mm_add_ps(_mm_add_ps(_mm_mul_ps(x, x), _mm_mul_ps(y, y)), _mm_mul_ps(z, z));
+    fx = _mm_div_ps(_mm_mul_ps(fx, _mm_max_ps(fx, zero)), fy);
+    fy = _mm_max_ps(fx, _mm_shuffle_ps(fx, fx, 0x4e));
+    fy = _mm_max_ps(fy, _mm_shuffle_ps(fy, fy, 0xb1));
+    return voxrti_ctz64((uint64_t)_mm_movemask_ps(_mm_cmpeq_ps(fx, fy)) | 16u);
 }
 #else
-VOXRTI_INLINE void voxrti_oct_candidates(int ix, int iy, const float m[3], float dot[4], float len[4]) {
-    int k;
+VOXRTI_INLINE uint32_t voxrti_oct_nearest(int ix, int iy, const float m[3]) {
+    float best = -1.0f, dot;
+    uint32_t k, nearest = 4;
     for (k = 0; k < 4; k++) {
-        float x = (float)(ix + (k & 1)), y = (float)(iy + (k >> 1)), z, ax, ay;
+        float x = (float)(ix + (int)(k & 1u)), y = (float)(iy + (int)(k >> 1)), z, ax, ay;
         x = (x > 255.0f ? 255.0f : x) * (2.0f / 255.0f) - 1.0f;
         y = (y > 255.0f ? 255.0f : y) * (2.0f / 255.0f) - 1.0f;
         ax = x < 0 ? -x : x;
@@ -1277,18 +1460,23 @@ VOXRTI_INLINE void voxrti_oct_candidates(int ix, int iy, const float m[3], float
             x = (1.0f - ay) * (x < 0 ? -1.0f : 1.0f);
             y = (1.0f - ax) * (y < 0 ? -1.0f : 1.0f);
         }
-        dot[k] = x * m[0] + y * m[1] + z * m[2];
-        len[k] = x * x + y * y + z * z;
+        dot = x * m[0] + y * m[1] + z * m[2];
+        dot = dot * (dot > 0 ? dot : 0.0f) / (x * x + y * y + z * z);
+        if (dot > best) {
+            best = dot;
+            nearest = k;
+        }
     }
+    return nearest;
 }
 #endif
 
 static VOXRTI_UNUSED uint32_t voxrti_oct_encode(const float n[3]) {
     float ax = n[0] < 0 ? -n[0] : n[0], ay = n[1] < 0 ? -n[1] : n[1], az = n[2] < 0 ? -n[2] : n[2];
-    float s = ax + ay + az, x, y, best = 0.0f, best_len = 1.0f, m[3], dot[4], len[4];
-    uint32_t code = 0x8080u;
-    int ix, iy, k;
-    if (!(s > 0.0f)) return code;
+    float s = ax + ay + az, x, y, m[3];
+    uint32_t k;
+    int ix, iy;
+    if (!(s > 0.0f)) return 0x8080u;
     s = 1.0f / s;
     m[0] = x = n[0] * s;
     m[1] = y = n[1] * s;
@@ -1302,16 +1490,11 @@ static VOXRTI_UNUSED uint32_t voxrti_oct_encode(const float n[3]) {
     iy = (int)((y + 1.0f) * 127.5f);
     ix = ix < 0 ? 0 : ix > 255 ? 255 : ix;
     iy = iy < 0 ? 0 : iy > 255 ? 255 : iy;
-    voxrti_oct_candidates(ix, iy, m, dot, len);
-    for (k = 0; k < 4; k++) { /* largest cosine */
-        if (dot[k] > 0 && dot[k] * dot[k] * best_len > best * len[k]) {
-            int cx = ix + (k & 1), cy = iy + (k >> 1);
-            best = dot[k] * dot[k];
-            best_len = len[k];
-            code = (uint32_t)(cx > 255 ? 255 : cx) | (uint32_t)(cy > 255 ? 255 : cy) << 8;
-        }
-    }
-    return code;
+    k = voxrti_oct_nearest(ix, iy, m);
+    if (k > 3) return 0x8080u; /* NaN */
+    ix += (int)(k & 1u);
+    iy += (int)(k >> 1);
+    return (uint32_t)(ix > 255 ? 255 : ix) | (uint32_t)(iy > 255 ? 255 : iy) << 8;
 }
 
 /* ---------------------------------------------------------------------------
@@ -2584,7 +2767,8 @@ typedef struct voxrti_vox {
     uint32_t failed;           /* atomic */
     uint64_t fragments;        /* atomic */
     uint32_t srgb[256];
-    uint8_t *to_srgb;          /* [65536] linear -> byte */
+    uint8_t *to_srgb;          /* [65537] linear -> byte */
+    uint32_t spread[64];       /* Morton bits of a coordinate inside a brick */
 } voxrti_vox;
 
 /* What a task owns while it works. */
@@ -2656,17 +2840,31 @@ static VOXRTI_UNUSED voxrt_result voxrti_grid_from_mesh(const voxrt_build_desc *
     return VOXRT_OK;
 }
 
-/* Corners of a triangle in voxels. 0: not usable. */
+/* Corners of a triangle in voxels, the lowest one first, so that it does not matter where the triangle begins.
+   0: not usable. */
 static int voxrti_tri_corners(const voxrti_vox *v, size_t i, double p[3][3], size_t vertex[3]) {
     double scale = 1.0 / v->grid->voxel_size;
-    uint32_t k, a;
+    uint32_t k, a, first = 0;
     for (k = 0; k < 3; k++) {
         float f[3];
         if (!voxrti_mesh_vertex(v->mesh, i, k, &vertex[k], f)) return 0;
         for (a = 0; a < 3; a++) {
             p[k][a] = ((double)f[a] - v->grid->origin[a]) * scale;
-            if (!voxrti_finite(p[k][a])) return 0;
+            if (!(voxrti_abs(p[k][a]) < 1e300)) return 0; /* differences stay finite */
         }
+        for (a = 0; a < 3 && p[k][a] == p[first][a]; a++) { }
+        if (a < 3 ? p[k][a] < p[first][a] : vertex[k] < vertex[first]) first = k;
+    }
+    for (; first > 0; first--) {
+        double q[3];
+        size_t x = vertex[0];
+        memcpy(q, p[0], sizeof q);
+        memcpy(p[0], p[1], sizeof q);
+        memcpy(p[1], p[2], sizeof q);
+        memcpy(p[2], q, sizeof q);
+        vertex[0] = vertex[1];
+        vertex[1] = vertex[2];
+        vertex[2] = x;
     }
     return 1;
 }
@@ -2727,8 +2925,15 @@ static uint32_t voxrti_clip_plane(const voxrti_corner *in, uint32_t n, voxrti_co
         const voxrti_corner *p = &in[i], *q = &in[(i + 1) % n];
         double dp = below ? at - p->p[a] : p->p[a] - at, dq = below ? at - q->p[a] : q->p[a] - at;
         if (dp >= 0) out[count++] = *p;
-        if ((dp >= 0) != (dq >= 0)) {
-            double s = dp / (dp - dq);
+        if ((dp >= 0) != (dq >= 0)) { /* from the inner end: triangles on both sides of an edge get the same point */
+            double s;
+            if (dp < 0) {
+                q = p;
+                p = &in[(i + 1) % n];
+                s = dq / (dq - dp);
+            } else {
+                s = dp / (dp - dq);
+            }
             for (k = 0; k < 3; k++) {
                 out[count].p[k] = p->p[k] + s * (q->p[k] - p->p[k]);
                 out[count].rgb[k] = p->rgb[k] + (float)s * (q->rgb[k] - p->rgb[k]);
@@ -2911,30 +3116,38 @@ static voxrt_result voxrti_bin_all(voxrti_vox *v, voxrt_build_stats *stats) {
 
 /* ---- rasterising into a brick ---- */
 
-/* Attributes as planes over the columns of an axis: value = at + i * di + k * dk, six channels. */
-typedef struct voxrti_ramp { float at[6], di[6], dk[6]; int flat; } voxrti_ramp;
+/* Attributes as planes over the columns of an axis: value = at + i * di + k * dk, six channels; i and k count from the
+   brick's corner. Kept between the corners' values: the planes of slivers are steep, and a voxel that is touched may
+   have its centre outside of the triangle. */
+typedef struct voxrti_ramp { float at[6], di[6], dk[6], lo[6], hi[6]; } voxrti_ramp;
 
-static void voxrti_ramp_make(const voxrti_vox *v, const voxrti_tri *t, uint32_t a, voxrti_ramp *r) {
+static void voxrti_ramp_make(const voxrti_brick *b, const voxrti_tri *t, uint32_t a, voxrti_ramp *r) {
     uint32_t u = (a + 1) % 3, w = (a + 2) % 3, c;
-    double s = (double)((uint32_t)1 << v->sub), inv = t->n[a] != 0 ? 1.0 / (double)t->n[a] : 0.0;
+    double s = (double)((uint32_t)1 << b->v->sub), inv = t->n[a] != 0 ? 1.0 / (double)t->n[a] : 0.0;
     double e1u = (double)(t->p[1][u] - t->p[0][u]), e1w = (double)(t->p[1][w] - t->p[0][w]);
     double e2u = (double)(t->p[2][u] - t->p[0][u]), e2w = (double)(t->p[2][w] - t->p[0][w]);
-    double ou = 0.5 * s - (double)t->p[0][u], ow = 0.5 * s - (double)t->p[0][w];
-    r->flat = 1;
+    double ou = ((double)b->lo[u] + 0.5) * s - (double)t->p[0][u], ow = ((double)b->lo[w] + 0.5) * s - (double)t->p[0][w];
     for (c = 0; c < 6; c++) {
         double f0 = (double)(c < 3 ? t->rgb[0][c] : t->normal[0][c - 3]);
         double f1 = (double)(c < 3 ? t->rgb[1][c] : t->normal[1][c - 3]) - f0;
         double f2 = (double)(c < 3 ? t->rgb[2][c] : t->normal[2][c - 3]) - f0;
         double gu = (f1 * e2w - f2 * e1w) * inv, gw = (f2 * e1u - f1 * e2u) * inv;
-        if (f1 != 0.0 || f2 != 0.0) r->flat = 0;
-        r->at[c] = (float)(f0 + gu * ou + gw * ow);
+        r->at[c] = t->n[a] != 0 ? (float)(f0 + gu * ou + gw * ow) : (float)(f0 + (f1 + f2) / 3.0);
         r->di[c] = (float)(gu * s);
         r->dk[c] = (float)(gw * s);
+        r->lo[c] = (float)(f0 + voxrti_min(0.0, voxrti_min(f1, f2)));
+        r->hi[c] = (float)(f0 + voxrti_max(0.0, voxrti_max(f1, f2)));
     }
 }
 
+VOXRTI_INLINE float voxrti_ramp_limit(const voxrti_ramp *r, uint32_t c, float x) {
+    x = x < r->lo[c] ? r->lo[c] : x;
+    return x > r->hi[c] ? r->hi[c] : x;
+}
+
 VOXRTI_INLINE uint32_t voxrti_brick_cell(const voxrti_brick *b, const uint32_t c[3]) {
-    return (uint32_t)voxrti_morton(c[0] - b->lo[0], c[1] - b->lo[1], c[2] - b->lo[2]);
+    const uint32_t *spread = b->v->spread;
+    return spread[c[0] - b->lo[0]] | spread[c[1] - b->lo[1]] << 1 | spread[c[2] - b->lo[2]] << 2;
 }
 
 /* Sum of a voxel; made when it is met first. NULL: no memory. */
@@ -3041,7 +3254,7 @@ static uint64_t voxrti_raster_axis(voxrti_brick *b, const voxrti_tri *t, uint32_
     inv_div = 1.0 / (double)div;
     len = 2.0 * t->area * (double)size * (double)size;
     weight = (uint64_t)(VOXRTI_WEIGHT * (double)na / len) + 1;
-    if (clip) voxrti_ramp_make(v, t, a, &ramp);
+    if (clip) voxrti_ramp_make(b, t, a, &ramp);
     for (k = lo[1]; k <= hi[1]; k++) {
         int64_t i0 = lo[0], i1 = hi[0], depth;
         float row[6];
@@ -3049,7 +3262,7 @@ static uint64_t voxrti_raster_axis(voxrti_brick *b, const voxrti_tri *t, uint32_
         if (i0 > i1) continue;
         if (!clip) return 1;
         depth = depth0 + k * depth_k + i0 * depth_i;
-        for (e = 0; e < 6; e++) row[e] = ramp.at[e] + (float)k * ramp.dk[e];
+        for (e = 0; e < 6; e++) row[e] = ramp.at[e] + (float)(k - (int64_t)b->lo[w]) * ramp.dk[e];
         for (i = i0; i <= i1; i++, depth += depth_i) {
             int64_t q = (int64_t)((double)depth * inv_div), r = depth - q * div;
             uint32_t c[3], cell;
@@ -3062,7 +3275,8 @@ static uint64_t voxrti_raster_axis(voxrti_brick *b, const voxrti_tri *t, uint32_
             c[w] = (uint32_t)k;
             cell = voxrti_brick_cell(b, c);
             b->mask[cell >> 6] |= (uint64_t)1 << (cell & 63u);
-            for (e = 0; e < 6; e++) f[e] = row[e] + (float)i * ramp.di[e];
+            for (e = 0; e < 6; e++)
+                f[e] = voxrti_ramp_limit(&ramp, e, row[e] + (float)(i - (int64_t)b->lo[u]) * ramp.di[e]);
             voxrti_fragment(b, cell, weight, f);
             found++;
         }
@@ -3078,36 +3292,67 @@ static void voxrti_tri_mean(const voxrti_tri *t, float f[6]) {
     }
 }
 
-/* A triangle that caught no target anywhere: its attributes go to the voxels along its longest edge and at the third
-   corner, which are remembered as tiny. */
+/* A long triangle that is less than a voxel wide may catch a target only now and then. */
+static int voxrti_tri_sliver(const voxrti_vox *v, const voxrti_tri *t) {
+    double longest = 0;
+    uint32_t e, a;
+    for (e = 0; e < 3; e++) {
+        double l = 0;
+        for (a = 0; a < 3; a++) {
+            double d = (double)(t->p[(e + 1) % 3][a] - t->p[e][a]);
+            l += d * d;
+        }
+        longest = voxrti_max(longest, l);
+    }
+    longest = sqrt(longest) / (double)((uint32_t)1 << v->sub);
+    return longest > 2.0 && 2.0 * t->area < longest;
+}
+
+/* A triangle that caught no target anywhere, or a sliver: its attributes go to the voxels along its longest edge and at
+   the third corner, which are remembered as tiny. */
 static void voxrti_tri_tiny(voxrti_brick *b, const voxrti_tri *t) {
     const voxrti_vox *v = b->v;
-    uint32_t e, a, best = 0, points, j;
-    int64_t longest = -1, steps = 1;
+    uint32_t e, a, best = 0, main_axis = 0, points;
+    int64_t longest = -1, steps = 1, from = 0, to, j;
     uint64_t weight;
     float f[6];
     for (e = 0; e < 3; e++) {
         int64_t l = 0, m = 0;
+        uint32_t k = 0;
         for (a = 0; a < 3; a++) {
             int64_t d = t->p[(e + 1) % 3][a] - t->p[e][a];
             d = d < 0 ? -d : d;
             l += d;
-            m = d > m ? d : m;
+            if (d > m) {
+                m = d;
+                k = a;
+            }
         }
         if (l > longest) {
             longest = l;
             best = e;
+            main_axis = k;
             steps = (m * 2 >> v->sub) + 1;
         }
     }
     points = (uint32_t)steps + 2;
+    to = steps;
+    {   /* the steps that can lie in this brick */
+        int64_t p = t->p[best][main_axis], d = t->p[(best + 1) % 3][main_axis] - p;
+        int64_t x0 = ((int64_t)b->lo[main_axis] << v->sub) - p, x1 = ((int64_t)(b->lo[main_axis] + b->size) << v->sub) - p;
+        if (d != 0) {
+            int64_t s0 = (d > 0 ? x0 : -x1) * steps / (d > 0 ? d : -d) - 1, s1 = (d > 0 ? x1 : -x0) * steps / (d > 0 ? d : -d) + 1;
+            from = s0 > 0 ? s0 : 0;
+            to = s1 < steps ? s1 : steps;
+        }
+    }
     weight = (uint64_t)(VOXRTI_WEIGHT * t->area / (double)points) + 1;
     voxrti_tri_mean(t, f);
-    for (j = 0; j < points; j++) {
+    for (j = from; j <= to + 1; j++) { /* the last one is the third corner */
         uint32_t c[3], cell, inside = 1;
         for (a = 0; a < 3; a++) {
             const int64_t *p = t->p[best], *q = t->p[(best + 1) % 3];
-            int64_t x = j == points - 1 ? t->p[(best + 2) % 3][a] : p[a] + (q[a] - p[a]) * (int64_t)j / steps;
+            int64_t x = j > to ? t->p[(best + 2) % 3][a] : p[a] + (q[a] - p[a]) * j / steps;
             x >>= v->sub;
             if (x == (int64_t)v->grid->resolution) x--;
             inside &= x >= (int64_t)b->lo[a] && x < (int64_t)(b->lo[a] + b->size) && x < (int64_t)v->grid->resolution;
@@ -3145,7 +3390,7 @@ static void voxrti_raster_26(voxrti_brick *b, const voxrti_tri *t, uint64_t weig
     }
     u = (main_axis + 1) % 3;
     w = (main_axis + 2) % 3;
-    voxrti_ramp_make(v, t, main_axis, &ramp);
+    voxrti_ramp_make(b, t, main_axis, &ramp);
     for (z = lo[2]; z <= hi[2]; z++) {
         for (y = lo[1]; y <= hi[1]; y++) {
             int64_t i0 = lo[0], i1 = hi[0], c[3], plane, step = t->n[0] * size, reach[2] = {0, 0};
@@ -3181,10 +3426,9 @@ static void voxrti_raster_26(voxrti_brick *b, const voxrti_tri *t, uint64_t weig
                 cc[2] = (uint32_t)z;
                 cell = voxrti_brick_cell(b, cc);
                 b->mask[cell >> 6] |= (uint64_t)1 << (cell & 63u);
-                i = (float)cc[u];
-                k = (float)cc[w];
-                for (e = 0; e < 6; e++) f[e] = ramp.at[e] + k * ramp.dk[e] + i * ramp.di[e];
-                if (ramp.flat) voxrti_tri_mean(t, f);
+                i = (float)(cc[u] - b->lo[u]);
+                k = (float)(cc[w] - b->lo[w]);
+                for (e = 0; e < 6; e++) f[e] = voxrti_ramp_limit(&ramp, e, ramp.at[e] + k * ramp.dk[e] + i * ramp.di[e]);
                 voxrti_fragment(b, cell, weight, f);
             }
         }
@@ -3276,11 +3520,10 @@ static void voxrti_brick_tri(void *ctx, const voxrti_tri *t, size_t i) {
         return;
     }
     for (a = 0; a < 3; a++) found += voxrti_raster_axis(b, t, a, 1);
-    if (found == 0)
-        for (a = 0; a < 3 && found == 0; a++) found += voxrti_raster_axis(b, t, a, 0);
+    for (a = 0; a < 3 && found == 0; a++) found += voxrti_raster_axis(b, t, a, 0);
     if (b->v->d->separating == VOXRT_SEPARATING_26)
         voxrti_raster_26(b, t, found == 0 ? (uint64_t)(VOXRTI_WEIGHT * 0.25 * t->area) + 1 : 1);
-    else if (found == 0)
+    else if (found == 0 || voxrti_tri_sliver(b->v, t))
         voxrti_tri_tiny(b, t);
 }
 
@@ -3368,12 +3611,15 @@ static void voxrti_brick_task(void *ctx, uint32_t index) {
         ok = b.mask != NULL && b.slot != NULL;
     }
     while (ok && i < end) {
-        uint64_t brick = v->ref[i] >> 32;
+        uint64_t brick = v->ref[i] >> 32, last = ~(uint64_t)0;
         b.lo[0] = voxrti_compact3(brick) << v->brick_bits;
         b.lo[1] = voxrti_compact3(brick >> 1) << v->brick_bits;
         b.lo[2] = voxrti_compact3(brick >> 2) << v->brick_bits;
-        for (; i < end && v->ref[i] >> 32 == brick && !b.failed; i++)
-            (void)voxrti_tri_each(v, (size_t)(v->ref[i] & 0xffffffffu), 1, voxrti_brick_tri, &b);
+        for (; i < end && v->ref[i] >> 32 == brick && !b.failed; i++) {
+            if (v->ref[i] == last) continue; /* another piece of a clipped triangle */
+            last = v->ref[i];
+            (void)voxrti_tri_each(v, (size_t)(last & 0xffffffffu), 1, voxrti_brick_tri, &b);
+        }
         if (!b.failed && b.tiny_count != 0) voxrti_brick_tiny(&b);
         ok = !b.failed && voxrti_brick_emit(&b, brick, &v->out[task], capacity);
     }
@@ -3469,6 +3715,7 @@ static VOXRTI_UNUSED voxrt_result voxrti_voxelize(voxrti_mem *mem, const voxrt_b
     if (v.to_srgb == NULL) return VOXRT_ERR_NO_MEMORY;
     for (i = 0; i < 65536; i++) v.to_srgb[i] = (uint8_t)voxrti_srgb_find(v.srgb, i);
     v.to_srgb[65536] = 255;
+    for (i = 0; i < 64; i++) v.spread[i] = (uint32_t)voxrti_spread3(i);
     r = voxrti_voxelize_run(&v, stats, out);
     if (r != VOXRT_OK) voxrti_leafset_free(mem, out);
     stats->fragments = v.fragments;
@@ -4431,8 +4678,8 @@ static VOXRTI_UNUSED voxrt_result voxrti_tree_from_leafset(voxrti_mem *mem, cons
 static voxrt_result voxrti_build_open(const voxrt_build_desc *desc, voxrt_build_desc *d, voxrti_mem *mem) {
     memset(d, 0, sizeof *d);
     if (desc != NULL) *d = *desc;
+    if (d->_begin_zero != 0 || d->_end_zero != 0) return VOXRT_ERR_UNINIT_DESC; /* its pointers may be wild */
     if (d->env.error != NULL) memset(d->env.error, 0, sizeof *d->env.error);
-    if (d->_begin_zero != 0 || d->_end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
     if (d->resolution == 0) d->resolution = 1024;
     if (d->palette_size == 0) d->palette_size = 32767;
     if ((uint32_t)d->separating > 2u || (uint32_t)d->palette_method > 1u || (uint32_t)d->lod_method > 1u)
@@ -7367,9 +7614,9 @@ static void voxrti_trace_one(const voxrt_tree *t, const voxrti_cone *cone, const
     }
 }
 
-/* ---- AVX2: groups of eight rays in flight; the same steps as above with vector masks ----
-   A vector of 32-bit integers holds all eight lanes, doubles come in two halves. Lanes 0 1 4 5 are
-   the first half and 2 3 6 7 the second: so unpack and shuffle, which stay inside 128 bits, convert between the two. */
+/* ---- AVX2: groups of eight rays in flight, a finished lane takes the next ray ----
+   The scalar path with vector masks. A vector of 32-bit integers holds all eight lanes, doubles come in two halves:
+   lanes 0 1 4 5, then 2 3 6 7. So unpack and shuffle, which stay inside 128 bits, convert between the two. */
 
 #if VOXRTI_AVX2
 
@@ -8286,7 +8533,7 @@ VOXRTI_TARGET_SSE4 VOXRTI_INLINE void voxrti_octrace_four(const voxrti_octrace *
     __m128 lambda = _mm_setzero_ps(), sign = _mm_set1_ps(-0.0f), offset = _mm_set1_ps(c->offset);
     __m128 end, ox, oy, oz, dx, dy, dz, ix, iy, iz, qx, qy, qz, px, py, pz; /* q: origin and offset; p: point */
     __m128i trace, posx, posy, posz;
-    const __m128i zero = _mm_setzero_si128(), one = _mm_set1_epi32(1), two = _mm_set1_epi32(2), four = _mm_set1_epi32(4);
+    const __m128i zero = _mm_setzero_si128(), one = _mm_set1_epi32(1), two = _mm_set1_epi32(2);
     const __m128i last = _mm_set1_epi32((int)c->full - 1), start_mask = _mm_set1_epi32((int)((1u << top) - 1u));
     int again = 0;
     alive = voxrti_octpacket_setup(c, rays, n, &r, &bad);
@@ -8309,7 +8556,8 @@ VOXRTI_TARGET_SSE4 VOXRTI_INLINE void voxrti_octrace_four(const voxrti_octrace *
     posz = _mm_castps_si128(_mm_cmpgt_ps(dz, _mm_setzero_ps()));
     for (;;) {
         __m128i jx = _mm_min_epu32(_mm_cvttps_epi32(px), last), jy = _mm_min_epu32(_mm_cvttps_epi32(py), last);
-        __m128i jz = _mm_min_epu32(_mm_cvttps_epi32(pz), last), mask = start_mask, vi = zero, children, filled, on, edge;
+        __m128i jz = _mm_min_epu32(_mm_cvttps_epi32(pz), last);
+        __m128i mask = start_mask, vi = zero, children, filled, on, edge;
         __m128 leave;
         uint32_t m, s = top;
         left--;
@@ -8332,7 +8580,7 @@ VOXRTI_TARGET_SSE4 VOXRTI_INLINE void voxrti_octrace_four(const voxrti_octrace *
             shift = _mm_cvtsi32_si128((int)--s);
             w = _mm_and_si128(_mm_srl_epi32(jx, shift), one);
             w = _mm_or_si128(w, _mm_and_si128(_mm_srl_epi32(_mm_slli_epi32(jy, 1), shift), two));
-            w = _mm_or_si128(w, _mm_and_si128(_mm_srl_epi32(_mm_slli_epi32(jz, 2), shift), four));
+            w = _mm_or_si128(w, _mm_and_si128(_mm_srl_epi32(_mm_slli_epi32(jz, 2), shift), _mm_set1_epi32(4)));
             w = _mm_or_si128(w, _mm_slli_epi32(children, 3));
             voxrti_voxel_load4(w, words, children);
             children = _mm_and_si128(children, down);
@@ -8810,6 +9058,7 @@ static void voxrti_run_normals(const voxrti_render *c, const voxrt_ray *ray, con
     for (i = 0; i < n; i++) {
         const float *dir = ray[i].dir, *v = surface[i].normal;
         float along;
+        int against;
         normal[i][0] = normal[i][1] = normal[i][2] = 0.0f;
         if (!(surface[i].t < INFINITY)) continue;
         if (c->d->face_normals || (v[0] == 0.0f && v[1] == 0.0f && v[2] == 0.0f)) {
@@ -8823,7 +9072,10 @@ static void voxrti_run_normals(const voxrti_render *c, const voxrt_ray *ray, con
             continue;
         }
         along = voxrti_dot3(v, dir);
-        if (!c->d->one_sided && along > 0.0f && along * along > 0.04f * voxrti_dot3(dir, dir)) {
+        /* seen from behind: clearly so, or where the cube was entered against the normal (a wall at a low angle; a
+           smooth silhouette enters sideways) */
+        against = surface[i].face < 6 && ((surface[i].face & 1u) ? -v[surface[i].face >> 1] : v[surface[i].face >> 1]) > 0.5f;
+        if (!c->d->one_sided && along > 0.0f && (against || along * along > 0.04f * voxrti_dot3(dir, dir))) {
             for (a = 0; a < 3; a++) normal[i][a] = -v[a];
         } else {
             for (a = 0; a < 3; a++) normal[i][a] = v[a];

@@ -95,6 +95,9 @@ BENCH_FN double bench_seconds_best(const bench_job *j) { return bench_least(j->c
 BENCH_FN double bench_rate(const bench_job *j, double work) { return work / bench_seconds(j); }
 BENCH_FN double bench_rate_best(const bench_job *j, double work) { return work / bench_seconds_best(j); }
 
+/* Wall over CPU seconds: 1 when the machine was ours alone, more when it was shared. For one thread. */
+BENCH_FN double bench_busy(const bench_job *j) { return bench_median(j->wall, j->rounds) / bench_seconds(j); }
+
 /* How many times faster `ours` is: median over the rounds of base / ours, so that a slow spell hits both. */
 BENCH_FN double bench_ratio(const bench_job *base, const bench_job *ours) {
     double r[BENCH_ROUNDS_MAX];

@@ -567,7 +567,7 @@ static double shape(int kind, double x, double y, double z) { /* negative inside
         c = fabs(-x + 8 * y - 4 * z);
         return (a > b ? (a > c ? a : c) : (b > c ? b : c)) / 9 - 0.52;
     default: /* gyroid slab in a ball */
-        p = fabs(sin(9 * x) * cos(9 * y) + sin(9 * y) * cos(9 * z) + sin(9 * z) * cos(9 * x)) - 0.5;
+        p = fabs(sin(6 * x) * cos(6 * y) + sin(6 * y) * cos(6 * z) + sin(6 * z) * cos(6 * x)) - 0.5;
         return p > q - 0.93 ? p : q - 0.93;
     }
 }
@@ -615,7 +615,7 @@ TEST(closed_shells_do_not_leak) {
                 int a;
                 if (i % 64 != 0 && done / BATCH % 4 == 3) memcpy(q->org, q[-1].org, sizeof q->org); /* runs */
                 else do for (a = 0; a < 3; a++) q->org[a] = lattice(&r, 0, s.size, 0);
-                    while (!(shape(kind, (double)q->org[0] * h - 1, (double)q->org[1] * h - 1, (double)q->org[2] * h - 1) < -4 * h));
+                    while (!(shape(kind, (double)q->org[0] * h - 1, (double)q->org[1] * h - 1, (double)q->org[2] * h - 1) < (kind == 3 ? -10 : -1) * h));
                 q->t_min = 0.0f;
                 q->t_max = INFINITY;
                 if (done / BATCH % 4 == 0 || i % 4 == 3) for (a = 0; a < 3; a++) q->dir[a] = test_rng_range(&r, -1.0f, 1.0f);
@@ -721,7 +721,7 @@ TEST(deep_planes_do_not_leak) {
                 }
                 q->t_min = 0.0f;
                 q->t_max = INFINITY;
-                if (fabs(across) > 0.15 * sqrt(len * longest) && fabs(across) > 1e3 * fabs((double)normal[m])) i++;
+                if (fabs(across) > 0.15 * sqrt(len * longest) && fabs(across) > 20.0 * fabs((double)normal[m])) i++;
                 else if (++tries % 64 == 0) i -= i % 64; /* not so flat, and from a distance: a run begins again */
             }
             check_rays(&s, rays, NULL, BATCH, &sum);
@@ -742,6 +742,729 @@ TEST(deep_planes_do_not_leak) {
     if (test_g.verbose) printf("  %d rays, %d without ties, at most %d steps\n", (int)sum.rays, (int)sum.unique, (int)most_steps);
 }
 
+/* ---- levels of detail ---- */
+
+static void coarser(const oracle_grid *g, oracle_grid *out) { /* one level up, from the definition */
+    int32_t lo[3], n[3], x, y, z;
+    int a;
+    for (a = 0; a < 3; a++) {
+        lo[a] = g->lo[a] >> 1;
+        n[a] = ((g->lo[a] + g->n[a] - 1) >> 1) - lo[a] + 1;
+    }
+    if (!oracle_grid_make(out, lo, n)) exit(1);
+    for (z = 0; z < g->n[2]; z++) for (y = 0; y < g->n[1]; y++) for (x = 0; x < g->n[0]; x++)
+        if (oracle_get(g, g->lo[0] + x, g->lo[1] + y, g->lo[2] + z))
+            oracle_set(out, (g->lo[0] + x) >> 1, (g->lo[1] + y) >> 1, (g->lo[2] + z) >> 1);
+}
+
+static void make_levels(const scene *s, oracle_grid *level) { /* [depth + 1] */
+    uint32_t k;
+    level[s->depth] = s->g;
+    for (k = s->depth; k > 0; k--) coarser(&level[k], &level[k - 1]);
+}
+
+static void drop_levels(const scene *s, oracle_grid *level) {
+    uint32_t k;
+    for (k = 0; k < s->depth; k++) free(level[k].bits);
+}
+
+typedef struct collected {
+    voxrt_voxel *v;
+    size_t n, room, stop_at;
+    uint64_t last;  /* Morton code */
+    int unsorted;
+} collected;
+
+static uint64_t morton_of(uint32_t x, uint32_t y, uint32_t z) {
+    uint64_t m = 0;
+    int b;
+    for (b = 20; b >= 0; b--) m = m << 3 | (uint64_t)(x >> b & 1u) | (uint64_t)(y >> b & 1u) << 1 | (uint64_t)(z >> b & 1u) << 2;
+    return m;
+}
+
+static int collect(void *user, const voxrt_voxel *v, uint32_t palette_index) {
+    collected *c = (collected *)user;
+    uint64_t m = morton_of(v->x, v->y, v->z);
+    (void)palette_index;
+    if (c->n == c->room) {
+        c->room = 2 * c->room + 64;
+        c->v = (voxrt_voxel *)realloc(c->v, c->room * sizeof *c->v);
+        if (c->v == NULL) exit(1);
+    }
+    if (c->n > 0 && m <= c->last) c->unsorted++;
+    c->last = m;
+    c->v[c->n++] = *v;
+    return c->n == c->stop_at ? 77 : 0;
+}
+
+TEST(a_forced_level_is_the_tree_of_that_level) {
+    static const struct { uint32_t depth; int kind; } list[] = {{1, HALF}, {2, FEW}, {3, RANDOM}, {4, FEW}, {5, RANDOM}, {6, SHELL}, {7, FEW}};
+    static voxrt_ray rays[BATCH];
+    static uint8_t wild[BATCH];
+    static voxrt_hit hits[BATCH], ref[BATCH];
+    size_t j, i;
+    uint32_t k;
+    for (j = 0; j < sizeof list / sizeof list[0]; j++) {
+        scene s;
+        oracle_grid level[VOXRT_MAX_DEPTH + 1];
+        test_rng r = test_rng_make(5000 + j);
+        scene_make(&s, list[j].depth, list[j].kind);
+        make_levels(&s, level);
+        for (i = 0; i < BATCH; i++) {
+            wild[i] = 0;
+            rays[i] = i % 2 != 0 ? general_ray(&r, (float)s.size) : nasty_ray(&r, s.size, &wild[i]);
+            if (i >= BATCH / 2 && i % 32 != 0) memcpy(rays[i].org, rays[i - 1].org, sizeof rays[i].org);
+        }
+        for (k = 0; k <= s.depth + 2; k++) {
+            voxrt_trace_desc d;
+            voxrt_build_desc b;
+            voxrt_tree *t = NULL;
+            collected c;
+            uint32_t q = k < s.depth ? k : s.depth;
+            memset(&d, 0, sizeof d);
+            d.max_level_plus_1 = k + 1;
+            check_same(s.tree, &d, rays, BATCH, hits);
+            for (i = 0; i < BATCH; i++) {
+                const char *why;
+                CHECK_MSG(is_miss(&hits[i]) || hits[i].level == q, "%s, level %u: %s", s.name, k, hit_text(&hits[i]));
+                if (bad_ray(&rays[i]) || wild[i]) continue;
+                why = judge(&level[q], &rays[i], &hits[i], (double)(1u << (s.depth - q)), NULL);
+                CHECK_MSG(why == NULL, "%s, level %u: %s: %s: %s", s.name, k, why, ray_text(&rays[i]), hit_text(&hits[i]));
+            }
+            memset(&c, 0, sizeof c);
+            CHECK(voxrt_tree_each(s.tree, q, collect, &c) == 0);
+            if (q > 0) {
+                memset(&b, 0, sizeof b);
+                b.box_size = s.size;
+                REQUIRE(voxrt_tree_from_voxels(&b, c.v, c.n, q, &t) == VOXRT_OK);
+                CHECK(voxrt_trace(t, NULL, rays, ref, BATCH) == VOXRT_OK);
+                for (i = 0; i < BATCH; i++)
+                    CHECK_MSG(ref[i].t == hits[i].t && memcmp(ref[i].cell, hits[i].cell, sizeof ref[i].cell) == 0 &&
+                              ref[i].face == hits[i].face, "%s, level %u, %s: %s, its own tree: %s", s.name, k, ray_text(&rays[i]),
+                              hit_text(&hits[i]), hit_text(&ref[i]));
+                voxrt_tree_destroy(t);
+            }
+            free(c.v);
+        }
+        drop_levels(&s, level);
+        scene_drop(&s);
+    }
+}
+
+/* The first cell that counts as a leaf for a cone, by recursion from the root in doubles. *near_it: some comparison was
+   too close to rely on. */
+typedef struct cone { const oracle_grid *level; uint32_t depth; const voxrt_ray *r; double width, spread; int near_it; uint32_t hit[4]; double t; } cone;
+
+static int cone_visit(cone *c, uint32_t level, uint32_t x, uint32_t y, uint32_t z) {
+    double edge = (double)(1u << (c->depth - level)), lo = (double)c->r->t_min, hi = (double)c->r->t_max, at[8];
+    uint32_t cell[3], a, i, order[8], n = 0;
+    cell[0] = x;
+    cell[1] = y;
+    cell[2] = z;
+    if (!oracle_get(&c->level[level], (int32_t)x, (int32_t)y, (int32_t)z)) return 0;
+    for (a = 0; a < 3; a++) {
+        double p = (cell[a] * edge - (double)c->r->org[a]) / (double)c->r->dir[a], q = ((cell[a] + 1) * edge - (double)c->r->org[a]) / (double)c->r->dir[a];
+        lo = (p < q ? p : q) > lo ? (p < q ? p : q) : lo;
+        hi = (p < q ? q : p) < hi ? (p < q ? q : p) : hi;
+    }
+    if (fabs(hi - lo) < 1e-9 * (1 + fabs(lo))) c->near_it = 1;
+    if (lo >= hi) return 0;
+    if (fabs(c->width + c->spread * lo - edge) < 1e-5 * edge) c->near_it = 1;
+    if (level == c->depth || edge <= c->width + c->spread * lo) {
+        c->hit[0] = x;
+        c->hit[1] = y;
+        c->hit[2] = z;
+        c->hit[3] = level;
+        c->t = lo;
+        return 1;
+    }
+    for (i = 0; i < 8; i++) { /* children by their place along the ray: sum over the axes in the ray's order */
+        uint32_t k = n++;
+        at[i] = 0;
+        for (a = 0; a < 3; a++) at[i] += (double)((i >> a & 1u) != 0 ? c->r->dir[a] > 0 : c->r->dir[a] < 0);
+        while (k > 0 && at[order[k - 1]] > at[i]) { order[k] = order[k - 1]; k--; }
+        order[k] = i;
+    }
+    for (i = 0; i < 8; i++) /* of those with equal sums the ray meets at most one */
+        if (cone_visit(c, level + 1, 2 * x + (order[i] & 1u), 2 * y + (order[i] >> 1 & 1u), 2 * z + (order[i] >> 2))) return 1;
+    return 0;
+}
+
+TEST(cones_stop_at_the_level_of_their_width) {
+    static const struct { uint32_t depth; int kind; } list[] = {{4, FEW}, {5, RANDOM}, {6, SHELL}, {6, NOISE}, {7, FEW}, {8, FEW}};
+    static voxrt_ray rays[BATCH];
+    static voxrt_hit hits[BATCH], wider[BATCH];
+    size_t j, i, m, coarse = 0, fine = 0, judged = 0;
+    for (j = 0; j < sizeof list / sizeof list[0]; j++) {
+        scene s;
+        oracle_grid level[VOXRT_MAX_DEPTH + 1];
+        test_rng r = test_rng_make(6000 + j);
+        scene_make(&s, list[j].depth, list[j].kind);
+        make_levels(&s, level);
+        for (i = 0; i < BATCH; i++) {
+            rays[i] = general_ray(&r, (float)s.size);
+            if (i >= BATCH / 2 && i % 64 != 0) memcpy(rays[i].org, rays[i - 1].org, sizeof rays[i].org);
+        }
+        for (m = 0; m < 6; m++) {
+            voxrt_trace_desc d;
+            memset(&d, 0, sizeof d);
+            d.cone_width = m % 3 == 0 ? 0.0f : m % 3 == 1 ? 0.3f : 2.0f;
+            d.cone_spread = m == 0 ? 0.5f : m < 3 ? 4.0f : 40.0f; /* of a t that is about 1 where the ray ends */
+            if (m == 5) d.max_level_plus_1 = s.depth;
+            check_same(s.tree, &d, rays, BATCH, hits);
+            for (i = 0; i < BATCH; i++) {
+                cone c;
+                int is_hit = hits[i].node != VOXRT_NO_NODE;
+                double edge = (double)(1u << (s.depth - hits[i].level)), foot = (double)d.cone_width + (double)d.cone_spread * (double)hits[i].t;
+                uint32_t finest = d.max_level_plus_1 != 0 ? s.depth - 1 : s.depth;
+                if (bad_ray(&rays[i])) continue;
+                if (is_hit) {
+                    coarse += hits[i].level < finest;
+                    fine += hits[i].level == finest;
+                    CHECK_MSG(hits[i].level == finest || edge <= foot * 1.000001, "%s: %s: edge %g, footprint %g: %s", s.name, ray_text(&rays[i]),
+                              edge, foot, hit_text(&hits[i]));
+                    CHECK(oracle_get(&level[hits[i].level], (int32_t)hits[i].cell[0], (int32_t)hits[i].cell[1], (int32_t)hits[i].cell[2]));
+                }
+                memset(&c, 0, sizeof c);
+                c.level = level + (s.depth - finest) * 0;
+                c.depth = s.depth;
+                c.r = &rays[i];
+                c.width = (double)d.cone_width;
+                c.spread = (double)d.cone_spread;
+                if (m != 5 && rays[i].dir[0] != 0.0f && rays[i].dir[1] != 0.0f && rays[i].dir[2] != 0.0f) {
+                    int want = cone_visit(&c, 0, 0, 0, 0);
+                    if (c.near_it) continue;
+                    judged++;
+                    CHECK_MSG(want == is_hit && (!want || (c.hit[3] == hits[i].level && memcmp(c.hit, hits[i].cell, 12) == 0 &&
+                              fabs(c.t - (double)hits[i].t) <= 1e-6 * (1e-3 + fabs(c.t)))),
+                              "%s, cone %g + %g t, %s: %s, by recursion: %s t %.9g cell %u %u %u level %u", s.name, (double)d.cone_width,
+                              (double)d.cone_spread, ray_text(&rays[i]), hit_text(&hits[i]), want ? "hit" : "miss", c.t, c.hit[0], c.hit[1], c.hit[2], c.hit[3]);
+                }
+            }
+            d.cone_width *= 1.5f;
+            d.cone_spread *= 1.5f;
+            CHECK(voxrt_trace(s.tree, &d, rays, wider, BATCH) == VOXRT_OK);
+            for (i = 0; i < BATCH; i++) /* a wider cone never sees farther */
+                CHECK_MSG(wider[i].t <= hits[i].t || is_miss(&hits[i]) || rays[i].t_min < 0.0f, "%s: %s: %s, 1.5 times as wide: %s", s.name, ray_text(&rays[i]),
+                          hit_text(&hits[i]), hit_text(&wider[i]));
+        }
+        drop_levels(&s, level);
+        scene_drop(&s);
+    }
+    CHECK_MSG(coarse > 1000 && fine > 1000 && judged > 10000, "%d %d %d", (int)coarse, (int)fine, (int)judged);
+    if (test_g.verbose) printf("  %d coarse, %d fine hits, %d judged\n", (int)coarse, (int)fine, (int)judged);
+}
+
+/* ---- trees ---- */
+
+TEST(every_level_holds_the_cells_of_the_grid) {
+    static const struct { uint32_t depth; int kind; } list[] = {{1, CORNERS}, {1, HALF}, {2, RANDOM}, {2, FULL}, {3, HALF}, {4, FEW}, {5, SOLID}, {6, WALLS}, {7, SHELL}};
+    size_t j, i;
+    for (j = 0; j < sizeof list / sizeof list[0]; j++) {
+        scene s;
+        oracle_grid level[VOXRT_MAX_DEPTH + 1];
+        voxrt_tree_info info;
+        test_rng r = test_rng_make(7000 + j);
+        uint32_t k, lo[3] = {~0u, ~0u, ~0u}, hi[3] = {0, 0, 0};
+        scene_make(&s, list[j].depth, list[j].kind);
+        make_levels(&s, level);
+        voxrt_tree_get_info(s.tree, &info);
+        for (i = 0; i < s.n; i++) {
+            uint32_t c[3], a;
+            c[0] = s.v[i].x;
+            c[1] = s.v[i].y;
+            c[2] = s.v[i].z;
+            for (a = 0; a < 3; a++) {
+                lo[a] = c[a] < lo[a] ? c[a] : lo[a];
+                hi[a] = c[a] + 1 > hi[a] ? c[a] + 1 : hi[a];
+            }
+        }
+        CHECK(memcmp(info.cell_min, lo, sizeof lo) == 0 && memcmp(info.cell_max, hi, sizeof hi) == 0);
+        CHECK(info.depth == s.depth && info.voxel_count == s.n && info.voxel_size == 1.0 && info.world_origin[0] == 0.0);
+        for (k = 0; k <= s.depth; k++) {
+            collected c;
+            size_t found = 0;
+            int32_t x, y, z, size = 1 << k;
+            memset(&c, 0, sizeof c);
+            for (z = -1; z <= size; z++) for (y = -1; y <= size; y++) for (x = -1; x <= size; x++) {
+                int want = oracle_get(&level[k], x, y, z), got;
+                voxrt_voxel v;
+                if (k > 5 && !want && (x + y + z) % 3 != 0) continue;
+                memset(&v, 0xee, sizeof v);
+                got = voxrt_tree_get(s.tree, k, (uint32_t)x, (uint32_t)y, (uint32_t)z, found % 2 != 0 ? &v : NULL);
+                CHECK_MSG(got == want, "%s, level %u, cell %d %d %d: get says %d", s.name, k, x, y, z, got);
+                if (want && got && found % 2 != 0)
+                    CHECK(v.x == (uint32_t)x && v.y == (uint32_t)y && v.z == (uint32_t)z && v.has_normal == 0);
+                found += (size_t)want;
+            }
+            CHECK_EQ_U64(info.level_count[k], found);
+            CHECK(voxrt_tree_each(s.tree, k, collect, &c) == 0);
+            CHECK_EQ_U64(c.n, found);
+            CHECK(c.unsorted == 0);
+            for (i = 0; i < c.n; i++) CHECK(oracle_get(&level[k], (int32_t)c.v[i].x, (int32_t)c.v[i].y, (int32_t)c.v[i].z));
+            c.stop_at = 1 + test_rng_below(&r, (uint32_t)found);
+            c.n = 0;
+            CHECK(voxrt_tree_each(s.tree, k, collect, &c) == 77 && c.n == c.stop_at);
+            free(c.v);
+        }
+        for (; k <= VOXRT_MAX_DEPTH; k++) CHECK_EQ_U64(info.level_count[k], 0);
+        CHECK(voxrt_tree_get(s.tree, s.depth + 1, 0, 0, 0, NULL) == 0);
+        CHECK(voxrt_tree_get(s.tree, 0, 1, 0, 0, NULL) == 0 && voxrt_tree_get(s.tree, 0, 0, 0, 0, NULL) == 1);
+        drop_levels(&s, level);
+        scene_drop(&s);
+    }
+}
+
+TEST(order_and_copies_of_voxels_do_not_matter) {
+    scene s;
+    voxrt_voxel *v;
+    voxrt_tree *t = NULL;
+    voxrt_build_desc d;
+    test_rng r = test_rng_make(8);
+    size_t i;
+    uint32_t threads;
+    scene_make(&s, 6, RANDOM);
+    v = (voxrt_voxel *)malloc(2 * s.n * sizeof *v);
+    REQUIRE(v != NULL);
+    for (i = 0; i < 2 * s.n; i++) v[i] = s.v[i % s.n];
+    for (i = 2 * s.n; i > 1; i--) {
+        size_t j = test_rng_below(&r, (uint32_t)i);
+        voxrt_voxel q = v[i - 1];
+        v[i - 1] = v[j];
+        v[j] = q;
+    }
+    for (threads = 0; threads < 4; threads++) {
+        memset(&d, 0, sizeof d);
+        d.env.thread_count = threads;
+        d.disable_colors = d.disable_normals = 1;
+        REQUIRE(voxrt_tree_from_voxels(&d, v, 2 * s.n, s.depth, &t) == VOXRT_OK);
+        CHECK_EQ_U64(voxrt_tree_hash(t), voxrt_tree_hash(s.tree));
+        voxrt_tree_destroy(t);
+    }
+    free(v);
+    scene_drop(&s);
+}
+
+/* ---- calls ---- */
+
+TEST(steps_are_bounded_and_counted) {
+    static const struct { uint32_t depth; int kind; } list[] = {{1, CORNERS}, {3, RANDOM}, {4, CHECKER}, {6, FEW}, {7, WALLS}, {9, FEW}};
+    voxrt_trace_desc d;
+    voxrt_stats st, sum;
+    size_t j, i, k, n = test_quick() ? 2000 : 10000;
+    memset(&d, 0, sizeof d);
+    for (j = 0; j < sizeof list / sizeof list[0]; j++) {
+        scene s;
+        test_rng r = test_rng_make(9000 + j);
+        uint64_t most = 0;
+        scene_make(&s, list[j].depth, list[j].kind);
+        for (k = 0; k < isa_count; k++) {
+            memset(&sum, 0, sizeof sum);
+            for (i = 0; i < n; i++) {
+                uint8_t wild, occ;
+                voxrt_ray q = i % 2 != 0 ? general_ray(&r, (float)s.size) : nasty_ray(&r, s.size, &wild);
+                voxrt_hit h;
+                memset(&st, 0, sizeof st);
+                d.isa = isas[k];
+                d.stats = &st;
+                CHECK(voxrt_trace(s.tree, &d, &q, &h, 1) == VOXRT_OK);
+                CHECK_MSG(st.steps <= 3u * (uint64_t)s.size, "%s, isa %d: %d steps: %s", s.name, (int)d.isa, (int)st.steps, ray_text(&q));
+                CHECK_MSG(st.descents <= (st.steps + 1) * (s.depth + 1), "%s: %d descents", s.name, (int)st.descents);
+                CHECK(st.rays == 1 && st.hits == (h.node != VOXRT_NO_NODE) && st.bad_rays == (uint64_t)bad_ray(&q));
+                if (st.bad_rays != 0) CHECK(st.steps == 0 && st.descents == 0);
+                most = st.steps > most ? st.steps : most;
+                d.stats = &sum;
+                CHECK(voxrt_occluded(s.tree, &d, &q, &occ, 1) == VOXRT_OK);
+                CHECK(sum.rays == i + 1);
+            }
+        }
+        CHECK_MSG(list[j].kind != WALLS || most > 20, "%d", (int)most);
+        scene_drop(&s);
+    }
+}
+
+TEST(any_count_and_any_alignment) {
+    static const size_t counts[] = {0, 1, 2, 3, 4, 5, 7, 8, 9, 15, 16, 17, 31, 33, 63, 64, 65, 127, 129, 1000};
+    scene s;
+    size_t c, k, off, i;
+    float *ray_room = (float *)malloc(1010 * sizeof(voxrt_ray));
+    uint32_t *hit_room = (uint32_t *)malloc(1010 * sizeof(voxrt_hit));
+    uint8_t occ[1100];
+    test_rng r = test_rng_make(10);
+    scene_make(&s, 5, RANDOM);
+    REQUIRE(ray_room != NULL && hit_room != NULL);
+    for (c = 0; c < sizeof counts / sizeof counts[0]; c++) for (k = 0; k < 5; k++) for (off = 0; off < 6; off++) {
+        size_t n = counts[c];
+        voxrt_trace_desc d;
+        voxrt_ray *rays = (voxrt_ray *)(void *)(ray_room + off);           /* aligned as a float, no more */
+        voxrt_hit *hits = (voxrt_hit *)(void *)(hit_room + 1 + (off * 5) % 6);
+        uint32_t *end = (uint32_t *)(void *)(hits + n);
+        memset(&d, 0, sizeof d);
+        d.isa = isas[k];
+        for (i = 0; i < n; i++) {
+            rays[i] = general_ray(&r, (float)s.size);
+            if (off % 2 != 0 && i > 0) memcpy(rays[i].org, rays[0].org, sizeof rays[i].org);
+        }
+        memset(hit_room, 0x77, 1010 * sizeof(voxrt_hit));
+        memset(occ, 0x77, sizeof occ);
+        CHECK(voxrt_trace(s.tree, &d, rays, hits, n) == VOXRT_OK);
+        CHECK(voxrt_occluded(s.tree, &d, rays, occ + 1 + off, n) == VOXRT_OK);
+        CHECK(hits[-1].face == 0x77 && ((uint32_t *)(void *)hits)[-1] == 0x77777777u);
+        for (i = 0; i < 6; i++) CHECK(end[i] == 0x77777777u);
+        CHECK(occ[off] == 0x77 && occ[1 + off + n] == 0x77);
+        for (i = 0; i < n; i++) {
+            voxrt_hit h;
+            int one = voxrt_trace1(s.tree, &rays[i], &h);
+            CHECK_MSG(same_hit(&h, &hits[i]), "isa %d, %d of %d: %s: %s, alone: %s", (int)d.isa, (int)i, (int)n, ray_text(&rays[i]), hit_text(&hits[i]), hit_text(&h));
+            CHECK(occ[1 + off + i] == one);
+        }
+    }
+    CHECK(voxrt_trace(s.tree, NULL, NULL, NULL, 0) == VOXRT_OK);
+    CHECK(voxrt_occluded(s.tree, NULL, NULL, NULL, 0) == VOXRT_OK);
+    free(ray_room);
+    free(hit_room);
+    scene_drop(&s);
+}
+
+TEST(wrong_arguments_are_refused) {
+    voxrt_voxel v[3];
+    voxrt_build_desc b;
+    voxrt_trace_desc d;
+    voxrt_error err;
+    voxrt_tree *t = NULL;
+    voxrt_ray q = ray_of(0, 0, 0, 1, 1, 1);
+    voxrt_hit h;
+    uint8_t occ;
+    memset(v, 0, sizeof v);
+    memset(&b, 0, sizeof b);
+    memset(&d, 0, sizeof d);
+    memset(&err, 0, sizeof err);
+    v[1].x = 3;
+    v[2].y = 4;
+    b.env.error = &err;
+    wrong_calls = 1;
+    t = (voxrt_tree *)(void *)&q;
+    CHECK(voxrt_tree_from_voxels(&b, v, 3, 2, &t) == VOXRT_ERR_RANGE && t == NULL && err.code == VOXRT_ERR_RANGE && err.where == 2);
+    CHECK(err.text[0] != 0);
+    CHECK(voxrt_tree_from_voxels(NULL, v, 0, 2, &t) == VOXRT_ERR_EMPTY && t == NULL);
+    CHECK(voxrt_tree_from_voxels(NULL, v, 2, 0, &t) != VOXRT_OK && t == NULL);
+    CHECK(voxrt_tree_from_voxels(NULL, v, 2, VOXRT_MAX_DEPTH + 1, &t) != VOXRT_OK && t == NULL);
+    CHECK(voxrt_tree_from_voxels(NULL, NULL, 2, 2, &t) == VOXRT_ERR_INVALID_ARG && t == NULL);
+    CHECK(voxrt_tree_from_voxels(NULL, v, 2, 2, NULL) == VOXRT_ERR_INVALID_ARG);
+    b.env.error = NULL;
+    b._begin_zero = 1;
+    CHECK(voxrt_tree_from_voxels(&b, v, 2, 2, &t) == VOXRT_ERR_UNINIT_DESC && t == NULL);
+    b._begin_zero = 0;
+    b._end_zero = 0xcdcdcdcdu;
+    CHECK(voxrt_tree_from_voxels(&b, v, 2, 2, &t) == VOXRT_ERR_UNINIT_DESC && t == NULL);
+    b._end_zero = 0;
+    b.box_size = NAN;
+    if (voxrt_tree_from_voxels(&b, v, 2, 2, &t) == VOXRT_OK) test_fail(__FILE__, __LINE__, "a NaN as box_size is accepted");
+    b.box_size = 1.0;
+    b.box_min[1] = INFINITY;
+    if (voxrt_tree_from_voxels(&b, v, 2, 2, &t) == VOXRT_OK) test_fail(__FILE__, __LINE__, "an infinite box_min is accepted");
+    REQUIRE(voxrt_tree_from_voxels(NULL, v, 2, 2, &t) == VOXRT_OK);
+    memset(&h, 0x31, sizeof h);
+    d._begin_zero = 5;
+    CHECK(voxrt_trace(t, &d, &q, &h, 1) == VOXRT_ERR_UNINIT_DESC && voxrt_occluded(t, &d, &q, &occ, 1) == VOXRT_ERR_UNINIT_DESC);
+    d._begin_zero = 0;
+    d._end_zero = 5;
+    CHECK(voxrt_trace(t, &d, &q, &h, 1) == VOXRT_ERR_UNINIT_DESC && voxrt_occluded(t, &d, &q, &occ, 1) == VOXRT_ERR_UNINIT_DESC);
+    d._end_zero = 0;
+    CHECK(voxrt_trace(NULL, &d, &q, &h, 1) == VOXRT_ERR_INVALID_ARG && voxrt_occluded(NULL, &d, &q, &occ, 1) == VOXRT_ERR_INVALID_ARG);
+    CHECK(voxrt_trace(t, &d, NULL, &h, 1) == VOXRT_ERR_INVALID_ARG && voxrt_occluded(t, &d, NULL, &occ, 1) == VOXRT_ERR_INVALID_ARG);
+    CHECK(voxrt_trace(t, &d, &q, NULL, 1) == VOXRT_ERR_INVALID_ARG && voxrt_occluded(t, &d, &q, NULL, 1) == VOXRT_ERR_INVALID_ARG);
+    CHECK(voxrt_trace(t, &d, &q, &h, 1) == VOXRT_OK && h.level == 2);
+    wrong_calls = 0;
+    voxrt_tree_destroy(t);
+    voxrt_tree_destroy(NULL);
+}
+
+TEST(no_memory_at_any_place) {
+    scene s;
+    voxrt_build_desc d;
+    voxrt_tree *t = NULL;
+    test_alloc ta;
+    int64_t k;
+    size_t i;
+    int after;
+    scene_make(&s, 5, RANDOM);
+    for (i = 0; i < s.n; i++) {
+        s.v[i].rgb[0] = (uint8_t)i;
+        s.v[i].has_normal = 1;
+        s.v[i].normal[i % 3] = 1.0f;
+    }
+    for (after = 0; after < 2; after++) for (k = 0; k < 1000; k++) {
+        voxrt_result result;
+        test_alloc_init(&ta);
+        ta.fail_at = k;
+        ta.fail_after = after;
+        memset(&d, 0, sizeof d);
+        d.env.allocator.alloc_fn = test_alloc_fn;
+        d.env.allocator.free_fn = test_free_fn;
+        d.env.allocator.user = &ta;
+        d.env.thread_count = 1 + (uint32_t)k % 2;
+        t = (voxrt_tree *)(void *)&ta;
+        result = voxrt_tree_from_voxels(&d, s.v, s.n, s.depth, &t);
+        if (result == VOXRT_OK) voxrt_tree_destroy(t);
+        else CHECK_MSG(result == VOXRT_ERR_NO_MEMORY && t == NULL, "allocation %d fails: result %d", (int)k, (int)result);
+        test_alloc_check(&ta);
+        if (ta.failed == 0) break;
+        CHECK_MSG(result == VOXRT_ERR_NO_MEMORY, "allocation %d fails, yet a tree is made", (int)k);
+    }
+    CHECK(k >= 2 && k < 1000);
+    test_alloc_init(&ta); /* a limit */
+    d.env.memory_limit = 1000;
+    CHECK(voxrt_tree_from_voxels(&d, s.v, s.n, s.depth, &t) == VOXRT_ERR_NO_MEMORY && t == NULL && ta.peak_bytes <= 1000);
+    test_alloc_check(&ta);
+    scene_drop(&s);
+}
+
+/* ---- placement in the world ---- */
+
+TEST(placement_by_powers_of_two_changes_no_bit) {
+    static const int scales[] = {-20, -3, 0, 5, 20};
+    static const float shifts[] = {0.0f, 1024.0f, -4096.0f};
+    scene s;
+    size_t j, k, i;
+    static voxrt_ray rays[BATCH], moved[BATCH];
+    static voxrt_hit ref[BATCH], hits[BATCH];
+    test_rng r = test_rng_make(11);
+    scene_make(&s, 6, RANDOM);
+    for (i = 0; i < BATCH; i++) { /* numbers with few bits, so that the moved rays are exact */
+        int a;
+        rays[i] = ray_of(0, 0, 0, 0, 0, 0);
+        for (a = 0; a < 3; a++) {
+            rays[i].org[a] = lattice(&r, -64, 128, 0) + 1.0f / 64.0f * (float)test_rng_below(&r, 8);
+            rays[i].dir[a] = lattice(&r, 0, 64, 0) - rays[i].org[a];
+        }
+        if (i % 16 != 0) memcpy(rays[i].org, rays[i - 1].org, sizeof rays[i].org);
+        if (i % 3 == 0) rays[i].t_max = test_rng_float(&r);
+    }
+    CHECK(voxrt_trace(s.tree, NULL, rays, ref, BATCH) == VOXRT_OK);
+    for (j = 0; j < sizeof scales / sizeof scales[0]; j++) for (k = 0; k < sizeof shifts / sizeof shifts[0]; k++) {
+        voxrt_build_desc d;
+        voxrt_tree *t = NULL;
+        voxrt_tree_info info;
+        float f = ldexpf(1.0f, scales[j]);
+        int a;
+        memset(&d, 0, sizeof d);
+        d.box_size = (double)f * s.size;
+        for (a = 0; a < 3; a++) d.box_min[a] = (double)(shifts[k] * f) * (a == 1 ? -1.0 : 1.0);
+        REQUIRE(voxrt_tree_from_voxels(&d, s.v, s.n, s.depth, &t) == VOXRT_OK);
+        voxrt_tree_get_info(t, &info);
+        CHECK(info.voxel_size == (double)f && memcmp(info.world_origin, d.box_min, sizeof d.box_min) == 0);
+        for (i = 0; i < BATCH; i++) {
+            moved[i] = rays[i];
+            for (a = 0; a < 3; a++) {
+                moved[i].org[a] = (rays[i].org[a] + (a == 1 ? -shifts[k] : shifts[k])) * f;
+                moved[i].dir[a] = rays[i].dir[a] * f;
+            }
+        }
+        CHECK(voxrt_trace(t, NULL, moved, hits, BATCH) == VOXRT_OK);
+        for (i = 0; i < BATCH; i++)
+            CHECK_MSG(same_hit(&hits[i], &ref[i]), "scale 2^%d, shift %g: %s: %s, at home %s: %s", scales[j], (double)shifts[k],
+                      ray_text(&moved[i]), hit_text(&hits[i]), ray_text(&rays[i]), hit_text(&ref[i]));
+        voxrt_tree_destroy(t);
+    }
+    scene_drop(&s);
+}
+
+/* What holds in any placement: the hit cell is met at t but for `eps` cells, and no filled cell is crossed before by more
+   than that. o, d: the ray in cells, in doubles. */
+static const char *judge_roughly(const oracle_grid *g, const double o[3], const double d[3], const voxrt_hit *h, double eps) {
+    double len = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]), end = (double)h->t, lo = 0, hi = (double)INFINITY, t;
+    int a;
+    if (h->node != VOXRT_NO_NODE)
+        for (a = 0; a < 3; a++) {
+            double p = o[a] + end * d[a];
+            if (p < h->cell[a] - eps || p > h->cell[a] + 1.0 + eps) return "the hit cell is not there";
+            if (!oracle_get(g, (int32_t)h->cell[0], (int32_t)h->cell[1], (int32_t)h->cell[2])) return "the hit cell is empty";
+        }
+    for (a = 0; a < 3; a++) {
+        double p = (g->lo[a] - o[a]) / d[a], q = (g->lo[a] + g->n[a] - o[a]) / d[a];
+        if (d[a] == 0) { if (o[a] < g->lo[a] || o[a] > g->lo[a] + g->n[a]) return NULL; continue; }
+        lo = (p < q ? p : q) > lo ? (p < q ? p : q) : lo;
+        hi = (p < q ? q : p) < hi ? (p < q ? q : p) : hi;
+    }
+    for (t = lo; t < hi && t < end;) { /* cell by cell: the middle of each piece between planes tells the cell */
+        double next = hi, m;
+        for (a = 0; a < 3; a++) {
+            double q, p = o[a] + t * d[a];
+            if (d[a] == 0) continue;
+            q = ((d[a] > 0 ? floor(p + 1e-9) + 1 : ceil(p - 1e-9) - 1) - o[a]) / d[a];
+            next = q < next ? q : next;
+        }
+        m = 0.5 * (t + next);
+        if ((next - t) * len > eps && t * len + eps < end * len &&
+            oracle_get(g, (int32_t)floor(o[0] + m * d[0]), (int32_t)floor(o[1] + m * d[1]), (int32_t)floor(o[2] + m * d[2])))
+            return h->node != VOXRT_NO_NODE && fabs(t - end) * len <= eps ? NULL : "a filled cell is crossed before";
+        t = next > t ? next : t + 1e-9 / len;
+    }
+    return NULL;
+}
+
+TEST(any_placement_in_the_world) {
+    static const double sizes[] = {1e-6, 1e-3, 0.37, 1.0, 33.3, 1e6};
+    scene s;
+    size_t j, k, i;
+    static voxrt_ray rays[BATCH];
+    static voxrt_hit hits[BATCH];
+    test_rng r = test_rng_make(12);
+    scene_make(&s, 6, RANDOM);
+    for (j = 0; j < sizeof sizes / sizeof sizes[0]; j++) for (k = 0; k < 4; k++) {
+        voxrt_build_desc d;
+        voxrt_trace_desc td;
+        voxrt_tree *t = NULL;
+        voxrt_tree_info info;
+        size_t found = 0;
+        int a;
+        memset(&d, 0, sizeof d);
+        memset(&td, 0, sizeof td);
+        d.box_size = sizes[j] * s.size;
+        for (a = 0; a < 3; a++) d.box_min[a] = k == 0 ? 0.0 : (k == 1 ? -0.5 : k == 2 ? 100.1 : 1e4 + a) * d.box_size;
+        REQUIRE(voxrt_tree_from_voxels(&d, s.v, s.n, s.depth, &t) == VOXRT_OK);
+        voxrt_tree_get_info(t, &info);
+        for (i = 0; i < BATCH; i++) {
+            voxrt_ray q = general_ray(&r, (float)s.size);
+            q.t_min = 0.0f;
+            q.t_max = INFINITY;
+            for (a = 0; a < 3; a++) {
+                q.org[a] = (float)(info.world_origin[a] + info.voxel_size * (double)q.org[a]);
+                q.dir[a] = (float)(info.voxel_size * (double)q.dir[a]);
+            }
+            if (i % 8 != 0 && i >= BATCH / 2) memcpy(q.org, rays[i - 1].org, sizeof q.org);
+            rays[i] = q;
+        }
+        check_same(t, &td, rays, BATCH, hits);
+        for (i = 0; i < BATCH; i++) {
+            double o[3], dir[3];
+            const char *why;
+            for (a = 0; a < 3; a++) {
+                o[a] = ((double)rays[i].org[a] - info.world_origin[a]) / info.voxel_size;
+                dir[a] = (double)rays[i].dir[a] / info.voxel_size;
+            }
+            found += hits[i].node != VOXRT_NO_NODE;
+            why = judge_roughly(&s.g, o, dir, &hits[i], 1e-4);
+            CHECK_MSG(why == NULL, "voxel %g, %d: %s: %s: %s", sizes[j], (int)k, why, ray_text(&rays[i]), hit_text(&hits[i]));
+        }
+        CHECK(found > BATCH / 4);
+        voxrt_tree_destroy(t);
+    }
+    scene_drop(&s);
+}
+
+/* Mirrored and turned scenes give the same times; cells and faces turn with them. Ties may fall differently: general rays. */
+TEST(turned_and_mirrored_scenes_agree) {
+    static const int turns[6][3] = {{0, 1, 2}, {1, 2, 0}, {2, 0, 1}, {0, 2, 1}, {2, 1, 0}, {1, 0, 2}};
+    static voxrt_ray rays[BATCH], turned[BATCH];
+    static voxrt_hit ref[BATCH], hits[BATCH];
+    scene s;
+    size_t i;
+    int k, flip, a;
+    test_rng r = test_rng_make(13);
+    scene_make(&s, 6, RANDOM);
+    for (i = 0; i < BATCH; i++) { /* a lattice of origins: size - x is exact; directions in general position */
+        rays[i] = ray_of(lattice(&r, -64, 128, 0), lattice(&r, -64, 128, 0), lattice(&r, -64, 128, 0), 0, 0, 0);
+        if (i % 16 != 0) memcpy(rays[i].org, rays[i - 1].org, sizeof rays[i].org);
+        for (a = 0; a < 3; a++) rays[i].dir[a] = 64.0f * test_rng_float(&r) - rays[i].org[a] + 1e-3f;
+    }
+    CHECK(voxrt_trace(s.tree, NULL, rays, ref, BATCH) == VOXRT_OK);
+    for (k = 0; k < 6; k++) for (flip = 0; flip < 8; flip++) {
+        voxrt_voxel *v = (voxrt_voxel *)calloc(s.n, sizeof *v);
+        voxrt_tree *t = NULL;
+        REQUIRE(v != NULL);
+        for (i = 0; i < s.n; i++) {
+            uint32_t c[3], q[3];
+            c[0] = s.v[i].x;
+            c[1] = s.v[i].y;
+            c[2] = s.v[i].z;
+            for (a = 0; a < 3; a++) q[a] = (flip >> a & 1) != 0 ? 63 - c[turns[k][a]] : c[turns[k][a]];
+            v[i].x = q[0];
+            v[i].y = q[1];
+            v[i].z = q[2];
+        }
+        REQUIRE(voxrt_tree_from_voxels(NULL, v, s.n, s.depth, &t) == VOXRT_OK);
+        for (i = 0; i < BATCH; i++) {
+            turned[i] = rays[i];
+            for (a = 0; a < 3; a++) {
+                float o = rays[i].org[turns[k][a]], d = rays[i].dir[turns[k][a]];
+                turned[i].org[a] = (flip >> a & 1) != 0 ? 64.0f - o : o;
+                turned[i].dir[a] = (flip >> a & 1) != 0 ? -d : d;
+            }
+        }
+        CHECK(voxrt_trace(t, NULL, turned, hits, BATCH) == VOXRT_OK);
+        for (i = 0; i < BATCH; i++) {
+            int same = hits[i].t == ref[i].t && hits[i].level == ref[i].level;
+            int on_plane = 0;
+            for (a = 0; a < 3; a++) {
+                uint32_t c = ref[i].cell[turns[k][a]];
+                on_plane |= rays[i].org[a] == floorf(rays[i].org[a]);
+                if (ref[i].node != VOXRT_NO_NODE) same = same && hits[i].cell[a] == ((flip >> a & 1) != 0 ? 63 - c : c);
+                if (ref[i].face / 2 == turns[k][a] && ref[i].face < 6 && ref[i].node != VOXRT_NO_NODE)
+                    same = same && hits[i].face == (uint8_t)(2 * a + (int)((ref[i].face & 1u) ^ (uint32_t)(flip >> a & 1)));
+            }
+            CHECK_MSG(same || on_plane, "turn %d, flip %d: %s: %s, before %s: %s", k, flip, ray_text(&turned[i]), hit_text(&hits[i]), ray_text(&rays[i]), hit_text(&ref[i]));
+        }
+        voxrt_tree_destroy(t);
+        free(v);
+    }
+    scene_drop(&s);
+}
+
+/* ---- attributes: node and slot of a hit lead to the cell that was hit ---- */
+
+TEST(hits_lead_to_the_attributes_of_their_cell) {
+    uint32_t depth, k;
+    size_t i, seen = 0, many = 0;
+    for (depth = 1; depth <= 6; depth++) {
+        scene s;
+        voxrt_build_desc b;
+        voxrt_tree *t = NULL;
+        voxrt_tree_info info;
+        test_rng r = test_rng_make(14 + depth);
+        scene_make(&s, depth, depth < 4 ? HALF : RANDOM);
+        for (i = 0; i < s.n; i++) {
+            s.v[i].rgb[0] = (uint8_t)(i * 7);
+            s.v[i].rgb[1] = (uint8_t)(i >> 5);
+            s.v[i].rgb[2] = (uint8_t)(i >> 8);
+            s.v[i].has_normal = 1;
+            s.v[i].normal[0] = (float)s.v[i].x - 3.5f;
+            s.v[i].normal[1] = (float)s.v[i].y * 0.5f - 3.3f;
+            s.v[i].normal[2] = (float)s.v[i].z * 0.25f - 1.7f;
+        }
+        memset(&b, 0, sizeof b);
+        REQUIRE(voxrt_tree_from_voxels(&b, s.v, s.n, depth, &t) == VOXRT_OK);
+        voxrt_tree_get_info(t, &info);
+        many += info.palette_count > 100;
+        for (k = 0; k <= depth; k++) for (i = 0; i < 2000; i++) {
+            voxrt_ray q = general_ray(&r, (float)s.size);
+            voxrt_trace_desc d;
+            voxrt_hit h;
+            voxrt_voxel v;
+            uint8_t rgb[3];
+            float n[3];
+            memset(&d, 0, sizeof d);
+            d.max_level_plus_1 = k + 1;
+            CHECK(voxrt_trace(t, &d, &q, &h, 1) == VOXRT_OK);
+            if (h.node == VOXRT_NO_NODE) continue;
+            seen++;
+            CHECK(h.level == k && voxrt_tree_get(t, k, h.cell[0], h.cell[1], h.cell[2], &v) == 1);
+            voxrt_hit_color(t, &h, rgb);
+            voxrt_hit_normal(t, &h, n);
+            CHECK_MSG(memcmp(rgb, v.rgb, 3) == 0, "depth %u, %s: colour %d %d %d, the cell has %d %d %d", depth, hit_text(&h), rgb[0], rgb[1], rgb[2],
+                      v.rgb[0], v.rgb[1], v.rgb[2]);
+            if (v.has_normal) CHECK_MSG(memcmp(n, v.normal, sizeof n) == 0, "depth %u, %s: normal %g %g %g, the cell has %g %g %g", depth, hit_text(&h),
+                (double)n[0], (double)n[1], (double)n[2], (double)v.normal[0], (double)v.normal[1], (double)v.normal[2]);
+            if (v.has_normal) CHECK_NEAR(n[0] * n[0] + n[1] * n[1] + n[2] * n[2], 1, 1e-5);
+        }
+        voxrt_tree_destroy(t);
+        scene_drop(&s);
+    }
+    CHECK(seen > 10000);
+    if (many == 0) SKIP("no palette in this header");
+}
+
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     isa_count = (size_t)voxrti_cpu_level();
@@ -750,5 +1473,17 @@ int main(int argc, char **argv) {
     RUN(runs_of_one_origin);
     RUN(closed_shells_do_not_leak);
     RUN(deep_planes_do_not_leak);
+    RUN(a_forced_level_is_the_tree_of_that_level);
+    RUN(cones_stop_at_the_level_of_their_width);
+    RUN(every_level_holds_the_cells_of_the_grid);
+    RUN(order_and_copies_of_voxels_do_not_matter);
+    RUN(steps_are_bounded_and_counted);
+    RUN(any_count_and_any_alignment);
+    RUN(wrong_arguments_are_refused);
+    RUN(no_memory_at_any_place);
+    RUN(placement_by_powers_of_two_changes_no_bit);
+    RUN(any_placement_in_the_world);
+    RUN(turned_and_mirrored_scenes_agree);
+    RUN(hits_lead_to_the_attributes_of_their_cell);
     return test_end();
 }
