@@ -421,7 +421,8 @@ typedef struct voxrt_hit {
     uint8_t _reserved;
 } voxrt_hit;
 
-typedef struct voxrt_stats { /* added to, so that many calls sum up */
+/* Added to, so that many calls sum up. rays, hits and bad_rays do not depend on the isa; the work may. */
+typedef struct voxrt_stats {
     uint64_t rays, hits, bad_rays;
     uint64_t steps;    /* cells left (outer iterations) */
     uint64_t descents; /* nodes entered (inner iterations) */
@@ -1443,7 +1444,7 @@ VOXRTI_INLINE uint32_t voxrti_oct_nearest(int ix, int iy, const float m[3]) {
     fx = _mm_div_ps(_mm_mul_ps(fx, _mm_max_ps(fx, zero)), fy);
     fy = _mm_max_ps(fx, _mm_shuffle_ps(fx, fx, 0x4e));
     fy = _mm_max_ps(fy, _mm_shuffle_ps(fy, fy, 0xb1));
-    return voxrti_ctz64((uint64_t)_mm_movemask_ps(_mm_cmpeq_ps(fx, fy)) | 16u);
+    return voxrti_ctz64((uint64_t)((uint32_t)_mm_movemask_ps(_mm_cmpeq_ps(fx, fy)) | 16u));
 }
 #else
 VOXRTI_INLINE uint32_t voxrti_oct_nearest(int ix, int iy, const float m[3]) {
@@ -3309,8 +3310,8 @@ static int voxrti_tri_sliver(const voxrti_vox *v, const voxrti_tri *t) {
 }
 
 /* A triangle that caught no target anywhere, or a sliver: its attributes go to the voxels along its longest edge and at
-   the third corner, which are remembered as tiny. */
-static void voxrti_tri_tiny(voxrti_brick *b, const voxrti_tri *t) {
+   the third corner, which are remembered as tiny. A sliver's targets have its attributes: here it hardly counts. */
+static void voxrti_tri_tiny(voxrti_brick *b, const voxrti_tri *t, int has_targets) {
     const voxrti_vox *v = b->v;
     uint32_t e, a, best = 0, main_axis = 0, points;
     int64_t longest = -1, steps = 1, from = 0, to, j;
@@ -3346,7 +3347,7 @@ static void voxrti_tri_tiny(voxrti_brick *b, const voxrti_tri *t) {
             to = s1 < steps ? s1 : steps;
         }
     }
-    weight = (uint64_t)(VOXRTI_WEIGHT * t->area / (double)points) + 1;
+    weight = has_targets ? 1 : (uint64_t)(VOXRTI_WEIGHT * t->area / (double)points) + 1;
     voxrti_tri_mean(t, f);
     for (j = from; j <= to + 1; j++) { /* the last one is the third corner */
         uint32_t c[3], cell, inside = 1;
@@ -3524,7 +3525,7 @@ static void voxrti_brick_tri(void *ctx, const voxrti_tri *t, size_t i) {
     if (b->v->d->separating == VOXRT_SEPARATING_26)
         voxrti_raster_26(b, t, found == 0 ? (uint64_t)(VOXRTI_WEIGHT * 0.25 * t->area) + 1 : 1);
     else if (found == 0 || voxrti_tri_sliver(b->v, t))
-        voxrti_tri_tiny(b, t);
+        voxrti_tri_tiny(b, t, found != 0);
 }
 
 /* ---- bricks ---- */
@@ -3713,7 +3714,7 @@ static VOXRTI_UNUSED voxrt_result voxrti_voxelize(voxrti_mem *mem, const voxrt_b
     voxrti_srgb_table(v.srgb);
     v.to_srgb = (uint8_t *)voxrti_alloc(mem, 65537);
     if (v.to_srgb == NULL) return VOXRT_ERR_NO_MEMORY;
-    for (i = 0; i < 65536; i++) v.to_srgb[i] = (uint8_t)voxrti_srgb_find(v.srgb, i);
+    for (i = 0; v.has_rgb && i < 65536; i++) v.to_srgb[i] = (uint8_t)voxrti_srgb_find(v.srgb, i);
     v.to_srgb[65536] = 255;
     for (i = 0; i < 64; i++) v.spread[i] = (uint32_t)voxrti_spread3(i);
     r = voxrti_voxelize_run(&v, stats, out);
@@ -4384,12 +4385,12 @@ static void voxrti_sum_add_cell(voxrti_lod *l, uint64_t attr, voxrti_sum *s) {
     s->count++;
 }
 
-/* Normal of a sum; opposite normals that cancel leave `fallback`. */
+/* Normal of a sum; opposite normals that cancel, but for the error of their codes, leave `fallback`. */
 static uint32_t voxrti_sum_normal(const voxrti_sum *s, uint32_t fallback) {
     double x = (double)s->normal[0], y = (double)s->normal[1], z = (double)s->normal[2];
     double l = sqrt(x * x + y * y + z * z);
     float n[3];
-    if (!(l > 16.384 * (double)s->count)) return fallback;
+    if (!(l > 200.0 * (double)s->count)) return fallback;
     n[0] = (float)(x / l);
     n[1] = (float)(y / l);
     n[2] = (float)(z / l);
@@ -4751,6 +4752,8 @@ VOXRT_DEF voxrt_result voxrt_tree_from_voxels(const voxrt_build_desc *desc, cons
     if (r == VOXRT_OK && d.fill) r = voxrti_leafset_fill(&mem, &d, depth, &set);
     if (r != VOXRT_OK) {
         voxrti_leafset_free(&mem, &set);
+        if (d.env.error != NULL && d.env.error->code == VOXRT_OK)
+            (void)voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
         return r;
     }
     return voxrti_tree_from_leafset(&mem, &d, &grid, &set, NULL, out_tree);
@@ -7296,20 +7299,22 @@ static void voxrti_beam_node(const voxrt_tree *t, const voxrti_cone *cone, voxrt
     }
 }
 
-/* Range of the slopes of n rays; 0 when they have not all one origin or do not make a narrow beam along axis m. */
+/* Range of the slopes of n rays; 0 when they have not all one origin, start before it (a beam sees nothing behind its
+   origin) or do not make a narrow beam along axis m. */
 static int voxrti_beam_slopes(voxrti_beam *b, const voxrt_ray *rays, uint32_t n) {
     float lo[2] = {INFINITY, INFINITY}, hi[2] = {-INFINITY, -INFINITY}, sign = b->back ? -1.0f : 1.0f;
     uint32_t i = 0, bad = 0;
 #if VOXRTI_X64
     {
         const __m128 first = _mm_loadu_ps(rays[0].org), flip = _mm_set1_ps(b->back ? -0.0f : 0.0f);
-        __m128 low = _mm_set1_ps(INFINITY), high = _mm_set1_ps(-INFINITY), least = low;
+        __m128 low = _mm_set1_ps(INFINITY), high = _mm_set1_ps(-INFINITY), least = low, start = low;
         __m128i differ = _mm_setzero_si128();
         float l[4], h[4], k[4];
         for (; i + 2 <= n; i += 2) { /* two rays: u v u v over m m m m */
             __m128 x = _mm_loadu_ps(rays[i].dir), y = _mm_loadu_ps(rays[i + 1].dir), d, m;
-            differ = _mm_or_si128(differ, _mm_castps_si128(_mm_or_ps(_mm_xor_ps(first, _mm_loadu_ps(rays[i].org)),
-                                                                     _mm_xor_ps(first, _mm_loadu_ps(rays[i + 1].org)))));
+            __m128 p = _mm_loadu_ps(rays[i].org), q = _mm_loadu_ps(rays[i + 1].org);
+            differ = _mm_or_si128(differ, _mm_castps_si128(_mm_or_ps(_mm_xor_ps(first, p), _mm_xor_ps(first, q))));
+            start = _mm_min_ps(_mm_min_ps(p, q), start); /* t_min stands behind the origin */
             if (b->m == 0) {
                 d = _mm_shuffle_ps(x, y, _MM_SHUFFLE(2, 1, 2, 1));
                 m = _mm_shuffle_ps(x, y, _MM_SHUFFLE(0, 0, 0, 0));
@@ -7332,6 +7337,8 @@ static int voxrti_beam_slopes(voxrti_beam *b, const voxrt_ray *rays, uint32_t n)
         _mm_storeu_ps(h, high);
         _mm_storeu_ps(k, least);
         bad |= !(k[0] > 0.0f && k[2] > 0.0f);
+        _mm_storeu_ps(k, start);
+        bad |= !(k[3] >= 0.0f);
         lo[0] = l[0] < l[2] ? l[0] : l[2];
         lo[1] = l[1] < l[3] ? l[1] : l[3];
         hi[0] = h[0] > h[2] ? h[0] : h[2];
@@ -7340,7 +7347,8 @@ static int voxrti_beam_slopes(voxrti_beam *b, const voxrt_ray *rays, uint32_t n)
 #endif
     for (; i < n; i++) {
         float dm = rays[i].dir[b->m] * sign, su = rays[i].dir[b->u] / dm, sv = rays[i].dir[b->v] / dm;
-        bad |= !(dm > 0.0f) | (memcmp(rays[i].org, rays[0].org, 12) != 0) | !(su - su == 0.0f) | !(sv - sv == 0.0f);
+        bad |= !(dm > 0.0f) | (memcmp(rays[i].org, rays[0].org, 12) != 0) |
+               !(su - su == 0.0f) | !(sv - sv == 0.0f) | !(rays[i].t_min >= 0.0f);
         lo[0] = su < lo[0] ? su : lo[0];
         hi[0] = su > hi[0] ? su : hi[0];
         lo[1] = sv < lo[1] ? sv : lo[1];
@@ -7378,8 +7386,9 @@ static void voxrti_beam_find(const voxrt_tree *t, const voxrti_cone *cone, const
     b->om = b->back ? full - o[b->m] : o[b->m];
     b->slow = 0;
     if (cone->on) { /* octants of the root must not be cells of level of detail: the walk starts at its bits */
-        for (i = 0; i < n; i++)
-            b->slow = voxrti_max(b->slow, 1.0 / (voxrti_abs((double)rays[i].dir[b->m]) * scale));
+        float least = INFINITY;
+        for (i = 0; i < n; i++) least = voxrti_absf(rays[i].dir[b->m]) < least ? voxrti_absf(rays[i].dir[b->m]) : least;
+        b->slow = 1.0 / ((double)least * scale);
         if (2.0 * voxrti_footprint(cone, (voxrti_abs(b->om) + full) * b->slow) >= full) return;
     }
     b->o[0] = o[b->u];
@@ -7921,17 +7930,21 @@ VOXRTI_TARGET_AVX2 static inline __m256i voxrti_octet_cells(__m256d t0, __m256d 
     return VOXRTI_BLENDI(q, _mm256_add_epi32(last, _mm256_set1_epi32(1)), steps);
 }
 
-/* Lanes whose footprint may cover the cell (of edge 2^sh) or the octant they stand in. */
-VOXRTI_TARGET_AVX2 static uint32_t voxrti_octet_wide(const voxrti_cone *cone, const voxrti_octet *g, __m256i sh,
-                                                     uint32_t cell, uint32_t octant) {
-    uint32_t i, size[8], lanes = 0;
-    VOXRTI_STOREI(size, _mm256_sllv_epi32(_mm256_set1_epi32(1), sh));
-    for (i = 0; i < 8; i++) {
-        double foot = voxrti_footprint(cone, g->t[VOXRTI_PLACE8(i)]);
-        if ((cell >> i & 1u) && foot >= (double)size[i]) lanes |= 1u << i;
-        if ((octant >> i & 1u) && foot >= (double)(2 * size[i])) lanes |= 1u << i;
-    }
-    return lanes;
+/* Lanes whose footprint may cover the cell (of edge 2^sh) or the octant they stand in; set, octant: filled ones. */
+VOXRTI_TARGET_AVX2 static inline uint32_t voxrti_octet_wide(const voxrti_cone *cone, const voxrti_octet *g, __m256i sh,
+                                                            __m256i set, __m256i octant) {
+    const __m256i two52 = _mm256_set1_epi32(0x43300000), size = _mm256_sllv_epi32(_mm256_set1_epi32(1), sh);
+    const __m256d two = _mm256_castsi256_pd(_mm256_slli_epi64(two52, 32)), spread = _mm256_set1_pd(cone->spread);
+    const __m256d width = _mm256_set1_pd(cone->width), least = _mm256_set1_pd(cone->floor_);
+    __m256d s0 = _mm256_sub_pd(_mm256_castsi256_pd(_mm256_unpacklo_epi32(size, two52)), two), f0, f1;
+    __m256d s1 = _mm256_sub_pd(_mm256_castsi256_pd(_mm256_unpackhi_epi32(size, two52)), two);
+    f0 = _mm256_max_pd(least, _mm256_add_pd(width, _mm256_mul_pd(spread, _mm256_loadu_pd(g->t))));
+    f1 = _mm256_max_pd(least, _mm256_add_pd(width, _mm256_mul_pd(spread, _mm256_loadu_pd(g->t + 4))));
+    set = _mm256_and_si256(set, VOXRTI_MASK8(_mm256_cmp_pd(f0, s0, _CMP_GE_OQ), _mm256_cmp_pd(f1, s1, _CMP_GE_OQ)));
+    s0 = _mm256_add_pd(s0, s0);
+    s1 = _mm256_add_pd(s1, s1);
+    sh = VOXRTI_MASK8(_mm256_cmp_pd(f0, s0, _CMP_GE_OQ), _mm256_cmp_pd(f1, s1, _CMP_GE_OQ));
+    return VOXRTI_SIGNS(_mm256_or_si256(set, _mm256_and_si256(octant, sh)));
 }
 
 /* One step of every live lane: over an empty cell, and down when the cell is filled or the next one is filled and in
@@ -7963,7 +7976,7 @@ VOXRTI_TARGET_AVX2 static inline void voxrti_octet_step(const voxrt_tree *t, con
     empty = _mm256_cmpeq_epi32(_mm256_srli_epi32(x, 24), zero);
     set = _mm256_and_si256(_mm256_sllv_epi32(x, _mm256_andnot_si256(slot, _mm256_set1_epi32(7))), live);
     if (cone->on) {
-        l = voxrti_octet_wide(cone, g, sh, VOXRTI_SIGNS(set), g->live & ~VOXRTI_SIGNS(empty));
+        l = voxrti_octet_wide(cone, g, sh, set, _mm256_andnot_si256(empty, live));
         if (l != 0) {
             l = voxrti_octet_lod(t, cone, g, l, hits);
             live = VOXRTI_LOADI(g->alive);

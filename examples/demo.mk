@@ -52,7 +52,7 @@ $(G)/voxrt_menger.png: options = --shadows --aa 8 $(SKY) --eye 0.15,0.1,0.95 --a
 
 $(G)/voxrt_cornell.png: $(VOX)/cornell.vox
 $(G)/voxrt_cornell.png: options = --size 640x640 --shadows --aa 8 --eye 2.78,2.73,8 --at 2.78,2.73,-2.8 --fov 37.7 \
-	--light dir:0,0,1:0.1,0.1,0.1 $(foreach x,2.3 2.62 2.94 3.26,\
+	--light 2.78,2.73,8:0.1,0.1,0.1 $(foreach x,2.3 2.62 2.94 3.26,\
 	$(foreach z,-2.4 -2.8 -3.2,--light $x,5.2,$z:0.065,0.06,0.053))
 
 $(G)/voxrt_pillars.png: $(VOX)/pillars.vox
@@ -60,18 +60,18 @@ $(G)/voxrt_pillars.png: options = --shadows --aa 8 --eye -0.2,2.2,16 --at -1,3.2
 	--light 0,4,12:0.5,0.4,0.3 --light -4,5,2:0.5,0.42,0.35 --light 4,3,-8:0.3,0.35,0.5
 
 $(G)/voxrt_blob.png: $(VOX)/blob.vox
-$(G)/voxrt_blob.png: options = --shadows --aa 8 $(SKY) --eye 1.3,0.85,2.1 --at 0,-0.1,0 --fov 52
+$(G)/voxrt_blob.png: options = --shadows --aa 8 $(SKY) --eye 1.3,0.85,2.1 --at 0,-0.08,0 --fov 58
 
 $(G)/voxrt_blob_cubes.png: $(VOX)/blob.vox
-$(G)/voxrt_blob_cubes.png: options = --shadows --aa 8 $(SKY) --lod 6 --normals face --eye 1.3,0.85,2.1 --at 0,-0.1,0 --fov 52
+$(G)/voxrt_blob_cubes.png: options = --shadows --aa 8 $(SKY) --lod 6 --normals face --eye 1.3,0.85,2.1 --at 0,-0.08,0 --fov 58
 
 # A version 4 file has no placement: one voxel is a unit. Both see the same.
 $(G)/voxrt_torus_2009.png: $(VOX)/torus-2009.vox
 $(G)/voxrt_torus_2009.png: options = --path thesis --compose thesis --shadows --lod off $(SKY) \
-	--eye 456,446,676 --at 256,250,256 --fov 38
+	--eye 456,446,676 --at 256,250,256 --fov 46
 
 $(G)/voxrt_torus.png: $(VOX)/torus.vox
-$(G)/voxrt_torus.png: options = --shadows --aa 8 $(SKY) --eye 1.096,1.041,2.301 --at 0,-0.033,0 --fov 38
+$(G)/voxrt_torus.png: options = --shadows --aa 8 $(SKY) --eye 1.096,1.041,2.301 --at 0,-0.033,0 --fov 46
 
 $(G)/voxrt_aa1.png: $(VOX)/menger.vox
 $(G)/voxrt_aa1.png: options = --size 328x160 --lod off --shadows $(SKY) --eye 3,2.5,4 --at 0,0,0 --fov 40

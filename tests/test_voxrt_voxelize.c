@@ -5,7 +5,8 @@
                  along the axes; the triangle's edges count, of a segment's two ends the lower one, and the upper one
                  of the last cell of the grid (Laine 2013)
    26-separating a cell is filled when the closed triangle meets the closed cube (separating axes)
-   A triangle that meets no segment at all leaves voxels where nothing else is within one cell ("tiny").
+   A triangle that meets no segment at all, and one that is long (over 2 voxels) and narrow (under 1), leaves voxels
+   where nothing else is within one cell ("tiny").
    Boxes here are powers of two, so that positions turn into voxels without rounding. */
 #include "test.h"
 #define VOXRT_IMPLEMENTATION
@@ -57,15 +58,17 @@ static int cells_filled(const cells *s, int64_t x, int64_t y, int64_t z) {
     return s->c[cell_at(s->n, (uint32_t)x, (uint32_t)y, (uint32_t)z)];
 }
 
-/* Something filled among the cell and its 26 neighbours? */
-static int cells_around(const cells *s, int64_t x, int64_t y, int64_t z) {
+/* Something filled within r cells? r = 1: the cell and its 26 neighbours. */
+static int cells_within(const cells *s, int64_t r, int64_t x, int64_t y, int64_t z) {
     int64_t i, j, k;
-    for (k = z - 1; k <= z + 1; k++)
-        for (j = y - 1; j <= y + 1; j++)
-            for (i = x - 1; i <= x + 1; i++)
+    for (k = z - r; k <= z + r; k++)
+        for (j = y - r; j <= y + r; j++)
+            for (i = x - r; i <= x + r; i++)
                 if (cells_filled(s, i, j, k)) return 1;
     return 0;
 }
+
+static int cells_around(const cells *s, int64_t x, int64_t y, int64_t z) { return cells_within(s, 1, x, y, z); }
 
 static int take_cell(void *user, const voxrt_voxel *v, uint32_t palette_index) {
     cells *s = (cells *)user;
@@ -288,6 +291,18 @@ static size_t rule_26(const snapped *t, uint32_t sub, cells *out) {
     return found;
 }
 
+static int is_sliver(const snapped *t, uint32_t sub) {
+    double longest = 0, area2 = 0, size = (double)(1 << sub);
+    int e, a;
+    for (e = 0; e < 3; e++) {
+        double l = 0;
+        for (a = 0; a < 3; a++) l += pow((double)(t->p[(e + 1) % 3][a] - t->p[e][a]) / size, 2);
+        longest = l > longest ? l : longest;
+    }
+    for (a = 0; a < 3; a++) area2 += pow((double)t->n[a] / size / size, 2);
+    return sqrt(longest) > 1.999 && sqrt(area2) < 1.001 * sqrt(longest);
+}
+
 /* ---- triangles of all kinds -------------------------------------------------------------------------------------- */
 
 static const char *const kind_name[] = {"any", "needle", "sliver", "sub-voxel", "lattice", "centres", "in a plane",
@@ -368,7 +383,7 @@ static void check_single(uint32_t n, double box, uint32_t rounds, uint64_t seed)
             voxrt_build_desc d = desc_box(n, mode ? VOXRT_SEPARATING_26 : VOXRT_SEPARATING_6, box);
             cells want = cells_make(n), got = build_mesh(&d, &m, 0, NULL);
             size_t targets = mode ? rule_26(&t, sub, &want) : rule_6(&t, sub, &want, NULL);
-            if (targets != 0) {
+            if (targets != 0 && (mode == 1 || !is_sliver(&t, sub))) {
                 CHECK_MSG(cells_same(&want, &got), "mode %d, n %u, round %u, %s: (%g %g %g) (%g %g %g) (%g %g %g)", mode,
                           n, k, kind_name[kind], (double)p[0], (double)p[1], (double)p[2], (double)p[3], (double)p[4],
                           (double)p[5], (double)p[6], (double)p[7], (double)p[8]);
@@ -380,8 +395,12 @@ static void check_single(uint32_t n, double box, uint32_t rounds, uint64_t seed)
                 CHECK(mode == 0);
                 (void)rule_26(&t, sub, &touched);
                 for (j = 0; j < (size_t)n * n * n; j++)
-                    if (got.c[j] && !touched.c[j]) break;
+                    if ((got.c[j] && !touched.c[j]) || (want.c[j] && !got.c[j])) break;
                 CHECK_MSG(j == (size_t)n * n * n, "%s, round %u: a voxel the triangle does not touch", kind_name[kind], k);
+                for (j = 0; n <= 32 && j < (size_t)n * n * n; j++) /* one brick: a new voxel has no target beside it */
+                    if (got.c[j] && !want.c[j] && cells_around(&want, (int64_t)(j % n), (int64_t)(j / n % n), (int64_t)(j / n / n)))
+                        break;
+                CHECK_MSG(n > 32 || j == (size_t)n * n * n, "%s, round %u: a voxel too many", kind_name[kind], k);
                 for (e = 0; e < 3; e++) {
                     double l = 0;
                     for (i = 0; i < 3; i++) {
@@ -397,7 +416,8 @@ static void check_single(uint32_t n, double box, uint32_t rounds, uint64_t seed)
                         double x = (double)t.p[longest][a], y = (double)t.p[(longest + 1) % 3][a];
                         c[a] = (int64_t)floor((x + (y - x) * i / 64.0) / (double)(1 << sub));
                     }
-                    CHECK_MSG(cells_around(&got, c[0], c[1], c[2]), "%s, round %u: a gap", kind_name[kind], k);
+                    /* the walk takes half voxels: its cells have a voxel within 1, those between them within 2 */
+                    CHECK_MSG(cells_within(&got, 2, c[0], c[1], c[2]), "%s, round %u: a gap", kind_name[kind], k);
                 }
                 cells_free(&touched);
             }
@@ -410,13 +430,13 @@ static void check_single(uint32_t n, double box, uint32_t rounds, uint64_t seed)
     }
 }
 
-TEST(single_triangles) { check_single(16, 16.0, test_quick() ? 240 : 1200, 1); }
+TEST(single_triangles) { check_single(16, 16.0, test_quick() ? 240 : 960, 1); }
 TEST(single_triangles_scaled) { check_single(16, 1024.0, test_quick() ? 60 : 240, 2); }
 TEST(single_triangles_64) { check_single(64, 64.0, test_quick() ? 12 : 36, 3); }
 TEST(single_triangles_odd_grid) { check_single(48, 48.0, test_quick() ? 12 : 48, 4); }
 TEST(single_triangles_tiny_grids) {
     uint32_t n;
-    for (n = 1; n <= 6; n++) check_single(n, (double)n, test_quick() ? 36 : 120, 10 + n);
+    for (n = 1; n <= 6; n++) check_single(n, (double)n, test_quick() ? 36 : 72, 10 + n);
 }
 
 /* A grid of 2^14 has 2^-6 voxels and 2^16 has 2^-4: only a few cells are looked at. */
@@ -453,7 +473,7 @@ TEST(fine_grids_snap_coarser) {
                 voxrt_tree *tree = NULL;
                 size_t targets = mode ? rule_26(&t, sub, &want) : rule_6(&t, sub, &want, NULL);
                 CHECK_EQ_U64(voxrt_tree_build(&d, &m, NULL, &tree), VOXRT_OK);
-                if (tree != NULL && targets != 0) {
+                if (tree != NULL && targets != 0 && (mode == 1 || !is_sliver(&t, sub))) {
                     uint32_t x, y, z, wrong = 0;
                     voxrt_tree_info info;
                     voxrt_tree_get_info(tree, &info);
@@ -489,7 +509,7 @@ static void soup(shape *s, test_rng *rng, uint32_t count, double n, int kind, do
             cells c = cells_make((uint32_t)n);
             size_t ties = 0, targets = rule_6(&t, 8, &c, &ties);
             cells_free(&c);
-            if (ties != 0 || targets == 0) continue;
+            if (ties != 0 || targets == 0 || is_sliver(&t, 8)) continue;
         }
         for (i = 0; i < 3; i++) v[i] = shape_vertex(s, (double)p[3 * i], (double)p[3 * i + 1], (double)p[3 * i + 2]);
         shape_triangle(s, v[0], v[1], v[2]);
@@ -512,7 +532,7 @@ TEST(soups) {
             for (i = 0; i < s.triangles; i++) {
                 snapped t = snap(s.p, s.t + 3 * i, 1.0, sub);
                 if (mode) (void)rule_26(&t, sub, &want);
-                else if (rule_6(&t, sub, &want, NULL) == 0) { /* no target: may add what it touches, must not vanish */
+                else if (rule_6(&t, sub, &want, NULL) == 0 || is_sliver(&t, sub)) { /* may add what it touches, must not vanish */
                     int a;
                     none++;
                     (void)rule_26(&t, sub, &touched);
@@ -593,7 +613,7 @@ TEST(wires_have_no_gaps) {
         for (i = 0; i <= 500; i++) {
             int64_t q[3];
             for (j = 0; j < 3; j++) q[j] = (int64_t)floor(a[j] + (b[j] - a[j]) * i / 500.0);
-            bad += !cells_around(&c, q[0], q[1], q[2]);
+            bad += !cells_within(&c, 2, q[0], q[1], q[2]);
         }
         wires++;
         gaps += bad != 0;
@@ -796,7 +816,8 @@ TEST(plane_rotation_sweep) {
 }
 
 /* Axes permuted: the same set, permuted. Mirrored: the same where no surface meets the common end of two segments
-   exactly (there the lower cell gets it in the mirror and the upper one does not); closed cubes always. */
+   exactly (there the lower cell gets it in the mirror and the upper one does not), and no tiny triangles (their voxels are
+   found by a walk, half up); closed cubes always. */
 TEST(permuted_and_mirrored_axes) {
     static const int order[6][3] = {{0, 1, 2}, {0, 2, 1}, {1, 0, 2}, {1, 2, 0}, {2, 0, 1}, {2, 1, 0}};
     int mode, o, flip;
@@ -809,9 +830,9 @@ TEST(permuted_and_mirrored_axes) {
         size_t i;
         memset(&s, 0, sizeof s);
         memset(&q, 0, sizeof q);
-        soup(&s, &rng, 60, n, 0, 1);
-        soup(&s, &rng, 100, n, 3, 1);
-        soup(&s, &rng, 40, n, 1, 1);
+        soup(&s, &rng, 90, n, 0, 1);
+        soup(&s, &rng, 150, n, 3, 1);
+        soup(&s, &rng, 40, n, 4, 1);
         if (mode) soup(&s, &rng, 60, n, -1, 0);
         for (i = 0; i < 3 * s.vertices; i++) s.p[i] = floorf(s.p[i] * 256.0f + 0.5f) / 256.0f;
         base = build_shape(&d, &s);
@@ -861,10 +882,10 @@ static uint32_t hash_u32(uint32_t x) {
 }
 
 TEST(order_and_threads) {
-    uint32_t round, rounds = test_quick() ? 3 : 6;
+    uint32_t round, rounds = test_quick() ? 2 : 4;
     for (round = 0; round < rounds; round++) {
         test_rng rng = test_rng_make(900 + round);
-        const uint32_t n = 100;
+        const uint32_t n = 72;
         shape s;
         voxrt_mesh m;
         uint8_t *rgb;
@@ -872,7 +893,7 @@ TEST(order_and_threads) {
         size_t i;
         int step, calls = 0;
         memset(&s, 0, sizeof s);
-        shape_sphere(&s, 45, 50, 50, 40, 40);
+        shape_sphere(&s, 33, 36, 36, 28, 40);
         for (i = 0; i < s.vertices; i++) /* a rough ball with any normals */
             s.p[3 * i] += test_rng_range(&rng, -2, 2);
         soup(&s, &rng, 400, n, 3, 0);
@@ -1135,7 +1156,7 @@ TEST(clipped_triangles_count_once) {
         for (y = 0; y < 64; y++)
             for (x = 0; x < 64; x++) /* on diagonals of the pieces a triangle may count twice */
                 wrong += c.rgb[3 * cell_at(64, x, y, 20)] != 188;
-        CHECK_MSG(wrong <= 192, "mode %d: %u of 4096 voxels are not the mean", mode, wrong);
+        CHECK_MSG(wrong <= 256, "mode %d: %u of 4096 voxels are not the mean", mode, wrong);
         if (mode == 0) CHECK_MSG(one.stats.fragments >= 4096 && one.stats.fragments <= 4096 + 192, "%u fragments",
                                  (unsigned)one.stats.fragments);
         cells_free(&c);
@@ -1303,6 +1324,18 @@ TEST(coplanar_halves) {
 }
 
 /* No attribute leaves the range of the triangle's corners, whatever its form: slivers have steep gradients. */
+typedef struct seen_attributes { uint32_t wrong, voxels; double away; } seen_attributes;
+
+static int look_at_attributes(void *user, const voxrt_voxel *v, uint32_t palette_index) {
+    seen_attributes *s = (seen_attributes *)user;
+    double angle = acos(fmin(1.0, (double)v->normal[0])) * 57.29578;
+    (void)palette_index;
+    s->voxels++;
+    s->wrong += v->rgb[0] < 3 || v->rgb[0] > 250 || v->rgb[1] < 100 || v->rgb[1] > 119 || v->rgb[2] < 100 || v->rgb[2] > 119;
+    s->away = angle > s->away ? angle : s->away;
+    return 0;
+}
+
 TEST(attributes_stay_between_the_corners) {
     uint32_t g;
     int mode;
@@ -1310,7 +1343,7 @@ TEST(attributes_stay_between_the_corners) {
     for (g = 0; g < 3; g++) {
         for (mode = 0; mode < 3; mode++) {
             test_rng rng = test_rng_make(500 + g);
-            uint32_t n = sizes[g], k, level, rounds = test_quick() ? 60 : 400;
+            uint32_t n = sizes[g], k, rounds = test_quick() ? 12 : 24;
             double away = 0;
             uint32_t wrong = 0, voxels = 0;
             for (k = 0; k < rounds; k++) {
@@ -1319,7 +1352,7 @@ TEST(attributes_stay_between_the_corners) {
                 voxrt_mesh m;
                 voxrt_build_desc d = desc_box(n, mode_of(mode), n);
                 voxrt_tree *t = NULL;
-                uint32_t x, y, z;
+                seen_attributes seen;
                 int i;
                 random_triangle(&rng, (int)(k % KINDS), 16, p);
                 for (i = 0; i < 9; i++) {
@@ -1334,19 +1367,11 @@ TEST(attributes_stay_between_the_corners) {
                 m.vertex_rgb = rgb;
                 m.normals = normal;
                 CHECK_EQ_U64(voxrt_tree_build(&d, &m, NULL, &t), VOXRT_OK);
-                level = depth_of(n);
-                for (z = n - 21; z < n; z++)
-                    for (y = n - 21; y < n; y++)
-                        for (x = n - 21; x < n; x++) {
-                            voxrt_voxel v;
-                            double angle;
-                            if (!voxrt_tree_get(t, level, x, y, z, &v)) continue;
-                            voxels++;
-                            wrong += v.rgb[0] < 3 || v.rgb[0] > 250 || v.rgb[1] < 100 || v.rgb[1] > 119 || v.rgb[2] < 100 ||
-                                     v.rgb[2] > 119;
-                            angle = acos(fmin(1.0, (double)v.normal[0])) * 57.29578;
-                            away = angle > away ? angle : away;
-                        }
+                memset(&seen, 0, sizeof seen);
+                (void)voxrt_tree_each(t, depth_of(n), look_at_attributes, &seen);
+                wrong += seen.wrong;
+                voxels += seen.voxels;
+                away = seen.away > away ? seen.away : away;
                 voxrt_tree_destroy(t);
             }
             CHECK_MSG(wrong == 0, "n %u, mode %d: %u of %u voxels have another colour", n, mode, wrong, voxels);
@@ -1394,16 +1419,17 @@ TEST(interpolated_colours) {
 
 TEST(normals_of_a_sphere) {
     shape s;
-    uint32_t n = test_quick() ? 128 : 256, x, y, z;
     int mode;
-    double r = n / 2.0 - 2, middle = n / 2.0 + 0.1;
-    memset(&s, 0, sizeof s);
-    shape_sphere(&s, middle, middle, middle, r, n / 4);
     for (mode = 0; mode < 3; mode++) {
+        uint32_t n = test_quick() || mode != 0 ? 128 : 256, x, y, z;
+        double r = n / 2.0 - 2, middle = n / 2.0 + 0.1;
         voxrt_build_desc d = desc_box(n, mode_of(mode), n);
-        voxrt_mesh m = mesh_of(&s);
+        voxrt_mesh m;
         double worst = 0, sum = 0, worst_flat = 0;
         cells c, flat;
+        memset(&s, 0, sizeof s);
+        shape_sphere(&s, middle, middle, middle, r, n / 4);
+        m = mesh_of(&s);
         m.normals = s.normal;
         c = build_mesh(&d, &m, WITH_NORMAL, NULL);
         m.normals = NULL; /* the triangles' own */
@@ -1432,14 +1458,14 @@ TEST(normals_of_a_sphere) {
                     l = acos(dot_flat > 1 ? 1 : dot_flat) * 57.29578;
                     worst_flat = l > worst_flat ? l : worst_flat;
                 }
-        /* 0.64 of the code; the surface is up to 0.5 (6) or 0.87 (26) voxels away: 0.23 or 0.4 degrees at r = 126 */
-        CHECK_MSG(worst < (n == 256 ? mode == 1 ? 1.15 : 1.0 : 1.6), "mode %d: %.3f degrees", mode, worst);
-        CHECK_MSG(sum / (double)c.count < 0.45, "mode %d: mean %.3f degrees", mode, sum / (double)c.count);
-        CHECK_MSG(worst_flat < 4, "mode %d: flat %.3f degrees", mode, worst_flat);
+        /* 0.64 of the code; the surface is up to 0.5 (6) or 0.87 (26) voxels away: 0.23 degrees at r = 126, 0.8 at 62 */
+        CHECK_MSG(worst < (n == 256 ? 1.0 : 1.8), "mode %d: %.3f degrees", mode, worst);
+        CHECK_MSG(sum / (double)c.count < (n == 256 ? 0.4 : 0.6), "mode %d: mean %.3f degrees", mode, sum / (double)c.count);
+        CHECK_MSG(worst_flat < 5, "mode %d: flat %.3f degrees", mode, worst_flat);
         cells_free(&c);
         cells_free(&flat);
+        shape_free(&s);
     }
-    shape_free(&s);
 }
 
 TEST(opposite_normals) { /* the same triangle from both sides */
@@ -1522,10 +1548,11 @@ TEST(a_million_triangles_in_a_voxel) {
             voxrt_mesh m;
             cells c;
             size_t i = cell_at(8, 5, 5, 5);
+            uint32_t used = size == 1 && mode == 0 ? n : n / 20;
             memset(&m, 0, sizeof m);
             m.positions = p;
-            m.vertex_count = (size_t)n * 3;
-            m.triangle_count = n;
+            m.vertex_count = (size_t)used * 3;
+            m.triangle_count = used;
             m.normals = normal;
             m.triangle_rgb = rgb;
             d.palette_size = 1u << 24;
@@ -1630,7 +1657,7 @@ TEST(resolutions) {
 
 TEST(bad_triangles_are_skipped_and_counted) {
     uint32_t round;
-    for (round = 0; round < 8; round++) {
+    for (round = 0; round < 5; round++) {
         test_rng rng = test_rng_make(300 + round);
         shape s, good;
         size_t i, bad = 0, first = 0;
@@ -1643,7 +1670,7 @@ TEST(bad_triangles_are_skipped_and_counted) {
         memset(&s, 0, sizeof s);
         memset(&good, 0, sizeof good);
         soup(&s, &rng, 300, 64, 0, 0);
-        soup(&s, &rng, round < 2 ? 20000 : 700, 64, 3, 0); /* more than one chunk */
+        soup(&s, &rng, round < 1 ? 17000 : 700, 64, 3, 0); /* more than one chunk */
         good.vertices = 0;
         for (i = 0; i < s.triangles; i++) {
             uint32_t k = test_rng_below(&rng, 100);
@@ -1774,7 +1801,8 @@ TEST(flat_inputs) {
                 int axis = k == 1 ? 0 : 2;
                 CHECK_EQ_U64(c.info.cell_min[axis], 0);
                 CHECK_EQ_U64(c.info.cell_max[axis], 32);
-                CHECK_MSG(c.count >= 32 && c.count <= 300, "k %d mode %d: %u", k, mode, (unsigned)c.count);
+                CHECK_MSG(c.count >= (mode == 0 ? 11u : 32u) && c.count <= 300, /* each third cell: no gap of more than one */
+                           "k %d mode %d: %u", k, mode, (unsigned)c.count);
             }
             if (k == 3 && mode != 2) CHECK(c.count >= 900); /* the thesis misses a half on the diagonal */
             cells_free(&c);

@@ -1,4 +1,5 @@
-/* embree_voxrt.cpp - the voxels of a mesh against its triangles, traced by Embree 3 (BM12) - MIT OR Unlicense, see LICENSE
+/* embree_voxrt.cpp - the voxels of a mesh against its triangles, traced by Embree 3 (BM12) - MIT OR Unlicense, see
+   LICENSE
 
    peer_embree_voxrt [--full] [--threads N]
 
@@ -84,10 +85,10 @@ static void run_embree(void *ctx) {
 }
 
 static void compare(const char *kase, RTCScene scene, const voxrt_tree *tree, const rayset &rays, int coherent) {
-    static const char *const names[4] = {"embree intersect1", "embree intersect16", "tree", "tree"};
+    static const char *const names[3] = {"embree intersect1", "embree intersect16", "tree"};
     embree_job e[2];
-    trace_job t[2];
-    bench_job b[4];
+    trace_job t[1];
+    bench_job b[3];
     RTCRayHit *one = (RTCRayHit *)aligned_alloc(64, (rays.count * sizeof(RTCRayHit) + 63) / 64 * 64);
     RTCRayHit16 *many = (RTCRayHit16 *)aligned_alloc(64, (rays.count / 16 + 1) * sizeof(RTCRayHit16));
     if (one == NULL || many == NULL) run_failed("memory", "not enough");
@@ -95,11 +96,11 @@ static void compare(const char *kase, RTCScene scene, const voxrt_tree *tree, co
     memset(many, 0, (rays.count / 16 + 1) * sizeof(RTCRayHit16));
     memset(b, 0, sizeof b);
     memset(t, 0, sizeof t);
-    for (int i = 0; i < 4; i++) {
+    for (int i = 0; i < 3; i++) {
         b[i].name = names[i];
-        b[i].isa = i < 2 ? "native" : i == 2 ? "avx2" : "avx512";
+        b[i].isa = i < 2 ? "native" : voxrt_isa_name(voxrt_isa_best());
         b[i].run = i < 2 ? run_embree : run_trace;
-        b[i].ctx = i < 2 ? (void *)&e[i] : (void *)&t[i - 2];
+        b[i].ctx = i < 2 ? (void *)&e[i] : (void *)&t[0];
         if (i < 2) {
             e[i].scene = scene;
             e[i].rays = &rays;
@@ -108,25 +109,24 @@ static void compare(const char *kase, RTCScene scene, const voxrt_tree *tree, co
             e[i].one = one;
             e[i].many = many;
         } else {
-            t[i - 2].tree = tree;
-            t[i - 2].rays = &rays;
-            t[i - 2].isa = i == 2 ? VOXRT_ISA_AVX2 : VOXRT_ISA_AVX512;
-            t[i - 2].hit = (voxrt_hit *)must_alloc(rays.count, sizeof(voxrt_hit));
+            t[0].tree = tree;
+            t[0].rays = &rays;
+            t[0].hit = (voxrt_hit *)must_alloc(rays.count, sizeof(voxrt_hit));
         }
     }
     fill_rays(e[0]);
-    bench_interleave(b, 4, 5);
-    for (int i = 0; i < 4; i++) {
+    bench_interleave(b, 3, 5);
+    for (int i = 0; i < 3; i++) {
         double sum = 0.0, hits = 0.0;
         size_t differ = 0;
         for (size_t k = 0; k < rays.count; k++) {
             const int triangle = one[k].hit.geomID != RTC_INVALID_GEOMETRY_ID;
             const int hit = i == 0 ? triangle : i == 1 ? many[k / 16].hit.geomID[k % 16] != RTC_INVALID_GEOMETRY_ID :
-                t[i - 2].hit[k].node != VOXRT_NO_NODE;
+                t[0].hit[k].node != VOXRT_NO_NODE;
             differ += hit != triangle;
             if (!hit) continue;
             hits += 1.0;
-            sum += (double)(i == 0 ? one[k].ray.tfar : i == 1 ? many[k / 16].ray.tfar[k % 16] : t[i - 2].hit[k].t);
+            sum += (double)(i == 0 ? one[k].ray.tfar : i == 1 ? many[k / 16].ray.tfar[k % 16] : t[0].hit[k].t);
         }
         bench_line("voxrt.embree", kase, "rays_per_second", bench_rate(&b[i], (double)rays.count), "1/s");
         bench_num("best", bench_rate_best(&b[i], (double)rays.count));
@@ -142,7 +142,7 @@ static void compare(const char *kase, RTCScene scene, const voxrt_tree *tree, co
         if (i >= 2) bench_num("times_embree_16", bench_ratio(&b[1], &b[i]));
         bench_end();
     }
-    for (int i = 0; i < 2; i++) free(t[i].hit);
+    free(t[0].hit);
     free(one);
     free(many);
 }
