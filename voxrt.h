@@ -378,7 +378,8 @@ VOXRT_DEF void voxrt_tree_get_info(const voxrt_tree *tree, voxrt_tree_info *info
 /* Look up cell (x, y, z) of an octree level (0 = root, depth = leaves).
    Returns 1 and fills `out` (may be NULL) if anything in the cell is filled, else 0. out->normal is a unit vector,
    or zero with has_normal = 0. Any thread. O(depth). */
-VOXRT_DEF int voxrt_tree_get(const voxrt_tree *tree, uint32_t level, uint32_t x, uint32_t y, uint32_t z, voxrt_voxel *out);
+VOXRT_DEF int voxrt_tree_get(const voxrt_tree *tree, uint32_t level, uint32_t x, uint32_t y, uint32_t z,
+                             voxrt_voxel *out);
 
 /* Call fn for every non-empty cell of an octree level in Morton order (x fastest, z slowest bit of each triple).
    fn returns non-zero to stop; that value is returned. */
@@ -941,6 +942,9 @@ VOXRT_DEF voxrt_isa voxrt_isa_best(void); /* what VOXRT_ISA_AUTO picks on this m
 #    include <intrin.h>
 #  endif
 #  if defined(_MSC_VER) && defined(__clang__) && !defined(__AVX2__) /* clang-cl hides AVX behind __AVX__ */
+#    include <tmmintrin.h>
+#    include <smmintrin.h>
+#    include <popcntintrin.h>
 #    include <avxintrin.h>
 #    include <avx2intrin.h>
 #  endif
@@ -1168,7 +1172,7 @@ static void *voxrti_for_thread(void *arg) {
 }
 #endif
 
-static uint32_t voxrti_thread_count(const voxrt_env *env) {
+static VOXRTI_UNUSED uint32_t voxrti_thread_count(const voxrt_env *env) {
     uint32_t n = env->thread_count;
 #ifndef VOXRT_NO_THREADS
 #  ifdef _SC_NPROCESSORS_ONLN
@@ -2920,7 +2924,8 @@ static void voxrti_tri_attributes(const voxrti_vox *v, size_t i, const size_t ve
 /* A corner of a clipped polygon: position and attributes. */
 typedef struct voxrti_corner { double p[3]; float rgb[3], normal[3]; } voxrti_corner;
 
-static uint32_t voxrti_clip_plane(const voxrti_corner *in, uint32_t n, voxrti_corner *out, uint32_t a, double at, int below) {
+static uint32_t voxrti_clip_plane(const voxrti_corner *in, uint32_t n, voxrti_corner *out, uint32_t a, double at,
+                                  int below) {
     uint32_t i, k, count = 0;
     for (i = 0; i < n; i++) {
         const voxrti_corner *p = &in[i], *q = &in[(i + 1) % n];
@@ -3006,7 +3011,8 @@ typedef struct voxrti_bin {
 static void voxrti_bin_tri(void *ctx, const voxrti_tri *t, size_t i) {
     voxrti_bin *b = (voxrti_bin *)ctx;
     uint32_t shift = b->v->brick_bits + b->v->sub, a, k, many;
-    int64_t lo[3], hi[3], c[3], size = (int64_t)1 << shift, end = (((int64_t)b->v->grid->resolution - 1) >> b->v->brick_bits);
+    int64_t lo[3], hi[3], c[3], size = (int64_t)1 << shift,
+                                end = (((int64_t)b->v->grid->resolution - 1) >> b->v->brick_bits);
     if (t->n[0] == 0 && t->n[1] == 0 && t->n[2] == 0) b->degenerate++;
     for (a = 0; a < 3; a++) {
         lo[a] = hi[a] = t->p[0][a];
@@ -3127,7 +3133,8 @@ static void voxrti_ramp_make(const voxrti_brick *b, const voxrti_tri *t, uint32_
     double s = (double)((uint32_t)1 << b->v->sub), inv = t->n[a] != 0 ? 1.0 / (double)t->n[a] : 0.0;
     double e1u = (double)(t->p[1][u] - t->p[0][u]), e1w = (double)(t->p[1][w] - t->p[0][w]);
     double e2u = (double)(t->p[2][u] - t->p[0][u]), e2w = (double)(t->p[2][w] - t->p[0][w]);
-    double ou = ((double)b->lo[u] + 0.5) * s - (double)t->p[0][u], ow = ((double)b->lo[w] + 0.5) * s - (double)t->p[0][w];
+    double ou = ((double)b->lo[u] + 0.5) * s - (double)t->p[0][u],
+           ow = ((double)b->lo[w] + 0.5) * s - (double)t->p[0][w];
     for (c = 0; c < 6; c++) {
         double f0 = (double)(c < 3 ? t->rgb[0][c] : t->normal[0][c - 3]);
         double f1 = (double)(c < 3 ? t->rgb[1][c] : t->normal[1][c - 3]) - f0;
@@ -3156,8 +3163,10 @@ VOXRTI_INLINE voxrti_fragsum *voxrti_brick_sum(voxrti_brick *b, uint32_t cell) {
     uint32_t i = b->slot[cell];
     if (i == 0) {
         if (b->sum_count == b->sum_capacity || b->sum_count == b->cell_capacity) {
-            if (!voxrti_grow(b->v->mem, (void **)&b->sum, &b->sum_capacity, b->sum_count, b->sum_count + 4096, sizeof *b->sum) ||
-                !voxrti_grow(b->v->mem, (void **)&b->cell, &b->cell_capacity, b->sum_count, b->sum_count + 4096, sizeof *b->cell)) {
+            if (!voxrti_grow(b->v->mem, (void **)&b->sum, &b->sum_capacity, b->sum_count, b->sum_count + 4096,
+                             sizeof *b->sum) ||
+                !voxrti_grow(b->v->mem, (void **)&b->cell, &b->cell_capacity, b->sum_count, b->sum_count + 4096,
+                             sizeof *b->cell)) {
                 b->failed = 1;
                 return NULL;
             }
@@ -3340,9 +3349,11 @@ static void voxrti_tri_tiny(voxrti_brick *b, const voxrti_tri *t, int has_target
     to = steps;
     {   /* the steps that can lie in this brick */
         int64_t p = t->p[best][main_axis], d = t->p[(best + 1) % 3][main_axis] - p;
-        int64_t x0 = ((int64_t)b->lo[main_axis] << v->sub) - p, x1 = ((int64_t)(b->lo[main_axis] + b->size) << v->sub) - p;
+        int64_t x0 = ((int64_t)b->lo[main_axis] << v->sub) - p,
+                x1 = ((int64_t)(b->lo[main_axis] + b->size) << v->sub) - p;
         if (d != 0) {
-            int64_t s0 = (d > 0 ? x0 : -x1) * steps / (d > 0 ? d : -d) - 1, s1 = (d > 0 ? x1 : -x0) * steps / (d > 0 ? d : -d) + 1;
+            int64_t s0 = (d > 0 ? x0 : -x1) * steps / (d > 0 ? d : -d) - 1,
+                    s1 = (d > 0 ? x1 : -x0) * steps / (d > 0 ? d : -d) + 1;
             from = s0 > 0 ? s0 : 0;
             to = s1 < steps ? s1 : steps;
         }
@@ -3362,7 +3373,8 @@ static void voxrti_tri_tiny(voxrti_brick *b, const voxrti_tri *t, int has_target
         if (!inside) continue;
         cell = voxrti_brick_cell(b, c);
         voxrti_fragment(b, cell, weight, f);
-        if (!voxrti_grow(v->mem, (void **)&b->tiny, &b->tiny_capacity, b->tiny_count, b->tiny_count + 1, sizeof *b->tiny)) {
+        if (!voxrti_grow(v->mem, (void **)&b->tiny, &b->tiny_capacity, b->tiny_count, b->tiny_count + 1,
+                         sizeof *b->tiny)) {
             b->failed = 1;
             return;
         }
@@ -3387,7 +3399,8 @@ static void voxrti_raster_26(voxrti_brick *b, const voxrti_tri *t, uint64_t weig
         if (lo[a] < (int64_t)b->lo[a]) lo[a] = (int64_t)b->lo[a];
         if (hi[a] > (int64_t)(b->lo[a] + b->size) - 1) hi[a] = (int64_t)(b->lo[a] + b->size) - 1;
         if (hi[a] > limit - 1) hi[a] = limit - 1;
-        if ((t->n[a] < 0 ? -t->n[a] : t->n[a]) > (t->n[main_axis] < 0 ? -t->n[main_axis] : t->n[main_axis])) main_axis = a;
+        if ((t->n[a] < 0 ? -t->n[a] : t->n[a]) > (t->n[main_axis] < 0 ? -t->n[main_axis] : t->n[main_axis]))
+            main_axis = a;
     }
     u = (main_axis + 1) % 3;
     w = (main_axis + 2) % 3;
@@ -3429,7 +3442,8 @@ static void voxrti_raster_26(voxrti_brick *b, const voxrti_tri *t, uint64_t weig
                 b->mask[cell >> 6] |= (uint64_t)1 << (cell & 63u);
                 i = (float)(cc[u] - b->lo[u]);
                 k = (float)(cc[w] - b->lo[w]);
-                for (e = 0; e < 6; e++) f[e] = voxrti_ramp_limit(&ramp, e, ramp.at[e] + k * ramp.dk[e] + i * ramp.di[e]);
+                for (e = 0; e < 6; e++)
+                    f[e] = voxrti_ramp_limit(&ramp, e, ramp.at[e] + k * ramp.dk[e] + i * ramp.di[e]);
                 voxrti_fragment(b, cell, weight, f);
             }
         }
@@ -3439,7 +3453,8 @@ static void voxrti_raster_26(voxrti_brick *b, const voxrti_tri *t, uint64_t weig
 /* The thesis' scan converter (3.1.3): two nested loops along the longest edge and at right angles to it. Has gaps. */
 static void voxrti_raster_thesis(voxrti_brick *b, const voxrti_tri *t) {
     const voxrti_vox *v = b->v;
-    double s = 1.0 / (double)((uint32_t)1 << v->sub), p[3], q[3], dp[3], dq[3], best = -1, f, h, len, mp = 0, mq = 0, tiny;
+    double s = 1.0 / (double)((uint32_t)1 << v->sub), p[3], q[3], dp[3], dq[3], best = -1, f, h, len, mp = 0, mq = 0,
+           tiny;
     double vertex[3][3], lp, lq;
     uint32_t e, a, k = 0, c;
     for (e = 0; e < 3; e++) {
@@ -3480,7 +3495,8 @@ static void voxrti_raster_thesis(voxrti_brick *b, const voxrti_tri *t) {
     {
         uint32_t n = len < tiny ? 0 : (uint32_t)(len / lp), i, j;
         for (i = 0; i <= n; i++) {
-            double along = (double)i * lp, lam1 = f > 0 ? h * along / f : h, lam2 = len - f > 0 ? h * (len - along) / (len - f) : h;
+            double along = (double)i * lp, lam1 = f > 0 ? h * along / f : h,
+                   lam2 = len - f > 0 ? h * (len - along) / (len - f) : h;
             double lam = voxrti_min(lam1, lam2);
             uint32_t m = h < 1e-6 || lq <= 0 || !(lam > 0) ? 0 : (uint32_t)(lam / lq);
             for (j = 0; j <= m; j++) {
@@ -3489,7 +3505,8 @@ static void voxrti_raster_thesis(voxrti_brick *b, const voxrti_tri *t) {
                 float attr[6];
                 for (a = 0; a < 3; a++) {
                     int64_t x = voxrti_floor(vertex[0][a] + (double)i * dp[a] + (double)j * dq[a]);
-                    inside &= x >= (int64_t)b->lo[a] && x < (int64_t)(b->lo[a] + b->size) && x < (int64_t)v->grid->resolution;
+                    inside &=
+                        x >= (int64_t)b->lo[a] && x < (int64_t)(b->lo[a] + b->size) && x < (int64_t)v->grid->resolution;
                     cc[a] = (uint32_t)(x < 0 ? 0 : x);
                 }
                 if (!inside) continue;
@@ -3535,7 +3552,8 @@ static void voxrti_brick_tri(void *ctx, const voxrti_tri *t, size_t i) {
 static void voxrti_brick_tiny(voxrti_brick *b) {
     size_t i, keep = 0;
     for (i = 0; i < b->tiny_count; i++) {
-        uint32_t x = voxrti_compact3(b->tiny[i]), y = voxrti_compact3(b->tiny[i] >> 1), z = voxrti_compact3(b->tiny[i] >> 2);
+        uint32_t x = voxrti_compact3(b->tiny[i]), y = voxrti_compact3(b->tiny[i] >> 1),
+                 z = voxrti_compact3(b->tiny[i] >> 2);
         uint32_t k, any = 0;
         for (k = 0; k < 27 && !any; k++) {
             uint32_t nx = x + k % 3 - 1, ny = y + k / 3 % 3 - 1, nz = z + k / 9 - 1, cell;
@@ -3575,8 +3593,10 @@ static int voxrti_brick_emit(voxrti_brick *b, uint64_t brick, voxrti_leafset *ou
     }
     if (!voxrti_grow(v->mem, (void **)&out->key, &capacity[0], out->block_count, out->block_count + nb, 8) ||
         !voxrti_grow(v->mem, (void **)&out->mask, &capacity[1], out->block_count, out->block_count + nb, 8) ||
-        (v->has_rgb && !voxrti_grow(v->mem, (void **)&out->rgb, &capacity[2], out->voxel_count, out->voxel_count + nv, 4)) ||
-        (v->has_normal && !voxrti_grow(v->mem, (void **)&out->normal, &capacity[3], out->voxel_count, out->voxel_count + nv, 2)))
+        (v->has_rgb &&
+         !voxrti_grow(v->mem, (void **)&out->rgb, &capacity[2], out->voxel_count, out->voxel_count + nv, 4)) ||
+        (v->has_normal &&
+         !voxrti_grow(v->mem, (void **)&out->normal, &capacity[3], out->voxel_count, out->voxel_count + nv, 2)))
         return 0;
     for (i = 0; i < blocks; i++) {
         uint64_t m = b->mask[i];
@@ -3644,8 +3664,10 @@ static voxrt_result voxrti_leafset_join(voxrti_vox *v, uint32_t tasks, voxrti_le
     out->key = (uint64_t *)voxrti_alloc_array(v->mem, blocks + 1, sizeof(uint64_t));
     out->mask = (uint64_t *)voxrti_alloc_array(v->mem, blocks + 1, sizeof(uint64_t));
     if (out->key == NULL || out->mask == NULL) return VOXRT_ERR_NO_MEMORY;
-    if (v->has_rgb && (out->rgb = (uint32_t *)voxrti_alloc_array(v->mem, voxels + 1, 4)) == NULL) return VOXRT_ERR_NO_MEMORY;
-    if (v->has_normal && (out->normal = (uint16_t *)voxrti_alloc_array(v->mem, voxels + 1, 2)) == NULL) return VOXRT_ERR_NO_MEMORY;
+    if (v->has_rgb && (out->rgb = (uint32_t *)voxrti_alloc_array(v->mem, voxels + 1, 4)) == NULL)
+        return VOXRT_ERR_NO_MEMORY;
+    if (v->has_normal && (out->normal = (uint16_t *)voxrti_alloc_array(v->mem, voxels + 1, 2)) == NULL)
+        return VOXRT_ERR_NO_MEMORY;
     for (i = 0; i < tasks; i++) {
         voxrti_leafset *s = &v->out[i];
         if (s->block_count != 0) {
@@ -3815,7 +3837,8 @@ static VOXRTI_UNUSED voxrt_result voxrti_leafset_from_voxels(voxrti_mem *mem, co
                                          voxrti_srgb_find(srgb, (uint32_t)((sum[2] + c / 2) / c)) << 16;
         if (out->normal != NULL) {
             float f[3];
-            for (x = 0; x < 3; x++) f[x] = k - i == 1 && list[a[i].index].has_normal ? list[a[i].index].normal[x] : (float)m[x];
+            for (x = 0; x < 3; x++)
+                f[x] = k - i == 1 && list[a[i].index].has_normal ? list[a[i].index].normal[x] : (float)m[x];
             if (!voxrti_normalize(f)) {
                 f[0] = f[1] = 0;
                 f[2] = 1;
@@ -4783,7 +4806,8 @@ VOXRT_DEF void voxrt_tree_get_info(const voxrt_tree *t, voxrt_tree_info *info) {
     info->geometry_bytes = (uint64_t)t->node_count * sizeof(voxrti_node) +
                            (uint64_t)t->level_nodes[t->wide - 1] * 8 +
                            (uint64_t)(t->level_nodes[t->wide - 1] / 16 + 1) * 8;
-    info->color_bytes = t->colors.block_count * sizeof(uint32_t) + t->colors.data_bytes + (uint64_t)3 * t->palette_count;
+    info->color_bytes =
+        t->colors.block_count * sizeof(uint32_t) + t->colors.data_bytes + (uint64_t)3 * t->palette_count;
     info->normal_bytes = t->normal != NULL ? t->attr_count * sizeof(uint16_t) : 0;
     info->total_bytes = info->geometry_bytes + info->color_bytes + info->normal_bytes + sizeof *t;
 }
@@ -4793,7 +4817,8 @@ VOXRT_DEF const uint8_t *voxrt_tree_palette(const voxrt_tree *tree, uint32_t *ou
     return tree != NULL ? tree->palette : NULL;
 }
 
-VOXRT_DEF int voxrt_tree_get(const voxrt_tree *t, uint32_t level, uint32_t x, uint32_t y, uint32_t z, voxrt_voxel *out) {
+VOXRT_DEF int voxrt_tree_get(const voxrt_tree *t, uint32_t level, uint32_t x, uint32_t y, uint32_t z,
+                             voxrt_voxel *out) {
     uint32_t v, w, node = 0, slot = 0;
     if (out != NULL) memset(out, 0, sizeof *out);
     if (t == NULL || level > t->depth || (x | y | z) >> level != 0) return 0;
@@ -7133,7 +7158,8 @@ static voxrti_dd voxrti_dd_div(voxrti_dd a, double b) {
 }
 
 /* Cell of axis b at time t, when axis k has just stepped at t (3: count all events at t). lo <= result <= hi. */
-VOXRTI_INLINE uint32_t voxrti_cell_at(const voxrti_rayx *r, uint32_t b, double t, uint32_t k, uint32_t lo, uint32_t hi) {
+VOXRTI_INLINE uint32_t voxrti_cell_at(const voxrti_rayx *r, uint32_t b, double t, uint32_t k, uint32_t lo,
+                                      uint32_t hi) {
     double p = r->o[b] + t * r->d[b], e;
     uint32_t q = p > (double)lo ? p < (double)hi ? (uint32_t)(int32_t)p : hi : lo;
     while (q < hi) {
@@ -7151,7 +7177,8 @@ VOXRTI_INLINE uint32_t voxrti_cell_at(const voxrti_rayx *r, uint32_t b, double t
 
 /* Move the origin of a ray that starts far outside next to the box, exactly to 2^-40 cells up to 2^60 cells away.
    og, dg: the unmirrored ray in grid units as double-doubles and doubles. */
-static VOXRTI_NOINLINE void voxrti_ray_rebase(voxrti_rayx *r, const voxrti_dd og[3], const double lo[3], const double hi[3]) {
+static VOXRTI_NOINLINE void voxrti_ray_rebase(voxrti_rayx *r, const voxrti_dd og[3], const double lo[3],
+                                              const double hi[3]) {
     voxrti_dd t, p, q;
     uint32_t a, k = 3;
     t.h = t.l = 0;
@@ -7293,7 +7320,8 @@ static void voxrti_beam_node(const voxrt_tree *t, const voxrti_cone *cone, voxrt
             child[b->m] = z0;
             child[b->u] = corner[b->u] + (double)at[b->u] * size;
             child[b->v] = corner[b->v] + (double)at[b->v] * size;
-            voxrti_beam_node(t, cone, b, w + 1, t->node[node].child + voxrti_popcount64(mask & (((uint64_t)1 << slot) - 1)), child);
+            voxrti_beam_node(t, cone, b, w + 1,
+                             t->node[node].child + voxrti_popcount64(mask & (((uint64_t)1 << slot) - 1)), child);
             if (z0 >= b->best) return;
         }
     }
@@ -7607,8 +7635,8 @@ static VOXRTI_UNUSED int voxrti_trace_scalar(const voxrt_tree *t, const voxrti_r
     return found;
 }
 
-static void voxrti_trace_one(const voxrt_tree *t, const voxrti_cone *cone, const voxrti_beam *beam, const voxrt_ray *ray,
-                             voxrt_hit *hit, voxrt_stats *stats) {
+static void voxrti_trace_one(const voxrt_tree *t, const voxrti_cone *cone, const voxrti_beam *beam,
+                             const voxrt_ray *ray, voxrt_hit *hit, voxrt_stats *stats) {
     voxrti_rayx r;
     int ok = voxrti_ray_setup(t, cone, ray, beam, &r);
     if (stats != NULL) {
@@ -7622,7 +7650,6 @@ static void voxrti_trace_one(const voxrt_tree *t, const voxrti_cone *cone, const
         voxrti_miss(hit);
     }
 }
-
 /* ---- AVX2: groups of eight rays in flight, a finished lane takes the next ray ----
    The scalar path with vector masks. A vector of 32-bit integers holds all eight lanes, doubles come in two halves:
    lanes 0 1 4 5, then 2 3 6 7. So unpack and shuffle, which stay inside 128 bits, convert between the two. */
@@ -8859,7 +8886,8 @@ VOXRT_DEF voxrt_result voxrt_trace(const voxrt_tree *tree, const voxrt_trace_des
     }
 #endif
     for (i = 0; i < count; i++) {
-        if ((i & 63u) == 0) voxrti_beam_find(tree, &cone, rays + i, count - i < 64 ? (uint32_t)(count - i) : 64u, &beam);
+        if ((i & 63u) == 0)
+            voxrti_beam_find(tree, &cone, rays + i, count - i < 64 ? (uint32_t)(count - i) : 64u, &beam);
         voxrti_trace_one(tree, &cone, &beam, rays + i, hits + i, d.stats);
     }
     return VOXRT_OK;
@@ -9087,7 +9115,8 @@ static void voxrti_run_normals(const voxrti_render *c, const voxrt_ray *ray, con
         along = voxrti_dot3(v, dir);
         /* seen from behind: clearly so, or where the cube was entered against the normal (a wall at a low angle; a
            smooth silhouette enters sideways) */
-        against = surface[i].face < 6 && ((surface[i].face & 1u) ? -v[surface[i].face >> 1] : v[surface[i].face >> 1]) > 0.5f;
+        against =
+            surface[i].face < 6 && ((surface[i].face & 1u) ? -v[surface[i].face >> 1] : v[surface[i].face >> 1]) > 0.5f;
         if (!c->d->one_sided && along > 0.0f && (against || along * along > 0.04f * voxrti_dot3(dir, dir))) {
             for (a = 0; a < 3; a++) normal[i][a] = -v[a];
         } else {

@@ -27,16 +27,26 @@ static int parse(int argc, char **argv, convert_options *o) {
     table[n++] = sup_opt_positional("IN.{obj,ply,stl,off}", &o->first, 0, "mesh to convert; left out with --scene");
     table[n++] = sup_opt_positional("OUT.vox", &o->second, 0, "voxel file to write");
     table[n++] = sup_opt_int("res", &o->resolution, 1, 65536, "N", "voxels along the longest side (1024)");
-    table[n++] = sup_opt_choice("separating", &o->separating, "6|26|thesis", "6: thin and without holes (default); 26: every voxel the surface touches; thesis: the scan converter of 2009, has gaps");
+    table[n++] = sup_opt_choice("separating", &o->separating, "6|26|thesis",
+                                "6: thin and without holes (default); 26: every voxel the surface touches; thesis: the "
+                                "scan converter of 2009, has gaps");
     table[n++] = sup_opt_int("palette", &o->palette, 1, 16777216, "N", "colours at most (32767)");
-    table[n++] = sup_opt_choice("palette-method", &o->palette_method, "oklab|thesis", "how colours are merged when there are more");
-    table[n++] = sup_opt_choice("lod", &o->lod, "mean|majority", "colours of the coarser levels: mean of the voxels, or the most frequent child as in the thesis");
-    table[n++] = sup_opt_choice("normals", &o->normals, "smooth|flat|none", "of the file or, if it has none, smooth over the edges; of the triangles; none: shade the faces of the cubes");
+    table[n++] = sup_opt_choice("palette-method", &o->palette_method, "oklab|thesis",
+                                "how colours are merged when there are more");
+    table[n++] = sup_opt_choice(
+        "lod", &o->lod, "mean|majority",
+        "colours of the coarser levels: mean of the voxels, or the most frequent child as in the thesis");
+    table[n++] = sup_opt_choice(
+        "normals", &o->normals, "smooth|flat|none",
+        "of the file or, if it has none, smooth over the edges; of the triangles; none: shade the faces of the cubes");
     table[n++] = sup_opt_flag("no-colors", &o->no_colors, "one colour for all");
-    table[n++] = sup_opt_flag("keep-inside-out", &o->keep_inside_out, "do not turn the normals of a mesh that encloses a negative volume");
+    table[n++] = sup_opt_flag("keep-inside-out", &o->keep_inside_out,
+                              "do not turn the normals of a mesh that encloses a negative volume");
     table[n++] = sup_opt_flag("fill", &o->fill, "fill closed hulls");
-    table[n++] = sup_opt_int("fill-depth", &o->fill_depth, 0, 1048576, "N", "with --fill: only so many voxels deep (0: all)");
-    table[n++] = sup_opt_choice("format", &o->format, "v5|v4", "v5: compact and lossless (default); v4: the thesis' octree file");
+    table[n++] =
+        sup_opt_int("fill-depth", &o->fill_depth, 0, 1048576, "N", "with --fill: only so many voxels deep (0: all)");
+    table[n++] = sup_opt_choice("format", &o->format, "v5|v4",
+                                "v5: compact and lossless (default); v4: the thesis' octree file");
     table[n++] = sup_opt_flag("raw", &o->raw, "v5 without compression: can be mapped into memory and used in place");
     table[n++] = sup_opt_text("scene", &o->scene, SUP_SCENE_NAMES, "a generated mesh instead of a file");
     table[n++] = sup_opt_int("detail", &o->detail, 0, 65536, "N", "how fine the generated mesh is (0: its default)");
@@ -48,20 +58,24 @@ static int parse(int argc, char **argv, convert_options *o) {
     if (o->scene != NULL) {
         if (o->first == NULL) return sup_bad_usage(argv[0], "OUT.vox is missing");
         if (o->second != NULL) return sup_bad_usage(argv[0], "with --scene there is only one file, OUT.vox");
-        if (sup_parse_choice(o->scene, SUP_SCENE_NAMES) < 0) return sup_bad_usage(argv[0], "--scene: \"%s\" is none of %s", o->scene, SUP_SCENE_NAMES);
+        if (sup_parse_choice(o->scene, SUP_SCENE_NAMES) < 0)
+            return sup_bad_usage(argv[0], "--scene: \"%s\" is none of %s", o->scene, SUP_SCENE_NAMES);
         o->in = o->scene;
         o->out = o->first;
     } else {
-        if (o->second == NULL) return sup_bad_usage(argv[0], "%s is missing", o->first == NULL ? "IN.{obj,ply,stl,off}" : "OUT.vox");
+        if (o->second == NULL)
+            return sup_bad_usage(argv[0], "%s is missing", o->first == NULL ? "IN.{obj,ply,stl,off}" : "OUT.vox");
         o->in = o->first;
         o->out = o->second;
     }
-    if (o->format == FORMAT_V4 && o->palette > 32767) return sup_bad_usage(argv[0], "--format v4 holds at most 32767 colours");
+    if (o->format == FORMAT_V4 && o->palette > 32767)
+        return sup_bad_usage(argv[0], "--format v4 holds at most 32767 colours");
     if (o->raw && o->format == FORMAT_V4) return sup_bad_usage(argv[0], "--raw goes with --format v5");
     return -1;
 }
 
-/* Twelve times the volume that the triangles enclose, seen from the middle of the mesh: negative if they face inwards. */
+/* Twelve times the volume that the triangles enclose, seen from the middle of the mesh: negative if they face inwards.
+ */
 static double signed_volume(const sup_mesh *m) {
     float lo[3], hi[3];
     double sum = 0.0;
@@ -70,10 +84,12 @@ static double signed_volume(const sup_mesh *m) {
         double p[3][3];
         for (int c = 0; c < 3; c++) {
             for (int a = 0; a < 3; a++) {
-                p[c][a] = (double)m->positions[3 * (size_t)m->indices[3 * t + (size_t)c] + (size_t)a] - 0.5 * ((double)lo[a] + (double)hi[a]);
+                p[c][a] = (double)m->positions[3 * (size_t)m->indices[3 * t + (size_t)c] + (size_t)a] -
+                          0.5 * ((double)lo[a] + (double)hi[a]);
             }
         }
-        const double v = p[0][0] * (p[1][1] * p[2][2] - p[1][2] * p[2][1]) + p[0][1] * (p[1][2] * p[2][0] - p[1][0] * p[2][2]) +
+        const double v = p[0][0] * (p[1][1] * p[2][2] - p[1][2] * p[2][1]) +
+                         p[0][1] * (p[1][2] * p[2][0] - p[1][0] * p[2][2]) +
                          p[0][2] * (p[1][0] * p[2][1] - p[1][1] * p[2][0]);
         if (fabs(v) <= DBL_MAX) sum += v;
     }
@@ -109,7 +125,8 @@ static int read_mesh(const char *program, const convert_options *o, sup_mesh *me
     /* Generated rooms are seen from inside; files that face inwards are mostly mistakes. */
     *turned = o->scene == NULL && !o->keep_inside_out && turn_outwards(mesh);
     /* Generated meshes without normals have sharp edges. */
-    if (o->scene == NULL && o->normals == NORMALS_SMOOTH && mesh->normals == NULL && mesh->triangle_count > 0 && sup_mesh_compute_normals(mesh, &err)) {
+    if (o->scene == NULL && o->normals == NORMALS_SMOOTH && mesh->normals == NULL && mesh->triangle_count > 0 &&
+        sup_mesh_compute_normals(mesh, &err)) {
         return sup_bad_input(program, err.text);
     }
     return 0;
@@ -138,18 +155,23 @@ static size_t file_size(const char *path) {
     return size > 0 ? (size_t)size : 0;
 }
 
-static void print_stats(const convert_options *o, const voxrt_build_stats *s, const voxrt_tree *tree, int turned, double read_s, double build_s, double write_s) {
+static void print_stats(const convert_options *o, const voxrt_build_stats *s, const voxrt_tree *tree, int turned,
+                        double read_s, double build_s, double write_s) {
     voxrt_tree_info info;
     voxrt_tree_get_info(tree, &info);
     printf("{\"program\":\"voxrt_convert\",\"in\":");
     sup_json_string(stdout, o->in);
-    printf(",\"triangles\":%llu,\"rejected\":%llu,\"degenerate\":%llu,\"fragments\":%llu", (unsigned long long)s->triangles,
-           (unsigned long long)s->rejected, (unsigned long long)s->degenerate, (unsigned long long)s->fragments);
-    printf(",\"turned\":%d,\"resolution\":%u,\"depth\":%u,\"voxels\":%llu,\"colors_in\":%llu,\"palette\":%u", turned, info.resolution, info.depth,
-           (unsigned long long)info.voxel_count, (unsigned long long)s->colors_in, info.palette_count);
-    printf(",\"geometry_bytes\":%llu,\"color_bytes\":%llu,\"normal_bytes\":%llu,\"bytes\":%llu,\"file_bytes\":%llu,\"peak_bytes\":%llu",
-           (unsigned long long)info.geometry_bytes, (unsigned long long)info.color_bytes, (unsigned long long)info.normal_bytes,
-           (unsigned long long)info.total_bytes, (unsigned long long)file_size(o->out), (unsigned long long)s->peak_bytes);
+    printf(",\"triangles\":%llu,\"rejected\":%llu,\"degenerate\":%llu,\"fragments\":%llu",
+           (unsigned long long)s->triangles, (unsigned long long)s->rejected, (unsigned long long)s->degenerate,
+           (unsigned long long)s->fragments);
+    printf(",\"turned\":%d,\"resolution\":%u,\"depth\":%u,\"voxels\":%llu,\"colors_in\":%llu,\"palette\":%u", turned,
+           info.resolution, info.depth, (unsigned long long)info.voxel_count, (unsigned long long)s->colors_in,
+           info.palette_count);
+    printf(",\"geometry_bytes\":%llu,\"color_bytes\":%llu,\"normal_bytes\":%llu,\"bytes\":%llu,\"file_bytes\":%llu,"
+           "\"peak_bytes\":%llu",
+           (unsigned long long)info.geometry_bytes, (unsigned long long)info.color_bytes,
+           (unsigned long long)info.normal_bytes, (unsigned long long)info.total_bytes,
+           (unsigned long long)file_size(o->out), (unsigned long long)s->peak_bytes);
     printf(",\"read_seconds\":%.6f,\"build_seconds\":%.6f,\"write_seconds\":%.6f}\n", read_s, build_s, write_s);
 }
 

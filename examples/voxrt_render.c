@@ -52,8 +52,10 @@ static int collect_lights(int argc, char **argv, render_options *o) {
         const char *value = strcmp(argv[i], "--light") == 0 && i + 1 < argc ? argv[++i] :
                             strncmp(argv[i], "--light=", 8) == 0 ? argv[i] + 8 : NULL;
         if (value == NULL) continue;
-        if (o->light_count == MAX_LIGHTS) return sup_bad_usage(argv[0], "--light: more than %d lights", (int)MAX_LIGHTS);
-        if (parse_light(value, &o->lights[o->light_count])) return sup_bad_usage(argv[0], "--light: \"%s\" is not [dir:]x,y,z[:r,g,b]", value);
+        if (o->light_count == MAX_LIGHTS)
+            return sup_bad_usage(argv[0], "--light: more than %d lights", (int)MAX_LIGHTS);
+        if (parse_light(value, &o->lights[o->light_count]))
+            return sup_bad_usage(argv[0], "--light: \"%s\" is not [dir:]x,y,z[:r,g,b]", value);
         o->light_count++;
     }
     return -1;
@@ -70,25 +72,36 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
     o->lod_split = -1;
     n = sup_common_options(&o->common, table);
     table[n++] = sup_opt_positional("IN.vox", &o->in, 1, "voxel file, format 5 or 4");
-    table[n++] = sup_opt_text("light", &o->light, "[dir:]x,y,z[:r,g,b]", "a point light, or the direction towards a distant one; may be repeated");
+    table[n++] = sup_opt_text("light", &o->light, "[dir:]x,y,z[:r,g,b]",
+                              "a point light, or the direction towards a distant one; may be repeated");
     table[n++] = sup_opt_flag("shadows", &o->shadows, "trace shadow rays");
     table[n++] = sup_opt_int("aa", &o->samples, 1, 65536, "N", "rays per pixel (1)");
-    table[n++] = sup_opt_text("lod", &o->lod, "off|object|LEVEL", "level of detail: full; one level for all by --tolerance; octree level LEVEL (0: one cube). Without it each pixel stops at cells of --tolerance pixels");
-    table[n++] = sup_opt_int("lod-split", &o->lod_split, 0, VOXRT_MAX_DEPTH, "LEVEL", "left half of the picture at this octree level");
+    table[n++] = sup_opt_text("lod", &o->lod, "off|object|LEVEL",
+                              "level of detail: full; one level for all by --tolerance; octree level LEVEL (0: one "
+                              "cube). Without it each pixel stops at cells of --tolerance pixels");
+    table[n++] = sup_opt_int("lod-split", &o->lod_split, 0, VOXRT_MAX_DEPTH, "LEVEL",
+                             "left half of the picture at this octree level");
     table[n++] = sup_opt_choice("path", &o->path, "fast|thesis", "wide tree, or the octree of 2009");
-    table[n++] = sup_opt_given(sup_opt_choice("heat", &o->heat, "outer|inner", "cells left, or nodes entered, per ray"), &o->has_heat);
+    table[n++] = sup_opt_given(sup_opt_choice("heat", &o->heat, "outer|inner", "cells left, or nodes entered, per ray"),
+                               &o->has_heat);
     table[n++] = sup_opt_real("heat-max", &o->heat_max, 1.0, 1e6, "N", "cells that are fully red (64)");
     table[n++] = sup_opt_flag("split", &o->split, "left third colours, middle the picture, right third brightness");
-    table[n++] = sup_opt_choice("normals", &normals, "stored|face", "shade by stored normals or by the faces of the cubes");
+    table[n++] =
+        sup_opt_choice("normals", &normals, "stored|face", "shade by stored normals or by the faces of the cubes");
     table[n++] = sup_opt_flag("one-sided", &o->one_sided, "do not turn normals towards the viewer");
     table[n++] = sup_opt_choice("compose", &compose, "linear|thesis", "linear light, or bytes times brightness");
-    table[n++] = sup_opt_given(sup_opt_vec3("background", o->background, "linear r,g,b instead of transparent"), &o->has_background);
-    table[n++] = sup_opt_given(sup_opt_real("blur", &o->blur, 0.1, 64.0, "R", "Gauss over the finished picture, radius in pixels"), &o->has_blur);
-    table[n++] = sup_opt_flag("smooth", &o->smooth, "with --blur: only where voxels are larger than pixels, not over edges");
+    table[n++] = sup_opt_given(sup_opt_vec3("background", o->background, "linear r,g,b instead of transparent"),
+                               &o->has_background);
+    table[n++] = sup_opt_given(
+        sup_opt_real("blur", &o->blur, 0.1, 64.0, "R", "Gauss over the finished picture, radius in pixels"),
+        &o->has_blur);
+    table[n++] =
+        sup_opt_flag("smooth", &o->smooth, "with --blur: only where voxels are larger than pixels, not over edges");
     status = sup_cli_parse(argc, argv, "Draws a voxel file.", table, n);
     if (status >= 0) return status;
     if (o->smooth && o->path == PATH_THESIS) return sup_bad_usage(argv[0], "--smooth goes with --path fast");
-    if (o->common.out == NULL && o->common.depth == NULL && !o->common.stats) return sup_bad_usage(argv[0], "--out FILE is missing");
+    if (o->common.out == NULL && o->common.depth == NULL && !o->common.stats)
+        return sup_bad_usage(argv[0], "--out FILE is missing");
     status = collect_lights(argc, argv, o);
     if (status >= 0) return status;
 
@@ -118,8 +131,11 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
         desc->tolerance = o->common.has_tolerance ? desc->tolerance : 0.0f;
         if (strcmp(o->lod, "object") == 0) desc->object_lod = 1;
         else if (strcmp(o->lod, "off") == 0) desc->tolerance = 0.0f;
-        else if (!sup_parse_int(&at, end, &level) && at == end && level >= 0 && level <= VOXRT_MAX_DEPTH) desc->max_level_plus_1 = (uint32_t)level + 1;
-        else return sup_bad_usage(argv[0], "--lod: \"%s\" is not off, object or a level from 0 to %d", o->lod, VOXRT_MAX_DEPTH);
+        else if (!sup_parse_int(&at, end, &level) && at == end && level >= 0 && level <= VOXRT_MAX_DEPTH)
+            desc->max_level_plus_1 = (uint32_t)level + 1;
+        else
+            return sup_bad_usage(argv[0], "--lod: \"%s\" is not off, object or a level from 0 to %d", o->lod,
+                                 VOXRT_MAX_DEPTH);
     }
     return -1;
 }
@@ -149,7 +165,8 @@ static int load(const char *program, const render_options *o, scene *s) {
     }
     SUP_FREE(data);
     if (result == VOXRT_OK) return 0;
-    (void)sup_fail(&err, "%s: byte %llu: %s", o->in, (unsigned long long)error.where, error.text[0] ? error.text : voxrt_result_string(result));
+    (void)sup_fail(&err, "%s: byte %llu: %s", o->in, (unsigned long long)error.where,
+                   error.text[0] ? error.text : voxrt_result_string(result));
     return sup_bad_input(program, err.text);
 }
 
@@ -193,14 +210,17 @@ static int ends_with(const char *text, const char *end) {
 
 static int write_picture(const render_options *o, const voxrt_image *image, sup_error *err) {
     const size_t pixels = (size_t)image->width * image->height;
-    if (o->common.depth != NULL && sup_pfm_write(o->common.depth, image->depth, image->width, image->height, 1, err)) return 1;
+    if (o->common.depth != NULL && sup_pfm_write(o->common.depth, image->depth, image->width, image->height, 1, err))
+        return 1;
     if (o->common.out == NULL) return 0;
-    if (!ends_with(o->common.out, ".pfm")) return sup_png_write8(o->common.out, image->rgba8, image->width, image->height, 4, err);
+    if (!ends_with(o->common.out, ".pfm"))
+        return sup_png_write8(o->common.out, image->rgba8, image->width, image->height, 4, err);
     for (size_t i = 0; i < pixels; i++) memmove(image->rgba + 3 * i, image->rgba + 4 * i, 12);
     return sup_pfm_write(o->common.out, image->rgba, image->width, image->height, 3, err);
 }
 
-static int blur(const render_options *o, const voxrt_render_desc *desc, const scene *s, const voxrt_image *image, voxrt_error *error) {
+static int blur(const render_options *o, const voxrt_render_desc *desc, const scene *s, const voxrt_image *image,
+                voxrt_error *error) {
     voxrt_blur_desc b = {0};
     b.env = desc->env;
     b.env.error = error;
@@ -208,15 +228,16 @@ static int blur(const render_options *o, const voxrt_render_desc *desc, const sc
     if (o->smooth) {
         voxrt_tree_info info;
         voxrt_tree_get_info(s->tree, &info);
-        b.footprint = (float)(2.0 * tan((double)desc->camera.fov_y * (3.14159265358979323846 / 360.0)) / (double)image->height);
+        b.footprint =
+            (float)(2.0 * tan((double)desc->camera.fov_y * (3.14159265358979323846 / 360.0)) / (double)image->height);
         b.voxel_size = (float)info.voxel_size;
         b.depth = info.depth;
     }
     return voxrt_blur(&b, image) != VOXRT_OK;
 }
 
-static void print_stats(const render_options *o, const scene *s, const voxrt_camera *camera, const voxrt_image *image, const voxrt_render_stats *stats,
-                        double seconds) {
+static void print_stats(const render_options *o, const scene *s, const voxrt_camera *camera, const voxrt_image *image,
+                        const voxrt_render_stats *stats, double seconds) {
     const voxrt_isa best = voxrt_isa_best(), wanted = (voxrt_isa)o->common.isa;
     const uint64_t rays = stats->primary.rays + stats->shadow.rays;
     voxrt_env env = {0};
@@ -225,14 +246,17 @@ static void print_stats(const render_options *o, const scene *s, const voxrt_cam
     voxrt_tree_get_info(s->tree, &info);
     printf("{\"program\":\"voxrt_render\",\"in\":");
     sup_json_string(stdout, o->in);
-    printf(",\"path\":\"%s\",\"width\":%u,\"height\":%u,\"voxels\":%llu,\"depth\":%u,\"bytes\":%llu", o->path == PATH_THESIS ? "thesis" : "fast", image->width,
-           image->height, (unsigned long long)info.voxel_count, info.depth, (unsigned long long)info.total_bytes);
+    printf(",\"path\":\"%s\",\"width\":%u,\"height\":%u,\"voxels\":%llu,\"depth\":%u,\"bytes\":%llu",
+           o->path == PATH_THESIS ? "thesis" : "fast", image->width, image->height,
+           (unsigned long long)info.voxel_count, info.depth, (unsigned long long)info.total_bytes);
     printf(",\"rays\":%llu,\"hits\":%llu,\"shadow_rays\":%llu,\"shadow_hits\":%llu,\"steps\":%llu,\"descents\":%llu",
-           (unsigned long long)stats->primary.rays, (unsigned long long)stats->primary.hits, (unsigned long long)stats->shadow.rays,
-           (unsigned long long)stats->shadow.hits, (unsigned long long)stats->primary.steps, (unsigned long long)stats->primary.descents);
-    printf(",\"eye\":[%.9g,%.9g,%.9g],\"at\":[%.9g,%.9g,%.9g]", (double)camera->eye[0], (double)camera->eye[1], (double)camera->eye[2],
-           (double)camera->at[0], (double)camera->at[1], (double)camera->at[2]);
-    printf(",\"seconds\":%.6f,\"mrays_per_second\":%.3f,\"isa\":\"%s\",\"threads\":%u}\n", seconds, seconds > 0.0 ? 1e-6 * (double)rays / seconds : 0.0,
+           (unsigned long long)stats->primary.rays, (unsigned long long)stats->primary.hits,
+           (unsigned long long)stats->shadow.rays, (unsigned long long)stats->shadow.hits,
+           (unsigned long long)stats->primary.steps, (unsigned long long)stats->primary.descents);
+    printf(",\"eye\":[%.9g,%.9g,%.9g],\"at\":[%.9g,%.9g,%.9g]", (double)camera->eye[0], (double)camera->eye[1],
+           (double)camera->eye[2], (double)camera->at[0], (double)camera->at[1], (double)camera->at[2]);
+    printf(",\"seconds\":%.6f,\"mrays_per_second\":%.3f,\"isa\":\"%s\",\"threads\":%u}\n", seconds,
+           seconds > 0.0 ? 1e-6 * (double)rays / seconds : 0.0,
            voxrt_isa_name(wanted == VOXRT_ISA_AUTO || wanted > best ? best : wanted), voxrti_thread_count(&env));
 }
 
@@ -259,7 +283,8 @@ static int make_image(const render_options *o, voxrt_image *image) {
         image->normal = (float *)sup_alloc(pixels, 12);
         image->hit = (voxrt_hit *)sup_alloc(pixels, sizeof(voxrt_hit));
     }
-    if (image->rgba8 != NULL && (!linear || image->rgba != NULL) && ((o->common.depth == NULL && !o->smooth) || image->depth != NULL) &&
+    if (image->rgba8 != NULL && (!linear || image->rgba != NULL) &&
+        ((o->common.depth == NULL && !o->smooth) || image->depth != NULL) &&
         (!o->smooth || (image->normal != NULL && image->hit != NULL))) {
         return 0;
     }
@@ -295,7 +320,8 @@ int main(int argc, char **argv) {
     }
     desc.env.error = &error;
     status = 0;
-    if (o.common.stats) status = voxrt_render(&desc, drawn, &image, &stats) != VOXRT_OK; /* counting costs time: not measured */
+    if (o.common.stats)
+        status = voxrt_render(&desc, drawn, &image, &stats) != VOXRT_OK; /* counting costs time: not measured */
     start = sup_now();
     if (!status) status = voxrt_render(&desc, drawn, &image, NULL) != VOXRT_OK;
     seconds = sup_now() - start;

@@ -14,19 +14,17 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     voxrt_hit one[RAYS], hits[RAYS];
     uint8_t occ[RAYS], bits[512];
     oracle_grid g = {{0, 0, 0}, {1, 1, 1}, NULL};
-    voxrt_build_desc b; voxrt_trace_desc d;
-    voxrt_tree *tree = NULL;
+    voxrt_build_desc b; voxrt_trace_desc d; voxrt_tree *tree = NULL;
     size_t i, k, n = size > 1 ? data[1] : 0, count;
     if (n == 0 || size < 2 + 3 * n) return 0;
     memset(v, 0, sizeof v); memset(bits, 0, sizeof bits); memset(&b, 0, sizeof b); memset(&d, 0, sizeof d);
-    g.n[0] = g.n[1] = g.n[2] = 2 << data[0] % 4;
-    g.bits = bits;
+    g.n[0] = g.n[1] = g.n[2] = 2 << data[0] % 4; g.bits = bits;
     for (i = 0; i < n; i++) {
         const uint8_t *p = data + 2 + 3 * i;
         v[i].x = p[0] & (uint32_t)(g.n[0] - 1); v[i].y = p[1] & (uint32_t)(g.n[0] - 1); v[i].z = p[2] & (uint32_t)(g.n[0] - 1);
         oracle_set(&g, (int32_t)v[i].x, (int32_t)v[i].y, (int32_t)v[i].z);
     }
-    b.env.thread_count = 1;
+    b.env.thread_count = b.disable_colors = b.disable_normals = 1;
     if (voxrt_tree_from_voxels(&b, v, n, 1 + data[0] % 4u, &tree) != VOXRT_OK) abort();
     count = (size - 2 - 3 * n) / 16 < RAYS ? (size - 2 - 3 * n) / 16 : RAYS;
     for (i = 0; i < count; i++) {
@@ -38,11 +36,10 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
             memcpy(&f[k], &w, sizeof w);
             if (u & 1) f[k] = ((float)(u >> 1) - 16384.0f) / 64.0f;
             if (k < 6 || !isinf(f[k])) tame &= fabsf(f[k]) <= 256.0f && f[k] * 2048.0f == floorf(f[k] * 2048.0f);
-            if (k < 3) { rays[i].org[k] = f[k]; o.o[k] = (double)f[k]; }
-            else if (k < 6) { rays[i].dir[k - 3] = f[k]; o.d[k - 3] = (double)f[k]; }
         }
-        rays[i].t_min = f[6]; rays[i].t_max = f[7]; o.t_min = (double)f[6]; o.t_max = (double)f[7];
-        memset(&one[i], 0x5a, sizeof one[i]); memset(&said, 0, sizeof said);
+        for (k = 0; k < 3; k++) { o.o[k] = (double)(rays[i].org[k] = f[k]); o.d[k] = (double)(rays[i].dir[k] = f[k + 3]); }
+        o.t_min = (double)(rays[i].t_min = f[6]); o.t_max = (double)(rays[i].t_max = f[7]);
+        memset(&said, 0, sizeof said);
         said.hit = voxrt_trace1(tree, &rays[i], &one[i]);
         for (k = 0; k < 3; k++) said.cell[k] = (int32_t)one[i].cell[k];
         said.t = (double)one[i].t; said.face = one[i].face;
