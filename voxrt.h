@@ -831,6 +831,10 @@ VOXRT_DEF voxrt_result voxrt_camera_ray(const voxrt_camera *camera, uint32_t wid
 VOXRT_DEF voxrt_result voxrt_camera_fit(voxrt_camera *camera, const double box_min[3], const double box_max[3],
                                         const float view[3], uint32_t width, uint32_t height);
 
+/* The same for what is filled in the cells of octree level 6: closer than its box allows. O(4096) or so. */
+VOXRT_DEF voxrt_result voxrt_camera_fit_tree(voxrt_camera *camera, const voxrt_tree *tree, const float view[3],
+                                             uint32_t width, uint32_t height);
+
 /* World box of the filled voxels. */
 VOXRT_DEF void voxrt_tree_bounds(const voxrt_tree *tree, double box_min[3], double box_max[3]);
 
@@ -1004,10 +1008,9 @@ VOXRTI_UNUSED static int voxrti_cpu_level(void) {
 #endif
 }
 
-#if defined(__GNUC__) || defined(__clang__)
+/* gcc knows this pattern where the processor has the instruction; its builtin is a call into libgcc elsewhere. */
+#if defined(__clang__) || (defined(__GNUC__) && (defined(__POPCNT__) || defined(__aarch64__)))
 #  define voxrti_popcount64(x) ((uint32_t)__builtin_popcountll(x))
-#  define voxrti_ctz64(x) ((uint32_t)__builtin_ctzll(x)) /* x != 0 */
-#  define voxrti_clz32(x) ((uint32_t)__builtin_clz(x))   /* x != 0 */
 #else
 VOXRTI_INLINE uint32_t voxrti_popcount64(uint64_t x) {
     x -= (x >> 1) & 0x5555555555555555u;
@@ -1015,6 +1018,11 @@ VOXRTI_INLINE uint32_t voxrti_popcount64(uint64_t x) {
     x = (x + (x >> 4)) & 0x0f0f0f0f0f0f0f0fu;
     return (uint32_t)((x * 0x0101010101010101u) >> 56);
 }
+#endif
+#if defined(__GNUC__) || defined(__clang__)
+#  define voxrti_ctz64(x) ((uint32_t)__builtin_ctzll(x)) /* x != 0 */
+#  define voxrti_clz32(x) ((uint32_t)__builtin_clz(x))   /* x != 0 */
+#else
 VOXRTI_INLINE uint32_t voxrti_ctz64(uint64_t x) { return voxrti_popcount64((x & (0u - x)) - 1u); }
 VOXRTI_INLINE uint32_t voxrti_clz32(uint32_t x) {
     x |= x >> 1; x |= x >> 2; x |= x >> 4; x |= x >> 8; x |= x >> 16;
@@ -3499,7 +3507,15 @@ static void voxrti_raster_thesis(voxrti_brick *b, const voxrti_tri *t) {
                    lam2 = len - f > 0 ? h * (len - along) / (len - f) : h;
             double lam = voxrti_min(lam1, lam2);
             uint32_t m = h < 1e-6 || lq <= 0 || !(lam > 0) ? 0 : (uint32_t)(lam / lq);
-            for (j = 0; j <= m; j++) {
+            double from = 0, to = (double)m; /* steps that can lie in this brick: one of dq's components is 1 */
+            for (a = 0; a < 3; a++) {
+                double x = (double)b->lo[a] - vertex[0][a] - (double)i * dp[a];
+                if (voxrti_abs(dq[a]) < 0.999) continue;
+                x = dq[a] > 0 ? x : -x - (double)b->size;
+                from = voxrti_max(from, x - 2.0);
+                to = voxrti_min(to, x + (double)b->size + 2.0);
+            }
+            for (j = (uint32_t)from; (double)j <= to; j++) {
                 uint32_t cc[3], inside = 1;
                 double b2, b1, b0, across = (double)j * lq;
                 float attr[6];
@@ -9460,21 +9476,42 @@ VOXRT_DEF voxrt_result voxrt_camera_ray(const voxrt_camera *camera, uint32_t wid
     return r;
 }
 
-VOXRT_DEF voxrt_result voxrt_camera_fit(voxrt_camera *camera, const double box_min[3], const double box_max[3],
-                                        const float view[3], uint32_t width, uint32_t height) {
-    double back[3], forward[3], right[3], above[3], size = 0.0, distance = 0.0, tan_y, tan_x;
-    uint32_t a, corner;
-    if (camera == NULL || box_min == NULL || box_max == NULL) return VOXRT_ERR_INVALID_ARG;
-    tan_y = voxrti_camera_tangent(camera);
-    tan_x = width != 0 && height != 0 ? tan_y * (double)width / (double)height : tan_y;
-    if (!(tan_y > 0.0)) return VOXRT_ERR_INVALID_ARG;
+/* Fitting a camera of given direction: a point at (x, y, z) (right, above, towards the eye) is in the picture when
+   |x - cx| <= (distance - z) * tan_x, so the extremes of +-x + z * tan_x fix the least distance and the shift. */
+typedef struct voxrti_fit {
+    double origin[3];            /* world */
+    double right[3], above[3], back[3], tan_x, tan_y;
+    double most[4];              /* of x + z tan_x, -x + z tan_x, y + z tan_y, -y + z tan_y */
+    double size;                 /* extent */
+} voxrti_fit;
+
+/* An axis-parallel box: centre and half its edges. */
+static void voxrti_fit_box(voxrti_fit *f, const double centre[3], const double half[3]) {
+    double at[4] = {0.0, 0.0, 0.0, 0.0};
+    uint32_t a, k;
     for (a = 0; a < 3; a++) {
-        if (!voxrti_finite(box_min[a]) || !voxrti_finite(box_max[a]) || box_min[a] > box_max[a])
-            return VOXRT_ERR_INVALID_ARG;
-        size = voxrti_max(size, box_max[a] - box_min[a]);
+        double p = centre[a] - f->origin[a], g[4];
+        g[0] = f->right[a] + f->tan_x * f->back[a];
+        g[1] = -f->right[a] + f->tan_x * f->back[a];
+        g[2] = f->above[a] + f->tan_y * f->back[a];
+        g[3] = -f->above[a] + f->tan_y * f->back[a];
+        for (k = 0; k < 4; k++) at[k] += p * g[k] + half[a] * voxrti_abs(g[k]);
+        f->size = voxrti_max(f->size, 2.0 * half[a]);
     }
+    for (k = 0; k < 4; k++) f->most[k] = voxrti_max(f->most[k], at[k]);
+}
+
+static voxrt_result voxrti_fit_open(voxrti_fit *f, const voxrt_camera *camera, const float view[3], uint32_t width,
+                                    uint32_t height) {
+    double forward[3];
+    uint32_t a;
+    memset(f, 0, sizeof *f);
+    f->tan_y = voxrti_camera_tangent(camera);
+    f->tan_x = width != 0 && height != 0 ? f->tan_y * (double)width / (double)height : f->tan_y;
+    if (!(f->tan_y > 0.0)) return VOXRT_ERR_INVALID_ARG;
+    for (a = 0; a < 4; a++) f->most[a] = -VOXRTI_INF;
     if (view != NULL) {
-        for (a = 0; a < 3; a++) back[a] = (double)view[a];
+        for (a = 0; a < 3; a++) f->back[a] = (double)view[a];
     } else { /* `up` and the x axis say where the front is: +z with y up, -y with z up */
         double side[3], front[3], up[3];
         for (a = 0; a < 3; a++) up[a] = (double)camera->up[a];
@@ -9491,27 +9528,75 @@ VOXRT_DEF voxrt_result voxrt_camera_fit(voxrt_camera *camera, const double box_m
         }
         (void)voxrti_unit(front);
         voxrti_cross(up, front, side);
-        for (a = 0; a < 3; a++) back[a] = 0.6 * side[a] + 0.42 * up[a] + front[a];
+        for (a = 0; a < 3; a++) f->back[a] = 0.6 * side[a] + 0.42 * up[a] + front[a];
     }
-    if (!voxrti_unit(back)) return VOXRT_ERR_INVALID_ARG;
-    for (a = 0; a < 3; a++) forward[a] = -back[a];
-    voxrti_frame_axes(forward, camera->up, right, above);
-    for (corner = 0; corner < 8; corner++) {
-        double x = 0.0, y = 0.0, z = 0.0;
-        for (a = 0; a < 3; a++) {
-            double p = 0.5 * ((corner >> a & 1u) ? box_max[a] - box_min[a] : box_min[a] - box_max[a]);
-            x += p * right[a];
-            y += p * above[a];
-            z += p * back[a];
-        }
-        distance = voxrti_max(distance, z + voxrti_max(voxrti_abs(x) / tan_x, voxrti_abs(y) / tan_y));
-    }
-    distance = size > 0.0 ? 1.04 * distance + 0.01 * size : 1.0;
+    if (!voxrti_unit(f->back)) return VOXRT_ERR_INVALID_ARG;
+    for (a = 0; a < 3; a++) forward[a] = -f->back[a];
+    voxrti_frame_axes(forward, camera->up, f->right, f->above);
+    return VOXRT_OK;
+}
+
+static void voxrti_fit_close(const voxrti_fit *f, voxrt_camera *camera) {
+    double distance = voxrti_max((f->most[0] + f->most[1]) / (2.0 * f->tan_x), (f->most[2] + f->most[3]) / (2.0 * f->tan_y));
+    double x = 0.5 * (f->most[0] - f->most[1]), y = 0.5 * (f->most[2] - f->most[3]);
+    uint32_t a;
+    distance = f->size > 0.0 ? 1.04 * distance + 0.01 * f->size : 1.0;
     for (a = 0; a < 3; a++) {
-        double centre = 0.5 * (box_min[a] + box_max[a]);
-        camera->at[a] = (float)centre;
-        camera->eye[a] = (float)(centre + distance * back[a]);
+        double at = f->origin[a] + x * f->right[a] + y * f->above[a];
+        camera->at[a] = (float)at;
+        camera->eye[a] = (float)(at + distance * f->back[a]);
     }
+}
+
+VOXRT_DEF voxrt_result voxrt_camera_fit(voxrt_camera *camera, const double box_min[3], const double box_max[3],
+                                        const float view[3], uint32_t width, uint32_t height) {
+    voxrti_fit f;
+    double half[3];
+    uint32_t a;
+    voxrt_result r;
+    if (camera == NULL || box_min == NULL || box_max == NULL) return VOXRT_ERR_INVALID_ARG;
+    r = voxrti_fit_open(&f, camera, view, width, height);
+    if (r != VOXRT_OK) return r;
+    for (a = 0; a < 3; a++) {
+        if (!voxrti_finite(box_min[a]) || !voxrti_finite(box_max[a]) || box_min[a] > box_max[a])
+            return VOXRT_ERR_INVALID_ARG;
+        f.origin[a] = 0.5 * (box_min[a] + box_max[a]);
+        half[a] = 0.5 * (box_max[a] - box_min[a]);
+    }
+    voxrti_fit_box(&f, f.origin, half);
+    voxrti_fit_close(&f, camera);
+    return VOXRT_OK;
+}
+
+typedef struct voxrti_fit_cells { voxrti_fit fit; const voxrt_tree *tree; double edge; } voxrti_fit_cells;
+
+static int voxrti_fit_cell(void *user, const voxrt_voxel *v, uint32_t index) {
+    voxrti_fit_cells *c = (voxrti_fit_cells *)user;
+    double centre[3], half[3];
+    (void)index;
+    centre[0] = c->tree->origin[0] + ((double)v->x + 0.5) * c->edge;
+    centre[1] = c->tree->origin[1] + ((double)v->y + 0.5) * c->edge;
+    centre[2] = c->tree->origin[2] + ((double)v->z + 0.5) * c->edge;
+    half[0] = half[1] = half[2] = 0.5 * c->edge;
+    voxrti_fit_box(&c->fit, centre, half);
+    return 0;
+}
+
+VOXRT_DEF voxrt_result voxrt_camera_fit_tree(voxrt_camera *camera, const voxrt_tree *tree, const float view[3],
+                                             uint32_t width, uint32_t height) {
+    voxrti_fit_cells c;
+    uint32_t a, level;
+    voxrt_result r;
+    if (camera == NULL || tree == NULL) return VOXRT_ERR_INVALID_ARG;
+    r = voxrti_fit_open(&c.fit, camera, view, width, height);
+    if (r != VOXRT_OK) return r;
+    level = tree->depth < 6 ? tree->depth : 6;
+    c.tree = tree;
+    c.edge = tree->voxel_size * (double)((uint32_t)1 << (tree->depth - level));
+    for (a = 0; a < 3; a++)
+        c.fit.origin[a] = tree->origin[a] + tree->voxel_size * 0.5 * ((double)tree->cell_min[a] + (double)tree->cell_max[a]);
+    (void)voxrt_tree_each(tree, level, voxrti_fit_cell, &c);
+    voxrti_fit_close(&c.fit, camera);
     return VOXRT_OK;
 }
 
@@ -9689,7 +9774,10 @@ static voxrt_result voxrti_render_open(const voxrt_render_desc *d, voxrti_render
     }
     if (camera.eye[0] == camera.at[0] && camera.eye[1] == camera.at[1] && camera.eye[2] == camera.at[2]) {
         if (!voxrti_render_box(c, lo, hi)) return VOXRT_ERR_INVALID_ARG;
-        r = voxrt_camera_fit(&camera, lo, hi, NULL, m->width, m->height);
+        if (c->tree != NULL && d->geometry_count == 0)
+            r = voxrt_camera_fit_tree(&camera, c->tree, NULL, m->width, m->height);
+        else
+            r = voxrt_camera_fit(&camera, lo, hi, NULL, m->width, m->height);
         if (r != VOXRT_OK) return r;
     }
     r = voxrti_frame_open(&camera, m->height, &c->frame);

@@ -66,8 +66,8 @@ static int read_model(model *m) {
         SUP_FREE(data);
         if (bad) { /* the decimated one stands in */
             snprintf(path, sizeof path, "%s/meshes/dragon_res3.ply", g_opt.data);
-            m->name = "dragon_res3";
             if (sup_mesh_read(path, &m->mesh, &err)) return 1;
+            m->name = "dragon_res3";
         }
     } else if (sup_mesh_read(path, &m->mesh, &err)) {
         return 1;

@@ -184,6 +184,8 @@ static void set_camera(const render_options *o, const scene *s, voxrt_camera *ca
     memcpy(camera->at, framed.at, sizeof camera->at);
     memcpy(camera->up, framed.up, sizeof camera->up);
     camera->fov_y = framed.fov;
+    if (!o->common.has_eye && !o->common.has_at)
+        (void)voxrt_camera_fit_tree(camera, s->tree, NULL, o->common.size[0], o->common.size[1]);
 }
 
 /* Draw the octree in place of the tree; its level of detail is one level for all. */

@@ -30,7 +30,7 @@ ALLOW_LIBM="sqrt sqrtf"            # gcc calls them for negative arguments only 
 ALLOW_THREADS="pthread_create pthread_join pthread_attr_init pthread_attr_setstacksize pthread_attr_destroy
  pthread_mutex_init pthread_mutex_lock pthread_mutex_unlock pthread_mutex_destroy
  pthread_cond_init pthread_cond_wait pthread_cond_signal pthread_cond_broadcast pthread_cond_destroy sched_yield"
-ALLOW_COMPILER="__assert_fail __stack_chk_fail _GLOBAL_OFFSET_TABLE_ __cpu_model __cpu_indicator_init __errno_location"
+ALLOW_COMPILER="bcmp __assert_fail __stack_chk_fail _GLOBAL_OFFSET_TABLE_ __cpu_model __cpu_indicator_init __errno_location" # bcmp: clang's memcmp(...) == 0
 STACK_LIMIT=16384                  # bytes in one function
 LINE_LIMIT=120                     # characters in a line of a header
 PROGRAM_LINE_LIMIT=160             # and of a program

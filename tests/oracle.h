@@ -237,7 +237,7 @@ ORACLE_FN int oracle_start(oracle_walk *w, int *tied, double *t) {
 ORACLE_FN const char *oracle_judge(const oracle_grid *g, const oracle_ray *r, const oracle_hit *said,
                                    oracle_hit *first) {
     oracle_walk w;
-    double t = 0, next[3] = {INFINITY, INFINITY, INFINITY}, u = oracle_ulp(r->t_max);
+    double t = 0, next[3] = {HUGE_VAL, HUGE_VAL, HUGE_VAL}, u = oracle_ulp(r->t_max);
     int a, tied = 0, miss_ok = 0;
     memset(&w, 0, sizeof w);
     w.g = g;
@@ -276,7 +276,7 @@ ORACLE_FN const char *oracle_judge(const oracle_grid *g, const oracle_ray *r, co
         if (left) break;
     }
     if (w.alive != 0) miss_ok = 1;
-    if (!w.first.hit) w.first.t = INFINITY;
+    if (!w.first.hit) w.first.t = HUGE_VAL;
     if (first != NULL) *first = w.first;
     if (said == NULL) return NULL;
     if (!said->hit) return miss_ok ? NULL : "miss, but filled cells close the way";

@@ -531,7 +531,8 @@ TEST(normal_codec) {
         f[0] = (float)(s * cos(p)); f[1] = (float)(s * sin(p)); f[2] = (float)z;
         code = voxrti_sph_encode(f);
         voxrti_sph_decode(code & 255u, (int8_t)(code >> 8), g);
-        e = asin(0.5 * sqrt(pow(f[0] - g[0], 2) + pow(f[1] - g[1], 2) + pow(f[2] - g[2], 2))) * 2 * 57.29577951308232;
+        e = asin(0.5 * sqrt(pow((double)(f[0] - g[0]), 2) + pow((double)(f[1] - g[1]), 2) +
+                                 pow((double)(f[2] - g[2]), 2))) * 2 * 57.29577951308232;
         sum += e;
         if (e > worst) worst = e;
     }
@@ -760,10 +761,10 @@ TEST(bad_arguments) {
 /* Does the ray cross the cube [c, c + edge] grown by g? Interval of t in double. World: voxel size 1, origin 0. */
 static int slab(const voxrt_ray *r, const double lo[3], double edge, double g, double *in, double *out) {
     int a;
-    *in = r->t_min;
-    *out = r->t_max;
+    *in = (double)r->t_min;
+    *out = (double)r->t_max;
     for (a = 0; a < 3; a++) {
-        double l = lo[a] - g - r->org[a], h = lo[a] + edge + g - r->org[a], d = r->dir[a];
+        double o = (double)r->org[a], l = lo[a] - g - o, h = lo[a] + edge + g - o, d = (double)r->dir[a];
         if (d == 0) {
             if (l > 0 || h < 0) return 0;
         } else {
@@ -802,31 +803,32 @@ static filled_list list_filled(const voxrt_octree *t, uint32_t max_level) {
 static void list_free(filled_list *f) { free(f->lo); free(f->edge); free(f->voxel); }
 
 /* Is the hit one that a ray within g cells of this one could have? 1: exactly the nearest. 2: admissible. 0: wrong. */
-static int judge(const voxrt_octree *t, const filled_list *f, const voxrt_ray *ray, const voxrt_hit *h, double g) {
-    double must = INFINITY, nearest = INFINITY, in, out, len = 0, slack;
+static int judge(const voxrt_octree *tree, const filled_list *f, const voxrt_ray *ray, const voxrt_hit *h, double g) {
+    double must = HUGE_VAL, nearest = HUGE_VAL, in, out, len = 0, slack;
+    const double t_min = (double)ray->t_min, t_max = (double)ray->t_max, t = (double)h->t;
     size_t i, best = 0;
     int a;
-    for (a = 0; a < 3; a++) len += (double)ray->dir[a] * ray->dir[a];
+    for (a = 0; a < 3; a++) len += (double)ray->dir[a] * (double)ray->dir[a];
     len = sqrt(len);
     slack = g / len;
     for (i = 0; i < f->n; i++) {
         if (!slab(ray, f->lo[i], f->edge[i], 0, &in, &out)) continue;
         if (in < nearest) { nearest = in; best = i; }
-        if (slab(ray, f->lo[i], f->edge[i], -g, &in, &out) && in < must && out < ray->t_max - slack &&
-            out > ray->t_min + slack) must = in;
+        if (slab(ray, f->lo[i], f->edge[i], -g, &in, &out) && in < must && out < t_max - slack &&
+            out > t_min + slack) must = in;
     }
     if (h->node == VOXRT_NO_NODE) { /* beyond the largest float is a miss too */
-        if (!(nearest < ray->t_max) || nearest > 3.4e38) return 1;
+        if (!(nearest < t_max) || nearest > 3.4e38) return 1;
         return must > 3.4e38 ? 2 : 0;
     }
     for (i = 0; i < f->n && f->voxel[i] != h->node; i++) { }
     if (i == f->n) return 0;
     for (a = 0; a < 3; a++) if ((double)h->cell[a] * f->edge[i] != f->lo[i][a]) return 0;
-    if ((1u << (t->depth - h->level)) != (uint32_t)f->edge[i]) return 0;
+    if ((1u << (tree->depth - h->level)) != (uint32_t)f->edge[i]) return 0;
     if (!(h->t >= ray->t_min) || !(h->t < ray->t_max)) return 0;
     if (!slab(ray, f->lo[i], f->edge[i], g, &in, &out)) return 0;
-    if (h->t < in - slack || h->t > out + slack) return 0;
-    if (must < h->t - 2 * slack) return 0;
+    if (t < in - slack || t > out + slack) return 0;
+    if (must < t - 2 * slack) return 0;
     return i == best ? 1 : 2;
 }
 
@@ -904,9 +906,9 @@ TEST(rays_against_brute_force) {
                 all[kind]++;
                 right[kind] += j == 1;
                 CHECK_MSG(j != 0, "level %u kind %d ray %d: org %g %g %g dir %g %g %g t %g..%g: hit %u at %g", level,
-                    kind, k,
-                          ray->org[0], ray->org[1], ray->org[2], ray->dir[0], ray->dir[1], ray->dir[2],
-                          ray->t_min, ray->t_max, hits[0][k].node, hits[0][k].t);
+                          kind, k, (double)ray->org[0], (double)ray->org[1], (double)ray->org[2], (double)ray->dir[0],
+                          (double)ray->dir[1], (double)ray->dir[2], (double)ray->t_min, (double)ray->t_max,
+                          hits[0][k].node, (double)hits[0][k].t);
             }
         }
         list_free(&f);

@@ -293,7 +293,7 @@ TEST(general_rays) {
         if (test_quick() && list[k].depth > 7) continue;
         scene_make(&s, list[k].depth, list[k].kind);
         while (done < want) {
-            size_t i, n = want - done < BATCH ? want - done : BATCH;
+            size_t i, n = want - done < BATCH ? want - done : (size_t)BATCH;
             for (i = 0; i < n; i++) rays[i] = general_ray(&r, (float)s.size);
             check_rays(&s, rays, NULL, n, &sum);
             done += n;
@@ -946,7 +946,8 @@ static void check_cones(int corners) {
                     CHECK_MSG(want == is_hit && (!want || (c.hit[3] == hits[i].level && memcmp(c.hit, hits[i].cell, 12) == 0 &&
                               fabs(c.t - (double)hits[i].t) <= 1e-6 * (1e-3 + fabs(c.t)))),
                               "%s, cone %g + %g t, %s: %s, by recursion: %s t %.9g cell %u %u %u level %u", s.name, (double)d.cone_width,
-                              (double)d.cone_spread, ray_text(&rays[i]), hit_text(&hits[i]), want ? "hit" : "miss", c.t, c.hit[0], c.hit[1], c.hit[2], c.hit[3]);
+                              (double)d.cone_spread, ray_text(&rays[i]), hit_text(&hits[i]), want ? "hit" : "miss", c.t,
+                              c.hit[0], c.hit[1], c.hit[2], c.hit[3]);
                 }
             }
             d.cone_width *= 1.5f;
@@ -971,7 +972,8 @@ TEST(cones_see_all_of_a_coarse_cell) { check_cones(0); }
 /* ---- trees ---- */
 
 TEST(every_level_holds_the_cells_of_the_grid) {
-    static const struct { uint32_t depth; int kind; } list[] = {{1, CORNERS}, {1, HALF}, {2, RANDOM}, {2, FULL}, {3, HALF}, {4, FEW}, {5, SOLID}, {6, WALLS}, {7, SHELL}};
+    static const struct { uint32_t depth; int kind; } list[] = {{1, CORNERS}, {1, HALF}, {2, RANDOM}, {2, FULL},
+        {3, HALF}, {4, FEW}, {5, SOLID}, {6, WALLS}, {7, SHELL}};
     size_t j, i;
     for (j = 0; j < sizeof list / sizeof list[0]; j++) {
         scene s;
@@ -1128,7 +1130,8 @@ TEST(any_count_and_any_alignment) {
         for (i = 0; i < n; i++) {
             voxrt_hit h;
             int one = voxrt_trace1(s.tree, &rays[i], &h);
-            CHECK_MSG(same_hit(&h, &hits[i]), "isa %d, %d of %d: %s: %s, alone: %s", (int)d.isa, (int)i, (int)n, ray_text(&rays[i]), hit_text(&hits[i]), hit_text(&h));
+            CHECK_MSG(same_hit(&h, &hits[i]), "isa %d, %d of %d: %s: %s, alone: %s", (int)d.isa, (int)i, (int)n,
+                      ray_text(&rays[i]), hit_text(&hits[i]), hit_text(&h));
             CHECK(occ[1 + off + i] == one);
         }
     }
@@ -1171,10 +1174,10 @@ TEST(wrong_arguments_are_refused) {
     b._end_zero = 0xcdcdcdcdu;
     CHECK(voxrt_tree_from_voxels(&b, v, 2, 2, &t) == VOXRT_ERR_UNINIT_DESC && t == NULL);
     b._end_zero = 0;
-    b.box_size = NAN;
+    b.box_size = (double)NAN;
     if (voxrt_tree_from_voxels(&b, v, 2, 2, &t) == VOXRT_OK) test_fail(__FILE__, __LINE__, "a NaN as box_size is accepted");
     b.box_size = 1.0;
-    b.box_min[1] = INFINITY;
+    b.box_min[1] = (double)INFINITY;
     if (voxrt_tree_from_voxels(&b, v, 2, 2, &t) == VOXRT_OK) test_fail(__FILE__, __LINE__, "an infinite box_min is accepted");
     REQUIRE(voxrt_tree_from_voxels(NULL, v, 2, 2, &t) == VOXRT_OK);
     memset(&h, 0x31, sizeof h);
@@ -1286,7 +1289,7 @@ TEST(placement_by_powers_of_two_changes_no_bit) {
 /* What holds in any placement: the hit cell is met at t but for `eps` cells, and no filled cell is crossed before by more
    than that. o, d: the ray in cells, in doubles. */
 static const char *judge_roughly(const oracle_grid *g, const double o[3], const double d[3], const voxrt_hit *h, double eps) {
-    double len = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]), end = (double)h->t, lo = 0, hi = (double)INFINITY, t;
+    double len = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]), end = (double)h->t, lo = 0, hi = HUGE_VAL, t;
     int a;
     if (h->node != VOXRT_NO_NODE)
         for (a = 0; a < 3; a++) {
@@ -1417,7 +1420,8 @@ TEST(turned_and_mirrored_scenes_agree) {
                 if (ref[i].face / 2 == turns[k][a] && ref[i].face < 6 && ref[i].node != VOXRT_NO_NODE)
                     same = same && hits[i].face == (uint8_t)(2 * a + (int)((ref[i].face & 1u) ^ (uint32_t)(flip >> a & 1)));
             }
-            CHECK_MSG(same || on_plane, "turn %d, flip %d: %s: %s, before %s: %s", k, flip, ray_text(&turned[i]), hit_text(&hits[i]), ray_text(&rays[i]), hit_text(&ref[i]));
+            CHECK_MSG(same || on_plane, "turn %d, flip %d: %s: %s, before %s: %s", k, flip, ray_text(&turned[i]),
+                      hit_text(&hits[i]), ray_text(&rays[i]), hit_text(&ref[i]));
         }
         voxrt_tree_destroy(t);
         free(v);

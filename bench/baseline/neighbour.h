@@ -1,6 +1,6 @@
 /* neighbour.h - ways through the thesis' octree that exist only to be compared with - MIT OR Unlicense, see LICENSE
 
-   Include it after voxrt.h with VOXRT_IMPLEMENTATION: it uses private functions. All of them trace single rays in
+   It uses private functions and brings voxrt.h with VOXRT_IMPLEMENTATION where that is not there yet. All of them trace single rays in
    single precision, take the same offset and count what they do; where a ray needs no help by a growing offset they
    give the same hits as voxrt_octree_trace.
 
@@ -15,6 +15,10 @@
                         differ: no steps up */
 #ifndef BASELINE_NEIGHBOUR_H_INCLUDED
 #define BASELINE_NEIGHBOUR_H_INCLUDED
+#ifndef VOXRT_IMPLEMENTATION
+#  define VOXRT_IMPLEMENTATION
+#endif
+#include "../../voxrt.h"
 
 typedef enum baseline_mode {
     BASELINE_RESTART, BASELINE_GRID_LEAF, BASELINE_GRID_CELL, BASELINE_NEIGHBOUR, BASELINE_XOR

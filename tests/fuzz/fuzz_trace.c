@@ -13,11 +13,11 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     voxrt_ray rays[RAYS];
     voxrt_hit one[RAYS], hits[RAYS];
     uint8_t occ[RAYS], bits[512];
-    oracle_grid g = {{0, 0, 0}, {1, 1, 1}, NULL};
+    oracle_grid g;
     voxrt_build_desc b; voxrt_trace_desc d; voxrt_tree *tree = NULL;
     size_t i, k, n = size > 1 ? data[1] : 0, count;
     if (n == 0 || size < 2 + 3 * n) return 0;
-    memset(v, 0, sizeof v); memset(bits, 0, sizeof bits); memset(&b, 0, sizeof b); memset(&d, 0, sizeof d);
+    memset(v, 0, sizeof v); memset(bits, 0, sizeof bits); memset(&b, 0, sizeof b); memset(&d, 0, sizeof d); memset(&g, 0, sizeof g);
     g.n[0] = g.n[1] = g.n[2] = 2 << data[0] % 4; g.bits = bits;
     for (i = 0; i < n; i++) {
         const uint8_t *p = data + 2 + 3 * i;
@@ -26,10 +26,9 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     }
     b.env.thread_count = b.disable_colors = b.disable_normals = 1;
     if (voxrt_tree_from_voxels(&b, v, n, 1 + data[0] % 4u, &tree) != VOXRT_OK) abort();
-    count = (size - 2 - 3 * n) / 16 < RAYS ? (size - 2 - 3 * n) / 16 : RAYS;
+    count = (size - 2 - 3 * n) / 16 < RAYS ? (size - 2 - 3 * n) / 16 : (size_t)RAYS;
     for (i = 0; i < count; i++) {
-        oracle_ray o; oracle_hit said; float f[8];
-        int tame = 1; /* doubles are exact enough to tell the side of every plane */
+        oracle_ray o; oracle_hit said; float f[8]; int tame = 1; /* doubles are exact enough to tell the side of every plane */
         for (k = 0; k < 8; k++) {
             const uint8_t *p = data + 2 + 3 * n + 16 * i + 2 * k;
             uint32_t u = (uint32_t)p[0] << 8 | p[1], w = u << 16;
@@ -43,8 +42,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
         said.hit = voxrt_trace1(tree, &rays[i], &one[i]);
         for (k = 0; k < 3; k++) said.cell[k] = (int32_t)one[i].cell[k];
         said.t = (double)one[i].t; said.face = one[i].face;
-        tame &= f[6] <= f[7] && (f[3] != 0.0f || f[4] != 0.0f || f[5] != 0.0f);
-        if (tame && oracle_judge(&g, &o, &said, NULL) != NULL) abort();
+        if (tame && f[6] <= f[7] && (f[3] != 0.0f || f[4] != 0.0f || f[5] != 0.0f) && oracle_judge(&g, &o, &said, NULL)) abort();
     }
     for (d.isa = VOXRT_ISA_AUTO; d.isa <= VOXRT_ISA_AVX512; d.isa = (voxrt_isa)(d.isa + 1)) {
         if (voxrt_trace(tree, &d, rays, hits, count) != VOXRT_OK || memcmp(hits, one, count * sizeof one[0]) != 0 ||

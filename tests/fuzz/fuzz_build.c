@@ -1,0 +1,47 @@
+/* fuzz_build.c - eight bytes of options, then triangles of nine numbers: any float, in the box, on a lattice, an earlier
+   one again. The tree must agree with itself and must not depend on threads nor on the order of the triangles. */
+#define VOXRT_IMPLEMENTATION
+#include "../../voxrt.h"
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
+typedef struct seen { const voxrt_tree *t; uint32_t level; uint64_t count, last; } seen;
+
+static int cell(void *user, const voxrt_voxel *v, uint32_t index) {
+    seen *s = (seen *)user;
+    uint64_t key = voxrti_morton(v->x, v->y, v->z);
+    voxrt_voxel got;
+    if ((s->count++ != 0 && key <= s->last) || index >= s->t->palette_count) abort();
+    if (!voxrt_tree_get(s->t, s->level, v->x, v->y, v->z, &got) || memcmp(got.rgb, v->rgb, 3) != 0) abort();
+    if (s->level != 0 && !voxrt_tree_get(s->t, s->level - 1, v->x / 2, v->y / 2, v->z / 2, NULL)) abort();
+    return s->last = key, 0;
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
+    float p[2][9 * 64];
+    uint8_t rgb[2][3 * 64];
+    voxrt_tree *t = NULL, *again = NULL;
+    size_t n = size < 8 ? 0 : (size - 8) / 45 < 64 ? (size - 8) / 45 : 64, i, k;
+    for (i = 0; i < 9 * n; i++) {
+        const uint8_t *b = data + 8 + 5 * i;
+        memcpy(&p[0][i], b, 4);
+        if (b[4] % 4 == 1 || b[4] % 4 == 2) p[0][i] = b[4] % 4 == 1 ? (float)(b[0] | b[1] << 8) / 4096.0f : (float)(b[0] % 65) / 4;
+        if (b[4] % 4 == 3) p[0][i] = i < 3 ? 0.0f : p[0][i - 3 * (1 + b[0] % (i / 3))];
+    }
+    for (i = 0; i < n; i++) memcpy(rgb[0] + 3 * i, data + 8 + 45 * i, 3), memcpy(rgb[1] + 3 * (n - 1 - i), data + 8 + 45 * i, 3);
+    for (i = 0; i < n; i++) memcpy(p[1] + 9 * (n - 1 - i), p[0] + 9 * i, 36);
+    for (k = 0; k < 2 && n != 0; k++) {
+        voxrt_build_desc d = {0};
+        voxrt_mesh m = {p[k], 3 * n, 0, NULL, n, NULL, 0, NULL, 0, data[7] & 1 ? rgb[k] : NULL};
+        d.resolution = 1 + data[0] % 64, d.separating = (voxrt_separating)(data[1] % 3), d.palette_size = data[2] % 8 * 5;
+        d.fill = data[3] & 1, d.fill_depth = data[3] >> 6, d.disable_normals = data[4] & 1, d.box_size = data[5] & 1 ? 16 : 0;
+        d.lod_method = (voxrt_lod_method)(data[6] & 1), d.env.memory_limit = (size_t)1 << 26, d.env.thread_count = k == 0 ? 1 : 2;
+        if ((voxrt_tree_build(&d, &m, NULL, k ? &again : &t) == VOXRT_OK) != ((k ? again : t) != NULL)) abort();
+    }
+    if ((t == NULL) != (again == NULL) || voxrt_tree_hash(t) != voxrt_tree_hash(again)) abort();
+    for (k = 0; t != NULL && k <= t->depth; k++) {
+        seen s = {t, (uint32_t)k, 0, 0};
+        voxrt_tree_info info;
+        voxrt_tree_get_info(t, &info);
+        if (voxrt_tree_each(t, s.level, cell, &s) != 0 || s.count != info.level_count[k]) abort();
+    }
+    return voxrt_tree_destroy(t), voxrt_tree_destroy(again), 0;
+}
