@@ -9,6 +9,7 @@ ifeq ($(origin CC),default)
 CC      := cc
 endif
 CFLAGS  ?= -std=c99 -O2 -ffp-contract=off -Wall -Wextra
+OPT     :=
 LDFLAGS ?=
 LDLIBS  ?= -lm -lpthread
 PREFIX  ?= /usr/local
@@ -34,8 +35,11 @@ examples: $(EXAMPLES)
 tests: $(TESTS)
 benches: $(BENCHES) $(REPORT)
 
+# -O3 is worth 8 % of the ray rate with gcc; tests stay quick to build
+$(EXAMPLES) $(BENCHES): OPT := -O3
+
 COMPILE = @mkdir -p $(@D); echo "$(CC) $<"; \
-	$(CC) $(CFLAGS) $(CPPFLAGS) -I. -MMD -MP -MF $@.d -MT $@ $(LDFLAGS) -o $@ $< $(LDLIBS)
+	$(CC) $(CFLAGS) $(OPT) $(CPPFLAGS) -I. -MMD -MP -MF $@.d -MT $@ $(LDFLAGS) -o $@ $< $(LDLIBS)
 
 $(B)/%: examples/%.c $(B)/.flags
 	$(COMPILE)

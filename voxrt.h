@@ -3236,9 +3236,10 @@ static uint64_t voxrti_raster_axis(voxrti_brick *b, const voxrti_tri *t, uint32_
     uint32_t u = (a + 1) % 3, w = (a + 2) % 3, e, k3;
     int64_t size = (int64_t)1 << v->sub, half = size >> 1, sign = t->n[a] < 0 ? -1 : 1, na = t->n[a] * sign;
     int64_t lo[2], hi[2], limit = (int64_t)v->grid->resolution, i, k, div = na * size;
-    int64_t at[3], step_i[3], step_k[3], depth0, depth_i, depth_k;
-    double inv[3], inv_div, len;
-    uint64_t found = 0, weight;
+    int64_t at[3], step_i[3], step_k[3], depth0 = 0, depth_i, depth_k = 0;
+    double inv[3], inv_div = 0;
+    uint64_t found = 0, weight = 0;
+    uint32_t ready = 0, few;
     voxrti_ramp ramp;
     if (na == 0) return 0;
     for (e = 0; e < 2; e++) { /* columns and rows whose centres the box of the projection holds */
@@ -3258,27 +3259,47 @@ static uint64_t voxrti_raster_axis(voxrti_brick *b, const voxrti_tri *t, uint32_
         if (hi[e] > limit - 1) hi[e] = limit - 1;
         if (lo[e] > hi[e]) return 0;
     }
+    few = hi[0] - lo[0] < 4;
+    memset(&ramp, 0, sizeof ramp);
     for (e = 0; e < 3; e++) { /* edge functions, >= 0 inside */
         const int64_t *p = t->p[e], *q = t->p[(e + 1) % 3];
         int64_t du = (q[u] - p[u]) * sign, dw = (q[w] - p[w]) * sign;
         at[e] = du * (half - p[w]) - dw * (half - p[u]);
         step_i[e] = -dw * size;
         step_k[e] = du * size;
-        inv[e] = step_i[e] != 0 ? 1.0 / (double)step_i[e] : 0.0;
+        inv[e] = few || step_i[e] == 0 ? 0.0 : 1.0 / (double)step_i[e];
     }
-    depth0 = t->p[0][a] * na - (t->n[u] * (half - t->p[0][u]) + t->n[w] * (half - t->p[0][w])) * sign;
     depth_i = -t->n[u] * size * sign;
-    depth_k = -t->n[w] * size * sign;
-    inv_div = 1.0 / (double)div;
-    len = 2.0 * t->area * (double)size * (double)size;
-    weight = (uint64_t)(VOXRTI_WEIGHT * (double)na / len) + 1;
-    if (clip) voxrti_ramp_make(b, t, a, &ramp);
     for (k = lo[1]; k <= hi[1]; k++) {
         int64_t i0 = lo[0], i1 = hi[0], depth;
         float row[6];
-        for (e = 0; e < 3; e++) voxrti_row_clip(at[e] + k * step_k[e], step_i[e], inv[e], &i0, &i1);
+        if (few) { /* a handful of columns: look at each */
+            int64_t e0 = at[0] + k * step_k[0] + i0 * step_i[0], e1 = at[1] + k * step_k[1] + i0 * step_i[1];
+            int64_t e2 = at[2] + k * step_k[2] + i0 * step_i[2];
+            for (; i0 <= i1 && (e0 | e1 | e2) < 0; i0++) {
+                e0 += step_i[0];
+                e1 += step_i[1];
+                e2 += step_i[2];
+            }
+            for (i = i0; i <= i1 && (e0 | e1 | e2) >= 0; i++) {
+                e0 += step_i[0];
+                e1 += step_i[1];
+                e2 += step_i[2];
+            }
+            i1 = i - 1;
+        } else {
+            for (e = 0; e < 3; e++) voxrti_row_clip(at[e] + k * step_k[e], step_i[e], inv[e], &i0, &i1);
+        }
         if (i0 > i1) continue;
         if (!clip) return 1;
+        if (!ready) { /* the first row that meets anything */
+            ready = 1;
+            depth0 = t->p[0][a] * na - (t->n[u] * (half - t->p[0][u]) + t->n[w] * (half - t->p[0][w])) * sign;
+            depth_k = -t->n[w] * size * sign;
+            inv_div = 1.0 / (double)div;
+            weight = (uint64_t)(VOXRTI_WEIGHT * (double)na / (2.0 * t->area * (double)size * (double)size)) + 1;
+            voxrti_ramp_make(b, t, a, &ramp);
+        }
         depth = depth0 + k * depth_k + i0 * depth_i;
         for (e = 0; e < 6; e++) row[e] = ramp.at[e] + (float)(k - (int64_t)b->lo[w]) * ramp.dk[e];
         for (i = i0; i <= i1; i++, depth += depth_i) {
@@ -3736,7 +3757,7 @@ static VOXRTI_UNUSED voxrt_result voxrti_voxelize(voxrti_mem *mem, const voxrt_b
                                                   voxrti_leafset *out) {
     voxrti_vox v;
     voxrt_result r = VOXRT_OK;
-    uint32_t i;
+    uint32_t i, c;
     memset(&v, 0, sizeof v);
     memset(out, 0, sizeof *out);
     stats->triangles = mesh->triangle_count;
@@ -3752,7 +3773,10 @@ static VOXRTI_UNUSED voxrt_result voxrti_voxelize(voxrti_mem *mem, const voxrt_b
     voxrti_srgb_table(v.srgb);
     v.to_srgb = (uint8_t *)voxrti_alloc(mem, 65537);
     if (v.to_srgb == NULL) return VOXRT_ERR_NO_MEMORY;
-    for (i = 0; v.has_rgb && i < 65536; i++) v.to_srgb[i] = (uint8_t)voxrti_srgb_find(v.srgb, i);
+    for (i = 0, c = 0; i < 65536; i++) { /* voxrti_srgb_find of each */
+        while (c < 255 && v.srgb[c + 1] <= i) c++;
+        v.to_srgb[i] = (uint8_t)(c + (c < 255 && v.srgb[c + 1] - i < i - v.srgb[c]));
+    }
     v.to_srgb[65536] = 255;
     for (i = 0; i < 64; i++) v.spread[i] = (uint32_t)voxrti_spread3(i);
     r = voxrti_voxelize_run(&v, stats, out);

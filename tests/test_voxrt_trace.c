@@ -1254,7 +1254,12 @@ TEST(placement_by_powers_of_two_changes_no_bit) {
             rays[i].org[a] = lattice(&r, -64, 128, 0) + 1.0f / 64.0f * (float)test_rng_below(&r, 8);
             rays[i].dir[a] = lattice(&r, 0, 64, 0) - rays[i].org[a];
         }
-        if (i % 16 != 0) memcpy(rays[i].org, rays[i - 1].org, sizeof rays[i].org);
+        if (i % 64 != 0) memcpy(rays[i].org, rays[i - 1].org, sizeof rays[i].org);
+        if (i % 64 != 0 && i >= BATCH / 2) { /* a camera tile */
+            memcpy(rays[i].dir, rays[i & ~(size_t)63].dir, sizeof rays[i].dir);
+            rays[i].dir[i / 64 % 3] += (float)(i % 8) / 16.0f;
+            rays[i].dir[i / 64 % 2 + 1] -= (float)(i / 8 % 8) / 16.0f;
+        }
         if (i % 3 == 0) rays[i].t_max = test_rng_float(&r);
     }
     CHECK(voxrt_trace(s.tree, NULL, rays, ref, BATCH) == VOXRT_OK);
@@ -1349,7 +1354,11 @@ TEST(any_placement_in_the_world) {
                 q.org[a] = (float)(info.world_origin[a] + info.voxel_size * (double)q.org[a]);
                 q.dir[a] = (float)(info.voxel_size * (double)q.dir[a]);
             }
-            if (i % 8 != 0 && i >= BATCH / 2) memcpy(q.org, rays[i - 1].org, sizeof q.org);
+            if (i % 64 != 0 && i >= BATCH / 2) { /* a camera tile */
+                q = rays[i & ~(size_t)63];
+                for (a = 0; a < 3; a++)
+                    q.dir[a] += (float)info.voxel_size * (a == (int)(i / 64 % 3) ? (float)(i % 8) * 0.07f : (float)(i / 8 % 8) * 0.05f);
+            }
             rays[i] = q;
         }
         check_same(t, &td, rays, BATCH, hits);
@@ -1382,8 +1391,10 @@ TEST(turned_and_mirrored_scenes_agree) {
     scene_make(&s, 6, RANDOM);
     for (i = 0; i < BATCH; i++) { /* a lattice of origins: size - x is exact; directions in general position */
         rays[i] = ray_of(lattice(&r, -64, 128, 0), lattice(&r, -64, 128, 0), lattice(&r, -64, 128, 0), 0, 0, 0);
-        if (i % 16 != 0) memcpy(rays[i].org, rays[i - 1].org, sizeof rays[i].org);
         for (a = 0; a < 3; a++) rays[i].dir[a] = 64.0f * test_rng_float(&r) - rays[i].org[a] + 1e-3f;
+        if (i % 64 != 0) memcpy(rays[i].org, rays[i - 1].org, sizeof rays[i].org);
+        if (i % 64 != 0 && i >= BATCH / 2) /* a camera tile */
+            for (a = 0; a < 3; a++) rays[i].dir[a] = rays[i - 1].dir[a] + 0.1f * test_rng_float(&r);
     }
     CHECK(voxrt_trace(s.tree, NULL, rays, ref, BATCH) == VOXRT_OK);
     for (k = 0; k < 6; k++) for (flip = 0; flip < 8; flip++) {

@@ -1,8 +1,8 @@
 /* neighbour.h - ways through the thesis' octree that exist only to be compared with - MIT OR Unlicense, see LICENSE
 
-   It uses private functions and brings voxrt.h with VOXRT_IMPLEMENTATION where that is not there yet. All of them trace single rays in
-   single precision, take the same offset and count what they do; where a ray needs no help by a growing offset they
-   give the same hits as voxrt_octree_trace.
+   It uses private functions and brings voxrt.h with its implementation where that is not there yet. All of them trace
+   single rays in single precision, take the same offset and count what they do; where a ray needs no help by a growing
+   offset they give the same hits as voxrt_octree_trace.
 
    BASELINE_RESTART     thesis listing 5 (corrected) to the letter: from the root for each leaf, boxes halved by
                         comparisons with the middle
