@@ -8110,7 +8110,13 @@ VOXRTI_TARGET_AVX2 static inline void voxrti_octet_step(const voxrt_tree *t, con
     slot = _mm256_xor_si256(voxrti_octet_slot(q0, q1, q2, sh, flip), _mm256_set1_epi32(63));
     m0 = _mm256_sllv_epi64(m0, _mm256_unpacklo_epi32(slot, zero));
     m1 = _mm256_sllv_epi64(m1, _mm256_unpackhi_epi32(slot, zero));
-    if (!cone->on) set = _mm256_andnot_si256(pop, _mm256_and_si256(VOXRTI_HIGH8(m0, m1), live));
+    y = _mm256_andnot_si256(pop, _mm256_and_si256(VOXRTI_HIGH8(m0, m1), live));
+    if (cone->on) { /* where level of detail may accept a cell it has to be looked at first */
+        const __m256i bits = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128), all = _mm256_set1_epi32(-1);
+        __m256i wide = _mm256_set1_epi32((int)voxrti_octet_wide(cone, g, sh, all, zero));
+        y = _mm256_or_si256(set, _mm256_andnot_si256(_mm256_cmpeq_epi32(_mm256_and_si256(wide, bits), bits), y));
+    }
+    set = y;
     m0 = voxrti_popcount4(_mm256_add_epi64(m0, m0));
     m1 = voxrti_popcount4(_mm256_add_epi64(m1, m1));
     first = _mm256_add_epi32(first, VOXRTI_LOW8(m0, m1));

@@ -222,6 +222,29 @@ TEST(each_can_stop) {
     list_free(&l);
 }
 
+/* The same colours and normals in other places, one cell elsewhere, another place in the world: other hashes. */
+TEST(hash_sees_everything) {
+    uint64_t h[6];
+    int k, i;
+    for (k = 0; k < 6; k++) {
+        list l;
+        voxrt_build_desc d = defaults();
+        voxrt_tree *t;
+        memset(&l, 0, sizeof l);
+        list_add(&l, 0, 0, 0, k == 1 ? 0x0000ff : 0xff0000);
+        list_normal(&l, k == 2, k != 2, 0);
+        list_add(&l, 7, k == 3 ? 6 : 7, 7, k == 1 ? 0xff0000 : 0x0000ff);
+        list_normal(&l, k != 2, k == 2, 0);
+        d.box_size = k == 4 ? 16 : 8;
+        d.box_min[1] = k == 5;
+        t = make(&d, &l, 3);
+        h[k] = voxrt_tree_hash(t);
+        for (i = 0; i < k; i++) CHECK_MSG(h[i] != h[k], "%d and %d", i, k);
+        voxrt_tree_destroy(t);
+        list_free(&l);
+    }
+}
+
 TEST(from_voxels_arguments) {
     list l;
     voxrt_build_desc d = defaults();
@@ -1115,6 +1138,7 @@ int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(random_voxels);
     RUN(each_can_stop);
+    RUN(hash_sees_everything);
     RUN(from_voxels_arguments);
     RUN(fill_boxes);
     RUN(fill_nested_and_touching);
