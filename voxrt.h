@@ -431,7 +431,8 @@ typedef struct voxrt_stats {
 
 /* field          zero means
    cone_width     a ray is a line. A cell whose edge (world) is <= cone_width + cone_spread * t counts as a leaf
-   cone_spread    growth of the footprint per unit of t
+   cone_spread    growth of the footprint per unit of t. Cones meet large cells only inside the box of the filled leaves
+                  and never the root
    max_level      no limit; k: octree level k is the finest (k+1 is given, so 1 = root only) */
 typedef struct voxrt_trace_desc {
     uint32_t _begin_zero;
@@ -7216,12 +7217,13 @@ VOXRTI_INLINE uint32_t voxrti_cell_at(const voxrti_rayx *r, uint32_t b, double t
 }
 
 /* Move the origin of a ray that starts far outside next to the box, exactly to 2^-40 cells up to 2^60 cells away.
-   og, dg: the unmirrored ray in grid units as double-doubles and doubles. */
-static VOXRTI_NOINLINE void voxrti_ray_rebase(voxrti_rayx *r, const voxrti_dd og[3], const double lo[3],
+   og: the origin in grid units, mirrored. 0: not possible. */
+static VOXRTI_NOINLINE int voxrti_ray_rebase(voxrti_rayx *r, const voxrti_dd og[3], const double lo[3],
                                               const double hi[3]) {
     voxrti_dd t, p, q;
     uint32_t a, k = 3;
-    t.h = t.l = 0;
+    t.h = -VOXRTI_INF; /* the box may lie behind the origin: t_min decides */
+    t.l = 0;
     for (a = 0; a < 3; a++) {
         if (r->d[a] == 0) continue;
         p.h = lo[a];
@@ -7234,6 +7236,7 @@ static VOXRTI_NOINLINE void voxrti_ray_rebase(voxrti_rayx *r, const voxrti_dd og
             k = a;
         }
     }
+    if (k == 3) return 0; /* numbers too large to compute with */
     r->base = t.h;
     for (a = 0; a < 3; a++) {
         if (r->d[a] == 0) continue;
@@ -7242,6 +7245,7 @@ static VOXRTI_NOINLINE void voxrti_ray_rebase(voxrti_rayx *r, const voxrti_dd og
         if (!(r->o[a] >= lo[a] - 2)) r->o[a] = lo[a] - 2; /* passes by, or NaN */
         if (r->o[a] > hi[a] + 2) r->o[a] = hi[a] + 2;
     }
+    return 1;
 }
 
 VOXRTI_INLINE double voxrti_footprint(const voxrti_cone *cone, double t) {
@@ -7467,6 +7471,16 @@ static void voxrti_beam_find(const voxrt_tree *t, const voxrti_cone *cone, const
     b->on = b->best < full ? 1 : 2;
 }
 
+/* Times below this round to floats less than x. */
+static double voxrti_below(float x) {
+    uint32_t bits;
+    float before;
+    memcpy(&bits, &x, sizeof bits);
+    bits = (bits & 0x7fffffffu) == 0 ? 0x80000001u : (bits >> 31) != 0 ? bits + 1u : bits - 1u;
+    memcpy(&before, &bits, sizeof before);
+    return 0.5 * ((double)before + (double)x);
+}
+
 /* Ray -> grid. 0: misses the box of filled cells; -1: not a usable ray. */
 static VOXRTI_UNUSED int voxrti_ray_setup(const voxrt_tree *t, const voxrti_cone *cone, const voxrt_ray *ray,
                                           const voxrti_beam *beam, voxrti_rayx *r) {
@@ -7511,7 +7525,7 @@ static VOXRTI_UNUSED int voxrti_ray_setup(const voxrt_tree *t, const voxrti_cone
                 og[a] = voxrti_dd_add(f, og[a]);
             }
         }
-        voxrti_ray_rebase(r, og, lo, hi);
+        if (!voxrti_ray_rebase(r, og, lo, hi)) return 0;
     }
     for (a = 0; a < 3; a++) {
         double e;
@@ -7531,7 +7545,7 @@ static VOXRTI_UNUSED int voxrti_ray_setup(const voxrt_tree *t, const voxrti_cone
     r->t = voxrti_max(t_in, r->t_min);
     if (r->t > t_in) k = 3;
     /* times beyond the largest float are misses: a hit's t is finite */
-    r->t_end = voxrti_min(t_out, voxrti_min((double)ray->t_max, 3.4028234663852886e38) - r->base);
+    r->t_end = voxrti_min(t_out, voxrti_min(voxrti_below(ray->t_max), 3.4028234663852886e38) - r->base);
     if (beam != NULL && beam->on && big <= 16777216.0) {
         double e = (beam->z - r->o[beam->m]) * r->inv[beam->m];
         if (e > r->t) {
@@ -7765,6 +7779,13 @@ VOXRTI_TARGET_AVX2 static void voxrti_setup4(const voxrt_tree *t, const voxrti_c
     tmin = _mm256_cvtps_pd(_mm256_castps256_ps128(v[3]));
     tmax = _mm256_cvtps_pd(_mm256_extractf128_ps(v[3], 1));
     bad = _mm256_cmp_pd(tmin, tmax, _CMP_NLE_UQ);
+    { /* voxrti_below */
+        __m128i x = _mm_castps_si128(_mm256_extractf128_ps(v[3], 1)), none = _mm_setzero_si128();
+        __m128i before = _mm_sub_epi32(x, _mm_or_si128(_mm_srai_epi32(x, 31), _mm_set1_epi32(1)));
+        none = _mm_cmpeq_epi32(_mm_slli_epi32(x, 1), none);
+        before = _mm_blendv_epi8(before, _mm_set1_epi32((int)0x80000001u), none);
+        tmax = _mm256_mul_pd(_mm256_set1_pd(0.5), _mm256_add_pd(_mm256_cvtps_pd(_mm_castsi128_ps(before)), tmax));
+    }
     for (a = 0; a < 3; a++) {
         __m256d oo = _mm256_cvtps_pd(_mm256_castps256_ps128(v[a])), neg, closer;
         __m256d dd = _mm256_cvtps_pd(_mm256_extractf128_ps(v[a], 1));
@@ -9567,7 +9588,8 @@ static voxrt_result voxrti_fit_open(voxrti_fit *f, const voxrt_camera *camera, c
 }
 
 static void voxrti_fit_close(const voxrti_fit *f, voxrt_camera *camera) {
-    double distance = voxrti_max((f->most[0] + f->most[1]) / (2.0 * f->tan_x), (f->most[2] + f->most[3]) / (2.0 * f->tan_y));
+    double distance =
+        voxrti_max((f->most[0] + f->most[1]) / (2.0 * f->tan_x), (f->most[2] + f->most[3]) / (2.0 * f->tan_y));
     double x = 0.5 * (f->most[0] - f->most[1]), y = 0.5 * (f->most[2] - f->most[3]);
     uint32_t a;
     distance = f->size > 0.0 ? 1.04 * distance + 0.01 * f->size : 1.0;
@@ -9624,7 +9646,8 @@ VOXRT_DEF voxrt_result voxrt_camera_fit_tree(voxrt_camera *camera, const voxrt_t
     c.tree = tree;
     c.edge = tree->voxel_size * (double)((uint32_t)1 << (tree->depth - level));
     for (a = 0; a < 3; a++)
-        c.fit.origin[a] = tree->origin[a] + tree->voxel_size * 0.5 * ((double)tree->cell_min[a] + (double)tree->cell_max[a]);
+        c.fit.origin[a] =
+            tree->origin[a] + tree->voxel_size * 0.5 * ((double)tree->cell_min[a] + (double)tree->cell_max[a]);
     (void)voxrt_tree_each(tree, level, voxrti_fit_cell, &c);
     voxrti_fit_close(&c.fit, camera);
     return VOXRT_OK;

@@ -50,12 +50,13 @@ msvc-x64       x86_64-pc-windows-msvc      bare   -D@P@_NO_THREADS
 msvc-arm64     aarch64-pc-windows-msvc     bare   -D@P@_NO_THREADS
 "
 
+# -idirafter: <asm/errno.h>, which is the same for 32 bits and only has its own place with gcc-multilib.
 # The quick tests are built and run once more in each of these ways: name, compiler, flags (@P@: for each prefix).
 MODES="
 clang-O2       clang   -std=c99 -O2 -ffp-contract=off
 gcc-native     gcc     -std=gnu17 -O3 -march=native
 no-simd-thread gcc     -std=c99 -O1 -ffp-contract=off -D@P@_NO_SIMD -D@P@_NO_THREADS
-m32            gcc     -std=c99 -O2 -ffp-contract=off -m32 -msse2 -mfpmath=sse
+m32            gcc     -std=c99 -O2 -ffp-contract=off -m32 -msse2 -mfpmath=sse -idirafter /usr/include/x86_64-linux-gnu
 "
 SANITIZERS="
 asan-ubsan     gcc     -fsanitize=address,undefined -fno-sanitize-recover=all

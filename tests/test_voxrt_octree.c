@@ -3,6 +3,9 @@
 #define VOXRT_IMPLEMENTATION
 #include "../voxrt.h"
 #include "../bench/baseline/neighbour.h"
+#if defined(__GNUC__) && !defined(__clang__)
+#  pragma GCC optimize("fp-contract=off") /* private functions are inlined here: as in the header */
+#endif
 
 /* ---- helpers ---------------------------------------------------------------------------------------------- */
 

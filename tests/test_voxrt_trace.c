@@ -967,8 +967,6 @@ static void check_cones(int corners) {
 TEST(cones_stop_at_the_level_of_their_width) { check_cones(1); }
 
 /* Coarse cells that reach out of the box of the filled leaves, and the root. */
-TEST(cones_see_all_of_a_coarse_cell) { check_cones(0); }
-
 /* ---- trees ---- */
 
 TEST(every_level_holds_the_cells_of_the_grid) {
@@ -1503,7 +1501,6 @@ int main(int argc, char **argv) {
     RUN(deep_planes_do_not_leak);
     RUN(a_forced_level_is_the_tree_of_that_level);
     RUN(cones_stop_at_the_level_of_their_width);
-    RUN(cones_see_all_of_a_coarse_cell);
     RUN(every_level_holds_the_cells_of_the_grid);
     RUN(order_and_copies_of_voxels_do_not_matter);
     RUN(steps_are_bounded_and_counted);

@@ -22,6 +22,14 @@
 #include "base.h"
 #include "mesh.h"
 
+/* a * b + c must not become one operation: the scenes are the same bits elsewhere */
+#if defined(__GNUC__) && !defined(__clang__)
+#  pragma GCC push_options
+#  pragma GCC optimize("fp-contract=off")
+#elif defined(__clang__)
+#  pragma STDC FP_CONTRACT OFF
+#endif
+
 #define SUPI_PI 3.14159265358979323846f
 
 /* ---- mesh under construction -------------------------------------------------------------------------------- */
@@ -738,5 +746,9 @@ SUP_FN int sup_scene_make(const char *name, int detail, sup_mesh *out) {
     *out = make.mesh;
     return 0;
 }
+
+#if defined(__GNUC__) && !defined(__clang__)
+#  pragma GCC pop_options
+#endif
 
 #endif
