@@ -1085,6 +1085,13 @@ VOXRTI_INLINE int voxrti_mul_size(size_t a, size_t b, size_t *out) {
 #  define voxrti_atomic_max_step(p, seen, v) (*(p) = (v), 1)
 #endif
 
+/* Not every machine has 64-bit atomics: what threads add to is a low and a high half. Read it after they ended. */
+VOXRTI_INLINE void voxrti_tally_add(uint32_t sum[2], uint64_t n) {
+    uint32_t low = voxrti_atomic_add(&sum[0], (uint32_t)n);
+    (void)voxrti_atomic_add(&sum[1], (uint32_t)(n >> 32) + (low < (uint32_t)n));
+}
+VOXRTI_INLINE uint64_t voxrti_tally(const uint32_t sum[2]) { return (uint64_t)sum[1] << 32 | sum[0]; }
+
 /* Before each block stand 64..127 bytes: the padding, then size and padding in the last 16. */
 static VOXRTI_UNUSED void *voxrti_alloc(voxrti_mem *mem, size_t bytes) {
     size_t total, used, seen, skip;
@@ -2706,7 +2713,7 @@ static VOXRTI_UNUSED voxrt_result voxrti_palette_build(voxrti_mem *mem, const vo
     *out_count = 0;
     *out_colors_in = 0;
     if (max_colors == 0 || (uint32_t)method > 1u) return VOXRT_ERR_INVALID_ARG;
-    if ((uint64_t)count > 0xffffffffu)
+    if ((uint64_t)count >> 32 != 0)
         return voxrti_fail(env->error, VOXRT_ERR_RANGE, count, "% cells are too many for colours");
     if (count == 0) { /* one white entry */
         *out_palette = (uint8_t *)voxrti_alloc(mem, 3);
@@ -2779,7 +2786,7 @@ typedef struct voxrti_vox {
     voxrti_leafset *out;       /* [tasks] */
     uint32_t first_task;
     uint32_t failed;           /* atomic */
-    uint64_t fragments;        /* atomic */
+    uint32_t fragments[2];     /* a sum of all threads */
     uint32_t srgb[256];
     uint8_t *to_srgb;          /* [65537] linear -> byte */
     uint32_t spread[64];       /* Morton bits of a coordinate inside a brick */
@@ -3687,7 +3694,7 @@ static void voxrti_brick_task(void *ctx, uint32_t index) {
     voxrti_free(v->mem, b.sum);
     voxrti_free(v->mem, b.cell);
     voxrti_free(v->mem, b.tiny);
-    (void)voxrti_atomic_add(&v->fragments, b.fragments);
+    voxrti_tally_add(v->fragments, b.fragments);
     if (!ok) voxrti_atomic_store(&v->failed, 1u);
 }
 
@@ -3782,7 +3789,7 @@ static VOXRTI_UNUSED voxrt_result voxrti_voxelize(voxrti_mem *mem, const voxrt_b
     for (i = 0; i < 64; i++) v.spread[i] = (uint32_t)voxrti_spread3(i);
     r = voxrti_voxelize_run(&v, stats, out);
     if (r != VOXRT_OK) voxrti_leafset_free(mem, out);
-    stats->fragments = v.fragments;
+    stats->fragments = voxrti_tally(v.fragments);
     stats->voxels = out->voxel_count;
     voxrti_free(mem, v.to_srgb);
     voxrti_free(mem, v.count);
@@ -9029,7 +9036,7 @@ typedef struct voxrti_render {
     voxrt_trace_desc trace, coarse; /* coarse: left half of a split picture */
     uint32_t samples, tiles_x, first_tile, count, transparent;
     float background[4];            /* in the units of the colours of a run */
-    voxrt_render_stats stats;       /* atomics */
+    uint32_t sum[2][5][2];          /* sums of all threads: counts of the primary and the shadow rays */
     voxrti_srgb srgb;
 } voxrti_render;
 
@@ -9421,12 +9428,19 @@ static void voxrti_run(const voxrti_render *c, voxrt_render_stats *stats, uint32
     }
 }
 
-static void voxrti_stats_add(voxrt_stats *to, const voxrt_stats *s) {
-    (void)voxrti_atomic_add(&to->rays, s->rays);
-    (void)voxrti_atomic_add(&to->hits, s->hits);
-    (void)voxrti_atomic_add(&to->bad_rays, s->bad_rays);
-    (void)voxrti_atomic_add(&to->steps, s->steps);
-    (void)voxrti_atomic_add(&to->descents, s->descents);
+static void voxrti_stats_sum(uint32_t (*to)[2], const voxrt_stats *s) {
+    voxrti_tally_add(to[0], s->rays);
+    voxrti_tally_add(to[1], s->hits);
+    voxrti_tally_add(to[2], s->bad_rays);
+    voxrti_tally_add(to[3], s->steps);
+    voxrti_tally_add(to[4], s->descents);
+}
+static void voxrti_stats_add(voxrt_stats *to, uint32_t (*sum)[2]) {
+    to->rays += voxrti_tally(sum[0]);
+    to->hits += voxrti_tally(sum[1]);
+    to->bad_rays += voxrti_tally(sum[2]);
+    to->steps += voxrti_tally(sum[3]);
+    to->descents += voxrti_tally(sum[4]);
 }
 
 static void voxrti_render_tile(void *ctx, uint32_t task) {
@@ -9447,8 +9461,8 @@ static void voxrti_render_tile(void *ctx, uint32_t task) {
         }
     }
     if (c->count) {
-        voxrti_stats_add(&c->stats.primary, &stats.primary);
-        voxrti_stats_add(&c->stats.shadow, &stats.shadow);
+        voxrti_stats_sum(c->sum[0], &stats.primary);
+        voxrti_stats_sum(c->sum[1], &stats.shadow);
     }
 }
 
@@ -9902,8 +9916,8 @@ VOXRT_DEF voxrt_result voxrt_render(const voxrt_render_desc *desc, const voxrt_t
         }
     }
     if (stats != NULL) {
-        voxrti_stats_add(&stats->primary, &c.stats.primary);
-        voxrti_stats_add(&stats->shadow, &c.stats.shadow);
+        voxrti_stats_add(&stats->primary, c.sum[0]);
+        voxrti_stats_add(&stats->shadow, c.sum[1]);
     }
     return VOXRT_OK;
 }

@@ -68,10 +68,10 @@ $(G)/voxrt_blob_cubes.png: options = --shadows --aa 8 $(SKY) --lod 6 --normals f
 # A version 4 file has no placement: one voxel is a unit. Both see the same.
 $(G)/voxrt_torus_2009.png: $(VOX)/torus-2009.vox
 $(G)/voxrt_torus_2009.png: options = --path thesis --compose thesis --shadows --lod off $(SKY) \
-	--eye 456,446,676 --at 256,250,256 --fov 46
+	--eye 484,475,740 --at 256,245,256 --fov 46
 
 $(G)/voxrt_torus.png: $(VOX)/torus.vox
-$(G)/voxrt_torus.png: options = --shadows --aa 8 $(SKY) --eye 1.096,1.041,2.301 --at 0,-0.033,0 --fov 46
+$(G)/voxrt_torus.png: options = --shadows --aa 8 $(SKY) --eye 1.25,1.2,2.65 --at 0,-0.06,0 --fov 46
 
 $(G)/voxrt_aa1.png: $(VOX)/menger.vox
 $(G)/voxrt_aa1.png: options = --size 328x160 --lod off --shadows $(SKY) --eye 3,2.5,4 --at 0,0,0 --fov 40
