@@ -3490,7 +3490,7 @@ static void voxrti_raster_26(voxrti_brick *b, const voxrti_tri *t, uint64_t weig
 /* The thesis' scan converter (3.1.3): two nested loops along the longest edge and at right angles to it. Has gaps. */
 static void voxrti_raster_thesis(voxrti_brick *b, const voxrti_tri *t) {
     const voxrti_vox *v = b->v;
-    double s = 1.0 / (double)((uint32_t)1 << v->sub), p[3], q[3], dp[3], dq[3], best = -1, f, h, len, mp = 0, mq = 0,
+    double s = 1.0 / (double)((uint32_t)1 << v->sub), p[3], q[3], dp[3], dq[3], best = 0, f, h, len, mp = 0, mq = 0,
            tiny;
     double vertex[3][3], lp, lq;
     uint32_t e, a, k = 0, c;
