@@ -68,8 +68,10 @@ demo: $(EXAMPLES) $(GALLERY)
 test: $(TESTS)
 	@sh tests/run.sh $(TESTS)
 
+# CHECKS: groups of tests/check.sh, empty: all
+CHECKS ?=
 check:
-	@bash tests/check.sh
+	@bash tests/check.sh $(CHECKS)
 
 fuzz:
 	@bash tests/check.sh fuzz
