@@ -131,7 +131,7 @@
    The same input gives the same bits: for any number of threads, any instruction set, any order of triangles, any
    grouping of rays; with gcc or clang at any optimisation. Work is cut by fixed rules, sums are integers or have a
    fixed order, libm is not used but for sqrt, fused multiply-add is switched off (by pragmas in this file).
-   x87 code (-m32 without -mfpmath=sse) and -ffast-math break it.
+   x87 code (-m32 without -mfpmath=sse), -std=c99 on s390x (without -fexcess-precision=fast) and -ffast-math break it.
 
    ERRORS
    Functions that can fail return a voxrt_result and set their outputs to NULL or 0 first. env.error receives the place

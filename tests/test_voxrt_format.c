@@ -557,7 +557,7 @@ TEST(round_trips) {
     int kind, encoding, attributes;
     for (kind = 0; kind < KINDS; kind++)
         for (attributes = 0; attributes < 4; attributes++)
-            for (encoding = 0; encoding < 2; encoding++) {
+            for (encoding = test_quick() && kind == KINDS - 1 && attributes != 3 ? 2 : 0; encoding < 2; encoding++) {
                 voxrt_tree *t = make_tree(kind, attributes & 1, attributes >> 1), *u = NULL;
                 size_t size, size2, k;
                 uint8_t *p, *q, *odd;
@@ -659,6 +659,14 @@ TEST(map_in_place) {
             p = save(t, 1, &size);
             REQUIRE(p != NULL);
             q = aligned_copy(p, size, &block);
+            if (!voxrti_little_endian()) { /* refused, nothing kept */
+                CHECK(voxrt_tree_map_memory(&d, q, size, &u) == VOXRT_ERR_INVALID_ARG && u == NULL);
+                test_alloc_check(&ta);
+                free(block);
+                free(p);
+                voxrt_tree_destroy(t);
+                continue;
+            }
             CHECK(voxrt_tree_map_memory(&d, q, size, &u) == VOXRT_OK);
             REQUIRE(u != NULL);
             CHECK(ta.count == 1);
@@ -1270,7 +1278,8 @@ TEST(arguments) {
         memcpy(a + 8, raw, raw_size);
         CHECK(voxrt_tree_map_memory(&d, a + 8, raw_size, &u) == VOXRT_ERR_INVALID_ARG && u == NULL);
         memmove(a, a + 8, raw_size);
-        CHECK(voxrt_tree_map_memory(&d, a, raw_size, &u) == VOXRT_OK && u != NULL);
+        if (voxrti_little_endian()) CHECK(voxrt_tree_map_memory(&d, a, raw_size, &u) == VOXRT_OK && u != NULL);
+        else CHECK(voxrt_tree_map_memory(&d, a, raw_size, &u) == VOXRT_ERR_INVALID_ARG && u == NULL);
         voxrt_tree_destroy(u);
     }
     CHECK_EQ_U64(voxrt_file_kind(p, size), 5);

@@ -622,8 +622,8 @@ TEST(determinism) {
     int method, photo, t;
     for (method = 0; method < 2; method++) {
         for (photo = 0; photo < 2; photo++) {
-            size_t n = test_quick() ? 9000 : 24000, i;
-            uint32_t k = method == 0 ? 300 : test_quick() ? 8000 : 21000;
+            size_t n = test_quick() ? 5000 : 24000, i;
+            uint32_t k = method == 0 ? 300 : test_quick() ? 4400 : 21000;
             uint32_t *rgb = make_colors(n, photo, 5), *mixed = (uint32_t *)malloc(n * sizeof(uint32_t)), bad = 0;
             test_rng r = test_rng_make(1);
             built a, b;
