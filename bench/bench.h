@@ -17,6 +17,9 @@
 #ifndef _POSIX_C_SOURCE
 #  define _POSIX_C_SOURCE 200809L
 #endif
+#if defined(__linux__) && !defined(_DEFAULT_SOURCE)
+#  define _DEFAULT_SOURCE /* syscall */
+#endif
 #include <math.h>
 #include <stdarg.h>
 #include <stdint.h>
@@ -25,6 +28,10 @@
 #include <string.h>
 #include <time.h>
 #include <unistd.h>
+#if defined(__linux__)
+#  include <linux/perf_event.h>
+#  include <sys/syscall.h>
+#endif
 
 #if defined(__GNUC__)
 #  define BENCH_FN static __attribute__((unused))
@@ -104,6 +111,42 @@ BENCH_FN double bench_ratio(const bench_job *base, const bench_job *ours) {
     int k;
     for (k = 0; k < ours->rounds; k++) r[k] = base->cpu[k] / ours->cpu[k];
     return bench_median(r, ours->rounds);
+}
+
+/* ---- hardware counters: Linux where it gives them, which in virtual machines is rare ---- */
+
+enum { BENCH_CYCLES, BENCH_CACHE_MISSES, BENCH_COUNTERS };
+
+/* Run once; count[i] < 0: there is no such counter. Counts what this thread does outside of the kernel. */
+BENCH_FN void bench_count(void (*run)(void *ctx), void *ctx, double count[BENCH_COUNTERS]) {
+    int i;
+    for (i = 0; i < BENCH_COUNTERS; i++) count[i] = -1.0;
+#if defined(__linux__)
+    {
+        static const uint64_t config[BENCH_COUNTERS] = {PERF_COUNT_HW_CPU_CYCLES, PERF_COUNT_HW_CACHE_MISSES};
+        int fd[BENCH_COUNTERS];
+        uint64_t before[BENCH_COUNTERS], after;
+        for (i = 0; i < BENCH_COUNTERS; i++) {
+            struct perf_event_attr a;
+            memset(&a, 0, sizeof a);
+            a.type = PERF_TYPE_HARDWARE;
+            a.size = sizeof a;
+            a.config = config[i];
+            a.exclude_kernel = a.exclude_hv = 1;
+            fd[i] = (int)syscall(SYS_perf_event_open, &a, 0, -1, -1, 0);
+        }
+        for (i = 0; i < BENCH_COUNTERS; i++)
+            if (fd[i] >= 0 && read(fd[i], &before[i], 8) != 8) before[i] = 0;
+        run(ctx);
+        for (i = 0; i < BENCH_COUNTERS; i++) {
+            if (fd[i] < 0) continue;
+            if (read(fd[i], &after, 8) == 8) count[i] = (double)(after - before[i]);
+            close(fd[i]);
+        }
+    }
+#else
+    run(ctx);
+#endif
 }
 
 /* ---- lines ---- */

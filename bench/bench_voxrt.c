@@ -2,12 +2,13 @@
 
    bench_voxrt [--full] [--only BM1,BM6] [--threads N] [--data DIR] [--table FILE]
 
-   BM1 paths: the thesis' and ours      BM6 shadows, occlusion, mirrors     BM10 stages: normals, compose, setup (BM3)
-   BM2 resolution                       BM7 ways through the octree         BM13 tolerance against error
-   BM3 stages of a picture              BM8 converter
-   BM4 start grid of the octree         BM9 loading
-   BM5 memory and files                 BM12 is bench/peers/embree_voxrt.cpp
-   One JSON object a line on stdout; the acceptance table on stderr and in bench/table.md beside the program. */
+   BM1 paths: the thesis' and ours; errors, leaks   BM6 shadows, occlusion, mirrors   BM11 frame budget
+   BM2 resolution                                   BM7 ways through the octree       BM12 is bench/peers/embree_voxrt.cpp
+   BM3 stages of a picture, threads                 BM8 converter                     BM13 tolerance against error
+   BM4 start grid of the octree                     BM9 loading
+   BM5 memory and files                             BM10 normals (setup, compose: BM3)
+   One JSON object a line on stdout; the acceptance table on stderr and, after a run of all, in bench/table.md beside the
+   program. */
 #include "bench.h"
 #include "../examples/support/mesh.h"
 #include "../examples/support/scenes.h"
@@ -21,7 +22,7 @@ enum { WIDTH = 1312, HEIGHT = 640, ROUNDS = 5 }; /* the thesis' picture */
 
 /* ---- paths ---- */
 
-enum { WITH_THESIS_SCALAR = 1, WITH_LOD = 2, WITH_OCCLUDED = 4 };
+enum { WITH_THESIS_SCALAR = 1, WITH_LOD = 2, WITH_OCCLUDED = 4, WITH_NO_BEAM = 8 };
 
 typedef struct paths {
     const char *bench, *kase;
@@ -90,7 +91,7 @@ static void path_lines(const paths *p, const trace_job *t, const bench_job *b, c
 
 /* All paths on one set of rays, in turn; ours against the thesis' packets. */
 static void run_paths(paths *p) {
-    static const struct { const char *name, *isa; int octree, isa_id, lod, occluded, with; } kinds[8] = {
+    static const struct { const char *name, *isa; int octree, isa_id, lod, occluded, with; } kinds[9] = {
         {"thesis single ray", "scalar", 1, VOXRT_ISA_SCALAR, 0, 0, WITH_THESIS_SCALAR},
         {"thesis packets", "sse", 1, VOXRT_ISA_SSE, 0, 0, 0},
         {"tree", "scalar", 0, VOXRT_ISA_SCALAR, 0, 0, 0},
@@ -98,20 +99,24 @@ static void run_paths(paths *p) {
         {"tree", "avx512", 0, VOXRT_ISA_AVX512, 0, 0, 0},
         {"tree, 1 px", "avx2", 0, VOXRT_ISA_AVX2, 1, 0, WITH_LOD},
         {"tree, 1 px", "avx512", 0, VOXRT_ISA_AVX512, 1, 0, WITH_LOD},
-        {"tree, any hit", "auto", 0, VOXRT_ISA_AUTO, 0, 1, WITH_OCCLUDED}
+        {"tree, any hit", "auto", 0, VOXRT_ISA_AUTO, 0, 1, WITH_OCCLUDED},
+        {"tree, no common start", "auto", 0, VOXRT_ISA_AUTO, 0, 0, WITH_NO_BEAM}
     };
-    trace_job t[8];
-    bench_job b[8];
+    trace_job t[9];
+    bench_job b[9];
+    rayset apart;
     int n = 0, i, base = -1, exact = 0;
     memset(b, 0, sizeof b);
     memset(t, 0, sizeof t);
-    for (i = 0; i < 8; i++) {
+    memset(&apart, 0, sizeof apart);
+    if (p->with & WITH_NO_BEAM) apart = rays_apart(p->rays);
+    for (i = 0; i < 9; i++) {
         if ((kinds[i].with & p->with) != kinds[i].with) continue;
         if (kinds[i].octree && p->octree == NULL) continue;
         if (kinds[i].isa_id > (int)voxrt_isa_best()) continue;
         t[n].octree = kinds[i].octree ? p->octree : NULL;
         t[n].tree = p->tree;
-        t[n].rays = p->rays;
+        t[n].rays = kinds[i].with == WITH_NO_BEAM ? &apart : p->rays;
         t[n].isa = (voxrt_isa)kinds[i].isa_id;
         t[n].cone_spread = kinds[i].lod ? p->rays->spread : 0.0f;
         t[n].hit = (voxrt_hit *)must_alloc(p->rays->count, sizeof(voxrt_hit));
@@ -129,7 +134,7 @@ static void run_paths(paths *p) {
     for (i = 0; i < n; i++) {
         const int is_lod = t[i].cone_spread > 0.0f, isa = (int)t[i].isa;
         double r;
-        if (t[i].octree != NULL || t[i].occluded != NULL) continue;
+        if (t[i].octree != NULL || t[i].occluded != NULL || t[i].rays != p->rays) continue;
         if (!is_lod) p->rate[isa] = bench_rate(&b[i], (double)p->rays->count);
         if (base < 0) continue;
         r = bench_ratio(&b[base], &b[i]);
@@ -143,6 +148,7 @@ static void run_paths(paths *p) {
         free(t[i].hit);
         free(t[i].occluded);
     }
+    free_rayset(&apart);
 }
 
 /* The start grid that is fastest for these rays: of 6 to 8, and on from there while the last is the fastest. It is left
@@ -195,7 +201,7 @@ static void paths_default_view(int id, uint32_t resolution) {
     p.tree = tree;
     p.octree = o;
     p.rays = &rays;
-    p.with = WITH_THESIS_SCALAR | WITH_LOD;
+    p.with = WITH_THESIS_SCALAR | WITH_LOD | WITH_NO_BEAM;
     run_paths(&p);
     if (strcmp(kase, "dragon-4096") == 0) {
         table_isa("dragon-4096-ratio", p.ratio, 1.0, 2);
@@ -301,66 +307,190 @@ static size_t judge_hits(const oracle_grid *g, const rayset *s, const voxrt_hit 
     return wrong;
 }
 
-static void exactness(int id, size_t every, size_t *total, size_t *judged) {
-    const voxrt_tree *tree = get_tree(id, 512, KIND_PEER);
-    const int32_t lo[3] = {0, 0, 0}, n[3] = {512, 512, 512};
+/* The filled cells again, as bits for the exact stepper and as trees in which a cell is a unit cube. */
+typedef struct exact_grid {
+    oracle_grid g;
+    voxrt_tree *tree;
+    voxrt_octree *octree;
+} exact_grid;
+
+static void open_exact(exact_grid *e, const voxrt_tree *tree) {
+    const int32_t lo[3] = {0, 0, 0};
+    int32_t n[3];
     voxrt_build_desc bd;
     voxrt_octree_desc od;
     voxrt_tree_info info;
-    voxrt_tree *unit;
-    voxrt_octree *o;
     voxrt_voxel *voxels, *end;
-    oracle_grid g;
-    rayset first = peer_rays(g_models[id].name), sets[3];
-    int k, i;
     voxrt_tree_get_info(tree, &info);
+    n[0] = n[1] = n[2] = (int32_t)(1u << info.depth);
     voxels = end = (voxrt_voxel *)must_alloc(info.voxel_count, sizeof *voxels);
     (void)voxrt_tree_each(tree, info.depth, fill_voxels, &end);
     memset(&bd, 0, sizeof bd);
     bd.disable_colors = bd.disable_normals = 1;
-    must(voxrt_tree_from_voxels(&bd, voxels, info.voxel_count, info.depth, &unit), "voxels");
+    must(voxrt_tree_from_voxels(&bd, voxels, info.voxel_count, info.depth, &e->tree), "voxels");
     free(voxels);
-    if (!oracle_grid_make(&g, lo, n)) run_failed("oracle", "not enough memory");
-    (void)voxrt_tree_each(unit, info.depth, fill_oracle, &g);
+    if (!oracle_grid_make(&e->g, lo, n)) run_failed("oracle", "not enough memory");
+    (void)voxrt_tree_each(e->tree, info.depth, fill_oracle, &e->g);
     memset(&od, 0, sizeof od);
     od.disable_collapse = 1; /* so that its cells are those of the grid */
-    must(voxrt_octree_from_tree(&od, unit, &o), "octree");
+    must(voxrt_octree_from_tree(&od, e->tree, &e->octree), "octree");
+}
+
+static void close_exact(exact_grid *e) {
+    free(e->g.bits);
+    voxrt_octree_destroy(e->octree);
+    voxrt_tree_destroy(e->tree);
+}
+
+/* Trace and judge; returns what is wrong with the tree's hits. */
+static size_t exact_line(const exact_grid *e, const char *kase, const rayset *s, int octree) {
+    trace_job t;
+    size_t wrong, late;
+    memset(&t, 0, sizeof t);
+    t.tree = e->tree;
+    t.octree = octree ? e->octree : NULL;
+    t.rays = s;
+    t.hit = (voxrt_hit *)must_alloc(s->count, sizeof *t.hit);
+    run_trace(&t);
+    wrong = judge_hits(&e->g, s, t.hit, &late);
+    bench_line("voxrt.exact", kase, "wrong_rays", (double)wrong, "rays");
+    bench_num("rays", (double)s->count);
+    bench_num("hits", (double)count_hits(t.hit, s->count));
+    bench_num("inexact_t_or_face", (double)late);
+    bench_text("method", octree ? "thesis packets" : "tree");
+    bench_hash(hash_hits(t.hit, s->count));
+    bench_end();
+    free(t.hit);
+    return wrong + late;
+}
+
+static void exactness(int id, size_t every, size_t *total, size_t *judged) {
+    static const char *const kinds[3] = {"primary", "diffuse", "random"};
+    const voxrt_tree *tree = get_tree(id, 512, KIND_PEER);
+    voxrt_tree_info info;
+    exact_grid e;
+    rayset first = peer_rays(g_models[id].name), sets[3];
+    int k;
+    voxrt_tree_get_info(tree, &info);
+    open_exact(&e, tree);
     sets[0] = first;
     sets[1] = second_rays(tree, &first, SECOND_COSINE, 0.0f);
     sets[2] = chord_rays(tree, first.count);
     for (k = 0; k < 3; k++) {
-        static const char *const kinds[3] = {"primary", "diffuse", "random"};
         rayset s = rays_in_grid(&sets[k], &info, every);
-        voxrt_hit *hit = (voxrt_hit *)must_alloc(s.count, sizeof *hit);
-        for (i = 0; i < 2; i++) {
-            trace_job t;
-            size_t wrong, late;
-            char kase[64];
-            memset(&t, 0, sizeof t);
-            t.tree = unit;
-            t.octree = i == 1 ? o : NULL;
-            t.rays = &s;
-            t.hit = hit;
-            run_trace(&t);
-            wrong = judge_hits(&g, &s, hit, &late);
-            snprintf(kase, sizeof kase, "%s-512-%s", g_models[id].name, kinds[k]);
-            bench_line("voxrt.exact", kase, "wrong_rays", (double)wrong, "rays");
-            bench_num("rays", (double)s.count);
-            bench_num("inexact_t_or_face", (double)late);
-            bench_text("method", i == 1 ? "thesis packets" : "tree");
-            bench_hash(hash_hits(hit, s.count));
-            bench_end();
-            if (i > 0) continue;
-            *total += wrong + late;
-            *judged += s.count;
-        }
-        free(hit);
+        char kase[64];
+        snprintf(kase, sizeof kase, "%s-512-%s", g_models[id].name, kinds[k]);
+        *total += exact_line(&e, kase, &s, 0);
+        *judged += s.count;
+        (void)exact_line(&e, kase, &s, 1);
         free_rayset(&s);
         free_rayset(&sets[k]);
     }
-    free(g.bits);
-    voxrt_octree_destroy(o);
-    voxrt_tree_destroy(unit);
+    close_exact(&e);
+}
+
+/* Rays that are hard by their numbers, in batches, against a thin shell and against noise. */
+static void adversarial(size_t count) {
+    enum { SIZE = 64, BATCH = 250000 };
+    size_t wrong = 0, done[2] = {0, 0};
+    int k;
+    for (k = 0; k < 2; k++) {
+        voxrt_build_desc bd;
+        voxrt_tree *tree;
+        exact_grid e;
+        uint64_t batch = 0;
+        memset(&bd, 0, sizeof bd);
+        bd.disable_normals = 1;
+        if (k == 0) {
+            const model *m = get_model(MODEL_BLOB);
+            voxrt_mesh mesh = mesh_view(&m->mesh);
+            bd.resolution = SIZE;
+            must(voxrt_tree_build(&bd, &mesh, NULL, &tree), "build");
+        } else {
+            voxrt_voxel *v = (voxrt_voxel *)must_alloc(6000, sizeof *v);
+            bench_rng rng = {5};
+            size_t i;
+            for (i = 0; i < 6000; i++) {
+                v[i].x = bench_random_u32(&rng) % SIZE;
+                v[i].y = bench_random_u32(&rng) % SIZE;
+                v[i].z = bench_random_u32(&rng) % SIZE;
+            }
+            must(voxrt_tree_from_voxels(&bd, v, 6000, 6, &tree), "voxels");
+            free(v);
+        }
+        open_exact(&e, tree);
+        voxrt_tree_destroy(tree);
+        while (done[k] < count / 2) {
+            const size_t n = count / 2 - done[k] < BATCH ? count / 2 - done[k] : BATCH;
+            rayset s = adversarial_rays(SIZE, n, 1000 * (uint64_t)k + ++batch);
+            wrong += exact_line(&e, k == 0 ? "adversarial-shell" : "adversarial-noise", &s, 0);
+            done[k] += n;
+            free_rayset(&s);
+        }
+        close_exact(&e);
+    }
+    table_set("adversarial", "%lu of %lu", (unsigned long)wrong, (unsigned long)(done[0] + done[1]));
+}
+
+/* Nothing gets out of a closed body: towards all vertices and edge midpoints of its mesh, and anywhere. */
+static void leaks(size_t count) {
+    enum { BATCH = 1 << 20 };
+    static const char *const kinds[3] = {"vertices", "edge midpoints", "random"};
+    const model *m = get_model(MODEL_BLOB);
+    const size_t corners = 3 * m->mesh.triangle_count;
+    voxrt_mesh mesh = mesh_view(&m->mesh);
+    voxrt_build_desc bd;
+    voxrt_tree *tree;
+    float *middle = (float *)must_alloc(corners, 12);
+    size_t edges = 0, i, leaked = 0, all = 0;
+    int k, a;
+    memset(&bd, 0, sizeof bd);
+    bd.env.thread_count = (uint32_t)g_opt.threads;
+    bd.resolution = 1024;
+    bd.disable_normals = bd.disable_colors = 1;
+    must(voxrt_tree_build(&bd, &mesh, NULL, &tree), "build");
+    for (i = 0; i < corners; i++) { /* of a closed mesh each edge is there twice */
+        const uint32_t p = m->mesh.indices[i], q = m->mesh.indices[i % 3 == 2 ? i - 2 : i + 1];
+        if (p > q) continue;
+        for (a = 0; a < 3; a++) {
+            middle[3 * edges + (size_t)a] = 0.5f * (m->mesh.positions[3 * (size_t)p + (size_t)a] +
+                                                    m->mesh.positions[3 * (size_t)q + (size_t)a]);
+        }
+        edges++;
+    }
+    for (k = 0; k < 3; k++) {
+        const float *at = k == 0 ? m->mesh.positions : k == 1 ? middle : NULL;
+        const size_t total = k == 0 ? m->mesh.vertex_count : k == 1 ? edges : count;
+        size_t done = 0, out = 0;
+        double seconds = 0.0;
+        while (done < total) {
+            const size_t n = total - done < BATCH ? total - done : BATCH;
+            rayset s = inner_rays(at != NULL ? at + 3 * done : NULL, n, 7 + done);
+            trace_job t;
+            double start;
+            memset(&t, 0, sizeof t);
+            t.tree = tree;
+            t.rays = &s;
+            t.hit = (voxrt_hit *)must_alloc(n, sizeof *t.hit);
+            start = bench_cpu();
+            run_trace(&t);
+            seconds += bench_cpu() - start;
+            out += n - count_hits(t.hit, n);
+            done += n;
+            free(t.hit);
+            free_rayset(&s);
+        }
+        bench_line("voxrt.leaks", "blob-1024", "escaped_rays", (double)out, "rays");
+        bench_num("rays", (double)total);
+        bench_num("rays_per_second", (double)total / seconds);
+        bench_text("method", kinds[k]);
+        bench_end();
+        leaked += out;
+        all += total;
+    }
+    table_set("leaks", "%lu of %lu", (unsigned long)leaked, (unsigned long)all);
+    free(middle);
+    voxrt_tree_destroy(tree);
 }
 
 static void bm1(void) {
@@ -383,6 +513,8 @@ static void bm1(void) {
         drop_trees();
     }
     table_set("wrong", "%lu of %lu", (unsigned long)wrong, (unsigned long)judged);
+    adversarial(g_opt.full ? 10000000 : 200000);
+    leaks(g_opt.full ? 100000000 : 2000000);
 }
 
 /* ---- whole pictures ---- */
@@ -440,7 +572,7 @@ static void bm2(void) {
     const int id = get_model(MODEL_DRAGON) != NULL ? MODEL_DRAGON : MODEL_BLOB;
     frame_job f[32];
     bench_job b[32];
-    double most[2] = {-1.0, -1.0};
+    double most[2] = {-1.0, -1.0}, count[BENCH_COUNTERS];
     int n = 0, i, k;
     uint32_t r;
     memset(b, 0, sizeof b);
@@ -463,6 +595,12 @@ static void bm2(void) {
             char kase[64];
             snprintf(kase, sizeof kase, "%s-%u", g_models[id].name, r);
             frame_line("voxrt.resolution", kase, &f[i + k], &b[i + k]);
+            bench_num("ns_per_ray", 1e9 * bench_seconds(&b[i + k]) / ((double)WIDTH * HEIGHT));
+            bench_count(run_frame, &f[i + k], count);
+            if (count[BENCH_CYCLES] >= 0.0) bench_num("cycles_per_ray", count[BENCH_CYCLES] / ((double)WIDTH * HEIGHT));
+            if (count[BENCH_CACHE_MISSES] >= 0.0) {
+                bench_num("cache_misses_per_ray", count[BENCH_CACHE_MISSES] / ((double)WIDTH * HEIGHT));
+            }
             if (r > 1024) {
                 const double growth = 1.0 / bench_ratio(&b[i + k - 2], &b[i + k]) - 1.0;
                 bench_num("growth", growth);
@@ -477,6 +615,35 @@ static void bm2(void) {
     }
     for (i = 0; i < n; i++) free(f[i].image.rgba8);
     drop_trees();
+}
+
+/* The whole picture by 1, 2, ... all cores. */
+static void frame_threads(const voxrt_tree *tree, const char *kase) {
+    const long cores = sysconf(_SC_NPROCESSORS_ONLN);
+    double one = 0.0;
+    uint32_t n;
+    for (n = 1; n <= 64 && (long)n <= cores; n++) {
+        frame_job f = make_frame(tree);
+        bench_job b;
+        char name[32];
+        memset(&b, 0, sizeof b);
+        snprintf(name, sizeof name, "%u threads", n);
+        f.desc.env.thread_count = n;
+        b.name = name;
+        b.run = run_frame;
+        b.ctx = &f;
+        bench_interleave(&b, 1, ROUNDS);
+        if (n == 1) one = bench_median(b.wall, b.rounds);
+        bench_line("voxrt.threads", kase, "frames_per_second", 1.0 / bench_median(b.wall, b.rounds), "1/s");
+        bench_num("best", 1.0 / bench_least(b.wall, b.rounds));
+        bench_num("speedup", one / bench_median(b.wall, b.rounds));
+        bench_num("error", (double)frame_differs(&f));
+        bench_text("error_unit", "pixels");
+        bench_num("threads", n);
+        bench_hash(bench_hash_bytes(f.image.rgba8, (size_t)4 * WIDTH * HEIGHT));
+        bench_end();
+        free(f.image.rgba8);
+    }
 }
 
 /* BM3 and BM10: what each stage adds to a frame, and the parts alone. */
@@ -524,6 +691,7 @@ static void bm3(void) {
         bench_line("voxrt.stages", kase, "compose_share", (full - bench_seconds(&b[4])) / full, "");
         bench_end();
         for (i = 0; i < 7; i++) free(f[i].image.rgba8);
+        frame_threads(tree, kase);
     }
 }
 
@@ -878,7 +1046,7 @@ static void bm7(void) {
 typedef struct convert_job {
     voxrt_mesh mesh;
     uint32_t resolution, threads;
-    int kind;
+    int kind, thesis_palette;
     const char *path;             /* file to write, NULL: only build */
     voxrt_build_stats stats;      /* out, of the last run */
     double build, save;           /* out, wall seconds */
@@ -895,6 +1063,7 @@ static void run_convert(void *ctx) {
     d.env.thread_count = c->threads;
     d.resolution = c->resolution;
     if (c->kind == KIND_PEER) d.separating = VOXRT_SEPARATING_26;
+    if (c->thesis_palette) d.palette_method = VOXRT_PALETTE_THESIS;
     must(voxrt_tree_build(&d, &c->mesh, &c->stats, &tree), "build");
     c->build = bench_wall() - start;
     if (c->path != NULL) {
@@ -922,15 +1091,14 @@ static void convert_line(const char *kase, const char *metric, double value, con
 
 /* Triangles -> file with colours and normals, as the peers do it. */
 static void convert_file(void) {
-    const model *m = get_model(MODEL_BLOB);
     char path[64];
-    sup_mesh copy = m->mesh;
+    sup_mesh mesh;
     sup_error err;
-    uint8_t *rgb = smooth_rgb(&m->mesh);
     int i;
     snprintf(path, sizeof path, "/tmp/bench_voxrt_%ld.vox", (long)getpid());
-    copy.normals = NULL;
-    if (sup_mesh_compute_normals(&copy, &err)) run_failed("normals", err.text);
+    if (sup_scene_make("blob", 0, &mesh)) run_failed("blob", "cannot be made");
+    mesh.vertex_rgb = smooth_rgb(&mesh);
+    if (sup_mesh_compute_normals(&mesh, &err)) run_failed("normals", err.text);
     for (i = g_opt.full ? 0 : 2; i < 4; i++) { /* full: one thread too; the peer has 26-separating voxels */
         const char *kase = i % 2 == 0 ? "blob-1024-file" : "blob-1024-file-26-separating";
         convert_job c;
@@ -938,8 +1106,7 @@ static void convert_file(void) {
         if (!g_opt.full && i == 3) break;
         memset(&c, 0, sizeof c);
         memset(&b, 0, sizeof b);
-        c.mesh = mesh_view(&copy);
-        c.mesh.vertex_rgb = rgb;
+        c.mesh = mesh_view(&mesh);
         c.resolution = 1024;
         c.threads = i < 2 ? 1u : (uint32_t)g_opt.threads;
         c.kind = i % 2 == 0 ? KIND_DEFAULT : KIND_PEER;
@@ -950,7 +1117,7 @@ static void convert_file(void) {
         convert_line(kase, "wall_time", bench_median(b.wall, b.rounds), "s", &c);
         bench_num("best", bench_least(b.wall, b.rounds));
         bench_num("cpu", bench_seconds(&b));
-        bench_num("triangles_per_second", (double)m->mesh.triangle_count / bench_median(b.wall, b.rounds));
+        bench_num("triangles_per_second", (double)mesh.triangle_count / bench_median(b.wall, b.rounds));
         if (i % 2 == 1) {
             bench_text("peer", "ooc_svo_builder");
             bench_num("peer_value", 4.5);
@@ -959,8 +1126,45 @@ static void convert_file(void) {
         if (i == 2) table_set("convert", "%.2f (%.2f)", bench_median(b.wall, b.rounds), bench_seconds(&b));
     }
     (void)remove(path);
-    free(rgb);
-    SUP_FREE(copy.normals);
+    sup_mesh_free(&mesh);
+}
+
+/* What colours cost: sums, palette and indices, for 1.8 million different ones and for 32. */
+static void convert_colors(void) {
+    static const char *const names[4] = {"no colours", "32 colours", "a colour each vertex", "the same, palette of the thesis"};
+    sup_mesh mesh;
+    bench_job b[4];
+    convert_job c[4];
+    uint8_t *smooth, *bands;
+    const int n = g_opt.full ? 4 : 3;
+    int i;
+    if (sup_scene_make("blob", g_opt.full ? 0 : 256, &mesh)) run_failed("blob", "cannot be made");
+    smooth = smooth_rgb(&mesh);
+    bands = banded(&mesh, 32);
+    memset(b, 0, sizeof b);
+    memset(c, 0, sizeof c);
+    for (i = 0; i < n; i++) {
+        c[i].mesh = mesh_view(&mesh);
+        if (i == 1) c[i].mesh.triangle_rgb = bands;
+        if (i >= 2) c[i].mesh.vertex_rgb = smooth;
+        c[i].thesis_palette = i == 3;
+        c[i].resolution = g_opt.full ? 1024 : 512;
+        c[i].threads = 1;
+        b[i].run = run_convert;
+        b[i].ctx = &c[i];
+    }
+    bench_interleave(b, n, g_opt.full ? ROUNDS : 3);
+    for (i = 0; i < n; i++) {
+        convert_line(g_opt.full ? "blob-1024-colours" : "blob-512-colours", "build_time", bench_seconds(&b[i]), "s", &c[i]);
+        bench_num("best", bench_seconds_best(&b[i]));
+        bench_num("colors_in", (double)c[i].stats.colors_in);
+        bench_num("colors_time", bench_seconds(&b[i]) - bench_seconds(&b[0]));
+        bench_text("method", names[i]);
+        bench_end();
+    }
+    free(smooth);
+    free(bands);
+    sup_mesh_free(&mesh);
 }
 
 static void convert_build(uint32_t resolution, int rounds) {
@@ -1004,6 +1208,7 @@ static void bm8(void) {
         convert_build(2048, ROUNDS);
     }
     convert_build(4096, ROUNDS);
+    convert_colors();
 }
 
 /* ---- BM9: loading ---- */
@@ -1306,9 +1511,86 @@ static void bm13(void) {
     pareto(MODEL_BLOB, g_opt.full ? 4096 : 2048);
 }
 
+/* ---- BM11: frame budget ---- */
+
+/* A flight around a model and towards it, with shadows, drawn by one thread within `share` of what full detail takes in
+   the middle. Times are CPU seconds, so that others on the machine do not count as slow frames. */
+static void flight(const voxrt_tree *tree, const char *kase, const char *name, double share, double target,
+                   double *full, int frames) {
+    voxrt_budget budget;
+    voxrt_light light;
+    frame_job f = make_frame(tree);
+    const voxrt_camera start = f.desc.camera;
+    double over = 0.0, far_over = 0.0, sum = 0.0, widest = 0.0, shown = 0.0, steps = 0.0, times[256];
+    float tolerance = share > 0.0 ? 0.5f : 0.0f;
+    int i, a;
+    memset(&budget, 0, sizeof budget);
+    memset(&light, 0, sizeof light);
+    light.directional = 1;
+    light.position[0] = light.position[1] = 1.0f;
+    light.position[2] = 0.7f;
+    light.color[0] = light.color[1] = light.color[2] = 0.9f;
+    f.desc.lights = &light;
+    f.desc.light_count = 1;
+    f.desc.shadows = 1;
+    for (i = 0; i < frames; i++) {
+        const double turn = 6.28318530717958648 * i / frames, scale = 1.6 + 1.2 * cos(turn);
+        const double v[3] = {(double)(start.eye[0] - start.at[0]), (double)(start.eye[1] - start.at[1]),
+                             (double)(start.eye[2] - start.at[2])};
+        double seconds;
+        for (a = 0; a < 3; a++) f.desc.camera.at[a] = start.at[a];
+        f.desc.camera.eye[0] = start.at[0] + (float)(scale * (cos(turn) * v[0] + sin(turn) * v[2]));
+        f.desc.camera.eye[1] = start.at[1] + (float)(scale * v[1]);
+        f.desc.camera.eye[2] = start.at[2] + (float)(scale * (cos(turn) * v[2] - sin(turn) * v[0]));
+        f.desc.tolerance = tolerance;
+        f.desc.pixel_step = budget.pixel_step;
+        seconds = bench_cpu();
+        run_frame(&f);
+        times[i] = 1e3 * (bench_cpu() - seconds);
+        shown += (double)tolerance;
+        steps += budget.pixel_step > 1 ? budget.pixel_step : 1;
+        if ((double)tolerance > widest) widest = (double)tolerance;
+        sum += times[i];
+        over += target > 0.0 && times[i] > target;
+        far_over += target > 0.0 && times[i] > 1.1 * target;
+        if (share > 0.0) tolerance = voxrt_budget_update(&budget, (float)times[i], (float)target, 0.5f);
+    }
+    if (full != NULL) *full = sum / frames;
+    bench_line("voxrt.budget", kase, "frames_over_budget", over / frames, "");
+    bench_num("over_by_a_tenth", far_over / frames);
+    bench_text("method", name);
+    bench_num("budget_ms", target);
+    bench_num("mean_ms", sum / frames);
+    bench_num("frames", frames);
+    bench_num("tolerance_px_mean", shown / frames);
+    bench_num("tolerance_px_most", widest);
+    bench_num("pixel_step_mean", steps / frames);
+    bench_num("threads", 1);
+    bench_end();
+    free(f.image.rgba8);
+}
+
+static void bm11(void) {
+    static const double shares[4] = {0.9, 0.75, 0.5, 0.25};
+    const int id = get_model(MODEL_DRAGON) != NULL ? MODEL_DRAGON : MODEL_BLOB, frames = g_opt.full ? 200 : 40;
+    const uint32_t resolution = g_opt.full ? 4096 : 2048;
+    const voxrt_tree *tree = get_tree(id, resolution, KIND_DEFAULT);
+    double full;
+    char kase[64], name[64];
+    int k;
+    snprintf(kase, sizeof kase, "%s-%u", g_models[id].name, resolution);
+    flight(tree, kase, "full detail, to measure", 0.0, 0.0, &full, frames);
+    for (k = 0; k < 4; k++) {
+        snprintf(name, sizeof name, "full detail, budget %.0f %%", 100.0 * shares[k]);
+        flight(tree, kase, name, 0.0, shares[k] * full, NULL, frames);
+        snprintf(name, sizeof name, "controller, budget %.0f %%", 100.0 * shares[k]);
+        flight(tree, kase, name, shares[k], shares[k] * full, NULL, frames);
+    }
+}
+
 int main(int argc, char **argv) {
     static const struct { int number; void (*run)(void); } all[] = {
-        {1, bm1}, {2, bm2}, {3, bm3}, {4, bm4}, {7, bm7}, {10, bm10}, {13, bm13}, {9, bm9}, {5, bm5}, {6, bm6}, {8, bm8}
+        {1, bm1}, {2, bm2}, {3, bm3}, {4, bm4}, {7, bm7}, {10, bm10}, {13, bm13}, {11, bm11}, {9, bm9}, {5, bm5}, {6, bm6}, {8, bm8}
     };
     size_t i;
     int status = bench_parse(argc, argv, &g_opt);
@@ -1323,6 +1605,6 @@ int main(int argc, char **argv) {
     drop_trees();
     for (i = 0; i < MODEL_COUNT; i++) sup_mesh_free(&g_models[i].mesh);
     table_write(argv[0]);
-    table_print(stderr);
+    table_print(stderr, g_opt.only == NULL);
     return 0;
 }

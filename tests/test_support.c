@@ -1001,20 +1001,137 @@ TEST(materials_from_files) {
 
 /* ---- normals and bounds ------------------------------------------------------------------------------------------ */
 
-TEST(normals_of_a_cube_weigh_angles) {
-    /* six sides cut into two triangles each: by angle all corners are on the diagonals, however the sides are cut */
+/* A fan of n triangles around the apex (0, 0, h). split: no vertex is shared. */
+static void make_fan(supi_make *make, int n, float h, int split) {
+    int i, k;
+    memset(make, 0, sizeof *make);
+    for (i = split ? 0 : -1; i < n; i++) {
+        uint32_t corner[3] = {0, 0, 0};
+        for (k = 0; k < 3; k++) {
+            const double a = 6.283185307179586 * ((i + (k == 2)) % n) / n;
+            if (split && k == 0) corner[0] = supi_make_point(make, 0, 0, h);
+            else if (split) corner[k] = supi_make_point(make, (float)cos(a), (float)sin(a), 0);
+            else if (i < 0 && k == 0) (void)supi_make_point(make, 0, 0, h);
+            else if (i >= 0 && k == 1) (void)supi_make_point(make, (float)cos(a), (float)sin(a), 0);
+        }
+        if (!split) {
+            corner[1] = 1 + (uint32_t)i;
+            corner[2] = 1 + (uint32_t)(i + 1) % (uint32_t)n;
+        }
+        if (i >= 0) supi_make_triangle(make, corner[0], corner[1], corner[2]);
+    }
+}
+
+TEST(normals_weigh_angles) { /* a flat pyramid: all of its edges are smooth, however its sides are cut */
+    supi_make make;
+    sup_error err;
+    size_t i, k;
+    const float apex[3] = {0, 0, 0.2f}, at[4][3] = {{1, 0, 0}, {0, 1, 0}, {-1, 0, 0}, {0, -1, 0}};
+    memset(&make, 0, sizeof make);
+    (void)supi_make_vertex(&make, apex, NULL, NULL);
+    for (i = 0; i < 4; i++) (void)supi_make_vertex(&make, at[i], NULL, NULL);
+    for (i = 0; i < 4; i++) {
+        const uint32_t a = (uint32_t)i + 1, b = (uint32_t)(i + 1) % 4 + 1;
+        if (i < 3) {
+            supi_make_triangle(&make, 0, a, b);
+        } else { /* the last side in two, at the middle of its base */
+            const float middle[3] = {0.5f, -0.5f, 0};
+            const uint32_t m = supi_make_vertex(&make, middle, NULL, NULL);
+            supi_make_triangle(&make, 0, a, m);
+            supi_make_triangle(&make, 0, m, b);
+        }
+    }
+    REQUIRE(!make.failed && !sup_mesh_compute_normals(&make.mesh, &err));
+    CHECK_EQ_U64(make.mesh.vertex_count, 6);
+    CHECK_NEAR(make.mesh.normals[2], 1.0, 1e-6);
+    for (i = 1; i < 5; i++) {
+        const float *n = make.mesh.normals + 3 * i, *p = make.mesh.positions + 3 * i;
+        for (k = 0; k < 2; k++) CHECK_NEAR(n[k] * p[k], p[k] * p[k] * sqrtf(1 - n[2] * n[2]), 1e-6);
+    }
+    sup_mesh_free(&make.mesh);
+}
+
+TEST(normals_keep_creases) { /* a box with eight vertices becomes one with 24, each normal along an axis */
     supi_make make;
     const float lo[3] = {-1, -1, -1}, hi[3] = {1, 1, 1};
+    const uint8_t rgb[3] = {10, 20, 30};
     sup_error err;
     size_t i, k;
     memset(&make, 0, sizeof make);
     supi_make_box(&make, lo, hi, 0);
-    REQUIRE(!make.failed && !sup_mesh_compute_normals(&make.mesh, &err));
-    for (i = 0; i < 8; i++) {
-        for (k = 0; k < 3; k++)
-            CHECK_NEAR(make.mesh.normals[3 * i + k], make.mesh.positions[3 * i + k] / sqrtf(3.0f), 1e-6);
+    REQUIRE(!make.failed && make.mesh.vertex_count == 8);
+    make.mesh.vertex_rgb = (uint8_t *)sup_alloc(8, 3);
+    for (i = 0; i < 8; i++) memcpy(make.mesh.vertex_rgb + 3 * i, rgb, 3);
+    REQUIRE(!sup_mesh_compute_normals(&make.mesh, &err));
+    CHECK_EQ_U64(make.mesh.vertex_count, 24);
+    for (i = 0; i < make.mesh.triangle_count; i++) {
+        float face[3];
+        CHECK(supi_face_normal(&make.mesh, i, face));
+        for (k = 0; k < 3; k++) {
+            const float *n = make.mesh.normals + 3 * (size_t)make.mesh.indices[3 * i + k];
+            CHECK(n[0] == face[0] && n[1] == face[1] && n[2] == face[2]);
+        }
     }
+    for (i = 0; i < 24; i++) CHECK(memcmp(make.mesh.vertex_rgb + 3 * i, rgb, 3) == 0);
+    REQUIRE(!sup_mesh_compute_normals(&make.mesh, &err)); /* once more changes nothing */
+    CHECK_EQ_U64(make.mesh.vertex_count, 24);
     sup_mesh_free(&make.mesh);
+}
+
+TEST(normals_across_repeated_vertices) { /* what shares a place shares a normal, whether or not it shares an index */
+    static const struct { int n; float h; size_t copies; } fans[4] = {
+        {64, 0.5f, 0},    /* steep, but from one side to the next nearly flat */
+        {6, 0.2f, 0}, {4, 0.5f, 0},
+        {4, 3.0f, 7}      /* sides turn by 84 degrees: four copies of the apex but one, one of each corner */
+    };
+    size_t f, i, k;
+    for (f = 0; f < 4; f++) {
+        supi_make whole, split;
+        sup_error err;
+        size_t before;
+        make_fan(&whole, fans[f].n, fans[f].h, 0);
+        make_fan(&split, fans[f].n, fans[f].h, 1);
+        REQUIRE(!whole.failed && !split.failed);
+        REQUIRE(whole.mesh.triangle_count == split.mesh.triangle_count);
+        before = split.mesh.vertex_count;
+        REQUIRE(!sup_mesh_compute_normals(&whole.mesh, &err) && !sup_mesh_compute_normals(&split.mesh, &err));
+        CHECK_EQ_U64(whole.mesh.vertex_count, (size_t)fans[f].n + 1 + fans[f].copies);
+        CHECK_EQ_U64(split.mesh.vertex_count, before); /* enough vertices for everything */
+        for (i = 0; i < 3 * whole.mesh.triangle_count; i++) {
+            const float *a = whole.mesh.normals + 3 * (size_t)whole.mesh.indices[i];
+            const float *b = split.mesh.normals + 3 * (size_t)split.mesh.indices[i];
+            for (k = 0; k < 3; k++) CHECK(a[k] == b[k]);
+        }
+        sup_mesh_free(&whole.mesh);
+        sup_mesh_free(&split.mesh);
+    }
+    CHECK_EQ_I64(g_memory.live, 0);
+}
+
+TEST(normals_without_memory) { /* fails wherever it can, and leaves the mesh as it was */
+    const float lo[3] = {-1, -1, -1}, hi[3] = {1, 1, 1};
+    int64_t k = 0;
+    int failed = 1;
+    for (; failed; k++) {
+        supi_make make;
+        sup_error err;
+        uint32_t indices[36];
+        memset(&make, 0, sizeof make);
+        supi_make_box(&make, lo, hi, 0);
+        REQUIRE(!make.failed && make.mesh.triangle_count == 12);
+        memcpy(indices, make.mesh.indices, sizeof indices);
+        memory_reset(k);
+        failed = sup_mesh_compute_normals(&make.mesh, &err);
+        g_memory.fail_at = -1;
+        if (failed) {
+            CHECK_STR(err.text, "out of memory for normals of 8 vertices");
+            CHECK(make.mesh.normals == NULL && make.mesh.vertex_count == 8);
+            CHECK(memcmp(make.mesh.indices, indices, sizeof indices) == 0);
+        }
+        sup_mesh_free(&make.mesh);
+    }
+    CHECK(k > 12);
+    CHECK_EQ_I64(g_memory.live, 0);
 }
 
 TEST(normals_edge_cases) {
@@ -1030,7 +1147,7 @@ TEST(normals_edge_cases) {
     mesh.indices = indices;
     mesh.vertex_count = 12;
     mesh.triangle_count = 9;
-    REQUIRE(!sup_mesh_compute_normals(&mesh, &err));
+    REQUIRE(!supi_compute_normals(&mesh, -2.0, &err)); /* the arrays are not from the heap: no copies of vertices */
     for (i = 0; i < 12; i++) {
         const float *n = mesh.normals + 3 * i;
         CHECK_NEAR(length2(n), 1.0, 1e-5);
@@ -1099,7 +1216,7 @@ TEST(real_meshes) {
             float *given = mesh.normals;
             double agree = 0;
             mesh.normals = NULL;
-            CHECK(!sup_mesh_compute_normals(&mesh, &err));
+            CHECK(!supi_compute_normals(&mesh, -2.0, &err)); /* the file has no sharp edges */
             for (k = 0; k < 3 * mesh.vertex_count; k++) agree += (double)given[k] * (double)mesh.normals[k];
             CHECK(agree / (double)mesh.vertex_count > 0.95);
             SUP_FREE(given);
@@ -1836,7 +1953,10 @@ int main(int argc, char **argv) {
     RUN(file_errors);
     RUN(large_file);
     RUN(materials_from_files);
-    RUN(normals_of_a_cube_weigh_angles);
+    RUN(normals_weigh_angles);
+    RUN(normals_keep_creases);
+    RUN(normals_across_repeated_vertices);
+    RUN(normals_without_memory);
     RUN(normals_edge_cases);
     RUN(bounds);
     RUN(real_meshes);

@@ -895,7 +895,8 @@ TEST(versions_and_sections) {
         AGAIN(); put(q + 14, 2, n - 1); EXPECT(VOXRT_ERR_FORMAT);
         AGAIN(); put(q + 14, 2, 65535); EXPECT(VOXRT_ERR_FORMAT);
         AGAIN(); put(q + 32, 4, get(q + 32, 4) ^ 1); EXPECT(VOXRT_ERR_FORMAT);
-        AGAIN(); put(q + 32, 4, get(q + 32, 4) | 8); EXPECT(VOXRT_ERR_FORMAT);
+        AGAIN(); put(q + 32, 4, get(q + 32, 4) | 8); EXPECT(VOXRT_OK); /* the same normals in the other code */
+        AGAIN(); put(q + 32, 4, get(q + 32, 4) | 16); EXPECT(VOXRT_ERR_FORMAT);
         AGAIN(); put(q + 36, 4, 0); EXPECT(VOXRT_ERR_FORMAT);
         AGAIN(); put(q + 36, 4, 21); EXPECT(VOXRT_ERR_FORMAT);
         AGAIN(); put(q + 36, 4, 7); EXPECT(VOXRT_ERR_FORMAT);

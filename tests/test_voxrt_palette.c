@@ -425,15 +425,18 @@ TEST(usage_counts) {
         uint32_t *rgb = make_colors(n, 0, 13), *use = NULL, bad = 0, rank = 0;
         voxrt_env env = env_of(4);
         voxrti_cset set;
+        voxrti_pal_pass pass;
         for (i = 0; i < n; i++) {
             if (!many) rgb[i] &= 0x070f07u;
             if (i % 1000 > 600) rgb[i] = rgb[i - 1]; /* runs */
         }
-        REQUIRE(voxrti_cset_open(&mem_g, &set));
-        for (i = 0; i < n; i++) voxrti_cset_add(&set, rgb[i]);
+        REQUIRE(voxrti_cset_open(&mem_g, &set, many ? n : 2048));
+        voxrti_pal_pass_open(&pass, rgb, n, &set);
+        for (i = 0; i < n; i++) voxrti_cset_add(&set, voxrti_pal_code(pass.spread, rgb[i]));
         voxrti_cset_rank(&set);
         REQUIRE(voxrti_pal_count(&mem_g, &env, rgb, n, &set, &use) == VOXRT_OK);
         CHECK(many ? set.count > 65536 : set.count <= 1024);
+        for (i = 0; i < n; i++) rgb[i] = voxrti_pal_code(pass.spread, rgb[i]);
         qsort(rgb, n, sizeof(uint32_t), compare_u32);
         for (i = 0; i < n; i = j, rank++) {
             for (j = i; j < n && rgb[j] == rgb[i]; j++) { }

@@ -358,7 +358,7 @@ static double to_srgb(double c) {
     return c <= 0 ? 0 : c >= 1 ? 1 : c <= 0.0031308 ? c * 12.92 : 1.055 * pow(c, 1 / 2.4) - 0.055;
 }
 
-/* Spec S-6.3 and S-6.4 in double precision from normal, depth and colour of each pixel (no shadows). */
+/* The formulas of shading and composing in double precision, from normal, depth and colour of each pixel (no shadows). */
 static void shade_oracle(const voxrt_render_desc *d, const voxrt_material *m, const picture *p, uint32_t x, uint32_t y,
                          const uint8_t rgb[3], double out[3]) {
     voxrt_ray r;
@@ -407,7 +407,7 @@ static void shade_oracle(const voxrt_render_desc *d, const voxrt_material *m, co
     }
 }
 
-TEST(compose) { /* TC14 */
+TEST(compose) {
     voxrt_tree *t = make_sphere(5, 0.9);
     voxrt_render_desc d;
     voxrt_light light[3];
@@ -514,7 +514,7 @@ TEST(two_sided) {
     CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
     CHECK_NEAR(fpx(&p, 16, 16)[0], 0.05, 1e-6);
     CHECK(normal_at(&p, 16, 16)[2] < -0.99f);
-    d.face_normals = 1; /* I10 */
+    d.face_normals = 1;
     CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
     CHECK(normal_at(&p, 16, 16)[2] == 1);
     voxrt_tree_destroy(t);
@@ -577,7 +577,7 @@ TEST(shadows) {
     free_picture(&p);
 }
 
-/* TQ2: pixels of a smooth sphere that face the light, but are dark. A convex body throws no shadow on itself. */
+/* Pixels of a smooth sphere that face the light, but are dark. A convex body throws no shadow on itself. */
 TEST(self_shadow) {
     static const double elevation[6] = {5, 20, 40, 60, 75, 89};
     uint32_t depth, i, x, y, most = test_quick() ? 6 : 7;
@@ -641,7 +641,7 @@ static int take_cell(void *user, const voxrt_voxel *v, uint32_t index) {
     return 0;
 }
 
-TEST(forced_level) { /* TC16 */
+TEST(forced_level) { /* is the picture of a tree that ends at that level */
     uint32_t depth, k, x, y;
     for (depth = 5; depth <= 6; depth++) {
         voxrt_tree *t = make_sphere(depth, 0.9);
@@ -734,7 +734,7 @@ TEST(tolerance_in_pixels) {
     free_picture(&full);
 }
 
-TEST(object_level) { /* spec S-5.7: Lmax = 1 + ceil(log2(size / (q e))), root = level 1, e at the box's nearest point */
+TEST(object_level) { /* the coarsest level with size / 2^level <= q e, e: width of a pixel at the box's nearest point */
     voxrt_tree *t = make_sphere(6, 0.9);
     voxrt_tree_info info;
     picture p = make_picture(64, 64, 0, 0);
@@ -777,7 +777,7 @@ static void backwards(voxrt_task_fn *task, void *ctx, uint32_t count, void *user
     while (count > 0) task(ctx, --count);
 }
 
-TEST(threads_tiles_isa) { /* TC13 */
+TEST(threads_tiles_isa) {
     static const uint32_t threads[5] = {1, 2, 3, 8, 64};
     voxrt_tree *t = make_sphere(6, 0.9);
     uint32_t k, mode;
@@ -842,7 +842,7 @@ TEST(single_rays) {
     voxrt_tree_destroy(t);
 }
 
-TEST(progressive) { /* TC15 */
+TEST(progressive) {
     voxrt_tree *t = make_sphere(6, 0.9);
     picture p = make_picture(75, 66, 0, 1), q = make_picture(75, 66, 0, 0), ref = make_picture(75, 66, 0, 0);
     voxrt_render_desc d;
@@ -905,7 +905,7 @@ TEST(views) {
             wrong += memcmp(px(&p[3], x, y), px(&p[from], x, y), 4) != 0;
         }
     CHECK_EQ_U64(wrong, 0);
-    /* I9: two levels side by side */
+    /* two levels side by side */
     p[4] = make_picture(100, 40, 0, 0);
     d.view = VOXRT_VIEW_SHADED;
     d.lod_split = 4;
@@ -945,7 +945,7 @@ TEST(views) {
     voxrt_tree_destroy(t);
 }
 
-TEST(heat) { /* I1, I2, TC17 */
+TEST(heat) {
     voxrt_tree *t = make_sphere(6, 0.9);
     picture p[2];
     voxrt_render_desc d;
@@ -1014,7 +1014,7 @@ TEST(stages) {
 
 /* ---- several trees ----------------------------------------------------------------------------------------- */
 
-TEST(geometry) { /* H18: two trees drawn together are the picture of one tree with all voxels */
+TEST(geometry) { /* two trees drawn together are the picture of one tree with all voxels */
     cells c[3];
     voxrt_tree *t[3];
     voxrt_geometry g[2];
@@ -1291,25 +1291,283 @@ TEST(encode_and_blur) {
     free_picture(&q);
 }
 
-TEST(frame_budget) { /* G28: a machine on which a frame takes cost / tolerance^power + 2 ms */
-    static const double power[3] = {0.5, 1.0, 2.0};
-    uint32_t p, k;
+/* Machines on which a frame takes fixed + cost / step^2 / (tolerance / step)^power ms: the budget is kept soon, is not left
+   again, is used, and the best quality comes back when there is time. */
+TEST(frame_budget) {
+    static const double power[3] = {0.0, 0.15, 1.0}, costs[5] = {8.9, 10.6, 14, 40, 300};
+    uint32_t p, c, k;
     for (p = 0; p < 3; p++) {
-        voxrt_budget b;
-        float tolerance = 0.5f;
-        uint32_t over = 0;
-        memset(&b, 0, sizeof b);
-        for (k = 0; k < 200; k++) {
-            double cost = k < 100 ? 20.0 : 4.0, ms;
-            ms = 2 + cost * pow(0.5 / (double)tolerance, power[p]);
-            if (k >= 30 && k < 100) over += ms > 10 * 1.1;
-            tolerance = voxrt_budget_update(&b, (float)ms, 10.0f, 0.5f);
-            CHECK(tolerance >= 0.4999f && tolerance <= 64.01f);
-            if (k == 99) CHECK_NEAR(ms, 10, 1);
+        for (c = 0; c < 5; c++) {
+            voxrt_budget b;
+            float tolerance = 0.5f;
+            uint32_t over = 0, changes = 0, step = 1;
+            double ms = 0;
+            memset(&b, 0, sizeof b);
+            for (k = 0; k < 200; k++) {
+                const double cost = k < 100 ? costs[c] : 4.0;
+                ms = 1 + cost / (step * step) * pow(0.5 * step / (double)tolerance, power[p]);
+                if (k >= 10 && k < 100) over += ms > 10 * 1.02;
+                tolerance = voxrt_budget_update(&b, (float)ms, 10.0f, 0.5f);
+                CHECK(b.pixel_step >= 1 && b.pixel_step <= 8);
+                CHECK(tolerance >= 0.4999f * (float)b.pixel_step && tolerance <= 64.01f);
+                if (k >= 20 && k < 100) changes += b.pixel_step != step;
+                step = b.pixel_step;
+                if (k == 99) CHECK(ms > (c == 1 || step > 1 ? 1.5 : 8)); /* time that is there is used */
+            }
+            CHECK_EQ_U64(over, 0);
+            CHECK_EQ_U64(changes, 0);
+            CHECK_EQ_U64(step, 1);
+            CHECK_NEAR(tolerance, 0.5, 1e-3); /* best quality again */
+            CHECK(voxrt_budget_update(&b, NAN, 10.0f, 0.5f) == tolerance);
+            CHECK(voxrt_budget_update(&b, 10.0f, 0.0f, 0.5f) == tolerance);
         }
-        CHECK_EQ_U64(over, 0);
-        CHECK_NEAR(tolerance, 0.5, 1e-3); /* best quality again */
-        CHECK(voxrt_budget_update(&b, NAN, 10.0f, 0.5f) == tolerance);
+    }
+    {
+        voxrt_budget b;
+        memset(&b, 0, sizeof b);
+        b.pixel_step = 77; /* not ours */
+        CHECK(voxrt_budget_update(&b, 1e30f, 1e-30f, 0.0f) <= 64.0f && b.pixel_step == 8);
+        CHECK(voxrt_budget_update(&b, 1.0f, 1.0f, 1e30f) == 64.0f);
+    }
+}
+
+/* One ray for each block of pixels: the picture is that of an image with fewer pixels, with each pixel as a block. */
+TEST(blocks_of_pixels) {
+    static const uint32_t sizes[3][2] = {{128, 96}, {64, 64}, {176, 8}};
+    voxrt_tree *t = make_sphere(6, 0.9);
+    uint32_t s, step, k, x, y;
+    for (s = 0; s < 3; s++)
+        for (step = 2; step <= 8; step *= 2)
+            for (k = 0; k < 3; k++) {
+                const uint32_t w = sizes[s][0], h = sizes[s][1];
+                picture p = make_picture(w, h, 4, 1), q = make_picture(w / step, h / step, 0, 1);
+                voxrt_render_desc d;
+                uint32_t wrong = 0;
+                memset(&d, 0, sizeof d);
+                d.shadows = 1;
+                d.samples = k == 1 ? 5 : 1;
+                d.tolerance = k == 2 ? 1.0f : 0.0f;
+                d.camera = look(3.1, 2.3, 4.2, 1, 1.05, 0.95, 40);
+                CHECK(voxrt_render(&d, t, &q.m, NULL) == VOXRT_OK);
+                d.pixel_step = step;
+                d.tolerance *= (float)step; /* in pixels of this picture */
+                CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+                for (y = 0; y < h; y++)
+                    for (x = 0; x < w; x++) {
+                        wrong += memcmp(px(&p, x, y), px(&q, x / step, y / step), 4) != 0;
+                        wrong += memcmp(fpx(&p, x, y), fpx(&q, x / step, y / step), 16) != 0;
+                        wrong += depth_at(&p, x, y) != depth_at(&q, x / step, y / step);
+                        wrong += memcmp(normal_at(&p, x, y), normal_at(&q, x / step, y / step), 12) != 0;
+                        wrong += memcmp(hit_at(&p, x, y), hit_at(&q, x / step, y / step), sizeof(voxrt_hit)) != 0;
+                    }
+                CHECK_EQ_U64(wrong, 0);
+                free_picture(&p);
+                free_picture(&q);
+            }
+    for (step = 1; step <= 9; step++) { /* any size, any step: threads change nothing, each block has one value */
+        picture p = make_picture(101, 67, 0, 1), q = make_picture(101, 67, 12, 1);
+        voxrt_render_desc d;
+        voxrt_render_stats stats;
+        uint32_t wrong = 0, blocks = 0;
+        memset(&d, 0, sizeof d);
+        memset(&stats, 0, sizeof stats);
+        d.pixel_step = step;
+        d.lod_split = step == 3 ? 4 : 0;
+        d.camera = look(3.1, 2.3, 4.2, 1, 1.05, 0.95, 40);
+        d.env.thread_count = 1;
+        d.first_sample = 0;
+        d.samples = 2;
+        CHECK(voxrt_render(&d, t, &p.m, &stats) == (step == 9 ? VOXRT_ERR_INVALID_ARG : VOXRT_OK));
+        d.env.thread_count = 3;
+        d.samples = 1;
+        for (k = 0; k < 2 && step < 9; k++) { /* in two calls */
+            d.first_sample = k;
+            CHECK(voxrt_render(&d, t, &q.m, NULL) == VOXRT_OK);
+        }
+        if (step < 9) CHECK_EQ_U64(hash_picture(&p), hash_picture(&q));
+        for (y = 0; y < 67 && step < 9; y++)
+            for (x = 0; x < 101; x++) {
+                const uint32_t half = step == 3 && x >= 50 ? 50 : 0; /* blocks begin again at the split */
+                const uint32_t u = half + (x - half) / step * step, v = y / step * step;
+                if (step == 3) continue;
+                wrong += memcmp(px(&p, x, y), px(&p, u, v), 4) != 0;
+                blocks += u == x && v == y;
+            }
+        if (step < 9 && step != 3) CHECK(wrong == 0 && stats.primary.rays == 2 * blocks);
+        free_picture(&p);
+        free_picture(&q);
+    }
+    voxrt_tree_destroy(t);
+}
+
+/* ---- the caller's own steps -------------------------------------------------------------------------------- */
+
+typedef struct own_steps {
+    voxrt_camera camera;
+    uint32_t size, tiles[64 * 64], frames, wrong, bits;
+    const voxrt_image *image;
+} own_steps;
+
+static void own_ray(void *user, double x, double y, voxrt_ray *ray) { /* a second camera, mirrored */
+    own_steps *o = (own_steps *)user;
+    voxrt_ray q;
+    if (voxrt_camera_ray(&o->camera, o->size, o->size, o->size - x, y, &q) == VOXRT_OK) *ray = q;
+}
+
+static void own_shade(void *user, const voxrt_ray *rays, const voxrt_surface *surfaces, const float (*normals)[3],
+                      float (*colors)[4], size_t count) { /* red for its face, green for the library's, blue for its depth */
+    own_steps *o = (own_steps *)user;
+    size_t i;
+    if (count < 1 || count > 64) voxrti_atomic_add(&o->wrong, 1u);
+    for (i = 0; i < count; i++) {
+        const float *n = normals[i];
+        if (!(surfaces[i].t < INFINITY)) {
+            if (colors[i][3] != 0) voxrti_atomic_add(&o->wrong, 1u);
+            continue;
+        }
+        if (fabsf(n[0] * n[0] + n[1] * n[1] + n[2] * n[2] - 1) > 1e-4f || rays[i].t_max != INFINITY)
+            voxrti_atomic_add(&o->wrong, 1u);
+        colors[i][0] = (float)surfaces[i].face / 8.0f;
+        colors[i][2] = surfaces[i].t / 16.0f;
+    }
+}
+
+static void own_tile(void *user, const voxrt_image *image, uint32_t x0, uint32_t y0, uint32_t x1, uint32_t y1) {
+    own_steps *o = (own_steps *)user;
+    uint32_t x, y;
+    for (y = y0; y < y1; y++)
+        for (x = x0; x < x1; x++) { /* written already */
+            o->tiles[y * o->size + x]++;
+            if (image != o->image || (image->rgba8[4 * (y * o->size + x) + 3] != 0) != (image->depth[y * o->size + x] < INFINITY))
+                voxrti_atomic_add(&o->wrong, 1u);
+        }
+}
+
+static void own_frame(void *user, const voxrt_image *image) {
+    own_steps *o = (own_steps *)user;
+    uint32_t i;
+    o->frames++;
+    for (i = 0; i < o->size * o->size; i++) o->wrong += o->tiles[i] != 1 || image != o->image;
+}
+
+TEST(steps_of_the_caller) {
+    enum { SIZE = 60 };
+    static own_steps o;
+    voxrt_tree *t = make_sphere(5, 0.9);
+    picture p = make_picture(SIZE, SIZE, 0, 0), q = make_picture(SIZE, SIZE, 0, 0);
+    voxrt_render_desc d;
+    voxrt_states s;
+    uint32_t k, x, y, differ = 0;
+    memset(&d, 0, sizeof d);
+    memset(&s, 0, sizeof s);
+    memset(&o, 0, sizeof o);
+    o.size = SIZE;
+    o.camera = look(3.1, 2.3, 4.2, 1, 1.05, 0.95, 40);
+    o.image = &q.m;
+    d.camera = o.camera;
+    CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+    s.user = &o;
+    d.states = &s; /* none of them: nothing changes */
+    CHECK(voxrt_render(&d, t, &q.m, NULL) == VOXRT_OK);
+    CHECK_EQ_U64(hash_picture(&p), hash_picture(&q));
+    s.ray_fn = own_ray;
+    s.tile_fn = own_tile;
+    s.frame_fn = own_frame;
+    for (k = 1; k < 4; k++) { /* threads */
+        memset(o.tiles, 0, sizeof o.tiles);
+        d.env.thread_count = k;
+        CHECK(voxrt_render(&d, t, &q.m, NULL) == VOXRT_OK);
+    }
+    CHECK_EQ_U64(o.frames, 3);
+    for (y = 0; y < SIZE; y++)
+        for (x = 0; x < SIZE; x++)
+            differ += memcmp(px(&p, x, y), px(&q, SIZE - 1 - x, y), 4) != 0 || depth_at(&p, x, y) != depth_at(&q, SIZE - 1 - x, y);
+    CHECK_EQ_U64(differ, 0);
+    memset(&s, 0, sizeof s);
+    s.user = &o;
+    s.shade_fn = own_shade;
+    CHECK(voxrt_render(&d, t, &q.m, NULL) == VOXRT_OK);
+    for (y = 0, differ = 0; y < SIZE; y++)
+        for (x = 0; x < SIZE; x++) {
+            const voxrt_hit *h = hit_at(&q, x, y);
+            if (h->node == VOXRT_NO_NODE) {
+                differ += fpx(&q, x, y)[3] != 0;
+                continue;
+            }
+            differ += fpx(&q, x, y)[0] != (float)h->face / 8.0f || fpx(&q, x, y)[2] != h->t / 16.0f;
+            differ += fpx(&q, x, y)[1] != fpx(&p, x, y)[1] || fpx(&q, x, y)[3] != 1;
+        }
+    CHECK_EQ_U64(differ, 0);
+    CHECK_EQ_U64(o.wrong, 0);
+    voxrt_tree_destroy(t);
+    free_picture(&p);
+    free_picture(&q);
+}
+
+/* The back of a surface is told from a ridge by the face through which it is seen: a closed body looks as if it were
+   one-sided, and turned inside out it looks the same. */
+TEST(fronts_and_backs) {
+    static const double view[5][3] = {{3, 2, 4}, {-4, 1, 2}, {0.3, 5, 0.2}, {2, -4, -3}, {5, 0, 0}};
+    enum { SIDE = 150 };
+    uint32_t shape, k, x, y, a;
+    for (shape = 0; shape < 2; shape++) { /* a sphere, and wavy ridges as sharp as voxels can show */
+        voxrt_tree *t[2] = {NULL, NULL};
+        picture p = make_picture(SIDE, SIDE, 0, 0), q = make_picture(SIDE, SIDE, 0, 0), o = make_picture(SIDE, SIDE, 0, 0);
+        uint32_t inside, hits = 0, wrong = 0, turned = 0;
+        for (inside = 0; inside < 2; inside++) {
+            cells c;
+            memset(&c, 0, sizeof c);
+            if (shape == 0) {
+                level_cells l;
+                voxrt_tree *s = make_sphere(6, 0.9);
+                memset(&l, 0, sizeof l);
+                CHECK(voxrt_tree_each(s, 6, take_cell, &l) == 0);
+                voxrt_tree_destroy(s);
+                c = l.c;
+                for (x = 0; x < c.n && inside; x++)
+                    for (a = 0; a < 3; a++) c.v[x].normal[a] = -c.v[x].normal[a];
+            } else { /* a roof upon roofs: height |sawtooth| of x and z, filled below */
+                for (y = 0; y < 64; y++)
+                    for (x = 0; x < 64; x++) {
+                        const int u = (int)(x % 16) - 8, v = (int)(y % 16) - 8;
+                        const int h = 20 - (abs(u) > abs(v) ? abs(u) : abs(v));
+                        uint32_t z;
+                        for (z = 0; z < 3; z++) {
+                            voxrt_voxel *w = add(&c, x, (uint32_t)(h - (int)z), y, 255, 255, 255);
+                            w->has_normal = 1;
+                            set3(w->normal, abs(u) >= abs(v) ? (u > 0) - (u < 0) : 0, 1, abs(v) >= abs(u) ? (v > 0) - (v < 0) : 0);
+                            for (a = 0; a < 3 && inside; a++) w->normal[a] = -w->normal[a];
+                        }
+                    }
+            }
+            t[inside] = make_tree(&c, 6, 2.0, 1);
+        }
+        for (k = 0; k < 5; k++) {
+            voxrt_render_desc d;
+            memset(&d, 0, sizeof d);
+            if (shape == 1 && view[k][1] <= 0.5) continue; /* from above */
+            d.camera = look(1 + view[k][0], 1 + view[k][1], 1 + view[k][2], 1, shape ? 0.5 : 1, 1, 40);
+            CHECK(voxrt_render(&d, t[0], &p.m, NULL) == VOXRT_OK);
+            CHECK(voxrt_render(&d, t[1], &q.m, NULL) == VOXRT_OK);
+            d.one_sided = 1;
+            CHECK(voxrt_render(&d, t[0], &o.m, NULL) == VOXRT_OK);
+            for (y = 0; y < SIDE; y++)
+                for (x = 0; x < SIDE; x++) {
+                    const float *n = normal_at(&o, x, y), *m = normal_at(&p, x, y), *i = normal_at(&q, x, y);
+                    if (!(depth_at(&p, x, y) < INFINITY)) continue;
+                    hits++;
+                    wrong += n[0] != m[0] || n[1] != m[1] || n[2] != m[2];
+                    turned += n[0] * i[0] + n[1] * i[1] + n[2] * i[2] < 0.99f;
+                }
+        }
+        if (test_g.verbose) printf("     %u pixels, %u fronts taken for backs, %u backs for fronts\n", hits, wrong, turned);
+        CHECK_MSG(wrong * 250 <= hits, "%u of %u", wrong, hits);
+        CHECK_MSG(turned * 40 <= hits, "%u of %u", turned, hits);
+        voxrt_tree_destroy(t[0]);
+        voxrt_tree_destroy(t[1]);
+        free_picture(&p);
+        free_picture(&q);
+        free_picture(&o);
     }
 }
 
@@ -1339,5 +1597,8 @@ int main(int argc, char **argv) {
     RUN(allocations);
     RUN(encode_and_blur);
     RUN(frame_budget);
+    RUN(blocks_of_pixels);
+    RUN(steps_of_the_caller);
+    RUN(fronts_and_backs);
     return test_end();
 }

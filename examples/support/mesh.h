@@ -287,75 +287,7 @@ SUP_FN uint32_t *supi_map_at(supi_map *map, uint64_t key) {
 
 /* ---- normals and bounds ------------------------------------------------------------------------------------- */
 
-/* Give the mesh unit vertex normals, replacing those it has: the mean of the normals of the triangles around a vertex,
-   each weighted by its angle there (G. Thuermer, C. A. Wuethrich, Computing vertex
-   normals from polygonal facets, 1998).
-   Triangles without area or with coordinates that are not finite contribute nothing; a vertex with nothing around
-   it gets (0, 1, 0). Never NaN. Sums in double, in the order of the triangles.
-   Returns 0, or 1 with err->text set (memory, or an index out of range). O(n); 24 bytes per vertex while it runs. */
-SUP_FN int sup_mesh_compute_normals(sup_mesh *mesh, sup_error *err) {
-    double *sums = (double *)sup_alloc(mesh->vertex_count, 3 * sizeof(double));
-    float *normals = (float *)sup_alloc(mesh->vertex_count, 3 * sizeof(float));
-    size_t t, k, j;
-    sup_error_clear(err);
-    if (!sums || !normals) {
-        SUP_FREE(sums);
-        SUP_FREE(normals);
-        return sup_fail(err, "out of memory for normals of %lu vertices", (unsigned long)mesh->vertex_count);
-    }
-    for (k = 0; k < 3 * mesh->vertex_count; k++) sums[k] = 0.0;
-    for (t = 0; t < mesh->triangle_count; t++) {
-        const uint32_t *corner = mesh->indices + 3 * t;
-        double p[3][3], edge[3][3], length[3], normal[3], area;
-        for (k = 0; k < 3; k++) {
-            if (corner[k] >= mesh->vertex_count) {
-                SUP_FREE(sums);
-                SUP_FREE(normals);
-                return sup_fail(err, "triangle %lu: index %lu out of range", (unsigned long)t,
-                                (unsigned long)corner[k]);
-            }
-            for (j = 0; j < 3; j++) p[k][j] = (double)mesh->positions[3 * (size_t)corner[k] + j];
-        }
-        for (k = 0; k < 3; k++) {
-            for (j = 0; j < 3; j++) edge[k][j] = p[(k + 1) % 3][j] - p[k][j];
-            length[k] = sqrt(edge[k][0] * edge[k][0] + edge[k][1] * edge[k][1] + edge[k][2] * edge[k][2]);
-        }
-        for (j = 0; j < 3; j++) {
-            const size_t u = (j + 1) % 3, v = (j + 2) % 3;
-            normal[j] = edge[0][u] * edge[1][v] - edge[0][v] * edge[1][u];
-        }
-        area = sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2]);
-        /* Edges that nearly cancel leave a normal of rounding only; 1e-12 is far below what float corners can mean. */
-        if (!(area > 1e-12 * length[0] * length[1]) || !(area <= DBL_MAX)) continue;
-        for (k = 0; k < 3; k++) {
-            const double *in = edge[(k + 2) % 3], *out = edge[k];
-            const double lengths = length[(k + 2) % 3] * length[k];
-            double cosine = -(in[0] * out[0] + in[1] * out[1] + in[2] * out[2]) / lengths;
-            double *sum = sums + 3 * (size_t)corner[k];
-            double weight;
-            cosine = cosine > 1.0 ? 1.0 : cosine < -1.0 ? -1.0 : cosine;
-            weight = acos(cosine) / area;
-            for (j = 0; j < 3; j++) sum[j] += weight * normal[j];
-        }
-    }
-    for (k = 0; k < mesh->vertex_count; k++) {
-        const double *sum = sums + 3 * k;
-        const double length = sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]);
-        float *normal = normals + 3 * k;
-        /* Opposite triangles may cancel to rounding noise: no direction is better than another then. */
-        if (length > 1e-9) {
-            for (j = 0; j < 3; j++) normal[j] = (float)(sum[j] / length);
-        } else {
-            normal[0] = 0.0f;
-            normal[1] = 1.0f;
-            normal[2] = 0.0f;
-        }
-    }
-    SUP_FREE(sums);
-    SUP_FREE(mesh->normals);
-    mesh->normals = normals;
-    return 0;
-}
+#include "mesh_normals.h"
 
 /* The smallest axis-aligned box around all finite vertices: lo and hi, out, [3]. Vertices that no triangle uses count.
    Returns 0, or 1 and the box (0,0,0)..(0,0,0) when there is no finite vertex. */

@@ -381,7 +381,8 @@ SUP_FN int supi_obj_fill_normals(supi_obj *obj, sup_mesh *out) {
     sup_mesh copy = *out;
     size_t i;
     copy.normals = NULL;
-    if (sup_mesh_compute_normals(&copy, NULL)) return supi_obj_memory(obj); /* NULL: a warning must stay */
+    /* no creases: nothing is split, the copy shares its other arrays. NULL: a warning must stay */
+    if (supi_compute_normals(&copy, -2.0, NULL)) return supi_obj_memory(obj);
     for (i = 0; i < obj->corner_count; i++) {
         if (obj->corners[i].normal == 0) {
             const size_t at = 3 * (size_t)obj->corners[i].vertex;
