@@ -82,12 +82,14 @@
      loads it, or maps a file into memory.
    - Traces rays: closest hit, any hit, with a cone for level of detail, 1 ray or millions, any order.
    - Draws pictures: camera, lights, shadows, anti-aliasing, progressive pictures, level of detail by pixels, heat maps,
-     depth, normals, ids; mixed with other geometry through two callbacks.
+     depth, normals, ids; of many trees, moved and repeated, mixed with other geometry through two callbacks; with steps
+     of the caller's own for rays, shading, tiles and frames.
    - Has the octree, the files and the packet tracer of the thesis that it comes from, for comparison.
 
    WHAT IT DOES NOT DO
    - No global illumination, reflection or refraction; no textures (colours come per vertex or per triangle).
-   - No animation. A tree does not change once it is built; the octree of the thesis can be edited voxel by voxel.
+   - No animation. A tree does not change once it is built, its instances may move; the octree of the thesis can be
+     edited voxel by voxel.
    - No smooth surfaces: a voxel is a cube. Close up it is seen as one, with a shading normal.
    - No mesh files, no picture files, no window: examples/support has readers, a PNG writer and a command line.
    - No streaming from disk, no GPU.
@@ -1033,7 +1035,11 @@ VOXRT_DEF voxrt_isa voxrt_isa_best(void); /* what VOXRT_ISA_AUTO picks on this m
 #  pragma STDC FP_CONTRACT OFF
 #endif
 #if defined(__GNUC__) || defined(__clang__)
-#  define VOXRTI_INLINE static inline __attribute__((always_inline, unused))
+#  if defined(__OPTIMIZE__)
+#    define VOXRTI_INLINE static inline __attribute__((always_inline, unused))
+#  else /* each inlined copy would have stack of its own */
+#    define VOXRTI_INLINE static inline __attribute__((unused))
+#  endif
 #  define VOXRTI_UNUSED __attribute__((unused))
 #  define VOXRTI_NOINLINE __attribute__((noinline))
 #  define VOXRTI_LIKELY(x) __builtin_expect(!!(x), 1)
@@ -1202,7 +1208,8 @@ static VOXRTI_UNUSED void voxrti_free(voxrti_mem *mem, void *ptr) {
 }
 
 /* Make room for `need` elements by doubling; keeps the old block when it fails. 1 on success. */
-static VOXRTI_UNUSED int voxrti_grow(voxrti_mem *mem, void **array, size_t *capacity, size_t count, size_t need,
+static VOXRTI_UNUSED int voxrti_grow(voxrti_mem *mem, void **array, size_t *capacity, size_t count,
+                                           size_t need,
                                      size_t size) {
     size_t cap = *capacity;
     void *p;
@@ -1263,7 +1270,8 @@ static VOXRTI_UNUSED uint32_t voxrti_thread_count(const voxrt_env *env) {
 }
 
 /* Run task(ctx, i) for i in [0, count) and return when all are done. count < 2^31. */
-static VOXRTI_UNUSED void voxrti_parallel_for(const voxrt_env *env, voxrt_task_fn *task, void *ctx, uint32_t count) {
+static VOXRTI_UNUSED void voxrti_parallel_for(const voxrt_env *env, voxrt_task_fn *task, void *ctx,
+                                                    uint32_t count) {
     voxrti_for f;
     f.task = task;
     f.ctx = ctx;
@@ -1282,7 +1290,8 @@ static VOXRTI_UNUSED void voxrti_parallel_for(const voxrt_env *env, voxrt_task_f
         if (want > count) want = count;
         if (want > 1 && pthread_attr_init(&attr) == 0) {
             (void)pthread_attr_setstacksize(&attr, 512 * 1024);
-            while (started + 1 < want && pthread_create(&thread[started], &attr, voxrti_for_thread, &f) == 0) started++;
+            while (started + 1 < want && pthread_create(&thread[started], &attr, voxrti_for_thread, &f) == 0)
+                started++;
             (void)pthread_attr_destroy(&attr);
         }
         voxrti_for_drain(&f);
@@ -1307,7 +1316,8 @@ static VOXRTI_UNUSED voxrt_result voxrti_env_open(const voxrt_env *env, voxrti_m
 }
 
 /* text may hold one "%": it is replaced by the number `where`. */
-static VOXRTI_UNUSED voxrt_result voxrti_fail(voxrt_error *error, voxrt_result code, uint64_t where, const char *text) {
+static VOXRTI_UNUSED voxrt_result voxrti_fail(voxrt_error *error, voxrt_result code, uint64_t where,
+                                                       const char *text) {
     if (error != NULL) {
         char digits[24];
         size_t n = 0, k = 0;
@@ -1338,7 +1348,8 @@ VOXRTI_INLINE double voxrti_min(double a, double b) { return a < b ? a : b; }
 VOXRTI_INLINE double voxrti_max(double a, double b) { return a > b ? a : b; }
 VOXRTI_INLINE double voxrti_abs(double a) { return a < 0 ? -a : a; }
 VOXRTI_INLINE float voxrti_absf(float a) { return a < 0 ? -a : a; }
-VOXRTI_INLINE float voxrti_dot3(const float *a, const float *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+VOXRTI_INLINE float voxrti_dot3(const float *a, const float *b) { return a[0] * b[0] + a[1] * b[1] + a[2] *
+                                                                       b[2]; }
 
 /* floor for |x| < 2^62 */
 VOXRTI_INLINE int64_t voxrti_floor(double x) {
@@ -6852,22 +6863,13 @@ static void voxrti_mirror_table(uint8_t mirror[8][256]) {
 }
 
 typedef struct voxrti_symbols { /* what a chunk is made of */
-    uint16_t context[VOXRTI_CHUNK_SYMBOLS];
+    uint8_t context[VOXRTI_CHUNK_SYMBOLS];
     uint8_t symbol[VOXRTI_CHUNK_SYMBOLS];
     uint32_t count;
 } voxrti_symbols;
 
-/* Fill `out` with the symbols of the next chunk; called for chunks 0, 1, 2, ... */
-typedef void voxrti_source_fn(void *user, uint32_t chunk, voxrti_symbols *out);
-
-typedef struct voxrti_encoder {
-    voxrti_symbols symbols;
-    uint64_t count[VOXRTI_TABLES][256];
-    uint16_t freq[VOXRTI_TABLES][256], start[VOXRTI_TABLES][256];
-    uint16_t table[VOXRTI_CONTEXTS];
-    uint16_t words[VOXRTI_CHUNK_SYMBOLS];
-    uint16_t price[VOXRTI_RANS_ONE + 1]; /* of a symbol of this frequency, in 1/256 bit */
-} voxrti_encoder;
+/* Fill `out` with the symbols of a chunk. Any thread. */
+typedef void voxrti_source_fn(const void *user, uint32_t chunk, voxrti_symbols *out);
 
 typedef struct voxrti_bytes {
     voxrti_mem *mem;
@@ -6919,6 +6921,40 @@ static uint8_t *voxrti_put_varint(uint8_t *p, uint32_t v) { /* v < 16384 */
     return p;
 }
 
+#define VOXRTI_CODE_SLICES 8u /* tasks that count, at least */
+#define VOXRTI_CODE_PART 16u  /* chunks coded by one task */
+
+typedef struct voxrti_encoder {
+    voxrti_mem *mem;
+    voxrti_source_fn *source;
+    const void *user;
+    uint32_t chunks, slice; /* slice: chunks counted by one task */
+    uint32_t *tally;        /* [slices][VOXRTI_CONTEXTS * 256] */
+    voxrti_bytes *part;     /* [parts] */
+    uint8_t *sizes;         /* u16 of each chunk */
+    size_t *place;          /* [parts] where they go in out */
+    uint8_t *out;
+    uint32_t failed;        /* atomic */
+    uint64_t count[VOXRTI_TABLES][256];
+    uint16_t freq[VOXRTI_TABLES][256], start[VOXRTI_TABLES][256];
+    uint16_t table[VOXRTI_CONTEXTS];
+    uint16_t price[VOXRTI_RANS_ONE + 1]; /* of a symbol of this frequency, in 1/256 bit */
+} voxrti_encoder;
+
+static void voxrti_encode_count_task(void *ctx, uint32_t task) {
+    voxrti_encoder *e = (voxrti_encoder *)ctx;
+    voxrti_symbols *s = (voxrti_symbols *)voxrti_alloc(e->mem, sizeof *s);
+    uint32_t *tally = e->tally + (size_t)task * VOXRTI_CONTEXTS * 256, i;
+    uint32_t k = task * e->slice, end = e->chunks - k < e->slice ? e->chunks : k + e->slice;
+    memset(tally, 0, VOXRTI_CONTEXTS * 256 * sizeof *tally);
+    if (s == NULL) voxrti_atomic_store(&e->failed, 1u);
+    for (; s != NULL && k < end; k++) {
+        e->source(e->user, k, s);
+        for (i = 0; i < s->count; i++) tally[(uint32_t)s->context[i] << 8 | s->symbol[i]]++;
+    }
+    voxrti_free(e->mem, s);
+}
+
 /* Tables from the counts of the 256 contexts: those that do not pay for themselves join their group's. */
 static void voxrti_encoder_tables(voxrti_encoder *e) {
     uint32_t c, i, g;
@@ -6953,68 +6989,127 @@ static void voxrti_encoder_tables(voxrti_encoder *e) {
     }
 }
 
-/* Code e->symbols, last symbol first, so that they decode in order. Returns the bytes written to p. */
-static uint32_t voxrti_encode_chunk(voxrti_encoder *e, uint8_t *p) {
-    uint32_t x = VOXRTI_RANS_LOW, n = 0, i;
-    for (i = e->symbols.count; i-- > 0;) {
-        uint32_t t = e->table[e->symbols.context[i]], s = e->symbols.symbol[i], f = e->freq[t][s];
-        if (x >= (uint64_t)f << (32 - VOXRTI_RANS_BITS)) {
-            e->words[n++] = (uint16_t)x;
-            x >>= 16;
+/* Write the tables; NULL: only their size. */
+static size_t voxrti_encoder_write_tables(const voxrti_encoder *e, uint8_t *p) {
+    uint8_t one[8], *from = p;
+    size_t size = 0;
+    uint32_t c, i, n;
+    for (c = 0; c < VOXRTI_TABLES; c++) {
+        for (i = 0, n = 0; i < 256; i++) n += e->freq[c][i] != 0;
+        size += (size_t)(voxrti_put_varint(p != NULL ? p : one, n) - (p != NULL ? p : one));
+        if (p != NULL) p = from + size;
+        for (i = 0; i < 256; i++) {
+            if (e->freq[c][i] == 0) continue;
+            if (p != NULL) *p++ = (uint8_t)i;
+            size += 1 + (size_t)(voxrti_put_varint(p != NULL ? p : one, e->freq[c][i]) - (p != NULL ? p : one));
+            if (p != NULL) p = from + size;
         }
-        x = ((x / f) << VOXRTI_RANS_BITS) + x % f + e->start[t][s];
+    }
+    return size;
+}
+
+/* Code the symbols, last one first, so that they decode in order. Returns the bytes written to p. Whether a word leaves
+   the state cannot be foretold, so there is no branch; words are put down from the end of the room for them. */
+static uint32_t voxrti_encode_chunk(const voxrti_encoder *e, const voxrti_symbols *s, uint16_t *words, uint8_t *p) {
+    uint32_t x = VOXRTI_RANS_LOW, n = 0, i;
+    for (i = s->count; i-- > 0;) {
+        uint32_t t = e->table[s->context[i]], f = e->freq[t][s->symbol[i]], full;
+        full = x >= (uint64_t)f << (32 - VOXRTI_RANS_BITS);
+        words[n] = (uint16_t)x;
+        n += full;
+        x >>= 16 * full;
+        x = ((x / f) << VOXRTI_RANS_BITS) + x % f + e->start[t][s->symbol[i]];
     }
     voxrti_store_u32(p, x);
-    for (i = 0; i < n; i++) voxrti_store_u16(p + 4 + 2 * i, e->words[n - 1 - i]);
+    for (i = 0; i < n; i++) voxrti_store_u16(p + 4 + 2 * i, words[n - 1 - i]);
     return 4 + 2 * n;
 }
 
-static voxrt_result voxrti_encode(voxrti_mem *mem, voxrti_source_fn *source, void *user, uint32_t chunks,
-                                  voxrti_bytes *out) {
-    voxrti_encoder *e = (voxrti_encoder *)voxrti_alloc_zero(mem, 1, sizeof *e);
-    size_t fixed = 8 + (size_t)2 * chunks, tables;
-    uint32_t k, c, i, n;
-    uint8_t *p;
-    if (e == NULL) return VOXRT_ERR_NO_MEMORY;
-    for (k = 0; k < chunks; k++) {
-        source(user, k, &e->symbols);
-        for (i = 0; i < e->symbols.count; i++) e->count[2 + e->symbols.context[i]][e->symbols.symbol[i]]++;
+static void voxrti_encode_task(void *ctx, uint32_t task) {
+    voxrti_encoder *e = (voxrti_encoder *)ctx;
+    voxrti_bytes *part = &e->part[task];
+    voxrti_symbols *s = (voxrti_symbols *)voxrti_alloc(e->mem, sizeof *s);
+    uint16_t *words = (uint16_t *)voxrti_alloc_array(e->mem, VOXRTI_CHUNK_SYMBOLS + 1, sizeof(uint16_t));
+    uint32_t k = task * VOXRTI_CODE_PART, end = e->chunks - k < VOXRTI_CODE_PART ? e->chunks : k + VOXRTI_CODE_PART, n;
+    int ok = s != NULL && words != NULL;
+    part->mem = e->mem;
+    for (; ok && k < end; k++) {
+        uint8_t *p;
+        e->source(e->user, k, s);
+        p = voxrti_bytes_more(part, 4 + 2 * (size_t)s->count);
+        ok = p != NULL;
+        if (!ok) break;
+        n = voxrti_encode_chunk(e, s, words, p);
+        voxrti_store_u16(e->sizes + (size_t)2 * k, n); /* 12 bits a symbol at most: below 2^16 */
+        part->size += n;
     }
+    voxrti_free(e->mem, s);
+    voxrti_free(e->mem, words);
+    if (!ok) voxrti_atomic_store(&e->failed, 1u);
+}
+
+static void voxrti_encode_place_task(void *ctx, uint32_t task) {
+    voxrti_encoder *e = (voxrti_encoder *)ctx;
+    memcpy(e->out + e->place[task], e->part[task].data, e->part[task].size);
+    voxrti_free(e->mem, e->part[task].data);
+    e->part[task].data = NULL;
+}
+
+static voxrt_result voxrti_encode_run(voxrti_encoder *e, const voxrt_env *env, uint32_t slices, uint32_t parts,
+                                      voxrti_bytes *out) {
+    size_t tables, fixed = 8 + (size_t)2 * e->chunks, total;
+    uint32_t i, k;
+    voxrti_parallel_for(env, voxrti_encode_count_task, e, slices);
+    if (voxrti_atomic_load(&e->failed)) return VOXRT_ERR_NO_MEMORY;
+    for (k = 0; k < slices; k++)
+        for (i = 0; i < VOXRTI_CONTEXTS * 256; i++)
+            e->count[2 + i / 256][i % 256] += e->tally[(size_t)k * VOXRTI_CONTEXTS * 256 + i];
     voxrti_encoder_tables(e);
-    p = voxrti_bytes_more(out, fixed + VOXRTI_TABLES * (size_t)(2 + 256 * 3));
-    if (p == NULL) {
-        voxrti_free(mem, e);
-        return VOXRT_ERR_NO_MEMORY;
+    tables = voxrti_encoder_write_tables(e, NULL);
+    voxrti_parallel_for(env, voxrti_encode_task, e, parts);
+    if (voxrti_atomic_load(&e->failed)) return VOXRT_ERR_NO_MEMORY;
+    for (k = 0, total = fixed + tables; k < parts; k++) {
+        e->place[k] = total;
+        total += e->part[k].size;
     }
-    p += fixed;
-    for (c = 0; c < VOXRTI_TABLES; c++) {
-        for (i = 0, n = 0; i < 256; i++) n += e->freq[c][i] != 0;
-        p = voxrti_put_varint(p, n);
-        for (i = 0; i < 256; i++) {
-            if (e->freq[c][i] == 0) continue;
-            *p++ = (uint8_t)i;
-            p = voxrti_put_varint(p, e->freq[c][i]);
-        }
-    }
-    tables = (size_t)(p - out->data) - out->size - fixed;
-    voxrti_store_u32(out->data + out->size, chunks);
-    voxrti_store_u32(out->data + out->size + 4, (uint32_t)tables);
-    p = out->data + out->size + 8;
-    fixed = (size_t)(p - out->data); /* where the chunks' sizes stand */
-    out->size = fixed + (size_t)2 * chunks + tables;
-    for (k = 0; k < chunks; k++) {
-        source(user, k, &e->symbols);
-        p = voxrti_bytes_more(out, 4 + 2 * VOXRTI_CHUNK_SYMBOLS);
-        if (p == NULL) {
-            voxrti_free(mem, e);
-            return VOXRT_ERR_NO_MEMORY;
-        }
-        n = voxrti_encode_chunk(e, p);
-        voxrti_store_u16(out->data + fixed + (size_t)2 * k, n); /* 12 bits a symbol at most: below 2^16 */
-        out->size += n;
-    }
-    voxrti_free(mem, e);
+    e->out = out->data = (uint8_t *)voxrti_alloc(e->mem, total);
+    if (e->out == NULL) return VOXRT_ERR_NO_MEMORY;
+    out->size = out->capacity = total;
+    voxrti_store_u32(e->out, e->chunks);
+    voxrti_store_u32(e->out + 4, (uint32_t)tables);
+    memcpy(e->out + 8, e->sizes, (size_t)2 * e->chunks);
+    (void)voxrti_encoder_write_tables(e, e->out + fixed);
+    voxrti_parallel_for(env, voxrti_encode_place_task, e, parts);
     return VOXRT_OK;
+}
+
+/* Code `chunks` chunks of symbols into `out`, which is empty. */
+static voxrt_result voxrti_encode(voxrti_mem *mem, const voxrt_env *env, voxrti_source_fn *source, const void *user,
+                                  uint32_t chunks, voxrti_bytes *out) {
+    voxrti_encoder *e = (voxrti_encoder *)voxrti_alloc_zero(mem, 1, sizeof *e);
+    uint32_t parts = (chunks + VOXRTI_CODE_PART - 1) / VOXRTI_CODE_PART, slices, k;
+    voxrt_result r = VOXRT_ERR_NO_MEMORY;
+    if (e == NULL) return r;
+    e->mem = mem;
+    e->source = source;
+    e->user = user;
+    e->chunks = chunks;
+    e->slice = chunks / VOXRTI_CODE_SLICES + 1;
+    if (e->slice > 65536) e->slice = 65536; /* counts stay below 2^32 */
+    slices = (chunks + e->slice - 1) / e->slice;
+    e->tally = (uint32_t *)voxrti_alloc_array(mem, slices, VOXRTI_CONTEXTS * 256 * sizeof(uint32_t));
+    e->part = (voxrti_bytes *)voxrti_alloc_zero(mem, parts, sizeof(voxrti_bytes));
+    e->place = (size_t *)voxrti_alloc_array(mem, parts, sizeof(size_t));
+    e->sizes = (uint8_t *)voxrti_alloc_array(mem, chunks, 2);
+    if (e->tally != NULL && e->part != NULL && e->place != NULL && e->sizes != NULL)
+        r = voxrti_encode_run(e, env, slices, parts, out);
+    for (k = 0; e->part != NULL && k < parts; k++) voxrti_free(mem, e->part[k].data);
+    voxrti_free(mem, e->tally);
+    voxrti_free(mem, e->part);
+    voxrti_free(mem, e->place);
+    voxrti_free(mem, e->sizes);
+    voxrti_free(mem, e);
+    return r;
 }
 
 typedef struct voxrti_rans_table {
@@ -7127,19 +7222,15 @@ static void voxrti_rans_open(const voxrti_decoder *d, uint32_t chunk, voxrti_ran
     r->bad = r->x < VOXRTI_RANS_LOW;
 }
 
+/* No branches: whether a word is read cannot be foretold. Behind the last word that word is read again. */
 VOXRTI_INLINE uint32_t voxrti_rans_get(voxrti_rans *r, const voxrti_rans_table *t) {
     uint32_t slot = r->x & (VOXRTI_RANS_ONE - 1), s = t->symbol[slot], range = t->range[s];
-    uint32_t x = (range & 0xffffu) * (r->x >> VOXRTI_RANS_BITS) + slot - (range >> 16);
-    if (x < VOXRTI_RANS_LOW) {
-        if (VOXRTI_LIKELY(r->p < r->end)) {
-            x = x << 16 | voxrti_load_u16(r->p);
-            r->p += 2;
-        } else {
-            r->bad = 1;
-            x = VOXRTI_RANS_LOW;
-        }
-    }
-    r->x = x;
+    uint32_t x = (range & 0xffffu) * (r->x >> VOXRTI_RANS_BITS) + slot - (range >> 16), need = x < VOXRTI_RANS_LOW;
+    uint32_t more = need & (uint32_t)(r->p < r->end), word = voxrti_load_u16(r->p - 2 + 2 * more);
+    r->bad |= need ^ more;
+    r->p += 2 * more;
+    word |= x << 16;
+    r->x = need ? word : x;
     return s;
 }
 
@@ -7180,34 +7271,49 @@ static uint64_t voxrti_chunks(const voxrt_tree *t) {
 
 typedef struct voxrti_geometry_source {
     const voxrt_tree *t;
-    uint32_t w, at;       /* next node: wide level, index in it */
-    voxrti_family family;
     uint8_t mirror[8][256];
 } voxrti_geometry_source;
 
-static void voxrti_geometry_symbols(void *user, uint32_t chunk, voxrti_symbols *out) {
-    voxrti_geometry_source *g = (voxrti_geometry_source *)user;
+/* The node whose child `at` of level w >= 1 is, and what is left of its children from there on. */
+static voxrti_family voxrti_family_of(const voxrt_tree *t, uint32_t w, uint32_t at) {
+    uint32_t lo = t->level_first[w - 1], hi = lo + t->level_nodes[w - 1], k;
+    voxrti_family f;
+    if (w + 1 < t->wide) at += t->level_first[w];
+    while (hi - lo > 1) {
+        uint32_t mid = lo + (hi - lo) / 2;
+        if (t->node[mid].child <= at) lo = mid;
+        else hi = mid;
+    }
+    f.parent = &t->node[lo];
+    f.mask = f.left = f.parent->mask;
+    for (k = at - f.parent->child; k > 0; k--) f.left &= f.left - 1;
+    return f;
+}
+
+static void voxrti_geometry_symbols(const void *user, uint32_t chunk, voxrti_symbols *out) {
+    const voxrti_geometry_source *g = (const voxrti_geometry_source *)user;
     const voxrt_tree *t = g->t;
-    uint32_t end, n = 0, group, o;
-    if (chunk == 0) g->w = g->at = 0;
-    if (g->at == t->level_nodes[g->w]) {
-        g->w++;
-        g->at = 0;
+    uint32_t w, at, end, n = 0, group, o, k;
+    voxrti_family family;
+    for (w = 0;; w++) { /* the level that it is of */
+        k = (uint32_t)(((uint64_t)t->level_nodes[w] + VOXRTI_CHUNK - 1) / VOXRTI_CHUNK);
+        if (chunk < k) break;
+        chunk -= k;
     }
-    if (g->at == 0) {
-        g->family.parent = g->w == 0 ? &voxrti_root_family : t->node + t->level_first[g->w - 1];
-        g->family.mask = g->family.left = g->family.parent->mask;
-    }
-    group = g->w + 1 == t->wide ? 128 : 0;
-    end = t->level_nodes[g->w] - g->at < VOXRTI_CHUNK ? t->level_nodes[g->w] : g->at + VOXRTI_CHUNK;
-    for (; g->at < end; g->at++) {
-        uint64_t mask = group ? t->leaf[g->at] : t->node[t->level_first[g->w] + g->at].mask;
-        uint32_t octants = voxrti_octants(mask), siblings, b = voxrti_family_next(&g->family, &siblings);
+    at = chunk * VOXRTI_CHUNK;
+    family.parent = &voxrti_root_family;
+    family.mask = family.left = 1;
+    if (w != 0) family = voxrti_family_of(t, w, at);
+    group = w + 1 == t->wide ? 128 : 0;
+    end = t->level_nodes[w] - at < VOXRTI_CHUNK ? t->level_nodes[w] : at + VOXRTI_CHUNK;
+    for (; at < end; at++) {
+        uint64_t mask = group ? t->leaf[at] : t->node[t->level_first[w] + at].mask;
+        uint32_t octants = voxrti_octants(mask), siblings, b = voxrti_family_next(&family, &siblings);
         out->context[n] = g->mirror[b][siblings] >> 1;
         out->symbol[n++] = g->mirror[b][octants];
-        for (o = 0; o < 8; o++) {
-            if ((octants >> o & 1u) == 0) continue;
-            out->context[n] = (uint16_t)(group + (g->mirror[o][octants] >> 1));
+        for (k = octants; k != 0; k &= k - 1) {
+            o = voxrti_ctz64(k);
+            out->context[n] = (uint8_t)(group + (g->mirror[o][octants] >> 1));
             out->symbol[n++] = g->mirror[o][mask >> (8 * o) & 255u];
         }
     }
@@ -7324,27 +7430,23 @@ static voxrt_result voxrti_geometry_decode(voxrti_mem *mem, const voxrt_env *env
 
 VOXRTI_INLINE uint32_t voxrti_delta_class(uint32_t delta) { /* 0..8: bits of the magnitude */
     uint32_t m = delta < 128 ? delta : 256 - delta;
-    return m == 0 ? 0 : 32 - voxrti_clz32(m);
+    return 31 - voxrti_clz32(2 * m + 1);
 }
 
 VOXRTI_INLINE uint32_t voxrti_normal_context(uint32_t last) { /* last: the classes of the two differences before */
     return last > 12 ? 12 : last;
 }
 
-typedef struct voxrti_normal_source {
-    const voxrt_tree *t;
-} voxrti_normal_source;
-
-static void voxrti_normal_symbols(void *user, uint32_t chunk, voxrti_symbols *out) {
-    const voxrt_tree *t = ((voxrti_normal_source *)user)->t;
+static void voxrti_normal_symbols(const void *user, uint32_t chunk, voxrti_symbols *out) {
+    const voxrt_tree *t = (const voxrt_tree *)user;
     uint64_t i = (uint64_t)chunk * VOXRTI_CHUNK, end = i + VOXRTI_CHUNK;
     uint32_t n = 0, x = 0x80, y = 0x80, last = 0;
     if (end > t->attr_count) end = t->attr_count;
     for (; i < end; i++) {
         uint32_t c = t->normal[i], dx = (c - x) & 255u, dy = ((c >> 8) - y) & 255u, k = voxrti_delta_class(dx);
-        out->context[n] = (uint16_t)voxrti_normal_context(last);
+        out->context[n] = (uint8_t)voxrti_normal_context(last);
         out->symbol[n++] = (uint8_t)dx;
-        out->context[n] = (uint16_t)(128 + 4 * k + voxrti_normal_context(last) / 4);
+        out->context[n] = (uint8_t)(128 + 4 * k + voxrti_normal_context(last) / 4);
         out->symbol[n++] = (uint8_t)dy;
         last = k + voxrti_delta_class(dy);
         x = c & 255u;
@@ -7356,15 +7458,17 @@ static void voxrti_normal_symbols(void *user, uint32_t chunk, voxrti_symbols *ou
 typedef struct voxrti_normal_decoder {
     voxrti_decoder d;
     voxrt_tree *t;
+    voxrti_rans_table *lane_table; /* AVX2: those of contexts 0 to 12, then 128 to 163; else NULL */
 } voxrti_normal_decoder;
 
-static void voxrti_normal_task(void *ctx, uint32_t task) {
-    voxrti_normal_decoder *g = (voxrti_normal_decoder *)ctx;
-    uint64_t i = (uint64_t)task * VOXRTI_CHUNK, end = i + VOXRTI_CHUNK;
+#define VOXRTI_NORMAL_TABLES 49u
+
+static void voxrti_normal_chunk(voxrti_normal_decoder *g, uint32_t chunk) {
+    uint64_t i = (uint64_t)chunk * VOXRTI_CHUNK, end = i + VOXRTI_CHUNK;
     uint32_t x = 0x80, y = 0x80, last = 0;
     voxrti_rans r;
     if (end > g->t->attr_count) end = g->t->attr_count;
-    voxrti_rans_open(&g->d, task, &r);
+    voxrti_rans_open(&g->d, chunk, &r);
     for (; i < end; i++) {
         uint32_t dx = voxrti_rans_get(&r, g->d.of[voxrti_normal_context(last)]), k = voxrti_delta_class(dx);
         uint32_t dy = voxrti_rans_get(&r, g->d.of[128 + 4 * k + voxrti_normal_context(last) / 4]);
@@ -7376,11 +7480,121 @@ static void voxrti_normal_task(void *ctx, uint32_t task) {
     if (!voxrti_rans_done(&r)) voxrti_atomic_store(&g->d.bad, 1u);
 }
 
+#if VOXRTI_AVX2
+/* Eight chunks at once, a lane each: the same steps. Two such groups hide each other's latencies. */
+typedef struct voxrti_normal_lanes {
+    const uint8_t *data;          /* where the first of the chunks begins */
+    __m256i state, at, end, bad;  /* at, end: bytes from data */
+    __m256i x, y, last;
+} voxrti_normal_lanes;
+
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_normal_lanes_open(const voxrti_decoder *d, uint32_t chunk,
+                                                               voxrti_normal_lanes *l) {
+    int32_t at[8], end[8], state[8];
+    uint32_t k;
+    l->data = d->data + d->offset[chunk];
+    for (k = 0; k < 8; k++) {
+        at[k] = (int32_t)(d->offset[chunk + k] - d->offset[chunk]);
+        end[k] = (int32_t)(d->offset[chunk + k + 1] - d->offset[chunk]);
+        state[k] = (int32_t)voxrti_load_u32(l->data + at[k]);
+        at[k] += 4;
+    }
+    l->state = _mm256_loadu_si256((const __m256i *)(const void *)state);
+    l->at = _mm256_loadu_si256((const __m256i *)(const void *)at);
+    l->end = _mm256_loadu_si256((const __m256i *)(const void *)end);
+    l->bad = _mm256_cmpeq_epi32(_mm256_srli_epi32(l->state, 16), _mm256_setzero_si256());
+    l->x = l->y = _mm256_set1_epi32(0x80);
+    l->last = _mm256_setzero_si256();
+}
+
+/* voxrti_rans_get with table number `table`. A word is read with the two bytes before it: there are always some. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE __m256i voxrti_normal_lanes_get(voxrti_normal_lanes *l,
+                                                                 const voxrti_rans_table *tables, __m256i table) {
+    const int *base = (const int *)(const void *)tables, *data = (const int *)(const void *)l->data;
+    const __m256i zero = _mm256_setzero_si256(), low16 = _mm256_set1_epi32(0xffff);
+    __m256i slot = _mm256_and_si256(l->state, _mm256_set1_epi32(VOXRTI_RANS_ONE - 1)), symbol, range, x, need, more;
+    table = _mm256_mullo_epi32(table, _mm256_set1_epi32((int)sizeof(voxrti_rans_table)));
+    symbol = _mm256_i32gather_epi32(base, _mm256_add_epi32(table, _mm256_add_epi32(slot, _mm256_set1_epi32(1024))), 1);
+    symbol = _mm256_and_si256(symbol, _mm256_set1_epi32(255));
+    range = _mm256_i32gather_epi32(base, _mm256_add_epi32(table, _mm256_slli_epi32(symbol, 2)), 1);
+    x = _mm256_mullo_epi32(_mm256_and_si256(range, low16), _mm256_srli_epi32(l->state, VOXRTI_RANS_BITS));
+    x = _mm256_sub_epi32(_mm256_add_epi32(x, slot), _mm256_srli_epi32(range, 16));
+    need = _mm256_cmpeq_epi32(_mm256_srli_epi32(x, 16), zero);
+    more = _mm256_and_si256(need, _mm256_cmpgt_epi32(l->end, l->at));
+    l->bad = _mm256_or_si256(l->bad, _mm256_andnot_si256(more, need));
+    slot = _mm256_mask_i32gather_epi32(zero, data, _mm256_sub_epi32(l->at, _mm256_set1_epi32(2)), more, 1);
+    l->at = _mm256_sub_epi32(l->at, _mm256_add_epi32(more, more));
+    slot = _mm256_or_si256(_mm256_slli_epi32(x, 16), _mm256_srli_epi32(slot, 16));
+    l->state = _mm256_blendv_epi8(x, slot, need);
+    return symbol;
+}
+
+/* voxrti_delta_class: from the exponent of the magnitude as a float */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE __m256i voxrti_normal_lanes_class(__m256i delta) {
+    __m256i m = _mm256_min_epi32(delta, _mm256_sub_epi32(_mm256_set1_epi32(256), delta));
+    m = _mm256_srli_epi32(_mm256_castps_si256(_mm256_cvtepi32_ps(m)), 23);
+    return _mm256_max_epi32(_mm256_sub_epi32(m, _mm256_set1_epi32(126)), _mm256_setzero_si256());
+}
+
+/* The next normal of each lane. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE __m128i voxrti_normal_lanes_next(voxrti_normal_lanes *l,
+                                                                  const voxrti_rans_table *tables) {
+    const __m256i byte = _mm256_set1_epi32(255);
+    __m256i context = _mm256_min_epi32(l->last, _mm256_set1_epi32(12)), dx, dy, k, n;
+    dx = voxrti_normal_lanes_get(l, tables, context);
+    k = voxrti_normal_lanes_class(dx);
+    context = _mm256_add_epi32(_mm256_slli_epi32(k, 2), _mm256_srli_epi32(context, 2));
+    dy = voxrti_normal_lanes_get(l, tables, _mm256_add_epi32(context, _mm256_set1_epi32(13)));
+    l->last = _mm256_add_epi32(k, voxrti_normal_lanes_class(dy));
+    l->x = _mm256_and_si256(_mm256_add_epi32(l->x, dx), byte);
+    l->y = _mm256_and_si256(_mm256_add_epi32(l->y, dy), byte);
+    n = _mm256_or_si256(l->x, _mm256_slli_epi32(l->y, 8));
+    return _mm_packus_epi32(_mm256_castsi256_si128(n), _mm256_extracti128_si256(n, 1));
+}
+
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE int voxrti_normal_lanes_done(const voxrti_normal_lanes *l) {
+    __m256i ok = _mm256_and_si256(_mm256_cmpeq_epi32(l->at, l->end),
+                                  _mm256_cmpeq_epi32(l->state, _mm256_set1_epi32((int)VOXRTI_RANS_LOW)));
+    return _mm256_movemask_epi8(_mm256_andnot_si256(l->bad, ok)) == -1;
+}
+
+VOXRTI_TARGET_AVX2 static void voxrti_normal_chunks16_avx2(voxrti_normal_decoder *g, uint32_t chunk) {
+    voxrti_normal_lanes a, b;
+    uint16_t *out = g->t->normal + (size_t)chunk * VOXRTI_CHUNK, block[64][16];
+    uint32_t i, j, k;
+    voxrti_normal_lanes_open(&g->d, chunk, &a);
+    voxrti_normal_lanes_open(&g->d, chunk + 8, &b);
+    for (i = 0; i < VOXRTI_CHUNK; i += 64) {
+        for (j = 0; j < 64; j++) {
+            _mm_storeu_si128((__m128i *)(void *)&block[j][0], voxrti_normal_lanes_next(&a, g->lane_table));
+            _mm_storeu_si128((__m128i *)(void *)&block[j][8], voxrti_normal_lanes_next(&b, g->lane_table));
+        }
+        for (k = 0; k < 16; k++)
+            for (j = 0; j < 64; j++) out[k * VOXRTI_CHUNK + i + j] = block[j][k];
+    }
+    if (!voxrti_normal_lanes_done(&a) || !voxrti_normal_lanes_done(&b)) voxrti_atomic_store(&g->d.bad, 1u);
+}
+#endif
+
+static void voxrti_normal_task(void *ctx, uint32_t task) {
+    voxrti_normal_decoder *g = (voxrti_normal_decoder *)ctx;
+    uint32_t chunk = task * 16, end = g->d.chunks - chunk < 16 ? g->d.chunks : chunk + 16;
+#if VOXRTI_AVX2
+    if (g->lane_table != NULL && (uint64_t)(chunk + 16) * VOXRTI_CHUNK <= g->t->attr_count) {
+        voxrti_normal_chunks16_avx2(g, chunk);
+        return;
+    }
+#endif
+    for (; chunk < end; chunk++) voxrti_normal_chunk(g, chunk);
+}
+
 static voxrt_result voxrti_normals_decode(voxrti_mem *mem, const voxrt_env *env, voxrt_tree *t, const uint8_t *data,
                                           size_t size) {
     voxrti_normal_decoder g;
     uint64_t chunks = (t->attr_count + VOXRTI_CHUNK - 1) / VOXRTI_CHUNK;
+    uint32_t c = 0;
     voxrt_result r;
+    (void)c;
     memset(&g, 0, sizeof g);
     g.t = t;
     r = voxrti_decoder_open(mem, data, size, chunks, &g.d);
@@ -7388,10 +7602,18 @@ static voxrt_result voxrti_normals_decode(voxrti_mem *mem, const voxrt_env *env,
         t->normal = (uint16_t *)voxrti_alloc_array(mem, (size_t)t->attr_count, sizeof(uint16_t));
         if (t->normal == NULL) r = VOXRT_ERR_NO_MEMORY;
     }
+#if VOXRTI_AVX2
+    if (r == VOXRT_OK && chunks >= 16 && voxrti_cpu_level() >= 3) {
+        g.lane_table = (voxrti_rans_table *)voxrti_alloc_array(mem, VOXRTI_NORMAL_TABLES, sizeof(voxrti_rans_table));
+        if (g.lane_table == NULL) r = VOXRT_ERR_NO_MEMORY;
+        for (c = 0; r == VOXRT_OK && c < VOXRTI_NORMAL_TABLES; c++) g.lane_table[c] = *g.d.of[c < 13 ? c : 115 + c];
+    }
+#endif
     if (r == VOXRT_OK) {
-        voxrti_parallel_for(env, voxrti_normal_task, &g, (uint32_t)chunks);
+        voxrti_parallel_for(env, voxrti_normal_task, &g, (uint32_t)((chunks + 15) / 16));
         if (voxrti_atomic_load(&g.d.bad)) r = VOXRT_ERR_FORMAT;
     }
+    voxrti_free(mem, g.lane_table);
     voxrti_decoder_close(mem, &g.d);
     return r;
 }
@@ -7543,14 +7765,12 @@ static voxrt_result voxrti_v5_plan(voxrti_mem *mem, const voxrt_save_desc *d, co
             if (g == NULL) return VOXRT_ERR_NO_MEMORY;
             g->t = t;
             voxrti_mirror_table(g->mirror);
-            r = voxrti_encode(mem, voxrti_geometry_symbols, g, (uint32_t)voxrti_chunks(t), &f->geometry);
+            r = voxrti_encode(mem, &d->env, voxrti_geometry_symbols, g, (uint32_t)voxrti_chunks(t), &f->geometry);
             voxrti_free(mem, g);
             s->encoding = 1;
             s->size = f->geometry.size;
         } else if (id == VOXRTI_V5_NORMALS && !raw) {
-            voxrti_normal_source g;
-            g.t = t;
-            r = voxrti_encode(mem, voxrti_normal_symbols, &g,
+            r = voxrti_encode(mem, &d->env, voxrti_normal_symbols, t,
                               (uint32_t)((t->attr_count + VOXRTI_CHUNK - 1) / VOXRTI_CHUNK), &f->normals);
             if (r == VOXRT_OK && f->normals.size < s->size) {
                 s->encoding = 1;
@@ -9698,16 +9918,12 @@ VOXRTI_TARGET_AVX2 static int voxrti_stream_next(const voxrt_tree *t, const voxr
     return s->ready.live != 0;
 }
 
-/* Trace count (< 2^32) rays. cone->floor_ < 4^wide: one cell for all is left to the scalar path. */
-VOXRTI_TARGET_AVX2 static void voxrti_trace_avx2(const voxrt_tree *t, const voxrti_cone *cone, const voxrt_ray *rays,
-                                                 voxrt_hit *hits, size_t count, voxrt_stats *stats) {
+/* The rays of a stream, three groups of eight at a time. */
+VOXRTI_TARGET_AVX2 VOXRTI_NOINLINE static void voxrti_stream_trace(const voxrt_tree *t, const voxrti_cone *cone,
+                                                                   voxrti_stream *s, voxrt_stats *stats) {
     voxrti_octet group[VOXRTI_OCTETS];
-    voxrti_stream s;
+    voxrt_hit *hits = s->hits;
     uint32_t i, k, lane, busy, more = 1;
-    memset(&s, 0, sizeof s);
-    s.rays = rays;
-    s.hits = hits;
-    s.count = count;
     memset(group, 0, sizeof group);
     for (i = 0; i < VOXRTI_OCTETS; i++)
         for (k = 0; k < 8; k++) group[i].path[k][0] = voxrti_root(t);
@@ -9733,14 +9949,25 @@ VOXRTI_TARGET_AVX2 static void voxrti_trace_avx2(const voxrt_tree *t, const voxr
                 g->found = 0;
                 g->used = g->live;
                 for (k = ~g->live & 255u; k != 0; k &= k - 1) {
-                    if (s.ready.live == 0) more = (uint32_t)voxrti_stream_next(t, cone, &s, stats);
+                    if (s->ready.live == 0) more = (uint32_t)voxrti_stream_next(t, cone, s, stats);
                     if (!more) break;
-                    voxrti_octet_load(&s.chain, g, voxrti_ctz64(k), &s.ready);
+                    voxrti_octet_load(&s->chain, g, voxrti_ctz64(k), &s->ready);
                     busy = 1;
                 }
             }
         }
     } while (busy);
+}
+
+/* Trace count (< 2^32) rays. cone->floor_ < 4^wide: one cell for all is left to the scalar path. */
+VOXRTI_TARGET_AVX2 static void voxrti_trace_avx2(const voxrt_tree *t, const voxrti_cone *cone, const voxrt_ray *rays,
+                                                 voxrt_hit *hits, size_t count, voxrt_stats *stats) {
+    voxrti_stream s;
+    memset(&s, 0, sizeof s);
+    s.rays = rays;
+    s.hits = hits;
+    s.count = count;
+    voxrti_stream_trace(t, cone, &s, stats);
 }
 
 #endif /* VOXRTI_AVX2 */

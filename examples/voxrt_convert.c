@@ -38,7 +38,8 @@ static int parse(int argc, char **argv, convert_options *o) {
         "colours of the coarser levels: mean of the voxels, or the most frequent child as in the thesis");
     table[n++] = sup_opt_choice(
         "normals", &o->normals, "smooth|flat|none",
-        "of the file or, if it has none, smooth over the edges; of the triangles; none: shade the faces of the cubes");
+        "of the file or, if it has none, smooth but for edges sharper than 60 degrees; of the triangles; none: shade the "
+        "faces of the cubes");
     table[n++] = sup_opt_flag("no-colors", &o->no_colors, "one colour for all");
     table[n++] = sup_opt_flag("keep-inside-out", &o->keep_inside_out,
                               "do not turn the normals of a mesh that encloses a negative volume");

@@ -88,7 +88,7 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
     table[n++] = sup_opt_flag("split", &o->split, "left third colours, middle the picture, right third brightness");
     table[n++] =
         sup_opt_choice("normals", &normals, "stored|face", "shade by stored normals or by the faces of the cubes");
-    table[n++] = sup_opt_flag("one-sided", &o->one_sided, "do not turn normals towards the viewer");
+    table[n++] = sup_opt_flag("one-sided", &o->one_sided, "surfaces seen from behind stay dark instead of turning their normals");
     table[n++] = sup_opt_choice("compose", &compose, "linear|thesis", "linear light, or bytes times brightness");
     table[n++] = sup_opt_given(sup_opt_vec3("background", o->background, "linear r,g,b instead of transparent"),
                                &o->has_background);

@@ -1022,6 +1022,55 @@ static void make_fan(supi_make *make, int n, float h, int split) {
     }
 }
 
+TEST(a_million_faces) { /* as text and as bytes; read in time proportional to the file */
+    enum { SIDE = 708 }; /* 707^2 squares */
+    const size_t side = test_quick() ? 100 : SIDE, squares = (side - 1) * (side - 1);
+    char *text = (char *)malloc(side * side * 32 + squares * 32 + 200);
+    uint8_t *ply;
+    sup_mesh mesh, again;
+    sup_error err;
+    size_t x, y, n = 0, head;
+    REQUIRE(text != NULL);
+    for (y = 0; y < side; y++)
+        for (x = 0; x < side; x++) n += (size_t)sprintf(text + n, "v %d %d 0.5\n", (int)x, (int)y);
+    for (y = 0; y + 1 < side; y++)
+        for (x = 0; x + 1 < side; x++) {
+            const int a = (int)(y * side + x + 1);
+            n += (size_t)sprintf(text + n, "f %d %d %d %d\n", a, a + 1, a + 1 + (int)side, a + (int)side);
+        }
+    CHECK_MSG(!read_bytes((const uint8_t *)text, n, SUP_FORMAT_OBJ, &mesh, &err), "%s", err.text);
+    CHECK_EQ_U64(mesh.vertex_count, side * side);
+    CHECK_EQ_U64(mesh.triangle_count, 2 * squares);
+    CHECK(mesh_is_valid(&mesh));
+    head = (size_t)sprintf(text, "ply\nformat binary_little_endian 1.0\nelement vertex %d\nproperty float x\nproperty float y\n"
+                                 "property float z\nelement face %d\nproperty list uchar int vertex_indices\nend_header\n",
+                           (int)mesh.vertex_count, (int)mesh.triangle_count);
+    n = head + 12 * mesh.vertex_count + 13 * mesh.triangle_count;
+    ply = (uint8_t *)malloc(n);
+    REQUIRE(ply != NULL);
+    memcpy(ply, text, head);
+    n = head;
+    for (x = 0; x < 3 * mesh.vertex_count; x++, n += 4) {
+        uint32_t bits;
+        memcpy(&bits, mesh.positions + x, 4);
+        for (y = 0; y < 4; y++) ply[n + y] = (uint8_t)(bits >> (8 * y));
+    }
+    for (x = 0; x < 3 * mesh.triangle_count; x++) {
+        if (x % 3 == 0) ply[n++] = 3;
+        for (y = 0; y < 4; y++) ply[n++] = (uint8_t)(mesh.indices[x] >> (8 * y));
+    }
+    CHECK_MSG(!read_bytes(ply, n, SUP_FORMAT_AUTO, &again, &err), "%s", err.text);
+    CHECK(again.triangle_count == mesh.triangle_count && again.vertex_count == mesh.vertex_count);
+    CHECK(memcmp(again.indices, mesh.indices, 12 * mesh.triangle_count) == 0);
+    CHECK(memcmp(again.positions, mesh.positions, 12 * mesh.vertex_count) == 0);
+    CHECK(!sup_mesh_compute_normals(&again, &err) && again.vertex_count == mesh.vertex_count && again.normals[2] == 1.0f);
+    sup_mesh_free(&mesh);
+    sup_mesh_free(&again);
+    free(ply);
+    free(text);
+    CHECK_EQ_I64(g_memory.live, 0);
+}
+
 TEST(normals_weigh_angles) { /* a flat pyramid: all of its edges are smooth, however its sides are cut */
     supi_make make;
     sup_error err;
@@ -1953,6 +2002,7 @@ int main(int argc, char **argv) {
     RUN(file_errors);
     RUN(large_file);
     RUN(materials_from_files);
+    RUN(a_million_faces);
     RUN(normals_weigh_angles);
     RUN(normals_keep_creases);
     RUN(normals_across_repeated_vertices);

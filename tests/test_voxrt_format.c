@@ -492,6 +492,75 @@ TEST(coded_sections_by_hand) {
     }
 }
 
+/* Normals of one section, chunk by chunk or in lanes. 0: they do not decode. */
+static int decode_normals(voxrt_tree *t, const voxrti_bytes *b, int lanes) {
+    voxrt_env env;
+    voxrti_mem mem;
+    voxrti_normal_decoder g;
+    uint32_t k;
+    int ok;
+    memset(&env, 0, sizeof env);
+    env.thread_count = lanes ? 0 : 1;
+    if (voxrti_env_open(&env, &mem) != VOXRT_OK) abort();
+    if (lanes) return voxrti_normals_decode(&mem, &env, t, b->data, b->size) == VOXRT_OK;
+    memset(&g, 0, sizeof g);
+    g.t = t;
+    ok = voxrti_decoder_open(&mem, b->data, b->size, (t->attr_count + 4095) / 4096, &g.d) == VOXRT_OK;
+    t->normal = (uint16_t *)voxrti_alloc_array(&mem, (size_t)t->attr_count, sizeof(uint16_t));
+    if (t->normal == NULL) abort();
+    for (k = 0; ok && k < g.d.chunks; k++) voxrti_normal_chunk(&g, k);
+    ok = ok && g.d.bad == 0;
+    voxrti_decoder_close(&mem, &g.d);
+    return ok;
+}
+
+/* Many chunks decode in lanes where there is AVX2: the same normals, the same damage is seen. */
+TEST(normals_in_lanes) {
+    const size_t count = test_quick() ? 70000 : 300000;
+    test_rng r = test_rng_make(77);
+    voxrt_env env;
+    voxrti_mem mem;
+    voxrti_bytes b;
+    voxrt_tree t, a, c;
+    uint32_t n = 0x8080, round, good = 0, damaged = 0;
+    size_t i, at;
+    memset(&env, 0, sizeof env);
+    memset(&b, 0, sizeof b);
+    memset(&t, 0, sizeof t);
+    REQUIRE(voxrti_env_open(&env, &mem) == VOXRT_OK);
+    t.attr_count = count;
+    t.normal = (uint16_t *)malloc(count * 2);
+    REQUIRE(t.normal != NULL);
+    for (i = 0; i < count; i++) { /* a walk whose steps are small here and large there */
+        uint32_t reach = 1u << i / 5000 % 9;
+        n = (n + test_rng_u32(&r) % reach + 256 * (test_rng_u32(&r) % reach)) & 0xffff;
+        t.normal[i] = (uint16_t)n;
+    }
+    REQUIRE(voxrti_encode(&mem, &env, voxrti_normal_symbols, &t, (uint32_t)((count + 4095) / 4096), &b) == VOXRT_OK);
+    for (round = 0; round < (test_quick() ? 20u : 150u); round++) {
+        int ok, same;
+        a = t;
+        c = t;
+        at = (size_t)test_rng_u32(&r) % b.size;
+        n = b.data[at];
+        if (round > 0) b.data[at] = (uint8_t)(b.data[at] ^ 1u << test_rng_u32(&r) % 8);
+        a.normal = c.normal = NULL;
+        ok = decode_normals(&a, &b, 0);
+        same = decode_normals(&c, &b, 1) == ok;
+        CHECK_MSG(same, "byte %u of %u", (unsigned)at, (unsigned)b.size);
+        if (ok && same) CHECK(memcmp(a.normal, c.normal, count * 2) == 0);
+        if (round == 0) CHECK(ok && memcmp(a.normal, t.normal, count * 2) == 0);
+        if (ok) good++;
+        else damaged++;
+        voxrti_free(&mem, a.normal);
+        voxrti_free(&mem, c.normal);
+        b.data[at] = (uint8_t)n;
+    }
+    CHECK(good > 0 && damaged > 0);
+    voxrti_free(&mem, b.data);
+    free(t.normal);
+}
+
 TEST(independent_reader) {
     int kind;
     for (kind = 0; kind < KINDS; kind++) {
@@ -1350,6 +1419,7 @@ int main(int argc, char **argv) {
     RUN(independent_reader);
     RUN(coded_sections_exactly);
     RUN(coded_sections_by_hand);
+    RUN(normals_in_lanes);
     RUN(round_trips);
     RUN(through_both_formats);
     RUN(map_in_place);

@@ -305,6 +305,45 @@ TEST(general_rays) {
     if (test_g.verbose) printf("  %d rays, %d hits, %d without ties\n", (int)sum.rays, (int)sum.hits, (int)sum.unique);
 }
 
+/* Windows of 64^3 cells in grids of 4096^3 to 2^60 cells, with rays from around them: as exact as in small grids. */
+TEST(windows_in_deep_grids) {
+    static const uint32_t depths[4] = {12, 13, 16, 20};
+    static voxrt_ray rays[BATCH];
+    uint32_t k, w, batch;
+    tally sum;
+    memset(&sum, 0, sizeof sum);
+    for (k = 0; k < 4; k++)
+        for (w = 0; w < 4; w++) {
+            scene s;
+            test_rng r = test_rng_make(500 + 10 * k + w);
+            int32_t lo[3], n[3] = {64, 64, 64}, x, y, z, a;
+            memset(&s, 0, sizeof s);
+            s.depth = depths[k];
+            s.size = 1 << depths[k];
+            snprintf(s.name, sizeof s.name, "window %u depth %u", w, depths[k]);
+            for (a = 0; a < 3; a++) /* at the far corner, at the near one, anywhere */
+                lo[a] = w == 0 ? s.size - 64 : w == 1 ? 0 : (int32_t)test_rng_below(&r, (uint32_t)s.size - 64u);
+            if (!oracle_grid_make(&s.g, lo, n)) exit(1);
+            for (z = 0; z < 64; z++) for (y = 0; y < 64; y++) for (x = 0; x < 64; x++) {
+                const double p[3] = {x - 31.5, y - 31.5, z - 31.5}, q = sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]);
+                if (w % 2 == 0 ? fabs(q - 28) < 0.7 : hash3((uint32_t)x, (uint32_t)y, (uint32_t)z) % 300 == 0)
+                    oracle_set(&s.g, x + lo[0], y + lo[1], z + lo[2]);
+            }
+            scene_list(&s);
+            for (batch = 0; batch < (test_quick() ? 1u : 4u); batch++) {
+                uint32_t i;
+                for (i = 0; i < BATCH; i++) {
+                    rays[i] = general_ray(&r, 64.0f);
+                    for (a = 0; a < 3; a++) rays[i].org[a] += (float)lo[a];
+                }
+                check_rays(&s, rays, NULL, BATCH, &sum);
+            }
+            scene_drop(&s);
+        }
+    CHECK(sum.hits * 10 > sum.rays * 2 && sum.hits * 10 < sum.rays * 9);
+    if (test_g.verbose) printf("  %d rays, %d hits\n", (int)sum.rays, (int)sum.hits);
+}
+
 /* ---- (b) adversarial rays ---- */
 
 static float pick(test_rng *r, const float *of, size_t n) { return of[test_rng_below(r, (uint32_t)n)]; }
@@ -1495,6 +1534,7 @@ int main(int argc, char **argv) {
     test_begin(argc, argv);
     isa_count = (size_t)voxrti_cpu_level();
     RUN(general_rays);
+    RUN(windows_in_deep_grids);
     RUN(nasty_rays);
     RUN(runs_of_one_origin);
     RUN(closed_shells_do_not_leak);

@@ -1,0 +1,434 @@
+/* tetcast_render.c - volume mesh or grid -> picture
+   SPDX-License-Identifier: MIT OR Unlicense */
+#include "support/camera.h"
+#include "support/cli.h"
+#include "support/png.h"
+#include "support/transfer.h"
+#include "support/volume.h"
+#include "support/volume_scenes.h"
+#define TETCAST_IMPLEMENTATION
+#include "tetcast.h"
+
+enum { MAX_ISOVALUES = 16 };
+enum { METHOD_MARCH, METHOD_STRIPS, METHOD_PROJECT };
+
+typedef struct options {
+    sup_common common;
+    const char *in, *scene, *field, *tf, *clip;
+    int method, model, integrator, cells, order, has_model, smooth, weld, has_background, cue;
+    int64_t detail;
+    double opacity, scale, ortho, samples;
+    float background[3];
+    float isovalues[MAX_ISOVALUES];
+    size_t isovalue_count;
+} options;
+
+/* --iso may be given several times; the table keeps only the last. */
+static int collect_isovalues(int argc, char **argv, options *o) {
+    for (int i = 1; i < argc && strcmp(argv[i], "--") != 0; i++) {
+        const char *value = strcmp(argv[i], "--iso") == 0 && i + 1 < argc ? argv[++i] :
+                            strncmp(argv[i], "--iso=", 6) == 0 ? argv[i] + 6 : NULL;
+        const char *end;
+        double number = 0.0;
+        if (!value) continue;
+        end = value + strlen(value);
+        if (o->isovalue_count == MAX_ISOVALUES)
+            return sup_bad_usage(argv[0], "--iso: more than %d values", (int)MAX_ISOVALUES);
+        if (sup_parse_double(&value, end, &number) || value != end || !(fabs(number) <= 1e38))
+            return sup_bad_usage(argv[0], "--iso: not a number");
+        o->isovalues[o->isovalue_count++] = (float)number;
+    }
+    return -1;
+}
+
+static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
+    sup_option table[SUP_COMMON_OPTIONS + 24];
+    double iso = 0.0;
+    float clip[3] = {0.0f, 0.0f, 0.0f};
+    size_t n;
+    int status, has_clip = 0;
+    memset(o, 0, sizeof *o);
+    o->opacity = 0.6;
+    o->scale = 1.0;
+    n = sup_common_options(&o->common, table);
+    o->common.size[0] = 1024;
+    o->common.size[1] = 768;
+    table[n++] = sup_opt_positional("MESH", &o->in, 0, ".vtk, .inp, .msh, .node, .ele, or PLOT3D with its Q file");
+    table[n++] = sup_opt_text("scene", &o->scene, SUP_VOLUME_SCENES, "a generated volume instead of MESH");
+    table[n++] = sup_opt_int("detail", &o->detail, 0, 512, "N", "how fine --scene is");
+    table[n++] = sup_opt_text("field", &o->field, "NAME", "the scalar to show (the first one); of a vector its length, "
+                              "or NAME_x, NAME_y, NAME_z; x, y, z: the coordinates");
+    table[n++] = sup_opt_text("tf", &o->tf, "FILE|" SUP_TRANSFER_NAMES, "transfer function (rainbow)");
+    table[n++] = sup_opt_real("extinction", &o->scale, 0.0, 1e9, "F", "multiplies all extinctions");
+    table[n++] = sup_opt_choice("method", &o->method, "march|strips|project", "walk from cell to cell; through strips; "
+                                "project the cells");
+    table[n++] = sup_opt_real("iso", &iso, -1e38, 1e38, "V", "show the surface of this value; may be repeated");
+    table[n++] = sup_opt_real("iso-opacity", &o->opacity, 0.0, 1.0, "A", "of the surfaces, when there are several (0.6)");
+    table[n++] = sup_opt_flag("smooth", &o->smooth, "smooth normals on the surfaces");
+    table[n++] = sup_opt_given(sup_opt_choice("model", &o->model, "volume|emission|absorption|maximum|iso|mixed",
+                                              "what light does in it (volume; with --iso: iso)"), &o->has_model);
+    table[n++] = sup_opt_choice("integrator", &o->integrator,
+                                "exact|psi|riemann|trapezoid|midpoint|pre|prefix|table|incremental|subrange|table2d|"
+                                "table-prefix", "how a segment is integrated (exact)");
+    table[n++] = sup_opt_real("samples", &o->samples, 1, 4096, "N", "parts of a segment, where it is cut");
+    table[n++] = sup_opt_choice("cells", &o->cells, "tet16|tet8|tet20|tet32|list|strips|strips-general",
+                                "how cells are stored (tet16)");
+    table[n++] = sup_opt_choice("order", &o->order, "hilbert|morton|input", "order of the cells in memory (hilbert)");
+    table[n++] = sup_opt_flag("weld", &o->weld, "points at the same place become one");
+    table[n++] = sup_opt_given(sup_opt_vec3("clip", clip, "near,far,0: show only these distances along the view"),
+                               &has_clip);
+    table[n++] = sup_opt_real("ortho", &o->ortho, 0.0, 1e30, "H", "parallel rays; height of the picture in the volume");
+    table[n++] = sup_opt_flag("cue", &o->cue, "what is farther away is darker");
+    table[n++] = sup_opt_given(sup_opt_vec3("background", o->background, "linear r,g,b instead of transparent"),
+                               &o->has_background);
+    status = sup_cli_parse(argc, argv, "Draws a volume of tetrahedra and other cells.", table, n);
+    if (status >= 0) return status;
+    status = collect_isovalues(argc, argv, o);
+    if (status >= 0) return status;
+    if (!o->in == !o->scene) return sup_bad_usage(argv[0], "MESH or --scene has to be given");
+    if (!o->common.out && !o->common.depth && !o->common.stats) return sup_bad_usage(argv[0], "--out FILE is missing");
+    if (!o->has_model && o->isovalue_count) o->model = o->tf ? TETCAST_MODEL_MIXED : TETCAST_MODEL_ISOSURFACE;
+    if (has_clip && !(clip[0] >= 0.0f && (clip[1] > clip[0] || clip[1] == 0.0f)))
+        return sup_bad_usage(argv[0], "--clip: near and far have to ascend");
+    memset(desc, 0, sizeof *desc);
+    desc->env.thread_count = (uint32_t)o->common.threads;
+    desc->isa = (tetcast_isa)o->common.isa;
+    desc->clip_near = clip[0];
+    desc->clip_far = clip[1];
+    desc->smooth_normals = (uint32_t)o->smooth;
+    desc->camera.ortho_height = (float)o->ortho;
+    if (o->has_background) {
+        memcpy(desc->background, o->background, sizeof o->background);
+        desc->background[3] = 1.0f;
+    }
+    if (o->method == METHOD_STRIPS && o->cells == 0) o->cells = TETCAST_CELLS_STRIPS;
+    return -1;
+}
+
+/* ---- volume -> mesh ----------------------------------------------------------------------------------------- */
+
+/* The field that was asked for as one float per point or cell. *made: values that have to be freed. Returns 1 if there is
+   no such field. */
+static int choose_field(const options *o, const sup_volume *v, tetcast_field *out, float **made, char *label,
+                        size_t room, sup_error *err) {
+    const char *want = o->field;
+    memset(out, 0, sizeof *out);
+    *made = NULL;
+    for (size_t i = 0; i < v->field_count; i++) {
+        const sup_field *f = v->fields + i;
+        const size_t length = strlen(f->name);
+        int component = -1;
+        if (want && strncmp(want, f->name, length) == 0 && want[length] == '_' && want[length + 1] >= 'x' &&
+            want[length + 1] <= 'z' && want[length + 2] == '\0' && f->components > (uint32_t)(want[length + 1] - 'x'))
+            component = want[length + 1] - 'x';
+        else if (want && strcmp(want, f->name) != 0) continue;
+        out->per_cell = (uint32_t)f->per_cell;
+        out->values.data = f->values;
+        out->values.stride = f->components * sizeof(float);
+        (void)snprintf(label, room, "%s", want ? want : f->name);
+        if (component >= 0) {
+            out->values.data = f->values + component;
+        } else if (f->components > 1) {
+            float *length_of = (float *)sup_alloc(f->count, sizeof(float));
+            if (!length_of) return sup_fail(err, "out of memory");
+            for (size_t k = 0; k < f->count; k++) {
+                double sum = 0.0;
+                for (size_t c = 0; c < f->components; c++) {
+                    const double x = (double)f->values[k * f->components + c];
+                    sum += x * x;
+                }
+                length_of[k] = (float)sqrt(sum);
+            }
+            *made = length_of;
+            out->values.data = length_of;
+            out->values.stride = 0;
+        }
+        return 0;
+    }
+    if (want && want[0] >= 'x' && want[0] <= 'z' && want[1] == '\0' && v->points) {
+        out->values.data = v->points + (want[0] - 'x');
+        out->values.type = TETCAST_TYPE_F64;
+        out->values.stride = 3 * sizeof(double);
+        (void)snprintf(label, room, "%s", want);
+        return 0;
+    }
+    if (!want) return sup_fail(err, "%s: there is no field in it; --field x, y or z shows coordinates", o->in);
+    (void)sup_fail(err, "%s: there is no field \"%s\"; there are:", o->in ? o->in : o->scene, want);
+    for (size_t i = 0; i < v->field_count; i++) {
+        const size_t used = strlen(err->text);
+        (void)snprintf(err->text + used, sizeof err->text - used, " %s", v->fields[i].name);
+    }
+    return 1;
+}
+
+static tetcast_result make_mesh(const options *o, const sup_volume *v, const tetcast_field *field,
+                                const tetcast_env *env, tetcast_report *report, tetcast_mesh **out) {
+    tetcast_mesh_desc desc;
+    memset(&desc, 0, sizeof desc);
+    desc.env = *env;
+    desc.cells = (tetcast_cells)o->cells;
+    desc.order = (tetcast_order)o->order;
+    desc.weld = (uint32_t)o->weld;
+    if (v->dims[0]) {
+        tetcast_grid grid;
+        memset(&grid, 0, sizeof grid);
+        memcpy(grid.dims, v->dims, sizeof grid.dims);
+        grid.positions.data = v->points;
+        grid.positions.type = TETCAST_TYPE_F64;
+        for (int k = 0; k < 3; k++) {
+            grid.axes[k].data = v->axes[k];
+            grid.axes[k].type = TETCAST_TYPE_F64;
+            grid.origin[k] = v->origin[k];
+            grid.spacing[k] = v->spacing[k];
+        }
+        grid.blanks = v->blanks;
+        grid.fields = field;
+        grid.field_count = 1;
+        return tetcast_mesh_create_grid(&desc, &grid, report, out);
+    }
+    {
+        tetcast_input input;
+        memset(&input, 0, sizeof input);
+        input.positions.data = v->points;
+        input.positions.type = TETCAST_TYPE_F64;
+        input.vertex_count = v->point_count;
+        input.indices = v->indices;
+        input.index_count = v->index_count;
+        input.shapes = v->shapes;
+        input.cell_count = v->cell_count;
+        input.fields = field;
+        input.field_count = 1;
+        return tetcast_mesh_create(&desc, &input, report, out);
+    }
+}
+
+/* ---- optics ------------------------------------------------------------------------------------------------- */
+
+static int make_optics(const options *o, const tetcast_mesh *mesh, const tetcast_env *env, tetcast_optics **out,
+                       sup_error *err) {
+    static const float palette[4][3] = {{0.85f, 0.45f, 0.12f}, {0.15f, 0.45f, 0.85f}, {0.3f, 0.75f, 0.25f},
+                                        {0.8f, 0.2f, 0.35f}};
+    tetcast_control_point *points;
+    tetcast_isovalue isovalues[MAX_ISOVALUES];
+    tetcast_transfer_desc desc;
+    tetcast_optics_desc optics;
+    tetcast_transfer *transfer = NULL;
+    tetcast_mesh_info info;
+    tetcast_result result;
+    sup_transfer tf;
+    double diagonal = 0.0;
+    float lo = 0.0f, hi = 1.0f;
+    (void)tetcast_mesh_field(mesh, 0, &lo, &hi);
+    tetcast_mesh_get_info(mesh, &info);
+    for (int k = 0; k < 3; k++) diagonal += (info.box_max[k] - info.box_min[k]) * (info.box_max[k] - info.box_min[k]);
+    diagonal = sqrt(diagonal);
+    if (!(diagonal > 0.0)) diagonal = 1.0;
+    if (o->tf && (strchr(o->tf, '.') || strchr(o->tf, '/'))) {
+        if (sup_transfer_read(o->tf, &tf, err)) return 1;
+    } else if (sup_transfer_named(o->tf ? o->tf : "rainbow", (double)lo, (double)hi, diagonal, &tf, err)) {
+        return 1;
+    }
+    points = (tetcast_control_point *)sup_alloc(tf.count, sizeof *points);
+    if (!points) {
+        sup_transfer_free(&tf);
+        return sup_fail(err, "out of memory");
+    }
+    for (size_t i = 0; i < tf.count; i++) {
+        points[i].value = tf.points[i].value;
+        memcpy(points[i].rgb, tf.points[i].rgb, sizeof points[i].rgb);
+        points[i].extinction = tf.points[i].extinction;
+    }
+    memset(isovalues, 0, sizeof isovalues);
+    for (size_t i = 0; i < o->isovalue_count; i++) {
+        isovalues[i].value = o->isovalues[i];
+        memcpy(isovalues[i].rgb, palette[i % 4], sizeof palette[0]);
+        isovalues[i].opacity = o->isovalue_count > 1 ? (float)o->opacity : 1.0f;
+        isovalues[i].specular = 0.25f;
+    }
+    memset(&desc, 0, sizeof desc);
+    memset(&optics, 0, sizeof optics);
+    desc.env = *env;
+    desc.points = points;
+    desc.point_count = tf.count;
+    desc.isovalues = isovalues;
+    desc.isovalue_count = o->isovalue_count;
+    desc.extinction_scale = (float)o->scale;
+    optics.env = *env;
+    optics.model = (tetcast_model)o->model;
+    optics.integrator = (tetcast_integrator)o->integrator;
+    optics.samples = (uint32_t)o->samples;
+    if (o->integrator >= TETCAST_INTEGRATOR_TABLE_3D) { /* how long segments can get */
+        tetcast_check check;
+        optics.longest = tetcast_mesh_check(mesh, env, &check) == TETCAST_OK ? (float)check.longest_edge : (float)diagonal;
+    }
+    optics.tolerance = o->common.has_tolerance ? (float)o->common.tolerance : 0.0f;
+    optics.path_length = (float)(2.0 * diagonal);
+    optics.ambient[0] = optics.ambient[1] = optics.ambient[2] = 0.1f;
+    if (o->cue) {
+        optics.cue = 1;
+        optics.cue_depth[0] = (float)(0.8 * diagonal);
+        optics.cue_depth[1] = (float)(2.4 * diagonal);
+        optics.cue_scale[0] = 1.0f;
+        optics.cue_scale[1] = 0.25f;
+    }
+    result = tetcast_transfer_create(&desc, &transfer);
+    if (result == TETCAST_OK) result = tetcast_optics_create(transfer, &optics, out);
+    tetcast_transfer_destroy(transfer);
+    SUP_FREE(points);
+    sup_transfer_free(&tf);
+    if (result == TETCAST_OK) return 0;
+    return sup_fail(err, "%s: %s", o->tf ? o->tf : "transfer function",
+                    env->error->text[0] ? env->error->text : tetcast_result_string(result));
+}
+
+static void set_camera(const options *o, const tetcast_mesh *mesh, tetcast_camera *camera) {
+    tetcast_mesh_info info;
+    sup_camera framed;
+    float lo[3], hi[3];
+    tetcast_mesh_get_info(mesh, &info);
+    for (int k = 0; k < 3; k++) {
+        lo[k] = (float)info.box_min[k];
+        hi[k] = (float)info.box_max[k];
+    }
+    sup_common_camera(&o->common, lo, hi, &framed);
+    for (int k = 0; k < 3; k++) {
+        camera->eye[k] = (double)framed.eye[k];
+        camera->at[k] = (double)framed.at[k];
+        camera->up[k] = (double)framed.up[k];
+    }
+    camera->fov_y = framed.fov;
+}
+
+/* ---- output ------------------------------------------------------------------------------------------------- */
+
+static int ends_with(const char *text, const char *end) {
+    const size_t n = strlen(text), k = strlen(end);
+    return n >= k && strcmp(text + n - k, end) == 0;
+}
+
+static int write_pictures(const options *o, tetcast_image *image, sup_error *err) {
+    const size_t pixels = (size_t)image->width * image->height;
+    if (o->common.depth && sup_pfm_write(o->common.depth, image->depth, image->width, image->height, 1, err)) return 1;
+    if (!o->common.out) return 0;
+    if (!ends_with(o->common.out, ".pfm"))
+        return sup_png_write8(o->common.out, image->rgba8, image->width, image->height, 4, err);
+    for (size_t i = 0; i < pixels; i++) memmove(image->rgba + 3 * i, image->rgba + 4 * i, 12);
+    return sup_pfm_write(o->common.out, image->rgba, image->width, image->height, 3, err);
+}
+
+static void print_stats(const options *o, const char *field, const tetcast_mesh *mesh, const tetcast_report *report,
+                        const tetcast_optics *optics, const tetcast_image *image, const tetcast_camera *camera,
+                        const tetcast_render_stats *s, double seconds) {
+    tetcast_mesh_info info;
+    tetcast_optics_info how;
+    float lo = 0.0f, hi = 0.0f;
+    tetcast_mesh_get_info(mesh, &info);
+    tetcast_optics_get_info(optics, &how);
+    (void)tetcast_mesh_field(mesh, 0, &lo, &hi);
+    printf("{\"program\":\"tetcast_render\",\"in\":");
+    sup_json_string(stdout, o->in ? o->in : o->scene);
+    printf(",\"field\":");
+    sup_json_string(stdout, field);
+    printf(",\"range\":[%.9g,%.9g],\"width\":%u,\"height\":%u,\"cells\":%llu,\"vertices\":%llu,\"bytes\":%llu",
+           (double)lo, (double)hi, image->width, image->height, (unsigned long long)info.cell_count,
+           (unsigned long long)info.vertex_count, (unsigned long long)info.total_bytes);
+    printf(",\"connectivity_bytes\":%llu,\"bytes_per_cell\":%.3f,\"left_out\":%llu,\"inverted\":%llu,\"zero_volume\":%llu",
+           (unsigned long long)info.connectivity_bytes,
+           info.cell_count ? (double)(info.connectivity_bytes + info.vertex_bytes + info.hull_bytes) /
+                                 (double)info.cell_count : 0.0,
+           (unsigned long long)(report->bad_indices + report->bad_positions + report->bad_shapes + report->repeated +
+                                report->duplicates),
+           (unsigned long long)report->inverted, (unsigned long long)report->zero_volume);
+    printf(",\"rays\":%llu,\"hits\":%llu,\"walks\":%llu,\"steps\":%llu,\"ended\":%llu",
+           (unsigned long long)s->rays, (unsigned long long)s->hit_rays, (unsigned long long)s->walks,
+           (unsigned long long)s->steps, (unsigned long long)s->ended);
+    printf(",\"error_bound\":%.6g,\"t_min\":%.6g", (double)how.bound, (double)how.t_min);
+    printf(",\"eye\":[%.9g,%.9g,%.9g],\"at\":[%.9g,%.9g,%.9g]", camera->eye[0], camera->eye[1], camera->eye[2],
+           camera->at[0], camera->at[1], camera->at[2]);
+    printf(",\"seconds\":%.6f,\"msteps_per_second\":%.3f,\"isa\":\"%s\",\"threads\":%lld}\n", seconds,
+           seconds > 0.0 ? 1e-6 * (double)s->steps / seconds : 0.0, tetcast_isa_name(s->isa),
+           (long long)o->common.threads);
+}
+
+static int make_image(const options *o, tetcast_image *image) {
+    const size_t pixels = (size_t)o->common.size[0] * o->common.size[1];
+    const int linear = o->common.out && ends_with(o->common.out, ".pfm");
+    memset(image, 0, sizeof *image);
+    image->width = o->common.size[0];
+    image->height = o->common.size[1];
+    image->rgba8 = (uint8_t *)sup_alloc(pixels, 4);
+    if (linear) image->rgba = (float *)sup_alloc(pixels, 16);
+    if (o->common.depth) image->depth = (float *)sup_alloc(pixels, 4);
+    return !image->rgba8 || (linear && !image->rgba) || (o->common.depth && !image->depth);
+}
+
+static int load(const options *o, const tetcast_env *env, char *field_name, size_t room, tetcast_report *report,
+                tetcast_mesh **mesh, sup_error *err) {
+    sup_volume volume;
+    tetcast_field field;
+    float *made = NULL;
+    tetcast_result result = TETCAST_OK;
+    int failed = o->in ? sup_volume_read(o->in, &volume, err)
+                       : sup_volume_make(o->scene, (uint32_t)o->detail, &volume, err);
+    if (failed) return 1;
+    if (err->text[0] && !o->common.quiet) fprintf(stderr, "warning: %s\n", err->text);
+    failed = choose_field(o, &volume, &field, &made, field_name, room, err);
+    field.name = field_name;
+    if (!failed) result = make_mesh(o, &volume, &field, env, report, mesh);
+    if (result != TETCAST_OK)
+        failed = sup_fail(err, "%s: %s", o->in ? o->in : o->scene,
+                          env->error->text[0] ? env->error->text : tetcast_result_string(result));
+    SUP_FREE(made);
+    sup_volume_free(&volume);
+    return failed;
+}
+
+int main(int argc, char **argv) {
+    options o;
+    tetcast_render_desc desc;
+    tetcast_render_stats stats;
+    tetcast_report report;
+    tetcast_error error = {TETCAST_OK, 0, ""};
+    tetcast_mesh *mesh = NULL;
+    tetcast_optics *optics = NULL;
+    tetcast_image image;
+    tetcast_result result = TETCAST_OK;
+    sup_progress progress;
+    sup_error err;
+    char field[80] = "";
+    double start, seconds = 0.0;
+    int status = parse(argc, argv, &o, &desc);
+    if (status >= 0) return status;
+    memset(&stats, 0, sizeof stats);
+    memset(&report, 0, sizeof report);
+    desc.env.error = &error;
+    sup_progress_begin(&progress, "drawing", o.common.quiet);
+    status = load(&o, &desc.env, field, sizeof field, &report, &mesh, &err);
+    if (!status) status = make_optics(&o, mesh, &desc.env, &optics, &err);
+    if (!status && make_image(&o, &image)) status = sup_fail(&err, "out of memory for the picture");
+    if (!status) {
+        set_camera(&o, mesh, &desc.camera);
+        if (o.smooth) result = tetcast_mesh_make_gradients(mesh, &desc.env);
+        if (!progress.quiet) {
+            desc.env.progress_fn = sup_progress_fn;
+            desc.env.progress_user = &progress;
+        }
+        start = sup_now();
+        if (result == TETCAST_OK) result = tetcast_render(&desc, mesh, optics, &image, &stats);
+        seconds = sup_now() - start;
+        sup_progress_end(&progress);
+        if (result != TETCAST_OK)
+            status = sup_fail(&err, "%s: %s", o.in ? o.in : o.scene,
+                              error.text[0] ? error.text : tetcast_result_string(result));
+        else status = write_pictures(&o, &image, &err);
+        if (!status && o.common.stats)
+            print_stats(&o, field, mesh, &report, optics, &image, &desc.camera, &stats, seconds);
+        SUP_FREE(image.rgba8);
+        SUP_FREE(image.rgba);
+        SUP_FREE(image.depth);
+    }
+    if (status) (void)sup_bad_input(argv[0], err.text);
+    tetcast_optics_destroy(optics);
+    tetcast_mesh_destroy(mesh);
+    return status;
+}

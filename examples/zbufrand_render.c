@@ -1,0 +1,323 @@
+/* zbufrand_render.c - scenes of up to 10^13 triangles -> picture
+   SPDX-License-Identifier: MIT OR Unlicense */
+#include "support/camera.h"
+#include "support/cli.h"
+#include "support/mesh.h"
+#include "support/png.h"
+#define ZBUFRAND_IMPLEMENTATION
+#include "zbufrand.h"
+#include "support/worlds.h"
+
+enum { MODE_PIXEL, MODE_BLOCKS, MODE_GAUSS, MODE_VORONOI, MODE_NODEPTH };
+
+typedef struct options {
+    sup_common common;
+    const char *scene, *hybrid;
+    int64_t block, mean, view, frame, scatter, max_frames;
+    double noise, density, gauss;
+    int mode, has_mode, has_block, occlusion, has_occlusion, has_noise, no_repair, no_occlusion, independent;
+} options;
+
+typedef struct pictures {
+    zbufrand_image image;
+    zbufrand_stats stats;
+    double seconds;
+} pictures;
+
+static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc) {
+    sup_option table[SUP_COMMON_OPTIONS + 18];
+    double radius = 0.0;
+    size_t n;
+    int status;
+    memset(o, 0, sizeof *o);
+    o->gauss = 2.0;
+    n = sup_common_options(&o->common, table);
+    o->common.tolerance = 0.05;
+    table[n++] = sup_opt_text("scene", &o->scene, "forest|city|chess|landscape|FILE", "what to draw; FILE is a mesh");
+    table[n++] = sup_opt_given(sup_opt_choice("mode", &o->mode, "pixel|blocks|gauss|voronoi|nodepth",
+                                              "from samples to pixels (pixel)"), &o->has_mode);
+    table[n++] = sup_opt_given(sup_opt_int("block", &o->block, 1, 1024, "D", "edge of blocks, cells or squares in pixels"),
+                               &o->has_block);
+    table[n++] = sup_opt_text("hybrid", &o->hybrid, "auto|off|all|RADIUS",
+                              "which triangles are rasterised: the cheaper way (auto), few, all, those near the eye");
+    table[n++] = sup_opt_int("mean", &o->mean, 0, 65536, "N", "mean of N frames");
+    table[n++] = sup_opt_given(sup_opt_real("noise", &o->noise, 1e-6, 1.0, "RMSE", "frames until the noise is below it"),
+                               &o->has_noise);
+    table[n++] = sup_opt_int("max-frames", &o->max_frames, 1, 65536, "N", "at most so many frames for --noise (256)");
+    table[n++] = sup_opt_real("density", &o->density, 1e-3, 1e4, "L", "samples per pixel instead of --tolerance");
+    table[n++] = sup_opt_given(sup_opt_choice("occlusion", &o->occlusion, "blocks|cells|squares|squares-all",
+                                              "which samples count as seen"), &o->has_occlusion);
+    table[n++] = sup_opt_real("gauss", &o->gauss, 0.1, 256.0, "C", "radius of the Gaussian in pixels (2)");
+    table[n++] = sup_opt_flag("no-repair", &o->no_repair, "no rays for empty and suspicious pixels");
+    table[n++] = sup_opt_flag("no-occlusion", &o->no_occlusion, "draw what is hidden, too");
+    table[n++] = sup_opt_flag("independent", &o->independent, "independent samples instead of stratified ones");
+    table[n++] = sup_opt_int("view", &o->view, 1, SUP_WORLD_VIEWS, "K", "one of the cameras that a scene brings along (1)");
+    table[n++] = sup_opt_int("frame", &o->frame, 0, 65535, "K", "other random numbers of the same kind");
+    table[n++] = sup_opt_int("scatter", &o->scatter, 1, 6, "K", "10^K copies of the mesh on a plain");
+    status = sup_cli_parse(argc, argv, "Draws a scene from random points of its surface.", table, n);
+    if (status >= 0) return status;
+    if (!o->scene) return sup_bad_usage(argv[0], "--scene is missing");
+    if (!o->common.out && !o->common.depth && !o->common.stats) return sup_bad_usage(argv[0], "--out FILE is missing");
+    if (!(o->common.tolerance > 0.0 && o->common.tolerance < 1.0))
+        return sup_bad_usage(argv[0], "--tolerance is a probability: between 0 and 1");
+    memset(desc, 0, sizeof *desc);
+    desc->tolerance = o->common.tolerance;
+    desc->density = o->density;
+    desc->noise = o->noise;
+    desc->max_frames = (uint32_t)o->max_frames;
+    desc->frame = (uint32_t)o->frame;
+    desc->seed = (uint32_t)o->common.seed;
+    desc->no_repair = (uint32_t)o->no_repair;
+    desc->no_occlusion = (uint32_t)o->no_occlusion;
+    desc->independent = (uint32_t)o->independent;
+    desc->unlit = (uint32_t)o->common.unlit;
+    desc->reconstruct.block = o->has_block ? (uint32_t)o->block : o->mode == MODE_PIXEL ? 1u : 2u;
+    desc->reconstruct.gauss_radius = (float)o->gauss;
+    if (o->mode == MODE_PIXEL && desc->reconstruct.block > 1 && o->has_mode)
+        return sup_bad_usage(argv[0], "--mode pixel has no blocks: use --mode blocks");
+    switch (o->mode) {
+    case MODE_GAUSS: desc->reconstruct.fill = ZBUFRAND_FILL_GAUSS; break;
+    case MODE_VORONOI: desc->reconstruct.fill = ZBUFRAND_FILL_VORONOI; break;
+    case MODE_NODEPTH: desc->reconstruct.fill = ZBUFRAND_FILL_VORONOI_L1; break;
+    default: break;
+    }
+    if (o->mode >= MODE_GAUSS) {
+        desc->reconstruct.occlusion = ZBUFRAND_OCCLUSION_SQUARES;
+        desc->reconstruct.reach = 2 * desc->reconstruct.block;
+    }
+    if (o->has_occlusion) desc->reconstruct.occlusion = (zbufrand_occlusion)o->occlusion;
+    if (o->hybrid && strcmp(o->hybrid, "off") == 0) {
+        desc->hybrid = ZBUFRAND_HYBRID_OFF;
+    } else if (o->hybrid && strcmp(o->hybrid, "all") == 0) {
+        desc->hybrid = ZBUFRAND_HYBRID_ALL;
+    } else if (o->hybrid && strcmp(o->hybrid, "auto") != 0) {
+        const char *at = o->hybrid, *end = at + strlen(at);
+        if (sup_parse_double(&at, end, &radius) || at != end || !(radius >= 0.0))
+            return sup_bad_usage(argv[0], "--hybrid: \"%s\" is not auto, off, all or a radius", o->hybrid);
+        desc->hybrid = ZBUFRAND_HYBRID_CUBE;
+        desc->hybrid_radius = radius;
+    }
+    return -1;
+}
+
+/* ---- scenes ------------------------------------------------------------------------------------------------- */
+
+static int is_world(const char *name) {
+    static const char *const names[] = {"forest", "city", "city-small", "city-low", "chess", "landscape"};
+    for (size_t i = 0; i < sizeof names / sizeof names[0]; i++)
+        if (strcmp(name, names[i]) == 0) return 1;
+    return 0;
+}
+
+/* A mesh file as it is, or 10^K copies of it scattered over a plain. */
+static int make_mesh_scene(const options *o, const zbufrand_scene_desc *desc, const zbufrand_build_desc *build,
+                           sup_world *world, zbufrand_scene_info *info, zbufrand_error *error, sup_error *err) {
+    supi_make make;
+    zbufrand_node node;
+    float lo[3], hi[3];
+    memset(world, 0, sizeof *world);
+    memset(&make, 0, sizeof make);
+    if (sup_mesh_read(o->scene, &make.mesh, err)) return 1;
+    if (err->text[0] && !o->common.quiet) fprintf(stderr, "warning: %s\n", err->text);
+    if (make.mesh.normals == NULL && sup_mesh_compute_normals(&make.mesh, err)) {
+        sup_mesh_free(&make.mesh);
+        return 1;
+    }
+    (void)sup_mesh_bounds(&make.mesh, lo, hi);
+    if (zbufrand_scene_create(desc, &world->scene) != ZBUFRAND_OK) world->failed = 1;
+    node = supi_world_mesh(world, &make, ZBUFRAND_ROOT, 1, 0, o->scatter ? ZBUFRAND_HIDDEN : 0);
+    if (o->scatter && !world->failed) {
+        const double wide = hi[0] - lo[0] > hi[2] - lo[2] ? (double)(hi[0] - lo[0]) : (double)(hi[2] - lo[2]);
+        size_t count = 1, side = 1;
+        zbufrand_transform *t;
+        supi_rng rng = {12345};
+        for (int64_t k = 0; k < o->scatter; k++) count *= 10;
+        while (side * side < count) side++;
+        t = supi_world_array(world, count);
+        for (size_t i = 0; i < count && t; i++) {
+            const double x = (double)(i % side) + 0.3 * ((double)supi_random(&rng) - 0.5);
+            const double z = (double)(i / side) + 0.3 * ((double)supi_random(&rng) - 0.5);
+            t[i] = supi_world_place(1.6 * wide * (x - 0.5 * (double)side), 0.0, 1.6 * wide * (z - 0.5 * (double)side),
+                                    6.2831853 * (double)supi_random(&rng), 1.0);
+        }
+        if (t && zbufrand_add_references(world->scene, ZBUFRAND_ROOT, t, count, node, NULL) != ZBUFRAND_OK)
+            world->failed = 2;
+    }
+    if (!world->failed && zbufrand_scene_build(world->scene, build, info) == ZBUFRAND_OK) return 0;
+    return sup_fail(err, "%s: %s", o->scene, error->text[0] ? error->text : "cannot be built");
+}
+
+static void set_camera(const options *o, const sup_world *world, const zbufrand_scene_info *info,
+                       zbufrand_camera *camera) {
+    sup_camera framed;
+    float lo[3], hi[3];
+    const size_t view = o->view ? (size_t)o->view - 1 : 0;
+    for (int k = 0; k < 3; k++) {
+        lo[k] = (float)info->box_min[k];
+        hi[k] = (float)info->box_max[k];
+    }
+    sup_common_camera(&o->common, lo, hi, &framed);
+    if (view < world->view_count && !o->common.has_eye && !o->common.has_at) {
+        memcpy(framed.eye, world->views[view].eye, sizeof framed.eye);
+        memcpy(framed.at, world->views[view].at, sizeof framed.at);
+        framed.fov = world->views[view].fov;
+    }
+    for (int k = 0; k < 3; k++) {
+        camera->eye[k] = (double)framed.eye[k];
+        camera->at[k] = (double)framed.at[k];
+        camera->up[k] = (double)framed.up[k];
+    }
+    camera->fov_y = (double)framed.fov;
+}
+
+/* ---- pictures ----------------------------------------------------------------------------------------------- */
+
+static double clock_now(void *user) {
+    (void)user;
+    return sup_now();
+}
+
+/* --mean N: N frames with other random numbers each, added up in linear light. */
+static zbufrand_result draw_mean(const options *o, zbufrand_frame *frame, zbufrand_render_desc *desc,
+                                 const zbufrand_scene *scene, zbufrand_image *image, zbufrand_stats *stats) {
+    const size_t values = (size_t)image->width * image->height * 4;
+    zbufrand_image one = *image;
+    float *sum = (float *)sup_alloc(values, sizeof(float));
+    zbufrand_result result = ZBUFRAND_OK;
+    uint32_t spread = 1;
+    if (!sum) return ZBUFRAND_ERR_NO_MEMORY;
+    memset(sum, 0, values * sizeof(float));
+    while (2 * (int64_t)spread <= o->mean && spread < 64) spread *= 2;
+    for (int64_t k = 0; k < o->mean && result == ZBUFRAND_OK; k++) {
+        desc->frame = (uint32_t)(o->frame + k);
+        desc->spread = spread;
+        one.depth = k == 0 ? image->depth : NULL; /* depth is that of the first frame */
+        result = zbufrand_render(frame, desc, scene, &one, stats);
+        for (size_t i = 0; i < values && result == ZBUFRAND_OK; i++) sum[i] += image->rgba[i];
+    }
+    for (size_t i = 0; i < values; i++) image->rgba[i] = sum[i] / (float)o->mean;
+    SUP_FREE(sum);
+    if (result != ZBUFRAND_OK) return result;
+    for (size_t i = 0; i < values / 4; i++) {
+        const float *c = image->rgba + 4 * i;
+        for (size_t k = 0; k < 3; k++)
+            image->rgba8[4 * i + k] = sup_unit_to_byte(zbufrandi_linear_to_srgb(c[3] > 0.0f ? (double)(c[k] / c[3]) : 0.0));
+        image->rgba8[4 * i + 3] = sup_unit_to_byte((double)c[3]);
+    }
+    stats->frames = (uint32_t)o->mean;
+    return ZBUFRAND_OK;
+}
+
+static int ends_with(const char *text, const char *end) {
+    const size_t n = strlen(text), k = strlen(end);
+    return n >= k && strcmp(text + n - k, end) == 0;
+}
+
+static int write_pictures(const options *o, zbufrand_image *image, sup_error *err) {
+    const size_t pixels = (size_t)image->width * image->height;
+    if (o->common.depth && sup_pfm_write(o->common.depth, image->depth, image->width, image->height, 1, err)) return 1;
+    if (!o->common.out) return 0;
+    if (!ends_with(o->common.out, ".pfm"))
+        return sup_png_write8(o->common.out, image->rgba8, image->width, image->height, 4, err);
+    for (size_t i = 0; i < pixels; i++) memmove(image->rgba + 3 * i, image->rgba + 4 * i, 12);
+    return sup_pfm_write(o->common.out, image->rgba, image->width, image->height, 3, err);
+}
+
+static void print_stats(const options *o, const zbufrand_scene_info *info, const zbufrand_camera *camera,
+                        const pictures *p) {
+    static const char *const stages[ZBUFRAND_STAGE_COUNT] = {"select", "draw", "occlusion", "repair", "shade"};
+    const zbufrand_stats *s = &p->stats;
+    printf("{\"program\":\"zbufrand_render\",\"in\":");
+    sup_json_string(stdout, o->scene);
+    printf(",\"width\":%u,\"height\":%u,\"triangles\":%llu,\"stored_triangles\":%llu,\"bytes\":%llu", p->image.width,
+           p->image.height, (unsigned long long)info->triangles, (unsigned long long)info->stored_triangles,
+           (unsigned long long)info->bytes);
+    printf(",\"samples\":%llu,\"accepted\":%llu,\"rastered\":%llu,\"density\":%.6g,\"projected_area\":%.6g",
+           (unsigned long long)(s->samples[0] + s->samples[1]), (unsigned long long)s->accepted,
+           (unsigned long long)s->rastered, s->density, s->projected_area);
+    printf(",\"nodes\":%llu,\"draws\":[%llu,%llu,%llu],\"hidden\":%llu,\"covered\":%llu", (unsigned long long)s->nodes,
+           (unsigned long long)s->draws[0], (unsigned long long)s->draws[1], (unsigned long long)s->draws[2],
+           (unsigned long long)s->hidden, (unsigned long long)s->covered);
+    printf(",\"holes\":%llu,\"wrong\":%llu,\"repaired\":%llu,\"incomplete\":%.6g,\"probability\":%.9g",
+           (unsigned long long)s->holes, (unsigned long long)s->wrong, (unsigned long long)s->repaired, s->incomplete,
+           1.0 - s->incomplete);
+    printf(",\"frames\":%u,\"rmse\":%.6g,\"stages\":{", s->frames, s->rmse);
+    for (int k = 0; k < ZBUFRAND_STAGE_COUNT; k++) printf("%s\"%s\":%.6f", k ? "," : "", stages[k], s->seconds[k]);
+    printf("},\"eye\":[%.9g,%.9g,%.9g],\"at\":[%.9g,%.9g,%.9g]", camera->eye[0], camera->eye[1], camera->eye[2],
+           camera->at[0], camera->at[1], camera->at[2]);
+    printf(",\"seconds\":%.6f,\"isa\":\"%s\",\"threads\":%lld}\n", p->seconds,
+           zbufrand_isa_name(o->common.isa ? (zbufrand_isa)o->common.isa : zbufrand_isa_best()),
+           (long long)o->common.threads);
+}
+
+static int make_image(const options *o, zbufrand_image *image) {
+    const size_t pixels = (size_t)o->common.size[0] * o->common.size[1];
+    memset(image, 0, sizeof *image);
+    image->width = o->common.size[0];
+    image->height = o->common.size[1];
+    image->rgba8 = (uint8_t *)sup_alloc(pixels, 4);
+    image->rgba = (float *)sup_alloc(pixels, 16);
+    if (o->common.depth) image->depth = (float *)sup_alloc(pixels, 4);
+    return !image->rgba8 || !image->rgba || (o->common.depth && !image->depth);
+}
+
+int main(int argc, char **argv) {
+    options o;
+    zbufrand_render_desc desc;
+    zbufrand_scene_desc scene_desc;
+    zbufrand_build_desc build_desc;
+    zbufrand_frame_desc frame_desc;
+    zbufrand_frame *frame = NULL;
+    zbufrand_scene_info info;
+    zbufrand_error error = {ZBUFRAND_OK, 0, ""};
+    zbufrand_result result = ZBUFRAND_ERR_NO_MEMORY;
+    pictures p;
+    sup_world world;
+    sup_progress progress;
+    sup_error err;
+    double start;
+    int status = parse(argc, argv, &o, &desc);
+    if (status >= 0) return status;
+    memset(&scene_desc, 0, sizeof scene_desc);
+    memset(&build_desc, 0, sizeof build_desc);
+    memset(&frame_desc, 0, sizeof frame_desc);
+    memset(&p, 0, sizeof p);
+    sup_progress_begin(&progress, "drawing", o.common.quiet);
+    scene_desc.env.thread_count = (uint32_t)o.common.threads;
+    scene_desc.env.error = &error;
+    frame_desc.env = scene_desc.env;
+    frame_desc.isa = (zbufrand_isa)o.common.isa;
+    build_desc.seed = (uint32_t)o.common.seed;
+    desc.clock_fn = clock_now;
+    status = is_world(o.scene) ? sup_world_make(o.scene, &scene_desc, &build_desc, &world, &info, &err)
+                               : make_mesh_scene(&o, &scene_desc, &build_desc, &world, &info, &error, &err);
+    if (status) {
+        sup_world_free(&world);
+        return sup_bad_input(argv[0], err.text);
+    }
+    set_camera(&o, &world, &info, &desc.camera);
+    if (!make_image(&o, &p.image)) result = zbufrand_frame_create(&frame_desc, &frame);
+    if (result == ZBUFRAND_OK && o.common.stats) /* the first frame of a size also takes its memory: not measured */
+        result = zbufrand_render(frame, &desc, world.scene, &p.image, &p.stats);
+    start = sup_now();
+    if (result == ZBUFRAND_OK) {
+        result = o.mean > 0 ? draw_mean(&o, frame, &desc, world.scene, &p.image, &p.stats)
+                            : zbufrand_render(frame, &desc, world.scene, &p.image, &p.stats);
+    }
+    p.seconds = sup_now() - start;
+    sup_progress_end(&progress);
+    if (result != ZBUFRAND_OK) {
+        (void)sup_fail(&err, "%s: %s", o.scene, error.text[0] ? error.text : zbufrand_result_string(result));
+        status = sup_bad_input(argv[0], err.text);
+    } else if (write_pictures(&o, &p.image, &err)) {
+        status = sup_bad_input(argv[0], err.text);
+    } else if (o.common.stats) {
+        print_stats(&o, &info, &desc.camera, &p);
+    }
+    SUP_FREE(p.image.rgba8);
+    SUP_FREE(p.image.rgba);
+    SUP_FREE(p.image.depth);
+    zbufrand_frame_destroy(frame);
+    sup_world_free(&world);
+    return status;
+}

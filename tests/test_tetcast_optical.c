@@ -1,0 +1,705 @@
+/* test_tetcast_optical.c - models: emission, absorption, maximum, depth cueing, isosurfaces; error bounds */
+#include "test.h"
+#define TETCAST_IMPLEMENTATION
+#include "tetcast.h"
+#include "transfer_oracle.h"
+
+static tetcast_transfer *make_transfer(const tetcast_control_point *p, size_t count, int independent,
+                                       const tetcast_isovalue *iso, size_t iso_count) {
+    tetcast_transfer_desc d;
+    tetcast_transfer *t = NULL;
+    memset(&d, 0, sizeof d);
+    d.points = p;
+    d.point_count = count;
+    d.isovalues = iso;
+    d.isovalue_count = iso_count;
+    d.color_mode = independent ? TETCAST_COLOR_INDEPENDENT : TETCAST_COLOR_ASSOCIATED;
+    CHECK(tetcast_transfer_create(&d, &t) == TETCAST_OK);
+    return t;
+}
+
+static tetcast_optics *make(const tetcast_control_point *p, size_t count, int independent, const tetcast_isovalue *iso,
+                            size_t iso_count, const tetcast_optics_desc *d) {
+    tetcast_transfer *t = make_transfer(p, count, independent, iso, iso_count);
+    tetcast_optics *o = NULL;
+    CHECK(tetcast_optics_create(t, d, &o) == TETCAST_OK);
+    tetcast_transfer_destroy(t);
+    return o;
+}
+
+static tetcast_optics_desc desc_of(tetcast_model model) {
+    tetcast_optics_desc d;
+    memset(&d, 0, sizeof d);
+    d.model = model;
+    d.t_min = -1.0f;
+    return d;
+}
+
+/* A ray of n segments whose values wander about. */
+static void random_ray(test_rng *r, tetcast_segment *s, int n, float longest) {
+    float v = test_rng_float(r), depth = 0.0f;
+    int i;
+    for (i = 0; i < n; i++) {
+        s[i].front = v;
+        if (test_rng_below(r, 8) != 0) v += 0.3f * (test_rng_float(r) - 0.5f);
+        v = v < 0.0f ? -v : v;
+        v = v > 1.0f ? 2.0f - v : v;
+        s[i].back = v;
+        s[i].length = longest * test_rng_float(r);
+        s[i].depth = depth;
+        depth += s[i].length;
+    }
+}
+
+static const tetcast_control_point *pick(int k, size_t *n) {
+    *n = k == 0 ? ORACLE_SMOOTH : ORACLE_STEPS;
+    return k == 0 ? oracle_smooth : oracle_steps;
+}
+
+/* ---- order-independent models ---- */
+
+TEST(emission) { /* against the midpoint rule; continuous for equal ends; any order */
+    test_rng r = test_rng_make(1);
+    int k, independent, rep, i, c, j;
+    for (k = 0; k < 2; k++) {
+        for (independent = 0; independent < 2; independent++) {
+            size_t n;
+            const tetcast_control_point *p = pick(k, &n);
+            tetcast_optics_desc d = desc_of(TETCAST_MODEL_EMISSION);
+            tetcast_optics *o = make(p, n, independent, NULL, 0, &d);
+            for (rep = 0; rep < 30; rep++) {
+                tetcast_segment s[20];
+                float got[4], other[4];
+                double want[3] = {0.0, 0.0, 0.0};
+                random_ray(&r, s, 20, 0.3f);
+                CHECK(tetcast_optics_ray(o, s, 20, got, NULL) == TETCAST_OK);
+                for (i = 0; i < 20; i++) {
+                    for (j = 0; j < 2000; j++) {
+                        double v[4];
+                        oracle_eval(p, n, (double)s[i].front + ((double)s[i].back - (double)s[i].front) * (j +
+                            0.5) / 2000, 1, v);
+                        for (c = 0; c < 3; c++) want[c] += v[c] * (independent ? 1.0
+                                                                   : v[3]) * (double)s[i].length / 2000;
+                    }
+                }
+                for (c = 0; c < 3; c++) CHECK_NEAR((double)got[c], want[c], (k ? 3e-3 : 2e-5) * (1.0 + want[c]));
+                CHECK(got[3] == 0.0f);
+                for (i = 19; i > 0; i--) {
+                    const int with = (int)test_rng_below(&r, (uint32_t)i + 1);
+                    const tetcast_segment x = s[i];
+                    s[i] = s[with];
+                    s[with] = x;
+                }
+                (void)tetcast_optics_ray(o, s, 20, other, NULL);
+                for (c = 0; c < 3; c++) CHECK_NEAR((double)got[c], (double)other[c], 1e-6 * (1.0 + want[c]));
+            }
+            { /* s_back -> s_front */
+                tetcast_segment s;
+                float a[4], b[4], step;
+                s.front = s.back = 0.42f;
+                s.length = 1.0f;
+                s.depth = 0.0f;
+                (void)tetcast_optics_ray(o, &s, 1, a, NULL);
+                for (step = 1e-3f; step > 1e-8f; step *= 0.1f) {
+                    s.back = 0.42f + step;
+                    (void)tetcast_optics_ray(o, &s, 1, b, NULL);
+                    for (c = 0; c < 3; c++) CHECK_NEAR((double)a[c], (double)b[c], 1e-6 + 10.0 * (double)step);
+                }
+            }
+            tetcast_optics_destroy(o);
+        }
+    }
+}
+
+TEST(absorption) {
+    test_rng r = test_rng_make(2);
+    int k, rep, i, c;
+    for (k = 0; k < 2; k++) {
+        size_t n;
+        const tetcast_control_point *p = pick(k, &n);
+        tetcast_optics_desc d = desc_of(TETCAST_MODEL_ABSORPTION);
+        tetcast_optics *o = make(p, n, 0, NULL, 0, &d);
+        for (rep = 0; rep < 200; rep++) {
+            tetcast_segment s[50];
+            float got[4], other[4];
+            double t = 1.0;
+            random_ray(&r, s, 50, 0.05f);
+            CHECK(tetcast_optics_ray(o, s, 50, got, NULL) == TETCAST_OK);
+            for (i = 0; i < 50; i++) {
+                double e[4];
+                oracle_segment(p, n, 0, &s[i], e);
+                t *= 1.0 - e[3];
+            }
+            CHECK_NEAR((double)got[3], 1.0 - t, 1e-6);
+            for (c = 0; c < 3; c++) CHECK(got[c] == 0.0f);
+            for (i = 0; i < 25; i++) {
+                const tetcast_segment x = s[i];
+                s[i] = s[49 - i];
+                s[49 - i] = x;
+            }
+            (void)tetcast_optics_ray(o, s, 50, other, NULL);
+            CHECK_NEAR((double)got[3], (double)other[3], 1e-6);
+        }
+        tetcast_optics_destroy(o);
+    }
+}
+
+TEST(maximum) { /* ends, knots and the tops of products of two ramps, against many samples */
+    test_rng r = test_rng_make(3);
+    int k, independent, rep, i, c, j;
+    for (k = 0; k < 2; k++) {
+        for (independent = 0; independent < 2; independent++) {
+            size_t n;
+            const tetcast_control_point *p = pick(k, &n);
+            tetcast_optics_desc d = desc_of(TETCAST_MODEL_MAXIMUM);
+            tetcast_optics *o = make(p, n, independent, NULL, 0, &d);
+            double scale = 0.0;
+            for (j = 0; j <= 100000; j++) {
+                double v[4];
+                oracle_eval(p, n, j / 100000.0, 1, v);
+                for (c = 0; c < 3; c++) scale = fmax(scale, v[c] * (independent ? 1.0 : v[3]));
+            }
+            for (rep = 0; rep < 30; rep++) {
+                tetcast_segment s[6], none;
+                float got[4], other[4];
+                double want[3] = {0.0, 0.0, 0.0};
+                random_ray(&r, s, 6, 1.0f);
+                CHECK(tetcast_optics_ray(o, s, 6, got, NULL) == TETCAST_OK);
+                for (i = 0; i < 6; i++) {
+                    for (j = 0; j <= 5000; j++) {
+                        double v[4];
+                        oracle_eval(p, n, (double)s[i].front + ((double)s[i].back - (double)s[i].front) * j / 5000, 1,
+                                    v);
+                        for (c = 0; c < 3; c++) want[c] = fmax(want[c], v[c] * (independent ? 1.0 : v[3]) / scale);
+                    }
+                }
+                for (c = 0; c < 3; c++) CHECK_NEAR((double)got[c], want[c], 1e-3);
+                for (c = 0; c < 3; c++) CHECK((double)got[c] >= want[c] - 1e-5 && got[c] <= 1.00001f);
+                none = s[0]; /* nothing of no length */
+                none.front = none.back = 0.7f;
+                none.length = 0.0f;
+                s[0] = s[5];
+                (void)tetcast_optics_ray(o, s, 6, got, NULL);
+                s[0] = none;
+                (void)tetcast_optics_ray(o, s, 6, other, NULL);
+                for (c = 0; c < 3; c++) CHECK(got[c] >= other[c]);
+            }
+            tetcast_optics_destroy(o);
+        }
+    }
+}
+
+/* ---- depth cueing ---- */
+
+TEST(depth_cue) {
+    static const tetcast_model models[4] = {TETCAST_MODEL_VOLUME, TETCAST_MODEL_EMISSION, TETCAST_MODEL_MAXIMUM,
+                                            TETCAST_MODEL_ABSORPTION};
+    test_rng r = test_rng_make(4);
+    int k, i, c;
+    for (k = 0; k < 4; k++) {
+        tetcast_optics_desc d = desc_of(models[k]);
+        tetcast_optics *plain = make(oracle_smooth, ORACLE_SMOOTH, 0, NULL, 0, &d), *same, *cue;
+        d.cue = 1;
+        d.cue_depth[0] = 1.0f;
+        d.cue_depth[1] = 3.0f;
+        d.cue_scale[0] = d.cue_scale[1] = 1.0f;
+        same = make(oracle_smooth, ORACLE_SMOOTH, 0, NULL, 0, &d);
+        d.cue_scale[1] = 0.25f;
+        if (models[k] == TETCAST_MODEL_VOLUME) d.fog[1] = 0.5f;
+        cue = make(oracle_smooth, ORACLE_SMOOTH, 0, NULL, 0, &d);
+        for (i = 0; i < 500; i++) {
+            tetcast_segment s;
+            float a[4], b[4], x[4];
+            double factor;
+            s.front = test_rng_float(&r);
+            s.back = test_rng_float(&r);
+            s.length = 0.5f * test_rng_float(&r);
+            s.depth = 4.0f * test_rng_float(&r);
+            (void)tetcast_optics_ray(plain, &s, 1, a, NULL);
+            (void)tetcast_optics_ray(same, &s, 1, b, NULL);
+            (void)tetcast_optics_ray(cue, &s, 1, x, NULL);
+            factor = 1.0 - 0.75 * ((double)s.depth + 0.5 * (double)s.length - 1.0) / 2.0;
+            factor = fmin(1.0, fmax(0.25, factor));
+            for (c = 0; c < 4; c++) CHECK_NEAR((double)a[c], (double)b[c], 1e-6);
+            for (c = 0; c < 3; c++) {
+                const double fog = models[k] == TETCAST_MODEL_VOLUME
+                    ? (1.0 - factor) * (double)d.fog[c] * (double)a[3] : 0.0;
+                CHECK_NEAR((double)x[c], factor * (double)a[c] + fog, 1e-6 * (1.0 + (double)a[c]));
+            }
+            if (models[k] == TETCAST_MODEL_VOLUME || models[k] == TETCAST_MODEL_ABSORPTION) CHECK_NEAR((double)x[3],
+                (double)a[3], 1e-6);
+        }
+        tetcast_optics_destroy(plain);
+        tetcast_optics_destroy(same);
+        tetcast_optics_destroy(cue);
+    }
+    { /* the other integrators see the same fog */
+        int which;
+        for (which = 1; which < (int)TETCAST_INTEGRATOR_COUNT; which++) {
+            tetcast_control_point flat[1];
+            tetcast_optics_desc d = desc_of(TETCAST_MODEL_VOLUME);
+            tetcast_optics *o;
+            tetcast_segment s;
+            float x[4];
+            memset(flat, 0, sizeof flat);
+            flat[0].rgb[0] = 1.0f;
+            flat[0].extinction = 0.1f;
+            d.integrator = (tetcast_integrator)which;
+            d.longest = 1.0f;
+            d.step = 0.25f;
+            d.table_values = 16;
+            d.table_lengths = 64;
+            d.cue = 1;
+            d.cue_depth[1] = 1.0f;
+            d.cue_scale[0] = d.cue_scale[1] = 0.5f;
+            d.fog[2] = 1.0f;
+            o = make(flat, 1, 0, NULL, 0, &d);
+            s.front = 0.3f;
+            s.back = 0.4f;
+            s.length = 0.5f;
+            s.depth = 0.3f;
+            (void)tetcast_optics_ray(o, &s, 1, x, NULL);
+            CHECK_NEAR((double)x[3], 1.0 - exp(-0.05), 1e-3);
+            CHECK_NEAR((double)x[0], 0.5 * (double)x[3], 2e-3);
+            CHECK_NEAR((double)x[2], 0.5 * (double)x[3], 2e-3);
+            tetcast_optics_destroy(o);
+        }
+    }
+}
+
+/* ---- isosurfaces ---- */
+
+static tetcast_isovalue iso_of(float value, float red, float green, float opacity) {
+    tetcast_isovalue v;
+    memset(&v, 0, sizeof v);
+    v.value = value;
+    v.rgb[0] = red;
+    v.rgb[1] = green;
+    v.opacity = opacity;
+    return v;
+}
+
+TEST(hits_of_a_ray) { /* continuous values crossing v: one hit per crossing, one per touch, none on a plateau */
+    tetcast_isovalue iso[2];
+    tetcast_optics_desc d = desc_of(TETCAST_MODEL_ISOSURFACE);
+    tetcast_optics *o;
+    static const struct { float v[6]; int n; uint32_t hits; } rays[] = {
+        {{0.0f, 1.0f}, 2, 1},                         /* through */
+        {{1.0f, 0.0f}, 2, 1},
+        {{0.0f, 0.5f, 1.0f}, 3, 1},                   /* through a vertex of that value */
+        {{1.0f, 0.5f, 0.0f}, 3, 1},
+        {{0.0f, 0.5f, 0.0f}, 3, 1},                   /* touching from below and from above */
+        {{1.0f, 0.5f, 1.0f}, 3, 1},
+        {{0.0f, 0.5f, 0.5f, 1.0f}, 4, 1},             /* a plateau on the way */
+        {{0.0f, 0.5f, 0.5f, 0.5f, 0.5f, 0.0f}, 6, 1},
+        {{0.5f, 0.5f, 0.5f}, 3, 0},                   /* only a plateau */
+        {{0.5f, 1.0f}, 2, 0},                         /* starting on it */
+        {{0.0f, 0.4f, 0.45f}, 3, 0},
+        {{0.0f, 1.0f, 0.0f, 1.0f}, 4, 3}};
+    size_t k;
+    iso[0] = iso_of(0.5f, 1.0f, 0.0f, 0.25f);
+    o = make(NULL, 0, 0, iso, 1, &d);
+    REQUIRE(o != NULL && o->iso_count == 1);
+    for (k = 0; k < sizeof rays / sizeof rays[0]; k++) {
+        uint32_t hits = 0, first, lanes;
+        float rgba[4];
+        tetcast_segment s[6];
+        tetcasti_seg8 seg;
+        int i, j;
+        memset(&seg, 0, sizeof seg);
+        for (i = 0; i + 1 < rays[k].n; i++) {
+            const uint32_t n = tetcasti_iso_hits(o, rays[k].v[i], rays[k].v[i + 1], &first);
+            hits += n;
+            if (n != 0) CHECK(first == 0);
+            s[i].front = rays[k].v[i];
+            s[i].back = rays[k].v[i + 1];
+            s[i].length = 1.0f;
+            s[i].depth = (float)i;
+            for (j = 0; j < 8; j++) {
+                seg.front[j] = s[i].front;
+                seg.back[j] = s[i].back;
+            }
+            lanes = tetcasti_iso_lanes(o, &seg, 0xa5u);
+            CHECK_EQ_U64(lanes, n != 0 ? 0xa5u : 0u);
+        }
+        CHECK_MSG(hits == rays[k].hits, "ray %d: %u hits instead of %u", (int)k, hits, rays[k].hits);
+        CHECK(tetcast_optics_ray(o, s, (size_t)rays[k].n - 1, rgba, NULL) == TETCAST_OK);
+        CHECK_NEAR((double)rgba[3], 1.0 - pow(0.75, (double)hits), 1e-6);
+        CHECK_NEAR((double)rgba[0], (double)rgba[3], 1e-6);
+    }
+    tetcast_optics_destroy(o);
+}
+
+TEST(several_isovalues_in_order) { /* given unsorted; both directions; materials of their own */
+    tetcast_isovalue iso[9];
+    tetcast_optics_desc d = desc_of(TETCAST_MODEL_ISOSURFACE);
+    tetcast_optics *o;
+    test_rng r = test_rng_make(5);
+    int i, rep, c;
+    for (i = 0; i < 9; i++) iso[i] = iso_of((float)((i * 4) % 9) * 0.1f + 0.1f, (float)i / 8.0f,
+                                            1.0f - (float)i / 8.0f, 0.1f * (float)i);
+    o = make(NULL, 0, 0, iso, 9, &d);
+    REQUIRE(o != NULL && o->iso_count == 9);
+    for (rep = 0; rep < 2000; rep++) {
+        tetcast_segment s;
+        float got[4];
+        double want[3] = {0.0, 0.0, 0.0}, t = 1.0;
+        uint32_t step;
+        s.front = test_rng_below(&r, 3) == 0 ? 0.1f * (float)test_rng_below(&r, 11) : test_rng_float(&r);
+        s.back = test_rng_below(&r, 3) == 0 ? 0.1f * (float)test_rng_below(&r, 11) : test_rng_float(&r);
+        s.length = 1.0f;
+        s.depth = 0.0f;
+        CHECK(tetcast_optics_ray(o, &s, 1, got, NULL) == TETCAST_OK);
+        for (step = 0; step < 9; step++) { /* from the lowest up, or from the highest down */
+            float v = 0.0f;
+            int at = -1, j;
+            for (j = 0; j < 9; j++) { /* the step-th smallest */
+                int below = 0, m;
+                for (m = 0; m < 9; m++) below += iso[m].value < iso[j].value;
+                if (below == (s.back > s.front ? (int)step : 8 - (int)step)) at = j;
+            }
+            REQUIRE(at >= 0);
+            v = iso[at].value;
+            if (!((s.front < v && v <= s.back) || (s.front > v && v >= s.back))) continue;
+            for (c = 0; c < 3; c++) want[c] += t * (double)iso[at].opacity * (double)iso[at].rgb[c];
+            t *= 1.0 - (double)iso[at].opacity;
+        }
+        for (c = 0; c < 3; c++) CHECK_NEAR((double)got[c], want[c], 1e-6);
+        CHECK_NEAR((double)got[3], 1.0 - t, 1e-6);
+    }
+    tetcast_optics_destroy(o);
+}
+
+TEST(mixed) { /* translucent surfaces inside a volume, in the right order */
+    tetcast_isovalue iso[2];
+    tetcast_optics_desc d = desc_of(TETCAST_MODEL_MIXED);
+    tetcast_optics *o;
+    test_rng r = test_rng_make(6);
+    int rep, c, k;
+    iso[0] = iso_of(0.6f, 1.0f, 0.2f, 0.5f);
+    iso[1] = iso_of(0.25f, 0.1f, 1.0f, 0.3f);
+    for (k = 0; k < 2; k++) {
+        size_t n;
+        const tetcast_control_point *p = pick(k, &n);
+        o = make(p, n, 0, iso, 2, &d);
+        for (rep = 0; rep < 3000; rep++) {
+            tetcast_segment s, part;
+            float got[4];
+            double want[3] = {0.0, 0.0, 0.0}, t = 1.0, e[4], x[4];
+            int count = 0, which[2] = {0, 0}, i;
+            s.front = test_rng_float(&r);
+            s.back = test_rng_below(&r, 10) == 0 ? s.front : test_rng_float(&r);
+            s.length = 1.5f * test_rng_float(&r);
+            s.depth = 0.0f;
+            CHECK(tetcast_optics_ray(o, &s, 1, got, NULL) == TETCAST_OK);
+            x[0] = 0.0;
+            for (i = 0; i < 2; i++) {
+                const int j = s.back > s.front ? 1 - i : i; /* 0.25 first when rising */
+                const float v = iso[j].value;
+                if (!((s.front < v && v <= s.back) || (s.front > v && v >= s.back))) continue;
+                which[count] = j;
+                x[++count] = ((double)v - (double)s.front) / ((double)s.back - (double)s.front);
+            }
+            x[count + 1] = 1.0;
+            for (i = 0; i <= count; i++) {
+                part.front = (float)((double)s.front + x[i] * ((double)s.back - (double)s.front));
+                part.back = (float)((double)s.front + x[i + 1] * ((double)s.back - (double)s.front));
+                part.length = (float)((double)s.length * (x[i + 1] - x[i]));
+                part.depth = 0.0f;
+                oracle_segment(p, n, 0, &part, e);
+                for (c = 0; c < 3; c++) want[c] += t * e[c];
+                t *= 1.0 - e[3];
+                if (i == count) break;
+                for (c = 0; c < 3; c++) want[c] += t * (double)iso[which[i]].opacity * (double)iso[which[i]].rgb[c];
+                t *= 1.0 - (double)iso[which[i]].opacity;
+            }
+            for (c = 0; c < 3; c++) CHECK_NEAR((double)got[c], want[c], 1e-5);
+            CHECK_NEAR((double)got[3], 1.0 - t, 1e-5);
+        }
+        tetcast_optics_destroy(o);
+    }
+}
+
+typedef struct shade_user { float gradient[3], fraction; int calls; } shade_user;
+static void shade_normal(void *user, float fraction, float normal[3]) {
+    shade_user *u = (shade_user *)user;
+    memcpy(normal, u->gradient, sizeof u->gradient);
+    u->fraction = fraction;
+    u->calls++;
+}
+
+TEST(shading) { /* ambient, diffuse and highlight of two lights; both sides; no gradient; bounded */
+    tetcast_isovalue iso[1];
+    tetcast_light light[2];
+    tetcast_optics_desc d = desc_of(TETCAST_MODEL_ISOSURFACE);
+    tetcast_optics *o;
+    shade_user u;
+    const float view[3] = {0.0f, 0.0f, 1.0f};
+    int side, c, i;
+    test_rng r = test_rng_make(7);
+    iso[0] = iso_of(0.5f, 0.8f, 0.4f, 1.0f);
+    iso[0].specular = 0.5f;
+    iso[0].shininess = 10.0f;
+    memset(light, 0, sizeof light);
+    light[0].direction[2] = -2.0f;
+    light[0].rgb[0] = light[0].rgb[1] = light[0].rgb[2] = 1.0f;
+    light[1].direction[0] = 1.0f;
+    light[1].direction[2] = -1.0f;
+    light[1].rgb[1] = 0.5f;
+    d.lights = light;
+    d.light_count = 2;
+    d.ambient[0] = d.ambient[1] = d.ambient[2] = 0.1f;
+    o = make(NULL, 0, 0, iso, 1, &d);
+    for (i = 0; i < 200; i++) {
+        tetcasti_ray_sum sum;
+        double n[3], want[3], len = 0.0;
+        for (c = 0; c < 3; c++) {
+            n[c] = 2.0 * test_rng_double(&r) - 1.0;
+            len += n[c] * n[c];
+        }
+        len = sqrt(len);
+        for (side = 0; side < 2; side++) {
+            const double l[2][3] = {{0.0, 0.0, -1.0}, {sqrt(0.5), 0.0, -sqrt(0.5)}};
+            float rgba[4];
+            int k;
+            for (c = 0; c < 3; c++) u.gradient[c] = (float)(n[c] * (side ? -37.0 : 1.0));
+            u.calls = 0;
+            tetcasti_ray_begin(o, &sum);
+            tetcasti_segment_iso(o, 0.2f, 0.7f, 2.0f, 0.0f, shade_normal, &u, view, &sum);
+            tetcasti_ray_finish(o, &sum, rgba);
+            CHECK(u.calls == 1);
+            CHECK_NEAR((double)u.fraction, 0.6, 1e-6);
+            for (c = 0; c < 3; c++) want[c] = 0.1 * (double)iso[0].rgb[c];
+            for (k = 0; k < 2; k++) {
+                const double flip = n[2] > 0.0 ? -1.0 / len : 1.0 / len;
+                double h[3], hl = 0.0, dot = 0.0, nh = 0.0;
+                for (c = 0; c < 3; c++) {
+                    dot += flip * n[c] * l[k][c];
+                    h[c] = l[k][c] - (double)view[c];
+                    hl += h[c] * h[c];
+                }
+                for (c = 0; c < 3; c++) nh += flip * n[c] * h[c] / sqrt(hl);
+                if (dot <= 0.0) continue;
+                for (c = 0; c < 3; c++) {
+                    want[c] += (double)light[k].rgb[c] * ((double)iso[0].rgb[c] * dot +
+                                                          0.5 * (nh > 0.0 ? pow(nh, 10.0) : 0.0));
+                }
+            }
+            for (c = 0; c < 3; c++) CHECK_NEAR((double)rgba[c], want[c], 1e-5);
+            CHECK(rgba[3] == 1.0f);
+        }
+    }
+    { /* no gradient: seen from the front */
+        tetcasti_ray_sum sum;
+        float rgba[4];
+        memset(u.gradient, 0, sizeof u.gradient);
+        tetcasti_ray_begin(o, &sum);
+        tetcasti_segment_iso(o, 0.2f, 0.7f, 2.0f, 0.0f, shade_normal, &u, view, &sum);
+        tetcasti_ray_finish(o, &sum, rgba);
+        CHECK(rgba[0] > 0.8f && rgba[0] < 10.0f);
+        u.gradient[0] = NAN;
+        tetcasti_ray_begin(o, &sum);
+        tetcasti_segment_iso(o, 0.2f, 0.7f, 2.0f, 0.0f, shade_normal, &u, view, &sum);
+        tetcasti_ray_finish(o, &sum, rgba);
+        CHECK(rgba[0] > 0.8f && rgba[0] < 10.0f);
+    }
+    tetcast_optics_destroy(o);
+}
+
+TEST(opaque_surface_ends_the_ray) {
+    tetcast_isovalue iso[1];
+    tetcast_optics_desc d = desc_of(TETCAST_MODEL_MIXED);
+    tetcast_optics *o;
+    tetcast_segment s[3];
+    float a[4], b[4];
+    size_t used;
+    int i;
+    iso[0] = iso_of(0.5f, 1.0f, 1.0f, 1.0f);
+    d.t_min = 0.0f;
+    o = make(oracle_smooth, ORACLE_SMOOTH, 0, iso, 1, &d);
+    for (i = 0; i < 3; i++) {
+        s[i].front = 0.3f * (float)i;
+        s[i].back = 0.3f * (float)(i + 1);
+        s[i].length = 0.1f;
+        s[i].depth = 0.1f * (float)i;
+    }
+    CHECK(tetcast_optics_ray(o, s, 3, a, &used) == TETCAST_OK);
+    CHECK(used == 2 && a[3] == 1.0f);
+    CHECK(tetcast_optics_ray(o, s, 2, b, NULL) == TETCAST_OK);
+    CHECK(memcmp(a, b, sizeof a) == 0);
+    tetcast_optics_destroy(o);
+}
+
+TEST(surfaces_by_lane) { /* a lane of eight gives the bits of the single ray */
+    tetcast_isovalue iso[2];
+    tetcast_optics_desc d = desc_of(TETCAST_MODEL_MIXED);
+    tetcast_optics *o;
+    test_rng r = test_rng_make(8);
+    const float view[3] = {0.6f, 0.0f, 0.8f};
+    int rep, step;
+    uint32_t k;
+    iso[0] = iso_of(0.6f, 1.0f, 0.2f, 0.5f);
+    iso[1] = iso_of(0.25f, 0.1f, 1.0f, 0.3f);
+    o = make(oracle_smooth, ORACLE_SMOOTH, 0, iso, 2, &d);
+    for (rep = 0; rep < 100; rep++) {
+        tetcasti_ray_sum one[8];
+        tetcasti_ray_sum8 sum;
+        shade_user u;
+        u.gradient[0] = 0.5f;
+        u.gradient[1] = 1.0f;
+        u.gradient[2] = -0.2f;
+        for (k = 0; k < 8; k++) {
+            tetcasti_ray_begin(o, &one[k]);
+            tetcasti_lane_begin(o, &sum, k);
+        }
+        for (step = 0; step < 20; step++) {
+            tetcasti_seg8 seg;
+            uint32_t hit;
+            for (k = 0; k < 8; k++) {
+                seg.front[k] = test_rng_float(&r);
+                seg.back[k] = seg.front[k] + 0.2f * (test_rng_float(&r) - 0.5f);
+                seg.length[k] = 0.1f * test_rng_float(&r);
+                seg.depth[k] = 0.0f;
+                tetcasti_segment_iso(o, seg.front[k], seg.back[k], seg.length[k], 0.0f, shade_normal, &u, view,
+                                     &one[k]);
+            }
+            hit = tetcasti_iso_lanes(o, &seg, 255);
+            (void)o->segment8(o, &seg, 255 & ~hit, &sum);
+            for (k = 0; k < 8; k++) {
+                if (hit >> k & 1u) tetcasti_lane_segment_iso(o, k, &seg, shade_normal, &u, view, &sum);
+            }
+        }
+        for (k = 0; k < 8; k++) {
+            float a[4], b[4];
+            tetcasti_ray_finish(o, &one[k], a);
+            tetcasti_lane_finish(o, &sum, k, b);
+            CHECK(memcmp(a, b, sizeof a) == 0);
+        }
+    }
+    tetcast_optics_destroy(o);
+}
+
+/* ---- error control ---- */
+
+TEST(tolerance_holds) { /* the promised bound against the double reference, for functions of many knots */
+    static tetcast_control_point p[200];
+    static tetcast_segment s[300];
+    test_rng r = test_rng_make(9);
+    const float tolerance[4] = {0.05f, 0.5f, 1.0f, 8.0f};
+    int k, rep, i, c, independent;
+    for (independent = 0; independent < 2; independent++) {
+        uint32_t knots = 1000;
+        for (i = 0; i < 200; i++) {
+            const float x = (float)i / 199.0f;
+            p[i].value = x;
+            p[i].rgb[0] = 0.5f + 0.5f * sinf(5.0f * x);
+            p[i].rgb[1] = x * x;
+            p[i].rgb[2] = 1.0f - x;
+            p[i].extinction = x < 0.2f ? 0.0f : 4.0f * (x - 0.2f) * (1.1f - x) + 0.2f;
+        }
+        for (k = 0; k < 4; k++) {
+            tetcast_optics_desc d;
+            tetcast_optics_info info;
+            tetcast_optics *o;
+            double worst = 0.0;
+            memset(&d, 0, sizeof d);
+            d.tolerance = tolerance[k];
+            d.path_length = 3.0f;
+            o = make(p, 200, independent, NULL, 0, &d);
+            tetcast_optics_get_info(o, &info);
+            CHECK(info.bound <= tolerance[k] && info.bound > 0.0f);
+            CHECK(info.knot_count <= knots);
+            knots = info.knot_count;
+            CHECK(info.t_min > 0.0f);
+            for (rep = 0; rep < (test_quick() ? 10 : 60); rep++) {
+                double want[4] = {0.0, 0.0, 0.0, 1.0};
+                float got[4];
+                random_ray(&r, s, 300, 0.02f); /* at most 6 long, 3 on average */
+                for (i = 0; i < 300; i++) {
+                    double e[4];
+                    s[i].length *= 0.5f;
+                    oracle_segment(p, 200, independent, &s[i], e);
+                    for (c = 0; c < 3; c++) want[c] += want[3] * e[c];
+                    want[3] *= 1.0 - e[3];
+                }
+                want[3] = 1.0 - want[3];
+                CHECK(tetcast_optics_ray(o, s, 300, got, NULL) == TETCAST_OK);
+                for (c = 0; c < 4; c++) worst = fmax(worst, 255.0 * fabs((double)got[c] - want[c]));
+            }
+            CHECK_MSG(worst <= (double)info.bound, "tolerance %g, bound %g, error %g", (double)tolerance[k],
+                      (double)info.bound, worst);
+            if (getenv("TEST_PRINT") != NULL) {
+                printf("tolerance %5.2f bound %.3f error %.3f knots %u t_min %.2g\n", (double)tolerance[k],
+                       (double)info.bound, worst,
+                       info.knot_count, (double)info.t_min);
+            }
+            tetcast_optics_destroy(o);
+        }
+        CHECK(knots < 60);
+    }
+}
+
+TEST(bad_descs) {
+    tetcast_transfer *t = make_transfer(oracle_smooth, ORACLE_SMOOTH, 0, NULL, 0);
+    tetcast_optics_desc d;
+    tetcast_optics *o = NULL;
+    tetcast_optics_info info;
+    int i;
+    CHECK(tetcast_optics_create(NULL, NULL, &o) == TETCAST_ERR_INVALID_ARG);
+    CHECK(tetcast_optics_create(t, NULL, NULL) == TETCAST_ERR_INVALID_ARG);
+    CHECK(tetcast_optics_create(t, NULL, &o) == TETCAST_OK);
+    tetcast_optics_get_info(o, &info);
+    CHECK(info.t_min == 1.0f / 512.0f && info.knot_count == ORACLE_SMOOTH);
+    CHECK_NEAR((double)info.bound, 255.0 / 512.0, 1e-2);
+    tetcast_optics_destroy(o);
+    for (i = 0; i < 14; i++) {
+        memset(&d, 0, sizeof d);
+        switch (i) {
+        case 0: d.model = (tetcast_model)99; break;
+        case 1: d.integrator = (tetcast_integrator)-1; break;
+        case 2: d.tolerance = NAN; break;
+        case 3: d.t_min = INFINITY; break;
+        case 4: d.cue = 1; break; /* no depths */
+        case 5: d.cue = 1; d.cue_depth[1] = 1.0f; d.cue_scale[0] = 2.0f; break;
+        case 6: d.light_count = 1; break;
+        case 7: d.light_count = 100; break;
+        case 8: d.fog[1] = NAN; break;
+        case 9: d.ambient[2] = -1.0f; break;
+        case 10: d.path_length = -1.0f; break;
+        case 11: d.env.allocator.alloc_fn = test_alloc_fn; break;
+        case 12: d.longest = INFINITY; break;
+        default: d._begin_zero = 1; break;
+        }
+        CHECK(tetcast_optics_create(t, &d, &o) == (i == 13 ? TETCAST_ERR_UNINIT_DESC : TETCAST_ERR_INVALID_ARG));
+        CHECK(o == NULL);
+    }
+    {
+        tetcast_light light;
+        memset(&light, 0, sizeof light);
+        memset(&d, 0, sizeof d);
+        d.lights = &light;
+        d.light_count = 1;
+        CHECK(tetcast_optics_create(t, &d, &o) == TETCAST_ERR_INVALID_ARG); /* no direction */
+    }
+    tetcast_optics_destroy(NULL);
+    tetcast_optics_get_info(NULL, &info);
+    CHECK(info.table_bytes == 0);
+    tetcast_transfer_destroy(t);
+}
+
+int main(int argc, char **argv) {
+    test_begin(argc, argv);
+    RUN(emission);
+    RUN(absorption);
+    RUN(maximum);
+    RUN(depth_cue);
+    RUN(hits_of_a_ray);
+    RUN(several_isovalues_in_order);
+    RUN(mixed);
+    RUN(shading);
+    RUN(opaque_surface_ends_the_ray);
+    RUN(surfaces_by_lane);
+    RUN(tolerance_holds);
+    RUN(bad_descs);
+    return test_end();
+}

@@ -1,0 +1,817 @@
+/* Pictures: the same bits for any number of threads and any instruction set; every pixel shows what its ray meets; eye
+   anywhere; clipping, depth, isosurfaces, background; leaping over what is empty; arguments and memory. */
+#include "test.h"
+#define TETCAST_IMPLEMENTATION
+#include "tetcast.h"
+#include "tets.h"
+
+enum { W = 70, H = 45 };
+
+typedef struct scene {
+    tets t;
+    tetcast_mesh *mesh;
+    tetcast_transfer *transfer;
+    tetcast_optics *optics;
+} scene;
+
+/* A transfer function with a peak, a jump and an empty stretch, and optionally an isovalue. */
+static void scene_optics(scene *s, tetcast_model model, float iso, float t_min) {
+    static const float points[6][5] = {{0.0f, 1, 0.2f, 0, 0.3f}, {0.3f, 1, 0.8f, 0.1f, 0}, {0.5f, 0, 0, 1, 0},
+                                       {0.5f, 0.1f, 0.4f, 1, 0.8f}, {0.6f, 0, 1, 0.3f, 0.1f}, {1, 0.9f, 0.9f, 0.9f, 0.4f}};
+    tetcast_control_point p[6];
+    tetcast_transfer_desc td;
+    tetcast_optics_desc od;
+    tetcast_isovalue v;
+    uint32_t i;
+    memset(&td, 0, sizeof td);
+    memset(&od, 0, sizeof od);
+    memset(&v, 0, sizeof v);
+    for (i = 0; i < 6; i++) {
+        p[i].value = points[i][0];
+        memcpy(p[i].rgb, points[i] + 1, 12);
+        p[i].extinction = points[i][4];
+    }
+    td.points = p;
+    td.point_count = 6;
+    v.value = iso;
+    v.rgb[0] = v.rgb[1] = 0.8f;
+    v.rgb[2] = 0.3f;
+    v.opacity = model == TETCAST_MODEL_ISOSURFACE ? 1.0f : 0.5f;
+    v.specular = 0.3f;
+    if (iso >= 0) {
+        td.isovalues = &v;
+        td.isovalue_count = 1;
+    }
+    od.model = model;
+    od.t_min = t_min;
+    tetcast_optics_destroy(s->optics);
+    tetcast_transfer_destroy(s->transfer);
+    s->optics = NULL;
+    s->transfer = NULL;
+    CHECK_EQ_U64(tetcast_transfer_create(&td, &s->transfer), TETCAST_OK);
+    CHECK_EQ_U64(tetcast_optics_create(s->transfer, &od, &s->optics), TETCAST_OK);
+}
+
+static void scene_free(scene *s) {
+    tetcast_optics_destroy(s->optics);
+    tetcast_transfer_destroy(s->transfer);
+    tetcast_mesh_destroy(s->mesh);
+    tets_free(&s->t);
+    memset(s, 0, sizeof *s);
+}
+
+static int keep_hole(uint32_t x, uint32_t y, uint32_t z) { return x < 3 || x > 6 || y < 3 || y > 6 || z < 2; }
+
+static void scene_make(scene *s, uint32_t n, int holes, tetcast_cells cells) {
+    memset(s, 0, sizeof *s);
+    tets_lattice(&s->t, n, n, n, 5, holes ? keep_hole : NULL);
+    tets_jitter(&s->t, n, n, n, 0.5, 3);
+    s->mesh = tets_build(&s->t, cells, NULL);
+}
+
+typedef struct picture {
+    float rgba[H][W][4], depth[H][W], length[H][W];
+    uint32_t steps[H][W];
+    uint8_t rgba8[H][W][4];
+} picture;
+
+static tetcast_result draw(const tetcast_render_desc *d, const scene *s, uint32_t width, uint32_t height, int aovs, picture *p,
+                           tetcast_render_stats *stats) {
+    tetcast_image im;
+    memset(&im, 0, sizeof im);
+    memset(p, 0xcd, sizeof *p);
+    im.width = width;
+    im.height = height;
+    im.rgba = p->rgba[0][0];
+    im.rgba8 = p->rgba8[0][0];
+    im.rgba_stride = sizeof p->rgba[0];
+    im.rgba8_stride = sizeof p->rgba8[0];
+    if (aovs) {
+        im.depth = p->depth[0];
+        im.length = p->length[0];
+        im.steps = p->steps[0];
+        im.depth_stride = sizeof p->depth[0];
+        im.length_stride = sizeof p->length[0];
+        im.steps_stride = sizeof p->steps[0];
+    }
+    return tetcast_render(d, s->mesh, s->optics, &im, stats);
+}
+
+static void look(tetcast_render_desc *d, double ex, double ey, double ez, double ax, double ay, double az) {
+    d->camera.eye[0] = ex;
+    d->camera.eye[1] = ey;
+    d->camera.eye[2] = ez;
+    d->camera.at[0] = ax;
+    d->camera.at[1] = ay;
+    d->camera.at[2] = az;
+}
+
+static tetcast_render_desc defaults(void) {
+    tetcast_render_desc d;
+    memset(&d, 0, sizeof d);
+    d.env.thread_count = 1;
+    return d;
+}
+
+static picture pic[2];
+
+/* ---- the same bits ---- */
+
+TEST(same_bits) {
+    static const uint32_t threads[4] = {2, 3, 7, 16};
+    uint32_t k, i, quick = (uint32_t)test_quick();
+    for (k = 0; k < (quick ? 9u : 36u); k++) {
+        scene s;
+        tetcast_render_desc d = defaults();
+        uint32_t model = k % 6, cells = k / 6 % 2, place = k / 12 % 3;
+        scene_make(&s, 11, k & 1, (tetcast_cells)cells);
+        REQUIRE(s.mesh != NULL);
+        scene_optics(&s, (tetcast_model)model, model >= 4 ? 0.45f : -1.0f, 0);
+        if (place == 0) look(&d, 21, 17, -9, 5, 5, 5);
+        if (place == 1) look(&d, 3.2, 1.1, 4.7, 9, 8, 3); /* inside */
+        if (place == 2) {
+            look(&d, -20, 9, 31, 5, 5, 5);
+            d.camera.ortho_height = 14;
+        }
+        if (k % 5 == 0) d.clip_near = 6.5f;
+        if (k % 7 == 0) d.clip_far = 25;
+        if (k % 4 == 1 && model >= 4) {
+            CHECK_EQ_U64(tetcast_mesh_make_gradients(s.mesh, NULL), TETCAST_OK);
+            d.smooth_normals = 1;
+        }
+        d.background[2] = d.background[3] = 0.5f;
+        d.isa = TETCAST_ISA_SCALAR;
+        CHECK_EQ_U64(draw(&d, &s, W, H, k % 3 != 2, &pic[0], NULL), TETCAST_OK);
+        for (i = 0; i < 5; i++) {
+            d.isa = i == 4 ? TETCAST_ISA_SSE : TETCAST_ISA_AUTO;
+            d.env.thread_count = i == 4 ? 1 : threads[i];
+            CHECK_EQ_U64(draw(&d, &s, W, H, k % 3 != 2, &pic[1], NULL), TETCAST_OK);
+            CHECK_MSG(memcmp(&pic[0], &pic[1], sizeof pic[0]) == 0, "case %u, %u", k, i);
+        }
+        scene_free(&s);
+    }
+}
+
+/* ---- pixels and rays ---- */
+
+TEST(pixels_are_rays) { /* each pixel is what tetcast_cast finds for the camera's ray */
+    uint32_t k, x, y, a, wrong = 0;
+    for (k = 0; k < 4; k++) {
+        scene s;
+        tetcast_render_desc d = defaults();
+        scene_make(&s, 9, k == 3, TETCAST_CELLS_TET16);
+        REQUIRE(s.mesh != NULL);
+        scene_optics(&s, TETCAST_MODEL_VOLUME, -1, 0);
+        look(&d, 14, 11 + k, -9, 4, 4, 4);
+        d.camera.up[0] = k == 1;
+        d.camera.fov_y = 30 + 20 * (float)k;
+        if (k == 2) d.camera.ortho_height = 10;
+        CHECK_EQ_U64(draw(&d, &s, W, H, 1, &pic[0], NULL), TETCAST_OK);
+        for (y = 0; y < H; y++)
+            for (x = 0; x < W; x++) {
+                tetcast_ray r;
+                tetcast_ray_result got;
+                CHECK_EQ_U64(tetcast_camera_ray(&d.camera, W, H, x + 0.5, y + 0.5, &r), TETCAST_OK);
+                CHECK_EQ_U64(tetcast_cast(&d, s.mesh, s.optics, &r, 1, &got, NULL), TETCAST_OK);
+                for (a = 0; a < 4; a++) wrong += !(fabsf(got.rgba[a] - pic[0].rgba[y][x][a]) < 2e-5f);
+                wrong += !(fabsf(got.length - pic[0].length[y][x]) < 2e-5f * 9);
+            }
+        CHECK_EQ_U64(wrong, 0);
+        scene_free(&s);
+    }
+}
+
+/* Lengths of all pixels between those in boxes a little smaller and larger. */
+static void check_box_lengths(const tetcast_camera *camera, const picture *p, uint32_t width, uint32_t height, double n, double near_end,
+                              double far_end, const char *what) {
+    uint32_t x, y, a, wrong = 0, hits = 0;
+    double worst = 0;
+    for (y = 0; y < height; y++)
+        for (x = 0; x < width; x++) {
+            tetcast_ray r;
+            double lo[3], hi[3], forward[3], least, most, cosine = 0, blur = 2.5e-6 * n, got = (double)p->length[y][x], error;
+            tetcast_camera_ray(camera, width, height, x + 0.5, y + 0.5, &r);
+            for (a = 0; a < 3; a++) forward[a] = camera->at[a] - camera->eye[a];
+            ref_unit(forward);
+            for (a = 0; a < 3; a++) {
+                cosine += forward[a] * r.dir[a];
+                lo[a] = blur;
+                hi[a] = n - 1 - blur;
+            }
+            least = ref_box(r.org, r.dir, lo, hi, near_end / cosine + blur, far_end / cosine - blur);
+            for (a = 0; a < 3; a++) {
+                lo[a] = -blur;
+                hi[a] = n - 1 + blur;
+            }
+            most = ref_box(r.org, r.dir, lo, hi, near_end / cosine - blur, far_end / cosine + blur);
+            error = fmax(least - got, got - most);
+            worst = fmax(worst, error);
+            wrong += !(error <= 2e-5 * n);
+            hits += most > 0.01;
+        }
+    CHECK_MSG(wrong == 0, "%s: %u of %u pixels wrong, worst %g", what, wrong, width * height, worst);
+    CHECK(hits > 0);
+}
+
+TEST(symmetric_views) { /* a regular lattice from planes of symmetry, through vertices and edges: no pixel is lost */
+    uint32_t k, n = 9;
+    for (k = 0; k < 12; k++) {
+        scene s;
+        tetcast_render_desc d = defaults();
+        char what[32];
+        double c = 0.5 * (n - 1);
+        memset(&s, 0, sizeof s);
+        tets_lattice(&s.t, n, n, n, k & 1 ? 5 : 6, NULL);
+        s.mesh = tets_build(&s.t, TETCAST_CELLS_TET16, NULL);
+        REQUIRE(s.mesh != NULL);
+        scene_optics(&s, TETCAST_MODEL_VOLUME, -1, -1);
+        switch (k / 2) {
+        case 0: look(&d, c, c, -2.0 * n, c, c, c); break;
+        case 1: look(&d, -2.0 * n, c, -2.0 * n, c, c, c); break;
+        case 2: look(&d, -2.0 * n, -2.0 * n, -2.0 * n, c, c, c); break;
+        case 3: look(&d, c, c, 3.0 * n, c, c, 0); d.camera.ortho_height = (float)n; break;
+        case 4: look(&d, c, c, 1e6 * n, c, c, 0); d.camera.fov_y = 6e-5f; break;
+        default: look(&d, -2.0 * n, 3, 3, c, 3, 3); d.camera.up[1] = d.camera.up[2] = 1; break;
+        }
+        CHECK_EQ_U64(draw(&d, &s, 45, 45, 1, &pic[0], NULL), TETCAST_OK);
+        snprintf(what, sizeof what, "view %u", k);
+        check_box_lengths(&d.camera, &pic[0], 45, 45, n, 0, 1e300, what);
+        scene_free(&s);
+    }
+}
+
+TEST(eye_inside) { /* in cells, on faces, edges, vertices, on the hull and a hair's breadth off it */
+    uint32_t k, a, n = 8, isa;
+    for (k = 0; k < 40; k++) {
+        scene s;
+        test_rng rng = test_rng_make(k);
+        double eye[3], at[3];
+        char what[32];
+        memset(&s, 0, sizeof s);
+        tets_lattice(&s.t, n, n, n, k & 1 ? 5 : 6, NULL);
+        if (k % 4 == 3) tets_jitter(&s.t, n, n, n, 0.6, k);
+        s.mesh = tets_build(&s.t, k & 2 ? TETCAST_CELLS_TET8 : TETCAST_CELLS_TET16, NULL);
+        REQUIRE(s.mesh != NULL);
+        scene_optics(&s, TETCAST_MODEL_VOLUME, -1, -1);
+        for (a = 0; a < 3; a++) {
+            eye[a] = k % 5 == 0 ? 1 + test_rng_below(&rng, n - 2) : (n - 1) * test_rng_double(&rng);
+            at[a] = (n - 1) * test_rng_double(&rng);
+        }
+        if (k % 5 == 1) eye[k % 3] = floor(eye[k % 3]);
+        if (k % 5 == 2) eye[k % 3] = k & 4 ? 0 : n - 1;                 /* on the hull */
+        if (k % 5 == 3) eye[k % 3] = (k & 4 ? 0 : n - 1) + (k & 8 ? 1e-7 : -1e-7) * (k & 4 ? 1 : -1);
+        if (k == 35) eye[0] = eye[1] = eye[2] = 0;
+        for (isa = 1; isa <= 3; isa += 2) {
+            tetcast_render_desc d = defaults();
+            look(&d, eye[0], eye[1], eye[2], at[0], at[1], at[2]);
+            d.camera.fov_y = 90;
+            d.isa = (tetcast_isa)isa;
+            CHECK_EQ_U64(draw(&d, &s, 33, 33, 1, &pic[0], NULL), TETCAST_OK);
+            snprintf(what, sizeof what, "eye %u isa %u", k, isa);
+            check_box_lengths(&d.camera, &pic[0], 33, 33, n, 0, 1e300, what);
+            d.clip_near = 1.25f;
+            d.clip_far = 4;
+            CHECK_EQ_U64(draw(&d, &s, 33, 33, 1, &pic[0], NULL), TETCAST_OK);
+            check_box_lengths(&d.camera, &pic[0], 33, 33, n, 1.25, 4, what);
+        }
+        scene_free(&s);
+    }
+}
+
+TEST(wide_angles) { /* 170 degrees: rays of one tile look along different axes */
+    scene s;
+    tetcast_render_desc d = defaults();
+    uint32_t n = 9;
+    memset(&s, 0, sizeof s);
+    tets_lattice(&s.t, n, n, n, 6, NULL);
+    s.mesh = tets_build(&s.t, TETCAST_CELLS_TET16, NULL);
+    REQUIRE(s.mesh != NULL);
+    scene_optics(&s, TETCAST_MODEL_VOLUME, -1, -1);
+    look(&d, 3.3, 4.1, 5.2, 4, 7, 1);
+    d.camera.fov_y = 170;
+    CHECK_EQ_U64(draw(&d, &s, 31, 31, 1, &pic[0], NULL), TETCAST_OK);
+    check_box_lengths(&d.camera, &pic[0], 31, 31, n, 0, 1e300, "inside");
+    look(&d, -1, 4, 4, 4, 4.2, 4.1);
+    CHECK_EQ_U64(draw(&d, &s, 31, 31, 1, &pic[0], NULL), TETCAST_OK);
+    check_box_lengths(&d.camera, &pic[0], 31, 31, n, 0, 1e300, "outside");
+    scene_free(&s);
+}
+
+/* ---- sizes, buffers, background ---- */
+
+TEST(sizes) {
+    static const uint32_t size[7][2] = {{1, 1}, {33, 17}, {32, 32}, {64, 1}, {1, 40}, {70, 45}, {31, 33}};
+    uint32_t k, x, y;
+    scene s;
+    scene_make(&s, 6, 0, TETCAST_CELLS_TET16);
+    REQUIRE(s.mesh != NULL);
+    scene_optics(&s, TETCAST_MODEL_VOLUME, -1, 0);
+    for (k = 0; k < 7; k++) {
+        tetcast_render_desc d = defaults();
+        tetcast_render_stats stats;
+        uint32_t wrong = 0;
+        memset(&stats, 0, sizeof stats);
+        look(&d, 12, 9, -8, 2.5, 2.5, 2.5);
+        d.background[0] = 0.25f;
+        d.background[3] = 0.5f;
+        CHECK_EQ_U64(draw(&d, &s, size[k][0], size[k][1], 1, &pic[0], &stats), TETCAST_OK);
+        CHECK_EQ_U64(stats.rays, size[k][0] * size[k][1]);
+        for (y = 0; y < H; y++)
+            for (x = 0; x < W; x++) {
+                uint32_t bits;
+                memcpy(&bits, &pic[0].rgba[y][x][3], 4);
+                wrong += (x < size[k][0] && y < size[k][1]) == (bits == 0xcdcdcdcdu); /* all of it, and no more */
+            }
+        CHECK_EQ_U64(wrong, 0);
+    }
+    {
+        tetcast_render_desc d = defaults();
+        CHECK_EQ_U64(draw(&d, &s, 0, 10, 1, &pic[0], NULL), TETCAST_OK);
+        CHECK_EQ_U64(draw(&d, &s, 10, 0, 1, &pic[0], NULL), TETCAST_OK);
+    }
+    scene_free(&s);
+}
+
+TEST(background_and_bytes) {
+    scene s;
+    tetcast_render_desc d = defaults();
+    uint32_t x, y, a, wrong = 0, empty = 0;
+    scene_make(&s, 7, 0, TETCAST_CELLS_TET16);
+    REQUIRE(s.mesh != NULL);
+    scene_optics(&s, TETCAST_MODEL_VOLUME, -1, 0);
+    look(&d, 14, 9, -11, 3, 3, 3);
+    CHECK_EQ_U64(draw(&d, &s, W, H, 1, &pic[0], NULL), TETCAST_OK);
+    d.background[0] = 0.1f;
+    d.background[1] = 0.2f;
+    d.background[2] = 0.4f;
+    d.background[3] = 0.8f;
+    CHECK_EQ_U64(draw(&d, &s, W, H, 1, &pic[1], NULL), TETCAST_OK);
+    for (y = 0; y < H; y++)
+        for (x = 0; x < W; x++) {
+            const float *p = pic[0].rgba[y][x], *q = pic[1].rgba[y][x];
+            for (a = 0; a < 4; a++) wrong += q[a] != p[a] + (1.0f - p[3]) * d.background[a];
+            for (a = 0; a < 3; a++) {
+                double want = q[3] > 0 ? tetcasti_linear_to_srgb((double)q[a] / (double)q[3]) * 255 : 0;
+                wrong += !(fabs((double)pic[1].rgba8[y][x][a] - want) <= 0.5001);
+            }
+            wrong += !(fabs((double)pic[1].rgba8[y][x][3] - (double)q[3] * 255) <= 0.5001);
+            if (pic[0].steps[y][x] == 0) {
+                empty++;
+                wrong += p[3] != 0 || pic[0].depth[y][x] != INFINITY || pic[0].length[y][x] != 0;
+            } else {
+                wrong += !(pic[0].depth[y][x] > 5) || !(pic[0].depth[y][x] < 30);
+            }
+        }
+    CHECK_EQ_U64(wrong, 0);
+    CHECK(empty > 100);
+    scene_free(&s);
+}
+
+TEST(encoder) { /* sRGB bytes by table against the function */
+    tetcasti_encoder e;
+    uint32_t i, wrong = 0;
+    tetcasti_encoder_open(&e);
+    for (i = 0; i < 4096; i++) wrong += e.guess[i + 1] - e.guess[i] > 1;
+    for (i = 0; i <= 300000; i++) {
+        double x = i / 300000.0, y = tetcasti_linear_to_srgb(x) * 255;
+        wrong += !(fabs(tetcasti_encode(&e, (float)x) - y) <= 0.5 + 1e-4);
+    }
+    CHECK_EQ_U64(wrong, 0);
+    CHECK(tetcasti_encode(&e, -1) == 0 && tetcasti_encode(&e, 7) == 255 && tetcasti_encode(&e, NAN) == 0);
+}
+
+/* ---- isosurfaces ---- */
+
+TEST(isosurface_of_a_plane) { /* a linear field: depth and colour of a plane, once per pixel, with either kind of normals */
+    scene s;
+    tetcast_mesh_info info;
+    uint32_t k, x, y, i, wrong = 0, hits = 0;
+    memset(&s, 0, sizeof s);
+    tets_lattice(&s.t, 9, 9, 9, 6, NULL);
+    tets_jitter(&s.t, 9, 9, 9, 0.4, 3);
+    for (i = 0; i < s.t.nv; i++) s.t.s[i] = (float)(0.05 * s.t.p[3 * i] + 0.07 * s.t.p[3 * i + 1] + 0.02);
+    s.mesh = tets_build(&s.t, TETCAST_CELLS_TET16, NULL);
+    REQUIRE(s.mesh != NULL);
+    tetcast_mesh_get_info(s.mesh, &info);
+    CHECK_EQ_U64(tetcast_mesh_make_gradients(s.mesh, NULL), TETCAST_OK);
+    scene_optics(&s, TETCAST_MODEL_ISOSURFACE, 0.5f, 0);
+    for (k = 0; k < 4; k++) {
+        tetcast_render_desc d = defaults();
+        d.isa = k & 1 ? TETCAST_ISA_AUTO : TETCAST_ISA_SCALAR;
+        d.smooth_normals = k >> 1;
+        look(&d, 16, 13, -12, 4, 4, 4);
+        CHECK_EQ_U64(draw(&d, &s, W, H, 1, &pic[k & 1], NULL), TETCAST_OK);
+        if (k & 1) CHECK(memcmp(&pic[0], &pic[1], sizeof pic[0]) == 0);
+        for (y = 0; y < H; y++)
+            for (x = 0; x < W; x++) {
+                tetcast_ray r;
+                double t, p[3], forward[3], z = 0, inside = 1e300, n[3];
+                uint32_t a;
+                tetcast_camera_ray(&d.camera, W, H, x + 0.5, y + 0.5, &r);
+                t = (0.48 - 0.05 * r.org[0] - 0.07 * r.org[1]) / (0.05 * r.dir[0] + 0.07 * r.dir[1]);
+                for (a = 0; a < 3; a++) {
+                    p[a] = r.org[a] + t * r.dir[a];
+                    inside = fmin(inside, fmin(p[a], 8 - p[a]));
+                    forward[a] = d.camera.at[a] - d.camera.eye[a];
+                }
+                ref_unit(forward);
+                for (a = 0; a < 3; a++) z += t * r.dir[a] * forward[a];
+                if (inside > 1e-4) {
+                    hits++;
+                    wrong += !(fabs((double)pic[k & 1].depth[y][x] - z) < 1e-4); /* values are floats: 3e-8 / 0.086 */
+                    wrong += pic[k & 1].rgba[y][x][3] != 1.0f;
+                    n[0] = 0.05 / sqrt(0.0074);
+                    n[1] = 0.07 / sqrt(0.0074);
+                    {   /* one light from the eye, highlight included */
+                        double c = fabs(n[0] * r.dir[0] + n[1] * r.dir[1]);
+                        wrong += !(fabs((double)pic[k & 1].rgba[y][x][0] - (0.8 * c + 0.3 * pow(c, 32))) < 3e-3);
+                    }
+                } else if (inside < -1e-4) {
+                    wrong += pic[k & 1].rgba[y][x][3] != 0.0f || pic[k & 1].depth[y][x] != INFINITY;
+                }
+            }
+    }
+    CHECK_EQ_U64(wrong, 0);
+    CHECK(hits > 500);
+    scene_free(&s);
+}
+
+TEST(isovalue_of_vertices) { /* the value of whole planes of vertices: every pixel meets the surface once */
+    scene s;
+    tetcast_render_desc d = defaults();
+    uint32_t i, x, y, k, wrong = 0;
+    memset(&s, 0, sizeof s);
+    tets_lattice(&s.t, 9, 9, 9, 5, NULL);
+    for (i = 0; i < s.t.nv; i++) s.t.s[i] = (float)(s.t.p[3 * i + 2] / 8);
+    s.mesh = tets_build(&s.t, TETCAST_CELLS_TET16, NULL);
+    REQUIRE(s.mesh != NULL);
+    scene_optics(&s, TETCAST_MODEL_MIXED, 0.5f, 0); /* opacity 0.5; the volume: take it away */
+    {
+        tetcast_transfer_desc td;
+        tetcast_isovalue v;
+        tetcast_optics_desc od;
+        memset(&td, 0, sizeof td);
+        memset(&od, 0, sizeof od);
+        memset(&v, 0, sizeof v);
+        v.value = 0.5f;
+        v.opacity = 0.5f;
+        td.isovalues = &v;
+        td.isovalue_count = 1;
+        od.model = TETCAST_MODEL_ISOSURFACE;
+        tetcast_optics_destroy(s.optics);
+        tetcast_transfer_destroy(s.transfer);
+        CHECK_EQ_U64(tetcast_transfer_create(&td, &s.transfer), TETCAST_OK);
+        CHECK_EQ_U64(tetcast_optics_create(s.transfer, &od, &s.optics), TETCAST_OK);
+    }
+    for (k = 0; k < 4; k++) {
+        look(&d, k == 0 ? 4 : 4.37, k < 2 ? 4 : 3.21, k == 3 ? -11 : 19, 4, 4, 4);
+        d.camera.fov_y = 20;
+        CHECK_EQ_U64(draw(&d, &s, 45, 45, 1, &pic[0], NULL), TETCAST_OK);
+        for (y = 0; y < 45; y++)
+            for (x = 0; x < 45; x++) wrong += pic[0].rgba[y][x][3] != 0.5f; /* not 0, not 0.75 */
+    }
+    CHECK_EQ_U64(wrong, 0);
+    scene_free(&s);
+}
+
+/* ---- leaping ---- */
+
+TEST(leaping) { /* clusters that show nothing are left out: the same picture but for rounding, fewer steps */
+    uint32_t k, x, y, a, wrong = 0, n = test_quick() ? 16 : 28;
+    for (k = 0; k < 8; k++) {
+        scene s;
+        tetcast_render_desc d = defaults();
+        tetcast_render_stats with, without;
+        tetcast_control_point p[6];
+        tetcast_transfer_desc td;
+        tetcast_optics_desc od;
+        tetcast_isovalue v;
+        double worst = 0;
+        memset(&s, 0, sizeof s);
+        memset(&with, 0, sizeof with);
+        memset(&without, 0, sizeof without);
+        memset(p, 0, sizeof p);
+        memset(&td, 0, sizeof td);
+        memset(&od, 0, sizeof od);
+        memset(&v, 0, sizeof v);
+        tets_lattice(&s.t, n, n, n, 6, NULL);
+        tets_jitter(&s.t, n, n, n, 0.3, 4);
+        s.mesh = tets_build(&s.t, k & 1 ? TETCAST_CELLS_TET8 : TETCAST_CELLS_TET16, NULL);
+        REQUIRE(s.mesh != NULL);
+        for (a = 0; a < 6; a++) {
+            p[a].rgb[a % 3] = 1;
+            p[a].extinction = 0.4f;
+        }
+        /* seen: values up to 0.15 and from 0.85 on */
+        p[1].value = 0.15f;
+        p[2].value = 0.2f;
+        p[3].value = 0.8f;
+        p[4].value = 0.85f;
+        p[5].value = 1;
+        p[2].extinction = p[3].extinction = 0;
+        td.points = p;
+        td.point_count = 6;
+        v.value = 0.5f;
+        v.opacity = 0.6f;
+        v.rgb[1] = 1;
+        if (k >= 6) {
+            td.isovalues = &v;
+            td.isovalue_count = 1;
+            od.model = TETCAST_MODEL_MIXED;
+        }
+        CHECK_EQ_U64(tetcast_transfer_create(&td, &s.transfer), TETCAST_OK);
+        CHECK_EQ_U64(tetcast_optics_create(s.transfer, &od, &s.optics), TETCAST_OK);
+        if (k % 3 == 0) look(&d, 2.2 * n, 1.6 * n, -1.2 * n, n / 2.0, n / 2.0, n / 2.0);
+        else if (k % 3 == 1) look(&d, n / 2.0, n / 2.0, n / 2.0, 0, 1, 2);            /* in the core, which is seen */
+        else look(&d, n / 2.0 + 0.4 * n, n / 2.0, n / 2.0, 0.2 * n, 0.4 * n, 0.6 * n); /* in what is hidden */
+        d.no_leaping = 1;
+        CHECK_EQ_U64(draw(&d, &s, W, H, 0, &pic[0], &without), TETCAST_OK);
+        d.no_leaping = 0;
+        CHECK_EQ_U64(draw(&d, &s, W, H, 0, &pic[1], &with), TETCAST_OK);
+        for (y = 0; y < H; y++)
+            for (x = 0; x < W; x++)
+                for (a = 0; a < 4; a++) {
+                    double e = fabs((double)pic[0].rgba[y][x][a] - (double)pic[1].rgba[y][x][a]);
+                    worst = fmax(worst, e);
+                    wrong += !(e < 2e-5);
+                }
+        CHECK_MSG(wrong == 0, "case %u: %g", k, worst);
+        CHECK_EQ_U64(without.leapt_faces, 0);
+        if (n > 20 && k < 6) CHECK_MSG(with.leapt_faces > 0 && with.steps < without.steps * 9 / 10, "case %u: steps %llu, %llu", k,
+                              (unsigned long long)with.steps, (unsigned long long)without.steps);
+        d.isa = TETCAST_ISA_SCALAR;
+        CHECK_EQ_U64(draw(&d, &s, W, H, 0, &pic[0], NULL), TETCAST_OK);
+        CHECK(memcmp(&pic[0], &pic[1], sizeof pic[0]) == 0);
+        scene_free(&s);
+    }
+}
+
+/* ---- early end ---- */
+
+TEST(early_end) { /* never off by more than the light that is left; fewer steps the sooner it may end */
+    static const float ends[5] = {-1, 0.001f, 0.01f, 0.1f, 0.4f};
+    uint32_t k, x, y, a, wrong = 0;
+    uint64_t last = 0;
+    scene s;
+    scene_make(&s, 12, 0, TETCAST_CELLS_TET16);
+    REQUIRE(s.mesh != NULL);
+    for (k = 0; k < 5; k++) {
+        tetcast_render_desc d = defaults();
+        tetcast_render_stats stats;
+        memset(&stats, 0, sizeof stats);
+        scene_optics(&s, TETCAST_MODEL_VOLUME, -1, ends[k]);
+        look(&d, 24, 17, -13, 5, 5, 5);
+        CHECK_EQ_U64(draw(&d, &s, W, H, 0, &pic[k != 0], &stats), TETCAST_OK);
+        if (k == 0) CHECK_EQ_U64(stats.ended, 0);
+        else
+            for (y = 0; y < H; y++)
+                for (x = 0; x < W; x++)
+                    for (a = 0; a < 3; a++) wrong += !(fabsf(pic[0].rgba[y][x][a] - pic[1].rgba[y][x][a]) <= ends[k] * 1.0001f + 1e-6f);
+        if (k >= 3) CHECK(stats.ended > 0 && stats.steps < last);
+        last = stats.steps;
+    }
+    CHECK_EQ_U64(wrong, 0);
+    scene_free(&s);
+}
+
+/* ---- camera ---- */
+
+TEST(camera) {
+    test_rng rng = test_rng_make(2);
+    uint32_t k, i, a;
+    for (k = 0; k < 200; k++) {
+        tetcast_camera c;
+        double lo[3], hi[3], view[3], forward[3];
+        uint32_t w = 1 + test_rng_below(&rng, 900), h = 1 + test_rng_below(&rng, 900);
+        memset(&c, 0, sizeof c);
+        for (a = 0; a < 3; a++) {
+            lo[a] = 100 * (test_rng_double(&rng) - 0.5);
+            hi[a] = lo[a] + (k % 9 == a ? 0 : 30 * test_rng_double(&rng));
+            view[a] = test_rng_double(&rng) - 0.5;
+            c.up[a] = k & 1 ? test_rng_double(&rng) - 0.5 : 0;
+        }
+        if (k % 4 == 1) c.fov_y = 10 + 100 * test_rng_float(&rng);
+        if (k % 4 == 2) c.ortho_height = 1;
+        CHECK_EQ_U64(tetcast_camera_fit(&c, lo, hi, k & 2 ? view : NULL, w, h), TETCAST_OK);
+        for (a = 0; a < 3; a++) forward[a] = c.at[a] - c.eye[a];
+        ref_unit(forward);
+        for (i = 0; i < 8; i++) { /* every corner is in the picture: between the rays of its sides */
+            tetcast_ray mid, side, above;
+            double p[3], z = 0, x = 0, y = 0, r[3], u[3], rr = 0, uu = 0;
+            tetcast_camera_ray(&c, w, h, 0.5 * w, 0.5 * h, &mid);
+            tetcast_camera_ray(&c, w, h, w, 0.5 * h, &side);
+            tetcast_camera_ray(&c, w, h, 0.5 * w, 0, &above);
+            for (a = 0; a < 3; a++) {
+                p[a] = (i >> a & 1u ? hi[a] : lo[a]) - c.eye[a];
+                z += p[a] * forward[a];
+            }
+            if (c.ortho_height > 0) {
+                for (a = 0; a < 3; a++) {
+                    r[a] = side.org[a] - mid.org[a];
+                    u[a] = above.org[a] - mid.org[a];
+                }
+                z = 1;
+            } else {
+                double s = 0, t = 0;
+                for (a = 0; a < 3; a++) {
+                    s += side.dir[a] * forward[a];
+                    t += above.dir[a] * forward[a];
+                }
+                for (a = 0; a < 3; a++) {
+                    r[a] = side.dir[a] / s - forward[a];
+                    u[a] = above.dir[a] / t - forward[a];
+                }
+            }
+            for (a = 0; a < 3; a++) {
+                x += p[a] * r[a];
+                y += p[a] * u[a];
+                rr += r[a] * r[a];
+                uu += u[a] * u[a];
+            }
+            CHECK(z > 0);
+            CHECK(fabs(x / rr / z) < 1 && fabs(y / uu / z) < 1);
+        }
+    }
+    {
+        tetcast_camera c;
+        tetcast_ray r;
+        double lo[3] = {0, 0, 0}, hi[3] = {1, 1, 1};
+        memset(&c, 0, sizeof c);
+        CHECK_EQ_U64(tetcast_camera_ray(&c, 10, 10, 0, 0, &r), TETCAST_ERR_INVALID_ARG);
+        c.fov_y = 180;
+        CHECK_EQ_U64(tetcast_camera_fit(&c, lo, hi, NULL, 10, 10), TETCAST_ERR_INVALID_ARG);
+        c.fov_y = 40;
+        lo[0] = NAN;
+        CHECK_EQ_U64(tetcast_camera_fit(&c, lo, hi, NULL, 10, 10), TETCAST_ERR_INVALID_ARG);
+        lo[0] = 2;
+        CHECK_EQ_U64(tetcast_camera_fit(&c, lo, hi, NULL, 10, 10), TETCAST_ERR_INVALID_ARG);
+    }
+}
+
+/* ---- arguments, memory ---- */
+
+static int cancel(void *user, uint64_t done, uint64_t total) {
+    (void)total;
+    return done >= *(uint64_t *)user;
+}
+
+TEST(arguments) {
+    scene s;
+    tetcast_render_desc d = defaults();
+    tetcast_image im;
+    uint64_t at = 1;
+    scene_make(&s, 5, 0, TETCAST_CELLS_TET16);
+    REQUIRE(s.mesh != NULL);
+    scene_optics(&s, TETCAST_MODEL_VOLUME, -1, 0);
+    memset(&im, 0, sizeof im);
+    im.width = im.height = 40;
+    CHECK_EQ_U64(tetcast_render(&d, NULL, s.optics, &im, NULL), TETCAST_ERR_INVALID_ARG);
+    CHECK_EQ_U64(tetcast_render(&d, s.mesh, NULL, &im, NULL), TETCAST_ERR_INVALID_ARG);
+    CHECK_EQ_U64(tetcast_render(&d, s.mesh, s.optics, NULL, NULL), TETCAST_ERR_INVALID_ARG);
+    CHECK_EQ_U64(tetcast_render(NULL, s.mesh, s.optics, &im, NULL), TETCAST_OK);
+    d.traverse_only = 1;
+    CHECK_EQ_U64(tetcast_render(&d, s.mesh, NULL, &im, NULL), TETCAST_OK);
+    d = defaults();
+    d._end_zero = 3;
+    CHECK_EQ_U64(tetcast_render(&d, s.mesh, s.optics, &im, NULL), TETCAST_ERR_UNINIT_DESC);
+    d = defaults();
+    d.smooth_normals = 1; /* without gradients */
+    CHECK_EQ_U64(tetcast_render(&d, s.mesh, s.optics, &im, NULL), TETCAST_ERR_INVALID_ARG);
+    d = defaults();
+    d.background[1] = NAN;
+    CHECK_EQ_U64(tetcast_render(&d, s.mesh, s.optics, &im, NULL), TETCAST_ERR_INVALID_ARG);
+    d = defaults();
+    d.clip_near = -1;
+    CHECK_EQ_U64(tetcast_render(&d, s.mesh, s.optics, &im, NULL), TETCAST_ERR_INVALID_ARG);
+    d = defaults();
+    d.camera.eye[0] = INFINITY;
+    CHECK_EQ_U64(tetcast_render(&d, s.mesh, s.optics, &im, NULL), TETCAST_ERR_INVALID_ARG);
+    d = defaults();
+    d.isa = (tetcast_isa)9;
+    CHECK_EQ_U64(tetcast_render(&d, s.mesh, s.optics, &im, NULL), TETCAST_ERR_INVALID_ARG);
+    d = defaults();
+    im.width = 200;
+    d.env.progress_fn = cancel;
+    d.env.progress_user = &at;
+    CHECK_EQ_U64(tetcast_render(&d, s.mesh, s.optics, &im, NULL), TETCAST_ERR_CANCELLED);
+    scene_free(&s);
+}
+
+TEST(memory) { /* each allocation fails once */
+    scene s;
+    int64_t k;
+    scene_make(&s, 14, 1, TETCAST_CELLS_TET16);
+    REQUIRE(s.mesh != NULL);
+    scene_optics(&s, TETCAST_MODEL_VOLUME, -1, 0);
+    for (k = 0;; k++) {
+        test_alloc ta;
+        tetcast_render_desc d = defaults();
+        tetcast_result r;
+        test_alloc_init(&ta);
+        ta.fail_at = k;
+        d.env.allocator.alloc_fn = test_alloc_fn;
+        d.env.allocator.free_fn = test_free_fn;
+        d.env.allocator.user = &ta;
+        look(&d, 24, 17, -13, 5, 5, 5);
+        r = draw(&d, &s, W, H, 0, &pic[0], NULL);
+        test_alloc_check(&ta);
+        if (ta.failed == 0) {
+            CHECK_EQ_U64(r, TETCAST_OK);
+            break;
+        }
+        CHECK(r == TETCAST_ERR_NO_MEMORY || r == TETCAST_OK); /* without leaping it is only slower */
+    }
+    CHECK(k >= 4);
+    for (k = 0;; k++) {
+        test_alloc ta;
+        tetcast_render_desc d = defaults();
+        tetcast_ray ray;
+        tetcast_ray_result got;
+        tetcast_result r;
+        test_alloc_init(&ta);
+        ta.fail_at = k;
+        d.env.allocator.alloc_fn = test_alloc_fn;
+        d.env.allocator.free_fn = test_free_fn;
+        d.env.allocator.user = &ta;
+        memset(&ray, 0, sizeof ray);
+        ray.org[0] = ray.org[1] = 4.5;
+        ray.org[2] = -3;
+        ray.dir[2] = 1;
+        r = tetcast_cast(&d, s.mesh, s.optics, &ray, 1, &got, NULL);
+        test_alloc_check(&ta);
+        if (r == TETCAST_OK) break;
+        CHECK_EQ_U64(r, TETCAST_ERR_NO_MEMORY);
+    }
+    CHECK(k >= 2);
+    scene_free(&s);
+}
+
+/* ---- real meshes ---- */
+
+TEST(delaunay) { /* 208,000 cells between random points: lengths of the unit cube, both instruction sets, all pixels */
+    const char *path = test_data_path("tets/delaunay_208k.vtk");
+    unsigned char *file, *at;
+    size_t size, i;
+    uint32_t nv, nt, k;
+    tets t;
+    scene s;
+    tetcast_render_desc d = defaults();
+    if (path == NULL) SKIP("no data");
+    file = test_read_file(path, &size);
+    REQUIRE(file != NULL);
+    memset(&t, 0, sizeof t);
+    memset(&s, 0, sizeof s);
+#define BE32(p) ((uint32_t)(p)[0] << 24 | (uint32_t)(p)[1] << 16 | (uint32_t)(p)[2] << 8 | (p)[3])
+    at = (unsigned char *)strstr((char *)file, "POINTS ");
+    REQUIRE(at != NULL);
+    nv = (uint32_t)atol((char *)at + 7);
+    at = (unsigned char *)strchr((char *)at, '\n') + 1;
+    for (i = 0; i < nv; i++) {
+        float f[3];
+        for (k = 0; k < 3; k++) {
+            uint32_t u = BE32(at + 12 * i + 4 * k);
+            memcpy(&f[k], &u, 4);
+        }
+        tets_vertex(&t, (double)f[0], (double)f[1], (double)f[2], (double)(f[0] * f[1]));
+    }
+    at += 12 * nv;
+    while (memcmp(at, "CELLS ", 6) != 0) at++;
+    nt = (uint32_t)atol((char *)at + 6);
+    at = (unsigned char *)strchr((char *)at, '\n') + 1;
+    for (i = 0; i < nt; i++) tets_tet(&t, BE32(at + 20 * i + 4), BE32(at + 20 * i + 8), BE32(at + 20 * i + 12), BE32(at + 20 * i + 16));
+    free(file);
+    s.t = t;
+    s.mesh = tets_build(&t, TETCAST_CELLS_TET8, NULL);
+    REQUIRE(s.mesh != NULL);
+    scene_optics(&s, TETCAST_MODEL_VOLUME, -1, -1);
+    for (k = 0; k < 4; k++) {
+        d.isa = k & 1 ? TETCAST_ISA_AUTO : TETCAST_ISA_SCALAR;
+        if (k < 2) look(&d, 1.6, 1.3, 2.0, 0.5, 0.5, 0.5);
+        else look(&d, 0.31, 0.52, 0.77, 0.9, 0.1, 0.2);
+        CHECK_EQ_U64(draw(&d, &s, 40, 40, 1, &pic[k & 1], NULL), TETCAST_OK);
+        check_box_lengths(&d.camera, &pic[k & 1], 40, 40, 2, 0, 1e300, "delaunay");
+        if (k & 1) CHECK(memcmp(&pic[0], &pic[1], sizeof pic[0]) == 0);
+    }
+    scene_free(&s);
+}
+
+int main(int argc, char **argv) {
+    test_begin(argc, argv);
+    RUN(same_bits);
+    RUN(pixels_are_rays);
+    RUN(symmetric_views);
+    RUN(eye_inside);
+    RUN(wide_angles);
+    RUN(sizes);
+    RUN(background_and_bytes);
+    RUN(encoder);
+    RUN(isosurface_of_a_plane);
+    RUN(isovalue_of_vertices);
+    RUN(leaping);
+    RUN(early_end);
+    RUN(camera);
+    RUN(arguments);
+    RUN(memory);
+    RUN(delaunay);
+    return test_end();
+}

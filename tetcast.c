@@ -1,0 +1,2 @@
+#define TETCAST_IMPLEMENTATION
+#include "tetcast.h"

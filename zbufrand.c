@@ -1,0 +1,2 @@
+#define ZBUFRAND_IMPLEMENTATION
+#include "zbufrand.h"
