@@ -8552,6 +8552,8 @@ VOXRTI_TARGET_AVX2 static void voxrti_beam_cut_avx2(const voxrt_tree *t, voxrti_
     }
     b->any[w] = any;
 }
+#else
+#define voxrti_beam_cut_avx2 voxrti_beam_cut /* never asked for */
 #endif
 
 /* Walk on to the next slab with cells in the frustum. 0: there is none. 1: its cells are leaf nodes (edge 4).
