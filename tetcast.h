@@ -112,6 +112,7 @@
    TETCAST_MALLOC(size,user)   default allocator, 16-byte aligned; both or neither      malloc        code only
    TETCAST_FREE(ptr,size,user) its other half                                           free          code only
    TETCAST_ASSERT(cond)        what internal checks use                                 assert        code only
+   TETCAST_NO_STDIO            no <stdio.h>                                             off           yes
    TETCAST_NO_THREADS          never start a thread; env.parallel still works           off, wasm: on code only
    TETCAST_NO_SIMD             scalar code only                                         off           code only
    TETCAST_NO_AVX2             no AVX2                                                  off           code only
@@ -895,6 +896,8 @@ TETCAST_DEF tetcast_isa tetcast_isa_best(void); /* what TETCAST_ISA_AUTO picks o
 #    include <popcntintrin.h>
 #    include <avxintrin.h>
 #    include <avx2intrin.h>
+#    include <fmaintrin.h>
+#    include <bmi2intrin.h>
 #  endif
 #  if defined(_MSC_VER) && !defined(__clang__)
 #    define TETCASTI_TARGET_AVX2
@@ -3468,7 +3471,7 @@ static tetcast_result tetcasti_cells_build(tetcasti_mem *mem, const tetcast_env 
     uint32_t chunks = tetcasti_chunks(mesh->cell_count);
     uint64_t n;
     memset(cells, 0, sizeof *cells);
-    cells->kind = kind;
+    cells->kind = (uint32_t)kind;
     cells->count = mesh->cell_count;
     p.mesh = mesh;
     p.cells = cells;
@@ -8781,7 +8784,7 @@ static const uint8_t tetcasti_iso_case[16][5] = {
     {4, 0, 4, 5, 1}, {3, 2, 4, 5, 0}, {3, 2, 5, 4, 0}, {4, 0, 1, 5, 4}, {4, 0, 2, 5, 3}, {3, 1, 5, 3, 0},
     {4, 1, 3, 4, 2}, {3, 0, 3, 4, 0}, {3, 0, 2, 1, 0}, {0, 0, 0, 0, 0}};
 
-enum { TETCASTI_ISO_CHUNK = 1 << 15 };
+#define TETCASTI_ISO_CHUNK 32768u
 
 typedef struct tetcasti_iso_edge { uint32_t a, b; } tetcasti_iso_edge; /* a < b */
 

@@ -1014,6 +1014,8 @@ VOXRT_DEF voxrt_isa voxrt_isa_best(void); /* what VOXRT_ISA_AUTO picks on this m
 #    include <popcntintrin.h>
 #    include <avxintrin.h>
 #    include <avx2intrin.h>
+#    include <fmaintrin.h>
+#    include <bmi2intrin.h>
 #  endif
 #  if defined(_MSC_VER) && !defined(__clang__)
 #    define VOXRTI_TARGET_AVX2

@@ -127,6 +127,7 @@
    ZBUFRAND_MALLOC(size,user)  default allocator, 16-byte aligned; both or neither      malloc        code only
    ZBUFRAND_FREE(ptr,size,user) its other half                                           free          code only
    ZBUFRAND_ASSERT(cond)       what internal checks use                                 assert        code only
+   ZBUFRAND_NO_STDIO           no <stdio.h>                                             off           yes
    ZBUFRAND_NO_THREADS         never start a thread; env.parallel still works           off, wasm: on code only
    ZBUFRAND_NO_SIMD            scalar code only                                         off           code only
    ZBUFRAND_NO_AVX2            no AVX2                                                  off           code only
@@ -1161,6 +1162,8 @@ ZBUFRAND_DEF zbufrand_isa zbufrand_isa_best(void); /* what ZBUFRAND_ISA_AUTO pic
 #    include <popcntintrin.h>
 #    include <avxintrin.h>
 #    include <avx2intrin.h>
+#    include <fmaintrin.h>
+#    include <bmi2intrin.h>
 #  endif
 #  if defined(_MSC_VER) && !defined(__clang__)
 #    define ZBUFRANDI_TARGET_AVX2
@@ -1798,9 +1801,15 @@ ZBUFRANDI_INLINE uint32_t zbufrandi_key_number(uint64_t key) { return zbufrandi_
 /* Smallest key wins; any number of threads. Success is rare (the n-th sample of a pixel wins once in n times), so a
    plain load and compare comes first. */
 #if defined(__GNUC__)
-ZBUFRANDI_INLINE void zbufrandi_key_min(uint64_t *at, uint64_t key) {
+typedef uint64_t zbufrandi_key64 __attribute__((aligned(8))); /* key buffers are; 32-bit machines do not know */
+ZBUFRANDI_INLINE void zbufrandi_key_min(uint64_t *to, uint64_t key) {
+    zbufrandi_key64 *at = (zbufrandi_key64 *)(void *)to;
     uint64_t seen = __atomic_load_n(at, __ATOMIC_RELAXED);
-    while (key < seen && !__atomic_compare_exchange_n(at, &seen, key, 1, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) { }
+    while (key < seen) {
+        zbufrandi_key64 old = seen;
+        if (__atomic_compare_exchange_n(at, &old, key, 1, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) return;
+        seen = old;
+    }
 }
 #else
 ZBUFRANDI_INLINE void zbufrandi_key_min(uint64_t *at, uint64_t key) { if (key < *at) *at = key; }

@@ -89,3 +89,43 @@ $(G)/voxrt_minimal.png: $(B)/minimal_voxrt
 	@mkdir -p $(@D); echo "$@"; $(B)/minimal_voxrt $@
 
 GALLERY += $(VOXRT_PICTURES) $(G)/voxrt_minimal.png
+
+# --- zbufrand: scenes of up to 6.8 * 10^11 triangles ---------------------------------------------------------------
+
+$(G)/zbufrand_forest_1.png: options = --scene forest --view 1
+$(G)/zbufrand_forest_2.png: options = --scene forest --view 2
+$(G)/zbufrand_forest_3.png: options = --scene forest --view 3
+$(G)/zbufrand_forest_4.png: options = --scene forest --view 4
+$(G)/zbufrand_city.png: options = --scene city --view 2
+$(G)/zbufrand_chess.png: options = --scene chess --mean 16
+$(G)/zbufrand_landscape.png: options = --scene landscape
+
+ZBUFRAND_PICTURES := $(addprefix $(G)/zbufrand_,forest_1.png forest_2.png forest_3.png forest_4.png city.png chess.png \
+	landscape.png)
+
+$(ZBUFRAND_PICTURES): $(B)/zbufrand_render
+	@mkdir -p $(@D); echo "$@"; $(B)/zbufrand_render $(options) --size 960x720 --out $@ --quiet
+
+$(G)/zbufrand_minimal.png: $(B)/minimal_zbufrand
+	@mkdir -p $(@D); echo "$@"; $(B)/minimal_zbufrand $@
+
+# --- tetcast: fields on tetrahedra ---------------------------------------------------------------------------------
+
+NIGHT := --background 0.012,0.013,0.018
+$(G)/tetcast_lattice.png: options = --scene lattice --tf smooth --extinction 2
+$(G)/tetcast_ball.png: options = --scene ball --tf peak --extinction 1.5
+$(G)/tetcast_ring.png: options = --scene ring --tf rainbow --extinction 4
+$(G)/tetcast_bow.png: options = --scene bow --tf hot --extinction 6
+$(G)/tetcast_fins.png: options = --scene fins --tf hot --extinction 6
+$(G)/tetcast_iso.png: options = --scene ball --iso 0.2 --smooth
+$(G)/tetcast_mixed.png: options = --scene lattice --iso 0.75 --iso 0.25 --iso-opacity 0.7 --smooth
+
+TETCAST_PICTURES := $(addprefix $(G)/tetcast_,lattice.png ball.png ring.png bow.png fins.png iso.png mixed.png)
+
+$(TETCAST_PICTURES): $(B)/tetcast_render
+	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_render $(options) $(NIGHT) --out $@ --quiet
+
+$(G)/tetcast_minimal.png: $(B)/minimal_tetcast
+	@mkdir -p $(@D); echo "$@"; $(B)/minimal_tetcast $@
+
+GALLERY += $(ZBUFRAND_PICTURES) $(G)/zbufrand_minimal.png $(TETCAST_PICTURES) $(G)/tetcast_minimal.png

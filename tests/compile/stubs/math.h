@@ -11,6 +11,7 @@
 extern "C" {
 #endif
 float sqrtf(float);
+float fmaf(float, float, float);
 double sqrt(double);
 float fabsf(float);
 double fabs(double);
