@@ -546,9 +546,9 @@ TEST(bad_cells) { /* each fault is counted, the rest is there */
     memset(&t, 0, sizeof t);
     tets_lattice(&t, 5, 5, 5, 6, NULL);
     good = t.nt;
-    v = tets_vertex(&t, NAN, 0, 0, 0);
+    v = tets_vertex(&t, (double)NAN, 0, 0, 0);
     tets_tet(&t, 0, 1, 2, v);                       /* NaN */
-    v = tets_vertex(&t, 0, -INFINITY, 0, 0);
+    v = tets_vertex(&t, 0, -(double)INFINITY, 0, 0);
     tets_tet(&t, 0, 1, 2, v);
     tets_tet(&t, 0, 1, 2, 1000000);                 /* out of range */
     tets_tet(&t, 0xffffffffu, 1, 2, 3);
@@ -710,7 +710,7 @@ TEST(flat_cells) { /* zero volume: kept, counted, aspect infinite */
     CHECK_EQ_U64(r.inverted, 0);
     check_mesh(m, 1);
     CHECK_EQ_U64(tetcast_mesh_check(m, NULL, &c), TETCAST_OK);
-    CHECK(c.volume == 0 && !(c.aspect < INFINITY));
+    CHECK(c.volume == 0 && !(c.aspect < (double)INFINITY));
     CHECK_NEAR(c.longest_edge, sqrt(2.0), 1e-6);
     tetcast_mesh_destroy(m);
     tets_free(&t);
@@ -740,7 +740,7 @@ TEST(value_types) { /* the same numbers in every type, strided and unaligned */
             unsigned char *p = memory[k] + 3 + 11 * v, *q;
             uint32_t part;
             while (v >> (exponent + 1) != 0) exponent++;
-            half = v == 0 ? 0 : (uint16_t)((exponent + 15) << 10 | ((v << (10 - exponent)) & 1023));
+            half = v == 0 ? 0 : (uint16_t)((uint32_t)(exponent + 15) << 10 | (((uint32_t)v << (10 - exponent)) & 1023u));
             q = cells[k] + tetcasti_type_size(types[k]) * i;
             for (part = 0; part < 2; part++, p = q) {
                 if (part == 0 && i >= 27) continue;
@@ -812,7 +812,7 @@ TEST(bad_values) { /* NaN hides the cells around, with per-vertex and per-cell v
         memset(&in, 0, sizeof in);
         memset(&f, 0, sizeof f);
         tets_lattice(&t, 5, 4, 4, 6, NULL);
-        for (i = 0; i < 400; i++) value[i] = i == 31 ? NAN : i == 45 ? INFINITY : i == 50 ? 1e300 : i;
+        for (i = 0; i < 400; i++) value[i] = i == 31 ? (double)NAN : i == 45 ? (double)INFINITY : i == 50 ? 1e300 : (double)i;
         f.values.data = value;
         f.values.type = TETCAST_TYPE_F64;
         f.per_cell = per_cell;

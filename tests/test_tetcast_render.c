@@ -641,7 +641,7 @@ TEST(camera) {
         c.fov_y = 180;
         CHECK_EQ_U64(tetcast_camera_fit(&c, lo, hi, NULL, 10, 10), TETCAST_ERR_INVALID_ARG);
         c.fov_y = 40;
-        lo[0] = NAN;
+        lo[0] = (double)NAN;
         CHECK_EQ_U64(tetcast_camera_fit(&c, lo, hi, NULL, 10, 10), TETCAST_ERR_INVALID_ARG);
         lo[0] = 2;
         CHECK_EQ_U64(tetcast_camera_fit(&c, lo, hi, NULL, 10, 10), TETCAST_ERR_INVALID_ARG);
@@ -684,7 +684,7 @@ TEST(arguments) {
     d.clip_near = -1;
     CHECK_EQ_U64(tetcast_render(&d, s.mesh, s.optics, &im, NULL), TETCAST_ERR_INVALID_ARG);
     d = defaults();
-    d.camera.eye[0] = INFINITY;
+    d.camera.eye[0] = (double)INFINITY;
     CHECK_EQ_U64(tetcast_render(&d, s.mesh, s.optics, &im, NULL), TETCAST_ERR_INVALID_ARG);
     d = defaults();
     d.isa = (tetcast_isa)9;

@@ -1066,9 +1066,9 @@ TEST(bad_rays) {
         rays[i].dir[2] = 1;
     }
     rays[0].dir[2] = 0;
-    rays[1].dir[1] = NAN;
-    rays[2].org[0] = INFINITY;
-    rays[3].t_min = NAN;
+    rays[1].dir[1] = (double)NAN;
+    rays[2].org[0] = (double)INFINITY;
+    rays[3].t_min = (double)NAN;
     rays[4].t_min = 10;
     rays[4].t_max = 3;
     rays[5].org[2] = 50; /* behind */

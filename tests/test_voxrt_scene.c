@@ -530,9 +530,9 @@ TEST(bad_arguments) {
     CHECK(voxrt_group_create(NULL, g, 3, NULL) == VOXRT_ERR_INVALID_ARG);
     CHECK(voxrt_group_create(NULL, NULL, 3, &group) == VOXRT_ERR_INVALID_ARG && group == NULL);
     CHECK(voxrt_group_create(NULL, g, 0, &group) == VOXRT_ERR_INVALID_ARG);
-    g[1].box_max[2] = INFINITY;
+    g[1].box_max[2] = (double)INFINITY;
     CHECK(voxrt_group_create(&env, g, 3, &group) == VOXRT_ERR_INVALID_ARG && error.where == 1);
-    g[1].box_max[2] = NAN;
+    g[1].box_max[2] = (double)NAN;
     CHECK(voxrt_group_create(&env, g, 3, &group) == VOXRT_ERR_INVALID_ARG);
     g[1].box_max[2] = g[1].box_min[2] - 1;
     CHECK(voxrt_group_create(&env, g, 3, &group) == VOXRT_ERR_INVALID_ARG);
@@ -550,7 +550,7 @@ TEST(bad_arguments) {
     memcpy(s.to_world + 4, s.to_world, 4 * sizeof *s.to_world); /* flat */
     CHECK(voxrt_instance_geometry(&s, &out) == VOXRT_ERR_INVALID_ARG);
     turn(s.to_world, 0, 1, 0, 0, 0);
-    s.to_world[7] = INFINITY;
+    s.to_world[7] = (double)INFINITY;
     CHECK(voxrt_instance_geometry(&s, &out) == VOXRT_ERR_INVALID_ARG);
     turn(s.to_world, 0, 1e-200, 0, 0, 0);
     CHECK(voxrt_instance_geometry(&s, &out) == VOXRT_ERR_INVALID_ARG);

@@ -345,6 +345,7 @@ TEST(covers_everything_once) {
             if (g[i].kind == ZBUFRAND_DRAW_STORED) CHECK(g[i].z_min >= camera.near_z * 0.999 && g[i].expected < 64.1 && g[i].count <= 64);
             if (g[i].z_min < camera.near_z * 0.999) CHECK(g[i].kind == ZBUFRAND_DRAW_RASTERED); /* never lost, never sampled */
         }
+        CHECK_EQ_U64(stored + sampled + rastered, count);
         if (d.hybrid == ZBUFRAND_HYBRID_ALL) CHECK_EQ_U64(stored + sampled, 0);
         for (i = 0; i < st->cluster_count; i++) {
             const zbufrandi_cluster *cl = &st->cluster[i];

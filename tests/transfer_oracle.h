@@ -2,6 +2,10 @@
 #ifndef TRANSFER_ORACLE_H_INCLUDED
 #define TRANSFER_ORACLE_H_INCLUDED
 
+#ifndef TETCAST_H_INCLUDED
+#error "include tetcast.h first"
+#endif
+
 #define ORACLE_SMOOTH 4
 static const tetcast_control_point oracle_smooth[ORACLE_SMOOTH] = {
     {0.0f, {0.1f, 0.9f, 0.0f}, 0.0f},

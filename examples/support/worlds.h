@@ -15,6 +15,10 @@
 #ifndef SUP_WORLDS_H
 #define SUP_WORLDS_H
 
+#ifndef ZBUFRAND_H_INCLUDED
+#error "include zbufrand.h first"
+#endif
+
 #include "scenes.h"
 
 #define SUP_WORLD_NAMES "forest|city|chess|landscape"
