@@ -524,7 +524,7 @@ ZBUFRAND_DEF void zbufrand_points_shade(void *user, const uint32_t *numbers, siz
    reconstruct  one pixel per sample, nothing filled
    bucket_bits  depths are compared exactly. b in 1..22: depths in one bucket of a width of 2^-b to 2^-(b+1) of the
                 depth are equal, one sample of the nearest bucket is picked at random: no z-dominance within a bucket.
-                Depths of the picture are then off by up to a bucket */
+                Depths of the picture are then off by up to a bucket. Blocks with plane_depth compare exactly */
 typedef struct zbufrand_canvas_desc {
     uint32_t _begin_zero;
     zbufrand_env env;
@@ -1761,6 +1761,8 @@ typedef struct zbufrandi_camera {
     double center_x, center_y;       /* width / 2, height / 2 */
     double near_z, far_z;            /* > 0; far_z may be INFINITY */
     uint32_t width, height;
+    double side[4][2];               /* left, right, top, bottom of the picture: x, x, y, y and z of a unit normal that
+                                        points inwards; zbufrandi_camera_sides fills them in */
 } zbufrandi_camera;
 /* Camera space (x right, y up, z along dir) to picture: px = center_x + focal * x / z, py = center_y - focal * y / z;
    pixel (i, j) = (floor px, floor py), row 0 on top. */
@@ -1917,7 +1919,7 @@ typedef struct zbufrandi_local {
     uint32_t parent, instance;  /* local this one was entered from, and by which instance; ~0: the root */
     float side[4][3], side_e[4][3]; /* planes left, right, top, bottom of the picture in the structure's directions:
                                    side . (p - eye) >= 0 inside; what half extents of a box add */
-    float z_e[3];               /* what half extents add to a depth */
+    float z_e[3], xy_e[2][3];   /* what half extents add to a depth, to x and y */
     uint32_t _pad;
     double to_camera[3][4];     /* the same in double: camera coordinates = to_camera * (p, 1) */
 } zbufrandi_local;
@@ -5299,128 +5301,6 @@ ZBUFRANDI_TARGET_AVX2 static int zbufrandi_pyramid_hidden_avx2(const zbufrandi_p
 }
 #endif
 
-/* ---- children of a node ---- */
-
-typedef struct zbufrandi_occlusion_view { /* of a local camera */
-    float m[3][3], eye[3], rest[3];  /* as in the rasteriser, but in pixels */
-    float center_x, center_y, near_z;
-    int level;
-} zbufrandi_occlusion_view;
-
-static ZBUFRANDI_UNUSED void zbufrandi_occlusion_begin(zbufrandi_occlusion_view *v, const zbufrandi_camera *camera,
-                                                       const zbufrandi_local *local, int level) {
-    int k;
-    for (k = 0; k < 3; k++) {
-        v->m[0][k] = (float)((double)local->m[0][k] * camera->focal);
-        v->m[1][k] = (float)((double)local->m[1][k] * -camera->focal);
-        v->m[2][k] = local->m[2][k];
-        v->eye[k] = local->eye[k];
-    }
-    v->rest[0] = (float)((double)local->rest[0] * camera->focal);
-    v->rest[1] = (float)((double)local->rest[1] * -camera->focal);
-    v->rest[2] = local->rest[2];
-    v->center_x = (float)camera->center_x;
-    v->center_y = (float)camera->center_y;
-    v->near_z = (float)camera->near_z;
-    v->level = level == 0 ? zbufrandi_cpu_level() : level;
-}
-
-/* Smallest rectangle around the corners of a box, a little larger, and a bound below its depths. 0: the box is not
-   all in front of the near plane. */
-static ZBUFRANDI_UNUSED int zbufrandi_occlusion_rect(const zbufrandi_occlusion_view *v, const float lo[3],
-                                                     const float hi[3], float rect[4], float *z_min) {
-    float x0 = INFINITY, y0 = INFINITY, x1 = -INFINITY, y1 = -INFINITY, z0 = INFINITY;
-    uint32_t c;
-    for (c = 0; c < 8; c++) {
-        const float x = (c & 1 ? hi[0] : lo[0]) - v->eye[0], y = (c & 2 ? hi[1] : lo[1]) - v->eye[1],
-                    z = (c & 4 ? hi[2] : lo[2]) - v->eye[2];
-        const float qz = x * v->m[2][0] + y * v->m[2][1] + z * v->m[2][2] + v->rest[2], iz = 1.0f / qz;
-        const float px = (x * v->m[0][0] + y * v->m[0][1] + z * v->m[0][2] + v->rest[0]) * iz;
-        const float py = (x * v->m[1][0] + y * v->m[1][1] + z * v->m[1][2] + v->rest[1]) * iz;
-        x0 = px < x0 ? px : x0;
-        x1 = px > x1 ? px : x1;
-        y0 = py < y0 ? py : y0;
-        y1 = py > y1 ? py : y1;
-        z0 = qz < z0 ? qz : z0;
-        if (!(qz > v->near_z)) return 0;
-    }
-    rect[0] = x0 + v->center_x - ZBUFRANDI_PYRAMID_SLACK;
-    rect[1] = y0 + v->center_y - ZBUFRANDI_PYRAMID_SLACK;
-    rect[2] = x1 + v->center_x + ZBUFRANDI_PYRAMID_SLACK;
-    rect[3] = y1 + v->center_y + ZBUFRANDI_PYRAMID_SLACK;
-    *z_min = z0 * 0.99999f;
-    return x0 <= x1 && y0 <= y1; /* not if everything was NaN */
-}
-
-#if ZBUFRANDI_AVX2
-ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_occlusion_node_avx2(const zbufrandi_pyramid *p,
-                                                                    const zbufrandi_occlusion_view *v,
-                                                                    const zbufrandi_node8 *node, uint32_t mask) {
-    const __m256 inf = _mm256_set1_ps(INFINITY), slack = _mm256_set1_ps(ZBUFRANDI_PYRAMID_SLACK);
-    __m256 x0 = inf, y0 = inf, z0 = inf, x1 = _mm256_set1_ps(-INFINITY), y1 = x1,
-           ok = _mm256_castsi256_ps(_mm256_set1_epi32(-1)), at[2][3];
-    float rects[5][8];
-    uint32_t c, k, hidden = 0;
-    for (k = 0; k < 3; k++) {
-        at[0][k] = _mm256_sub_ps(_mm256_loadu_ps(node->lo[k]), _mm256_set1_ps(v->eye[k]));
-        at[1][k] = _mm256_sub_ps(_mm256_loadu_ps(node->hi[k]), _mm256_set1_ps(v->eye[k]));
-    }
-    for (c = 0; c < 8; c++) {
-        const __m256 x = at[c & 1][0], y = at[c >> 1 & 1][1], z = at[c >> 2][2];
-        __m256 q[3], iz;
-        for (k = 0; k < 3; k++) {
-            q[k] = _mm256_add_ps(_mm256_mul_ps(x, _mm256_set1_ps(v->m[k][0])),
-                                 _mm256_mul_ps(y, _mm256_set1_ps(v->m[k][1])));
-            q[k] = _mm256_add_ps(_mm256_add_ps(q[k], _mm256_mul_ps(z, _mm256_set1_ps(v->m[k][2]))),
-                                 _mm256_set1_ps(v->rest[k]));
-        }
-        iz = _mm256_div_ps(_mm256_set1_ps(1.0f), q[2]);
-        q[0] = _mm256_mul_ps(q[0], iz);
-        q[1] = _mm256_mul_ps(q[1], iz);
-        x0 = _mm256_min_ps(q[0], x0); /* the second one if the first is NaN, as in the scalar form */
-        x1 = _mm256_max_ps(q[0], x1);
-        y0 = _mm256_min_ps(q[1], y0);
-        y1 = _mm256_max_ps(q[1], y1);
-        z0 = _mm256_min_ps(q[2], z0);
-        ok = _mm256_and_ps(ok, _mm256_cmp_ps(q[2], _mm256_set1_ps(v->near_z), _CMP_GT_OQ));
-    }
-    ok = _mm256_and_ps(ok, _mm256_and_ps(_mm256_cmp_ps(x0, x1, _CMP_LE_OQ), _mm256_cmp_ps(y0, y1, _CMP_LE_OQ)));
-    mask &= (uint32_t)_mm256_movemask_ps(ok);
-    if (mask == 0) return 0;
-    _mm256_storeu_ps(rects[0], _mm256_sub_ps(_mm256_add_ps(x0, _mm256_set1_ps(v->center_x)), slack));
-    _mm256_storeu_ps(rects[1], _mm256_sub_ps(_mm256_add_ps(y0, _mm256_set1_ps(v->center_y)), slack));
-    _mm256_storeu_ps(rects[2], _mm256_add_ps(_mm256_add_ps(x1, _mm256_set1_ps(v->center_x)), slack));
-    _mm256_storeu_ps(rects[3], _mm256_add_ps(_mm256_add_ps(y1, _mm256_set1_ps(v->center_y)), slack));
-    _mm256_storeu_ps(rects[4], _mm256_mul_ps(z0, _mm256_set1_ps(0.99999f)));
-    for (; mask != 0; mask &= mask - 1) {
-        float rect[4];
-        c = zbufrandi_ctz64(mask);
-        for (k = 0; k < 4; k++) rect[k] = rects[k][c];
-        if (zbufrandi_pyramid_hidden_avx2(p, rect, rects[4][c])) hidden |= 1u << c;
-    }
-    return hidden;
-}
-#endif
-
-/* Which of the children in `mask` are certainly not seen. */
-static ZBUFRANDI_UNUSED uint32_t zbufrandi_occlusion_node(const zbufrandi_pyramid *p, const zbufrandi_occlusion_view *v,
-                                                          const zbufrandi_node8 *node, uint32_t mask) {
-    uint32_t hidden = 0;
-#if ZBUFRANDI_AVX2
-    if (v->level >= 3) return zbufrandi_occlusion_node_avx2(p, v, node, mask);
-#endif
-    for (; mask != 0; mask &= mask - 1) {
-        uint32_t c = zbufrandi_ctz64(mask), k;
-        float lo[3], hi[3], rect[4], z_min;
-        for (k = 0; k < 3; k++) {
-            lo[k] = node->lo[k][c];
-            hi[k] = node->hi[k][c];
-        }
-        if (zbufrandi_occlusion_rect(v, lo, hi, rect, &z_min) && zbufrandi_pyramid_hidden(p, rect, z_min))
-            hidden |= 1u << c;
-    }
-    return hidden;
-}
 /* ---------------------------------------------------------------------------
    rays: closest hit of a ray through structures and their instances.            // >>rays
 
@@ -6531,6 +6411,8 @@ typedef struct zbufrandi_cut { /* what is the same for all of a frame's selectio
     float cube;
     int independent;
     const zbufrandi_pyramid *pyramid; /* NULL: nothing is hidden */
+    const zbufrandi_keys *keys;       /* for small boxes, what has been drawn: NULL: not looked at */
+    float focal, center_x, center_y;
     uint32_t seed;
     int level;                 /* instruction set */
     int bounds;                /* remember bounds, and draws without samples */
@@ -6564,16 +6446,33 @@ typedef struct zbufrandi_pick { /* one task's memory, kept from frame to frame *
 
 /* ---- the camera in a structure ---- */
 
+/* The sides of the picture as planes through the eye: px = cx + f x / z >= 0 and <= w; py = cy - f y / z likewise. */
+static void zbufrandi_camera_sides(zbufrandi_camera *c) {
+    double w = (double)c->width, h = (double)c->height;
+    int p;
+    c->side[0][0] = c->side[3][0] = c->focal;
+    c->side[1][0] = c->side[2][0] = -c->focal;
+    c->side[0][1] = c->center_x;
+    c->side[1][1] = w - c->center_x;
+    c->side[2][1] = c->center_y;
+    c->side[3][1] = h - c->center_y;
+    for (p = 0; p < 4; p++) {
+        double length = sqrt(c->side[p][0] * c->side[p][0] + c->side[p][1] * c->side[p][1]);
+        c->side[p][0] /= length;
+        c->side[p][1] /= length;
+    }
+}
+
 /* to_camera, scale, structure and so on are there; the rest follows. */
 static void zbufrandi_local_finish(const zbufrandi_camera *camera, zbufrandi_local *l) {
-    const double f = camera->focal, w = (double)camera->width, h = (double)camera->height;
-    double plane[4][3], s2 = (double)l->scale * (double)l->scale;
+    const double inverse = 1.0 / ((double)l->scale * (double)l->scale);
     int a, k, p;
     for (a = 0; a < 3; a++) {
         double eye = 0.0;
         for (k = 0; k < 3; k++) eye -= l->to_camera[k][a] * l->to_camera[k][3];
-        l->eye[a] = (float)(eye / s2);
-        l->eye_low[a] = (float)(eye / s2 - (double)l->eye[a]);
+        eye *= inverse;
+        l->eye[a] = (float)eye;
+        l->eye_low[a] = (float)(eye - (double)l->eye[a]);
     }
     for (a = 0; a < 3; a++) {
         double rest = l->to_camera[a][3];
@@ -6583,25 +6482,18 @@ static void zbufrandi_local_finish(const zbufrandi_camera *camera, zbufrandi_loc
         }
         l->rest[a] = (float)rest;
     }
-    memset(plane, 0, sizeof plane); /* px = cx + f x / z >= 0 and <= w; py = cy - f y / z likewise */
-    plane[0][0] = f;
-    plane[0][2] = camera->center_x;
-    plane[1][0] = -f;
-    plane[1][2] = w - camera->center_x;
-    plane[2][1] = -f;
-    plane[2][2] = camera->center_y;
-    plane[3][1] = f;
-    plane[3][2] = h - camera->center_y;
-    for (p = 0; p < 4; p++) {
-        double length = sqrt(plane[p][0] * plane[p][0] + plane[p][1] * plane[p][1] + plane[p][2] * plane[p][2]);
+    for (p = 0; p < 4; p++) { /* the sides lie along x (left, right) or y (top, bottom), and z */
+        const double *side = l->to_camera[p >> 1];
         for (a = 0; a < 3; a++) {
-            double n = (plane[p][0] * l->to_camera[0][a] + plane[p][1] * l->to_camera[1][a] +
-                        plane[p][2] * l->to_camera[2][a]) / length;
-            l->side[p][a] = (float)n;
-            l->side_e[p][a] = (float)zbufrandi_abs(n) * 1.000001f;
+            l->side[p][a] = (float)(camera->side[p][0] * side[a] + camera->side[p][1] * l->to_camera[2][a]);
+            l->side_e[p][a] = zbufrandi_absf(l->side[p][a]) * 1.000001f;
         }
     }
-    for (a = 0; a < 3; a++) l->z_e[a] = zbufrandi_absf(l->m[2][a]) * 1.000001f;
+    for (a = 0; a < 3; a++) {
+        l->z_e[a] = zbufrandi_absf(l->m[2][a]) * 1.000001f;
+        l->xy_e[0][a] = zbufrandi_absf(l->m[0][a]) * 1.000001f;
+        l->xy_e[1][a] = zbufrandi_absf(l->m[1][a]) * 1.000001f;
+    }
 }
 
 static void zbufrandi_local_root(const zbufrandi_camera *c, const zbufrandi_structure *s, uint32_t seed,
@@ -6644,6 +6536,7 @@ typedef struct zbufrandi_tested {
     float z_min[8], z_max[8];  /* world; z_min may be below the near plane */
     float h[8], h_min[8];      /* bounds of H, world */
     float expected[8];         /* INFINITY: crosses the near plane */
+    float x0[8], x1[8], y0[8], y1[8]; /* rectangle in the picture, if it does not cross the near plane */
     uint32_t outside, away;    /* masks */
 } zbufrandi_tested;
 
@@ -6667,11 +6560,21 @@ static void zbufrandi_test_lane(const zbufrandi_cut *cut, const zbufrandi_local 
             (e[0] * l->side_e[p][0] + e[1] * l->side_e[p][1] + e[2] * l->side_e[p][2]);
         if (d < 0.0f - slack) t->outside |= 1u << i;
     }
-    z = q[0] * l->m[2][0] + q[1] * l->m[2][1] + q[2] * l->m[2][2] + l->rest[2];
+    z = (q[0] * l->m[2][0] + q[1] * l->m[2][1] + q[2] * l->m[2][2]) + l->rest[2];
     ze = (e[0] * l->z_e[0] + e[1] * l->z_e[1] + e[2] * l->z_e[2]) + slack;
     t->z_min[i] = z - ze;
     t->z_max[i] = z + ze;
     if (t->z_max[i] < cut->near_z || t->z_min[i] > cut->far_z) t->outside |= 1u << i;
+    /* from the centre and the reach along x and y of the camera, at both ends of the depths */
+    for (a = 0; a < 2; a++) {
+        const float focal = a == 0 ? cut->focal : 0.0f - cut->focal, center = a == 0 ? cut->center_x : cut->center_y;
+        const float c = ((q[0] * l->m[a][0] + q[1] * l->m[a][1] + q[2] * l->m[a][2]) + l->rest[a]) * focal;
+        const float reach = ((e[0] * l->xy_e[a][0] + e[1] * l->xy_e[a][1] + e[2] * l->xy_e[a][2]) + slack) * cut->focal;
+        const float lo = c - reach, hi = c + reach, near_i = 1.0f / t->z_min[i], far_i = 1.0f / t->z_max[i];
+        const float lo_a = lo * near_i, lo_b = lo * far_i, hi_a = hi * near_i, hi_b = hi * far_i;
+        (a == 0 ? t->x0 : t->y0)[i] = (lo_a < lo_b ? lo_a : lo_b) + (center - ZBUFRANDI_PYRAMID_SLACK);
+        (a == 0 ? t->x1 : t->y1)[i] = (hi_a > hi_b ? hi_a : hi_b) + (center + ZBUFRANDI_PYRAMID_SLACK);
+    }
     /* the cone: angles between its normals and the direction to the eye lie between that of the axis -+ its opening */
     ct = n->cosine[i];
     st = sqrtf(1.0f - ct * ct);
@@ -6741,6 +6644,22 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_test_node_avx2(const zbufrandi_cut *
     z = _mm256_sub_ps(z, ze);
     _mm256_storeu_ps(t->z_min, z);
     _mm256_storeu_ps(t->z_max, d);
+    for (a = 0; a < 2; a++) {
+        const float center = a == 0 ? cut->center_x : cut->center_y;
+        const __m256 focal = _mm256_set1_ps(a == 0 ? cut->focal : 0.0f - cut->focal);
+        const __m256 c = _mm256_mul_ps(_mm256_add_ps(ZBUFRANDI_DOT(l->m[a], q[0], q[1], q[2]),
+                                                     _mm256_set1_ps(l->rest[a])), focal);
+        const __m256 reach = _mm256_mul_ps(_mm256_add_ps(ZBUFRANDI_DOT(l->xy_e[a], e[0], e[1], e[2]), slack),
+                                           _mm256_set1_ps(cut->focal));
+        const __m256 lo = _mm256_sub_ps(c, reach), hi = _mm256_add_ps(c, reach);
+        const __m256 near_i = _mm256_div_ps(one, z), far_i = _mm256_div_ps(one, d);
+        _mm256_storeu_ps(a == 0 ? t->x0 : t->y0,
+                         _mm256_add_ps(_mm256_min_ps(_mm256_mul_ps(lo, near_i), _mm256_mul_ps(lo, far_i)),
+                                       _mm256_set1_ps(center - ZBUFRANDI_PYRAMID_SLACK)));
+        _mm256_storeu_ps(a == 0 ? t->x1 : t->y1,
+                         _mm256_add_ps(_mm256_max_ps(_mm256_mul_ps(hi, near_i), _mm256_mul_ps(hi, far_i)),
+                                       _mm256_set1_ps(center + ZBUFRANDI_PYRAMID_SLACK)));
+    }
     outside = _mm256_or_ps(outside, _mm256_cmp_ps(d, _mm256_set1_ps(cut->near_z), _CMP_LT_OQ));
     outside = _mm256_or_ps(outside, _mm256_cmp_ps(z, _mm256_set1_ps(cut->far_z), _CMP_GT_OQ));
     ct = _mm256_loadu_ps(n->cosine);
@@ -6795,6 +6714,81 @@ static void zbufrandi_test_node(const zbufrandi_cut *cut, const zbufrandi_local 
 #endif
     t->outside = t->away = 0;
     for (i = 0; i < n->count; i++) zbufrandi_test_lane(cut, l, n, i, t);
+}
+
+/* ---- what is before a child ---- */
+
+/* Are all pixels of a small rectangle nearer than z? Nobody writes to them meanwhile. */
+static int zbufrandi_behind_pixels(const zbufrandi_keys *keys, uint32_t x0, uint32_t y0, uint32_t x1, uint32_t y1,
+                                   float z) {
+    const uint64_t limit = zbufrandi_key(z, 0) >> 32 << 32;
+    uint32_t x, y;
+    for (y = y0; y <= y1; y++) {
+        const uint64_t *row = keys->key + (size_t)y * keys->width;
+        for (x = x0; x <= x1; x++) if (row[x] >= limit) return 0;
+    }
+    return 1;
+}
+
+#if ZBUFRANDI_AVX2
+ZBUFRANDI_TARGET_AVX2 static int zbufrandi_behind_pixels_avx2(const zbufrandi_keys *keys, uint32_t x0, uint32_t y0,
+                                                              uint32_t x1, uint32_t y1,
+                                                              float z) {
+    /* upper halves compare as signed numbers; an empty pixel is negative and tells by its sign, lower halves never
+       pass */
+    const __m256i limit =
+        _mm256_set1_epi64x((long long)(((zbufrandi_key(z, 0) >> 32 << 32) - ((uint64_t)1 << 32)) | 0x7fffffffu));
+    const uint32_t wide = x1 - x0 + 1, mask = (1u << wide) - 1u;
+    uint32_t y;
+    for (y = y0; y <= y1; y++) {
+        const uint64_t *row = keys->key + (size_t)y * keys->width + x0;
+        const __m256i a = _mm256_loadu_si256((const __m256i *)(const void *)row);
+        uint32_t far_off = (uint32_t)_mm256_movemask_pd(_mm256_castsi256_pd(_mm256_or_si256(a,
+                _mm256_cmpgt_epi32(a, limit))));
+        if (wide > 4) {
+            const __m256i b = _mm256_loadu_si256((const __m256i *)(const void *)(row + 4));
+            far_off |= (uint32_t)_mm256_movemask_pd(_mm256_castsi256_pd(_mm256_or_si256(b,
+                    _mm256_cmpgt_epi32(b, limit)))) << 4;
+        }
+        if ((far_off & mask) != 0) return 0;
+    }
+    return 1;
+}
+#endif
+
+/* Which of the children in `mask` are certainly not seen: small ones pixel by pixel, others by the pyramid. */
+static uint32_t zbufrandi_hidden_children(const zbufrandi_cut *cut, const zbufrandi_tested *t, uint32_t mask) {
+    const float w = (float)(int32_t)cut->camera.width, h = (float)(int32_t)cut->camera.height;
+    uint32_t hidden = 0;
+    for (; mask != 0; mask &= mask - 1) {
+        const uint32_t i = zbufrandi_ctz64(mask);
+        float rect[4];
+        int behind = 0;
+        if (!(t->expected[i] < INFINITY)) continue; /* crosses the near plane */
+        rect[0] = t->x0[i] > 0.0f ? t->x0[i] : 0.0f;
+        rect[1] = t->y0[i] > 0.0f ? t->y0[i] : 0.0f;
+        rect[2] = t->x1[i] < w - 1.0f ? t->x1[i] : w - 1.0f;
+        rect[3] = t->y1[i] < h - 1.0f ? t->y1[i] : h - 1.0f;
+        if (!(rect[0] <= rect[2] && rect[1] <= rect[3])) continue;
+        if (cut->keys != NULL && rect[2] - rect[0] < 7.0f && rect[3] - rect[1] < 7.0f) {
+            const uint32_t x0 = (uint32_t)(int32_t)rect[0], y0 = (uint32_t)(int32_t)rect[1];
+            const uint32_t x1 = (uint32_t)(int32_t)rect[2], y1 = (uint32_t)(int32_t)rect[3];
+#if ZBUFRANDI_AVX2
+            if (cut->level >= 3 && x0 + 8 <= cut->keys->width) {
+                behind = zbufrandi_behind_pixels_avx2(cut->keys, x0, y0, x1, y1, t->z_min[i]);
+            } else
+#endif
+            behind = zbufrandi_behind_pixels(cut->keys, x0, y0, x1, y1, t->z_min[i]);
+        } else if (cut->pyramid != NULL) {
+#if ZBUFRANDI_AVX2
+            if (cut->level >= 3) behind = zbufrandi_pyramid_hidden_avx2(cut->pyramid, rect, t->z_min[i]);
+            else
+#endif
+                behind = zbufrandi_pyramid_hidden(cut->pyramid, rect, t->z_min[i]);
+        }
+        hidden |= (uint32_t)behind << i;
+    }
+    return hidden;
 }
 
 /* ---- what is done with a child ---- */
@@ -6950,10 +6944,8 @@ static void zbufrandi_pick_run(const zbufrandi_cut *cut, zbufrandi_mem *mem, con
         n = &cut->scene->structure[l->structure].node[at.node];
         zbufrandi_test_node(cut, l, n, &t);
         alive = ((1u << n->count) - 1u) & ~(t.outside | t.away);
-        if (cut->pyramid != NULL && alive != 0) {
-            zbufrandi_occlusion_view v;
-            zbufrandi_occlusion_begin(&v, &cut->camera, l, cut->level);
-            hidden = zbufrandi_occlusion_node(cut->pyramid, &v, n, alive);
+        if ((cut->pyramid != NULL || cut->keys != NULL) && alive != 0) {
+            hidden = zbufrandi_hidden_children(cut, &t, alive);
             alive &= ~hidden;
         }
         if (p->stack_count > 0) { /* the next one, unless a child comes before it */
@@ -11441,6 +11433,7 @@ static zbufrand_result zbufrandi_camera_open(const zbufrand_camera *camera, cons
     if (!(c.near_z >= 0.0) || !(c.far_z >= 0.0) || !(out->near_z < out->far_z) || !(out->near_z < 1e30))
         return ZBUFRAND_ERR_INVALID_ARG;
     if (out->near_z < 1e-30) out->near_z = 1e-30;
+    zbufrandi_camera_sides(out);
     return ZBUFRAND_OK;
 }
 
@@ -11474,6 +11467,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_camera_view(const zbufrand_camera *camera,
 
 /* ---- the frame ---- */
 
+typedef struct zbufrandi_picture zbufrandi_picture;
+
 struct zbufrand_frame {
     zbufrandi_mem mem;
     zbufrand_env env;
@@ -11506,7 +11501,32 @@ struct zbufrand_frame {
         directional_capacity, pyramid_capacity, color_capacity;
     size_t front_count, draw_count, local_count, block_count, batch_count, aux_count, aux_written, ray_count,
         suspect_count;
+    zbufrandi_picture *picture;        /* the one at work */
     zbufrandi_srgb srgb;
+};
+
+/* ---- one picture ---- */
+
+struct zbufrandi_picture {
+    zbufrand_frame *f;
+    const zbufrand_render_desc *d;
+    const zbufrand_scene *scene;
+    const zbufrand_image *image;
+    zbufrand_stats stats;
+    zbufrandi_cut cut;
+    zbufrandi_target target;
+    zbufrandi_keys exact;              /* where rastered triangles go */
+    zbufrandi_pyramid pyramid;
+    zbufrandi_drawn drawn;
+    zbufrandi_look look;
+    uint32_t first_block;
+    uint32_t done_draws;               /* drawn already */
+    uint32_t accepted[2], sampled[2], stored[2], points[2]; /* tallies */
+    uint64_t since_refresh;            /* samples since the pyramid was made */
+    double clock;
+    int keep;                          /* colours go to f->color and not to the caller: one of several frames */
+    float jitter[2];                   /* of the centres of pixels, for what is rasterised and for rays */
+    zbufrandi_camera raster_camera;    /* shifted by that */
 };
 
 ZBUFRAND_DEF zbufrand_result zbufrand_frame_create(const zbufrand_frame_desc *desc, zbufrand_frame **out_frame) {
@@ -11523,7 +11543,11 @@ ZBUFRAND_DEF zbufrand_result zbufrand_frame_create(const zbufrand_frame_desc *de
     r = zbufrandi_env_open(&d.env, &mem);
     if (r != ZBUFRAND_OK) return zbufrandi_fail(d.env.error, r, 0, "env: only one of alloc_fn and free_fn is set");
     f = (zbufrand_frame *)zbufrandi_alloc_zero(&mem, 1, sizeof *f);
-    if (f == NULL) return zbufrandi_fail(d.env.error, ZBUFRAND_ERR_NO_MEMORY, 0, "no memory for a frame");
+    if (f != NULL) f->picture = (zbufrandi_picture *)zbufrandi_alloc_zero(&mem, 1, sizeof *f->picture);
+    if (f == NULL || f->picture == NULL) {
+        zbufrandi_free(&mem, f);
+        return zbufrandi_fail(d.env.error, ZBUFRAND_ERR_NO_MEMORY, 0, "no memory for a frame");
+    }
     f->mem = mem;
     f->env = d.env;
     f->isa = d.isa;
@@ -11545,6 +11569,7 @@ ZBUFRAND_DEF void zbufrand_frame_destroy(zbufrand_frame *frame) {
         zbufrandi_free(&frame->mem, frame->pick[i].bounds);
         zbufrandi_free(&frame->mem, frame->pick[i].local);
     }
+    zbufrandi_free(&frame->mem, frame->picture);
     zbufrandi_free(&frame->mem, frame->front);
     zbufrandi_free(&frame->mem, frame->sorted);
     zbufrandi_free(&frame->mem, frame->draw);
@@ -11565,30 +11590,6 @@ ZBUFRAND_DEF void zbufrand_frame_destroy(zbufrand_frame *frame) {
     mem = frame->mem;
     zbufrandi_free(&mem, frame);
 }
-
-/* ---- one picture ---- */
-
-typedef struct zbufrandi_picture {
-    zbufrand_frame *f;
-    const zbufrand_render_desc *d;
-    const zbufrand_scene *scene;
-    const zbufrand_image *image;
-    zbufrand_stats stats;
-    zbufrandi_cut cut;
-    zbufrandi_target target;
-    zbufrandi_keys exact;              /* where rastered triangles go */
-    zbufrandi_pyramid pyramid;
-    zbufrandi_drawn drawn;
-    zbufrandi_look look;
-    uint32_t first_block;
-    uint32_t done_draws;               /* drawn already */
-    uint32_t accepted[2], sampled[2], stored[2], points[2]; /* tallies */
-    uint64_t since_refresh;            /* samples since the pyramid was made */
-    double clock;
-    int keep;                          /* colours go to f->color and not to the caller: one of several frames */
-    float jitter[2];                   /* of the centres of pixels, for what is rasterised and for rays */
-    zbufrandi_camera raster_camera;    /* shifted by that */
-} zbufrandi_picture;
 
 static void zbufrandi_lap(zbufrandi_picture *p, int stage) { /* book the time since the last call; < 0: just start */
     double now;
@@ -12355,6 +12356,11 @@ static zbufrand_result zbufrandi_open_picture(zbufrandi_picture *p) {
     r = zbufrandi_open_lights(p);
     if (r != ZBUFRAND_OK) return r;
     p->cut.scene = p->scene;
+    p->cut.focal = (float)p->cut.camera.focal;
+    p->cut.center_x = (float)p->cut.camera.center_x;
+    p->cut.center_y = (float)p->cut.camera.center_y;
+    if (!d->no_occlusion && f->recon.o.block == 1 && f->recon.o.occlusion == ZBUFRAND_OCCLUSION_BLOCKS)
+        p->cut.keys = &f->recon.canvas;
     p->cut.density = zbufrandi_choose_density(p);
     zbufrandi_set_density(p);
     p->cut.stored = (float)(64.0 / spread);
@@ -12386,7 +12392,7 @@ static zbufrand_result zbufrandi_open_picture(zbufrandi_picture *p) {
     bytes = zbufrandi_pyramid_bytes(f->recon.canvas.width, f->recon.canvas.height);
     if (!zbufrandi_grow(&f->mem, &f->pyramid_memory, &f->pyramid_capacity, 0, bytes, 1)) return ZBUFRAND_ERR_NO_MEMORY;
     zbufrandi_pyramid_begin(&p->pyramid, f->pyramid_memory, f->recon.canvas.width, f->recon.canvas.height,
-                            f->recon.o.block);
+                            f->recon.o.occlusion == ZBUFRAND_OCCLUSION_BLOCKS ? f->recon.o.block : 1u);
     f->front_count = f->draw_count = f->local_count = f->block_count = f->aux_count = f->aux_written = f->ray_count = 0;
     return ZBUFRAND_OK;
 }
@@ -12536,16 +12542,14 @@ ZBUFRAND_DEF zbufrand_result zbufrand_render(zbufrand_frame *frame, const zbufra
     zbufrand_render_desc d;
     zbufrandi_picture *p;
     zbufrand_result r;
-    zbufrandi_mem *mem;
     if (stats != NULL) memset(stats, 0, sizeof *stats);
     if (frame == NULL || image == NULL) return ZBUFRAND_ERR_INVALID_ARG;
     memset(&d, 0, sizeof d);
     if (desc != NULL) d = *desc;
     if (d._begin_zero != 0 || d._end_zero != 0) return ZBUFRAND_ERR_UNINIT_DESC;
     if (image->width == 0 || image->height == 0) return ZBUFRAND_OK;
-    mem = &frame->mem;
-    p = (zbufrandi_picture *)zbufrandi_alloc_zero(mem, 1, sizeof *p);
-    if (p == NULL) return ZBUFRAND_ERR_NO_MEMORY;
+    p = frame->picture;
+    memset(p, 0, sizeof *p);
     p->f = frame;
     p->d = &d;
     p->scene = scene;
@@ -12556,9 +12560,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_render(zbufrand_frame *frame, const zbufra
     p->stats.samples[0] = zbufrandi_tally(p->stored);
     p->stats.samples[1] = zbufrandi_tally(p->sampled);
     p->stats.points = zbufrandi_tally(p->points);
-    p->stats.bytes = zbufrandi_atomic_load(&mem->used);
+    p->stats.bytes = zbufrandi_atomic_load(&frame->mem.used);
     if (stats != NULL) *stats = p->stats;
-    zbufrandi_free(mem, p);
     if (r != ZBUFRAND_OK)
         return zbufrandi_fail(frame->env.error, r, 0, "render: bad camera, light or option, or no memory");
     return ZBUFRAND_OK;
@@ -12569,7 +12572,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_render(zbufrand_frame *frame, const zbufra
    stream.
    --------------------------------------------------------------------------- */
 
-/* Open a picture without buffers and select everything, hidden or not. *out: to be freed by the caller. */
+/* Open a picture without buffers and select everything, hidden or not. */
 static zbufrand_result zbufrandi_query_open(zbufrand_frame *frame, const zbufrand_render_desc *desc,
                                             zbufrand_render_desc *d,
                                             const zbufrand_scene *scene, zbufrand_image *image,
@@ -12584,8 +12587,8 @@ static zbufrand_result zbufrandi_query_open(zbufrand_frame *frame, const zbufran
     d->no_occlusion = 1;
     d->points_count = 0;
     d->points = NULL;
-    p = (zbufrandi_picture *)zbufrandi_alloc_zero(&frame->mem, 1, sizeof *p);
-    if (p == NULL) return ZBUFRAND_ERR_NO_MEMORY;
+    p = frame->picture;
+    memset(p, 0, sizeof *p);
     p->f = frame;
     p->d = d;
     p->scene = scene;
@@ -12593,10 +12596,7 @@ static zbufrand_result zbufrandi_query_open(zbufrand_frame *frame, const zbufran
     p->cut.bounds = 1;
     r = zbufrandi_open_picture(p);
     if (r == ZBUFRAND_OK) r = zbufrandi_draw_scene(p);
-    if (r != ZBUFRAND_OK) {
-        zbufrandi_free(&frame->mem, p);
-        return r;
-    }
+    if (r != ZBUFRAND_OK) return r;
     p->stats.triangles = scene != NULL ? scene->info.triangles : 0;
     p->stats.density = p->cut.density;
     zbufrandi_open_drawn(p);
@@ -12655,7 +12655,6 @@ ZBUFRAND_DEF zbufrand_result zbufrand_select(zbufrand_frame *frame, const zbufra
     *out_count = frame->draw_count;
     for (i = 0; i < frame->draw_count && i < capacity; i++) zbufrandi_query_group(p, &frame->draw[i], &groups[i]);
     if (stats != NULL) *stats = p->stats;
-    zbufrandi_free(&frame->mem, p);
     return ZBUFRAND_OK;
 }
 
@@ -12767,7 +12766,6 @@ ZBUFRAND_DEF zbufrand_result zbufrand_sample_scene(zbufrand_frame *frame, const 
     if (r != ZBUFRAND_OK) return r;
     if (!zbufrandi_grow(&frame->mem, (void **)&frame->aux, &frame->aux_capacity, 0,
                         frame->aux_count * ZBUFRANDI_SET + 64, 1)) {
-        zbufrandi_free(&frame->mem, p);
         return ZBUFRAND_ERR_NO_MEMORY;
     }
     p->drawn.aux = frame->aux;
@@ -12778,7 +12776,6 @@ ZBUFRAND_DEF zbufrand_result zbufrand_sample_scene(zbufrand_frame *frame, const 
     for (i = 0; i < frame->draw_count && !s.stop; i++) zbufrandi_stream_draw(&s, &frame->draw[i]);
     zbufrandi_stream_flush(&s);
     if (stats != NULL) *stats = p->stats;
-    zbufrandi_free(&frame->mem, p);
     return s.stop ? ZBUFRAND_ERR_CANCELLED : ZBUFRAND_OK;
 }
 
@@ -13054,6 +13051,12 @@ static void zbufrandi_points_cluster(const zbufrandi_points_job *j, const zbufra
     }
 }
 
+/* Does an item of a structure begin at a point or before? */
+ZBUFRANDI_INLINE int zbufrandi_item_begins(const zbufrandi_structure *s, uint32_t item, double begin, double f,
+                                           const zbufrandi_asked *asked) {
+    return !zbufrandi_at_before(asked->stratum, asked->jitter, zbufrandi_at_of(begin + s->item_sum[item] * f));
+}
+
 /* Points asked for of a structure that covers begin..end of the scale; ascending. */
 static void zbufrandi_points_structure(const zbufrandi_points_job *j, uint32_t structure,
                                        const zbufrandi_place_at *place,
@@ -13062,20 +13065,18 @@ static void zbufrandi_points_structure(const zbufrandi_points_job *j, uint32_t s
     const uint32_t items = s->cluster_count + s->instance_count;
     const double f = (end - begin) / s->area;
     uint32_t item = 0, i = 0, n;
-#define ZBUFRANDI_BEGINS(k) \
-    !zbufrandi_at_before(asked[i].stratum, asked[i].jitter, zbufrandi_at_of(begin + s->item_sum[k] * f))
     while (i < count) {
         uint32_t lo = item, hi, step = 1;
         zbufrandi_at next;
         /* gallop, then halve: the last item that begins there or before */
-        while (lo + step < items && ZBUFRANDI_BEGINS(lo + step)) {
+        while (lo + step < items && zbufrandi_item_begins(s, lo + step, begin, f, &asked[i])) {
             lo += step;
             step *= 2;
         }
         hi = lo + step < items ? lo + step : items;
         while (hi - lo > 1) {
             uint32_t mid = (lo + hi) / 2;
-            if (ZBUFRANDI_BEGINS(mid)) lo = mid;
+            if (zbufrandi_item_begins(s, mid, begin, f, &asked[i])) lo = mid;
             else hi = mid;
         }
         item = lo;
@@ -13095,7 +13096,6 @@ static void zbufrandi_points_structure(const zbufrandi_points_job *j, uint32_t s
         }
         i += n;
     }
-#undef ZBUFRANDI_BEGINS
 }
 
 /* ---- whole pages: all strata one after the other, eight points at a time; the same points ---- */

@@ -263,14 +263,15 @@ TEST(sizes) {
 }
 
 /* Children whose boxes are hidden: no point of such a box shows in front, checked by points; and both forms agree. */
-TEST(nodes) {
+static void hidden_boxes(uint32_t block) {
     test_rng g = test_rng_make(6);
+    zbufrandi_cut cut;
     scene s;
     zbufrandi_camera camera;
     zbufrandi_local local;
     uint32_t i, hidden_count = 0;
     int n, k, c, many = test_quick() ? 200 : 3000;
-    scene_open(&s, 200, 150, 2, 0);
+    scene_open(&s, 200, 150, block, 0);
     for (i = 0; i < 200 * 150; i++) s.keys.key[i] = zbufrandi_key(2.0f + (float)(i % 200) * 0.02f + test_rng_float(&g) * 0.1f, i);
     for (i = 0; i < 20; i++) s.keys.key[test_rng_below(&g, 200 * 150)] = ZBUFRANDI_EMPTY;
     zbufrandi_pyramid_refresh(&s.p, &s.keys, NULL, 0, 0, 200, 150, 0);
@@ -278,32 +279,49 @@ TEST(nodes) {
     memset(&camera, 0, sizeof camera);
     camera.focal = 170; camera.center_x = 100; camera.center_y = 75; camera.near_z = 0.1; camera.far_z = (double)INFINITY;
     camera.width = 200; camera.height = 150;
+    zbufrandi_camera_sides(&camera);
+    memset(&cut, 0, sizeof cut);
+    cut.camera = camera;
+    cut.focal = 170; cut.center_x = 100; cut.center_y = 75; cut.near_z = 0.1f; cut.far_z = 1e30f; cut.density_f2 = 1.0f;
+    cut.pyramid = &s.p;
     for (n = 0; n < many; n++) {
-        zbufrandi_occlusion_view v1, v3;
         zbufrandi_node8 node;
-        double a = test_rng_double(&g) * 6.28, scale = pow(2.0, (double)test_rng_range(&g, -3, 3));
-        uint32_t got, got3;
+        zbufrandi_tested tested, tested3;
+        double a = test_rng_double(&g) * 6.28, scale = pow(2.0, (double)test_rng_range(&g, -3, 3)), eye[3];
+        uint32_t got, got3, inside;
         memset(&local, 0, sizeof local);
         memset(&node, 0, sizeof node);
-        local.m[0][0] = (float)(cos(a) * scale); local.m[0][2] = (float)(sin(a) * scale);
-        local.m[1][1] = (float)scale;
-        local.m[2][0] = (float)(-sin(a) * scale); local.m[2][2] = (float)(cos(a) * scale);
+        node.count = 8;
+        for (c = 0; c < 8; c++) {
+            node.cosine[c] = -1.0f;
+            node.area[c] = 1.0f;
+        }
+        local.to_camera[0][0] = cos(a) * scale; local.to_camera[0][2] = sin(a) * scale;
+        local.to_camera[1][1] = scale;
+        local.to_camera[2][0] = -sin(a) * scale; local.to_camera[2][2] = cos(a) * scale;
+        for (k = 0; k < 3; k++) eye[k] = (double)test_rng_range(&g, -5, 5);
+        for (k = 0; k < 3; k++) for (c = 0; c < 3; c++) local.to_camera[k][3] -= local.to_camera[k][c] * eye[c];
         local.scale = (float)scale;
-        for (k = 0; k < 3; k++) local.eye[k] = test_rng_range(&g, -5, 5);
+        zbufrandi_local_finish(&camera, &local);
         for (c = 0; c < 8; c++) {
             for (k = 0; k < 3; k++) {
                 float x = (float)((double)local.eye[k] + (test_rng_double(&g) - 0.5) * 16 / scale);
                 node.lo[k][c] = x;
-                node.hi[k][c] = x + (float)(test_rng_double(&g) * 2 / scale);
+                node.hi[k][c] = x + (float)(test_rng_double(&g) * (c % 2 ? 2 : 0.2) / scale);
             }
             if (c == 7 && n % 3 == 0) for (k = 0; k < 3; k++) { node.lo[k][c] = INFINITY; node.hi[k][c] = -INFINITY; } /* no child */
         }
-        zbufrandi_occlusion_begin(&v1, &camera, &local, 1);
-        zbufrandi_occlusion_begin(&v3, &camera, &local, 0);
-        got = zbufrandi_occlusion_node(&s.p, &v1, &node, 255);
-        got3 = zbufrandi_occlusion_node(&s.p, &v3, &node, 255);
+        cut.keys = block == 1 && n % 4 != 0 ? &s.keys : NULL;
+        cut.level = 1;
+        zbufrandi_test_node(&cut, &local, &node, &tested);
+        inside = 255u & ~tested.outside;
+        got = zbufrandi_hidden_children(&cut, &tested, inside);
+        cut.level = zbufrandi_level(ZBUFRAND_ISA_AUTO);
+        zbufrandi_test_node(&cut, &local, &node, &tested3);
+        CHECK(tested.outside == tested3.outside && memcmp(tested.x0, tested3.x0, sizeof tested.x0) == 0);
+        got3 = zbufrandi_hidden_children(&cut, &tested3, inside);
         CHECK_EQ_U64(got, got3);
-        CHECK_EQ_U64(zbufrandi_occlusion_node(&s.p, &v3, &node, 0x55), got & 0x55u);
+        CHECK_EQ_U64(zbufrandi_hidden_children(&cut, &tested3, inside & 0x55u), got & 0x55u);
         for (c = 0; c < 8; c++) {
             if ((got >> c & 1) == 0 || (c == 7 && n % 3 == 0)) continue;
             hidden_count++;
@@ -318,8 +336,8 @@ TEST(nodes) {
                 CHECK(q[2] > 0.1);
                 px = (int)floor(100 + 170 * q[0] / q[2]);
                 py = (int)floor(75 - 170 * q[1] / q[2]);
-                for (y = py; y <= py + 1; y++) {
-                    for (x = px; x <= px + 1; x++) {
+                for (y = py; y < py + (int)block; y++) {
+                    for (x = px; x < px + (int)block; x++) {
                         if (x < 0 || y < 0 || x >= 200 || y >= 150) continue;
                         CHECK((double)s.shown[y * 200 + x] < q[2]);
                     }
@@ -329,6 +347,11 @@ TEST(nodes) {
     }
     CHECK_MSG(hidden_count > (uint32_t)many / 4, "%u", hidden_count);
     scene_close(&s);
+}
+
+TEST(nodes) {
+    hidden_boxes(2);
+    hidden_boxes(1);
 }
 
 int main(int argc, char **argv) {
