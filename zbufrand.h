@@ -7049,7 +7049,7 @@ static void zbufrandi_stored_begin(const zbufrandi_target *target, const zbufran
     s->plane = target->plane && (d->aux & ZBUFRANDI_STORED_FLAT) != 0;
     s->iz_ref = d->iz_ref;
     s->z_lo = d->z_lo;
-    s->iz_hi = 1.0f / d->z_hi;
+    s->iz_hi = 1.0f / (d->z_hi < target->far_z ? d->z_hi : target->far_z);
     s->first = h & (ZBUFRANDI_SET - 1u);
     s->shift = zbufrandi_hash32(h);
 }

@@ -1,0 +1,1130 @@
+/* Pictures: against a z-buffer in double precision; the same for any threads and instruction set; what is promised about
+   completeness and noise is kept; odd cameras, sizes, memory. */
+#include "test.h"
+#define ZBUFRAND_IMPLEMENTATION
+#include "zbufrand.h"
+#include "shapes.h"
+
+static zbufrand_mesh mesh_of(const shape *s) {
+    zbufrand_mesh m;
+    memset(&m, 0, sizeof m);
+    m.positions = s->p;
+    m.vertex_count = s->vertices;
+    m.indices = s->t;
+    m.triangle_count = s->triangles;
+    return m;
+}
+
+static zbufrand_scene *scene_of(const zbufrand_mesh *m, uint32_t count) {
+    zbufrand_scene *s = NULL;
+    zbufrand_build_desc b;
+    uint32_t i;
+    memset(&b, 0, sizeof b);
+    b.ids = 1;
+    if (zbufrand_scene_create(NULL, &s) != ZBUFRAND_OK) abort();
+    for (i = 0; i < count; i++) CHECK_EQ_U64(zbufrand_add_mesh(s, 1, NULL, 0, &m[i], NULL), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_scene_build(s, &b, NULL), ZBUFRAND_OK);
+    return s;
+}
+
+static zbufrand_frame *open_frame(uint32_t threads, zbufrand_isa isa) {
+    zbufrand_frame_desc d;
+    zbufrand_frame *f = NULL;
+    memset(&d, 0, sizeof d);
+    d.env.thread_count = threads;
+    d.isa = isa;
+    CHECK_EQ_U64(zbufrand_frame_create(&d, &f), ZBUFRAND_OK);
+    if (f == NULL) abort();
+    return f;
+}
+
+typedef struct buffers {
+    zbufrand_image image;
+    uint8_t *rgba8;
+    float *rgba, *depth;
+    uint32_t *node;
+} buffers;
+
+static void buffers_open(buffers *b, uint32_t w, uint32_t h) {
+    size_t n = (size_t)w * h;
+    memset(b, 0, sizeof *b);
+    b->image.width = w;
+    b->image.height = h;
+    b->image.rgba8 = b->rgba8 = (uint8_t *)malloc(4 * n);
+    b->image.rgba = b->rgba = (float *)malloc(16 * n);
+    b->image.depth = b->depth = (float *)malloc(4 * n);
+    b->image.node = b->node = (uint32_t *)malloc(4 * n);
+    if (b->rgba8 == NULL || b->rgba == NULL || b->depth == NULL || b->node == NULL) abort();
+}
+static void buffers_close(buffers *b) {
+    free(b->rgba8);
+    free(b->rgba);
+    free(b->depth);
+    free(b->node);
+}
+static uint64_t buffers_hash(const buffers *b) {
+    size_t n = (size_t)b->image.width * b->image.height;
+    return test_fnv1a(b->node, 4 * n, test_fnv1a(b->depth, 4 * n, test_fnv1a(b->rgba, 16 * n, test_fnv1a(b->rgba8, 4 * n, 0))));
+}
+
+/* ---- oracle: nearest depth at sub-pixel positions, k x k in each pixel, of one mesh ---- */
+
+typedef struct exact { uint32_t w, h, k; double *z; } exact;
+
+static void exact_open(exact *e, uint32_t w, uint32_t h, uint32_t k) {
+    size_t i, n = (size_t)w * h * k * k;
+    e->w = w;
+    e->h = h;
+    e->k = k;
+    e->z = (double *)malloc(n * sizeof *e->z);
+    if (e->z == NULL) abort();
+    for (i = 0; i < n; i++) e->z[i] = (double)INFINITY;
+}
+
+static void exact_triangle(exact *e, const zbufrandi_camera *c, const double *p0, const double *p1, const double *p2, int two_sided) {
+    const double *p[3];
+    double q[3][3], x[3], y[3], iz[3], area, lo_x = 1e300, hi_x = -1e300, lo_y = 1e300, hi_y = -1e300;
+    int i, a;
+    int64_t ix, iy, x0, x1, y0, y1, W = (int64_t)e->w * e->k, H = (int64_t)e->h * e->k;
+    p[0] = p0;
+    p[1] = p1;
+    p[2] = p2;
+    for (i = 0; i < 3; i++) {
+        q[i][0] = q[i][1] = q[i][2] = 0;
+        for (a = 0; a < 3; a++) {
+            double d = p[i][a] - c->eye[a];
+            q[i][0] += d * c->right[a];
+            q[i][1] += d * c->up[a];
+            q[i][2] += d * c->dir[a];
+        }
+        if (q[i][2] <= c->near_z) return; /* the oracle's scenes lie in front */
+        iz[i] = 1 / q[i][2];
+        x[i] = (c->center_x + c->focal * q[i][0] * iz[i]) * e->k;
+        y[i] = (c->center_y - c->focal * q[i][1] * iz[i]) * e->k;
+        lo_x = fmin(lo_x, x[i]);
+        hi_x = fmax(hi_x, x[i]);
+        lo_y = fmin(lo_y, y[i]);
+        hi_y = fmax(hi_y, y[i]);
+    }
+    area = (x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0]); /* rows count downward: the front has it negative */
+    if (area == 0 || (area > 0 && !two_sided)) return;
+    x0 = lo_x > 0 ? (int64_t)lo_x : 0;
+    x1 = hi_x < (double)W ? (int64_t)hi_x : W - 1;
+    y0 = lo_y > 0 ? (int64_t)lo_y : 0;
+    y1 = hi_y < (double)H ? (int64_t)hi_y : H - 1;
+    for (iy = y0; iy <= y1; iy++) {
+        for (ix = x0; ix <= x1; ix++) {
+            double px = (double)ix + 0.5, py = (double)iy + 0.5, w[3], z;
+            for (i = 0; i < 3; i++) {
+                int j = (i + 1) % 3, k = (i + 2) % 3;
+                w[i] = ((x[j] - px) * (y[k] - py) - (x[k] - px) * (y[j] - py)) / area;
+            }
+            if (w[0] < 0 || w[1] < 0 || w[2] < 0) continue;
+            z = 1 / (w[0] * iz[0] + w[1] * iz[1] + w[2] * iz[2]);
+            if (z < e->z[iy * W + ix]) e->z[iy * W + ix] = z;
+        }
+    }
+}
+
+static void exact_mesh(exact *e, const zbufrandi_camera *c, const zbufrand_mesh *m) {
+    size_t t;
+    int k, a;
+    for (t = 0; t < m->triangle_count; t++) {
+        double p[3][3];
+        for (k = 0; k < 3; k++) for (a = 0; a < 3; a++) p[k][a] = (double)m->positions[3 * m->indices[3 * t + (size_t)k] + (size_t)a];
+        exact_triangle(e, c, p[0], p[1], p[2], (int)m->two_sided);
+    }
+}
+
+/* Nearest and farthest of what is seen in a pixel; *share: how much of it is covered. */
+static void exact_pixel(const exact *e, uint32_t x, uint32_t y, double *lo, double *hi, double *share) {
+    uint32_t i, j, n = 0;
+    *lo = (double)INFINITY;
+    *hi = -(double)INFINITY;
+    for (j = 0; j < e->k; j++) {
+        for (i = 0; i < e->k; i++) {
+            double z = e->z[((size_t)y * e->k + j) * e->w * e->k + (size_t)x * e->k + i];
+            if (!(z < (double)INFINITY)) continue;
+            *lo = fmin(*lo, z);
+            *hi = fmax(*hi, z);
+            n++;
+        }
+    }
+    *share = (double)n / (e->k * e->k);
+}
+
+/* ---- pictures look like those of a z-buffer ---- */
+
+typedef struct verdict { uint32_t covered, missing, wrong, extra; double worst; } verdict;
+
+/* Pixels that are covered with all their neighbours have to show a depth that occurs in them (a little more, as depths are those of
+   planes at the centre); pixels without anything near have to be empty. */
+static void judge(const exact *e, const float *depth, double slack, verdict *v) {
+    uint32_t x, y;
+    int i, j;
+    memset(v, 0, sizeof *v);
+    for (y = 0; y < e->h; y++) {
+        for (x = 0; x < e->w; x++) {
+            double lo = (double)INFINITY, hi = -(double)INFINITY, least = 1, most = 0, z = (double)depth[(size_t)y * e->w + x];
+            for (j = -1; j <= 1; j++) {
+                for (i = -1; i <= 1; i++) {
+                    double a, b, share;
+                    if ((int)x + i < 0 || (int)y + j < 0 || (int)x + i >= (int)e->w || (int)y + j >= (int)e->h) continue;
+                    exact_pixel(e, (uint32_t)((int)x + i), (uint32_t)((int)y + j), &a, &b, &share);
+                    lo = fmin(lo, a);
+                    hi = fmax(hi, b);
+                    least = fmin(least, share);
+                    most = fmax(most, share);
+                }
+            }
+            if (most == 0) {
+                v->extra += z < (double)INFINITY;
+            } else if (least == 1) {
+                v->covered++;
+                v->missing += !(z < (double)INFINITY);
+                if (z < (double)INFINITY && (z > hi * (1 + slack) || z < lo * (1 - slack))) {
+                    v->wrong++;
+                    v->worst = fmax(v->worst, z / hi);
+                }
+            }
+        }
+    }
+}
+
+static void three_balls(shape *s, uint32_t rings) { /* one before the other */
+    memset(s, 0, sizeof *s);
+    shape_sphere(s, 0, 0, 0, 1, rings);
+    shape_sphere(s, 0.9, 0.5, 1.5, 0.5, rings);
+    shape_sphere(s, -1, 0.2, -2, 1.2, rings);
+    shape_torus(s, 0, 0, -4, 2, 0.7, 2 * rings, rings);
+}
+
+TEST(like_a_z_buffer) {
+    static const zbufrand_hybrid modes[3] = {ZBUFRAND_HYBRID_AUTO, ZBUFRAND_HYBRID_OFF, ZBUFRAND_HYBRID_ALL};
+    uint32_t rings, k, i;
+    for (rings = 10; rings <= (test_quick() ? 40u : 160u); rings *= 4) {
+        shape s;
+        zbufrand_mesh m;
+        zbufrand_scene *scene;
+        zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
+        zbufrandi_camera camera;
+        exact e;
+        buffers b;
+        three_balls(&s, rings);
+        m = mesh_of(&s);
+        scene = scene_of(&m, 1);
+        exact_open(&e, 200, 150, 3);
+        buffers_open(&b, 200, 150);
+        for (k = 0; k < 3; k++) {
+            zbufrand_render_desc d;
+            zbufrand_stats st;
+            verdict v;
+            memset(&d, 0, sizeof d);
+            d.camera.eye[0] = 2;
+            d.camera.eye[1] = 1.5;
+            d.camera.eye[2] = 9;
+            d.camera.at[2] = -1;
+            d.hybrid = modes[k];
+            CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, &st), ZBUFRAND_OK);
+            if (k == 0) {
+                CHECK_EQ_U64(zbufrandi_camera_open(&d.camera, scene, 200, 150, 0, &camera), ZBUFRAND_OK);
+                exact_mesh(&e, &camera, &m);
+            }
+            judge(&e, b.depth, 0.002, &v);
+            CHECK(v.covered > 3000);
+            CHECK_MSG(v.missing == 0 && v.wrong == 0 && v.extra == 0, "rings %u, mode %u: of %u pixels %u are empty, %u wrong (%g), %u too many", rings, k,
+                      v.covered, v.missing, v.wrong, v.worst, v.extra);
+            CHECK(st.incomplete <= 0.05 && st.covered > 3000);
+            for (i = 0; i < 200 * 150; i++) {
+                int shown = b.depth[i] < INFINITY;
+                CHECK(b.rgba8[4 * i + 3] == (shown ? 255 : 0));
+                CHECK((b.rgba[4 * i + 3] == 1.0f) == shown);
+                if (!shown) CHECK(b.rgba[4 * i] == 0.0f && b.node[i] == 0);
+            }
+        }
+        buffers_close(&b);
+        free(e.z);
+        zbufrand_frame_destroy(frame);
+        zbufrand_scene_destroy(scene);
+        shape_free(&s);
+    }
+}
+
+/* Rastered pictures are exact at the centres of pixels. */
+TEST(raster_is_exact) {
+    shape s;
+    zbufrand_mesh m;
+    zbufrand_scene *scene;
+    zbufrand_frame *frame = open_frame(2, ZBUFRAND_ISA_AUTO);
+    zbufrandi_camera camera;
+    zbufrand_render_desc d;
+    exact e;
+    buffers b;
+    uint32_t i, off = 0, both = 0;
+    three_balls(&s, 40);
+    m = mesh_of(&s);
+    scene = scene_of(&m, 1);
+    exact_open(&e, 200, 150, 1);
+    buffers_open(&b, 200, 150);
+    memset(&d, 0, sizeof d);
+    d.camera.eye[0] = 2;
+    d.camera.eye[2] = 9;
+    d.hybrid = ZBUFRAND_HYBRID_ALL;
+    CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, NULL), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrandi_camera_open(&d.camera, scene, 200, 150, 0, &camera), ZBUFRAND_OK);
+    exact_mesh(&e, &camera, &m);
+    for (i = 0; i < 200 * 150; i++) {
+        if ((e.z[i] < (double)INFINITY) != (b.depth[i] < INFINITY)) {
+            off++; /* vertices are rounded to 1/4096 pixel */
+        } else if (e.z[i] < (double)INFINITY) {
+            both++;
+            off += fabs((double)b.depth[i] / e.z[i] - 1) > 1e-4;
+        }
+    }
+    CHECK(both > 5000);
+    CHECK_MSG(off < both / 500, "%u of %u pixels differ", off, both);
+    buffers_close(&b);
+    free(e.z);
+    zbufrand_frame_destroy(frame);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s);
+}
+
+/* ---- the same picture ---- */
+
+static void parallel_backwards(zbufrand_task_fn *task, void *ctx, uint32_t count, void *user) {
+    (void)user;
+    while (count > 0) task(ctx, --count);
+}
+
+static zbufrand_scene *forest(shape *s, uint32_t n) { /* colourful, two-sided, nested, mirrored */
+    zbufrand_scene *scene = NULL;
+    zbufrand_node lib, leaf, ball, tree;
+    zbufrand_mesh m;
+    test_rng r = test_rng_make(9);
+    static uint8_t rgb[3 * 20000];
+    uint32_t i, a, b;
+    zbufrand_transform t;
+    memset(s, 0, 2 * sizeof *s);
+    for (i = 0; i < 400; i++) { /* leaves */
+        double c[3], e = 0.1;
+        uint32_t v[3];
+        for (a = 0; a < 3; a++) c[a] = 2 * test_rng_double(&r) - 1;
+        for (a = 0; a < 3; a++) v[a] = shape_vertex(&s[0], c[0] + e * test_rng_double(&r), c[1] + e * test_rng_double(&r), c[2] + e * test_rng_double(&r));
+        shape_triangle(&s[0], v[0], v[1], v[2]);
+    }
+    shape_sphere(&s[1], 0, 0, 0, 0.5, 30);
+    for (i = 0; i < sizeof rgb; i++) rgb[i] = (uint8_t)test_rng_u32(&r);
+    if (zbufrand_scene_create(NULL, &scene) != ZBUFRAND_OK) abort();
+    CHECK_EQ_U64(zbufrand_add_list(scene, 1, NULL, ZBUFRAND_HIDDEN, &lib), ZBUFRAND_OK);
+    m = mesh_of(&s[0]);
+    m.two_sided = 1;
+    m.triangle_rgb = rgb;
+    CHECK_EQ_U64(zbufrand_add_mesh(scene, lib, NULL, 0, &m, &leaf), ZBUFRAND_OK);
+    m = mesh_of(&s[1]);
+    m.vertex_rgb = rgb;
+    m.normals = s[1].normal;
+    CHECK_EQ_U64(zbufrand_add_mesh(scene, lib, NULL, 0, &m, &ball), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_add_list(scene, lib, NULL, 0, &tree), ZBUFRAND_OK);
+    for (i = 0; i < 4 + n; i++) {
+        double q[9];
+        shape_rotation(test_rng_double(&r), test_rng_double(&r), test_rng_double(&r), q);
+        for (a = 0; a < 3; a++) {
+            for (b = 0; b < 3; b++) t.m[a][b] = q[3 * a + b] * (i < 4 ? 0.5 : i % 5 == 0 ? -1.0 : 1.0);
+            t.m[a][3] = (i < 4 ? 1 : a == 1 ? 3 : 60) * (test_rng_double(&r) - 0.5);
+        }
+        CHECK_EQ_U64(zbufrand_add_reference(scene, i < 4 ? tree : 1, &t, i < 4 ? (i & 1 ? ball : leaf) : tree, NULL), ZBUFRAND_OK);
+    }
+    CHECK_EQ_U64(zbufrand_scene_build(scene, NULL, NULL), ZBUFRAND_OK);
+    return scene;
+}
+
+TEST(same_bits) {
+    shape s[2];
+    zbufrand_scene *scene = forest(s, test_quick() ? 200 : 1000);
+    uint32_t mode, k;
+    for (mode = 0; mode < 9; mode++) {
+        zbufrand_render_desc d;
+        uint64_t hash = 0;
+        memset(&d, 0, sizeof d);
+        d.camera.eye[0] = 40;
+        d.camera.eye[1] = mode == 5 ? 0.3 : 12;
+        d.camera.eye[2] = mode == 5 ? 0 : 40;
+        if (mode == 1) d.hybrid = ZBUFRAND_HYBRID_OFF;
+        if (mode == 2) d.hybrid = ZBUFRAND_HYBRID_ALL;
+        if (mode == 3) d.reconstruct.block = 3;
+        if (mode == 4) d.independent = 1;
+        if (mode == 6) d.no_plane_depth = 1;
+        if (mode == 7) {
+            d.reconstruct.block = 2;
+            d.reconstruct.plane_depth = 1;
+            d.reconstruct.fill = ZBUFRAND_FILL_GAUSS;
+        }
+        if (mode == 8) {
+            d.noise = 0.05;
+            d.max_frames = 5;
+        }
+        for (k = 0; k < 6; k++) {
+            zbufrand_frame *frame;
+            buffers b;
+            if (k < 5) {
+                frame = open_frame(k == 0 ? 1 : k == 1 ? 2 : k == 2 ? 7 : 1, k == 3 ? ZBUFRAND_ISA_SCALAR : k == 4 ? ZBUFRAND_ISA_AVX2 : ZBUFRAND_ISA_AUTO);
+            } else {
+                zbufrand_frame_desc fd;
+                memset(&fd, 0, sizeof fd);
+                fd.env.parallel.for_fn = parallel_backwards;
+                frame = NULL;
+                CHECK_EQ_U64(zbufrand_frame_create(&fd, &frame), ZBUFRAND_OK);
+            }
+            buffers_open(&b, 117, 91);
+            if (k == 2) { /* whatever was drawn before leaves no trace */
+                zbufrand_render_desc other;
+                memset(&other, 0, sizeof other);
+                other.seed = 5;
+                CHECK_EQ_U64(zbufrand_render(frame, &other, scene, &b.image, NULL), ZBUFRAND_OK);
+            }
+            CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, NULL), ZBUFRAND_OK);
+            if (k == 0) hash = buffers_hash(&b);
+            CHECK_MSG(buffers_hash(&b) == hash, "mode %u: run %u gives another picture", mode, k);
+            zbufrand_frame_destroy(frame);
+            buffers_close(&b);
+        }
+    }
+    zbufrand_scene_destroy(scene);
+    shape_free(&s[0]);
+    shape_free(&s[1]);
+}
+
+/* Other seeds and frames are other pictures; hidden things make no difference that is seen. */
+TEST(seeds_and_occlusion) {
+    shape s[2];
+    zbufrand_scene *scene = forest(s, 2000);
+    zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
+    zbufrand_render_desc d;
+    zbufrand_stats st[2];
+    buffers b[2];
+    uint64_t hash[3];
+    uint32_t i, k;
+    double difference = 0, sum[2] = {0, 0};
+    memset(&d, 0, sizeof d);
+    d.camera.eye[1] = 2;
+    d.camera.eye[0] = 30;
+    d.hybrid = ZBUFRAND_HYBRID_OFF;
+    buffers_open(&b[0], 240, 160);
+    buffers_open(&b[1], 240, 160);
+    for (k = 0; k < 3; k++) {
+        d.seed = k == 1;
+        d.frame = k == 2;
+        CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b[0].image, NULL), ZBUFRAND_OK);
+        hash[k] = buffers_hash(&b[0]);
+    }
+    CHECK(hash[0] != hash[1] && hash[0] != hash[2] && hash[1] != hash[2]);
+    d.frame = 0;
+    d.density = 8;
+    for (k = 0; k < 2; k++) {
+        d.no_occlusion = k;
+        CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b[k].image, &st[k]), ZBUFRAND_OK);
+    }
+    CHECK(st[0].samples[0] + st[0].samples[1] <= st[1].samples[0] + st[1].samples[1]);
+    for (i = 0; i < 240 * 160; i++) {
+        for (k = 0; k < 2; k++) sum[k] += b[k].depth[i] < INFINITY ? 1.0 / (double)b[k].depth[i] : 0;
+        difference += (b[0].depth[i] < INFINITY) != (b[1].depth[i] < INFINITY);
+    }
+    CHECK_NEAR(sum[0] / sum[1], 1, 0.01);
+    CHECK(difference < 240 * 160 * 0.01);
+    buffers_close(&b[0]);
+    buffers_close(&b[1]);
+    zbufrand_frame_destroy(frame);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s[0]);
+    shape_free(&s[1]);
+}
+
+/* ---- promises ---- */
+
+/* Of many pictures of a covered view at most the promised share is incomplete. A wall before a wall; every pixel has to
+   show the first. */
+TEST(tolerance_is_kept) {
+    static const double tolerance[2] = {0.05, 0.3};
+    uint32_t k, seed;
+    for (k = 0; k < 4; k++) {
+        shape s;
+        zbufrand_mesh m;
+        zbufrand_scene *scene;
+        zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
+        zbufrand_render_desc d;
+        buffers b;
+        const uint32_t seeds = test_quick() ? 10 : 40;
+        uint32_t bad = 0, i, j, z, x, y, n = 300;
+        double claimed = 0;
+        memset(&s, 0, sizeof s);
+        for (z = 0; z < 2; z++) {
+            uint32_t first = (uint32_t)s.vertices;
+            for (i = 0; i <= n; i++) for (j = 0; j <= n; j++) (void)shape_vertex(&s, 8.0 * i / n - 4, 8.0 * j / n - 4, z == 0 ? 0 : -1);
+            for (i = 0; i < n; i++) {
+                for (j = 0; j < n; j++) {
+                    uint32_t a = first + i * (n + 1) + j, c = a + n + 1;
+                    shape_triangle(&s, a, c, c + 1);
+                    shape_triangle(&s, a, c + 1, a + 1);
+                }
+            }
+        }
+        m = mesh_of(&s);
+        scene = scene_of(&m, 1);
+        buffers_open(&b, 160, 120);
+        memset(&d, 0, sizeof d);
+        d.camera.eye[2] = 4;
+        d.camera.eye[0] = d.camera.at[0] = 1;
+        d.hybrid = ZBUFRAND_HYBRID_OFF;
+        d.tolerance = tolerance[k & 1];
+        d.no_repair = k >= 2;
+        for (seed = 0; seed < seeds; seed++) {
+            zbufrand_stats st;
+            int wrong = 0;
+            d.seed = seed;
+            CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, &st), ZBUFRAND_OK);
+            for (y = 1; y < 119; y++) for (x = 1; x < 159; x++) wrong |= !(b.depth[y * 160 + x] < 4.5f);
+            bad += (uint32_t)wrong;
+            claimed += st.incomplete / seeds;
+        }
+        CHECK_MSG(claimed <= tolerance[k & 1] * 1.0001, "claimed %g, allowed %g", claimed, tolerance[k & 1]);
+        /* binomial: more than mean + 4 standard deviations + 1 has a probability below 1e-4 */
+        CHECK_MSG(bad <= seeds * tolerance[k & 1] + 4 * sqrt(seeds * tolerance[k & 1]) + 1, "%u of %u pictures are incomplete", bad, seeds);
+        if (k == 1) CHECK(bad <= seeds / 2);
+        buffers_close(&b);
+        zbufrand_frame_destroy(frame);
+        zbufrand_scene_destroy(scene);
+        shape_free(&s);
+    }
+}
+
+/* The mean of frames comes as close to the mean picture as was asked for. Reference: many more frames. */
+TEST(noise_is_kept) {
+    shape s[2];
+    zbufrand_scene *scene = forest(s, 600);
+    zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
+    zbufrand_render_desc d;
+    zbufrand_stats st;
+    buffers b, ref;
+    uint32_t k, i, a;
+    buffers_open(&b, 96, 72);
+    buffers_open(&ref, 96, 72);
+    memset(&d, 0, sizeof d);
+    d.camera.eye[1] = 8;
+    d.camera.eye[0] = 40;
+    d.noise = 1e-9;
+    d.max_frames = test_quick() ? 60 : 300;
+    d.seed = 99;
+    CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &ref.image, &st), ZBUFRAND_OK);
+    CHECK_EQ_U64(st.frames, d.max_frames);
+    d.max_frames = 0;
+    d.seed = 0;
+    for (k = 0; k < 2; k++) {
+        double error = 0;
+        uint32_t frames;
+        d.noise = k == 0 ? 0.04 : 0.02;
+        CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, &st), ZBUFRAND_OK);
+        CHECK(st.rmse > 0 && st.rmse <= d.noise);
+        frames = st.frames;
+        CHECK(frames >= 4 && frames < 256);
+        for (i = 0; i < 96 * 72; i++) {
+            for (a = 0; a < 3; a++) {
+                double e = (double)b.rgba[4 * i + a] - (double)ref.rgba[4 * i + a];
+                error += e * e / (3 * 96 * 72);
+            }
+        }
+        CHECK_MSG(sqrt(error) < 1.5 * d.noise, "RMSE %g, wanted %g, estimated %g after %u frames", sqrt(error), d.noise, st.rmse, frames);
+    }
+    buffers_close(&b);
+    buffers_close(&ref);
+    zbufrand_frame_destroy(frame);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s[0]);
+    shape_free(&s[1]);
+}
+
+/* ---- odd views ---- */
+
+TEST(odd_cameras) {
+    shape s;
+    zbufrand_mesh m;
+    zbufrand_scene *scene;
+    zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
+    zbufrand_render_desc d;
+    zbufrand_stats st;
+    buffers b;
+    test_rng r = test_rng_make(4);
+    uint32_t i, k, a;
+    three_balls(&s, 20);
+    m = mesh_of(&s);
+    scene = scene_of(&m, 1);
+    buffers_open(&b, 64, 48);
+    for (k = 0; k < (test_quick() ? 40u : 400u); k++) {
+        memset(&d, 0, sizeof d);
+        for (a = 0; a < 3; a++) {
+            const float *v = s.p + 3 * test_rng_below(&r, (uint32_t)s.vertices);
+            d.camera.eye[a] = k % 4 == 0 ? (double)v[a] : k % 4 == 1 ? 0 : 6 * test_rng_double(&r) - 3; /* on vertices, inside, in boxes */
+            d.camera.at[a] = k % 7 == 0 ? d.camera.eye[a] + (a == 0) : 4 * test_rng_double(&r) - 2;
+        }
+        if (k % 5 == 0) d.camera.near_z = 1e-6;
+        if (k % 6 == 0) d.camera.far_z = 1.5;
+        d.camera.fov_y = k % 3 == 0 ? 150 : 40;
+        d.hybrid = (zbufrand_hybrid)(k % 3);
+        CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, &st), ZBUFRAND_OK);
+        for (i = 0; i < 64 * 48; i++) {
+            CHECK(b.depth[i] > 0.0f && b.rgba[4 * i] >= 0.0f && b.rgba[4 * i] < 100.0f);
+            if (k % 6 == 0) CHECK(b.depth[i] == INFINITY || b.depth[i] <= 1.5001f);
+        }
+    }
+    /* inside a box that is drawn from both sides everything is covered, through the near plane and beyond */
+    {
+        shape box;
+        zbufrand_scene *room;
+        memset(&box, 0, sizeof box);
+        shape_box(&box, -1, -1, -1, 1, 1, 1);
+        m = mesh_of(&box);
+        m.two_sided = 1;
+        room = scene_of(&m, 1);
+        for (k = 0; k < 40; k++) {
+            memset(&d, 0, sizeof d);
+            for (a = 0; a < 3; a++) {
+                d.camera.eye[a] = 1.9 * test_rng_double(&r) - 0.95;
+                d.camera.at[a] = d.camera.eye[a] + test_rng_double(&r) - 0.5;
+            }
+            d.camera.fov_y = 20 + 120 * test_rng_double(&r);
+            d.camera.near_z = 1e-6;
+            d.hybrid = (zbufrand_hybrid)(k % 3);
+            CHECK_EQ_U64(zbufrand_render(frame, &d, room, &b.image, &st), ZBUFRAND_OK);
+            CHECK_MSG(st.covered == 64 * 48, "%llu pixels of a room are covered", (unsigned long long)st.covered);
+        }
+        zbufrand_scene_destroy(room);
+        shape_free(&box);
+    }
+    buffers_close(&b);
+    zbufrand_frame_destroy(frame);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s);
+}
+
+TEST(wrong_arguments) {
+    shape s;
+    zbufrand_mesh m;
+    zbufrand_scene *scene;
+    zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
+    zbufrand_render_desc d;
+    zbufrand_stats st;
+    buffers b;
+    uint32_t i;
+    three_balls(&s, 6);
+    m = mesh_of(&s);
+    scene = scene_of(&m, 1);
+    buffers_open(&b, 16, 16);
+    memset(&d, 0, sizeof d);
+    CHECK_EQ_U64(zbufrand_render(frame, NULL, scene, &b.image, &st), ZBUFRAND_OK); /* all defaults frame the scene */
+    CHECK(st.covered > 30);
+    CHECK_EQ_U64(zbufrand_render(NULL, &d, scene, &b.image, NULL), ZBUFRAND_ERR_INVALID_ARG);
+    CHECK_EQ_U64(zbufrand_render(frame, &d, scene, NULL, NULL), ZBUFRAND_ERR_INVALID_ARG);
+    CHECK_EQ_U64(zbufrand_render(frame, &d, NULL, &b.image, &st), ZBUFRAND_OK); /* nothing */
+    CHECK_EQ_U64(st.covered, 0);
+    for (i = 0; i < 18; i++) {
+        memset(&d, 0, sizeof d);
+        d.camera.eye[0] = 3;
+        if (i == 0) d._begin_zero = 1;
+        if (i == 1) d._end_zero = 1;
+        if (i == 2) d.camera.fov_y = 180;
+        if (i == 3) d.camera.fov_y = -1;
+        if (i == 4) d.camera.eye[1] = (double)NAN;
+        if (i == 5) d.camera.at[1] = (double)INFINITY;
+        if (i == 6) d.camera.near_z = -1;
+        if (i == 7) {
+            d.camera.near_z = 2;
+            d.camera.far_z = 1;
+        }
+        if (i == 8) d.density = -1;
+        if (i == 9) d.tolerance = 1;
+        if (i == 10) d.hybrid = (zbufrand_hybrid)9;
+        if (i == 11) d.spread = 3;
+        if (i == 12) d.light_count = 1;
+        if (i == 13) d.points_count = 1;
+        if (i == 14) d.background[1] = NAN;
+        if (i == 15) d.noise = (double)NAN;
+        if (i == 16) d.density = (double)NAN;
+        if (i == 17) d.reconstruct.block = 100000;
+        CHECK_MSG(zbufrand_render(frame, &d, scene, &b.image, NULL) != ZBUFRAND_OK, "case %u was accepted", i);
+    }
+    b.image.width = 0;
+    CHECK_EQ_U64(zbufrand_render(frame, NULL, scene, &b.image, NULL), ZBUFRAND_OK);
+    b.image.width = 40000;
+    CHECK_EQ_U64(zbufrand_render(frame, NULL, scene, &b.image, NULL), ZBUFRAND_ERR_RANGE);
+    b.image.width = 16; /* and the frame is as good as before */
+    CHECK_EQ_U64(zbufrand_render(frame, NULL, scene, &b.image, &st), ZBUFRAND_OK);
+    CHECK(st.covered > 30);
+    buffers_close(&b);
+    zbufrand_frame_destroy(frame);
+    zbufrand_frame_destroy(NULL);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s);
+}
+
+/* ---- memory ---- */
+
+TEST(nothing_is_allocated_twice) {
+    shape s[2];
+    zbufrand_scene *scene = forest(s, 500);
+    test_alloc ta;
+    zbufrand_frame_desc fd;
+    zbufrand_frame *frame = NULL;
+    zbufrand_render_desc d;
+    buffers b;
+    int64_t count;
+    uint32_t k;
+    test_alloc_init(&ta);
+    memset(&fd, 0, sizeof fd);
+    fd.env.allocator.alloc_fn = test_alloc_fn;
+    fd.env.allocator.free_fn = test_free_fn;
+    fd.env.allocator.user = &ta;
+    fd.env.thread_count = 2;
+    CHECK_EQ_U64(zbufrand_frame_create(&fd, &frame), ZBUFRAND_OK);
+    buffers_open(&b, 120, 90);
+    memset(&d, 0, sizeof d);
+    for (k = 0; k < 3; k++) {
+        if (k == 1) d.reconstruct.block = 2;
+        if (k == 2) {
+            d.noise = 0.1;
+            d.max_frames = 4;
+        }
+        CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, NULL), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, NULL), ZBUFRAND_OK);
+        count = ta.count;
+        CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, NULL), ZBUFRAND_OK);
+        CHECK_EQ_I64(ta.count, count);
+    }
+    zbufrand_frame_destroy(frame);
+    test_alloc_check(&ta);
+    buffers_close(&b);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s[0]);
+    shape_free(&s[1]);
+}
+
+TEST(out_of_memory) {
+    shape s[2];
+    zbufrand_scene *scene = forest(s, 60);
+    buffers b;
+    int64_t k;
+    uint32_t mode;
+    uint64_t hash[2] = {0, 0};
+    buffers_open(&b, 60, 40);
+    for (mode = 0; mode < 2; mode++) {
+        for (k = test_quick() ? 30 : 400; k >= -1; k--) { /* at the end: no failure */
+            test_alloc ta;
+            zbufrand_frame_desc fd;
+            zbufrand_frame *frame = NULL;
+            zbufrand_render_desc d;
+            zbufrand_result r;
+            test_alloc_init(&ta);
+            ta.fail_at = k;
+            memset(&fd, 0, sizeof fd);
+            memset(&d, 0, sizeof d);
+            fd.env.allocator.alloc_fn = test_alloc_fn;
+            fd.env.allocator.free_fn = test_free_fn;
+            fd.env.allocator.user = &ta;
+            fd.env.thread_count = 1;
+            if (mode == 1) {
+                d.reconstruct.block = 2;
+                d.reconstruct.fill = ZBUFRAND_FILL_GAUSS;
+                d.noise = 0.1;
+                d.max_frames = 2;
+            }
+            r = zbufrand_frame_create(&fd, &frame);
+            if (r == ZBUFRAND_OK) {
+                r = zbufrand_render(frame, &d, scene, &b.image, NULL);
+                if (r != ZBUFRAND_OK) { /* and it goes on when there is memory again */
+                    CHECK_EQ_U64(r, ZBUFRAND_ERR_NO_MEMORY);
+                    CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, NULL), ZBUFRAND_OK);
+                }
+                if (hash[mode] == 0) hash[mode] = buffers_hash(&b);
+                CHECK_EQ_U64(buffers_hash(&b), hash[mode]);
+            }
+            zbufrand_frame_destroy(frame);
+            test_alloc_check(&ta);
+        }
+    }
+    buffers_close(&b);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s[0]);
+    shape_free(&s[1]);
+}
+
+/* ---- what surfaces look like ---- */
+
+typedef struct seen_by { zbufrand_camera camera; uint32_t count, nodes, bad; uint32_t lock; const shape *s; } seen_by;
+
+static void own_shade(void *user, const zbufrand_surface *f, size_t count, float *rgba) {
+    seen_by *u = (seen_by *)user;
+    size_t i;
+    int a;
+    for (i = 0; i < count; i++) {
+        double p = 0, n = 0, toward = 0, e[3];
+        for (a = 0; a < 3; a++) {
+            p += f[i].position[a] * f[i].position[a];
+            n += (double)f[i].normal[a] * (double)f[i].normal[a];
+            e[a] = u->camera.eye[a] - f[i].position[a];
+            toward += e[a] * (double)f[i].normal[a];
+        }
+        if (fabs(sqrt(p) - 1) > 0.02 || fabs(n - 1) > 1e-4 || toward < -0.3 || f[i].material != 3 || !(f[i].depth > 2 && f[i].depth < 6)) {
+            __atomic_fetch_add(&u->bad, 1u, __ATOMIC_RELAXED);
+        }
+        if (f[i].node != 0) __atomic_fetch_add(&u->nodes, 1u, __ATOMIC_RELAXED);
+        __atomic_fetch_add(&u->count, 1u, __ATOMIC_RELAXED);
+        for (a = 0; a < 3; a++) rgba[4 * i + (size_t)a] = f[i].rgb[a];
+        rgba[4 * i + 3] = 1;
+    }
+}
+
+TEST(own_shading) {
+    shape s;
+    zbufrand_mesh m;
+    zbufrand_scene *scene;
+    zbufrand_frame *frame = open_frame(3, ZBUFRAND_ISA_AUTO);
+    zbufrand_render_desc d;
+    zbufrand_stats st;
+    buffers b;
+    uint8_t *rgb;
+    uint32_t rings, i, k, a;
+    for (rings = 20; rings <= 500; rings *= 5) {
+        seen_by u;
+        memset(&s, 0, sizeof s);
+        shape_sphere(&s, 0, 0, 0, 1, rings);
+        rgb = (uint8_t *)malloc(3 * s.vertices);
+        REQUIRE(rgb != NULL);
+        for (i = 0; i < s.vertices; i++) for (k = 0; k < 3; k++) rgb[3 * i + k] = (uint8_t)(127.5f + 127.0f * s.normal[3 * i + k]);
+        m = mesh_of(&s);
+        m.vertex_rgb = rgb;
+        m.normals = s.normal;
+        m.material = 3;
+        scene = scene_of(&m, 1);
+        buffers_open(&b, 100, 80);
+        memset(&d, 0, sizeof d);
+        memset(&u, 0, sizeof u);
+        d.camera.eye[0] = 1;
+        d.camera.eye[2] = 4;
+        u.camera = d.camera;
+        u.s = &s;
+        d.shade_fn = own_shade;
+        d.shade_user = &u;
+        if (rings == 500) d.hybrid = ZBUFRAND_HYBRID_OFF;
+        CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, &st), ZBUFRAND_OK);
+        CHECK_EQ_U64(u.count, st.covered); /* winners only */
+        CHECK_MSG(u.bad == 0, "%u of %u surfaces are not as they should be", u.bad, u.count);
+        if (rings == 20) CHECK_EQ_U64(u.nodes, st.covered);
+        { /* the colours come out as sRGB bytes again */
+            zbufrandi_camera c;
+            uint32_t off = 0;
+            CHECK_EQ_U64(zbufrandi_camera_open(&d.camera, scene, 100, 80, 0, &c), ZBUFRAND_OK);
+            for (i = 0; i < 100 * 80; i++) {
+                double x = ((double)(i % 100) + 0.5 - c.center_x) / c.focal, y = (c.center_y - (double)(i / 100) - 0.5) / c.focal, p;
+                if (!(b.depth[i] < 3.9f)) continue;
+                for (a = 0; a < 3; a++) {
+                    p = c.eye[a] + (double)b.depth[i] * (c.dir[a] + x * c.right[a] + y * c.up[a]);
+                    off += fabs((double)b.rgba8[4 * i + a] - (127.5 + 127 * p)) > 12;
+                }
+            }
+            CHECK_MSG(off < st.covered / 50, "%u channels are off", off);
+        }
+        buffers_close(&b);
+        zbufrand_scene_destroy(scene);
+        shape_free(&s);
+        free(rgb);
+    }
+    zbufrand_frame_destroy(frame);
+}
+
+TEST(nodes_backgrounds_strides) {
+    shape s[2];
+    zbufrand_mesh m[2];
+    zbufrand_scene *scene = NULL;
+    zbufrand_node node[2];
+    zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
+    zbufrand_render_desc d;
+    zbufrand_image image;
+    static uint8_t rgba8[50 * 700];
+    static float depth[50 * 200];
+    static uint32_t ids[50 * 90];
+    uint32_t k, x, y, left = 0, right = 0;
+    memset(s, 0, sizeof s);
+    shape_box(&s[0], -2, -1, -1, -0.5, 1, 1);
+    shape_box(&s[1], 0.5, -1, -1, 2, 1, 1);
+    CHECK_EQ_U64(zbufrand_scene_create(NULL, &scene), ZBUFRAND_OK);
+    for (k = 0; k < 2; k++) {
+        m[k] = mesh_of(&s[k]);
+        CHECK_EQ_U64(zbufrand_add_mesh(scene, 1, NULL, 0, &m[k], &node[k]), ZBUFRAND_OK);
+    }
+    CHECK_EQ_U64(zbufrand_scene_build(scene, NULL, NULL), ZBUFRAND_OK);
+    memset(&image, 0, sizeof image);
+    memset(&d, 0, sizeof d);
+    memset(rgba8, 0x55, sizeof rgba8);
+    image.width = 80;
+    image.height = 50;
+    image.rgba8 = rgba8;
+    image.rgba8_stride = 700;
+    image.depth = depth;
+    image.depth_stride = 800;
+    image.node = ids;
+    image.node_stride = 360;
+    d.camera.eye[2] = 8;
+    d.unlit = 1;
+    d.background[0] = 0.5f;
+    d.background[3] = 1.0f;
+    CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &image, NULL), ZBUFRAND_OK);
+    for (y = 0; y < 50; y++) {
+        for (x = 0; x < 80; x++) {
+            const uint8_t *p = rgba8 + 700 * y + 4 * x;
+            int empty = !(depth[200 * y + x] < INFINITY);
+            uint32_t id = ids[90 * y + x];
+            CHECK(empty ? id == 0 : x < 40 ? id == node[0] : id == node[1]);
+            left += id == node[0];
+            right += id == node[1];
+            if (empty) CHECK(p[0] == 188 && p[1] == 0 && p[2] == 0 && p[3] == 255);
+            else CHECK(p[0] == 255 && p[1] == 255 && p[2] == 255 && p[3] == 255);
+        }
+        CHECK(rgba8[700 * y + 320] == 0x55);
+    }
+    CHECK(left > 100 && right > 100);
+    zbufrand_frame_destroy(frame);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s[0]);
+    shape_free(&s[1]);
+}
+
+/* Point clouds: one sample each, the nearest is seen, with a scene between them. */
+TEST(clouds) {
+    test_rng r = test_rng_make(6);
+    shape s;
+    zbufrand_mesh m;
+    zbufrand_scene *scene;
+    zbufrand_frame *frame = open_frame(2, ZBUFRAND_ISA_AUTO);
+    zbufrand_points p;
+    zbufrand_render_desc d;
+    zbufrand_stats st;
+    zbufrandi_camera c;
+    buffers b;
+    const uint32_t n = 100000;
+    float *xyz = (float *)malloc(12 * n), want[80 * 60];
+    uint8_t *rgb = (uint8_t *)malloc(3 * n);
+    uint32_t i, k, a, differ = 0;
+    REQUIRE(xyz != NULL && rgb != NULL);
+    memset(&s, 0, sizeof s);
+    shape_box(&s, -1, -1, -0.1, 1, 1, 0.1);
+    m = mesh_of(&s);
+    scene = scene_of(&m, 1);
+    for (i = 0; i < n; i++) {
+        for (a = 0; a < 3; a++) xyz[3 * i + a] = test_rng_range(&r, -3, 3);
+        for (a = 0; a < 3; a++) rgb[3 * i + a] = (uint8_t)(i >> 8 * a);
+    }
+    xyz[5] = NAN;
+    buffers_open(&b, 80, 60);
+    for (k = 0; k < 2; k++) {
+        memset(&p, 0, sizeof p);
+        memset(&d, 0, sizeof d);
+        p.positions = xyz;
+        p.rgb = rgb;
+        p.count = n;
+        d.points = &p;
+        d.points_count = 1;
+        d.camera.eye[2] = 7;
+        d.camera.near_z = 1;
+        d.unlit = 1;
+        CHECK_EQ_U64(zbufrand_render(frame, &d, k ? scene : NULL, &b.image, &st), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrandi_camera_open(&d.camera, NULL, 80, 60, 0, &c), ZBUFRAND_OK);
+        for (i = 0; i < 80 * 60; i++) want[i] = INFINITY;
+        for (i = 0; i < n; i++) {
+            double z = 7 - (double)xyz[3 * i + 2], x = c.center_x + c.focal * (double)xyz[3 * i] / z, y = c.center_y - c.focal * (double)xyz[3 * i + 1] / z;
+            if (!(z >= 1 && x >= 0 && x < 80 && y >= 0 && y < 60)) continue;
+            if ((float)z < want[(int)y * 80 + (int)x]) want[(int)y * 80 + (int)x] = (float)z;
+        }
+        for (i = 0; i < 80 * 60; i++) {
+            if (k == 0) {
+                differ += want[i] != b.depth[i] && fabs((double)want[i] / (double)b.depth[i] - 1) > 1e-6;
+                if (b.depth[i] < INFINITY) { /* the colour says which point it was */
+                    uint32_t at = (uint32_t)b.rgba8[4 * i] | (uint32_t)b.rgba8[4 * i + 1] << 8 | (uint32_t)b.rgba8[4 * i + 2] << 16;
+                    CHECK(at < n && fabs(7 - (double)xyz[3 * at + 2] - (double)b.depth[i]) < 1e-5);
+                }
+            } else if (b.depth[i] < want[i] * 0.999f) {
+                CHECK(b.depth[i] > 6.5f && b.depth[i] < 7.5f); /* the box is before it */
+            } else {
+                CHECK(want[i] == INFINITY || fabs((double)want[i] / (double)b.depth[i] - 1) < 1e-5);
+            }
+        }
+        CHECK_MSG(differ < 4, "%u pixels differ", differ);
+        if (k == 0) CHECK(st.points > 50000);
+    }
+    buffers_close(&b);
+    free(xyz);
+    free(rgb);
+    zbufrand_frame_destroy(frame);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s);
+}
+
+/* 10^6 away, four levels deep: the same picture as at home. */
+TEST(far_from_home) {
+    shape s;
+    zbufrand_mesh m;
+    zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
+    buffers b[2];
+    uint32_t k, i, l, differ = 0;
+    zbufrand_stats st;
+    memset(&s, 0, sizeof s);
+    shape_torus(&s, 0, 0, 0, 1, 0.4, 60, 30);
+    m = mesh_of(&s);
+    for (k = 0; k < 2; k++) {
+        zbufrand_scene *scene = NULL;
+        zbufrand_node lib, node, list;
+        zbufrand_render_desc d;
+        buffers_open(&b[k], 100, 80);
+        CHECK_EQ_U64(zbufrand_scene_create(NULL, &scene), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_list(scene, 1, NULL, ZBUFRAND_HIDDEN, &lib), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_mesh(scene, lib, NULL, 0, &m, &node), ZBUFRAND_OK);
+        for (l = 0; l < 4; l++) {
+            zbufrand_transform t;
+            memset(&t, 0, sizeof t);
+            t.m[0][0] = t.m[1][1] = t.m[2][2] = 1;
+            if (k == 1) t.m[0][3] = t.m[2][3] = 1e6 * (l + 1);
+            CHECK_EQ_U64(zbufrand_add_list(scene, l == 3 ? 1 : lib, NULL, 0, &list), ZBUFRAND_OK);
+            CHECK_EQ_U64(zbufrand_add_reference(scene, list, &t, node, NULL), ZBUFRAND_OK);
+            node = list;
+        }
+        CHECK_EQ_U64(zbufrand_scene_build(scene, NULL, NULL), ZBUFRAND_OK);
+        memset(&d, 0, sizeof d);
+        d.camera.eye[0] = d.camera.at[0] = d.camera.at[2] = k == 1 ? 1e7 : 0;
+        d.camera.eye[2] = d.camera.at[2] + 4;
+        d.camera.eye[1] = 2;
+        d.camera.near_z = 0.01;
+        d.hybrid = ZBUFRAND_HYBRID_ALL;
+        CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b[k].image, &st), ZBUFRAND_OK);
+        CHECK(st.covered > 1000);
+        zbufrand_scene_destroy(scene);
+    }
+    for (i = 0; i < 100 * 80; i++) {
+        differ += (b[0].depth[i] < INFINITY) != (b[1].depth[i] < INFINITY) ||
+                  (b[0].depth[i] < INFINITY && fabs((double)b[0].depth[i] / (double)b[1].depth[i] - 1) > 1e-5);
+    }
+    CHECK_MSG(differ < 20, "%u pixels differ", differ);
+    buffers_close(&b[0]);
+    buffers_close(&b[1]);
+    zbufrand_frame_destroy(frame);
+    shape_free(&s);
+}
+
+/* Numbers of triangles hardly matter: 1.3 * 10^13 against 10^4 of the same area in the picture. */
+TEST(thirteen_decades) {
+    shape s;
+    zbufrand_mesh m;
+    zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
+    uint64_t covered[2] = {0, 0}, work[2] = {0, 0};
+    uint32_t k, l, i, j;
+    memset(&s, 0, sizeof s);
+    for (i = 0; i <= 60; i++) for (j = 0; j <= 60; j++) (void)shape_vertex(&s, i / 60.0, 0, j / 60.0);
+    for (i = 0; i < 60; i++) {
+        for (j = 0; j < 60; j++) {
+            uint32_t a = i * 61 + j, b = a + 61;
+            shape_triangle(&s, a, a + 1, b + 1);
+            shape_triangle(&s, a, b + 1, b);
+        }
+    }
+    m = mesh_of(&s);
+    for (k = 0; k < 2; k++) {
+        zbufrand_scene *scene = NULL;
+        zbufrand_node lib, node, list;
+        zbufrand_scene_info info;
+        zbufrand_render_desc d;
+        zbufrand_stats st;
+        buffers b;
+        CHECK_EQ_U64(zbufrand_scene_create(NULL, &scene), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_list(scene, 1, NULL, ZBUFRAND_HIDDEN, &lib), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_mesh(scene, lib, NULL, 0, &m, &node), ZBUFRAND_OK);
+        for (l = 0; l < (k == 0 ? 1u : 5u); l++) {
+            uint32_t n = k == 0 ? 1 : 8;
+            CHECK_EQ_U64(zbufrand_add_list(scene, l == (k == 0 ? 0u : 4u) ? 1 : lib, NULL, 0, &list), ZBUFRAND_OK);
+            for (i = 0; i < n; i++) {
+                for (j = 0; j < n; j++) {
+                    zbufrand_transform t;
+                    memset(&t, 0, sizeof t);
+                    t.m[0][0] = t.m[1][1] = t.m[2][2] = 1.0 / n;
+                    t.m[0][3] = (double)i / n;
+                    t.m[2][3] = (double)j / n;
+                    CHECK_EQ_U64(zbufrand_add_reference(scene, list, &t, node, NULL), ZBUFRAND_OK);
+                }
+            }
+            node = list;
+        }
+        CHECK_EQ_U64(zbufrand_scene_build(scene, NULL, &info), ZBUFRAND_OK);
+        CHECK_EQ_U64(info.triangles, k == 0 ? 7200u : 7200ull << 30);
+        memset(&d, 0, sizeof d);
+        d.camera.eye[0] = d.camera.at[0] = d.camera.at[2] = 0.5;
+        d.camera.eye[1] = 1.5;
+        d.camera.eye[2] = 3;
+        d.hybrid = ZBUFRAND_HYBRID_OFF;
+        buffers_open(&b, 320, 240);
+        CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, &st), ZBUFRAND_OK);
+        covered[k] = st.covered;
+        work[k] = st.samples[0] + st.samples[1] + 20 * st.nodes;
+        buffers_close(&b);
+        zbufrand_scene_destroy(scene);
+    }
+    CHECK(covered[0] > 4000);
+    CHECK_NEAR((double)covered[1] / (double)covered[0], 1, 0.02);
+    CHECK_MSG((double)work[1] < 2.5 * (double)work[0], "work %llu and %llu", (unsigned long long)work[0], (unsigned long long)work[1]);
+    zbufrand_frame_destroy(frame);
+    shape_free(&s);
+}
+
+static int stop_at_once(void *user, uint64_t done, uint64_t total) {
+    (void)user;
+    (void)done;
+    (void)total;
+    return 1;
+}
+
+TEST(cancelled) {
+    shape s;
+    zbufrand_mesh m;
+    zbufrand_scene *scene;
+    zbufrand_frame_desc fd;
+    zbufrand_frame *frame = NULL;
+    buffers b;
+    three_balls(&s, 10);
+    m = mesh_of(&s);
+    scene = scene_of(&m, 1);
+    memset(&fd, 0, sizeof fd);
+    fd.env.progress_fn = stop_at_once;
+    CHECK_EQ_U64(zbufrand_frame_create(&fd, &frame), ZBUFRAND_OK);
+    buffers_open(&b, 20, 20);
+    CHECK_EQ_U64(zbufrand_render(frame, NULL, scene, &b.image, NULL), ZBUFRAND_ERR_CANCELLED);
+    buffers_close(&b);
+    zbufrand_frame_destroy(frame);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s);
+}
+
+int main(int argc, char **argv) {
+    test_begin(argc, argv);
+    RUN(like_a_z_buffer);
+    RUN(raster_is_exact);
+    RUN(same_bits);
+    RUN(seeds_and_occlusion);
+    RUN(tolerance_is_kept);
+    RUN(noise_is_kept);
+    RUN(odd_cameras);
+    RUN(wrong_arguments);
+    RUN(nothing_is_allocated_twice);
+    RUN(out_of_memory);
+    RUN(own_shading);
+    RUN(nodes_backgrounds_strides);
+    RUN(clouds);
+    RUN(far_from_home);
+    RUN(thirteen_decades);
+    RUN(cancelled);
+    return test_end();
+}

@@ -1,0 +1,743 @@
+/* Where samples fall: densities in the picture, area weights, instances, independence; points of surfaces. Seeds are
+   fixed; p-values are stated where a statistic is compared. */
+#include "test.h"
+#define ZBUFRAND_IMPLEMENTATION
+#include "zbufrand.h"
+#include "shapes.h"
+
+static zbufrand_mesh mesh_of(const shape *s) {
+    zbufrand_mesh m;
+    memset(&m, 0, sizeof m);
+    m.positions = s->p;
+    m.vertex_count = s->vertices;
+    m.indices = s->t;
+    m.triangle_count = s->triangles;
+    return m;
+}
+
+static zbufrand_scene *scene_of(const zbufrand_mesh *m, int ids) {
+    zbufrand_scene *s = NULL;
+    zbufrand_build_desc b;
+    memset(&b, 0, sizeof b);
+    b.ids = ids != 0;
+    if (zbufrand_scene_create(NULL, &s) != ZBUFRAND_OK) abort();
+    CHECK_EQ_U64(zbufrand_add_mesh(s, 1, NULL, 0, m, NULL), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_scene_build(s, &b, NULL), ZBUFRAND_OK);
+    return s;
+}
+
+/* A square of edge 2 e in the x-y plane, n x n x 2 triangles, facing +z. */
+static void plane(shape *s, uint32_t n, double e) {
+    uint32_t i, j, first = (uint32_t)s->vertices;
+    for (i = 0; i <= n; i++) {
+        for (j = 0; j <= n; j++) (void)shape_vertex(s, e * (2.0 * i / n - 1), e * (2.0 * j / n - 1), 0);
+    }
+    for (i = 0; i < n; i++) {
+        for (j = 0; j < n; j++) {
+            uint32_t a = first + i * (n + 1) + j, b = a + n + 1;
+            shape_triangle(s, a, b, b + 1);
+            shape_triangle(s, a, b + 1, a + 1);
+        }
+    }
+}
+
+/* Distribution of chi-square: value that is exceeded with a probability of about 1e-5 (Wilson and Hilferty). */
+static double chi_limit(double k) {
+    double z = 4.265, t = 1 - 2 / (9 * k) + z * sqrt(2 / (9 * k));
+    return k * t * t * t;
+}
+
+enum { GRID = 16, WIDTH = 320, HEIGHT = 240 };
+
+typedef struct counts {
+    double cell[GRID][GRID];
+    uint64_t total, back;
+    double z_sum;
+} counts;
+
+static int count_sample(void *user, const zbufrand_sample *s, const uint32_t *numbers, size_t n) {
+    counts *c = (counts *)user;
+    size_t i;
+    (void)numbers;
+    for (i = 0; i < n; i++) {
+        int x = (int)(s[i].x * GRID / WIDTH), y = (int)(s[i].y * GRID / HEIGHT);
+        if (x < 0 || y < 0 || x >= GRID || y >= GRID || !(s[i].z > 0)) {
+            CHECK_MSG(0, "a sample at %g %g, depth %g", (double)s[i].x, (double)s[i].y, (double)s[i].z);
+            return 1;
+        }
+        c->cell[y][x] += 1;
+        c->total++;
+        c->back += s[i].flags & ZBUFRAND_SAMPLE_BACK;
+        c->z_sum += (double)s[i].z;
+    }
+    return 0;
+}
+
+/* ---- density in the picture ---- */
+
+/* A camera at (0, 0, d) above a plane through the origin, tilted: what share of a cell of the picture does it cover?
+   By `columns` x 32 rays a cell. half: half the edge of the square. */
+static void covered(const zbufrandi_camera *c, double half, int columns, double cell[GRID][GRID]) {
+    int x, y, i, j;
+    for (y = 0; y < GRID; y++) {
+        for (x = 0; x < GRID; x++) {
+            int n = 0;
+            for (i = 0; i < columns; i++) {
+                for (j = 0; j < 32; j++) {
+                    double px = (x + (i + 0.5) / columns) * WIDTH / GRID, py = (y + (j + 0.5) / 32) * HEIGHT / GRID;
+                    double u = (px - c->center_x) / c->focal, v = (c->center_y - py) / c->focal, d[3], t;
+                    int a;
+                    for (a = 0; a < 3; a++) d[a] = c->dir[a] + u * c->right[a] + v * c->up[a];
+                    t = -c->eye[2] / d[2];
+                    n += t > c->near_z && d[2] < 0 && fabs(c->eye[0] + t * d[0]) < half && fabs(c->eye[1] + t * d[1]) < half;
+                }
+            }
+            cell[y][x] = n / (32.0 * columns);
+        }
+    }
+}
+
+/* flags 1: no thinning, 2: independent, 4: two-sided from behind */
+static void check_density(uint32_t mesh, double tilt, double fov, double density, uint32_t flags) {
+    shape s;
+    zbufrand_mesh m;
+    zbufrand_scene *scene;
+    zbufrand_frame *frame = NULL;
+    zbufrand_render_desc d;
+    zbufrandi_camera camera;
+    zbufrand_stats st;
+    counts c;
+    double cover[GRID][GRID], chi = 0, expected, sum = 0, seen = 0, scale, sign = flags & 4 ? -1 : 1;
+    uint32_t seed, seeds = test_quick() ? 2 : 6, used = 0;
+    int x, y;
+    memset(&s, 0, sizeof s);
+    memset(&c, 0, sizeof c);
+    memset(&d, 0, sizeof d);
+    plane(&s, mesh, 3);
+    m = mesh_of(&s);
+    m.two_sided = (flags & 4) != 0;
+    scene = scene_of(&m, 0);
+    CHECK_EQ_U64(zbufrand_frame_create(NULL, &frame), ZBUFRAND_OK);
+    d.camera.eye[0] = 4 * sin(tilt * 0.0174532925199433);
+    d.camera.eye[2] = sign * 4 * cos(tilt * 0.0174532925199433);
+    d.camera.up[1] = 1;
+    d.camera.fov_y = fov;
+    d.density = density;
+    d.hybrid = ZBUFRAND_HYBRID_OFF;
+    d.no_thinning = flags & 1;
+    d.independent = (flags & 2) != 0;
+    for (seed = 0; seed < seeds; seed++) {
+        d.seed = seed;
+        CHECK_EQ_U64(zbufrand_sample_scene(frame, &d, scene, WIDTH, HEIGHT, count_sample, &c, &st), ZBUFRAND_OK);
+    }
+    CHECK_EQ_U64(zbufrandi_camera_open(&d.camera, scene, WIDTH, HEIGHT, 0, &camera), ZBUFRAND_OK);
+    if (sign < 0) { /* the oracle wants to look down */
+        camera.eye[2] = -camera.eye[2];
+        camera.dir[2] = -camera.dir[2];
+        camera.right[2] = -camera.right[2];
+        camera.up[2] = -camera.up[2];
+    }
+    covered(&camera, 3, tilt > 80 ? 256 : 32, cover); /* seen edge-on it is a few pixels wide */
+    scale = density * seeds * (double)WIDTH * HEIGHT / (GRID * GRID);
+    for (y = 0; y < GRID; y++) {
+        for (x = 0; x < GRID; x++) {
+            expected = cover[y][x] * scale;
+            sum += expected;
+            seen += c.cell[y][x];
+            if (cover[y][x] < 0.999) continue; /* the edge is known to 1/32 of a cell only */
+            if (flags & 1) {
+                CHECK_MSG(c.cell[y][x] > expected - 4.5 * sqrt(expected), "tilt %g: %g samples in a cell, at least %g are needed", tilt,
+                          c.cell[y][x], expected);
+                continue;
+            }
+            chi += (c.cell[y][x] - expected) * (c.cell[y][x] - expected) / expected;
+            used++;
+        }
+    }
+    if (!(flags & 1)) {
+        if (used > 0) CHECK_MSG(chi < chi_limit(used), "mesh %u, tilt %g: chi-square %g of %u cells", mesh, tilt, chi, used);
+        if ((flags & 2) && used > 20) CHECK_MSG(chi > used - 4.3 * sqrt(2.0 * used), "independent samples are too even: %g of %u", chi, used);
+        CHECK_MSG(fabs(seen - sum) < 4.5 * sqrt(sum) + 0.004 * sum + 3, "mesh %u, tilt %g: %g samples, %g expected", mesh, tilt, seen, sum);
+    }
+    CHECK_EQ_U64(c.back, flags & 4 ? c.total : 0);
+    zbufrand_frame_destroy(frame);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s);
+}
+
+TEST(planes) {
+    static const double tilt[] = {0, 20, 45, 60, 75, 85, 89, 89.9};
+    static const uint32_t mesh[] = {1, 20, 200, 500}; /* from two large triangles to many a pixel */
+    uint32_t i, k;
+    for (i = 0; i < 8; i++) {
+        for (k = 0; k < (test_quick() || i % 3 != 1 ? 3u : 4u); k++) check_density(mesh[k], tilt[i], 40, mesh[k] == 1 ? 5 : 1.3, 0);
+    }
+}
+TEST(wide_angle) {
+    check_density(200, 30, 120, 1, 0);
+    check_density(500, 60, 130, 0.5, 0);
+    check_density(2, 70, 120, 3, 0);
+}
+TEST(at_least_without_thinning) {
+    check_density(300, 60, 60, 1, 1);
+    check_density(30, 80, 100, 2, 1);
+}
+TEST(independent_samples) {
+    check_density(1, 30, 40, 3, 2);
+    check_density(300, 50, 60, 1, 2);
+}
+TEST(from_behind) {
+    check_density(200, 40, 40, 1, 4);
+    check_density(3, 40, 40, 2, 4);
+}
+
+/* Nothing is drawn of a surface that faces away. */
+TEST(facing_away) {
+    shape s;
+    zbufrand_mesh m;
+    zbufrand_scene *scene;
+    zbufrand_frame *frame = NULL;
+    zbufrand_render_desc d;
+    counts c;
+    uint32_t mesh;
+    CHECK_EQ_U64(zbufrand_frame_create(NULL, &frame), ZBUFRAND_OK);
+    for (mesh = 1; mesh <= 300; mesh += 299) {
+        memset(&s, 0, sizeof s);
+        memset(&c, 0, sizeof c);
+        memset(&d, 0, sizeof d);
+        plane(&s, mesh, 3);
+        m = mesh_of(&s);
+        scene = scene_of(&m, 0);
+        d.camera.eye[2] = -4;
+        d.camera.eye[0] = 1;
+        d.hybrid = ZBUFRAND_HYBRID_OFF;
+        CHECK_EQ_U64(zbufrand_sample_scene(frame, &d, scene, WIDTH, HEIGHT, count_sample, &c, NULL), ZBUFRAND_OK);
+        CHECK_EQ_U64(c.total, 0);
+        zbufrand_scene_destroy(scene);
+        shape_free(&s);
+    }
+    zbufrand_frame_destroy(frame);
+}
+
+/* ---- instances are what they stand for ---- */
+
+static void random_transform(test_rng *r, double scale, int mirror, zbufrand_transform *t) {
+    double q[9];
+    uint32_t a, b;
+    shape_rotation(test_rng_double(r), test_rng_double(r), test_rng_double(r), q);
+    for (a = 0; a < 3; a++) {
+        for (b = 0; b < 3; b++) t->m[a][b] = q[3 * a + b] * scale * (mirror ? -1 : 1);
+        t->m[a][3] = 6 * test_rng_double(r) - 3;
+    }
+}
+
+TEST(instances_and_copies) {
+    test_rng r = test_rng_make(31);
+    uint32_t k, i, seed;
+    for (k = 0; k < 2; k++) { /* small ones, of which many stand behind one stored point; large ones */
+        shape one, all;
+        zbufrand_mesh m;
+        zbufrand_scene *scene[2] = {NULL, NULL};
+        zbufrand_frame *frame = NULL;
+        zbufrand_node lib, mesh, group;
+        zbufrand_render_desc d;
+        counts c[2];
+        const uint32_t count = k == 0 ? 400 : 40;
+        double chi = 0;
+        uint32_t used = 0, x, y;
+        memset(&one, 0, sizeof one);
+        memset(&all, 0, sizeof all);
+        memset(c, 0, sizeof c);
+        shape_torus(&one, 0, 0, 0, 1, 0.4, 30, 15);
+        CHECK_EQ_U64(zbufrand_scene_create(NULL, &scene[0]), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_list(scene[0], 1, NULL, ZBUFRAND_HIDDEN, &lib), ZBUFRAND_OK);
+        m = mesh_of(&one);
+        CHECK_EQ_U64(zbufrand_add_mesh(scene[0], lib, NULL, 0, &m, &mesh), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_list(scene[0], lib, NULL, 0, &group), ZBUFRAND_OK); /* two in a group, the group many times */
+        for (i = 0; i < 2; i++) {
+            zbufrand_transform t;
+            random_transform(&r, 0.3 + 0.2 * i, (int)i, &t);
+            CHECK_EQ_U64(zbufrand_add_reference(scene[0], group, &t, mesh, NULL), ZBUFRAND_OK);
+            {
+                shape copy;
+                double q[9];
+                uint32_t a, b, v;
+                memset(&copy, 0, sizeof copy);
+                shape_torus(&copy, 0, 0, 0, 1, 0.4, 30, 15);
+                for (a = 0; a < 3; a++) for (b = 0; b < 3; b++) q[3 * a + b] = t.m[a][b];
+                shape_place(&copy, q, t.m[0][3], t.m[1][3], t.m[2][3]);
+                v = (uint32_t)all.vertices;
+                for (a = 0; a < copy.vertices; a++) (void)shape_vertex(&all, (double)copy.p[3 * a], (double)copy.p[3 * a + 1], (double)copy.p[3 * a + 2]);
+                for (a = 0; a < copy.triangles; a++) { /* a mirror turns triangles inside out: put that right */
+                    shape_triangle(&all, v + copy.t[3 * a], v + copy.t[3 * a + (i ? 2 : 1)], v + copy.t[3 * a + (i ? 1 : 2)]);
+                }
+                shape_free(&copy);
+            }
+        }
+        {
+            shape pair = all; /* the flattened group; then all its copies */
+            memset(&all, 0, sizeof all);
+            for (i = 0; i < count; i++) {
+                zbufrand_transform t;
+                uint32_t a, v = (uint32_t)all.vertices;
+                random_transform(&r, (k == 0 ? 0.15 : 1.0) * pow(10, 0.6 * test_rng_double(&r) - 0.3), (int)(i % 3 == 0), &t);
+                if (k == 0) for (a = 0; a < 3; a++) t.m[a][3] *= 1.6;
+                CHECK_EQ_U64(zbufrand_add_reference(scene[0], 1, &t, group, NULL), ZBUFRAND_OK);
+                for (a = 0; a < pair.vertices; a++) {
+                    double p[3], q[3];
+                    uint32_t b;
+                    for (b = 0; b < 3; b++) p[b] = (double)pair.p[3 * a + b];
+                    zbufrandi_m34_point(ZBUFRANDI_M34(t.m), p, q);
+                    (void)shape_vertex(&all, q[0], q[1], q[2]);
+                }
+                for (a = 0; a < pair.triangles; a++) {
+                    int turn = i % 3 == 0;
+                    shape_triangle(&all, v + pair.t[3 * a], v + pair.t[3 * a + (turn ? 2 : 1)], v + pair.t[3 * a + (turn ? 1 : 2)]);
+                }
+            }
+            shape_free(&pair);
+        }
+        m = mesh_of(&all);
+        scene[1] = scene_of(&m, 0);
+        CHECK_EQ_U64(zbufrand_scene_build(scene[0], NULL, NULL), ZBUFRAND_OK);
+        CHECK_EQ_U64(scene[0]->info.triangles, scene[1]->info.triangles);
+        CHECK_NEAR(scene[0]->info.area / scene[1]->info.area, 1, 1e-4);
+        CHECK_EQ_U64(zbufrand_frame_create(NULL, &frame), ZBUFRAND_OK);
+        memset(&d, 0, sizeof d);
+        d.camera.eye[2] = k == 0 ? 40 : 25;
+        d.camera.eye[0] = 3;
+        d.camera.fov_y = 50;
+        d.hybrid = ZBUFRAND_HYBRID_OFF;
+        d.density = k == 0 ? 2 : 0.5;
+        for (seed = 0; seed < (test_quick() ? 1u : 4u); seed++) {
+            for (i = 0; i < 2; i++) {
+                d.seed = 100 * i + seed;
+                CHECK_EQ_U64(zbufrand_sample_scene(frame, &d, scene[i], WIDTH, HEIGHT, count_sample, &c[i], NULL), ZBUFRAND_OK);
+            }
+        }
+        for (y = 0; y < GRID; y++) {
+            for (x = 0; x < GRID; x++) {
+                double a = c[0].cell[y][x], b = c[1].cell[y][x];
+                if (a + b < 20) continue;
+                chi += (a - b) * (a - b) / (a + b);
+                used++;
+            }
+        }
+        CHECK(used > 20);
+        CHECK_MSG(chi < chi_limit(used), "case %u: chi-square %g of %u cells", k, chi, used);
+        CHECK_MSG(fabs((double)c[0].total - (double)c[1].total) < 4.5 * sqrt((double)c[0].total + (double)c[1].total), "%llu and %llu samples",
+                  (unsigned long long)c[0].total, (unsigned long long)c[1].total);
+        CHECK_NEAR(c[0].z_sum / (double)c[0].total, c[1].z_sum / (double)c[1].total, 0.1);
+        zbufrand_frame_destroy(frame);
+        zbufrand_scene_destroy(scene[0]);
+        zbufrand_scene_destroy(scene[1]);
+        shape_free(&one);
+        shape_free(&all);
+    }
+}
+
+/* ---- weights of triangles ---- */
+
+/* One cluster, triangles whose areas in the picture span 12 decades: how often each is sampled. */
+TEST(twelve_decades_in_a_cluster) {
+    shape s;
+    zbufrand_mesh m;
+    zbufrand_scene *scene;
+    zbufrandi_camera camera;
+    zbufrand_camera k;
+    zbufrandi_cut cut;
+    zbufrandi_target g;
+    zbufrandi_local local;
+    zbufrandi_draw d;
+    zbufrandi_flatten constants;
+    static zbufrandi_flat f;
+    double area[128], seen[128], chi = 0;
+    uint32_t i, j, h, n, used = 0, independent;
+    memset(&s, 0, sizeof s);
+    for (i = 0; i < 100; i++) { /* side by side, facing +z, legs from 1e-6 to 1 */
+        double e = pow(10, -6.0 * i / 99), x = 0.02 * i;
+        shape_triangle(&s, shape_vertex(&s, x, 0, 0), shape_vertex(&s, x + e, 0, 0), shape_vertex(&s, x, e, 0));
+    }
+    for (i = 0; i < 28; i++) shape_triangle(&s, shape_vertex(&s, i, 5, 0), shape_vertex(&s, i, 6, 0), shape_vertex(&s, i + 1, 5, 0)); /* away */
+    m = mesh_of(&s);
+    scene = scene_of(&m, 1);
+    memset(&k, 0, sizeof k);
+    k.eye[2] = k.at[2] = 30;
+    k.at[2] = 0;
+    memset(&g, 0, sizeof g);
+    memset(&d, 0, sizeof d);
+    memset(&cut, 0, sizeof cut);
+    CHECK_EQ_U64(zbufrandi_camera_open(&k, scene, WIDTH, HEIGHT, 0, &camera), ZBUFRAND_OK);
+    cut.camera = camera;
+    cut.density = 1;
+    g.cut = &cut;
+    g.focal = camera.focal;
+    g.width = WIDTH;
+    g.height = HEIGHT;
+    g.center_x = (float)camera.center_x;
+    g.center_y = (float)camera.center_y;
+    zbufrandi_local_root(&camera, &scene->structure[0], 1, &local);
+    for (independent = 0; independent < 2; independent++) {
+        const zbufrandi_structure *st = &scene->structure[0];
+        uint32_t c;
+        double draws = 0;
+        cut.independent = (int)independent;
+        memset(seen, 0, sizeof seen);
+        memset(area, 0, sizeof area);
+        chi = 0;
+        used = 0;
+        for (c = 0; c < st->cluster_count; c++) { /* size classes make several clusters of it; each is a test */
+            const zbufrandi_cluster *cl = &st->cluster[c];
+            double sum = 0;
+            uint32_t t;
+            d.h_ref = 0;
+            for (t = 0; t < cl->triangle_count; t++) {
+                uint32_t id = st->triangle_id[cl->first_triangle + t];
+                double e = pow(10, -6.0 * id / 99);
+                area[t] = id < 100 ? 0.5 * e * e : 0;
+                sum += area[t];
+                seen[t] = 0;
+            }
+            if (!(sum > 0)) continue;
+            d.h_ref = (float)(sum * camera.focal * camera.focal / 900 * 1.3); /* a bound of the area in the picture */
+            d.count = 0x7fffffff;
+            draws = 0;
+            for (h = 0; h < (test_quick() ? 500u : 5000u); h++) {
+                uint32_t wanted = 400;
+                d.hash = zbufrandi_hash32(h * 7919u + c);
+                zbufrandi_flatten_begin(&g, &d, &local, &constants, &f);
+                zbufrandi_flatten_cluster(&g, &constants, st, cl, &f);
+                n = wanted;
+                if (independent) zbufrandi_flat_independent(&d, &f, cl->triangle_count, 0, n);
+                else zbufrandi_flat_strata(&d, &f, cl->triangle_count, n, 0, n);
+                for (j = 0; j < n; j++) {
+                    REQUIRE(f.triangle[j] < cl->triangle_count);
+                    seen[f.triangle[j]] += 1;
+                }
+                draws += n;
+            }
+            for (t = 0; t < cl->triangle_count; t++) {
+                double expected = draws * area[t] / sum;
+                if (area[t] <= 0) CHECK(seen[t] == 0); /* faces away: never */
+                if (expected < 10) {
+                    CHECK(seen[t] < 40);
+                    continue;
+                }
+                chi += (seen[t] - expected) * (seen[t] - expected) / expected;
+                used++;
+            }
+        }
+        CHECK(used > 20);
+        CHECK_MSG(chi < chi_limit(used), "chi-square %g of %u triangles", chi, used);
+        if (independent) CHECK_MSG(chi > used - 4.3 * sqrt(2.0 * used), "too even: %g of %u", chi, used);
+    }
+    zbufrand_scene_destroy(scene);
+    shape_free(&s);
+}
+
+/* Weights on a triangle: means, variances, covariance; 64 equal parts. */
+TEST(uniform_on_a_triangle) {
+    uint32_t mode, i;
+    for (mode = 0; mode < 2; mode++) {
+        double su = 0, sv = 0, suu = 0, svv = 0, suv = 0, part[64], chi = 0;
+        const uint32_t n = 200000;
+        memset(part, 0, sizeof part);
+        for (i = 0; i < n; i++) {
+            float u, v;
+            double w[3], fu, fv;
+            uint32_t a, b;
+            zbufrandi_flat_weights(zbufrandi_hash32(17), zbufrandi_hash32(19), mode ? i : zbufrandi_hash32(i), (int)mode, &u, &v);
+            w[1] = (double)u;
+            w[2] = (double)v;
+            w[0] = 1 - w[1] - w[2];
+            CHECK(w[0] >= -1e-6 && w[1] >= 0 && w[2] >= 0);
+            su += w[1];
+            sv += w[2];
+            suu += w[1] * w[1];
+            svv += w[2] * w[2];
+            suv += w[1] * w[2];
+            a = (uint32_t)(w[1] * 8); /* the triangle cut into 8 x 8: 36 upright parts, 28 upside down */
+            b = (uint32_t)(w[2] * 8);
+            fu = w[1] * 8 - a;
+            fv = w[2] * 8 - b;
+            {
+                uint32_t up = fu + fv < 1, row = a, col = b, id, k;
+                for (id = 0, k = 0; k < row; k++) id += 2 * (8 - k) - 1;
+                id += 2 * col + (up ? 0 : 1);
+                if (id < 64) part[id] += 1;
+            }
+        }
+        CHECK_NEAR(su / n, 1.0 / 3, 0.003);
+        CHECK_NEAR(sv / n, 1.0 / 3, 0.003);
+        CHECK_NEAR(suu / n - su / n * su / n, 1.0 / 18, 0.001);
+        CHECK_NEAR(svv / n - sv / n * sv / n, 1.0 / 18, 0.001);
+        CHECK_NEAR(suv / n - su / n * sv / n, -1.0 / 36, 0.001);
+        for (i = 0; i < 64; i++) chi += (part[i] - n / 64.0) * (part[i] - n / 64.0) / (n / 64.0);
+        CHECK_MSG(chi < chi_limit(63), "chi-square %g", chi);
+    }
+}
+
+/* ---- points of surfaces ---- */
+
+static double triangle_area(const shape *s, uint32_t t) {
+    double n[3];
+    zbufrandi_cross(s->p + 3 * s->t[3 * t], s->p + 3 * s->t[3 * t + 1], s->p + 3 * s->t[3 * t + 2], n);
+    return 0.5 * sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+}
+
+TEST(points_of_a_mesh) {
+    test_rng r = test_rng_make(41);
+    const size_t n = test_quick() ? 60000 : 1200000;
+    uint32_t mode, i, k, a;
+    shape s;
+    zbufrand_mesh m;
+    zbufrand_scene *scene;
+    float *p = (float *)malloc(12 * n), *normal = (float *)malloc(12 * n), *q = (float *)malloc(12 * n);
+    uint8_t *rgb = (uint8_t *)malloc(3 * n), *color;
+    uint32_t *id = (uint32_t *)malloc(8 * n);
+    double *area, total = 0;
+    REQUIRE(p != NULL && normal != NULL && q != NULL && rgb != NULL && id != NULL);
+    memset(&s, 0, sizeof s);
+    for (i = 0; i < 4000; i++) { /* legs over six decades: areas over twelve */
+        double c[3], e = 0.5 * pow(10, -6 * test_rng_double(&r));
+        uint32_t v[3];
+        for (a = 0; a < 3; a++) c[a] = test_rng_double(&r);
+        for (k = 0; k < 3; k++) {
+            double at[3];
+            for (a = 0; a < 3; a++) at[a] = c[a] + e * (test_rng_double(&r) - 0.5);
+            v[k] = shape_vertex(&s, at[0], at[1], at[2]);
+        }
+        shape_triangle(&s, v[0], v[1], v[2]);
+    }
+    color = (uint8_t *)malloc(3 * s.triangles);
+    area = (double *)malloc(s.triangles * sizeof *area);
+    REQUIRE(color != NULL && area != NULL);
+    for (i = 0; i < 3 * s.triangles; i++) color[i] = (uint8_t)test_rng_u32(&r);
+    for (i = 0; i < s.triangles; i++) total += area[i] = triangle_area(&s, i);
+    m = mesh_of(&s);
+    m.triangle_rgb = color;
+    scene = scene_of(&m, 1);
+    for (mode = 0; mode < 2; mode++) {
+        zbufrand_surface_points_desc d;
+        size_t prefix;
+        memset(&d, 0, sizeof d);
+        d.independent = mode;
+        CHECK_EQ_U64(zbufrand_surface_points(scene, &d, n, p, normal, rgb, id), ZBUFRAND_OK);
+        for (i = 0; i < n; i += 7) { /* on their triangles */
+            uint32_t t = id[2 * i + 1];
+            const float *v[3];
+            double w[3], tn[3], l, off = 0, dot = 0;
+            REQUIRE(t < s.triangles);
+            for (k = 0; k < 3; k++) v[k] = s.p + 3 * s.t[3 * t + k];
+            zbufrandi_cross(v[0], v[1], v[2], tn);
+            l = sqrt(tn[0] * tn[0] + tn[1] * tn[1] + tn[2] * tn[2]);
+            for (a = 0; a < 3; a++) {
+                off += tn[a] / l * ((double)p[3 * i + a] - (double)v[0][a]);
+                dot += tn[a] / l * (double)normal[3 * i + a];
+                CHECK_EQ_U64(rgb[3 * i + a], color[3 * t + a]);
+            }
+            CHECK_MSG(fabs(off) < 3e-7, "point %u is %g off its plane", i, off);
+            CHECK(dot > 0.9999);
+            for (k = 0; k < 3; k++) { /* distance from the edges, to rounding */
+                const float *u = v[k], *o = v[(k + 1) % 3];
+                double e[3], x[3], le;
+                for (a = 0; a < 3; a++) {
+                    e[a] = (double)o[a] - (double)u[a];
+                    x[a] = (double)p[3 * i + a] - (double)u[a];
+                }
+                le = sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2]);
+                w[k] = (tn[0] * (e[1] * x[2] - e[2] * x[1]) + tn[1] * (e[2] * x[0] - e[0] * x[2]) + tn[2] * (e[0] * x[1] - e[1] * x[0])) / (l * le);
+                CHECK_MSG(w[k] > -4e-7, "point %u lies %g outside of its triangle", i, -w[k]);
+            }
+        }
+        for (prefix = 3000; prefix <= n; prefix *= prefix < 20000 ? 8 : 4) { /* any prefix follows the areas */
+            double chi = 0, *seen = (double *)calloc(s.triangles, sizeof *seen);
+            uint32_t used = 0;
+            double small = 0, small_seen = 0;
+            REQUIRE(seen != NULL);
+            for (i = 0; i < prefix; i++) seen[id[2 * i + 1]] += 1;
+            for (i = 0; i < s.triangles; i++) {
+                double expected = (double)prefix * area[i] / total;
+                if (expected < 8) {
+                    small += expected;
+                    small_seen += seen[i];
+                    continue;
+                }
+                chi += (seen[i] - expected) * (seen[i] - expected) / expected;
+                used++;
+            }
+            CHECK_MSG(used == 0 || chi < chi_limit(used), "mode %u, %zu points: chi-square %g of %u", mode, prefix, chi, used);
+            if (mode == 1 && used > 30) CHECK_MSG(chi > used - 4.3 * sqrt(2.0 * used), "independent ones are too even: %g of %u", chi, used);
+            CHECK_MSG(fabs(small - small_seen) < 4.5 * sqrt(small) + 1, "%g points on small triangles, %g expected", small_seen, small);
+            free(seen);
+        }
+        { /* pieces are the same as the whole; less asked for is the same, too */
+            size_t done = 0, step = 777;
+            while (done < n) {
+                size_t c = n - done < step ? n - done : step;
+                d.first = done;
+                CHECK_EQ_U64(zbufrand_surface_points(scene, &d, c, q + 3 * done, NULL, NULL, NULL), ZBUFRAND_OK);
+                done += c;
+                step *= 5;
+            }
+            CHECK(memcmp(p, q, 12 * n) == 0);
+            d.first = 0;
+            d.seed = 1;
+            CHECK_EQ_U64(zbufrand_surface_points(scene, &d, 100, q, NULL, NULL, NULL), ZBUFRAND_OK);
+            CHECK(memcmp(p, q, 1200) != 0);
+        }
+    }
+    free(p);
+    free(q);
+    free(normal);
+    free(rgb);
+    free(id);
+    free(color);
+    free(area);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s);
+}
+
+/* Short prefixes of stratified points are more even than chance: mean squares of counts in 64 slabs. */
+TEST(short_prefixes_are_even) {
+    shape s;
+    zbufrand_mesh m;
+    zbufrand_scene *scene;
+    double sum[2] = {0, 0};
+    uint32_t seed, mode, i;
+    memset(&s, 0, sizeof s);
+    plane(&s, 60, 1);
+    m = mesh_of(&s);
+    scene = scene_of(&m, 0);
+    for (seed = 0; seed < 20; seed++) {
+        for (mode = 0; mode < 2; mode++) {
+            zbufrand_surface_points_desc d;
+            float p[3 * 500];
+            double cell[64];
+            memset(&d, 0, sizeof d);
+            memset(cell, 0, sizeof cell);
+            d.seed = seed;
+            d.independent = mode;
+            CHECK_EQ_U64(zbufrand_surface_points(scene, &d, 500, p, NULL, NULL, NULL), ZBUFRAND_OK);
+            for (i = 0; i < 500; i++) cell[(int)((p[3 * i] + 1) * 3.999f) * 8 + (int)((p[3 * i + 1] + 1) * 3.999f)] += 1;
+            for (i = 0; i < 64; i++) sum[mode] += (cell[i] - 500 / 64.0) * (cell[i] - 500 / 64.0) / (500 / 64.0) / 64 / 20;
+        }
+    }
+    CHECK_MSG(sum[1] > 0.85 && sum[1] < 1.15, "independent: variance over mean %g", sum[1]);
+    CHECK_MSG(sum[0] < 0.5, "stratified: variance over mean %g", sum[0]);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s);
+}
+
+TEST(points_of_instances) {
+    test_rng r = test_rng_make(43);
+    shape s;
+    zbufrand_mesh m;
+    zbufrand_scene *scene = NULL;
+    zbufrand_node lib, node, list;
+    double weight[30], seen[30], total = 0, chi = 0, center[30][3];
+    const uint32_t n = 60000;
+    float *p = (float *)malloc(12 * n), *normal = (float *)malloc(12 * n);
+    uint32_t i, k, a;
+    REQUIRE(p != NULL && normal != NULL);
+    memset(&s, 0, sizeof s);
+    memset(seen, 0, sizeof seen);
+    shape_sphere(&s, 0, 0, 0, 1, 30);
+    m = mesh_of(&s);
+    CHECK_EQ_U64(zbufrand_scene_create(NULL, &scene), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_add_list(scene, 1, NULL, ZBUFRAND_HIDDEN, &lib), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_add_mesh(scene, lib, NULL, 0, &m, &node), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_add_list(scene, lib, NULL, 0, &list), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_add_reference(scene, list, NULL, node, NULL), ZBUFRAND_OK); /* two levels */
+    for (i = 0; i < 30; i++) {
+        zbufrand_transform t;
+        double scale = pow(10, 1.5 * test_rng_double(&r) - 1.5);
+        random_transform(&r, scale, (int)(i & 1), &t);
+        for (a = 0; a < 3; a++) t.m[a][3] = center[i][a] = a == 0 ? 4.0 * i : 0;
+        CHECK_EQ_U64(zbufrand_add_reference(scene, 1, &t, list, NULL), ZBUFRAND_OK);
+        total += weight[i] = scale * scale;
+    }
+    CHECK_EQ_U64(zbufrand_surface_points(scene, NULL, 1, p, NULL, NULL, NULL), ZBUFRAND_ERR_EMPTY); /* not built yet */
+    CHECK_EQ_U64(zbufrand_scene_build(scene, NULL, NULL), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_surface_points(scene, NULL, n, p, normal, NULL, NULL), ZBUFRAND_OK);
+    for (i = 0; i < n; i++) {
+        double d[3], l, dot = 0;
+        k = (uint32_t)floor((double)p[3 * i] / 4 + 0.5);
+        REQUIRE(k < 30);
+        seen[k] += 1;
+        for (a = 0; a < 3; a++) d[a] = (double)p[3 * i + a] - center[k][a];
+        l = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
+        CHECK(l < sqrt(weight[k]) * 1.001 && l > sqrt(weight[k]) * 0.99);
+        for (a = 0; a < 3; a++) dot += d[a] / l * (double)normal[3 * i + a];
+        CHECK(dot > 0.99);
+    }
+    for (k = 0; k < 30; k++) {
+        double expected = n * weight[k] / total;
+        if (expected > 5) chi += (seen[k] - expected) * (seen[k] - expected) / expected;
+    }
+    CHECK_MSG(chi < chi_limit(29), "chi-square %g", chi);
+    free(p);
+    free(normal);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s);
+}
+
+/* Smooth normals and colours between vertices. */
+TEST(attributes_of_surface_points) {
+    shape s;
+    zbufrand_mesh m;
+    zbufrand_scene *scene;
+    zbufrand_surface_points_desc d;
+    uint8_t *color, rgb[3 * 300];
+    float p[3 * 300], n[3 * 300];
+    uint32_t i, a;
+    memset(&s, 0, sizeof s);
+    memset(&d, 0, sizeof d);
+    shape_sphere(&s, 5, 6, 7, 2, 40);
+    color = (uint8_t *)malloc(3 * s.vertices);
+    REQUIRE(color != NULL);
+    for (i = 0; i < s.vertices; i++) for (a = 0; a < 3; a++) color[3 * i + a] = (uint8_t)(127.5f + 127.0f * s.normal[3 * i + a]);
+    m = mesh_of(&s);
+    m.normals = s.normal;
+    m.vertex_rgb = color;
+    scene = scene_of(&m, 0);
+    d.vertex_normals = 1;
+    CHECK_EQ_U64(zbufrand_surface_points(scene, &d, 300, p, n, rgb, NULL), ZBUFRAND_OK);
+    for (i = 0; i < 300; i++) {
+        double dot = 0;
+        for (a = 0; a < 3; a++) {
+            double x = ((double)p[3 * i + a] - 5 - a) / 2;
+            dot += x * (double)n[3 * i + a];
+            CHECK_NEAR((double)rgb[3 * i + a], 127.5 + 127 * x, 9);
+        }
+        CHECK_MSG(dot > 0.995, "normal %u: %g", i, dot);
+    }
+    {
+        uint32_t id[2];
+        CHECK_EQ_U64(zbufrand_surface_points(scene, &d, 1, p, NULL, NULL, id), ZBUFRAND_ERR_INVALID_ARG); /* built without ids */
+        CHECK_EQ_U64(zbufrand_surface_points(scene, &d, 1, NULL, NULL, NULL, NULL), ZBUFRAND_ERR_INVALID_ARG);
+        CHECK_EQ_U64(zbufrand_surface_points(scene, &d, 0, NULL, NULL, NULL, NULL), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_surface_points(NULL, &d, 1, p, NULL, NULL, NULL), ZBUFRAND_ERR_INVALID_ARG);
+    }
+    free(color);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s);
+}
+
+int main(int argc, char **argv) {
+    test_begin(argc, argv);
+    RUN(planes);
+    RUN(wide_angle);
+    RUN(at_least_without_thinning);
+    RUN(independent_samples);
+    RUN(from_behind);
+    RUN(facing_away);
+    RUN(instances_and_copies);
+    RUN(twelve_decades_in_a_cluster);
+    RUN(uniform_on_a_triangle);
+    RUN(points_of_a_mesh);
+    RUN(short_prefixes_are_even);
+    RUN(points_of_instances);
+    RUN(attributes_of_surface_points);
+    return test_end();
+}
