@@ -4766,7 +4766,9 @@ typedef struct tetcasti_scene {
     const tetcasti_cells *cells;
     const tetcasti_hull *hull;      /* faces where rays enter */
     const uint32_t *hull_prev;      /* cell that lies on the other side of them; NULL: none */
-    const uint32_t *stop;           /* NULL, or one bit a cluster of cells: walks end there */
+    const uint32_t *first;          /* what walks begin with at them, where that is not face.cell; else NULL */
+    const uint32_t *stop;           /* NULL, or bit (cell >> stop_log) is set where walks end */
+    uint32_t stop_log;
     const tetcast_optics *optics;   /* NULL: none */
     float unit;                     /* world length of a local one */
     uint32_t smooth_normals, fma;
@@ -4865,7 +4867,7 @@ static tetcasti_start tetcasti_hit_start(const tetcasti_scene *scene, const tetc
     if (h->face >= TETCASTI_STARTS) return b->start[h->face - TETCASTI_STARTS];
     f = &scene->hull->face[h->face];
     for (k = 0; k < 3; k++) s.v[k] = f->v[k];
-    s.cell = scene->cells->first != NULL ? scene->cells->first[h->face] : f->cell;
+    s.cell = scene->first != NULL ? scene->first[h->face] : f->cell;
     s.prev = scene->hull_prev != NULL ? scene->hull_prev[h->face] : TETCASTI_NONE;
     return s;
 }
@@ -4995,7 +4997,7 @@ TETCASTI_INLINE void tetcasti_batch_walk_ray(const tetcasti_scene *scene, uint32
         }
         while (!over && w.cell != TETCASTI_NONE) {
             float at, s;
-            if (stop != NULL && tetcasti_bit(stop, w.cell >> TETCASTI_CLUSTER_LOG)) break;
+            if (stop != NULL && tetcasti_bit(stop, w.cell >> scene->stop_log)) break;
             if (sink == TETCASTI_SINK_ANY) before = w;
             tetcasti_walk_step(scene->cells, kind, &r, scene->vertex, &w, &at, &s);
             steps++;
@@ -5344,15 +5346,14 @@ typedef struct tetcasti_lanes {
 #define TETCASTI_ROWS_WALK 22u
 #define TETCASTI_ROWS_RAY 33u
 
-/* Four rows of 8: lane i has the four words of record number at[i]. turn: see tetcasti_lanes, or NULL. */
-TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_load8x4(const void *base, const uint32_t at[8],
-                                                           const uint32_t (*turn)[8],
-                                                           __m256 out[4]) {
+/* Four rows of 8: lane i has the four words at base + stride * at[i]. turn: see tetcasti_lanes, or NULL. */
+TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_load8x4(const void *base, const size_t stride, const uint32_t at[8],
+                                                           const uint32_t (*turn)[8], __m256 out[4]) {
     const float *p = (const float *)base;
     __m256 r0, r1, r2, r3, t0, t1, t2, t3;
 #define TETCASTI_PAIR(i) \
-    _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(p + 4 * (size_t)at[i])), \
-                         _mm_loadu_ps(p + 4 * (size_t)at[i + 4]), 1)
+    _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(p + stride * at[i])), \
+                         _mm_loadu_ps(p + stride * at[i + 4]), 1)
     r0 = TETCASTI_PAIR(0);
     r1 = TETCASTI_PAIR(1);
     r2 = TETCASTI_PAIR(2);
@@ -5403,14 +5404,14 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_blend8p(tetcasti_points8 *a, 
     a->id = tetcasti_blend8i(a->id, b->id, mask);
 }
 
-/* n[rank of v], n[3] = 0: bit 0 of the rank is the parity of how many of p, q, r are smaller, bit 1 the majority. */
+/* n[rank of v]: bit 0 of the rank is the parity of how many of p, q, r are smaller, bit 1 the majority. */
 TETCASTI_TARGET_WALK TETCASTI_INLINE __m256i tetcasti_pick8(__m256i v, __m256i p, __m256i q, __m256i r, __m256i n0,
-                                                            __m256i n1, __m256i n2) {
+                                                            __m256i n1, __m256i n2, __m256i n3) {
     __m256i c = _mm256_cmpgt_epi32(v, p), d = _mm256_cmpgt_epi32(v, q), e = _mm256_cmpgt_epi32(v, r);
     __m256i differ = _mm256_xor_si256(c, d), odd = _mm256_xor_si256(differ, e);
     __m256i most = tetcasti_blend8i(c, e, _mm256_castsi256_ps(differ));
-    return tetcasti_blend8i(tetcasti_blend8i(n0, n1, _mm256_castsi256_ps(odd)), _mm256_andnot_si256(odd, n2),
-                            _mm256_castsi256_ps(most));
+    return tetcasti_blend8i(tetcasti_blend8i(n0, n1, _mm256_castsi256_ps(odd)),
+                            tetcasti_blend8i(n2, n3, _mm256_castsi256_ps(odd)), _mm256_castsi256_ps(most));
 }
 
 TETCASTI_TARGET_WALK TETCASTI_INLINE __m256 tetcasti_face_value8(__m256 a, __m256 b, __m256 c, __m256 ab, __m256 bc,
@@ -5517,7 +5518,7 @@ TETCASTI_TARGET_WALK static uint32_t tetcasti_faces8(const tetcasti_scene *scene
     x_hi = y_hi = _mm256_set1_ps(-TETCASTI_INF);
     for (k = 0; k < 3; k++) {
         __m256 row[4], z[2], q[4];
-        tetcasti_load8x4(scene->vertex, v[k], (const uint32_t (*)[8])turn, row);
+        tetcasti_load8x4(scene->vertex, 4, v[k], (const uint32_t (*)[8])turn, row);
         p[k][0] = row[0];
         p[k][1] = row[1];
         p[k][2] = row[2];
@@ -5629,7 +5630,7 @@ TETCASTI_TARGET_WALK static void tetcasti_walk_begin8(const tetcasti_scene *scen
     __m256 row[4], ab, bc, ca, inv, dz;
     uint32_t k;
     for (k = 0; k < 3; k++) {
-        tetcasti_load8x4(scene->vertex, l->id[k], (const uint32_t (*)[8])l->turn, row);
+        tetcasti_load8x4(scene->vertex, 4, l->id[k], (const uint32_t (*)[8])l->turn, row);
         dz = _mm256_sub_ps(row[2], _mm256_loadu_ps(l->oz));
         p[k].x = _mm256_fnmadd_ps(_mm256_loadu_ps(l->sx), dz, _mm256_sub_ps(row[0], _mm256_loadu_ps(l->ox)));
         p[k].y = _mm256_fnmadd_ps(_mm256_loadu_ps(l->sy), dz, _mm256_sub_ps(row[1], _mm256_loadu_ps(l->oy)));
@@ -5869,6 +5870,125 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE __m256i tetcasti_next_tet8(__m256i cell, __
     return tetcasti_blend8i(to, _mm256_xor_si256(prev, pick), _mm256_castsi256_ps(escape));
 }
 
+/* What the forms of cells read on the way in, and need on the way out. */
+typedef struct tetcasti_node8 {
+    __m256i n[4];               /* Tet16, Tet8: xor of vertices and of neighbours; else neighbours */
+    __m256i v[4];               /* vertices that they lie opposite to; Tet20: none, they are in order */
+    __m256i escape;             /* Tet8: all ones where n is a Tet16 record */
+} tetcasti_node8;
+
+TETCASTI_TARGET_WALK TETCASTI_INLINE __m256i tetcasti_row8i(const __m256 *row) { return _mm256_castps_si256(*row); }
+
+/* The numbers of the vertices of a List160 record, which are the last words of its first four quarters. */
+TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_load_list(const tetcasti_cells *cells, const uint32_t at[8],
+                                                             __m256i v[4]) {
+    const float *p = (const float *)cells->data;
+    __m256 r[4], t0, t1;
+    uint32_t i;
+    for (i = 0; i < 4; i++) {
+        const float *lo = p + 40 * (size_t)at[i], *hi = p + 40 * (size_t)at[i + 4];
+#define TETCASTI_PAIR(k) \
+        _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(lo + 4 * (k))), _mm_loadu_ps(hi + 4 * (k)), 1)
+        t0 = _mm256_unpackhi_ps(TETCASTI_PAIR(0), TETCASTI_PAIR(1));
+        t1 = _mm256_unpackhi_ps(TETCASTI_PAIR(2), TETCASTI_PAIR(3));
+#undef TETCASTI_PAIR
+        r[i] = _mm256_shuffle_ps(t0, t1, 0xee);
+    }
+    t0 = _mm256_unpacklo_ps(r[0], r[1]);
+    t1 = _mm256_unpacklo_ps(r[2], r[3]);
+    v[0] = _mm256_castps_si256(_mm256_shuffle_ps(t0, t1, 0x44));
+    v[1] = _mm256_castps_si256(_mm256_shuffle_ps(t0, t1, 0xee));
+    t0 = _mm256_unpackhi_ps(r[0], r[1]);
+    t1 = _mm256_unpackhi_ps(r[2], r[3]);
+    v[2] = _mm256_castps_si256(_mm256_shuffle_ps(t0, t1, 0x44));
+    v[3] = _mm256_castps_si256(_mm256_shuffle_ps(t0, t1, 0xee));
+}
+
+/* tetcasti_enter: the fourth vertices of cells whose other three have xor abc. */
+TETCASTI_TARGET_WALK TETCASTI_INLINE __m256i tetcasti_enter8(const tetcasti_cells *cells, const uint32_t kind,
+                                                             const uint32_t at[8], __m256i abc, tetcasti_node8 *node) {
+    const float *p = (const float *)cells->data;
+    __m256 row[4];
+    __m256i x;
+    uint32_t i, word[8];
+    switch (kind) {
+    case TETCAST_CELLS_TET8:
+        node->escape = tetcasti_load_tet8(cells, at, node->n);
+        return _mm256_xor_si256(node->n[0], abc);
+    case TETCAST_CELLS_TET20:
+        tetcasti_load8x4(p + 1, 5, at, NULL, row);
+        for (i = 0; i < 4; i++) node->n[i] = tetcasti_row8i(&row[i]);
+        for (i = 0; i < 4; i++) node->v[i] = _mm256_setzero_si256();
+        for (i = 0; i < 8; i++) word[i] = ((const tetcasti_tet20 *)cells->data)[at[i]].x;
+        return _mm256_xor_si256(_mm256_loadu_si256((const __m256i *)(const void *)word), abc);
+    case TETCAST_CELLS_TET32:
+        tetcasti_load8x4(p, 8, at, NULL, row);
+        for (i = 0; i < 4; i++) node->v[i] = tetcasti_row8i(&row[i]); /* the last is not needed */
+        x = node->v[3];
+        tetcasti_load8x4(p + 4, 8, at, NULL, row);
+        for (i = 0; i < 4; i++) node->n[i] = tetcasti_row8i(&row[i]);
+        return _mm256_xor_si256(x, abc);
+    case TETCAST_CELLS_LIST160:
+        tetcasti_load_list(cells, at, node->v);
+        tetcasti_load8x4(p + 32, 40, at, NULL, row);
+        for (i = 0; i < 4; i++) node->n[i] = tetcasti_row8i(&row[i]);
+        break;
+    case TETCAST_CELLS_STRIPS: case TETCAST_CELLS_STRIPS_GENERAL: {
+        /* four columns {v, n1, n2} are three times four words */
+        const __m256i one = _mm256_set1_epi32(1), low = _mm256_set1_epi32((int)~TETCASTI_STRIP_FLAG);
+        const __m256i cell = _mm256_loadu_si256((const __m256i *)(const void *)at);
+        __m256 end[4];
+        __m256i n1, n2, none;
+        tetcasti_load8x4(p, 3, at, NULL, row);
+        node->v[0] = tetcasti_row8i(&row[0]);
+        node->v[1] = tetcasti_row8i(&row[3]);
+        node->n[3] = tetcasti_row8i(&row[2]);
+        tetcasti_load8x4(p + 4, 3, at, NULL, row);
+        n1 = tetcasti_row8i(&row[0]);
+        n2 = tetcasti_row8i(&row[1]);
+        node->v[2] = tetcasti_row8i(&row[2]);
+        node->n[0] = tetcasti_row8i(&row[3]);
+        tetcasti_load8x4(p + 8, 3, at, NULL, end);
+        node->v[3] = tetcasti_row8i(&end[1]);
+        node->n[0] = tetcasti_blend8i(node->n[0], _mm256_add_epi32(cell, one), row[0]);
+        node->n[3] = tetcasti_blend8i(node->n[3], _mm256_sub_epi32(cell, one), row[1]);
+        node->n[1] = n1;
+        node->n[2] = n2;
+        for (i = 0; i < 4; i++) {
+            node->n[i] = _mm256_and_si256(node->n[i], low);
+            none = _mm256_cmpeq_epi32(node->n[i], low);
+            node->n[i] = _mm256_or_si256(node->n[i], none);
+        }
+        break;
+    }
+    default:
+        tetcasti_load8x4(p, 4, at, NULL, row);
+        for (i = 0; i < 4; i++) node->n[i] = tetcasti_row8i(&row[i]);
+        for (i = 0; i < 4; i++) node->v[i] = _mm256_setzero_si256();
+        return _mm256_xor_si256(node->n[0], abc);
+    }
+    x = _mm256_xor_si256(_mm256_xor_si256(node->v[0], node->v[1]), _mm256_xor_si256(node->v[2], node->v[3]));
+    return _mm256_xor_si256(x, abc);
+}
+
+/* tetcasti_leave: x is the vertex not in the new face (a, b, c), of which d is one; (p, q, r): the old face. */
+TETCASTI_TARGET_WALK TETCASTI_INLINE __m256i tetcasti_leave8(const uint32_t kind, const tetcasti_node8 *node,
+                                                             __m256i cell, __m256i prev, __m256i x, const __m256i f[3],
+                                                             __m256i d, const __m256i old[3]) {
+    const __m256i *n = node->n;
+    __m256i next;
+    if (kind == TETCAST_CELLS_TET16 || kind == TETCAST_CELLS_TET8) {
+        next = _mm256_xor_si256(tetcasti_pick8(d, old[0], old[1], old[2], n[1], n[2], n[3], _mm256_setzero_si256()),
+                                tetcasti_pick8(x, f[0], f[1], f[2], n[1], n[2], n[3], _mm256_setzero_si256()));
+        if (kind == TETCAST_CELLS_TET8) return tetcasti_next_tet8(cell, prev, next, node->escape);
+        return _mm256_xor_si256(next, prev);
+    }
+    if (kind == TETCAST_CELLS_TET20) return tetcasti_pick8(x, f[0], f[1], f[2], n[0], n[1], n[2], n[3]);
+    next = tetcasti_blend8i(n[3], n[2], _mm256_castsi256_ps(_mm256_cmpeq_epi32(x, node->v[2])));
+    next = tetcasti_blend8i(next, n[1], _mm256_castsi256_ps(_mm256_cmpeq_epi32(x, node->v[1])));
+    return tetcasti_blend8i(next, n[0], _mm256_castsi256_ps(_mm256_cmpeq_epi32(x, node->v[0])));
+}
+
 /* All lanes pass through their cells. Returns the lanes that are through with their walk (or, with *ended, their
    ray). */
 TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_step8(const tetcasti_scene *scene, const uint32_t kind,
@@ -5878,20 +5998,11 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_step8(const tetcasti_scen
     const __m256 sign = _mm256_set1_ps(-0.0f);
     __m256 row[4], da, db, dc, zero, to_c, to_b, keep_a, ab, bc, ca, inv, at, s, at_face, s_face, cursor, length, way,
         dz, emit;
-    __m256i n[4], x, next, cell, prev, escape;
+    __m256i x, next, cell, prev, face[3], out[3];
+    tetcasti_node8 node;
     tetcasti_points8 a, b, c, d;
     uint32_t id[8], i, emits, rare, over = 0;
     cell = _mm256_loadu_si256((const __m256i *)(const void *)l->cell);
-    if (kind == TETCAST_CELLS_TET8) {
-        escape = tetcasti_load_tet8(scene->cells, l->cell, n);
-    } else {
-        tetcasti_load8x4(scene->cells->data, l->cell, NULL, row);
-        n[0] = _mm256_castps_si256(row[0]);
-        n[1] = _mm256_castps_si256(row[1]);
-        n[2] = _mm256_castps_si256(row[2]);
-        n[3] = _mm256_castps_si256(row[3]);
-        escape = _mm256_setzero_si256();
-    }
 #define TETCASTI_LOAD_POINT(p, k) \
     p.x = _mm256_loadu_ps(l->point[k][0]); p.y = _mm256_loadu_ps(l->point[k][1]); \
     p.z = _mm256_loadu_ps(l->point[k][2]); \
@@ -5899,10 +6010,13 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_step8(const tetcasti_scen
     TETCASTI_LOAD_POINT(a, 0);
     TETCASTI_LOAD_POINT(b, 1);
     TETCASTI_LOAD_POINT(c, 2);
-    d.id = _mm256_xor_si256(_mm256_xor_si256(n[0], a.id), _mm256_xor_si256(b.id, c.id));
+    face[0] = a.id;
+    face[1] = b.id;
+    face[2] = c.id;
+    d.id = tetcasti_enter8(scene->cells, kind, l->cell, _mm256_xor_si256(_mm256_xor_si256(a.id, b.id), c.id), &node);
     d.id = _mm256_and_si256(d.id, _mm256_loadu_si256((const __m256i *)(const void *)l->alive));
     _mm256_storeu_si256((__m256i *)(void *)id, d.id);
-    tetcasti_load8x4(scene->vertex, id, (const uint32_t (*)[8])l->turn, row);
+    tetcasti_load8x4(scene->vertex, 4, id, (const uint32_t (*)[8])l->turn, row);
     dz = _mm256_sub_ps(row[2], _mm256_loadu_ps(l->oz));
     d.x = _mm256_fnmadd_ps(_mm256_loadu_ps(l->sx), dz, _mm256_sub_ps(row[0], _mm256_loadu_ps(l->ox)));
     d.y = _mm256_fnmadd_ps(_mm256_loadu_ps(l->sy), dz, _mm256_sub_ps(row[1], _mm256_loadu_ps(l->oy)));
@@ -5940,7 +6054,6 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_step8(const tetcasti_scen
     ca = _mm256_blendv_ps(_mm256_blendv_ps(dc, ca, to_b), _mm256_xor_ps(da, sign), to_c);
     x = tetcasti_blend8i(tetcasti_blend8i(a.id, b.id, to_b), c.id, to_c); /* what is not in the new face */
     prev = _mm256_loadu_si256((const __m256i *)(const void *)l->prev);
-    next = tetcasti_pick8(d.id, a.id, b.id, c.id, n[1], n[2], n[3]);
     {
         tetcasti_points8 old_a = a;
         a = d;
@@ -5948,8 +6061,10 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_step8(const tetcasti_scen
         tetcasti_blend8p(&b, &d, to_b);
         tetcasti_blend8p(&c, &d, to_c);
     }
-    next = _mm256_xor_si256(next, tetcasti_pick8(x, a.id, b.id, c.id, n[1], n[2], n[3]));
-    next = kind == TETCAST_CELLS_TET8 ? tetcasti_next_tet8(cell, prev, next, escape) : _mm256_xor_si256(next, prev);
+    out[0] = a.id;
+    out[1] = b.id;
+    out[2] = c.id;
+    next = tetcasti_leave8(kind, &node, cell, prev, x, out, d.id, face);
     inv = _mm256_div_ps(_mm256_set1_ps(1.0f), _mm256_add_ps(_mm256_add_ps(ab, bc), ca));
     at = _mm256_mul_ps(_mm256_fmadd_ps(bc, a.z, _mm256_fmadd_ps(ca, b.z, _mm256_mul_ps(ab, c.z))), inv);
     s = tetcasti_face_value8(a.s, b.s, c.s, ab, bc, ca, inv);
@@ -6021,11 +6136,12 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_step8(const tetcasti_scen
     return (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(_mm256_cmpeq_epi32(next, _mm256_set1_epi32(-1)))) & l->live;
 }
 
-/* Which cells are in clusters whose bit is set? Lanes whose cell is none count as well. */
-TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_stops8(const uint32_t *stop, const uint32_t cell[8]) {
+/* Which cells have their bit set? Lanes whose cell is none count as well. */
+TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_stops8(const uint32_t *stop, uint32_t stop_log,
+                                                              const uint32_t cell[8]) {
     __m256i c = _mm256_loadu_si256((const __m256i *)(const void *)cell),
         none = _mm256_cmpeq_epi32(c, _mm256_set1_epi32(-1)), word;
-    c = _mm256_srli_epi32(_mm256_andnot_si256(none, c), TETCASTI_CLUSTER_LOG);
+    c = _mm256_srl_epi32(_mm256_andnot_si256(none, c), _mm_cvtsi32_si128((int)stop_log));
     word = _mm256_i32gather_epi32((const int *)(const void *)stop, _mm256_srli_epi32(c, 5), 4);
     word = _mm256_sllv_epi32(word, _mm256_sub_epi32(_mm256_set1_epi32(31), _mm256_and_si256(c, _mm256_set1_epi32(31))));
     return (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(_mm256_or_si256(word, none)));
@@ -6038,16 +6154,19 @@ TETCASTI_TARGET_WALK static uint32_t tetcasti_lanes_any(const tetcasti_scene *sc
                                                             const tetcasti_lanes_before *before) {
     const tetcast_optics *o = scene->optics;
     const float *value = scene->mesh->cell_value;
+    const uint32_t *hidden = scene->mesh->hidden;
     uint32_t i, k, todo, iso = 0, ended;
     float depth[8];
     memcpy(depth, seg->depth, sizeof depth);
-    for (todo = emit; todo != 0; todo &= todo - 1) {
+    for (todo = hidden != NULL || value != NULL ? emit : 0; todo != 0; todo &= todo - 1) {
+        uint32_t cell;
         i = tetcasti_ctz64(todo);
-        if (scene->mesh->hidden != NULL && tetcasti_bit(scene->mesh->hidden, before->cell[i])) {
+        cell = tetcasti_cell_number(scene->cells, before->cell[i]);
+        if (hidden != NULL && tetcasti_bit(hidden, cell)) {
             tetcasti_lane_gap(o, &l->sum, i);
             emit &= ~(1u << i);
         }
-        if (value != NULL) seg->front[i] = seg->back[i] = value[before->cell[i]];
+        if (value != NULL) seg->front[i] = seg->back[i] = value[cell];
     }
     if (o->iso_count != 0) iso = tetcasti_iso_lanes(o, seg, emit);
     ended = o->segment8(o, seg, emit & ~iso, &l->sum) & emit & ~iso;
@@ -6106,7 +6225,7 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_batch_walk8_kind(const tetcas
             if (sink == TETCASTI_SINK_VOLUME)
                 ended = scene->optics->segment8(scene->optics, &seg, emit, &l->sum) & emit;
             if (sink == TETCASTI_SINK_ANY) ended = tetcasti_lanes_any(scene, b, l, &seg, emit, &before);
-            if (stop != NULL) through |= tetcasti_stops8(stop, l->cell) & l->live;
+            if (stop != NULL) through |= tetcasti_stops8(stop, scene->stop_log, l->cell) & l->live;
             ended_early = ended;
             ended |= over;
             if (TETCASTI_UNLIKELY((through | ended) != 0)) {
@@ -6121,18 +6240,18 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_batch_walk8_kind(const tetcas
     }
 }
 
+#define TETCASTI_WALK8_SINKS(kind) \
+    if (scene->optics == NULL) tetcasti_batch_walk8_kind(scene, kind, TETCASTI_SINK_NONE, b); \
+    else if (scene->any) tetcasti_batch_walk8_kind(scene, kind, TETCASTI_SINK_ANY, b); \
+    else tetcasti_batch_walk8_kind(scene, kind, TETCASTI_SINK_VOLUME, b)
 #define TETCASTI_WALK8_BODY \
-    uint32_t tet8 = scene->cells->kind == TETCAST_CELLS_TET8; \
-    if (scene->optics == NULL) { \
-        if (tet8) tetcasti_batch_walk8_kind(scene, TETCAST_CELLS_TET8, TETCASTI_SINK_NONE, b); \
-        else tetcasti_batch_walk8_kind(scene, TETCAST_CELLS_TET16, TETCASTI_SINK_NONE, b); \
-    } else if (scene->any) { \
-        if (tet8) tetcasti_batch_walk8_kind(scene, TETCAST_CELLS_TET8, TETCASTI_SINK_ANY, b); \
-        else tetcasti_batch_walk8_kind(scene, TETCAST_CELLS_TET16, TETCASTI_SINK_ANY, b); \
-    } else { \
-        if (tet8) tetcasti_batch_walk8_kind(scene, TETCAST_CELLS_TET8, TETCASTI_SINK_VOLUME, b); \
-        else tetcasti_batch_walk8_kind(scene, TETCAST_CELLS_TET16, TETCASTI_SINK_VOLUME, b); \
-    }
+    if (scene->cells->kind == TETCAST_CELLS_TET16) { TETCASTI_WALK8_SINKS(TETCAST_CELLS_TET16); } \
+    else { TETCASTI_WALK8_SINKS(TETCAST_CELLS_TET8); }
+
+/* The larger forms share their code: which one it is, is asked at every step. */
+TETCASTI_TARGET_WALK static void tetcasti_batch_walk8_more(const tetcasti_scene *scene, tetcasti_batch *b) {
+    TETCASTI_WALK8_SINKS(scene->cells->kind);
+}
 TETCASTI_TARGET_WALK static void tetcasti_batch_walk8(const tetcasti_scene *scene,
                                                       tetcasti_batch *b) { TETCASTI_WALK8_BODY }
 
@@ -6261,6 +6380,7 @@ static uint64_t tetcasti_clusters_bytes(const tetcasti_clusters *c) {
 typedef struct tetcasti_leap {
     tetcasti_mem *mem;
     uint32_t *stop;             /* a bit for each cluster that shows nothing */
+    uint32_t *column_stop;      /* strips: the same for each column */
     tetcasti_face *face;        /* hull of what is left */
     uint32_t *prev;             /* what lies on the other side */
     tetcasti_hull hull;
@@ -6278,12 +6398,34 @@ static int tetcasti_optics_empty(const tetcast_optics *o, float lo, float hi) {
 
 static void tetcasti_leap_close(tetcasti_leap *l) {
     tetcasti_free(l->mem, l->stop);
+    tetcasti_free(l->mem, l->column_stop);
     tetcasti_free(l->mem, l->face);
     tetcasti_free(l->mem, l->prev);
     tetcasti_free(l->mem, l->hull.box);
-    l->stop = l->prev = NULL;
+    l->stop = l->column_stop = l->prev = NULL;
     l->face = NULL;
     l->hull.box = NULL;
+}
+
+/* Strips call cells by columns: those of faces and of the bits where walks stop. 0: no memory. */
+static int tetcasti_leap_columns(const tetcasti_scene *scene, tetcasti_leap *l, uint32_t faces) {
+    const tetcasti_cells *cells = scene->cells;
+    const uint32_t *number = (const uint32_t *)cells->side;
+    uint32_t *place = (uint32_t *)tetcasti_alloc_array(l->mem, scene->mesh->cell_count, sizeof *place), i;
+    l->column_stop = (uint32_t *)tetcasti_alloc_zero(l->mem, (size_t)cells->count / 32 + 1, sizeof *l->column_stop);
+    if (place != NULL && l->column_stop != NULL) {
+        for (i = 0; i < cells->count; i++) {
+            if (number[i] == TETCASTI_NONE) continue;
+            place[number[i]] = i;
+            if (tetcasti_bit(l->stop, number[i] >> TETCASTI_CLUSTER_LOG)) l->column_stop[i >> 5] |= 1u << (i & 31u);
+        }
+        for (i = 0; i < faces; i++) {
+            l->face[i].cell = place[l->face[i].cell];
+            if (l->prev[i] != TETCASTI_NONE) l->prev[i] = place[l->prev[i]];
+        }
+    }
+    tetcasti_free(l->mem, place);
+    return place != NULL && l->column_stop != NULL;
 }
 
 /* Take out the clusters that show nothing. 1: the scene's hull is now that of the rest; 0: it does not pay, or there
@@ -6294,7 +6436,7 @@ static int tetcasti_leap_open(tetcasti_scene *scene, const tetcast_env *env, tet
     const tetcasti_field *f;
     uint32_t i, k, hidden = 0, n = 0;
     size_t room;
-    if (c == NULL || mesh->field_count == 0 || mesh->cells.first != NULL || scene->optics == NULL) return 0;
+    if (c == NULL || mesh->field_count == 0 || scene->optics == NULL) return 0;
     f = &mesh->field[mesh->active];
     l->stop = (uint32_t *)tetcasti_alloc_zero(l->mem, (size_t)c->count / 32 + 1, sizeof *l->stop);
     if (l->stop == NULL) return 0;
@@ -6330,9 +6472,12 @@ static int tetcasti_leap_open(tetcasti_scene *scene, const tetcast_env *env, tet
         l->prev[n++] = b ? w->other : w->cell;
     }
     if (!tetcasti_hull_build(l->mem, env, mesh->vertex, l->face, n, &l->hull)) return 0;
+    if (mesh->cells.first != NULL && !tetcasti_leap_columns(scene, l, n)) return 0;
     scene->hull = &l->hull;
     scene->hull_prev = l->prev;
-    scene->stop = l->stop;
+    scene->first = NULL;
+    scene->stop = l->column_stop != NULL ? l->column_stop : l->stop;
+    scene->stop_log = l->column_stop != NULL ? 0 : TETCASTI_CLUSTER_LOG;
     return 1;
 }
 /* ---------------------------------------------------------------------------
@@ -9480,6 +9625,8 @@ static tetcast_result tetcasti_scene_open(const tetcast_render_desc *d, const te
     s->vertex = mesh->vertex;
     s->cells = &mesh->cells;
     s->hull = &mesh->hull;
+    s->first = mesh->cells.first;
+    s->stop_log = TETCASTI_CLUSTER_LOG;
     s->optics = optics;
     s->unit = (float)mesh->unit;
     s->smooth_normals = d->smooth_normals;
@@ -9771,9 +9918,10 @@ static tetcasti_rect_fn *tetcasti_rect_pick(const tetcasti_scene *scene, tetcast
 static void tetcasti_batch_run(const tetcasti_scene *scene, tetcasti_batch *b) {
     tetcasti_batch_sort(b);
 #if TETCASTI_AVX2
-    if (scene->isa >= TETCAST_ISA_AVX2 &&
-        (scene->cells->kind == TETCAST_CELLS_TET16 || scene->cells->kind == TETCAST_CELLS_TET8)) {
-        if (scene->isa >= TETCAST_ISA_AVX512) tetcasti_batch_walk8_vl(scene, b);
+    if (scene->isa >= TETCAST_ISA_AVX2) {
+        if (scene->cells->kind != TETCAST_CELLS_TET16 && scene->cells->kind != TETCAST_CELLS_TET8)
+            tetcasti_batch_walk8_more(scene, b);
+        else if (scene->isa >= TETCAST_ISA_AVX512) tetcasti_batch_walk8_vl(scene, b);
         else tetcasti_batch_walk8(scene, b);
         return;
     }
@@ -9881,7 +10029,7 @@ TETCAST_DEF tetcast_result tetcast_render(const tetcast_render_desc *desc, const
     c.leap.mem = &c.mem;
     if (!d.no_leaping && image->length == NULL && image->steps == NULL &&
         tetcasti_leap_open(&c.scene, &d.env, &c.leap)) {
-        if (c.inside.known && tetcasti_bit(c.scene.stop, c.inside.start.cell >> TETCASTI_CLUSTER_LOG))
+        if (c.inside.known && tetcasti_bit(c.scene.stop, c.inside.start.cell >> c.scene.stop_log))
             c.inside.known = 0;
         c.leapt = c.leap.hull.face_count;
     }

@@ -123,7 +123,7 @@ TEST(same_bits) {
     for (k = 0; k < (quick ? 9u : 36u); k++) {
         scene s;
         tetcast_render_desc d = defaults();
-        uint32_t model = k % 6, cells = k / 6 % 2, place = k / 12 % 3;
+        uint32_t model = k % 6, cells = k % TETCAST_CELLS_COUNT, place = k / 12 % 3;
         scene_make(&s, 11, k & 1, (tetcast_cells)cells);
         REQUIRE(s.mesh != NULL);
         scene_optics(&s, (tetcast_model)model, model >= 4 ? 0.45f : -1.0f, 0);
@@ -148,6 +148,75 @@ TEST(same_bits) {
             CHECK_EQ_U64(draw(&d, &s, W, H, k % 3 != 2, &pic[1], NULL), TETCAST_OK);
             CHECK_MSG(memcmp(&pic[0], &pic[1], sizeof pic[0]) == 0, "case %u, %u", k, i);
         }
+        scene_free(&s);
+    }
+}
+
+/* ---- all forms, with all that a picture can have ---- */
+
+static int keep_odd(uint32_t x, uint32_t y, uint32_t z) { return (x * 5 + y * 3 + z * 7) % 11 != 0; }
+
+TEST(forms) { /* values per cell, masks, holes, clipping, leaping, isosurfaces: the picture of one form is that of all */
+    uint32_t k, i, kind, isa, n, cases = test_quick() ? 8 : 16;
+    for (k = 0; k < cases; k++) {
+        static const tetcast_isa isas[3] = {TETCAST_ISA_SCALAR, TETCAST_ISA_AVX2, TETCAST_ISA_AVX512};
+        scene s;
+        tetcast_input in;
+        tetcast_field f[2];
+        tetcast_mesh_desc md;
+        float *value;
+        uint8_t *mask;
+        tetcast_render_desc d = defaults();
+        tetcast_render_stats stats;
+        uint64_t leapt = 0;
+        memset(&s, 0, sizeof s);
+        memset(&md, 0, sizeof md);
+        n = k % 8 == 7 ? 22 : 13;
+        tets_lattice(&s.t, n, n, n, 5 + (int)(k & 1), k % 4 == 1 ? keep_odd : NULL);
+        tets_jitter(&s.t, n, n, n, k % 3 == 0 ? 0 : 0.9, k); /* regular, or with cells turned inside out */
+        tets_input(&s.t, &in, f);
+        value = (float *)malloc(s.t.nt * sizeof *value);
+        mask = (uint8_t *)calloc(s.t.nt, 1);
+        REQUIRE(value != NULL && mask != NULL);
+        for (i = 0; i < s.t.nt; i++) {
+            value[i] = (float)(i * 7919 % 1000) / 999.0f;
+            mask[i] = i % 5 == 0;
+            if (k % 8 == 7) value[i] = i < s.t.nt / 2 ? 0.3f : 0.9f; /* whole clusters that show nothing */
+        }
+        memset(&f[1], 0, sizeof f[1]);
+        f[1].values.data = value;
+        f[1].per_cell = 1;
+        in.fields = f;
+        in.field_count = 2;
+        if (k % 4 >= 2) in.masks = mask;
+        scene_optics(&s, k % 5 == 4 ? TETCAST_MODEL_MIXED : k % 5 == 3 ? TETCAST_MODEL_ISOSURFACE : TETCAST_MODEL_VOLUME,
+                     k % 5 >= 3 ? 0.45f : -1.0f, 0);
+        if (k % 3 == 2) look(&d, 3.2, 1.1, 4.7, 9, 8, 3); /* inside */
+        else look(&d, k % 3 == 0 ? 6 : 21, 6, -17, 6, 6, 6); /* in a plane of symmetry, and not */
+        if (k % 4 == 3) {
+            d.clip_near = 4.5f;
+            d.clip_far = 19.25f;
+        }
+        md.env.thread_count = 1;
+        for (kind = 0; kind < TETCAST_CELLS_COUNT; kind++) {
+            md.cells = (tetcast_cells)kind;
+            CHECK_EQ_U64(tetcast_mesh_create(&md, &in, NULL, &s.mesh), TETCAST_OK);
+            REQUIRE(s.mesh != NULL);
+            if (k % 2 == 1) CHECK_EQ_U64(tetcast_mesh_set_field(s.mesh, 1), TETCAST_OK);
+            for (isa = 0; isa < 3; isa++) {
+                d.isa = isas[isa];
+                memset(&stats, 0, sizeof stats);
+                CHECK_EQ_U64(draw(&d, &s, W, H, k % 8 < 4, &pic[kind != 0 || isa != 0], &stats), TETCAST_OK);
+                if (kind == 0 && isa == 0) leapt = stats.leapt_faces;
+                else CHECK_MSG(memcmp(&pic[0], &pic[1], sizeof pic[0]) == 0, "case %u, form %u, instruction set %u", k, kind, isa);
+                CHECK_EQ_U64(stats.leapt_faces, leapt);
+            }
+            tetcast_mesh_destroy(s.mesh);
+            s.mesh = NULL;
+        }
+        if (k % 8 == 7) CHECK(leapt > 0);
+        free(value);
+        free(mask);
         scene_free(&s);
     }
 }
@@ -496,7 +565,7 @@ TEST(leaping) { /* clusters that show nothing are left out: the same picture but
         memset(&v, 0, sizeof v);
         tets_lattice(&s.t, n, n, n, 6, NULL);
         tets_jitter(&s.t, n, n, n, 0.3, 4);
-        s.mesh = tets_build(&s.t, k & 1 ? TETCAST_CELLS_TET8 : TETCAST_CELLS_TET16, NULL);
+        s.mesh = tets_build(&s.t, (tetcast_cells)(k % TETCAST_CELLS_COUNT), NULL);
         REQUIRE(s.mesh != NULL);
         for (a = 0; a < 6; a++) {
             p[a].rgb[a % 3] = 1;
@@ -798,6 +867,7 @@ TEST(delaunay) { /* 208,000 cells between random points: lengths of the unit cub
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(same_bits);
+    RUN(forms);
     RUN(pixels_are_rays);
     RUN(symmetric_views);
     RUN(eye_inside);

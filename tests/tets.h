@@ -134,23 +134,27 @@ TEST_FN void tets_shuffle(tets *m, uint64_t seed) {
 }
 
 #ifdef TETCAST_H_INCLUDED
+TEST_FN void tets_input(const tets *m, tetcast_input *in, tetcast_field *f) {
+    memset(in, 0, sizeof *in);
+    memset(f, 0, sizeof *f);
+    in->positions.data = m->p;
+    in->positions.type = TETCAST_TYPE_F64;
+    in->vertex_count = m->nv;
+    in->indices = m->t;
+    in->index_count = 4 * m->nt;
+    in->cell_count = m->nt;
+    f->name = "s";
+    f->values.data = m->s;
+    in->fields = f;
+    in->field_count = 1;
+}
+
 TEST_FN tetcast_mesh *tets_build_desc(const tets *m, const tetcast_mesh_desc *d, tetcast_report *report) {
     tetcast_input in;
     tetcast_field f;
     tetcast_mesh *mesh = NULL;
     tetcast_result r;
-    memset(&in, 0, sizeof in);
-    memset(&f, 0, sizeof f);
-    in.positions.data = m->p;
-    in.positions.type = TETCAST_TYPE_F64;
-    in.vertex_count = m->nv;
-    in.indices = m->t;
-    in.index_count = 4 * m->nt;
-    in.cell_count = m->nt;
-    f.name = "s";
-    f.values.data = m->s;
-    in.fields = &f;
-    in.field_count = 1;
+    tets_input(m, &in, &f);
     r = tetcast_mesh_create(d, &in, report, &mesh);
     CHECK_EQ_U64(r, TETCAST_OK);
     CHECK((r == TETCAST_OK) == (mesh != NULL));
