@@ -1,8 +1,10 @@
-/* test_tetcast_strips.c - Tet20, Tet32, the list of 160 bytes, strips: what they say about a mesh */
+/* Tet20, Tet32, the list of 160 bytes, strips: what they say about a mesh. And what rays by planes do wrong, counted, so
+   that a comparison with them compares what it says: where they are right they agree with the walker. */
 #include "test.h"
 #define TETCAST_IMPLEMENTATION
 #include "tetcast.h"
 #include "tets.h"
+#include "../bench/baseline/planes.h"
 
 enum { FORMS = 5 };
 static const tetcast_cells g_forms[FORMS] = {TETCAST_CELLS_TET20, TETCAST_CELLS_TET32, TETCAST_CELLS_LIST160,
@@ -167,11 +169,153 @@ TEST(list_of_planes) { /* normals point outwards, the gradient reproduces the sc
     tets_free(&m);
 }
 
+/* ---- the baseline: rays by planes, layers of the hull by peeling ---- */
+
+enum { SIDE = 40 };
+
+typedef struct plane_count { uint32_t wrong, rays; baseline_stats stats; } plane_count;
+
+/* The lengths of a picture against those of the walker. `scale`: of the mesh along z; `place`: where it is. */
+static void count_wrong(const tets *t, const tetcast_camera *camera, const baseline_desc *desc, double tolerance, plane_count *n) {
+    static float length[SIDE * SIDE], want[SIDE * SIDE];
+    baseline_list l;
+    tetcast_render_desc d;
+    tetcast_image im;
+    tetcast_mesh *m = tets_build(t, TETCAST_CELLS_TET16, NULL);
+    uint32_t i;
+    memset(n, 0, sizeof *n);
+    memset(&d, 0, sizeof d);
+    memset(&im, 0, sizeof im);
+    REQUIRE(m != NULL && baseline_list_make(m, &l));
+    CHECK(baseline_picture(&l, desc, camera, SIDE, SIDE, NULL, NULL, length, &n->stats));
+    d.camera = *camera;
+    d.traverse_only = 1;
+    im.width = im.height = SIDE;
+    im.length = want;
+    CHECK_EQ_U64(tetcast_render(&d, m, NULL, &im, NULL), TETCAST_OK);
+    for (i = 0; i < SIDE * SIDE; i++) {
+        n->rays += want[i] > 0;
+        n->wrong += !(fabs((double)length[i] - (double)want[i]) <= tolerance);
+    }
+    baseline_list_free(&l);
+    tetcast_mesh_destroy(m);
+}
+
+/* Rays through a lattice of cubes, thin ones where it is far from the origin: any, or along diagonals through vertices. */
+static void count_lattice(double jitter, double offset, baseline_form form, int diagonal, plane_count *n) {
+    tets t;
+    baseline_list l;
+    baseline_desc desc;
+    tetcast_mesh *m;
+    test_rng rng = test_rng_make(3);
+    uint32_t i, a, side = 9;
+    const double scale[3] = {0.1, 0.1, offset != 0 ? 0.001 : 0.1}, place[3] = {offset, offset, offset};
+    memset(&t, 0, sizeof t);
+    memset(n, 0, sizeof *n);
+    memset(&desc, 0, sizeof desc);
+    desc.form = form;
+    desc.epsilon = 1e-6f;
+    tets_lattice(&t, side, side, side, 6, NULL);
+    tets_jitter(&t, side, side, side, jitter, 1);
+    tets_place(&t, scale, place);
+    m = tets_build(&t, TETCAST_CELLS_TET16, NULL);
+    REQUIRE(m != NULL && baseline_list_make(m, &l));
+    for (i = 0; i < 200; i++) {
+        tetcast_ray r;
+        tetcast_ray_result got;
+        double length, lo[3], hi[3], want;
+        memset(&r, 0, sizeof r);
+        do {
+            for (a = 0; a < 3; a++) r.dir[a] = diagonal ? (double)test_rng_below(&rng, 3) - 1 : test_rng_double(&rng) - 0.5;
+        } while (r.dir[0] == 0 && r.dir[1] == 0 && r.dir[2] == 0);
+        ref_unit(r.dir);
+        for (a = 0; a < 3; a++) {
+            r.dir[a] *= scale[a];
+            r.org[a] = (1 + (diagonal ? test_rng_below(&rng, side - 2) : (side - 3) * test_rng_double(&rng))) * scale[a] + offset - 30 * r.dir[a];
+            lo[a] = offset;
+            hi[a] = offset + (side - 1) * scale[a];
+        }
+        ref_unit(r.dir);
+        want = ref_box(r.org, r.dir, lo, hi, 0, 1e300);
+        baseline_ray(&l, &desc, r.org, r.dir, 1e-5f, &length, &n->stats);
+        n->rays++;
+        n->wrong += fabs(length - want) > 0.03 * want;
+        CHECK_EQ_U64(tetcast_cast(NULL, m, NULL, &r, 1, &got, NULL), TETCAST_OK);
+        CHECK_NEAR(got.length, want, 1e-3);
+    }
+    baseline_list_free(&l);
+    tetcast_mesh_destroy(m);
+    tets_free(&t);
+}
+
+TEST(planes) { /* right where cells are good and near the origin; in tangled meshes, and far away in planes of the lattice, not */
+    uint32_t f, far_offset = 0, far_vertex = 0;
+    for (f = 0; f < 4; f++) {
+        static const char *const name[4] = {"by number", "by sign", "by offset", "epsilon"};
+        plane_count any, corners, tangled, distant[2];
+        count_lattice(0.2, 0, (baseline_form)f, 0, &any);
+        count_lattice(0, 0, (baseline_form)f, 1, &corners);
+        count_lattice(1.2, 0, (baseline_form)f, 0, &tangled);
+        count_lattice(0.2, 1000, (baseline_form)f, 0, &distant[0]);
+        count_lattice(0, 1000, (baseline_form)f, 1, &distant[1]);
+        printf("  planes %s, wrong of %u: any %u, through vertices %u, tangled %u; at 1000: any %u, through vertices %u\n", name[f],
+               any.rays, any.wrong, corners.wrong, tangled.wrong, distant[0].wrong, distant[1].wrong);
+        CHECK_EQ_U64(any.wrong, 0);
+        CHECK_EQ_U64(any.stats.endless + any.stats.no_exit, 0);
+        if (f == BASELINE_EPSILON) CHECK(corners.wrong > corners.rays / 2); /* steps along edges are too short for it */
+        CHECK(tangled.wrong > tangled.rays / 4);
+        CHECK(distant[1].wrong > 0);
+        if (f == BASELINE_OFFSET) far_offset = distant[0].wrong + distant[1].wrong;
+        if (f == BASELINE_VERTEX) far_vertex = distant[0].wrong + distant[1].wrong;
+    }
+    CHECK(far_offset >= far_vertex);
+}
+
+static int keep_layers(uint32_t x, uint32_t y, uint32_t z) { (void)x; (void)y; return (z & 1u) == 0; }
+static int keep_corner(uint32_t x, uint32_t y, uint32_t z) { return (x < 2) == (y < 2) && (y < 2) == (z < 2); }
+
+static int keep_two(uint32_t x, uint32_t y, uint32_t z) { (void)x; (void)y; return z != 1; }
+
+TEST(peeling) { /* the same as hit lists but where two layers have one depth */
+    uint32_t pass, i;
+    for (pass = 0; pass < 4; pass++) {
+        tets t;
+        tetcast_camera c;
+        baseline_desc desc;
+        plane_count n;
+        memset(&t, 0, sizeof t);
+        memset(&c, 0, sizeof c);
+        memset(&desc, 0, sizeof desc);
+        if (pass < 2) tets_lattice(&t, 5, 5, 5, 5, pass == 1 ? keep_corner : keep_layers);
+        else tets_lattice(&t, 5, 5, 4, 5, keep_two);
+        for (i = 0; i < t.nv && pass >= 2; i++) { /* a sheet of 1e-6 or 0.1 and at once behind it a plate */
+            double z = t.p[3 * i + 2];
+            t.p[3 * i + 2] = z < 2.5 ? z * (pass == 2 ? 0.1 : 1e-6) : 3;
+        }
+        c.at[0] = c.at[1] = c.at[2] = 2;
+        c.eye[0] = 2.3;
+        c.eye[1] = 3.1;
+        c.eye[2] = -21;
+        c.fov_y = 9;
+        c.up[1] = 1;
+        desc.depth_bits = pass >= 2 ? 24 : 0;
+        desc.depth_range = 100;
+        count_wrong(&t, &c, &desc, 1e-3, &n);
+        printf("  peeling: %u of %u wrong, %u layers\n", n.wrong, n.rays, (uint32_t)n.stats.layers);
+        CHECK(n.rays > 100 && n.stats.layers > 1);
+        if (pass < 3) CHECK(n.wrong <= n.rays / 100); /* pixels of the outline */
+        else CHECK(n.wrong > n.rays / 2); /* 24 bits of depth do not tell the plate from the sheet: it is lost */
+        tets_free(&t);
+    }
+}
+
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(walks);
     RUN(statistics);
     RUN(same_for_all_threads);
     RUN(list_of_planes);
+    RUN(planes);
+    RUN(peeling);
     return test_end();
 }
