@@ -8438,7 +8438,7 @@ typedef struct voxrti_beam_cell {
 typedef struct voxrti_beam_range { int32_t u0[4], u1[4], v0[4], v1[4]; } voxrti_beam_range;
 
 typedef struct voxrti_beam {
-    uint32_t on;            /* 0: no beam; 1: rays start at plane z; 2: nothing can be hit */
+    uint32_t on;            /* 0: no beam; 1: rays start at plane z; infinity: nothing can be hit */
     uint32_t m, u, v;       /* main axis and the others */
     uint32_t back;          /* 1: the main axis is mirrored (rays run in its negative direction) */
     double om, o[2];        /* origin: main axis (mirrored), u, v */
@@ -8698,7 +8698,9 @@ static VOXRTI_UNUSED void voxrti_beam_find(const voxrt_tree *t, const voxrti_con
             b->hi[k] = voxrti_max(b->hi[k], s[k]);
         }
     }
-    if (!bad && voxrti_beam_start(t, cone, least, b, 0)) b->on = voxrti_beam_walk(t, cone, b, 0) == 0 ? 2 : 1;
+    if (bad || !voxrti_beam_start(t, cone, least, b, 0)) return;
+    b->on = 1;
+    if (voxrti_beam_walk(t, cone, b, 0) == 0) b->z = VOXRTI_INF;
 }
 
 /* Times below this round to floats less than x. */
@@ -8934,37 +8936,15 @@ static void voxrti_trace_one(const voxrt_tree *t, const voxrti_cone *cone, const
         voxrti_miss(hit);
     }
 }
-/* ---- AVX2: tiles of rays with one origin ----
-   Such a beam of up to 64 rays is walked slab by slab. For a slab of leaf nodes (four planes of voxels) the masks of
-   all nodes in the frustum are laid out as four small bit pictures, and the rays march through them eight at a time,
-   plane by plane: with the main axis as clock a ray's position is two fixed-point numbers, one addition each for a
-   plane. No ray looks into the tree.
-   Between two planes a ray meets the cell in which it enters, the one in which it leaves, and one between these when
-   both coordinates change. Positions are wrong by a few 2^-24 cells. Where that could matter (next to an edge of
-   cells) the ray is left to the scalar path: the same hits by construction. */
+/* ---- AVX2: four rays in, four hits out ---- */
 
 #if VOXRTI_AVX2
 
-#define VOXRTI_TILE_BITS 24 /* fraction of fixed-point positions */
-
-typedef struct voxrti_tile {
-    double slope[2][64];   /* du/dm, dv/dm */
-    float d[3][64], t_max[64];
-    int32_t at[2][64];     /* u, v at plane `start`, counted from cell base[], 8.24 bits */
-    int32_t step[2][64];   /* slopes, 8.24 bits */
-    uint32_t cell[3][64], node[64]; /* of hits, not mirrored */
-    uint64_t active, hit, rare; /* bit per ray: on its way; done, on a voxel; left to the scalar path */
-    double start, late;    /* plane of the first slab; before it all rays have started */
-    int32_t base[2];
-    /* the slab that is marched through */
-    uint32_t rows[4][32];  /* bit pictures of its planes: row v, column u, counted from its first node's corner */
-    uint32_t leaf[64];     /* its leaf nodes, 8 v + u */
-} voxrti_tile;
-
 /* Four rays: v[0..2] origin (low half) and direction of an axis, v[3] t_min and t_max. */
-VOXRTI_TARGET_AVX2 static inline void voxrti_transpose4(const voxrt_ray *rays, __m256 v[4]) {
-    __m256 a = _mm256_loadu_ps(rays[0].org), b = _mm256_loadu_ps(rays[1].org), c = _mm256_loadu_ps(rays[2].org);
-    __m256 d = _mm256_loadu_ps(rays[3].org), p = _mm256_unpacklo_ps(a, b), q = _mm256_unpackhi_ps(a, b);
+VOXRTI_TARGET_AVX2 static inline void voxrti_rays4(const voxrt_ray *r0, const voxrt_ray *r1, const voxrt_ray *r2,
+                                                   const voxrt_ray *r3, __m256 v[4]) {
+    __m256 a = _mm256_loadu_ps(r0->org), b = _mm256_loadu_ps(r1->org), c = _mm256_loadu_ps(r2->org);
+    __m256 d = _mm256_loadu_ps(r3->org), p = _mm256_unpacklo_ps(a, b), q = _mm256_unpackhi_ps(a, b);
     __m256 r = _mm256_unpacklo_ps(c, d), s = _mm256_unpackhi_ps(c, d);
     v[0] = _mm256_shuffle_ps(p, r, 0x44);
     v[1] = _mm256_shuffle_ps(p, r, 0xee);
@@ -8981,53 +8961,158 @@ VOXRTI_TARGET_AVX2 static inline __m256d voxrti_below4(__m128 t) {
                          _mm256_add_pd(_mm256_cvtps_pd(_mm_castsi128_ps(before)), _mm256_cvtps_pd(t)));
 }
 
+/* A hit record: time and cell; node, slot, level and face. */
+static inline void voxrti_hit_store(voxrt_hit *hit, __m128 time_cell, __m128i node_info) {
+    _mm_storeu_ps(&hit->t, time_cell);
+    _mm_storel_epi64((__m128i *)(void *)&hit->node, node_info);
+}
+
+/* Write the results of four rays: those of `lanes` (bits). c: the voxels that they meet, not mirrored; node:
+   VOXRT_NO_NODE where they meet none. */
+VOXRTI_TARGET_AVX2 static inline void voxrti_hits4(const voxrt_tree *t, const voxrt_ray *rays, const uint32_t index[4],
+                                                   uint32_t lanes, const __m128i c[3], __m128i node, voxrt_hit *hits) {
+    const __m256d sign = _mm256_set1_pd(-0.0), scale = _mm256_set1_pd(1.0 / t->voxel_size);
+    const __m256d full = _mm256_set1_pd((double)((uint32_t)1 << (2 * t->wide))), zero = _mm256_setzero_pd();
+    const __m256d inf = _mm256_set1_pd(VOXRTI_INF), minus = _mm256_xor_pd(inf, sign);
+    const __m128i last = _mm_set1_epi32((int)(((uint32_t)1 << (2 * t->wide)) - 1u)), none = _mm_set1_epi32(-1);
+    __m128i face = _mm_setzero_si128(), slot = face, info, on, low, high;
+    __m256d time = minus, t_min, t_end, e, m;
+    __m256 v[4];
+    __m128 r0, r1, r2, r3;
+    uint32_t a;
+    voxrti_rays4(rays + index[0], rays + index[1], rays + index[2], rays + index[3], v);
+    for (a = 0; a < 3; a++) { /* as voxrti_ray_setup and voxrti_entry do it */
+        __m256d o = _mm256_cvtps_pd(_mm256_castps256_ps128(v[a])), d, neg, inv;
+        __m128i back, x;
+        o = _mm256_mul_pd(_mm256_sub_pd(o, _mm256_set1_pd(t->origin[a])), scale);
+        d = _mm256_mul_pd(_mm256_cvtps_pd(_mm256_extractf128_ps(v[a], 1)), scale);
+        neg = _mm256_cmp_pd(d, zero, _CMP_LT_OQ);
+        back = voxrti_narrow4(neg);
+        o = _mm256_blendv_pd(o, _mm256_sub_pd(full, o), neg);
+        x = _mm_blendv_epi8(c[a], _mm_sub_epi32(last, c[a]), back);
+        inv = _mm256_div_pd(_mm256_set1_pd(1.0), _mm256_andnot_pd(sign, d));
+        e = _mm256_mul_pd(_mm256_sub_pd(_mm256_cvtepi32_pd(x), o), inv);
+        e = _mm256_blendv_pd(e, minus, _mm256_cmp_pd(inv, inf, _CMP_EQ_OQ)); /* no motion along this axis */
+        m = _mm256_cmp_pd(e, time, _CMP_GE_OQ);
+        time = _mm256_blendv_pd(time, e, m);
+        face = _mm_blendv_epi8(face, _mm_sub_epi32(_mm_set1_epi32((int)(2 * a)), back), voxrti_narrow4(m));
+        x = _mm_and_si128(c[a], _mm_set1_epi32(3));
+        x = _mm_and_si128(_mm_or_si128(x, _mm_slli_epi32(x, 2)), _mm_set1_epi32(9));
+        slot = _mm_or_si128(slot, _mm_slli_epi32(x, (int)a));
+    }
+    t_min = _mm256_cvtps_pd(_mm256_castps256_ps128(v[3]));
+    m = _mm256_cmp_pd(time, t_min, _CMP_LT_OQ);
+    time = _mm256_blendv_pd(time, t_min, m);
+    face = _mm_blendv_epi8(face, _mm_set1_epi32(6), voxrti_narrow4(m));
+    t_end = _mm256_min_pd(voxrti_below4(_mm256_extractf128_ps(v[3], 1)), _mm256_set1_pd(3.4028234663852886e38));
+    on = voxrti_narrow4(_mm256_cmp_pd(time, t_end, _CMP_LT_OQ));
+    on = _mm_andnot_si128(_mm_cmpeq_epi32(node, none), on);
+    node = _mm_or_si128(node, _mm_xor_si128(on, none));
+    info = _mm_or_si128(_mm_or_si128(slot, _mm_set1_epi32((int)(t->depth << 8))), _mm_slli_epi32(face, 16));
+    info = _mm_and_si128(info, on);
+    low = _mm_unpacklo_epi32(node, info);
+    high = _mm_unpackhi_epi32(node, info);
+    r0 = _mm_blendv_ps(_mm_set1_ps(INFINITY), _mm256_cvtpd_ps(time), _mm_castsi128_ps(on));
+    r1 = _mm_castsi128_ps(_mm_and_si128(c[0], on));
+    r2 = _mm_castsi128_ps(_mm_and_si128(c[1], on));
+    r3 = _mm_castsi128_ps(_mm_and_si128(c[2], on));
+    _MM_TRANSPOSE4_PS(r0, r1, r2, r3);
+    if (lanes & 1u) voxrti_hit_store(&hits[index[0]], r0, low);
+    if (lanes & 2u) voxrti_hit_store(&hits[index[1]], r1, _mm_unpackhi_epi64(low, low));
+    if (lanes & 4u) voxrti_hit_store(&hits[index[2]], r2, high);
+    if (lanes & 8u) voxrti_hit_store(&hits[index[3]], r3, _mm_unpackhi_epi64(high, high));
+}
+
+#endif
+
+/* ---- AVX2: tiles of rays with one origin ----
+   Such a beam of up to 64 rays is walked slab by slab. For a slab of leaf nodes (four planes of voxels) the masks of
+   all nodes in the frustum are laid out as four small bit pictures, and the rays march through them eight at a time,
+   plane by plane: with the main axis as clock a ray's position is two fixed-point numbers, one addition each for a
+   plane. No ray looks into the tree.
+   Between two planes a ray meets the cell in which it enters, the one in which it leaves, and one between these when
+   both coordinates change. Positions are wrong by a few 2^-24 cells. Where that could matter (next to an edge of
+   cells) the ray is left to the scalar path: the same hits by construction. */
+
+#if VOXRTI_AVX2
+
+#define VOXRTI_TILE_BITS 24 /* fraction of fixed-point positions */
+
+typedef struct voxrti_tile {
+    __m256i align;
+    double slope[2][64];   /* du/dm, dv/dm */
+    float d[3][64], t_max[64]; /* directions: m, u, v */
+    int32_t at[2][64];     /* u, v at plane `start`, counted from cell base[], 8.24 bits */
+    int32_t step[2][64];   /* slopes, 8.24 bits */
+    uint32_t cell[3][64];  /* of hits: m (mirrored), u, v */
+    uint32_t side[64];     /* of hits, axis along which it was entered: m, u, v */
+    uint32_t node[64];     /* of hits; VOXRT_NO_NODE without one */
+    uint64_t active, rare; /* bit per ray: on its way; left to the scalar path */
+    uint32_t limited;      /* a t_max is finite */
+    double start, late;    /* plane of the first slab; before it all rays have started */
+    int32_t base[2];
+    /* the slab that is marched through */
+    uint32_t rows[4][32];  /* bit pictures of its planes: row v, column u, counted from its first node's corner */
+    uint32_t leaf[64];     /* its leaf nodes, 8 v + u */
+} voxrti_tile;
+
 /* The slopes of n <= 64 rays. 0: they are no beam. 1: a beam. 2: one that can be marched as a tile. */
 VOXRTI_TARGET_AVX2 static uint32_t voxrti_tile_open(const voxrt_tree *t, const voxrti_cone *cone, const voxrt_ray *rays,
                                                     uint32_t n, voxrti_beam *b, voxrti_tile *k) {
     const __m256d scale = _mm256_set1_pd(1.0 / t->voxel_size), inf = _mm256_set1_pd(VOXRTI_INF);
     const __m256d sign = _mm256_set1_pd(-0.0), turn = _mm256_set1_pd(b->back ? -0.0 : 0.0);
+    const __m128 top = _mm_set1_ps(3.402823466e38f);
     const __m128 ox = _mm_set1_ps(rays[0].org[0]), oy = _mm_set1_ps(rays[0].org[1]), oz = _mm_set1_ps(rays[0].org[2]);
-    __m256d low[2], high[2], least = inf, most = _mm256_setzero_pd(), early = inf, late = most, wrong = most;
-    __m128 differ = _mm_setzero_ps();
-    double x[4], y[4], dm_most = 0, dm_least = VOXRTI_INF, t_late = 0;
-    uint32_t i, j;
+    __m256d low[2], high[2], least = inf, most = _mm256_setzero_pd(), wrong = most;
+    __m128 differ = _mm_setzero_ps(), finite = differ, late = differ, empty = differ, early = _mm_set1_ps(INFINITY);
+    double lo[4], hi[4], dm_most = 0, dm_least = VOXRTI_INF;
+    float time[4], t_late = 0;
+    uint32_t i;
     low[0] = low[1] = inf;
     high[0] = high[1] = _mm256_xor_pd(inf, sign);
     k->rare = 0;
     for (i = 0; i < n; i += 4) {
-        __m256d dm, du, dv, su, sv, tmin, inv, still;
+        __m256d dm, du, dv, su, sv, inv, still;
         __m256 v[4];
+        __m128 x, y;
+        VOXRTI_PREFETCH((const void *)((uintptr_t)(rays + i) + 2048)); /* the next tile */
+        VOXRTI_PREFETCH((const void *)((uintptr_t)(rays + i) + 2112));
         if (i + 4 <= n) {
-            voxrti_transpose4(rays + i, v);
+            voxrti_rays4(rays + i, rays + i + 1, rays + i + 2, rays + i + 3, v);
         } else {
-            voxrt_ray tail[4];
-            for (j = 0; j < 4; j++) tail[j] = rays[i + j < n ? i + j : n - 1];
-            voxrti_transpose4(tail, v);
+            voxrti_rays4(rays + i, rays + (i + 1 < n ? i + 1 : i), rays + (i + 2 < n ? i + 2 : i), rays + i, v);
         }
         differ = _mm_or_ps(differ, _mm_xor_ps(ox, _mm256_castps256_ps128(v[0])));
         differ = _mm_or_ps(differ, _mm_xor_ps(oy, _mm256_castps256_ps128(v[1])));
         differ = _mm_or_ps(differ, _mm_xor_ps(oz, _mm256_castps256_ps128(v[2])));
-        for (j = 0; j < 3; j++) _mm_storeu_ps(k->d[j] + i, _mm256_extractf128_ps(v[j], 1));
-        _mm_storeu_ps(k->t_max + i, _mm256_extractf128_ps(v[3], 1));
-        dm = _mm256_xor_pd(turn, _mm256_mul_pd(_mm256_cvtps_pd(_mm_loadu_ps(k->d[b->m] + i)), scale));
-        du = _mm256_mul_pd(_mm256_cvtps_pd(_mm_loadu_ps(k->d[b->u] + i)), scale);
-        dv = _mm256_mul_pd(_mm256_cvtps_pd(_mm_loadu_ps(k->d[b->v] + i)), scale);
+        x = _mm256_extractf128_ps(v[b->m], 1);
+        _mm_storeu_ps(k->d[0] + i, x);
+        dm = _mm256_xor_pd(turn, _mm256_mul_pd(_mm256_cvtps_pd(x), scale));
+        x = _mm256_extractf128_ps(v[b->u], 1);
+        _mm_storeu_ps(k->d[1] + i, x);
+        du = _mm256_mul_pd(_mm256_cvtps_pd(x), scale);
+        x = _mm256_extractf128_ps(v[b->v], 1);
+        _mm_storeu_ps(k->d[2] + i, x);
+        dv = _mm256_mul_pd(_mm256_cvtps_pd(x), scale);
+        y = _mm256_extractf128_ps(v[3], 1);
+        _mm_storeu_ps(k->t_max + i, y);
+        finite = _mm_or_ps(finite, _mm_cmplt_ps(y, top));
+        x = _mm256_castps256_ps128(v[3]);
+        early = _mm_min_ps(x, early); /* keeps NaN out; `empty` and `wrong` have it */
+        late = _mm_max_ps(x, late);
+        empty = _mm_or_ps(empty, _mm_cmpnle_ps(x, y));
         inv = _mm256_div_pd(_mm256_set1_pd(1.0), dm);
         su = _mm256_mul_pd(du, inv);
         sv = _mm256_mul_pd(dv, inv);
         _mm256_storeu_pd(k->slope[0] + i, su);
         _mm256_storeu_pd(k->slope[1] + i, sv);
-        low[0] = _mm256_min_pd(su, low[0]); /* keeps NaN out; `wrong` has it */
+        low[0] = _mm256_min_pd(su, low[0]);
         low[1] = _mm256_min_pd(sv, low[1]);
         high[0] = _mm256_max_pd(su, high[0]);
         high[1] = _mm256_max_pd(sv, high[1]);
         least = _mm256_min_pd(dm, least);
         most = _mm256_max_pd(dm, most);
-        tmin = _mm256_cvtps_pd(_mm256_castps256_ps128(v[3]));
-        early = _mm256_min_pd(tmin, early);
-        late = _mm256_max_pd(tmin, late);
         wrong = _mm256_or_pd(wrong, _mm256_cmp_pd(su, sv, _CMP_UNORD_Q));
-        wrong = _mm256_or_pd(wrong, _mm256_cmp_pd(tmin, _mm256_cvtps_pd(_mm256_extractf128_ps(v[3], 1)), _CMP_NLE_UQ));
         /* hardly any motion along u or v: the reciprocal may be infinite */
         still = _mm256_min_pd(_mm256_andnot_pd(sign, du), _mm256_andnot_pd(sign, dv));
         still = _mm256_cmp_pd(still, _mm256_set1_pd(1e-300), _CMP_LT_OQ);
@@ -9035,27 +9120,25 @@ VOXRTI_TARGET_AVX2 static uint32_t voxrti_tile_open(const voxrt_tree *t, const v
     }
     if (!_mm_testz_si128(_mm_castps_si128(differ), _mm_castps_si128(differ))) return 0;
     for (i = 0; i < 2; i++) {
-        _mm256_storeu_pd(x, low[i]);
-        _mm256_storeu_pd(y, high[i]);
-        b->lo[i] = voxrti_min(voxrti_min(x[0], x[1]), voxrti_min(x[2], x[3]));
-        b->hi[i] = voxrti_max(voxrti_max(y[0], y[1]), voxrti_max(y[2], y[3]));
+        _mm256_storeu_pd(lo, low[i]);
+        _mm256_storeu_pd(hi, high[i]);
+        b->lo[i] = voxrti_min(voxrti_min(lo[0], lo[1]), voxrti_min(lo[2], lo[3]));
+        b->hi[i] = voxrti_max(voxrti_max(hi[0], hi[1]), voxrti_max(hi[2], hi[3]));
     }
-    _mm256_storeu_pd(x, least);
-    _mm256_storeu_pd(y, most);
+    _mm256_storeu_pd(lo, least);
+    _mm256_storeu_pd(hi, most);
     for (i = 0; i < 4; i++) {
-        dm_least = voxrti_min(dm_least, x[i]);
-        dm_most = voxrti_max(dm_most, y[i]);
+        dm_least = voxrti_min(dm_least, lo[i]);
+        dm_most = voxrti_max(dm_most, hi[i]);
     }
-    _mm256_storeu_pd(x, early);
-    _mm256_storeu_pd(y, late);
-    for (i = 0; i < 4; i++) {
-        if (!(x[i] >= 0)) return 0;
-        t_late = voxrti_max(t_late, y[i]);
-    }
+    if (_mm_movemask_ps(_mm_cmplt_ps(early, _mm_setzero_ps())) != 0) return 0;
+    _mm_storeu_ps(time, late);
+    for (i = 0; i < 4; i++) t_late = time[i] > t_late ? time[i] : t_late;
+    k->limited = (uint32_t)_mm_movemask_ps(finite);
     if (!(dm_least > 0 && dm_most < VOXRTI_INF)) return 0;
     if (!voxrti_beam_start(t, cone, dm_least * t->voxel_size, b, 1)) return 0;
-    k->late = b->om + t_late * dm_most * (1.0 + 1e-9);
-    if (_mm256_movemask_pd(wrong) != 0 || !(t_late < 3e38)) return 1;
+    k->late = b->om + (double)t_late * dm_most * (1.0 + 1e-9);
+    if (_mm256_movemask_pd(wrong) != 0 || _mm_movemask_ps(empty) != 0 || !(t_late < 3e38f)) return 1;
     return b->lo[0] >= -1.0 && b->lo[1] >= -1.0 && b->hi[0] <= 1.0 && b->hi[1] <= 1.0 ? 2 : 1;
 }
 
@@ -9113,7 +9196,7 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE __m256i voxrti_tile_row(const uint32_t *rows, u
 
 /* What eight rays meet between two planes. */
 typedef struct voxrti_tile_cell {
-    __m256i u, v;         /* first filled cell */
+    __m256i u, v, side;   /* first filled cell; axis along which it is entered: m, u, v */
     __m256i done, unsure; /* sign: there is one; cannot be told */
 } voxrti_tile_cell;
 
@@ -9138,34 +9221,57 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE voxrti_tile_cell voxrti_tile_meet(__m256i pu, _
     const __m256 size = _mm256_andnot_ps(_mm256_set1_ps(-0.0f), cross);
     const __m256i sure = _mm256_castps_si256(_mm256_cmp_ps(size, limit, _CMP_GT_OQ));
     const __m256i u_first = _mm256_castps_si256(cross);
-    const __m256i two = _mm256_or_si256(_mm256_cmpeq_epi32(ua, ub), _mm256_cmpeq_epi32(va, vb)); /* no third cell */
+    const __m256i same_u = _mm256_cmpeq_epi32(ua, ub);
+    const __m256i two = _mm256_or_si256(same_u, _mm256_cmpeq_epi32(va, vb)); /* no third cell */
     const __m256i mid = _mm256_andnot_si256(two, VOXRTI_BLENDI(ab, ba, u_first));
     voxrti_tile_cell r;
     r.u = VOXRTI_BLENDI(VOXRTI_BLENDI(ub, VOXRTI_BLENDI(ua, ub, u_first), mid), ua, aa);
     r.v = VOXRTI_BLENDI(VOXRTI_BLENDI(vb, VOXRTI_BLENDI(vb, va, u_first), mid), va, aa);
     r.done = _mm256_or_si256(_mm256_or_si256(aa, mid), bb);
-    r.unsure = _mm256_andnot_si256(_mm256_or_si256(_mm256_or_si256(two, sure), aa), _mm256_or_si256(ab, ba));
+    r.unsure = _mm256_or_si256(_mm256_or_si256(ab, ba), bb);
+    r.unsure = _mm256_andnot_si256(_mm256_or_si256(_mm256_or_si256(two, sure), aa), r.unsure);
+    /* the third cell lies behind the first edge, the last one behind the last edge */
+    du = _mm256_srai_epi32(VOXRTI_BLENDI(_mm256_xor_si256(u_first, mid), same_u, two), 31);
+    r.side = _mm256_andnot_si256(_mm256_srai_epi32(aa, 31), _mm256_sub_epi32(_mm256_set1_epi32(1), du));
     return r;
 }
 
-/* Eight rays through the four planes of voxels of a slab, `planes` after the first. At first all planes: which rays
-   have a filled cell at a corner of the rectangle of cells in which they enter and leave? Mostly none. Then the cells
-   of those that have one, in the first such plane. */
-VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_tile_march(const voxrti_beam *b, voxrti_tile *k, uint32_t first,
-                                                        uint32_t groups, uint32_t planes) {
+/* What the march needs to know of a slab, for all rays. */
+typedef struct voxrti_tile_view {
+    __m256i planes, du, dv, close, u0, v0, z; /* planes since the first; from there to here; limit of `close`; place */
+    uint32_t eps; /* more than twice the error of a position */
+} voxrti_tile_view;
+
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE voxrti_tile_view voxrti_tile_look(const voxrti_beam *b, const voxrti_tile *k) {
+    const uint32_t planes = (uint32_t)(b->z - k->start), u0 = 4 * (uint32_t)b->u0, v0 = 4 * (uint32_t)b->v0;
+    voxrti_tile_view a;
+    a.eps = 2 * planes + 32;
+    a.planes = _mm256_set1_epi32((int)planes);
+    /* with eps/2 more a position close to an edge, on either side, is one close above it */
+    a.du = _mm256_set1_epi32((int)((((uint32_t)k->base[0] - u0) << VOXRTI_TILE_BITS) + a.eps / 2));
+    a.dv = _mm256_set1_epi32((int)((((uint32_t)k->base[1] - v0) << VOXRTI_TILE_BITS) + a.eps / 2));
+    a.close = _mm256_set1_epi32((int)(a.eps << (32 - VOXRTI_TILE_BITS)));
+    a.u0 = _mm256_set1_epi32((int)u0);
+    a.v0 = _mm256_set1_epi32((int)v0);
+    a.z = _mm256_set1_epi32((int)b->z);
+    return a;
+}
+
+/* Eight rays through the four planes of voxels of a slab. At first all planes: which rays have a filled cell at a
+   corner of the rectangle of cells in which they enter and leave? Mostly none. Then the cells of those that have one,
+   in the first such plane. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_tile_march(voxrti_tile *k, const voxrti_tile_view *at, uint32_t first,
+                                                        uint32_t groups) {
     const __m256i zero = _mm256_setzero_si256(), one = _mm256_set1_epi32(1);
     const __m256i bits = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
     const __m256i su = VOXRTI_LOADI(k->step[0] + first), sv = VOXRTI_LOADI(k->step[1] + first);
-    const uint32_t u0 = 4 * (uint32_t)b->u0, v0 = 4 * (uint32_t)b->v0, eps = 2 * planes + 32; /* > 2 errors */
     uint32_t live = (uint32_t)(k->active >> first) & 255u, hit, rare, s;
     __m256i want, got = zero, row_a[4], row_b[4], some[4], pu, pv, u, v, close, ua, va, hu = zero, hv = zero, hm = zero;
-    pu = _mm256_add_epi32(_mm256_mullo_epi32(su, _mm256_set1_epi32((int)planes)), VOXRTI_LOADI(k->at[0] + first));
-    pv = _mm256_add_epi32(_mm256_mullo_epi32(sv, _mm256_set1_epi32((int)planes)), VOXRTI_LOADI(k->at[1] + first));
-    /* with eps/2 more a position close to an edge, on either side, is one close above it */
-    s = ((uint32_t)k->base[0] - u0) << VOXRTI_TILE_BITS;
-    u = pu = _mm256_add_epi32(pu, _mm256_set1_epi32((int)(s + eps / 2)));
-    s = ((uint32_t)k->base[1] - v0) << VOXRTI_TILE_BITS;
-    v = pv = _mm256_add_epi32(pv, _mm256_set1_epi32((int)(s + eps / 2)));
+    __m256i hs = zero;
+    pu = _mm256_add_epi32(_mm256_mullo_epi32(su, at->planes), VOXRTI_LOADI(k->at[0] + first));
+    pv = _mm256_add_epi32(_mm256_mullo_epi32(sv, at->planes), VOXRTI_LOADI(k->at[1] + first));
+    u = pu = _mm256_add_epi32(pu, at->du);
+    v = pv = _mm256_add_epi32(pv, at->dv);
     close = _mm256_min_epu32(_mm256_slli_epi32(u, 32 - VOXRTI_TILE_BITS), _mm256_slli_epi32(v, 32 - VOXRTI_TILE_BITS));
     ua = _mm256_sllv_epi32(one, _mm256_srli_epi32(u, VOXRTI_TILE_BITS));
     va = _mm256_srli_epi32(v, VOXRTI_TILE_BITS);
@@ -9197,7 +9303,7 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_tile_march(const voxrti_beam *b, vo
         ra = VOXRTI_BLENDI(VOXRTI_BLENDI(VOXRTI_BLENDI(row_a[0], row_a[1], p1), row_a[2], p2), row_a[3], p3);
         rb = VOXRTI_BLENDI(VOXRTI_BLENDI(VOXRTI_BLENDI(row_b[0], row_b[1], p1), row_b[2], p2), row_b[3], p3);
         c = voxrti_tile_meet(_mm256_add_epi32(pu, _mm256_mullo_epi32(su, plane)),
-                             _mm256_add_epi32(pv, _mm256_mullo_epi32(sv, plane)), su, sv, ra, rb, eps);
+                             _mm256_add_epi32(pv, _mm256_mullo_epi32(sv, plane)), su, sv, ra, rb, at->eps);
         c.unsure = _mm256_and_si256(want, _mm256_srai_epi32(c.unsure, 31));
         close = _mm256_andnot_si256(c.unsure, close);
         c.done = _mm256_and_si256(want, _mm256_srai_epi32(c.done, 31));
@@ -9205,86 +9311,117 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_tile_march(const voxrti_beam *b, vo
         hu = _mm256_blendv_epi8(hu, c.u, c.done);
         hv = _mm256_blendv_epi8(hv, c.v, c.done);
         hm = _mm256_blendv_epi8(hm, plane, c.done);
+        hs = _mm256_blendv_epi8(hs, c.side, c.done);
         want = _mm256_andnot_si256(_mm256_or_si256(c.done, c.unsure), want);
         if (VOXRTI_SIGNS(want) == 0) break;
         for (s = 0; s < 4; s++) /* passed between filled cells: on behind this plane */
             some[s] = _mm256_andnot_si256(_mm256_cmpeq_epi32(plane, _mm256_set1_epi32((int)s)), some[s]);
     }
-    u = _mm256_set1_epi32((int)(eps << (32 - VOXRTI_TILE_BITS)));
-    rare = VOXRTI_SIGNS(_mm256_cmpeq_epi32(_mm256_min_epu32(close, u), close)) & live;
+    rare = VOXRTI_SIGNS(_mm256_cmpeq_epi32(_mm256_min_epu32(close, at->close), close)) & live;
     hit = VOXRTI_SIGNS(got) & ~rare;
     k->rare |= (uint64_t)rare << first;
-    k->hit |= (uint64_t)hit << first;
     k->active &= ~((uint64_t)(rare | hit) << first);
     if (hit != 0) {
-        uint32_t *cu = k->cell[b->u] + first, *cv = k->cell[b->v] + first, *cm = k->cell[b->m] + first, at[8];
-        VOXRTI_STOREI(at, _mm256_add_epi32(_mm256_slli_epi32(_mm256_srli_epi32(hv, 2), 3), _mm256_srli_epi32(hu, 2)));
-        hu = _mm256_add_epi32(hu, _mm256_set1_epi32((int)u0));
-        hv = _mm256_add_epi32(hv, _mm256_set1_epi32((int)v0));
-        hm = _mm256_add_epi32(hm, _mm256_set1_epi32((int)b->z));
+        uint32_t *cm = k->cell[0] + first, *cu = k->cell[1] + first, *cv = k->cell[2] + first, *side = k->side + first;
+        uint32_t leaf[8];
+        VOXRTI_STOREI(leaf, _mm256_add_epi32(_mm256_slli_epi32(_mm256_srli_epi32(hv, 2), 3), _mm256_srli_epi32(hu, 2)));
+        hu = _mm256_add_epi32(hu, at->u0);
+        hv = _mm256_add_epi32(hv, at->v0);
+        hm = _mm256_add_epi32(hm, at->z);
         VOXRTI_STOREI(cu, _mm256_blendv_epi8(VOXRTI_LOADI(cu), hu, got));
         VOXRTI_STOREI(cv, _mm256_blendv_epi8(VOXRTI_LOADI(cv), hv, got));
         VOXRTI_STOREI(cm, _mm256_blendv_epi8(VOXRTI_LOADI(cm), hm, got));
+        VOXRTI_STOREI(side, _mm256_blendv_epi8(VOXRTI_LOADI(side), hs, got));
         for (; hit != 0; hit &= hit - 1) {
             s = voxrti_ctz64(hit);
-            k->node[first + s] = k->leaf[at[s]];
+            k->node[first + s] = k->leaf[leaf[s]];
         }
     }
 }
 
-/* Write the results of the rays first .. first + 3 but for those left to others. */
-VOXRTI_TARGET_AVX2 static inline void voxrti_tile_hits(const voxrt_tree *t, const voxrt_ray *ray, const voxrti_beam *b,
-                                                       const voxrti_tile *k, uint32_t first, uint32_t lanes,
-                                                       voxrt_hit *hits) {
-    const __m256d sign = _mm256_set1_pd(-0.0), scale = _mm256_set1_pd(1.0 / t->voxel_size);
+/* Times at which four rays enter their voxels; c: plane of the axis `side` (mirrored), back: it is mirrored. One
+   division a ray: voxrti_entry takes the latest of three times, the march knows which one it is. */
+VOXRTI_TARGET_AVX2 static inline __m256d voxrti_tile_times(const voxrti_beam *b, const double full, __m128i side,
+                                                           __m128i back, __m128i c, __m256d d) {
+    const __m256d is_u = _mm256_castsi256_pd(_mm256_cvtepi32_epi64(_mm_cmpeq_epi32(side, _mm_set1_epi32(1))));
+    const __m256d is_v = _mm256_castsi256_pd(_mm256_cvtepi32_epi64(_mm_cmpeq_epi32(side, _mm_set1_epi32(2))));
+    const __m256d turned = _mm256_castsi256_pd(_mm256_cvtepi32_epi64(back));
+    __m256d u = _mm256_blendv_pd(_mm256_set1_pd(b->o[0]), _mm256_set1_pd(full - b->o[0]), turned);
+    __m256d v = _mm256_blendv_pd(_mm256_set1_pd(b->o[1]), _mm256_set1_pd(full - b->o[1]), turned);
+    __m256d o = _mm256_blendv_pd(_mm256_blendv_pd(_mm256_set1_pd(b->om), u, is_u), v, is_v);
+    return _mm256_mul_pd(_mm256_sub_pd(_mm256_cvtepi32_pd(c), o), _mm256_div_pd(_mm256_set1_pd(1.0), d));
+}
+
+/* Write the results of eight rays: those of `lanes` (bits). */
+VOXRTI_TARGET_AVX2 static inline void voxrti_tile_hits(const voxrt_tree *t, const voxrti_beam *b, const voxrti_tile *k,
+                                                       uint32_t first, uint32_t lanes, voxrt_hit *hits) {
     const double full = (double)((uint32_t)1 << (2 * t->wide));
-    const __m128i last = _mm_set1_epi32((int)(((uint32_t)1 << (2 * t->wide)) - 1u)), three = _mm_set1_epi32(3);
-    const __m128i nine = _mm_set1_epi32(9), bits = _mm_setr_epi32(1, 2, 4, 8);
-    __m128i on = _mm_set1_epi32((int)((uint32_t)(k->hit >> first) & 15u)), c[3], face = _mm_setzero_si128();
-    __m128i slot = face, node, info;
-    __m256d time = _mm256_set1_pd(-VOXRTI_INF), t_end;
-    uint32_t a, i;
-    union { __m128i v[2]; uint64_t pair[4]; } low;
-    on = _mm_cmpeq_epi32(_mm_and_si128(on, bits), bits);
-    for (a = 0; a < 3; a++) {
-        double o = ((double)ray->org[a] - t->origin[a]) * (1.0 / t->voxel_size);
-        __m256d d = _mm256_mul_pd(_mm256_cvtps_pd(_mm_loadu_ps(k->d[a] + first)), scale), e, later;
-        __m256d neg = _mm256_cmp_pd(d, _mm256_setzero_pd(), _CMP_LT_OQ);
-        __m128i back = voxrti_narrow4(neg), x = VOXRTI_LOAD4(k->cell[a] + first), s;
-        if (a == b->m && b->back) x = _mm_sub_epi32(last, x);
-        c[a] = x;
-        x = _mm_blendv_epi8(x, _mm_sub_epi32(last, x), back);
-        e = _mm256_sub_pd(_mm256_cvtepi32_pd(x), _mm256_blendv_pd(_mm256_set1_pd(o), _mm256_set1_pd(full - o), neg));
-        e = _mm256_mul_pd(e, _mm256_div_pd(_mm256_set1_pd(1.0), _mm256_andnot_pd(sign, d)));
-        later = _mm256_cmp_pd(e, time, _CMP_GE_OQ);
-        time = _mm256_blendv_pd(time, e, later);
-        face = _mm_blendv_epi8(face, _mm_sub_epi32(_mm_set1_epi32((int)(2 * a)), back), voxrti_narrow4(later));
-        s = _mm_and_si128(c[a], three);
-        s = _mm_and_si128(_mm_or_si128(s, _mm_slli_epi32(s, 2)), nine);
-        slot = _mm_or_si128(slot, _mm_slli_epi32(s, (int)a));
+    const __m256d scale = _mm256_set1_pd(1.0 / t->voxel_size), most = _mm256_set1_pd(3.4028234663852886e38);
+    const __m256i last = _mm256_set1_epi32((int)(((uint32_t)1 << (2 * t->wide)) - 1u));
+    const __m256i side = VOXRTI_LOADI(k->side + first), is_u = _mm256_cmpeq_epi32(side, _mm256_set1_epi32(1));
+    const __m256i is_v = _mm256_cmpeq_epi32(side, _mm256_set1_epi32(2));
+    const __m256i sign = _mm256_set1_epi32((int)0x80000000u), none = _mm256_set1_epi32(-1);
+    __m256i c[3], cell[3], node = VOXRTI_LOADI(k->node + first), back, at, face, slot, info, on, x, r[4];
+    __m256d t0, t1, end0 = most, end1 = most;
+    __m256 d;
+    uint32_t a;
+    for (a = 0; a < 3; a++) c[a] = VOXRTI_LOADI(k->cell[a] + first);
+    d = _mm256_blendv_ps(_mm256_loadu_ps(k->d[0] + first), _mm256_loadu_ps(k->d[1] + first), VOXRTI_PS(is_u));
+    d = _mm256_blendv_ps(d, _mm256_loadu_ps(k->d[2] + first), VOXRTI_PS(is_v));
+    back = _mm256_and_si256(_mm256_srai_epi32(_mm256_castps_si256(d), 31), _mm256_or_si256(is_u, is_v));
+    d = _mm256_andnot_ps(VOXRTI_PS(sign), d);
+    at = VOXRTI_BLENDI(VOXRTI_BLENDI(c[0], c[1], is_u), c[2], is_v);
+    at = VOXRTI_BLENDI(at, _mm256_sub_epi32(last, at), back);
+    t0 = voxrti_tile_times(b, full, _mm256_castsi256_si128(side), _mm256_castsi256_si128(back),
+                           _mm256_castsi256_si128(at),
+                           _mm256_mul_pd(_mm256_cvtps_pd(_mm256_castps256_ps128(d)), scale));
+    t1 = voxrti_tile_times(b, full, _mm256_extracti128_si256(side, 1), _mm256_extracti128_si256(back, 1),
+                           _mm256_extracti128_si256(at, 1),
+                           _mm256_mul_pd(_mm256_cvtps_pd(_mm256_extractf128_ps(d, 1)), scale));
+    if (k->limited) {
+        end0 = _mm256_min_pd(end0, voxrti_below4(_mm_loadu_ps(k->t_max + first)));
+        end1 = _mm256_min_pd(end1, voxrti_below4(_mm_loadu_ps(k->t_max + first + 4)));
     }
-    t_end = _mm256_min_pd(voxrti_below4(_mm_loadu_ps(k->t_max + first)), _mm256_set1_pd(3.4028234663852886e38));
-    on = _mm_and_si128(on, voxrti_narrow4(_mm256_cmp_pd(time, t_end, _CMP_LT_OQ)));
-    node = _mm_or_si128(VOXRTI_LOAD4(k->node + first), _mm_xor_si128(on, _mm_set1_epi32(-1)));
-    info = _mm_or_si128(_mm_or_si128(slot, _mm_set1_epi32((int)(t->depth << 8))), _mm_slli_epi32(face, 16));
-    info = _mm_and_si128(info, on);
-    {
-        __m128 v0 = _mm_blendv_ps(_mm_set1_ps(INFINITY), _mm256_cvtpd_ps(time), _mm_castsi128_ps(on));
-        __m128 v1 = _mm_castsi128_ps(_mm_and_si128(c[0], on)), v2 = _mm_castsi128_ps(_mm_and_si128(c[1], on));
-        __m128 v3 = _mm_castsi128_ps(_mm_and_si128(c[2], on));
-        __m128 r[4];
-        _MM_TRANSPOSE4_PS(v0, v1, v2, v3);
-        r[0] = v0;
-        r[1] = v1;
-        r[2] = v2;
-        r[3] = v3;
-        low.v[0] = _mm_unpacklo_epi32(node, info);
-        low.v[1] = _mm_unpackhi_epi32(node, info);
-        for (i = 0; i < 4; i++) {
-            if ((lanes >> i & 1u) == 0) continue;
-            _mm_storeu_ps(&hits[i].t, r[i]);
-            memcpy(&hits[i].node, &low.pair[i], 8);
-        }
+    on = _mm256_inserti128_si256(_mm256_castsi128_si256(voxrti_narrow4(_mm256_cmp_pd(t0, end0, _CMP_LT_OQ))),
+                                 voxrti_narrow4(_mm256_cmp_pd(t1, end1, _CMP_LT_OQ)), 1);
+    on = _mm256_andnot_si256(_mm256_cmpeq_epi32(node, none), on);
+    cell[b->m] = b->back ? _mm256_sub_epi32(last, c[0]) : c[0];
+    cell[b->u] = c[1];
+    cell[b->v] = c[2];
+    slot = _mm256_setzero_si256();
+    for (a = 0; a < 3; a++) {
+        x = _mm256_and_si256(cell[a], _mm256_set1_epi32(3));
+        x = _mm256_and_si256(_mm256_or_si256(x, _mm256_slli_epi32(x, 2)), _mm256_set1_epi32(9));
+        slot = _mm256_or_si256(slot, _mm256_sll_epi32(x, _mm_cvtsi32_si128((int)a)));
+        cell[a] = _mm256_and_si256(cell[a], on);
+    }
+    face = _mm256_set1_epi32((int)(2 * b->m + b->back));
+    face = VOXRTI_BLENDI(face, _mm256_set1_epi32((int)(2 * b->u)), is_u);
+    face = VOXRTI_BLENDI(face, _mm256_set1_epi32((int)(2 * b->v)), is_v);
+    face = _mm256_sub_epi32(face, back);
+    info = _mm256_or_si256(_mm256_or_si256(slot, _mm256_set1_epi32((int)(t->depth << 8))), _mm256_slli_epi32(face, 16));
+    info = _mm256_and_si256(info, on);
+    node = _mm256_or_si256(node, _mm256_xor_si256(on, none));
+    d = _mm256_insertf128_ps(_mm256_castps128_ps256(_mm256_cvtpd_ps(t0)), _mm256_cvtpd_ps(t1), 1);
+    x = _mm256_castps_si256(_mm256_blendv_ps(_mm256_set1_ps(INFINITY), d, VOXRTI_PS(on)));
+    /* columns to records; low halves hold rays 0 to 3 */
+    at = _mm256_unpacklo_epi32(x, cell[0]);
+    x = _mm256_unpackhi_epi32(x, cell[0]);
+    back = _mm256_unpacklo_epi32(cell[1], cell[2]);
+    face = _mm256_unpackhi_epi32(cell[1], cell[2]);
+    r[0] = _mm256_unpacklo_epi64(at, back);
+    r[1] = _mm256_unpackhi_epi64(at, back);
+    r[2] = _mm256_unpacklo_epi64(x, face);
+    r[3] = _mm256_unpackhi_epi64(x, face);
+    at = _mm256_unpacklo_epi32(node, info);
+    back = _mm256_unpackhi_epi32(node, info);
+    for (a = 0; a < 3; a++) VOXRTI_PREFETCH((const void *)((uintptr_t)hits + 64 * sizeof *hits + 64 * a));
+    for (a = 0; a < 8; a++) {
+        const __m256i two = (a & 2u) ? back : at;
+        const __m128i four = a < 4 ? _mm256_castsi256_si128(two) : _mm256_extracti128_si256(two, 1);
+        const __m128i low = a < 4 ? _mm256_castsi256_si128(r[a & 3u]) : _mm256_extracti128_si256(r[a & 3u], 1);
+        if (lanes >> a & 1u)
+            voxrti_hit_store(&hits[a], _mm_castsi128_ps(low), (a & 1u) ? _mm_unpackhi_epi64(four, four) : four);
     }
 }
 
@@ -9305,6 +9442,14 @@ VOXRTI_TARGET_AVX2 static inline void voxrti_tile_begin(const voxrti_beam *b, vo
     }
 }
 
+/* None of n rays meets anything. */
+VOXRTI_TARGET_AVX2 static inline void voxrti_tile_misses(voxrt_hit *hits, uint32_t n) {
+    const __m128 inf = _mm_set_ss(INFINITY);
+    const __m128i none = _mm_set_epi32(0, 0, 0, -1);
+    uint32_t i;
+    for (i = 0; i < n; i++) voxrti_hit_store(&hits[i], inf, none);
+}
+
 /* Trace a run of n rays as a tile, if it is one. Returns a bit for each ray that is left: it starts at plane b->z when
    b->on is 1. With stats all are left. */
 VOXRTI_TARGET_AVX2 static uint64_t voxrti_tile_trace(const voxrt_tree *t, const voxrti_cone *cone,
@@ -9316,32 +9461,36 @@ VOXRTI_TARGET_AVX2 static uint64_t voxrti_tile_trace(const voxrt_tree *t, const 
     fit = voxrti_tile_open(t, cone, rays, n, b, k);
     if (fit == 0) return all;
     b->on = 1;
-    k->hit = 0;
     found = voxrti_beam_walk(t, cone, b, 1);
     if (stats != NULL) { /* unusable rays are misses, but counted */
         if (found == 0) b->z = VOXRTI_INF;
         return all;
     }
-    if (found != 0 && (fit == 1 || !(b->z > k->late))) return all;
-    if (found == 0) k->rare = 0;
+    if (found == 0) {
+        voxrti_tile_misses(hits, n);
+        return 0;
+    }
+    if (fit == 1 || !(b->z > k->late)) return all;
+    memset(k->node, 0xff, sizeof k->node);
     k->active = all & ~k->rare;
     for (; found == 1 && k->active != 0; found = voxrti_beam_walk(t, cone, b, 1)) {
-        uint32_t planes, groups = (uint32_t)(b->v1 - b->v0) / 2 + 1;
+        const uint32_t groups = (uint32_t)(b->v1 - b->v0) / 2 + 1;
+        voxrti_tile_view at;
         if (!begun || b->z - k->start > 512.0) voxrti_tile_begin(b, k); /* errors grow */
         begun = 1;
-        planes = (uint32_t)(b->z - k->start);
         voxrti_tile_slab(t, b, k);
+        at = voxrti_tile_look(b, k);
         for (p = 0; p < n; p += 8) {
             if ((k->active >> p & 255u) == 0) continue;
-            if (groups == 1) voxrti_tile_march(b, k, p, 1, planes);
-            else if (groups == 2) voxrti_tile_march(b, k, p, 2, planes);
-            else voxrti_tile_march(b, k, p, 4, planes);
+            if (groups == 1) voxrti_tile_march(k, &at, p, 1);
+            else if (groups == 2) voxrti_tile_march(k, &at, p, 2);
+            else voxrti_tile_march(k, &at, p, 4);
         }
     }
     if (found != 2) k->active = 0;
-    for (i = 0; i < n; i += 4) {
-        uint32_t lanes = (uint32_t)((all & ~(k->rare | k->active)) >> i) & 15u;
-        if (lanes != 0) voxrti_tile_hits(t, rays, b, k, i, lanes, hits + i);
+    for (i = 0; i < n; i += 8) {
+        const uint32_t lanes = (uint32_t)((all & ~(k->rare | k->active)) >> i) & 255u;
+        if (lanes != 0) voxrti_tile_hits(t, b, k, i, lanes, hits + i);
     }
     for (; k->rare != 0; k->rare &= k->rare - 1) {
         i = voxrti_ctz64(k->rare);
@@ -9366,20 +9515,50 @@ VOXRTI_TARGET_AVX2 static uint64_t voxrti_tile_trace(const voxrt_tree *t, const 
 #define VOXRTI_OCTETS 3        /* groups of eight rays in flight */
 #define VOXRTI_OCTET_REFILL 6  /* lanes are refilled when at most so many are busy */
 
-/* Four prepared rays waiting for a lane: bits in live. */
-typedef struct voxrti_ready4 {
-    double o[3][4], d[3][4], inv[3][4], t[4], t_end[4], t_min[4];
-    uint32_t c[3][4], w[4], flip[4], ray[4], live;
-} voxrti_ready4;
+#define VOXRTI_READY 16        /* rays prepared at a time */
+
+/* Prepared rays; bits in live: waiting for a lane. */
+typedef struct voxrti_ready {
+    double o[3][VOXRTI_READY], d[3][VOXRTI_READY], inv[3][VOXRTI_READY];
+    double t[VOXRTI_READY], t_end[VOXRTI_READY];
+    uint32_t c[3][VOXRTI_READY], w[VOXRTI_READY], flip[VOXRTI_READY], turn[3][VOXRTI_READY], live;
+} voxrti_ready;
 
 /* Eight rays in flight. Doubles and addresses of a lane stand at VOXRTI_PLACE8(lane). */
 typedef struct voxrti_octet {
-    double o[3][8], d[3][8], inv[3][8], t[8], t_end[8], t_min[8];
+    __m256i align; /* all vectors in one cache line each */
+    double o[3][8], d[3][8], inv[3][8], t[8], t_end[8];
     uint64_t child[8];                      /* address of the node below */
     uint64_t path[8][VOXRTI_MAX_WIDE + 1];  /* addresses of the nodes from the root to level w, by lane */
     uint32_t c[3][8], w[8], flip[8], turn[3][8], ray[8], alive[8]; /* turn: 4 for a mirrored axis */
     uint32_t live, found, used; /* bit per lane: on its way; stands on a voxel; taken, result not written yet */
 } voxrti_octet;
+
+/* Constants of the step, in memory: gcc would make each anew with three instructions. */
+typedef struct voxrti_octet_const {
+    __m256i one, three, seven, octant, last_slot, places, bytes, words, nibble, two52, half, exponent, e127, four;
+    __m256i leaf_w, node, leaf;
+} voxrti_octet_const;
+
+VOXRTI_TARGET_AVX2 static void voxrti_octet_open(const voxrt_tree *t, voxrti_octet_const *k) {
+    k->one = _mm256_set1_epi32(1);
+    k->three = _mm256_set1_epi32(3);
+    k->four = _mm256_set1_epi32(4);
+    k->seven = _mm256_set1_epi32(7);
+    k->octant = _mm256_set1_epi32(56);
+    k->last_slot = _mm256_set1_epi32(63);
+    k->places = _mm256_set1_epi32(0x0c080400);
+    k->bytes = _mm256_set1_epi8(1);
+    k->words = _mm256_set1_epi16(1);
+    k->nibble = _mm256_set1_epi8(15);
+    k->two52 = _mm256_set1_epi32(0x43300000);   /* high half of 2^52 */
+    k->half = _mm256_set1_epi32(65536);         /* 2^-16 cells */
+    k->exponent = _mm256_set1_epi32(0x41300000); /* of 2^20 */
+    k->e127 = _mm256_set1_epi32(127);
+    k->leaf_w = _mm256_set1_epi32((int)t->wide - 1);
+    k->node = _mm256_set1_epi64x((long long)(intptr_t)t->node);
+    k->leaf = _mm256_set1_epi64x((long long)(intptr_t)t->leaf);
+}
 
 /* p is within 2^-16 of a whole number (false for NaN) */
 VOXRTI_TARGET_AVX2 static inline __m256d voxrti_close4(__m256d p) {
@@ -9387,11 +9566,11 @@ VOXRTI_TARGET_AVX2 static inline __m256d voxrti_close4(__m256d p) {
     return _mm256_cmp_pd(_mm256_andnot_pd(_mm256_set1_pd(-0.0), f), _mm256_set1_pd(1.52587890625e-05), _CMP_LT_OQ);
 }
 
-/* Prepare four rays; g->live: those that enter the box. `rare`: bit per ray that needs the scalar path (bad or far
-   away); `miss`: bit per ray that misses the box. The same arithmetic as voxrti_ray_setup. */
-VOXRTI_TARGET_AVX2 static void voxrti_setup4(const voxrt_tree *t, const voxrti_cone *cone, const voxrt_ray *rays,
-                                             uint32_t first, const voxrti_beam *beam, const voxrti_chain *chain,
-                                             voxrti_ready4 *g, uint32_t *rare, uint32_t *miss) {
+/* Prepare the rays `first` to first + 3 of a run. Returns those that enter the box (bits). *rare: those that need the
+   scalar path (bad or far away); the others miss the box. The same arithmetic as voxrti_ray_setup. */
+VOXRTI_TARGET_AVX2 static inline uint32_t voxrti_setup4(const voxrt_tree *t, const voxrti_cone *cone,
+                                                        const voxrt_ray *rays, uint32_t first, const voxrti_beam *beam,
+                                                        const voxrti_chain *chain, voxrti_ready *g, uint32_t *rare) {
     const __m256d zero = _mm256_setzero_pd(), inf = _mm256_set1_pd(VOXRTI_INF), sign = _mm256_set1_pd(-0.0);
     const __m256d scale = _mm256_set1_pd(1.0 / t->voxel_size), limit = _mm256_set1_pd(16777216.0);
     const double full = (double)((uint32_t)1 << (2 * t->wide));
@@ -9399,27 +9578,13 @@ VOXRTI_TARGET_AVX2 static void voxrti_setup4(const voxrt_tree *t, const voxrti_c
     __m256d o[3], d[3], inv[3], lo[3], hi[3], axis[3], still[3], t_in = _mm256_sub_pd(zero, inf), t_out = inf;
     __m256d bad, out = zero, moving = zero, late = zero, time, t_end, tmin, tmax, e;
     __m128i flip = _mm_setzero_si128();
-    __m256 v[4], s[4];
-    uint32_t a, lane, doubt[3], any = 0, back[3];
-    for (a = 0; a < 4; a++) v[a] = _mm256_loadu_ps(rays[a].org);
-    s[0] = _mm256_unpacklo_ps(v[0], v[1]);
-    s[1] = _mm256_unpackhi_ps(v[0], v[1]);
-    s[2] = _mm256_unpacklo_ps(v[2], v[3]);
-    s[3] = _mm256_unpackhi_ps(v[2], v[3]);
-    v[0] = _mm256_shuffle_ps(s[0], s[2], 0x44); /* org[0] of four rays, dir[0] of four rays; ... */
-    v[1] = _mm256_shuffle_ps(s[0], s[2], 0xee);
-    v[2] = _mm256_shuffle_ps(s[1], s[3], 0x44);
-    v[3] = _mm256_shuffle_ps(s[1], s[3], 0xee);
+    __m256 v[4];
+    uint32_t a, lane, doubt[3], any = 0, back[3], live;
+    voxrti_rays4(rays, rays + 1, rays + 2, rays + 3, v);
     tmin = _mm256_cvtps_pd(_mm256_castps256_ps128(v[3]));
     tmax = _mm256_cvtps_pd(_mm256_extractf128_ps(v[3], 1));
     bad = _mm256_cmp_pd(tmin, tmax, _CMP_NLE_UQ);
-    { /* voxrti_below */
-        __m128i x = _mm_castps_si128(_mm256_extractf128_ps(v[3], 1)), none = _mm_setzero_si128();
-        __m128i before = _mm_sub_epi32(x, _mm_or_si128(_mm_srai_epi32(x, 31), _mm_set1_epi32(1)));
-        none = _mm_cmpeq_epi32(_mm_slli_epi32(x, 1), none);
-        before = _mm_blendv_epi8(before, _mm_set1_epi32((int)0x80000001u), none);
-        tmax = _mm256_mul_pd(_mm256_set1_pd(0.5), _mm256_add_pd(_mm256_cvtps_pd(_mm_castsi128_ps(before)), tmax));
-    }
+    tmax = voxrti_below4(_mm256_extractf128_ps(v[3], 1));
     for (a = 0; a < 3; a++) {
         __m256d oo = _mm256_cvtps_pd(_mm256_castps256_ps128(v[a])), neg, closer;
         __m256d dd = _mm256_cvtps_pd(_mm256_extractf128_ps(v[a], 1));
@@ -9460,18 +9625,18 @@ VOXRTI_TARGET_AVX2 static void voxrti_setup4(const voxrt_tree *t, const voxrti_c
     e = _mm256_cmp_pd(time, t_in, _CMP_GT_OQ); /* starts inside */
     for (a = 0; a < 3; a++) axis[a] = _mm256_andnot_pd(e, axis[a]);
     if (beam->on) {
-        e = _mm256_mul_pd(_mm256_sub_pd(_mm256_set1_pd(beam->z), o[beam->m]), inv[beam->m]);
+        e = t_in;
+        for (a = 0; a < 3; a++)
+            if (a == beam->m) e = _mm256_mul_pd(_mm256_sub_pd(_mm256_set1_pd(beam->z), o[a]), inv[a]);
         late = _mm256_cmp_pd(e, time, _CMP_GT_OQ);
         time = _mm256_blendv_pd(time, e, late);
-        for (a = 0; a < 3; a++) axis[a] = _mm256_andnot_pd(late, axis[a]);
-        axis[beam->m] = _mm256_or_pd(axis[beam->m], late);
+        for (a = 0; a < 3; a++) axis[a] = a == beam->m ? _mm256_or_pd(axis[a], late) : _mm256_andnot_pd(late, axis[a]);
     }
     t_end = _mm256_min_pd(t_out, _mm256_min_pd(tmax, _mm256_set1_pd(3.4028234663852886e38)));
     out = _mm256_or_pd(out, _mm256_cmp_pd(time, t_end, _CMP_NLT_UQ));
     *rare = (uint32_t)_mm256_movemask_pd(bad) | (~(uint32_t)_mm256_movemask_pd(moving) & 15u);
-    *miss = (uint32_t)_mm256_movemask_pd(out) & ~*rare;
-    g->live = 15u & ~(*rare | *miss);
-    if (g->live == 0) return;
+    live = 15u & ~(*rare | (uint32_t)_mm256_movemask_pd(out));
+    if (live == 0) return 0;
     for (a = 0; a < 3; a++) {
         __m256d p = _mm256_add_pd(o[a], _mm256_mul_pd(time, d[a]));
         e = _mm256_andnot_pd(_mm256_or_pd(axis[a], still[a]), voxrti_close4(p));
@@ -9479,30 +9644,32 @@ VOXRTI_TARGET_AVX2 static void voxrti_setup4(const voxrt_tree *t, const voxrti_c
         any |= doubt[a];
         p = _mm256_max_pd(_mm256_min_pd(p, _mm256_sub_pd(hi[a], _mm256_set1_pd(1.0))), lo[a]);
         if (beam->on && a == beam->m) lo[a] = _mm256_blendv_pd(lo[a], _mm256_set1_pd(voxrti_min(beam->z, full)), late);
-        VOXRTI_STORE4(g->c[a], _mm256_cvttpd_epi32(_mm256_blendv_pd(p, lo[a], axis[a])));
-        _mm256_storeu_pd(g->o[a], o[a]);
-        _mm256_storeu_pd(g->d[a], d[a]);
-        _mm256_storeu_pd(g->inv[a], inv[a]);
+        VOXRTI_STORE4(g->c[a] + first, _mm256_cvttpd_epi32(_mm256_blendv_pd(p, lo[a], axis[a])));
+        _mm256_storeu_pd(g->o[a] + first, o[a]);
+        _mm256_storeu_pd(g->d[a] + first, d[a]);
+        _mm256_storeu_pd(g->inv[a] + first, inv[a]);
     }
-    _mm256_storeu_pd(g->t, time);
-    _mm256_storeu_pd(g->t_end, t_end);
-    _mm256_storeu_pd(g->t_min, tmin);
-    VOXRTI_STORE4(g->flip, flip);
-    VOXRTI_STORE4(g->ray, _mm_add_epi32(_mm_set1_epi32((int)first), _mm_setr_epi32(0, 1, 2, 3)));
-    for (any &= g->live; any != 0; any &= any - 1) { /* close to an event: decide exactly */
+    _mm256_storeu_pd(g->t + first, time);
+    _mm256_storeu_pd(g->t_end + first, t_end);
+    VOXRTI_STORE4(g->flip + first, flip);
+    for (a = 0; a < 3; a++)
+        VOXRTI_STORE4(g->turn[a] + first,
+                      _mm_slli_epi32(_mm_and_si128(_mm_srli_epi32(flip, (int)a), _mm_set1_epi32(1)), 2));
+    for (any &= live; any != 0; any &= any - 1) { /* close to an event: decide exactly */
         voxrti_rayx r;
         uint32_t k = 3;
         lane = voxrti_ctz64(any);
         for (a = 0; a < 3; a++) {
-            r.o[a] = g->o[a][lane];
-            r.d[a] = g->d[a][lane];
-            r.inv[a] = g->inv[a][lane];
+            r.o[a] = g->o[a][first + lane];
+            r.d[a] = g->d[a][first + lane];
+            r.inv[a] = g->inv[a][first + lane];
             if ((uint32_t)_mm256_movemask_pd(axis[a]) >> lane & 1u) k = a;
         }
         for (a = 0; a < 3; a++) {
             uint32_t from = (back[a] >> lane & 1u) ? (uint32_t)full - cone->hi[a] : cone->lo[a];
             uint32_t to = (back[a] >> lane & 1u) ? (uint32_t)full - cone->lo[a] : cone->hi[a];
-            if (doubt[a] >> lane & 1u) g->c[a][lane] = voxrti_cell_at(&r, a, g->t[lane], k, from, to - 1);
+            if (doubt[a] >> lane & 1u)
+                g->c[a][first + lane] = voxrti_cell_at(&r, a, g->t[first + lane], k, from, to - 1);
         }
     }
     { /* start at the deepest node of the chain that holds the ray's first cell */
@@ -9513,7 +9680,7 @@ VOXRTI_TARGET_AVX2 static void voxrti_setup4(const voxrt_tree *t, const voxrti_c
                                          _mm256_mul_pd(_mm256_set1_pd(cone->spread), time)));
             for (a = 0; a < 3; a++) {
                 __m128i neg = _mm_srai_epi32(_mm_slli_epi32(flip, 31 - (int)a), 31);
-                __m128i c = _mm_xor_si128(VOXRTI_LOAD4(g->c[a]), _mm_srli_epi32(neg, 32 - 2 * (int)t->wide));
+                __m128i c = _mm_xor_si128(VOXRTI_LOAD4(g->c[a] + first), _mm_srli_epi32(neg, 32 - 2 * (int)t->wide));
                 x = _mm_or_si128(x, _mm_xor_si128(c, _mm_set1_epi32((int)chain->cell[a])));
             }
             for (l = 1; l <= chain->w; l++) {
@@ -9524,8 +9691,9 @@ VOXRTI_TARGET_AVX2 static void voxrti_setup4(const voxrt_tree *t, const voxrti_c
                 w = _mm_sub_epi32(w, m);
             }
         }
-        VOXRTI_STORE4(g->w, w);
+        VOXRTI_STORE4(g->w + first, w);
     }
+    return live;
 }
 
 static inline void voxrti_octet_ray(const voxrti_octet *g, uint32_t lane, voxrti_rayx *r) {
@@ -9536,7 +9704,6 @@ static inline void voxrti_octet_ray(const voxrti_octet *g, uint32_t lane, voxrti
         r->inv[a] = g->inv[a][i];
         r->c[a] = g->c[a][lane];
     }
-    r->t_min = g->t_min[i];
     r->flip = g->flip[lane];
     r->base = 0;
 }
@@ -9548,33 +9715,10 @@ static inline uint32_t voxrti_octet_node(const voxrt_tree *t, const voxrti_octet
     return (uint32_t)(w + 1 == t->wide ? (at - (uintptr_t)t->leaf) / 8 : (at - (uintptr_t)t->node) / 16);
 }
 
-/* Take the next prepared ray into a lane. */
-static inline void voxrti_octet_load(const voxrti_chain *chain, voxrti_octet *g, uint32_t lane, voxrti_ready4 *from) {
-    uint32_t a, i = voxrti_ctz64(from->live), w = from->w[i], to = VOXRTI_PLACE8(lane);
-    from->live &= from->live - 1;
-    for (a = 1; a <= w; a++) g->path[lane][a] = chain->at[a];
-    for (a = 0; a < 3; a++) {
-        g->o[a][to] = from->o[a][i];
-        g->d[a][to] = from->d[a][i];
-        g->inv[a][to] = from->inv[a][i];
-        g->c[a][lane] = from->c[a][i];
-        g->turn[a][lane] = from->flip[i] >> a << 2 & 4u;
-    }
-    g->t[to] = from->t[i];
-    g->t_end[to] = from->t_end[i];
-    g->t_min[to] = from->t_min[i];
-    g->flip[lane] = from->flip[i];
-    g->ray[lane] = from->ray[i];
-    g->w[lane] = w;
-    g->alive[lane] = 0xffffffffu;
-    g->live |= 1u << lane;
-    g->used |= 1u << lane;
-}
-
 /* Level of detail for lanes whose footprint may cover the cell: exact decision as in voxrti_trace_scalar.
    Returns the lanes that hit. */
 static VOXRTI_NOINLINE uint32_t voxrti_octet_lod(const voxrt_tree *t, const voxrti_cone *cone, voxrti_octet *g,
-                                                 uint32_t lanes, voxrt_hit *hits) {
+                                                 uint32_t lanes, const voxrt_ray *rays, voxrt_hit *hits) {
     uint32_t done = 0, face;
     for (; lanes != 0; lanes &= lanes - 1) {
         voxrti_rayx r;
@@ -9582,6 +9726,7 @@ static VOXRTI_NOINLINE uint32_t voxrti_octet_lod(const voxrt_tree *t, const voxr
         uint32_t node = voxrti_octet_node(t, g, lane);
         uint64_t mask = sh == 0 ? t->leaf[node] : t->node[node].mask;
         voxrti_octet_ray(g, lane, &r);
+        r.t_min = (double)rays[g->ray[lane]].t_min;
         slot = voxrti_slot_of(r.c, sh) ^ r.flip;
         for (ls = sh + 2; ls-- > sh;) {
             uint64_t filled = ls > sh ? mask >> (slot & 56u) & 255u : mask >> slot & 1u;
@@ -9613,21 +9758,22 @@ static VOXRTI_NOINLINE void voxrti_octet_doubt(const voxrti_octet *g, const doub
 }
 
 /* Slots of the cells x, y, z (0..3) in their nodes: as bytes, spread by one table. */
-VOXRTI_TARGET_AVX2 static inline __m256i voxrti_octet_slot(__m256i x, __m256i y, __m256i z, __m256i flip) {
+VOXRTI_TARGET_AVX2 static inline __m256i voxrti_octet_slot(const voxrti_octet_const *k, __m256i x, __m256i y, __m256i z,
+                                                           __m256i flip) {
     const __m256i spread = _mm256_setr_epi8(0, 1, 8, 9, 0, 2, 16, 18, 0, 4, 32, 36, 0, 0, 0, 0,
                                             0, 1, 8, 9, 0, 2, 16, 18, 0, 4, 32, 36, 0, 0, 0, 0);
     __m256i s = _mm256_or_si256(x, _mm256_or_si256(_mm256_slli_epi32(y, 8), _mm256_slli_epi32(z, 16)));
-    s = _mm256_shuffle_epi8(spread, _mm256_or_si256(s, _mm256_set1_epi32(0x0c080400)));
-    s = _mm256_madd_epi16(_mm256_maddubs_epi16(s, _mm256_set1_epi8(1)), _mm256_set1_epi16(1));
+    s = _mm256_shuffle_epi8(spread, _mm256_or_si256(s, k->places));
+    s = _mm256_madd_epi16(_mm256_maddubs_epi16(s, k->bytes), k->words);
     return _mm256_xor_si256(s, flip);
 }
 
 /* Bits set in each of four words. */
-VOXRTI_TARGET_AVX2 static inline __m256i voxrti_popcount4(__m256i v) {
+VOXRTI_TARGET_AVX2 static inline __m256i voxrti_popcount4(const voxrti_octet_const *k, __m256i v) {
     const __m256i count = _mm256_setr_epi8(0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4,
-                                           0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4), low = _mm256_set1_epi8(15);
-    __m256i a = _mm256_shuffle_epi8(count, _mm256_and_si256(v, low));
-    __m256i b = _mm256_shuffle_epi8(count, _mm256_and_si256(_mm256_srli_epi64(v, 4), low));
+                                           0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4);
+    __m256i a = _mm256_shuffle_epi8(count, _mm256_and_si256(v, k->nibble));
+    __m256i b = _mm256_shuffle_epi8(count, _mm256_and_si256(_mm256_srli_epi64(v, 4), k->nibble));
     return _mm256_sad_epu8(_mm256_add_epi8(a, b), _mm256_setzero_si256());
 }
 
@@ -9645,16 +9791,17 @@ VOXRTI_TARGET_AVX2 static inline __m256d voxrti_octet_event(__m256i g, const dou
 /* Cells of one axis at time t0, t1; last + 1 where the axis steps. The position plus 2^20 is a fixed-point number:
    20 bits of cell, 32 bits of fraction. *least: less than 2^17 when closer than 2^-16 to a plane of another axis;
    otherwise, rounding being far below, the cell is certain. */
-VOXRTI_TARGET_AVX2 static inline __m256i voxrti_octet_cells(__m256d t0, __m256d t1, const double *o, const double *d,
-                                                            __m256i last, __m256i steps, __m256i *least) {
+VOXRTI_TARGET_AVX2 static inline __m256i voxrti_octet_cells(const voxrti_octet_const *k, __m256d t0, __m256d t1,
+                                                            const double *o, const double *d, __m256i last,
+                                                            __m256i steps, __m256i *least) {
     const __m256d bias = _mm256_set1_pd(1048576.0);
     __m256d x0 = _mm256_add_pd(_mm256_loadu_pd(o), _mm256_mul_pd(t0, _mm256_loadu_pd(d)));
     __m256d x1 = _mm256_add_pd(_mm256_loadu_pd(o + 4), _mm256_mul_pd(t1, _mm256_loadu_pd(d + 4)));
     __m256i p0 = _mm256_castpd_si256(_mm256_add_pd(x0, bias)), p1 = _mm256_castpd_si256(_mm256_add_pd(x1, bias)), q;
-    q = _mm256_or_si256(_mm256_add_epi32(VOXRTI_LOW8(p0, p1), _mm256_set1_epi32(65536)), steps);
+    q = _mm256_or_si256(_mm256_add_epi32(VOXRTI_LOW8(p0, p1), k->half), steps);
     *least = _mm256_min_epu32(*least, q);
-    q = _mm256_sub_epi32(VOXRTI_HIGH8(p0, p1), _mm256_set1_epi32(0x41300000)); /* the exponent */
-    return VOXRTI_BLENDI(q, _mm256_add_epi32(last, _mm256_set1_epi32(1)), steps);
+    q = _mm256_sub_epi32(VOXRTI_HIGH8(p0, p1), k->exponent);
+    return VOXRTI_BLENDI(q, _mm256_add_epi32(last, k->one), steps);
 }
 
 /* Lanes whose footprint may cover the cell (of edge 2^sh) or the octant they stand in; set, octant: filled ones. */
@@ -9706,35 +9853,36 @@ VOXRTI_TARGET_AVX2 static inline void voxrti_octet_reach(const voxrti_octet *g, 
 
 /* One step of every live lane: over an empty cell, up to the node that holds the next one, and down when that is
    filled. Lanes that end leave g->live; those on a voxel are added to g->found. Masks count by their sign. */
-VOXRTI_TARGET_AVX2 static inline void voxrti_octet_step(const voxrt_tree *t, const voxrti_cone *cone, voxrti_octet *g,
-                                                        voxrt_hit *hits, voxrt_stats *stats) {
-    const __m256i one = _mm256_set1_epi32(1), zero = _mm256_setzero_si256(), two52 = _mm256_set1_epi32(0x43300000);
-    const __m256i leaf_w = _mm256_set1_epi32((int)t->wide - 1), three = _mm256_set1_epi32(3);
+VOXRTI_TARGET_AVX2 static VOXRTI_NOINLINE void voxrti_octet_step(const voxrt_tree *t, const voxrti_cone *cone,
+                                                                 const voxrti_octet_const *k, voxrti_octet *g,
+                                                                 const voxrt_ray *rays, voxrt_hit *hits,
+                                                                 voxrt_stats *stats) {
+    const __m256i zero = _mm256_setzero_si256();
     __m256i c0 = VOXRTI_LOADI(g->c[0]), c1 = VOXRTI_LOADI(g->c[1]), c2 = VOXRTI_LOADI(g->c[2]);
     __m256i w = VOXRTI_LOADI(g->w), flip = VOXRTI_LOADI(g->flip), live = VOXRTI_LOADI(g->alive);
-    __m256i sh = _mm256_slli_epi32(_mm256_sub_epi32(leaf_w, w), 1), m[2], r[2], first, slot, x, y, z, empty, set, on;
+    __m256i sh = _mm256_slli_epi32(_mm256_sub_epi32(k->leaf_w, w), 1), m[2], r[2], first, slot, x, y, z, empty, set, on;
     __m256i ls, low, go, least, g0, g1, g2, q0, q1, q2, k0, k1, k2;
     __m256d e0, e1, e2, f0, f1, f2, t0, t1;
     uint32_t l, doubt;
     /* the cell, its octant, the rest of its node: is there anything to meet? */
     voxrti_octet_nodes(g, m);
-    x = _mm256_and_si256(_mm256_srlv_epi32(c0, sh), three);
-    y = _mm256_and_si256(_mm256_srlv_epi32(c1, sh), three);
-    z = _mm256_and_si256(_mm256_srlv_epi32(c2, sh), three);
-    slot = voxrti_octet_slot(x, y, z, flip);
+    x = _mm256_and_si256(_mm256_srlv_epi32(c0, sh), k->three);
+    y = _mm256_and_si256(_mm256_srlv_epi32(c1, sh), k->three);
+    z = _mm256_and_si256(_mm256_srlv_epi32(c2, sh), k->three);
+    slot = voxrti_octet_slot(k, x, y, z, flip);
     r[0] = m[0];
     r[1] = m[1];
     if (!cone->on) voxrti_octet_reach(g, x, y, z, m, r);
-    x = _mm256_andnot_si256(slot, _mm256_set1_epi32(56)); /* octant to the top, then the cell */
+    x = _mm256_andnot_si256(slot, k->octant); /* octant to the top, then the cell */
     x = VOXRTI_HIGH8(_mm256_sllv_epi64(r[0], _mm256_unpacklo_epi32(x, zero)),
                      _mm256_sllv_epi64(r[1], _mm256_unpackhi_epi32(x, zero)));
     empty = _mm256_cmpeq_epi32(_mm256_srli_epi32(x, 24), zero);
-    set = _mm256_and_si256(_mm256_sllv_epi32(x, _mm256_andnot_si256(slot, _mm256_set1_epi32(7))), live);
+    set = _mm256_and_si256(_mm256_sllv_epi32(x, _mm256_andnot_si256(slot, k->seven)), live);
     ls = _mm256_sub_epi32(sh, empty);
     if (cone->on) {
         l = voxrti_octet_wide(cone, g, sh, set, _mm256_andnot_si256(empty, live));
         if (l != 0) {
-            l = voxrti_octet_lod(t, cone, g, l, hits);
+            l = voxrti_octet_lod(t, cone, g, l, rays, hits);
             live = VOXRTI_LOADI(g->alive);
             set = _mm256_and_si256(set, live);
             if (stats != NULL) stats->hits += voxrti_popcount64(l);
@@ -9744,16 +9892,16 @@ VOXRTI_TARGET_AVX2 static inline void voxrti_octet_step(const voxrt_tree *t, con
     }
     if (stats != NULL) stats->steps += voxrti_popcount64(VOXRTI_SIGNS(_mm256_andnot_si256(set, live)));
     /* over: the first event of the three far faces of what is empty */
-    low = _mm256_sub_epi32(_mm256_sllv_epi32(one, ls), one);
+    low = _mm256_sub_epi32(_mm256_sllv_epi32(k->one, ls), k->one);
     g0 = _mm256_or_si256(c0, low); /* last cells before the faces */
     g1 = _mm256_or_si256(c1, low);
     g2 = _mm256_or_si256(c2, low);
-    e0 = voxrti_octet_event(_mm256_unpacklo_epi32(g0, two52), g->o[0], g->inv[0]);
-    f0 = voxrti_octet_event(_mm256_unpackhi_epi32(g0, two52), g->o[0] + 4, g->inv[0] + 4);
-    e1 = voxrti_octet_event(_mm256_unpacklo_epi32(g1, two52), g->o[1], g->inv[1]);
-    f1 = voxrti_octet_event(_mm256_unpackhi_epi32(g1, two52), g->o[1] + 4, g->inv[1] + 4);
-    e2 = voxrti_octet_event(_mm256_unpacklo_epi32(g2, two52), g->o[2], g->inv[2]);
-    f2 = voxrti_octet_event(_mm256_unpackhi_epi32(g2, two52), g->o[2] + 4, g->inv[2] + 4);
+    e0 = voxrti_octet_event(_mm256_unpacklo_epi32(g0, k->two52), g->o[0], g->inv[0]);
+    f0 = voxrti_octet_event(_mm256_unpackhi_epi32(g0, k->two52), g->o[0] + 4, g->inv[0] + 4);
+    e1 = voxrti_octet_event(_mm256_unpacklo_epi32(g1, k->two52), g->o[1], g->inv[1]);
+    f1 = voxrti_octet_event(_mm256_unpackhi_epi32(g1, k->two52), g->o[1] + 4, g->inv[1] + 4);
+    e2 = voxrti_octet_event(_mm256_unpacklo_epi32(g2, k->two52), g->o[2], g->inv[2]);
+    f2 = voxrti_octet_event(_mm256_unpackhi_epi32(g2, k->two52), g->o[2] + 4, g->inv[2] + 4);
     t0 = _mm256_min_pd(_mm256_min_pd(e0, e1), e2);
     t1 = _mm256_min_pd(_mm256_min_pd(f0, f1), f2);
     k0 = VOXRTI_MASK8(_mm256_cmp_pd(e0, t0, _CMP_EQ_OQ), _mm256_cmp_pd(f0, t1, _CMP_EQ_OQ));
@@ -9765,9 +9913,9 @@ VOXRTI_TARGET_AVX2 static inline void voxrti_octet_step(const voxrt_tree *t, con
     set = _mm256_srai_epi32(set, 31);
     on = _mm256_andnot_si256(set, _mm256_and_si256(live, on));
     least = _mm256_set1_epi32(-1);
-    q0 = voxrti_octet_cells(t0, t1, g->o[0], g->d[0], g0, k0, &least);
-    q1 = voxrti_octet_cells(t0, t1, g->o[1], g->d[1], g1, k1, &least);
-    q2 = voxrti_octet_cells(t0, t1, g->o[2], g->d[2], g2, k2, &least);
+    q0 = voxrti_octet_cells(k, t0, t1, g->o[0], g->d[0], g0, k0, &least);
+    q1 = voxrti_octet_cells(k, t0, t1, g->o[1], g->d[1], g1, k1, &least);
+    q2 = voxrti_octet_cells(k, t0, t1, g->o[2], g->d[2], g2, k2, &least);
     doubt = VOXRTI_SIGNS(_mm256_and_si256(on, _mm256_cmpeq_epi32(_mm256_srli_epi32(least, 17), zero)));
     if (VOXRTI_UNLIKELY(doubt != 0)) {
         uint32_t q[3][8], size[8];
@@ -9797,16 +9945,16 @@ VOXRTI_TARGET_AVX2 static inline void voxrti_octet_step(const voxrt_tree *t, con
     VOXRTI_STOREI(g->c[2], q2);
     /* up: the highest bit that has changed, by the exponent of a float, tells the common ancestor */
     x = _mm256_or_si256(_mm256_or_si256(_mm256_xor_si256(c0, q0), _mm256_xor_si256(c1, q1)), _mm256_xor_si256(c2, q2));
-    x = _mm256_sub_epi32(_mm256_srli_epi32(_mm256_castps_si256(_mm256_cvtepi32_ps(x)), 23), _mm256_set1_epi32(127));
-    w = _mm256_min_epi32(w, _mm256_sub_epi32(leaf_w, _mm256_srai_epi32(x, 1)));
-    sh = _mm256_slli_epi32(_mm256_sub_epi32(leaf_w, w), 1);
+    x = _mm256_sub_epi32(_mm256_srli_epi32(_mm256_castps_si256(_mm256_cvtepi32_ps(x)), 23), k->e127);
+    w = _mm256_min_epi32(w, _mm256_sub_epi32(k->leaf_w, _mm256_srai_epi32(x, 1)));
+    sh = _mm256_slli_epi32(_mm256_sub_epi32(k->leaf_w, w), 1);
     VOXRTI_STOREI(g->w, w);
     /* down, when the cell is filled: it goes to the top, below it are those before it */
     first = voxrti_octet_nodes(g, m);
-    x = _mm256_and_si256(_mm256_srlv_epi32(q0, sh), three);
-    y = _mm256_and_si256(_mm256_srlv_epi32(q1, sh), three);
-    z = _mm256_and_si256(_mm256_srlv_epi32(q2, sh), three);
-    slot = _mm256_xor_si256(voxrti_octet_slot(x, y, z, flip), _mm256_set1_epi32(63));
+    x = _mm256_and_si256(_mm256_srlv_epi32(q0, sh), k->three);
+    y = _mm256_and_si256(_mm256_srlv_epi32(q1, sh), k->three);
+    z = _mm256_and_si256(_mm256_srlv_epi32(q2, sh), k->three);
+    slot = _mm256_xor_si256(voxrti_octet_slot(k, x, y, z, flip), k->last_slot);
     m[0] = _mm256_sllv_epi64(m[0], _mm256_unpacklo_epi32(slot, zero));
     m[1] = _mm256_sllv_epi64(m[1], _mm256_unpackhi_epi32(slot, zero));
     y = _mm256_and_si256(VOXRTI_HIGH8(m[0], m[1]), on);
@@ -9816,9 +9964,9 @@ VOXRTI_TARGET_AVX2 static inline void voxrti_octet_step(const voxrt_tree *t, con
         y = _mm256_andnot_si256(_mm256_cmpeq_epi32(_mm256_and_si256(wide, bits), bits), y);
     }
     set = _mm256_or_si256(set, _mm256_srai_epi32(y, 31));
-    m[0] = voxrti_popcount4(_mm256_add_epi64(m[0], m[0]));
-    m[1] = voxrti_popcount4(_mm256_add_epi64(m[1], m[1]));
-    x = _mm256_cmpeq_epi32(w, leaf_w);
+    m[0] = voxrti_popcount4(k, _mm256_add_epi64(m[0], m[0]));
+    m[1] = voxrti_popcount4(k, _mm256_add_epi64(m[1], m[1]));
+    x = _mm256_cmpeq_epi32(w, k->leaf_w);
     first = _mm256_add_epi32(_mm256_andnot_si256(x, first), VOXRTI_LOW8(m[0], m[1])); /* of a leaf: nonsense */
     g->found |= VOXRTI_SIGNS(_mm256_and_si256(set, x));
     go = _mm256_andnot_si256(x, set);
@@ -9827,14 +9975,12 @@ VOXRTI_TARGET_AVX2 static inline void voxrti_octet_step(const voxrt_tree *t, con
     g->live = VOXRTI_SIGNS(live);
     if (stats != NULL) stats->descents += voxrti_popcount64(VOXRTI_SIGNS(go));
     /* addresses of the nodes below */
-    x = _mm256_cmpeq_epi32(_mm256_add_epi32(w, one), leaf_w);
-    y = _mm256_add_epi32(x, _mm256_set1_epi32(4)); /* log2 of a node's bytes */
+    x = _mm256_cmpeq_epi32(_mm256_add_epi32(w, k->one), k->leaf_w);
+    y = _mm256_add_epi32(x, k->four); /* log2 of a node's bytes */
     m[0] = _mm256_sllv_epi64(_mm256_unpacklo_epi32(first, zero), _mm256_unpacklo_epi32(y, zero));
     m[1] = _mm256_sllv_epi64(_mm256_unpackhi_epi32(first, zero), _mm256_unpackhi_epi32(y, zero));
-    k0 = _mm256_set1_epi64x((long long)(intptr_t)t->node);
-    k1 = _mm256_set1_epi64x((long long)(intptr_t)t->leaf);
-    m[0] = _mm256_add_epi64(m[0], _mm256_blendv_epi8(k0, k1, _mm256_unpacklo_epi32(x, x)));
-    m[1] = _mm256_add_epi64(m[1], _mm256_blendv_epi8(k0, k1, _mm256_unpackhi_epi32(x, x)));
+    m[0] = _mm256_add_epi64(m[0], _mm256_blendv_epi8(k->node, k->leaf, _mm256_unpacklo_epi32(x, x)));
+    m[1] = _mm256_add_epi64(m[1], _mm256_blendv_epi8(k->node, k->leaf, _mm256_unpackhi_epi32(x, x)));
     VOXRTI_STOREI(g->child, m[0]);
     VOXRTI_STOREI(g->child + 4, m[1]);
     for (l = 0; l < 8; l++) { /* fetched while the other groups step */
@@ -9844,18 +9990,6 @@ VOXRTI_TARGET_AVX2 static inline void voxrti_octet_step(const voxrt_tree *t, con
     }
     VOXRTI_STOREI(g->w, _mm256_sub_epi32(w, go));
 }
-
-/* Where the next rays of a stream come from. */
-typedef struct voxrti_stream {
-    const voxrt_ray *rays;
-    voxrt_hit *hits;
-    size_t count, next;
-    uint64_t left;      /* of the run of 64 rays around `next`: bit per ray that has still to be traced */
-    voxrti_beam beam;   /* of this run */
-    voxrti_chain chain;
-    voxrti_tile tile;
-    voxrti_ready4 ready;
-} voxrti_stream;
 
 /* Address of the root. */
 static uint64_t voxrti_root(const voxrt_tree *t) {
@@ -9882,96 +10016,150 @@ static void voxrti_chain_to(const voxrt_tree *t, const voxrt_ray *ray, voxrti_ch
     chain->w = w;
 }
 
+#define VOXRTI_DONE 32
+
+/* A stream of rays: where the next ones come from, where finished ones go to. */
+typedef struct voxrti_stream {
+    const voxrt_ray *rays;
+    voxrt_hit *hits;
+    size_t count, next; /* `next` is the first ray that is not prepared */
+    uint64_t left;      /* of the run of 64 rays that holds it: bit per ray that is not traced as part of a tile */
+    uint32_t first;     /* first ray in `ready` */
+    voxrti_beam beam;   /* of this run */
+    voxrti_chain chain;
+    voxrti_tile tile;
+    voxrti_ready ready;
+    uint32_t done_count, done_ray[VOXRTI_DONE], done_node[VOXRTI_DONE], done_cell[3][VOXRTI_DONE];
+} voxrti_stream;
+
 /* Prepare rays until one waits for a lane; 0: none is left. */
 VOXRTI_TARGET_AVX2 static int voxrti_stream_next(const voxrt_tree *t, const voxrti_cone *cone, voxrti_stream *s,
                                                  voxrt_stats *stats) {
     while (s->ready.live == 0 && s->next < s->count) {
-        const size_t next = s->next;
-        uint32_t rare = 0, miss = 0, todo, i, n = s->count - next < 4 ? (uint32_t)(s->count - next) : 4u;
-        voxrt_ray tail[4];
-        const voxrt_ray *in = s->rays + next;
-        voxrt_hit *out = s->hits + next;
-        if ((next & 63u) == 0) { /* rays come in runs of 64 */
-            uint32_t run = s->count - next < 64 ? (uint32_t)(s->count - next) : 64u;
-            s->left = voxrti_tile_trace(t, cone, in, run, &s->beam, &s->tile, out, stats);
+        const voxrt_ray *rays = s->rays + s->next;
+        voxrt_hit *hits = s->hits + s->next;
+        const size_t rest = s->count - s->next;
+        const uint32_t n = rest < VOXRTI_READY ? (uint32_t)rest : VOXRTI_READY, at = (uint32_t)(s->next & 63u);
+        uint32_t i, rare = 0, left;
+        if (at == 0) {
+            const uint32_t run = rest < 64 ? (uint32_t)rest : 64u;
+            s->left = voxrti_tile_trace(t, cone, rays, run, &s->beam, &s->tile, hits, stats);
             if (s->left == 0) {
                 s->next += run;
                 continue;
             }
-            if (s->beam.on && s->beam.z < VOXRTI_INF) voxrti_beam_chain(t, cone, &s->beam, &s->chain);
-            else voxrti_chain_to(t, in, &s->chain);
+            if (!s->beam.on) voxrti_chain_to(t, rays, &s->chain);
+            else if (s->beam.z < VOXRTI_INF) voxrti_beam_chain(t, cone, &s->beam, &s->chain);
+            else s->chain.w = 0;
         }
-        todo = (uint32_t)(s->left >> (next & 63u)) & 15u;
+        left = (uint32_t)(s->left >> at) & ((1u << VOXRTI_READY) - 1u);
+        s->first = (uint32_t)s->next;
         s->next += n;
-        if (todo == 0) continue;
-        if (n < 4) {
-            memset(tail, 0, sizeof tail); /* direction 0: rare, and not looked at */
-            memcpy(tail, in, n * sizeof *tail);
-            in = tail;
+        for (i = 0; i < n; i += 4) {
+            const voxrt_ray *in = rays + i;
+            voxrt_ray tail[4];
+            uint32_t bits = 0;
+            if ((left >> i & 15u) == 0) continue;
+            if (i + 4 > n) {
+                memset(tail, 0, sizeof tail); /* direction 0: rare, and not looked at */
+                memcpy(tail, in, (n - i) * sizeof *tail);
+                in = tail;
+            }
+            s->ready.live |= voxrti_setup4(t, cone, in, i, &s->beam, &s->chain, &s->ready, &bits) << i;
+            rare |= bits << i;
         }
-        voxrti_setup4(t, cone, in, (uint32_t)next, &s->beam, &s->chain, &s->ready, &rare, &miss);
-        rare &= todo;
-        miss &= todo;
-        s->ready.live &= todo;
-        for (i = 0; i < n; i++) {
-            if (rare >> i & 1u) voxrti_trace_one(t, cone, NULL, s->rays + next + i, out + i, stats);
-            else if (miss >> i & 1u) voxrti_miss(out + i);
+        s->ready.live &= left;
+        rare &= left;
+        left &= ~(s->ready.live | rare);
+        if (stats != NULL) stats->rays += voxrti_popcount64(left | s->ready.live);
+        for (; left != 0; left &= left - 1) voxrti_miss(hits + voxrti_ctz64(left));
+        for (; rare != 0; rare &= rare - 1) {
+            i = voxrti_ctz64(rare);
+            voxrti_trace_one(t, cone, NULL, rays + i, hits + i, stats);
         }
-        if (stats != NULL) stats->rays += voxrti_popcount64(todo & ~rare);
     }
     return s->ready.live != 0;
 }
 
-/* The rays of a stream, three groups of eight at a time. */
-VOXRTI_TARGET_AVX2 VOXRTI_NOINLINE static void voxrti_stream_trace(const voxrt_tree *t, const voxrti_cone *cone,
-                                                                   voxrti_stream *s, voxrt_stats *stats) {
-    voxrti_octet group[VOXRTI_OCTETS];
-    voxrt_hit *hits = s->hits;
-    uint32_t i, k, lane, busy, more = 1;
-    memset(group, 0, sizeof group);
-    for (i = 0; i < VOXRTI_OCTETS; i++)
-        for (k = 0; k < 8; k++) group[i].path[k][0] = voxrti_root(t);
-    do {
-        busy = 0;
-        for (i = 0; i < VOXRTI_OCTETS; i++) {
-            voxrti_octet *g = &group[i];
-            if (g->live != 0) {
-                voxrti_octet_step(t, cone, g, hits, stats);
-                busy = 1;
-            }
-            if (voxrti_popcount64(g->live) <= VOXRTI_OCTET_REFILL && (more || g->live == 0)) {
-                if (stats != NULL) stats->hits += voxrti_popcount64(g->found);
-                for (k = ~g->live & g->used & ~g->found; k != 0; k &= k - 1)
-                    voxrti_miss(&hits[g->ray[voxrti_ctz64(k)]]);
-                for (k = g->found; k != 0; k &= k - 1) {
-                    voxrti_rayx r;
-                    lane = voxrti_ctz64(k);
-                    voxrti_octet_ray(g, lane, &r);
-                    voxrti_hit_fill(t, &r, r.c, 0, voxrti_octet_node(t, g, lane), voxrti_slot_of(r.c, 0) ^ r.flip,
-                                    &hits[g->ray[lane]]);
-                }
-                g->found = 0;
-                g->used = g->live;
-                for (k = ~g->live & 255u; k != 0; k &= k - 1) {
-                    if (s->ready.live == 0) more = (uint32_t)voxrti_stream_next(t, cone, s, stats);
-                    if (!more) break;
-                    voxrti_octet_load(&s->chain, g, voxrti_ctz64(k), &s->ready);
-                    busy = 1;
-                }
-            }
+/* Write the hits of all but `keep` of the finished rays, in fours. */
+VOXRTI_TARGET_AVX2 static void voxrti_stream_hits(const voxrt_tree *t, voxrti_stream *s, uint32_t keep) {
+    while (s->done_count > keep) {
+        const uint32_t n = s->done_count < 4 ? s->done_count : 4, i = s->done_count - n;
+        uint32_t index[4], a;
+        __m128i c[3];
+        for (a = 0; a < 4; a++) index[a] = s->done_ray[i + (a < n ? a : 0)];
+        for (a = 0; a < 3; a++) c[a] = VOXRTI_LOAD4(s->done_cell[a] + i);
+        voxrti_hits4(t, s->rays, index, (1u << n) - 1u, c, VOXRTI_LOAD4(s->done_node + i), s->hits);
+        s->done_count = i;
+    }
+}
+
+/* Put the hits of a group aside and take the next prepared rays into its free lanes. */
+VOXRTI_TARGET_AVX2 static inline void voxrti_stream_refill(const voxrt_tree *t, const voxrti_cone *cone,
+                                                           voxrti_stream *s, voxrti_octet *g, voxrt_stats *stats) {
+    const uint32_t last = ((uint32_t)1 << (2 * t->wide)) - 1u;
+    uint32_t k, a;
+    if (stats != NULL) stats->hits += voxrti_popcount64(g->found);
+    for (k = g->used & ~g->live; k != 0; k &= k - 1) {
+        const uint32_t lane = voxrti_ctz64(k), at = s->done_count;
+        voxrti_miss(&s->hits[g->ray[lane]]);
+        for (a = 0; a < 3; a++) s->done_cell[a][at] = g->c[a][lane] ^ ((0u - (g->flip[lane] >> a & 1u)) & last);
+        s->done_ray[at] = g->ray[lane];
+        s->done_node[at] = (uint32_t)(((uintptr_t)g->path[lane][t->wide - 1] - (uintptr_t)t->leaf) / 8);
+        s->done_count = at + (g->found >> lane & 1u); /* or it stays a miss */
+    }
+    for (k = ~g->live & 255u; k != 0; k &= k - 1) {
+        const uint32_t lane = voxrti_ctz64(k), to = VOXRTI_PLACE8(lane);
+        uint32_t i;
+        if (s->ready.live == 0 && !voxrti_stream_next(t, cone, s, stats)) break;
+        i = voxrti_ctz64(s->ready.live);
+        s->ready.live &= s->ready.live - 1;
+        memcpy(&g->path[lane][1], &s->chain.at[1], sizeof s->chain.at - sizeof s->chain.at[0]);
+        for (a = 0; a < 3; a++) {
+            g->o[a][to] = s->ready.o[a][i];
+            g->d[a][to] = s->ready.d[a][i];
+            g->inv[a][to] = s->ready.inv[a][i];
+            g->c[a][lane] = s->ready.c[a][i];
+            g->turn[a][lane] = s->ready.turn[a][i];
         }
-    } while (busy);
+        g->t[to] = s->ready.t[i];
+        g->t_end[to] = s->ready.t_end[i];
+        g->flip[lane] = s->ready.flip[i];
+        g->ray[lane] = s->first + i;
+        g->w[lane] = s->ready.w[i];
+        g->alive[lane] = 0xffffffffu;
+        g->live |= 1u << lane;
+    }
+    g->found = 0;
+    g->used = g->live;
+    voxrti_stream_hits(t, s, 3);
 }
 
 /* Trace count (< 2^32) rays. cone->floor_ < 4^wide: one cell for all is left to the scalar path. */
 VOXRTI_TARGET_AVX2 static void voxrti_trace_avx2(const voxrt_tree *t, const voxrti_cone *cone, const voxrt_ray *rays,
                                                  voxrt_hit *hits, size_t count, voxrt_stats *stats) {
+    voxrti_octet group[VOXRTI_OCTETS];
+    voxrti_octet_const k;
     voxrti_stream s;
+    uint32_t i, lane, busy;
     memset(&s, 0, sizeof s);
+    memset(group, 0, sizeof group);
     s.rays = rays;
     s.hits = hits;
     s.count = count;
-    voxrti_stream_trace(t, cone, &s, stats);
+    for (i = 0; i < VOXRTI_OCTETS; i++)
+        for (lane = 0; lane < 8; lane++) group[i].path[lane][0] = voxrti_root(t);
+    voxrti_octet_open(t, &k);
+    do {
+        busy = 0;
+        for (i = 0; i < VOXRTI_OCTETS; i++) {
+            voxrti_octet *g = &group[i];
+            if (g->live != 0) voxrti_octet_step(t, cone, &k, g, rays, hits, stats);
+            if (voxrti_popcount64(g->live) <= VOXRTI_OCTET_REFILL) voxrti_stream_refill(t, cone, &s, g, stats);
+            busy |= g->live;
+        }
+    } while (busy != 0);
+    voxrti_stream_hits(t, &s, 0);
 }
 
 #endif /* VOXRTI_AVX2 */
