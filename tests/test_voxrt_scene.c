@@ -439,7 +439,7 @@ TEST(a_group_is_a_loop_over_its_members) {
         }
         voxrt_group_destroy(group);
     }
-    CHECK(hits > 1000);
+    CHECK_MSG(hits > (test_quick() ? 150u : 1000u), "%u hits", hits);
     CHECK_MSG(asked * 10 < all, "%g of %g rays reach an object", asked, all); /* it is a hierarchy, after all */
     voxrt_tree_destroy(t[0]);
     voxrt_tree_destroy(t[1]);
