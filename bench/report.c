@@ -8,7 +8,7 @@
    in it "method" (or else "variant"), "isa" and "threads" tell the curves apart as far as they differ. Writes
      FOLDER/error_BENCH_CASE_METRIC.svg   time against error, both logarithmic, for groups with two different errors
      FOLDER/rate_BENCH_METRIC.svg         bars, for metrics whose unit ends in /s
-     FOLDER/report.md                     all numbers, and the pictures
+     FOLDER/report.md                     tables (FOLDER/table_*.md, as the programs left them), all numbers, the pictures
    Metrics with the unit s, ms, us or ns are times; of a rate in 1/s the time is its inverse. An error of 0 is drawn
    on the bottom line. */
 #define _POSIX_C_SOURCE 200809L
@@ -515,6 +515,35 @@ static int is_first(const list *all, size_t i, int (*same_set)(const record *, c
 
 static int same_bench(const record *a, const record *b) { return same(a, b, "bench"); }
 
+/* What a program wrote as its acceptance table. */
+static void put_tables(FILE *f, const char *folder) {
+    DIR *d = opendir(folder);
+    char *names[64];
+    size_t count = 0, i;
+    struct dirent *e;
+    if (d == NULL) fail(folder, "cannot be read");
+    while ((e = readdir(d)) != NULL && count < sizeof names / sizeof names[0]) {
+        const size_t n = strlen(e->d_name);
+        if (n < 9 || strncmp(e->d_name, "table_", 6) != 0 || strcmp(e->d_name + n - 3, ".md") != 0) continue;
+        names[count] = (char *)malloc(n + 1);
+        if (names[count] == NULL) fail(folder, "no memory");
+        memcpy(names[count++], e->d_name, n + 1);
+    }
+    closedir(d);
+    qsort(names, count, sizeof names[0], by_text);
+    for (i = 0; i < count; i++) {
+        char path[2 * NAME_SIZE], line[1024];
+        FILE *in;
+        snprintf(path, sizeof path, "%s/%s", folder, names[i]);
+        in = fopen(path, "rb");
+        if (in == NULL) fail(path, "cannot be read");
+        fprintf(f, "\n## %.*s: what was asked for\n\n", (int)(strlen(names[i]) - 9), names[i] + 6);
+        while (fgets(line, sizeof line, in) != NULL) fputs(line, f);
+        fclose(in);
+        free(names[i]);
+    }
+}
+
 static void write_report(const list *all, const char *folder) {
     char path[NAME_SIZE], name[NAME_SIZE], svg[2 * NAME_SIZE];
     size_t i, k;
@@ -530,6 +559,7 @@ static void write_report(const list *all, const char *folder) {
         for (p = 0; p < r->count; p++) fprintf(f, "%s %s: %s", p != 0 ? ";" : "", r->key[p], r->value[p]);
         fputs("\n", f);
     }
+    put_tables(f, folder);
     for (i = 0; i < all->count; i++) {
         if (get(&all->items[i], "metric")[0] == 0 || !is_first(all, i, same_bench)) continue;
         fprintf(f, "\n## %s\n\n", get(&all->items[i], "bench"));

@@ -606,8 +606,8 @@ SUP_FN void supi_world_landscape(sup_world *w) {
     memset(&make, 0, sizeof make);
     for (j = 0; j <= 256; j++)
         for (i = 0; i <= 256; i++) {
-            float p[3], q[2][3], normal[3], h[3];
-            uint8_t rgb[3];
+            float p[3] = {0.0f, 0.0f, 0.0f}, q[2][3], normal[3], h[3];
+            uint8_t rgb[3] = {0, 0, 0};
             for (k = 0; k < 3; k++) { /* here, and a step along x and z for the normal */
                 const float x = -1.0f + ((float)i + (k == 1 ? 0.5f : 0.0f)) / 128.0f;
                 const float z = -1.0f + ((float)j + (k == 2 ? 0.5f : 0.0f)) / 128.0f;

@@ -1,0 +1,1135 @@
+/* bench_zbufrand.c - how fast, how large and how wrong zbufrand.h is - MIT OR Unlicense, see LICENSE
+
+   bench_zbufrand [--full] [--only BM1,BM6] [--threads N] [--data DIR] [--table FILE]
+
+   BM1 growth to 10^13 triangles, levels     BM6 time against error, all ways      BM11 inner loops
+   BM2 parameters of the thesis' selection   BM7 radius of a disc, hidden layers   BM12 noise from frame to frame
+   BM3 what its accuracy costs               BM8 resolution                        BM13 worst cases
+   BM4 hybrid: radius, costs, never slower   BM9 build                             BM14 threads
+   BM5 the thesis' scenes, reconstructions   BM10 edits                            BM15 shading, attributes
+   BM16 probability of a complete picture
+   One JSON object a line on stdout; the acceptance table on stderr and, after a run of all, in bench/table_zbufrand.md
+   beside the program. */
+#include "bench.h"
+#include "../examples/support/mesh.h"
+#include "../examples/support/scenes.h"
+#define ZBUFRAND_IMPLEMENTATION
+#include "../zbufrand.h"
+#include "../examples/support/worlds.h"
+#include "bench_worlds.h"
+
+/* ---- lines about pictures ---- */
+
+static void picture_nums(const picture_job *p, const bench_job *b) {
+    const zbufrand_stats *s = &p->stats;
+    bench_num("best", 1e3 * bench_seconds_best(b));
+    bench_num("wall_per_cpu", bench_busy(b));
+    bench_num("samples", (double)(s->samples[0] + s->samples[1]));
+    bench_num("accepted", (double)s->accepted);
+    bench_num("rastered", (double)s->rastered);
+    bench_num("nodes", (double)s->nodes);
+    bench_num("draws", (double)(s->draws[0] + s->draws[1] + s->draws[2]));
+    bench_num("density", s->density);
+    bench_num("rays", (double)(s->holes + s->wrong));
+    if (p->mean <= 1) {
+        bench_num("select_ms", 1e3 * s->seconds[ZBUFRAND_STAGE_SELECT]);
+        bench_num("draw_ms", 1e3 * s->seconds[ZBUFRAND_STAGE_DRAW]);
+        bench_num("occlusion_ms", 1e3 * s->seconds[ZBUFRAND_STAGE_OCCLUSION]);
+        bench_num("repair_ms", 1e3 * s->seconds[ZBUFRAND_STAGE_REPAIR]);
+        bench_num("shade_ms", 1e3 * s->seconds[ZBUFRAND_STAGE_SHADE]);
+    }
+    bench_text("isa", zbufrand_isa_name(zbufrand_isa_best()));
+    bench_num("bytes", (double)s->bytes);
+    bench_hash(picture_hash(p));
+}
+
+/* truth: may be NULL; then the bound of the probability that the picture is incomplete stands for the error. */
+static wrong picture_line(const char *bench, const char *kase, const char *method, const picture_job *p, const bench_job *b,
+                          const truth *t, double threads) {
+    wrong w;
+    memset(&w, 0, sizeof w);
+    bench_line(bench, kase, "frame_time", 1e3 * (threads > 1.0 ? bench_median(b->wall, b->rounds) : bench_seconds(b)), "ms");
+    if (t != NULL) {
+        w = judge(t, p->image.rgba, NULL, p->mean > 1 ? NULL : p->image.depth, NULL);
+        bench_num("error", w.rmse);
+        bench_text("error_unit", "RMSE to 256 samples");
+        wrong_nums(&w);
+    } else {
+        bench_num("error", p->stats.incomplete);
+        bench_text("error_unit", "probability of an incomplete picture");
+    }
+    bench_text("method", method);
+    bench_num("threads", threads);
+    picture_nums(p, b);
+    bench_end();
+    return w;
+}
+
+/* The time of a picture with default settings, one thread. */
+static double simple_time(const char *bench, const world *w, const char *method, uint32_t width, uint32_t height, uint32_t block,
+                          uint32_t every, int rounds, wrong *out) {
+    picture_job p = picture_open(w, width, height, 1);
+    bench_job b;
+    double ms;
+    truth *t = every != 0 ? truth_make(&p, every) : NULL;
+    p.desc.reconstruct.block = block;
+    b = picture_time(&p, method, rounds);
+    ms = 1e3 * bench_seconds(&b);
+    if (out != NULL) *out = picture_line(bench, w->name, method, &p, &b, t, 1);
+    else (void)picture_line(bench, w->name, method, &p, &b, t, 1);
+    if (t != NULL) truth_free(t);
+    picture_free(&p);
+    return ms;
+}
+
+/* ---- BM1: growth ---- */
+
+static void bm1(void) {
+    static const int rows[30][3] = { /* the thesis' table: fields a side, n x n, levels */
+        {2, 1, 0}, {4, 1, 0}, {8, 1, 0}, {16, 1, 0}, {32, 1, 0}, {64, 1, 0}, {128, 1, 0}, {256, 1, 0}, {128, 2, 1}, {256, 2, 1},
+        {256, 3, 1}, {256, 4, 1}, {256, 5, 1}, {256, 6, 1}, {256, 7, 1}, {256, 8, 1}, {256, 9, 1}, {256, 10, 1}, {256, 3, 2},
+        {256, 4, 2}, {256, 5, 2}, {256, 7, 2}, {256, 10, 2}, {256, 4, 3}, {256, 5, 3}, {256, 7, 3}, {256, 10, 3}, {256, 5, 4},
+        {256, 7, 4}, {256, 10, 4}
+    };
+    static const int few[6] = {1, 7, 17, 22, 26, 29};
+    double ms[30], least = 0.0, level;
+    const int count = g_opt.full ? 30 : 6;
+    picture_job *p = (picture_job *)must_alloc(30, sizeof *p);
+    bench_job *b = (bench_job *)must_alloc(30, sizeof *b);
+    world *w[30];
+    int i;
+    for (i = 0; i < count; i++) {
+        const int *r = rows[g_opt.full ? i : few[i]];
+        w[i] = world_chess(r[0], r[1], r[2]);
+        p[i] = picture_open(w[i], 640, 480, 1);
+        b[i].name = "samples";
+        b[i].run = picture_run;
+        b[i].ctx = &p[i];
+    }
+    bench_interleave(b, count, 5); /* ratios of them are wanted */
+    for (i = 0; i < count; i++) {
+        truth *t = truth_make(&p[i], g_opt.full ? 4 : 32);
+        char kase[64];
+        ms[i] = 1e3 * bench_seconds(&b[i]);
+        snprintf(kase, sizeof kase, "%.3g triangles", (double)w[i]->info.triangles);
+        (void)picture_line("zbufrand.growth", kase, w[i]->name, &p[i], &b[i], t, 1);
+        truth_free(t);
+        picture_free(&p[i]);
+        world_free(w[i]);
+    }
+    least = ms[g_opt.full ? 1 : 0];
+    table_set("chess", "%.2f (%.1f ms, %.1f ms)", ms[count - 1] / least, ms[count - 1], least);
+    level = pow(ms[count - 1] / ms[g_opt.full ? 17 : 2], 1.0 / 3.0); /* 10 x 10: from one level to four */
+    table_set("level", "%+.1f %%", 100.0 * (level - 1.0));
+    free(p);
+    free(b);
+}
+
+/* The comparison programs' scene of 10^12 triangles, and one of its blobs, which fills as much of the picture. */
+static void bm1_huge(void) {
+    double one, outside = 0.0, inside = 0.0;
+    const int last = 100;
+    int k;
+    world *w = world_blob(512);
+    one = simple_time("zbufrand.huge", w, "samples", 1024, 768, 0, 64, 5, NULL);
+    world_free(w);
+    for (k = g_opt.full ? 10 : last; k <= last; k = k < 32 ? 32 : k < last ? last : last + 1) {
+        char name[48];
+        w = world_blobs(k, 0);
+        outside = simple_time("zbufrand.huge", w, "samples", 1024, 768, 0, g_opt.full ? 32 : 192, 3, NULL);
+        snprintf(name, sizeof name, "%d^3 blobs, inside", k);
+        memcpy(w->name, name, sizeof name);
+        world_set_blobs_inside(w, k, 1);
+        inside = simple_time("zbufrand.huge", w, "samples", 1024, 768, 0, g_opt.full ? 32 : 192, 3, NULL);
+        world_free(w);
+    }
+    table_set("huge", "%.0f / %.0f", outside, inside);
+    table_set("growth", "%.2f", outside / one);
+}
+
+/* ---- BM2, BM3: the thesis' selection ---- */
+
+/* The parameter sweeps of the thesis (accuracy of depths x number of angle classes) belong here, against the cut without
+   parameters on the same scene and camera. What can be measured without them is that one. */
+static void sweep(world *w, uint32_t block) {
+    picture_job p = picture_open(w, 640, 480, 1);
+    truth *t = truth_make(&p, g_opt.full ? 8 : 32);
+    bench_job b;
+    p.desc.reconstruct.block = block;
+    b = picture_time(&p, "error-driven cut", 5);
+    (void)picture_line("zbufrand.sweep", w->name, "error-driven cut", &p, &b, t, 1);
+    truth_free(t);
+    picture_free(&p);
+}
+
+static void bm2(void) {
+    world *w = world_trees(0);
+    sweep(w, 2);
+    world_free(w);
+    w = world_trees(1);
+    sweep(w, 2);
+    world_free(w);
+    w = world_named("city-low", 3);
+    sweep(w, 1);
+    world_free(w);
+}
+
+/* ---- BM4: hybrid ---- */
+
+/* Default against all triangles by our own rasteriser, with and without culling what is hidden, in turn. */
+static double against_raster(const char *bench, world *w, uint32_t width, uint32_t height, int plain) {
+    static const char *const names[3] = {"by cost", "all rastered, hidden ones culled", "all rastered"};
+    picture_job p[3];
+    bench_job b[3];
+    truth *t;
+    double worst;
+    const int n = plain ? 3 : 2;
+    int i;
+    memset(b, 0, sizeof b);
+    for (i = 0; i < n; i++) {
+        p[i] = picture_open(w, width, height, 1);
+        if (i > 0) picture_raster(&p[i], i == 1);
+        b[i].name = names[i];
+        b[i].run = picture_run;
+        b[i].ctx = &p[i];
+    }
+    t = truth_make(&p[0], g_opt.full ? 8 : 96);
+    bench_interleave(b, n, g_opt.full ? 7 : 3);
+    for (i = 0; i < n; i++) (void)picture_line(bench, w->name, names[i], &p[i], &b[i], t, 1);
+    worst = 1.0 / bench_ratio(&b[1], &b[0]);
+    if (n == 3 && 1.0 / bench_ratio(&b[2], &b[0]) > worst) worst = 1.0 / bench_ratio(&b[2], &b[0]);
+    truth_free(t);
+    for (i = 0; i < n; i++) picture_free(&p[i]);
+    return worst;
+}
+
+static void radius_sweep(void) {
+    world *w = world_named("city-low", 3);
+    picture_job p = picture_open(w, 640, 480, 1);
+    truth *t = truth_make(&p, g_opt.full ? 8 : 48);
+    bench_job b;
+    double radius;
+    b = picture_time(&p, "by cost", 5);
+    (void)picture_line("zbufrand.radius", w->name, "by cost", &p, &b, t, 1);
+    table_set("city", "%.1f", 1e3 * bench_seconds(&b));
+    p.desc.hybrid = ZBUFRAND_HYBRID_CUBE;
+    for (radius = 0.0; radius <= 1000.0; radius = radius == 0.0 ? 25.0 : radius * (g_opt.full ? 1.5 : 6.0)) {
+        char name[64];
+        p.desc.hybrid_radius = radius;
+        snprintf(name, sizeof name, "cube of radius %g", radius);
+        b = picture_time(&p, name, g_opt.full ? 5 : 1);
+        (void)picture_line("zbufrand.radius", w->name, name, &p, &b, t, 1);
+    }
+    truth_free(t);
+    picture_free(&p);
+    world_free(w);
+}
+
+static void bm4(void) {
+    static const struct { const char *name; size_t view; uint32_t width, height; } worlds[5] = {
+        {"landscape", 0, 640, 480}, {"chess", 0, 640, 480}, {"city-low", 3, 640, 480}, {"city-small", 2, 640, 480},
+        {"city-small", 1, 640, 480}
+    };
+    double worst = 0.0, r;
+    char most[64] = "";
+    size_t i;
+    for (i = 0; i < 8; i++) {
+        world *w;
+        if (!g_opt.full && i == 3) continue;
+        w = i == 4 ? shared_world(SHARED_CITY, 1) : i < 5 ? world_named(worlds[i].name, worlds[i].view) :
+            i == 5 ? world_blob(512) : i == 6 ? world_hall(512) : shared_world(SHARED_BLOB, 0);
+        if (i < 5) snprintf(w->name, sizeof w->name, "%s-%u", worlds[i].name, (unsigned)worlds[i].view + 1);
+        r = against_raster("zbufrand.raster", w, i < 5 ? worlds[i].width : 1024, i < 5 ? worlds[i].height : 768, 1);
+        if (r > worst) {
+            worst = r;
+            snprintf(most, sizeof most, "%.40s", w->name);
+        }
+        if (i != 4 && i != 7) world_free(w);
+    }
+    table_set("never", "%.2f (%s)", worst, most);
+    radius_sweep();
+}
+
+/* ---- BM5: the thesis' scenes ---- */
+
+static void bm5(void) {
+    static const struct { const char *name; size_t view; uint32_t block; const char *row; } scenes[8] = {
+        {"forest", 0, 2, "overview"}, {"forest", 1, 2, NULL}, {"forest", 2, 2, NULL}, {"forest", 3, 2, NULL}, {"city", 0, 2, NULL},
+        {"city", 1, 2, NULL}, {"chess", 0, 1, NULL}, {"landscape", 0, 2, NULL}
+    };
+    static const uint32_t blocks[5] = {1, 2, 3, 5, 10};
+    static const struct { const char *name; zbufrand_fill fill; } fills[3] = {
+        {"Gauss, d=2", ZBUFRAND_FILL_GAUSS}, {"Voronoi, d=2", ZBUFRAND_FILL_VORONOI}, {"Voronoi L1, d=2", ZBUFRAND_FILL_VORONOI_L1}
+    };
+    world *w;
+    size_t i;
+    int k;
+    for (i = 0; i < 8; i++) {
+        const int forest = i < 4;
+        picture_job p;
+        truth *own = NULL;
+        const truth *t;
+        if (!g_opt.full && i > 1 && i != 5) continue;
+        w = forest ? shared_world(SHARED_FOREST, scenes[i].view) : world_named(scenes[i].name, scenes[i].view);
+        snprintf(w->name, sizeof w->name, "%s-%u", scenes[i].name, (unsigned)scenes[i].view + 1);
+        p = picture_open(w, 640, 480, 1);
+        if (!forest) own = truth_make(&p, g_opt.full ? 8 : 96);
+        t = forest ? shared_truth(w, scenes[i].view, &p) : own;
+        for (k = 0; k < 5; k++) {
+            char name[32];
+            bench_job b;
+            if (!g_opt.full && blocks[k] != 2 && (i > 0 || blocks[k] == 10)) continue; /* d = 1 is in BM6 */
+            p.desc.reconstruct.block = blocks[k];
+            snprintf(name, sizeof name, "blocks, d=%u", blocks[k]);
+            b = picture_time(&p, name, g_opt.full ? 10 : 3);
+            (void)picture_line("zbufrand.scenes", w->name, name, &p, &b, t, 1);
+            if (scenes[i].row != NULL && blocks[k] == scenes[i].block)
+                table_set(scenes[i].row, "%.1f", 1e3 * bench_seconds(&b));
+        }
+        for (k = 0; k < 3 && g_opt.full; k++) {
+            bench_job b;
+            p.desc.reconstruct.block = 2;
+            p.desc.reconstruct.fill = fills[k].fill;
+            p.desc.reconstruct.occlusion = ZBUFRAND_OCCLUSION_SQUARES;
+            p.desc.reconstruct.reach = 4;
+            b = picture_time(&p, fills[k].name, 3);
+            (void)picture_line("zbufrand.scenes", w->name, fills[k].name, &p, &b, t, 1);
+        }
+        if (own != NULL) truth_free(own);
+        picture_free(&p);
+        if (!forest) world_free(w);
+    }
+    w = world_trees(0);
+    table_set("trees", "%.1f", simple_time("zbufrand.scenes", w, "blocks, d=2", 640, 480, 2, g_opt.full ? 8 : 96, 3, NULL));
+    world_free(w);
+}
+
+/* ---- BM6: time against error ---- */
+
+typedef struct curve { /* points of one method: seconds, rmse */
+    double time[8], error[8];
+    int count;
+} curve;
+
+static void error_lines(const char *kase, const char *method, const char *variant, double seconds, const wrong *w, int has_depth,
+                        const picture_job *p, const bench_job *b) {
+    static const char *const metrics[3] = {"time_rmse", "time_ssim", "time_hidden"};
+    int i;
+    for (i = 0; i < (has_depth ? 3 : 2); i++) {
+        bench_line("zbufrand.error", kase, metrics[i], 1e3 * seconds, "ms");
+        bench_num("error", i == 0 ? w->rmse : i == 1 ? 1.0 - w->ssim : w->hidden);
+        bench_text("error_unit", i == 0 ? "RMSE to 256 samples" : i == 1 ? "1 - SSIM to 256 samples"
+                                                                        : "share of pixels that show what is not visible there");
+        bench_text("method", method);
+        bench_text("setting", variant);
+        wrong_nums(w);
+        bench_num("threads", 1);
+        if (p != NULL) picture_nums(p, b);
+        bench_end();
+    }
+}
+
+static void curve_add(curve *c, double time, double error) {
+    if (c->count == 8) return;
+    c->time[c->count] = time;
+    c->error[c->count++] = error;
+}
+
+/* Time at which a curve reaches an error, straight lines between its points in logarithms; 0: it does not. Errors are
+   made to fall along the curve. */
+static double curve_time(const curve *c, double error) {
+    double e0 = c->error[0], t0 = c->time[0];
+    int i;
+    if (c->count == 0) return 0.0;
+    if (e0 <= error) return t0;
+    for (i = 1; i < c->count; i++) {
+        if (c->error[i] >= e0) continue;
+        if (c->error[i] <= error)
+            return exp(log(t0) + (log(c->time[i]) - log(t0)) * (log(e0) - log(error)) / (log(e0) - log(c->error[i])));
+        e0 = c->error[i];
+        t0 = c->time[i];
+    }
+    return 0.0;
+}
+
+static picture_job way_open(const world *w, uint32_t width, uint32_t height) { return picture_open(w, width, height, 1); }
+
+/* One way with one setting: timed, judged. */
+static double way_line(const char *kase, const char *method, const char *setting, picture_job *p, const truth *t, int rounds,
+                       wrong *out) {
+    bench_job b = picture_time(p, method, rounds);
+    *out = judge(t, p->image.rgba, NULL, p->mean > 1 ? NULL : p->image.depth, NULL);
+    error_lines(kase, method, setting, bench_seconds(&b), out, p->mean <= 1, p, &b);
+    return bench_seconds(&b);
+}
+
+/* What the thesis does, word by word: independent samples, as many as it takes for all pixels, all of them drawn. */
+static void way_independent(const char *kase, const world *w, const truth *t) {
+    static const double densities[4] = {1.0, 2.5, 6.0, 13.0};
+    picture_job p = way_open(w, t->width, t->height);
+    wrong out;
+    int i;
+    p.desc.independent = 1;
+    p.desc.hybrid = ZBUFRAND_HYBRID_OFF;
+    p.desc.no_repair = 1;
+    p.desc.no_occlusion = 1;
+    p.desc.no_plane_depth = 1;
+    for (i = g_opt.full ? 0 : 2; i < 4; i++) {
+        char name[32];
+        p.desc.density = densities[i];
+        snprintf(name, sizeof name, "%g per pixel", densities[i]);
+        (void)way_line(kase, "independent samples, nothing culled", name, &p, t, 1, &out);
+    }
+    picture_free(&p);
+}
+
+static void way_samples(const char *kase, const world *w, const truth *t, curve *means) {
+    static const uint32_t blocks[3] = {2, 3, 5}, frames[4] = {1, 4, 16, 64};
+    static const double densities[4] = {1.0, 2.0, 4.0, 8.0};
+    picture_job p = way_open(w, t->width, t->height);
+    wrong out;
+    char name[32];
+    int i;
+    for (i = 0; i < (g_opt.full ? 4 : 3); i++) { /* the default, and means of it */
+        double seconds;
+        p.mean = frames[i];
+        snprintf(name, sizeof name, "mean of %u", frames[i]);
+        seconds = way_line(kase, "default, means of frames", name, &p, t, i == 0 ? 3 : 1, &out);
+        curve_add(means, seconds, out.rmse);
+    }
+    p.mean = 0;
+    for (i = 0; i < 3; i++) {
+        if (!g_opt.full && i == 1) continue;
+        p.desc.reconstruct.block = blocks[i];
+        snprintf(name, sizeof name, "d=%u", blocks[i]);
+        (void)way_line(kase, "default, blocks", name, &p, t, g_opt.full ? 3 : 1, &out);
+    }
+    p.desc.reconstruct.block = 0;
+    p.desc.no_repair = 1;
+    for (i = 0; i < 4; i++) {
+        if (!g_opt.full && (i & 1) != 0) continue;
+        p.desc.density = densities[i];
+        snprintf(name, sizeof name, "%g per pixel", densities[i]);
+        (void)way_line(kase, "samples without rays", name, &p, t, g_opt.full ? 3 : 1, &out);
+    }
+    p.desc.hybrid = ZBUFRAND_HYBRID_OFF;
+    for (i = 0; i < 4 && (g_opt.full || strcmp(kase, "forest-1") != 0); i++) { /* that one rasters nothing anyway */
+        if (!g_opt.full && (i & 1) != 0) continue;
+        p.desc.density = densities[i];
+        snprintf(name, sizeof name, "%g per pixel", densities[i]);
+        (void)way_line(kase, "nothing rastered, without rays", name, &p, t, g_opt.full ? 3 : 1, &out);
+    }
+    picture_free(&p);
+}
+
+/* One ray a pixel and more. Colours cost what they cost in the library's own pictures. */
+static void way_rays(const char *kase, const world *w, const truth *t, curve *rays) {
+    static const int spp[4] = {1, 4, 16, 64};
+    picture_job p = way_open(w, t->width, t->height);
+    const size_t pixels = (size_t)t->tile_count * TILE * TILE;
+    cast_job c;
+    bench_job b;
+    wrong out;
+    double shade, each;
+    int i;
+    picture_run(&p);
+    shade = p.stats.seconds[ZBUFRAND_STAGE_SHADE];
+    memset(&c, 0, sizeof c);
+    memset(&b, 0, sizeof b);
+    c.rays = t->rays;
+    c.width = t->width;
+    c.height = t->height;
+    c.every = g_opt.full ? 1 : 6;
+    c.depth = (float *)must_alloc((size_t)t->width * t->height, sizeof(float));
+    b.run = cast_run;
+    b.ctx = &c;
+    bench_interleave(&b, 1, 3);
+    each = bench_seconds(&b) / (double)c.cast;
+    bench_line("zbufrand.rays", kase, "rays_per_second", 1.0 / each, "1/s");
+    bench_num("best", bench_rate_best(&b, (double)c.cast));
+    bench_num("error", 0);
+    bench_text("error_unit", "rays");
+    bench_num("hits", (double)c.hits);
+    bench_num("threads", 1);
+    bench_hash(bench_hash_bytes(c.depth, 4 * (size_t)t->width * t->height));
+    bench_end();
+    for (i = 0; i < 4; i++) {
+        char name[32];
+        const double seconds = (double)spp[i] * (each * (double)t->width * (double)t->height + shade);
+        if (i == 0) out = judge(t, NULL, t->exact, NULL, t->exact_depth);
+        else out = judge(t, NULL, t->few + 3 * (size_t)(i - 1) * pixels, NULL, NULL);
+        snprintf(name, sizeof name, "%d per pixel", spp[i]);
+        error_lines(kase, "rays through the tree", name, seconds, &out, i == 0, NULL, NULL);
+        curve_add(rays, seconds, out.rmse);
+    }
+    free(c.depth);
+    picture_free(&p);
+}
+
+static void way_raster(const char *kase, const world *w, const truth *t, int plain) {
+    picture_job p = way_open(w, t->width, t->height);
+    wrong out;
+    picture_raster(&p, 1);
+    (void)way_line(kase, "all rastered, hidden ones culled", "1 per pixel", &p, t, 3, &out);
+    picture_raster(&p, 0);
+    if (plain) (void)way_line(kase, "all rastered", "1 per pixel", &p, t, 3, &out);
+    picture_free(&p);
+}
+
+/* raster: 0 never (too many triangles in view), 1 only with culling, 2 both ways. */
+static double error_scene(const world *w, size_t view, const char *kase, uint32_t width, uint32_t height, int raster,
+                          int independent) {
+    picture_job p = way_open(w, width, height);
+    const truth *t = shared_truth(w, view, &p);
+    curve means, rays;
+    double factor = 1.0;
+    int i, n = 0;
+    memset(&means, 0, sizeof means);
+    memset(&rays, 0, sizeof rays);
+    picture_free(&p);
+    way_samples(kase, w, t, &means);
+    way_rays(kase, w, t, &rays);
+    if (raster > 0) way_raster(kase, w, t, raster > 1);
+    if (independent) way_independent(kase, w, t);
+    /* the literal form of the thesis, with its own structures, is one more way */
+    for (i = 0; i < rays.count; i++) { /* at the errors of the rays that the means of frames reach as well */
+        const double ours = curve_time(&means, rays.error[i]);
+        if (!(ours > 0.0) || (i > 0 && rays.error[i] >= rays.error[i - 1])) continue;
+        factor = n == 0 ? rays.time[i] / ours : factor * (rays.time[i] / ours);
+        n++;
+        bench_line("zbufrand.equal_error", kase, "times_faster_than_rays", rays.time[i] / ours, "");
+        bench_num("error", rays.error[i]);
+        bench_text("error_unit", "RMSE to 256 samples");
+        bench_end();
+    }
+    return n > 0 ? pow(factor, 1.0 / (double)n) : 0.0;
+}
+
+static void bm6(void) {
+    double factor[3];
+    world *w = shared_world(SHARED_BLOB, 0);
+    picture_job p;
+    wrong out;
+    bench_job b;
+    size_t i;
+    (void)error_scene(w, 0, w->name, 1024, 768, 2, 1);
+    p = picture_open(w, 1024, 768, 1);
+    b = picture_time(&p, "default", 3);
+    out = judge(shared_truth(w, 0, &p), p.image.rgba, NULL, p.image.depth, NULL);
+    table_set("blob-8M", "%.1f; %.3f %%; %.1f dB", 1e3 * bench_seconds(&b), 100.0 * out.holes, out.psnr);
+    picture_free(&p);
+    for (i = 0; i < 3; i++) {
+        w = shared_world(SHARED_FOREST, i);
+        factor[i] = error_scene(w, i, w->name, 640, 480, 0, 0);
+    }
+    table_set("rays", "%.2f / %.2f / %.2f", factor[0], factor[1], factor[2]);
+    w = shared_world(SHARED_CITY, 1);
+    (void)error_scene(w, 1, w->name, 640, 480, 2, g_opt.full);
+}
+
+/* ---- BM7: radius of a disc, hidden layers ---- */
+
+static void bm7(void) {
+    double radius;
+    int layers;
+    for (radius = 10.0; radius <= (g_opt.full ? 1000.0 : 300.0); radius *= g_opt.full ? 2.15443469 : 5.47722558) {
+        const double n = 3.0 * radius * radius;
+        world *w = world_disc(radius, (size_t)n);
+        (void)simple_time("zbufrand.disc", w, "samples", 640, 480, 0, 48, 3, NULL);
+        world_free(w);
+    }
+    for (layers = 1; layers <= 25; layers *= 5) {
+        world *w = world_layers(layers, 200);
+        picture_job p = picture_open(w, 640, 480, 1);
+        truth *t = truth_make(&p, 48);
+        int i;
+        for (i = 0; i < 4; i++) {
+            static const char *const names[4] = {"by cost", "by cost, hidden ones too", "sampled", "sampled, hidden ones too"};
+            bench_job b;
+            p.desc.no_occlusion = (uint32_t)(i & 1);
+            p.desc.hybrid = i < 2 ? ZBUFRAND_HYBRID_AUTO : ZBUFRAND_HYBRID_OFF;
+            b = picture_time(&p, names[i], 3);
+            (void)picture_line("zbufrand.layers", w->name, names[i], &p, &b, t, 1);
+        }
+        truth_free(t);
+        picture_free(&p);
+        world_free(w);
+    }
+}
+
+/* ---- BM8: resolution ---- */
+
+static void bm8(void) {
+    static const uint32_t sizes[6][2] = {{160, 120}, {320, 240}, {640, 480}, {1280, 960}, {1920, 1080}, {3840, 2160}};
+    world *w = shared_world(SHARED_FOREST, 0);
+    int i;
+    for (i = 0; i < (g_opt.full ? 6 : 4); i++) {
+        picture_job p = picture_open(w, sizes[i][0], sizes[i][1], 1);
+        truth *t = g_opt.full ? truth_make(&p, 16u << i) : NULL;
+        bench_job b = picture_time(&p, "samples", 3);
+        char kase[48];
+        snprintf(kase, sizeof kase, "forest-1, %u x %u", sizes[i][0], sizes[i][1]);
+        (void)picture_line("zbufrand.resolution", kase, "samples", &p, &b, t, 1);
+        if (t != NULL) truth_free(t);
+        picture_free(&p);
+    }
+}
+
+/* ---- BM9: build ---- */
+
+typedef struct build_job {
+    supi_make *make;
+    zbufrand_scene_desc desc;
+    zbufrand_scene_info info;
+    uint64_t hash;
+} build_job;
+
+static void build_run(void *ctx) {
+    build_job *j = (build_job *)ctx;
+    const sup_mesh *m = &j->make->mesh;
+    zbufrand_scene *s = NULL;
+    zbufrand_mesh z;
+    memset(&z, 0, sizeof z);
+    z.positions = m->positions;
+    z.vertex_count = m->vertex_count;
+    z.indices = m->indices;
+    z.triangle_count = m->triangle_count;
+    must(zbufrand_scene_create(&j->desc, &s), "scene");
+    must(zbufrand_add_mesh(s, ZBUFRAND_ROOT, NULL, 0, &z, NULL), "mesh");
+    must(zbufrand_scene_build(s, NULL, &j->info), "build");
+    j->hash = bench_hash_bytes(s->structure[0].node, s->structure[0].node_count * sizeof *s->structure[0].node);
+    zbufrand_scene_destroy(s);
+}
+
+static void bm9(void) {
+    const int sizes[4] = {158, 512, 1448, 5000};
+    int i, k;
+    for (i = 0; i < (g_opt.full ? 4 : 2); i++) {
+        supi_make make = blob_mesh(sizes[i]);
+        double wall = 0.0, cpu = 0.0;
+        for (k = 0; k < 2; k++) {
+            build_job j;
+            bench_job b;
+            char kase[48];
+            memset(&j, 0, sizeof j);
+            memset(&b, 0, sizeof b);
+            j.make = &make;
+            j.desc.env.thread_count = k == 0 ? 1u : (uint32_t)g_opt.threads;
+            b.run = build_run;
+            b.ctx = &j;
+            bench_interleave(&b, 1, i < 2 ? 5 : 1);
+            snprintf(kase, sizeof kase, "blob, %.3g triangles", (double)make.mesh.triangle_count);
+            if (k == 0) cpu = bench_seconds(&b);
+            else wall = bench_median(b.wall, b.rounds);
+            bench_line("zbufrand.build", kase, "triangles_per_second",
+                       (double)make.mesh.triangle_count / (k == 0 ? cpu : wall), "1/s");
+            bench_num("best", (double)make.mesh.triangle_count / bench_least(k == 0 ? b.cpu : b.wall, b.rounds));
+            bench_num("error", (double)j.info.skipped_triangles);
+            bench_text("error_unit", "triangles left out");
+            bench_num("threads", j.desc.env.thread_count);
+            bench_num("bytes", (double)j.info.bytes);
+            bench_num("bytes_per_triangle", (double)j.info.bytes / (double)j.info.stored_triangles);
+            bench_num("peak_bytes_per_triangle", (double)j.info.peak_bytes / (double)j.info.stored_triangles);
+            bench_num("wall", bench_median(b.wall, b.rounds));
+            bench_hash(j.hash);
+            bench_end();
+            if (sizes[i] == 512 && k == 1) {
+                table_set("build", "%.3f (%.3f)", wall, cpu);
+                table_set("memory", "%.1f", (double)j.info.bytes / (double)j.info.stored_triangles);
+            }
+        }
+        sup_mesh_free(&make.mesh);
+    }
+}
+
+/* ---- BM11: inner loops ---- */
+
+typedef struct points_job {
+    const zbufrand_scene *scene;
+    zbufrand_surface_points_desc desc;
+    size_t count;
+    float *positions, *normals;
+} points_job;
+
+static void points_run(void *ctx) {
+    points_job *j = (points_job *)ctx;
+    must(zbufrand_surface_points(j->scene, &j->desc, j->count, j->positions, j->normals, NULL, NULL), "points");
+}
+
+static void points_bench(const world *w) {
+    points_job j;
+    bench_job b;
+    int k;
+    memset(&j, 0, sizeof j);
+    j.scene = w->w.scene;
+    j.count = 4u << 20;
+    j.positions = (float *)must_alloc(3 * j.count, sizeof(float));
+    j.normals = (float *)must_alloc(3 * j.count, sizeof(float));
+    for (k = 0; k < 2; k++) {
+        double sum[3] = {0, 0, 0}, mean[3] = {0, 0, 0}, off = 0.0;
+        size_t i;
+        int a;
+        memset(&b, 0, sizeof b);
+        j.desc.independent = (uint32_t)k;
+        if (k == 1) j.count = 1u << 20;
+        b.run = points_run;
+        b.ctx = &j;
+        bench_interleave(&b, 1, 5);
+        for (i = 0; i < j.count; i++) { /* the first half against all: in random order their centres agree */
+            for (a = 0; a < 3; a++) {
+                mean[a] += (double)j.positions[3 * i + (size_t)a] / (double)j.count;
+                if (2 * i < j.count) sum[a] += 2.0 * (double)j.positions[3 * i + (size_t)a] / (double)j.count;
+            }
+        }
+        for (a = 0; a < 3; a++) off += (sum[a] - mean[a]) * (sum[a] - mean[a]);
+        bench_line("zbufrand.points", w->name, "points_per_second", bench_rate(&b, (double)j.count), "1/s");
+        bench_num("best", bench_rate_best(&b, (double)j.count));
+        bench_num("error", sqrt(off));
+        bench_text("error_unit", "distance of the centre of half of them from that of all");
+        bench_text("method", k == 0 ? "stratified" : "independent");
+        bench_num("threads", 1);
+        bench_num("points", (double)j.count);
+        bench_hash(bench_hash_bytes(j.positions, 12 * j.count));
+        bench_end();
+        if (k == 0) table_set("points", "%.0f", 1e-6 * bench_rate(&b, (double)j.count));
+    }
+    free(j.positions);
+    free(j.normals);
+}
+
+typedef struct zbuffer_job {
+    const zbufrand_scene *scene;
+    zbufrandi_camera camera;
+    zbufrandi_keys keys;
+    uint64_t triangles, covered;
+} zbuffer_job;
+
+static void zbuffer_run(void *ctx) {
+    zbuffer_job *j = (zbuffer_job *)ctx;
+    zbufrandi_mem mem;
+    zbufrand_env env;
+    memset(&env, 0, sizeof env);
+    env.thread_count = 1;
+    must(zbufrandi_env_open(&env, &mem), "memory");
+    memset(j->keys.key, 0xff, (size_t)j->keys.width * j->keys.height * 8);
+    must(zbufrandi_zbuffer_draw(j->scene, &j->camera, &j->keys, &env, &mem, zbufrandi_cpu_level(), &j->triangles, &j->covered),
+         "z-buffer");
+}
+
+static void zbuffer_bench(const world *w, int in_table) {
+    picture_job p = picture_open(w, 1024, 768, 1);
+    zbuffer_job j;
+    bench_job b;
+    memset(&j, 0, sizeof j);
+    memset(&b, 0, sizeof b);
+    j.scene = w->w.scene;
+    must(zbufrandi_camera_open(&p.desc.camera, p.scene, 1024, 768, 0, &j.camera), "camera");
+    j.keys.width = 1024;
+    j.keys.height = 768;
+    j.keys.key = (uint64_t *)must_alloc(1024 * 768, 8);
+    b.run = zbuffer_run;
+    b.ctx = &j;
+    bench_interleave(&b, 1, 5);
+    bench_line("zbufrand.zbuffer", w->name, "triangles_per_second", bench_rate(&b, (double)j.triangles), "1/s");
+    bench_num("best", bench_rate_best(&b, (double)j.triangles));
+    bench_num("error", 0);
+    bench_text("error_unit", "pixels");
+    bench_num("threads", 1);
+    bench_num("triangles", (double)j.triangles);
+    bench_num("pixels", (double)j.covered);
+    bench_num("ms", 1e3 * bench_seconds(&b));
+    bench_hash(bench_hash_bytes(j.keys.key, 8 * (size_t)1024 * 768));
+    bench_end();
+    if (in_table) table_set("raster", "%.0f", 1e-6 * bench_rate(&b, (double)j.triangles));
+    free(j.keys.key);
+    picture_free(&p);
+}
+
+/* Rates of whole frames and of their drawing alone when everything is sampled. */
+static void rates(const world *w, const char *kase, uint32_t width, uint32_t height, int off, const char *row_frame,
+                  const char *row_kernel) {
+    picture_job p = picture_open(w, width, height, 1);
+    const truth *t = shared_truth(w, 0, &p);
+    bench_job b;
+    double drawn, draw;
+    wrong out;
+    if (off) p.desc.hybrid = ZBUFRAND_HYBRID_OFF;
+    b = picture_time(&p, "samples", 5);
+    out = judge(t, p.image.rgba, NULL, p.image.depth, NULL);
+    drawn = (double)(p.stats.samples[0] + p.stats.samples[1]);
+    draw = p.stats.seconds[ZBUFRAND_STAGE_DRAW];
+    bench_line("zbufrand.rates", kase, "accepted_per_second", bench_rate(&b, (double)p.stats.accepted), "1/s");
+    bench_num("error", out.rmse);
+    bench_text("error_unit", "RMSE to 256 samples");
+    bench_num("threads", 1);
+    picture_nums(&p, &b);
+    bench_end();
+    bench_line("zbufrand.rates", kase, "drawn_per_second", drawn / draw, "1/s");
+    bench_num("error", out.rmse);
+    bench_text("error_unit", "RMSE to 256 samples");
+    bench_text("method", "drawing alone");
+    bench_num("threads", 1);
+    bench_end();
+    if (row_frame != NULL) table_set(row_frame, "%.1f", 1e-6 * bench_rate(&b, (double)p.stats.accepted));
+    if (row_kernel != NULL) table_set(row_kernel, "%.0f", 1e-6 * drawn / draw);
+    picture_free(&p);
+}
+
+static void bm11(void) {
+    world *w = world_blob(512);
+    points_bench(w);
+    zbuffer_bench(w, 0);
+    world_free(w);
+    if (g_opt.full) {
+        w = world_blob(51);
+        points_bench(w);
+        world_free(w);
+    }
+    w = shared_world(SHARED_BLOB, 0);
+    if (g_opt.full) points_bench(w);
+    zbuffer_bench(w, 1);
+    rates(w, w->name, 1024, 768, 1, "dense", NULL);
+    w = shared_world(SHARED_FOREST, 0);
+    rates(w, w->name, 640, 480, 0, "sparse", "kernel");
+}
+
+/* ---- BM12: noise from frame to frame ---- */
+
+static void bm12(void) {
+    world *w = world_trees(0);
+    const uint32_t width = 320, height = 240, frames = g_opt.full ? 64 : 8;
+    const size_t values = 3 * (size_t)width * height;
+    double *sum = (double *)must_alloc(values, sizeof(double)), *square = (double *)must_alloc(values, sizeof(double));
+    int way;
+    for (way = 0; way < 5; way++) {
+        static const char *const names[5] = {"default", "default, seed kept, eye moves a pixel a frame", "no repair", "independent samples",
+                                             "blocks of 2"};
+        picture_job p = picture_open(w, width, height, 1);
+        double noise = 0.0, flicker = 0.0;
+        uint32_t k;
+        size_t i;
+        memset(sum, 0, values * sizeof *sum);
+        memset(square, 0, values * sizeof *square);
+        p.desc.no_repair = way == 2 || way == 3;
+        if (way >= 2 && way < 4) p.desc.density = 4.0;
+        p.desc.independent = way == 3;
+        p.desc.reconstruct.block = way == 4 ? 2 : 1;
+        for (k = 0; k < frames; k++) {
+            if (way != 1) p.desc.frame = k;
+            else p.desc.camera.at[0] = w->camera.at[0] + 0.06 * (double)k; /* about a pixel at that distance */
+            picture_run(&p);
+            for (i = 0; i < values; i++) {
+                const double v = shown((double)p.image.rgba[4 * (i / 3) + i % 3]);
+                sum[i] += v;
+                square[i] += v * v;
+            }
+        }
+        for (i = 0; i < values; i++) {
+            const double mean = sum[i] / (double)frames, variance = square[i] / (double)frames - mean * mean;
+            noise += variance > 0.0 ? variance : 0.0;
+            flicker += variance > 0.01 ? 1.0 : 0.0; /* more than a tenth of the range */
+        }
+        bench_line("zbufrand.noise", w->name, "deviation", sqrt(noise / (double)values), "");
+        bench_num("error", sqrt(noise / (double)values));
+        bench_text("error_unit", "sRGB 0..1");
+        bench_num("share_above_a_tenth", flicker / (double)values);
+        bench_num("frames", frames);
+        bench_text("method", names[way]);
+        bench_end();
+        picture_free(&p);
+    }
+    free(sum);
+    free(square);
+    world_free(w);
+}
+
+/* ---- BM13: worst cases ---- */
+
+/* `sheets` quads seen edge-on, and one that is turned: bounds of whole groups know nothing about them. */
+static world *world_sheets(int sheets, int turned) {
+    supi_make make;
+    char name[48];
+    world *w;
+    int i;
+    memset(&make, 0, sizeof make);
+    for (i = 0; i < sheets; i++) {
+        const float y = 0.2f * (float)i / (float)sheets, tilt = turned && i == sheets / 2 ? 0.2f : 0.0f;
+        const float a[3] = {-1.0f, y, 1.0f}, b[3] = {1.0f, y, 1.0f}, c[3] = {1.0f, y + tilt, -1.0f}, d[3] = {-1.0f, y + tilt, -1.0f};
+        supi_make_colour(&make, 100 + i * 31 % 150, 100 + i * 17 % 150, 120);
+        supi_make_patch(&make, a, b, c, d);
+    }
+    snprintf(name, sizeof name, "%d sheets edge-on%s", sheets, turned ? ", one turned" : "");
+    w = world_open(name, (uint32_t)g_opt.threads);
+    (void)supi_world_mesh(&w->w, &make, ZBUFRAND_ROOT, 0, 0, 0);
+    world_build(w);
+    world_view(w, 0, 0.21, 4.0, 0, 0.1, 0, 45);
+    return w;
+}
+
+/* Copies of a hall that all overlap. */
+static world *world_overlap(int copies) {
+    supi_make make;
+    char name[48];
+    world *w;
+    zbufrand_node node;
+    zbufrand_transform *t;
+    bench_rng rng = {3};
+    int i;
+    memset(&make, 0, sizeof make);
+    supi_make_hall(&make, 128);
+    snprintf(name, sizeof name, "%d instances that overlap", copies);
+    w = world_open(name, (uint32_t)g_opt.threads);
+    node = supi_world_mesh(&w->w, &make, ZBUFRAND_ROOT, 0, 0, ZBUFRAND_HIDDEN);
+    t = supi_world_array(&w->w, (size_t)copies);
+    if (t == NULL) run_failed(name, "not enough memory");
+    for (i = 0; i < copies; i++)
+        t[i] = supi_world_place((double)bench_random(&rng), 0.2 * (double)bench_random(&rng), (double)bench_random(&rng),
+                                6.28 * (double)bench_random(&rng), 1.0);
+    must(zbufrand_add_references(w->w.scene, ZBUFRAND_ROOT, t, (size_t)copies, node, NULL), name);
+    world_build(w);
+    world_view(w, -7.7, 0.9, -7.4, 0.5, -0.4, 0.7, 60);
+    return w;
+}
+
+static void bm13(void) {
+    int i, most = g_opt.full ? 1000000 : 1000;
+    for (i = 100; i <= most; i *= 10) {
+        int turned;
+        for (turned = 0; turned < 2; turned++) {
+            world *w = world_sheets(i, turned);
+            picture_job p = picture_open(w, 640, 480, 1);
+            truth *t = truth_make(&p, g_opt.full ? 32 : 128);
+            int way;
+            for (way = 0; way < 2; way++) {
+                bench_job b;
+                p.desc.hybrid = way == 0 ? ZBUFRAND_HYBRID_AUTO : ZBUFRAND_HYBRID_OFF;
+                b = picture_time(&p, way == 0 ? "by cost" : "sampled", 3);
+                (void)picture_line("zbufrand.worst", w->name, way == 0 ? "by cost" : "sampled", &p, &b, t, 1);
+            }
+            truth_free(t);
+            picture_free(&p);
+            world_free(w);
+        }
+    }
+    for (i = 1; i <= 64; i *= 8) {
+        world *w = world_overlap(i);
+        (void)simple_time("zbufrand.worst", w, "by cost", 640, 480, 0, g_opt.full ? 64 : 192, 3, NULL);
+        world_free(w);
+    }
+    { /* slats seen at angles: half of what there is hides the other half */
+        static const double angles[4] = {0.1, 1.0, 10.0, 60.0};
+        world *w = world_sheets(500, 0);
+        for (i = 0; i < (g_opt.full ? 4 : 2); i++) {
+            const double a = angles[g_opt.full ? i : 2 * i + 1] * (3.14159265358979 / 180.0);
+            char name[48];
+            snprintf(name, sizeof name, "500 sheets at %g degrees", angles[g_opt.full ? i : 2 * i + 1]);
+            memcpy(w->name, name, sizeof name);
+            world_view(w, 0, 0.1 + 4.0 * sin(a), 4.0 * cos(a), 0, 0.1, 0, 45);
+            (void)simple_time("zbufrand.worst", w, "by cost", 640, 480, 0, 64, 3, NULL);
+        }
+        world_free(w);
+    }
+}
+
+/* ---- BM14: threads ---- */
+
+static void bm14(void) {
+    world *w = shared_world(SHARED_FOREST, 0);
+    uint64_t hash = 0;
+    double one = 0.0;
+    int threads;
+    for (threads = 1; threads <= g_opt.threads; threads *= 2) {
+        picture_job p = picture_open(w, 1280, 960, (uint32_t)threads);
+        bench_job b = picture_time(&p, "samples", 3);
+        if (threads == 1) hash = picture_hash(&p);
+        if (threads == 1) one = bench_median(b.wall, b.rounds);
+        bench_line("zbufrand.threads", "forest-1, 1280 x 960", "wall_time", 1e3 * bench_median(b.wall, b.rounds), "ms");
+        bench_num("error", (double)(picture_hash(&p) != hash));
+        bench_text("error_unit", "pictures that differ");
+        bench_num("threads", threads);
+        bench_num("times_one_thread", one / bench_median(b.wall, b.rounds));
+        bench_hash(picture_hash(&p));
+        bench_end();
+        picture_free(&p);
+    }
+}
+
+/* ---- BM15: shading, attributes ---- */
+
+static void shade_phong(void *user, const zbufrand_surface *s, size_t count, float *rgba) { /* two lights, highlights */
+    static const double lights[2][3] = {{0.4, 0.8, 0.45}, {-0.7, 0.5, 0.5}};
+    const double *eye = (const double *)user;
+    size_t i, k;
+    int a;
+    for (i = 0; i < count; i++) {
+        double bright = 0.2, shine = 0.0, v[3], l = 0.0;
+        for (a = 0; a < 3; a++) {
+            v[a] = eye[a] - s[i].position[a];
+            l += v[a] * v[a];
+        }
+        l = l > 0.0 ? 1.0 / sqrt(l) : 0.0;
+        for (k = 0; k < 2; k++) {
+            double d = 0.0, h = 0.0, hl = 0.0;
+            for (a = 0; a < 3; a++) {
+                const double half = lights[k][a] + v[a] * l;
+                d += lights[k][a] * (double)s[i].normal[a];
+                h += half * (double)s[i].normal[a];
+                hl += half * half;
+            }
+            if (d > 0.0) bright += 0.5 * d;
+            if (h > 0.0) shine += pow(h / sqrt(hl), 40.0);
+        }
+        for (a = 0; a < 3; a++) rgba[4 * i + (size_t)a] = (float)((double)s[i].rgb[a] * bright + 0.3 * shine);
+        rgba[4 * i + 3] = 1.0f;
+    }
+}
+
+static void bm15(void) {
+    static const char *const names[4] = {"unlit", "one light", "eight lights", "callback, two lights with highlights"};
+    world *w = world_named("landscape", 0);
+    zbufrand_light lights[8];
+    int i, k;
+    memset(lights, 0, sizeof lights);
+    for (k = 0; k < 8; k++) {
+        lights[k].position[0] = cos((double)k);
+        lights[k].position[1] = 1.0;
+        lights[k].position[2] = sin((double)k);
+        lights[k].directional = k & 1;
+        lights[k].color[0] = lights[k].color[1] = lights[k].color[2] = 0.12f;
+    }
+    for (i = 0; i < 4; i++) {
+        picture_job p = picture_open(w, 640, 480, 1);
+        zbufrand_render_desc *d = &p.desc;
+        double all[5];
+        p.desc.unlit = i == 0;
+        p.desc.hybrid = ZBUFRAND_HYBRID_OFF;
+        d->lights = i == 2 ? lights : &p.light;
+        d->light_count = i == 2 ? 8 : 1;
+        if (i == 3) {
+            d->shade_fn = shade_phong;
+            d->shade_user = d->camera.eye;
+        }
+        for (k = 0; k < 6; k++) {
+            const double t = bench_cpu();
+            must(zbufrand_render(p.frame, d, p.scene, &p.image, &p.stats), "render");
+            if (k > 0) all[k - 1] = bench_cpu() - t;
+        }
+        bench_line("zbufrand.shade", "landscape-1", "frame_time", 1e3 * bench_median(all, 5), "ms");
+        bench_num("error", p.stats.incomplete);
+        bench_text("error_unit", "probability of an incomplete picture");
+        bench_text("method", names[i]);
+        bench_num("shade_ms", 1e3 * p.stats.seconds[ZBUFRAND_STAGE_SHADE]);
+        bench_num("surfaces_shaded", (double)p.stats.covered);
+        bench_num("samples_accepted", (double)p.stats.accepted);
+        bench_num("threads", 1);
+        bench_hash(picture_hash(&p));
+        bench_end();
+        picture_free(&p);
+    }
+    world_free(w);
+}
+
+/* ---- BM16: how many samples make a complete picture ---- */
+
+/* Pixels that a surface covers with a margin of a pixel are wrong when they stay empty or show something behind all that
+   is seen in them and around them. Counted over pictures with random numbers of their own. */
+static void complete_way(const world *w, const char *method, int independent, double density, int repair, uint32_t pictures,
+                         double *out_density, double *out_rays, double *out_failed) {
+    const uint32_t width = 320, height = 240;
+    picture_job p = picture_open(w, width, height, 1);
+    picture_job exact = picture_open(w, width, height, 1);
+    uint32_t k, failed = 0;
+    float *behind = (float *)must_alloc((size_t)width * height, sizeof(float));
+    size_t i, bad_pixels = 0;
+    double rays = 0.0, used = 0.0, promised = 0.0, cpu;
+    picture_raster(&exact, 1);
+    picture_run(&exact);
+    for (i = 0; i < (size_t)width * height; i++) {
+        const uint32_t x = (uint32_t)(i % width), y = (uint32_t)(i / width);
+        uint32_t dx, dy;
+        behind[i] = x == 0 || y == 0 || x + 1 == width || y + 1 == height ? INFINITY : 0.0f;
+        for (dy = 0; dy < 3; dy++)
+            for (dx = 0; dx < 3 && behind[i] < INFINITY; dx++)
+                behind[i] = fmaxf(behind[i], exact.image.depth[i + dy * width + dx - width - 1] * 1.005f);
+    }
+    p.desc.hybrid = ZBUFRAND_HYBRID_OFF;
+    p.desc.independent = (uint32_t)independent;
+    p.desc.no_repair = !repair;
+    p.desc.density = density;
+    cpu = bench_cpu();
+    for (k = 0; k < pictures; k++) {
+        size_t bad = 0;
+        p.desc.frame = k;
+        picture_run(&p);
+        for (i = 0; i < (size_t)width * height; i++) bad += p.image.depth[i] > behind[i];
+        bad_pixels += bad;
+        failed += bad != 0;
+        rays += (double)(p.stats.holes + p.stats.wrong) / (double)((size_t)width * height) / (double)pictures;
+        used += p.stats.density / (double)pictures;
+        promised += p.stats.incomplete / (double)pictures;
+    }
+    cpu = bench_cpu() - cpu;
+    bench_line("zbufrand.complete", "320 x 240, filled", "incomplete_share", (double)failed / (double)pictures, "");
+    bench_num("error", (double)bad_pixels / (double)pictures);
+    bench_text("error_unit", "pixels a picture");
+    bench_text("method", method);
+    bench_num("density", used);
+    bench_num("rays_per_pixel", rays);
+    bench_num("promised_at_most", promised);
+    bench_num("pictures", pictures);
+    bench_num("ms_a_picture", 1e3 * cpu / (double)pictures);
+    bench_end();
+    if (out_density != NULL) *out_density = used;
+    if (out_rays != NULL) *out_rays = rays;
+    *out_failed = (double)failed / (double)pictures;
+    free(behind);
+    picture_free(&p);
+    picture_free(&exact);
+}
+
+static void bm16(void) {
+    static const double independent[3] = {0.05, 0.5, 0.95}, stratified[4] = {4.0, 5.0, 6.0, 7.0};
+    const uint32_t pictures = g_opt.full ? 400 : 40;
+    world *w = world_blob(512);
+    double density = 0.0, rays = 0.0, failed, least = 0.0;
+    int i;
+    world_view(w, 0.3, 0.2, 1.9, 0, 0, 0, 30);
+    for (i = g_opt.full ? 0 : 2; i < 3; i++) {
+        char name[64];
+        snprintf(name, sizeof name, "independent, for probability %g", independent[i]);
+        density = zbufrand_samples(ZBUFRAND_BOUND_DIRECT, 1.0, 320.0 * 240.0, 1.0, independent[i]);
+        density = -log(-expm1(log(independent[i]) / (320.0 * 240.0)));
+        complete_way(w, name, 1, density, 0, pictures, NULL, NULL, &failed);
+    }
+    for (i = 0; i < 4; i++) {
+        char name[64];
+        if (!g_opt.full && i != 2) continue;
+        snprintf(name, sizeof name, "stratified, %g per pixel", stratified[i]);
+        complete_way(w, name, 0, stratified[i], 0, pictures, NULL, NULL, &failed);
+        if (failed <= 0.05 && least == 0.0) least = stratified[i];
+    }
+    complete_way(w, "default: probability 0.95, with rays", 0, 0.0, 1, pictures, &density, &rays, &failed);
+    table_set("complete", "%.1f (%.1f); %.0f %% failed", density, 1e3 * rays, 100.0 * failed);
+    world_free(w);
+}
+
+int main(int argc, char **argv) {
+    static const struct { int number; void (*run)(void); } all[] = {
+        {1, bm1}, {1, bm1_huge}, {2, bm2}, {4, bm4}, {5, bm5}, {6, bm6}, {7, bm7}, {8, bm8}, {9, bm9}, {11, bm11}, {12, bm12},
+        {13, bm13}, {14, bm14}, {15, bm15}, {16, bm16}
+    };
+    size_t i;
+    int status = bench_parse(argc, argv, &g_opt);
+    if (status) return status;
+    bench_machine("zbufrand", argv[0]);
+    for (i = 0; i < sizeof all / sizeof all[0]; i++) {
+        const double start = bench_wall(), cpu = bench_cpu();
+        if (!bench_wanted(&g_opt, all[i].number)) continue;
+        all[i].run();
+        fprintf(stderr, "BM%d: %.1f s (CPU %.1f s)\n", all[i].number, bench_wall() - start, bench_cpu() - cpu);
+    }
+    shared_free();
+    table_write(argv[0]);
+    table_print(stderr, g_opt.only == NULL);
+    return 0;
+}
