@@ -5914,6 +5914,7 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE __m256i tetcasti_enter8(const tetcasti_cell
     switch (kind) {
     case TETCAST_CELLS_TET8:
         node->escape = tetcasti_load_tet8(cells, at, node->n);
+        for (i = 0; i < 4; i++) node->v[i] = _mm256_setzero_si256();
         return _mm256_xor_si256(node->n[0], abc);
     case TETCAST_CELLS_TET20:
         tetcasti_load8x4(p + 1, 5, at, NULL, row);

@@ -4,6 +4,7 @@
 #define TETCAST_IMPLEMENTATION
 #include "tetcast.h"
 #include "tets.h"
+#include "../examples/support/volume.h"
 
 enum { W = 70, H = 45 };
 
@@ -817,51 +818,277 @@ TEST(memory) { /* each allocation fails once */
 
 /* ---- real meshes ---- */
 
-TEST(delaunay) { /* 208,000 cells between random points: lengths of the unit cube, both instruction sets, all pixels */
-    const char *path = test_data_path("tets/delaunay_208k.vtk");
-    unsigned char *file, *at;
-    size_t size, i;
-    uint32_t nv, nt, k;
-    tets t;
+/* A stretch of a pixel's ray inside of a tetrahedron. */
+typedef struct brute_part { uint32_t pixel; float front, back; double t0, t1; } brute_part;
+
+static int brute_compare(const void *a, const void *b) {
+    const brute_part *x = (const brute_part *)a, *y = (const brute_part *)b;
+    if (x->pixel != y->pixel) return x->pixel < y->pixel ? -1 : 1;
+    return (x->t0 > y->t0) - (x->t0 < y->t0);
+}
+
+typedef struct brute_list { brute_part *part; size_t count, room; } brute_list;
+
+/* The rays of rows [y0, y1) through one tetrahedron, p and s: every pixel of its box by four half spaces. */
+static void brute_tet(brute_list *l, const tetcast_camera *c, uint32_t width, uint32_t height, uint32_t y0, uint32_t y1, double p[4][3],
+                      const double s[4]) {
+    double forward[3], right[3], up[3] = {0, 1, 0}, n[4][3], at[4], g[3], e[3][3], det, lo[2] = {1e300, 1e300}, hi[2] = {-1e300, -1e300};
+    double half = tan((double)c->fov_y * 3.14159265358979323846 / 360), behind = 0;
+    uint32_t i, k, x, y;
+    for (k = 0; k < 3; k++) forward[k] = c->at[k] - c->eye[k];
+    ref_unit(forward);
+    for (k = 0; k < 3; k++) right[k] = forward[(k + 1) % 3] * up[(k + 2) % 3] - forward[(k + 2) % 3] * up[(k + 1) % 3];
+    ref_unit(right);
+    for (k = 0; k < 3; k++) up[k] = right[(k + 1) % 3] * forward[(k + 2) % 3] - right[(k + 2) % 3] * forward[(k + 1) % 3];
+    for (i = 0; i < 4; i++) {
+        double q[3] = {0, 0, 0};
+        for (k = 0; k < 3; k++) {
+            double v = p[i][k] - c->eye[k];
+            q[0] += v * right[k];
+            q[1] += v * up[k];
+            q[2] += v * forward[k];
+        }
+        if (!(q[2] > 1e-9)) behind = 1;
+        q[0] = 0.5 * width + q[0] / q[2] / half * 0.5 * height;
+        q[1] = 0.5 * height - q[1] / q[2] / half * 0.5 * height;
+        for (k = 0; k < 2; k++) {
+            lo[k] = fmin(lo[k], q[k] - 1);
+            hi[k] = fmax(hi[k], q[k] + 1);
+        }
+    }
+    for (i = 0; i < 3; i++)
+        for (k = 0; k < 3; k++) e[i][k] = p[i + 1][k] - p[0][k];
+    det = 0;
+    for (k = 0; k < 3; k++) det += e[0][k] * (e[1][(k + 1) % 3] * e[2][(k + 2) % 3] - e[1][(k + 2) % 3] * e[2][(k + 1) % 3]);
+    if (det == 0 || behind != 0) return;
+    for (k = 0; k < 3; k++) {
+        g[k] = 0;
+        for (i = 0; i < 3; i++) {
+            const double *a = e[(i + 1) % 3], *b = e[(i + 2) % 3];
+            g[k] += (s[i + 1] - s[0]) * (a[(k + 1) % 3] * b[(k + 2) % 3] - a[(k + 2) % 3] * b[(k + 1) % 3]) / det;
+        }
+    }
+    for (i = 0; i < 4; i++) { /* inside is n . x >= at, from the eye */
+        const double *a = p[(i + 1) & 3], *b = p[(i + 2) & 3], *d = p[(i + 3) & 3];
+        double side = 0;
+        at[i] = 0;
+        for (k = 0; k < 3; k++) {
+            uint32_t u = (k + 1) % 3, v = (k + 2) % 3;
+            n[i][k] = (b[u] - a[u]) * (d[v] - a[v]) - (b[v] - a[v]) * (d[u] - a[u]);
+            side += n[i][k] * (p[i][k] - a[k]);
+        }
+        for (k = 0; k < 3; k++) {
+            if (side < 0) n[i][k] = -n[i][k];
+            at[i] += n[i][k] * (a[k] - c->eye[k]);
+        }
+    }
+    for (y = lo[1] > y0 ? (uint32_t)lo[1] : y0; y < y1 && y < hi[1]; y++)
+        for (x = lo[0] > 0 ? (uint32_t)lo[0] : 0; x < width && x < hi[0]; x++) {
+            double t0 = 0, t1 = 1e300, d[3], value[2];
+            double u = (x + 0.5 - 0.5 * width) / (0.5 * height) * half, v = (0.5 * height - (y + 0.5)) / (0.5 * height) * half;
+            for (k = 0; k < 3; k++) d[k] = forward[k] + u * right[k] + v * up[k];
+            ref_unit(d);
+            for (i = 0; i < 4 && t0 < t1; i++) {
+                double dn = n[i][0] * d[0] + n[i][1] * d[1] + n[i][2] * d[2];
+                if (dn > 0) t0 = fmax(t0, at[i] / dn);
+                else if (dn < 0) t1 = fmin(t1, at[i] / dn);
+                else if (at[i] > 0) t1 = -1;
+            }
+            if (!(t0 < t1)) continue;
+            for (i = 0; i < 2; i++) {
+                double t = i ? t1 : t0;
+                value[i] = s[0];
+                for (k = 0; k < 3; k++) value[i] += g[k] * (c->eye[k] + t * d[k] - p[0][k]);
+            }
+            if (l->count == l->room) {
+                l->room = 2 * l->room + 4096;
+                l->part = (brute_part *)realloc(l->part, l->room * sizeof *l->part);
+                if (l->part == NULL) abort();
+            }
+            l->part[l->count].pixel = y * width + x;
+            l->part[l->count].t0 = t0;
+            l->part[l->count].t1 = t1;
+            l->part[l->count].front = (float)value[0];
+            l->part[l->count++].back = (float)value[1];
+        }
+}
+
+/* Rows [y0, y1) of the picture of a mesh with the eye outside: all tetrahedra, in no order, then every pixel sorted by
+   distance. rgba and length are of the whole picture. */
+static void brute_rows(const tetcast_mesh *m, const tetcast_camera *c, uint32_t width, uint32_t height, uint32_t y0, uint32_t y1,
+                       const tetcast_optics *o, float *rgba, float *length) {
+    brute_list l;
+    tetcast_segment *segment = (tetcast_segment *)calloc(100000, sizeof *segment);
+    uint32_t i, k;
+    size_t from, to;
+    memset(&l, 0, sizeof l);
+    REQUIRE(segment != NULL);
+    memset(rgba + (size_t)y0 * width * 4, 0, (size_t)(y1 - y0) * width * 16);
+    memset(length + (size_t)y0 * width, 0, (size_t)(y1 - y0) * width * 4);
+    for (i = 0; i < m->cell_count; i++) {
+        double p[4][3], s[4];
+        uint32_t v[4];
+        CHECK_EQ_U64(tetcast_mesh_cell(m, i, v, NULL), TETCAST_OK);
+        for (k = 0; k < 4; k++) {
+            float value;
+            tetcast_mesh_vertex(m, v[k], p[k], &value, NULL);
+            s[k] = (double)value;
+        }
+        brute_tet(&l, c, width, height, y0, y1, p, s);
+    }
+    qsort(l.part, l.count, sizeof *l.part, brute_compare);
+    for (from = 0; from < l.count; from = to) {
+        double sum = 0;
+        uint32_t n = 0;
+        for (to = from; to < l.count && l.part[to].pixel == l.part[from].pixel && n < 100000; to++, n++) {
+            segment[n].front = l.part[to].front;
+            segment[n].back = l.part[to].back;
+            segment[n].length = (float)(l.part[to].t1 - l.part[to].t0);
+            segment[n].depth = (float)l.part[to].t0;
+            sum += l.part[to].t1 - l.part[to].t0;
+        }
+        length[l.part[from].pixel] = (float)sum;
+        CHECK_EQ_U64(tetcast_optics_ray(o, segment, n, rgba + 4 * (size_t)l.part[from].pixel, NULL), TETCAST_OK);
+    }
+    free(l.part);
+    free(segment);
+}
+
+static tetcast_mesh *real_build(const sup_volume *v, tetcast_cells cells, float *lo, float *hi) {
+    tetcast_mesh_desc d;
+    tetcast_field f;
+    tetcast_mesh *m = NULL;
+    memset(&d, 0, sizeof d);
+    memset(&f, 0, sizeof f);
+    d.cells = cells;
+    f.values.data = v->fields[0].values;
+    f.values.stride = v->fields[0].components * sizeof(float);
+    if (v->dims[0] != 0) {
+        tetcast_grid g;
+        memset(&g, 0, sizeof g);
+        memcpy(g.dims, v->dims, sizeof g.dims);
+        g.positions.data = v->points;
+        g.positions.type = TETCAST_TYPE_F64;
+        g.fields = &f;
+        g.field_count = 1;
+        CHECK_EQ_U64(tetcast_mesh_create_grid(&d, &g, NULL, &m), TETCAST_OK);
+    } else {
+        tetcast_input in;
+        memset(&in, 0, sizeof in);
+        in.positions.data = v->points;
+        in.positions.type = TETCAST_TYPE_F64;
+        in.vertex_count = v->point_count;
+        in.indices = v->indices;
+        in.index_count = v->index_count;
+        in.shapes = v->shapes;
+        in.cell_count = v->cell_count;
+        in.fields = &f;
+        in.field_count = 1;
+        CHECK_EQ_U64(tetcast_mesh_create(&d, &in, NULL, &m), TETCAST_OK);
+    }
+    if (m != NULL) (void)tetcast_mesh_field(m, 0, lo, hi);
+    return m;
+}
+
+/* A picture of size x size pixels against the brute one, and all forms against each other. */
+static void check_real(const char *name, uint32_t size, uint64_t least_cells) {
+    char file[64];
+    const char *path;
+    sup_volume volume;
+    sup_error err;
     scene s;
     tetcast_render_desc d = defaults();
-    if (path == NULL) SKIP("no data");
-    file = test_read_file(path, &size);
-    REQUIRE(file != NULL);
-    memset(&t, 0, sizeof t);
+    tetcast_image im;
+    tetcast_mesh_info info;
+    tetcast_control_point p[5];
+    tetcast_transfer_desc td;
+    tetcast_optics_desc od;
+    float lo = 0, hi = 1, *got[3], *length[3];
+    double big = 0, worst = 0, worst_length = 0;
+    uint32_t i, k, kind, wrong = 0, hits = 0, band = size < 256 ? size : 32;
+    (void)snprintf(file, sizeof file, "tets/%s", name);
+    path = test_data_path(file);
+    memset(&volume, 0, sizeof volume);
     memset(&s, 0, sizeof s);
-#define BE32(p) ((uint32_t)(p)[0] << 24 | (uint32_t)(p)[1] << 16 | (uint32_t)(p)[2] << 8 | (p)[3])
-    at = (unsigned char *)strstr((char *)file, "POINTS ");
-    REQUIRE(at != NULL);
-    nv = (uint32_t)atol((char *)at + 7);
-    at = (unsigned char *)strchr((char *)at, '\n') + 1;
-    for (i = 0; i < nv; i++) {
-        float f[3];
-        for (k = 0; k < 3; k++) {
-            uint32_t u = BE32(at + 12 * i + 4 * k);
-            memcpy(&f[k], &u, 4);
-        }
-        tets_vertex(&t, (double)f[0], (double)f[1], (double)f[2], (double)(f[0] * f[1]));
+    if (path == NULL || sup_volume_read(path, &volume, &err)) {
+        CHECK_MSG(path == NULL, "%s cannot be read", name);
+        return;
     }
-    at += 12 * nv;
-    while (memcmp(at, "CELLS ", 6) != 0) at++;
-    nt = (uint32_t)atol((char *)at + 6);
-    at = (unsigned char *)strchr((char *)at, '\n') + 1;
-    for (i = 0; i < nt; i++) tets_tet(&t, BE32(at + 20 * i + 4), BE32(at + 20 * i + 8), BE32(at + 20 * i + 12), BE32(at + 20 * i + 16));
-    free(file);
-    s.t = t;
-    s.mesh = tets_build(&t, TETCAST_CELLS_TET8, NULL);
+    for (k = 0; k < 3; k++) {
+        got[k] = (float *)malloc((size_t)size * size * 16);
+        length[k] = (float *)malloc((size_t)size * size * 4);
+        REQUIRE(got[k] != NULL && length[k] != NULL);
+    }
+    s.mesh = real_build(&volume, TETCAST_CELLS_TET16, &lo, &hi);
     REQUIRE(s.mesh != NULL);
-    scene_optics(&s, TETCAST_MODEL_VOLUME, -1, -1);
-    for (k = 0; k < 4; k++) {
-        d.isa = k & 1 ? TETCAST_ISA_AUTO : TETCAST_ISA_SCALAR;
-        if (k < 2) look(&d, 1.6, 1.3, 2.0, 0.5, 0.5, 0.5);
-        else look(&d, 0.31, 0.52, 0.77, 0.9, 0.1, 0.2);
-        CHECK_EQ_U64(draw(&d, &s, 40, 40, 1, &pic[k & 1], NULL), TETCAST_OK);
-        check_box_lengths(&d.camera, &pic[k & 1], 40, 40, 2, 0, 1e300, "delaunay");
-        if (k & 1) CHECK(memcmp(&pic[0], &pic[1], sizeof pic[0]) == 0);
+    tetcast_mesh_get_info(s.mesh, &info);
+    CHECK(info.cell_count >= least_cells);
+    for (k = 0; k < 3; k++) big += info.box_max[k] - info.box_min[k];
+    memset(p, 0, sizeof p);
+    memset(&td, 0, sizeof td);
+    memset(&od, 0, sizeof od);
+    for (k = 0; k < 5; k++) {
+        p[k].value = lo + 0.25f * (float)k * (hi - lo);
+        p[k].rgb[k % 3] = p[k].rgb[(k / 2) % 3] = 1;
+        p[k].extinction = (float)(8 / big * (k & 1 ? 0.2 : 1));
     }
+    td.points = p;
+    td.point_count = 5;
+    od.t_min = -1; /* to the end */
+    CHECK_EQ_U64(tetcast_transfer_create(&td, &s.transfer), TETCAST_OK);
+    CHECK_EQ_U64(tetcast_optics_create(s.transfer, &od, &s.optics), TETCAST_OK);
+    CHECK_EQ_U64(tetcast_camera_fit(&d.camera, info.box_min, info.box_max, NULL, size, size), TETCAST_OK);
+    if (d.camera.fov_y == 0.0f) d.camera.fov_y = 40;
+    memset(&im, 0, sizeof im);
+    im.width = im.height = size;
+    im.rgba = got[0];
+    im.length = length[0];
+    CHECK_EQ_U64(tetcast_render(&d, s.mesh, s.optics, &im, NULL), TETCAST_OK);
+    for (i = 0; i < size; i += band)
+        brute_rows(s.mesh, &d.camera, size, size, i, i + band < size ? i + band : size, s.optics, got[1], length[1]);
+    for (i = 0; i < size * size; i++) {
+        double e = 0;
+        for (k = 0; k < 4; k++) e = fmax(e, fabs((double)got[0][4 * i + k] - (double)got[1][4 * i + k]));
+        hits += length[1][i] > 0;
+        /* a face of the hull edge-on: how long the ray is inside depends on the last bit of the vertices */
+        wrong += e > 1e-4 || fabs((double)length[0][i] - (double)length[1][i]) > 1e-4 * big;
+        worst = fmax(worst, e);
+        worst_length = fmax(worst_length, fabs((double)length[0][i] - (double)length[1][i]) / big);
+    }
+    CHECK_MSG(wrong == 0, "%s: %u of %u pixels differ, by up to %g, lengths by %g", name, wrong, hits, worst, worst_length);
+    CHECK(hits > size * size / 10);
+    for (kind = 0; kind < TETCAST_CELLS_COUNT; kind++) {
+        tetcast_mesh_destroy(s.mesh);
+        s.mesh = real_build(&volume, (tetcast_cells)kind, &lo, &hi);
+        REQUIRE(s.mesh != NULL);
+        im.rgba = got[2];
+        im.length = length[2];
+        for (k = 0; k < 2; k++) {
+            d.isa = k ? TETCAST_ISA_AUTO : TETCAST_ISA_SCALAR;
+            if (k == 0 && kind % 3 != 1) continue;
+            CHECK_EQ_U64(tetcast_render(&d, s.mesh, s.optics, &im, NULL), TETCAST_OK);
+            CHECK_MSG(memcmp(got[0], got[2], (size_t)size * size * 16) == 0 && memcmp(length[0], length[2], (size_t)size * size * 4) == 0,
+                      "%s, form %u", name, kind);
+        }
+    }
+    if (test_g.verbose) printf("  %s: %u pixels, worst %g, lengths %g\n", name, hits, worst, worst_length);
+    for (k = 0; k < 3; k++) {
+        free(got[k]);
+        free(length[k]);
+    }
+    sup_volume_free(&volume);
     scene_free(&s);
+}
+
+#ifndef REAL_SIZE
+#  define REAL_SIZE (test_quick() ? 24u : 60u)
+#endif
+
+TEST(real_meshes) { /* Blunt fin, SPX, 208,000 cells between random points: all pixels against all tetrahedra, in all forms */
+    if (test_data_path("tets/bluntfinxyz.bin") == NULL) SKIP("no data");
+    check_real("bluntfinxyz.bin", REAL_SIZE, 224000);
+    check_real("spx.inp", REAL_SIZE, 12000);
+    check_real("delaunay_208k.vtk", REAL_SIZE, 207788);
 }
 
 int main(int argc, char **argv) {
@@ -882,6 +1109,6 @@ int main(int argc, char **argv) {
     RUN(camera);
     RUN(arguments);
     RUN(memory);
-    RUN(delaunay);
+    RUN(real_meshes);
     return test_end();
 }
