@@ -5,6 +5,7 @@
 #include "tetcast.h"
 #include "tets.h"
 #include "../examples/support/volume.h"
+#include "ray_oracle.h"
 
 enum { W = 70, H = 45 };
 
@@ -1091,6 +1092,114 @@ TEST(real_meshes) { /* Blunt fin, SPX, 208,000 cells between random points: all 
     check_real("delaunay_208k.vtk", REAL_SIZE, 207788);
 }
 
+/* ---- tolerance ---- */
+
+/* A transfer function of 2 to 200 points: ramps, waves, peaks, jumps; colours up to 1. */
+static size_t random_function(test_rng *r, tetcast_control_point *p) {
+    const uint32_t kind = test_rng_below(r, 4), n = kind == 0 ? 2 + test_rng_below(r, 6) : 20 + test_rng_below(r, 180);
+    const float strength = 0.2f * powf(200.0f, test_rng_float(r)), wave = 3 + 20 * test_rng_float(r);
+    const float at = test_rng_float(r), width = 0.03f + 0.2f * test_rng_float(r);
+    float level = 0;
+    uint32_t i, c;
+    for (i = 0; i < n; i++) {
+        const float x = (float)i / (float)(n - 1), u = (x - at) / width;
+        p[i].value = x;
+        for (c = 0; c < 3; c++)
+            p[i].rgb[c] = kind == 0 ? test_rng_float(r) : 0.5f + 0.5f * sinf(wave * x + 2.1f * (float)c);
+        switch (kind) {
+        case 0: p[i].extinction = test_rng_below(r, 3) == 0 ? 0 : strength * test_rng_float(r); break;
+        case 1: p[i].extinction = strength * expf(-u * u); break;
+        case 2: p[i].extinction = strength * (0.5f + 0.5f * cosf(wave * x)) * x; break;
+        default:
+            if (test_rng_below(r, 20) == 0) level = test_rng_float(r);
+            p[i].extinction = strength * level * x;
+            break;
+        }
+        if (i > 0 && i + 2 < n && kind == 0 && test_rng_below(r, 4) == 0) { /* a jump: the same value twice */
+            p[i + 1] = p[i];
+            p[i + 1].extinction = strength * test_rng_float(r);
+            i++;
+        }
+    }
+    return n;
+}
+
+TEST(tolerance_of_pictures) { /* random meshes, fields, functions, cameras: no pixel is off by more than was allowed */
+    static tetcast_control_point p[256];
+    static float rgba[16 * 16 * 4];
+    static const float allowed[6] = {0.1f, 0.3f, 1, 3, 8, 20};
+    test_rng r = test_rng_make(4711);
+    const int count = test_quick() ? 12 : 84;
+    oracle_cells list;
+    int k, tight = 0, shorter = 0;
+    memset(&list, 0, sizeof list);
+    for (k = 0; k < count; k++) {
+        const uint32_t n = 4 + test_rng_below(&r, 5);
+        const double middle = 0.5 * (n - 1);
+        double worst = 0, wave = 1 + 4 * test_rng_double(&r);
+        tetcast_transfer_desc td;
+        tetcast_optics_desc od;
+        tetcast_optics_info info;
+        tetcast_image image;
+        tetcast_mesh_info about;
+        scene s;
+        tetcast_render_desc d = defaults();
+        size_t i, points = random_function(&r, p);
+        uint32_t x, y, c, a;
+        memset(&s, 0, sizeof s);
+        memset(&td, 0, sizeof td);
+        memset(&od, 0, sizeof od);
+        memset(&image, 0, sizeof image);
+        tets_lattice(&s.t, n, n, n, test_rng_below(&r, 2) ? 5 : 6, NULL);
+        tets_jitter(&s.t, n - 1, n - 1, n - 1, 0.3, 100 + (uint64_t)k);
+        tets_round(&s.t);
+        for (i = 0; i < s.t.nv; i++) {
+            const double *q = s.t.p + 3 * i;
+            s.t.s[i] = (float)(0.5 + 0.3 * sin(wave * q[0] / middle + q[1]) + 0.2 * cos(2 * q[2] / middle) +
+                               0.1 * (test_rng_double(&r) - 0.5));
+        }
+        s.mesh = tets_build(&s.t, TETCAST_CELLS_TET16, NULL);
+        REQUIRE(s.mesh != NULL);
+        td.points = p;
+        td.point_count = points;
+        td.extinction_scale = (float)(1.0 / middle);
+        od.tolerance = allowed[k % 6];
+        od.path_length = 0;
+        tetcast_mesh_get_info(s.mesh, &about);
+        for (a = 0; a < 3; a++) od.path_length += (float)pow(about.box_max[a] - about.box_min[a], 2);
+        od.path_length = sqrtf(od.path_length);
+        CHECK_EQ_U64(tetcast_transfer_create(&td, &s.transfer), TETCAST_OK);
+        CHECK_EQ_U64(tetcast_optics_create(s.transfer, &od, &s.optics), TETCAST_OK);
+        tetcast_optics_get_info(s.optics, &info);
+        for (i = 0; i < points; i++) p[i].extinction *= td.extinction_scale;
+        CHECK(info.bound > 0 && info.bound <= od.tolerance * 1.0001f);
+        CHECK(info.knot_count <= points);
+        look(&d, middle * (1 + 3 * test_rng_double(&r)), middle * (1 + 3 * (test_rng_double(&r) - 0.5)),
+             middle * (1 + 3 * test_rng_double(&r)), middle, middle + 0.01, middle);
+        image.width = image.height = 16;
+        image.rgba = rgba;
+        CHECK_EQ_U64(tetcast_render(&d, s.mesh, s.optics, &image, NULL), TETCAST_OK);
+        for (y = 0; y < 16; y++)
+            for (x = 0; x < 16; x++) {
+                tetcast_ray ray;
+                double want[4];
+                CHECK_EQ_U64(tetcast_camera_ray(&d.camera, 16, 16, x + 0.5, y + 0.5, &ray), TETCAST_OK);
+                oracle_ray(s.mesh, &s.t, p, points, 0, &ray, &list, want);
+                for (c = 0; c < 4; c++) worst = fmax(worst, 255 * fabs((double)rgba[4 * (16 * y + x) + c] - want[c]));
+            }
+        CHECK_MSG(worst <= (double)info.bound, "scene %d: tolerance %g, bound %g, error %g", k, (double)od.tolerance,
+                  (double)info.bound, worst);
+        tight += worst > 0.1 * (double)od.tolerance;
+        shorter += info.knot_count < points;
+        if (getenv("TEST_PRINT") != NULL)
+            printf("tolerance %5.2f bound %.4f error %.5f knots %u of %u t_min %.2g\n", (double)od.tolerance,
+                   (double)info.bound, worst, info.knot_count, (uint32_t)points, (double)info.t_min);
+        scene_free(&s);
+    }
+    free(list.cell);
+    CHECK(tight * 5 > count && shorter * 5 > count); /* it does use what it is allowed */
+}
+
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(same_bits);
@@ -1110,5 +1219,6 @@ int main(int argc, char **argv) {
     RUN(arguments);
     RUN(memory);
     RUN(real_meshes);
+    RUN(tolerance_of_pictures);
     return test_end();
 }

@@ -1,0 +1,1244 @@
+/* bench_tetcast.c - how fast, how small and how wrong tetcast.h is - MIT OR Unlicense, see LICENSE
+
+   bench_tetcast [--full] [--only BM1,BM2] [--threads N] [--data DIR] [--table FILE]
+
+   BM1 frames and traversal        BM7  walking or projecting       BM13 is bench/peers
+   BM2 integrators                 BM8  early termination           BM14 the thesis' scenes
+   BM3 forms of cells              BM9  isosurfaces                 BM15 memory, import
+   BM4 strips                      BM10 changes of the function     BM16 what exactness costs
+   BM5 projection in any order     BM11 meshes that are not convex
+   BM6 projection in order         BM12 threads, instruction sets   BM17 tolerance against error
+   One JSON object a line on stdout; the acceptance table on stderr and, after a run of all, in bench/table_tetcast.md
+   beside the program. Errors of pictures are against an integrator in double that splits at every knot. */
+#include "bench.h"
+#include "../tests/test.h"
+#include "../examples/support/volume.h"
+#include "../examples/support/volume_scenes.h"
+#define TETCAST_IMPLEMENTATION
+#include "../tetcast.h"
+#include "../tests/ray_oracle.h"
+#include "bench_tets.h"
+#include <sys/resource.h>
+
+enum { SIZE = 512, ROUNDS = 5, EVERY = 4 }; /* the peers' picture; the reference looks at every fourth row and column */
+
+/* ---- frames ---- */
+
+typedef struct frame {
+    tetcast_render_desc d;
+    const tetcast_mesh *mesh;
+    const tetcast_optics *optics;
+    tetcast_image image;
+    tetcast_render_stats stats;
+    tetcast_optics *own;         /* optics to destroy */
+} frame;
+
+static void run_frame(void *ctx) {
+    frame *f = (frame *)ctx;
+    memset(&f->stats, 0, sizeof f->stats);
+    must(tetcast_render(&f->d, f->mesh, f->optics, &f->image, &f->stats), "render");
+}
+
+/* The peers' camera for the unit cube; others are framed. */
+static void place_camera(tetcast_camera *c, const tetcast_mesh *mesh) {
+    tetcast_mesh_info info;
+    int k, unit = 1;
+    tetcast_mesh_get_info(mesh, &info);
+    memset(c, 0, sizeof *c);
+    for (k = 0; k < 3; k++) unit = unit && fabs(info.box_min[k]) < 0.01 && fabs(info.box_max[k] - 1) < 0.01;
+    if (!unit) {
+        must(tetcast_camera_fit(c, info.box_min, info.box_max, NULL, SIZE, SIZE), "camera");
+        return;
+    }
+    c->eye[0] = 1.6;
+    c->eye[1] = 1.3;
+    c->eye[2] = 2.0;
+    for (k = 0; k < 3; k++) c->at[k] = 0.5;
+    c->fov_y = 40.0f;
+}
+
+/* View k of n on the way around both axes at once. */
+static void turn_camera(tetcast_camera *c, const tetcast_mesh *mesh, int k, int n) {
+    tetcast_camera start;
+    double v[3], r = 0, a = 6.283185307179586 * k / n, y, z;
+    int i;
+    place_camera(&start, mesh);
+    for (i = 0; i < 3; i++) {
+        v[i] = start.eye[i] - start.at[i];
+        r += v[i] * v[i];
+    }
+    y = v[1] * cos(a) - v[2] * sin(a);
+    z = v[1] * sin(a) + v[2] * cos(a);
+    v[1] = y;
+    v[2] = z;
+    z = v[2] * cos(a) - v[0] * sin(a);
+    v[0] = v[2] * sin(a) + v[0] * cos(a);
+    v[2] = z;
+    *c = start;
+    for (i = 0; i < 3; i++) c->eye[i] = c->at[i] + v[i];
+    c->up[0] = sin(a) * sin(a);
+    c->up[1] = cos(a);
+    c->up[2] = sin(a) * cos(a);
+}
+
+static frame *new_frame(const tetcast_mesh *mesh, const tetcast_optics *optics, uint32_t size) {
+    frame *f = (frame *)must_alloc(1, sizeof *f);
+    f->d.env.thread_count = 1;
+    f->mesh = mesh;
+    f->optics = optics;
+    place_camera(&f->d.camera, mesh);
+    f->image.width = f->image.height = size;
+    f->image.rgba = (float *)must_alloc((size_t)size * size, 16);
+    return f;
+}
+static void free_frame(frame *f) {
+    tetcast_optics_destroy(f->own);
+    free(f->image.rgba);
+    free(f->image.rgba8);
+    free(f->image.length);
+    free(f->image.depth);
+    free(f);
+}
+
+static bench_job frame_job(const char *name, frame *f) {
+    bench_job b;
+    memset(&b, 0, sizeof b);
+    b.name = name;
+    b.isa = "auto";
+    b.run = run_frame;
+    b.ctx = f;
+    return b;
+}
+
+/* What every line of one thread ends with. */
+static void finish_line(const bench_job *b, const char *method) {
+    bench_text("method", method);
+    bench_num("threads", 1);
+    bench_num("wall_per_cpu", bench_busy(b));
+    g_busy_sum += bench_busy(b);
+    g_busy_count += 1.0;
+    bench_end();
+}
+
+/* ---- the reference ---- */
+
+typedef struct reference {
+    uint32_t size, every, count;
+    double (*rgba)[4];
+} reference;
+
+static reference make_reference(const frame *f, const tets *t, int tf, uint32_t every) {
+    reference r;
+    oracle_cells list;
+    uint32_t x, y, n = 0;
+    size_t points;
+    const tetcast_control_point *p = tf_points(tf, &points);
+    memset(&list, 0, sizeof list);
+    r.size = f->image.width;
+    r.every = every;
+    r.rgba = (double (*)[4])must_alloc((size_t)r.size * r.size, sizeof *r.rgba);
+    for (y = every / 2; y < r.size; y += every)
+        for (x = every / 2; x < r.size; x += every, n++) {
+            tetcast_ray ray;
+            must(tetcast_camera_ray(&f->d.camera, r.size, r.size, x + 0.5, y + 0.5, &ray), "camera");
+            oracle_ray(f->mesh, t, p, points, 0, &ray, &list, r.rgba[n]);
+        }
+    r.count = n;
+    free(list.cell);
+    return r;
+}
+
+typedef struct difference {
+    double most, rms, psnr;
+    uint32_t seams;       /* pixels off by more than 1/255 */
+} difference;
+
+static difference compare(const frame *f, const reference *r) {
+    difference d;
+    uint32_t x, y, n = 0;
+    int c;
+    memset(&d, 0, sizeof d);
+    for (y = r->every / 2; y < r->size; y += r->every)
+        for (x = r->every / 2; x < r->size; x += r->every, n++) {
+            const float *p = f->image.rgba + 4 * ((size_t)y * r->size + x);
+            double worst = 0;
+            for (c = 0; c < 4; c++) {
+                const double e = fabs((double)p[c] - r->rgba[n][c]);
+                worst = fmax(worst, e == e ? e : 1e9);
+                if (c < 3) d.rms += e * e;
+            }
+            d.most = fmax(d.most, worst);
+            d.seams += worst > 1.0 / 255.0;
+        }
+    d.rms = sqrt(d.rms / (3.0 * r->count));
+    d.psnr = d.rms > 0 ? -20.0 * log10(d.rms) : 999.0;
+    return d;
+}
+
+static void difference_line(const difference *d) {
+    bench_num("error", d->most);
+    bench_text("error_unit", "colour");
+    bench_num("rms", d->rms);
+    bench_num("psnr", d->psnr);
+    bench_num("seams", d->seams);
+}
+
+static uint64_t hash_frame(const frame *f) {
+    return bench_hash_bytes(f->image.rgba, (size_t)f->image.width * f->image.height * 16);
+}
+
+/* Rays of a picture of the unit cube whose way is not the exact one. */
+static size_t wrong_lengths(const frame *f, double *most) {
+    static const double lo[3] = {0, 0, 0}, hi[3] = {1, 1, 1};
+    const uint32_t n = f->image.width;
+    size_t wrong = 0;
+    uint32_t x, y;
+    *most = 0;
+    for (y = 0; y < n; y++)
+        for (x = 0; x < n; x++) {
+            tetcast_ray ray;
+            double e;
+            must(tetcast_camera_ray(&f->d.camera, n, n, x + 0.5, y + 0.5, &ray), "camera");
+            e = fabs((double)f->image.length[(size_t)y * n + x] - ref_box(ray.org, ray.dir, lo, hi, 0, 1e30));
+            *most = fmax(*most, e);
+            wrong += !(e < 1e-5);
+        }
+    return wrong;
+}
+
+/* ---- BM1: frames and traversal ---- */
+
+static double g_psnr = 999.0, g_seams;
+
+static void frames_of(const int *ids, int count) {
+    static const char *const peer[MESH_COUNT] = {"VTK ray cast", "VTK ray cast", "VTK ray cast", "VTK ray cast"};
+    static const double peer_value[MESH_COUNT] = {1.0, 2.1, 1.61, 5.2};
+    frame *f[2 * MESH_COUNT];
+    bench_job b[2 * MESH_COUNT];
+    tetcast_optics *o = make_optics(TF_SMOOTH, NULL), *full = make_optics(TF_FULL, NULL);
+    int i, n = 0, id[2 * MESH_COUNT];
+    char text[2][32] = {"", ""};
+    for (i = 0; i < count; i++) {
+        const tetcast_mesh *mesh = get_mesh(ids[i]);
+        if (mesh == NULL) {
+            bench_skip("tetcast.frame", g_mesh_name[ids[i]], "no data");
+            continue;
+        }
+        id[n] = id[n + 1] = ids[i];
+        f[n] = new_frame(mesh, o, SIZE);
+        f[n + 1] = new_frame(mesh, full, SIZE);
+        b[n] = frame_job("smooth", f[n]);
+        b[n + 1] = frame_job("smooth, nothing empty", f[n + 1]);
+        n += 2;
+    }
+    bench_interleave(b, n, ROUNDS);
+    for (i = 0; i < n; i++) {
+        const int tf = i & 1 ? TF_FULL : TF_SMOOTH;
+        reference r = make_reference(f[i], get_tets(id[i]), tf, EVERY);
+        difference e = compare(f[i], &r);
+        char key[64];
+        bench_line("tetcast.frame", g_mesh_name[id[i]], "frame_seconds", bench_seconds(&b[i]), "s");
+        bench_num("best", bench_seconds_best(&b[i]));
+        difference_line(&e);
+        bench_num("steps", (double)f[i]->stats.steps);
+        bench_num("ended", (double)f[i]->stats.ended);
+        bench_num("occupancy", (double)f[i]->stats.steps / (double)f[i]->stats.lanes);
+        bench_text("isa", tetcast_isa_name(f[i]->stats.isa));
+        if (!(i & 1) && peer[id[i]] != NULL) {
+            bench_text("peer", peer[id[i]]);
+            bench_num("peer_value", peer_value[id[i]]);
+        }
+        bench_hash(hash_frame(f[i]));
+        finish_line(&b[i], b[i].name);
+        g_psnr = fmin(g_psnr, e.psnr);
+        g_seams += e.seams;
+        if (!(i & 1)) {
+            snprintf(key, sizeof key, "frame-%s", g_mesh_name[id[i]]);
+            table_set(key, "%.3f", bench_seconds(&b[i]));
+        } else {
+            const double ratio = bench_ratio(&b[i], &b[i - 1]);
+            bench_line("tetcast.empty", g_mesh_name[id[i]], "ratio", ratio, "times");
+            difference_line(&e);
+            bench_end();
+            if (id[i] == MESH_D31K) snprintf(text[0], sizeof text[0], "%.2f", ratio);
+            if (id[i] == MESH_K32) snprintf(text[1], sizeof text[1], " (%.2f)", ratio);
+        }
+        free(r.rgba);
+    }
+    table_set("empty-D31k", "%s%s", text[0], text[1]);
+    table_set("psnr", "%.1f", g_psnr);
+    table_set("seams", "%.0f", g_seams);
+    for (i = 0; i < n; i++) free_frame(f[i]);
+    tetcast_optics_destroy(o);
+    tetcast_optics_destroy(full);
+}
+
+static size_t g_failed, g_tried;
+
+static void traversal_of(int mesh_id, const tetcast_mesh *mesh, const char *order, const char *key, int views) {
+    enum { MOST = 12 };
+    frame *f[MOST];
+    bench_job b[MOST];
+    double seconds = 0, best = 0, steps = 0, lanes = 0, most = 0, e;
+    size_t wrong = 0;
+    tetcast_mesh_info info;
+    int i;
+    tetcast_mesh_get_info(mesh, &info);
+    for (i = 0; i < views; i++) {
+        f[i] = new_frame(mesh, NULL, SIZE);
+        turn_camera(&f[i]->d.camera, mesh, i, views);
+        f[i]->d.traverse_only = 1;
+        f[i]->image.length = (float *)must_alloc((size_t)SIZE * SIZE, 4);
+        b[i] = frame_job("walk", f[i]);
+    }
+    bench_interleave(b, views, 3);
+    for (i = 0; i < views; i++) {
+        seconds += bench_seconds(&b[i]);
+        best += bench_seconds_best(&b[i]);
+        steps += (double)f[i]->stats.steps;
+        lanes += (double)f[i]->stats.lanes;
+        if (mesh_id != MESH_BLUNT && mesh_id != MESH_SPX) {
+            wrong += wrong_lengths(f[i], &e);
+            most = fmax(most, e);
+            g_tried += (size_t)SIZE * SIZE;
+        }
+    }
+    g_failed += wrong;
+    bench_line("tetcast.walk", g_mesh_name[mesh_id], "steps_per_second", steps / seconds, "1/s");
+    bench_num("best", steps / best);
+    bench_num("error", (double)wrong);
+    bench_text("error_unit", "rays");
+    bench_num("length_error", most);
+    bench_text("variant", order);
+    bench_num("steps", steps);
+    bench_num("occupancy", steps / lanes);
+    bench_num("views", views);
+    bench_num("frames_per_second", views / seconds);
+    bench_num("bytes", (double)info.connectivity_bytes);
+    finish_line(&b[0], "walk");
+    if (key != NULL) table_set(key, "%.0f", 1e-6 * steps / seconds);
+    for (i = 0; i < views; i++) free_frame(f[i]);
+}
+
+static void bm1(void) {
+    static const int frames[] = {MESH_K32, MESH_K55, MESH_D31K, MESH_D150K}, walks[] = {MESH_L32, MESH_D150K, MESH_BLUNT};
+    static const struct { tetcast_order order; const char *name; } orders[2] = {
+        {TETCAST_ORDER_MORTON, "Morton"}, {TETCAST_ORDER_INPUT, "input"}};
+    size_t i, k;
+    frames_of(frames, 4);
+    for (i = 0; i < 3; i++) {
+        if (get_mesh(walks[i]) == NULL) continue;
+        traversal_of(walks[i], get_mesh(walks[i]), "Hilbert", walks[i] == MESH_L32 ? "walk-L32" : NULL, g_opt.full ? 10 : 3);
+        for (k = 0; k < 2 && g_opt.full && walks[i] != MESH_BLUNT; k++) {
+            tetcast_mesh_desc d;
+            tetcast_mesh *mesh;
+            memset(&d, 0, sizeof d);
+            d.order = orders[k].order;
+            mesh = build_mesh(get_tets(walks[i]), &d);
+            traversal_of(walks[i], mesh, orders[k].name, NULL, 3);
+            tetcast_mesh_destroy(mesh);
+        }
+    }
+    {
+        tetcast_mesh_desc d; /* 10 M: what is not needed for walking stays away */
+        tetcast_mesh *mesh;
+        memset(&d, 0, sizeof d);
+        d.drop_source = d.drop_tets = 1;
+        mesh = build_mesh(get_tets(MESH_L128), &d);
+        traversal_of(MESH_L128, mesh, "Hilbert", "walk-L128", g_opt.full ? 10 : 2);
+        tetcast_mesh_destroy(mesh);
+        drop_mesh(MESH_L128);
+    }
+}
+
+/* ---- BM2: integrators ---- */
+
+typedef struct rule {
+    tetcast_integrator integrator;
+    const char *name;
+    uint32_t samples, values, lengths;
+    float step;
+    int full;
+} rule;
+static const rule g_rules[] = {
+    {TETCAST_INTEGRATOR_EXACT, "exact", 0, 0, 0, 0, 0},
+    {TETCAST_INTEGRATOR_PSI_TABLE, "psi table", 0, 0, 0, 0, 0},
+    {TETCAST_INTEGRATOR_RIEMANN, "Riemann", 1, 0, 0, 0, 0},
+    {TETCAST_INTEGRATOR_RIEMANN, "Riemann", 4, 0, 0, 0, 0},
+    {TETCAST_INTEGRATOR_RIEMANN, "Riemann", 16, 0, 0, 0, 1},
+    {TETCAST_INTEGRATOR_TRAPEZOID, "trapezoid", 1, 0, 0, 0, 0},
+    {TETCAST_INTEGRATOR_TRAPEZOID, "trapezoid", 4, 0, 0, 0, 0},
+    {TETCAST_INTEGRATOR_TRAPEZOID, "trapezoid", 16, 0, 0, 0, 1},
+    {TETCAST_INTEGRATOR_MIDPOINT, "midpoint", 1, 0, 0, 0, 0},
+    {TETCAST_INTEGRATOR_MIDPOINT, "midpoint", 4, 0, 0, 0, 0},
+    {TETCAST_INTEGRATOR_MIDPOINT, "midpoint", 16, 0, 0, 0, 1},
+    {TETCAST_INTEGRATOR_PRE, "pre-classified", 0, 0, 0, 0, 0},
+    {TETCAST_INTEGRATOR_PREFIX, "prefix integrals", 0, 0, 0, 0, 0},
+    {TETCAST_INTEGRATOR_TABLE_3D, "3D table", 0, 64, 32, 0, 0},
+    {TETCAST_INTEGRATOR_TABLE_3D, "3D table", 0, 128, 64, 0, 0},
+    {TETCAST_INTEGRATOR_TABLE_3D, "3D table", 0, 256, 128, 0, 1},
+    {TETCAST_INTEGRATOR_TABLE_INCREMENTAL, "incremental", 0, 64, 32, 0, 0},
+    {TETCAST_INTEGRATOR_TABLE_INCREMENTAL, "incremental", 0, 128, 64, 0, 0},
+    {TETCAST_INTEGRATOR_TABLE_INCREMENTAL, "incremental", 0, 256, 128, 0, 1},
+    {TETCAST_INTEGRATOR_TABLE_SUBRANGE, "sub-range", 0, 64, 32, 0, 0},
+    {TETCAST_INTEGRATOR_TABLE_SUBRANGE, "sub-range", 0, 128, 64, 0, 0},
+    {TETCAST_INTEGRATOR_TABLE_SUBRANGE, "sub-range", 0, 256, 128, 0, 1},
+    {TETCAST_INTEGRATOR_TABLE_2D, "equidistant, 2D table", 0, 256, 0, 0.02f, 0},
+    {TETCAST_INTEGRATOR_TABLE_2D, "equidistant, 2D table", 0, 256, 0, 0.005f, 0},
+    {TETCAST_INTEGRATOR_TABLE_PREFIX, "3D table of prefixes", 0, 128, 64, 0, 0}};
+enum { RULES = sizeof g_rules / sizeof g_rules[0] };
+
+/* Random pieces of rays through the field: ns for each, and the largest error of one. */
+static void segments_of(const rule *rule_of, int tf, tetcast_optics *o, const tetcast_segment *s, size_t count,
+                        const double (*want)[4]) {
+    float (*got)[4] = (float (*)[4])must_alloc(count, sizeof *got);
+    double t[5], most = 0, sum = 0, seconds;
+    size_t i;
+    int k, c;
+    for (k = 0; k < 5; k++) {
+        const double start = bench_cpu();
+        must(tetcast_optics_segments(o, s, count, TETCAST_ISA_AUTO, got), "segments");
+        t[k] = bench_cpu() - start;
+    }
+    seconds = bench_median(t, 5);
+    for (i = 0; i < count; i++)
+        for (c = 0; c < 4; c++) {
+            const double e = fabs((double)got[i][c] - want[i][c]);
+            most = fmax(most, e);
+            sum += e;
+        }
+    bench_line("tetcast.segment", g_tf_name[tf], "segment_seconds", 1e9 * seconds / (double)count, "ns");
+    bench_num("best", 1e9 * bench_least(t, 5) / (double)count);
+    bench_num("error", most);
+    bench_text("error_unit", "colour");
+    bench_num("mean_error", sum / (4.0 * (double)count));
+    bench_text("method", rule_of->name);
+    bench_num("samples", rule_of->samples);
+    bench_num("table", rule_of->values);
+    bench_num("threads", 1);
+    bench_hash(bench_hash_bytes(got, count * sizeof *got));
+    bench_end();
+    free(got);
+}
+
+static void integrators(int tf, uint32_t size) {
+    static double exact_segment[2];
+    const size_t count = 20000;
+    const tetcast_mesh *mesh = get_mesh(MESH_K32);
+    tetcast_segment *s = (tetcast_segment *)must_alloc(count, sizeof *s);
+    double (*want)[4] = (double (*)[4])must_alloc(count, sizeof *want);
+    frame *f[RULES];
+    bench_job b[RULES];
+    double build[RULES];
+    int which[RULES], n = 0, i, c;
+    bench_rng r;
+    reference ref;
+    tetcast_check check;
+    size_t k, points;
+    const tetcast_control_point *p = tf_points(tf, &points);
+    must(tetcast_mesh_check(mesh, NULL, &check), "check");
+    r.state = 77;
+    for (k = 0; k < count; k++) { /* a tenth of the range over at most a quarter of the cube, and some longer ones */
+        const float wide = k % 8 == 0 ? 1.0f : 0.1f;
+        s[k].front = bench_random(&r);
+        s[k].back = s[k].front + wide * (bench_random(&r) - 0.5f);
+        s[k].back = s[k].back < 0 ? 0 : s[k].back > 1 ? 1 : s[k].back;
+        s[k].length = 0.25f * bench_random(&r) * bench_random(&r);
+        oracle_segment(p, points, 0, &s[k], want[k]);
+    }
+    for (i = 0; i < RULES; i++) {
+        const rule *u = &g_rules[i];
+        tetcast_optics_desc d;
+        double start;
+        if (u->full && !g_opt.full) continue;
+        memset(&d, 0, sizeof d);
+        d.integrator = u->integrator;
+        d.samples = u->samples;
+        d.table_values = u->values;
+        d.table_lengths = u->lengths;
+        d.longest = u->integrator >= TETCAST_INTEGRATOR_TABLE_3D ? (float)check.longest_edge : 0.0f;
+        d.step = u->step;
+        d.t_min = -1.0f; /* ends no ray early: the error is the integrator's */
+        d.env.thread_count = 1;
+        start = bench_cpu();
+        f[n] = new_frame(mesh, make_optics(tf, &d), size);
+        build[n] = bench_cpu() - start;
+        f[n]->own = (tetcast_optics *)(uintptr_t)f[n]->optics;
+        which[n] = i;
+        b[n] = frame_job(u->name, f[n]);
+        segments_of(u, tf, f[n]->own, s, count, (const double (*)[4])want);
+        if (i == 0) {
+            float (*got)[4] = (float (*)[4])must_alloc(count, sizeof *got);
+            must(tetcast_optics_segments(f[n]->own, s, count, TETCAST_ISA_AUTO, got), "segments");
+            for (k = 0; k < count; k++)
+                for (c = 0; c < 4 && tf < 2; c++)
+                    exact_segment[tf] = fmax(exact_segment[tf], fabs((double)got[k][c] - want[k][c]));
+            free(got);
+            if (tf == TF_PEAK) table_set("error-smooth-segment", "%.1e / %.1e", exact_segment[0], exact_segment[1]);
+        }
+        n++;
+    }
+    bench_interleave(b, n, g_opt.full ? 5 : 2);
+    ref = make_reference(f[0], get_tets(MESH_K32), tf, g_opt.full ? 1 : 2);
+    for (i = 0; i < n; i++) {
+        const rule *u = &g_rules[which[i]];
+        difference e = compare(f[i], &ref);
+        tetcast_optics_info info;
+        char kase[64];
+        tetcast_optics_get_info(f[i]->own, &info);
+        snprintf(kase, sizeof kase, "K32-%s", g_tf_name[tf]);
+        bench_line("tetcast.integrator", kase, "frame_seconds", bench_seconds(&b[i]), "s");
+        bench_num("best", bench_seconds_best(&b[i]));
+        difference_line(&e);
+        bench_num("ns_per_step", 1e9 * bench_seconds(&b[i]) / (double)f[i]->stats.steps);
+        bench_num("samples", u->samples);
+        bench_num("table", u->values);
+        bench_num("step", (double)u->step);
+        bench_num("bytes", (double)info.table_bytes);
+        bench_num("build_seconds", build[i]);
+        bench_hash(hash_frame(f[i]));
+        finish_line(&b[i], u->name);
+        if (i == 0 && tf == TF_SMOOTH) table_set("error-smooth", "%.1e", e.most);
+        if (i == 0 && tf == TF_PEAK) table_set("error-peak", "%.1e", e.most);
+        free_frame(f[i]);
+    }
+    free(ref.rgba);
+    free(s);
+    free(want);
+}
+
+static void bm2(void) {
+    integrators(TF_SMOOTH, 256);
+    integrators(TF_PEAK, 256);
+    if (g_opt.full) integrators(TF_STEP, 256);
+}
+
+/* ---- BM3: forms of cells; BM4: strips ---- */
+
+static const char *const g_form[TETCAST_CELLS_COUNT] = {"Tet16", "Tet8", "Tet20", "Tet32", "list of 160 bytes", "strips",
+                                                        "strips, general"};
+
+typedef struct build { const tets *t; tetcast_mesh_desc d; tetcast_mesh *mesh; } build;
+
+static void run_build(void *ctx) {
+    build *u = (build *)ctx;
+    tetcast_mesh_destroy(u->mesh);
+    u->mesh = build_mesh(u->t, &u->d);
+}
+
+static void forms_of(int id) {
+    const tets *t = get_tets(id);
+    tetcast_optics *o = make_optics(TF_SMOOTH, NULL);
+    frame *f[2 * TETCAST_CELLS_COUNT];
+    bench_job b[2 * TETCAST_CELLS_COUNT];
+    build u[TETCAST_CELLS_COUNT];
+    double made[TETCAST_CELLS_COUNT];
+    uint64_t hash = 0;
+    size_t i;
+    if (t == NULL) return;
+    memset(u, 0, sizeof u);
+    for (i = 0; i < TETCAST_CELLS_COUNT; i++) {
+        double start = bench_cpu();
+        u[i].t = t;
+        u[i].d.env.thread_count = 1;
+        u[i].d.cells = (tetcast_cells)i;
+        run_build(&u[i]);
+        made[i] = bench_cpu() - start;
+        f[2 * i] = new_frame(u[i].mesh, o, SIZE);
+        f[2 * i + 1] = new_frame(u[i].mesh, NULL, SIZE);
+        f[2 * i + 1]->d.traverse_only = 1;
+        b[2 * i] = frame_job(g_form[i], f[2 * i]);
+        b[2 * i + 1] = frame_job(g_form[i], f[2 * i + 1]);
+    }
+    bench_interleave(b, 2 * TETCAST_CELLS_COUNT, 3);
+    hash = hash_frame(f[0]);
+    for (i = 0; i < TETCAST_CELLS_COUNT; i++) {
+        tetcast_mesh_info info;
+        tetcast_mesh_get_info(u[i].mesh, &info);
+        bench_line("tetcast.cells", g_mesh_name[id], "steps_per_second",
+                   (double)f[2 * i + 1]->stats.steps / bench_seconds(&b[2 * i + 1]), "1/s");
+        bench_num("error", hash_frame(f[2 * i]) != hash);
+        bench_text("error_unit", "pictures that differ");
+        bench_num("frame_seconds", bench_seconds(&b[2 * i]));
+        bench_num("bytes", (double)info.connectivity_bytes);
+        bench_num("bytes_per_cell", (double)info.connectivity_bytes / (double)info.cell_count);
+        bench_num("total_per_cell", (double)(info.connectivity_bytes + info.vertex_bytes + info.hull_bytes) /
+                                        (double)info.cell_count);
+        bench_num("build_seconds", made[i]);
+        bench_hash(hash_frame(f[2 * i]));
+        finish_line(&b[2 * i + 1], g_form[i]);
+        if (i == TETCAST_CELLS_TET8 && id == MESH_D150K) {
+            table_set("bytes", "%.2f / %.2f", (double)info.connectivity_bytes / (double)info.cell_count,
+                      (double)(info.connectivity_bytes + info.vertex_bytes + info.hull_bytes) / (double)info.cell_count);
+        }
+        free_frame(f[2 * i]);
+        free_frame(f[2 * i + 1]);
+        tetcast_mesh_destroy(u[i].mesh);
+    }
+    tetcast_optics_destroy(o);
+}
+
+static void bm3(void) {
+    forms_of(MESH_D31K);
+    forms_of(g_opt.full ? MESH_K32 : MESH_L32);
+    if (g_opt.full) {
+        forms_of(MESH_D150K);
+    } else { /* the bytes of the smallest form only */
+        build u;
+        tetcast_mesh_info info;
+        memset(&u, 0, sizeof u);
+        u.t = get_tets(MESH_D150K);
+        u.d.env.thread_count = 1;
+        u.d.cells = TETCAST_CELLS_TET8;
+        u.d.drop_source = u.d.drop_tets = 1;
+        run_build(&u);
+        tetcast_mesh_get_info(u.mesh, &info);
+        table_set("bytes", "%.2f / %.2f", (double)info.connectivity_bytes / (double)info.cell_count,
+                  (double)(info.connectivity_bytes + info.vertex_bytes + info.hull_bytes) / (double)info.cell_count);
+        tetcast_mesh_destroy(u.mesh);
+    }
+}
+
+static void bm4(void) {
+    static const struct { int id; double thesis[2]; } meshes[] = {{MESH_L32, {63.42, 57.58}}, {MESH_SPX, {63.60, 59.46}},
+                                                                  {MESH_BLUNT, {0, 0}}, {MESH_D31K, {0, 0}}};
+    size_t i, k;
+    for (i = 0; i < 4; i++) {
+        for (k = 0; k < 2; k++) {
+            tetcast_mesh_info info;
+            build u;
+            double start, seconds, share;
+            if (meshes[i].id == MESH_BLUNT || get_tets(meshes[i].id) == NULL) continue;
+            memset(&u, 0, sizeof u);
+            u.t = get_tets(meshes[i].id);
+            u.d.env.thread_count = 1;
+            run_build(&u); /* what the rest of the import takes */
+            start = bench_cpu();
+            run_build(&u);
+            seconds = start - bench_cpu();
+            u.d.cells = k ? TETCAST_CELLS_STRIPS_GENERAL : TETCAST_CELLS_STRIPS;
+            start = bench_cpu();
+            run_build(&u);
+            seconds += bench_cpu() - start;
+            tetcast_mesh_get_info(u.mesh, &info);
+            share = 100.0 * (double)info.connectivity_bytes / 32.0 / (double)info.cell_count; /* 8 indices a cell */
+            bench_line("tetcast.strips", g_mesh_name[meshes[i].id], "share_of_list", share, "%");
+            bench_num("error", 0);
+            bench_text("error_unit", "cells that differ (tests)");
+            bench_text("method", k ? "general" : "sequential");
+            bench_num("seconds", seconds);
+            bench_num("cells_per_second", (double)info.cell_count / seconds);
+            bench_num("bytes", (double)info.connectivity_bytes);
+            if (meshes[i].thesis[k] > 0) bench_num("thesis", meshes[i].thesis[k]);
+            bench_end();
+            if (k == 0 && meshes[i].id == MESH_L32) table_set("strips", "%.1f", share);
+            tetcast_mesh_destroy(u.mesh);
+        }
+    }
+}
+
+/* ---- BM8: early termination ---- */
+
+static void ending(int id) {
+    static const float ends[] = {-1.0f, 0, 1.0f / 64, 1.0f / 16};
+    const tetcast_mesh *mesh = get_mesh(id);
+    double all_steps = 0;
+    frame *f[8];
+    bench_job b[8];
+    reference r;
+    int i;
+    if (mesh == NULL) return;
+    for (i = 0; i < 8; i++) {
+        tetcast_optics_desc d;
+        tetcast_isovalue iso;
+        memset(&d, 0, sizeof d);
+        memset(&iso, 0, sizeof iso);
+        iso.value = 0.7f;
+        iso.rgb[0] = iso.rgb[1] = 0.8f;
+        iso.opacity = 0.25f * (float)(i - 3);
+        d.t_min = i < 4 ? ends[i] : 0.0f;
+        d.model = i < 4 ? TETCAST_MODEL_VOLUME : TETCAST_MODEL_ISOSURFACE;
+        f[i] = new_frame(mesh, i < 4 ? make_optics(TF_SMOOTH, &d) : make_optics_range(TF_SMOOTH, 0, 1, 1, &d, &iso, 1), SIZE);
+        f[i]->own = (tetcast_optics *)(uintptr_t)f[i]->optics;
+        b[i] = frame_job(i < 4 ? "volume" : "isosurface", f[i]);
+    }
+    bench_interleave(b, 8, 3);
+    r = make_reference(f[0], get_tets(id), TF_SMOOTH, 8);
+    for (i = 0; i < 8; i++) {
+        tetcast_optics_info info;
+        difference e = compare(f[i], &r);
+        tetcast_optics_get_info(f[i]->own, &info);
+        if (i == 0) all_steps = (double)f[0]->stats.steps;
+        bench_line("tetcast.ending", g_mesh_name[id], "frame_seconds", bench_seconds(&b[i]), "s");
+        if (i < 4) {
+            difference_line(&e);
+            bench_num("t_min", (double)info.t_min);
+        } else {
+            bench_num("error", 0);
+            bench_text("error_unit", "not measured here");
+            bench_num("opacity", 0.25 * (i - 3));
+        }
+        bench_num("steps", (double)f[i]->stats.steps);
+        bench_num("share_of_steps", (double)f[i]->stats.steps / all_steps);
+        bench_num("ended", (double)f[i]->stats.ended);
+        finish_line(&b[i], b[i].name);
+        free_frame(f[i]);
+    }
+    free(r.rgba);
+}
+
+static void bm8(void) {
+    ending(MESH_D31K);
+    if (g_opt.full) ending(MESH_K32);
+}
+
+/* ---- BM9: isosurfaces ---- */
+
+typedef struct contour { const tetcast_mesh *mesh; float value; tetcast_surface out; } contour;
+
+static void run_contour(void *ctx) {
+    contour *c = (contour *)ctx;
+    tetcast_surface_desc d;
+    tetcast_surface_free(&c->out);
+    memset(&d, 0, sizeof d);
+    d.env.thread_count = 1;
+    d.isovalue = c->value;
+    must(tetcast_isosurface(&d, c->mesh, &c->out), "isosurface");
+}
+
+typedef struct edge_use { uint32_t a, b; int turn; } edge_use;
+static int by_edge(const void *p, const void *q) {
+    const edge_use *a = (const edge_use *)p, *b = (const edge_use *)q;
+    if (a->a != b->a) return a->a < b->a ? -1 : 1;
+    return a->b < b->b ? -1 : a->b > b->b;
+}
+
+/* Edges inside of the unit cube that do not have one triangle on each side. */
+static size_t open_edges(const tetcast_surface *s) {
+    edge_use *e = (edge_use *)must_alloc((size_t)s->triangle_count * 3, sizeof *e);
+    size_t n = 3 * (size_t)s->triangle_count, i, k, open = 0;
+    for (i = 0; i < n; i++) {
+        const uint32_t u = s->indices[i], v = s->indices[i % 3 == 2 ? i - 2 : i + 1];
+        e[i].a = u < v ? u : v;
+        e[i].b = u < v ? v : u;
+        e[i].turn = u < v ? 1 : -1;
+    }
+    qsort(e, n, sizeof *e, by_edge);
+    for (i = 0; i < n; i = k) {
+        int sum = 0, inside = 0, c;
+        for (k = i; k < n && by_edge(&e[i], &e[k]) == 0; k++) sum += e[k].turn;
+        if (sum == 0) continue;
+        for (c = 0; c < 3; c++) { /* an edge in a side of the cube has both ends there */
+            const double x = s->origin[c] + (double)s->positions[3 * e[i].a + (uint32_t)c];
+            const double y = s->origin[c] + (double)s->positions[3 * e[i].b + (uint32_t)c];
+            inside += !((x < 1e-6 && y < 1e-6) || (x > 1 - 1e-6 && y > 1 - 1e-6));
+        }
+        open += inside == 3;
+    }
+    free(e);
+    return open;
+}
+
+/* How far hits of a part of the rays are off, and how many of them only one side has. */
+static void hit_errors(const frame *f, const tets *t, float iso) {
+    enum { STEP = 8 };
+    const uint32_t n = f->image.width;
+    oracle_cells list;
+    double most = 0;
+    size_t differ = 0, hits = 0;
+    uint32_t x, y;
+    memset(&list, 0, sizeof list);
+    for (y = 0; y < n; y += STEP)
+        for (x = 0; x < n; x += STEP) {
+            tetcast_ray ray;
+            tetcast_ray_result got;
+            double want;
+            must(tetcast_camera_ray(&f->d.camera, n, n, x + 0.5, y + 0.5, &ray), "camera");
+            must(tetcast_cast(&f->d, f->mesh, f->optics, &ray, 1, &got, NULL), "cast");
+            want = oracle_hit(f->mesh, t, (double)iso, &ray, &list);
+            if (want < 1e30 && fabs((double)got.hit - want) < 0.01) most = fmax(most, fabs((double)got.hit - want));
+            else differ += want < 1e30 || got.hit < 1e30f;
+            hits += want < 1e30;
+        }
+    free(list.cell);
+    bench_num("error", most);
+    bench_text("error_unit", "edge of the cube");
+    bench_num("differ", (double)differ);
+    bench_num("hits", (double)hits);
+}
+
+static void bm9(void) {
+    static const int hits[2] = {MESH_K32, MESH_D31K}, contours[4] = {MESH_K55, MESH_D150K, MESH_K32, MESH_D31K};
+    char text[2][24] = {"", ""};
+    int i, n = 0;
+    contour c[4];
+    bench_job b[4];
+    for (i = 0; i < 2; i++) {
+        const tetcast_mesh *mesh = get_mesh(hits[i]);
+        tetcast_optics_desc d;
+        tetcast_isovalue iso;
+        frame *f;
+        char key[32];
+        if (mesh == NULL) continue;
+        memset(&d, 0, sizeof d);
+        memset(&iso, 0, sizeof iso);
+        d.model = TETCAST_MODEL_ISOSURFACE;
+        iso.value = 0.5f;
+        iso.rgb[0] = 1;
+        iso.opacity = 1;
+        f = new_frame(mesh, make_optics_range(TF_SMOOTH, 0, 1, 1, &d, &iso, 1), SIZE);
+        f->own = (tetcast_optics *)(uintptr_t)f->optics;
+        b[0] = frame_job("walk", f);
+        bench_interleave(b, 1, ROUNDS);
+        bench_line("tetcast.hit", g_mesh_name[hits[i]], "rays_per_second", bench_rate(&b[0], (double)SIZE * SIZE), "1/s");
+        bench_num("best", bench_rate_best(&b[0], (double)SIZE * SIZE));
+        hit_errors(f, get_tets(hits[i]), iso.value);
+        bench_num("steps", (double)f->stats.steps);
+        bench_hash(hash_frame(f));
+        bench_text("peer", "Open VKL");
+        bench_num("peer_value", i == 0 ? 0.33e6 : 0.0012e6);
+        finish_line(&b[0], "walk");
+        snprintf(key, sizeof key, "iso-%s", g_mesh_name[hits[i]]);
+        table_set(key, "%.2f", 1e-6 * bench_rate(&b[0], (double)SIZE * SIZE));
+        free_frame(f);
+    }
+    memset(c, 0, sizeof c);
+    memset(b, 0, sizeof b);
+    for (i = 0; i < (g_opt.full ? 4 : 2); i++) {
+        if (get_mesh(contours[i]) == NULL) continue;
+        c[n].mesh = get_mesh(contours[i]);
+        c[n].value = 0.5f;
+        b[n].name = g_mesh_name[contours[i]];
+        b[n].run = run_contour;
+        b[n].ctx = &c[n];
+        n++;
+    }
+    bench_interleave(b, n, ROUNDS);
+    for (i = 0; i < n; i++) {
+        tetcast_mesh_info info;
+        tetcast_mesh_get_info(c[i].mesh, &info);
+        bench_line("tetcast.contour", b[i].name, "cells_per_second", bench_rate(&b[i], (double)info.cell_count), "1/s");
+        bench_num("best", bench_rate_best(&b[i], (double)info.cell_count));
+        bench_num("error", (double)open_edges(&c[i].out));
+        bench_text("error_unit", "open edges");
+        bench_num("triangles", c[i].out.triangle_count);
+        bench_num("vertices", c[i].out.vertex_count);
+        bench_text("peer", "vtkContour3DLinearGrid, merged");
+        bench_num("peer_value", 20e6);
+        bench_hash(bench_hash_bytes(c[i].out.indices, 12 * (size_t)c[i].out.triangle_count));
+        finish_line(&b[i], "marching tetrahedra");
+        if (i < 2) snprintf(text[i], sizeof text[i], i == 0 ? "%.0f" : " (%.0f)", 1e-6 * bench_rate(&b[i], (double)info.cell_count));
+        tetcast_surface_free(&c[i].out);
+    }
+    table_set("contour", "%s%s", text[0], text[1]);
+}
+
+/* ---- BM10: changes of the transfer function ---- */
+
+typedef struct edit { tetcast_optics_desc d; tetcast_transfer *before, *after; tetcast_optics *old; int update; } edit;
+
+static void run_edit(void *ctx) {
+    edit *e = (edit *)ctx;
+    tetcast_optics *o = NULL;
+    if (e->update) must(tetcast_optics_update(e->old, e->after, &e->d, &o), "update");
+    else must(tetcast_optics_create(e->after, &e->d, &o), "optics");
+    tetcast_optics_destroy(o);
+}
+
+static void bm10(void) {
+    static const struct { tetcast_integrator integrator; const char *name; int update; } kinds[] = {
+        {TETCAST_INTEGRATOR_EXACT, "exact", 0}, {TETCAST_INTEGRATOR_TABLE_3D, "3D table", 0},
+        {TETCAST_INTEGRATOR_TABLE_3D, "3D table, local", 1}, {TETCAST_INTEGRATOR_TABLE_INCREMENTAL, "incremental", 0},
+        {TETCAST_INTEGRATOR_TABLE_SUBRANGE, "sub-range", 0}, {TETCAST_INTEGRATOR_TABLE_2D, "2D table", 0}};
+    enum { KINDS = sizeof kinds / sizeof kinds[0] };
+    edit e[KINDS];
+    bench_job b[KINDS];
+    int i;
+    memset(e, 0, sizeof e);
+    memset(b, 0, sizeof b);
+    for (i = 0; i < KINDS; i++) {
+        tetcast_transfer_desc td;
+        tetcast_control_point p[TF_POINTS];
+        size_t n;
+        memcpy(p, tf_points(TF_SMOOTH, &n), sizeof p);
+        p[4].extinction = 1.2f; /* what a hand on a slider does */
+        memset(&td, 0, sizeof td);
+        td.points = p;
+        td.point_count = TF_POINTS;
+        e[i].before = make_transfer_range(TF_SMOOTH, 0, 1, 1, NULL, 0);
+        must(tetcast_transfer_create(&td, &e[i].after), "transfer function");
+        e[i].d.integrator = kinds[i].integrator;
+        e[i].d.longest = i != 0 ? 0.05f : 0;
+        e[i].d.env.thread_count = 1;
+        e[i].update = kinds[i].update;
+        must(tetcast_optics_create(e[i].before, &e[i].d, &e[i].old), "optics");
+        b[i].name = kinds[i].name;
+        b[i].run = run_edit;
+        b[i].ctx = &e[i];
+    }
+    bench_interleave(b, KINDS, 3);
+    for (i = 0; i < KINDS; i++) {
+        tetcast_optics_info info;
+        tetcast_optics_get_info(e[i].old, &info);
+        bench_line("tetcast.edit", "smooth", "edit_seconds", bench_seconds(&b[i]), "s");
+        bench_num("best", bench_seconds_best(&b[i]));
+        bench_num("error", 0);
+        bench_text("error_unit", "entries that differ from a new table (tests)");
+        bench_num("bytes", (double)info.table_bytes);
+        finish_line(&b[i], kinds[i].name);
+        tetcast_optics_destroy(e[i].old);
+        tetcast_transfer_destroy(e[i].before);
+        tetcast_transfer_destroy(e[i].after);
+    }
+    table_set("edit", "%.4f (%.0f)", 1e3 * bench_seconds(&b[0]), 1e3 * bench_seconds(&b[1]));
+}
+
+/* ---- BM11: plates behind each other ---- */
+
+static void bm11(void) {
+    static const int layers[] = {1, 5, 20, 50};
+    size_t i;
+    for (i = 0; i < sizeof layers / sizeof layers[0]; i++) {
+        static const double lo[3] = {0, 0, 0};
+        tets t;
+        frame *f;
+        bench_job b;
+        tetcast_mesh *mesh;
+        double most = 0;
+        size_t wrong = 0;
+        uint32_t x, y, n = (uint32_t)layers[i];
+        size_t k;
+        memset(&t, 0, sizeof t);
+        for (k = 0; k < n; k++) { /* each of them a layer of 24 x 24 cubes */
+            size_t first = t.nv, v;
+            tets_lattice(&t, 25, 25, 2, 6, NULL);
+            for (v = first; v < t.nv; v++) {
+                t.p[3 * v] = t.p[3 * v] / 24;
+                t.p[3 * v + 1] = t.p[3 * v + 1] / 24;
+                t.p[3 * v + 2] = ((double)k + 0.5 * t.p[3 * v + 2]) / n;
+                t.s[v] = field(t.p + 3 * v);
+            }
+        }
+        mesh = build_mesh(&t, NULL);
+        f = new_frame(mesh, NULL, SIZE);
+        f->d.camera.eye[0] = 1.1;
+        f->d.camera.eye[1] = 0.9;
+        f->d.camera.eye[2] = 2.4;
+        for (k = 0; k < 3; k++) f->d.camera.at[k] = 0.5;
+        f->d.camera.fov_y = 40;
+        f->d.traverse_only = 1;
+        f->image.length = (float *)must_alloc((size_t)SIZE * SIZE, 4);
+        b = frame_job("hit lists", f);
+        bench_interleave(&b, 1, 3);
+        for (y = 0; y < SIZE; y += 4)
+            for (x = 0; x < SIZE; x += 4) {
+                tetcast_ray ray;
+                double want = 0, e;
+                must(tetcast_camera_ray(&f->d.camera, SIZE, SIZE, x + 0.5, y + 0.5, &ray), "camera");
+                for (k = 0; k < n; k++) {
+                    const double from[3] = {lo[0], lo[1], (double)k / n}, to[3] = {1, 1, ((double)k + 0.5) / n};
+                    want += ref_box(ray.org, ray.dir, from, to, 0, 1e30);
+                }
+                e = fabs((double)f->image.length[(size_t)y * SIZE + x] - want);
+                most = fmax(most, e);
+                wrong += !(e < 1e-5);
+                g_tried++;
+            }
+        g_failed += wrong;
+        {
+            char kase[32];
+            snprintf(kase, sizeof kase, "%d plates", layers[i]);
+            bench_line("tetcast.plates", kase, "frame_seconds", bench_seconds(&b), "s");
+        }
+        bench_num("error", (double)wrong);
+        bench_text("error_unit", "rays");
+        bench_num("length_error", most);
+        bench_num("walks", (double)f->stats.walks);
+        bench_num("steps", (double)f->stats.steps);
+        bench_num("steps_per_second", (double)f->stats.steps / bench_seconds(&b));
+        finish_line(&b, "hit lists");
+        free_frame(f);
+        tetcast_mesh_destroy(mesh);
+        tets_free(&t);
+    }
+}
+
+/* ---- BM12: threads and instruction sets ---- */
+
+static void bm12(void) {
+    const int id = get_mesh(MESH_D31K) != NULL ? MESH_D31K : MESH_K32;
+    const tetcast_mesh *mesh = get_mesh(id);
+    tetcast_optics *o = make_optics(TF_SMOOTH, NULL);
+    uint64_t hash = 0;
+    int isa, threads;
+    for (isa = TETCAST_ISA_SCALAR; isa <= (int)tetcast_isa_best(); isa++) {
+        for (threads = 1; threads <= (isa == (int)tetcast_isa_best() ? g_opt.threads : 1); threads *= 2) {
+            frame *f;
+            bench_job b;
+            if (isa == TETCAST_ISA_SSE) continue;
+            f = new_frame(mesh, o, SIZE);
+            f->d.isa = (tetcast_isa)isa;
+            f->d.env.thread_count = (uint32_t)threads;
+            b = frame_job("walk", f);
+            bench_interleave(&b, 1, 3);
+            if (hash == 0) hash = hash_frame(f);
+            bench_line("tetcast.threads", g_mesh_name[id], "frame_seconds", bench_median(b.wall, b.rounds), "s");
+            bench_num("best", bench_least(b.wall, b.rounds));
+            bench_num("error", hash_frame(f) != hash);
+            bench_text("error_unit", "pictures that differ");
+            bench_text("isa", tetcast_isa_name(f->stats.isa));
+            bench_num("threads", threads);
+            bench_num("cpu_seconds", bench_seconds(&b));
+            bench_num("occupancy", f->stats.lanes != 0 ? (double)f->stats.steps / (double)f->stats.lanes : 1.0);
+            bench_hash(hash_frame(f));
+            bench_end();
+            free_frame(f);
+        }
+    }
+    tetcast_optics_destroy(o);
+}
+
+/* ---- BM14: the thesis' scenes ---- */
+
+static void scene_of(int id, int surface, double thesis) {
+    enum { VIEWS = 5 };
+    const tetcast_mesh *mesh = get_mesh(id);
+    frame *f[VIEWS];
+    bench_job b[VIEWS];
+    tetcast_optics_desc d;
+    tetcast_isovalue iso;
+    tetcast_optics *o;
+    tetcast_mesh_info info;
+    double seconds = 0, steps = 0, diagonal = 0;
+    float lo = 0, hi = 1;
+    int i;
+    if (mesh == NULL) {
+        bench_skip("tetcast.scene", g_mesh_name[id], "no data");
+        return;
+    }
+    tetcast_mesh_get_info(mesh, &info);
+    (void)tetcast_mesh_field(mesh, 0, &lo, &hi);
+    for (i = 0; i < 3; i++) diagonal += (info.box_max[i] - info.box_min[i]) * (info.box_max[i] - info.box_min[i]);
+    memset(&d, 0, sizeof d);
+    memset(&iso, 0, sizeof iso);
+    iso.value = lo + 0.4f * (hi - lo);
+    iso.rgb[1] = 1;
+    iso.opacity = 1;
+    if (surface) d.model = TETCAST_MODEL_ISOSURFACE;
+    o = make_optics_range(TF_SMOOTH, lo, hi, sqrt(3.0 / diagonal), &d, &iso, surface ? 1 : 0);
+    for (i = 0; i < VIEWS; i++) {
+        f[i] = new_frame(mesh, o, SIZE);
+        turn_camera(&f[i]->d.camera, mesh, i, VIEWS);
+        b[i] = frame_job("walk", f[i]);
+    }
+    bench_interleave(b, VIEWS, 3);
+    for (i = 0; i < VIEWS; i++) {
+        seconds += bench_seconds(&b[i]) / VIEWS;
+        steps += (double)f[i]->stats.steps / VIEWS;
+    }
+    bench_line("tetcast.scene", g_mesh_name[id], "frames_per_second", 1 / seconds, "1/s");
+    bench_num("error", 0);
+    bench_text("error_unit", "not measured here");
+    bench_text("variant", surface ? "isosurface" : "volume");
+    bench_num("steps", steps);
+    bench_num("cells", (double)info.cell_count);
+    bench_num("thesis_fps", thesis);
+    bench_hash(hash_frame(f[0]));
+    finish_line(&b[0], "walk");
+    for (i = 0; i < VIEWS; i++) free_frame(f[i]);
+    tetcast_optics_destroy(o);
+}
+
+static void bm14(void) {
+    scene_of(MESH_BLUNT, 0, 3.37);
+    scene_of(MESH_L32, 1, 5.13);
+    scene_of(MESH_L32, 0, 4.3);
+    scene_of(MESH_SPX, 0, 4.0);
+}
+
+/* ---- BM15: import and memory ---- */
+
+static double peak_bytes(void) {
+    struct rusage u;
+    getrusage(RUSAGE_SELF, &u);
+    return 1024.0 * (double)u.ru_maxrss;
+}
+
+static void bm15(void) {
+    static const int ids[2] = {MESH_D150K, MESH_K55};
+    build u[2];
+    bench_job b[2];
+    int i;
+    memset(u, 0, sizeof u);
+    memset(b, 0, sizeof b);
+    for (i = 0; i < 2; i++) {
+        u[i].t = get_tets(ids[i]);
+        u[i].d.env.thread_count = 1;
+        b[i].name = g_mesh_name[ids[i]];
+        b[i].run = run_build;
+        b[i].ctx = &u[i];
+    }
+    bench_interleave(b, 2, 3);
+    for (i = 0; i < 2; i++) {
+        tetcast_mesh_info info;
+        tetcast_report report;
+        tetcast_mesh_get_info(u[i].mesh, &info);
+        tetcast_mesh_get_report(u[i].mesh, &report);
+        bench_line("tetcast.import", b[i].name, "import_seconds", bench_seconds(&b[i]), "s");
+        bench_num("best", bench_seconds_best(&b[i]));
+        bench_num("error", (double)(u[i].t->nt - info.cell_count));
+        bench_text("error_unit", "cells lost");
+        bench_num("cells_per_second", (double)info.cell_count / bench_seconds(&b[i]));
+        bench_num("bytes", (double)info.total_bytes);
+        bench_num("bytes_per_cell", (double)info.total_bytes / (double)info.cell_count);
+        bench_num("hull_faces", (double)report.hull_faces);
+        bench_num("peak_bytes", peak_bytes());
+        bench_text("peer", "VTK");
+        bench_num("peer_value", 1.1);
+        finish_line(&b[i], "import");
+        tetcast_mesh_destroy(u[i].mesh);
+    }
+    table_set("import", "%.3f (%.3f)", bench_seconds(&b[0]), bench_seconds(&b[1]));
+}
+
+/* ---- BM16: rays through vertices, along edges, in faces ---- */
+
+/* Ways of rays through a lattice in the unit cube: where all is degenerate. */
+static void cast_failures(const tetcast_mesh *mesh, const char *kase, uint32_t n, int kind, double tilt, size_t count) {
+    static const double lo[3] = {0, 0, 0}, hi[3] = {1, 1, 1};
+    tetcast_ray *rays = (tetcast_ray *)must_alloc(count, sizeof *rays);
+    tetcast_ray_result *got = (tetcast_ray_result *)must_alloc(count, sizeof *got);
+    tetcast_render_desc d;
+    bench_rng r;
+    size_t i, wrong = 0, steps = 0;
+    double most = 0, seconds;
+    int k;
+    memset(&d, 0, sizeof d);
+    d.env.thread_count = 1;
+    r.state = 99 + (uint64_t)kind;
+    for (i = 0; i < count; i++) {
+        double at[3], dir[3] = {0, 0, 0};
+        for (k = 0; k < 3; k++) at[k] = (double)(float)((double)(bench_random_u32(&r) % (n - 1) + (kind == 3 ? 0 : 1)) / n);
+        if (kind == 0) dir[i % 3] = i & 4 ? 1 : -1;             /* along edges */
+        else if (kind == 1) for (k = 0; k < 3; k++) dir[k] = i >> k & 1 ? 1 : -1; /* diagonals, through vertices */
+        else if (kind == 2) for (k = 0; k < 3; k++) dir[k] = (double)(bench_random_u32(&r) % 7) - 3; /* in faces */
+        else for (k = 0; k < 3; k++) dir[k] = (double)bench_random(&r) - 0.5; /* anywhere */
+        if (dir[0] == 0 && dir[1] == 0 && dir[2] == 0) dir[0] = 1;
+        for (k = 0; k < 3; k++) dir[k] += tilt * ((double)bench_random(&r) - 0.5);
+        ref_unit(dir);
+        for (k = 0; k < 3; k++) {
+            rays[i].dir[k] = dir[k];
+            rays[i].org[k] = at[k] - 2 * dir[k];
+        }
+    }
+    seconds = bench_cpu();
+    must(tetcast_cast(&d, mesh, NULL, rays, count, got, NULL), "cast");
+    seconds = bench_cpu() - seconds;
+    for (i = 0; i < count; i++) {
+        const double e = fabs((double)got[i].length - ref_box(rays[i].org, rays[i].dir, lo, hi, 0, 1e30));
+        most = fmax(most, e);
+        wrong += !(e < 1e-5);
+        steps += got[i].steps;
+    }
+    bench_line("tetcast.failures", kase, "failed", (double)wrong, "rays");
+    bench_num("error", most);
+    bench_text("error_unit", "edge of the cube");
+    bench_num("rays", (double)count);
+    bench_num("tilt", tilt);
+    bench_num("ns_per_step", 1e9 * seconds / (double)steps);
+    bench_end();
+    g_failed += wrong;
+    g_tried += count;
+    free(rays);
+    free(got);
+}
+
+static void bm16(void) {
+    static const double tilts[] = {0, 1e-3, 1e-5, 1e-8};
+    const size_t count = g_opt.full ? 200000 : 20000;
+    size_t i;
+    for (i = 0; i < 4; i++) {
+        cast_failures(get_mesh(MESH_K32), "K32, along edges", 32, 0, tilts[i], count);
+        cast_failures(get_mesh(MESH_K32), "K32, diagonals", 32, 1, tilts[i], count);
+        cast_failures(get_mesh(MESH_K32), "K32, in planes of vertices", 32, 2, tilts[i], count);
+    }
+    cast_failures(get_mesh(MESH_K32), "K32, anywhere", 32, 3, 0, count);
+}
+
+/* ---- BM17: tolerance against error ---- */
+
+static void tolerances(int id, int tf) {
+    static const float asked[] = {0, 0.25f, 0.5f, 1, 2, 4, 8, 16};
+    enum { ASKED = sizeof asked / sizeof asked[0] };
+    const tetcast_mesh *mesh = get_mesh(id);
+    frame *f[ASKED];
+    bench_job b[ASKED];
+    reference r;
+    int i;
+    char kase[64];
+    if (mesh == NULL) return;
+    for (i = 0; i < ASKED; i++) {
+        tetcast_optics_desc d;
+        memset(&d, 0, sizeof d);
+        d.tolerance = asked[i];
+        d.path_length = 1.7321f;
+        if (i == 0) d.t_min = -1;
+        f[i] = new_frame(mesh, make_optics(tf, &d), SIZE);
+        f[i]->own = (tetcast_optics *)(uintptr_t)f[i]->optics;
+        b[i] = frame_job(i == 0 ? "exact" : "tolerance", f[i]);
+    }
+    bench_interleave(b, ASKED, 3);
+    r = make_reference(f[0], get_tets(id), tf, EVERY);
+    snprintf(kase, sizeof kase, "%s-%s", g_mesh_name[id], g_tf_name[tf]);
+    for (i = 0; i < ASKED; i++) {
+        difference e = compare(f[i], &r);
+        tetcast_optics_info info;
+        tetcast_optics_get_info(f[i]->own, &info);
+        bench_line("tetcast.tolerance", kase, "frame_seconds", bench_seconds(&b[i]), "s");
+        bench_num("best", bench_seconds_best(&b[i]));
+        bench_num("error", 255.0 * e.most);
+        bench_text("error_unit", "1/255");
+        bench_num("tolerance", (double)asked[i]);
+        bench_num("bound", (double)info.bound);
+        bench_num("rms", 255.0 * e.rms);
+        bench_num("psnr", e.psnr);
+        bench_num("t_min", (double)info.t_min);
+        bench_num("knots", info.knot_count);
+        bench_num("steps", (double)f[i]->stats.steps);
+        bench_num("times_as_fast", bench_ratio(&b[0], &b[i]));
+        finish_line(&b[i], b[i].name);
+        if (id == MESH_D31K && tf == TF_TABLE && asked[i] == 8)
+            table_set("tolerance", "%.2f (%.2f)", bench_ratio(&b[0], &b[i]), 255.0 * e.most);
+        free_frame(f[i]);
+    }
+    free(r.rgba);
+}
+
+static void bm17(void) {
+    tolerances(MESH_D31K, TF_TABLE);
+    tolerances(MESH_K32, TF_STEP);
+    tolerances(MESH_K32, TF_SMOOTH);
+    if (g_opt.full) tolerances(MESH_D150K, TF_SMOOTH);
+}
+
+int main(int argc, char **argv) {
+    static const struct { int number; void (*run)(void); } all[] = {
+        {1, bm1}, {2, bm2}, {3, bm3}, {4, bm4}, {8, bm8}, {9, bm9}, {10, bm10}, {11, bm11}, {12, bm12}, {14, bm14},
+        {15, bm15}, {16, bm16}, {17, bm17}
+    };
+    size_t i;
+    int status = bench_parse(argc, argv, &g_opt);
+    if (status) return status;
+    bench_machine("tetcast", argv[0]);
+    for (i = 0; i < sizeof all / sizeof all[0]; i++) {
+        const double start = bench_wall();
+        if (!bench_wanted(&g_opt, all[i].number)) continue;
+        all[i].run();
+        fprintf(stderr, "BM%d: %.1f s\n", all[i].number, bench_wall() - start);
+    }
+    if (g_tried != 0) table_set("failed", "%lu of %lu", (unsigned long)g_failed, (unsigned long)g_tried);
+    for (i = 0; i < MESH_COUNT; i++) drop_mesh((int)i);
+    table_write(argv[0]);
+    table_print(stderr, g_opt.only == NULL);
+    return 0;
+}
