@@ -10,11 +10,13 @@
    @core           camera, key buffer, random numbers
    @scene          the graph as the caller made it, its checks, and how it is cut into structures
    @cluster        triangles -> clusters -> tree -> stored points
+   @lists          the thesis' trees: fair-split tree, octree, classes of normals, tree over normals
    @raster         exact z-buffer rasteriser for the triangles of a cluster
    @occlusion      largest depth per tile of the key buffer
    @rays           closest hit of a ray through structures and their instances
    @select         the cut through the trees of a view
    @sample         draws -> keys
+   @listed         the cut through the thesis' trees by its rules; draws from distribution lists
    @zbuffer        every triangle of a scene through the rasteriser
    @reconstruct    from keys to a picture
    @accumulate     means of frames, smoothing, noise, reprojection
@@ -340,16 +342,41 @@ ZBUFRAND_DEF zbufrand_result zbufrand_add_references(zbufrand_scene *scene, zbuf
 /* Put a node that is in no list into one. INVALID_ARG: it is in a list already (env.error names it), or is the root. */
 ZBUFRAND_DEF zbufrand_result zbufrand_list_append(zbufrand_scene *scene, zbufrand_node list, zbufrand_node node);
 
+/* By which tree the surface is sampled. The default is a tree of nodes of eight with cones of normals over clusters of
+   triangles. The others stand beside it and are those of the thesis: distribution lists, from which a triangle is drawn
+   by its area below any node. The default is faster; they take less for granted (no stored points, any rule of
+   selection), and reproduce the thesis. */
+typedef enum zbufrand_structure {
+    ZBUFRAND_STRUCTURE_DEFAULT = 0,
+    ZBUFRAND_STRUCTURE_FAIR_SPLIT = 1, /* binary: boxes halved at the middle of their longest side (its program) */
+    ZBUFRAND_STRUCTURE_OCTREE = 2,     /* with shortcuts; triangles stay in cells of their size (its analysis) */
+    ZBUFRAND_STRUCTURE_CLASSES = 3,    /* a fair-split tree for each class of normals (its program) */
+    ZBUFRAND_STRUCTURE_NORMALS = 4,    /* quadtree over normals, an octree in each node (only analysed there) */
+    ZBUFRAND_STRUCTURE_FORCE_32BIT = 0x7fffffff
+} zbufrand_structure;
+
 /* field          zero means
    seed           0 is a seed like any other: of the points that are stored with the structures
    strict         0: triangles that are degenerate, not finite or have bad indices are left out and counted;
                   1: they are an error, env.error says which
-   ids            0: which triangle of its mesh a stored triangle was is forgotten; 1: kept, 4 bytes per triangle */
+   ids            0: which triangle of its mesh a stored triangle was is forgotten; 1: kept, 4 bytes per triangle
+   structure      the default tree. Others: about 16 bytes per triangle more; normals: about 24 times its levels
+   leaf_objects   64: most objects of a leaf of the thesis' trees, 1..1024
+   leaf_ratio     the root of that: a leaf may be so much wider than its largest object
+   tolerance_zone 1.5: a cell takes what lies within it enlarged by this, 1..2; larger objects stay above
+   normal_depth   classes 4: so many fair splits of longitude and colatitude, 16 classes; normals 4: levels of their
+                  tree; the others 0: no classes; 1..8
+   normal_grid    none. k: a regular grid of k x 2k classes instead, k <= 64; not for normals */
 typedef struct zbufrand_build_desc {
     uint32_t _begin_zero;
     uint32_t seed;
     uint32_t strict;
     uint32_t ids;
+    zbufrand_structure structure;
+    uint32_t leaf_objects;
+    float leaf_ratio;
+    float tolerance_zone;
+    uint32_t normal_depth, normal_grid;
     uint32_t _end_zero;
 } zbufrand_build_desc;
 
@@ -364,6 +391,8 @@ typedef struct zbufrand_scene_info {
     uint64_t skipped_triangles;    /* degenerate, not finite or bad indices */
     double area;                   /* of all drawn triangles, in world units */
     double box_min[3], box_max[3]; /* world; min > max when the scene is empty */
+    uint64_t list_objects, list_nodes, list_classes; /* of the thesis' trees; 0: none */
+    size_t list_bytes;             /* of `bytes`: what those trees hold */
     size_t bytes;                  /* held by the structures */
     size_t peak_bytes;             /* while they were built */
 } zbufrand_scene_info;
@@ -912,6 +941,7 @@ typedef enum zbufrand_hybrid { /* which clusters of triangles are rasterised exa
     ZBUFRAND_HYBRID_OFF = 1,   /* only what crosses the near plane */
     ZBUFRAND_HYBRID_ALL = 2,   /* all: an ordinary z-buffer picture */
     ZBUFRAND_HYBRID_CUBE = 3,  /* the thesis: what touches the cube of edge 2 * hybrid_radius around the eye */
+    ZBUFRAND_HYBRID_LARGE = 4, /* the thesis: triangles too large for depth_ratio; with the default tree as OFF */
     ZBUFRAND_HYBRID_FORCE_32BIT = 0x7fffffff
 } zbufrand_hybrid;
 
@@ -925,6 +955,7 @@ typedef struct zbufrand_costs {
     float set;             /* a set of stored samples made ready: 80 */
     float stored;          /* a stored sample drawn: 3.5 */
     float ray;             /* a ray for the repair: 2000 */
+    float listed;          /* a sample drawn from a distribution list: 150 */
 } zbufrand_costs;
 
 /* field           zero means
@@ -942,6 +973,13 @@ typedef struct zbufrand_costs {
                    no_repair
    hybrid          by cost
    independent     0: stratified samples; 1: independent points in Poisson numbers, as the theory has it; slower
+   round_up        0; 1: expected numbers of samples of a run are rounded up instead of at random; with `independent`
+                   the thesis' Algorithm 11. Only for scenes built with one of its trees, as the next three
+   depth_ratio     1.5: epsilon, by how much the factor 1/z^2 may vary over what is drawn as a whole; more than 1
+   angle_ratio     no rule for normals (tree over normals: as depth_ratio). e: the same for the cosine of the angle of
+                   view, as far as classes are fine enough to tell
+   clip_ratio      no rule. c: what is partly outside of the view and wider than c times its depth is divided
+   no_lists        1: the default tree, though the scene was built with another
    no_*            the thing is on */
 typedef struct zbufrand_render_desc {
     uint32_t _begin_zero;
@@ -956,6 +994,9 @@ typedef struct zbufrand_render_desc {
     double hybrid_radius;
     zbufrand_costs costs;
     uint32_t independent;
+    uint32_t round_up;
+    double depth_ratio, angle_ratio, clip_ratio;
+    uint32_t no_lists;
     uint32_t no_occlusion;     /* 1: what is hidden is drawn too; the picture is the same but for chance */
     uint32_t no_repair;        /* 1: no rays for empty and suspicious pixels */
     /* 1: a pixel gets the depth of its sample, not that of the sample's plane at its centre */
@@ -1045,6 +1086,12 @@ ZBUFRAND_DEF zbufrand_result zbufrand_render(zbufrand_frame *frame, const zbufra
                                              const zbufrand_scene *scene, const zbufrand_image *image,
                                              zbufrand_stats *stats);
 
+/* What the thesis' program did, to the letter: fair-split tree without classes, leaves of 64, epsilon 1.5, independent
+   draws in numbers rounded up, nothing thinned out but what is turned away, colour blocks of 2 x 2, samples as dense
+   as its theorems ask, large triangles rasterised; no culling of what is hidden, no rays, no planes. Sets those fields
+   and leaves the others alone; either may be NULL. */
+ZBUFRAND_DEF void zbufrand_preset_thesis(zbufrand_build_desc *build, zbufrand_render_desc *render);
+
 /* Set eye and at so that the box fills the picture; keeps up and fov_y.
    view  from the object towards the eye, any length; NULL: from the front, a little from above and the right */
 ZBUFRAND_DEF zbufrand_result zbufrand_camera_fit(zbufrand_camera *camera, const double box_min[3],
@@ -1072,7 +1119,9 @@ typedef enum zbufrand_draw_kind {
 typedef struct zbufrand_group {
     zbufrand_draw_kind kind;
     uint32_t structure;
-    uint32_t child;            /* 2 bits: 0 node, 1 cluster, 2 instance (whole); 30 bits: its index in the structure */
+    /* 2 bits: 0 node, 1 cluster, 2 instance (whole), 3 run of a distribution list; 30 bits: its index in the structure,
+       or of the first object */
+    uint32_t child;
     uint64_t triangles;        /* below it */
     double area;               /* world */
     double z_min, z_max;       /* depths that it may have */
@@ -1899,6 +1948,7 @@ typedef struct zbufrandi_structure {
     uint32_t vertex_count, triangle_count, cluster_count, node_count, instance_count;
     uint32_t material;
     float box_lo[3], box_hi[3];     /* of everything, rounded outwards */
+    struct zbufrandi_lists *lists;  /* the thesis' trees; NULL: not asked for */
     double *item_sum;               /* [cluster_count + instance_count + 1] areas added up: clusters, then instances */
     double area;                    /* all triangles, instances included, in units of the structure */
     uint64_t virtual_triangles;     /* all triangles, instances included */
@@ -2001,6 +2051,9 @@ struct zbufrand_scene {
 
 static int zbufrandi_scene_rays(zbufrand_scene *scene); /* make rays ready; 0: no memory */
 static void zbufrandi_scene_rays_free(zbufrand_scene *scene);
+static zbufrand_result zbufrandi_scene_lists(zbufrand_scene *scene, const zbufrand_build_desc *desc);
+static void zbufrandi_scene_lists_free(zbufrand_scene *scene);
+static void zbufrandi_list_totals(zbufrand_scene *scene);
 
 /* ---- small matrices, 3x4, double ---- */
 
@@ -3830,6 +3883,7 @@ static void zbufrandi_structure_free(zbufrandi_mem *mem, zbufrandi_structure *s)
 static void zbufrandi_structures_free(zbufrand_scene *scene) {
     uint32_t i;
     zbufrandi_scene_rays_free(scene);
+    zbufrandi_scene_lists_free(scene);
     for (i = 0; i < scene->structure_count; i++) zbufrandi_structure_free(&scene->mem, &scene->structure[i]);
     zbufrandi_free(&scene->mem, scene->structure);
     scene->structure = NULL;
@@ -4110,7 +4164,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_scene_build(zbufrand_scene *scene, const z
     zbufrandi_build b;
     uint32_t *order = NULL, count = 0, i;
     uint64_t done = 0, total = 0, skipped = 0;
-    size_t before, k;
+    size_t before, without_lists, k;
     zbufrand_result r;
     if (info != NULL) memset(info, 0, sizeof *info);
     if (scene == NULL) return ZBUFRAND_ERR_INVALID_ARG;
@@ -4151,11 +4205,15 @@ ZBUFRAND_DEF zbufrand_result zbufrand_scene_build(zbufrand_scene *scene, const z
     if (r == ZBUFRAND_OK && !zbufrandi_scene_rays(scene)) {
         r = zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_NO_MEMORY, 0, "no memory for rays");
     }
+    without_lists = zbufrandi_atomic_load(&scene->mem.used);
+    if (r == ZBUFRAND_OK) r = zbufrandi_scene_lists(scene, &d);
     if (r != ZBUFRAND_OK) {
         zbufrandi_structures_free(scene);
         return r;
     }
     zbufrandi_scene_totals(scene, before, skipped);
+    scene->info.list_bytes = zbufrandi_atomic_load(&scene->mem.used) - without_lists;
+    zbufrandi_list_totals(scene);
     if (info != NULL) *info = scene->info;
     return ZBUFRAND_OK;
 }
@@ -4165,6 +4223,844 @@ ZBUFRAND_DEF void zbufrand_scene_get_info(const zbufrand_scene *scene, zbufrand_
     memset(info, 0, sizeof *info);
     if (scene != NULL) *info = scene->info;
 }
+/* ---------------------------------------------------------------------------
+   lists: the thesis' trees over the triangles of a structure: fair-split tree,  // >>lists
+   octree, classes of normals, tree over normals.
+
+   They stand beside the tree of clusters and refer to its triangles. The objects of a tree, triangles and dummies (a
+   class of a structure that is referred to, with a transform), stand in one array, depth first: what is below a node is
+   a run of it. sum[] adds up their areas, so that a run knows its area, and an object is drawn by it with one binary
+   search below any node. Areas are integers of 2^-61 of the whole: differences are exact wherever they are taken,
+   however unequal the areas are, and every object has a share.
+   --------------------------------------------------------------------------- */
+
+enum {
+    ZBUFRANDI_LIST_LEVELS = 19,       /* of an octree: 57 bits of a cell, 5 of its level */
+    ZBUFRANDI_LIST_JOB = 1 << 15,     /* objects of a task of the build */
+    ZBUFRANDI_LIST_LEAF = 1024        /* most objects that may be asked for in a leaf */
+};
+#define ZBUFRANDI_LIST_DUMMY 0x80000000u
+#define ZBUFRANDI_LIST_OBJECTS (1u << 29)
+
+typedef struct zbufrandi_list_node { /* its children follow it: k + 1, node[k + 1].end, and so on below node[k].end */
+    float lo[3], hi[3];        /* box of all objects below */
+    uint32_t first, own, last; /* objects: [first, own) its own, [first, last) all below */
+    uint32_t end;
+    uint64_t key;              /* octree: its cell << 5 | its level */
+    uint32_t dummies;          /* 1: there are some below */
+    uint32_t _pad;
+} zbufrandi_list_node;
+
+typedef struct zbufrandi_list_class { /* objects of like normals, and their tree */
+    float axis[3], cosine;     /* cone of the normals; cosine -1: all directions */
+    uint32_t root;             /* node */
+    uint32_t first, last;      /* objects */
+    uint32_t child, children;  /* finer classes of the same objects; none: 0 */
+    uint32_t two_sided;        /* some are seen from both sides */
+    uint64_t triangles;        /* instances counted as often as they occur */
+} zbufrandi_list_class;
+
+typedef struct zbufrandi_dummy {
+    uint32_t instance, list_class; /* class: of the structure that the instance stands for */
+} zbufrandi_dummy;
+
+typedef struct zbufrandi_lists {
+    uint32_t *object;          /* [object_count] cluster << 7 | triangle, or ZBUFRANDI_LIST_DUMMY | dummy */
+    uint64_t *sum;             /* [object_count + 1] areas added up, in units of `unit` */
+    uint64_t *key;             /* [object_count] of a tree over normals: cell << 5 | level; NULL */
+    zbufrandi_list_node *node;
+    zbufrandi_list_class *list_class;
+    zbufrandi_dummy *dummy;
+    double unit;
+    uint32_t object_count, node_count, class_count, dummy_count;
+    uint32_t roots;            /* classes 0 .. roots - 1 are all there is; the others are finer ones */
+} zbufrandi_lists;
+
+typedef struct zbufrandi_list_object { /* while a tree is made */
+    float lo[3], hi[3];
+    uint64_t key;              /* octree: cell << 5 | level */
+    uint32_t item;             /* as in object[] */
+    uint32_t normal;           /* octahedral 16+16; of a dummy: the axis of its class */
+} zbufrandi_list_object;
+
+typedef struct zbufrandi_list_nodes { /* nodes that grow, depth first */
+    zbufrandi_list_node *node;
+    size_t count, capacity;
+    uint32_t first, last;      /* of a job: its objects */
+    int failed;
+} zbufrandi_list_nodes;
+
+typedef struct zbufrandi_list_build {
+    zbufrand_scene *scene;
+    zbufrandi_mem *mem;
+    const zbufrandi_structure *s;
+    zbufrandi_lists *l;
+    zbufrandi_list_object *object, *other; /* [room] */
+    float (*polar)[2];         /* per object: longitude, colatitude */
+    uint32_t *order;           /* objects sorted by class */
+    size_t count, room;
+    int octree;
+    uint32_t leaf;             /* most objects of a leaf */
+    double ratio2;             /* square of the most that a leaf may be wider than its largest object */
+    float zone;                /* a cell takes what lies in it enlarged by this */
+    double cube_lo[3], cube;
+    zbufrandi_list_nodes top, *job;
+    size_t job_count, job_capacity, class_capacity;
+} zbufrandi_list_build;
+
+static void zbufrandi_lists_free(zbufrandi_mem *mem, zbufrandi_lists *l) {
+    if (l == NULL) return;
+    zbufrandi_free(mem, l->object);
+    zbufrandi_free(mem, l->sum);
+    zbufrandi_free(mem, l->key);
+    zbufrandi_free(mem, l->node);
+    zbufrandi_free(mem, l->list_class);
+    zbufrandi_free(mem, l->dummy);
+    zbufrandi_free(mem, l);
+}
+
+static void zbufrandi_scene_lists_free(zbufrand_scene *scene) { /* back to the tree of clusters */
+    uint32_t i;
+    for (i = 0; i < scene->structure_count; i++) {
+        zbufrandi_lists_free(&scene->mem, scene->structure[i].lists);
+        scene->structure[i].lists = NULL;
+    }
+}
+
+/* ---- integers and angles ---- */
+
+ZBUFRANDI_INLINE uint64_t zbufrandi_mul_high(uint64_t a, uint64_t b) { /* upper half of the product */
+    const uint64_t al = a & 0xffffffffu, ah = a >> 32, bl = b & 0xffffffffu, bh = b >> 32;
+    const uint64_t low = al * bl, m = ah * bl + (low >> 32), n = al * bh + (m & 0xffffffffu);
+    return ah * bh + (m >> 32) + (n >> 32);
+}
+
+/* The object of [first, last) that holds place y of the sums: the last one that begins at or before it. Objects are
+   never empty. */
+ZBUFRANDI_INLINE uint32_t zbufrandi_list_search(const uint64_t *sum, uint32_t first, uint32_t last, uint64_t y) {
+    uint32_t n = last - first;
+    while (n > 1) {
+        const uint32_t half = n / 2;
+        first = sum[first + half] <= y ? first + half : first;
+        n -= half;
+    }
+    return first;
+}
+
+/* atan2(y, x) in (-pi, pi]; absolute error < 1e-14. Halves the angle twice, then the series. */
+static double zbufrandi_atan2(double y, double x) {
+    double ay = zbufrandi_abs(y), ax = zbufrandi_abs(x), t, t2, p, r = 0.0;
+    int i, turned = ay > ax;
+    if (!(ax + ay > 0.0)) return 0.0;
+    t = turned ? ax / ay : ay / ax;
+    for (i = 0; i < 2; i++) t = t / (1.0 + sqrt(1.0 + t * t));
+    t2 = t * t;
+    p = t;
+    for (i = 1; i < 25; i += 2) {
+        r += p / (double)i;
+        p = 0.0 - p * t2;
+    }
+    r *= 4.0;
+    if (turned) r = 1.57079632679489661923 - r;
+    if (x < 0.0) r = 3.14159265358979323846 - r;
+    return y < 0.0 ? 0.0 - r : r;
+}
+
+/* Longitude in [0, 2 pi) and colatitude in [0, pi] of a direction. */
+static void zbufrandi_polar(const float n[3], float polar[2]) {
+    const double x = (double)n[0], y = (double)n[1], z = (double)n[2];
+    double a = zbufrandi_atan2(y, x);
+    if (a < 0.0) a += 6.28318530717958647693;
+    polar[0] = (float)a;
+    if (polar[0] >= 6.2831853f) polar[0] = 0.0f;
+    polar[1] = (float)zbufrandi_atan2(sqrt(x * x + y * y), z);
+}
+
+/* ---- objects ---- */
+
+/* Corners of triangle `item` of a structure. */
+ZBUFRANDI_INLINE const zbufrandi_cluster *zbufrandi_list_triangle(const zbufrandi_structure *s, uint32_t item,
+                                                                  const float *p[3]) {
+    const zbufrandi_cluster *c = &s->cluster[item >> 7];
+    const uint8_t *tri = s->triangle + 3 * ((size_t)c->first_triangle + (item & 127u));
+    uint32_t k;
+    for (k = 0; k < 3; k++) p[k] = s->position + 3 * ((size_t)c->first_vertex + tri[k]);
+    return c;
+}
+
+/* Unit normal of a triangle; returns its area. */
+static double zbufrandi_list_normal(const zbufrandi_structure *s, uint32_t item, float n[3]) {
+    const float *p[3];
+    double v[3], length;
+    int a;
+    (void)zbufrandi_list_triangle(s, item, p);
+    zbufrandi_cross(p[0], p[1], p[2], v);
+    length = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+    for (a = 0; a < 3; a++) n[a] = (float)(v[a] / length);
+    return 0.5 * length;
+}
+
+/* Enlarged by the zone, does the cell of level `level` around the middle of an object hold it? */
+static int zbufrandi_list_fits(const zbufrandi_list_build *b, const zbufrandi_list_object *o, const uint32_t q[3],
+                               uint32_t level) {
+    const double side = b->cube / (double)((uint32_t)1 << level), reach = 0.5 * (double)b->zone * side;
+    int a;
+    for (a = 0; a < 3; a++) {
+        const double middle = b->cube_lo[a] + ((double)(q[a] >> (ZBUFRANDI_LIST_LEVELS - level)) + 0.5) * side;
+        if ((double)o->lo[a] < middle - reach || (double)o->hi[a] > middle + reach) return 0;
+    }
+    return 1;
+}
+
+/* The smallest cell that takes an object: cells around its middle hold it up to some level, and from there on not. */
+static uint64_t zbufrandi_list_key(const zbufrandi_list_build *b, const zbufrandi_list_object *o) {
+    const double cells = (double)((uint32_t)1 << ZBUFRANDI_LIST_LEVELS);
+    uint32_t q[3], low = 0, high = ZBUFRANDI_LIST_LEVELS, shift;
+    int a;
+    for (a = 0; a < 3; a++) {
+        const double t = (0.5 * ((double)o->lo[a] + (double)o->hi[a]) - b->cube_lo[a]) / b->cube * cells;
+        q[a] = !(t > 0.0) ? 0u : t >= cells - 1.0 ? (uint32_t)cells - 1u : (uint32_t)t;
+    }
+    while (low < high) {
+        const uint32_t level = (low + high + 1) / 2;
+        if (zbufrandi_list_fits(b, o, q, level)) low = level;
+        else high = level - 1;
+    }
+    shift = 3 * (ZBUFRANDI_LIST_LEVELS - low);
+    return zbufrandi_morton(q[0], q[1], q[2]) >> shift << shift << 5 | low;
+}
+
+static void zbufrandi_list_triangle_task(void *ctx, uint32_t task) {
+    const zbufrandi_list_build *b = (const zbufrandi_list_build *)ctx;
+    uint32_t i = task * ZBUFRANDI_TASK_CLUSTERS, end = i + ZBUFRANDI_TASK_CLUSTERS, t, k;
+    if (end > b->s->cluster_count) end = b->s->cluster_count;
+    for (; i < end; i++) {
+        const zbufrandi_cluster *c = &b->s->cluster[i];
+        for (t = 0; t < c->triangle_count; t++) {
+            zbufrandi_list_object *o = &b->object[(size_t)c->first_triangle + t];
+            const float *p[3];
+            float n[3];
+            o->item = i << 7 | t;
+            (void)zbufrandi_list_triangle(b->s, o->item, p);
+            zbufrandi_box_empty(o->lo, o->hi);
+            for (k = 0; k < 3; k++) zbufrandi_box_add(o->lo, o->hi, p[k], p[k]);
+            (void)zbufrandi_list_normal(b->s, o->item, n);
+            o->normal = zbufrandi_oct32_encode(n);
+            if (b->polar != NULL) zbufrandi_polar(n, b->polar[(size_t)c->first_triangle + t]);
+            o->key = b->octree ? zbufrandi_list_key(b, o) : 0;
+        }
+    }
+}
+
+/* Dummies for the classes of instances; they come after the triangles. A class of all directions (of a structure
+   without classes) has an axis that says nothing, which is as good as any. */
+static void zbufrandi_list_dummies(zbufrandi_list_build *b) {
+    const zbufrandi_structure *s = b->s;
+    uint32_t i, c, n = 0, a, k;
+    for (i = 0; i < s->instance_count; i++) {
+        const zbufrandi_instance *it = &s->instance[i];
+        const zbufrandi_lists *to = b->scene->structure[it->structure].lists;
+        for (c = 0; c < to->class_count; c++) {
+            const zbufrandi_list_class *from = &to->list_class[c];
+            const zbufrandi_list_node *root = &to->node[from->root];
+            zbufrandi_list_object *o = &b->object[(size_t)s->triangle_count + n];
+            float axis[3];
+            if (from->children != 0) continue;
+            b->l->dummy[n].instance = i;
+            b->l->dummy[n].list_class = c;
+            o->item = ZBUFRANDI_LIST_DUMMY | n;
+            for (a = 0; a < 3; a++) {
+                double m = it->to_parent[a][3], e = 0.0;
+                for (k = 0; k < 3; k++) {
+                    m += it->to_parent[a][k] * (0.5 * ((double)root->lo[k] + (double)root->hi[k]));
+                    e += zbufrandi_abs(it->to_parent[a][k]) * (0.5 * ((double)root->hi[k] - (double)root->lo[k]));
+                }
+                e += 1e-14 * (zbufrandi_abs(m) + zbufrandi_abs(it->to_parent[a][3]) + e);
+                o->lo[a] = zbufrandi_float_down(m - e);
+                o->hi[a] = zbufrandi_float_up(m + e);
+            }
+            memcpy(axis, from->axis, sizeof axis);
+            zbufrandi_instance_rotate(it, axis);
+            o->normal = zbufrandi_oct32_encode(axis);
+            if (b->polar != NULL) zbufrandi_polar(axis, b->polar[(size_t)s->triangle_count + n]);
+            o->key = b->octree ? zbufrandi_list_key(b, o) : 0;
+            n++;
+        }
+    }
+}
+
+/* ---- classes ---- */
+
+static zbufrandi_list_class *zbufrandi_list_class_add(zbufrandi_list_build *b, uint32_t first, uint32_t last) {
+    zbufrandi_lists *l = b->l;
+    zbufrandi_list_class *c;
+    if (!zbufrandi_grow(b->mem, (void **)&l->list_class, &b->class_capacity, l->class_count,
+                        (size_t)l->class_count + 1, sizeof *l->list_class)) return NULL;
+    c = &l->list_class[l->class_count++];
+    memset(c, 0, sizeof *c);
+    c->axis[2] = 1.0f;
+    c->cosine = -1.0f;
+    c->first = first;
+    c->last = last;
+    return c;
+}
+
+/* Sort order[] by cell of a grid: which[] < bins; start[] receives where each begins. */
+static int zbufrandi_list_sort_cells(zbufrandi_list_build *b, const uint16_t *which, uint32_t bins) {
+    uint32_t *start = (uint32_t *)zbufrandi_alloc_zero(b->mem, (size_t)bins + 1, sizeof *start);
+    size_t i;
+    uint32_t k;
+    if (start == NULL) return 0;
+    for (i = 0; i < b->count; i++) start[which[i] + 1u]++;
+    for (k = 0; k < bins; k++) start[k + 1] += start[k];
+    for (i = 0; i < b->count; i++) b->order[start[which[i]]++] = (uint32_t)i;
+    zbufrandi_free(b->mem, start);
+    return 1;
+}
+
+/* A grid of k x 2k cells of equal angles, those that hold something. */
+static int zbufrandi_list_grid(zbufrandi_list_build *b, uint32_t k) { /* 0: no memory */
+    const float step = (float)k * 0.31830989f;
+    uint16_t *which = (uint16_t *)zbufrandi_alloc_array(b->mem, b->count + 1, sizeof *which);
+    size_t i, first;
+    int ok = which != NULL;
+    for (i = 0; ok && i < b->count; i++) {
+        uint32_t x = (uint32_t)(b->polar[i][0] * step), y = (uint32_t)(b->polar[i][1] * step);
+        x = x < 2 * k ? x : 2 * k - 1;
+        y = y < k ? y : k - 1;
+        which[i] = (uint16_t)(y * 2 * k + x);
+    }
+    ok = ok && zbufrandi_list_sort_cells(b, which, 2 * k * k);
+    for (i = first = 0; ok && i < b->count; i++) {
+        if (i + 1 < b->count && which[b->order[i + 1]] == which[b->order[i]]) continue;
+        ok = zbufrandi_list_class_add(b, (uint32_t)first, (uint32_t)i + 1) != NULL;
+        first = i + 1;
+    }
+    zbufrandi_free(b->mem, which);
+    return ok;
+}
+
+/* Fair splits of longitude and colatitude: the box of the normals of a class is halved at its longer side. */
+static int zbufrandi_list_polar_split(zbufrandi_list_build *b, uint32_t depth) { /* 0: no memory */
+    zbufrandi_lists *l = b->l;
+    uint32_t level, c, count, i, a;
+    uint32_t *other = (uint32_t *)zbufrandi_alloc_array(b->mem, b->count + 1, sizeof *other);
+    if (other == NULL || zbufrandi_list_class_add(b, 0, (uint32_t)b->count) == NULL) {
+        zbufrandi_free(b->mem, other);
+        return 0;
+    }
+    for (level = 0; level < depth; level++) {
+        for (c = 0, count = l->class_count; c < count; c++) {
+            const uint32_t first = l->list_class[c].first, last = l->list_class[c].last;
+            float lo[2], hi[2], middle;
+            uint32_t axis, left = first, right = 0;
+            lo[0] = lo[1] = INFINITY;
+            hi[0] = hi[1] = -INFINITY;
+            for (i = first; i < last; i++) {
+                for (a = 0; a < 2; a++) {
+                    const float v = b->polar[b->order[i]][a];
+                    lo[a] = v < lo[a] ? v : lo[a];
+                    hi[a] = v > hi[a] ? v : hi[a];
+                }
+            }
+            axis = hi[1] - lo[1] > hi[0] - lo[0];
+            if (!(hi[axis] - lo[axis] > 1e-3f)) continue; /* all alike */
+            middle = 0.5f * (lo[axis] + hi[axis]);
+            for (i = first; i < last; i++) {
+                if (b->polar[b->order[i]][axis] < middle) b->order[left++] = b->order[i];
+                else other[right++] = b->order[i];
+            }
+            memcpy(b->order + left, other, right * sizeof *other);
+            l->list_class[c].last = left;
+            if (zbufrandi_list_class_add(b, left, last) == NULL) {
+                zbufrandi_free(b->mem, other);
+                return 0;
+            }
+        }
+    }
+    zbufrandi_free(b->mem, other);
+    return 1;
+}
+
+/* A quadtree of `levels` levels over longitude and colatitude. Classes are runs of order[] here; those with children
+   and their children have the same objects, which become runs of their own of the list. */
+static int zbufrandi_list_quadtree(zbufrandi_list_build *b, uint32_t levels) { /* 0: no memory */
+    const uint32_t deepest = levels - 1;
+    const float step = (float)((uint32_t)1 << deepest) * 0.31830989f;
+    uint16_t *which = (uint16_t *)zbufrandi_alloc_array(b->mem, b->count + 1, sizeof *which);
+    zbufrandi_lists *l = b->l;
+    uint32_t c, i;
+    int ok = which != NULL;
+    for (i = 0; ok && i < b->count; i++) {
+        uint32_t x = (uint32_t)(b->polar[i][0] * (0.5f * step)), y = (uint32_t)(b->polar[i][1] * step), k, code = 0;
+        const uint32_t most = ((uint32_t)1 << deepest) - 1;
+        x = x < most ? x : most;
+        y = y < most ? y : most;
+        for (k = deepest; k > 0; k--) code = code << 2 | (x >> (k - 1) & 1u) | (y >> (k - 1) & 1u) << 1;
+        which[i] = (uint16_t)code;
+    }
+    ok = ok && zbufrandi_list_sort_cells(b, which, (uint32_t)1 << 2 * deepest) &&
+         zbufrandi_list_class_add(b, 0, (uint32_t)b->count) != NULL;
+    for (c = 0; ok && c < l->class_count; c++) { /* `root` is the level until there are trees */
+        uint32_t level = l->list_class[c].root, first = l->list_class[c].first, last = l->list_class[c].last, begin;
+        const uint32_t same = b->object[b->order[first]].normal;
+        for (i = first; i < last && b->object[b->order[i]].normal == same; i++) { }
+        if (i == last) continue; /* one normal only */
+        /* a cell with one cell in it that is not empty is left out */
+        while (level < deepest && which[b->order[first]] >> 2 * (deepest - level - 1) ==
+                                      which[b->order[last - 1]] >> 2 * (deepest - level - 1)) level++;
+        if (level >= deepest) continue;
+        l->list_class[c].child = l->class_count;
+        for (begin = i = first; ok && i < last; i++) {
+            const uint32_t shift = 2 * (deepest - level - 1);
+            if (i + 1 < last && which[b->order[i + 1]] >> shift == which[b->order[i]] >> shift) continue;
+            ok = zbufrandi_list_class_add(b, begin, i + 1) != NULL;
+            if (!ok) break;
+            l->list_class[l->class_count - 1].root = level + 1;
+            l->list_class[c].children++;
+            begin = i + 1;
+        }
+    }
+    zbufrandi_free(b->mem, which);
+    return ok;
+}
+
+/* Objects in the order of the classes; a tree over normals has them once for each level. 0: no memory. */
+static int zbufrandi_list_arrange(zbufrandi_list_build *b) {
+    zbufrandi_lists *l = b->l;
+    uint64_t room = 0;
+    uint32_t c, i, at = 0;
+    for (c = 0; c < l->class_count; c++) room += l->list_class[c].last - l->list_class[c].first;
+    if (room >= ZBUFRANDI_LIST_OBJECTS) return 0;
+    b->room = (size_t)room;
+    b->other = (zbufrandi_list_object *)zbufrandi_alloc_array(b->mem, b->room, sizeof *b->other);
+    if (b->other == NULL) return 0;
+    if (b->order == NULL) return 1; /* one class, as they are */
+    for (c = 0; c < l->class_count; c++) {
+        zbufrandi_list_class *k = &l->list_class[c];
+        const uint32_t first = at;
+        for (i = k->first; i < k->last; i++) b->other[at++] = b->object[b->order[i]];
+        k->first = first;
+        k->last = at;
+    }
+    zbufrandi_free(b->mem, b->object);
+    b->object = b->other;
+    b->other = (zbufrandi_list_object *)zbufrandi_alloc_array(b->mem, b->room, sizeof *b->other);
+    return b->other != NULL;
+}
+
+/* ---- trees ---- */
+
+typedef struct zbufrandi_list_cut { /* how the objects of a node are shared out: 0 stays, 1..8 child */
+    uint32_t axis, shift;
+    float sum, reach_lo, reach_hi; /* fair split */
+    uint32_t level;
+    int octree;
+} zbufrandi_list_cut;
+
+ZBUFRANDI_INLINE uint32_t zbufrandi_list_side(const zbufrandi_list_cut *c, const zbufrandi_list_object *o) {
+    if (c->octree) return (o->key & 31u) == c->level ? 0u : 1u + (uint32_t)(o->key >> c->shift & 7u);
+    if (o->lo[c->axis] + o->hi[c->axis] < c->sum) return o->hi[c->axis] <= c->reach_hi ? 1u : 0u;
+    return o->lo[c->axis] >= c->reach_lo ? 2u : 0u;
+}
+
+/* Share out objects first..last-1 in place, in their order. end[0]: of those that stay, end[k]: of child k. */
+static void zbufrandi_list_share(const zbufrandi_list_build *b, const zbufrandi_list_cut *cut, uint32_t first,
+                                 uint32_t last, uint32_t end[9]) {
+    uint32_t at[9], i, k;
+    memset(at, 0, sizeof at);
+    for (i = first; i < last; i++) at[zbufrandi_list_side(cut, &b->object[i])]++;
+    for (k = 0, i = first; k < 9; k++) {
+        const uint32_t n = at[k];
+        at[k] = i;
+        i += n;
+        end[k] = i;
+    }
+    for (i = first; i < last; i++) b->other[at[zbufrandi_list_side(cut, &b->object[i])]++] = b->object[i];
+    memcpy(b->object + first, b->other + first, (size_t)(last - first) * sizeof *b->object);
+}
+
+/* Make a node of objects first..last-1. 1: end[] says what its children are; 0: it is a leaf.
+   A leaf has few objects and is not much wider than the largest of them (the thesis: a bound of diameters, so that few
+   far apart do not become one), or cannot be divided. An octree goes at once to the smallest cell that holds all: the
+   thesis' shortcut. */
+static int zbufrandi_list_divide(const zbufrandi_list_build *b, uint32_t first, uint32_t last,
+                                 zbufrandi_list_node *n, uint32_t end[9]) {
+    double largest = 0.0, wide = 0.0;
+    uint64_t differ = 0, least = 31;
+    zbufrandi_list_cut cut;
+    uint32_t i, k;
+    int a;
+    memset(n, 0, sizeof *n);
+    memset(&cut, 0, sizeof cut);
+    zbufrandi_box_empty(n->lo, n->hi);
+    n->first = first;
+    n->own = n->last = last;
+    for (i = first; i < last; i++) {
+        const zbufrandi_list_object *o = &b->object[i];
+        double d = 0.0;
+        zbufrandi_box_add(n->lo, n->hi, o->lo, o->hi);
+        for (a = 0; a < 3; a++) d += ((double)o->hi[a] - (double)o->lo[a]) * ((double)o->hi[a] - (double)o->lo[a]);
+        largest = d > largest ? d : largest;
+        differ |= o->key ^ b->object[first].key;
+        least = (o->key & 31u) < least ? o->key & 31u : least;
+        n->dummies |= o->item >> 31;
+    }
+    for (a = 0; a < 3; a++) {
+        wide += ((double)n->hi[a] - (double)n->lo[a]) * ((double)n->hi[a] - (double)n->lo[a]);
+        if (n->hi[a] - n->lo[a] > n->hi[cut.axis] - n->lo[cut.axis]) cut.axis = (uint32_t)a;
+    }
+    if (b->octree) { /* the cell that all have in common */
+        for (k = 0; k < least && differ >> 5 >> (3 * (ZBUFRANDI_LIST_LEVELS - k - 1)) == 0; k++) { }
+        i = 3 * (ZBUFRANDI_LIST_LEVELS - k);
+        n->key = b->object[first].key >> 5 >> i << i << 5 | k;
+        cut.octree = 1;
+        cut.level = k;
+        cut.shift = 5 + (k < ZBUFRANDI_LIST_LEVELS ? i - 3 : 0);
+        if (differ >> 5 == 0 && least == (uint64_t)k && k == ZBUFRANDI_LIST_LEVELS) return 0;
+    } else {
+        const float side = n->hi[cut.axis] - n->lo[cut.axis], zone = (b->zone - 1.0f) * 0.25f * side;
+        cut.sum = n->lo[cut.axis] + n->hi[cut.axis];
+        cut.reach_hi = 0.5f * cut.sum + zone;
+        cut.reach_lo = 0.5f * cut.sum - zone;
+    }
+    if (last - first <= b->leaf && wide <= b->ratio2 * largest) return 0;
+    zbufrandi_list_share(b, &cut, first, last, end);
+    if (end[0] == last) return 0;
+    for (k = 1; k < 9; k++) if (end[k] - end[k - 1] == last - first) return 0;
+    n->own = end[0];
+    return 1;
+}
+
+/* Leaves of a tree over normals are runs along the curve, so that a cell is one, too. */
+static void zbufrandi_list_sort_leaf(const zbufrandi_list_build *b, uint32_t first, uint32_t last) {
+    uint32_t i, k;
+    for (i = first + 1; i < last; i++) {
+        const zbufrandi_list_object o = b->object[i];
+        for (k = i; k > first && b->object[k - 1].key > o.key; k--) b->object[k] = b->object[k - 1];
+        b->object[k] = o;
+    }
+}
+
+typedef struct zbufrandi_list_todo {
+    uint32_t first, last;      /* last 0: node `first` is complete */
+} zbufrandi_list_todo;
+
+/* The tree of objects first..last-1, appended to `out`. job: ranges of at most that many objects are left to tasks; a
+   node with own == ~0 stands for the tree, and the job's number is its `end`. */
+static void zbufrandi_list_grow(zbufrandi_list_build *b, uint32_t first, uint32_t last, uint32_t job,
+                                zbufrandi_list_nodes *out) {
+    zbufrandi_list_todo *stack = NULL;
+    size_t capacity = 0, depth = 0;
+    uint32_t end[9], k;
+    if (!zbufrandi_grow(b->mem, (void **)&stack, &capacity, 0, 64, sizeof *stack)) {
+        out->failed = 1;
+        return;
+    }
+    stack[depth].first = first;
+    stack[depth++].last = last;
+    while (depth > 0 && !out->failed) {
+        const zbufrandi_list_todo at = stack[--depth];
+        zbufrandi_list_node *n;
+        if (at.last == 0) {
+            out->node[at.first].end = (uint32_t)out->count;
+            continue;
+        }
+        if (!zbufrandi_grow(b->mem, (void **)&out->node, &out->capacity, out->count, out->count + 1,
+                            sizeof *out->node) ||
+            !zbufrandi_grow(b->mem, (void **)&stack, &capacity, depth, depth + 9, sizeof *stack)) {
+            out->failed = 1;
+            break;
+        }
+        n = &out->node[out->count];
+        if (at.last - at.first <= job) {
+            memset(n, 0, sizeof *n);
+            n->own = ~0u;
+            n->end = (uint32_t)b->job_count;
+            if (!zbufrandi_grow(b->mem, (void **)&b->job, &b->job_capacity, b->job_count, b->job_count + 1,
+                                sizeof *b->job)) {
+                out->failed = 1;
+                break;
+            }
+            memset(&b->job[b->job_count], 0, sizeof *b->job);
+            b->job[b->job_count].first = at.first;
+            b->job[b->job_count++].last = at.last;
+            out->count++;
+            continue;
+        }
+        stack[depth].first = (uint32_t)out->count++;
+        stack[depth++].last = 0;
+        if (!zbufrandi_list_divide(b, at.first, at.last, n, end)) {
+            if (b->l->key != NULL) zbufrandi_list_sort_leaf(b, at.first, at.last);
+            continue;
+        }
+        for (k = 8; k > 0; k--) {
+            if (end[k] == end[k - 1]) continue;
+            stack[depth].first = end[k - 1];
+            stack[depth++].last = end[k];
+        }
+    }
+    zbufrandi_free(b->mem, stack);
+}
+
+static void zbufrandi_list_job_task(void *ctx, uint32_t task) {
+    zbufrandi_list_build *b = (zbufrandi_list_build *)ctx;
+    zbufrandi_list_nodes *j = &b->job[task];
+    zbufrandi_list_grow(b, j->first, j->last, 0, j);
+}
+
+/* One tree per class, all in one array. 0: no memory. */
+static int zbufrandi_list_trees(zbufrandi_list_build *b) {
+    zbufrandi_lists *l = b->l;
+    size_t total = 0, i, at = 0;
+    uint32_t c, k, *place;
+    int ok = 1;
+    for (c = 0; c < l->class_count && !b->top.failed; c++) {
+        l->list_class[c].root = (uint32_t)b->top.count;
+        zbufrandi_list_grow(b, l->list_class[c].first, l->list_class[c].last, ZBUFRANDI_LIST_JOB, &b->top);
+    }
+    if (b->top.failed) return 0;
+    zbufrandi_parallel_for(&b->scene->env, zbufrandi_list_job_task, b, (uint32_t)b->job_count);
+    for (i = 0; i < b->job_count; i++) ok &= !b->job[i].failed;
+    if (!ok) return 0;
+    place = (uint32_t *)zbufrandi_alloc_array(b->mem, b->top.count + 1, sizeof *place);
+    if (place == NULL) return 0;
+    for (i = 0; i < b->top.count; i++) { /* where each will stand */
+        place[i] = (uint32_t)total;
+        total += b->top.node[i].own == ~0u ? b->job[b->top.node[i].end].count : 1;
+    }
+    place[b->top.count] = (uint32_t)total;
+    l->node = (zbufrandi_list_node *)zbufrandi_alloc_array(b->mem, total, sizeof *l->node);
+    l->node_count = (uint32_t)total;
+    for (i = 0; l->node != NULL && i < b->top.count; i++) {
+        const zbufrandi_list_node *n = &b->top.node[i];
+        if (n->own == ~0u) {
+            const zbufrandi_list_nodes *j = &b->job[n->end];
+            for (k = 0; k < j->count; k++) {
+                l->node[at + k] = j->node[k];
+                l->node[at + k].end += (uint32_t)at;
+            }
+            at += j->count;
+        } else {
+            l->node[at] = *n;
+            l->node[at++].end = place[n->end];
+        }
+    }
+    for (c = 0; c < l->class_count; c++) l->list_class[c].root = place[l->list_class[c].root];
+    zbufrandi_free(b->mem, place);
+    return l->node != NULL;
+}
+
+/* Triangles of a run of objects, instances counted as often as they occur. */
+static uint64_t zbufrandi_list_triangles(const zbufrand_scene *scene, const zbufrandi_structure *s, uint32_t first,
+                                         uint32_t last) {
+    const zbufrandi_lists *l = s->lists;
+    uint64_t n = 0;
+    uint32_t i;
+    for (i = first; i < last; i++) {
+        if (l->object[i] & ZBUFRANDI_LIST_DUMMY) {
+            const zbufrandi_dummy *d = &l->dummy[l->object[i] & ~ZBUFRANDI_LIST_DUMMY];
+            n += scene->structure[s->instance[d->instance].structure].lists->list_class[d->list_class].triangles;
+        } else {
+            n++;
+        }
+    }
+    return n;
+}
+
+/* Area of an object, in units of the structure. */
+static double zbufrandi_list_area(const zbufrand_scene *scene, const zbufrandi_structure *s, const zbufrandi_lists *l,
+                                  uint32_t item) {
+    float n[3];
+    if (item & ZBUFRANDI_LIST_DUMMY) {
+        const zbufrandi_dummy *d = &l->dummy[item & ~ZBUFRANDI_LIST_DUMMY];
+        const zbufrandi_instance *it = &s->instance[d->instance];
+        const zbufrandi_lists *to = scene->structure[it->structure].lists;
+        const zbufrandi_list_class *c = &to->list_class[d->list_class];
+        return (double)(to->sum[c->last] - to->sum[c->first]) * to->unit * it->scale * it->scale;
+    }
+    return zbufrandi_list_normal(s, item, n);
+}
+
+static void zbufrandi_list_fill_task(void *ctx, uint32_t task) {
+    const zbufrandi_list_build *b = (const zbufrandi_list_build *)ctx;
+    zbufrandi_lists *l = b->l;
+    size_t i = (size_t)task * ZBUFRANDI_TASK_TRIANGLES, end = i + ZBUFRANDI_TASK_TRIANGLES;
+    if (end > b->room) end = b->room;
+    for (; i < end; i++) {
+        const zbufrandi_list_object *o = &b->object[i];
+        l->object[i] = o->item;
+        l->sum[i + 1] = (uint64_t)(zbufrandi_list_area(b->scene, b->s, l, o->item) / l->unit) + 1;
+        if (l->key != NULL) l->key[i] = o->key;
+    }
+}
+
+/* Cone of the normals of a class, from the normals themselves: corners of polar cells say nothing near the poles. */
+static void zbufrandi_list_cone_task(void *ctx, uint32_t task) {
+    const zbufrandi_list_build *b = (const zbufrandi_list_build *)ctx;
+    zbufrandi_lists *l = b->l;
+    zbufrandi_list_class *c = &l->list_class[task];
+    double axis[3] = {0.0, 0.0, 0.0}, length, cosine = 1.0;
+    uint32_t i, a, pass;
+    zbufrandi_lane lane;
+    memset(&lane, 0, sizeof lane);
+    for (pass = 0; pass < 2; pass++) {
+        for (i = c->first; i < c->last; i++) {
+            const uint32_t item = l->object[i];
+            lane.cosine = 1.0f;
+            if (item & ZBUFRANDI_LIST_DUMMY) {
+                const zbufrandi_dummy *d = &l->dummy[item & ~ZBUFRANDI_LIST_DUMMY];
+                const zbufrandi_instance *it = &b->s->instance[d->instance];
+                const zbufrandi_list_class *k = &b->scene->structure[it->structure].lists->list_class[d->list_class];
+                memcpy(lane.axis, k->axis, sizeof lane.axis);
+                zbufrandi_instance_rotate(it, lane.axis);
+                lane.cosine = k->cosine;
+                c->two_sided |= k->two_sided;
+            } else {
+                (void)zbufrandi_list_normal(b->s, item, lane.axis);
+                c->two_sided |= b->s->cluster[item >> 7].flags & ZBUFRANDI_TWO_SIDED;
+            }
+            if (pass == 0) {
+                for (a = 0; a < 3; a++) axis[a] += (double)lane.axis[a];
+            } else {
+                cosine = zbufrandi_min(cosine, zbufrandi_cone_reach(axis, &lane, 1.0) - 1e-6);
+            }
+        }
+        if (pass == 1) break;
+        length = sqrt(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2]);
+        if (!(length > 1e-6 * (double)(c->last - c->first))) return; /* all directions */
+        for (a = 0; a < 3; a++) {
+            c->axis[a] = (float)(axis[a] / length);
+            axis[a] = (double)c->axis[a];
+        }
+    }
+    c->cosine = zbufrandi_float_down(zbufrandi_max(cosine, -1.0));
+}
+
+/* ---- one structure ---- */
+
+static void zbufrandi_list_build_free(zbufrandi_list_build *b) {
+    size_t i;
+    zbufrandi_free(b->mem, b->object);
+    zbufrandi_free(b->mem, b->other);
+    zbufrandi_free(b->mem, b->polar);
+    zbufrandi_free(b->mem, b->order);
+    zbufrandi_free(b->mem, b->top.node);
+    for (i = 0; i < b->job_count; i++) zbufrandi_free(b->mem, b->job[i].node);
+    zbufrandi_free(b->mem, b->job);
+}
+
+/* Boxes, areas and dummies are there; classes, trees and sums follow. 0: no memory, or 2^29 objects. */
+static int zbufrandi_list_finish(zbufrandi_list_build *b, const zbufrand_build_desc *d, uint32_t depth) {
+    zbufrandi_lists *l = b->l;
+    const int tree = d->structure == ZBUFRAND_STRUCTURE_NORMALS;
+    size_t i;
+    int ok = 1;
+    if (b->order != NULL) {
+        for (i = 0; i < b->count; i++) b->order[i] = (uint32_t)i;
+        ok = tree ? zbufrandi_list_quadtree(b, depth) : d->normal_grid != 0
+            ? zbufrandi_list_grid(b, d->normal_grid) : zbufrandi_list_polar_split(b, depth);
+    } else {
+        ok = zbufrandi_list_class_add(b, 0, (uint32_t)b->count) != NULL;
+    }
+    if (!ok || !zbufrandi_list_arrange(b)) return 0;
+    l->roots = tree ? 1 : l->class_count;
+    l->object_count = (uint32_t)b->room;
+    l->object = (uint32_t *)zbufrandi_alloc_array(b->mem, b->room, sizeof *l->object);
+    l->sum = (uint64_t *)zbufrandi_alloc_array(b->mem, b->room + 1, sizeof *l->sum);
+    if (tree) l->key = (uint64_t *)zbufrandi_alloc_array(b->mem, b->room, sizeof *l->key);
+    if (l->object == NULL || l->sum == NULL || (tree && l->key == NULL) || !zbufrandi_list_trees(b)) return 0;
+    /* room for each level of a tree over normals, and for rounding up */
+    l->unit = zbufrandi_max(b->s->area, 1e-300) * (double)(tree ? depth : 1) * (1.0 / 2305843009213693952.0);
+    zbufrandi_parallel_for(&b->scene->env, zbufrandi_list_fill_task, b,
+                           (uint32_t)((b->room + ZBUFRANDI_TASK_TRIANGLES - 1) / ZBUFRANDI_TASK_TRIANGLES));
+    l->sum[0] = 0;
+    for (i = 0; i < b->room; i++) l->sum[i + 1] += l->sum[i];
+    for (i = 0; i < l->class_count; i++) {
+        zbufrandi_list_class *c = &l->list_class[i];
+        c->triangles = zbufrandi_list_triangles(b->scene, b->s, c->first, c->last);
+    }
+    if (b->order != NULL) zbufrandi_parallel_for(&b->scene->env, zbufrandi_list_cone_task, b, l->class_count);
+    return 1;
+}
+
+static int zbufrandi_list_structure(zbufrand_scene *scene, uint32_t index, const zbufrand_build_desc *d) {
+    zbufrandi_structure *s = &scene->structure[index];
+    zbufrandi_list_build b;
+    uint64_t dummies = 0;
+    uint32_t depth, i, c, a;
+    int ok, classes;
+    memset(&b, 0, sizeof b);
+    b.scene = scene;
+    b.mem = &scene->mem;
+    b.s = s;
+    b.l = s->lists = (zbufrandi_lists *)zbufrandi_alloc_zero(b.mem, 1, sizeof *b.l);
+    if (b.l == NULL) return 0;
+    for (i = 0; i < s->instance_count; i++) {
+        const zbufrandi_lists *to = scene->structure[s->instance[i].structure].lists;
+        for (c = 0; c < to->class_count; c++) dummies += to->list_class[c].children == 0;
+    }
+    if (dummies + s->triangle_count >= ZBUFRANDI_LIST_OBJECTS || s->cluster_count >= 1u << 24) return 0;
+    b.count = b.room = (size_t)dummies + s->triangle_count;
+    b.l->dummy_count = (uint32_t)dummies;
+    if (b.count == 0) return 1;
+    depth = d->normal_depth != 0 ? d->normal_depth : d->structure >= ZBUFRAND_STRUCTURE_CLASSES ? 4u : 0u;
+    classes = depth != 0 || d->normal_grid != 0;
+    b.octree = d->structure == ZBUFRAND_STRUCTURE_OCTREE || d->structure == ZBUFRAND_STRUCTURE_NORMALS;
+    b.leaf = d->leaf_objects != 0 ? d->leaf_objects : 64u;
+    b.ratio2 = d->leaf_ratio > 0.0f ? (double)d->leaf_ratio * (double)d->leaf_ratio : (double)b.leaf;
+    b.zone = d->tolerance_zone > 0.0f ? d->tolerance_zone : 1.5f;
+    for (a = 0; a < 3; a++) {
+        b.cube_lo[a] = (double)s->box_lo[a];
+        b.cube = zbufrandi_max(b.cube, (double)s->box_hi[a] - (double)s->box_lo[a]);
+    }
+    b.cube = zbufrandi_max(b.cube * 1.000001, 1e-30);
+    b.object = (zbufrandi_list_object *)zbufrandi_alloc_array(b.mem, b.count, sizeof *b.object);
+    if (dummies != 0) b.l->dummy = (zbufrandi_dummy *)zbufrandi_alloc_array(b.mem, (size_t)dummies, sizeof *b.l->dummy);
+    if (classes) {
+        b.polar = (float (*)[2])zbufrandi_alloc_array(b.mem, b.count, sizeof *b.polar);
+        b.order = (uint32_t *)zbufrandi_alloc_array(b.mem, b.count, sizeof *b.order);
+    }
+    ok = b.object != NULL && (dummies == 0 || b.l->dummy != NULL) &&
+         (!classes || (b.polar != NULL && b.order != NULL));
+    if (ok) {
+        zbufrandi_parallel_for(&scene->env, zbufrandi_list_triangle_task, &b,
+                               (s->cluster_count + ZBUFRANDI_TASK_CLUSTERS - 1) / ZBUFRANDI_TASK_CLUSTERS);
+        zbufrandi_list_dummies(&b);
+        ok = zbufrandi_list_finish(&b, d, depth);
+    }
+    zbufrandi_list_build_free(&b);
+    return ok;
+}
+
+/* Trees for all structures; prototypes first. On failure there are none. */
+static zbufrand_result zbufrandi_scene_lists(zbufrand_scene *scene, const zbufrand_build_desc *d) {
+    uint32_t i;
+    if ((uint32_t)d->structure > ZBUFRAND_STRUCTURE_NORMALS || d->leaf_objects > ZBUFRANDI_LIST_LEAF ||
+        d->normal_depth > 8 || d->normal_grid > 64 || !(d->leaf_ratio >= 0.0f) || !(d->leaf_ratio <= 1e6f) ||
+        !(d->tolerance_zone == 0.0f || (d->tolerance_zone >= 1.0f && d->tolerance_zone <= 2.0f))) {
+        return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_INVALID_ARG, 0, "build: a field of the trees is wrong");
+    }
+    if (d->structure == ZBUFRAND_STRUCTURE_DEFAULT) return ZBUFRAND_OK;
+    for (i = scene->structure_count; i > 0; i--) {
+        if (zbufrandi_list_structure(scene, i - 1, d)) continue;
+        return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_NO_MEMORY, i - 1,
+                              "structure %: no memory for its lists, or 2^29 objects in them");
+    }
+    return ZBUFRAND_OK;
+}
+
+static void zbufrandi_list_totals(zbufrand_scene *scene) {
+    uint32_t i;
+    for (i = 0; i < scene->structure_count; i++) {
+        const zbufrandi_lists *l = scene->structure[i].lists;
+        if (l == NULL) continue;
+        scene->info.list_objects += l->object_count;
+        scene->info.list_nodes += l->node_count;
+        scene->info.list_classes += l->class_count;
+    }
+}
+
 /* ---------------------------------------------------------------------------
    raster: exact z-buffer rasteriser for the triangles of a cluster.            // >>raster
 
@@ -6379,7 +7275,7 @@ static ZBUFRANDI_UNUSED void zbufrandi_ray_matrix(const zbufrandi_rays *r, const
 
 enum {
     ZBUFRANDI_DRAW_STORED = 0, ZBUFRANDI_DRAW_SAMPLED = 1, ZBUFRANDI_DRAW_RASTERED = 2, ZBUFRANDI_DRAW_RAYS = 3,
-    ZBUFRANDI_DRAW_POINTS = 4, ZBUFRANDI_DRAW_SHIFT = 29,
+    ZBUFRANDI_DRAW_POINTS = 4, ZBUFRANDI_DRAW_LISTED = 5, ZBUFRANDI_DRAW_LISTED_RASTER = 6, ZBUFRANDI_DRAW_SHIFT = 29,
     ZBUFRANDI_ROUND_TASKS = 64,   /* subtrees of a round */
     ZBUFRANDI_ROUND_NODES = 96    /* nodes a task opens */
 };
@@ -6389,7 +7285,7 @@ typedef struct zbufrandi_draw { /* 64 bytes */
     float h_ref, iz_ref;       /* stored: bounds of H (times the scale of the local) and of 1/z, for thinning */
     float z_lo, z_hi;          /* depths that the surface may have */
     uint32_t local;
-    uint32_t item;             /* kind << 29 | set, cluster, first ray hit, cloud */
+    uint32_t item;             /* kind << 29 | set, cluster, first ray hit, cloud, first object of a list */
     uint32_t count;            /* samples wanted; sampled: the most there can be; rastered: triangles */
     uint32_t hash;             /* random numbers of this draw */
     uint32_t block;            /* first of its blocks of 64 numbers */
@@ -6416,6 +7312,8 @@ typedef struct zbufrandi_cut { /* what is the same for all of a frame's selectio
     uint32_t seed;
     int level;                 /* instruction set */
     int bounds;                /* remember bounds, and draws without samples */
+    float depth_ratio, angle_ratio, clip_ratio, list_sample; /* for the thesis' trees; depths may differ by the first */
+    int round_up;
 } zbufrandi_cut;
 
 typedef struct zbufrandi_open_node { /* a node still to be opened */
@@ -7730,6 +8628,643 @@ static uint32_t zbufrandi_draw_points(const zbufrandi_target *g, const zbufrandi
     }
     return accepted;
 }
+/* ---------------------------------------------------------------------------
+   listed: the cut through the thesis' trees by its rules, and samples drawn     // >>listed
+   from their distribution lists.
+
+   A node is drawn from as a whole (chosen) when its box is in front of the near plane and
+       depth    z_max <= sqrt(epsilon) z_min: the factor 1/z^2 varies by at most epsilon,
+       normals  the cosines of its angles of view vary by at most epsilon_n, or cannot be told apart better,
+       view     the box is inside of the view, or not wider than c z_min.
+   The bound of the projection factor is f^2 cos(b) (|v| / z) / z_min^2, where b is the smallest angle that the cone of
+   its class and the cone of directions towards its box leave. Other nodes are divided. What stays at a node that is
+   divided, and the triangles of leaves that cannot be, are looked at one by one: sampled with their exact bound if the
+   depth rule holds for the triangle, rasterised otherwise. Nothing is lost: a leaf that crosses the plane of the eye
+   goes to the rasteriser triangle by triangle.
+   A chosen node may have dummies below: drawing enters them, one after the other, for each sample.
+   --------------------------------------------------------------------------- */
+
+#define ZBUFRANDI_LISTED_INDEPENDENT 0x80000000u /* of a draw's aux, beside the end of its run */
+
+typedef struct zbufrandi_list_open { /* a node to be looked at, seen from a local */
+    uint32_t node, list_class, local;
+    uint32_t first, last;      /* of its objects those that are meant: all, or a run of a leaf */
+    uint32_t _pad;
+    uint64_t key;              /* octree: the cell whose objects these are */
+} zbufrandi_list_open;
+
+typedef struct zbufrandi_list_bound {
+    double z_min, z_max;       /* world */
+    double diameter;           /* of the sphere around the box, world */
+    double h;                  /* bound of H, for the factor f^2 h / z_min^3; only with z_min >= near */
+    double cos_hi, cos_lo;     /* cosines of the least and the largest angle of view */
+    int inside;                /* within the view */
+    int wide;                  /* its place counts for more than the cone of its class */
+} zbufrandi_list_bound;
+
+/* The rules of a picture. 0: a field is wrong. */
+static int zbufrandi_list_rules(const zbufrand_render_desc *d, const zbufrand_scene *scene, zbufrandi_cut *cut) {
+    const double depth = d->depth_ratio > 0.0 ? d->depth_ratio : 1.5;
+    double angle = d->angle_ratio;
+    if (!(depth > 1.0 && depth < 1e6) || !(d->angle_ratio >= 0.0 && d->angle_ratio < 1e6) ||
+        !(d->depth_ratio >= 0.0) || !(d->clip_ratio >= 0.0 && d->clip_ratio < 1e6)) return 0;
+    if (angle > 0.0 && !(angle > 1.0)) return 0;
+    if (angle <= 0.0 && scene != NULL && scene->structure_count != 0 && scene->structure[0].lists != NULL &&
+        scene->structure[0].lists->key != NULL) angle = depth;
+    cut->depth_ratio = (float)sqrt(depth);
+    cut->angle_ratio = (float)angle;
+    cut->clip_ratio = (float)d->clip_ratio;
+    return 1;
+}
+
+ZBUFRAND_DEF void zbufrand_preset_thesis(zbufrand_build_desc *build, zbufrand_render_desc *render) {
+    if (build != NULL) {
+        build->structure = ZBUFRAND_STRUCTURE_FAIR_SPLIT;
+        build->leaf_objects = 64;
+        build->leaf_ratio = 8.0f;
+        build->tolerance_zone = 1.5f;
+        build->normal_depth = build->normal_grid = 0;
+    }
+    if (render != NULL) {
+        render->hybrid = ZBUFRAND_HYBRID_LARGE;
+        render->independent = render->round_up = 1;
+        render->depth_ratio = 1.5;
+        render->angle_ratio = render->clip_ratio = 0.0;
+        render->no_lists = 0;
+        render->no_occlusion = render->no_repair = render->no_plane_depth = render->no_thinning = 1;
+        memset(&render->reconstruct, 0, sizeof render->reconstruct);
+        render->reconstruct.block = 2;
+    }
+}
+
+/* ---- bounds ---- */
+
+/* cos(max(0, g - s)) and cos(min(pi, g + s)) for angles given by cosine and sine. */
+static void zbufrandi_list_angles(double cg, double sg, double cs, double ss, double *high, double *low) {
+    *high = cg >= cs ? 1.0 : cg * cs + sg * ss;
+    *low = cg <= 0.0 - cs ? -1.0 : cg * cs - sg * ss;
+}
+
+static double zbufrandi_list_sine(double c) { return sqrt(zbufrandi_max(0.0, 1.0 - c * c)); }
+
+/* What the box and the class of a node say. 0: outside of the view, 1: turned away, 2: it counts. */
+static int zbufrandi_list_test(const zbufrandi_cut *cut, const zbufrandi_local *l, const float lo[3],
+                               const float hi[3], const zbufrandi_list_class *k, zbufrandi_list_bound *b) {
+    const zbufrandi_camera *v = &cut->camera;
+    const double f = v->focal, w = (double)v->width, h = (double)v->height, scale = (double)l->scale;
+    double plane[4][3], q[3], e[3], m[3], length2 = 0.0, radius2 = 0.0, reach, slack, length, cg, cs, ss, cr, sr, ct;
+    int a, p, r;
+    memset(b, 0, sizeof *b);
+    for (a = 0; a < 3; a++) {
+        m[a] = 0.5 * ((double)lo[a] + (double)hi[a]);
+        e[a] = 0.5 * ((double)hi[a] - (double)lo[a]);
+        radius2 += e[a] * e[a];
+    }
+    slack = 0.0;
+    for (r = 0; r < 3; r++) {
+        q[r] = l->to_camera[r][3];
+        for (a = 0; a < 3; a++) q[r] += l->to_camera[r][a] * m[a];
+        slack += zbufrandi_abs(l->to_camera[r][3]) + zbufrandi_abs(q[r]);
+        length2 += q[r] * q[r];
+    }
+    slack *= 1e-14;
+    reach = slack;
+    for (a = 0; a < 3; a++) reach += zbufrandi_abs(l->to_camera[2][a]) * e[a];
+    b->z_min = q[2] - reach;
+    b->z_max = q[2] + reach;
+    if (b->z_max < v->near_z || b->z_min > v->far_z) return 0;
+    b->inside = b->z_min >= v->near_z && b->z_max <= v->far_z;
+    memset(plane, 0, sizeof plane); /* inwards: px >= 0, px <= w, py >= 0, py <= h */
+    plane[0][0] = f;
+    plane[0][2] = v->center_x;
+    plane[1][0] = 0.0 - f;
+    plane[1][2] = w - v->center_x;
+    plane[2][1] = 0.0 - f;
+    plane[2][2] = v->center_y;
+    plane[3][1] = f;
+    plane[3][2] = h - v->center_y;
+    for (p = 0; p < 4; p++) {
+        const double at = plane[p][0] * q[0] + plane[p][1] * q[1] + plane[p][2] * q[2];
+        reach = slack * (f + w + h);
+        for (a = 0; a < 3; a++) {
+            reach += e[a] * zbufrandi_abs(plane[p][0] * l->to_camera[0][a] + plane[p][1] * l->to_camera[1][a] +
+                                          plane[p][2] * l->to_camera[2][a]);
+        }
+        if (at + reach < 0.0) return 0;
+        b->inside &= at - reach >= 0.0;
+    }
+    reach = sqrt(radius2) * scale * 1.000001 + slack;
+    length = sqrt(length2);
+    b->diameter = 2.0 * reach;
+    /* the directions towards the eye: a cone around that of the middle, with sine reach / length */
+    b->cos_hi = 1.0;
+    b->cos_lo = -1.0;
+    b->wide = 1;
+    ct = (double)k->cosine;
+    if (length > reach && ct > -1.0) {
+        sr = reach / length;
+        cr = sqrt(1.0 - sr * sr);
+        ss = zbufrandi_list_sine(ct);
+        cs = ct * cr - ss * sr;
+        ss = ss * cr + ct * sr;
+        b->wide = cr < ct;
+        if (ss > 0.0 && !(cs <= -1.0)) { /* together less than a half turn */
+            cg = 0.0;
+            for (r = 0; r < 3; r++) {
+                double n = 0.0;
+                for (a = 0; a < 3; a++) n += l->to_camera[r][a] * (double)k->axis[a];
+                cg -= n * q[r];
+            }
+            cg = zbufrandi_max(-1.0, zbufrandi_min(1.0, cg / (scale * length)));
+            zbufrandi_list_angles(cg, zbufrandi_list_sine(cg), cs, ss, &b->cos_hi, &b->cos_lo);
+            b->cos_hi = zbufrandi_min(1.0, b->cos_hi + 1e-6);
+            b->cos_lo = zbufrandi_max(-1.0, b->cos_lo - 1e-6);
+            if (k->two_sided) { /* the side that is seen: both angles count by their cosines' sizes */
+                const double high = zbufrandi_max(b->cos_hi, 0.0 - b->cos_lo);
+                b->cos_lo = b->cos_lo > 0.0 ? b->cos_lo : b->cos_hi < 0.0 ? 0.0 - b->cos_hi : 0.0;
+                b->cos_hi = high;
+            }
+        }
+    }
+    if (!(b->cos_hi > 0.0)) return 1;
+    if (b->z_min >= v->near_z) { /* |v| / z: not more than in the corner of the picture */
+        const double x = zbufrandi_max(v->center_x, w - v->center_x), y = zbufrandi_max(v->center_y, h - v->center_y);
+        double secant = (length + reach) / b->z_min;
+        secant = zbufrandi_min(secant, sqrt(1.0 + (x * x + y * y) / (f * f)));
+        b->h = b->cos_hi * secant * b->z_min;
+    }
+    return 2;
+}
+
+/* ---- what is chosen ---- */
+
+ZBUFRANDI_INLINE const zbufrandi_local *zbufrandi_list_local(const zbufrandi_local *locals, const zbufrandi_pick *p,
+                                                             uint32_t local) {
+    return local >= ZBUFRANDI_NEW_LOCAL ? &p->local[local - ZBUFRANDI_NEW_LOCAL] : &locals[local];
+}
+
+/* A Poisson number. */
+static uint32_t zbufrandi_list_poisson(double mean, uint32_t h) {
+    uint32_t k = 0;
+    while (mean > 0.0) { /* sums of Poisson numbers are Poisson numbers */
+        const double part = mean > 16.0 ? 16.0 : mean, floor_at = zbufrandi_exp2(-part * 1.4426950408889634);
+        double product = 1.0;
+        for (;;) {
+            h = zbufrandi_hash32(h + 0x9e3779b9u);
+            product *= ((double)h + 0.5) * (1.0 / 4294967296.0);
+            if (product < floor_at) break;
+            k++;
+        }
+        mean -= part;
+    }
+    return k;
+}
+
+/* Draw a run of objects: samples if the bound is known, the triangles themselves with raster. */
+static void zbufrandi_list_emit(const zbufrandi_cut *cut, const zbufrandi_local *locals, zbufrandi_pick *p,
+                                uint32_t local, uint32_t first, uint32_t last, double z_min, double z_max, double h,
+                                int raster) {
+    const zbufrandi_local *l = zbufrandi_list_local(locals, p, local);
+    const zbufrandi_structure *s = &cut->scene->structure[l->structure];
+    const double area = (double)(s->lists->sum[last] - s->lists->sum[first]) * s->lists->unit * (double)l->scale *
+                        (double)l->scale;
+    double expected = cut->density * area * cut->camera.focal * cut->camera.focal * h / (z_min * z_min * z_min);
+    zbufrandi_draw d;
+    memset(&d, 0, sizeof d);
+    d.hash = zbufrandi_hash32(l->hash ^ zbufrandi_hash32(first * 0x9e3779b1u + 0x2545f491u) ^ last);
+    d.local = local;
+    d.aux = last | (cut->independent ? ZBUFRANDI_LISTED_INDEPENDENT : 0u);
+    d.z_lo = zbufrandi_float_down(z_min);
+    d.z_hi = zbufrandi_float_up(z_max);
+    if (raster) {
+        d.item = (uint32_t)ZBUFRANDI_DRAW_LISTED_RASTER << ZBUFRANDI_DRAW_SHIFT | first;
+        d.count = last - first;
+    } else {
+        d.item = (uint32_t)ZBUFRANDI_DRAW_LISTED << ZBUFRANDI_DRAW_SHIFT | first;
+        d.h_ref = zbufrandi_float_up(h * 1.000001);
+        d.iz_ref = zbufrandi_float_up(1.000001 / z_min);
+        expected *= 1.000005;
+        expected = expected < 4e8 ? expected : 4e8;
+        d.count = (uint32_t)(expected + (double)zbufrandi_unit24(d.hash));
+        if (cut->round_up) d.count = (uint32_t)expected + ((double)(uint32_t)expected < expected);
+        else if (cut->independent) d.count = zbufrandi_list_poisson(expected, d.hash);
+        if (d.count == 0 && !cut->bounds) return;
+    }
+    if (cut->bounds) {
+        zbufrandi_bounds *b = &p->bounds[p->draw_count];
+        memset(b, 0, sizeof *b);
+        b->triangles = zbufrandi_list_triangles(cut->scene, s, first, last);
+        b->area = zbufrandi_float_up(area);
+        b->h = d.h_ref;
+    }
+    p->draw[p->draw_count++] = d;
+}
+
+/* One triangle on its own. `exact`: rasterise it whatever the rules say. */
+static void zbufrandi_list_single(const zbufrandi_cut *cut, const zbufrandi_local *locals, zbufrandi_pick *p,
+                                  uint32_t local, uint32_t object, int exact) {
+    const zbufrandi_local *l = zbufrandi_list_local(locals, p, local);
+    const zbufrandi_structure *s = &cut->scene->structure[l->structure];
+    const zbufrandi_camera *v = &cut->camera;
+    const float *c[3];
+    const zbufrandi_cluster *cluster = zbufrandi_list_triangle(s, s->lists->object[object], c);
+    double q[3][3], n[3], z_min = 1e300, z_max = -1e300, h = 0.0, length = 0.0, slack = 0.0;
+    int k, r, out[4] = {0, 0, 0, 0}, large;
+    for (k = 0; k < 3; k++) {
+        for (r = 0; r < 3; r++) {
+            q[k][r] = l->to_camera[r][0] * (double)c[k][0] + l->to_camera[r][1] * (double)c[k][1] +
+                      l->to_camera[r][2] * (double)c[k][2] + l->to_camera[r][3];
+            slack = zbufrandi_max(slack, zbufrandi_abs(q[k][r]) + zbufrandi_abs(l->to_camera[r][3]));
+        }
+        z_min = zbufrandi_min(z_min, q[k][2]);
+        z_max = zbufrandi_max(z_max, q[k][2]);
+        out[0] += v->focal * q[k][0] + v->center_x * q[k][2] < 0.0;
+        out[1] += ((double)v->width - v->center_x) * q[k][2] - v->focal * q[k][0] < 0.0;
+        out[2] += v->center_y * q[k][2] - v->focal * q[k][1] < 0.0;
+        out[3] += v->focal * q[k][1] + ((double)v->height - v->center_y) * q[k][2] < 0.0;
+    }
+    p->counts.tested++;
+    if (z_max < v->near_z || z_min > v->far_z || out[0] == 3 || out[1] == 3 || out[2] == 3 || out[3] == 3) {
+        p->counts.outside++;
+        return;
+    }
+    zbufrandi_cross(c[0], c[1], c[2], n); /* outwards here; its image points outwards there, mirrored or not */
+    for (r = 0; r < 3; r++) {
+        const double image = l->to_camera[r][0] * n[0] + l->to_camera[r][1] * n[1] + l->to_camera[r][2] * n[2];
+        length += image * image;
+        h -= image * q[0][r];
+    }
+    length = sqrt(length);
+    h = length > 0.0 ? h / length : 0.0;
+    if (cluster->flags & ZBUFRANDI_TWO_SIDED) h = zbufrandi_abs(h);
+    h += 1e-13 * slack;
+    if (!(h > 0.0)) {
+        p->counts.away++;
+        return;
+    }
+    z_min -= 1e-14 * slack;
+    large = !(z_min >= v->near_z && z_max <= (double)cut->depth_ratio * z_min);
+    if (large && (cut->hybrid != ZBUFRAND_HYBRID_OFF || !(z_min >= v->near_z))) exact = 1;
+    if (!exact && cut->hybrid == ZBUFRAND_HYBRID_AUTO) { /* as is cheaper */
+        const double area = 0.5 * length * (double)l->scale;
+        const double expected = cut->density * area * v->focal * v->focal * h / (z_min * z_min * z_min);
+        exact = (double)cut->triangle + expected * (double)cut->pixel < expected * (double)cut->list_sample;
+    }
+    zbufrandi_list_emit(cut, locals, p, local, object, object + 1, z_min, z_max, h, exact);
+}
+
+/* ---- the walk ---- */
+
+typedef struct zbufrandi_list_walk {
+    const zbufrandi_cut *cut;
+    zbufrandi_mem *mem;
+    const zbufrandi_local *locals;
+    zbufrandi_pick *p;
+    zbufrandi_list_open *stack;
+    size_t capacity, count;
+} zbufrandi_list_walk;
+
+static int zbufrandi_list_room(zbufrandi_list_walk *w, size_t n) { /* for n more of everything */
+    zbufrandi_pick *p = w->p;
+    if (zbufrandi_grow(w->mem, (void **)&w->stack, &w->capacity, w->count, w->count + n, sizeof *w->stack) &&
+        zbufrandi_grow(w->mem, (void **)&p->draw, &p->draw_capacity, p->draw_count, p->draw_count + n,
+                       sizeof *p->draw) &&
+        zbufrandi_grow(w->mem, (void **)&p->local, &p->local_capacity, p->local_count, p->local_count + n,
+                       sizeof *p->local) &&
+        (!w->cut->bounds || zbufrandi_grow(w->mem, (void **)&p->bounds, &p->bounds_capacity, p->draw_count,
+                                           p->draw_count + n, sizeof *p->bounds))) return 1;
+    p->failed = 1;
+    return 0;
+}
+
+static void zbufrandi_list_push(zbufrandi_list_walk *w, const zbufrandi_lists *l, uint32_t node, uint32_t list_class,
+                                uint32_t local) {
+    zbufrandi_list_open *o = &w->stack[w->count++];
+    o->node = node;
+    o->list_class = list_class;
+    o->local = local;
+    o->first = l->node[node].first;
+    o->last = l->node[node].last;
+    o->_pad = 0;
+    o->key = l->node[node].key;
+}
+
+/* Objects first..last-1 one by one: dummies are entered. */
+static void zbufrandi_list_objects(zbufrandi_list_walk *w, uint32_t local, uint32_t first, uint32_t last, int exact) {
+    uint32_t i, run;
+    for (i = first; i < last && !w->p->failed; i++) {
+        const zbufrandi_local *l;
+        const zbufrandi_structure *s;
+        const zbufrandi_lists *lists;
+        if (!zbufrandi_list_room(w, 1)) return;
+        l = zbufrandi_list_local(w->locals, w->p, local);
+        s = &w->cut->scene->structure[l->structure];
+        lists = s->lists;
+        if (lists->object[i] & ZBUFRANDI_LIST_DUMMY) {
+            const zbufrandi_dummy *d = &lists->dummy[lists->object[i] & ~ZBUFRANDI_LIST_DUMMY];
+            const zbufrandi_lists *to = w->cut->scene->structure[s->instance[d->instance].structure].lists;
+            zbufrandi_local_enter(w->cut, l, local, d->instance, &w->p->local[w->p->local_count]);
+            w->p->counts.entered++;
+            zbufrandi_list_push(w, to, to->list_class[d->list_class].root, d->list_class,
+                                ZBUFRANDI_NEW_LOCAL + w->p->local_count++);
+        } else if (exact) { /* as many as stand together */
+            for (run = i + 1; run < last && !(lists->object[run] & ZBUFRANDI_LIST_DUMMY) && run - i < 4096; run++) { }
+            zbufrandi_list_emit(w->cut, w->locals, w->p, local, i, run, w->cut->camera.near_z,
+                                zbufrandi_min(w->cut->camera.far_z, 1e30), 1.0, 1);
+            i = run - 1;
+        } else {
+            zbufrandi_list_single(w->cut, w->locals, w->p, local, i, 0);
+        }
+    }
+}
+
+/* The finer classes of a class, each with what it has in the cell of a node. */
+static void zbufrandi_list_finer(zbufrandi_list_walk *w, const zbufrandi_lists *l, const zbufrandi_list_open *at) {
+    const zbufrandi_list_class *c = &l->list_class[at->list_class];
+    const uint64_t cell = at->key, level = cell & 31u;
+    const uint64_t after = ((cell >> 5) + ((uint64_t)1 << 3 * (ZBUFRANDI_LIST_LEVELS - level))) << 5;
+    uint32_t k;
+    if (!zbufrandi_list_room(w, c->children)) return;
+    for (k = 0; k < c->children; k++) {
+        const zbufrandi_list_class *f = &l->list_class[c->child + k];
+        zbufrandi_list_open o;
+        uint32_t node = f->root, child;
+        o.first = f->first;
+        o.last = f->last;
+        for (child = 0; child < 2; child++) { /* first object with a key not below `cell`, and `after` */
+            const uint64_t key = child == 0 ? cell : after;
+            uint32_t lo = f->first, hi = f->last;
+            while (lo < hi) {
+                const uint32_t mid = lo + (hi - lo) / 2;
+                if (l->key[mid] < key) lo = mid + 1;
+                else hi = mid;
+            }
+            if (child == 0) o.first = lo;
+            else o.last = lo;
+        }
+        if (o.first >= o.last) continue;
+        for (;;) { /* down to the last node that has them all */
+            for (child = node + 1; child < l->node[node].end; child = l->node[child].end) {
+                if (l->node[child].first <= o.first && l->node[child].last >= o.last) break;
+            }
+            if (child >= l->node[node].end || o.first < l->node[node].own) break;
+            node = child;
+        }
+        o.node = node;
+        o.list_class = c->child + k;
+        o.local = at->local;
+        o._pad = 0;
+        o.key = cell;
+        w->stack[w->count++] = o;
+    }
+}
+
+static void zbufrandi_list_step(zbufrandi_list_walk *w) {
+    const zbufrandi_cut *cut = w->cut;
+    const zbufrandi_list_open at = w->stack[--w->count];
+    const zbufrandi_local *l; /* good until there is room made again */
+    const zbufrandi_lists *lists;
+    const zbufrandi_list_node *n;
+    const zbufrandi_list_class *c;
+    zbufrandi_list_bound b;
+    uint32_t child, children = 0;
+    int seen, depth_ok, angle_ok, leaf, cube = 0;
+    if (!zbufrandi_list_room(w, 1)) return;
+    l = zbufrandi_list_local(w->locals, w->p, at.local);
+    lists = cut->scene->structure[l->structure].lists;
+    n = &lists->node[at.node];
+    c = &lists->list_class[at.list_class];
+    leaf = at.node + 1 == n->end || at.first != n->first || at.last != n->last;
+    w->p->counts.nodes++;
+    w->p->counts.tested++;
+    seen = zbufrandi_list_test(cut, l, n->lo, n->hi, c, &b);
+    w->p->counts.outside += seen == 0;
+    w->p->counts.away += seen == 1;
+    if (seen < 2) return;
+    if (cut->hybrid == ZBUFRAND_HYBRID_CUBE) {
+        const float reach = cut->cube / l->scale;
+        uint32_t a;
+        for (a = 0, cube = 1; a < 3; a++) cube &= n->lo[a] <= l->eye[a] + reach && n->hi[a] >= l->eye[a] - reach;
+        if (cube && (leaf || b.diameter <= 0.25 * (double)cut->cube)) {
+            zbufrandi_list_objects(w, at.local, at.first, at.last, 1);
+            return;
+        }
+    }
+    depth_ok = b.z_min >= cut->camera.near_z && b.z_max <= (double)cut->depth_ratio * b.z_min &&
+               (b.inside || cut->clip_ratio <= 0.0f || b.diameter <= (double)cut->clip_ratio * b.z_min);
+    angle_ok = cut->angle_ratio <= 0.0f || (b.cos_lo > 0.0 && b.cos_hi <= (double)cut->angle_ratio * b.cos_lo);
+    if (depth_ok && !cube && !angle_ok && c->children != 0 && (!b.wide || leaf)) {
+        zbufrandi_list_finer(w, lists, &at);
+        return;
+    }
+    if (depth_ok && !cube && (angle_ok || leaf || !b.wide)) {
+        const uint32_t objects = at.last - at.first;
+        int raster = 0;
+        if (cut->hybrid == ZBUFRAND_HYBRID_AUTO && !n->dummies) {
+            const double area = (double)(lists->sum[at.last] - lists->sum[at.first]) * lists->unit * (double)l->scale *
+                                (double)l->scale;
+            const double expected = cut->density * area * cut->camera.focal * cut->camera.focal * b.h /
+                                    (b.z_min * b.z_min * b.z_min);
+            raster = (double)objects * (double)cut->triangle + expected * (double)cut->pixel <
+                     expected * (double)cut->list_sample;
+        }
+        if (raster) zbufrandi_list_objects(w, at.local, at.first, at.last, 1);
+        else zbufrandi_list_emit(cut, w->locals, w->p, at.local, at.first, at.last, b.z_min, b.z_max, b.h, 0);
+        return;
+    }
+    if (leaf) {
+        zbufrandi_list_objects(w, at.local, at.first, at.last, 0);
+        return;
+    }
+    for (child = at.node + 1; child < n->end; child = lists->node[child].end) children++;
+    if (!zbufrandi_list_room(w, children + 1u)) return;
+    for (child = at.node + 1; child < n->end; child = lists->node[child].end) {
+        zbufrandi_list_push(w, lists, child, at.list_class, at.local);
+    }
+    zbufrandi_list_objects(w, at.local, n->first, n->own, cube);
+}
+
+/* Everything that is drawn of a scene with lists, into p->draw. */
+static void zbufrandi_list_select(const zbufrandi_cut *cut, zbufrandi_mem *mem, const zbufrandi_local *locals,
+                                  uint32_t root, zbufrandi_pick *p) {
+    const zbufrandi_lists *l = cut->scene->structure[0].lists;
+    zbufrandi_list_walk w;
+    uint32_t c;
+    memset(&w, 0, sizeof w);
+    w.cut = cut;
+    w.mem = mem;
+    w.locals = locals;
+    w.p = p;
+    if (zbufrandi_list_room(&w, l->roots)) {
+        for (c = l->roots; c > 0; c--) zbufrandi_list_push(&w, l, l->list_class[c - 1].root, c - 1, root);
+        while (w.count > 0 && !p->failed) zbufrandi_list_step(&w);
+    }
+    zbufrandi_free(mem, w.stack);
+}
+
+/* ---- samples ---- */
+
+typedef struct zbufrandi_list_spot { /* sample j of a draw, as its random numbers say */
+    double m[3][4];            /* structure of the triangle to camera */
+    double scale;
+    const zbufrandi_structure *s;
+    const zbufrandi_cluster *cluster;
+    const float *corner[3];
+    uint32_t structure, item;
+    float u, v, keep;          /* weights of corners 1 and 2; number for thinning */
+} zbufrandi_list_spot;
+
+static void zbufrandi_list_find(const zbufrand_scene *scene, const zbufrandi_local *l,
+                                const zbufrandi_draw *d, uint32_t j, zbufrandi_list_spot *out) {
+    const uint32_t high = zbufrandi_hash32(d->hash ^ zbufrandi_hash32(j + 1));
+    const uint32_t low = zbufrandi_hash32((d->hash + 0x9e3779b9u) ^ zbufrandi_hash32(j + 0x85ebca6bu));
+    const uint64_t bits = (uint64_t)high << 32 | low;
+    const zbufrandi_lists *lists;
+    uint32_t first = d->item & ((1u << ZBUFRANDI_DRAW_SHIFT) - 1u), last = d->aux & ~ZBUFRANDI_LISTED_INDEPENDENT;
+    uint32_t at, level = 0;
+    const int independent = (d->aux & ZBUFRANDI_LISTED_INDEPENDENT) != 0;
+    uint64_t whole, y;
+    memcpy(out->m, l->to_camera, sizeof out->m);
+    out->scale = (double)l->scale;
+    out->structure = l->structure;
+    out->s = &scene->structure[l->structure];
+    lists = out->s->lists;
+    whole = lists->sum[last] - lists->sum[first];
+    if (independent) {
+        y = zbufrandi_mul_high(bits, whole);
+    } else { /* stratum j of as many equal ones as there are samples */
+        const uint64_t part = whole / d->count, rest = whole % d->count;
+        const uint64_t begin = part * j + rest * j / d->count, end = part * (j + 1u) + rest * (j + 1u) / d->count;
+        y = begin + zbufrandi_mul_high(bits, end - begin);
+    }
+    for (;;) {
+        y += lists->sum[first];
+        at = zbufrandi_list_search(lists->sum, first, last, y);
+        out->item = lists->object[at];
+        if (!(out->item & ZBUFRANDI_LIST_DUMMY)) break;
+        { /* into the dummy. Of the place within it the first bits go on, so that strata stay strata; others are new */
+            const zbufrandi_dummy *k = &lists->dummy[out->item & ~ZBUFRANDI_LIST_DUMMY];
+            const zbufrandi_instance *it = &out->s->instance[k->instance];
+            const double part = (double)(y - lists->sum[at]) / (double)(lists->sum[at + 1] - lists->sum[at]) * 65536.0;
+            uint64_t fresh;
+            level++;
+            fresh = (uint64_t)zbufrandi_hash32(high + level * 0x9e3779b1u) << 32 |
+                    zbufrandi_hash32(low + level * 0x85ebca77u);
+            if (!independent) fresh = fresh >> 16 | (uint64_t)(part < 65535.0 ? part : 65535.0) << 48;
+            zbufrandi_m34_mul(ZBUFRANDI_M34(out->m), ZBUFRANDI_M34(it->to_parent), out->m);
+            out->scale *= it->scale;
+            out->structure = it->structure;
+            out->s = &scene->structure[it->structure];
+            lists = out->s->lists;
+            first = lists->list_class[k->list_class].first;
+            last = lists->list_class[k->list_class].last;
+            y = zbufrandi_mul_high(fresh, lists->sum[last] - lists->sum[first]);
+        }
+    }
+    out->u = zbufrandi_unit24(zbufrandi_hash32(high + 0x3c6ef372u));
+    out->v = zbufrandi_unit24(zbufrandi_hash32(low + 0xbb67ae85u));
+    out->keep = zbufrandi_unit24(zbufrandi_hash32(low + 0xa54ff53au));
+    zbufrandi_square_to_triangle(&out->u, &out->v);
+    out->cluster = zbufrandi_list_triangle(out->s, out->item, out->corner);
+}
+
+/* 0: not seen. */
+static int zbufrandi_list_sample(const zbufrandi_target *g, const zbufrandi_draw *d, const zbufrandi_list_spot *at,
+                                 zbufrandi_spot *out) {
+    const float *const *c = at->corner;
+    const double u = (double)at->u, v = (double)at->v;
+    double e[2][3], n[3], q[3], p[3], k[3], h = 0.0, length = 0.0, z_lo = 1e300, z_hi = -1e300;
+    int a, r;
+    for (a = 0; a < 3; a++) {
+        e[0][a] = (double)c[1][a] - (double)c[0][a];
+        e[1][a] = (double)c[2][a] - (double)c[0][a];
+        p[a] = (double)c[0][a] + u * e[0][a] + v * e[1][a];
+    }
+    zbufrandi_cross(c[0], c[1], c[2], n);
+    for (r = 0; r < 3; r++) {
+        q[r] = at->m[r][0] * p[0] + at->m[r][1] * p[1] + at->m[r][2] * p[2] + at->m[r][3];
+        k[r] = at->m[r][0] * n[0] + at->m[r][1] * n[1] + at->m[r][2] * n[2];
+        h -= k[r] * q[r];
+        length += k[r] * k[r];
+    }
+    if ((at->cluster->flags & ZBUFRANDI_TWO_SIDED) && h < 0.0) {
+        h = 0.0 - h;
+        for (r = 0; r < 3; r++) k[r] = 0.0 - k[r];
+    }
+    if (!(h > 0.0 && q[2] > 0.0 && q[2] <= (double)g->far_z)) return 0;
+    out->x = (float)(q[0] * g->focal / q[2]) + g->center_x;
+    out->y = g->center_y - (float)(q[1] * g->focal / q[2]);
+    if (!(out->x >= 0.0f && out->x < g->width && out->y >= 0.0f && out->y < g->height)) return 0;
+    if (g->thin) { /* keep it with probability prj / bound: H / h_ref (z_min / z)^3 */
+        const double z = q[2] * (double)d->iz_ref, t = (double)at->keep * (double)d->h_ref * (z * z * z);
+        if (!(t * t * length < h * h)) return 0;
+    }
+    out->ix = (uint32_t)(int32_t)out->x;
+    out->iy = (uint32_t)(int32_t)out->y;
+    out->z = (float)q[2];
+    out->shown = out->z;
+    out->slope[0] = (float)(0.0 - k[0] / (g->focal * h));
+    out->slope[1] = (float)(k[1] / (g->focal * h));
+    if (g->plane) { /* 1/z of the plane at the centre of the pixel, within the depths of the triangle */
+        const double dx = (double)((float)(int32_t)out->ix + 0.5f - out->x);
+        const double dy = (double)((float)(int32_t)out->iy + 0.5f - out->y);
+        const double den = h / q[2] - (k[0] * dx - k[1] * dy) / g->focal;
+        double z = den > 0.0 ? h / den : 1e30;
+        for (r = 0; r < 3; r++) {
+            const double t = at->m[2][0] * (double)c[r][0] + at->m[2][1] * (double)c[r][1] +
+                             at->m[2][2] * (double)c[r][2] + at->m[2][3];
+            z_lo = t < z_lo ? t : z_lo;
+            z_hi = t > z_hi ? t : z_hi;
+        }
+        z = z < z_hi ? z : z_hi;
+        z = z > z_lo ? z : z_lo;
+        out->shown = (float)z;
+    }
+    return out->shown <= g->far_z && out->shown > 0.0f;
+}
+
+/* Returns how many samples are in the picture. */
+static uint32_t zbufrandi_draw_listed(const zbufrandi_target *g, const zbufrandi_draw *d, const zbufrandi_local *l) {
+    zbufrandi_list_spot at;
+    zbufrandi_spot seen;
+    uint32_t j, accepted = 0;
+    for (j = 0; j < d->count; j++) {
+        zbufrandi_list_find(g->cut->scene, l, d, j, &at);
+        if (!zbufrandi_list_sample(g, d, &at, &seen)) continue;
+        zbufrandi_target_put(g, (size_t)seen.iy * g->keys.width + seen.ix,
+                             zbufrandi_key(seen.shown, d->block * ZBUFRANDI_SET + j));
+        accepted++;
+    }
+    return accepted;
+}
+
+/* The triangles of a run through the rasteriser, as clusters made for the moment. */
+static void zbufrandi_raster_listed(const zbufrandi_raster *r, const zbufrandi_structure *s, const zbufrandi_draw *d) {
+    enum { RUN = 64 };
+    float position[9 * RUN + 24];
+    uint8_t tri[3 * RUN + 48];
+    const uint32_t first = d->item & ((1u << ZBUFRANDI_DRAW_SHIFT) - 1u);
+    uint32_t i, n = 0, k, flags = 0;
+    memset(position, 0, sizeof position);
+    memset(tri, 0, sizeof tri);
+    for (i = 0; i < 3 * RUN; i++) tri[i] = (uint8_t)i;
+    for (i = 0; i <= d->count; i++) {
+        const float *c[3];
+        uint32_t two = flags;
+        if (i < d->count)
+            two = zbufrandi_list_triangle(s, s->lists->object[first + i], c)->flags & ZBUFRANDI_TWO_SIDED;
+        if (n != 0 && (i == d->count || n == RUN || two != flags)) {
+            (void)zbufrandi_raster_cluster(r, position, 3 * n, tri, n, (int)flags,
+                                           d->block * ZBUFRANDI_SET + i - n);
+            n = 0;
+        }
+        flags = two;
+        if (i == d->count) break;
+        for (k = 0; k < 3; k++) memcpy(position + 9 * n + 3 * k, c[k], 3 * sizeof(float));
+        n++;
+    }
+}
+
 /* ---------------------------------------------------------------------------
    zbuffer: every triangle of a scene through the rasteriser.                   // >>zbuffer
 
@@ -10901,6 +12436,7 @@ typedef struct zbufrandi_drawn { /* all that was drawn for a picture */
     uint32_t first_block;           /* numbers begin there, modulo 2^26 */
     const zbufrandi_srgb *srgb;
     int need_places;                /* zbufrandi_look_at.p is wanted */
+    uint32_t stand_in;              /* local stand_in + i is there for what is below dummies: structure i, no more */
 } zbufrandi_drawn;
 
 typedef struct zbufrandi_look_at { /* a surface as it is found */
@@ -11074,6 +12610,35 @@ static void zbufrandi_point_surface(const zbufrandi_drawn *s, const zbufrandi_dr
     out->local = ~0u;
 }
 
+/* Sample or triangle i of a draw from a list. */
+static void zbufrandi_listed_surface(const zbufrandi_drawn *s, const zbufrandi_draw *d, uint32_t i, const float ray[3],
+                                     zbufrandi_look_at *out) {
+    const zbufrandi_local *from = &s->local[d->local];
+    zbufrandi_list_spot at;
+    zbufrandi_local own;
+    zbufrandi_drawn there;
+    if (d->item >> ZBUFRANDI_DRAW_SHIFT == ZBUFRANDI_DRAW_LISTED_RASTER) {
+        const uint32_t first = d->item & ((1u << ZBUFRANDI_DRAW_SHIFT) - 1u);
+        const uint32_t item = s->scene->structure[from->structure].lists->object[first + i];
+        zbufrandi_triangle_surface(s, d->local, item >> 7, item & 127u, ray, out);
+        return;
+    }
+    zbufrandi_list_find(s->scene, from, d, i, &at);
+    if (at.structure == from->structure && at.scale == (double)from->scale) {
+        zbufrandi_triangle_surface(s, d->local, at.item >> 7, at.item & 127u, ray, out);
+        return;
+    }
+    memset(&own, 0, sizeof own);
+    memcpy(own.to_camera, at.m, sizeof own.to_camera);
+    own.scale = (float)at.scale;
+    own.structure = at.structure;
+    zbufrandi_local_finish(s->camera, &own);
+    there = *s;
+    there.local = &own;
+    zbufrandi_triangle_surface(&there, 0, at.item >> 7, at.item & 127u, ray, out);
+    out->local = s->stand_in + at.structure;
+}
+
 typedef struct zbufrandi_found { /* a number looked up */
     const zbufrandi_draw *draw;
     uint32_t kind, i;          /* i: of the sample or triangle within the draw */
@@ -11108,12 +12673,12 @@ static void zbufrandi_find_surfaces(const zbufrandi_drawn *s, const uint32_t *nu
             f->cluster = seen->cluster;
             f->triangle = seen->triangle;
         }
-        if (f->kind != ZBUFRANDI_DRAW_POINTS) ZBUFRANDI_PREFETCH(&s->local[f->local]);
+        if (f->kind < ZBUFRANDI_DRAW_POINTS) ZBUFRANDI_PREFETCH(&s->local[f->local]);
     }
     for (k = 0; k < count; k++) {
         zbufrandi_found *f = &found[k];
         const zbufrandi_structure *structure;
-        if (f->kind == ZBUFRANDI_DRAW_POINTS) continue;
+        if (f->kind >= ZBUFRANDI_DRAW_POINTS) continue;
         structure = &s->scene->structure[s->local[f->local].structure];
         if (f->kind == ZBUFRANDI_DRAW_STORED) {
             const size_t at = (size_t)f->cluster * ZBUFRANDI_SET + f->i;
@@ -11129,7 +12694,7 @@ static void zbufrandi_find_surfaces(const zbufrandi_drawn *s, const uint32_t *nu
     for (k = 0; k < count; k++) {
         const zbufrandi_found *f = &found[k];
         const zbufrandi_structure *structure;
-        if (f->kind == ZBUFRANDI_DRAW_POINTS || f->kind == ZBUFRANDI_DRAW_STORED) continue;
+        if (f->kind >= ZBUFRANDI_DRAW_POINTS || f->kind == ZBUFRANDI_DRAW_STORED) continue;
         structure = &s->scene->structure[s->local[f->local].structure];
         ZBUFRANDI_PREFETCH(structure->triangle + 3 *
                            ((size_t)structure->cluster[f->cluster].first_triangle + f->triangle));
@@ -11140,7 +12705,7 @@ static void zbufrandi_find_surfaces(const zbufrandi_drawn *s, const uint32_t *nu
         const zbufrandi_cluster *c;
         const uint8_t *tri;
         uint32_t a;
-        if (f->kind == ZBUFRANDI_DRAW_POINTS || f->kind == ZBUFRANDI_DRAW_STORED) continue;
+        if (f->kind >= ZBUFRANDI_DRAW_POINTS || f->kind == ZBUFRANDI_DRAW_STORED) continue;
         structure = &s->scene->structure[s->local[f->local].structure];
         c = &structure->cluster[f->cluster];
         tri = structure->triangle + 3 * ((size_t)c->first_triangle + f->triangle);
@@ -11149,6 +12714,7 @@ static void zbufrandi_find_surfaces(const zbufrandi_drawn *s, const uint32_t *nu
     for (k = 0; k < count; k++) {
         const zbufrandi_found *f = &found[k];
         if (f->kind == ZBUFRANDI_DRAW_STORED) zbufrandi_stored_surface(s, f->draw, f->i, rays[k], &out[k]);
+        else if (f->kind >= ZBUFRANDI_DRAW_LISTED) zbufrandi_listed_surface(s, f->draw, f->i, rays[k], &out[k]);
         else if (f->kind == ZBUFRANDI_DRAW_POINTS)
             zbufrandi_point_surface(s, f->draw, f->draw->hash + f->i, rays[k], &out[k]);
         else zbufrandi_triangle_surface(s, f->local, f->cluster, f->triangle, rays[k], &out[k]);
@@ -11742,7 +13308,7 @@ ZBUFRANDI_INLINE void zbufrandi_draw_prefetch(const zbufrandi_picture *p, const 
             for (k = 0; k < 7; k++) ZBUFRANDI_PREFETCH(key + (size_t)k * p->target.keys.width);
         }
         for (k = 0; k < d->count; k += 8) ZBUFRANDI_PREFETCH(set + 2 * (k ^ first));
-    } else {
+    } else if (kind < ZBUFRANDI_DRAW_LISTED) {
         const zbufrandi_cluster *c = &s->cluster[index];
         const uint8_t *q = (const uint8_t *)(s->position + 3 * (size_t)c->first_vertex);
         const uint8_t *t = s->triangle + 3 * (size_t)c->first_triangle;
@@ -11781,6 +13347,13 @@ static void zbufrandi_draw_task(void *ctx, uint32_t task) {
         } else if (kind == ZBUFRANDI_DRAW_SAMPLED) {
             accepted += zbufrandi_draw_sampled(&p->target, &d, l, s, &wait, &samples);
             sampled += samples;
+        } else if (kind == ZBUFRANDI_DRAW_LISTED) {
+            accepted += zbufrandi_draw_listed(&p->target, &d, l);
+            sampled += d.count;
+        } else if (kind == ZBUFRANDI_DRAW_LISTED_RASTER) {
+            if (raster_local != d.local) zbufrandi_raster_local(&r, l);
+            raster_local = d.local;
+            zbufrandi_raster_listed(&r, s, &d);
         } else {
             const zbufrandi_cluster *c = &s->cluster[d.item & ((1u << ZBUFRANDI_DRAW_SHIFT) - 1u)];
             if (raster_local != d.local) zbufrandi_raster_local(&r, l);
@@ -11818,7 +13391,9 @@ static int zbufrandi_round_draw(zbufrandi_picture *p) {
             const zbufrandi_draw *d = &f->draw[i];
             uint32_t kind = d->item >> ZBUFRANDI_DRAW_SHIFT;
             if (kind <= ZBUFRANDI_DRAW_RASTERED) p->stats.draws[kind]++;
-            if (kind == ZBUFRANDI_DRAW_RASTERED) p->stats.rastered += d->count;
+            else if (kind >= ZBUFRANDI_DRAW_LISTED) p->stats.draws[1 + (kind == ZBUFRANDI_DRAW_LISTED_RASTER)]++;
+            if (kind == ZBUFRANDI_DRAW_RASTERED || kind == ZBUFRANDI_DRAW_LISTED_RASTER)
+                p->stats.rastered += d->count;
             work += kind == ZBUFRANDI_DRAW_STORED || kind == ZBUFRANDI_DRAW_POINTS
                 ? d->count + 8u : kind == ZBUFRANDI_DRAW_SAMPLED ? 2u * d->count + 64u : 6u * d->count + 32u;
         }
@@ -11853,6 +13428,31 @@ static int zbufrandi_add_points(zbufrandi_picture *p) {
     return 1;
 }
 
+/* All of a scene with lists, seen from local 0: one cut, no rounds, since nothing is hidden from it. */
+static zbufrand_result zbufrandi_draw_lists(zbufrandi_picture *p, uint32_t root) {
+    zbufrand_frame *f = p->f;
+    zbufrandi_pick *k = &f->pick[0];
+    uint32_t i;
+    k->stack_count = k->draw_count = k->local_count = 0;
+    k->failed = 0;
+    memset(&k->counts, 0, sizeof k->counts);
+    zbufrandi_list_select(&p->cut, &f->mem, f->local, root, k);
+    f->front_count = 0;
+    if (!zbufrandi_round_merge(p, 1))
+        return f->block_count > 0x3fff000u ? ZBUFRAND_ERR_RANGE : ZBUFRAND_ERR_NO_MEMORY;
+    if (!zbufrandi_grow(&f->mem, (void **)&f->local, &f->local_capacity, f->local_count,
+                        f->local_count + p->scene->structure_count, sizeof *f->local)) return ZBUFRAND_ERR_NO_MEMORY;
+    p->drawn.stand_in = (uint32_t)f->local_count;
+    for (i = 0; i < p->scene->structure_count; i++) {
+        memset(&f->local[f->local_count], 0, sizeof *f->local);
+        f->local[f->local_count++].structure = i;
+    }
+    zbufrandi_lap(p, ZBUFRAND_STAGE_SELECT);
+    if (!p->cut.bounds && !zbufrandi_round_draw(p)) return ZBUFRAND_ERR_NO_MEMORY;
+    zbufrandi_lap(p, ZBUFRAND_STAGE_DRAW);
+    return ZBUFRAND_OK;
+}
+
 /* Everything that is to be drawn, into the keys. */
 static zbufrand_result zbufrandi_draw_scene(zbufrandi_picture *p) {
     zbufrand_frame *f = p->f;
@@ -11871,6 +13471,8 @@ static zbufrand_result zbufrandi_draw_scene(zbufrandi_picture *p) {
         !zbufrandi_grow(&f->mem, (void **)&f->front, &f->front_capacity, 0, 1, sizeof *f->front))
             return ZBUFRAND_ERR_NO_MEMORY;
     zbufrandi_local_root(&p->cut.camera, root, p->cut.seed, &f->local[f->local_count]);
+    if (root->lists != NULL && !p->d->no_lists && p->cut.hybrid != ZBUFRAND_HYBRID_ALL)
+        return zbufrandi_draw_lists(p, (uint32_t)f->local_count++);
     memset(&f->front[0], 0, sizeof f->front[0]);
     f->front[0].local = (uint32_t)f->local_count++;
     f->front_count = 1;
@@ -12026,7 +13628,8 @@ static int zbufrandi_near_samples(const zbufrandi_picture *p, uint32_t pixel) {
             uint32_t block;
             if (key == ZBUFRANDI_EMPTY) continue;
             block = ((zbufrandi_key_number(key) >> 6) - p->first_block) & 0x3ffffffu;
-            if (f->draw[f->block_draw[block]].item >> ZBUFRANDI_DRAW_SHIFT != ZBUFRANDI_DRAW_RASTERED) return 1;
+            block = f->draw[f->block_draw[block]].item >> ZBUFRANDI_DRAW_SHIFT;
+            if (block != ZBUFRANDI_DRAW_RASTERED && block != ZBUFRANDI_DRAW_LISTED_RASTER) return 1;
         }
     }
     return 0;
@@ -12318,6 +13921,7 @@ static void zbufrandi_set_density(zbufrandi_picture *p) {
     p->cut.sample = zbufrandi_cost(c->sample, 6.0f) + ray;
     p->cut.set_cost = zbufrandi_cost(c->set, 80.0f);
     p->cut.stored_cost = zbufrandi_cost(c->stored, 3.5f) + ray;
+    p->cut.list_sample = zbufrandi_cost(c->listed, 150.0f) + ray;
 }
 
 static zbufrand_result zbufrandi_open_picture(zbufrandi_picture *p) {
@@ -12329,7 +13933,7 @@ static zbufrand_result zbufrandi_open_picture(zbufrandi_picture *p) {
     double spread = d->spread != 0 ? (double)d->spread : 1.0;
     int same = f->recon_open && memcmp(&f->recon_asked, &d->reconstruct, sizeof d->reconstruct) == 0 &&
                f->recon.width == p->image->width && f->recon.height == p->image->height;
-    if ((uint32_t)d->hybrid > ZBUFRAND_HYBRID_CUBE || !(d->tolerance >= 0.0 && d->tolerance < 1.0) ||
+    if ((uint32_t)d->hybrid > ZBUFRAND_HYBRID_LARGE || !zbufrandi_list_rules(d, p->scene, &p->cut) || !(d->tolerance >= 0.0 && d->tolerance < 1.0) ||
         !(d->density >= 0.0 && d->density < 1e6) || !(d->noise >= 0.0) || !(d->hybrid_radius >= 0.0) ||
         (d->lights == NULL && d->light_count != 0) || (d->points == NULL && d->points_count != 0) ||
         (d->spread & (d->spread - 1u)) != 0) return ZBUFRAND_ERR_INVALID_ARG;
@@ -12369,6 +13973,7 @@ static zbufrand_result zbufrandi_open_picture(zbufrandi_picture *p) {
     p->cut.hybrid = d->hybrid;
     p->cut.cube = (float)d->hybrid_radius;
     p->cut.independent = d->independent != 0;
+    p->cut.round_up = d->round_up != 0;
     p->cut.seed = h;
     p->cut.level = f->level;
     p->target.cut = &p->cut;
@@ -12623,7 +14228,10 @@ static void zbufrandi_query_group(const zbufrandi_picture *p, const zbufrandi_dr
     g->factor_min = f2 * (double)b->h_min / ((double)d->z_hi * (double)d->z_hi * (double)d->z_hi);
     g->expected = p->cut.density * g->area * g->factor_max;
     g->count = d->count;
-    if (kind != ZBUFRANDI_DRAW_STORED) {
+    if (kind >= ZBUFRANDI_DRAW_LISTED) {
+        g->kind = kind == ZBUFRANDI_DRAW_LISTED ? ZBUFRAND_DRAW_SAMPLED : ZBUFRAND_DRAW_RASTERED;
+        g->child = ZBUFRANDI_CHILD(ZBUFRANDI_CHILD_NONE, index);
+    } else if (kind != ZBUFRANDI_DRAW_STORED) {
         g->child = ZBUFRANDI_CHILD(ZBUFRANDI_CHILD_CLUSTER, index);
     } else if (index < s->cluster_count) {
         g->child = ZBUFRANDI_CHILD(ZBUFRANDI_CHILD_CLUSTER, index);
@@ -12724,6 +14332,12 @@ static void zbufrandi_stream_draw(zbufrandi_stream *s, const zbufrandi_draw *dra
             uint32_t i = k ^ c.first;
             if (zbufrandi_stored_sample(&p->target, &c, set + zbufrandi_set_at(i), i, &spot))
                 zbufrandi_stream_add(s, &spot, number + i);
+        }
+    } else if (kind == ZBUFRANDI_DRAW_LISTED) {
+        zbufrandi_list_spot at;
+        for (k = 0; k < draw->count; k++) {
+            zbufrandi_list_find(p->scene, l, draw, k, &at);
+            if (zbufrandi_list_sample(&p->target, draw, &at, &spot)) zbufrandi_stream_add(s, &spot, number + k);
         }
     } else if (kind == ZBUFRANDI_DRAW_SAMPLED) {
         const zbufrandi_cluster *cluster = &structure->cluster[index];

@@ -13,9 +13,10 @@ enum { MODE_PIXEL, MODE_BLOCKS, MODE_GAUSS, MODE_VORONOI, MODE_NODEPTH };
 typedef struct options {
     sup_common common;
     const char *scene, *hybrid;
-    int64_t block, mean, view, frame, scatter, max_frames;
-    double noise, density, gauss;
-    int mode, has_mode, has_block, occlusion, has_occlusion, has_noise, no_repair, no_occlusion, independent;
+    int64_t block, mean, view, frame, scatter, max_frames, classes;
+    double noise, density, gauss, epsilon;
+    int mode, has_mode, has_block, occlusion, has_occlusion, has_noise, no_repair, no_occlusion, independent, structure, has_structure,
+        thesis;
 } options;
 
 typedef struct pictures {
@@ -24,8 +25,8 @@ typedef struct pictures {
     double seconds;
 } pictures;
 
-static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc) {
-    sup_option table[SUP_COMMON_OPTIONS + 18];
+static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, zbufrand_build_desc *build) {
+    sup_option table[SUP_COMMON_OPTIONS + 22];
     double radius = 0.0;
     size_t n;
     int status;
@@ -38,7 +39,7 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc) 
                                               "from samples to pixels (pixel)"), &o->has_mode);
     table[n++] = sup_opt_given(sup_opt_int("block", &o->block, 1, 1024, "D", "edge of blocks, cells or squares in pixels"),
                                &o->has_block);
-    table[n++] = sup_opt_text("hybrid", &o->hybrid, "auto|off|all|RADIUS",
+    table[n++] = sup_opt_text("hybrid", &o->hybrid, "auto|off|large|all|RADIUS",
                               "which triangles are rasterised: the cheaper way (auto), few, all, those near the eye");
     table[n++] = sup_opt_int("mean", &o->mean, 0, 65536, "N", "mean of N frames");
     table[n++] = sup_opt_given(sup_opt_real("noise", &o->noise, 1e-6, 1.0, "RMSE", "frames until the noise is below it"),
@@ -54,6 +55,12 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc) 
     table[n++] = sup_opt_int("view", &o->view, 1, SUP_WORLD_VIEWS, "K", "one of the cameras that a scene brings along (1)");
     table[n++] = sup_opt_int("frame", &o->frame, 0, 65535, "K", "other random numbers of the same kind");
     table[n++] = sup_opt_int("scatter", &o->scatter, 1, 6, "K", "10^K copies of the mesh on a plain");
+    table[n++] = sup_opt_given(sup_opt_choice("structure", &o->structure, "default|fair|octree|classes|normals",
+                                              "tree that is drawn from: the default, or one of the thesis"),
+                               &o->has_structure);
+    table[n++] = sup_opt_int("angle-depth", &o->classes, 1, 8, "N", "classes of normals of those: levels of halving (4)");
+    table[n++] = sup_opt_real("epsilon", &o->epsilon, 1.001, 1000.0, "E", "how unequal depths they draw as one (1.5)");
+    table[n++] = sup_opt_flag("thesis", &o->thesis, "as the thesis' program did; other options change parts of that");
     status = sup_cli_parse(argc, argv, "Draws a scene from random points of its surface.", table, n);
     if (status >= 0) return status;
     if (!o->scene) return sup_bad_usage(argv[0], "--scene is missing");
@@ -61,17 +68,23 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc) 
     if (!(o->common.tolerance > 0.0 && o->common.tolerance < 1.0))
         return sup_bad_usage(argv[0], "--tolerance is a probability: between 0 and 1");
     memset(desc, 0, sizeof *desc);
+    memset(build, 0, sizeof *build);
+    if (o->thesis) zbufrand_preset_thesis(build, desc);
+    if (o->has_structure) build->structure = (zbufrand_structure)o->structure;
+    build->normal_depth = (uint32_t)o->classes;
+    if (o->epsilon > 0.0) desc->depth_ratio = o->epsilon;
     desc->tolerance = o->common.tolerance;
     desc->density = o->density;
     desc->noise = o->noise;
     desc->max_frames = (uint32_t)o->max_frames;
     desc->frame = (uint32_t)o->frame;
     desc->seed = (uint32_t)o->common.seed;
-    desc->no_repair = (uint32_t)o->no_repair;
-    desc->no_occlusion = (uint32_t)o->no_occlusion;
-    desc->independent = (uint32_t)o->independent;
+    desc->no_repair |= (uint32_t)o->no_repair;
+    desc->no_occlusion |= (uint32_t)o->no_occlusion;
+    desc->independent |= (uint32_t)o->independent;
     desc->unlit = (uint32_t)o->common.unlit;
-    desc->reconstruct.block = o->has_block ? (uint32_t)o->block : o->mode == MODE_PIXEL ? 1u : 2u;
+    if (o->has_block || !o->thesis || o->has_mode)
+        desc->reconstruct.block = o->has_block ? (uint32_t)o->block : o->mode == MODE_PIXEL ? 1u : 2u;
     desc->reconstruct.gauss_radius = (float)o->gauss;
     if (o->mode == MODE_PIXEL && desc->reconstruct.block > 1 && o->has_mode)
         return sup_bad_usage(argv[0], "--mode pixel has no blocks: use --mode blocks");
@@ -88,12 +101,16 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc) 
     if (o->has_occlusion) desc->reconstruct.occlusion = (zbufrand_occlusion)o->occlusion;
     if (o->hybrid && strcmp(o->hybrid, "off") == 0) {
         desc->hybrid = ZBUFRAND_HYBRID_OFF;
+    } else if (o->hybrid && strcmp(o->hybrid, "auto") == 0) {
+        desc->hybrid = ZBUFRAND_HYBRID_AUTO;
+    } else if (o->hybrid && strcmp(o->hybrid, "large") == 0) {
+        desc->hybrid = ZBUFRAND_HYBRID_LARGE;
     } else if (o->hybrid && strcmp(o->hybrid, "all") == 0) {
         desc->hybrid = ZBUFRAND_HYBRID_ALL;
-    } else if (o->hybrid && strcmp(o->hybrid, "auto") != 0) {
+    } else if (o->hybrid) {
         const char *at = o->hybrid, *end = at + strlen(at);
         if (sup_parse_double(&at, end, &radius) || at != end || !(radius >= 0.0))
-            return sup_bad_usage(argv[0], "--hybrid: \"%s\" is not auto, off, all or a radius", o->hybrid);
+            return sup_bad_usage(argv[0], "--hybrid: \"%s\" is not auto, off, large, all or a radius", o->hybrid);
         desc->hybrid = ZBUFRAND_HYBRID_CUBE;
         desc->hybrid_radius = radius;
     }
@@ -232,6 +249,11 @@ static void print_stats(const options *o, const zbufrand_scene_info *info, const
     printf(",\"width\":%u,\"height\":%u,\"triangles\":%llu,\"stored_triangles\":%llu,\"bytes\":%llu", p->image.width,
            p->image.height, (unsigned long long)info->triangles, (unsigned long long)info->stored_triangles,
            (unsigned long long)info->bytes);
+    if (info->list_objects) {
+        printf(",\"list_objects\":%llu,\"list_nodes\":%llu,\"list_classes\":%llu,\"list_bytes\":%llu",
+               (unsigned long long)info->list_objects, (unsigned long long)info->list_nodes,
+               (unsigned long long)info->list_classes, (unsigned long long)info->list_bytes);
+    }
     printf(",\"samples\":%llu,\"accepted\":%llu,\"rastered\":%llu,\"density\":%.6g,\"projected_area\":%.6g",
            (unsigned long long)(s->samples[0] + s->samples[1]), (unsigned long long)s->accepted,
            (unsigned long long)s->rastered, s->density, s->projected_area);
@@ -276,10 +298,9 @@ int main(int argc, char **argv) {
     sup_progress progress;
     sup_error err;
     double start;
-    int status = parse(argc, argv, &o, &desc);
+    int status = parse(argc, argv, &o, &desc, &build_desc);
     if (status >= 0) return status;
     memset(&scene_desc, 0, sizeof scene_desc);
-    memset(&build_desc, 0, sizeof build_desc);
     memset(&frame_desc, 0, sizeof frame_desc);
     memset(&p, 0, sizeof p);
     sup_progress_begin(&progress, "drawing", o.common.quiet);

@@ -1,0 +1,951 @@
+/* The thesis' trees: what they hold, draws by area below any node, bounds and rules of their cut, pictures from them. */
+#include "test.h"
+#define ZBUFRAND_IMPLEMENTATION
+#include "zbufrand.h"
+#include "shapes.h"
+
+enum { KINDS = 6 };
+
+/* All kinds: the four structures, an octree with classes, a regular grid of classes. */
+static zbufrand_build_desc kind_of(uint32_t k) {
+    zbufrand_build_desc d;
+    memset(&d, 0, sizeof d);
+    d.structure = k < 4 ? (zbufrand_structure)(k + 1) : k == 4 ? ZBUFRAND_STRUCTURE_OCTREE : ZBUFRAND_STRUCTURE_CLASSES;
+    d.leaf_objects = 16;
+    if (k == 2 || k == 4) d.normal_depth = 5;
+    if (k == 5) d.normal_grid = 6;
+    return d;
+}
+
+static zbufrand_mesh mesh_of(const shape *s) {
+    zbufrand_mesh m;
+    memset(&m, 0, sizeof m);
+    m.positions = s->p;
+    m.vertex_count = s->vertices;
+    m.indices = s->t;
+    m.triangle_count = s->triangles;
+    return m;
+}
+
+static void soup(shape *s, test_rng *r, uint32_t n, double size, double spread) {
+    uint32_t i;
+    for (i = 0; i < n; i++) {
+        double c[3], e = size * exp(spread * (2 * test_rng_double(r) - 1));
+        uint32_t v[3], k, a;
+        for (a = 0; a < 3; a++) c[a] = test_rng_double(r);
+        for (k = 0; k < 3; k++) {
+            v[k] = shape_vertex(s, c[0] + e * (test_rng_double(r) - 0.5), c[1] + e * (test_rng_double(r) - 0.5),
+                                c[2] + e * (test_rng_double(r) - 0.5));
+        }
+        shape_triangle(s, v[0], v[1], v[2]);
+    }
+}
+
+static void random_transform(test_rng *r, double scale, int mirror, zbufrand_transform *t) {
+    double q[9];
+    uint32_t a, b;
+    shape_rotation(test_rng_double(r), test_rng_double(r), test_rng_double(r), q);
+    for (a = 0; a < 3; a++) {
+        for (b = 0; b < 3; b++) t->m[a][b] = q[3 * a + b] * scale * (mirror ? -1 : 1);
+        t->m[a][3] = 4 * test_rng_double(r) - 2;
+    }
+}
+
+/* A torus, a two-sided soup, a flat patch, a box; as instances of many sizes, too, some of them two levels deep. */
+static zbufrand_scene *mixed_scene(test_rng *r, shape *s) {
+    zbufrand_scene *scene = NULL;
+    zbufrand_node lib, list, node[4];
+    zbufrand_transform t;
+    uint32_t i, k;
+    memset(s, 0, 4 * sizeof *s);
+    shape_torus(&s[0], 0, 0, 0, 1, 0.4, 40, 20);
+    soup(&s[1], r, 700, 0.05, 1.5);
+    for (i = 0; i < 20; i++) {
+        for (k = 0; k < 20; k++) {
+            uint32_t a = shape_vertex(&s[2], i * 0.1, k * 0.1, 0.01 * i), b = shape_vertex(&s[2], i * 0.1 + 0.1, k * 0.1, 0.01 * i + 0.01);
+            uint32_t c = shape_vertex(&s[2], i * 0.1, k * 0.1 + 0.1, 0.01 * i);
+            shape_triangle(&s[2], a, b, c);
+        }
+    }
+    shape_box(&s[3], -0.5, -0.5, -0.5, 0.5, 0.5, 0.5);
+    if (zbufrand_scene_create(NULL, &scene) != ZBUFRAND_OK) abort();
+    CHECK_EQ_U64(zbufrand_add_list(scene, 1, NULL, ZBUFRAND_HIDDEN, &lib), ZBUFRAND_OK);
+    for (i = 0; i < 4; i++) {
+        zbufrand_mesh m = mesh_of(&s[i]);
+        m.two_sided = i == 1;
+        CHECK_EQ_U64(zbufrand_add_mesh(scene, lib, NULL, 0, &m, &node[i]), ZBUFRAND_OK);
+        if (i != 3) CHECK_EQ_U64(zbufrand_add_mesh(scene, 1, NULL, 0, &m, NULL), ZBUFRAND_OK);
+    }
+    CHECK_EQ_U64(zbufrand_add_list(scene, lib, NULL, 0, &list), ZBUFRAND_OK);
+    for (i = 0; i < 12; i++) {
+        random_transform(r, 0.3 + 0.5 * test_rng_double(r), (int)(i & 1), &t);
+        CHECK_EQ_U64(zbufrand_add_reference(scene, list, &t, node[i & 3], NULL), ZBUFRAND_OK);
+    }
+    for (i = 0; i < 30; i++) {
+        random_transform(r, pow(10, -1.5 + 2 * test_rng_double(r)), (int)(i % 3 == 0), &t);
+        CHECK_EQ_U64(zbufrand_add_reference(scene, 1, &t, i % 5 == 4 ? list : node[i & 3], NULL), ZBUFRAND_OK);
+    }
+    return scene;
+}
+static void free_shapes(shape *s) {
+    int i;
+    for (i = 0; i < 4; i++) shape_free(&s[i]);
+}
+
+/* ---- what the trees hold ---- */
+
+typedef struct extent { double lo[3], hi[3], area; } extent;
+
+static void object_extent(const zbufrand_scene *scene, const zbufrandi_structure *s, uint32_t item, extent *e) {
+    const zbufrandi_lists *l = s->lists;
+    uint32_t a, k, corner;
+    for (a = 0; a < 3; a++) {
+        e->lo[a] = 1e300;
+        e->hi[a] = -1e300;
+    }
+    if (item & ZBUFRANDI_LIST_DUMMY) {
+        const zbufrandi_dummy *d = &l->dummy[item & ~ZBUFRANDI_LIST_DUMMY];
+        const zbufrandi_instance *it = &s->instance[d->instance];
+        const zbufrandi_lists *to = scene->structure[it->structure].lists;
+        const zbufrandi_list_node *root = &to->node[to->list_class[d->list_class].root];
+        for (corner = 0; corner < 8; corner++) {
+            double p[3];
+            for (a = 0; a < 3; a++) p[a] = (double)(corner >> a & 1 ? root->hi[a] : root->lo[a]);
+            zbufrandi_m34_point(ZBUFRANDI_M34(it->to_parent), p, p);
+            for (a = 0; a < 3; a++) {
+                e->lo[a] = fmin(e->lo[a], p[a]);
+                e->hi[a] = fmax(e->hi[a], p[a]);
+            }
+        }
+        e->area = 0;
+        for (k = to->list_class[d->list_class].first; k < to->list_class[d->list_class].last; k++) {
+            extent below;
+            object_extent(scene, &scene->structure[it->structure], to->object[k], &below);
+            e->area += below.area * it->scale * it->scale;
+        }
+    } else {
+        const zbufrandi_cluster *c = &s->cluster[item >> 7];
+        const uint8_t *tri = s->triangle + 3 * ((size_t)c->first_triangle + (item & 127));
+        const float *p[3];
+        double n[3];
+        for (k = 0; k < 3; k++) {
+            p[k] = s->position + 3 * ((size_t)c->first_vertex + tri[k]);
+            for (a = 0; a < 3; a++) {
+                e->lo[a] = fmin(e->lo[a], (double)p[k][a]);
+                e->hi[a] = fmax(e->hi[a], (double)p[k][a]);
+            }
+        }
+        zbufrandi_cross(p[0], p[1], p[2], n);
+        e->area = 0.5 * sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+    }
+}
+
+static int compare_u32(const void *a, const void *b) {
+    uint32_t x, y;
+    memcpy(&x, a, 4);
+    memcpy(&y, b, 4);
+    return x < y ? -1 : x > y;
+}
+
+/* Objects first..last-1 are those of `want`, in any order. */
+static int same_objects(const zbufrandi_lists *l, uint32_t first, uint32_t last, uint32_t first2, uint32_t last2) {
+    uint32_t n = last - first, *a, *b;
+    int same;
+    if (last2 - first2 != n) return 0;
+    a = (uint32_t *)malloc(n * sizeof *a + 1);
+    b = (uint32_t *)malloc(n * sizeof *b + 1);
+    if (a == NULL || b == NULL) abort();
+    memcpy(a, l->object + first, n * sizeof *a);
+    memcpy(b, l->object + first2, n * sizeof *b);
+    qsort(a, n, sizeof *a, compare_u32);
+    qsort(b, n, sizeof *b, compare_u32);
+    same = memcmp(a, b, n * sizeof *a) == 0;
+    free(a);
+    free(b);
+    return same;
+}
+
+/* Every node: its box holds its objects and touches them, its runs nest, its leaves are small, octree cells hold what
+   stays in them. */
+static void check_nodes(const zbufrand_scene *scene, const zbufrandi_structure *s, const zbufrand_build_desc *d) {
+    const zbufrandi_lists *l = s->lists;
+    const double cube = fmax(fmax((double)s->box_hi[0] - (double)s->box_lo[0], (double)s->box_hi[1] - (double)s->box_lo[1]),
+                             (double)s->box_hi[2] - (double)s->box_lo[2]) * 1.000001;
+    const int octree = d->structure == ZBUFRAND_STRUCTURE_OCTREE || d->structure == ZBUFRAND_STRUCTURE_NORMALS;
+    uint32_t k, i, a, child;
+    for (k = 0; k < l->node_count; k++) {
+        const zbufrandi_list_node *n = &l->node[k];
+        double lo[3] = {1e300, 1e300, 1e300}, hi[3] = {-1e300, -1e300, -1e300}, largest = 0, wide = 0;
+        uint32_t at = n->own, children = 0, dummies = 0;
+        CHECK(n->first <= n->own && n->own <= n->last && n->first < n->last && n->end > k && n->end <= l->node_count);
+        for (i = n->first; i < n->last; i++) {
+            extent e;
+            double diag = 0;
+            object_extent(scene, s, l->object[i], &e);
+            for (a = 0; a < 3; a++) {
+                CHECK_MSG(e.lo[a] >= (double)n->lo[a] && e.hi[a] <= (double)n->hi[a], "object %u sticks out of node %u", i, k);
+                lo[a] = fmin(lo[a], e.lo[a]);
+                hi[a] = fmax(hi[a], e.hi[a]);
+                diag += (e.hi[a] - e.lo[a]) * (e.hi[a] - e.lo[a]);
+            }
+            largest = fmax(largest, diag);
+            dummies |= l->object[i] >> 31;
+        }
+        CHECK_EQ_U64(dummies, n->dummies);
+        for (a = 0; a < 3; a++) {
+            const double slack = 1e-5 * (1e-30 + fabs(lo[a]) + fabs(hi[a]));
+            CHECK((double)n->lo[a] >= lo[a] - slack && (double)n->hi[a] <= hi[a] + slack);
+            wide += (hi[a] - lo[a]) * (hi[a] - lo[a]);
+        }
+        for (child = k + 1; child < n->end; child = l->node[child].end) {
+            CHECK_EQ_U64(l->node[child].first, at);
+            at = l->node[child].last;
+            children++;
+        }
+        CHECK_EQ_U64(at, n->last);
+        if (children == 0) {
+            CHECK_EQ_U64(n->own, n->last);
+            /* a leaf: few and near to each other, or all in one place */
+            if (n->last - n->first > d->leaf_objects || wide > d->leaf_objects * largest * 1.0001) {
+                double c0[3] = {0, 0, 0}, most = 0;
+                for (i = n->first; i < n->last; i++) {
+                    extent e;
+                    object_extent(scene, s, l->object[i], &e);
+                    for (a = 0; a < 3; a++) {
+                        if (i == n->first) c0[a] = e.lo[a] + e.hi[a];
+                        most = fmax(most, fabs(e.lo[a] + e.hi[a] - c0[a]));
+                    }
+                }
+                CHECK_MSG(most * most <= 4 * largest || octree, "leaf %u of %u objects could be divided", k, n->last - n->first);
+            }
+        } else {
+            CHECK(octree ? children <= 8 : children <= 2);
+            CHECK_MSG(children > 1 || n->own > n->first, "node %u has one child and nothing else", k); /* a shortcut is missing */
+        }
+        if (octree) { /* what stays fits its cell but none below; what is below has its middle in the cell */
+            const uint64_t code = n->key >> 5;
+            const uint32_t level = (uint32_t)(n->key & 31);
+            const double side = cube / (double)(1u << level);
+            double origin[3];
+            for (a = 0; a < 3; a++) {
+                uint32_t q = zbufrandi_compact3(code >> a);
+                origin[a] = (double)s->box_lo[a] + (double)(q >> (19 - level)) * side;
+            }
+            for (i = n->first; i < n->last; i++) {
+                extent e;
+                int fits = 1;
+                object_extent(scene, s, l->object[i], &e);
+                for (a = 0; a < 3; a++) {
+                    const double m = 0.5 * (e.lo[a] + e.hi[a]), half = 0.5 * side;
+                    double child_middle = origin[a] + (m < origin[a] + half ? 0.25 : 0.75) * side;
+                    CHECK(m >= origin[a] - 1e-5 * cube && m <= origin[a] + side + 1e-5 * cube);
+                    CHECK(e.lo[a] >= origin[a] + half - 0.75 * side - 1e-5 * cube && e.hi[a] <= origin[a] + half + 0.75 * side + 1e-5 * cube);
+                    if (e.lo[a] < child_middle - 0.375 * side + 1e-5 * cube || e.hi[a] > child_middle + 0.375 * side - 1e-5 * cube) fits = 0;
+                }
+                if (i < n->own && children != 0) CHECK(!fits);
+            }
+        }
+    }
+}
+
+static void check_classes(const zbufrand_scene *scene, const zbufrandi_structure *s) {
+    const zbufrandi_lists *l = s->lists;
+    uint32_t c, i, k, at = 0, total = s->triangle_count + l->dummy_count;
+    for (c = 0; c < l->class_count; c++) {
+        const zbufrandi_list_class *f = &l->list_class[c];
+        uint64_t triangles = 0;
+        CHECK_EQ_U64(f->first, at);
+        at = f->last;
+        CHECK(l->node[f->root].first == f->first && l->node[f->root].last == f->last);
+        for (i = f->first; i < f->last; i++) {
+            double axis[3], reach = 1;
+            uint32_t a;
+            int two = 0;
+            for (a = 0; a < 3; a++) axis[a] = (double)f->axis[a];
+            if (l->object[i] & ZBUFRANDI_LIST_DUMMY) {
+                const zbufrandi_dummy *d = &l->dummy[l->object[i] & ~ZBUFRANDI_LIST_DUMMY];
+                const zbufrandi_list_class *to = &scene->structure[s->instance[d->instance].structure].lists->list_class[d->list_class];
+                CHECK_EQ_U64(to->children, 0);
+                triangles += to->triangles;
+                two = (int)to->two_sided;
+            } else {
+                float n[3];
+                (void)zbufrandi_list_normal(s, l->object[i], n);
+                reach = axis[0] * (double)n[0] + axis[1] * (double)n[1] + axis[2] * (double)n[2];
+                triangles++;
+                two = s->cluster[l->object[i] >> 7].flags & ZBUFRANDI_TWO_SIDED;
+            }
+            CHECK_MSG(reach >= (double)f->cosine, "a normal is outside of the cone of its class");
+            if (two && f->cosine > -1) CHECK(f->two_sided != 0);
+        }
+        CHECK_EQ_U64(triangles, f->triangles);
+        if (f->children == 0) continue;
+        for (k = 0, i = 0; k < f->children; k++) { /* finer classes share the same objects out */
+            const zbufrandi_list_class *g = &l->list_class[f->child + k];
+            i += g->last - g->first;
+        }
+        CHECK_EQ_U64(i, f->last - f->first);
+        CHECK(same_objects(l, f->first, f->last, l->list_class[f->child].first, l->list_class[f->child + f->children - 1].last));
+    }
+    CHECK_EQ_U64(at, l->object_count);
+    for (c = 0, i = 0; c < l->roots; c++) i += l->list_class[c].last - l->list_class[c].first;
+    CHECK_EQ_U64(i, total);
+}
+
+static void check_lists(const zbufrand_scene *scene, const zbufrand_build_desc *d, uint32_t levels) {
+    uint32_t k, i;
+    for (k = 0; k < scene->structure_count; k++) {
+        const zbufrandi_structure *s = &scene->structure[k];
+        const zbufrandi_lists *l = s->lists;
+        uint8_t *seen;
+        if (l == NULL || s->node_count == 0) continue;
+        CHECK(l->object_count <= (uint64_t)levels * (s->triangle_count + l->dummy_count));
+        check_nodes(scene, s, d);
+        check_classes(scene, s);
+        seen = (uint8_t *)calloc(s->triangle_count + l->dummy_count + 1, 1);
+        REQUIRE(seen != NULL);
+        for (i = l->list_class[0].first; i < l->list_class[l->roots - 1].last; i++) { /* each once */
+            const uint32_t item = l->object[i];
+            const uint32_t at = item & ZBUFRANDI_LIST_DUMMY ? s->triangle_count + (item & ~ZBUFRANDI_LIST_DUMMY)
+                                                            : s->cluster[item >> 7].first_triangle + (item & 127);
+            CHECK(at < s->triangle_count + l->dummy_count);
+            CHECK_EQ_U64(seen[at]++, 0);
+        }
+        for (i = 0; i < l->object_count; i++) {
+            extent e;
+            double share = (double)(l->sum[i + 1] - l->sum[i]) * l->unit;
+            object_extent(scene, s, l->object[i], &e);
+            CHECK(l->sum[i + 1] > l->sum[i]);
+            CHECK_MSG(fabs(share - e.area) <= 1e-6 * e.area + 3000 * l->unit, "area %g, not %g", share, e.area);
+        }
+        if (l->key != NULL) {
+            for (i = 0; i < l->class_count; i++) {
+                uint32_t j;
+                for (j = l->list_class[i].first + 1; j < l->list_class[i].last; j++) CHECK(l->key[j - 1] <= l->key[j]);
+            }
+        }
+        free(seen);
+    }
+}
+
+TEST(trees_are_sound) {
+    uint32_t k;
+    for (k = 0; k < KINDS; k++) {
+        test_rng r = test_rng_make(5);
+        shape s[4];
+        zbufrand_scene *scene = mixed_scene(&r, s);
+        zbufrand_build_desc d = kind_of(k);
+        zbufrand_scene_info info;
+        CHECK_EQ_U64(zbufrand_scene_build(scene, &d, &info), ZBUFRAND_OK);
+        check_lists(scene, &d, k == 3 ? 4 : 1);
+        CHECK(info.list_objects > 0 && info.list_nodes > 0 && info.list_bytes > 12 * info.list_objects && info.list_bytes < info.bytes);
+        CHECK(k < 2 ? info.list_classes <= info.structures : info.list_classes > 3 * info.structures);
+        zbufrand_scene_destroy(scene);
+        free_shapes(s);
+    }
+}
+
+/* Few, equal, flat, tiny and huge triangles. */
+TEST(hard_input) {
+    uint32_t k, n, which;
+    for (k = 0; k < KINDS; k++) {
+        for (which = 0; which < 5; which++) {
+            for (n = 0; n < 4; n++) {
+                static const uint32_t counts[4] = {0, 1, 2, 700};
+                test_rng r = test_rng_make(which);
+                zbufrand_scene *scene = NULL;
+                zbufrand_build_desc d = kind_of(k);
+                zbufrand_scene_info info;
+                shape s;
+                zbufrand_mesh m;
+                uint32_t i;
+                memset(&s, 0, sizeof s);
+                for (i = 0; i < counts[n]; i++) {
+                    double x = which == 0 ? 0 : test_rng_double(&r), y = which == 0 ? 0 : test_rng_double(&r), e = 0.1;
+                    uint32_t v[3];
+                    if (which == 2) e = pow(10, -6 + 9 * test_rng_double(&r)); /* areas of 10^-12 to 10^6 */
+                    if (which == 3) e = i == 0 ? 1e4 : 1e-3;
+                    if (which == 4) x = ldexp(1.0, -(int)(i % 60)); /* ever closer to one point */
+                    v[0] = shape_vertex(&s, x, y, 0);
+                    v[1] = shape_vertex(&s, x + e, y, 0);
+                    v[2] = shape_vertex(&s, x, y + (which == 1 && i % 3 == 0 ? 0 : e), which == 1 ? 0 : 0.5 * e * (i & 1));
+                    shape_triangle(&s, v[0], v[1], v[2]);
+                }
+                m = mesh_of(&s);
+                CHECK_EQ_U64(zbufrand_scene_create(NULL, &scene), ZBUFRAND_OK);
+                CHECK_EQ_U64(zbufrand_add_mesh(scene, 1, NULL, 0, &m, NULL), ZBUFRAND_OK);
+                CHECK_EQ_U64(zbufrand_scene_build(scene, &d, &info), ZBUFRAND_OK);
+                check_lists(scene, &d, k == 3 ? 4 : 1);
+                zbufrand_scene_destroy(scene);
+                shape_free(&s);
+            }
+        }
+    }
+}
+
+/* The bytes of all trees of a scene. */
+static uint64_t hash_lists(const zbufrand_scene *scene) {
+    uint64_t h = 0;
+    uint32_t k;
+    for (k = 0; k < scene->structure_count; k++) {
+        const zbufrandi_lists *l = scene->structure[k].lists;
+        if (l == NULL || l->object_count == 0) continue;
+        h = test_fnv1a(l->object, l->object_count * sizeof *l->object, h);
+        h = test_fnv1a(l->sum, (l->object_count + 1) * sizeof *l->sum, h);
+        h = test_fnv1a(l->node, l->node_count * sizeof *l->node, h);
+        h = test_fnv1a(l->list_class, l->class_count * sizeof *l->list_class, h);
+    }
+    return h;
+}
+
+TEST(same_for_any_threads) {
+    const uint32_t n = test_quick() ? 5000 : 40000; /* more than a task takes */
+    uint32_t k, t;
+    for (k = 0; k < 4; k++) {
+        uint64_t hash[3];
+        for (t = 0; t < 3; t++) {
+            static const uint32_t threads[3] = {1, 2, 5};
+            test_rng r = test_rng_make(9);
+            zbufrand_scene_desc sd;
+            zbufrand_build_desc d = kind_of(k);
+            zbufrand_scene *scene = NULL;
+            shape s;
+            zbufrand_mesh m;
+            memset(&s, 0, sizeof s);
+            memset(&sd, 0, sizeof sd);
+            sd.env.thread_count = threads[t];
+            soup(&s, &r, n, 0.002, 1.0);
+            m = mesh_of(&s);
+            CHECK_EQ_U64(zbufrand_scene_create(&sd, &scene), ZBUFRAND_OK);
+            CHECK_EQ_U64(zbufrand_add_mesh(scene, 1, NULL, 0, &m, NULL), ZBUFRAND_OK);
+            CHECK_EQ_U64(zbufrand_scene_build(scene, &d, NULL), ZBUFRAND_OK);
+            hash[t] = hash_lists(scene);
+            zbufrand_scene_destroy(scene);
+            shape_free(&s);
+        }
+        CHECK(hash[0] == hash[1] && hash[0] == hash[2]);
+    }
+}
+
+/* The order in which triangles come does not matter: the same boxes, the same numbers of objects. */
+TEST(same_for_any_order) {
+    uint32_t k, turn, i;
+    for (k = 0; k < KINDS; k++) {
+        zbufrandi_list_node *first = NULL;
+        uint32_t count = 0;
+        for (turn = 0; turn < 2; turn++) {
+            test_rng r = test_rng_make(31);
+            zbufrand_build_desc d = kind_of(k);
+            zbufrand_scene *scene = NULL;
+            const zbufrandi_lists *l;
+            shape s;
+            zbufrand_mesh m;
+            memset(&s, 0, sizeof s);
+            soup(&s, &r, 3000, 0.02, 1.5);
+            for (i = s.triangles; i > 1 && turn == 1; i--) { /* every 6th stays: it says where the origin is */
+                const uint32_t j = test_rng_below(&r, i);
+                uint32_t swap[3];
+                if (j % 6 == 0 || (i - 1) % 6 == 0) continue;
+                memcpy(swap, s.t + 3 * j, sizeof swap);
+                memcpy(s.t + 3 * j, s.t + 3 * (i - 1), sizeof swap);
+                memcpy(s.t + 3 * (i - 1), swap, sizeof swap);
+            }
+            m = mesh_of(&s);
+            CHECK_EQ_U64(zbufrand_scene_create(NULL, &scene), ZBUFRAND_OK);
+            CHECK_EQ_U64(zbufrand_add_mesh(scene, 1, NULL, 0, &m, NULL), ZBUFRAND_OK);
+            CHECK_EQ_U64(zbufrand_scene_build(scene, &d, NULL), ZBUFRAND_OK);
+            l = scene->structure[0].lists;
+            if (turn == 0) {
+                count = l->node_count;
+                first = (zbufrandi_list_node *)malloc(count * sizeof *first);
+                REQUIRE(first != NULL);
+                memcpy(first, l->node, count * sizeof *first);
+            } else {
+                CHECK_EQ_U64(l->node_count, count);
+                CHECK(l->node_count == count && memcmp(first, l->node, count * sizeof *first) == 0);
+            }
+            zbufrand_scene_destroy(scene);
+            shape_free(&s);
+        }
+        free(first);
+    }
+}
+
+/* ---- draws ---- */
+
+/* p-value of chi square, by the Wilson-Hilferty cube root. */
+static double chi2_p(double x, double freedom) {
+    double z = (cbrt(x / freedom) - (1 - 2 / (9 * freedom))) / sqrt(2 / (9 * freedom));
+    return 0.5 * erfc(z / sqrt(2.0));
+}
+
+/* Draws from runs of all levels: each object as often as its area asks, each place on a triangle as likely. */
+TEST(draws_by_area) {
+    uint32_t k, way, node, i;
+    for (k = 0; k < 4; k++) {
+        test_rng r = test_rng_make(12 + k);
+        shape s[4];
+        zbufrand_scene *scene = mixed_scene(&r, s);
+        zbufrand_build_desc d = kind_of(k);
+        const zbufrandi_lists *l;
+        CHECK_EQ_U64(zbufrand_scene_build(scene, &d, NULL), ZBUFRAND_OK);
+        l = scene->structure[0].lists;
+        for (way = 0; way < 2; way++) { /* strata, independent */
+            double total = 0, freedom = 0, u = 0, uu = 0, uv = 0, points = 0;
+            for (node = 0; node < l->node_count; node = node * 2 + 1) {
+                const zbufrandi_list_node *n = &l->node[node];
+                const uint32_t objects = n->last - n->first;
+                const uint32_t draws = (objects < 50 ? 50 : objects) * (test_quick() ? 10u : 20u);
+                double *seen = (double *)calloc(objects, sizeof *seen), pool_seen = 0, pool_want = 0, chi = 0, cells = 0;
+                zbufrandi_local local;
+                zbufrandi_draw w;
+                REQUIRE(seen != NULL);
+                memset(&local, 0, sizeof local);
+                zbufrandi_m34_identity(local.to_camera);
+                local.scale = 1;
+                memset(&w, 0, sizeof w);
+                w.item = (uint32_t)ZBUFRANDI_DRAW_LISTED << ZBUFRANDI_DRAW_SHIFT | n->first;
+                w.aux = n->last | (way ? ZBUFRANDI_LISTED_INDEPENDENT : 0u);
+                w.count = draws;
+                w.hash = test_rng_u32(&r);
+                for (i = 0; i < draws; i++) {
+                    zbufrandi_list_spot at;
+                    uint32_t o;
+                    zbufrandi_list_find(scene, &local, &w, i, &at);
+                    if (at.structure == 0) { /* which object of the run it is: a search from the front, for once */
+                        for (o = 0; o < objects && l->object[n->first + o] != at.item; o++) { }
+                        CHECK(o < objects);
+                        if (o < objects) seen[o]++;
+                    } else { /* below a dummy: by its matrix */
+                        for (o = 0; o < objects; o++) {
+                            const uint32_t item = l->object[n->first + o];
+                            const zbufrandi_dummy *q;
+                            if (!(item & ZBUFRANDI_LIST_DUMMY)) continue;
+                            q = &l->dummy[item & ~ZBUFRANDI_LIST_DUMMY];
+                            if (scene->structure[0].instance[q->instance].structure != at.structure ||
+                                memcmp(scene->structure[0].instance[q->instance].to_parent, at.m, sizeof at.m) != 0) continue;
+                            { /* the class: does it have this triangle? */
+                                const zbufrandi_lists *to = scene->structure[at.structure].lists;
+                                uint32_t t;
+                                for (t = to->list_class[q->list_class].first; t < to->list_class[q->list_class].last; t++) {
+                                    if (to->object[t] == at.item) break;
+                                }
+                                if (t == to->list_class[q->list_class].last) continue;
+                            }
+                            seen[o]++;
+                            break;
+                        }
+                        if (o == objects) pool_seen++; /* two levels down */
+                    }
+                    u += (double)at.u;
+                    uu += (double)at.u * (double)at.u;
+                    uv += (double)at.u * (double)at.v;
+                    points++;
+                }
+                for (i = 0; i < objects; i++) { /* rare ones together, and those two levels down */
+                    const double want = draws * ((double)(l->sum[n->first + i + 1] - l->sum[n->first + i]) /
+                                                 (double)(l->sum[n->last] - l->sum[n->first]));
+                    const uint32_t item = l->object[n->first + i];
+                    int deep = 0;
+                    if (item & ZBUFRANDI_LIST_DUMMY)
+                        deep = scene->structure[scene->structure[0].instance[l->dummy[item & ~ZBUFRANDI_LIST_DUMMY].instance].structure].instance_count != 0;
+                    if (want < 10 || deep) {
+                        pool_want += want;
+                        pool_seen += seen[i];
+                        continue;
+                    }
+                    chi += (seen[i] - want) * (seen[i] - want) / want;
+                    cells++;
+                    if (way == 0) CHECK_MSG(fabs(seen[i] - want) <= 2.001, "%g of %g in strata", seen[i], want);
+                }
+                if (pool_want >= 10) {
+                    chi += (pool_seen - pool_want) * (pool_seen - pool_want) / pool_want;
+                    cells++;
+                }
+                if (cells > 1 && way == 1) {
+                    total += chi;
+                    freedom += cells - 1;
+                }
+                free(seen);
+            }
+            if (way == 1) {
+                CHECK(freedom > 30);
+                CHECK_MSG(chi2_p(total, freedom) > 1e-5 && chi2_p(total, freedom) < 1 - 1e-5, "kind %u: chi square %g of %g", k, total, freedom);
+            }
+            /* uniform on the triangle: E u = 1/3, E u^2 = 1/6, E uv = 1/12 */
+            CHECK_NEAR(u / points, 1.0 / 3, 5 * 0.236 / sqrt(points));
+            CHECK_NEAR(uu / points, 1.0 / 6, 5 * 0.2 / sqrt(points));
+            CHECK_NEAR(uv / points, 1.0 / 12, 5 * 0.08 / sqrt(points));
+        }
+        zbufrand_scene_destroy(scene);
+        free_shapes(s);
+    }
+}
+
+/* Twelve decades of areas in one run: an integer share is right however small it is. */
+TEST(unequal_areas) {
+    enum { N = 1000 };
+    uint64_t sum[N + 1];
+    double want[N], seen[N], chi = 0;
+    test_rng r = test_rng_make(3);
+    const uint32_t draws = test_quick() ? 200000 : 2000000;
+    uint32_t i, k, cells = 0;
+    sum[0] = 0;
+    for (i = 0; i < N; i++) {
+        sum[i + 1] = sum[i] + (uint64_t)(pow(10, 12 * test_rng_double(&r)) + 1);
+        seen[i] = 0;
+    }
+    for (k = 0; k < draws; k++) {
+        const uint64_t y = zbufrandi_mul_high(test_rng_u64(&r), sum[N]);
+        const uint32_t at = zbufrandi_list_search(sum, 0, N, y);
+        CHECK(sum[at] <= y && y < sum[at + 1]);
+        seen[at]++;
+    }
+    for (i = 0; i < N; i++) {
+        want[i] = draws * ((double)(sum[i + 1] - sum[i]) / (double)sum[N]);
+        if (want[i] < 5) continue;
+        chi += (seen[i] - want[i]) * (seen[i] - want[i]) / want[i];
+        cells++;
+    }
+    CHECK(cells > 100);
+    CHECK_MSG(chi2_p(chi, cells) > 1e-5, "chi square %g of %u", chi, cells);
+    CHECK_EQ_U64(zbufrandi_list_search(sum, 0, N, 0), 0);
+    CHECK_EQ_U64(zbufrandi_list_search(sum, 0, N, sum[N] - 1), N - 1);
+    CHECK_EQ_U64(zbufrandi_list_search(sum, 17, 18, sum[17]), 17);
+    CHECK_EQ_U64(zbufrandi_mul_high(~(uint64_t)0, ~(uint64_t)0), ~(uint64_t)0 - 1);
+    CHECK_EQ_U64(zbufrandi_mul_high((uint64_t)1 << 63, 6), 3);
+}
+
+TEST(angles) {
+    uint32_t i;
+    for (i = 0; i < 4000; i++) {
+        const double a = 6.283185307179586 * i / 4000 - 3.14, l = pow(10, (double)(i % 13) - 6);
+        const double got = zbufrandi_atan2(l * sin(a), l * cos(a));
+        CHECK_MSG(fabs(got - atan2(l * sin(a), l * cos(a))) < 2e-14, "atan2: %.17g", got);
+    }
+    CHECK_NEAR(zbufrandi_atan2(0, -1), 3.14159265358979323846, 1e-15);
+    CHECK(zbufrandi_atan2(0, 0) == 0);
+}
+
+/* ---- bounds ---- */
+
+static void random_camera(test_rng *r, zbufrand_camera *k, double reach) {
+    uint32_t a;
+    memset(k, 0, sizeof *k);
+    for (a = 0; a < 3; a++) {
+        k->eye[a] = reach * (2 * test_rng_double(r) - 1);
+        k->at[a] = k->eye[a] + 2 * test_rng_double(r) - 1;
+    }
+    k->fov_y = 20 + 120 * test_rng_double(r);
+    k->near_z = test_rng_below(r, 3) ? 1e-6 : 0.3;
+}
+
+/* A random point below an object, brought to camera coordinates, and its normal. Returns whether both sides are seen. */
+static int point_below(test_rng *r, const zbufrand_scene *scene, uint32_t structure, uint32_t item, const double to_camera[3][4],
+                       double q[3], double n[3]) {
+    const zbufrandi_structure *s = &scene->structure[structure];
+    double m[3][4];
+    memcpy(m, to_camera, sizeof m);
+    for (;;) {
+        if (item & ZBUFRANDI_LIST_DUMMY) {
+            const zbufrandi_dummy *d = &s->lists->dummy[item & ~ZBUFRANDI_LIST_DUMMY];
+            const zbufrandi_instance *it = &s->instance[d->instance];
+            const zbufrandi_list_class *c;
+            zbufrandi_m34_mul(ZBUFRANDI_M34(m), ZBUFRANDI_M34(it->to_parent), m);
+            s = &scene->structure[it->structure];
+            c = &s->lists->list_class[d->list_class];
+            item = s->lists->object[c->first + test_rng_below(r, c->last - c->first)];
+        } else {
+            const zbufrandi_cluster *c = &s->cluster[item >> 7];
+            const uint8_t *tri = s->triangle + 3 * ((size_t)c->first_triangle + (item & 127));
+            const float *p[3];
+            double v[3], w[3], x[3], length = 0;
+            uint32_t k, a;
+            for (k = 0; k < 3; k++) p[k] = s->position + 3 * ((size_t)c->first_vertex + tri[k]);
+            zbufrandi_cross(p[0], p[1], p[2], v);
+            w[0] = test_rng_double(r);
+            w[1] = (1 - w[0]) * test_rng_double(r);
+            if (test_rng_below(r, 4) == 0) w[0] = w[1] = 0;
+            w[2] = 1 - w[0] - w[1];
+            for (a = 0; a < 3; a++) x[a] = w[0] * (double)p[0][a] + w[1] * (double)p[1][a] + w[2] * (double)p[2][a];
+            for (a = 0; a < 3; a++) {
+                q[a] = m[a][0] * x[0] + m[a][1] * x[1] + m[a][2] * x[2] + m[a][3];
+                n[a] = m[a][0] * v[0] + m[a][1] * v[1] + m[a][2] * v[2];
+                length += n[a] * n[a];
+            }
+            for (a = 0; a < 3; a++) n[a] /= sqrt(length);
+            return c->flags & ZBUFRANDI_TWO_SIDED;
+        }
+    }
+}
+
+static int in_picture(const zbufrandi_camera *c, const double q[3], double margin) {
+    const double x = c->center_x + c->focal * q[0] / q[2], y = c->center_y - c->focal * q[1] / q[2];
+    return q[2] >= c->near_z * (1 + margin) && q[2] <= c->far_z && x > margin && x < c->width - margin && y > margin && y < c->height - margin;
+}
+
+/* A cut as a picture would have it, without a frame. */
+static void open_cut(zbufrandi_cut *cut, const zbufrand_scene *scene, const zbufrand_camera *camera, const zbufrand_render_desc *d) {
+    memset(cut, 0, sizeof *cut);
+    cut->scene = scene;
+    CHECK_EQ_U64(zbufrandi_camera_open(camera, scene, 320, 240, 0, &cut->camera), ZBUFRAND_OK);
+    cut->density = d->density;
+    cut->near_z = (float)cut->camera.near_z;
+    cut->far_z = (float)fmin(cut->camera.far_z, 1e37);
+    CHECK(zbufrandi_list_rules(d, scene, cut));
+    cut->level = 1;
+}
+
+/* The bounds of a node hold for every point below it, down through all dummies. */
+TEST(never_too_few) {
+    const uint32_t cameras = test_quick() ? 10 : 150;
+    uint32_t k, c, i, j;
+    uint64_t visible = 0, tight = 0;
+    for (k = 0; k < KINDS; k++) {
+        test_rng r = test_rng_make(50 + k);
+        shape s[4];
+        zbufrand_scene *scene = mixed_scene(&r, s);
+        zbufrand_build_desc d = kind_of(k);
+        zbufrand_render_desc rd;
+        CHECK_EQ_U64(zbufrand_scene_build(scene, &d, NULL), ZBUFRAND_OK);
+        memset(&rd, 0, sizeof rd);
+        rd.density = 1;
+        for (c = 0; c < cameras; c++) {
+            zbufrand_camera camera;
+            zbufrandi_cut cut;
+            zbufrandi_local local, root;
+            random_camera(&r, &camera, c % 3 == 0 ? 0.7 : c % 3 == 1 ? 3 : 100);
+            open_cut(&cut, scene, &camera, &rd);
+            zbufrandi_local_root(&cut.camera, &scene->structure[0], c, &local);
+            for (i = 0; i < 250; i++) {
+                const zbufrandi_lists *l;
+                const zbufrandi_list_node *n;
+                zbufrandi_list_bound b;
+                uint32_t list_class = 0;
+                int seen;
+                if (i == 125) { /* the rest in one of the instances */
+                    root = local;
+                    zbufrandi_local_enter(&cut, &root, 0, test_rng_below(&r, scene->structure[0].instance_count), &local);
+                }
+                l = scene->structure[local.structure].lists;
+                n = &l->node[test_rng_below(&r, l->node_count)];
+                while (l->list_class[list_class].first > n->first || l->list_class[list_class].last < n->last) list_class++;
+                seen = zbufrandi_list_test(&cut, &local, n->lo, n->hi, &l->list_class[list_class], &b);
+                for (j = 0; j < 4; j++) {
+                    double q[3], nn[3], h, prj, dist;
+                    const uint32_t item = l->object[n->first + test_rng_below(&r, n->last - n->first)];
+                    const int two = point_below(&r, scene, local.structure, item, ZBUFRANDI_M34(local.to_camera), q, nn);
+                    const int in = in_picture(&cut.camera, q, 1e-6);
+                    h = -(nn[0] * q[0] + nn[1] * q[1] + nn[2] * q[2]);
+                    if (two) h = fabs(h);
+                    dist = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2]);
+                    if (in) CHECK_MSG(seen != 0, "a point in the picture is below a node said to be outside");
+                    if (seen == 0) continue;
+                    CHECK_MSG(q[2] >= b.z_min && q[2] <= b.z_max, "depth %g not in %g..%g", q[2], b.z_min, b.z_max);
+                    CHECK_MSG(h <= dist * b.cos_hi && (two || l->list_class[list_class].two_sided || h >= dist * b.cos_lo),
+                              "cosine %g not in %g..%g", h / dist, b.cos_lo, b.cos_hi);
+                    if (b.inside) CHECK(in_picture(&cut.camera, q, -1e-6));
+                    if (seen == 1) CHECK(!(h > 0));
+                    if (seen != 2 || !in || b.z_min < cut.camera.near_z) continue;
+                    prj = (h > 0 ? h : 0) / (q[2] * q[2] * q[2]);
+                    CHECK_MSG(prj <= b.h / (b.z_min * b.z_min * b.z_min) * (1 + 1e-9),
+                              "factor %g above its bound %g", prj, b.h / (b.z_min * b.z_min * b.z_min));
+                    visible++;
+                    tight += prj * 4 > b.h / (b.z_min * b.z_min * b.z_min);
+                }
+            }
+        }
+        zbufrand_scene_destroy(scene);
+        free_shapes(s);
+    }
+    CHECK_MSG(visible > (test_quick() ? 500u : 20000u) && tight * 20 > visible,
+              "%llu points, %llu near their bound", (unsigned long long)visible, (unsigned long long)tight);
+}
+
+/* ---- the cut ---- */
+
+typedef struct keys { uint64_t *key; size_t count, capacity; } keys;
+
+static void keys_add(keys *k, const double m[3][4], uint32_t structure, uint32_t item) {
+    uint64_t h = test_fnv1a(m, 12 * sizeof(double), 0);
+    if (k->count == k->capacity) {
+        k->capacity = k->capacity * 2 + 1024;
+        k->key = (uint64_t *)realloc(k->key, k->capacity * sizeof *k->key);
+        if (k->key == NULL) abort();
+    }
+    h = test_fnv1a(&structure, 4, h);
+    k->key[k->count++] = test_fnv1a(&item, 4, h);
+}
+
+/* All triangles below a run. visit_fn may be NULL. */
+typedef void visit_fn(void *user, const zbufrandi_structure *s, uint32_t item, const double m[3][4]);
+static void expand(const zbufrand_scene *scene, uint32_t structure, uint32_t first, uint32_t last, const double m[3][4], keys *k,
+                   visit_fn *fn, void *user) {
+    const zbufrandi_structure *s = &scene->structure[structure];
+    uint32_t i;
+    for (i = first; i < last; i++) {
+        const uint32_t item = s->lists->object[i];
+        if (item & ZBUFRANDI_LIST_DUMMY) {
+            const zbufrandi_dummy *d = &s->lists->dummy[item & ~ZBUFRANDI_LIST_DUMMY];
+            const zbufrandi_instance *it = &s->instance[d->instance];
+            const zbufrandi_list_class *c = &scene->structure[it->structure].lists->list_class[d->list_class];
+            double below[3][4];
+            zbufrandi_m34_mul(m, ZBUFRANDI_M34(it->to_parent), below);
+            expand(scene, it->structure, c->first, c->last, ZBUFRANDI_M34(below), k, fn, user);
+        } else {
+            if (k != NULL) keys_add(k, m, structure, item);
+            if (fn != NULL) fn(user, s, item, m);
+        }
+    }
+}
+
+static int compare_u64(const void *a, const void *b) {
+    uint64_t x, y;
+    memcpy(&x, a, 8);
+    memcpy(&y, b, 8);
+    return x < y ? -1 : x > y;
+}
+
+typedef struct looking {
+    const zbufrand_scene *scene;
+    const zbufrandi_camera *camera;
+    const keys *drawn;
+    uint32_t visible, lost;
+} looking;
+
+/* Is what is seen of this triangle in the cut? Corners and the middle are looked at. */
+static void look(void *user, const zbufrandi_structure *s, uint32_t item, const double m[3][4]) {
+    looking *o = (looking *)user;
+    const zbufrandi_cluster *c = &s->cluster[item >> 7];
+    const uint8_t *tri = s->triangle + 3 * ((size_t)c->first_triangle + (item & 127));
+    const float *p[3];
+    double n[3], nn[3] = {0, 0, 0}, q[3] = {0, 0, 0}, h = 0, l = 0;
+    keys one;
+    int in = 0, k, a, b;
+    for (k = 0; k < 3; k++) p[k] = s->position + 3 * ((size_t)c->first_vertex + tri[k]);
+    zbufrandi_cross(p[0], p[1], p[2], n);
+    for (k = 0; k < 4; k++) {
+        for (a = 0; a < 3; a++) {
+            q[a] = m[a][3];
+            nn[a] = m[a][0] * n[0] + m[a][1] * n[1] + m[a][2] * n[2];
+            for (b = 0; b < 3; b++) q[a] += m[a][b] * (k < 3 ? (double)p[k][b] : ((double)p[0][b] + (double)p[1][b] + (double)p[2][b]) / 3);
+        }
+        in |= in_picture(o->camera, q, 1e-6);
+    }
+    for (a = 0; a < 3; a++) {
+        h -= nn[a] * q[a];
+        l += nn[a] * nn[a];
+    }
+    h /= sqrt(l);
+    if (c->flags & ZBUFRANDI_TWO_SIDED) h = fabs(h);
+    if (!in || !(h > 1e-9)) return;
+    o->visible++;
+    memset(&one, 0, sizeof one);
+    keys_add(&one, m, (uint32_t)(s - o->scene->structure), item);
+    if (bsearch(one.key, o->drawn->key, o->drawn->count, sizeof *one.key, compare_u64) == NULL) o->lost++;
+    free(one.key);
+}
+
+/* Everything in the view is drawn, nothing twice; runs keep the rule of depths and have bounds; what crosses the near
+   plane is rasterised. */
+TEST(covers_everything_once) {
+    const zbufrand_hybrid modes[4] = {ZBUFRAND_HYBRID_AUTO, ZBUFRAND_HYBRID_OFF, ZBUFRAND_HYBRID_LARGE, ZBUFRAND_HYBRID_CUBE};
+    const uint32_t cameras = test_quick() ? 4 : 24;
+    uint32_t k, c, i, j, visible = 0, runs = 0, singles = 0, rastered = 0, refined = 0;
+    zbufrand_frame *frame = NULL;
+    keys drawn;
+    memset(&drawn, 0, sizeof drawn);
+    CHECK_EQ_U64(zbufrand_frame_create(NULL, &frame), ZBUFRAND_OK);
+    for (k = 0; k < KINDS; k++) {
+        test_rng r = test_rng_make(90 + k);
+        shape s[4];
+        zbufrand_scene *scene = mixed_scene(&r, s);
+        zbufrand_build_desc bd = kind_of(k);
+        CHECK_EQ_U64(zbufrand_scene_build(scene, &bd, NULL), ZBUFRAND_OK);
+        for (c = 0; c < cameras; c++) {
+            zbufrand_render_desc d;
+            zbufrandi_camera camera;
+            zbufrand_stats st;
+            size_t count;
+            looking o;
+            double ratio;
+            memset(&d, 0, sizeof d);
+            random_camera(&r, &d.camera, c % 3 == 0 ? 0.7 : c % 3 == 1 ? 3 : 60);
+            d.density = pow(10, -1 + 2 * test_rng_double(&r));
+            d.hybrid = modes[c & 3];
+            d.hybrid_radius = 0.5;
+            d.depth_ratio = c % 5 == 0 ? 1.05 : c % 5 == 1 ? 8 : 0;
+            d.angle_ratio = c % 7 == 0 ? 1.3 : 0;
+            d.clip_ratio = c % 4 == 0 ? 0.5 : 0;
+            d.round_up = c % 2;
+            ratio = sqrt(d.depth_ratio > 0 ? d.depth_ratio : 1.5);
+            CHECK_EQ_U64(zbufrandi_camera_open(&d.camera, scene, 320, 240, 0, &camera), ZBUFRAND_OK);
+            CHECK_EQ_U64(zbufrand_select(frame, &d, scene, 320, 240, NULL, 0, &count, &st), ZBUFRAND_OK);
+            drawn.count = 0;
+            for (i = 0; i < count; i++) {
+                const zbufrandi_draw *w = &frame->draw[i];
+                const zbufrandi_local *l = &frame->local[w->local];
+                const zbufrandi_lists *lists = scene->structure[l->structure].lists;
+                const uint32_t kind = w->item >> ZBUFRANDI_DRAW_SHIFT, first = w->item & ((1u << ZBUFRANDI_DRAW_SHIFT) - 1);
+                const uint32_t last = w->aux & ~ZBUFRANDI_LISTED_INDEPENDENT;
+                double factor = (double)w->h_ref * pow((double)w->iz_ref, 3);
+                CHECK(kind == ZBUFRANDI_DRAW_LISTED || kind == ZBUFRANDI_DRAW_LISTED_RASTER);
+                CHECK(first < last && last <= lists->object_count);
+                expand(scene, l->structure, first, last, ZBUFRANDI_M34(l->to_camera), &drawn, NULL, NULL);
+                if (kind == ZBUFRANDI_DRAW_LISTED_RASTER) {
+                    rastered += w->count;
+                    CHECK_EQ_U64(w->count, last - first);
+                    continue;
+                }
+                runs++;
+                singles += last - first == 1;
+                CHECK((double)w->z_lo >= camera.near_z * 0.999999);
+                if (last - first > 1 || d.hybrid != ZBUFRAND_HYBRID_OFF)
+                    CHECK_MSG((double)w->z_hi <= ratio * (double)w->z_lo * 1.00001, "depths %g to %g", (double)w->z_lo, (double)w->z_hi);
+                for (j = 0; j < 3; j++) {
+                    double q[3], n[3], h, prj;
+                    const uint32_t item = lists->object[first + test_rng_below(&r, last - first)];
+                    const int two = point_below(&r, scene, l->structure, item, ZBUFRANDI_M34(l->to_camera), q, n);
+                    if (!in_picture(&camera, q, 1e-6)) continue;
+                    h = -(n[0] * q[0] + n[1] * q[1] + n[2] * q[2]);
+                    if (two) h = fabs(h);
+                    prj = (h > 0 ? h : 0) / (q[2] * q[2] * q[2]);
+                    CHECK_MSG(prj <= factor * 1.000001, "factor %g above the %g of its draw", prj, factor);
+                }
+            }
+            qsort(drawn.key, drawn.count, sizeof *drawn.key, compare_u64);
+            for (i = 1; i < drawn.count; i++) CHECK_MSG(drawn.key[i] != drawn.key[i - 1], "kind %u camera %u: a triangle is drawn twice", k, c);
+            o.scene = scene;
+            o.camera = &camera;
+            o.drawn = &drawn;
+            o.visible = o.lost = 0;
+            for (i = 0; i < scene->structure[0].lists->roots; i++) {
+                const zbufrandi_list_class *f = &scene->structure[0].lists->list_class[i];
+                expand(scene, 0, f->first, f->last, ZBUFRANDI_M34(frame->local[0].to_camera), NULL, look, &o);
+            }
+            CHECK_MSG(o.lost == 0, "kind %u camera %u: %u of %u triangles in view are not drawn", k, c, o.lost, o.visible);
+            visible += o.visible;
+            refined += st.nodes > 100;
+        }
+        zbufrand_scene_destroy(scene);
+        free_shapes(s);
+    }
+    free(drawn.key);
+    zbufrand_frame_destroy(frame);
+    CHECK_MSG(visible > 1000 && runs > 1000 && singles > 100 && rastered > 100 && refined > 10,
+              "%u in view, %u runs, %u singles, %u rastered", visible, runs, singles, rastered);
+}
+
+int main(int argc, char **argv) {
+    test_begin(argc, argv);
+    RUN(angles);
+    RUN(trees_are_sound);
+    RUN(hard_input);
+    RUN(same_for_any_threads);
+    RUN(same_for_any_order);
+    RUN(draws_by_area);
+    RUN(unequal_areas);
+    RUN(never_too_few);
+    RUN(covers_everything_once);
+    return test_end();
+}
