@@ -13933,10 +13933,11 @@ static zbufrand_result zbufrandi_open_picture(zbufrandi_picture *p) {
     double spread = d->spread != 0 ? (double)d->spread : 1.0;
     int same = f->recon_open && memcmp(&f->recon_asked, &d->reconstruct, sizeof d->reconstruct) == 0 &&
                f->recon.width == p->image->width && f->recon.height == p->image->height;
-    if ((uint32_t)d->hybrid > ZBUFRAND_HYBRID_LARGE || !zbufrandi_list_rules(d, p->scene, &p->cut) || !(d->tolerance >= 0.0 && d->tolerance < 1.0) ||
+    if ((uint32_t)d->hybrid > ZBUFRAND_HYBRID_LARGE || !(d->tolerance >= 0.0 && d->tolerance < 1.0) ||
         !(d->density >= 0.0 && d->density < 1e6) || !(d->noise >= 0.0) || !(d->hybrid_radius >= 0.0) ||
         (d->lights == NULL && d->light_count != 0) || (d->points == NULL && d->points_count != 0) ||
-        (d->spread & (d->spread - 1u)) != 0) return ZBUFRAND_ERR_INVALID_ARG;
+        (d->spread & (d->spread - 1u)) != 0 || !zbufrandi_list_rules(d, p->scene, &p->cut))
+            return ZBUFRAND_ERR_INVALID_ARG;
     if (p->image->width > ZBUFRANDI_RASTER_MAX_SIZE || p->image->height > ZBUFRANDI_RASTER_MAX_SIZE)
         return ZBUFRAND_ERR_RANGE;
     if (!same) {
