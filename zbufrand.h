@@ -4230,7 +4230,7 @@ ZBUFRAND_DEF void zbufrand_scene_get_info(const zbufrand_scene *scene, zbufrand_
    They stand beside the tree of clusters and refer to its triangles. The objects of a tree, triangles and dummies (a
    class of a structure that is referred to, with a transform), stand in one array, depth first: what is below a node is
    a run of it. sum[] adds up their areas, so that a run knows its area, and an object is drawn by it with one binary
-   search below any node. Areas are integers of 2^-61 of the whole: differences are exact wherever they are taken,
+   search below any node, which a table of as many entries as half of the objects makes short as a rule. Areas are integers of 2^-61 of the whole: differences are exact wherever they are taken,
    however unequal the areas are, and every object has a share.
    --------------------------------------------------------------------------- */
 
@@ -4268,10 +4268,12 @@ typedef struct zbufrandi_lists {
     uint32_t *object;          /* [object_count] cluster << 7 | triangle, or ZBUFRANDI_LIST_DUMMY | dummy */
     uint64_t *sum;             /* [object_count + 1] areas added up, in units of `unit` */
     uint64_t *key;             /* [object_count] of a tree over normals: cell << 5 | level; NULL */
+    uint32_t *guide;           /* entry y >> shift: the object at that place of the sums: where a search begins */
     zbufrandi_list_node *node;
     zbufrandi_list_class *list_class;
     zbufrandi_dummy *dummy;
     double unit;
+    uint32_t shift;
     uint32_t object_count, node_count, class_count, dummy_count;
     uint32_t roots;            /* classes 0 .. roots - 1 are all there is; the others are finer ones */
 } zbufrandi_lists;
@@ -4313,6 +4315,7 @@ static void zbufrandi_lists_free(zbufrandi_mem *mem, zbufrandi_lists *l) {
     zbufrandi_free(mem, l->object);
     zbufrandi_free(mem, l->sum);
     zbufrandi_free(mem, l->key);
+    zbufrandi_free(mem, l->guide);
     zbufrandi_free(mem, l->node);
     zbufrandi_free(mem, l->list_class);
     zbufrandi_free(mem, l->dummy);
@@ -4337,8 +4340,12 @@ ZBUFRANDI_INLINE uint64_t zbufrandi_mul_high(uint64_t a, uint64_t b) { /* upper 
 
 /* The object of [first, last) that holds place y of the sums: the last one that begins at or before it. Objects are
    never empty. */
-ZBUFRANDI_INLINE uint32_t zbufrandi_list_search(const uint64_t *sum, uint32_t first, uint32_t last, uint64_t y) {
-    uint32_t n = last - first;
+ZBUFRANDI_INLINE uint32_t zbufrandi_list_search(const zbufrandi_lists *l, uint32_t first, uint32_t last, uint64_t y) {
+    const uint64_t *sum = l->sum;
+    const uint32_t low = l->guide[y >> l->shift], high = l->guide[(y >> l->shift) + 1] + 1;
+    uint32_t n;
+    first = low > first ? low : first;
+    n = (high < last ? high : last) - first;
     while (n > 1) {
         const uint32_t half = n / 2;
         first = sum[first + half] <= y ? first + half : first;
@@ -4895,6 +4902,22 @@ static void zbufrandi_list_fill_task(void *ctx, uint32_t task) {
     }
 }
 
+/* guide[], for sums that are there. 0: no memory. */
+static int zbufrandi_list_guide(zbufrandi_list_build *b) {
+    zbufrandi_lists *l = b->l;
+    const uint64_t all = l->sum[l->object_count];
+    uint32_t g, count, i = 0;
+    while (l->shift < 63 && all >> l->shift > l->object_count / 2) l->shift++;
+    count = (uint32_t)(all >> l->shift) + 2; /* one more, for the object after the last place */
+    l->guide = (uint32_t *)zbufrandi_alloc_array(b->mem, count, sizeof *l->guide);
+    if (l->guide == NULL) return 0;
+    for (g = 0; g < count; g++) {
+        while (i + 1 < l->object_count && l->sum[i + 1] <= (uint64_t)g << l->shift) i++;
+        l->guide[g] = i;
+    }
+    return 1;
+}
+
 /* Cone of the normals of a class, from the normals themselves: corners of polar cells say nothing near the poles. */
 static void zbufrandi_list_cone_task(void *ctx, uint32_t task) {
     const zbufrandi_list_build *b = (const zbufrandi_list_build *)ctx;
@@ -4976,6 +4999,7 @@ static int zbufrandi_list_finish(zbufrandi_list_build *b, const zbufrand_build_d
                            (uint32_t)((b->room + ZBUFRANDI_TASK_TRIANGLES - 1) / ZBUFRANDI_TASK_TRIANGLES));
     l->sum[0] = 0;
     for (i = 0; i < b->room; i++) l->sum[i + 1] += l->sum[i];
+    if (!zbufrandi_list_guide(b)) return 0;
     for (i = 0; i < l->class_count; i++) {
         zbufrandi_list_class *c = &l->list_class[i];
         c->triangles = zbufrandi_list_triangles(b->scene, b->s, c->first, c->last);
@@ -9118,28 +9142,24 @@ static void zbufrandi_list_find(const zbufrand_scene *scene, const zbufrandi_loc
                                 const zbufrandi_draw *d, uint32_t j, zbufrandi_list_spot *out) {
     const uint32_t high = zbufrandi_hash32(d->hash ^ zbufrandi_hash32(j + 1));
     const uint32_t low = zbufrandi_hash32((d->hash + 0x9e3779b9u) ^ zbufrandi_hash32(j + 0x85ebca6bu));
-    const uint64_t bits = (uint64_t)high << 32 | low;
     const zbufrandi_lists *lists;
     uint32_t first = d->item & ((1u << ZBUFRANDI_DRAW_SHIFT) - 1u), last = d->aux & ~ZBUFRANDI_LISTED_INDEPENDENT;
     uint32_t at, level = 0;
     const int independent = (d->aux & ZBUFRANDI_LISTED_INDEPENDENT) != 0;
-    uint64_t whole, y;
+    uint64_t place = (uint64_t)high << 32 | low, y;
     memcpy(out->m, l->to_camera, sizeof out->m);
     out->scale = (double)l->scale;
     out->structure = l->structure;
     out->s = &scene->structure[l->structure];
     lists = out->s->lists;
-    whole = lists->sum[last] - lists->sum[first];
-    if (independent) {
-        y = zbufrandi_mul_high(bits, whole);
-    } else { /* stratum j of as many equal ones as there are samples */
-        const uint64_t part = whole / d->count, rest = whole % d->count;
-        const uint64_t begin = part * j + rest * j / d->count, end = part * (j + 1u) + rest * (j + 1u) / d->count;
-        y = begin + zbufrandi_mul_high(bits, end - begin);
+    if (!independent) { /* stratum j of as many equal ones as there are samples; places are 64 bits behind the point */
+        const uint64_t part = ~(uint64_t)0 / d->count;
+        place = part * j + zbufrandi_mul_high(place, part);
     }
+    y = zbufrandi_mul_high(place, lists->sum[last] - lists->sum[first]);
     for (;;) {
         y += lists->sum[first];
-        at = zbufrandi_list_search(lists->sum, first, last, y);
+        at = zbufrandi_list_search(lists, first, last, y);
         out->item = lists->object[at];
         if (!(out->item & ZBUFRANDI_LIST_DUMMY)) break;
         { /* into the dummy. Of the place within it the first bits go on, so that strata stay strata; others are new */

@@ -585,19 +585,31 @@ TEST(draws_by_area) {
 /* Twelve decades of areas in one run: an integer share is right however small it is. */
 TEST(unequal_areas) {
     enum { N = 1000 };
-    uint64_t sum[N + 1];
+    static uint64_t sum[N + 1];
     double want[N], seen[N], chi = 0;
     test_rng r = test_rng_make(3);
-    const uint32_t draws = test_quick() ? 200000 : 2000000;
+    const uint32_t draws = test_quick() ? 200000 : 1000000;
     uint32_t i, k, cells = 0;
-    sum[0] = 0;
+    zbufrand_scene_desc sd;
+    zbufrandi_list_build b;
+    zbufrandi_lists l;
+    zbufrandi_mem mem;
+    memset(&sd, 0, sizeof sd);
+    memset(&b, 0, sizeof b);
+    memset(&l, 0, sizeof l);
+    CHECK_EQ_U64(zbufrandi_env_open(&sd.env, &mem), ZBUFRAND_OK);
     for (i = 0; i < N; i++) {
         sum[i + 1] = sum[i] + (uint64_t)(pow(10, 12 * test_rng_double(&r)) + 1);
         seen[i] = 0;
     }
+    l.sum = sum;
+    l.object_count = N;
+    b.mem = &mem;
+    b.l = &l;
+    REQUIRE(zbufrandi_list_guide(&b));
     for (k = 0; k < draws; k++) {
         const uint64_t y = zbufrandi_mul_high(test_rng_u64(&r), sum[N]);
-        const uint32_t at = zbufrandi_list_search(sum, 0, N, y);
+        const uint32_t at = zbufrandi_list_search(&l, 0, N, y);
         CHECK(sum[at] <= y && y < sum[at + 1]);
         seen[at]++;
     }
@@ -609,9 +621,13 @@ TEST(unequal_areas) {
     }
     CHECK(cells > 100);
     CHECK_MSG(chi2_p(chi, cells) > 1e-5, "chi square %g of %u", chi, cells);
-    CHECK_EQ_U64(zbufrandi_list_search(sum, 0, N, 0), 0);
-    CHECK_EQ_U64(zbufrandi_list_search(sum, 0, N, sum[N] - 1), N - 1);
-    CHECK_EQ_U64(zbufrandi_list_search(sum, 17, 18, sum[17]), 17);
+    for (i = 0; i < N; i++) { /* first and last place of each, in runs of any length */
+        CHECK_EQ_U64(zbufrandi_list_search(&l, 0, N, sum[i]), i);
+        CHECK_EQ_U64(zbufrandi_list_search(&l, i / 2, N, sum[i + 1] - 1), i);
+        CHECK_EQ_U64(zbufrandi_list_search(&l, i, i + 1, sum[i]), i);
+        CHECK_EQ_U64(zbufrandi_list_search(&l, 0, i + 1, sum[i + 1] - 1), i);
+    }
+    zbufrandi_free(&mem, l.guide);
     CHECK_EQ_U64(zbufrandi_mul_high(~(uint64_t)0, ~(uint64_t)0), ~(uint64_t)0 - 1);
     CHECK_EQ_U64(zbufrandi_mul_high((uint64_t)1 << 63, 6), 3);
 }
