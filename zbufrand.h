@@ -5109,6 +5109,7 @@ enum {
     ZBUFRANDI_RASTER_UNIT = 1 << ZBUFRANDI_RASTER_BITS,       /* one pixel */
     ZBUFRANDI_RASTER_GUARD = 16384 * ZBUFRANDI_RASTER_UNIT,   /* 2^26 */
     ZBUFRANDI_RASTER_SMALL = 7 * ZBUFRANDI_RASTER_UNIT,
+    ZBUFRANDI_RASTER_MIDDLE = 256 * ZBUFRANDI_RASTER_UNIT,    /* edge functions in whole pixels fit into 31 bits */
     ZBUFRANDI_RASTER_BEHIND = 1,                              /* codes of vertices; 0 is a good one */
     ZBUFRANDI_RASTER_OUTSIDE = 2,
     ZBUFRANDI_RASTER_CORNERS = 24                             /* of a clipped triangle: 8, more only by rounding */
@@ -5266,8 +5267,9 @@ static uint32_t zbufrandi_raster_small(const zbufrandi_raster *r, const zbufrand
 typedef struct zbufrandi_raster_large {
     int64_t w0[3];
     int32_t dx[3], dy[3];
-    int32_t i0, j0;              /* multiples of 8 */
+    int32_t i0, j0;              /* box[0], box[1]: the fewest blocks, and one column of them if it is narrow */
     int32_t box[4];              /* pixels, inclusive */
+    int64_t w[3];                /* edge functions at the first pixel in units, without the fill rule */
     double iz, iz_dx, iz_dy;     /* 1 / z at pixel (i0, j0) and its steps */
     float iz_min, iz_max;
     uint32_t low;
@@ -5276,20 +5278,14 @@ typedef struct zbufrandi_raster_large {
 /* rounds down, b > 0 */
 ZBUFRANDI_INLINE int64_t zbufrandi_raster_div(int64_t a, int64_t b) { return a / b - (a % b < 0); }
 
-static void zbufrandi_raster_large_setup(zbufrandi_raster_large *t, const zbufrandi_raster_vertex *a,
-                                         const zbufrandi_raster_vertex *b, const zbufrandi_raster_vertex *c,
-                                         const int32_t box[4], uint32_t low) {
-    const zbufrandi_raster_vertex *v[3];
-    double area = 0, iz = 0, dx = 0, dy = 0;
+/* Edge functions alone: enough to know what is covered. */
+ZBUFRANDI_INLINE void zbufrandi_raster_large_edges(zbufrandi_raster_large *t, const zbufrandi_raster_vertex *const v[3],
+                                                   const int32_t box[4], uint32_t low) {
     int k;
-    v[0] = a;
-    v[1] = b;
-    v[2] = c;
-    t->i0 = box[0] & ~7;
-    t->j0 = box[1] & ~7;
+    t->i0 = box[0];
+    t->j0 = box[1];
     memcpy(t->box, box, sizeof t->box);
     t->low = low;
-    t->iz_min = t->iz_max = a->iz;
     for (k = 0; k < 3; k++) {
         const zbufrandi_raster_vertex *p = v[k == 2 ? 0 : k + 1], *q = v[k == 0 ? 2 : k - 1]; /* the edge opposite */
         int64_t px = (int64_t)t->i0 * ZBUFRANDI_RASTER_UNIT + ZBUFRANDI_RASTER_UNIT / 2 - p->x;
@@ -5297,9 +5293,18 @@ static void zbufrandi_raster_large_setup(zbufrandi_raster_large *t, const zbufra
         t->dx[k] = p->y - q->y;
         t->dy[k] = q->x - p->x;
         w = t->dx[k] * px + t->dy[k] * py;
+        t->w[k] = w;
         t->w0[k] = (w + zbufrandi_raster_bias(p, q)) >> ZBUFRANDI_RASTER_BITS;
-        area += (double)w;
-        iz += (double)w * (double)v[k]->iz;
+    }
+}
+
+static void zbufrandi_raster_large_depth(zbufrandi_raster_large *t, const zbufrandi_raster_vertex *const v[3]) {
+    double area = 0, iz = 0, dx = 0, dy = 0;
+    int k;
+    t->iz_min = t->iz_max = v[0]->iz;
+    for (k = 0; k < 3; k++) {
+        area += (double)t->w[k];
+        iz += (double)t->w[k] * (double)v[k]->iz;
         dx += (double)t->dx[k] * (double)v[k]->iz;
         dy += (double)t->dy[k] * (double)v[k]->iz;
         if (v[k]->iz < t->iz_min) t->iz_min = v[k]->iz;
@@ -5418,9 +5423,57 @@ ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_raster_block_avx2(const zbufrand
 }
 #endif
 
+#if ZBUFRANDI_AVX2
+/* A triangle at most 4 pixels wide and 256 high: eight rows of a column at a time; most have few centres or none. What
+   is covered gets the depth that a block would give it. */
+ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_raster_narrow_avx2(const zbufrandi_raster *r, zbufrandi_raster_large *t,
+                                                                   const zbufrandi_raster_vertex *const v[3]) {
+    const __m256i lane = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
+    const int32_t wide = t->box[2] - t->box[0], high = t->box[3] - t->box[1];
+    uint32_t covered = 0;
+    int32_t x, y;
+    int depth = 0; /* known */
+    __m256i w0 = _mm256_add_epi32(_mm256_set1_epi32((int32_t)t->w0[0]),
+                                  _mm256_mullo_epi32(lane, _mm256_set1_epi32(t->dy[0])));
+    __m256i w1 = _mm256_add_epi32(_mm256_set1_epi32((int32_t)t->w0[1]),
+                                  _mm256_mullo_epi32(lane, _mm256_set1_epi32(t->dy[1])));
+    __m256i w2 = _mm256_add_epi32(_mm256_set1_epi32((int32_t)t->w0[2]),
+                                  _mm256_mullo_epi32(lane, _mm256_set1_epi32(t->dy[2])));
+    for (y = 0; y <= high; y += 8) {
+        __m256i u0 = w0, u1 = w1, u2 = w2;
+        const uint32_t rows = high - y < 7 ? (2u << (high - y)) - 1u : 255u;
+        for (x = 0; x <= wide; x++) {
+            const __m256i outside = _mm256_or_si256(_mm256_or_si256(u0, u1), u2);
+            uint32_t hit = rows & ~(uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(outside));
+            if (hit != 0 && !depth) {
+                zbufrandi_raster_large_depth(t, v);
+                depth = 1;
+            }
+            for (; hit != 0; hit &= hit - 1) {
+                const int32_t j = y + (int32_t)zbufrandi_ctz64(hit);
+                float iz = (float)(t->iz + t->iz_dy * (double)j + t->iz_dx * (double)x), z;
+                iz = iz < t->iz_min ? t->iz_min : iz;
+                iz = iz > t->iz_max ? t->iz_max : iz;
+                z = 1.0f / iz;
+                if (!(z <= r->far_z)) continue;
+                covered++;
+                zbufrandi_raster_put(r, (size_t)(t->j0 + j) * r->width + (size_t)(t->i0 + x), z, t->low);
+            }
+            u0 = _mm256_add_epi32(u0, _mm256_set1_epi32(t->dx[0]));
+            u1 = _mm256_add_epi32(u1, _mm256_set1_epi32(t->dx[1]));
+            u2 = _mm256_add_epi32(u2, _mm256_set1_epi32(t->dx[2]));
+        }
+        w0 = _mm256_add_epi32(w0, _mm256_set1_epi32(8 * t->dy[0]));
+        w1 = _mm256_add_epi32(w1, _mm256_set1_epi32(8 * t->dy[1]));
+        w2 = _mm256_add_epi32(w2, _mm256_set1_epi32(8 * t->dy[2]));
+    }
+    return covered;
+}
+#endif
+
 /* Rows of blocks; in each the range of blocks that no edge excludes comes from one division per edge. */
 static uint32_t zbufrandi_raster_blocks(const zbufrandi_raster *r, const zbufrandi_raster_large *t) {
-    const int32_t columns = (t->box[2] >> 3) - (t->i0 >> 3) + 1, rows = (t->box[3] >> 3) - (t->j0 >> 3) + 1;
+    const int32_t columns = ((t->box[2] - t->i0) >> 3) + 1, rows = ((t->box[3] - t->j0) >> 3) + 1;
     int64_t most[3], least[3]; /* over a block, from its first pixel */
     uint32_t covered = 0;
     int32_t row, k, n;
@@ -5470,6 +5523,7 @@ static uint32_t zbufrandi_raster_triangle(const zbufrandi_raster *r, const zbufr
                                           int two_sided, uint32_t low) {
     const int64_t area = (int64_t)(b->x - a->x) * (c->y - a->y) - (int64_t)(b->y - a->y) * (c->x - a->x);
     int32_t x0 = a->x, x1 = a->x, y0 = a->y, y1 = a->y, box[4];
+    const zbufrandi_raster_vertex *v[3];
     zbufrandi_raster_large t;
     /* counter-clockwise with rows counted downward: negative */
     if (area == 0) return 0;
@@ -5500,7 +5554,15 @@ static uint32_t zbufrandi_raster_triangle(const zbufrandi_raster *r, const zbufr
     if (box[0] > box[2] || box[1] > box[3]) return 0;
     if (x1 - x0 <= ZBUFRANDI_RASTER_SMALL && y1 - y0 <= ZBUFRANDI_RASTER_SMALL)
         return zbufrandi_raster_small(r, a, b, c, box, low);
-    zbufrandi_raster_large_setup(&t, a, b, c, box, low);
+    v[0] = a;
+    v[1] = b;
+    v[2] = c;
+    zbufrandi_raster_large_edges(&t, v, box, low);
+#if ZBUFRANDI_AVX2
+    if (r->level >= 3 && box[2] - box[0] < 4 && x1 - x0 <= ZBUFRANDI_RASTER_MIDDLE && y1 - y0 <= ZBUFRANDI_RASTER_MIDDLE)
+        return zbufrandi_raster_narrow_avx2(r, &t, v);
+#endif
+    zbufrandi_raster_large_depth(&t, v);
     return zbufrandi_raster_blocks(r, &t);
 }
 
@@ -5850,7 +5912,7 @@ ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_raster_cluster_avx2(const zbufra
     for (i = 0; i < triangle_count; i += 8) {
         const uint8_t *t[8];
         zbufrandi_raster_corner8 a, b, c;
-        __m256i x0, x1, y0, y1, i0, i1, j0, j1, area, empty, large, drawn, two;
+        __m256i x0, x1, y0, y1, i0, i1, j0, j1, area, empty, large, not_small, drawn, two;
         uint32_t valid = triangle_count - i < 8 ? (1u << (triangle_count - i)) - 1u : 255u, in_tiny, in_large;
         for (k = 0; k < 8; k++) t[k] = triangle + 3 * (size_t)(i + k < triangle_count ? i + k : triangle_count - 1);
         a = zbufrandi_raster_fetch(vertex, t, 0);
@@ -5865,15 +5927,29 @@ ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_raster_cluster_avx2(const zbufra
         i1 = _mm256_sub_epi32(i1, i0);
         j1 = _mm256_sub_epi32(j1, j0);
         empty = _mm256_or_si256(i1, j1); /* sign */
-        large = _mm256_cmpgt_epi32(_mm256_max_epi32(_mm256_sub_epi32(x1, x0), _mm256_sub_epi32(y1, y0)), most);
+        not_small = large =
+            _mm256_cmpgt_epi32(_mm256_max_epi32(_mm256_sub_epi32(x1, x0), _mm256_sub_epi32(y1, y0)), most);
         area = zbufrandi_raster_cross(_mm256_sub_epi32(b.x, a.x), _mm256_sub_epi32(b.y, a.y),
                                       _mm256_sub_epi32(c.x, a.x), _mm256_sub_epi32(c.y, a.y));
         drawn = two_sided ? _mm256_xor_si256(_mm256_cmpeq_epi32(area, zero), _mm256_set1_epi32(-1))
                           : _mm256_cmpgt_epi32(_mm256_sub_epi32(_mm256_xor_si256(area, front), front), zero);
         two = _mm256_cmpgt_epi32(_mm256_set1_epi32(2), _mm256_max_epi32(i1, j1));
+        if (_mm256_movemask_epi8(large) != 0) { /* areas need more bits: what certainly faces away goes now */
+            const __m256 p = _mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_sub_epi32(b.x, a.x)),
+                                           _mm256_cvtepi32_ps(_mm256_sub_epi32(c.y, a.y)));
+            const __m256 q = _mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_sub_epi32(b.y, a.y)),
+                                           _mm256_cvtepi32_ps(_mm256_sub_epi32(c.x, a.x)));
+            const __m256 sign = _mm256_set1_ps(-0.0f), turned = _mm256_and_ps(sign, _mm256_castsi256_ps(front));
+            const __m256 error = _mm256_mul_ps(_mm256_add_ps(_mm256_andnot_ps(sign, p), _mm256_andnot_ps(sign, q)),
+                                               _mm256_set1_ps(1e-6f));
+            const __m256 away = _mm256_cmp_ps(_mm256_add_ps(_mm256_xor_ps(_mm256_sub_ps(p, q), turned), error),
+                                              _mm256_setzero_ps(), _CMP_LT_OQ);
+            if (!two_sided) large = _mm256_andnot_si256(_mm256_castps_si256(away), large);
+            empty = _mm256_or_si256(empty, two_sided ? zero : _mm256_and_si256(_mm256_castps_si256(away), not_small));
+        }
         drawn = _mm256_andnot_si256(empty,
-                                    _mm256_or_si256(drawn, large)); /* sign; the area of a large one is decided later */
-        two = _mm256_andnot_si256(large, two);
+                                    _mm256_or_si256(drawn, large)); /* sign; exact areas of large ones come later */
+        two = _mm256_andnot_si256(not_small, two);
         valid &= (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(drawn));
         in_tiny = valid & (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(two));
         in_large = valid & (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(large));
@@ -7640,6 +7716,8 @@ static void zbufrandi_test_node(const zbufrandi_cut *cut, const zbufrandi_local 
 
 /* ---- what is before a child ---- */
 
+#define ZBUFRANDI_HIDDEN_PIXELS 31.0f /* larger boxes are left to the pyramid alone */
+
 /* Are all pixels of a small rectangle nearer than z? Nobody writes to them meanwhile. */
 static int zbufrandi_behind_pixels(const zbufrandi_keys *keys, uint32_t x0, uint32_t y0, uint32_t x1, uint32_t y1,
                                    float z) {
@@ -7660,19 +7738,21 @@ ZBUFRANDI_TARGET_AVX2 static int zbufrandi_behind_pixels_avx2(const zbufrandi_ke
        pass */
     const __m256i limit =
         _mm256_set1_epi64x((long long)(((zbufrandi_key(z, 0) >> 32 << 32) - ((uint64_t)1 << 32)) | 0x7fffffffu));
-    const uint32_t wide = x1 - x0 + 1, mask = (1u << wide) - 1u;
-    uint32_t y;
+    uint32_t x, y;
     for (y = y0; y <= y1; y++) {
-        const uint64_t *row = keys->key + (size_t)y * keys->width + x0;
-        const __m256i a = _mm256_loadu_si256((const __m256i *)(const void *)row);
-        uint32_t far_off = (uint32_t)_mm256_movemask_pd(_mm256_castsi256_pd(_mm256_or_si256(a,
-                _mm256_cmpgt_epi32(a, limit))));
-        if (wide > 4) {
-            const __m256i b = _mm256_loadu_si256((const __m256i *)(const void *)(row + 4));
-            far_off |= (uint32_t)_mm256_movemask_pd(_mm256_castsi256_pd(_mm256_or_si256(b,
-                    _mm256_cmpgt_epi32(b, limit)))) << 4;
+        const uint64_t *row = keys->key + (size_t)y * keys->width;
+        for (x = x0; x <= x1; x += 8) {
+            const uint32_t wide = x1 - x + 1, mask = wide < 8 ? (1u << wide) - 1u : 255u;
+            const __m256i a = _mm256_loadu_si256((const __m256i *)(const void *)(row + x));
+            uint32_t far_off = (uint32_t)_mm256_movemask_pd(_mm256_castsi256_pd(_mm256_or_si256(a,
+                    _mm256_cmpgt_epi32(a, limit))));
+            if (wide > 4) {
+                const __m256i b = _mm256_loadu_si256((const __m256i *)(const void *)(row + x + 4));
+                far_off |= (uint32_t)_mm256_movemask_pd(_mm256_castsi256_pd(_mm256_or_si256(b,
+                        _mm256_cmpgt_epi32(b, limit)))) << 4;
+            }
+            if ((far_off & mask) != 0) return 0;
         }
-        if ((far_off & mask) != 0) return 0;
     }
     return 1;
 }
@@ -7692,21 +7772,23 @@ static uint32_t zbufrandi_hidden_children(const zbufrandi_cut *cut, const zbufra
         rect[2] = t->x1[i] < w - 1.0f ? t->x1[i] : w - 1.0f;
         rect[3] = t->y1[i] < h - 1.0f ? t->y1[i] : h - 1.0f;
         if (!(rect[0] <= rect[2] && rect[1] <= rect[3])) continue;
-        if (cut->keys != NULL && rect[2] - rect[0] < 7.0f && rect[3] - rect[1] < 7.0f) {
-            const uint32_t x0 = (uint32_t)(int32_t)rect[0], y0 = (uint32_t)(int32_t)rect[1];
-            const uint32_t x1 = (uint32_t)(int32_t)rect[2], y1 = (uint32_t)(int32_t)rect[3];
-#if ZBUFRANDI_AVX2
-            if (cut->level >= 3 && x0 + 8 <= cut->keys->width) {
-                behind = zbufrandi_behind_pixels_avx2(cut->keys, x0, y0, x1, y1, t->z_min[i]);
-            } else
-#endif
-            behind = zbufrandi_behind_pixels(cut->keys, x0, y0, x1, y1, t->z_min[i]);
-        } else if (cut->pyramid != NULL) {
+        if (cut->pyramid != NULL && (cut->keys == NULL || rect[2] - rect[0] >= 7.0f || rect[3] - rect[1] >= 7.0f)) {
 #if ZBUFRANDI_AVX2
             if (cut->level >= 3) behind = zbufrandi_pyramid_hidden_avx2(cut->pyramid, rect, t->z_min[i]);
             else
 #endif
                 behind = zbufrandi_pyramid_hidden(cut->pyramid, rect, t->z_min[i]);
+        }
+        if (!behind && cut->keys != NULL && rect[2] - rect[0] < ZBUFRANDI_HIDDEN_PIXELS &&
+            rect[3] - rect[1] < ZBUFRANDI_HIDDEN_PIXELS) {
+            const uint32_t x0 = (uint32_t)(int32_t)rect[0], y0 = (uint32_t)(int32_t)rect[1];
+            const uint32_t x1 = (uint32_t)(int32_t)rect[2], y1 = (uint32_t)(int32_t)rect[3];
+#if ZBUFRANDI_AVX2
+            if (cut->level >= 3 && x1 + 8 <= cut->keys->width)
+                behind = zbufrandi_behind_pixels_avx2(cut->keys, x0, y0, x1, y1, t->z_min[i]);
+            else
+#endif
+                behind = zbufrandi_behind_pixels(cut->keys, x0, y0, x1, y1, t->z_min[i]);
         }
         hidden |= (uint32_t)behind << i;
     }
@@ -13545,20 +13627,24 @@ static void zbufrandi_repair_task(void *ctx, uint32_t task) { /* rays through su
     zbufrand_frame *f = p->f;
     const zbufrandi_recon *r = &f->recon;
     const zbufrandi_camera *c = &p->cut.camera;
-    size_t i = (size_t)task * ZBUFRANDI_REPAIR_RAYS, end = i + ZBUFRANDI_REPAIR_RAYS;
-    zbufrandi_ray ray;
+    const size_t begin = (size_t)task * ZBUFRANDI_REPAIR_RAYS, left = f->suspect_count - begin;
+    const size_t n = left < ZBUFRANDI_REPAIR_RAYS ? left : (size_t)ZBUFRANDI_REPAIR_RAYS;
+    zbufrandi_ray ray[ZBUFRANDI_REPAIR_RAYS];
+    size_t i;
     uint32_t a;
-    if (end > f->suspect_count) end = f->suspect_count;
-    for (a = 0; a < 3; a++) ray.o[a] = c->eye[a] - p->scene->structure[0].origin[a];
-    ray.t_min = c->near_z;
-    ray.t_max = c->far_z;
-    for (; i < end; i++) {
-        const uint32_t x = f->suspect[i] % r->width + r->guard, y = f->suspect[i] / r->width + r->guard;
+    for (i = 0; i < n; i++) {
+        const uint32_t pixel = f->suspect[begin + i], x = pixel % r->width + r->guard, y = pixel / r->width + r->guard;
         const double u = ((double)x + 0.5 + (double)p->jitter[0] - c->center_x) / c->focal;
         const double v = (c->center_y - (double)y - 0.5 - (double)p->jitter[1]) / c->focal;
-        for (a = 0; a < 3; a++) ray.d[a] = c->dir[a] + u * c->right[a] + v * c->up[a];
-        (void)zbufrandi_ray_cast(p->scene->rays, &ray, &f->hit[i]);
+        const double shown = (double)f->depth[pixel];
+        for (a = 0; a < 3; a++) {
+            ray[i].o[a] = c->eye[a] - p->scene->structure[0].origin[a];
+            ray[i].d[a] = c->dir[a] + u * c->right[a] + v * c->up[a];
+        }
+        ray[i].t_min = c->near_z;
+        ray[i].t_max = zbufrandi_min(c->far_z, shown); /* what is behind does not matter */
     }
+    (void)zbufrandi_ray_cast_many(p->scene->rays, ray, n, f->hit + begin);
 }
 
 /* Local camera of a ray's hit: entered along its path, unless it is the one before. 0: no memory. */
