@@ -21,6 +21,8 @@
    @tables         the integrators of the thesis and of its time: sampling rules, prefix integrals, the
    @optical        models (emission, absorption, maximum, isosurfaces, depth cueing), sums along rays
    @isosurface     marching tetrahedra with one vertex per edge
+   @project        cells -> the pixels that they cover
+   @order          fragments of a tile -> rays, in their order
    @render         camera -> rays -> tiles over the threads -> buffers
    @misc           names and versions
 
@@ -713,9 +715,18 @@ typedef struct tetcast_camera {
     float ortho_height;   /* > 0: parallel rays instead; height of the picture in world units */
 } tetcast_camera;
 
+/* How a picture is made. Both show the same: the same cells on every ray, the same integrals; depths and values differ
+   by rounding. Walking costs for each cell on each ray, projection for each cell and, less, for each pixel of it. */
+typedef enum tetcast_method {
+    TETCAST_METHOD_AUTO = 0,     /* what is faster for this many pixels per cell, as a rule */
+    TETCAST_METHOD_WALK = 1,     /* each ray from cell to cell */
+    TETCAST_METHOD_PROJECT = 2,  /* each cell onto the picture; fragments are put in order pixel by pixel */
+    TETCAST_METHOD_FORCE_32BIT = 0x7fffffff
+} tetcast_method;
+
 /* field            zero means
    camera           (eye equals at) one that frames everything
-   method           hit lists of the hull for walking
+   method           whatever is faster. PROJECT needs the tets, and pictures of at most 65536 pixels a side
    isa              the best that the machine has; all give the same bits
    clip_near        nothing is cut off in front of the eye; else world distance along the viewing axis
    clip_far         nothing is cut off behind
@@ -728,6 +739,7 @@ typedef struct tetcast_render_desc {
     uint32_t _begin_zero;
     tetcast_env env;
     tetcast_camera camera;
+    tetcast_method method;
     tetcast_isa isa;
     float clip_near, clip_far;
     float background[4];
@@ -758,6 +770,11 @@ typedef struct tetcast_render_stats { /* added to */
     uint64_t ended;        /* rays that ended early */
     uint64_t lanes;        /* places for a ray in all steps of the SIMD walker: steps / lanes is its occupancy */
     uint64_t leapt_faces;  /* faces of clusters that took part as hull */
+    uint64_t cells;        /* projected: cells that can be in the picture */
+    uint64_t pixel_tests;  /* projected: pairs of cell and pixel that were tested; steps: those that met */
+    uint64_t exact_tests;  /* of these: decided by the walker's signs */
+    float pixels_per_cell; /* as estimated for TETCAST_METHOD_AUTO, of cells in the picture; 0: not needed */
+    tetcast_method method; /* what was used */
     tetcast_isa isa;       /* what was used */
 } tetcast_render_stats;
 
@@ -9469,6 +9486,1196 @@ TETCAST_DEF void tetcast_surface_free(tetcast_surface *surface) {
     memset(surface, 0, sizeof *surface);
 }
 /* ---------------------------------------------------------------------------
+   project: cells -> the pixels that they cover.                                 // >>project
+
+   Seen from the eye a vertex is a place in the picture, a depth and w = 1/depth. Along a picture everything that is
+   linear in space is linear once it is multiplied by w, so depth and value on a face follow from the weights of its
+   vertices, which are the edge functions of the other two: E(a, b) = a x b with a and b relative to the pixel. A cell
+   has six edges; their signs say which two of its faces a pixel lies in. Two forms are possible: one face in front of
+   (or behind) three, or two in front of two. No silhouette is cut into triangles, no face is drawn twice.
+
+   The signs are those of the walker: which pixels a cell covers, and through which faces, is decided by the same exact
+   determinants. Edge functions are evaluated as floats, with a bound for everything that may be different between them
+   and the walker's: its rounded positions, the places in the picture, the roundings here. Where an edge function is
+   nearer to zero than its bound, and for cells with a face seen edge-on, behind the eye or far outside of the picture,
+   the walker's own arithmetic is used. So a pixel is covered by exactly the cells that a ray would walk through.
+
+   Cells are put into bins, one for each tile of the picture, and each tile draws what is in its bin (see order).
+   Weiler's variants, which find the way out of a cell per vertex or per fragment of each front face, and the projected
+   tetrahedra of Shirley and Tuchman (1990) are in bench/baseline.
+   --------------------------------------------------------------------------- */
+
+#define TETCASTI_PLACE_LOG 28      /* the picture's larger side in units of a place is at most 2^this */
+#define TETCASTI_NEAR 65536.0      /* local depth from which on the picture's coordinates are used */
+#define TETCASTI_WALK_SIZE 65536u  /* largest side of a picture that can be projected */
+
+typedef struct tetcasti_seen {
+    int32_t x, y;   /* multiples of 2^-log of a pixel; pixel k has its centre at k + 1/2 */
+    float z;        /* local depth along the view, minus that of reference */
+    float w;        /* reciprocal depth, 1 at w_scale; negative: x or y is clamped; -infinity: too near or behind */
+} tetcasti_seen;
+
+/* A cell on its way into a tile. */
+typedef struct tetcasti_entry { uint32_t cell; float z; } tetcasti_entry;
+
+typedef struct tetcasti_view {
+    const tetcasti_scene *scene;
+    tetcasti_pixels pixels;     /* of the whole picture; center_x, center_y in pixels of it */
+    uint32_t log;
+    double reference, w_scale;
+    double x_end[2], y_end[2];  /* places between which coordinates are used */
+    float blur;                 /* pixels by which a vertex with w = 1 may be elsewhere for the walker */
+    float place;                /* 2^-log */
+    uint32_t tiles_x, tiles_y;
+    tetcasti_seen *seen;        /* per vertex */
+    uint32_t *cluster_hidden;   /* NULL, or one bit a cluster: not drawn */
+    uint32_t chunk, chunks;     /* cells of a task of binning, number of tasks */
+    uint32_t *start;            /* [tile * chunks + chunk]: first place in entry, [tiles * chunks] the end */
+    tetcasti_entry *entry;
+    const uint32_t *rank;       /* NULL, or order of the cells from front to back instead of by depth */
+    uint32_t taken[2];          /* atomic: cells in bins */
+} tetcasti_view;
+
+/* How a cell is drawn: edge functions at pixel (x0 + x, y0 + y) are a x + (b y + c), scaled to be positive inside.
+   form 0, 1: roles a b c: the single face, d: the vertex behind it (0: the face is in front, 1: at the back).
+              edges ab bc ca | ad bd cd
+   form 2     roles p q r s: front faces share pq, faces at the back share rs. edges pr rq qs sp | pq rs */
+typedef struct tetcasti_splat {
+    float a[8], b[8], c[8];     /* six are used */
+    float w[4], wz[4], ws[4];   /* per vertex, by role: w, w times depth, w times value */
+    float bound;                /* edge functions that are nearer to zero do not decide */
+    float s_lo, s_hi;
+    uint32_t form;
+    int32_t x0, y0;
+} tetcasti_splat;
+
+/* What one pixel sees of one cell: depths as in tetcasti_seen, values. */
+typedef struct tetcasti_fragment {
+    float z0, z1, s0, s1;
+    uint32_t cell;
+} tetcasti_fragment;
+
+/* ---- vertices ---- */
+
+static tetcasti_seen tetcasti_see(const tetcasti_view *v, const tetcasti_vertex *p) {
+    const tetcasti_pixels *m = &v->pixels;
+    double q[3], z, x, y, inv, scale = 1.0 / (double)v->place;
+    tetcasti_seen out;
+    q[0] = (double)p->x - m->eye[0];
+    q[1] = (double)p->y - m->eye[1];
+    q[2] = (double)p->z - m->eye[2];
+    z = q[0] * m->forward[0] + q[1] * m->forward[1] + q[2] * m->forward[2];
+    out.x = out.y = 0;
+    out.z = (float)(z - v->reference);
+    out.w = -TETCASTI_INF;
+    if (!m->parallel && !(z > TETCASTI_NEAR)) return out;
+    inv = m->parallel ? 1.0 : 1.0 / z;
+    x = (m->center_x + (q[0] * m->right[0] + q[1] * m->right[1] + q[2] * m->right[2]) * inv) * scale;
+    y = (m->center_y - (q[0] * m->up[0] + q[1] * m->up[1] + q[2] * m->up[2]) * inv) * scale;
+    out.w = m->parallel ? 1.0f : (float)(v->w_scale * inv);
+    if (!(x > v->x_end[0] && x < v->x_end[1] && y > v->y_end[0] && y < v->y_end[1])) {
+        out.w = -out.w;
+        x = tetcasti_min(tetcasti_max(x, v->x_end[0]), v->x_end[1]);
+        y = tetcasti_min(tetcasti_max(y, v->y_end[0]), v->y_end[1]);
+    }
+    out.x = (int32_t)tetcasti_floor(x + 0.5);
+    out.y = (int32_t)tetcasti_floor(y + 0.5);
+    return out;
+}
+
+static void tetcasti_task_see(void *ctx, uint32_t index) {
+    tetcasti_view *v = (tetcasti_view *)ctx;
+    uint32_t count = v->scene->mesh->vertex_count, i = index * TETCASTI_CHUNK, end = i + TETCASTI_CHUNK;
+    if (end > count) end = count;
+    for (; i < end; i++) v->seen[i] = tetcasti_see(v, &v->scene->vertex[i]);
+}
+
+/* ---- bins ---- */
+
+TETCASTI_INLINE int32_t tetcasti_place_pixel(int32_t x, uint32_t log) { /* floor of a place in pixels */
+    return (int32_t)(((uint32_t)x + 0x80000000u) >> log) - (int32_t)(0x80000000u >> log);
+}
+
+/* Pixels of the picture that a cell can cover, [x0, x1) x [y0, y1), and its nearest depth; 0: none. */
+static int tetcasti_cell_rect(const tetcasti_view *v, const uint32_t tet[4], int32_t rect[4], float *z) {
+    const tetcasti_seen *p = &v->seen[tet[0]];
+    int32_t lo[2], hi[2], half = (int32_t)(1u << v->log) / 2, margin;
+    float near_z = p->z, far_z = p->z, w = tetcasti_absf(p->w), wide;
+    uint32_t i;
+    lo[0] = hi[0] = p->x;
+    lo[1] = hi[1] = p->y;
+    for (i = 1; i < 4; i++) {
+        p = &v->seen[tet[i]];
+        if (p->x < lo[0]) lo[0] = p->x;
+        if (p->x > hi[0]) hi[0] = p->x;
+        if (p->y < lo[1]) lo[1] = p->y;
+        if (p->y > hi[1]) hi[1] = p->y;
+        near_z = p->z < near_z ? p->z : near_z;
+        far_z = p->z > far_z ? p->z : far_z;
+        w = tetcasti_absf(p->w) > w ? tetcasti_absf(p->w) : w;
+    }
+    *z = near_z;
+    rect[0] = rect[1] = 0;
+    rect[2] = (int32_t)v->pixels.width;
+    rect[3] = (int32_t)v->pixels.height;
+    if (w == TETCASTI_INF) return (double)far_z + v->reference > -2.0 * (double)TETCASTI_MARGIN; /* not all behind */
+    wide = v->blur * w / v->place + 2.0f;
+    margin = wide < 268435456.0f ? (int32_t)wide : 268435456;
+    for (i = 0; i < 2; i++) { /* pixels with their centre in [lo - margin, hi + margin] */
+        int32_t from = tetcasti_place_pixel(lo[i] - margin + half - 1, v->log);
+        int32_t to = tetcasti_place_pixel(hi[i] + margin - half, v->log) + 1;
+        if (from > rect[i]) rect[i] = from;
+        if (to < rect[i + 2]) rect[i + 2] = to;
+    }
+    return rect[0] < rect[2] && rect[1] < rect[3];
+}
+
+/* Cells of one chunk into bins: how many go into each, or, once the starts are known, themselves. */
+static void tetcasti_bin_chunk(tetcasti_view *v, uint32_t chunk, int fill) {
+    const tetcast_mesh *mesh = v->scene->mesh;
+    uint32_t i = chunk * v->chunk, end = mesh->cell_count - i < v->chunk ? mesh->cell_count : i + v->chunk, taken = 0;
+    for (; i < end; i++) {
+        int32_t rect[4], x, y;
+        float z;
+        if (v->cluster_hidden != NULL && tetcasti_bit(v->cluster_hidden, i >> TETCASTI_CLUSTER_LOG)) {
+            i |= (1u << TETCASTI_CLUSTER_LOG) - 1u;
+            continue;
+        }
+        if (!tetcasti_cell_rect(v, mesh->tet[i], rect, &z)) continue;
+        taken++;
+        if (v->rank != NULL) z = (float)v->rank[i];
+        for (y = rect[1] / (int32_t)TETCASTI_TILE; y <= (rect[3] - 1) / (int32_t)TETCASTI_TILE; y++)
+            for (x = rect[0] / (int32_t)TETCASTI_TILE; x <= (rect[2] - 1) / (int32_t)TETCASTI_TILE; x++) {
+                uint32_t *place = &v->start[((size_t)y * v->tiles_x + (size_t)x) * v->chunks + chunk];
+                if (fill) {
+                    v->entry[*place].cell = i;
+                    v->entry[*place].z = z;
+                }
+                ++*place;
+            }
+    }
+    if (fill) tetcasti_tally_add(v->taken, taken);
+}
+static void tetcasti_task_bin_count(void *ctx, uint32_t i) { tetcasti_bin_chunk((tetcasti_view *)ctx, i, 0); }
+static void tetcasti_task_bin_fill(void *ctx, uint32_t i) { tetcasti_bin_chunk((tetcasti_view *)ctx, i, 1); }
+
+static void tetcasti_view_close(tetcasti_mem *mem, tetcasti_view *v) {
+    tetcasti_free(mem, v->seen);
+    tetcasti_free(mem, v->start);
+    tetcasti_free(mem, v->entry);
+    tetcasti_free(mem, v->cluster_hidden);
+    v->seen = NULL;
+    v->start = NULL;
+    v->entry = NULL;
+    v->cluster_hidden = NULL;
+}
+
+/* What lies where in the picture: all vertices, and bins of cells. pixels: of the whole picture. 0: no memory. */
+static int tetcasti_view_open(tetcasti_mem *mem, const tetcast_env *env, const tetcasti_scene *scene,
+                              const tetcasti_pixels *pixels, tetcasti_view *v) {
+    const tetcast_mesh *mesh = scene->mesh;
+    uint32_t side = pixels->width > pixels->height ? pixels->width : pixels->height, tiles, i, k;
+    double per_pixel, depth[2] = {0.0, 0.0}, spread;
+    size_t n, sum = 0;
+    v->scene = scene;
+    v->pixels = *pixels;
+    for (v->log = 20; v->log > 0 && ((uint64_t)side << v->log) > ((uint64_t)1 << TETCASTI_PLACE_LOG); v->log--) { }
+    v->place = 1.0f / (float)(1u << v->log);
+    for (k = 0; k < 8; k++) { /* nearest and farthest corner of the mesh's box */
+        double p[3], z = 0.0;
+        for (i = 0; i < 3; i++) {
+            p[i] = (double)(k >> i & 1u ? mesh->box.hi[i] : mesh->box.lo[i]) - pixels->eye[i];
+            z += p[i] * pixels->forward[i];
+        }
+        if (k == 0 || z < depth[0]) depth[0] = z;
+        if (k == 0 || z > depth[1]) depth[1] = z;
+    }
+    v->reference = pixels->parallel ? depth[0] : tetcasti_max(depth[0], 0.0);
+    v->w_scale = tetcasti_max(depth[1], TETCASTI_NEAR);
+    /* a vertex that is moved by d at depth z moves by up to d / z * sqrt(1 + tan^2) / (size of a pixel) in the picture;
+       coordinates are used up to half a picture outside of it */
+    spread = 0.5 * (double)side;
+    v->x_end[0] = v->y_end[0] = -spread / (double)v->place;
+    v->x_end[1] = (spread + (double)pixels->width) / (double)v->place;
+    v->y_end[1] = (spread + (double)pixels->height) / (double)v->place;
+    per_pixel = sqrt(pixels->right[0] * pixels->right[0] + pixels->right[1] * pixels->right[1] +
+                     pixels->right[2] * pixels->right[2]);
+    spread = pixels->parallel ? 0.0 : (double)side / per_pixel;
+    v->blur = (float)(TETCASTI_BLUR * per_pixel * sqrt(1.0 + 2.0 * spread * spread) /
+                      (pixels->parallel ? 1.0 : v->w_scale)) + v->place;
+    v->tiles_x = (pixels->width + TETCASTI_TILE - 1) / TETCASTI_TILE;
+    v->tiles_y = (pixels->height + TETCASTI_TILE - 1) / TETCASTI_TILE;
+    tiles = v->tiles_x * v->tiles_y;
+    v->chunks = (1u << 24) / tiles < 256u ? (1u << 24) / tiles : 256u;
+    if (v->chunks == 0) v->chunks = 1;
+    v->chunk = mesh->cell_count / v->chunks + 1;
+    if (v->chunk < TETCASTI_CHUNK) v->chunk = TETCASTI_CHUNK;
+    v->chunk = (v->chunk + (1u << TETCASTI_CLUSTER_LOG) - 1u) >> TETCASTI_CLUSTER_LOG << TETCASTI_CLUSTER_LOG;
+    v->chunks = (mesh->cell_count + v->chunk - 1) / v->chunk;
+    n = (size_t)tiles * v->chunks;
+    v->seen = (tetcasti_seen *)tetcasti_alloc_array(mem, mesh->vertex_count, sizeof *v->seen);
+    v->start = (uint32_t *)tetcasti_alloc_zero(mem, n + 1, sizeof *v->start);
+    if (v->seen == NULL || v->start == NULL) return 0;
+    tetcasti_parallel_for(env, tetcasti_task_see, v, (mesh->vertex_count + TETCASTI_CHUNK - 1) / TETCASTI_CHUNK);
+    tetcasti_parallel_for(env, tetcasti_task_bin_count, v, v->chunks);
+    for (i = 0; i < n; i++) {
+        uint32_t count = v->start[i];
+        v->start[i] = (uint32_t)sum;
+        sum += count;
+        if (sum > 0xffffffffu) return 0;
+    }
+    v->entry = (tetcasti_entry *)tetcasti_alloc_array(mem, sum + 1, sizeof *v->entry);
+    if (v->entry == NULL) return 0;
+    tetcasti_parallel_for(env, tetcasti_task_bin_fill, v, v->chunks);
+    for (i = (uint32_t)n; i > 0; i--) v->start[i] = v->start[i - 1]; /* filling moved each start to the next one */
+    v->start[0] = 0;
+    return 1;
+}
+
+/* ---- one cell ---- */
+
+TETCASTI_INLINE void tetcasti_splat_edge(tetcasti_splat *s, uint32_t k, const float x[4], const float y[4], uint32_t i,
+                                         uint32_t j) {
+    s->a[k] = y[i] - y[j];
+    s->b[k] = x[j] - x[i];
+    s->c[k] = -(s->a[k] * x[i] + s->b[k] * y[i]);
+}
+
+/* Set up a cell; 0: only the exact signs can tell. */
+static int tetcasti_splat_open(const tetcasti_view *v, const uint32_t tet[4], tetcasti_splat *s) {
+    const tetcasti_vertex *vertex = v->scene->vertex;
+    const tetcasti_seen *p[4];
+    float x[4], y[4], area[4], wide, w = 0.0f;
+    int32_t lo[2], hi[2], half = (int32_t)(1u << v->log) / 2;
+    uint32_t i, fronts = 0, count = 0, role[4];
+    for (i = 0; i < 4; i++) {
+        p[i] = &v->seen[tet[i]];
+        if (!(p[i]->w > 0.0f)) return 0;
+        w = p[i]->w > w ? p[i]->w : w;
+        if (i == 0 || p[i]->x < lo[0]) lo[0] = p[i]->x;
+        if (i == 0 || p[i]->x > hi[0]) hi[0] = p[i]->x;
+        if (i == 0 || p[i]->y < lo[1]) lo[1] = p[i]->y;
+        if (i == 0 || p[i]->y > hi[1]) hi[1] = p[i]->y;
+    }
+    s->x0 = tetcasti_place_pixel(lo[0], v->log);
+    s->y0 = tetcasti_place_pixel(lo[1], v->log);
+    for (i = 0; i < 4; i++) {
+        x[i] = (float)(p[i]->x - s->x0 * 2 * half - half) * v->place;
+        y[i] = (float)(p[i]->y - s->y0 * 2 * half - half) * v->place;
+    }
+    /* Inside or outside of a face cannot be different while the pixel is farther from its edges than vertices may have
+       moved: an edge function is that distance times the length of the edge. */
+    wide = (float)(hi[0] - lo[0]) * v->place + (float)(hi[1] - lo[1]) * v->place + 2.0f;
+    s->bound = v->blur * w * wide + 9.5367432e-7f * (wide * wide);
+    for (i = 0; i < 4; i++) { /* twice the area, positive where rows go down and the face is seen from its back */
+        const uint8_t *f = tetcasti_face_of[i];
+        area[i] = (x[f[1]] - x[f[0]]) * (y[f[2]] - y[f[0]]) - (y[f[1]] - y[f[0]]) * (x[f[2]] - x[f[0]]);
+        if (!(tetcasti_absf(area[i]) > 3.0f * s->bound)) return 0;
+        fronts |= (uint32_t)(area[i] < 0.0f) << i;
+        count += area[i] < 0.0f;
+    }
+    if (count == 0 || count == 4) return 0;
+    if (count == 2) {
+        uint32_t p_at = 0, r_at = 2;
+        for (i = 0; i < 4; i++) {
+            if (fronts >> i & 1u) role[r_at++] = i;
+            else role[p_at++] = i;
+        }
+        s->form = 2;
+        /* p r q has to be positive */
+        if ((x[role[2]] - x[role[0]]) * (y[role[1]] - y[role[0]]) - (y[role[2]] - y[role[0]]) * (x[role[1]] -
+            x[role[0]]) < 0.0f) {
+            i = role[0];
+            role[0] = role[1];
+            role[1] = i;
+        }
+        tetcasti_splat_edge(s, 0, x, y, role[0], role[2]);
+        tetcasti_splat_edge(s, 1, x, y, role[2], role[1]);
+        tetcasti_splat_edge(s, 2, x, y, role[1], role[3]);
+        tetcasti_splat_edge(s, 3, x, y, role[3], role[0]);
+        tetcasti_splat_edge(s, 4, x, y, role[0], role[1]);
+        tetcasti_splat_edge(s, 5, x, y, role[2], role[3]);
+    } else {
+        uint32_t single = count == 1 ? fronts : ~fronts & 15u;
+        s->form = count == 1 ? 0 : 1;
+        role[3] = tetcasti_ctz64(single);
+        role[0] = tetcasti_face_of[role[3]][0];
+        role[1] = tetcasti_face_of[role[3]][count == 1 ? 2 : 1];
+        role[2] = tetcasti_face_of[role[3]][count == 1 ? 1 : 2];
+        tetcasti_splat_edge(s, 0, x, y, role[0], role[1]);
+        tetcasti_splat_edge(s, 1, x, y, role[1], role[2]);
+        tetcasti_splat_edge(s, 2, x, y, role[2], role[0]);
+        tetcasti_splat_edge(s, 3, x, y, role[0], role[3]);
+        tetcasti_splat_edge(s, 4, x, y, role[1], role[3]);
+        tetcasti_splat_edge(s, 5, x, y, role[2], role[3]);
+    }
+    for (i = 6; i < 8; i++) s->a[i] = s->b[i] = s->c[i] = 0.0f;
+    for (i = 0; i < 4; i++) {
+        const tetcasti_seen *q = p[role[i]];
+        float value = vertex[tet[role[i]]].s;
+        s->w[i] = q->w;
+        s->wz[i] = q->w * q->z;
+        s->ws[i] = q->w * value;
+        if (i == 0 || value < s->s_lo) s->s_lo = value;
+        if (i == 0 || value > s->s_hi) s->s_hi = value;
+    }
+    return 1;
+}
+
+/* Depth and value at the place with these weights. */
+TETCASTI_INLINE void tetcasti_splat_mean(const tetcasti_splat *s, uint32_t n, const uint32_t role[4], const float q[4],
+                                         float *z, float *value) {
+    float d = q[0] * s->w[role[0]], e = q[0] * s->wz[role[0]], f = q[0] * s->ws[role[0]];
+    uint32_t i;
+    for (i = 1; i < n; i++) {
+        d = fmaf(q[i], s->w[role[i]], d);
+        e = fmaf(q[i], s->wz[role[i]], e);
+        f = fmaf(q[i], s->ws[role[i]], f);
+    }
+    d = 1.0f / d;
+    *z = e * d;
+    f = f * d;
+    f = f > s->s_lo ? f : s->s_lo;
+    *value = f < s->s_hi ? f : s->s_hi;
+}
+
+/* Pixel x of a row, whose edge functions begin with row[]: 0: outside, 1: inside, 2: too near to an edge. */
+TETCASTI_INLINE uint32_t tetcasti_splat_pixel(const tetcasti_splat *s, const float row[8], float x,
+                                              tetcasti_fragment *out) {
+    static const uint32_t single[4] = {0, 1, 2, 0}, all[4] = {0, 1, 2, 3};
+    float e[6], q[4], z[2], value[2], least = TETCASTI_INF, inside = TETCASTI_INF;
+    uint32_t k, silhouette = s->form == 2 ? 4 : 3, role[4];
+    for (k = 0; k < 6; k++) e[k] = fmaf(s->a[k], x, row[k]);
+    for (k = 0; k < 6; k++) least = tetcasti_absf(e[k]) < least ? tetcasti_absf(e[k]) : least;
+    for (k = 0; k < silhouette; k++) inside = e[k] < inside ? e[k] : inside;
+    if (inside < -s->bound) return 0;
+    if (!(least > s->bound)) return 2;
+    if (!(inside > 0.0f)) return 0;
+    if (s->form == 2) {
+        int r_side = e[4] < 0.0f, p_side = e[5] > 0.0f;
+        q[0] = r_side ? e[1] : e[2];
+        q[1] = r_side ? e[0] : e[3];
+        q[2] = tetcasti_absf(e[4]);
+        role[0] = 0;
+        role[1] = 1;
+        role[2] = r_side ? 2 : 3;
+        tetcasti_splat_mean(s, 3, role, q, &z[0], &value[0]);
+        q[0] = p_side ? e[3] : e[2];
+        q[1] = p_side ? e[0] : e[1];
+        q[2] = tetcasti_absf(e[5]);
+        role[0] = 2;
+        role[1] = 3;
+        role[2] = p_side ? 0 : 1;
+        tetcasti_splat_mean(s, 3, role, q, &z[1], &value[1]);
+    } else { /* of the faces with d: the one that does not have c, b or a */
+        int no_c = e[3] < 0.0f && e[4] > 0.0f, no_b = e[3] > 0.0f && e[5] < 0.0f;
+        uint32_t one = s->form;
+        q[0] = e[1];
+        q[1] = e[2];
+        q[2] = e[0];
+        tetcasti_splat_mean(s, 3, single, q, &z[one], &value[one]);
+        q[0] = no_c ? tetcasti_absf(e[4]) : no_b ? tetcasti_absf(e[5]) : 0.0f;
+        q[1] = no_b ? 0.0f : no_c ? tetcasti_absf(e[3]) : tetcasti_absf(e[5]);
+        q[2] = no_c ? 0.0f : no_b ? tetcasti_absf(e[3]) : tetcasti_absf(e[4]);
+        q[3] = no_c ? e[0] : no_b ? e[2] : e[1];
+        tetcasti_splat_mean(s, 4, all, q, &z[!one], &value[!one]);
+    }
+    out->z0 = z[0];
+    out->z1 = z[1];
+    out->s0 = value[0];
+    out->s1 = value[1];
+    return 1;
+}
+
+/* A cell on one ray, by the walker's signs and means. */
+typedef struct tetcasti_cell_hit {
+    uint32_t face[2];       /* of the way in and out: the vertex opposite to it */
+    uint32_t v[2][3];       /* their vertices, by place in the cell */
+    float weight[2][3];
+    float at[2], s[2];      /* local distance from the ray's origin, values */
+} tetcasti_cell_hit;
+
+TETCASTI_INLINE int tetcasti_cell_meet(const tetcasti_ray *r, const tetcasti_vertex *vertex, const uint32_t tet[4],
+                                       tetcasti_cell_hit *out) {
+    tetcasti_point p[4];
+    float det[4][4];
+    uint8_t left[4][4];
+    uint32_t i, j, found = 0;
+    for (i = 0; i < 4; i++) p[i] = tetcasti_project(r, &vertex[tet[i]]);
+    for (i = 0; i < 4; i++)
+        for (j = i + 1; j < 4; j++) {
+            det[i][j] = tetcasti_det(&p[i], &p[j]);
+            det[j][i] = -det[i][j];
+            left[i][j] = (uint8_t)tetcasti_positive(det[i][j], &p[i], &p[j], tet[i], tet[j]);
+            left[j][i] = (uint8_t)!left[i][j];
+        }
+    for (i = 0; i < 4; i++) {
+        const uint8_t *f = tetcasti_face_of[i];
+        uint32_t side = left[f[0]][f[1]], way = side ? 0 : 1;
+        float inv, *w = out->weight[way];
+        if (left[f[1]][f[2]] != side || left[f[2]][f[0]] != side) continue;
+        w[0] = det[f[1]][f[2]];
+        w[1] = det[f[2]][f[0]];
+        w[2] = det[f[0]][f[1]];
+        inv = 1.0f / ((w[2] + w[0]) + w[1]);
+        out->face[way] = i;
+        for (j = 0; j < 3; j++) out->v[way][j] = f[j];
+        out->at[way] = fmaf(w[0], p[f[0]].z, fmaf(w[1], p[f[1]].z, w[2] * p[f[2]].z)) * inv;
+        out->s[way] = tetcasti_face_value(&p[f[0]], &p[f[1]], &p[f[2]], w[2], w[0], w[1], inv);
+        found |= 1u << way;
+    }
+    return found == 3;
+}
+/* ---------------------------------------------------------------------------
+   order: fragments of a tile -> rays, in their order.                           // >>order
+
+   The cells of a tile are drawn in the order of their nearest vertices. Each pixel keeps what it has of them in a list
+   by depth. Of everything that is still to come nothing lies before the nearest vertex of the next cell, so when lists
+   get full all that lies before it is in its final order and goes into the rays' sums, which makes room. That is exact
+   for every mesh: no order of whole cells is needed, which does not exist where cells overlap in a cycle or around a
+   hole, and lists stay short. A pixel whose ray has ended takes no more fragments, a tile without open pixels stops.
+
+   Neighbours compute the depth of their common face in different orders of operations; fragments that touch but for
+   that are joined, in depth and in value, so that a ray sees the same as on a walk.
+   --------------------------------------------------------------------------- */
+
+#define TETCASTI_LIST_ROOM 16u
+#define TETCASTI_DEPTHS 2048u   /* steps of depth by which the cells of a tile are ordered */
+#define TETCASTI_KEEP_ALL 0u    /* what happens to a fragment when it comes: it goes into a list by depth, */
+#define TETCASTI_KEEP_NONE 1u   /* straight into the sum: the order is that of the cells (for comparisons), */
+#define TETCASTI_KEEP_SOME 2u   /* into a list of keep_room, and the nearest one of a full list into the sum */
+
+typedef struct tetcasti_painter { /* zeroed */
+    const tetcasti_view *view;
+    const tetcasti_scene *scene;
+    tetcasti_mem *mem;
+    tetcasti_batch *b;              /* rays of the tile, and their sums at the end */
+    tetcasti_entry *entry;          /* cells of the tile, in order */
+    size_t entry_room;
+    tetcasti_fragment *list;        /* [pixel * room] */
+    uint32_t room, fullest;         /* fullest: no list is longer */
+    uint32_t mode, keep_room;
+    uint32_t failed, open;          /* open: pixels whose rays go on */
+    uint32_t live[TETCASTI_TILE];   /* one bit a pixel of a row */
+    uint32_t x0, y0, width, height;
+    float join_z, join_s;           /* differences that are rounding */
+    uint32_t groups;                /* of rays: one bit each */
+    tetcasti_beam beam[6];
+    /* tetcasti_paint_cell and tetcasti_lists_run, or what has the same bits */
+    void (*paint)(struct tetcasti_painter *p, uint32_t cell, const int32_t rect[4]);
+    void (*run)(struct tetcasti_painter *p, float until);
+    uint64_t tests, exact;          /* pixels that were looked at, and those by exact signs */
+    uint64_t wrong;                 /* fragments that came too late (KEEP_NONE, KEEP_SOME) */
+    uint16_t count[TETCASTI_BATCH]; /* of fragments in a list */
+    float cursor[TETCASTI_BATCH];   /* as tetcasti_seen.z: up to here everything is in the sum */
+    float value[TETCASTI_BATCH];    /* there */
+    float last[TETCASTI_BATCH];     /* where the ray ends */
+    float way[TETCASTI_BATCH];      /* distance on the ray per depth */
+    tetcasti_ray_sum8 sum[TETCASTI_BATCH / 8];
+} tetcasti_painter;
+
+/* ---- fragments into sums ---- */
+
+/* Where a fragment begins and ends on the ray of pixel i; 0: it is seen already. */
+TETCASTI_INLINE int tetcasti_fragment_cut(tetcasti_painter *p, uint32_t i, const tetcasti_fragment *f, int *gap,
+                                          float cut[4]) {
+    float cursor = p->cursor[i], last = p->last[i], begin = cursor, front = f->s0, back = f->s1, end = f->z1;
+    float apart = f->z0 - cursor;
+    *gap = 0;
+    if (!(end >= cursor)) return 0;
+    if (tetcasti_absf(apart) <= p->join_z) { /* its face is that of the one before */
+        if (tetcasti_absf(front - p->value[i]) <= p->join_s) front = p->value[i];
+    } else if (apart > 0.0f) {
+        *gap = 1;
+        begin = f->z0;
+    } else {
+        front += (back - front) * ((cursor - f->z0) / (end - f->z0));
+    }
+    if (end > last) {
+        back = f->s0 + (back - f->s0) * ((last - f->z0) / (end - f->z0));
+        end = last;
+    }
+    cut[0] = begin;
+    cut[1] = end;
+    cut[2] = front;
+    cut[3] = back;
+    return 1;
+}
+
+/* The surface normals of a fragment need the faces that the ray passes. */
+static void tetcasti_fragment_surface(tetcasti_painter *p, uint32_t i, const tetcasti_fragment *f, const float cut[4],
+                                      float way, float depth, float *first) {
+    const tetcasti_scene *scene = p->scene;
+    const uint32_t *tet = scene->mesh->tet[f->cell];
+    tetcasti_ray r = tetcasti_batch_ray(p->b, i);
+    tetcasti_cell_hit hit;
+    tetcasti_crossing_info x;
+    float view[3], span = f->z1 - f->z0, inv;
+    uint32_t k;
+    x.scene = scene;
+    memset(&hit, 0, sizeof hit);
+    if (!tetcasti_cell_meet(&r, scene->vertex, tet, &hit)) { /* as it was met once, it is again */
+        hit.v[0][1] = hit.v[1][1] = 1;
+        hit.v[0][2] = hit.v[1][2] = 2;
+        hit.weight[0][0] = hit.weight[1][0] = 1.0f;
+        hit.face[1] = 3;
+    }
+    for (k = 0; k < 3; k++) {
+        x.in[k] = tet[hit.v[0][k]];
+        x.out[k] = tet[hit.v[1][k]];
+    }
+    x.dropped = tet[hit.face[1]];
+    inv = 1.0f / ((hit.weight[0][2] + hit.weight[0][0]) + hit.weight[0][1]);
+    for (k = 0; k < 3; k++) x.in_weight[k] = hit.weight[0][k] * inv;
+    inv = 1.0f / ((hit.weight[1][2] + hit.weight[1][0]) + hit.weight[1][1]);
+    for (k = 0; k < 3; k++) x.out_weight[k] = hit.weight[1][k] * inv;
+    x.begin = span > 0.0f ? (cut[0] - f->z0) / span : 0.0f;
+    x.end = span > 0.0f ? (cut[1] - f->z0) / span : 1.0f;
+    x.first = TETCASTI_INF;
+    tetcasti_ray_direction(&r, view);
+    tetcasti_segment_iso(scene->optics, cut[2], cut[3], way, depth, tetcasti_normal, &x, view, &p->b->sum[i]);
+    *first = x.first;
+}
+
+static void tetcasti_pixel_end(tetcasti_painter *p, uint32_t i) {
+    uint32_t bit = 1u << (i % TETCASTI_TILE), *row = &p->live[i / TETCASTI_TILE];
+    p->open -= (*row & bit) != 0;
+    *row &= ~bit;
+}
+
+/* One fragment into the sum of pixel i. */
+static void tetcasti_fragment_add(tetcasti_painter *p, uint32_t i, const tetcasti_fragment *f) {
+    const tetcasti_scene *scene = p->scene;
+    const tetcast_optics *o = scene->optics;
+    tetcasti_batch *b = p->b;
+    tetcasti_ray_sum *sum = &b->sum[i];
+    float cut[4], way, depth;
+    int gap;
+    if (!(f->z1 >= -(float)p->view->reference)) return; /* behind the eye */
+    if (f->z0 > p->last[i]) {
+        tetcasti_pixel_end(p, i);
+        return;
+    }
+    b->steps[i]++;
+    if (!tetcasti_fragment_cut(p, i, f, &gap, cut)) return;
+    if (gap || p->value[i] != p->value[i]) {
+        b->walks[i]++;
+        if (o != NULL) tetcasti_ray_gap(o, sum);
+    }
+    way = (cut[1] - cut[0]) * p->way[i];
+    depth = ((float)p->view->reference + cut[0]) * p->way[i] * scene->unit;
+    b->length[i] += way;
+    way *= scene->unit;
+    p->cursor[i] = cut[1];
+    p->value[i] = cut[3];
+    if (o != NULL && !scene->any) {
+        o->segment(o, cut[2], cut[3], way, depth, sum);
+    } else if (o != NULL && scene->mesh->hidden != NULL && tetcasti_bit(scene->mesh->hidden, f->cell)) {
+        tetcasti_ray_gap(o, sum);
+    } else if (o != NULL) {
+        if (scene->mesh->cell_value != NULL) cut[2] = cut[3] = scene->mesh->cell_value[f->cell];
+        if (o->iso_count != 0) {
+            float first;
+            tetcasti_fragment_surface(p, i, f, cut, way, depth, &first);
+            if (o->model == TETCAST_MODEL_ISOSURFACE && first < 1.0f) depth += first * way;
+        } else {
+            o->segment(o, cut[2], cut[3], way, depth, sum);
+        }
+        if (b->depth[i] == TETCASTI_INF && (sum->t != scene->begin_t || sum->c[0] != 0.0f || sum->c[1] != 0.0f ||
+                                            sum->c[2] != 0.0f))
+            b->depth[i] = depth;
+    }
+    if (o != NULL && tetcasti_ray_ended(o, sum)) {
+        b->ended[i] = 1;
+        tetcasti_pixel_end(p, i);
+    } else if (!(p->cursor[i] < p->last[i])) {
+        tetcasti_pixel_end(p, i);
+    }
+}
+
+TETCASTI_INLINE int tetcasti_pixel_live(const tetcasti_painter *p, uint32_t i) {
+    return (int)(p->live[i / TETCASTI_TILE] >> (i % TETCASTI_TILE) & 1u);
+}
+
+/* All that lies before `until` goes into the sums. */
+static void tetcasti_lists_run(tetcasti_painter *p, float until) {
+    uint32_t i, end = TETCASTI_TILE * p->height;
+    p->fullest = 0;
+    for (i = 0; i < end; i++) {
+        tetcasti_fragment *f = p->list + (size_t)i * p->room;
+        uint32_t n = p->count[i], k = 0;
+        if (n == 0) continue;
+        while (k < n && f[k].z0 < until && tetcasti_pixel_live(p, i)) tetcasti_fragment_add(p, i, &f[k++]);
+        n = tetcasti_pixel_live(p, i) ? n - k : 0;
+        if (n != 0 && k != 0) memmove(f, f + k, n * sizeof *f);
+        p->count[i] = (uint16_t)n;
+        if (n > p->fullest) p->fullest = n;
+    }
+}
+
+/* ---- fragments into lists ---- */
+
+static int tetcasti_lists_grow(tetcasti_painter *p) {
+    size_t room = (size_t)p->room * 2, i;
+    tetcasti_fragment *list = (tetcasti_fragment *)tetcasti_alloc_zero(p->mem, room * TETCASTI_BATCH, sizeof *list);
+    if (list == NULL || room > 0x8000u) {
+        tetcasti_free(p->mem, list);
+        p->failed = 1;
+        return 0;
+    }
+    for (i = 0; i < TETCASTI_BATCH; i++)
+        memcpy(list + i * room, p->list + i * p->room, p->count[i] * sizeof *list);
+    tetcasti_free(p->mem, p->list);
+    p->list = list;
+    p->room = (uint32_t)room;
+    return 1;
+}
+
+/* Pixel i is live and its list has room. */
+TETCASTI_INLINE void tetcasti_list_put(tetcasti_painter *p, uint32_t i, float z0, float z1, float s0, float s1,
+                                       uint32_t cell) {
+    tetcasti_fragment *f = p->list + (size_t)i * p->room;
+    uint32_t n = p->count[i];
+    p->count[i] = (uint16_t)(n + 1);
+    p->fullest = n + 1 > p->fullest ? n + 1 : p->fullest;
+    for (; n > 0 && (f[n - 1].z0 > z0 || (f[n - 1].z0 == z0 && f[n - 1].z1 > z1)); n--) f[n] = f[n - 1];
+    f[n].z0 = z0;
+    f[n].z1 = z1;
+    f[n].s0 = s0;
+    f[n].s1 = s1;
+    f[n].cell = cell;
+}
+
+/* The same for orders that are compared with: the nearest fragment goes when there are enough. */
+static void tetcasti_list_put_some(tetcasti_painter *p, uint32_t i, const tetcasti_fragment *f) {
+    tetcasti_fragment *list = p->list + (size_t)i * p->room;
+    if (p->mode == TETCASTI_KEEP_SOME) {
+        tetcasti_list_put(p, i, f->z0, f->z1, f->s0, f->s1, f->cell);
+        if (p->count[i] < p->keep_room) return;
+        f = list;
+    }
+    p->wrong += f->z1 > f->z0 && f->z0 < p->cursor[i] - p->join_z;
+    tetcasti_fragment_add(p, i, f);
+    if (p->mode == TETCASTI_KEEP_SOME) {
+        p->count[i]--;
+        memmove(list, list + 1, p->count[i] * sizeof *list);
+    }
+}
+
+TETCASTI_INLINE void tetcasti_paint_put(tetcasti_painter *p, uint32_t i, const tetcasti_fragment *f) {
+    if (p->mode == TETCASTI_KEEP_ALL) tetcasti_list_put(p, i, f->z0, f->z1, f->s0, f->s1, f->cell);
+    else tetcasti_list_put_some(p, i, f);
+}
+
+/* Pixel i by exact signs. */
+TETCASTI_INLINE void tetcasti_paint_exact(tetcasti_painter *p, uint32_t i, const uint32_t tet[4], uint32_t cell) {
+    const tetcasti_view *v = p->view;
+    tetcasti_ray r = tetcasti_batch_ray(p->b, i);
+    tetcasti_cell_hit hit;
+    tetcasti_fragment f;
+    const uint8_t *axes;
+    double o[3], d[3], z = -v->reference, per;
+    uint32_t k;
+    if (r.group == TETCASTI_NO_RAY) return;
+    p->exact++;
+    if (!tetcasti_cell_meet(&r, v->scene->vertex, tet, &hit)) return;
+    axes = tetcasti_axes[r.group];
+    o[axes[0]] = (double)r.ox;
+    o[axes[1]] = (double)r.oy;
+    o[axes[2]] = (double)r.oz;
+    d[axes[0]] = (double)r.sx;
+    d[axes[1]] = (double)r.sy;
+    d[axes[2]] = 1.0;
+    per = 0.0;
+    for (k = 0; k < 3; k++) {
+        z += (o[k] - v->pixels.eye[k]) * v->pixels.forward[k];
+        per += d[k] * v->pixels.forward[k];
+    }
+    per /= (double)r.iz; /* depth per distance */
+    f.z0 = (float)(z + (double)hit.at[0] * per);
+    f.z1 = (float)(z + (double)hit.at[1] * per);
+    f.s0 = hit.s[0];
+    f.s1 = hit.s[1];
+    f.cell = cell;
+    tetcasti_paint_put(p, i, &f);
+}
+
+/* All pixels of rect, in the tile, of a cell that has no other form. */
+TETCASTI_INLINE void tetcasti_paint_rect(tetcasti_painter *p, uint32_t cell, const int32_t rect[4]) {
+    int32_t x, y;
+    for (y = rect[1]; y < rect[3]; y++)
+        for (x = rect[0]; x < rect[2]; x++) {
+            if ((p->live[y] >> x & 1u) == 0) continue;
+            p->tests++;
+            tetcasti_paint_exact(p, (uint32_t)y * TETCASTI_TILE + (uint32_t)x, p->scene->mesh->tet[cell], cell);
+        }
+}
+
+TETCASTI_INLINE void tetcasti_paint_cell(tetcasti_painter *p, uint32_t cell, const int32_t rect[4]) {
+    const uint32_t *tet = p->scene->mesh->tet[cell];
+    tetcasti_splat s;
+    int32_t x, y;
+    uint32_t k;
+    if (!tetcasti_splat_open(p->view, tet, &s)) {
+        tetcasti_paint_rect(p, cell, rect);
+        return;
+    }
+    for (y = rect[1]; y < rect[3]; y++) {
+        float row[8];
+        for (k = 0; k < 6; k++) row[k] = fmaf(s.b[k], (float)((int32_t)p->y0 + y - s.y0), s.c[k]);
+        for (x = rect[0]; x < rect[2]; x++) {
+            uint32_t i = (uint32_t)y * TETCASTI_TILE + (uint32_t)x, found;
+            tetcasti_fragment f;
+            if ((p->live[y] >> x & 1u) == 0) continue;
+            p->tests++;
+            f.cell = cell;
+            found = tetcasti_splat_pixel(&s, row, (float)((int32_t)p->x0 + x - s.x0), &f);
+            if (found == 1) tetcasti_paint_put(p, i, &f);
+            else if (found == 2) tetcasti_paint_exact(p, i, tet, cell);
+        }
+    }
+}
+
+TETCASTI_TARGET_FMA static void tetcasti_paint_fma(tetcasti_painter *p, uint32_t cell, const int32_t rect[4]) {
+    tetcasti_paint_cell(p, cell, rect);
+}
+static void tetcasti_paint_plain(tetcasti_painter *p, uint32_t cell, const int32_t rect[4]) {
+    tetcasti_paint_cell(p, cell, rect);
+}
+
+#if TETCASTI_AVX2
+
+/* ---- eight pixels of a cell ---- */
+
+#define TETCASTI_ALL(x) _mm256_broadcast_ss(&(x))
+
+/* Lanes whose pixels (x, y) are inside, and those for exact signs. Edge functions in e. */
+TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_splat_lanes(const tetcasti_splat *s, const uint32_t silhouette,
+                                                                   uint32_t lanes, __m256 x, __m256 y, __m256 e[6],
+                                                                   uint32_t *exact) {
+    const __m256 sign = _mm256_set1_ps(-0.0f), bound = TETCASTI_ALL(s->bound);
+    __m256 least, inside;
+    uint32_t k;
+    for (k = 0; k < silhouette; k++)
+        e[k] = _mm256_fmadd_ps(TETCASTI_ALL(s->a[k]), x, _mm256_fmadd_ps(TETCASTI_ALL(s->b[k]), y, TETCASTI_ALL(s->c[k])));
+    inside = _mm256_min_ps(_mm256_min_ps(e[0], e[1]), e[2]);
+    if (silhouette == 4) inside = _mm256_min_ps(inside, e[3]);
+    lanes &= ~(uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(inside, _mm256_xor_ps(bound, sign), _CMP_LT_OQ));
+    *exact = 0;
+    if (lanes == 0) return 0;
+    for (k = silhouette; k < 6; k++)
+        e[k] = _mm256_fmadd_ps(TETCASTI_ALL(s->a[k]), x, _mm256_fmadd_ps(TETCASTI_ALL(s->b[k]), y, TETCASTI_ALL(s->c[k])));
+    least = _mm256_andnot_ps(sign, inside);
+    for (k = silhouette; k < 6; k++) least = _mm256_min_ps(least, _mm256_andnot_ps(sign, e[k]));
+    *exact = lanes & ~(uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(least, bound, _CMP_GT_OQ));
+    return lanes & ~*exact;
+}
+
+typedef struct tetcasti_sums8 { __m256 d, e, f; } tetcasti_sums8;
+
+TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_sums_add(tetcasti_sums8 *t, __m256 q, __m256 w, __m256 wz,
+                                                            __m256 ws) {
+    t->d = _mm256_fmadd_ps(q, w, t->d);
+    t->e = _mm256_fmadd_ps(q, wz, t->e);
+    t->f = _mm256_fmadd_ps(q, ws, t->f);
+}
+
+#define TETCASTI_SUMS_FIRST(t, q, i) \
+    t.d = _mm256_mul_ps(q, TETCASTI_ALL(s->w[i])); t.e = _mm256_mul_ps(q, TETCASTI_ALL(s->wz[i])); \
+    t.f = _mm256_mul_ps(q, TETCASTI_ALL(s->ws[i]))
+#define TETCASTI_SUMS_ADD(t, q, i) \
+    tetcasti_sums_add(&t, q, TETCASTI_ALL(s->w[i]), TETCASTI_ALL(s->wz[i]), TETCASTI_ALL(s->ws[i]))
+#define TETCASTI_SUMS_EITHER(t, q, i, j, m) tetcasti_sums_add(&t, q, \
+        _mm256_blendv_ps(TETCASTI_ALL(s->w[i]), TETCASTI_ALL(s->w[j]), m), \
+        _mm256_blendv_ps(TETCASTI_ALL(s->wz[i]), TETCASTI_ALL(s->wz[j]), m), \
+        _mm256_blendv_ps(TETCASTI_ALL(s->ws[i]), TETCASTI_ALL(s->ws[j]), m))
+
+TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_sums_end(const tetcasti_splat *s, const tetcasti_sums8 *t,
+                                                            float z[8], float value[8]) {
+    __m256 inv = _mm256_div_ps(_mm256_set1_ps(1.0f), t->d);
+    _mm256_storeu_ps(z, _mm256_mul_ps(t->e, inv));
+    _mm256_storeu_ps(value, _mm256_min_ps(_mm256_max_ps(_mm256_mul_ps(t->f, inv), TETCASTI_ALL(s->s_lo)),
+                                          TETCASTI_ALL(s->s_hi)));
+}
+
+/* What the lanes see. out: z0, z1, s0, s1. The operations of tetcasti_splat_pixel. */
+TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_splat_quad8(const tetcasti_splat *s, const __m256 e[6],
+                                                               float out[4][8]) {
+    const __m256 sign = _mm256_set1_ps(-0.0f);
+    tetcasti_sums8 t;
+    __m256 q0, q1;
+    q0 = _mm256_blendv_ps(e[2], e[1], e[4]);
+    q1 = _mm256_blendv_ps(e[3], e[0], e[4]);
+    TETCASTI_SUMS_FIRST(t, q0, 0);
+    TETCASTI_SUMS_ADD(t, q1, 1);
+    TETCASTI_SUMS_EITHER(t, _mm256_andnot_ps(sign, e[4]), 3, 2, e[4]);
+    tetcasti_sums_end(s, &t, out[0], out[2]);
+    q0 = _mm256_blendv_ps(e[3], e[2], e[5]);
+    q1 = _mm256_blendv_ps(e[0], e[1], e[5]);
+    TETCASTI_SUMS_FIRST(t, q0, 2);
+    TETCASTI_SUMS_ADD(t, q1, 3);
+    TETCASTI_SUMS_EITHER(t, _mm256_andnot_ps(sign, e[5]), 0, 1, e[5]);
+    tetcasti_sums_end(s, &t, out[1], out[3]);
+}
+
+TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_splat_single8(const tetcasti_splat *s, const __m256 e[6],
+                                                                 float out[4][8]) {
+    const __m256 sign = _mm256_set1_ps(-0.0f);
+    uint32_t one = s->form;
+    tetcasti_sums8 t;
+    __m256 no_c = _mm256_andnot_ps(e[4], e[3]), no_b = _mm256_andnot_ps(e[3], e[5]), no_a;
+    __m256 a = _mm256_andnot_ps(sign, e[3]), b = _mm256_andnot_ps(sign, e[4]), c = _mm256_andnot_ps(sign, e[5]);
+    TETCASTI_SUMS_FIRST(t, e[1], 0);
+    TETCASTI_SUMS_ADD(t, e[2], 1);
+    TETCASTI_SUMS_ADD(t, e[0], 2);
+    tetcasti_sums_end(s, &t, out[one], out[2 + one]);
+    no_c = _mm256_castsi256_ps(_mm256_srai_epi32(_mm256_castps_si256(no_c), 31)); /* all bits */
+    no_b = _mm256_castsi256_ps(_mm256_srai_epi32(_mm256_castps_si256(no_b), 31));
+    no_a = _mm256_or_ps(no_c, no_b);
+    TETCASTI_SUMS_FIRST(t, _mm256_and_ps(no_a, _mm256_blendv_ps(c, b, no_c)), 0);
+    TETCASTI_SUMS_ADD(t, _mm256_andnot_ps(no_b, _mm256_blendv_ps(c, a, no_c)), 1);
+    TETCASTI_SUMS_ADD(t, _mm256_andnot_ps(no_c, _mm256_blendv_ps(b, a, no_b)), 2);
+    TETCASTI_SUMS_ADD(t, _mm256_blendv_ps(_mm256_blendv_ps(e[1], e[2], no_b), e[0], no_c), 3);
+    tetcasti_sums_end(s, &t, out[!one], out[2 + !one]);
+}
+
+/* tetcasti_paint_cell, eight pixels at a time: of a row, or four of two rows where cells are narrow. */
+TETCASTI_TARGET_WALK static void tetcasti_paint8(tetcasti_painter *p, uint32_t cell, const int32_t rect[4]) {
+    const uint32_t *tet = p->scene->mesh->tet[cell];
+    const int narrow = rect[2] - rect[0] <= 4;
+    const int32_t step_x = narrow ? 4 : 8, step_y = narrow ? 2 : 1;
+    const __m256 lane_x = narrow ? _mm256_setr_ps(0, 1, 2, 3, 0, 1, 2, 3) : _mm256_setr_ps(0, 1, 2, 3, 4, 5, 6, 7);
+    const __m256 lane_y = narrow ? _mm256_setr_ps(0, 0, 0, 0, 1, 1, 1, 1) : _mm256_setzero_ps();
+    tetcasti_splat s;
+    int32_t x, y;
+    if (!tetcasti_splat_open(p->view, tet, &s)) {
+        tetcasti_paint_rect(p, cell, rect);
+        return;
+    }
+    for (y = rect[1]; y < rect[3]; y += step_y) {
+        __m256 vy = _mm256_add_ps(_mm256_set1_ps((float)((int32_t)p->y0 + y - s.y0)), lane_y);
+        for (x = rect[0]; x < rect[2]; x += step_x) {
+            __m256 e[6], vx = _mm256_add_ps(_mm256_set1_ps((float)((int32_t)p->x0 + x - s.x0)), lane_x);
+            uint32_t wide = rect[2] - x < step_x ? (1u << (rect[2] - x)) - 1u : narrow ? 15u : 255u;
+            uint32_t lanes = p->live[y] >> x & wide, exact;
+            float out[4][8];
+            if (narrow && y + 1 < rect[3]) lanes |= (p->live[y + 1] >> x & wide) << 4;
+            if (lanes == 0) continue;
+            p->tests += tetcasti_popcount64(lanes);
+            if (s.form == 2) {
+                lanes = tetcasti_splat_lanes(&s, 4, lanes, vx, vy, e, &exact);
+                if (lanes != 0) tetcasti_splat_quad8(&s, e, out);
+            } else {
+                lanes = tetcasti_splat_lanes(&s, 3, lanes, vx, vy, e, &exact);
+                if (lanes != 0) tetcasti_splat_single8(&s, e, out);
+            }
+            for (; lanes != 0; lanes &= lanes - 1) {
+                uint32_t k = tetcasti_ctz64(lanes);
+                uint32_t i = (uint32_t)y * TETCASTI_TILE + (uint32_t)x + (narrow ? (k >> 2) * TETCASTI_TILE + (k & 3u) : k);
+                tetcasti_list_put(p, i, out[0][k], out[1][k], out[2][k], out[3][k], cell);
+            }
+            for (; TETCASTI_UNLIKELY(exact != 0); exact &= exact - 1) {
+                uint32_t k = tetcasti_ctz64(exact);
+                uint32_t i = (uint32_t)y * TETCASTI_TILE + (uint32_t)x + (narrow ? (k >> 2) * TETCASTI_TILE + (k & 3u) : k);
+                tetcasti_paint_exact(p, i, tet, cell);
+            }
+        }
+    }
+}
+#undef TETCASTI_SUMS_FIRST
+#undef TETCASTI_SUMS_ADD
+#undef TETCASTI_SUMS_EITHER
+#undef TETCASTI_ALL
+
+/* ---- lists of eight pixels side by side ---- */
+
+/* tetcasti_fragment_add for the lanes `act`; returns those whose rays end. */
+TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_fragments_add8(tetcasti_painter *p, uint32_t i, uint32_t act,
+                                                                      __m256 z0, __m256 z1, __m256 s0, __m256 s1) {
+    const tetcasti_scene *scene = p->scene;
+    const tetcast_optics *o = scene->optics;
+    const __m256 sign = _mm256_set1_ps(-0.0f), eye = _mm256_set1_ps(-(float)p->view->reference);
+    tetcasti_batch *b = p->b;
+    __m256 cursor = _mm256_loadu_ps(p->cursor + i), last = _mm256_loadu_ps(p->last + i),
+        value = _mm256_loadu_ps(p->value + i), ways = _mm256_loadu_ps(p->way + i);
+    __m256 apart = _mm256_sub_ps(z0, cursor), joined, same, gap, begin, front = s0, back = s1, end = z1, take, way, mask;
+    uint32_t ended, beyond, gaps, rare, fresh, k;
+    tetcasti_seg8 seg;
+    act &= (uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(z1, eye, _CMP_GE_OQ));
+    beyond = act & (uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(z0, last, _CMP_GT_OQ));
+    act &= ~beyond;
+    mask = tetcasti_mask8(act);
+    _mm256_storeu_si256((__m256i *)(void *)(b->steps + i),
+                        _mm256_sub_epi32(_mm256_loadu_si256((const __m256i *)(const void *)(b->steps + i)),
+                                         _mm256_castps_si256(mask)));
+    take = _mm256_and_ps(mask, _mm256_cmp_ps(end, cursor, _CMP_GE_OQ));
+    act = (uint32_t)_mm256_movemask_ps(take);
+    joined = _mm256_cmp_ps(_mm256_andnot_ps(sign, apart), _mm256_set1_ps(p->join_z), _CMP_LE_OQ);
+    gap = _mm256_andnot_ps(joined, _mm256_cmp_ps(apart, _mm256_setzero_ps(), _CMP_GT_OQ));
+    same = _mm256_cmp_ps(_mm256_andnot_ps(sign, _mm256_sub_ps(front, value)), _mm256_set1_ps(p->join_s), _CMP_LE_OQ);
+    front = _mm256_blendv_ps(front, value, _mm256_and_ps(joined, same));
+    begin = _mm256_blendv_ps(cursor, z0, gap);
+    gaps = act & (uint32_t)_mm256_movemask_ps(gap);
+    fresh = act & ((uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(value, value, _CMP_UNORD_Q)) | gaps);
+    rare = act & ~gaps & ~(uint32_t)_mm256_movemask_ps(joined);
+    if (TETCASTI_UNLIKELY(rare != 0)) /* begins before the cursor */
+        front = _mm256_blendv_ps(front, _mm256_add_ps(s0, _mm256_mul_ps(_mm256_sub_ps(s1, s0),
+            _mm256_div_ps(_mm256_sub_ps(cursor, z0), _mm256_sub_ps(end, z0)))), tetcasti_mask8(rare));
+    mask = _mm256_cmp_ps(end, last, _CMP_GT_OQ);
+    if (TETCASTI_UNLIKELY((act & (uint32_t)_mm256_movemask_ps(mask)) != 0)) {
+        back = _mm256_blendv_ps(back, _mm256_add_ps(s0, _mm256_mul_ps(_mm256_sub_ps(s1, s0),
+            _mm256_div_ps(_mm256_sub_ps(last, z0), _mm256_sub_ps(end, z0)))), mask);
+        end = _mm256_blendv_ps(end, last, mask);
+    }
+    way = _mm256_mul_ps(_mm256_sub_ps(end, begin), ways);
+    _mm256_storeu_ps(b->length + i, _mm256_add_ps(_mm256_loadu_ps(b->length + i), _mm256_and_ps(way, take)));
+    _mm256_storeu_ps(seg.front, front);
+    _mm256_storeu_ps(seg.back, back);
+    _mm256_storeu_ps(seg.length, _mm256_mul_ps(way, _mm256_set1_ps(scene->unit)));
+    _mm256_storeu_ps(seg.depth, _mm256_mul_ps(_mm256_mul_ps(_mm256_add_ps(_mm256_xor_ps(eye, sign), begin), ways),
+                                              _mm256_set1_ps(scene->unit)));
+    _mm256_storeu_ps(p->cursor + i, _mm256_blendv_ps(cursor, end, take));
+    _mm256_storeu_ps(p->value + i, _mm256_blendv_ps(value, back, take));
+    for (k = fresh; TETCASTI_UNLIKELY(k != 0); k &= k - 1) b->walks[i + tetcasti_ctz64(k)]++;
+    ended = act & (uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(end, last, _CMP_NLT_UQ));
+    if (o != NULL) {
+        uint32_t early;
+        for (k = gaps; TETCASTI_UNLIKELY(k != 0); k &= k - 1) tetcasti_lane_gap(o, &p->sum[i / 8], tetcasti_ctz64(k));
+        early = o->segment8(o, &seg, act, &p->sum[i / 8]) & act;
+        for (k = early; TETCASTI_UNLIKELY(k != 0); k &= k - 1) b->ended[i + tetcasti_ctz64(k)] = 1;
+        ended |= early;
+    }
+    return ended | beyond;
+}
+
+TETCASTI_TARGET_WALK static void tetcasti_lists_run8(tetcasti_painter *p, float until) {
+    uint32_t i, k, j, end = TETCASTI_TILE * p->height, live;
+    p->fullest = 0;
+    for (i = 0; i < end; i += 8) {
+        const tetcasti_fragment *f = p->list + (size_t)i * p->room;
+        uint32_t n[8], most = 0, todo, used[8];
+        for (j = 0; j < 8; j++) {
+            n[j] = p->count[i + j];
+            most = n[j] > most ? n[j] : most;
+            used[j] = 0;
+        }
+        if (most == 0) continue;
+        live = p->live[i / TETCASTI_TILE] >> (i % TETCASTI_TILE) & 255u;
+        todo = live;
+        for (k = 0; k < most && todo != 0; k++) {
+            __m256 r0, r1, r2, r3, t0, t1, t2, t3, z0;
+            __m256i count = _mm256_loadu_si256((const __m256i *)(const void *)n);
+            uint32_t ended;
+#define TETCASTI_PAIR(l) \
+            _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(&f[(l) * (size_t)p->room + k].z0)), \
+                                 _mm_loadu_ps(&f[((l) + 4) * (size_t)p->room + k].z0), 1)
+            r0 = TETCASTI_PAIR(0);
+            r1 = TETCASTI_PAIR(1);
+            r2 = TETCASTI_PAIR(2);
+            r3 = TETCASTI_PAIR(3);
+#undef TETCASTI_PAIR
+            t0 = _mm256_unpacklo_ps(r0, r1);
+            t1 = _mm256_unpackhi_ps(r0, r1);
+            t2 = _mm256_unpacklo_ps(r2, r3);
+            t3 = _mm256_unpackhi_ps(r2, r3);
+            z0 = _mm256_shuffle_ps(t0, t2, 0x44);
+            todo &= (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(_mm256_cmpgt_epi32(count,
+                        _mm256_set1_epi32((int)k)))) &
+                    (uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(z0, _mm256_set1_ps(until), _CMP_LT_OQ));
+            if (todo == 0) break;
+            _mm256_storeu_si256((__m256i *)(void *)used,
+                                _mm256_sub_epi32(_mm256_loadu_si256((const __m256i *)(const void *)used),
+                                                 _mm256_castps_si256(tetcasti_mask8(todo))));
+            ended = tetcasti_fragments_add8(p, i, todo, z0, _mm256_shuffle_ps(t0, t2, 0xee),
+                                            _mm256_shuffle_ps(t1, t3, 0x44), _mm256_shuffle_ps(t1, t3, 0xee));
+            todo &= ~ended;
+            for (; TETCASTI_UNLIKELY(ended != 0); ended &= ended - 1) tetcasti_pixel_end(p, i + tetcasti_ctz64(ended));
+        }
+        live = p->live[i / TETCASTI_TILE] >> (i % TETCASTI_TILE) & 255u;
+        for (j = 0; j < 8; j++) {
+            uint32_t left = live >> j & 1u ? n[j] - used[j] : 0;
+            if (left != 0 && used[j] != 0)
+                memmove(p->list + (i + j) * (size_t)p->room, p->list + (i + j) * (size_t)p->room + used[j],
+                        left * sizeof *f);
+            p->count[i + j] = (uint16_t)left;
+            p->fullest = left > p->fullest ? left : p->fullest;
+        }
+    }
+}
+#endif /* TETCASTI_AVX2 */
+
+/* ---- tiles ---- */
+
+static void tetcasti_painter_close(tetcasti_painter *p) {
+    if (p == NULL) return;
+    tetcasti_free(p->mem, p->entry);
+    tetcasti_free(p->mem, p->list);
+    tetcasti_free(p->mem, p);
+}
+
+static tetcasti_painter *tetcasti_painter_open(tetcasti_mem *mem, const tetcasti_view *v, tetcasti_batch *b) {
+    tetcasti_painter *p = (tetcasti_painter *)tetcasti_alloc_zero(mem, 1, sizeof *p);
+    const tetcasti_field *field;
+    if (p == NULL) return NULL;
+    p->mem = mem;
+    p->view = v;
+    p->scene = v->scene;
+    p->b = b;
+    p->room = TETCASTI_LIST_ROOM;
+    p->list = (tetcasti_fragment *)tetcasti_alloc_zero(mem, (size_t)p->room * TETCASTI_BATCH, sizeof *p->list);
+    if (p->list == NULL) {
+        tetcasti_painter_close(p);
+        return NULL;
+    }
+    p->run = tetcasti_lists_run;
+    p->paint = v->scene->fma ? tetcasti_paint_fma : tetcasti_paint_plain;
+#if TETCASTI_AVX2
+    if (v->scene->isa >= TETCAST_ISA_AVX2) p->paint = tetcasti_paint8;
+    if (v->scene->isa >= TETCAST_ISA_AVX2 && !v->scene->any) p->run = tetcasti_lists_run8;
+#endif
+    p->join_z = (float)(4.0 * TETCASTI_BLUR);
+    if (v->scene->mesh->field_count != 0) {
+        field = &v->scene->mesh->field[v->scene->mesh->active];
+        if (field->value_max > field->value_min) p->join_s = 1e-6f * (field->value_max - field->value_min);
+    }
+    return p;
+}
+
+TETCASTI_INLINE uint32_t tetcasti_depth_step(float depth, float scale) { /* depth >= 0 */
+    float x = depth * scale;
+    return x < (float)(TETCASTI_DEPTHS - 1) ? (uint32_t)x : TETCASTI_DEPTHS - 1;
+}
+
+/* Cells of a tile in the order of their nearest depths, in TETCASTI_DEPTHS steps from *first on. With ranks: in just
+   their order. */
+static int tetcasti_tile_order(tetcasti_painter *p, uint32_t n, float *first, float *scale) {
+    const uint32_t *rank = p->view->rank;
+    uint32_t start[TETCASTI_DEPTHS + 1], i, pass;
+    tetcasti_entry *from = p->entry, *to = p->entry + n;
+    float lo = n != 0 ? from[0].z : 0.0f, hi = lo;
+    for (i = 1; i < n; i++) {
+        lo = from[i].z < lo ? from[i].z : lo;
+        hi = from[i].z > hi ? from[i].z : hi;
+    }
+    *first = lo;
+    *scale = hi > lo ? (float)TETCASTI_DEPTHS / (hi - lo) : 0.0f;
+#define TETCASTI_STEP(e) \
+    (rank != NULL ? rank[(e).cell] >> pass * 11u & (TETCASTI_DEPTHS - 1) : tetcasti_depth_step((e).z - lo, *scale))
+    for (pass = 0; pass < (rank != NULL ? 3u : 1u); pass++) {
+        uint32_t sum = 0;
+        tetcasti_entry *swap = from;
+        memset(start, 0, sizeof start);
+        for (i = 0; i < n; i++) start[TETCASTI_STEP(from[i])]++;
+        for (i = 0; i < TETCASTI_DEPTHS; i++) {
+            uint32_t count = start[i];
+            start[i] = sum;
+            sum += count;
+        }
+        for (i = 0; i < n; i++) to[start[TETCASTI_STEP(from[i])]++] = from[i];
+        from = to;
+        to = swap;
+    }
+#undef TETCASTI_STEP
+    return from != p->entry;
+}
+
+/* The rays of the tile have not begun. tile: number of the tile in the picture. */
+static void tetcasti_painter_begin(tetcasti_painter *p, const double ends[2]) {
+    const tetcasti_view *v = p->view;
+    const tetcasti_pixels *m = &v->pixels;
+    tetcasti_batch *b = p->b;
+    double right = 0.0, up = 0.0, size[2];
+    uint32_t i, k, x, y;
+    memset(p->count, 0, sizeof p->count);
+    memset(p->live, 0, sizeof p->live);
+    if (p->scene->optics != NULL)
+        for (i = 0; i < TETCASTI_BATCH; i++) tetcasti_lane_begin(p->scene->optics, &p->sum[i / 8], i % 8);
+    p->fullest = p->open = p->groups = 0;
+    for (k = 0; k < 3; k++) {
+        right += m->right[k] * m->right[k];
+        up += m->up[k] * m->up[k];
+    }
+    size[0] = m->parallel ? 0.0 : 1.0 / right; /* squared, of a pixel at distance 1 */
+    size[1] = m->parallel ? 0.0 : 1.0 / up;
+    for (y = 0; y < p->height; y++)
+        for (x = 0; x < p->width; x++) {
+            double u = (double)(p->x0 + x) + 0.5 - m->center_x, w = (double)(p->y0 + y) + 0.5 - m->center_y;
+            tetcasti_ray r;
+            i = y * TETCASTI_TILE + x;
+            p->cursor[i] = (float)(ends[0] - v->reference);
+            p->last[i] = (float)(ends[1] - v->reference);
+            p->value[i] = (float)NAN;
+            p->way[i] = (float)sqrt(1.0 + (u * u * size[0] + w * w * size[1]));
+            if (b->group[i] == TETCASTI_NO_RAY) continue;
+            p->live[y] |= 1u << x;
+            p->open++;
+            r = tetcasti_batch_ray(b, i);
+            tetcasti_beam_add(&p->beam[r.group], &r, (p->groups >> r.group & 1u) == 0);
+            p->groups |= 1u << r.group;
+        }
+}
+
+/* Can one of the rays meet a cell that reaches to the plane of the eye? */
+static int tetcasti_painter_meets(const tetcasti_painter *p, const uint32_t tet[4]) {
+    const tetcasti_vertex *q = &p->scene->vertex[tet[0]];
+    float lo[3], hi[3], c[3];
+    uint32_t i, k;
+    for (i = 0; i < 4; i++) {
+        q = &p->scene->vertex[tet[i]];
+        c[0] = q->x;
+        c[1] = q->y;
+        c[2] = q->z;
+        for (k = 0; k < 3; k++) {
+            if (i == 0 || c[k] < lo[k]) lo[k] = c[k];
+            if (i == 0 || c[k] > hi[k]) hi[k] = c[k];
+        }
+    }
+    for (i = 0; i < 6; i++)
+        if ((p->groups >> i & 1u) && tetcasti_beam_meets(&p->beam[i], lo, hi)) return 1;
+    return 0;
+}
+
+/* Draw the cells of a tile into the sums of its rays. ends: depths where rays begin and end. */
+static void tetcasti_tile_paint(tetcasti_painter *p, uint32_t tile, const double ends[2]) {
+    const tetcasti_view *v = p->view;
+    const uint32_t *start = v->start + (size_t)tile * v->chunks;
+    uint32_t n = start[v->chunks] - start[0], k;
+    const tetcasti_entry *e;
+    float first, scale;
+    tetcasti_painter_begin(p, ends);
+    if (n == 0 || p->open == 0) return;
+    if (!tetcasti_grow(p->mem, (void **)&p->entry, &p->entry_room, 0, 2 * (size_t)n, sizeof *p->entry)) {
+        p->failed = 1;
+        return;
+    }
+    memcpy(p->entry, v->entry + start[0], n * sizeof *p->entry);
+    e = p->entry + (tetcasti_tile_order(p, n, &first, &scale) ? n : 0);
+    for (k = 0; k < n && p->open != 0; k++, e++) {
+        const uint32_t *tet = v->scene->mesh->tet[e->cell];
+        int32_t rect[4];
+        float z;
+        if (p->fullest == p->room) { /* the other cells lie behind this */
+            float step = (float)tetcasti_depth_step(e->z - first, scale) - 1.0f;
+            if (p->mode == TETCASTI_KEEP_ALL) p->run(p, first + step / scale - p->join_z);
+            if (p->fullest == p->room && !tetcasti_lists_grow(p)) return;
+        }
+        if (!tetcasti_cell_rect(v, tet, rect, &z)) continue;
+        rect[0] = rect[0] > (int32_t)p->x0 ? rect[0] - (int32_t)p->x0 : 0;
+        rect[1] = rect[1] > (int32_t)p->y0 ? rect[1] - (int32_t)p->y0 : 0;
+        rect[2] = rect[2] < (int32_t)(p->x0 + p->width) ? rect[2] - (int32_t)p->x0 : (int32_t)p->width;
+        rect[3] = rect[3] < (int32_t)(p->y0 + p->height) ? rect[3] - (int32_t)p->y0 : (int32_t)p->height;
+        if (v->seen[tet[0]].w == -TETCASTI_INF || v->seen[tet[1]].w == -TETCASTI_INF ||
+            v->seen[tet[2]].w == -TETCASTI_INF || v->seen[tet[3]].w == -TETCASTI_INF)
+            if (!tetcasti_painter_meets(p, tet)) continue;
+        p->paint(p, e->cell, rect);
+    }
+    p->run(p, TETCASTI_INF);
+#if TETCASTI_AVX2
+    if (p->run == tetcasti_lists_run8 && p->scene->optics != NULL)
+        for (k = 0; k < TETCASTI_TILE * p->height; k++) tetcasti_lane_load(&p->sum[k / 8], k % 8, &p->b->sum[k]);
+#endif
+}
+/* ---------------------------------------------------------------------------
    render: camera -> rays -> tiles over the threads -> buffers.                  // >>render
    --------------------------------------------------------------------------- */
 
@@ -9827,7 +11034,8 @@ typedef struct tetcasti_render {
     uint32_t next;               /* atomic: tiles taken */
     uint32_t done;               /* atomic: tiles finished */
     uint32_t failed, cancelled;  /* atomics */
-    uint32_t tally[7][2];        /* atomics, see tetcasti_tally_add */
+    uint32_t tally[9][2];        /* atomics, see tetcasti_tally_add */
+    tetcasti_view view;          /* projection only */
 } tetcasti_render;
 
 TETCASTI_INLINE void tetcasti_tile_ray(const tetcasti_scene *scene, const tetcasti_tile *t, tetcasti_batch *b,
@@ -10030,6 +11238,73 @@ static void tetcasti_task_tiles(void *ctx, uint32_t strand) {
     tetcasti_batch_close(b);
 }
 
+/* The same by projection. */
+static void tetcasti_task_paint(void *ctx, uint32_t strand) {
+    tetcasti_render *c = (tetcasti_render *)ctx;
+    tetcasti_batch *b = tetcasti_batch_open(&c->mem);
+    tetcasti_painter *p = b != NULL ? tetcasti_painter_open(&c->mem, &c->view, b) : NULL;
+    double ends[2];
+    if (p == NULL) {
+        tetcasti_atomic_store(&c->failed, 1u);
+        tetcasti_batch_close(b);
+        return;
+    }
+    ends[0] = (double)c->desc->clip_near * c->scale;
+    ends[1] = (double)c->desc->clip_far * c->scale;
+    if (!(ends[1] > 0.0)) ends[1] = (double)TETCASTI_INF;
+    for (;;) {
+        uint32_t tile = tetcasti_atomic_add(&c->next, 1u) - 1u, i;
+        tetcasti_pixels m;
+        if (tile >= c->tiles || tetcasti_atomic_load(&c->failed) || tetcasti_atomic_load(&c->cancelled)) break;
+        p->x0 = tile % c->tiles_x * TETCASTI_TILE;
+        p->y0 = tile / c->tiles_x * TETCASTI_TILE;
+        tetcasti_tile_rays(c, b, p->x0, p->y0, &m);
+        p->width = m.width;
+        p->height = m.height;
+        tetcasti_tile_paint(p, tile, ends);
+        if (p->failed) {
+            tetcasti_atomic_store(&c->failed, 1u);
+            break;
+        }
+        for (i = 0; i < b->count; i++)
+            if (i % TETCASTI_TILE < m.width)
+                tetcasti_pixel_write(c, b, i, p->x0 + i % TETCASTI_TILE, p->y0 + i / TETCASTI_TILE);
+        tetcasti_tally_add(c->tally[0], (uint64_t)m.width * m.height);
+        tetcasti_batch_tally(b, c->tally);
+        i = tetcasti_atomic_add(&c->done, 1u);
+        if (strand == 0 && c->desc->env.progress_fn != NULL &&
+            c->desc->env.progress_fn(c->desc->env.progress_user, i, c->tiles) != 0)
+                tetcasti_atomic_store(&c->cancelled, 1u);
+    }
+    tetcasti_tally_add(c->tally[7], p->tests);
+    tetcasti_tally_add(c->tally[8], p->exact);
+    tetcasti_painter_close(p);
+    tetcasti_batch_close(b);
+}
+
+/* What the renderer needs for projection. */
+static tetcast_result tetcasti_render_view(tetcasti_render *c, const tetcast_env *env) {
+    const tetcasti_frame *f = &c->frame;
+    tetcasti_pixels m;
+    double size = 0.0;
+    uint32_t a;
+    memset(&m, 0, sizeof m);
+    for (a = 0; a < 3; a++) size += f->right[a] * f->right[a];
+    if (f->parallel) size *= c->scale;
+    for (a = 0; a < 3; a++) {
+        m.eye[a] = c->local_eye[a];
+        m.right[a] = f->right[a] / size;
+        m.up[a] = f->up[a] / size;
+        m.forward[a] = f->forward[a];
+    }
+    m.center_x = 0.5 * (double)f->width;
+    m.center_y = 0.5 * (double)f->height;
+    m.parallel = f->parallel;
+    m.width = f->width;
+    m.height = f->height;
+    return tetcasti_view_open(&c->mem, env, &c->scene, &m, &c->view) ? TETCAST_OK : TETCAST_ERR_NO_MEMORY;
+}
+
 static void tetcasti_stats_add(tetcast_render_stats *stats, uint32_t tally[7][2], const tetcasti_scene *scene) {
     if (stats == NULL) return;
     stats->rays += tetcasti_tally(tally[0]);
@@ -10051,6 +11326,20 @@ static tetcast_result tetcasti_desc_open(const tetcast_render_desc *desc, tetcas
         if (!tetcasti_finite_f(d->background[a])) return TETCAST_ERR_INVALID_ARG;
     if (!(d->clip_near >= 0.0f && d->clip_near < TETCASTI_INF && d->clip_far >= 0.0f)) return TETCAST_ERR_INVALID_ARG;
     return tetcasti_env_open(&d->env, mem);
+}
+
+static tetcast_result tetcasti_render_end(tetcasti_render *c, int ok, tetcast_render_stats *stats) {
+    tetcast_error *error = c->desc->env.error;
+    if (!ok) return tetcasti_fail(error, TETCAST_ERR_NO_MEMORY, 0, "render: out of memory");
+    if (c->cancelled) return tetcasti_fail(error, TETCAST_ERR_CANCELLED, 0, "render: cancelled");
+    tetcasti_stats_add(stats, c->tally, &c->scene);
+    if (stats == NULL) return TETCAST_OK;
+    stats->leapt_faces += c->leapt;
+    stats->cells += tetcasti_tally(c->view.taken);
+    stats->pixel_tests += tetcasti_tally(c->tally[7]);
+    stats->exact_tests += tetcasti_tally(c->tally[8]);
+    stats->method = c->view.scene != NULL ? TETCAST_METHOD_PROJECT : TETCAST_METHOD_WALK;
+    return TETCAST_OK;
 }
 
 TETCAST_DEF tetcast_result tetcast_render(const tetcast_render_desc *desc, const tetcast_mesh *mesh,
@@ -10083,6 +11372,19 @@ TETCAST_DEF tetcast_result tetcast_render(const tetcast_render_desc *desc, const
     if (image->rgba8 != NULL) tetcasti_encoder_open(&c.encoder);
     c.scale = 1.0 / mesh->unit;
     for (a = 0; a < 3; a++) c.local_eye[a] = (c.frame.eye[a] - mesh->origin[a]) * c.scale;
+    c.tiles = c.tiles_x * ((image->height + TETCASTI_TILE - 1) / TETCASTI_TILE);
+    strands = tetcasti_thread_count(&d.env);
+    if (strands > c.tiles) strands = c.tiles;
+    if (d.method == TETCAST_METHOD_PROJECT) {
+        if (mesh->tet == NULL)
+            return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, 0, "render: projection needs the tets");
+        if (image->width > TETCASTI_WALK_SIZE || image->height > TETCASTI_WALK_SIZE)
+            return tetcasti_fail(d.env.error, TETCAST_ERR_RANGE, image->width, "render: too large for projection");
+        r = tetcasti_render_view(&c, &d.env);
+        if (r == TETCAST_OK) tetcasti_parallel_for(&d.env, tetcasti_task_paint, &c, strands);
+        tetcasti_view_close(&c.mem, &c.view);
+        return tetcasti_render_end(&c, r == TETCAST_OK && !c.failed, stats);
+    }
     if (!c.frame.parallel) {
         tetcasti_batch *b = tetcasti_batch_open(&c.mem);
         if (b == NULL) return tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "render: out of memory");
@@ -10097,16 +11399,9 @@ TETCAST_DEF tetcast_result tetcast_render(const tetcast_render_desc *desc, const
             c.inside.known = 0;
         c.leapt = c.leap.hull.face_count;
     }
-    c.tiles = c.tiles_x * ((image->height + TETCASTI_TILE - 1) / TETCASTI_TILE);
-    strands = tetcasti_thread_count(&d.env);
-    if (strands > c.tiles) strands = c.tiles;
     tetcasti_parallel_for(&d.env, tetcasti_task_tiles, &c, strands);
     tetcasti_leap_close(&c.leap);
-    if (c.failed) return tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "render: out of memory");
-    if (c.cancelled) return tetcasti_fail(d.env.error, TETCAST_ERR_CANCELLED, 0, "render: cancelled");
-    tetcasti_stats_add(stats, c.tally, &c.scene);
-    if (stats != NULL) stats->leapt_faces += c.leapt;
-    return TETCAST_OK;
+    return tetcasti_render_end(&c, !c.failed, stats);
 }
 
 /* ---- single rays ---- */

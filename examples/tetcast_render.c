@@ -10,7 +10,7 @@
 #include "tetcast.h"
 
 enum { MAX_ISOVALUES = 16 };
-enum { METHOD_MARCH, METHOD_STRIPS, METHOD_PROJECT };
+enum { METHOD_AUTO, METHOD_MARCH, METHOD_STRIPS, METHOD_PROJECT };
 
 typedef struct options {
     sup_common common;
@@ -60,8 +60,8 @@ static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
                               "or NAME_x, NAME_y, NAME_z; x, y, z: the coordinates");
     table[n++] = sup_opt_text("tf", &o->tf, "FILE|" SUP_TRANSFER_NAMES, "transfer function (rainbow)");
     table[n++] = sup_opt_real("extinction", &o->scale, 0.0, 1e9, "F", "multiplies all extinctions");
-    table[n++] = sup_opt_choice("method", &o->method, "march|strips|project", "walk from cell to cell; through strips; "
-                                "project the cells");
+    table[n++] = sup_opt_choice("method", &o->method, "auto|march|strips|project", "walk from cell to cell; through "
+                                "strips; project the cells (auto: the faster of the first and the last)");
     table[n++] = sup_opt_real("iso", &iso, -1e38, 1e38, "V", "show the surface of this value; may be repeated");
     table[n++] = sup_opt_real("iso-opacity", &o->opacity, 0.0, 1.0, "A", "of the surfaces, when there are several (0.6)");
     table[n++] = sup_opt_flag("smooth", &o->smooth, "smooth normals on the surfaces");
@@ -102,6 +102,8 @@ static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
         desc->background[3] = 1.0f;
     }
     if (o->method == METHOD_STRIPS && o->cells == 0) o->cells = TETCAST_CELLS_STRIPS;
+    desc->method = o->method == METHOD_AUTO ? TETCAST_METHOD_AUTO :
+                   o->method == METHOD_PROJECT ? TETCAST_METHOD_PROJECT : TETCAST_METHOD_WALK;
     return -1;
 }
 
@@ -342,6 +344,11 @@ static void print_stats(const options *o, const char *field, const tetcast_mesh 
     printf(",\"rays\":%llu,\"hits\":%llu,\"walks\":%llu,\"steps\":%llu,\"ended\":%llu",
            (unsigned long long)s->rays, (unsigned long long)s->hit_rays, (unsigned long long)s->walks,
            (unsigned long long)s->steps, (unsigned long long)s->ended);
+    printf(",\"method\":\"%s\"", s->method == TETCAST_METHOD_PROJECT ? "project" :
+                                    o->method == METHOD_STRIPS ? "strips" : "march");
+    if (s->method == TETCAST_METHOD_PROJECT)
+        printf(",\"projected_cells\":%llu,\"pixel_tests\":%llu,\"exact_tests\":%llu", (unsigned long long)s->cells,
+               (unsigned long long)s->pixel_tests, (unsigned long long)s->exact_tests);
     printf(",\"error_bound\":%.6g,\"t_min\":%.6g", (double)how.bound, (double)how.t_min);
     printf(",\"eye\":[%.9g,%.9g,%.9g],\"at\":[%.9g,%.9g,%.9g]", camera->eye[0], camera->eye[1], camera->eye[2],
            camera->at[0], camera->at[1], camera->at[2]);
