@@ -17,6 +17,7 @@
 #define TETCAST_IMPLEMENTATION
 #include "../tetcast.h"
 #include "../tests/ray_oracle.h"
+#include "baseline/planes.h"
 #include "bench_tets.h"
 #include <sys/resource.h>
 
@@ -901,11 +902,22 @@ static void bm10(void) {
 
 /* ---- BM11: plates behind each other ---- */
 
+static double plates_error(const frame *f, uint32_t x, uint32_t y, uint32_t n) {
+    tetcast_ray ray;
+    double want = 0;
+    uint32_t k;
+    must(tetcast_camera_ray(&f->d.camera, SIZE, SIZE, x + 0.5, y + 0.5, &ray), "camera");
+    for (k = 0; k < n; k++) {
+        const double from[3] = {0, 0, (double)k / n}, to[3] = {1, 1, ((double)k + 0.5) / n};
+        want += ref_box(ray.org, ray.dir, from, to, 0, 1e30);
+    }
+    return fabs((double)f->image.length[(size_t)y * SIZE + x] - want);
+}
+
 static void bm11(void) {
     static const int layers[] = {1, 5, 20, 50};
     size_t i;
     for (i = 0; i < sizeof layers / sizeof layers[0]; i++) {
-        static const double lo[3] = {0, 0, 0};
         tets t;
         frame *f;
         bench_job b;
@@ -938,14 +950,7 @@ static void bm11(void) {
         bench_interleave(&b, 1, 3);
         for (y = 0; y < SIZE; y += 4)
             for (x = 0; x < SIZE; x += 4) {
-                tetcast_ray ray;
-                double want = 0, e;
-                must(tetcast_camera_ray(&f->d.camera, SIZE, SIZE, x + 0.5, y + 0.5, &ray), "camera");
-                for (k = 0; k < n; k++) {
-                    const double from[3] = {lo[0], lo[1], (double)k / n}, to[3] = {1, 1, ((double)k + 0.5) / n};
-                    want += ref_box(ray.org, ray.dir, from, to, 0, 1e30);
-                }
-                e = fabs((double)f->image.length[(size_t)y * SIZE + x] - want);
+                const double e = plates_error(f, x, y, n);
                 most = fmax(most, e);
                 wrong += !(e < 1e-5);
                 g_tried++;
@@ -963,6 +968,31 @@ static void bm11(void) {
         bench_num("steps", (double)f->stats.steps);
         bench_num("steps_per_second", (double)f->stats.steps / bench_seconds(&b));
         finish_line(&b, "hit lists");
+        if (n <= 5 || g_opt.full) { /* the thesis' way: each layer is drawn */
+            baseline_list list;
+            baseline_desc d;
+            baseline_stats stats;
+            double start = bench_cpu();
+            char kase[32];
+            memset(&d, 0, sizeof d);
+            memset(&stats, 0, sizeof stats);
+            if (!baseline_list_make(mesh, &list) ||
+                !baseline_picture(&list, &d, &f->d.camera, SIZE, SIZE, NULL, NULL, f->image.length, &stats))
+                die("planes", "out of memory");
+            start = bench_cpu() - start;
+            snprintf(kase, sizeof kase, "%d plates", layers[i]);
+            bench_line("tetcast.plates", kase, "frame_seconds", start, "s");
+            for (y = 0, wrong = 0; y < SIZE; y += 4)
+                for (x = 0; x < SIZE; x += 4) wrong += !(plates_error(f, x, y, n) < 1e-5);
+            bench_num("error", (double)wrong);
+            bench_text("error_unit", "rays");
+            bench_num("layers", (double)stats.layers);
+            bench_num("steps", (double)stats.steps);
+            bench_text("method", "peeling, planes");
+            bench_num("threads", 1);
+            bench_end();
+            baseline_list_free(&list);
+        }
         free_frame(f);
         tetcast_mesh_destroy(mesh);
         tets_free(&t);
@@ -1109,17 +1139,11 @@ static void bm15(void) {
 
 /* ---- BM16: rays through vertices, along edges, in faces ---- */
 
-/* Ways of rays through a lattice in the unit cube: where all is degenerate. */
-static void cast_failures(const tetcast_mesh *mesh, const char *kase, uint32_t n, int kind, double tilt, size_t count) {
-    tetcast_ray *rays = (tetcast_ray *)must_alloc(count, sizeof *rays);
-    tetcast_ray_result *got = (tetcast_ray_result *)must_alloc(count, sizeof *got);
-    tetcast_render_desc d;
+/* Rays through a lattice of n cubes a side in the unit cube, where all is degenerate. */
+static void lattice_rays(tetcast_ray *rays, size_t count, uint32_t n, int kind, double tilt) {
     bench_rng r;
-    size_t i, wrong = 0, steps = 0;
-    double most = 0, seconds;
+    size_t i;
     int k;
-    memset(&d, 0, sizeof d);
-    d.env.thread_count = 1;
     r.state = 99 + (uint64_t)kind;
     for (i = 0; i < count; i++) {
         double at[3], dir[3] = {0, 0, 0};
@@ -1136,6 +1160,17 @@ static void cast_failures(const tetcast_mesh *mesh, const char *kase, uint32_t n
             rays[i].org[k] = at[k] - 2 * dir[k];
         }
     }
+}
+
+static void cast_failures(const tetcast_mesh *mesh, const char *kase, uint32_t n, int kind, double tilt, size_t count) {
+    tetcast_ray *rays = (tetcast_ray *)must_alloc(count, sizeof *rays);
+    tetcast_ray_result *got = (tetcast_ray_result *)must_alloc(count, sizeof *got);
+    tetcast_render_desc d;
+    size_t i, wrong = 0, steps = 0;
+    double most = 0, seconds;
+    memset(&d, 0, sizeof d);
+    d.env.thread_count = 1;
+    lattice_rays(rays, count, n, kind, tilt);
     seconds = bench_cpu();
     must(tetcast_cast(&d, mesh, NULL, rays, count, got, NULL), "cast");
     seconds = bench_cpu() - seconds;
@@ -1148,6 +1183,7 @@ static void cast_failures(const tetcast_mesh *mesh, const char *kase, uint32_t n
     bench_line("tetcast.failures", kase, "failed", (double)wrong, "rays");
     bench_num("error", most);
     bench_text("error_unit", "edge of the cube");
+    bench_text("method", "signs of edges");
     bench_num("rays", (double)count);
     bench_num("tilt", tilt);
     bench_num("ns_per_step", 1e9 * seconds / (double)steps);
@@ -1158,16 +1194,77 @@ static void cast_failures(const tetcast_mesh *mesh, const char *kase, uint32_t n
     free(got);
 }
 
+/* The thesis' walk from plane to plane: what it costs, and what it gets wrong. */
+static void planes_end(const char *name, size_t rays, const baseline_stats *stats) {
+    bench_num("rays", (double)rays);
+    bench_num("no_exit", (double)stats->no_exit);
+    bench_num("endless", (double)stats->endless);
+    bench_text("method", name);
+    bench_num("threads", 1);
+    bench_end();
+}
+
+static void planes(int id, uint32_t n) {
+    static const struct { baseline_form form; const char *name; } forms[4] = {
+        {BASELINE_VERTEX, "planes, n.(v-e)/n.d"}, {BASELINE_SIGN, "the same, way in by sign"},
+        {BASELINE_OFFSET, "planes, (o-n.e)/n.d"}, {BASELINE_EPSILON, "planes, epsilon"}};
+    static const char *const kinds[3] = {"along edges", "diagonals", "in planes of vertices"};
+    const tetcast_mesh *mesh = get_mesh(id);
+    const size_t count = g_opt.full ? 4000 : 300;
+    frame *f = new_frame(mesh, NULL, SIZE);
+    tetcast_ray *rays = (tetcast_ray *)must_alloc(count, sizeof *rays);
+    baseline_list list;
+    char kase[64];
+    int i, kind;
+    f->d.traverse_only = 1;
+    f->image.length = (float *)must_alloc((size_t)SIZE * SIZE, 4);
+    if (!baseline_list_make(mesh, &list)) die("planes", "out of memory");
+    for (i = 0; i < 4; i++) {
+        baseline_desc d;
+        baseline_stats stats;
+        double start, most;
+        memset(&d, 0, sizeof d);
+        memset(&stats, 0, sizeof stats);
+        d.form = forms[i].form;
+        d.epsilon = 1e-6f;
+        start = bench_cpu();
+        if (!baseline_picture(&list, &d, &f->d.camera, SIZE, SIZE, NULL, NULL, f->image.length, &stats))
+            die("planes", "out of memory");
+        start = bench_cpu() - start;
+        snprintf(kase, sizeof kase, "%s, picture", g_mesh_name[id]);
+        bench_line("tetcast.planes", kase, "step_seconds", 1e9 * start / (double)stats.steps, "ns");
+        bench_num("error", (double)wrong_lengths(f, &most));
+        bench_text("error_unit", "rays");
+        planes_end(forms[i].name, (size_t)SIZE * SIZE, &stats);
+        for (kind = 0; kind < 3; kind++) {
+            size_t wrong = 0, k;
+            lattice_rays(rays, count, n, kind, 0);
+            memset(&stats, 0, sizeof stats);
+            for (k = 0; k < count; k++) {
+                double length;
+                baseline_ray(&list, &d, rays[k].org, rays[k].dir, 1e-6f, &length, &stats);
+                wrong += !(length_error(length, rays[k].org, rays[k].dir) < 1e-4);
+            }
+            snprintf(kase, sizeof kase, "%s, %s", g_mesh_name[id], kinds[kind]);
+            bench_line("tetcast.failures", kase, "failed", (double)wrong, "rays");
+            bench_num("error", (double)wrong / (double)count);
+            bench_text("error_unit", "share of the rays");
+            planes_end(forms[i].name, count, &stats);
+        }
+    }
+    free(rays);
+    baseline_list_free(&list);
+    free_frame(f);
+}
+
 static void bm16(void) {
     static const double tilts[] = {0, 1e-3, 1e-5, 1e-8};
     const size_t count = g_opt.full ? 200000 : 20000;
-    size_t i;
-    for (i = 0; i < 4; i++) {
-        cast_failures(get_mesh(MESH_K32), "K32, along edges", 32, 0, tilts[i], count);
-        cast_failures(get_mesh(MESH_K32), "K32, diagonals", 32, 1, tilts[i], count);
-        cast_failures(get_mesh(MESH_K32), "K32, in planes of vertices", 32, 2, tilts[i], count);
-    }
-    cast_failures(get_mesh(MESH_K32), "K32, anywhere", 32, 3, 0, count);
+    static const char *const kinds[4] = {"L32, along edges", "L32, diagonals", "L32, in planes of vertices", "L32, anywhere"};
+    int i, kind;
+    for (kind = 0; kind < 4; kind++)
+        for (i = 0; i < (kind < 3 ? 4 : 1); i++) cast_failures(get_mesh(MESH_L32), kinds[kind], 31, kind, tilts[i], count);
+    planes(MESH_L32, 31);
 }
 
 /* ---- BM17: tolerance against error ---- */
