@@ -213,6 +213,7 @@ int main(int argc, char **argv) {
         desc.env.progress_user = &progress;
     }
     desc.env.thread_count = (uint32_t)o.threads;
+    desc.env.memory_limit = sup_memory_limit();
     desc.env.error = &error;
     desc.resolution = (uint32_t)o.resolution;
     desc.separating = separating[o.separating];

@@ -150,6 +150,7 @@ static int load(const char *program, const render_options *o, scene *s) {
     size_t size;
     if (sup_read_file(o->in, &data, &size, &err)) return sup_bad_input(program, err.text);
     desc.env.thread_count = (uint32_t)o->common.threads;
+    desc.env.memory_limit = sup_memory_limit();
     desc.env.error = &error;
     octree.env = desc.env;
     if (voxrt_file_kind(data, size) == 5) {
@@ -275,7 +276,11 @@ static void free_image(voxrt_image *image) {
 static int make_image(const render_options *o, voxrt_image *image) {
     const size_t pixels = (size_t)o->common.size[0] * o->common.size[1];
     const int linear = o->has_blur || (o->common.out != NULL && ends_with(o->common.out, ".pfm"));
+    const double bytes = (double)pixels * (4.0 + (linear ? 16.0 : 0.0) + (o->has_blur ? 16.0 : 0.0) +
+                                           (o->common.depth != NULL || o->smooth ? 4.0 : 0.0) +
+                                           (o->smooth ? 12.0 + (double)sizeof(voxrt_hit) : 0.0));
     memset(image, 0, sizeof *image);
+    if (sup_memory_limit() != 0 && bytes > (double)sup_memory_limit()) return 1;
     image->width = o->common.size[0];
     image->height = o->common.size[1];
     image->rgba8 = (uint8_t *)sup_alloc(pixels, 4);

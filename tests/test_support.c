@@ -445,6 +445,18 @@ TEST(polygons_hostile) {
     CHECK_MSG(test_now() - start < (TEST_SANITIZED ? 30.0 : 5.0), "%.1f s", test_now() - start);
     CHECK(mesh.triangle_count == (size_t)n - 2 && mesh_is_valid(&mesh));
     sup_mesh_free(&mesh);
+    /* the work of all polygons is bounded: what comes after too much of it becomes fans */
+    for (i = 0; i < 2; i++) {
+        static const float arrow[12] = {0, 0, 0, 4, 2, 0, 0, 4, 0, 1, 2, 0}; /* the last corner points inwards */
+        static const uint32_t corner[4] = {0, 1, 2, 3}, fan[6] = {0, 1, 2, 0, 2, 3};
+        supi_faces faces;
+        memset(&faces, 0, sizeof faces);
+        faces.work = i ? SUPI_CLIP_WORK : 0;
+        CHECK(!supi_add_polygon(&faces, arrow, corner, 4) && faces.count == 2);
+        CHECK((memcmp(faces.indices, fan, sizeof fan) == 0) == (i == 1));
+        CHECK(i ? faces.work == SUPI_CLIP_WORK : faces.work > 0);
+        supi_faces_free(&faces);
+    }
     free(text);
 }
 
@@ -674,6 +686,25 @@ TEST(ply_malformed) {
     expect_failure(PLY_HEAD "element tristrips 1\nproperty list int int vertex_indices\nelement vertex 1\n" PLY_XYZ
                             "end_header\n3 0 0 -2\n0 0 0\n",
                    SUP_FORMAT_PLY, "index -2 out of range");
+}
+
+TEST(ply_headers_of_any_length) { /* in time proportional to their length */
+    enum { MANY = 100000 };
+    char *text = (char *)malloc((size_t)MANY * 24 + 200);
+    size_t used = 0;
+    sup_mesh mesh;
+    sup_error err;
+    double start = test_now();
+    int i, k;
+    REQUIRE(text != NULL);
+    for (k = 0; k < 2; k++) {
+        used = (size_t)sprintf(text, PLY_HEAD "%s", k ? "element vertex 1\n" : "");
+        for (i = 0; i < MANY; i++) used += (size_t)sprintf(text + used, k ? "property float x\n" : "element other 0\n");
+        used += (size_t)sprintf(text + used, "end_header\n0\n");
+        CHECK(read_bytes(text, used, SUP_FORMAT_PLY, &mesh, &err) == 1);
+    }
+    CHECK_MSG(test_now() - start < (TEST_SANITIZED ? 10.0 : 1.5), "%.1f s", test_now() - start);
+    free(text);
 }
 
 /* ---- STL --------------------------------------------------------------------------------------------------------- */
@@ -995,6 +1026,13 @@ TEST(materials_from_files) {
     CHECK_STR(err.text, "");
     CHECK(mesh.triangle_rgb && mesh.triangle_rgb[0] == 0 && mesh.triangle_rgb[1] == 255);
     sup_mesh_free(&mesh);
+    /* a device, a folder: never opened, one would not end */
+    snprintf(text, sizeof text, "mtllib ../../../../../../../../../../dev/zero\nmtllib .\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl m\nf 1 2 3\n");
+    REQUIRE(test_write_file(obj, text, strlen(text)));
+    CHECK(!sup_mesh_read(obj, &mesh, &err));
+    CHECK(strstr(err.text, "cannot be read") != NULL && mesh.triangle_count == 1);
+    sup_mesh_free(&mesh);
+    CHECK(sup_is_plain_file(path) && !sup_is_plain_file("/dev/zero") && !sup_is_plain_file("."));
     remove(obj);
     remove(path);
 }
@@ -1991,6 +2029,7 @@ int main(int argc, char **argv) {
     RUN(ply_binary_every_type);
     RUN(ply_ascii);
     RUN(ply_malformed);
+    RUN(ply_headers_of_any_length);
     RUN(stl_binary);
     RUN(stl_ascii);
     RUN(off_forms);

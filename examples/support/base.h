@@ -21,6 +21,7 @@
 #if defined(_WIN32)
 #include <process.h>
 #else
+#include <sys/stat.h>
 #include <unistd.h>
 #endif
 
@@ -92,6 +93,20 @@ SUP_FN void *sup_grow(void *array, size_t *capacity, size_t needed, size_t size)
     return grown;
 }
 
+/* Bytes of memory that a program may take: three quarters of what the machine has. More would be promised by many
+   systems, and the program killed when it uses it. 0: not known. */
+SUP_FN size_t sup_memory_limit(void) {
+#if defined(_SC_PHYS_PAGES) && defined(_SC_PAGESIZE)
+    const long pages = sysconf(_SC_PHYS_PAGES), page = sysconf(_SC_PAGESIZE);
+    size_t bytes;
+    if (pages <= 0 || page <= 0) return 0;
+    if (sup_mul_size((size_t)pages, (size_t)page, &bytes)) bytes = SIZE_MAX;
+    return bytes / 4 * 3;
+#else
+    return 0;
+#endif
+}
+
 /* Read the whole file `path` into memory.
    data  out: the bytes and one extra zero byte behind them; free with SUP_FREE. NULL on error.
    size  out: number of bytes without the extra one
@@ -100,6 +115,7 @@ SUP_FN int sup_read_file(const char *path, char **data, size_t *size, sup_error 
     FILE *file;
     char *buffer = NULL;
     size_t capacity = 0, used = 0, hint = 0, want = 65536;
+    const size_t limit = sup_memory_limit(); /* an endless stream must not take all there is */
     sup_error_clear(err);
     *data = NULL;
     *size = 0;
@@ -113,7 +129,7 @@ SUP_FN int sup_read_file(const char *path, char **data, size_t *size, sup_error 
     /* The first piece is small whatever the length says: a folder claims a huge one and fails when it is read. */
     for (;;) {
         size_t got;
-        void *grown = want < SIZE_MAX - used ? sup_grow(buffer, &capacity, used + want + 1, 1) : NULL;
+        void *grown = want < SIZE_MAX - used && (limit == 0 || used < limit / 2) ? sup_grow(buffer, &capacity, used + want + 1, 1) : NULL;
         if (!grown) {
             SUP_FREE(buffer);
             (void)fclose(file);
@@ -137,6 +153,16 @@ SUP_FN int sup_read_file(const char *path, char **data, size_t *size, sup_error 
     *data = buffer;
     *size = used;
     return 0;
+}
+
+/* 1 when `path` is a plain file: for names that come from a file, which may as well name a device or a pipe. */
+SUP_FN int sup_is_plain_file(const char *path) {
+#if defined(_WIN32)
+    return path[0] != '\0'; /* names like CON are not looked for */
+#else
+    struct stat about;
+    return stat(path, &about) == 0 && S_ISREG(about.st_mode);
+#endif
 }
 
 /* A file being written beside its final name; see sup_file_open. */

@@ -55,6 +55,7 @@ SUP_FN void sup_mesh_free(sup_mesh *mesh) {
 /* ---- polygons to triangles ---------------------------------------------------------------------------------- */
 
 enum { SUPI_CLIP_MAX = 4096 }; /* polygons with more corners are not tested for being concave: the cost is quadratic */
+enum { SUPI_CLIP_WORK = 1 << 29 }; /* tests of corners in all polygons of a file (a second or two); then all become fans */
 
 typedef struct supi_faces {
     uint32_t *indices; /* 3 per triangle */
@@ -64,6 +65,7 @@ typedef struct supi_faces {
     double *plane;  /* scratch: 2 per corner */
     uint32_t *ring; /* scratch: previous and next corner */
     size_t plane_capacity, ring_capacity;
+    size_t work; /* tests of corners so far */
 } supi_faces;
 
 SUP_FN void supi_faces_free(supi_faces *faces) {
@@ -136,7 +138,8 @@ SUP_FN int supi_is_ear(const double *plane, const uint32_t *prev, const uint32_t
 SUP_FN void supi_clip_ears(supi_faces *faces, const uint32_t *corner, size_t n, const double *plane, uint32_t *ring) {
     uint32_t *prev = ring, *next = ring + n;
     uint32_t at = 0, i;
-    size_t left = n, stalled = 0, budget = 8 * n * n + 64; /* ends in time even on outlines that cross themselves */
+    const size_t most = 8 * n * n + 64; /* ends in time even on outlines that cross themselves */
+    size_t left = n, stalled = 0, budget = most;
     for (i = 0; i < (uint32_t)n; i++) {
         prev[i] = i == 0 ? (uint32_t)n - 1 : i - 1;
         next[i] = i + 1 == (uint32_t)n ? 0 : i + 1;
@@ -154,6 +157,7 @@ SUP_FN void supi_clip_ears(supi_faces *faces, const uint32_t *corner, size_t n, 
         at = next[at];
     }
     for (i = next[at]; left > 2; left--, i = next[i]) supi_emit(faces, corner[at], corner[i], corner[next[i]]);
+    faces->work += most - budget;
 }
 
 /* Append a polygon of n corners as n - 2 triangles. positions: of all vertices, indices already checked.
@@ -173,7 +177,7 @@ SUP_FN int supi_add_polygon(supi_faces *faces, const float *positions, const uin
         if (!grown) return 1;
         faces->indices = (uint32_t *)grown;
     }
-    if (n > 3 && n <= (size_t)SUPI_CLIP_MAX) {
+    if (n > 3 && n <= (size_t)SUPI_CLIP_MAX && faces->work < (size_t)SUPI_CLIP_WORK) {
         grown = sup_grow(faces->plane, &faces->plane_capacity, 2 * n, sizeof(double));
         if (!grown) return 1;
         faces->plane = (double *)grown;
@@ -386,11 +390,11 @@ SUP_FN int supi_open_beside(void *user, const char *name, char **data, size_t *s
     for (i = folder; path[i]; i++) {
         if (path[i] == '\\') path[i] = '/';
     }
-    failed = sup_read_file(path, data, size, NULL);
+    failed = !sup_is_plain_file(path) || sup_read_file(path, data, size, NULL);
     base = strrchr(path + folder, '/');
     if (failed && base) {
         memmove(path + folder, base + 1, strlen(base));
-        failed = sup_read_file(path, data, size, NULL);
+        failed = !sup_is_plain_file(path) || sup_read_file(path, data, size, NULL);
     }
     SUP_FREE(path);
     return failed;

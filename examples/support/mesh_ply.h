@@ -46,6 +46,7 @@ typedef struct supi_ply_element {
     supi_ply_kind kind;
     uint64_t count;
     size_t first, properties; /* in the array of all properties */
+    uint32_t roles;           /* bits of those that have been given */
     const char *body;         /* where its data begins, once known */
 } supi_ply_element;
 
@@ -141,8 +142,8 @@ SUP_FN int supi_ply_header_element(supi_ply *ply, const char **at, const char *e
     while (*at < end && supi_is_blank(**at)) ++*at;
     if (length == 0 || sup_parse_int(at, end, &count) || count < 0)
         return supi_ply_fail(ply, "element needs a name and a count");
-    for (i = 0; i < ply->element_count; i++) {
-        if (element->kind != SUPI_OTHER && ply->elements[i].kind == element->kind)
+    for (i = 0; element->kind != SUPI_OTHER && i < ply->element_count; i++) {
+        if (ply->elements[i].kind == element->kind)
             return supi_ply_fail(ply, "an element is declared twice");
     }
     element->count = (uint64_t)count;
@@ -154,7 +155,7 @@ SUP_FN int supi_ply_header_property(supi_ply *ply, const char **at, const char *
     supi_ply_element *element;
     supi_ply_property property;
     const char *word;
-    size_t length, i;
+    size_t length;
     void *grown;
     if (ply->element_count == 0) return supi_ply_fail(ply, "property before the first element");
     element = ply->elements + ply->element_count - 1;
@@ -172,9 +173,8 @@ SUP_FN int supi_ply_header_property(supi_ply *ply, const char **at, const char *
     length = supi_ply_word(at, end, &word);
     if (length == 0) return supi_ply_fail(ply, "a property needs a name");
     property.role = supi_ply_parse_role(element->kind, property.count_type != SUPI_NO_TYPE, word, length);
-    for (i = 0; i < element->properties; i++) { /* the first of two with one name counts */
-        if (ply->properties[element->first + i].role == property.role) property.role = SUPI_IGNORED;
-    }
+    if (element->roles >> property.role & 1u) property.role = SUPI_IGNORED; /* the first of two with one name counts */
+    element->roles |= 1u << property.role;
     grown = sup_grow(ply->properties, &ply->property_capacity, ply->property_count + 1, sizeof property);
     if (!grown) return sup_fail(ply->err, "%s: out of memory", ply->name);
     ply->properties = (supi_ply_property *)grown;
