@@ -9325,17 +9325,26 @@ static int zbufrandi_list_sample(const zbufrandi_target *g, const zbufrandi_draw
     return out->shown <= g->far_z && out->shown > 0.0f;
 }
 
-/* Returns how many samples are in the picture. */
+/* Returns how many samples are in the picture. Some are looked up at a time, so that waiting for memory overlaps. */
 static uint32_t zbufrandi_draw_listed(const zbufrandi_target *g, const zbufrandi_draw *d, const zbufrandi_local *l) {
-    zbufrandi_list_spot at;
+    enum { RUN = 16 };
+    zbufrandi_list_spot at[RUN];
     zbufrandi_spot seen;
-    uint32_t j, accepted = 0;
-    for (j = 0; j < d->count; j++) {
-        zbufrandi_list_find(g->cut->scene, l, d, j, &at);
-        if (!zbufrandi_list_sample(g, d, &at, &seen)) continue;
-        zbufrandi_target_put(g, (size_t)seen.iy * g->keys.width + seen.ix,
-                             zbufrandi_key(seen.shown, d->block * ZBUFRANDI_SET + j));
-        accepted++;
+    uint32_t j, k, n, accepted = 0;
+    for (j = 0; j < d->count; j += n) {
+        n = d->count - j < RUN ? d->count - j : (uint32_t)RUN;
+        for (k = 0; k < n; k++) {
+            zbufrandi_list_find(g->cut->scene, l, d, j + k, &at[k]);
+            ZBUFRANDI_PREFETCH(at[k].corner[0]);
+            ZBUFRANDI_PREFETCH(at[k].corner[1]);
+            ZBUFRANDI_PREFETCH(at[k].corner[2]);
+        }
+        for (k = 0; k < n; k++) {
+            if (!zbufrandi_list_sample(g, d, &at[k], &seen)) continue;
+            zbufrandi_target_put(g, (size_t)seen.iy * g->keys.width + seen.ix,
+                                 zbufrandi_key(seen.shown, d->block * ZBUFRANDI_SET + j + k));
+            accepted++;
+        }
     }
     return accepted;
 }
