@@ -955,7 +955,7 @@ typedef struct zbufrand_costs {
     float set;             /* a set of stored samples made ready: 80 */
     float stored;          /* a stored sample drawn: 3.5 */
     float ray;             /* a ray for the repair: 2000 */
-    float listed;          /* a sample drawn from a distribution list: 150 */
+    float listed;          /* a sample drawn from a distribution list: 200 */
 } zbufrand_costs;
 
 /* field           zero means
@@ -14036,7 +14036,7 @@ static void zbufrandi_set_density(zbufrandi_picture *p) {
     p->cut.sample = zbufrandi_cost(c->sample, 6.0f) + ray;
     p->cut.set_cost = zbufrandi_cost(c->set, 80.0f);
     p->cut.stored_cost = zbufrandi_cost(c->stored, 3.5f) + ray;
-    p->cut.list_sample = zbufrandi_cost(c->listed, 150.0f) + ray;
+    p->cut.list_sample = zbufrandi_cost(c->listed, 200.0f) + ray;
 }
 
 static zbufrand_result zbufrandi_open_picture(zbufrandi_picture *p) {

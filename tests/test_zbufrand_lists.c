@@ -1360,6 +1360,79 @@ TEST(visits_grow_slowly) {
     zbufrand_frame_destroy(frame);
 }
 
+/* Five levels of instances, 10^14 triangles, a million units from zero: counted and drawn as by the default. */
+TEST(many_and_far_away) {
+    static float depth[2][WIDTH * HEIGHT];
+    uint32_t kind, i, j, l;
+    for (kind = 0; kind < 4; kind++) {
+        zbufrand_scene *scene = NULL;
+        zbufrand_build_desc bd = kind_of(kind);
+        zbufrand_scene_info info;
+        zbufrand_node lib, node, list;
+        zbufrand_render_desc d;
+        zbufrand_stats st;
+        shape s;
+        zbufrand_mesh m;
+        double size = 2, sum[2] = {0, 0};
+        uint32_t covered[2] = {0, 0};
+        const double off = 1e6;
+        memset(&s, 0, sizeof s);
+        shape_sphere(&s, off, off, off, 0.9, 12);
+        m = mesh_of(&s);
+        CHECK_EQ_U64(zbufrand_scene_create(NULL, &scene), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_list(scene, 1, NULL, ZBUFRAND_HIDDEN, &lib), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_mesh(scene, lib, NULL, 0, &m, &node), ZBUFRAND_OK);
+        for (l = 0; l < 5; l++) {
+            CHECK_EQ_U64(zbufrand_add_list(scene, l == 4 ? 1 : lib, NULL, 0, &list), ZBUFRAND_OK);
+            for (i = 0; i < 16; i++) {
+                for (j = 0; j < 16; j++) {
+                    zbufrand_transform t;
+                    memset(&t, 0, sizeof t);
+                    t.m[0][0] = t.m[1][1] = t.m[2][2] = 1;
+                    t.m[0][3] = size * (i - 7.5);
+                    t.m[2][3] = size * (j - 7.5);
+                    CHECK_EQ_U64(zbufrand_add_reference(scene, list, &t, node, NULL), ZBUFRAND_OK);
+                }
+            }
+            size *= 16;
+            node = list;
+        }
+        CHECK_EQ_U64(zbufrand_scene_build(scene, &bd, &info), ZBUFRAND_OK);
+        CHECK(info.triangles > (uint64_t)100000000000000u);
+        for (i = 0; i < scene->structure_count; i++) {
+            const zbufrandi_lists *lists = scene->structure[i].lists;
+            uint64_t all = 0;
+            for (j = 0; j < lists->roots; j++) all += lists->list_class[j].triangles;
+            CHECK_EQ_U64(all, scene->structure[i].virtual_triangles);
+        }
+        memset(&d, 0, sizeof d);
+        d.camera.eye[0] = off;
+        d.camera.eye[1] = off + 30;
+        d.camera.eye[2] = off;
+        d.camera.at[0] = off + 30;
+        d.camera.at[1] = off;
+        d.camera.at[2] = off;
+        d.density = 4;
+        d.hybrid = ZBUFRAND_HYBRID_OFF;
+        d.no_repair = 1;
+        for (l = 0; l < 2; l++) {
+            d.no_lists = l;
+            picture(scene, &d, 1, ZBUFRAND_ISA_AUTO, NULL, depth[l], NULL, &st);
+            CHECK_EQ_U64(st.triangles, info.triangles);
+            for (i = 0; i < WIDTH * HEIGHT; i++) {
+                if (!(depth[l][i] < INFINITY)) continue;
+                covered[l]++;
+                sum[l] += 1.0 / (double)depth[l][i];
+            }
+        }
+        CHECK_NEAR(covered[0], covered[1], 0.03 * covered[1]);
+        CHECK_NEAR(sum[0], sum[1], 0.03 * sum[1]);
+        CHECK(covered[0] > 2000);
+        zbufrand_scene_destroy(scene);
+        shape_free(&s);
+    }
+}
+
 /* ---- what can go wrong ---- */
 
 TEST(bad_fields) {
@@ -1471,6 +1544,7 @@ int main(int argc, char **argv) {
     RUN(same_as_the_z_buffer);
     RUN(preset_in_the_mean);
     RUN(visits_grow_slowly);
+    RUN(many_and_far_away);
     RUN(bad_fields);
     RUN(no_memory);
     return test_end();
