@@ -5559,8 +5559,9 @@ static uint32_t zbufrandi_raster_triangle(const zbufrandi_raster *r, const zbufr
     v[2] = c;
     zbufrandi_raster_large_edges(&t, v, box, low);
 #if ZBUFRANDI_AVX2
-    if (r->level >= 3 && box[2] - box[0] < 4 && x1 - x0 <= ZBUFRANDI_RASTER_MIDDLE && y1 - y0 <= ZBUFRANDI_RASTER_MIDDLE)
-        return zbufrandi_raster_narrow_avx2(r, &t, v);
+    if (r->level >= 3 && box[2] - box[0] < 4 && x1 - x0 <= ZBUFRANDI_RASTER_MIDDLE &&
+        y1 - y0 <= ZBUFRANDI_RASTER_MIDDLE)
+            return zbufrandi_raster_narrow_avx2(r, &t, v);
 #endif
     zbufrandi_raster_large_depth(&t, v);
     return zbufrandi_raster_blocks(r, &t);
@@ -7408,6 +7409,8 @@ typedef struct zbufrandi_cut { /* what is the same for all of a frame's selectio
     int independent;
     const zbufrandi_pyramid *pyramid; /* NULL: nothing is hidden */
     const zbufrandi_keys *keys;       /* for small boxes, what has been drawn: NULL: not looked at */
+    const uint64_t *exact;            /* of the same size, or NULL */
+    uint32_t block;                   /* 1 or 2, for keys */
     float focal, center_x, center_y;
     uint32_t seed;
     int level;                 /* instruction set */
@@ -7718,40 +7721,58 @@ static void zbufrandi_test_node(const zbufrandi_cut *cut, const zbufrandi_local 
 
 #define ZBUFRANDI_HIDDEN_PIXELS 31.0f /* larger boxes are left to the pyramid alone */
 
-/* Are all pixels of a small rectangle nearer than z? Nobody writes to them meanwhile. */
-static int zbufrandi_behind_pixels(const zbufrandi_keys *keys, uint32_t x0, uint32_t y0, uint32_t x1, uint32_t y1,
+/* Do all pixels of a small rectangle show something nearer than z? A sample paints its own pixel, in blocks of 2 the
+   next ones to the right and below, too; keys of cut->exact paint one pixel. Nobody writes to them meanwhile. */
+static int zbufrandi_behind_pixels(const zbufrandi_cut *cut, uint32_t x0, uint32_t y0, uint32_t x1, uint32_t y1,
                                    float z) {
-    const uint64_t limit = zbufrandi_key(z, 0) >> 32 << 32;
+    const uint64_t limit = zbufrandi_key(z, 0) >> 32 << 32, *key = cut->keys->key, *exact = cut->exact;
+    const size_t w = cut->keys->width;
     uint32_t x, y;
     for (y = y0; y <= y1; y++) {
-        const uint64_t *row = keys->key + (size_t)y * keys->width;
-        for (x = x0; x <= x1; x++) if (row[x] >= limit) return 0;
+        for (x = x0; x <= x1; x++) {
+            const size_t at = (size_t)y * w + x;
+            if (key[at] < limit || (exact != NULL && exact[at] < limit)) continue;
+            if (cut->block == 2 && ((x > 0 && key[at - 1] < limit) || (y > 0 && key[at - w] < limit) ||
+                                    (x > 0 && y > 0 && key[at - w - 1] < limit))) continue;
+            return 0;
+        }
     }
     return 1;
 }
 
 #if ZBUFRANDI_AVX2
-ZBUFRANDI_TARGET_AVX2 static int zbufrandi_behind_pixels_avx2(const zbufrandi_keys *keys, uint32_t x0, uint32_t y0,
-                                                              uint32_t x1, uint32_t y1,
-                                                              float z) {
-    /* upper halves compare as signed numbers; an empty pixel is negative and tells by its sign, lower halves never
-       pass */
-    const __m256i limit =
-        _mm256_set1_epi64x((long long)(((zbufrandi_key(z, 0) >> 32 << 32) - ((uint64_t)1 << 32)) | 0x7fffffffu));
+/* Which of eight keys are nearer than a limit? Upper halves compare as signed numbers; an empty pixel is negative. */
+ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE uint32_t zbufrandi_nearer_eight(const uint64_t *key, __m256i limit) {
+    const __m256i a = _mm256_loadu_si256((const __m256i *)(const void *)key);
+    const __m256i b = _mm256_loadu_si256((const __m256i *)(const void *)(key + 4));
+    return (uint32_t)_mm256_movemask_pd(_mm256_castsi256_pd(_mm256_andnot_si256(a, _mm256_cmpgt_epi32(limit, a)))) |
+        (uint32_t)_mm256_movemask_pd(_mm256_castsi256_pd(_mm256_andnot_si256(b, _mm256_cmpgt_epi32(limit, b)))) << 4;
+}
+
+/* x1 + 8 <= width */
+ZBUFRANDI_TARGET_AVX2 static int zbufrandi_behind_pixels_avx2(const zbufrandi_cut *cut, uint32_t x0, uint32_t y0,
+                                                              uint32_t x1, uint32_t y1, float z) {
+    const uint64_t bits = zbufrandi_key(z, 0) >> 32 << 32, *exact = cut->exact;
+    const __m256i limit = _mm256_set1_epi64x((long long)bits);
+    const size_t w = cut->keys->width;
     uint32_t x, y;
-    for (y = y0; y <= y1; y++) {
-        const uint64_t *row = keys->key + (size_t)y * keys->width;
-        for (x = x0; x <= x1; x += 8) {
-            const uint32_t wide = x1 - x + 1, mask = wide < 8 ? (1u << wide) - 1u : 255u;
-            const __m256i a = _mm256_loadu_si256((const __m256i *)(const void *)(row + x));
-            uint32_t far_off = (uint32_t)_mm256_movemask_pd(_mm256_castsi256_pd(_mm256_or_si256(a,
-                    _mm256_cmpgt_epi32(a, limit))));
-            if (wide > 4) {
-                const __m256i b = _mm256_loadu_si256((const __m256i *)(const void *)(row + x + 4));
-                far_off |= (uint32_t)_mm256_movemask_pd(_mm256_castsi256_pd(_mm256_or_si256(b,
-                        _mm256_cmpgt_epi32(b, limit)))) << 4;
+    for (x = x0; x <= x1; x += 8) {
+        const uint32_t mask = x1 - x < 7 ? (2u << (x1 - x)) - 1u : 255u;
+        const uint64_t *key = cut->keys->key + (size_t)y0 * w + x;
+        uint32_t above = 0;
+        if (cut->block == 2 && y0 > 0) {
+            above = zbufrandi_nearer_eight(key - w, limit);
+            above |= above << 1 | (uint32_t)(x > 0 && key[0 - (ptrdiff_t)w - 1] < bits);
+        }
+        for (y = y0; y <= y1; y++, key += w) {
+            uint32_t seen = zbufrandi_nearer_eight(key, limit), here;
+            if (cut->block == 2) {
+                here = seen | seen << 1 | (uint32_t)(x > 0 && key[-1] < bits);
+                seen = here | above;
+                above = here;
             }
-            if ((far_off & mask) != 0) return 0;
+            if (exact != NULL) seen |= zbufrandi_nearer_eight(exact + (size_t)y * w + x, limit);
+            if ((~seen & mask) != 0) return 0;
         }
     }
     return 1;
@@ -7782,13 +7803,17 @@ static uint32_t zbufrandi_hidden_children(const zbufrandi_cut *cut, const zbufra
         if (!behind && cut->keys != NULL && rect[2] - rect[0] < ZBUFRANDI_HIDDEN_PIXELS &&
             rect[3] - rect[1] < ZBUFRANDI_HIDDEN_PIXELS) {
             const uint32_t x0 = (uint32_t)(int32_t)rect[0], y0 = (uint32_t)(int32_t)rect[1];
-            const uint32_t x1 = (uint32_t)(int32_t)rect[2], y1 = (uint32_t)(int32_t)rect[3];
+            uint32_t x1 = (uint32_t)(int32_t)rect[2], y1 = (uint32_t)(int32_t)rect[3];
+            if (cut->block == 2) { /* what samples there paint */
+                x1 += x1 + 1 < cut->keys->width;
+                y1 += y1 + 1 < cut->keys->height;
+            }
 #if ZBUFRANDI_AVX2
             if (cut->level >= 3 && x1 + 8 <= cut->keys->width)
-                behind = zbufrandi_behind_pixels_avx2(cut->keys, x0, y0, x1, y1, t->z_min[i]);
+                behind = zbufrandi_behind_pixels_avx2(cut, x0, y0, x1, y1, t->z_min[i]);
             else
 #endif
-                behind = zbufrandi_behind_pixels(cut->keys, x0, y0, x1, y1, t->z_min[i]);
+                behind = zbufrandi_behind_pixels(cut, x0, y0, x1, y1, t->z_min[i]);
         }
         hidden |= (uint32_t)behind << i;
     }
@@ -13568,7 +13593,10 @@ static zbufrand_result zbufrandi_draw_lists(zbufrandi_picture *p, uint32_t root)
 static zbufrand_result zbufrandi_draw_scene(zbufrandi_picture *p) {
     zbufrand_frame *f = p->f;
     const zbufrandi_structure *root;
-    uint64_t refresh_after = (uint64_t)(0.5 * p->cut.density * (double)f->recon.width * (double)f->recon.height);
+    /* small boxes are compared with pixels: for the others a pyramid that is a layer old will do */
+    const double layers = p->cut.keys != NULL ? (double)p->cut.block : 0.5;
+    const uint64_t refresh_after =
+        (uint64_t)(layers * p->cut.density * (double)f->recon.width * (double)f->recon.height);
     zbufrandi_lap(p, -1);
     if (f->draw_count == 0 && !p->cut.bounds) {
         if (!zbufrandi_add_points(p) || !zbufrandi_round_draw(p)) return ZBUFRAND_ERR_NO_MEMORY;
@@ -14079,8 +14107,11 @@ static zbufrand_result zbufrandi_open_picture(zbufrandi_picture *p) {
     p->cut.focal = (float)p->cut.camera.focal;
     p->cut.center_x = (float)p->cut.camera.center_x;
     p->cut.center_y = (float)p->cut.camera.center_y;
-    if (!d->no_occlusion && f->recon.o.block == 1 && f->recon.o.occlusion == ZBUFRAND_OCCLUSION_BLOCKS)
+    if (!d->no_occlusion && f->recon.o.block <= 2 && f->recon.o.occlusion == ZBUFRAND_OCCLUSION_BLOCKS) {
         p->cut.keys = &f->recon.canvas;
+        p->cut.exact = f->recon.exact;
+        p->cut.block = f->recon.o.block;
+    }
     p->cut.density = zbufrandi_choose_density(p);
     zbufrandi_set_density(p);
     p->cut.stored = (float)(64.0 / spread);

@@ -271,10 +271,14 @@ static void hidden_boxes(uint32_t block) {
     zbufrandi_local local;
     uint32_t i, hidden_count = 0;
     int n, k, c, many = test_quick() ? 200 : 3000;
-    scene_open(&s, 200, 150, block, 0);
+    scene_open(&s, 200, 150, block, block == 2);
     for (i = 0; i < 200 * 150; i++) s.keys.key[i] = zbufrandi_key(2.0f + (float)(i % 200) * 0.02f + test_rng_float(&g) * 0.1f, i);
     for (i = 0; i < 20; i++) s.keys.key[test_rng_below(&g, 200 * 150)] = ZBUFRANDI_EMPTY;
-    zbufrandi_pyramid_refresh(&s.p, &s.keys, NULL, 0, 0, 200, 150, 0);
+    for (i = 0; i < 200 * 150 && block == 2; i++) { /* few samples, many rastered pixels, or the other way */
+        if (i / 200 % 20 < 10 && i % 3 != 0) s.keys.key[i] = ZBUFRANDI_EMPTY;
+        if (i / 200 % 20 < 10) s.exact.key[i] = zbufrandi_key(2.2f + (float)(i % 200) * 0.02f + test_rng_float(&g) * 0.1f, i);
+    }
+    zbufrandi_pyramid_refresh(&s.p, &s.keys, scene_exact(&s), 0, 0, 200, 150, 0);
     scene_show(&s);
     memset(&camera, 0, sizeof camera);
     camera.focal = 170; camera.center_x = 100; camera.center_y = 75; camera.near_z = 0.1; camera.far_z = (double)INFINITY;
@@ -311,7 +315,9 @@ static void hidden_boxes(uint32_t block) {
             }
             if (c == 7 && n % 3 == 0) for (k = 0; k < 3; k++) { node.lo[k][c] = INFINITY; node.hi[k][c] = -INFINITY; } /* no child */
         }
-        cut.keys = block == 1 && n % 4 != 0 ? &s.keys : NULL;
+        cut.keys = n % 4 != 0 ? &s.keys : NULL;
+        cut.exact = s.exact.key;
+        cut.block = block;
         cut.level = 1;
         zbufrandi_test_node(&cut, &local, &node, &tested);
         inside = 255u & ~tested.outside;
