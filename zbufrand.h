@@ -948,11 +948,12 @@ typedef enum zbufrand_hybrid { /* which clusters of triangles are rasterised exa
 /* What things cost, in any unit; 0: the default, nanoseconds on the machine this was written on. Together they decide
    between raster and samples, so pictures are equal only with equal costs. */
 typedef struct zbufrand_costs {
-    float triangle;        /* a triangle rasterised: 6 */
-    float pixel;           /* a pixel filled by that: 1 */
-    float cluster;         /* a cluster made ready for sampling, per triangle: 3.5 */
-    float sample;          /* a sample drawn from a cluster: 6 */
-    float set;             /* a set of stored samples made ready: 80 */
+    float triangle;        /* a triangle rasterised: 4 */
+    float edge;            /* per pixel of the longest edge of its cluster, up to 12 of them: 1.5 */
+    float pixel;           /* a pixel filled by that: 1.5 */
+    float cluster;         /* a cluster made ready for sampling, per triangle: 5.5 */
+    float sample;          /* a sample drawn from a cluster: 6.5 */
+    float set;             /* a set of stored samples made ready: 60 */
     float stored;          /* a stored sample drawn: 3.5 */
     float ray;             /* a ray for the repair: 2000 */
     float listed;          /* a sample drawn from a distribution list: 200 */
@@ -7403,7 +7404,7 @@ typedef struct zbufrandi_cut { /* what is the same for all of a frame's selectio
     float density_f2;          /* density * focal^2 */
     float stored;              /* most samples that stored ones may stand for: 64 / spread */
     float near_z, far_z;
-    float triangle, pixel, cluster, sample, set_cost, stored_cost; /* costs; pixel: per expected sample */
+    float triangle, edge, pixel, cluster, sample, set_cost, stored_cost; /* costs; pixel: per expected sample */
     zbufrand_hybrid hybrid;
     float cube;
     int independent;
@@ -7915,8 +7916,11 @@ static void zbufrandi_pick_child(const zbufrandi_cut *cut, const zbufrandi_local
     }
     if (kind == ZBUFRANDI_CHILD_CLUSTER) {
         const uint32_t count = (uint32_t)n->triangles[i];
-        float triangles = (float)count, raster = triangles * cut->triangle + e * cut->pixel, sampled, prefix;
+        const float edge = n->edge[i] * l->scale * cut->focal, widest = 12.0f * t->z_min[i]; /* times z_min */
+        float triangles = (float)count, raster, sampled, prefix;
         int exact = cut->hybrid == ZBUFRAND_HYBRID_ALL || cube || !(e < 4e8f);
+        raster = triangles * (cut->triangle + cut->edge * (edge < widest ? edge / t->z_min[i] : 12.0f)) +
+            e * cut->pixel;
         if (cut->hybrid != ZBUFRAND_HYBRID_AUTO) raster = INFINITY;
         sampled = triangles * cut->cluster + e * cut->sample;
         prefix = stored ? cut->set_cost + e * cut->stored_cost : INFINITY;
@@ -14058,11 +14062,12 @@ static void zbufrandi_set_density(zbufrandi_picture *p) {
         rays = zbufrandi_exp2(-2.3 * zbufrandi_min(p->cut.density * block * block, 100.0)) / p->cut.density;
     float ray = p->d->no_repair ? 0.0f : zbufrandi_cost(c->ray, 2000.0f) * (float)rays;
     p->cut.density_f2 = (float)(p->cut.density * p->cut.camera.focal * p->cut.camera.focal);
-    p->cut.triangle = zbufrandi_cost(c->triangle, 6.0f);
-    p->cut.pixel = zbufrandi_cost(c->pixel, 1.0f) / (float)p->cut.density;
-    p->cut.cluster = zbufrandi_cost(c->cluster, 3.5f);
-    p->cut.sample = zbufrandi_cost(c->sample, 6.0f) + ray;
-    p->cut.set_cost = zbufrandi_cost(c->set, 80.0f);
+    p->cut.triangle = zbufrandi_cost(c->triangle, 4.0f);
+    p->cut.edge = zbufrandi_cost(c->edge, 1.5f);
+    p->cut.pixel = zbufrandi_cost(c->pixel, 1.5f) / (float)p->cut.density;
+    p->cut.cluster = zbufrandi_cost(c->cluster, 5.5f);
+    p->cut.sample = zbufrandi_cost(c->sample, 6.5f) + ray;
+    p->cut.set_cost = zbufrandi_cost(c->set, 60.0f);
     p->cut.stored_cost = zbufrandi_cost(c->stored, 3.5f) + ray;
     p->cut.list_sample = zbufrandi_cost(c->listed, 200.0f) + ray;
 }
