@@ -9515,7 +9515,7 @@ typedef struct tetcasti_seen {
 } tetcasti_seen;
 
 /* A cell on its way into a tile. */
-typedef struct tetcasti_entry { uint32_t cell; float z; } tetcasti_entry;
+typedef struct tetcasti_entry { uint32_t cell; float z, nearest; } tetcasti_entry; /* z: mean depth */
 
 typedef struct tetcasti_view {
     const tetcasti_scene *scene;
@@ -9595,11 +9595,11 @@ TETCASTI_INLINE int32_t tetcasti_place_pixel(int32_t x, uint32_t log) { /* floor
     return (int32_t)(((uint32_t)x + 0x80000000u) >> log) - (int32_t)(0x80000000u >> log);
 }
 
-/* Pixels of the picture that a cell can cover, [x0, x1) x [y0, y1), and its nearest depth; 0: none. */
-static int tetcasti_cell_rect(const tetcasti_view *v, const uint32_t tet[4], int32_t rect[4], float *z) {
+/* Pixels of the picture that a cell can cover, [x0, x1) x [y0, y1), its mean and its nearest depth; 0: none. */
+static int tetcasti_cell_rect(const tetcasti_view *v, const uint32_t tet[4], int32_t rect[4], float z[2]) {
     const tetcasti_seen *p = &v->seen[tet[0]];
     int32_t lo[2], hi[2], half = (int32_t)(1u << v->log) / 2, margin;
-    float near_z = p->z, far_z = p->z, w = tetcasti_absf(p->w), wide;
+    float near_z = p->z, far_z = p->z, sum_z = p->z, w = tetcasti_absf(p->w), wide;
     uint32_t i;
     lo[0] = hi[0] = p->x;
     lo[1] = hi[1] = p->y;
@@ -9609,11 +9609,13 @@ static int tetcasti_cell_rect(const tetcasti_view *v, const uint32_t tet[4], int
         if (p->x > hi[0]) hi[0] = p->x;
         if (p->y < lo[1]) lo[1] = p->y;
         if (p->y > hi[1]) hi[1] = p->y;
+        sum_z += p->z;
         near_z = p->z < near_z ? p->z : near_z;
         far_z = p->z > far_z ? p->z : far_z;
         w = tetcasti_absf(p->w) > w ? tetcasti_absf(p->w) : w;
     }
-    *z = near_z;
+    z[0] = 0.25f * sum_z;
+    z[1] = near_z;
     rect[0] = rect[1] = 0;
     rect[2] = (int32_t)v->pixels.width;
     rect[3] = (int32_t)v->pixels.height;
@@ -9635,20 +9637,20 @@ static void tetcasti_bin_chunk(tetcasti_view *v, uint32_t chunk, int fill) {
     uint32_t i = chunk * v->chunk, end = mesh->cell_count - i < v->chunk ? mesh->cell_count : i + v->chunk, taken = 0;
     for (; i < end; i++) {
         int32_t rect[4], x, y;
-        float z;
+        float z[2];
         if (v->cluster_hidden != NULL && tetcasti_bit(v->cluster_hidden, i >> TETCASTI_CLUSTER_LOG)) {
             i |= (1u << TETCASTI_CLUSTER_LOG) - 1u;
             continue;
         }
-        if (!tetcasti_cell_rect(v, mesh->tet[i], rect, &z)) continue;
+        if (!tetcasti_cell_rect(v, mesh->tet[i], rect, z)) continue;
         taken++;
-        if (v->rank != NULL) z = (float)v->rank[i];
         for (y = rect[1] / (int32_t)TETCASTI_TILE; y <= (rect[3] - 1) / (int32_t)TETCASTI_TILE; y++)
             for (x = rect[0] / (int32_t)TETCASTI_TILE; x <= (rect[2] - 1) / (int32_t)TETCASTI_TILE; x++) {
                 uint32_t *place = &v->start[((size_t)y * v->tiles_x + (size_t)x) * v->chunks + chunk];
                 if (fill) {
                     v->entry[*place].cell = i;
-                    v->entry[*place].z = z;
+                    v->entry[*place].z = z[0];
+                    v->entry[*place].nearest = z[1];
                 }
                 ++*place;
             }
@@ -9733,12 +9735,15 @@ static int tetcasti_view_open(tetcasti_mem *mem, const tetcast_env *env, const t
 
 /* ---- one cell ---- */
 
-TETCASTI_INLINE void tetcasti_splat_edge(tetcasti_splat *s, uint32_t k, const float x[4], const float y[4], uint32_t i,
-                                         uint32_t j) {
-    s->a[k] = y[i] - y[j];
-    s->b[k] = x[j] - x[i];
-    s->c[k] = -(s->a[k] * x[i] + s->b[k] * y[i]);
-}
+/* By which faces are in front (bit i: the one opposite to vertex i): the vertices' roles, so that what is positive inside
+   is so, and the form. */
+static const uint8_t tetcasti_roles[16][4] = {
+    {0, 1, 2, 3}, {1, 3, 2, 0}, {0, 2, 3, 1}, {3, 2, 0, 1}, {0, 3, 1, 2}, {1, 3, 0, 2}, {3, 0, 1, 2}, {0, 2, 1, 3},
+    {0, 1, 2, 3}, {2, 1, 0, 3}, {0, 2, 1, 3}, {0, 1, 3, 2}, {1, 0, 2, 3}, {0, 3, 2, 1}, {1, 2, 3, 0}, {0, 1, 2, 3}};
+static const uint8_t tetcasti_forms[16] = {0, 0, 0, 2, 0, 2, 2, 1, 0, 2, 2, 1, 2, 1, 1, 0};
+/* Ends of the edges of a splat, by role: with a single face, with two. */
+static const uint8_t tetcasti_splat_edges[2][2][8] = {{{0, 1, 2, 0, 1, 2, 0, 0}, {1, 2, 0, 3, 3, 3, 0, 0}},
+                                                  {{0, 2, 1, 3, 0, 2, 0, 0}, {2, 1, 3, 0, 1, 3, 0, 0}}};
 
 /* Set up a cell; 0: only the exact signs can tell. */
 static int tetcasti_splat_open(const tetcasti_view *v, const uint32_t tet[4], tetcasti_splat *s) {
@@ -9746,7 +9751,8 @@ static int tetcasti_splat_open(const tetcasti_view *v, const uint32_t tet[4], te
     const tetcasti_seen *p[4];
     float x[4], y[4], area[4], wide, w = 0.0f;
     int32_t lo[2], hi[2], half = (int32_t)(1u << v->log) / 2;
-    uint32_t i, fronts = 0, count = 0, role[4];
+    const uint8_t *role;
+    uint32_t i, fronts = 0;
     for (i = 0; i < 4; i++) {
         p[i] = &v->seen[tet[i]];
         if (!(p[i]->w > 0.0f)) return 0;
@@ -9771,42 +9777,16 @@ static int tetcasti_splat_open(const tetcasti_view *v, const uint32_t tet[4], te
         area[i] = (x[f[1]] - x[f[0]]) * (y[f[2]] - y[f[0]]) - (y[f[1]] - y[f[0]]) * (x[f[2]] - x[f[0]]);
         if (!(tetcasti_absf(area[i]) > 3.0f * s->bound)) return 0;
         fronts |= (uint32_t)(area[i] < 0.0f) << i;
-        count += area[i] < 0.0f;
     }
-    if (count == 0 || count == 4) return 0;
-    if (count == 2) {
-        uint32_t p_at = 0, r_at = 2;
-        for (i = 0; i < 4; i++) {
-            if (fronts >> i & 1u) role[r_at++] = i;
-            else role[p_at++] = i;
-        }
-        s->form = 2;
-        /* p r q has to be positive */
-        if ((x[role[2]] - x[role[0]]) * (y[role[1]] - y[role[0]]) - (y[role[2]] - y[role[0]]) * (x[role[1]] -
-            x[role[0]]) < 0.0f) {
-            i = role[0];
-            role[0] = role[1];
-            role[1] = i;
-        }
-        tetcasti_splat_edge(s, 0, x, y, role[0], role[2]);
-        tetcasti_splat_edge(s, 1, x, y, role[2], role[1]);
-        tetcasti_splat_edge(s, 2, x, y, role[1], role[3]);
-        tetcasti_splat_edge(s, 3, x, y, role[3], role[0]);
-        tetcasti_splat_edge(s, 4, x, y, role[0], role[1]);
-        tetcasti_splat_edge(s, 5, x, y, role[2], role[3]);
-    } else {
-        uint32_t single = count == 1 ? fronts : ~fronts & 15u;
-        s->form = count == 1 ? 0 : 1;
-        role[3] = tetcasti_ctz64(single);
-        role[0] = tetcasti_face_of[role[3]][0];
-        role[1] = tetcasti_face_of[role[3]][count == 1 ? 2 : 1];
-        role[2] = tetcasti_face_of[role[3]][count == 1 ? 1 : 2];
-        tetcasti_splat_edge(s, 0, x, y, role[0], role[1]);
-        tetcasti_splat_edge(s, 1, x, y, role[1], role[2]);
-        tetcasti_splat_edge(s, 2, x, y, role[2], role[0]);
-        tetcasti_splat_edge(s, 3, x, y, role[0], role[3]);
-        tetcasti_splat_edge(s, 4, x, y, role[1], role[3]);
-        tetcasti_splat_edge(s, 5, x, y, role[2], role[3]);
+    if (fronts == 0 || fronts == 15) return 0;
+    role = tetcasti_roles[fronts];
+    s->form = tetcasti_forms[fronts];
+    for (i = 0; i < 6; i++) {
+        uint32_t from = role[tetcasti_splat_edges[s->form >> 1][0][i]];
+        uint32_t to = role[tetcasti_splat_edges[s->form >> 1][1][i]];
+        s->a[i] = y[from] - y[to];
+        s->b[i] = x[to] - x[from];
+        s->c[i] = -(s->a[i] * x[from] + s->b[i] * y[from]);
     }
     for (i = 6; i < 8; i++) s->a[i] = s->b[i] = s->c[i] = 0.0f;
     for (i = 0; i < 4; i++) {
@@ -9958,10 +9938,11 @@ typedef struct tetcasti_painter { /* zeroed */
     uint32_t live[TETCASTI_TILE];   /* one bit a pixel of a row */
     uint32_t x0, y0, width, height;
     float join_z, join_s;           /* differences that are rounding */
+    float ahead[TETCASTI_DEPTHS + 1]; /* nearest depth of all cells from a step on */
     uint32_t groups;                /* of rays: one bit each */
     tetcasti_beam beam[6];
     /* tetcasti_paint_cell and tetcasti_lists_run, or what has the same bits */
-    void (*paint)(struct tetcasti_painter *p, uint32_t cell, const int32_t rect[4]);
+    void (*paint)(struct tetcasti_painter *p, uint32_t cell);
     void (*run)(struct tetcasti_painter *p, float until);
     uint64_t tests, exact;          /* pixels that were looked at, and those by exact signs */
     uint64_t wrong;                 /* fragments that came too late (KEEP_NONE, KEEP_SOME) */
@@ -10199,6 +10180,43 @@ TETCASTI_INLINE void tetcasti_paint_exact(tetcasti_painter *p, uint32_t i, const
     tetcasti_paint_put(p, i, &f);
 }
 
+/* Can one of the rays meet a cell that reaches to the plane of the eye? */
+static int tetcasti_painter_meets(const tetcasti_painter *p, const uint32_t tet[4]) {
+    const tetcasti_vertex *q = &p->scene->vertex[tet[0]];
+    float lo[3], hi[3], c[3];
+    uint32_t i, k;
+    for (i = 0; i < 4; i++) {
+        q = &p->scene->vertex[tet[i]];
+        c[0] = q->x;
+        c[1] = q->y;
+        c[2] = q->z;
+        for (k = 0; k < 3; k++) {
+            if (i == 0 || c[k] < lo[k]) lo[k] = c[k];
+            if (i == 0 || c[k] > hi[k]) hi[k] = c[k];
+        }
+    }
+    for (i = 0; i < 6; i++)
+        if ((p->groups >> i & 1u) && tetcasti_beam_meets(&p->beam[i], lo, hi)) return 1;
+    return 0;
+}
+
+TETCASTI_INLINE void tetcasti_tile_clip(const tetcasti_painter *p, int32_t rect[4]) {
+    rect[0] = rect[0] > (int32_t)p->x0 ? rect[0] - (int32_t)p->x0 : 0;
+    rect[1] = rect[1] > (int32_t)p->y0 ? rect[1] - (int32_t)p->y0 : 0;
+    rect[2] = rect[2] < (int32_t)(p->x0 + p->width) ? rect[2] - (int32_t)p->x0 : (int32_t)p->width;
+    rect[3] = rect[3] < (int32_t)(p->y0 + p->height) ? rect[3] - (int32_t)p->y0 : (int32_t)p->height;
+}
+
+/* Pixels of the tile that a cell can cover; 0: none. */
+static int tetcasti_tile_rect(const tetcasti_painter *p, const uint32_t tet[4], int32_t rect[4]) {
+    const tetcasti_view *v = p->view;
+    float z[2];
+    if (!tetcasti_cell_rect(v, tet, rect, z)) return 0;
+    tetcasti_tile_clip(p, rect);
+    return (v->seen[tet[0]].w != -TETCASTI_INF && v->seen[tet[1]].w != -TETCASTI_INF &&
+            v->seen[tet[2]].w != -TETCASTI_INF && v->seen[tet[3]].w != -TETCASTI_INF) || tetcasti_painter_meets(p, tet);
+}
+
 /* All pixels of rect, in the tile, of a cell that has no other form. */
 TETCASTI_INLINE void tetcasti_paint_rect(tetcasti_painter *p, uint32_t cell, const int32_t rect[4]) {
     int32_t x, y;
@@ -10210,11 +10228,12 @@ TETCASTI_INLINE void tetcasti_paint_rect(tetcasti_painter *p, uint32_t cell, con
         }
 }
 
-TETCASTI_INLINE void tetcasti_paint_cell(tetcasti_painter *p, uint32_t cell, const int32_t rect[4]) {
+TETCASTI_INLINE void tetcasti_paint_cell(tetcasti_painter *p, uint32_t cell) {
     const uint32_t *tet = p->scene->mesh->tet[cell];
     tetcasti_splat s;
-    int32_t x, y;
+    int32_t x, y, rect[4];
     uint32_t k;
+    if (!tetcasti_tile_rect(p, tet, rect)) return;
     if (!tetcasti_splat_open(p->view, tet, &s)) {
         tetcasti_paint_rect(p, cell, rect);
         return;
@@ -10235,12 +10254,10 @@ TETCASTI_INLINE void tetcasti_paint_cell(tetcasti_painter *p, uint32_t cell, con
     }
 }
 
-TETCASTI_TARGET_FMA static void tetcasti_paint_fma(tetcasti_painter *p, uint32_t cell, const int32_t rect[4]) {
-    tetcasti_paint_cell(p, cell, rect);
+TETCASTI_TARGET_FMA static void tetcasti_paint_fma(tetcasti_painter *p, uint32_t cell) {
+    tetcasti_paint_cell(p, cell);
 }
-static void tetcasti_paint_plain(tetcasti_painter *p, uint32_t cell, const int32_t rect[4]) {
-    tetcasti_paint_cell(p, cell, rect);
-}
+static void tetcasti_paint_plain(tetcasti_painter *p, uint32_t cell) { tetcasti_paint_cell(p, cell); }
 
 #if TETCASTI_AVX2
 
@@ -10338,19 +10355,123 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_splat_single8(const tetcasti_
     tetcasti_sums_end(s, &t, out[!one], out[2 + !one]);
 }
 
+/* Smallest and largest of four in all lanes. */
+TETCASTI_TARGET_WALK TETCASTI_INLINE __m128i tetcasti_least4(__m128i x) {
+    x = _mm_min_epi32(x, _mm_shuffle_epi32(x, 0x4e));
+    return _mm_min_epi32(x, _mm_shuffle_epi32(x, 0xb1));
+}
+TETCASTI_TARGET_WALK TETCASTI_INLINE __m128i tetcasti_most4(__m128i x) {
+    x = _mm_max_epi32(x, _mm_shuffle_epi32(x, 0x4e));
+    return _mm_max_epi32(x, _mm_shuffle_epi32(x, 0xb1));
+}
+
+/* tetcasti_tile_rect and tetcasti_splat_open with the four vertices side by side: 0: no pixel, 1: ready, 2: only the
+   exact signs can tell. */
+TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_splat_open4(const tetcasti_painter *p, const uint32_t tet[4],
+                                                                   tetcasti_splat *s, int32_t rect[4]) {
+    const tetcasti_view *v = p->view;
+    const tetcasti_vertex *vertex = v->scene->vertex;
+    const __m128 sign = _mm_set1_ps(-0.0f), place = _mm_set1_ps(v->place);
+    __m128 x, y, z, w, t0, t1, t2, t3, area, fx[3], fy[3], value, span;
+    __m128i lo, hi, xi, yi, roles;
+    __m256 xx, yy, x_from, x_to, y_from, y_to, a, b;
+    __m256i from, to;
+    int32_t half = (int32_t)(1u << v->log) / 2, margin;
+    uint32_t k, fronts;
+    float wide, most;
+    t0 = _mm_loadu_ps((const float *)(const void *)&v->seen[tet[0]]);
+    t1 = _mm_loadu_ps((const float *)(const void *)&v->seen[tet[1]]);
+    t2 = _mm_loadu_ps((const float *)(const void *)&v->seen[tet[2]]);
+    t3 = _mm_loadu_ps((const float *)(const void *)&v->seen[tet[3]]);
+    _MM_TRANSPOSE4_PS(t0, t1, t2, t3);
+    xi = _mm_castps_si128(t0);
+    yi = _mm_castps_si128(t1);
+    z = t2;
+    w = t3;
+    if (TETCASTI_UNLIKELY(_mm_movemask_ps(w) != 0)) return tetcasti_tile_rect(p, tet, rect) ? 2 : 0;
+    lo = _mm_unpacklo_epi32(tetcasti_least4(xi), tetcasti_least4(yi)); /* x, y */
+    hi = _mm_unpacklo_epi32(tetcasti_most4(xi), tetcasti_most4(yi));
+    t0 = _mm_max_ps(w, _mm_shuffle_ps(w, w, 0x4e));
+    most = _mm_cvtss_f32(_mm_max_ss(t0, _mm_shuffle_ps(t0, t0, 0xb1)));
+    wide = v->blur * most / v->place + 2.0f;
+    margin = wide < 268435456.0f ? (int32_t)wide : 268435456;
+    for (k = 0; k < 2; k++) {
+        int32_t l = k == 0 ? _mm_cvtsi128_si32(lo) : _mm_extract_epi32(lo, 1);
+        int32_t h = k == 0 ? _mm_cvtsi128_si32(hi) : _mm_extract_epi32(hi, 1);
+        int32_t size = (int32_t)(k == 0 ? v->pixels.width : v->pixels.height);
+        rect[k] = tetcasti_place_pixel(l - margin + half - 1, v->log);
+        rect[k + 2] = tetcasti_place_pixel(h + margin - half, v->log) + 1;
+        rect[k] = rect[k] > 0 ? rect[k] : 0;
+        rect[k + 2] = rect[k + 2] < size ? rect[k + 2] : size;
+        if (k == 0) s->x0 = tetcasti_place_pixel(l, v->log);
+        else s->y0 = tetcasti_place_pixel(l, v->log);
+    }
+    tetcasti_tile_clip(p, rect);
+    if (rect[0] >= rect[2] || rect[1] >= rect[3]) return 0;
+    x = _mm_mul_ps(_mm_cvtepi32_ps(_mm_sub_epi32(xi, _mm_set1_epi32(s->x0 * 2 * half + half))), place);
+    y = _mm_mul_ps(_mm_cvtepi32_ps(_mm_sub_epi32(yi, _mm_set1_epi32(s->y0 * 2 * half + half))), place);
+    span = _mm_mul_ps(_mm_cvtepi32_ps(_mm_sub_epi32(hi, lo)), place);
+    wide = _mm_cvtss_f32(span) + _mm_cvtss_f32(_mm_shuffle_ps(span, span, 0x55)) + 2.0f;
+    s->bound = v->blur * most * wide + 9.5367432e-7f * (wide * wide);
+    /* faces {1,2,3} {0,3,2} {0,1,3} {0,2,1} */
+    fx[0] = _mm_shuffle_ps(x, x, _MM_SHUFFLE(0, 0, 0, 1));
+    fx[1] = _mm_shuffle_ps(x, x, _MM_SHUFFLE(2, 1, 3, 2));
+    fx[2] = _mm_shuffle_ps(x, x, _MM_SHUFFLE(1, 3, 2, 3));
+    fy[0] = _mm_shuffle_ps(y, y, _MM_SHUFFLE(0, 0, 0, 1));
+    fy[1] = _mm_shuffle_ps(y, y, _MM_SHUFFLE(2, 1, 3, 2));
+    fy[2] = _mm_shuffle_ps(y, y, _MM_SHUFFLE(1, 3, 2, 3));
+    area = _mm_sub_ps(_mm_mul_ps(_mm_sub_ps(fx[1], fx[0]), _mm_sub_ps(fy[2], fy[0])),
+                      _mm_mul_ps(_mm_sub_ps(fy[1], fy[0]), _mm_sub_ps(fx[2], fx[0])));
+    fronts = (uint32_t)_mm_movemask_ps(area);
+    if (TETCASTI_UNLIKELY(_mm_movemask_ps(_mm_cmpgt_ps(_mm_andnot_ps(sign, area), _mm_set1_ps(3.0f * s->bound))) != 15 ||
+                          fronts == 0 || fronts == 15)) return 2;
+    s->form = tetcasti_forms[fronts];
+    roles = _mm_cvtepu8_epi32(_mm_cvtsi32_si128((int)tetcasti_load_u32(tetcasti_roles[fronts])));
+    value = _mm_setr_ps(vertex[tet[0]].s, vertex[tet[1]].s, vertex[tet[2]].s, vertex[tet[3]].s);
+    x = _mm_permutevar_ps(x, roles);
+    y = _mm_permutevar_ps(y, roles);
+    xx = _mm256_castps128_ps256(x);
+    yy = _mm256_castps128_ps256(y);
+    from = _mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i *)(const void *)tetcasti_splat_edges[s->form >> 1][0]));
+    to = _mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i *)(const void *)tetcasti_splat_edges[s->form >> 1][1]));
+    x_from = _mm256_permutevar8x32_ps(xx, from);
+    x_to = _mm256_permutevar8x32_ps(xx, to);
+    y_from = _mm256_permutevar8x32_ps(yy, from);
+    y_to = _mm256_permutevar8x32_ps(yy, to);
+    a = _mm256_sub_ps(y_from, y_to);
+    b = _mm256_sub_ps(x_to, x_from);
+    _mm256_storeu_ps(s->a, a);
+    _mm256_storeu_ps(s->b, b);
+    _mm256_storeu_ps(s->c, _mm256_xor_ps(_mm256_set1_ps(-0.0f),
+                                         _mm256_add_ps(_mm256_mul_ps(a, x_from), _mm256_mul_ps(b, y_from))));
+    t0 = _mm_min_ps(value, _mm_shuffle_ps(value, value, 0x4e));
+    t1 = _mm_max_ps(value, _mm_shuffle_ps(value, value, 0x4e));
+    s->s_lo = _mm_cvtss_f32(_mm_min_ss(t0, _mm_shuffle_ps(t0, t0, 0xb1)));
+    s->s_hi = _mm_cvtss_f32(_mm_max_ss(t1, _mm_shuffle_ps(t1, t1, 0xb1)));
+    w = _mm_permutevar_ps(w, roles);
+    _mm_storeu_ps(s->w, w);
+    _mm_storeu_ps(s->wz, _mm_mul_ps(w, _mm_permutevar_ps(z, roles)));
+    _mm_storeu_ps(s->ws, _mm_mul_ps(w, _mm_permutevar_ps(value, roles)));
+    return 1;
+}
+
 /* tetcasti_paint_cell, eight pixels at a time: of a row, or four of two rows where cells are narrow. */
-TETCASTI_TARGET_WALK static void tetcasti_paint8(tetcasti_painter *p, uint32_t cell, const int32_t rect[4]) {
+TETCASTI_TARGET_WALK static void tetcasti_paint8(tetcasti_painter *p, uint32_t cell) {
     const uint32_t *tet = p->scene->mesh->tet[cell];
-    const int narrow = rect[2] - rect[0] <= 4;
-    const int32_t step_x = narrow ? 4 : 8, step_y = narrow ? 2 : 1;
-    const __m256 lane_x = narrow ? _mm256_setr_ps(0, 1, 2, 3, 0, 1, 2, 3) : _mm256_setr_ps(0, 1, 2, 3, 4, 5, 6, 7);
-    const __m256 lane_y = narrow ? _mm256_setr_ps(0, 0, 0, 0, 1, 1, 1, 1) : _mm256_setzero_ps();
     tetcasti_splat s;
-    int32_t x, y;
-    if (!tetcasti_splat_open(p->view, tet, &s)) {
-        tetcasti_paint_rect(p, cell, rect);
+    int32_t x, y, rect[4], step_x, step_y;
+    uint32_t good = tetcasti_splat_open4(p, tet, &s, rect);
+    __m256 lane_x, lane_y;
+    int narrow;
+    if (TETCASTI_UNLIKELY(good != 1)) {
+        if (good != 0) tetcasti_paint_rect(p, cell, rect);
         return;
     }
+    narrow = rect[2] - rect[0] <= 4;
+    step_x = narrow ? 4 : 8;
+    step_y = narrow ? 2 : 1;
+    lane_x = narrow ? _mm256_setr_ps(0, 1, 2, 3, 0, 1, 2, 3) : _mm256_setr_ps(0, 1, 2, 3, 4, 5, 6, 7);
+    lane_y = narrow ? _mm256_setr_ps(0, 0, 0, 0, 1, 1, 1, 1) : _mm256_setzero_ps();
     for (y = rect[1]; y < rect[3]; y += step_y) {
         __m256 vy = _mm256_add_ps(_mm256_set1_ps((float)((int32_t)p->y0 + y - s.y0)), lane_y);
         for (x = rect[0]; x < rect[2]; x += step_x) {
@@ -10614,26 +10735,6 @@ static void tetcasti_painter_begin(tetcasti_painter *p, const double ends[2]) {
         }
 }
 
-/* Can one of the rays meet a cell that reaches to the plane of the eye? */
-static int tetcasti_painter_meets(const tetcasti_painter *p, const uint32_t tet[4]) {
-    const tetcasti_vertex *q = &p->scene->vertex[tet[0]];
-    float lo[3], hi[3], c[3];
-    uint32_t i, k;
-    for (i = 0; i < 4; i++) {
-        q = &p->scene->vertex[tet[i]];
-        c[0] = q->x;
-        c[1] = q->y;
-        c[2] = q->z;
-        for (k = 0; k < 3; k++) {
-            if (i == 0 || c[k] < lo[k]) lo[k] = c[k];
-            if (i == 0 || c[k] > hi[k]) hi[k] = c[k];
-        }
-    }
-    for (i = 0; i < 6; i++)
-        if ((p->groups >> i & 1u) && tetcasti_beam_meets(&p->beam[i], lo, hi)) return 1;
-    return 0;
-}
-
 /* Draw the cells of a tile into the sums of its rays. ends: depths where rays begin and end. */
 static void tetcasti_tile_paint(tetcasti_painter *p, uint32_t tile, const double ends[2]) {
     const tetcasti_view *v = p->view;
@@ -10649,24 +10750,19 @@ static void tetcasti_tile_paint(tetcasti_painter *p, uint32_t tile, const double
     }
     memcpy(p->entry, v->entry + start[0], n * sizeof *p->entry);
     e = p->entry + (tetcasti_tile_order(p, n, &first, &scale) ? n : 0);
+    for (k = 0; k <= TETCASTI_DEPTHS; k++) p->ahead[k] = TETCASTI_INF;
+    for (k = 0; k < n; k++) {
+        float *a = &p->ahead[tetcasti_depth_step(e[k].z - first, scale)];
+        *a = e[k].nearest < *a ? e[k].nearest : *a;
+    }
+    for (k = TETCASTI_DEPTHS; k > 0; k--) p->ahead[k - 1] = p->ahead[k] < p->ahead[k - 1] ? p->ahead[k] : p->ahead[k - 1];
     for (k = 0; k < n && p->open != 0; k++, e++) {
-        const uint32_t *tet = v->scene->mesh->tet[e->cell];
-        int32_t rect[4];
-        float z;
         if (p->fullest == p->room) { /* the other cells lie behind this */
-            float step = (float)tetcasti_depth_step(e->z - first, scale) - 1.0f;
-            if (p->mode == TETCASTI_KEEP_ALL) p->run(p, first + step / scale - p->join_z);
+            if (p->mode == TETCASTI_KEEP_ALL)
+                p->run(p, p->ahead[tetcasti_depth_step(e->z - first, scale)] - p->join_z);
             if (p->fullest == p->room && !tetcasti_lists_grow(p)) return;
         }
-        if (!tetcasti_cell_rect(v, tet, rect, &z)) continue;
-        rect[0] = rect[0] > (int32_t)p->x0 ? rect[0] - (int32_t)p->x0 : 0;
-        rect[1] = rect[1] > (int32_t)p->y0 ? rect[1] - (int32_t)p->y0 : 0;
-        rect[2] = rect[2] < (int32_t)(p->x0 + p->width) ? rect[2] - (int32_t)p->x0 : (int32_t)p->width;
-        rect[3] = rect[3] < (int32_t)(p->y0 + p->height) ? rect[3] - (int32_t)p->y0 : (int32_t)p->height;
-        if (v->seen[tet[0]].w == -TETCASTI_INF || v->seen[tet[1]].w == -TETCASTI_INF ||
-            v->seen[tet[2]].w == -TETCASTI_INF || v->seen[tet[3]].w == -TETCASTI_INF)
-            if (!tetcasti_painter_meets(p, tet)) continue;
-        p->paint(p, e->cell, rect);
+        p->paint(p, e->cell);
     }
     p->run(p, TETCASTI_INF);
 #if TETCASTI_AVX2
