@@ -9631,29 +9631,108 @@ static int tetcasti_cell_rect(const tetcasti_view *v, const uint32_t tet[4], int
     return rect[0] < rect[2] && rect[1] < rect[3];
 }
 
+#if TETCASTI_AVX2
+/* tetcasti_cell_rect of eight cells, at[i] the first: returns those that can be seen. */
+TETCASTI_TARGET_WALK static uint32_t tetcasti_rects8(const tetcasti_view *v, uint32_t first, int32_t rect[4][8],
+                                                     float z[2][8]) {
+    static const uint32_t at[8] = {0, 1, 2, 3, 4, 5, 6, 7};
+    const __m256 sign = _mm256_set1_ps(-0.0f);
+    const __m128i log = _mm_cvtsi32_si128((int)v->log);
+    const __m256i flip = _mm256_set1_epi32((int)0x80000000u), base = _mm256_srl_epi32(flip, log);
+    __m256i lo[2], hi[2], margin, half = _mm256_set1_epi32((int32_t)(1u << v->log) / 2), one = _mm256_set1_epi32(1);
+    __m256i good = _mm256_set1_epi32(-1);
+    __m256 ids[4], row[4], w = _mm256_setzero_ps(), sum = w, nearest = w, wide;
+    uint32_t i, k, seen, behind, id[8];
+    tetcasti_load8x4(v->scene->mesh->tet + first, at, NULL, ids);
+    lo[0] = lo[1] = hi[0] = hi[1] = good;
+    for (k = 0; k < 4; k++) {
+        _mm256_storeu_si256((__m256i *)(void *)id, _mm256_castps_si256(ids[k]));
+        tetcasti_load8x4(v->seen, id, NULL, row);
+        for (i = 0; i < 2; i++) {
+            __m256i c = _mm256_castps_si256(row[i]);
+            lo[i] = k == 0 ? c : _mm256_min_epi32(lo[i], c);
+            hi[i] = k == 0 ? c : _mm256_max_epi32(hi[i], c);
+        }
+        sum = k == 0 ? row[2] : _mm256_add_ps(sum, row[2]);
+        nearest = k == 0 ? row[2] : _mm256_min_ps(row[2], nearest);
+        row[3] = _mm256_andnot_ps(sign, row[3]);
+        w = k == 0 ? row[3] : _mm256_max_ps(row[3], w);
+    }
+    _mm256_storeu_ps(z[0], _mm256_mul_ps(_mm256_set1_ps(0.25f), sum));
+    _mm256_storeu_ps(z[1], nearest);
+    behind = (uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(w, _mm256_set1_ps(TETCASTI_INF), _CMP_EQ_OQ));
+    wide = _mm256_add_ps(_mm256_div_ps(_mm256_mul_ps(_mm256_set1_ps(v->blur), w), _mm256_set1_ps(v->place)),
+                         _mm256_set1_ps(2.0f));
+    margin = _mm256_cvttps_epi32(_mm256_min_ps(wide, _mm256_set1_ps(268435456.0f)));
+    for (i = 0; i < 2; i++) {
+        __m256i from = _mm256_sub_epi32(_mm256_add_epi32(_mm256_sub_epi32(lo[i], margin), half), one);
+        __m256i to = _mm256_sub_epi32(_mm256_add_epi32(hi[i], margin), half);
+        from = _mm256_sub_epi32(_mm256_srl_epi32(_mm256_add_epi32(from, flip), log), base);
+        to = _mm256_add_epi32(_mm256_sub_epi32(_mm256_srl_epi32(_mm256_add_epi32(to, flip), log), base), one);
+        from = _mm256_max_epi32(from, _mm256_setzero_si256());
+        to = _mm256_min_epi32(to, _mm256_set1_epi32((int32_t)(i == 0 ? v->pixels.width : v->pixels.height)));
+        good = _mm256_and_si256(good, _mm256_cmpgt_epi32(to, from));
+        _mm256_storeu_si256((__m256i *)(void *)rect[i], from);
+        _mm256_storeu_si256((__m256i *)(void *)rect[i + 2], to);
+    }
+    seen = (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(good)) & ~behind;
+    for (; TETCASTI_UNLIKELY(behind != 0); behind &= behind - 1) {
+        int32_t one_rect[4];
+        float one_z[2];
+        i = tetcasti_ctz64(behind);
+        if (!tetcasti_cell_rect(v, v->scene->mesh->tet[first + i], one_rect, one_z)) continue;
+        seen |= 1u << i;
+        for (k = 0; k < 4; k++) rect[k][i] = one_rect[k];
+        z[0][i] = one_z[0];
+        z[1][i] = one_z[1];
+    }
+    return seen;
+}
+#endif
+
 /* Cells of one chunk into bins: how many go into each, or, once the starts are known, themselves. */
 static void tetcasti_bin_chunk(tetcasti_view *v, uint32_t chunk, int fill) {
     const tetcast_mesh *mesh = v->scene->mesh;
     uint32_t i = chunk * v->chunk, end = mesh->cell_count - i < v->chunk ? mesh->cell_count : i + v->chunk, taken = 0;
-    for (; i < end; i++) {
-        int32_t rect[4], x, y;
-        float z[2];
+    uint32_t seen, k;
+    int32_t rect[4][8], x, y;
+    float z[2][8];
+    for (; i < end; i += 8) {
         if (v->cluster_hidden != NULL && tetcasti_bit(v->cluster_hidden, i >> TETCASTI_CLUSTER_LOG)) {
-            i |= (1u << TETCASTI_CLUSTER_LOG) - 1u;
+            i |= (1u << TETCASTI_CLUSTER_LOG) - 8u;
             continue;
         }
-        if (!tetcasti_cell_rect(v, mesh->tet[i], rect, z)) continue;
-        taken++;
-        for (y = rect[1] / (int32_t)TETCASTI_TILE; y <= (rect[3] - 1) / (int32_t)TETCASTI_TILE; y++)
-            for (x = rect[0] / (int32_t)TETCASTI_TILE; x <= (rect[2] - 1) / (int32_t)TETCASTI_TILE; x++) {
-                uint32_t *place = &v->start[((size_t)y * v->tiles_x + (size_t)x) * v->chunks + chunk];
-                if (fill) {
-                    v->entry[*place].cell = i;
-                    v->entry[*place].z = z[0];
-                    v->entry[*place].nearest = z[1];
+        seen = 0;
+#if TETCASTI_AVX2
+        if (v->scene->isa >= TETCAST_ISA_AVX2 && end - i >= 8) seen = tetcasti_rects8(v, i, rect, z);
+        else
+#endif
+        for (k = 0; k < 8 && i + k < end; k++) {
+            int32_t one[4], a;
+            float depth[2];
+            if (!tetcasti_cell_rect(v, mesh->tet[i + k], one, depth)) continue;
+            seen |= 1u << k;
+            for (a = 0; a < 4; a++) rect[a][k] = one[a];
+            z[0][k] = depth[0];
+            z[1][k] = depth[1];
+        }
+        taken += tetcasti_popcount64(seen);
+        for (; seen != 0; seen &= seen - 1) {
+            int32_t x_end, y_end;
+            k = tetcasti_ctz64(seen);
+            x_end = (rect[2][k] - 1) / (int32_t)TETCASTI_TILE;
+            y_end = (rect[3][k] - 1) / (int32_t)TETCASTI_TILE;
+            for (y = rect[1][k] / (int32_t)TETCASTI_TILE; y <= y_end; y++)
+                for (x = rect[0][k] / (int32_t)TETCASTI_TILE; x <= x_end; x++) {
+                    uint32_t *place = &v->start[((size_t)y * v->tiles_x + (size_t)x) * v->chunks + chunk];
+                    if (fill) {
+                        v->entry[*place].cell = i + k;
+                        v->entry[*place].z = z[0][k];
+                        v->entry[*place].nearest = z[1][k];
+                    }
+                    ++*place;
                 }
-                ++*place;
-            }
+        }
     }
     if (fill) tetcasti_tally_add(v->taken, taken);
 }
