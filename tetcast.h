@@ -5363,6 +5363,7 @@ typedef struct tetcasti_lanes {
     tetcasti_ray_sum8 sum;
     uint32_t alive[8];          /* all ones where the lane has a ray; others stay in cell 0 and at vertex 0 */
     uint32_t live;              /* the same as bits */
+    uint32_t dated;             /* lanes whose ray has a depth already */
 } tetcasti_lanes;
 #define TETCASTI_ROWS_WALK 22u
 #define TETCASTI_ROWS_RAY 33u
@@ -5786,6 +5787,7 @@ TETCASTI_TARGET_WALK static void tetcasti_lanes_next(const tetcasti_scene *scene
                                                      uint32_t lanes,
                                                      tetcasti_ready *w) {
     uint32_t todo, i, taken, place[8];
+    l->dated &= ~lanes;
     for (todo = lanes & l->live; todo != 0; todo &= todo - 1) {
         uint32_t ray;
         i = tetcasti_ctz64(todo);
@@ -6189,7 +6191,18 @@ TETCASTI_TARGET_WALK static uint32_t tetcasti_lanes_any(const tetcasti_scene *sc
         }
         if (value != NULL) seg->front[i] = seg->back[i] = value[cell];
     }
-    if (o->iso_count != 0) iso = tetcasti_iso_lanes(o, seg, emit);
+    if (o->iso_count != 0) { /* hardly any lane crosses one: look at all side by side first */
+        const __m256 front = _mm256_loadu_ps(seg->front), back = _mm256_loadu_ps(seg->back);
+        const __m256 least = _mm256_min_ps(front, back), most = _mm256_max_ps(front, back);
+        __m256 near_it = _mm256_setzero_ps();
+        for (k = 0; k < o->iso_count; k++) {
+            const __m256 v = _mm256_set1_ps(o->iso[k].value);
+            near_it = _mm256_or_ps(near_it, _mm256_and_ps(_mm256_cmp_ps(least, v, _CMP_LE_OQ),
+                                                          _mm256_cmp_ps(most, v, _CMP_GE_OQ)));
+        }
+        iso = (uint32_t)_mm256_movemask_ps(near_it) & emit;
+        if (iso != 0) iso = tetcasti_iso_lanes(o, seg, iso);
+    }
     ended = o->segment8(o, seg, emit & ~iso, &l->sum) & emit & ~iso;
     for (todo = iso; todo != 0; todo &= todo - 1) {
         tetcasti_crossing_info x;
@@ -6211,11 +6224,17 @@ TETCASTI_TARGET_WALK static uint32_t tetcasti_lanes_any(const tetcasti_scene *sc
         if (o->model == TETCAST_MODEL_ISOSURFACE && x.first < 1.0f) depth[i] += x.first * seg->length[i];
         ended |= (uint32_t)!(l->sum.t[i] > o->t_stop) << i;
     }
-    for (todo = emit; todo != 0; todo &= todo - 1) {
+    {   /* the first segments that have shown something */
+        const __m256 zero = _mm256_setzero_ps();
+        __m256 seen = _mm256_cmp_ps(_mm256_loadu_ps(l->sum.t), _mm256_set1_ps(scene->begin_t), _CMP_NEQ_UQ);
+        for (k = 0; k < 3; k++)
+            seen = _mm256_or_ps(seen, _mm256_cmp_ps(_mm256_loadu_ps(l->sum.c[k]), zero, _CMP_NEQ_UQ));
+        todo = (uint32_t)_mm256_movemask_ps(seen) & emit & ~l->dated;
+        l->dated |= todo;
+    }
+    for (; todo != 0; todo &= todo - 1) {
         i = tetcasti_ctz64(todo);
-        if (b->depth[l->ray[i]] == TETCASTI_INF && (l->sum.t[i] != scene->begin_t || l->sum.c[0][i] != 0.0f ||
-                                                    l->sum.c[1][i] != 0.0f || l->sum.c[2][i] != 0.0f))
-            b->depth[l->ray[i]] = depth[i];
+        if (b->depth[l->ray[i]] == TETCASTI_INF) b->depth[l->ray[i]] = depth[i];
     }
     return ended;
 }
