@@ -2074,11 +2074,11 @@ static void voxrti_cset_add(voxrti_cset *s, uint32_t c) {
         uint32_t *word = &s->bits[c >> 5 << 1], bit = 1u << (c & 31u), old = voxrti_atomic_load(word);
         while ((old & bit) == 0 && !voxrti_atomic_max_step(word, &old, old | bit)) { }
     } else {
-        uint32_t h = c * 0x9e3779b1u >> 7 & s->slot_mask, old = 0;
-        while (!voxrti_atomic_max_step(&s->slot[2 * h], &old, c + 1)) {
-            if (old == c + 1) return;
-            h = (h + 1) & s->slot_mask;
-            old = 0;
+        uint32_t h = c * 0x9e3779b1u >> 7 & s->slot_mask;
+        for (;; h = (h + 1) & s->slot_mask) { /* without threads the step does not compare: look first */
+            uint32_t old = voxrti_atomic_load(&s->slot[2 * h]);
+            if (old == c + 1 || (old == 0 && voxrti_atomic_max_step(&s->slot[2 * h], &old, c + 1))) return;
+            if (old == c + 1) return; /* another thread was first */
         }
     }
 }
