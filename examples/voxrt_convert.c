@@ -133,17 +133,52 @@ static int read_mesh(const char *program, const convert_options *o, sup_mesh *me
     return 0;
 }
 
-static voxrt_result write_v4(const convert_options *o, const voxrt_env *env, const voxrt_tree *tree) {
-    voxrt_octree_desc desc = {0};
-    voxrt_octree *octree = NULL;
+/* Write the file o->out; or, with `size`, to memory: what it takes, and into `buffer` if that is large enough. */
+static voxrt_result write_voxels(const convert_options *o, const voxrt_env *env, const voxrt_tree *tree, void *buffer,
+                                 size_t capacity, size_t *size) {
     voxrt_result result;
-    desc.env = *env;
-    desc.disable_grid = 1;
-    desc.lod_majority = (uint32_t)o->lod;
-    result = voxrt_octree_from_tree(&desc, tree, &octree);
-    if (result == VOXRT_OK) result = voxrt_octree_save_file(octree, env, o->out);
-    voxrt_octree_destroy(octree);
+    if (o->format == FORMAT_V4) {
+        voxrt_octree_desc desc = {0};
+        voxrt_octree *octree = NULL;
+        desc.env = *env;
+        desc.disable_grid = 1;
+        desc.lod_majority = (uint32_t)o->lod;
+        result = voxrt_octree_from_tree(&desc, tree, &octree);
+        if (result == VOXRT_OK) {
+            result = size != NULL ? voxrt_octree_save_memory(octree, env, buffer, capacity, size) :
+                                    voxrt_octree_save_file(octree, env, o->out);
+        }
+        voxrt_octree_destroy(octree);
+    } else {
+        voxrt_save_desc save = {0};
+        save.env = *env;
+        save.encoding = o->raw ? VOXRT_ENCODING_RAW : VOXRT_ENCODING_COMPACT;
+        result = size != NULL ? voxrt_tree_save_memory(tree, &save, buffer, capacity, size) :
+                                voxrt_tree_save_file(tree, &save, o->out);
+    }
     return result;
+}
+
+/* The library writes a new file beside the old one, which it then replaces. A device, a pipe or a link must not be
+   replaced: the file is made in memory and written to it. Returns 0, or 1 with err->text set. */
+static int write_out(const convert_options *o, const voxrt_env *env, const voxrt_tree *tree, sup_error *err) {
+    size_t size = 0;
+    void *data = NULL;
+    voxrt_result result;
+    int failed;
+    sup_error_clear(err);
+    if (!sup_is_special_file(o->out)) {
+        result = write_voxels(o, env, tree, NULL, 0, NULL);
+    } else {
+        result = write_voxels(o, env, tree, NULL, 0, &size);
+        if (result == VOXRT_OK) data = sup_alloc(size, 1);
+        if (result == VOXRT_OK) result = data == NULL ? VOXRT_ERR_NO_MEMORY : write_voxels(o, env, tree, data, size, &size);
+        failed = result == VOXRT_OK && sup_write_file(o->out, data, size, err);
+        SUP_FREE(data);
+        if (failed) return 1;
+    }
+    if (result == VOXRT_OK) return 0;
+    return sup_fail(err, "%s: %s", o->out, env->error->text[0] ? env->error->text : voxrt_result_string(result));
 }
 
 static size_t file_size(const char *path) {
@@ -236,20 +271,9 @@ int main(int argc, char **argv) {
 
     start = sup_now();
     desc.env.progress_fn = NULL;
-    if (o.format == FORMAT_V4) {
-        result = write_v4(&o, &desc.env, tree);
-    } else {
-        voxrt_save_desc save = {0};
-        save.env = desc.env;
-        save.encoding = o.raw ? VOXRT_ENCODING_RAW : VOXRT_ENCODING_COMPACT;
-        result = voxrt_tree_save_file(tree, &save, o.out);
-    }
+    status = write_out(&o, &desc.env, tree, &err);
     write_s = sup_now() - start;
-    if (result == VOXRT_OK && o.stats) print_stats(&o, &stats, tree, turned, read_s, build_s, write_s);
+    if (!status && o.stats) print_stats(&o, &stats, tree, turned, read_s, build_s, write_s);
     voxrt_tree_destroy(tree);
-    if (result != VOXRT_OK) {
-        (void)sup_fail(&err, "%s: %s", o.out, error.text[0] ? error.text : voxrt_result_string(result));
-        return sup_bad_input(argv[0], err.text);
-    }
-    return 0;
+    return status ? sup_bad_input(argv[0], err.text) : 0;
 }

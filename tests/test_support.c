@@ -1608,6 +1608,15 @@ TEST(files_appear_whole) {
     CHECK(sup_file_commit(&file, &err) == 1 && strstr(err.text, path) == err.text);
     CHECK(test_read_file(path, &size) == NULL);
     CHECK_EQ_I64(g_memory.live, 0);
+    /* devices and links are written to, not replaced by a file */
+    CHECK(sup_is_special_file("/dev/full") && !sup_is_special_file(path) && !sup_is_special_file("."));
+    CHECK(sup_write_file("/dev/full", "does not fit", 12, &err) == 1 && strstr(err.text, "/dev/full") == err.text);
+    CHECK(sup_is_special_file("/dev/full"));
+    CHECK(!sup_write_file("/dev/null", "gone", 4, &err) && sup_is_special_file("/dev/null"));
+    CHECK(!sup_file_open("/dev/null", &file, &err));
+    sup_file_abort(&file);
+    CHECK(sup_is_special_file("/dev/null"));
+    CHECK_EQ_I64(g_memory.live, 0);
 }
 
 TEST(colours) {

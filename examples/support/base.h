@@ -165,11 +165,22 @@ SUP_FN int sup_is_plain_file(const char *path) {
 #endif
 }
 
+/* 1 when `path` is there and is more than a plain file: a device, a pipe, a link. Such a thing is written to; a new file
+   of its name would take its place. */
+SUP_FN int sup_is_special_file(const char *path) {
+#if defined(_WIN32)
+    return path[0] == '\0';
+#else
+    struct stat about;
+    return lstat(path, &about) == 0 && !S_ISREG(about.st_mode) && !S_ISDIR(about.st_mode);
+#endif
+}
+
 /* A file being written beside its final name; see sup_file_open. */
 typedef struct sup_file {
     FILE *stream;
     char *path;
-    char *temporary;
+    char *temporary; /* empty: written in place */
 } sup_file;
 
 SUP_FN void supi_file_forget(sup_file *file) {
@@ -178,7 +189,8 @@ SUP_FN void supi_file_forget(sup_file *file) {
     memset(file, 0, sizeof *file);
 }
 
-/* Begin to write `path` so that it appears whole or not at all: out->stream is a new file beside it.
+/* Begin to write `path` so that it appears whole or not at all: out->stream is a new file beside it. Only what is more
+   than a plain file (sup_is_special_file) is written in place.
    End with sup_file_commit, which gives it its name, or with sup_file_abort, which removes it.
    Returns 0, or 1 with err->text set and nothing to clean up. */
 SUP_FN int sup_file_open(const char *path, sup_file *out, sup_error *err) {
@@ -202,7 +214,8 @@ SUP_FN int sup_file_open(const char *path, sup_file *out, sup_error *err) {
                    (long)getpid(),
 #endif
                    (unsigned long)((uintptr_t)out->temporary >> 4));
-    out->stream = fopen(out->temporary, "wb");
+    if (sup_is_special_file(path)) out->temporary[0] = '\0';
+    out->stream = fopen(out->temporary[0] ? out->temporary : path, "wb");
     if (!out->stream) {
         const int code = errno;
         supi_file_forget(out);
@@ -215,7 +228,7 @@ SUP_FN int sup_file_open(const char *path, sup_file *out, sup_error *err) {
 /* Give up a file begun with sup_file_open: remove what was written. */
 SUP_FN void sup_file_abort(sup_file *file) {
     (void)fclose(file->stream);
-    (void)remove(file->temporary);
+    if (file->temporary[0]) (void)remove(file->temporary);
     supi_file_forget(file);
 }
 
@@ -230,7 +243,7 @@ SUP_FN int sup_file_commit(sup_file *file, sup_error *err) {
         code = errno;
     }
     file->stream = NULL;
-    if (!failed) {
+    if (!failed && file->temporary[0]) {
 #if defined(_WIN32)
         (void)remove(file->path); /* rename does not replace there */
 #endif
@@ -240,7 +253,7 @@ SUP_FN int sup_file_commit(sup_file *file, sup_error *err) {
         }
     }
     if (failed) {
-        (void)remove(file->temporary);
+        if (file->temporary[0]) (void)remove(file->temporary);
         (void)sup_fail(err, "%s: %s", file->path, code ? strerror(code) : "write error");
     }
     supi_file_forget(file);
