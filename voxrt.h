@@ -910,8 +910,10 @@ VOXRT_DEF void voxrt_group_geometry(const voxrt_group *group, voxrt_geometry *ou
    stats   may be NULL; counting costs a little
    Progressive pictures: call with samples = 1, first_sample = 0, 1, 2, ... and image->sum: each call leaves the mean of
    all samples so far, the same bits as one call with that many samples.
-   The same bits for any number of threads and any isa. Allocates nothing. Errors: INVALID_ARG, UNINIT_DESC, CANCELLED
-   (then the picture is incomplete). Thread safety: any number of calls on one tree. */
+   The same bits for any number of threads and any isa. Allocates nothing. Colours of lights, material and background
+   are within -1e12 and 1e12, so that no pixel overflows.
+   Errors: INVALID_ARG (env.error says what), UNINIT_DESC, RANGE, CANCELLED (then the picture is incomplete). Thread
+   safety: any number of calls on one tree. */
 VOXRT_DEF voxrt_result voxrt_render(const voxrt_render_desc *desc, const voxrt_tree *tree, const voxrt_image *image,
                                     voxrt_render_stats *stats);
 
@@ -11046,8 +11048,10 @@ static VOXRTI_NOINLINE void voxrti_run_light(const voxrti_render *c, const voxrt
             for (a = 0; a < 3; a++) v[a] = -ray[i].dir[a];
             (void)voxrti_normalize(v);
             along = 2.0f * cosine * voxrti_dot3(normal[i], v) - voxrti_dot3(to, v);
-            if (along > 0.0f)
-                specular[m] = c->material.specular * (float)voxrti_pow((double)along, (double)c->material.shininess);
+            if (along > 0.0f) {
+                double power = (double)c->material.shininess * voxrti_log2((double)along); /* of 2; below -149: no float */
+                if (power > -149.0) specular[m] = c->material.specular * (float)voxrti_exp2(voxrti_min(power, 0.0));
+            }
         }
         index[m] = (uint8_t)i;
         dark[m] = 0;
@@ -11756,24 +11760,50 @@ static uint32_t voxrti_object_level(const voxrti_render *c, double pixels) {
     return level;
 }
 
-static voxrt_result voxrti_render_open(const voxrt_render_desc *d, voxrti_render *c) {
+/* Colours and factors: products of two of them, summed up over lights and samples, stay finite. */
+VOXRTI_INLINE int voxrti_amount(float x) { return voxrti_absf(x) <= 1e12f; }
+
+/* What is wrong with the desc but for the camera; NULL: nothing. */
+static const char *voxrti_render_bad(const voxrt_render_desc *d, const voxrti_render *c) {
+    const voxrt_material *m = d->material;
+    size_t i;
+    uint32_t a;
+    if ((uint32_t)d->view > 6u || (uint32_t)d->stage > 3u || (uint32_t)d->isa > 4u)
+        return "render: no such view, stage or isa";
+    if (!(d->tolerance >= 0.0f) || !voxrti_finite_f(d->tolerance)) return "render: bad tolerance";
+    if (d->first_sample > 0xff000000u || d->samples > 0x00ffffffu || d->pixel_step > 8)
+        return "render: first_sample, samples or pixel_step is too large";
+    if (c->tree == NULL && d->geometry == NULL) return "render: nothing to draw: no tree and no geometry";
+    if (d->geometry == NULL && d->geometry_count != 0) return "render: geometry is NULL";
+    for (i = 0; i < d->geometry_count; i++)
+        if (d->geometry[i].trace_fn == NULL || d->geometry[i].occluded_fn == NULL)
+            return "render: geometry without functions";
+    if (d->lights == NULL && d->light_count != 0) return "render: lights is NULL";
+    for (i = 0; i < d->light_count; i++) {
+        if (!voxrti_finite3(d->lights[i].position)) return "render: place of a light is not finite";
+        for (a = 0; a < 3; a++)
+            if (!voxrti_amount(d->lights[i].color[a])) return "render: colour of a light is not within -1e12 and 1e12";
+    }
+    for (a = 0; m != NULL && a < 3; a++)
+        if (!voxrti_amount(m->ambient[a])) return "render: ambient is not within -1e12 and 1e12";
+    if (m != NULL && (!voxrti_amount(m->diffuse) || !voxrti_amount(m->specular) ||
+                      !voxrti_amount(m->shininess) || m->shininess < 0.0f))
+        return "render: bad material";
+    for (a = 0; a < 4; a++)
+        if (!voxrti_amount(d->background[a])) return "render: background is not within -1e12 and 1e12";
+    return NULL;
+}
+
+/* *what: what is wrong, if something is. */
+static voxrt_result voxrti_render_open(const voxrt_render_desc *d, voxrti_render *c, const char **what) {
     const voxrt_image *m = c->image;
     voxrt_camera camera = d->camera;
     double lo[3], hi[3];
-    size_t g;
     uint32_t l, level;
     voxrt_result r;
-    if ((uint32_t)d->view > 6u || (uint32_t)d->stage > 3u || (uint32_t)d->isa > 4u) return VOXRT_ERR_INVALID_ARG;
-    if (!(d->tolerance >= 0.0f) || !voxrti_finite_f(d->tolerance) || d->first_sample > 0xff000000u ||
-        d->samples > 0x00ffffffu || d->pixel_step > 8 || (d->lights == NULL && d->light_count != 0) ||
-        (d->geometry == NULL && d->geometry_count != 0) || (c->tree == NULL && d->geometry == NULL))
-        return VOXRT_ERR_INVALID_ARG;
-    for (l = 0; l < d->light_count; l++) {
-        if (!voxrti_finite3(d->lights[l].position) || !voxrti_finite3(d->lights[l].color)) return VOXRT_ERR_INVALID_ARG;
-    }
-    for (g = 0; g < d->geometry_count; g++) {
-        if (d->geometry[g].trace_fn == NULL || d->geometry[g].occluded_fn == NULL) return VOXRT_ERR_INVALID_ARG;
-    }
+    *what = voxrti_render_bad(d, c);
+    if (*what != NULL) return VOXRT_ERR_INVALID_ARG;
+    *what = "render: the camera cannot frame what is drawn: its box is not finite, or the angle is not in (0, 180)";
     if (camera.eye[0] == camera.at[0] && camera.eye[1] == camera.at[1] && camera.eye[2] == camera.at[2]) {
         if (!voxrti_render_box(c, lo, hi)) return VOXRT_ERR_INVALID_ARG;
         if (c->tree != NULL && d->geometry_count == 0)
@@ -11782,12 +11812,12 @@ static voxrt_result voxrti_render_open(const voxrt_render_desc *d, voxrti_render
             r = voxrt_camera_fit(&camera, lo, hi, NULL, m->width, m->height);
         if (r != VOXRT_OK) return r;
     }
+    *what = "render: bad camera: a number is not finite, eye equals at, or the angle is not in (0, 180)";
     r = voxrti_frame_open(&camera, m->height, &c->frame);
     if (r != VOXRT_OK) return r;
     c->samples = d->samples != 0 ? d->samples : 1;
     c->transparent = 1;
     for (l = 0; l < 4; l++) {
-        if (!voxrti_finite_f(d->background[l])) return VOXRT_ERR_INVALID_ARG;
         c->transparent &= d->background[l] == 0.0f;
         c->background[l] = d->background[l];
     }
@@ -11824,6 +11854,7 @@ VOXRT_DEF voxrt_result voxrt_render(const voxrt_render_desc *desc, const voxrt_t
     voxrti_render c;
     voxrt_result r;
     uint32_t rows, y;
+    const char *what;
     memset(&d, 0, sizeof d);
     if (desc != NULL) d = *desc;
     if (d._begin_zero != 0 || d._end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
@@ -11833,8 +11864,8 @@ VOXRT_DEF voxrt_result voxrt_render(const voxrt_render_desc *desc, const voxrt_t
     c.image = image;
     c.tree = tree;
     c.count = stats != NULL;
-    r = voxrti_render_open(&d, &c);
-    if (r != VOXRT_OK) return voxrti_fail(d.env.error, r, 0, "render: bad camera, light or option");
+    r = voxrti_render_open(&d, &c, &what);
+    if (r != VOXRT_OK) return voxrti_fail(d.env.error, r, 0, what);
     if (image->width == 0 || image->height == 0) return VOXRT_OK;
     c.step = d.pixel_step != 0 ? d.pixel_step : 1;
     c.tile = c.step < 3 ? 32 : 8 * c.step;

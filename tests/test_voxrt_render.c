@@ -1155,7 +1155,70 @@ TEST(edges) {
     d.lights = &light;
     light.color[1] = NAN;
     CHECK(voxrt_render(&d, t, &empty, NULL) == VOXRT_ERR_INVALID_ARG);
+    CHECK(strstr(error.text, "colour of a light") != NULL);
+    light.color[1] = 1e13f;
+    CHECK(voxrt_render(&d, t, &empty, NULL) == VOXRT_ERR_INVALID_ARG);
     light.color[1] = 0;
+    for (k = 0; k < 12; k++) { /* one number of the material or the background is bad */
+        static const float bad[2] = {NAN, -INFINITY};
+        voxrt_material m;
+        float *one = (float *)&m;
+        memset(&m, 0, sizeof m);
+        one[k < 6 ? k : 0] = k < 6 ? bad[k & 1] : 0.5f;
+        if (k >= 6 && k < 10) d.background[k - 6] = k & 1 ? INFINITY : 2e12f;
+        if (k == 10) one[5] = -1; /* shininess */
+        if (k == 11) one[3] = -1e13f;
+        d.material = &m;
+        memset(&error, 0, sizeof error);
+        CHECK(voxrt_render(&d, t, &empty, NULL) == VOXRT_ERR_INVALID_ARG && error.text[0] != 0);
+        memset(d.background, 0, sizeof d.background);
+        d.material = NULL;
+    }
+    d.camera.eye[0] = NAN;
+    CHECK(voxrt_render(&d, t, &empty, NULL) == VOXRT_ERR_INVALID_ARG && strstr(error.text, "camera") != NULL);
+    d.camera.eye[0] = 0;
+    { /* the most that is allowed: nothing overflows, also where it is blurred */
+        picture q = make_picture(40, 30, 0, 1);
+        voxrt_material m;
+        double before = 1e9;
+        uint32_t x, bad = 0;
+        set3(m.ambient, 1e12f, -1e12f, 1e12f);
+        m.diffuse = m.specular = 1e12f;
+        m.shininess = 1e12f;
+        set3(light.color, 1e12f, 1e12f, -1e12f);
+        set3(light.position, 1, 3, 2);
+        d.material = &m;
+        d.samples = 7;
+        set3(d.background, 1e12f, -1e12f, 1e12f);
+        CHECK(voxrt_render(&d, t, &q.m, NULL) == VOXRT_OK && voxrt_blur(NULL, &q.m) == VOXRT_OK);
+        for (x = 0; x < 40 * 30 * 4; x++) bad += !(fabsf(q.m.rgba[x]) <= 1e38f);
+        CHECK_EQ_U64(bad, 0);
+        memset(&m, 0, sizeof m); /* highlights: the sharper the darker, and never above 1 */
+        set3(d.background, 0, 0, 0);
+        set3(light.color, 1, 1, 1);
+        m.specular = 1;
+        d.camera = look(4, 3, 4, 1, 1, 1, 40);
+        d.samples = 1;
+        for (k = 0; k < 5; k++) {
+            static const float sharp[5] = {1, 30, 300, 2000, 1e9f};
+            double sum = 0;
+            m.shininess = sharp[k];
+            CHECK(voxrt_render(&d, t, &q.m, NULL) == VOXRT_OK);
+            for (x = 0; x < 40 * 30 * 4; x += 4) {
+                bad += !(q.m.rgba[x] >= 0 && q.m.rgba[x] <= 1);
+                sum += (double)q.m.rgba[x];
+            }
+            CHECK(sum <= before && (k > 1 || sum > 0));
+            before = sum;
+        }
+        CHECK_EQ_U64(bad, 0);
+        free_picture(&q);
+        memset(&d.camera, 0, sizeof d.camera);
+        d.material = NULL;
+        d.samples = 0;
+        set3(d.background, 0, 0, 0);
+        set3(light.position, 0, 0, 0);
+    }
     light.directional = 1; /* no direction: no light */
     CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
     d.lights = NULL;
