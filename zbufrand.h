@@ -12577,6 +12577,7 @@ typedef struct zbufrandi_drawn { /* all that was drawn for a picture */
     const zbufrandi_srgb *srgb;
     int need_places;                /* zbufrandi_look_at.p is wanted */
     uint32_t stand_in;              /* local stand_in + i is there for what is below dummies: structure i, no more */
+    int level;                      /* instruction set */
 } zbufrandi_drawn;
 
 typedef struct zbufrandi_look_at { /* a surface as it is found */
@@ -12664,6 +12665,30 @@ static void zbufrandi_triangle_weights(const zbufrandi_local *l, const float ray
     for (a = 0; a < 3; a++) w[a] = w[a] * sum;
 }
 
+/* Colour and names of triangle t of a cluster; w: weights of its corners, read only for colours of vertices. */
+ZBUFRANDI_INLINE void zbufrandi_triangle_look(const zbufrandi_drawn *s, uint32_t local, uint32_t cluster, uint32_t t,
+                                              const float w[3], zbufrandi_look_at *out) {
+    const zbufrandi_structure *structure = &s->scene->structure[s->local[local].structure];
+    const zbufrandi_cluster *c = &structure->cluster[cluster];
+    uint32_t a, k;
+    out->rgb[0] = out->rgb[1] = out->rgb[2] = 1.0f;
+    if (c->flags & ZBUFRANDI_HAS_TRIANGLE_RGB) {
+        const uint8_t *rgb = structure->triangle_rgb + 3 * ((size_t)c->first_triangle + t);
+        for (a = 0; a < 3; a++) out->rgb[a] = s->srgb->linear[rgb[a]];
+    } else if (c->flags & ZBUFRANDI_HAS_VERTEX_RGB) {
+        const uint8_t *tri = structure->triangle + 3 * ((size_t)c->first_triangle + t);
+        for (a = 0; a < 3; a++) out->rgb[a] = 0.0f;
+        for (k = 0; k < 3; k++) {
+            const uint8_t *rgb = structure->vertex_rgb + 3 * ((size_t)c->first_vertex + tri[k]);
+            for (a = 0; a < 3; a++) out->rgb[a] += s->srgb->linear[rgb[a]] * w[k];
+        }
+    }
+    out->material = s->scene->mesh[c->mesh].m.material;
+    out->cluster = cluster;
+    out->triangle = t;
+    out->local = local;
+}
+
 /* Triangle t of a cluster where `ray` meets it, or as near to that as it reaches. */
 static void zbufrandi_triangle_surface(const zbufrandi_drawn *s, uint32_t local, uint32_t cluster, uint32_t t,
                                        const float ray[3],
@@ -12673,7 +12698,7 @@ static void zbufrandi_triangle_surface(const zbufrandi_drawn *s, uint32_t local,
     const zbufrandi_cluster *c = &structure->cluster[cluster];
     const uint8_t *tri = structure->triangle + 3 * ((size_t)c->first_triangle + t);
     const float *v[3];
-    float e[2][3], n[3], w[3], b[3], g[3];
+    float e[2][3], n[3], w[3] = {0.0f, 0.0f, 0.0f}, b[3], g[3];
     uint32_t k, a;
     for (k = 0; k < 3; k++) v[k] = structure->position + 3 * ((size_t)c->first_vertex + tri[k]);
     for (a = 0; a < 3; a++) {
@@ -12699,23 +12724,7 @@ static void zbufrandi_triangle_surface(const zbufrandi_drawn *s, uint32_t local,
         memcpy(out->normal, out->face, sizeof out->normal);
     }
     zbufrandi_turn_normal(out->normal, ray);
-    out->rgb[0] = out->rgb[1] = out->rgb[2] = 1.0f;
-    if (c->flags & ZBUFRANDI_HAS_TRIANGLE_RGB) {
-        const uint8_t *rgb = structure->triangle_rgb + 3 * ((size_t)c->first_triangle + t);
-        for (a = 0; a < 3; a++) out->rgb[a] = s->srgb->linear[rgb[a]];
-    } else if (c->flags & ZBUFRANDI_HAS_VERTEX_RGB) {
-        for (a = 0; a < 3; a++) {
-            out->rgb[a] = 0.0f;
-            for (k = 0; k < 3; k++) {
-                out->rgb[a] += s->srgb->linear[structure->vertex_rgb[3 * ((size_t)c->first_vertex + tri[k]) + a]] *
-                    w[k];
-            }
-        }
-    }
-    out->material = s->scene->mesh[c->mesh].m.material;
-    out->cluster = cluster;
-    out->triangle = t;
-    out->local = local;
+    zbufrandi_triangle_look(s, local, cluster, t, w, out);
 }
 
 static void zbufrandi_point_surface(const zbufrandi_drawn *s, const zbufrandi_draw *d, uint32_t i, const float ray[3],
@@ -12785,6 +12794,146 @@ typedef struct zbufrandi_found { /* a number looked up */
     uint32_t local, cluster, triangle; /* of what is a triangle */
 } zbufrandi_found;
 
+#if ZBUFRANDI_AVX2
+typedef struct zbufrandi_shade8 { /* eight triangles, a lane each */
+    float m[9][8], eye[3][8], low[3][8], v[9][8], ray[3][8];
+    uint32_t code[3][8], smooth[8];             /* normals of the vertices; all ones: there are some */
+    float normal[3][8], face[3][8], p[3][8], w[3][8];
+} zbufrandi_shade8;
+
+/* zbufrandi_oct_decode, times a weight. */
+ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_oct_add8(const uint32_t code[8], __m256 w, __m256 n[3]) {
+    const __m256 sign = _mm256_set1_ps(-0.0f), one = _mm256_set1_ps(1.0f), step = _mm256_set1_ps(2.0f / 255.0f);
+    const __m256i c = _mm256_loadu_si256((const __m256i *)(const void *)code);
+    __m256 x = _mm256_sub_ps(_mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_and_si256(c, _mm256_set1_epi32(255))), step), one);
+    __m256 y = _mm256_sub_ps(_mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_srli_epi32(c, 8)), step), one);
+    const __m256 ax = _mm256_andnot_ps(sign, x), ay = _mm256_andnot_ps(sign, y);
+    const __m256 z = _mm256_sub_ps(_mm256_sub_ps(one, ax), ay);
+    __m256 l = _mm256_or_ps(one, _mm256_and_ps(sign, _mm256_cmp_ps(x, _mm256_setzero_ps(), _CMP_LT_OQ)));
+    x = _mm256_blendv_ps(x, _mm256_mul_ps(_mm256_sub_ps(one, ay), l), z);
+    l = _mm256_or_ps(one, _mm256_and_ps(sign, _mm256_cmp_ps(y, _mm256_setzero_ps(), _CMP_LT_OQ)));
+    y = _mm256_blendv_ps(y, _mm256_mul_ps(_mm256_sub_ps(one, ax), l), z);
+    l = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(x, x), _mm256_mul_ps(y, y)), _mm256_mul_ps(z, z));
+    l = _mm256_div_ps(one, _mm256_sqrt_ps(l));
+    n[0] = _mm256_add_ps(n[0], _mm256_mul_ps(_mm256_mul_ps(x, l), w));
+    n[1] = _mm256_add_ps(n[1], _mm256_mul_ps(_mm256_mul_ps(y, l), w));
+    n[2] = _mm256_add_ps(n[2], _mm256_mul_ps(_mm256_mul_ps(z, l), w));
+}
+
+ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE __m256 zbufrandi_dot8v(__m256 ax, __m256 ay, __m256 az, __m256 bx, __m256 by,
+                                                              __m256 bz) {
+    return _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(ax, bx), _mm256_mul_ps(ay, by)), _mm256_mul_ps(az, bz));
+}
+
+/* The operations of zbufrandi_triangle_surface and what it calls, one for one. */
+ZBUFRANDI_TARGET_AVX2 static void zbufrandi_shade_eight(zbufrandi_shade8 *s) {
+    const __m256 zero = _mm256_setzero_ps(), one = _mm256_set1_ps(1.0f);
+    __m256 m[9], e0[3], e1[3], n[3], b[3], r[3], h[3], w[3], ray[3], t, sum, l;
+    int a;
+    for (a = 0; a < 9; a++) m[a] = _mm256_loadu_ps(s->m[a]);
+    for (a = 0; a < 3; a++) {
+        const __m256 v0 = _mm256_loadu_ps(s->v[a]);
+        ray[a] = _mm256_loadu_ps(s->ray[a]);
+        e0[a] = _mm256_sub_ps(_mm256_loadu_ps(s->v[3 + a]), v0);
+        e1[a] = _mm256_sub_ps(_mm256_loadu_ps(s->v[6 + a]), v0);
+        b[a] = _mm256_sub_ps(_mm256_sub_ps(v0, _mm256_loadu_ps(s->eye[a])), _mm256_loadu_ps(s->low[a]));
+    }
+    n[0] = _mm256_sub_ps(_mm256_mul_ps(e0[1], e1[2]), _mm256_mul_ps(e0[2], e1[1]));
+    n[1] = _mm256_sub_ps(_mm256_mul_ps(e0[2], e1[0]), _mm256_mul_ps(e0[0], e1[2]));
+    n[2] = _mm256_sub_ps(_mm256_mul_ps(e0[0], e1[1]), _mm256_mul_ps(e0[1], e1[0]));
+    for (a = 0; a < 3; a++) r[a] = zbufrandi_dot8v(m[a], m[3 + a], m[6 + a], ray[0], ray[1], ray[2]);
+    t = _mm256_div_ps(zbufrandi_dot8v(n[0], n[1], n[2], b[0], b[1], b[2]),
+                      zbufrandi_dot8v(n[0], n[1], n[2], r[0], r[1], r[2]));
+    for (a = 0; a < 3; a++) h[a] = _mm256_sub_ps(_mm256_mul_ps(r[a], t), b[a]);
+    sum = _mm256_div_ps(one, zbufrandi_dot8v(n[0], n[1], n[2], n[0], n[1], n[2]));
+    w[1] = zbufrandi_dot8v(_mm256_sub_ps(_mm256_mul_ps(h[1], e1[2]), _mm256_mul_ps(h[2], e1[1])),
+                           _mm256_sub_ps(_mm256_mul_ps(h[2], e1[0]), _mm256_mul_ps(h[0], e1[2])),
+                           _mm256_sub_ps(_mm256_mul_ps(h[0], e1[1]), _mm256_mul_ps(h[1], e1[0])), n[0], n[1], n[2]);
+    w[2] = zbufrandi_dot8v(_mm256_sub_ps(_mm256_mul_ps(e0[1], h[2]), _mm256_mul_ps(e0[2], h[1])),
+                           _mm256_sub_ps(_mm256_mul_ps(e0[2], h[0]), _mm256_mul_ps(e0[0], h[2])),
+                           _mm256_sub_ps(_mm256_mul_ps(e0[0], h[1]), _mm256_mul_ps(e0[1], h[0])), n[0], n[1], n[2]);
+    w[1] = _mm256_mul_ps(w[1], sum);
+    w[2] = _mm256_mul_ps(w[2], sum);
+    w[0] = _mm256_sub_ps(_mm256_sub_ps(one, w[1]), w[2]);
+    for (a = 0, sum = zero; a < 3; a++) {
+        w[a] = _mm256_min_ps(_mm256_max_ps(w[a], zero), one); /* the second one if the first is NaN */
+        sum = _mm256_add_ps(sum, w[a]);
+    }
+    l = _mm256_cmp_ps(sum, zero, _CMP_GT_OQ);
+    w[0] = _mm256_blendv_ps(one, w[0], l);
+    sum = _mm256_div_ps(one, _mm256_blendv_ps(one, sum, l));
+    for (a = 0; a < 3; a++) {
+        w[a] = _mm256_mul_ps(w[a], sum);
+        _mm256_storeu_ps(s->w[a], w[a]);
+    }
+    for (a = 0; a < 3; a++) {
+        h[a] = _mm256_add_ps(_mm256_add_ps(b[a], _mm256_mul_ps(e0[a], w[1])), _mm256_mul_ps(e1[a], w[2]));
+        r[a] = zbufrandi_dot8v(m[3 * a], m[3 * a + 1], m[3 * a + 2], n[0], n[1], n[2]);
+        _mm256_storeu_ps(s->face[a], r[a]);
+    }
+    for (a = 0; a < 3; a++) {
+        _mm256_storeu_ps(s->p[a], zbufrandi_dot8v(m[3 * a], m[3 * a + 1], m[3 * a + 2], h[0], h[1], h[2]));
+    }
+    l = _mm256_loadu_ps((const float *)(const void *)s->smooth);
+    if (_mm256_movemask_ps(l) != 0) {
+        n[0] = n[1] = n[2] = zero;
+        for (a = 0; a < 3; a++) zbufrandi_oct_add8(s->code[a], w[a], n);
+        for (a = 0; a < 3; a++) {
+            h[a] = zbufrandi_dot8v(m[3 * a], m[3 * a + 1], m[3 * a + 2], n[0], n[1], n[2]);
+            r[a] = _mm256_blendv_ps(r[a], h[a], l);
+        }
+    }
+    l = zbufrandi_dot8v(r[0], r[1], r[2], r[0], r[1], r[2]); /* zbufrandi_turn_normal */
+    t = zbufrandi_dot8v(r[0], r[1], r[2], ray[0], ray[1], ray[2]);
+    l = _mm256_and_ps(_mm256_cmp_ps(l, _mm256_set1_ps(1e-37f), _CMP_GT_OQ), _mm256_div_ps(one, _mm256_sqrt_ps(l)));
+    l = _mm256_blendv_ps(l, _mm256_sub_ps(zero, l), _mm256_cmp_ps(t, zero, _CMP_GT_OQ));
+    for (a = 0; a < 3; a++) _mm256_storeu_ps(s->normal[a], _mm256_mul_ps(r[a], l));
+}
+
+/* Surfaces of count <= 8 triangles, found[at[i]], seen along rays[at[i]]. */
+static void zbufrandi_triangle_surfaces(const zbufrandi_drawn *s, const zbufrandi_found *found,
+                                        const float (*rays)[3], const uint8_t *at, uint32_t count,
+                                        zbufrandi_look_at *out) {
+    zbufrandi_shade8 e;
+    uint32_t i, k, a;
+    for (i = 0; i < 8; i++) {
+        const zbufrandi_found *f = &found[at[i < count ? i : 0]];
+        const float *ray = rays[at[i < count ? i : 0]];
+        const zbufrandi_local *l = &s->local[f->local];
+        const zbufrandi_structure *structure = &s->scene->structure[l->structure];
+        const zbufrandi_cluster *c = &structure->cluster[f->cluster];
+        const uint8_t *tri = structure->triangle + 3 * ((size_t)c->first_triangle + f->triangle);
+        const int smooth = (c->flags & ZBUFRANDI_HAS_NORMALS) != 0;
+        e.smooth[i] = smooth ? ~0u : 0u;
+        for (a = 0; a < 3; a++) {
+            const size_t vertex = (size_t)c->first_vertex + tri[a];
+            const float *v = structure->position + 3 * vertex;
+            for (k = 0; k < 3; k++) {
+                e.m[3 * a + k][i] = l->m[a][k];
+                e.v[3 * a + k][i] = v[k];
+            }
+            e.eye[a][i] = l->eye[a];
+            e.low[a][i] = l->eye_low[a];
+            e.ray[a][i] = ray[a];
+            e.code[a][i] = smooth ? structure->vertex_normal[vertex] : 0u;
+        }
+    }
+    zbufrandi_shade_eight(&e);
+    for (i = 0; i < count; i++) {
+        const zbufrandi_found *f = &found[at[i]];
+        zbufrandi_look_at *o = &out[at[i]];
+        float w[3];
+        for (a = 0; a < 3; a++) {
+            o->normal[a] = e.normal[a][i];
+            o->face[a] = e.face[a][i];
+            o->p[a] = e.p[a][i];
+            w[a] = e.w[a][i];
+        }
+        zbufrandi_triangle_look(s, f->local, f->cluster, f->triangle, w, o);
+    }
+}
+#endif
+
 /* Numbers of samples -> their surfaces. rays: directions of the centres of the pixels they are shown in, z = 1. In
    steps, each of which asks for the memory that the next one reads. count <= ZBUFRANDI_SHADE_RUN. */
 static void zbufrandi_find_surfaces(const zbufrandi_drawn *s, const uint32_t *numbers, const float (*rays)[3],
@@ -12792,7 +12941,8 @@ static void zbufrandi_find_surfaces(const zbufrandi_drawn *s, const uint32_t *nu
                                     zbufrandi_look_at *out) {
     zbufrandi_found found[ZBUFRANDI_SHADE_RUN];
     const uint32_t mask = (1u << ZBUFRANDI_DRAW_SHIFT) - 1u;
-    uint32_t k;
+    uint8_t triangles[ZBUFRANDI_SHADE_RUN];
+    uint32_t k, n = 0;
     for (k = 0; k < count; k++) {
         const uint32_t block = ((numbers[k] >> 6) - s->first_block) & 0x3ffffffu;
         found[k].draw = &s->draw[s->block_draw[block]];
@@ -12857,8 +13007,18 @@ static void zbufrandi_find_surfaces(const zbufrandi_drawn *s, const uint32_t *nu
         else if (f->kind >= ZBUFRANDI_DRAW_LISTED) zbufrandi_listed_surface(s, f->draw, f->i, rays[k], &out[k]);
         else if (f->kind == ZBUFRANDI_DRAW_POINTS)
             zbufrandi_point_surface(s, f->draw, f->draw->hash + f->i, rays[k], &out[k]);
+#if ZBUFRANDI_AVX2
+        else if (s->level >= 3) triangles[n++] = (uint8_t)k;
+#endif
         else zbufrandi_triangle_surface(s, f->local, f->cluster, f->triangle, rays[k], &out[k]);
     }
+#if ZBUFRANDI_AVX2
+    for (k = 0; k < n; k += 8)
+        zbufrandi_triangle_surfaces(s, found, rays, triangles + k, n - k < 8 ? n - k : 8, out);
+#else
+    (void)n;
+    (void)triangles;
+#endif
 }
 
 /* Lambert, or no light at all. */
@@ -14167,6 +14327,7 @@ static void zbufrandi_open_drawn(zbufrandi_picture *p) {
     p->drawn.points = p->d->points;
     p->drawn.first_block = p->first_block;
     p->drawn.srgb = &f->srgb;
+    p->drawn.level = f->level;
     p->drawn.need_places = p->look.shade_fn != NULL;
     for (i = 0; i < p->look.light_count; i++) p->drawn.need_places |= !p->look.directional[i];
 }
