@@ -25,6 +25,7 @@
    @render         cameras
    @query          what a picture would be made of: the cut as a list, samples as a stream
    @points         any number of random points of a surface, in random order
+   @edit           nodes are added, removed and moved in a scene that is built
    @misc           names and versions
 
    DO THIS
@@ -263,7 +264,8 @@ typedef enum zbufrand_isa {
 
 /* ---- scenes ---- */
 
-/* Triangles of a base object. Borrowed until zbufrand_scene_build has returned. */
+/* Triangles of a base object. Borrowed until the zbufrand_scene_build or zbufrand_scene_update that takes it in has
+   returned; another zbufrand_scene_build reads it again. */
 typedef struct zbufrand_mesh {
     const float *positions;        /* xyz per vertex, any unit */
     size_t vertex_count;
@@ -409,8 +411,56 @@ typedef struct zbufrand_scene_info {
 ZBUFRAND_DEF zbufrand_result zbufrand_scene_build(zbufrand_scene *scene, const zbufrand_build_desc *desc,
                                                   zbufrand_scene_info *info);
 
-/* What the last build made; all zero if there was none. */
+/* What the last build or update made; all zero if there was none. */
 ZBUFRAND_DEF void zbufrand_scene_get_info(const zbufrand_scene *scene, zbufrand_scene_info *info);
+
+/* ---- editing a scene that is built ----
+
+   Nodes are added (zbufrand_add_*, zbufrand_list_append), moved and removed; zbufrand_scene_update takes all that was
+   done since the last build or update into the structures. Pictures show the scene as it was until then.
+
+       zbufrand_move(scene, car, &there);
+       zbufrand_remove(scene, tree);
+       zbufrand_add_reference(scene, ZBUFRAND_ROOT, &here, model, &another);
+       zbufrand_scene_update(scene, NULL);
+
+   One thread at a time per scene. */
+
+/* Give a list, a mesh or a reference another place. Of several references (zbufrand_add_references) all move together.
+   transform  node to parent, in place of the one that it has; NULL: identity. Copied
+   Errors: INVALID_ARG (no such node, the root, no similarity), NO_MEMORY. O(1). */
+ZBUFRAND_DEF zbufrand_result zbufrand_move(zbufrand_scene *scene, zbufrand_node node,
+                                           const zbufrand_transform *transform);
+
+/* Give one of the references of a zbufrand_add_references another transform.
+   node       is part of what was built
+   index      below the count of the node
+   transform  NULL: this reference is not drawn until it gets another transform
+   The array of the caller is not written to: a new zbufrand_scene_build reads it as it is then.
+   Errors: INVALID_ARG, NO_MEMORY. O(1). */
+ZBUFRAND_DEF zbufrand_result zbufrand_set_reference(zbufrand_scene *scene, zbufrand_node node, size_t index,
+                                                    const zbufrand_transform *transform);
+
+/* Take a node out of its list, with everything in it. Its number, and those of all nodes in it, are errors from now on
+   (until they are given to new nodes, at the earliest after a thousand others).
+   Errors: INVALID_ARG (no such node, the root, something that stays refers to it: env.error names what to),
+   NO_MEMORY. O(nodes removed). */
+ZBUFRAND_DEF zbufrand_result zbufrand_remove(zbufrand_scene *scene, zbufrand_node node);
+
+/* Take edits into the structures without building them anew.
+   info  out, may be NULL; only written on success
+   What is added becomes a structure of its own, as if it had ZBUFRAND_OWN_STRUCTURE: put small meshes that come together
+   into one list. The arrays of its meshes are borrowed until this has returned. A list or mesh that is moved for the
+   first time becomes a structure, too; the picture stays the same but for chance.
+   Errors: EMPTY (the scene was never built), INVALID_ARG (env.error names what closes a cycle, a reference whose target
+   is in no list, a bad triangle with `strict`), RANGE (levels of instances, places), NO_MEMORY. On failure the scene is
+   drawn as before; the edits are kept, so that the call can be made again. Counts of triangles stop at 2^64 - 1.
+   Cost: moving, removing or adding a reference: O(depth of the trees above), some 10 us; a structure used by many
+   instances costs as many of them. New triangles: as in a build. The first update after a build looks at all nodes and
+   instances once and holds 20 to 30 bytes for each of them from then on. Trees are made anew in parts where they got
+   worse. The memory of melted triangles that are removed is given back by the next build.
+   The same structures for any number of threads. */
+ZBUFRAND_DEF zbufrand_result zbufrand_scene_update(zbufrand_scene *scene, zbufrand_scene_info *info);
 
 /* ---- points of the surface ---- */
 
@@ -1928,7 +1978,7 @@ typedef struct zbufrandi_instance {
     uint32_t structure;
     uint32_t mirrored;          /* determinant < 0 */
     uint32_t node;              /* of the scene graph, for messages */
-    uint32_t _pad;
+    uint32_t hidden;            /* 1: not drawn: in no tree */
 } zbufrandi_instance;
 
 typedef struct zbufrandi_structure {
@@ -1954,6 +2004,7 @@ typedef struct zbufrandi_structure {
     double area;                    /* all triangles, instances included, in units of the structure */
     uint64_t virtual_triangles;     /* all triangles, instances included */
     uint32_t depth;                 /* levels of instances below, 0: none */
+    uint32_t sum_stale;             /* 1: item_sum is from before an edit */
 } zbufrandi_structure;
 
 /* Camera coordinates (world units) of point p of the structure: m * (p - eye) + rest. Subtracting eye first is exact
@@ -2014,7 +2065,7 @@ ZBUFRANDI_INLINE uint8_t zbufrandi_srgb_byte(const zbufrandi_srgb *s, float v) {
    instances. Structure 0 is the root; a structure comes before those that it has instances of.
    --------------------------------------------------------------------------- */
 
-enum { ZBUFRANDI_LIST = 0, ZBUFRANDI_MESH = 1, ZBUFRANDI_REFERENCES = 2 };
+enum { ZBUFRANDI_LIST = 0, ZBUFRANDI_MESH = 1, ZBUFRANDI_REFERENCES = 2, ZBUFRANDI_DEAD = 3 /* removed */ };
 enum { ZBUFRANDI_MAX_LEVELS = 64, ZBUFRANDI_MESH_TRIANGLES = 1 << 28 };
 
 typedef struct zbufrandi_graph {     /* one node of the scene graph */
@@ -2023,18 +2074,42 @@ typedef struct zbufrandi_graph {     /* one node of the scene graph */
     size_t count;                    /* of transforms */
     uint32_t kind, flags;
     uint32_t parent;                 /* the list it is in; 0: none */
-    uint32_t next;                   /* in that list; 0: the last */
+    uint32_t next, prev;             /* in that list; 0: none. Dead nodes: the next one to be given out again */
     uint32_t first, last;            /* of a list's members; 0: none */
     uint32_t target;                 /* of references: a node; of a mesh: its index */
     uint32_t state;                  /* while a build walks: 0 not seen, 1 on the path, 2 done */
-    uint32_t structure;              /* index + 1; 0: melts */
+    uint32_t structure;              /* index + 1; 0: melts, or was not built */
     uint32_t levels;                 /* of instances below a structure */
+    uint32_t refs;                   /* nodes that refer to it */
+    /* What stands for it in the structure that it is part of (index + 1; 0: nothing was built): clusters of a mesh that
+       melted, else instances. */
+    uint32_t home, item, item_count;
+    uint32_t pending;                /* index + 1 of what waits for zbufrand_scene_update; 0: nothing */
 } zbufrandi_graph;
 
 typedef struct zbufrandi_mesh {
     zbufrand_mesh m;
-    uint32_t node;                   /* of the graph */
+    uint32_t node;                   /* of the graph; not in use: index + 1 of the next that is not */
 } zbufrandi_mesh;
+
+typedef struct zbufrandi_pending {   /* a node that is new or was moved since the last update */
+    double old[3][4];                /* node to parent, as it was built */
+    uint32_t node;
+    uint32_t moved;                  /* 0: new */
+} zbufrandi_pending;
+
+typedef struct zbufrandi_gone {      /* what stood for a node that was removed */
+    uint32_t node;                   /* to be given out again */
+    uint32_t home, item, item_count, clusters; /* as in the graph; clusters: 1, instances: 0 */
+    uint32_t structure;              /* its own, index + 1; 0: none */
+    uint32_t mesh;                   /* index + 1; 0: none */
+} zbufrandi_gone;
+
+typedef struct zbufrandi_set {       /* one reference out of many, changed */
+    double m[3][4];
+    uint32_t node, index;
+    uint32_t drawn, _pad;
+} zbufrandi_set;
 
 struct zbufrand_scene {
     zbufrandi_mem mem;
@@ -2048,6 +2123,17 @@ struct zbufrand_scene {
     uint32_t seed;
     struct zbufrandi_rays *rays;     /* what rays through the structures need besides */
     zbufrand_scene_info info;
+    zbufrand_build_desc built;       /* how it was built */
+    size_t before;                   /* bytes held before that */
+    uint64_t skipped;
+    struct zbufrandi_live *live;     /* what edits need to know of the structures; made by the first update */
+    zbufrandi_pending *pending;      /* edits since the last build or update */
+    zbufrandi_gone *gone;
+    zbufrandi_set *set;
+    size_t pending_count, pending_capacity, gone_count, gone_capacity, set_count, set_capacity;
+    uint32_t free_first, free_last, free_count; /* dead nodes */
+    uint32_t free_mesh;              /* index + 1 */
+    uint32_t stamp;                  /* of walks that mark nodes by their state */
 };
 
 static int zbufrandi_scene_rays(zbufrand_scene *scene); /* make rays ready; 0: no memory */
@@ -2142,15 +2228,39 @@ ZBUFRAND_DEF zbufrand_result zbufrand_scene_create(const zbufrand_scene_desc *de
 }
 
 static void zbufrandi_structures_free(zbufrand_scene *scene);
+static void zbufrandi_live_free(zbufrand_scene *scene);
 
 ZBUFRAND_DEF void zbufrand_scene_destroy(zbufrand_scene *scene) {
     zbufrandi_mem mem;
     if (scene == NULL) return;
     zbufrandi_structures_free(scene);
+    zbufrandi_free(&scene->mem, scene->pending);
+    zbufrandi_free(&scene->mem, scene->gone);
+    zbufrandi_free(&scene->mem, scene->set);
     zbufrandi_free(&scene->mem, scene->graph);
     zbufrandi_free(&scene->mem, scene->mesh);
     mem = scene->mem;
     zbufrandi_free(&mem, scene);
+}
+
+enum { ZBUFRANDI_DEAD_NODES = 1024 }; /* so many removed nodes keep their numbers, so that old handles are noticed */
+
+/* Room in the list of edits for a node. 0: no memory. */
+static int zbufrandi_pending_room(zbufrand_scene *scene) {
+    return scene->structure_count == 0 ||
+           zbufrandi_grow(&scene->mem, (void **)&scene->pending, &scene->pending_capacity, scene->pending_count,
+                          scene->pending_count + 1, sizeof *scene->pending);
+}
+
+/* There is room. A node that waits already stays as it is: its first old place is what was built. */
+static void zbufrandi_pending_add(zbufrand_scene *scene, uint32_t node, uint32_t moved, const double old[3][4]) {
+    zbufrandi_pending *p;
+    if (scene->structure_count == 0 || scene->graph[node].pending != 0) return;
+    p = &scene->pending[scene->pending_count++];
+    memcpy(p->old, old, sizeof p->old);
+    p->node = node;
+    p->moved = moved;
+    scene->graph[node].pending = (uint32_t)scene->pending_count;
 }
 
 /* Room for one more node, unlisted. 0 and *r on failure. */
@@ -2158,6 +2268,7 @@ static uint32_t zbufrandi_node_new(zbufrand_scene *scene, uint32_t kind, uint32_
                                    const zbufrand_transform *transform, uint32_t flags, zbufrand_result *r) {
     zbufrand_error *e = scene->env.error;
     zbufrandi_graph *n;
+    uint32_t node, after;
     *r = ZBUFRAND_OK;
     if (parent >= scene->graph_count || (parent != 0 && scene->graph[parent].kind != ZBUFRANDI_LIST)) {
         *r = zbufrandi_fail(e, ZBUFRAND_ERR_INVALID_ARG, parent, "parent %: not a list of this scene");
@@ -2165,20 +2276,23 @@ static uint32_t zbufrandi_node_new(zbufrand_scene *scene, uint32_t kind, uint32_
         *r = zbufrandi_fail(e, ZBUFRAND_ERR_INVALID_ARG, scene->graph_count, "node %: the transform is no similarity");
     } else if (flags > (ZBUFRAND_HIDDEN | ZBUFRAND_OWN_STRUCTURE)) {
         *r = zbufrandi_fail(e, ZBUFRAND_ERR_INVALID_ARG, scene->graph_count, "node %: unknown flags");
-    } else if (scene->graph_count >= ((size_t)1 << 30)) {
+    } else if (scene->free_count <= ZBUFRANDI_DEAD_NODES && scene->graph_count >= ((size_t)1 << 30)) {
         *r = zbufrandi_fail(e, ZBUFRAND_ERR_RANGE, scene->graph_count, "node %: too many nodes");
     } else if (!zbufrandi_grow(&scene->mem, (void **)&scene->graph, &scene->graph_capacity, scene->graph_count,
-                               scene->graph_count + 1, sizeof *scene->graph)) {
+                               scene->graph_count + 1, sizeof *scene->graph) || !zbufrandi_pending_room(scene)) {
         *r = zbufrandi_fail(e, ZBUFRAND_ERR_NO_MEMORY, scene->graph_count, "node %: out of memory");
     }
     if (*r != ZBUFRAND_OK) return 0;
-    n = &scene->graph[scene->graph_count];
+    node = scene->free_count > ZBUFRANDI_DEAD_NODES ? scene->free_first : (uint32_t)scene->graph_count;
+    n = &scene->graph[node];
+    after = node == scene->graph_count ? 0 : n->next;
     memset(n, 0, sizeof *n);
-    n->kind = kind;
+    n->next = after;
+    n->kind = node == scene->graph_count ? kind : (uint32_t)ZBUFRANDI_DEAD;
     n->flags = flags;
     if (transform != NULL) memcpy(n->m, transform->m, sizeof n->m);
     else zbufrandi_m34_identity(n->m);
-    return (uint32_t)scene->graph_count;
+    return node;
 }
 
 /* The new node becomes visible: it is counted and put at the end of its list. */
@@ -2186,9 +2300,24 @@ static void zbufrandi_node_enter(zbufrand_scene *scene, uint32_t parent, uint32_
     zbufrandi_graph *g = scene->graph;
     g[node].parent = parent;
     if (parent == 0) return;
+    g[node].prev = g[parent].last;
     if (g[parent].last != 0) g[g[parent].last].next = node;
     else g[parent].first = node;
     g[parent].last = node;
+    zbufrandi_pending_add(scene, node, 0, ZBUFRANDI_M34(g[node].m));
+}
+
+/* What zbufrandi_node_new found room for is a node from now on. */
+static void zbufrandi_node_take(zbufrand_scene *scene, uint32_t kind, uint32_t node) {
+    zbufrandi_graph *n = &scene->graph[node];
+    n->kind = kind;
+    if (node == scene->graph_count) {
+        scene->graph_count++;
+        return;
+    }
+    scene->free_first = n->next;
+    scene->free_count--;
+    n->next = 0;
 }
 
 ZBUFRAND_DEF zbufrand_result zbufrand_add_list(zbufrand_scene *scene, zbufrand_node parent,
@@ -2200,7 +2329,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_add_list(zbufrand_scene *scene, zbufrand_n
     if (scene == NULL) return ZBUFRAND_ERR_INVALID_ARG;
     n = zbufrandi_node_new(scene, ZBUFRANDI_LIST, parent, transform, flags, &r);
     if (n == 0) return r;
-    scene->graph_count++;
+    zbufrandi_node_take(scene, ZBUFRANDI_LIST, n);
     zbufrandi_node_enter(scene, parent, n);
     if (out_node != NULL) *out_node = n;
     return ZBUFRAND_OK;
@@ -2211,7 +2340,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_add_mesh(zbufrand_scene *scene, zbufrand_n
                                                const zbufrand_mesh *mesh, zbufrand_node *out_node) {
     zbufrand_result r;
     zbufrand_mesh m;
-    uint32_t n;
+    uint32_t n, at;
     if (out_node != NULL) *out_node = 0;
     if (scene == NULL || mesh == NULL) return ZBUFRAND_ERR_INVALID_ARG;
     n = zbufrandi_node_new(scene, ZBUFRANDI_MESH, parent, transform, flags, &r);
@@ -2235,10 +2364,12 @@ ZBUFRAND_DEF zbufrand_result zbufrand_add_mesh(zbufrand_scene *scene, zbufrand_n
                         scene->mesh_count + 1, sizeof *scene->mesh)) {
         return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_NO_MEMORY, n, "mesh %: out of memory");
     }
-    scene->mesh[scene->mesh_count].m = m;
-    scene->mesh[scene->mesh_count].node = n;
-    scene->graph[n].target = (uint32_t)scene->mesh_count++;
-    scene->graph_count++;
+    at = scene->free_mesh != 0 ? scene->free_mesh - 1 : (uint32_t)scene->mesh_count++;
+    if (scene->free_mesh != 0) scene->free_mesh = scene->mesh[at].node;
+    scene->mesh[at].m = m;
+    scene->mesh[at].node = n;
+    scene->graph[n].target = at;
+    zbufrandi_node_take(scene, ZBUFRANDI_MESH, n);
     zbufrandi_node_enter(scene, parent, n);
     if (out_node != NULL) *out_node = n;
     return ZBUFRAND_OK;
@@ -2253,12 +2384,13 @@ ZBUFRAND_DEF zbufrand_result zbufrand_add_reference(zbufrand_scene *scene, zbufr
     if (scene == NULL) return ZBUFRAND_ERR_INVALID_ARG;
     n = zbufrandi_node_new(scene, ZBUFRANDI_REFERENCES, parent, transform, 0, &r);
     if (n == 0) return r;
-    if (target == 0 || target >= scene->graph_count) {
+    if (target == 0 || target == n || target >= scene->graph_count || scene->graph[target].kind == ZBUFRANDI_DEAD) {
         return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_INVALID_ARG, n, "reference %: no such target");
     }
     scene->graph[n].target = target;
     scene->graph[n].count = 1;
-    scene->graph_count++;
+    scene->graph[target].refs++;
+    zbufrandi_node_take(scene, ZBUFRANDI_REFERENCES, n);
     zbufrandi_node_enter(scene, parent, n);
     if (out_node != NULL) *out_node = n;
     return ZBUFRAND_OK;
@@ -2289,12 +2421,13 @@ ZBUFRAND_DEF zbufrand_result zbufrand_list_append(zbufrand_scene *scene, zbufran
     if (list == 0 || list >= scene->graph_count || g[list].kind != ZBUFRANDI_LIST) {
         return zbufrandi_fail(e, ZBUFRAND_ERR_INVALID_ARG, list, "node %: not a list of this scene");
     }
-    if (node == 0 || node >= scene->graph_count) {
+    if (node == 0 || node >= scene->graph_count || g[node].kind == ZBUFRANDI_DEAD) {
         return zbufrandi_fail(e, ZBUFRAND_ERR_INVALID_ARG, node, "node %: no such node");
     }
     if (node == ZBUFRAND_ROOT)
         return zbufrandi_fail(e, ZBUFRAND_ERR_INVALID_ARG, node, "node %: the root is in no list");
     if (g[node].parent != 0) return zbufrandi_fail(e, ZBUFRAND_ERR_INVALID_ARG, node, "node %: already in a list");
+    if (!zbufrandi_pending_room(scene)) return zbufrandi_fail(e, ZBUFRAND_ERR_NO_MEMORY, node, "node %: out of memory");
     zbufrandi_node_enter(scene, list, node);
     return ZBUFRAND_OK;
 }
@@ -2335,7 +2468,7 @@ static zbufrand_result zbufrandi_graph_check(zbufrand_scene *scene, uint32_t **o
     uint32_t *order = NULL, count = 0, k;
     zbufrand_result r = ZBUFRAND_OK;
     for (i = 0; i < scene->graph_count; i++) {
-        g[i].state = g[i].levels = 0;
+        g[i].state = g[i].levels = g[i].home = g[i].pending = 0;
         g[i].structure = i == ZBUFRAND_ROOT || (g[i].flags & ZBUFRAND_OWN_STRUCTURE) != 0;
     }
     for (i = 1; i < scene->graph_count; i++) {
@@ -2399,6 +2532,7 @@ static zbufrand_result zbufrandi_graph_check(zbufrand_scene *scene, uint32_t **o
         order[k] = order[count - 1 - k];
         order[count - 1 - k] = swap;
     }
+    for (i = 1; i < scene->graph_count; i++) g[i].structure = 0; /* of what nobody draws */
     for (k = 0; k < count; k++) g[order[k]].structure = k + 1;
     *out_order = order;
     *out_count = count;
@@ -2998,6 +3132,15 @@ typedef struct zbufrandi_build { /* one structure in the making */
     uint32_t index;              /* of the structure */
 } zbufrandi_build;
 
+/* Where a node went, for edits. The node that the structure is made of has its items elsewhere: where it is drawn. */
+static void zbufrandi_build_home(zbufrandi_build *b, uint32_t node, uint32_t first, uint32_t count) {
+    zbufrandi_graph *n = &b->scene->graph[node];
+    if (n->structure == b->index + 1) return;
+    n->home = b->index + 1;
+    n->item = first;
+    n->item_count = count;
+}
+
 /* Room for exactly what is needed, or half as much again when it grew before. */
 static int zbufrandi_reserve(zbufrandi_mem *mem, void **array, size_t used, size_t capacity, size_t size, size_t pad) {
     void *p;
@@ -3185,8 +3328,10 @@ static zbufrand_result zbufrandi_build_piece(zbufrandi_build *b, const zbufrandi
         }
         if (r == ZBUFRAND_OK) ok = zbufrandi_piece_sort(&j);
         if (r == ZBUFRAND_OK && ok) {
+            const uint32_t first = b->s->cluster_count;
             b->skipped += j.mesh->triangle_count - j.valid;
             if (j.valid != 0) ok = zbufrandi_piece_clusters(b, &j);
+            zbufrandi_build_home(b, scene->mesh[piece->mesh].node, first, b->s->cluster_count - first);
         }
     } else {
         ok = 0;
@@ -3341,6 +3486,36 @@ static float zbufrandi_range_area(const zbufrandi_item *item, uint32_t begin, ui
     return zbufrandi_half_surface(lo, hi);
 }
 
+/* Cut a range of items into up to eight: open the largest until there are eight; what fits into one node stays
+   together. */
+static uint32_t zbufrandi_open_range(zbufrandi_item *item, zbufrandi_range at, zbufrandi_range range[8], float lo[8][3],
+                                     float hi[8][3]) {
+    uint32_t n = 1, i;
+    range[0] = at;
+    range[0].area = zbufrandi_range_area(item, at.begin, at.end, lo[0], hi[0]);
+    while (n < 8) {
+        uint32_t widest = 8, mid;
+        for (i = 0; i < n; i++) {
+            if (range[i].end - range[i].begin < (at.end - at.begin > 8 ? 9u : 2u)) continue;
+            if (widest == 8 || range[i].area > range[widest].area) widest = i;
+        }
+        if (widest == 8) break;
+        mid = zbufrandi_split(item, range[widest].begin, range[widest].end, at.level);
+        for (i = n; i > widest + 1; i--) { /* keeps the order of the items */
+            range[i] = range[i - 1];
+            memcpy(lo[i], lo[i - 1], sizeof lo[i]);
+            memcpy(hi[i], hi[i - 1], sizeof hi[i]);
+        }
+        range[widest + 1] = range[widest];
+        range[widest + 1].begin = range[widest].end = mid;
+        range[widest].area = zbufrandi_range_area(item, range[widest].begin, mid, lo[widest], hi[widest]);
+        range[widest + 1].area = zbufrandi_range_area(item, mid, range[widest + 1].end, lo[widest + 1],
+                                                      hi[widest + 1]);
+        n++;
+    }
+    return n;
+}
+
 /* Nodes over the items; boxes, children and counts of the lanes are set. 0: no memory. */
 static int zbufrandi_build_tree(zbufrandi_build *b, zbufrandi_item *item, uint32_t count) {
     zbufrandi_mem *mem = &b->scene->mem;
@@ -3361,29 +3536,7 @@ static int zbufrandi_build_tree(zbufrandi_build *b, zbufrandi_item *item, uint32
         zbufrandi_node8 *node = &s->node[at.node];
         float lo[8][3], hi[8][3];
         memset(node, 0, sizeof *node);
-        n = 1;
-        range[0] = at;
-        range[0].area = zbufrandi_range_area(item, at.begin, at.end, lo[0], hi[0]);
-        while (n < 8) { /* open the largest until there are eight; what fits into one node stays together */
-            uint32_t widest = 8, mid;
-            for (i = 0; i < n; i++) {
-                if (range[i].end - range[i].begin < (at.end - at.begin > 8 ? 9u : 2u)) continue;
-                if (widest == 8 || range[i].area > range[widest].area) widest = i;
-            }
-            if (widest == 8) break;
-            mid = zbufrandi_split(item, range[widest].begin, range[widest].end, at.level);
-            for (i = n; i > widest + 1; i--) { /* keeps the order of the items */
-                range[i] = range[i - 1];
-                memcpy(lo[i], lo[i - 1], sizeof lo[i]);
-                memcpy(hi[i], hi[i - 1], sizeof hi[i]);
-            }
-            range[widest + 1] = range[widest];
-            range[widest + 1].begin = range[widest].end = mid;
-            range[widest].area = zbufrandi_range_area(item, range[widest].begin, mid, lo[widest], hi[widest]);
-            range[widest + 1].area = zbufrandi_range_area(item, mid, range[widest + 1].end, lo[widest + 1],
-                                                          hi[widest + 1]);
-            n++;
-        }
+        n = zbufrandi_open_range(item, at, range, lo, hi);
         node->count = n;
         ok = zbufrandi_grow(mem, (void **)&s->node, &node_capacity, s->node_count, (size_t)s->node_count + 8,
                             sizeof *s->node) &&
@@ -3689,7 +3842,8 @@ static void zbufrandi_node_lane(const zbufrandi_node8 *n, zbufrandi_lane *out) {
         zbufrandi_lane_get(n, i, &lane[i]);
         zbufrandi_box_add(out->lo, out->hi, lane[i].lo, lane[i].hi);
         area += (double)lane[i].area;
-        out->triangles += lane[i].triangles;
+        out->triangles = lane[i].triangles > UINT64_MAX - out->triangles
+            ? UINT64_MAX : out->triangles + lane[i].triangles; /* edits may get there */
         out->flags = (uint8_t)(out->flags | lane[i].flags);
         if (lane[i].edge > out->edge) out->edge = lane[i].edge;
         for (a = 0; a < 3; a++) dot += axis[a] * (double)lane[i].axis[a];
@@ -3883,6 +4037,7 @@ static void zbufrandi_structure_free(zbufrandi_mem *mem, zbufrandi_structure *s)
 
 static void zbufrandi_structures_free(zbufrand_scene *scene) {
     uint32_t i;
+    zbufrandi_live_free(scene);
     zbufrandi_scene_rays_free(scene);
     zbufrandi_scene_lists_free(scene);
     for (i = 0; i < scene->structure_count; i++) zbufrandi_structure_free(&scene->mem, &scene->structure[i]);
@@ -3948,52 +4103,59 @@ static int zbufrandi_find_origin(zbufrandi_build *b) { /* 0: no memory */
     return 1;
 }
 
-/* Instances of structures without triangles are dropped, the others refer to origins from now on. */
+/* Transforms refer to origins from now on. */
 static void zbufrandi_place_instances(zbufrandi_build *b) {
     zbufrandi_structure *s = b->s;
     zbufrandi_gather *g = b->gather;
-    size_t i, n = 0;
+    size_t i, first = 0;
     int a;
     for (i = 0; i < g->instance_count; i++) {
-        zbufrandi_instance it = g->instance[i];
-        const zbufrandi_structure *to = &b->scene->structure[it.structure];
+        zbufrandi_instance *it = &g->instance[i];
         double p[3];
-        if (to->node_count == 0) continue;
-        zbufrandi_m34_point(ZBUFRANDI_M34(it.to_parent), to->origin, p);
-        for (a = 0; a < 3; a++) it.to_parent[a][3] = p[a] - s->origin[a];
-        g->instance[n++] = it;
+        zbufrandi_m34_point(ZBUFRANDI_M34(it->to_parent), b->scene->structure[it->structure].origin, p);
+        for (a = 0; a < 3; a++) it->to_parent[a][3] = p[a] - s->origin[a];
+        if (it->node != g->instance[first].node) first = i;
+        zbufrandi_build_home(b, it->node, (uint32_t)first, (uint32_t)(i - first + 1));
     }
-    g->instance_count = n;
     s->instance = g->instance;
-    s->instance_count = (uint32_t)n;
+    s->instance_count = (uint32_t)g->instance_count;
     g->instance = NULL;
 }
 
-static int zbufrandi_make_items(zbufrandi_build *b, zbufrandi_item *item) { /* 0: a place is out of range */
+/* The box of an instance in its parent. 0: out of range. */
+static int zbufrandi_instance_box(const zbufrandi_instance *it, const zbufrandi_structure *to, float lo[3],
+                                  float hi[3]) {
+    int a, k, ok = 1;
+    for (a = 0; a < 3; a++) {
+        double c = it->to_parent[a][3], e = 0.0;
+        for (k = 0; k < 3; k++) {
+            c += it->to_parent[a][k] * (0.5 * ((double)to->box_lo[k] + (double)to->box_hi[k]));
+            e += zbufrandi_abs(it->to_parent[a][k]) * (0.5 * ((double)to->box_hi[k] - (double)to->box_lo[k]));
+        }
+        e += 1e-15 * (zbufrandi_abs(c) + e);
+        ok &= zbufrandi_abs(c) + e <= 1e15;
+        lo[a] = zbufrandi_float_down(zbufrandi_max(c - e, -1e15));
+        hi[a] = zbufrandi_float_up(zbufrandi_min(c + e, 1e15));
+    }
+    return ok;
+}
+
+/* Instances of structures without triangles are left out. *count: of items. 0: a place is out of range. */
+static int zbufrandi_make_items(zbufrandi_build *b, zbufrandi_item *item, uint32_t *count) {
     const zbufrandi_structure *s = b->s;
     uint32_t i, n = 0;
-    int a, k;
     for (i = 0; i < s->cluster_count; i++) {
         memcpy(item[n].lo, s->cluster[i].box_lo, sizeof item[n].lo);
         memcpy(item[n].hi, s->cluster[i].box_hi, sizeof item[n].hi);
         item[n++].child = ZBUFRANDI_CHILD(ZBUFRANDI_CHILD_CLUSTER, i);
     }
     for (i = 0; i < s->instance_count; i++) {
-        const zbufrandi_instance *it = &s->instance[i];
-        const zbufrandi_structure *to = &b->scene->structure[it->structure];
-        for (a = 0; a < 3; a++) {
-            double c = it->to_parent[a][3], e = 0.0;
-            for (k = 0; k < 3; k++) {
-                c += it->to_parent[a][k] * (0.5 * ((double)to->box_lo[k] + (double)to->box_hi[k]));
-                e += zbufrandi_abs(it->to_parent[a][k]) * (0.5 * ((double)to->box_hi[k] - (double)to->box_lo[k]));
-            }
-            e += 1e-15 * (zbufrandi_abs(c) + e);
-            if (!(zbufrandi_abs(c) + e <= 1e15)) return 0;
-            item[n].lo[a] = zbufrandi_float_down(c - e);
-            item[n].hi[a] = zbufrandi_float_up(c + e);
-        }
+        const zbufrandi_structure *to = &b->scene->structure[s->instance[i].structure];
+        if (to->node_count == 0 || s->instance[i].hidden) continue;
+        if (!zbufrandi_instance_box(&s->instance[i], to, item[n].lo, item[n].hi)) return 0;
         item[n++].child = ZBUFRANDI_CHILD(ZBUFRANDI_CHILD_INSTANCE, i);
     }
+    *count = n;
     return 1;
 }
 
@@ -4078,51 +4240,47 @@ static int zbufrandi_structure_totals(zbufrandi_build *b) {
     memcpy(s->box_hi, root.hi, sizeof s->box_hi);
     s->item_sum[0] = 0.0;
     for (i = 0; i < items; i++) {
-        s->item_sum[i + 1] = s->item_sum[i] + (double)s->node[b->parent[i] >> 3].area[b->parent[i] & 7u];
+        s->item_sum[i + 1] = s->item_sum[i];
+        if (b->parent[i] != ~0u) s->item_sum[i + 1] += (double)s->node[b->parent[i] >> 3].area[b->parent[i] & 7u];
     }
     s->area = s->item_sum[items];
     for (i = 0; i < s->instance_count; i++) {
         const zbufrandi_structure *to = &b->scene->structure[s->instance[i].structure];
+        if (s->instance[i].hidden) continue;
         if (to->virtual_triangles > UINT64_MAX - s->virtual_triangles) return 0;
         s->virtual_triangles += to->virtual_triangles;
-        if (to->depth + 1 > s->depth) s->depth = to->depth + 1;
+        if (to->node_count != 0 && to->depth + 1 > s->depth) s->depth = to->depth + 1;
     }
     return 1;
 }
 
-static zbufrand_result zbufrandi_build_structure(zbufrandi_build *b) {
+/* Tree and stored points over the clusters and instances that the structure has by now. */
+static zbufrand_result zbufrandi_build_over(zbufrandi_build *b) {
     zbufrand_scene *scene = b->scene;
     zbufrandi_mem *mem = &scene->mem;
     zbufrandi_structure *s = b->s;
     zbufrandi_item *item = NULL;
-    zbufrand_result r = ZBUFRAND_OK;
-    size_t i, items;
-    int ok = zbufrandi_find_origin(b), range = 1;
-    for (i = 0; ok && i < b->gather->piece_count && r == ZBUFRAND_OK; i++)
-        r = zbufrandi_build_piece(b, &b->gather->piece[i]);
-    if (r != ZBUFRAND_OK) return r;
-    if (ok && s->triangle_count != 0) { /* give back what growing took too much */
-        ok = b->triangle_capacity == s->triangle_count ||
-            (b->triangle_capacity = 0, zbufrandi_reserve_triangles(b, s->triangle_count));
-        ok = ok && (b->vertex_capacity == s->vertex_count ||
-                    (b->vertex_capacity = 0, zbufrandi_reserve_vertices(b, s->vertex_count)));
-    }
-    if (ok) zbufrandi_place_instances(b);
-    items = (size_t)s->cluster_count + s->instance_count;
+    const size_t items = (size_t)s->cluster_count + s->instance_count;
+    uint32_t count = 0;
+    int ok = 1, range = 1;
     if (items >= (1u << 28)) {
         return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, items,
                               "% clusters and instances in one structure are too many");
     }
-    if (ok && items != 0) {
+    if (items != 0) {
         item = (zbufrandi_item *)zbufrandi_alloc_array(mem, items, sizeof *item);
         b->parent = (uint32_t *)zbufrandi_alloc_array(mem, items, sizeof *b->parent);
         ok = item != NULL && b->parent != NULL;
-        range = !ok || zbufrandi_make_items(b, item);
-        ok = ok && range && zbufrandi_build_tree(b, item, (uint32_t)items);
+        if (ok) memset(b->parent, 0xff, items * sizeof *b->parent);
+        range = !ok || zbufrandi_make_items(b, item, &count);
+        if (count != 0) {
+            ok = ok && range && zbufrandi_build_tree(b, item, count);
+            zbufrandi_free(mem, item);
+            item = NULL;
+            ok = ok && zbufrandi_alloc_sets(b) && zbufrandi_finish_tree(b);
+            if (ok) range = zbufrandi_structure_totals(b);
+        }
         zbufrandi_free(mem, item);
-        item = NULL;
-        ok = ok && zbufrandi_alloc_sets(b) && zbufrandi_finish_tree(b);
-        if (ok) range = zbufrandi_structure_totals(b);
         zbufrandi_free(mem, b->parent);
         b->parent = NULL;
     }
@@ -4132,7 +4290,53 @@ static zbufrand_result zbufrandi_build_structure(zbufrandi_build *b) {
     return ZBUFRAND_OK;
 }
 
-static void zbufrandi_scene_totals(zbufrand_scene *scene, size_t before, uint64_t skipped) {
+static zbufrand_result zbufrandi_build_structure(zbufrandi_build *b) {
+    zbufrand_scene *scene = b->scene;
+    zbufrandi_structure *s = b->s;
+    zbufrand_result r = ZBUFRAND_OK;
+    size_t i;
+    int ok = zbufrandi_find_origin(b);
+    for (i = 0; ok && i < b->gather->piece_count && r == ZBUFRAND_OK; i++)
+        r = zbufrandi_build_piece(b, &b->gather->piece[i]);
+    if (r != ZBUFRAND_OK) return r;
+    if (ok && s->triangle_count != 0) { /* give back what growing took too much */
+        ok = b->triangle_capacity == s->triangle_count ||
+            (b->triangle_capacity = 0, zbufrandi_reserve_triangles(b, s->triangle_count));
+        ok = ok && (b->vertex_capacity == s->vertex_count ||
+                    (b->vertex_capacity = 0, zbufrandi_reserve_vertices(b, s->vertex_count)));
+    }
+    if (!ok) return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_NO_MEMORY, b->index, "structure %: out of memory");
+    zbufrandi_place_instances(b);
+    return zbufrandi_build_over(b);
+}
+
+static void zbufrandi_live_totals(const zbufrand_scene *scene, zbufrand_scene_info *info);
+
+/* A removed node may be given out again. */
+static void zbufrandi_node_free(zbufrand_scene *scene, uint32_t node) {
+    scene->graph[node].next = 0;
+    if (scene->free_count != 0) scene->graph[scene->free_last].next = node;
+    else scene->free_first = node;
+    scene->free_last = node;
+    scene->free_count++;
+}
+
+/* All edits are done with, or a build makes them pointless. */
+static void zbufrandi_edits_forget(zbufrand_scene *scene) {
+    size_t i;
+    for (i = 0; i < scene->gone_count; i++) {
+        const uint32_t mesh = scene->gone[i].mesh;
+        zbufrandi_node_free(scene, scene->gone[i].node);
+        if (mesh == 0) continue;
+        memset(&scene->mesh[mesh - 1], 0, sizeof scene->mesh[mesh - 1]);
+        scene->mesh[mesh - 1].node = scene->free_mesh;
+        scene->free_mesh = mesh;
+    }
+    for (i = 0; i < scene->pending_count; i++) scene->graph[scene->pending[i].node].pending = 0;
+    scene->pending_count = scene->gone_count = scene->set_count = 0;
+}
+
+static void zbufrandi_scene_totals(zbufrand_scene *scene) {
     zbufrand_scene_info *info = &scene->info;
     const zbufrandi_structure *root = &scene->structure[0];
     uint32_t i, a;
@@ -4148,14 +4352,15 @@ static void zbufrandi_scene_totals(zbufrand_scene *scene, size_t before, uint64_
     info->triangles = root->virtual_triangles;
     info->structures = scene->structure_count;
     info->levels = root->depth;
-    info->skipped_triangles = skipped;
+    info->skipped_triangles = scene->skipped;
+    zbufrandi_live_totals(scene, info);
     info->area = root->area;
     for (a = 0; a < 3; a++) {
         info->box_min[a] = root->node_count != 0 ? (double)root->box_lo[a] + root->origin[a] : (double)INFINITY;
         info->box_max[a] = root->node_count != 0 ? (double)root->box_hi[a] + root->origin[a] : -(double)INFINITY;
     }
-    info->bytes = zbufrandi_atomic_load(&scene->mem.used) - before;
-    info->peak_bytes = zbufrandi_atomic_load(&scene->mem.peak) - before;
+    info->bytes = zbufrandi_atomic_load(&scene->mem.used) - scene->before;
+    info->peak_bytes = zbufrandi_atomic_load(&scene->mem.peak) - scene->before;
 }
 
 ZBUFRAND_DEF zbufrand_result zbufrand_scene_build(zbufrand_scene *scene, const zbufrand_build_desc *desc,
@@ -4173,6 +4378,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_scene_build(zbufrand_scene *scene, const z
     if (desc != NULL) d = *desc;
     if (d._begin_zero != 0 || d._end_zero != 0) return ZBUFRAND_ERR_UNINIT_DESC;
     zbufrandi_structures_free(scene);
+    zbufrandi_edits_forget(scene);
+    scene->built = d;
     scene->seed = zbufrandi_hash32(d.seed + 0x9e3779b9u);
     before = zbufrandi_atomic_load(&scene->mem.used);
     zbufrandi_atomic_store(&scene->mem.peak, before);
@@ -4212,7 +4419,9 @@ ZBUFRAND_DEF zbufrand_result zbufrand_scene_build(zbufrand_scene *scene, const z
         zbufrandi_structures_free(scene);
         return r;
     }
-    zbufrandi_scene_totals(scene, before, skipped);
+    scene->before = before;
+    scene->skipped = skipped;
+    zbufrandi_scene_totals(scene);
     scene->info.list_bytes = zbufrandi_atomic_load(&scene->mem.used) - without_lists;
     zbufrandi_list_totals(scene);
     if (info != NULL) *info = scene->info;
@@ -14738,6 +14947,7 @@ typedef struct zbufrandi_points_job {
     uint32_t *triangles;
     uint32_t key, at_u, at_v;  /* of the page */
     int independent, vertex_normals, level;
+    double **sum;              /* per structure: item_sum, or what takes its place after an edit */
     /* a whole page at once: points by chapter and run, to be put in order afterwards */
     float *wait_positions, *wait_normals;
     uint8_t chapter[ZBUFRANDI_OFFSETS]; /* which chapter takes an offset, of the run below */
@@ -14978,10 +15188,17 @@ static void zbufrandi_points_cluster(const zbufrandi_points_job *j, const zbufra
     }
 }
 
-/* Does an item of a structure begin at a point or before? */
-ZBUFRANDI_INLINE int zbufrandi_item_begins(const zbufrandi_structure *s, uint32_t item, double begin, double f,
+/* Does an item of a structure begin at a point or before? sum: areas of the items, added up. */
+ZBUFRANDI_INLINE int zbufrandi_item_begins(const double *sum, uint32_t item, double begin, double f,
                                            const zbufrandi_asked *asked) {
-    return !zbufrandi_at_before(asked->stratum, asked->jitter, zbufrandi_at_of(begin + s->item_sum[item] * f));
+    return !zbufrandi_at_before(asked->stratum, asked->jitter, zbufrandi_at_of(begin + sum[item] * f));
+}
+
+/* Items of a structure, without those at its end that have no area. */
+ZBUFRANDI_INLINE uint32_t zbufrandi_points_items(const zbufrandi_structure *s, const double *sum) {
+    uint32_t items = s->cluster_count + s->instance_count;
+    while (items > 1 && !(sum[items - 1] < sum[items])) items--;
+    return items;
 }
 
 /* Points asked for of a structure that covers begin..end of the scale; ascending. */
@@ -14989,37 +15206,38 @@ static void zbufrandi_points_structure(const zbufrandi_points_job *j, uint32_t s
                                        const zbufrandi_place_at *place,
                                        const zbufrandi_asked *asked, uint32_t count, double begin, double end) {
     const zbufrandi_structure *s = &j->scene->structure[structure];
-    const uint32_t items = s->cluster_count + s->instance_count;
-    const double f = (end - begin) / s->area;
+    const double *sum = j->sum[structure];
+    const uint32_t items = zbufrandi_points_items(s, sum);
+    const double f = (end - begin) / sum[items];
     uint32_t item = 0, i = 0, n;
     while (i < count) {
         uint32_t lo = item, hi, step = 1;
         zbufrandi_at next;
         /* gallop, then halve: the last item that begins there or before */
-        while (lo + step < items && zbufrandi_item_begins(s, lo + step, begin, f, &asked[i])) {
+        while (lo + step < items && zbufrandi_item_begins(sum, lo + step, begin, f, &asked[i])) {
             lo += step;
             step *= 2;
         }
         hi = lo + step < items ? lo + step : items;
         while (hi - lo > 1) {
             uint32_t mid = (lo + hi) / 2;
-            if (zbufrandi_item_begins(s, mid, begin, f, &asked[i])) lo = mid;
+            if (zbufrandi_item_begins(sum, mid, begin, f, &asked[i])) lo = mid;
             else hi = mid;
         }
         item = lo;
-        next = zbufrandi_at_of(begin + s->item_sum[item + 1] * f);
+        next = zbufrandi_at_of(begin + sum[item + 1] * f);
         for (n = 1; i + n < count &&
              (item + 1 == items || zbufrandi_at_before(asked[i + n].stratum, asked[i + n].jitter, next)); n++) { }
         if (item < s->cluster_count) {
-            zbufrandi_points_cluster(j, s, item, place, asked + i, n, begin + s->item_sum[item] * f,
-                                     begin + s->item_sum[item + 1] * f);
+            zbufrandi_points_cluster(j, s, item, place, asked + i, n, begin + sum[item] * f,
+                                     begin + sum[item + 1] * f);
         } else {
             const zbufrandi_instance *it = &s->instance[item - s->cluster_count];
             zbufrandi_place_at inside;
             zbufrandi_m34_mul(ZBUFRANDI_M34(place->m), ZBUFRANDI_M34(it->to_parent), inside.m);
             inside.scale = place->scale * it->scale;
-            zbufrandi_points_structure(j, it->structure, &inside, asked + i, n, begin + s->item_sum[item] * f,
-                                       begin + s->item_sum[item + 1] * f);
+            zbufrandi_points_structure(j, it->structure, &inside, asked + i, n, begin + sum[item] * f,
+                                       begin + sum[item + 1] * f);
         }
         i += n;
     }
@@ -15132,25 +15350,26 @@ static void zbufrandi_page_structure(zbufrandi_points_job *j, uint32_t structure
                                      uint32_t from, uint32_t to,
                                      double begin, double end) {
     const zbufrandi_structure *s = &j->scene->structure[structure];
-    const uint32_t items = s->cluster_count + s->instance_count;
-    const double f = (end - begin) / s->area;
+    const double *sum = j->sum[structure];
+    const uint32_t items = zbufrandi_points_items(s, sum);
+    const double f = (end - begin) / sum[items];
     uint32_t item;
     for (item = 0; item < items && from < to; item++) {
-        const zbufrandi_at next = zbufrandi_at_of(begin + s->item_sum[item + 1] * f);
+        const zbufrandi_at next = zbufrandi_at_of(begin + sum[item + 1] * f);
         uint32_t stop = next.whole;
         if (stop < to && zbufrandi_page_jitter(j->key, stop) < next.part) stop++;
         if (stop > to || item + 1 == items) stop = to;
         if (stop <= from) continue;
         if (item < s->cluster_count) {
-            zbufrandi_page_cluster(j, s, item, place, from, stop, begin + s->item_sum[item] * f,
-                                   begin + s->item_sum[item + 1] * f);
+            zbufrandi_page_cluster(j, s, item, place, from, stop, begin + sum[item] * f,
+                                   begin + sum[item + 1] * f);
         } else {
             const zbufrandi_instance *it = &s->instance[item - s->cluster_count];
             zbufrandi_place_at inside;
             zbufrandi_m34_mul(ZBUFRANDI_M34(place->m), ZBUFRANDI_M34(it->to_parent), inside.m);
             inside.scale = place->scale * it->scale;
-            zbufrandi_page_structure(j, it->structure, &inside, from, stop, begin + s->item_sum[item] * f,
-                                     begin + s->item_sum[item + 1] * f);
+            zbufrandi_page_structure(j, it->structure, &inside, from, stop, begin + sum[item] * f,
+                                     begin + sum[item + 1] * f);
         }
         from = stop;
     }
@@ -15294,6 +15513,15 @@ static void zbufrandi_points_wait(zbufrandi_points_job *j, zbufrandi_mem *mem, i
     j->wait_positions = j->wait_normals = NULL;
 }
 
+static int zbufrandi_edit_sums(const zbufrand_scene *scene, zbufrandi_mem *mem, double **sum);
+
+static void zbufrandi_points_end(const zbufrand_scene *scene, zbufrandi_mem *mem, double **sum) {
+    uint32_t i;
+    for (i = 0; sum != NULL && i < scene->structure_count; i++)
+        if (sum[i] != scene->structure[i].item_sum) zbufrandi_free(mem, sum[i]);
+    zbufrandi_free(mem, sum);
+}
+
 ZBUFRAND_DEF zbufrand_result zbufrand_surface_points(const zbufrand_scene *scene,
                                                      const zbufrand_surface_points_desc *desc, size_t count,
                                                      float *positions, float *normals, uint8_t *rgb,
@@ -15321,7 +15549,10 @@ ZBUFRAND_DEF zbufrand_result zbufrand_surface_points(const zbufrand_scene *scene
     srgb = (zbufrandi_srgb *)zbufrandi_alloc(&mem, sizeof *srgb);
     if (d.independent) sorted = (uint64_t *)zbufrandi_alloc_array(&mem, 2 * ZBUFRANDI_ASKED, sizeof *sorted);
     memset(&j, 0, sizeof j);
-    if (asked != NULL && srgb != NULL && (!d.independent || sorted != NULL)) {
+    j.sum = (double **)zbufrandi_alloc_zero(&mem, scene->structure_count, sizeof *j.sum);
+    i = asked != NULL && srgb != NULL && (!d.independent || sorted != NULL) && j.sum != NULL &&
+        zbufrandi_edit_sums(scene, &mem, j.sum);
+    if (i) {
         zbufrandi_srgb_open(srgb);
         j.scene = scene;
         j.srgb = srgb;
@@ -15352,14 +15583,1629 @@ ZBUFRAND_DEF zbufrand_result zbufrand_surface_points(const zbufrand_scene *scene
             at += end - begin;
         }
     }
-    i = asked == NULL || srgb == NULL || (d.independent && sorted == NULL);
+    zbufrandi_points_end(scene, &mem, j.sum);
     zbufrandi_free(&mem, asked);
     zbufrandi_free(&mem, srgb);
     zbufrandi_free(&mem, sorted);
     zbufrandi_free(&mem, j.wait_positions);
     zbufrandi_free(&mem, j.wait_normals);
-    return i ? ZBUFRAND_ERR_NO_MEMORY : ZBUFRAND_OK;
+    return i ? ZBUFRAND_OK : ZBUFRAND_ERR_NO_MEMORY;
 }
+/* ---------------------------------------------------------------------------
+   edit: nodes are added, removed and moved in a scene that is built.            // >>edit
+
+   Clusters never change once they are built. What is added becomes a structure of its own; what is moved is one, or
+   becomes one now: its clusters are copied as they are (zbufrandi_edit_promote), which changes nothing in the picture.
+   So all that ever changes in a structure are its instances and which of its clusters are still there, and an edit is
+   the insertion, removal or new box of a leaf of its tree. Then boxes, cones, areas, counts and stored points are made
+   anew from the touched leaves up to the root, by the functions that made them first, and from there on in all
+   structures that have instances of this one. Nothing is summed up over edits, so nothing drifts.
+   Leaves go where boxes grow least. Subtrees that got worse than they were made (the surfaces of all boxes over that of
+   their own, 1.5 times, a quarter of the leaves edited) are made anew over their upper 2048 parts.
+   An update first builds and reserves all it will need: where memory runs out, nothing has happened yet.
+   --------------------------------------------------------------------------- */
+
+#define ZBUFRANDI_NIL (~0u)
+enum { ZBUFRANDI_TREELET = 2048, ZBUFRANDI_DEEP = 44 };
+
+typedef struct zbufrandi_use {    /* an instance */
+    uint32_t structure, instance; /* the structure that it is in; NIL: none */
+} zbufrandi_use;
+
+typedef struct zbufrandi_health { /* of a node of a tree */
+    uint32_t up;                  /* 8 * parent + lane; NIL: the root. Of a node that is not in use: the next such */
+    uint32_t leaves, edits;       /* leaves below; edits of them since the node was made */
+    float cost, built;            /* half surfaces of all boxes below; this over its own when it was made */
+    uint32_t level;               /* below the root; only while nodes are made anew */
+} zbufrandi_health;
+
+typedef struct zbufrandi_live_structure {
+    uint32_t *at;                 /* 8 * node + lane of each cluster, then of each instance; NIL: not in the tree */
+    zbufrandi_use *next, *prev;   /* of each instance: of the same structure. Slots not in use: next.instance */
+    zbufrandi_health *health;
+    uint32_t *dirty;              /* nodes to be made anew */
+    uint8_t *is_dirty;
+    zbufrandi_ray_box *box;       /* NULL: they are among those that the build made */
+    double base[3][4], base_inverse[3][4]; /* coordinates of its node to those of the structure, and back */
+    size_t instance_capacity, node_capacity;
+    zbufrandi_use first;          /* of the instances of this structure */
+    uint32_t dirty_count;
+    uint32_t free_node, free_nodes, free_instance, free_instances; /* first, and how many */
+    uint32_t dead_clusters, dead_triangles, dead_vertices;
+    uint32_t used;                /* 0: a slot for the next structure */
+    uint32_t node;                /* of the graph */
+    uint32_t touched;
+} zbufrandi_live_structure;
+
+typedef struct zbufrandi_live {
+    zbufrandi_live_structure *s;
+    size_t capacity;              /* of these, of scene->structure and of scene->rays->box */
+    uint32_t *touched;            /* structures in which something changed */
+    uint32_t touched_count, free_structures;
+} zbufrandi_live;
+
+/* ---- what is known of the structures ---- */
+
+static void zbufrandi_m34_inverse(const double m[3][4], double out[3][4]) { /* of a similarity, or nearly so */
+    const double d = 1.0 / zbufrandi_m34_det(m);
+    double r[3][4];
+    int i, j;
+    for (i = 0; i < 3; i++) {
+        const int a = (i + 1) % 3, b = (i + 2) % 3;
+        for (j = 0; j < 3; j++) {
+            const int c = (j + 1) % 3, e = (j + 2) % 3;
+            r[j][i] = (m[a][c] * m[b][e] - m[a][e] * m[b][c]) * d;
+        }
+    }
+    for (i = 0; i < 3; i++) r[i][3] = -(r[i][0] * m[0][3] + r[i][1] * m[1][3] + r[i][2] * m[2][3]);
+    memcpy(out, r, sizeof r);
+}
+
+static void zbufrandi_live_close(zbufrandi_mem *mem, zbufrandi_live_structure *l) {
+    zbufrandi_free(mem, l->at);
+    zbufrandi_free(mem, l->next);
+    zbufrandi_free(mem, l->prev);
+    zbufrandi_free(mem, l->health);
+    zbufrandi_free(mem, l->dirty);
+    zbufrandi_free(mem, l->is_dirty);
+    zbufrandi_free(mem, l->box);
+    memset(l, 0, sizeof *l);
+}
+
+static void zbufrandi_live_free(zbufrand_scene *scene) {
+    uint32_t i;
+    if (scene->live == NULL) return;
+    for (i = 0; i < scene->structure_count; i++) zbufrandi_live_close(&scene->mem, &scene->live->s[i]);
+    zbufrandi_free(&scene->mem, scene->live->s);
+    zbufrandi_free(&scene->mem, scene->live->touched);
+    zbufrandi_free(&scene->mem, scene->live);
+    scene->live = NULL;
+}
+
+static void zbufrandi_live_totals(const zbufrand_scene *scene, zbufrand_scene_info *info) {
+    uint32_t i;
+    if (scene->live == NULL) return;
+    for (i = 0; i < scene->structure_count; i++) {
+        const zbufrandi_live_structure *l = &scene->live->s[i];
+        if (!l->used) info->structures--;
+        info->stored_triangles -= l->dead_triangles;
+        info->stored_vertices -= l->dead_vertices;
+        info->clusters -= l->dead_clusters;
+        info->instances -= l->free_instances;
+        info->tree_nodes -= l->free_nodes;
+    }
+}
+
+/* Areas of items added up, of each structure; where edits changed them, in memory of the caller's. 0: no memory. */
+static int zbufrandi_edit_sums(const zbufrand_scene *scene, zbufrandi_mem *mem, double **sum) {
+    uint32_t i, k;
+    for (i = 0; i < scene->structure_count; i++) {
+        const zbufrandi_structure *s = &scene->structure[i];
+        const uint32_t items = s->cluster_count + s->instance_count;
+        sum[i] = s->item_sum;
+        if (!s->sum_stale || items == 0) continue;
+        sum[i] = (double *)zbufrandi_alloc_array(mem, (size_t)items + 1, sizeof **sum);
+        if (sum[i] == NULL) return 0;
+        sum[i][0] = 0.0;
+        for (k = 0; k < items; k++) {
+            const uint32_t at = scene->live->s[i].at[k];
+            sum[i][k + 1] = sum[i][k];
+            if (at != ZBUFRANDI_NIL) sum[i][k + 1] += (double)s->node[at >> 3].area[at & 7u];
+        }
+    }
+    return 1;
+}
+
+static void zbufrandi_use_link(zbufrand_scene *scene, uint32_t structure, uint32_t instance) {
+    zbufrandi_live_structure *s = scene->live->s, *l = &s[structure],
+        *to = &s[scene->structure[structure].instance[instance].structure];
+    l->next[instance] = to->first;
+    l->prev[instance].structure = ZBUFRANDI_NIL;
+    if (to->first.structure != ZBUFRANDI_NIL) {
+        s[to->first.structure].prev[to->first.instance].structure = structure;
+        s[to->first.structure].prev[to->first.instance].instance = instance;
+    }
+    to->first.structure = structure;
+    to->first.instance = instance;
+}
+
+static void zbufrandi_use_unlink(zbufrand_scene *scene, uint32_t structure, uint32_t instance) {
+    zbufrandi_live_structure *s = scene->live->s, *l = &s[structure];
+    const zbufrandi_use next = l->next[instance], prev = l->prev[instance];
+    if (next.structure != ZBUFRANDI_NIL) s[next.structure].prev[next.instance] = prev;
+    if (prev.structure != ZBUFRANDI_NIL) s[prev.structure].next[prev.instance] = next;
+    else s[scene->structure[structure].instance[instance].structure].first = next;
+}
+
+/* Where a child of a node stands. */
+static void zbufrandi_live_place(const zbufrandi_structure *s, zbufrandi_live_structure *l, uint32_t child,
+                                 uint32_t at) {
+    const uint32_t index = ZBUFRANDI_CHILD_INDEX(child);
+    switch (ZBUFRANDI_CHILD_KIND(child)) {
+    case ZBUFRANDI_CHILD_NODE: l->health[index].up = at; break;
+    case ZBUFRANDI_CHILD_CLUSTER: l->at[index] = at; break;
+    default: l->at[s->cluster_count + index] = at; break;
+    }
+}
+
+ZBUFRANDI_INLINE float zbufrandi_lane_surface(const zbufrandi_node8 *n, uint32_t i) {
+    const float x = n->hi[0][i] - n->lo[0][i], y = n->hi[1][i] - n->lo[1][i], z = n->hi[2][i] - n->lo[2][i];
+    return x >= 0.0f ? x * y + y * z + z * x : 0.0f;
+}
+
+/* Leaves and cost of a node whose children are known. Returns the cost over its own half surface. */
+static float zbufrandi_live_measure(const zbufrandi_structure *s, zbufrandi_live_structure *l, uint32_t node, int made) {
+    const zbufrandi_node8 *n = &s->node[node];
+    zbufrandi_health *h = &l->health[node];
+    float lo[3], hi[3], own;
+    uint32_t i, a;
+    zbufrandi_box_empty(lo, hi);
+    h->leaves = 0;
+    h->cost = 0.0f;
+    for (i = 0; i < n->count; i++) {
+        h->cost += zbufrandi_lane_surface(n, i);
+        for (a = 0; a < 3; a++) {
+            lo[a] = n->lo[a][i] < lo[a] ? n->lo[a][i] : lo[a];
+            hi[a] = n->hi[a][i] > hi[a] ? n->hi[a][i] : hi[a];
+        }
+        if (ZBUFRANDI_CHILD_KIND(n->child[i]) == ZBUFRANDI_CHILD_NODE) {
+            h->leaves += l->health[ZBUFRANDI_CHILD_INDEX(n->child[i])].leaves;
+            h->cost += l->health[ZBUFRANDI_CHILD_INDEX(n->child[i])].cost;
+        } else {
+            h->leaves++;
+        }
+    }
+    own = zbufrandi_half_surface(lo, hi);
+    own = own > 0.0f ? h->cost / own : 1e30f; /* flat: never worse than made */
+    if (made) {
+        h->built = own;
+        h->edits = 0;
+    }
+    return own;
+}
+
+/* Look at a structure: O(its size). 0: no memory, nothing is changed. */
+static int zbufrandi_live_look(zbufrand_scene *scene, uint32_t index) {
+    const zbufrandi_structure *s = &scene->structure[index];
+    zbufrandi_live_structure *l = &scene->live->s[index];
+    zbufrandi_mem *mem = &scene->mem;
+    const zbufrandi_use first = l->first;
+    uint32_t i, k;
+    const size_t items = (size_t)s->cluster_count + s->instance_count;
+    l->at = (uint32_t *)zbufrandi_alloc_array(mem, items + 1, sizeof *l->at);
+    l->next = (zbufrandi_use *)zbufrandi_alloc_array(mem, (size_t)s->instance_count + 1, sizeof *l->next);
+    l->prev = (zbufrandi_use *)zbufrandi_alloc_array(mem, (size_t)s->instance_count + 1, sizeof *l->prev);
+    l->health = (zbufrandi_health *)zbufrandi_alloc_zero(mem, (size_t)s->node_count + 1, sizeof *l->health);
+    l->dirty = (uint32_t *)zbufrandi_alloc_array(mem, (size_t)s->node_count + 1, sizeof *l->dirty);
+    l->is_dirty = (uint8_t *)zbufrandi_alloc_zero(mem, (size_t)s->node_count + 1, 1);
+    if (l->at == NULL || l->next == NULL || l->prev == NULL || l->health == NULL || l->dirty == NULL ||
+        l->is_dirty == NULL) {
+        zbufrandi_live_close(mem, l);
+        l->first = first;
+        return 0;
+    }
+    l->instance_capacity = s->instance_count;
+    l->node_capacity = s->node_count;
+    l->free_node = l->free_instance = ZBUFRANDI_NIL;
+    l->used = 1;
+    zbufrandi_m34_identity(l->base);
+    zbufrandi_m34_identity(l->base_inverse);
+    memset(l->at, 0xff, (items + 1) * sizeof *l->at);
+    if (s->node_count != 0) l->health[0].up = ZBUFRANDI_NIL;
+    for (i = 0; i < s->node_count; i++)
+        for (k = 0; k < s->node[i].count; k++) zbufrandi_live_place(s, l, s->node[i].child[k], 8 * i + k);
+    for (i = s->node_count; i > 0; i--) (void)zbufrandi_live_measure(s, l, i - 1, 1); /* children come after their parents */
+    return 1;
+}
+
+static void zbufrandi_live_link(zbufrand_scene *scene, uint32_t index) {
+    uint32_t i;
+    for (i = 0; i < scene->structure[index].instance_count; i++) zbufrandi_use_link(scene, index, i);
+}
+
+/* The first update looks at everything. 0: no memory. */
+static int zbufrandi_live_open(zbufrand_scene *scene) {
+    zbufrandi_live *live;
+    uint32_t i;
+    size_t k;
+    if (scene->live != NULL) return 1;
+    live = (zbufrandi_live *)zbufrandi_alloc_zero(&scene->mem, 1, sizeof *live);
+    if (live == NULL) return 0;
+    live->capacity = scene->structure_count;
+    live->s = (zbufrandi_live_structure *)zbufrandi_alloc_zero(&scene->mem, live->capacity, sizeof *live->s);
+    live->touched = (uint32_t *)zbufrandi_alloc_array(&scene->mem, live->capacity, sizeof *live->touched);
+    scene->live = live;
+    if (live->s == NULL || live->touched == NULL) {
+        zbufrandi_free(&scene->mem, live->s);
+        zbufrandi_free(&scene->mem, live->touched);
+        zbufrandi_free(&scene->mem, live);
+        scene->live = NULL;
+        return 0;
+    }
+    for (i = 0; i < scene->structure_count; i++) live->s[i].first.structure = ZBUFRANDI_NIL;
+    for (i = 0; i < scene->structure_count; i++) {
+        if (zbufrandi_live_look(scene, i)) continue;
+        zbufrandi_live_free(scene);
+        return 0;
+    }
+    for (i = 0; i < scene->structure_count; i++) zbufrandi_live_link(scene, i);
+    for (k = 1; k < scene->graph_count; k++) {
+        if (scene->graph[k].kind != ZBUFRANDI_DEAD && scene->graph[k].structure != 0)
+            live->s[scene->graph[k].structure - 1].node = (uint32_t)k;
+    }
+    return 1;
+}
+
+/* ---- room ---- */
+
+/* More instances and nodes than there are. 0: no memory, nothing is changed. */
+static int zbufrandi_edit_reserve(zbufrand_scene *scene, uint32_t index, size_t instances, size_t nodes) {
+    zbufrandi_mem *mem = &scene->mem;
+    zbufrandi_structure *s = &scene->structure[index];
+    zbufrandi_live_structure *l = &scene->live->s[index];
+    size_t need = (size_t)s->instance_count + instances, used;
+    if (need > l->instance_capacity) {
+        need += need / 4 + 8;
+        if (need >= 1u << 28 ||
+            !zbufrandi_reserve(mem, (void **)&s->instance, s->instance_count, need, sizeof *s->instance, 0) ||
+            !zbufrandi_reserve(mem, (void **)&l->at, (size_t)s->cluster_count + s->instance_count,
+                               s->cluster_count + need, sizeof *l->at, 0) ||
+            !zbufrandi_reserve(mem, (void **)&l->next, s->instance_count, need, sizeof *l->next, 0) ||
+            !zbufrandi_reserve(mem, (void **)&l->prev, s->instance_count, need, sizeof *l->prev, 0)) return 0;
+        l->instance_capacity = need;
+    }
+    need = (size_t)s->node_count + nodes;
+    if (need > l->node_capacity) {
+        need += need / 4 + 8;
+        used = s->set != NULL ? ((size_t)s->cluster_count + s->node_count) * ZBUFRANDI_SET : 0;
+        if (need >= 1u << 28 || !zbufrandi_reserve(mem, (void **)&s->node, s->node_count, need, sizeof *s->node, 0) ||
+            !zbufrandi_reserve(mem, (void **)&l->health, s->node_count, need, sizeof *l->health, 0) ||
+            !zbufrandi_reserve(mem, (void **)&l->dirty, l->dirty_count, need, sizeof *l->dirty, 0) ||
+            !zbufrandi_reserve(mem, (void **)&l->is_dirty, s->node_count, need, 1, 0)) return 0;
+        need += s->cluster_count;
+        if (!zbufrandi_reserve(mem, (void **)&s->set, used, need * ZBUFRANDI_SET, 2 * sizeof *s->set, 0) ||
+            (s->set_rgb != NULL && !zbufrandi_reserve(mem, (void **)&s->set_rgb, used, need * ZBUFRANDI_SET,
+                                                      sizeof *s->set_rgb, 0)) ||
+            (s->set_normal != NULL && !zbufrandi_reserve(mem, (void **)&s->set_normal, used, need * ZBUFRANDI_SET,
+                                                         sizeof *s->set_normal, 0)) ||
+            (s->set_material != NULL && !zbufrandi_reserve(mem, (void **)&s->set_material, used,
+                                                           need * ZBUFRANDI_SET, sizeof *s->set_material, 0))) {
+            return 0;
+        }
+        l->node_capacity = need - s->cluster_count;
+    }
+    return 1;
+}
+
+/* The stored points of a structure, and of all that have instances of it, get the attributes that `from` has.
+   0: no memory; what was done by then does no harm. */
+static int zbufrandi_edit_attributes(zbufrand_scene *scene, uint32_t index, const zbufrandi_structure *from) {
+    zbufrandi_mem *mem = &scene->mem;
+    zbufrandi_structure *s = &scene->structure[index];
+    const zbufrandi_live_structure *l = &scene->live->s[index];
+    const size_t used = ((size_t)s->cluster_count + s->node_count) * ZBUFRANDI_SET,
+        count = ((size_t)s->cluster_count + l->node_capacity) * ZBUFRANDI_SET;
+    const int rgb = from->set_rgb != NULL && s->set_rgb == NULL,
+        normal = from->set_normal != NULL && s->set_normal == NULL,
+        material = (from->set_material != NULL || from->material != s->material) && s->set_material == NULL;
+    zbufrandi_use use;
+    size_t i;
+    if (!rgb && !normal && !material) return 1;
+    if (rgb) {
+        if (!zbufrandi_reserve(mem, (void **)&s->set_rgb, 0, count, sizeof *s->set_rgb, 0)) return 0;
+        for (i = 0; i < used; i++) s->set_rgb[i] = 0xffffffu;
+    }
+    if (normal) {
+        if (!zbufrandi_reserve(mem, (void **)&s->set_normal, 0, count, sizeof *s->set_normal, 0)) return 0;
+        for (i = 0; i < used; i++) {
+            float n[3];
+            zbufrandi_oct32_decode(s->set[zbufrandi_set_at(i) + 8], n);
+            s->set_normal[i] = (uint16_t)zbufrandi_oct_encode(n);
+        }
+    }
+    if (material) {
+        if (!zbufrandi_reserve(mem, (void **)&s->set_material, 0, count, sizeof *s->set_material, 0)) return 0;
+        for (i = 0; i < used; i++) s->set_material[i] = s->material;
+    }
+    for (use = l->first; use.structure != ZBUFRANDI_NIL; use = scene->live->s[use.structure].next[use.instance])
+        if (!zbufrandi_edit_attributes(scene, use.structure, s)) return 0;
+    return 1;
+}
+
+/* A slot for a new structure; NIL: no memory. */
+static uint32_t zbufrandi_edit_slot(zbufrand_scene *scene) {
+    zbufrandi_live *live = scene->live;
+    uint32_t i;
+    size_t cap;
+    if (live->free_structures != 0) {
+        for (i = 0; live->s[i].used; i++) { }
+        live->free_structures--;
+    } else {
+        i = scene->structure_count;
+        if (i == live->capacity) {
+            cap = live->capacity + live->capacity / 2 + 8;
+            if (!zbufrandi_reserve(&scene->mem, (void **)&scene->structure, i, cap, sizeof *scene->structure, 0))
+                return ZBUFRANDI_NIL;
+            scene->rays->structure = scene->structure;
+            if (!zbufrandi_reserve(&scene->mem, (void **)&live->s, i, cap, sizeof *live->s, 0) ||
+                !zbufrandi_reserve(&scene->mem, (void **)&live->touched, live->touched_count, cap,
+                                   sizeof *live->touched, 0) ||
+                !zbufrandi_reserve(&scene->mem, (void **)&scene->rays->box, i, cap, sizeof *scene->rays->box, 0)) {
+                return ZBUFRANDI_NIL;
+            }
+            live->capacity = cap;
+        }
+        scene->structure_count++;
+        scene->rays->structure_count++;
+    }
+    memset(&scene->structure[i], 0, sizeof scene->structure[i]);
+    memset(&live->s[i], 0, sizeof live->s[i]);
+    live->s[i].first.structure = ZBUFRANDI_NIL;
+    live->s[i].used = 1;
+    scene->rays->box[i] = NULL;
+    return i;
+}
+
+static void zbufrandi_edit_slot_free(zbufrand_scene *scene, uint32_t index) {
+    zbufrandi_structure_free(&scene->mem, &scene->structure[index]);
+    zbufrandi_live_close(&scene->mem, &scene->live->s[index]);
+    scene->rays->box[index] = NULL;
+    scene->live->free_structures++;
+}
+
+/* Rays through a new structure, and what edits need to know of it. 0: no memory. */
+static int zbufrandi_edit_ready(zbufrand_scene *scene, uint32_t index, uint32_t node) {
+    const zbufrandi_structure *s = &scene->structure[index];
+    zbufrandi_live_structure *l = &scene->live->s[index];
+    zbufrandi_rays_job j;
+    if (!zbufrandi_live_look(scene, index)) return 0;
+    l->node = node;
+    l->box = (zbufrandi_ray_box *)zbufrandi_alloc_array(&scene->mem, (size_t)s->cluster_count + 1, sizeof *l->box);
+    if (l->box == NULL) {
+        zbufrandi_live_close(&scene->mem, l);
+        return 0;
+    }
+    j.s = s;
+    j.box = scene->rays->box[index] = l->box;
+    zbufrandi_parallel_for(&scene->env, zbufrandi_rays_task, &j,
+                           (s->cluster_count + ZBUFRANDI_RAYS_TASK - 1) / ZBUFRANDI_RAYS_TASK);
+    zbufrandi_live_link(scene, index);
+    return 1;
+}
+
+/* ---- leaves come and go ---- */
+
+static void zbufrandi_edit_touch(zbufrand_scene *scene, uint32_t index) {
+    zbufrandi_live *live = scene->live;
+    if (live->s[index].touched) return;
+    live->s[index].touched = 1;
+    live->touched[live->touched_count++] = index;
+}
+
+static void zbufrandi_edit_dirty(zbufrand_scene *scene, uint32_t index, uint32_t node) {
+    zbufrandi_live_structure *l = &scene->live->s[index];
+    zbufrandi_edit_touch(scene, index);
+    if (l->is_dirty[node]) return;
+    l->is_dirty[node] = 1;
+    l->dirty[l->dirty_count++] = node;
+}
+
+static void zbufrandi_lane_clear(zbufrandi_node8 *n, uint32_t i) {
+    zbufrandi_lane lane;
+    memset(&lane, 0, sizeof lane);
+    zbufrandi_box_empty(lane.lo, lane.hi);
+    lane.cosine = 1.0f;
+    zbufrandi_lane_put(n, i, &lane);
+    n->child[i] = ZBUFRANDI_CHILD(ZBUFRANDI_CHILD_NONE, 0);
+}
+
+/* An empty node. There is room. */
+static uint32_t zbufrandi_edit_node(zbufrandi_structure *s, zbufrandi_live_structure *l) {
+    uint32_t node = l->free_node, i;
+    if (node != ZBUFRANDI_NIL) {
+        l->free_node = l->health[node].up;
+        l->free_nodes--;
+    } else {
+        node = s->node_count++;
+        l->is_dirty[node] = 0;
+    }
+    memset(&s->node[node], 0, sizeof s->node[node]);
+    memset(&l->health[node], 0, sizeof l->health[node]);
+    for (i = 0; i < 8; i++) zbufrandi_lane_clear(&s->node[node], i);
+    return node;
+}
+
+static void zbufrandi_edit_node_free(zbufrandi_structure *s, zbufrandi_live_structure *l, uint32_t node) {
+    s->node[node].count = 0;
+    l->health[node].up = l->free_node;
+    l->free_node = node;
+    l->free_nodes++;
+}
+
+/* Lane `from` of a node becomes lane `to` of another. */
+static void zbufrandi_edit_lane(zbufrandi_structure *s, zbufrandi_live_structure *l, uint32_t from_node, uint32_t from,
+                                uint32_t to_node, uint32_t to) {
+    zbufrandi_lane lane;
+    zbufrandi_lane_get(&s->node[from_node], from, &lane);
+    zbufrandi_lane_put(&s->node[to_node], to, &lane);
+    s->node[to_node].child[to] = s->node[from_node].child[from];
+    zbufrandi_live_place(s, l, s->node[to_node].child[to], 8 * to_node + to);
+}
+
+/* Take a cluster or instance out of the tree. */
+static void zbufrandi_edit_take(zbufrand_scene *scene, uint32_t index, uint32_t item) {
+    zbufrandi_structure *s = &scene->structure[index];
+    zbufrandi_live_structure *l = &scene->live->s[index];
+    uint32_t at = l->at[item], node, up;
+    if (at == ZBUFRANDI_NIL) return;
+    l->at[item] = ZBUFRANDI_NIL;
+    for (;;) {
+        zbufrandi_node8 *n = &s->node[node = at >> 3];
+        n->count--;
+        if ((at & 7u) != n->count) zbufrandi_edit_lane(s, l, node, n->count, node, at & 7u);
+        zbufrandi_lane_clear(n, n->count);
+        up = l->health[node].up;
+        if (n->count > 0 || up == ZBUFRANDI_NIL) break;
+        zbufrandi_edit_node_free(s, l, node); /* its lane in its parent goes, too */
+        at = up;
+    }
+    if (s->node[node].count == 0) { /* the root: nothing is left */
+        for (node = 0; node < l->dirty_count; node++) l->is_dirty[l->dirty[node]] = 0;
+        l->dirty_count = 0;
+        s->node_count = 0;
+        l->free_node = ZBUFRANDI_NIL;
+        l->free_nodes = 0;
+        zbufrandi_edit_touch(scene, index);
+        return;
+    }
+    if (s->node[node].count == 1 && up != ZBUFRANDI_NIL) { /* one child needs no node */
+        zbufrandi_edit_lane(s, l, node, 0, up >> 3, up & 7u);
+        zbufrandi_edit_node_free(s, l, node);
+        node = up >> 3;
+    }
+    zbufrandi_edit_dirty(scene, index, node);
+    for (;; node = up >> 3) {
+        l->health[node].edits++;
+        up = l->health[node].up;
+        if (up == ZBUFRANDI_NIL) break;
+    }
+}
+
+/* Put it in, at the lane where boxes grow least. There is room for a node. */
+static void zbufrandi_edit_put(zbufrand_scene *scene, uint32_t index, uint32_t child, const zbufrandi_lane *lane) {
+    zbufrandi_structure *s = &scene->structure[index];
+    zbufrandi_live_structure *l = &scene->live->s[index];
+    uint32_t node = 0, depth, i;
+    if (s->node_count == 0) {
+        (void)zbufrandi_edit_node(s, l);
+        l->health[0].up = ZBUFRANDI_NIL;
+        l->health[0].built = INFINITY;
+    }
+    for (depth = 0;; depth++) {
+        zbufrandi_node8 *n = &s->node[node];
+        uint32_t best = 8, fresh;
+        float least = INFINITY, size = 0.0f;
+        l->health[node].edits++;
+        for (i = 0; i < n->count; i++) {
+            float lo[3], hi[3], own = zbufrandi_lane_surface(n, i), grown;
+            uint32_t a;
+            for (a = 0; a < 3; a++) {
+                lo[a] = n->lo[a][i] < lane->lo[a] ? n->lo[a][i] : lane->lo[a];
+                hi[a] = n->hi[a][i] > lane->hi[a] ? n->hi[a][i] : lane->hi[a];
+            }
+            grown = zbufrandi_half_surface(lo, hi) - own;
+            if (best < 8 && (grown > least || (grown == least && !(own < size)))) continue;
+            best = i;
+            least = grown;
+            size = own;
+        }
+        if (n->count < 8 && (best == 8 || ZBUFRANDI_CHILD_KIND(n->child[best]) != ZBUFRANDI_CHILD_NODE ||
+                             least > 0.25f * size)) { /* a free lane */
+            best = n->count++;
+        } else if (ZBUFRANDI_CHILD_KIND(n->child[best]) == ZBUFRANDI_CHILD_NODE) {
+            uint32_t a;
+            for (a = 0; a < 3; a++) { /* for the next that is put in; the rest follows later */
+                n->lo[a][best] = n->lo[a][best] < lane->lo[a] ? n->lo[a][best] : lane->lo[a];
+                n->hi[a][best] = n->hi[a][best] > lane->hi[a] ? n->hi[a][best] : lane->hi[a];
+            }
+            node = ZBUFRANDI_CHILD_INDEX(n->child[best]);
+            continue;
+        } else { /* a node for two leaves */
+            fresh = zbufrandi_edit_node(s, l);
+            n = &s->node[node];
+            zbufrandi_edit_lane(s, l, node, best, fresh, 0);
+            s->node[fresh].count = 2;
+            n->child[best] = ZBUFRANDI_CHILD(ZBUFRANDI_CHILD_NODE, fresh);
+            l->health[fresh].up = 8 * node + best;
+            l->health[fresh].built = INFINITY;
+            zbufrandi_edit_dirty(scene, index, node);
+            node = fresh;
+            best = 1;
+        }
+        zbufrandi_lane_put(&s->node[node], best, lane);
+        s->node[node].child[best] = child;
+        zbufrandi_live_place(s, l, child, 8 * node + best);
+        zbufrandi_edit_dirty(scene, index, node);
+        if (depth > ZBUFRANDI_DEEP) l->health[0].edits = 0xffffffffu; /* to be made anew at once */
+        return;
+    }
+}
+
+/* An instance whose structure or place changed: into the tree, out of it, or a new box. */
+static void zbufrandi_edit_instance(zbufrand_scene *scene, uint32_t index, uint32_t instance) {
+    zbufrandi_structure *s = &scene->structure[index];
+    zbufrandi_live_structure *l = &scene->live->s[index];
+    const zbufrandi_instance *it = &s->instance[instance];
+    const zbufrandi_structure *to = &scene->structure[it->structure];
+    const uint32_t item = s->cluster_count + instance, child = ZBUFRANDI_CHILD(ZBUFRANDI_CHILD_INSTANCE, instance);
+    zbufrandi_lane lane;
+    uint32_t at = l->at[item], a, apart = 0;
+    if (to->node_count == 0 || it->hidden) {
+        zbufrandi_edit_take(scene, index, item);
+        return;
+    }
+    memset(&lane, 0, sizeof lane);
+    lane.cosine = -1.0f;
+    lane.area = 1.0f;
+    (void)zbufrandi_instance_box(it, to, lane.lo, lane.hi);
+    if (at != ZBUFRANDI_NIL) {
+        zbufrandi_node8 *n = &s->node[at >> 3];
+        for (a = 0; a < 3; a++) apart |= lane.lo[a] > n->hi[a][at & 7u] || lane.hi[a] < n->lo[a][at & 7u];
+        if (!apart || (l->free_nodes == 0 && s->node_count == l->node_capacity)) {
+            for (a = 0; a < 3; a++) {
+                n->lo[a][at & 7u] = lane.lo[a];
+                n->hi[a][at & 7u] = lane.hi[a];
+            }
+            zbufrandi_edit_dirty(scene, index, at >> 3);
+            for (at >>= 3;; at = l->health[at].up >> 3) {
+                l->health[at].edits++;
+                if (l->health[at].up == ZBUFRANDI_NIL) break;
+            }
+            return;
+        }
+        zbufrandi_edit_take(scene, index, item);
+    }
+    zbufrandi_edit_put(scene, index, child, &lane);
+}
+
+/* The slot of an instance is free again. */
+static void zbufrandi_edit_instance_free(zbufrand_scene *scene, uint32_t index, uint32_t instance) {
+    zbufrandi_live_structure *l = &scene->live->s[index];
+    zbufrandi_edit_take(scene, index, scene->structure[index].cluster_count + instance);
+    zbufrandi_use_unlink(scene, index, instance);
+    memset(&scene->structure[index].instance[instance], 0, sizeof scene->structure[index].instance[instance]);
+    l->next[instance].instance = l->free_instance;
+    l->free_instance = instance;
+    l->free_instances++;
+}
+
+/* ---- trees made anew ---- */
+
+typedef struct zbufrandi_treelet { /* the upper part of a subtree, to be made anew */
+    zbufrandi_item *item;          /* _pad: its lane */
+    zbufrandi_lane *lane;
+    uint32_t *node;                /* between the top and the items; then those that were made */
+    zbufrandi_range *stack;
+    uint32_t count, nodes;
+} zbufrandi_treelet;
+
+/* Open nodes below `top`, level by level, as long as there are no more than `most` parts. */
+static void zbufrandi_treelet_open(const zbufrandi_structure *s, uint32_t top, uint32_t most, zbufrandi_treelet *t) {
+    uint32_t i, k, a, end, opened = 1;
+    t->nodes = 0;
+    t->count = s->node[top].count;
+    for (k = 0; k < t->count; k++) {
+        zbufrandi_lane_get(&s->node[top], k, &t->lane[k]);
+        t->item[k].child = s->node[top].child[k];
+    }
+    while (opened) {
+        opened = 0;
+        end = t->count;
+        for (i = 0; i < end; i++) {
+            const uint32_t node = ZBUFRANDI_CHILD_INDEX(t->item[i].child);
+            const zbufrandi_node8 *n = &s->node[node];
+            if (ZBUFRANDI_CHILD_KIND(t->item[i].child) != ZBUFRANDI_CHILD_NODE || t->count + n->count - 1 > most) continue;
+            t->node[t->nodes++] = node;
+            opened = 1;
+            for (k = 0; k < n->count; k++) { /* the first takes the place of what is opened */
+                const uint32_t to = k == 0 ? i : t->count++;
+                zbufrandi_lane_get(n, k, &t->lane[to]);
+                t->item[to].child = n->child[k];
+            }
+        }
+    }
+    for (i = 0; i < t->count; i++) {
+        for (a = 0; a < 3; a++) {
+            t->item[i].lo[a] = t->lane[i].lo[a];
+            t->item[i].hi[a] = t->lane[i].hi[a];
+        }
+        t->item[i]._pad = i;
+    }
+}
+
+static void zbufrandi_treelet_build(zbufrandi_build *b, zbufrandi_live_structure *l, uint32_t top, uint32_t level,
+                                    zbufrandi_treelet *t) {
+    zbufrandi_structure *s = b->s;
+    uint32_t depth = 1, i, a, n;
+    for (i = 0; i < t->nodes; i++) zbufrandi_edit_node_free(s, l, t->node[i]);
+    t->nodes = 0;
+    memset(&t->stack[0], 0, sizeof t->stack[0]);
+    t->stack[0].end = t->count;
+    t->stack[0].node = top;
+    t->stack[0].level = level;
+    while (depth > 0) {
+        const zbufrandi_range at = t->stack[--depth];
+        zbufrandi_range range[8];
+        zbufrandi_node8 *node = &s->node[at.node];
+        float lo[8][3], hi[8][3];
+        t->node[t->nodes++] = at.node;
+        n = zbufrandi_open_range(t->item, at, range, lo, hi);
+        for (i = 0; i < 8; i++) zbufrandi_lane_clear(node, i);
+        node->count = n;
+        for (i = n; i > 0; i--) {
+            const zbufrandi_range *r = &range[i - 1];
+            if (r->end - r->begin == 1) {
+                zbufrandi_lane_put(node, i - 1, &t->lane[t->item[r->begin]._pad]);
+                node->child[i - 1] = t->item[r->begin].child;
+            } else {
+                for (a = 0; a < 3; a++) {
+                    node->lo[a][i - 1] = lo[i - 1][a];
+                    node->hi[a][i - 1] = hi[i - 1][a];
+                }
+                t->stack[depth] = *r;
+                t->stack[depth].level = at.level + 1;
+                t->stack[depth].node = zbufrandi_edit_node(s, l);
+                node->child[i - 1] = ZBUFRANDI_CHILD(ZBUFRANDI_CHILD_NODE, t->stack[depth++].node);
+            }
+            zbufrandi_live_place(s, l, node->child[i - 1], 8 * at.node + i - 1);
+        }
+    }
+    for (i = t->nodes; i > 0; i--) {
+        zbufrandi_node_finish(b, t->node[i - 1]);
+        (void)zbufrandi_live_measure(s, l, t->node[i - 1], 1);
+    }
+}
+
+/* What is below a node, made anew: its upper parts, or `all` of it, in halves. Nothing happens if memory is short. */
+static void zbufrandi_edit_rebuild(zbufrandi_build *b, uint32_t top, int all) {
+    zbufrand_scene *scene = b->scene;
+    zbufrandi_mem *mem = &scene->mem;
+    zbufrandi_live_structure *l = &scene->live->s[b->index];
+    const uint32_t most = all ? l->health[top].leaves + 8u : (uint32_t)ZBUFRANDI_TREELET + 8u;
+    zbufrandi_treelet t;
+    size_t there;
+    t.item = (zbufrandi_item *)zbufrandi_alloc_array(mem, most, sizeof *t.item);
+    t.lane = (zbufrandi_lane *)zbufrandi_alloc_array(mem, most, sizeof *t.lane);
+    t.node = (uint32_t *)zbufrandi_alloc_array(mem, (size_t)b->s->node_count + most, sizeof *t.node);
+    t.stack = (zbufrandi_range *)zbufrandi_alloc_array(mem, most, sizeof *t.stack);
+    if (t.item != NULL && t.lane != NULL && t.node != NULL && t.stack != NULL) {
+        zbufrandi_treelet_open(b->s, top, most - 8, &t);
+        there = l->node_capacity - b->s->node_count + l->free_nodes + t.nodes;
+        if (there >= t.count || zbufrandi_edit_reserve(scene, b->index, 0, t.count)) {
+            zbufrandi_treelet_build(b, l, top, all ? 64u : 0u, &t);
+        }
+    }
+    zbufrandi_free(mem, t.item);
+    zbufrandi_free(mem, t.lane);
+    zbufrandi_free(mem, t.node);
+    zbufrandi_free(mem, t.stack);
+}
+
+static void zbufrandi_sort_dirty(uint32_t *v, size_t n, const zbufrandi_health *h) { /* deepest first: Shell sort */
+    size_t gap, i, j;
+    for (gap = n / 2; gap > 0; gap = gap == 2 ? 1 : gap * 5 / 11) {
+        for (i = gap; i < n; i++) {
+            const uint32_t x = v[i];
+            for (j = i; j >= gap && (h[v[j - gap]].level < h[x].level ||
+                                     (h[v[j - gap]].level == h[x].level && v[j - gap] > x)); j -= gap) {
+                v[j] = v[j - gap];
+            }
+            v[j] = x;
+        }
+    }
+}
+
+/* Everything that follows from the touched leaves within a structure. */
+static void zbufrandi_edit_refit(zbufrand_scene *scene, uint32_t index) {
+    zbufrandi_structure *s = &scene->structure[index];
+    zbufrandi_live_structure *l = &scene->live->s[index];
+    zbufrandi_build b;
+    zbufrandi_leaf_job j;
+    uint32_t i, k, end, up, n = 0, forced = 0;
+    memset(&b, 0, sizeof b);
+    memset(&j, 0, sizeof j);
+    b.scene = scene;
+    b.s = s;
+    b.index = index;
+    j.b = &b;
+    for (i = 0; i < l->dirty_count; i++) { /* and all above */
+        const uint32_t node = l->dirty[i];
+        if (node >= s->node_count || s->node[node].count == 0) continue;
+        up = l->health[node].up;
+        if (up != ZBUFRANDI_NIL) zbufrandi_edit_dirty(scene, index, up >> 3);
+    }
+    for (i = 0; i < l->dirty_count; i++) {
+        const uint32_t node = l->dirty[i];
+        l->is_dirty[node] = 0;
+        if (node >= s->node_count || s->node[node].count == 0) continue;
+        l->health[node].level = 0;
+        for (up = l->health[node].up; up != ZBUFRANDI_NIL; up = l->health[up >> 3].up) l->health[node].level++;
+        l->dirty[n++] = node;
+    }
+    l->dirty_count = n;
+    zbufrandi_sort_dirty(l->dirty, n, l->health);
+    if (s->node_count != 0) forced = l->health[0].edits == 0xffffffffu;
+    for (i = 0; i < n; i = end) {
+        for (end = i + 1; end < n && l->health[l->dirty[end]].level == l->health[l->dirty[i]].level; end++) { }
+        j.order = l->dirty + i;
+        j.count = end - i;
+        zbufrandi_parallel_for(&scene->env, zbufrandi_node_task, &j,
+                               (j.count + ZBUFRANDI_TASK_NODES - 1) / ZBUFRANDI_TASK_NODES);
+        for (k = i; k < end; k++) {
+            const uint32_t node = l->dirty[k];
+            zbufrandi_health *h = &l->health[node];
+            const int made = !(h->built < INFINITY);
+            const float ratio = zbufrandi_live_measure(s, l, node, made);
+            h = &l->health[node];
+            if (!made && h->leaves >= 32 && h->edits >= h->leaves / 4 && ratio > 1.5f * h->built)
+                zbufrandi_edit_rebuild(&b, node, 0);
+        }
+    }
+    if (forced && s->node_count != 0) zbufrandi_edit_rebuild(&b, 0, 1);
+    l->dirty_count = 0;
+    s->sum_stale = 1;
+}
+
+/* Box, area and count of a structure, from its root. */
+static void zbufrandi_edit_totals(zbufrandi_structure *s) {
+    zbufrandi_lane root;
+    uint32_t i;
+    s->area = 0.0;
+    s->virtual_triangles = 0;
+    memset(s->box_lo, 0, sizeof s->box_lo);
+    memset(s->box_hi, 0, sizeof s->box_hi);
+    if (s->node_count == 0) return;
+    zbufrandi_node_lane(&s->node[0], &root);
+    memcpy(s->box_lo, root.lo, sizeof s->box_lo);
+    memcpy(s->box_hi, root.hi, sizeof s->box_hi);
+    for (i = 0; i < s->node[0].count; i++) s->area += (double)s->node[0].area[i];
+    s->virtual_triangles = root.triangles;
+}
+
+/* All that was touched, prototypes first, and what has instances of it. Allocates only where trees are made anew. */
+static void zbufrandi_edit_finish(zbufrand_scene *scene) {
+    zbufrandi_live *live = scene->live;
+    uint32_t depth, i;
+    for (depth = 0; depth <= ZBUFRANDI_MAX_LEVELS; depth++) {
+        for (i = 0; i < live->touched_count; i++) {
+            const uint32_t index = live->touched[i];
+            zbufrandi_use use;
+            if (!live->s[index].used || live->s[index].touched != 1 || scene->structure[index].depth != depth) continue;
+            zbufrandi_edit_refit(scene, index);
+            zbufrandi_edit_totals(&scene->structure[index]);
+            live->s[index].touched = 2; /* done */
+            for (use = live->s[index].first; use.structure != ZBUFRANDI_NIL;
+                 use = live->s[use.structure].next[use.instance]) {
+                zbufrandi_edit_instance(scene, use.structure, use.instance);
+            }
+        }
+    }
+    for (i = 0; i < live->touched_count; i++) live->s[live->touched[i]].touched = 0;
+    live->touched_count = 0;
+}
+
+/* ---- what the edits of a graph mean for its structures ---- */
+
+typedef struct zbufrandi_edit_step {  /* an instance that comes or gets another place */
+    zbufrandi_instance it;
+    uint32_t home, item;           /* item NIL: it is new */
+    uint32_t node;                 /* new: gets the first of its slots */
+} zbufrandi_edit_step;
+
+typedef struct zbufrandi_nodes { uint32_t *v; size_t count, capacity; } zbufrandi_nodes;
+
+typedef struct zbufrandi_edit {
+    zbufrand_scene *scene;
+    zbufrandi_walk *stack;
+    size_t stack_capacity;
+    zbufrandi_nodes top;           /* new nodes in what is built */
+    zbufrandi_nodes melted;        /* nodes that become structures where they are */
+    zbufrandi_nodes fresh;         /* nodes that become structures; what they use comes before them */
+    zbufrandi_edit_step *change;
+    size_t change_count, change_capacity;
+} zbufrandi_edit;
+
+static int zbufrandi_nodes_add(zbufrand_scene *scene, zbufrandi_nodes *list, uint32_t node) { /* 0: no memory */
+    if (!zbufrandi_grow(&scene->mem, (void **)&list->v, &list->capacity, list->count, list->count + 1, sizeof *list->v))
+        return 0;
+    list->v[list->count++] = node;
+    return 1;
+}
+
+static int zbufrandi_is_new(const zbufrand_scene *scene, uint32_t node) {
+    const uint32_t p = scene->graph[node].pending;
+    return p != 0 && !scene->pending[p - 1].moved;
+}
+
+/* The structure that a node is drawn in; NIL: in none. *below_new: a list above it is new, too. */
+static uint32_t zbufrandi_edit_home(const zbufrand_scene *scene, uint32_t node, int *below_new) {
+    const zbufrandi_graph *g = scene->graph;
+    size_t steps;
+    *below_new = 0;
+    for (steps = 0; steps < scene->graph_count; steps++) {
+        if (g[node].flags & ZBUFRAND_HIDDEN) return ZBUFRANDI_NIL;
+        node = g[node].parent;
+        if (node == 0) return ZBUFRANDI_NIL;
+        if (g[node].structure != 0) return g[node].structure - 1;
+        *below_new |= zbufrandi_is_new(scene, node);
+    }
+    return ZBUFRANDI_NIL; /* lists in a ring */
+}
+
+/* A node's coordinates to those of the structure that it is drawn in; old: as they were built. */
+static void zbufrandi_edit_matrix(const zbufrand_scene *scene, uint32_t node, int old, double out[3][4]) {
+    const zbufrandi_graph *g = scene->graph;
+    zbufrandi_m34_identity(out);
+    for (;; node = g[node].parent) {
+        const zbufrandi_pending *p = g[node].pending != 0 ? &scene->pending[g[node].pending - 1] : NULL;
+        zbufrandi_m34_mul(old && p != NULL && p->moved ? ZBUFRANDI_M34(p->old) : ZBUFRANDI_M34(g[node].m),
+                          ZBUFRANDI_M34(out), out);
+        if (g[g[node].parent].structure == 0) continue;
+        zbufrandi_m34_mul(ZBUFRANDI_M34(scene->live->s[g[g[node].parent].structure - 1].base), ZBUFRANDI_M34(out), out);
+        return;
+    }
+}
+
+/* An instance of a structure in another; m: own coordinates of its node to the other structure. RANGE: too far, too
+   large or too small. */
+static zbufrand_result zbufrandi_edit_place(zbufrand_scene *scene, uint32_t home, uint32_t structure, uint32_t node,
+                                            const double m[3][4], zbufrandi_instance *it) {
+    const zbufrandi_structure *to = &scene->structure[structure];
+    double p[3];
+    float lo[3], hi[3];
+    int a;
+    memset(it, 0, sizeof *it);
+    zbufrandi_m34_mul(m, ZBUFRANDI_M34(scene->live->s[structure].base_inverse), it->to_parent);
+    it->scale = zbufrandi_m34_scale(ZBUFRANDI_M34(it->to_parent));
+    it->structure = structure;
+    it->mirrored = zbufrandi_m34_det(ZBUFRANDI_M34(it->to_parent)) < 0.0;
+    it->node = node;
+    zbufrandi_m34_point(ZBUFRANDI_M34(it->to_parent), to->origin, p);
+    for (a = 0; a < 3; a++) it->to_parent[a][3] = p[a] - scene->structure[home].origin[a];
+    if (it->scale != 0.0 && (to->node_count == 0 || zbufrandi_instance_box(it, to, lo, hi))) return ZBUFRAND_OK;
+    return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, node, "node %: its place or scale is out of range");
+}
+
+/* Walk all that a new node leads to: finds cycles, nodes that become structures. */
+static zbufrand_result zbufrandi_edit_walk(zbufrandi_edit *e, uint32_t start) {
+    zbufrand_scene *scene = e->scene;
+    zbufrandi_graph *g = scene->graph;
+    const uint32_t on_path = 4 + 2 * scene->stamp, done = on_path + 1;
+    size_t depth = 1;
+    if (g[start].state == done) return ZBUFRAND_OK;
+    if (!zbufrandi_grow(&scene->mem, (void **)&e->stack, &e->stack_capacity, 0, 64, sizeof *e->stack))
+        return ZBUFRAND_ERR_NO_MEMORY;
+    e->stack[0].node = start;
+    e->stack[0].edge = 0;
+    g[start].state = on_path;
+    while (depth > 0) {
+        zbufrandi_walk *at = &e->stack[depth - 1];
+        const uint32_t node = at->node, below = zbufrandi_walk_next(g, node, at->edge);
+        int below_new;
+        if (below == 0) {
+            depth--;
+            g[node].state = done;
+            if (g[node].structure != 0) continue;
+            if (g[node].refs == 0 && !(g[node].flags & ZBUFRAND_OWN_STRUCTURE) &&
+                (node != start || g[node].kind == ZBUFRANDI_REFERENCES)) continue; /* melts */
+            if (!zbufrandi_is_new(scene, node) && zbufrandi_edit_home(scene, node, &below_new) != ZBUFRANDI_NIL &&
+                !below_new) {
+                if (!zbufrandi_nodes_add(scene, &e->melted, node)) return ZBUFRAND_ERR_NO_MEMORY;
+            } else if (!zbufrandi_nodes_add(scene, &e->fresh, node)) {
+                return ZBUFRAND_ERR_NO_MEMORY;
+            }
+            continue;
+        }
+        at->edge = below;
+        if (g[node].kind == ZBUFRANDI_REFERENCES && g[below].parent == 0 && below != ZBUFRAND_ROOT) {
+            return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_INVALID_ARG, node,
+                                  "reference %: its target is in no list");
+        }
+        if (g[below].state == on_path)
+            return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_INVALID_ARG, node, "node %: closes a cycle");
+        if (g[below].state == done) continue;
+        if (!zbufrandi_grow(&scene->mem, (void **)&e->stack, &e->stack_capacity, depth, depth + 1, sizeof *e->stack))
+            return ZBUFRAND_ERR_NO_MEMORY;
+        g[below].state = on_path;
+        e->stack[depth].node = below;
+        e->stack[depth].edge = 0;
+        depth++;
+    }
+    return ZBUFRAND_OK;
+}
+
+static uint32_t zbufrandi_edit_depth(const zbufrandi_graph *g, uint32_t node) {
+    uint32_t depth = 0;
+    for (; node != 0; node = g[node].parent) depth++;
+    return depth;
+}
+
+/* The next node that stands for something within `root`, which melts; 0: no more. Lists in it are walked through. */
+static uint32_t zbufrandi_edit_next(const zbufrandi_graph *g, uint32_t root, uint32_t node) {
+    for (;;) {
+        if (g[node].kind == ZBUFRANDI_LIST && (node == root || g[node].structure == 0) &&
+            (node == root || !(g[node].flags & ZBUFRAND_HIDDEN)) && g[node].first != 0) {
+            node = g[node].first;
+        } else {
+            while (node != root && g[node].next == 0) node = g[node].parent;
+            if (node == root) return 0;
+            node = g[node].next;
+        }
+        if (g[node].flags & ZBUFRAND_HIDDEN) continue;
+        if (g[node].kind != ZBUFRANDI_LIST || g[node].structure != 0) return node;
+    }
+}
+
+/* ---- what melted becomes a structure where it is ---- */
+
+/* One array of a structure's vertices or triangles, for the clusters of another. */
+static int zbufrandi_copy_array(zbufrandi_mem *mem, void **to, const void *from, size_t count, size_t size,
+                                size_t pad) { /* room for it; 0: no memory */
+    return from == NULL || zbufrandi_reserve(mem, to, 0, count, size, pad);
+}
+
+static void zbufrandi_copy_cluster(const zbufrandi_structure *from, uint32_t index, zbufrandi_structure *to) {
+    const zbufrandi_cluster *c = &from->cluster[index];
+    zbufrandi_cluster *d = &to->cluster[to->cluster_count++];
+    const size_t v = c->first_vertex, t = c->first_triangle, w = to->vertex_count, u = to->triangle_count;
+    *d = *c;
+    d->first_vertex = to->vertex_count;
+    d->first_triangle = to->triangle_count;
+    memcpy(to->position + 3 * w, from->position + 3 * v, 12 * (size_t)c->vertex_count);
+    memcpy(to->triangle + 3 * u, from->triangle + 3 * t, 3 * (size_t)c->triangle_count);
+    if (from->vertex_normal != NULL)
+        memcpy(to->vertex_normal + w, from->vertex_normal + v, 2 * (size_t)c->vertex_count);
+    if (from->vertex_rgb != NULL) memcpy(to->vertex_rgb + 3 * w, from->vertex_rgb + 3 * v, 3 * (size_t)c->vertex_count);
+    if (from->triangle_rgb != NULL)
+        memcpy(to->triangle_rgb + 3 * u, from->triangle_rgb + 3 * t, 3 * (size_t)c->triangle_count);
+    if (from->triangle_id != NULL) memcpy(to->triangle_id + u, from->triangle_id + t, 4 * (size_t)c->triangle_count);
+    to->vertex_count += c->vertex_count;
+    to->triangle_count += c->triangle_count;
+}
+
+/* The items of node `node` within structure `home`, copied; counted only if `to` has no arrays yet. */
+static void zbufrandi_promote_node(const zbufrand_scene *scene, uint32_t home, uint32_t node, int count,
+                                   zbufrandi_structure *to) {
+    const zbufrandi_graph *n = &scene->graph[node];
+    const zbufrandi_structure *from = &scene->structure[home];
+    uint32_t i;
+    if (n->home != home + 1) return;
+    for (i = 0; i < n->item_count; i++) {
+        if (n->kind != ZBUFRANDI_MESH || n->structure != 0) {
+            if (count) to->instance_count++;
+            else to->instance[to->instance_count++] = from->instance[n->item + i];
+        } else if (count) {
+            to->cluster_count++;
+            to->vertex_count += from->cluster[n->item + i].vertex_count;
+            to->triangle_count += from->cluster[n->item + i].triangle_count;
+        } else {
+            zbufrandi_copy_cluster(from, n->item + i, to);
+        }
+    }
+}
+
+/* A structure with everything that stands for the nodes within `node`. */
+static zbufrand_result zbufrandi_promote_build(zbufrandi_build *b, uint32_t home, uint32_t node) {
+    zbufrand_scene *scene = b->scene;
+    zbufrandi_mem *mem = &scene->mem;
+    const zbufrandi_graph *g = scene->graph;
+    const zbufrandi_structure *from = &scene->structure[home];
+    zbufrandi_structure *s = b->s, all;
+    uint32_t k;
+    int pass;
+    for (pass = 0; pass < 2; pass++) {
+        memset(&all, 0, sizeof all);
+        if (pass == 1) all = *s;
+        zbufrandi_promote_node(scene, home, node, pass == 0, &all);
+        for (k = zbufrandi_edit_next(g, node, node); k != 0; k = zbufrandi_edit_next(g, node, k))
+            zbufrandi_promote_node(scene, home, k, pass == 0, &all);
+        if (pass == 1) {
+            *s = all;
+            break;
+        }
+        memcpy(s->origin, from->origin, sizeof s->origin);
+        if (!zbufrandi_copy_array(mem, (void **)&s->position, from->position, all.vertex_count, 12, 96) ||
+            !zbufrandi_copy_array(mem, (void **)&s->vertex_normal, from->vertex_normal, all.vertex_count, 2, 16) ||
+            !zbufrandi_copy_array(mem, (void **)&s->vertex_rgb, from->vertex_rgb, all.vertex_count, 3, 16) ||
+            !zbufrandi_copy_array(mem, (void **)&s->triangle, from->triangle, all.triangle_count, 3, 48) ||
+            !zbufrandi_copy_array(mem, (void **)&s->triangle_rgb, from->triangle_rgb, all.triangle_count, 3, 16) ||
+            !zbufrandi_copy_array(mem, (void **)&s->triangle_id, from->triangle_id, all.triangle_count, 4, 0) ||
+            !zbufrandi_copy_array(mem, (void **)&s->cluster, from->cluster, all.cluster_count, sizeof *s->cluster, 0) ||
+            !zbufrandi_copy_array(mem, (void **)&s->instance, from->instance, all.instance_count,
+                                  sizeof *s->instance, 0)) {
+            return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_NO_MEMORY, node, "node %: out of memory");
+        }
+    }
+    return zbufrandi_build_over(b);
+}
+
+/* The graph learns where its items are now; they leave the structure that they were in. */
+static void zbufrandi_promote_move(zbufrand_scene *scene, uint32_t home, uint32_t to, uint32_t node, uint32_t *clusters,
+                                   uint32_t *instances) {
+    zbufrandi_graph *n = &scene->graph[node];
+    zbufrandi_structure *s = &scene->structure[home];
+    zbufrandi_live_structure *l = &scene->live->s[home];
+    const int is_cluster = n->kind == ZBUFRANDI_MESH && n->structure == 0;
+    uint32_t i;
+    if (n->home != home + 1) return;
+    for (i = n->item; i < n->item + n->item_count; i++) {
+        if (is_cluster) {
+            zbufrandi_edit_take(scene, home, i);
+            l->dead_clusters++;
+            l->dead_triangles += s->cluster[i].triangle_count;
+            l->dead_vertices += s->cluster[i].vertex_count;
+        } else {
+            zbufrandi_edit_instance_free(scene, home, i);
+        }
+    }
+    n->home = to + 1;
+    n->item = is_cluster ? *clusters : *instances;
+    *(is_cluster ? clusters : instances) += n->item_count;
+}
+
+/* A slot for an instance, not yet in the tree. There is room. */
+static uint32_t zbufrandi_edit_instance_new(zbufrand_scene *scene, uint32_t home, const zbufrandi_instance *it,
+                                            int reuse) {
+    zbufrandi_structure *s = &scene->structure[home];
+    zbufrandi_live_structure *l = &scene->live->s[home];
+    uint32_t i = l->free_instance;
+    if (reuse && i != ZBUFRANDI_NIL) {
+        l->free_instance = l->next[i].instance;
+        l->free_instances--;
+    } else {
+        i = s->instance_count++;
+    }
+    s->instance[i] = *it;
+    l->at[s->cluster_count + i] = ZBUFRANDI_NIL;
+    zbufrandi_use_link(scene, home, i);
+    s->sum_stale = 1;
+    return i;
+}
+
+/* Levels of instances below a structure, and below all that have instances of it. */
+static void zbufrandi_edit_raise(zbufrand_scene *scene, uint32_t index, uint32_t depth) {
+    zbufrandi_use use;
+    if (scene->structure[index].depth >= depth) return;
+    scene->structure[index].depth = depth;
+    for (use = scene->live->s[index].first; use.structure != ZBUFRANDI_NIL;
+         use = scene->live->s[use.structure].next[use.instance]) zbufrandi_edit_raise(scene, use.structure, depth + 1);
+}
+
+/* Levels above a structure. */
+static uint32_t zbufrandi_edit_above(const zbufrand_scene *scene, uint32_t index) {
+    uint32_t most = 0, last = ZBUFRANDI_NIL;
+    zbufrandi_use use;
+    for (use = scene->live->s[index].first; use.structure != ZBUFRANDI_NIL;
+         use = scene->live->s[use.structure].next[use.instance]) {
+        uint32_t above;
+        if (use.structure == last) continue;
+        last = use.structure;
+        above = zbufrandi_edit_above(scene, last) + 1;
+        most = above > most ? above : most;
+    }
+    return most;
+}
+
+/* Changes nothing in the picture. On failure nothing has changed at all. */
+static zbufrand_result zbufrandi_edit_promote(zbufrandi_edit *e, uint32_t node) {
+    zbufrand_scene *scene = e->scene;
+    zbufrandi_graph *g = scene->graph;
+    zbufrandi_build b;
+    zbufrandi_instance it;
+    double old[3][4];
+    uint32_t home, p, k, clusters = 0, instances = 0;
+    int below_new;
+    zbufrand_result r;
+    if (g[node].structure != 0) return ZBUFRAND_OK;
+    home = zbufrandi_edit_home(scene, node, &below_new);
+    p = zbufrandi_edit_slot(scene);
+    if (p == ZBUFRANDI_NIL)
+        return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_NO_MEMORY, node, "node %: out of memory");
+    memset(&b, 0, sizeof b);
+    b.scene = scene;
+    b.desc = &scene->built;
+    b.s = &scene->structure[p];
+    b.index = p;
+    r = zbufrandi_promote_build(&b, home, node);
+    if (r == ZBUFRAND_OK && zbufrandi_edit_above(scene, home) + 1 + scene->structure[p].depth > ZBUFRANDI_MAX_LEVELS) {
+        r = zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, node, "node %: too many levels of instances");
+    }
+    if (r == ZBUFRAND_OK && (!zbufrandi_edit_reserve(scene, home, 1, 1) || !zbufrandi_edit_ready(scene, p, node))) {
+        r = zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_NO_MEMORY, node, "node %: out of memory");
+    }
+    if (r != ZBUFRAND_OK) {
+        zbufrandi_edit_slot_free(scene, p);
+        return r;
+    }
+    zbufrandi_edit_matrix(scene, node, 1, old);
+    memcpy(scene->live->s[p].base, old, sizeof old);
+    zbufrandi_m34_inverse(ZBUFRANDI_M34(old), scene->live->s[p].base_inverse);
+    zbufrandi_promote_move(scene, home, p, node, &clusters, &instances);
+    for (k = zbufrandi_edit_next(g, node, node); k != 0; k = zbufrandi_edit_next(g, node, k))
+        zbufrandi_promote_move(scene, home, p, k, &clusters, &instances);
+    g[node].structure = p + 1;
+    memset(&it, 0, sizeof it); /* same coordinates, same origin */
+    zbufrandi_m34_identity(it.to_parent);
+    it.scale = 1.0;
+    it.structure = p;
+    it.node = node;
+    g[node].home = home + 1;
+    g[node].item = zbufrandi_edit_instance_new(scene, home, &it, 1);
+    g[node].item_count = 1;
+    zbufrandi_edit_raise(scene, home, scene->structure[p].depth + 1);
+    zbufrandi_edit_instance(scene, home, g[node].item);
+    zbufrandi_edit_touch(scene, home);
+    return ZBUFRAND_OK;
+}
+
+/* ---- an update ---- */
+
+static zbufrand_result zbufrandi_edit_no_memory(const zbufrand_scene *scene) {
+    return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_NO_MEMORY, 0, "no memory for the edits");
+}
+
+/* What is new, and what becomes a structure. */
+static zbufrand_result zbufrandi_edit_plan(zbufrandi_edit *e) {
+    zbufrand_scene *scene = e->scene;
+    zbufrandi_graph *g = scene->graph;
+    zbufrand_result r = ZBUFRAND_OK;
+    size_t i, k;
+    int below_new;
+    if (scene->stamp > 0x70000000u) {
+        for (i = 0; i < scene->graph_count; i++) g[i].state = 0;
+        scene->stamp = 0;
+    }
+    scene->stamp++;
+    for (i = 0; i < scene->pending_count && r == ZBUFRAND_OK; i++) {
+        const zbufrandi_pending *p = &scene->pending[i];
+        if (g[p->node].kind == ZBUFRANDI_DEAD ||
+            zbufrandi_edit_home(scene, p->node, &below_new) == ZBUFRANDI_NIL || below_new) continue;
+        if (!p->moved) {
+            if (!zbufrandi_nodes_add(scene, &e->top, p->node)) r = ZBUFRAND_ERR_NO_MEMORY;
+            else r = zbufrandi_edit_walk(e, p->node);
+        } else if (g[p->node].structure == 0 &&
+                   (g[p->node].kind != ZBUFRANDI_REFERENCES || g[p->node].transforms != NULL)) {
+            if (!zbufrandi_nodes_add(scene, &e->melted, p->node)) r = ZBUFRAND_ERR_NO_MEMORY;
+        }
+    }
+    for (i = 1; i < e->melted.count; i++) { /* lists before what is in them */
+        const uint32_t x = e->melted.v[i], depth = zbufrandi_edit_depth(g, x);
+        for (k = i; k > 0 && zbufrandi_edit_depth(g, e->melted.v[k - 1]) > depth; k--) e->melted.v[k] = e->melted.v[k - 1];
+        e->melted.v[k] = x;
+    }
+    return r == ZBUFRAND_ERR_NO_MEMORY ? zbufrandi_edit_no_memory(scene) : r;
+}
+
+/* Build a structure of a node that is drawn nowhere yet. */
+static zbufrand_result zbufrandi_edit_build(zbufrandi_edit *e, uint32_t node, uint64_t *skipped) {
+    zbufrand_scene *scene = e->scene;
+    const uint32_t index = scene->graph[node].structure - 1;
+    zbufrandi_gather gather;
+    zbufrandi_build b;
+    zbufrand_result r;
+    size_t i;
+    memset(&gather, 0, sizeof gather);
+    memset(&b, 0, sizeof b);
+    r = zbufrandi_gather_structure(scene, node, &gather);
+    if (r != ZBUFRAND_OK) return r;
+    for (i = 0; i < gather.instance_count; i++) {
+        zbufrandi_instance *it = &gather.instance[i];
+        zbufrandi_m34_mul(ZBUFRANDI_M34(it->to_parent), ZBUFRANDI_M34(scene->live->s[it->structure].base_inverse),
+                          it->to_parent);
+        it->scale = zbufrandi_m34_scale(ZBUFRANDI_M34(it->to_parent));
+        it->mirrored = zbufrandi_m34_det(ZBUFRANDI_M34(it->to_parent)) < 0.0;
+    }
+    b.scene = scene;
+    b.desc = &scene->built;
+    b.s = &scene->structure[index];
+    b.gather = &gather;
+    b.index = index;
+    r = zbufrandi_build_structure(&b);
+    zbufrandi_gather_free(&scene->mem, &gather);
+    *skipped += b.skipped;
+    if (r == ZBUFRAND_OK && !zbufrandi_edit_ready(scene, index, node)) r = zbufrandi_edit_no_memory(scene);
+    return r;
+}
+
+static int zbufrandi_edit_change(zbufrandi_edit *e, uint32_t home, uint32_t item, uint32_t node,
+                                 const zbufrandi_instance *it) { /* 0: no memory */
+    zbufrandi_edit_step *c;
+    if (!zbufrandi_grow(&e->scene->mem, (void **)&e->change, &e->change_capacity, e->change_count, e->change_count + 1,
+                        sizeof *e->change)) return 0;
+    c = &e->change[e->change_count++];
+    c->it = *it;
+    c->home = home;
+    c->item = item;
+    c->node = node;
+    return 1;
+}
+
+/* The instances of a new node, or the one of a node that was moved. */
+static zbufrand_result zbufrandi_edit_node_changes(zbufrandi_edit *e, uint32_t node, int moved) {
+    zbufrand_scene *scene = e->scene;
+    const zbufrandi_graph *n = &scene->graph[node];
+    const int many = n->kind == ZBUFRANDI_REFERENCES && n->structure == 0;
+    double m[3][4], t[3][4];
+    zbufrandi_instance it;
+    uint32_t home;
+    size_t i, count = many ? n->count : 1;
+    int below_new;
+    zbufrand_result r;
+    home = zbufrandi_edit_home(scene, node, &below_new);
+    if (moved && n->home == 0) return ZBUFRAND_OK; /* nothing stands for it */
+    zbufrandi_edit_matrix(scene, node, 0, m);
+    for (i = 0; i < count; i++) {
+        memcpy(t, m, sizeof t);
+        if (many && n->transforms != NULL) {
+            if (zbufrandi_m34_scale(ZBUFRANDI_M34(n->transforms[i].m)) == 0.0) {
+                return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_INVALID_ARG, node,
+                                      "references %: a transform is no similarity");
+            }
+            zbufrandi_m34_mul(ZBUFRANDI_M34(m), ZBUFRANDI_M34(n->transforms[i].m), t);
+        }
+        r = zbufrandi_edit_place(scene, home, (many ? scene->graph[n->target].structure : n->structure) - 1, node,
+                                 ZBUFRANDI_M34(t), &it);
+        if (r != ZBUFRAND_OK) return r;
+        if (moved) it.hidden = scene->structure[home].instance[n->item].hidden;
+        if (!zbufrandi_edit_change(e, home, moved ? n->item : ZBUFRANDI_NIL, node, &it))
+            return zbufrandi_edit_no_memory(scene);
+    }
+    return ZBUFRAND_OK;
+}
+
+/* Where a reference out of many stands: structure, and first instance of the node there. 0: nowhere. */
+static int zbufrandi_edit_entries(const zbufrand_scene *scene, uint32_t node, uint32_t *home, uint32_t *first) {
+    const zbufrandi_graph *n = &scene->graph[node];
+    *home = (n->structure != 0 ? n->structure : n->home) - 1;
+    *first = n->structure != 0 ? 0 : n->item;
+    return n->structure != 0 || n->home != 0;
+}
+
+static zbufrand_result zbufrandi_edit_set_changes(zbufrandi_edit *e, const zbufrandi_set *set) {
+    zbufrand_scene *scene = e->scene;
+    const zbufrandi_graph *n = &scene->graph[set->node];
+    double m[3][4];
+    zbufrandi_instance it;
+    uint32_t home, first;
+    zbufrand_result r;
+    if (n->kind == ZBUFRANDI_DEAD || !zbufrandi_edit_entries(scene, set->node, &home, &first)) return ZBUFRAND_OK;
+    it = scene->structure[home].instance[first + set->index];
+    it.hidden = !set->drawn;
+    if (set->drawn) {
+        if (n->structure != 0) memcpy(m, scene->live->s[home].base, sizeof m);
+        else zbufrandi_edit_matrix(scene, set->node, 0, m);
+        zbufrandi_m34_mul(ZBUFRANDI_M34(m), ZBUFRANDI_M34(set->m), m);
+        r = zbufrandi_edit_place(scene, home, scene->graph[n->target].structure - 1, set->node, ZBUFRANDI_M34(m), &it);
+        if (r != ZBUFRAND_OK) return r;
+    }
+    return zbufrandi_edit_change(e, home, first + set->index, set->node, &it) ? ZBUFRAND_OK
+                                                                             : zbufrandi_edit_no_memory(scene);
+}
+
+/* Room for all changes, levels in range. Structures that are empty now may not be so afterwards, and then all their
+   instances go into trees. */
+static zbufrand_result zbufrandi_edit_room(zbufrandi_edit *e) {
+    zbufrand_scene *scene = e->scene;
+    const size_t count = scene->structure_count;
+    uint32_t *instances = (uint32_t *)zbufrandi_alloc_zero(&scene->mem, count, 3 * sizeof *instances);
+    uint32_t *nodes = instances + count, *levels = nodes + count;
+    zbufrandi_use use;
+    size_t i, k;
+    int more = 1, ok = instances != NULL, deep = 0;
+    if (!ok) return zbufrandi_edit_no_memory(scene);
+    for (i = 0; i < e->change_count; i++) {
+        if (e->change[i].item == ZBUFRANDI_NIL) instances[e->change[i].home]++;
+        nodes[e->change[i].home]++;
+    }
+    for (k = 0; more && k <= ZBUFRANDI_MAX_LEVELS; k++) { /* what is empty passes its need on to what it is in */
+        more = 0;
+        for (i = 0; i < count; i++) {
+            if (nodes[i] == 0 || scene->structure[i].node_count != 0 || (nodes[i] & 0x80000000u) != 0) continue;
+            nodes[i] |= 0x80000000u;
+            for (use = scene->live->s[i].first; use.structure != ZBUFRANDI_NIL;
+                 use = scene->live->s[use.structure].next[use.instance]) {
+                nodes[use.structure]++;
+                more = 1;
+            }
+        }
+    }
+    for (i = 0; i < count; i++) levels[i] = scene->structure[i].depth;
+    for (more = 1; more && !deep;) { /* levels below, with all that is new */
+        more = 0;
+        for (i = 0; i < e->change_count; i++) {
+            const uint32_t home = e->change[i].home, below = levels[e->change[i].it.structure] + 1;
+            if (below <= levels[home]) continue;
+            levels[home] = below;
+            more = 1;
+        }
+        for (i = 0; i < count; i++) {
+            if (levels[i] == scene->structure[i].depth) continue;
+            for (use = scene->live->s[i].first; use.structure != ZBUFRANDI_NIL;
+                 use = scene->live->s[use.structure].next[use.instance]) {
+                if (levels[use.structure] > levels[i]) continue;
+                levels[use.structure] = levels[i] + 1;
+                more = 1;
+            }
+            deep |= levels[i] > ZBUFRANDI_MAX_LEVELS;
+        }
+    }
+    for (i = 0; ok && !deep && i < count; i++) {
+        if ((nodes[i] & 0x7fffffffu) == 0) continue;
+        ok = zbufrandi_edit_reserve(scene, (uint32_t)i, instances[i], nodes[i] & 0x7fffffffu);
+    }
+    for (i = 0; ok && !deep && i < e->change_count; i++)
+        ok = zbufrandi_edit_attributes(scene, e->change[i].home, &scene->structure[e->change[i].it.structure]);
+    zbufrandi_free(&scene->mem, instances);
+    if (deep) return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, ZBUFRANDI_MAX_LEVELS,
+                                    "more than % levels of instances");
+    return ok ? ZBUFRAND_OK : zbufrandi_edit_no_memory(scene);
+}
+
+/* From here on nothing fails. */
+static void zbufrandi_edit_apply(zbufrandi_edit *e) {
+    zbufrand_scene *scene = e->scene;
+    zbufrandi_graph *g = scene->graph;
+    size_t i;
+    uint32_t k;
+    for (i = 0; i < scene->gone_count; i++) {
+        const zbufrandi_gone *o = &scene->gone[i];
+        zbufrandi_live_structure *l;
+        if (o->home == 0) continue;
+        l = &scene->live->s[o->home - 1];
+        for (k = o->item; k < o->item + o->item_count; k++) {
+            if (!o->clusters) {
+                zbufrandi_edit_instance_free(scene, o->home - 1, k);
+                continue;
+            }
+            zbufrandi_edit_take(scene, o->home - 1, k);
+            l->dead_clusters++;
+            l->dead_triangles += scene->structure[o->home - 1].cluster[k].triangle_count;
+            l->dead_vertices += scene->structure[o->home - 1].cluster[k].vertex_count;
+        }
+    }
+    for (i = 0; i < scene->gone_count; i++) { /* nothing has instances of them any more */
+        const uint32_t index = scene->gone[i].structure - 1;
+        if (scene->gone[i].structure == 0) continue;
+        for (k = 0; k < scene->structure[index].instance_count; k++)
+            if (scene->structure[index].instance[k].scale > 0.0) zbufrandi_use_unlink(scene, index, k);
+        zbufrandi_edit_slot_free(scene, index);
+    }
+    for (i = 0; i < e->change_count; i++) {
+        zbufrandi_edit_step *c = &e->change[i];
+        if (c->item == ZBUFRANDI_NIL) {
+            const int first = g[c->node].home == 0;
+            c->item = zbufrandi_edit_instance_new(scene, c->home, &c->it, first && (i + 1 == e->change_count ||
+                                                  e->change[i + 1].node != c->node));
+            if (first) g[c->node].item = c->item;
+            if (first) g[c->node].item_count = 0;
+            g[c->node].home = c->home + 1;
+            g[c->node].item_count++;
+        } else {
+            scene->structure[c->home].instance[c->item] = c->it;
+        }
+        zbufrandi_edit_raise(scene, c->home, scene->structure[c->it.structure].depth + 1);
+        zbufrandi_edit_instance(scene, c->home, c->item);
+        zbufrandi_edit_touch(scene, c->home);
+    }
+}
+
+/* Structures that were made for nothing. */
+static void zbufrandi_edit_undo(zbufrandi_edit *e, size_t made) {
+    zbufrand_scene *scene = e->scene;
+    zbufrandi_graph *g = scene->graph;
+    size_t i, k;
+    for (i = e->fresh.count; i > 0; i--) {
+        const uint32_t index = g[e->fresh.v[i - 1]].structure - 1;
+        uint32_t n;
+        if (g[e->fresh.v[i - 1]].structure == 0) continue;
+        g[e->fresh.v[i - 1]].structure = 0;
+        for (n = 0; i - 1 < made && n < scene->structure[index].instance_count; n++)
+            zbufrandi_use_unlink(scene, index, n);
+        for (k = 0; k < scene->graph_count; k++) if (g[k].home == index + 1) g[k].home = 0;
+        zbufrandi_edit_slot_free(scene, index);
+    }
+}
+
+static zbufrand_result zbufrandi_edit_run(zbufrandi_edit *e) {
+    zbufrand_scene *scene = e->scene;
+    zbufrandi_graph *g = scene->graph;
+    uint64_t skipped = 0;
+    size_t i, made = 0;
+    int below_new;
+    zbufrand_result r = zbufrandi_edit_plan(e);
+    for (i = 0; i < e->melted.count && r == ZBUFRAND_OK; i++) r = zbufrandi_edit_promote(e, e->melted.v[i]);
+    for (i = 0; i < e->fresh.count && r == ZBUFRAND_OK; i++) {
+        const uint32_t slot = zbufrandi_edit_slot(scene);
+        if (slot == ZBUFRANDI_NIL) r = zbufrandi_edit_no_memory(scene);
+        else g[e->fresh.v[i]].structure = slot + 1;
+    }
+    while (made < e->fresh.count && r == ZBUFRAND_OK) {
+        r = zbufrandi_edit_build(e, e->fresh.v[made], &skipped);
+        if (r == ZBUFRAND_OK) made++;
+    }
+    for (i = 0; i < scene->pending_count && r == ZBUFRAND_OK; i++) {
+        const zbufrandi_pending *p = &scene->pending[i];
+        if (!p->moved || g[p->node].kind == ZBUFRANDI_DEAD || g[p->node].home == 0) continue;
+        if (zbufrandi_edit_home(scene, p->node, &below_new) == ZBUFRANDI_NIL) continue;
+        r = zbufrandi_edit_node_changes(e, p->node, 1);
+    }
+    for (i = 0; i < e->top.count && r == ZBUFRAND_OK; i++) r = zbufrandi_edit_node_changes(e, e->top.v[i], 0);
+    for (i = 0; i < scene->set_count && r == ZBUFRAND_OK; i++) r = zbufrandi_edit_set_changes(e, &scene->set[i]);
+    if (r == ZBUFRAND_OK) r = zbufrandi_edit_room(e);
+    if (r == ZBUFRAND_OK) {
+        zbufrandi_edit_apply(e);
+        scene->skipped += skipped;
+        zbufrandi_edits_forget(scene);
+    } else {
+        zbufrandi_edit_undo(e, made);
+    }
+    zbufrandi_edit_finish(scene);
+    return r;
+}
+
+ZBUFRAND_DEF zbufrand_result zbufrand_scene_update(zbufrand_scene *scene, zbufrand_scene_info *info) {
+    zbufrandi_edit e;
+    zbufrand_result r = ZBUFRAND_OK;
+    if (info != NULL) memset(info, 0, sizeof *info);
+    if (scene == NULL) return ZBUFRAND_ERR_INVALID_ARG;
+    if (scene->structure_count == 0)
+        return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_EMPTY, 0, "update: the scene is not built");
+    if (scene->pending_count + scene->gone_count + scene->set_count != 0) {
+        memset(&e, 0, sizeof e);
+        e.scene = scene;
+        zbufrandi_atomic_store(&scene->mem.peak, zbufrandi_atomic_load(&scene->mem.used));
+        r = zbufrandi_live_open(scene) ? zbufrandi_edit_run(&e) : zbufrandi_edit_no_memory(scene);
+        zbufrandi_free(&scene->mem, e.stack);
+        zbufrandi_free(&scene->mem, e.top.v);
+        zbufrandi_free(&scene->mem, e.melted.v);
+        zbufrandi_free(&scene->mem, e.fresh.v);
+        zbufrandi_free(&scene->mem, e.change);
+        zbufrandi_scene_totals(scene);
+    }
+    if (info != NULL && r == ZBUFRAND_OK) *info = scene->info;
+    return r;
+}
+
+/* ---- edits ---- */
+
+static zbufrand_result zbufrandi_edit_check(const zbufrand_scene *scene, uint32_t node, const zbufrand_transform *m) {
+    zbufrand_error *e = scene->env.error;
+    if (node == 0 || node >= scene->graph_count || scene->graph[node].kind == ZBUFRANDI_DEAD)
+        return zbufrandi_fail(e, ZBUFRAND_ERR_INVALID_ARG, node, "node %: no such node");
+    if (node == ZBUFRAND_ROOT)
+        return zbufrandi_fail(e, ZBUFRAND_ERR_INVALID_ARG, node, "node %: the root stays where it is");
+    if (m != NULL && zbufrandi_m34_scale(ZBUFRANDI_M34(m->m)) == 0.0)
+        return zbufrandi_fail(e, ZBUFRAND_ERR_INVALID_ARG, node, "node %: the transform is no similarity");
+    return ZBUFRAND_OK;
+}
+
+ZBUFRAND_DEF zbufrand_result zbufrand_move(zbufrand_scene *scene, zbufrand_node node,
+                                           const zbufrand_transform *transform) {
+    zbufrand_result r;
+    if (scene == NULL) return ZBUFRAND_ERR_INVALID_ARG;
+    r = zbufrandi_edit_check(scene, node, transform);
+    if (r != ZBUFRAND_OK) return r;
+    if (!zbufrandi_pending_room(scene)) return zbufrandi_edit_no_memory(scene);
+    if (scene->graph[node].parent != 0) zbufrandi_pending_add(scene, node, 1, ZBUFRANDI_M34(scene->graph[node].m));
+    if (transform != NULL) memcpy(scene->graph[node].m, transform->m, sizeof transform->m);
+    else zbufrandi_m34_identity(scene->graph[node].m);
+    return ZBUFRAND_OK;
+}
+
+ZBUFRAND_DEF zbufrand_result zbufrand_set_reference(zbufrand_scene *scene, zbufrand_node node, size_t index,
+                                                    const zbufrand_transform *transform) {
+    zbufrandi_set *set;
+    uint32_t home, first;
+    zbufrand_result r;
+    if (scene == NULL) return ZBUFRAND_ERR_INVALID_ARG;
+    r = zbufrandi_edit_check(scene, node, transform);
+    if (r != ZBUFRAND_OK) return r;
+    if (scene->graph[node].kind != ZBUFRANDI_REFERENCES || scene->graph[node].transforms == NULL ||
+        index >= scene->graph[node].count || scene->structure_count == 0 ||
+        !zbufrandi_edit_entries(scene, node, &home, &first)) {
+        return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_INVALID_ARG, node,
+                              "node %: not several references that are built, or not so many");
+    }
+    if (!zbufrandi_grow(&scene->mem, (void **)&scene->set, &scene->set_capacity, scene->set_count,
+                        scene->set_count + 1, sizeof *scene->set)) return zbufrandi_edit_no_memory(scene);
+    set = &scene->set[scene->set_count++];
+    memset(set, 0, sizeof *set);
+    set->node = node;
+    set->index = (uint32_t)index;
+    set->drawn = transform != NULL;
+    if (transform != NULL) memcpy(set->m, transform->m, sizeof set->m);
+    return ZBUFRAND_OK;
+}
+
+/* All nodes below `root`, hidden ones too; 0: no more. */
+static uint32_t zbufrandi_below_next(const zbufrandi_graph *g, uint32_t root, uint32_t node) {
+    if (g[node].kind == ZBUFRANDI_LIST && g[node].first != 0) return g[node].first;
+    while (node != root && g[node].next == 0) node = g[node].parent;
+    return node == root ? 0 : g[node].next;
+}
+
+ZBUFRAND_DEF zbufrand_result zbufrand_remove(zbufrand_scene *scene, zbufrand_node node) {
+    zbufrandi_graph *g;
+    zbufrand_error *e;
+    zbufrand_result r;
+    uint32_t k, next, mark;
+    size_t count = 0;
+    if (scene == NULL) return ZBUFRAND_ERR_INVALID_ARG;
+    r = zbufrandi_edit_check(scene, node, NULL);
+    if (r != ZBUFRAND_OK) return r;
+    g = scene->graph;
+    e = scene->env.error;
+    mark = 4 + 2 * ++scene->stamp;
+    for (k = node; k != 0; k = zbufrandi_below_next(g, node, k)) {
+        if (++count > scene->graph_count)
+            return zbufrandi_fail(e, ZBUFRAND_ERR_INVALID_ARG, node, "node %: lists in a ring");
+        g[k].state = mark;
+        g[k].levels = 0;
+    }
+    for (k = node; k != 0; k = zbufrandi_below_next(g, node, k))
+        if (g[k].kind == ZBUFRANDI_REFERENCES && g[g[k].target].state == mark) g[g[k].target].levels++;
+    for (k = node; k != 0; k = zbufrandi_below_next(g, node, k)) {
+        if (g[k].refs > g[k].levels)
+            return zbufrandi_fail(e, ZBUFRAND_ERR_INVALID_ARG, k, "node %: something still refers to it");
+    }
+    if (!zbufrandi_grow(&scene->mem, (void **)&scene->gone, &scene->gone_capacity, scene->gone_count,
+                        scene->gone_count + count, sizeof *scene->gone)) return zbufrandi_edit_no_memory(scene);
+    if (g[node].parent != 0) {
+        zbufrandi_graph *list = &g[g[node].parent];
+        if (g[node].prev != 0) g[g[node].prev].next = g[node].next;
+        else list->first = g[node].next;
+        if (g[node].next != 0) g[g[node].next].prev = g[node].prev;
+        else list->last = g[node].prev;
+    }
+    for (k = node; k != 0; k = next) {
+        zbufrandi_gone *o = &scene->gone[scene->gone_count++];
+        next = zbufrandi_below_next(g, node, k);
+        memset(o, 0, sizeof *o);
+        o->node = k;
+        o->home = g[k].home;
+        o->item = g[k].item;
+        o->item_count = g[k].item_count;
+        o->structure = g[k].structure;
+        o->clusters = g[k].kind == ZBUFRANDI_MESH && g[k].structure == 0;
+        if (g[k].kind == ZBUFRANDI_MESH) o->mesh = g[k].target + 1;
+        if (g[k].kind == ZBUFRANDI_REFERENCES) g[g[k].target].refs--;
+        g[k].kind = ZBUFRANDI_DEAD;
+        g[k].structure = g[k].home = 0;
+    }
+    if (scene->structure_count == 0) zbufrandi_edits_forget(scene);
+    return ZBUFRAND_OK;
+}
+
 /* ---------------------------------------------------------------------------
    misc: names and versions.                                                     // >>misc
    --------------------------------------------------------------------------- */
