@@ -112,18 +112,22 @@ $(G)/zbufrand_minimal.png: $(B)/minimal_zbufrand
 # --- tetcast: fields on tetrahedra ---------------------------------------------------------------------------------
 
 NIGHT := --background 0.012,0.013,0.018
-$(G)/tetcast_lattice.png: options = --scene lattice --tf smooth --extinction 2
-$(G)/tetcast_ball.png: options = --scene ball --tf peak --extinction 1.5
-$(G)/tetcast_ring.png: options = --scene ring --tf rainbow --extinction 4
-$(G)/tetcast_bow.png: options = --scene bow --tf hot --extinction 6
-$(G)/tetcast_fins.png: options = --scene fins --tf hot --extinction 6
+$(G)/tetcast_lattice.png: options = --scene lattice --tf smooth
+$(G)/tetcast_ball.png: options = --scene ball --tf shells
+$(G)/tetcast_ring.png: options = --scene ring
+$(G)/tetcast_bow.png: options = --scene bow
+$(G)/tetcast_fins.png: options = --scene fins --tf hot --eye 3.3,0.35,0.25 --at 0,0,-0.05 --fov 42
+$(G)/tetcast_bow_shock.png: options = --scene bow --tf hot --iso 0.6 --iso-opacity 0.4 --model mixed --smooth
+$(G)/tetcast_maximum.png: options = --scene ring --tf hot --model maximum
+$(G)/tetcast_xray.png: options = --scene lattice --tf xray --model absorption --background 1,1,1
 $(G)/tetcast_iso.png: options = --scene ball --iso 0.2 --smooth
 $(G)/tetcast_mixed.png: options = --scene lattice --iso 0.75 --iso 0.25 --iso-opacity 0.7 --smooth
 
-TETCAST_PICTURES := $(addprefix $(G)/tetcast_,lattice.png ball.png ring.png bow.png fins.png iso.png mixed.png)
+TETCAST_PICTURES := $(addprefix $(G)/tetcast_,lattice.png ball.png ring.png bow.png bow_shock.png fins.png maximum.png xray.png iso.png \
+	mixed.png)
 
 $(TETCAST_PICTURES): $(B)/tetcast_render
-	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_render $(options) $(NIGHT) --out $@ --quiet
+	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_render $(NIGHT) $(options) --out $@ --quiet
 
 $(G)/tetcast_minimal.png: $(B)/minimal_tetcast
 	@mkdir -p $(@D); echo "$@"; $(B)/minimal_tetcast $@

@@ -15,7 +15,7 @@ enum { METHOD_AUTO, METHOD_MARCH, METHOD_STRIPS, METHOD_PROJECT };
 typedef struct options {
     sup_common common;
     const char *in, *scene, *field, *tf, *clip;
-    int method, model, integrator, cells, order, has_model, smooth, weld, has_background, cue;
+    int method, model, integrator, cells, order, has_model, has_opacity, smooth, weld, has_background, cue;
     int64_t detail;
     double opacity, scale, ortho, samples;
     float background[3];
@@ -58,12 +58,14 @@ static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
     table[n++] = sup_opt_int("detail", &o->detail, 0, 512, "N", "how fine --scene is");
     table[n++] = sup_opt_text("field", &o->field, "NAME", "the scalar to show (the first one); of a vector its length, "
                               "or NAME_x, NAME_y, NAME_z; x, y, z: the coordinates");
-    table[n++] = sup_opt_text("tf", &o->tf, "FILE|" SUP_TRANSFER_NAMES, "transfer function (rainbow)");
-    table[n++] = sup_opt_real("extinction", &o->scale, 0.0, 1e9, "F", "multiplies all extinctions");
+    table[n++] = sup_opt_text("tf", &o->tf, "FILE|" SUP_TRANSFER_NAMES, "transfer function (a rainbow that shows what is rare)");
+    table[n++] = sup_opt_real("extinction", &o->scale, 1e-9, 1e9, "F", "multiplies all extinctions (a named function has them so that"
+                              " most of the volume is seen)");
     table[n++] = sup_opt_choice("method", &o->method, "auto|march|strips|project", "walk from cell to cell; through "
                                 "strips; project the cells (auto: the faster of the first and the last)");
     table[n++] = sup_opt_real("iso", &iso, -1e38, 1e38, "V", "show the surface of this value; may be repeated");
-    table[n++] = sup_opt_real("iso-opacity", &o->opacity, 0.0, 1.0, "A", "of the surfaces, when there are several (0.6)");
+    table[n++] = sup_opt_given(
+        sup_opt_real("iso-opacity", &o->opacity, 0.0, 1.0, "A", "of the surfaces (one: 1, several: 0.6)"), &o->has_opacity);
     table[n++] = sup_opt_flag("smooth", &o->smooth, "smooth normals on the surfaces");
     table[n++] = sup_opt_given(sup_opt_choice("model", &o->model, "volume|emission|absorption|maximum|iso|mixed",
                                               "what light does in it (volume; with --iso: iso)"), &o->has_model);
@@ -204,12 +206,133 @@ static tetcast_result make_mesh(const options *o, const sup_volume *v, const tet
     }
 }
 
+static int compare_floats(const void *a, const void *b) {
+    const float x = *(const float *)a, y = *(const float *)b;
+    return (x > y) - (x < y);
+}
+
 /* ---- optics ------------------------------------------------------------------------------------------------- */
 
-static int make_optics(const options *o, const tetcast_mesh *mesh, const tetcast_env *env, tetcast_optics **out,
-                       sup_error *err) {
+enum { BINS = 256 };
+typedef struct seen { /* how much of the rays' way through the volume has a value up to lo + (hi - lo) i / BINS */
+    double lo, hi, below[BINS + 1];
+} seen;
+
+static int see(void *user, const tetcast_crossing *x) {
+    seen *s = (seen *)user;
+    const double at = (0.5 * ((double)x->front + (double)x->back) - s->lo) / (s->hi - s->lo) * BINS;
+    if (at >= 0.0 && at < BINS) s->below[1 + (int)at] += x->t_back - x->t_front;
+    return 0;
+}
+
+/* The rainbow, but what is common is thin and what is rare is dense: the air around a body hides nothing. */
+static int rare_transfer(const tetcast_camera *camera, const tetcast_mesh *mesh, double lo, double hi, double diagonal,
+                         sup_transfer *tf, sup_error *err) {
+    enum { POINTS = 33, W = 32, H = 24 };
+    sup_transfer rainbow;
+    seen s;
+    if (sup_transfer_named("rainbow", lo, hi, diagonal, &rainbow, err)) return 1;
+    memset(tf, 0, sizeof *tf);
+    memset(&s, 0, sizeof s);
+    s.lo = lo;
+    s.hi = hi;
+    for (int i = 0; i < W * H; i++) {
+        tetcast_ray ray;
+        if (tetcast_camera_ray(camera, W, H, i % W + 0.5, i / W + 0.5, &ray) == TETCAST_OK)
+            (void)tetcast_probe(mesh, &ray, see, &s);
+    }
+    for (int i = 0; i < BINS; i++) s.below[i + 1] += s.below[i];
+    if (!(s.below[BINS] > 0.0)) s.below[BINS] = 1.0;
+    for (size_t i = 0, k = 0; i < POINTS; i++) {
+        const double v = lo + (hi - lo) * (double)i / (POINTS - 1);
+        const size_t at = i * BINS / (POINTS - 1);
+        const double share = (s.below[at + 8 < BINS ? at + 8 : BINS] - s.below[at > 8 ? at - 8 : 0]) / s.below[BINS];
+        const sup_control *p, *q;
+        double number[5], x;
+        while (k + 2 < rainbow.count && (double)rainbow.points[k + 1].value <= v) k++;
+        p = rainbow.points + k;
+        q = p + 1;
+        x = (v - (double)p->value) / ((double)q->value - (double)p->value);
+        number[0] = v;
+        for (int c = 0; c < 3; c++) number[1 + c] = (double)p->rgb[c] + x * (double)(q->rgb[c] - p->rgb[c]);
+        number[4] = ((double)p->extinction + x * (double)(q->extinction - p->extinction)) / pow(0.01 + share, 0.8);
+        if (supi_transfer_add(tf, number)) {
+            sup_transfer_free(&rainbow);
+            sup_transfer_free(tf);
+            return sup_fail(err, "out of memory");
+        }
+    }
+    sup_transfer_free(&rainbow);
+    return 0;
+}
+
+/* What --tf says. A named function lies over the middle 99 % of the values, so that a few odd ones do not take it away
+   from the rest. */
+static int read_transfer(const options *o, const tetcast_camera *camera, const tetcast_mesh *mesh, double diagonal,
+                         sup_transfer *tf, sup_error *err) {
+    tetcast_mesh_info info;
+    float lo = 0.0f, hi = 1.0f, *values;
+    size_t n = 0;
+    int failed;
+    if (o->tf && (strchr(o->tf, '.') || strchr(o->tf, '/'))) return sup_transfer_read(o->tf, tf, err);
+    (void)tetcast_mesh_field(mesh, 0, &lo, &hi);
+    tetcast_mesh_get_info(mesh, &info);
+    values = (float *)sup_alloc((size_t)info.vertex_count, sizeof *values);
+    if (!values) return sup_fail(err, "out of memory");
+    for (uint64_t i = 0; i < info.vertex_count; i++) {
+        double p[3];
+        float v = 0.0f;
+        tetcast_mesh_vertex(mesh, (uint32_t)i, p, &v, NULL);
+        if (v >= lo && v <= hi) values[n++] = v;
+    }
+    qsort(values, n, sizeof *values, compare_floats);
+    if (n >= 1000 && values[n - 1 - n / 200] > values[n / 200]) { /* a field per cell has no values here */
+        lo = values[n / 200];
+        hi = values[n - 1 - n / 200];
+    }
+    if (!o->tf && n >= 100 && hi > lo) failed = rare_transfer(camera, mesh, (double)lo, (double)hi, diagonal, tf, err);
+    else failed = sup_transfer_named(o->tf ? o->tf : "rainbow", (double)lo, (double)hi, diagonal, tf, err);
+    SUP_FREE(values);
+    return failed;
+}
+
+/* By what the extinctions of a named function have to be multiplied so that the thicker fifth of a small picture lets
+   less than a tenth of the light through: volumes are thin and thick, and fields have much of one value. */
+static double choose_extinction(const options *o, const tetcast_render_desc *desc, const tetcast_mesh *mesh,
+                                const tetcast_transfer *transfer) {
+    enum { W = 64, H = 48 };
+    static float rgba[W * H][4];
+    const double want = o->model == TETCAST_MODEL_EMISSION ? 0.7 : o->model == TETCAST_MODEL_ABSORPTION ? 1.2 : 2.3;
+    tetcast_render_desc small = *desc;
+    tetcast_optics_desc absorb;
+    tetcast_optics *optics = NULL;
+    tetcast_image image;
+    size_t n = 0;
+    float depth[W * H];
+    double scale = 1.0;
+    memset(&image, 0, sizeof image);
+    memset(&absorb, 0, sizeof absorb);
+    memset(small.background, 0, sizeof small.background);
+    image.width = W;
+    image.height = H;
+    image.rgba = rgba[0];
+    absorb.model = TETCAST_MODEL_ABSORPTION;
+    if (tetcast_optics_create(transfer, &absorb, &optics) == TETCAST_OK &&
+        tetcast_render(&small, mesh, optics, &image, NULL) == TETCAST_OK) {
+        for (size_t i = 0; i < W * H; i++)
+            if (rgba[i][3] > 1e-4f) depth[n++] = -logf(1.0f - (rgba[i][3] < 0.999999f ? rgba[i][3] : 0.999999f));
+        qsort(depth, n, sizeof *depth, compare_floats);
+        if (n > 0) scale = want / (double)depth[n - 1 - n / 5];
+    }
+    tetcast_optics_destroy(optics);
+    return scale < 0.1 ? 0.1 : scale > 100.0 ? 100.0 : scale;
+}
+
+static int make_optics(const options *o, const tetcast_mesh *mesh, const tetcast_render_desc *render,
+                       tetcast_optics **out, double *extinction, sup_error *err) {
     static const float palette[4][3] = {{0.85f, 0.45f, 0.12f}, {0.15f, 0.45f, 0.85f}, {0.3f, 0.75f, 0.25f},
                                         {0.8f, 0.2f, 0.35f}};
+    const tetcast_env *env = &render->env;
     tetcast_control_point *points;
     tetcast_isovalue isovalues[MAX_ISOVALUES];
     tetcast_transfer_desc desc;
@@ -218,18 +341,13 @@ static int make_optics(const options *o, const tetcast_mesh *mesh, const tetcast
     tetcast_mesh_info info;
     tetcast_result result;
     sup_transfer tf;
+    const int named = !o->tf || !(strchr(o->tf, '.') || strchr(o->tf, '/'));
     double diagonal = 0.0;
-    float lo = 0.0f, hi = 1.0f;
-    (void)tetcast_mesh_field(mesh, 0, &lo, &hi);
     tetcast_mesh_get_info(mesh, &info);
     for (int k = 0; k < 3; k++) diagonal += (info.box_max[k] - info.box_min[k]) * (info.box_max[k] - info.box_min[k]);
     diagonal = sqrt(diagonal);
     if (!(diagonal > 0.0)) diagonal = 1.0;
-    if (o->tf && (strchr(o->tf, '.') || strchr(o->tf, '/'))) {
-        if (sup_transfer_read(o->tf, &tf, err)) return 1;
-    } else if (sup_transfer_named(o->tf ? o->tf : "rainbow", (double)lo, (double)hi, diagonal, &tf, err)) {
-        return 1;
-    }
+    if (read_transfer(o, &render->camera, mesh, diagonal, &tf, err)) return 1;
     points = (tetcast_control_point *)sup_alloc(tf.count, sizeof *points);
     if (!points) {
         sup_transfer_free(&tf);
@@ -244,7 +362,7 @@ static int make_optics(const options *o, const tetcast_mesh *mesh, const tetcast
     for (size_t i = 0; i < o->isovalue_count; i++) {
         isovalues[i].value = o->isovalues[i];
         memcpy(isovalues[i].rgb, palette[i % 4], sizeof palette[0]);
-        isovalues[i].opacity = o->isovalue_count > 1 ? (float)o->opacity : 1.0f;
+        isovalues[i].opacity = o->isovalue_count > 1 || o->has_opacity ? (float)o->opacity : 1.0f;
         isovalues[i].specular = 0.25f;
     }
     memset(&desc, 0, sizeof desc);
@@ -254,7 +372,6 @@ static int make_optics(const options *o, const tetcast_mesh *mesh, const tetcast
     desc.point_count = tf.count;
     desc.isovalues = isovalues;
     desc.isovalue_count = o->isovalue_count;
-    desc.extinction_scale = (float)o->scale;
     optics.env = *env;
     optics.model = (tetcast_model)o->model;
     optics.integrator = (tetcast_integrator)o->integrator;
@@ -264,7 +381,7 @@ static int make_optics(const options *o, const tetcast_mesh *mesh, const tetcast
         optics.longest = tetcast_mesh_check(mesh, env, &check) == TETCAST_OK ? (float)check.longest_edge : (float)diagonal;
     }
     optics.tolerance = o->common.has_tolerance ? (float)o->common.tolerance : 0.0f;
-    optics.path_length = (float)(2.0 * diagonal);
+    optics.path_length = (float)diagonal; /* no ray is longer inside of the box */
     optics.ambient[0] = optics.ambient[1] = optics.ambient[2] = 0.1f;
     if (o->cue) {
         optics.cue = 1;
@@ -273,7 +390,15 @@ static int make_optics(const options *o, const tetcast_mesh *mesh, const tetcast
         optics.cue_scale[0] = 1.0f;
         optics.cue_scale[1] = 0.25f;
     }
+    *extinction = o->scale;
     result = tetcast_transfer_create(&desc, &transfer);
+    if (result == TETCAST_OK && named && o->model != TETCAST_MODEL_ISOSURFACE && o->model != TETCAST_MODEL_MAXIMUM)
+        *extinction *= choose_extinction(o, render, mesh, transfer);
+    if (result == TETCAST_OK && *extinction != 1.0) {
+        tetcast_transfer_destroy(transfer);
+        desc.extinction_scale = (float)*extinction;
+        result = tetcast_transfer_create(&desc, &transfer);
+    }
     if (result == TETCAST_OK) result = tetcast_optics_create(transfer, &optics, out);
     tetcast_transfer_destroy(transfer);
     SUP_FREE(points);
@@ -286,8 +411,16 @@ static int make_optics(const options *o, const tetcast_mesh *mesh, const tetcast
 static void set_camera(const options *o, const tetcast_mesh *mesh, tetcast_camera *camera) {
     tetcast_mesh_info info;
     sup_camera framed;
+    tetcast_result result;
     float lo[3], hi[3];
     tetcast_mesh_get_info(mesh, &info);
+    if (!o->common.has_eye && !o->common.has_at) { /* as large as it fits */
+        for (int k = 0; k < 3; k++) camera->up[k] = o->common.has_up ? (double)o->common.camera.up[k] : k == 1;
+        camera->fov_y = (float)o->common.fov;
+        result = tetcast_camera_fit(camera, info.box_min, info.box_max, NULL, o->common.size[0], o->common.size[1]);
+        camera->ortho_height = (float)o->ortho;
+        if (result == TETCAST_OK) return;
+    }
     for (int k = 0; k < 3; k++) {
         lo[k] = (float)info.box_min[k];
         hi[k] = (float)info.box_max[k];
@@ -320,7 +453,10 @@ static int write_pictures(const options *o, tetcast_image *image, sup_error *err
 
 static void print_stats(const options *o, const char *field, const tetcast_mesh *mesh, const tetcast_report *report,
                         const tetcast_optics *optics, const tetcast_image *image, const tetcast_camera *camera,
-                        const tetcast_render_stats *s, double seconds) {
+                        const tetcast_render_stats *s, double seconds, double extinction) {
+    static const char *const integrators[TETCAST_INTEGRATOR_COUNT] = {
+        "exact", "psi", "riemann", "trapezoid", "midpoint", "pre", "prefix", "table", "incremental", "subrange", "table2d",
+        "table-prefix"};
     tetcast_mesh_info info;
     tetcast_optics_info how;
     float lo = 0.0f, hi = 0.0f;
@@ -349,7 +485,11 @@ static void print_stats(const options *o, const char *field, const tetcast_mesh 
     if (s->method == TETCAST_METHOD_PROJECT)
         printf(",\"projected_cells\":%llu,\"pixel_tests\":%llu,\"exact_tests\":%llu", (unsigned long long)s->cells,
                (unsigned long long)s->pixel_tests, (unsigned long long)s->exact_tests);
-    printf(",\"error_bound\":%.6g,\"t_min\":%.6g", (double)how.bound, (double)how.t_min);
+    printf(",\"integrator\":\"%s\",\"extinction\":%.6g,\"knots\":%u,\"t_min\":%.6g", integrators[how.integrator], extinction,
+           how.knot_count, (double)how.t_min);
+    printf(",\"tolerance\":%.6g,\"error_bound\":%.6g,\"bound_integral\":%.6g,\"bound_end\":%.6g,\"bound_knots\":%.6g",
+           o->common.has_tolerance ? o->common.tolerance : 0.0, (double)how.bound, (double)how.bound_integral,
+           (double)how.bound_end, (double)how.bound_knots);
     printf(",\"eye\":[%.9g,%.9g,%.9g],\"at\":[%.9g,%.9g,%.9g]", camera->eye[0], camera->eye[1], camera->eye[2],
            camera->at[0], camera->at[1], camera->at[2]);
     printf(",\"seconds\":%.6f,\"msteps_per_second\":%.3f,\"isa\":\"%s\",\"threads\":%lld}\n", seconds,
@@ -403,7 +543,7 @@ int main(int argc, char **argv) {
     sup_progress progress;
     sup_error err;
     char field[80] = "";
-    double start, seconds = 0.0;
+    double start, seconds = 0.0, extinction = 1.0;
     int status = parse(argc, argv, &o, &desc);
     if (status >= 0) return status;
     memset(&stats, 0, sizeof stats);
@@ -411,10 +551,12 @@ int main(int argc, char **argv) {
     desc.env.error = &error;
     sup_progress_begin(&progress, "drawing", o.common.quiet);
     status = load(&o, &desc.env, field, sizeof field, &report, &mesh, &err);
-    if (!status) status = make_optics(&o, mesh, &desc.env, &optics, &err);
-    if (!status && make_image(&o, &image)) status = sup_fail(&err, "out of memory for the picture");
     if (!status) {
         set_camera(&o, mesh, &desc.camera);
+        status = make_optics(&o, mesh, &desc, &optics, &extinction, &err);
+    }
+    if (!status && make_image(&o, &image)) status = sup_fail(&err, "out of memory for the picture");
+    if (!status) {
         if (o.smooth) result = tetcast_mesh_make_gradients(mesh, &desc.env);
         if (!progress.quiet) {
             desc.env.progress_fn = sup_progress_fn;
@@ -429,7 +571,7 @@ int main(int argc, char **argv) {
                               error.text[0] ? error.text : tetcast_result_string(result));
         else status = write_pictures(&o, &image, &err);
         if (!status && o.common.stats)
-            print_stats(&o, field, mesh, &report, optics, &image, &desc.camera, &stats, seconds);
+            print_stats(&o, field, mesh, &report, optics, &image, &desc.camera, &stats, seconds, extinction);
         SUP_FREE(image.rgba8);
         SUP_FREE(image.rgba);
         SUP_FREE(image.depth);
