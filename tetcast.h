@@ -9662,11 +9662,11 @@ TETCASTI_TARGET_WALK static uint32_t tetcasti_rects8(const tetcasti_view *v, uin
     __m256i good = _mm256_set1_epi32(-1);
     __m256 ids[4], row[4], w = _mm256_setzero_ps(), sum = w, nearest = w, wide;
     uint32_t i, k, seen, behind, id[8];
-    tetcasti_load8x4(v->scene->mesh->tet + first, at, NULL, ids);
+    tetcasti_load8x4(v->scene->mesh->tet + first, 4, at, NULL, ids);
     lo[0] = lo[1] = hi[0] = hi[1] = good;
     for (k = 0; k < 4; k++) {
         _mm256_storeu_si256((__m256i *)(void *)id, _mm256_castps_si256(ids[k]));
-        tetcasti_load8x4(v->seen, id, NULL, row);
+        tetcasti_load8x4(v->seen, 4, id, NULL, row);
         for (i = 0; i < 2; i++) {
             __m256i c = _mm256_castps_si256(row[i]);
             lo[i] = k == 0 ? c : _mm256_min_epi32(lo[i], c);
