@@ -9848,7 +9848,7 @@ static int tetcasti_splat_open(const tetcasti_view *v, const uint32_t tet[4], te
     const tetcasti_vertex *vertex = v->scene->vertex;
     const tetcasti_seen *p[4];
     float x[4], y[4], area[4], wide, w = 0.0f;
-    int32_t lo[2], hi[2], half = (int32_t)(1u << v->log) / 2;
+    int32_t lo[2] = {0, 0}, hi[2] = {0, 0}, half = (int32_t)(1u << v->log) / 2;
     const uint8_t *role;
     uint32_t i, fronts = 0;
     for (i = 0; i < 4; i++) {
