@@ -953,6 +953,133 @@ typedef struct voxrt_budget {
 VOXRT_DEF float voxrt_budget_update(voxrt_budget *budget, float frame_ms, float target_ms, float finest);
 
 
+/* ---- bit columns: a dynamic volume for rays ---- */
+#ifndef VOXRT_NO_GI
+
+/* A box of the world as a grid of bits, 128 or so of them in a column: a surface is voxelised into it in a millisecond,
+   again in every frame. The box need not be a cube, nor its cells. Above the columns stands a hierarchy of 2 x 2
+   columns ORed, with all bits along the depth. What is inserted as `still` stays when the rest is cleared. */
+typedef struct voxrt_columns voxrt_columns;
+
+typedef enum voxrt_columns_mode {
+    VOXRT_COLUMNS_THIN = 0,   /* cells in which the surface meets a line through the centre along x, y or z:
+                                 6-separating,
+                                 no ray slips through (default) */
+    VOXRT_COLUMNS_FAT = 1,    /* every cell that the surface touches */
+    VOXRT_COLUMNS_RASTER = 2, /* lines along the depth only, as in one pass of a rasteriser: gaps in steep surfaces */
+    VOXRT_COLUMNS_SOLID = 3,  /* cells with their centre inside a closed mesh, and its THIN surface */
+    VOXRT_COLUMNS_MODE_FORCE_32BIT = 0x7fffffff
+} voxrt_columns_mode;
+
+/* field              zero means
+   size_x, size_y     256 cells across the depth; powers of two, 4 to 4096
+   size_z             128 cells along the depth; 64, 128 or 256
+   depth_axis_plus_1  the shortest side of the box; 1, 2, 3: x, y, z. The other two follow in cyclic order
+   box_min, box_max   (no default) world box, every side longer than 0 */
+typedef struct voxrt_columns_desc {
+    uint32_t _begin_zero;
+    voxrt_env env;
+    uint32_t size_x, size_y, size_z;
+    uint32_t depth_axis_plus_1;
+    double box_min[3], box_max[3];
+    uint32_t _end_zero;
+} voxrt_columns_desc;
+
+/* field      zero means
+   to_world   (all zero) the mesh is in world coordinates; else three rows of four: world = to_world * (x, y, z, 1)
+   still      1: into the layer that voxrt_columns_clear keeps */
+typedef struct voxrt_columns_insert_desc {
+    uint32_t _begin_zero;
+    voxrt_env env; /* thread_count, parallel and error count */
+    voxrt_columns_mode mode;
+    double to_world[12];
+    uint32_t still;
+    uint32_t _end_zero;
+} voxrt_columns_insert_desc;
+
+typedef struct voxrt_columns_insert_stats { /* added to */
+    uint64_t items;        /* triangles or points */
+    uint64_t rejected;     /* NaN, infinite, or an index out of range: left out */
+    uint64_t outside;      /* not in the box */
+    uint64_t open_columns; /* SOLID: columns in which the mesh is not closed; they got no inside */
+} voxrt_columns_insert_stats;
+
+typedef struct voxrt_columns_info {
+    uint32_t axis[3];      /* world axes of the grid's x, y and depth */
+    uint32_t size[3];      /* cells along them */
+    double cell[3];        /* world lengths of a cell along them */
+    double diagonal;       /* of a cell */
+    uint64_t cells;        /* that are set */
+    uint64_t bytes;
+} voxrt_columns_info;
+
+/* An empty volume. Errors: INVALID_ARG (box, sizes), UNINIT_DESC, NO_MEMORY. O(columns). */
+VOXRT_DEF voxrt_result voxrt_columns_create(const voxrt_columns_desc *desc, voxrt_columns **out_columns);
+VOXRT_DEF void voxrt_columns_destroy(voxrt_columns *columns); /* NULL is allowed */
+VOXRT_DEF void voxrt_columns_get_info(const voxrt_columns *columns, voxrt_columns_info *info); /* O(columns) */
+
+/* Set the cells of a mesh. Positions and indices of `mesh` count; triangles with a NaN, infinite or missing vertex are
+   left out and counted. The set does not depend on their order nor on threads.
+   desc   in, NULL: THIN, world coordinates
+   stats  added to, may be NULL
+   Vertices are snapped to 1/256 of a cell, then decisions are exact (THIN, RASTER, SOLID); FAT may take cells that lie
+   up to 1e-6 of a cell beside the surface.
+   O(triangles + cells). Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY (SOLID). Thread safety: one call on a volume at a
+   time. Source: Laine 2013 (thin), Eisemann & Decoret 2006 (raster) and 2008 (solid), Zhang et al. 2007 (fat). */
+VOXRT_DEF voxrt_result voxrt_columns_insert(voxrt_columns *columns, const voxrt_columns_insert_desc *desc,
+                                            const voxrt_mesh *mesh, voxrt_columns_insert_stats *stats);
+
+/* Set the cells of points: samples of surfaces that move. xyz in, [count], stride in bytes (0: 12). mode is ignored.
+   Surfaces have no holes if the samples lie close enough, which is up to the caller. Otherwise as
+   voxrt_columns_insert. */
+VOXRT_DEF voxrt_result voxrt_columns_insert_points(voxrt_columns *columns, const voxrt_columns_insert_desc *desc,
+                                                   const float *xyz, size_t stride, size_t count,
+                                                   voxrt_columns_insert_stats *stats);
+
+/* Take out all that was not inserted as still; with `all` that, too. O(columns that had something). */
+VOXRT_DEF void voxrt_columns_clear(voxrt_columns *columns, int all);
+
+/* Bring the hierarchy up to date, after inserting or clearing and before tracing. O(columns that changed). */
+VOXRT_DEF void voxrt_columns_update(voxrt_columns *columns);
+
+/* Is cell (x, y, z) of the grid set? Level l: any of 2^l x 2^l columns at that z. Outside: 0. Any thread. O(1). */
+VOXRT_DEF int voxrt_columns_get(const voxrt_columns *columns, uint32_t level, uint32_t x, uint32_t y, uint32_t z);
+
+/* 20 bytes. On a miss t = INFINITY and the rest 0. */
+typedef struct voxrt_column_hit {
+    float t;            /* where the ray enters the cell; not before t_min */
+    uint32_t cell[3];   /* x, y, z of the grid */
+    uint32_t face;      /* of the cell: 2 * world axis + (1: on its upper side); 6: the ray starts in the cell */
+} voxrt_column_hit;
+
+/* field              zero means
+   normals            in, xyz for each ray, unit length: of the surface it starts on. Cells that the plane through the
+                      origin with this normal cuts do not stop it nearby, so rays start on surfaces without an offset
+   end_normals        the same for the other end, at t_max
+   self_radius        how far from origin and end that holds, world units: 16 cell diagonals
+   start_level_plus_1 level 3; results do not depend on it */
+typedef struct voxrt_columns_trace_desc {
+    uint32_t _begin_zero;
+    voxrt_isa isa;
+    const float *normals, *end_normals;
+    float self_radius;
+    uint32_t start_level_plus_1;
+    voxrt_stats *stats;  /* NULL: not counted. descents are steps down in the hierarchy */
+    uint32_t _end_zero;
+} voxrt_columns_trace_desc;
+
+/* First cell that is set along each ray, in the box and in [t_min, t_max], on the calling thread. Exact stepping from
+   column to column in floats: no epsilon, no cap on steps. Bad rays miss and are counted (bad_rays). The same bits for
+   any isa. Errors: INVALID_ARG, UNINIT_DESC. Thread safety: any number of threads on a volume that does not change.
+   Allocates nothing. Source: thesis (2010) 5.2, 5.3; Forest et al. 2009; stepping and the plane rule are ours. */
+VOXRT_DEF voxrt_result voxrt_columns_trace(const voxrt_columns *columns, const voxrt_columns_trace_desc *desc,
+                                           const voxrt_ray *rays, voxrt_column_hit *hits, size_t count);
+
+/* Is any cell set along the ray? occluded out, [count]: exactly when voxrt_columns_trace reports a hit. */
+VOXRT_DEF voxrt_result voxrt_columns_occluded(const voxrt_columns *columns, const voxrt_columns_trace_desc *desc,
+                                              const voxrt_ray *rays, uint8_t *occluded, size_t count);
+#endif /* VOXRT_NO_GI */
+
 /* ---- misc ---- */
 
 VOXRT_DEF const char *voxrt_result_string(voxrt_result result);
@@ -12506,6 +12633,951 @@ VOXRT_DEF void voxrt_group_geometry(const voxrt_group *group, voxrt_geometry *ou
     memcpy(out_geometry->box_min, group->lo, sizeof group->lo);
     memcpy(out_geometry->box_max, group->hi, sizeof group->hi);
 }
+
+/* ---------------------------------------------------------------------------
+   columns: a grid of bit columns: voxelising into it, hierarchy, rays.         // >>columns
+   --------------------------------------------------------------------------- */
+#ifndef VOXRT_NO_GI
+
+/* The bytes. Column (x, y) of level l is `words` 32-bit words from bits[start[l] + ((y << row_log[l]) + x) * words] on;
+   bit k & 31 of word k >> 5 is cell k of the depth. Level l has max(1, nx >> l) x max(1, ny >> l) columns, each the OR
+   of the up to 2 x 2 below it. `still` is a level 0 for itself, or NULL. `moving` and `changed` are maps with a bit for
+   each column: those with bits that are not still, and those that the levels above do not show yet; a row is 32-bit
+   words of its own, and `changed` has all levels. */
+#define VOXRTI_COLUMN_LEVELS 13
+
+struct voxrt_columns {
+    voxrti_mem mem;
+    double origin[3], per_cell[3], cell[3]; /* by grid axis: cell = (world - origin) * per_cell */
+    double diagonal;
+    uint32_t axis[3], size[3];
+    uint32_t words, word_log, levels;
+    uint32_t start[VOXRTI_COLUMN_LEVELS], row_log[VOXRTI_COLUMN_LEVELS], rows[VOXRTI_COLUMN_LEVELS];
+    uint32_t map_start[VOXRTI_COLUMN_LEVELS], map_row[VOXRTI_COLUMN_LEVELS];
+    uint32_t *bits, *still, *moving, *changed;
+    uint32_t all_changed;
+};
+
+VOXRTI_INLINE uint32_t voxrti_log2_u32(uint32_t x) { return 31u - voxrti_clz32(x); } /* x != 0 */
+VOXRTI_INLINE size_t voxrti_column(const voxrt_columns *c, uint32_t level, uint32_t x, uint32_t y) {
+    return c->start[level] + ((((size_t)y << c->row_log[level]) + x) << c->word_log);
+}
+
+static voxrt_result voxrti_columns_open(const voxrt_columns_desc *d, voxrt_columns *c) {
+    uint32_t a, depth = d->depth_axis_plus_1, l, at = 0, map = 0;
+    double side[3];
+    for (a = 0; a < 3; a++) {
+        side[a] = d->box_max[a] - d->box_min[a];
+        if (!voxrti_finite(d->box_min[a]) || !voxrti_finite(side[a]) || !(side[a] > 0.0))
+            return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, a, "side % of the box is not longer than 0");
+    }
+    if (depth > 3) return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, depth, "there is no axis %");
+    if (depth == 0) depth = side[0] < side[1] ? (side[0] < side[2] ? 1 : 3) : side[1] < side[2] ? 2 : 3;
+    c->size[0] = d->size_x != 0 ? d->size_x : 256;
+    c->size[1] = d->size_y != 0 ? d->size_y : 256;
+    c->size[2] = d->size_z != 0 ? d->size_z : 128;
+    for (a = 0; a < 3; a++) {
+        const uint32_t n = c->size[a];
+        if ((n & (n - 1)) != 0 || n < (a == 2 ? 64u : 4u) || n > (a == 2 ? 256u : 4096u))
+            return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, n, "a grid cannot have % cells along this axis");
+        c->axis[a] = (depth + a) % 3; /* depth is 1 + axis: the two that follow it, then itself */
+        c->origin[a] = d->box_min[c->axis[a]];
+        c->cell[a] = side[c->axis[a]] / (double)n;
+        c->per_cell[a] = (double)n / side[c->axis[a]];
+    }
+    c->diagonal = sqrt(c->cell[0] * c->cell[0] + c->cell[1] * c->cell[1] + c->cell[2] * c->cell[2]);
+    c->words = c->size[2] / 32;
+    c->word_log = voxrti_log2_u32(c->words);
+    c->levels = voxrti_log2_u32(c->size[0] > c->size[1] ? c->size[0] : c->size[1]) + 1;
+    for (l = 0; l < c->levels; l++) {
+        const uint32_t nx = c->size[0] >> l, ny = c->size[1] >> l;
+        c->row_log[l] = nx != 0 ? voxrti_log2_u32(nx) : 0;
+        c->rows[l] = ny != 0 ? ny : 1;
+        c->start[l] = at;
+        at += c->words * (c->rows[l] << c->row_log[l]);
+        c->map_row[l] = ((1u << c->row_log[l]) + 31) / 32;
+        c->map_start[l] = map;
+        map += c->map_row[l] * c->rows[l];
+    }
+    c->bits = (uint32_t *)voxrti_alloc_zero(&c->mem, at, 4);
+    c->moving = (uint32_t *)voxrti_alloc_zero(&c->mem, (size_t)c->map_row[0] * c->rows[0], 4);
+    c->changed = (uint32_t *)voxrti_alloc_zero(&c->mem, map, 4);
+    if (c->bits != NULL && c->moving != NULL && c->changed != NULL) return VOXRT_OK;
+    return voxrti_fail(d->env.error, VOXRT_ERR_NO_MEMORY, at, "no memory for a grid of % words");
+}
+
+VOXRT_DEF voxrt_result voxrt_columns_create(const voxrt_columns_desc *desc, voxrt_columns **out_columns) {
+    voxrti_mem mem;
+    voxrt_columns *c;
+    voxrt_result r;
+    if (out_columns == NULL) return VOXRT_ERR_INVALID_ARG;
+    *out_columns = NULL;
+    if (desc == NULL) return VOXRT_ERR_INVALID_ARG;
+    if (desc->_begin_zero != 0 || desc->_end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
+    r = voxrti_env_open(&desc->env, &mem);
+    if (r != VOXRT_OK) return r;
+    c = (voxrt_columns *)voxrti_alloc_zero(&mem, 1, sizeof *c);
+    if (c == NULL) return voxrti_fail(desc->env.error, VOXRT_ERR_NO_MEMORY, 0, "no memory for a grid");
+    c->mem = mem;
+    r = voxrti_columns_open(desc, c);
+    if (r == VOXRT_OK) *out_columns = c;
+    else voxrt_columns_destroy(c);
+    return r;
+}
+
+VOXRT_DEF void voxrt_columns_destroy(voxrt_columns *columns) {
+    voxrti_mem mem;
+    if (columns == NULL) return;
+    mem = columns->mem;
+    voxrti_free(&mem, columns->bits);
+    voxrti_free(&mem, columns->still);
+    voxrti_free(&mem, columns->moving);
+    voxrti_free(&mem, columns->changed);
+    voxrti_free(&mem, columns);
+}
+
+VOXRT_DEF void voxrt_columns_get_info(const voxrt_columns *columns, voxrt_columns_info *info) {
+    size_t i, n;
+    uint32_t a;
+    if (info == NULL) return;
+    memset(info, 0, sizeof *info);
+    if (columns == NULL) return;
+    for (a = 0; a < 3; a++) {
+        info->axis[a] = columns->axis[a];
+        info->size[a] = columns->size[a];
+        info->cell[a] = columns->cell[a];
+    }
+    info->diagonal = columns->diagonal;
+    n = (size_t)columns->size[0] * columns->size[1] * columns->words;
+    for (i = 0; i < n; i += 2)
+        info->cells += voxrti_popcount64((uint64_t)columns->bits[i] << 32 | columns->bits[i + 1]);
+    info->bytes = columns->mem.used;
+}
+
+VOXRT_DEF int voxrt_columns_get(const voxrt_columns *columns, uint32_t level, uint32_t x, uint32_t y, uint32_t z) {
+    if (columns == NULL || level >= columns->levels || x >> columns->row_log[level] != 0 || y >= columns->rows[level] ||
+        z >= columns->size[2]) return 0;
+    return (int)(columns->bits[voxrti_column(columns, level, x, y) + (z >> 5)] >> (z & 31u) & 1u);
+}
+
+VOXRT_DEF void voxrt_columns_clear(voxrt_columns *columns, int all) {
+    uint32_t x, y, w;
+    if (columns == NULL) return;
+    if (all) {
+        const size_t n = (size_t)columns->size[0] * columns->size[1] * columns->words;
+        memset(columns->bits, 0, n * 4);
+        if (columns->still != NULL) memset(columns->still, 0, n * 4);
+        memset(columns->moving, 0, (size_t)columns->map_row[0] * columns->rows[0] * 4);
+        columns->all_changed = 1;
+        return;
+    }
+    for (y = 0; y < columns->rows[0]; y++)
+        for (x = 0; x < columns->map_row[0]; x++) {
+            const size_t m = (size_t)y * columns->map_row[0] + x;
+            uint32_t bits = columns->moving[m];
+            columns->moving[m] = 0;
+            columns->changed[m] |= bits;
+            for (; bits != 0; bits &= bits - 1) {
+                const size_t at = voxrti_column(columns, 0, 32 * x + voxrti_ctz64(bits), y);
+                for (w = 0; w < columns->words; w++)
+                    columns->bits[at + w] = columns->still != NULL ? columns->still[at + w] : 0;
+            }
+        }
+}
+
+/* ---- setting cells ---- */
+
+typedef struct voxrti_insert {
+    voxrt_columns *columns;
+    const voxrt_mesh *mesh;
+    const uint8_t *points;
+    size_t point_stride, count;
+    uint32_t *flips;          /* SOLID: a level 0 of parities, then a map of columns with an odd number of crossings */
+    double m[12];             /* to cells, by grid axis */
+    voxrt_columns_mode mode;
+    uint32_t still, shared;   /* shared: by several threads */
+    uint32_t rejected[2], outside[2]; /* tallies */
+} voxrti_insert;
+
+#define VOXRTI_INSERT_TASK 1024 /* items */
+
+#if defined(__GNUC__)
+#  define voxrti_or_shared(p, v) \
+       do { if ((__atomic_load_n(p, __ATOMIC_RELAXED) & (v)) != (v)) \
+            (void)__atomic_fetch_or(p, v, __ATOMIC_RELAXED); } while (0)
+#  define voxrti_xor_shared(p, v) ((void)__atomic_fetch_xor(p, v, __ATOMIC_RELAXED))
+#else /* no built-in threads there */
+#  define voxrti_or_shared(p, v) ((void)(*(p) |= (v)))
+#  define voxrti_xor_shared(p, v) ((void)(*(p) ^= (v)))
+#endif
+
+VOXRTI_INLINE void voxrti_insert_or(const voxrti_insert *in, uint32_t *p, uint32_t v) {
+    if (in->shared) voxrti_or_shared(p, v);
+    else *p |= v;
+}
+
+/* Set cells k0 .. k1 of a column. */
+VOXRTI_INLINE void voxrti_insert_run(const voxrti_insert *in, uint32_t x, uint32_t y, uint32_t k0, uint32_t k1) {
+    voxrt_columns *c = in->columns;
+    const size_t at = voxrti_column(c, 0, x, y), map = (size_t)y * c->map_row[0] + (x >> 5);
+    uint32_t w;
+    for (w = k0 >> 5; w <= k1 >> 5; w++) {
+        const uint32_t lo = w == k0 >> 5 ? k0 & 31u : 0, hi = w == k1 >> 5 ? k1 & 31u : 31;
+        const uint32_t mask = 0xffffffffu << lo & 0xffffffffu >> (31 - hi);
+        voxrti_insert_or(in, &c->bits[at + w], mask);
+        if (in->still) voxrti_insert_or(in, &c->still[at + w], mask);
+    }
+    voxrti_insert_or(in, &c->changed[map], 1u << (x & 31u));
+    if (!in->still) voxrti_insert_or(in, &c->moving[map], 1u << (x & 31u));
+}
+
+/* Toggle cells k .. of a column, and whether it has an odd number of crossings. */
+VOXRTI_INLINE void voxrti_insert_flip(const voxrti_insert *in, uint32_t x, uint32_t y, uint32_t k) {
+    const voxrt_columns *c = in->columns;
+    const size_t at = voxrti_column(c, 0, x, y), n = ((size_t)c->rows[0] << c->row_log[0]) << c->word_log;
+    uint32_t w;
+    voxrti_xor_shared(&in->flips[n + (size_t)y * c->map_row[0] + (x >> 5)], 1u << (x & 31u));
+    for (w = k >> 5; w < c->words; w++) {
+        const uint32_t mask = w == k >> 5 ? 0xffffffffu << (k & 31u) : 0xffffffffu;
+        voxrti_xor_shared(&in->flips[at + w], mask);
+    }
+}
+
+/* floor(a / b), b > 0 */
+VOXRTI_INLINE int64_t voxrti_floor_div(int64_t a, int64_t b) {
+    int64_t q = a / b;
+    return q - (a % b < 0);
+}
+/* floor(a / 256) for |a| < 2^30 */
+VOXRTI_INLINE int32_t voxrti_floor_256(int32_t a) { return (int32_t)(((uint32_t)a + 0x40000000u) >> 8) - 0x400000; }
+
+/* Lines along grid axis a through the centres of the cells that triangle p (in 1/256 of a cell) meets. A centre exactly
+   on an edge belongs to one of the two triangles that share it: as if it lay a little to the left of it, and a little
+   less above. Rows go along v and their runs along u. flip: toggle what lies above instead of setting the cell. */
+static void voxrti_insert_lines(const voxrti_insert *in, const int32_t p[3][3], const int64_t normal[3], uint32_t a,
+                                int flip) {
+    const uint32_t u = a == 2 ? 0 : 2, v = a == 1 ? 0 : 1;
+    const int32_t *q[3];
+    const int32_t size_u = (int32_t)in->columns->size[u], size_v = (int32_t)in->columns->size[v];
+    const int32_t size_a = (int32_t)in->columns->size[a];
+    const double area = (double)normal[a];
+    double slope_u, slope_v, lo = 1e30, hi = -1e30;
+    int32_t j, j_end, v_min, v_max;
+    uint32_t e;
+    if (normal[a] == 0) return;
+    slope_u = -((double)normal[u] / area);
+    slope_v = -((double)normal[v] / area);
+    q[0] = p[0];
+    e = (uint32_t)((int64_t)(p[1][u] - p[0][u]) * (p[2][v] - p[0][v]) < (int64_t)(p[1][v] - p[0][v]) *
+                   (p[2][u] - p[0][u]));
+    q[1] = p[1 + e];
+    q[2] = p[2 - e];
+    v_min = v_max = p[0][v];
+    for (e = 0; e < 3; e++) {
+        v_min = p[e][v] < v_min ? p[e][v] : v_min;
+        v_max = p[e][v] > v_max ? p[e][v] : v_max;
+        lo = voxrti_min(lo, (double)p[e][a]);
+        hi = voxrti_max(hi, (double)p[e][a]);
+    }
+    j = voxrti_floor_256(v_min + 127);
+    j = j > 0 ? j : 0;
+    j_end = voxrti_floor_256(v_max - 128);
+    j_end = j_end < size_v - 1 ? j_end : size_v - 1;
+    for (; j <= j_end; j++) {
+        const int64_t sv = 256 * (int64_t)j + 128;
+        int64_t first = 0, last = size_u - 1;
+        int32_t i, cell = 0, run = -1;
+        double base;
+        for (e = 0; e < 3; e++) {
+            const int32_t *s = q[e], *t = q[e == 2 ? 0 : e + 1];
+            const int64_t du = t[u] - s[u], dv = t[v] - s[v];
+            const int64_t most = du * (sv - s[v]) - dv * (128 - s[u]) - (dv > 0 || (dv == 0 && du > 0) ? 0 : 1);
+            int64_t at;
+            if (dv > 0) { /* 256 dv i <= most */
+                at = voxrti_floor_div(most, 256 * dv);
+                if (at < last) last = at;
+            } else if (dv < 0) {
+                at = 0 - voxrti_floor_div(most, -256 * dv);
+                if (at > first) first = at;
+            } else if (most < 0) {
+                last = -1;
+            }
+        }
+        if (first > last) continue;
+        base = (double)p[0][a] + slope_v * (double)(sv - p[0][v]) + slope_u * (double)(128 - p[0][u]);
+        for (i = (int32_t)first; i <= (int32_t)last; i++) {
+            double at = base + slope_u * (double)(256 * i);
+            int32_t k;
+            at = at < lo ? lo : at > hi ? hi : at;
+            if (flip) { /* cells whose centres lie at or above the crossing */
+                k = (int32_t)(0 - voxrti_floor((128.0 - at) * (1.0 / 256.0)));
+                voxrti_insert_flip(in, (uint32_t)i, (uint32_t)j,
+                                   k < 0 ? 0 : k > size_a ? (uint32_t)size_a : (uint32_t)k);
+                continue;
+            }
+            k = (int32_t)voxrti_floor(at * (1.0 / 256.0));
+            if (a == 2) {
+                if (k >= 0 && k < size_a) voxrti_insert_run(in, (uint32_t)i, (uint32_t)j, (uint32_t)k, (uint32_t)k);
+                continue;
+            }
+            if (run >= 0 && k != cell) { /* runs of cells in one column */
+                if (cell >= 0 && cell < size_a)
+                    voxrti_insert_run(in, (uint32_t)(a == 0 ? cell : j), (uint32_t)(a == 0 ? j : cell), (uint32_t)run,
+                                      (uint32_t)(i - 1));
+                run = -1;
+            }
+            if (run < 0) {
+                run = i;
+                cell = k;
+            }
+        }
+        if (run >= 0 && cell >= 0 && cell < size_a)
+            voxrti_insert_run(in, (uint32_t)(a == 0 ? cell : j), (uint32_t)(a == 0 ? j : cell), (uint32_t)run,
+                              (uint32_t)last);
+    }
+}
+
+/* The part of a convex polygon with sign * point[a] >= sign * at. An edge is cut in the same place whichever way it
+   goes. */
+static uint32_t voxrti_cut_polygon(const double (*from)[3], uint32_t n, uint32_t a, double at, double sign,
+                                   double (*to)[3]) {
+    uint32_t i, b, m = 0;
+    for (i = 0; i < n; i++) {
+        const double *p = from[i], *q = from[i + 1 < n ? i + 1 : 0];
+        const double dp = (p[a] - at) * sign, dq = (q[a] - at) * sign;
+        if (dp >= 0.0) {
+            memcpy(to[m], p, sizeof to[m]);
+            m++;
+        }
+        if ((dp < 0.0 && dq > 0.0) || (dp > 0.0 && dq < 0.0)) {
+            const double *lo = dp < 0.0 ? p : q, *hi = dp < 0.0 ? q : p, s = (at - lo[a]) / (hi[a] - lo[a]);
+            for (b = 0; b < 3; b++) to[m][b] = b == a ? at : lo[b] + (hi[b] - lo[b]) * s;
+            m++;
+        }
+    }
+    return m;
+}
+
+#define VOXRTI_FAT_MARGIN 1e-6 /* of a cell: more than rounding can move a corner */
+
+/* All cells that polygon p (n <= 9) meets: cut it into rows, these into columns, and take their depths. */
+static void voxrti_insert_fat(const voxrti_insert *in, const double (*p)[3], uint32_t n) {
+    const voxrt_columns *c = in->columns;
+    double row[12][3], part[12][3], cut[12][3];
+    int64_t lo[2], hi[2], i, j, k0, k1;
+    double least[3], most[3];
+    uint32_t a, m, s, e;
+    for (a = 0; a < 3; a++) {
+        least[a] = most[a] = p[0][a];
+        for (e = 1; e < n; e++) {
+            least[a] = voxrti_min(least[a], p[e][a]);
+            most[a] = voxrti_max(most[a], p[e][a]);
+        }
+    }
+    for (a = 0; a < 2; a++) {
+        lo[a] = voxrti_floor(voxrti_max(least[a] - VOXRTI_FAT_MARGIN, 0.0));
+        hi[a] = voxrti_floor(voxrti_min(most[a] + VOXRTI_FAT_MARGIN, (double)c->size[a] - 0.5));
+    }
+    for (j = lo[1]; j <= hi[1]; j++) {
+        s = voxrti_cut_polygon(p, n, 1, (double)j - VOXRTI_FAT_MARGIN, 1.0, cut);
+        s = voxrti_cut_polygon((const double (*)[3])cut, s, 1, (double)(j + 1) + VOXRTI_FAT_MARGIN, -1.0, row);
+        for (i = lo[0]; i <= hi[0] && s != 0; i++) {
+            const double (*q)[3] = (const double (*)[3])row;
+            m = s;
+            if (lo[0] != hi[0]) {
+                m = voxrti_cut_polygon(q, s, 0, (double)i - VOXRTI_FAT_MARGIN, 1.0, cut);
+                m = voxrti_cut_polygon((const double (*)[3])cut, m, 0, (double)(i + 1) + VOXRTI_FAT_MARGIN, -1.0, part);
+                q = (const double (*)[3])part;
+            }
+            if (m == 0) continue;
+            least[2] = most[2] = q[0][2];
+            for (e = 1; e < m; e++) {
+                least[2] = voxrti_min(least[2], q[e][2]);
+                most[2] = voxrti_max(most[2], q[e][2]);
+            }
+            k0 = voxrti_floor(voxrti_max(least[2] - VOXRTI_FAT_MARGIN, 0.0));
+            k1 = voxrti_floor(voxrti_min(most[2] + VOXRTI_FAT_MARGIN, (double)c->size[2] - 0.5));
+            if (k0 <= k1) voxrti_insert_run(in, (uint32_t)i, (uint32_t)j, (uint32_t)k0, (uint32_t)k1);
+        }
+    }
+}
+
+static void voxrti_insert_snapped(const voxrti_insert *in, const double (*p)[3]) {
+    int32_t s[3][3];
+    int64_t normal[3], d[2][3];
+    uint32_t a, e;
+    for (e = 0; e < 3; e++)
+        for (a = 0; a < 3; a++) s[e][a] = (int32_t)voxrti_floor(p[e][a] * 256.0 + 0.5);
+    for (a = 0; a < 3; a++) {
+        d[0][a] = s[1][a] - s[0][a];
+        d[1][a] = s[2][a] - s[0][a];
+    }
+    for (a = 0; a < 3; a++) {
+        const uint32_t b = (a + 1) % 3, c = (a + 2) % 3;
+        normal[a] = d[0][b] * d[1][c] - d[0][c] * d[1][b];
+    }
+    voxrti_insert_lines(in, (const int32_t (*)[3])s, normal, 2, 0);
+    if (in->mode == VOXRT_COLUMNS_SOLID) voxrti_insert_lines(in, (const int32_t (*)[3])s, normal, 2, 1);
+    if (in->mode == VOXRT_COLUMNS_RASTER) return;
+    voxrti_insert_lines(in, (const int32_t (*)[3])s, normal, 0, 0);
+    voxrti_insert_lines(in, (const int32_t (*)[3])s, normal, 1, 0);
+}
+
+/* One triangle, in cells. Those that reach far outside are cut to a box around the grid first. */
+static int voxrti_insert_triangle(const voxrti_insert *in, const double (*p)[3]) {
+    const voxrt_columns *c = in->columns;
+    double poly[12][3], cut[12][3], tri[3][3];
+    uint32_t a, e, n = 3, far_off = 0;
+    const int above = in->mode == VOXRT_COLUMNS_SOLID; /* what lies below the grid toggles it all */
+    for (a = 0; a < 3; a++) {
+        const double lo = voxrti_min(p[0][a], voxrti_min(p[1][a], p[2][a])),
+            hi = voxrti_max(p[0][a], voxrti_max(p[1][a],
+                                                                                                              p[2][a]));
+        if (hi < -1e-3 && !(above && a == 2)) return 0;
+        if (lo > (double)c->size[a] + 1e-3) return 0;
+        if (lo < -16384.0 || hi > 16384.0) far_off = 1;
+    }
+    if (in->mode == VOXRT_COLUMNS_FAT) {
+        voxrti_insert_fat(in, p, 3);
+        return 1;
+    }
+    if (!far_off) {
+        voxrti_insert_snapped(in, p);
+        return 1;
+    }
+    memcpy(poly, p, 3 * sizeof poly[0]);
+    for (a = 0; a < 3; a++) {
+        if (above && a == 2) continue;
+        n = voxrti_cut_polygon((const double (*)[3])poly, n, a, -8.0, 1.0, cut);
+        n = voxrti_cut_polygon((const double (*)[3])cut, n, a, (double)c->size[a] + 8.0, -1.0, poly);
+    }
+    for (e = 0; e < n && above; e++) poly[e][2] = voxrti_max(-16384.0, voxrti_min(16384.0, poly[e][2]));
+    for (e = 2; e < n; e++) {
+        memcpy(tri[0], poly[0], sizeof tri[0]);
+        memcpy(tri[1], poly[e - 1], sizeof tri[1]);
+        memcpy(tri[2], poly[e], sizeof tri[2]);
+        voxrti_insert_snapped(in, (const double (*)[3])tri);
+    }
+    return 1;
+}
+
+VOXRTI_INLINE int voxrti_insert_point(const voxrti_insert *in, const uint8_t *from, double to[3]) {
+    float f[3];
+    uint32_t a;
+    memcpy(f, from, sizeof f);
+    for (a = 0; a < 3; a++) {
+        const double *m = in->m + 4 * a;
+        to[a] = m[0] * (double)f[0] + m[1] * (double)f[1] + m[2] * (double)f[2] + m[3];
+        if (!(to[a] > -1e15 && to[a] < 1e15)) return 0;
+    }
+    return 1;
+}
+
+static void voxrti_task_insert_mesh(void *ctx, uint32_t index) {
+    voxrti_insert *in = (voxrti_insert *)ctx;
+    const voxrt_mesh *mesh = in->mesh;
+    const size_t stride = mesh->position_stride != 0 ? mesh->position_stride : 12;
+    size_t i = (size_t)index * VOXRTI_INSERT_TASK, end = i + VOXRTI_INSERT_TASK;
+    uint64_t rejected = 0, outside = 0;
+    end = end < in->count ? end : in->count;
+    for (; i < end; i++) {
+        double p[3][3];
+        uint32_t e, ok = 1;
+        for (e = 0; e < 3 && ok; e++) {
+            const size_t at = mesh->indices != NULL ? (size_t)mesh->indices[3 * i + e] : 3 * i + e;
+            ok = at < mesh->vertex_count &&
+                voxrti_insert_point(in, (const uint8_t *)mesh->positions + at * stride, p[e]);
+        }
+        if (!ok) rejected++;
+        else if (!voxrti_insert_triangle(in, (const double (*)[3])p)) outside++;
+    }
+    voxrti_tally_add(in->rejected, rejected);
+    voxrti_tally_add(in->outside, outside);
+}
+
+static void voxrti_task_insert_points(void *ctx, uint32_t index) {
+    voxrti_insert *in = (voxrti_insert *)ctx;
+    size_t i = (size_t)index * VOXRTI_INSERT_TASK * 16, end = i + VOXRTI_INSERT_TASK * 16;
+    const double nx = (double)in->columns->size[0], ny = (double)in->columns->size[1],
+        nz = (double)in->columns->size[2];
+    uint64_t rejected = 0, outside = 0;
+    end = end < in->count ? end : in->count;
+    for (; i < end; i++) {
+        double p[3];
+        if (!voxrti_insert_point(in, in->points + i * in->point_stride, p)) {
+            rejected++;
+        } else if (!(p[0] >= 0.0 && p[1] >= 0.0 && p[2] >= 0.0 && p[0] < nx && p[1] < ny && p[2] < nz)) {
+            outside++;
+        } else {
+            const uint32_t k = (uint32_t)p[2];
+            voxrti_insert_run(in, (uint32_t)p[0], (uint32_t)p[1], k, k);
+        }
+    }
+    voxrti_tally_add(in->rejected, rejected);
+    voxrti_tally_add(in->outside, outside);
+}
+
+/* Close what all kinds of insertion open: the layer, the matrix, the threads. */
+static voxrt_result voxrti_insert_open(voxrti_insert *in, voxrt_columns *c, const voxrt_columns_insert_desc *desc,
+                                       voxrt_columns_insert_desc *d) {
+    uint32_t a, b, any = 0;
+    memset(in, 0, sizeof *in);
+    if (desc != NULL) *d = *desc;
+    else memset(d, 0, sizeof *d);
+    if (d->_begin_zero != 0 || d->_end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
+    if (c == NULL || (uint32_t)d->mode > VOXRT_COLUMNS_SOLID)
+        return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, (uint64_t)d->mode, "no grid, or unknown mode %");
+    for (a = 0; a < 12; a++) {
+        if (!voxrti_finite(d->to_world[a]))
+            return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, a, "to_world[%] is not finite");
+        any |= (uint32_t)(d->to_world[a] != 0.0);
+    }
+    for (a = 0; a < 3; a++) {
+        for (b = 0; b < 4; b++) {
+            double w = any ? d->to_world[4 * c->axis[a] + b] : b == c->axis[a] ? 1.0 : 0.0;
+            if (b == 3) w -= c->origin[a];
+            in->m[4 * a + b] = w * c->per_cell[a];
+        }
+    }
+    in->columns = c;
+    in->mode = d->mode;
+    in->still = d->still != 0;
+    in->shared = d->env.parallel.for_fn != NULL || voxrti_thread_count(&d->env) > 1;
+    if (in->still && c->still == NULL) {
+        const size_t n = (size_t)c->size[0] * c->size[1] * c->words;
+        c->still = (uint32_t *)voxrti_alloc_zero(&c->mem, n, 4);
+        if (c->still == NULL)
+            return voxrti_fail(d->env.error, VOXRT_ERR_NO_MEMORY, n, "no memory for a layer of % words");
+    }
+    return VOXRT_OK;
+}
+
+/* Parities -> inside, in closed columns. */
+static uint64_t voxrti_insert_inside(const voxrti_insert *in) {
+    const voxrt_columns *c = in->columns;
+    const size_t n = ((size_t)c->rows[0] << c->row_log[0]) << c->word_log;
+    uint64_t open = 0;
+    uint32_t x, y, w;
+    for (y = 0; y < c->size[1]; y++)
+        for (x = 0; x < c->size[0]; x++) {
+            const uint32_t *f = in->flips + voxrti_column(c, 0, x, y);
+            if ((in->flips[n + (size_t)y * c->map_row[0] + (x >> 5)] >> (x & 31u) & 1u) != 0) {
+                open++;
+                continue;
+            }
+            for (w = 0; w < c->words; w++) {
+                uint32_t bits = f[w];
+                while (bits != 0) { /* runs of ones */
+                    const uint32_t lo = voxrti_ctz64(bits), up = ~(bits >> lo);
+                    const uint32_t run = up != 0 ? voxrti_ctz64(up) : 32;
+                    voxrti_insert_run(in, x, y, 32 * w + lo, 32 * w + lo + run - 1);
+                    bits = lo + run < 32 ? bits & (0xffffffffu << (lo + run)) : 0;
+                }
+            }
+        }
+    return open;
+}
+
+VOXRT_DEF voxrt_result voxrt_columns_insert(voxrt_columns *columns, const voxrt_columns_insert_desc *desc,
+                                            const voxrt_mesh *mesh, voxrt_columns_insert_stats *stats) {
+    voxrt_columns_insert_desc d;
+    voxrti_insert in;
+    uint64_t open = 0;
+    voxrt_result r;
+    if (mesh == NULL || (mesh->triangle_count != 0 && mesh->positions == NULL)) return VOXRT_ERR_INVALID_ARG;
+    r = voxrti_insert_open(&in, columns, desc, &d);
+    if (r != VOXRT_OK) return r;
+    if (mesh->triangle_count / VOXRTI_INSERT_TASK >= 0x7fffffff)
+        return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, mesh->triangle_count, "% triangles are too many");
+    in.mesh = mesh;
+    in.count = mesh->triangle_count;
+    if (in.mode == VOXRT_COLUMNS_SOLID) {
+        const size_t n = ((size_t)columns->words * columns->size[0] + columns->map_row[0]) * columns->size[1];
+        in.flips = (uint32_t *)voxrti_alloc_zero(&columns->mem, n, 4);
+        if (in.flips == NULL)
+            return voxrti_fail(d.env.error, VOXRT_ERR_NO_MEMORY, n, "no memory for % words of parities");
+    }
+    voxrti_parallel_for(&d.env, voxrti_task_insert_mesh, &in,
+                        (uint32_t)((in.count + VOXRTI_INSERT_TASK - 1) / VOXRTI_INSERT_TASK));
+    if (in.flips != NULL) {
+        open = voxrti_insert_inside(&in);
+        voxrti_free(&columns->mem, in.flips);
+    }
+    if (stats != NULL) {
+        stats->items += in.count;
+        stats->rejected += voxrti_tally(in.rejected);
+        stats->outside += voxrti_tally(in.outside);
+        stats->open_columns += open;
+    }
+    return VOXRT_OK;
+}
+
+VOXRT_DEF voxrt_result voxrt_columns_insert_points(voxrt_columns *columns, const voxrt_columns_insert_desc *desc,
+                                                   const float *xyz, size_t stride, size_t count,
+                                                   voxrt_columns_insert_stats *stats) {
+    voxrt_columns_insert_desc d;
+    voxrti_insert in;
+    voxrt_result r;
+    if ((xyz == NULL && count != 0) || (stride != 0 && stride < 12)) return VOXRT_ERR_INVALID_ARG;
+    r = voxrti_insert_open(&in, columns, desc, &d);
+    if (r != VOXRT_OK) return r;
+    if (count / (VOXRTI_INSERT_TASK * 16) >= 0x7fffffff)
+        return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, count, "% points are too many");
+    in.points = (const uint8_t *)xyz;
+    in.point_stride = stride != 0 ? stride : 12;
+    in.count = count;
+    voxrti_parallel_for(&d.env, voxrti_task_insert_points, &in,
+                        (uint32_t)((count + VOXRTI_INSERT_TASK * 16 - 1) / (VOXRTI_INSERT_TASK * 16)));
+    if (stats != NULL) {
+        stats->items += count;
+        stats->rejected += voxrti_tally(in.rejected);
+        stats->outside += voxrti_tally(in.outside);
+    }
+    return VOXRT_OK;
+}
+
+/* ---- hierarchy ---- */
+
+VOXRTI_INLINE void voxrti_columns_or4(const voxrt_columns *c, uint32_t level, uint32_t x, uint32_t y) {
+    const uint32_t right = c->row_log[level - 1] > 0 ? c->words : 0;
+    const size_t down = c->rows[level - 1] > 1 ? (size_t)c->words << c->row_log[level - 1] : 0;
+    const uint32_t *from = c->bits + voxrti_column(c, level - 1, right != 0 ? 2 * x : 0, down != 0 ? 2 * y : 0);
+    uint32_t *to = c->bits + voxrti_column(c, level, x, y), w;
+    for (w = 0; w < c->words; w += 2) {
+        to[w] = (from[w] | from[w + right]) | (from[w + down] | from[w + right + down]);
+        to[w + 1] = (from[w + 1] | from[w + right + 1]) | (from[w + down + 1] | from[w + right + down + 1]);
+    }
+}
+
+VOXRT_DEF void voxrt_columns_update(voxrt_columns *columns) {
+    voxrt_columns *c = columns;
+    uint32_t l, x, y;
+    if (c == NULL) return;
+    for (l = 1; l < c->levels && c->all_changed; l++)
+        for (y = 0; y < c->rows[l]; y++)
+            for (x = 0; x < 1u << c->row_log[l]; x++) voxrti_columns_or4(c, l, x, y);
+    for (l = 0; l < c->levels; l++) {
+        uint32_t *map = c->changed + c->map_start[l];
+        for (y = 0; y < c->rows[l]; y++)
+            for (x = 0; x < c->map_row[l]; x++) {
+                uint32_t bits = map[(size_t)y * c->map_row[l] + x];
+                map[(size_t)y * c->map_row[l] + x] = 0;
+                if (bits == 0 || c->all_changed) continue;
+                if (l + 1 < c->levels) { /* mark the parents: one where there was one column only */
+                    uint32_t *up = c->changed + c->map_start[l + 1];
+                    uint32_t pairs = bits, px = x;
+                    if (c->row_log[l] > 0) {
+                        pairs = (pairs | pairs >> 1) & 0x55555555u;
+                        pairs = (pairs | pairs >> 1) & 0x33333333u;
+                        pairs = (pairs | pairs >> 2) & 0x0f0f0f0fu;
+                        pairs = (pairs | pairs >> 4) & 0x00ff00ffu;
+                        pairs = ((pairs | pairs >> 8) & 0xffffu) << (x & 1u ? 16 : 0);
+                        px = x >> 1;
+                    }
+                    up[(size_t)(c->rows[l] > 1 ? y >> 1 : 0) * c->map_row[l + 1] + px] |= pairs;
+                }
+                for (; bits != 0 && l > 0; bits &= bits - 1) voxrti_columns_or4(c, l, 32 * x + voxrti_ctz64(bits), y);
+            }
+    }
+    c->all_changed = 0;
+}
+
+/* ---- rays ---- */
+
+/* A ray in the grid, in cells: from its entry into the box on, at speed 1 along its fastest axis. world t = t_in + t *
+   per_t. Planes: n . (cell centre - at) = 0 is a surface on which an end of the ray lies; cells with |n . ...| <= wide
+   that are near enough to `at` along all axes do not count. */
+typedef struct voxrti_column_plane {
+    float n[3], at[3], wide, reach[3];
+} voxrti_column_plane;
+
+typedef struct voxrti_column_ray {
+    float o[3], d[3], t_max;
+    double t_in, per_t;
+} voxrti_column_ray;
+
+/* 1: to be traced; 0: misses the box; -1: a bad ray */
+static int voxrti_column_ray_open(const voxrt_columns *c, const voxrt_ray *ray, voxrti_column_ray *r) {
+    double o[3], d[3], t0 = (double)ray->t_min, t1 = (double)ray->t_max, speed = 0.0;
+    uint32_t a;
+    if (!(t0 <= t1) || !voxrti_finite(t0)) return -1;
+    for (a = 0; a < 3; a++) {
+        const float ro = ray->org[c->axis[a]], rd = ray->dir[c->axis[a]];
+        if (!voxrti_finite_f(ro) || !voxrti_finite_f(rd)) return -1;
+        o[a] = ((double)ro - c->origin[a]) * c->per_cell[a];
+        d[a] = (double)rd * c->per_cell[a];
+        speed = voxrti_max(speed, voxrti_abs(d[a]));
+    }
+    if (!(speed > 0.0)) return -1;
+    for (a = 0; a < 3; a++) {
+        const double n = (double)c->size[a];
+        if (voxrti_abs(d[a]) <= speed * 1e-12) { /* over 4096 cells that is less than floats can tell */
+            d[a] = 0.0;
+            if (!(o[a] >= 0.0 && o[a] < n)) return 0;
+        } else {
+            const double x = (0.0 - o[a]) / d[a], y = (n - o[a]) / d[a];
+            t0 = voxrti_max(t0, x < y ? x : y);
+            t1 = voxrti_min(t1, x < y ? y : x);
+        }
+    }
+    if (!(t0 <= t1)) return 0;
+    for (a = 0; a < 3; a++) {
+        const float most = (float)c->size[a] * (1.0f - 5.9604645e-8f);
+        float p = (float)(o[a] + t0 * d[a]);
+        p = p > 0.0f ? p : 0.0f;
+        r->o[a] = p < most ? p : most;
+        r->d[a] = (float)(d[a] / speed);
+    }
+    r->t_max = (float)((t1 - t0) * speed);
+    r->t_in = t0;
+    r->per_t = 1.0 / speed;
+    return 1;
+}
+
+/* at: t of the end point; radius in world units */
+static void voxrti_column_plane_open(const voxrt_columns *c, const voxrt_ray *ray, double at, const float normal[3],
+                                     double radius, voxrti_column_plane *p) {
+    double wide = 0.0;
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        const uint32_t w = c->axis[a];
+        const double n = (double)normal[w] * c->cell[a];
+        double x = (((double)ray->org[w] + at * (double)ray->dir[w]) - c->origin[a]) * c->per_cell[a];
+        if (!(x > -1e6 && x < 1e6)) x = -1e6; /* nothing is near */
+        p->n[a] = (float)n;
+        p->at[a] = (float)x;
+        wide += 0.5 * voxrti_abs(n);
+        p->reach[a] = (float)(radius * c->per_cell[a]);
+    }
+    p->wide = (float)(wide * (1.0 + 1e-6));
+}
+
+/* Cells lo .. hi of column (x, y) that a plane takes out; lo > hi: none. */
+VOXRTI_INLINE void voxrti_column_plane_cells(const voxrti_column_plane *p, int x, int y, int nz, int *out_lo,
+                                             int *out_hi) {
+    const float dx = ((float)x + 0.5f) - p->at[0], dy = ((float)y + 0.5f) - p->at[1], limit = (float)nz;
+    const float a = p->n[0] * dx + p->n[1] * dy, steep = p->n[2];
+    float lo = (p->at[2] - p->reach[2]) - 0.5f, hi = (p->at[2] + p->reach[2]) - 0.5f;
+    int i, k;
+    *out_lo = 1;
+    *out_hi = 0;
+    if (!(voxrti_absf(dx) <= p->reach[0]) || !(voxrti_absf(dy) <= p->reach[1])) return;
+    if (voxrti_absf(steep) > 1e-6f * p->wide) {
+        const float inv = 1.0f / steep, mid = (p->at[2] - a * inv) - 0.5f, half = p->wide * voxrti_absf(inv);
+        lo = lo > mid - half ? lo : mid - half;
+        hi = hi < mid + half ? hi : mid + half;
+    } else if (!(voxrti_absf(a) <= p->wide)) {
+        return;
+    }
+    lo = lo > 0.0f ? lo : 0.0f;
+    hi = hi < limit ? hi : limit;
+    hi = hi > -1.0f ? hi : -1.0f;
+    lo = lo < limit ? lo : limit;
+    i = (int)lo;
+    k = (int)hi;
+    *out_lo = i + ((float)i < lo); /* ceil */
+    *out_hi = k - ((float)k > hi); /* floor */
+}
+
+VOXRTI_INLINE uint32_t voxrti_column_mask(int lo, int hi, int word) { /* cells lo .. hi of a word */
+    lo -= 32 * word;
+    hi -= 32 * word;
+    if (lo > 31 || hi < 0 || lo > hi) return 0;
+    return 0xffffffffu << (lo > 0 ? lo : 0) & 0xffffffffu >> (hi < 31 ? 31 - hi : 0);
+}
+
+VOXRTI_INLINE int voxrti_clamp_int(int x, int lo, int hi) { return x < lo ? lo : x > hi ? hi : x; }
+
+typedef struct voxrti_column_found {
+    float t;      /* of the ray in cells */
+    int x, y, k;
+    uint32_t face; /* grid axis: 2 a + (1: upper side), 6: inside */
+} voxrti_column_found;
+
+/* Which column along one axis at t, from `from` on and not beyond `most`: all borders are crossed that come before t
+   (ties: at t, too). The same answer from any level of the hierarchy: it goes by the t of the borders alone. */
+VOXRTI_INLINE int voxrti_column_at(float o, float d, float inv, float t, int from, int most, int ties) {
+    const int dir = d > 0.0f ? 1 : -1;
+    int x = (int)(o + t * d);
+    float ahead, behind;
+    if (dir > 0) x = x < from ? from : x > most ? most : x;
+    else x = x > from ? from : x < most ? most : x;
+    ahead = ((float)(x + (dir > 0)) - o) * inv;
+    behind = ((float)(x + (dir < 0)) - o) * inv;
+    if (x != most && d != 0.0f && (ahead < t || (ties && ahead == t))) return x + dir;
+    if (x != from && !(behind < t || (ties && behind == t))) return x - dir;
+    return x;
+}
+
+/* Step from column to column; the depths at which the ray is above a column are an interval of its bits. Where a level
+   has none of them set it is left as a whole, and the next step tries one level up if it crossed a border of that; else
+   one level down. The t of the step out of a column is that of the step into the next: no gap between their
+   intervals. */
+static int voxrti_column_walk(const voxrt_columns *c, const voxrti_column_ray *r, const voxrti_column_plane *plane,
+                              uint32_t planes, uint32_t start, voxrti_column_found *f, voxrt_stats *stats) {
+    const float ox = r->o[0], oy = r->o[1], oz = r->o[2], dx = r->d[0], dy = r->d[1], dz = r->d[2], t_max = r->t_max;
+    const float ix = dx != 0.0f ? 1.0f / dx : 0.0f, iy = dy != 0.0f ? 1.0f / dy : 0.0f;
+    const int px = dx > 0.0f, py = dy > 0.0f, up = dz >= 0.0f;
+    const int nx = (int)c->size[0], ny = (int)c->size[1], nz = (int)c->size[2], top = (int)c->levels - 1;
+    int level = (int)start < top ? (int)start : top, x = (int)ox, y = (int)oy;
+    float t = 0.0f;
+    uint64_t steps = 0, descents = 0;
+    uint32_t face = 6, found = 0;
+    for (;;) {
+        const int cx = x >> level, cy = y >> level, ex = (cx + px) << level, ey = (cy + py) << level;
+        const float tx = dx != 0.0f ? ((float)ex - ox) * ix : INFINITY,
+            ty = dy != 0.0f ? ((float)ey - oy) * iy : INFINITY;
+        float te = tx < ty ? tx : ty;
+        const uint32_t *column = c->bits + voxrti_column(c, (uint32_t)level, (uint32_t)cx, (uint32_t)cy);
+        int ka, kb, lo, hi, w, last, gone[2][2], old_x, old_y;
+        uint32_t bits = 0, p;
+        te = te < t_max ? te : t_max;
+        te = te > t ? te : t;
+        ka = voxrti_clamp_int((int)(oz + t * dz), 0, nz - 1);
+        kb = voxrti_clamp_int((int)(oz + te * dz), 0, nz - 1);
+        lo = up ? ka : (kb < ka ? kb : ka);
+        hi = up ? (kb > ka ? kb : ka) : ka;
+        for (p = 0; p < planes && level == 0; p++)
+            voxrti_column_plane_cells(&plane[p], x, y, nz, &gone[p][0], &gone[p][1]);
+        w = (up ? lo : hi) >> 5;
+        last = (up ? hi : lo) >> 5;
+        for (;; w += up ? 1 : -1) {
+            bits = column[w] & voxrti_column_mask(lo, hi, w);
+            for (p = 0; p < planes && level == 0; p++) bits &= ~voxrti_column_mask(gone[p][0], gone[p][1], w);
+            if (bits != 0 || w == last) break;
+        }
+        if (bits != 0 && level > 0) {
+            level--;
+            descents++;
+            continue;
+        }
+        if (bits != 0) {
+            const int k = 32 * w + (up ? (int)voxrti_ctz64(bits) : 31 - (int)voxrti_clz32(bits));
+            f->t = t;
+            if (k != ka) { /* the ray comes from the cells above or below in this column */
+                const float tk = ((float)(up ? k : k + 1) - oz) / dz;
+                f->t = tk > t ? tk : t;
+                face = up ? 4 : 5;
+            }
+            f->x = x;
+            f->y = y;
+            f->k = k;
+            f->face = face;
+            found = 1;
+            break;
+        }
+        steps++;
+        if (te >= t_max) break;
+        old_x = x;
+        old_y = y;
+        if (tx < ty) {
+            x = px ? ex : ex - 1;
+            y = voxrti_column_at(oy, dy, iy, te, y, py ? ((cy + 1) << level) - 1 : cy << level, 1);
+            face = px ? 0 : 1;
+        } else {
+            y = py ? ey : ey - 1;
+            x = voxrti_column_at(ox, dx, ix, te, x, px ? ((cx + 1) << level) - 1 : cx << level, 0);
+            face = py ? 2 : 3;
+        }
+        if (x < 0 || y < 0 || x >= nx || y >= ny) break;
+        t = te;
+        if (((x ^ old_x) | (y ^ old_y)) >> (level + 1) != 0 && level < top) level++;
+    }
+    if (stats != NULL) {
+        stats->steps += steps;
+        stats->descents += descents;
+    }
+    return (int)found;
+}
+
+typedef struct voxrti_column_trace {
+    const voxrt_columns *columns;
+    const float *normals, *end_normals;
+    double radius;
+    uint32_t start;
+    voxrt_stats *stats;
+} voxrti_column_trace;
+
+static voxrt_result voxrti_column_trace_open(const voxrt_columns *c, const voxrt_columns_trace_desc *desc,
+                                             voxrti_column_trace *t, int *isa) {
+    memset(t, 0, sizeof *t);
+    *isa = (int)voxrt_isa_best();
+    if (desc != NULL && desc->isa != VOXRT_ISA_AUTO && (int)desc->isa < *isa) *isa = (int)desc->isa;
+    t->columns = c;
+    t->start = 3;
+    if (c == NULL) return VOXRT_ERR_INVALID_ARG;
+    t->radius = 16.0 * c->diagonal;
+    if (desc == NULL) return VOXRT_OK;
+    if (desc->_begin_zero != 0 || desc->_end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
+    if (!(desc->self_radius >= 0.0f) || (uint32_t)desc->isa > 4u) return VOXRT_ERR_INVALID_ARG;
+    if (desc->self_radius > 0.0f) t->radius = (double)desc->self_radius;
+    if (desc->start_level_plus_1 != 0) t->start = desc->start_level_plus_1 - 1;
+    t->normals = desc->normals;
+    t->end_normals = desc->end_normals;
+    t->stats = desc->stats;
+    return VOXRT_OK;
+}
+
+static int voxrti_column_trace_one(const voxrti_column_trace *t, const voxrt_ray *ray, size_t i,
+                                   voxrt_column_hit *hit) {
+    voxrti_column_ray r;
+    voxrti_column_plane plane[2];
+    voxrti_column_found f;
+    uint32_t planes = 0;
+    const int open = voxrti_column_ray_open(t->columns, ray, &r);
+    int found = 0;
+    memset(&f, 0, sizeof f);
+    if (open == 1) {
+        if (t->normals != NULL)
+            voxrti_column_plane_open(t->columns, ray, 0.0, t->normals + 3 * i, t->radius, &plane[planes++]);
+        if (t->end_normals != NULL && ray->t_max < INFINITY)
+            voxrti_column_plane_open(t->columns, ray, (double)ray->t_max, t->end_normals + 3 * i, t->radius,
+                                     &plane[planes++]);
+        found = voxrti_column_walk(t->columns, &r, plane, planes, t->start, &f, t->stats);
+    }
+    if (t->stats != NULL) {
+        t->stats->rays++;
+        t->stats->hits += (uint64_t)found;
+        t->stats->bad_rays += open < 0;
+    }
+    if (hit == NULL) return found;
+    memset(hit, 0, sizeof *hit);
+    hit->t = INFINITY;
+    if (found) {
+        const float at = (float)(r.t_in + (double)f.t * r.per_t);
+        hit->t = at > ray->t_min ? at : ray->t_min;
+        hit->cell[0] = (uint32_t)f.x;
+        hit->cell[1] = (uint32_t)f.y;
+        hit->cell[2] = (uint32_t)f.k;
+        hit->face = f.face == 6 ? 6 : 2 * t->columns->axis[f.face >> 1] + (f.face & 1u);
+    }
+    return found;
+}
+
+VOXRT_DEF voxrt_result voxrt_columns_trace(const voxrt_columns *columns, const voxrt_columns_trace_desc *desc,
+                                           const voxrt_ray *rays, voxrt_column_hit *hits, size_t count) {
+    voxrti_column_trace t;
+    size_t i;
+    int isa;
+    voxrt_result r = voxrti_column_trace_open(columns, desc, &t, &isa);
+    if (r != VOXRT_OK) return r;
+    if (count != 0 && (rays == NULL || hits == NULL)) return VOXRT_ERR_INVALID_ARG;
+    for (i = 0; i < count; i++) (void)voxrti_column_trace_one(&t, &rays[i], i, &hits[i]);
+    return VOXRT_OK;
+}
+
+VOXRT_DEF voxrt_result voxrt_columns_occluded(const voxrt_columns *columns, const voxrt_columns_trace_desc *desc,
+                                              const voxrt_ray *rays, uint8_t *occluded, size_t count) {
+    voxrti_column_trace t;
+    size_t i;
+    int isa;
+    voxrt_result r = voxrti_column_trace_open(columns, desc, &t, &isa);
+    if (r != VOXRT_OK) return r;
+    if (count != 0 && (rays == NULL || occluded == NULL)) return VOXRT_ERR_INVALID_ARG;
+    for (i = 0; i < count; i++) occluded[i] = (uint8_t)voxrti_column_trace_one(&t, &rays[i], i, NULL);
+    return VOXRT_OK;
+}
+#endif /* VOXRT_NO_GI */
 
 /* ---------------------------------------------------------------------------
    misc: names and versions.                                                     // >>misc
