@@ -13298,7 +13298,7 @@ typedef struct voxrti_column_ray {
 
 /* 1: to be traced; 0: misses the box; -1: a bad ray */
 static int voxrti_column_ray_open(const voxrt_columns *c, const voxrt_ray *ray, voxrti_column_ray *r) {
-    double o[3], d[3], t0 = (double)ray->t_min, t1 = (double)ray->t_max, speed = 0.0;
+    double o[3], d[3], t0 = (double)ray->t_min, t1 = (double)ray->t_max, speed = 0.0, per_t;
     uint32_t a;
     if (!(t0 <= t1) || !voxrti_finite(t0)) return -1;
     for (a = 0; a < 3; a++) {
@@ -13315,22 +13315,23 @@ static int voxrti_column_ray_open(const voxrt_columns *c, const voxrt_ray *ray, 
             d[a] = 0.0;
             if (!(o[a] >= 0.0 && o[a] < n)) return 0;
         } else {
-            const double x = (0.0 - o[a]) / d[a], y = (n - o[a]) / d[a];
+            const double inv = 1.0 / d[a], x = (0.0 - o[a]) * inv, y = (n - o[a]) * inv;
             t0 = voxrti_max(t0, x < y ? x : y);
             t1 = voxrti_min(t1, x < y ? y : x);
         }
     }
     if (!(t0 <= t1)) return 0;
+    per_t = 1.0 / speed;
     for (a = 0; a < 3; a++) {
         const float most = (float)c->size[a] * (1.0f - 5.9604645e-8f);
         float p = (float)(o[a] + t0 * d[a]);
         p = p > 0.0f ? p : 0.0f;
         r->o[a] = p < most ? p : most;
-        r->d[a] = (float)(d[a] / speed);
+        r->d[a] = (float)(d[a] * per_t);
     }
     r->t_max = (float)((t1 - t0) * speed);
     r->t_in = t0;
-    r->per_t = 1.0 / speed;
+    r->per_t = per_t;
     return 1;
 }
 
@@ -13397,14 +13398,14 @@ typedef struct voxrti_column_found {
 /* Which column along one axis at t, from `from` on and not beyond `most`: all borders are crossed that come before t
    (ties: at t, too). The same answer from any level of the hierarchy: it goes by the t of the borders alone. */
 VOXRTI_INLINE int voxrti_column_at(float o, float d, float inv, float t, int from, int most, int ties) {
-    const int dir = d > 0.0f ? 1 : -1;
+    const int dir = d >= 0.0f ? 1 : -1;
     int x = (int)(o + t * d);
     float ahead, behind;
     if (dir > 0) x = x < from ? from : x > most ? most : x;
     else x = x > from ? from : x < most ? most : x;
     ahead = ((float)(x + (dir > 0)) - o) * inv;
     behind = ((float)(x + (dir < 0)) - o) * inv;
-    if (x != most && d != 0.0f && (ahead < t || (ties && ahead == t))) return x + dir;
+    if (x != most && (ahead < t || (ties && ahead == t))) return x + dir;
     if (x != from && !(behind < t || (ties && behind == t))) return x - dir;
     return x;
 }
@@ -13416,8 +13417,9 @@ VOXRTI_INLINE int voxrti_column_at(float o, float d, float inv, float t, int fro
 static int voxrti_column_walk(const voxrt_columns *c, const voxrti_column_ray *r, const voxrti_column_plane *plane,
                               uint32_t planes, uint32_t start, voxrti_column_found *f, voxrt_stats *stats) {
     const float ox = r->o[0], oy = r->o[1], oz = r->o[2], dx = r->d[0], dy = r->d[1], dz = r->d[2], t_max = r->t_max;
-    const float ix = dx != 0.0f ? 1.0f / dx : 0.0f, iy = dy != 0.0f ? 1.0f / dy : 0.0f;
-    const int px = dx > 0.0f, py = dy > 0.0f, up = dz >= 0.0f;
+    /* a ray that stays in its row never comes to the border ahead: that lies more than 0 away, times infinity */
+    const float ix = dx != 0.0f ? 1.0f / dx : INFINITY, iy = dy != 0.0f ? 1.0f / dy : INFINITY;
+    const int px = dx >= 0.0f, py = dy >= 0.0f, up = dz >= 0.0f;
     const int nx = (int)c->size[0], ny = (int)c->size[1], nz = (int)c->size[2], top = (int)c->levels - 1;
     int level = (int)start < top ? (int)start : top, x = (int)ox, y = (int)oy;
     float t = 0.0f;
@@ -13425,8 +13427,7 @@ static int voxrti_column_walk(const voxrt_columns *c, const voxrti_column_ray *r
     uint32_t face = 6, found = 0;
     for (;;) {
         const int cx = x >> level, cy = y >> level, ex = (cx + px) << level, ey = (cy + py) << level;
-        const float tx = dx != 0.0f ? ((float)ex - ox) * ix : INFINITY,
-            ty = dy != 0.0f ? ((float)ey - oy) * iy : INFINITY;
+        const float tx = ((float)ex - ox) * ix, ty = ((float)ey - oy) * iy;
         float te = tx < ty ? tx : ty;
         const uint32_t *column = c->bits + voxrti_column(c, (uint32_t)level, (uint32_t)cx, (uint32_t)cy);
         int ka, kb, lo, hi, w, last, gone[2][2], old_x, old_y;
@@ -13490,19 +13491,328 @@ static int voxrti_column_walk(const voxrt_columns *c, const voxrti_column_ray *r
     return (int)found;
 }
 
+/* Rays to be traced side by side, and what they found: t < 0 is a miss. */
+#define VOXRTI_COLUMN_BATCH 64
+typedef struct voxrti_column_batch {
+    uint32_t count, planes;
+    float o[3][VOXRTI_COLUMN_BATCH], d[3][VOXRTI_COLUMN_BATCH], t_max[VOXRTI_COLUMN_BATCH];
+    float n[2][3][VOXRTI_COLUMN_BATCH], at[2][3][VOXRTI_COLUMN_BATCH], reach[2][3][VOXRTI_COLUMN_BATCH];
+    float wide[2][VOXRTI_COLUMN_BATCH];
+    float t[VOXRTI_COLUMN_BATCH];
+    int32_t x[VOXRTI_COLUMN_BATCH], y[VOXRTI_COLUMN_BATCH], k[VOXRTI_COLUMN_BATCH];
+    uint8_t face[VOXRTI_COLUMN_BATCH];
+} voxrti_column_batch;
+
+/* wide < 0: no plane */
+static void voxrti_column_batch_add(voxrti_column_batch *b, const voxrti_column_ray *r, const voxrti_column_plane *plane,
+                                    uint32_t planes) {
+    const uint32_t i = b->count++;
+    uint32_t a, p;
+    for (a = 0; a < 3; a++) {
+        b->o[a][i] = r->o[a];
+        b->d[a][i] = r->d[a];
+    }
+    b->t_max[i] = r->t_max;
+    b->planes = planes > b->planes ? planes : b->planes;
+    for (p = 0; p < 2; p++) {
+        for (a = 0; a < 3; a++) {
+            b->n[p][a][i] = p < planes ? plane[p].n[a] : 0.0f;
+            b->at[p][a][i] = p < planes ? plane[p].at[a] : 0.0f;
+            b->reach[p][a][i] = p < planes ? plane[p].reach[a] : -1.0f; /* no cell is within that */
+        }
+        b->wide[p][i] = p < planes ? plane[p].wide : 0.0f;
+    }
+}
+
+static void voxrti_column_batch_scalar(const voxrt_columns *c, voxrti_column_batch *b, uint32_t start,
+                                       voxrt_stats *stats) {
+    uint32_t i, a, p;
+    for (i = 0; i < b->count; i++) {
+        voxrti_column_ray r;
+        voxrti_column_plane plane[2];
+        voxrti_column_found f;
+        memset(&r, 0, sizeof r);
+        memset(&f, 0, sizeof f);
+        for (a = 0; a < 3; a++) {
+            r.o[a] = b->o[a][i];
+            r.d[a] = b->d[a][i];
+            for (p = 0; p < b->planes; p++) {
+                plane[p].n[a] = b->n[p][a][i];
+                plane[p].at[a] = b->at[p][a][i];
+                plane[p].reach[a] = b->reach[p][a][i];
+                plane[p].wide = b->wide[p][i];
+            }
+        }
+        r.t_max = b->t_max[i];
+        b->t[i] = -1.0f;
+        if (voxrti_column_walk(c, &r, plane, b->planes, start, &f, stats)) b->t[i] = f.t;
+        b->x[i] = f.x;
+        b->y[i] = f.y;
+        b->k[i] = f.k;
+        b->face[i] = (uint8_t)f.face;
+    }
+}
+
+#if VOXRTI_AVX2
+/* The lanes' rays and where they are; a lane whose ray has ended takes the next one of the batch. */
+typedef struct voxrti_column_lanes {
+    float o[3][8], d[3][8], inv[3][8], t_max[8], t[8];
+    int32_t x[8], y[8], level[8], face[8], id[8];
+} voxrti_column_lanes;
+
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_column_lane_load(const voxrt_columns *c, const voxrti_column_batch *b,
+                                                              uint32_t id, uint32_t i, int32_t start,
+                                                              voxrti_column_lanes *l) {
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        l->o[a][i] = b->o[a][id];
+        l->d[a][i] = b->d[a][id];
+        l->inv[a][i] = b->d[a][id] != 0.0f ? 1.0f / b->d[a][id] : INFINITY;
+    }
+    l->t_max[i] = b->t_max[id];
+    l->t[i] = 0.0f;
+    l->x[i] = (int32_t)b->o[0][id];
+    l->y[i] = (int32_t)b->o[1][id];
+    l->level[i] = start < (int32_t)c->levels - 1 ? start : (int32_t)c->levels - 1;
+    l->face[i] = 6;
+    l->id[i] = (int32_t)id;
+}
+
+/* voxrti_column_plane_cells for eight lanes */
+VOXRTI_TARGET_AVX2 static void voxrti_column_planes8(const voxrti_column_batch *b, uint32_t p, __m256i id, __m256i x,
+                                                     __m256i y, float nz, __m256i *lo, __m256i *hi) {
+    const __m256 sign = _mm256_set1_ps(-0.0f), half = _mm256_set1_ps(0.5f), limit = _mm256_set1_ps(nz);
+#define VOXRTI_PLANE(array) _mm256_i32gather_ps(array, id, 4)
+    const __m256 dx = _mm256_sub_ps(_mm256_add_ps(_mm256_cvtepi32_ps(x), half), VOXRTI_PLANE(b->at[p][0]));
+    const __m256 dy = _mm256_sub_ps(_mm256_add_ps(_mm256_cvtepi32_ps(y), half), VOXRTI_PLANE(b->at[p][1]));
+    const __m256 at = VOXRTI_PLANE(b->at[p][2]), reach = VOXRTI_PLANE(b->reach[p][2]), wide = VOXRTI_PLANE(b->wide[p]);
+    const __m256 a = _mm256_add_ps(_mm256_mul_ps(VOXRTI_PLANE(b->n[p][0]), dx), _mm256_mul_ps(VOXRTI_PLANE(b->n[p][1]), dy));
+    const __m256 steep = VOXRTI_PLANE(b->n[p][2]), inv = _mm256_div_ps(_mm256_set1_ps(1.0f), steep);
+    const __m256 mid = _mm256_sub_ps(_mm256_sub_ps(at, _mm256_mul_ps(a, inv)), half);
+    const __m256 reach_half = _mm256_mul_ps(wide, _mm256_andnot_ps(sign, inv));
+    const __m256 is_steep = _mm256_cmp_ps(_mm256_andnot_ps(sign, steep), _mm256_mul_ps(_mm256_set1_ps(1e-6f), wide), _CMP_GT_OQ);
+    __m256 low = _mm256_sub_ps(_mm256_sub_ps(at, reach), half), high = _mm256_sub_ps(_mm256_add_ps(at, reach), half);
+    __m256 in = _mm256_and_ps(_mm256_cmp_ps(_mm256_andnot_ps(sign, dx), VOXRTI_PLANE(b->reach[p][0]), _CMP_LE_OQ),
+                              _mm256_cmp_ps(_mm256_andnot_ps(sign, dy), VOXRTI_PLANE(b->reach[p][1]), _CMP_LE_OQ));
+#undef VOXRTI_PLANE
+    __m256i i, k;
+    /* max(a, b) is a > b ? a : b */
+    low = _mm256_blendv_ps(low, _mm256_max_ps(low, _mm256_sub_ps(mid, reach_half)), is_steep);
+    high = _mm256_blendv_ps(high, _mm256_min_ps(high, _mm256_add_ps(mid, reach_half)), is_steep);
+    in = _mm256_and_ps(in, _mm256_or_ps(is_steep, _mm256_cmp_ps(_mm256_andnot_ps(sign, a), wide, _CMP_LE_OQ)));
+    low = _mm256_min_ps(_mm256_max_ps(low, _mm256_setzero_ps()), limit);
+    high = _mm256_max_ps(_mm256_min_ps(high, limit), _mm256_set1_ps(-1.0f));
+    i = _mm256_cvttps_epi32(low);
+    k = _mm256_cvttps_epi32(high);
+    i = _mm256_sub_epi32(i, _mm256_castps_si256(_mm256_cmp_ps(_mm256_cvtepi32_ps(i), low, _CMP_LT_OQ)));
+    k = _mm256_add_epi32(k, _mm256_castps_si256(_mm256_cmp_ps(_mm256_cvtepi32_ps(k), high, _CMP_GT_OQ)));
+    *lo = _mm256_blendv_epi8(_mm256_set1_epi32(1), i, _mm256_castps_si256(in));
+    *hi = _mm256_and_si256(k, _mm256_castps_si256(in));
+}
+
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE __m256i voxrti_column_mask8(__m256i lo, __m256i hi, __m256i base) {
+    const __m256i ones = _mm256_set1_epi32(-1), most = _mm256_set1_epi32(31);
+    lo = _mm256_max_epi32(_mm256_sub_epi32(lo, base), _mm256_setzero_si256());
+    hi = _mm256_min_epi32(_mm256_sub_epi32(hi, base), most);
+    return _mm256_and_si256(_mm256_sllv_epi32(ones, lo), _mm256_srlv_epi32(ones, _mm256_sub_epi32(most, hi)));
+}
+
+/* voxrti_column_at for eight lanes; forward: all ones where d >= 0 */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE __m256i voxrti_column_at8(__m256 o, __m256 d, __m256 inv, __m256 t, __m256i from,
+                                                           __m256i most, __m256i forward, int ties) {
+    const __m256i one = _mm256_set1_epi32(1), dir = _mm256_or_si256(_mm256_andnot_si256(forward, _mm256_set1_epi32(-1)), one);
+    __m256i x = _mm256_cvttps_epi32(_mm256_add_ps(o, _mm256_mul_ps(t, d))), ahead_i, behind_i;
+    __m256 ahead, behind, go, back;
+    x = _mm256_max_epi32(x, _mm256_min_epi32(from, most));
+    x = _mm256_min_epi32(x, _mm256_max_epi32(from, most));
+    ahead_i = _mm256_sub_epi32(x, forward);                               /* x + 1 or x */
+    behind_i = _mm256_add_epi32(_mm256_add_epi32(x, one), forward);       /* x or x + 1 */
+    ahead = _mm256_mul_ps(_mm256_sub_ps(_mm256_cvtepi32_ps(ahead_i), o), inv);
+    behind = _mm256_mul_ps(_mm256_sub_ps(_mm256_cvtepi32_ps(behind_i), o), inv);
+    if (ties) {
+        go = _mm256_cmp_ps(ahead, t, _CMP_LE_OQ);
+        back = _mm256_cmp_ps(behind, t, _CMP_NLE_UQ);
+    } else {
+        go = _mm256_cmp_ps(ahead, t, _CMP_LT_OQ);
+        back = _mm256_cmp_ps(behind, t, _CMP_NLT_UQ);
+    }
+    go = _mm256_andnot_ps(_mm256_castsi256_ps(_mm256_cmpeq_epi32(x, most)), go);
+    back = _mm256_andnot_ps(_mm256_castsi256_ps(_mm256_cmpeq_epi32(x, from)), _mm256_andnot_ps(go, back));
+    x = _mm256_add_epi32(x, _mm256_and_si256(dir, _mm256_castps_si256(go)));
+    return _mm256_sub_epi32(x, _mm256_and_si256(dir, _mm256_castps_si256(back)));
+}
+
+/* A lane's ray has found a cell. bits: those of word w that count; ka: the cell of the depth where it entered. */
+VOXRTI_TARGET_AVX2 static void voxrti_column_lane_hit(voxrti_column_batch *b, const voxrti_column_lanes *l, uint32_t i,
+                                                      float t, int32_t x, int32_t y, uint32_t bits, int32_t w, int32_t ka) {
+    const int up = l->d[2][i] >= 0.0f;
+    const int32_t id = l->id[i], k = 32 * w + (up ? (int32_t)voxrti_ctz64(bits) : 31 - (int32_t)voxrti_clz32(bits));
+    b->t[id] = t;
+    b->face[id] = (uint8_t)l->face[i];
+    if (k != ka) {
+        const float tk = ((float)(up ? k : k + 1) - l->o[2][i]) / l->d[2][i];
+        b->t[id] = tk > t ? tk : t;
+        b->face[id] = up ? 4 : 5;
+    }
+    b->x[id] = x;
+    b->y[id] = y;
+    b->k[id] = k;
+}
+
+/* voxrti_column_walk for the rays of a batch, eight at a time: the same steps, the same bits. */
+VOXRTI_TARGET_AVX2 static void voxrti_column_batch_avx2(const voxrt_columns *c, voxrti_column_batch *b, uint32_t start,
+                                                        voxrt_stats *stats) {
+    const __m256i one = _mm256_set1_epi32(1), zero = _mm256_setzero_si256(), ones = _mm256_set1_epi32(-1);
+    const __m256i last_k = _mm256_set1_epi32((int)c->size[2] - 1), row_log = _mm256_set1_epi32((int)c->row_log[0]);
+    const __m256i size_x = _mm256_set1_epi32((int)c->size[0]), size_y = _mm256_set1_epi32((int)c->size[1]);
+    const __m256i top = _mm256_set1_epi32((int)c->levels - 1);
+    const __m128i word_log = _mm_cvtsi32_si128((int)c->word_log);
+    const __m256i bit = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
+    voxrti_column_lanes l;
+    uint32_t next = 0, live = 0, i;
+    if (b->count == 0) return;
+    memset(&l, 0, sizeof l);
+    for (i = 0; i < 8; i++) {
+        voxrti_column_lane_load(c, b, next < b->count ? next : 0, i, (int32_t)start, &l);
+        if (next < b->count) {
+            next++;
+            live |= 1u << i;
+        }
+    }
+    while (live != 0) {
+        const __m256 ox = _mm256_loadu_ps(l.o[0]), oy = _mm256_loadu_ps(l.o[1]), oz = _mm256_loadu_ps(l.o[2]);
+        const __m256 dx = _mm256_loadu_ps(l.d[0]), dy = _mm256_loadu_ps(l.d[1]), dz = _mm256_loadu_ps(l.d[2]);
+        const __m256 ix = _mm256_loadu_ps(l.inv[0]), iy = _mm256_loadu_ps(l.inv[1]), t_max = _mm256_loadu_ps(l.t_max);
+        const __m256i px = _mm256_castps_si256(_mm256_cmp_ps(dx, _mm256_setzero_ps(), _CMP_GE_OQ));
+        const __m256i py = _mm256_castps_si256(_mm256_cmp_ps(dy, _mm256_setzero_ps(), _CMP_GE_OQ));
+        const __m256i up = _mm256_castps_si256(_mm256_cmp_ps(dz, _mm256_setzero_ps(), _CMP_GE_OQ));
+        const __m256i way = _mm256_or_si256(_mm256_andnot_si256(up, ones), one);
+        const __m256i id = _mm256_loadu_si256((const __m256i *)(const void *)l.id);
+        __m256 t = _mm256_loadu_ps(l.t);
+        __m256i x = _mm256_loadu_si256((const __m256i *)(const void *)l.x), y = _mm256_loadu_si256((const __m256i *)(const void *)l.y);
+        __m256i level = _mm256_loadu_si256((const __m256i *)(const void *)l.level);
+        __m256i face = _mm256_loadu_si256((const __m256i *)(const void *)l.face);
+        const uint32_t enough = next < b->count ? 6 : 0;
+        __m256i alive = _mm256_cmpgt_epi32(_mm256_and_si256(_mm256_set1_epi32((int)live), bit), zero);
+        uint32_t ended = ~live & 255u;
+        for (;;) {
+            const __m256i cx = _mm256_srav_epi32(x, level), cy = _mm256_srav_epi32(y, level);
+            const __m256i ex = _mm256_sllv_epi32(_mm256_sub_epi32(cx, px), level), ey = _mm256_sllv_epi32(_mm256_sub_epi32(cy, py), level);
+            const __m256 tx = _mm256_mul_ps(_mm256_sub_ps(_mm256_cvtepi32_ps(ex), ox), ix);
+            const __m256 ty = _mm256_mul_ps(_mm256_sub_ps(_mm256_cvtepi32_ps(ey), oy), iy);
+            const __m256 te = _mm256_max_ps(_mm256_min_ps(_mm256_min_ps(tx, ty), t_max), t);
+            const __m256i ka = _mm256_min_epi32(_mm256_max_epi32(_mm256_cvttps_epi32(_mm256_add_ps(oz, _mm256_mul_ps(t, dz))), zero), last_k);
+            const __m256i kb = _mm256_min_epi32(_mm256_max_epi32(_mm256_cvttps_epi32(_mm256_add_ps(oz, _mm256_mul_ps(te, dz))), zero), last_k);
+            const __m256i lo = _mm256_blendv_epi8(_mm256_min_epi32(ka, kb), ka, up), hi = _mm256_blendv_epi8(ka, _mm256_max_epi32(ka, kb), up);
+            const __m256i rows = _mm256_max_epi32(_mm256_sub_epi32(row_log, level), zero);
+            const __m256i column = _mm256_add_epi32(_mm256_i32gather_epi32((const int *)c->start, level, 4),
+                                                    _mm256_sll_epi32(_mm256_add_epi32(_mm256_sllv_epi32(cy, rows), cx), word_log));
+            const __m256i ground = _mm256_cmpeq_epi32(level, zero);
+            __m256i word = _mm256_srli_epi32(_mm256_blendv_epi8(hi, lo, up), 5), last = _mm256_srli_epi32(_mm256_blendv_epi8(lo, hi, up), 5);
+            __m256i todo = ones, bits = zero, gone_lo[2], gone_hi[2], some, step, by_x, old_x = x, old_y = y, out;
+            uint32_t hit, miss, p;
+            gone_lo[0] = gone_lo[1] = one;
+            gone_hi[0] = gone_hi[1] = zero;
+            for (p = 0; p < b->planes && !_mm256_testz_si256(ground, ground); p++) {
+                voxrti_column_planes8(b, p, id, x, y, (float)(int32_t)c->size[2], &gone_lo[p], &gone_hi[p]);
+                gone_lo[p] = _mm256_blendv_epi8(one, gone_lo[p], ground);
+                gone_hi[p] = _mm256_and_si256(gone_hi[p], ground);
+            }
+            for (;;) { /* the words of the interval, until one has a bit */
+                const __m256i base = _mm256_slli_epi32(word, 5);
+                __m256i w = _mm256_mask_i32gather_epi32(zero, (const int *)c->bits, _mm256_add_epi32(column, word), todo, 4);
+                w = _mm256_and_si256(w, voxrti_column_mask8(lo, hi, base));
+                for (p = 0; p < b->planes; p++) w = _mm256_andnot_si256(voxrti_column_mask8(gone_lo[p], gone_hi[p], base), w);
+                bits = _mm256_or_si256(bits, w);
+                todo = _mm256_and_si256(todo, _mm256_andnot_si256(_mm256_cmpeq_epi32(word, last), _mm256_cmpeq_epi32(w, zero)));
+                if (_mm256_testz_si256(todo, todo)) break;
+                word = _mm256_add_epi32(word, _mm256_and_si256(way, todo));
+            }
+            some = _mm256_xor_si256(_mm256_cmpeq_epi32(bits, zero), ones);
+            hit = (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(_mm256_and_si256(some, ground))) & ~ended;
+            /* the step out of the cell, for lanes without a bit */
+            by_x = _mm256_castps_si256(_mm256_cmp_ps(tx, ty, _CMP_LT_OQ));
+            {
+                const __m256i ax = _mm256_sllv_epi32(cx, level), ay = _mm256_sllv_epi32(cy, level);
+                const __m256i wide = _mm256_sub_epi32(_mm256_sllv_epi32(one, level), one);
+                const __m256i most_x = _mm256_add_epi32(ax, _mm256_and_si256(wide, px)), most_y = _mm256_add_epi32(ay, _mm256_and_si256(wide, py));
+                const __m256i next_x = _mm256_sub_epi32(ex, _mm256_andnot_si256(px, one)), next_y = _mm256_sub_epi32(ey, _mm256_andnot_si256(py, one));
+                const __m256i at_x = voxrti_column_at8(ox, dx, ix, te, x, most_x, px, 0), at_y = voxrti_column_at8(oy, dy, iy, te, y, most_y, py, 1);
+                step = _mm256_andnot_si256(some, alive);
+                miss = (uint32_t)_mm256_movemask_ps(_mm256_and_ps(_mm256_castsi256_ps(step), _mm256_cmp_ps(te, t_max, _CMP_GE_OQ)));
+                x = _mm256_blendv_epi8(x, _mm256_blendv_epi8(at_x, next_x, by_x), step);
+                y = _mm256_blendv_epi8(y, _mm256_blendv_epi8(next_y, at_y, by_x), step);
+            }
+            out = _mm256_or_si256(_mm256_or_si256(_mm256_cmpgt_epi32(zero, x), _mm256_cmpgt_epi32(zero, y)),
+                                  _mm256_xor_si256(_mm256_and_si256(_mm256_cmpgt_epi32(size_x, x), _mm256_cmpgt_epi32(size_y, y)), ones));
+            miss = (miss | (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(_mm256_and_si256(out, step)))) & ~ended;
+            if (stats != NULL) {
+                stats->steps += voxrti_popcount64((uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(step)) & ~ended);
+                stats->descents += voxrti_popcount64((uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(_mm256_andnot_si256(ground, some))) & ~ended);
+            }
+            if ((hit | miss) != 0) {
+                int32_t bits_of[8], word_of[8], ka_of[8], x_of[8], y_of[8];
+                float t_of[8];
+                uint32_t m;
+                if (hit != 0) {
+                    _mm256_storeu_si256((__m256i *)(void *)bits_of, bits);
+                    _mm256_storeu_si256((__m256i *)(void *)word_of, word);
+                    _mm256_storeu_si256((__m256i *)(void *)ka_of, ka);
+                    _mm256_storeu_si256((__m256i *)(void *)x_of, old_x);
+                    _mm256_storeu_si256((__m256i *)(void *)y_of, old_y);
+                    _mm256_storeu_si256((__m256i *)(void *)l.face, face);
+                    _mm256_storeu_ps(t_of, t);
+                }
+                for (m = hit; m != 0; m &= m - 1) {
+                    i = voxrti_ctz64(m);
+                    voxrti_column_lane_hit(b, &l, i, t_of[i], x_of[i], y_of[i], (uint32_t)bits_of[i], word_of[i], ka_of[i]);
+                }
+                for (m = miss; m != 0; m &= m - 1) b->t[l.id[voxrti_ctz64(m)]] = -1.0f;
+                ended |= hit | miss;
+                alive = _mm256_cmpgt_epi32(_mm256_andnot_si256(_mm256_set1_epi32((int)ended), bit), zero);
+                x = _mm256_blendv_epi8(x, old_x, out); /* what has left stays where it was */
+                y = _mm256_blendv_epi8(y, old_y, out);
+            }
+            face = _mm256_blendv_epi8(face, _mm256_blendv_epi8(_mm256_sub_epi32(_mm256_set1_epi32(3), _mm256_and_si256(py, one)),
+                                                               _mm256_sub_epi32(one, _mm256_and_si256(px, one)), by_x), step);
+            {
+                const __m256i crossed = _mm256_srlv_epi32(_mm256_or_si256(_mm256_xor_si256(x, old_x), _mm256_xor_si256(y, old_y)),
+                                                          _mm256_add_epi32(level, one));
+                const __m256i rise = _mm256_andnot_si256(_mm256_cmpeq_epi32(crossed, zero), _mm256_and_si256(step, _mm256_cmpgt_epi32(top, level)));
+                level = _mm256_add_epi32(_mm256_sub_epi32(level, rise), _mm256_andnot_si256(ground, some)); /* masks are -1 */
+            }
+            t = _mm256_blendv_ps(t, te, _mm256_castsi256_ps(step));
+            if ((hit | miss) != 0 && voxrti_popcount64(~ended & 255u) <= enough) break;
+        }
+        _mm256_storeu_si256((__m256i *)(void *)l.x, x);
+        _mm256_storeu_si256((__m256i *)(void *)l.y, y);
+        _mm256_storeu_si256((__m256i *)(void *)l.level, level);
+        _mm256_storeu_si256((__m256i *)(void *)l.face, face);
+        _mm256_storeu_ps(l.t, t);
+        live = ~ended & 255u;
+        for (i = 0; i < 8; i++) {
+            if ((live >> i & 1u) != 0 || next >= b->count) continue;
+            voxrti_column_lane_load(c, b, next++, i, (int32_t)start, &l);
+            live |= 1u << i;
+        }
+    }
+}
+#endif
+
 typedef struct voxrti_column_trace {
     const voxrt_columns *columns;
     const float *normals, *end_normals;
     double radius;
     uint32_t start;
+    int isa;
     voxrt_stats *stats;
 } voxrti_column_trace;
 
 static voxrt_result voxrti_column_trace_open(const voxrt_columns *c, const voxrt_columns_trace_desc *desc,
-                                             voxrti_column_trace *t, int *isa) {
+                                             voxrti_column_trace *t) {
     memset(t, 0, sizeof *t);
-    *isa = (int)voxrt_isa_best();
-    if (desc != NULL && desc->isa != VOXRT_ISA_AUTO && (int)desc->isa < *isa) *isa = (int)desc->isa;
+    t->isa = (int)voxrt_isa_best();
+    if (desc != NULL && desc->isa != VOXRT_ISA_AUTO && (int)desc->isa < t->isa) t->isa = (int)desc->isa;
     t->columns = c;
     t->start = 3;
     if (c == NULL) return VOXRT_ERR_INVALID_ARG;
@@ -13518,64 +13828,82 @@ static voxrt_result voxrti_column_trace_open(const voxrt_columns *c, const voxrt
     return VOXRT_OK;
 }
 
-static int voxrti_column_trace_one(const voxrti_column_trace *t, const voxrt_ray *ray, size_t i,
-                                   voxrt_column_hit *hit) {
-    voxrti_column_ray r;
-    voxrti_column_plane plane[2];
-    voxrti_column_found f;
-    uint32_t planes = 0;
-    const int open = voxrti_column_ray_open(t->columns, ray, &r);
-    int found = 0;
-    memset(&f, 0, sizeof f);
-    if (open == 1) {
+/* Trace a run of up to VOXRTI_COLUMN_BATCH rays; first is the number of rays[0]. */
+static void voxrti_column_trace_run(const voxrti_column_trace *t, const voxrt_ray *rays, size_t first, uint32_t count,
+                                    voxrt_column_hit *hits, uint8_t *occluded) {
+    voxrti_column_batch b;
+    double t_in[VOXRTI_COLUMN_BATCH], per_t[VOXRTI_COLUMN_BATCH];
+    uint8_t place[VOXRTI_COLUMN_BATCH];
+    uint32_t i, j;
+    b.count = b.planes = 0;
+    for (i = 0; i < count; i++) {
+        voxrti_column_ray r;
+        voxrti_column_plane plane[2];
+        uint32_t planes = 0;
+        const int open = voxrti_column_ray_open(t->columns, &rays[i], &r);
+        if (hits != NULL) {
+            memset(&hits[i], 0, sizeof hits[i]);
+            hits[i].t = INFINITY;
+        } else {
+            occluded[i] = 0;
+        }
+        if (t->stats != NULL) t->stats->bad_rays += open < 0;
+        if (open != 1) continue;
         if (t->normals != NULL)
-            voxrti_column_plane_open(t->columns, ray, 0.0, t->normals + 3 * i, t->radius, &plane[planes++]);
-        if (t->end_normals != NULL && ray->t_max < INFINITY)
-            voxrti_column_plane_open(t->columns, ray, (double)ray->t_max, t->end_normals + 3 * i, t->radius,
-                                     &plane[planes++]);
-        found = voxrti_column_walk(t->columns, &r, plane, planes, t->start, &f, t->stats);
+            voxrti_column_plane_open(t->columns, &rays[i], 0.0, t->normals + 3 * (first + i), t->radius, &plane[planes++]);
+        if (t->end_normals != NULL && rays[i].t_max < INFINITY)
+            voxrti_column_plane_open(t->columns, &rays[i], (double)rays[i].t_max, t->end_normals + 3 * (first + i),
+                                     t->radius, &plane[planes++]);
+        t_in[b.count] = r.t_in;
+        per_t[b.count] = r.per_t;
+        place[b.count] = (uint8_t)i;
+        voxrti_column_batch_add(&b, &r, plane, planes);
     }
-    if (t->stats != NULL) {
-        t->stats->rays++;
-        t->stats->hits += (uint64_t)found;
-        t->stats->bad_rays += open < 0;
+#if VOXRTI_AVX2
+    if (t->isa >= VOXRT_ISA_AVX2) voxrti_column_batch_avx2(t->columns, &b, t->start, t->stats);
+    else
+#endif
+    voxrti_column_batch_scalar(t->columns, &b, t->start, t->stats);
+    for (j = 0; j < b.count; j++) {
+        i = place[j];
+        if (b.t[j] < 0.0f) continue;
+        if (t->stats != NULL) t->stats->hits++;
+        if (hits != NULL) {
+            const float at = (float)(t_in[j] + (double)b.t[j] * per_t[j]);
+            hits[i].t = at > rays[i].t_min ? at : rays[i].t_min;
+            hits[i].cell[0] = (uint32_t)b.x[j];
+            hits[i].cell[1] = (uint32_t)b.y[j];
+            hits[i].cell[2] = (uint32_t)b.k[j];
+            hits[i].face = b.face[j] == 6 ? 6 : 2 * t->columns->axis[b.face[j] >> 1] + (b.face[j] & 1u);
+        } else {
+            occluded[i] = 1;
+        }
     }
-    if (hit == NULL) return found;
-    memset(hit, 0, sizeof *hit);
-    hit->t = INFINITY;
-    if (found) {
-        const float at = (float)(r.t_in + (double)f.t * r.per_t);
-        hit->t = at > ray->t_min ? at : ray->t_min;
-        hit->cell[0] = (uint32_t)f.x;
-        hit->cell[1] = (uint32_t)f.y;
-        hit->cell[2] = (uint32_t)f.k;
-        hit->face = f.face == 6 ? 6 : 2 * t->columns->axis[f.face >> 1] + (f.face & 1u);
-    }
-    return found;
+    if (t->stats != NULL) t->stats->rays += count;
+}
+
+static voxrt_result voxrti_column_trace_all(const voxrt_columns *c, const voxrt_columns_trace_desc *desc,
+                                            const voxrt_ray *rays, voxrt_column_hit *hits, uint8_t *occluded,
+                                            size_t count) {
+    voxrti_column_trace t;
+    size_t i;
+    voxrt_result r = voxrti_column_trace_open(c, desc, &t);
+    if (r != VOXRT_OK) return r;
+    if (count != 0 && (rays == NULL || (hits == NULL && occluded == NULL))) return VOXRT_ERR_INVALID_ARG;
+    for (i = 0; i < count; i += VOXRTI_COLUMN_BATCH)
+        voxrti_column_trace_run(&t, rays + i, i, (uint32_t)(count - i < VOXRTI_COLUMN_BATCH ? count - i : VOXRTI_COLUMN_BATCH),
+                                hits != NULL ? hits + i : NULL, occluded != NULL ? occluded + i : NULL);
+    return VOXRT_OK;
 }
 
 VOXRT_DEF voxrt_result voxrt_columns_trace(const voxrt_columns *columns, const voxrt_columns_trace_desc *desc,
                                            const voxrt_ray *rays, voxrt_column_hit *hits, size_t count) {
-    voxrti_column_trace t;
-    size_t i;
-    int isa;
-    voxrt_result r = voxrti_column_trace_open(columns, desc, &t, &isa);
-    if (r != VOXRT_OK) return r;
-    if (count != 0 && (rays == NULL || hits == NULL)) return VOXRT_ERR_INVALID_ARG;
-    for (i = 0; i < count; i++) (void)voxrti_column_trace_one(&t, &rays[i], i, &hits[i]);
-    return VOXRT_OK;
+    return voxrti_column_trace_all(columns, desc, rays, hits, NULL, count);
 }
 
 VOXRT_DEF voxrt_result voxrt_columns_occluded(const voxrt_columns *columns, const voxrt_columns_trace_desc *desc,
                                               const voxrt_ray *rays, uint8_t *occluded, size_t count) {
-    voxrti_column_trace t;
-    size_t i;
-    int isa;
-    voxrt_result r = voxrti_column_trace_open(columns, desc, &t, &isa);
-    if (r != VOXRT_OK) return r;
-    if (count != 0 && (rays == NULL || occluded == NULL)) return VOXRT_ERR_INVALID_ARG;
-    for (i = 0; i < count; i++) occluded[i] = (uint8_t)voxrti_column_trace_one(&t, &rays[i], i, NULL);
-    return VOXRT_OK;
+    return voxrti_column_trace_all(columns, desc, rays, NULL, occluded, count);
 }
 #endif /* VOXRT_NO_GI */
 
