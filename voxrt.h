@@ -1080,6 +1080,161 @@ VOXRT_DEF voxrt_result voxrt_columns_occluded(const voxrt_columns *columns, cons
                                               const voxrt_ray *rays, uint8_t *occluded, size_t count);
 #endif /* VOXRT_NO_GI */
 
+/* ---- global illumination of scenes that move ---- */
+#ifndef VOXRT_NO_GI
+
+/* Meshes and lights of a scene, voxelised into columns with colours and normals for both sides of each surface. Light
+   that bounces between them is found by rays through the columns. */
+typedef struct voxrt_gi voxrt_gi;
+
+/* Linear values. What is diffuse is albedo / pi; the Phong lobe is specular (exponent + 2) / (2 pi) cos^exponent. */
+typedef struct voxrt_gi_material {
+    float albedo[3];             /* times the mesh's colours; all zero: 1, 1, 1 */
+    float specular[3], exponent; /* exponent 0: no lobe */
+    float emission[3];           /* radiance of its surface */
+} voxrt_gi_material;
+
+/* field     zero means
+   mesh      positions, indices and colours count; borrowed until the object is taken out or gets another
+   to_world  (all zero) the mesh is in world coordinates; else three rows of four
+   still     1: it will not move, its voxels are made once */
+typedef struct voxrt_gi_object {
+    voxrt_mesh mesh;
+    voxrt_gi_material material;
+    double to_world[12];
+    uint32_t still;
+} voxrt_gi_object;
+
+typedef enum voxrt_gi_light_kind {
+    VOXRT_GI_POINT = 0,       /* color: radiant intensity, the same in all directions */
+    VOXRT_GI_SPOT = 1,        /* color: radiant intensity within `angle` of direction */
+    VOXRT_GI_DIRECTIONAL = 2, /* color: irradiance of a surface that faces it */
+    VOXRT_GI_AREA = 3,        /* color: radiance of the rectangle position +- edge_u +- edge_v, on the side of u x v */
+    VOXRT_GI_LIGHT_FORCE_32BIT = 0x7fffffff
+} voxrt_gi_light_kind;
+
+typedef struct voxrt_gi_light {
+    voxrt_gi_light_kind kind;
+    float position[3];
+    float direction[3];           /* of the light's travel: spot and directional; any length */
+    float angle;                  /* spot: half of its opening, degrees, below 90 */
+    float edge_u[3], edge_v[3];   /* area */
+    float color[3];
+} voxrt_gi_light;
+
+/* field    zero means
+   columns  the volume; box_min and box_max have no default, env is not used. Nothing outside the box receives or sends
+            indirect light */
+typedef struct voxrt_gi_desc {
+    uint32_t _begin_zero;
+    voxrt_env env;
+    voxrt_columns_desc columns;
+    uint32_t _end_zero;
+} voxrt_gi_desc;
+
+/* An empty scene. Errors: as voxrt_columns_create. */
+VOXRT_DEF voxrt_result voxrt_gi_create(const voxrt_gi_desc *desc, voxrt_gi **out_gi);
+VOXRT_DEF void voxrt_gi_destroy(voxrt_gi *gi); /* NULL is allowed */
+
+/* Put an object in; at most 65535. out_id, not NULL: its number. O(1). Errors: INVALID_ARG, RANGE, NO_MEMORY. */
+VOXRT_DEF voxrt_result voxrt_gi_add(voxrt_gi *gi, const voxrt_gi_object *object, uint32_t *out_id);
+/* Change an object: another place, other positions in its mesh, another material. An object that was still and stays so
+   has all still ones voxelised again. Errors: INVALID_ARG. */
+VOXRT_DEF voxrt_result voxrt_gi_set(voxrt_gi *gi, uint32_t id, const voxrt_gi_object *object);
+VOXRT_DEF voxrt_result voxrt_gi_remove(voxrt_gi *gi, uint32_t id); /* its number may be given out again */
+/* All lights, copied. Errors: INVALID_ARG (error->where: which one), NO_MEMORY (they stay as they were). */
+VOXRT_DEF voxrt_result voxrt_gi_set_lights(voxrt_gi *gi, const voxrt_gi_light *lights, size_t count);
+
+typedef struct voxrt_gi_update_stats {
+    uint64_t still_cells, moving_cells; /* that have attributes */
+    uint64_t rejected;                  /* triangles left out */
+    uint64_t bytes;                     /* of everything */
+} voxrt_gi_update_stats;
+
+/* Voxelise what changed, bring the hierarchy up to date. After every change of objects or lights and before drawing.
+   The same bits for any number of threads. O(moving triangles and cells). Errors: INVALID_ARG, NO_MEMORY (call it again).
+   Thread safety: alone with the scene. */
+VOXRT_DEF voxrt_result voxrt_gi_update(voxrt_gi *gi, voxrt_gi_update_stats *stats);
+VOXRT_DEF const voxrt_columns *voxrt_gi_columns(const voxrt_gi *gi); /* owned by gi */
+
+/* Surface in a cell that a ray in direction dir sees. Returns 0 where nothing faces it. radiance: what it sends back
+   along the ray: direct light, indirect light as far as it is known, emission. */
+typedef struct voxrt_gi_surface {
+    float position[3], normal[3], albedo[3], radiance[3];
+    uint32_t object;
+} voxrt_gi_surface;
+VOXRT_DEF int voxrt_gi_get(const voxrt_gi *gi, const voxrt_column_hit *hit, const float dir[3],
+                           voxrt_gi_surface *out_surface);
+
+/* What the camera sees, a value for each pixel, row 0 on top. position, normal and albedo have to be there. */
+typedef struct voxrt_gbuffer {
+    uint32_t width, height;
+    float *position;  /* xyz; a pixel that sees nothing has normal 0 */
+    float *normal;    /* unit length, towards the camera */
+    float *albedo;    /* rgb */
+    float *specular;  /* rgb and exponent; NULL: none */
+    float *emission;  /* rgb; NULL: none */
+} voxrt_gbuffer;
+
+/* Fill in a G-buffer from geometry (trees, octrees, instances, groups): position, normal, albedo; the others get 0.
+   Errors: INVALID_ARG. O(pixels). */
+VOXRT_DEF voxrt_result voxrt_gbuffer_from_geometry(const voxrt_env *env, const voxrt_camera *camera,
+                                                   const voxrt_geometry *geometry, const voxrt_gbuffer *gbuffer);
+/* The same from the columns of a scene: shows what the rays of indirect light see. */
+VOXRT_DEF voxrt_result voxrt_gbuffer_from_gi(const voxrt_env *env, const voxrt_camera *camera, const voxrt_gi *gi,
+                                             const voxrt_gbuffer *gbuffer);
+
+typedef enum voxrt_gi_method {
+    VOXRT_GI_GATHER = 0,  /* rays over the hemisphere; light at their hits from a cache of the cells (default) */
+    VOXRT_GI_PATH = 1,    /* paths of `bounces` rays; direct light at each vertex */
+    VOXRT_GI_AO = 2,      /* ambient occlusion: how open the hemisphere is, 1 for nothing within `radius` */
+    VOXRT_GI_NONE = 3,    /* direct light only */
+    VOXRT_GI_METHOD_FORCE_32BIT = 0x7fffffff
+} voxrt_gi_method;
+
+/* field        zero means
+   camera       eye is needed for Phong lobes only
+   rays         16 a pixel
+   bounces      1; PATH only: GATHER has as many as voxrt_gi_bounce was called for
+   radius       rays are as long as the box
+   first_ray    where the sequence of each pixel begins: frame * rays for progressive pictures
+   shadow       direct light by shadow rays through the columns; else through this geometry
+   filter       0: as sampled. Radius in pixels of a filter that keeps to surfaces; 2 passes */
+typedef struct voxrt_gi_render_desc {
+    uint32_t _begin_zero;
+    voxrt_env env;
+    voxrt_isa isa;
+    voxrt_gi_method method;
+    voxrt_camera camera;
+    uint32_t rays, bounces;
+    float radius;
+    uint32_t first_ray;
+    const voxrt_geometry *shadow;
+    float shadow_lift;           /* world: how far shadow rays through `shadow` start above the surface */
+    uint32_t filter;
+    uint32_t _end_zero;
+} voxrt_gi_render_desc;
+
+/* Light a G-buffer. direct, indirect: rgb for each pixel, linear: what the surface sends to the camera because of lights
+   (with its emission), and because of other surfaces; may be NULL. The same bits for any number of threads and any isa.
+   Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY, CANCELLED. Thread safety: one call on a scene at a time (it fills the
+   cache). Source: thesis (2010) 6, 7. */
+VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_gi *gi, const voxrt_gbuffer *gbuffer,
+                                       float *direct, float *indirect, voxrt_stats *stats);
+
+/* One more bounce: each side of each cell gathers the light of the others with `rays` rays (0: 16), and what it finds
+   counts from now on at hits. weight: share of the new value (0: 1); smaller ones let it follow a moving scene without
+   flicker. The more often it is called the more bounces there are. seed: another one gives other rays. */
+VOXRT_DEF voxrt_result voxrt_gi_bounce(voxrt_gi *gi, const voxrt_env *env, uint32_t rays, float weight, uint32_t seed);
+
+typedef enum voxrt_tone {
+    VOXRT_TONE_LINEAR = 0, VOXRT_TONE_LOG = 1, VOXRT_TONE_DRAGO = 2, VOXRT_TONE_FORCE_32BIT = 0x7fffffff
+} voxrt_tone;
+/* rgb (linear, [pixels]) -> values in 0..1, linear, for display; `most` becomes white. In place is allowed.
+   Source: Drago et al. 2003 (bias 0.85). */
+VOXRT_DEF voxrt_result voxrt_tone_map(voxrt_tone tone, float most, const float *rgb, float *out_rgb, size_t pixels);
+#endif /* VOXRT_NO_GI */
+
 /* ---- misc ---- */
 
 VOXRT_DEF const char *voxrt_result_string(voxrt_result result);
@@ -12796,6 +12951,8 @@ typedef struct voxrti_insert {
     double m[12];             /* to cells, by grid axis */
     voxrt_columns_mode mode;
     uint32_t still, shared;   /* shared: by several threads */
+    uint32_t *own;            /* a level 0 that gets the cells, too, or NULL */
+    const struct voxrti_splat *splat; /* instead of setting cells: what they are made of */
     uint32_t rejected[2], outside[2]; /* tallies */
 } voxrti_insert;
 
@@ -12817,15 +12974,21 @@ VOXRTI_INLINE void voxrti_insert_or(const voxrti_insert *in, uint32_t *p, uint32
 }
 
 /* Set cells k0 .. k1 of a column. */
+static void voxrti_splat_add(const struct voxrti_splat *f, uint32_t x, uint32_t y, uint32_t k);
 VOXRTI_INLINE void voxrti_insert_run(const voxrti_insert *in, uint32_t x, uint32_t y, uint32_t k0, uint32_t k1) {
     voxrt_columns *c = in->columns;
     const size_t at = voxrti_column(c, 0, x, y), map = (size_t)y * c->map_row[0] + (x >> 5);
     uint32_t w;
+    if (in->splat != NULL) {
+        for (; k0 <= k1; k0++) voxrti_splat_add(in->splat, x, y, k0);
+        return;
+    }
     for (w = k0 >> 5; w <= k1 >> 5; w++) {
         const uint32_t lo = w == k0 >> 5 ? k0 & 31u : 0, hi = w == k1 >> 5 ? k1 & 31u : 31;
         const uint32_t mask = 0xffffffffu << lo & 0xffffffffu >> (31 - hi);
         voxrti_insert_or(in, &c->bits[at + w], mask);
         if (in->still) voxrti_insert_or(in, &c->still[at + w], mask);
+        if (in->own != NULL) voxrti_insert_or(in, &in->own[at + w], mask);
     }
     voxrti_insert_or(in, &c->changed[map], 1u << (x & 31u));
     if (!in->still) voxrti_insert_or(in, &c->moving[map], 1u << (x & 31u));
@@ -13300,6 +13463,7 @@ typedef struct voxrti_column_ray {
 static int voxrti_column_ray_open(const voxrt_columns *c, const voxrt_ray *ray, voxrti_column_ray *r) {
     double o[3], d[3], t0 = (double)ray->t_min, t1 = (double)ray->t_max, speed = 0.0, per_t;
     uint32_t a;
+    memset(r, 0, sizeof *r);
     if (!(t0 <= t1) || !voxrti_finite(t0)) return -1;
     for (a = 0; a < 3; a++) {
         const float ro = ray->org[c->axis[a]], rd = ray->dir[c->axis[a]];
@@ -13904,6 +14068,1303 @@ VOXRT_DEF voxrt_result voxrt_columns_trace(const voxrt_columns *columns, const v
 VOXRT_DEF voxrt_result voxrt_columns_occluded(const voxrt_columns *columns, const voxrt_columns_trace_desc *desc,
                                               const voxrt_ray *rays, uint8_t *occluded, size_t count) {
     return voxrti_column_trace_all(columns, desc, rays, NULL, occluded, count);
+}
+#endif /* VOXRT_NO_GI */
+
+/* ---------------------------------------------------------------------------
+   gi: a scene of meshes and lights in columns; what its cells look like from   // >>gi
+   both sides, and how much light falls on them.
+   --------------------------------------------------------------------------- */
+#ifndef VOXRT_NO_GI
+
+/* The bytes. A layer (of what is still, of what moves) has a record for each of its cells, in the order of columns and
+   of depth: that of cell k of a column is base[column] + (cells set below k). A record has two sides: 0 faces up its
+   axis (the one that most of the surface in it faces, either way), 1 down. A side that has no surface has area 0. */
+typedef struct voxrti_gi_record {
+    uint16_t normal[2];  /* octahedral */
+    uint16_t object[2];
+    uint8_t rgb[2][3];   /* albedo, square root of linear values */
+    uint8_t area[2];
+    int8_t offset[2];    /* of the surface from the cell's centre along the normal, 1/127 of half a diagonal */
+} voxrti_gi_record;
+
+typedef struct voxrti_gi_layer {
+    const uint32_t *bits;  /* a level 0 */
+    uint32_t *base;
+    voxrti_gi_record *record;
+    uint32_t *direct;      /* two for each record: irradiance by lights, shared exponents; VOXRTI_GI_UNKNOWN */
+    uint32_t *bounce;      /* two for each record: irradiance by other surfaces */
+    size_t count, capacity, bounce_capacity;
+} voxrti_gi_layer;
+
+#define VOXRTI_GI_UNKNOWN 0xffffffffu
+
+typedef struct voxrti_gi_entry {
+    voxrt_gi_object object;
+    float emission[3], specular[4];
+    uint32_t used;
+} voxrti_gi_entry;
+
+struct voxrt_gi {
+    voxrti_mem mem;
+    voxrt_env env;
+    voxrt_columns *columns;
+    voxrti_gi_entry *entry;
+    size_t entry_count, entry_capacity;
+    voxrt_gi_light *light;
+    size_t light_count;
+    voxrti_gi_layer layer[2]; /* still, moving */
+    uint32_t *own;            /* level 0 of the moving layer */
+    uint32_t still_changed, bounced;
+    uint64_t rejected;
+};
+
+/* Sums while a layer is made; integers, so that threads may add in any order. */
+typedef struct voxrti_gi_sum {
+    uint32_t vote[3];                      /* by world axis: how much surface faces along it */
+    int32_t normal[2][3], offset[2];
+    uint32_t rgb[2][3], weight[2], object[2];
+} voxrti_gi_sum;
+
+/* What a triangle adds to each cell it is put into. */
+typedef struct voxrti_splat {
+    const voxrt_columns *columns;
+    const voxrti_gi_layer *layer;
+    voxrti_gi_sum *sum;
+    double plane[4];      /* distance of a point (in cells) from its plane, along the normal, world units */
+    int32_t normal[3];    /* world, times 1024 */
+    uint32_t rgb[3], object, votes;
+} voxrti_splat;
+
+#if defined(__GNUC__)
+#  define voxrti_add_shared(p, v) ((void)__atomic_fetch_add(p, v, __ATOMIC_RELAXED))
+#  define voxrti_load_shared(p) __atomic_load_n(p, __ATOMIC_RELAXED)
+#  define voxrti_store_shared(p, v) __atomic_store_n(p, v, __ATOMIC_RELAXED)
+#else
+#  define voxrti_add_shared(p, v) ((void)(*(p) += (v)))
+#  define voxrti_load_shared(p) (*(p))
+#  define voxrti_store_shared(p, v) ((void)(*(p) = (v)))
+#endif
+
+/* ---- colours: three floats in a word: 9 bits each and a common exponent (Ward 1991; here as in OpenGL) ---- */
+
+static VOXRTI_UNUSED uint32_t voxrti_rgb9e5(const float rgb[3]) {
+    float most = 0.0f, c[3];
+    uint32_t bits, out, a;
+    int e, i;
+    for (a = 0; a < 3; a++) {
+        c[a] = rgb[a] > 0.0f ? (rgb[a] < 65408.0f ? rgb[a] : 65408.0f) : 0.0f;
+        most = c[a] > most ? c[a] : most;
+    }
+    memcpy(&bits, &most, 4);
+    e = (int)(bits >> 23) - 126; /* most < 2^e */
+    if (e < -15) e = -15;
+    for (i = 0; i < 2; i++, e++) {
+        uint32_t scale_bits = (uint32_t)(9 - e + 127) << 23, q[3];
+        float scale;
+        memcpy(&scale, &scale_bits, 4);
+        for (a = 0; a < 3; a++) q[a] = (uint32_t)(c[a] * scale + 0.5f);
+        out = q[0] | q[1] << 9 | q[2] << 18 | (uint32_t)(e + 15) << 27;
+        if (q[0] < 512 && q[1] < 512 && q[2] < 512) return out; /* else rounding made it 2^e */
+    }
+    return 511u | 511u << 9 | 511u << 18 | 31u << 27;
+}
+
+VOXRTI_INLINE void voxrti_rgb9e5_decode(uint32_t v, float rgb[3]) {
+    const uint32_t bits = ((v >> 27) + 127 - 15 - 9) << 23;
+    float scale;
+    memcpy(&scale, &bits, 4);
+    rgb[0] = (float)(v & 511u) * scale;
+    rgb[1] = (float)(v >> 9 & 511u) * scale;
+    rgb[2] = (float)(v >> 18 & 511u) * scale;
+}
+
+/* ---- cells and their records ---- */
+
+VOXRTI_INLINE size_t voxrti_gi_rank(const voxrt_columns *c, const voxrti_gi_layer *l, uint32_t x, uint32_t y, uint32_t k) {
+    const size_t at = voxrti_column(c, 0, x, y);
+    size_t i = l->base[((size_t)y << c->row_log[0]) + x];
+    uint32_t w;
+    for (w = 0; w < k >> 5; w++) i += voxrti_popcount64(l->bits[at + w]);
+    return i + voxrti_popcount64(l->bits[at + w] & ((1u << (k & 31u)) - 1u));
+}
+
+/* Which layer has the cell? The moving one wins. Returns the record's index, or -1 as size_t. */
+VOXRTI_INLINE size_t voxrti_gi_find(const voxrt_gi *gi, uint32_t x, uint32_t y, uint32_t k, uint32_t *out_layer) {
+    const size_t word = voxrti_column(gi->columns, 0, x, y) + (k >> 5);
+    uint32_t l;
+    for (l = 2; l-- > 0;) {
+        if (gi->layer[l].count == 0 || (gi->layer[l].bits[word] >> (k & 31u) & 1u) == 0) continue;
+        *out_layer = l;
+        return voxrti_gi_rank(gi->columns, &gi->layer[l], x, y, k);
+    }
+    *out_layer = 0;
+    return (size_t)-1;
+}
+
+static void voxrti_splat_add(const voxrti_splat *f, uint32_t x, uint32_t y, uint32_t k) {
+    voxrti_gi_sum *s = &f->sum[voxrti_gi_rank(f->columns, f->layer, x, y, k)];
+    uint32_t a, axis, side;
+    if (f->votes) {
+        for (a = 0; a < 3; a++)
+            voxrti_add_shared(&s->vote[a], (uint32_t)(f->normal[a] < 0 ? -f->normal[a] : f->normal[a]));
+        return;
+    }
+    axis = s->vote[0] >= s->vote[1] ? (s->vote[0] >= s->vote[2] ? 0 : 2) : s->vote[1] >= s->vote[2] ? 1 : 2;
+    side = f->normal[axis] < 0;
+    for (a = 0; a < 3; a++) {
+        voxrti_add_shared(&s->normal[side][a], f->normal[a]);
+        voxrti_add_shared(&s->rgb[side][a], f->rgb[a]);
+    }
+    {
+        const double d = f->plane[3] - (f->plane[0] * ((double)x + 0.5) + f->plane[1] * ((double)y + 0.5) + f->plane[2] * ((double)k + 0.5));
+        const double unit = 254.0 / f->columns->diagonal;
+        voxrti_add_shared(&s->offset[side], (int32_t)voxrti_floor(voxrti_max(-127.0, voxrti_min(127.0, d * unit)) + 0.5));
+    }
+    voxrti_add_shared(&s->weight[side], 1u);
+#if defined(__GNUC__)
+    {
+        uint32_t seen = __atomic_load_n(&s->object[side], __ATOMIC_RELAXED);
+        while (seen < f->object &&
+               !__atomic_compare_exchange_n(&s->object[side], &seen, f->object, 1, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) { }
+    }
+#else
+    if (s->object[side] < f->object) s->object[side] = f->object;
+#endif
+}
+
+/* The fragment of triangle i: its geometric normal, the mean of its colours. p in cells. 0: it has no area. */
+static int voxrti_splat_open(voxrti_splat *f, const voxrt_mesh *mesh, const voxrti_gi_entry *e, size_t i,
+                                const double p[3][3], const float srgb[256]) {
+    const voxrt_columns *c = f->columns;
+    double u[3], v[3], n[3], length = 0.0, rgb[3];
+    float nf[3];
+    uint32_t a, k;
+    for (a = 0; a < 3; a++) {
+        u[a] = (p[1][a] - p[0][a]) * c->cell[a];
+        v[a] = (p[2][a] - p[0][a]) * c->cell[a];
+    }
+    for (a = 0; a < 3; a++) {
+        n[a] = u[(a + 1) % 3] * v[(a + 2) % 3] - u[(a + 2) % 3] * v[(a + 1) % 3];
+        length += n[a] * n[a];
+    }
+    if (!(length > 0.0) || !voxrti_finite(length)) return 0;
+    length = 1.0 / sqrt(length);
+    f->plane[3] = 0.0;
+    for (a = 0; a < 3; a++) {
+        nf[c->axis[a]] = (float)(n[a] * length);
+        f->plane[a] = n[a] * length * c->cell[a];
+        f->plane[3] += f->plane[a] * p[0][a];
+    }
+    for (a = 0; a < 3; a++) {
+        f->normal[a] = (int32_t)voxrti_floor((double)nf[a] * 1024.0 + 0.5);
+        rgb[a] = 1.0;
+    }
+    if (mesh->triangle_rgb != NULL) {
+        for (a = 0; a < 3; a++) rgb[a] = (double)srgb[mesh->triangle_rgb[3 * i + a]];
+    } else if (mesh->vertex_rgb != NULL) {
+        const size_t stride = mesh->vertex_rgb_stride != 0 ? mesh->vertex_rgb_stride : 3;
+        for (a = 0; a < 3; a++) {
+            rgb[a] = 0.0;
+            for (k = 0; k < 3; k++) {
+                const size_t at = mesh->indices != NULL ? (size_t)mesh->indices[3 * i + k] : 3 * i + k;
+                rgb[a] += (double)srgb[mesh->vertex_rgb[at * stride + a]] * (1.0 / 3.0);
+            }
+        }
+    }
+    for (a = 0; a < 3; a++) {
+        const float *w = e->object.material.albedo;
+        const double albedo = w[0] == 0.0f && w[1] == 0.0f && w[2] == 0.0f ? 1.0 : (double)w[a];
+        f->rgb[a] = (uint32_t)voxrti_floor(voxrti_max(0.0, voxrti_min(1.0, rgb[a] * albedo)) * 65535.0 + 0.5);
+    }
+    return 1;
+}
+
+typedef struct voxrti_gi_build {
+    voxrt_gi *gi;
+    voxrti_gi_layer *layer;
+    voxrti_gi_sum *sum;
+    voxrti_insert in;      /* of one object */
+    uint32_t id, votes;
+    float srgb[256];
+} voxrti_gi_build;
+
+static void voxrti_task_gi_fragments(void *ctx, uint32_t index) {
+    voxrti_gi_build *b = (voxrti_gi_build *)ctx;
+    voxrti_insert in = b->in;
+    voxrti_splat f;
+    const voxrt_mesh *mesh = b->in.mesh;
+    const size_t stride = mesh->position_stride != 0 ? mesh->position_stride : 12;
+    size_t i = (size_t)index * VOXRTI_INSERT_TASK, end = i + VOXRTI_INSERT_TASK;
+    memset(&f, 0, sizeof f);
+    f.columns = b->gi->columns;
+    f.layer = b->layer;
+    f.sum = b->sum;
+    f.object = b->id;
+    f.votes = b->votes;
+    in.splat = &f;
+    end = end < in.count ? end : in.count;
+    for (; i < end; i++) {
+        double p[3][3];
+        uint32_t e, ok = 1;
+        for (e = 0; e < 3 && ok; e++) {
+            const size_t at = mesh->indices != NULL ? (size_t)mesh->indices[3 * i + e] : 3 * i + e;
+            ok = at < mesh->vertex_count &&
+                voxrti_insert_point(&in, (const uint8_t *)mesh->positions + at * stride, p[e]);
+        }
+        if (ok && voxrti_splat_open(&f, mesh, &b->gi->entry[b->id], i, (const double (*)[3])p, b->srgb))
+            (void)voxrti_insert_triangle(&in, (const double (*)[3])p);
+    }
+}
+
+static void voxrti_task_gi_resolve(void *ctx, uint32_t index) {
+    voxrti_gi_build *b = (voxrti_gi_build *)ctx;
+    size_t i = (size_t)index * 4096, end = i + 4096;
+    end = end < b->layer->count ? end : b->layer->count;
+    for (; i < end; i++) {
+        const voxrti_gi_sum *s = &b->sum[i];
+        voxrti_gi_record *r = &b->layer->record[i];
+        const uint32_t all = s->weight[0] + s->weight[1];
+        uint32_t side, a;
+        memset(r, 0, sizeof *r);
+        for (side = 0; side < 2 && all != 0; side++) {
+            float n[3];
+            const uint32_t w = s->weight[side];
+            if (w == 0) continue;
+            for (a = 0; a < 3; a++) {
+                n[a] = (float)s->normal[side][a];
+                r->rgb[side][a] = (uint8_t)(sqrt((double)s->rgb[side][a] / ((double)w * 65535.0)) * 255.0 + 0.5);
+            }
+            if (!voxrti_normalize(n)) n[2] = 1.0f;
+            r->normal[side] = (uint16_t)voxrti_oct_encode(n);
+            r->object[side] = (uint16_t)s->object[side];
+            r->area[side] = (uint8_t)(255.0 * (double)w / (double)all + 0.5);
+            if (r->area[side] == 0) r->area[side] = 1;
+            r->offset[side] = (int8_t)voxrti_floor((double)s->offset[side] / (double)w + 0.5);
+        }
+    }
+}
+
+static void voxrti_gi_layer_free(voxrt_gi *gi, voxrti_gi_layer *l) {
+    voxrti_free(&gi->mem, l->base);
+    voxrti_free(&gi->mem, l->record);
+    voxrti_free(&gi->mem, l->direct);
+    voxrti_free(&gi->mem, l->bounce);
+    memset(l, 0, sizeof *l);
+}
+
+/* Count cells, find room for their records. What bounced before is forgotten. */
+static voxrt_result voxrti_gi_layer_open(voxrt_gi *gi, voxrti_gi_layer *l) {
+    const voxrt_columns *c = gi->columns;
+    const size_t columns = (size_t)c->size[0] * c->size[1];
+    size_t i, n = 0;
+    uint32_t w;
+    l->count = 0;
+    if (l->base == NULL) l->base = (uint32_t *)voxrti_alloc_array(&gi->mem, columns, 4);
+    if (l->base == NULL) return VOXRT_ERR_NO_MEMORY;
+    for (i = 0; i < columns; i++) {
+        l->base[i] = (uint32_t)n;
+        for (w = 0; w < c->words; w++) n += voxrti_popcount64(l->bits[i * c->words + w]);
+    }
+    if (n > l->capacity) {
+        const size_t want = n + n / 4;
+        voxrti_free(&gi->mem, l->record);
+        voxrti_free(&gi->mem, l->direct);
+        voxrti_free(&gi->mem, l->bounce);
+        l->capacity = 0;
+        l->record = (voxrti_gi_record *)voxrti_alloc_array(&gi->mem, want, sizeof *l->record);
+        l->direct = (uint32_t *)voxrti_alloc_array(&gi->mem, want, 8);
+        l->bounce = (uint32_t *)voxrti_alloc_array(&gi->mem, want, 8);
+        if (l->record == NULL || l->direct == NULL || l->bounce == NULL) {
+            voxrti_free(&gi->mem, l->record);
+            voxrti_free(&gi->mem, l->direct);
+            voxrti_free(&gi->mem, l->bounce);
+            l->record = NULL;
+            l->direct = l->bounce = NULL;
+            return VOXRT_ERR_NO_MEMORY;
+        }
+        l->capacity = want;
+    }
+    l->count = n;
+    memset(l->bounce, 0, n * 8);
+    return VOXRT_OK;
+}
+
+/* Insert all objects of a layer; then their attributes. */
+static voxrt_result voxrti_gi_layer_build(voxrt_gi *gi, uint32_t which) {
+    voxrti_gi_layer *l = &gi->layer[which];
+    voxrti_gi_build b;
+    voxrt_result r;
+    size_t i;
+    uint32_t pass;
+    memset(&b, 0, sizeof b);
+    b.gi = gi;
+    b.layer = l;
+    for (i = 0; i < 256; i++) b.srgb[i] = (float)voxrti_srgb_to_linear((double)i / 255.0);
+    for (pass = 0; pass < 3; pass++) { /* cells, then votes for their axes, then the sums of both sides */
+        if (pass == 1) {
+            r = voxrti_gi_layer_open(gi, l);
+            if (r != VOXRT_OK) return r;
+            if (l->count == 0) return VOXRT_OK;
+            b.sum = (voxrti_gi_sum *)voxrti_alloc_zero(&gi->mem, l->count, sizeof *b.sum);
+            if (b.sum == NULL) {
+                l->count = 0;
+                return VOXRT_ERR_NO_MEMORY;
+            }
+        }
+        b.votes = pass == 1;
+        for (i = 0; i < gi->entry_count; i++) {
+            const voxrti_gi_entry *e = &gi->entry[i];
+            voxrt_columns_insert_desc d, open;
+            if (!e->used || (e->object.still != 0) != (which == 0)) continue;
+            memset(&d, 0, sizeof d);
+            d.env = gi->env;
+            memcpy(d.to_world, e->object.to_world, sizeof d.to_world);
+            d.still = which == 0;
+            r = voxrti_insert_open(&b.in, gi->columns, &d, &open);
+            if (r != VOXRT_OK) {
+                voxrti_free(&gi->mem, b.sum);
+                return r;
+            }
+            b.in.mesh = &e->object.mesh;
+            b.in.count = e->object.mesh.triangle_count;
+            b.in.own = which == 1 ? gi->own : NULL;
+            b.id = (uint32_t)i;
+            voxrti_parallel_for(&gi->env, pass == 0 ? voxrti_task_insert_mesh : voxrti_task_gi_fragments,
+                                pass == 0 ? (void *)&b.in : (void *)&b,
+                                (uint32_t)((b.in.count + VOXRTI_INSERT_TASK - 1) / VOXRTI_INSERT_TASK));
+            if (pass == 0) gi->rejected += voxrti_tally(b.in.rejected);
+        }
+    }
+    voxrti_parallel_for(&gi->env, voxrti_task_gi_resolve, &b, (uint32_t)((l->count + 4095) / 4096));
+    voxrti_free(&gi->mem, b.sum);
+    return VOXRT_OK;
+}
+
+VOXRT_DEF voxrt_result voxrt_gi_update(voxrt_gi *gi, voxrt_gi_update_stats *stats) {
+    voxrt_columns *c;
+    voxrt_result r = VOXRT_OK;
+    uint32_t l;
+    if (stats != NULL) memset(stats, 0, sizeof *stats);
+    if (gi == NULL) return VOXRT_ERR_INVALID_ARG;
+    c = gi->columns;
+    gi->rejected = 0;
+    gi->bounced = 0;
+    memset(gi->own, 0, (size_t)c->size[0] * c->size[1] * c->words * 4);
+    voxrt_columns_clear(c, gi->still_changed != 0);
+    if (gi->still_changed) {
+        gi->layer[0].count = 0;
+        gi->layer[0].bits = c->bits; /* until there is a layer of what is still: nothing is set */
+        r = voxrti_gi_layer_build(gi, 0);
+        if (r == VOXRT_OK) gi->still_changed = 0;
+    }
+    gi->layer[1].count = 0;
+    gi->layer[1].bits = gi->own;
+    if (r == VOXRT_OK) r = voxrti_gi_layer_build(gi, 1);
+    voxrt_columns_update(c);
+    for (l = 0; l < 2; l++)
+        if (gi->layer[l].count != 0) memset(gi->layer[l].direct, 255, gi->layer[l].count * 8);
+    if (r != VOXRT_OK) return voxrti_fail(gi->env.error, r, 0, "no memory for the attributes of cells");
+    if (stats != NULL) {
+        stats->still_cells = gi->layer[0].count;
+        stats->moving_cells = gi->layer[1].count;
+        stats->rejected = gi->rejected;
+        stats->bytes = gi->mem.used + c->mem.used;
+    }
+    return VOXRT_OK;
+}
+
+/* ---- objects and lights ---- */
+
+static voxrt_result voxrti_gi_object_check(const voxrt_gi *gi, const voxrt_gi_object *o) {
+    uint32_t a;
+    int ok = 1;
+    if (gi == NULL || o == NULL || (o->mesh.triangle_count != 0 && o->mesh.positions == NULL)) return VOXRT_ERR_INVALID_ARG;
+    if (o->mesh.triangle_count / VOXRTI_INSERT_TASK >= 0x7fffffff) return VOXRT_ERR_INVALID_ARG;
+    for (a = 0; a < 12; a++) ok &= voxrti_finite(o->to_world[a]);
+    for (a = 0; a < 3; a++) {
+        const voxrt_gi_material *m = &o->material;
+        ok &= m->albedo[a] >= 0.0f && m->albedo[a] <= 1.0f && m->specular[a] >= 0.0f && m->specular[a] <= 1.0f;
+        ok &= m->emission[a] >= 0.0f && voxrti_finite_f(m->emission[a]);
+    }
+    ok &= o->material.exponent >= 0.0f && o->material.exponent <= 1e6f;
+    return ok ? VOXRT_OK : voxrti_fail(gi->env.error, VOXRT_ERR_INVALID_ARG, 0, "matrix or material out of range");
+}
+
+static void voxrti_gi_entry_set(voxrt_gi *gi, size_t id, const voxrt_gi_object *o) {
+    voxrti_gi_entry *e = &gi->entry[id];
+    if (o->still || (e->used && e->object.still)) gi->still_changed = 1;
+    e->object = *o;
+    e->used = 1;
+    memcpy(e->emission, o->material.emission, sizeof e->emission);
+    memcpy(e->specular, o->material.specular, sizeof o->material.specular);
+    e->specular[3] = o->material.exponent;
+}
+
+VOXRT_DEF voxrt_result voxrt_gi_add(voxrt_gi *gi, const voxrt_gi_object *object, uint32_t *out_id) {
+    size_t i;
+    voxrt_result r;
+    if (out_id != NULL) *out_id = 0;
+    r = voxrti_gi_object_check(gi, object);
+    if (r != VOXRT_OK) return r;
+    for (i = 0; i < gi->entry_count && gi->entry[i].used; i++) { }
+    if (i >= 65535) return voxrti_fail(gi->env.error, VOXRT_ERR_RANGE, i, "% objects are the most");
+    if (i == gi->entry_count) {
+        if (!voxrti_grow(&gi->mem, (void **)&gi->entry, &gi->entry_capacity, gi->entry_count, i + 1, sizeof *gi->entry))
+            return voxrti_fail(gi->env.error, VOXRT_ERR_NO_MEMORY, i, "no memory for object %");
+        memset(&gi->entry[i], 0, sizeof gi->entry[i]);
+        gi->entry_count++;
+    }
+    voxrti_gi_entry_set(gi, i, object);
+    if (out_id != NULL) *out_id = (uint32_t)i;
+    return VOXRT_OK;
+}
+
+VOXRT_DEF voxrt_result voxrt_gi_set(voxrt_gi *gi, uint32_t id, const voxrt_gi_object *object) {
+    voxrt_result r = voxrti_gi_object_check(gi, object);
+    if (r != VOXRT_OK) return r;
+    if (id >= gi->entry_count || !gi->entry[id].used)
+        return voxrti_fail(gi->env.error, VOXRT_ERR_INVALID_ARG, id, "there is no object %");
+    voxrti_gi_entry_set(gi, id, object);
+    return VOXRT_OK;
+}
+
+VOXRT_DEF voxrt_result voxrt_gi_remove(voxrt_gi *gi, uint32_t id) {
+    if (gi == NULL) return VOXRT_ERR_INVALID_ARG;
+    if (id >= gi->entry_count || !gi->entry[id].used)
+        return voxrti_fail(gi->env.error, VOXRT_ERR_INVALID_ARG, id, "there is no object %");
+    if (gi->entry[id].object.still) gi->still_changed = 1;
+    memset(&gi->entry[id], 0, sizeof gi->entry[id]);
+    return VOXRT_OK;
+}
+
+VOXRT_DEF voxrt_result voxrt_gi_set_lights(voxrt_gi *gi, const voxrt_gi_light *lights, size_t count) {
+    voxrt_gi_light *copy = NULL;
+    size_t i;
+    uint32_t a, l;
+    if (gi == NULL || (lights == NULL && count != 0)) return VOXRT_ERR_INVALID_ARG;
+    if (count != 0) {
+        copy = (voxrt_gi_light *)voxrti_alloc_array(&gi->mem, count, sizeof *copy);
+        if (copy == NULL) return voxrti_fail(gi->env.error, VOXRT_ERR_NO_MEMORY, count, "no memory for % lights");
+    }
+    for (i = 0; i < count; i++) {
+        voxrt_gi_light *s = &copy[i];
+        int ok = 1;
+        *s = lights[i];
+        for (a = 0; a < 3; a++) {
+            ok &= voxrti_finite_f(s->position[a]) && voxrti_finite_f(s->direction[a]) && voxrti_finite_f(s->edge_u[a]);
+            ok &= voxrti_finite_f(s->edge_v[a]) && s->color[a] >= 0.0f && voxrti_finite_f(s->color[a]);
+        }
+        if (s->kind == VOXRT_GI_SPOT || s->kind == VOXRT_GI_DIRECTIONAL) ok &= voxrti_normalize(s->direction);
+        if (s->kind == VOXRT_GI_SPOT) ok &= s->angle > 0.0f && s->angle < 90.0f;
+        if (s->kind == VOXRT_GI_AREA) {
+            for (a = 0; a < 3; a++)
+                s->direction[a] = s->edge_u[(a + 1) % 3] * s->edge_v[(a + 2) % 3] - s->edge_u[(a + 2) % 3] * s->edge_v[(a + 1) % 3];
+            ok &= voxrti_normalize(s->direction);
+        }
+        if (!ok || (uint32_t)s->kind > VOXRT_GI_AREA) {
+            voxrti_free(&gi->mem, copy);
+            return voxrti_fail(gi->env.error, VOXRT_ERR_INVALID_ARG, i, "light % is none");
+        }
+    }
+    voxrti_free(&gi->mem, gi->light);
+    gi->light = copy;
+    gi->light_count = count;
+    for (l = 0; l < 2; l++)
+        if (gi->layer[l].count != 0) memset(gi->layer[l].direct, 255, gi->layer[l].count * 8);
+    return VOXRT_OK;
+}
+
+VOXRT_DEF voxrt_result voxrt_gi_create(const voxrt_gi_desc *desc, voxrt_gi **out_gi) {
+    voxrti_mem mem;
+    voxrt_columns_desc d;
+    voxrt_gi *gi;
+    voxrt_result r;
+    if (out_gi == NULL) return VOXRT_ERR_INVALID_ARG;
+    *out_gi = NULL;
+    if (desc == NULL) return VOXRT_ERR_INVALID_ARG;
+    if (desc->_begin_zero != 0 || desc->_end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
+    r = voxrti_env_open(&desc->env, &mem);
+    if (r != VOXRT_OK) return r;
+    gi = (voxrt_gi *)voxrti_alloc_zero(&mem, 1, sizeof *gi);
+    if (gi == NULL) return voxrti_fail(desc->env.error, VOXRT_ERR_NO_MEMORY, 0, "no memory for a scene");
+    gi->mem = mem;
+    gi->env = desc->env;
+    gi->still_changed = 1;
+    d = desc->columns;
+    d.env = desc->env;
+    r = voxrt_columns_create(&d, &gi->columns);
+    if (r == VOXRT_OK) {
+        const size_t n = (size_t)gi->columns->size[0] * gi->columns->size[1] * gi->columns->words;
+        gi->own = (uint32_t *)voxrti_alloc_zero(&gi->mem, n, 4);
+        gi->columns->still = (uint32_t *)voxrti_alloc_zero(&gi->columns->mem, n, 4);
+        if (gi->own == NULL || gi->columns->still == NULL)
+            r = voxrti_fail(desc->env.error, VOXRT_ERR_NO_MEMORY, n, "no memory for layers of % words");
+    }
+    if (r == VOXRT_OK) *out_gi = gi;
+    else voxrt_gi_destroy(gi);
+    return r;
+}
+
+VOXRT_DEF void voxrt_gi_destroy(voxrt_gi *gi) {
+    voxrti_mem mem;
+    uint32_t l;
+    if (gi == NULL) return;
+    for (l = 0; l < 2; l++) voxrti_gi_layer_free(gi, &gi->layer[l]);
+    voxrt_columns_destroy(gi->columns);
+    voxrti_free(&gi->mem, gi->entry);
+    voxrti_free(&gi->mem, gi->light);
+    voxrti_free(&gi->mem, gi->own);
+    mem = gi->mem;
+    voxrti_free(&mem, gi);
+}
+
+VOXRT_DEF const voxrt_columns *voxrt_gi_columns(const voxrt_gi *gi) { return gi != NULL ? gi->columns : NULL; }
+
+/* ---- light that falls on cells ---- */
+
+/* One side of a cell: layer << 63 would waste bits: record * 2 + side, and the layer beside it. */
+typedef struct voxrti_gi_side {
+    size_t at;        /* 2 * record + side */
+    uint32_t layer;
+    float position[3], normal[3], albedo[3];
+} voxrti_gi_side;
+
+/* Which side of cell (x, y, k) does a ray in direction dir see? 0: none. */
+static int voxrti_gi_side_open(const voxrt_gi *gi, uint32_t x, uint32_t y, uint32_t k, const float dir[3],
+                               voxrti_gi_side *s) {
+    const voxrt_columns *c = gi->columns;
+    const uint32_t cell[3] = {x, y, k};
+    const voxrti_gi_record *r;
+    float best = 0.0f, n[3], lift;
+    uint32_t side, seen = 2, a;
+    const size_t i = voxrti_gi_find(gi, x, y, k, &s->layer);
+    if (i == (size_t)-1) return 0;
+    r = &gi->layer[s->layer].record[i];
+    for (side = 0; side < 2; side++) {
+        float facing;
+        if (r->area[side] == 0) continue;
+        voxrti_oct_decode(r->normal[side], n);
+        facing = 0.0f - voxrti_dot3(n, dir);
+        if (!(facing > best)) continue;
+        best = facing;
+        seen = side;
+        memcpy(s->normal, n, sizeof n);
+    }
+    if (seen == 2) return 0;
+    s->at = 2 * i + seen;
+    lift = (float)((double)r->offset[seen] * (c->diagonal / 254.0));
+    for (a = 0; a < 3; a++) {
+        const uint32_t w = c->axis[a];
+        const float q = (float)r->rgb[seen][a] * (1.0f / 255.0f);
+        s->position[w] = (float)(c->origin[a] + ((double)cell[a] + 0.5) * c->cell[a]) + lift * s->normal[w];
+        s->albedo[a] = q * q;
+    }
+    return 1;
+}
+
+/* Counter-based numbers in [0, 1): a scrambled Sobol point for each index, two dimensions at a time (Burley 2020). */
+VOXRTI_INLINE uint32_t voxrti_reverse_bits(uint32_t x) {
+    x = (x >> 1 & 0x55555555u) | (x & 0x55555555u) << 1;
+    x = (x >> 2 & 0x33333333u) | (x & 0x33333333u) << 2;
+    x = (x >> 4 & 0x0f0f0f0fu) | (x & 0x0f0f0f0fu) << 4;
+    x = (x >> 8 & 0x00ff00ffu) | (x & 0x00ff00ffu) << 8;
+    return x >> 16 | x << 16;
+}
+VOXRTI_INLINE uint32_t voxrti_scramble(uint32_t x, uint32_t seed) { /* Owen: each bit by those above it */
+    x = voxrti_reverse_bits(x);
+    x += seed;
+    x ^= x * 0x6c50b47cu;
+    x ^= x * 0xb82f1e52u;
+    x ^= x * 0xc7afe638u;
+    x ^= x * 0x8d22f6e6u;
+    return voxrti_reverse_bits(x);
+}
+VOXRTI_INLINE void voxrti_sobol2(uint32_t index, uint32_t seed, float out[2]) {
+    uint32_t i = voxrti_scramble(index, seed), v = 0x80000000u, y = 0, x = voxrti_reverse_bits(i);
+    for (; i != 0; i >>= 1, v ^= v >> 1) if (i & 1u) y ^= v;
+    out[0] = (float)(voxrti_scramble(x, voxrti_hash32(seed ^ 0x9e3779b9u)) >> 8) * (1.0f / 16777216.0f);
+    out[1] = (float)(voxrti_scramble(y, voxrti_hash32(seed ^ 0x7f4a7c15u)) >> 8) * (1.0f / 16777216.0f);
+}
+
+/* sin and cos of 2 pi u, u in [0, 1): error < 1e-6 */
+VOXRTI_INLINE void voxrti_turn(float u, float *s, float *c) {
+    const int q = (int)(u * 4.0f + 0.5f);
+    const float r = (u - (float)q * 0.25f) * 6.28318530718f, r2 = r * r; /* |r| <= pi/4 */
+    const float sr = r * (1.0f - r2 * (1.0f / 6.0f) * (1.0f - r2 * (1.0f / 20.0f) * (1.0f - r2 * (1.0f / 42.0f))));
+    const float cr = 1.0f - r2 * 0.5f * (1.0f - r2 * (1.0f / 12.0f) * (1.0f - r2 * (1.0f / 30.0f) * (1.0f - r2 * (1.0f / 56.0f))));
+    *s = (q & 1) ? ((q & 2) ? -cr : cr) : ((q & 2) ? -sr : sr);
+    *c = (q & 1) ? ((q & 2) ? sr : -sr) : ((q & 2) ? -cr : cr);
+}
+
+/* Two unit vectors at right angles to n and to each other (Duff et al. 2017). */
+VOXRTI_INLINE void voxrti_tangents(const float n[3], float a[3], float b[3]) {
+    const float s = n[2] >= 0.0f ? 1.0f : -1.0f, q = -1.0f / (s + n[2]), w = n[0] * n[1] * q;
+    a[0] = 1.0f + s * n[0] * n[0] * q;
+    a[1] = s * w;
+    a[2] = 0.0f - s * n[0];
+    b[0] = w;
+    b[1] = s + n[1] * n[1] * q;
+    b[2] = 0.0f - n[1];
+}
+
+/* A direction over the hemisphere of n with density cos^power, power >= 1: cosine if 1. Returns the cosine. */
+VOXRTI_INLINE float voxrti_lobe_direction(const float n[3], const float u[2], float power, float dir[3]) {
+    float a[3], b[3], s, c, cosine, sine;
+    uint32_t i;
+    voxrti_tangents(n, a, b);
+    voxrti_turn(u[0], &s, &c);
+    if (power == 1.0f) cosine = sqrtf(1.0f - u[1]);
+    else cosine = (float)voxrti_pow((double)(1.0f - u[1]), 1.0 / ((double)power + 1.0));
+    sine = 1.0f - cosine * cosine;
+    sine = sine > 0.0f ? sqrtf(sine) : 0.0f;
+    for (i = 0; i < 3; i++) dir[i] = (s * sine) * b[i] + (c * sine) * a[i] + cosine * n[i];
+    return cosine;
+}
+
+/* The way from a surface point to light `l`: a point of it by u, and what falls on the surface if nothing is between.
+   0: nothing. The ray ends on the light: t_max = 1, or INFINITY. */
+static int voxrti_gi_light_ray(const voxrt_gi_light *l, const float p[3], const float n[3], const float u[2],
+                               voxrt_ray *ray, float rgb[3]) {
+    float d[3], d2 = 0.0f, cosine, scale = 1.0f;
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        d[a] = l->kind == VOXRT_GI_DIRECTIONAL ? 0.0f - l->direction[a] : l->position[a] - p[a];
+        if (l->kind == VOXRT_GI_AREA) d[a] += l->edge_u[a] * (2.0f * u[0] - 1.0f) + l->edge_v[a] * (2.0f * u[1] - 1.0f);
+        d2 += d[a] * d[a];
+    }
+    cosine = voxrti_dot3(d, n);
+    if (!(cosine > 0.0f) || !(d2 < INFINITY)) return 0;
+    if (l->kind != VOXRT_GI_DIRECTIONAL) {
+        const float inv = 1.0f / sqrtf(d2), along = 0.0f - voxrti_dot3(d, l->direction) * inv;
+        scale = inv * inv * inv;
+        if (l->kind == VOXRT_GI_SPOT) {
+            double s, c;
+            voxrti_sincos((double)l->angle * (3.14159265358979323846 / 180.0), &s, &c);
+            if (!(along >= (float)c)) return 0;
+        }
+        if (l->kind == VOXRT_GI_AREA) {
+            const float *e = l->edge_u, *f = l->edge_v;
+            const float x = e[1] * f[2] - e[2] * f[1], y = e[2] * f[0] - e[0] * f[2], z = e[0] * f[1] - e[1] * f[0];
+            if (!(along > 0.0f)) return 0;
+            scale *= along * 4.0f * sqrtf(x * x + y * y + z * z);
+        }
+    }
+    for (a = 0; a < 3; a++) {
+        rgb[a] = l->color[a] * cosine * scale;
+        ray->org[a] = p[a];
+        ray->dir[a] = d[a];
+    }
+    ray->t_min = 0.0f;
+    ray->t_max = l->kind == VOXRT_GI_DIRECTIONAL ? INFINITY : 1.0f;
+    return rgb[0] + rgb[1] + rgb[2] > 0.0f && rgb[0] + rgb[1] + rgb[2] < INFINITY;
+}
+
+/* Shadow rays of up to VOXRTI_COLUMN_BATCH surface points to one light; adds to rgb of each. An area light gets `area`
+   samples. */
+static void voxrti_gi_add_light(const voxrt_gi *gi, int isa, const voxrt_gi_light *l, const float (*p)[3],
+                                const float (*n)[3], const uint32_t *seed, uint32_t count, uint32_t area,
+                                float (*rgb)[3]) {
+    voxrt_ray ray[VOXRTI_COLUMN_BATCH];
+    float light[VOXRTI_COLUMN_BATCH][3], normal[VOXRTI_COLUMN_BATCH][3];
+    uint8_t of[VOXRTI_COLUMN_BATCH], dark[VOXRTI_COLUMN_BATCH];
+    const uint32_t samples = l->kind == VOXRT_GI_AREA ? area : 1;
+    voxrt_columns_trace_desc d;
+    uint32_t i, a, s, m;
+    memset(&d, 0, sizeof d);
+    d.isa = (voxrt_isa)isa;
+    d.normals = normal[0];
+    for (s = 0; s < samples; s++) {
+        m = 0;
+        for (i = 0; i < count; i++) {
+            float u[2] = {0.5f, 0.5f};
+            if (samples > 1) voxrti_sobol2(s, voxrti_hash32(seed[i]), u);
+            if (!voxrti_gi_light_ray(l, p[i], n[i], u, &ray[m], light[m])) continue;
+            memcpy(normal[m], n[i], sizeof normal[m]);
+            of[m++] = (uint8_t)i;
+        }
+        if (m == 0) continue;
+        (void)voxrt_columns_occluded(gi->columns, &d, ray, dark, m);
+        for (i = 0; i < m; i++)
+            for (a = 0; a < 3 && !dark[i]; a++) rgb[of[i]][a] += light[i][a] * (1.0f / (float)(int32_t)samples);
+    }
+}
+
+#define VOXRTI_GI_AREA_SAMPLES 4 /* for the cache: it is looked at many times */
+
+/* Make sure the direct light on these sides is known. Two threads may find it out at once: they find the same. */
+static void voxrti_gi_fill(const voxrt_gi *gi, int isa, const voxrti_gi_side *side, uint32_t count) {
+    float p[VOXRTI_COLUMN_BATCH][3], n[VOXRTI_COLUMN_BATCH][3], rgb[VOXRTI_COLUMN_BATCH][3];
+    uint32_t seed[VOXRTI_COLUMN_BATCH], m = 0, i, k;
+    uint8_t of[VOXRTI_COLUMN_BATCH];
+    size_t l;
+    for (i = 0; i < count; i++) {
+        if (side[i].at == (size_t)-1) continue;
+        if (voxrti_load_shared(&gi->layer[side[i].layer].direct[side[i].at]) != VOXRTI_GI_UNKNOWN) continue;
+        for (k = 0; k < m; k++) if (side[of[k]].at == side[i].at && side[of[k]].layer == side[i].layer) break;
+        if (k < m) continue;
+        memcpy(p[m], side[i].position, sizeof p[m]);
+        memcpy(n[m], side[i].normal, sizeof n[m]);
+        memset(rgb[m], 0, sizeof rgb[m]);
+        seed[m] = voxrti_hash32((uint32_t)side[i].at ^ side[i].layer << 31);
+        of[m++] = (uint8_t)i;
+    }
+    for (l = 0; l < gi->light_count && m != 0; l++)
+        voxrti_gi_add_light(gi, isa, &gi->light[l], (const float (*)[3])p, (const float (*)[3])n, seed, m,
+                            VOXRTI_GI_AREA_SAMPLES, rgb);
+    for (i = 0; i < m; i++)
+        voxrti_store_shared(&gi->layer[side[of[i]].layer].direct[side[of[i]].at], voxrti_rgb9e5(rgb[i]));
+}
+
+/* What a side sends out: (direct + bounced) * albedo / pi + emission. Its direct light is known. */
+VOXRTI_INLINE void voxrti_gi_radiance(const voxrt_gi *gi, const voxrti_gi_side *s, int with_bounces, float rgb[3]) {
+    const voxrti_gi_layer *l = &gi->layer[s->layer];
+    const voxrti_gi_entry *e = &gi->entry[l->record[s->at >> 1].object[s->at & 1u]];
+    float direct[3], more[3];
+    uint32_t a;
+    voxrti_rgb9e5_decode(voxrti_load_shared(&l->direct[s->at]), direct);
+    voxrti_rgb9e5_decode(with_bounces ? l->bounce[s->at] : 0, more);
+    for (a = 0; a < 3; a++) rgb[a] = (direct[a] + more[a]) * s->albedo[a] * 0.318309886f + e->emission[a];
+}
+
+VOXRT_DEF int voxrt_gi_get(const voxrt_gi *gi, const voxrt_column_hit *hit, const float dir[3],
+                           voxrt_gi_surface *out_surface) {
+    voxrti_gi_side s;
+    memset(out_surface, 0, sizeof *out_surface);
+    if (gi == NULL || hit == NULL || hit->cell[0] >= gi->columns->size[0] || hit->cell[1] >= gi->columns->size[1] ||
+        hit->cell[2] >= gi->columns->size[2] || !voxrti_gi_side_open(gi, hit->cell[0], hit->cell[1], hit->cell[2], dir, &s))
+        return 0;
+    voxrti_gi_fill(gi, (int)voxrt_isa_best(), &s, 1);
+    memcpy(out_surface->position, s.position, sizeof s.position);
+    memcpy(out_surface->normal, s.normal, sizeof s.normal);
+    memcpy(out_surface->albedo, s.albedo, sizeof s.albedo);
+    voxrti_gi_radiance(gi, &s, 1, out_surface->radiance);
+    out_surface->object = gi->layer[s.layer].record[s.at >> 1].object[s.at & 1u];
+    return 1;
+}
+
+/* ---------------------------------------------------------------------------
+   gather: light that comes from other surfaces; pictures from G-buffers.       // >>gather
+   --------------------------------------------------------------------------- */
+
+typedef struct voxrti_gather {
+    const voxrt_gi_render_desc *d;
+    voxrt_gi *gi;
+    const voxrt_gbuffer *g;
+    float *direct, *indirect;
+    uint32_t tiles_x, tiles, rays, bounces;
+    float radius;
+    int isa;
+    uint32_t sum[3][2]; /* tallies: rays, hits, steps */
+    uint32_t want_stats;
+} voxrti_gather;
+
+/* Points that send rays side by side. */
+typedef struct voxrti_points {
+    float p[VOXRTI_COLUMN_BATCH][3], n[VOXRTI_COLUMN_BATCH][3];
+    uint32_t seed[VOXRTI_COLUMN_BATCH], count;
+} voxrti_points;
+
+/* One ray from each point over its hemisphere, cosine distributed: what it meets. t of a miss is INFINITY; a hit that
+   shows no side has at = -1. */
+static void voxrti_gather_rays(const voxrt_gi *gi, int isa, float radius, const voxrti_points *q, uint32_t index,
+                               voxrt_ray *ray, float *t, voxrti_gi_side *side, voxrt_stats *stats) {
+    voxrt_column_hit hit[VOXRTI_COLUMN_BATCH];
+    voxrt_columns_trace_desc d;
+    uint32_t i, a;
+    memset(&d, 0, sizeof d);
+    d.isa = (voxrt_isa)isa;
+    d.normals = q->n[0];
+    d.stats = stats;
+    for (i = 0; i < q->count; i++) {
+        float u[2];
+        voxrti_sobol2(index, q->seed[i], u);
+        (void)voxrti_lobe_direction(q->n[i], u, 1.0f, ray[i].dir);
+        for (a = 0; a < 3; a++) ray[i].org[a] = q->p[i][a];
+        ray[i].t_min = 0.0f;
+        ray[i].t_max = radius;
+    }
+    (void)voxrt_columns_trace(gi->columns, &d, ray, hit, q->count);
+    for (i = 0; i < q->count; i++) {
+        t[i] = hit[i].t;
+        side[i].at = (size_t)-1;
+        side[i].layer = 0;
+        if (!(hit[i].t < INFINITY)) continue;
+        if (!voxrti_gi_side_open(gi, hit[i].cell[0], hit[i].cell[1], hit[i].cell[2], ray[i].dir, &side[i]))
+            side[i].at = (size_t)-1;
+    }
+}
+
+/* Irradiance / pi at the points: the mean over `rays` rays of what comes back along them, times albedos on the way. */
+static void voxrti_gather_run(const voxrti_gather *w, const voxrti_points *q, float (*out)[3], voxrt_stats *stats) {
+    voxrt_ray ray[VOXRTI_COLUMN_BATCH];
+    voxrti_gi_side side[VOXRTI_COLUMN_BATCH];
+    float t[VOXRTI_COLUMN_BATCH], part[VOXRTI_COLUMN_BATCH][3];
+    uint8_t of[VOXRTI_COLUMN_BATCH];
+    const float share = 1.0f / (float)(int32_t)w->rays;
+    uint32_t r, b, i, a, m;
+    for (r = 0; r < w->rays; r++) {
+        voxrti_points at = *q;
+        for (i = 0; i < at.count; i++) {
+            of[i] = (uint8_t)i;
+            part[i][0] = part[i][1] = part[i][2] = share;
+        }
+        for (b = 0; b < w->bounces && at.count != 0; b++) {
+            voxrti_gather_rays(w->gi, w->isa, w->radius, &at, w->d->first_ray + r, ray, t, side, stats);
+            if (w->d->method == VOXRT_GI_AO) {
+                for (i = 0; i < at.count; i++)
+                    for (a = 0; a < 3 && !(t[i] < INFINITY); a++) out[i][a] += share;
+                break;
+            }
+            voxrti_gi_fill(w->gi, w->isa, side, at.count);
+            for (i = m = 0; i < at.count; i++) { /* those that go on move up */
+                float rgb[3];
+                if (side[i].at == (size_t)-1) continue;
+                voxrti_gi_radiance(w->gi, &side[i], w->d->method == VOXRT_GI_GATHER, rgb);
+                for (a = 0; a < 3; a++) {
+                    out[of[i]][a] += rgb[a] * part[i][a];
+                    part[m][a] = part[i][a] * side[i].albedo[a];
+                }
+                memcpy(at.p[m], side[i].position, sizeof at.p[m]);
+                memcpy(at.n[m], side[i].normal, sizeof at.n[m]);
+                at.seed[m] = voxrti_hash32(at.seed[i] + 0x9e3779b9u);
+                of[m++] = of[i];
+            }
+            at.count = m;
+        }
+    }
+}
+
+/* Direct light on the points, by shadow rays through the columns or the caller's geometry. */
+static void voxrti_gather_direct(const voxrti_gather *w, const voxrti_points *q, float (*rgb)[3]) {
+    const voxrt_geometry *g = w->d->shadow;
+    size_t l;
+    uint32_t i, a, m, s;
+    for (l = 0; l < w->gi->light_count; l++) {
+        const voxrt_gi_light *light = &w->gi->light[l];
+        const uint32_t samples = light->kind == VOXRT_GI_AREA ? w->rays : 1;
+        if (g == NULL) {
+            voxrti_gi_add_light(w->gi, w->isa, light, q->p, q->n, q->seed, q->count, samples, rgb);
+            continue;
+        }
+        for (s = 0; s < samples; s++) {
+            voxrt_ray ray[VOXRTI_COLUMN_BATCH];
+            float in[VOXRTI_COLUMN_BATCH][3];
+            uint8_t of[VOXRTI_COLUMN_BATCH], dark[VOXRTI_COLUMN_BATCH];
+            voxrt_trace_desc d;
+            memset(&d, 0, sizeof d);
+            d.isa = (voxrt_isa)w->isa;
+            for (i = m = 0; i < q->count; i++) {
+                float u[2] = {0.5f, 0.5f};
+                if (samples > 1) voxrti_sobol2(w->d->first_ray + s, voxrti_hash32(q->seed[i]), u);
+                if (!voxrti_gi_light_ray(light, q->p[i], q->n[i], u, &ray[m], in[m])) continue;
+                for (a = 0; a < 3; a++) { /* from a little above the surface to a little before the light */
+                    const float up = w->d->shadow_lift * q->n[i][a];
+                    ray[m].org[a] += up;
+                    if (ray[m].t_max < INFINITY) ray[m].dir[a] -= up;
+                }
+                if (ray[m].t_max < INFINITY) ray[m].t_max = 0.9999f;
+                of[m++] = (uint8_t)i;
+            }
+            memset(dark, 0, sizeof dark);
+            if (m != 0) g->occluded_fn(g->user, &d, ray, dark, m);
+            for (i = 0; i < m; i++)
+                for (a = 0; a < 3 && !dark[i]; a++) rgb[of[i]][a] += in[i][a] / (float)(int32_t)samples;
+        }
+    }
+}
+
+static void voxrti_task_gather(void *ctx, uint32_t tile) {
+    voxrti_gather *w = (voxrti_gather *)ctx;
+    const voxrt_gbuffer *g = w->g;
+    const uint32_t x0 = tile % w->tiles_x * 8, y0 = tile / w->tiles_x * 8;
+    voxrti_points q;
+    voxrt_stats stats;
+    size_t pixel[VOXRTI_COLUMN_BATCH];
+    float rgb[VOXRTI_COLUMN_BATCH][3];
+    uint32_t x, y, i, a;
+    q.count = 0;
+    memset(&stats, 0, sizeof stats);
+    for (y = y0; y < y0 + 8 && y < g->height; y++)
+        for (x = x0; x < x0 + 8 && x < g->width; x++) {
+            const size_t at = (size_t)y * g->width + x;
+            const float *n = g->normal + 3 * at;
+            for (a = 0; a < 3; a++) {
+                if (w->direct != NULL) w->direct[3 * at + a] = 0.0f;
+                if (w->indirect != NULL) w->indirect[3 * at + a] = 0.0f;
+            }
+            if (!(voxrti_dot3(n, n) > 0.5f)) continue;
+            i = q.count++;
+            memcpy(q.p[i], g->position + 3 * at, sizeof q.p[i]);
+            memcpy(q.n[i], n, sizeof q.n[i]);
+            q.seed[i] = voxrti_hash32(x + (y << 16));
+            pixel[i] = at;
+        }
+    if (q.count == 0) return;
+    if (w->direct != NULL) {
+        memset(rgb, 0, sizeof rgb);
+        voxrti_gather_direct(w, &q, rgb);
+        for (i = 0; i < q.count; i++)
+            for (a = 0; a < 3; a++) {
+                const size_t at = 3 * pixel[i] + a;
+                w->direct[at] = rgb[i][a] * g->albedo[at] * 0.318309886f + (g->emission != NULL ? g->emission[at] : 0.0f);
+            }
+    }
+    if (w->indirect != NULL && w->d->method != VOXRT_GI_NONE) {
+        memset(rgb, 0, sizeof rgb);
+        voxrti_gather_run(w, &q, rgb, w->want_stats ? &stats : NULL);
+        for (i = 0; i < q.count; i++)
+            for (a = 0; a < 3; a++) w->indirect[3 * pixel[i] + a] = rgb[i][a];
+    }
+    if (w->want_stats) {
+        voxrti_tally_add(w->sum[0], stats.rays);
+        voxrti_tally_add(w->sum[1], stats.hits);
+        voxrti_tally_add(w->sum[2], stats.steps);
+    }
+}
+
+/* ---- filter: weights by distance in the picture, angle of normals, distance from the tangent plane ---- */
+
+typedef struct voxrti_gi_filter {
+    const voxrt_gbuffer *g;
+    const float *from;
+    float *to;
+    int32_t radius, step_x, step_y;
+    float depth_scale; /* 1 / (2 sigma^2) at one pixel's distance */
+    float table[65];
+} voxrti_gi_filter;
+
+static void voxrti_task_gi_filter(void *ctx, uint32_t y) {
+    const voxrti_gi_filter *f = (const voxrti_gi_filter *)ctx;
+    const voxrt_gbuffer *g = f->g;
+    uint32_t x, a;
+    for (x = 0; x < g->width; x++) {
+        const size_t at = 3 * ((size_t)y * g->width + x);
+        const float *n = g->normal + at, *p = g->position + at;
+        float sum[3] = {0, 0, 0}, weight = 0.0f;
+        int32_t i;
+        for (i = -f->radius; i <= f->radius; i++) {
+            const int64_t qx = (int64_t)x + (int64_t)i * f->step_x, qy = (int64_t)y + (int64_t)i * f->step_y;
+            const int32_t far_ = i < 0 ? -i : i;
+            size_t q;
+            float cosine, d[3], plane, w;
+            if (qx < 0 || qy < 0 || qx >= (int64_t)g->width || qy >= (int64_t)g->height) continue;
+            q = 3 * ((size_t)qy * g->width + (size_t)qx);
+            cosine = voxrti_dot3(n, g->normal + q);
+            if (!(cosine > 0.0f)) continue;
+            for (a = 0; a < 3; a++) d[a] = g->position[q + a] - p[a];
+            plane = voxrti_dot3(n, d);
+            plane = plane * plane * f->depth_scale / (float)((1 + far_) * (1 + far_));
+            if (plane > 20.0f) continue;
+            cosine *= cosine;
+            cosine *= cosine;
+            cosine *= cosine;
+            cosine *= cosine;
+            cosine *= cosine; /* to the 32nd */
+            w = f->table[far_] * cosine / (1.0f + plane * (1.0f + plane * (0.5f + plane * (1.0f / 6.0f)))); /* ~ exp(-plane) */
+            for (a = 0; a < 3; a++) sum[a] += w * f->from[q + a];
+            weight += w;
+        }
+        for (a = 0; a < 3; a++) f->to[at + a] = weight > 0.0f ? sum[a] / weight : f->from[at + a];
+    }
+}
+
+static voxrt_result voxrti_gi_filter_run(const voxrti_gather *w, voxrti_mem *mem) {
+    voxrti_gi_filter f;
+    const size_t bytes = (size_t)w->g->width * w->g->height * 12;
+    const uint32_t r = w->d->filter > 64 ? 64 : w->d->filter;
+    float *other = (float *)voxrti_alloc(mem, bytes);
+    double sigma = 0.5 * w->gi->columns->diagonal;
+    uint32_t pass, i;
+    if (other == NULL) return voxrti_fail(w->d->env.error, VOXRT_ERR_NO_MEMORY, bytes, "no memory for % bytes of a filter");
+    memset(&f, 0, sizeof f);
+    f.g = w->g;
+    f.radius = (int32_t)r;
+    f.depth_scale = (float)(1.0 / (2.0 * sigma * sigma));
+    for (i = 0; i <= r; i++) f.table[i] = (float)voxrti_exp2(-1.442695041 * 2.0 * (double)(i * i) / (double)(r * r));
+    for (pass = 0; pass < 4; pass++) { /* rows and columns, twice */
+        f.from = pass % 2 == 0 ? w->indirect : other;
+        f.to = pass % 2 == 0 ? other : w->indirect;
+        f.step_x = pass % 2 == 0;
+        f.step_y = pass % 2 == 1;
+        voxrti_parallel_for(&w->d->env, voxrti_task_gi_filter, &f, w->g->height);
+    }
+    voxrti_free(mem, other);
+    return VOXRT_OK;
+}
+
+static void voxrti_task_gi_albedo(void *ctx, uint32_t y) {
+    const voxrti_gather *w = (const voxrti_gather *)ctx;
+    size_t i, n = 3 * (size_t)w->g->width, at = n * y;
+    for (i = at; i < at + n; i++) w->indirect[i] *= w->g->albedo[i];
+}
+
+VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_gi *gi, const voxrt_gbuffer *gbuffer,
+                                       float *direct, float *indirect, voxrt_stats *stats) {
+    voxrt_gi_render_desc d;
+    voxrti_gather w;
+    voxrti_mem mem;
+    voxrt_result r;
+    uint32_t a;
+    double diagonal = 0.0;
+    memset(&w, 0, sizeof w);
+    if (desc != NULL) d = *desc;
+    else memset(&d, 0, sizeof d);
+    if (d._begin_zero != 0 || d._end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
+    if (gi == NULL || gbuffer == NULL || (uint32_t)d.method > VOXRT_GI_NONE || (uint32_t)d.isa > 4u) return VOXRT_ERR_INVALID_ARG;
+    if (!(d.radius >= 0.0f) || !(d.shadow_lift >= 0.0f) || d.rays > 1u << 20 || d.bounces > 1u << 10 || d.filter > 1u << 16)
+        return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "rays, bounces, radius or filter out of range");
+    if (gbuffer->width == 0 || gbuffer->height == 0) return VOXRT_OK;
+    if (gbuffer->position == NULL || gbuffer->normal == NULL || gbuffer->albedo == NULL || gbuffer->width > 65535 ||
+        gbuffer->height > 65535) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no G-buffer, or a side over 65535");
+    r = voxrti_env_open(&d.env, &mem);
+    if (r != VOXRT_OK) return r;
+    for (a = 0; a < 3; a++) diagonal += gi->columns->cell[a] * gi->columns->size[a] * gi->columns->cell[a] * gi->columns->size[a];
+    w.d = &d;
+    w.gi = gi;
+    w.g = gbuffer;
+    w.direct = direct;
+    w.indirect = indirect;
+    w.rays = d.rays != 0 ? d.rays : 16;
+    w.bounces = d.method == VOXRT_GI_PATH && d.bounces != 0 ? d.bounces : 1;
+    w.radius = d.radius > 0.0f ? d.radius : (float)sqrt(diagonal);
+    w.isa = (int)voxrt_isa_best();
+    if (d.isa != VOXRT_ISA_AUTO && (int)d.isa < w.isa) w.isa = (int)d.isa;
+    w.want_stats = stats != NULL;
+    w.tiles_x = (gbuffer->width + 7) / 8;
+    w.tiles = w.tiles_x * ((gbuffer->height + 7) / 8);
+    voxrti_parallel_for(&d.env, voxrti_task_gather, &w, w.tiles);
+    if (stats != NULL) {
+        stats->rays += voxrti_tally(w.sum[0]);
+        stats->hits += voxrti_tally(w.sum[1]);
+        stats->steps += voxrti_tally(w.sum[2]);
+    }
+    if (indirect == NULL || d.method == VOXRT_GI_NONE) return VOXRT_OK;
+    if (d.filter != 0) r = voxrti_gi_filter_run(&w, &mem);
+    if (r == VOXRT_OK && d.method != VOXRT_GI_AO) voxrti_parallel_for(&d.env, voxrti_task_gi_albedo, &w, gbuffer->height);
+    return r;
+}
+
+/* ---- bounces ---- */
+
+typedef struct voxrti_bounce {
+    voxrt_gi *gi;
+    voxrti_gather gather;
+    voxrt_gi_render_desc desc;
+    uint32_t *next;        /* the new values of both layers */
+    uint32_t layer, seed;
+    float weight;
+} voxrti_bounce;
+
+static void voxrti_bounce_flush(const voxrti_bounce *b, voxrti_points *q, const size_t *at) {
+    const voxrti_gi_layer *l = &b->gi->layer[b->layer];
+    float rgb[VOXRTI_COLUMN_BATCH][3], old[3];
+    uint32_t i, a;
+    memset(rgb, 0, sizeof rgb);
+    voxrti_gather_run(&b->gather, q, rgb, NULL);
+    for (i = 0; i < q->count; i++) {
+        voxrti_rgb9e5_decode(l->bounce[at[i]], old);
+        for (a = 0; a < 3; a++) rgb[i][a] = old[a] + (rgb[i][a] * 3.14159265f - old[a]) * b->weight;
+        b->next[at[i]] = voxrti_rgb9e5(rgb[i]);
+    }
+    q->count = 0;
+}
+
+/* Both sides of the cells in a row of columns. */
+static void voxrti_task_bounce(void *ctx, uint32_t y) {
+    const voxrti_bounce *b = (const voxrti_bounce *)ctx;
+    const voxrt_columns *c = b->gi->columns;
+    const voxrti_gi_layer *l = &b->gi->layer[b->layer];
+    voxrti_points q;
+    size_t at[VOXRTI_COLUMN_BATCH], rec = l->base[(size_t)y << c->row_log[0]];
+    uint32_t x, w, side, i, a;
+    q.count = 0;
+    for (x = 0; x < c->size[0]; x++)
+        for (w = 0; w < c->words; w++) {
+            uint32_t bits = l->bits[voxrti_column(c, 0, x, y) + w];
+            for (; bits != 0; bits &= bits - 1, rec++)
+                for (side = 0; side < 2; side++) {
+                    const uint32_t cell[3] = {x, y, 32 * w + voxrti_ctz64(bits)};
+                    float lift;
+                    if (l->record[rec].area[side] == 0) continue;
+                    i = q.count++;
+                    at[i] = 2 * rec + side;
+                    voxrti_oct_decode(l->record[rec].normal[side], q.n[i]);
+                    lift = (float)((double)l->record[rec].offset[side] * (c->diagonal / 254.0));
+                    for (a = 0; a < 3; a++) {
+                        const uint32_t wa = c->axis[a];
+                        q.p[i][wa] = (float)(c->origin[a] + ((double)cell[a] + 0.5) * c->cell[a]) + lift * q.n[i][wa];
+                    }
+                    q.seed[i] = voxrti_hash32((uint32_t)at[i] * 2u + b->layer) ^ b->seed;
+                    if (q.count == VOXRTI_COLUMN_BATCH) voxrti_bounce_flush(b, &q, at);
+                }
+        }
+    if (q.count != 0) voxrti_bounce_flush(b, &q, at);
+}
+
+VOXRT_DEF voxrt_result voxrt_gi_bounce(voxrt_gi *gi, const voxrt_env *env, uint32_t rays, float weight, uint32_t seed) {
+    voxrti_bounce b;
+    uint32_t *next[2] = {NULL, NULL}, l;
+    voxrt_result r = VOXRT_OK;
+    double diagonal = 0.0;
+    if (gi == NULL || !(weight >= 0.0f && weight <= 1.0f) || rays > 1u << 20) return VOXRT_ERR_INVALID_ARG;
+    memset(&b, 0, sizeof b);
+    if (env != NULL) b.desc.env = *env;
+    for (l = 0; l < 3; l++)
+        diagonal += gi->columns->cell[l] * gi->columns->size[l] * gi->columns->cell[l] * gi->columns->size[l];
+    b.gi = gi;
+    b.weight = weight > 0.0f ? weight : 1.0f;
+    b.seed = voxrti_hash32(seed);
+    b.gather.d = &b.desc;
+    b.gather.gi = gi;
+    b.gather.rays = rays != 0 ? rays : 16;
+    b.gather.bounces = 1;
+    b.gather.radius = (float)sqrt(diagonal);
+    b.gather.isa = (int)voxrt_isa_best();
+    for (l = 0; l < 2 && r == VOXRT_OK; l++) {
+        if (gi->layer[l].count == 0) continue;
+        next[l] = (uint32_t *)voxrti_alloc_zero(&gi->mem, gi->layer[l].count, 8);
+        if (next[l] == NULL) r = voxrti_fail(b.desc.env.error, VOXRT_ERR_NO_MEMORY, gi->layer[l].count, "no memory for light on % cells");
+    }
+    for (l = 0; l < 2 && r == VOXRT_OK; l++) {
+        if (gi->layer[l].count == 0) continue;
+        b.layer = l;
+        b.next = next[l];
+        voxrti_parallel_for(&b.desc.env, voxrti_task_bounce, &b, gi->columns->size[1]);
+    }
+    for (l = 0; l < 2; l++) {
+        if (r == VOXRT_OK && next[l] != NULL) memcpy(gi->layer[l].bounce, next[l], gi->layer[l].count * 8);
+        voxrti_free(&gi->mem, next[l]);
+    }
+    return r;
+}
+
+/* ---- G-buffers ---- */
+
+typedef struct voxrti_gbuffer_work {
+    const voxrt_gbuffer *g;
+    const voxrt_geometry *geometry;
+    const voxrt_gi *gi;
+    voxrti_frame frame;
+    uint32_t tiles_x;
+    voxrti_srgb srgb;
+} voxrti_gbuffer_work;
+
+static void voxrti_task_gbuffer(void *ctx, uint32_t tile) {
+    const voxrti_gbuffer_work *w = (const voxrti_gbuffer_work *)ctx;
+    const voxrt_gbuffer *g = w->g;
+    const uint32_t x0 = tile % w->tiles_x * 8, y0 = tile / w->tiles_x * 8;
+    voxrt_ray ray[VOXRTI_COLUMN_BATCH];
+    voxrt_surface surface[VOXRTI_COLUMN_BATCH];
+    voxrt_column_hit hit[VOXRTI_COLUMN_BATCH];
+    size_t pixel[VOXRTI_COLUMN_BATCH];
+    uint32_t x, y, i, a, n = 0;
+    for (y = y0; y < y0 + 8 && y < g->height; y++)
+        for (x = x0; x < x0 + 8 && x < g->width; x++) {
+            const double px = (double)x + 0.5 - 0.5 * (double)g->width, py = 0.5 * (double)g->height - (double)y - 0.5;
+            for (a = 0; a < 3; a++) {
+                ray[n].org[a] = w->frame.eye[a];
+                ray[n].dir[a] = (float)(w->frame.forward[a] + px * w->frame.right[a] + py * w->frame.up[a]);
+            }
+            ray[n].t_min = 0.0f;
+            ray[n].t_max = INFINITY;
+            pixel[n++] = (size_t)y * g->width + x;
+        }
+    if (w->geometry != NULL) {
+        voxrt_trace_desc d;
+        memset(&d, 0, sizeof d);
+        w->geometry->trace_fn(w->geometry->user, &d, ray, surface, n);
+    } else {
+        (void)voxrt_columns_trace(w->gi->columns, NULL, ray, hit, n);
+    }
+    for (i = 0; i < n; i++) {
+        const size_t at = 3 * pixel[i];
+        float normal[3] = {0, 0, 0}, facing;
+        float t = INFINITY;
+        if (g->emission != NULL) g->emission[at] = g->emission[at + 1] = g->emission[at + 2] = 0.0f;
+        if (g->specular != NULL) memset(g->specular + 4 * pixel[i], 0, 16);
+        for (a = 0; a < 3; a++) g->position[at + a] = g->albedo[at + a] = g->normal[at + a] = 0.0f;
+        if (w->geometry != NULL) {
+            t = surface[i].t;
+            memcpy(normal, surface[i].normal, sizeof normal);
+            if (t < INFINITY && voxrti_dot3(normal, normal) < 0.25f && surface[i].face < 6)
+                normal[surface[i].face >> 1] = (surface[i].face & 1u) ? 1.0f : -1.0f;
+            for (a = 0; a < 3 && t < INFINITY; a++) g->albedo[at + a] = w->srgb.linear[surface[i].rgb[a]];
+        } else if (hit[i].t < INFINITY) {
+            voxrti_gi_side s;
+            t = hit[i].t;
+            if (voxrti_gi_side_open(w->gi, hit[i].cell[0], hit[i].cell[1], hit[i].cell[2], ray[i].dir, &s)) {
+                const voxrti_gi_layer *l = &w->gi->layer[s.layer];
+                memcpy(normal, s.normal, sizeof normal);
+                memcpy(g->albedo + at, s.albedo, sizeof s.albedo);
+                if (g->emission != NULL)
+                    memcpy(g->emission + at, w->gi->entry[l->record[s.at >> 1].object[s.at & 1u]].emission, 12);
+            }
+        }
+        if (!(t < INFINITY) || !voxrti_normalize(normal)) continue;
+        facing = voxrti_dot3(normal, ray[i].dir);
+        for (a = 0; a < 3; a++) {
+            g->position[at + a] = ray[i].org[a] + t * ray[i].dir[a];
+            g->normal[at + a] = facing > 0.0f ? 0.0f - normal[a] : normal[a];
+        }
+    }
+}
+
+static voxrt_result voxrti_gbuffer_run(const voxrt_env *env, const voxrt_camera *camera, const voxrt_geometry *geometry,
+                                       const voxrt_gi *gi, const voxrt_gbuffer *g) {
+    voxrti_gbuffer_work w;
+    voxrt_env none;
+    voxrt_result r;
+    memset(&none, 0, sizeof none);
+    if (camera == NULL || g == NULL || (geometry == NULL && gi == NULL)) return VOXRT_ERR_INVALID_ARG;
+    if (g->width == 0 || g->height == 0) return VOXRT_OK;
+    if (g->position == NULL || g->normal == NULL || g->albedo == NULL || g->width > 65535 || g->height > 65535)
+        return VOXRT_ERR_INVALID_ARG;
+    memset(&w, 0, sizeof w);
+    w.g = g;
+    w.geometry = geometry;
+    w.gi = gi;
+    w.tiles_x = (g->width + 7) / 8;
+    voxrti_srgb_open(&w.srgb);
+    r = voxrti_frame_open(camera, g->height, &w.frame);
+    if (r != VOXRT_OK) return r;
+    voxrti_parallel_for(env != NULL ? env : &none, voxrti_task_gbuffer, &w, w.tiles_x * ((g->height + 7) / 8));
+    return VOXRT_OK;
+}
+
+VOXRT_DEF voxrt_result voxrt_gbuffer_from_geometry(const voxrt_env *env, const voxrt_camera *camera,
+                                                   const voxrt_geometry *geometry, const voxrt_gbuffer *gbuffer) {
+    return geometry != NULL ? voxrti_gbuffer_run(env, camera, geometry, NULL, gbuffer) : VOXRT_ERR_INVALID_ARG;
+}
+VOXRT_DEF voxrt_result voxrt_gbuffer_from_gi(const voxrt_env *env, const voxrt_camera *camera, const voxrt_gi *gi,
+                                             const voxrt_gbuffer *gbuffer) {
+    return gi != NULL ? voxrti_gbuffer_run(env, camera, NULL, gi, gbuffer) : VOXRT_ERR_INVALID_ARG;
+}
+
+/* ---- tone mapping ---- */
+
+VOXRT_DEF voxrt_result voxrt_tone_map(voxrt_tone tone, float most, const float *rgb, float *out_rgb, size_t pixels) {
+    const double inv = 1.0 / (double)most, log_most = voxrti_log2(1.0 + (double)most);
+    size_t i;
+    if ((uint32_t)tone > VOXRT_TONE_DRAGO || !(most > 0.0f) || !voxrti_finite_f(most)) return VOXRT_ERR_INVALID_ARG;
+    if (pixels != 0 && (rgb == NULL || out_rgb == NULL)) return VOXRT_ERR_INVALID_ARG;
+    for (i = 0; i < pixels; i++) {
+        double y = 0.0, scale = inv;
+        uint32_t a;
+        static const double weight[3] = {0.2126, 0.7152, 0.0722};
+        for (a = 0; a < 3; a++) y += weight[a] * voxrti_max(0.0, (double)rgb[3 * i + a]);
+        if (!voxrti_finite(y)) y = (double)most;
+        if (y > 0.0 && tone == VOXRT_TONE_LOG) scale = voxrti_log2(1.0 + y) / (log_most * y);
+        if (y > 0.0 && tone == VOXRT_TONE_DRAGO) { /* bias 0.85: exponent ln(b) / ln(0.5) */
+            const double bias = voxrti_pow(y * inv, 0.23446525363702297);
+            scale = voxrti_log2(1.0 + y) / (voxrti_log2(2.0 + 8.0 * bias) * (log_most / voxrti_log2(10.0)) * y);
+        }
+        for (a = 0; a < 3; a++) {
+            const double v = (double)rgb[3 * i + a] * scale;
+            out_rgb[3 * i + a] = (float)(v > 0.0 ? (v < 1.0 ? v : 1.0) : 0.0);
+        }
+    }
+    return VOXRT_OK;
 }
 #endif /* VOXRT_NO_GI */
 
