@@ -14454,7 +14454,7 @@ VOXRT_DEF voxrt_result voxrt_gi_update(voxrt_gi *gi, voxrt_gi_update_stats *stat
     voxrt_columns_clear(c, gi->still_changed != 0);
     if (gi->still_changed) {
         gi->layer[0].count = 0;
-        gi->layer[0].bits = c->bits; /* until there is a layer of what is still: nothing is set */
+        gi->layer[0].bits = c->still;
         r = voxrti_gi_layer_build(gi, 0);
         if (r == VOXRT_OK) gi->still_changed = 0;
     }
@@ -15295,6 +15295,11 @@ static void voxrti_task_gbuffer(void *ctx, uint32_t tile) {
             t = hit[i].t;
             if (voxrti_gi_side_open(w->gi, hit[i].cell[0], hit[i].cell[1], hit[i].cell[2], ray[i].dir, &s)) {
                 const voxrti_gi_layer *l = &w->gi->layer[s.layer];
+                const float near_by = 2.0f * (float)w->gi->columns->diagonal; /* the surface, not the cell's face */
+                float d[3], at_plane;
+                for (a = 0; a < 3; a++) d[a] = s.position[a] - ray[i].org[a];
+                at_plane = voxrti_dot3(d, s.normal) / voxrti_dot3(ray[i].dir, s.normal);
+                if (voxrti_absf(at_plane - t) * sqrtf(voxrti_dot3(ray[i].dir, ray[i].dir)) < near_by) t = at_plane;
                 memcpy(normal, s.normal, sizeof normal);
                 memcpy(g->albedo + at, s.albedo, sizeof s.albedo);
                 if (g->emission != NULL)

@@ -64,7 +64,7 @@ static int parse(int argc, char **argv, gi_options *o) {
     o->rays = 64;
     o->bounces = 3;
     o->grid = 256;
-    o->res = 512;
+    o->res = 0;
     o->filter = 3;
     o->aa = 4;
     o->exposure = 1.0;
@@ -81,7 +81,7 @@ static int parse(int argc, char **argv, gi_options *o) {
     table[n++] = sup_opt_int("filter", &o->filter, 0, 64, "R", "radius of the filter of indirect light in pixels, 0: none (3)");
     table[n++] = sup_opt_int("aa", &o->aa, 1, 16, "N", "samples a pixel: 1, 4, 9 or 16 (4)");
     table[n++] = sup_opt_int("grid", &o->grid, 16, 2048, "N", "columns along each side, a power of two (256)");
-    table[n++] = sup_opt_int("res", &o->res, 16, 4096, "N", "voxels along the longest side of an object that the camera sees (512)");
+    table[n++] = sup_opt_int("res", &o->res, 16, 8192, "N", "voxels along the longest side of an object that the camera sees (1024; atrium 2048)");
     table[n++] = sup_opt_choice("tone", &o->tone, "linear|log|drago", "tone mapping");
     table[n++] = sup_opt_real("exposure", &o->exposure, 1e-6, 1e6, "E", "brightness, times the scene's own (1)");
     table[n++] = sup_opt_choice("view", &o->view, "picture|direct|indirect|voxels", "parts of the picture; what the rays of indirect light see");
@@ -98,8 +98,18 @@ static void to_world(double m[12], double scale, double turn, double x, double y
     memcpy(m, rows, sizeof rows);
 }
 
-/* Add a mesh, which goes over to the world, and voxelise it for the camera. */
-static int add_piece(world *w, const gi_options *o, sup_mesh *mesh, int still, const float albedo[3], sup_error *err) {
+/* One colour for a mesh that has none, or instead of its own. */
+static int paint(sup_mesh *mesh, const uint8_t rgb[3]) {
+    SUP_FREE(mesh->triangle_rgb);
+    mesh->triangle_rgb = NULL;
+    if (mesh->vertex_rgb == NULL) mesh->vertex_rgb = (uint8_t *)sup_alloc(mesh->vertex_count, 3);
+    if (mesh->vertex_rgb == NULL) return 1;
+    for (size_t i = 0; i < mesh->vertex_count; i++) memcpy(mesh->vertex_rgb + 3 * i, rgb, 3);
+    return 0;
+}
+
+/* Add a mesh, which goes over to the world, and voxelise it for the camera. rgb NULL: it keeps its colours. */
+static int add_piece(world *w, const gi_options *o, sup_mesh *mesh, int still, const uint8_t *rgb, sup_error *err) {
     piece *p = &w->pieces[w->piece_count];
     voxrt_build_desc build;
     voxrt_error error;
@@ -110,6 +120,7 @@ static int add_piece(world *w, const gi_options *o, sup_mesh *mesh, int still, c
     p->mesh = *mesh;
     memset(mesh, 0, sizeof *mesh);
     w->piece_count++;
+    if (rgb != NULL && paint(&p->mesh, rgb)) return sup_fail(err, "%s: out of memory", w->name);
     m->positions = p->mesh.positions;
     m->vertex_count = p->mesh.vertex_count;
     m->indices = p->mesh.indices;
@@ -118,9 +129,8 @@ static int add_piece(world *w, const gi_options *o, sup_mesh *mesh, int still, c
     m->vertex_rgb = p->mesh.vertex_rgb;
     m->triangle_rgb = p->mesh.triangle_rgb;
     p->object.still = still != 0;
-    memcpy(p->object.material.albedo, albedo, sizeof p->object.material.albedo);
     to_world(p->object.to_world, 1.0, 0.0, 0.0, 0.0, 0.0);
-    build.resolution = (uint32_t)(still ? o->res : o->res / 2 > 16 ? o->res / 2 : 16);
+    build.resolution = o->res != 0 ? (uint32_t)o->res : !still ? 512 : strcmp(w->name, "atrium") == 0 ? 2048 : 1024;
     build.env.thread_count = (uint32_t)o->common.threads;
     build.env.error = &error;
     if (voxrt_tree_build(&build, m, NULL, &p->tree) != VOXRT_OK)
@@ -137,10 +147,10 @@ static void free_world(world *w) {
     }
 }
 
-static int add_scene(world *w, const gi_options *o, const char *name, int detail, int still, const float albedo[3], sup_error *err) {
+static int add_scene(world *w, const gi_options *o, const char *name, int detail, int still, const uint8_t *rgb, sup_error *err) {
     sup_mesh mesh;
     if (sup_scene_make(name, detail, &mesh)) return sup_fail(err, "%s: out of memory", name);
-    return add_piece(w, o, &mesh, still, albedo, err);
+    return add_piece(w, o, &mesh, still, rgb, err);
 }
 
 static void area_light(world *w, float x, float y, float z, float half, float power) {
@@ -157,34 +167,35 @@ static void area_light(world *w, float x, float y, float z, float half, float po
 }
 
 static int make_cornell(world *w, const gi_options *o, sup_error *err) {
-    static const float white[3] = {1.0f, 1.0f, 1.0f}, blue[3] = {0.35f, 0.5f, 0.85f};
+    static const uint8_t blue[3] = {110, 150, 225};
     const float eye[3] = {2.78f, 2.73f, 8.0f}, at[3] = {2.78f, 2.73f, -2.8f};
-    if (add_scene(w, o, "cornell", 0, 1, white, err)) return 1;
+    if (add_scene(w, o, "cornell", 0, 1, NULL, err)) return 1;
     if (o->frames > 1 && add_scene(w, o, "sphere", 32, 0, blue, err)) return 1;
     area_light(w, 2.78f, 5.44f, -2.795f, 0.55f, 22.0f);
     memcpy(w->camera.eye, eye, sizeof eye);
     memcpy(w->camera.at, at, sizeof at);
     w->camera.fov = 38.0f;
-    w->most = 2.2f;
+    w->most = 1.1f;
     return 0;
 }
 
 static int make_atrium(world *w, const gi_options *o, sup_error *err) {
-    static const float white[3] = {1.0f, 1.0f, 1.0f}, red[3] = {0.85f, 0.2f, 0.12f}, gold[3] = {0.9f, 0.7f, 0.25f};
+    static const uint8_t red[3] = {214, 70, 48}, gold[3] = {226, 178, 72};
     const float eye[3] = {-0.2f, 2.2f, 16.0f}, at[3] = {-0.6f, 2.9f, 0.0f};
-    if (add_scene(w, o, "pillars", 0, 1, white, err) || add_scene(w, o, "torus", 0, 0, red, err) ||
+    if (add_scene(w, o, "pillars", 0, 1, NULL, err) || add_scene(w, o, "torus", 0, 0, red, err) ||
         add_scene(w, o, "sphere", 32, 0, gold, err)) return 1;
     w->light_count = 2;
     memset(w->lights, 0, 2 * sizeof w->lights[0]);
     memcpy(w->camera.eye, eye, sizeof eye);
     memcpy(w->camera.at, at, sizeof at);
     w->camera.fov = 62.0f;
-    w->most = 3.0f;
+    w->most = 1.0f;
     return 0;
 }
 
 static int make_file(world *w, const gi_options *o, sup_error *err) {
-    static const float white[3] = {1.0f, 1.0f, 1.0f}, floor_colour[3] = {0.55f, 0.55f, 0.58f}, view[3] = {0.55f, 0.35f, 1.0f};
+    static const uint8_t grey[3] = {190, 190, 196};
+    static const float view[3] = {0.55f, 0.35f, 1.0f};
     static const uint32_t corners[6] = {0, 2, 1, 0, 3, 2};
     sup_mesh mesh, plane;
     float lo[3], hi[3], size = 0.0f;
@@ -196,7 +207,7 @@ static int make_file(world *w, const gi_options *o, sup_error *err) {
         return sup_fail(err, "%s: no triangles", o->scene);
     }
     for (int a = 0; a < 3; a++) size = hi[a] - lo[a] > size ? hi[a] - lo[a] : size;
-    if (add_piece(w, o, &mesh, 1, white, err)) return 1;
+    if (add_piece(w, o, &mesh, 1, NULL, err)) return 1;
     memset(&plane, 0, sizeof plane);
     plane.positions = (float *)sup_alloc(12, sizeof(float));
     plane.indices = (uint32_t *)sup_alloc(6, sizeof(uint32_t));
@@ -212,7 +223,7 @@ static int make_file(world *w, const gi_options *o, sup_error *err) {
     memcpy(plane.indices, corners, sizeof corners);
     plane.vertex_count = 4;
     plane.triangle_count = 2;
-    if (add_piece(w, o, &plane, 1, floor_colour, err)) return 1;
+    if (add_piece(w, o, &plane, 1, grey, err)) return 1;
     area_light(w, lo[0] - 0.6f * size, hi[1] + size, hi[2] + 0.5f * size, 0.4f * size, 14.0f);
     memset(&camera, 0, sizeof camera);
     for (int a = 0; a < 3; a++) {
@@ -223,7 +234,7 @@ static int make_file(world *w, const gi_options *o, sup_error *err) {
     memcpy(w->camera.eye, camera.eye, sizeof camera.eye);
     memcpy(w->camera.at, camera.at, sizeof camera.at);
     w->camera.fov = 40.0f;
-    w->most = 1.6f;
+    w->most = 1.0f;
     return 0;
 }
 

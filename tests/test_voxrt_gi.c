@@ -1,0 +1,650 @@
+/* Global illumination: attributes of cells, light on them, closed forms, the same bits whatever computes them. */
+#include "test.h"
+#define VOXRT_IMPLEMENTATION
+#include "../voxrt.h"
+
+static uint32_t rng_state = 1;
+static double rnd(void) { return (double)(rng_state = voxrti_hash32(rng_state + 0x9e3779b9u)) / 4294967296.0; }
+
+typedef struct { float p[20000][3]; uint32_t index[40000][3]; uint8_t rgb[40000][3]; uint32_t points, triangles; } model;
+
+static voxrt_gi *make_gi(uint32_t nx, uint32_t ny, uint32_t nz, double half) {
+    voxrt_gi_desc d;
+    voxrt_gi *gi = NULL;
+    uint32_t a;
+    memset(&d, 0, sizeof d);
+    d.columns.size_x = nx;
+    d.columns.size_y = ny;
+    d.columns.size_z = nz;
+    d.columns.depth_axis_plus_1 = 3;
+    for (a = 0; a < 3; a++) {
+        d.columns.box_min[a] = -half;
+        d.columns.box_max[a] = half;
+    }
+    if (voxrt_gi_create(&d, &gi) != VOXRT_OK) abort();
+    return gi;
+}
+static voxrt_gi_object object_of(const model *m, uint32_t still) {
+    voxrt_gi_object o;
+    memset(&o, 0, sizeof o);
+    o.mesh.positions = m->p[0];
+    o.mesh.vertex_count = m->points;
+    o.mesh.indices = m->index[0];
+    o.mesh.triangle_count = m->triangles;
+    o.mesh.triangle_rgb = m->rgb[0];
+    o.still = still;
+    return o;
+}
+static void quad(model *m, const double a[3], const double b[3], const double c[3], const double d[3], uint8_t grey) {
+    const double *p[4] = {a, b, c, d};
+    const uint32_t v = m->points, t[2][3] = {{v, v + 1, v + 2}, {v, v + 2, v + 3}};
+    uint32_t i, k;
+    for (i = 0; i < 4; i++) for (k = 0; k < 3; k++) m->p[v + i][k] = (float)p[i][k];
+    m->points += 4;
+    memcpy(m->index[m->triangles], t, sizeof t);
+    memset(m->rgb[m->triangles], grey, 6);
+    m->triangles += 2;
+}
+static void sphere(model *m, double r, uint32_t rings, uint8_t grey, int inwards) {
+    uint32_t i, j, n = 2 * rings;
+    m->points = m->triangles = 0;
+    for (i = 0; i <= rings; i++)
+        for (j = 0; j < n; j++) {
+            const double a = 3.14159265358979 * i / rings, b = 6.28318530717959 * j / n;
+            m->p[m->points][0] = (float)(r * sin(a) * cos(b));
+            m->p[m->points][1] = (float)(r * sin(a) * sin(b));
+            m->p[m->points++][2] = (float)(r * cos(a));
+        }
+    for (i = 0; i < rings; i++)
+        for (j = 0; j < n; j++) {
+            const uint32_t a = i * n + j, b = i * n + (j + 1) % n, t[2][3] = {{a, a + n, b}, {b, a + n, b + n}};
+            uint32_t k;
+            memcpy(m->index[m->triangles], t, sizeof t);
+            memset(m->rgb[m->triangles], grey, 6);
+            for (k = 0; k < 2 && inwards; k++) {
+                const uint32_t x = m->index[m->triangles + k][1];
+                m->index[m->triangles + k][1] = m->index[m->triangles + k][2];
+                m->index[m->triangles + k][2] = x;
+            }
+            m->triangles += 2;
+        }
+}
+static voxrt_gi_light point_light(float x, float y, float z, float power) {
+    voxrt_gi_light l;
+    memset(&l, 0, sizeof l);
+    l.position[0] = x;
+    l.position[1] = y;
+    l.position[2] = z;
+    l.color[0] = l.color[1] = l.color[2] = power;
+    return l;
+}
+
+TEST(shared_exponents) {
+    uint32_t i, a;
+    rng_state = 3;
+    for (i = 0; i < 20000; i++) {
+        float c[3], d[3], most = 0;
+        for (a = 0; a < 3; a++) {
+            c[a] = (float)(rnd() * exp2(30 * rnd() - 15));
+            if (i % 7 == 0) c[a] = (float)((i / 7) % 512 + (i % 2 ? 0.5 : 0));
+            most = c[a] > most ? c[a] : most;
+        }
+        voxrti_rgb9e5_decode(voxrti_rgb9e5(c), d);
+        for (a = 0; a < 3; a++) CHECK_MSG(fabsf(c[a] - d[a]) <= most / 511 + 1e-7f, "%g became %g of %g", c[a], d[a], most);
+    }
+    {
+        const float odd[3] = {INFINITY, -1, NAN}, none[3] = {0, 0, 0};
+        float d[3];
+        voxrti_rgb9e5_decode(voxrti_rgb9e5(odd), d);
+        CHECK(d[0] == 65408.0f && d[1] == 0 && d[2] == 0);
+        voxrti_rgb9e5_decode(voxrti_rgb9e5(none), d);
+        CHECK(d[0] == 0 && d[1] == 0 && d[2] == 0);
+        CHECK(voxrti_rgb9e5(odd) != VOXRTI_GI_UNKNOWN);
+    }
+}
+
+TEST(samples_are_spread) { /* every power of two of points: one in each elementary interval; cosine density */
+    uint32_t n, i, seed;
+    for (seed = 0; seed < 20; seed++)
+        for (n = 4; n <= 256; n *= 4) {
+            uint8_t cell[16][16];
+            uint32_t side = 1, full = 0;
+            while (side * side < n) side *= 2;
+            memset(cell, 0, sizeof cell);
+            for (i = 0; i < n; i++) {
+                float u[2];
+                voxrti_sobol2(i, voxrti_hash32(seed), u);
+                CHECK(u[0] >= 0 && u[0] < 1 && u[1] >= 0 && u[1] < 1);
+                full += cell[(uint32_t)(u[1] * (float)side)][(uint32_t)(u[0] * (float)side)]++ == 0;
+            }
+            CHECK_MSG(full == n, "%u of %u cells", full, n);
+        }
+    {
+        const float normal[3] = {0.36f, 0.48f, 0.8f};
+        double sum = 0, sum2 = 0;
+        for (i = 0; i < 4096; i++) {
+            float u[2], d[3], c;
+            voxrti_sobol2(i, 7, u);
+            c = voxrti_lobe_direction(normal, u, 1.0f, d);
+            CHECK(fabsf(voxrti_dot3(d, d) - 1) < 1e-5f && fabsf(voxrti_dot3(d, normal) - c) < 1e-5f);
+            sum += c;
+            (void)voxrti_lobe_direction(normal, u, 4.0f, d);
+            sum2 += voxrti_dot3(d, normal);
+        }
+        CHECK(fabs(sum / 4096 - 2.0 / 3.0) < 1e-3);  /* E[cos] of density (n+1)/(2 pi) cos^n is (n+1)/(n+2) */
+        CHECK(fabs(sum2 / 4096 - 5.0 / 6.0) < 1e-3);
+    }
+}
+
+TEST(both_sides_of_a_thin_plate) { /* a plate thinner than a cell: each side keeps its normal and its colour */
+    static model m;
+    uint32_t round, i, k, cells = 0, wrong = 0;
+    rng_state = 5;
+    for (round = 0; round < 60; round++) {
+        voxrt_gi *gi = make_gi(64, 64, 64, 32);
+        double e[3][3], p[8][3];
+        voxrt_gi_object o;
+        for (k = 0; k < 2; k++) {
+            double l = 0, dot = 0;
+            for (i = 0; i < 3; i++) e[k][i] = 2 * rnd() - 1;
+            for (i = 0; i < 3 && k; i++) dot += e[0][i] * e[1][i];
+            for (i = 0; i < 3 && k; i++) e[1][i] -= dot * e[0][i];
+            for (i = 0; i < 3; i++) l += e[k][i] * e[k][i];
+            for (i = 0; i < 3; i++) e[k][i] /= sqrt(l);
+        }
+        for (i = 0; i < 3; i++) e[2][i] = e[0][(i + 1) % 3] * e[1][(i + 2) % 3] - e[0][(i + 2) % 3] * e[1][(i + 1) % 3];
+        for (k = 0; k < 8; k++)
+            for (i = 0; i < 3; i++)
+                p[k][i] = (k < 4 ? 0.15 : -0.15) * e[0][i] + ((k + 1) % 4 < 2 ? -14 : 14) * e[1][i] + (k % 4 < 2 ? -14 : 14) * e[2][i];
+        m.points = m.triangles = 0;
+        quad(&m, p[0], p[1], p[2], p[3], 255); /* upper: white, normal e0 */
+        quad(&m, p[7], p[6], p[5], p[4], 60);
+        o = object_of(&m, 1);
+        CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
+        CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
+        for (i = 0; i < 400; i++) {
+            voxrt_ray r;
+            voxrt_column_hit h;
+            voxrt_gi_surface s;
+            const double u = 24 * rnd() - 12, v = 24 * rnd() - 12, side = i & 1 ? 1 : -1;
+            memset(&r, 0, sizeof r);
+            for (k = 0; k < 3; k++) {
+                r.org[k] = (float)(u * e[1][k] + v * e[2][k] + 12 * side * e[0][k]);
+                r.dir[k] = (float)(-side * e[0][k] + 0.2 * e[1][k]);
+            }
+            r.t_max = INFINITY;
+            CHECK(voxrt_columns_trace(voxrt_gi_columns(gi), NULL, &r, &h, 1) == VOXRT_OK);
+            if (!(h.t < INFINITY)) continue;
+            cells++;
+            if (!voxrt_gi_get(gi, &h, r.dir, &s)) {
+                wrong++; /* a cell that only the other side was put into */
+                continue;
+            }
+            for (k = 0; k < 3; k++) if (fabs((double)s.normal[k] - side * e[0][k]) > 0.02) wrong++;
+            CHECK(fabsf(s.albedo[0] - (side > 0 ? 1.0f : (float)voxrti_srgb_to_linear(60.0 / 255.0))) < 0.01f);
+        }
+        voxrt_gi_destroy(gi);
+    }
+    CHECK(cells > 20000);
+    CHECK_MSG(wrong < cells / 6, "%u of %u", wrong, cells);
+}
+
+TEST(still_and_moving_objects_look_the_same) {
+    static model a, b;
+    voxrt_gi *one = make_gi(64, 64, 64, 10), *two = make_gi(64, 64, 64, 10);
+    voxrt_gi_object oa, ob;
+    voxrt_gi_update_stats su;
+    uint32_t id = 9, frame, i, k, wrong = 0, seen = 0;
+    sphere(&a, 9.0, 40, 200, 1);
+    sphere(&b, 3.0, 20, 120, 0);
+    oa = object_of(&a, 1);
+    ob = object_of(&b, 1);
+    ob.to_world[0] = ob.to_world[5] = ob.to_world[10] = 1;
+    ob.to_world[3] = 1.5;
+    CHECK(voxrt_gi_add(one, &oa, NULL) == VOXRT_OK && voxrt_gi_add(two, &oa, NULL) == VOXRT_OK);
+    CHECK(voxrt_gi_add(one, &ob, NULL) == VOXRT_OK);
+    ob.still = 0;
+    CHECK(voxrt_gi_add(two, &ob, &id) == VOXRT_OK && id == 1);
+    for (frame = 0; frame < 3; frame++) { /* away, and back */
+        ob.to_world[7] = frame == 1 ? 4.0 : 0.0;
+        CHECK(voxrt_gi_set(two, id, &ob) == VOXRT_OK);
+        CHECK(voxrt_gi_update(two, &su) == VOXRT_OK);
+        CHECK(su.moving_cells > 300 && su.still_cells > 3000 && su.rejected == 0);
+    }
+    CHECK(voxrt_gi_update(one, &su) == VOXRT_OK);
+    CHECK(su.moving_cells == 0);
+    CHECK(memcmp(one->columns->bits, two->columns->bits, 4 * (size_t)64 * 64 * 2) == 0);
+    rng_state = 8;
+    for (i = 0; i < 3000; i++) {
+        voxrt_ray r;
+        voxrt_column_hit h[2];
+        voxrt_gi_surface s[2];
+        memset(&r, 0, sizeof r);
+        for (k = 0; k < 3; k++) r.dir[k] = (float)(2 * rnd() - 1);
+        r.org[0] = -5;
+        r.t_max = INFINITY;
+        CHECK(voxrt_columns_trace(one->columns, NULL, &r, &h[0], 1) == VOXRT_OK);
+        CHECK(voxrt_columns_trace(two->columns, NULL, &r, &h[1], 1) == VOXRT_OK);
+        wrong += memcmp(&h[0], &h[1], sizeof h[0]) != 0;
+        if (voxrt_gi_get(one, &h[0], r.dir, &s[0]) != voxrt_gi_get(two, &h[1], r.dir, &s[1])) wrong++;
+        wrong += memcmp(&s[0], &s[1], sizeof s[0]) != 0;
+        seen += s[0].object == 1;
+    }
+    CHECK(seen > 100);
+    CHECK_MSG(wrong == 0, "%u", wrong);
+    CHECK(voxrt_gi_remove(two, id) == VOXRT_OK && voxrt_gi_remove(two, id) == VOXRT_ERR_INVALID_ARG);
+    CHECK(voxrt_gi_update(two, &su) == VOXRT_OK && su.moving_cells == 0);
+    voxrt_gi_destroy(one);
+    voxrt_gi_destroy(two);
+}
+
+/* A closed sphere of radius r and albedo q with a point light of intensity i in its middle: everywhere i/r^2 of direct
+   light, and after k bounces i/r^2 (q + q^2 + ... + q^k) of indirect light. */
+TEST(closed_sphere) {
+    static model m;
+    static float position[32][3], normal[32][3], albedo[32][3], direct[32][3], indirect[32][3];
+    const double r = 9.0, q = 0.5;
+    const uint8_t grey = (uint8_t)floor(255 * voxrti_linear_to_srgb(q) + 0.5);
+    const double real_q = voxrti_srgb_to_linear(grey / 255.0);
+    voxrt_gi *gi = make_gi(64, 64, 64, 10);
+    voxrt_gi_light light = point_light(0, 0, 0, 81.0f);
+    voxrt_gi_object o;
+    voxrt_gbuffer g;
+    voxrt_gi_render_desc d;
+    double sum_direct = 0, sum;
+    uint32_t i, k, bounces;
+    rng_state = 13;
+    sphere(&m, r, 60, grey, 1);
+    o = object_of(&m, 1);
+    CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
+    CHECK(voxrt_gi_set_lights(gi, &light, 1) == VOXRT_OK);
+    CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
+    memset(&g, 0, sizeof g);
+    memset(&d, 0, sizeof d);
+    g.width = 8;
+    g.height = 4;
+    g.position = position[0];
+    g.normal = normal[0];
+    g.albedo = albedo[0];
+    for (i = 0; i < 32; i++) {
+        double v[3], l = 0;
+        for (k = 0; k < 3; k++) {
+            v[k] = 2 * rnd() - 1;
+            l += v[k] * v[k];
+        }
+        for (k = 0; k < 3; k++) {
+            normal[i][k] = (float)(-v[k] / sqrt(l));
+            position[i][k] = (float)(v[k] / sqrt(l) * r);
+            albedo[i][k] = 1.0f;
+        }
+    }
+    d.rays = test_quick() ? 64 : 256;
+    for (bounces = 1; bounces <= 4; bounces++) {
+        double want = 0, factor = real_q;
+        for (i = 0; i < bounces; i++, factor *= real_q) want += factor;
+        for (k = 0; k < 2; k++) { /* light on cells, and paths */
+            d.method = k == 0 ? VOXRT_GI_GATHER : VOXRT_GI_PATH;
+            d.bounces = bounces;
+            CHECK(voxrt_gi_render(&d, gi, &g, direct[0], indirect[0], NULL) == VOXRT_OK);
+            sum = sum_direct = 0;
+            for (i = 0; i < 32; i++) {
+                sum += 3.14159265358979 * (double)indirect[i][0] / 32;
+                sum_direct += 3.14159265358979 * (double)direct[i][0] / 32;
+            }
+            CHECK_MSG(fabs(sum / want - 1) < 0.03, "%u bounces by method %u: %.4f, not %.4f", bounces, k, sum, want);
+        }
+        CHECK_MSG(fabs(sum_direct - 1) < 0.005, "direct light %.4f", sum_direct);
+        CHECK(voxrt_gi_bounce(gi, NULL, 32, 0.0f, bounces) == VOXRT_OK);
+    }
+    voxrt_gi_destroy(gi);
+}
+
+TEST(nothing_leaks_through_a_thin_wall) { /* a room of single triangles, a wall of 0.1 cells in the middle, light on one side */
+    static model m;
+    static float position[64][3], normal[64][3], albedo[64][3], direct[64][3], indirect[64][3];
+    voxrt_gi *gi = make_gi(64, 64, 64, 10);
+    voxrt_gi_light light = point_light(-5, 1, 2, 50.0f);
+    voxrt_gbuffer g;
+    voxrt_gi_render_desc d;
+    voxrt_gi_object o;
+    double sum[2] = {0, 0};
+    uint32_t i, k, wall;
+    m.points = m.triangles = 0;
+    for (k = 0; k < 3; k++)
+        for (wall = 0; wall < 2; wall++) {
+            double p[4][3];
+            for (i = 0; i < 4; i++) {
+                p[i][k] = wall ? 9.0 : -9.0;
+                p[i][(k + 1) % 3] = (i + 1) % 4 < 2 ? -9.0 : 9.0;
+                p[i][(k + 2) % 3] = i < 2 ? -9.0 : 9.0;
+            }
+            quad(&m, p[0], p[1], p[2], p[3], 220);
+        }
+    for (wall = 0; wall < 2; wall++) { /* tilted */
+        double p[4][3];
+        const double x = wall ? 0.031 : 0.0;
+        for (i = 0; i < 4; i++) {
+            p[i][1] = (i + 1) % 4 < 2 ? -9.0 : 9.0;
+            p[i][2] = i < 2 ? -9.0 : 9.0;
+            p[i][0] = x + 0.1 * p[i][1] + 0.07 * p[i][2];
+        }
+        quad(&m, p[0], p[wall ? 1 : 3], p[2], p[wall ? 3 : 1], 220);
+    }
+    o = object_of(&m, 1);
+    CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
+    CHECK(voxrt_gi_set_lights(gi, &light, 1) == VOXRT_OK);
+    CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
+    for (i = 0; i < 3; i++) CHECK(voxrt_gi_bounce(gi, NULL, 16, 0.0f, i) == VOXRT_OK);
+    memset(&g, 0, sizeof g);
+    memset(&d, 0, sizeof d);
+    g.width = 64;
+    g.height = 1;
+    g.position = position[0];
+    g.normal = normal[0];
+    g.albedo = albedo[0];
+    for (i = 0; i < 64; i++) { /* the floor, left and right */
+        position[i][0] = (float)(i < 32 ? -8.5 + 0.2 * i : 8.5 - 0.2 * (i - 32));
+        position[i][1] = -9.0f;
+        position[i][2] = 0.3f;
+        normal[i][1] = 1.0f;
+        albedo[i][0] = albedo[i][1] = albedo[i][2] = 1.0f;
+    }
+    d.rays = 128;
+    CHECK(voxrt_gi_render(&d, gi, &g, direct[0], indirect[0], NULL) == VOXRT_OK);
+    for (i = 0; i < 64; i++) sum[i / 32] += (double)direct[i][0] + (double)indirect[i][0];
+    CHECK(sum[0] > 1.0);
+    CHECK_MSG(sum[1] / sum[0] < 0.005, "%.5f of the light", sum[1] / sum[0]);
+    voxrt_gi_destroy(gi);
+}
+
+TEST(openness_is_a_form_factor) { /* a wall of height h at distance a hides 1/2 (1 - a / sqrt(a^2 + h^2)) */
+    static model m;
+    static float position[16][3], normal[16][3], albedo[16][3], open[16][3];
+    voxrt_gi *gi = make_gi(128, 128, 128, 64);
+    voxrt_gbuffer g;
+    voxrt_gi_render_desc d;
+    voxrt_gi_object o;
+    uint32_t i;
+    const double floor_y = -20.2, wall_x = 10.4, h = 25.0;
+    const double f[4][3] = {{-500, floor_y, 500}, {500, floor_y, 500}, {500, floor_y, -500}, {-500, floor_y, -500}};
+    const double w[4][3] = {{wall_x, floor_y, -500}, {wall_x, floor_y, 500}, {wall_x, floor_y + h, 500}, {wall_x, floor_y + h, -500}};
+    m.points = m.triangles = 0;
+    quad(&m, f[0], f[1], f[2], f[3], 255);
+    quad(&m, w[0], w[1], w[2], w[3], 255);
+    o = object_of(&m, 1);
+    CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
+    CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
+    memset(&g, 0, sizeof g);
+    memset(&d, 0, sizeof d);
+    g.width = 16;
+    g.height = 1;
+    g.position = position[0];
+    g.normal = normal[0];
+    g.albedo = albedo[0];
+    for (i = 0; i < 16; i++) {
+        position[i][0] = (float)(wall_x - 1.7 - 2.0 * i);
+        position[i][1] = (float)floor_y;
+        normal[i][1] = 1.0f;
+    }
+    d.method = VOXRT_GI_AO;
+    d.rays = 2048;
+    CHECK(voxrt_gi_render(&d, gi, &g, NULL, open[0], NULL) == VOXRT_OK);
+    for (i = 0; i < 16; i++) {
+        const double a = 1.7 + 2.0 * i, want = 0.5 * (1 - a / sqrt(a * a + h * h));
+        CHECK_MSG(fabs(1 - (double)open[i][0] - want) < 0.03, "at %.1f: %.4f, not %.4f", a, 1 - (double)open[i][0], want);
+    }
+    voxrt_gi_destroy(gi);
+}
+
+TEST(threads_and_instruction_sets) {
+    static model a, b;
+    enum { W = 40, H = 24 };
+    static float position[W * H][3], normal[W * H][3], albedo[W * H][3], direct[W * H][3], indirect[W * H][3], first[2][W * H][3];
+    voxrt_gi_light lights[4];
+    voxrt_camera camera;
+    voxrt_gbuffer g;
+    uint32_t way, k;
+    memset(&g, 0, sizeof g);
+    g.width = W;
+    g.height = H;
+    g.position = position[0];
+    g.normal = normal[0];
+    g.albedo = albedo[0];
+    sphere(&a, 9.0, 40, 200, 1);
+    sphere(&b, 3.0, 20, 120, 0);
+    memset(lights, 0, sizeof lights);
+    lights[0] = point_light(3, 5, 1, 40);
+    lights[1] = point_light(-3, 4, 2, 60);
+    lights[1].kind = VOXRT_GI_SPOT;
+    lights[1].direction[1] = -1;
+    lights[1].angle = 50;
+    lights[2].kind = VOXRT_GI_AREA;
+    lights[2].position[1] = 7;
+    lights[2].edge_u[0] = 1;
+    lights[2].edge_v[2] = 1;
+    lights[2].color[0] = 9;
+    lights[3].kind = VOXRT_GI_DIRECTIONAL;
+    lights[3].direction[0] = 1;
+    lights[3].color[1] = 0.5f;
+    memset(&camera, 0, sizeof camera);
+    camera.eye[2] = 7.0f;
+    camera.fov_y = 60.0f;
+    for (way = 0; way < 4; way++) {
+        voxrt_gi *gi = make_gi(64, 64, 64, 10);
+        voxrt_gi_object oa = object_of(&a, 1), ob = object_of(&b, 0);
+        voxrt_gi_render_desc d;
+        voxrt_stats stats;
+        memset(&d, 0, sizeof d);
+        memset(&stats, 0, sizeof stats);
+        gi->env.thread_count = way == 1 ? 5 : way == 0 ? 1 : 2;
+        d.env.thread_count = way == 1 ? 5 : way == 0 ? 1 : 2;
+        d.isa = way == 2 ? VOXRT_ISA_SCALAR : VOXRT_ISA_AUTO;
+        CHECK(voxrt_gi_add(gi, &oa, NULL) == VOXRT_OK && voxrt_gi_add(gi, &ob, NULL) == VOXRT_OK);
+        CHECK(voxrt_gi_set_lights(gi, lights, 4) == VOXRT_OK);
+        CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
+        CHECK(voxrt_gi_bounce(gi, &d.env, 4, 0.5f, 3) == VOXRT_OK);
+        CHECK(voxrt_gbuffer_from_gi(&d.env, &camera, gi, &g) == VOXRT_OK);
+        d.rays = 4;
+        d.filter = way == 3 ? 0 : 3;
+        CHECK(voxrt_gi_render(&d, gi, &g, direct[0], indirect[0], &stats) == VOXRT_OK);
+        CHECK(stats.rays >= 4 * (uint64_t)W * H * 9 / 10); /* some see no side of a cell */
+        CHECK_MSG(stats.hits >= stats.rays - stats.rays / 100, "%lu of %lu", (unsigned long)stats.hits, (unsigned long)stats.rays);
+        if (way == 0) {
+            memcpy(first[0], direct, sizeof direct);
+            memcpy(first[1], indirect, sizeof indirect);
+            for (k = 0; k < W * H; k++) {
+                CHECK(direct[k][0] >= 0 && indirect[k][0] >= 0 && direct[k][0] < 1e6f && indirect[k][0] < 1e6f);
+            }
+        } else {
+            CHECK(memcmp(first[0], direct, sizeof direct) == 0);
+            CHECK((memcmp(first[1], indirect, sizeof indirect) == 0) == (way != 3)); /* unfiltered is something else */
+        }
+        voxrt_gi_destroy(gi);
+    }
+}
+
+TEST(filter_keeps_to_surfaces) { /* a constant stays one; nothing crosses a right-angled edge */
+    enum { W = 32, H = 16 };
+    static float position[W * H][3], normal[W * H][3], albedo[W * H][3], light[W * H][3];
+    voxrt_gi *gi = make_gi(64, 64, 64, 10);
+    voxrt_gi_render_desc d;
+    voxrt_gbuffer g;
+    voxrti_gather w;
+    uint32_t x, y, a;
+    double worst = 0;
+    memset(&g, 0, sizeof g);
+    memset(&d, 0, sizeof d);
+    memset(&w, 0, sizeof w);
+    g.width = W;
+    g.height = H;
+    g.position = position[0];
+    g.normal = normal[0];
+    g.albedo = albedo[0];
+    d.filter = 5;
+    w.d = &d;
+    w.g = &g;
+    w.gi = gi;
+    w.indirect = light[0];
+    for (y = 0; y < H; y++)
+        for (x = 0; x < W; x++) { /* left half a floor, right half a wall */
+            const uint32_t i = y * W + x;
+            position[i][0] = x < W / 2 ? (float)x * 0.1f : W * 0.05f;
+            position[i][1] = x < W / 2 ? 0.0f : (float)(x - W / 2) * 0.1f;
+            position[i][2] = (float)y * 0.1f;
+            normal[i][x < W / 2 ? 1 : 0] = x < W / 2 ? 1.0f : -1.0f;
+            for (a = 0; a < 3; a++) light[i][a] = x < W / 2 ? 3.0f : 1.0f;
+        }
+    CHECK(voxrti_gi_filter_run(&w, &gi->mem) == VOXRT_OK);
+    for (y = 0; y < H; y++)
+        for (x = 0; x < W; x++) worst = fmax(worst, fabs((double)light[y * W + x][0] - (x < W / 2 ? 3.0 : 1.0)));
+    CHECK_MSG(worst < 1e-5, "%g", worst);
+    voxrt_gi_destroy(gi);
+}
+
+TEST(tones) {
+    float in[300], out[300], most = 8.0f;
+    uint32_t tone, i;
+    for (i = 0; i < 100; i++) in[3 * i] = in[3 * i + 1] = in[3 * i + 2] = (float)i * 0.09f;
+    for (tone = 0; tone < 3; tone++) {
+        CHECK(voxrt_tone_map((voxrt_tone)tone, most, in, out, 100) == VOXRT_OK);
+        CHECK(out[0] == 0);
+        for (i = 1; i < 100; i++) CHECK(out[3 * i] >= out[3 * i - 3] && out[3 * i] <= 1);
+        CHECK(out[297] > 0.99f); /* 8.91 */
+    }
+    { /* Drago with bias 0.85 as its authors print it, maximum 100 cd/m2 */
+        const double y = 2.0, want = 1.0 / log10(8.0 + 1.0) * log(y + 1) / log(2 + 8 * pow(y / 8.0, log(0.85) / log(0.5)));
+        in[0] = in[1] = in[2] = 2.0f;
+        CHECK(voxrt_tone_map(VOXRT_TONE_DRAGO, most, in, out, 1) == VOXRT_OK);
+        CHECK_MSG(fabs((double)out[0] - want) < 1e-6, "%g, not %g", out[0], want);
+    }
+    in[0] = NAN;
+    in[1] = INFINITY;
+    in[2] = -1;
+    CHECK(voxrt_tone_map(VOXRT_TONE_LOG, most, in, out, 1) == VOXRT_OK);
+    CHECK(out[0] == 0 && out[1] >= 0 && out[1] <= 1 && out[2] == 0);
+    CHECK(voxrt_tone_map(VOXRT_TONE_LOG, 0, in, out, 1) == VOXRT_ERR_INVALID_ARG);
+}
+
+TEST(bad_input) {
+    static model m;
+    voxrt_gi *gi = make_gi(64, 64, 64, 10), *none = NULL;
+    voxrt_gi_desc gd;
+    voxrt_gi_object o;
+    voxrt_gi_light l = point_light(0, 0, 0, 1);
+    voxrt_gi_render_desc d;
+    voxrt_gbuffer g;
+    voxrt_gi_update_stats su;
+    float one[3] = {0, 0, 0}, up[3] = {0, 1, 0};
+    memset(&gd, 0, sizeof gd);
+    memset(&g, 0, sizeof g);
+    memset(&d, 0, sizeof d);
+    CHECK(voxrt_gi_create(NULL, &none) == VOXRT_ERR_INVALID_ARG);
+    CHECK(voxrt_gi_create(&gd, &none) == VOXRT_ERR_INVALID_ARG && none == NULL);
+    gd._begin_zero = 1;
+    CHECK(voxrt_gi_create(&gd, &none) == VOXRT_ERR_UNINIT_DESC);
+    sphere(&m, 5.0, 4, 200, 0);
+    o = object_of(&m, 0);
+    CHECK(voxrt_gi_add(gi, NULL, NULL) == VOXRT_ERR_INVALID_ARG);
+    o.to_world[5] = NAN;
+    CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_ERR_INVALID_ARG);
+    o.to_world[5] = 0;
+    o.material.albedo[1] = 1.5f;
+    CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_ERR_INVALID_ARG);
+    o.material.albedo[1] = 0;
+    o.material.emission[0] = INFINITY;
+    CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_ERR_INVALID_ARG);
+    o.material.emission[0] = 0;
+    CHECK(voxrt_gi_set(gi, 0, &o) == VOXRT_ERR_INVALID_ARG);
+    m.p[3][1] = NAN;
+    m.index[5][2] = 1u << 30;
+    CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
+    CHECK(voxrt_gi_update(gi, &su) == VOXRT_OK && su.rejected >= 2 && su.moving_cells > 100);
+    l.color[1] = -1;
+    CHECK(voxrt_gi_set_lights(gi, &l, 1) == VOXRT_ERR_INVALID_ARG);
+    l.color[1] = 1;
+    l.kind = VOXRT_GI_SPOT;
+    CHECK(voxrt_gi_set_lights(gi, &l, 1) == VOXRT_ERR_INVALID_ARG);
+    l.kind = VOXRT_GI_AREA;
+    CHECK(voxrt_gi_set_lights(gi, &l, 1) == VOXRT_ERR_INVALID_ARG);
+    CHECK(voxrt_gi_set_lights(gi, NULL, 1) == VOXRT_ERR_INVALID_ARG);
+    CHECK(voxrt_gi_set_lights(gi, NULL, 0) == VOXRT_OK);
+    CHECK(voxrt_gi_render(&d, gi, &g, NULL, NULL, NULL) == VOXRT_OK); /* no pixels */
+    g.width = g.height = 1;
+    CHECK(voxrt_gi_render(&d, gi, &g, NULL, NULL, NULL) == VOXRT_ERR_INVALID_ARG);
+    g.position = one;
+    g.normal = up;
+    g.albedo = up;
+    d.radius = -1;
+    CHECK(voxrt_gi_render(&d, gi, &g, NULL, NULL, NULL) == VOXRT_ERR_INVALID_ARG);
+    d.radius = 0;
+    CHECK(voxrt_gi_render(&d, NULL, &g, NULL, NULL, NULL) == VOXRT_ERR_INVALID_ARG);
+    one[0] = NAN; /* a position that is none: no light, no NaN */
+    {
+        float direct[3] = {9, 9, 9}, indirect[3] = {9, 9, 9};
+        CHECK(voxrt_gi_render(&d, gi, &g, direct, indirect, NULL) == VOXRT_OK);
+        CHECK(direct[0] == 0 && indirect[1] == 0);
+    }
+    CHECK(voxrt_gi_bounce(gi, NULL, 4, NAN, 0) == VOXRT_ERR_INVALID_ARG);
+    CHECK(voxrt_gi_bounce(NULL, NULL, 4, 0, 0) == VOXRT_ERR_INVALID_ARG);
+    voxrt_gi_destroy(gi);
+    voxrt_gi_destroy(NULL);
+}
+
+TEST(memory) {
+    static model m;
+    uint32_t fail, done = 0;
+    sphere(&m, 5.0, 8, 200, 0);
+    for (fail = 0; fail < 40 && !done; fail++) {
+        test_alloc ta;
+        voxrt_gi_desc d;
+        voxrt_gi *gi = NULL;
+        voxrt_gi_object o = object_of(&m, 1);
+        voxrt_gi_light l = point_light(0, 0, 0, 1);
+        voxrt_result r;
+        uint32_t a;
+        test_alloc_init(&ta);
+        ta.fail_at = (int64_t)fail;
+        memset(&d, 0, sizeof d);
+        d.env.allocator.alloc_fn = test_alloc_fn;
+        d.env.allocator.free_fn = test_free_fn;
+        d.env.allocator.user = &ta;
+        d.columns.size_x = d.columns.size_y = d.columns.size_z = 64;
+        for (a = 0; a < 3; a++) {
+            d.columns.box_min[a] = -6;
+            d.columns.box_max[a] = 6;
+        }
+        r = voxrt_gi_create(&d, &gi);
+        CHECK(r == VOXRT_OK || (r == VOXRT_ERR_NO_MEMORY && gi == NULL));
+        if (gi != NULL) {
+            uint32_t tries;
+            for (tries = 0; tries < 3; tries++) { /* what failed once can be called again */
+                const voxrt_result r1 = voxrt_gi_add(gi, &o, NULL), r2 = voxrt_gi_set_lights(gi, &l, 1), r3 = voxrt_gi_update(gi, NULL);
+                const voxrt_result r4 = voxrt_gi_bounce(gi, NULL, 1, 0, 0);
+                CHECK((r1 == VOXRT_OK || r1 == VOXRT_ERR_NO_MEMORY) && (r2 == VOXRT_OK || r2 == VOXRT_ERR_NO_MEMORY));
+                CHECK((r3 == VOXRT_OK || r3 == VOXRT_ERR_NO_MEMORY) && (r4 == VOXRT_OK || r4 == VOXRT_ERR_NO_MEMORY));
+                o.still = 0;
+            }
+            done = ta.failed == 0;
+            voxrt_gi_destroy(gi);
+        }
+        test_alloc_check(&ta);
+    }
+    CHECK(done);
+}
+
+int main(int argc, char **argv) {
+    test_begin(argc, argv);
+    RUN(shared_exponents);
+    RUN(samples_are_spread);
+    RUN(both_sides_of_a_thin_plate);
+    RUN(still_and_moving_objects_look_the_same);
+    RUN(closed_sphere);
+    RUN(nothing_leaks_through_a_thin_wall);
+    RUN(openness_is_a_form_factor);
+    RUN(threads_and_instruction_sets);
+    RUN(filter_keeps_to_surfaces);
+    RUN(tones);
+    RUN(bad_input);
+    RUN(memory);
+    return test_end();
+}
