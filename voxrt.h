@@ -22,6 +22,9 @@
    @render        camera -> rays -> tiles -> buffers
    @post          work on finished pictures: encode, blur, keep to a frame time
    @scene         geometry in other places, many geometries as one
+   @columns       a grid of bit columns for what moves: voxelising into it, hierarchy, rays
+   @gi            a scene of meshes and lights in columns: what cells look like, how much light falls on them
+   @gather        light from other surfaces: G-buffers -> pictures
    @misc          names and versions
 
    DO THIS
@@ -84,10 +87,12 @@
    - Draws pictures: camera, lights, shadows, anti-aliasing, progressive pictures, level of detail by pixels, heat maps,
      depth, normals, ids; of many trees, moved and repeated, mixed with other geometry through two callbacks; with steps
      of the caller's own for rays, shading, tiles and frames.
+   - Voxelises scenes that move into bit columns, in every frame; traces rays through them; finds the light that bounces
+     between surfaces: gathering with light kept on cells, paths, ambient occlusion; G-buffers, a filter, tone mapping.
    - Has the octree, the files and the packet tracer of the thesis that it comes from, for comparison.
 
    WHAT IT DOES NOT DO
-   - No global illumination, reflection or refraction; no textures (colours come per vertex or per triangle).
+   - No reflection or refraction; no textures (colours come per vertex or per triangle).
    - No animation. A tree does not change once it is built, its instances may move; the octree of the thesis can be
      edited voxel by voxel.
    - No smooth surfaces: a voxel is a cube. Close up it is seen as one, with a shading normal.
@@ -115,6 +120,7 @@
    VOXRT_NO_THREADS          never start a thread; env.parallel still works           off, wasm: on code only
    VOXRT_NO_SIMD             scalar code only                                         off           code only
    VOXRT_NO_AVX2             no AVX2                                                  off           code only
+   VOXRT_NO_GI               no bit columns and no global illumination                off           yes
    VOXRT_ALLOW_FAST_MATH     accept -ffast-math; nothing is promised then             #error        code only
    No macro changes a struct. The instruction set is chosen when the program runs; desc.isa can lower it.
 
@@ -169,6 +175,8 @@
    REFERENCES
    M. Bohnen: Ray Tracing von Volumendaten auf Basis des Augenblick-SDK. Diplomarbeit, Univ. Koblenz-Landau, 2009
        (`the thesis': octree, v4 files, packets, start grid, pair-merged palette)
+   S. Thiedemann: Voxelbasierte globale Beleuchtung in dynamischen Szenen. Diplomarbeit, Univ. Koblenz-Landau, 2010
+       (`thesis (2010)': columns, their hierarchy, gathering, paths)
    S. Laine: A Topological Approach to Voxelization. Computer Graphics Forum 32(4), 2013 (6-separating targets)
    M. Schwarz, H.-P. Seidel: Fast Parallel Surface and Solid Voxelization on GPUs. ACM TOG 29(6), 2010 (26-separating)
    J. Amanatides, A. Woo: A Fast Voxel Traversal Algorithm for Ray Tracing. Eurographics 1987 (crossings as events)
@@ -181,6 +189,11 @@
    J. Ward: Hierarchical Grouping to Optimize an Objective Function. JASA 58, 1963; W. Equitz: A New Vector
        Quantization Clustering Algorithm. IEEE Trans. ASSP 37(10), 1989 (palette by pairwise nearest neighbours)
    J. Duda: Asymmetric numeral systems. arXiv:1311.2540, 2013 (entropy coding)
+   E. Eisemann, X. Decoret: Fast Scene Voxelization and Applications. I3D 2006 (bits of slabs); Single-Pass GPU Solid
+       Voxelization. Graphics Interface 2008 (parity of crossings)
+   V. Forest et al.: Real-Time Hierarchical Binary-Scene Voxelization. Journal of Graphics Tools 14(3), 2009
+   B. Burley: Practical Hash-Based Owen Scrambling. JCGT 9(4), 2020; T. Duff et al.: Building an Orthonormal Basis,
+       Revisited. JCGT 6(1), 2017; F. Drago et al.: Adaptive Logarithmic Mapping. Computer Graphics Forum 22(3), 2003
    M. Roberts: The Unreasonable Effectiveness of Quasirandom Sequences, 2018 (sample positions)
    docs/algorithms.md says which equation is where, and what was corrected. */
 #ifndef VOXRT_H_INCLUDED
@@ -1152,8 +1165,8 @@ typedef struct voxrt_gi_update_stats {
 } voxrt_gi_update_stats;
 
 /* Voxelise what changed, bring the hierarchy up to date. After every change of objects or lights and before drawing.
-   The same bits for any number of threads. O(moving triangles and cells). Errors: INVALID_ARG, NO_MEMORY (call it again).
-   Thread safety: alone with the scene. */
+   The same bits for any number of threads. O(moving triangles and cells). Errors: INVALID_ARG, NO_MEMORY (call it
+   again). Thread safety: alone with the scene. */
 VOXRT_DEF voxrt_result voxrt_gi_update(voxrt_gi *gi, voxrt_gi_update_stats *stats);
 VOXRT_DEF const voxrt_columns *voxrt_gi_columns(const voxrt_gi *gi); /* owned by gi */
 
@@ -1215,10 +1228,10 @@ typedef struct voxrt_gi_render_desc {
     uint32_t _end_zero;
 } voxrt_gi_render_desc;
 
-/* Light a G-buffer. direct, indirect: rgb for each pixel, linear: what the surface sends to the camera because of lights
-   (with its emission), and because of other surfaces; may be NULL. The same bits for any number of threads and any isa.
-   Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY, CANCELLED. Thread safety: one call on a scene at a time (it fills the
-   cache). Source: thesis (2010) 6, 7. */
+/* Light a G-buffer. direct, indirect: rgb for each pixel, linear: what the surface sends to the camera because of
+   lights (with its emission), and because of other surfaces; may be NULL. The same bits for any number of threads and
+   any isa. Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY, CANCELLED. Thread safety: one call on a scene at a time (it
+   fills the cache). Source: thesis (2010) 6, 7. */
 VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_gi *gi, const voxrt_gbuffer *gbuffer,
                                        float *direct, float *indirect, voxrt_stats *stats);
 
@@ -11331,7 +11344,8 @@ static VOXRTI_NOINLINE void voxrti_run_light(const voxrti_render *c, const voxrt
             (void)voxrti_normalize(v);
             along = 2.0f * cosine * voxrti_dot3(normal[i], v) - voxrti_dot3(to, v);
             if (along > 0.0f) {
-                double power = (double)c->material.shininess * voxrti_log2((double)along); /* of 2; below -149: no float */
+                /* of 2; below -149: no float */
+                double power = (double)c->material.shininess * voxrti_log2((double)along);
                 if (power > -149.0) specular[m] = c->material.specular * (float)voxrti_exp2(voxrti_min(power, 0.0));
             }
         }
@@ -13668,7 +13682,8 @@ typedef struct voxrti_column_batch {
 } voxrti_column_batch;
 
 /* wide < 0: no plane */
-static void voxrti_column_batch_add(voxrti_column_batch *b, const voxrti_column_ray *r, const voxrti_column_plane *plane,
+static void voxrti_column_batch_add(voxrti_column_batch *b, const voxrti_column_ray *r,
+                                    const voxrti_column_plane *plane,
                                     uint32_t planes) {
     const uint32_t i = b->count++;
     uint32_t a, p;
@@ -13750,11 +13765,13 @@ VOXRTI_TARGET_AVX2 static void voxrti_column_planes8(const voxrti_column_batch *
     const __m256 dx = _mm256_sub_ps(_mm256_add_ps(_mm256_cvtepi32_ps(x), half), VOXRTI_PLANE(b->at[p][0]));
     const __m256 dy = _mm256_sub_ps(_mm256_add_ps(_mm256_cvtepi32_ps(y), half), VOXRTI_PLANE(b->at[p][1]));
     const __m256 at = VOXRTI_PLANE(b->at[p][2]), reach = VOXRTI_PLANE(b->reach[p][2]), wide = VOXRTI_PLANE(b->wide[p]);
-    const __m256 a = _mm256_add_ps(_mm256_mul_ps(VOXRTI_PLANE(b->n[p][0]), dx), _mm256_mul_ps(VOXRTI_PLANE(b->n[p][1]), dy));
+    const __m256 a = _mm256_add_ps(_mm256_mul_ps(VOXRTI_PLANE(b->n[p][0]), dx),
+                                   _mm256_mul_ps(VOXRTI_PLANE(b->n[p][1]), dy));
     const __m256 steep = VOXRTI_PLANE(b->n[p][2]), inv = _mm256_div_ps(_mm256_set1_ps(1.0f), steep);
     const __m256 mid = _mm256_sub_ps(_mm256_sub_ps(at, _mm256_mul_ps(a, inv)), half);
     const __m256 reach_half = _mm256_mul_ps(wide, _mm256_andnot_ps(sign, inv));
-    const __m256 is_steep = _mm256_cmp_ps(_mm256_andnot_ps(sign, steep), _mm256_mul_ps(_mm256_set1_ps(1e-6f), wide), _CMP_GT_OQ);
+    const __m256 is_steep = _mm256_cmp_ps(_mm256_andnot_ps(sign, steep), _mm256_mul_ps(_mm256_set1_ps(1e-6f), wide),
+                                          _CMP_GT_OQ);
     __m256 low = _mm256_sub_ps(_mm256_sub_ps(at, reach), half), high = _mm256_sub_ps(_mm256_add_ps(at, reach), half);
     __m256 in = _mm256_and_ps(_mm256_cmp_ps(_mm256_andnot_ps(sign, dx), VOXRTI_PLANE(b->reach[p][0]), _CMP_LE_OQ),
                               _mm256_cmp_ps(_mm256_andnot_ps(sign, dy), VOXRTI_PLANE(b->reach[p][1]), _CMP_LE_OQ));
@@ -13784,7 +13801,8 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE __m256i voxrti_column_mask8(__m256i lo, __m256i
 /* voxrti_column_at for eight lanes; forward: all ones where d >= 0 */
 VOXRTI_TARGET_AVX2 VOXRTI_INLINE __m256i voxrti_column_at8(__m256 o, __m256 d, __m256 inv, __m256 t, __m256i from,
                                                            __m256i most, __m256i forward, int ties) {
-    const __m256i one = _mm256_set1_epi32(1), dir = _mm256_or_si256(_mm256_andnot_si256(forward, _mm256_set1_epi32(-1)), one);
+    const __m256i one = _mm256_set1_epi32(1),
+        dir = _mm256_or_si256(_mm256_andnot_si256(forward, _mm256_set1_epi32(-1)), one);
     __m256i x = _mm256_cvttps_epi32(_mm256_add_ps(o, _mm256_mul_ps(t, d))), ahead_i, behind_i;
     __m256 ahead, behind, go, back;
     x = _mm256_max_epi32(x, _mm256_min_epi32(from, most));
@@ -13808,7 +13826,8 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE __m256i voxrti_column_at8(__m256 o, __m256 d, _
 
 /* A lane's ray has found a cell. bits: those of word w that count; ka: the cell of the depth where it entered. */
 VOXRTI_TARGET_AVX2 static void voxrti_column_lane_hit(voxrti_column_batch *b, const voxrti_column_lanes *l, uint32_t i,
-                                                      float t, int32_t x, int32_t y, uint32_t bits, int32_t w, int32_t ka) {
+                                                      float t, int32_t x, int32_t y, uint32_t bits, int32_t w,
+                                                          int32_t ka) {
     const int up = l->d[2][i] >= 0.0f;
     const int32_t id = l->id[i], k = 32 * w + (up ? (int32_t)voxrti_ctz64(bits) : 31 - (int32_t)voxrti_clz32(bits));
     b->t[id] = t;
@@ -13853,7 +13872,8 @@ VOXRTI_TARGET_AVX2 static void voxrti_column_batch_avx2(const voxrt_columns *c, 
         const __m256i way = _mm256_or_si256(_mm256_andnot_si256(up, ones), one);
         const __m256i id = _mm256_loadu_si256((const __m256i *)(const void *)l.id);
         __m256 t = _mm256_loadu_ps(l.t);
-        __m256i x = _mm256_loadu_si256((const __m256i *)(const void *)l.x), y = _mm256_loadu_si256((const __m256i *)(const void *)l.y);
+        __m256i x = _mm256_loadu_si256((const __m256i *)(const void *)l.x),
+            y = _mm256_loadu_si256((const __m256i *)(const void *)l.y);
         __m256i level = _mm256_loadu_si256((const __m256i *)(const void *)l.level);
         __m256i face = _mm256_loadu_si256((const __m256i *)(const void *)l.face);
         const uint32_t enough = next < b->count ? 6 : 0;
@@ -13861,18 +13881,24 @@ VOXRTI_TARGET_AVX2 static void voxrti_column_batch_avx2(const voxrt_columns *c, 
         uint32_t ended = ~live & 255u;
         for (;;) {
             const __m256i cx = _mm256_srav_epi32(x, level), cy = _mm256_srav_epi32(y, level);
-            const __m256i ex = _mm256_sllv_epi32(_mm256_sub_epi32(cx, px), level), ey = _mm256_sllv_epi32(_mm256_sub_epi32(cy, py), level);
+            const __m256i ex = _mm256_sllv_epi32(_mm256_sub_epi32(cx, px), level),
+                ey = _mm256_sllv_epi32(_mm256_sub_epi32(cy, py), level);
             const __m256 tx = _mm256_mul_ps(_mm256_sub_ps(_mm256_cvtepi32_ps(ex), ox), ix);
             const __m256 ty = _mm256_mul_ps(_mm256_sub_ps(_mm256_cvtepi32_ps(ey), oy), iy);
             const __m256 te = _mm256_max_ps(_mm256_min_ps(_mm256_min_ps(tx, ty), t_max), t);
-            const __m256i ka = _mm256_min_epi32(_mm256_max_epi32(_mm256_cvttps_epi32(_mm256_add_ps(oz, _mm256_mul_ps(t, dz))), zero), last_k);
-            const __m256i kb = _mm256_min_epi32(_mm256_max_epi32(_mm256_cvttps_epi32(_mm256_add_ps(oz, _mm256_mul_ps(te, dz))), zero), last_k);
-            const __m256i lo = _mm256_blendv_epi8(_mm256_min_epi32(ka, kb), ka, up), hi = _mm256_blendv_epi8(ka, _mm256_max_epi32(ka, kb), up);
+            const __m256i ka = _mm256_min_epi32(_mm256_max_epi32(_mm256_cvttps_epi32(_mm256_add_ps(oz,
+                    _mm256_mul_ps(t, dz))), zero), last_k);
+            const __m256i kb = _mm256_min_epi32(_mm256_max_epi32(_mm256_cvttps_epi32(_mm256_add_ps(oz,
+                    _mm256_mul_ps(te, dz))), zero), last_k);
+            const __m256i lo = _mm256_blendv_epi8(_mm256_min_epi32(ka, kb), ka, up),
+                hi = _mm256_blendv_epi8(ka, _mm256_max_epi32(ka, kb), up);
             const __m256i rows = _mm256_max_epi32(_mm256_sub_epi32(row_log, level), zero);
             const __m256i column = _mm256_add_epi32(_mm256_i32gather_epi32((const int *)c->start, level, 4),
-                                                    _mm256_sll_epi32(_mm256_add_epi32(_mm256_sllv_epi32(cy, rows), cx), word_log));
+                                                    _mm256_sll_epi32(_mm256_add_epi32(_mm256_sllv_epi32(cy, rows), cx),
+                                                                     word_log));
             const __m256i ground = _mm256_cmpeq_epi32(level, zero);
-            __m256i word = _mm256_srli_epi32(_mm256_blendv_epi8(hi, lo, up), 5), last = _mm256_srli_epi32(_mm256_blendv_epi8(lo, hi, up), 5);
+            __m256i word = _mm256_srli_epi32(_mm256_blendv_epi8(hi, lo, up), 5),
+                last = _mm256_srli_epi32(_mm256_blendv_epi8(lo, hi, up), 5);
             __m256i todo = ones, bits = zero, gone_lo[2], gone_hi[2], some, step, by_x, old_x = x, old_y = y, out;
             uint32_t hit, miss, p;
             gone_lo[0] = gone_lo[1] = one;
@@ -13884,11 +13910,14 @@ VOXRTI_TARGET_AVX2 static void voxrti_column_batch_avx2(const voxrt_columns *c, 
             }
             for (;;) { /* the words of the interval, until one has a bit */
                 const __m256i base = _mm256_slli_epi32(word, 5);
-                __m256i w = _mm256_mask_i32gather_epi32(zero, (const int *)c->bits, _mm256_add_epi32(column, word), todo, 4);
+                __m256i w = _mm256_mask_i32gather_epi32(zero, (const int *)c->bits, _mm256_add_epi32(column, word),
+                                                        todo, 4);
                 w = _mm256_and_si256(w, voxrti_column_mask8(lo, hi, base));
-                for (p = 0; p < b->planes; p++) w = _mm256_andnot_si256(voxrti_column_mask8(gone_lo[p], gone_hi[p], base), w);
+                for (p = 0; p < b->planes; p++)
+                    w = _mm256_andnot_si256(voxrti_column_mask8(gone_lo[p], gone_hi[p], base), w);
                 bits = _mm256_or_si256(bits, w);
-                todo = _mm256_and_si256(todo, _mm256_andnot_si256(_mm256_cmpeq_epi32(word, last), _mm256_cmpeq_epi32(w, zero)));
+                todo = _mm256_and_si256(todo,
+                        _mm256_andnot_si256(_mm256_cmpeq_epi32(word, last), _mm256_cmpeq_epi32(w, zero)));
                 if (_mm256_testz_si256(todo, todo)) break;
                 word = _mm256_add_epi32(word, _mm256_and_si256(way, todo));
             }
@@ -13899,20 +13928,26 @@ VOXRTI_TARGET_AVX2 static void voxrti_column_batch_avx2(const voxrt_columns *c, 
             {
                 const __m256i ax = _mm256_sllv_epi32(cx, level), ay = _mm256_sllv_epi32(cy, level);
                 const __m256i wide = _mm256_sub_epi32(_mm256_sllv_epi32(one, level), one);
-                const __m256i most_x = _mm256_add_epi32(ax, _mm256_and_si256(wide, px)), most_y = _mm256_add_epi32(ay, _mm256_and_si256(wide, py));
-                const __m256i next_x = _mm256_sub_epi32(ex, _mm256_andnot_si256(px, one)), next_y = _mm256_sub_epi32(ey, _mm256_andnot_si256(py, one));
-                const __m256i at_x = voxrti_column_at8(ox, dx, ix, te, x, most_x, px, 0), at_y = voxrti_column_at8(oy, dy, iy, te, y, most_y, py, 1);
+                const __m256i most_x = _mm256_add_epi32(ax, _mm256_and_si256(wide, px)),
+                    most_y = _mm256_add_epi32(ay, _mm256_and_si256(wide, py));
+                const __m256i next_x = _mm256_sub_epi32(ex, _mm256_andnot_si256(px, one)),
+                    next_y = _mm256_sub_epi32(ey, _mm256_andnot_si256(py, one));
+                const __m256i at_x = voxrti_column_at8(ox, dx, ix, te, x, most_x, px, 0),
+                    at_y = voxrti_column_at8(oy, dy, iy, te, y, most_y, py, 1);
                 step = _mm256_andnot_si256(some, alive);
-                miss = (uint32_t)_mm256_movemask_ps(_mm256_and_ps(_mm256_castsi256_ps(step), _mm256_cmp_ps(te, t_max, _CMP_GE_OQ)));
+                miss = (uint32_t)_mm256_movemask_ps(_mm256_and_ps(_mm256_castsi256_ps(step),
+                                                                  _mm256_cmp_ps(te, t_max, _CMP_GE_OQ)));
                 x = _mm256_blendv_epi8(x, _mm256_blendv_epi8(at_x, next_x, by_x), step);
                 y = _mm256_blendv_epi8(y, _mm256_blendv_epi8(next_y, at_y, by_x), step);
             }
             out = _mm256_or_si256(_mm256_or_si256(_mm256_cmpgt_epi32(zero, x), _mm256_cmpgt_epi32(zero, y)),
-                                  _mm256_xor_si256(_mm256_and_si256(_mm256_cmpgt_epi32(size_x, x), _mm256_cmpgt_epi32(size_y, y)), ones));
+                                  _mm256_xor_si256(_mm256_and_si256(_mm256_cmpgt_epi32(size_x, x),
+                                                                    _mm256_cmpgt_epi32(size_y, y)), ones));
             miss = (miss | (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(_mm256_and_si256(out, step)))) & ~ended;
             if (stats != NULL) {
                 stats->steps += voxrti_popcount64((uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(step)) & ~ended);
-                stats->descents += voxrti_popcount64((uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(_mm256_andnot_si256(ground, some))) & ~ended);
+                stats->descents += voxrti_popcount64((uint32_t)_mm256_movemask_ps(
+                        _mm256_castsi256_ps(_mm256_andnot_si256(ground, some))) & ~ended);
             }
             if ((hit | miss) != 0) {
                 int32_t bits_of[8], word_of[8], ka_of[8], x_of[8], y_of[8];
@@ -13929,7 +13964,8 @@ VOXRTI_TARGET_AVX2 static void voxrti_column_batch_avx2(const voxrt_columns *c, 
                 }
                 for (m = hit; m != 0; m &= m - 1) {
                     i = voxrti_ctz64(m);
-                    voxrti_column_lane_hit(b, &l, i, t_of[i], x_of[i], y_of[i], (uint32_t)bits_of[i], word_of[i], ka_of[i]);
+                    voxrti_column_lane_hit(b, &l, i, t_of[i], x_of[i], y_of[i], (uint32_t)bits_of[i], word_of[i],
+                                           ka_of[i]);
                 }
                 for (m = miss; m != 0; m &= m - 1) b->t[l.id[voxrti_ctz64(m)]] = -1.0f;
                 ended |= hit | miss;
@@ -13937,13 +13973,18 @@ VOXRTI_TARGET_AVX2 static void voxrti_column_batch_avx2(const voxrt_columns *c, 
                 x = _mm256_blendv_epi8(x, old_x, out); /* what has left stays where it was */
                 y = _mm256_blendv_epi8(y, old_y, out);
             }
-            face = _mm256_blendv_epi8(face, _mm256_blendv_epi8(_mm256_sub_epi32(_mm256_set1_epi32(3), _mm256_and_si256(py, one)),
-                                                               _mm256_sub_epi32(one, _mm256_and_si256(px, one)), by_x), step);
+            face = _mm256_blendv_epi8(face,
+                    _mm256_blendv_epi8(_mm256_sub_epi32(_mm256_set1_epi32(3), _mm256_and_si256(py, one)),
+                                                               _mm256_sub_epi32(one, _mm256_and_si256(px, one)), by_x),
+                                                                   step);
             {
-                const __m256i crossed = _mm256_srlv_epi32(_mm256_or_si256(_mm256_xor_si256(x, old_x), _mm256_xor_si256(y, old_y)),
+                const __m256i crossed = _mm256_srlv_epi32(_mm256_or_si256(_mm256_xor_si256(x, old_x),
+                                                                          _mm256_xor_si256(y, old_y)),
                                                           _mm256_add_epi32(level, one));
-                const __m256i rise = _mm256_andnot_si256(_mm256_cmpeq_epi32(crossed, zero), _mm256_and_si256(step, _mm256_cmpgt_epi32(top, level)));
-                level = _mm256_add_epi32(_mm256_sub_epi32(level, rise), _mm256_andnot_si256(ground, some)); /* masks are -1 */
+                const __m256i rise = _mm256_andnot_si256(_mm256_cmpeq_epi32(crossed, zero),
+                                                         _mm256_and_si256(step, _mm256_cmpgt_epi32(top, level)));
+                /* masks are -1 */
+                level = _mm256_add_epi32(_mm256_sub_epi32(level, rise), _mm256_andnot_si256(ground, some));
             }
             t = _mm256_blendv_ps(t, te, _mm256_castsi256_ps(step));
             if ((hit | miss) != 0 && voxrti_popcount64(~ended & 255u) <= enough) break;
@@ -14014,7 +14055,8 @@ static void voxrti_column_trace_run(const voxrti_column_trace *t, const voxrt_ra
         if (t->stats != NULL) t->stats->bad_rays += open < 0;
         if (open != 1) continue;
         if (t->normals != NULL)
-            voxrti_column_plane_open(t->columns, &rays[i], 0.0, t->normals + 3 * (first + i), t->radius, &plane[planes++]);
+            voxrti_column_plane_open(t->columns, &rays[i], 0.0, t->normals + 3 * (first + i), t->radius,
+                                     &plane[planes++]);
         if (t->end_normals != NULL && rays[i].t_max < INFINITY)
             voxrti_column_plane_open(t->columns, &rays[i], (double)rays[i].t_max, t->end_normals + 3 * (first + i),
                                      t->radius, &plane[planes++]);
@@ -14055,7 +14097,8 @@ static voxrt_result voxrti_column_trace_all(const voxrt_columns *c, const voxrt_
     if (r != VOXRT_OK) return r;
     if (count != 0 && (rays == NULL || (hits == NULL && occluded == NULL))) return VOXRT_ERR_INVALID_ARG;
     for (i = 0; i < count; i += VOXRTI_COLUMN_BATCH)
-        voxrti_column_trace_run(&t, rays + i, i, (uint32_t)(count - i < VOXRTI_COLUMN_BATCH ? count - i : VOXRTI_COLUMN_BATCH),
+        voxrti_column_trace_run(&t, rays + i, i,
+                                (uint32_t)(count - i < VOXRTI_COLUMN_BATCH ? count - i : VOXRTI_COLUMN_BATCH),
                                 hits != NULL ? hits + i : NULL, occluded != NULL ? occluded + i : NULL);
     return VOXRT_OK;
 }
@@ -14181,7 +14224,8 @@ VOXRTI_INLINE void voxrti_rgb9e5_decode(uint32_t v, float rgb[3]) {
 
 /* ---- cells and their records ---- */
 
-VOXRTI_INLINE size_t voxrti_gi_rank(const voxrt_columns *c, const voxrti_gi_layer *l, uint32_t x, uint32_t y, uint32_t k) {
+VOXRTI_INLINE size_t voxrti_gi_rank(const voxrt_columns *c, const voxrti_gi_layer *l, uint32_t x, uint32_t y,
+                                    uint32_t k) {
     const size_t at = voxrti_column(c, 0, x, y);
     size_t i = l->base[((size_t)y << c->row_log[0]) + x];
     uint32_t w;
@@ -14217,16 +14261,19 @@ static void voxrti_splat_add(const voxrti_splat *f, uint32_t x, uint32_t y, uint
         voxrti_add_shared(&s->rgb[side][a], f->rgb[a]);
     }
     {
-        const double d = f->plane[3] - (f->plane[0] * ((double)x + 0.5) + f->plane[1] * ((double)y + 0.5) + f->plane[2] * ((double)k + 0.5));
+        const double d = f->plane[3] - (f->plane[0] * ((double)x + 0.5) + f->plane[1] * ((double)y + 0.5) +
+                                        f->plane[2] * ((double)k + 0.5));
         const double unit = 254.0 / f->columns->diagonal;
-        voxrti_add_shared(&s->offset[side], (int32_t)voxrti_floor(voxrti_max(-127.0, voxrti_min(127.0, d * unit)) + 0.5));
+        voxrti_add_shared(&s->offset[side],
+                          (int32_t)voxrti_floor(voxrti_max(-127.0, voxrti_min(127.0, d * unit)) + 0.5));
     }
     voxrti_add_shared(&s->weight[side], 1u);
 #if defined(__GNUC__)
     {
         uint32_t seen = __atomic_load_n(&s->object[side], __ATOMIC_RELAXED);
         while (seen < f->object &&
-               !__atomic_compare_exchange_n(&s->object[side], &seen, f->object, 1, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) { }
+               !__atomic_compare_exchange_n(&s->object[side], &seen, f->object, 1, __ATOMIC_RELAXED,
+                                            __ATOMIC_RELAXED)) { }
     }
 #else
     if (s->object[side] < f->object) s->object[side] = f->object;
@@ -14479,7 +14526,8 @@ VOXRT_DEF voxrt_result voxrt_gi_update(voxrt_gi *gi, voxrt_gi_update_stats *stat
 static voxrt_result voxrti_gi_object_check(const voxrt_gi *gi, const voxrt_gi_object *o) {
     uint32_t a;
     int ok = 1;
-    if (gi == NULL || o == NULL || (o->mesh.triangle_count != 0 && o->mesh.positions == NULL)) return VOXRT_ERR_INVALID_ARG;
+    if (gi == NULL || o == NULL || (o->mesh.triangle_count != 0 && o->mesh.positions == NULL))
+        return VOXRT_ERR_INVALID_ARG;
     if (o->mesh.triangle_count / VOXRTI_INSERT_TASK >= 0x7fffffff) return VOXRT_ERR_INVALID_ARG;
     for (a = 0; a < 12; a++) ok &= voxrti_finite(o->to_world[a]);
     for (a = 0; a < 3; a++) {
@@ -14559,7 +14607,8 @@ VOXRT_DEF voxrt_result voxrt_gi_set_lights(voxrt_gi *gi, const voxrt_gi_light *l
         if (s->kind == VOXRT_GI_SPOT) ok &= s->angle > 0.0f && s->angle < 90.0f;
         if (s->kind == VOXRT_GI_AREA) {
             for (a = 0; a < 3; a++)
-                s->direction[a] = s->edge_u[(a + 1) % 3] * s->edge_v[(a + 2) % 3] - s->edge_u[(a + 2) % 3] * s->edge_v[(a + 1) % 3];
+                s->direction[a] = s->edge_u[(a + 1) % 3] * s->edge_v[(a + 2) % 3] - s->edge_u[(a + 2) % 3] *
+                    s->edge_v[(a + 1) % 3];
             ok &= voxrti_normalize(s->direction);
         }
         if (!ok || (uint32_t)s->kind > VOXRT_GI_AREA) {
@@ -14692,7 +14741,8 @@ VOXRTI_INLINE void voxrti_turn(float u, float *s, float *c) {
     const int q = (int)(u * 4.0f + 0.5f);
     const float r = (u - (float)q * 0.25f) * 6.28318530718f, r2 = r * r; /* |r| <= pi/4 */
     const float sr = r * (1.0f - r2 * (1.0f / 6.0f) * (1.0f - r2 * (1.0f / 20.0f) * (1.0f - r2 * (1.0f / 42.0f))));
-    const float cr = 1.0f - r2 * 0.5f * (1.0f - r2 * (1.0f / 12.0f) * (1.0f - r2 * (1.0f / 30.0f) * (1.0f - r2 * (1.0f / 56.0f))));
+    const float cr = 1.0f - r2 * 0.5f *
+        (1.0f - r2 * (1.0f / 12.0f) * (1.0f - r2 * (1.0f / 30.0f) * (1.0f - r2 * (1.0f / 56.0f))));
     *s = (q & 1) ? ((q & 2) ? -cr : cr) : ((q & 2) ? -sr : sr);
     *c = (q & 1) ? ((q & 2) ? sr : -sr) : ((q & 2) ? -cr : cr);
 }
@@ -14832,7 +14882,8 @@ VOXRT_DEF int voxrt_gi_get(const voxrt_gi *gi, const voxrt_column_hit *hit, cons
     voxrti_gi_side s;
     memset(out_surface, 0, sizeof *out_surface);
     if (gi == NULL || hit == NULL || hit->cell[0] >= gi->columns->size[0] || hit->cell[1] >= gi->columns->size[1] ||
-        hit->cell[2] >= gi->columns->size[2] || !voxrti_gi_side_open(gi, hit->cell[0], hit->cell[1], hit->cell[2], dir, &s))
+        hit->cell[2] >= gi->columns->size[2] || !voxrti_gi_side_open(gi, hit->cell[0], hit->cell[1], hit->cell[2], dir,
+                                                                     &s))
         return 0;
     voxrti_gi_fill(gi, (int)voxrt_isa_best(), &s, 1);
     memcpy(out_surface->position, s.position, sizeof s.position);
@@ -15007,7 +15058,8 @@ static void voxrti_task_gather(void *ctx, uint32_t tile) {
         for (i = 0; i < q.count; i++)
             for (a = 0; a < 3; a++) {
                 const size_t at = 3 * pixel[i] + a;
-                w->direct[at] = rgb[i][a] * g->albedo[at] * 0.318309886f + (g->emission != NULL ? g->emission[at] : 0.0f);
+                w->direct[at] = rgb[i][a] * g->albedo[at] * 0.318309886f +
+                    (g->emission != NULL ? g->emission[at] : 0.0f);
             }
     }
     if (w->indirect != NULL && w->d->method != VOXRT_GI_NONE) {
@@ -15061,7 +15113,8 @@ static void voxrti_task_gi_filter(void *ctx, uint32_t y) {
             cosine *= cosine;
             cosine *= cosine;
             cosine *= cosine; /* to the 32nd */
-            w = f->table[far_] * cosine / (1.0f + plane * (1.0f + plane * (0.5f + plane * (1.0f / 6.0f)))); /* ~ exp(-plane) */
+            /* ~ exp(-plane) */
+            w = f->table[far_] * cosine / (1.0f + plane * (1.0f + plane * (0.5f + plane * (1.0f / 6.0f))));
             for (a = 0; a < 3; a++) sum[a] += w * f->from[q + a];
             weight += w;
         }
@@ -15076,7 +15129,8 @@ static voxrt_result voxrti_gi_filter_run(const voxrti_gather *w, voxrti_mem *mem
     float *other = (float *)voxrti_alloc(mem, bytes);
     double sigma = 0.5 * w->gi->columns->diagonal;
     uint32_t pass, i;
-    if (other == NULL) return voxrti_fail(w->d->env.error, VOXRT_ERR_NO_MEMORY, bytes, "no memory for % bytes of a filter");
+    if (other == NULL) return voxrti_fail(w->d->env.error, VOXRT_ERR_NO_MEMORY, bytes,
+                                          "no memory for % bytes of a filter");
     memset(&f, 0, sizeof f);
     f.g = w->g;
     f.radius = (int32_t)r;
@@ -15111,15 +15165,19 @@ VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_g
     if (desc != NULL) d = *desc;
     else memset(&d, 0, sizeof d);
     if (d._begin_zero != 0 || d._end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
-    if (gi == NULL || gbuffer == NULL || (uint32_t)d.method > VOXRT_GI_NONE || (uint32_t)d.isa > 4u) return VOXRT_ERR_INVALID_ARG;
-    if (!(d.radius >= 0.0f) || !(d.shadow_lift >= 0.0f) || d.rays > 1u << 20 || d.bounces > 1u << 10 || d.filter > 1u << 16)
+    if (gi == NULL || gbuffer == NULL || (uint32_t)d.method > VOXRT_GI_NONE || (uint32_t)d.isa > 4u)
+        return VOXRT_ERR_INVALID_ARG;
+    if (!(d.radius >= 0.0f) || !(d.shadow_lift >= 0.0f) || d.rays > 1u << 20 || d.bounces > 1u << 10 ||
+        d.filter > 1u << 16)
         return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "rays, bounces, radius or filter out of range");
     if (gbuffer->width == 0 || gbuffer->height == 0) return VOXRT_OK;
     if (gbuffer->position == NULL || gbuffer->normal == NULL || gbuffer->albedo == NULL || gbuffer->width > 65535 ||
-        gbuffer->height > 65535) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no G-buffer, or a side over 65535");
+        gbuffer->height > 65535)
+            return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no G-buffer, or a side over 65535");
     r = voxrti_env_open(&d.env, &mem);
     if (r != VOXRT_OK) return r;
-    for (a = 0; a < 3; a++) diagonal += gi->columns->cell[a] * gi->columns->size[a] * gi->columns->cell[a] * gi->columns->size[a];
+    for (a = 0; a < 3; a++)
+        diagonal += gi->columns->cell[a] * gi->columns->size[a] * gi->columns->cell[a] * gi->columns->size[a];
     w.d = &d;
     w.gi = gi;
     w.g = gbuffer;
@@ -15141,7 +15199,8 @@ VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_g
     }
     if (indirect == NULL || d.method == VOXRT_GI_NONE) return VOXRT_OK;
     if (d.filter != 0) r = voxrti_gi_filter_run(&w, &mem);
-    if (r == VOXRT_OK && d.method != VOXRT_GI_AO) voxrti_parallel_for(&d.env, voxrti_task_gi_albedo, &w, gbuffer->height);
+    if (r == VOXRT_OK && d.method != VOXRT_GI_AO)
+        voxrti_parallel_for(&d.env, voxrti_task_gi_albedo, &w, gbuffer->height);
     return r;
 }
 
@@ -15224,7 +15283,9 @@ VOXRT_DEF voxrt_result voxrt_gi_bounce(voxrt_gi *gi, const voxrt_env *env, uint3
     for (l = 0; l < 2 && r == VOXRT_OK; l++) {
         if (gi->layer[l].count == 0) continue;
         next[l] = (uint32_t *)voxrti_alloc_zero(&gi->mem, gi->layer[l].count, 8);
-        if (next[l] == NULL) r = voxrti_fail(b.desc.env.error, VOXRT_ERR_NO_MEMORY, gi->layer[l].count, "no memory for light on % cells");
+        if (next[l] == NULL)
+            r = voxrti_fail(b.desc.env.error, VOXRT_ERR_NO_MEMORY, gi->layer[l].count,
+                            "no memory for light on % cells");
     }
     for (l = 0; l < 2 && r == VOXRT_OK; l++) {
         if (gi->layer[l].count == 0) continue;
