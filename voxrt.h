@@ -13824,22 +13824,32 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE __m256i voxrti_column_at8(__m256 o, __m256 d, _
     return _mm256_sub_epi32(x, _mm256_and_si256(dir, _mm256_castps_si256(back)));
 }
 
-/* A lane's ray has found a cell. bits: those of word w that count; ka: the cell of the depth where it entered. */
-VOXRTI_TARGET_AVX2 static void voxrti_column_lane_hit(voxrti_column_batch *b, const voxrti_column_lanes *l, uint32_t i,
-                                                      float t, int32_t x, int32_t y, uint32_t bits, int32_t w,
-                                                          int32_t ka) {
-    const int up = l->d[2][i] >= 0.0f;
-    const int32_t id = l->id[i], k = 32 * w + (up ? (int32_t)voxrti_ctz64(bits) : 31 - (int32_t)voxrti_clz32(bits));
-    b->t[id] = t;
-    b->face[id] = (uint8_t)l->face[i];
-    if (k != ka) {
-        const float tk = ((float)(up ? k : k + 1) - l->o[2][i]) / l->d[2][i];
-        b->t[id] = tk > t ? tk : t;
-        b->face[id] = up ? 4 : 5;
+/* Lanes `hit` have found a cell. bits: those of a word that count; ka: the cell of the depth where they entered. */
+VOXRTI_TARGET_AVX2 static void voxrti_column_lane_hits(voxrti_column_batch *b, const voxrti_column_lanes *l,
+                                                       uint32_t hit, __m256i bits, __m256i word, __m256i ka, __m256i x,
+                                                       __m256i y) {
+    int32_t bits_of[8], word_of[8], ka_of[8], x_of[8], y_of[8];
+    _mm256_storeu_si256((__m256i *)(void *)bits_of, bits);
+    _mm256_storeu_si256((__m256i *)(void *)word_of, word);
+    _mm256_storeu_si256((__m256i *)(void *)ka_of, ka);
+    _mm256_storeu_si256((__m256i *)(void *)x_of, x);
+    _mm256_storeu_si256((__m256i *)(void *)y_of, y);
+    for (; hit != 0; hit &= hit - 1) {
+        const uint32_t i = voxrti_ctz64(hit), set = (uint32_t)bits_of[i];
+        const int up = l->d[2][i] >= 0.0f;
+        const int32_t id = l->id[i];
+        const int32_t k = 32 * word_of[i] + (up ? (int32_t)voxrti_ctz64(set) : 31 - (int32_t)voxrti_clz32(set));
+        b->t[id] = l->t[i];
+        b->face[id] = (uint8_t)l->face[i];
+        if (k != ka_of[i]) {
+            const float tk = ((float)(up ? k : k + 1) - l->o[2][i]) / l->d[2][i];
+            b->t[id] = tk > l->t[i] ? tk : l->t[i];
+            b->face[id] = up ? 4 : 5;
+        }
+        b->x[id] = x_of[i];
+        b->y[id] = y_of[i];
+        b->k[id] = k;
     }
-    b->x[id] = x;
-    b->y[id] = y;
-    b->k[id] = k;
 }
 
 /* voxrti_column_walk for the rays of a batch, eight at a time: the same steps, the same bits. */
@@ -13950,22 +13960,11 @@ VOXRTI_TARGET_AVX2 static void voxrti_column_batch_avx2(const voxrt_columns *c, 
                         _mm256_castsi256_ps(_mm256_andnot_si256(ground, some))) & ~ended);
             }
             if ((hit | miss) != 0) {
-                int32_t bits_of[8], word_of[8], ka_of[8], x_of[8], y_of[8];
-                float t_of[8];
                 uint32_t m;
                 if (hit != 0) {
-                    _mm256_storeu_si256((__m256i *)(void *)bits_of, bits);
-                    _mm256_storeu_si256((__m256i *)(void *)word_of, word);
-                    _mm256_storeu_si256((__m256i *)(void *)ka_of, ka);
-                    _mm256_storeu_si256((__m256i *)(void *)x_of, old_x);
-                    _mm256_storeu_si256((__m256i *)(void *)y_of, old_y);
                     _mm256_storeu_si256((__m256i *)(void *)l.face, face);
-                    _mm256_storeu_ps(t_of, t);
-                }
-                for (m = hit; m != 0; m &= m - 1) {
-                    i = voxrti_ctz64(m);
-                    voxrti_column_lane_hit(b, &l, i, t_of[i], x_of[i], y_of[i], (uint32_t)bits_of[i], word_of[i],
-                                           ka_of[i]);
+                    _mm256_storeu_ps(l.t, t);
+                    voxrti_column_lane_hits(b, &l, hit, bits, word, ka, old_x, old_y);
                 }
                 for (m = miss; m != 0; m &= m - 1) b->t[l.id[voxrti_ctz64(m)]] = -1.0f;
                 ended |= hit | miss;
@@ -14433,7 +14432,7 @@ static voxrt_result voxrti_gi_layer_open(voxrt_gi *gi, voxrti_gi_layer *l) {
         l->capacity = want;
     }
     l->count = n;
-    memset(l->bounce, 0, n * 8);
+    if (n != 0) memset(l->bounce, 0, n * 8);
     return VOXRT_OK;
 }
 
