@@ -55,6 +55,17 @@ static void world_build(world *w) {
     w->wall = bench_wall() - wall;
 }
 
+/* Build it again with one of the thesis' trees beside the default, or without. */
+static void world_structure(world *w, zbufrand_structure structure, uint32_t classes) {
+    zbufrand_build_desc d;
+    double cpu = bench_cpu();
+    memset(&d, 0, sizeof d);
+    d.structure = structure;
+    d.normal_depth = classes;
+    must(zbufrand_scene_build(w->w.scene, &d, &w->info), w->name);
+    w->cpu = bench_cpu() - cpu;
+}
+
 static void world_free(world *w) {
     sup_world_free(&w->w);
     free(w);

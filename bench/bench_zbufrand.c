@@ -4,7 +4,7 @@
 
    BM1 growth to 10^13 triangles, levels     BM6 time against error, all ways      BM11 inner loops
    BM2 parameters of the thesis' selection   BM7 radius of a disc, hidden layers   BM12 noise from frame to frame
-   BM3 what its accuracy costs               BM8 resolution                        BM13 worst cases
+   (BM3: see BM2)                            BM8 resolution                        BM13 worst cases
    BM4 hybrid: radius, costs, never slower   BM9 build                             BM14 threads
    BM5 the thesis' scenes, reconstructions   BM10 edits                            BM15 shading, attributes
    BM16 probability of a complete picture
@@ -149,29 +149,103 @@ static void bm1_huge(void) {
 
 /* ---- BM2, BM3: the thesis' selection ---- */
 
-/* The parameter sweeps of the thesis (accuracy of depths x number of angle classes) belong here, against the cut without
-   parameters on the same scene and camera. What can be measured without them is that one. */
-static void sweep(world *w, uint32_t block) {
+/* The thesis' program with other values of its two parameters: epsilon, and levels of halving the normals. Returns the
+   time of the best cell. few: they take seconds, so only one but with --full. fits[0]: exponent of samples, fits[1]: of boxes, over epsilon and sqrt(epsilon) - 1. */
+static double sweep_cells(world *w, uint32_t block, const truth *t, int few, double fits[2]) {
+    static const double ratios[12] = {1.05, 1.1, 1.2, 1.3, 1.5, 1.7, 2.0, 2.828, 4.0, 5.656, 8.0, 16.0};
+    double best = 1e300, x[12], y[12], z[12];
+    uint32_t depth;
+    int i, n = 0;
+    fits[0] = fits[1] = 0.0;
+    for (depth = 0; depth <= (g_opt.full ? 8u : 4u); depth += g_opt.full ? 2 : 4) {
+        world_structure(w, depth == 0 ? ZBUFRAND_STRUCTURE_FAIR_SPLIT : ZBUFRAND_STRUCTURE_CLASSES, depth);
+        for (i = 0; i < 12; i++) {
+            picture_job p;
+            bench_job b;
+            char name[48];
+            if (!g_opt.full && (few ? i != 2 || depth != 0 : i != 1 && i != 4)) continue;
+            p = picture_open(w, 640, 480, 1);
+            zbufrand_preset_thesis(NULL, &p.desc);
+            p.desc.reconstruct.block = block;
+            p.desc.depth_ratio = ratios[i];
+            snprintf(name, sizeof name, "thesis, %u levels of classes", (unsigned)depth);
+            b = picture_time(&p, name, g_opt.full ? 3 : 1);
+            bench_line("zbufrand.cells", w->name, "frame_time", 1e3 * bench_seconds(&b), "ms");
+            {
+                const wrong out = judge(t, p.image.rgba, NULL, p.image.depth, NULL);
+                bench_num("error", out.rmse);
+                bench_text("error_unit", "RMSE to 256 samples");
+                wrong_nums(&out);
+            }
+            bench_text("method", name);
+            bench_num("epsilon", ratios[i]);
+            bench_num("classes", depth == 0 ? 1.0 : (double)((uint32_t)1 << depth));
+            bench_num("bytes_per_triangle", (double)w->info.bytes / (double)w->info.stored_triangles);
+            bench_num("threads", 1);
+            picture_nums(&p, &b);
+            bench_end();
+            if (bench_seconds(&b) < best) best = bench_seconds(&b);
+            if (depth == (g_opt.full ? 4u : 0u) && n < 12) {
+                x[n] = log(ratios[i]);
+                y[n] = log((double)(p.stats.samples[0] + p.stats.samples[1]));
+                z[n] = log((double)p.stats.draws[1]);
+                n++;
+            }
+            picture_free(&p);
+        }
+    }
+    if (n > 2) { /* slopes of log samples and log boxes by least squares */
+        double sx = 0, sy = 0, sz = 0, sq = 0, sxx = 0, sxy = 0, sqq = 0, sqz = 0;
+        for (i = 0; i < n; i++) {
+            const double q = log(sqrt(exp(x[i])) - 1.0);
+            sx += x[i];
+            sy += y[i];
+            sz += z[i];
+            sq += q;
+            sxx += x[i] * x[i];
+            sxy += x[i] * y[i];
+            sqq += q * q;
+            sqz += q * z[i];
+        }
+        fits[0] = (n * sxy - sx * sy) / (n * sxx - sx * sx);
+        fits[1] = (n * sqz - sq * sz) / (n * sqq - sq * sq);
+    }
+    world_structure(w, ZBUFRAND_STRUCTURE_DEFAULT, 0);
+    return best;
+}
+
+/* The sweeps of the thesis against the cut without parameters on the same scene and camera. */
+static double sweep(world *w, uint32_t block, int few) {
     picture_job p = picture_open(w, 640, 480, 1);
     truth *t = truth_make(&p, g_opt.full ? 8 : 32);
+    double best, fits[2];
     bench_job b;
     p.desc.reconstruct.block = block;
     b = picture_time(&p, "error-driven cut", 5);
     (void)picture_line("zbufrand.sweep", w->name, "error-driven cut", &p, &b, t, 1);
+    best = sweep_cells(w, block, t, few, fits);
+    bench_line("zbufrand.sweep", w->name, "times_of_best_cell", bench_seconds(&b) / best, "");
+    if (g_opt.full) {
+        bench_num("samples_exponent", fits[0]); /* over epsilon; the thesis: 1/2 */
+        bench_num("boxes_exponent", fits[1]);   /* over sqrt(epsilon) - 1; the thesis: -3, its table: -1.6 */
+    }
+    bench_num("threads", 1);
+    bench_end();
     truth_free(t);
     picture_free(&p);
+    return bench_seconds(&b) / best;
 }
 
 static void bm2(void) {
-    world *w = world_trees(0);
-    sweep(w, 2);
-    world_free(w);
-    w = world_trees(1);
-    sweep(w, 2);
-    world_free(w);
-    w = world_named("city-low", 3);
-    sweep(w, 1);
-    world_free(w);
+    double worst = 0.0;
+    int i;
+    for (i = 0; i < 3; i++) {
+        world *w = i < 2 ? world_trees(i) : world_named("city-low", 3);
+        const double ratio = sweep(w, i < 2 ? 2 : 1, i < 2);
+        worst = ratio > worst ? ratio : worst;
+        world_free(w);
+    }
+    table_set("sweep", "%.2f", worst);
 }
 
 /* ---- BM4: hybrid ---- */
@@ -383,6 +457,21 @@ static void way_independent(const char *kase, const world *w, const truth *t) {
     picture_free(&p);
 }
 
+/* The thesis' program, with its own tree. The world has that tree meanwhile. */
+static void way_thesis(const char *kase, const world *w, const truth *t) {
+    picture_job p;
+    wrong out;
+    int i;
+    for (i = 0; i < SHARED_COUNT && g_shared[i] != w; i++) { }
+    if (i == SHARED_COUNT || w->info.stored_triangles > 1000000) return; /* it would have to be built twice */
+    world_structure(g_shared[i], ZBUFRAND_STRUCTURE_FAIR_SPLIT, 0);
+    p = way_open(w, t->width, t->height);
+    zbufrand_preset_thesis(NULL, &p.desc);
+    (void)way_line(kase, "the thesis' program", "d = 2", &p, t, 1, &out);
+    picture_free(&p);
+    world_structure(g_shared[i], ZBUFRAND_STRUCTURE_DEFAULT, 0);
+}
+
 static void way_samples(const char *kase, const world *w, const truth *t, curve *means) {
     static const uint32_t blocks[3] = {2, 3, 5}, frames[4] = {1, 4, 16, 64};
     static const double densities[4] = {1.0, 2.0, 4.0, 8.0};
@@ -491,7 +580,7 @@ static double error_scene(const world *w, size_t view, const char *kase, uint32_
     way_rays(kase, w, t, &rays);
     if (raster > 0) way_raster(kase, w, t, raster > 1);
     if (independent) way_independent(kase, w, t);
-    /* the literal form of the thesis, with its own structures, is one more way */
+    way_thesis(kase, w, t);
     for (i = 0; i < rays.count; i++) { /* at the errors of the rays that the means of frames reach as well */
         const double ours = curve_time(&means, rays.error[i]);
         if (!(ours > 0.0) || (i > 0 && rays.error[i] >= rays.error[i - 1])) continue;
