@@ -458,7 +458,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_remove(zbufrand_scene *scene, zbufrand_nod
    Cost: moving, removing or adding a reference: O(depth of the trees above), some 10 us; a structure used by many
    instances costs as many of them. New triangles: as in a build. The first update after a build looks at all nodes and
    instances once and holds 20 to 30 bytes for each of them from then on. Trees are made anew in parts where they got
-   worse. The memory of melted triangles that are removed is given back by the next build.
+   worse. The memory of melted triangles that are removed is given back by the next build. Trees of the thesis are given
+   up: the scene is drawn by the default tree until it is built again.
    The same structures for any number of threads. */
 ZBUFRAND_DEF zbufrand_result zbufrand_scene_update(zbufrand_scene *scene, zbufrand_scene_info *info);
 
@@ -2139,8 +2140,9 @@ struct zbufrand_scene {
 static int zbufrandi_scene_rays(zbufrand_scene *scene); /* make rays ready; 0: no memory */
 static void zbufrandi_scene_rays_free(zbufrand_scene *scene);
 static zbufrand_result zbufrandi_scene_lists(zbufrand_scene *scene, const zbufrand_build_desc *desc);
+static void zbufrandi_lists_free(zbufrandi_mem *mem, struct zbufrandi_lists *lists);
 static void zbufrandi_scene_lists_free(zbufrand_scene *scene);
-static void zbufrandi_list_totals(zbufrand_scene *scene);
+static void zbufrandi_list_totals(const zbufrand_scene *scene, zbufrand_scene_info *info);
 
 /* ---- small matrices, 3x4, double ---- */
 
@@ -4032,6 +4034,7 @@ static void zbufrandi_structure_free(zbufrandi_mem *mem, zbufrandi_structure *s)
     zbufrandi_free(mem, s->set_normal);
     zbufrandi_free(mem, s->set_material);
     zbufrandi_free(mem, s->item_sum);
+    zbufrandi_lists_free(mem, s->lists);
     memset(s, 0, sizeof *s);
 }
 
@@ -4039,7 +4042,6 @@ static void zbufrandi_structures_free(zbufrand_scene *scene) {
     uint32_t i;
     zbufrandi_live_free(scene);
     zbufrandi_scene_rays_free(scene);
-    zbufrandi_scene_lists_free(scene);
     for (i = 0; i < scene->structure_count; i++) zbufrandi_structure_free(&scene->mem, &scene->structure[i]);
     zbufrandi_free(&scene->mem, scene->structure);
     scene->structure = NULL;
@@ -4354,6 +4356,7 @@ static void zbufrandi_scene_totals(zbufrand_scene *scene) {
     info->levels = root->depth;
     info->skipped_triangles = scene->skipped;
     zbufrandi_live_totals(scene, info);
+    zbufrandi_list_totals(scene, info);
     info->area = root->area;
     for (a = 0; a < 3; a++) {
         info->box_min[a] = root->node_count != 0 ? (double)root->box_lo[a] + root->origin[a] : (double)INFINITY;
@@ -4370,7 +4373,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_scene_build(zbufrand_scene *scene, const z
     zbufrandi_build b;
     uint32_t *order = NULL, count = 0, i;
     uint64_t done = 0, total = 0, skipped = 0;
-    size_t before, without_lists, k;
+    size_t before, k;
     zbufrand_result r;
     if (info != NULL) memset(info, 0, sizeof *info);
     if (scene == NULL) return ZBUFRAND_ERR_INVALID_ARG;
@@ -4413,7 +4416,6 @@ ZBUFRAND_DEF zbufrand_result zbufrand_scene_build(zbufrand_scene *scene, const z
     if (r == ZBUFRAND_OK && !zbufrandi_scene_rays(scene)) {
         r = zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_NO_MEMORY, 0, "no memory for rays");
     }
-    without_lists = zbufrandi_atomic_load(&scene->mem.used);
     if (r == ZBUFRAND_OK) r = zbufrandi_scene_lists(scene, &d);
     if (r != ZBUFRAND_OK) {
         zbufrandi_structures_free(scene);
@@ -4422,8 +4424,6 @@ ZBUFRAND_DEF zbufrand_result zbufrand_scene_build(zbufrand_scene *scene, const z
     scene->before = before;
     scene->skipped = skipped;
     zbufrandi_scene_totals(scene);
-    scene->info.list_bytes = zbufrandi_atomic_load(&scene->mem.used) - without_lists;
-    zbufrandi_list_totals(scene);
     if (info != NULL) *info = scene->info;
     return ZBUFRAND_OK;
 }
@@ -5284,14 +5284,20 @@ static zbufrand_result zbufrandi_scene_lists(zbufrand_scene *scene, const zbufra
     return ZBUFRAND_OK;
 }
 
-static void zbufrandi_list_totals(zbufrand_scene *scene) {
+static void zbufrandi_list_totals(const zbufrand_scene *scene, zbufrand_scene_info *info) {
     uint32_t i;
     for (i = 0; i < scene->structure_count; i++) {
         const zbufrandi_lists *l = scene->structure[i].lists;
         if (l == NULL) continue;
-        scene->info.list_objects += l->object_count;
-        scene->info.list_nodes += l->node_count;
-        scene->info.list_classes += l->class_count;
+        info->list_objects += l->object_count;
+        info->list_nodes += l->node_count;
+        info->list_classes += l->class_count;
+        info->list_bytes += sizeof *l + l->node_count * sizeof *l->node + l->class_count * sizeof *l->list_class +
+                            l->dummy_count * sizeof *l->dummy;
+        if (l->object_count == 0) continue;
+        info->list_bytes += l->object_count * (sizeof *l->object + sizeof *l->sum +
+                                               (l->key != NULL ? sizeof *l->key : 0));
+        info->list_bytes += ((size_t)(l->sum[l->object_count] >> l->shift) + 2) * sizeof *l->guide;
     }
 }
 
@@ -17085,6 +17091,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_scene_update(zbufrand_scene *scene, zbufra
         e.scene = scene;
         zbufrandi_atomic_store(&scene->mem.peak, zbufrandi_atomic_load(&scene->mem.used));
         r = zbufrandi_live_open(scene) ? zbufrandi_edit_run(&e) : zbufrandi_edit_no_memory(scene);
+        if (r == ZBUFRAND_OK) zbufrandi_scene_lists_free(scene);
         zbufrandi_free(&scene->mem, e.stack);
         zbufrandi_free(&scene->mem, e.top.v);
         zbufrandi_free(&scene->mem, e.melted.v);

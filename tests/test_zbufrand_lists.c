@@ -1433,6 +1433,43 @@ TEST(many_and_far_away) {
     }
 }
 
+/* Edits: the default tree takes over until the scene is built again. */
+TEST(edits_end_them) {
+    static float depth[2][WIDTH * HEIGHT];
+    test_rng r = test_rng_make(4);
+    shape s[4];
+    zbufrand_scene *scene = mixed_scene(&r, s);
+    zbufrand_build_desc bd = kind_of(0);
+    zbufrand_render_desc d;
+    zbufrand_scene_info info;
+    zbufrand_stats st;
+    zbufrand_transform t;
+    zbufrand_node node;
+    memset(&d, 0, sizeof d);
+    d.camera.eye[0] = 3;
+    d.camera.eye[1] = 2;
+    d.camera.eye[2] = 5;
+    d.density = 2;
+    CHECK_EQ_U64(zbufrand_scene_build(scene, &bd, &info), ZBUFRAND_OK);
+    CHECK(info.list_bytes > 0);
+    random_transform(&r, 1, 0, &t);
+    CHECK_EQ_U64(zbufrand_add_reference(scene, 1, &t, 3, &node), ZBUFRAND_OK); /* the torus once more */
+    picture(scene, &d, 1, ZBUFRAND_ISA_AUTO, NULL, depth[0], NULL, &st);
+    CHECK(st.draws[0] == 0 && st.draws[1] + st.draws[2] > 0);
+    CHECK_EQ_U64(zbufrand_scene_update(scene, &info), ZBUFRAND_OK);
+    CHECK_EQ_U64(info.list_bytes, 0);
+    picture(scene, &d, 1, ZBUFRAND_ISA_AUTO, NULL, depth[1], NULL, &st);
+    CHECK(st.draws[0] > 0);
+    CHECK_EQ_U64(zbufrand_remove(scene, node), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_scene_update(scene, NULL), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_scene_build(scene, &bd, &info), ZBUFRAND_OK);
+    picture(scene, &d, 1, ZBUFRAND_ISA_AUTO, NULL, depth[1], NULL, &st);
+    CHECK(st.draws[0] == 0 && info.list_bytes > 0);
+    CHECK(memcmp(depth[0], depth[1], sizeof depth[0]) == 0);
+    zbufrand_scene_destroy(scene);
+    free_shapes(s);
+}
+
 /* ---- what can go wrong ---- */
 
 TEST(bad_fields) {
@@ -1545,6 +1582,7 @@ int main(int argc, char **argv) {
     RUN(preset_in_the_mean);
     RUN(visits_grow_slowly);
     RUN(many_and_far_away);
+    RUN(edits_end_them);
     RUN(bad_fields);
     RUN(no_memory);
     return test_end();
