@@ -108,6 +108,7 @@
    - Reconstructs pictures from points as the thesis that it comes from does: pixels, colour blocks of any size,
      Gaussian, Voronoi regions, without depth buffer; and by pull-push, layered coverage, buckets against bleeding.
    - Draws point clouds; gives random points of surfaces; has the theory of sample counts as functions.
+   - Has the thesis' own trees and rules beside its own: fair-split tree, octree, classes of normals, tree over normals.
 
    WHAT IT DOES NOT DO
    - No transparency, no shadows, no textures: colours come per vertex, per triangle or from a callback.
