@@ -1020,8 +1020,8 @@ typedef struct zbufrand_costs {
    max_frames      256: for `noise`
    frame           0: number of the frame: other frames use other random numbers (and with `spread` other points)
    seed            0 is a seed like any other
-   spread          1: frames that will be averaged: the stored points are shared out among that many frames, so that
-                   their mean converges; a power of two
+   spread          1: frames that will be averaged: the stored points are shared out among that many frames in a row,
+                   so that their mean converges, and centres of pixels move; a power of two
    reconstruct     one pixel per sample; no fill; see there. Its `repair` is screen-space mending; for rays see
                    no_repair
    hybrid          by cost
@@ -7595,7 +7595,7 @@ enum {
     ZBUFRANDI_DRAW_STORED = 0, ZBUFRANDI_DRAW_SAMPLED = 1, ZBUFRANDI_DRAW_RASTERED = 2, ZBUFRANDI_DRAW_RAYS = 3,
     ZBUFRANDI_DRAW_POINTS = 4, ZBUFRANDI_DRAW_LISTED = 5, ZBUFRANDI_DRAW_LISTED_RASTER = 6, ZBUFRANDI_DRAW_SHIFT = 29,
     ZBUFRANDI_ROUND_TASKS = 64,   /* subtrees of a round */
-    ZBUFRANDI_ROUND_NODES = 96    /* nodes a task opens */
+    ZBUFRANDI_ROUND_NODES = 24    /* nodes a task opens */
 };
 
 typedef struct zbufrandi_draw { /* 64 bytes */
@@ -7619,6 +7619,7 @@ typedef struct zbufrandi_cut { /* what is the same for all of a frame's selectio
     double density;
     float density_f2;          /* density * focal^2 */
     float stored;              /* most samples that stored ones may stand for: 64 / spread */
+    uint32_t run, runs;        /* which share of the stored samples this frame takes, of how many; 0 of 1: any */
     float near_z, far_z;
     float triangle, edge, pixel, cluster, sample, set_cost, stored_cost; /* costs; pixel: per expected sample */
     zbufrand_hybrid hybrid;
@@ -8193,6 +8194,15 @@ static void zbufrandi_pick_run(const zbufrandi_cut *cut, zbufrandi_mem *mem, con
         n = &cut->scene->structure[l->structure].node[at.node];
         zbufrandi_test_node(cut, l, n, &t);
         alive = ((1u << n->count) - 1u) & ~(t.outside | t.away);
+        for (k = alive; k != 0; k &= k - 1) { /* instances are far away in memory */
+            const uint32_t child = n->child[zbufrandi_ctz64(k)];
+            if (ZBUFRANDI_CHILD_KIND(child) == ZBUFRANDI_CHILD_INSTANCE) {
+                const zbufrandi_structure *s = &cut->scene->structure[l->structure];
+                const uint8_t *in = (const uint8_t *)&s->instance[ZBUFRANDI_CHILD_INDEX(child)];
+                ZBUFRANDI_PREFETCH(in);
+                ZBUFRANDI_PREFETCH(in + 64);
+            }
+        }
         if ((cut->pyramid != NULL || cut->keys != NULL) && alive != 0) {
             hidden = zbufrandi_hidden_children(cut, &t, alive);
             alive &= ~hidden;
@@ -8275,6 +8285,16 @@ typedef struct zbufrandi_stored { /* constants of a draw, for points as grid num
     uint32_t first, shift;     /* samples are taken in the order i ^ first; added to their random numbers */
 } zbufrandi_stored;
 
+/* Stored samples are taken in the order i ^ first. Frames that will be averaged take runs in turn that have none in
+   common; what stands at one place begins with one of its own, the same in all frames. */
+ZBUFRANDI_INLINE uint32_t zbufrandi_stored_first(const zbufrandi_cut *cut, const zbufrandi_draw *d,
+                                                 const zbufrandi_local *l) {
+    const uint32_t h = zbufrandi_hash32(d->hash + 0x85ebca6bu);
+    if (cut->runs == 1) return h & (ZBUFRANDI_SET - 1u);
+    return ((cut->run ^ zbufrandi_hash32(d->item ^ l->instance * 0x9e3779b1u)) & (cut->runs - 1u)) *
+        (ZBUFRANDI_SET / cut->runs) + (h & (ZBUFRANDI_SET / cut->runs - 1u));
+}
+
 static void zbufrandi_stored_begin(const zbufrandi_target *target, const zbufrandi_draw *d, const zbufrandi_local *l,
                                    zbufrandi_stored *s) {
     float scale[3], inverse[3];
@@ -8299,7 +8319,7 @@ static void zbufrandi_stored_begin(const zbufrandi_target *target, const zbufran
     s->iz_ref = d->iz_ref;
     s->z_lo = d->z_lo;
     s->iz_hi = 1.0f / (d->z_hi < target->far_z ? d->z_hi : target->far_z);
-    s->first = h & (ZBUFRANDI_SET - 1u);
+    s->first = zbufrandi_stored_first(target->cut, d, l);
     s->shift = zbufrandi_hash32(h);
 }
 
@@ -12767,6 +12787,7 @@ enum { ZBUFRANDI_SHADE_RUN = 64 };
 
 typedef struct zbufrandi_look { /* how surfaces become colours; lights in camera coordinates */
     float ambient[3], background[4];
+    uint8_t background8[4];
     float (*light)[6];         /* direction, or place; colour */
     const uint8_t *directional;
     uint32_t light_count;
@@ -13776,6 +13797,7 @@ static int zbufrandi_round_select(zbufrandi_picture *p) {
     zbufrand_frame *f = p->f;
     uint32_t tasks = f->front_count < ZBUFRANDI_ROUND_TASKS
         ? (uint32_t)f->front_count : (uint32_t)ZBUFRANDI_ROUND_TASKS, t;
+    size_t left;
     for (t = 0; t < tasks; t++) {
         zbufrandi_pick *k = &f->pick[t];
         k->stack_count = k->draw_count = k->local_count = 0;
@@ -13786,20 +13808,24 @@ static int zbufrandi_round_select(zbufrandi_picture *p) {
     }
     f->front_count -= tasks;
     memmove(f->front, f->front + tasks, f->front_count * sizeof *f->front);
+    left = f->front_count;
     zbufrandi_parallel_for(&f->env, zbufrandi_select_task, p, tasks);
     if (!zbufrandi_round_merge(p, tasks)) return 0;
     if (!zbufrandi_grow(&f->mem, (void **)&f->sorted, &f->sorted_capacity, 0, f->front_count, sizeof *f->sorted))
         return 0;
-    if (f->sorted_capacity >= f->front_count && f->front_capacity >= f->front_count) {
-        zbufrandi_open_node *a = f->front, *b = f->sorted;
-        size_t ca = f->front_capacity, cb = f->sorted_capacity;
-        zbufrandi_sort_front(&a, &b, f->front_count);
-        if (a != f->front) { /* the lists changed places */
-            f->front = a;
-            f->sorted = b;
-            f->front_capacity = cb;
-            f->sorted_capacity = ca;
-        }
+    { /* what is new is sorted, then both parts are merged */
+        zbufrandi_open_node *a = f->front + left, *b = f->sorted + left;
+        const size_t capacity = f->front_capacity;
+        size_t i, j = 0, k = left, n = f->front_count;
+        zbufrandi_sort_front(&a, &b, n - left);
+        if (a != f->front + left) memcpy(f->front + left, a, (n - left) * sizeof *a);
+        for (i = 0; i < n; i++)
+            f->sorted[i] = k >= n || (j < left && f->front[j].z <= f->front[k].z) ? f->front[j++] : f->front[k++];
+        a = f->front;
+        f->front = f->sorted;
+        f->front_capacity = f->sorted_capacity;
+        f->sorted = a;
+        f->sorted_capacity = capacity;
     }
     return 1;
 }
@@ -13810,9 +13836,9 @@ ZBUFRANDI_INLINE void zbufrandi_draw_prefetch(const zbufrandi_picture *p, const 
     const uint32_t kind = d->item >> ZBUFRANDI_DRAW_SHIFT, index = d->item & ((1u << ZBUFRANDI_DRAW_SHIFT) - 1u);
     if (kind == ZBUFRANDI_DRAW_STORED) {
         const uint32_t *set = s->set + (size_t)index * (2 * ZBUFRANDI_SET);
-        const uint32_t first = zbufrandi_hash32(d->hash + 0x85ebca6bu) & (ZBUFRANDI_SET - 8u);
-        uint32_t k;
         const zbufrandi_local *l = &p->f->local[d->local];
+        const uint32_t first = zbufrandi_stored_first(&p->cut, d, l) & (ZBUFRANDI_SET - 8u);
+        uint32_t k;
         float c[3], x, y, z;
         for (k = 0; k < 3; k++) c[k] = d->lo[k] + d->step[k] * (k == 0 ? 1024.0f : 512.0f) - l->eye[k];
         z = (float)p->target.focal / (l->m[2][0] * c[0] + l->m[2][1] * c[1] + l->m[2][2] * c[2]);
@@ -14291,24 +14317,37 @@ static void zbufrandi_slope_task(void *ctx, uint32_t y) {
 
 /* ---- output ---- */
 
+/* Linear and premultiplied -> sRGB bytes, not premultiplied. */
+static void zbufrandi_color_bytes(const zbufrandi_srgb *srgb, const float rgba[4], uint8_t out[4]) {
+    float v[4];
+    uint32_t a;
+    memcpy(v, rgba, sizeof v);
+    if (v[3] > 0.0f && v[3] < 1.0f) {
+        for (a = 0; a < 3; a++) v[a] /= v[3];
+    }
+    for (a = 0; a < 3; a++) out[a] = zbufrandi_srgb_byte(srgb, v[a]);
+    out[3] = v[3] >= 1.0f ? 255u : v[3] > 0.0f ? (uint8_t)(v[3] * 255.0f + 0.5f) : 0u;
+}
+
 /* Finished pixels x..x+count-1 of row y of the picture. */
 static void zbufrandi_write_colors(const zbufrandi_picture *p, uint32_t x, uint32_t y, uint32_t count,
                                    const float *rgba) {
     const zbufrand_image *m = p->image;
+    const zbufrandi_look *look = &p->look;
     uint32_t i, a;
     uint8_t *out = m->rgba8 != NULL ? zbufrandi_row(m->rgba8, m->rgba8_stride, 4, m->width, y) + 4 * (size_t)x : NULL;
+    uint8_t *raw = m->rgba != NULL ? zbufrandi_row(m->rgba, m->rgba_stride, 16, m->width, y) + 16 * (size_t)x : NULL;
     for (i = 0; i < count; i++, rgba += 4) {
         float v[4];
         memcpy(v, rgba, sizeof v);
-        if (!p->look.transparent) for (a = 0; a < 4; a++) v[a] += p->look.background[a] * (1.0f - v[3]);
-        if (m->rgba != NULL) memcpy(zbufrandi_row(m->rgba, m->rgba_stride, 16, m->width, y) + 16 * (size_t)(x + i), v,
-                                    16);
-        if (out == NULL) continue;
-        if (v[3] > 0.0f && v[3] < 1.0f) {
-            for (a = 0; a < 3; a++) v[a] /= v[3];
+        if (v[0] == 0.0f && v[1] == 0.0f && v[2] == 0.0f && v[3] == 0.0f) { /* nothing */
+            if (raw != NULL) memcpy(raw + 16 * (size_t)i, look->background, sizeof look->background);
+            if (out != NULL) memcpy(out + 4 * i, look->background8, 4);
+            continue;
         }
-        for (a = 0; a < 3; a++) out[4 * i + a] = zbufrandi_srgb_byte(&p->f->srgb, v[a]);
-        out[4 * i + 3] = v[3] >= 1.0f ? 255u : v[3] > 0.0f ? (uint8_t)(v[3] * 255.0f + 0.5f) : 0u;
+        if (!look->transparent) for (a = 0; a < 4; a++) v[a] += look->background[a] * (1.0f - v[3]);
+        if (raw != NULL) memcpy(raw + 16 * (size_t)i, v, sizeof v);
+        if (out != NULL) zbufrandi_color_bytes(&p->f->srgb, v, out + 4 * i);
     }
 }
 
@@ -14414,6 +14453,7 @@ static zbufrand_result zbufrandi_open_lights(zbufrandi_picture *p) {
         p->look.background[a] = d->background[a];
         p->look.transparent &= d->background[a] == 0.0f;
     }
+    zbufrandi_color_bytes(&f->srgb, p->look.background, p->look.background8);
     p->look.unlit = d->unlit != 0;
     p->look.shade_fn = d->shade_fn;
     p->look.shade_user = d->shade_user;
@@ -14476,9 +14516,10 @@ static zbufrand_result zbufrandi_open_picture(zbufrandi_picture *p) {
     r = zbufrandi_camera_open(&d->camera, p->scene, p->image->width, p->image->height, f->recon.guard, &p->cut.camera);
     if (r != ZBUFRAND_OK) return r;
     p->raster_camera = p->cut.camera;
-    if (d->noise > 0.0) { /* the mean of many frames is antialiased */
-        p->jitter[0] = zbufrandi_unit24(zbufrandi_hash32(h + 2)) - 0.5f;
-        p->jitter[1] = zbufrandi_unit24(zbufrandi_hash32(h + 3)) - 0.5f;
+    if (d->noise > 0.0 || d->spread > 1) { /* the mean of many frames is antialiased: places of the R2 sequence */
+        const uint32_t place = zbufrandi_hash32(d->seed + 2);
+        p->jitter[0] = zbufrandi_unit24(place + d->frame * 3242174889u) - 0.5f;
+        p->jitter[1] = zbufrandi_unit24(zbufrandi_hash32(place) + d->frame * 2447445414u) - 0.5f;
         p->raster_camera.center_x -= (double)p->jitter[0];
         p->raster_camera.center_y -= (double)p->jitter[1];
     }
@@ -14496,6 +14537,8 @@ static zbufrand_result zbufrandi_open_picture(zbufrandi_picture *p) {
     p->cut.density = zbufrandi_choose_density(p);
     zbufrandi_set_density(p);
     p->cut.stored = (float)(64.0 / spread);
+    p->cut.runs = spread < 64.0 ? (uint32_t)spread : 64u;
+    p->cut.run = d->frame & (p->cut.runs - 1u);
     p->cut.near_z = (float)p->cut.camera.near_z;
     p->cut.far_z = (float)zbufrandi_min(p->cut.camera.far_z, 1e37);
     p->cut.hybrid = d->hybrid;
@@ -14645,10 +14688,14 @@ static zbufrand_result zbufrandi_render_frames(zbufrandi_picture *p, zbufrand_re
     }
     zbufrand_accumulator_clear(f->accumulator);
     p->keep = 1;
-    d->spread = 1;
+    /* The first four frames tell how many will be needed; that many share out the stored points. Frames that had
+       points in common would look less noisy than their mean is wrong. */
+    d->spread = 4;
     for (i = 0; i < frames; i++) {
-        /* the more frames the more of the stored points */
-        if (i >= 2 * d->spread && d->spread < ZBUFRANDI_SET) d->spread *= 2;
+        if (i == 4) {
+            const double wanted = p->stats.rmse / d->noise, more = 4.0 * wanted * wanted;
+            while (d->spread < ZBUFRANDI_SET && (double)d->spread < more && d->spread < frames) d->spread *= 2;
+        }
         d->frame = first + i;
         r = zbufrandi_open_picture(p);
         if (r == ZBUFRAND_OK) r = zbufrandi_draw_picture(p);
