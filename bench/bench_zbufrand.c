@@ -731,6 +731,148 @@ static void bm9(void) {
     }
 }
 
+/* ---- BM10: edits ---- */
+
+typedef struct edits {           /* a scene of 400 trees with an object of 10^4 triangles in it */
+    world *w;
+    supi_make object;
+    zbufrand_node node, model;
+} edits;
+
+static zbufrand_mesh edit_mesh(const edits *e) {
+    zbufrand_mesh m;
+    memset(&m, 0, sizeof m);
+    m.positions = e->object.mesh.positions;
+    m.vertex_count = e->object.mesh.vertex_count;
+    m.indices = e->object.mesh.indices;
+    m.triangle_count = e->object.mesh.triangle_count;
+    return m;
+}
+
+/* What is in the scene against what should be: relative error of its area. */
+static double edit_line(const edits *e, const char *kase, const char *method, const double *cpu, const double *wall, int n, double work,
+                        double area, double threads) {
+    zbufrand_scene_info info;
+    zbufrand_scene_get_info(e->w->w.scene, &info);
+    bench_line("zbufrand.edit", kase, "update_time", 1e3 * bench_median(threads > 1.0 ? wall : cpu, n), "ms");
+    bench_num("best", 1e3 * bench_least(threads > 1.0 ? wall : cpu, n));
+    bench_num("error", fabs(info.area - area) / area);
+    bench_text("error_unit", "of the area");
+    bench_text("method", method);
+    bench_num("edits", work);
+    bench_num("us_an_edit", 1e6 * bench_median(cpu, n) / work);
+    bench_num("threads", threads);
+    bench_num("bytes", (double)info.bytes);
+    bench_end();
+    return 1e3 * bench_median(cpu, n);
+}
+
+static void edit_update(edits *e, double *cpu, double *wall) {
+    const double c = bench_cpu(), t = bench_wall();
+    must(zbufrand_scene_update(e->w->w.scene, NULL), "update");
+    *cpu = bench_cpu() - c;
+    *wall = bench_wall() - t;
+}
+
+static void edit_object(edits *e, const char *kase) {
+    enum { N = 15 };
+    double cpu[N], wall[N], ms[3], area0, area;
+    const zbufrand_mesh m = edit_mesh(e);
+    zbufrand_scene *s = e->w->w.scene;
+    zbufrand_scene_info info;
+    int i, k;
+    zbufrand_scene_get_info(s, &info);
+    area0 = info.area;
+    area = 0.0;
+    for (k = 0; k < 4; k++) { /* the first move, moves, references, meshes */
+        static const char *const names[4] = {"moved for the first time", "moved", "a reference inserted", "a mesh inserted"};
+        for (i = 0; i < N; i++) {
+            const double turn = 0.4 * (double)i + (double)k;
+            zbufrand_transform t = supi_world_place(30.0 * cos(turn), 5.0, 30.0 * sin(turn), turn, 1.0);
+            if (k <= 1) must(zbufrand_move(s, e->node, &t), "move");
+            if (k == 2) must(zbufrand_add_reference(s, ZBUFRAND_ROOT, &t, e->model, NULL), "reference");
+            if (k == 3) must(zbufrand_add_mesh(s, ZBUFRAND_ROOT, &t, 0, &m, NULL), "mesh");
+            edit_update(e, &cpu[i], &wall[i]);
+            if (k == 0) break;
+        }
+        if (k == 2) {
+            zbufrand_scene_get_info(s, &info);
+            area = (info.area - area0) / N;
+        }
+        ms[k > 0 ? k - 1 : 0] = edit_line(e, kase, names[k], cpu, wall, k == 0 ? 1 : N, 1, area0 + (k < 2 ? 0.0 : (double)(k - 1) * N * area), 1);
+    }
+    table_set("edit", "%.3f / %.3f / %.2f", ms[0], ms[1], ms[2]);
+}
+
+/* Parts of 10^5 references moved between two pictures, against building it all anew. */
+static void edit_many(void) {
+    enum { COUNT = 100000 };
+    edits e;
+    zbufrand_transform *t;
+    bench_rng rng = {5};
+    picture_job p;
+    double cpu[5], wall[5];
+    zbufrand_node node;
+    int i, k, share;
+    memset(&e, 0, sizeof e);
+    e.object = blob_mesh(16);
+    e.w = world_open("10^5 instances", (uint32_t)g_opt.threads);
+    node = supi_world_mesh(&e.w->w, &e.object, ZBUFRAND_ROOT, 0, 0, ZBUFRAND_HIDDEN);
+    t = supi_world_array(&e.w->w, COUNT);
+    if (t == NULL) run_failed("edits", "not enough memory");
+    for (i = 0; i < COUNT; i++)
+        t[i] = supi_world_place(3.0 * (double)(i % 316), 2.0 * (double)bench_random(&rng), 3.0 * (double)(i / 316), (double)i, 1.0);
+    must(zbufrand_add_references(e.w->w.scene, ZBUFRAND_ROOT, t, COUNT, node, &e.node), "references");
+    world_build(e.w);
+    world_view(e.w, 474, 60, 1100, 474, 0, 600, 45);
+    bench_line("zbufrand.edit", e.w->name, "build_time", 1e3 * e.w->cpu, "ms");
+    bench_num("error", 0);
+    bench_text("error_unit", "of the area");
+    bench_text("method", "built anew");
+    bench_end();
+    for (share = 0; share < 3; share++) {
+        static const int moved[3] = {1, COUNT / 100, COUNT / 10};
+        for (k = 0; k < 5; k++) {
+            for (i = 0; i < moved[share]; i++) {
+                const size_t at = (size_t)bench_random_u32(&rng) % COUNT;
+                t[at].m[0][3] += (double)bench_random(&rng) - 0.5;
+                t[at].m[1][3] = 2.0 * (double)bench_random(&rng);
+                must(zbufrand_set_reference(e.w->w.scene, e.node, at, &t[at]), "reference");
+            }
+            edit_update(&e, &cpu[k], &wall[k]);
+            if (share == 0 && k == 0) (void)edit_line(&e, e.w->name, "the first update", cpu, wall, 1, 1, e.w->info.area, 1);
+        }
+        (void)edit_line(&e, e.w->name, share == 0 ? "one moved" : share == 1 ? "1 % moved" : "10 % moved", cpu, wall, 5,
+                        moved[share], e.w->info.area, g_opt.threads);
+    }
+    p = picture_open(e.w, 640, 480, 1);
+    for (k = 0; k < 2; k++) { /* pictures before and after a build: what the edits did to the trees */
+        bench_job b;
+        if (k == 1) must(zbufrand_scene_build(e.w->w.scene, NULL, NULL), "build");
+        b = picture_time(&p, k == 0 ? "after 55,000 moves" : "built anew", 5);
+        (void)picture_line("zbufrand.edited", e.w->name, k == 0 ? "after 55,000 moves" : "built anew", &p, &b, NULL, 1);
+    }
+    picture_free(&p);
+    world_free(e.w);
+}
+
+static void bm10(void) {
+    edits e;
+    zbufrand_mesh m;
+    memset(&e, 0, sizeof e);
+    e.w = world_trees(0);
+    e.object = blob_mesh(50);
+    m = edit_mesh(&e);
+    must(zbufrand_add_mesh(e.w->w.scene, ZBUFRAND_ROOT, NULL, 0, &m, &e.node), "mesh");
+    must(zbufrand_add_mesh(e.w->w.scene, ZBUFRAND_ROOT, NULL, ZBUFRAND_HIDDEN, &m, &e.model), "mesh");
+    must(zbufrand_add_reference(e.w->w.scene, ZBUFRAND_ROOT, NULL, e.model, NULL), "reference");
+    world_build(e.w);
+    edit_object(&e, e.w->name);
+    sup_mesh_free(&e.object.mesh);
+    world_free(e.w);
+    edit_many();
+}
+
 /* ---- BM11: inner loops ---- */
 
 typedef struct points_job {
@@ -1204,7 +1346,7 @@ static void bm16(void) {
 
 int main(int argc, char **argv) {
     static const struct { int number; void (*run)(void); } all[] = {
-        {1, bm1}, {1, bm1_huge}, {2, bm2}, {4, bm4}, {5, bm5}, {6, bm6}, {7, bm7}, {8, bm8}, {9, bm9}, {11, bm11}, {12, bm12},
+        {1, bm1}, {1, bm1_huge}, {2, bm2}, {4, bm4}, {5, bm5}, {6, bm6}, {7, bm7}, {8, bm8}, {9, bm9}, {10, bm10}, {11, bm11}, {12, bm12},
         {13, bm13}, {14, bm14}, {15, bm15}, {16, bm16}
     };
     size_t i;
