@@ -14981,8 +14981,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_sample_scene(zbufrand_frame *frame, const 
 
 enum {
     ZBUFRANDI_PAGE = 1 << 20, ZBUFRANDI_RUNS = 4096, ZBUFRANDI_OFFSETS = 256, ZBUFRANDI_ASKED = 1 << 17,
-    /* of a chapter that waits for its order; may be written over by 4 */
-    ZBUFRANDI_CHAPTER_FLOATS = 3 * ZBUFRANDI_RUNS + 4
+    /* chapters that wait for their order stand apart by 64 bytes more, so that they do not meet in the caches */
+    ZBUFRANDI_CHAPTER_PAD = 16
 };
 
 /* a point that is wanted: it lies at stratum + jitter on the scale of 0..2^20 for all the area */
@@ -15003,8 +15003,9 @@ typedef struct zbufrandi_points_job {
     int independent, vertex_normals, level;
     double **sum;              /* per structure: item_sum, or what takes its place after an edit */
     /* a whole page at once: points by chapter and run, to be put in order afterwards */
-    float *wait_positions, *wait_normals;
-    uint8_t chapter[ZBUFRANDI_OFFSETS]; /* which chapter takes an offset, of the run below */
+    float *wait;               /* position, and normal if it is wanted: 3 or 6 floats a point */
+    uint32_t wait_floats;
+    uint32_t chapter[ZBUFRANDI_OFFSETS]; /* where the chapter that takes an offset begins, of the run below */
     uint32_t run;
 } zbufrandi_points_job;
 
@@ -15045,15 +15046,6 @@ static void zbufrandi_offsets(uint32_t key, uint32_t first, uint32_t end, uint8_
         x = (x * m2 + a2) & 255u;
         offset[c] = (uint8_t)(x ^ x >> 4);
     }
-}
-
-/* chapters of the offsets of a run */
-static ZBUFRANDI_UNUSED void zbufrandi_page_run(zbufrandi_points_job *j, uint32_t run) {
-    uint8_t offset[ZBUFRANDI_OFFSETS];
-    uint32_t c;
-    zbufrandi_offsets(zbufrandi_hash32(j->key ^ zbufrandi_hash32(run + 1000)), 0, ZBUFRANDI_OFFSETS, offset);
-    for (c = 0; c < ZBUFRANDI_OFFSETS; c++) j->chapter[offset[c]] = (uint8_t)c;
-    j->run = run;
 }
 
 ZBUFRANDI_INLINE uint32_t zbufrandi_reverse12(uint32_t x) {
@@ -15304,6 +15296,51 @@ ZBUFRANDI_INLINE float zbufrandi_page_jitter(uint32_t key, uint32_t stratum) {
 }
 
 #if ZBUFRANDI_AVX2
+/* Chapters of the offsets of a run: zbufrandi_offsets in 16-bit lanes, turned round. */
+ZBUFRANDI_TARGET_AVX2 static void zbufrandi_page_run_avx2(zbufrandi_points_job *j, uint32_t run) {
+    const uint32_t key = zbufrandi_hash32(j->key ^ zbufrandi_hash32(run + 1000)), k1 = zbufrandi_hash32(key),
+        k2 = zbufrandi_hash32(k1);
+    const __m256i m0 = _mm256_set1_epi16((short)(key | 1u)), m1 = _mm256_set1_epi16((short)(k1 | 1u)),
+        m2 = _mm256_set1_epi16((short)(k2 | 1u)), a0 = _mm256_set1_epi16((short)(key >> 8)),
+        a1 = _mm256_set1_epi16((short)(k1 >> 8)), a2 = _mm256_set1_epi16((short)(k2 >> 8)),
+        byte = _mm256_set1_epi16(255);
+    __m256i c = _mm256_setr_epi16(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+    uint16_t offset[ZBUFRANDI_OFFSETS];
+    uint32_t i;
+    for (i = 0; i < ZBUFRANDI_OFFSETS; i += 16) {
+        __m256i x = _mm256_and_si256(_mm256_add_epi16(_mm256_mullo_epi16(c, m0), a0), byte);
+        x = _mm256_xor_si256(x, _mm256_srli_epi16(x, 4));
+        x = _mm256_and_si256(_mm256_add_epi16(_mm256_mullo_epi16(x, m1), a1), byte);
+        x = _mm256_xor_si256(x, _mm256_srli_epi16(x, 4));
+        x = _mm256_and_si256(_mm256_add_epi16(_mm256_mullo_epi16(x, m2), a2), byte);
+        _mm256_storeu_si256((__m256i *)(void *)(offset + i), _mm256_xor_si256(x, _mm256_srli_epi16(x, 4)));
+        c = _mm256_add_epi16(c, _mm256_set1_epi16(16));
+    }
+    for (i = 0; i < ZBUFRANDI_OFFSETS; i++)
+        j->chapter[offset[i]] = i * (j->wait_floats * (uint32_t)ZBUFRANDI_RUNS + (uint32_t)ZBUFRANDI_CHAPTER_PAD);
+    j->run = run;
+}
+
+/* Normals of a measured cluster into the world: per component the operations of zbufrandi_point_rest. */
+ZBUFRANDI_TARGET_AVX2 static void zbufrandi_page_turn(zbufrandi_areas *m, uint32_t count, const float turn[3][4]) {
+    const __m128 x = _mm_setr_ps(turn[0][0], turn[1][0], turn[2][0], 0.0f),
+        y = _mm_setr_ps(turn[0][1], turn[1][1], turn[2][1], 0.0f),
+        z = _mm_setr_ps(turn[0][2], turn[1][2], turn[2][2], 0.0f);
+    uint32_t t;
+    for (t = 0; t < count; t++) {
+        const __m128 n = _mm_loadu_ps(m->normal[t]);
+        const __m128 sum = _mm_add_ps(_mm_mul_ps(x, _mm_shuffle_ps(n, n, 0x00)),
+                                      _mm_mul_ps(y, _mm_shuffle_ps(n, n, 0x55)));
+        _mm_storeu_ps(m->normal[t], _mm_add_ps(sum, _mm_mul_ps(z, _mm_shuffle_ps(n, n, 0xaa))));
+    }
+}
+
+/* Three floats of each, and two that do not count. */
+ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_page_both(const float *a, const float *b, float *to) {
+    const __m256 both = _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(a)), _mm_loadu_ps(b), 1);
+    _mm256_storeu_ps(to, _mm256_permutevar8x32_ps(both, _mm256_setr_epi32(0, 1, 2, 4, 5, 6, 3, 7)));
+}
+
 /* Strata from..to-1, all in the cluster that covers begin..end. */
 ZBUFRANDI_TARGET_AVX2 static void zbufrandi_page_cluster(zbufrandi_points_job *j, const zbufrandi_structure *s,
                                                          uint32_t cluster,
@@ -15328,6 +15365,7 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_page_cluster(zbufrandi_points_job *j
             turn[a][b] = (float)(place->m[a][b] / place->scale);
         }
     }
+    if (j->normals != NULL) zbufrandi_page_turn(&m, n, (const float (*)[4])turn);
     for (t = 0; t < n; t += 8) { /* first stratum after each triangle */
         const __m256 y = _mm256_add_ps(_mm256_set1_ps(first.part), _mm256_mul_ps(_mm256_loadu_ps(m.sum + t), k));
         const __m256i whole = _mm256_cvttps_epi32(y),
@@ -15344,10 +15382,13 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_page_cluster(zbufrandi_points_job *j
         for (; t < n; t++) { /* which triangle each of them is in */
             const __m128i byte = _mm_set1_epi8((char)t);
             const uint32_t stop = m.after[t] < from + size ? m.after[t] : from + size;
-            while (before < stop) {
+            /* most have about one: no branch on whether there is any, the next one writes over what is too much */
+            _mm_storeu_si128((__m128i *)(void *)(m.triangle + (before - from)), byte);
+            while (stop - before > 16) {
+                before += 16;
                 _mm_storeu_si128((__m128i *)(void *)(m.triangle + (before - from)), byte);
-                before = stop - before > 16 ? before + 16 : stop;
             }
+            before = stop;
             if (m.after[t] > from + size) break;
         }
         for (at = 0; at < size; at += 8) {
@@ -15355,7 +15396,7 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_page_cluster(zbufrandi_points_job *j
             const __m256i number = _mm256_add_epi32(lanes, _mm256_set1_epi32((int)stratum));
             __m256 ax, ay, az, bx, by, bz, cx, cy, cz, u, v, w, x, y, less;
             float out[8][4];
-            uint32_t index[8], tt[8];
+            uint32_t index[8], tt[8], here;
             for (i = 0; i < 8; i++) tt[i] = m.triangle[at + i < size ? at + i : size - 1];
             zbufrandi_fetch3(position, tri, tt, 0, &ax, &ay, &az);
             zbufrandi_fetch3(position, tri, tt, 1, &bx, &by, &bz);
@@ -15379,21 +15420,24 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_page_cluster(zbufrandi_points_job *j
             zbufrandi_rows8(_mm256_add_ps(zbufrandi_dot8(move[0], ax, ay, az), _mm256_set1_ps(move[0][3])),
                             _mm256_add_ps(zbufrandi_dot8(move[1], ax, ay, az), _mm256_set1_ps(move[1][3])),
                             _mm256_add_ps(zbufrandi_dot8(move[2], ax, ay, az), _mm256_set1_ps(move[2][3])), out);
-            for (i = 0; i < 8 && at + i < size; i++) {
-                const uint32_t run = (stratum + i) >> 8;
-                if (run != j->run) zbufrandi_page_run(j, run);
-                index[i] = j->chapter[(stratum + i) & 255u] * (uint32_t)ZBUFRANDI_CHAPTER_FLOATS + 3 * run;
-                _mm_storeu_ps(j->wait_positions + index[i], _mm_loadu_ps(out[i]));
+            here = size - at < 8 ? size - at : 8;
+            if (stratum >> 8 != j->run) zbufrandi_page_run_avx2(j, stratum >> 8);
+            if ((stratum & 255u) <= 248) {
+                const uint32_t shift = j->wait_floats * j->run;
+                for (i = 0; i < 8; i++) index[i] = j->chapter[(stratum & 255u) + i] + shift;
+            } else {
+                for (i = 0; i < here; i++) {
+                    const uint32_t run = (stratum + i) >> 8;
+                    if (run != j->run) zbufrandi_page_run_avx2(j, run);
+                    index[i] = j->chapter[(stratum + i) & 255u] + j->wait_floats * run;
+                }
             }
-            if (j->wait_normals == NULL) continue;
-            for (i = 0; i < 8 && at + i < size; i++) {
-                const float *q = m.normal[tt[i]];
-                _mm_storeu_ps(j->wait_normals + index[i],
-                              _mm_setr_ps(turn[0][0] * q[0] + turn[0][1] * q[1] + turn[0][2] * q[2],
-                                                                      turn[1][0] * q[0] + turn[1][1] * q[1] +
-                                                                          turn[1][2] * q[2],
-                                                                      turn[2][0] * q[0] + turn[2][1] * q[1] +
-                                                                          turn[2][2] * q[2], 0.0f));
+            if (j->normals == NULL) { /* what is written too far is written over by the next run */
+                for (i = 0; i < here; i++) _mm_storeu_ps(j->wait + index[i], _mm_loadu_ps(out[i]));
+            } else if (here == 8) {
+                for (i = 0; i < 8; i++) zbufrandi_page_both(out[i], m.normal[tt[i]], j->wait + index[i]);
+            } else {
+                for (i = 0; i < here; i++) zbufrandi_page_both(out[i], m.normal[tt[i]], j->wait + index[i]);
             }
         }
     }
@@ -15446,38 +15490,57 @@ ZBUFRANDI_INLINE uint32_t zbufrandi_chapter_key(uint32_t key, uint32_t chapter) 
     return zbufrandi_hash32(key ^ zbufrandi_hash32(chapter + 77)) & (ZBUFRANDI_RUNS - 1u);
 }
 
+#if ZBUFRANDI_AVX2
+/* 48 floats where nobody reads them soon. */
+ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_stream48(const float *from, float *to, int aligned) {
+    uint32_t k;
+    if (aligned) for (k = 0; k < 48; k += 4) _mm_stream_ps(to + k, _mm_loadu_ps(from + k));
+    else memcpy(to, from, 48 * sizeof *to);
+}
+
 /* The points of a chapter into their order; the next chapter is fetched meanwhile. */
-static ZBUFRANDI_UNUSED void zbufrandi_points_order(const float *p, const float *next, uint32_t key, float *out) {
+ZBUFRANDI_TARGET_AVX2 static void zbufrandi_points_order(const float *p, const float *next, uint32_t floats, uint32_t key,
+                                                         float *positions, float *normals) {
+    static const uint16_t reverse[16] = {0, 2048, 1024, 3072, 512, 2560, 1536, 3584, 256, 2304, 1280, 3328, 768, 2816, 1792,
+                                         3840};
+    const int aligned = (((uintptr_t)positions | (uintptr_t)normals) & 15u) == 0;
+    float a[52], b[52];
     uint32_t i, k;
     for (i = 0; i < ZBUFRANDI_RUNS; i += 16) {
-        for (k = 0; k < 3; k++) ZBUFRANDI_PREFETCH(next + 3 * i + 16 * k);
-        for (k = i; k < i + 16; k++) memcpy(out + 3 * k, p + 3 * (zbufrandi_reverse12(k) ^ key), 12);
+        const uint32_t first = zbufrandi_reverse12(i) ^ key;
+        for (k = 0; k < floats; k++) ZBUFRANDI_PREFETCH(next + floats * i + 16 * k);
+        for (k = 0; k < 16; k++) {
+            const float *q = p + (size_t)floats * (first ^ reverse[k]);
+            _mm_storeu_ps(a + 3 * k, _mm_loadu_ps(q));
+            if (floats == 6) _mm_storeu_ps(b + 3 * k, _mm_loadu_ps(q + 3));
+        }
+        zbufrandi_stream48(a, positions + 3 * i, aligned);
+        if (floats == 6) zbufrandi_stream48(b, normals + 3 * i, aligned);
     }
 }
 
 /* All points of a page. */
-static void zbufrandi_points_whole(zbufrandi_points_job *j, uint32_t key) {
-#if ZBUFRANDI_AVX2
+ZBUFRANDI_TARGET_AVX2 static void zbufrandi_points_whole(zbufrandi_points_job *j, uint32_t key) {
+    const size_t chapter = (size_t)j->wait_floats * ZBUFRANDI_RUNS + ZBUFRANDI_CHAPTER_PAD;
     zbufrandi_place_at place;
     uint32_t c;
     zbufrandi_points_open(j, key, &place);
     j->run = ~0u;
     zbufrandi_page_structure(j, 0, &place, 0, ZBUFRANDI_PAGE, 0.0, (double)ZBUFRANDI_PAGE);
     for (c = 0; c < ZBUFRANDI_OFFSETS; c++) {
-        const uint32_t chapter_key = zbufrandi_chapter_key(key, c);
-        const float *p = j->wait_positions + (size_t)c * ZBUFRANDI_CHAPTER_FLOATS;
-        float *out = j->positions + (size_t)c * (3 * ZBUFRANDI_RUNS);
-        zbufrandi_points_order(p, c + 1 < ZBUFRANDI_OFFSETS ? p + ZBUFRANDI_CHAPTER_FLOATS : p, chapter_key, out);
-        if (j->normals == NULL) continue;
-        p = j->wait_normals + (size_t)c * ZBUFRANDI_CHAPTER_FLOATS;
-        out = j->normals + (size_t)c * (3 * ZBUFRANDI_RUNS);
-        zbufrandi_points_order(p, c + 1 < ZBUFRANDI_OFFSETS ? p + ZBUFRANDI_CHAPTER_FLOATS : p, chapter_key, out);
+        const float *p = j->wait + c * chapter, *next = c + 1 < ZBUFRANDI_OFFSETS ? p + chapter : p;
+        zbufrandi_points_order(p, next, j->wait_floats, zbufrandi_chapter_key(key, c),
+                               j->positions + (size_t)c * (3 * ZBUFRANDI_RUNS),
+                               j->normals != NULL ? j->normals + (size_t)c * (3 * ZBUFRANDI_RUNS) : NULL);
     }
+    _mm_sfence();
+}
 #else
+static void zbufrandi_points_whole(zbufrandi_points_job *j, uint32_t key) {
     (void)j;
     (void)key;
-#endif
 }
+#endif
 
 /* Points begin..end-1 of a page, into outputs that start with the first of them. */
 static void zbufrandi_points_page(zbufrandi_points_job *j, zbufrandi_asked *asked, uint32_t key, uint32_t begin,
@@ -15557,14 +15620,9 @@ static void zbufrandi_points_independent(zbufrandi_points_job *j, zbufrandi_aske
 
 /* Give the job its memory for whole pages, if there is any. */
 static void zbufrandi_points_wait(zbufrandi_points_job *j, zbufrandi_mem *mem, int normals) {
-    j->wait_positions = (float *)zbufrandi_alloc_array(mem, ZBUFRANDI_OFFSETS,
-                                                       ZBUFRANDI_CHAPTER_FLOATS * sizeof(float));
-    if (normals) j->wait_normals = (float *)zbufrandi_alloc_array(mem, ZBUFRANDI_OFFSETS,
-                                                                  ZBUFRANDI_CHAPTER_FLOATS * sizeof(float));
-    if (j->wait_positions != NULL && (!normals || j->wait_normals != NULL)) return;
-    zbufrandi_free(mem, j->wait_positions);
-    zbufrandi_free(mem, j->wait_normals);
-    j->wait_positions = j->wait_normals = NULL;
+    j->wait_floats = normals ? 6 : 3;
+    j->wait = (float *)zbufrandi_alloc_array(mem, ZBUFRANDI_OFFSETS,
+                                             (j->wait_floats * ZBUFRANDI_RUNS + ZBUFRANDI_CHAPTER_PAD) * sizeof(float));
 }
 
 static int zbufrandi_edit_sums(const zbufrand_scene *scene, zbufrandi_mem *mem, double **sum);
@@ -15631,7 +15689,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_surface_points(const zbufrand_scene *scene
             j.rgb = rgb != NULL ? rgb + 3 * done : NULL;
             j.triangles = triangles != NULL ? triangles + 2 * done : NULL;
             if (j.independent) zbufrandi_points_independent(&j, asked, sorted, seed, at, end - begin);
-            else if (j.wait_positions != NULL && end - begin == size) zbufrandi_points_whole(&j, key);
+            else if (j.wait != NULL && end - begin == size) zbufrandi_points_whole(&j, key);
             else zbufrandi_points_page(&j, asked, key, begin, end);
             done += end - begin;
             at += end - begin;
@@ -15641,8 +15699,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_surface_points(const zbufrand_scene *scene
     zbufrandi_free(&mem, asked);
     zbufrandi_free(&mem, srgb);
     zbufrandi_free(&mem, sorted);
-    zbufrandi_free(&mem, j.wait_positions);
-    zbufrandi_free(&mem, j.wait_normals);
+    zbufrandi_free(&mem, j.wait);
     return i ? ZBUFRAND_OK : ZBUFRAND_ERR_NO_MEMORY;
 }
 /* ---------------------------------------------------------------------------
