@@ -9171,12 +9171,15 @@ TETCAST_DEF tetcast_result tetcast_optics_segments(const tetcast_optics *optics,
    isosurface: marching tetrahedra with one vertex per edge.                     // >>isosurface
 
    inside[v]  1 when the value of vertex v is at least the isovalue
-   active     cells whose four vertices do not agree, in their order, with the 4 bits of their vertices
-   edge       the 3 or 4 edges of each active cell that cross, in the order of tetcasti_iso_case: {smaller vertex,
-   larger} Edges are put together by counting sort over the smaller vertex; the few edges of one vertex are compared
-   with each other. Vertices of the surface are numbered by (smaller, larger) vertex of their edge: neighbours lie close
-   together. A. Doi, A. Koide: An efficient method of triangulating equivalued surfaces by using tetrahedral cells.
-   IEICE Transactions E74, 1991.
+   active     cells whose four vertices do not agree, in their order; kind: the 4 bits of their vertices
+   edge       the edges that cross, {smaller vertex, larger}, those of one chunk of cells only once: a small hash table
+              per chunk finds four in five of all repetitions
+   use        the 3 or 4 edges of each active cell, in the order of tetcasti_iso_case
+   Clusters of cells whose range does not hold the isovalue are not looked at. The edges of all chunks are put together
+   by counting sort over the smaller vertex; the few edges of one vertex are compared with each other. Vertices of the
+   surface are numbered by (smaller, larger) vertex of their edge: neighbours lie close together.
+   A. Doi, A. Koide: An efficient method of triangulating equivalued surfaces by using tetrahedral cells. IEICE
+   Transactions E74, 1991.
    --------------------------------------------------------------------------- */
 
 /* Edges of a tetrahedron: 01 02 03 12 13 23. Of each case: how many edges, which ones; one triangle (0, 1, 2) or two
@@ -9197,10 +9200,14 @@ typedef struct tetcasti_iso {
     uint8_t *inside;         /* per vertex */
     uint32_t chunks;
     uint32_t (*first)[3];    /* per chunk: active cells, edges, triangles; then where its own begin. [chunks + 1] */
-    uint32_t *active;        /* cell */
+    uint32_t *active;        /* cell; each chunk has room for all of its cells, and fills the beginning */
     uint8_t *kind;           /* its case */
-    tetcasti_iso_edge *edge;
-    uint32_t edge_count;
+    uint32_t *use;           /* per edge of an active cell: its place in `edge` */
+    tetcasti_iso_edge *edge; /* each chunk has as much room as it uses edges, and fills the beginning */
+    uint32_t *filled;        /* per chunk: edges */
+    uint32_t failed;         /* no memory for a table */
+    tetcasti_mem *mem;
+    const float (*range)[2]; /* of clusters; NULL: there are none */
     uint32_t *start;         /* per vertex of the mesh, + 1: its edges in `order` */
     uint32_t *order;         /* numbers of edges by their smaller vertex */
     uint32_t *vertex;        /* per edge: vertex of the surface */
@@ -9227,55 +9234,89 @@ TETCASTI_INLINE uint32_t tetcasti_iso_kind(const tetcasti_iso *p, uint32_t cell)
            (uint32_t)p->inside[t[3]] << 3;
 }
 
-/* Twice over the cells: count, then write. */
-static void tetcasti_task_iso_count(void *ctx, uint32_t chunk) {
+/* May cells from i on cross? *end: of the run that this is said of, a cluster or what is left of it. */
+TETCASTI_INLINE int tetcasti_iso_crosses(const tetcasti_iso *p, uint32_t i, uint32_t limit, uint32_t *end) {
+    const float *range;
+    *end = limit;
+    if (p->range == NULL) return 1;
+    range = p->range[i >> TETCASTI_CLUSTER_LOG];
+    *end = ((i >> TETCASTI_CLUSTER_LOG) + 1) << TETCASTI_CLUSTER_LOG;
+    *end = *end < limit ? *end : limit;
+    return !(range[1] < p->isovalue || range[0] >= p->isovalue);
+}
+
+/* The active cells of a chunk, written without a branch: which they are nobody can foresee. */
+static void tetcasti_task_iso_cells(void *ctx, uint32_t chunk) {
     tetcasti_iso *p = (tetcasti_iso *)ctx;
-    uint32_t i = chunk * TETCASTI_ISO_CHUNK, end = p->mesh->cell_count - i, n[3] = {0, 0, 0};
-    end = i + (end < TETCASTI_ISO_CHUNK ? end : TETCASTI_ISO_CHUNK);
-    for (; i < end; i++) {
-        uint32_t kind = tetcasti_iso_kind(p, i), edges;
-        if (TETCASTI_LIKELY(kind == 0 || kind == 15) || tetcasti_iso_hidden(p->mesh, i)) continue;
-        edges = tetcasti_iso_case[kind][0];
-        n[0]++;
-        n[1] += edges;
-        n[2] += edges - 2;
+    const uint32_t begin = chunk * TETCASTI_ISO_CHUNK, left = p->mesh->cell_count - begin;
+    const uint32_t limit = begin + (left < TETCASTI_ISO_CHUNK ? left : TETCASTI_ISO_CHUNK);
+    uint32_t *active = p->active + begin, i, end, n = 0, edges = 0;
+    uint8_t *kinds = p->kind + begin;
+    for (i = begin; i < limit; i = end) {
+        if (!tetcasti_iso_crosses(p, i, limit, &end)) continue;
+        for (; i < end; i++) {
+            uint32_t kind = tetcasti_iso_kind(p, i), count;
+            if (tetcasti_iso_hidden(p->mesh, i)) kind = 0;
+            count = tetcasti_iso_case[kind][0];
+            active[n] = i;
+            kinds[n] = (uint8_t)kind;
+            n += count != 0;
+            edges += count;
+        }
     }
-    memcpy(p->first[chunk], n, sizeof n);
+    p->first[chunk][0] = n;
+    p->first[chunk][1] = edges;
+    p->first[chunk][2] = edges - 2 * n; /* triangles */
 }
 
 static void tetcasti_task_iso_edges(void *ctx, uint32_t chunk) {
     tetcasti_iso *p = (tetcasti_iso *)ctx;
-    uint32_t i = chunk * TETCASTI_ISO_CHUNK, end = p->mesh->cell_count - i;
-    uint32_t at = p->first[chunk][0], e = p->first[chunk][1], k;
-    if (at == p->first[chunk + 1][0]) return;
-    end = i + (end < TETCASTI_ISO_CHUNK ? end : TETCASTI_ISO_CHUNK);
-    for (; i < end; i++) {
-        uint32_t kind = tetcasti_iso_kind(p, i);
-        const uint32_t *t = p->mesh->tet[i];
-        const uint8_t *row = tetcasti_iso_case[kind];
-        if (TETCASTI_LIKELY(kind == 0 || kind == 15) || tetcasti_iso_hidden(p->mesh, i)) continue;
-        p->active[at] = i;
-        p->kind[at++] = (uint8_t)kind;
+    const uint32_t *active = p->active + (size_t)chunk * TETCASTI_ISO_CHUNK;
+    const uint8_t *kinds = p->kind + (size_t)chunk * TETCASTI_ISO_CHUNK;
+    uint32_t i, n = p->first[chunk + 1][0] - p->first[chunk][0], size = 64, k, *table;
+    uint32_t e = p->first[chunk][1], fresh = e, most = p->first[chunk + 1][1] - e;
+    p->filled[chunk] = 0;
+    if (n == 0) return;
+    while (size < most + most / 2) size *= 2; /* at most 2^18 */
+    table = (uint32_t *)tetcasti_alloc_zero(p->mem, size, sizeof *table); /* place in `edge` + 1 */
+    if (table == NULL) {
+        tetcasti_atomic_store(&p->failed, 1u);
+        return;
+    }
+    for (i = 0; i < n; i++) {
+        const uint32_t *t = p->mesh->tet[active[i]];
+        const uint8_t *row = tetcasti_iso_case[kinds[i]];
         for (k = 0; k < row[0]; k++, e++) {
             const uint8_t *ends = tetcasti_edge_of[row[1 + k]];
-            uint32_t a = t[ends[0]], b = t[ends[1]];
-            p->edge[e].a = a < b ? a : b;
-            p->edge[e].b = a < b ? b : a;
+            uint32_t x = t[ends[0]], y = t[ends[1]], a = x < y ? x : y, b = x < y ? y : x;
+            uint32_t h = (a * 0x9e3779b1u + b * 0x85ebca77u) >> 8 & (size - 1);
+            while (table[h] != 0 && (p->edge[table[h] - 1].a != a || p->edge[table[h] - 1].b != b))
+                h = (h + 1) & (size - 1);
+            if (table[h] == 0) {
+                p->edge[fresh].a = a;
+                p->edge[fresh].b = b;
+                table[h] = ++fresh;
+            }
+            p->use[e] = table[h] - 1;
         }
     }
+    p->filled[chunk] = fresh - p->first[chunk][1];
+    tetcasti_free(p->mem, table);
 }
 
 /* Edges by their smaller vertex. Serial: it is a pass over the edges alone, and they are few. */
 static void tetcasti_iso_sort(tetcasti_iso *p) {
-    uint32_t n = p->mesh->vertex_count, i, sum = 0;
+    uint32_t n = p->mesh->vertex_count, i, c, sum = 0;
     memset(p->start, 0, ((size_t)n + 1) * sizeof *p->start);
-    for (i = 0; i < p->edge_count; i++) p->start[p->edge[i].a]++;
+    for (c = 0; c < p->chunks; c++)
+        for (i = 0; i < p->filled[c]; i++) p->start[p->edge[p->first[c][1] + i].a]++;
     for (i = 0; i < n; i++) {
         sum += p->start[i];
         p->start[i] = sum; /* the end, moved down by what follows */
     }
     p->start[n] = sum;
-    for (i = p->edge_count; i-- > 0;) p->order[--p->start[p->edge[i].a]] = i;
+    for (c = p->chunks; c-- > 0;)
+        for (i = p->first[c][1] + p->filled[c]; i-- > p->first[c][1];) p->order[--p->start[p->edge[i].a]] = i;
 }
 
 /* order[0 .. n) by larger vertex, equal ones in the order they are in. A handful as a rule; a fan has thousands. */
@@ -9345,16 +9386,16 @@ static void tetcasti_task_iso_vertices(void *ctx, uint32_t chunk) {
 
 static void tetcasti_task_iso_triangles(void *ctx, uint32_t chunk) {
     tetcasti_iso *p = (tetcasti_iso *)ctx;
-    uint32_t at = p->first[chunk][0], end = p->first[chunk + 1][0], e = p->first[chunk][1], k, flat = 0;
-    uint32_t triangle = p->first[chunk][2];
+    const uint32_t end = chunk * TETCASTI_ISO_CHUNK + (p->first[chunk + 1][0] - p->first[chunk][0]);
+    uint32_t at = chunk * TETCASTI_ISO_CHUNK, e = p->first[chunk][1], triangle = p->first[chunk][2], k, flat = 0;
     for (; at < end; at++) {
         uint32_t edges = tetcasti_iso_case[p->kind[at]][0];
         for (k = 0; k + 2 < edges; k++, triangle++) {
             uint32_t *out = p->out->indices + 3 * (size_t)triangle;
             const float *a, *b, *c;
-            out[0] = p->vertex[e];
-            out[1] = p->vertex[e + k + 1];
-            out[2] = p->vertex[e + k + 2];
+            out[0] = p->vertex[p->use[e]];
+            out[1] = p->vertex[p->use[e + k + 1]];
+            out[2] = p->vertex[p->use[e + k + 2]];
             a = p->out->positions + 3 * (size_t)out[0];
             b = p->out->positions + 3 * (size_t)out[1];
             c = p->out->positions + 3 * (size_t)out[2];
@@ -9421,28 +9462,30 @@ static tetcast_result tetcasti_iso_run(tetcasti_iso *p, const tetcast_surface_de
     p->vertex_chunks = mesh->vertex_count / TETCASTI_ISO_CHUNK + 1;
     p->inside = (uint8_t *)tetcasti_alloc(mem, mesh->vertex_count);
     p->first = (uint32_t (*)[3])tetcasti_alloc_array(mem, (size_t)p->chunks + 1, sizeof *p->first);
-    if (p->inside == NULL || p->first == NULL) return TETCAST_ERR_NO_MEMORY;
+    p->active = (uint32_t *)tetcasti_alloc_array(mem, mesh->cell_count, sizeof *p->active);
+    p->kind = (uint8_t *)tetcasti_alloc(mem, mesh->cell_count);
+    if (!p->inside || !p->first || !p->active || !p->kind) return TETCAST_ERR_NO_MEMORY;
     tetcasti_parallel_for(env, tetcasti_task_iso_inside, p, p->vertex_chunks);
-    tetcasti_parallel_for(env, tetcasti_task_iso_count, p, p->chunks);
+    tetcasti_parallel_for(env, tetcasti_task_iso_cells, p, p->chunks);
     if (!tetcasti_iso_sums(p, total)) return tetcasti_fail(env->error, TETCAST_ERR_RANGE, 0, "too many triangles");
     if (total[0] == 0) return TETCAST_OK;
-    p->edge_count = total[1];
-    p->active = (uint32_t *)tetcasti_alloc_array(mem, total[0], sizeof *p->active);
-    p->kind = (uint8_t *)tetcasti_alloc(mem, total[0]);
     p->edge = (tetcasti_iso_edge *)tetcasti_alloc_array(mem, total[1], sizeof *p->edge);
+    p->use = (uint32_t *)tetcasti_alloc_array(mem, total[1], sizeof *p->use);
+    p->filled = (uint32_t *)tetcasti_alloc_array(mem, p->chunks, sizeof *p->filled);
     p->start = (uint32_t *)tetcasti_alloc_array(mem, (size_t)mesh->vertex_count + 1, sizeof *p->start);
     p->order = (uint32_t *)tetcasti_alloc_array(mem, total[1], sizeof *p->order);
     p->vertex = (uint32_t *)tetcasti_alloc_array(mem, total[1], sizeof *p->vertex);
     p->unique = (uint32_t *)tetcasti_alloc_array(mem, p->vertex_chunks, sizeof *p->unique);
-    if (!p->active || !p->kind || !p->edge || !p->start || !p->order || !p->vertex || !p->unique)
+    if (!p->edge || !p->use || !p->filled || !p->start || !p->order || !p->vertex || !p->unique)
         return TETCAST_ERR_NO_MEMORY;
     tetcasti_parallel_for(env, tetcasti_task_iso_edges, p, p->chunks);
+    if (p->failed) return TETCAST_ERR_NO_MEMORY;
     tetcasti_iso_sort(p);
     tetcasti_parallel_for(env, tetcasti_task_iso_unique, p, p->vertex_chunks);
     for (c = 0; c < p->vertex_chunks; c++) {
         uint32_t n = p->unique[c];
         p->unique[c] = sum;
-        sum += n; /* at most edge_count */
+        sum += n; /* at most all edges */
     }
     out->positions = (float *)tetcasti_alloc_array(keep, sum, 3 * sizeof(float));
     out->indices = (uint32_t *)tetcasti_alloc_array(keep, total[2], 3 * sizeof(uint32_t));
@@ -9482,6 +9525,8 @@ TETCAST_DEF tetcast_result tetcast_isosurface(const tetcast_surface_desc *desc, 
     memset(&p, 0, sizeof p);
     p.mesh = mesh;
     p.isovalue = desc->isovalue;
+    p.mem = &mem;
+    p.range = (const float (*)[2])mesh->field[mesh->active].range;
     p.out = out;
     keep = mem; /* what the caller frees later has no counter to report to */
     out->_allocator = mem.allocator;
@@ -9492,6 +9537,8 @@ TETCAST_DEF tetcast_result tetcast_isosurface(const tetcast_surface_desc *desc, 
     tetcasti_free(&mem, p.active);
     tetcasti_free(&mem, p.kind);
     tetcasti_free(&mem, p.edge);
+    tetcasti_free(&mem, p.use);
+    tetcasti_free(&mem, p.filled);
     tetcasti_free(&mem, p.start);
     tetcasti_free(&mem, p.order);
     tetcasti_free(&mem, p.vertex);
