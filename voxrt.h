@@ -8722,8 +8722,8 @@ VOXRTI_TARGET_AVX2 static inline __m128i voxrti_narrow4(__m256d mask) {
    of axis m; a slab of one level is four of the next. The cells of a slab that the frustum meets are collected from
    all nodes of the slab above it, the 64 cells of a node at a time by mask operations. */
 
-#define VOXRTI_BEAM_CELLS 160        /* room for the cells of the slabs that the walk stands in */
-#define VOXRTI_BEAM_ACROSS 8         /* most cells of a slab along u or v: a wider one ends the walk */
+#define VOXRTI_BEAM_CELLS 224        /* room for the cells of the slabs that the walk stands in; at most 256 */
+#define VOXRTI_BEAM_ACROSS 8         /* most cells of a slab along u or v (a pair: twice): a wider one ends the walk */
 #define VOXRTI_BEAM_MARGIN 0.0078125 /* cells; covers rounding of slopes and positions up to 2^20 cells */
 
 typedef struct voxrti_beam_cell {
@@ -8740,9 +8740,10 @@ typedef struct voxrti_beam {
     uint32_t back;          /* 1: the main axis is mirrored (rays run in its negative direction) */
     double om, o[2];        /* origin: main axis (mirrored), u, v */
     double lo[2], hi[2];    /* slopes du/dm, dv/dm */
-    double slow;            /* with level of detail: most units of t per cell along the main axis */
+    double slow, fast;      /* with level of detail: most and least units of t per cell along the main axis */
     double z;               /* plane of axis m, mirrored coordinates, at which the slab found last begins */
     uint32_t size, first, count;     /* this slab: edge of its cells, b->cell[first .. first + count) */
+    uint32_t pair;                   /* 1: it is two; `left` of its cells: 0 or 1 */
     int32_t u0, v0, u1, v1;          /* and the cells that the frustum covers: first and last along u and v */
     uint32_t w;                      /* level whose slabs are being looked through; for it and those above: */
     uint32_t next[VOXRTI_MAX_WIDE];  /* next of its four slabs */
@@ -8855,8 +8856,10 @@ VOXRTI_TARGET_AVX2 static void voxrti_beam_cut_avx2(const voxrt_tree *t, voxrti_
 #define voxrti_beam_cut_avx2 voxrti_beam_cut /* never asked for */
 #endif
 
-/* Walk on to the next slab with cells in the frustum. 0: there is none. 1: its cells are leaf nodes (edge 4).
-   2: stop: it is too wide, or has cells that level of detail may accept, or holds the origin. */
+/* Walk on to the next slab with cells in the frustum. 0: there is none. 1: its cells are leaf nodes (edge 4), or, with
+   `avx2`, nodes above them whose cells or octants are the smallest that level of detail may have to look at; if these
+   are octants of one size, two slabs at a time. 2: stop: it is too wide, or has cells that level of detail may accept,
+   or holds the origin. */
 VOXRTI_INLINE uint32_t voxrti_beam_walk(const voxrt_tree *t, const voxrti_cone *cone, voxrti_beam *b, int avx2) {
     for (;;) {
         uint32_t w = b->w, s = b->next[w]++, sh = 2 * (t->wide - 1 - w), i, end = b->begin[w + 1], n = end;
@@ -8870,6 +8873,15 @@ VOXRTI_INLINE uint32_t voxrti_beam_walk(const voxrt_tree *t, const voxrti_cone *
             continue;
         }
         slab = voxrti_beam_slab(b, s);
+        b->z = (double)(b->plane[w] + (s << sh));
+        b->pair = 0;
+        if (avx2 && cone->on && (s & 1u) == 0 && b->z >= b->om &&
+            2.0 * voxrti_footprint(cone, (b->z - b->om) * b->fast) >= size &&
+            voxrti_footprint(cone, (b->z + 2.0 * size - b->om) * b->slow) < size) {
+            b->pair = 1;
+            b->next[w]++;
+            slab |= voxrti_beam_slab(b, s + 1);
+        }
         if ((b->any[w] & slab) == 0) continue;
         for (i = b->begin[w]; i < end; i++) {
             const voxrti_beam_cell c = b->cell[i];
@@ -8884,9 +8896,9 @@ VOXRTI_INLINE uint32_t voxrti_beam_walk(const voxrt_tree *t, const voxrti_cone *
                 VOXRTI_PREFETCH(base + ((size_t)to->node << shift));
                 to->u = 4 * c.u + (int32_t)((slot >> b->u & 1u) | (slot >> (b->u + 2) & 2u));
                 to->v = 4 * c.v + (int32_t)((slot >> b->v & 1u) | (slot >> (b->v + 2) & 2u));
+                if (avx2) to->left = (slot >> b->m ^ b->back) & 1u;
             }
         }
-        b->z = (double)(b->plane[w] + (s << sh));
         b->size = (uint32_t)1 << sh;
         b->first = end;
         b->count = n - end;
@@ -8894,9 +8906,22 @@ VOXRTI_INLINE uint32_t voxrti_beam_walk(const voxrt_tree *t, const voxrti_cone *
         b->u1 = b->range[w].u1[s];
         b->v0 = b->range[w].v0[s];
         b->v1 = b->range[w].v1[s];
-        if (b->u1 - b->u0 >= VOXRTI_BEAM_ACROSS || b->v1 - b->v0 >= VOXRTI_BEAM_ACROSS || n == VOXRTI_BEAM_CELLS)
+        if (b->pair) {
+            const voxrti_beam_range *r = &b->range[w];
+            b->u0 = b->u0 < r->u0[s + 1] ? b->u0 : r->u0[s + 1];
+            b->u1 = b->u1 > r->u1[s + 1] ? b->u1 : r->u1[s + 1];
+            b->v0 = b->v0 < r->v0[s + 1] ? b->v0 : r->v0[s + 1];
+            b->v1 = b->v1 > r->v1[s + 1] ? b->v1 : r->v1[s + 1];
+        }
+        if (b->u1 - b->u0 >= VOXRTI_BEAM_ACROSS << b->pair || b->v1 - b->v0 >= VOXRTI_BEAM_ACROSS << b->pair ||
+            n == VOXRTI_BEAM_CELLS)
             return 2;
-        if (cone->on && size <= 2.0 * voxrti_footprint(cone, (b->z + size - b->om) * b->slow)) return 2;
+        if (b->pair) return 1;
+        if (cone->on) {
+            const double most = voxrti_footprint(cone, (b->z + size - b->om) * b->slow);
+            if (avx2 ? size <= most : size <= 2.0 * most) return 2;
+            if (avx2 && size <= 4.0 * most) return b->z < b->om ? 2 : 1;
+        }
         if (sh == 2) return b->z < b->om ? 2 : 1;
         b->w = ++w;
         b->next[w] = 0;
@@ -8960,7 +8985,7 @@ VOXRTI_INLINE int voxrti_beam_start(const voxrt_tree *t, const voxrti_cone *cone
         if (!(b->lo[i] > -8.0 && b->hi[i] < 8.0 && b->hi[i] - b->lo[i] <= 0.25)) return 0;
     b->slow = 0;
     if (cone->on) { /* octants of the root must not be cells of level of detail: the walk starts at its bits */
-        b->slow = t->voxel_size / least;
+        b->slow = t->voxel_size / least * (1.0 + 1e-9);
         if (2.0 * voxrti_footprint(cone, (voxrti_abs(b->om) + full) * b->slow) >= full) return 0;
     }
     memset(&b->cell[0], 0, sizeof b->cell[0]);
@@ -9329,7 +9354,10 @@ VOXRTI_TARGET_AVX2 static inline void voxrti_hits4(const voxrt_tree *t, const vo
    plane. No ray looks into the tree.
    Between two planes a ray meets the cell in which it enters, the one in which it leaves, and one between these when
    both coordinates change. Positions are wrong by a few 2^-24 cells. Where that could matter (next to an edge of
-   cells) the ray is left to the scalar path: the same hits by construction. */
+   cells) the ray is left to the scalar path: the same hits by construction.
+   Level of detail: the footprint at both ends of a slab tells which cells are accepted in it. Are they larger than
+   voxels, the cells of nodes further up are the units of march; an octant is eight of them that are all filled. Where
+   cells of two sizes may be accepted the pictures are of the larger ones, and rays that meet any are left to others. */
 
 #if VOXRTI_AVX2
 
@@ -9344,13 +9372,18 @@ typedef struct voxrti_tile {
     uint32_t cell[3][64];  /* of hits: m (mirrored), u, v */
     uint32_t side[64];     /* of hits, axis along which it was entered: m, u, v */
     uint32_t node[64];     /* of hits; VOXRT_NO_NODE without one */
+    uint32_t ls[64];       /* of hits, with level of detail: log2 of the edge; */
+    uint32_t unit[64];     /* and that of the unit in which `cell` counts */
     uint64_t active, rare; /* bit per ray: on its way; left to the scalar path */
+    uint64_t later;        /* left to others, from plane `again` on */
     uint32_t limited;      /* a t_max is finite */
     double start, late;    /* plane of the first slab; before it all rays have started */
+    double again;
     int32_t base[2];
+    uint32_t log;          /* log2 of the unit */
     /* the slab that is marched through */
     uint32_t rows[4][32];  /* bit pictures of its planes: row v, column u, counted from its first node's corner */
-    uint32_t leaf[64];     /* its leaf nodes, 8 v + u */
+    uint8_t leaf[512];     /* places of its nodes in b->cell, 8 v + u; of a pair 16 v + u, second slab + 256 */
 } voxrti_tile;
 
 /* The slopes of n <= 64 rays. 0: they are no beam. 1: a beam. 2: one that can be marched as a tile. */
@@ -9435,6 +9468,7 @@ VOXRTI_TARGET_AVX2 static uint32_t voxrti_tile_open(const voxrt_tree *t, const v
     if (!(dm_least > 0 && dm_most < VOXRTI_INF)) return 0;
     if (!voxrti_beam_start(t, cone, dm_least * t->voxel_size, b, 1)) return 0;
     k->late = b->om + (double)t_late * dm_most * (1.0 + 1e-9);
+    b->fast = (1.0 - 1e-9) / dm_most;
     if (_mm256_movemask_pd(wrong) != 0 || _mm_movemask_ps(empty) != 0 || !(t_late < 3e38f)) return 1;
     return b->lo[0] >= -1.0 && b->lo[1] >= -1.0 && b->hi[0] <= 1.0 && b->hi[1] <= 1.0 ? 2 : 1;
 }
@@ -9453,25 +9487,55 @@ VOXRTI_INLINE uint64_t voxrti_tile_mask(uint64_t x, uint32_t m) {
     return x;
 }
 
-/* Lay out the slab of leaf nodes that the walk has found. */
-VOXRTI_TARGET_AVX2 static inline void voxrti_tile_slab(const voxrt_tree *t, const voxrti_beam *b, voxrti_tile *k) {
+/* All eight bits of the octants that have one. */
+VOXRTI_INLINE uint64_t voxrti_fill_octants(uint64_t x) {
+    const uint64_t low = 0x7f7f7f7f7f7f7f7fu;
+    x = ((((x & low) + low) | x) >> 7) & 0x0101010101010101u;
+    return (x << 8) - x;
+}
+
+/* Lay out the slab of nodes that the walk has found. Not leaf: above leaf nodes; ls is odd: their octants. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_tile_slab(const voxrt_tree *t, const voxrti_beam *b, int leaf, uint32_t ls,
+                                                       voxrti_tile *k) {
     const __m256i nibble = _mm256_setr_epi32(0, 4, 8, 12, 16, 20, 24, 28), four = _mm256_set1_epi32(15);
     uint32_t *p0 = k->rows[b->back ? 3 : 0], *p1 = k->rows[b->back ? 2 : 1];
     uint32_t *p2 = k->rows[b->back ? 1 : 2], *p3 = k->rows[b->back ? 0 : 3], i;
     memset(k->rows, 0, sizeof k->rows);
     for (i = b->first; i < b->first + b->count; i++) {
         const voxrti_beam_cell *c = &b->cell[i];
-        uint64_t mask = voxrti_tile_mask(t->leaf[c->node], b->m);
+        uint64_t mask = leaf ? t->leaf[c->node] : t->node[c->node].mask;
         uint32_t u = (uint32_t)(c->u - b->u0), v = (uint32_t)(c->v - b->v0);
-        __m256i x = _mm256_and_si256(_mm256_srlv_epi32(_mm256_set1_epi32((int)(uint32_t)mask), nibble), four);
-        __m256i y = _mm256_and_si256(_mm256_srlv_epi32(_mm256_set1_epi32((int)(uint32_t)(mask >> 32)), nibble), four);
+        __m256i x, y;
+        if (ls & 1u) mask = voxrti_fill_octants(mask);
+        mask = voxrti_tile_mask(mask, b->m);
+        x = _mm256_and_si256(_mm256_srlv_epi32(_mm256_set1_epi32((int)(uint32_t)mask), nibble), four);
+        y = _mm256_and_si256(_mm256_srlv_epi32(_mm256_set1_epi32((int)(uint32_t)(mask >> 32)), nibble), four);
         x = _mm256_sll_epi32(x, _mm_cvtsi32_si128((int)(4 * u)));
         y = _mm256_sll_epi32(y, _mm_cvtsi32_si128((int)(4 * u)));
         VOXRTI_STORE4(p0 + 4 * v, _mm_or_si128(VOXRTI_LOAD4(p0 + 4 * v), _mm256_castsi256_si128(x)));
         VOXRTI_STORE4(p1 + 4 * v, _mm_or_si128(VOXRTI_LOAD4(p1 + 4 * v), _mm256_extracti128_si256(x, 1)));
         VOXRTI_STORE4(p2 + 4 * v, _mm_or_si128(VOXRTI_LOAD4(p2 + 4 * v), _mm256_castsi256_si128(y)));
         VOXRTI_STORE4(p3 + 4 * v, _mm_or_si128(VOXRTI_LOAD4(p3 + 4 * v), _mm256_extracti128_si256(y, 1)));
-        k->leaf[8 * v + u] = c->node;
+        k->leaf[8 * v + u] = (uint8_t)i;
+    }
+}
+
+/* Lay out the octants of a pair of slabs. */
+VOXRTI_TARGET_AVX2 static inline void voxrti_tile_pair(const voxrt_tree *t, const voxrti_beam *b, voxrti_tile *k) {
+    uint32_t i, m, j;
+    memset(k->rows, 0, sizeof k->rows);
+    for (i = b->first; i < b->first + b->count; i++) {
+        const voxrti_beam_cell *c = &b->cell[i];
+        const uint64_t mask = voxrti_fill_octants(b->size == 4 ? t->leaf[c->node] : t->node[c->node].mask);
+        const uint32_t bits = (uint32_t)(((mask & 0x0101010101010101u) * 0x0102040810204080u) >> 56);
+        const uint32_t u = (uint32_t)(c->u - b->u0), v = (uint32_t)(c->v - b->v0), second = (uint32_t)c->left;
+        for (m = 0; m < 2; m++) {
+            for (j = 0; j < 2; j++) {
+                const uint32_t x = bits >> ((m ^ b->back) << b->m | j << b->v);
+                k->rows[2 * second + m][2 * v + j] |= ((x & 1u) | (x >> (1u << b->u) & 1u) << 1) << 2 * u;
+            }
+        }
+        k->leaf[256 * second + 16 * v + u] = (uint8_t)i;
     }
 }
 
@@ -9539,8 +9603,45 @@ typedef struct voxrti_tile_view {
     uint32_t eps; /* more than twice the error of a position */
 } voxrti_tile_view;
 
+/* Which cells level of detail accepts in a slab. */
+typedef struct voxrti_tile_lod {
+    __m256i in[3], out[3]; /* units inside of the box of the filled cells; m, u, v */
+    uint32_t ls, unit;     /* log2 of their edge, of the unit */
+    uint32_t mixed;        /* those of half that size may be accepted, too */
+} voxrti_tile_lod;
+
+VOXRTI_INLINE uint32_t voxrti_exponent(double x) { /* x >= 1 */
+    uint64_t bits;
+    memcpy(&bits, &x, sizeof bits);
+    return (uint32_t)(bits >> 52) - 1023u;
+}
+
+VOXRTI_TARGET_AVX2 static inline void voxrti_tile_detail(const voxrt_tree *t, const voxrti_cone *cone,
+                                                         const voxrti_beam *b, voxrti_tile_lod *a) {
+    const uint32_t full = (uint32_t)1 << (2 * t->wide), axis[3] = {b->m, b->u, b->v};
+    double least = voxrti_footprint(cone, (b->z - b->om) * b->fast);
+    double most = voxrti_footprint(cone, (b->z + (double)(b->size << b->pair) - b->om) * b->slow);
+    uint32_t i, from, to;
+    a->ls = most < 2.0 ? 0u : voxrti_exponent(most);
+    a->unit = b->pair ? a->ls : a->ls & ~1u;
+    if (a->ls == 0) return; /* voxels only */
+    a->mixed = a->ls != (least < 2.0 ? 0u : voxrti_exponent(least));
+    for (i = 0; i < 3; i++) {
+        from = cone->lo[axis[i]];
+        to = cone->hi[axis[i]];
+        if (i == 0 && b->back) {
+            from = full - to;
+            to = full - cone->lo[axis[i]];
+        }
+        from = (from + (((uint32_t)1 << a->ls) - 1u)) >> a->ls << a->ls;
+        a->in[i] = _mm256_set1_epi32((int)(from >> a->unit));
+        a->out[i] = _mm256_set1_epi32((int)(to >> a->ls << a->ls >> a->unit));
+    }
+}
+
 VOXRTI_TARGET_AVX2 VOXRTI_INLINE voxrti_tile_view voxrti_tile_look(const voxrti_beam *b, const voxrti_tile *k) {
-    const uint32_t planes = (uint32_t)(b->z - k->start), u0 = 4 * (uint32_t)b->u0, v0 = 4 * (uint32_t)b->v0;
+    const uint32_t planes = (uint32_t)(b->z - k->start) >> k->log;
+    const uint32_t u0 = (uint32_t)b->u0 * (4u >> b->pair), v0 = (uint32_t)b->v0 * (4u >> b->pair);
     voxrti_tile_view a;
     a.eps = 2 * planes + 32;
     a.planes = _mm256_set1_epi32((int)planes);
@@ -9550,15 +9651,16 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE voxrti_tile_view voxrti_tile_look(const voxrti_
     a.close = _mm256_set1_epi32((int)(a.eps << (32 - VOXRTI_TILE_BITS)));
     a.u0 = _mm256_set1_epi32((int)u0);
     a.v0 = _mm256_set1_epi32((int)v0);
-    a.z = _mm256_set1_epi32((int)b->z);
+    a.z = _mm256_set1_epi32((int)((uint32_t)b->z >> k->log));
     return a;
 }
 
-/* Eight rays through the four planes of voxels of a slab. At first all planes: which rays have a filled cell at a
-   corner of the rectangle of cells in which they enter and leave? Mostly none. Then the cells of those that have one,
-   in the first such plane. */
-VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_tile_march(voxrti_tile *k, const voxrti_tile_view *at, uint32_t first,
-                                                        uint32_t groups) {
+/* Eight rays through the four planes of voxels (of cells if lod is not NULL) of a slab. At first all planes: which
+   rays have a filled cell at a corner of the rectangle of cells in which they enter and leave? Mostly none. Then the
+   cells of those that have one, in the first such plane. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_tile_march(const voxrti_beam *b, voxrti_tile *k,
+                                                        const voxrti_tile_view *at, uint32_t first, uint32_t groups,
+                                                        const voxrti_tile_lod *lod) {
     const __m256i zero = _mm256_setzero_si256(), one = _mm256_set1_epi32(1);
     const __m256i bits = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
     const __m256i su = VOXRTI_LOADI(k->step[0] + first), sv = VOXRTI_LOADI(k->step[1] + first);
@@ -9618,10 +9720,28 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_tile_march(voxrti_tile *k, const vo
     hit = VOXRTI_SIGNS(got) & ~rare;
     k->rare |= (uint64_t)rare << first;
     k->active &= ~((uint64_t)(rare | hit) << first);
+    if (lod != NULL && hit != 0) { /* a cell that sticks out of the box may be met out there, where it does not count */
+        u = _mm256_add_epi32(hu, at->u0);
+        v = _mm256_add_epi32(hv, at->v0);
+        pu = _mm256_add_epi32(hm, at->z);
+        pv = _mm256_or_si256(_mm256_cmpgt_epi32(lod->in[0], pu), _mm256_cmpgt_epi32(lod->in[1], u));
+        pv = _mm256_or_si256(pv, _mm256_cmpgt_epi32(lod->in[2], v));
+        u = _mm256_and_si256(_mm256_cmpgt_epi32(lod->out[1], u), _mm256_cmpgt_epi32(lod->out[2], v));
+        u = _mm256_and_si256(u, _mm256_cmpgt_epi32(lod->out[0], pu));
+        s = (lod->mixed ? 255u : VOXRTI_SIGNS(pv) | ~VOXRTI_SIGNS(u)) & hit;
+        k->later |= (uint64_t)s << first;
+        hit &= ~s;
+    }
     if (hit != 0) {
         uint32_t *cm = k->cell[0] + first, *cu = k->cell[1] + first, *cv = k->cell[2] + first, *side = k->side + first;
         uint32_t leaf[8];
-        VOXRTI_STOREI(leaf, _mm256_add_epi32(_mm256_slli_epi32(_mm256_srli_epi32(hv, 2), 3), _mm256_srli_epi32(hu, 2)));
+        if (lod == NULL || lod->unit == (lod->ls & ~1u)) {
+            v = _mm256_add_epi32(_mm256_slli_epi32(_mm256_srli_epi32(hv, 2), 3), _mm256_srli_epi32(hu, 2));
+        } else { /* a pair: nodes of two units each */
+            v = _mm256_add_epi32(_mm256_slli_epi32(_mm256_srli_epi32(hm, 1), 4), _mm256_srli_epi32(hv, 1));
+            v = _mm256_add_epi32(_mm256_slli_epi32(v, 4), _mm256_srli_epi32(hu, 1));
+        }
+        VOXRTI_STOREI(leaf, v);
         hu = _mm256_add_epi32(hu, at->u0);
         hv = _mm256_add_epi32(hv, at->v0);
         hm = _mm256_add_epi32(hm, at->z);
@@ -9631,7 +9751,10 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_tile_march(voxrti_tile *k, const vo
         VOXRTI_STOREI(side, _mm256_blendv_epi8(VOXRTI_LOADI(side), hs, got));
         for (; hit != 0; hit &= hit - 1) {
             s = voxrti_ctz64(hit);
-            k->node[first + s] = k->leaf[leaf[s]];
+            k->node[first + s] = b->cell[k->leaf[leaf[s]]].node;
+            if (lod == NULL) continue;
+            k->ls[first + s] = lod->ls;
+            k->unit[first + s] = lod->unit;
         }
     }
 }
@@ -9650,18 +9773,21 @@ VOXRTI_TARGET_AVX2 static inline __m256d voxrti_tile_times(const voxrti_beam *b,
 }
 
 /* Write the results of eight rays: those of `lanes` (bits). */
-VOXRTI_TARGET_AVX2 static inline void voxrti_tile_hits(const voxrt_tree *t, const voxrti_beam *b, const voxrti_tile *k,
-                                                       uint32_t first, uint32_t lanes, voxrt_hit *hits) {
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_tile_hits(const voxrt_tree *t, const voxrti_beam *b, const voxrti_tile *k,
+                                                       uint32_t first, uint32_t lanes, voxrt_hit *hits, int lod) {
     const double full = (double)((uint32_t)1 << (2 * t->wide));
     const __m256d scale = _mm256_set1_pd(1.0 / t->voxel_size), most = _mm256_set1_pd(3.4028234663852886e38);
-    const __m256i last = _mm256_set1_epi32((int)(((uint32_t)1 << (2 * t->wide)) - 1u));
     const __m256i side = VOXRTI_LOADI(k->side + first), is_u = _mm256_cmpeq_epi32(side, _mm256_set1_epi32(1));
-    const __m256i is_v = _mm256_cmpeq_epi32(side, _mm256_set1_epi32(2));
+    const __m256i is_v = _mm256_cmpeq_epi32(side, _mm256_set1_epi32(2)), one = _mm256_set1_epi32(1);
     const __m256i sign = _mm256_set1_epi32((int)0x80000000u), none = _mm256_set1_epi32(-1);
+    const __m256i ls = lod ? VOXRTI_LOADI(k->ls + first) : _mm256_setzero_si256();
+    const __m256i unit = lod ? VOXRTI_LOADI(k->unit + first) : ls, more = _mm256_sub_epi32(ls, unit);
+    __m256i last = _mm256_set1_epi32((int)(((uint32_t)1 << (2 * t->wide)) - 1u));
     __m256i c[3], cell[3], node = VOXRTI_LOADI(k->node + first), back, at, face, slot, info, on, x, r[4];
     __m256d t0, t1, end0 = most, end1 = most;
     __m256 d;
     uint32_t a;
+    if (lod) last = _mm256_srlv_epi32(last, unit);
     for (a = 0; a < 3; a++) c[a] = VOXRTI_LOADI(k->cell[a] + first);
     d = _mm256_blendv_ps(_mm256_loadu_ps(k->d[0] + first), _mm256_loadu_ps(k->d[1] + first), VOXRTI_PS(is_u));
     d = _mm256_blendv_ps(d, _mm256_loadu_ps(k->d[2] + first), VOXRTI_PS(is_v));
@@ -9669,6 +9795,7 @@ VOXRTI_TARGET_AVX2 static inline void voxrti_tile_hits(const voxrt_tree *t, cons
     d = _mm256_andnot_ps(VOXRTI_PS(sign), d);
     at = VOXRTI_BLENDI(VOXRTI_BLENDI(c[0], c[1], is_u), c[2], is_v);
     at = VOXRTI_BLENDI(at, _mm256_sub_epi32(last, at), back);
+    if (lod) at = _mm256_sllv_epi32(_mm256_srlv_epi32(at, more), ls);
     t0 = voxrti_tile_times(b, full, _mm256_castsi256_si128(side), _mm256_castsi256_si128(back),
                            _mm256_castsi256_si128(at),
                            _mm256_mul_pd(_mm256_cvtps_pd(_mm256_castps256_ps128(d)), scale));
@@ -9687,17 +9814,21 @@ VOXRTI_TARGET_AVX2 static inline void voxrti_tile_hits(const voxrt_tree *t, cons
     cell[b->v] = c[2];
     slot = _mm256_setzero_si256();
     for (a = 0; a < 3; a++) {
-        x = _mm256_and_si256(cell[a], _mm256_set1_epi32(3));
+        if (lod) cell[a] = _mm256_srlv_epi32(cell[a], more);
+        x = lod ? _mm256_sllv_epi32(cell[a], _mm256_and_si256(ls, one)) : cell[a]; /* octants: their first cells */
+        x = _mm256_and_si256(x, _mm256_set1_epi32(3));
         x = _mm256_and_si256(_mm256_or_si256(x, _mm256_slli_epi32(x, 2)), _mm256_set1_epi32(9));
         slot = _mm256_or_si256(slot, _mm256_sll_epi32(x, _mm_cvtsi32_si128((int)a)));
         cell[a] = _mm256_and_si256(cell[a], on);
     }
+    x = _mm256_set1_epi32((int)t->depth);
+    if (lod) x = _mm256_sub_epi32(x, ls);
+    slot = _mm256_or_si256(slot, _mm256_slli_epi32(x, 8));
     face = _mm256_set1_epi32((int)(2 * b->m + b->back));
     face = VOXRTI_BLENDI(face, _mm256_set1_epi32((int)(2 * b->u)), is_u);
     face = VOXRTI_BLENDI(face, _mm256_set1_epi32((int)(2 * b->v)), is_v);
     face = _mm256_sub_epi32(face, back);
-    info = _mm256_or_si256(_mm256_or_si256(slot, _mm256_set1_epi32((int)(t->depth << 8))), _mm256_slli_epi32(face, 16));
-    info = _mm256_and_si256(info, on);
+    info = _mm256_and_si256(_mm256_or_si256(slot, _mm256_slli_epi32(face, 16)), on);
     node = _mm256_or_si256(node, _mm256_xor_si256(on, none));
     d = _mm256_insertf128_ps(_mm256_castps128_ps256(_mm256_cvtpd_ps(t0)), _mm256_cvtpd_ps(t1), 1);
     x = _mm256_castps_si256(_mm256_blendv_ps(_mm256_set1_ps(INFINITY), d, VOXRTI_PS(on)));
@@ -9724,13 +9855,14 @@ VOXRTI_TARGET_AVX2 static inline void voxrti_tile_hits(const voxrt_tree *t, cons
 
 /* Positions and slopes in fixed point, at the plane where the march begins. */
 VOXRTI_TARGET_AVX2 static inline void voxrti_tile_begin(const voxrti_beam *b, voxrti_tile *k) {
-    const __m256d one = _mm256_set1_pd((double)(1 << VOXRTI_TILE_BITS)), z = _mm256_set1_pd(b->z - b->om);
+    const double unit = 1.0 / (double)((uint32_t)1 << k->log);
+    const __m256d one = _mm256_set1_pd((double)(1 << VOXRTI_TILE_BITS)), z = _mm256_set1_pd((b->z - b->om) * unit);
     uint32_t i, a;
     k->start = b->z;
-    k->base[0] = 4 * b->u0;
-    k->base[1] = 4 * b->v0;
+    k->base[0] = b->u0 * (int32_t)(4u >> b->pair);
+    k->base[1] = b->v0 * (int32_t)(4u >> b->pair);
     for (a = 0; a < 2; a++) {
-        const __m256d o = _mm256_set1_pd(b->o[a] - (double)k->base[a]);
+        const __m256d o = _mm256_set1_pd(b->o[a] * unit - (double)k->base[a]);
         for (i = 0; i < 64; i += 4) {
             __m256d s = _mm256_loadu_pd(k->slope[a] + i), x = _mm256_add_pd(o, _mm256_mul_pd(s, z));
             VOXRTI_STORE4(k->at[a] + i, _mm256_cvtpd_epi32(_mm256_mul_pd(x, one)));
@@ -9747,47 +9879,93 @@ VOXRTI_TARGET_AVX2 static inline void voxrti_tile_misses(voxrt_hit *hits, uint32
     for (i = 0; i < n; i++) voxrti_hit_store(&hits[i], inf, none);
 }
 
-/* Trace a run of n rays as a tile, if it is one. Returns a bit for each ray that is left: it starts at plane b->z when
-   b->on is 1. With stats all are left. */
-VOXRTI_TARGET_AVX2 static uint64_t voxrti_tile_trace(const voxrt_tree *t, const voxrti_cone *cone,
-                                                     const voxrt_ray *rays, uint32_t n, voxrti_beam *b,
-                                                     voxrti_tile *k, voxrt_hit *hits, const voxrt_stats *stats) {
+/* March from the slab found by the walk on, as far as it goes; returns what it says then. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE uint32_t voxrti_tile_slabs(const voxrt_tree *t, const voxrti_cone *cone, uint32_t n,
+                                                            voxrti_beam *b, voxrti_tile *k, voxrti_chain *chain,
+                                                            int with_lod) {
+    uint32_t p, found = 1, begun = 0;
+    voxrti_tile_lod lod;
+    lod.ls = lod.unit = 0;
+    k->log = 0;
+    for (; found == 1 && k->active != 0; found = voxrti_beam_walk(t, cone, b, 1)) {
+        const uint32_t groups = (uint32_t)(b->v1 - b->v0) / 2 + 1;
+        const uint64_t before = k->later;
+        voxrti_tile_view at;
+        if (with_lod) voxrti_tile_detail(t, cone, b, &lod);
+        if (!begun || b->z - k->start > (double)(512u << k->log) || (with_lod && lod.unit != k->log)) {
+            k->log = lod.unit;
+            voxrti_tile_begin(b, k); /* errors grow */
+        }
+        begun = 1;
+        if (!with_lod) voxrti_tile_slab(t, b, 1, 0, k);
+        else if (b->pair) voxrti_tile_pair(t, b, k);
+        else voxrti_tile_slab(t, b, b->size == 4, lod.ls, k);
+        at = voxrti_tile_look(b, k);
+        for (p = 0; p < n; p += 8) {
+            if ((k->active >> p & 255u) == 0) continue;
+            if (with_lod && lod.ls != 0) voxrti_tile_march(b, k, &at, p, 4, &lod);
+            else if (groups == 1) voxrti_tile_march(b, k, &at, p, 1, NULL);
+            else if (groups == 2) voxrti_tile_march(b, k, &at, p, 2, NULL);
+            else voxrti_tile_march(b, k, &at, p, 4, NULL);
+        }
+        if (with_lod && before == 0 && k->later != 0) {
+            k->again = b->z;
+            voxrti_beam_chain(t, cone, b, chain);
+        }
+    }
+    return found;
+}
+
+VOXRTI_TARGET_AVX2 static VOXRTI_NOINLINE uint32_t voxrti_tile_slabs_lod(const voxrt_tree *t, const voxrti_cone *cone,
+                                                                         uint32_t n, voxrti_beam *b, voxrti_tile *k,
+                                                                         voxrti_chain *chain) {
+    memset(k->ls, 0, sizeof k->ls);
+    memset(k->unit, 0, sizeof k->unit);
+    return voxrti_tile_slabs(t, cone, n, b, k, chain, 1);
+}
+
+/* Trace a run of n rays as a tile, if it is one. Returns a bit for each ray that is left: when b->on is 1 it starts at
+   plane b->z, and `chain` leads there. With stats all are left. */
+VOXRTI_TARGET_AVX2 VOXRTI_NOINLINE static uint64_t voxrti_tile_trace(const voxrt_tree *t, const voxrti_cone *cone,
+                                                                     const voxrt_ray *rays, uint32_t n, voxrti_beam *b,
+                                                                     voxrti_chain *chain, voxrt_hit *hits,
+                                                                     const voxrt_stats *stats) {
+    voxrti_tile tile, *k = &tile;
     const uint64_t all = ~(uint64_t)0 >> (64 - n);
-    uint32_t i, p, fit, found, begun = 0;
+    uint32_t i, fit, found, lod;
+    chain->w = 0;
     if (!voxrti_beam_open(t, rays, n, b)) return all;
+    if (n < 64) memset(k, 0, sizeof *k);
     fit = voxrti_tile_open(t, cone, rays, n, b, k);
     if (fit == 0) return all;
     b->on = 1;
     found = voxrti_beam_walk(t, cone, b, 1);
-    if (stats != NULL) { /* unusable rays are misses, but counted */
-        if (found == 0) b->z = VOXRTI_INF;
-        return all;
-    }
     if (found == 0) {
+        b->z = VOXRTI_INF;
+        if (stats != NULL) return all; /* unusable rays are misses, but counted */
         voxrti_tile_misses(hits, n);
         return 0;
     }
-    if (fit == 1 || !(b->z > k->late)) return all;
+    if (stats != NULL || fit == 1 || !(b->z > k->late)) {
+        voxrti_beam_chain(t, cone, b, chain);
+        return all;
+    }
     memset(k->node, 0xff, sizeof k->node);
     k->active = all & ~k->rare;
-    for (; found == 1 && k->active != 0; found = voxrti_beam_walk(t, cone, b, 1)) {
-        const uint32_t groups = (uint32_t)(b->v1 - b->v0) / 2 + 1;
-        voxrti_tile_view at;
-        if (!begun || b->z - k->start > 512.0) voxrti_tile_begin(b, k); /* errors grow */
-        begun = 1;
-        voxrti_tile_slab(t, b, k);
-        at = voxrti_tile_look(b, k);
-        for (p = 0; p < n; p += 8) {
-            if ((k->active >> p & 255u) == 0) continue;
-            if (groups == 1) voxrti_tile_march(k, &at, p, 1);
-            else if (groups == 2) voxrti_tile_march(k, &at, p, 2);
-            else voxrti_tile_march(k, &at, p, 4);
-        }
-    }
+    k->later = 0;
+    /* up to the tree's far end, may level of detail accept more than voxels? */
+    lod = cone->on && voxrti_footprint(cone, ((double)((uint32_t)1 << (2 * t->wide)) - b->om) * b->slow) >= 2.0;
+    if (found == 1 && lod) found = voxrti_tile_slabs_lod(t, cone, n, b, k, chain);
+    else if (found == 1) found = voxrti_tile_slabs(t, cone, n, b, k, chain, 0);
     if (found != 2) k->active = 0;
+    else if (k->later == 0 && k->active != 0) voxrti_beam_chain(t, cone, b, chain);
+    if (k->later != 0) b->z = k->again;
+    k->active |= k->later;
     for (i = 0; i < n; i += 8) {
         const uint32_t lanes = (uint32_t)((all & ~(k->rare | k->active)) >> i) & 255u;
-        if (lanes != 0) voxrti_tile_hits(t, b, k, i, lanes, hits + i);
+        if (lanes == 0) continue;
+        if (lod) voxrti_tile_hits(t, b, k, i, lanes, hits + i, 1);
+        else voxrti_tile_hits(t, b, k, i, lanes, hits + i, 0);
     }
     for (; k->rare != 0; k->rare &= k->rare - 1) {
         i = voxrti_ctz64(k->rare);
@@ -10324,7 +10502,6 @@ typedef struct voxrti_stream {
     uint32_t first;     /* first ray in `ready` */
     voxrti_beam beam;   /* of this run */
     voxrti_chain chain;
-    voxrti_tile tile;
     voxrti_ready ready;
     uint32_t done_count, done_ray[VOXRTI_DONE], done_node[VOXRTI_DONE], done_cell[3][VOXRTI_DONE];
 } voxrti_stream;
@@ -10340,14 +10517,12 @@ VOXRTI_TARGET_AVX2 static int voxrti_stream_next(const voxrt_tree *t, const voxr
         uint32_t i, rare = 0, left;
         if (at == 0) {
             const uint32_t run = rest < 64 ? (uint32_t)rest : 64u;
-            s->left = voxrti_tile_trace(t, cone, rays, run, &s->beam, &s->tile, hits, stats);
+            s->left = voxrti_tile_trace(t, cone, rays, run, &s->beam, &s->chain, hits, stats);
             if (s->left == 0) {
                 s->next += run;
                 continue;
             }
             if (!s->beam.on) voxrti_chain_to(t, rays, &s->chain);
-            else if (s->beam.z < VOXRTI_INF) voxrti_beam_chain(t, cone, &s->beam, &s->chain);
-            else s->chain.w = 0;
         }
         left = (uint32_t)(s->left >> at) & ((1u << VOXRTI_READY) - 1u);
         s->first = (uint32_t)s->next;
@@ -10432,18 +10607,12 @@ VOXRTI_TARGET_AVX2 static inline void voxrti_stream_refill(const voxrt_tree *t, 
     voxrti_stream_hits(t, s, 3);
 }
 
-/* Trace count (< 2^32) rays. cone->floor_ < 4^wide: one cell for all is left to the scalar path. */
-VOXRTI_TARGET_AVX2 static void voxrti_trace_avx2(const voxrt_tree *t, const voxrti_cone *cone, const voxrt_ray *rays,
-                                                 voxrt_hit *hits, size_t count, voxrt_stats *stats) {
+VOXRTI_TARGET_AVX2 VOXRTI_NOINLINE static void voxrti_stream_trace(const voxrt_tree *t, const voxrti_cone *cone,
+                                                                   voxrti_stream *s, voxrt_stats *stats) {
     voxrti_octet group[VOXRTI_OCTETS];
     voxrti_octet_const k;
-    voxrti_stream s;
     uint32_t i, lane, busy;
-    memset(&s, 0, sizeof s);
     memset(group, 0, sizeof group);
-    s.rays = rays;
-    s.hits = hits;
-    s.count = count;
     for (i = 0; i < VOXRTI_OCTETS; i++)
         for (lane = 0; lane < 8; lane++) group[i].path[lane][0] = voxrti_root(t);
     voxrti_octet_open(t, &k);
@@ -10451,12 +10620,23 @@ VOXRTI_TARGET_AVX2 static void voxrti_trace_avx2(const voxrt_tree *t, const voxr
         busy = 0;
         for (i = 0; i < VOXRTI_OCTETS; i++) {
             voxrti_octet *g = &group[i];
-            if (g->live != 0) voxrti_octet_step(t, cone, &k, g, rays, hits, stats);
-            if (voxrti_popcount64(g->live) <= VOXRTI_OCTET_REFILL) voxrti_stream_refill(t, cone, &s, g, stats);
+            if (g->live != 0) voxrti_octet_step(t, cone, &k, g, s->rays, s->hits, stats);
+            if (voxrti_popcount64(g->live) <= VOXRTI_OCTET_REFILL) voxrti_stream_refill(t, cone, s, g, stats);
             busy |= g->live;
         }
     } while (busy != 0);
-    voxrti_stream_hits(t, &s, 0);
+    voxrti_stream_hits(t, s, 0);
+}
+
+/* Trace count (< 2^32) rays. cone->floor_ < 4^wide: one cell for all is left to the scalar path. */
+VOXRTI_TARGET_AVX2 static void voxrti_trace_avx2(const voxrt_tree *t, const voxrti_cone *cone, const voxrt_ray *rays,
+                                                 voxrt_hit *hits, size_t count, voxrt_stats *stats) {
+    voxrti_stream s;
+    memset(&s, 0, sizeof s);
+    s.rays = rays;
+    s.hits = hits;
+    s.count = count;
+    voxrti_stream_trace(t, cone, &s, stats);
 }
 
 #endif /* VOXRTI_AVX2 */
