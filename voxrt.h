@@ -9951,6 +9951,8 @@ VOXRTI_TARGET_AVX2 VOXRTI_NOINLINE static uint64_t voxrti_tile_trace(const voxrt
         return all;
     }
     memset(k->node, 0xff, sizeof k->node);
+    memset(k->cell, 0, sizeof k->cell);
+    memset(k->side, 0, sizeof k->side);
     k->active = all & ~k->rare;
     k->later = 0;
     /* up to the tree's far end, may level of detail accept more than voxels? */
