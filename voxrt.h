@@ -962,6 +962,8 @@ VOXRT_DEF voxrt_result voxrt_blur(const voxrt_blur_desc *desc, const voxrt_image
 typedef struct voxrt_budget {
     float bias, sum;
     uint32_t pixel_step;
+    uint32_t _step;   /* of the frame before, with its bias and time */
+    float _bias, _frame_ms;
 } voxrt_budget;
 VOXRT_DEF float voxrt_budget_update(voxrt_budget *budget, float frame_ms, float target_ms, float finest);
 
@@ -12521,26 +12523,33 @@ VOXRT_DEF voxrt_result voxrt_blur(const voxrt_blur_desc *desc, const voxrt_image
     return image->rgba8 != NULL ? voxrt_image_encode(&d.env, image) : VOXRT_OK;
 }
 
-/* Two levers. Rays for blocks of pixels: a frame then costs nearly 1/step^2, so the step that is needed is known at
-   once, and it goes back when the frame would fit with a smaller one with something to spare. And within that the
+/* Two levers. Rays for blocks of pixels: a frame then costs between 1/step and 1/step^2, as rays that are farther apart
+   share less. So the step is chosen by the one and goes back by the other, when the frame would fit with something to
+   spare. When frames get dearer, as in an approach, the next is taken to be dearer by as much. And within that the
    tolerance, by a PI controller on its logarithm: it is worth 10 to 40 % at most (the work for each pixel stays), so
    what is over by more is left to the step. */
 VOXRT_DEF float voxrt_budget_update(voxrt_budget *budget, float frame_ms, float target_ms, float finest) {
     double lowest = finest > 0.0f ? voxrti_min((double)finest, 64.0) : 0.25, limit = voxrti_log2(64.0 / lowest);
-    double ratio, error, over;
+    double ratio, error, over, growth = 1.0;
     uint32_t step = budget->pixel_step < 1 ? 1 : budget->pixel_step > 8 ? 8 : budget->pixel_step;
     limit = voxrti_min(limit, 2.0);
     if (frame_ms > 0.0f && target_ms > 0.0f && voxrti_finite_f(frame_ms) && voxrti_finite_f(target_ms)) {
         ratio = (double)frame_ms / (double)target_ms;
-        over = ratio / (1.0 + 0.1 * (limit - (double)budget->bias)); /* what the tolerance will not do */
+        if (budget->_step == step && budget->_bias <= budget->bias && budget->_frame_ms > 0.0f)
+            growth = voxrti_max(1.0, voxrti_min(1.3, (double)frame_ms / (double)budget->_frame_ms));
+        budget->_step = step;
+        budget->_bias = budget->bias;
+        budget->_frame_ms = frame_ms;
+        over = ratio * growth / (1.0 + 0.1 * (limit - (double)budget->bias)); /* what the tolerance will not do */
         if (over > 1.0 && step < 8) {
             uint32_t next = step + 1;
-            while (next < 8 && over * (double)(step * step) > (double)(next * next)) next++;
+            while (next < 8 && over * (double)step > (double)next) next++;
             step = next;
-        } else if (step > 1 && ratio * (double)(step * step) < 0.85 * (double)((step - 1) * (step - 1))) {
+        } else if (step > 1 && ratio * growth * (double)(step * step) < 0.95 * (double)((step - 1) * (step - 1))) {
             step--;
         }
-        error = voxrti_max(-2.0, voxrti_min(2.0, voxrti_log2(ratio) + 0.1)); /* aims a little below the budget */
+        error = voxrti_log2(ratio) + 0.1; /* aims a little below the budget */
+        error = voxrti_max(-2.0, voxrti_min(2.0, error));
         budget->sum = (float)voxrti_max(0.0, voxrti_min(limit, (double)budget->sum + 0.7 * error));
         budget->bias = (float)voxrti_max(0.0, voxrti_min(limit, (double)budget->sum + 0.3 * error));
     }

@@ -323,6 +323,14 @@ TEST(tetgen) {
             sup_volume_free(&v);
             CHECK(sup_volume_read_memory(f->data, f->size, given ? "m.ele" : "m.node", NULL, NULL, &v, &err));
         }
+    for (first = 0; first < 2; first++) { /* numbers at the ends of what a number can be */
+        static const char *const text[2] = {"2 3 0 0\n9223372036854775807 0 0 0\n0 0 0 1\n",
+                                            "2 3 0 0\n-9223372036854775808 0 0 0\n-9223372036854775807 0 0 1\n"};
+        sup_volume v;
+        sup_error err;
+        CHECK(sup_volume_read_memory(text[first], strlen(text[first]), "m.node", NULL, NULL, &v, &err));
+        CHECK(strstr(err.text, "numbered") != NULL);
+    }
     CHECK(g_memory.live == 0);
 }
 

@@ -53,6 +53,7 @@ SUP_FN int supi_tetgen_nodes(supi_volume_reader *r, int64_t *first) {
     for (i = 0; i < count; i++) {
         if (supi_tetgen_int(r, &number)) return 1;
         if (i == 0) *first = number;
+        if (*first < 0 || *first > INT64_C(0xffffffff)) return supi_volume_fail(r, "the points are not numbered from 0 or 1");
         if (number != *first + (int64_t)i) return supi_volume_fail(r, "the points are not numbered one after the other");
         for (k = 0; k < 3; k++)
             if (supi_tetgen_real(r, v->points + 3 * i + k)) return 1;
