@@ -326,9 +326,12 @@ TEST(tetgen) {
     for (first = 0; first < 2; first++) { /* numbers at the ends of what a number can be */
         static const char *const text[2] = {"2 3 0 0\n9223372036854775807 0 0 0\n0 0 0 1\n",
                                             "2 3 0 0\n-9223372036854775808 0 0 0\n-9223372036854775807 0 0 1\n"};
+        other_file other;
         sup_volume v;
         sup_error err;
-        CHECK(sup_volume_read_memory(text[first], strlen(text[first]), "m.node", NULL, NULL, &v, &err));
+        other.name = "m.ele";
+        other.text = &ele;
+        CHECK(sup_volume_read_memory(text[first], strlen(text[first]), "m.node", open_other, &other, &v, &err));
         CHECK(strstr(err.text, "numbered") != NULL);
     }
     CHECK(g_memory.live == 0);
