@@ -1182,14 +1182,14 @@ TEST(edges) {
         voxrt_material m;
         double before = 1e9;
         uint32_t x, bad = 0;
-        set3(m.ambient, 1e12f, -1e12f, 1e12f);
+        set3(m.ambient, 1e12, -1e12, 1e12);
         m.diffuse = m.specular = 1e12f;
         m.shininess = 1e12f;
-        set3(light.color, 1e12f, 1e12f, -1e12f);
+        set3(light.color, 1e12, 1e12, -1e12);
         set3(light.position, 1, 3, 2);
         d.material = &m;
         d.samples = 7;
-        set3(d.background, 1e12f, -1e12f, 1e12f);
+        set3(d.background, 1e12, -1e12, 1e12);
         CHECK(voxrt_render(&d, t, &q.m, NULL) == VOXRT_OK && voxrt_blur(NULL, &q.m) == VOXRT_OK);
         for (x = 0; x < 40 * 30 * 4; x++) bad += !(fabsf(q.m.rgba[x]) <= 1e38f);
         CHECK_EQ_U64(bad, 0);
