@@ -802,7 +802,8 @@ TETCAST_DEF tetcast_result tetcast_render(const tetcast_render_desc *desc, const
                                           tetcast_render_stats *stats);
 
 /* Follow single rays. desc: env, isa and smooth_normals count. optics NULL: only length, steps and walks.
-   Rays that are not finite or have no direction give zeros and no hit. Cost: O(log(hull faces)) and the cells on the way. */
+   Rays that are not finite or have no direction give zeros and no hit. Cost: O(log(hull faces)) and the cells on the
+   way. */
 TETCAST_DEF tetcast_result tetcast_cast(const tetcast_render_desc *desc, const tetcast_mesh *mesh,
                                         const tetcast_optics *optics, const tetcast_ray *rays, size_t count,
                                         tetcast_ray_result *results, tetcast_render_stats *stats);
@@ -8872,8 +8873,8 @@ static double tetcasti_brightest(const tetcast_optics *o, double path) {
     return most;
 }
 
-/* Distribute the allowed error E (colour, 1 = white). What each shortcut can do to a ray of length D with colours from 0
-   to c, c >= 1 because opacity counts as well:
+/* Distribute the allowed error E (colour, 1 = white). What each shortcut can do to a ray of length D with colours from
+   0 to c, c >= 1 because opacity counts as well:
      ending when t <= t_min                    t_min c (independent colours: t_min c D)
      extinctions moved by at most e + r tau    c (e D + r): the two pictures differ by just
                                                int T1 (tau1 - tau0) (color - C0 behind it) dx, with T1, tau1 of one and
@@ -8883,12 +8884,12 @@ static double tetcasti_brightest(const tetcast_optics *o, double path) {
      the integral itself, in float             2e-6 c (polynomials 6e-7, rounding of the sums the rest), and where the
                                                function is steep what the rounding of positions and values does: found
                                                on pictures to stay below 1e-7 D times the slope, and below 2e-5 c
-   A function that has more knots than fit into registers costs up to ten times as much as one that has few, so part of E
-   goes to leaving out knots: several parts are tried and the cheapest result stays. The rest goes to ending early. All
-   sampling rules and tables are slower than the exact integral, so that is never exchanged. Merging segments on
+   A function that has more knots than fit into registers costs up to ten times as much as one that has few, so part of
+   E goes to leaving out knots: several parts are tried and the cheapest result stays. The rest goes to ending early.
+   All sampling rules and tables are slower than the exact integral, so that is never exchanged. Merging segments on
    which the value is nearly linear was tried: on lattices of 32^3 and 100^3 cubes a tolerance of 1/255 left 0.7 and 0.6
-   of the segments, but nearly all that went were transparent, which cost next to nothing anyway; where something is seen
-   the bend in the middle of two segments makes an error of about 1/255 for each pair. */
+   of the segments, but nearly all that went were transparent, which cost next to nothing anyway; where something is
+   seen the bend in the middle of two segments makes an error of about 1/255 for each pair. */
 /* About what a step along a ray costs, in nanoseconds. */
 static double tetcasti_knots_cost(uint32_t intervals) {
     return intervals <= 8 ? 9.0 : intervals <= 16 ? 10.0 : 12.0 + 0.16 * (double)intervals;
@@ -9905,8 +9906,8 @@ static int tetcasti_view_open(tetcasti_mem *mem, const tetcast_env *env, const t
 
 /* ---- one cell ---- */
 
-/* By which faces are in front (bit i: the one opposite to vertex i): the vertices' roles, so that what is positive inside
-   is so, and the form. */
+/* By which faces are in front (bit i: the one opposite to vertex i): the vertices' roles, so that what is positive
+   inside is so, and the form. */
 static const uint8_t tetcasti_roles[16][4] = {
     {0, 1, 2, 3}, {1, 3, 2, 0}, {0, 2, 3, 1}, {3, 2, 0, 1}, {0, 3, 1, 2}, {1, 3, 0, 2}, {3, 0, 1, 2}, {0, 2, 1, 3},
     {0, 1, 2, 3}, {2, 1, 0, 3}, {0, 2, 1, 3}, {0, 1, 3, 2}, {1, 0, 2, 3}, {0, 3, 2, 1}, {1, 2, 3, 0}, {0, 1, 2, 3}};
@@ -9959,14 +9960,15 @@ static int tetcasti_splat_open(const tetcasti_view *v, const uint32_t tet[4], te
         s->c[i] = -(s->a[i] * x[from] + s->b[i] * y[from]);
     }
     for (i = 6; i < 8; i++) s->a[i] = s->b[i] = s->c[i] = 0.0f;
+    s->s_lo = s->s_hi = 0.0f;
     for (i = 0; i < 4; i++) {
         const tetcasti_seen *q = p[role[i]];
         float value = vertex[tet[role[i]]].s;
         s->w[i] = q->w;
         s->wz[i] = q->w * q->z;
         s->ws[i] = q->w * value;
-        if (i == 0 || value < s->s_lo) s->s_lo = value;
-        if (i == 0 || value > s->s_hi) s->s_hi = value;
+        s->s_lo = i == 0 || value < s->s_lo ? value : s->s_lo;
+        s->s_hi = i == 0 || value > s->s_hi ? value : s->s_hi;
     }
     return 1;
 }
@@ -10443,14 +10445,16 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_splat_lanes(const tetcast
     __m256 least, inside;
     uint32_t k;
     for (k = 0; k < silhouette; k++)
-        e[k] = _mm256_fmadd_ps(TETCASTI_ALL(s->a[k]), x, _mm256_fmadd_ps(TETCASTI_ALL(s->b[k]), y, TETCASTI_ALL(s->c[k])));
+        e[k] = _mm256_fmadd_ps(TETCASTI_ALL(s->a[k]), x,
+                               _mm256_fmadd_ps(TETCASTI_ALL(s->b[k]), y, TETCASTI_ALL(s->c[k])));
     inside = _mm256_min_ps(_mm256_min_ps(e[0], e[1]), e[2]);
     if (silhouette == 4) inside = _mm256_min_ps(inside, e[3]);
     lanes &= ~(uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(inside, _mm256_xor_ps(bound, sign), _CMP_LT_OQ));
     *exact = 0;
     if (lanes == 0) return 0;
     for (k = silhouette; k < 6; k++)
-        e[k] = _mm256_fmadd_ps(TETCASTI_ALL(s->a[k]), x, _mm256_fmadd_ps(TETCASTI_ALL(s->b[k]), y, TETCASTI_ALL(s->c[k])));
+        e[k] = _mm256_fmadd_ps(TETCASTI_ALL(s->a[k]), x,
+                               _mm256_fmadd_ps(TETCASTI_ALL(s->b[k]), y, TETCASTI_ALL(s->c[k])));
     least = _mm256_andnot_ps(sign, inside);
     for (k = silhouette; k < 6; k++) least = _mm256_min_ps(least, _mm256_andnot_ps(sign, e[k]));
     *exact = lanes & ~(uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(least, bound, _CMP_GT_OQ));
@@ -10596,7 +10600,8 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_splat_open4(const tetcast
     area = _mm_sub_ps(_mm_mul_ps(_mm_sub_ps(fx[1], fx[0]), _mm_sub_ps(fy[2], fy[0])),
                       _mm_mul_ps(_mm_sub_ps(fy[1], fy[0]), _mm_sub_ps(fx[2], fx[0])));
     fronts = (uint32_t)_mm_movemask_ps(area);
-    if (TETCASTI_UNLIKELY(_mm_movemask_ps(_mm_cmpgt_ps(_mm_andnot_ps(sign, area), _mm_set1_ps(3.0f * s->bound))) != 15 ||
+    if (TETCASTI_UNLIKELY(_mm_movemask_ps(_mm_cmpgt_ps(_mm_andnot_ps(sign, area),
+                                                       _mm_set1_ps(3.0f * s->bound))) != 15 ||
                           fronts == 0 || fronts == 15)) return 2;
     s->form = tetcasti_forms[fronts];
     roles = _mm_cvtepu8_epi32(_mm_cvtsi32_si128((int)tetcasti_load_u32(tetcasti_roles[fronts])));
@@ -10718,7 +10723,8 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_fragments_add8(tetcasti_p
     tetcasti_batch *b = p->b;
     __m256 cursor = _mm256_loadu_ps(p->cursor + i), last = _mm256_loadu_ps(p->last + i),
         value = _mm256_loadu_ps(p->value + i), ways = _mm256_loadu_ps(p->way + i);
-    __m256 apart = _mm256_sub_ps(z0, cursor), joined, same, gap, begin, front = s0, back = s1, end = z1, take, way, mask;
+    __m256 apart = _mm256_sub_ps(z0, cursor), joined, same, gap, begin, front = s0, back = s1, end = z1, take, way,
+        mask;
     uint32_t ended, beyond, gaps, rare, fresh, k;
     tetcasti_seg8 seg;
     act &= (uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(z1, eye, _CMP_GE_OQ));
@@ -10959,7 +10965,8 @@ static void tetcasti_tile_paint(tetcasti_painter *p, uint32_t tile, const double
         float *a = &p->ahead[tetcasti_depth_step(e[k].z - first, scale)];
         *a = e[k].nearest < *a ? e[k].nearest : *a;
     }
-    for (k = TETCASTI_DEPTHS; k > 0; k--) p->ahead[k - 1] = p->ahead[k] < p->ahead[k - 1] ? p->ahead[k] : p->ahead[k - 1];
+    for (k = TETCASTI_DEPTHS; k > 0; k--)
+        p->ahead[k - 1] = p->ahead[k] < p->ahead[k - 1] ? p->ahead[k] : p->ahead[k - 1];
     for (k = 0; k < n && p->open != 0; k++, e++) {
         if (p->fullest == p->room) { /* the other cells lie behind this */
             if (p->mode == TETCASTI_KEEP_ALL)

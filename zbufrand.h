@@ -450,9 +450,9 @@ ZBUFRAND_DEF zbufrand_result zbufrand_remove(zbufrand_scene *scene, zbufrand_nod
 
 /* Take edits into the structures without building them anew.
    info  out, may be NULL; only written on success
-   What is added becomes a structure of its own, as if it had ZBUFRAND_OWN_STRUCTURE: put small meshes that come together
-   into one list. The arrays of its meshes are borrowed until this has returned. A list or mesh that is moved for the
-   first time becomes a structure, too; the picture stays the same but for chance.
+   What is added becomes a structure of its own, as if it had ZBUFRAND_OWN_STRUCTURE: put small meshes that come
+   together into one list. The arrays of its meshes are borrowed until this has returned. A list or mesh that is moved
+   for the first time becomes a structure, too; the picture stays the same but for chance.
    Errors: EMPTY (the scene was never built), INVALID_ARG (env.error names what closes a cycle, a reference whose target
    is in no list, a bad triangle with `strict`), RANGE (levels of instances, places), NO_MEMORY. On failure the scene is
    drawn as before; the edits are kept, so that the call can be made again. Counts of triangles stop at 2^64 - 1.
@@ -4441,7 +4441,8 @@ ZBUFRAND_DEF void zbufrand_scene_get_info(const zbufrand_scene *scene, zbufrand_
    They stand beside the tree of clusters and refer to its triangles. The objects of a tree, triangles and dummies (a
    class of a structure that is referred to, with a transform), stand in one array, depth first: what is below a node is
    a run of it. sum[] adds up their areas, so that a run knows its area, and an object is drawn by it with one binary
-   search below any node, which a table of as many entries as half of the objects makes short as a rule. Areas are integers of 2^-61 of the whole: differences are exact wherever they are taken,
+   search below any node, which a table of as many entries as half of the objects makes short as a rule. Areas are
+   integers of 2^-61 of the whole: differences are exact wherever they are taken,
    however unequal the areas are, and every object has a share.
    --------------------------------------------------------------------------- */
 
@@ -15499,9 +15500,11 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_stream48(const float *from
 }
 
 /* The points of a chapter into their order; the next chapter is fetched meanwhile. */
-ZBUFRANDI_TARGET_AVX2 static void zbufrandi_points_order(const float *p, const float *next, uint32_t floats, uint32_t key,
+ZBUFRANDI_TARGET_AVX2 static void zbufrandi_points_order(const float *p, const float *next, uint32_t floats,
+                                                         uint32_t key,
                                                          float *positions, float *normals) {
-    static const uint16_t reverse[16] = {0, 2048, 1024, 3072, 512, 2560, 1536, 3584, 256, 2304, 1280, 3328, 768, 2816, 1792,
+    static const uint16_t reverse[16] = {0, 2048, 1024, 3072, 512, 2560, 1536, 3584, 256, 2304, 1280, 3328, 768, 2816,
+                                         1792,
                                          3840};
     const int aligned = (((uintptr_t)positions | (uintptr_t)normals) & 15u) == 0;
     float a[52], b[52];
@@ -15865,7 +15868,8 @@ ZBUFRANDI_INLINE float zbufrandi_lane_surface(const zbufrandi_node8 *n, uint32_t
 }
 
 /* Leaves and cost of a node whose children are known. Returns the cost over its own half surface. */
-static float zbufrandi_live_measure(const zbufrandi_structure *s, zbufrandi_live_structure *l, uint32_t node, int made) {
+static float zbufrandi_live_measure(const zbufrandi_structure *s, zbufrandi_live_structure *l, uint32_t node,
+                                    int made) {
     const zbufrandi_node8 *n = &s->node[node];
     zbufrandi_health *h = &l->health[node];
     float lo[3], hi[3], own;
@@ -15925,7 +15929,8 @@ static int zbufrandi_live_look(zbufrand_scene *scene, uint32_t index) {
     if (s->node_count != 0) l->health[0].up = ZBUFRANDI_NIL;
     for (i = 0; i < s->node_count; i++)
         for (k = 0; k < s->node[i].count; k++) zbufrandi_live_place(s, l, s->node[i].child[k], 8 * i + k);
-    for (i = s->node_count; i > 0; i--) (void)zbufrandi_live_measure(s, l, i - 1, 1); /* children come after their parents */
+    /* children come after their parents */
+    for (i = s->node_count; i > 0; i--) (void)zbufrandi_live_measure(s, l, i - 1, 1);
     return 1;
 }
 
@@ -16335,7 +16340,8 @@ static void zbufrandi_treelet_open(const zbufrandi_structure *s, uint32_t top, u
         for (i = 0; i < end; i++) {
             const uint32_t node = ZBUFRANDI_CHILD_INDEX(t->item[i].child);
             const zbufrandi_node8 *n = &s->node[node];
-            if (ZBUFRANDI_CHILD_KIND(t->item[i].child) != ZBUFRANDI_CHILD_NODE || t->count + n->count - 1 > most) continue;
+            if (ZBUFRANDI_CHILD_KIND(t->item[i].child) != ZBUFRANDI_CHILD_NODE || t->count + n->count - 1 > most)
+                continue;
             t->node[t->nodes++] = node;
             opened = 1;
             for (k = 0; k < n->count; k++) { /* the first takes the place of what is opened */
@@ -16911,7 +16917,8 @@ static zbufrand_result zbufrandi_edit_plan(zbufrandi_edit *e) {
     }
     for (i = 1; i < e->melted.count; i++) { /* lists before what is in them */
         const uint32_t x = e->melted.v[i], depth = zbufrandi_edit_depth(g, x);
-        for (k = i; k > 0 && zbufrandi_edit_depth(g, e->melted.v[k - 1]) > depth; k--) e->melted.v[k] = e->melted.v[k - 1];
+        for (k = i; k > 0 && zbufrandi_edit_depth(g, e->melted.v[k - 1]) > depth; k--)
+            e->melted.v[k] = e->melted.v[k - 1];
         e->melted.v[k] = x;
     }
     return r == ZBUFRAND_ERR_NO_MEMORY ? zbufrandi_edit_no_memory(scene) : r;

@@ -150,7 +150,8 @@ static void bm1_huge(void) {
 /* ---- BM2, BM3: the thesis' selection ---- */
 
 /* The thesis' program with other values of its two parameters: epsilon, and levels of halving the normals. Returns the
-   time of the best cell. few: they take seconds, so only one but with --full. fits[0]: exponent of samples, fits[1]: of boxes, over epsilon and sqrt(epsilon) - 1. */
+   time of the best cell. few: they take seconds, so only one but with --full. fits[0]: exponent of samples, fits[1]: of boxes,
+   over epsilon and sqrt(epsilon) - 1. */
 static double sweep_cells(world *w, uint32_t block, const truth *t, int few, double fits[2]) {
     static const double ratios[12] = {1.05, 1.1, 1.2, 1.3, 1.5, 1.7, 2.0, 2.828, 4.0, 5.656, 8.0, 16.0};
     double best = 1e300, x[12], y[12], z[12];

@@ -2,6 +2,9 @@
    SPDX-License-Identifier: MIT OR Unlicense */
 #ifndef RAY_ORACLE_H_INCLUDED
 #define RAY_ORACLE_H_INCLUDED
+#ifndef TETCAST_H_INCLUDED
+#  error "include tetcast.h first"
+#endif
 #include "tets.h"
 #include "transfer_oracle.h"
 

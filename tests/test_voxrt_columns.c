@@ -77,7 +77,7 @@ TEST(bad_input) {
     d.depth_axis_plus_1 = 4;
     CHECK(voxrt_columns_create(&d, &c) == VOXRT_ERR_INVALID_ARG);
     d.depth_axis_plus_1 = 0;
-    d.box_max[1] = INFINITY;
+    d.box_max[1] = (double)INFINITY;
     CHECK(voxrt_columns_create(&d, &c) == VOXRT_ERR_INVALID_ARG);
     d.box_max[1] = 1.0;
     d._end_zero = 1;
@@ -88,7 +88,7 @@ TEST(bad_input) {
     d.env.memory_limit = 0;
     REQUIRE(voxrt_columns_create(&d, &c) == VOXRT_OK);
     memset(&in, 0, sizeof in);
-    in.to_world[3] = NAN;
+    in.to_world[3] = (double)NAN;
     CHECK(voxrt_columns_insert_points(c, &in, p, 0, 3, NULL) == VOXRT_ERR_INVALID_ARG);
     memset(&stats, 0, sizeof stats);
     CHECK(insert(c, VOXRT_COLUMNS_THIN, p, index, 2, 3, 0, &stats) == VOXRT_OK);
@@ -169,7 +169,7 @@ TEST(thin_is_three_crosshairs) {
             for (a = 0; a < 3; a++) {
                 const double size[3] = {16, 8, 64};
                 p[e][a] = (float)rnd_in(-4, size[a] + 4);
-                if (round % 3 == 0) p[e][a] = (float)floor(p[e][a] * 2) / 2; /* on centres and borders */
+                if (round % 3 == 0) p[e][a] = (float)floor((double)p[e][a] * 2) / 2; /* on centres and borders */
                 if (round % 7 == 1 && e > 0) p[e][a] = p[0][a] + (p[e][a] - p[0][a]) * 0.05f;
                 s[e][a] = (int64_t)floor((double)p[e][a] * 256.0 + 0.5);
             }
@@ -376,8 +376,8 @@ TEST(closed_meshes_are_tight_and_fill) {
         CHECK(seen[mid] == 0);
         for (i = 0; i < m.triangles; i++) { /* volume by the divergence theorem */
             const float *a = m.p[m.index[i][0]], *b = m.p[m.index[i][1]], *d = m.p[m.index[i][2]];
-            volume += ((double)a[0] * ((double)b[1] * d[2] - (double)b[2] * d[1]) - (double)a[1] *
-                       ((double)b[0] * d[2] - (double)b[2] * d[0]) + (double)a[2] * ((double)b[0] * d[1] - (double)b[1] * d[0])) / 6;
+            volume += ((double)a[0] * ((double)b[1] * (double)d[2] - (double)b[2] * (double)d[1]) - (double)a[1] *
+                       ((double)b[0] * (double)d[2] - (double)b[2] * (double)d[0]) + (double)a[2] * ((double)b[0] * (double)d[1] - (double)b[1] * (double)d[0])) / 6;
         }
         for (z = 0; z < 64; z++) /* what is not reached from outside, and the surface, is all of the solid */
             for (y = 0; y < 32; y++)
@@ -639,7 +639,7 @@ TEST(rays_hit_what_plain_stepping_hits) {
                     other++;
                 } else if (want.hit) {
                     const double t = r.t_in + want.t * r.per_t;
-                    if (fabs((double)hit.t - t) > 1e-4 * r.per_t + 1e-6 * fabs(t)) CHECK_MSG(0, "t %g, not %g", hit.t, t);
+                    if (fabs((double)hit.t - t) > 1e-4 * r.per_t + 1e-6 * fabs(t)) CHECK_MSG(0, "t %g, not %g", (double)hit.t, t);
                 }
             }
             if (kind < 4) CHECK_MSG(wrong <= n / 2000, "kind %u: %lu of %u", kind, (unsigned long)wrong, n);

@@ -90,7 +90,7 @@ TEST(shared_exponents) {
             most = c[a] > most ? c[a] : most;
         }
         voxrti_rgb9e5_decode(voxrti_rgb9e5(c), d);
-        for (a = 0; a < 3; a++) CHECK_MSG(fabsf(c[a] - d[a]) <= most / 511 + 1e-7f, "%g became %g of %g", c[a], d[a], most);
+        for (a = 0; a < 3; a++) CHECK_MSG(fabsf(c[a] - d[a]) <= most / 511 + 1e-7f, "%g became %g of %g", (double)c[a], (double)d[a], (double)most);
     }
     {
         const float odd[3] = {INFINITY, -1, NAN}, none[3] = {0, 0, 0};
@@ -127,9 +127,9 @@ TEST(samples_are_spread) { /* every power of two of points: one in each elementa
             voxrti_sobol2(i, 7, u);
             c = voxrti_lobe_direction(normal, u, 1.0f, d);
             CHECK(fabsf(voxrti_dot3(d, d) - 1) < 1e-5f && fabsf(voxrti_dot3(d, normal) - c) < 1e-5f);
-            sum += c;
+            sum += (double)c;
             (void)voxrti_lobe_direction(normal, u, 4.0f, d);
-            sum2 += voxrti_dot3(d, normal);
+            sum2 += (double)voxrti_dot3(d, normal);
         }
         CHECK(fabs(sum / 4096 - 2.0 / 3.0) < 1e-3);  /* E[cos] of density (n+1)/(2 pi) cos^n is (n+1)/(n+2) */
         CHECK(fabs(sum2 / 4096 - 5.0 / 6.0) < 1e-3);
@@ -515,7 +515,7 @@ TEST(tones) {
         const double y = 2.0, want = 1.0 / log10(8.0 + 1.0) * log(y + 1) / log(2 + 8 * pow(y / 8.0, log(0.85) / log(0.5)));
         in[0] = in[1] = in[2] = 2.0f;
         CHECK(voxrt_tone_map(VOXRT_TONE_DRAGO, most, in, out, 1) == VOXRT_OK);
-        CHECK_MSG(fabs((double)out[0] - want) < 1e-6, "%g, not %g", out[0], want);
+        CHECK_MSG(fabs((double)out[0] - want) < 1e-6, "%g, not %g", (double)out[0], want);
     }
     in[0] = NAN;
     in[1] = INFINITY;
@@ -545,7 +545,7 @@ TEST(bad_input) {
     sphere(&m, 5.0, 4, 200, 0);
     o = object_of(&m, 0);
     CHECK(voxrt_gi_add(gi, NULL, NULL) == VOXRT_ERR_INVALID_ARG);
-    o.to_world[5] = NAN;
+    o.to_world[5] = (double)NAN;
     CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_ERR_INVALID_ARG);
     o.to_world[5] = 0;
     o.material.albedo[1] = 1.5f;

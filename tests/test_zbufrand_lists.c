@@ -442,7 +442,7 @@ TEST(same_for_any_order) {
             zbufrand_mesh m;
             memset(&s, 0, sizeof s);
             soup(&s, &r, 3000, 0.02, 1.5);
-            for (i = s.triangles; i > 1 && turn == 1; i--) { /* every 6th stays: it says where the origin is */
+            for (i = (uint32_t)s.triangles; i > 1 && turn == 1; i--) { /* every 6th stays: it says where the origin is */
                 const uint32_t j = test_rng_below(&r, i);
                 uint32_t swap[3];
                 if (j % 6 == 0 || (i - 1) % 6 == 0) continue;
@@ -1500,7 +1500,7 @@ TEST(bad_fields) {
         if (i == 1) rd.depth_ratio = 1;
         if (i == 2) rd.angle_ratio = 0.5;
         if (i == 3) rd.clip_ratio = -1;
-        if (i == 4) rd.depth_ratio = NAN;
+        if (i == 4) rd.depth_ratio = (double)NAN;
         if (i == 5) rd.hybrid = (zbufrand_hybrid)5;
         CHECK_EQ_U64(zbufrand_select(frame, &rd, scene, 8, 8, NULL, 0, &count, NULL), i == 0 ? ZBUFRAND_OK : ZBUFRAND_ERR_INVALID_ARG);
     }
