@@ -377,7 +377,8 @@ TEST(closed_meshes_are_tight_and_fill) {
         for (i = 0; i < m.triangles; i++) { /* volume by the divergence theorem */
             const float *a = m.p[m.index[i][0]], *b = m.p[m.index[i][1]], *d = m.p[m.index[i][2]];
             volume += ((double)a[0] * ((double)b[1] * (double)d[2] - (double)b[2] * (double)d[1]) - (double)a[1] *
-                       ((double)b[0] * (double)d[2] - (double)b[2] * (double)d[0]) + (double)a[2] * ((double)b[0] * (double)d[1] - (double)b[1] * (double)d[0])) / 6;
+                       ((double)b[0] * (double)d[2] - (double)b[2] * (double)d[0]) +
+                       (double)a[2] * ((double)b[0] * (double)d[1] - (double)b[1] * (double)d[0])) / 6;
         }
         for (z = 0; z < 64; z++) /* what is not reached from outside, and the surface, is all of the solid */
             for (y = 0; y < 32; y++)
