@@ -1097,11 +1097,13 @@ typedef struct zbufrand_stats {
     uint64_t instances;        /* entered */
     uint64_t draws[3];         /* of stored samples, of clusters sampled, of clusters rasterised */
     uint64_t samples[2];       /* drawn from stored ones, from clusters */
-    uint64_t accepted;         /* of both: left after thinning, back faces and the borders of the picture */
+    /* of both: left after thinning, back faces, the borders of the picture and what is nearer by then; the last depends
+       on the order in which threads draw */
+    uint64_t accepted;
     uint64_t rastered;         /* triangles handed to the rasteriser */
     uint64_t points;           /* of own clouds */
     double density;            /* samples per square pixel of projected surface that was aimed at */
-    double projected_area;     /* estimated: of all that was not dropped, square pixels */
+    double projected_area;     /* estimated: of all surfaces that were drawn, hidden ones too, square pixels */
     uint64_t covered;          /* pixels that show something */
     /* pixels that rays were cast for, because they were empty, because of their neighbours */
     uint64_t holes, wrong;
@@ -8386,6 +8388,7 @@ enum { ZBUFRANDI_WAIT = 192 };
 typedef struct zbufrandi_waiting {
     uint32_t pixel[ZBUFRANDI_WAIT + 8], low[ZBUFRANDI_WAIT + 8], high[ZBUFRANDI_WAIT + 8];
     uint32_t count;
+    uint32_t inside, tried;    /* stored samples in the picture; of those, not left out early: for the statistics */
 } zbufrandi_waiting;
 
 static void zbufrandi_waiting_put(const zbufrandi_target *g, zbufrandi_waiting *w) {
@@ -8449,7 +8452,7 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE uint32_t zbufrandi_stored_eights(const zb
         half = _mm256_set1_ps(0.5f);
     const __m256i lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
     zbufrandi_stored s;
-    uint32_t k, accepted = 0;
+    uint32_t k, accepted = 0, inside = 0, tried = 0;
     zbufrandi_stored_begin(g, d, l, &s);
     for (k = 0; k < d->count; k += 8) { /* samples k..k+7 of the order are some eight that stand together */
         const uint32_t first = (k ^ s.first) & ~7u;
@@ -8483,6 +8486,7 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE uint32_t zbufrandi_stored_eights(const zb
         ix = _mm256_cvttps_epi32(x);
         iy = _mm256_cvttps_epi32(y);
         at = _mm256_add_epi32(_mm256_mullo_epi32(iy, _mm256_set1_epi32((int)g->keys.width)), ix);
+        inside += (uint32_t)__builtin_popcount((uint32_t)_mm256_movemask_ps(ok));
         if (early) { /* depths of finite keys are positive: bits compare like numbers */
             const __m256i depth = _mm256_mask_i32gather_epi32(_mm256_setzero_si256(),
                                                               (const int *)(const void *)g->keys.key + 1, at,
@@ -8490,7 +8494,9 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE uint32_t zbufrandi_stored_eights(const zb
             ok = _mm256_andnot_ps(_mm256_castsi256_ps(_mm256_andnot_si256(_mm256_srai_epi32(depth, 31),
                                                                           _mm256_cmpgt_epi32(_mm256_castps_si256(pz),
                                                                                              depth))), ok);
-            if (_mm256_movemask_ps(ok) == 0) continue;
+            mask = (uint32_t)_mm256_movemask_ps(ok);
+            if (mask == 0) continue;
+            tried += (uint32_t)__builtin_popcount(mask);
         }
         vx = _mm256_cvtepi32_ps(_mm256_and_si256(w1, _mm256_set1_epi32(65535)));
         vy = _mm256_cvtepi32_ps(_mm256_srli_epi32(w1, 16));
@@ -8541,6 +8547,8 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE uint32_t zbufrandi_stored_eights(const zb
                 _mm256_add_epi32(lanes, _mm256_set1_epi32((int)(d->block * ZBUFRANDI_SET + first))), mask, !early);
         accepted += (uint32_t)__builtin_popcount(mask);
     }
+    wait->inside += inside;
+    wait->tried += early ? tried : inside;
     return accepted;
 }
 
@@ -8569,7 +8577,8 @@ static uint32_t zbufrandi_draw_stored(const zbufrandi_target *g, const zbufrandi
 #if ZBUFRANDI_AVX2
     if (g->level >= 3) return zbufrandi_draw_stored_avx2(g, d, l, set, wait);
 #endif
-    (void)wait;
+    wait->inside += d->count;
+    wait->tried += d->count;
     zbufrandi_stored_begin(g, d, l, &s);
     for (k = 0; k < d->count; k++) {
         uint32_t i = k ^ s.first;
@@ -13626,6 +13635,9 @@ struct zbufrandi_picture {
     uint32_t first_block;
     uint32_t done_draws;               /* drawn already */
     uint32_t accepted[2], sampled[2], stored[2], points[2]; /* tallies */
+    uint32_t area[2][2];               /* tallies of the first pass: samples with hidden ones, pixels rastered */
+    uint32_t pass;
+    double first_density;
     uint64_t since_refresh;            /* samples since the pyramid was made */
     double clock;
     int keep;                          /* colours go to f->color and not to the caller: one of several frames */
@@ -13865,10 +13877,10 @@ static void zbufrandi_draw_task(void *ctx, uint32_t task) {
     zbufrandi_picture *p = (zbufrandi_picture *)ctx;
     const zbufrand_frame *f = p->f;
     uint32_t i = f->batch[task], end = f->batch[task + 1], raster_local = ~0u, samples;
-    uint64_t accepted = 0, sampled = 0, stored = 0, points = 0;
+    uint64_t accepted = 0, sampled_seen = 0, sampled = 0, stored = 0, points = 0, covered = 0;
     zbufrandi_waiting wait;
     zbufrandi_raster r;
-    wait.count = 0;
+    wait.count = wait.inside = wait.tried = 0;
     zbufrandi_raster_begin(&r, &p->raster_camera, &p->exact, p->target.exclusive, f->level);
     for (; i < end; i++) {
         zbufrandi_draw d = f->draw[i];
@@ -13888,7 +13900,7 @@ static void zbufrandi_draw_task(void *ctx, uint32_t task) {
             accepted += zbufrandi_draw_stored(&p->target, &d, l, s, &wait);
             stored += d.count;
         } else if (kind == ZBUFRANDI_DRAW_SAMPLED) {
-            accepted += zbufrandi_draw_sampled(&p->target, &d, l, s, &wait, &samples);
+            sampled_seen += zbufrandi_draw_sampled(&p->target, &d, l, s, &wait, &samples);
             sampled += samples;
         } else if (kind == ZBUFRANDI_DRAW_LISTED) {
             accepted += zbufrandi_draw_listed(&p->target, &d, l);
@@ -13901,13 +13913,19 @@ static void zbufrandi_draw_task(void *ctx, uint32_t task) {
             const zbufrandi_cluster *c = &s->cluster[d.item & ((1u << ZBUFRANDI_DRAW_SHIFT) - 1u)];
             if (raster_local != d.local) zbufrandi_raster_local(&r, l);
             raster_local = d.local;
-            (void)zbufrandi_raster_cluster(&r, s->position + 3 * (size_t)c->first_vertex, c->vertex_count,
+            covered += zbufrandi_raster_cluster(&r, s->position + 3 * (size_t)c->first_vertex, c->vertex_count,
                                            s->triangle + 3 * (size_t)c->first_triangle, c->triangle_count,
                                            c->flags & ZBUFRANDI_TWO_SIDED, d.block * ZBUFRANDI_SET);
         }
     }
     zbufrandi_waiting_put(&p->target, &wait);
-    zbufrandi_tally_add(p->accepted, accepted);
+    zbufrandi_tally_add(p->accepted, accepted + sampled_seen);
+    if (p->pass == 0) {
+        /* what was left out early would have been thinned as much as the rest */
+        if (wait.tried != 0) accepted = accepted * wait.inside / wait.tried;
+        zbufrandi_tally_add(p->area[0], accepted + sampled_seen);
+        zbufrandi_tally_add(p->area[1], covered);
+    }
     zbufrandi_tally_add(p->sampled, sampled);
     zbufrandi_tally_add(p->stored, stored);
     zbufrandi_tally_add(p->points, points);
@@ -14601,8 +14619,10 @@ static zbufrand_result zbufrandi_draw_picture(zbufrandi_picture *p) {
     double tolerance = d->tolerance > 0.0 ? d->tolerance : 0.05;
     uint32_t pass;
     zbufrand_result result;
+    p->first_density = density;
     for (pass = 0;; pass++) {
         double failed, wanted;
+        p->pass = pass;
         result = zbufrandi_draw_scene(p);
         if (result != ZBUFRAND_OK) return result;
         zbufrandi_open_drawn(p);
@@ -14742,6 +14762,11 @@ ZBUFRAND_DEF zbufrand_result zbufrand_render(zbufrand_frame *frame, const zbufra
     p->stats.samples[0] = zbufrandi_tally(p->stored);
     p->stats.samples[1] = zbufrandi_tally(p->sampled);
     p->stats.points = zbufrandi_tally(p->points);
+    if (p->first_density > 0.0) {
+        p->stats.projected_area = (double)zbufrandi_tally(p->area[0]) / p->first_density +
+            (double)zbufrandi_tally(p->area[1]);
+    }
+    if (p->stats.frames > 1) p->stats.projected_area /= (double)p->stats.frames;
     p->stats.bytes = zbufrandi_atomic_load(&frame->mem.used);
     if (stats != NULL) *stats = p->stats;
     if (r != ZBUFRAND_OK)

@@ -191,6 +191,26 @@ static void judge(const exact *e, const float *depth, double slack, verdict *v) 
     }
 }
 
+/* Square pixels that a triangle covers, if it faces the eye; of what lies in the picture as a whole. */
+static double exact_area(const zbufrandi_camera *c, const zbufrand_mesh *m, size_t t, double w, double h) {
+    double x[3], y[3], area;
+    int k, a;
+    for (k = 0; k < 3; k++) {
+        double q[3] = {0, 0, 0};
+        for (a = 0; a < 3; a++) {
+            double d = (double)m->positions[3 * m->indices[3 * t + (size_t)k] + (size_t)a] - c->eye[a];
+            q[0] += d * c->right[a];
+            q[1] += d * c->up[a];
+            q[2] += d * c->dir[a];
+        }
+        x[k] = c->center_x + c->focal * q[0] / q[2];
+        y[k] = c->center_y - c->focal * q[1] / q[2];
+        if (x[k] < 0 || x[k] > w || y[k] < 0 || y[k] > h) return 0;
+    }
+    area = (y[1] - y[0]) * (x[2] - x[0]) - (x[1] - x[0]) * (y[2] - y[0]);
+    return area > 0 ? 0.5 * area : 0;
+}
+
 static void three_balls(shape *s, uint32_t rings) { /* one before the other */
     memset(s, 0, sizeof *s);
     shape_sphere(s, 0, 0, 0, 1, rings);
@@ -235,6 +255,15 @@ TEST(like_a_z_buffer) {
             CHECK_MSG(v.missing == 0 && v.wrong == 0 && v.extra == 0, "rings %u, mode %u: of %u pixels %u are empty, %u wrong (%g), %u too many", rings, k,
                       v.covered, v.missing, v.wrong, v.worst, v.extra);
             CHECK(st.incomplete <= 0.05 && st.covered > 3000);
+            { /* front faces, hidden ones, too: what they cover together */
+                zbufrand_stats all;
+                double area = 0;
+                for (i = 0; i < m.triangle_count; i++) area += exact_area(&camera, &m, i, 200, 150);
+                d.no_occlusion = 1;
+                CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, &all), ZBUFRAND_OK);
+                CHECK_MSG(fabs(all.projected_area / area - 1) < 0.02, "mode %u: area %g of %g", k, all.projected_area, area);
+                CHECK(st.projected_area < 1.02 * area && st.projected_area > 0.98 * (double)st.covered);
+            }
             for (i = 0; i < 200 * 150; i++) {
                 int shown = b.depth[i] < INFINITY;
                 CHECK(b.rgba8[4 * i + 3] == (shown ? 255 : 0));
