@@ -9584,6 +9584,9 @@ TETCAST_DEF void tetcast_surface_free(tetcast_surface *surface) {
 #define TETCASTI_PLACE_LOG 28      /* the picture's larger side in units of a place is at most 2^this */
 #define TETCASTI_NEAR 65536.0      /* local depth from which on the picture's coordinates are used */
 #define TETCASTI_WALK_SIZE 65536u  /* largest side of a picture that can be projected */
+#define TETCASTI_SAMPLES 512u      /* cells that are looked at to find out how large they are */
+#define TETCASTI_FEW_CELLS 65536u  /* with more cells, they are not large */
+#define TETCASTI_PROJECT_FROM 4000.0f /* pixels per cell from which on projection is the faster way (measured) */
 
 typedef struct tetcasti_seen {
     int32_t x, y;   /* multiples of 2^-log of a pixel; pixel k has its centre at k + 1/2 */
@@ -9841,13 +9844,11 @@ static void tetcasti_view_hide(tetcasti_mem *mem, tetcasti_view *v) {
     }
 }
 
-/* What lies where in the picture: all vertices, and bins of cells. pixels: of the whole picture. 0: no memory. */
-static int tetcasti_view_open(tetcasti_mem *mem, const tetcast_env *env, const tetcasti_scene *scene,
-                              const tetcasti_pixels *pixels, int hide, tetcasti_view *v) {
+/* Where the picture of a scene is. pixels: of the whole picture. */
+static void tetcasti_view_set(const tetcasti_scene *scene, const tetcasti_pixels *pixels, tetcasti_view *v) {
     const tetcast_mesh *mesh = scene->mesh;
-    uint32_t side = pixels->width > pixels->height ? pixels->width : pixels->height, tiles, i, k;
+    uint32_t side = pixels->width > pixels->height ? pixels->width : pixels->height, i, k;
     double per_pixel, depth[2] = {0.0, 0.0}, spread;
-    size_t n, sum = 0;
     v->scene = scene;
     v->pixels = *pixels;
     for (v->log = 20; v->log > 0 && ((uint64_t)side << v->log) > ((uint64_t)1 << TETCASTI_PLACE_LOG); v->log--) { }
@@ -9876,7 +9877,38 @@ static int tetcasti_view_open(tetcasti_mem *mem, const tetcast_env *env, const t
                       (pixels->parallel ? 1.0 : v->w_scale)) + v->place;
     v->tiles_x = (pixels->width + TETCASTI_TILE - 1) / TETCASTI_TILE;
     v->tiles_y = (pixels->height + TETCASTI_TILE - 1) / TETCASTI_TILE;
-    tiles = v->tiles_x * v->tiles_y;
+}
+
+/* Pixels that a cell covers, on average over cells in the picture; v is set. Of at most TETCASTI_SAMPLES cells. */
+static float tetcasti_view_measure(const tetcasti_view *v) {
+    const tetcast_mesh *mesh = v->scene->mesh;
+    uint32_t step = mesh->cell_count / TETCASTI_SAMPLES + 1, i, k, count = 0;
+    double sum = 0.0, most = (double)v->pixels.width * (double)v->pixels.height;
+    for (i = 0; i < mesh->cell_count; i += step) {
+        double x[4], y[4], area = 0.0;
+        for (k = 0; k < 4; k++) {
+            tetcasti_seen q = tetcasti_see(v, &v->scene->vertex[mesh->tet[i][k]]);
+            if (!(q.w > 0.0f)) break;
+            x[k] = (double)q.x * (double)v->place;
+            y[k] = (double)q.y * (double)v->place;
+        }
+        if (k < 4) continue;
+        for (k = 0; k < 4; k++) { /* each pixel inside is covered by two faces */
+            const uint8_t *f = tetcasti_face_of[k];
+            area += 0.25 * tetcasti_abs((x[f[1]] - x[f[0]]) * (y[f[2]] - y[f[0]]) -
+                                        (y[f[1]] - y[f[0]]) * (x[f[2]] - x[f[0]]));
+        }
+        sum += tetcasti_min(area, most);
+        count++;
+    }
+    return count != 0 ? (float)(sum / (double)count) : 0.0f;
+}
+
+/* What lies where in the picture: all vertices, and bins of cells; v is set. 0: no memory. */
+static int tetcasti_view_open(tetcasti_mem *mem, const tetcast_env *env, int hide, tetcasti_view *v) {
+    const tetcast_mesh *mesh = v->scene->mesh;
+    uint32_t tiles = v->tiles_x * v->tiles_y;
+    size_t n, sum = 0, i;
     v->chunks = (1u << 24) / tiles < 256u ? (1u << 24) / tiles : 256u;
     if (v->chunks == 0) v->chunks = 1;
     v->chunk = mesh->cell_count / v->chunks + 1;
@@ -9899,7 +9931,7 @@ static int tetcasti_view_open(tetcasti_mem *mem, const tetcast_env *env, const t
     v->entry = (tetcasti_entry *)tetcasti_alloc_array(mem, sum + 1, sizeof *v->entry);
     if (v->entry == NULL) return 0;
     tetcasti_parallel_for(env, tetcasti_task_bin_fill, v, v->chunks);
-    for (i = (uint32_t)n; i > 0; i--) v->start[i] = v->start[i - 1]; /* filling moved each start to the next one */
+    for (i = n; i > 0; i--) v->start[i] = v->start[i - 1]; /* filling moved each start to the next one */
     v->start[0] = 0;
     return 1;
 }
@@ -10138,6 +10170,7 @@ TETCASTI_INLINE int tetcasti_fragment_cut(tetcasti_painter *p, uint32_t i, const
     if (tetcasti_absf(apart) <= p->join_z) { /* its face is that of the one before */
         if (tetcasti_absf(front - p->value[i]) <= p->join_s) front = p->value[i];
     } else if (apart > 0.0f) {
+        if (!(end >= f->z0)) return 0; /* an inverted cell */
         *gap = 1;
         begin = f->z0;
     } else {
@@ -10209,7 +10242,16 @@ static void tetcasti_fragment_add(tetcasti_painter *p, uint32_t i, const tetcast
         return;
     }
     b->steps[i]++;
-    if (!tetcasti_fragment_cut(p, i, f, &gap, cut)) return;
+    if (p->mode != TETCASTI_KEEP_ALL && f->z1 > f->z0 && f->z0 < p->cursor[i] - p->join_z) {
+        p->wrong++; /* drawn all the same */
+        gap = 0;
+        cut[0] = f->z0;
+        cut[1] = f->z1;
+        cut[2] = f->s0;
+        cut[3] = f->s1;
+    } else if (!tetcasti_fragment_cut(p, i, f, &gap, cut)) {
+        return;
+    }
     if (gap || p->value[i] != p->value[i]) {
         b->walks[i]++;
         if (o != NULL) tetcasti_ray_gap(o, sum);
@@ -10218,8 +10260,10 @@ static void tetcasti_fragment_add(tetcasti_painter *p, uint32_t i, const tetcast
     depth = ((float)p->view->reference + cut[0]) * p->way[i] * scene->unit;
     b->length[i] += way;
     way *= scene->unit;
-    p->cursor[i] = cut[1];
-    p->value[i] = cut[3];
+    if (!(cut[1] < p->cursor[i])) {
+        p->cursor[i] = cut[1];
+        p->value[i] = cut[3];
+    }
     if (o != NULL && !scene->any) {
         o->segment(o, cut[2], cut[3], way, depth, sum);
     } else if (o != NULL && scene->mesh->hidden != NULL && tetcasti_bit(scene->mesh->hidden, f->cell)) {
@@ -10306,7 +10350,6 @@ static void tetcasti_list_put_some(tetcasti_painter *p, uint32_t i, const tetcas
         if (p->count[i] < p->keep_room) return;
         f = list;
     }
-    p->wrong += f->z1 > f->z0 && f->z0 < p->cursor[i] - p->join_z;
     tetcasti_fragment_add(p, i, f);
     if (p->mode == TETCASTI_KEEP_SOME) {
         p->count[i]--;
@@ -10734,10 +10777,11 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_fragments_add8(tetcasti_p
     _mm256_storeu_si256((__m256i *)(void *)(b->steps + i),
                         _mm256_sub_epi32(_mm256_loadu_si256((const __m256i *)(const void *)(b->steps + i)),
                                          _mm256_castps_si256(mask)));
-    take = _mm256_and_ps(mask, _mm256_cmp_ps(end, cursor, _CMP_GE_OQ));
-    act = (uint32_t)_mm256_movemask_ps(take);
     joined = _mm256_cmp_ps(_mm256_andnot_ps(sign, apart), _mm256_set1_ps(p->join_z), _CMP_LE_OQ);
     gap = _mm256_andnot_ps(joined, _mm256_cmp_ps(apart, _mm256_setzero_ps(), _CMP_GT_OQ));
+    take = _mm256_and_ps(mask, _mm256_cmp_ps(end, cursor, _CMP_GE_OQ));
+    take = _mm256_and_ps(take, _mm256_or_ps(_mm256_xor_ps(gap, mask), _mm256_cmp_ps(end, z0, _CMP_GE_OQ)));
+    act = (uint32_t)_mm256_movemask_ps(take);
     same = _mm256_cmp_ps(_mm256_andnot_ps(sign, _mm256_sub_ps(front, value)), _mm256_set1_ps(p->join_s), _CMP_LE_OQ);
     front = _mm256_blendv_ps(front, value, _mm256_and_ps(joined, same));
     begin = _mm256_blendv_ps(cursor, z0, gap);
@@ -11372,6 +11416,8 @@ typedef struct tetcasti_render {
     uint32_t failed, cancelled;  /* atomics */
     uint32_t tally[9][2];        /* atomics, see tetcasti_tally_add */
     tetcasti_view view;          /* projection only */
+    uint32_t projected;
+    float pixels_per_cell;
 } tetcasti_render;
 
 TETCASTI_INLINE void tetcasti_tile_ray(const tetcasti_scene *scene, const tetcasti_tile *t, tetcasti_batch *b,
@@ -11618,8 +11664,8 @@ static void tetcasti_task_paint(void *ctx, uint32_t strand) {
     tetcasti_batch_close(b);
 }
 
-/* What the renderer needs for projection. */
-static tetcast_result tetcasti_render_view(tetcasti_render *c, const tetcast_env *env) {
+/* The picture as projection sees it. */
+static void tetcasti_render_view(tetcasti_render *c) {
     const tetcasti_frame *f = &c->frame;
     tetcasti_pixels m;
     double size = 0.0;
@@ -11638,9 +11684,7 @@ static tetcast_result tetcasti_render_view(tetcasti_render *c, const tetcast_env
     m.parallel = f->parallel;
     m.width = f->width;
     m.height = f->height;
-    return tetcasti_view_open(&c->mem, env, &c->scene, &m,
-                              !c->desc->no_leaping && c->image->length == NULL && c->image->steps == NULL, &c->view)
-        ? TETCAST_OK : TETCAST_ERR_NO_MEMORY;
+    tetcasti_view_set(&c->scene, &m, &c->view);
 }
 
 static void tetcasti_stats_add(tetcast_render_stats *stats, uint32_t tally[7][2], const tetcasti_scene *scene) {
@@ -11676,7 +11720,8 @@ static tetcast_result tetcasti_render_end(tetcasti_render *c, int ok, tetcast_re
     stats->cells += tetcasti_tally(c->view.taken);
     stats->pixel_tests += tetcasti_tally(c->tally[7]);
     stats->exact_tests += tetcasti_tally(c->tally[8]);
-    stats->method = c->view.scene != NULL ? TETCAST_METHOD_PROJECT : TETCAST_METHOD_WALK;
+    stats->method = c->projected ? TETCAST_METHOD_PROJECT : TETCAST_METHOD_WALK;
+    stats->pixels_per_cell = c->pixels_per_cell;
     return TETCAST_OK;
 }
 
@@ -11690,7 +11735,8 @@ TETCAST_DEF tetcast_result tetcast_render(const tetcast_render_desc *desc, const
     memset(&c, 0, sizeof c);
     r = tetcasti_desc_open(desc, &d, &c.mem);
     if (r != TETCAST_OK) return r;
-    if (mesh == NULL || image == NULL || (optics == NULL && !d.traverse_only)) return TETCAST_ERR_INVALID_ARG;
+    if (mesh == NULL || image == NULL || (optics == NULL && !d.traverse_only) ||
+        (uint32_t)d.method > TETCAST_METHOD_PROJECT) return TETCAST_ERR_INVALID_ARG;
     c.desc = &d;
     c.image = image;
     r = tetcasti_scene_open(&d, mesh, d.traverse_only ? NULL : optics, &c.scene);
@@ -11713,15 +11759,24 @@ TETCAST_DEF tetcast_result tetcast_render(const tetcast_render_desc *desc, const
     c.tiles = c.tiles_x * ((image->height + TETCASTI_TILE - 1) / TETCASTI_TILE);
     strands = tetcasti_thread_count(&d.env);
     if (strands > c.tiles) strands = c.tiles;
+    if (d.method == TETCAST_METHOD_AUTO && mesh->tet != NULL && mesh->cell_count <= TETCASTI_FEW_CELLS &&
+        image->width <= TETCASTI_WALK_SIZE && image->height <= TETCASTI_WALK_SIZE) {
+        tetcasti_render_view(&c);
+        c.pixels_per_cell = tetcasti_view_measure(&c.view);
+        if (c.pixels_per_cell > TETCASTI_PROJECT_FROM) d.method = TETCAST_METHOD_PROJECT;
+    }
     if (d.method == TETCAST_METHOD_PROJECT) {
+        int hide = !d.no_leaping && image->length == NULL && image->steps == NULL;
         if (mesh->tet == NULL)
             return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, 0, "render: projection needs the tets");
         if (image->width > TETCASTI_WALK_SIZE || image->height > TETCASTI_WALK_SIZE)
             return tetcasti_fail(d.env.error, TETCAST_ERR_RANGE, image->width, "render: too large for projection");
-        r = tetcasti_render_view(&c, &d.env);
-        if (r == TETCAST_OK) tetcasti_parallel_for(&d.env, tetcasti_task_paint, &c, strands);
+        c.projected = 1;
+        tetcasti_render_view(&c);
+        if (!tetcasti_view_open(&c.mem, &d.env, hide, &c.view)) c.failed = 1;
+        else tetcasti_parallel_for(&d.env, tetcasti_task_paint, &c, strands);
         tetcasti_view_close(&c.mem, &c.view);
-        return tetcasti_render_end(&c, r == TETCAST_OK && !c.failed, stats);
+        return tetcasti_render_end(&c, !c.failed, stats);
     }
     if (!c.frame.parallel) {
         tetcasti_batch *b = tetcasti_batch_open(&c.mem);
