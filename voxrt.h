@@ -872,7 +872,8 @@ VOXRT_DEF voxrt_result voxrt_camera_ray(const voxrt_camera *camera, uint32_t wid
                                         voxrt_ray *out_ray);
 
 /* Set eye and at so that the box fills the picture; keeps up and fov_y.
-   view  from the object towards the eye, any length; NULL: from the front, a little from above and the right */
+   view  from the object towards the eye, any length; NULL: from the front, a little from above and the right
+   INVALID_ARG: the box or view is not finite, the angle is not in (0, 180), or a float cannot hold the place. */
 VOXRT_DEF voxrt_result voxrt_camera_fit(voxrt_camera *camera, const double box_min[3], const double box_max[3],
                                         const float view[3], uint32_t width, uint32_t height);
 
@@ -6085,6 +6086,7 @@ VOXRT_DEF voxrt_result voxrt_tree_from_voxels(const voxrt_build_desc *desc, cons
 
 VOXRT_DEF void voxrt_tree_get_info(const voxrt_tree *t, voxrt_tree_info *info) {
     uint32_t e, shift;
+    if (info == NULL) return;
     memset(info, 0, sizeof *info);
     if (t == NULL) return;
     shift = 2 * t->wide - t->depth;
@@ -6418,6 +6420,7 @@ static int voxrti_walk_next(voxrti_walk *w) {
 VOXRT_DEF void voxrt_octree_get_info(const voxrt_octree *t, voxrt_octree_info *info) {
     voxrti_walk w;
     uint32_t g;
+    if (info == NULL) return;
     memset(info, 0, sizeof *info);
     if (t == NULL) return;
     info->depth = t->depth;
@@ -12017,17 +12020,23 @@ static voxrt_result voxrti_fit_open(voxrti_fit *f, const voxrt_camera *camera, c
     return VOXRT_OK;
 }
 
-static void voxrti_fit_close(const voxrti_fit *f, voxrt_camera *camera) {
+static voxrt_result voxrti_fit_close(const voxrti_fit *f, voxrt_camera *camera) {
     double distance =
         voxrti_max((f->most[0] + f->most[1]) / (2.0 * f->tan_x), (f->most[2] + f->most[3]) / (2.0 * f->tan_y));
     double x = 0.5 * (f->most[0] - f->most[1]), y = 0.5 * (f->most[2] - f->most[3]);
+    double at[3], eye[3];
     uint32_t a;
     distance = f->size > 0.0 ? 1.04 * distance + 0.01 * f->size : 1.0;
     for (a = 0; a < 3; a++) {
-        double at = f->origin[a] + x * f->right[a] + y * f->above[a];
-        camera->at[a] = (float)at;
-        camera->eye[a] = (float)(at + distance * f->back[a]);
+        at[a] = f->origin[a] + x * f->right[a] + y * f->above[a];
+        eye[a] = at[a] + distance * f->back[a];
+        if (!(voxrti_abs(at[a]) <= 3e38) || !(voxrti_abs(eye[a]) <= 3e38)) return VOXRT_ERR_INVALID_ARG;
     }
+    for (a = 0; a < 3; a++) {
+        camera->at[a] = (float)at[a];
+        camera->eye[a] = (float)eye[a];
+    }
+    return VOXRT_OK;
 }
 
 VOXRT_DEF voxrt_result voxrt_camera_fit(voxrt_camera *camera, const double box_min[3], const double box_max[3],
@@ -12046,8 +12055,7 @@ VOXRT_DEF voxrt_result voxrt_camera_fit(voxrt_camera *camera, const double box_m
         half[a] = 0.5 * (box_max[a] - box_min[a]);
     }
     voxrti_fit_box(&f, f.origin, half);
-    voxrti_fit_close(&f, camera);
-    return VOXRT_OK;
+    return voxrti_fit_close(&f, camera);
 }
 
 typedef struct voxrti_fit_cells { voxrti_fit fit; const voxrt_tree *tree; double edge; } voxrti_fit_cells;
@@ -12079,8 +12087,7 @@ VOXRT_DEF voxrt_result voxrt_camera_fit_tree(voxrt_camera *camera, const voxrt_t
         c.fit.origin[a] =
             tree->origin[a] + tree->voxel_size * 0.5 * ((double)tree->cell_min[a] + (double)tree->cell_max[a]);
     (void)voxrt_tree_each(tree, level, voxrti_fit_cell, &c);
-    voxrti_fit_close(&c.fit, camera);
-    return VOXRT_OK;
+    return voxrti_fit_close(&c.fit, camera);
 }
 
 /* ---- geometry ---- */

@@ -241,6 +241,12 @@ TEST(camera_fit) {
         }
         CHECK_MSG(most <= 1.0001 && most > 0.5, "corners reach %g of the picture", most);
     }
+    {
+        static const double low[3] = {0, 0, 0}, high[3] = {1e39, 1, 1};
+        voxrt_camera c = look(1, 2, 3, 4, 5, 6, 40), before = c;
+        CHECK(voxrt_camera_fit(&c, low, high, NULL, 10, 10) == VOXRT_ERR_INVALID_ARG); /* too far for a float */
+        CHECK(memcmp(&c, &before, sizeof c) == 0);
+    }
 }
 
 /* A wall at z = 1 seen from an angle: depth is the distance of the hit point along the view, alpha and miss values. */
