@@ -455,7 +455,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_remove(zbufrand_scene *scene, zbufrand_nod
    for the first time becomes a structure, too; the picture stays the same but for chance.
    Errors: EMPTY (the scene was never built), INVALID_ARG (env.error names what closes a cycle, a reference whose target
    is in no list, a bad triangle with `strict`), RANGE (levels of instances, places), NO_MEMORY. On failure the scene is
-   drawn as before; the edits are kept, so that the call can be made again. Counts of triangles stop at 2^64 - 1.
+   drawn as before; the edits are kept, so that the call can be made again. Counts of triangles stop at 2^64 - 1. The
+   trees of the thesis, if there are any, are dropped: the default tree is used until the next build.
    Cost: moving, removing or adding a reference: O(depth of the trees above), some 10 us; a structure used by many
    instances costs as many of them. New triangles: as in a build. The first update after a build looks at all nodes and
    instances once and holds 20 to 30 bytes for each of them from then on. Trees are made anew in parts where they got
