@@ -405,9 +405,11 @@ typedef struct zbufrand_scene_info {
    info   out, may be NULL
    A scene may be built again after nodes were added. An empty scene is fine; it draws nothing.
    Errors: UNINIT_DESC, NO_MEMORY, CANCELLED, RANGE (more than 2^64 - 1 triangles, 2^28 clusters and instances
-   in a structure, or 64 levels of instances), INVALID_ARG: env.error names the node that closes a cycle, the reference
-   whose target is in no list, or with `strict` the bad triangle. On failure the scene is as if never built.
-   Cost: O(n log n), about 0.15 us per stored triangle and 0.5 us per instance; about 20 bytes per stored triangle.
+   in a structure, or 64 levels of instances; for the thesis' trees 2^29 objects or 2^24 clusters in a structure),
+   INVALID_ARG: a field of those is wrong, or env.error names the node that closes a cycle, the reference whose target
+   is in no list, or with `strict` the bad triangle. On failure the scene is as if never built.
+   Cost: O(n log n), about 0.15 us per stored triangle and 0.5 us per instance; about 20 bytes per stored triangle. The
+   thesis' trees take 0.2 us per triangle more, the tree over normals 1 us.
    Thread safety: one thread at a time per scene. The same structures for any number of threads. */
 ZBUFRAND_DEF zbufrand_result zbufrand_scene_build(zbufrand_scene *scene, const zbufrand_build_desc *desc,
                                                   zbufrand_scene_info *info);
@@ -4516,7 +4518,7 @@ typedef struct zbufrandi_list_build {
     float (*polar)[2];         /* per object: longitude, colatitude */
     uint32_t *order;           /* objects sorted by class */
     size_t count, room;
-    int octree;
+    int octree, too_many;
     uint32_t leaf;             /* most objects of a leaf */
     double ratio2;             /* square of the most that a leaf may be wider than its largest object */
     float zone;                /* a cell takes what lies in it enlarged by this */
@@ -4847,13 +4849,14 @@ static int zbufrandi_list_quadtree(zbufrandi_list_build *b, uint32_t levels) { /
     return ok;
 }
 
-/* Objects in the order of the classes; a tree over normals has them once for each level. 0: no memory. */
+/* Objects in the order of the classes; a tree over normals has them once for each level. 0: no memory, or too many. */
 static int zbufrandi_list_arrange(zbufrandi_list_build *b) {
     zbufrandi_lists *l = b->l;
     uint64_t room = 0;
     uint32_t c, i, at = 0;
     for (c = 0; c < l->class_count; c++) room += l->list_class[c].last - l->list_class[c].first;
-    if (room >= ZBUFRANDI_LIST_OBJECTS) return 0;
+    b->too_many = room >= ZBUFRANDI_LIST_OBJECTS;
+    if (b->too_many) return 0;
     b->room = (size_t)room;
     b->other = (zbufrandi_list_object *)zbufrandi_alloc_array(b->mem, b->room, sizeof *b->other);
     if (b->other == NULL) return 0;
@@ -5223,7 +5226,7 @@ static int zbufrandi_list_finish(zbufrandi_list_build *b, const zbufrand_build_d
     return 1;
 }
 
-static int zbufrandi_list_structure(zbufrand_scene *scene, uint32_t index, const zbufrand_build_desc *d) {
+static zbufrand_result zbufrandi_list_structure(zbufrand_scene *scene, uint32_t index, const zbufrand_build_desc *d) {
     zbufrandi_structure *s = &scene->structure[index];
     zbufrandi_list_build b;
     uint64_t dummies = 0;
@@ -5234,15 +5237,16 @@ static int zbufrandi_list_structure(zbufrand_scene *scene, uint32_t index, const
     b.mem = &scene->mem;
     b.s = s;
     b.l = s->lists = (zbufrandi_lists *)zbufrandi_alloc_zero(b.mem, 1, sizeof *b.l);
-    if (b.l == NULL) return 0;
+    if (b.l == NULL) return ZBUFRAND_ERR_NO_MEMORY;
     for (i = 0; i < s->instance_count; i++) {
         const zbufrandi_lists *to = scene->structure[s->instance[i].structure].lists;
         for (c = 0; c < to->class_count; c++) dummies += to->list_class[c].children == 0;
     }
-    if (dummies + s->triangle_count >= ZBUFRANDI_LIST_OBJECTS || s->cluster_count >= 1u << 24) return 0;
+    if (dummies + s->triangle_count >= ZBUFRANDI_LIST_OBJECTS || s->cluster_count >= 1u << 24)
+        return ZBUFRAND_ERR_RANGE;
     b.count = b.room = (size_t)dummies + s->triangle_count;
     b.l->dummy_count = (uint32_t)dummies;
-    if (b.count == 0) return 1;
+    if (b.count == 0) return ZBUFRAND_OK;
     depth = d->normal_depth != 0 ? d->normal_depth : d->structure >= ZBUFRAND_STRUCTURE_CLASSES ? 4u : 0u;
     classes = depth != 0 || d->normal_grid != 0;
     b.octree = d->structure == ZBUFRAND_STRUCTURE_OCTREE || d->structure == ZBUFRAND_STRUCTURE_NORMALS;
@@ -5269,7 +5273,7 @@ static int zbufrandi_list_structure(zbufrand_scene *scene, uint32_t index, const
         ok = zbufrandi_list_finish(&b, d, depth);
     }
     zbufrandi_list_build_free(&b);
-    return ok;
+    return ok ? ZBUFRAND_OK : b.too_many ? ZBUFRAND_ERR_RANGE : ZBUFRAND_ERR_NO_MEMORY;
 }
 
 /* Trees for all structures; prototypes first. On failure there are none. */
@@ -5282,9 +5286,11 @@ static zbufrand_result zbufrandi_scene_lists(zbufrand_scene *scene, const zbufra
     }
     if (d->structure == ZBUFRAND_STRUCTURE_DEFAULT) return ZBUFRAND_OK;
     for (i = scene->structure_count; i > 0; i--) {
-        if (zbufrandi_list_structure(scene, i - 1, d)) continue;
-        return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_NO_MEMORY, i - 1,
-                              "structure %: no memory for its lists, or 2^29 objects in them");
+        const zbufrand_result r = zbufrandi_list_structure(scene, i - 1, d);
+        if (r == ZBUFRAND_OK) continue;
+        return zbufrandi_fail(scene->env.error, r, i - 1, r == ZBUFRAND_ERR_RANGE
+                              ? "structure %: more than 2^29 objects, or 2^24 clusters, for its lists"
+                              : "structure %: no memory for its lists");
     }
     return ZBUFRAND_OK;
 }
@@ -13998,6 +14004,8 @@ static zbufrand_result zbufrandi_draw_lists(zbufrandi_picture *p, uint32_t root)
     k->stack_count = k->draw_count = k->local_count = 0;
     k->failed = 0;
     memset(&k->counts, 0, sizeof k->counts);
+    if (f->env.progress_fn != NULL && f->env.progress_fn(f->env.progress_user, 0, 1) != 0)
+        return ZBUFRAND_ERR_CANCELLED;
     zbufrandi_list_select(&p->cut, &f->mem, f->local, root, k);
     f->front_count = 0;
     if (!zbufrandi_round_merge(p, 1))
