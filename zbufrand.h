@@ -12835,15 +12835,16 @@ typedef struct zbufrandi_drawn { /* all that was drawn for a picture */
 } zbufrandi_drawn;
 
 typedef struct zbufrandi_look_at { /* a surface as it is found */
-    float normal[3];           /* camera, unit, turned to the eye */
+    float normal[3];           /* camera, unit, of the side that is seen */
     float face[3];             /* the same of the surface itself: any length, not turned */
     float p[3];                /* camera */
     float rgb[3];
     uint32_t material, cluster, triangle, local; /* cluster ~0: a stored point */
 } zbufrandi_look_at;
 
-static void zbufrandi_turn_normal(float n[3], const float ray[3]) { /* unit, towards the eye */
-    float l = n[0] * n[0] + n[1] * n[1] + n[2] * n[2], d = n[0] * ray[0] + n[1] * ray[1] + n[2] * ray[2];
+/* Unit, of the side that is seen. The surface decides which that is: a smooth normal may look away from the eye. */
+static void zbufrandi_turn_normal(float n[3], const float face[3], const float ray[3]) {
+    float l = n[0] * n[0] + n[1] * n[1] + n[2] * n[2], d = face[0] * ray[0] + face[1] * ray[1] + face[2] * ray[2];
     l = l > 1e-37f ? 1.0f / sqrtf(l) : 0.0f;
     if (d > 0.0f) l = 0.0f - l;
     n[0] = n[0] * l;
@@ -12880,7 +12881,7 @@ static void zbufrandi_stored_surface(const zbufrandi_drawn *s, const zbufrandi_d
     } else {
         memcpy(out->normal, out->face, sizeof out->normal);
     }
-    zbufrandi_turn_normal(out->normal, ray);
+    zbufrandi_turn_normal(out->normal, out->face, ray);
     if (structure->set_rgb != NULL) {
         rgb = structure->set_rgb[at];
         for (a = 0; a < 3; a++) out->rgb[a] = s->srgb->linear[rgb >> 8 * a & 255u];
@@ -12977,7 +12978,7 @@ static void zbufrandi_triangle_surface(const zbufrandi_drawn *s, uint32_t local,
     } else {
         memcpy(out->normal, out->face, sizeof out->normal);
     }
-    zbufrandi_turn_normal(out->normal, ray);
+    zbufrandi_turn_normal(out->normal, out->face, ray);
     zbufrandi_triangle_look(s, local, cluster, t, w, out);
 }
 
@@ -13003,7 +13004,7 @@ static void zbufrandi_point_surface(const zbufrandi_drawn *s, const zbufrandi_dr
         out->normal[2] = (float)(q[0] * c->dir[0] + q[1] * c->dir[1] + q[2] * c->dir[2]);
     }
     memcpy(out->face, out->normal, sizeof out->face);
-    zbufrandi_turn_normal(out->normal, ray);
+    zbufrandi_turn_normal(out->normal, out->face, ray);
     out->rgb[0] = out->rgb[1] = out->rgb[2] = 1.0f;
     for (a = 0; a < 3 && p->rgb != NULL; a++) {
         out->rgb[a] = s->srgb->linear[p->rgb[(size_t)i * (p->rgb_stride != 0 ? p->rgb_stride : 3) + a]];
@@ -13128,6 +13129,7 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_shade_eight(zbufrandi_shade8 *s) {
     for (a = 0; a < 3; a++) {
         _mm256_storeu_ps(s->p[a], zbufrandi_dot8v(m[3 * a], m[3 * a + 1], m[3 * a + 2], h[0], h[1], h[2]));
     }
+    t = zbufrandi_dot8v(r[0], r[1], r[2], ray[0], ray[1], ray[2]);
     l = _mm256_loadu_ps((const float *)(const void *)s->smooth);
     if (_mm256_movemask_ps(l) != 0) {
         n[0] = n[1] = n[2] = zero;
@@ -13138,7 +13140,6 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_shade_eight(zbufrandi_shade8 *s) {
         }
     }
     l = zbufrandi_dot8v(r[0], r[1], r[2], r[0], r[1], r[2]); /* zbufrandi_turn_normal */
-    t = zbufrandi_dot8v(r[0], r[1], r[2], ray[0], ray[1], ray[2]);
     l = _mm256_and_ps(_mm256_cmp_ps(l, _mm256_set1_ps(1e-37f), _CMP_GT_OQ), _mm256_div_ps(one, _mm256_sqrt_ps(l)));
     l = _mm256_blendv_ps(l, _mm256_sub_ps(zero, l), _mm256_cmp_ps(t, zero, _CMP_GT_OQ));
     for (a = 0; a < 3; a++) _mm256_storeu_ps(s->normal[a], _mm256_mul_ps(r[a], l));

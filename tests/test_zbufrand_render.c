@@ -796,13 +796,16 @@ static void own_shade(void *user, const zbufrand_surface *f, size_t count, float
     size_t i;
     int a;
     for (i = 0; i < count; i++) {
-        double p = 0, n = 0, toward = 0, e[3];
+        double p = 0, n = 0, toward = 0, outward = 0, e[3];
         for (a = 0; a < 3; a++) {
             p += f[i].position[a] * f[i].position[a];
             n += (double)f[i].normal[a] * (double)f[i].normal[a];
             e[a] = u->camera.eye[a] - f[i].position[a];
             toward += e[a] * (double)f[i].normal[a];
+            outward += f[i].position[a] * (double)f[i].normal[a];
         }
+        /* at the rim smooth normals look away from the eye, and stay what they are */
+        if (outward < 0.9) __atomic_fetch_add(&u->bad, 1u, __ATOMIC_RELAXED);
         if (fabs(sqrt(p) - 1) > 0.02 || fabs(n - 1) > 1e-4 || toward < -0.3 || f[i].material != 3 || !(f[i].depth > 2 && f[i].depth < 6)) {
             __atomic_fetch_add(&u->bad, 1u, __ATOMIC_RELAXED);
         }
