@@ -13,7 +13,7 @@ enum { MODE_PIXEL, MODE_BLOCKS, MODE_GAUSS, MODE_VORONOI, MODE_NODEPTH };
 typedef struct options {
     sup_common common;
     const char *scene, *hybrid;
-    int64_t block, mean, view, frame, scatter, max_frames, classes;
+    int64_t block, mean, view, frame, frames, scatter, max_frames, classes;
     double noise, density, gauss, epsilon;
     int mode, has_mode, has_block, occlusion, has_occlusion, has_noise, no_repair, no_occlusion, independent, structure, has_structure,
         thesis;
@@ -26,7 +26,7 @@ typedef struct pictures {
 } pictures;
 
 static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, zbufrand_build_desc *build) {
-    sup_option table[SUP_COMMON_OPTIONS + 22];
+    sup_option table[SUP_COMMON_OPTIONS + 23];
     double radius = 0.0;
     size_t n;
     int status;
@@ -54,6 +54,7 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     table[n++] = sup_opt_flag("independent", &o->independent, "independent samples instead of stratified ones");
     table[n++] = sup_opt_int("view", &o->view, 1, SUP_WORLD_VIEWS, "K", "one of the cameras that a scene brings along (1)");
     table[n++] = sup_opt_int("frame", &o->frame, 0, 65535, "K", "other random numbers of the same kind");
+    table[n++] = sup_opt_int("frames", &o->frames, 1, 100000, "N", "N pictures NAME_0000.png and on, in which things move");
     table[n++] = sup_opt_int("scatter", &o->scatter, 1, 6, "K", "10^K copies of the mesh on a plain");
     table[n++] = sup_opt_given(sup_opt_choice("structure", &o->structure, "default|fair|octree|classes|normals",
                                               "tree that is drawn from: the default, or one of the thesis"),
@@ -65,6 +66,8 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     if (status >= 0) return status;
     if (!o->scene) return sup_bad_usage(argv[0], "--scene is missing");
     if (!o->common.out && !o->common.depth && !o->common.stats) return sup_bad_usage(argv[0], "--out FILE is missing");
+    if (o->frames && (!o->common.out || o->common.depth || o->mean))
+        return sup_bad_usage(argv[0], "--frames needs --out, and goes without --depth and --mean");
     if (!(o->common.tolerance > 0.0 && o->common.tolerance < 1.0))
         return sup_bad_usage(argv[0], "--tolerance is a probability: between 0 and 1");
     memset(desc, 0, sizeof *desc);
@@ -272,6 +275,91 @@ static void print_stats(const options *o, const zbufrand_scene_info *info, const
            (long long)o->common.threads);
 }
 
+/* ---- moving pictures ---------------------------------------------------------------------------------------- */
+
+enum { BALLOONS = 12, BALLOON_ROWS = 50 }; /* each of 10,000 triangles */
+
+typedef struct movement {
+    zbufrand_node balloon[BALLOONS], model;
+    double at[3], reach;
+    double edit_seconds;
+} movement;
+
+static zbufrand_transform balloon_place(const movement *m, int i, double turn) {
+    const double angle = 6.283185307179586 * ((double)i / BALLOONS + turn), size = 0.05 * m->reach;
+    return supi_world_place(m->at[0] + 0.45 * m->reach * cos(angle), m->at[1] + (0.14 + 0.05 * sin(3.0 * angle)) * m->reach,
+                            m->at[2] + 0.45 * m->reach * sin(angle), angle, size);
+}
+
+/* Balloons that fly in a ring before the camera. Every eighth picture one of them leaves and another one comes. */
+static zbufrand_result move(movement *m, zbufrand_scene *scene, int64_t frame, int64_t frames) {
+    zbufrand_result result = ZBUFRAND_OK;
+    for (int i = 0; i < BALLOONS && result == ZBUFRAND_OK; i++) {
+        const zbufrand_transform place = balloon_place(m, i, (double)frame / (double)frames);
+        if (m->balloon[i] != 0 && frame % 8 == 7 && frame / 8 % BALLOONS == i) {
+            result = zbufrand_remove(scene, m->balloon[i]);
+            m->balloon[i] = 0;
+        }
+        if (result != ZBUFRAND_OK) break;
+        result = m->balloon[i] != 0 ? zbufrand_move(scene, m->balloon[i], &place)
+                                    : zbufrand_add_reference(scene, ZBUFRAND_ROOT, &place, m->model, &m->balloon[i]);
+    }
+    return result == ZBUFRAND_OK ? zbufrand_scene_update(scene, NULL) : result;
+}
+
+static int make_movement(movement *m, sup_world *world, const zbufrand_camera *camera) {
+    supi_make make;
+    memset(m, 0, sizeof *m);
+    memset(&make, 0, sizeof make);
+    for (int k = 0; k < 3; k++) {
+        m->at[k] = camera->at[k];
+        m->reach += (camera->at[k] - camera->eye[k]) * (camera->at[k] - camera->eye[k]);
+    }
+    m->reach = sqrt(m->reach);
+    supi_add_blob(&make, 0.0f, 0.0f, 0.0f, 1.0f, 2 * BALLOON_ROWS, BALLOON_ROWS, 0.0f, 1.0f, 1, 0.0f);
+    for (size_t i = 0; i < make.mesh.triangle_count && !make.failed; i++) { /* stripes */
+        static const uint8_t stripes[2][3] = {{196, 44, 36}, {236, 226, 208}};
+        make.mesh.triangle_rgb = (uint8_t *)sup_grow(make.mesh.triangle_rgb, &make.triangle_rgb_capacity, 3 * i + 3, 1);
+        if (!make.mesh.triangle_rgb) make.failed = 1;
+        else memcpy(make.mesh.triangle_rgb + 3 * i, stripes[i / 2 % (2 * BALLOON_ROWS) / 10 % 2], 3);
+    }
+    if (!make.failed) make.failed = sup_mesh_compute_normals(&make.mesh, NULL);
+    m->model = supi_world_mesh(world, &make, ZBUFRAND_ROOT, 0, 0, ZBUFRAND_HIDDEN);
+    return world->failed;
+}
+
+/* NAME.png -> NAME_0012.png */
+static void frame_name(char *out, size_t size, const char *name, int64_t frame) {
+    const char *dot = strrchr(name, '.');
+    if (dot == NULL || strchr(dot, '/') != NULL) dot = name + strlen(name);
+    snprintf(out, size, "%.*s_%04lld%s", (int)(dot - name), name, (long long)frame, dot);
+}
+
+static zbufrand_result draw_frames(options *o, zbufrand_frame *frame, zbufrand_render_desc *desc, sup_world *world,
+                                   pictures *p, sup_error *err, int *written) {
+    const char *name = o->common.out;
+    char path[4096];
+    movement m;
+    zbufrand_result result = make_movement(&m, world, &desc->camera) ? ZBUFRAND_ERR_NO_MEMORY : ZBUFRAND_OK;
+    *written = 0;
+    for (int64_t k = 0; k < o->frames && result == ZBUFRAND_OK; k++) {
+        const double start = sup_now();
+        result = move(&m, world->scene, k, o->frames);
+        m.edit_seconds += sup_now() - start;
+        if (result == ZBUFRAND_OK) result = zbufrand_render(frame, desc, world->scene, &p->image, &p->stats);
+        if (result != ZBUFRAND_OK) break;
+        frame_name(path, sizeof path, name, k);
+        o->common.out = path;
+        *written = write_pictures(o, &p->image, err);
+        o->common.out = name;
+        if (*written) break;
+    }
+    if (!o->common.quiet)
+        fprintf(stderr, "%lld pictures, edits took %.3f ms each\n", (long long)o->frames,
+                1e3 * m.edit_seconds / (double)o->frames);
+    return result;
+}
+
 static int make_image(const options *o, zbufrand_image *image) {
     const size_t pixels = (size_t)o->common.size[0] * o->common.size[1];
     memset(image, 0, sizeof *image);
@@ -322,7 +410,8 @@ int main(int argc, char **argv) {
         result = zbufrand_render(frame, &desc, world.scene, &p.image, &p.stats);
     start = sup_now();
     if (result == ZBUFRAND_OK) {
-        result = o.mean > 0 ? draw_mean(&o, frame, &desc, world.scene, &p.image, &p.stats)
+        result = o.frames > 0 ? draw_frames(&o, frame, &desc, &world, &p, &err, &status)
+               : o.mean > 0 ? draw_mean(&o, frame, &desc, world.scene, &p.image, &p.stats)
                             : zbufrand_render(frame, &desc, world.scene, &p.image, &p.stats);
     }
     p.seconds = sup_now() - start;
@@ -330,7 +419,7 @@ int main(int argc, char **argv) {
     if (result != ZBUFRAND_OK) {
         (void)sup_fail(&err, "%s: %s", o.scene, error.text[0] ? error.text : zbufrand_result_string(result));
         status = sup_bad_input(argv[0], err.text);
-    } else if (write_pictures(&o, &p.image, &err)) {
+    } else if (o.frames > 0 ? status : write_pictures(&o, &p.image, &err)) {
         status = sup_bad_input(argv[0], err.text);
     } else if (o.common.stats) {
         print_stats(&o, &info, &desc.camera, &p);
