@@ -1,5 +1,38 @@
 /* Rays through meshes: exact signs, no ray lost in vertices, edges, faces, flat, inverted and tangled cells; the length of
-   the way inside is that of the geometry, in every form of cells and for every instruction set, with the same bits. */
+   the way inside is that of the geometry, in every form of cells and for every instruction set, with the same bits.
+
+   Which test has which hard case of tetrahedral meshes (in this file where no other is named: test_tetcast_*):
+     rays through vertices, along edges, in the planes of faces            lattices, ties, symmetric_views (render)
+     ... and nearly so, tilted by 1e-3 to 1e-8                             lattices
+     coordinates far from the origin                                       lattices, far_and_large (mesh), planes (strips)
+     flat, inverted, tangled cells; no loop, no way lost                   pairs, lattices, flat_meshes, random_bits
+     thin cells, down to 1e-8; boundary layers                             lattices, boundary_layers
+     faces seen edge-on: places and values                                 single_cell, values_at_cuts
+     thousands of cells on a ray                                           long_bar, long_rays (integrate)
+     signs of determinants, underflow                                      determinant, frames
+     cyclic order of cells                                                 cyclic
+     holes, several parts, parts that touch in faces, edges, corners       shapes
+     fifty layers; layers closer than a depth buffer tells                 fifty_layers, peeling (strips)
+     hull and walk agree on silhouettes; every hit of the hull used once   pairs, pixels_are_rays (render)
+     eye inside, on a vertex or face; near and far ends inside of cells    eye_inside (render), ends, values_at_cuts
+     very distant eye                                                      ends
+     imaginary cells, hidden cells, values per cell                        imaginary, forms (render)
+     three cells at a face, doubled cells, hanging nodes                   blocks_that_do_not_match, nonmanifold (mesh)
+     overlapping parts                                                     overlap
+     NaN and infinities in positions and values                            random_bits, bad_values and bad_cells (mesh)
+     the forms of the thesis: links of strips, lone cells, repeated        walks and statistics (strips), same_trails (cells)
+     vertices, numbers of 32 bits, 16-bit escapes                          escapes, record_of_tet8 (cells)
+     what planes do wrong in all this, counted                             planes (strips)
+     empty clusters are leapt over                                         leaping, forms (render)
+     real meshes, every pixel against every cell                           real_meshes (render)
+     the same for any number of threads, tiles and instruction sets        same_bits, forms (render)
+     ending early changes no more than the light that is left              early_end (render, integrate)
+     sums in 32-bit floats, no 8 or 16 bits between; absorption summed     long_rays, absorption_is_summed (integrate)
+     table resolution, steps and peaks, equal ends, lengths beyond         errors_of_all, prefix_is_exact_for_opacity,
+     a table, self-attenuation, local edits                                lengths_beyond_the_table, local_update (tables)
+     isovalue of a vertex, plateaus, several isovalues, smooth normals,    isovalue_of_vertices, isosurface_of_a_plane (render),
+     depth of the surface itself                                           several_isovalues_in_order (optical), closed (isosurface)
+     projection: edges, perspective, order, cycles                         (project) */
 #include "test.h"
 #define TETCAST_IMPLEMENTATION
 #include "tetcast.h"
