@@ -644,6 +644,95 @@ static void bm4(void) {
     }
 }
 
+/* ---- BM5: projection; BM7: walking or projecting ---- */
+
+static void project_lines(const char *bench, const char *kase, frame *walk, frame *project, const bench_job b[2],
+                          double cells) {
+    const size_t n = (size_t)walk->image.width * walk->image.height;
+    double most = 0;
+    size_t i, k;
+    for (i = 0; i < 4 * n; i++) most = fmax(most, fabs((double)walk->image.rgba[i] - (double)project->image.rgba[i]));
+    for (k = 0; k < 2; k++) {
+        const frame *f = k ? project : walk;
+        bench_line(bench, kase, "cells_per_second", bench_rate(&b[k], cells), "1/s");
+        bench_num("best", bench_rate_best(&b[k], cells));
+        bench_num("error", most);
+        bench_text("error_unit", "colour, between the two");
+        bench_num("frame_seconds", bench_seconds(&b[k]));
+        bench_num("pixels_per_cell", (double)walk->stats.steps / cells);
+        bench_num("fragments_per_second", (double)walk->stats.steps / bench_seconds(&b[k]));
+        if (k) bench_num("times_as_fast", bench_ratio(&b[0], &b[1]));
+        bench_hash(hash_frame(f));
+        finish_line(&b[k], b[k].name);
+    }
+}
+
+/* Both ways for one picture; returns cells/s of projection. */
+static double both_ways(const char *bench, const char *kase, int id, tetcast_model model, uint32_t size, int rounds) {
+    const tetcast_mesh *mesh = get_mesh(id);
+    tetcast_optics_desc d;
+    tetcast_isovalue iso;
+    tetcast_mesh_info info;
+    tetcast_optics *o;
+    frame *f[2];
+    bench_job b[2];
+    double rate;
+    int k;
+    if (mesh == NULL) return 0;
+    memset(&d, 0, sizeof d);
+    memset(&iso, 0, sizeof iso);
+    d.model = model;
+    iso.value = 0.5f;
+    iso.opacity = 1;
+    iso.rgb[0] = iso.rgb[1] = 0.8f;
+    tetcast_mesh_get_info(mesh, &info);
+    o = make_optics_range(TF_SMOOTH, 0, 1, 1, &d, &iso, model == TETCAST_MODEL_ISOSURFACE ? 1 : 0);
+    for (k = 0; k < 2; k++) {
+        f[k] = new_frame(mesh, o, size);
+        f[k]->d.method = k ? TETCAST_METHOD_PROJECT : TETCAST_METHOD_WALK;
+        b[k] = frame_job(k ? "projection" : "walk", f[k]);
+    }
+    bench_interleave(b, 2, rounds);
+    project_lines(bench, kase, f[0], f[1], b, (double)info.cell_count);
+    rate = bench_rate(&b[1], (double)info.cell_count);
+    for (k = 0; k < 2; k++) free_frame(f[k]);
+    tetcast_optics_destroy(o);
+    return rate;
+}
+
+static void bm5(void) {
+    static const struct { tetcast_model model; const char *name; } models[] = {
+        {TETCAST_MODEL_EMISSION, "emission"}, {TETCAST_MODEL_ABSORPTION, "absorption"},
+        {TETCAST_MODEL_MAXIMUM, "maximum"}, {TETCAST_MODEL_ISOSURFACE, "isosurface"}, {TETCAST_MODEL_VOLUME, "volume"}};
+    static const int ids[3] = {MESH_L128, MESH_K55, MESH_K32};
+    double rate[3] = {0, 0, 0};
+    char kase[64];
+    int i, k;
+    for (i = 0; i < 3; i++) {
+        for (k = 0; k < (g_opt.full ? 5 : 1); k++) {
+            double r;
+            snprintf(kase, sizeof kase, "%s, %s", g_mesh_name[ids[i]], models[k].name);
+            r = both_ways("tetcast.project", kase, ids[i], models[k].model, SIZE, g_opt.full ? 3 : i == 0 ? 1 : 2);
+            if (k == 0) rate[i] = r;
+        }
+        if (i == 0) drop_mesh(MESH_L128);
+    }
+    table_set("project", "%.1f (%.1f, %.1f)", 1e-6 * rate[0], 1e-6 * rate[1], 1e-6 * rate[2]);
+}
+
+static void bm7(void) {
+    static const uint32_t sizes[] = {64, 256, 1024};
+    static const int ids[] = {MESH_SPX, MESH_K32, MESH_D31K, MESH_D150K};
+    char kase[64];
+    size_t i, k;
+    for (i = 0; i < 4; i++)
+        for (k = 0; k < 3; k++) {
+            if (!g_opt.full && (i == 3 || k == 2)) continue;
+            snprintf(kase, sizeof kase, "%s, %u pixels", g_mesh_name[ids[i]], sizes[k]);
+            (void)both_ways("tetcast.crossover", kase, ids[i], TETCAST_MODEL_VOLUME, sizes[k], 3);
+        }
+}
+
 /* ---- BM8: early termination ---- */
 
 static void ending(int id) {
@@ -1326,7 +1415,7 @@ static void bm17(void) {
 
 int main(int argc, char **argv) {
     static const struct { int number; void (*run)(void); } all[] = {
-        {1, bm1}, {2, bm2}, {3, bm3}, {4, bm4}, {8, bm8}, {9, bm9}, {10, bm10}, {11, bm11}, {12, bm12}, {14, bm14},
+        {1, bm1}, {2, bm2}, {3, bm3}, {4, bm4}, {5, bm5}, {7, bm7}, {8, bm8}, {9, bm9}, {10, bm10}, {11, bm11}, {12, bm12}, {14, bm14},
         {15, bm15}, {16, bm16}, {17, bm17}
     };
     size_t i;
