@@ -7785,7 +7785,7 @@ static void voxrti_normal_chunk(voxrti_normal_decoder *g, uint32_t chunk) {
 }
 
 #if VOXRTI_AVX2
-/* Eight chunks at once, a lane each: the same steps. Two such groups hide each other's latencies. */
+/* Eight chunks at once, a lane each: the same steps. */
 typedef struct voxrti_normal_lanes {
     const uint8_t *data;          /* where the first of the chunks begins */
     __m256i state, at, end, bad;  /* at, end: bytes from data */
@@ -7811,26 +7811,40 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_normal_lanes_open(const voxrti_deco
     l->last = _mm256_setzero_si256();
 }
 
-/* voxrti_rans_get with table number `table`. A word is read with the two bytes before it: there are always some. */
-VOXRTI_TARGET_AVX2 VOXRTI_INLINE __m256i voxrti_normal_lanes_get(voxrti_normal_lanes *l,
-                                                                 const voxrti_rans_table *tables, __m256i table) {
-    const int *base = (const int *)(const void *)tables, *data = (const int *)(const void *)l->data;
-    const __m256i zero = _mm256_setzero_si256(), low16 = _mm256_set1_epi32(0xffff);
-    __m256i slot = _mm256_and_si256(l->state, _mm256_set1_epi32(VOXRTI_RANS_ONE - 1)), symbol, range, x, need, more;
-    table = _mm256_mullo_epi32(table, _mm256_set1_epi32((int)sizeof(voxrti_rans_table)));
-    symbol = _mm256_i32gather_epi32(base, _mm256_add_epi32(table, _mm256_add_epi32(slot, _mm256_set1_epi32(1024))), 1);
-    symbol = _mm256_and_si256(symbol, _mm256_set1_epi32(255));
-    range = _mm256_i32gather_epi32(base, _mm256_add_epi32(table, _mm256_slli_epi32(symbol, 2)), 1);
-    x = _mm256_mullo_epi32(_mm256_and_si256(range, low16), _mm256_srli_epi32(l->state, VOXRTI_RANS_BITS));
-    x = _mm256_sub_epi32(_mm256_add_epi32(x, slot), _mm256_srli_epi32(range, 16));
-    need = _mm256_cmpeq_epi32(_mm256_srli_epi32(x, 16), zero);
-    more = _mm256_and_si256(need, _mm256_cmpgt_epi32(l->end, l->at));
-    l->bad = _mm256_or_si256(l->bad, _mm256_andnot_si256(more, need));
-    slot = _mm256_mask_i32gather_epi32(zero, data, _mm256_sub_epi32(l->at, _mm256_set1_epi32(2)), more, 1);
-    l->at = _mm256_sub_epi32(l->at, _mm256_add_epi32(more, more));
-    slot = _mm256_or_si256(_mm256_slli_epi32(x, 16), _mm256_srli_epi32(slot, 16));
-    l->state = _mm256_blendv_epi8(x, slot, need);
-    return symbol;
+/* voxrti_rans_get of two groups with tables number table[]: step by step in turn, for between dependent gathers the
+   processor does not look far enough ahead by itself. A word is read with the two bytes before it: there are always
+   some. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_normal_lanes_get(voxrti_normal_lanes l[2],
+                                                              const voxrti_rans_table *tables,
+                                                              const __m256i table[2], __m256i symbol[2]) {
+    const int *base = (const int *)(const void *)tables;
+    const __m256i zero = _mm256_setzero_si256(), low16 = _mm256_set1_epi32(0xffff), two = _mm256_set1_epi32(2);
+    const __m256i low = _mm256_set1_epi32(VOXRTI_RANS_ONE - 1);
+    const __m256i bytes = _mm256_set1_epi32((int)sizeof(voxrti_rans_table));
+    __m256i slot[2], range[2], x[2], need[2], more[2], at[2];
+    uint32_t k;
+    for (k = 0; k < 2; k++) {
+        slot[k] = _mm256_and_si256(l[k].state, low);
+        at[k] = _mm256_mullo_epi32(table[k], bytes);
+        symbol[k] = _mm256_add_epi32(at[k], _mm256_add_epi32(slot[k], _mm256_set1_epi32(1024)));
+        symbol[k] = _mm256_and_si256(_mm256_i32gather_epi32(base, symbol[k], 1), _mm256_set1_epi32(255));
+    }
+    for (k = 0; k < 2; k++)
+        range[k] = _mm256_i32gather_epi32(base, _mm256_add_epi32(at[k], _mm256_slli_epi32(symbol[k], 2)), 1);
+    for (k = 0; k < 2; k++) {
+        x[k] = _mm256_mullo_epi32(_mm256_and_si256(range[k], low16), _mm256_srli_epi32(l[k].state, VOXRTI_RANS_BITS));
+        x[k] = _mm256_sub_epi32(_mm256_add_epi32(x[k], slot[k]), _mm256_srli_epi32(range[k], 16));
+        need[k] = _mm256_cmpeq_epi32(_mm256_srli_epi32(x[k], 16), zero);
+        more[k] = _mm256_and_si256(need[k], _mm256_cmpgt_epi32(l[k].end, l[k].at));
+        l[k].bad = _mm256_or_si256(l[k].bad, _mm256_andnot_si256(more[k], need[k]));
+        slot[k] = _mm256_mask_i32gather_epi32(zero, (const int *)(const void *)l[k].data,
+                                              _mm256_sub_epi32(l[k].at, two), more[k], 1);
+        l[k].at = _mm256_sub_epi32(l[k].at, _mm256_add_epi32(more[k], more[k]));
+    }
+    for (k = 0; k < 2; k++) {
+        slot[k] = _mm256_or_si256(_mm256_slli_epi32(x[k], 16), _mm256_srli_epi32(slot[k], 16));
+        l[k].state = _mm256_blendv_epi8(x[k], slot[k], need[k]);
+    }
 }
 
 /* voxrti_delta_class: from the exponent of the magnitude as a float */
@@ -7841,19 +7855,27 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE __m256i voxrti_normal_lanes_class(__m256i delta
 }
 
 /* The next normal of each lane. */
-VOXRTI_TARGET_AVX2 VOXRTI_INLINE __m128i voxrti_normal_lanes_next(voxrti_normal_lanes *l,
-                                                                  const voxrti_rans_table *tables) {
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_normal_lanes_next(voxrti_normal_lanes l[2],
+                                                               const voxrti_rans_table *tables, uint16_t out[16]) {
     const __m256i byte = _mm256_set1_epi32(255);
-    __m256i context = _mm256_min_epi32(l->last, _mm256_set1_epi32(12)), dx, dy, k, n;
-    dx = voxrti_normal_lanes_get(l, tables, context);
-    k = voxrti_normal_lanes_class(dx);
-    context = _mm256_add_epi32(_mm256_slli_epi32(k, 2), _mm256_srli_epi32(context, 2));
-    dy = voxrti_normal_lanes_get(l, tables, _mm256_add_epi32(context, _mm256_set1_epi32(13)));
-    l->last = _mm256_add_epi32(k, voxrti_normal_lanes_class(dy));
-    l->x = _mm256_and_si256(_mm256_add_epi32(l->x, dx), byte);
-    l->y = _mm256_and_si256(_mm256_add_epi32(l->y, dy), byte);
-    n = _mm256_or_si256(l->x, _mm256_slli_epi32(l->y, 8));
-    return _mm_packus_epi32(_mm256_castsi256_si128(n), _mm256_extracti128_si256(n, 1));
+    __m256i context[2], dx[2], dy[2], c[2], n;
+    uint32_t k;
+    for (k = 0; k < 2; k++) context[k] = _mm256_min_epi32(l[k].last, _mm256_set1_epi32(12));
+    voxrti_normal_lanes_get(l, tables, context, dx);
+    for (k = 0; k < 2; k++) {
+        c[k] = voxrti_normal_lanes_class(dx[k]);
+        context[k] = _mm256_add_epi32(_mm256_slli_epi32(c[k], 2), _mm256_srli_epi32(context[k], 2));
+        context[k] = _mm256_add_epi32(context[k], _mm256_set1_epi32(13));
+    }
+    voxrti_normal_lanes_get(l, tables, context, dy);
+    for (k = 0; k < 2; k++) {
+        l[k].last = _mm256_add_epi32(c[k], voxrti_normal_lanes_class(dy[k]));
+        l[k].x = _mm256_and_si256(_mm256_add_epi32(l[k].x, dx[k]), byte);
+        l[k].y = _mm256_and_si256(_mm256_add_epi32(l[k].y, dy[k]), byte);
+        n = _mm256_or_si256(l[k].x, _mm256_slli_epi32(l[k].y, 8));
+        _mm_storeu_si128((__m128i *)(void *)(out + 8 * k),
+                         _mm_packus_epi32(_mm256_castsi256_si128(n), _mm256_extracti128_si256(n, 1)));
+    }
 }
 
 VOXRTI_TARGET_AVX2 VOXRTI_INLINE int voxrti_normal_lanes_done(const voxrti_normal_lanes *l) {
@@ -7863,20 +7885,17 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE int voxrti_normal_lanes_done(const voxrti_norma
 }
 
 VOXRTI_TARGET_AVX2 static void voxrti_normal_chunks16_avx2(voxrti_normal_decoder *g, uint32_t chunk) {
-    voxrti_normal_lanes a, b;
+    voxrti_normal_lanes l[2];
     uint16_t *out = g->t->normal + (size_t)chunk * VOXRTI_CHUNK, block[64][16];
     uint32_t i, j, k;
-    voxrti_normal_lanes_open(&g->d, chunk, &a);
-    voxrti_normal_lanes_open(&g->d, chunk + 8, &b);
+    voxrti_normal_lanes_open(&g->d, chunk, &l[0]);
+    voxrti_normal_lanes_open(&g->d, chunk + 8, &l[1]);
     for (i = 0; i < VOXRTI_CHUNK; i += 64) {
-        for (j = 0; j < 64; j++) {
-            _mm_storeu_si128((__m128i *)(void *)&block[j][0], voxrti_normal_lanes_next(&a, g->lane_table));
-            _mm_storeu_si128((__m128i *)(void *)&block[j][8], voxrti_normal_lanes_next(&b, g->lane_table));
-        }
+        for (j = 0; j < 64; j++) voxrti_normal_lanes_next(l, g->lane_table, block[j]);
         for (k = 0; k < 16; k++)
             for (j = 0; j < 64; j++) out[k * VOXRTI_CHUNK + i + j] = block[j][k];
     }
-    if (!voxrti_normal_lanes_done(&a) || !voxrti_normal_lanes_done(&b)) voxrti_atomic_store(&g->d.bad, 1u);
+    if (!voxrti_normal_lanes_done(&l[0]) || !voxrti_normal_lanes_done(&l[1])) voxrti_atomic_store(&g->d.bad, 1u);
 }
 #endif
 
