@@ -707,6 +707,64 @@ TEST(errors) {
     shape_free(&box);
 }
 
+/* The thesis' trees are not kept up to date: they go, and pictures are drawn without them until the next build. */
+TEST(trees_of_the_thesis) {
+    zbufrand_scene *s = open_scene(1, NULL);
+    test_rng r = test_rng_make(4);
+    zbufrand_build_desc d;
+    zbufrand_scene_info info;
+    model w;
+    int library, k;
+    memset(&d, 0, sizeof d);
+    d.structure = ZBUFRAND_STRUCTURE_CLASSES;
+    model_open(&w);
+    library = model_start(&w, s, &r);
+    CHECK_EQ_U64(zbufrand_scene_build(s, &d, &info), ZBUFRAND_OK);
+    CHECK(info.list_objects > 0);
+    for (k = 0; k < 30; k++) model_edit(&w, s, &r, library);
+    CHECK_EQ_U64(zbufrand_scene_update(s, &info), ZBUFRAND_OK);
+    CHECK_EQ_U64(info.list_objects, 0);
+    compare(&w, s, 3, 1);
+    zbufrand_scene_destroy(s);
+    model_close(&w);
+}
+
+/* A bad triangle in a new mesh: left out and counted, or with `strict` an error until the mesh is gone. */
+TEST(bad_triangles_come) {
+    static const float p[5][3] = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {NAN, 0, 0}, {1e30f, 0, 0}};
+    static const uint32_t t[4][3] = {{0, 1, 2}, {0, 1, 3}, {0, 1, 1}, {0, 1, 4}};
+    uint32_t strict;
+    for (strict = 0; strict < 2; strict++) {
+        zbufrand_scene *s = open_scene(1, NULL);
+        zbufrand_build_desc d;
+        zbufrand_scene_info info;
+        zbufrand_mesh m;
+        zbufrand_node node;
+        memset(&d, 0, sizeof d);
+        memset(&m, 0, sizeof m);
+        d.strict = strict;
+        m.positions = p[0];
+        m.vertex_count = 5;
+        m.indices = t[0];
+        m.triangle_count = 4;
+        CHECK_EQ_U64(zbufrand_scene_build(s, &d, NULL), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_mesh(s, ZBUFRAND_ROOT, NULL, 0, &m, &node), ZBUFRAND_OK);
+        if (strict) {
+            CHECK_EQ_U64(zbufrand_scene_update(s, &info), ZBUFRAND_ERR_INVALID_ARG);
+            CHECK_EQ_U64(g_error.where, 1);
+            CHECK_EQ_U64(zbufrand_remove(s, node), ZBUFRAND_OK);
+            CHECK_EQ_U64(zbufrand_scene_update(s, &info), ZBUFRAND_OK);
+            CHECK_EQ_U64(info.triangles, 0);
+        } else {
+            CHECK_EQ_U64(zbufrand_scene_update(s, &info), ZBUFRAND_OK);
+            CHECK_EQ_U64(info.triangles, 1);
+            CHECK_EQ_U64(info.skipped_triangles, 3);
+        }
+        check_scene(s);
+        zbufrand_scene_destroy(s);
+    }
+}
+
 TEST(levels) { /* 64 are allowed, however they come about */
     zbufrand_scene *s = open_scene(1, NULL);
     shape box;
@@ -862,6 +920,8 @@ int main(int argc, char **argv) {
     RUN(same_for_any_threads);
     RUN(nothing_left_and_back);
     RUN(errors);
+    RUN(trees_of_the_thesis);
+    RUN(bad_triangles_come);
     RUN(levels);
     RUN(memory_runs_out);
     RUN(trees_stay_good);
