@@ -350,7 +350,7 @@ typedef enum tetcast_order {
    drop_source     keep 4 bytes a cell and a vertex: numbers in the input
    keep_neighbours off. 1: keep 16 bytes a cell with the four neighbours; they are made again when something needs them
    disable_clusters keep the walls between clusters of cells that let rays leap over what the transfer function hides,
-                   about 5 bytes a cell
+                   about 10 bytes a cell
    strict          off. 1: an index out of range, a NaN or a cell of unknown shape is an error, not left out and
                    counted */
 typedef struct tetcast_mesh_desc {
