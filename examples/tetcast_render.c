@@ -325,7 +325,7 @@ static double choose_extinction(const options *o, const tetcast_render_desc *des
         if (n > 0) scale = want / (double)depth[n - 1 - n / 5];
     }
     tetcast_optics_destroy(optics);
-    return scale < 0.1 ? 0.1 : scale > 100.0 ? 100.0 : scale;
+    return scale < 1e-4 ? 1e-4 : scale > 1e4 ? 1e4 : scale;
 }
 
 static int make_optics(const options *o, const tetcast_mesh *mesh, const tetcast_render_desc *render,
@@ -408,6 +408,45 @@ static int make_optics(const options *o, const tetcast_mesh *mesh, const tetcast
                     env->error->text[0] ? env->error->text : tetcast_result_string(result));
 }
 
+/* Move the camera along its view so that all vertices just fit: the box of a bent body is much larger than the body. */
+static void fit_vertices(const options *o, const tetcast_mesh *mesh, tetcast_camera *camera) {
+    tetcast_mesh_info info;
+    double back[3], right[3], up[3], most[4] = {-1e300, -1e300, -1e300, -1e300}, tangent[2], length = 0.0, distance;
+    tetcast_mesh_get_info(mesh, &info);
+    tangent[1] = tan(o->common.fov * (3.14159265358979 / 360.0));
+    tangent[0] = tangent[1] * (double)o->common.size[0] / (double)o->common.size[1];
+    for (int k = 0; k < 3; k++) back[k] = camera->eye[k] - camera->at[k];
+    for (int k = 0; k < 3; k++) length += back[k] * back[k];
+    for (int k = 0; k < 3; k++) back[k] /= sqrt(length);
+    for (int k = 0; k < 3; k++) {
+        const int a = (k + 1) % 3, b = (k + 2) % 3;
+        right[k] = camera->up[a] * back[b] - camera->up[b] * back[a];
+    }
+    length = sqrt(right[0] * right[0] + right[1] * right[1] + right[2] * right[2]);
+    if (!(length > 1e-6) || info.vertex_count == 0) return;
+    for (int k = 0; k < 3; k++) right[k] /= length;
+    for (int k = 0; k < 3; k++) up[k] = back[(k + 1) % 3] * right[(k + 2) % 3] - back[(k + 2) % 3] * right[(k + 1) % 3];
+    for (uint64_t i = 0; i < info.vertex_count; i++) {
+        double p[3], x = 0.0, y = 0.0, z = 0.0;
+        tetcast_mesh_vertex(mesh, (uint32_t)i, p, NULL, NULL);
+        for (int k = 0; k < 3; k++) {
+            x += (p[k] - camera->at[k]) * right[k];
+            y += (p[k] - camera->at[k]) * up[k];
+            z += (p[k] - camera->at[k]) * back[k];
+        }
+        most[0] = fmax(most[0], x + z * tangent[0]);
+        most[1] = fmax(most[1], -x + z * tangent[0]);
+        most[2] = fmax(most[2], y + z * tangent[1]);
+        most[3] = fmax(most[3], -y + z * tangent[1]);
+    }
+    distance = 1.03 * fmax((most[0] + most[1]) / (2.0 * tangent[0]), (most[2] + most[3]) / (2.0 * tangent[1]));
+    if (!(distance > 0.0) || !(distance < 1e300)) return;
+    for (int k = 0; k < 3; k++) {
+        camera->at[k] += 0.5 * (most[0] - most[1]) * right[k] + 0.5 * (most[2] - most[3]) * up[k];
+        camera->eye[k] = camera->at[k] + distance * back[k];
+    }
+}
+
 static void set_camera(const options *o, const tetcast_mesh *mesh, tetcast_camera *camera) {
     tetcast_mesh_info info;
     sup_camera framed;
@@ -419,6 +458,7 @@ static void set_camera(const options *o, const tetcast_mesh *mesh, tetcast_camer
         camera->fov_y = (float)o->common.fov;
         result = tetcast_camera_fit(camera, info.box_min, info.box_max, NULL, o->common.size[0], o->common.size[1]);
         camera->ortho_height = (float)o->ortho;
+        if (result == TETCAST_OK && !(o->ortho > 0.0)) fit_vertices(o, mesh, camera);
         if (result == TETCAST_OK) return;
     }
     for (int k = 0; k < 3; k++) {
