@@ -416,9 +416,11 @@ static int error_plot(const list *all, const record *first, const char *path) {
             count++;
         }
         if (seen || count == 0) continue;
+        if (series >= 8) fputs("<g stroke-dasharray=\"3 2\" fill-opacity=\"0.3\">\n", f); /* colours begin again */
         draw_curve(f, &x, &y, points, count, g_colors[series % 8]);
         fprintf(f, "<circle cx=\"%.1f\" cy=\"%.1f\" r=\"4\" fill=\"%s\"/>\n",
             x.to + 18, y.to + 10 + 20 * series, g_colors[series % 8]);
+        if (series >= 8) fputs("</g>\n", f);
         put_label(f, x.to + 28, y.to + 14 + 20 * series, "", name[0] != 0 ? name : get(first, "metric"), "");
         series++;
     }
