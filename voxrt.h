@@ -5598,10 +5598,22 @@ VOXRTI_INLINE uint32_t voxrti_leaf_rank(const voxrt_tree *t, uint32_t i) {
     return r;
 }
 
+/* Rank of its first octant: octants are counted by their place, and these added up at the end. */
+VOXRTI_INLINE uint32_t voxrti_octant_rank(const voxrt_tree *t, uint32_t i) {
+    uint64_t sum = 0, x;
+    uint32_t k;
+    for (k = i & ~15u; k < i; k++) {
+        x = t->leaf[k];
+        x = ((x & 0x7f7f7f7f7f7f7f7fu) + 0x7f7f7f7f7f7f7f7fu) | x;
+        sum += (x >> 7) & 0x0101010101010101u;
+    }
+    return t->rank[2 * (i >> 4) + 1] + (uint32_t)((sum * 0x0101010101010101u) >> 56);
+}
+
 /* Index of the attributes of a cell of virtual level v: `node` holds it, at bit `slot` (v even) or octant slot/8 (v
    odd). v = 0: the virtual root. */
 static VOXRTI_UNUSED uint64_t voxrti_attr_index(const voxrt_tree *t, uint32_t v, uint32_t node, uint32_t slot) {
-    uint32_t w, r, k;
+    uint32_t w, r;
     if (v == 0) return t->attr_first[0];
     w = (v - 1) / 2;
     if ((v & 1u) == 0) {
@@ -5611,8 +5623,7 @@ static VOXRTI_UNUSED uint64_t voxrti_attr_index(const voxrt_tree *t, uint32_t v,
     } else {
         uint32_t below = (1u << (slot >> 3)) - 1u;
         if (w + 1 == t->wide) {
-            r = t->rank[2 * (node >> 4) + 1];
-            for (k = node & ~15u; k < node; k++) r += voxrti_popcount64(voxrti_octants(t->leaf[k]));
+            r = voxrti_octant_rank(t, node);
             r += voxrti_popcount64(voxrti_octants(t->leaf[node]) & below);
         } else {
             r = t->node[node].octant + voxrti_popcount64(voxrti_octants(t->node[node].mask) & below);
@@ -9546,19 +9557,18 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_tile_slab(const voxrt_tree *t, cons
 
 /* Lay out the octants of a pair of slabs. */
 VOXRTI_TARGET_AVX2 static inline void voxrti_tile_pair(const voxrt_tree *t, const voxrti_beam *b, voxrti_tile *k) {
-    uint32_t i, m, j;
+    uint32_t i;
     memset(k->rows, 0, sizeof k->rows);
     for (i = b->first; i < b->first + b->count; i++) {
         const voxrti_beam_cell *c = &b->cell[i];
         const uint64_t mask = voxrti_fill_octants(b->size == 4 ? t->leaf[c->node] : t->node[c->node].mask);
-        const uint32_t bits = (uint32_t)(((mask & 0x0101010101010101u) * 0x0102040810204080u) >> 56);
+        const uint32_t x = (uint32_t)_pext_u64(voxrti_tile_mask(mask, b->m), 0x0000050500000505u); /* u + 2 v + 4 m */
         const uint32_t u = (uint32_t)(c->u - b->u0), v = (uint32_t)(c->v - b->v0), second = (uint32_t)c->left;
-        for (m = 0; m < 2; m++) {
-            for (j = 0; j < 2; j++) {
-                const uint32_t x = bits >> ((m ^ b->back) << b->m | j << b->v);
-                k->rows[2 * second + m][2 * v + j] |= ((x & 1u) | (x >> (1u << b->u) & 1u) << 1) << 2 * u;
-            }
-        }
+        uint32_t *p = &k->rows[2 * second + b->back][2 * v], *q = &k->rows[2 * second + 1 - b->back][2 * v];
+        p[0] |= (x & 3u) << 2 * u;
+        p[1] |= (x >> 2 & 3u) << 2 * u;
+        q[0] |= (x >> 4 & 3u) << 2 * u;
+        q[1] |= (x >> 6 & 3u) << 2 * u;
         k->leaf[256 * second + 16 * v + u] = (uint8_t)i;
     }
 }
