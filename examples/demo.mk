@@ -109,6 +109,17 @@ $(ZBUFRAND_PICTURES): $(B)/zbufrand_render
 $(G)/zbufrand_minimal.png: $(B)/minimal_zbufrand
 	@mkdir -p $(@D); echo "$@"; $(B)/minimal_zbufrand $@
 
+# --- voxrt: light that bounces -------------------------------------------------------------------------------------
+
+$(G)/voxrt_gi_cornell.png: options = --scene cornell --size 480x480 --res 512
+$(G)/voxrt_gi_atrium.png: options = --scene atrium --size 576x384 --res 1024
+$(G)/voxrt_gi_openness.png: options = --scene atrium --size 576x384 --res 1024 --method ao --radius 3
+
+GI_PICTURES := $(addprefix $(G)/voxrt_gi_,cornell.png atrium.png openness.png)
+
+$(GI_PICTURES): $(B)/voxrt_gi
+	@mkdir -p $(@D); echo "$@"; $(B)/voxrt_gi $(options) --rays 16 --bounces 2 --out $@ --quiet
+
 # --- tetcast: fields on tetrahedra ---------------------------------------------------------------------------------
 
 NIGHT := --background 0.012,0.013,0.018
@@ -132,4 +143,4 @@ $(TETCAST_PICTURES): $(B)/tetcast_render
 $(G)/tetcast_minimal.png: $(B)/minimal_tetcast
 	@mkdir -p $(@D); echo "$@"; $(B)/minimal_tetcast $@
 
-GALLERY += $(ZBUFRAND_PICTURES) $(G)/zbufrand_minimal.png $(TETCAST_PICTURES) $(G)/tetcast_minimal.png
+GALLERY += $(GI_PICTURES) $(ZBUFRAND_PICTURES) $(G)/zbufrand_minimal.png $(TETCAST_PICTURES) $(G)/tetcast_minimal.png
