@@ -717,7 +717,8 @@ VOXRT_DEF voxrt_result voxrt_tree_map_memory(const voxrt_load_desc *desc, const 
 
 #ifndef VOXRT_NO_STDIO
 /* As the memory functions; ERR_IO when the file cannot be read or written. Save writes to `path` with ".part" behind
-   it and renames when all is written, so that a file is complete or not there. Load holds the whole file meanwhile. */
+   it and renames when all is written, so that a file is complete or not there; it takes the place of what had the name,
+   be that a link or, with the right to do so, a device. Load holds the whole file meanwhile. */
 VOXRT_DEF voxrt_result voxrt_tree_save_file(const voxrt_tree *tree, const voxrt_save_desc *desc, const char *path);
 VOXRT_DEF voxrt_result voxrt_tree_load_file(const voxrt_load_desc *desc, const char *path, voxrt_tree **out_tree);
 #endif
