@@ -351,7 +351,7 @@ static void hidden_boxes(uint32_t block) {
             }
         }
     }
-    CHECK_MSG(hidden_count > (uint32_t)many / 4, "%u", hidden_count);
+    CHECK_MSG(hidden_count > (uint32_t)many / 6, "%u", hidden_count);
     scene_close(&s);
 }
 
