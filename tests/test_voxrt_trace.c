@@ -288,7 +288,7 @@ TEST(general_rays) {
     memset(&sum, 0, sizeof sum);
     for (k = 0; k < sizeof list / sizeof list[0]; k++) {
         scene s;
-        size_t want = list[k].share * (test_quick() ? 50u : 400u), done = 0;
+        size_t want = list[k].share * (test_quick() ? 50u : 200u), done = 0;
         test_rng r = test_rng_make(k);
         if (test_quick() && list[k].depth > 7) continue;
         scene_make(&s, list[k].depth, list[k].kind);
