@@ -1,4 +1,4 @@
-/* planes.h - rays through tetrahedra by planes, and depth peeling, that exist only to be compared with - MIT OR Unlicense
+/* planes.h - rays through tetrahedra by planes, and depth peeling, only to be compared with - MIT OR Unlicense
 
    What the thesis does on graphics processors, on one core and as well as it can be done: a cell keeps outward unit
    normals of its faces, a vertex of each, the neighbours behind them with the face's number there, and its value as
@@ -240,7 +240,8 @@ static float baseline_walk(const baseline_list *l, const baseline_desc *desc, co
 }
 
 /* All of a ray, one layer of the hull after the other, each found among all faces: slow, but for any ray. tolerance: by
-   how much the point on the face may be outside of it, by the other three planes, and layers have to be apart. Distances from org, d is unit. */
+   how much the point on the face may be outside of it, by the other three planes, and layers have to be apart.
+   Distances are from org, dir is unit. */
 static void baseline_ray(const baseline_list *l, const baseline_desc *desc, const double org[3], const double dir[3],
                          float tolerance, double *length, baseline_stats *stats) {
     float e[3], d[3], layer = -1;
@@ -293,8 +294,8 @@ static float baseline_depth(const baseline_desc *desc, float t) {
     return (float)(floor((double)t / (double)desc->depth_range * steps) / steps * (double)desc->depth_range);
 }
 
-/* Draw one face into the depth buffer where it is behind the last layer: edges as the picture plane has them, depth from
-   the plane of the face. */
+/* Draw one face into the depth buffer where it is behind the last layer: edges as the picture plane has them, depth
+   from the plane of the face. */
 static void baseline_draw(const baseline_list *l, const baseline_desc *desc, const tetcasti_frame *frame, uint32_t face,
                           baseline_pixel *pixels) {
     const baseline_face *h = &l->face[face];
