@@ -320,4 +320,63 @@ BENCH_FN int bench_parse(int argc, char **argv, bench_options *o) {
     return 0;
 }
 
+/* ---- the acceptance table: what was measured beside what it must and should be ---- */
+
+typedef struct bench_row {
+    const char *key, *text, *unit, *must, *goal;
+    char measured[96];
+} bench_row;
+
+typedef struct bench_table {
+    bench_row *rows;
+    size_t count;
+    const char *title, *file; /* first words above it; name below the folder bench/ */
+} bench_table;
+
+BENCH_FN void bench_table_set(bench_table *t, const char *key, const char *format, ...)
+    __attribute__((format(printf, 3, 4)));
+BENCH_FN void bench_table_set(bench_table *t, const char *key, const char *format, ...) {
+    size_t i;
+    va_list args;
+    for (i = 0; i < t->count; i++) {
+        if (strcmp(t->rows[i].key, key) != 0) continue;
+        va_start(args, format);
+        vsnprintf(t->rows[i].measured, sizeof t->rows[i].measured, format, args);
+        va_end(args);
+    }
+}
+
+/* busy: mean of wall over CPU seconds of the one-thread runs. all: rows that were not run, too. */
+BENCH_FN void bench_table_print(const bench_table *t, FILE *f, double busy, int all) {
+    size_t i;
+    fprintf(f, "%s. How busy the machine was: wall over CPU seconds of the one-thread runs was %.2f (1: nobody else).\n\n",
+            t->title, busy);
+    fputs("| row | measured | must | goal | unit |\n| --- | ---: | ---: | ---: | --- |\n", f);
+    for (i = 0; i < t->count; i++) {
+        const bench_row *r = &t->rows[i];
+        if (!all && r->measured[0] == 0) continue;
+        fprintf(f, "| %s | %s | %s | %s | %s |\n", r->text, r->measured[0] != 0 ? r->measured : "not run", r->must,
+                r->goal, r->unit);
+    }
+}
+
+/* To stderr and to its file. A run of some benchmarks leaves the table of the last whole run alone. */
+BENCH_FN void bench_table_end(const bench_table *t, const bench_options *o, double busy, const char *argv0) {
+    char folder[600], path[700], part[720];
+    FILE *f;
+    bench_table_print(t, stderr, busy, o->only == NULL);
+    if (o->table == NULL && o->only != NULL) return;
+    if (o->table != NULL) {
+        snprintf(path, sizeof path, "%s", o->table);
+    } else {
+        bench_folder(folder, sizeof folder, argv0);
+        snprintf(path, sizeof path, "%s/bench/%s", folder, t->file);
+    }
+    snprintf(part, sizeof part, "%s.part", path);
+    f = fopen(part, "w");
+    if (f == NULL) return; /* no such folder: only on stderr */
+    bench_table_print(t, f, busy, o->only == NULL);
+    if (fclose(f) == 0) (void)rename(part, path);
+}
+
 #endif

@@ -475,12 +475,7 @@ static size_t count_hits(const voxrt_hit *hit, size_t count) {
 
 /* ---- the acceptance table ---- */
 
-typedef struct row {
-    const char *key, *text, *unit, *must, *goal;
-    char measured[64];
-} row;
-
-static row g_rows[] = {
+static bench_row g_rows[] = {
     {"blob-512-primary", "primary rays, blob 512", "M rays/s/core", "24", "56", ""},
     {"hall-512-primary", "primary rays, hall 512", "M rays/s/core", "19", "43", ""},
     {"blob-1024-primary", "primary rays, blob 1024", "M rays/s/core", "18", "40", ""},
@@ -511,49 +506,7 @@ static row g_rows[] = {
     {"normals", "error of normals, mean / most", "degrees", "0.315 / 0.64", "", ""}
 };
 
-static void table_set(const char *key, const char *format, ...) __attribute__((format(printf, 2, 3)));
-static void table_set(const char *key, const char *format, ...) {
-    size_t i;
-    va_list args;
-    for (i = 0; i < sizeof g_rows / sizeof g_rows[0]; i++) {
-        if (strcmp(g_rows[i].key, key) != 0) continue;
-        va_start(args, format);
-        vsnprintf(g_rows[i].measured, sizeof g_rows[i].measured, format, args);
-        va_end(args);
-    }
-}
-
-/* all: rows that were not run, too. */
-static void table_print(FILE *f, int all) {
-    size_t i;
-    fputs("Rays: one core by CPU time, the default instruction set first. How busy the machine was: ", f);
-    fprintf(f, "wall over CPU seconds of the one-thread runs was %.2f (1: nobody else).\n\n",
-            g_busy_count > 0 ? g_busy_sum / g_busy_count : 0.0);
-    fputs("| row | measured | must | goal | unit |\n| --- | ---: | ---: | ---: | --- |\n", f);
-    for (i = 0; i < sizeof g_rows / sizeof g_rows[0]; i++) {
-        const row *r = &g_rows[i];
-        if (!all && r->measured[0] == 0) continue;
-        fprintf(f, "| %s | %s | %s | %s | %s |\n", r->text, r->measured[0] != 0 ? r->measured : "not run", r->must,
-                r->goal, r->unit);
-    }
-}
-
-/* A run of some benchmarks leaves the table of the last whole run alone. */
-static void table_write(const char *argv0) {
-    char folder[600], path[700], part[720];
-    FILE *f;
-    if (g_opt.table == NULL && g_opt.only != NULL) return;
-    if (g_opt.table != NULL) {
-        snprintf(path, sizeof path, "%s", g_opt.table);
-    } else {
-        bench_folder(folder, sizeof folder, argv0);
-        snprintf(path, sizeof path, "%s/bench/table.md", folder);
-    }
-    snprintf(part, sizeof part, "%s.part", path);
-    f = fopen(part, "w");
-    if (f == NULL) return; /* no such folder: only on stderr */
-    table_print(f, g_opt.only == NULL);
-    if (fclose(f) == 0) (void)rename(part, path);
-}
+static bench_table g_table = {g_rows, sizeof g_rows / sizeof g_rows[0], "Rays: one core by CPU time, the default instruction set first", "table.md"};
+#define table_set(...) bench_table_set(&g_table, __VA_ARGS__)
 
 #endif

@@ -1430,7 +1430,6 @@ int main(int argc, char **argv) {
     }
     if (g_tried != 0) table_set("failed", "%lu of %lu", (unsigned long)g_failed, (unsigned long)g_tried);
     for (i = 0; i < MESH_COUNT; i++) drop_mesh((int)i);
-    table_write(argv[0]);
-    table_print(stderr, g_opt.only == NULL);
+    bench_table_end(&g_table, &g_opt, g_busy_count > 0 ? g_busy_sum / g_busy_count : 0.0, argv[0]);
     return 0;
 }

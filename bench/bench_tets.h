@@ -420,12 +420,7 @@ static tetcast_optics *make_optics(int tf, const tetcast_optics_desc *d) {
 
 /* ---- the acceptance table ---- */
 
-typedef struct row {
-    const char *key, *text, *unit, *must, *goal;
-    char measured[64];
-} row;
-
-static row g_rows[] = {
+static bench_row g_rows[] = {
     {"frame-K32", "frame, K32 (196,608 tetrahedra)", "s", "0.10", "0.045", ""},
     {"frame-D31k", "frame, D31k (207,788)", "s", "0.18", "0.10", ""},
     {"frame-D150k", "frame, D150k (10^6 Delaunay)", "s", "0.5", "0.22", ""},
@@ -451,49 +446,7 @@ static row g_rows[] = {
     {"edit", "change of the transfer function, exact (full 3D table of 128^2 x 64)", "ms", "", "", ""}
 };
 
-static void table_set(const char *key, const char *format, ...) __attribute__((format(printf, 2, 3)));
-static void table_set(const char *key, const char *format, ...) {
-    size_t i;
-    va_list args;
-    for (i = 0; i < sizeof g_rows / sizeof g_rows[0]; i++) {
-        if (strcmp(g_rows[i].key, key) != 0) continue;
-        va_start(args, format);
-        vsnprintf(g_rows[i].measured, sizeof g_rows[i].measured, format, args);
-        va_end(args);
-    }
-}
-
-/* all: rows that were not run, too. */
-static void table_print(FILE *f, int all) {
-    size_t i;
-    fputs("512x512 pixels, one core by CPU time, the default instruction set. How busy the machine was: ", f);
-    fprintf(f, "wall over CPU seconds of the one-thread runs was %.2f (1: nobody else).\n\n",
-            g_busy_count > 0 ? g_busy_sum / g_busy_count : 0.0);
-    fputs("| row | measured | must | goal | unit |\n| --- | ---: | ---: | ---: | --- |\n", f);
-    for (i = 0; i < sizeof g_rows / sizeof g_rows[0]; i++) {
-        const row *r = &g_rows[i];
-        if (!all && r->measured[0] == 0) continue;
-        fprintf(f, "| %s | %s | %s | %s | %s |\n", r->text, r->measured[0] != 0 ? r->measured : "not run", r->must,
-                r->goal, r->unit);
-    }
-}
-
-/* A run of some benchmarks leaves the table of the last whole run alone. */
-static void table_write(const char *argv0) {
-    char folder[600], path[700], part[720];
-    FILE *f;
-    if (g_opt.table == NULL && g_opt.only != NULL) return;
-    if (g_opt.table != NULL) {
-        snprintf(path, sizeof path, "%s", g_opt.table);
-    } else {
-        bench_folder(folder, sizeof folder, argv0);
-        snprintf(path, sizeof path, "%s/bench/table_tetcast.md", folder);
-    }
-    snprintf(part, sizeof part, "%s.part", path);
-    f = fopen(part, "w");
-    if (f == NULL) return; /* no such folder: only on stderr */
-    table_print(f, g_opt.only == NULL);
-    if (fclose(f) == 0) (void)rename(part, path);
-}
+static bench_table g_table = {g_rows, sizeof g_rows / sizeof g_rows[0], "512x512 pixels, one core by CPU time, the default instruction set", "table_tetcast.md"};
+#define table_set(...) bench_table_set(&g_table, __VA_ARGS__)
 
 #endif

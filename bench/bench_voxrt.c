@@ -1604,7 +1604,6 @@ int main(int argc, char **argv) {
     }
     drop_trees();
     for (i = 0; i < MODEL_COUNT; i++) sup_mesh_free(&g_models[i].mesh);
-    table_write(argv[0]);
-    table_print(stderr, g_opt.only == NULL);
+    bench_table_end(&g_table, &g_opt, g_busy_count > 0 ? g_busy_sum / g_busy_count : 0.0, argv[0]);
     return 0;
 }

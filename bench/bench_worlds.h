@@ -721,12 +721,7 @@ static void wrong_nums(const wrong *w) {
 
 /* ---- the acceptance table ---- */
 
-typedef struct row {
-    const char *key, *text, *unit, *must, *goal;
-    char measured[96];
-} row;
-
-static row g_rows[] = {
+static bench_row g_rows[] = {
     {"points", "area-weighted points in random order, position and normal", "M/s/core", "40", "150", ""},
     {"kernel", "stored samples: decode, cull, project, depth test, payload", "M/s/core", "100", "300", ""},
     {"dense", "whole frame, samples accepted, dense (blob of 8.4 M, all sampled)", "M/s/core", "15", "40", ""},
@@ -751,49 +746,7 @@ static row g_rows[] = {
     {"edit", "move / insert / insert new: object of 10^4 triangles", "ms", "2", "0.2", ""}
 };
 
-static void table_set(const char *key, const char *format, ...) __attribute__((format(printf, 2, 3)));
-static void table_set(const char *key, const char *format, ...) {
-    size_t i;
-    va_list args;
-    for (i = 0; i < sizeof g_rows / sizeof g_rows[0]; i++) {
-        if (strcmp(g_rows[i].key, key) != 0) continue;
-        va_start(args, format);
-        vsnprintf(g_rows[i].measured, sizeof g_rows[i].measured, format, args);
-        va_end(args);
-    }
-}
-
-/* all: rows that were not run, too. */
-static void table_print(FILE *f, int all) {
-    size_t i;
-    fputs("One core by CPU time, but for what says otherwise. How busy the machine was: ", f);
-    fprintf(f, "wall over CPU seconds of the one-thread runs was %.2f (1: nobody else).\n\n",
-            g_busy_count > 0 ? g_busy_sum / g_busy_count : 0.0);
-    fputs("| row | measured | must | goal | unit |\n| --- | ---: | ---: | ---: | --- |\n", f);
-    for (i = 0; i < sizeof g_rows / sizeof g_rows[0]; i++) {
-        const row *r = &g_rows[i];
-        if (!all && r->measured[0] == 0) continue;
-        fprintf(f, "| %s | %s | %s | %s | %s |\n", r->text, r->measured[0] != 0 ? r->measured : "not run", r->must,
-                r->goal, r->unit);
-    }
-}
-
-/* A run of some benchmarks leaves the table of the last whole run alone. */
-static void table_write(const char *argv0) {
-    char folder[600], path[700], part[720];
-    FILE *f;
-    if (g_opt.table == NULL && g_opt.only != NULL) return;
-    if (g_opt.table != NULL) {
-        snprintf(path, sizeof path, "%s", g_opt.table);
-    } else {
-        bench_folder(folder, sizeof folder, argv0);
-        snprintf(path, sizeof path, "%s/bench/table_zbufrand.md", folder);
-    }
-    snprintf(part, sizeof part, "%s.part", path);
-    f = fopen(part, "w");
-    if (f == NULL) return; /* no such folder: only on stderr */
-    table_print(f, g_opt.only == NULL);
-    if (fclose(f) == 0) (void)rename(part, path);
-}
+static bench_table g_table = {g_rows, sizeof g_rows / sizeof g_rows[0], "One core by CPU time, but for what says otherwise", "table_zbufrand.md"};
+#define table_set(...) bench_table_set(&g_table, __VA_ARGS__)
 
 #endif

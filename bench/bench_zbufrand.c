@@ -1362,7 +1362,6 @@ int main(int argc, char **argv) {
         fprintf(stderr, "BM%d: %.1f s (CPU %.1f s)\n", all[i].number, bench_wall() - start, bench_cpu() - cpu);
     }
     shared_free();
-    table_write(argv[0]);
-    table_print(stderr, g_opt.only == NULL);
+    bench_table_end(&g_table, &g_opt, g_busy_count > 0 ? g_busy_sum / g_busy_count : 0.0, argv[0]);
     return 0;
 }
