@@ -2,17 +2,7 @@
 #include "test.h"
 #define ZBUFRAND_IMPLEMENTATION
 #include "zbufrand.h"
-#include "shapes.h"
-
-static zbufrand_mesh mesh_of(const shape *s) {
-    zbufrand_mesh m;
-    memset(&m, 0, sizeof m);
-    m.positions = s->p;
-    m.vertex_count = s->vertices;
-    m.indices = s->t;
-    m.triangle_count = s->triangles;
-    return m;
-}
+#include "zbufrand_shapes.h"
 
 static zbufrand_scene *build(const zbufrand_mesh *m, uint32_t count, uint32_t threads, zbufrand_scene_info *info) {
     zbufrand_scene_desc d;
@@ -27,19 +17,6 @@ static zbufrand_scene *build(const zbufrand_mesh *m, uint32_t count, uint32_t th
     for (i = 0; i < count; i++) CHECK_EQ_U64(zbufrand_add_mesh(s, 1, NULL, 0, &m[i], NULL), ZBUFRAND_OK);
     CHECK_EQ_U64(zbufrand_scene_build(s, &b, info), ZBUFRAND_OK);
     return s;
-}
-
-static void soup(shape *s, test_rng *r, uint32_t n, double size, double spread) {
-    uint32_t i;
-    for (i = 0; i < n; i++) {
-        double c[3], e = size * exp(spread * (2 * test_rng_double(r) - 1));
-        uint32_t v[3], k, a;
-        for (a = 0; a < 3; a++) c[a] = test_rng_double(r);
-        for (k = 0; k < 3; k++) {
-            v[k] = shape_vertex(s, c[0] + e * (test_rng_double(r) - 0.5), c[1] + e * (test_rng_double(r) - 0.5), c[2] + e * (test_rng_double(r) - 0.5));
-        }
-        shape_triangle(s, v[0], v[1], v[2]);
-    }
 }
 
 /* ---- the curve ---- */

@@ -3,17 +3,7 @@
 #include "test.h"
 #define ZBUFRAND_IMPLEMENTATION
 #include "zbufrand.h"
-#include "shapes.h"
-
-static zbufrand_mesh mesh_of(const shape *s) {
-    zbufrand_mesh m;
-    memset(&m, 0, sizeof m);
-    m.positions = s->p;
-    m.vertex_count = s->vertices;
-    m.indices = s->t;
-    m.triangle_count = s->triangles;
-    return m;
-}
+#include "zbufrand_shapes.h"
 
 static zbufrand_scene *scene_of(const zbufrand_mesh *m, uint32_t count) {
     zbufrand_scene *s = NULL;

@@ -3,17 +3,7 @@
 #include "test.h"
 #define ZBUFRAND_IMPLEMENTATION
 #include "zbufrand.h"
-#include "shapes.h"
-
-static zbufrand_mesh mesh_of(const shape *s) {
-    zbufrand_mesh m;
-    memset(&m, 0, sizeof m);
-    m.positions = s->p;
-    m.vertex_count = s->vertices;
-    m.indices = s->t;
-    m.triangle_count = s->triangles;
-    return m;
-}
+#include "zbufrand_shapes.h"
 
 static zbufrand_scene *scene_of(const zbufrand_mesh *m, int ids) {
     zbufrand_scene *s = NULL;
@@ -221,7 +211,7 @@ TEST(facing_away) {
 
 /* ---- instances are what they stand for ---- */
 
-static void random_transform(test_rng *r, double scale, int mirror, zbufrand_transform *t) {
+static void sample_transform(test_rng *r, double scale, int mirror, zbufrand_transform *t) {
     double q[9];
     uint32_t a, b;
     shape_rotation(test_rng_double(r), test_rng_double(r), test_rng_double(r), q);
@@ -256,7 +246,7 @@ TEST(instances_and_copies) {
         CHECK_EQ_U64(zbufrand_add_list(scene[0], lib, NULL, 0, &group), ZBUFRAND_OK); /* two in a group, the group many times */
         for (i = 0; i < 2; i++) {
             zbufrand_transform t;
-            random_transform(&r, 0.3 + 0.2 * i, (int)i, &t);
+            sample_transform(&r, 0.3 + 0.2 * i, (int)i, &t);
             CHECK_EQ_U64(zbufrand_add_reference(scene[0], group, &t, mesh, NULL), ZBUFRAND_OK);
             {
                 shape copy;
@@ -280,7 +270,7 @@ TEST(instances_and_copies) {
             for (i = 0; i < count; i++) {
                 zbufrand_transform t;
                 uint32_t a, v = (uint32_t)all.vertices;
-                random_transform(&r, (k == 0 ? 0.15 : 1.0) * pow(10, 0.6 * test_rng_double(&r) - 0.3), (int)(i % 3 == 0), &t);
+                sample_transform(&r, (k == 0 ? 0.15 : 1.0) * pow(10, 0.6 * test_rng_double(&r) - 0.3), (int)(i % 3 == 0), &t);
                 if (k == 0) for (a = 0; a < 3; a++) t.m[a][3] *= 1.6;
                 CHECK_EQ_U64(zbufrand_add_reference(scene[0], 1, &t, group, NULL), ZBUFRAND_OK);
                 for (a = 0; a < pair.vertices; a++) {
@@ -652,7 +642,7 @@ TEST(points_of_instances) {
     for (i = 0; i < 30; i++) {
         zbufrand_transform t;
         double scale = pow(10, 1.5 * test_rng_double(&r) - 1.5);
-        random_transform(&r, scale, (int)(i & 1), &t);
+        sample_transform(&r, scale, (int)(i & 1), &t);
         for (a = 0; a < 3; a++) t.m[a][3] = center[i][a] = a == 0 ? 4.0 * i : 0;
         CHECK_EQ_U64(zbufrand_add_reference(scene, 1, &t, list, NULL), ZBUFRAND_OK);
         total += weight[i] = scale * scale;

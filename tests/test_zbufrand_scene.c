@@ -2,7 +2,7 @@
 #include "test.h"
 #define ZBUFRAND_IMPLEMENTATION
 #include "zbufrand.h"
-#include "shapes.h"
+#include "zbufrand_shapes.h"
 
 static zbufrand_error g_error;
 
@@ -15,26 +15,6 @@ static zbufrand_scene *open_scene(void) {
     CHECK_EQ_U64(zbufrand_scene_create(&d, &s), ZBUFRAND_OK);
     if (s == NULL) abort();
     return s;
-}
-
-static zbufrand_mesh mesh_of(const shape *s) {
-    zbufrand_mesh m;
-    memset(&m, 0, sizeof m);
-    m.positions = s->p;
-    m.vertex_count = s->vertices;
-    m.indices = s->t;
-    m.triangle_count = s->triangles;
-    return m;
-}
-
-static zbufrand_transform move_scale(double x, double y, double z, double scale) {
-    zbufrand_transform t;
-    memset(&t, 0, sizeof t);
-    t.m[0][0] = t.m[1][1] = t.m[2][2] = scale;
-    t.m[0][3] = x;
-    t.m[1][3] = y;
-    t.m[2][3] = z;
-    return t;
 }
 
 TEST(what_is_in_no_scene) {

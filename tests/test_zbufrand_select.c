@@ -2,40 +2,7 @@
 #include "test.h"
 #define ZBUFRAND_IMPLEMENTATION
 #include "zbufrand.h"
-#include "shapes.h"
-
-static zbufrand_mesh mesh_of(const shape *s) {
-    zbufrand_mesh m;
-    memset(&m, 0, sizeof m);
-    m.positions = s->p;
-    m.vertex_count = s->vertices;
-    m.indices = s->t;
-    m.triangle_count = s->triangles;
-    return m;
-}
-
-static void soup(shape *s, test_rng *r, uint32_t n, double size, double spread) {
-    uint32_t i;
-    for (i = 0; i < n; i++) {
-        double c[3], e = size * exp(spread * (2 * test_rng_double(r) - 1));
-        uint32_t v[3], k, a;
-        for (a = 0; a < 3; a++) c[a] = test_rng_double(r);
-        for (k = 0; k < 3; k++) {
-            v[k] = shape_vertex(s, c[0] + e * (test_rng_double(r) - 0.5), c[1] + e * (test_rng_double(r) - 0.5), c[2] + e * (test_rng_double(r) - 0.5));
-        }
-        shape_triangle(s, v[0], v[1], v[2]);
-    }
-}
-
-static void random_transform(test_rng *r, double scale, int mirror, zbufrand_transform *t) {
-    double q[9];
-    uint32_t a, b;
-    shape_rotation(test_rng_double(r), test_rng_double(r), test_rng_double(r), q);
-    for (a = 0; a < 3; a++) {
-        for (b = 0; b < 3; b++) t->m[a][b] = q[3 * a + b] * scale * (mirror ? -1 : 1);
-        t->m[a][3] = 4 * test_rng_double(r) - 2;
-    }
-}
+#include "zbufrand_shapes.h"
 
 /* A torus, a two-sided soup, a flat patch, a box; as instances of many sizes, too. */
 static zbufrand_scene *mixed_scene(test_rng *r, shape *s) {
