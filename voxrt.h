@@ -15380,14 +15380,20 @@ static void voxrti_task_gi_albedo(void *ctx, uint32_t y) {
     for (i = at; i < at + n; i++) w->indirect[i] *= w->g->albedo[i];
 }
 
+/* No way through the box is longer. */
+static float voxrti_columns_reach(const voxrt_columns *c) {
+    double sum = 0.0;
+    uint32_t a;
+    for (a = 0; a < 3; a++) sum += c->cell[a] * c->size[a] * c->cell[a] * c->size[a];
+    return (float)sqrt(sum);
+}
+
 VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_gi *gi, const voxrt_gbuffer *gbuffer,
                                        float *direct, float *indirect, voxrt_stats *stats) {
     voxrt_gi_render_desc d;
     voxrti_gather w;
     voxrti_mem mem;
     voxrt_result r;
-    uint32_t a;
-    double diagonal = 0.0;
     memset(&w, 0, sizeof w);
     if (desc != NULL) d = *desc;
     else memset(&d, 0, sizeof d);
@@ -15403,8 +15409,6 @@ VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_g
             return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no G-buffer, or a side over 65535");
     r = voxrti_env_open(&d.env, &mem);
     if (r != VOXRT_OK) return r;
-    for (a = 0; a < 3; a++)
-        diagonal += gi->columns->cell[a] * gi->columns->size[a] * gi->columns->cell[a] * gi->columns->size[a];
     w.d = &d;
     w.gi = gi;
     w.g = gbuffer;
@@ -15412,7 +15416,7 @@ VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_g
     w.indirect = indirect;
     w.rays = d.rays != 0 ? d.rays : 16;
     w.bounces = d.method == VOXRT_GI_PATH && d.bounces != 0 ? d.bounces : 1;
-    w.radius = d.radius > 0.0f ? d.radius : (float)sqrt(diagonal);
+    w.radius = d.radius > 0.0f ? d.radius : voxrti_columns_reach(gi->columns);
     w.isa = (int)voxrt_isa_best();
     if (d.isa != VOXRT_ISA_AUTO && (int)d.isa < w.isa) w.isa = (int)d.isa;
     w.want_stats = stats != NULL;
@@ -15492,12 +15496,9 @@ VOXRT_DEF voxrt_result voxrt_gi_bounce(voxrt_gi *gi, const voxrt_env *env, uint3
     voxrti_bounce b;
     uint32_t *next[2] = {NULL, NULL}, l;
     voxrt_result r = VOXRT_OK;
-    double diagonal = 0.0;
     if (gi == NULL || !(weight >= 0.0f && weight <= 1.0f) || rays > 1u << 20) return VOXRT_ERR_INVALID_ARG;
     memset(&b, 0, sizeof b);
     if (env != NULL) b.desc.env = *env;
-    for (l = 0; l < 3; l++)
-        diagonal += gi->columns->cell[l] * gi->columns->size[l] * gi->columns->cell[l] * gi->columns->size[l];
     b.gi = gi;
     b.weight = weight > 0.0f ? weight : 1.0f;
     b.seed = voxrti_hash32(seed);
@@ -15505,7 +15506,7 @@ VOXRT_DEF voxrt_result voxrt_gi_bounce(voxrt_gi *gi, const voxrt_env *env, uint3
     b.gather.gi = gi;
     b.gather.rays = rays != 0 ? rays : 16;
     b.gather.bounces = 1;
-    b.gather.radius = (float)sqrt(diagonal);
+    b.gather.radius = voxrti_columns_reach(gi->columns);
     b.gather.isa = (int)voxrt_isa_best();
     for (l = 0; l < 2 && r == VOXRT_OK; l++) {
         if (gi->layer[l].count == 0) continue;
