@@ -446,7 +446,7 @@ static bench_row g_rows[] = {
     {"edit", "change of the transfer function, exact (full 3D table of 128^2 x 64)", "ms", "", "", ""}
 };
 
-static bench_table g_table = {g_rows, sizeof g_rows / sizeof g_rows[0], 
+static bench_table g_table = {g_rows, sizeof g_rows / sizeof g_rows[0],
                               "512x512 pixels, one core by CPU time, the default instruction set", "table_tetcast.md"};
 #define table_set(...) bench_table_set(&g_table, __VA_ARGS__)
 
