@@ -966,16 +966,16 @@ TETCAST_DEF tetcast_isa tetcast_isa_best(void); /* what TETCAST_ISA_AUTO picks o
 extern "C" {
 #endif
 
-/* Levels: 1 scalar, 2 SSE (4.1), 3 AVX2 with BMI2 and POPCNT. */
+/* Levels: 1 scalar, 2 SSE 4.1 with POPCNT, 3 AVX2 with BMI2 and POPCNT. */
 TETCASTI_UNUSED static int tetcasti_cpu_level(void) {
 #if TETCASTI_X64 && !defined(_MSC_VER)
-    int level = __builtin_cpu_supports("sse4.1") ? 2 : 1;
+    int level = __builtin_cpu_supports("sse4.1") && __builtin_cpu_supports("popcnt") ? 2 : 1;
     if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("bmi2") && __builtin_cpu_supports("popcnt")) level = 3;
     return level;
 #elif TETCASTI_X64
     int r[4];
     __cpuid(r, 1);
-    if ((r[2] & (1 << 19)) == 0) return 1;
+    if ((r[2] & (1 << 19)) == 0 || (r[2] & (1 << 23)) == 0) return 1;
     if ((r[2] & (1 << 27)) == 0 || (_xgetbv(0) & 6) != 6) return 2;
     __cpuidex(r, 7, 0);
     return (r[1] >> 5) & 1 ? 3 : 2;
