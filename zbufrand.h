@@ -3022,7 +3022,7 @@ static void zbufrandi_segment_task(void *ctx, uint32_t task) {
     if (end > pj->valid) end = pj->valid;
     while (at < end) {
         uint8_t *tri = j->s->triangle + 3 * ((size_t)j->first_triangle + at);
-        uint32_t n = 0, cut;
+        uint32_t n = 0, cut, used = 0; /* vertices of the triangles up to the cut */
         uint64_t highest = 0;
         w.id = j->id + 3 * (size_t)task * ZBUFRANDI_SEGMENT + first_vertex;
         w.now++;
@@ -3039,6 +3039,7 @@ static void zbufrandi_segment_task(void *ctx, uint32_t task) {
             tri[3 * n + 1] = (uint8_t)local[pj->mirrored ? 2 : 1]; /* outside stays outside */
             tri[3 * n + 2] = (uint8_t)local[pj->mirrored ? 1 : 2];
             vertices_after[n] = (uint16_t)w.count;
+            used = w.count;
         }
         cut = n;
         if (at + n < end) { /* cut where the curve leaves the largest cell: rounder clusters */
@@ -3049,13 +3050,14 @@ static void zbufrandi_segment_task(void *ctx, uint32_t task) {
                     cut = (uint32_t)k;
                 }
             }
+            if (cut < n) used = vertices_after[cut - 1];
         }
         memset(&out[clusters], 0, sizeof out[clusters]);
         out[clusters].first_vertex = first_vertex;
         out[clusters].first_triangle = j->first_triangle + (uint32_t)at;
-        out[clusters].vertex_count = vertices_after[cut - 1];
+        out[clusters].vertex_count = (uint16_t)used;
         out[clusters].triangle_count = (uint8_t)cut;
-        first_vertex += vertices_after[cut - 1];
+        first_vertex += used;
         clusters++;
         at += cut;
     }
@@ -3659,7 +3661,8 @@ static void zbufrandi_measure_cluster(const zbufrandi_structure *s, uint32_t ind
         center[a] = (l->lo[a] + l->hi[a]) * 0.5f;
     }
     shape->sum[0] = 0.0;
-    for (t = 0; t < c->triangle_count; t++) {
+    t = 0;
+    do { /* a cluster has a triangle at least */
         const float *p = position + 3 * tri[3 * t], *q = position + 3 * tri[3 * t + 1],
             *r = position + 3 * tri[3 * t + 2];
         double n[3], len, o, sign = 1.0, e;
@@ -3683,7 +3686,7 @@ static void zbufrandi_measure_cluster(const zbufrandi_structure *s, uint32_t ind
         }
         o_lo = o < o_lo ? o : o_lo;
         o_hi = o > o_hi ? o : o_hi;
-    }
+    } while (++t < c->triangle_count);
     length = sqrt(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2]);
     if (length > 1e-6 * (double)c->triangle_count) {
         for (a = 0; a < 3; a++) {
@@ -3757,7 +3760,7 @@ static void zbufrandi_cluster_set(zbufrandi_build *b, uint32_t index, const zbuf
     const zbufrandi_cluster *c = &s->cluster[index];
     const float *position = s->position + 3 * (size_t)c->first_vertex;
     uint32_t seed = zbufrandi_hash32(b->scene->seed ^ zbufrandi_hash32(b->index ^ zbufrandi_hash32(index)));
-    uint32_t k, t = 0, last = c->triangle_count - 1u, at_u = zbufrandi_hash32(seed), at_v = zbufrandi_hash32(at_u), a;
+    uint32_t k, t = 0, at_u = zbufrandi_hash32(seed), at_v = zbufrandi_hash32(at_u), a;
     double area = shape->sum[c->triangle_count];
     for (k = 0; k < ZBUFRANDI_SET; k++) {
         size_t to = (size_t)index * ZBUFRANDI_SET + zbufrandi_reverse6(k);
@@ -3768,7 +3771,7 @@ static void zbufrandi_cluster_set(zbufrandi_build *b, uint32_t index, const zbuf
         double q[3];
         float bary[3], u, v;
         uint32_t *word;
-        while (t < last && shape->sum[t + 1] <= y) t++;
+        while (t + 1 < c->triangle_count && shape->sum[t + 1] <= y) t++;
         at_u += 3242174889u; /* plastic number: 1/g and 1/g^2 of 2^32 */
         at_v += 2447445414u;
         u = zbufrandi_unit24(at_u);
@@ -3989,7 +3992,7 @@ static void zbufrandi_node_finish(zbufrandi_build *b, uint32_t index) {
     double sum[9], y, start;
     uint32_t i, k, seed = zbufrandi_hash32(b->scene->seed ^ zbufrandi_hash32(~b->index ^ zbufrandi_hash32(index)));
     size_t first = ((size_t)s->cluster_count + index) * ZBUFRANDI_SET;
-    sum[0] = 0.0;
+    memset(sum, 0, sizeof sum);
     for (i = 0; i < n->count; i++) {
         uint32_t kind = ZBUFRANDI_CHILD_KIND(n->child[i]), at = ZBUFRANDI_CHILD_INDEX(n->child[i]);
         if (kind == ZBUFRANDI_CHILD_NODE) {
@@ -5748,7 +5751,7 @@ static uint32_t zbufrandi_raster_triangle(const zbufrandi_raster *r, const zbufr
                                           const zbufrandi_raster_vertex *b, const zbufrandi_raster_vertex *c,
                                           int two_sided, uint32_t low) {
     const int64_t area = (int64_t)(b->x - a->x) * (c->y - a->y) - (int64_t)(b->y - a->y) * (c->x - a->x);
-    int32_t x0 = a->x, x1 = a->x, y0 = a->y, y1 = a->y, box[4];
+    int32_t x0, x1, y0, y1, box[4];
     const zbufrandi_raster_vertex *v[3];
     zbufrandi_raster_large t;
     /* counter-clockwise with rows counted downward: negative */
@@ -5761,12 +5764,12 @@ static uint32_t zbufrandi_raster_triangle(const zbufrandi_raster *r, const zbufr
         b = c;
         c = swap;
     }
-    if (b->x < x0) x0 = b->x;
-    if (b->x > x1) x1 = b->x;
+    x0 = a->x < b->x ? a->x : b->x;
+    x1 = a->x > b->x ? a->x : b->x;
+    y0 = a->y < b->y ? a->y : b->y;
+    y1 = a->y > b->y ? a->y : b->y;
     if (c->x < x0) x0 = c->x;
     if (c->x > x1) x1 = c->x;
-    if (b->y < y0) y0 = b->y;
-    if (b->y > y1) y1 = b->y;
     if (c->y < y0) y0 = c->y;
     if (c->y > y1) y1 = c->y;
     box[0] = zbufrandi_raster_first(x0);
@@ -6290,20 +6293,25 @@ ZBUFRANDI_INLINE float zbufrandi_pyramid_value(uint32_t bits) { /* of a tile wit
     return z;
 }
 
-/* Tile (column, row): straight from the definition, with the window cut to what is looked at. */
+/* Pixels before and after a pixel that the samples which reach it stand in; the window is cut to what is looked at. */
+ZBUFRANDI_INLINE void zbufrandi_pyramid_window(const zbufrandi_pyramid *p, int32_t *before, int32_t *after) {
+    const uint32_t most = ZBUFRANDI_PYRAMID_FILTER - 1,
+                   reach = p->reach_lo + p->reach_hi < most ? p->reach_lo + p->reach_hi : most;
+    *before = (int32_t)((reach + 1) / 2);
+    *after = (int32_t)(reach / 2);
+}
+
+/* Tile (column, row): straight from the definition. */
 static void zbufrandi_pyramid_tile(zbufrandi_pyramid *p, const zbufrandi_keys *keys, const zbufrandi_keys *exact,
                                    uint32_t column, uint32_t row) {
-    const uint32_t d = p->reach_lo + p->reach_hi + 1 < ZBUFRANDI_PYRAMID_FILTER ? p->reach_lo + p->reach_hi + 1
-                                                                                : ZBUFRANDI_PYRAMID_FILTER;
-    const int32_t before = (int32_t)(d / 2),
-                  after = (int32_t)((d - 1) / 2); /* samples that reach a pixel stand there */
     const int32_t w = (int32_t)keys->width, h = (int32_t)keys->height, x0 = (int32_t)column * 8, y0 = (int32_t)row * 8;
     uint32_t most = 0, across[8 + ZBUFRANDI_PYRAMID_FILTER - 1][8];
-    int32_t x, y, k;
+    int32_t before, after, x, y, k;
+    zbufrandi_pyramid_window(p, &before, &after);
+    memset(across, 255, sizeof across);
     for (y = -before; y < 8 + after; y++) {
         uint32_t *line = across[y + before];
         const uint64_t *key;
-        for (x = 0; x < 8; x++) line[x] = ~(uint32_t)0;
         if (y0 + y < 0 || y0 + y >= h) continue;
         key = keys->key + (size_t)(y0 + y) * keys->width;
         for (x = 0; x < 8; x++) {
@@ -6358,14 +6366,15 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_pyramid_tile_avx2(zbufrandi_pyramid 
             most = _mm256_max_epu32(most, z);
         }
     } else {
-        for (y = 0; y < 8 + before + after; y++) {
+        y = 0;
+        do {
             const uint64_t *line = y < before ? key - (size_t)(before - y) * keys->width
                                               : key + (size_t)(y - before) * keys->width;
             __m256i z = zbufrandi_pyramid_load(line);
             for (k = 1; k <= before; k++) z = _mm256_min_epu32(z, zbufrandi_pyramid_load(line - k));
             for (k = 1; k <= after; k++) z = _mm256_min_epu32(z, zbufrandi_pyramid_load(line + k));
             across[y] = z;
-        }
+        } while (++y < 8 + before + after);
         for (y = 0; y < 8; y++) {
             __m256i z = across[y];
             for (k = 1; k <= before + after; k++) z = _mm256_min_epu32(z, across[y + k]);
@@ -6384,17 +6393,16 @@ static ZBUFRANDI_UNUSED void zbufrandi_pyramid_tiles(zbufrandi_pyramid *p, const
                                                      uint32_t row0, uint32_t row1, int level) {
     uint32_t column, row;
 #if ZBUFRANDI_AVX2
-    const uint32_t d = p->reach_lo + p->reach_hi + 1 < ZBUFRANDI_PYRAMID_FILTER ? p->reach_lo + p->reach_hi + 1
-                                                                                : ZBUFRANDI_PYRAMID_FILTER;
-    const uint32_t before = d / 2, after = (d - 1) / 2;
+    int32_t before, after;
+    zbufrandi_pyramid_window(p, &before, &after);
     if (level == 0) level = zbufrandi_cpu_level();
 #endif
     for (row = row0; row < row1; row++) {
         for (column = column0; column < column1; column++) {
 #if ZBUFRANDI_AVX2
-            if (level >= 3 && 8 * column >= before && 8 * row >= before && 8 * column + 8 + after <= p->width &&
-                8 * row + 8 + after <= p->height) {
-                zbufrandi_pyramid_tile_avx2(p, keys, exact, column, row, (int32_t)before, (int32_t)after);
+            if (level >= 3 && 8 * column >= (uint32_t)before && 8 * row >= (uint32_t)before &&
+                8 * column + 8 + (uint32_t)after <= p->width && 8 * row + 8 + (uint32_t)after <= p->height) {
+                zbufrandi_pyramid_tile_avx2(p, keys, exact, column, row, before, after);
                 continue;
             }
 #endif
@@ -7163,6 +7171,7 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_ray_subtree_avx2(zbufrandi_ray_walk 
     const zbufrandi_structure *s = &walk->r->structure[structure];
     zbufrandi_ray_entry stack[ZBUFRANDI_RAY_STACK];
     uint32_t count = 0;
+    memset(stack, 0, sizeof stack[0]);
     for (;;) {
         const uint32_t index = ZBUFRANDI_CHILD_INDEX(child);
         if (ZBUFRANDI_CHILD_KIND(child) == ZBUFRANDI_CHILD_NODE) {
@@ -7406,9 +7415,9 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_ray_cluster8(zbufrandi_ray_bundle *b
         _mm256_storeu_ps(first0[a], _mm256_mul_ps(_mm256_sub_ps(zero, _mm256_loadu_ps(p->before[a])), inverse));
         _mm256_storeu_ps(last0[a], _mm256_mul_ps(_mm256_sub_ps(zero, _mm256_loadu_ps(p->after[a])), inverse));
     }
+    memset(groups, 0, sizeof groups);
     for (rays = mask; rays != 0; rays &= rays - 1) {
         i = zbufrandi_ctz64(rays);
-        groups[i] = 0;
         for (h = 0; h < 2; h++) {
             __m256 enter = _mm256_set1_ps(p->t_min[i]), leave = _mm256_set1_ps(p->t_max[i]);
             for (a = 0; a < 3; a++) {
@@ -10441,6 +10450,7 @@ static void zbufrandi_gauss_columns(void *ctx, uint32_t task) {
             int64_t at = (int64_t)y + c->shift;
             int32_t k;
             n = c->width - x0 < ZBUFRANDI_STRIP ? c->width - x0 : (uint32_t)ZBUFRANDI_STRIP;
+            memset(acc, 0, sizeof acc);
             for (i = 0; i < 4 * n; i++) acc[i] = c->weight[0] * column[(size_t)at * pitch + i];
             for (k = 1; k < c->taps; k++) {
                 const float *a = at - k >= 0 ? column + (size_t)(at - k) * pitch : zero;
@@ -10768,6 +10778,7 @@ static void zbufrandi_suspect_round(const zbufrandi_suspects *c, uint32_t round)
 static zbufrand_result zbufrandi_suspect_desc(const zbufrand_suspect_desc *desc, zbufrandi_suspects *c,
                                               zbufrandi_mem *mem) {
     zbufrand_result r;
+    memset(c, 0, sizeof *c);
     if (desc == NULL) return ZBUFRAND_ERR_INVALID_ARG;
     if (desc->_begin_zero != 0 || desc->_end_zero != 0) return ZBUFRAND_ERR_UNINIT_DESC;
     r = zbufrandi_env_open(&desc->env, mem);
@@ -10777,7 +10788,6 @@ static zbufrand_result zbufrandi_suspect_desc(const zbufrand_suspect_desc *desc,
     if (!(desc->tolerance >= 0.0f && desc->tolerance < 1.0f)) {
         return zbufrandi_fail(desc->env.error, ZBUFRAND_ERR_INVALID_ARG, 0, "tolerance is not in [0, 1)");
     }
-    memset(c, 0, sizeof *c);
     c->width = desc->width;
     c->height = desc->height;
     c->keep = 1.0f - (desc->tolerance > 0.0f ? desc->tolerance : 0.01f);
@@ -11508,9 +11518,11 @@ static void zbufrandi_shade_row(const zbufrandi_shade *c, const uint64_t *keys, 
     }
     for (x = 0; x < width; x++) {
         float *p = rgba + 4 * (size_t)x;
-        if (keys[x] == ZBUFRANDI_EMPTY) p[0] = p[1] = p[2] = p[3] = 0.0f;
-        else if (x > 0 && zbufrandi_same_sample(keys[x - 1], keys[x])) memcpy(p, p - 4, 16);
-        else if (above != 0 && zbufrandi_same_sample(*(keys + x - above), keys[x])) memcpy(p, p - 4 * above, 16);
+        const float *same = NULL;
+        if (keys[x] == ZBUFRANDI_EMPTY) memset(p, 0, 16);
+        else if (x > 0 && zbufrandi_same_sample(keys[x - 1], keys[x])) same = p - 4;
+        else if (above != 0 && zbufrandi_same_sample(*(keys + x - above), keys[x])) same = p - 4 * above;
+        if (same != NULL) memcpy(p, same, 16);
     }
 }
 
@@ -11862,8 +11874,8 @@ static void zbufrandi_compose_task(void *ctx, uint32_t task) {
                 if (c->coverage != NULL) c->coverage[at * l->layers + k] = alpha;
                 if (!(n > 0.0f)) continue;
                 for (i = 0; i < 3; i++) {
-                    double sum = (double)zbufrandi_tally(&l->layer[k].sum[6 * at + 2 * i]) / 65536.0;
-                    out[i] = out[i] + open * alpha * (float)(sum / (double)n);
+                    const uint32_t *tally = l->layer[k].sum + 6 * at + 2 * i;
+                    out[i] = out[i] + open * alpha * (float)((double)zbufrandi_tally(tally) / 65536.0 / (double)n);
                 }
                 open = open * (1.0f - alpha);
             }
@@ -12184,7 +12196,7 @@ static void zbufrandi_adaptive_task(void *ctx, uint32_t task) { /* then: history
     const zbufrandi_accumulate *c = (const zbufrandi_accumulate *)ctx;
     zbufrand_accumulator *a = c->a;
     zbufrandi_change ring[3][ZBUFRANDI_CHANGE_COLUMNS + 2], column[ZBUFRANDI_CHANGE_COLUMNS + 2], sum;
-    uint32_t y0 = task * 16, end = y0 + 16 < a->height ? y0 + 16 : a->height, x0, x, y, n, i;
+    uint32_t y0 = task * 16, end = y0 + 16 < a->height ? y0 + 16 : a->height, x0, y, n, i;
     float limit = a->change * a->change;
     for (x0 = 0; x0 < a->width; x0 += ZBUFRANDI_CHANGE_COLUMNS) {
         n = a->width - x0 < ZBUFRANDI_CHANGE_COLUMNS ? a->width - x0 : (uint32_t)ZBUFRANDI_CHANGE_COLUMNS;
@@ -12198,7 +12210,7 @@ static void zbufrandi_adaptive_task(void *ctx, uint32_t task) { /* then: history
                 zbufrandi_change_sum(&column[i], &ring[(y + 2) % 3][i], &ring[y % 3][i], &ring[(y + 1) % 3][i]);
             }
             for (i = 0; i < n; i++) {
-                size_t q = (size_t)y * a->width + (x = x0 + i);
+                size_t q = (size_t)y * a->width + x0 + i;
                 float *mean = a->now.mean + 4 * q, *square = a->now.square + 4 * q, seen, w;
                 const float *sample = c->rgba + 4 * q;
                 memcpy(mean, a->then.mean + 4 * q, 16);
@@ -15091,12 +15103,13 @@ ZBUFRANDI_INLINE uint32_t zbufrandi_reverse12(uint32_t x) {
 
 /* ---- points of a cluster ---- */
 
-static void zbufrandi_areas_of(const zbufrandi_structure *s, const zbufrandi_cluster *c, zbufrandi_areas *m) {
+/* The area of all (twice), and where the triangles lie in it: a cluster has one at least. */
+static float zbufrandi_areas_of(const zbufrandi_structure *s, const zbufrandi_cluster *c, zbufrandi_areas *m) {
     const float *position = s->position + 3 * (size_t)c->first_vertex;
     const uint8_t *tri = s->triangle + 3 * (size_t)c->first_triangle;
     float sum = 0.0f;
-    uint32_t t;
-    for (t = 0; t < c->triangle_count; t++) {
+    uint32_t t = 0;
+    do {
         const float *p = position + 3 * tri[3 * t], *q = position + 3 * tri[3 * t + 1],
             *r = position + 3 * tri[3 * t + 2];
         const float ux = q[0] - p[0], uy = q[1] - p[1], uz = q[2] - p[2], vx = r[0] - p[0], vy = r[1] - p[1],
@@ -15107,7 +15120,8 @@ static void zbufrandi_areas_of(const zbufrandi_structure *s, const zbufrandi_clu
         m->normal[t][1] = y / length;
         m->normal[t][2] = z / length;
         m->sum[t] = sum += length;
-    }
+    } while (++t < c->triangle_count);
+    return sum;
 }
 
 #if ZBUFRANDI_AVX2
@@ -15141,8 +15155,8 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_rows8(__m256 x, __m256 y, 
     _mm256_storeu_ps(out[6], _mm256_permute2f128_ps(r2, r3, 0x31));
 }
 
-ZBUFRANDI_TARGET_AVX2 static void zbufrandi_areas_avx2(const zbufrandi_structure *s, const zbufrandi_cluster *c,
-                                                       zbufrandi_areas *m) {
+ZBUFRANDI_TARGET_AVX2 static float zbufrandi_areas_avx2(const zbufrandi_structure *s, const zbufrandi_cluster *c,
+                                                        zbufrandi_areas *m) {
     const float *position = s->position + 3 * (size_t)c->first_vertex;
     const uint8_t *tri = s->triangle + 3 * (size_t)c->first_triangle;
     float sum = 0.0f;
@@ -15168,6 +15182,7 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_areas_avx2(const zbufrandi_structure
         _mm256_storeu_ps(m->sum + i, length);
     }
     for (i = 0; i < c->triangle_count; i++) m->sum[i] = sum += m->sum[i];
+    return sum;
 }
 #endif
 
@@ -15216,16 +15231,13 @@ ZBUFRANDI_INLINE zbufrandi_at zbufrandi_triangle_end(const zbufrandi_areas *m, u
     return at;
 }
 
-static void zbufrandi_measure_areas(const zbufrandi_points_job *j, const zbufrandi_structure *s,
-                                    const zbufrandi_cluster *c, zbufrandi_areas *m) {
+static float zbufrandi_measure_areas(const zbufrandi_points_job *j, const zbufrandi_structure *s,
+                                     const zbufrandi_cluster *c, zbufrandi_areas *m) {
 #if ZBUFRANDI_AVX2
-    if (j->level >= 3) {
-        zbufrandi_areas_avx2(s, c, m);
-        return;
-    }
+    if (j->level >= 3) return zbufrandi_areas_avx2(s, c, m);
 #endif
     (void)j;
-    zbufrandi_areas_of(s, c, m);
+    return zbufrandi_areas_of(s, c, m);
 }
 
 /* The `count` points asked for of one cluster, which covers begin..end of the scale. */
@@ -15242,8 +15254,7 @@ static void zbufrandi_points_cluster(const zbufrandi_points_job *j, const zbufra
     float k, move[3][4];
     uint32_t i, t = 0, last = c->triangle_count - 1u;
     int a, b;
-    zbufrandi_measure_areas(j, s, c, &m);
-    k = (float)((end - begin) / (double)m.sum[last]);
+    k = (float)((end - begin) / (double)zbufrandi_measure_areas(j, s, c, &m));
     at = zbufrandi_triangle_end(&m, 0, first.part, k);
     for (a = 0; a < 3; a++) for (b = 0; b < 4; b++) move[a][b] = (float)place->m[a][b];
     for (i = 0; i < count; i++) {
@@ -15392,8 +15403,7 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_page_cluster(zbufrandi_points_job *j
     __m256 k;
     uint32_t i, t, before, at, size, n = c->triangle_count;
     int a, b;
-    zbufrandi_areas_avx2(s, c, &m);
-    k = _mm256_set1_ps((float)((end - begin) / (double)m.sum[n - 1]));
+    k = _mm256_set1_ps((float)((end - begin) / (double)zbufrandi_areas_avx2(s, c, &m)));
     for (a = 0; a < 3; a++) {
         for (b = 0; b < 4; b++) {
             move[a][b] = (float)place->m[a][b];
@@ -15432,7 +15442,7 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_page_cluster(zbufrandi_points_job *j
             __m256 ax, ay, az, bx, by, bz, cx, cy, cz, u, v, w, x, y, less;
             float out[8][4];
             uint32_t index[8], tt[8], here;
-            for (i = 0; i < 8; i++) tt[i] = m.triangle[at + i < size ? at + i : size - 1];
+            for (i = 0; i < 8; i++) tt[i] = m.triangle[at + i < size ? at + i : at]; /* those too many do not count */
             zbufrandi_fetch3(position, tri, tt, 0, &ax, &ay, &az);
             zbufrandi_fetch3(position, tri, tt, 1, &bx, &by, &bz);
             zbufrandi_fetch3(position, tri, tt, 2, &cx, &cy, &cz);
@@ -15586,6 +15596,7 @@ static void zbufrandi_points_page(zbufrandi_points_job *j, zbufrandi_asked *aske
     zbufrandi_place_at place;
     uint32_t run, c, n = 0, chapter_key[ZBUFRANDI_OFFSETS];
     zbufrandi_points_open(j, key, &place);
+    memset(chapter_key, 0, sizeof chapter_key);
     for (c = first; c <= last; c++) chapter_key[c] = zbufrandi_chapter_key(key, c);
     for (run = 0; run < ZBUFRANDI_RUNS; run++) {
         uint64_t wanted[ZBUFRANDI_OFFSETS / 64];
@@ -15593,6 +15604,7 @@ static void zbufrandi_points_page(zbufrandi_points_job *j, zbufrandi_asked *aske
         uint32_t w;
         zbufrandi_offsets(zbufrandi_hash32(key ^ zbufrandi_hash32(run + 1000)), first, last + 1, offset);
         memset(wanted, 0, sizeof wanted);
+        memset(chapter, 0, sizeof chapter);
         for (c = first; c <= last; c++) {
             chapter[offset[c]] = (uint8_t)c;
             wanted[offset[c] >> 6] |= (uint64_t)1 << (offset[c] & 63u);
@@ -15725,7 +15737,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_surface_points(const zbufrand_scene *scene
             j.normals = normals != NULL ? normals + 3 * done : NULL;
             j.rgb = rgb != NULL ? rgb + 3 * done : NULL;
             j.triangles = triangles != NULL ? triangles + 2 * done : NULL;
-            if (j.independent) zbufrandi_points_independent(&j, asked, sorted, seed, at, end - begin);
+            if (sorted != NULL) zbufrandi_points_independent(&j, asked, sorted, seed, at, end - begin);
             else if (j.wait != NULL && end - begin == size) zbufrandi_points_whole(&j, key);
             else zbufrandi_points_page(&j, asked, key, begin, end);
             done += end - begin;
