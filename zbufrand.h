@@ -1940,11 +1940,16 @@ ZBUFRANDI_INLINE void zbufrandi_key_min(uint64_t *at, uint64_t key) { if (key < 
                  word 0   bits 0..10 x, 11..20 y, 21..30 z in the box of the set, bit 31: seen from both sides
                  word 1   bits 0..15, 16..31: octahedral geometric normal
              Set of cluster i: i. Set of node i: cluster_count + i. An instance uses the set of its structure's node
-             0. */
+             0.
+   views     what many instances share is mostly seen from afar, where half of its area and more faces away: four more
+             sets for each of 96 directions of view v, in which a point with normal n is as likely as
+             min(1, n . v + reach) makes it (seen from both sides: |n . v|). Sets of direction i: first_view + 4 i. */
 
 #define ZBUFRANDI_CLUSTER_TRIANGLES 128
 #define ZBUFRANDI_CLUSTER_VERTICES 256
 #define ZBUFRANDI_SET 64
+#define ZBUFRANDI_VIEWS 96       /* directions: 4 x 4 cells on each side of a cube */
+#define ZBUFRANDI_VIEW_SETS 4
 
 enum { ZBUFRANDI_CHILD_NODE = 0, ZBUFRANDI_CHILD_CLUSTER = 1, ZBUFRANDI_CHILD_INSTANCE = 2, ZBUFRANDI_CHILD_NONE = 3 };
 #define ZBUFRANDI_CHILD(kind, index) ((uint32_t)(kind) << 30 | (uint32_t)(index))
@@ -1987,6 +1992,12 @@ typedef struct zbufrandi_instance {
     uint32_t hidden;            /* 1: not drawn: in no tree */
 } zbufrandi_instance;
 
+typedef struct zbufrandi_view { /* a direction of view: from the structure to the eye */
+    float axis[3];                  /* unit, middle of the cell */
+    float reach;                    /* no direction of the cell, nor that of a point as seen from another, is further */
+    float area;                     /* of the structure, each point times min(1, n . axis + reach) */
+} zbufrandi_view;
+
 typedef struct zbufrandi_structure {
     double origin[3];
     float *position;                /* [3 * vertex_count], and 96 bytes more that may be read */
@@ -1994,7 +2005,8 @@ typedef struct zbufrandi_structure {
     zbufrandi_cluster *cluster;
     zbufrandi_node8 *node;          /* node 0 is the root; children come after their parent; none: node_count 0 */
     zbufrandi_instance *instance;
-    uint32_t *set;                  /* [(cluster_count + node_count) * 64 * 2] */
+    uint32_t *set;                  /* [(cluster_count + node_count) * 64 * 2], and views */
+    zbufrandi_view *view;           /* [ZBUFRANDI_VIEWS]; NULL: none */
     uint16_t *vertex_normal;        /* octahedral 8+8 per vertex; NULL: no mesh of the structure has normals */
     uint8_t *vertex_rgb;            /* sRGB, 3 per vertex; NULL: no mesh has any */
     uint8_t *triangle_rgb;          /* sRGB, 3 per triangle; NULL: no mesh has any */
@@ -2003,6 +2015,7 @@ typedef struct zbufrandi_structure {
     uint16_t *set_normal;           /* octahedral 8+8 shading normals; NULL: the geometric ones */
     uint32_t *set_material;         /* NULL: all as `material` */
     uint32_t vertex_count, triangle_count, cluster_count, node_count, instance_count;
+    uint32_t first_view;            /* set of the first direction of view; 0: there are none, or an edit spoilt them */
     uint32_t material;
     float box_lo[3], box_hi[3];     /* of everything, rounded outwards */
     struct zbufrandi_lists *lists;  /* the thesis' trees; NULL: not asked for */
@@ -4034,6 +4047,7 @@ static void zbufrandi_structure_free(zbufrandi_mem *mem, zbufrandi_structure *s)
     zbufrandi_free(mem, s->node);
     zbufrandi_free(mem, s->instance);
     zbufrandi_free(mem, s->set);
+    zbufrandi_free(mem, s->view);
     zbufrandi_free(mem, s->vertex_normal);
     zbufrandi_free(mem, s->vertex_rgb);
     zbufrandi_free(mem, s->triangle_rgb);
@@ -4320,6 +4334,203 @@ static zbufrand_result zbufrandi_build_structure(zbufrandi_build *b) {
     return zbufrandi_build_over(b);
 }
 
+/* ---- build: stored points for directions of view ---- */
+
+enum {
+    ZBUFRANDI_VIEW_LANES = 64,     /* children that the points of views are taken from, 64 of each */
+    ZBUFRANDI_VIEW_LANES_LEAST = 8,
+    ZBUFRANDI_VIEW_INSTANCES = 32  /* fewer of them are not worth the memory */
+};
+/* Views are for an eye at least this many times as far away as the corners of the box from its middle; directions to it
+   then differ by less than 1/16 over the structure. */
+#define ZBUFRANDI_VIEW_DISTANCE 17.0f
+#define ZBUFRANDI_VIEW_PARALLAX 0.0625
+
+/* Cell of a direction: the side of the cube, and which quarter of its right angle along both other axes. */
+ZBUFRANDI_INLINE uint32_t zbufrandi_view_cell(const float v[3]) {
+    const float x = zbufrandi_absf(v[0]), y = zbufrandi_absf(v[1]), z = zbufrandi_absf(v[2]);
+    const uint32_t side = x >= y && x >= z ? 0u : y >= z ? 1u : 2u, next = side == 2 ? 0u : side + 1u;
+    const float a = v[next], b = v[3u - side - next], most = side == 0 ? x : side == 1 ? y : z;
+    const float part = most * 0.41421356f;
+    return (2 * side + (v[side] < 0.0f)) * 16u + (uint32_t)(a > 0.0f - part) + (uint32_t)(a > 0.0f) +
+        (uint32_t)(a > part) + 4u * ((uint32_t)(b > 0.0f - part) + (uint32_t)(b > 0.0f) + (uint32_t)(b > part));
+}
+
+/* The direction at a corner of a cell, 0, 0 to 1, 1, or in its middle: 1/2. */
+static void zbufrandi_view_at(uint32_t cell, double i, double j, double v[3]) {
+    const uint32_t side = cell / 32u, next = side == 2 ? 0u : side + 1u;
+    const double quarter = 0.25 * 1.57079632679489662;
+    double s, c;
+    zbufrandi_sincos(((double)(cell & 3u) + i - 2.0) * quarter, &s, &c);
+    v[next] = s / c;
+    zbufrandi_sincos(((double)(cell >> 2 & 3u) + j - 2.0) * quarter, &s, &c);
+    v[3u - side - next] = s / c;
+    v[side] = (cell & 16u) != 0 ? -1.0 : 1.0;
+    c = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+    for (cell = 0; cell < 3; cell++) v[cell] /= c;
+}
+
+static void zbufrandi_view_open(uint32_t cell, zbufrandi_view *view) {
+    double c[3], v[3], most = 0.0;
+    int k, a;
+    zbufrandi_view_at(cell, 0.5, 0.5, c);
+    for (k = 0; k < 4; k++) { /* the corners are furthest */
+        double d = 0.0;
+        zbufrandi_view_at(cell, (double)(k & 1), (double)(k >> 1), v);
+        for (a = 0; a < 3; a++) d += (v[a] - c[a]) * (v[a] - c[a]);
+        most = zbufrandi_max(most, d);
+    }
+    for (a = 0; a < 3; a++) view->axis[a] = (float)c[a];
+    view->reach = (float)(sqrt(most) + ZBUFRANDI_VIEW_PARALLAX + 1e-4);
+}
+
+/* How likely a point with this normal (of any length) is among those of a view. */
+ZBUFRANDI_INLINE float zbufrandi_view_weight(const zbufrandi_view *view, const float n[3], float length,
+                                             int two_sided) {
+    float d = view->axis[0] * n[0] + view->axis[1] * n[1] + view->axis[2] * n[2];
+    if (two_sided && d < 0.0f) d = 0.0f - d;
+    d = d + view->reach * length;
+    return d < length ? d : length;
+}
+
+typedef struct zbufrandi_view_job {
+    zbufrandi_build *b;
+    struct { uint32_t node, lane; } from[ZBUFRANDI_VIEW_LANES + 8];
+    double sum[ZBUFRANDI_VIEW_LANES * ZBUFRANDI_SET + 1];
+    float normal[ZBUFRANDI_VIEW_LANES * ZBUFRANDI_SET][4]; /* unit; seen from both sides */
+    uint32_t count;
+} zbufrandi_view_job;
+
+/* Lanes that cover the structure: the largest node is opened, until there are enough. In the order of the tree. */
+static void zbufrandi_view_lanes(zbufrandi_view_job *j) {
+    const zbufrandi_structure *s = j->b->s;
+    uint32_t i, k, most;
+    for (j->count = 0; j->count < s->node[0].count; j->count++) {
+        j->from[j->count].node = 0;
+        j->from[j->count].lane = j->count;
+    }
+    for (;;) {
+        float area = -1.0f;
+        const zbufrandi_node8 *n;
+        for (i = 0, most = 0; i < j->count; i++) {
+            n = &s->node[j->from[i].node];
+            if (ZBUFRANDI_CHILD_KIND(n->child[j->from[i].lane]) != ZBUFRANDI_CHILD_NODE) continue;
+            if (n->area[j->from[i].lane] > area) {
+                area = n->area[j->from[i].lane];
+                most = i;
+            }
+        }
+        if (area < 0.0f) return;
+        i = ZBUFRANDI_CHILD_INDEX(s->node[j->from[most].node].child[j->from[most].lane]);
+        n = &s->node[i];
+        if (j->count + n->count - 1 > ZBUFRANDI_VIEW_LANES) return;
+        memmove(&j->from[most + n->count], &j->from[most + 1], (j->count - most - 1) * sizeof j->from[0]);
+        for (k = 0; k < n->count; k++) {
+            j->from[most + k].node = i;
+            j->from[most + k].lane = k;
+        }
+        j->count += n->count - 1;
+    }
+}
+
+/* Normals of the points of all lanes, in the order of their strata. */
+static void zbufrandi_view_normals(zbufrandi_view_job *j) {
+    const zbufrandi_structure *s = j->b->s;
+    uint32_t i, k;
+    for (i = 0; i < j->count; i++) {
+        const uint32_t child = s->node[j->from[i].node].child[j->from[i].lane], kind = ZBUFRANDI_CHILD_KIND(child);
+        const zbufrandi_instance *it = NULL;
+        const zbufrandi_structure *of = s;
+        size_t set = ZBUFRANDI_CHILD_INDEX(child);
+        if (kind == ZBUFRANDI_CHILD_NODE) set += s->cluster_count;
+        if (kind == ZBUFRANDI_CHILD_INSTANCE) {
+            it = &s->instance[set];
+            of = &j->b->scene->structure[it->structure];
+            set = of->cluster_count;
+        }
+        for (k = 0; k < ZBUFRANDI_SET; k++) {
+            const uint32_t *word = of->set + zbufrandi_set_at(set * ZBUFRANDI_SET + zbufrandi_reverse6(k));
+            float *n = j->normal[i * ZBUFRANDI_SET + k];
+            zbufrandi_oct32_decode(word[8], n);
+            if (it != NULL) zbufrandi_instance_rotate(it, n);
+            n[3] = word[0] >> 31 != 0 ? 1.0f : 0.0f;
+        }
+    }
+}
+
+/* Room for the sets of views behind the others. 0: no memory. */
+static int zbufrandi_view_room(zbufrandi_mem *mem, zbufrandi_structure *s) {
+    const size_t used = ((size_t)s->cluster_count + s->node_count) * ZBUFRANDI_SET,
+                 need = used + (size_t)ZBUFRANDI_VIEWS * ZBUFRANDI_VIEW_SETS * ZBUFRANDI_SET;
+    return zbufrandi_reserve(mem, (void **)&s->set, used, need, 2 * sizeof *s->set, 0) &&
+        (s->set_rgb == NULL || zbufrandi_reserve(mem, (void **)&s->set_rgb, used, need, sizeof *s->set_rgb, 0)) &&
+        (s->set_normal == NULL ||
+         zbufrandi_reserve(mem, (void **)&s->set_normal, used, need, sizeof *s->set_normal, 0)) &&
+        (s->set_material == NULL ||
+         zbufrandi_reserve(mem, (void **)&s->set_material, used, need, sizeof *s->set_material, 0));
+}
+
+/* The points of one view: equal steps over the weights of all points of the lanes. */
+static void zbufrandi_view_make(zbufrandi_view_job *j, uint32_t cell) {
+    zbufrandi_structure *s = j->b->s;
+    zbufrandi_view *view = &s->view[cell];
+    const uint32_t points = j->count * ZBUFRANDI_SET;
+    const size_t first = ((size_t)s->cluster_count + s->node_count + (size_t)cell * ZBUFRANDI_VIEW_SETS) * ZBUFRANDI_SET;
+    const float start = zbufrandi_unit24(zbufrandi_hash32(j->b->scene->seed ^ zbufrandi_hash32(
+        j->b->index ^ zbufrandi_hash32(cell + 0x7f4a7c15u))));
+    uint32_t i, k;
+    zbufrandi_view_open(cell, view);
+    j->sum[0] = 0.0;
+    for (i = 0; i < points; i++) {
+        const uint32_t lane = i / ZBUFRANDI_SET;
+        const float w = zbufrandi_view_weight(view, j->normal[i], 1.0f, j->normal[i][3] != 0.0f);
+        j->sum[i + 1] = j->sum[i] + (w > 0.0f ? (double)w : 0.0) *
+            (double)s->node[j->from[lane].node].area[j->from[lane].lane] / ZBUFRANDI_SET;
+    }
+    view->area = zbufrandi_float_up(j->sum[points]);
+    for (i = 0, k = 0; k < ZBUFRANDI_VIEW_SETS * ZBUFRANDI_SET; k++) {
+        const double y = ((double)k + (double)start) / (ZBUFRANDI_VIEW_SETS * ZBUFRANDI_SET) * j->sum[points];
+        const size_t to = first + k % ZBUFRANDI_VIEW_SETS * ZBUFRANDI_SET + zbufrandi_reverse6(k / ZBUFRANDI_VIEW_SETS);
+        while (i + 1 < points && j->sum[i + 1] <= y) i++;
+        zbufrandi_set_copy(j->b, &s->node[j->from[i / ZBUFRANDI_SET].node], j->from[i / ZBUFRANDI_SET].lane,
+                           zbufrandi_reverse6(i % ZBUFRANDI_SET), s->box_lo, s->box_hi, to);
+    }
+}
+
+/* Views for structures with many instances. 0: no memory. */
+static int zbufrandi_scene_views(zbufrand_scene *scene) {
+    uint32_t *uses = (uint32_t *)zbufrandi_alloc_zero(&scene->mem, scene->structure_count, sizeof *uses), i, k;
+    zbufrandi_view_job *j = NULL;
+    zbufrandi_build b;
+    int ok = uses != NULL;
+    memset(&b, 0, sizeof b);
+    b.scene = scene;
+    for (i = 0; ok && i < scene->structure_count; i++) {
+        const zbufrandi_structure *s = &scene->structure[i];
+        for (k = 0; k < s->instance_count; k++) uses[s->instance[k].structure]++;
+    }
+    for (i = 0; ok && i < scene->structure_count; i++) {
+        b.s = &scene->structure[i];
+        b.index = i;
+        if (uses[i] < ZBUFRANDI_VIEW_INSTANCES || b.s->node_count == 0) continue;
+        if (j == NULL) j = (zbufrandi_view_job *)zbufrandi_alloc(&scene->mem, sizeof *j);
+        ok = j != NULL;
+        if (!ok) break;
+        j->b = &b;
+        zbufrandi_view_lanes(j);
+        if (j->count < ZBUFRANDI_VIEW_LANES_LEAST) continue;
+        b.s->view = (zbufrandi_view *)zbufrandi_alloc_zero(&scene->mem, ZBUFRANDI_VIEWS, sizeof *b.s->view);
+        ok = b.s->view != NULL && zbufrandi_view_room(&scene->mem, b.s);
+        if (!ok) break;
+        zbufrandi_view_normals(j);
+        for (k = 0; k < ZBUFRANDI_VIEWS; k++) zbufrandi_view_make(j, k);
+        b.s->first_view = b.s->cluster_count + b.s->node_count;
+    }
+    zbufrandi_free(&scene->mem, j);
+    zbufrandi_free(&scene->mem, uses);
+    return ok;
+}
+
 static void zbufrandi_live_totals(const zbufrand_scene *scene, zbufrand_scene_info *info);
 
 /* A removed node may be given out again. */
@@ -4421,6 +4632,9 @@ ZBUFRAND_DEF zbufrand_result zbufrand_scene_build(zbufrand_scene *scene, const z
         }
     }
     zbufrandi_free(&scene->mem, order);
+    if (r == ZBUFRAND_OK && !zbufrandi_scene_views(scene)) {
+        r = zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_NO_MEMORY, 0, "no memory for stored points");
+    }
     if (r == ZBUFRAND_OK && !zbufrandi_scene_rays(scene)) {
         r = zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_NO_MEMORY, 0, "no memory for rays");
     }
@@ -7629,7 +7843,7 @@ typedef struct zbufrandi_draw { /* 64 bytes */
     uint32_t aux;
 } zbufrandi_draw;
 /* flat: normals within 60 degrees, planes tell depths */
-enum { ZBUFRANDI_STORED_TWO_SIDED = 1, ZBUFRANDI_STORED_FLAT = 2 };
+enum { ZBUFRANDI_STORED_TWO_SIDED = 1, ZBUFRANDI_STORED_FLAT = 2, ZBUFRANDI_STORED_VIEW = 4 };
 
 typedef struct zbufrandi_cut { /* what is the same for all of a frame's selection */
     const zbufrand_scene *scene;
@@ -7667,6 +7881,7 @@ typedef struct zbufrandi_counts {
 typedef struct zbufrandi_bounds { /* what was known of a draw's surface; only if asked for */
     uint64_t triangles;
     float area, h, h_min;      /* world */
+    float expected;
 } zbufrandi_bounds;
 
 typedef struct zbufrandi_pick { /* one task's memory, kept from frame to frame */
@@ -8061,12 +8276,12 @@ static uint32_t zbufrandi_hidden_children(const zbufrandi_cut *cut, const zbufra
 static int zbufrandi_pick_room(zbufrandi_mem *mem, zbufrandi_pick *p, int bounds) {
     if (zbufrandi_grow(mem, (void **)&p->stack, &p->stack_capacity, p->stack_count, (size_t)p->stack_count + 16,
                        sizeof *p->stack) &&
-        zbufrandi_grow(mem, (void **)&p->draw, &p->draw_capacity, p->draw_count, (size_t)p->draw_count + 16,
-                       sizeof *p->draw) &&
+        zbufrandi_grow(mem, (void **)&p->draw, &p->draw_capacity, p->draw_count,
+                       (size_t)p->draw_count + 8 * ZBUFRANDI_VIEW_SETS, sizeof *p->draw) &&
         zbufrandi_grow(mem, (void **)&p->local, &p->local_capacity, p->local_count, (size_t)p->local_count + 16,
                        sizeof *p->local) &&
         (!bounds || zbufrandi_grow(mem, (void **)&p->bounds, &p->bounds_capacity, p->draw_count,
-                                   (size_t)p->draw_count + 16, sizeof *p->bounds))) {
+                                   (size_t)p->draw_count + 8 * ZBUFRANDI_VIEW_SETS, sizeof *p->bounds))) {
         return 1;
     }
     p->failed = 1;
@@ -8128,6 +8343,56 @@ static void zbufrandi_emit_cluster(const zbufrandi_cut *cut, zbufrandi_pick *p, 
     }
 }
 
+/* Stored points of an instance for the direction that it is seen from, if that takes fewer of them than those for all
+   directions, and no more than there are. *expected: what that would be; changed if so. */
+static int zbufrandi_emit_view(const zbufrandi_cut *cut, zbufrandi_pick *p, const zbufrandi_local *l,
+                               uint32_t local, uint32_t hash, const zbufrandi_node8 *n, const zbufrandi_tested *t,
+                               uint32_t i, float *expected) {
+    const zbufrandi_structure *s = &cut->scene->structure[l->structure];
+    const zbufrandi_view *view;
+    float v[3], r2 = 0.0f, d2 = 0.0f, furthest, e;
+    const float z = t->z_min[i];
+    uint32_t cell, count, a, part, most;
+    zbufrandi_draw *d;
+    if (s->first_view == 0 || !(t->expected[i] < INFINITY)) return 0;
+    for (a = 0; a < 3; a++) {
+        const float half = (s->box_hi[a] - s->box_lo[a]) * 0.5f;
+        v[a] = l->eye[a] - (s->box_lo[a] + half);
+        r2 += half * half;
+        d2 += v[a] * v[a];
+    }
+    if (!(d2 > r2 * (ZBUFRANDI_VIEW_DISTANCE * ZBUFRANDI_VIEW_DISTANCE))) return 0;
+    cell = zbufrandi_view_cell(v);
+    view = &s->view[cell];
+    furthest = (sqrtf(d2) + sqrtf(r2)) * (l->scale * 1.00001f);
+    e = view->area * (l->scale * l->scale) * cut->density_f2 / (z * z) * (furthest / z);
+    if (!(e <= cut->stored * ZBUFRANDI_VIEW_SETS && e < t->expected[i])) return 0;
+    *expected = e;
+    count = (uint32_t)(e + zbufrandi_unit24(hash));
+    /* one set after the other, from any one on; of frames that will be averaged, from the same one on */
+    part = zbufrandi_hash32(cut->runs == 1 ? hash + 0x6a09e667u : l->instance * 0x9e3779b1u + cell);
+    most = ZBUFRANDI_SET / cut->runs;
+    for (a = 0; a < ZBUFRANDI_VIEW_SETS && (count > 0 || (a == 0 && cut->bounds)); a++) {
+        d = &p->draw[p->draw_count++];
+        memset(d, 0, sizeof *d);
+        memcpy(d->lo, s->box_lo, sizeof d->lo);
+        zbufrandi_set_step(s->box_lo, s->box_hi, d->step);
+        d->h_ref = furthest * l->scale;
+        d->iz_ref = 1.0f / z;
+        d->z_lo = z;
+        d->z_hi = t->z_max[i];
+        d->local = local;
+        d->item = (uint32_t)ZBUFRANDI_DRAW_STORED << ZBUFRANDI_DRAW_SHIFT |
+            (s->first_view + cell * ZBUFRANDI_VIEW_SETS + (part + a) % ZBUFRANDI_VIEW_SETS);
+        d->count = count > most ? most : count;
+        d->hash = zbufrandi_hash32(hash + a);
+        d->aux = (n->flags[i] & ZBUFRANDI_TWO_SIDED ? (uint32_t)ZBUFRANDI_STORED_TWO_SIDED : 0u) |
+                 (n->cosine[i] > 0.5f ? (uint32_t)ZBUFRANDI_STORED_FLAT : 0u) | (uint32_t)ZBUFRANDI_STORED_VIEW;
+        count -= d->count;
+    }
+    return 1;
+}
+
 ZBUFRANDI_INLINE void zbufrandi_prefetch_node(const zbufrandi_node8 *n) {
     const uint8_t *p = (const uint8_t *)n;
     uint32_t k;
@@ -8137,14 +8402,15 @@ ZBUFRANDI_INLINE void zbufrandi_prefetch_node(const zbufrandi_node8 *n) {
 /* Draw child i of a node, or open it, or enter it. */
 static void zbufrandi_pick_child(const zbufrandi_cut *cut, const zbufrandi_local *locals, zbufrandi_pick *p,
                                  uint32_t local,
-                                 const zbufrandi_node8 *n, const zbufrandi_tested *t, uint32_t i) {
+                                 const zbufrandi_node8 *n, const zbufrandi_tested *t, uint32_t i, float *expected) {
     const zbufrandi_local *l = local >= ZBUFRANDI_NEW_LOCAL ? &p->local[local - ZBUFRANDI_NEW_LOCAL] : &locals[local];
     const zbufrandi_structure *s = &cut->scene->structure[l->structure];
     uint32_t child = n->child[i], kind = ZBUFRANDI_CHILD_KIND(child), index = ZBUFRANDI_CHILD_INDEX(child), a;
     uint32_t hash = zbufrandi_child_hash(l, child);
     float e = t->expected[i], lo[3], hi[3];
     int cube = cut->hybrid == ZBUFRAND_HYBRID_CUBE && zbufrandi_in_cube(cut, l, n, i);
-    int stored = e <= cut->stored && !cube && !cut->independent && cut->hybrid != ZBUFRAND_HYBRID_ALL;
+    const int samples = !cube && !cut->independent && cut->hybrid != ZBUFRAND_HYBRID_ALL;
+    int stored = e <= cut->stored && samples;
     for (a = 0; a < 3; a++) {
         lo[a] = n->lo[a][i];
         hi[a] = n->hi[a][i];
@@ -8183,9 +8449,14 @@ static void zbufrandi_pick_child(const zbufrandi_cut *cut, const zbufrandi_local
         zbufrandi_local *k = &p->local[p->local_count++];
         zbufrandi_local_enter(cut, l, local, index, k);
         to = &cut->scene->structure[k->structure];
-        if (stored) {
-            zbufrandi_emit_stored(cut, p, k, entered, hash, to->cluster_count, to->box_lo, to->box_hi, n, t, i);
-        } else {
+        if (samples) {
+            const uint32_t draws = p->draw_count;
+            if (zbufrandi_emit_view(cut, p, k, entered, hash, n, t, i, expected)) stored = 1;
+            else if (stored)
+                zbufrandi_emit_stored(cut, p, k, entered, hash, to->cluster_count, to->box_lo, to->box_hi, n, t, i);
+            if (stored && p->draw_count == draws) p->local_count--; /* nobody needs it */
+        }
+        if (!stored) {
             zbufrandi_open_node *f = &p->stack[p->stack_count++];
             f->z = t->z_min[i];
             f->node = 0;
@@ -8243,15 +8514,18 @@ static void zbufrandi_pick_run(const zbufrandi_cut *cut, zbufrandi_mem *mem, con
         }
         first = p->stack_count;
         for (k = 0; k < count; k++) {
-            const uint32_t draws = p->draw_count;
+            uint32_t draws = p->draw_count;
+            float expected;
             i = order[k];
-            zbufrandi_pick_child(cut, locals, p, at.local, n, &t, i);
-            if (cut->bounds && p->draw_count != draws) {
+            expected = t.expected[i];
+            zbufrandi_pick_child(cut, locals, p, at.local, n, &t, i, &expected);
+            for (; cut->bounds && draws < p->draw_count; draws++) {
                 zbufrandi_bounds *b = &p->bounds[draws];
                 b->triangles = n->triangles[i];
                 b->area = n->area[i] * l->scale * l->scale;
                 b->h = t.h[i];
                 b->h_min = t.h_min[i];
+                b->expected = expected;
             }
         }
         for (i = first, k = p->stack_count; i + 1 < k; i++) { /* the nearest on top */
@@ -8299,6 +8573,7 @@ typedef struct zbufrandi_stored { /* constants of a draw, for points as grid num
     float a[3][3], t[3];       /* f x, -f y, z = a q + t */
     float n[3][3];             /* rows x / f, -y / f, z of the camera: normal for these coordinates */
     float ih_ref, iz_ref, z_lo, iz_hi;
+    const zbufrandi_view *view; /* NULL: points as likely as area makes them */
     int plane;
     uint32_t first, shift;     /* samples are taken in the order i ^ first; added to their random numbers */
 } zbufrandi_stored;
@@ -8314,7 +8589,7 @@ ZBUFRANDI_INLINE uint32_t zbufrandi_stored_first(const zbufrandi_cut *cut, const
 }
 
 static void zbufrandi_stored_begin(const zbufrandi_target *target, const zbufrandi_draw *d, const zbufrandi_local *l,
-                                   zbufrandi_stored *s) {
+                                   const zbufrandi_structure *structure, zbufrandi_stored *s) {
     float scale[3], inverse[3];
     int r, a;
     uint32_t h = zbufrandi_hash32(d->hash + 0x85ebca6bu);
@@ -8332,6 +8607,9 @@ static void zbufrandi_stored_begin(const zbufrandi_target *target, const zbufran
         }
         s->t[r] = (float)t * scale[r];
     }
+    s->view = d->aux & ZBUFRANDI_STORED_VIEW
+        ? &structure->view[((d->item & ((1u << ZBUFRANDI_DRAW_SHIFT) - 1u)) - structure->first_view) /
+                           ZBUFRANDI_VIEW_SETS] : NULL;
     s->ih_ref = 1.0f / d->h_ref;
     s->plane = target->plane && (d->aux & ZBUFRANDI_STORED_FLAT) != 0;
     s->iz_ref = d->iz_ref;
@@ -8375,6 +8653,10 @@ ZBUFRANDI_INLINE int zbufrandi_stored_sample(const zbufrandi_target *g, const zb
         k = p[2] * s->iz_ref;
         u = zbufrandi_unit24(((uint32_t)zbufrandi_accept_table[i] << 24) + s->shift) * (k * k * k);
         k = h * s->ih_ref;
+        if (s->view != NULL) { /* some were more likely than others */
+            length = zbufrandi_view_weight(s->view, v, sqrtf(length), word[0] >> 31 != 0);
+            length = length * length;
+        }
         if (!(u * u * length < k * k)) return 0;
     }
     out->ix = (uint32_t)(int32_t)out->x;
@@ -8460,15 +8742,16 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE __m256 zbufrandi_dot8(const float a[3], _
 /* early: leave out at once what is behind its pixel; only where a sample's own depth is what is shown. */
 ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE uint32_t zbufrandi_stored_eights(const zbufrandi_target *g,
         const zbufrandi_draw *d, const zbufrandi_local *l,
-                                                                        const uint32_t *set, zbufrandi_waiting *wait,
-                                                                            const int plane,
-                                                                        const int two_sided, const int early) {
+                                                               const zbufrandi_structure *structure,
+                                                               const uint32_t *set, zbufrandi_waiting *wait,
+                                                               const int plane, const int two_sided, const int early,
+                                                               const int viewed) {
     const __m256 sign = _mm256_set1_ps(-0.0f), one = _mm256_set1_ps(1.0f), zero = _mm256_setzero_ps(),
         half = _mm256_set1_ps(0.5f);
     const __m256i lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
     zbufrandi_stored s;
     uint32_t k, accepted = 0, inside = 0, tried = 0;
-    zbufrandi_stored_begin(g, d, l, &s);
+    zbufrandi_stored_begin(g, d, l, structure, &s);
     for (k = 0; k < d->count; k += 8) { /* samples k..k+7 of the order are some eight that stand together */
         const uint32_t first = (k ^ s.first) & ~7u;
         const __m256i w0 = _mm256_loadu_si256((const __m256i *)(const void *)(set + 2 * first));
@@ -8544,6 +8827,17 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE uint32_t zbufrandi_stored_eights(const zb
             u = _mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_srli_epi32(bits, 8)), _mm256_set1_ps(1.0f / 16777216.0f));
             u = _mm256_mul_ps(u, _mm256_mul_ps(_mm256_mul_ps(z, z), z));
             z = _mm256_mul_ps(h, _mm256_set1_ps(s.ih_ref));
+            if (viewed) {
+                __m256 w = zbufrandi_dot8(s.view->axis, vx, vy, vz);
+                length = _mm256_sqrt_ps(length);
+                if (two_sided) {
+                    w = _mm256_blendv_ps(w, _mm256_sub_ps(zero, w), _mm256_and_ps(
+                        _mm256_castsi256_ps(_mm256_srai_epi32(w0, 31)), _mm256_cmp_ps(w, zero, _CMP_LT_OQ)));
+                }
+                w = _mm256_add_ps(w, _mm256_mul_ps(_mm256_set1_ps(s.view->reach), length));
+                w = _mm256_min_ps(w, length);
+                length = _mm256_mul_ps(w, w);
+            }
             ok = _mm256_and_ps(ok, _mm256_cmp_ps(_mm256_mul_ps(_mm256_mul_ps(u, u), length), _mm256_mul_ps(z, z),
                                                  _CMP_LT_OQ));
         }
@@ -8569,16 +8863,20 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE uint32_t zbufrandi_stored_eights(const zb
 
 ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_draw_stored_avx2(const zbufrandi_target *g, const zbufrandi_draw *d,
                                                                  const zbufrandi_local *l,
+                                                                 const zbufrandi_structure *structure,
                                                                  const uint32_t *set, zbufrandi_waiting *wait) {
-    const int two = (d->aux & ZBUFRANDI_STORED_TWO_SIDED) != 0;
+    const int two = (d->aux & ZBUFRANDI_STORED_TWO_SIDED) != 0, viewed = (d->aux & ZBUFRANDI_STORED_VIEW) != 0;
     if (g->plane && (d->aux & ZBUFRANDI_STORED_FLAT) != 0) {
-        return two ? zbufrandi_stored_eights(g, d, l, set, wait, 1, 1, 0) : zbufrandi_stored_eights(g, d, l, set, wait,
-                                                                                                    1, 0, 0);
+        if (viewed) return zbufrandi_stored_eights(g, d, l, structure, set, wait, 1, 1, 0, 1);
+        return two ? zbufrandi_stored_eights(g, d, l, structure, set, wait, 1, 1, 0, 0)
+                   : zbufrandi_stored_eights(g, d, l, structure, set, wait, 1, 0, 0, 0);
     }
-    if (g->early) return two ? zbufrandi_stored_eights(g, d, l, set, wait, 0, 1, 1) : zbufrandi_stored_eights(g, d, l,
-            set, wait, 0, 0, 1);
-    return two ? zbufrandi_stored_eights(g, d, l, set, wait, 0, 1, 0) : zbufrandi_stored_eights(g, d, l, set, wait, 0,
-                                                                                                0, 0);
+    if (viewed) return g->early ? zbufrandi_stored_eights(g, d, l, structure, set, wait, 0, 1, 1, 1)
+                                : zbufrandi_stored_eights(g, d, l, structure, set, wait, 0, 1, 0, 1);
+    if (g->early) return two ? zbufrandi_stored_eights(g, d, l, structure, set, wait, 0, 1, 1, 0)
+                             : zbufrandi_stored_eights(g, d, l, structure, set, wait, 0, 0, 1, 0);
+    return two ? zbufrandi_stored_eights(g, d, l, structure, set, wait, 0, 1, 0, 0)
+               : zbufrandi_stored_eights(g, d, l, structure, set, wait, 0, 0, 0, 0);
 }
 #endif
 
@@ -8590,11 +8888,11 @@ static uint32_t zbufrandi_draw_stored(const zbufrandi_target *g, const zbufrandi
     zbufrandi_spot seen;
     uint32_t k, accepted = 0;
 #if ZBUFRANDI_AVX2
-    if (g->level >= 3) return zbufrandi_draw_stored_avx2(g, d, l, set, wait);
+    if (g->level >= 3) return zbufrandi_draw_stored_avx2(g, d, l, structure, set, wait);
 #endif
     wait->inside += d->count;
     wait->tried += d->count;
-    zbufrandi_stored_begin(g, d, l, &s);
+    zbufrandi_stored_begin(g, d, l, structure, &s);
     for (k = 0; k < d->count; k++) {
         uint32_t i = k ^ s.first;
         if (!zbufrandi_stored_sample(g, &s, set + zbufrandi_set_at(i), i, &seen)) continue;
@@ -13653,6 +13951,7 @@ struct zbufrandi_picture {
     zbufrandi_look look;
     uint32_t first_block;
     uint32_t done_draws;               /* drawn already */
+    size_t first_suspect;              /* of those that rays are cast for now */
     uint32_t accepted[2], sampled[2], stored[2], points[2]; /* tallies */
     uint32_t area[2][2];               /* tallies of the first pass: samples with hidden ones, pixels rastered */
     uint32_t pass;
@@ -14087,11 +14386,12 @@ static zbufrand_result zbufrandi_draw_scene(zbufrandi_picture *p) {
 /* ---- repair ----
 
    A pixel that surfaces cover together with its eight neighbours is found when it is empty and at least 4 of them are
-   not, and found when it shows something hidden and at least 5 of them show what hides it. If each pixel fails with
-   probability q, on its own, one stays unfound with at most q P(4 or more of 8 fail). Rays through the suspects tell
-   q. */
+   not, and found when it shows something hidden and at least n of them show what hides it. If each pixel fails with
+   probability q, on its own, one stays unfound with at most q P(9 - n or more of 8 fail). Rays through the suspects
+   tell q. Most pixels that 5 of 8 neighbours are nearer than are right, at the edges of leaves and far hills: n is 7
+   first, and 5 only if the bound asks for it. */
 
-enum { ZBUFRANDI_REPAIR_RAYS = 64 };
+enum { ZBUFRANDI_REPAIR_RAYS = 64, ZBUFRANDI_REPAIR_SURE = 7, ZBUFRANDI_REPAIR_LEAST = 5 };
 
 static void zbufrandi_depth_task(void *ctx, uint32_t y) { /* depths of the picture from its keys */
     zbufrandi_picture *p = (zbufrandi_picture *)ctx;
@@ -14110,7 +14410,7 @@ static void zbufrandi_repair_task(void *ctx, uint32_t task) { /* rays through su
     zbufrand_frame *f = p->f;
     const zbufrandi_recon *r = &f->recon;
     const zbufrandi_camera *c = &p->cut.camera;
-    const size_t begin = (size_t)task * ZBUFRANDI_REPAIR_RAYS, left = f->suspect_count - begin;
+    const size_t begin = p->first_suspect + (size_t)task * ZBUFRANDI_REPAIR_RAYS, left = f->suspect_count - begin;
     const size_t n = left < ZBUFRANDI_REPAIR_RAYS ? left : (size_t)ZBUFRANDI_REPAIR_RAYS;
     zbufrandi_ray ray[ZBUFRANDI_REPAIR_RAYS];
     size_t i;
@@ -14158,15 +14458,15 @@ static zbufrand_result zbufrandi_repair_apply(zbufrandi_picture *p) {
     uint32_t local = 0, first = (uint32_t)f->ray_count, count = 0;
     size_t i;
     if (!zbufrandi_grow(&f->mem, (void **)&f->ray_seen, &f->ray_capacity, f->ray_count,
-                        f->ray_count + f->suspect_count, sizeof *f->ray_seen) ||
+                        f->ray_count + f->suspect_count - p->first_suspect, sizeof *f->ray_seen) ||
         !zbufrandi_grow(&f->mem, (void **)&f->draw, &f->draw_capacity, f->draw_count, f->draw_count + 1,
                         sizeof *f->draw)) return ZBUFRAND_ERR_NO_MEMORY;
     d = &f->draw[f->draw_count];
     memset(d, 0, sizeof *d);
     d->item = (uint32_t)ZBUFRANDI_DRAW_RAYS << ZBUFRANDI_DRAW_SHIFT | first;
-    d->count = (uint32_t)f->suspect_count;
+    d->count = (uint32_t)(f->suspect_count - p->first_suspect);
     if (!zbufrandi_number_draw(p, d, (uint32_t)f->draw_count)) return ZBUFRAND_ERR_NO_MEMORY;
-    for (i = 0; i < f->suspect_count; i++) {
+    for (i = p->first_suspect; i < f->suspect_count; i++) {
         const zbufrandi_ray_hit *hit = &f->hit[i];
         const uint32_t x = f->suspect[i] % r->width + r->result_guard, y = f->suspect[i] / r->width + r->result_guard;
         uint64_t *key = &r->result[(size_t)y * r->result_width + x];
@@ -14191,15 +14491,16 @@ static zbufrand_result zbufrandi_repair_apply(zbufrandi_picture *p) {
 }
 
 /* Bound of the probability that a picture of `pixels` covered pixels is wrong somewhere although repaired, when `bad`
-   of them had failed: q with two standard deviations more than was seen. */
-static double zbufrandi_incomplete(double pixels, double bad) {
+   of them had failed: q with two standard deviations more than was seen. A failure is missed when `miss` or more of
+   its neighbours failed, 2..4. */
+static double zbufrandi_incomplete(double pixels, double bad, int miss) {
     double q = (bad + 2.0 * sqrt(bad + 1.0) + 1.0) / zbufrandi_max(pixels, 1.0), tail = 0.0, term;
     int k, j;
     if (q > 0.5) return 1.0;
-    for (k = 4; k <= 8; k++) {
+    for (k = miss; k <= 8; k++) {
         term = 1.0;
         for (j = 0; j < 8; j++) term *= j < k ? q : 1.0 - q;
-        tail += term * (k == 4 ? 70.0 : k == 5 ? 56.0 : k == 6 ? 28.0 : k == 7 ? 8.0 : 1.0);
+        tail += term * (k == 2 || k == 6 ? 28.0 : k == 3 || k == 5 ? 56.0 : k == 4 ? 70.0 : k == 7 ? 8.0 : 1.0);
     }
     return zbufrandi_min(1.0, pixels * q * tail);
 }
@@ -14224,17 +14525,13 @@ static int zbufrandi_near_samples(const zbufrandi_picture *p, uint32_t pixel) {
     return 0;
 }
 
-/* Find suspects, send rays. */
-static zbufrand_result zbufrandi_repair(zbufrandi_picture *p) {
+/* Suspects that were none before go to the end of the list. */
+static zbufrand_result zbufrandi_find_suspects(zbufrandi_picture *p, uint32_t wrong_count) {
     zbufrand_frame *f = p->f;
     const zbufrandi_recon *r = &f->recon;
+    const size_t n = (size_t)r->width * r->height, before = f->suspect_count;
+    size_t at, old = 0;
     zbufrandi_suspects s;
-    size_t n = (size_t)r->width * r->height, at;
-    uint64_t covered = 0, before = p->stats.repaired;
-    zbufrand_result result;
-    if (!zbufrandi_grow(&f->mem, (void **)&f->depth, &f->depth_capacity, 0, n, sizeof *f->depth) ||
-        !zbufrandi_grow(&f->mem, (void **)&f->mask, &f->mask_capacity, 0, n, 1)) return ZBUFRAND_ERR_NO_MEMORY;
-    zbufrandi_parallel_for(&f->env, zbufrandi_depth_task, p, r->height);
     memset(&s, 0, sizeof s);
     s.depth = f->depth;
     s.mask = f->mask;
@@ -14242,12 +14539,13 @@ static zbufrand_result zbufrandi_repair(zbufrandi_picture *p) {
     s.height = r->height;
     s.keep = 0.99f;
     s.hole_count = 4;
-    s.wrong_count = 5;
+    s.wrong_count = wrong_count;
     s.level = f->level;
     zbufrandi_parallel_for(&f->env, zbufrandi_suspect_task, &s, (s.height + 15) / 16);
     zbufrandi_suspect_round(&s, 1);
-    f->suspect_count = 0;
     for (at = 0; (at = zbufrandi_next_mark(f->mask, at, n)) < n; at++) {
+        while (old < before && f->suspect[old] < at) old++;
+        if (old < before && f->suspect[old] == at) continue;
         if (p->stats.rastered != 0 && !zbufrandi_near_samples(p, (uint32_t)at)) continue;
         if (!zbufrandi_grow(&f->mem, (void **)&f->suspect, &f->suspect_capacity, f->suspect_count, f->suspect_count + 1,
                             sizeof *f->suspect)) return ZBUFRAND_ERR_NO_MEMORY;
@@ -14255,15 +14553,39 @@ static zbufrand_result zbufrandi_repair(zbufrandi_picture *p) {
         if (f->mask[at] == ZBUFRAND_SUSPECT_WRONG) p->stats.wrong++;
         else p->stats.holes++;
     }
-    if (!zbufrandi_grow(&f->mem, (void **)&f->hit, &f->hit_capacity, 0, f->suspect_count, sizeof *f->hit))
-        return ZBUFRAND_ERR_NO_MEMORY;
-    zbufrandi_parallel_for(&f->env, zbufrandi_repair_task, p,
-                           (uint32_t)((f->suspect_count + ZBUFRANDI_REPAIR_RAYS - 1) / ZBUFRANDI_REPAIR_RAYS));
-    result = zbufrandi_repair_apply(p);
-    for (at = 0; at < n; at++) covered += f->depth[at] < INFINITY;
-    p->stats.incomplete = zbufrandi_incomplete((double)covered, (double)(p->stats.repaired - before));
+    return zbufrandi_grow(&f->mem, (void **)&f->hit, &f->hit_capacity, 0, f->suspect_count, sizeof *f->hit)
+        ? ZBUFRAND_OK : ZBUFRAND_ERR_NO_MEMORY;
+}
+
+/* Find suspects, send rays. */
+static zbufrand_result zbufrandi_repair(zbufrandi_picture *p) {
+    zbufrand_frame *f = p->f;
+    const zbufrandi_recon *r = &f->recon;
+    const double tolerance = p->d->tolerance > 0.0 ? p->d->tolerance : 0.05;
+    size_t n = (size_t)r->width * r->height, at;
+    uint64_t covered, before = p->stats.repaired;
+    uint32_t count;
+    zbufrand_result result = ZBUFRAND_OK;
+    if (!zbufrandi_grow(&f->mem, (void **)&f->depth, &f->depth_capacity, 0, n, sizeof *f->depth) ||
+        !zbufrandi_grow(&f->mem, (void **)&f->mask, &f->mask_capacity, 0, n, 1)) return ZBUFRAND_ERR_NO_MEMORY;
+    f->suspect_count = 0;
+    for (count = ZBUFRANDI_REPAIR_SURE; ; count = ZBUFRANDI_REPAIR_LEAST) {
+        zbufrandi_parallel_for(&f->env, zbufrandi_depth_task, p, r->height);
+        p->first_suspect = f->suspect_count;
+        result = zbufrandi_find_suspects(p, count);
+        if (result != ZBUFRAND_OK) return result;
+        zbufrandi_parallel_for(&f->env, zbufrandi_repair_task, p,
+                               (uint32_t)((f->suspect_count - p->first_suspect + ZBUFRANDI_REPAIR_RAYS - 1) /
+                                          ZBUFRANDI_REPAIR_RAYS));
+        result = zbufrandi_repair_apply(p);
+        if (result != ZBUFRAND_OK) return result;
+        for (at = 0, covered = 0; at < n; at++) covered += f->depth[at] < INFINITY;
+        p->stats.incomplete = zbufrandi_incomplete((double)covered, (double)(p->stats.repaired - before),
+                                                   9 - (int)count);
+        if (count == ZBUFRANDI_REPAIR_LEAST || p->stats.incomplete <= 0.25 * tolerance) break;
+    }
     zbufrandi_lap(p, ZBUFRAND_STAGE_REPAIR);
-    return result;
+    return ZBUFRAND_OK;
 }
 
 /* ---- colours ---- */
@@ -14849,7 +15171,8 @@ static void zbufrandi_query_group(const zbufrandi_picture *p, const zbufrandi_dr
     g->factor_max = d->z_lo >= p->cut.near_z
         ? f2 * (double)b->h / ((double)d->z_lo * (double)d->z_lo * (double)d->z_lo) : (double)INFINITY;
     g->factor_min = f2 * (double)b->h_min / ((double)d->z_hi * (double)d->z_hi * (double)d->z_hi);
-    g->expected = p->cut.density * g->area * g->factor_max;
+    g->expected = d->aux & ZBUFRANDI_STORED_VIEW && kind == ZBUFRANDI_DRAW_STORED
+        ? (double)b->expected : p->cut.density * g->area * g->factor_max;
     g->count = d->count;
     if (kind >= ZBUFRANDI_DRAW_LISTED) {
         g->kind = kind == ZBUFRANDI_DRAW_LISTED ? ZBUFRAND_DRAW_SAMPLED : ZBUFRAND_DRAW_RASTERED;
@@ -14858,7 +15181,8 @@ static void zbufrandi_query_group(const zbufrandi_picture *p, const zbufrandi_dr
         g->child = ZBUFRANDI_CHILD(ZBUFRANDI_CHILD_CLUSTER, index);
     } else if (index < s->cluster_count) {
         g->child = ZBUFRANDI_CHILD(ZBUFRANDI_CHILD_CLUSTER, index);
-    } else if (index == s->cluster_count && l->instance != ~0u) { /* the root of a structure: the instance as a whole */
+    } else if ((index == s->cluster_count || d->aux & ZBUFRANDI_STORED_VIEW) && l->instance != ~0u) {
+        /* the root of a structure: the instance as a whole */
         g->structure = p->f->local[l->parent].structure;
         g->child = ZBUFRANDI_CHILD(ZBUFRANDI_CHILD_INSTANCE, l->instance);
     } else {
@@ -14950,7 +15274,7 @@ static void zbufrandi_stream_draw(zbufrandi_stream *s, const zbufrandi_draw *dra
     if (kind == ZBUFRANDI_DRAW_STORED) {
         const uint32_t *set = structure->set + (size_t)index * (2 * ZBUFRANDI_SET);
         zbufrandi_stored c;
-        zbufrandi_stored_begin(&p->target, draw, l, &c);
+        zbufrandi_stored_begin(&p->target, draw, l, structure, &c);
         for (k = 0; k < draw->count; k++) {
             uint32_t i = k ^ c.first;
             if (zbufrandi_stored_sample(&p->target, &c, set + zbufrandi_set_at(i), i, &spot))
@@ -16039,6 +16363,7 @@ static int zbufrandi_edit_reserve(zbufrand_scene *scene, uint32_t index, size_t 
     need = (size_t)s->node_count + nodes;
     if (need > l->node_capacity) {
         need += need / 4 + 8;
+        s->first_view = 0;
         used = s->set != NULL ? ((size_t)s->cluster_count + s->node_count) * ZBUFRANDI_SET : 0;
         if (need >= 1u << 28 || !zbufrandi_reserve(mem, (void **)&s->node, s->node_count, need, sizeof *s->node, 0) ||
             !zbufrandi_reserve(mem, (void **)&l->health, s->node_count, need, sizeof *l->health, 0) ||
@@ -16073,6 +16398,7 @@ static int zbufrandi_edit_attributes(zbufrand_scene *scene, uint32_t index, cons
     zbufrandi_use use;
     size_t i;
     if (!rgb && !normal && !material) return 1;
+    s->first_view = 0;
     if (rgb) {
         if (!zbufrandi_reserve(mem, (void **)&s->set_rgb, 0, count, sizeof *s->set_rgb, 0)) return 0;
         for (i = 0; i < used; i++) s->set_rgb[i] = 0xffffffu;
@@ -16159,6 +16485,7 @@ static int zbufrandi_edit_ready(zbufrand_scene *scene, uint32_t index, uint32_t 
 
 static void zbufrandi_edit_touch(zbufrand_scene *scene, uint32_t index) {
     zbufrandi_live *live = scene->live;
+    scene->structure[index].first_view = 0; /* made by builds only */
     if (live->s[index].touched) return;
     live->s[index].touched = 1;
     live->touched[live->touched_count++] = index;

@@ -329,6 +329,119 @@ TEST(instances_and_copies) {
 /* ---- weights of triangles ---- */
 
 /* One cluster, triangles whose areas in the picture span 12 decades: how often each is sampled. */
+/* Area of a mesh in the picture: triangles that face the eye (two_sided: all), one by one, wherever they are. */
+static double projected_area(const shape *s, const zbufrand_transform *t, const zbufrandi_camera *c, int two_sided) {
+    double sum = 0, p[3][3], q[3][2];
+    size_t i;
+    int k, a;
+    for (i = 0; i < s->triangles; i++) {
+        double area;
+        for (k = 0; k < 3; k++) {
+            double v[3], z;
+            for (a = 0; a < 3; a++) v[a] = (double)s->p[3 * s->t[3 * i + (size_t)k] + (size_t)a];
+            zbufrandi_m34_point(ZBUFRANDI_M34(t->m), v, p[k]);
+            for (a = 0; a < 3; a++) p[k][a] -= c->eye[a];
+            z = p[k][0] * c->dir[0] + p[k][1] * c->dir[1] + p[k][2] * c->dir[2];
+            q[k][0] = (p[k][0] * c->right[0] + p[k][1] * c->right[1] + p[k][2] * c->right[2]) * c->focal / z;
+            q[k][1] = (p[k][0] * c->up[0] + p[k][1] * c->up[1] + p[k][2] * c->up[2]) * c->focal / z;
+        }
+        area = 0.5 * ((q[1][0] - q[0][0]) * (q[2][1] - q[0][1]) - (q[1][1] - q[0][1]) * (q[2][0] - q[0][0]));
+        sum += area > 0 ? area : two_sided ? -area : 0;
+    }
+    return sum;
+}
+
+/* What many instances share has points for each direction of view: as many fall into the picture as into that of any
+   other way, for each instance (one in each cell of the picture, turned at random). p below 1e-5 for both sums. */
+TEST(points_for_directions) {
+    test_rng r = test_rng_make(47);
+    int two_sided;
+    for (two_sided = 0; two_sided < 2; two_sided++) {
+        shape s;
+        zbufrand_mesh m;
+        zbufrand_scene *scene = NULL;
+        zbufrand_frame *frame = NULL;
+        zbufrand_node mesh;
+        zbufrand_render_desc d;
+        zbufrandi_camera camera;
+        zbufrand_transform t[GRID * GRID];
+        zbufrand_group *group = (zbufrand_group *)malloc(4 * GRID * GRID * sizeof *group);
+        double chi = 0, wanted = 0, asked = 0, most = 0;
+        const uint32_t seeds = test_quick() ? 2 : 6;
+        uint32_t i, views = 0;
+        size_t groups, k;
+        counts c;
+        memset(&s, 0, sizeof s);
+        memset(&c, 0, sizeof c);
+        memset(&d, 0, sizeof d);
+        REQUIRE(group != NULL);
+        shape_torus(&s, 0, 0, 0, 1, 0.6, 80, 40);
+        CHECK_EQ_U64(zbufrand_scene_create(NULL, &scene), ZBUFRAND_OK);
+        m = mesh_of(&s);
+        m.two_sided = (uint32_t)two_sided;
+        CHECK_EQ_U64(zbufrand_add_mesh(scene, 1, NULL, ZBUFRAND_HIDDEN, &m, &mesh), ZBUFRAND_OK);
+        d.camera.eye[2] = 400;
+        d.camera.at[2] = -1;
+        d.camera.fov_y = 20;
+        d.density = 2;
+        CHECK_EQ_U64(zbufrandi_camera_open(&d.camera, NULL, WIDTH, HEIGHT, 0, &camera), ZBUFRAND_OK);
+        for (i = 0; i < GRID * GRID; i++) {
+            const double x = (i % GRID + 0.5) * WIDTH / GRID, y = (i / GRID + 0.5) * HEIGHT / GRID;
+            sample_transform(&r, 1.0 + 0.4 * test_rng_double(&r), (int)(i % 3 == 0), &t[i]);
+            t[i].m[0][3] = (x - camera.center_x) * 400 / camera.focal;
+            t[i].m[1][3] = (camera.center_y - y) * 400 / camera.focal;
+            t[i].m[2][3] = 0;
+        }
+        CHECK_EQ_U64(zbufrand_add_references(scene, 1, t, GRID * GRID, mesh, NULL), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_scene_build(scene, NULL, NULL), ZBUFRAND_OK);
+        REQUIRE(scene->structure[1].first_view != 0);
+        CHECK_EQ_U64(zbufrand_frame_create(NULL, &frame), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_select(frame, &d, scene, WIDTH, HEIGHT, group, 4 * GRID * GRID, &groups, NULL), ZBUFRAND_OK);
+        REQUIRE(groups <= 4 * GRID * GRID);
+        for (k = 0; k < groups; k++) {
+            views += group[k].kind == ZBUFRAND_DRAW_STORED && group[k].expected < 0.9 * d.density * group[k].area * group[k].factor_max;
+            asked += group[k].count;
+        }
+        CHECK_MSG(views * 10 >= groups * 9, "only %u of %u groups are for a direction", views, (unsigned)groups);
+        for (i = 0; i < seeds; i++) {
+            d.seed = i;
+            CHECK_EQ_U64(zbufrand_sample_scene(frame, &d, scene, WIDTH, HEIGHT, count_sample, &c, NULL), ZBUFRAND_OK);
+        }
+        for (i = 0; i < GRID * GRID; i++) {
+            const int mirrored = i % 3 == 0;
+            double expected, off;
+            shape turned = s;
+            uint32_t *swap = NULL;
+            size_t n;
+            if (mirrored) { /* the outside stays the outside */
+                swap = (uint32_t *)malloc(3 * s.triangles * sizeof *swap);
+                REQUIRE(swap != NULL);
+                for (n = 0; n < s.triangles; n++) {
+                    swap[3 * n] = s.t[3 * n];
+                    swap[3 * n + 1] = s.t[3 * n + 2];
+                    swap[3 * n + 2] = s.t[3 * n + 1];
+                }
+                turned.t = swap;
+            }
+            expected = projected_area(&turned, &t[i], &camera, two_sided) * d.density * seeds;
+            free(swap);
+            off = c.cell[i / GRID][i % GRID] - expected;
+            chi += off * off / expected;
+            wanted += expected / seeds;
+            most = fabs(off) / sqrt(expected) > most ? fabs(off) / sqrt(expected) : most;
+        }
+        CHECK_MSG(chi < chi_limit(GRID * GRID), "chi-square %g", chi);
+        CHECK_MSG(most < 5.5, "one is off by %g standard deviations", most);
+        CHECK_MSG(fabs((double)c.total / seeds - wanted) < 4.5 * sqrt(wanted / seeds) + 0.002 * wanted, "%g samples, not %g",
+                  (double)c.total / seeds, wanted);
+        CHECK_MSG(asked > wanted && asked < 2.2 * wanted, "%g points for %g samples", asked, wanted); /* most are used */
+        zbufrand_frame_destroy(frame);
+        zbufrand_scene_destroy(scene);
+        shape_free(&s);
+        free(group);
+    }
+}
+
 TEST(twelve_decades_in_a_cluster) {
     shape s;
     zbufrand_mesh m;
@@ -723,6 +836,7 @@ int main(int argc, char **argv) {
     RUN(from_behind);
     RUN(facing_away);
     RUN(instances_and_copies);
+    RUN(points_for_directions);
     RUN(twelve_decades_in_a_cluster);
     RUN(uniform_on_a_triangle);
     RUN(points_of_a_mesh);
