@@ -4236,40 +4236,37 @@ static uint32_t tetcasti_strip_free_count(const tetcasti_strip_maker *m, uint32_
     return n;
 }
 
-/* Append cells behind the window w of `cell` until none is free. side 1 does it with the window turned round: what it
+/* The window of a string moves on by one vertex. */
+TETCASTI_INLINE void tetcasti_strip_shift(uint32_t w[4], uint32_t vertex) {
+    w[0] = w[1];
+    w[1] = w[2];
+    w[2] = w[3];
+    w[3] = vertex;
+}
+
+/* Append cells behind the window of `cell` until none is free. side 1 does it with the window turned round: what it
    appends stands before the strip in the end. Returns how many cells. */
-static uint32_t tetcasti_strip_grow(tetcasti_strip_maker *m, uint32_t cell, const uint32_t w[4], uint32_t side) {
-    uint32_t a = w[0], b = w[1], c = w[2], d = w[3], cells = 0, n = 0;
+static uint32_t tetcasti_strip_grow(tetcasti_strip_maker *m, uint32_t cell, const uint32_t first[4], uint32_t side) {
+    uint32_t w[4], cells = 0, n = 0;
     uint32_t *string = m->string[side], *window = m->window[side];
+    memcpy(w, first, sizeof w);
     while (cells < TETCASTI_STRIP_CANDIDATE) {
-        uint32_t next = tetcasti_opposite(m->mesh, cell, a), drop = 0, x;
+        uint32_t next = tetcasti_opposite(m->mesh, cell, w[0]), drop = 0;
         const uint32_t *t;
-        if (!tetcasti_strip_free(m, next)) {
-            uint32_t v[3], k, found = 3;
-            if (!m->general) break;
-            v[0] = a; v[1] = b; v[2] = c;
-            for (k = 1; k < 3 && found == 3; k++) { /* fewer repetitions first */
-                next = tetcasti_opposite(m->mesh, cell, v[k]);
-                if (tetcasti_strip_free(m, next)) found = k;
-            }
-            if (found == 3) break;
-            drop = found;
+        while (!tetcasti_strip_free(m, next) && m->general && drop < 2) { /* fewer repetitions first */
+            drop++;
+            next = tetcasti_opposite(m->mesh, cell, w[drop]);
         }
-        if (drop >= 1) { /* b c d a */
+        if (!tetcasti_strip_free(m, next)) break;
+        for (; drop > 0; drop--) { /* b c d a */
             window[n] = TETCASTI_NONE;
-            string[n++] = a;
-            x = a; a = b; b = c; c = d; d = x;
-        }
-        if (drop == 2) {
-            window[n] = TETCASTI_NONE;
-            string[n++] = a;
-            x = a; a = b; b = c; c = d; d = x;
+            string[n++] = w[0];
+            tetcasti_strip_shift(w, w[0]);
         }
         t = m->mesh->tet[next];
-        x = t[0] ^ t[1] ^ t[2] ^ t[3] ^ b ^ c ^ d;
         window[n] = next;
-        string[n++] = x;
-        a = b; b = c; c = d; d = x;
+        string[n] = t[0] ^ t[1] ^ t[2] ^ t[3] ^ w[1] ^ w[2] ^ w[3];
+        tetcasti_strip_shift(w, string[n++]);
         m->mark[next - m->begin] = m->try_number;
         cell = next;
         cells++;
@@ -4946,6 +4943,7 @@ static void tetcasti_normal(void *user, float fraction, float normal[3]) {
 /* Unit direction of a ray in the axes of the world. */
 static void tetcasti_ray_direction(const tetcasti_ray *r, float d[3]) {
     const uint8_t *axes = tetcasti_axes[r->group];
+    d[0] = d[1] = d[2] = 0.0f;
     d[axes[0]] = r->sx / r->iz;
     d[axes[1]] = r->sy / r->iz;
     d[axes[2]] = 1.0f / r->iz;
@@ -7041,7 +7039,8 @@ static tetcast_result tetcasti_transfer_knots(const tetcast_transfer_desc *d, te
         t->knot_count = tetcasti_knots_from_points(d->color_points, d->color_count, color, d->extinction_points,
                                                    d->extinction_count, extinction, t->knot);
     } else {
-        t->knot_count = tetcasti_knots_from_points(d->points, d->point_count, color | extinction, NULL, 0, 0, t->knot);
+        t->knot_count = tetcasti_knots_from_points(d->points, d->point_count, color | extinction, d->points, 0, 0,
+                                                   t->knot);
     }
     if (r != TETCAST_OK) return r;
     if (d->extinction_scale != 0.0f) {
@@ -9340,13 +9339,13 @@ static void tetcasti_iso_order(const tetcasti_iso *p, uint32_t *order, uint32_t 
     uint32_t gap, i, j;
     for (gap = n > 32 ? n / 2 : 1; gap > 0; gap = gap == 2 ? 1 : (uint32_t)((uint64_t)gap * 5 / 11)) {
         for (i = gap; i < n; i++) {
-            uint32_t e = order[i], b = p->edge[e].b;
+            const uint64_t key = (uint64_t)p->edge[order[i]].b << 32 | order[i];
             for (j = i; j >= gap; j -= gap) {
-                uint32_t f = order[j - gap];
-                if (p->edge[f].b < b || (p->edge[f].b == b && f < e)) break;
+                const uint32_t f = order[j - gap];
+                if (((uint64_t)p->edge[f].b << 32 | f) < key) break;
                 order[j] = f;
             }
-            order[j] = e;
+            order[j] = (uint32_t)key;
         }
     }
 }
@@ -10384,22 +10383,21 @@ TETCASTI_INLINE void tetcasti_paint_exact(tetcasti_painter *p, uint32_t i, const
     tetcasti_cell_hit hit;
     tetcasti_fragment f;
     const uint8_t *axes;
-    double o[3], d[3], z = -v->reference, per;
+    double o[3], d[3], z = -v->reference, per = 0.0;
     uint32_t k;
     if (r.group == TETCASTI_NO_RAY) return;
     p->exact++;
     if (!tetcasti_cell_meet(&r, v->scene->vertex, tet, &hit)) return;
     axes = tetcasti_axes[r.group];
-    o[axes[0]] = (double)r.ox;
-    o[axes[1]] = (double)r.oy;
-    o[axes[2]] = (double)r.oz;
-    d[axes[0]] = (double)r.sx;
-    d[axes[1]] = (double)r.sy;
-    d[axes[2]] = 1.0;
-    per = 0.0;
+    o[0] = (double)r.ox;
+    o[1] = (double)r.oy;
+    o[2] = (double)r.oz;
+    d[0] = (double)r.sx;
+    d[1] = (double)r.sy;
+    d[2] = 1.0;
     for (k = 0; k < 3; k++) {
-        z += (o[k] - v->pixels.eye[k]) * v->pixels.forward[k];
-        per += d[k] * v->pixels.forward[k];
+        z += (o[k] - v->pixels.eye[axes[k]]) * v->pixels.forward[axes[k]];
+        per += d[k] * v->pixels.forward[axes[k]];
     }
     per /= (double)r.iz; /* depth per distance */
     f.z0 = (float)(z + (double)hit.at[0] * per);
@@ -10415,14 +10413,17 @@ static int tetcasti_painter_meets(const tetcasti_painter *p, const uint32_t tet[
     const tetcasti_vertex *q = &p->scene->vertex[tet[0]];
     float lo[3], hi[3], c[3];
     uint32_t i, k;
-    for (i = 0; i < 4; i++) {
+    lo[0] = hi[0] = q->x;
+    lo[1] = hi[1] = q->y;
+    lo[2] = hi[2] = q->z;
+    for (i = 1; i < 4; i++) {
         q = &p->scene->vertex[tet[i]];
         c[0] = q->x;
         c[1] = q->y;
         c[2] = q->z;
         for (k = 0; k < 3; k++) {
-            if (i == 0 || c[k] < lo[k]) lo[k] = c[k];
-            if (i == 0 || c[k] > hi[k]) hi[k] = c[k];
+            lo[k] = c[k] < lo[k] ? c[k] : lo[k];
+            hi[k] = c[k] > hi[k] ? c[k] : hi[k];
         }
     }
     for (i = 0; i < 6; i++)
@@ -11476,6 +11477,7 @@ static void tetcasti_tile_rays(const tetcasti_render *c, tetcasti_batch *b, uint
     tetcasti_tile t;
     double size = 0.0;
     uint32_t x, y, a;
+    memset(&t, 0, sizeof t);
     t.frame = f;
     t.box = &c->scene.mesh->box;
     t.scale = c->scale;
