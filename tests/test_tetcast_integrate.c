@@ -4,7 +4,7 @@
 #include "tetcast.h"
 #include "transfer_oracle.h"
 
-#define GOLDEN 0x6479959971d69740u /* hash of golden_bits: changes only when the arithmetic does */
+#define GOLDEN 0x60ee4d04655a0b2au /* hash of golden_bits: changes only when the arithmetic does */
 
 /* ---- helpers ---- */
 
