@@ -1141,11 +1141,14 @@ typedef struct voxrt_gi_light {
 
 /* field    zero means
    columns  the volume; box_min and box_max have no default, env is not used. Nothing outside the box receives or sends
-            indirect light */
+            indirect light
+   nested   1: that volume only. n: n - 1 more around it, at most 8, each twice as wide with as many cells: rays go on in
+            the next one where they leave the one before. Memory and times go with n */
 typedef struct voxrt_gi_desc {
     uint32_t _begin_zero;
     voxrt_env env;
     voxrt_columns_desc columns;
+    uint32_t nested;
     uint32_t _end_zero;
 } voxrt_gi_desc;
 
@@ -1172,7 +1175,11 @@ typedef struct voxrt_gi_update_stats {
    The same bits for any number of threads. O(moving triangles and cells). Errors: INVALID_ARG, NO_MEMORY (call it
    again). Thread safety: alone with the scene. */
 VOXRT_DEF voxrt_result voxrt_gi_update(voxrt_gi *gi, voxrt_gi_update_stats *stats);
-VOXRT_DEF const voxrt_columns *voxrt_gi_columns(const voxrt_gi *gi); /* owned by gi */
+VOXRT_DEF const voxrt_columns *voxrt_gi_columns(const voxrt_gi *gi); /* owned by gi; the innermost volume */
+
+/* Move the volumes so that `centre` is in their middle, to the next multiple of 8 cells of each. Those that moved are
+   voxelised again by the next voxrt_gi_update. out_moved, not NULL: how many. O(1). Errors: INVALID_ARG. */
+VOXRT_DEF voxrt_result voxrt_gi_follow(voxrt_gi *gi, const double centre[3], uint32_t *out_moved);
 
 /* Surface in a cell that a ray in direction dir sees. Returns 0 where nothing faces it. radiance: what it sends back
    along the ray: direct light, indirect light as far as it is known, emission. */
@@ -1191,6 +1198,7 @@ typedef struct voxrt_gbuffer {
     float *albedo;    /* rgb */
     float *specular;  /* rgb and exponent; NULL: none */
     float *emission;  /* rgb; NULL: none */
+    float *before;    /* xyz: where this point of the surface was in the frame before; NULL: where it is */
 } voxrt_gbuffer;
 
 /* Fill in a G-buffer from geometry (trees, octrees, instances, groups): position, normal, albedo; the others get 0.
@@ -1201,22 +1209,66 @@ VOXRT_DEF voxrt_result voxrt_gbuffer_from_geometry(const voxrt_env *env, const v
 VOXRT_DEF voxrt_result voxrt_gbuffer_from_gi(const voxrt_env *env, const voxrt_camera *camera, const voxrt_gi *gi,
                                              const voxrt_gbuffer *gbuffer);
 
+/* Fill in what the other two leave out, from the objects whose cells lie at the pixels: specular, emission, and from
+   the places of the objects at the last two updates `before`. Buffers that are NULL stay out. Errors: INVALID_ARG.
+   O(pixels). Thread safety: as drawing. */
+VOXRT_DEF voxrt_result voxrt_gbuffer_materials(const voxrt_env *env, const voxrt_gi *gi, const voxrt_gbuffer *gbuffer);
+
 typedef enum voxrt_gi_method {
     VOXRT_GI_GATHER = 0,  /* rays over the hemisphere; light at their hits from a cache of the cells (default) */
     VOXRT_GI_PATH = 1,    /* paths of `bounces` rays; direct light at each vertex */
     VOXRT_GI_AO = 2,      /* ambient occlusion: how open the hemisphere is, 1 for nothing within `radius` */
     VOXRT_GI_NONE = 3,    /* direct light only */
+    VOXRT_GI_VPL = 4,     /* virtual point lights where light falls, `bounces` times; a ray to each */
     VOXRT_GI_METHOD_FORCE_32BIT = 0x7fffffff
 } voxrt_gi_method;
 
-/* field        zero means
-   camera       eye is needed for Phong lobes only
-   rays         16 a pixel
-   bounces      1; PATH only: GATHER has as many as voxrt_gi_bounce was called for
-   radius       rays are as long as the box
-   first_ray    where the sequence of each pixel begins: frame * rays for progressive pictures
-   shadow       direct light by shadow rays through the columns; else through this geometry
-   filter       0: as sampled. Radius in pixels of a filter that keeps to surfaces; 2 passes */
+typedef enum voxrt_gi_lookup { /* the light of lamps where a ray hits */
+    VOXRT_GI_LOOKUP_CACHE = 0,  /* of the side of the cell: found when it is first looked at, kept till something moves */
+    VOXRT_GI_LOOKUP_RAYS = 1,   /* by shadow rays from the hit: no blocks of cells, slower */
+    VOXRT_GI_LOOKUP_VOLUME = 2, /* as CACHE, found for all cells first */
+    VOXRT_GI_LOOKUP_MAPS = 3,   /* maps of what lamps see: what lies near enough in them is lit (thesis 6.3.3); for points
+                                   and spots, RAYS for the others. Leaks within its tolerance */
+    VOXRT_GI_LOOKUP_FORCE_32BIT = 0x7fffffff
+} voxrt_gi_lookup;
+
+/* What the pictures before this one know. One for each sequence of pictures of one size; it notices what it may keep:
+   while camera, scene and settings are the same it is the mean of all of them, after changes the mean fades. */
+typedef struct voxrt_gi_history voxrt_gi_history;
+VOXRT_DEF voxrt_result voxrt_gi_history_create(const voxrt_env *env, voxrt_gi_history **out_history); /* NO_MEMORY */
+VOXRT_DEF void voxrt_gi_history_destroy(voxrt_gi_history *history); /* NULL is allowed */
+
+typedef struct voxrt_gi_report {
+    uint64_t shaded;    /* pixels that sent rays */
+    uint64_t pixels;    /* that see something */
+    uint32_t rays;      /* a shaded pixel sent, for indirect light */
+    float noise;        /* with `tolerance`: RMS of the noise left in indirect light, as a share of its mean; else 0 */
+    float kept;         /* share of pixels that had a history */
+} voxrt_gi_report;
+
+/* field         zero means
+   camera        needed for Phong lobes (eye) and for history
+   rays          16 a pixel; VPL: virtual lights a pixel and bounce
+   bounces       1; PATH and VPL: GATHER has as many as voxrt_gi_bounce was called for
+   radius        rays are as long as the box
+   first_ray     where the sequence of each pixel begins: frame * rays for progressive pictures
+   shadow        direct light by shadow rays through the columns, or by maps with LOOKUP_MAPS; else rays through this
+   filter        0: as sampled. Radius in pixels of a filter that keeps to surfaces; 2 passes. Irradiance and what comes
+                 by Phong lobes are filtered for themselves, before colours
+   direct_filter the same for direct light: soft edges of shadows
+   coarse        1: every pixel sends rays. 2, 4, 8, 16: one in coarse x coarse pixels does; between those that lie on one
+                 surface, where no other is near, light is interpolated, elsewhere the mesh is refined (Ward et al. 1988)
+   detail        how far light may be interpolated, times the mean distance of what the rays hit: 0.15
+   lookup        the cache of the cells
+   pattern       VPL: 4 x 4 pixels share 16 sets of lights; 1 to 16
+   d_min         VPL: terms cos cos / d^2 over 1 / (4 cell diagonals)^2 are cut off there, and rays as short as that bring
+                 back what was cut. Above 0: the thesis' 1 / (d_min + d^2), an area
+   map_size      LOOKUP_MAPS: 256 texels along the side of a map
+   tolerance     `rays` are sent. Above 0: as many as it takes for this much noise: RMS over the picture of indirect
+                 light after the filter, as a share of its mean; at most `rays` (0: 1024). GATHER, PATH, AO
+   history       only this picture counts; else those before, too
+   keep          pictures that history remembers while things move: 16; at least 1
+   report        out, may be NULL */
 typedef struct voxrt_gi_render_desc {
     uint32_t _begin_zero;
     voxrt_env env;
@@ -1228,14 +1280,24 @@ typedef struct voxrt_gi_render_desc {
     uint32_t first_ray;
     const voxrt_geometry *shadow;
     float shadow_lift;           /* world: how far shadow rays through `shadow` start above the surface */
-    uint32_t filter;
+    uint32_t filter, direct_filter;
+    uint32_t coarse;
+    float detail;
+    voxrt_gi_lookup lookup;
+    uint32_t pattern;
+    float d_min;
+    uint32_t map_size;
+    float tolerance;
+    voxrt_gi_history *history;
+    float keep;
+    voxrt_gi_report *report;
     uint32_t _end_zero;
 } voxrt_gi_render_desc;
 
 /* Light a G-buffer. direct, indirect: rgb for each pixel, linear: what the surface sends to the camera because of
-   lights (with its emission), and because of other surfaces; may be NULL. The same bits for any number of threads and
-   any isa. Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY, CANCELLED. Thread safety: one call on a scene at a time (it
-   fills the cache). Source: thesis (2010) 6, 7. */
+   lights (with its emission), and because of other surfaces; may be NULL. Surfaces that emit light count as lights. The
+   same bits for any number of threads and any isa. Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY, CANCELLED. Thread
+   safety: one call on a scene at a time (it fills the cache). Source: thesis (2010) 6, 7, 8.6. */
 VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_gi *gi, const voxrt_gbuffer *gbuffer,
                                        float *direct, float *indirect, voxrt_stats *stats);
 
@@ -1243,6 +1305,22 @@ VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_g
    counts from now on at hits. weight: share of the new value (0: 1); smaller ones let it follow a moving scene without
    flicker. The more often it is called the more bounces there are. seed: another one gives other rays. */
 VOXRT_DEF voxrt_result voxrt_gi_bounce(voxrt_gi *gi, const voxrt_env *env, uint32_t rays, float weight, uint32_t seed);
+
+/* Keep frames within a time. Zero it before the first frame; before each frame draw with `rays` and `coarse`, after it
+   tell how long it took.
+   most    rays a pixel at best; 0: 64
+   light_ms, of frame_ms, is what voxrt_gi_render took: it goes by rays, the rest by the frame. Returns 1 when
+   the next frame is drawn otherwise than the last. O(1). Times that are not positive numbers change nothing. */
+typedef struct voxrt_gi_budget {
+    uint32_t rays, coarse, most;
+    float _ray_ms;
+} voxrt_gi_budget;
+VOXRT_DEF int voxrt_gi_budget_update(voxrt_gi_budget *budget, const voxrt_gi_report *report, float frame_ms,
+                                     float light_ms, float target_ms);
+
+/* Virtual point lights of the last picture by VOXRT_GI_VPL: xyz, normal and rgb (flux) of each, 9 floats, up to `most` of
+   them. Returns how many there are: to show where they lie. */
+VOXRT_DEF size_t voxrt_gi_virtual_lights(const voxrt_gi *gi, float *out, size_t most);
 
 typedef enum voxrt_tone {
     VOXRT_TONE_LINEAR = 0, VOXRT_TONE_LOG = 1, VOXRT_TONE_DRAGO = 2, VOXRT_TONE_FORCE_32BIT = 0x7fffffff
@@ -14570,17 +14648,34 @@ typedef struct voxrti_gi_layer {
     uint32_t *base;
     voxrti_gi_record *record;
     uint32_t *direct;      /* two for each record: irradiance by lights, shared exponents; VOXRTI_GI_UNKNOWN */
-    uint32_t *bounce;      /* two for each record: irradiance by other surfaces */
-    size_t count, capacity, bounce_capacity;
+    uint32_t *bounce;      /* two for each record: irradiance by other surfaces; VOXRTI_GI_UNKNOWN */
+    size_t count, capacity;
 } voxrti_gi_layer;
 
 #define VOXRTI_GI_UNKNOWN 0xffffffffu
 
 typedef struct voxrti_gi_entry {
     voxrt_gi_object object;
-    float emission[3], specular[4];
+    float emission[3], specular[4]; /* specular is 0 without an exponent */
     uint32_t used;
+    uint32_t placed, moved;   /* by how many updates since it came; its place is not the one of the update before */
+    double at[12], back[12];  /* to_world at the last update; from the world of the last update to that before it */
 } voxrti_gi_entry;
+
+typedef struct voxrti_emitter { /* a triangle p, p + u, p + v that emits light */
+    float p[3], u[3], v[3], n[3], rgb[3], share; /* share: of its area in the sum */
+    double sum;                                  /* share * area of all up to this one */
+} voxrti_emitter;
+
+#define VOXRTI_GI_EMITTERS 4 /* a kind of light: all surfaces that emit */
+
+/* What a lamp sees. A texel is a position and a normal, 6 floats; normal 0: nothing is there. Faces of 90 degrees look
+   along +x, -x, +y, ..., the single face of a spot along its direction. */
+struct voxrti_gi_map {
+    float *texel;
+    uint32_t side, faces;
+    float tangent;          /* of half its angle */
+};
 
 struct voxrt_gi {
     voxrti_mem mem;
@@ -14590,10 +14685,21 @@ struct voxrt_gi {
     size_t entry_count, entry_capacity;
     voxrt_gi_light *light;
     size_t light_count;
+    voxrti_emitter *emitter;
+    size_t emitter_count, emitter_capacity;
+    voxrt_gi_light emit;      /* of kind VOXRTI_GI_EMITTERS */
+    struct voxrti_gi_map *map; /* for each light, or NULL */
+    struct voxrti_vpl *vpl;   /* of the last picture */
+    size_t vpl_count, vpl_capacity;
     voxrti_gi_layer layer[2]; /* still, moving */
-    uint32_t *own;            /* level 0 of the moving layer */
-    uint32_t still_changed, bounced;
+    voxrti_gi_layer before;   /* the moving layer of the last update, then memory for the next */
+    uint32_t *own, *own_before; /* level 0 of the moving layer */
+    float lo[3], hi[3];       /* world box */
+    double origin_before[3];  /* of the columns, at the last update */
+    uint32_t still_changed, changed; /* since the last update */
+    uint32_t version;         /* of what can be seen */
     uint64_t rejected;
+    voxrt_gi *outer;          /* the volume around this one, with the same objects, or NULL */
 };
 
 /* Sums while a layer is made; integers, so that threads may add in any order. */
@@ -14834,7 +14940,7 @@ static void voxrti_gi_layer_free(voxrt_gi *gi, voxrti_gi_layer *l) {
     memset(l, 0, sizeof *l);
 }
 
-/* Count cells, find room for their records. What bounced before is forgotten. */
+/* Count cells, find room for their records. What bounces is not known. */
 static voxrt_result voxrti_gi_layer_open(voxrt_gi *gi, voxrti_gi_layer *l) {
     const voxrt_columns *c = gi->columns;
     const size_t columns = (size_t)c->size[0] * c->size[1];
@@ -14849,25 +14955,23 @@ static voxrt_result voxrti_gi_layer_open(voxrt_gi *gi, voxrti_gi_layer *l) {
     }
     if (n > l->capacity) {
         const size_t want = n + n / 4;
-        voxrti_free(&gi->mem, l->record);
-        voxrti_free(&gi->mem, l->direct);
-        voxrti_free(&gi->mem, l->bounce);
-        l->capacity = 0;
+        uint32_t *base = l->base;
+        const uint32_t *bits = l->bits;
+        l->base = NULL;
+        voxrti_gi_layer_free(gi, l);
+        l->base = base;
+        l->bits = bits;
         l->record = (voxrti_gi_record *)voxrti_alloc_array(&gi->mem, want, sizeof *l->record);
         l->direct = (uint32_t *)voxrti_alloc_array(&gi->mem, want, 8);
         l->bounce = (uint32_t *)voxrti_alloc_array(&gi->mem, want, 8);
         if (l->record == NULL || l->direct == NULL || l->bounce == NULL) {
-            voxrti_free(&gi->mem, l->record);
-            voxrti_free(&gi->mem, l->direct);
-            voxrti_free(&gi->mem, l->bounce);
-            l->record = NULL;
-            l->direct = l->bounce = NULL;
+            voxrti_gi_layer_free(gi, l);
             return VOXRT_ERR_NO_MEMORY;
         }
         l->capacity = want;
     }
     l->count = n;
-    if (n != 0) memset(l->bounce, 0, n * 8);
+    if (n != 0) memset(l->bounce, 255, n * 8);
     return VOXRT_OK;
 }
 
@@ -14922,35 +15026,241 @@ static voxrt_result voxrti_gi_layer_build(voxrt_gi *gi, uint32_t which) {
     return VOXRT_OK;
 }
 
-VOXRT_DEF voxrt_result voxrt_gi_update(voxrt_gi *gi, voxrt_gi_update_stats *stats) {
-    voxrt_columns *c;
+/* What bounced on the cells of a layer goes over to the cells where their surfaces are now. */
+typedef struct voxrti_gi_carry {
+    const voxrt_gi *gi;
+    voxrti_gi_layer *to;
+    const voxrti_gi_layer *from;
+} voxrti_gi_carry;
+
+static void voxrti_gi_side_place(const voxrt_gi *gi, const voxrti_gi_record *r, uint32_t side, const uint32_t cell[3],
+                                 float position[3], float normal[3]);
+
+/* Bounced light in the old layer on the side that faces n, in the cell at p (in cells) or one that touches it. */
+static uint32_t voxrti_gi_carried(const voxrti_gi_carry *w, const double p[3], const float n[3]) {
+    static const int8_t step[7][3] = {{0, 0, 0}, {1, 0, 0}, {-1, 0, 0}, {0, 1, 0}, {0, -1, 0}, {0, 0, 1}, {0, 0, -1}};
+    const voxrt_columns *c = w->gi->columns;
+    uint32_t i, a, side;
+    for (i = 0; i < 7; i++) {
+        uint32_t q[3];
+        size_t r;
+        for (a = 0; a < 3; a++) {
+            const double at = p[a] + (double)step[i][a];
+            if (!(at >= 0.0 && at < (double)c->size[a])) break;
+            q[a] = (uint32_t)at;
+        }
+        if (a < 3 || (w->from->bits[voxrti_column(c, 0, q[0], q[1]) + (q[2] >> 5)] >> (q[2] & 31u) & 1u) == 0) continue;
+        r = voxrti_gi_rank(c, w->from, q[0], q[1], q[2]);
+        for (side = 0; side < 2; side++) {
+            float m[3];
+            if (w->from->record[r].area[side] == 0) continue;
+            voxrti_oct_decode(w->from->record[r].normal[side], m);
+            if (voxrti_dot3(m, n) > 0.7f) return w->from->bounce[2 * r + side];
+        }
+    }
+    return VOXRTI_GI_UNKNOWN;
+}
+
+static void voxrti_task_gi_carry(void *ctx, uint32_t y) {
+    const voxrti_gi_carry *w = (const voxrti_gi_carry *)ctx;
+    const voxrt_columns *c = w->gi->columns;
+    size_t rec = w->to->base[(size_t)y << c->row_log[0]];
+    uint32_t x, k, side, a, b;
+    for (x = 0; x < c->size[0]; x++)
+        for (k = 0; k < c->words; k++) {
+            uint32_t bits = w->to->bits[voxrti_column(c, 0, x, y) + k];
+            for (; bits != 0; bits &= bits - 1, rec++)
+                for (side = 0; side < 2; side++) {
+                    const uint32_t cell[3] = {x, y, 32 * k + voxrti_ctz64(bits)};
+                    const voxrti_gi_record *r = &w->to->record[rec];
+                    const voxrti_gi_entry *e = &w->gi->entry[r->object[side]];
+                    float p[3], n[3], m[3];
+                    double q[3];
+                    if (r->area[side] == 0) continue;
+                    voxrti_gi_side_place(w->gi, r, side, cell, p, n);
+                    for (a = 0; a < 3; a++) {
+                        const uint32_t g = c->axis[a];
+                        double at = (double)p[g];
+                        m[g] = n[g];
+                        if (e->moved) {
+                            at = e->back[4 * g + 3];
+                            m[g] = 0.0f;
+                            for (b = 0; b < 3; b++) {
+                                at += e->back[4 * g + b] * (double)p[b];
+                                m[g] += (float)e->back[4 * g + b] * n[b];
+                            }
+                        }
+                        q[a] = (at - w->gi->origin_before[a]) * c->per_cell[a];
+                    }
+                    (void)voxrti_normalize(m);
+                    w->to->bounce[2 * rec + side] = voxrti_gi_carried(w, q, m);
+                }
+        }
+}
+
+/* Where objects were at the last update and where they are now. */
+static void voxrti_gi_track(voxrt_gi *gi) {
+    static const double same[12] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0};
+    size_t i;
+    uint32_t a, b, k;
+    for (i = 0; i < gi->entry_count; i++) {
+        voxrti_gi_entry *e = &gi->entry[i];
+        const double *now = e->object.to_world;
+        double inverse[12];
+        int any = 0;
+        if (!e->used) continue;
+        for (a = 0; a < 12; a++) any |= now[a] != 0.0;
+        if (!any) now = same;
+        e->moved = e->placed != 0 && memcmp(e->at, now, sizeof e->at) != 0 && voxrti_affine_invert(now, inverse);
+        for (a = 0; a < 3 && e->moved; a++)
+            for (b = 0; b < 4; b++) {
+                e->back[4 * a + b] = b == 3 ? e->at[4 * a + 3] : 0.0;
+                for (k = 0; k < 3; k++) e->back[4 * a + b] += e->at[4 * a + k] * inverse[4 * k + b];
+            }
+        memcpy(e->at, now, sizeof e->at);
+        e->placed = 1;
+    }
+}
+
+/* All triangles of objects that emit light. */
+static voxrt_result voxrti_gi_find_emitters(voxrt_gi *gi) {
+    double sum = 0.0;
+    size_t i, t, room = 0;
+    gi->emitter_count = 0;
+    for (i = 0; i < gi->entry_count; i++) {
+        const voxrti_gi_entry *e = &gi->entry[i];
+        if (e->used && e->emission[0] + e->emission[1] + e->emission[2] > 0.0f) room += e->object.mesh.triangle_count;
+    }
+    if (room > gi->emitter_capacity) {
+        voxrti_free(&gi->mem, gi->emitter);
+        gi->emitter_capacity = 0;
+        gi->emitter = (voxrti_emitter *)voxrti_alloc_array(&gi->mem, room, sizeof *gi->emitter);
+        if (gi->emitter == NULL) return VOXRT_ERR_NO_MEMORY;
+        gi->emitter_capacity = room;
+    }
+    for (i = 0; i < gi->entry_count && room != 0; i++) {
+        const voxrti_gi_entry *e = &gi->entry[i];
+        const voxrt_mesh *mesh = &e->object.mesh;
+        const size_t stride = mesh->position_stride != 0 ? mesh->position_stride : 12;
+        const float share = 0.2126f * e->emission[0] + 0.7152f * e->emission[1] + 0.0722f * e->emission[2];
+        if (!e->used || !(share > 0.0f)) continue;
+        for (t = 0; t < mesh->triangle_count; t++) {
+            voxrti_emitter *m = &gi->emitter[gi->emitter_count];
+            float p[3][3], l;
+            uint32_t k, a, b, ok = 1;
+            for (k = 0; k < 3 && ok; k++) {
+                const size_t at = mesh->indices != NULL ? (size_t)mesh->indices[3 * t + k] : 3 * t + k;
+                float v[3];
+                ok = at < mesh->vertex_count;
+                if (!ok) break;
+                memcpy(v, (const uint8_t *)mesh->positions + at * stride, 12);
+                for (a = 0; a < 3; a++) {
+                    double w = e->at[4 * a + 3];
+                    for (b = 0; b < 3; b++) w += e->at[4 * a + b] * (double)v[b];
+                    p[k][a] = (float)w;
+                    ok &= (uint32_t)(voxrti_absf(p[k][a]) < 1e12f);
+                }
+            }
+            if (!ok) continue;
+            for (a = 0; a < 3; a++) {
+                m->p[a] = p[0][a];
+                m->u[a] = p[1][a] - p[0][a];
+                m->v[a] = p[2][a] - p[0][a];
+            }
+            for (a = 0; a < 3; a++)
+                m->n[a] = m->u[(a + 1) % 3] * m->v[(a + 2) % 3] - m->u[(a + 2) % 3] * m->v[(a + 1) % 3];
+            l = 0.5f * sqrtf(voxrti_dot3(m->n, m->n));
+            if (!voxrti_normalize(m->n) || !(l > 0.0f) || !(l < 1e30f)) continue;
+            memcpy(m->rgb, e->emission, 12);
+            m->share = share;
+            m->sum = sum += (double)share * (double)l;
+            gi->emitter_count++;
+        }
+    }
+    return VOXRT_OK;
+}
+
+/* Voxelise the layers of one volume that changed, keep what bounced. */
+static voxrt_result voxrti_gi_update_one(voxrt_gi *gi) {
+    voxrt_columns *c = gi->columns;
+    const size_t words = (size_t)c->size[0] * c->size[1] * c->words;
+    voxrti_gi_layer old, spare;
+    voxrti_gi_carry carry;
     voxrt_result r = VOXRT_OK;
-    uint32_t l;
-    if (stats != NULL) memset(stats, 0, sizeof *stats);
-    if (gi == NULL) return VOXRT_ERR_INVALID_ARG;
-    c = gi->columns;
+    uint32_t *still = NULL, *own = gi->own;
     gi->rejected = 0;
-    gi->bounced = 0;
-    memset(gi->own, 0, (size_t)c->size[0] * c->size[1] * c->words * 4);
+    voxrti_gi_track(gi);
+    memset(&old, 0, sizeof old);
+    carry.gi = gi;
+    if (gi->still_changed && gi->layer[0].count != 0) {
+        still = (uint32_t *)voxrti_alloc_array(&gi->mem, words, 4);
+        if (still == NULL) return VOXRT_ERR_NO_MEMORY;
+        memcpy(still, c->still, words * 4);
+        old = gi->layer[0];
+        old.bits = still;
+        memset(&gi->layer[0], 0, sizeof gi->layer[0]);
+    }
+    gi->own = gi->own_before;
+    gi->own_before = own;
+    memset(gi->own, 0, words * 4);
     voxrt_columns_clear(c, gi->still_changed != 0);
     if (gi->still_changed) {
         gi->layer[0].count = 0;
         gi->layer[0].bits = c->still;
         r = voxrti_gi_layer_build(gi, 0);
+        if (r == VOXRT_OK && old.count != 0 && gi->layer[0].count != 0) {
+            carry.to = &gi->layer[0];
+            carry.from = &old;
+            voxrti_parallel_for(&gi->env, voxrti_task_gi_carry, &carry, c->size[1]);
+        }
         if (r == VOXRT_OK) gi->still_changed = 0;
+        voxrti_gi_layer_free(gi, &old);
+        voxrti_free(&gi->mem, still);
     }
+    spare = gi->before;
+    gi->before = gi->layer[1];
+    gi->before.bits = gi->own_before;
+    gi->layer[1] = spare;
     gi->layer[1].count = 0;
     gi->layer[1].bits = gi->own;
     if (r == VOXRT_OK) r = voxrti_gi_layer_build(gi, 1);
+    if (r == VOXRT_OK && gi->before.count != 0 && gi->layer[1].count != 0) {
+        carry.to = &gi->layer[1];
+        carry.from = &gi->before;
+        voxrti_parallel_for(&gi->env, voxrti_task_gi_carry, &carry, c->size[1]);
+    }
+    memcpy(gi->origin_before, c->origin, sizeof gi->origin_before);
     voxrt_columns_update(c);
-    for (l = 0; l < 2; l++)
-        if (gi->layer[l].count != 0) memset(gi->layer[l].direct, 255, gi->layer[l].count * 8);
-    if (r != VOXRT_OK) return voxrti_fail(gi->env.error, r, 0, "no memory for the attributes of cells");
-    if (stats != NULL) {
-        stats->still_cells = gi->layer[0].count;
-        stats->moving_cells = gi->layer[1].count;
-        stats->rejected = gi->rejected;
-        stats->bytes = gi->mem.used + c->mem.used;
+    return r;
+}
+
+static void voxrti_gi_darken(voxrt_gi *gi);
+
+VOXRT_DEF voxrt_result voxrt_gi_update(voxrt_gi *gi, voxrt_gi_update_stats *stats) {
+    voxrt_gi *g;
+    voxrt_result r = VOXRT_OK;
+    uint32_t changed = 0;
+    if (stats != NULL) memset(stats, 0, sizeof *stats);
+    if (gi == NULL) return VOXRT_ERR_INVALID_ARG;
+    for (g = gi; g != NULL; g = g->outer) changed |= g->changed;
+    for (g = gi; g != NULL && r == VOXRT_OK; g = g->outer) {
+        if (!changed) voxrti_gi_track(g); /* what moved before stands still now */
+        else if ((r = voxrti_gi_update_one(g)) == VOXRT_OK) g->changed = 0;
+        else g->changed = 1;
+    }
+    if (changed) {
+        voxrti_gi_darken(gi);
+        if (r == VOXRT_OK) r = voxrti_gi_find_emitters(gi);
+    }
+    if (r != VOXRT_OK) {
+        gi->changed = 1;
+        return voxrti_fail(gi->env.error, r, 0, "no memory for the attributes of cells");
+    }
+    for (g = gi; g != NULL && stats != NULL; g = g->outer) {
+        stats->still_cells += g->layer[0].count;
+        stats->moving_cells += g->layer[1].count;
+        stats->rejected += g == gi ? g->rejected : 0;
+        stats->bytes += g->mem.used + g->columns->mem.used;
     }
     return VOXRT_OK;
 }
@@ -14976,11 +15286,37 @@ static voxrt_result voxrti_gi_object_check(const voxrt_gi *gi, const voxrt_gi_ob
 static void voxrti_gi_entry_set(voxrt_gi *gi, size_t id, const voxrt_gi_object *o) {
     voxrti_gi_entry *e = &gi->entry[id];
     if (o->still || (e->used && e->object.still)) gi->still_changed = 1;
+    gi->changed = 1;
+    if (!e->used) e->placed = 0;
     e->object = *o;
     e->used = 1;
     memcpy(e->emission, o->material.emission, sizeof e->emission);
-    memcpy(e->specular, o->material.specular, sizeof o->material.specular);
-    e->specular[3] = o->material.exponent;
+    memset(e->specular, 0, sizeof e->specular);
+    if (o->material.exponent > 0.0f) {
+        memcpy(e->specular, o->material.specular, sizeof o->material.specular);
+        e->specular[3] = o->material.exponent;
+    }
+}
+
+/* Put an object in place id of the outer volumes, too. */
+static voxrt_result voxrti_gi_pass_on(voxrt_gi *gi, size_t id, const voxrt_gi_object *object) {
+    for (gi = gi->outer; gi != NULL; gi = gi->outer) {
+        while (id >= gi->entry_count) {
+            const size_t n = gi->entry_count;
+            if (!voxrti_grow(&gi->mem, (void **)&gi->entry, &gi->entry_capacity, n, n + 1, sizeof *gi->entry))
+                return voxrti_fail(gi->env.error, VOXRT_ERR_NO_MEMORY, id, "no memory for object %");
+            memset(&gi->entry[n], 0, sizeof gi->entry[n]);
+            gi->entry_count++;
+        }
+        if (object != NULL) {
+            voxrti_gi_entry_set(gi, id, object);
+        } else {
+            if (gi->entry[id].object.still) gi->still_changed = 1;
+            gi->changed = 1;
+            memset(&gi->entry[id], 0, sizeof gi->entry[id]);
+        }
+    }
+    return VOXRT_OK;
 }
 
 VOXRT_DEF voxrt_result voxrt_gi_add(voxrt_gi *gi, const voxrt_gi_object *object, uint32_t *out_id) {
@@ -14997,6 +15333,8 @@ VOXRT_DEF voxrt_result voxrt_gi_add(voxrt_gi *gi, const voxrt_gi_object *object,
         memset(&gi->entry[i], 0, sizeof gi->entry[i]);
         gi->entry_count++;
     }
+    r = voxrti_gi_pass_on(gi, i, object);
+    if (r != VOXRT_OK) return r;
     voxrti_gi_entry_set(gi, i, object);
     if (out_id != NULL) *out_id = (uint32_t)i;
     return VOXRT_OK;
@@ -15008,7 +15346,7 @@ VOXRT_DEF voxrt_result voxrt_gi_set(voxrt_gi *gi, uint32_t id, const voxrt_gi_ob
     if (id >= gi->entry_count || !gi->entry[id].used)
         return voxrti_fail(gi->env.error, VOXRT_ERR_INVALID_ARG, id, "there is no object %");
     voxrti_gi_entry_set(gi, id, object);
-    return VOXRT_OK;
+    return voxrti_gi_pass_on(gi, id, object);
 }
 
 VOXRT_DEF voxrt_result voxrt_gi_remove(voxrt_gi *gi, uint32_t id) {
@@ -15016,14 +15354,32 @@ VOXRT_DEF voxrt_result voxrt_gi_remove(voxrt_gi *gi, uint32_t id) {
     if (id >= gi->entry_count || !gi->entry[id].used)
         return voxrti_fail(gi->env.error, VOXRT_ERR_INVALID_ARG, id, "there is no object %");
     if (gi->entry[id].object.still) gi->still_changed = 1;
+    gi->changed = 1;
     memset(&gi->entry[id], 0, sizeof gi->entry[id]);
-    return VOXRT_OK;
+    return voxrti_gi_pass_on(gi, id, NULL);
+}
+
+static void voxrti_gi_maps_free(voxrt_gi *gi) {
+    size_t i;
+    for (i = 0; i < gi->light_count && gi->map != NULL; i++) voxrti_free(&gi->mem, gi->map[i].texel);
+    voxrti_free(&gi->mem, gi->map);
+    gi->map = NULL;
+}
+
+/* Light has changed: nothing is known about it. */
+static void voxrti_gi_darken(voxrt_gi *gi) {
+    uint32_t l;
+    voxrti_gi_maps_free(gi);
+    gi->version++;
+    for (; gi != NULL; gi = gi->outer)
+        for (l = 0; l < 2; l++)
+            if (gi->layer[l].count != 0) memset(gi->layer[l].direct, 255, gi->layer[l].count * 8);
 }
 
 VOXRT_DEF voxrt_result voxrt_gi_set_lights(voxrt_gi *gi, const voxrt_gi_light *lights, size_t count) {
     voxrt_gi_light *copy = NULL;
     size_t i;
-    uint32_t a, l;
+    uint32_t a;
     if (gi == NULL || (lights == NULL && count != 0)) return VOXRT_ERR_INVALID_ARG;
     if (count != 0) {
         copy = (voxrt_gi_light *)voxrti_alloc_array(&gi->mem, count, sizeof *copy);
@@ -15050,38 +15406,46 @@ VOXRT_DEF voxrt_result voxrt_gi_set_lights(voxrt_gi *gi, const voxrt_gi_light *l
             return voxrti_fail(gi->env.error, VOXRT_ERR_INVALID_ARG, i, "light % is none");
         }
     }
+    if (count == gi->light_count && (count == 0 || memcmp(copy, gi->light, count * sizeof *copy) == 0)) {
+        voxrti_free(&gi->mem, copy); /* the same ones */
+        return VOXRT_OK;
+    }
+    voxrti_gi_darken(gi);
     voxrti_free(&gi->mem, gi->light);
     gi->light = copy;
     gi->light_count = count;
-    for (l = 0; l < 2; l++)
-        if (gi->layer[l].count != 0) memset(gi->layer[l].direct, 255, gi->layer[l].count * 8);
     return VOXRT_OK;
 }
 
-VOXRT_DEF voxrt_result voxrt_gi_create(const voxrt_gi_desc *desc, voxrt_gi **out_gi) {
+/* One volume; those around it are added by voxrt_gi_create. */
+static voxrt_result voxrti_gi_open(const voxrt_gi_desc *desc, const voxrt_columns_desc *columns, voxrt_gi **out_gi) {
     voxrti_mem mem;
     voxrt_columns_desc d;
     voxrt_gi *gi;
-    voxrt_result r;
-    if (out_gi == NULL) return VOXRT_ERR_INVALID_ARG;
+    uint32_t a;
+    voxrt_result r = voxrti_env_open(&desc->env, &mem);
     *out_gi = NULL;
-    if (desc == NULL) return VOXRT_ERR_INVALID_ARG;
-    if (desc->_begin_zero != 0 || desc->_end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
-    r = voxrti_env_open(&desc->env, &mem);
     if (r != VOXRT_OK) return r;
     gi = (voxrt_gi *)voxrti_alloc_zero(&mem, 1, sizeof *gi);
     if (gi == NULL) return voxrti_fail(desc->env.error, VOXRT_ERR_NO_MEMORY, 0, "no memory for a scene");
     gi->mem = mem;
     gi->env = desc->env;
-    gi->still_changed = 1;
-    d = desc->columns;
+    gi->still_changed = gi->changed = 1;
+    gi->emit.kind = (voxrt_gi_light_kind)VOXRTI_GI_EMITTERS;
+    d = *columns;
     d.env = desc->env;
+    for (a = 0; a < 3; a++) {
+        gi->lo[a] = (float)d.box_min[a];
+        gi->hi[a] = (float)d.box_max[a];
+    }
     r = voxrt_columns_create(&d, &gi->columns);
     if (r == VOXRT_OK && gi->columns != NULL) {
         const size_t n = (size_t)gi->columns->size[0] * gi->columns->size[1] * gi->columns->words;
         gi->own = (uint32_t *)voxrti_alloc_zero(&gi->mem, n, 4);
+        gi->own_before = (uint32_t *)voxrti_alloc_zero(&gi->mem, n, 4);
         gi->columns->still = (uint32_t *)voxrti_alloc_zero(&gi->columns->mem, n, 4);
-        if (gi->own == NULL || gi->columns->still == NULL)
+        memcpy(gi->origin_before, gi->columns->origin, sizeof gi->origin_before);
+        if (gi->own == NULL || gi->own_before == NULL || gi->columns->still == NULL)
             r = voxrti_fail(desc->env.error, VOXRT_ERR_NO_MEMORY, n, "no memory for layers of % words");
     }
     if (r == VOXRT_OK) *out_gi = gi;
@@ -15089,39 +15453,122 @@ VOXRT_DEF voxrt_result voxrt_gi_create(const voxrt_gi_desc *desc, voxrt_gi **out
     return r;
 }
 
+VOXRT_DEF voxrt_result voxrt_gi_create(const voxrt_gi_desc *desc, voxrt_gi **out_gi) {
+    voxrt_columns_desc d;
+    voxrt_gi **to;
+    voxrt_result r = VOXRT_OK;
+    uint32_t l, a, levels;
+    if (out_gi == NULL) return VOXRT_ERR_INVALID_ARG;
+    *out_gi = NULL;
+    if (desc == NULL) return VOXRT_ERR_INVALID_ARG;
+    if (desc->_begin_zero != 0 || desc->_end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
+    levels = desc->nested != 0 ? desc->nested : 1;
+    if (levels > 8) return voxrti_fail(desc->env.error, VOXRT_ERR_INVALID_ARG, levels, "% nested volumes are too many");
+    d = desc->columns;
+    for (l = 0, to = out_gi; l < levels && r == VOXRT_OK; l++) {
+        r = voxrti_gi_open(desc, &d, to);
+        if (r != VOXRT_OK) break;
+        d.depth_axis_plus_1 = (*to)->columns->axis[2] + 1; /* of a box like the first */
+        to = &(*to)->outer;
+        for (a = 0; a < 3; a++) {
+            const double half = 0.5 * (d.box_max[a] - d.box_min[a]);
+            d.box_min[a] -= half;
+            d.box_max[a] += half;
+        }
+    }
+    if (r != VOXRT_OK) {
+        voxrt_gi_destroy(*out_gi);
+        *out_gi = NULL;
+    }
+    return r;
+}
+
 VOXRT_DEF void voxrt_gi_destroy(voxrt_gi *gi) {
-    voxrti_mem mem;
-    uint32_t l;
-    if (gi == NULL) return;
-    for (l = 0; l < 2; l++) voxrti_gi_layer_free(gi, &gi->layer[l]);
-    voxrt_columns_destroy(gi->columns);
-    voxrti_free(&gi->mem, gi->entry);
-    voxrti_free(&gi->mem, gi->light);
-    voxrti_free(&gi->mem, gi->own);
-    mem = gi->mem;
-    voxrti_free(&mem, gi);
+    while (gi != NULL) {
+        voxrt_gi *outer = gi->outer;
+        voxrti_mem mem = gi->mem;
+        uint32_t l;
+        for (l = 0; l < 2; l++) voxrti_gi_layer_free(gi, &gi->layer[l]);
+        voxrti_gi_layer_free(gi, &gi->before);
+        voxrti_gi_maps_free(gi);
+        voxrt_columns_destroy(gi->columns);
+        voxrti_free(&gi->mem, gi->entry);
+        voxrti_free(&gi->mem, gi->light);
+        voxrti_free(&gi->mem, gi->emitter);
+        voxrti_free(&gi->mem, gi->vpl);
+        voxrti_free(&gi->mem, gi->own);
+        voxrti_free(&gi->mem, gi->own_before);
+        mem = gi->mem;
+        voxrti_free(&mem, gi);
+        gi = outer;
+    }
+}
+
+VOXRT_DEF voxrt_result voxrt_gi_follow(voxrt_gi *gi, const double centre[3], uint32_t *out_moved) {
+    uint32_t a;
+    if (out_moved != NULL) *out_moved = 0;
+    if (gi == NULL || centre == NULL) return VOXRT_ERR_INVALID_ARG;
+    for (a = 0; a < 3; a++)
+        if (!(voxrti_abs(centre[a]) < 1e12))
+            return voxrti_fail(gi->env.error, VOXRT_ERR_INVALID_ARG, a, "coordinate % is not finite");
+    for (; gi != NULL; gi = gi->outer) {
+        voxrt_columns *c = gi->columns;
+        int moved = 0;
+        for (a = 0; a < 3; a++) { /* by whole steps, so that cells stay where they were */
+            const uint32_t w = c->axis[a];
+            const double step = 8.0 * c->cell[a], half = 0.5 * c->cell[a] * (double)c->size[a];
+            const double by = step * (double)voxrti_floor((centre[w] - half - c->origin[a]) / step + 0.5);
+            if (by == 0.0) continue;
+            moved = 1;
+            c->origin[a] += by;
+            gi->lo[w] = (float)c->origin[a];
+            gi->hi[w] = (float)(c->origin[a] + 2.0 * half);
+        }
+        if (moved && out_moved != NULL) ++*out_moved;
+        if (moved) gi->still_changed = gi->changed = 1;
+    }
+    return VOXRT_OK;
 }
 
 VOXRT_DEF const voxrt_columns *voxrt_gi_columns(const voxrt_gi *gi) { return gi != NULL ? gi->columns : NULL; }
 
 /* ---- light that falls on cells ---- */
 
-/* One side of a cell: layer << 63 would waste bits: record * 2 + side, and the layer beside it. */
+/* One side of a cell, in one of the nested volumes. */
 typedef struct voxrti_gi_side {
-    size_t at;        /* 2 * record + side */
+    const voxrt_gi *gi;
+    size_t at;        /* 2 * record + side; -1: none */
     uint32_t layer;
     float position[3], normal[3], albedo[3];
 } voxrti_gi_side;
 
+VOXRTI_INLINE const voxrti_gi_entry *voxrti_gi_side_entry(const voxrti_gi_side *s) {
+    return &s->gi->entry[s->gi->layer[s->layer].record[s->at >> 1].object[s->at & 1u]];
+}
+
+/* A side of the cell (x, y, k) of a record, as it lies in the world. */
+static void voxrti_gi_side_place(const voxrt_gi *gi, const voxrti_gi_record *r, uint32_t side, const uint32_t cell[3],
+                                 float position[3], float normal[3]) {
+    const voxrt_columns *c = gi->columns;
+    const float lift = (float)((double)r->offset[side] * (c->diagonal / 254.0));
+    uint32_t a;
+    voxrti_oct_decode(r->normal[side], normal);
+    for (a = 0; a < 3; a++) {
+        const uint32_t w = c->axis[a];
+        position[w] = (float)(c->origin[a] + ((double)cell[a] + 0.5) * c->cell[a]) + lift * normal[w];
+    }
+}
+
 /* Which side of cell (x, y, k) does a ray in direction dir see? 0: none. */
 static int voxrti_gi_side_open(const voxrt_gi *gi, uint32_t x, uint32_t y, uint32_t k, const float dir[3],
                                voxrti_gi_side *s) {
-    const voxrt_columns *c = gi->columns;
     const uint32_t cell[3] = {x, y, k};
     const voxrti_gi_record *r;
-    float best = 0.0f, n[3] = {0, 0, 0}, lift;
+    float best = 0.0f, n[3] = {0, 0, 0};
     uint32_t side, seen = 2, a;
     const size_t i = voxrti_gi_find(gi, x, y, k, &s->layer);
+    s->gi = gi;
+    s->at = (size_t)-1;
     if (i == (size_t)-1) return 0;
     r = &gi->layer[s->layer].record[i];
     for (side = 0; side < 2; side++) {
@@ -15132,19 +15579,107 @@ static int voxrti_gi_side_open(const voxrt_gi *gi, uint32_t x, uint32_t y, uint3
         if (!(facing > best)) continue;
         best = facing;
         seen = side;
-        memcpy(s->normal, n, sizeof n);
     }
     if (seen == 2) return 0;
     s->at = 2 * i + seen;
-    lift = (float)((double)r->offset[seen] * (c->diagonal / 254.0));
+    voxrti_gi_side_place(gi, r, seen, cell, s->position, s->normal);
     for (a = 0; a < 3; a++) {
-        const uint32_t w = c->axis[a];
         const float q = (float)r->rgb[seen][a] * (1.0f / 255.0f);
-        s->position[w] = (float)(c->origin[a] + ((double)cell[a] + 0.5) * c->cell[a]) + lift * s->normal[w];
         s->albedo[a] = q * q;
     }
     return 1;
 }
+
+/* t at which a ray meets the plane of the side it hit at t; t itself where the plane lies far from there. */
+VOXRTI_INLINE float voxrti_gi_side_meet(const voxrti_gi_side *s, const voxrt_ray *r, float t) {
+    const float near_by = 2.0f * (float)s->gi->columns->diagonal;
+    float d[3], at;
+    uint32_t a;
+    for (a = 0; a < 3; a++) d[a] = s->position[a] - r->org[a];
+    at = voxrti_dot3(d, s->normal) / voxrti_dot3(r->dir, s->normal);
+    return voxrti_absf(at - t) * sqrtf(voxrti_dot3(r->dir, r->dir)) < near_by ? at : t;
+}
+
+/* ---- rays through nested volumes ---- */
+
+/* Where a ray that is inside gi's volume at t leaves it; below 0: it is not inside. */
+static float voxrti_gi_exit(const voxrt_gi *gi, const voxrt_ray *r, float t) {
+    float end = INFINITY;
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        const float at = r->org[a] + t * r->dir[a];
+        if (!(at >= gi->lo[a] && at <= gi->hi[a])) return -1.0f;
+        if (r->dir[a] != 0.0f) {
+            const float e = ((r->dir[a] > 0.0f ? gi->hi[a] : gi->lo[a]) - r->org[a]) / r->dir[a];
+            end = e < end ? e : end;
+        }
+    }
+    return end > t ? end : t;
+}
+
+/* Up to VOXRTI_COLUMN_BATCH rays through the innermost volume that holds their origin, and on through those around it:
+   hits, and in which volume; or, with hit NULL, whether there is any. normals: xyz for each ray, or NULL. */
+static void voxrti_gi_trace(const voxrt_gi *gi, int isa, const float *normals, const voxrt_ray *ray, uint32_t count,
+                            voxrt_column_hit *hit, const voxrt_gi **where, uint8_t *dark, voxrt_stats *stats) {
+    voxrt_columns_trace_desc d;
+    voxrt_ray part[VOXRTI_COLUMN_BATCH];
+    voxrt_column_hit found[VOXRTI_COLUMN_BATCH];
+    float normal[VOXRTI_COLUMN_BATCH][3], from[VOXRTI_COLUMN_BATCH], next[VOXRTI_COLUMN_BATCH];
+    uint8_t of[VOXRTI_COLUMN_BATCH], done[VOXRTI_COLUMN_BATCH], shut[VOXRTI_COLUMN_BATCH];
+    const voxrt_gi *g;
+    uint32_t i, j, m;
+    memset(&d, 0, sizeof d);
+    d.isa = (voxrt_isa)isa;
+    d.normals = normals;
+    d.stats = stats;
+    if (gi->outer == NULL) {
+        if (hit != NULL) (void)voxrt_columns_trace(gi->columns, &d, ray, hit, count);
+        else (void)voxrt_columns_occluded(gi->columns, &d, ray, dark, count);
+        for (i = 0; i < count && where != NULL; i++) where[i] = gi;
+        return;
+    }
+    for (i = 0; i < count; i++) {
+        from[i] = ray[i].t_min;
+        done[i] = 0;
+        if (dark != NULL) dark[i] = 0;
+        if (hit == NULL) continue;
+        memset(&hit[i], 0, sizeof hit[i]);
+        hit[i].t = INFINITY;
+        where[i] = gi;
+    }
+    if (normals != NULL) d.normals = normal[0];
+    for (g = gi; g != NULL; g = g->outer) {
+        for (i = m = 0; i < count; i++) {
+            if (done[i]) continue;
+            next[m] = voxrti_gi_exit(g, &ray[i], from[i]);
+            if (next[m] < 0.0f && g->outer != NULL) continue;
+            part[m] = ray[i];
+            part[m].t_min = from[i];
+            if (next[m] >= 0.0f && next[m] < ray[i].t_max) part[m].t_max = next[m];
+            if (normals != NULL) memcpy(normal[m], normals + 3 * i, sizeof normal[m]);
+            of[m++] = (uint8_t)i;
+        }
+        if (m == 0) continue;
+        if (hit != NULL) (void)voxrt_columns_trace(g->columns, &d, part, found, m);
+        else (void)voxrt_columns_occluded(g->columns, &d, part, shut, m);
+        for (j = 0; j < m; j++) {
+            i = of[j];
+            if (hit != NULL ? found[j].t < INFINITY : shut[j] != 0) {
+                done[i] = 1;
+                if (dark != NULL) dark[i] = 1;
+                if (hit == NULL) continue;
+                hit[i] = found[j];
+                where[i] = g;
+            } else if (next[j] < 0.0f || next[j] >= ray[i].t_max) {
+                done[i] = 1;
+            } else {
+                from[i] = next[j];
+            }
+        }
+    }
+}
+
+/* ---- samples ---- */
 
 /* Counter-based numbers in [0, 1): a scrambled Sobol point for each index, two dimensions at a time (Burley 2020). */
 VOXRTI_INLINE uint32_t voxrti_reverse_bits(uint32_t x) {
@@ -15192,35 +15727,88 @@ VOXRTI_INLINE void voxrti_tangents(const float n[3], float a[3], float b[3]) {
     b[2] = 0.0f - n[1];
 }
 
-/* A direction over the hemisphere of n with density cos^power, power >= 1: cosine if 1. Returns the cosine. */
-VOXRTI_INLINE float voxrti_lobe_direction(const float n[3], const float u[2], float power, float dir[3]) {
-    float a[3], b[3], s, c, cosine, sine;
+/* A unit vector at `cosine` to n, turned by u. */
+VOXRTI_INLINE void voxrti_around(const float n[3], float u, float cosine, float dir[3]) {
+    float a[3], b[3], s, c, sine = 1.0f - cosine * cosine;
     uint32_t i;
     voxrti_tangents(n, a, b);
-    voxrti_turn(u[0], &s, &c);
-    if (power == 1.0f) cosine = sqrtf(1.0f - u[1]);
-    else cosine = (float)voxrti_pow((double)(1.0f - u[1]), 1.0 / ((double)power + 1.0));
-    sine = 1.0f - cosine * cosine;
+    voxrti_turn(u, &s, &c);
     sine = sine > 0.0f ? sqrtf(sine) : 0.0f;
     for (i = 0; i < 3; i++) dir[i] = (s * sine) * b[i] + (c * sine) * a[i] + cosine * n[i];
+}
+
+/* A direction over the hemisphere of n with density cos^power, power >= 1: cosine if 1. Returns the cosine. */
+VOXRTI_INLINE float voxrti_lobe_direction(const float n[3], const float u[2], float power, float dir[3]) {
+    float cosine;
+    if (power == 1.0f) cosine = sqrtf(1.0f - u[1]);
+    else cosine = (float)voxrti_pow((double)(1.0f - u[1]), 1.0 / ((double)power + 1.0));
+    voxrti_around(n, u[0], cosine, dir);
     return cosine;
+}
+
+/* Direction of a ray in direction d after a mirror with normal n. */
+VOXRTI_INLINE void voxrti_mirror(const float d[3], const float n[3], float out[3]) {
+    const float twice = 2.0f * voxrti_dot3(d, n);
+    uint32_t a;
+    for (a = 0; a < 3; a++) out[a] = d[a] - twice * n[a];
+}
+
+/* The Phong lobe for light from `to` that leaves against `view`: (e + 2) / (2 pi) cos^e. All unit. */
+VOXRTI_INLINE float voxrti_phong(const float view[3], const float n[3], const float to[3], float exponent) {
+    float r[3], c;
+    voxrti_mirror(view, n, r);
+    c = voxrti_dot3(r, to);
+    if (!(c > 0.0f)) return 0.0f;
+    return (exponent + 2.0f) * 0.159154943f * (float)voxrti_pow((double)c, (double)exponent);
+}
+
+/* ---- lamps: the caller's lights, and all surfaces that emit light as one more ---- */
+
+VOXRTI_INLINE size_t voxrti_gi_lamps(const voxrt_gi *gi) { return gi->light_count + (gi->emitter_count != 0); }
+
+/* Triangle of the emitters by u[0], by power; a point on it by the rest of u. Returns the triangle. */
+static const voxrti_emitter *voxrti_gi_emitter(const voxrt_gi *gi, const float u[2], float p[3]) {
+    const double total = gi->emitter[gi->emitter_count - 1].sum, want = (double)u[0] * total;
+    size_t lo = 0, hi = gi->emitter_count - 1;
+    const voxrti_emitter *e;
+    double before, rest;
+    float s, v;
+    uint32_t a;
+    while (lo < hi) {
+        const size_t mid = (lo + hi) / 2;
+        if (gi->emitter[mid].sum > want) hi = mid;
+        else lo = mid + 1;
+    }
+    e = &gi->emitter[lo];
+    before = lo != 0 ? gi->emitter[lo - 1].sum : 0.0;
+    rest = (want - before) / (e->sum - before);
+    s = sqrtf((float)(rest > 0.0 ? (rest < 1.0 ? rest : 1.0) : 0.0));
+    v = u[1] * s;
+    for (a = 0; a < 3; a++) p[a] = e->p[a] + (s - v) * e->u[a] + v * e->v[a];
+    return e;
 }
 
 /* The way from a surface point to light `l`: a point of it by u, and what falls on the surface if nothing is between.
    0: nothing. The ray ends on the light: t_max = 1, or INFINITY. */
-static int voxrti_gi_light_ray(const voxrt_gi_light *l, const float p[3], const float n[3], const float u[2],
-                               voxrt_ray *ray, float rgb[3]) {
-    float d[3], d2 = 0.0f, cosine, scale = 1.0f;
+static int voxrti_gi_light_ray(const voxrt_gi *gi, const voxrt_gi_light *l, const float p[3], const float n[3],
+                               const float u[2], voxrt_ray *ray, float rgb[3]) {
+    const voxrti_emitter *e = NULL;
+    const float *color = l->color;
+    float d[3], d2 = 0.0f, cosine, scale = 1.0f, end = 1.0f, at[3];
     uint32_t a;
+    if ((uint32_t)l->kind == VOXRTI_GI_EMITTERS) {
+        e = voxrti_gi_emitter(gi, u, at);
+        color = e->rgb;
+    }
     for (a = 0; a < 3; a++) {
-        d[a] = l->kind == VOXRT_GI_DIRECTIONAL ? 0.0f - l->direction[a] : l->position[a] - p[a];
+        d[a] = l->kind == VOXRT_GI_DIRECTIONAL ? 0.0f - l->direction[a] : (e != NULL ? at[a] : l->position[a]) - p[a];
         if (l->kind == VOXRT_GI_AREA) d[a] += l->edge_u[a] * (2.0f * u[0] - 1.0f) + l->edge_v[a] * (2.0f * u[1] - 1.0f);
         d2 += d[a] * d[a];
     }
     cosine = voxrti_dot3(d, n);
     if (!(cosine > 0.0f) || !(d2 < INFINITY)) return 0;
     if (l->kind != VOXRT_GI_DIRECTIONAL) {
-        const float inv = 1.0f / sqrtf(d2), along = 0.0f - voxrti_dot3(d, l->direction) * inv;
+        const float inv = 1.0f / sqrtf(d2), along = 0.0f - voxrti_dot3(d, e != NULL ? e->n : l->direction) * inv;
         scale = inv * inv * inv;
         if (l->kind == VOXRT_GI_SPOT) {
             double s, c;
@@ -15228,49 +15816,177 @@ static int voxrti_gi_light_ray(const voxrt_gi_light *l, const float p[3], const 
             if (!(along >= (float)c)) return 0;
         }
         if (l->kind == VOXRT_GI_AREA) {
-            const float *e = l->edge_u, *f = l->edge_v;
-            const float x = e[1] * f[2] - e[2] * f[1], y = e[2] * f[0] - e[0] * f[2], z = e[0] * f[1] - e[1] * f[0];
+            const float *f = l->edge_u, *g = l->edge_v;
+            const float x = f[1] * g[2] - f[2] * g[1], y = f[2] * g[0] - f[0] * g[2], z = f[0] * g[1] - f[1] * g[0];
             if (!(along > 0.0f)) return 0;
             scale *= along * 4.0f * sqrtf(x * x + y * y + z * z);
         }
+        if (e != NULL) { /* the ray ends before the cells of the surface itself */
+            scale *= voxrti_absf(along) * (float)(gi->emitter[gi->emitter_count - 1].sum / (double)e->share);
+            end = 1.0f - 1.5f * (float)gi->columns->diagonal * inv;
+            if (end < 0.0f) end = 0.0f;
+        }
     }
     for (a = 0; a < 3; a++) {
-        rgb[a] = l->color[a] * cosine * scale;
+        rgb[a] = color[a] * cosine * scale;
         ray->org[a] = p[a];
         ray->dir[a] = d[a];
     }
     ray->t_min = 0.0f;
-    ray->t_max = l->kind == VOXRT_GI_DIRECTIONAL ? INFINITY : 1.0f;
+    ray->t_max = l->kind == VOXRT_GI_DIRECTIONAL ? INFINITY : end;
     return rgb[0] + rgb[1] + rgb[2] > 0.0f && rgb[0] + rgb[1] + rgb[2] < INFINITY;
 }
 
-/* Shadow rays of up to VOXRTI_COLUMN_BATCH surface points to one light; adds to rgb of each. An area light gets `area`
-   samples. */
-static void voxrti_gi_add_light(const voxrt_gi *gi, int isa, const voxrt_gi_light *l, const float (*p)[3],
-                                const float (*n)[3], const uint32_t *seed, uint32_t count, uint32_t area,
-                                float (*rgb)[3]) {
+/* ---- maps of what lamps see ---- */
+
+static void voxrti_gi_map_axes(const voxrt_gi_light *l, uint32_t face, float f[3], float u[3], float v[3]) {
+    if (l->kind == VOXRT_GI_SPOT) {
+        memcpy(f, l->direction, 12);
+    } else {
+        f[0] = f[1] = f[2] = 0.0f;
+        f[face >> 1] = (face & 1u) ? -1.0f : 1.0f;
+    }
+    voxrti_tangents(f, u, v);
+}
+
+typedef struct voxrti_gi_map_work { const voxrt_gi *gi; size_t light; int isa; } voxrti_gi_map_work;
+
+static void voxrti_task_gi_map(void *ctx, uint32_t row) {
+    const voxrti_gi_map_work *w = (const voxrti_gi_map_work *)ctx;
+    const voxrt_gi_light *l = &w->gi->light[w->light];
+    const struct voxrti_gi_map *m = &w->gi->map[w->light];
     voxrt_ray ray[VOXRTI_COLUMN_BATCH];
-    float light[VOXRTI_COLUMN_BATCH][3], normal[VOXRTI_COLUMN_BATCH][3];
+    voxrt_column_hit hit[VOXRTI_COLUMN_BATCH];
+    const voxrt_gi *where[VOXRTI_COLUMN_BATCH];
+    float f[3], u[3], v[3];
+    const float y = ((float)(int32_t)(row % m->side) + 0.5f) * 2.0f / (float)(int32_t)m->side - 1.0f;
+    uint32_t x0, x, a;
+    voxrti_gi_map_axes(l, row / m->side, f, u, v);
+    for (x0 = 0; x0 < m->side; x0 += VOXRTI_COLUMN_BATCH) {
+        const uint32_t n = m->side - x0 < VOXRTI_COLUMN_BATCH ? m->side - x0 : VOXRTI_COLUMN_BATCH;
+        for (x = 0; x < n; x++) {
+            const float s = ((float)(int32_t)(x0 + x) + 0.5f) * 2.0f / (float)(int32_t)m->side - 1.0f;
+            for (a = 0; a < 3; a++) {
+                ray[x].org[a] = l->position[a];
+                ray[x].dir[a] = f[a] + m->tangent * (s * u[a] + y * v[a]);
+            }
+            ray[x].t_min = 0.0f;
+            ray[x].t_max = INFINITY;
+        }
+        voxrti_gi_trace(w->gi, w->isa, NULL, ray, n, hit, where, NULL, NULL);
+        for (x = 0; x < n; x++) {
+            float *texel = m->texel + 6 * ((size_t)row * m->side + x0 + x), t;
+            voxrti_gi_side s;
+            memset(texel, 0, 24);
+            if (!(hit[x].t < INFINITY) || !voxrti_gi_side_open(where[x], hit[x].cell[0], hit[x].cell[1], hit[x].cell[2],
+                                                               ray[x].dir, &s)) continue;
+            t = voxrti_gi_side_meet(&s, &ray[x], hit[x].t);
+            for (a = 0; a < 3; a++) texel[a] = ray[x].org[a] + t * ray[x].dir[a];
+            memcpy(texel + 3, s.normal, 12);
+        }
+    }
+}
+
+/* Does light reach p with normal n? It does if what the lamp sees in that direction is near: within a diagonal of a cell
+   or the width of a texel on its slant, at most 4 diagonals (thesis fig. 24). */
+static int voxrti_gi_map_sees(const voxrt_gi *gi, size_t light, const float p[3], const float n[3]) {
+    const voxrt_gi_light *l = &gi->light[light];
+    const struct voxrti_gi_map *m = &gi->map[light];
+    const float h = (float)gi->columns->diagonal;
+    float d[3], f[3], u[3], v[3], x, y, z, slant, near_by, apart = 0.0f;
+    const float *texel;
+    uint32_t face = 0, a, ix, iy;
+    for (a = 0; a < 3; a++) d[a] = p[a] - l->position[a];
+    if (m->faces == 6) {
+        for (a = 1; a < 3; a++) if (voxrti_absf(d[a]) > voxrti_absf(d[face])) face = a;
+        face = 2 * face + (d[face] < 0.0f);
+    }
+    voxrti_gi_map_axes(l, face, f, u, v);
+    z = voxrti_dot3(d, f);
+    if (!(z > 0.0f)) return 0;
+    x = (voxrti_dot3(d, u) / (z * m->tangent) + 1.0f) * 0.5f * (float)(int32_t)m->side;
+    y = (voxrti_dot3(d, v) / (z * m->tangent) + 1.0f) * 0.5f * (float)(int32_t)m->side;
+    if (!(x >= 0.0f && y >= 0.0f && x <= (float)(int32_t)m->side && y <= (float)(int32_t)m->side)) return 0;
+    ix = (uint32_t)x < m->side ? (uint32_t)x : m->side - 1;
+    iy = (uint32_t)y < m->side ? (uint32_t)y : m->side - 1;
+    texel = m->texel + 6 * (((size_t)face * m->side + iy) * m->side + ix);
+    if (!(voxrti_dot3(texel + 3, n) > 0.0f)) return 0;
+    for (a = 0; a < 3; a++) {
+        apart += (p[a] - texel[a]) * (p[a] - texel[a]);
+        d[a] = texel[a] - l->position[a];
+    }
+    slant = 0.0f - voxrti_dot3(texel + 3, f);
+    if (!(slant > 0.001f)) slant = 0.001f;
+    near_by = 1.41421356f * 2.0f * voxrti_dot3(d, f) * m->tangent / ((float)(int32_t)m->side * slant);
+    near_by = near_by > h ? near_by : h;
+    near_by = near_by < 4.0f * h ? near_by : 4.0f * h;
+    return apart <= near_by * near_by;
+}
+
+/* Points that send rays side by side. */
+typedef struct voxrti_points {
+    float p[VOXRTI_COLUMN_BATCH][3], n[VOXRTI_COLUMN_BATCH][3];
+    float view[VOXRTI_COLUMN_BATCH][3], exponent[VOXRTI_COLUMN_BATCH]; /* unit, towards p; of a Phong lobe, or 0 */
+    uint32_t seed[VOXRTI_COLUMN_BATCH], count;
+} voxrti_points;
+
+/* How lamps light points. */
+typedef struct voxrti_lighting {
+    const voxrt_gi *gi;
+    int isa, maps;
+    const voxrt_geometry *shadow;  /* NULL: the columns */
+    float lift;
+    uint32_t first, samples;       /* on lamps that have an area */
+} voxrti_lighting;
+
+/* The light of a lamp on points: adds what falls on them to rgb, and what their lobes send along `view`, as if they were
+   white, to gloss, unless it is NULL. */
+static void voxrti_light_points(const voxrti_lighting *c, size_t lamp, const voxrti_points *q, float (*rgb)[3],
+                                float (*gloss)[3]) {
+    const voxrt_gi_light *l = lamp < c->gi->light_count ? &c->gi->light[lamp] : &c->gi->emit;
+    voxrt_ray ray[VOXRTI_COLUMN_BATCH];
+    float in[VOXRTI_COLUMN_BATCH][3], normal[VOXRTI_COLUMN_BATCH][3];
     uint8_t of[VOXRTI_COLUMN_BATCH], dark[VOXRTI_COLUMN_BATCH];
-    const uint32_t samples = l->kind == VOXRT_GI_AREA ? area : 1;
-    voxrt_columns_trace_desc d;
+    const int wide = l->kind == VOXRT_GI_AREA || (uint32_t)l->kind == VOXRTI_GI_EMITTERS;
+    const int map = c->maps && (l->kind == VOXRT_GI_POINT || l->kind == VOXRT_GI_SPOT);
+    const uint32_t samples = wide ? c->samples : 1;
+    const float share = 1.0f / (float)(int32_t)samples;
     uint32_t i, a, s, m;
-    memset(&d, 0, sizeof d);
-    d.isa = (voxrt_isa)isa;
-    d.normals = normal[0];
     for (s = 0; s < samples; s++) {
-        m = 0;
-        for (i = 0; i < count; i++) {
+        for (i = m = 0; i < q->count; i++) {
             float u[2] = {0.5f, 0.5f};
-            if (samples > 1) voxrti_sobol2(s, voxrti_hash32(seed[i]), u);
-            if (!voxrti_gi_light_ray(l, p[i], n[i], u, &ray[m], light[m])) continue;
-            memcpy(normal[m], n[i], sizeof normal[m]);
+            if (wide) voxrti_sobol2(c->first + s, voxrti_hash32(q->seed[i]), u);
+            if (!voxrti_gi_light_ray(c->gi, l, q->p[i], q->n[i], u, &ray[m], in[m])) continue;
+            memcpy(normal[m], q->n[i], sizeof normal[m]);
+            for (a = 0; a < 3 && c->shadow != NULL; a++) { /* from a little above the surface to the light */
+                const float up = c->lift * q->n[i][a];
+                ray[m].org[a] += up;
+                if (ray[m].t_max < INFINITY) ray[m].dir[a] -= up;
+            }
+            if (c->shadow != NULL && ray[m].t_max < INFINITY) ray[m].t_max *= 0.9999f;
             of[m++] = (uint8_t)i;
         }
         if (m == 0) continue;
-        (void)voxrt_columns_occluded(gi->columns, &d, ray, dark, m);
-        for (i = 0; i < m; i++)
-            for (a = 0; a < 3 && !dark[i]; a++) rgb[of[i]][a] += light[i][a] * (1.0f / (float)(int32_t)samples);
+        if (map) {
+            for (i = 0; i < m; i++) dark[i] = !voxrti_gi_map_sees(c->gi, lamp, q->p[of[i]], q->n[of[i]]);
+        } else if (c->shadow != NULL) {
+            voxrt_trace_desc d;
+            memset(&d, 0, sizeof d);
+            d.isa = (voxrt_isa)c->isa;
+            memset(dark, 0, sizeof dark);
+            c->shadow->occluded_fn(c->shadow->user, &d, ray, dark, m);
+        } else {
+            voxrti_gi_trace(c->gi, c->isa, normal[0], ray, m, NULL, NULL, dark, NULL);
+        }
+        for (i = 0; i < m; i++) {
+            const uint32_t k = of[i];
+            if (dark[i]) continue;
+            for (a = 0; a < 3; a++) rgb[k][a] += in[i][a] * share;
+            if (gloss != NULL && q->exponent[k] > 0.0f && voxrti_normalize(ray[i].dir)) {
+                const float f = voxrti_phong(q->view[k], q->n[k], ray[i].dir, q->exponent[k]) * share;
+                for (a = 0; a < 3; a++) gloss[k][a] += in[i][a] * f;
+            }
+        }
     }
 }
 
@@ -15278,42 +15994,55 @@ static void voxrti_gi_add_light(const voxrt_gi *gi, int isa, const voxrt_gi_ligh
 
 /* Make sure the direct light on these sides is known. Two threads may find it out at once: they find the same. */
 static void voxrti_gi_fill(const voxrt_gi *gi, int isa, const voxrti_gi_side *side, uint32_t count) {
-    float p[VOXRTI_COLUMN_BATCH][3], n[VOXRTI_COLUMN_BATCH][3], rgb[VOXRTI_COLUMN_BATCH][3];
-    uint32_t seed[VOXRTI_COLUMN_BATCH], m = 0, i, k;
+    voxrti_lighting c;
+    voxrti_points q;
+    float rgb[VOXRTI_COLUMN_BATCH][3];
     uint8_t of[VOXRTI_COLUMN_BATCH];
+    uint32_t i, k, m = 0;
     size_t l;
     for (i = 0; i < count; i++) {
-        if (side[i].at == (size_t)-1) continue;
-        if (voxrti_load_shared(&gi->layer[side[i].layer].direct[side[i].at]) != VOXRTI_GI_UNKNOWN) continue;
-        for (k = 0; k < m; k++) if (side[of[k]].at == side[i].at && side[of[k]].layer == side[i].layer) break;
+        const voxrti_gi_side *s = &side[i];
+        if (s->at == (size_t)-1) continue;
+        if (voxrti_load_shared(&s->gi->layer[s->layer].direct[s->at]) != VOXRTI_GI_UNKNOWN) continue;
+        for (k = 0; k < m; k++)
+            if (side[of[k]].at == s->at && side[of[k]].layer == s->layer && side[of[k]].gi == s->gi) break;
         if (k < m) continue;
-        memcpy(p[m], side[i].position, sizeof p[m]);
-        memcpy(n[m], side[i].normal, sizeof n[m]);
+        memcpy(q.p[m], s->position, sizeof q.p[m]);
+        memcpy(q.n[m], s->normal, sizeof q.n[m]);
         memset(rgb[m], 0, sizeof rgb[m]);
-        seed[m] = voxrti_hash32((uint32_t)side[i].at ^ side[i].layer << 31);
+        q.exponent[m] = 0.0f;
+        q.seed[m] = voxrti_hash32((uint32_t)s->at ^ s->layer << 31);
         of[m++] = (uint8_t)i;
     }
-    for (l = 0; l < gi->light_count && m != 0; l++)
-        voxrti_gi_add_light(gi, isa, &gi->light[l], (const float (*)[3])p, (const float (*)[3])n, seed, m,
-                            VOXRTI_GI_AREA_SAMPLES, rgb);
+    if (m == 0) return;
+    q.count = m;
+    memset(&c, 0, sizeof c);
+    c.gi = gi;
+    c.isa = isa;
+    c.samples = VOXRTI_GI_AREA_SAMPLES;
+    for (l = 0; l < voxrti_gi_lamps(gi); l++) voxrti_light_points(&c, l, &q, rgb, NULL);
     for (i = 0; i < m; i++)
-        voxrti_store_shared(&gi->layer[side[of[i]].layer].direct[side[of[i]].at], voxrti_rgb9e5(rgb[i]));
+        voxrti_store_shared(&side[of[i]].gi->layer[side[of[i]].layer].direct[side[of[i]].at], voxrti_rgb9e5(rgb[i]));
 }
 
-/* What a side sends out: (direct + bounced) * albedo / pi + emission. Its direct light is known. */
-VOXRTI_INLINE void voxrti_gi_radiance(const voxrt_gi *gi, const voxrti_gi_side *s, int with_bounces, float rgb[3]) {
-    const voxrti_gi_layer *l = &gi->layer[s->layer];
-    const voxrti_gi_entry *e = &gi->entry[l->record[s->at >> 1].object[s->at & 1u]];
-    float direct[3], more[3];
+/* What a side sends out by light that was there before: (direct + bounced) * albedo / pi. A Phong lobe sends bounced
+   light on as if it were diffuse. Without direct light it need not be known. Emission is a lamp's. */
+VOXRTI_INLINE void voxrti_gi_radiance(const voxrti_gi_side *s, int with_direct, int with_bounces, float rgb[3]) {
+    const voxrti_gi_layer *l = &s->gi->layer[s->layer];
+    const voxrti_gi_entry *e = voxrti_gi_side_entry(s);
+    const uint32_t known = l->bounce[s->at];
+    float direct[3] = {0.0f, 0.0f, 0.0f}, more[3] = {0.0f, 0.0f, 0.0f};
     uint32_t a;
-    voxrti_rgb9e5_decode(voxrti_load_shared(&l->direct[s->at]), direct);
-    voxrti_rgb9e5_decode(with_bounces ? l->bounce[s->at] : 0, more);
-    for (a = 0; a < 3; a++) rgb[a] = (direct[a] + more[a]) * s->albedo[a] * 0.318309886f + e->emission[a];
+    if (with_direct) voxrti_rgb9e5_decode(voxrti_load_shared(&l->direct[s->at]), direct);
+    if (with_bounces && known != VOXRTI_GI_UNKNOWN) voxrti_rgb9e5_decode(known, more);
+    for (a = 0; a < 3; a++)
+        rgb[a] = (direct[a] * s->albedo[a] + more[a] * (s->albedo[a] + e->specular[a])) * 0.318309886f;
 }
 
 VOXRT_DEF int voxrt_gi_get(const voxrt_gi *gi, const voxrt_column_hit *hit, const float dir[3],
                            voxrt_gi_surface *out_surface) {
     voxrti_gi_side s;
+    uint32_t a;
     memset(out_surface, 0, sizeof *out_surface);
     if (gi == NULL || hit == NULL || hit->cell[0] >= gi->columns->size[0] || hit->cell[1] >= gi->columns->size[1] ||
         hit->cell[2] >= gi->columns->size[2] || !voxrti_gi_side_open(gi, hit->cell[0], hit->cell[1], hit->cell[2], dir,
@@ -15323,7 +16052,8 @@ VOXRT_DEF int voxrt_gi_get(const voxrt_gi *gi, const voxrt_column_hit *hit, cons
     memcpy(out_surface->position, s.position, sizeof s.position);
     memcpy(out_surface->normal, s.normal, sizeof s.normal);
     memcpy(out_surface->albedo, s.albedo, sizeof s.albedo);
-    voxrti_gi_radiance(gi, &s, 1, out_surface->radiance);
+    voxrti_gi_radiance(&s, 1, 1, out_surface->radiance);
+    for (a = 0; a < 3; a++) out_surface->radiance[a] += voxrti_gi_side_entry(&s)->emission[a];
     out_surface->object = gi->layer[s.layer].record[s.at >> 1].object[s.at & 1u];
     return 1;
 }
@@ -15334,88 +16064,171 @@ VOXRT_DEF int voxrt_gi_get(const voxrt_gi *gi, const voxrt_column_hit *hit, cons
 
 typedef struct voxrti_gather {
     const voxrt_gi_render_desc *d;
-    voxrt_gi *gi;
+    const voxrt_gi *gi;            /* the innermost volume */
     const voxrt_gbuffer *g;
-    float *direct, *indirect;
-    uint32_t tiles_x, tiles, rays, bounces;
+    float *direct, *direct_gloss;  /* irradiance / pi; what lobes send, as if they were white. NULL: not wanted */
+    float *indirect, *gloss;
+    float *half[2];                /* indirect as two independent sums; NULL: indirect itself */
+    float *apart;                  /* harmonic mean distance of what rays hit, or NULL */
+    uint8_t *state;                /* coarse: 0 nothing there, 1 interpolated, 2 sends rays */
+    uint32_t *list;                /* pixels that do, in runs of VOXRTI_COLUMN_BATCH; VOXRTI_NO_PIXEL fills up */
+    size_t list_count;
+    uint32_t rays, bounces, first, which; /* of this pass; which: 0, 1 half, 2 indirect itself */
+    uint32_t seed, set;            /* set: pixels in VPL's pattern */
     float radius;
     int isa;
+    voxrti_frame frame;
     uint32_t sum[3][2]; /* tallies: rays, hits, steps */
     uint32_t want_stats;
 } voxrti_gather;
 
-/* Points that send rays side by side. */
-typedef struct voxrti_points {
-    float p[VOXRTI_COLUMN_BATCH][3], n[VOXRTI_COLUMN_BATCH][3];
-    uint32_t seed[VOXRTI_COLUMN_BATCH], count;
-} voxrti_points;
+#define VOXRTI_NO_PIXEL 0xffffffffu
 
-/* One ray from each point over its hemisphere, cosine distributed: what it meets. t of a miss is INFINITY; a hit that
-   shows no side has at = -1. */
-static void voxrti_gather_rays(const voxrt_gi *gi, int isa, float radius, const voxrti_points *q, uint32_t index,
-                               voxrt_ray *ray, float *t, voxrti_gi_side *side, voxrt_stats *stats) {
+/* A ray from each point, over its hemisphere with density cos, or, where it has a lobe, in its Phong lobe: what it meets.
+   weight: what its light counts for the mean. t of a miss is INFINITY; a hit that shows no side has at = -1. */
+static void voxrti_gather_rays(const voxrti_gather *w, const voxrti_points *q, uint32_t index, voxrt_ray *ray, float *t,
+                               voxrti_gi_side *side, float *weight, voxrt_stats *stats) {
     voxrt_column_hit hit[VOXRTI_COLUMN_BATCH];
-    voxrt_columns_trace_desc d;
+    const voxrt_gi *where[VOXRTI_COLUMN_BATCH];
     uint32_t i, a;
     memset(hit, 0, sizeof hit);
-    memset(&d, 0, sizeof d);
-    d.isa = (voxrt_isa)isa;
-    d.normals = q->n[0];
-    d.stats = stats;
     for (i = 0; i < q->count; i++) {
         float u[2];
         voxrti_sobol2(index, q->seed[i], u);
-        (void)voxrti_lobe_direction(q->n[i], u, 1.0f, ray[i].dir);
-        for (a = 0; a < 3; a++) ray[i].org[a] = q->p[i][a];
+        weight[i] = 1.0f;
         ray[i].t_min = 0.0f;
-        ray[i].t_max = radius;
+        ray[i].t_max = w->radius;
+        if (q->exponent[i] > 0.0f) { /* below the horizon: nothing, but it counts */
+            float axis[3], cosine;
+            voxrti_mirror(q->view[i], q->n[i], axis);
+            (void)voxrti_lobe_direction(axis, u, q->exponent[i] == 1.0f ? 1.0f : q->exponent[i], ray[i].dir);
+            cosine = voxrti_dot3(ray[i].dir, q->n[i]);
+            weight[i] = cosine > 0.0f ? cosine * (q->exponent[i] + 2.0f) / (q->exponent[i] + 1.0f) : 0.0f;
+            if (!(cosine > 0.0f)) ray[i].t_max = -1.0f;
+        } else {
+            (void)voxrti_lobe_direction(q->n[i], u, 1.0f, ray[i].dir);
+        }
+        for (a = 0; a < 3; a++) ray[i].org[a] = q->p[i][a];
     }
-    (void)voxrt_columns_trace(gi->columns, &d, ray, hit, q->count);
+    voxrti_gi_trace(w->gi, w->isa, q->n[0], ray, q->count, hit, where, NULL, stats);
     for (i = 0; i < q->count; i++) {
         t[i] = hit[i].t;
         side[i].at = (size_t)-1;
-        side[i].layer = 0;
         if (!(hit[i].t < INFINITY)) continue;
-        if (!voxrti_gi_side_open(gi, hit[i].cell[0], hit[i].cell[1], hit[i].cell[2], ray[i].dir, &side[i]))
-            side[i].at = (size_t)-1;
+        (void)voxrti_gi_side_open(where[i], hit[i].cell[0], hit[i].cell[1], hit[i].cell[2], ray[i].dir, &side[i]);
     }
 }
 
-/* Irradiance / pi at the points: the mean over `rays` rays of what comes back along them, times albedos on the way. */
-static void voxrti_gather_run(const voxrti_gather *w, const voxrti_points *q, float (*out)[3], voxrt_stats *stats) {
+/* What comes back along rays from the sides they hit; 0 where at = -1. */
+static void voxrti_hit_light(const voxrti_gather *w, const voxrti_gi_side *side, const voxrt_ray *ray, const float *t,
+                             uint32_t count, int with_bounces, float (*out)[3]) {
+    const int cached = w->d->lookup == VOXRT_GI_LOOKUP_CACHE || w->d->lookup == VOXRT_GI_LOOKUP_VOLUME;
+    voxrti_points q;
+    voxrti_lighting c;
+    float rgb[VOXRTI_COLUMN_BATCH][3], gloss[VOXRTI_COLUMN_BATCH][3];
+    uint8_t of[VOXRTI_COLUMN_BATCH];
+    uint32_t i, a;
+    size_t l;
+    if (cached) voxrti_gi_fill(w->gi, w->isa, side, count);
+    q.count = 0;
+    for (i = 0; i < count; i++) {
+        const uint32_t m = q.count;
+        const voxrti_gi_entry *e;
+        memset(out[i], 0, 12);
+        if (side[i].at == (size_t)-1) continue;
+        voxrti_gi_radiance(&side[i], cached, with_bounces, out[i]);
+        e = voxrti_gi_side_entry(&side[i]);
+        if (cached && !(e->specular[3] > 0.0f)) continue; /* lobes look at the light anew */
+        memcpy(q.p[m], side[i].position, 12);
+        for (a = 0; a < 3 && !cached; a++)
+            q.p[m][a] = ray[i].org[a] + voxrti_gi_side_meet(&side[i], &ray[i], t[i]) * ray[i].dir[a];
+        memcpy(q.n[m], side[i].normal, 12);
+        memcpy(q.view[m], ray[i].dir, 12);
+        q.exponent[m] = e->specular[3];
+        q.seed[m] = voxrti_hash32((uint32_t)side[i].at + i);
+        of[m] = (uint8_t)i;
+        q.count++;
+    }
+    if (q.count == 0) return;
+    memset(rgb, 0, sizeof rgb);
+    memset(gloss, 0, sizeof gloss);
+    memset(&c, 0, sizeof c);
+    c.gi = w->gi;
+    c.isa = w->isa;
+    c.maps = w->d->lookup == VOXRT_GI_LOOKUP_MAPS;
+    c.samples = 1;
+    c.first = w->first;
+    for (l = 0; l < voxrti_gi_lamps(w->gi); l++) voxrti_light_points(&c, l, &q, rgb, gloss);
+    for (i = 0; i < q.count; i++) {
+        const voxrti_gi_side *s = &side[of[i]];
+        const float *specular = voxrti_gi_side_entry(s)->specular;
+        for (a = 0; a < 3; a++)
+            out[of[i]][a] += (cached ? 0.0f : rgb[i][a] * s->albedo[a] * 0.318309886f) + gloss[i][a] * specular[a];
+    }
+}
+
+/* At the end of a ray: which lobe does the path leave by? By their brightness. Changes part, and the point's lobe. */
+static void voxrti_gather_turn(const voxrti_gi_side *s, const float dir[3], uint32_t seed, voxrti_points *at, uint32_t m,
+                               float part[3]) {
+    const float *specular = voxrti_gi_side_entry(s)->specular;
+    float shine = specular[0] + specular[1] + specular[2], all;
+    uint32_t a;
+    at->exponent[m] = 0.0f;
+    memcpy(at->view[m], dir, 12);
+    if (!(specular[3] > 0.0f && shine > 0.0f)) {
+        for (a = 0; a < 3; a++) part[a] *= s->albedo[a];
+        return;
+    }
+    all = shine + s->albedo[0] + s->albedo[1] + s->albedo[2];
+    if ((float)(voxrti_hash32(seed) >> 8) * (1.0f / 16777216.0f) * all < shine) {
+        at->exponent[m] = specular[3];
+        for (a = 0; a < 3; a++) part[a] *= specular[a] * all / shine;
+    } else {
+        for (a = 0; a < 3; a++) part[a] *= s->albedo[a] * all / (all - shine);
+    }
+}
+
+/* Adds for each point: what comes back along w->rays rays, times weights and colours on the way; apart, unless NULL: the
+   sum of 1 / t. */
+static void voxrti_gather_run(const voxrti_gather *w, const voxrti_points *q, float (*out)[3], float *apart,
+                              voxrt_stats *stats) {
     voxrt_ray ray[VOXRTI_COLUMN_BATCH];
     voxrti_gi_side side[VOXRTI_COLUMN_BATCH];
-    float t[VOXRTI_COLUMN_BATCH], part[VOXRTI_COLUMN_BATCH][3];
+    float t[VOXRTI_COLUMN_BATCH], part[VOXRTI_COLUMN_BATCH][3], rgb[VOXRTI_COLUMN_BATCH][3];
+    float weight[VOXRTI_COLUMN_BATCH];
     uint8_t of[VOXRTI_COLUMN_BATCH];
-    const float share = 1.0f / (float)(int32_t)w->rays;
+    voxrti_points at;
     uint32_t r, b, i, a, m;
     memset(of, 0, sizeof of);
     memset(part, 0, sizeof part);
     for (r = 0; r < w->rays; r++) {
-        voxrti_points at = *q;
+        at = *q;
         for (i = 0; i < at.count; i++) {
             of[i] = (uint8_t)i;
-            part[i][0] = part[i][1] = part[i][2] = share;
+            part[i][0] = part[i][1] = part[i][2] = 1.0f;
         }
         for (b = 0; b < w->bounces && at.count != 0; b++) {
-            voxrti_gather_rays(w->gi, w->isa, w->radius, &at, w->d->first_ray + r, ray, t, side, stats);
+            voxrti_gather_rays(w, &at, w->first + r, ray, t, side, weight, stats);
+            for (i = 0; i < at.count && b == 0 && apart != NULL; i++)
+                if (t[i] < INFINITY) apart[i] += 1.0f / (t[i] + 1e-20f);
             if (w->d->method == VOXRT_GI_AO) {
                 for (i = 0; i < at.count; i++)
-                    for (a = 0; a < 3 && !(t[i] < INFINITY); a++) out[i][a] += share;
+                    for (a = 0; a < 3 && !(t[i] < INFINITY); a++) out[i][a] += weight[i];
                 break;
             }
-            voxrti_gi_fill(w->gi, w->isa, side, at.count);
+            voxrti_hit_light(w, side, ray, t, at.count, w->d->method == VOXRT_GI_GATHER, rgb);
             for (i = m = 0; i < at.count; i++) { /* those that go on move up */
-                float rgb[3];
+                float now[3];
                 if (side[i].at == (size_t)-1) continue;
-                voxrti_gi_radiance(w->gi, &side[i], w->d->method == VOXRT_GI_GATHER, rgb);
                 for (a = 0; a < 3; a++) {
-                    out[of[i]][a] += rgb[a] * part[i][a];
-                    part[m][a] = part[i][a] * side[i].albedo[a];
+                    now[a] = part[i][a] * weight[i];
+                    out[of[i]][a] += rgb[i][a] * now[a];
                 }
+                at.seed[m] = voxrti_hash32(at.seed[i] + 0x9e3779b9u);
+                voxrti_gather_turn(&side[i], ray[i].dir, at.seed[m] + w->first + r, &at, m, now);
+                memcpy(part[m], now, sizeof now);
                 memcpy(at.p[m], side[i].position, sizeof at.p[m]);
                 memcpy(at.n[m], side[i].normal, sizeof at.n[m]);
-                at.seed[m] = voxrti_hash32(at.seed[i] + 0x9e3779b9u);
                 of[m++] = of[i];
             }
             at.count = m;
@@ -15423,93 +16236,536 @@ static void voxrti_gather_run(const voxrti_gather *w, const voxrti_points *q, fl
     }
 }
 
-/* Direct light on the points, by shadow rays through the columns or the caller's geometry. */
-static void voxrti_gather_direct(const voxrti_gather *w, const voxrti_points *q, float (*rgb)[3]) {
-    const voxrt_geometry *g = w->d->shadow;
-    size_t l;
-    uint32_t i, a, m, s;
-    for (l = 0; l < w->gi->light_count; l++) {
-        const voxrt_gi_light *light = &w->gi->light[l];
-        const uint32_t samples = light->kind == VOXRT_GI_AREA ? w->rays : 1;
-        if (g == NULL) {
-            voxrti_gi_add_light(w->gi, w->isa, light, q->p, q->n, q->seed, q->count, samples, rgb);
-            continue;
+/* ---- virtual point lights: where light falls, `bounces` times; each pixel sees one set of them ---- */
+
+typedef struct voxrti_vpl {
+    float p[3], n[3], view[3];         /* view: of the light that came */
+    float flux[3];                     /* that came, for each pixel's share; 0: not valid, it left the scene */
+    float albedo[3], specular[4];
+} voxrti_vpl;
+
+typedef struct voxrti_vpl_work {
+    voxrti_gather *w;
+    size_t first, count;               /* of this bounce */
+    uint32_t level;
+    float power;                       /* sum over lamps of their flux */
+} voxrti_vpl_work;
+
+/* Flux of a lamp into the scene. A directional one: through the ball around the box. */
+static float voxrti_vpl_power(const voxrt_gi *gi, size_t lamp, float rgb[3]) {
+    const voxrt_gi_light *l = lamp < gi->light_count ? &gi->light[lamp] : &gi->emit;
+    float scale = 12.5663706f, b[3];
+    uint32_t a;
+    if (l->kind == VOXRT_GI_SPOT) {
+        double s, c;
+        voxrti_sincos((double)l->angle * (3.14159265358979323846 / 180.0), &s, &c);
+        scale = 6.28318531f * (1.0f - (float)c);
+    }
+    if (l->kind == VOXRT_GI_DIRECTIONAL) {
+        for (a = 0, scale = 0.0f; a < 3; a++) scale += (gi->hi[a] - gi->lo[a]) * (gi->hi[a] - gi->lo[a]);
+        scale *= 0.25f * 3.14159265f;
+    }
+    if (l->kind == VOXRT_GI_AREA) {
+        for (a = 0; a < 3; a++)
+            b[a] = l->edge_u[(a + 1) % 3] * l->edge_v[(a + 2) % 3] - l->edge_u[(a + 2) % 3] * l->edge_v[(a + 1) % 3];
+        scale = 3.14159265f * 4.0f * sqrtf(voxrti_dot3(b, b));
+    }
+    if ((uint32_t)l->kind == VOXRTI_GI_EMITTERS) scale = 6.28318531f * (float)gi->emitter[gi->emitter_count - 1].sum;
+    for (a = 0; a < 3; a++) rgb[a] = (uint32_t)l->kind == VOXRTI_GI_EMITTERS ? scale : l->color[a] * scale;
+    return 0.2126f * rgb[0] + 0.7152f * rgb[1] + 0.0722f * rgb[2];
+}
+
+/* A ray of light number i of `count` from the lamps, and its flux times count. */
+static void voxrti_vpl_start(const voxrti_vpl_work *v, uint32_t i, voxrt_ray *ray, float flux[3]) {
+    const voxrt_gi *gi = v->w->gi;
+    const voxrt_gi_light *l;
+    float u[2], s[2], pick, power = 0.0f, p = 0.0f, cosine;
+    size_t lamp;
+    uint32_t a;
+    voxrti_sobol2(i, 0x51ed270bu, u);
+    voxrti_sobol2(i, 0x2c1b3c6du, s);
+    pick = s[0] * v->power;
+    for (lamp = 0; lamp + 1 < voxrti_gi_lamps(gi); lamp++) {
+        p = voxrti_vpl_power(gi, lamp, flux);
+        if (power + p > pick) break;
+        power += p;
+    }
+    p = voxrti_vpl_power(gi, lamp, flux);
+    l = lamp < gi->light_count ? &gi->light[lamp] : &gi->emit;
+    for (a = 0; a < 3; a++) flux[a] = p > 0.0f ? flux[a] * v->power / p : 0.0f;
+    memcpy(ray->org, l->position, 12);
+    ray->t_min = 0.0f;
+    ray->t_max = INFINITY;
+    if (l->kind == VOXRT_GI_POINT) { /* uniform over the sphere, the cap: the flux of all is the same */
+        static const float up[3] = {0, 0, 1};
+        voxrti_around(up, u[0], 1.0f - 2.0f * u[1], ray->dir);
+    } else if (l->kind == VOXRT_GI_SPOT) {
+        double sine, c;
+        voxrti_sincos((double)l->angle * (3.14159265358979323846 / 180.0), &sine, &c);
+        cosine = 1.0f - u[1] * (1.0f - (float)c);
+        voxrti_around(l->direction, u[0], cosine, ray->dir);
+    } else if (l->kind == VOXRT_GI_AREA) {
+        float q[2];
+        voxrti_sobol2(i, 0x7a4f92c1u, q);
+        for (a = 0; a < 3; a++)
+            ray->org[a] += l->edge_u[a] * (2.0f * q[0] - 1.0f) + l->edge_v[a] * (2.0f * q[1] - 1.0f);
+        (void)voxrti_lobe_direction(l->direction, u, 1.0f, ray->dir);
+    } else if (l->kind == VOXRT_GI_DIRECTIONAL) { /* through a disc in front of the ball around the box */
+        float x[3], y[3], radius = 0.0f, si, co, r = sqrtf(u[1]);
+        voxrti_tangents(l->direction, x, y);
+        voxrti_turn(u[0], &si, &co);
+        for (a = 0; a < 3; a++) radius += 0.25f * (gi->hi[a] - gi->lo[a]) * (gi->hi[a] - gi->lo[a]);
+        radius = sqrtf(radius);
+        for (a = 0; a < 3; a++) {
+            ray->org[a] = 0.5f * (gi->lo[a] + gi->hi[a]) + radius * (r * (co * x[a] + si * y[a]) - l->direction[a]);
+            ray->dir[a] = l->direction[a];
         }
-        for (s = 0; s < samples; s++) {
-            voxrt_ray ray[VOXRTI_COLUMN_BATCH];
-            float in[VOXRTI_COLUMN_BATCH][3];
-            uint8_t of[VOXRTI_COLUMN_BATCH], dark[VOXRTI_COLUMN_BATCH];
-            voxrt_trace_desc d;
-            memset(of, 0, sizeof of);
-            memset(&d, 0, sizeof d);
-            d.isa = (voxrt_isa)w->isa;
-            for (i = m = 0; i < q->count; i++) {
-                float u[2] = {0.5f, 0.5f};
-                if (samples > 1) voxrti_sobol2(w->d->first_ray + s, voxrti_hash32(q->seed[i]), u);
-                if (!voxrti_gi_light_ray(light, q->p[i], q->n[i], u, &ray[m], in[m])) continue;
-                for (a = 0; a < 3; a++) { /* from a little above the surface to a little before the light */
-                    const float up = w->d->shadow_lift * q->n[i][a];
-                    ray[m].org[a] += up;
-                    if (ray[m].t_max < INFINITY) ray[m].dir[a] -= up;
-                }
-                if (ray[m].t_max < INFINITY) ray[m].t_max = 0.9999f;
-                of[m++] = (uint8_t)i;
-            }
-            memset(dark, 0, sizeof dark);
-            if (m != 0) g->occluded_fn(g->user, &d, ray, dark, m);
-            for (i = 0; i < m; i++)
-                for (a = 0; a < 3 && !dark[i]; a++) rgb[of[i]][a] += in[i][a] / (float)(int32_t)samples;
+    } else { /* a surface: both of its sides */
+        float q[2], n[3];
+        const voxrti_emitter *e;
+        voxrti_sobol2(i, 0x7a4f92c1u, q);
+        e = voxrti_gi_emitter(gi, q, ray->org);
+        for (a = 0; a < 3; a++) n[a] = s[1] < 0.5f ? e->n[a] : 0.0f - e->n[a];
+        (void)voxrti_lobe_direction(n, u, 1.0f, ray->dir);
+        for (a = 0; a < 3; a++) {
+            flux[a] *= e->rgb[a] / e->share;
+            ray->org[a] += 1.5f * (float)gi->columns->diagonal * n[a];
         }
     }
 }
 
-static void voxrti_task_gather(void *ctx, uint32_t tile) {
-    voxrti_gather *w = (voxrti_gather *)ctx;
+static void voxrti_task_vpl(void *ctx, uint32_t batch) {
+    const voxrti_vpl_work *v = (const voxrti_vpl_work *)ctx;
+    const voxrti_gather *w = v->w;
+    voxrt_ray ray[VOXRTI_COLUMN_BATCH];
+    voxrt_column_hit hit[VOXRTI_COLUMN_BATCH];
+    const voxrt_gi *where[VOXRTI_COLUMN_BATCH];
+    float flux[VOXRTI_COLUMN_BATCH][3], normal[VOXRTI_COLUMN_BATCH][3];
+    const size_t first = (size_t)batch * VOXRTI_COLUMN_BATCH;
+    const uint32_t n = (uint32_t)(v->count - first < VOXRTI_COLUMN_BATCH ? v->count - first : VOXRTI_COLUMN_BATCH);
+    uint32_t i, a;
+    if (n == 0) return;
+    memset(ray, 0, sizeof ray);
+    memset(normal, 0, sizeof normal);
+    for (i = 0; i < n; i++) {
+        if (v->level == 0) {
+            voxrti_vpl_start(v, (uint32_t)(first + i), &ray[i], flux[i]);
+            for (a = 0; a < 3; a++) flux[i][a] *= 1.0f / (float)(int32_t)w->d->rays;
+        } else { /* from the light before: diffuse, or in its lobe */
+            const voxrti_vpl *from = &w->gi->vpl[v->first - v->count + first + i];
+            const float shine = from->specular[3] > 0.0f ? from->specular[0] + from->specular[1] + from->specular[2] : 0.0f;
+            const float all = shine + from->albedo[0] + from->albedo[1] + from->albedo[2];
+            float u[2], s[2], cosine, k;
+            voxrti_sobol2((uint32_t)(first + i), 0x1b873593u * v->level, u);
+            voxrti_sobol2((uint32_t)(first + i), 0x85ebca6bu * v->level, s);
+            memcpy(ray[i].org, from->p, 12);
+            memcpy(normal[i], from->n, 12);
+            ray[i].t_min = 0.0f;
+            ray[i].t_max = INFINITY;
+            if (s[0] * all < shine) {
+                float axis[3];
+                voxrti_mirror(from->view, from->n, axis);
+                (void)voxrti_lobe_direction(axis, u, from->specular[3], ray[i].dir);
+                cosine = voxrti_dot3(ray[i].dir, from->n);
+                k = cosine > 0.0f ? cosine * (from->specular[3] + 2.0f) / (from->specular[3] + 1.0f) * all / shine : 0.0f;
+                for (a = 0; a < 3; a++) flux[i][a] = from->flux[a] * from->specular[a] * k;
+            } else {
+                (void)voxrti_lobe_direction(from->n, u, 1.0f, ray[i].dir);
+                k = all > shine ? all / (all - shine) : 0.0f;
+                for (a = 0; a < 3; a++) flux[i][a] = from->flux[a] * from->albedo[a] * k;
+            }
+            if (!(flux[i][0] + flux[i][1] + flux[i][2] > 0.0f)) ray[i].t_max = -1.0f;
+        }
+    }
+    voxrti_gi_trace(w->gi, w->isa, v->level != 0 ? normal[0] : NULL, ray, n, hit, where, NULL, NULL);
+    for (i = 0; i < n; i++) {
+        voxrti_vpl *to = &w->gi->vpl[v->first + first + i];
+        voxrti_gi_side s;
+        memset(to, 0, sizeof *to);
+        if (!(hit[i].t < INFINITY) || !voxrti_gi_side_open(where[i], hit[i].cell[0], hit[i].cell[1], hit[i].cell[2],
+                                                           ray[i].dir, &s)) continue;
+        {
+            const float t = voxrti_gi_side_meet(&s, &ray[i], hit[i].t);
+            for (a = 0; a < 3; a++) to->p[a] = ray[i].org[a] + t * ray[i].dir[a];
+        }
+        memcpy(to->n, s.normal, 12);
+        memcpy(to->view, ray[i].dir, 12);
+        (void)voxrti_normalize(to->view);
+        memcpy(to->flux, flux[i], 12);
+        memcpy(to->albedo, s.albedo, 12);
+        memcpy(to->specular, voxrti_gi_side_entry(&s)->specular, 16);
+    }
+}
+
+static voxrt_result voxrti_vpl_make(voxrti_gather *w, voxrt_gi *gi) {
+    const size_t each = (size_t)w->d->rays * w->set * w->set, n = each * w->bounces;
+    voxrti_vpl_work v;
+    size_t l;
+    gi->vpl_count = 0;
+    memset(&v, 0, sizeof v);
+    v.w = w;
+    for (l = 0; l < voxrti_gi_lamps(gi); l++) {
+        float rgb[3];
+        v.power += voxrti_vpl_power(gi, l, rgb);
+    }
+    if (!(v.power > 0.0f) || !voxrti_finite_f(v.power)) return VOXRT_OK;
+    if (n > gi->vpl_capacity) {
+        voxrti_free(&gi->mem, gi->vpl);
+        gi->vpl_capacity = 0;
+        gi->vpl = (voxrti_vpl *)voxrti_alloc_array(&gi->mem, n, sizeof *gi->vpl);
+        if (gi->vpl == NULL)
+            return voxrti_fail(w->d->env.error, VOXRT_ERR_NO_MEMORY, n, "no memory for % virtual lights");
+        gi->vpl_capacity = n;
+    }
+    v.count = each;
+    for (; v.level < w->bounces; v.level++, v.first += each)
+        voxrti_parallel_for(&w->d->env, voxrti_task_vpl, &v,
+                            (uint32_t)((each + VOXRTI_COLUMN_BATCH - 1) / VOXRTI_COLUMN_BATCH));
+    gi->vpl_count = n;
+    return VOXRT_OK;
+}
+
+VOXRT_DEF size_t voxrt_gi_virtual_lights(const voxrt_gi *gi, float *out, size_t most) {
+    size_t i;
+    uint32_t a;
+    if (gi == NULL) return 0;
+    for (i = 0; i < gi->vpl_count && i < most; i++)
+        for (a = 0; a < 3; a++) {
+            out[9 * i + a] = gi->vpl[i].p[a];
+            out[9 * i + 3 + a] = gi->vpl[i].n[a];
+            out[9 * i + 6 + a] = gi->vpl[i].flux[a];
+        }
+    return gi->vpl_count;
+}
+
+/* The lights of set `set` on points: adds irradiance / pi to out, what white lobes send to gloss. */
+static void voxrti_vpl_run(const voxrti_gather *w, const voxrti_points *q, uint32_t set, float (*out)[3],
+                           float (*gloss)[3], voxrt_stats *stats) {
+    const voxrt_gi *gi = w->gi;
+    const size_t each = (size_t)w->d->rays * w->set * w->set;
+    const float h = 4.0f * (float)gi->columns->diagonal, bound = 1.0f / (h * h);
+    voxrt_ray ray[VOXRTI_COLUMN_BATCH];
+    float scale[VOXRTI_COLUMN_BATCH], normal[VOXRTI_COLUMN_BATCH][3], end[VOXRTI_COLUMN_BATCH][3];
+    uint8_t of[VOXRTI_COLUMN_BATCH], dark[VOXRTI_COLUMN_BATCH];
+    voxrt_columns_trace_desc d;
+    uint32_t b, r, i, a, m;
+    memset(&d, 0, sizeof d);
+    d.isa = (voxrt_isa)w->isa;
+    d.normals = normal[0];
+    d.end_normals = end[0];
+    d.stats = stats;
+    for (b = 0; b < w->bounces; b++)
+        for (r = 0; r < w->d->rays; r++) {
+            const voxrti_vpl *l = &gi->vpl[b * each + (size_t)set * w->d->rays + r];
+            if (!(l->flux[0] + l->flux[1] + l->flux[2] > 0.0f)) continue;
+            for (i = m = 0; i < q->count; i++) {
+                float to[3], d2, c1, c2, inv, term;
+                for (a = 0; a < 3; a++) to[a] = l->p[a] - q->p[i][a];
+                d2 = voxrti_dot3(to, to);
+                if (!(d2 > 0.0f) || d2 > w->radius * w->radius) continue;
+                c1 = voxrti_dot3(to, q->n[i]);
+                c2 = 0.0f - voxrti_dot3(to, l->n);
+                if (!(c1 > 0.0f && c2 > 0.0f)) continue;
+                inv = 1.0f / d2;
+                if (w->d->d_min > 0.0f) {
+                    term = c1 * c2 * inv / (w->d->d_min + d2);
+                } else {
+                    term = c1 * c2 * inv * inv;
+                    term = term < bound ? term : bound;
+                }
+                scale[m] = term;
+                memcpy(ray[m].org, q->p[i], 12);
+                memcpy(ray[m].dir, to, 12);
+                ray[m].t_min = 0.0f;
+                ray[m].t_max = 1.0f;
+                memcpy(normal[m], q->n[i], 12);
+                memcpy(end[m], l->n, 12);
+                of[m++] = (uint8_t)i;
+            }
+            if (m == 0) continue;
+            if (gi->outer == NULL) (void)voxrt_columns_occluded(gi->columns, &d, ray, dark, m);
+            else voxrti_gi_trace(gi, w->isa, normal[0], ray, m, NULL, NULL, dark, stats);
+            for (i = 0; i < m; i++) {
+                const uint32_t k = of[i];
+                float to[3] = {0, 0, 0}, from[3], shine = 0.0f;
+                if (dark[i]) continue;
+                if (l->specular[3] > 0.0f || (gloss != NULL && q->exponent[k] > 0.0f)) {
+                    const float one = 1.0f / sqrtf(voxrti_dot3(ray[i].dir, ray[i].dir));
+                    for (a = 0; a < 3; a++) {
+                        to[a] = ray[i].dir[a] * one;
+                        from[a] = 0.0f - to[a];
+                    }
+                    if (l->specular[3] > 0.0f) shine = voxrti_phong(l->view, l->n, from, l->specular[3]);
+                }
+                for (a = 0; a < 3; a++) {
+                    const float e = l->flux[a] * (l->albedo[a] * 0.318309886f + l->specular[a] * shine) * scale[i];
+                    out[k][a] += e * 0.318309886f;
+                    if (gloss != NULL && q->exponent[k] > 0.0f)
+                        gloss[k][a] += e * voxrti_phong(q->view[k], q->n[k], to, q->exponent[k]);
+                }
+            }
+        }
+}
+
+/* What the bound cut off, by rays as short as that (Kollig & Keller 2004): adds irradiance / pi. */
+static void voxrti_vpl_compensate(const voxrti_gather *w, const voxrti_points *q, float (*out)[3], voxrt_stats *stats) {
+    const float h = 4.0f * (float)w->gi->columns->diagonal, bound = 1.0f / (h * h);
+    const uint32_t rays = (w->d->rays + 3) / 4;
+    voxrti_gather near_by = *w;
+    voxrt_ray ray[VOXRTI_COLUMN_BATCH];
+    voxrti_gi_side side[VOXRTI_COLUMN_BATCH];
+    float t[VOXRTI_COLUMN_BATCH], weight[VOXRTI_COLUMN_BATCH], rgb[VOXRTI_COLUMN_BATCH][3];
+    voxrti_points at = *q;
+    uint32_t r, i, a;
+    near_by.radius = h < w->radius ? h : w->radius;
+    for (i = 0; i < at.count; i++) at.exponent[i] = 0.0f;
+    for (r = 0; r < rays; r++) {
+        voxrti_gather_rays(&near_by, &at, w->first + r, ray, t, side, weight, stats);
+        voxrti_hit_light(&near_by, side, ray, t, at.count, w->bounces > 1, rgb);
+        for (i = 0; i < at.count; i++) {
+            float c1, c2, rest;
+            if (side[i].at == (size_t)-1) continue;
+            c1 = voxrti_dot3(ray[i].dir, at.n[i]);
+            c2 = 0.0f - voxrti_dot3(ray[i].dir, side[i].normal);
+            if (!(c1 > 0.0f && c2 > 0.0f)) continue;
+            rest = 1.0f - bound * t[i] * t[i] / (c1 * c2);
+            if (!(rest > 0.0f)) continue;
+            for (a = 0; a < 3; a++) out[i][a] += rgb[i][a] * rest * (1.0f / (float)(int32_t)rays);
+        }
+    }
+}
+
+/* ---- pixels ---- */
+
+/* Pixels -> points; those with a lobe also in shiny (indices into the points). */
+static void voxrti_gather_open(const voxrti_gather *w, const uint32_t *pixel, uint32_t count, voxrti_points *q) {
     const voxrt_gbuffer *g = w->g;
-    const uint32_t x0 = tile % w->tiles_x * 8, y0 = tile / w->tiles_x * 8;
+    uint32_t i, a;
+    q->count = count;
+    for (i = 0; i < count; i++) {
+        const size_t at = pixel[i];
+        memcpy(q->p[i], g->position + 3 * at, 12);
+        memcpy(q->n[i], g->normal + 3 * at, 12);
+        q->seed[i] = voxrti_hash32((uint32_t)(at % g->width) + ((uint32_t)(at / g->width) << 16)) ^ w->seed;
+        q->exponent[i] = g->specular != NULL ? g->specular[4 * at + 3] : 0.0f;
+        memset(q->view[i], 0, 12);
+        if (!(q->exponent[i] > 0.0f)) continue;
+        for (a = 0; a < 3; a++) q->view[i][a] = q->p[i][a] - w->frame.eye[a];
+        (void)voxrti_normalize(q->view[i]);
+    }
+}
+
+/* A run of the list: sums over the rays of this pass. */
+static void voxrti_task_shade(void *ctx, uint32_t batch) {
+    voxrti_gather *w = (voxrti_gather *)ctx;
+    const uint32_t *list = w->list + (size_t)batch * VOXRTI_COLUMN_BATCH;
     voxrti_points q;
     voxrt_stats stats;
-    size_t pixel[VOXRTI_COLUMN_BATCH];
-    float rgb[VOXRTI_COLUMN_BATCH][3];
-    uint32_t x, y, i, a;
-    q.count = 0;
+    float rgb[VOXRTI_COLUMN_BATCH][3], gloss[VOXRTI_COLUMN_BATCH][3], apart[VOXRTI_COLUMN_BATCH];
+    float *to = w->which == 2 ? w->indirect : w->half[w->which];
+    uint32_t i, a, n = 0;
+    while (n < VOXRTI_COLUMN_BATCH && (size_t)batch * VOXRTI_COLUMN_BATCH + n < w->list_count &&
+           list[n] != VOXRTI_NO_PIXEL) n++;
+    if (n == 0) return;
     memset(&stats, 0, sizeof stats);
-    for (y = y0; y < y0 + 8 && y < g->height; y++)
-        for (x = x0; x < x0 + 8 && x < g->width; x++) {
-            const size_t at = (size_t)y * g->width + x;
-            const float *n = g->normal + 3 * at;
-            for (a = 0; a < 3; a++) {
-                if (w->direct != NULL) w->direct[3 * at + a] = 0.0f;
-                if (w->indirect != NULL) w->indirect[3 * at + a] = 0.0f;
-            }
-            if (!(voxrti_dot3(n, n) > 0.5f)) continue;
-            i = q.count++;
-            memcpy(q.p[i], g->position + 3 * at, sizeof q.p[i]);
-            memcpy(q.n[i], n, sizeof q.n[i]);
-            q.seed[i] = voxrti_hash32(x + (y << 16));
-            pixel[i] = at;
+    memset(rgb, 0, sizeof rgb);
+    memset(gloss, 0, sizeof gloss);
+    memset(apart, 0, sizeof apart);
+    voxrti_gather_open(w, list, n, &q);
+    if (w->d->method == VOXRT_GI_VPL) {
+        const uint32_t x = list[0] % w->g->width, y = list[0] / w->g->width;
+        if (w->gi->vpl_count != 0) {
+            voxrti_vpl_run(w, &q, y % w->set * w->set + x % w->set, rgb, w->gloss != NULL ? gloss : NULL,
+                           w->want_stats ? &stats : NULL);
+            if (!(w->d->d_min > 0.0f)) voxrti_vpl_compensate(w, &q, rgb, w->want_stats ? &stats : NULL);
         }
-    if (q.count == 0) return;
-    if (w->direct != NULL) {
-        memset(rgb, 0, sizeof rgb);
-        voxrti_gather_direct(w, &q, rgb);
-        for (i = 0; i < q.count; i++)
-            for (a = 0; a < 3; a++) {
-                const size_t at = 3 * pixel[i] + a;
-                w->direct[at] = rgb[i][a] * g->albedo[at] * 0.318309886f +
-                    (g->emission != NULL ? g->emission[at] : 0.0f);
-            }
+    } else {
+        voxrti_points other;
+        uint8_t of[VOXRTI_COLUMN_BATCH];
+        float more[VOXRTI_COLUMN_BATCH][3];
+        other.count = 0;
+        for (i = 0; i < n && w->gloss != NULL && w->d->method != VOXRT_GI_AO; i++) {
+            const uint32_t m = other.count;
+            if (!(q.exponent[i] > 0.0f)) continue;
+            memcpy(other.p[m], q.p[i], 12);
+            memcpy(other.n[m], q.n[i], 12);
+            memcpy(other.view[m], q.view[i], 12);
+            other.exponent[m] = q.exponent[i];
+            other.seed[m] = voxrti_hash32(q.seed[i]);
+            of[m] = (uint8_t)i;
+            other.count++;
+        }
+        for (i = 0; i < n; i++) q.exponent[i] = 0.0f;
+        voxrti_gather_run(w, &q, rgb, w->apart != NULL ? apart : NULL, w->want_stats ? &stats : NULL);
+        if (other.count != 0) {
+            memset(more, 0, sizeof more);
+            voxrti_gather_run(w, &other, more, NULL, w->want_stats ? &stats : NULL);
+            for (i = 0; i < other.count; i++) memcpy(gloss[of[i]], more[i], 12);
+        }
     }
-    if (w->indirect != NULL && w->d->method != VOXRT_GI_NONE) {
-        memset(rgb, 0, sizeof rgb);
-        voxrti_gather_run(w, &q, rgb, w->want_stats ? &stats : NULL);
-        for (i = 0; i < q.count; i++)
-            for (a = 0; a < 3; a++) w->indirect[3 * pixel[i] + a] = rgb[i][a];
+    for (i = 0; i < n; i++) {
+        for (a = 0; a < 3; a++) {
+            to[3 * (size_t)list[i] + a] += rgb[i][a];
+            if (w->gloss != NULL) w->gloss[3 * (size_t)list[i] + a] += gloss[i][a];
+        }
+        if (w->apart != NULL) w->apart[list[i]] += apart[i];
     }
     if (w->want_stats) {
         voxrti_tally_add(w->sum[0], stats.rays);
         voxrti_tally_add(w->sum[1], stats.hits);
         voxrti_tally_add(w->sum[2], stats.steps);
+    }
+}
+
+/* Direct light of a tile of 8 x 8 pixels: irradiance / pi, and what lobes send. */
+static void voxrti_task_direct(void *ctx, uint32_t tile) {
+    const voxrti_gather *w = (const voxrti_gather *)ctx;
+    const voxrt_gbuffer *g = w->g;
+    const uint32_t tiles_x = (g->width + 7) / 8, x0 = tile % tiles_x * 8, y0 = tile / tiles_x * 8;
+    voxrti_points q;
+    voxrti_lighting c;
+    uint32_t pixel[VOXRTI_COLUMN_BATCH], n = 0, x, y, i, a;
+    float rgb[VOXRTI_COLUMN_BATCH][3], gloss[VOXRTI_COLUMN_BATCH][3];
+    size_t l;
+    for (y = y0; y < y0 + 8 && y < g->height; y++)
+        for (x = x0; x < x0 + 8 && x < g->width; x++) {
+            const size_t at = (size_t)y * g->width + x;
+            const float *v = g->normal + 3 * at;
+            memset(w->direct + 3 * at, 0, 12);
+            if (w->direct_gloss != NULL) memset(w->direct_gloss + 3 * at, 0, 12);
+            if (voxrti_dot3(v, v) > 0.5f) pixel[n++] = (uint32_t)at;
+        }
+    if (n == 0) return;
+    voxrti_gather_open(w, pixel, n, &q);
+    memset(rgb, 0, sizeof rgb);
+    memset(gloss, 0, sizeof gloss);
+    memset(&c, 0, sizeof c);
+    c.gi = w->gi;
+    c.isa = w->isa;
+    c.shadow = w->d->shadow;
+    c.maps = c.shadow == NULL && w->d->lookup == VOXRT_GI_LOOKUP_MAPS;
+    c.lift = w->d->shadow_lift;
+    c.first = w->first;
+    c.samples = w->rays;
+    for (l = 0; l < voxrti_gi_lamps(w->gi); l++)
+        voxrti_light_points(&c, l, &q, rgb, w->direct_gloss != NULL ? gloss : NULL);
+    for (i = 0; i < n; i++)
+        for (a = 0; a < 3; a++) {
+            w->direct[3 * (size_t)pixel[i] + a] = rgb[i][a] * 0.318309886f;
+            if (w->direct_gloss != NULL) w->direct_gloss[3 * (size_t)pixel[i] + a] = gloss[i][a];
+        }
+}
+
+/* ---- which pixels send rays ---- */
+
+VOXRTI_INLINE int voxrti_pixel_seen(const voxrt_gbuffer *g, size_t at) {
+    const float *n = g->normal + 3 * at;
+    return voxrti_dot3(n, n) > 0.5f;
+}
+
+/* All that see something, in tiles of 8 x 8; with a pattern, those of one of its places after the other. Every tile and
+   place begins a run. Without a list: how long it would be. */
+static size_t voxrti_list_all(const voxrt_gbuffer *g, uint32_t set, uint32_t *list) {
+    const uint32_t side = 8 * set;
+    size_t n = 0;
+    uint32_t px, py, x0, y0, x, y;
+    for (py = 0; py < set; py++)
+        for (px = 0; px < set; px++)
+            for (y0 = 0; y0 < g->height; y0 += side)
+                for (x0 = 0; x0 < g->width; x0 += side) {
+                    const size_t from = n;
+                    for (y = y0 + py; y < y0 + side && y < g->height; y += set)
+                        for (x = x0 + px; x < x0 + side && x < g->width; x += set) {
+                            if (!voxrti_pixel_seen(g, (size_t)y * g->width + x)) continue;
+                            if (list != NULL) list[n] = (uint32_t)((size_t)y * g->width + x);
+                            n++;
+                        }
+                    for (; n != from && n % VOXRTI_COLUMN_BATCH != 0; n++) if (list != NULL) list[n] = VOXRTI_NO_PIXEL;
+                }
+    return n;
+}
+
+typedef struct voxrti_mesh_work { voxrti_gather *w; float *value; uint32_t step, decide; } voxrti_mesh_work;
+
+/* A row of the mesh of `step` pixels: those that lie between pixels of the mesh twice as wide get the mean of these if
+   Ward's bound allows (decide), or were found to (state 1). */
+static void voxrti_task_between(void *ctx, uint32_t row) {
+    const voxrti_mesh_work *m = (const voxrti_mesh_work *)ctx;
+    voxrti_gather *w = m->w;
+    const voxrt_gbuffer *g = w->g;
+    const uint32_t s = m->step, y = row * s;
+    const float bound = w->d->detail > 0.0f ? w->d->detail : 0.15f;
+    uint32_t x, i, k, a, n;
+    for (x = 0; x < g->width; x += s) {
+        const size_t at = (size_t)y * g->width + x;
+        const int odd_x = x / s % 2 != 0, odd_y = y / s % 2 != 0;
+        size_t from[4];
+        int ok = 1;
+        if ((!odd_x && !odd_y) || !voxrti_pixel_seen(g, at)) continue;
+        if (!m->decide && w->state[at] != 1) continue;
+        n = odd_x && odd_y ? 4 : 2;
+        for (i = 0; i < n && ok; i++) {
+            const int64_t qx = (int64_t)x + (odd_x ? (i % 2 ? (int64_t)s : -(int64_t)s) : 0);
+            const int64_t qy = (int64_t)y + (odd_y ? (((odd_x ? i / 2 : i) % 2) ? (int64_t)s : -(int64_t)s) : 0);
+            const float *p = g->position + 3 * at, *v = g->normal + 3 * at, *o, *u;
+            float d[3], cosine, plane, far_, r;
+            ok = qx >= 0 && qy >= 0 && qx < (int64_t)g->width && qy < (int64_t)g->height;
+            if (!ok) break;
+            from[i] = (size_t)qy * g->width + (size_t)qx;
+            if (!m->decide) continue;
+            o = g->position + 3 * from[i];
+            u = g->normal + 3 * from[i];
+            cosine = voxrti_dot3(v, u);
+            for (a = 0; a < 3; a++) d[a] = o[a] - p[a];
+            plane = voxrti_dot3(d, v);
+            far_ = sqrtf(voxrti_dot3(d, d));
+            r = w->apart[from[i]];
+            ok = cosine > 0.9f && voxrti_absf(plane) < 0.1f * far_ + 1e-20f &&
+                far_ * r + sqrtf(2.0f * (cosine < 1.0f ? 1.0f - cosine : 0.0f)) * 0.25f < bound;
+            if (g->specular != NULL && g->specular[4 * at + 3] > 0.0f) ok = 0;
+        }
+        if (m->decide) w->state[at] = ok ? 1 : 2;
+        if (!ok) continue;
+        for (a = 0; a < 3; a++) {
+            float sum = 0.0f;
+            for (k = 0; k < n; k++) sum += m->value[3 * from[k] + a];
+            m->value[3 * at + a] = sum * (n == 4 ? 0.25f : 0.5f);
+        }
+        for (k = 0; k < n && m->decide; k++) /* as near as the nearest */
+            if (w->apart[from[k]] > w->apart[at]) w->apart[at] = w->apart[from[k]];
+    }
+}
+
+static void voxrti_shade_list(voxrti_gather *w) {
+    voxrti_parallel_for(&w->d->env, voxrti_task_shade, w,
+                        (uint32_t)((w->list_count + VOXRTI_COLUMN_BATCH - 1) / VOXRTI_COLUMN_BATCH));
+}
+
+/* A pass over a mesh of pixels that is refined where it has to be. With `again` it is already known where. */
+static void voxrti_shade_coarse(voxrti_gather *w, int again) {
+    const voxrt_gbuffer *g = w->g;
+    uint32_t step, x, y;
+    const uint32_t first = w->rays;
+    voxrti_mesh_work m;
+    m.w = w;
+    m.value = w->which == 2 ? w->indirect : w->half[w->which];
+    m.decide = !again;
+    for (step = w->d->coarse; step != 0; step /= 2) {
+        m.step = step;
+        if (step != w->d->coarse)
+            voxrti_parallel_for(&w->d->env, voxrti_task_between, &m, (g->height + step - 1) / step);
+        w->list_count = 0;
+        for (y = 0; y < g->height; y += step)
+            for (x = 0; x < g->width; x += step) {
+                const size_t at = (size_t)y * g->width + x;
+                const int coarsest = step == w->d->coarse;
+                if (!coarsest && x / step % 2 == 0 && y / step % 2 == 0) continue;
+                if (!voxrti_pixel_seen(g, at)) continue;
+                if (coarsest) w->state[at] = 2;
+                if (w->state[at] == 2) w->list[w->list_count++] = (uint32_t)at;
+            }
+        voxrti_shade_list(w);
+        for (x = 0; x < w->list_count && !again; x++) w->apart[w->list[x]] *= 1.0f / (float)(int32_t)first;
     }
 }
 
@@ -15560,112 +16816,660 @@ static void voxrti_task_gi_filter(void *ctx, uint32_t y) {
     }
 }
 
-static voxrt_result voxrti_gi_filter_run(const voxrti_gather *w, voxrti_mem *mem) {
+/* value, rgb for each pixel, in place. */
+static voxrt_result voxrti_gi_filter_run(const voxrt_env *env, const voxrt_gbuffer *g, double diagonal, uint32_t radius,
+                                         float *value, voxrti_mem *mem) {
     voxrti_gi_filter f;
-    const size_t bytes = (size_t)w->g->width * w->g->height * 12;
-    const uint32_t r = w->d->filter > 64 ? 64 : w->d->filter;
+    const size_t bytes = (size_t)g->width * g->height * 12;
+    const uint32_t r = radius > 64 ? 64 : radius;
     float *other = (float *)voxrti_alloc(mem, bytes);
-    double sigma = 0.5 * w->gi->columns->diagonal;
+    double sigma = 0.5 * diagonal;
     uint32_t pass, i;
-    if (other == NULL) return voxrti_fail(w->d->env.error, VOXRT_ERR_NO_MEMORY, bytes,
-                                          "no memory for % bytes of a filter");
+    if (other == NULL) return voxrti_fail(env->error, VOXRT_ERR_NO_MEMORY, bytes, "no memory for % bytes of a filter");
     memset(&f, 0, sizeof f);
-    f.g = w->g;
+    f.g = g;
     f.radius = (int32_t)r;
     f.depth_scale = (float)(1.0 / (2.0 * sigma * sigma));
     for (i = 0; i <= r; i++) f.table[i] = (float)voxrti_exp2(-1.442695041 * 2.0 * (double)(i * i) / (double)(r * r));
     for (pass = 0; pass < 4; pass++) { /* rows and columns, twice */
-        f.from = pass % 2 == 0 ? w->indirect : other;
-        f.to = pass % 2 == 0 ? other : w->indirect;
+        f.from = pass % 2 == 0 ? value : other;
+        f.to = pass % 2 == 0 ? other : value;
         f.step_x = pass % 2 == 0;
         f.step_y = pass % 2 == 1;
-        voxrti_parallel_for(&w->d->env, voxrti_task_gi_filter, &f, w->g->height);
+        voxrti_parallel_for(env, voxrti_task_gi_filter, &f, g->height);
     }
     voxrti_free(mem, other);
     return VOXRT_OK;
 }
 
-static void voxrti_task_gi_albedo(void *ctx, uint32_t y) {
-    const voxrti_gather *w = (const voxrti_gather *)ctx;
-    size_t i, n = 3 * (size_t)w->g->width, at = n * y;
-    for (i = at; i < at + n; i++) w->indirect[i] *= w->g->albedo[i];
+/* ---- pictures before this one ---- */
+
+typedef struct voxrti_past { /* what the last picture left, and the new one beside it */
+    float *value[4], *count;   /* rgb: indirect, gloss, direct, its gloss, or NULL; how many pictures they are the mean of */
+    float *position, *normal;
+} voxrti_past;
+
+struct voxrt_gi_history {
+    voxrti_mem mem;
+    voxrt_env env;
+    voxrti_past past[2];
+    uint32_t width, height, now, pictures, version;
+    uint32_t settings[12];
+    voxrt_camera camera;
+    voxrti_frame frame;
+    float kept;
+};
+
+VOXRT_DEF voxrt_result voxrt_gi_history_create(const voxrt_env *env, voxrt_gi_history **out_history) {
+    voxrti_mem mem;
+    voxrt_env none;
+    voxrt_gi_history *h;
+    voxrt_result r;
+    if (out_history == NULL) return VOXRT_ERR_INVALID_ARG;
+    *out_history = NULL;
+    memset(&none, 0, sizeof none);
+    if (env == NULL) env = &none;
+    r = voxrti_env_open(env, &mem);
+    if (r != VOXRT_OK) return r;
+    h = (voxrt_gi_history *)voxrti_alloc_zero(&mem, 1, sizeof *h);
+    if (h == NULL) return voxrti_fail(env->error, VOXRT_ERR_NO_MEMORY, 0, "no memory for a history");
+    h->mem = mem;
+    h->env = *env;
+    *out_history = h;
+    return VOXRT_OK;
 }
 
-/* No way through the box is longer. */
-static float voxrti_columns_reach(const voxrt_columns *c) {
+static void voxrti_history_empty(voxrt_gi_history *h) {
+    uint32_t i, k;
+    for (i = 0; i < 2; i++) {
+        for (k = 0; k < 4; k++) voxrti_free(&h->mem, h->past[i].value[k]);
+        voxrti_free(&h->mem, h->past[i].count);
+        voxrti_free(&h->mem, h->past[i].position);
+        voxrti_free(&h->mem, h->past[i].normal);
+    }
+    memset(h->past, 0, sizeof h->past);
+    h->width = h->height = h->pictures = 0;
+}
+
+VOXRT_DEF void voxrt_gi_history_destroy(voxrt_gi_history *history) {
+    voxrti_mem mem;
+    if (history == NULL) return;
+    voxrti_history_empty(history);
+    mem = history->mem;
+    voxrti_free(&mem, history);
+}
+
+typedef struct voxrti_reuse {
+    const voxrti_gather *w;
+    voxrt_gi_history *h;
+    float *value[4];
+    const voxrti_past *old;
+    voxrti_past *now;
+    float keep;
+    uint32_t same;         /* nothing changed: the mean of all pictures */
+    uint32_t kept[2];
+} voxrti_reuse;
+
+/* Where was this point in the last picture? Weights of up to four pixels there that show the same surface. */
+static float voxrti_reuse_find(const voxrti_reuse *u, size_t at, size_t from[4], float weight[4]) {
+    const voxrt_gbuffer *g = u->w->g;
+    const voxrti_frame *f = &u->h->frame;
+    const float *p = (g->before != NULL ? g->before : g->position) + 3 * at, *n = g->normal + 3 * at;
+    double v[3], z = 0.0, x = 0.0, y = 0.0, size;
+    float sum = 0.0f;
+    uint32_t a, i;
+    for (a = 0; a < 3; a++) {
+        v[a] = (double)p[a] - (double)f->eye[a];
+        z += v[a] * f->forward[a];
+        x += v[a] * f->right[a];
+        y += v[a] * f->up[a];
+    }
+    for (i = 0; i < 4; i++) weight[i] = 0.0f;
+    if (!(z > 0.0)) return 0.0f;
+    size = 1.0 / (f->pixel * f->pixel * z);
+    x = x * size + 0.5 * (double)g->width - 0.5;
+    y = 0.5 * (double)g->height - y * size - 0.5;
+    if (!(x > -1.0 && y > -1.0 && x < (double)g->width && y < (double)g->height)) return 0.0f;
+    for (i = 0; i < 4; i++) {
+        const int64_t qx = voxrti_floor(x) + (int64_t)(i & 1u), qy = voxrti_floor(y) + (int64_t)(i >> 1);
+        const double fx = x - (double)voxrti_floor(x), fy = y - (double)voxrti_floor(y);
+        const float w = (float)(((i & 1u) ? fx : 1.0 - fx) * ((i >> 1) ? fy : 1.0 - fy));
+        float d[3], plane;
+        if (qx < 0 || qy < 0 || qx >= (int64_t)g->width || qy >= (int64_t)g->height) continue;
+        from[i] = (size_t)qy * g->width + (size_t)qx;
+        if (!(u->old->count[from[i]] > 0.0f)) continue;
+        for (a = 0; a < 3; a++) d[a] = u->old->position[3 * from[i] + a] - p[a];
+        plane = voxrti_absf(voxrti_dot3(d, u->old->normal + 3 * from[i]));
+        if (!(plane < 2.0f * (float)(z * f->pixel)) || !(voxrti_dot3(u->old->normal + 3 * from[i], n) > 0.8f)) continue;
+        weight[i] = w;
+        sum += w;
+    }
+    if (!(sum > 0.01f)) return 0.0f;
+    for (i = 0; i < 4; i++) weight[i] /= sum;
+    return sum;
+}
+
+/* Mean and deviation of a value on the same surface, 5 x 5 pixels around. */
+static void voxrti_reuse_spread(const voxrt_gbuffer *g, const float *value, uint32_t x, uint32_t y, float mean[3],
+                                float spread[3]) {
+    const size_t at = (size_t)y * g->width + x;
+    float sum[3] = {0, 0, 0}, square[3] = {0, 0, 0}, n = 0.0f;
+    int32_t i, j;
+    uint32_t a;
+    for (j = -2; j <= 2; j++)
+        for (i = -2; i <= 2; i++) {
+            const int64_t qx = (int64_t)x + i, qy = (int64_t)y + j;
+            size_t q;
+            if (qx < 0 || qy < 0 || qx >= (int64_t)g->width || qy >= (int64_t)g->height) continue;
+            q = (size_t)qy * g->width + (size_t)qx;
+            if (!(voxrti_dot3(g->normal + 3 * at, g->normal + 3 * q) > 0.9f)) continue;
+            n += 1.0f;
+            for (a = 0; a < 3; a++) {
+                const float v = value[3 * q + a];
+                sum[a] += v;
+                square[a] += v * v;
+            }
+        }
+    for (a = 0; a < 3; a++) {
+        mean[a] = sum[a] / n;
+        spread[a] = square[a] / n - mean[a] * mean[a];
+        spread[a] = spread[a] > 0.0f ? sqrtf(spread[a]) : 0.0f;
+    }
+}
+
+#define VOXRTI_REUSE_CLAMP 1.0f /* deviations that history may differ from what is seen now */
+
+static void voxrti_task_reuse(void *ctx, uint32_t y) {
+    voxrti_reuse *u = (voxrti_reuse *)ctx;
+    const voxrt_gbuffer *g = u->w->g;
+    uint32_t x, i, k, a, kept = 0;
+    for (x = 0; x < g->width; x++) {
+        const size_t at = (size_t)y * g->width + x;
+        size_t from[4] = {0, 0, 0, 0};
+        float weight[4], n = 0.0f, share;
+        memcpy(u->now->position + 3 * at, g->position + 3 * at, 12);
+        memcpy(u->now->normal + 3 * at, g->normal + 3 * at, 12);
+        u->now->count[at] = 0.0f;
+        if (!voxrti_pixel_seen(g, at)) {
+            for (k = 0; k < 4; k++) if (u->value[k] != NULL) memset(u->now->value[k] + 3 * at, 0, 12);
+            continue;
+        }
+        if (u->same) {
+            from[0] = at;
+            weight[0] = 1.0f;
+            weight[1] = weight[2] = weight[3] = 0.0f;
+            n = u->old->count[at];
+        } else if (u->h->pictures != 0 && voxrti_reuse_find(u, at, from, weight) > 0.0f) {
+            for (i = 0; i < 4; i++) if (weight[i] > 0.0f) n += weight[i] * u->old->count[from[i]];
+            n = n < u->keep - 1.0f ? n : u->keep - 1.0f;
+        }
+        kept += n > 0.0f;
+        share = 1.0f / (n + 1.0f);
+        u->now->count[at] = n + 1.0f;
+        for (k = 0; k < 4; k++) {
+            float mean[3], spread[3];
+            if (u->value[k] == NULL) continue;
+            if (!u->same && n > 0.0f) voxrti_reuse_spread(g, u->value[k], x, y, mean, spread);
+            for (a = 0; a < 3; a++) {
+                const float v = u->value[k][3 * at + a];
+                float old = 0.0f;
+                for (i = 0; i < 4 && n > 0.0f; i++) if (weight[i] > 0.0f) old += weight[i] * u->old->value[k][3 * from[i] + a];
+                if (!u->same && n > 0.0f) {
+                    const float lo = mean[a] - VOXRTI_REUSE_CLAMP * spread[a], hi = mean[a] + VOXRTI_REUSE_CLAMP * spread[a];
+                    old = old < lo ? lo : old > hi ? hi : old;
+                }
+                u->now->value[k][3 * at + a] = old + (v - old) * share;
+            }
+        }
+    }
+    voxrti_tally_add(u->kept, kept);
+}
+
+/* Make room, find out what has changed. */
+static voxrt_result voxrti_reuse_open(const voxrti_gather *w, const float *const value[4], voxrti_reuse *u) {
+    voxrt_gi_history *h = w->d->history;
+    const size_t n = (size_t)w->g->width * w->g->height;
+    uint32_t settings[12], i, k, ok = 1;
+    memset(settings, 0, sizeof settings);
+    settings[0] = (uint32_t)w->d->method;
+    settings[1] = (uint32_t)w->d->lookup;
+    settings[2] = w->bounces;
+    memcpy(&settings[3], &w->radius, 4);
+    memcpy(&settings[4], &w->d->d_min, 4);
+    for (k = 0; k < 4; k++) settings[5 + k] = value[k] != NULL;
+    settings[9] = w->d->shadow != NULL;
+    settings[10] = w->d->coarse;
+    if (h->width != w->g->width || h->height != w->g->height || memcmp(settings, h->settings, sizeof settings) != 0) {
+        voxrti_history_empty(h);
+        for (i = 0; i < 2; i++) {
+            for (k = 0; k < 4; k++) {
+                if (value[k] == NULL) continue;
+                h->past[i].value[k] = (float *)voxrti_alloc_array(&h->mem, n, 12);
+                ok &= h->past[i].value[k] != NULL;
+            }
+            h->past[i].count = (float *)voxrti_alloc_zero(&h->mem, n, 4);
+            h->past[i].position = (float *)voxrti_alloc_array(&h->mem, n, 12);
+            h->past[i].normal = (float *)voxrti_alloc_array(&h->mem, n, 12);
+            ok &= h->past[i].count != NULL && h->past[i].position != NULL && h->past[i].normal != NULL;
+        }
+        if (!ok) {
+            voxrti_history_empty(h);
+            return voxrti_fail(w->d->env.error, VOXRT_ERR_NO_MEMORY, n, "no memory for a history of % pixels");
+        }
+        h->width = w->g->width;
+        h->height = w->g->height;
+        memcpy(h->settings, settings, sizeof settings);
+    }
+    memset(u, 0, sizeof *u);
+    u->same = h->pictures != 0 && h->version == w->gi->version &&
+        memcmp(h->camera.eye, w->d->camera.eye, 12) == 0 && memcmp(h->camera.at, w->d->camera.at, 12) == 0 &&
+        memcmp(h->camera.up, w->d->camera.up, 12) == 0 && h->camera.fov_y == w->d->camera.fov_y;
+    u->w = w;
+    u->h = h;
+    u->keep = w->d->keep > 0.0f ? w->d->keep : 16.0f;
+    if (u->keep < 1.0f) u->keep = 1.0f;
+    return VOXRT_OK;
+}
+
+static void voxrti_reuse_run(voxrti_reuse *u, float *const value[4]) {
+    voxrt_gi_history *h = u->h;
+    const size_t n = (size_t)h->width * h->height;
+    uint32_t k;
+    u->old = &h->past[h->now];
+    u->now = &h->past[!h->now];
+    for (k = 0; k < 4; k++) u->value[k] = value[k];
+    voxrti_parallel_for(&u->w->d->env, voxrti_task_reuse, u, h->height);
+    for (k = 0; k < 4; k++) if (value[k] != NULL) memcpy(value[k], u->now->value[k], n * 12);
+    h->now = !h->now;
+    h->pictures++;
+    h->version = u->w->gi->version;
+    h->camera = u->w->d->camera;
+    h->frame = u->w->frame;
+    h->kept = (float)voxrti_tally(u->kept);
+}
+
+/* ---- a picture ---- */
+
+typedef struct voxrti_combine { const voxrt_gbuffer *g; float *value; const float *gloss; int ao, emit; } voxrti_combine;
+
+/* Irradiance / pi and what white lobes send -> what goes to the camera. */
+static void voxrti_task_combine(void *ctx, uint32_t y) {
+    const voxrti_combine *c = (const voxrti_combine *)ctx;
+    const voxrt_gbuffer *g = c->g;
+    size_t at = (size_t)y * g->width, end = at + g->width;
+    uint32_t a;
+    for (; at < end; at++)
+        for (a = 0; a < 3; a++) {
+            float v = c->value[3 * at + a];
+            if (!c->ao) v *= g->albedo[3 * at + a];
+            if (c->gloss != NULL) v += c->gloss[3 * at + a] * g->specular[4 * at + a];
+            if (c->emit && g->emission != NULL) v += g->emission[3 * at + a];
+            c->value[3 * at + a] = v;
+        }
+}
+
+typedef struct voxrti_scale { float *value; float by; size_t n; } voxrti_scale;
+static void voxrti_task_scale(void *ctx, uint32_t i) {
+    const voxrti_scale *s = (const voxrti_scale *)ctx;
+    size_t at = (size_t)i << 16, end = at + 65536;
+    for (end = end < s->n ? end : s->n; at < end; at++) s->value[at] *= s->by;
+}
+static void voxrti_scale_run(const voxrt_env *env, float *value, size_t n, float by) {
+    voxrti_scale s;
+    s.value = value;
+    s.n = n;
+    s.by = by;
+    voxrti_parallel_for(env, voxrti_task_scale, &s, (uint32_t)((n + 65535) >> 16));
+}
+
+/* Rays until the two halves of what they found differ as little as asked. The mean of both goes to w->indirect. */
+static voxrt_result voxrti_gather_until(voxrti_gather *w, voxrti_mem *mem, float *noise, uint32_t *out_rays) {
+    const size_t n = 3 * (size_t)w->g->width * w->g->height;
+    const uint32_t most = w->d->rays / 2 > 4 ? w->d->rays / 2 : 4;
+    const double diagonal = w->gi->columns->diagonal;
+    uint32_t done = 0, more = 4, side;
+    float *test = NULL;
+    voxrt_result r = VOXRT_OK;
+    size_t i;
+    w->half[0] = (float *)voxrti_alloc_zero(mem, n, 4);
+    w->half[1] = (float *)voxrti_alloc_zero(mem, n, 4);
+    if (w->d->filter != 0) test = (float *)voxrti_alloc_array(mem, n, 4);
+    if (w->half[0] == NULL || w->half[1] == NULL || (w->d->filter != 0 && test == NULL))
+        r = voxrti_fail(w->d->env.error, VOXRT_ERR_NO_MEMORY, n, "no memory for two halves of % values");
+    while (r == VOXRT_OK) {
+        double sum = 0.0, differ = 0.0, e;
+        w->rays = more;
+        for (side = 0; side < 2; side++) {
+            w->which = side;
+            w->first = w->d->first_ray / 2 + done;
+            w->seed = side ? 0x68bc21ebu : 0;
+            if (w->state != NULL) voxrti_shade_coarse(w, done != 0 || side != 0);
+            else voxrti_shade_list(w);
+        }
+        done += more;
+        /* the filter is linear: it may see the difference itself */
+        for (i = 0; i < n; i++) {
+            sum += (double)w->half[0][i] + (double)w->half[1][i];
+            if (test != NULL) test[i] = w->half[0][i] - w->half[1][i];
+        }
+        if (test != NULL) r = voxrti_gi_filter_run(&w->d->env, w->g, diagonal, w->d->filter, test, mem);
+        for (i = 0; i < n && r == VOXRT_OK; i++) {
+            const double d = test != NULL ? (double)test[i] : (double)w->half[0][i] - (double)w->half[1][i];
+            differ += d * d;
+        }
+        e = sum > 0.0 ? sqrt(differ * (double)n) / sum : 0.0;
+        *noise = (float)e;
+        if (!(e > (double)w->d->tolerance) || done >= most) break;
+        e = e / (double)w->d->tolerance; /* noise goes with 1 / sqrt(rays) or faster */
+        e = (double)done * (e * e < 8.0 ? e * e : 8.0);
+        more = (uint32_t)e + 1 < most ? (uint32_t)e + 1 - done : most - done;
+        if (more == 0) more = 1;
+    }
+    for (i = 0; i < n && r == VOXRT_OK; i++)
+        w->indirect[i] = (w->half[0][i] + w->half[1][i]) * (0.5f / (float)(int32_t)done);
+    if (r == VOXRT_OK && w->gloss != NULL) voxrti_scale_run(&w->d->env, w->gloss, n, 0.5f / (float)(int32_t)done);
+    *out_rays = 2 * done;
+    voxrti_free(mem, test);
+    voxrti_free(mem, w->half[0]);
+    voxrti_free(mem, w->half[1]);
+    return r;
+}
+
+/* Indirect light of all pixels, before reuse and filters. */
+static voxrt_result voxrti_gather_all(voxrti_gather *w, voxrt_gi *gi, voxrti_mem *mem, voxrt_gi_report *report) {
+    const size_t n = (size_t)w->g->width * w->g->height;
+    size_t i, room;
+    voxrt_result r = VOXRT_OK;
+    w->set = w->d->method == VOXRT_GI_VPL ? w->d->pattern : 1;
+    if (w->d->method == VOXRT_GI_VPL) r = voxrti_vpl_make(w, gi);
+    if (r != VOXRT_OK) return r;
+    memset(w->indirect, 0, n * 12);
+    if (w->gloss != NULL) memset(w->gloss, 0, n * 12);
+    room = w->d->coarse > 1 ? n : voxrti_list_all(w->g, w->set, NULL);
+    w->list = (uint32_t *)voxrti_alloc_array(mem, room + 1, 4);
+    if (w->d->coarse > 1) {
+        w->apart = (float *)voxrti_alloc_zero(mem, n, 4);
+        w->state = (uint8_t *)voxrti_alloc_zero(mem, n, 1);
+    }
+    if (w->list == NULL || (w->d->coarse > 1 && (w->apart == NULL || w->state == NULL)))
+        r = voxrti_fail(w->d->env.error, VOXRT_ERR_NO_MEMORY, n, "no memory for lists of % pixels");
+    if (r == VOXRT_OK && w->d->coarse <= 1) w->list_count = voxrti_list_all(w->g, w->set, w->list);
+    report->rays = w->d->rays;
+    if (r == VOXRT_OK && w->d->tolerance > 0.0f) {
+        r = voxrti_gather_until(w, mem, &report->noise, &report->rays);
+    } else if (r == VOXRT_OK) {
+        w->which = 2;
+        if (w->state != NULL) voxrti_shade_coarse(w, 0);
+        else voxrti_shade_list(w);
+        if (w->d->method != VOXRT_GI_VPL) {
+            voxrti_scale_run(&w->d->env, w->indirect, 3 * n, 1.0f / (float)(int32_t)w->rays);
+            if (w->gloss != NULL) voxrti_scale_run(&w->d->env, w->gloss, 3 * n, 1.0f / (float)(int32_t)w->rays);
+        }
+    }
+    for (i = 0; i < n; i++)
+        report->shaded += (w->state != NULL ? w->state[i] == 2 : voxrti_pixel_seen(w->g, i)) ? 1 : 0;
+    voxrti_free(mem, w->list);
+    voxrti_free(mem, w->apart);
+    voxrti_free(mem, w->state);
+    return r;
+}
+
+/* No way through the volumes is longer. */
+static float voxrti_gi_reach(const voxrt_gi *gi) {
     double sum = 0.0;
     uint32_t a;
-    for (a = 0; a < 3; a++) sum += c->cell[a] * c->size[a] * c->cell[a] * c->size[a];
+    while (gi->outer != NULL) gi = gi->outer;
+    for (a = 0; a < 3; a++) {
+        const double side = gi->columns->cell[a] * (double)gi->columns->size[a];
+        sum += side * side;
+    }
     return (float)sqrt(sum);
+}
+
+typedef struct voxrti_fill_work { const voxrt_gi *gi, *root; uint32_t layer; int isa; } voxrti_fill_work;
+
+/* Both sides of the cells in a row of columns: direct light. */
+static void voxrti_task_fill(void *ctx, uint32_t y) {
+    const voxrti_fill_work *f = (const voxrti_fill_work *)ctx;
+    const voxrt_columns *c = f->gi->columns;
+    const voxrti_gi_layer *l = &f->gi->layer[f->layer];
+    voxrti_gi_side q[VOXRTI_COLUMN_BATCH];
+    size_t rec = l->base[(size_t)y << c->row_log[0]];
+    uint32_t x, w, side, n = 0;
+    for (x = 0; x < c->size[0]; x++)
+        for (w = 0; w < c->words; w++) {
+            uint32_t bits = l->bits[voxrti_column(c, 0, x, y) + w];
+            for (; bits != 0; bits &= bits - 1, rec++)
+                for (side = 0; side < 2; side++) {
+                    const uint32_t cell[3] = {x, y, 32 * w + voxrti_ctz64(bits)};
+                    if (l->record[rec].area[side] == 0) continue;
+                    q[n].gi = f->gi;
+                    q[n].at = 2 * rec + side;
+                    q[n].layer = f->layer;
+                    voxrti_gi_side_place(f->gi, &l->record[rec], side, cell, q[n].position, q[n].normal);
+                    if (++n < VOXRTI_COLUMN_BATCH) continue;
+                    voxrti_gi_fill(f->root, f->isa, q, n);
+                    n = 0;
+                }
+        }
+    if (n != 0) voxrti_gi_fill(f->root, f->isa, q, n);
+}
+
+/* What the way of looking up light needs first. */
+static voxrt_result voxrti_gi_prepare(const voxrt_gi_render_desc *d, voxrt_gi *gi, int isa) {
+    voxrti_gi_map_work m;
+    voxrti_fill_work f;
+    size_t l;
+    f.root = gi;
+    f.isa = isa;
+    for (f.gi = gi; f.gi != NULL && d->lookup == VOXRT_GI_LOOKUP_VOLUME; f.gi = f.gi->outer)
+        for (f.layer = 0; f.layer < 2; f.layer++)
+            if (f.gi->layer[f.layer].count != 0)
+                voxrti_parallel_for(&d->env, voxrti_task_fill, &f, f.gi->columns->size[1]);
+    if (d->lookup != VOXRT_GI_LOOKUP_MAPS || gi->light_count == 0) return VOXRT_OK;
+    if (gi->map != NULL && gi->map[0].side == d->map_size) return VOXRT_OK;
+    voxrti_gi_maps_free(gi);
+    gi->map = (struct voxrti_gi_map *)voxrti_alloc_zero(&gi->mem, gi->light_count, sizeof *gi->map);
+    if (gi->map == NULL) return voxrti_fail(d->env.error, VOXRT_ERR_NO_MEMORY, gi->light_count, "no memory for % maps");
+    m.gi = gi;
+    m.isa = isa;
+    for (l = 0; l < gi->light_count; l++) {
+        struct voxrti_gi_map *map = &gi->map[l];
+        const voxrt_gi_light *light = &gi->light[l];
+        double s, c;
+        map->side = d->map_size;
+        if (light->kind != VOXRT_GI_POINT && light->kind != VOXRT_GI_SPOT) continue;
+        voxrti_sincos((double)light->angle * (3.14159265358979323846 / 180.0), &s, &c);
+        map->faces = light->kind == VOXRT_GI_POINT ? 6 : 1;
+        map->tangent = light->kind == VOXRT_GI_POINT ? 1.0f : (float)(s / c);
+        map->texel = (float *)voxrti_alloc_array(&gi->mem, (size_t)map->faces * map->side * map->side, 24);
+        if (map->texel == NULL) {
+            voxrti_gi_maps_free(gi);
+            return voxrti_fail(d->env.error, VOXRT_ERR_NO_MEMORY, l, "no memory for the map of light %");
+        }
+        m.light = l;
+        voxrti_parallel_for(&d->env, voxrti_task_gi_map, &m, map->faces * map->side);
+    }
+    return VOXRT_OK;
+}
+
+/* Defaults, and what is out of range. */
+static voxrt_result voxrti_gi_render_open(const voxrt_gi_render_desc *desc, voxrt_gi *gi, const voxrt_gbuffer *g,
+                                          voxrt_gi_render_desc *d, voxrti_gather *w) {
+    int ok;
+    memset(w, 0, sizeof *w);
+    if (desc != NULL) *d = *desc;
+    else memset(d, 0, sizeof *d);
+    if (d->_begin_zero != 0 || d->_end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
+    if (gi == NULL || g == NULL || (uint32_t)d->method > VOXRT_GI_VPL || (uint32_t)d->isa > 4u ||
+        (uint32_t)d->lookup > VOXRT_GI_LOOKUP_MAPS) return VOXRT_ERR_INVALID_ARG;
+    if (!(d->radius >= 0.0f) || !(d->shadow_lift >= 0.0f) || d->rays > 1u << 20 || d->bounces > 1u << 10 ||
+        d->filter > 1u << 16 || d->direct_filter > 1u << 16)
+        return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "rays, bounces, radius or filter out of range");
+    if (d->coarse > 16 || (d->coarse & (d->coarse - 1)) != 0 || d->pattern > 16 || !(d->detail >= 0.0f) ||
+        !(d->d_min >= 0.0f) || d->map_size > 4096 || !(d->tolerance >= 0.0f) || !(d->keep >= 0.0f))
+        return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "coarse, pattern, detail or another out of range");
+    if ((size_t)g->width * g->height == 0) return VOXRT_OK;
+    if (g->position == NULL || g->normal == NULL || g->albedo == NULL || g->width > 65535 || g->height > 65535)
+        return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "no G-buffer, or a side over 65535");
+    if (d->method == VOXRT_GI_VPL) {
+        d->coarse = 0;
+        d->tolerance = 0.0f;
+    }
+    if (d->rays == 0) d->rays = d->tolerance > 0.0f ? 1024 : 16;
+    if (d->pattern == 0) d->pattern = 4;
+    if (d->map_size == 0) d->map_size = 256;
+    w->d = d;
+    w->gi = gi;
+    w->g = g;
+    w->rays = d->tolerance > 0.0f && d->rays > 16 ? 16 : d->rays;
+    w->first = d->first_ray;
+    w->bounces = (d->method == VOXRT_GI_PATH || d->method == VOXRT_GI_VPL) && d->bounces != 0 ? d->bounces : 1;
+    w->radius = d->radius > 0.0f ? d->radius : voxrti_gi_reach(gi);
+    w->isa = (int)voxrt_isa_best();
+    if (d->isa != VOXRT_ISA_AUTO && (int)d->isa < w->isa) w->isa = (int)d->isa;
+    ok = voxrti_frame_open(&d->camera, g->height, &w->frame) == VOXRT_OK;
+    if (!ok && d->history != NULL)
+        return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "a history needs the camera");
+    return VOXRT_OK;
 }
 
 VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_gi *gi, const voxrt_gbuffer *gbuffer,
                                        float *direct, float *indirect, voxrt_stats *stats) {
     voxrt_gi_render_desc d;
+    voxrt_gi_report report;
     voxrti_gather w;
     voxrti_mem mem;
-    voxrt_result r;
-    memset(&w, 0, sizeof w);
-    if (desc != NULL) d = *desc;
-    else memset(&d, 0, sizeof d);
-    if (d._begin_zero != 0 || d._end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
-    if (gi == NULL || gbuffer == NULL || (uint32_t)d.method > VOXRT_GI_NONE || (uint32_t)d.isa > 4u)
-        return VOXRT_ERR_INVALID_ARG;
-    if (!(d.radius >= 0.0f) || !(d.shadow_lift >= 0.0f) || d.rays > 1u << 20 || d.bounces > 1u << 10 ||
-        d.filter > 1u << 16)
-        return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "rays, bounces, radius or filter out of range");
-    if (gbuffer->width == 0 || gbuffer->height == 0) return VOXRT_OK;
-    if (gbuffer->position == NULL || gbuffer->normal == NULL || gbuffer->albedo == NULL || gbuffer->width > 65535 ||
-        gbuffer->height > 65535)
-            return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no G-buffer, or a side over 65535");
+    voxrti_reuse reuse;
+    float *value[4] = {NULL, NULL, NULL, NULL};
+    voxrt_result r = voxrti_gi_render_open(desc, gi, gbuffer, &d, &w);
+    size_t n, i;
+    uint32_t k;
+    memset(&report, 0, sizeof report);
+    if (r == VOXRT_OK && d.report != NULL) *d.report = report;
+    if (r != VOXRT_OK || w.d == NULL) return r;
     r = voxrti_env_open(&d.env, &mem);
     if (r != VOXRT_OK) return r;
-    w.d = &d;
-    w.gi = gi;
-    w.g = gbuffer;
-    w.direct = direct;
-    w.indirect = indirect;
-    w.rays = d.rays != 0 ? d.rays : 16;
-    w.bounces = d.method == VOXRT_GI_PATH && d.bounces != 0 ? d.bounces : 1;
-    w.radius = d.radius > 0.0f ? d.radius : voxrti_columns_reach(gi->columns);
-    w.isa = (int)voxrt_isa_best();
-    if (d.isa != VOXRT_ISA_AUTO && (int)d.isa < w.isa) w.isa = (int)d.isa;
+    n = (size_t)gbuffer->width * gbuffer->height;
+    value[0] = indirect;
+    value[2] = direct;
+    if (indirect != NULL && d.method == VOXRT_GI_NONE) {
+        memset(indirect, 0, n * 12);
+        value[0] = NULL;
+    }
+    for (k = 1; k < 4 && gbuffer->specular != NULL && d.method != VOXRT_GI_AO; k += 2) {
+        if (value[k - 1] == NULL) continue;
+        value[k] = (float *)voxrti_alloc_array(&mem, n, 12);
+        if (value[k] == NULL) r = voxrti_fail(d.env.error, VOXRT_ERR_NO_MEMORY, n, "no memory for lobes of % pixels");
+    }
+    w.indirect = value[0];
+    w.gloss = value[1];
+    w.direct = value[2];
+    w.direct_gloss = value[3];
     w.want_stats = stats != NULL;
-    w.tiles_x = (gbuffer->width + 7) / 8;
-    w.tiles = w.tiles_x * ((gbuffer->height + 7) / 8);
-    voxrti_parallel_for(&d.env, voxrti_task_gather, &w, w.tiles);
+    if (r == VOXRT_OK && d.history != NULL) {
+        const float *const wanted[4] = {value[0], value[1], value[2], value[3]};
+        r = voxrti_reuse_open(&w, wanted, &reuse);
+        w.first += d.history->pictures * d.rays; /* other rays in each picture */
+    }
+    if (r == VOXRT_OK) r = voxrti_gi_prepare(&d, gi, w.isa);
+    if (r == VOXRT_OK && direct != NULL)
+        voxrti_parallel_for(&d.env, voxrti_task_direct, &w, ((gbuffer->width + 7) / 8) * ((gbuffer->height + 7) / 8));
+    if (r == VOXRT_OK && value[0] != NULL) {
+        d.first_ray = w.first;
+        r = voxrti_gather_all(&w, gi, &mem, &report);
+    }
+    for (i = 0; i < n; i++) report.pixels += (uint64_t)voxrti_pixel_seen(gbuffer, i);
+    if (r == VOXRT_OK && d.history != NULL) {
+        voxrti_reuse_run(&reuse, value);
+        report.kept = report.pixels != 0 ? d.history->kept / (float)report.pixels : 0.0f;
+    }
+    for (k = 0; k < 4 && r == VOXRT_OK; k++) {
+        const uint32_t radius = k < 2 ? d.filter : d.direct_filter;
+        if (value[k] != NULL && radius != 0)
+            r = voxrti_gi_filter_run(&d.env, gbuffer, gi->columns->diagonal, radius, value[k], &mem);
+    }
+    for (k = 0; k < 4 && r == VOXRT_OK; k += 2) {
+        voxrti_combine c;
+        if (value[k] == NULL) continue;
+        c.g = gbuffer;
+        c.value = value[k];
+        c.gloss = value[k + 1];
+        c.ao = k == 0 && d.method == VOXRT_GI_AO;
+        c.emit = k == 2;
+        voxrti_parallel_for(&d.env, voxrti_task_combine, &c, gbuffer->height);
+    }
+    voxrti_free(&mem, value[1]);
+    voxrti_free(&mem, value[3]);
     if (stats != NULL) {
         stats->rays += voxrti_tally(w.sum[0]);
         stats->hits += voxrti_tally(w.sum[1]);
         stats->steps += voxrti_tally(w.sum[2]);
     }
-    if (indirect == NULL || d.method == VOXRT_GI_NONE) return VOXRT_OK;
-    if (d.filter != 0) r = voxrti_gi_filter_run(&w, &mem);
-    if (r == VOXRT_OK && d.method != VOXRT_GI_AO)
-        voxrti_parallel_for(&d.env, voxrti_task_gi_albedo, &w, gbuffer->height);
+    if (d.report != NULL) *d.report = report;
     return r;
+}
+
+VOXRT_DEF int voxrt_gi_budget_update(voxrt_gi_budget *budget, const voxrt_gi_report *report, float frame_ms,
+                                     float light_ms, float target_ms) {
+    uint32_t rays, coarse, most;
+    double each, room, full;
+    if (budget == NULL) return 0;
+    most = budget->most != 0 ? budget->most : 64;
+    rays = budget->rays;
+    coarse = budget->coarse != 0 ? budget->coarse : 1;
+    if (report == NULL || !(frame_ms > 0.0f) || !(light_ms > 0.0f) || !(target_ms > 0.0f) || !(frame_ms < INFINITY) ||
+        report->shaded == 0 || report->rays == 0) {
+        if (budget->rays == 0) budget->rays = 4;
+        if (budget->coarse == 0) budget->coarse = 1;
+        return 0;
+    }
+    each = (double)light_ms / ((double)report->shaded * (double)report->rays);
+    if (budget->_ray_ms > 0.0f) each = 0.5 * (each + (double)budget->_ray_ms); /* frames differ */
+    budget->_ray_ms = (float)each;
+    room = (double)target_ms - ((double)frame_ms - (double)light_ms);
+    if (room < 0.1 * (double)target_ms) room = 0.1 * (double)target_ms;
+    full = room / (each * (double)(report->pixels != 0 ? report->pixels : report->shaded)); /* rays for every pixel */
+    if (full >= 4.0) {
+        coarse = 1;
+        rays = full < (double)most ? (uint32_t)full : most;
+    } else { /* at least 4 rays, from fewer pixels; how many fewer is seen in the next report */
+        const double left = room / each / (double)report->shaded;
+        if (left < 4.0 && coarse < 16) coarse *= 2;
+        else if (left > 10.0 && coarse > 1) coarse /= 2;
+        rays = left < 4.0 ? 4 : left < (double)most ? (uint32_t)left : most;
+    }
+    if (rays == budget->rays && coarse == budget->coarse) return 0;
+    budget->rays = rays;
+    budget->coarse = coarse;
+    return 1;
 }
 
 /* ---- bounces ---- */
 
 typedef struct voxrti_bounce {
-    voxrt_gi *gi;
+    const voxrt_gi *gi;    /* one of the nested volumes */
     voxrti_gather gather;
     voxrt_gi_render_desc desc;
-    uint32_t *next;        /* the new values of both layers */
+    uint32_t *next;        /* the new values */
     uint32_t layer, seed;
     float weight;
 } voxrti_bounce;
 
 static void voxrti_bounce_flush(const voxrti_bounce *b, voxrti_points *q, const size_t *at) {
     const voxrti_gi_layer *l = &b->gi->layer[b->layer];
+    const float scale = 3.14159265f / (float)(int32_t)b->gather.rays;
     float rgb[VOXRTI_COLUMN_BATCH][3], old[3];
     uint32_t i, a;
     memset(rgb, 0, sizeof rgb);
-    voxrti_gather_run(&b->gather, q, rgb, NULL);
+    voxrti_gather_run(&b->gather, q, rgb, NULL, NULL);
     for (i = 0; i < q->count; i++) {
-        voxrti_rgb9e5_decode(l->bounce[at[i]], old);
-        for (a = 0; a < 3; a++) rgb[i][a] = old[a] + (rgb[i][a] * 3.14159265f - old[a]) * b->weight;
+        const uint32_t known = l->bounce[at[i]];
+        if (known != VOXRTI_GI_UNKNOWN) voxrti_rgb9e5_decode(known, old);
+        for (a = 0; a < 3; a++) {
+            rgb[i][a] *= scale;
+            if (known != VOXRTI_GI_UNKNOWN) rgb[i][a] = old[a] + (rgb[i][a] - old[a]) * b->weight;
+        }
         b->next[at[i]] = voxrti_rgb9e5(rgb[i]);
     }
     q->count = 0;
@@ -15678,7 +17482,7 @@ static void voxrti_task_bounce(void *ctx, uint32_t y) {
     const voxrti_gi_layer *l = &b->gi->layer[b->layer];
     voxrti_points q;
     size_t at[VOXRTI_COLUMN_BATCH], rec = l->base[(size_t)y << c->row_log[0]];
-    uint32_t x, w, side, i, a;
+    uint32_t x, w, side, i;
     memset(at, 0, sizeof at);
     q.count = 0;
     for (x = 0; x < c->size[0]; x++)
@@ -15687,16 +17491,11 @@ static void voxrti_task_bounce(void *ctx, uint32_t y) {
             for (; bits != 0; bits &= bits - 1, rec++)
                 for (side = 0; side < 2; side++) {
                     const uint32_t cell[3] = {x, y, 32 * w + voxrti_ctz64(bits)};
-                    float lift;
                     if (l->record[rec].area[side] == 0) continue;
                     i = q.count++;
                     at[i] = 2 * rec + side;
-                    voxrti_oct_decode(l->record[rec].normal[side], q.n[i]);
-                    lift = (float)((double)l->record[rec].offset[side] * (c->diagonal / 254.0));
-                    for (a = 0; a < 3; a++) {
-                        const uint32_t wa = c->axis[a];
-                        q.p[i][wa] = (float)(c->origin[a] + ((double)cell[a] + 0.5) * c->cell[a]) + lift * q.n[i][wa];
-                    }
+                    voxrti_gi_side_place(b->gi, &l->record[rec], side, cell, q.p[i], q.n[i]);
+                    q.exponent[i] = 0.0f;
                     q.seed[i] = voxrti_hash32((uint32_t)at[i] * 2u + b->layer) ^ b->seed;
                     if (q.count == VOXRTI_COLUMN_BATCH) voxrti_bounce_flush(b, &q, at);
                 }
@@ -15706,37 +17505,43 @@ static void voxrti_task_bounce(void *ctx, uint32_t y) {
 
 VOXRT_DEF voxrt_result voxrt_gi_bounce(voxrt_gi *gi, const voxrt_env *env, uint32_t rays, float weight, uint32_t seed) {
     voxrti_bounce b;
-    uint32_t *next[2] = {NULL, NULL}, l;
+    voxrt_gi *g;
+    uint32_t *next[8][2], l, k;
     voxrt_result r = VOXRT_OK;
     if (gi == NULL || !(weight >= 0.0f && weight <= 1.0f) || rays > 1u << 20) return VOXRT_ERR_INVALID_ARG;
     memset(&b, 0, sizeof b);
+    memset(next, 0, sizeof next);
     if (env != NULL) b.desc.env = *env;
-    b.gi = gi;
     b.weight = weight > 0.0f ? weight : 1.0f;
     b.seed = voxrti_hash32(seed);
     b.gather.d = &b.desc;
     b.gather.gi = gi;
     b.gather.rays = rays != 0 ? rays : 16;
     b.gather.bounces = 1;
-    b.gather.radius = voxrti_columns_reach(gi->columns);
+    b.gather.radius = voxrti_gi_reach(gi);
     b.gather.isa = (int)voxrt_isa_best();
-    for (l = 0; l < 2 && r == VOXRT_OK; l++) {
-        if (gi->layer[l].count == 0) continue;
-        next[l] = (uint32_t *)voxrti_alloc_zero(&gi->mem, gi->layer[l].count, 8);
-        if (next[l] == NULL)
-            r = voxrti_fail(b.desc.env.error, VOXRT_ERR_NO_MEMORY, gi->layer[l].count,
-                            "no memory for light on % cells");
-    }
-    for (l = 0; l < 2 && r == VOXRT_OK; l++) {
-        if (gi->layer[l].count == 0) continue;
-        b.layer = l;
-        b.next = next[l];
-        voxrti_parallel_for(&b.desc.env, voxrti_task_bounce, &b, gi->columns->size[1]);
-    }
-    for (l = 0; l < 2; l++) {
-        if (r == VOXRT_OK && next[l] != NULL) memcpy(gi->layer[l].bounce, next[l], gi->layer[l].count * 8);
-        voxrti_free(&gi->mem, next[l]);
-    }
+    for (g = gi, k = 0; g != NULL; g = g->outer, k++)
+        for (l = 0; l < 2 && r == VOXRT_OK; l++) {
+            if (g->layer[l].count == 0) continue;
+            next[k][l] = (uint32_t *)voxrti_alloc_array(&g->mem, g->layer[l].count, 8);
+            if (next[k][l] == NULL)
+                r = voxrti_fail(b.desc.env.error, VOXRT_ERR_NO_MEMORY, g->layer[l].count,
+                                "no memory for light on % cells");
+            else memset(next[k][l], 255, g->layer[l].count * 8);
+        }
+    for (g = gi, k = 0; g != NULL; g = g->outer, k++)
+        for (l = 0; l < 2 && r == VOXRT_OK; l++) {
+            if (g->layer[l].count == 0) continue;
+            b.gi = g;
+            b.layer = l;
+            b.next = next[k][l];
+            voxrti_parallel_for(&b.desc.env, voxrti_task_bounce, &b, g->columns->size[1]);
+        }
+    for (g = gi, k = 0; g != NULL; g = g->outer, k++)
+        for (l = 0; l < 2; l++) {
+            if (r == VOXRT_OK && next[k][l] != NULL) memcpy(g->layer[l].bounce, next[k][l], g->layer[l].count * 8);
+            voxrti_free(&g->mem, next[k][l]);
+        }
     return r;
 }
 
@@ -15758,6 +17563,7 @@ static void voxrti_task_gbuffer(void *ctx, uint32_t tile) {
     voxrt_ray ray[VOXRTI_COLUMN_BATCH];
     voxrt_surface surface[VOXRTI_COLUMN_BATCH];
     voxrt_column_hit hit[VOXRTI_COLUMN_BATCH];
+    const voxrt_gi *where[VOXRTI_COLUMN_BATCH];
     size_t pixel[VOXRTI_COLUMN_BATCH];
     uint32_t x, y, i, a, n = 0;
     memset(hit, 0, sizeof hit);
@@ -15777,7 +17583,7 @@ static void voxrti_task_gbuffer(void *ctx, uint32_t tile) {
         memset(&d, 0, sizeof d);
         w->geometry->trace_fn(w->geometry->user, &d, ray, surface, n);
     } else {
-        (void)voxrt_columns_trace(w->gi->columns, NULL, ray, hit, n);
+        voxrti_gi_trace(w->gi, (int)voxrt_isa_best(), NULL, ray, n, hit, where, NULL, NULL);
     }
     for (i = 0; i < n; i++) {
         const size_t at = 3 * pixel[i];
@@ -15786,6 +17592,7 @@ static void voxrti_task_gbuffer(void *ctx, uint32_t tile) {
         if (g->emission != NULL) g->emission[at] = g->emission[at + 1] = g->emission[at + 2] = 0.0f;
         if (g->specular != NULL) memset(g->specular + 4 * pixel[i], 0, 16);
         for (a = 0; a < 3; a++) g->position[at + a] = g->albedo[at + a] = g->normal[at + a] = 0.0f;
+        if (g->before != NULL) memset(g->before + at, 0, 12);
         if (w->geometry != NULL) {
             t = surface[i].t;
             memcpy(normal, surface[i].normal, sizeof normal);
@@ -15795,23 +17602,17 @@ static void voxrti_task_gbuffer(void *ctx, uint32_t tile) {
         } else if (hit[i].t < INFINITY) {
             voxrti_gi_side s;
             t = hit[i].t;
-            if (voxrti_gi_side_open(w->gi, hit[i].cell[0], hit[i].cell[1], hit[i].cell[2], ray[i].dir, &s)) {
-                const voxrti_gi_layer *l = &w->gi->layer[s.layer];
-                const float near_by = 2.0f * (float)w->gi->columns->diagonal; /* the surface, not the cell's face */
-                float d[3], at_plane;
-                for (a = 0; a < 3; a++) d[a] = s.position[a] - ray[i].org[a];
-                at_plane = voxrti_dot3(d, s.normal) / voxrti_dot3(ray[i].dir, s.normal);
-                if (voxrti_absf(at_plane - t) * sqrtf(voxrti_dot3(ray[i].dir, ray[i].dir)) < near_by) t = at_plane;
+            if (voxrti_gi_side_open(where[i], hit[i].cell[0], hit[i].cell[1], hit[i].cell[2], ray[i].dir, &s)) {
+                t = voxrti_gi_side_meet(&s, &ray[i], t); /* the surface, not the cell's face */
                 memcpy(normal, s.normal, sizeof normal);
                 memcpy(g->albedo + at, s.albedo, sizeof s.albedo);
-                if (g->emission != NULL)
-                    memcpy(g->emission + at, w->gi->entry[l->record[s.at >> 1].object[s.at & 1u]].emission, 12);
             }
         }
         if (!(t < INFINITY) || !voxrti_normalize(normal)) continue;
         facing = voxrti_dot3(normal, ray[i].dir);
         for (a = 0; a < 3; a++) {
             g->position[at + a] = ray[i].org[a] + t * ray[i].dir[a];
+            if (g->before != NULL) g->before[at + a] = g->position[at + a];
             g->normal[at + a] = facing > 0.0f ? 0.0f - normal[a] : normal[a];
         }
     }
@@ -15846,6 +17647,86 @@ VOXRT_DEF voxrt_result voxrt_gbuffer_from_geometry(const voxrt_env *env, const v
 VOXRT_DEF voxrt_result voxrt_gbuffer_from_gi(const voxrt_env *env, const voxrt_camera *camera, const voxrt_gi *gi,
                                              const voxrt_gbuffer *gbuffer) {
     return gi != NULL ? voxrti_gbuffer_run(env, camera, NULL, gi, gbuffer) : VOXRT_ERR_INVALID_ARG;
+}
+
+/* ---- what a G-buffer does not know ---- */
+
+/* The object whose surface lies at p with normal n: of the cell there, or the nearest that touches it. */
+static const voxrti_gi_entry *voxrti_gi_entry_at(const voxrt_gi *gi, const float p[3], const float n[3]) {
+    const voxrt_columns *c;
+    const voxrti_gi_entry *found = NULL;
+    double at[3];
+    float best = INFINITY;
+    uint32_t a, i, side;
+    for (; gi != NULL; gi = gi->outer) {
+        c = gi->columns;
+        for (a = 0; a < 3; a++) {
+            at[a] = ((double)p[c->axis[a]] - c->origin[a]) * c->per_cell[a];
+            if (!(at[a] >= 0.0 && at[a] < (double)c->size[a])) break;
+        }
+        if (a == 3) break;
+    }
+    if (gi == NULL) return NULL;
+    for (i = 0; i < 27; i++) {
+        uint32_t cell[3], layer;
+        size_t r;
+        for (a = 0; a < 3; a++) {
+            const int64_t q = voxrti_floor(at[a]) + (int64_t)(a == 0 ? i % 3 : a == 1 ? i / 3 % 3 : i / 9) - 1;
+            if (q < 0 || q >= (int64_t)c->size[a]) break;
+            cell[a] = (uint32_t)q;
+        }
+        if (a < 3 || (r = voxrti_gi_find(gi, cell[0], cell[1], cell[2], &layer)) == (size_t)-1) continue;
+        for (side = 0; side < 2; side++) {
+            const voxrti_gi_record *rec = &gi->layer[layer].record[r];
+            float s[3], m[3], d = 0.0f;
+            if (rec->area[side] == 0) continue;
+            voxrti_gi_side_place(gi, rec, side, cell, s, m);
+            if (!(voxrti_dot3(m, n) > 0.3f)) continue;
+            for (a = 0; a < 3; a++) d += (s[a] - p[a]) * (s[a] - p[a]);
+            if (!(d < best)) continue;
+            best = d;
+            found = &gi->entry[rec->object[side]];
+        }
+    }
+    return found;
+}
+
+typedef struct voxrti_material_work { const voxrt_gi *gi; const voxrt_gbuffer *g; } voxrti_material_work;
+
+static void voxrti_task_materials(void *ctx, uint32_t y) {
+    const voxrti_material_work *w = (const voxrti_material_work *)ctx;
+    const voxrt_gbuffer *g = w->g;
+    size_t at = (size_t)y * g->width, end = at + g->width;
+    uint32_t a, b;
+    for (; at < end; at++) {
+        const float *p = g->position + 3 * at;
+        const voxrti_gi_entry *e;
+        if (!voxrti_pixel_seen(g, at)) continue;
+        if (g->before != NULL) memcpy(g->before + 3 * at, p, 12);
+        e = voxrti_gi_entry_at(w->gi, p, g->normal + 3 * at);
+        if (e == NULL) continue;
+        if (g->specular != NULL) memcpy(g->specular + 4 * at, e->specular, 16);
+        if (g->emission != NULL) memcpy(g->emission + 3 * at, e->emission, 12);
+        for (a = 0; a < 3 && g->before != NULL && e->moved; a++) {
+            double q = e->back[4 * a + 3];
+            for (b = 0; b < 3; b++) q += e->back[4 * a + b] * (double)p[b];
+            g->before[3 * at + a] = (float)q;
+        }
+    }
+}
+
+VOXRT_DEF voxrt_result voxrt_gbuffer_materials(const voxrt_env *env, const voxrt_gi *gi, const voxrt_gbuffer *gbuffer) {
+    voxrti_material_work w;
+    voxrt_env none;
+    if (gi == NULL || gbuffer == NULL) return VOXRT_ERR_INVALID_ARG;
+    if (gbuffer->width == 0 || gbuffer->height == 0) return VOXRT_OK;
+    if (gbuffer->position == NULL || gbuffer->normal == NULL || gbuffer->width > 65535 || gbuffer->height > 65535)
+        return VOXRT_ERR_INVALID_ARG;
+    memset(&none, 0, sizeof none);
+    w.gi = gi;
+    w.g = gbuffer;
+    voxrti_parallel_for(env != NULL ? env : &none, voxrti_task_materials, &w, gbuffer->height);
+    return VOXRT_OK;
 }
 
 /* ---- tone mapping ---- */

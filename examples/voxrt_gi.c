@@ -2,6 +2,7 @@
    SPDX-License-Identifier: MIT OR Unlicense */
 #include "support/camera.h"
 #include "support/cli.h"
+#include "support/gi_scene.h"
 #include "support/mesh.h"
 #include "support/mesh_obj.h"
 #include "support/mesh_off.h"
@@ -12,16 +13,16 @@
 #define VOXRT_IMPLEMENTATION
 #include "voxrt.h"
 
-enum { MAX_PIECES = 16, MAX_LIGHTS = 8 };
-enum { METHOD_DEFAULT, METHOD_GATHER, METHOD_PATH, METHOD_AO, METHOD_NONE };
-enum { VIEW_PICTURE, VIEW_DIRECT, VIEW_INDIRECT, VIEW_VOXELS };
+enum { METHOD_DEFAULT, METHOD_GATHER, METHOD_PATH, METHOD_VPL, METHOD_AO, METHOD_NONE };
+enum { VIEW_PICTURE, VIEW_DIRECT, VIEW_INDIRECT, VIEW_VOXELS, VIEW_CUBES, VIEW_LIGHTS, VIEW_LOOKUP };
 
 typedef struct gi_options {
     sup_common common;
-    const char *scene;
-    int method, tone, view;
-    int64_t frames, rays, bounces, grid, res, filter, aa;
-    double radius, exposure;
+    const char *scene, *camera;
+    int method, tone, view, lookup;
+    int64_t frames, rays, bounces, grid, depth, res, filter, shadow_filter, aa, coarse, pattern, keep, nested, first, still;
+    double radius, exposure, budget, d_min;
+    int has_rays;
 } gi_options;
 
 typedef struct piece { /* an object: its triangles for the light that bounces, its voxels for what the camera sees */
@@ -30,20 +31,27 @@ typedef struct piece { /* an object: its triangles for the light that bounces, i
     voxrt_instance instance;
     voxrt_gi_object object;
     uint32_t id;
+    int frame; /* of a sequence; -1: none yet */
 } piece;
 
 typedef struct world {
-    piece pieces[MAX_PIECES];
+    sup_gi_scene scene;
+    sup_mesh first; /* a mesh that is read already */
+    piece *pieces;  /* one for each object of the scene */
     size_t piece_count;
-    voxrt_gi_light lights[MAX_LIGHTS];
-    size_t light_count;
+    voxrt_gi_light *lights;
+    voxrt_geometry *parts;
     voxrt_gi *gi;
+    voxrt_gi_history *history;
     voxrt_group *group;
     voxrt_geometry geometry;
-    sup_camera camera;
-    float lo[3], hi[3], most; /* box; what is shown white */
+    voxrt_camera camera;
+    size_t which; /* camera */
+    voxrt_gi_budget budget;
     double lift;
+    int shine, glow;   /* is there an object with a lobe, that emits light? */
     const char *name;
+    sup_mesh *stale;   /* meshes of sequences that the light still uses until the next update */
 } world;
 
 typedef struct buffers {
@@ -52,10 +60,33 @@ typedef struct buffers {
     uint8_t *rgba;
 } buffers;
 
-typedef struct timing { double update, gbuffer, light, all; uint64_t rays; } timing;
+typedef struct timing { double update, gbuffer, light, all; uint64_t rays; double shaded, noise, kept, per_pixel; } timing;
+
+static const char cornell_text[] =
+    "voxrt_gi 1\nwhite 1.1\nseconds 4\n"
+    "camera front eye 2.78 2.73 8 at 2.78 2.73 -2.8 fov 38\n"
+    "object scene:cornell\n"
+    "light area position 2.78 5.44 -2.795 u 0.55 0 0 v 0 0 0.55 color 22 18.7 13.2\n";
+static const char cornell_ball_text[] =
+    "path round loop\n knot 0 1.7 0 0\n knot 0.5 1.2 0.4 0.92\n knot 1 0 0 1.3\n knot 1.5 -1.2 -0.4 0.92\n knot 2 -1.7 0 0\n"
+    " knot 2.5 -1.2 0.4 -0.92\n knot 3 0 0 -1.3\n knot 3.5 1.2 -0.4 -0.92\n knot 4 1.7 0 0\n"
+    "object scene:sphere:32 scale 0.55 position 2.8 3.9 -2.6 color 0.16 0.31 0.75 path round\n";
+static const char atrium_text[] =
+    "voxrt_gi 1\nwhite 1\nseconds 4\n"
+    "path swing loop\n knot 0 0 0 0\n knot 1 0.6 0 0\n knot 2 0 0 0\n knot 3 -0.6 0 0\n knot 4 0 0 0\n"
+    "path round loop\n knot 0 0.8 0 0\n knot 1 0 0 1.5\n knot 2 -0.8 0 0\n knot 3 0 0 -1.5\n knot 4 0.8 0 0\n"
+    "path warm loop\n knot 0 0.8 0 0\n knot 1 0 0 3\n knot 2 -0.8 0 0\n knot 3 0 0 -3\n knot 4 0.8 0 0\n"
+    "path cold loop\n knot 0 0.8 0 2.5\n knot 1 0 0 1.6\n knot 2 -0.8 0 -2.5\n knot 3 0 0 -1.6\n knot 4 0.8 0 2.5\n"
+    "camera nave eye -0.2 2.2 16 at -0.6 2.9 0 fov 62\n"
+    "camera aisle eye 3.4 1.8 6 at -1.5 2.2 -2 fov 60\n"
+    "object scene:pillars\n"
+    "object scene:torus position -2 1.1 8 spin 0 180 0 color 0.67 0.061 0.03 path swing\n"
+    "object scene:sphere:32 scale 0.8 position 1.6 0.8 9 color 0.76 0.445 0.065 path round\n"
+    "light point position 3.2 5.2 8 color 60 46 26 path warm\n"
+    "light point position -4 5.2 0 color 26 36 60 path cold\n";
 
 static int parse(int argc, char **argv, gi_options *o) {
-    sup_option table[SUP_COMMON_OPTIONS + 16];
+    sup_option table[SUP_COMMON_OPTIONS + 32];
     size_t n;
     int status;
     memset(o, 0, sizeof *o);
@@ -64,281 +95,406 @@ static int parse(int argc, char **argv, gi_options *o) {
     o->rays = 64;
     o->bounces = 3;
     o->grid = 256;
-    o->res = 0;
     o->filter = 3;
     o->aa = 4;
+    o->coarse = 1;
+    o->pattern = 4;
+    o->nested = 1;
+    o->keep = -1;
     o->exposure = 1.0;
     n = sup_common_options(&o->common, table);
+    for (size_t i = 0; i < n; i++)
+        if (strcmp(table[i].name, "tolerance") == 0) table[i].help = "noise of indirect light as a share of it; --rays, if given, are the most";
     o->common.size[0] = 768;
     o->common.size[1] = 512;
-    table[n++] = sup_opt_text("scene", &o->scene, "cornell|atrium|FILE", "generated, or a mesh file, which stands on a plane (cornell)");
-    table[n++] = sup_opt_choice("method", &o->method, "default|gather|path|ao|none",
+    table[n++] = sup_opt_text("scene", &o->scene, "cornell|atrium|FILE", "generated; a scene file; or a mesh file, which stands on a plane (cornell)");
+    table[n++] = sup_opt_text("camera", &o->camera, "NAME", "which camera of the scene (the first)");
+    table[n++] = sup_opt_choice("method", &o->method, "default|gather|path|vpl|ao|none",
                                 "how indirect light is found; default: gather, with light on cells that has bounced before");
+    table[n++] = sup_opt_choice("lookup", &o->lookup, "cache|rays|volume|maps", "direct light where a ray hits: of the cell, by shadow rays, of all cells, by maps");
     table[n++] = sup_opt_int("frames", &o->frames, 1, 100000, "N", "pictures of the scene as it moves; FILE of --out has a %d for the number");
-    table[n++] = sup_opt_int("rays", &o->rays, 1, 65536, "N", "rays over the hemisphere of a pixel (64)");
+    table[n++] = sup_opt_int("first", &o->first, 0, 100000, "N", "draw picture N of --frames and those after it (0)");
+    table[n++] = sup_opt_int("repeat", &o->still, 1, 100000, "N", "draw each picture N times, all of which count with --keep (1)");
+    table[n++] = sup_opt_given(sup_opt_int("rays", &o->rays, 1, 65536, "N", "rays over the hemisphere of a pixel, or virtual lights (64)"), &o->has_rays);
     table[n++] = sup_opt_int("bounces", &o->bounces, 1, 64, "N", "how often light is followed (3)");
     table[n++] = sup_opt_real("radius", &o->radius, 0.0, 1e9, "R", "length of the rays, world units (all)");
     table[n++] = sup_opt_int("filter", &o->filter, 0, 64, "R", "radius of the filter of indirect light in pixels, 0: none (3)");
+    table[n++] = sup_opt_int("shadow-filter", &o->shadow_filter, 0, 64, "R", "the same for direct light: soft shadows (0)");
+    table[n++] = sup_opt_int("coarse", &o->coarse, 1, 16, "N", "one of N x N pixels sends rays where light is smooth: 1, 2, 4, 8 or 16 (1)");
+    table[n++] = sup_opt_int("keep", &o->keep, 0, 1000, "N", "pictures that each one remembers, 0: none (0; 16 if frames move)");
+    table[n++] = sup_opt_real("budget", &o->budget, 0.0, 1e6, "MS", "time for a frame: rays and --coarse are chosen, --rays are the most");
+    table[n++] = sup_opt_int("pattern", &o->pattern, 1, 16, "N", "vpl: N x N pixels share the lights (4)");
+    table[n++] = sup_opt_real("d-min", &o->d_min, 0.0, 1e9, "A", "vpl: the thesis' bound, an area; 0: bound and compensation (0)");
     table[n++] = sup_opt_int("aa", &o->aa, 1, 16, "N", "samples a pixel: 1, 4, 9 or 16 (4)");
     table[n++] = sup_opt_int("grid", &o->grid, 16, 2048, "N", "columns along each side, a power of two (256)");
+    table[n++] = sup_opt_int("depth-cells", &o->depth, 64, 256, "N", "cells of a column: 64, 128 or 256 (128; 256 if --grid is more than 256)");
+    table[n++] = sup_opt_int("nested", &o->nested, 1, 8, "N", "volumes around the camera, each twice as wide (1: one around the scene)");
     table[n++] = sup_opt_int("res", &o->res, 16, 8192, "N", "voxels along the longest side of an object that the camera sees (1024; atrium 2048)");
     table[n++] = sup_opt_choice("tone", &o->tone, "linear|log|drago", "tone mapping");
     table[n++] = sup_opt_real("exposure", &o->exposure, 1e-6, 1e6, "E", "brightness, times the scene's own (1)");
-    table[n++] = sup_opt_choice("view", &o->view, "picture|direct|indirect|voxels", "parts of the picture; what the rays of indirect light see");
+    table[n++] = sup_opt_choice("view", &o->view, "picture|direct|indirect|voxels|cubes|lights|lookup",
+                                "parts of the picture; what rays see, plain or as cubes; virtual lights; where maps let light through (red) or hold it (blue)");
     status = sup_cli_parse(argc, argv, "Draws a scene with global illumination.", table, n);
     if (status >= 0) return status;
     if (o->common.out == NULL && !o->common.stats) return sup_bad_usage(argv[0], "--out FILE is missing");
     if ((o->grid & (o->grid - 1)) != 0) return sup_bad_usage(argv[0], "--grid: %d is no power of two", (int)o->grid);
+    if (o->coarse & (o->coarse - 1)) return sup_bad_usage(argv[0], "--coarse: %d is no power of two", (int)o->coarse);
+    if (o->depth != 0 && o->depth != 64 && o->depth != 128 && o->depth != 256) return sup_bad_usage(argv[0], "--depth-cells: %d is not 64, 128 or 256", (int)o->depth);
     if (o->aa != 1 && o->aa != 4 && o->aa != 9 && o->aa != 16) return sup_bad_usage(argv[0], "--aa: %d is not 1, 4, 9 or 16", (int)o->aa);
+    if (o->first >= o->frames) return sup_bad_usage(argv[0], "--first: there is no picture %d of %d", (int)o->first, (int)o->frames);
+    if (o->still == 0) o->still = 1;
+    if (o->keep < 0) o->keep = o->frames > 1 ? 16 : 0;
+    if (o->view == VIEW_LIGHTS) o->method = METHOD_VPL;
     return -1;
 }
 
-static void to_world(double m[12], double scale, double turn, double x, double y, double z) { /* turned about y */
-    const double c = cos(turn) * scale, s = sin(turn) * scale, rows[12] = {c, 0, s, x, 0, scale, 0, y, -s, 0, c, z};
-    memcpy(m, rows, sizeof rows);
+/* ---- scenes ---------------------------------------------------------------------------------------------------- */
+
+/* A mesh on a plane, a lamp above it. */
+static int scene_of_mesh(world *w, const gi_options *o, sup_error *err) {
+    static const float view[3] = {0.55f, 0.35f, 1.0f};
+    char text[2048];
+    float lo[3], hi[3], size = 0.0f;
+    double box[2][3];
+    voxrt_camera c;
+    if (sup_mesh_read(o->scene, &w->first, err)) return 1;
+    if (sup_mesh_bounds(&w->first, lo, hi)) return sup_fail(err, "%s: no triangles", o->scene);
+    for (int a = 0; a < 3; a++) {
+        size = hi[a] - lo[a] > size ? hi[a] - lo[a] : size;
+        box[0][a] = (double)lo[a];
+        box[1][a] = (double)hi[a];
+    }
+    memset(&c, 0, sizeof c);
+    (void)voxrt_camera_fit(&c, box[0], box[1], view, o->common.size[0], o->common.size[1]);
+    (void)snprintf(text, sizeof text,
+                   "voxrt_gi 1\ncamera fit eye %.9g %.9g %.9g at %.9g %.9g %.9g\nobject mesh\nobject plane scale %.9g position %.9g %.9g %.9g color 0.51 0.51 0.55\n"
+                   "light area position %.9g %.9g %.9g u %.9g 0 0 v 0 0 %.9g color 14 11.9 8.4\n",
+                   (double)c.eye[0], (double)c.eye[1], (double)c.eye[2], (double)c.at[0], (double)c.at[1], (double)c.at[2], 1.5 * (double)size,
+                   0.5 * ((double)lo[0] + (double)hi[0]), (double)lo[1], 0.5 * ((double)lo[2] + (double)hi[2]),
+                   (double)lo[0] - 0.6 * (double)size, (double)hi[1] + (double)size, (double)hi[2] + 0.5 * (double)size, 0.4 * (double)size, 0.4 * (double)size);
+    return sup_gi_scene_parse(text, strlen(text), o->scene, &w->scene, err);
 }
 
-/* One colour for a mesh that has none, or instead of its own. */
-static int paint(sup_mesh *mesh, const uint8_t rgb[3]) {
-    SUP_FREE(mesh->triangle_rgb);
-    mesh->triangle_rgb = NULL;
-    if (mesh->vertex_rgb == NULL) mesh->vertex_rgb = (uint8_t *)sup_alloc(mesh->vertex_count, 3);
-    if (mesh->vertex_rgb == NULL) return 1;
-    for (size_t i = 0; i < mesh->vertex_count; i++) memcpy(mesh->vertex_rgb + 3 * i, rgb, 3);
+static int read_scene(world *w, const gi_options *o, sup_error *err) {
+    char text[4096], *data = NULL;
+    size_t size;
+    int status;
+    if (strcmp(o->scene, "cornell") == 0) {
+        (void)snprintf(text, sizeof text, "%s%s", cornell_text, o->frames > 1 ? cornell_ball_text : "");
+        return sup_gi_scene_parse(text, strlen(text), o->scene, &w->scene, err);
+    }
+    if (strcmp(o->scene, "atrium") == 0) return sup_gi_scene_parse(atrium_text, sizeof atrium_text - 1, o->scene, &w->scene, err);
+    if (sup_read_file(o->scene, &data, &size, err)) return 1;
+    if (size >= 8 && memcmp(data, "voxrt_gi", 8) == 0) status = sup_gi_scene_parse(data, size, o->scene, &w->scene, err);
+    else status = scene_of_mesh(w, o, err);
+    SUP_FREE(data);
+    return status;
+}
+
+static int make_plane(sup_mesh *mesh) {
+    static const float p[12] = {-1, 0, -1, 1, 0, -1, 1, 0, 1, -1, 0, 1};
+    static const uint32_t corners[6] = {0, 2, 1, 0, 3, 2};
+    memset(mesh, 0, sizeof *mesh);
+    mesh->positions = (float *)sup_alloc(12, sizeof(float));
+    mesh->indices = (uint32_t *)sup_alloc(6, sizeof(uint32_t));
+    if (mesh->positions == NULL || mesh->indices == NULL) {
+        sup_mesh_free(mesh);
+        return 1;
+    }
+    memcpy(mesh->positions, p, sizeof p);
+    memcpy(mesh->indices, corners, sizeof corners);
+    mesh->vertex_count = 4;
+    mesh->triangle_count = 2;
     return 0;
 }
 
-/* Add a mesh, which goes over to the world, and voxelise it for the camera. rgb NULL: it keeps its colours. */
-static int add_piece(world *w, const gi_options *o, sup_mesh *mesh, int still, const uint8_t *rgb, sup_error *err) {
-    piece *p = &w->pieces[w->piece_count];
+/* The mesh of an object: generated, or a file beside the scene. frame: of a sequence. */
+static int read_mesh(world *w, const sup_gi_thing *t, int frame, sup_mesh *mesh, sup_error *err) {
+    char path[4096], name[SUP_GI_NAME];
+    const char *slash = strrchr(w->name, '/');
+    if (strcmp(t->file, "mesh") == 0 && w->first.triangle_count != 0) {
+        *mesh = w->first;
+        memset(&w->first, 0, sizeof w->first);
+        return 0;
+    }
+    if (strcmp(t->file, "plane") == 0) return make_plane(mesh) ? sup_fail(err, "out of memory") : 0;
+    if (strncmp(t->file, "scene:", 6) == 0) {
+        const char *colon = strchr(t->file + 6, ':');
+        const size_t length = colon ? (size_t)(colon - t->file - 6) : strlen(t->file + 6);
+        int64_t detail = 0;
+        if (length >= sizeof name) return sup_fail(err, "%s: no such scene", t->file);
+        memcpy(name, t->file + 6, length);
+        name[length] = 0;
+        if (colon++) {
+            const char *end = colon + strlen(colon);
+            if (sup_parse_int(&colon, end, &detail) || colon != end || detail < 0 || detail > 4096) return sup_fail(err, "%s: no detail", t->file);
+        }
+        return sup_scene_make(name, (int)detail, mesh) ? sup_fail(err, "%s: no such scene, or out of memory", t->file) : 0;
+    }
+    if (t->has_frames ? sup_gi_frame_name(t->file, frame, path, sizeof path) : (size_t)snprintf(path, sizeof path, "%s", t->file) >= sizeof path)
+        return sup_fail(err, "%s: needs one %%d or %%03d for the number of the frame, or is too long", t->file);
+    if (path[0] != '/' && slash != NULL) { /* beside the scene */
+        char whole[4096];
+        if ((size_t)snprintf(whole, sizeof whole, "%.*s%s", (int)(slash + 1 - w->name), w->name, path) >= sizeof whole)
+            return sup_fail(err, "%s: the name is too long", path);
+        memcpy(path, whole, sizeof path);
+    }
+    return sup_mesh_read(path, mesh, err);
+}
+
+/* One colour for a mesh that has none, or instead of its own; times the albedo of its material. Linear. */
+static int paint(sup_mesh *mesh, const double color[3], const double albedo[3]) {
+    uint8_t byte[3];
+    if (color != NULL) {
+        SUP_FREE(mesh->triangle_rgb);
+        mesh->triangle_rgb = NULL;
+    }
+    if (mesh->triangle_rgb == NULL && mesh->vertex_rgb == NULL) {
+        mesh->vertex_rgb = (uint8_t *)sup_alloc(mesh->vertex_count, 3);
+        if (mesh->vertex_rgb == NULL) return 1;
+        memset(mesh->vertex_rgb, 255, 3 * mesh->vertex_count);
+    }
+    for (int a = 0; a < 3; a++)
+        byte[a] = sup_unit_to_byte(voxrti_linear_to_srgb((color != NULL ? color[a] : 1.0) * (albedo != NULL ? albedo[a] : 1.0)));
+    if (color != NULL) {
+        for (size_t i = 0; i < mesh->vertex_count; i++) memcpy(mesh->vertex_rgb + 3 * i, byte, 3);
+    } else if (albedo != NULL) {
+        uint8_t *c = mesh->triangle_rgb != NULL ? mesh->triangle_rgb : mesh->vertex_rgb;
+        const size_t n = mesh->triangle_rgb != NULL ? mesh->triangle_count : mesh->vertex_count;
+        for (size_t i = 0; i < 3 * n; i++) c[i] = sup_unit_to_byte(voxrti_linear_to_srgb(voxrti_srgb_to_linear(c[i] / 255.0) * albedo[i % 3]));
+    }
+    return 0;
+}
+
+/* Read an object's mesh and voxelise it for the camera. */
+static int load_piece(world *w, const gi_options *o, size_t i, int frame, sup_error *err) {
+    const sup_gi_thing *t = &w->scene.things[i];
+    const sup_gi_material *material = t->material >= 0 ? &w->scene.materials[t->material] : NULL;
+    piece *p = &w->pieces[i];
+    sup_mesh mesh;
+    voxrt_tree *tree = NULL;
     voxrt_build_desc build;
     voxrt_error error;
     voxrt_mesh *m = &p->object.mesh;
-    memset(p, 0, sizeof *p);
+    if (read_mesh(w, t, frame, &mesh, err)) return 1;
+    if (paint(&mesh, t->has_color ? t->color : NULL, material ? material->albedo : NULL)) {
+        sup_mesh_free(&mesh);
+        return sup_fail(err, "%s: out of memory", t->file);
+    }
     memset(&build, 0, sizeof build);
     memset(&error, 0, sizeof error);
-    p->mesh = *mesh;
-    memset(mesh, 0, sizeof *mesh);
-    w->piece_count++;
-    if (rgb != NULL && paint(&p->mesh, rgb)) return sup_fail(err, "%s: out of memory", w->name);
-    m->positions = p->mesh.positions;
-    m->vertex_count = p->mesh.vertex_count;
-    m->indices = p->mesh.indices;
-    m->triangle_count = p->mesh.triangle_count;
-    m->normals = p->mesh.normals;
-    m->vertex_rgb = p->mesh.vertex_rgb;
-    m->triangle_rgb = p->mesh.triangle_rgb;
-    p->object.still = still != 0;
-    to_world(p->object.to_world, 1.0, 0.0, 0.0, 0.0, 0.0);
-    build.resolution = o->res != 0 ? (uint32_t)o->res : !still ? 512 : strcmp(w->name, "atrium") == 0 ? 2048 : 1024;
+    memset(m, 0, sizeof *m);
+    m->positions = mesh.positions;
+    m->vertex_count = mesh.vertex_count;
+    m->indices = mesh.indices;
+    m->triangle_count = mesh.triangle_count;
+    m->normals = mesh.normals;
+    m->vertex_rgb = mesh.vertex_rgb;
+    m->triangle_rgb = mesh.triangle_rgb;
+    build.resolution = o->res != 0 ? (uint32_t)o->res : t->moving ? 512 : strcmp(t->file, "scene:pillars") == 0 ? 2048 : 1024;
     build.env.thread_count = (uint32_t)o->common.threads;
     build.env.error = &error;
-    if (voxrt_tree_build(&build, m, NULL, &p->tree) != VOXRT_OK)
-        return sup_fail(err, "%s: %s", w->name, error.text[0] ? error.text : "nothing to draw");
+    if (voxrt_tree_build(&build, m, NULL, &tree) != VOXRT_OK) {
+        sup_mesh_free(&mesh);
+        memset(m, 0, sizeof *m);
+        return sup_fail(err, "%s: %s", t->file, error.text[0] ? error.text : "nothing to draw");
+    }
+    voxrt_tree_destroy(p->tree);
+    sup_mesh_free(&w->stale[i]);
+    w->stale[i] = p->mesh; /* the light looks at it until it gets the new one */
+    p->mesh = mesh;
+    p->tree = tree;
+    p->frame = frame;
     return 0;
 }
 
 static void free_world(world *w) {
     voxrt_group_destroy(w->group);
+    voxrt_gi_history_destroy(w->history);
     voxrt_gi_destroy(w->gi);
     for (size_t i = 0; i < w->piece_count; i++) {
         voxrt_tree_destroy(w->pieces[i].tree);
         sup_mesh_free(&w->pieces[i].mesh);
+        sup_mesh_free(&w->stale[i]);
     }
+    sup_mesh_free(&w->first);
+    SUP_FREE(w->pieces);
+    SUP_FREE(w->stale);
+    SUP_FREE(w->lights);
+    SUP_FREE(w->parts);
+    sup_gi_scene_free(&w->scene);
 }
 
-static int add_scene(world *w, const gi_options *o, const char *name, int detail, int still, const uint8_t *rgb, sup_error *err) {
-    sup_mesh mesh;
-    if (sup_scene_make(name, detail, &mesh)) return sup_fail(err, "%s: out of memory", name);
-    return add_piece(w, o, &mesh, still, rgb, err);
-}
-
-static void area_light(world *w, float x, float y, float z, float half, float power) {
-    voxrt_gi_light *l = &w->lights[w->light_count++];
-    memset(l, 0, sizeof *l);
-    l->kind = VOXRT_GI_AREA;
-    l->position[0] = x;
-    l->position[1] = y;
-    l->position[2] = z;
-    l->edge_u[0] = l->edge_v[2] = half;
-    l->color[0] = power;
-    l->color[1] = power * 0.85f;
-    l->color[2] = power * 0.6f;
-}
-
-static int make_cornell(world *w, const gi_options *o, sup_error *err) {
-    static const uint8_t blue[3] = {110, 150, 225};
-    const float eye[3] = {2.78f, 2.73f, 8.0f}, at[3] = {2.78f, 2.73f, -2.8f};
-    if (add_scene(w, o, "cornell", 0, 1, NULL, err)) return 1;
-    if (o->frames > 1 && add_scene(w, o, "sphere", 32, 0, blue, err)) return 1;
-    area_light(w, 2.78f, 5.44f, -2.795f, 0.55f, 22.0f);
-    memcpy(w->camera.eye, eye, sizeof eye);
-    memcpy(w->camera.at, at, sizeof at);
-    w->camera.fov = 38.0f;
-    w->most = 1.1f;
-    return 0;
-}
-
-static int make_atrium(world *w, const gi_options *o, sup_error *err) {
-    static const uint8_t red[3] = {214, 70, 48}, gold[3] = {226, 178, 72};
-    const float eye[3] = {-0.2f, 2.2f, 16.0f}, at[3] = {-0.6f, 2.9f, 0.0f};
-    if (add_scene(w, o, "pillars", 0, 1, NULL, err) || add_scene(w, o, "torus", 0, 0, red, err) ||
-        add_scene(w, o, "sphere", 32, 0, gold, err)) return 1;
-    w->light_count = 2;
-    memset(w->lights, 0, 2 * sizeof w->lights[0]);
-    memcpy(w->camera.eye, eye, sizeof eye);
-    memcpy(w->camera.at, at, sizeof at);
-    w->camera.fov = 62.0f;
-    w->most = 1.0f;
-    return 0;
-}
-
-static int make_file(world *w, const gi_options *o, sup_error *err) {
-    static const uint8_t grey[3] = {190, 190, 196};
-    static const float view[3] = {0.55f, 0.35f, 1.0f};
-    static const uint32_t corners[6] = {0, 2, 1, 0, 3, 2};
-    sup_mesh mesh, plane;
-    float lo[3], hi[3], size = 0.0f;
-    voxrt_camera camera;
-    double box[2][3];
-    if (sup_mesh_read(o->scene, &mesh, err)) return 1;
-    if (sup_mesh_bounds(&mesh, lo, hi)) {
-        sup_mesh_free(&mesh);
-        return sup_fail(err, "%s: no triangles", o->scene);
+/* Lamps, objects and the camera at time t. changed: objects that are elsewhere. */
+static int pose(world *w, const gi_options *o, double t, sup_error *err) {
+    const sup_gi_scene *s = &w->scene;
+    const sup_gi_camera *c = &s->cameras[w->which];
+    for (size_t i = 0; i < s->thing_count; i++) {
+        const sup_gi_thing *thing = &s->things[i];
+        const int frame = thing->has_frames ? sup_gi_frame(thing, t) : 0;
+        if (w->pieces[i].frame != frame && load_piece(w, o, i, frame, err)) return 1;
+        sup_gi_matrix(s, thing, t, w->pieces[i].object.to_world);
     }
-    for (int a = 0; a < 3; a++) size = hi[a] - lo[a] > size ? hi[a] - lo[a] : size;
-    if (add_piece(w, o, &mesh, 1, NULL, err)) return 1;
-    memset(&plane, 0, sizeof plane);
-    plane.positions = (float *)sup_alloc(12, sizeof(float));
-    plane.indices = (uint32_t *)sup_alloc(6, sizeof(uint32_t));
-    if (plane.positions == NULL || plane.indices == NULL) {
-        sup_mesh_free(&plane);
-        return sup_fail(err, "out of memory");
-    }
-    for (int k = 0; k < 4; k++) {
-        plane.positions[3 * k] = 0.5f * (lo[0] + hi[0]) + (k == 0 || k == 3 ? -1.5f : 1.5f) * size;
-        plane.positions[3 * k + 1] = lo[1];
-        plane.positions[3 * k + 2] = 0.5f * (lo[2] + hi[2]) + (k < 2 ? -1.5f : 1.5f) * size;
-    }
-    memcpy(plane.indices, corners, sizeof corners);
-    plane.vertex_count = 4;
-    plane.triangle_count = 2;
-    if (add_piece(w, o, &plane, 1, grey, err)) return 1;
-    area_light(w, lo[0] - 0.6f * size, hi[1] + size, hi[2] + 0.5f * size, 0.4f * size, 14.0f);
-    memset(&camera, 0, sizeof camera);
-    for (int a = 0; a < 3; a++) {
-        box[0][a] = (double)lo[a];
-        box[1][a] = (double)hi[a];
-    }
-    (void)voxrt_camera_fit(&camera, box[0], box[1], view, o->common.size[0], o->common.size[1]);
-    memcpy(w->camera.eye, camera.eye, sizeof camera.eye);
-    memcpy(w->camera.at, camera.at, sizeof camera.at);
-    w->camera.fov = 40.0f;
-    w->most = 1.0f;
-    return 0;
-}
-
-/* Where everything is at time t in 0..1 of the sequence. */
-static void pose(world *w, double t) {
-    const double turn = 6.283185307179586 * t;
-    if (strcmp(w->name, "cornell") == 0 && w->piece_count > 1)
-        to_world(w->pieces[1].object.to_world, 0.55, 0.0, 2.8 + 1.7 * cos(turn), 3.9 + 0.4 * sin(2.0 * turn), -2.6 + 1.3 * sin(turn));
-    if (strcmp(w->name, "atrium") == 0) {
-        voxrt_gi_light *l = w->lights;
-        to_world(w->pieces[1].object.to_world, 1.0, 2.0 * turn, -2.0 + 0.6 * sin(turn), 1.1, 8.0);
-        to_world(w->pieces[2].object.to_world, 0.8, 0.0, 1.6 + 0.8 * cos(turn), 0.8, 9.0 + 1.5 * sin(turn));
-        for (int i = 0; i < 2; i++) {
-            static const float colour[2][3] = {{60.0f, 46.0f, 26.0f}, {26.0f, 36.0f, 60.0f}};
-            l[i].kind = VOXRT_GI_POINT;
-            l[i].position[0] = (float)((i ? -4.0 : 3.2) + 0.8 * cos(turn));
-            l[i].position[1] = 5.2f;
-            l[i].position[2] = (float)((i ? 0.0 : 8.0) + 3.0 * sin(turn + i));
-            memcpy(l[i].color, colour[i], sizeof colour[i]);
-        }
-    }
-}
-
-static int make_world(world *w, const gi_options *o, sup_error *err) {
-    const int still = strcmp(o->scene, "cornell") == 0 ? make_cornell(w, o, err)
-        : strcmp(o->scene, "atrium") == 0 ? make_atrium(w, o, err) : make_file(w, o, err);
-    voxrt_gi_desc d;
-    voxrt_error error;
-    if (still) return 1;
-    memset(&d, 0, sizeof d);
-    memset(&error, 0, sizeof error);
-    (void)sup_mesh_bounds(&w->pieces[0].mesh, w->lo, w->hi);
-    if (w->piece_count == 2 && strcmp(w->name, "cornell") != 0) { /* a file: the plane, too */
-        float lo[3], hi[3];
-        (void)sup_mesh_bounds(&w->pieces[1].mesh, lo, hi);
+    for (size_t i = 0; i < s->lamp_count; i++) {
+        const sup_gi_lamp *from = &s->lamps[i];
+        voxrt_gi_light *l = &w->lights[i];
+        memset(l, 0, sizeof *l);
+        l->kind = (voxrt_gi_light_kind)from->kind;
+        sup_gi_place(s, from->position, from->path, t, l->position);
+        l->angle = (float)from->angle;
         for (int a = 0; a < 3; a++) {
-            w->lo[a] = lo[a] < w->lo[a] ? lo[a] : w->lo[a];
-            w->hi[a] = hi[a] > w->hi[a] ? hi[a] : w->hi[a];
+            l->direction[a] = (float)from->direction[a];
+            l->edge_u[a] = (float)from->u[a];
+            l->edge_v[a] = (float)from->v[a];
+            l->color[a] = (float)from->color[a];
         }
     }
-    for (int a = 0; a < 3; a++) {
-        const double pad = 0.012 * ((double)w->hi[a] - (double)w->lo[a]) + 1e-6;
-        d.columns.box_min[a] = (double)w->lo[a] - pad;
-        d.columns.box_max[a] = (double)w->hi[a] + pad;
-    }
-    d.columns.size_x = d.columns.size_y = (uint32_t)o->grid;
-    d.columns.size_z = o->grid > 256 ? 256 : o->grid < 64 ? 64 : 128;
-    d.env.thread_count = (uint32_t)o->common.threads;
-    d.env.error = &error;
-    if (voxrt_gi_create(&d, &w->gi) != VOXRT_OK) return sup_fail(err, "%s", error.text[0] ? error.text : "the scene has no box");
-    pose(w, 0.0);
-    for (size_t i = 0; i < w->piece_count; i++)
-        if (voxrt_gi_add(w->gi, &w->pieces[i].object, &w->pieces[i].id) != VOXRT_OK) return sup_fail(err, "out of memory");
-    w->camera.up[1] = 1.0f;
+    sup_gi_place(s, c->eye, c->path, t, w->camera.eye);
+    sup_gi_place(s, c->at, c->at_path, t, w->camera.at);
+    for (int a = 0; a < 3; a++) w->camera.up[a] = (float)c->up[a];
+    w->camera.fov_y = (float)c->fov;
     if (o->common.has_eye) memcpy(w->camera.eye, o->common.camera.eye, sizeof w->camera.eye);
     if (o->common.has_at) memcpy(w->camera.at, o->common.camera.at, sizeof w->camera.at);
     if (o->common.has_up) memcpy(w->camera.up, o->common.camera.up, sizeof w->camera.up);
-    if (o->common.fov != 40.0) w->camera.fov = (float)o->common.fov;
+    if (o->common.fov != 40.0) w->camera.fov_y = (float)o->common.fov;
+    return 0;
+}
+
+/* Box of all objects wherever they go. */
+static int world_box(world *w, double lo[3], double hi[3]) {
+    const sup_gi_scene *s = &w->scene;
+    for (int a = 0; a < 3; a++) {
+        lo[a] = s->has_box ? s->box[a] : 1e300;
+        hi[a] = s->has_box ? s->box[3 + a] : -1e300;
+    }
+    for (size_t i = 0; i < s->thing_count && !s->has_box; i++) {
+        float from[2][3];
+        if (sup_mesh_bounds(&w->pieces[i].mesh, from[0], from[1])) continue;
+        for (int step = 0; step <= (s->things[i].moving ? 64 : 0); step++) {
+            double m[12];
+            sup_gi_matrix(s, &s->things[i], s->seconds * step / 64.0, m);
+            for (int k = 0; k < 8; k++)
+                for (int a = 0; a < 3; a++) {
+                    double v = m[4 * a + 3];
+                    for (int b = 0; b < 3; b++) v += m[4 * a + b] * (double)from[k >> b & 1][b];
+                    lo[a] = v < lo[a] ? v : lo[a];
+                    hi[a] = v > hi[a] ? v : hi[a];
+                }
+        }
+    }
+    return lo[0] > hi[0];
+}
+
+static int make_world(world *w, const gi_options *o, sup_error *err) {
+    const sup_gi_scene *s = &w->scene;
+    voxrt_gi_desc d;
+    voxrt_error error;
+    double lo[3], hi[3];
+    if (read_scene(w, o, err)) return 1;
+    w->pieces = (piece *)sup_alloc(s->thing_count, sizeof *w->pieces);
+    w->stale = (sup_mesh *)sup_alloc(s->thing_count, sizeof *w->stale);
+    w->lights = (voxrt_gi_light *)sup_alloc(s->lamp_count + 1, sizeof *w->lights);
+    w->parts = (voxrt_geometry *)sup_alloc(s->thing_count, sizeof *w->parts);
+    if (!w->pieces || !w->stale || !w->lights || !w->parts) return sup_fail(err, "out of memory");
+    memset(w->pieces, 0, s->thing_count * sizeof *w->pieces);
+    memset(w->stale, 0, s->thing_count * sizeof *w->stale);
+    w->piece_count = s->thing_count;
+    for (size_t i = 0; i < s->thing_count; i++) {
+        const sup_gi_thing *t = &s->things[i];
+        voxrt_gi_object *object = &w->pieces[i].object;
+        w->pieces[i].frame = -1;
+        object->still = !t->moving;
+        if (t->material < 0) continue;
+        for (int a = 0; a < 3; a++) {
+            object->material.specular[a] = (float)s->materials[t->material].specular[a];
+            object->material.emission[a] = (float)s->materials[t->material].emission[a];
+            w->glow |= object->material.emission[a] > 0.0f;
+        }
+        object->material.exponent = (float)s->materials[t->material].exponent;
+        w->shine |= object->material.exponent > 0.0f;
+    }
+    while (o->camera != NULL && w->which < s->camera_count && strcmp(s->cameras[w->which].name, o->camera) != 0) w->which++;
+    if (w->which == s->camera_count) return sup_fail(err, "%s: there is no camera %s", w->name, o->camera);
+    if (pose(w, o, 0.0, err)) return 1;
+    if (world_box(w, lo, hi)) return sup_fail(err, "%s: no triangles", w->name);
+    memset(&d, 0, sizeof d);
+    memset(&error, 0, sizeof error);
+    for (int a = 0; a < 3; a++) {
+        const double pad = 0.012 * (hi[a] - lo[a]) + 1e-6, part = ldexp(1.0, 1 - (int)o->nested);
+        const double middle = 0.5 * (lo[a] + hi[a]), half = (0.5 * (hi[a] - lo[a]) + pad) * (o->nested > 1 ? 1.25 * part : 1.0);
+        d.columns.box_min[a] = middle - half;
+        d.columns.box_max[a] = middle + half;
+    }
+    d.columns.size_x = d.columns.size_y = (uint32_t)o->grid;
+    d.columns.size_z = o->depth != 0 ? (uint32_t)o->depth : o->grid > 256 ? 256 : o->grid < 64 ? 64 : 128;
+    d.nested = (uint32_t)o->nested;
+    d.env.thread_count = (uint32_t)o->common.threads;
+    d.env.error = &error;
+    if (voxrt_gi_create(&d, &w->gi) != VOXRT_OK) return sup_fail(err, "%s", error.text[0] ? error.text : "the scene has no box");
+    if (o->keep > 0 && voxrt_gi_history_create(NULL, &w->history) != VOXRT_OK) return sup_fail(err, "out of memory");
+    for (size_t i = 0; i < w->piece_count; i++)
+        if (voxrt_gi_add(w->gi, &w->pieces[i].object, &w->pieces[i].id) != VOXRT_OK)
+            return sup_fail(err, "%s: %s", s->things[i].file, error.text[0] ? error.text : "out of memory");
     return 0;
 }
 
 /* Put everything in its place for the camera and for the light. */
-static int place(world *w, const gi_options *o, double t, sup_error *err) {
-    voxrt_geometry geometry[MAX_PIECES];
-    pose(w, t);
+static int place(world *w, const gi_options *o, double t, int first, sup_error *err) {
+    int64_t bounces = (o->method == METHOD_DEFAULT || o->method == METHOD_GATHER) ? o->bounces - 1 : 0;
+    voxrt_env env;
+    if (pose(w, o, t, err)) return 1;
     w->lift = 0.0;
     for (size_t i = 0; i < w->piece_count; i++) {
         piece *p = &w->pieces[i];
         voxrt_tree_info info;
-        double scale = sqrt(p->object.to_world[0] * p->object.to_world[0] + p->object.to_world[8] * p->object.to_world[8]);
+        const double *m = p->object.to_world, scale = sqrt(m[0] * m[0] + m[4] * m[4] + m[8] * m[8]);
         voxrt_tree_get_info(p->tree, &info);
         if (1.5 * info.voxel_size * scale > w->lift) w->lift = 1.5 * info.voxel_size * scale;
         voxrt_tree_geometry(p->tree, &p->instance.geometry);
-        memcpy(p->instance.to_world, p->object.to_world, sizeof p->instance.to_world);
-        if (voxrt_instance_geometry(&p->instance, &geometry[i]) != VOXRT_OK) return sup_fail(err, "a matrix has no inverse");
+        memcpy(p->instance.to_world, m, sizeof p->instance.to_world);
+        if (voxrt_instance_geometry(&p->instance, &w->parts[i]) != VOXRT_OK) return sup_fail(err, "a matrix has no inverse");
         if (!p->object.still && voxrt_gi_set(w->gi, p->id, &p->object) != VOXRT_OK) return sup_fail(err, "an object is lost");
+        sup_mesh_free(&w->stale[i]);
     }
     voxrt_group_destroy(w->group);
     w->group = NULL;
-    if (voxrt_group_create(NULL, geometry, w->piece_count, &w->group) != VOXRT_OK) return sup_fail(err, "out of memory");
+    if (voxrt_group_create(NULL, w->parts, w->piece_count, &w->group) != VOXRT_OK) return sup_fail(err, "out of memory");
     voxrt_group_geometry(w->group, &w->geometry);
-    if (voxrt_gi_set_lights(w->gi, w->lights, w->light_count) != VOXRT_OK) return sup_fail(err, "a light is none");
-    if (voxrt_gi_update(w->gi, NULL) != VOXRT_OK) return sup_fail(err, "out of memory for voxels");
-    for (int64_t b = 1; b < o->bounces && (o->method == METHOD_DEFAULT || o->method == METHOD_GATHER); b++) {
-        voxrt_env env;
-        memset(&env, 0, sizeof env);
-        env.thread_count = (uint32_t)o->common.threads;
-        if (voxrt_gi_bounce(w->gi, &env, 16, 0.0f, (uint32_t)o->common.seed + (uint32_t)b) != VOXRT_OK) return sup_fail(err, "out of memory for light");
+    if (o->nested > 1) {
+        double centre[3];
+        for (int a = 0; a < 3; a++) centre[a] = (double)w->camera.eye[a] + 0.25 * ((double)w->camera.at[a] - (double)w->camera.eye[a]);
+        (void)voxrt_gi_follow(w->gi, centre, NULL);
     }
+    if (voxrt_gi_set_lights(w->gi, w->lights, w->scene.lamp_count) != VOXRT_OK) return sup_fail(err, "%s: a light has no direction, no area or a wrong angle", w->name);
+    if (voxrt_gi_update(w->gi, NULL) != VOXRT_OK) return sup_fail(err, "out of memory for voxels");
+    memset(&env, 0, sizeof env);
+    env.thread_count = (uint32_t)o->common.threads;
+    if (!first && bounces > 0 && o->keep > 0) { /* light goes on from where it was */
+        const uint32_t seed = (uint32_t)o->common.seed + 100;
+        return voxrt_gi_bounce(w->gi, &env, 16, 0.25f, seed) != VOXRT_OK ? sup_fail(err, "out of memory for light") : 0;
+    }
+    for (int64_t b = 1; b <= bounces; b++)
+        if (voxrt_gi_bounce(w->gi, &env, 16, 0.0f, (uint32_t)o->common.seed + (uint32_t)b) != VOXRT_OK) return sup_fail(err, "out of memory for light");
     return 0;
 }
+
+/* ---- pictures -------------------------------------------------------------------------------------------------- */
 
 static void free_buffers(buffers *b) {
     SUP_FREE(b->g.position);
     SUP_FREE(b->g.normal);
     SUP_FREE(b->g.albedo);
     SUP_FREE(b->g.emission);
+    SUP_FREE(b->g.specular);
+    SUP_FREE(b->g.before);
     SUP_FREE(b->direct);
     SUP_FREE(b->indirect);
     SUP_FREE(b->rgba);
 }
 
-static int make_buffers(const gi_options *o, uint32_t side, buffers *b) {
+static int make_buffers(const gi_options *o, const world *w, uint32_t side, buffers *b) {
     size_t n;
+    int ok;
     memset(b, 0, sizeof *b);
     b->g.width = o->common.size[0] * side;
     b->g.height = o->common.size[1] * side;
@@ -346,60 +502,189 @@ static int make_buffers(const gi_options *o, uint32_t side, buffers *b) {
     b->g.position = (float *)sup_alloc(n, 12);
     b->g.normal = (float *)sup_alloc(n, 12);
     b->g.albedo = (float *)sup_alloc(n, 12);
-    b->g.emission = (float *)sup_alloc(n, 12);
+    if (w->glow) b->g.emission = (float *)sup_alloc(n, 12);
+    if (w->shine) b->g.specular = (float *)sup_alloc(n, 16);
+    if (o->keep > 0) b->g.before = (float *)sup_alloc(n, 12);
     b->direct = (float *)sup_alloc(n, 12);
     b->indirect = (float *)sup_alloc(n, 12);
     b->rgba = (uint8_t *)sup_alloc(n, 4);
-    return b->g.width > 65535 || b->g.height > 65535 || b->g.position == NULL || b->g.normal == NULL || b->g.albedo == NULL ||
-        b->g.emission == NULL || b->direct == NULL || b->indirect == NULL || b->rgba == NULL;
+    ok = b->g.width <= 65535 && b->g.height <= 65535 && b->g.position && b->g.normal && b->g.albedo && b->direct && b->indirect && b->rgba;
+    return !(ok && (b->g.emission || !w->glow) && (b->g.specular || !w->shine) && (b->g.before || o->keep == 0));
 }
 
-static int draw(world *w, const gi_options *o, buffers *b, double t, timing *spent, sup_error *err) {
-    static const voxrt_gi_method method[5] = {VOXRT_GI_GATHER, VOXRT_GI_GATHER, VOXRT_GI_PATH, VOXRT_GI_AO, VOXRT_GI_NONE};
-    voxrt_gi_render_desc d;
-    voxrt_camera camera;
+/* Cells as cubes: each pixel the face of the cell that its ray enters, its edges dark. */
+static void see_cubes(const world *w, const gi_options *o, voxrt_gbuffer *g) {
+    const voxrt_columns *columns = voxrt_gi_columns(w->gi);
+    voxrt_columns_info info;
+    voxrt_columns_get_info(columns, &info);
+    (void)o;
+    for (uint32_t y = 0; y < g->height; y++)
+        for (uint32_t x = 0; x < g->width; x++) {
+            const size_t at = (size_t)y * g->width + x;
+            voxrt_ray ray;
+            voxrt_column_hit hit;
+            voxrt_gi_surface s;
+            double edge = 1.0;
+            memset(g->normal + 3 * at, 0, 12);
+            memset(g->position + 3 * at, 0, 12);
+            memset(g->albedo + 3 * at, 0, 12);
+            if (voxrt_camera_ray(&w->camera, g->width, g->height, x + 0.5, y + 0.5, &ray) != VOXRT_OK) return;
+            (void)voxrt_columns_trace(columns, NULL, &ray, &hit, 1);
+            if (!(hit.t < INFINITY) || hit.face == 6) continue;
+            for (int a = 0; a < 3; a++) g->position[3 * at + (size_t)a] = ray.org[a] + hit.t * ray.dir[a];
+            g->normal[3 * at + (hit.face >> 1)] = (hit.face & 1) ? 1.0f : -1.0f;
+            for (int a = 0; a < 3; a++) { /* how far from the next edge of the cell, in cells */
+                const double q = ((double)g->position[3 * at + info.axis[a]] - (a == 0 ? columns->origin[0] : a == 1 ? columns->origin[1] : columns->origin[2])) / info.cell[a];
+                const double f = q - floor(q), d = f < 0.5 ? f : 1.0 - f;
+                if (info.axis[a] != hit.face >> 1 && d < edge) edge = d;
+            }
+            for (int a = 0; a < 3; a++) g->albedo[3 * at + (size_t)a] = 0.5f;
+            if (voxrt_gi_get(w->gi, &hit, ray.dir, &s)) memcpy(g->albedo + 3 * at, s.albedo, 12);
+            if (edge < 0.06) for (int a = 0; a < 3; a++) g->albedo[3 * at + (size_t)a] *= 0.35f;
+        }
+}
+
+/* Virtual lights as dots of their colour, where nothing hides them, and a line along their normal. */
+static void show_lights(const world *w, buffers *b) {
+    const size_t n = voxrt_gi_virtual_lights(w->gi, NULL, 0);
+    float *v = (float *)sup_alloc(n + 1, 9 * sizeof(float)), most = 1e-20f;
+    voxrt_ray mid, right, down;
+    float f[3], u[3], d[3], uu, dd;
+    if (v == NULL) return;
+    (void)voxrt_gi_virtual_lights(w->gi, v, n);
+    for (size_t i = 0; i < n; i++) for (int a = 6; a < 9; a++) most = v[9 * i + (size_t)a] > most ? v[9 * i + (size_t)a] : most;
+    (void)voxrt_camera_ray(&w->camera, b->g.width, b->g.height, 0.5 * b->g.width, 0.5 * b->g.height, &mid);
+    (void)voxrt_camera_ray(&w->camera, b->g.width, b->g.height, 0.5 * b->g.width + 1.0, 0.5 * b->g.height, &right);
+    (void)voxrt_camera_ray(&w->camera, b->g.width, b->g.height, 0.5 * b->g.width, 0.5 * b->g.height + 1.0, &down);
+    for (int a = 0; a < 3; a++) {
+        f[a] = mid.dir[a];
+        u[a] = right.dir[a] - mid.dir[a];
+        d[a] = down.dir[a] - mid.dir[a];
+    }
+    uu = voxrti_dot3(u, u);
+    dd = voxrti_dot3(d, d);
+    for (size_t i = 0; i < n; i++)
+        for (int step = 0; step < 12; step++) {
+            const float *p = v + 9 * i, along = 0.02f * (float)step * (float)w->lift * 10.0f;
+            float q[3], z, x, y;
+            const int r = step == 0 ? 2 : 0;
+            if (p[6] + p[7] + p[8] <= 0.0f) break;
+            for (int a = 0; a < 3; a++) q[a] = p[a] + along * p[3 + a] - w->camera.eye[a];
+            z = voxrti_dot3(q, f) / voxrti_dot3(f, f);
+            if (!(z > 0.0f)) continue;
+            x = voxrti_dot3(q, u) / (uu * z) + 0.5f * (float)b->g.width;
+            y = voxrti_dot3(q, d) / (dd * z) + 0.5f * (float)b->g.height;
+            for (int j = -r; j <= r; j++)
+                for (int k = -r; k <= r; k++) {
+                    const int px = (int)floorf(x) + k, py = (int)floorf(y) + j;
+                    size_t at;
+                    float e[3], far_;
+                    if (!(x > -10.0f && y > -10.0f && x < 1e6f && y < 1e6f) || px < 0 || py < 0 || px >= (int)b->g.width || py >= (int)b->g.height) continue;
+                    at = (size_t)py * b->g.width + (size_t)px;
+                    for (int a = 0; a < 3; a++) e[a] = b->g.position[3 * at + (size_t)a] - w->camera.eye[a];
+                    far_ = voxrti_dot3(e, f) / voxrti_dot3(f, f);
+                    if (far_ < z * 0.97f && voxrti_dot3(b->g.normal + 3 * at, b->g.normal + 3 * at) > 0.5f) continue;
+                    for (int a = 0; a < 3; a++) b->direct[3 * at + (size_t)a] = 0.15f + 0.85f * p[6 + a] / most;
+                }
+        }
+    SUP_FREE(v);
+}
+
+static int light_picture(world *w, const gi_options *o, buffers *b, voxrt_gi_render_desc *d, timing *spent, sup_error *err) {
+    voxrt_gi_report report;
     voxrt_stats stats;
     voxrt_result r;
     const size_t n = (size_t)b->g.width * b->g.height;
-    const double start = sup_now();
-    double now;
-    memset(&d, 0, sizeof d);
     memset(&stats, 0, sizeof stats);
-    memset(&camera, 0, sizeof camera);
-    if (place(w, o, t, err)) return 1;
+    d->report = &report;
+    if (o->budget > 0.0) {
+        (void)voxrt_gi_budget_update(&w->budget, NULL, 0.0f, 0.0f, 0.0f);
+        d->rays = w->budget.rays;
+        d->coarse = w->budget.coarse;
+    }
+    r = voxrt_gi_render(d, w->gi, &b->g, b->direct, b->indirect, &stats);
+    if (r != VOXRT_OK) return sup_fail(err, "%s", voxrt_result_string(r));
+    if (o->view == VIEW_LOOKUP) { /* maps, then rays */
+        voxrt_gi_render_desc plain = *d;
+        float *other = b->indirect;
+        plain.lookup = VOXRT_GI_LOOKUP_RAYS;
+        plain.history = NULL;
+        (void)voxrt_gi_render(&plain, w->gi, &b->g, other, NULL, NULL);
+        for (size_t i = 0; i < n; i++) {
+            const float lit = b->direct[3 * i + 1], should = other[3 * i + 1];
+            const float grey = 0.15f + 0.5f * (lit < should ? lit : should);
+            b->direct[3 * i] = grey + (lit > should * 1.02f + 1e-4f ? 0.8f : 0.0f);
+            b->direct[3 * i + 1] = grey;
+            b->direct[3 * i + 2] = grey + (lit < should * 0.98f - 1e-4f ? 0.8f : 0.0f);
+            other[3 * i] = other[3 * i + 1] = other[3 * i + 2] = 0.0f;
+        }
+    }
+    spent->rays += stats.rays;
+    spent->shaded += report.pixels != 0 ? (double)report.shaded / (double)report.pixels : 0.0;
+    spent->noise += (double)report.noise;
+    spent->kept += (double)report.kept;
+    spent->per_pixel += (double)report.rays;
+    return 0;
+}
+
+static int draw(world *w, const gi_options *o, buffers *b, double t, int first, timing *spent, sup_error *err) {
+    static const voxrt_gi_method method[6] = {VOXRT_GI_GATHER, VOXRT_GI_GATHER, VOXRT_GI_PATH, VOXRT_GI_VPL, VOXRT_GI_AO, VOXRT_GI_NONE};
+    voxrt_gi_render_desc d;
+    voxrt_result r;
+    const size_t n = (size_t)b->g.width * b->g.height;
+    const double start = sup_now();
+    double now, light;
+    const int voxels = o->view == VIEW_VOXELS || o->view == VIEW_CUBES || o->view == VIEW_LOOKUP;
+    memset(&d, 0, sizeof d);
+    if (place(w, o, t, first, err)) return 1;
     now = sup_now();
     spent->update += now - start;
-    memcpy(camera.eye, w->camera.eye, sizeof camera.eye);
-    memcpy(camera.at, w->camera.at, sizeof camera.at);
-    memcpy(camera.up, w->camera.up, sizeof camera.up);
-    camera.fov_y = w->camera.fov;
     d.env.thread_count = (uint32_t)o->common.threads;
-    r = o->view == VIEW_VOXELS ? voxrt_gbuffer_from_gi(&d.env, &camera, w->gi, &b->g)
-                               : voxrt_gbuffer_from_geometry(&d.env, &camera, &w->geometry, &b->g);
+    r = voxels ? voxrt_gbuffer_from_gi(&d.env, &w->camera, w->gi, &b->g) : voxrt_gbuffer_from_geometry(&d.env, &w->camera, &w->geometry, &b->g);
     if (r != VOXRT_OK) return sup_fail(err, "no camera: eye and at are the same, or the angle is out of range");
-    spent->gbuffer += sup_now() - now;
-    now = sup_now();
+    if (o->view == VIEW_CUBES) see_cubes(w, o, &b->g);
+    if (w->shine || w->glow || b->g.before != NULL) (void)voxrt_gbuffer_materials(&d.env, w->gi, &b->g);
+    light = sup_now();
+    spent->gbuffer += light - now;
     d.isa = (voxrt_isa)o->common.isa;
     d.method = method[o->method];
-    d.camera = camera;
+    d.lookup = (voxrt_gi_lookup)o->lookup;
+    if (o->view == VIEW_LOOKUP) d.lookup = VOXRT_GI_LOOKUP_MAPS;
+    d.camera = w->camera;
     d.rays = (uint32_t)((o->rays + o->aa - 1) / o->aa);
     d.bounces = (uint32_t)o->bounces;
     d.radius = (float)o->radius;
     d.filter = (uint32_t)o->filter;
+    d.direct_filter = (uint32_t)o->shadow_filter;
+    d.coarse = (uint32_t)o->coarse;
+    d.pattern = (uint32_t)o->pattern;
+    d.d_min = (float)o->d_min;
+    if (o->common.has_tolerance && o->budget == 0.0) {
+        d.tolerance = (float)o->common.tolerance;
+        if (!o->has_rays) d.rays = 0;
+    }
     d.first_ray = (uint32_t)o->common.seed * d.rays;
-    if (o->view != VIEW_VOXELS) d.shadow = &w->geometry;
+    d.history = w->history;
+    d.keep = (float)o->keep;
+    if (!voxels) d.shadow = &w->geometry;
     d.shadow_lift = (float)w->lift;
-    r = voxrt_gi_render(&d, w->gi, &b->g, b->direct, b->indirect, &stats);
-    if (r != VOXRT_OK) return sup_fail(err, "%s", voxrt_result_string(r));
-    spent->light += sup_now() - now;
-    spent->all += sup_now() - start;
-    spent->rays += stats.rays;
+    w->budget.most = d.rays;
+    if (light_picture(w, o, b, &d, spent, err)) return 1;
+    now = sup_now();
+    spent->light += now - light;
+    spent->all += now - start;
+    if (o->budget > 0.0)
+        (void)voxrt_gi_budget_update(&w->budget, d.report, (float)(1e3 * (now - start)), (float)(1e3 * (now - light)), (float)o->budget);
     for (size_t i = 0; i < 3 * n; i++) {
-        if (o->view == VIEW_DIRECT || o->method == METHOD_NONE) b->indirect[i] = 0.0f;
+        if (o->view == VIEW_DIRECT) b->indirect[i] = 0.0f;
         if (o->view == VIEW_INDIRECT || o->method == METHOD_AO) b->direct[i] = 0.0f;
         b->direct[i] += b->indirect[i];
+        if (o->common.unlit) b->direct[i] = b->g.albedo[i] * (float)w->scene.white;
+        if (o->view == VIEW_LIGHTS) b->direct[i] *= 0.4f;
     }
-    return voxrt_tone_map((voxrt_tone)o->tone, o->method == METHOD_AO ? 1.0f : (float)((double)w->most / o->exposure), b->direct, b->direct, n) != VOXRT_OK;
+    r = voxrt_tone_map((voxrt_tone)o->tone, o->method == METHOD_AO ? 1.0f : (float)(w->scene.white / o->exposure), b->direct, b->direct, n);
+    if (o->view == VIEW_LIGHTS) show_lights(w, b);
+    return r != VOXRT_OK;
 }
 
 /* Means of side x side samples: bytes in sRGB, or floats. */
@@ -429,15 +714,39 @@ static int write_frame(const gi_options *o, const buffers *b, uint32_t side, con
     return sup_png_write8(path, b->rgba, width, height, 4, err);
 }
 
-/* The name of a frame: its number in place of %d, %3d or %03d. Without one all frames would go to one file. */
+/* Distance along the viewing axis of the first sample of each pixel; infinite where there is nothing. */
+static int write_depth(const gi_options *o, const world *w, buffers *b, uint32_t side, const char *path, sup_error *err) {
+    const uint32_t width = o->common.size[0], height = o->common.size[1];
+    voxrt_ray mid;
+    (void)voxrt_camera_ray(&w->camera, 2, 2, 1.0, 1.0, &mid);
+    (void)voxrti_normalize(mid.dir);
+    for (uint32_t y = 0; y < height; y++)
+        for (uint32_t x = 0; x < width; x++) {
+            const size_t at = ((size_t)y * side + side / 2) * b->g.width + x * side + side / 2;
+            float d[3];
+            for (int a = 0; a < 3; a++) d[a] = b->g.position[3 * at + (size_t)a] - w->camera.eye[a];
+            b->indirect[(size_t)y * width + x] = voxrti_dot3(b->g.normal + 3 * at, b->g.normal + 3 * at) > 0.5f ? voxrti_dot3(d, mid.dir) : INFINITY;
+        }
+    return sup_pfm_write(path, b->indirect, width, height, 1, err);
+}
+
+/* The name of a frame. Without a %d all frames would go to one file. */
 static int frame_path(const char *pattern, int64_t frame, int64_t frames, char *out, size_t size) {
-    const char *at = strchr(pattern, '%'), *end = at;
-    int digits = 0;
-    if (at == NULL) return frames > 1 || (size_t)snprintf(out, size, "%s", pattern) >= size;
-    end++;
-    while (*end >= '0' && *end <= '9' && digits < 100) digits = 10 * digits + (*end++ - '0');
-    if (*end != 'd' || digits > 20 || strchr(end, '%') != NULL) return 1;
-    return (size_t)snprintf(out, size, "%.*s%0*d%s", (int)(at - pattern), pattern, digits, (int)frame, end + 1) >= size;
+    if (strchr(pattern, '%') == NULL) return frames > 1 || (size_t)snprintf(out, size, "%s", pattern) >= size;
+    return sup_gi_frame_name(pattern, frame, out, size);
+}
+
+static void print_stats(const gi_options *o, const world *w, uint32_t side, const timing *spent) {
+    const double n = (double)((o->frames - o->first) * o->still);
+    voxrt_columns_info info;
+    voxrt_columns_get_info(voxrt_gi_columns(w->gi), &info);
+    printf("{\"program\":\"voxrt_gi\",\"in\":");
+    sup_json_string(stdout, o->scene);
+    printf(",\"width\":%u,\"height\":%u,\"samples\":%u,\"frames\":%d,\"grid\":[%u,%u,%u],\"cells\":%llu,\"rays\":%llu", o->common.size[0],
+           o->common.size[1], side * side, (int)(o->frames - o->first), info.size[0], info.size[1], info.size[2], (unsigned long long)info.cells,
+           (unsigned long long)spent->rays);
+    printf(",\"rays_per_sample\":%.2f,\"shaded\":%.4f,\"noise\":%.6f,\"kept\":%.4f", spent->per_pixel / n, spent->shaded / n, spent->noise / n, spent->kept / n);
+    printf(",\"update_seconds\":%.6f,\"gbuffer_seconds\":%.6f,\"light_seconds\":%.6f,\"seconds\":%.6f}\n", spent->update, spent->gbuffer, spent->light, spent->all);
 }
 
 int main(int argc, char **argv) {
@@ -451,30 +760,24 @@ int main(int argc, char **argv) {
     int status = parse(argc, argv, &o);
     if (status >= 0) return status;
     while ((int64_t)side * side < o.aa) side++;
-    if (o.common.out != NULL && frame_path(o.common.out, 0, o.frames, path, sizeof path))
+    if (o.common.out != NULL && frame_path(o.common.out, 0, o.frames - o.first, path, sizeof path))
         return sup_bad_usage(argv[0], "--out: \"%s\" needs one %%d or %%03d for the number of the frame", o.common.out);
     memset(&w, 0, sizeof w);
+    memset(&b, 0, sizeof b);
     memset(&spent, 0, sizeof spent);
     w.name = o.scene;
-    status = make_buffers(&o, side, &b) ? sup_fail(&err, "out of memory for the picture") : make_world(&w, &o, &err);
-    for (int64_t f = 0; f < o.frames && !status; f++) {
-        status = draw(&w, &o, &b, (double)f / (double)o.frames, &spent, &err);
+    status = make_world(&w, &o, &err);
+    if (!status && make_buffers(&o, &w, side, &b)) status = sup_fail(&err, "out of memory for the picture");
+    for (int64_t f = o.first; f < o.frames && !status; f++) {
+        for (int64_t k = 0; k < o.still && !status; k++)
+            status = draw(&w, &o, &b, w.scene.seconds * (double)f / (double)o.frames, f == o.first && k == 0, &spent, &err);
         if (status || o.common.out == NULL) continue;
-        (void)frame_path(o.common.out, f, o.frames, path, sizeof path);
+        (void)frame_path(o.common.out, f, o.frames - o.first, path, sizeof path);
         status = write_frame(&o, &b, side, path, &err);
+        if (!status && o.common.depth != NULL && f + 1 == o.frames) status = write_depth(&o, &w, &b, side, o.common.depth, &err);
     }
     if (status) (void)sup_bad_input(argv[0], err.text);
-    if (!status && o.common.stats) {
-        voxrt_columns_info info;
-        voxrt_columns_get_info(voxrt_gi_columns(w.gi), &info);
-        printf("{\"program\":\"voxrt_gi\",\"in\":");
-        sup_json_string(stdout, o.scene);
-        printf(",\"width\":%u,\"height\":%u,\"samples\":%u,\"frames\":%d,\"grid\":[%u,%u,%u],\"cells\":%llu,\"rays\":%llu", o.common.size[0],
-               o.common.size[1], side * side, (int)o.frames, info.size[0], info.size[1], info.size[2], (unsigned long long)info.cells,
-               (unsigned long long)spent.rays);
-        printf(",\"update_seconds\":%.6f,\"gbuffer_seconds\":%.6f,\"light_seconds\":%.6f,\"seconds\":%.6f}\n", spent.update, spent.gbuffer,
-               spent.light, spent.all);
-    }
+    if (!status && o.common.stats) print_stats(&o, &w, side, &spent);
     free_buffers(&b);
     free_world(&w);
     return status;

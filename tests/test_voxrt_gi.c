@@ -467,24 +467,17 @@ TEST(filter_keeps_to_surfaces) { /* a constant stays one; nothing crosses a righ
     enum { W = 32, H = 16 };
     static float position[W * H][3], normal[W * H][3], albedo[W * H][3], light[W * H][3];
     voxrt_gi *gi = make_gi(64, 64, 64, 10);
-    voxrt_gi_render_desc d;
     voxrt_gbuffer g;
-    voxrti_gather w;
+    voxrt_env none;
     uint32_t x, y, a;
     double worst = 0;
     memset(&g, 0, sizeof g);
-    memset(&d, 0, sizeof d);
-    memset(&w, 0, sizeof w);
+    memset(&none, 0, sizeof none);
     g.width = W;
     g.height = H;
     g.position = position[0];
     g.normal = normal[0];
     g.albedo = albedo[0];
-    d.filter = 5;
-    w.d = &d;
-    w.g = &g;
-    w.gi = gi;
-    w.indirect = light[0];
     for (y = 0; y < H; y++)
         for (x = 0; x < W; x++) { /* left half a floor, right half a wall */
             const uint32_t i = y * W + x;
@@ -494,7 +487,7 @@ TEST(filter_keeps_to_surfaces) { /* a constant stays one; nothing crosses a righ
             normal[i][x < W / 2 ? 1 : 0] = x < W / 2 ? 1.0f : -1.0f;
             for (a = 0; a < 3; a++) light[i][a] = x < W / 2 ? 3.0f : 1.0f;
         }
-    CHECK(voxrti_gi_filter_run(&w, &gi->mem) == VOXRT_OK);
+    CHECK(voxrti_gi_filter_run(&none, &g, gi->columns->diagonal, 5, light[0], &gi->mem) == VOXRT_OK);
     for (y = 0; y < H; y++)
         for (x = 0; x < W; x++) worst = fmax(worst, fabs((double)light[y * W + x][0] - (x < W / 2 ? 3.0 : 1.0)));
     CHECK_MSG(worst < 1e-5, "%g", worst);
