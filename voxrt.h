@@ -1072,7 +1072,7 @@ typedef struct voxrt_column_hit {
 /* field              zero means
    normals            in, xyz for each ray, unit length: of the surface it starts on. Cells that the plane through the
                       origin with this normal cuts do not stop it nearby, so rays start on surfaces without an offset
-   end_normals        the same for the other end, at t_max
+   end_normals        the same for the other end, at t_max; in both a normal of 0 is none
    self_radius        how far from origin and end that holds, world units: 16 cell diagonals
    start_level_plus_1 level 3; results do not depend on it */
 typedef struct voxrt_columns_trace_desc {
@@ -1108,7 +1108,7 @@ typedef struct voxrt_gi voxrt_gi;
 typedef struct voxrt_gi_material {
     float albedo[3];             /* times the mesh's colours; all zero: 1, 1, 1 */
     float specular[3], exponent; /* exponent 0: no lobe */
-    float emission[3];           /* radiance of its surface */
+    float emission[3];           /* radiance of its surface, on the side from which triangles are counter-clockwise */
 } voxrt_gi_material;
 
 /* field     zero means
@@ -14039,6 +14039,7 @@ static void voxrti_column_plane_open(const voxrt_columns *c, const voxrt_ray *ra
         p->reach[a] = (float)(radius * c->per_cell[a]);
     }
     p->wide = (float)(wide * (1.0 + 1e-6));
+    if (!(wide > 0.0)) p->at[0] = p->at[1] = p->at[2] = -1e6f; /* no normal, no plane */
 }
 
 /* Cells lo .. hi of column (x, y) that a plane takes out; lo > hi: none. */
@@ -15592,7 +15593,7 @@ static int voxrti_gi_side_open(const voxrt_gi *gi, uint32_t x, uint32_t y, uint3
 
 /* t at which a ray meets the plane of the side it hit at t; t itself where the plane lies far from there. */
 VOXRTI_INLINE float voxrti_gi_side_meet(const voxrti_gi_side *s, const voxrt_ray *r, float t) {
-    const float near_by = 2.0f * (float)s->gi->columns->diagonal;
+    const float near_by = 1.0f * (float)s->gi->columns->diagonal;
     float d[3], at;
     uint32_t a;
     for (a = 0; a < 3; a++) d[a] = s->position[a] - r->org[a];
@@ -15618,19 +15619,23 @@ static float voxrti_gi_exit(const voxrt_gi *gi, const voxrt_ray *r, float t) {
 }
 
 /* Up to VOXRTI_COLUMN_BATCH rays through the innermost volume that holds their origin, and on through those around it:
-   hits, and in which volume; or, with hit NULL, whether there is any. normals: xyz for each ray, or NULL. */
-static void voxrti_gi_trace(const voxrt_gi *gi, int isa, const float *normals, const voxrt_ray *ray, uint32_t count,
-                            voxrt_column_hit *hit, const voxrt_gi **where, uint8_t *dark, voxrt_stats *stats) {
+   hits, and in which volume; or, with hit NULL, whether there is any. normals, ends: xyz for each ray, at its origin and
+   its end, or NULL. */
+static void voxrti_gi_trace(const voxrt_gi *gi, int isa, const float *normals, const float *ends, const voxrt_ray *ray,
+                            uint32_t count, voxrt_column_hit *hit, const voxrt_gi **where, uint8_t *dark,
+                            voxrt_stats *stats) {
     voxrt_columns_trace_desc d;
     voxrt_ray part[VOXRTI_COLUMN_BATCH];
     voxrt_column_hit found[VOXRTI_COLUMN_BATCH];
-    float normal[VOXRTI_COLUMN_BATCH][3], from[VOXRTI_COLUMN_BATCH], next[VOXRTI_COLUMN_BATCH];
+    float normal[VOXRTI_COLUMN_BATCH][3], end[VOXRTI_COLUMN_BATCH][3];
+    float from[VOXRTI_COLUMN_BATCH], next[VOXRTI_COLUMN_BATCH];
     uint8_t of[VOXRTI_COLUMN_BATCH], done[VOXRTI_COLUMN_BATCH], shut[VOXRTI_COLUMN_BATCH];
     const voxrt_gi *g;
     uint32_t i, j, m;
     memset(&d, 0, sizeof d);
     d.isa = (voxrt_isa)isa;
     d.normals = normals;
+    d.end_normals = ends;
     d.stats = stats;
     if (gi->outer == NULL) {
         if (hit != NULL) (void)voxrt_columns_trace(gi->columns, &d, ray, hit, count);
@@ -15648,6 +15653,7 @@ static void voxrti_gi_trace(const voxrt_gi *gi, int isa, const float *normals, c
         where[i] = gi;
     }
     if (normals != NULL) d.normals = normal[0];
+    if (ends != NULL) d.end_normals = end[0];
     for (g = gi; g != NULL; g = g->outer) {
         for (i = m = 0; i < count; i++) {
             if (done[i]) continue;
@@ -15655,7 +15661,12 @@ static void voxrti_gi_trace(const voxrt_gi *gi, int isa, const float *normals, c
             if (next[m] < 0.0f && g->outer != NULL) continue;
             part[m] = ray[i];
             part[m].t_min = from[i];
-            if (next[m] >= 0.0f && next[m] < ray[i].t_max) part[m].t_max = next[m];
+            memset(end[m], 0, sizeof end[m]);
+            if (ends != NULL) memcpy(end[m], ends + 3 * i, sizeof end[m]);
+            if (next[m] >= 0.0f && next[m] < ray[i].t_max) { /* it does not end here */
+                part[m].t_max = next[m];
+                memset(end[m], 0, sizeof end[m]);
+            }
             if (normals != NULL) memcpy(normal[m], normals + 3 * i, sizeof normal[m]);
             of[m++] = (uint8_t)i;
         }
@@ -15789,16 +15800,17 @@ static const voxrti_emitter *voxrti_gi_emitter(const voxrt_gi *gi, const float u
 }
 
 /* The way from a surface point to light `l`: a point of it by u, and what falls on the surface if nothing is between.
-   0: nothing. The ray ends on the light: t_max = 1, or INFINITY. */
+   0: nothing. The ray ends on the light: t_max = 1, or INFINITY. ends: normal of an emitting surface. */
 static int voxrti_gi_light_ray(const voxrt_gi *gi, const voxrt_gi_light *l, const float p[3], const float n[3],
-                               const float u[2], voxrt_ray *ray, float rgb[3]) {
+                               const float u[2], voxrt_ray *ray, float rgb[3], float ends[3]) {
     const voxrti_emitter *e = NULL;
     const float *color = l->color;
-    float d[3], d2 = 0.0f, cosine, scale = 1.0f, end = 1.0f, at[3];
+    float d[3], d2 = 0.0f, cosine, scale = 1.0f, at[3];
     uint32_t a;
     if ((uint32_t)l->kind == VOXRTI_GI_EMITTERS) {
         e = voxrti_gi_emitter(gi, u, at);
         color = e->rgb;
+        memcpy(ends, e->n, 12);
     }
     for (a = 0; a < 3; a++) {
         d[a] = l->kind == VOXRT_GI_DIRECTIONAL ? 0.0f - l->direction[a] : (e != NULL ? at[a] : l->position[a]) - p[a];
@@ -15821,10 +15833,9 @@ static int voxrti_gi_light_ray(const voxrt_gi *gi, const voxrt_gi_light *l, cons
             if (!(along > 0.0f)) return 0;
             scale *= along * 4.0f * sqrtf(x * x + y * y + z * z);
         }
-        if (e != NULL) { /* the ray ends before the cells of the surface itself */
-            scale *= voxrti_absf(along) * (float)(gi->emitter[gi->emitter_count - 1].sum / (double)e->share);
-            end = 1.0f - 1.5f * (float)gi->columns->diagonal * inv;
-            if (end < 0.0f) end = 0.0f;
+        if (e != NULL) {
+            if (!(along > 0.0f)) return 0;
+            scale *= along * (float)(gi->emitter[gi->emitter_count - 1].sum / (double)e->share);
         }
     }
     for (a = 0; a < 3; a++) {
@@ -15833,7 +15844,7 @@ static int voxrti_gi_light_ray(const voxrt_gi *gi, const voxrt_gi_light *l, cons
         ray->dir[a] = d[a];
     }
     ray->t_min = 0.0f;
-    ray->t_max = l->kind == VOXRT_GI_DIRECTIONAL ? INFINITY : end;
+    ray->t_max = l->kind == VOXRT_GI_DIRECTIONAL ? INFINITY : 1.0f;
     return rgb[0] + rgb[1] + rgb[2] > 0.0f && rgb[0] + rgb[1] + rgb[2] < INFINITY;
 }
 
@@ -15873,7 +15884,7 @@ static void voxrti_task_gi_map(void *ctx, uint32_t row) {
             ray[x].t_min = 0.0f;
             ray[x].t_max = INFINITY;
         }
-        voxrti_gi_trace(w->gi, w->isa, NULL, ray, n, hit, where, NULL, NULL);
+        voxrti_gi_trace(w->gi, w->isa, NULL, NULL, ray, n, hit, where, NULL, NULL);
         for (x = 0; x < n; x++) {
             float *texel = m->texel + 6 * ((size_t)row * m->side + x0 + x), t;
             voxrti_gi_side s;
@@ -15945,7 +15956,8 @@ static void voxrti_light_points(const voxrti_lighting *c, size_t lamp, const vox
                                 float (*gloss)[3]) {
     const voxrt_gi_light *l = lamp < c->gi->light_count ? &c->gi->light[lamp] : &c->gi->emit;
     voxrt_ray ray[VOXRTI_COLUMN_BATCH];
-    float in[VOXRTI_COLUMN_BATCH][3], normal[VOXRTI_COLUMN_BATCH][3];
+    float in[VOXRTI_COLUMN_BATCH][3], normal[VOXRTI_COLUMN_BATCH][3], end[VOXRTI_COLUMN_BATCH][3];
+    const float *const ends = (uint32_t)l->kind == VOXRTI_GI_EMITTERS ? end[0] : NULL;
     uint8_t of[VOXRTI_COLUMN_BATCH], dark[VOXRTI_COLUMN_BATCH];
     const int wide = l->kind == VOXRT_GI_AREA || (uint32_t)l->kind == VOXRTI_GI_EMITTERS;
     const int map = c->maps && (l->kind == VOXRT_GI_POINT || l->kind == VOXRT_GI_SPOT);
@@ -15956,7 +15968,7 @@ static void voxrti_light_points(const voxrti_lighting *c, size_t lamp, const vox
         for (i = m = 0; i < q->count; i++) {
             float u[2] = {0.5f, 0.5f};
             if (wide) voxrti_sobol2(c->first + s, voxrti_hash32(q->seed[i]), u);
-            if (!voxrti_gi_light_ray(c->gi, l, q->p[i], q->n[i], u, &ray[m], in[m])) continue;
+            if (!voxrti_gi_light_ray(c->gi, l, q->p[i], q->n[i], u, &ray[m], in[m], end[m])) continue;
             memcpy(normal[m], q->n[i], sizeof normal[m]);
             for (a = 0; a < 3 && c->shadow != NULL; a++) { /* from a little above the surface to the light */
                 const float up = c->lift * q->n[i][a];
@@ -15976,7 +15988,7 @@ static void voxrti_light_points(const voxrti_lighting *c, size_t lamp, const vox
             memset(dark, 0, sizeof dark);
             c->shadow->occluded_fn(c->shadow->user, &d, ray, dark, m);
         } else {
-            voxrti_gi_trace(c->gi, c->isa, normal[0], ray, m, NULL, NULL, dark, NULL);
+            voxrti_gi_trace(c->gi, c->isa, normal[0], ends, ray, m, NULL, NULL, dark, NULL);
         }
         for (i = 0; i < m; i++) {
             const uint32_t k = of[i];
@@ -16110,7 +16122,7 @@ static void voxrti_gather_rays(const voxrti_gather *w, const voxrti_points *q, u
         }
         for (a = 0; a < 3; a++) ray[i].org[a] = q->p[i][a];
     }
-    voxrti_gi_trace(w->gi, w->isa, q->n[0], ray, q->count, hit, where, NULL, stats);
+    voxrti_gi_trace(w->gi, w->isa, q->n[0], NULL, ray, q->count, hit, where, NULL, stats);
     for (i = 0; i < q->count; i++) {
         t[i] = hit[i].t;
         side[i].at = (size_t)-1;
@@ -16270,13 +16282,13 @@ static float voxrti_vpl_power(const voxrt_gi *gi, size_t lamp, float rgb[3]) {
             b[a] = l->edge_u[(a + 1) % 3] * l->edge_v[(a + 2) % 3] - l->edge_u[(a + 2) % 3] * l->edge_v[(a + 1) % 3];
         scale = 3.14159265f * 4.0f * sqrtf(voxrti_dot3(b, b));
     }
-    if ((uint32_t)l->kind == VOXRTI_GI_EMITTERS) scale = 6.28318531f * (float)gi->emitter[gi->emitter_count - 1].sum;
+    if ((uint32_t)l->kind == VOXRTI_GI_EMITTERS) scale = 3.14159265f * (float)gi->emitter[gi->emitter_count - 1].sum;
     for (a = 0; a < 3; a++) rgb[a] = (uint32_t)l->kind == VOXRTI_GI_EMITTERS ? scale : l->color[a] * scale;
     return 0.2126f * rgb[0] + 0.7152f * rgb[1] + 0.0722f * rgb[2];
 }
 
-/* A ray of light number i of `count` from the lamps, and its flux times count. */
-static void voxrti_vpl_start(const voxrti_vpl_work *v, uint32_t i, voxrt_ray *ray, float flux[3]) {
+/* A ray of light number i of `count` from the lamps, and its flux times count. normal: of the surface it starts on. */
+static void voxrti_vpl_start(const voxrti_vpl_work *v, uint32_t i, voxrt_ray *ray, float flux[3], float normal[3]) {
     const voxrt_gi *gi = v->w->gi;
     const voxrt_gi_light *l;
     float u[2], s[2], pick, power = 0.0f, p = 0.0f, cosine;
@@ -16320,17 +16332,14 @@ static void voxrti_vpl_start(const voxrti_vpl_work *v, uint32_t i, voxrt_ray *ra
             ray->org[a] = 0.5f * (gi->lo[a] + gi->hi[a]) + radius * (r * (co * x[a] + si * y[a]) - l->direction[a]);
             ray->dir[a] = l->direction[a];
         }
-    } else { /* a surface: both of its sides */
-        float q[2], n[3];
+    } else { /* a surface */
+        float q[2];
         const voxrti_emitter *e;
         voxrti_sobol2(i, 0x7a4f92c1u, q);
         e = voxrti_gi_emitter(gi, q, ray->org);
-        for (a = 0; a < 3; a++) n[a] = s[1] < 0.5f ? e->n[a] : 0.0f - e->n[a];
-        (void)voxrti_lobe_direction(n, u, 1.0f, ray->dir);
-        for (a = 0; a < 3; a++) {
-            flux[a] *= e->rgb[a] / e->share;
-            ray->org[a] += 1.5f * (float)gi->columns->diagonal * n[a];
-        }
+        (void)voxrti_lobe_direction(e->n, u, 1.0f, ray->dir);
+        for (a = 0; a < 3; a++) flux[a] *= e->rgb[a] / e->share;
+        memcpy(normal, e->n, 12);
     }
 }
 
@@ -16349,7 +16358,7 @@ static void voxrti_task_vpl(void *ctx, uint32_t batch) {
     memset(normal, 0, sizeof normal);
     for (i = 0; i < n; i++) {
         if (v->level == 0) {
-            voxrti_vpl_start(v, (uint32_t)(first + i), &ray[i], flux[i]);
+            voxrti_vpl_start(v, (uint32_t)(first + i), &ray[i], flux[i], normal[i]);
             for (a = 0; a < 3; a++) flux[i][a] *= 1.0f / (float)(int32_t)w->d->rays;
         } else { /* from the light before: diffuse, or in its lobe */
             const voxrti_vpl *from = &w->gi->vpl[v->first - v->count + first + i];
@@ -16377,7 +16386,7 @@ static void voxrti_task_vpl(void *ctx, uint32_t batch) {
             if (!(flux[i][0] + flux[i][1] + flux[i][2] > 0.0f)) ray[i].t_max = -1.0f;
         }
     }
-    voxrti_gi_trace(w->gi, w->isa, v->level != 0 ? normal[0] : NULL, ray, n, hit, where, NULL, NULL);
+    voxrti_gi_trace(w->gi, w->isa, normal[0], NULL, ray, n, hit, where, NULL, NULL);
     for (i = 0; i < n; i++) {
         voxrti_vpl *to = &w->gi->vpl[v->first + first + i];
         voxrti_gi_side s;
@@ -16447,13 +16456,7 @@ static void voxrti_vpl_run(const voxrti_gather *w, const voxrti_points *q, uint3
     voxrt_ray ray[VOXRTI_COLUMN_BATCH];
     float scale[VOXRTI_COLUMN_BATCH], normal[VOXRTI_COLUMN_BATCH][3], end[VOXRTI_COLUMN_BATCH][3];
     uint8_t of[VOXRTI_COLUMN_BATCH], dark[VOXRTI_COLUMN_BATCH];
-    voxrt_columns_trace_desc d;
     uint32_t b, r, i, a, m;
-    memset(&d, 0, sizeof d);
-    d.isa = (voxrt_isa)w->isa;
-    d.normals = normal[0];
-    d.end_normals = end[0];
-    d.stats = stats;
     for (b = 0; b < w->bounces; b++)
         for (r = 0; r < w->d->rays; r++) {
             const voxrti_vpl *l = &gi->vpl[b * each + (size_t)set * w->d->rays + r];
@@ -16483,8 +16486,7 @@ static void voxrti_vpl_run(const voxrti_gather *w, const voxrti_points *q, uint3
                 of[m++] = (uint8_t)i;
             }
             if (m == 0) continue;
-            if (gi->outer == NULL) (void)voxrt_columns_occluded(gi->columns, &d, ray, dark, m);
-            else voxrti_gi_trace(gi, w->isa, normal[0], ray, m, NULL, NULL, dark, stats);
+            voxrti_gi_trace(gi, w->isa, normal[0], end[0], ray, m, NULL, NULL, dark, stats);
             for (i = 0; i < m; i++) {
                 const uint32_t k = of[i];
                 float to[3] = {0, 0, 0}, from[3], shine = 0.0f;
@@ -16977,7 +16979,10 @@ static void voxrti_reuse_spread(const voxrt_gbuffer *g, const float *value, uint
     }
 }
 
-#define VOXRTI_REUSE_CLAMP 1.0f /* deviations that history may differ from what is seen now */
+/* History may differ from the mean of 5 x 5 pixels by so many of their deviations: three times what chance does. Where
+   it differs more light has changed: it is drawn in, and counts for few pictures. */
+#define VOXRTI_REUSE_CLAMP 0.6f
+#define VOXRTI_REUSE_CHANGED 2.0f
 
 static void voxrti_task_reuse(void *ctx, uint32_t y) {
     voxrti_reuse *u = (voxrti_reuse *)ctx;
@@ -16986,7 +16991,8 @@ static void voxrti_task_reuse(void *ctx, uint32_t y) {
     for (x = 0; x < g->width; x++) {
         const size_t at = (size_t)y * g->width + x;
         size_t from[4] = {0, 0, 0, 0};
-        float weight[4], n = 0.0f, share;
+        float weight[4], old[4][3], n = 0.0f, share;
+        int changed = 0;
         memcpy(u->now->position + 3 * at, g->position + 3 * at, 12);
         memcpy(u->now->normal + 3 * at, g->normal + 3 * at, 12);
         u->now->count[at] = 0.0f;
@@ -17004,23 +17010,28 @@ static void voxrti_task_reuse(void *ctx, uint32_t y) {
             n = n < u->keep - 1.0f ? n : u->keep - 1.0f;
         }
         kept += n > 0.0f;
-        share = 1.0f / (n + 1.0f);
-        u->now->count[at] = n + 1.0f;
         for (k = 0; k < 4; k++) {
             float mean[3], spread[3];
             if (u->value[k] == NULL) continue;
-            if (!u->same && n > 0.0f) voxrti_reuse_spread(g, u->value[k], x, y, mean, spread);
             for (a = 0; a < 3; a++) {
-                const float v = u->value[k][3 * at + a];
-                float old = 0.0f;
-                for (i = 0; i < 4 && n > 0.0f; i++) if (weight[i] > 0.0f) old += weight[i] * u->old->value[k][3 * from[i] + a];
-                if (!u->same && n > 0.0f) {
-                    const float lo = mean[a] - VOXRTI_REUSE_CLAMP * spread[a], hi = mean[a] + VOXRTI_REUSE_CLAMP * spread[a];
-                    old = old < lo ? lo : old > hi ? hi : old;
-                }
-                u->now->value[k][3 * at + a] = old + (v - old) * share;
+                old[k][a] = 0.0f;
+                for (i = 0; i < 4 && n > 0.0f; i++)
+                    if (weight[i] > 0.0f) old[k][a] += weight[i] * u->old->value[k][3 * from[i] + a];
+            }
+            if (u->same || !(n > 0.0f)) continue;
+            voxrti_reuse_spread(g, u->value[k], x, y, mean, spread);
+            for (a = 0; a < 3; a++) {
+                const float by = VOXRTI_REUSE_CLAMP * spread[a], v = old[k][a];
+                old[k][a] = v < mean[a] - by ? mean[a] - by : v > mean[a] + by ? mean[a] + by : v;
+                if (old[k][a] != v) changed = 1;
             }
         }
+        if (changed && n > VOXRTI_REUSE_CHANGED) n = VOXRTI_REUSE_CHANGED;
+        share = 1.0f / (n + 1.0f);
+        u->now->count[at] = n + 1.0f;
+        for (k = 0; k < 4; k++)
+            for (a = 0; a < 3 && u->value[k] != NULL; a++)
+                u->now->value[k][3 * at + a] = old[k][a] + (u->value[k][3 * at + a] - old[k][a]) * share;
     }
     voxrti_tally_add(u->kept, kept);
 }
@@ -17430,14 +17441,17 @@ VOXRT_DEF int voxrt_gi_budget_update(voxrt_gi_budget *budget, const voxrt_gi_rep
     room = (double)target_ms - ((double)frame_ms - (double)light_ms);
     if (room < 0.1 * (double)target_ms) room = 0.1 * (double)target_ms;
     full = room / (each * (double)(report->pixels != 0 ? report->pixels : report->shaded)); /* rays for every pixel */
-    if (full >= 4.0) {
+    if (full >= 4.0) { /* one pixel in four, and 16 rays of each, is no cheaper */
         coarse = 1;
         rays = full < (double)most ? (uint32_t)full : most;
     } else { /* at least 4 rays, from fewer pixels; how many fewer is seen in the next report */
         const double left = room / each / (double)report->shaded;
-        if (left < 4.0 && coarse < 16) coarse *= 2;
-        else if (left > 10.0 && coarse > 1) coarse /= 2;
         rays = left < 4.0 ? 4 : left < (double)most ? (uint32_t)left : most;
+        if (left < 4.0 && coarse < 16) coarse *= 2;
+        else if (left >= 16.0 && coarse > 2) {
+            coarse /= 2; /* up to four times as many pixels */
+            rays /= 4;
+        }
     }
     if (rays == budget->rays && coarse == budget->coarse) return 0;
     budget->rays = rays;
@@ -17583,7 +17597,7 @@ static void voxrti_task_gbuffer(void *ctx, uint32_t tile) {
         memset(&d, 0, sizeof d);
         w->geometry->trace_fn(w->geometry->user, &d, ray, surface, n);
     } else {
-        voxrti_gi_trace(w->gi, (int)voxrt_isa_best(), NULL, ray, n, hit, where, NULL, NULL);
+        voxrti_gi_trace(w->gi, (int)voxrt_isa_best(), NULL, NULL, ray, n, hit, where, NULL, NULL);
     }
     for (i = 0; i < n; i++) {
         const size_t at = 3 * pixel[i];
