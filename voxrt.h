@@ -1142,8 +1142,8 @@ typedef struct voxrt_gi_light {
 /* field    zero means
    columns  the volume; box_min and box_max have no default, env is not used. Nothing outside the box receives or sends
             indirect light
-   nested   1: that volume only. n: n - 1 more around it, at most 8, each twice as wide with as many cells: rays go on in
-            the next one where they leave the one before. Memory and times go with n */
+   nested   1: that volume only. n: n - 1 more around it, at most 8, each twice as wide with as many cells: rays go on
+            in the next one where they leave the one before. Memory and times go with n */
 typedef struct voxrt_gi_desc {
     uint32_t _begin_zero;
     voxrt_env env;
@@ -1224,11 +1224,11 @@ typedef enum voxrt_gi_method {
 } voxrt_gi_method;
 
 typedef enum voxrt_gi_lookup { /* the light of lamps where a ray hits */
-    VOXRT_GI_LOOKUP_CACHE = 0,  /* of the side of the cell: found when it is first looked at, kept till something moves */
+    VOXRT_GI_LOOKUP_CACHE = 0,  /* of the side of the cell: found at the first look, kept till something moves */
     VOXRT_GI_LOOKUP_RAYS = 1,   /* by shadow rays from the hit: no blocks of cells, slower */
     VOXRT_GI_LOOKUP_VOLUME = 2, /* as CACHE, found for all cells first */
-    VOXRT_GI_LOOKUP_MAPS = 3,   /* maps of what lamps see: what lies near enough in them is lit (thesis 6.3.3); for points
-                                   and spots, RAYS for the others. Leaks within its tolerance */
+    VOXRT_GI_LOOKUP_MAPS = 3,   /* maps of what lamps see: what lies near enough in them is lit (thesis 6.3.3); for
+                                   points and spots, RAYS for the others. Leaks within its tolerance */
     VOXRT_GI_LOOKUP_FORCE_32BIT = 0x7fffffff
 } voxrt_gi_lookup;
 
@@ -1256,13 +1256,14 @@ typedef struct voxrt_gi_report {
    filter        0: as sampled. Radius in pixels of a filter that keeps to surfaces; 2 passes. Irradiance and what comes
                  by Phong lobes are filtered for themselves, before colours
    direct_filter the same for direct light: soft edges of shadows
-   coarse        1: every pixel sends rays. 2, 4, 8, 16: one in coarse x coarse pixels does; between those that lie on one
-                 surface, where no other is near, light is interpolated, elsewhere the mesh is refined (Ward et al. 1988)
+   coarse        1: every pixel sends rays. 2, 4, 8, 16: one in coarse x coarse pixels does; between those that lie on
+                 one surface, where no other is near, light is interpolated, elsewhere the mesh is refined (Ward et al.
+                 1988)
    detail        how far light may be interpolated, times the mean distance of what the rays hit: 0.15
    lookup        the cache of the cells
    pattern       VPL: 4 x 4 pixels share 16 sets of lights; 1 to 16
-   d_min         VPL: terms cos cos / d^2 over 1 / (4 cell diagonals)^2 are cut off there, and rays as short as that bring
-                 back what was cut. Above 0: the thesis' 1 / (d_min + d^2), an area
+   d_min         VPL: terms cos cos / d^2 over 1 / (4 cell diagonals)^2 are cut off there, and rays as short as that
+                 bring back what was cut. Above 0: the thesis' 1 / (d_min + d^2), an area
    map_size      LOOKUP_MAPS: 256 texels along the side of a map
    tolerance     `rays` are sent. Above 0: as many as it takes for this much noise: RMS over the picture of indirect
                  light after the filter, as a share of its mean; at most `rays` (0: 1024). GATHER, PATH, AO
@@ -1318,8 +1319,8 @@ typedef struct voxrt_gi_budget {
 VOXRT_DEF int voxrt_gi_budget_update(voxrt_gi_budget *budget, const voxrt_gi_report *report, float frame_ms,
                                      float light_ms, float target_ms);
 
-/* Virtual point lights of the last picture by VOXRT_GI_VPL: xyz, normal and rgb (flux) of each, 9 floats, up to `most` of
-   them. Returns how many there are: to show where they lie. */
+/* Virtual point lights of the last picture by VOXRT_GI_VPL: xyz, normal and rgb (flux) of each, 9 floats, up to `most`
+   of them. Returns how many there are: to show where they lie. */
 VOXRT_DEF size_t voxrt_gi_virtual_lights(const voxrt_gi *gi, float *out, size_t most);
 
 typedef enum voxrt_tone {
@@ -15619,8 +15620,8 @@ static float voxrti_gi_exit(const voxrt_gi *gi, const voxrt_ray *r, float t) {
 }
 
 /* Up to VOXRTI_COLUMN_BATCH rays through the innermost volume that holds their origin, and on through those around it:
-   hits, and in which volume; or, with hit NULL, whether there is any. normals, ends: xyz for each ray, at its origin and
-   its end, or NULL. */
+   hits, and in which volume; or, with hit NULL, whether there is any. normals, ends: xyz for each ray, at its origin
+   and its end, or NULL. */
 static void voxrti_gi_trace(const voxrt_gi *gi, int isa, const float *normals, const float *ends, const voxrt_ray *ray,
                             uint32_t count, voxrt_column_hit *hit, const voxrt_gi **where, uint8_t *dark,
                             voxrt_stats *stats) {
@@ -15898,7 +15899,7 @@ static void voxrti_task_gi_map(void *ctx, uint32_t row) {
     }
 }
 
-/* Does light reach p with normal n? It does if what the lamp sees in that direction is near: within a diagonal of a cell
+/* Does light reach p with normal n? It does if what the lamp sees in that direction is near: within a cell's diagonal
    or the width of a texel on its slant, at most 4 diagonals (thesis fig. 24). */
 static int voxrti_gi_map_sees(const voxrt_gi *gi, size_t light, const float p[3], const float n[3]) {
     const voxrt_gi_light *l = &gi->light[light];
@@ -15950,8 +15951,8 @@ typedef struct voxrti_lighting {
     uint32_t first, samples;       /* on lamps that have an area */
 } voxrti_lighting;
 
-/* The light of a lamp on points: adds what falls on them to rgb, and what their lobes send along `view`, as if they were
-   white, to gloss, unless it is NULL. */
+/* The light of a lamp on points: adds what falls on them to rgb, and what their lobes send along `view`, as if they
+   were white, to gloss, unless it is NULL. */
 static void voxrti_light_points(const voxrti_lighting *c, size_t lamp, const voxrti_points *q, float (*rgb)[3],
                                 float (*gloss)[3]) {
     const voxrt_gi_light *l = lamp < c->gi->light_count ? &c->gi->light[lamp] : &c->gi->emit;
@@ -16096,8 +16097,8 @@ typedef struct voxrti_gather {
 
 #define VOXRTI_NO_PIXEL 0xffffffffu
 
-/* A ray from each point, over its hemisphere with density cos, or, where it has a lobe, in its Phong lobe: what it meets.
-   weight: what its light counts for the mean. t of a miss is INFINITY; a hit that shows no side has at = -1. */
+/* A ray from each point, over its hemisphere with density cos, or, where it has a lobe, in its Phong lobe: what it
+   meets. weight: what its light counts for the mean. t of a miss is INFINITY; a hit that shows no side has at = -1. */
 static void voxrti_gather_rays(const voxrti_gather *w, const voxrti_points *q, uint32_t index, voxrt_ray *ray, float *t,
                                voxrti_gi_side *side, float *weight, voxrt_stats *stats) {
     voxrt_column_hit hit[VOXRTI_COLUMN_BATCH];
@@ -16180,8 +16181,8 @@ static void voxrti_hit_light(const voxrti_gather *w, const voxrti_gi_side *side,
 }
 
 /* At the end of a ray: which lobe does the path leave by? By their brightness. Changes part, and the point's lobe. */
-static void voxrti_gather_turn(const voxrti_gi_side *s, const float dir[3], uint32_t seed, voxrti_points *at, uint32_t m,
-                               float part[3]) {
+static void voxrti_gather_turn(const voxrti_gi_side *s, const float dir[3], uint32_t seed, voxrti_points *at,
+                               uint32_t m, float part[3]) {
     const float *specular = voxrti_gi_side_entry(s)->specular;
     float shine = specular[0] + specular[1] + specular[2], all;
     uint32_t a;
@@ -16200,8 +16201,8 @@ static void voxrti_gather_turn(const voxrti_gi_side *s, const float dir[3], uint
     }
 }
 
-/* Adds for each point: what comes back along w->rays rays, times weights and colours on the way; apart, unless NULL: the
-   sum of 1 / t. */
+/* Adds for each point: what comes back along w->rays rays, times weights and colours on the way; apart, unless NULL:
+   the sum of 1 / t. */
 static void voxrti_gather_run(const voxrti_gather *w, const voxrti_points *q, float (*out)[3], float *apart,
                               voxrt_stats *stats) {
     voxrt_ray ray[VOXRTI_COLUMN_BATCH];
@@ -16362,7 +16363,7 @@ static void voxrti_task_vpl(void *ctx, uint32_t batch) {
             for (a = 0; a < 3; a++) flux[i][a] *= 1.0f / (float)(int32_t)w->d->rays;
         } else { /* from the light before: diffuse, or in its lobe */
             const voxrti_vpl *from = &w->gi->vpl[v->first - v->count + first + i];
-            const float shine = from->specular[3] > 0.0f ? from->specular[0] + from->specular[1] + from->specular[2] : 0.0f;
+            const float shine = from->specular[0] + from->specular[1] + from->specular[2];
             const float all = shine + from->albedo[0] + from->albedo[1] + from->albedo[2];
             float u[2], s[2], cosine, k;
             voxrti_sobol2((uint32_t)(first + i), 0x1b873593u * v->level, u);
@@ -16376,7 +16377,8 @@ static void voxrti_task_vpl(void *ctx, uint32_t batch) {
                 voxrti_mirror(from->view, from->n, axis);
                 (void)voxrti_lobe_direction(axis, u, from->specular[3], ray[i].dir);
                 cosine = voxrti_dot3(ray[i].dir, from->n);
-                k = cosine > 0.0f ? cosine * (from->specular[3] + 2.0f) / (from->specular[3] + 1.0f) * all / shine : 0.0f;
+                k = cosine * (from->specular[3] + 2.0f) / (from->specular[3] + 1.0f) * all / shine;
+                k = k > 0.0f ? k : 0.0f;
                 for (a = 0; a < 3; a++) flux[i][a] = from->flux[a] * from->specular[a] * k;
             } else {
                 (void)voxrti_lobe_direction(from->n, u, 1.0f, ray[i].dir);
@@ -16847,7 +16849,7 @@ static voxrt_result voxrti_gi_filter_run(const voxrt_env *env, const voxrt_gbuff
 /* ---- pictures before this one ---- */
 
 typedef struct voxrti_past { /* what the last picture left, and the new one beside it */
-    float *value[4], *count;   /* rgb: indirect, gloss, direct, its gloss, or NULL; how many pictures they are the mean of */
+    float *value[4], *count; /* rgb: indirect, gloss, direct, its gloss, or NULL; the mean of how many pictures */
     float *position, *normal;
 } voxrti_past;
 
@@ -17101,7 +17103,12 @@ static void voxrti_reuse_run(voxrti_reuse *u, float *const value[4]) {
 
 /* ---- a picture ---- */
 
-typedef struct voxrti_combine { const voxrt_gbuffer *g; float *value; const float *gloss; int ao, emit; } voxrti_combine;
+typedef struct voxrti_combine {
+    const voxrt_gbuffer *g;
+    float *value;
+    const float *gloss;
+    int ao, emit;
+} voxrti_combine;
 
 /* Irradiance / pi and what white lobes send -> what goes to the camera. */
 static void voxrti_task_combine(void *ctx, uint32_t y) {

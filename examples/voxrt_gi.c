@@ -111,7 +111,8 @@ static int parse(int argc, char **argv, gi_options *o) {
     table[n++] = sup_opt_text("camera", &o->camera, "NAME", "which camera of the scene (the first)");
     table[n++] = sup_opt_choice("method", &o->method, "default|gather|path|vpl|ao|none",
                                 "how indirect light is found; default: gather, with light on cells that has bounced before");
-    table[n++] = sup_opt_choice("lookup", &o->lookup, "cache|rays|volume|maps", "direct light where a ray hits: of the cell, by shadow rays, of all cells, by maps");
+    table[n++] = sup_opt_choice("lookup", &o->lookup, "cache|rays|volume|maps",
+                                "direct light where a ray hits: of the cell, by shadow rays, of all cells, by maps");
     table[n++] = sup_opt_int("frames", &o->frames, 1, 100000, "N", "pictures of the scene as it moves; FILE of --out has a %d for the number");
     table[n++] = sup_opt_int("first", &o->first, 0, 100000, "N", "draw picture N of --frames and those after it (0)");
     table[n++] = sup_opt_int("repeat", &o->still, 1, 100000, "N", "draw each picture N times, all of which count with --keep (1)");
@@ -139,7 +140,8 @@ static int parse(int argc, char **argv, gi_options *o) {
     if (o->common.out == NULL && !o->common.stats) return sup_bad_usage(argv[0], "--out FILE is missing");
     if ((o->grid & (o->grid - 1)) != 0) return sup_bad_usage(argv[0], "--grid: %d is no power of two", (int)o->grid);
     if (o->coarse & (o->coarse - 1)) return sup_bad_usage(argv[0], "--coarse: %d is no power of two", (int)o->coarse);
-    if (o->depth != 0 && o->depth != 64 && o->depth != 128 && o->depth != 256) return sup_bad_usage(argv[0], "--depth-cells: %d is not 64, 128 or 256", (int)o->depth);
+    if (o->depth != 0 && o->depth != 64 && o->depth != 128 && o->depth != 256)
+        return sup_bad_usage(argv[0], "--depth-cells: %d is not 64, 128 or 256", (int)o->depth);
     if (o->aa != 1 && o->aa != 4 && o->aa != 9 && o->aa != 16) return sup_bad_usage(argv[0], "--aa: %d is not 1, 4, 9 or 16", (int)o->aa);
     if (o->first >= o->frames) return sup_bad_usage(argv[0], "--first: there is no picture %d of %d", (int)o->first, (int)o->frames);
     if (o->still == 0) o->still = 1;
@@ -167,11 +169,13 @@ static int scene_of_mesh(world *w, const gi_options *o, sup_error *err) {
     memset(&c, 0, sizeof c);
     (void)voxrt_camera_fit(&c, box[0], box[1], view, o->common.size[0], o->common.size[1]);
     (void)snprintf(text, sizeof text,
-                   "voxrt_gi 1\ncamera fit eye %.9g %.9g %.9g at %.9g %.9g %.9g\nobject mesh\nobject plane scale %.9g position %.9g %.9g %.9g color 0.51 0.51 0.55\n"
+                   "voxrt_gi 1\ncamera fit eye %.9g %.9g %.9g at %.9g %.9g %.9g\nobject mesh\n"
+                   "object plane scale %.9g position %.9g %.9g %.9g color 0.51 0.51 0.55\n"
                    "light area position %.9g %.9g %.9g u %.9g 0 0 v 0 0 %.9g color 14 11.9 8.4\n",
                    (double)c.eye[0], (double)c.eye[1], (double)c.eye[2], (double)c.at[0], (double)c.at[1], (double)c.at[2], 1.5 * (double)size,
                    0.5 * ((double)lo[0] + (double)hi[0]), (double)lo[1], 0.5 * ((double)lo[2] + (double)hi[2]),
-                   (double)lo[0] - 0.6 * (double)size, (double)hi[1] + (double)size, (double)hi[2] + 0.5 * (double)size, 0.4 * (double)size, 0.4 * (double)size);
+                   (double)lo[0] - 0.6 * (double)size, (double)hi[1] + (double)size, (double)hi[2] + 0.5 * (double)size,
+                   0.4 * (double)size, 0.4 * (double)size);
     return sup_gi_scene_parse(text, strlen(text), o->scene, &w->scene, err);
 }
 
@@ -465,7 +469,8 @@ static int place(world *w, const gi_options *o, double t, int first, sup_error *
         for (int a = 0; a < 3; a++) centre[a] = (double)w->camera.eye[a] + 0.25 * ((double)w->camera.at[a] - (double)w->camera.eye[a]);
         (void)voxrt_gi_follow(w->gi, centre, NULL);
     }
-    if (voxrt_gi_set_lights(w->gi, w->lights, w->scene.lamp_count) != VOXRT_OK) return sup_fail(err, "%s: a light has no direction, no area or a wrong angle", w->name);
+    if (voxrt_gi_set_lights(w->gi, w->lights, w->scene.lamp_count) != VOXRT_OK)
+        return sup_fail(err, "%s: a light has no direction, no area or a wrong angle", w->name);
     if (voxrt_gi_update(w->gi, NULL) != VOXRT_OK) return sup_fail(err, "out of memory for voxels");
     memset(&env, 0, sizeof env);
     env.thread_count = (uint32_t)o->common.threads;
@@ -534,7 +539,7 @@ static void see_cubes(const world *w, const gi_options *o, voxrt_gbuffer *g) {
             for (int a = 0; a < 3; a++) g->position[3 * at + (size_t)a] = ray.org[a] + hit.t * ray.dir[a];
             g->normal[3 * at + (hit.face >> 1)] = (hit.face & 1) ? 1.0f : -1.0f;
             for (int a = 0; a < 3; a++) { /* how far from the next edge of the cell, in cells */
-                const double q = ((double)g->position[3 * at + info.axis[a]] - (a == 0 ? columns->origin[0] : a == 1 ? columns->origin[1] : columns->origin[2])) / info.cell[a];
+                const double q = ((double)g->position[3 * at + info.axis[a]] - columns->origin[a]) / info.cell[a];
                 const double f = q - floor(q), d = f < 0.5 ? f : 1.0 - f;
                 if (info.axis[a] != hit.face >> 1 && d < edge) edge = d;
             }
@@ -745,8 +750,10 @@ static void print_stats(const gi_options *o, const world *w, uint32_t side, cons
     printf(",\"width\":%u,\"height\":%u,\"samples\":%u,\"frames\":%d,\"grid\":[%u,%u,%u],\"cells\":%llu,\"rays\":%llu", o->common.size[0],
            o->common.size[1], side * side, (int)(o->frames - o->first), info.size[0], info.size[1], info.size[2], (unsigned long long)info.cells,
            (unsigned long long)spent->rays);
-    printf(",\"rays_per_sample\":%.2f,\"shaded\":%.4f,\"noise\":%.6f,\"kept\":%.4f", spent->per_pixel / n, spent->shaded / n, spent->noise / n, spent->kept / n);
-    printf(",\"update_seconds\":%.6f,\"gbuffer_seconds\":%.6f,\"light_seconds\":%.6f,\"seconds\":%.6f}\n", spent->update, spent->gbuffer, spent->light, spent->all);
+    printf(",\"rays_per_sample\":%.2f,\"shaded\":%.4f,\"noise\":%.6f,\"kept\":%.4f",
+           spent->per_pixel / n, spent->shaded / n, spent->noise / n, spent->kept / n);
+    printf(",\"update_seconds\":%.6f,\"gbuffer_seconds\":%.6f,\"light_seconds\":%.6f,\"seconds\":%.6f}\n",
+           spent->update, spent->gbuffer, spent->light, spent->all);
 }
 
 int main(int argc, char **argv) {

@@ -33,6 +33,7 @@ static void memory_reset(int64_t fail_at) {
 
 #include "../examples/support/camera.h"
 #include "../examples/support/cli.h"
+#include "../examples/support/gi_scene.h"
 #include "../examples/support/mesh.h"
 #include "../examples/support/png.h"
 #include "../examples/support/scenes.h"
@@ -2022,6 +2023,110 @@ TEST(comparison_scenes) {
     CHECK_EQ_I64(g_memory.live, 0);
 }
 
+/* ---- scenes of voxrt_gi ---- */
+
+static const char gi_text[] =
+    "voxrt_gi 1 # comment\r\n\n  seconds 4\nwhite 2.5\n"
+    "material brass specular 0.3 0.2 0.1 exponent 16 albedo .5 .25 .125\n"
+    "path round loop\n knot 0 2 0 0\nknot 1 0 0 2\n knot 2 -2 0 0\nknot 3 0 0 -2\nknot 4 2 0 0\n"
+    "path line\nknot 1 0 0 0 tangent 0 0 0\nknot 3 4 0 0 tangent 0 0 0\n"
+    "camera front eye 0 2 8 at 0 1 0 path line\ncamera \"from behind\" eye 0 2 -8 at 0 1 0 up 1 0 0 fov 50\n"
+    "object \"a file.obj\" scale 2 turn 0 90 0 position 1 2 3\n"
+    "object scene:torus:12 spin 0 90 0 material brass path round color 1 0.5 0\n"
+    "object b%03d.obj frames 3 6 2\nlight spot position 0 4 0 direction 0 -2 0 angle 30 color 40 36 30 path round\nlight area u 1 0 0 v 0 0 1";
+
+TEST(gi_scenes) {
+    sup_gi_scene s;
+    sup_error err;
+    double m[12], p[3];
+    float q[3];
+    char name[64];
+    int i;
+    memory_reset(-1);
+    REQUIRE(sup_gi_scene_parse(gi_text, sizeof gi_text - 1, "x", &s, &err) == 0);
+    CHECK(s.seconds == 4 && s.white == 2.5 && s.camera_count == 2 && s.thing_count == 3 && s.lamp_count == 2 && s.path_count == 2);
+    CHECK_STR(s.cameras[1].name, "from behind");
+    CHECK(s.cameras[0].path == 1 && s.cameras[1].path == -1 && s.cameras[1].fov == 50 && s.cameras[1].up[0] == 1);
+    CHECK_STR(s.things[0].file, "a file.obj");
+    CHECK(!s.things[0].moving && s.things[1].moving && s.things[2].moving && s.things[1].material == 0 && s.things[1].color[1] == 0.5);
+    CHECK(s.lamps[0].kind == 1 && s.lamps[0].angle == 30 && s.lamps[1].kind == 3);
+    sup_gi_matrix(&s, &s.things[0], 0, m); /* twice as large, x to -z, z to x */
+    CHECK_NEAR(m[0], 0, 1e-12);
+    CHECK_NEAR(m[2], 2, 1e-12);
+    CHECK_NEAR(m[8], -2, 1e-12);
+    CHECK(m[3] == 1 && m[7] == 2 && m[11] == 3 && fabs(m[5] - 2) < 1e-12);
+    sup_gi_path_at(&s, &s.paths[1], 2, p); /* half of the way, at rest at both ends */
+    CHECK_NEAR(p[0], 2, 1e-12);
+    sup_gi_path_at(&s, &s.paths[1], 1.5, p); /* 3/16 - 2/64 of it */
+    CHECK_NEAR(p[0], 4 * (3.0 / 16 - 2.0 / 64), 1e-12);
+    sup_gi_path_at(&s, &s.paths[1], 99, p);
+    CHECK(p[0] == 4);
+    for (i = 0; i < 100; i++) { /* four Hermite arcs with tangents of a square come near a circle; it goes round */
+        double r, again[3];
+        sup_gi_path_at(&s, &s.paths[0], 0.04 * i, p);
+        sup_gi_path_at(&s, &s.paths[0], 0.04 * i + 8, again);
+        r = sqrt(p[0] * p[0] + p[2] * p[2]);
+        CHECK_MSG(r > 1.7 && r < 2.01, "%g at %d", r, i);
+        CHECK_NEAR(p[0], again[0], 1e-9);
+    }
+    for (i = 1; i < 400; i++) { /* no jump, no bend: also where the loop begins */
+        double a[3], b[3], c[3];
+        sup_gi_path_at(&s, &s.paths[0], 0.02 * (i - 1), a);
+        sup_gi_path_at(&s, &s.paths[0], 0.02 * i, b);
+        sup_gi_path_at(&s, &s.paths[0], 0.02 * (i + 1), c);
+        CHECK(fabs(a[0] - 2 * b[0] + c[0]) < 0.006 && fabs(a[2] - 2 * b[2] + c[2]) < 0.006);
+    }
+    sup_gi_place(&s, s.lamps[0].position, s.lamps[0].path, 1, q);
+    CHECK(q[0] == 0 && q[1] == 4 && q[2] == 2);
+    CHECK(sup_gi_frame(&s.things[2], 0) == 3 && sup_gi_frame(&s.things[2], 1.5) == 6 && sup_gi_frame(&s.things[2], 2.1) == 3);
+    CHECK(sup_gi_frame_name("b%03d.obj", 7, name, sizeof name) == 0);
+    CHECK_STR(name, "b007.obj");
+    CHECK(sup_gi_frame_name("b.obj", 7, name, sizeof name) && sup_gi_frame_name("%s", 7, name, sizeof name) && sup_gi_frame_name("%d%d", 7, name, sizeof name));
+    sup_gi_scene_free(&s);
+    CHECK(g_memory.live == 0);
+}
+
+TEST(gi_scenes_that_are_none) { /* every mistake has its line; any cut and any lack of memory leaves nothing behind */
+    static const struct { const char *text, *part; } bad[] = {
+        {"", "first line"}, {"voxrt_gi 2\n", "line 1"}, {"voxrt_gi 1\n", "camera and an object"},
+        {"voxrt_gi 1\nball\n", "line 2: no line begins with \"ball\""},
+        {"voxrt_gi 1\nseconds 0\n", "line 2"}, {"voxrt_gi 1\n\nwhite x\n", "line 3: not a number: \"x\""}, {"voxrt_gi 1\ncamera a eye 1 2\n", "line 2"},
+        {"voxrt_gi 1\ncamera a fov 180\n", "line 2"}, {"voxrt_gi 1\nlight sun\n", "kind"}, {"voxrt_gi 1\nlight point path p\n", "line above"},
+        {"voxrt_gi 1\nmaterial m albedo 2 0 0\n", "line 2"}, {"voxrt_gi 1\nknot 1 1 1 1\n", "line 2"},
+        {"voxrt_gi 1\npath a\nknot 1 0 0 0\nknot 1 0 0 0\n", "line 4"},
+        {"voxrt_gi 1\nobject \"a\n", "quote"}, {"voxrt_gi 1\nobject a scale 0\n", "line 2"}, {"voxrt_gi 1\nobject a frames 3 2 1\n", "line 2"},
+        {"voxrt_gi 1\nobject a color 1e31 0 0\n", "line 2"}, {"voxrt_gi 1\nobject a blue\n", "blue"}, {"voxrt_gi 1\nbox 0 0 0 1 1 0\n", "line 2"},
+        {"voxrt_gi 1\ncamera a\nobject b\npath p\n", "knots"}, {"voxrt_gi 1\ncamera a eye 1 2 nan\n", "line 2"},
+    };
+    sup_gi_scene s;
+    sup_error err;
+    size_t i;
+    int64_t fail;
+    for (i = 0; i < sizeof bad / sizeof bad[0]; i++) {
+        memory_reset(-1);
+        CHECK_MSG(sup_gi_scene_parse(bad[i].text, strlen(bad[i].text), "x", &s, &err) == 1, "%s", bad[i].text);
+        CHECK_MSG(strstr(err.text, bad[i].part) != NULL, "%s: %s", bad[i].text, err.text);
+        CHECK(g_memory.live == 0);
+    }
+    for (i = 0; i < sizeof gi_text - 1; i++) {
+        char *copy = (char *)malloc(i + 1);
+        REQUIRE(copy != NULL);
+        memcpy(copy, gi_text, i);
+        if (sup_gi_scene_parse(copy, i, "x", &s, &err) == 0) sup_gi_scene_free(&s);
+        CHECK(g_memory.live == 0);
+        free(copy);
+    }
+    for (fail = 0; fail < 100; fail++) {
+        memory_reset(fail);
+        if (sup_gi_scene_parse(gi_text, sizeof gi_text - 1, "x", &s, &err) == 0) break;
+        CHECK(strstr(err.text, "memory") != NULL && g_memory.live == 0);
+    }
+    CHECK(fail > 5 && fail < 100);
+    if (fail < 100) sup_gi_scene_free(&s);
+    CHECK(g_memory.live == 0);
+    memory_reset(-1);
+}
+
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(number_forms);
@@ -2076,5 +2181,7 @@ int main(int argc, char **argv) {
     RUN(scenes_by_name);
     RUN(scenes_out_of_memory);
     RUN(comparison_scenes);
+    RUN(gi_scenes);
+    RUN(gi_scenes_that_are_none);
     return test_end();
 }

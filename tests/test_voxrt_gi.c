@@ -860,7 +860,8 @@ TEST(time_budget) { /* a machine that takes 10 ms and 1 us a ray: after a few fr
             ms = 10 + 1e-3 * (double)r.shaded * (double)r.rays;
             (void)voxrt_gi_budget_update(&b, &r, (float)ms, (float)(ms - 10), target[i]);
         }
-        CHECK_MSG(ms < 1.1 * (double)target[i] && (ms > 0.5 * (double)target[i] || b.rays == 64), "%g ms of %g: %u rays, coarse %u", ms, (double)target[i], b.rays, b.coarse);
+        CHECK_MSG(ms < 1.1 * (double)target[i] && (ms > 0.5 * (double)target[i] || b.rays == 64),
+                  "%g ms of %g: %u rays, coarse %u", ms, (double)target[i], b.rays, b.coarse);
         CHECK(voxrt_gi_budget_update(&b, &r, NAN, 1, 10) == 0);
     }
 }
