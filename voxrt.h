@@ -16003,7 +16003,8 @@ static void voxrti_light_points(const voxrti_lighting *c, size_t lamp, const vox
     }
 }
 
-#define VOXRTI_GI_AREA_SAMPLES 4 /* for the cache: it is looked at many times */
+#define VOXRTI_GI_AREA_SAMPLES 4     /* for the cache: it is looked at many times */
+#define VOXRTI_GI_EMITTER_SAMPLES 16 /* half of them lie on backs */
 
 /* Make sure the direct light on these sides is known. Two threads may find it out at once: they find the same. */
 static void voxrti_gi_fill(const voxrt_gi *gi, int isa, const voxrti_gi_side *side, uint32_t count) {
@@ -16032,8 +16033,10 @@ static void voxrti_gi_fill(const voxrt_gi *gi, int isa, const voxrti_gi_side *si
     memset(&c, 0, sizeof c);
     c.gi = gi;
     c.isa = isa;
-    c.samples = VOXRTI_GI_AREA_SAMPLES;
-    for (l = 0; l < voxrti_gi_lamps(gi); l++) voxrti_light_points(&c, l, &q, rgb, NULL);
+    for (l = 0; l < voxrti_gi_lamps(gi); l++) {
+        c.samples = l < gi->light_count ? VOXRTI_GI_AREA_SAMPLES : VOXRTI_GI_EMITTER_SAMPLES;
+        voxrti_light_points(&c, l, &q, rgb, NULL);
+    }
     for (i = 0; i < m; i++)
         voxrti_store_shared(&side[of[i]].gi->layer[side[of[i]].layer].direct[side[of[i]].at], voxrti_rgb9e5(rgb[i]));
 }
@@ -16858,6 +16861,7 @@ struct voxrt_gi_history {
     voxrt_env env;
     voxrti_past past[2];
     uint32_t width, height, now, pictures, version;
+    uint32_t turns;            /* pictures with other rays than the one before */
     uint32_t settings[12];
     voxrt_camera camera;
     voxrti_frame frame;
@@ -16957,7 +16961,7 @@ static float voxrti_reuse_find(const voxrti_reuse *u, size_t at, size_t from[4],
 static void voxrti_reuse_spread(const voxrt_gbuffer *g, const float *value, uint32_t x, uint32_t y, float mean[3],
                                 float spread[3]) {
     const size_t at = (size_t)y * g->width + x;
-    float sum[3] = {0, 0, 0}, square[3] = {0, 0, 0}, n = 0.0f;
+    float sum[3] = {0, 0, 0}, square[3] = {0, 0, 0}, n = 0.0f, d[3];
     int32_t i, j;
     uint32_t a;
     for (j = -2; j <= 2; j++)
@@ -16967,6 +16971,8 @@ static void voxrti_reuse_spread(const voxrt_gbuffer *g, const float *value, uint
             if (qx < 0 || qy < 0 || qx >= (int64_t)g->width || qy >= (int64_t)g->height) continue;
             q = (size_t)qy * g->width + (size_t)qx;
             if (!(voxrti_dot3(g->normal + 3 * at, g->normal + 3 * q) > 0.9f)) continue;
+            for (a = 0; a < 3; a++) d[a] = g->position[3 * q + a] - g->position[3 * at + a];
+            if (!(voxrti_absf(voxrti_dot3(d, g->normal + 3 * at)) <= 0.1f * sqrtf(voxrti_dot3(d, d)))) continue;
             n += 1.0f;
             for (a = 0; a < 3; a++) {
                 const float v = value[3 * q + a];
@@ -17043,6 +17049,7 @@ static voxrt_result voxrti_reuse_open(const voxrti_gather *w, const float *const
     voxrt_gi_history *h = w->d->history;
     const size_t n = (size_t)w->g->width * w->g->height;
     uint32_t settings[12], i, k, ok = 1;
+    int still;
     memset(settings, 0, sizeof settings);
     settings[0] = (uint32_t)w->d->method;
     settings[1] = (uint32_t)w->d->lookup;
@@ -17074,9 +17081,13 @@ static voxrt_result voxrti_reuse_open(const voxrti_gather *w, const float *const
         memcpy(h->settings, settings, sizeof settings);
     }
     memset(u, 0, sizeof *u);
-    u->same = h->pictures != 0 && h->version == w->gi->version &&
-        memcmp(h->camera.eye, w->d->camera.eye, 12) == 0 && memcmp(h->camera.at, w->d->camera.at, 12) == 0 &&
+    still = memcmp(h->camera.eye, w->d->camera.eye, 12) == 0 && memcmp(h->camera.at, w->d->camera.at, 12) == 0 &&
         memcmp(h->camera.up, w->d->camera.up, 12) == 0 && h->camera.fov_y == w->d->camera.fov_y;
+    u->same = h->pictures != 0 && h->version == w->gi->version && still;
+    /* Other rays in each picture, but not where only light and objects move: noise that stays where it is does not
+       flicker, and the eye is kinder to it. */
+    if (h->pictures == 0) h->turns = 0;
+    else if (u->same || !still) h->turns++;
     u->w = w;
     u->h = h;
     u->keep = w->d->keep > 0.0f ? w->d->keep : 16.0f;
@@ -17225,7 +17236,7 @@ static voxrt_result voxrti_gather_all(voxrti_gather *w, voxrt_gi *gi, voxrti_mem
         }
     }
     for (i = 0; i < n; i++)
-        report->shaded += (w->state != NULL ? w->state[i] == 2 : voxrti_pixel_seen(w->g, i)) ? 1 : 0;
+        report->shaded += (w->state != NULL ? w->state[i] == 2 : voxrti_pixel_seen(w->g, i)) ? 1u : 0u;
     voxrti_free(mem, w->list);
     voxrti_free(mem, w->apart);
     voxrti_free(mem, w->state);
@@ -17388,7 +17399,7 @@ VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_g
     if (r == VOXRT_OK && d.history != NULL) {
         const float *const wanted[4] = {value[0], value[1], value[2], value[3]};
         r = voxrti_reuse_open(&w, wanted, &reuse);
-        w.first += d.history->pictures * d.rays; /* other rays in each picture */
+        w.first += d.history->turns * d.rays;
     }
     if (r == VOXRT_OK) r = voxrti_gi_prepare(&d, gi, w.isa);
     if (r == VOXRT_OK && direct != NULL)

@@ -1030,6 +1030,89 @@ TEST(threads_and_instruction_sets) {
     }
 }
 
+TEST(threads_and_instruction_sets_in_all_methods) { /* the same bits: virtual lights, lobes, maps, meshes, history, tolerance, nested */
+    enum { W = 24, H = 12, WAYS = 7 };
+    static model a, b;
+    static float position[W * H][3], normal[W * H][3], albedo[W * H][3], specular[W * H][4], emission[W * H][3], before[W * H][3];
+    static float direct[W * H][3], indirect[W * H][3], first[WAYS][2][W * H][3];
+    voxrt_gi_light lights[3];
+    voxrt_camera camera;
+    voxrt_gbuffer g;
+    uint32_t run, way, k;
+    memset(&g, 0, sizeof g);
+    g.width = W;
+    g.height = H;
+    g.position = position[0];
+    g.normal = normal[0];
+    g.albedo = albedo[0];
+    g.specular = specular[0];
+    g.emission = emission[0];
+    g.before = before[0];
+    sphere(&a, 9.0, 40, 200, 1);
+    sphere(&b, 3.0, 20, 120, 0);
+    memset(lights, 0, sizeof lights);
+    lights[0] = point_light(3, 5, 1, 40);
+    lights[1] = point_light(-3, 4, 2, 60);
+    lights[1].kind = VOXRT_GI_SPOT;
+    lights[1].direction[1] = -1;
+    lights[1].angle = 50;
+    lights[2].kind = VOXRT_GI_DIRECTIONAL;
+    lights[2].direction[0] = 1;
+    lights[2].color[1] = 0.5f;
+    memset(&camera, 0, sizeof camera);
+    camera.eye[2] = 7.0f;
+    camera.fov_y = 60.0f;
+    for (run = 0; run < 3; run++)
+        for (way = 0; way < WAYS; way++) {
+            voxrt_gi_desc gd;
+            voxrt_gi *gi = NULL;
+            voxrt_gi_history *h = NULL;
+            voxrt_gi_object oa = object_of(&a, 1), ob = object_of(&b, 0);
+            voxrt_gi_render_desc d;
+            memset(&gd, 0, sizeof gd);
+            memset(&d, 0, sizeof d);
+            gd.env.thread_count = d.env.thread_count = run == 1 ? 3 : 1;
+            gd.columns.size_x = gd.columns.size_y = gd.columns.size_z = 64;
+            gd.nested = way == 6 ? 2 : 1;
+            for (k = 0; k < 3; k++) {
+                gd.columns.box_min[k] = way == 6 ? -5 : -10;
+                gd.columns.box_max[k] = way == 6 ? 5 : 10;
+            }
+            d.isa = run == 2 ? VOXRT_ISA_SCALAR : VOXRT_ISA_AUTO;
+            CHECK(voxrt_gi_create(&gd, &gi) == VOXRT_OK && voxrt_gi_history_create(&d.env, &h) == VOXRT_OK);
+            ob.material.specular[0] = ob.material.specular[1] = 0.4f;
+            ob.material.exponent = 8;
+            ob.material.emission[2] = 3;
+            CHECK(voxrt_gi_add(gi, &oa, NULL) == VOXRT_OK && voxrt_gi_add(gi, &ob, NULL) == VOXRT_OK);
+            CHECK(voxrt_gi_set_lights(gi, lights, 3) == VOXRT_OK && voxrt_gi_update(gi, NULL) == VOXRT_OK);
+            CHECK(voxrt_gbuffer_from_gi(&d.env, &camera, gi, &g) == VOXRT_OK && voxrt_gbuffer_materials(&d.env, gi, &g) == VOXRT_OK);
+            d.camera = camera;
+            d.rays = 4;
+            d.filter = d.direct_filter = 2;
+            d.method = way == 0 ? VOXRT_GI_VPL : way == 1 ? VOXRT_GI_PATH : VOXRT_GI_GATHER;
+            d.bounces = 2;
+            d.pattern = 2;
+            d.lookup = way == 2 ? VOXRT_GI_LOOKUP_RAYS : way == 3 ? VOXRT_GI_LOOKUP_MAPS : VOXRT_GI_LOOKUP_CACHE;
+            d.map_size = 32;
+            d.coarse = way == 4 ? 4 : 1;
+            d.tolerance = way == 5 ? 0.3f : 0;
+            d.history = way >= 4 ? h : NULL;
+            for (k = 0; k < 2; k++) {
+                lights[0].position[1] = k ? 5.5f : 5.0f;
+                CHECK(voxrt_gi_set_lights(gi, lights, 3) == VOXRT_OK);
+                CHECK(voxrt_gi_render(&d, gi, &g, direct[0], indirect[0], NULL) == VOXRT_OK);
+            }
+            for (k = 0; k < W * H; k++) CHECK(direct[k][0] >= 0 && indirect[k][0] >= 0 && direct[k][0] < 1e6f && indirect[k][0] < 1e6f);
+            if (run == 0) {
+                memcpy(first[way][0], direct, sizeof direct);
+                memcpy(first[way][1], indirect, sizeof indirect);
+            }
+            CHECK_MSG(memcmp(first[way][0], direct, sizeof direct) == 0 && memcmp(first[way][1], indirect, sizeof indirect) == 0, "way %u, run %u", way, run);
+            voxrt_gi_history_destroy(h);
+            voxrt_gi_destroy(gi);
+        }
+}
+
 TEST(filter_keeps_to_surfaces) { /* a constant stays one; nothing crosses a right-angled edge */
     enum { W = 32, H = 16 };
     static float position[W * H][3], normal[W * H][3], albedo[W * H][3], light[W * H][3];
@@ -1154,7 +1237,7 @@ TEST(memory) {
     static model m;
     uint32_t fail, done = 0;
     sphere(&m, 5.0, 8, 200, 0);
-    for (fail = 0; fail < 40 && !done; fail++) {
+    for (fail = 0; fail < 200 && !done; fail += 1 + fail / 8) { /* the first ones all, later ones some */
         test_alloc ta;
         voxrt_gi_desc d;
         voxrt_gi *gi = NULL;
@@ -1168,7 +1251,9 @@ TEST(memory) {
         d.env.allocator.alloc_fn = test_alloc_fn;
         d.env.allocator.free_fn = test_free_fn;
         d.env.allocator.user = &ta;
-        d.columns.size_x = d.columns.size_y = d.columns.size_z = 64;
+        d.columns.size_x = d.columns.size_y = 16;
+        d.columns.size_z = 64;
+        d.nested = 1 + fail % 2;
         for (a = 0; a < 3; a++) {
             d.columns.box_min[a] = -6;
             d.columns.box_max[a] = 6;
@@ -1180,6 +1265,44 @@ TEST(memory) {
             for (tries = 0; tries < 3; tries++) { /* what failed once can be called again */
                 const voxrt_result r1 = voxrt_gi_add(gi, &o, NULL), r2 = voxrt_gi_set_lights(gi, &l, 1), r3 = voxrt_gi_update(gi, NULL);
                 const voxrt_result r4 = voxrt_gi_bounce(gi, NULL, 1, 0, 0);
+                voxrt_gi_render_desc rd;
+                voxrt_gbuffer g;
+                voxrt_gi_history *h = NULL;
+                float p[4 * 4][3], n[4 * 4][3], c[4 * 4][3], sp[4 * 4][4], in[2][4 * 4][3];
+                voxrt_result r5, r6;
+                uint32_t k;
+                memset(&rd, 0, sizeof rd);
+                memset(&g, 0, sizeof g);
+                memset(n, 0, sizeof n);
+                for (k = 0; k < 16; k++) {
+                    p[k][0] = p[k][1] = 0;
+                    p[k][2] = 0.1f * (float)k;
+                    n[k][2] = sp[k][3] = 1;
+                    c[k][0] = c[k][1] = c[k][2] = sp[k][0] = sp[k][1] = sp[k][2] = 0.5f;
+                }
+                g.width = g.height = 4;
+                g.position = p[0];
+                g.normal = n[0];
+                g.albedo = c[0];
+                g.specular = sp[0];
+                rd.env = d.env;
+                rd.env.thread_count = 1;
+                rd.rays = 1;
+                rd.filter = 1;
+                rd.camera.at[2] = 1;
+                rd.camera.fov_y = 40;
+                rd.coarse = 1u << tries;
+                rd.lookup = tries == 0 ? VOXRT_GI_LOOKUP_MAPS : VOXRT_GI_LOOKUP_CACHE;
+                rd.map_size = 8;
+                rd.tolerance = tries == 1 ? 1.0f : 0;
+                r5 = voxrt_gi_history_create(&d.env, &h);
+                CHECK(r5 == VOXRT_OK || (r5 == VOXRT_ERR_NO_MEMORY && h == NULL));
+                rd.history = h;
+                r5 = voxrt_gi_render(&rd, gi, &g, in[0][0], in[1][0], NULL);
+                rd.method = VOXRT_GI_VPL;
+                r6 = voxrt_gi_render(&rd, gi, &g, NULL, in[1][0], NULL);
+                CHECK((r5 == VOXRT_OK || r5 == VOXRT_ERR_NO_MEMORY) && (r6 == VOXRT_OK || r6 == VOXRT_ERR_NO_MEMORY));
+                voxrt_gi_history_destroy(h);
                 CHECK((r1 == VOXRT_OK || r1 == VOXRT_ERR_NO_MEMORY) && (r2 == VOXRT_OK || r2 == VOXRT_ERR_NO_MEMORY));
                 CHECK((r3 == VOXRT_OK || r3 == VOXRT_ERR_NO_MEMORY) && (r4 == VOXRT_OK || r4 == VOXRT_ERR_NO_MEMORY));
                 o.still = 0;
@@ -1215,6 +1338,7 @@ int main(int argc, char **argv) {
     RUN(nothing_leaks_through_a_thin_wall);
     RUN(openness_is_a_form_factor);
     RUN(threads_and_instruction_sets);
+    RUN(threads_and_instruction_sets_in_all_methods);
     RUN(filter_keeps_to_surfaces);
     RUN(tones);
     RUN(bad_input);
