@@ -13973,16 +13973,20 @@ VOXRT_DEF void voxrt_columns_update(voxrt_columns *columns) {
 /* ---- rays ---- */
 
 /* A ray in the grid, in cells: from its entry into the box on, at speed 1 along its fastest axis. world t = t_in + t *
-   per_t. Planes: n . (cell centre - at) = 0 is a surface on which an end of the ray lies; cells with |n . ...| <= wide
-   that are near enough to `at` along all axes do not count. */
-typedef struct voxrti_column_plane {
-    float n[3], at[3], wide, reach[3];
-} voxrti_column_plane;
-
+   per_t. */
 typedef struct voxrti_column_ray {
     float o[3], d[3], t_max;
     double t_in, per_t;
 } voxrti_column_ray;
+
+/* A surface on which an end of the ray lies: the plane n . (cell centre - at) = 0. Cells whose centres are at most half
+   a cell's width along n away from it do not count near `at`. As intervals of a column (x, y): base - slope . (x + c[0],
+   y + c[1]) -+ half, within lo .. hi, where |x + c[0]| and |y + c[1]| are within reach. */
+typedef struct voxrti_column_plane {
+    float c[2], slope[2], base, half, lo, hi;
+} voxrti_column_plane;
+
+#define VOXRTI_COLUMN_TOP 7 /* no ray looks at levels above: eight of them fit into a register of AVX2 */
 
 /* 1: to be traced; 0: misses the box; -1: a bad ray */
 static int voxrti_column_ray_open(const voxrt_columns *c, const voxrt_ray *ray, voxrti_column_ray *r) {
@@ -14016,7 +14020,7 @@ static int voxrti_column_ray_open(const voxrt_columns *c, const voxrt_ray *ray, 
         float p = (float)(o[a] + t0 * d[a]);
         p = p > 0.0f ? p : 0.0f;
         r->o[a] = p < most ? p : most;
-        r->d[a] = (float)(d[a] * per_t);
+        r->d[a] = (float)(d[a] * per_t) + 0.0f; /* no -0 */
     }
     r->t_max = (float)((t1 - t0) * speed);
     r->t_in = t0;
@@ -14024,50 +14028,60 @@ static int voxrti_column_ray_open(const voxrt_columns *c, const voxrt_ray *ray, 
     return 1;
 }
 
-/* at: t of the end point; radius in world units */
+#define VOXRTI_COLUMN_NO_PLANE 1e9f /* as lo: no cell is above that */
+
+/* at: t of the end point; reach: in cells, along the grid's axes. A normal of 0: no plane. */
 static void voxrti_column_plane_open(const voxrt_columns *c, const voxrt_ray *ray, double at, const float normal[3],
-                                     double radius, voxrti_column_plane *p) {
+                                     const float reach[3], voxrti_column_plane *p) {
+    const float limit = (float)c->size[2];
     double wide = 0.0;
+    float n[3], end[3], width, flat, steep, inv, lo, hi;
     uint32_t a;
     for (a = 0; a < 3; a++) {
         const uint32_t w = c->axis[a];
-        const double n = (double)normal[w] * c->cell[a];
+        const double m = (double)normal[w] * c->cell[a];
         double x = (((double)ray->org[w] + at * (double)ray->dir[w]) - c->origin[a]) * c->per_cell[a];
-        if (!(x > -1e6 && x < 1e6)) x = -1e6; /* nothing is near */
-        p->n[a] = (float)n;
-        p->at[a] = (float)x;
-        wide += 0.5 * voxrti_abs(n);
-        p->reach[a] = (float)(radius * c->per_cell[a]);
+        x = x > -1e6 ? x : -1e6; /* nothing is near */
+        x = x < 1e6 ? x : 1e6;
+        n[a] = (float)m;
+        end[a] = (float)x;
+        wide += 0.5 * voxrti_abs(m);
     }
-    p->wide = (float)(wide * (1.0 + 1e-6));
-    if (!(wide > 0.0)) p->at[0] = p->at[1] = p->at[2] = -1e6f; /* no normal, no plane */
+    width = (float)(wide * (1.0 + 1e-6));
+    flat = 1e-6f * width; /* a plane along the columns: half is so large then that a column is in or out as a whole */
+    steep = voxrti_absf(n[2]) > flat ? n[2] : flat;
+    inv = 1.0f / steep;
+    lo = (end[2] - 0.5f) - reach[2];
+    hi = (end[2] - 0.5f) + reach[2];
+    p->c[0] = 0.5f - end[0];
+    p->c[1] = 0.5f - end[1];
+    p->slope[0] = n[0] * inv;
+    p->slope[1] = n[1] * inv;
+    p->base = end[2] - 0.5f;
+    p->half = width * voxrti_absf(inv);
+    p->lo = lo > 0.0f ? lo : 0.0f;
+    p->hi = hi < limit ? hi : limit;
+    if (width > 0.0f && width < 1e30f) return;
+    p->slope[0] = p->slope[1] = p->half = 0.0f;
+    p->lo = VOXRTI_COLUMN_NO_PLANE;
 }
 
 /* Cells lo .. hi of column (x, y) that a plane takes out; lo > hi: none. */
-VOXRTI_INLINE void voxrti_column_plane_cells(const voxrti_column_plane *p, int x, int y, int nz, int *out_lo,
-                                             int *out_hi) {
-    const float dx = ((float)x + 0.5f) - p->at[0], dy = ((float)y + 0.5f) - p->at[1], limit = (float)nz;
-    const float a = p->n[0] * dx + p->n[1] * dy, steep = p->n[2];
-    float lo = (p->at[2] - p->reach[2]) - 0.5f, hi = (p->at[2] + p->reach[2]) - 0.5f;
+VOXRTI_INLINE void voxrti_column_plane_cells(const voxrti_column_plane *p, const float reach[3], int x, int y,
+                                             int *out_lo, int *out_hi) {
+    const float dx = (float)x + p->c[0], dy = (float)y + p->c[1];
+    const float mid = p->base - (p->slope[0] * dx + p->slope[1] * dy);
+    float lo = mid - p->half, hi = mid + p->half;
     int i, k;
-    *out_lo = 1;
-    *out_hi = 0;
-    if (!(voxrti_absf(dx) <= p->reach[0]) || !(voxrti_absf(dy) <= p->reach[1])) return;
-    if (voxrti_absf(steep) > 1e-6f * p->wide) {
-        const float inv = 1.0f / steep, mid = (p->at[2] - a * inv) - 0.5f, half = p->wide * voxrti_absf(inv);
-        lo = lo > mid - half ? lo : mid - half;
-        hi = hi < mid + half ? hi : mid + half;
-    } else if (!(voxrti_absf(a) <= p->wide)) {
-        return;
-    }
-    lo = lo > 0.0f ? lo : 0.0f;
-    hi = hi < limit ? hi : limit;
+    lo = lo > p->lo ? lo : p->lo;
+    lo = lo < 512.0f ? lo : 512.0f;
+    hi = hi < p->hi ? hi : p->hi;
     hi = hi > -1.0f ? hi : -1.0f;
-    lo = lo < limit ? lo : limit;
     i = (int)lo;
     k = (int)hi;
     *out_lo = i + ((float)i < lo); /* ceil */
     *out_hi = k - ((float)k > hi); /* floor */
+    if (!(voxrti_absf(dx) <= reach[0] && voxrti_absf(dy) <= reach[1])) *out_hi = -1;
 }
 
 VOXRTI_INLINE uint32_t voxrti_column_mask(int lo, int hi, int word) { /* cells lo .. hi of a word */
@@ -14086,17 +14100,17 @@ typedef struct voxrti_column_found {
 } voxrti_column_found;
 
 /* Which column along one axis at t, from `from` on and not beyond `most`: all borders are crossed that come before t
-   (ties: at t, too). The same answer from any level of the hierarchy: it goes by the t of the borders alone. */
+   (ties: at t, too). The same answer from any level of the hierarchy: it goes by the t of the borders alone. Where the
+   ray is says it but for rounding, less than 1/256 of a cell on at most 4096: look from that much behind, then there is
+   one border to ask. */
 VOXRTI_INLINE int voxrti_column_at(float o, float d, float inv, float t, int from, int most, int ties) {
-    const int dir = d >= 0.0f ? 1 : -1;
-    int x = (int)(o + t * d);
-    float ahead, behind;
-    if (dir > 0) x = x < from ? from : x > most ? most : x;
+    const int on = d >= 0.0f;
+    int x = (int)((o - (on ? 0.00390625f : -0.00390625f)) + t * d);
+    float ahead;
+    if (on) x = x < from ? from : x > most ? most : x;
     else x = x > from ? from : x < most ? most : x;
-    ahead = ((float)(x + (dir > 0)) - o) * inv;
-    behind = ((float)(x + (dir < 0)) - o) * inv;
-    if (x != most && (ahead < t || (ties && ahead == t))) return x + dir;
-    if (x != from && !(behind < t || (ties && behind == t))) return x - dir;
+    ahead = ((float)(x + on) - o) * inv;
+    if (x != most && (ahead < t || (ties && ahead == t))) x += on ? 1 : -1;
     return x;
 }
 
@@ -14105,13 +14119,15 @@ VOXRTI_INLINE int voxrti_column_at(float o, float d, float inv, float t, int fro
    one level down. The t of the step out of a column is that of the step into the next: no gap between their
    intervals. */
 static int voxrti_column_walk(const voxrt_columns *c, const voxrti_column_ray *r, const voxrti_column_plane *plane,
-                              uint32_t planes, uint32_t start, voxrti_column_found *f, voxrt_stats *stats) {
+                              uint32_t planes, const float reach[3], uint32_t start, voxrti_column_found *f,
+                              voxrt_stats *stats) {
     const float ox = r->o[0], oy = r->o[1], oz = r->o[2], dx = r->d[0], dy = r->d[1], dz = r->d[2], t_max = r->t_max;
     /* a ray that stays in its row never comes to the border ahead: that lies more than 0 away, times infinity */
     const float ix = dx != 0.0f ? 1.0f / dx : INFINITY, iy = dy != 0.0f ? 1.0f / dy : INFINITY;
     const int px = dx >= 0.0f, py = dy >= 0.0f, up = dz >= 0.0f;
-    const int nx = (int)c->size[0], ny = (int)c->size[1], nz = (int)c->size[2], top = (int)c->levels - 1;
-    int level = (int)start < top ? (int)start : top, x = (int)ox, y = (int)oy;
+    const int nx = (int)c->size[0], ny = (int)c->size[1], nz = (int)c->size[2];
+    const int top = c->levels > VOXRTI_COLUMN_TOP ? VOXRTI_COLUMN_TOP : (int)c->levels - 1;
+    int level = (int)start < top ? (int)start : top, x = (int)ox, y = (int)oy, ka = (int)oz;
     float t = 0.0f;
     uint64_t steps = 0, descents = 0;
     uint32_t face = 6, found = 0;
@@ -14120,19 +14136,17 @@ static int voxrti_column_walk(const voxrt_columns *c, const voxrti_column_ray *r
         const float tx = ((float)ex - ox) * ix, ty = ((float)ey - oy) * iy;
         float te = tx < ty ? tx : ty;
         const uint32_t *column = c->bits + voxrti_column(c, (uint32_t)level, (uint32_t)cx, (uint32_t)cy);
-        int ka, kb, lo, hi, w, last, gone[2][2], old_x, old_y;
+        int kb, lo, hi, w, last, gone[2][2], old_x, old_y;
         uint32_t bits = 0, p;
         te = te < t_max ? te : t_max;
         te = te > t ? te : t;
-        ka = voxrti_clamp_int((int)(oz + t * dz), 0, nz - 1);
         kb = voxrti_clamp_int((int)(oz + te * dz), 0, nz - 1);
-        lo = up ? ka : (kb < ka ? kb : ka);
-        hi = up ? (kb > ka ? kb : ka) : ka;
+        lo = kb < ka ? kb : ka;
+        hi = kb > ka ? kb : ka;
         for (p = 0; p < planes && level == 0; p++)
-            voxrti_column_plane_cells(&plane[p], x, y, nz, &gone[p][0], &gone[p][1]);
-        w = (up ? lo : hi) >> 5;
-        last = (up ? hi : lo) >> 5;
-        for (;; w += up ? 1 : -1) {
+            voxrti_column_plane_cells(&plane[p], reach, x, y, &gone[p][0], &gone[p][1]);
+        last = kb >> 5;
+        for (w = ka >> 5;; w += up ? 1 : -1) {
             bits = column[w] & voxrti_column_mask(lo, hi, w);
             for (p = 0; p < planes && level == 0; p++) bits &= ~voxrti_column_mask(gone[p][0], gone[p][1], w);
             if (bits != 0 || w == last) break;
@@ -14172,6 +14186,7 @@ static int voxrti_column_walk(const voxrt_columns *c, const voxrti_column_ray *r
         }
         if (x < 0 || y < 0 || x >= nx || y >= ny) break;
         t = te;
+        ka = kb;
         if (((x ^ old_x) | (y ^ old_y)) >> (level + 1) != 0 && level < top) level++;
     }
     if (stats != NULL) {
@@ -14181,126 +14196,216 @@ static int voxrti_column_walk(const voxrt_columns *c, const voxrti_column_ray *r
     return (int)found;
 }
 
-/* Rays to be traced side by side, and what they found: t < 0 is a miss. */
-#define VOXRTI_COLUMN_BATCH 64
-typedef struct voxrti_column_batch {
-    uint32_t count, planes;
-    float o[3][VOXRTI_COLUMN_BATCH], d[3][VOXRTI_COLUMN_BATCH], t_max[VOXRTI_COLUMN_BATCH];
-    float n[2][3][VOXRTI_COLUMN_BATCH], at[2][3][VOXRTI_COLUMN_BATCH], reach[2][3][VOXRTI_COLUMN_BATCH];
-    float wide[2][VOXRTI_COLUMN_BATCH];
-    float t[VOXRTI_COLUMN_BATCH];
-    int32_t x[VOXRTI_COLUMN_BATCH], y[VOXRTI_COLUMN_BATCH], k[VOXRTI_COLUMN_BATCH];
-    uint8_t face[VOXRTI_COLUMN_BATCH];
-} voxrti_column_batch;
+#define VOXRTI_COLUMN_BATCH 64 /* rays or points that are worked on side by side */
 
-/* wide < 0: no plane */
-static void voxrti_column_batch_add(voxrti_column_batch *b, const voxrti_column_ray *r,
-                                    const voxrti_column_plane *plane,
-                                    uint32_t planes) {
-    const uint32_t i = b->count++;
-    uint32_t a, p;
-    for (a = 0; a < 3; a++) {
-        b->o[a][i] = r->o[a];
-        b->d[a][i] = r->d[a];
-    }
-    b->t_max[i] = r->t_max;
-    b->planes = planes > b->planes ? planes : b->planes;
-    for (p = 0; p < 2; p++) {
-        for (a = 0; a < 3; a++) {
-            b->n[p][a][i] = p < planes ? plane[p].n[a] : 0.0f;
-            b->at[p][a][i] = p < planes ? plane[p].at[a] : 0.0f;
-            b->reach[p][a][i] = p < planes ? plane[p].reach[a] : -1.0f; /* no cell is within that */
-        }
-        b->wide[p][i] = p < planes ? plane[p].wide : 0.0f;
+typedef struct voxrti_column_trace {
+    const voxrt_columns *columns;
+    const float *normals, *end_normals;
+    float reach[3];          /* of the planes, in cells */
+    uint32_t start, planes;
+    int isa;
+    voxrt_stats *stats;
+} voxrti_column_trace;
+
+/* What one ray has found: f NULL, nothing. */
+VOXRTI_INLINE void voxrti_column_report(const voxrti_column_trace *t, const voxrt_ray *ray, double t_in, double per_t,
+                                        const voxrti_column_found *f, voxrt_column_hit *hit) {
+    const float at = (float)(t_in + (double)f->t * per_t);
+    hit->t = at > ray->t_min ? at : ray->t_min;
+    hit->cell[0] = (uint32_t)f->x;
+    hit->cell[1] = (uint32_t)f->y;
+    hit->cell[2] = (uint32_t)f->k;
+    hit->face = f->face == 6 ? 6 : 2 * t->columns->axis[f->face >> 1] + (f->face & 1u);
+}
+
+VOXRTI_INLINE void voxrti_column_miss(voxrt_column_hit *hits, uint8_t *occluded, size_t i) {
+    if (hits != NULL) {
+        memset(&hits[i], 0, sizeof hits[i]);
+        hits[i].t = INFINITY;
+    } else {
+        occluded[i] = 0;
     }
 }
 
-static void voxrti_column_batch_scalar(const voxrt_columns *c, voxrti_column_batch *b, uint32_t start,
-                                       voxrt_stats *stats) {
-    uint32_t i, a, p;
-    for (i = 0; i < b->count; i++) {
+static void voxrti_column_trace_scalar(const voxrti_column_trace *t, const voxrt_ray *rays, size_t count,
+                                       voxrt_column_hit *hits, uint8_t *occluded) {
+    size_t i;
+    for (i = 0; i < count; i++) {
         voxrti_column_ray r;
         voxrti_column_plane plane[2];
         voxrti_column_found f;
-        memset(&r, 0, sizeof r);
-        memset(&f, 0, sizeof f);
-        for (a = 0; a < 3; a++) {
-            r.o[a] = b->o[a][i];
-            r.d[a] = b->d[a][i];
-            for (p = 0; p < b->planes; p++) {
-                plane[p].n[a] = b->n[p][a][i];
-                plane[p].at[a] = b->at[p][a][i];
-                plane[p].reach[a] = b->reach[p][a][i];
-                plane[p].wide = b->wide[p][i];
-            }
-        }
-        r.t_max = b->t_max[i];
-        b->t[i] = -1.0f;
-        if (voxrti_column_walk(c, &r, plane, b->planes, start, &f, stats)) b->t[i] = f.t;
-        b->x[i] = f.x;
-        b->y[i] = f.y;
-        b->k[i] = f.k;
-        b->face[i] = (uint8_t)f.face;
+        uint32_t planes = 0;
+        const int open = voxrti_column_ray_open(t->columns, &rays[i], &r);
+        voxrti_column_miss(hits, occluded, i);
+        if (t->stats != NULL) t->stats->bad_rays += open < 0;
+        if (open != 1) continue;
+        if (t->normals != NULL)
+            voxrti_column_plane_open(t->columns, &rays[i], 0.0, t->normals + 3 * i, t->reach, &plane[planes++]);
+        if (t->end_normals != NULL && rays[i].t_max < INFINITY)
+            voxrti_column_plane_open(t->columns, &rays[i], (double)rays[i].t_max, t->end_normals + 3 * i, t->reach,
+                                     &plane[planes++]);
+        if (!voxrti_column_walk(t->columns, &r, plane, planes, t->reach, t->start, &f, t->stats)) continue;
+        if (t->stats != NULL) t->stats->hits++;
+        if (hits != NULL) voxrti_column_report(t, &rays[i], r.t_in, r.per_t, &f, &hits[i]);
+        else occluded[i] = 1;
     }
 }
+
+/* ---- rays in AVX2: two groups of eight, whose steps do not wait for each other ---- */
 
 #if VOXRTI_AVX2
-/* The lanes' rays and where they are; a lane whose ray has ended takes the next one of the batch. */
+
+enum { /* of a ray that is ready, and of two planes */
+    VOXRTI_CF_O, VOXRTI_CF_D = 3, VOXRTI_CF_INV = 6, VOXRTI_CF_T_MAX = 8, VOXRTI_CF_PLANE = 9,
+    VOXRTI_CP_C = 0, VOXRTI_CP_SLOPE = 2, VOXRTI_CP_BASE = 4, VOXRTI_CP_HALF, VOXRTI_CP_LO, VOXRTI_CP_HI,
+    VOXRTI_CP_FIELDS, VOXRTI_CF_FIELDS = 25
+};
+
+/* Rays that are ready, fields apart; any eight in a row can be loaded. */
+typedef struct voxrti_column_ready {
+    uint32_t count, next;
+    float f[VOXRTI_CF_FIELDS][VOXRTI_COLUMN_BATCH + 8];
+    double t_in[VOXRTI_COLUMN_BATCH + 8], per_t[VOXRTI_COLUMN_BATCH + 8];
+    uint32_t id[VOXRTI_COLUMN_BATCH + 8];
+} voxrti_column_ready;
+
+/* Eight rays on their way. A lane that has ended keeps what it had: bits of `word` that made it end, 0 for a miss. */
 typedef struct voxrti_column_lanes {
-    float o[3][8], d[3][8], inv[3][8], t_max[8], t[8];
-    int32_t x[8], y[8], level[8], face[8], id[8];
+    __m256 f[VOXRTI_CF_FIELDS], behind[2], t; /* behind: origin, 1/256 back */
+    __m256i on[2], back[2];                   /* by x, y: 1 forwards, else 0; -1 backwards, else 0 */
+    __m256i x, y, level, k, column, by_x, bits, word, alive; /* column: where that of x, y, level starts; by_x: -1 the last step was along x, 0 along y; 1: none yet */
+    double t_in[8], per_t[8];
+    uint32_t id[8], held;                     /* held: lanes with a ray, bits */
 } voxrti_column_lanes;
 
-VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_column_lane_load(const voxrt_columns *c, const voxrti_column_batch *b,
-                                                              uint32_t id, uint32_t i, int32_t start,
-                                                              voxrti_column_lanes *l) {
-    uint32_t a;
-    for (a = 0; a < 3; a++) {
-        l->o[a][i] = b->o[a][id];
-        l->d[a][i] = b->d[a][id];
-        l->inv[a][i] = b->d[a][id] != 0.0f ? 1.0f / b->d[a][id] : INFINITY;
+typedef struct voxrti_column_const {
+    const int *bits;
+    __m256i start, row, up;  /* by level: where it starts, log2 of its rows, shift that finds borders of the next */
+    __m256i last_k, log_x, log_y, level;
+    __m256 reach[2];
+    __m128i word_log;
+    uint32_t planes, fields;
+} voxrti_column_const;
+
+VOXRTI_TARGET_AVX2 static void voxrti_column_const_open(const voxrti_column_trace *t, voxrti_column_const *k) {
+    const voxrt_columns *c = t->columns;
+    const uint32_t top = c->levels > VOXRTI_COLUMN_TOP ? VOXRTI_COLUMN_TOP : c->levels - 1;
+    int32_t start[8], row[8], up[8];
+    uint32_t l;
+    for (l = 0; l < 8; l++) {
+        start[l] = l < c->levels ? (int32_t)c->start[l] : 0;
+        row[l] = l < c->levels ? (int32_t)c->row_log[l] : 0;
+        up[l] = l < top ? (int32_t)l + 1 : 31;
     }
-    l->t_max[i] = b->t_max[id];
-    l->t[i] = 0.0f;
-    l->x[i] = (int32_t)b->o[0][id];
-    l->y[i] = (int32_t)b->o[1][id];
-    l->level[i] = start < (int32_t)c->levels - 1 ? start : (int32_t)c->levels - 1;
-    l->face[i] = 6;
-    l->id[i] = (int32_t)id;
+    k->bits = (const int *)c->bits;
+    k->start = _mm256_loadu_si256((const __m256i *)(const void *)start);
+    k->row = _mm256_loadu_si256((const __m256i *)(const void *)row);
+    k->up = _mm256_loadu_si256((const __m256i *)(const void *)up);
+    k->last_k = _mm256_set1_epi32((int)c->size[2] - 1);
+    k->log_x = _mm256_set1_epi32((int)voxrti_log2_u32(c->size[0]));
+    k->log_y = _mm256_set1_epi32((int)voxrti_log2_u32(c->size[1]));
+    k->level = _mm256_set1_epi32((int)(t->start < top ? t->start : top));
+    k->reach[0] = _mm256_set1_ps(t->reach[0]);
+    k->reach[1] = _mm256_set1_ps(t->reach[1]);
+    k->word_log = _mm_cvtsi32_si128((int)c->word_log);
+    k->planes = t->planes;
+    k->fields = VOXRTI_CF_PLANE + VOXRTI_CP_FIELDS * t->planes;
 }
 
-/* voxrti_column_plane_cells for eight lanes */
-VOXRTI_TARGET_AVX2 static void voxrti_column_planes8(const voxrti_column_batch *b, uint32_t p, __m256i id, __m256i x,
-                                                     __m256i y, float nz, __m256i *lo, __m256i *hi) {
-    const __m256 sign = _mm256_set1_ps(-0.0f), half = _mm256_set1_ps(0.5f), limit = _mm256_set1_ps(nz);
-#define VOXRTI_PLANE(array) _mm256_i32gather_ps(array, id, 4)
-    const __m256 dx = _mm256_sub_ps(_mm256_add_ps(_mm256_cvtepi32_ps(x), half), VOXRTI_PLANE(b->at[p][0]));
-    const __m256 dy = _mm256_sub_ps(_mm256_add_ps(_mm256_cvtepi32_ps(y), half), VOXRTI_PLANE(b->at[p][1]));
-    const __m256 at = VOXRTI_PLANE(b->at[p][2]), reach = VOXRTI_PLANE(b->reach[p][2]), wide = VOXRTI_PLANE(b->wide[p]);
-    const __m256 a = _mm256_add_ps(_mm256_mul_ps(VOXRTI_PLANE(b->n[p][0]), dx),
-                                   _mm256_mul_ps(VOXRTI_PLANE(b->n[p][1]), dy));
-    const __m256 steep = VOXRTI_PLANE(b->n[p][2]), inv = _mm256_div_ps(_mm256_set1_ps(1.0f), steep);
-    const __m256 mid = _mm256_sub_ps(_mm256_sub_ps(at, _mm256_mul_ps(a, inv)), half);
-    const __m256 reach_half = _mm256_mul_ps(wide, _mm256_andnot_ps(sign, inv));
-    const __m256 is_steep = _mm256_cmp_ps(_mm256_andnot_ps(sign, steep), _mm256_mul_ps(_mm256_set1_ps(1e-6f), wide),
-                                          _CMP_GT_OQ);
-    __m256 low = _mm256_sub_ps(_mm256_sub_ps(at, reach), half), high = _mm256_sub_ps(_mm256_add_ps(at, reach), half);
-    __m256 in = _mm256_and_ps(_mm256_cmp_ps(_mm256_andnot_ps(sign, dx), VOXRTI_PLANE(b->reach[p][0]), _CMP_LE_OQ),
-                              _mm256_cmp_ps(_mm256_andnot_ps(sign, dy), VOXRTI_PLANE(b->reach[p][1]), _CMP_LE_OQ));
-#undef VOXRTI_PLANE
-    __m256i i, k;
-    /* max(a, b) is a > b ? a : b */
-    low = _mm256_blendv_ps(low, _mm256_max_ps(low, _mm256_sub_ps(mid, reach_half)), is_steep);
-    high = _mm256_blendv_ps(high, _mm256_min_ps(high, _mm256_add_ps(mid, reach_half)), is_steep);
-    in = _mm256_and_ps(in, _mm256_or_ps(is_steep, _mm256_cmp_ps(_mm256_andnot_ps(sign, a), wide, _CMP_LE_OQ)));
-    low = _mm256_min_ps(_mm256_max_ps(low, _mm256_setzero_ps()), limit);
-    high = _mm256_max_ps(_mm256_min_ps(high, limit), _mm256_set1_ps(-1.0f));
-    i = _mm256_cvttps_epi32(low);
-    k = _mm256_cvttps_epi32(high);
-    i = _mm256_sub_epi32(i, _mm256_castps_si256(_mm256_cmp_ps(_mm256_cvtepi32_ps(i), low, _CMP_LT_OQ)));
-    k = _mm256_add_epi32(k, _mm256_castps_si256(_mm256_cmp_ps(_mm256_cvtepi32_ps(k), high, _CMP_GT_OQ)));
-    *lo = _mm256_blendv_epi8(_mm256_set1_epi32(1), i, _mm256_castps_si256(in));
-    *hi = _mm256_and_si256(k, _mm256_castps_si256(in));
+/* voxrti_column_ray_open for four rays: what is ready goes to `at` of the arrays. Returns lanes that are to be traced;
+   bad: those that are bad. */
+VOXRTI_TARGET_AVX2 static uint32_t voxrti_column_setup4(const voxrt_columns *c, const __m256 v[4], uint32_t at,
+                                                        voxrti_column_ready *g, uint32_t *bad) {
+    const __m256d zero = _mm256_setzero_pd(), sign = _mm256_set1_pd(-0.0);
+    __m256d o[3], d[3], t0 = _mm256_cvtps_pd(_mm256_castps256_ps128(v[3])), speed = zero, ok, in = sign, per_t;
+    __m256d t1 = _mm256_cvtps_pd(_mm256_extractf128_ps(v[3], 1));
+    uint32_t a, good;
+    in = _mm256_cmp_pd(in, in, _CMP_EQ_OQ);
+    ok = _mm256_and_pd(_mm256_cmp_pd(t0, t1, _CMP_LE_OQ), _mm256_cmp_pd(_mm256_sub_pd(t0, t0), zero, _CMP_EQ_OQ));
+    for (a = 0; a < 3; a++) {
+        const __m256 w = v[c->axis[a]];
+        const __m256d ro = _mm256_cvtps_pd(_mm256_castps256_ps128(w));
+        const __m256d rd = _mm256_cvtps_pd(_mm256_extractf128_ps(w, 1));
+        const __m256d bad_a = _mm256_add_pd(_mm256_sub_pd(ro, ro), _mm256_sub_pd(rd, rd));
+        ok = _mm256_and_pd(ok, _mm256_cmp_pd(bad_a, zero, _CMP_EQ_OQ));
+        o[a] = _mm256_mul_pd(_mm256_sub_pd(ro, _mm256_set1_pd(c->origin[a])), _mm256_set1_pd(c->per_cell[a]));
+        d[a] = _mm256_mul_pd(rd, _mm256_set1_pd(c->per_cell[a]));
+        speed = _mm256_max_pd(speed, _mm256_andnot_pd(sign, d[a]));
+    }
+    ok = _mm256_and_pd(ok, _mm256_cmp_pd(speed, zero, _CMP_GT_OQ));
+    good = (uint32_t)_mm256_movemask_pd(ok);
+    *bad = ~good & 15u;
+    for (a = 0; a < 3; a++) {
+        const __m256d n = _mm256_set1_pd((double)c->size[a]);
+        const __m256d still = _mm256_cmp_pd(_mm256_andnot_pd(sign, d[a]), _mm256_mul_pd(speed, _mm256_set1_pd(1e-12)),
+                                            _CMP_LE_OQ);
+        const __m256d inv = _mm256_div_pd(_mm256_set1_pd(1.0), d[a]);
+        const __m256d x = _mm256_mul_pd(_mm256_sub_pd(zero, o[a]), inv), y = _mm256_mul_pd(_mm256_sub_pd(n, o[a]), inv);
+        const __m256d t_in = _mm256_max_pd(t0, _mm256_min_pd(x, y)), t_out = _mm256_min_pd(t1, _mm256_max_pd(y, x));
+        const __m256d inside = _mm256_and_pd(_mm256_cmp_pd(o[a], zero, _CMP_GE_OQ), _mm256_cmp_pd(o[a], n, _CMP_LT_OQ));
+        t0 = _mm256_blendv_pd(t_in, t0, still);
+        t1 = _mm256_blendv_pd(t_out, t1, still);
+        d[a] = _mm256_andnot_pd(still, d[a]);
+        in = _mm256_and_pd(in, _mm256_or_pd(inside, _mm256_cmp_pd(still, still, _CMP_EQ_OQ)));
+    }
+    in = _mm256_and_pd(in, _mm256_cmp_pd(t0, t1, _CMP_LE_OQ));
+    per_t = _mm256_div_pd(_mm256_set1_pd(1.0), speed);
+    for (a = 0; a < 3; a++) {
+        const __m128 most = _mm_set1_ps((float)c->size[a] * (1.0f - 5.9604645e-8f));
+        __m128 p = _mm256_cvtpd_ps(_mm256_add_pd(o[a], _mm256_mul_pd(t0, d[a]))), s;
+        p = _mm_min_ps(_mm_max_ps(p, _mm_setzero_ps()), most);
+        s = _mm_add_ps(_mm256_cvtpd_ps(_mm256_mul_pd(d[a], per_t)), _mm_setzero_ps());
+        _mm_storeu_ps(&g->f[VOXRTI_CF_O + a][at], p);
+        _mm_storeu_ps(&g->f[VOXRTI_CF_D + a][at], s);
+        if (a < 2) _mm_storeu_ps(&g->f[VOXRTI_CF_INV + a][at], _mm_div_ps(_mm_set1_ps(1.0f), s));
+    }
+    _mm_storeu_ps(&g->f[VOXRTI_CF_T_MAX][at], _mm256_cvtpd_ps(_mm256_mul_pd(_mm256_sub_pd(t1, t0), speed)));
+    _mm256_storeu_pd(&g->t_in[at], t0);
+    _mm256_storeu_pd(&g->per_t[at], per_t);
+    return good & (uint32_t)_mm256_movemask_pd(in);
+}
+
+/* voxrti_column_plane_open for four rays. end: at t_max instead of 0; rays without an end have none. */
+VOXRTI_TARGET_AVX2 static void voxrti_column_planes4(const voxrti_column_trace *t, const __m256 v[4], int end,
+                                                     const float *normals, uint32_t at,
+                                                     float (*f)[VOXRTI_COLUMN_BATCH + 8]) {
+    const voxrt_columns *c = t->columns;
+    const __m256d sign = _mm256_set1_pd(-0.0);
+    const __m128 half = _mm_set1_ps(0.5f), sign4 = _mm_set1_ps(-0.0f), one = _mm_set1_ps(1.0f);
+    __m128 t_end = end ? _mm256_extractf128_ps(v[3], 1) : _mm_setzero_ps();
+    __m128 n[3], p[3], width, flat, steep, inv, on, lo;
+    __m256d wide = _mm256_setzero_pd();
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        const uint32_t w = c->axis[a];
+        const __m128 from = _mm_setr_ps(normals[w], normals[3 + w], normals[6 + w], normals[9 + w]);
+        const __m256d m = _mm256_mul_pd(_mm256_cvtps_pd(from), _mm256_set1_pd(c->cell[a]));
+        __m256d x = _mm256_add_pd(_mm256_cvtps_pd(_mm256_castps256_ps128(v[w])),
+                                  _mm256_mul_pd(_mm256_cvtps_pd(t_end),
+                                                _mm256_cvtps_pd(_mm256_extractf128_ps(v[w], 1))));
+        x = _mm256_mul_pd(_mm256_sub_pd(x, _mm256_set1_pd(c->origin[a])), _mm256_set1_pd(c->per_cell[a]));
+        x = _mm256_min_pd(_mm256_max_pd(x, _mm256_set1_pd(-1e6)), _mm256_set1_pd(1e6));
+        n[a] = _mm256_cvtpd_ps(m);
+        p[a] = _mm256_cvtpd_ps(x);
+        wide = _mm256_add_pd(wide, _mm256_mul_pd(_mm256_set1_pd(0.5), _mm256_andnot_pd(sign, m)));
+    }
+    width = _mm256_cvtpd_ps(_mm256_mul_pd(wide, _mm256_set1_pd(1.0 + 1e-6)));
+    flat = _mm_mul_ps(_mm_set1_ps(1e-6f), width);
+    steep = _mm_blendv_ps(flat, n[2], _mm_cmpgt_ps(_mm_andnot_ps(sign4, n[2]), flat));
+    inv = _mm_div_ps(one, steep);
+    on = _mm_and_ps(_mm_cmpgt_ps(width, _mm_setzero_ps()), _mm_cmplt_ps(width, _mm_set1_ps(1e30f)));
+    if (end) on = _mm_and_ps(on, _mm_cmplt_ps(t_end, _mm_set1_ps(INFINITY)));
+    for (a = 0; a < 2; a++) {
+        _mm_storeu_ps(&f[VOXRTI_CP_C + a][at], _mm_sub_ps(half, p[a]));
+        _mm_storeu_ps(&f[VOXRTI_CP_SLOPE + a][at], _mm_and_ps(on, _mm_mul_ps(n[a], inv)));
+    }
+    p[2] = _mm_sub_ps(p[2], half);
+    _mm_storeu_ps(&f[VOXRTI_CP_BASE][at], p[2]);
+    _mm_storeu_ps(&f[VOXRTI_CP_HALF][at], _mm_and_ps(on, _mm_mul_ps(width, _mm_andnot_ps(sign4, inv))));
+    lo = _mm_max_ps(_mm_sub_ps(p[2], _mm_set1_ps(t->reach[2])), _mm_setzero_ps());
+    _mm_storeu_ps(&f[VOXRTI_CP_LO][at], _mm_blendv_ps(_mm_set1_ps(VOXRTI_COLUMN_NO_PLANE), lo, on));
+    _mm_storeu_ps(&f[VOXRTI_CP_HI][at], _mm_min_ps(_mm_add_ps(p[2], _mm_set1_ps(t->reach[2])),
+                                                   _mm_set1_ps((float)c->size[2])));
 }
 
 VOXRTI_TARGET_AVX2 VOXRTI_INLINE __m256i voxrti_column_mask8(__m256i lo, __m256i hi, __m256i base) {
@@ -14310,310 +14415,383 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE __m256i voxrti_column_mask8(__m256i lo, __m256i
     return _mm256_and_si256(_mm256_sllv_epi32(ones, lo), _mm256_srlv_epi32(ones, _mm256_sub_epi32(most, hi)));
 }
 
-/* voxrti_column_at for eight lanes; forward: all ones where d >= 0 */
-VOXRTI_TARGET_AVX2 VOXRTI_INLINE __m256i voxrti_column_at8(__m256 o, __m256 d, __m256 inv, __m256 t, __m256i from,
-                                                           __m256i most, __m256i forward, int ties) {
-    const __m256i one = _mm256_set1_epi32(1),
-        dir = _mm256_or_si256(_mm256_andnot_si256(forward, _mm256_set1_epi32(-1)), one);
-    __m256i x = _mm256_cvttps_epi32(_mm256_add_ps(o, _mm256_mul_ps(t, d))), ahead_i, behind_i;
-    __m256 ahead, behind, go, back;
-    x = _mm256_max_epi32(x, _mm256_min_epi32(from, most));
-    x = _mm256_min_epi32(x, _mm256_max_epi32(from, most));
-    ahead_i = _mm256_sub_epi32(x, forward);                               /* x + 1 or x */
-    behind_i = _mm256_add_epi32(_mm256_add_epi32(x, one), forward);       /* x or x + 1 */
-    ahead = _mm256_mul_ps(_mm256_sub_ps(_mm256_cvtepi32_ps(ahead_i), o), inv);
-    behind = _mm256_mul_ps(_mm256_sub_ps(_mm256_cvtepi32_ps(behind_i), o), inv);
-    if (ties) {
-        go = _mm256_cmp_ps(ahead, t, _CMP_LE_OQ);
-        back = _mm256_cmp_ps(behind, t, _CMP_NLE_UQ);
-    } else {
-        go = _mm256_cmp_ps(ahead, t, _CMP_LT_OQ);
-        back = _mm256_cmp_ps(behind, t, _CMP_NLT_UQ);
-    }
-    go = _mm256_andnot_ps(_mm256_castsi256_ps(_mm256_cmpeq_epi32(x, most)), go);
-    back = _mm256_andnot_ps(_mm256_castsi256_ps(_mm256_cmpeq_epi32(x, from)), _mm256_andnot_ps(go, back));
-    x = _mm256_add_epi32(x, _mm256_and_si256(dir, _mm256_castps_si256(go)));
-    return _mm256_sub_epi32(x, _mm256_and_si256(dir, _mm256_castps_si256(back)));
+/* voxrti_column_plane_cells for eight lanes */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_column_planes8(const voxrti_column_const *k, const __m256 *f, __m256i x,
+                                                            __m256i y, __m256i *lo, __m256i *hi) {
+    const __m256 sign = _mm256_set1_ps(-0.0f);
+    const __m256 dx = _mm256_add_ps(_mm256_cvtepi32_ps(x), f[VOXRTI_CP_C]);
+    const __m256 dy = _mm256_add_ps(_mm256_cvtepi32_ps(y), f[VOXRTI_CP_C + 1]);
+    const __m256 mid = _mm256_sub_ps(f[VOXRTI_CP_BASE], _mm256_add_ps(_mm256_mul_ps(f[VOXRTI_CP_SLOPE], dx),
+                                                                      _mm256_mul_ps(f[VOXRTI_CP_SLOPE + 1], dy)));
+    const __m256 in = _mm256_and_ps(_mm256_cmp_ps(_mm256_andnot_ps(sign, dx), k->reach[0], _CMP_LE_OQ),
+                                    _mm256_cmp_ps(_mm256_andnot_ps(sign, dy), k->reach[1], _CMP_LE_OQ));
+    __m256 low = _mm256_max_ps(_mm256_sub_ps(mid, f[VOXRTI_CP_HALF]), f[VOXRTI_CP_LO]);
+    __m256 high = _mm256_min_ps(_mm256_add_ps(mid, f[VOXRTI_CP_HALF]), f[VOXRTI_CP_HI]);
+    low = _mm256_min_ps(low, _mm256_set1_ps(512.0f));
+    high = _mm256_max_ps(high, _mm256_set1_ps(-1.0f));
+    *lo = _mm256_cvtps_epi32(_mm256_ceil_ps(low));
+    *hi = _mm256_or_si256(_mm256_cvtps_epi32(_mm256_floor_ps(high)), /* -1 if not in */
+                          _mm256_andnot_si256(_mm256_castps_si256(in), _mm256_set1_epi32(-1)));
 }
 
-/* Lanes `hit` have found a cell. bits: those of a word that count; ka: the cell of the depth where they entered. */
-VOXRTI_TARGET_AVX2 static void voxrti_column_lane_hits(voxrti_column_batch *b, const voxrti_column_lanes *l,
-                                                       uint32_t hit, __m256i bits, __m256i word, __m256i ka, __m256i x,
-                                                       __m256i y) {
-    int32_t bits_of[8], word_of[8], ka_of[8], x_of[8], y_of[8];
-    _mm256_storeu_si256((__m256i *)(void *)bits_of, bits);
-    _mm256_storeu_si256((__m256i *)(void *)word_of, word);
-    _mm256_storeu_si256((__m256i *)(void *)ka_of, ka);
-    _mm256_storeu_si256((__m256i *)(void *)x_of, x);
-    _mm256_storeu_si256((__m256i *)(void *)y_of, y);
-    for (; hit != 0; hit &= hit - 1) {
-        const uint32_t i = voxrti_ctz64(hit), set = (uint32_t)bits_of[i];
-        const int up = l->d[2][i] >= 0.0f;
-        const int32_t id = l->id[i];
-        const int32_t k = 32 * word_of[i] + (up ? (int32_t)voxrti_ctz64(set) : 31 - (int32_t)voxrti_clz32(set));
-        b->t[id] = l->t[i];
-        b->face[id] = (uint8_t)l->face[i];
-        if (k != ka_of[i]) {
-            const float tk = ((float)(up ? k : k + 1) - l->o[2][i]) / l->d[2][i];
-            b->t[id] = tk > l->t[i] ? tk : l->t[i];
-            b->face[id] = up ? 4 : 5;
-        }
-        b->x[id] = x_of[i];
-        b->y[id] = y_of[i];
-        b->k[id] = k;
-    }
+/* Where the bits are that the next step looks at: have them brought near, the other groups have their turns first. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_column_aim8(const voxrti_column_const *k, voxrti_column_lanes *g) {
+    const __m256i cx = _mm256_srav_epi32(g->x, g->level), cy = _mm256_srav_epi32(g->y, g->level);
+    const __m256i rows = _mm256_permutevar8x32_epi32(k->row, g->level);
+    int32_t at[8];
+    uint32_t i;
+    g->column = _mm256_add_epi32(_mm256_permutevar8x32_epi32(k->start, g->level),
+            _mm256_sll_epi32(_mm256_add_epi32(_mm256_sllv_epi32(cy, rows), cx), k->word_log));
+    _mm256_storeu_si256((__m256i *)(void *)at, _mm256_and_si256(g->alive, _mm256_add_epi32(g->column,
+            _mm256_srli_epi32(g->k, 5))));
+    for (i = 0; i < 8; i++) VOXRTI_PREFETCH(k->bits + at[i]);
 }
 
-/* voxrti_column_walk for the rays of a batch, eight at a time: the same steps, the same bits. */
-VOXRTI_TARGET_AVX2 static void voxrti_column_batch_avx2(const voxrt_columns *c, voxrti_column_batch *b, uint32_t start,
-                                                        voxrt_stats *stats) {
-    const __m256i one = _mm256_set1_epi32(1), zero = _mm256_setzero_si256(), ones = _mm256_set1_epi32(-1);
-    const __m256i last_k = _mm256_set1_epi32((int)c->size[2] - 1), row_log = _mm256_set1_epi32((int)c->row_log[0]);
-    const __m256i size_x = _mm256_set1_epi32((int)c->size[0]), size_y = _mm256_set1_epi32((int)c->size[1]);
-    const __m256i top = _mm256_set1_epi32((int)c->levels - 1);
-    const __m128i word_log = _mm_cvtsi32_si128((int)c->word_log);
-    const __m256i bit = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
-    voxrti_column_lanes l;
-    uint32_t next = 0, live = 0, i;
-    if (b->count == 0) return;
-    memset(&l, 0, sizeof l);
-    for (i = 0; i < 8; i++) {
-        voxrti_column_lane_load(c, b, next < b->count ? next : 0, i, (int32_t)start, &l);
-        if (next < b->count) {
-            next++;
-            live |= 1u << i;
-        }
+/* One turn of the loop of voxrti_column_walk for the lanes that are alive. Returns those that still are. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE uint32_t voxrti_column_step8(const voxrti_column_const *k, voxrti_column_lanes *g,
+                                                              voxrt_stats *stats) {
+    const __m256i one = _mm256_set1_epi32(1), zero = _mm256_setzero_si256();
+    const __m256i x = g->x, y = g->y, level = g->level, ka = g->k, alive = g->alive;
+    const __m256 ox = g->f[VOXRTI_CF_O], oy = g->f[VOXRTI_CF_O + 1], t = g->t, dz = g->f[VOXRTI_CF_D + 2];
+    const __m256i cx = _mm256_srav_epi32(x, level), cy = _mm256_srav_epi32(y, level);
+    const __m256i ex = _mm256_sllv_epi32(_mm256_add_epi32(cx, g->on[0]), level),
+        ey = _mm256_sllv_epi32(_mm256_add_epi32(cy, g->on[1]), level);
+    const __m256 tx = _mm256_mul_ps(_mm256_sub_ps(_mm256_cvtepi32_ps(ex), ox), g->f[VOXRTI_CF_INV]);
+    const __m256 ty = _mm256_mul_ps(_mm256_sub_ps(_mm256_cvtepi32_ps(ey), oy), g->f[VOXRTI_CF_INV + 1]);
+    const __m256 te = _mm256_max_ps(_mm256_min_ps(_mm256_min_ps(tx, ty), g->f[VOXRTI_CF_T_MAX]), t);
+    const __m256i kb = _mm256_min_epi32(_mm256_max_epi32(_mm256_cvttps_epi32(_mm256_add_ps(g->f[VOXRTI_CF_O + 2],
+            _mm256_mul_ps(te, dz))), zero), k->last_k);
+    const __m256i lo = _mm256_min_epi32(ka, kb), hi = _mm256_max_epi32(ka, kb);
+    const __m256i ground = _mm256_cmpeq_epi32(level, zero), last = _mm256_srli_epi32(kb, 5);
+    __m256i word = _mm256_srli_epi32(ka, 5), todo = alive, bits = zero, gone_lo[2], gone_hi[2], step, hit, end;
+    uint32_t p, planes = k->planes;
+    if (_mm256_testz_si256(ground, alive)) planes = 0;
+    for (p = 0; p < planes; p++) {
+        voxrti_column_planes8(k, g->f + VOXRTI_CF_PLANE + p * VOXRTI_CP_FIELDS, x, y, &gone_lo[p], &gone_hi[p]);
+        gone_hi[p] = _mm256_or_si256(gone_hi[p], _mm256_xor_si256(ground, _mm256_set1_epi32(-1))); /* -1: none */
     }
-    while (live != 0) {
-        const __m256 ox = _mm256_loadu_ps(l.o[0]), oy = _mm256_loadu_ps(l.o[1]), oz = _mm256_loadu_ps(l.o[2]);
-        const __m256 dx = _mm256_loadu_ps(l.d[0]), dy = _mm256_loadu_ps(l.d[1]), dz = _mm256_loadu_ps(l.d[2]);
-        const __m256 ix = _mm256_loadu_ps(l.inv[0]), iy = _mm256_loadu_ps(l.inv[1]), t_max = _mm256_loadu_ps(l.t_max);
-        const __m256i px = _mm256_castps_si256(_mm256_cmp_ps(dx, _mm256_setzero_ps(), _CMP_GE_OQ));
-        const __m256i py = _mm256_castps_si256(_mm256_cmp_ps(dy, _mm256_setzero_ps(), _CMP_GE_OQ));
-        const __m256i up = _mm256_castps_si256(_mm256_cmp_ps(dz, _mm256_setzero_ps(), _CMP_GE_OQ));
-        const __m256i way = _mm256_or_si256(_mm256_andnot_si256(up, ones), one);
-        const __m256i id = _mm256_loadu_si256((const __m256i *)(const void *)l.id);
-        __m256 t = _mm256_loadu_ps(l.t);
-        __m256i x = _mm256_loadu_si256((const __m256i *)(const void *)l.x),
-            y = _mm256_loadu_si256((const __m256i *)(const void *)l.y);
-        __m256i level = _mm256_loadu_si256((const __m256i *)(const void *)l.level);
-        __m256i face = _mm256_loadu_si256((const __m256i *)(const void *)l.face);
-        const uint32_t enough = next < b->count ? 6 : 0;
-        __m256i alive = _mm256_cmpgt_epi32(_mm256_and_si256(_mm256_set1_epi32((int)live), bit), zero);
-        uint32_t ended = ~live & 255u;
-        for (;;) {
-            const __m256i cx = _mm256_srav_epi32(x, level), cy = _mm256_srav_epi32(y, level);
-            const __m256i ex = _mm256_sllv_epi32(_mm256_sub_epi32(cx, px), level),
-                ey = _mm256_sllv_epi32(_mm256_sub_epi32(cy, py), level);
-            const __m256 tx = _mm256_mul_ps(_mm256_sub_ps(_mm256_cvtepi32_ps(ex), ox), ix);
-            const __m256 ty = _mm256_mul_ps(_mm256_sub_ps(_mm256_cvtepi32_ps(ey), oy), iy);
-            const __m256 te = _mm256_max_ps(_mm256_min_ps(_mm256_min_ps(tx, ty), t_max), t);
-            const __m256i ka = _mm256_min_epi32(_mm256_max_epi32(_mm256_cvttps_epi32(_mm256_add_ps(oz,
-                    _mm256_mul_ps(t, dz))), zero), last_k);
-            const __m256i kb = _mm256_min_epi32(_mm256_max_epi32(_mm256_cvttps_epi32(_mm256_add_ps(oz,
-                    _mm256_mul_ps(te, dz))), zero), last_k);
-            const __m256i lo = _mm256_blendv_epi8(_mm256_min_epi32(ka, kb), ka, up),
-                hi = _mm256_blendv_epi8(ka, _mm256_max_epi32(ka, kb), up);
-            const __m256i rows = _mm256_max_epi32(_mm256_sub_epi32(row_log, level), zero);
-            const __m256i column = _mm256_add_epi32(_mm256_i32gather_epi32((const int *)c->start, level, 4),
-                                                    _mm256_sll_epi32(_mm256_add_epi32(_mm256_sllv_epi32(cy, rows), cx),
-                                                                     word_log));
-            const __m256i ground = _mm256_cmpeq_epi32(level, zero);
-            __m256i word = _mm256_srli_epi32(_mm256_blendv_epi8(hi, lo, up), 5),
-                last = _mm256_srli_epi32(_mm256_blendv_epi8(lo, hi, up), 5);
-            __m256i todo = ones, bits = zero, gone_lo[2], gone_hi[2], some, step, by_x, old_x = x, old_y = y, out;
-            uint32_t hit, miss, p;
-            gone_lo[0] = gone_lo[1] = one;
-            gone_hi[0] = gone_hi[1] = zero;
-            for (p = 0; p < b->planes && !_mm256_testz_si256(ground, ground); p++) {
-                voxrti_column_planes8(b, p, id, x, y, (float)(int32_t)c->size[2], &gone_lo[p], &gone_hi[p]);
-                gone_lo[p] = _mm256_blendv_epi8(one, gone_lo[p], ground);
-                gone_hi[p] = _mm256_and_si256(gone_hi[p], ground);
+    for (;;) { /* the words of the interval, until one has a bit */
+        const __m256i base = _mm256_slli_epi32(word, 5);
+        __m256i w = _mm256_mask_i32gather_epi32(zero, k->bits, _mm256_add_epi32(g->column, word), todo, 4);
+        w = _mm256_and_si256(w, voxrti_column_mask8(lo, hi, base));
+        for (p = 0; p < planes; p++)
+            w = _mm256_andnot_si256(voxrti_column_mask8(gone_lo[p], gone_hi[p], base), w);
+        bits = _mm256_or_si256(bits, w);
+        todo = _mm256_andnot_si256(_mm256_cmpeq_epi32(word, last), _mm256_and_si256(todo, _mm256_cmpeq_epi32(w, zero)));
+        if (_mm256_testz_si256(todo, todo)) break;
+        word = _mm256_blendv_epi8(word, /* on or back: last > word or last < word */
+                                  _mm256_sub_epi32(word, _mm256_or_si256(_mm256_cmpgt_epi32(last, word), one)), todo);
+    }
+    step = _mm256_and_si256(alive, _mm256_cmpeq_epi32(bits, zero));
+    hit = _mm256_andnot_si256(step, _mm256_and_si256(alive, ground));
+    { /* the step out of the cell */
+        const __m256 by_x = _mm256_cmp_ps(tx, ty, _CMP_LT_OQ);
+        const __m256i by_xi = _mm256_castps_si256(by_x);
+        /* the other axis: which column there */
+#define VOXRTI_OTHER(of_x, of_y) _mm256_blendv_ps(of_x, of_y, by_x)
+#define VOXRTI_OTHER_I(of_x, of_y) _mm256_blendv_epi8(of_x, of_y, by_xi)
+        const __m256i from = VOXRTI_OTHER_I(x, y), on = VOXRTI_OTHER_I(g->on[0], g->on[1]);
+        const __m256i back = VOXRTI_OTHER_I(g->back[0], g->back[1]);
+        const __m256i wide = _mm256_sub_epi32(_mm256_sllv_epi32(one, level), one);
+        const __m256i most = _mm256_add_epi32(_mm256_sllv_epi32(VOXRTI_OTHER_I(cx, cy), level),
+                                              _mm256_andnot_si256(back, wide));
+        const __m256i te_tie = _mm256_sub_epi32(_mm256_castps_si256(te), by_xi); /* by x: the float after it */
+        __m256i at = _mm256_cvttps_epi32(_mm256_add_ps(VOXRTI_OTHER(g->behind[0], g->behind[1]),
+                _mm256_mul_ps(te, VOXRTI_OTHER(g->f[VOXRTI_CF_D], g->f[VOXRTI_CF_D + 1]))));
+        __m256i next_x = _mm256_add_epi32(ex, g->back[0]), next_y = _mm256_add_epi32(ey, g->back[1]), out, crossed;
+        __m256 ahead;
+        at = _mm256_max_epi32(at, _mm256_min_epi32(from, most));
+        at = _mm256_min_epi32(at, _mm256_max_epi32(from, most));
+        ahead = _mm256_mul_ps(_mm256_sub_ps(_mm256_cvtepi32_ps(_mm256_add_epi32(at, on)), VOXRTI_OTHER(ox, oy)),
+                              VOXRTI_OTHER(g->f[VOXRTI_CF_INV], g->f[VOXRTI_CF_INV + 1]));
+#undef VOXRTI_OTHER
+#undef VOXRTI_OTHER_I
+        at = _mm256_add_epi32(at, _mm256_and_si256(_mm256_add_epi32(on, back), _mm256_andnot_si256(
+                _mm256_cmpeq_epi32(at, most),
+                _mm256_castps_si256(_mm256_cmp_ps(ahead, _mm256_castsi256_ps(te_tie), _CMP_LT_OQ)))));
+        next_x = _mm256_blendv_epi8(at, next_x, by_xi);
+        next_y = _mm256_blendv_epi8(next_y, at, by_xi);
+        out = _mm256_or_si256(_mm256_srav_epi32(next_x, k->log_x), _mm256_srav_epi32(next_y, k->log_y));
+        end = _mm256_andnot_si256(_mm256_cmpeq_epi32(out, zero), step);
+        end = _mm256_or_si256(end, _mm256_and_si256(step, _mm256_castps_si256(
+                _mm256_cmp_ps(te, g->f[VOXRTI_CF_T_MAX], _CMP_GE_OQ))));
+        crossed = _mm256_srlv_epi32(_mm256_or_si256(_mm256_xor_si256(x, next_x), _mm256_xor_si256(y, next_y)),
+                                    _mm256_permutevar8x32_epi32(k->up, level));
+        /* one up where a border of the next level was crossed, one down where there were bits; masks are -1 */
+        g->level = _mm256_sub_epi32(_mm256_add_epi32(level, _mm256_andnot_si256(step, alive)),
+                                    _mm256_and_si256(step, _mm256_cmpgt_epi32(crossed, zero)));
+        g->x = _mm256_blendv_epi8(x, next_x, step);
+        g->y = _mm256_blendv_epi8(y, next_y, step);
+        g->by_x = _mm256_blendv_epi8(g->by_x, by_xi, step);
+    }
+    g->t = _mm256_blendv_ps(t, te, _mm256_castsi256_ps(step));
+    g->k = _mm256_blendv_epi8(ka, kb, step);
+    g->bits = _mm256_or_si256(g->bits, _mm256_and_si256(bits, hit));
+    g->word = _mm256_blendv_epi8(g->word, word, hit);
+    g->alive = _mm256_andnot_si256(_mm256_or_si256(hit, end), alive);
+    voxrti_column_aim8(k, g);
+    if (stats != NULL) {
+        stats->steps += voxrti_popcount64((uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(step)));
+        stats->descents += voxrti_popcount64((uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(
+                _mm256_andnot_si256(_mm256_or_si256(step, ground), alive))));
+    }
+    return (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(g->alive));
+}
+
+typedef struct voxrti_column_stream {
+    const voxrti_column_trace *trace;
+    const voxrt_ray *rays;
+    voxrt_column_hit *hits;
+    uint8_t *occluded;
+    uint32_t done, count;   /* rays that were made ready, and all */
+    voxrti_column_const k;
+    voxrti_column_ready ready;
+} voxrti_column_stream;
+
+/* Make more rays ready, behind those that are left. */
+VOXRTI_TARGET_AVX2 static void voxrti_column_more(voxrti_column_stream *s) {
+    const voxrti_column_trace *t = s->trace;
+    voxrti_column_ready *g = &s->ready;
+    const uint32_t left = g->count - g->next;
+    uint32_t i, f, p;
+    if (left != 0) { /* fewer than eight */
+        for (f = 0; f < s->k.fields; f++) memmove(g->f[f], g->f[f] + g->next, 8 * sizeof(float));
+        memmove(g->t_in, g->t_in + g->next, 8 * sizeof(double));
+        memmove(g->per_t, g->per_t + g->next, 8 * sizeof(double));
+        memmove(g->id, g->id + g->next, 8 * sizeof(uint32_t));
+    }
+    g->next = 0;
+    g->count = left;
+    while (s->done < s->count && g->count + 4 <= VOXRTI_COLUMN_BATCH) {
+        const uint32_t first = s->done, many = s->count - first < 4 ? s->count - first : 4;
+        const voxrt_ray *r[4];
+        float normal[12];
+        __m256 v[4];
+        uint32_t bad, good;
+        for (i = 0; i < 4; i++) r[i] = s->rays + first + (i < many ? i : 0);
+        voxrti_rays4(r[0], r[1], r[2], r[3], v);
+        good = voxrti_column_setup4(t->columns, v, g->count, g, &bad) & ((1u << many) - 1u);
+        for (p = 0; p < t->planes; p++) {
+            const int end = p == 1 || t->normals == NULL;
+            const float *from = (end ? t->end_normals : t->normals) + 3 * (size_t)first;
+            if (many < 4) {
+                memset(normal, 0, sizeof normal);
+                memcpy(normal, from, 12 * many);
+                from = normal;
             }
-            for (;;) { /* the words of the interval, until one has a bit */
-                const __m256i base = _mm256_slli_epi32(word, 5);
-                __m256i w = _mm256_mask_i32gather_epi32(zero, (const int *)c->bits, _mm256_add_epi32(column, word),
-                                                        todo, 4);
-                w = _mm256_and_si256(w, voxrti_column_mask8(lo, hi, base));
-                for (p = 0; p < b->planes; p++)
-                    w = _mm256_andnot_si256(voxrti_column_mask8(gone_lo[p], gone_hi[p], base), w);
-                bits = _mm256_or_si256(bits, w);
-                todo = _mm256_and_si256(todo,
-                        _mm256_andnot_si256(_mm256_cmpeq_epi32(word, last), _mm256_cmpeq_epi32(w, zero)));
-                if (_mm256_testz_si256(todo, todo)) break;
-                word = _mm256_add_epi32(word, _mm256_and_si256(way, todo));
-            }
-            some = _mm256_xor_si256(_mm256_cmpeq_epi32(bits, zero), ones);
-            hit = (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(_mm256_and_si256(some, ground))) & ~ended;
-            /* the step out of the cell, for lanes without a bit */
-            by_x = _mm256_castps_si256(_mm256_cmp_ps(tx, ty, _CMP_LT_OQ));
-            {
-                const __m256i ax = _mm256_sllv_epi32(cx, level), ay = _mm256_sllv_epi32(cy, level);
-                const __m256i wide = _mm256_sub_epi32(_mm256_sllv_epi32(one, level), one);
-                const __m256i most_x = _mm256_add_epi32(ax, _mm256_and_si256(wide, px)),
-                    most_y = _mm256_add_epi32(ay, _mm256_and_si256(wide, py));
-                const __m256i next_x = _mm256_sub_epi32(ex, _mm256_andnot_si256(px, one)),
-                    next_y = _mm256_sub_epi32(ey, _mm256_andnot_si256(py, one));
-                const __m256i at_x = voxrti_column_at8(ox, dx, ix, te, x, most_x, px, 0),
-                    at_y = voxrti_column_at8(oy, dy, iy, te, y, most_y, py, 1);
-                step = _mm256_andnot_si256(some, alive);
-                miss = (uint32_t)_mm256_movemask_ps(_mm256_and_ps(_mm256_castsi256_ps(step),
-                                                                  _mm256_cmp_ps(te, t_max, _CMP_GE_OQ)));
-                x = _mm256_blendv_epi8(x, _mm256_blendv_epi8(at_x, next_x, by_x), step);
-                y = _mm256_blendv_epi8(y, _mm256_blendv_epi8(next_y, at_y, by_x), step);
-            }
-            out = _mm256_or_si256(_mm256_or_si256(_mm256_cmpgt_epi32(zero, x), _mm256_cmpgt_epi32(zero, y)),
-                                  _mm256_xor_si256(_mm256_and_si256(_mm256_cmpgt_epi32(size_x, x),
-                                                                    _mm256_cmpgt_epi32(size_y, y)), ones));
-            miss = (miss | (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(_mm256_and_si256(out, step)))) & ~ended;
-            if (stats != NULL) {
-                stats->steps += voxrti_popcount64((uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(step)) & ~ended);
-                stats->descents += voxrti_popcount64((uint32_t)_mm256_movemask_ps(
-                        _mm256_castsi256_ps(_mm256_andnot_si256(ground, some))) & ~ended);
-            }
-            if ((hit | miss) != 0) {
-                uint32_t m;
-                if (hit != 0) {
-                    _mm256_storeu_si256((__m256i *)(void *)l.face, face);
-                    _mm256_storeu_ps(l.t, t);
-                    voxrti_column_lane_hits(b, &l, hit, bits, word, ka, old_x, old_y);
+            voxrti_column_planes4(t, v, end, from, g->count, g->f + VOXRTI_CF_PLANE + p * VOXRTI_CP_FIELDS);
+        }
+        if (t->stats != NULL) t->stats->bad_rays += voxrti_popcount64(bad & ((1u << many) - 1u));
+        s->done += many;
+        for (i = 0; i < 4; i++) g->id[g->count + i] = first + i;
+        if (good == 15) {
+            g->count += 4;
+            continue;
+        }
+        {
+            const uint32_t from = g->count;
+            for (i = 0; i < many; i++) {
+                if ((good >> i & 1u) == 0) {
+                    voxrti_column_miss(s->hits, s->occluded, first + i);
+                    continue;
                 }
-                for (m = miss; m != 0; m &= m - 1) b->t[l.id[voxrti_ctz64(m)]] = -1.0f;
-                ended |= hit | miss;
-                alive = _mm256_cmpgt_epi32(_mm256_andnot_si256(_mm256_set1_epi32((int)ended), bit), zero);
-                x = _mm256_blendv_epi8(x, old_x, out); /* what has left stays where it was */
-                y = _mm256_blendv_epi8(y, old_y, out);
+                for (f = 0; f < s->k.fields; f++) g->f[f][g->count] = g->f[f][from + i];
+                g->t_in[g->count] = g->t_in[from + i];
+                g->per_t[g->count] = g->per_t[from + i];
+                g->id[g->count++] = first + i;
             }
-            face = _mm256_blendv_epi8(face,
-                    _mm256_blendv_epi8(_mm256_sub_epi32(_mm256_set1_epi32(3), _mm256_and_si256(py, one)),
-                                                               _mm256_sub_epi32(one, _mm256_and_si256(px, one)), by_x),
-                                                                   step);
-            {
-                const __m256i crossed = _mm256_srlv_epi32(_mm256_or_si256(_mm256_xor_si256(x, old_x),
-                                                                          _mm256_xor_si256(y, old_y)),
-                                                          _mm256_add_epi32(level, one));
-                const __m256i rise = _mm256_andnot_si256(_mm256_cmpeq_epi32(crossed, zero),
-                                                         _mm256_and_si256(step, _mm256_cmpgt_epi32(top, level)));
-                /* masks are -1 */
-                level = _mm256_add_epi32(_mm256_sub_epi32(level, rise), _mm256_andnot_si256(ground, some));
+        }
+    }
+}
+
+/* Report what the lanes that have ended found. */
+VOXRTI_TARGET_AVX2 static void voxrti_column_ended(voxrti_column_stream *s, voxrti_column_lanes *g, uint32_t ended) {
+    int32_t bits[8], word[8], ka[8], x[8], y[8], face[8];
+    float t[8], oz[8], dz[8];
+    _mm256_storeu_si256((__m256i *)(void *)bits, g->bits);
+    if (s->hits != NULL) {
+        _mm256_storeu_si256((__m256i *)(void *)word, g->word);
+        _mm256_storeu_si256((__m256i *)(void *)ka, g->k);
+        _mm256_storeu_si256((__m256i *)(void *)x, g->x);
+        _mm256_storeu_si256((__m256i *)(void *)y, g->y);
+        /* along y: 2 on, 3 back; along x: 0 on, 1 back; none yet: 6 */
+        _mm256_storeu_si256((__m256i *)(void *)face, _mm256_blendv_epi8(
+                _mm256_blendv_epi8(_mm256_sub_epi32(_mm256_set1_epi32(3), g->on[1]),
+                                   _mm256_sub_epi32(_mm256_set1_epi32(1), g->on[0]), g->by_x),
+                _mm256_set1_epi32(6), _mm256_cmpeq_epi32(g->by_x, _mm256_set1_epi32(1))));
+        _mm256_storeu_ps(t, g->t);
+        _mm256_storeu_ps(oz, g->f[VOXRTI_CF_O + 2]);
+        _mm256_storeu_ps(dz, g->f[VOXRTI_CF_D + 2]);
+    }
+    for (; ended != 0; ended &= ended - 1) {
+        const uint32_t i = voxrti_ctz64(ended), set = (uint32_t)bits[i], id = g->id[i];
+        voxrti_column_found f;
+        int up;
+        if (set == 0) {
+            voxrti_column_miss(s->hits, s->occluded, id);
+            continue;
+        }
+        if (s->trace->stats != NULL) s->trace->stats->hits++;
+        if (s->hits == NULL) {
+            s->occluded[id] = 1;
+            continue;
+        }
+        up = dz[i] >= 0.0f;
+        f.x = x[i];
+        f.y = y[i];
+        f.k = 32 * word[i] + (up ? (int)voxrti_ctz64(set) : 31 - (int)voxrti_clz32(set));
+        f.t = t[i];
+        f.face = (uint32_t)face[i];
+        if (f.k != ka[i]) {
+            const float tk = ((float)(up ? f.k : f.k + 1) - oz[i]) / dz[i];
+            f.t = tk > t[i] ? tk : t[i];
+            f.face = up ? 4 : 5;
+        }
+        voxrti_column_report(s->trace, &s->rays[id], g->t_in[i], g->per_t[i], &f, &s->hits[id]);
+    }
+}
+
+/* Give the lanes in `empty` rays that are ready: the first of them the first ray, and so on. */
+VOXRTI_TARGET_AVX2 static void voxrti_column_fill(voxrti_column_stream *s, voxrti_column_lanes *g, uint32_t empty) {
+    voxrti_column_ready *r = &s->ready;
+    const __m256i bit = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128), one = _mm256_set1_epi32(1);
+    const __m256 sign = _mm256_set1_ps(-0.0f), behind = _mm256_set1_ps(0.00390625f);
+    __m256i rank, mask;
+    __m256 maskf;
+    uint64_t lanes;
+    uint32_t f, a, m, next = r->next;
+    while (voxrti_popcount64(empty) > r->count - next) empty &= ~(1u << (31u - voxrti_clz32(empty)));
+    if (empty == 0) return;
+    /* how many lanes before each one are in `empty`: prefix sums of bytes */
+    lanes = (uint64_t)empty * 0x0101010101010101u & 0x8040201008040201u;
+    lanes = (lanes + 0x7f7f7f7f7f7f7f7fu) >> 7 & 0x0101010101010101u;
+    lanes = lanes * 0x0101010101010101u << 8;
+    rank = _mm256_cvtepu8_epi32(_mm_cvtsi64_si128((long long)lanes));
+    mask = _mm256_cmpgt_epi32(_mm256_and_si256(_mm256_set1_epi32((int)empty), bit), _mm256_setzero_si256());
+    maskf = _mm256_castsi256_ps(mask);
+    for (f = 0; f < s->k.fields; f++)
+        g->f[f] = _mm256_blendv_ps(g->f[f], _mm256_permutevar8x32_ps(_mm256_loadu_ps(&r->f[f][next]), rank), maskf);
+    for (m = empty; m != 0; m &= m - 1, next++) {
+        const uint32_t i = voxrti_ctz64(m);
+        g->id[i] = r->id[next];
+        g->t_in[i] = r->t_in[next];
+        g->per_t[i] = r->per_t[next];
+    }
+    r->next = next;
+    g->held |= empty;
+    for (a = 0; a < 2; a++) {
+        const __m256 d = g->f[VOXRTI_CF_D + a];
+        g->back[a] = _mm256_srai_epi32(_mm256_castps_si256(d), 31);
+        g->on[a] = _mm256_add_epi32(g->back[a], one);
+        g->behind[a] = _mm256_sub_ps(g->f[VOXRTI_CF_O + a], _mm256_or_ps(_mm256_and_ps(d, sign), behind));
+    }
+    g->x = _mm256_blendv_epi8(g->x, _mm256_cvttps_epi32(g->f[VOXRTI_CF_O]), mask);
+    g->y = _mm256_blendv_epi8(g->y, _mm256_cvttps_epi32(g->f[VOXRTI_CF_O + 1]), mask);
+    g->k = _mm256_blendv_epi8(g->k, _mm256_cvttps_epi32(g->f[VOXRTI_CF_O + 2]), mask);
+    g->level = _mm256_blendv_epi8(g->level, s->k.level, mask);
+    g->by_x = _mm256_blendv_epi8(g->by_x, one, mask);
+    g->t = _mm256_andnot_ps(maskf, g->t);
+    g->bits = _mm256_andnot_si256(mask, g->bits);
+    g->alive = _mm256_or_si256(g->alive, mask);
+    voxrti_column_aim8(&s->k, g);
+}
+
+#define VOXRTI_COLUMN_GROUPS 4
+#define VOXRTI_COLUMN_IDLE 2 /* lanes of a group that wait for new rays until they get some */
+
+/* What voxrti_column_trace_scalar does: the same steps, the same bits. */
+VOXRTI_TARGET_AVX2 static void voxrti_column_trace_avx2(const voxrti_column_trace *t, const voxrt_ray *rays,
+                                                        uint32_t count, voxrt_column_hit *hits, uint8_t *occluded) {
+    voxrti_column_stream s;
+    voxrti_column_lanes g[VOXRTI_COLUMN_GROUPS];
+    uint32_t i, groups = count / 16, live[VOXRTI_COLUMN_GROUPS], any, idle;
+    groups = groups < 1 ? 1 : groups > VOXRTI_COLUMN_GROUPS ? VOXRTI_COLUMN_GROUPS : groups;
+    s.trace = t;
+    s.rays = rays;
+    s.hits = hits;
+    s.occluded = occluded;
+    s.done = 0;
+    s.count = count;
+    s.ready.count = s.ready.next = 0;
+    voxrti_column_const_open(t, &s.k);
+    memset(g, 0, groups * sizeof g[0]);
+    memset(live, 0, sizeof live);
+    memset(s.ready.f, 0, s.k.fields * sizeof s.ready.f[0]); /* eight are loaded where there are fewer */
+    for (;;) {
+        any = 0;
+        for (i = 0; i < groups; i++) {
+            const uint32_t ended = g[i].held & ~live[i];
+            any |= live[i];
+            if (live[i] != 0 && voxrti_popcount64(live[i]) > 8 - VOXRTI_COLUMN_IDLE) continue;
+            if (s.ready.count - s.ready.next < 8 && s.done < s.count) voxrti_column_more(&s);
+            if (live[i] != 0 && s.ready.count == s.ready.next) continue; /* nothing would change */
+            if (ended != 0) voxrti_column_ended(&s, &g[i], ended);
+            g[i].held &= ~ended;
+            voxrti_column_fill(&s, &g[i], ~g[i].held & 255u);
+            live[i] = g[i].held;
+            any |= live[i];
+        }
+        if (any == 0) break;
+        do {
+            idle = any = 0;
+            for (i = 0; i < groups; i++) {
+                if (live[i] != 0) live[i] = voxrti_column_step8(&s.k, &g[i], t->stats);
+                idle |= (uint32_t)(voxrti_popcount64(live[i]) <= 8 - VOXRTI_COLUMN_IDLE);
+                any |= live[i];
             }
-            t = _mm256_blendv_ps(t, te, _mm256_castsi256_ps(step));
-            if ((hit | miss) != 0 && voxrti_popcount64(~ended & 255u) <= enough) break;
-        }
-        _mm256_storeu_si256((__m256i *)(void *)l.x, x);
-        _mm256_storeu_si256((__m256i *)(void *)l.y, y);
-        _mm256_storeu_si256((__m256i *)(void *)l.level, level);
-        _mm256_storeu_si256((__m256i *)(void *)l.face, face);
-        _mm256_storeu_ps(l.t, t);
-        live = ~ended & 255u;
-        for (i = 0; i < 8; i++) {
-            if ((live >> i & 1u) != 0 || next >= b->count) continue;
-            voxrti_column_lane_load(c, b, next++, i, (int32_t)start, &l);
-            live |= 1u << i;
-        }
+        } while (s.done == s.count && s.ready.next == s.ready.count ? any != 0 : !idle);
     }
 }
 #endif
 
-typedef struct voxrti_column_trace {
-    const voxrt_columns *columns;
-    const float *normals, *end_normals;
-    double radius;
-    uint32_t start;
-    int isa;
-    voxrt_stats *stats;
-} voxrti_column_trace;
-
 static voxrt_result voxrti_column_trace_open(const voxrt_columns *c, const voxrt_columns_trace_desc *desc,
                                              voxrti_column_trace *t) {
+    double radius;
+    uint32_t a;
     memset(t, 0, sizeof *t);
     t->isa = (int)voxrt_isa_best();
     if (desc != NULL && desc->isa != VOXRT_ISA_AUTO && (int)desc->isa < t->isa) t->isa = (int)desc->isa;
     t->columns = c;
     t->start = 3;
     if (c == NULL) return VOXRT_ERR_INVALID_ARG;
-    t->radius = 16.0 * c->diagonal;
+    radius = 16.0 * c->diagonal;
     if (desc == NULL) return VOXRT_OK;
     if (desc->_begin_zero != 0 || desc->_end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
     if (!(desc->self_radius >= 0.0f) || (uint32_t)desc->isa > 4u) return VOXRT_ERR_INVALID_ARG;
-    if (desc->self_radius > 0.0f) t->radius = (double)desc->self_radius;
+    if (desc->self_radius > 0.0f) radius = (double)desc->self_radius;
     if (desc->start_level_plus_1 != 0) t->start = desc->start_level_plus_1 - 1;
+    for (a = 0; a < 3; a++) t->reach[a] = (float)voxrti_min(radius * c->per_cell[a], 1e6);
     t->normals = desc->normals;
     t->end_normals = desc->end_normals;
+    t->planes = (desc->normals != NULL) + (uint32_t)(desc->end_normals != NULL);
     t->stats = desc->stats;
     return VOXRT_OK;
-}
-
-/* Trace a run of up to VOXRTI_COLUMN_BATCH rays; first is the number of rays[0]. */
-static void voxrti_column_trace_run(const voxrti_column_trace *t, const voxrt_ray *rays, size_t first, uint32_t count,
-                                    voxrt_column_hit *hits, uint8_t *occluded) {
-    voxrti_column_batch b;
-    double t_in[VOXRTI_COLUMN_BATCH], per_t[VOXRTI_COLUMN_BATCH];
-    uint8_t place[VOXRTI_COLUMN_BATCH];
-    uint32_t i, j;
-    memset(place, 0, sizeof place);
-    memset(t_in, 0, sizeof t_in);
-    memset(per_t, 0, sizeof per_t);
-    b.count = b.planes = 0;
-    for (i = 0; i < count; i++) {
-        voxrti_column_ray r;
-        voxrti_column_plane plane[2];
-        uint32_t planes = 0;
-        const int open = voxrti_column_ray_open(t->columns, &rays[i], &r);
-        if (hits != NULL) {
-            memset(&hits[i], 0, sizeof hits[i]);
-            hits[i].t = INFINITY;
-        } else {
-            occluded[i] = 0;
-        }
-        if (t->stats != NULL) t->stats->bad_rays += open < 0;
-        if (open != 1) continue;
-        if (t->normals != NULL)
-            voxrti_column_plane_open(t->columns, &rays[i], 0.0, t->normals + 3 * (first + i), t->radius,
-                                     &plane[planes++]);
-        if (t->end_normals != NULL && rays[i].t_max < INFINITY)
-            voxrti_column_plane_open(t->columns, &rays[i], (double)rays[i].t_max, t->end_normals + 3 * (first + i),
-                                     t->radius, &plane[planes++]);
-        t_in[b.count] = r.t_in;
-        per_t[b.count] = r.per_t;
-        place[b.count] = (uint8_t)i;
-        voxrti_column_batch_add(&b, &r, plane, planes);
-    }
-#if VOXRTI_AVX2
-    if (t->isa >= VOXRT_ISA_AVX2) voxrti_column_batch_avx2(t->columns, &b, t->start, t->stats);
-    else
-#endif
-    voxrti_column_batch_scalar(t->columns, &b, t->start, t->stats);
-    for (j = 0; j < b.count; j++) {
-        i = place[j];
-        if (b.t[j] < 0.0f) continue;
-        if (t->stats != NULL) t->stats->hits++;
-        if (hits != NULL) {
-            const float at = (float)(t_in[j] + (double)b.t[j] * per_t[j]);
-            hits[i].t = at > rays[i].t_min ? at : rays[i].t_min;
-            hits[i].cell[0] = (uint32_t)b.x[j];
-            hits[i].cell[1] = (uint32_t)b.y[j];
-            hits[i].cell[2] = (uint32_t)b.k[j];
-            hits[i].face = b.face[j] == 6 ? 6 : 2 * t->columns->axis[b.face[j] >> 1] + (b.face[j] & 1u);
-        } else {
-            occluded[i] = 1;
-        }
-    }
-    if (t->stats != NULL) t->stats->rays += count;
 }
 
 static voxrt_result voxrti_column_trace_all(const voxrt_columns *c, const voxrt_columns_trace_desc *desc,
                                             const voxrt_ray *rays, voxrt_column_hit *hits, uint8_t *occluded,
                                             size_t count) {
     voxrti_column_trace t;
-    size_t i;
+    size_t i, n = count;
     voxrt_result r = voxrti_column_trace_open(c, desc, &t);
     if (r != VOXRT_OK) return r;
     if (count != 0 && (rays == NULL || (hits == NULL && occluded == NULL))) return VOXRT_ERR_INVALID_ARG;
-    for (i = 0; i < count; i += VOXRTI_COLUMN_BATCH)
-        voxrti_column_trace_run(&t, rays + i, i,
-                                (uint32_t)(count - i < VOXRTI_COLUMN_BATCH ? count - i : VOXRTI_COLUMN_BATCH),
-                                hits != NULL ? hits + i : NULL, occluded != NULL ? occluded + i : NULL);
+    if (t.stats != NULL) t.stats->rays += count;
+    for (i = 0; i < count; i += n) {
+        voxrti_column_trace part = t;
+        voxrt_column_hit *part_hits = hits != NULL ? hits + i : NULL;
+        uint8_t *part_occluded = occluded != NULL ? occluded + i : NULL;
+        n = count - i < 0x40000000 ? count - i : 0x40000000;
+        if (t.normals != NULL) part.normals = t.normals + 3 * i;
+        if (t.end_normals != NULL) part.end_normals = t.end_normals + 3 * i;
+#if VOXRTI_AVX2
+        if (t.isa >= VOXRT_ISA_AVX2) {
+            voxrti_column_trace_avx2(&part, rays + i, (uint32_t)n, part_hits, part_occluded);
+            continue;
+        }
+#endif
+        voxrti_column_trace_scalar(&part, rays + i, n, part_hits, part_occluded);
+    }
     return VOXRT_OK;
 }
 
