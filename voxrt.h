@@ -1074,7 +1074,7 @@ typedef struct voxrt_column_hit {
                       origin with this normal cuts do not stop it nearby, so rays start on surfaces without an offset
    end_normals        the same for the other end, at t_max; in both a normal of 0 is none
    self_radius        how far from origin and end that holds, world units: 16 cell diagonals
-   start_level_plus_1 level 3; results do not depend on it */
+   start_level_plus_1 level 1; results do not depend on it */
 typedef struct voxrt_columns_trace_desc {
     uint32_t _begin_zero;
     voxrt_isa isa;
@@ -14752,7 +14752,7 @@ static voxrt_result voxrti_column_trace_open(const voxrt_columns *c, const voxrt
     t->isa = (int)voxrt_isa_best();
     if (desc != NULL && desc->isa != VOXRT_ISA_AUTO && (int)desc->isa < t->isa) t->isa = (int)desc->isa;
     t->columns = c;
-    t->start = 3;
+    t->start = 1; /* what starts on a surface looks at its columns, anyway */
     if (c == NULL) return VOXRT_ERR_INVALID_ARG;
     radius = 16.0 * c->diagonal;
     if (desc == NULL) return VOXRT_OK;
