@@ -1233,7 +1233,8 @@ typedef enum voxrt_gi_lookup { /* the light of lamps where a ray hits */
 } voxrt_gi_lookup;
 
 /* What the pictures before this one know. One for each sequence of pictures of one size; it notices what it may keep:
-   while camera, scene and settings are the same it is the mean of all of them, after changes the mean fades. */
+   while camera, scene and settings are the same it is the mean of all of them; where the camera or an object moves it
+   follows and fades; where only light changes it starts anew, with the same rays, so that noise does not flicker. */
 typedef struct voxrt_gi_history voxrt_gi_history;
 VOXRT_DEF voxrt_result voxrt_gi_history_create(const voxrt_env *env, voxrt_gi_history **out_history); /* NO_MEMORY */
 VOXRT_DEF void voxrt_gi_history_destroy(voxrt_gi_history *history); /* NULL is allowed */
@@ -17092,7 +17093,7 @@ typedef struct voxrti_reuse {
     const voxrti_past *old;
     voxrti_past *now;
     float keep;
-    uint32_t same;         /* nothing changed: the mean of all pictures */
+    uint32_t same, still;  /* nothing changed: the mean of all pictures; the camera did not */
     uint32_t kept[2];
 } voxrti_reuse;
 
@@ -17191,7 +17192,9 @@ static void voxrti_task_reuse(void *ctx, uint32_t y) {
             weight[0] = 1.0f;
             weight[1] = weight[2] = weight[3] = 0.0f;
             n = u->old->count[at];
-        } else if (u->h->pictures != 0 && voxrti_reuse_find(u, at, from, weight) > 0.0f) {
+        } else if (u->h->pictures != 0 &&
+                   !(u->still && (g->before == NULL || memcmp(g->before + 3 * at, g->position + 3 * at, 12) == 0)) &&
+                   voxrti_reuse_find(u, at, from, weight) > 0.0f) {
             for (i = 0; i < 4; i++) if (weight[i] > 0.0f) n += weight[i] * u->old->count[from[i]];
             n = n < u->keep - 1.0f ? n : u->keep - 1.0f;
         }
@@ -17262,8 +17265,9 @@ static voxrt_result voxrti_reuse_open(const voxrti_gather *w, const float *const
     still = memcmp(h->camera.eye, w->d->camera.eye, 12) == 0 && memcmp(h->camera.at, w->d->camera.at, 12) == 0 &&
         memcmp(h->camera.up, w->d->camera.up, 12) == 0 && h->camera.fov_y == w->d->camera.fov_y;
     u->same = h->pictures != 0 && h->version == w->gi->version && still;
+    u->still = (uint32_t)still;
     /* Other rays in each picture, but not where only light and objects move: noise that stays where it is does not
-       flicker, and the eye is kinder to it. */
+       flicker. Means over changing rays do, and lag behind the light; those over the same rays only lag. */
     if (h->pictures == 0) h->turns = 0;
     else if (u->same || !still) h->turns++;
     u->w = w;

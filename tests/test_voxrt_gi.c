@@ -279,7 +279,7 @@ TEST(closed_sphere) {
         }
     }
     d.rays = test_quick() ? 64 : 128;
-    for (bounces = 1; bounces <= 4; bounces++) {
+    for (bounces = 1; bounces <= 3; bounces++) {
         double want = 0, factor = real_q;
         for (i = 0; i < bounces; i++, factor *= real_q) want += factor;
         for (k = 0; k < 2; k++) { /* light on cells, and paths */
@@ -679,34 +679,42 @@ TEST(history_of_a_still_scene_is_the_mean) { /* n pictures of 4 rays: one of 4 n
     voxrt_gi_destroy(r.gi);
 }
 
-TEST(history_follows_changes) { /* lamp off and on, camera and object move */
+TEST(history_follows_changes) { /* lamp off and on, with the camera still and moving; then all move */
     static room r;
-    static float truth[96 * 64][3];
+    static float truth[64 * 40][3];
     voxrt_gi_history *h = NULL;
     voxrt_gi_render_desc d;
     voxrt_gi_report report;
     voxrt_gi_light dark;
-    uint32_t i;
+    uint32_t i, still;
     double sum, bright = 0, plain;
-    const size_t n = 96 * 64;
-    room_open(&r, 96, 64, 0);
+    const size_t n = 64 * 40;
+    room_open(&r, 64, 40, 0);
     CHECK(voxrt_gi_history_create(NULL, &h) == VOXRT_OK);
     memset(&d, 0, sizeof d);
     d.camera = r.camera;
     d.history = h;
     d.report = &report;
     d.rays = 4;
-    for (i = 0; i < 6; i++) CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, r.indirect[0], NULL) == VOXRT_OK);
-    for (i = 0; i < n; i++) bright += (double)r.indirect[i][1];
-    dark = point_light(3, 6, 2, 1e-6f);
-    CHECK(voxrt_gi_set_lights(r.gi, &dark, 1) == VOXRT_OK);
-    for (i = 0; i < 4; i++) CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, r.indirect[0], NULL) == VOXRT_OK);
-    for (i = 0, sum = 0; i < n; i++) sum += (double)r.indirect[i][1];
-    CHECK_MSG(sum < 0.02 * bright, "off: %.4f is left", sum / bright);
-    CHECK(voxrt_gi_set_lights(r.gi, &r.light, 1) == VOXRT_OK);
-    for (i = 0; i < 8; i++) CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, r.indirect[0], NULL) == VOXRT_OK);
-    for (i = 0, sum = 0; i < n; i++) sum += (double)r.indirect[i][1];
-    CHECK_MSG(sum > 0.9 * bright, "on: %.4f is there", sum / bright);
+    for (still = 0; still < 2; still++) {
+        for (i = 0; i < 6; i++) CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, r.indirect[0], NULL) == VOXRT_OK);
+        for (i = 0, bright = 0; i < n; i++) bright += (double)r.indirect[i][1];
+        dark = point_light(3, 6, 2, 1e-6f);
+        CHECK(voxrt_gi_set_lights(r.gi, &dark, 1) == VOXRT_OK);
+        for (i = 0; i < 4; i++) {
+            d.camera.eye[0] += still ? 0.0f : 1e-4f;
+            CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, r.indirect[0], NULL) == VOXRT_OK);
+        }
+        for (i = 0, sum = 0; i < n; i++) sum += (double)r.indirect[i][1];
+        CHECK_MSG(sum < 0.02 * bright, "off: %.4f is left", sum / bright);
+        CHECK(voxrt_gi_set_lights(r.gi, &r.light, 1) == VOXRT_OK);
+        for (i = 0; i < 8; i++) {
+            d.camera.eye[0] += still ? 0.0f : 1e-4f;
+            CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, r.indirect[0], NULL) == VOXRT_OK);
+        }
+        for (i = 0, sum = 0; i < n; i++) sum += (double)r.indirect[i][1];
+        CHECK_MSG(sum > 0.9 * bright, "on: %.4f is there", sum / bright);
+    }
     for (i = 0; i < 8; i++) { /* camera and block go on their way: history must beat the picture alone */
         r.camera.eye[0] -= 0.1f;
         r.object.to_world[3] += 0.15;
@@ -721,7 +729,7 @@ TEST(history_follows_changes) { /* lamp off and on, camera and object move */
     { /* points on the block were 0.15 to the left of where they are */
         uint32_t on = 0;
         for (i = 0; i < n; i++) on += fabs((double)(r.position[i][0] - r.before[i][0]) - 0.15) < 1e-4;
-        CHECK_MSG(on > 100 && on < n / 2, "%u", on);
+        CHECK_MSG(on > 50 && on < n / 2, "%u", on);
     }
     d.history = NULL;
     d.rays = 64;
