@@ -24,6 +24,10 @@
    @project        cells -> the pixels that they cover
    @order          fragments of a tile -> rays, in their order
    @render         camera -> rays -> tiles over the threads -> buffers
+   @rbf            sums of radial basis functions: bytes, kernels, files
+   @rbf_eval       values and derivatives at points, bounds, features of flows
+   @rbf_fit        points -> coarse grid and functions, with a guaranteed error
+   @rbf_render     functions -> tiles -> groups of eight rays -> sums along rays; traces of particles
    @misc           names and versions
 
    DO THIS
@@ -119,6 +123,7 @@
    TETCAST_NO_THREADS          never start a thread; env.parallel still works           off, wasm: on code only
    TETCAST_NO_SIMD             scalar code only                                         off           code only
    TETCAST_NO_AVX2             no AVX2                                                  off           code only
+   TETCAST_NO_RBF              no radial basis functions                                off           yes
    TETCAST_ALLOW_FAST_MATH     accept -ffast-math; nothing is promised then             #error        code only
    No macro changes a struct. The instruction set is chosen when the program runs; desc.isa can lower it.
 
@@ -943,6 +948,333 @@ TETCAST_DEF tetcast_result tetcast_plane_section(const tetcast_env *env, const t
                                                  const tetcast_plane *plane, tetcast_section *out);
 TETCAST_DEF void tetcast_section_free(tetcast_section *section); /* NULL and cleared ones are allowed */
 #endif /* TETCAST_NO_BRICKS */
+
+#ifndef TETCAST_NO_RBF
+/* ---- radial basis functions ---- */
+
+/* A field as a sum: f(x) = base(x) + sum over i of weight_i * phi(d_i), where d_i is the distance of x from centre_i and
+   base a coarse grid of nodes with trilinear interpolation between them, or one constant. Distances are measured in
+   kernel space: world coordinates divided axis by axis by a metric. There are up to four components, each with a weight
+   of its own; they share centres and widths. Defined everywhere, meant for its box.
+   GAUSS          (exp(-d^2 / 2 w^2) - e) / (1 - e) up to the radius cut * w, where it is 0: no jump there; e is what
+                  the Gaussian is there. The default, and what the encoder fits
+   GAUSS_CUT      the thesis' truncated Gaussian: exp(-d^2 / 2 w^2) where |weight| times that is above epsilon, else 0
+   WENDLAND2, WENDLAND4   (1-q)^4 (4q+1) and (1-q)^6 (35q^2+18q+3)/3, q = d / R, with R = 3.70 w and 4.22 w: like a
+                  Gaussian of that width, C2 and C4 everywhere
+   POWER          (1 - d^2 / R^2)^8 with R = 4.21 w: like a Gaussian, needs neither root nor exponential */
+typedef enum tetcast_kernel {
+    TETCAST_KERNEL_GAUSS = 0,
+    TETCAST_KERNEL_GAUSS_CUT = 1,
+    TETCAST_KERNEL_WENDLAND2 = 2,
+    TETCAST_KERNEL_WENDLAND4 = 3,
+    TETCAST_KERNEL_POWER = 4,
+    TETCAST_KERNEL_COUNT = 5,
+    TETCAST_KERNEL_FORCE_32BIT = 0x7fffffff
+} tetcast_kernel;
+
+#define TETCAST_RBF_MAX_COMPONENTS 4
+#define TETCAST_RBF_MAX_FUNCTIONS 0x4000000u /* 2^26 */
+#define TETCAST_RBF_MAX_NODES 0x8000000u     /* of the base grid, 2^27 */
+
+typedef struct tetcast_rbf_function {
+    double centre[3];   /* world */
+    double width;       /* in kernel space, > 0 */
+    float weight[TETCAST_RBF_MAX_COMPONENTS];
+} tetcast_rbf_function;
+
+/* field           zero means
+   box_min, box_max  have to be given
+   metric          1 1 1: kernel space is the world
+   components      1
+   kernel          shifted Gaussian
+   cut             3.5 widths (GAUSS); 1 .. 8
+   epsilon         1e-3 of the largest weight (GAUSS_CUT)
+   base_dims       no base grid: base is `offset`
+   base            nodes of the base grid, x fastest, components of a node together, in the whole box */
+typedef struct tetcast_rbf_desc {
+    uint32_t _begin_zero;
+    tetcast_env env;
+    double box_min[3], box_max[3];
+    double metric[3];
+    uint32_t components;
+    tetcast_kernel kernel;
+    float cut;
+    float epsilon;
+    float offset[TETCAST_RBF_MAX_COMPONENTS];
+    const tetcast_rbf_function *functions; /* borrowed */
+    size_t function_count;
+    uint32_t base_dims[3];
+    const float *base;                     /* borrowed */
+    uint32_t _end_zero;
+} tetcast_rbf_desc;
+
+/* A sum of functions, immutable: any number of threads may use it. */
+typedef struct tetcast_rbf tetcast_rbf;
+
+typedef struct tetcast_rbf_info {
+    uint32_t components, function_count;
+    uint32_t base_dims[3];
+    tetcast_kernel kernel;
+    float cut, epsilon;
+    double box_min[3], box_max[3], metric[3];
+    double smallest_width, largest_width;     /* kernel space */
+    float largest_weight;
+    float range[2];            /* of the data it was fitted to (vectors: of their length); 0 0: not known */
+    float max_error, mean_error; /* at that data, as shares of the range; -1: not known */
+    uint64_t file_bytes;       /* what tetcast_rbf_save_memory writes */
+    uint64_t memory_bytes;
+    uint32_t cells;            /* leaves of the octree over the functions */
+    uint32_t longest_list;     /* functions in a leaf */
+    double mean_list;          /* of the leaves, weighted by volume inside of the box */
+} tetcast_rbf_info;
+
+/* Make a model from functions. Those with a weight that is 0 (or, cut off, at most epsilon) are kept and add nothing.
+   out  free with tetcast_rbf_destroy; NULL on failure
+   Errors: INVALID_ARG (box, metric, cut, a function or node that is not finite, a width outside of 1e-6 .. 1e6 times
+   the box; error->where is its index), RANGE, UNINIT_DESC, NO_MEMORY. Cost: O(n log n). */
+TETCAST_DEF tetcast_result tetcast_rbf_create(const tetcast_rbf_desc *desc, tetcast_rbf **out);
+TETCAST_DEF void tetcast_rbf_destroy(tetcast_rbf *rbf); /* NULL is allowed */
+TETCAST_DEF void tetcast_rbf_get_info(const tetcast_rbf *rbf, tetcast_rbf_info *info);
+/* 0: there is no such function. Functions are in the order of a Morton curve through their centres. */
+TETCAST_DEF int tetcast_rbf_get_function(const tetcast_rbf *rbf, uint32_t index, tetcast_rbf_function *out);
+
+/* Files (docs/formats.md). Fitted models are written as they are kept: bits of positions, widths, weights and nodes by
+   what the tolerance needs; others as 32-bit floats. Reading gives the same model, bit for bit.
+   save: buffer NULL: only *out_size. Errors: INVALID_ARG, RANGE (capacity too small; *out_size is what is needed).
+   load: everything is checked, whatever the bytes are. Errors: INVALID_ARG, TRUNCATED, FORMAT, VERSION, CHECKSUM,
+   RANGE, NO_MEMORY, IO; env.error has the byte. env may be NULL. */
+TETCAST_DEF tetcast_result tetcast_rbf_save_memory(const tetcast_rbf *rbf, void *buffer, size_t capacity,
+                                                   size_t *out_size);
+TETCAST_DEF tetcast_result tetcast_rbf_load_memory(const tetcast_env *env, const void *data, size_t size,
+                                                   tetcast_rbf **out);
+#ifndef TETCAST_NO_STDIO
+TETCAST_DEF tetcast_result tetcast_rbf_save_file(const tetcast_rbf *rbf, const tetcast_env *env, const char *path);
+TETCAST_DEF tetcast_result tetcast_rbf_load_file(const tetcast_env *env, const char *path, tetcast_rbf **out);
+#endif
+
+/* How to compute. field  zero means
+   isa          the best that the machine has; all give the same bits
+   all          off. 1: sum over all functions instead of those whose reach touches the cell; the same bits */
+typedef struct tetcast_rbf_eval_desc {
+    uint32_t _begin_zero;
+    tetcast_env env;
+    tetcast_isa isa;
+    uint32_t all;
+    uint32_t _end_zero;
+} tetcast_rbf_eval_desc;
+
+/* Values and derivatives at points.
+   desc       NULL: all defaults
+   positions  in, [count][3], world. One that is not finite gives NaN
+   values     out, [count][components], or NULL
+   jacobians  out, [count][components][3]: derivative of each component along x, y, z; or NULL
+   Outside of the box the base is that of the nearest point of the box. Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY.
+   Cost: 0.3 to 0.5 ns a point and function of its cell. */
+TETCAST_DEF tetcast_result tetcast_rbf_eval(const tetcast_rbf_eval_desc *desc, const tetcast_rbf *rbf,
+                                            const double *positions, size_t count, float *values, float *jacobians);
+
+/* Values on a grid over the box, [dims[2]][dims[1]][dims[0]][components]; nodes on the faces of the box, in the middle
+   where dims is 1. */
+TETCAST_DEF tetcast_result tetcast_rbf_grid(const tetcast_rbf_eval_desc *desc, const tetcast_rbf *rbf,
+                                            const uint32_t dims[3], float *values);
+
+/* Bounds of a component in a box (world): *lo <= f <= *hi everywhere in it, and |gradient| <= *gradient, world units.
+   Any of the three may be NULL. GAUSS_CUT has no bounded gradient: that of its smooth parts is given.
+   Cost: O(functions). Errors: INVALID_ARG. */
+TETCAST_DEF tetcast_result tetcast_rbf_bounds(const tetcast_rbf *rbf, uint32_t component, const double box_min[3],
+                                              const double box_max[3], float *lo, float *hi, float *gradient);
+
+/* What can be seen in the Jacobian of a flow. */
+typedef struct tetcast_flow {
+    float speed;
+    float vorticity[3];
+    float lambda2;     /* middle eigenvalue of S^2 + W^2 (symmetric and antisymmetric part): < 0 in the core of a vortex */
+    float helicity;    /* velocity . vorticity */
+} tetcast_flow;
+
+/* velocity [3], jacobian [3][3] as tetcast_rbf_eval gives them. No NaN for finite input. */
+TETCAST_DEF void tetcast_flow_features(const float velocity[3], const float jacobian[9], tetcast_flow *out);
+
+/* Data to fit: values at points, scattered or vertices of a grid. Borrowed for the call. */
+typedef struct tetcast_rbf_points {
+    tetcast_array positions;   /* elements of three numbers; data NULL: a uniform grid, x fastest */
+    tetcast_array values;      /* elements of `components` numbers */
+    size_t count;              /* of points */
+    uint32_t components;       /* 1 .. 4; several: a vector, its error is the length of the difference */
+    uint32_t dims[3];          /* of the grid; count is their product */
+    double origin[3], spacing[3]; /* of the grid; spacing all 0: 1 */
+    const uint32_t *tets;      /* four points each: what lies between scattered points, for checking; or NULL */
+    size_t tet_count;
+} tetcast_rbf_points;
+
+typedef enum tetcast_rbf_method {
+    TETCAST_RBF_METHOD_HYBRID = 0,  /* coarse grid, then functions for what is left (default) */
+    TETCAST_RBF_METHOD_PURE = 1,    /* functions only */
+    TETCAST_RBF_METHOD_FORCE_32BIT = 0x7fffffff
+} tetcast_rbf_method;
+
+/* field          zero means
+   max_error      0.05: largest error at the points, as a share of the range of the values (vectors: of the greatest
+                  length)
+   mean_error     whatever it comes to
+   kernel         shifted Gaussian; not GAUSS_CUT
+   cut            3.5
+   metric         world for scattered points, the spacing (over the smallest one) for grids
+   base_dims      chosen by trial
+   sweeps         3 rounds in which functions are fitted again, one after the other, and dropped where they are not
+                  needed; 0xffffffff: none
+   max_functions  2^26
+   compare        off. 1: report what plain grids need for the same error
+   isa            the best; all give the same model */
+typedef struct tetcast_rbf_fit_desc {
+    uint32_t _begin_zero;
+    tetcast_env env;
+    tetcast_rbf_method method;
+    float max_error, mean_error;
+    tetcast_kernel kernel;
+    float cut;
+    double metric[3];
+    uint32_t base_dims[3];
+    uint32_t sweeps;
+    uint32_t max_functions;
+    uint32_t compare;
+    tetcast_isa isa;
+    uint32_t _end_zero;
+} tetcast_rbf_fit_desc;
+
+/* Errors are shares of the range, measured with the model as it is stored. */
+typedef struct tetcast_rbf_report {
+    uint64_t points;             /* used */
+    uint64_t rejected;           /* not finite */
+    uint64_t duplicates;         /* at the place of another one: their mean was fitted */
+    double range;                /* of the values: what errors are shares of */
+    uint32_t functions, base_dims[3];
+    uint32_t rounds, inserted, dropped;
+    double max_error, mean_error, rms_error, p999_error; /* at the points */
+    uint64_t between_count;      /* random places in cells (of the grid, in tets) */
+    double between_max, between_mean; /* against linear interpolation there */
+    double direction_mean, direction_max; /* vectors: degrees, weighted by min(1, length / 5 % of the greatest) */
+    double overshoot;            /* how far values leave the range of the data, there and at the points */
+    double largest_weight;       /* over 100: the fit is ill-conditioned */
+    uint64_t bytes, raw_bytes;   /* of the file; of the values as 32-bit floats, scattered: with positions */
+    uint64_t grid_bytes;         /* compare: least bytes of a plain grid, or of the values alone, with quantised numbers,
+                                    that keeps max_error */
+    uint32_t grid_dims[3], grid_bits;
+    double grid_max_error, grid_mean_error;
+    uint32_t functions_win;      /* compare: 1 when bytes < grid_bytes */
+} tetcast_rbf_report;
+
+/* Encode data as a coarse grid and functions so that the error at every point is at most max_error.
+   desc    NULL: all defaults
+   report  out, may be NULL
+   out     free with tetcast_rbf_destroy; NULL on failure
+   Greedy: a function where the error is largest, of the width that takes most of it away, then moved and widened for the
+   least sum of squares; later all are fitted again in turn, weighted so that large errors count most. Parameters are
+   rounded as they will be stored before the error is taken, so storing adds none.
+   The same model for any number of threads and any isa. Errors: INVALID_ARG, EMPTY (no usable point), RANGE
+   (max_functions is not enough), UNINIT_DESC, NO_MEMORY, CANCELLED.
+   Source: the thesis' loop of centres, widths, weights and error (its own steps are in bench/baseline). */
+TETCAST_DEF tetcast_result tetcast_rbf_fit(const tetcast_rbf_fit_desc *desc, const tetcast_rbf_points *points,
+                                           tetcast_rbf_report *report, tetcast_rbf **out);
+
+/* Which scalar of a model is seen. Others than COMPONENT and LENGTH need derivatives at every sample: slow. */
+typedef enum tetcast_rbf_channel {
+    TETCAST_RBF_CHANNEL_AUTO = 0,      /* the component of models with one, else LENGTH */
+    TETCAST_RBF_CHANNEL_COMPONENT = 1, /* see `component` */
+    TETCAST_RBF_CHANNEL_LENGTH = 2,    /* of all components */
+    TETCAST_RBF_CHANNEL_VORTICITY = 3, /* its length; three components */
+    TETCAST_RBF_CHANNEL_LAMBDA2 = 4,   /* minus lambda2: > 0 in cores of vortices */
+    TETCAST_RBF_CHANNEL_HELICITY = 5,
+    TETCAST_RBF_CHANNEL_FORCE_32BIT = 0x7fffffff
+} tetcast_rbf_channel;
+
+/* field        zero means
+   camera       (eye equals at) one that frames the box
+   isa          the best that the machine has; all give the same bits
+   background   transparent; linear RGB, premultiplied, and alpha
+   step         distance of the samples on a ray, world units; 0: half of the width of narrow functions (of the tenth
+                part of all), and of a cell of the base, between 1/64 and 1/1024 of the diagonal of the box
+   epsilon      exact. > 0: leave out functions with weights up to this share of the largest: faster while moving
+   gather       functions come to the rays tile by tile. 1: samples go to the leaf that they are in and ask its list */
+typedef struct tetcast_rbf_render_desc {
+    uint32_t _begin_zero;
+    tetcast_env env;
+    tetcast_camera camera;
+    tetcast_isa isa;
+    tetcast_rbf_channel channel;
+    uint32_t component;
+    float background[4];
+    float step;
+    float epsilon;
+    uint32_t gather;
+    uint32_t _end_zero;
+} tetcast_rbf_render_desc;
+
+typedef struct tetcast_rbf_render_stats { /* added to */
+    uint64_t rays, hit_rays; /* of the picture; that met the box */
+    uint64_t samples;        /* values on rays */
+    uint64_t evaluations;    /* pairs of sample and function that were computed */
+    uint64_t pairs;          /* functions and groups of eight rays that met */
+    uint64_t tests;          /* that were tested */
+    float step;              /* that was used, world units */
+    tetcast_isa isa;
+} tetcast_rbf_render_stats;
+
+/* Draw a model inside its box.
+   optics  as for meshes; its integrator gets segments between samples on which the value is taken as linear
+   image   length: way inside of the box. depth: of the first sample that shows something, isosurfaces exactly
+   Samples lie at multiples of the step from the eye, and where a ray enters and leaves the box; segments have their
+   exact lengths. On a ray a Gaussian is one of a line: it is summed up with two multiplications a sample, begun at
+   its middle. Isosurfaces are refined on the ray and have the analytic gradient as normal.
+   The same bits for any number of threads and any isa. Errors: INVALID_ARG, RANGE (over 2^16 samples on a ray),
+   UNINIT_DESC, NO_MEMORY, CANCELLED. */
+TETCAST_DEF tetcast_result tetcast_rbf_render(const tetcast_rbf_render_desc *desc, const tetcast_rbf *rbf,
+                                              const tetcast_optics *optics, const tetcast_image *image,
+                                              tetcast_rbf_render_stats *stats);
+
+/* ---- traces of particles ---- */
+
+typedef enum tetcast_stepper {
+    TETCAST_STEPPER_RK4 = 0,
+    TETCAST_STEPPER_EULER = 1, /* as the thesis does */
+    TETCAST_STEPPER_FORCE_32BIT = 0x7fffffff
+} tetcast_stepper;
+
+typedef enum tetcast_trace_end {
+    TETCAST_TRACE_STEPS = 0,   /* all steps done */
+    TETCAST_TRACE_LEFT = 1,    /* left the box */
+    TETCAST_TRACE_SLOW = 2,    /* slower than min_speed */
+    TETCAST_TRACE_BAD = 3,     /* began at no place in the box */
+    TETCAST_TRACE_FORCE_32BIT = 0x7fffffff
+} tetcast_trace_end;
+
+/* field        zero means
+   dt           time of a step; has to be given; < 0: backwards
+   steps        has to be given
+   min_speed    particles go on however slow they are */
+typedef struct tetcast_rbf_trace_desc {
+    uint32_t _begin_zero;
+    tetcast_env env;
+    tetcast_isa isa;
+    tetcast_stepper stepper;
+    double dt;
+    uint32_t steps;
+    float min_speed;
+    uint32_t _end_zero;
+} tetcast_rbf_trace_desc;
+
+/* Follow particles in a model of three components.
+   seeds   in, [count][3], world
+   paths   out, [count][steps + 1][3]: the seed and the places after each step, as far as it got
+   lengths out, [count]: places in each path, 1 .. steps + 1; or NULL
+   ends    out, [count]; or NULL
+   The same bits for any number of threads and any isa. Errors: INVALID_ARG, RANGE, UNINIT_DESC, NO_MEMORY. */
+TETCAST_DEF tetcast_result tetcast_rbf_trace(const tetcast_rbf_trace_desc *desc, const tetcast_rbf *rbf,
+                                             const double *seeds, size_t count, double *paths, uint32_t *lengths,
+                                             tetcast_trace_end *ends);
+
+#endif /* TETCAST_NO_RBF */
+
 
 /* ---- misc ---- */
 
@@ -12910,6 +13242,3851 @@ TETCAST_DEF tetcast_result tetcast_plane_section(const tetcast_env *env, const t
     return TETCAST_OK;
 }
 #endif /* TETCAST_NO_BRICKS */
+#ifndef TETCAST_NO_RBF
+/* ---------------------------------------------------------------------------
+   rbf: sums of radial basis functions: bytes, kernels, files.                   // >>rbf
+
+   Local coordinates: (world - origin) / scale, scale = metric * unit, unit the power of two for which the longest side of
+   the box is in (0.5, 1]. The box is [0, size] there, distances are isotropic.
+   --------------------------------------------------------------------------- */
+
+#define TETCASTI_RBF_DEPTH 10u      /* of the octree */
+#define TETCASTI_RBF_LEAF 16u       /* functions in a leaf that is not split */
+#define TETCASTI_RBF_MAGIC 12582912.0f /* 1.5 * 2^23: adding it rounds to an integer */
+
+/* One function as it is evaluated. With s = 1 + a d^2 (compact kernels) or g = 2^(a d^2) (Gaussians):
+   GAUSS max(g - e, 0), GAUSS_CUT g where g > e, POWER max(s, 0)^8. w holds the weights times what the kernel is divided
+   by. Functions never look at their radius: outside of it these forms give 0 by themselves. */
+typedef struct tetcasti_rbf_record {
+    float c[3], a, e, radius;
+    float w[TETCAST_RBF_MAX_COMPONENTS];
+    float most, unused;             /* largest |w| */
+} tetcasti_rbf_record;
+
+typedef struct tetcasti_rbf_node {
+    uint32_t child;                 /* first of eight nodes, 0: a leaf */
+    uint32_t first, count;          /* leaf: of index[] */
+} tetcasti_rbf_node;
+
+/* How many bits things have in a file; position[0] = 0: all are 32-bit floats */
+typedef struct tetcasti_rbf_bits {
+    uint32_t position[3], width, weight, node;
+    float width_min;                /* width k is width_min * 2^(k / 8) */
+    float weight_step, node_step;
+} tetcasti_rbf_bits;
+
+struct tetcast_rbf {
+    tetcasti_mem mem;
+    uint32_t components, count;
+    tetcast_kernel kernel;
+    float cut, epsilon;
+    double box_min[3], box_max[3], metric[3], scale[3], unit;
+    float size[3];                  /* of the box, local */
+    float offset[TETCAST_RBF_MAX_COMPONENTS];
+    uint32_t dims[3];               /* of the base grid; 0 0 0: none */
+    float node_scale[3];            /* local -> nodes */
+    float *node;                    /* [dims][components] */
+    float (*centre)[3];             /* [count]: what is stored; Morton order */
+    float *width;
+    float *weight;                  /* [count][components] */
+    tetcasti_rbf_record *record;    /* [count] */
+    tetcasti_rbf_node *tree;        /* [0] is the root: the cube [0, 1]^3 */
+    uint32_t *index;
+    uint32_t tree_count, index_count, tree_depth;
+    tetcasti_rbf_bits bits;
+    float range[2], max_error, mean_error;
+};
+
+/* ---- kernels ---- */
+
+/* Radius over width of the compact kernels: closest to a Gaussian. */
+static float tetcasti_kernel_reach(tetcast_kernel kernel) {
+    return kernel == TETCAST_KERNEL_WENDLAND2 ? 3.70f : kernel == TETCAST_KERNEL_WENDLAND4 ? 4.22f : 4.21f;
+}
+
+/* 2^x for x <= 0; 2^-120 below -120. Relative error 7.5e-8 by the polynomial, and rounding. */
+TETCASTI_INLINE float tetcasti_exp2_fast(float x) {
+    float t, f, p;
+    uint32_t n, bits;
+    x = x > -120.0f ? x : -120.0f;
+    t = x + TETCASTI_RBF_MAGIC;
+    memcpy(&n, &t, 4);
+    f = x - (t - TETCASTI_RBF_MAGIC);
+    p = 0.001327647198f * f + 0.009675541334f;
+    p = p * f + 0.05550713274f;
+    p = p * f + 0.2402211972f;
+    p = p * f + 0.6931469671f;
+    p = p * f + 1.000000072f;
+    memcpy(&bits, &p, 4);
+    bits += n << 23;
+    memcpy(&p, &bits, 4);
+    return p;
+}
+
+/* phi of a squared distance. *slope: derivative by the place = slope * (place - centre). */
+TETCASTI_INLINE float tetcasti_rbf_phi(const tetcast_kernel kernel, const tetcasti_rbf_record *f, float d2,
+                                       float *slope) {
+    if (kernel == TETCAST_KERNEL_GAUSS || kernel == TETCAST_KERNEL_GAUSS_CUT) {
+        const float g = tetcasti_exp2_fast(f->a * d2), m = g - f->e;
+        if (slope != NULL) *slope = m > 0.0f ? (1.38629436f * f->a) * g : 0.0f;
+        return kernel == TETCAST_KERNEL_GAUSS ? (m > 0.0f ? m : 0.0f) : m > 0.0f ? g : 0.0f;
+    }
+    if (kernel == TETCAST_KERNEL_POWER) {
+        float s = 1.0f + f->a * d2, s2, s4;
+        s = s > 0.0f ? s : 0.0f;
+        s2 = s * s;
+        s4 = s2 * s2;
+        if (slope != NULL) *slope = (16.0f * f->a) * (s4 * (s2 * s));
+        return s4 * s4;
+    } else {
+        const float q = sqrtf(0.0f - f->a * d2);
+        float s = 1.0f - q, s2, s4;
+        s = s > 0.0f ? s : 0.0f;
+        s2 = s * s;
+        s4 = s2 * s2;
+        if (kernel == TETCAST_KERNEL_WENDLAND2) {
+            if (slope != NULL) *slope = (20.0f * f->a) * (s2 * s);
+            return s4 * (4.0f * q + 1.0f);
+        }
+        if (slope != NULL) *slope = (18.666667f * f->a) * ((5.0f * q + 1.0f) * (s4 * s));
+        return (s4 * s2) * ((35.0f * q + 18.0f) * q + 3.0f) * 0.33333333f;
+    }
+}
+
+/* Kernel, centre, width, weights -> record. */
+static void tetcasti_rbf_prepare(const tetcast_rbf *m, uint32_t i, tetcasti_rbf_record *f) {
+    const double w = (double)m->width[i], k = 0.72134752044448170368 / (w * w); /* log2(e) / 2 */
+    double divide = 1.0;
+    uint32_t c;
+    memset(f, 0, sizeof *f);
+    memcpy(f->c, m->centre[i], sizeof f->c);
+    for (c = 0; c < m->components; c++) {
+        const float a = tetcasti_absf(m->weight[(size_t)i * m->components + c]);
+        f->most = a > f->most ? a : f->most;
+    }
+    if (m->kernel == TETCAST_KERNEL_GAUSS) {
+        const double e = tetcasti_exp2(-0.72134752044448170368 * (double)m->cut * (double)m->cut);
+        f->a = (float)-k;
+        f->e = (float)e;
+        f->radius = (float)((double)m->cut * w);
+        divide = 1.0 - e;
+    } else if (m->kernel == TETCAST_KERNEL_GAUSS_CUT) {
+        f->a = (float)-k;
+        f->e = 2.0f;
+        if (f->most > m->epsilon) {
+            f->e = m->epsilon / f->most;
+            f->radius = (float)(w * sqrt(-1.38629436111989061883 * tetcasti_log2((double)f->e)));
+        }
+    } else {
+        const double r = (double)tetcasti_kernel_reach(m->kernel) * w;
+        f->a = (float)(-1.0 / (r * r));
+        f->radius = (float)r;
+    }
+    for (c = 0; c < m->components; c++)
+        f->w[c] = (float)((double)m->weight[(size_t)i * m->components + c] / divide);
+    f->most = (float)((double)f->most / divide);
+    if (f->most == 0.0f) f->radius = 0.0f;
+    f->radius *= 1.00001f; /* lists are made by it: rounding shall leave nobody out */
+}
+
+/* ---- base ---- */
+
+/* Cell and fraction of a place along one axis. */
+TETCASTI_INLINE uint32_t tetcasti_rbf_cell(const tetcast_rbf *m, uint32_t axis, float x, float *u) {
+    const uint32_t last = m->dims[axis] - 1;
+    float t = x * m->node_scale[axis];
+    uint32_t i;
+    t = t > 0.0f ? t : 0.0f;
+    t = t < (float)last ? t : (float)last;
+    i = (uint32_t)t;
+    if (i != 0 && i == last) i--;
+    *u = t - (float)i;
+    return i;
+}
+
+/* Trilinear base at a place; slope NULL or [components][3], local. */
+static void tetcasti_rbf_base(const tetcast_rbf *m, const float p[3], float *value, float (*slope)[3]) {
+    const uint32_t n = m->components;
+    const float *v;
+    float u[3];
+    size_t step[3];
+    uint32_t c, i[3], a;
+    if (m->node == NULL) {
+        for (c = 0; c < n; c++) {
+            value[c] = m->offset[c];
+            if (slope != NULL) slope[c][0] = slope[c][1] = slope[c][2] = 0.0f;
+        }
+        return;
+    }
+    for (a = 0; a < 3; a++) i[a] = tetcasti_rbf_cell(m, a, p[a], &u[a]);
+    step[0] = m->dims[0] > 1 ? n : 0;
+    step[1] = m->dims[1] > 1 ? (size_t)n * m->dims[0] : 0;
+    step[2] = m->dims[2] > 1 ? (size_t)n * m->dims[0] * m->dims[1] : 0;
+    v = m->node + (((size_t)i[2] * m->dims[1] + i[1]) * m->dims[0] + i[0]) * n;
+    for (c = 0; c < n; c++, v++) {
+        const float a0 = v[step[1]] - v[0], a1 = v[step[0] + step[1]] - v[step[0]];
+        const float b0 = v[step[1] + step[2]] - v[step[2]];
+        const float b1 = v[step[0] + step[1] + step[2]] - v[step[0] + step[2]];
+        const float x0 = v[0] + u[1] * a0, x1 = v[step[0]] + u[1] * a1;                       /* z below */
+        const float y0 = v[step[2]] + u[1] * b0, y1 = v[step[0] + step[2]] + u[1] * b1;       /* z above */
+        const float z0 = x0 + u[2] * (y0 - x0), z1 = x1 + u[2] * (y1 - x1);
+        value[c] = z0 + u[0] * (z1 - z0);
+        if (slope != NULL) {
+            const float s0 = a0 + u[2] * (b0 - a0), s1 = a1 + u[2] * (b1 - a1);
+            slope[c][0] = (z1 - z0) * m->node_scale[0];
+            slope[c][1] = (s0 + u[0] * (s1 - s0)) * m->node_scale[1];
+            slope[c][2] = ((y0 - x0) + u[0] * ((y1 - x1) - (y0 - x0))) * m->node_scale[2];
+        }
+    }
+}
+
+/* ---- making a model ---- */
+
+static void tetcasti_rbf_local(const tetcast_rbf *m, const double world[3], float out[3]) {
+    uint32_t a;
+    for (a = 0; a < 3; a++) out[a] = (float)((world[a] - m->box_min[a]) / m->scale[a]);
+}
+
+/* Box and metric -> scale, unit, size. 0: no box. */
+static int tetcasti_rbf_place(tetcast_rbf *m) {
+    double longest = 0.0;
+    uint64_t bits;
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        const double side = (m->box_max[a] - m->box_min[a]) / m->metric[a];
+        if (!tetcasti_finite(m->box_min[a]) || !tetcasti_finite(m->box_max[a]) || !(m->metric[a] > 0.0) ||
+            !tetcasti_finite(m->metric[a]) || !(side >= 0.0) || !tetcasti_finite(side)) return 0;
+        longest = tetcasti_max(longest, side);
+    }
+    m->unit = 1.0;
+    if (longest > 0.0) {
+        if (longest < 1e-280 || longest > 1e280) return 0;
+        memcpy(&bits, &longest, sizeof bits);
+        bits = (bits + 0xfffffffffffffu) & 0xfff0000000000000u; /* the next power of two */
+        memcpy(&m->unit, &bits, sizeof bits);
+    }
+    for (a = 0; a < 3; a++) {
+        m->scale[a] = m->metric[a] * m->unit;
+        if (!(m->scale[a] > 1e-290 && m->scale[a] < 1e290)) return 0;
+        m->size[a] = (float)((m->box_max[a] - m->box_min[a]) / m->scale[a]);
+    }
+    return 1;
+}
+
+static void tetcasti_rbf_node_scale(tetcast_rbf *m) {
+    uint32_t a;
+    for (a = 0; a < 3; a++)
+        m->node_scale[a] = m->dims[a] > 1 && m->size[a] > 0.0f ? (float)(m->dims[a] - 1) / m->size[a] : 0.0f;
+}
+
+static int tetcasti_rbf_alloc(tetcast_rbf *m) { /* what count, dims and components say; 0: no memory */
+    size_t nodes = (size_t)m->dims[0] * m->dims[1] * m->dims[2];
+    m->centre = (float (*)[3])tetcasti_alloc_zero(&m->mem, m->count + 1u, sizeof *m->centre);
+    m->width = (float *)tetcasti_alloc_zero(&m->mem, m->count + 1u, sizeof *m->width);
+    m->weight = (float *)tetcasti_alloc_zero(&m->mem, ((size_t)m->count + 1u) * m->components, sizeof *m->weight);
+    if (nodes != 0) m->node = (float *)tetcasti_alloc_zero(&m->mem, nodes * m->components, sizeof *m->node);
+    return m->centre != NULL && m->width != NULL && m->weight != NULL && (nodes == 0 || m->node != NULL);
+}
+
+TETCAST_DEF void tetcast_rbf_destroy(tetcast_rbf *rbf) {
+    tetcasti_mem mem;
+    if (rbf == NULL) return;
+    mem = rbf->mem;
+    tetcasti_free(&mem, rbf->centre);
+    tetcasti_free(&mem, rbf->width);
+    tetcasti_free(&mem, rbf->weight);
+    tetcasti_free(&mem, rbf->node);
+    tetcasti_free(&mem, rbf->record);
+    tetcasti_free(&mem, rbf->tree);
+    tetcasti_free(&mem, rbf->index);
+    tetcasti_free(&mem, rbf);
+}
+
+/* Does the ball of f touch the box? */
+TETCASTI_INLINE int tetcasti_rbf_touches(const tetcasti_rbf_record *f, const float lo[3], const float hi[3]) {
+    float d2 = 0.0f;
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        const float d = f->c[a] < lo[a] ? lo[a] - f->c[a] : f->c[a] > hi[a] ? f->c[a] - hi[a] : 0.0f;
+        d2 += d * d;
+    }
+    return d2 <= f->radius * f->radius;
+}
+
+typedef struct tetcasti_rbf_grow { /* an octree in the making */
+    tetcast_rbf *m;
+    uint32_t *list;             /* a stack of the lists of the nodes on the way down */
+    size_t tree_room, index_room, list_room;
+    float margin;
+    int failed;
+} tetcasti_rbf_grow;
+
+static void tetcasti_rbf_child_box(const float lo[3], float side, uint32_t k, float out_lo[3], float out_hi[3]) {
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        out_lo[a] = lo[a] + ((k >> a & 1u) != 0 ? side : 0.0f);
+        out_hi[a] = out_lo[a] + side;
+    }
+}
+
+static void tetcasti_rbf_leaf(tetcasti_rbf_grow *g, uint32_t node, size_t begin, size_t count) {
+    tetcast_rbf *m = g->m;
+    if ((uint64_t)m->index_count + count > 0xffffff00u ||
+        !tetcasti_grow(&m->mem, (void **)&m->index, &g->index_room, m->index_count, m->index_count + count,
+                       sizeof *m->index)) {
+        g->failed = 1;
+        return;
+    }
+    m->tree[node].first = m->index_count;
+    m->tree[node].count = (uint32_t)count;
+    memcpy(m->index + m->index_count, g->list + begin, count * sizeof *m->index);
+    m->index_count += (uint32_t)count;
+}
+
+/* Node `node` has the functions list[begin .. begin + count). A node is split unless its children would have lists about
+   as long as its own (the thesis' rule), or memory for lists runs out: 16 entries a function. */
+static void tetcasti_rbf_split(tetcasti_rbf_grow *g, uint32_t node, const float lo[3], float side, uint32_t depth,
+                               size_t begin, size_t count) {
+    tetcast_rbf *m = g->m;
+    size_t sum = 0, i;
+    uint32_t k, child;
+    float clo[8][3], chi[8][3];
+    if (g->failed) return;
+    if (depth > m->tree_depth) m->tree_depth = depth;
+    side *= 0.5f;
+    for (k = 0; k < 8; k++) tetcasti_rbf_child_box(lo, side, k, clo[k], chi[k]);
+    if (count > TETCASTI_RBF_LEAF && depth < TETCASTI_RBF_DEPTH) {
+        for (i = 0; i < count; i++)
+            for (k = 0; k < 8; k++)
+                sum += (size_t)tetcasti_rbf_touches(&m->record[g->list[begin + i]], clo[k], chi[k]);
+    }
+    if (sum == 0 || sum > 6 * count || (uint64_t)m->index_count + sum > 16u * (uint64_t)m->count + 65536u) {
+        tetcasti_rbf_leaf(g, node, begin, count);
+        return;
+    }
+    child = m->tree_count;
+    if (!tetcasti_grow(&m->mem, (void **)&m->tree, &g->tree_room, m->tree_count, (size_t)m->tree_count + 8,
+                       sizeof *m->tree)) {
+        g->failed = 1;
+        return;
+    }
+    m->tree_count += 8;
+    m->tree[node].child = child;
+    memset(m->tree + child, 0, 8 * sizeof *m->tree);
+    for (k = 0; k < 8 && !g->failed; k++) {
+        size_t n = 0;
+        if (!tetcasti_grow(&m->mem, (void **)&g->list, &g->list_room, begin + count, begin + 2 * count,
+                           sizeof *g->list)) {
+            g->failed = 1;
+            return;
+        }
+        for (i = 0; i < count; i++) {
+            const uint32_t f = g->list[begin + i];
+            if (tetcasti_rbf_touches(&m->record[f], clo[k], chi[k])) g->list[begin + count + n++] = f;
+        }
+        tetcasti_rbf_split(g, child + k, clo[k], side, depth + 1, begin + count, n);
+    }
+}
+
+/* Records and octree of a model whose functions are there. */
+static tetcast_result tetcasti_rbf_finish(tetcast_rbf *m) {
+    static const float zero[3] = {0.0f, 0.0f, 0.0f};
+    tetcasti_rbf_grow g;
+    uint32_t i, n = 0;
+    memset(&g, 0, sizeof g);
+    g.m = m;
+    tetcasti_rbf_node_scale(m);
+    m->record = (tetcasti_rbf_record *)tetcasti_alloc_zero(&m->mem, m->count + 1u, sizeof *m->record);
+    g.list_room = m->count + 1u;
+    g.list = (uint32_t *)tetcasti_alloc_array(&m->mem, g.list_room, sizeof *g.list);
+    g.failed = m->record == NULL || g.list == NULL ||
+               !tetcasti_grow(&m->mem, (void **)&m->tree, &g.tree_room, 0, 16, sizeof *m->tree);
+    if (!g.failed) {
+        for (i = 0; i < m->count; i++) {
+            tetcasti_rbf_prepare(m, i, &m->record[i]);
+            if (m->record[i].radius > 0.0f) g.list[n++] = i;
+        }
+        memset(m->tree, 0, sizeof *m->tree);
+        m->tree_count = 1;
+        tetcasti_rbf_split(&g, 0, zero, 1.0f, 0, 0, n);
+    }
+    tetcasti_free(&m->mem, g.list);
+    return g.failed ? TETCAST_ERR_NO_MEMORY : TETCAST_OK;
+}
+
+/* Put the functions in the order of a Morton curve. 0: no memory. */
+typedef struct tetcasti_rbf_key { uint64_t key; uint32_t i; } tetcasti_rbf_key;
+
+static void tetcasti_rbf_sift(tetcasti_rbf_key *k, size_t at, size_t n) {
+    for (;;) {
+        size_t c = 2 * at + 1;
+        tetcasti_rbf_key t;
+        if (c >= n) return;
+        if (c + 1 < n && (k[c + 1].key > k[c].key || (k[c + 1].key == k[c].key && k[c + 1].i > k[c].i))) c++;
+        if (k[at].key > k[c].key || (k[at].key == k[c].key && k[at].i > k[c].i)) return;
+        t = k[at];
+        k[at] = k[c];
+        k[c] = t;
+        at = c;
+    }
+}
+static void tetcasti_rbf_sort(tetcasti_rbf_key *k, size_t n) { /* heap sort by (key, i) */
+    size_t i;
+    for (i = n / 2; i-- > 0;) tetcasti_rbf_sift(k, i, n);
+    for (i = n; i-- > 1;) {
+        tetcasti_rbf_key t = k[0];
+        k[0] = k[i];
+        k[i] = t;
+        tetcasti_rbf_sift(k, 0, i);
+    }
+}
+
+static int tetcasti_rbf_order(tetcast_rbf *m) {
+    tetcasti_rbf_key *key = (tetcasti_rbf_key *)tetcasti_alloc_array(&m->mem, m->count + 1u, sizeof *key);
+    float (*centre)[3] = (float (*)[3])tetcasti_alloc_array(&m->mem, m->count + 1u, sizeof *centre);
+    float *width = (float *)tetcasti_alloc_array(&m->mem, m->count + 1u, sizeof *width);
+    float *weight = (float *)tetcasti_alloc_array(&m->mem, ((size_t)m->count + 1u) * m->components, sizeof *weight);
+    const int ok = key != NULL && centre != NULL && width != NULL && weight != NULL;
+    uint32_t i, a;
+    for (i = 0; ok && i < m->count; i++) {
+        uint32_t p[3];
+        for (a = 0; a < 3; a++) {
+            const float x = m->centre[i][a];
+            p[a] = !(x > 0.0f) ? 0u : x >= 1.0f ? 0x1fffffu : (uint32_t)(x * 2097152.0f);
+        }
+        key[i].key = tetcasti_morton(p[0], p[1], p[2]);
+        key[i].i = i;
+    }
+    if (ok) {
+        tetcasti_rbf_sort(key, m->count);
+        for (i = 0; i < m->count; i++) {
+            memcpy(centre[i], m->centre[key[i].i], sizeof *centre);
+            width[i] = m->width[key[i].i];
+            memcpy(weight + (size_t)i * m->components, m->weight + (size_t)key[i].i * m->components,
+                   m->components * sizeof *weight);
+        }
+        memcpy(m->centre, centre, m->count * sizeof *centre);
+        memcpy(m->width, width, m->count * sizeof *width);
+        memcpy(m->weight, weight, (size_t)m->count * m->components * sizeof *weight);
+    }
+    tetcasti_free(&m->mem, key);
+    tetcasti_free(&m->mem, centre);
+    tetcasti_free(&m->mem, width);
+    tetcasti_free(&m->mem, weight);
+    return ok;
+}
+
+static tetcast_result tetcasti_rbf_check(const tetcast_rbf_desc *d) {
+    uint32_t c;
+    if (d->components > TETCAST_RBF_MAX_COMPONENTS || (uint32_t)d->kernel >= TETCAST_KERNEL_COUNT ||
+        (d->cut != 0.0f && !(d->cut >= 1.0f && d->cut <= 8.0f)) || !(d->epsilon >= 0.0f && d->epsilon < 1e30f) ||
+        (d->function_count != 0 && d->functions == NULL) ||
+        ((d->base_dims[0] != 0) != (d->base != NULL))) return TETCAST_ERR_INVALID_ARG;
+    for (c = 0; c < TETCAST_RBF_MAX_COMPONENTS; c++)
+        if (!(tetcasti_absf(d->offset[c]) < TETCASTI_VALUE_END)) return TETCAST_ERR_INVALID_ARG;
+    if (d->function_count > TETCAST_RBF_MAX_FUNCTIONS) return TETCAST_ERR_RANGE;
+    return TETCAST_OK;
+}
+
+static int tetcasti_rbf_dims_ok(const uint32_t dims[3]) { /* all 0, or none and not too many */
+    if (dims[0] == 0 && dims[1] == 0 && dims[2] == 0) return 1;
+    if (dims[0] == 0 || dims[1] == 0 || dims[2] == 0) return 0;
+    return dims[0] <= TETCAST_RBF_MAX_NODES && dims[1] <= TETCAST_RBF_MAX_NODES && dims[2] <= TETCAST_RBF_MAX_NODES &&
+           (uint64_t)dims[0] * dims[1] <= TETCAST_RBF_MAX_NODES &&
+           (uint64_t)dims[0] * dims[1] * dims[2] <= TETCAST_RBF_MAX_NODES;
+}
+
+static int tetcasti_rbf_function_ok(const tetcast_rbf *m, uint32_t i) {
+    uint32_t a;
+    int ok = m->width[i] >= 1e-6f && m->width[i] <= 1e6f;
+    for (a = 0; a < 3; a++) ok = ok && tetcasti_absf(m->centre[i][a]) <= 1e6f;
+    for (a = 0; a < m->components; a++)
+        ok = ok && tetcasti_absf(m->weight[(size_t)i * m->components + a]) < TETCASTI_VALUE_END;
+    return ok;
+}
+
+TETCAST_DEF tetcast_result tetcast_rbf_create(const tetcast_rbf_desc *desc, tetcast_rbf **out) {
+    tetcasti_mem mem;
+    tetcast_rbf *m;
+    tetcast_result r;
+    size_t i, nodes;
+    uint32_t a;
+    float most = 0.0f;
+    if (out == NULL) return TETCAST_ERR_INVALID_ARG;
+    *out = NULL;
+    if (desc == NULL) return TETCAST_ERR_INVALID_ARG;
+    if (desc->_begin_zero != 0 || desc->_end_zero != 0) return TETCAST_ERR_UNINIT_DESC;
+    r = tetcasti_env_open(&desc->env, &mem);
+    if (r == TETCAST_OK) r = tetcasti_rbf_check(desc);
+    if (r == TETCAST_OK && !tetcasti_rbf_dims_ok(desc->base_dims)) r = TETCAST_ERR_RANGE;
+    if (r != TETCAST_OK) return tetcasti_fail(desc->env.error, r, 0, "functions: an option is out of range");
+    m = (tetcast_rbf *)tetcasti_alloc_zero(&mem, 1, sizeof *m);
+    if (m == NULL) return tetcasti_fail(desc->env.error, TETCAST_ERR_NO_MEMORY, 0, "functions: out of memory");
+    m->mem = mem;
+    m->components = desc->components != 0 ? desc->components : 1;
+    m->count = (uint32_t)desc->function_count;
+    m->kernel = desc->kernel;
+    m->cut = desc->cut != 0.0f ? desc->cut : 3.5f;
+    m->max_error = m->mean_error = -1.0f;
+    memcpy(m->offset, desc->offset, sizeof m->offset);
+    memcpy(m->dims, desc->base_dims, sizeof m->dims);
+    for (a = 0; a < 3; a++) {
+        m->box_min[a] = desc->box_min[a];
+        m->box_max[a] = desc->box_max[a];
+        m->metric[a] = desc->metric[a] != 0.0 ? desc->metric[a] : 1.0;
+    }
+    if (!tetcasti_rbf_place(m)) {
+        tetcast_rbf_destroy(m);
+        return tetcasti_fail(desc->env.error, TETCAST_ERR_INVALID_ARG, 0, "functions: the box or the metric is none");
+    }
+    if (!tetcasti_rbf_alloc(m)) r = TETCAST_ERR_NO_MEMORY;
+    for (i = 0; r == TETCAST_OK && i < m->count; i++) {
+        const tetcast_rbf_function *f = &desc->functions[i];
+        tetcasti_rbf_local(m, f->centre, m->centre[i]);
+        m->width[i] = (float)(f->width / m->unit);
+        memcpy(m->weight + i * m->components, f->weight, m->components * sizeof *m->weight);
+        for (a = 0; a < m->components; a++)
+            if (tetcasti_absf(f->weight[a]) > most) most = tetcasti_absf(f->weight[a]);
+        if (!tetcasti_rbf_function_ok(m, (uint32_t)i))
+            r = tetcasti_fail(desc->env.error, TETCAST_ERR_INVALID_ARG, i, "functions: number % is out of range");
+    }
+    nodes = (size_t)m->dims[0] * m->dims[1] * m->dims[2] * m->components;
+    for (i = 0; r == TETCAST_OK && i < nodes; i++) {
+        m->node[i] = desc->base[i];
+        if (!(tetcasti_absf(m->node[i]) < TETCASTI_VALUE_END))
+            r = tetcasti_fail(desc->env.error, TETCAST_ERR_INVALID_ARG, i / m->components,
+                              "functions: node % of the base is not finite");
+    }
+    m->epsilon = desc->epsilon != 0.0f ? desc->epsilon : 1e-3f * most;
+    if (r == TETCAST_OK && !tetcasti_rbf_order(m)) r = TETCAST_ERR_NO_MEMORY;
+    if (r == TETCAST_OK) r = tetcasti_rbf_finish(m);
+    if (r != TETCAST_OK) {
+        tetcast_rbf_destroy(m);
+        if (r == TETCAST_ERR_NO_MEMORY) (void)tetcasti_fail(desc->env.error, r, 0, "functions: out of memory");
+        return r;
+    }
+    *out = m;
+    return TETCAST_OK;
+}
+
+TETCAST_DEF int tetcast_rbf_get_function(const tetcast_rbf *rbf, uint32_t index, tetcast_rbf_function *out) {
+    uint32_t a;
+    if (rbf == NULL || out == NULL || index >= rbf->count) return 0;
+    memset(out, 0, sizeof *out);
+    for (a = 0; a < 3; a++) out->centre[a] = rbf->box_min[a] + (double)rbf->centre[index][a] * rbf->scale[a];
+    out->width = (double)rbf->width[index] * rbf->unit;
+    memcpy(out->weight, rbf->weight + (size_t)index * rbf->components, rbf->components * sizeof *out->weight);
+    return 1;
+}
+
+/* ---- files ---- */
+
+enum { TETCASTI_RBF_HEADER = 216 };
+static const uint8_t tetcasti_rbf_magic[8] = {0x89, 0x52, 0x42, 0x46, 0x0d, 0x0a, 0x1a, 0x0a}; /* 89 R B F CR LF ^Z LF */
+
+/* Bytes of the nodes and of the functions. */
+static void tetcasti_rbf_sizes(const tetcast_rbf *m, uint64_t *nodes, uint64_t *functions) {
+    const tetcasti_rbf_bits *b = &m->bits;
+    const uint64_t n = (uint64_t)m->dims[0] * m->dims[1] * m->dims[2] * m->components;
+    const uint32_t each = b->position[0] == 0 ? 32u * (4u + m->components)
+        : b->position[0] + b->position[1] + b->position[2] + b->width + b->weight * m->components;
+    *nodes = (n * (b->position[0] == 0 ? 32u : b->node) + 7u) / 8u;
+    *functions = ((uint64_t)m->count * each + 7u) / 8u;
+}
+
+typedef struct tetcasti_bits { uint8_t *p; const uint8_t *from; uint64_t at; } tetcasti_bits; /* lowest bits first */
+
+static void tetcasti_bits_put(tetcasti_bits *b, uint32_t bits, uint32_t value) {
+    uint32_t i;
+    for (i = 0; i < bits; i++, b->at++)
+        if (value >> i & 1u) b->p[b->at >> 3] = (uint8_t)(b->p[b->at >> 3] | 1u << (b->at & 7u));
+}
+static uint32_t tetcasti_bits_get(tetcasti_bits *b, uint32_t bits) {
+    uint32_t i, v = 0;
+    for (i = 0; i < bits; i++, b->at++) v |= (uint32_t)(b->from[b->at >> 3] >> (b->at & 7u) & 1u) << i;
+    return v;
+}
+static int32_t tetcasti_bits_signed(tetcasti_bits *b, uint32_t bits) {
+    const uint32_t v = tetcasti_bits_get(b, bits);
+    return bits == 0 ? 0 : (int32_t)v - (int32_t)((v >> (bits - 1)) << (bits - 1) << 1);
+}
+static uint32_t tetcasti_float_bits(float x) { uint32_t u; memcpy(&u, &x, 4); return u; }
+static float tetcasti_bits_float(uint32_t u) { float x; memcpy(&x, &u, 4); return x; }
+static void tetcasti_store_f64(uint8_t *p, double x) { uint64_t u; memcpy(&u, &x, 8); tetcasti_store_u64(p, u); }
+static double tetcasti_load_f64(const uint8_t *p) {
+    const uint64_t u = tetcasti_load_u64(p);
+    double x;
+    memcpy(&x, &u, 8);
+    return x;
+}
+
+/* Numbers <-> what is stored of them. */
+static float tetcasti_rbf_position(const tetcast_rbf *m, uint32_t axis, uint32_t q) {
+    return (float)((double)m->size[axis] * (double)q / (double)(((uint32_t)1 << m->bits.position[axis]) - 1u));
+}
+static uint32_t tetcasti_rbf_position_code(const tetcast_rbf *m, uint32_t axis, double x) {
+    const uint32_t last = ((uint32_t)1 << m->bits.position[axis]) - 1u;
+    const double q = m->size[axis] > 0.0f ? x / (double)m->size[axis] * (double)last + 0.5 : 0.0;
+    return !(q > 0.0) ? 0u : q >= (double)last ? last : (uint32_t)q;
+}
+static float tetcasti_rbf_width(const tetcast_rbf *m, uint32_t q) {
+    return (float)((double)m->bits.width_min * tetcasti_exp2((double)q / 8.0));
+}
+static uint32_t tetcasti_rbf_width_code(const tetcast_rbf *m, double w) {
+    const uint32_t last = ((uint32_t)1 << m->bits.width) - 1u;
+    const double q = 8.0 * tetcasti_log2(w / (double)m->bits.width_min) + 0.5;
+    return !(q > 0.0) ? 0u : q >= (double)last ? last : (uint32_t)q;
+}
+static int32_t tetcasti_rbf_code(double x, double step, uint32_t bits) { /* nearest multiple of step in `bits` bits */
+    const double most = (double)(((uint32_t)1 << (bits - 1)) - 1u), q = x / step;
+    if (!(q > -most)) return (int32_t)-most;
+    if (q >= most) return (int32_t)most;
+    return (int32_t)tetcasti_floor(q + 0.5);
+}
+
+static uint64_t tetcasti_rbf_checksum(const uint8_t *p, size_t size) {
+    uint64_t h = tetcasti_hash_bytes(0x7262660d0a1a0a01u, p, 24);
+    return tetcasti_hash_bytes(h, p + 32, size - 32);
+}
+
+static void tetcasti_rbf_write_header(const tetcast_rbf *m, uint8_t *p, uint64_t size) {
+    const tetcasti_rbf_bits *b = &m->bits;
+    uint32_t a;
+    memcpy(p, tetcasti_rbf_magic, 8);
+    tetcasti_store_u16(p + 8, 1);
+    tetcasti_store_u16(p + 12, TETCASTI_RBF_HEADER);
+    p[14] = (uint8_t)m->kernel;
+    p[15] = (uint8_t)m->components;
+    tetcasti_store_u64(p + 16, size);
+    tetcasti_store_u32(p + 32, m->count);
+    tetcasti_store_u32(p + 48, tetcasti_float_bits(m->cut));
+    tetcasti_store_u32(p + 52, tetcasti_float_bits(m->epsilon));
+    p[59] = (uint8_t)b->width;
+    p[60] = (uint8_t)b->weight;
+    p[61] = (uint8_t)b->node;
+    tetcasti_store_u32(p + 64, tetcasti_float_bits(b->width_min));
+    tetcasti_store_u32(p + 68, tetcasti_float_bits(b->weight_step));
+    tetcasti_store_u32(p + 72, tetcasti_float_bits(b->node_step));
+    tetcasti_store_u32(p + 76, tetcasti_float_bits(m->max_error));
+    tetcasti_store_u32(p + 80, tetcasti_float_bits(m->mean_error));
+    tetcasti_store_u32(p + 84, tetcasti_float_bits(m->range[0]));
+    tetcasti_store_u32(p + 88, tetcasti_float_bits(m->range[1]));
+    for (a = 0; a < 3; a++) {
+        tetcasti_store_u32(p + 36 + 4 * a, m->dims[a]);
+        p[56 + a] = (uint8_t)b->position[a];
+        tetcasti_store_f64(p + 112 + 8 * a, m->box_min[a]);
+        tetcasti_store_f64(p + 136 + 8 * a, m->box_max[a]);
+        tetcasti_store_f64(p + 160 + 8 * a, m->metric[a]);
+    }
+    for (a = 0; a < TETCAST_RBF_MAX_COMPONENTS; a++) tetcasti_store_u32(p + 96 + 4 * a, tetcasti_float_bits(m->offset[a]));
+}
+
+TETCAST_DEF tetcast_result tetcast_rbf_save_memory(const tetcast_rbf *rbf, void *buffer, size_t capacity,
+                                                   size_t *out_size) {
+    const tetcast_rbf *m = rbf;
+    uint64_t nodes, functions, size;
+    uint8_t *p = (uint8_t *)buffer;
+    tetcasti_bits b;
+    size_t i, count;
+    uint32_t a;
+    if (out_size != NULL) *out_size = 0;
+    if (rbf == NULL || out_size == NULL) return TETCAST_ERR_INVALID_ARG;
+    tetcasti_rbf_sizes(m, &nodes, &functions);
+    size = TETCASTI_RBF_HEADER + nodes + functions;
+    if (size > (size_t)-1) return TETCAST_ERR_RANGE;
+    *out_size = (size_t)size;
+    if (buffer == NULL) return TETCAST_OK;
+    if (capacity < size) return TETCAST_ERR_RANGE;
+    memset(p, 0, (size_t)size);
+    tetcasti_rbf_write_header(m, p, size);
+    count = (size_t)m->dims[0] * m->dims[1] * m->dims[2] * m->components;
+    b.p = p + TETCASTI_RBF_HEADER;
+    b.at = 0;
+    for (i = 0; i < count; i++) {
+        if (m->bits.position[0] == 0) tetcasti_bits_put(&b, 32, tetcasti_float_bits(m->node[i]));
+        else tetcasti_bits_put(&b, m->bits.node, (uint32_t)tetcasti_rbf_code(
+            (double)m->node[i] - (double)m->offset[i % m->components], (double)m->bits.node_step, m->bits.node));
+    }
+    b.p += nodes;
+    b.at = 0;
+    for (i = 0; i < m->count; i++) {
+        for (a = 0; a < 3; a++) {
+            if (m->bits.position[0] == 0) tetcasti_bits_put(&b, 32, tetcasti_float_bits(m->centre[i][a]));
+            else tetcasti_bits_put(&b, m->bits.position[a], tetcasti_rbf_position_code(m, a, (double)m->centre[i][a]));
+        }
+        if (m->bits.position[0] == 0) tetcasti_bits_put(&b, 32, tetcasti_float_bits(m->width[i]));
+        else tetcasti_bits_put(&b, m->bits.width, tetcasti_rbf_width_code(m, (double)m->width[i]));
+        for (a = 0; a < m->components; a++) {
+            const float w = m->weight[i * m->components + a];
+            if (m->bits.position[0] == 0) tetcasti_bits_put(&b, 32, tetcasti_float_bits(w));
+            else tetcasti_bits_put(&b, m->bits.weight, (uint32_t)tetcasti_rbf_code(
+                (double)w, (double)m->bits.weight_step, m->bits.weight));
+        }
+    }
+    tetcasti_store_u64(p + 24, tetcasti_rbf_checksum(p, (size_t)size));
+    return TETCAST_OK;
+}
+
+/* The header, checked. */
+static tetcast_result tetcasti_rbf_read_header(const uint8_t *p, size_t size, tetcast_rbf *m, uint64_t *at) {
+    tetcasti_rbf_bits *b = &m->bits;
+    uint32_t a, raw;
+    uint64_t nodes, functions;
+    float f[12];
+    *at = 0;
+    if (size >= 8 && memcmp(p, tetcasti_rbf_magic, 8) != 0) return TETCAST_ERR_FORMAT;
+    *at = size;
+    if (size < TETCASTI_RBF_HEADER) return TETCAST_ERR_TRUNCATED;
+    *at = 8;
+    if (tetcasti_load_u16(p + 8) != 1) return TETCAST_ERR_VERSION;
+    *at = 12;
+    if (tetcasti_load_u16(p + 12) != TETCASTI_RBF_HEADER) return TETCAST_ERR_FORMAT;
+    *at = 16;
+    if (tetcasti_load_u64(p + 16) != size) return size < tetcasti_load_u64(p + 16) ? TETCAST_ERR_TRUNCATED : TETCAST_ERR_FORMAT;
+    *at = 24;
+    if (tetcasti_load_u64(p + 24) != tetcasti_rbf_checksum(p, size)) return TETCAST_ERR_CHECKSUM;
+    m->kernel = (tetcast_kernel)p[14];
+    m->components = p[15];
+    m->count = tetcasti_load_u32(p + 32);
+    *at = 14;
+    if (p[14] >= TETCAST_KERNEL_COUNT || m->components < 1 || m->components > TETCAST_RBF_MAX_COMPONENTS)
+        return TETCAST_ERR_FORMAT;
+    for (a = 0; a < 3; a++) {
+        m->dims[a] = tetcasti_load_u32(p + 36 + 4 * a);
+        b->position[a] = p[56 + a];
+        m->box_min[a] = tetcasti_load_f64(p + 112 + 8 * a);
+        m->box_max[a] = tetcasti_load_f64(p + 136 + 8 * a);
+        m->metric[a] = tetcasti_load_f64(p + 160 + 8 * a);
+    }
+    b->width = p[59];
+    b->weight = p[60];
+    b->node = p[61];
+    for (a = 0; a < 12; a++) f[a] = tetcasti_bits_float(tetcasti_load_u32(p + (a < 2 ? 48 : 56) + 4 * a));
+    m->cut = f[0];
+    m->epsilon = f[1];
+    b->width_min = f[2];
+    b->weight_step = f[3];
+    b->node_step = f[4];
+    m->max_error = f[5];
+    m->mean_error = f[6];
+    m->range[0] = f[7];
+    m->range[1] = f[8];
+    for (a = 0; a < TETCAST_RBF_MAX_COMPONENTS; a++) {
+        m->offset[a] = tetcasti_bits_float(tetcasti_load_u32(p + 96 + 4 * a));
+        *at = 96;
+        if (!(tetcasti_absf(m->offset[a]) < TETCASTI_VALUE_END)) return TETCAST_ERR_FORMAT;
+    }
+    *at = 32;
+    if (m->count > TETCAST_RBF_MAX_FUNCTIONS || !tetcasti_rbf_dims_ok(m->dims)) return TETCAST_ERR_FORMAT;
+    *at = 48;
+    if (!(m->cut >= 1.0f && m->cut <= 8.0f) || !(m->epsilon >= 0.0f && m->epsilon < 1e30f)) return TETCAST_ERR_FORMAT;
+    for (a = 5; a < 9; a++) if (!tetcasti_finite_f(f[a])) return TETCAST_ERR_FORMAT;
+    *at = 56;
+    raw = b->position[0] == 0;
+    if (raw) {
+        if (b->position[1] != 0 || b->position[2] != 0 || b->width != 0 || b->weight != 0 || b->node != 0)
+            return TETCAST_ERR_FORMAT;
+    } else {
+        for (a = 0; a < 3; a++) if (b->position[a] < 1 || b->position[a] > 21) return TETCAST_ERR_FORMAT;
+        if (b->width > 8 || b->weight < 2 || b->weight > 24 || b->node < 2 || b->node > 24) return TETCAST_ERR_FORMAT;
+        if (!(b->width_min >= 1e-6f && b->width_min <= 1e-3f * 1e6f / 4.0f) || !(b->weight_step > 1e-37f) ||
+            !(b->weight_step < 1e30f) || !(b->node_step > 1e-37f) || !(b->node_step < 1e30f)) return TETCAST_ERR_FORMAT;
+        if (!(tetcasti_exp2((double)((1u << b->width) - 1u) / 8.0) * (double)b->width_min <= 1e6)) return TETCAST_ERR_FORMAT;
+    }
+    for (a = 62; a < 64; a++) if (p[a] != 0) return TETCAST_ERR_FORMAT;
+    for (a = 184; a < TETCASTI_RBF_HEADER; a++) if (p[a] != 0) return TETCAST_ERR_FORMAT;
+    *at = 112;
+    if (!tetcasti_rbf_place(m)) return TETCAST_ERR_FORMAT;
+    tetcasti_rbf_sizes(m, &nodes, &functions);
+    *at = 16;
+    return TETCASTI_RBF_HEADER + nodes + functions == size ? TETCAST_OK : TETCAST_ERR_FORMAT;
+}
+
+static tetcast_result tetcasti_rbf_read(const uint8_t *p, size_t size, tetcast_rbf *m, uint64_t *at) {
+    tetcast_result r = tetcasti_rbf_read_header(p, size, m, at);
+    uint64_t nodes, functions;
+    tetcasti_bits b;
+    size_t i, count;
+    uint32_t a, raw;
+    if (r != TETCAST_OK) return r;
+    *at = 0;
+    if (!tetcasti_rbf_alloc(m)) return TETCAST_ERR_NO_MEMORY;
+    tetcasti_rbf_sizes(m, &nodes, &functions);
+    raw = m->bits.position[0] == 0;
+    count = (size_t)m->dims[0] * m->dims[1] * m->dims[2] * m->components;
+    b.from = p + TETCASTI_RBF_HEADER;
+    b.at = 0;
+    for (i = 0; i < count; i++) {
+        if (raw) m->node[i] = tetcasti_bits_float(tetcasti_bits_get(&b, 32));
+        else m->node[i] = (float)((double)m->offset[i % m->components] +
+                                  (double)tetcasti_bits_signed(&b, m->bits.node) * (double)m->bits.node_step);
+        *at = TETCASTI_RBF_HEADER + (b.at >> 3);
+        if (!(tetcasti_absf(m->node[i]) < TETCASTI_VALUE_END)) return TETCAST_ERR_FORMAT;
+    }
+    b.from += nodes;
+    b.at = 0;
+    for (i = 0; i < m->count; i++) {
+        for (a = 0; a < 3; a++) {
+            const uint32_t q = tetcasti_bits_get(&b, raw ? 32u : m->bits.position[a]);
+            m->centre[i][a] = raw ? tetcasti_bits_float(q) : tetcasti_rbf_position(m, a, q);
+        }
+        a = tetcasti_bits_get(&b, raw ? 32u : m->bits.width);
+        m->width[i] = raw ? tetcasti_bits_float(a) : tetcasti_rbf_width(m, a);
+        for (a = 0; a < m->components; a++) {
+            if (raw) m->weight[i * m->components + a] = tetcasti_bits_float(tetcasti_bits_get(&b, 32));
+            else m->weight[i * m->components + a] =
+                (float)((double)tetcasti_bits_signed(&b, m->bits.weight) * (double)m->bits.weight_step);
+        }
+        *at = TETCASTI_RBF_HEADER + nodes + (b.at >> 3);
+        if (!tetcasti_rbf_function_ok(m, (uint32_t)i)) return TETCAST_ERR_FORMAT;
+    }
+    *at = 0;
+    return tetcasti_rbf_finish(m);
+}
+
+TETCAST_DEF tetcast_result tetcast_rbf_load_memory(const tetcast_env *env, const void *data, size_t size,
+                                                   tetcast_rbf **out) {
+    tetcast_env none;
+    tetcasti_mem mem;
+    tetcast_rbf *m;
+    tetcast_result r;
+    uint64_t at = 0;
+    if (out == NULL) return TETCAST_ERR_INVALID_ARG;
+    *out = NULL;
+    memset(&none, 0, sizeof none);
+    if (env == NULL) env = &none;
+    if (data == NULL && size != 0) return TETCAST_ERR_INVALID_ARG;
+    r = tetcasti_env_open(env, &mem);
+    if (r != TETCAST_OK) return r;
+    m = (tetcast_rbf *)tetcasti_alloc_zero(&mem, 1, sizeof *m);
+    if (m == NULL) return tetcasti_fail(env->error, TETCAST_ERR_NO_MEMORY, 0, "functions: out of memory");
+    m->mem = mem;
+    r = tetcasti_rbf_read((const uint8_t *)data, size, m, &at);
+    if (r == TETCAST_OK) {
+        *out = m;
+        return TETCAST_OK;
+    }
+    tetcast_rbf_destroy(m);
+    if (r == TETCAST_ERR_NO_MEMORY) return tetcasti_fail(env->error, r, 0, "functions: out of memory");
+    return tetcasti_fail(env->error, r, at, "functions: the file is not right at byte %");
+}
+
+#ifndef TETCAST_NO_STDIO
+TETCAST_DEF tetcast_result tetcast_rbf_save_file(const tetcast_rbf *rbf, const tetcast_env *env, const char *path) {
+    tetcast_env none;
+    tetcasti_mem mem;
+    size_t size;
+    void *p;
+    FILE *file;
+    int ok;
+    tetcast_result r;
+    memset(&none, 0, sizeof none);
+    if (env == NULL) env = &none;
+    if (path == NULL) return TETCAST_ERR_INVALID_ARG;
+    r = tetcasti_env_open(env, &mem);
+    if (r == TETCAST_OK) r = tetcast_rbf_save_memory(rbf, NULL, 0, &size);
+    if (r != TETCAST_OK) return r;
+    p = tetcasti_alloc(&mem, size);
+    if (p == NULL) return tetcasti_fail(env->error, TETCAST_ERR_NO_MEMORY, 0, "functions: out of memory");
+    (void)tetcast_rbf_save_memory(rbf, p, size, &size);
+    file = fopen(path, "wb");
+    ok = file != NULL && fwrite(p, 1, size, file) == size;
+    if (file != NULL && fclose(file) != 0) ok = 0;
+    tetcasti_free(&mem, p);
+    return ok ? TETCAST_OK : tetcasti_fail(env->error, TETCAST_ERR_IO, 0, "functions: the file cannot be written");
+}
+
+TETCAST_DEF tetcast_result tetcast_rbf_load_file(const tetcast_env *env, const char *path, tetcast_rbf **out) {
+    tetcast_env none;
+    tetcasti_mem mem;
+    tetcast_result r;
+    FILE *file;
+    long end = -1;
+    uint8_t *p = NULL;
+    if (out == NULL) return TETCAST_ERR_INVALID_ARG;
+    *out = NULL;
+    if (path == NULL) return TETCAST_ERR_INVALID_ARG;
+    memset(&none, 0, sizeof none);
+    if (env == NULL) env = &none;
+    r = tetcasti_env_open(env, &mem);
+    if (r != TETCAST_OK) return r;
+    file = fopen(path, "rb");
+    if (file != NULL && fseek(file, 0, SEEK_END) == 0) end = ftell(file);
+    if (end >= 0 && fseek(file, 0, SEEK_SET) == 0) {
+        p = (uint8_t *)tetcasti_alloc(&mem, (size_t)end + 1);
+        r = p == NULL ? TETCAST_ERR_NO_MEMORY
+            : fread(p, 1, (size_t)end, file) != (size_t)end ? TETCAST_ERR_IO : TETCAST_OK;
+    } else r = TETCAST_ERR_IO;
+    if (file != NULL) (void)fclose(file);
+    if (r == TETCAST_OK) r = tetcast_rbf_load_memory(env, p, (size_t)end, out);
+    else (void)tetcasti_fail(env->error, r, 0, "functions: the file cannot be read");
+    tetcasti_free(&mem, p);
+    return r;
+}
+#endif
+/* ---------------------------------------------------------------------------
+   rbf_eval: values and derivatives at points, bounds, features of flows.        // >>rbf_eval
+
+   Up to eight points of one leaf go through its list together, one function after the other. A function that does not
+   reach a point adds 0, so the sum over the list and the sum over all functions are the same bits, and nothing jumps
+   between leaves.
+   --------------------------------------------------------------------------- */
+
+#define TETCASTI_RBF_CHUNK 256u /* points of a task */
+
+typedef struct tetcasti_rbf_packet { /* eight points; sums per component and, where asked for, along x y z */
+    float p[3][8];
+    float sum[TETCAST_RBF_MAX_COMPONENTS][8];
+    float slope[TETCAST_RBF_MAX_COMPONENTS][3][8];
+} tetcasti_rbf_packet;
+
+/* The leaf of a place, or TETCASTI_NONE outside of the root: there all functions are asked. */
+static uint32_t tetcasti_rbf_find(const tetcast_rbf *m, const float p[3]) {
+    uint32_t node = 0, k, a, bit;
+    uint32_t q[3];
+    for (a = 0; a < 3; a++) {
+        if (!(p[a] >= 0.0f && p[a] < 1.0f)) return TETCAST_NONE;
+        q[a] = (uint32_t)(p[a] * (float)(1u << TETCASTI_RBF_DEPTH));
+    }
+    for (bit = TETCASTI_RBF_DEPTH; m->tree[node].child != 0; node = m->tree[node].child + k) {
+        bit--;
+        k = (q[0] >> bit & 1u) | (q[1] >> bit & 1u) << 1 | (q[2] >> bit & 1u) << 2;
+    }
+    return node;
+}
+
+#define TETCASTI_RBF_ONE(kernel, want) do { \
+    float sl, phi; \
+    const float dx = v->p[0][l] - f->c[0], dy = v->p[1][l] - f->c[1], dz = v->p[2][l] - f->c[2]; \
+    const float d2 = (dx * dx + dy * dy) + dz * dz; \
+    phi = tetcasti_rbf_phi(kernel, f, d2, (want) ? &sl : NULL); \
+    for (c = 0; c < n; c++) v->sum[c][l] += f->w[c] * phi; \
+    if (want) for (c = 0; c < n; c++) { \
+        const float s = f->w[c] * sl; \
+        v->slope[c][0][l] += s * dx; \
+        v->slope[c][1][l] += s * dy; \
+        v->slope[c][2][l] += s * dz; \
+    } } while (0)
+
+TETCASTI_INLINE void tetcasti_rbf_add_kind(const tetcast_kernel kernel, const tetcast_rbf *m, const uint32_t *list,
+                                           uint32_t count, int want, tetcasti_rbf_packet *v) {
+    const uint32_t n = m->components;
+    uint32_t i, l, c;
+    for (i = 0; i < count; i++) {
+        const tetcasti_rbf_record *f = &m->record[list != NULL ? list[i] : i];
+        if (want) for (l = 0; l < 8; l++) TETCASTI_RBF_ONE(kernel, 1);
+        else for (l = 0; l < 8; l++) TETCASTI_RBF_ONE(kernel, 0);
+    }
+}
+static void tetcasti_rbf_add(const tetcast_rbf *m, const uint32_t *list, uint32_t count, int want,
+                             tetcasti_rbf_packet *v) {
+    switch (m->kernel) {
+    case TETCAST_KERNEL_GAUSS: tetcasti_rbf_add_kind(TETCAST_KERNEL_GAUSS, m, list, count, want, v); break;
+    case TETCAST_KERNEL_GAUSS_CUT: tetcasti_rbf_add_kind(TETCAST_KERNEL_GAUSS_CUT, m, list, count, want, v); break;
+    case TETCAST_KERNEL_WENDLAND2: tetcasti_rbf_add_kind(TETCAST_KERNEL_WENDLAND2, m, list, count, want, v); break;
+    case TETCAST_KERNEL_WENDLAND4: tetcasti_rbf_add_kind(TETCAST_KERNEL_WENDLAND4, m, list, count, want, v); break;
+    default: tetcasti_rbf_add_kind(TETCAST_KERNEL_POWER, m, list, count, want, v); break;
+    }
+}
+
+#if TETCASTI_AVX2
+TETCASTI_TARGET_AVX2 TETCASTI_INLINE __m256 tetcasti_exp2_fast8(__m256 x) {
+    const __m256 magic = _mm256_set1_ps(TETCASTI_RBF_MAGIC);
+    __m256 t, f, p;
+    x = _mm256_max_ps(x, _mm256_set1_ps(-120.0f));
+    t = _mm256_add_ps(x, magic);
+    f = _mm256_sub_ps(x, _mm256_sub_ps(t, magic));
+    p = _mm256_add_ps(_mm256_mul_ps(_mm256_set1_ps(0.001327647198f), f), _mm256_set1_ps(0.009675541334f));
+    p = _mm256_add_ps(_mm256_mul_ps(p, f), _mm256_set1_ps(0.05550713274f));
+    p = _mm256_add_ps(_mm256_mul_ps(p, f), _mm256_set1_ps(0.2402211972f));
+    p = _mm256_add_ps(_mm256_mul_ps(p, f), _mm256_set1_ps(0.6931469671f));
+    p = _mm256_add_ps(_mm256_mul_ps(p, f), _mm256_set1_ps(1.000000072f));
+    return _mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(p),
+                                                _mm256_slli_epi32(_mm256_castps_si256(t), 23)));
+}
+
+/* phi of eight squared distances, as tetcasti_rbf_phi. */
+TETCASTI_TARGET_AVX2 TETCASTI_INLINE __m256 tetcasti_rbf_phi8(const tetcast_kernel kernel,
+                                                              const tetcasti_rbf_record *f, __m256 d2, const int want,
+                                                              __m256 *slope) {
+    const __m256 zero = _mm256_setzero_ps(), one = _mm256_set1_ps(1.0f), a = _mm256_set1_ps(f->a);
+    const __m256 x = _mm256_mul_ps(a, d2);
+    __m256 s, s2, s4, q;
+    if (kernel == TETCAST_KERNEL_GAUSS || kernel == TETCAST_KERNEL_GAUSS_CUT) {
+        const __m256 g = tetcasti_exp2_fast8(x), m = _mm256_sub_ps(g, _mm256_set1_ps(f->e));
+        const __m256 in = _mm256_cmp_ps(m, zero, _CMP_GT_OQ);
+        if (want) *slope = _mm256_and_ps(in, _mm256_mul_ps(_mm256_mul_ps(_mm256_set1_ps(1.38629436f), a), g));
+        return _mm256_and_ps(in, kernel == TETCAST_KERNEL_GAUSS ? m : g);
+    }
+    if (kernel == TETCAST_KERNEL_POWER) {
+        s = _mm256_max_ps(_mm256_add_ps(one, x), zero);
+        s2 = _mm256_mul_ps(s, s);
+        s4 = _mm256_mul_ps(s2, s2);
+        if (want) *slope = _mm256_mul_ps(_mm256_mul_ps(_mm256_set1_ps(16.0f), a), _mm256_mul_ps(s4, _mm256_mul_ps(s2, s)));
+        return _mm256_mul_ps(s4, s4);
+    }
+    q = _mm256_sqrt_ps(_mm256_sub_ps(zero, x));
+    s = _mm256_max_ps(_mm256_sub_ps(one, q), zero);
+    s2 = _mm256_mul_ps(s, s);
+    s4 = _mm256_mul_ps(s2, s2);
+    if (kernel == TETCAST_KERNEL_WENDLAND2) {
+        if (want) *slope = _mm256_mul_ps(_mm256_mul_ps(_mm256_set1_ps(20.0f), a), _mm256_mul_ps(s2, s));
+        return _mm256_mul_ps(s4, _mm256_add_ps(_mm256_mul_ps(_mm256_set1_ps(4.0f), q), one));
+    }
+    if (want) *slope = _mm256_mul_ps(_mm256_mul_ps(_mm256_set1_ps(18.666667f), a),
+        _mm256_mul_ps(_mm256_add_ps(_mm256_mul_ps(_mm256_set1_ps(5.0f), q), one), _mm256_mul_ps(s4, s)));
+    return _mm256_mul_ps(_mm256_mul_ps(_mm256_mul_ps(s4, s2),
+        _mm256_add_ps(_mm256_mul_ps(_mm256_add_ps(_mm256_mul_ps(_mm256_set1_ps(35.0f), q), _mm256_set1_ps(18.0f)), q),
+                      _mm256_set1_ps(3.0f))), _mm256_set1_ps(0.33333333f));
+}
+
+TETCASTI_TARGET_AVX2 TETCASTI_INLINE void tetcasti_rbf_add8_kind(const tetcast_kernel kernel, const uint32_t n,
+        const int want, const tetcast_rbf *m, const uint32_t *list, uint32_t count, tetcasti_rbf_packet *v) {
+    const __m256 px = _mm256_loadu_ps(v->p[0]), py = _mm256_loadu_ps(v->p[1]), pz = _mm256_loadu_ps(v->p[2]);
+    __m256 sum[TETCAST_RBF_MAX_COMPONENTS], slope[TETCAST_RBF_MAX_COMPONENTS][3];
+    uint32_t i, c, a;
+    for (c = 0; c < n; c++) {
+        sum[c] = _mm256_loadu_ps(v->sum[c]);
+        if (want) for (a = 0; a < 3; a++) slope[c][a] = _mm256_loadu_ps(v->slope[c][a]);
+    }
+    for (i = 0; i < count; i++) {
+        const tetcasti_rbf_record *f = &m->record[list != NULL ? list[i] : i];
+        const __m256 dx = _mm256_sub_ps(px, _mm256_set1_ps(f->c[0])), dy = _mm256_sub_ps(py, _mm256_set1_ps(f->c[1]));
+        const __m256 dz = _mm256_sub_ps(pz, _mm256_set1_ps(f->c[2]));
+        const __m256 d2 = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(dx, dx), _mm256_mul_ps(dy, dy)),
+                                        _mm256_mul_ps(dz, dz));
+        __m256 sl = _mm256_setzero_ps();
+        const __m256 phi = tetcasti_rbf_phi8(kernel, f, d2, want, &sl);
+        for (c = 0; c < n; c++) sum[c] = _mm256_add_ps(sum[c], _mm256_mul_ps(_mm256_set1_ps(f->w[c]), phi));
+        if (want) for (c = 0; c < n; c++) {
+            const __m256 s = _mm256_mul_ps(_mm256_set1_ps(f->w[c]), sl);
+            slope[c][0] = _mm256_add_ps(slope[c][0], _mm256_mul_ps(s, dx));
+            slope[c][1] = _mm256_add_ps(slope[c][1], _mm256_mul_ps(s, dy));
+            slope[c][2] = _mm256_add_ps(slope[c][2], _mm256_mul_ps(s, dz));
+        }
+    }
+    for (c = 0; c < n; c++) {
+        _mm256_storeu_ps(v->sum[c], sum[c]);
+        if (want) for (a = 0; a < 3; a++) _mm256_storeu_ps(v->slope[c][a], slope[c][a]);
+    }
+}
+
+#define TETCASTI_RBF_ADD8(name, kernel) \
+    TETCASTI_TARGET_AVX2 static void name(const tetcast_rbf *m, const uint32_t *list, uint32_t count, int want, \
+                                          tetcasti_rbf_packet *v) { \
+        if (m->components == 1 && !want) tetcasti_rbf_add8_kind(kernel, 1, 0, m, list, count, v); \
+        else if (m->components == 1) tetcasti_rbf_add8_kind(kernel, 1, 1, m, list, count, v); \
+        else if (m->components == 3 && want) tetcasti_rbf_add8_kind(kernel, 3, 1, m, list, count, v); \
+        else if (m->components == 3) tetcasti_rbf_add8_kind(kernel, 3, 0, m, list, count, v); \
+        else if (want) tetcasti_rbf_add8_kind(kernel, m->components, 1, m, list, count, v); \
+        else tetcasti_rbf_add8_kind(kernel, m->components, 0, m, list, count, v); \
+    }
+TETCASTI_RBF_ADD8(tetcasti_rbf_add8_gauss, TETCAST_KERNEL_GAUSS)
+TETCASTI_RBF_ADD8(tetcasti_rbf_add8_cut, TETCAST_KERNEL_GAUSS_CUT)
+TETCASTI_RBF_ADD8(tetcasti_rbf_add8_wendland2, TETCAST_KERNEL_WENDLAND2)
+TETCASTI_RBF_ADD8(tetcasti_rbf_add8_wendland4, TETCAST_KERNEL_WENDLAND4)
+TETCASTI_RBF_ADD8(tetcasti_rbf_add8_power, TETCAST_KERNEL_POWER)
+#endif
+
+typedef void tetcasti_rbf_add_fn(const tetcast_rbf *m, const uint32_t *list, uint32_t count, int want,
+                                 tetcasti_rbf_packet *v);
+
+static tetcast_isa tetcasti_rbf_isa(tetcast_isa isa) { /* AVX2 or scalar */
+    const tetcast_isa best = tetcast_isa_best();
+    if (isa == TETCAST_ISA_AUTO || isa > best) isa = best;
+    return isa >= TETCAST_ISA_AVX2 ? TETCAST_ISA_AVX2 : TETCAST_ISA_SCALAR;
+}
+static tetcasti_rbf_add_fn *tetcasti_rbf_add_pick(const tetcast_rbf *m, tetcast_isa isa) {
+#if TETCASTI_AVX2
+    if (isa >= TETCAST_ISA_AVX2) {
+        switch (m->kernel) {
+        case TETCAST_KERNEL_GAUSS: return tetcasti_rbf_add8_gauss;
+        case TETCAST_KERNEL_GAUSS_CUT: return tetcasti_rbf_add8_cut;
+        case TETCAST_KERNEL_WENDLAND2: return tetcasti_rbf_add8_wendland2;
+        case TETCAST_KERNEL_WENDLAND4: return tetcasti_rbf_add8_wendland4;
+        default: return tetcasti_rbf_add8_power;
+        }
+    }
+#endif
+    (void)m;
+    (void)isa;
+    return tetcasti_rbf_add;
+}
+
+/* Points of one leaf: base, then the functions. Lanes from `lanes` on are copies of lane 0. */
+static void tetcasti_rbf_sum(const tetcast_rbf *m, tetcasti_rbf_add_fn *add, uint32_t leaf, int want, uint32_t lanes,
+                             tetcasti_rbf_packet *v) {
+    uint32_t l, c, a;
+    for (l = 0; l < lanes; l++) {
+        float p[3], value[TETCAST_RBF_MAX_COMPONENTS], slope[TETCAST_RBF_MAX_COMPONENTS][3];
+        for (a = 0; a < 3; a++) p[a] = v->p[a][l];
+        tetcasti_rbf_base(m, p, value, want ? slope : NULL);
+        for (c = 0; c < m->components; c++) {
+            v->sum[c][l] = value[c];
+            if (want) for (a = 0; a < 3; a++) v->slope[c][a][l] = slope[c][a];
+        }
+    }
+    for (; l < 8; l++) {
+        for (a = 0; a < 3; a++) v->p[a][l] = v->p[a][0];
+        for (c = 0; c < m->components; c++) {
+            v->sum[c][l] = v->sum[c][0];
+            if (want) for (a = 0; a < 3; a++) v->slope[c][a][l] = v->slope[c][a][0];
+        }
+    }
+    if (leaf == TETCAST_NONE) add(m, NULL, m->count, want, v);
+    else add(m, m->index + m->tree[leaf].first, m->tree[leaf].count, want, v);
+}
+
+/* Up to TETCASTI_RBF_CHUNK points, local coordinates. values [n][components], slopes [n][components][3] (local) or NULL. */
+static void tetcasti_rbf_points(const tetcast_rbf *m, tetcasti_rbf_add_fn *add, int all, const float (*p)[3],
+                                uint32_t n, float *values, float *slopes) {
+    tetcasti_rbf_key key[TETCASTI_RBF_CHUNK];
+    tetcasti_rbf_packet v;
+    uint32_t i, j, l, c, a, sorted = 1, lanes;
+    for (i = 0; i < n; i++) {
+        key[i].key = all ? TETCAST_NONE : tetcasti_rbf_find(m, p[i]);
+        key[i].i = i;
+        if (i != 0 && key[i].key < key[i - 1].key) sorted = 0;
+    }
+    if (!sorted) tetcasti_rbf_sort(key, n);
+    for (i = 0; i < n; i += lanes) {
+        for (lanes = 1; lanes < 8 && i + lanes < n && key[i + lanes].key == key[i].key;) lanes++;
+        for (l = 0; l < lanes; l++)
+            for (a = 0; a < 3; a++) v.p[a][l] = p[key[i + l].i][a];
+        tetcasti_rbf_sum(m, add, (uint32_t)key[i].key, slopes != NULL, lanes, &v);
+        for (l = 0; l < lanes; l++) {
+            j = key[i + l].i;
+            for (c = 0; c < m->components; c++) {
+                values[j * m->components + c] = v.sum[c][l];
+                if (slopes != NULL)
+                    for (a = 0; a < 3; a++) slopes[(j * m->components + c) * 3 + a] = v.slope[c][a][l];
+            }
+        }
+    }
+}
+
+typedef struct tetcasti_rbf_job {
+    const tetcast_rbf *m;
+    tetcasti_rbf_add_fn *add;
+    int all;
+    const double *positions;   /* NULL: nodes of a grid */
+    size_t count;
+    uint32_t dims[3];
+    float *values, *jacobians;
+} tetcasti_rbf_job;
+
+static void tetcasti_rbf_job_place(const tetcasti_rbf_job *t, size_t i, float p[3]) {
+    uint32_t a, at[3];
+    if (t->positions != NULL) {
+        tetcasti_rbf_local(t->m, t->positions + 3 * i, p);
+        return;
+    }
+    at[0] = (uint32_t)(i % t->dims[0]);
+    at[1] = (uint32_t)(i / t->dims[0] % t->dims[1]);
+    at[2] = (uint32_t)(i / t->dims[0] / t->dims[1]);
+    for (a = 0; a < 3; a++)
+        p[a] = t->dims[a] > 1 ? (float)((double)t->m->size[a] * (double)at[a] / (double)(t->dims[a] - 1))
+                              : 0.5f * t->m->size[a];
+}
+
+static void tetcasti_task_rbf_points(void *ctx, uint32_t task) {
+    const tetcasti_rbf_job *t = (const tetcasti_rbf_job *)ctx;
+    const uint32_t n = t->m->components;
+    const size_t first = (size_t)task * TETCASTI_RBF_CHUNK;
+    const uint32_t count = t->count - first < TETCASTI_RBF_CHUNK ? (uint32_t)(t->count - first) : TETCASTI_RBF_CHUNK;
+    float p[TETCASTI_RBF_CHUNK][3], value[TETCASTI_RBF_CHUNK / 4 * TETCAST_RBF_MAX_COMPONENTS];
+    uint32_t i, k, c, a, part = TETCASTI_RBF_CHUNK / 4;
+    for (i = 0; i < count; i++) tetcasti_rbf_job_place(t, first + i, p[i]);
+    for (k = 0; k < count; k += part) { /* values may not be wanted; there is not that much stack */
+        const uint32_t some = count - k < part ? count - k : part;
+        float *values = t->values != NULL ? t->values + (first + k) * n : value;
+        float *slopes = t->jacobians != NULL ? t->jacobians + (first + k) * n * 3 : NULL;
+        tetcasti_rbf_points(t->m, t->add, t->all, (const float (*)[3])(p + k), some, values, slopes);
+        for (i = 0; i < some; i++) {
+            const float *q = p[k + i];
+            const int bad = !tetcasti_finite_f((q[0] + q[1]) + q[2]);
+            for (c = 0; c < n; c++) {
+                if (bad) values[i * n + c] = NAN;
+                if (slopes == NULL) continue;
+                for (a = 0; a < 3; a++) {
+                    float *s = &slopes[(i * n + c) * 3 + a];
+                    *s = bad ? NAN : (float)((double)*s / t->m->scale[a]);
+                }
+            }
+        }
+    }
+}
+
+static tetcast_result tetcasti_rbf_eval_open(const tetcast_rbf_eval_desc *desc, const tetcast_rbf *m,
+                                             tetcast_rbf_eval_desc *d, tetcasti_rbf_job *t) {
+    tetcasti_mem mem;
+    memset(d, 0, sizeof *d);
+    memset(t, 0, sizeof *t);
+    if (desc != NULL) *d = *desc;
+    if (d->_begin_zero != 0 || d->_end_zero != 0) return TETCAST_ERR_UNINIT_DESC;
+    if (m == NULL) return TETCAST_ERR_INVALID_ARG;
+    t->m = m;
+    t->all = d->all != 0;
+    t->add = tetcasti_rbf_add_pick(m, tetcasti_rbf_isa(d->isa));
+    return tetcasti_env_open(&d->env, &mem);
+}
+
+static tetcast_result tetcasti_rbf_run(const tetcast_rbf_eval_desc *d, tetcasti_rbf_job *t) {
+    if (t->count / TETCASTI_RBF_CHUNK >= 0x7fffffffu) return TETCAST_ERR_RANGE;
+    tetcasti_parallel_for(&d->env, tetcasti_task_rbf_points, t,
+                          (uint32_t)((t->count + TETCASTI_RBF_CHUNK - 1) / TETCASTI_RBF_CHUNK));
+    return TETCAST_OK;
+}
+
+TETCAST_DEF tetcast_result tetcast_rbf_eval(const tetcast_rbf_eval_desc *desc, const tetcast_rbf *rbf,
+                                            const double *positions, size_t count, float *values, float *jacobians) {
+    tetcast_rbf_eval_desc d;
+    tetcasti_rbf_job t;
+    tetcast_result r = tetcasti_rbf_eval_open(desc, rbf, &d, &t);
+    if (r != TETCAST_OK) return r;
+    if (count != 0 && positions == NULL) return TETCAST_ERR_INVALID_ARG;
+    t.positions = positions;
+    t.count = count;
+    t.values = values;
+    t.jacobians = jacobians;
+    return tetcasti_rbf_run(&d, &t);
+}
+
+TETCAST_DEF tetcast_result tetcast_rbf_grid(const tetcast_rbf_eval_desc *desc, const tetcast_rbf *rbf,
+                                            const uint32_t dims[3], float *values) {
+    tetcast_rbf_eval_desc d;
+    tetcasti_rbf_job t;
+    tetcast_result r = tetcasti_rbf_eval_open(desc, rbf, &d, &t);
+    size_t count;
+    if (r != TETCAST_OK) return r;
+    if (dims == NULL || values == NULL || dims[0] == 0 || dims[1] == 0 || dims[2] == 0) return TETCAST_ERR_INVALID_ARG;
+    if (!tetcasti_mul_size(dims[0], dims[1], &count) || !tetcasti_mul_size(count, dims[2], &count) ||
+        !tetcasti_mul_size(count, rbf->components * sizeof(float), &t.count)) return TETCAST_ERR_RANGE;
+    t.count = count;
+    memcpy(t.dims, dims, sizeof t.dims);
+    t.values = values;
+    return tetcasti_rbf_run(&d, &t);
+}
+
+TETCAST_DEF void tetcast_rbf_get_info(const tetcast_rbf *rbf, tetcast_rbf_info *info) {
+    const tetcast_rbf *m = rbf;
+    uint64_t nodes, functions;
+    uint32_t i, a;
+    double lists = 0.0;
+    if (info == NULL) return;
+    memset(info, 0, sizeof *info);
+    if (m == NULL) return;
+    info->components = m->components;
+    info->function_count = m->count;
+    memcpy(info->base_dims, m->dims, sizeof m->dims);
+    info->kernel = m->kernel;
+    info->cut = m->cut;
+    info->epsilon = m->epsilon;
+    for (a = 0; a < 3; a++) {
+        info->box_min[a] = m->box_min[a];
+        info->box_max[a] = m->box_max[a];
+        info->metric[a] = m->metric[a];
+    }
+    for (i = 0; i < m->count; i++) {
+        const double w = (double)m->width[i] * m->unit;
+        if (i == 0 || w < info->smallest_width) info->smallest_width = w;
+        if (w > info->largest_width) info->largest_width = w;
+        for (a = 0; a < m->components; a++) {
+            const float x = tetcasti_absf(m->weight[(size_t)i * m->components + a]);
+            if (x > info->largest_weight) info->largest_weight = x;
+        }
+    }
+    memcpy(info->range, m->range, sizeof m->range);
+    info->max_error = m->max_error;
+    info->mean_error = m->mean_error;
+    tetcasti_rbf_sizes(m, &nodes, &functions);
+    info->file_bytes = TETCASTI_RBF_HEADER + nodes + functions;
+    info->memory_bytes = m->mem.used;
+    for (i = 0; i < m->tree_count; i++) {
+        if (m->tree[i].child != 0) continue;
+        info->cells++;
+        if (m->tree[i].count > info->longest_list) info->longest_list = m->tree[i].count;
+    }
+    for (i = 0; i < 4096; i++) { /* places in the box instead of volumes */
+        float p[3];
+        uint32_t leaf;
+        for (a = 0; a < 3; a++) p[a] = m->size[a] * ((float)(i >> 4 * a & 15u) + 0.5f) * (1.0f / 16.0f);
+        leaf = tetcasti_rbf_find(m, p);
+        if (leaf != TETCAST_NONE) lists += (double)m->tree[leaf].count;
+    }
+    info->mean_list = lists / 4096.0;
+}
+
+/* ---- bounds ---- */
+
+/* Smallest and largest node, and differences of neighbours, in the cells that a box touches. */
+static void tetcasti_rbf_base_bounds(const tetcast_rbf *m, uint32_t c, const float lo[3], const float hi[3],
+                                     double range[2], double *slope) {
+    uint32_t from[3], to[3], a, i, j, k;
+    double steep[3] = {0.0, 0.0, 0.0};
+    float u;
+    if (m->node == NULL) {
+        range[0] = range[1] = (double)m->offset[c];
+        *slope = 0.0;
+        return;
+    }
+    range[0] = 1e300;
+    range[1] = -1e300;
+    for (a = 0; a < 3; a++) {
+        from[a] = tetcasti_rbf_cell(m, a, lo[a], &u);
+        to[a] = tetcasti_rbf_cell(m, a, hi[a], &u) + (m->dims[a] > 1);
+    }
+    for (k = from[2]; k <= to[2]; k++)
+        for (j = from[1]; j <= to[1]; j++)
+            for (i = from[0]; i <= to[0]; i++) {
+                const size_t n = m->components, row = n * m->dims[0];
+                const float *v = m->node + (((size_t)k * m->dims[1] + j) * m->dims[0] + i) * n + c;
+                range[0] = tetcasti_min(range[0], (double)*v);
+                range[1] = tetcasti_max(range[1], (double)*v);
+                if (i < to[0]) steep[0] = tetcasti_max(steep[0], tetcasti_abs((double)v[n] - (double)*v));
+                if (j < to[1]) steep[1] = tetcasti_max(steep[1], tetcasti_abs((double)v[row] - (double)*v));
+                if (k < to[2])
+                    steep[2] = tetcasti_max(steep[2], tetcasti_abs((double)v[row * m->dims[1]] - (double)*v));
+            }
+    *slope = 0.0;
+    for (a = 0; a < 3; a++) {
+        const double s = steep[a] * (double)m->node_scale[a] / m->scale[a];
+        *slope += s * s;
+    }
+    *slope = sqrt(*slope);
+}
+
+/* Largest slope of a kernel of width 1 and height 1. */
+static double tetcasti_kernel_slope(const tetcast_rbf *m) {
+    switch (m->kernel) {
+    case TETCAST_KERNEL_WENDLAND2: return 2.109375 / 3.70; /* at q = 1/4 */
+    case TETCAST_KERNEL_WENDLAND4: return 0.6075;          /* a little more than its largest */
+    case TETCAST_KERNEL_POWER: return 0.6275;
+    default: return 0.60653066; /* e^(-1/2), at one width; record.w has the factor of the shifted form */
+    }
+}
+
+TETCAST_DEF tetcast_result tetcast_rbf_bounds(const tetcast_rbf *rbf, uint32_t component, const double box_min[3],
+                                              const double box_max[3], float *lo, float *hi, float *gradient) {
+    const tetcast_rbf *m = rbf;
+    double range[2], slope, rounding = 0.0, least_scale;
+    float from[3], to[3];
+    uint32_t i, a;
+    if (m == NULL || component >= m->components || box_min == NULL || box_max == NULL) return TETCAST_ERR_INVALID_ARG;
+    for (a = 0; a < 3; a++)
+        if (!tetcasti_finite(box_min[a]) || !tetcasti_finite(box_max[a]) || box_min[a] > box_max[a])
+            return TETCAST_ERR_INVALID_ARG;
+    tetcasti_rbf_local(m, box_min, from);
+    tetcasti_rbf_local(m, box_max, to);
+    tetcasti_rbf_base_bounds(m, component, from, to, range, &slope);
+    rounding = 1e-6 * tetcasti_max(tetcasti_abs(range[0]), tetcasti_abs(range[1]));
+    least_scale = tetcasti_min(tetcasti_min(m->scale[0], m->scale[1]), m->scale[2]);
+    for (i = 0; i < m->count; i++) {
+        const tetcasti_rbf_record *f = &m->record[i];
+        const double w = (double)f->w[component];
+        float least = 0.0f, most = 0.0f, near_phi, far_phi;
+        if (!tetcasti_rbf_touches(f, from, to)) continue;
+        for (a = 0; a < 3; a++) {
+            const float below = from[a] - f->c[a], above = f->c[a] - to[a];
+            const float d = below > above ? below : above, e = below < above ? below : above;
+            if (d > 0.0f) least += d * d;
+            most += e * e;
+        }
+        near_phi = tetcasti_rbf_phi(m->kernel, f, least * 0.999998f, NULL);
+        far_phi = tetcasti_rbf_phi(m->kernel, f, most * 1.000002f, NULL);
+        range[w > 0.0 ? 1 : 0] += w * (double)near_phi;
+        range[w > 0.0 ? 0 : 1] += w * (double)far_phi;
+        rounding += 2e-6 * tetcasti_abs(w);
+        slope += tetcasti_abs(w) * tetcasti_kernel_slope(m) / ((double)m->width[i] * least_scale);
+    }
+    if (lo != NULL) *lo = (float)(range[0] - rounding);
+    if (hi != NULL) *hi = (float)(range[1] + rounding);
+    if (gradient != NULL) *gradient = (float)(slope * 1.00001);
+    return TETCAST_OK;
+}
+
+/* ---- flows ---- */
+
+/* Middle eigenvalue of the symmetric matrix {xx, yy, zz, xy, xz, yz}: closed form with the angle's cosine found by
+   Newton's iteration on 4 c^3 - 3 c = r instead of arc cosine and cosine. */
+static double tetcasti_middle_eigenvalue(const double s[6]) {
+    const double q = (s[0] + s[1] + s[2]) / 3.0, a = s[0] - q, b = s[1] - q, c = s[2] - q;
+    const double p2 = (a * a + b * b + c * c + 2.0 * (s[3] * s[3] + s[4] * s[4] + s[5] * s[5])) / 6.0, p = sqrt(p2);
+    double r, x, y, lo = 0.5, hi = 1.0;
+    uint32_t i;
+    if (!(p > 1e-300) || !(p2 > 1e-28 * q * q)) return q;
+    r = (a * (b * c - s[5] * s[5]) - s[3] * (s[3] * c - s[5] * s[4]) + s[4] * (s[3] * s[5] - b * s[4])) / (p * p2 * 2.0);
+    r = r < -1.0 ? -1.0 : r > 1.0 ? 1.0 : r;
+    /* the largest is q + 2 p x with 4 x^3 - 3 x = r, x in [1/2, 1], where that rises from -1 to 1 */
+    x = 0.75 + 0.25 * r;
+    for (i = 0; i < 60; i++) {
+        const double g = (4.0 * x * x - 3.0) * x - r, d = 12.0 * x * x - 3.0;
+        double next;
+        if (g > 0.0) hi = x;
+        else lo = x;
+        next = d > 1e-6 ? x - g / d : 0.5 * (lo + hi);
+        if (!(next >= lo && next <= hi)) next = 0.5 * (lo + hi);
+        if (next == x) break;
+        x = next;
+    }
+    /* the others are q - p x -+ p sqrt(3 (1 - x^2)) */
+    y = 1.0 - x * x;
+    return q - p * x + p * sqrt(3.0 * (y > 0.0 ? y : 0.0));
+}
+
+TETCAST_DEF void tetcast_flow_features(const float velocity[3], const float jacobian[9], tetcast_flow *out) {
+    double j[9], s[6], w[3], m[6], most = 0.0, scale;
+    uint32_t i, k;
+    if (out == NULL || velocity == NULL || jacobian == NULL) return;
+    memset(out, 0, sizeof *out);
+    for (i = 0; i < 9; i++) {
+        j[i] = (double)jacobian[i];
+        most = tetcasti_max(most, tetcasti_abs(j[i]));
+    }
+    scale = most > 0.0 ? most : 1.0; /* lambda2 goes with its square */
+    out->vorticity[0] = jacobian[7] - jacobian[5];
+    out->vorticity[1] = jacobian[2] - jacobian[6];
+    out->vorticity[2] = jacobian[3] - jacobian[1];
+    for (i = 0; i < 9; i++) j[i] /= scale;
+    for (i = 0; i < 3; i++) s[i] = j[4 * i];
+    s[3] = 0.5 * (j[1] + j[3]);
+    s[4] = 0.5 * (j[2] + j[6]);
+    s[5] = 0.5 * (j[5] + j[7]);
+    w[0] = 0.5 * (j[7] - j[5]);
+    w[1] = 0.5 * (j[2] - j[6]);
+    w[2] = 0.5 * (j[3] - j[1]);
+    /* W^2 = w w^T - |w|^2 */
+    m[0] = s[0] * s[0] + s[3] * s[3] + s[4] * s[4] - w[1] * w[1] - w[2] * w[2];
+    m[1] = s[3] * s[3] + s[1] * s[1] + s[5] * s[5] - w[0] * w[0] - w[2] * w[2];
+    m[2] = s[4] * s[4] + s[5] * s[5] + s[2] * s[2] - w[0] * w[0] - w[1] * w[1];
+    m[3] = s[0] * s[3] + s[3] * s[1] + s[4] * s[5] + w[0] * w[1];
+    m[4] = s[0] * s[4] + s[3] * s[5] + s[4] * s[2] + w[0] * w[2];
+    m[5] = s[3] * s[4] + s[1] * s[5] + s[5] * s[2] + w[1] * w[2];
+    scale *= scale * tetcasti_middle_eigenvalue(m);
+    out->lambda2 = scale > 3e38 ? 3e38f : scale < -3e38 ? -3e38f : (float)scale;
+    scale = 0.0;
+    for (k = 0; k < 3; k++) scale += (double)velocity[k] * (double)velocity[k];
+    out->speed = (float)sqrt(scale);
+    scale = 0.0;
+    for (k = 0; k < 3; k++) scale += (double)velocity[k] * (double)out->vorticity[k];
+    out->helicity = scale > 3e38 ? 3e38f : scale < -3e38 ? -3e38f : (float)scale;
+}
+/* ---------------------------------------------------------------------------
+   rbf_fit: points -> coarse grid and functions, with a guaranteed error.        // >>rbf_fit
+
+   1  points are put into bins of about eight, a row of bins along x is one run of points,
+   2  the coarse grid is the least-squares fit of its nodes (normal equations with 27 entries a row, conjugate gradients),
+   3  greedy: where the error is largest goes a function, of the width out of a ladder that takes most off the sum of
+      squares in its reach, then five Gauss-Newton steps move and widen it,
+   4  sweeps: each function in turn is taken out, left out if nothing exceeds the tolerance without it, else fitted
+      again with weights that grow with the error, so that the largest errors sink,
+   3 and 4 alternate while the threshold sinks to the tolerance. All parameters are rounded to what is stored before the
+   error is updated.
+   Threads: blocks of bins in eight colours (parities); functions of one block reach less than half a block beyond it, so
+   blocks of one colour share no point.
+   --------------------------------------------------------------------------- */
+
+#define TETCASTI_FIT_BIN 8u          /* points in a bin, about */
+#define TETCASTI_FIT_SPLIT 8         /* positions are stored in this part of the spacing */
+#define TETCASTI_FIT_LADDER 24u
+
+typedef struct tetcasti_fit_function {
+    float c[3], width, w[TETCAST_RBF_MAX_COMPONENTS];
+    uint32_t dead;
+} tetcasti_fit_function;
+
+typedef struct tetcasti_fit_block {
+    uint32_t lo[3], hi[3];           /* bins, hi excluded */
+    tetcasti_fit_function *f;
+    size_t count, room;
+    uint32_t dropped, inserted;
+} tetcasti_fit_block;
+
+typedef struct tetcasti_fit {
+    tetcasti_mem *mem;
+    const tetcast_env *env;
+    tetcast_rbf *m;                  /* place, kernel, cut, components, bits */
+    tetcast_isa isa;
+    uint32_t n, count;
+    float *x, *y, *z;                /* local */
+    float *value[TETCAST_RBF_MAX_COMPONENTS], *res[TETCAST_RBF_MAX_COMPONENTS], *heed; /* heed: weight of a point */
+    uint32_t *source;                /* number in the input */
+    uint32_t bins[3];
+    float bin_scale[3];
+    uint32_t *start;                 /* [bins + 1] */
+    float *peak;                     /* [bins]: largest squared error */
+    double spacing;                  /* local */
+    double range;
+    float reach, e;                  /* radius / width; what the kernel is shifted by */
+    float widest;
+    float tolerance, threshold, heed_scale;
+    uint32_t sharp, polish;          /* heed errors; move and widen */
+    size_t cap;                      /* functions of all blocks, trials end there */
+    tetcasti_fit_block *block;
+    uint32_t blocks[3], color;
+    uint32_t failed, full;           /* atomics */
+    uint32_t inserted;               /* atomic */
+    tetcast_rbf_report *report;
+    uint64_t rejected, duplicates;
+} tetcasti_fit;
+
+/* Function -> record; weights are those of the model, the record's are divided as always. */
+static void tetcasti_fit_record(const tetcasti_fit *t, const tetcasti_fit_function *f, tetcasti_rbf_record *r) {
+    const double w = (double)f->width;
+    const float divide = t->e;
+    uint32_t c;
+    memset(r, 0, sizeof *r);
+    memcpy(r->c, f->c, sizeof r->c);
+    if (t->m->kernel == TETCAST_KERNEL_GAUSS) {
+        r->a = (float)(-0.72134752044448170368 / (w * w));
+        r->e = divide;
+    } else r->a = (float)(-1.0 / ((double)t->reach * (double)t->reach * w * w));
+    r->radius = t->reach * f->width * 1.00001f;
+    for (c = 0; c < t->n; c++) r->w[c] = (float)((double)f->w[c] / (1.0 - (double)divide));
+}
+
+typedef struct tetcasti_fit_rows { uint32_t lo[3], hi[3]; } tetcasti_fit_rows; /* bins in reach, both included */
+
+TETCASTI_INLINE uint32_t tetcasti_fit_bin(const tetcasti_fit *t, uint32_t a, float x) {
+    const float q = x * t->bin_scale[a];
+    return !(q > 0.0f) ? 0u : q >= (float)t->bins[a] ? t->bins[a] - 1 : (uint32_t)q;
+}
+static void tetcasti_fit_reach(const tetcasti_fit *t, const tetcasti_rbf_record *r, tetcasti_fit_rows *rows) {
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        rows->lo[a] = tetcasti_fit_bin(t, a, r->c[a] - r->radius);
+        rows->hi[a] = tetcasti_fit_bin(t, a, r->c[a] + r->radius);
+    }
+}
+
+/* Weighted sums over the points in reach: phi^2, and phi times the error per component. Eight lanes, whatever the
+   instruction set: point k of a row goes into lane k mod 8. */
+typedef struct tetcasti_fit_sums { float gg[8], g[TETCAST_RBF_MAX_COMPONENTS][8]; } tetcasti_fit_sums;
+
+TETCASTI_INLINE void tetcasti_fit_row_sums(const tetcast_kernel kernel, const tetcasti_fit *t,
+                                           const tetcasti_rbf_record *r, uint32_t from, uint32_t to,
+                                           tetcasti_fit_sums *s) {
+    uint32_t i, c;
+    for (i = from; i < to; i++) {
+        const uint32_t l = (i - from) & 7u;
+        const float dx = t->x[i] - r->c[0], dy = t->y[i] - r->c[1], dz = t->z[i] - r->c[2];
+        const float phi = tetcasti_rbf_phi(kernel, r, (dx * dx + dy * dy) + dz * dz, NULL), h = phi * t->heed[i];
+        s->gg[l] += h * phi;
+        for (c = 0; c < t->n; c++) s->g[c][l] += h * t->res[c][i];
+    }
+}
+TETCASTI_INLINE void tetcasti_fit_row_apply(const tetcast_kernel kernel, const tetcasti_fit *t,
+                                            const tetcasti_rbf_record *r, uint32_t from, uint32_t to) {
+    uint32_t i, c;
+    for (i = from; i < to; i++) {
+        const float dx = t->x[i] - r->c[0], dy = t->y[i] - r->c[1], dz = t->z[i] - r->c[2];
+        const float phi = tetcasti_rbf_phi(kernel, r, (dx * dx + dy * dy) + dz * dz, NULL);
+        for (c = 0; c < t->n; c++) t->res[c][i] -= r->w[c] * phi;
+    }
+}
+#if TETCASTI_AVX2
+TETCASTI_TARGET_AVX2 TETCASTI_INLINE void tetcasti_fit_row_sums8(const tetcast_kernel kernel, const tetcasti_fit *t,
+        const tetcasti_rbf_record *r, uint32_t from, uint32_t to, tetcasti_fit_sums *s) {
+    const __m256 cx = _mm256_set1_ps(r->c[0]), cy = _mm256_set1_ps(r->c[1]), cz = _mm256_set1_ps(r->c[2]);
+    const __m256i lane = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
+    __m256 gg = _mm256_loadu_ps(s->gg);
+    uint32_t i, c;
+    for (i = from; i < to; i += 8) {
+        const __m256i k = _mm256_cmpgt_epi32(_mm256_set1_epi32((int32_t)(to - i)), lane);
+        const __m256 dx = _mm256_sub_ps(_mm256_maskload_ps(t->x + i, k), cx);
+        const __m256 dy = _mm256_sub_ps(_mm256_maskload_ps(t->y + i, k), cy);
+        const __m256 dz = _mm256_sub_ps(_mm256_maskload_ps(t->z + i, k), cz);
+        const __m256 d2 = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(dx, dx), _mm256_mul_ps(dy, dy)),
+                                        _mm256_mul_ps(dz, dz));
+        const __m256 phi = tetcasti_rbf_phi8(kernel, r, d2, 0, NULL);
+        const __m256 h = _mm256_mul_ps(phi, _mm256_maskload_ps(t->heed + i, k));
+        gg = _mm256_add_ps(gg, _mm256_mul_ps(h, phi));
+        for (c = 0; c < t->n; c++)
+            _mm256_storeu_ps(s->g[c], _mm256_add_ps(_mm256_loadu_ps(s->g[c]),
+                                                    _mm256_mul_ps(h, _mm256_maskload_ps(t->res[c] + i, k))));
+    }
+    _mm256_storeu_ps(s->gg, gg);
+}
+TETCASTI_TARGET_AVX2 TETCASTI_INLINE void tetcasti_fit_row_apply8(const tetcast_kernel kernel, const tetcasti_fit *t,
+        const tetcasti_rbf_record *r, uint32_t from, uint32_t to) {
+    const __m256 cx = _mm256_set1_ps(r->c[0]), cy = _mm256_set1_ps(r->c[1]), cz = _mm256_set1_ps(r->c[2]);
+    const __m256i lane = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
+    uint32_t i, c;
+    for (i = from; i < to; i += 8) {
+        const __m256i k = _mm256_cmpgt_epi32(_mm256_set1_epi32((int32_t)(to - i)), lane);
+        const __m256 dx = _mm256_sub_ps(_mm256_maskload_ps(t->x + i, k), cx);
+        const __m256 dy = _mm256_sub_ps(_mm256_maskload_ps(t->y + i, k), cy);
+        const __m256 dz = _mm256_sub_ps(_mm256_maskload_ps(t->z + i, k), cz);
+        const __m256 d2 = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(dx, dx), _mm256_mul_ps(dy, dy)),
+                                        _mm256_mul_ps(dz, dz));
+        const __m256 phi = tetcasti_rbf_phi8(kernel, r, d2, 0, NULL);
+        for (c = 0; c < t->n; c++)
+            _mm256_maskstore_ps(t->res[c] + i, k, _mm256_sub_ps(_mm256_maskload_ps(t->res[c] + i, k),
+                                                                _mm256_mul_ps(_mm256_set1_ps(r->w[c]), phi)));
+    }
+}
+#endif
+
+#define TETCASTI_FIT_EACH_ROW(row_fn, kernel, extra) do { \
+    for (k = rows->lo[2]; k <= rows->hi[2]; k++) \
+        for (j = rows->lo[1]; j <= rows->hi[1]; j++) { \
+            const size_t row = ((size_t)k * t->bins[1] + j) * t->bins[0]; \
+            const uint32_t from = t->start[row + rows->lo[0]], to = t->start[row + rows->hi[0] + 1]; \
+            row_fn(kernel, t, r, from, to extra); \
+        } } while (0)
+#define TETCASTI_FIT_COMMA_S , s
+#define TETCASTI_FIT_NOTHING
+#define TETCASTI_FIT_LOOPS(suffix, target, sums, apply) \
+    target static void tetcasti_fit_sums_##suffix(const tetcasti_fit *t, const tetcasti_rbf_record *r, \
+                                                  const tetcasti_fit_rows *rows, tetcasti_fit_sums *s) { \
+        uint32_t j, k; \
+        switch (t->m->kernel) { \
+        case TETCAST_KERNEL_GAUSS: TETCASTI_FIT_EACH_ROW(sums, TETCAST_KERNEL_GAUSS, TETCASTI_FIT_COMMA_S); break; \
+        case TETCAST_KERNEL_WENDLAND2: \
+            TETCASTI_FIT_EACH_ROW(sums, TETCAST_KERNEL_WENDLAND2, TETCASTI_FIT_COMMA_S); break; \
+        case TETCAST_KERNEL_WENDLAND4: \
+            TETCASTI_FIT_EACH_ROW(sums, TETCAST_KERNEL_WENDLAND4, TETCASTI_FIT_COMMA_S); break; \
+        default: TETCASTI_FIT_EACH_ROW(sums, TETCAST_KERNEL_POWER, TETCASTI_FIT_COMMA_S); break; \
+        } \
+    } \
+    target static void tetcasti_fit_apply_##suffix(const tetcasti_fit *t, const tetcasti_rbf_record *r, \
+                                                   const tetcasti_fit_rows *rows) { \
+        uint32_t j, k; \
+        switch (t->m->kernel) { \
+        case TETCAST_KERNEL_GAUSS: TETCASTI_FIT_EACH_ROW(apply, TETCAST_KERNEL_GAUSS, TETCASTI_FIT_NOTHING); break; \
+        case TETCAST_KERNEL_WENDLAND2: \
+            TETCASTI_FIT_EACH_ROW(apply, TETCAST_KERNEL_WENDLAND2, TETCASTI_FIT_NOTHING); break; \
+        case TETCAST_KERNEL_WENDLAND4: \
+            TETCASTI_FIT_EACH_ROW(apply, TETCAST_KERNEL_WENDLAND4, TETCASTI_FIT_NOTHING); break; \
+        default: TETCASTI_FIT_EACH_ROW(apply, TETCAST_KERNEL_POWER, TETCASTI_FIT_NOTHING); break; \
+        } \
+    }
+TETCASTI_FIT_LOOPS(scalar, TETCASTI_UNUSED, tetcasti_fit_row_sums, tetcasti_fit_row_apply)
+#if TETCASTI_AVX2
+TETCASTI_FIT_LOOPS(avx2, TETCASTI_TARGET_AVX2, tetcasti_fit_row_sums8, tetcasti_fit_row_apply8)
+#endif
+
+static double tetcasti_fit_total(const float v[8]) {
+    return (((double)v[0] + (double)v[1]) + ((double)v[2] + (double)v[3])) +
+           (((double)v[4] + (double)v[5]) + ((double)v[6] + (double)v[7]));
+}
+
+/* Best weights (not rounded) of a function that is not in the error yet, and by how much they lessen the sum. */
+static double tetcasti_fit_weigh(const tetcasti_fit *t, const tetcasti_fit_function *f, double w[4], double *square) {
+    tetcasti_rbf_record r;
+    tetcasti_fit_rows rows;
+    tetcasti_fit_sums s;
+    double gg, gain = 0.0;
+    uint32_t c;
+    tetcasti_fit_record(t, f, &r);
+    tetcasti_fit_reach(t, &r, &rows);
+    memset(&s, 0, sizeof s);
+#if TETCASTI_AVX2
+    if (t->isa >= TETCAST_ISA_AVX2) tetcasti_fit_sums_avx2(t, &r, &rows, &s);
+    else
+#endif
+    tetcasti_fit_sums_scalar(t, &r, &rows, &s);
+    gg = tetcasti_fit_total(s.gg);
+    *square = gg;
+    for (c = 0; c < t->n; c++) {
+        const double g = tetcasti_fit_total(s.g[c]);
+        w[c] = gg > 1e-30 ? g / gg : 0.0;
+        gain += w[c] * g;
+    }
+    return gain;
+}
+
+/* Largest errors of bins, and how much heed is paid to points. */
+static void tetcasti_fit_look(tetcasti_fit *t, const tetcasti_fit_rows *rows) {
+    uint32_t i, j, k, b, c;
+    for (k = rows->lo[2]; k <= rows->hi[2]; k++)
+        for (j = rows->lo[1]; j <= rows->hi[1]; j++) {
+            const size_t row = ((size_t)k * t->bins[1] + j) * t->bins[0];
+            for (b = rows->lo[0]; b <= rows->hi[0]; b++) {
+                float most = 0.0f;
+                for (i = t->start[row + b]; i < t->start[row + b + 1]; i++) {
+                    float e = 0.0f;
+                    for (c = 0; c < t->n; c++) e += t->res[c][i] * t->res[c][i];
+                    most = e > most ? e : most;
+                    if (t->sharp) {
+                        float h = e * t->heed_scale;
+                        h = h < 2.0f ? h : 2.0f;
+                        t->heed[i] = 0.1f + h * h;
+                    }
+                }
+                t->peak[row + b] = most;
+            }
+        }
+}
+
+/* Subtract a function from the error (sign 1), or take it back (sign -1; heed stays as it is). */
+static void tetcasti_fit_apply(tetcasti_fit *t, const tetcasti_fit_function *f, int sign) {
+    tetcasti_rbf_record r;
+    tetcasti_fit_rows rows;
+    uint32_t c;
+    memset(&r, 0, sizeof r);
+    tetcasti_fit_record(t, f, &r);
+    if (sign < 0) for (c = 0; c < t->n; c++) r.w[c] = -r.w[c];
+    tetcasti_fit_reach(t, &r, &rows);
+#if TETCASTI_AVX2
+    if (t->isa >= TETCAST_ISA_AVX2) tetcasti_fit_apply_avx2(t, &r, &rows);
+    else
+#endif
+    tetcasti_fit_apply_scalar(t, &r, &rows);
+    if (sign > 0) tetcasti_fit_look(t, &rows);
+}
+
+/* Largest squared error in reach: of the points, without looking at heed, or of the bins as they are known. */
+static float tetcasti_fit_most(const tetcasti_fit *t, const tetcasti_fit_function *f, int known) {
+    tetcasti_rbf_record r;
+    tetcasti_fit_rows rows;
+    uint32_t i, j, k, c;
+    float most = 0.0f;
+    tetcasti_fit_record(t, f, &r);
+    tetcasti_fit_reach(t, &r, &rows);
+    for (k = rows.lo[2]; k <= rows.hi[2]; k++)
+        for (j = rows.lo[1]; j <= rows.hi[1]; j++) {
+            const size_t row = ((size_t)k * t->bins[1] + j) * t->bins[0];
+            if (known) {
+                for (i = rows.lo[0]; i <= rows.hi[0]; i++) most = t->peak[row + i] > most ? t->peak[row + i] : most;
+                continue;
+            }
+            for (i = t->start[row + rows.lo[0]]; i < t->start[row + rows.hi[0] + 1]; i++) {
+                float e = 0.0f;
+                for (c = 0; c < t->n; c++) e += t->res[c][i] * t->res[c][i];
+                most = e > most ? e : most;
+            }
+        }
+    return most;
+}
+
+/* Round to what is stored. */
+static void tetcasti_fit_round_place(const tetcasti_fit *t, const tetcasti_fit_block *b, const double c[3],
+                                     double width, tetcasti_fit_function *f) {
+    uint32_t a;
+    for (a = 0; a < 3; a++) { /* not far out of its block */
+        const double side = t->bin_scale[a] > 0.0f ? 1.0 / (double)t->bin_scale[a] : 0.0;
+        const double lo = side * b->lo[a] - t->spacing, hi = side * b->hi[a] + t->spacing;
+        const double x = c[a] < lo ? lo : c[a] > hi ? hi : c[a];
+        f->c[a] = tetcasti_rbf_position(t->m, a, tetcasti_rbf_position_code(t->m, a, x));
+    }
+    width = width < (double)t->widest ? width : (double)t->widest * 0.9999;
+    f->width = tetcasti_rbf_width(t->m, tetcasti_rbf_width_code(t->m, width));
+    while (f->width > t->widest && f->width > t->m->bits.width_min)
+        f->width = tetcasti_rbf_width(t->m, tetcasti_rbf_width_code(t->m, (double)f->width * 0.917));
+}
+static double tetcasti_fit_round_weights(const tetcasti_fit *t, const double w[4], double square,
+                                         tetcasti_fit_function *f) {
+    /* record weights are what was fitted: the model's are them times what the kernel is divided by */
+    const double e = 1.0 - (double)t->e;
+    double gain = 0.0;
+    uint32_t c;
+    for (c = 0; c < t->n; c++) {
+        f->w[c] = (float)((double)tetcasti_rbf_code(w[c] * e, (double)t->m->bits.weight_step, 24) *
+                          (double)t->m->bits.weight_step);
+        gain += (2.0 * w[c] - (double)f->w[c] / e) * ((double)f->w[c] / e) * square;
+    }
+    return gain;
+}
+
+/* Sums of Gauss-Newton's normal equations for place, logarithm of the width and height. */
+static void tetcasti_fit_normal(const tetcasti_fit *t, const tetcasti_fit_function *f, double a[5][5], double b[5]) {
+    tetcasti_rbf_record r;
+    tetcasti_fit_rows rows;
+    uint32_t i, j, k, c, p, q;
+    double w2 = 0.0;
+    tetcasti_fit_record(t, f, &r);
+    tetcasti_fit_reach(t, &r, &rows);
+    memset(a, 0, 25 * sizeof a[0][0]);
+    memset(b, 0, 5 * sizeof b[0]);
+    for (c = 0; c < t->n; c++) w2 += (double)r.w[c] * (double)r.w[c];
+    for (k = rows.lo[2]; k <= rows.hi[2]; k++)
+        for (j = rows.lo[1]; j <= rows.hi[1]; j++) {
+            const size_t row = ((size_t)k * t->bins[1] + j) * t->bins[0];
+            for (i = t->start[row + rows.lo[0]]; i < t->start[row + rows.hi[0] + 1]; i++) {
+                const float dx = t->x[i] - r.c[0], dy = t->y[i] - r.c[1], dz = t->z[i] - r.c[2];
+                const float d2 = (dx * dx + dy * dy) + dz * dz;
+                float slope, phi;
+                double u[5], e = 0.0;
+                if (d2 >= r.radius * r.radius) continue;
+                phi = tetcasti_rbf_phi(t->m->kernel, &r, d2, &slope);
+                u[0] = (double)(-slope * dx);
+                u[1] = (double)(-slope * dy);
+                u[2] = (double)(-slope * dz);
+                u[3] = (double)(-slope * d2);
+                u[4] = (double)phi;
+                for (c = 0; c < t->n; c++) e += (double)(r.w[c] * (t->res[c][i] - r.w[c] * phi));
+                e *= (double)t->heed[i];
+                for (p = 0; p < 5; p++) {
+                    const double h = u[p] * (double)t->heed[i];
+                    b[p] += u[p] * e;
+                    for (q = p; q < 5; q++) a[p][q] += h * u[q];
+                }
+            }
+        }
+    for (p = 0; p < 5; p++)
+        for (q = p; q < 5; q++) a[q][p] = a[p][q] *= w2;
+}
+
+/* Cholesky, n <= 5. 0: not positive. */
+static int tetcasti_fit_solve(double a[5][5], double b[5]) {
+    int i, j, k;
+    for (i = 0; i < 5; i++)
+        for (j = 0; j <= i; j++) {
+            double s = a[i][j];
+            for (k = 0; k < j; k++) s -= a[i][k] * a[j][k];
+            if (i == j) {
+                if (!(s > 0.0)) return 0;
+                a[i][i] = sqrt(s);
+            } else a[i][j] = s / a[j][j];
+        }
+    for (i = 0; i < 5; i++) {
+        for (k = 0; k < i; k++) b[i] -= a[i][k] * b[k];
+        b[i] /= a[i][i];
+    }
+    for (i = 4; i >= 0; i--) {
+        for (k = i + 1; k < 5; k++) b[i] -= a[k][i] * b[k];
+        b[i] /= a[i][i];
+    }
+    return 1;
+}
+
+/* Move and widen a function that is not in the error; *gain: what it lessens the sum by so far.
+   Narrow ones stay on their points: between them nothing would hold them. */
+static void tetcasti_fit_polish(const tetcasti_fit *t, const tetcasti_fit_block *block, uint32_t steps,
+                                tetcasti_fit_function *f, double *gain) {
+    const double narrow = 0.7 * t->spacing;
+    uint32_t s, p;
+    for (s = 0; s < steps && (double)f->width >= narrow; s++) {
+        double a[5][5], b[5], c[3], w[4], square, step = 0.0, longest, got;
+        tetcasti_fit_function g = *f;
+        tetcasti_fit_normal(t, f, a, b);
+        for (p = 0; p < 5; p++) a[p][p] = a[p][p] * 1.02 + 1e-12 * a[4][4];
+        if (!tetcasti_fit_solve(a, b)) return;
+        for (p = 0; p < 3; p++) step += b[p] * b[p];
+        longest = 0.6 * (double)f->width;
+        step = sqrt(step) > longest ? longest / sqrt(step) : 1.0;
+        for (p = 0; p < 3; p++) c[p] = (double)f->c[p] + step * b[p];
+        b[3] = b[3] < -0.5 ? -0.5 : b[3] > 0.5 ? 0.5 : b[3];
+        tetcasti_fit_round_place(t, block, c, (double)f->width * tetcasti_exp2(b[3] * 1.44269504088896340736), &g);
+        if ((double)g.width < narrow) return;
+        if (g.c[0] == f->c[0] && g.c[1] == f->c[1] && g.c[2] == f->c[2] && g.width == f->width) return;
+        (void)tetcasti_fit_weigh(t, &g, w, &square);
+        got = tetcasti_fit_round_weights(t, w, square, &g);
+        if (!(got > *gain * 1.001)) return;
+        *gain = got;
+        *f = g;
+    }
+}
+
+static int tetcasti_fit_add(tetcasti_fit *t, tetcasti_fit_block *b, const tetcasti_fit_function *f) {
+    if (!tetcasti_grow(t->mem, (void **)&b->f, &b->room, b->count, b->count + 1, sizeof *b->f)) {
+        tetcasti_atomic_store(&t->failed, 1u);
+        return 0;
+    }
+    b->f[b->count++] = *f;
+    b->inserted++;
+    tetcasti_fit_apply(t, f, 1);
+    return 1;
+}
+
+/* A function for the error at point i. */
+static int tetcasti_fit_insert(tetcasti_fit *t, tetcasti_fit_block *b, uint32_t i) {
+    tetcasti_fit_function f, best;
+    double c[3], w[4], square, gain, most = -1.0, width = (double)t->m->bits.width_min;
+    uint32_t k, worse = 0, a;
+    memset(&best, 0, sizeof best);
+    c[0] = (double)t->x[i];
+    c[1] = (double)t->y[i];
+    c[2] = (double)t->z[i];
+    for (k = 0; k < TETCASTI_FIT_LADDER && width <= (double)t->widest && worse < 2; k++, width *= 1.41421356237309504880) {
+        memset(&f, 0, sizeof f);
+        tetcasti_fit_round_place(t, b, c, width, &f);
+        gain = tetcasti_fit_weigh(t, &f, w, &square);
+        if (gain > most) {
+            most = gain;
+            best = f;
+            worse = 0;
+        } else worse++;
+    }
+    (void)tetcasti_fit_weigh(t, &best, w, &square);
+    gain = tetcasti_fit_round_weights(t, w, square, &best);
+    if (t->polish && gain > 0.0) tetcasti_fit_polish(t, b, 5, &best, &gain);
+    if (!(gain > 0.0)) { /* between its neighbours' errors: this point alone */
+        tetcasti_fit_round_place(t, b, c, (double)t->m->bits.width_min, &best);
+        for (a = 0; a < t->n; a++) w[a] = (double)t->res[a][i];
+        (void)tetcasti_fit_round_weights(t, w, 1.0, &best);
+    }
+    return tetcasti_fit_add(t, b, &best);
+}
+
+/* Insert functions in a block until no error exceeds the threshold. */
+static void tetcasti_task_fit_greedy(void *ctx, uint32_t task) {
+    tetcasti_fit *t = (tetcasti_fit *)ctx;
+    tetcasti_fit_block *b;
+    uint32_t at[3], a, i, j, k;
+    const float limit = t->threshold * t->threshold;
+    for (a = 0; a < 3; a++) { /* blocks of one colour */
+        const uint32_t n = (t->blocks[a] + 1 - (t->color >> a & 1u)) / 2;
+        at[a] = task % n * 2 + (t->color >> a & 1u);
+        task /= n;
+    }
+    b = &t->block[((size_t)at[2] * t->blocks[1] + at[1]) * t->blocks[0] + at[0]];
+    for (;;) {
+        float most = limit;
+        size_t where = (size_t)-1;
+        uint32_t best = 0;
+        float peak = -1.0f;
+        if (tetcasti_atomic_load(&t->failed) || tetcasti_atomic_load(&t->full)) return;
+        for (k = b->lo[2]; k < b->hi[2]; k++)
+            for (j = b->lo[1]; j < b->hi[1]; j++) {
+                const size_t row = ((size_t)k * t->bins[1] + j) * t->bins[0];
+                for (i = b->lo[0]; i < b->hi[0]; i++)
+                    if (t->peak[row + i] > most) {
+                        most = t->peak[row + i];
+                        where = row + i;
+                    }
+            }
+        if (where == (size_t)-1) return;
+        for (i = t->start[where]; i < t->start[where + 1]; i++) {
+            float e = 0.0f;
+            for (a = 0; a < t->n; a++) e += t->res[a][i] * t->res[a][i];
+            if (e > peak) {
+                peak = e;
+                best = i;
+            }
+        }
+        if (tetcasti_atomic_add(&t->inserted, 1u) > t->cap) {
+            tetcasti_atomic_store(&t->full, 1u);
+            return;
+        }
+        if (!tetcasti_fit_insert(t, b, best)) return;
+    }
+}
+
+/* Fit the functions of a block again, one after the other; leave out what is not needed. */
+static void tetcasti_task_fit_sweep(void *ctx, uint32_t task) {
+    tetcasti_fit *t = (tetcasti_fit *)ctx;
+    tetcasti_fit_block *b;
+    uint32_t at[3], a;
+    const float limit = t->tolerance * t->tolerance;
+    size_t i, n;
+    for (a = 0; a < 3; a++) {
+        const uint32_t k = (t->blocks[a] + 1 - (t->color >> a & 1u)) / 2;
+        at[a] = task % k * 2 + (t->color >> a & 1u);
+        task /= k;
+    }
+    b = &t->block[((size_t)at[2] * t->blocks[1] + at[1]) * t->blocks[0] + at[0]];
+    for (i = 0; i < b->count; i++) {
+        tetcasti_fit_function *f = &b->f[i], old = *f;
+        double w[4], square, gain, before = 0.0;
+        float most;
+        if (tetcasti_atomic_load(&t->failed)) return;
+        most = tetcasti_fit_most(t, f, 1);
+        most = most > limit ? most : limit;
+        tetcasti_fit_apply(t, f, -1);
+        if (tetcasti_fit_most(t, f, 0) <= limit) {
+            tetcasti_rbf_record r;
+            tetcasti_fit_rows rows;
+            tetcasti_fit_record(t, f, &r);
+            tetcasti_fit_reach(t, &r, &rows);
+            tetcasti_fit_look(t, &rows);
+            f->dead = 1;
+            b->dropped++;
+            continue;
+        }
+        (void)tetcasti_fit_weigh(t, f, w, &square);
+        for (a = 0; a < t->n; a++) {
+            const double v = (double)old.w[a] / (1.0 - (double)t->e);
+            before += (2.0 * w[a] - v) * v * square;
+        }
+        gain = tetcasti_fit_round_weights(t, w, square, f);
+        if (gain > 0.0) tetcasti_fit_polish(t, b, 2, f, &gain);
+        if (!(gain > before)) *f = old;
+        tetcasti_fit_apply(t, f, 1);
+        if (gain > before && (tetcasti_fit_most(t, f, 1) > most || tetcasti_fit_most(t, &old, 1) > most)) {
+            tetcasti_fit_apply(t, f, -1); /* the largest error may not grow */
+            *f = old;
+            tetcasti_fit_apply(t, f, 1);
+        }
+    }
+    for (i = n = 0; i < b->count; i++)
+        if (!b->f[i].dead) b->f[n++] = b->f[i];
+    b->count = n;
+}
+
+static void tetcasti_fit_colors(tetcasti_fit *t, tetcast_task_fn *task) {
+    uint32_t a;
+    for (t->color = 0; t->color < 8; t->color++) {
+        uint32_t n = 1;
+        for (a = 0; a < 3; a++) n *= (t->blocks[a] + 1 - (t->color >> a & 1u)) / 2;
+        tetcasti_parallel_for(t->env, task, t, n);
+    }
+}
+
+/* ---- points ---- */
+
+/* Number in the input -> world position and values. 0: something is not finite. */
+static int tetcasti_fit_read(const tetcast_rbf_points *in, size_t i, double p[3], double v[4]) {
+    const size_t vs = tetcasti_array_stride(&in->values, in->components);
+    uint32_t a, ok = 1;
+    if (in->positions.data == NULL) {
+        const size_t at[3] = {i % in->dims[0], i / in->dims[0] % in->dims[1], i / in->dims[0] / in->dims[1]};
+        const int unit = in->spacing[0] == 0.0 && in->spacing[1] == 0.0 && in->spacing[2] == 0.0;
+        for (a = 0; a < 3; a++) p[a] = in->origin[a] + (unit ? 1.0 : in->spacing[a]) * (double)at[a];
+    } else {
+        const size_t ps = tetcasti_array_stride(&in->positions, 3);
+        for (a = 0; a < 3; a++) p[a] = tetcasti_array_get(&in->positions, ps, i, a);
+    }
+    for (a = 0; a < in->components; a++) {
+        v[a] = tetcasti_array_get(&in->values, vs, i, a);
+        ok = ok && tetcasti_abs(v[a]) < 1e30;
+    }
+    for (a = 0; a < 3; a++) ok = ok && tetcasti_abs(p[a]) < 1e30;
+    return (int)ok;
+}
+
+/* Box, range, mean: a first look at the points. */
+static tetcast_result tetcasti_fit_survey(tetcasti_fit *t, const tetcast_rbf_fit_desc *d,
+                                          const tetcast_rbf_points *in) {
+    tetcast_rbf *m = t->m;
+    double lo = 1e300, hi = -1e300, longest = 0.0, sum[4] = {0.0, 0.0, 0.0, 0.0}, step = 0.0;
+    size_t i, used = 0;
+    uint32_t a, c;
+    for (i = 0; i < in->count; i++) {
+        double p[3], v[4], l = 0.0;
+        if (!tetcasti_fit_read(in, i, p, v)) {
+            t->rejected++;
+            continue;
+        }
+        for (a = 0; a < 3; a++) {
+            if (used == 0 || p[a] < m->box_min[a]) m->box_min[a] = p[a];
+            if (used == 0 || p[a] > m->box_max[a]) m->box_max[a] = p[a];
+        }
+        for (c = 0; c < t->n; c++) {
+            sum[c] += v[c];
+            l += v[c] * v[c];
+        }
+        lo = tetcasti_min(lo, v[0]);
+        hi = tetcasti_max(hi, v[0]);
+        longest = tetcasti_max(longest, l);
+        used++;
+    }
+    if (used == 0) return TETCAST_ERR_EMPTY;
+    if (used > 0x7ffffff0u) return TETCAST_ERR_RANGE;
+    t->count = (uint32_t)used;
+    t->range = t->n == 1 ? hi - lo : sqrt(longest);
+    m->range[0] = t->n == 1 ? (float)lo : 0.0f;
+    m->range[1] = t->n == 1 ? (float)hi : (float)sqrt(longest);
+    for (c = 0; c < t->n; c++) m->offset[c] = (float)(sum[c] / (double)used);
+    if (in->positions.data == NULL && d->metric[0] == 0.0 && d->metric[1] == 0.0 && d->metric[2] == 0.0)
+        for (a = 0; a < 3; a++)
+            if (in->dims[a] > 1 && in->spacing[a] != 0.0 && (step == 0.0 || tetcasti_abs(in->spacing[a]) < step))
+                step = tetcasti_abs(in->spacing[a]);
+    for (a = 0; a < 3; a++) {
+        m->metric[a] = d->metric[a] != 0.0 ? d->metric[a] : 1.0;
+        if (step > 0.0 && in->dims[a] > 1) m->metric[a] = tetcasti_abs(in->spacing[a]) / step;
+    }
+    return tetcasti_rbf_place(m) ? TETCAST_OK : TETCAST_ERR_INVALID_ARG;
+}
+
+/* Bins, and the points in their order; points at one place become one. */
+static int tetcasti_fit_sort(tetcasti_fit *t, const tetcast_rbf_points *in) {
+    const uint32_t n = t->count;
+    tetcasti_rbf_key *key = (tetcasti_rbf_key *)tetcasti_alloc_array(t->mem, n, sizeof *key);
+    float (*p)[3] = (float (*)[3])tetcasti_alloc_array(t->mem, n, sizeof *p);
+    float (*v)[4] = (float (*)[4])tetcasti_alloc_array(t->mem, n, sizeof *v);
+    uint32_t *number = (uint32_t *)tetcasti_alloc_array(t->mem, n, sizeof *number);
+    size_t bins = (size_t)t->bins[0] * t->bins[1] * t->bins[2], i, b;
+    uint32_t *start = t->start, k = 0, a, c, out = 0;
+    const int ok = key != NULL && p != NULL && v != NULL && number != NULL;
+    for (i = 0; ok && i < in->count; i++) {
+        double w[3], value[4];
+        if (!tetcasti_fit_read(in, i, w, value)) continue;
+        tetcasti_rbf_local(t->m, w, p[k]);
+        for (c = 0; c < t->n; c++) v[k][c] = (float)value[c];
+        number[k++] = (uint32_t)i;
+    }
+    if (ok) {
+        memset(start, 0, (bins + 1) * sizeof *start);
+        for (i = 0; i < n; i++) {
+            uint32_t at[3];
+            for (a = 0; a < 3; a++) at[a] = tetcasti_fit_bin(t, a, p[i][a]);
+            t->source[i] = (uint32_t)(((size_t)at[2] * t->bins[1] + at[1]) * t->bins[0] + at[0]);
+            start[t->source[i]]++;
+        }
+        for (b = 0, k = 0; b <= bins; b++) { /* starts; then each moves to its end while the bin is filled */
+            const uint32_t some = b < bins ? start[b] : 0;
+            start[b] = k;
+            k += some;
+        }
+        for (i = 0; i < n; i++) {
+            const uint32_t to = start[t->source[i]]++;
+            key[to].key = tetcasti_hash_bytes(1, p[i], sizeof p[i]);
+            key[to].i = (uint32_t)i;
+        }
+        for (b = bins; b > 0; b--) start[b] = start[b - 1];
+        start[0] = 0;
+        for (b = 0; b < bins; b++) {
+            const uint32_t from = start[b], to = start[b + 1];
+            start[b] = out;
+            tetcasti_rbf_sort(key + from, to - from);
+            for (k = from; k < to;) {
+                const uint32_t first = key[k].i;
+                double sum[4] = {0.0, 0.0, 0.0, 0.0};
+                uint32_t same = 0;
+                for (; k < to && memcmp(p[key[k].i], p[first], sizeof p[0]) == 0; k++, same++)
+                    for (c = 0; c < t->n; c++) sum[c] += (double)v[key[k].i][c];
+                t->duplicates += same - 1;
+                t->x[out] = p[first][0];
+                t->y[out] = p[first][1];
+                t->z[out] = p[first][2];
+                for (c = 0; c < t->n; c++) t->value[c][out] = (float)(sum[c] / (double)same);
+                out++;
+            }
+        }
+        start[bins] = out;
+        t->count = out;
+    }
+    tetcasti_free(t->mem, key);
+    tetcasti_free(t->mem, p);
+    tetcasti_free(t->mem, v);
+    tetcasti_free(t->mem, number);
+    return ok;
+}
+
+static void tetcasti_fit_close(tetcasti_fit *t) {
+    uint32_t c;
+    size_t i, blocks = (size_t)t->blocks[0] * t->blocks[1] * t->blocks[2];
+    tetcasti_free(t->mem, t->x);
+    tetcasti_free(t->mem, t->y);
+    tetcasti_free(t->mem, t->z);
+    for (c = 0; c < 4; c++) {
+        tetcasti_free(t->mem, t->value[c]);
+        tetcasti_free(t->mem, t->res[c]);
+    }
+    tetcasti_free(t->mem, t->heed);
+    tetcasti_free(t->mem, t->source);
+    tetcasti_free(t->mem, t->start);
+    tetcasti_free(t->mem, t->peak);
+    for (i = 0; t->block != NULL && i < blocks; i++) tetcasti_free(t->mem, t->block[i].f);
+    tetcasti_free(t->mem, t->block);
+}
+
+/* Sizes of everything, arrays, bins, blocks. */
+static tetcast_result tetcasti_fit_open(tetcasti_fit *t, const tetcast_rbf_fit_desc *d, const tetcast_rbf_points *in) {
+    tetcast_rbf *m = t->m;
+    double volume = 1.0, bin;
+    uint32_t axes = 0, a, c;
+    size_t bins = 1, blocks = 1, i;
+    for (a = 0; a < 3; a++)
+        if (m->size[a] > 0.0f) {
+            volume *= (double)m->size[a];
+            axes++;
+        }
+    t->spacing = axes != 0 ? tetcasti_exp2(tetcasti_log2(volume / (double)t->count) / (double)axes) : 1.0;
+    if (in->positions.data == NULL)
+        for (a = 0; a < 3; a++)
+            if (in->dims[a] > 1) t->spacing = tetcasti_min(t->spacing, (double)m->size[a] / (double)(in->dims[a] - 1));
+    t->spacing = tetcasti_max(t->spacing, 1e-5);
+    bin = t->spacing * (axes == 3 ? 2.0 : axes == 2 ? 2.83 : 8.0) * (1.0 + 1e-9);
+    /* where a coarse grid has the broad features, short reach is worth more than a few functions less */
+    t->widest = d->method == TETCAST_RBF_METHOD_PURE ? 0.25f : 0.07f;
+    for (a = 0; a < 3; a++) {
+        double side = (double)m->size[a] / bin;
+        t->bins[a] = side < 1.0 ? 1u : side > 1023.0 ? 1024u : (uint32_t)side + 1;
+        t->bin_scale[a] = m->size[a] > 0.0f ? (float)((double)t->bins[a] / ((double)m->size[a] * 1.000001)) : 0.0f;
+        bins *= t->bins[a];
+        side = (double)m->size[a] / t->spacing / 40.0; /* blocks: 40 points a side */
+        t->blocks[a] = side < 4.0 ? 1u : side > 64.0 ? 64u : (uint32_t)side;
+        blocks *= t->blocks[a];
+        if (t->blocks[a] > 1) {
+            const double half = 0.5 * (double)m->size[a] / (double)t->blocks[a] - 2.0 * t->spacing - 2.0 * bin;
+            t->widest = (float)tetcasti_min((double)t->widest, half / (double)t->reach);
+        }
+        c = 1;
+        while (c < 16 && (double)(1u << c) < (double)m->size[a] / t->spacing * TETCASTI_FIT_SPLIT + 1.0) c++;
+        m->bits.position[a] = c;
+    }
+    m->bits.width_min = (float)(0.35 * t->spacing);
+    if (t->widest < m->bits.width_min) t->widest = m->bits.width_min;
+    for (c = 1; c < 8 && tetcasti_exp2((double)((1u << c) - 1) / 8.0) * (double)m->bits.width_min < (double)t->widest;) c++;
+    m->bits.width = c;
+    m->bits.weight = m->bits.node = 24;
+    m->bits.weight_step = m->bits.node_step = (float)(t->range * (double)d->max_error / 8.0);
+    if (!(m->bits.weight_step > 1e-36f)) m->bits.weight_step = m->bits.node_step = 1e-36f;
+    t->x = (float *)tetcasti_alloc_array(t->mem, t->count, sizeof(float));
+    t->y = (float *)tetcasti_alloc_array(t->mem, t->count, sizeof(float));
+    t->z = (float *)tetcasti_alloc_array(t->mem, t->count, sizeof(float));
+    t->heed = (float *)tetcasti_alloc_array(t->mem, t->count, sizeof(float));
+    t->source = (uint32_t *)tetcasti_alloc_array(t->mem, t->count, sizeof(uint32_t));
+    t->start = (uint32_t *)tetcasti_alloc_array(t->mem, bins + 1, sizeof(uint32_t));
+    t->peak = (float *)tetcasti_alloc_zero(t->mem, bins, sizeof(float));
+    t->block = (tetcasti_fit_block *)tetcasti_alloc_zero(t->mem, blocks, sizeof *t->block);
+    if (t->x == NULL || t->y == NULL || t->z == NULL || t->heed == NULL || t->source == NULL || t->start == NULL ||
+        t->peak == NULL || t->block == NULL) return TETCAST_ERR_NO_MEMORY;
+    for (c = 0; c < t->n; c++) {
+        t->value[c] = (float *)tetcasti_alloc_array(t->mem, t->count, sizeof(float));
+        t->res[c] = (float *)tetcasti_alloc_array(t->mem, t->count, sizeof(float));
+        if (t->value[c] == NULL || t->res[c] == NULL) return TETCAST_ERR_NO_MEMORY;
+    }
+    for (i = 0; i < blocks; i++) {
+        size_t at[3];
+        at[0] = i % t->blocks[0];
+        at[1] = i / t->blocks[0] % t->blocks[1];
+        at[2] = i / t->blocks[0] / t->blocks[1];
+        for (a = 0; a < 3; a++) {
+            t->block[i].lo[a] = (uint32_t)(at[a] * t->bins[a] / t->blocks[a]);
+            t->block[i].hi[a] = (uint32_t)((at[a] + 1) * t->bins[a] / t->blocks[a]);
+        }
+    }
+    return tetcasti_fit_sort(t, in) ? TETCAST_OK : TETCAST_ERR_NO_MEMORY;
+}
+
+/* ---- base ---- */
+
+/* y = M x for rows of 27 */
+static void tetcasti_base_times(const uint32_t dims[3], const double (*matrix)[27], const double *x, double *y) {
+    uint32_t i, j, k, o;
+    size_t at = 0;
+    for (k = 0; k < dims[2]; k++)
+        for (j = 0; j < dims[1]; j++)
+            for (i = 0; i < dims[0]; i++, at++) {
+                double s = 0.0;
+                for (o = 0; o < 27; o++) {
+                    const uint32_t ni = i + o % 3, nj = j + o / 3 % 3, nk = k + o / 9; /* one more than the neighbour */
+                    if (ni - 1u < dims[0] && nj - 1u < dims[1] && nk - 1u < dims[2])
+                        s += matrix[at][o] * x[((size_t)(nk - 1) * dims[1] + (nj - 1)) * dims[0] + (ni - 1)];
+                }
+                y[at] = s;
+            }
+}
+
+/* Normal equations of the nodes; rhs [components][nodes]. */
+static void tetcasti_base_normal(const tetcasti_fit *t, const tetcast_rbf *m, double (*matrix)[27], double *rhs) {
+    const size_t nodes = (size_t)m->dims[0] * m->dims[1] * m->dims[2];
+    uint32_t i, a, b, c, cell[3];
+    double mean = 0.0;
+    size_t n, k;
+    for (i = 0; i < t->count; i++) {
+        const float p[3] = {t->x[i], t->y[i], t->z[i]};
+        float u[3];
+        for (a = 0; a < 3; a++) cell[a] = tetcasti_rbf_cell(m, a, p[a], &u[a]);
+        for (a = 0; a < 8; a++) {
+            double wa = 1.0, wb;
+            size_t at = 0;
+            for (c = 3; c-- > 0;) {
+                const uint32_t up = a >> c & 1u;
+                wa *= up ? (double)u[c] : 1.0 - (double)u[c];
+                at = at * m->dims[c] + cell[c] + up;
+            }
+            if (wa == 0.0) continue; /* also keeps off nodes that are not there */
+            for (c = 0; c < t->n; c++)
+                rhs[c * nodes + at] += wa * ((double)t->value[c][i] - (double)m->offset[c]);
+            for (b = 0; b < 8; b++) {
+                uint32_t o = 0;
+                wb = wa;
+                for (c = 3; c-- > 0;) {
+                    const uint32_t up = b >> c & 1u;
+                    wb *= up ? (double)u[c] : 1.0 - (double)u[c];
+                    o = o * 3 + 1 + up - (a >> c & 1u);
+                }
+                matrix[at][o] += wb;
+            }
+        }
+    }
+    for (n = 0; n < nodes; n++) mean += matrix[n][13];
+    mean = 1e-4 * mean / (double)nodes;
+    for (n = 0; n < nodes; n++) { /* a weak spring between neighbours: nodes without points get a value */
+        const size_t at[3] = {n % m->dims[0], n / m->dims[0] % m->dims[1], n / m->dims[0] / m->dims[1]};
+        for (a = 0, k = 1; a < 3; a++, k *= 3) {
+            if (at[a] > 0) {
+                matrix[n][13] += mean;
+                matrix[n][13 - k] -= mean;
+            }
+            if (at[a] + 1 < m->dims[a]) {
+                matrix[n][13] += mean;
+                matrix[n][13 + k] -= mean;
+            }
+        }
+        matrix[n][13] += 1e-3 * mean;
+    }
+}
+
+/* Conjugate gradients with the diagonal for one component; work: 4 arrays of the number of nodes. */
+static void tetcasti_base_solve(const uint32_t dims[3], const double (*matrix)[27], const double *rhs, double *x,
+                                double *work) {
+    const size_t nodes = (size_t)dims[0] * dims[1] * dims[2];
+    double *r = work, *z = work + nodes, *p = work + 2 * nodes, *q = work + 3 * nodes, rz = 0.0, first, alpha, beta;
+    uint32_t round;
+    size_t i;
+    for (i = 0; i < nodes; i++) {
+        x[i] = 0.0;
+        r[i] = rhs[i];
+        p[i] = z[i] = r[i] / matrix[i][13];
+        rz += r[i] * z[i];
+    }
+    first = rz;
+    for (round = 0; round < 200 && rz > 1e-14 * first; round++) {
+        double pq = 0.0, next = 0.0;
+        tetcasti_base_times(dims, matrix, p, q);
+        for (i = 0; i < nodes; i++) pq += p[i] * q[i];
+        if (!(pq > 0.0)) return;
+        alpha = rz / pq;
+        for (i = 0; i < nodes; i++) {
+            x[i] += alpha * p[i];
+            r[i] -= alpha * q[i];
+            z[i] = r[i] / matrix[i][13];
+            next += r[i] * z[i];
+        }
+        beta = next / rz;
+        rz = next;
+        for (i = 0; i < nodes; i++) p[i] = z[i] + beta * p[i];
+    }
+}
+
+static void tetcasti_fit_reset_heed(tetcasti_fit *t) { /* heed and peaks, from the errors */
+    tetcasti_fit_rows all;
+    uint32_t i, c;
+    for (i = 0; i < t->count; i++) t->heed[i] = 1.0f;
+    for (c = 0; c < 3; c++) {
+        all.lo[c] = 0;
+        all.hi[c] = t->bins[c] - 1;
+    }
+    tetcasti_fit_look(t, &all);
+}
+
+static void tetcasti_fit_reset(tetcasti_fit *t) { /* the error without functions */
+    uint32_t i, c;
+    float p[3], v[4];
+    for (i = 0; i < t->count; i++) {
+        p[0] = t->x[i];
+        p[1] = t->y[i];
+        p[2] = t->z[i];
+        tetcasti_rbf_base(t->m, p, v, NULL);
+        for (c = 0; c < t->n; c++) t->res[c][i] = t->value[c][i] - v[c];
+    }
+    tetcasti_fit_reset_heed(t);
+}
+
+/* The base of a size, rounded, and the error without functions. dims 0: a constant. 0: no memory. */
+static int tetcasti_fit_base(tetcasti_fit *t, const uint32_t dims[3]) {
+    tetcast_rbf *m = t->m;
+    const size_t nodes = (size_t)dims[0] * dims[1] * dims[2];
+    double (*matrix)[27] = NULL, *work = NULL;
+    uint32_t c;
+    size_t i;
+    int ok;
+    tetcasti_free(t->mem, m->node);
+    m->node = NULL;
+    memcpy(m->dims, dims, sizeof m->dims);
+    tetcasti_rbf_node_scale(m);
+    if (nodes != 0) {
+        m->node = (float *)tetcasti_alloc_zero(t->mem, nodes * t->n, sizeof(float));
+        matrix = (double (*)[27])tetcasti_alloc_zero(t->mem, nodes, sizeof *matrix);
+        work = (double *)tetcasti_alloc_zero(t->mem, nodes * (5 + t->n), sizeof *work);
+        ok = m->node != NULL && matrix != NULL && work != NULL;
+        if (ok) {
+            tetcasti_base_normal(t, m, matrix, work);
+            for (c = 0; c < t->n; c++) {
+                double *x = work + t->n * nodes;
+                tetcasti_base_solve(dims, (const double (*)[27])matrix, work + c * nodes, x, x + nodes);
+                for (i = 0; i < nodes; i++)
+                    m->node[i * t->n + c] = (float)((double)m->offset[c] + (double)tetcasti_rbf_code(x[i],
+                        (double)m->bits.node_step, 24) * (double)m->bits.node_step);
+            }
+        }
+        tetcasti_free(t->mem, matrix);
+        tetcasti_free(t->mem, work);
+        if (!ok) return 0;
+    }
+    tetcasti_fit_reset(t);
+    return 1;
+}
+
+/* Nodes of a base with `longest` of them along the longest side, as many a unit as the data has there. */
+static void tetcasti_fit_dims(const tetcasti_fit *t, uint32_t longest, uint32_t dims[3]) {
+    float most = 0.0f;
+    uint32_t a;
+    for (a = 0; a < 3; a++) most = t->m->size[a] > most ? t->m->size[a] : most;
+    for (a = 0; a < 3; a++) {
+        const double n = most > 0.0f ? (double)(longest - 1) * (double)t->m->size[a] / (double)most : 0.0;
+        dims[a] = t->m->size[a] > 0.0f ? (uint32_t)(n + 0.5) + 1 : 1;
+        if (dims[a] < 2 && t->m->size[a] > 0.0f) dims[a] = 2;
+    }
+}
+
+/* ---- the loop ---- */
+
+static size_t tetcasti_fit_count(const tetcasti_fit *t) {
+    size_t i, n = 0, blocks = (size_t)t->blocks[0] * t->blocks[1] * t->blocks[2];
+    for (i = 0; i < blocks; i++) n += t->block[i].count;
+    return n;
+}
+
+static double tetcasti_fit_peak(const tetcasti_fit *t) {
+    size_t i, bins = (size_t)t->bins[0] * t->bins[1] * t->bins[2];
+    float most = 0.0f;
+    for (i = 0; i < bins; i++) most = t->peak[i] > most ? t->peak[i] : most;
+    return sqrt((double)most);
+}
+
+static int tetcasti_fit_bad(tetcasti_fit *t, uint64_t done, uint64_t total) { /* no memory, too many, cancelled */
+    if (t->env->progress_fn != NULL && t->env->progress_fn(t->env->progress_user, done, total) != 0) t->full = 2;
+    return t->failed || t->full;
+}
+
+static void tetcasti_fit_greedy(tetcasti_fit *t, double threshold) {
+    t->threshold = (float)threshold;
+    tetcasti_fit_colors(t, tetcasti_task_fit_greedy);
+}
+
+/* Bits of a function, and of all numbers of the base. */
+static double tetcasti_fit_bits(const tetcasti_fit *t) {
+    const tetcasti_rbf_bits *b = &t->m->bits;
+    return (double)(b->position[0] + b->position[1] + b->position[2] + b->width) + 9.0 * (double)t->n;
+}
+
+/* Try sizes of the base with functions that are not polished: least bytes win. */
+static int tetcasti_fit_trials(tetcasti_fit *t) {
+    static const uint32_t sizes[] = {0, 3, 4, 6, 8, 10, 12, 16, 20, 24, 32, 40, 48};
+    uint32_t dims[3], best[3] = {0, 0, 0}, k, worse = 0;
+    double least = 1e300;
+    const size_t cap = t->cap;
+    for (k = 0; k < sizeof sizes / sizeof sizes[0] && worse < 3; k++) {
+        double nodes, bytes, room;
+        size_t i, n, blocks = (size_t)t->blocks[0] * t->blocks[1] * t->blocks[2];
+        tetcasti_fit_dims(t, sizes[k] != 0 ? sizes[k] : 2, dims);
+        if (sizes[k] == 0) dims[0] = dims[1] = dims[2] = 0;
+        nodes = (double)dims[0] * (double)dims[1] * (double)dims[2] * (double)t->n;
+        room = (least - nodes) * 8.0 / tetcasti_fit_bits(t);
+        if (nodes > 0.3 * (double)t->count * (double)t->n || room < 1.0) break;
+        if (!tetcasti_fit_base(t, dims)) return 0;
+        t->cap = room < (double)cap ? (size_t)room + 1 : cap;
+        t->inserted = 0;
+        tetcasti_fit_greedy(t, 2.0 * (double)t->tolerance);
+        tetcasti_fit_greedy(t, (double)t->tolerance);
+        if (t->failed) return 0;
+        n = tetcasti_fit_count(t);
+        bytes = nodes + (double)n * tetcasti_fit_bits(t) / 8.0;
+        for (i = 0; i < blocks; i++) t->block[i].count = t->block[i].inserted = 0;
+        if (!t->full && bytes < least) {
+            least = bytes;
+            memcpy(best, dims, sizeof best);
+            worse = 0;
+        } else worse++;
+        t->full = 0;
+    }
+    t->cap = cap;
+    return tetcasti_fit_base(t, best);
+}
+
+/* ---- the model, and how wrong it is ---- */
+
+/* Functions of all blocks -> the model's arrays, with as few bits as they need. */
+static tetcast_result tetcasti_fit_model(tetcasti_fit *t) {
+    tetcast_rbf *m = t->m;
+    const size_t blocks = (size_t)t->blocks[0] * t->blocks[1] * t->blocks[2];
+    const size_t nodes = (size_t)m->dims[0] * m->dims[1] * m->dims[2] * t->n;
+    size_t i, j, k = 0;
+    uint32_t c, widest = 0;
+    double most = 0.0;
+    tetcasti_free(&m->mem, m->centre);
+    tetcasti_free(&m->mem, m->width);
+    tetcasti_free(&m->mem, m->weight);
+    tetcasti_free(&m->mem, m->record);
+    tetcasti_free(&m->mem, m->tree);
+    tetcasti_free(&m->mem, m->index);
+    m->centre = NULL;
+    m->width = m->weight = NULL;
+    m->record = NULL;
+    m->tree = NULL;
+    m->index = NULL;
+    m->tree_count = m->index_count = m->tree_depth = 0;
+    m->count = (uint32_t)tetcasti_fit_count(t);
+    m->centre = (float (*)[3])tetcasti_alloc_zero(&m->mem, m->count + 1u, sizeof *m->centre);
+    m->width = (float *)tetcasti_alloc_zero(&m->mem, m->count + 1u, sizeof *m->width);
+    m->weight = (float *)tetcasti_alloc_zero(&m->mem, ((size_t)m->count + 1u) * t->n, sizeof *m->weight);
+    if (m->centre == NULL || m->width == NULL || m->weight == NULL) return TETCAST_ERR_NO_MEMORY;
+    m->bits.width = 8;
+    for (i = 0; i < blocks; i++)
+        for (j = 0; j < t->block[i].count; j++, k++) {
+            const tetcasti_fit_function *f = &t->block[i].f[j];
+            const uint32_t w = tetcasti_rbf_width_code(m, (double)f->width);
+            memcpy(m->centre[k], f->c, sizeof f->c);
+            m->width[k] = f->width;
+            widest = w > widest ? w : widest;
+            for (c = 0; c < t->n; c++) {
+                m->weight[k * t->n + c] = f->w[c];
+                most = tetcasti_max(most, tetcasti_abs((double)f->w[c]));
+            }
+        }
+    for (c = 1; c < 8 && (1u << c) - 1 < widest;) c++;
+    m->bits.width = c;
+    for (c = 2; c < 24 && (double)((1u << (c - 1)) - 1) < most / (double)m->bits.weight_step;) c++;
+    m->bits.weight = c;
+    for (i = 0, most = 0.0; i < nodes; i++)
+        most = tetcasti_max(most, tetcasti_abs((double)m->node[i] - (double)m->offset[i % t->n]));
+    for (c = 2; c < 24 && (double)((1u << (c - 1)) - 1) < most / (double)m->bits.node_step;) c++;
+    m->bits.node = c;
+    if (!tetcasti_rbf_order(m)) return TETCAST_ERR_NO_MEMORY;
+    return tetcasti_rbf_finish(m);
+}
+
+/* The error at the points, from the finished model. */
+static void tetcasti_task_fit_measure(void *ctx, uint32_t task) {
+    tetcasti_fit *t = (tetcasti_fit *)ctx;
+    const uint32_t part = TETCASTI_RBF_CHUNK / 2, first = task * part;
+    const uint32_t count = t->count - first < part ? t->count - first : part;
+    float p[TETCASTI_RBF_CHUNK / 2][3], v[TETCASTI_RBF_CHUNK / 2 * TETCAST_RBF_MAX_COMPONENTS];
+    uint32_t i, c;
+    for (i = 0; i < count; i++) {
+        p[i][0] = t->x[first + i];
+        p[i][1] = t->y[first + i];
+        p[i][2] = t->z[first + i];
+    }
+    tetcasti_rbf_points(t->m, tetcasti_rbf_add_pick(t->m, t->isa), 0, (const float (*)[3])p, count, v, NULL);
+    for (i = 0; i < count; i++)
+        for (c = 0; c < t->n; c++) t->res[c][first + i] = t->value[c][first + i] - v[i * t->n + c];
+}
+
+/* Angle between what is and what was fitted, degrees. */
+static double tetcasti_fit_angle(const double *is, const double *fitted, uint32_t n) {
+    double ab = 0.0, aa = 0.0, bb = 0.0, c, lo = 0.0, hi = 3.14159265358979323846;
+    uint32_t i;
+    for (i = 0; i < n; i++) {
+        ab += is[i] * fitted[i];
+        aa += is[i] * is[i];
+        bb += fitted[i] * fitted[i];
+    }
+    if (!(aa > 0.0)) return 0.0;
+    if (!(bb > 0.0)) return 90.0;
+    c = ab / sqrt(aa * bb);
+    for (i = 0; i < 40; i++) { /* arc cosine by halving */
+        const double mid = 0.5 * (lo + hi);
+        double s, k;
+        tetcasti_sincos(mid, &s, &k);
+        if (k > c) lo = mid;
+        else hi = mid;
+    }
+    return lo * 57.295779513082320877;
+}
+
+static void tetcasti_fit_measure(tetcasti_fit *t, tetcast_rbf_report *report) {
+    enum { BINS = 2048 };
+    uint32_t histogram[BINS];
+    double most = 0.0, sum = 0.0, squares = 0.0, weights = 0.0, angles = 0.0;
+    uint32_t i, c, seen = 0;
+    tetcasti_parallel_for(t->env, tetcasti_task_fit_measure, t,
+                          (t->count + TETCASTI_RBF_CHUNK / 2 - 1) / (TETCASTI_RBF_CHUNK / 2));
+    report->direction_max = report->overshoot = 0.0;
+    for (i = 0; i < t->count; i++) {
+        double e = 0.0, is[4], fitted[4], length = 0.0;
+        for (c = 0; c < t->n; c++) {
+            is[c] = (double)t->value[c][i];
+            fitted[c] = is[c] - (double)t->res[c][i];
+            e += (double)t->res[c][i] * (double)t->res[c][i];
+            length += is[c] * is[c];
+        }
+        squares += e;
+        e = sqrt(e);
+        sum += e;
+        most = tetcasti_max(most, e);
+        t->heed[i] = (float)e;
+        if (t->n == 1) {
+            const double over = tetcasti_max(fitted[0] - (double)t->m->range[1], (double)t->m->range[0] - fitted[0]);
+            report->overshoot = tetcasti_max(report->overshoot, over);
+        } else {
+            const double w = tetcasti_min(1.0, sqrt(length) / (0.05 * t->range));
+            const double angle = w * tetcasti_fit_angle(is, fitted, t->n);
+            weights += w;
+            angles += angle;
+            report->direction_max = tetcasti_max(report->direction_max, angle);
+        }
+    }
+    memset(histogram, 0, sizeof histogram);
+    for (i = 0; i < t->count; i++)
+        histogram[most > 0.0 ? (uint32_t)((double)t->heed[i] / most * (BINS - 1)) : 0]++;
+    for (c = BINS; c-- > 0 && (uint64_t)(seen + histogram[c]) * 1000u <= t->count;) seen += histogram[c];
+    report->max_error = most / t->range;
+    report->mean_error = sum / (double)t->count / t->range;
+    report->rms_error = sqrt(squares / (double)t->count) / t->range;
+    report->p999_error = tetcasti_min((double)(c < BINS ? c + 1 : 1) / (BINS - 1) * most, most) / t->range;
+    report->direction_mean = weights > 0.0 ? angles / weights : 0.0;
+    report->overshoot /= t->range;
+}
+
+/* Random places in cells, against linear interpolation of the data. */
+static void tetcasti_fit_between(tetcasti_fit *t, const tetcast_rbf_points *in, tetcast_rbf_report *report) {
+    const size_t want = in->positions.data == NULL || in->tets != NULL ? 65536 : 0;
+    double sum = 0.0;
+    size_t i;
+    uint32_t h = 1, a, c, k;
+    tetcasti_rbf_add_fn *add = tetcasti_rbf_add_pick(t->m, t->isa);
+    for (i = 0; i < want; i++) {
+        double p[3] = {0.0, 0.0, 0.0}, v[4] = {0.0, 0.0, 0.0, 0.0}, q[3], w[4], u[4], e = 0.0, over;
+        float local[1][3], f[4];
+        int ok = 1;
+        for (a = 0; a < 4; a++) {
+            h = tetcasti_hash32(h + 0x9e3779b9u);
+            u[a] = (double)h * (1.0 / 4294967296.0);
+        }
+        if (in->positions.data == NULL) {
+            size_t cell[3];
+            for (a = 0; a < 3; a++) {
+                const double x = in->dims[a] > 1 ? u[a] * (double)(in->dims[a] - 1) : 0.0;
+                cell[a] = (size_t)x;
+                u[a] = x - (double)cell[a];
+            }
+            for (k = 0; k < 8 && ok; k++) {
+                size_t at = 0;
+                double s = 1.0;
+                for (a = 3; a-- > 0;) {
+                    s *= (k >> a & 1u) != 0 ? u[a] : 1.0 - u[a];
+                    at = at * in->dims[a] + cell[a] + (k >> a & 1u);
+                }
+                if (s == 0.0) continue;
+                ok = tetcasti_fit_read(in, at, q, w);
+                for (a = 0; a < 3; a++) p[a] += s * q[a];
+                for (c = 0; c < t->n; c++) v[c] += s * w[c];
+            }
+        } else {
+            const uint32_t *tet = in->tets + 4 * ((size_t)(u[3] * (double)in->tet_count) % in->tet_count);
+            double s[4], left = 0.0;
+            for (a = 0; a < 3; a++) s[a] = -tetcasti_log2(u[a] + 1e-12); /* uniform in the simplex */
+            h = tetcasti_hash32(h + 0x9e3779b9u);
+            s[3] = -tetcasti_log2((double)h * (1.0 / 4294967296.0) + 1e-12);
+            for (a = 0; a < 4; a++) left += s[a];
+            for (k = 0; k < 4 && ok; k++) {
+                ok = tet[k] < in->count && left > 0.0 && tetcasti_fit_read(in, tet[k], q, w);
+                for (a = 0; ok && a < 3; a++) p[a] += s[k] / left * q[a];
+                for (c = 0; ok && c < t->n; c++) v[c] += s[k] / left * w[c];
+            }
+        }
+        if (!ok) continue;
+        tetcasti_rbf_local(t->m, p, local[0]);
+        tetcasti_rbf_points(t->m, add, 0, (const float (*)[3])local, 1, f, NULL);
+        for (c = 0; c < t->n; c++) e += ((double)f[c] - v[c]) * ((double)f[c] - v[c]);
+        e = sqrt(e) / t->range;
+        report->between_count++;
+        report->between_max = tetcasti_max(report->between_max, e);
+        sum += e;
+        over = tetcasti_max((double)f[0] - (double)t->m->range[1], (double)t->m->range[0] - (double)f[0]) / t->range;
+        if (t->n == 1) report->overshoot = tetcasti_max(report->overshoot, over);
+    }
+    if (report->between_count != 0) report->between_mean = sum / (double)report->between_count;
+}
+
+/* What plain grids need: the nodes of a least-squares grid, or the values themselves, in steps of the tolerance. */
+static int tetcasti_fit_compare(tetcasti_fit *t, const tetcast_rbf_points *in, double tolerance,
+                                tetcast_rbf_report *report) {
+    static const uint32_t sizes[] = {4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128};
+    const uint32_t grid = in->positions.data == NULL;
+    const double step = 2.0 * tolerance / sqrt((double)t->n); /* values: half of it in each component */
+    uint32_t k, c, bits = 1, dims[3];
+    uint64_t bytes;
+    while (bits < 24 && (double)(1u << bits) * step < 1.0 * (t->n == 1 ? 1.0 : 2.0)) bits++;
+    bytes = ((uint64_t)t->count * t->n * bits + 7) / 8;
+    if (!grid) bytes += (uint64_t)t->count * (t->m->bits.position[0] + t->m->bits.position[1] + t->m->bits.position[2]) / 8;
+    report->grid_bytes = bytes;
+    memcpy(report->grid_dims, in->dims, sizeof in->dims);
+    report->grid_bits = bits;
+    report->grid_max_error = tolerance;
+    report->grid_mean_error = 0.5 * tolerance;
+    for (k = 0; k < sizeof sizes / sizeof sizes[0]; k++) {
+        double nodes, most, sum = 0.0;
+        uint32_t i, need = 2;
+        size_t j;
+        tetcasti_fit_dims(t, sizes[k], dims);
+        nodes = (double)dims[0] * (double)dims[1] * (double)dims[2] * (double)t->n;
+        if (nodes * 4.0 / 8.0 > (double)report->grid_bytes || nodes > 4e6) break;
+        if (!tetcasti_fit_base(t, dims)) return 0;
+        most = tetcasti_fit_peak(t) / t->range;
+        if (most > tolerance) continue;
+        for (i = 0; i < t->count; i++) {
+            double e = 0.0;
+            for (c = 0; c < t->n; c++) e += (double)t->res[c][i] * (double)t->res[c][i];
+            sum += sqrt(e);
+        }
+        for (j = 0; j < (size_t)nodes; j++) {
+            const double q = tetcasti_abs((double)t->m->node[j] - (double)t->m->offset[j % t->n]);
+            while (need < 24 && (double)((1u << (need - 1)) - 1) < q / (double)t->m->bits.node_step) need++;
+        }
+        bytes = (uint64_t)(nodes * (double)need / 8.0);
+        if (bytes < report->grid_bytes) {
+            report->grid_bytes = bytes;
+            memcpy(report->grid_dims, dims, sizeof dims);
+            report->grid_bits = need;
+            report->grid_max_error = most;
+            report->grid_mean_error = sum / (double)t->count / t->range;
+        }
+        break;
+    }
+    return 1;
+}
+
+/* Greedy and sweeps until every error is in the tolerance; then the model, measured. */
+static tetcast_result tetcasti_fit_loop(tetcasti_fit *t, const tetcast_rbf_fit_desc *d, tetcast_rbf_report *report) {
+    const uint32_t sweeps = d->sweeps == 0xffffffffu ? 0 : d->sweeps != 0 ? d->sweeps : 3;
+    const double asked = (double)d->max_error * t->range;
+    double tolerance = asked * (1.0 - 1e-4);
+    tetcast_result r;
+    uint32_t s, k, round;
+    t->tolerance = (float)tolerance;
+    t->heed_scale = (float)(1.0 / (tolerance * tolerance));
+    t->polish = 1;
+    for (s = 0; s <= sweeps; s++) {
+        const double left = (double)(sweeps - s);
+        t->sharp = 0;
+        tetcasti_fit_reset_heed(t);
+        tetcasti_fit_greedy(t, tolerance * (1.0 + 0.35 * left));
+        report->rounds++;
+        if (tetcasti_fit_bad(t, s, sweeps + 2)) return t->failed ? TETCAST_ERR_NO_MEMORY : TETCAST_ERR_RANGE;
+        if (sweeps == 0) break;
+        t->sharp = 1;
+        tetcasti_fit_reset_heed(t);
+        for (k = 0; k < (s == sweeps ? 2u : 1u); k++) {
+            tetcasti_fit_colors(t, tetcasti_task_fit_sweep);
+            report->rounds++;
+            if (tetcasti_fit_bad(t, s, sweeps + 2)) return TETCAST_ERR_NO_MEMORY;
+        }
+    }
+    for (round = 0; round < 8; round++) { /* what is stored decides: rounding of sums may need another function */
+        if (round != 0 || sweeps != 0) {
+            t->sharp = 0;
+            tetcasti_fit_reset_heed(t);
+            tetcasti_fit_greedy(t, tolerance);
+            if (tetcasti_fit_bad(t, sweeps + 1, sweeps + 2)) return t->failed ? TETCAST_ERR_NO_MEMORY : TETCAST_ERR_RANGE;
+        }
+        r = tetcasti_fit_model(t);
+        if (r != TETCAST_OK) return r;
+        tetcasti_fit_measure(t, report);
+        if (report->max_error <= (double)d->max_error &&
+            (d->mean_error == 0.0f || report->mean_error <= (double)d->mean_error)) return TETCAST_OK;
+        if (report->max_error <= (double)d->max_error) {
+            tolerance *= 0.8;
+            t->tolerance = (float)tolerance;
+            if (round == 7) round = 6;
+            if (!(tolerance > 1e-7 * t->range)) return TETCAST_ERR_RANGE;
+        }
+        tetcasti_fit_reset_heed(t); /* the errors are those of the model now */
+    }
+    return TETCAST_ERR_RANGE;
+}
+
+static tetcast_result tetcasti_fit_run(tetcasti_fit *t, const tetcast_rbf_fit_desc *d, const tetcast_rbf_points *in,
+                                       tetcast_rbf_report *report) {
+    const uint32_t none[3] = {0, 0, 0};
+    tetcast_rbf *m = t->m;
+    tetcast_result r = tetcasti_fit_survey(t, d, in);
+    int ok = 1;
+    if (r != TETCAST_OK) return r;
+    t->tolerance = (float)((double)d->max_error * t->range * (1.0 - 1e-4));
+    if (!(t->range > 1e-30)) t->range = 0.0;
+    r = tetcasti_fit_open(t, d, in);
+    report->points = t->count;
+    report->rejected = t->rejected;
+    report->duplicates = t->duplicates;
+    report->range = t->range;
+    report->raw_bytes = (uint64_t)t->count * (t->n + (in->positions.data == NULL ? 0u : 3u)) * 4u;
+    if (r != TETCAST_OK) return r;
+    if (t->range == 0.0) { /* one value everywhere */
+        if (!tetcasti_fit_base(t, none)) return TETCAST_ERR_NO_MEMORY;
+        t->range = 1.0;
+        r = tetcasti_fit_model(t);
+        if (r == TETCAST_OK) tetcasti_fit_measure(t, report);
+    } else {
+        if (d->compare) ok = tetcasti_fit_compare(t, in, (double)d->max_error, report);
+        if (!ok) return TETCAST_ERR_NO_MEMORY;
+        if (d->method == TETCAST_RBF_METHOD_PURE) ok = tetcasti_fit_base(t, none);
+        else if (d->base_dims[0] != 0) ok = tetcasti_fit_base(t, d->base_dims);
+        else ok = tetcasti_fit_trials(t);
+        if (!ok) return TETCAST_ERR_NO_MEMORY;
+        r = tetcasti_fit_loop(t, d, report);
+    }
+    if (r != TETCAST_OK) return r;
+    tetcasti_fit_between(t, in, report);
+    m->max_error = (float)report->max_error;
+    m->mean_error = (float)report->mean_error;
+    return TETCAST_OK;
+}
+
+static void tetcasti_fit_report(const tetcasti_fit *t, tetcast_rbf_report *report) {
+    const size_t blocks = (size_t)t->blocks[0] * t->blocks[1] * t->blocks[2];
+    tetcast_rbf_info info;
+    size_t i;
+    tetcast_rbf_get_info(t->m, &info);
+    report->functions = info.function_count;
+    memcpy(report->base_dims, info.base_dims, sizeof info.base_dims);
+    report->bytes = info.file_bytes;
+    report->largest_weight = t->range > 0.0 ? (double)info.largest_weight / t->range : 0.0;
+    report->functions_win = report->bytes < report->grid_bytes;
+    for (i = 0; i < blocks; i++) {
+        report->inserted += t->block[i].inserted;
+        report->dropped += t->block[i].dropped;
+    }
+}
+
+static tetcast_result tetcasti_fit_check(const tetcast_rbf_fit_desc *d, const tetcast_rbf_points *in) {
+    uint32_t a;
+    size_t n = 1;
+    if (in == NULL || in->values.data == NULL || in->components < 1 || in->components > TETCAST_RBF_MAX_COMPONENTS ||
+        tetcasti_type_size(in->values.type) == 0 || tetcasti_type_size(in->positions.type) == 0 ||
+        !(d->max_error >= 1e-6f && d->max_error <= 1.0f) || !(d->mean_error >= 0.0f && d->mean_error <= 1.0f) ||
+        (uint32_t)d->kernel >= TETCAST_KERNEL_COUNT || d->kernel == TETCAST_KERNEL_GAUSS_CUT ||
+        (uint32_t)d->method > TETCAST_RBF_METHOD_PURE || !(d->cut >= 1.0f && d->cut <= 8.0f) ||
+        (in->tets != NULL && in->tet_count == 0)) return TETCAST_ERR_INVALID_ARG;
+    for (a = 0; a < 3; a++) if (!(d->metric[a] >= 0.0) || !tetcasti_finite(d->metric[a])) return TETCAST_ERR_INVALID_ARG;
+    if (!tetcasti_rbf_dims_ok(d->base_dims)) return TETCAST_ERR_INVALID_ARG;
+    if (in->positions.data == NULL) {
+        for (a = 0; a < 3; a++) {
+            if (in->dims[a] == 0 || !tetcasti_mul_size(n, in->dims[a], &n)) return TETCAST_ERR_INVALID_ARG;
+            if (!tetcasti_finite(in->spacing[a]) || !tetcasti_finite(in->origin[a])) return TETCAST_ERR_INVALID_ARG;
+        }
+        if (n != in->count) return TETCAST_ERR_INVALID_ARG;
+    }
+    return TETCAST_OK;
+}
+
+TETCAST_DEF tetcast_result tetcast_rbf_fit(const tetcast_rbf_fit_desc *desc, const tetcast_rbf_points *points,
+                                           tetcast_rbf_report *report, tetcast_rbf **out) {
+    static const char *const why[] = {"", "fit: a number or an enum is out of range", "", "fit: out of memory"};
+    tetcast_rbf_fit_desc d;
+    tetcast_rbf_report own;
+    tetcasti_mem mem;
+    tetcasti_fit t;
+    tetcast_rbf *m;
+    tetcast_result r;
+    if (report != NULL) memset(report, 0, sizeof *report);
+    else report = &own;
+    memset(report, 0, sizeof *report);
+    if (out == NULL) return TETCAST_ERR_INVALID_ARG;
+    *out = NULL;
+    memset(&d, 0, sizeof d);
+    if (desc != NULL) d = *desc;
+    if (d._begin_zero != 0 || d._end_zero != 0) return TETCAST_ERR_UNINIT_DESC;
+    if (d.max_error == 0.0f) d.max_error = 0.05f;
+    if (d.cut == 0.0f) d.cut = 3.5f;
+    r = tetcasti_env_open(&d.env, &mem);
+    if (r == TETCAST_OK) r = tetcasti_fit_check(&d, points);
+    if (r != TETCAST_OK) return tetcasti_fail(d.env.error, r, 0, why[1]);
+    m = (tetcast_rbf *)tetcasti_alloc_zero(&mem, 1, sizeof *m);
+    if (m == NULL) return tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, why[3]);
+    m->mem = mem;
+    m->components = points->components;
+    m->kernel = d.kernel;
+    m->cut = d.cut;
+    memset(&t, 0, sizeof t);
+    t.mem = &m->mem;
+    t.env = &d.env;
+    t.m = m;
+    t.isa = tetcasti_rbf_isa(d.isa);
+    t.n = points->components;
+    t.reach = d.kernel == TETCAST_KERNEL_GAUSS ? d.cut : tetcasti_kernel_reach(d.kernel);
+    if (d.kernel == TETCAST_KERNEL_GAUSS)
+        t.e = (float)tetcasti_exp2(-0.72134752044448170368 * (double)d.cut * (double)d.cut);
+    t.cap = d.max_functions != 0 && d.max_functions < TETCAST_RBF_MAX_FUNCTIONS ? d.max_functions
+                                                                                  : TETCAST_RBF_MAX_FUNCTIONS;
+    r = tetcasti_fit_run(&t, &d, points, report);
+    if (t.full == 2) r = TETCAST_ERR_CANCELLED;
+    if (r == TETCAST_OK) tetcasti_fit_report(&t, report);
+    tetcasti_fit_close(&t);
+    if (r == TETCAST_OK) {
+        *out = m;
+        return r;
+    }
+    tetcast_rbf_destroy(m);
+    return tetcasti_fail(d.env.error, r, 0, r == TETCAST_ERR_EMPTY ? "fit: no usable point"
+                         : r == TETCAST_ERR_RANGE ? "fit: more functions than max_functions are needed"
+                         : r == TETCAST_ERR_CANCELLED ? "fit: cancelled"
+                         : r == TETCAST_ERR_NO_MEMORY ? why[3] : why[1]);
+}
+/* ---------------------------------------------------------------------------
+   rbf_render: functions -> tiles -> groups of eight rays -> sums along rays.    // >>rbf_render
+
+   All in local coordinates, where functions are round. Samples are at multiples of the step h from the eye. A group is
+   4 x 2 pixels; the values of its samples are rows of eight. On a ray at distance e from a centre, with u the way to the
+   nearest point, a Gaussian is 2^(a (e^2 + u^2)): from one sample to the next it is multiplied by q, and q by the
+   constant c = 2^(2 a h^2). The error of that grows with the square of the steps, so it starts in the middle of the
+   reach, goes outwards both ways, and starts anew every 32 samples: 2e-5 of the height.
+   --------------------------------------------------------------------------- */
+
+#define TETCASTI_RBF_TILE 16u
+#define TETCASTI_RBF_RUN 32           /* samples from one start of the recurrence to the next */
+#define TETCASTI_RBF_SAMPLES 65536u
+
+typedef struct tetcasti_rbf_group {   /* eight rays; lanes without a ray are copies of one that has one */
+    float o[3][8], d[3][8];           /* local place of sample 0, unit direction */
+    float in[8], out[8];              /* way from there to where the ray enters and leaves the box */
+    float world[8];                   /* world length of a local unit */
+    float start[8];                   /* world distance of sample 0 from the eye */
+    uint32_t lanes;                   /* that have a ray */
+    int32_t n;                        /* samples */
+    float h;
+} tetcasti_rbf_group;
+
+typedef struct tetcasti_rbf_reach { float tc[8], d2[8]; int32_t first, last, middle; } tetcasti_rbf_reach;
+
+/* Where a function is on the rays; 0: on none of the samples. */
+static int tetcasti_rbf_meet(const tetcasti_rbf_group *g, const tetcasti_rbf_record *f, tetcasti_rbf_reach *r) {
+    float least = 1e30f, lo = 1e30f, hi = -1e30f, half, scale = 1.0f / g->h;
+    uint32_t l;
+    for (l = 0; l < 8; l++) {
+        const float mx = f->c[0] - g->o[0][l], my = f->c[1] - g->o[1][l], mz = f->c[2] - g->o[2][l];
+        const float tc = (mx * g->d[0][l] + my * g->d[1][l]) + mz * g->d[2][l];
+        const float vx = mx - tc * g->d[0][l], vy = my - tc * g->d[1][l], vz = mz - tc * g->d[2][l];
+        r->tc[l] = tc;
+        r->d2[l] = (vx * vx + vy * vy) + vz * vz;
+        least = r->d2[l] < least ? r->d2[l] : least;
+        lo = tc < lo ? tc : lo;
+        hi = tc > hi ? tc : hi;
+    }
+    half = f->radius * f->radius - least;
+    if (!(half > 0.0f)) return 0;
+    half = sqrtf(half);
+    lo = (lo - half) * scale;
+    hi = (hi + half) * scale;
+    if (!(hi >= 0.0f) || !(lo <= (float)(g->n - 1))) return 0;
+    r->first = lo > 0.0f ? (int32_t)lo : 0;
+    r->last = hi < (float)(g->n - 1) ? (int32_t)hi : g->n - 1;
+    half = 0.5f * (lo + hi);
+    r->middle = half <= (float)r->first ? r->first : half >= (float)r->last ? r->last : (int32_t)(half + 0.5f);
+    return 1;
+}
+
+/* Add a function to rows[component][sample][lane]; `stride` floats from one component to the next. */
+TETCASTI_INLINE void tetcasti_rbf_run_kind(const tetcast_kernel kernel, const uint32_t n, const tetcasti_rbf_group *g,
+                                           const tetcasti_rbf_record *f, const tetcasti_rbf_reach *r, float *rows,
+                                           size_t stride) {
+    const float h = g->h, c2 = tetcasti_exp2_fast(2.0f * f->a * h * h);
+    uint32_t l, c;
+    int32_t j, k, way;
+    for (l = 0; l < 8; l++) {
+        if (kernel != TETCAST_KERNEL_GAUSS && kernel != TETCAST_KERNEL_GAUSS_CUT) {
+            for (j = r->first; j <= r->last; j++) {
+                const float u = (float)j * h - r->tc[l], phi = tetcasti_rbf_phi(kernel, f, r->d2[l] + u * u, NULL);
+                for (c = 0; c < n; c++) rows[c * stride + (size_t)j * 8 + l] += f->w[c] * phi;
+            }
+            continue;
+        }
+        for (way = 1; way >= -1; way -= 2) {
+            j = way > 0 ? r->middle : r->middle - 1;
+            while (way > 0 ? j <= r->last : j >= r->first) {
+                const float u = (float)j * h - r->tc[l];
+                float v = tetcasti_exp2_fast(f->a * (r->d2[l] + u * u));
+                float q = tetcasti_exp2_fast((f->a * h) * (h + (way > 0 ? 2.0f : -2.0f) * u));
+                int32_t left = way > 0 ? r->last - j + 1 : j - r->first + 1;
+                left = left < TETCASTI_RBF_RUN ? left : TETCASTI_RBF_RUN;
+                for (k = 0; k < left; k++, j += way) {
+                    const float m = v - f->e;
+                    const float phi = m > 0.0f ? (kernel == TETCAST_KERNEL_GAUSS ? m : v) : 0.0f;
+                    for (c = 0; c < n; c++) rows[c * stride + (size_t)j * 8 + l] += f->w[c] * phi;
+                    v = v * q;
+                    q = q * c2;
+                }
+            }
+        }
+    }
+}
+static void tetcasti_rbf_run_scalar(tetcast_kernel kernel, uint32_t n, const tetcasti_rbf_group *g,
+                                    const tetcasti_rbf_record *f, const tetcasti_rbf_reach *r, float *rows,
+                                    size_t stride) {
+    tetcasti_rbf_run_kind(kernel, n, g, f, r, rows, stride);
+}
+
+#if TETCASTI_AVX2
+TETCASTI_TARGET_AVX2 static int tetcasti_rbf_meet8(const tetcasti_rbf_group *g, const tetcasti_rbf_record *f,
+                                                   tetcasti_rbf_reach *r) {
+    const __m256 gx = _mm256_loadu_ps(g->d[0]), gy = _mm256_loadu_ps(g->d[1]), gz = _mm256_loadu_ps(g->d[2]);
+    const __m256 mx = _mm256_sub_ps(_mm256_set1_ps(f->c[0]), _mm256_loadu_ps(g->o[0]));
+    const __m256 my = _mm256_sub_ps(_mm256_set1_ps(f->c[1]), _mm256_loadu_ps(g->o[1]));
+    const __m256 mz = _mm256_sub_ps(_mm256_set1_ps(f->c[2]), _mm256_loadu_ps(g->o[2]));
+    const __m256 tc = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(mx, gx), _mm256_mul_ps(my, gy)), _mm256_mul_ps(mz, gz));
+    const __m256 vx = _mm256_sub_ps(mx, _mm256_mul_ps(tc, gx)), vy = _mm256_sub_ps(my, _mm256_mul_ps(tc, gy));
+    const __m256 vz = _mm256_sub_ps(mz, _mm256_mul_ps(tc, gz));
+    const __m256 d2 = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(vx, vx), _mm256_mul_ps(vy, vy)), _mm256_mul_ps(vz, vz));
+    const float radius2 = f->radius * f->radius;
+    __m128 a, b, e;
+    float least, lo, hi, half, scale;
+    if (_mm256_movemask_ps(_mm256_cmp_ps(d2, _mm256_set1_ps(radius2), _CMP_LT_OQ)) == 0) return 0;
+    _mm256_storeu_ps(r->tc, tc);
+    _mm256_storeu_ps(r->d2, d2);
+    a = _mm_min_ps(_mm256_castps256_ps128(d2), _mm256_extractf128_ps(d2, 1));
+    b = _mm_min_ps(_mm256_castps256_ps128(tc), _mm256_extractf128_ps(tc, 1));
+    e = _mm_max_ps(_mm256_castps256_ps128(tc), _mm256_extractf128_ps(tc, 1));
+    a = _mm_min_ps(a, _mm_movehl_ps(a, a));
+    b = _mm_min_ps(b, _mm_movehl_ps(b, b));
+    e = _mm_max_ps(e, _mm_movehl_ps(e, e));
+    least = _mm_cvtss_f32(_mm_min_ss(a, _mm_shuffle_ps(a, a, 1)));
+    lo = _mm_cvtss_f32(_mm_min_ss(b, _mm_shuffle_ps(b, b, 1)));
+    hi = _mm_cvtss_f32(_mm_max_ss(e, _mm_shuffle_ps(e, e, 1)));
+    scale = 1.0f / g->h;
+    half = radius2 - least;
+    if (!(half > 0.0f)) return 0;
+    half = sqrtf(half);
+    lo = (lo - half) * scale;
+    hi = (hi + half) * scale;
+    if (!(hi >= 0.0f) || !(lo <= (float)(g->n - 1))) return 0;
+    r->first = lo > 0.0f ? (int32_t)lo : 0;
+    r->last = hi < (float)(g->n - 1) ? (int32_t)hi : g->n - 1;
+    half = 0.5f * (lo + hi);
+    r->middle = half <= (float)r->first ? r->first : half >= (float)r->last ? r->last : (int32_t)(half + 0.5f);
+    return 1;
+}
+
+TETCASTI_TARGET_AVX2 TETCASTI_INLINE void tetcasti_rbf_run8_kind(const tetcast_kernel kernel, const uint32_t n,
+        const tetcasti_rbf_group *g, const tetcasti_rbf_record *f, const tetcasti_rbf_reach *r, float *rows,
+        size_t stride) {
+    const __m256 tc = _mm256_loadu_ps(r->tc), d2 = _mm256_loadu_ps(r->d2), zero = _mm256_setzero_ps();
+    const float h = g->h;
+    __m256 w[TETCAST_RBF_MAX_COMPONENTS];
+    uint32_t c;
+    int32_t j, k, way;
+    for (c = 0; c < n; c++) w[c] = _mm256_set1_ps(f->w[c]);
+    if (kernel != TETCAST_KERNEL_GAUSS && kernel != TETCAST_KERNEL_GAUSS_CUT) {
+        for (j = r->first; j <= r->last; j++) {
+            const __m256 u = _mm256_sub_ps(_mm256_set1_ps((float)j * h), tc);
+            const __m256 phi = tetcasti_rbf_phi8(kernel, f, _mm256_add_ps(d2, _mm256_mul_ps(u, u)), 0, NULL);
+            for (c = 0; c < n; c++) {
+                float *at = rows + c * stride + (size_t)j * 8;
+                _mm256_storeu_ps(at, _mm256_add_ps(_mm256_loadu_ps(at), _mm256_mul_ps(w[c], phi)));
+            }
+        }
+        return;
+    }
+    {
+        const __m256 c2 = _mm256_set1_ps(tetcasti_exp2_fast(2.0f * f->a * h * h)), e = _mm256_set1_ps(f->e);
+        const __m256 a = _mm256_set1_ps(f->a), ah = _mm256_set1_ps(f->a * h), h8 = _mm256_set1_ps(h);
+        for (way = 1; way >= -1; way -= 2) {
+            const __m256 twice = _mm256_set1_ps(way > 0 ? 2.0f : -2.0f);
+            j = way > 0 ? r->middle : r->middle - 1;
+            while (way > 0 ? j <= r->last : j >= r->first) {
+                const __m256 u = _mm256_sub_ps(_mm256_set1_ps((float)j * h), tc);
+                __m256 v = tetcasti_exp2_fast8(_mm256_mul_ps(a, _mm256_add_ps(d2, _mm256_mul_ps(u, u))));
+                __m256 q = tetcasti_exp2_fast8(_mm256_mul_ps(ah, _mm256_add_ps(h8, _mm256_mul_ps(twice, u))));
+                int32_t left = way > 0 ? r->last - j + 1 : j - r->first + 1;
+                float *at = rows + (size_t)j * 8;
+                left = left < TETCASTI_RBF_RUN ? left : TETCASTI_RBF_RUN;
+                for (k = 0; k < left; k++, at += 8 * way) {
+                    const __m256 m = _mm256_sub_ps(v, e);
+                    const __m256 phi = kernel == TETCAST_KERNEL_GAUSS
+                        ? _mm256_max_ps(m, zero) : _mm256_and_ps(_mm256_cmp_ps(m, zero, _CMP_GT_OQ), v);
+                    for (c = 0; c < n; c++)
+                        _mm256_storeu_ps(at + c * stride, _mm256_add_ps(_mm256_loadu_ps(at + c * stride),
+                                                                        _mm256_mul_ps(w[c], phi)));
+                    v = _mm256_mul_ps(v, q);
+                    q = _mm256_mul_ps(q, c2);
+                }
+                j += way * left;
+            }
+        }
+    }
+}
+TETCASTI_TARGET_AVX2 static void tetcasti_rbf_run8(tetcast_kernel kernel, uint32_t n, const tetcasti_rbf_group *g,
+        const tetcasti_rbf_record *f, const tetcasti_rbf_reach *r, float *rows, size_t stride) {
+    if (kernel == TETCAST_KERNEL_GAUSS && n == 1)
+        tetcasti_rbf_run8_kind(TETCAST_KERNEL_GAUSS, 1, g, f, r, rows, stride);
+    else if (kernel == TETCAST_KERNEL_GAUSS && n == 3)
+        tetcasti_rbf_run8_kind(TETCAST_KERNEL_GAUSS, 3, g, f, r, rows, stride);
+    else if (kernel == TETCAST_KERNEL_GAUSS) tetcasti_rbf_run8_kind(TETCAST_KERNEL_GAUSS, n, g, f, r, rows, stride);
+    else if (kernel == TETCAST_KERNEL_GAUSS_CUT)
+        tetcasti_rbf_run8_kind(TETCAST_KERNEL_GAUSS_CUT, n, g, f, r, rows, stride);
+    else if (kernel == TETCAST_KERNEL_WENDLAND2)
+        tetcasti_rbf_run8_kind(TETCAST_KERNEL_WENDLAND2, n, g, f, r, rows, stride);
+    else if (kernel == TETCAST_KERNEL_WENDLAND4)
+        tetcasti_rbf_run8_kind(TETCAST_KERNEL_WENDLAND4, n, g, f, r, rows, stride);
+    else tetcasti_rbf_run8_kind(TETCAST_KERNEL_POWER, n, g, f, r, rows, stride);
+}
+
+/* Base at a row of samples, as tetcasti_rbf_base. */
+TETCASTI_TARGET_AVX2 static void tetcasti_rbf_base8(const tetcast_rbf *m, const tetcasti_rbf_group *g, int32_t j,
+                                                    float *rows, size_t stride) {
+    const __m256 s = _mm256_set1_ps((float)j * g->h), zero = _mm256_setzero_ps();
+    const uint32_t n = m->components;
+    __m256 u[3];
+    __m256i cell[3], at;
+    int32_t step[3];
+    uint32_t a, c;
+    for (a = 0; a < 3; a++) {
+        const int32_t last = (int32_t)m->dims[a] - 1;
+        __m256 t = _mm256_add_ps(_mm256_loadu_ps(g->o[a]), _mm256_mul_ps(s, _mm256_loadu_ps(g->d[a])));
+        t = _mm256_mul_ps(t, _mm256_set1_ps(m->node_scale[a]));
+        t = _mm256_min_ps(_mm256_max_ps(t, zero), _mm256_set1_ps((float)last));
+        cell[a] = _mm256_cvttps_epi32(t);
+        if (last > 0) cell[a] = _mm256_min_epi32(cell[a], _mm256_set1_epi32(last - 1));
+        u[a] = _mm256_sub_ps(t, _mm256_cvtepi32_ps(cell[a]));
+    }
+    step[0] = m->dims[0] > 1 ? (int32_t)n : 0;
+    step[1] = m->dims[1] > 1 ? (int32_t)(n * m->dims[0]) : 0;
+    step[2] = m->dims[2] > 1 ? (int32_t)(n * m->dims[0] * m->dims[1]) : 0;
+    at = _mm256_add_epi32(_mm256_mullo_epi32(cell[2], _mm256_set1_epi32((int32_t)m->dims[1])), cell[1]);
+    at = _mm256_add_epi32(_mm256_mullo_epi32(at, _mm256_set1_epi32((int32_t)m->dims[0])), cell[0]);
+    at = _mm256_mullo_epi32(at, _mm256_set1_epi32((int32_t)n));
+    for (c = 0; c < n; c++) {
+        const float *v = m->node + c;
+        const __m256 v000 = _mm256_i32gather_ps(v, at, 4), v100 = _mm256_i32gather_ps(v + step[0], at, 4);
+        const __m256 v010 = _mm256_i32gather_ps(v + step[1], at, 4);
+        const __m256 v110 = _mm256_i32gather_ps(v + step[0] + step[1], at, 4);
+        const __m256 v001 = _mm256_i32gather_ps(v + step[2], at, 4);
+        const __m256 v101 = _mm256_i32gather_ps(v + step[0] + step[2], at, 4);
+        const __m256 v011 = _mm256_i32gather_ps(v + step[1] + step[2], at, 4);
+        const __m256 v111 = _mm256_i32gather_ps(v + step[0] + step[1] + step[2], at, 4);
+        const __m256 x0 = _mm256_add_ps(v000, _mm256_mul_ps(u[1], _mm256_sub_ps(v010, v000)));
+        const __m256 x1 = _mm256_add_ps(v100, _mm256_mul_ps(u[1], _mm256_sub_ps(v110, v100)));
+        const __m256 y0 = _mm256_add_ps(v001, _mm256_mul_ps(u[1], _mm256_sub_ps(v011, v001)));
+        const __m256 y1 = _mm256_add_ps(v101, _mm256_mul_ps(u[1], _mm256_sub_ps(v111, v101)));
+        const __m256 z0 = _mm256_add_ps(x0, _mm256_mul_ps(u[2], _mm256_sub_ps(y0, x0)));
+        const __m256 z1 = _mm256_add_ps(x1, _mm256_mul_ps(u[2], _mm256_sub_ps(y1, x1)));
+        _mm256_storeu_ps(rows + c * stride + (size_t)j * 8, _mm256_add_ps(z0, _mm256_mul_ps(u[0], _mm256_sub_ps(z1, z0))));
+    }
+}
+#endif
+
+typedef struct tetcasti_rbf_plane { double n[3], at; } tetcasti_rbf_plane; /* n . p - at */
+
+typedef struct tetcasti_rbf_picture {
+    const tetcast_rbf_render_desc *desc;
+    const tetcast_rbf *m;
+    const tetcast_optics *optics;
+    const tetcast_image *image;
+    tetcasti_mem mem;
+    tetcasti_frame frame;
+    tetcasti_encoder encoder;
+    double eye[3], right[3], up[3], forward[3]; /* local; not at right angles when the metric is not even */
+    tetcast_isa isa;
+    tetcast_rbf_channel channel;
+    uint32_t component;
+    float h, step, seen[2];       /* step local, world; values outside of seen[] show nothing */
+    uint32_t rows;                /* most samples of a ray */
+    uint32_t tiles_x, tiles_y, tiles;
+    size_t *first;                /* [tiles + 1] */
+    uint32_t *list;
+    tetcasti_rbf_add_fn *add;
+    uint32_t next, done, failed, cancelled;
+    uint32_t tally[6][2];
+} tetcasti_rbf_picture;
+
+/* One ray of a group. 0: it misses the box. ends: local distances. */
+static int tetcasti_rbf_ray(const tetcasti_rbf_picture *t, uint32_t x, uint32_t y, double o[3], double d[3],
+                            double ends[2], double *world) {
+    const double u = ((double)x + 0.5) - 0.5 * (double)t->frame.width, v = 0.5 * (double)t->frame.height - ((double)y + 0.5);
+    double l = 0.0, w = 0.0;
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        const double shift = u * t->right[a] + v * t->up[a];
+        o[a] = t->frame.parallel ? t->eye[a] + shift : t->eye[a];
+        d[a] = t->frame.parallel ? t->forward[a] : t->forward[a] + shift;
+        l += d[a] * d[a];
+        w += d[a] * t->m->scale[a] * (d[a] * t->m->scale[a]);
+    }
+    l = sqrt(l);
+    *world = sqrt(w) / l;
+    ends[0] = 0.0;
+    ends[1] = 1e30;
+    for (a = 0; a < 3; a++) {
+        const double hi = (double)t->m->size[a];
+        d[a] /= l;
+        if (d[a] == 0.0) {
+            if (!(o[a] >= 0.0 && o[a] <= hi)) return 0;
+        } else {
+            const double p = -o[a] / d[a], q = (hi - o[a]) / d[a];
+            ends[0] = tetcasti_max(ends[0], tetcasti_min(p, q));
+            ends[1] = tetcasti_min(ends[1], tetcasti_max(p, q));
+        }
+    }
+    return ends[1] > ends[0];
+}
+
+/* The rays of a group at pixel (x, y), 4 x 2. 0: none meets the box. */
+static int tetcasti_rbf_group_open(const tetcasti_rbf_picture *t, uint32_t x, uint32_t y, tetcasti_rbf_group *g) {
+    double o[8][3], d[8][3], ends[8][2], world[8], from = 1e30, to = 0.0, at;
+    const double h = (double)t->h;
+    uint32_t l, a, one = 8;
+    g->lanes = 0;
+    for (l = 0; l < 8; l++) {
+        const uint32_t px = x + (l & 3u), py = y + (l >> 2);
+        if (px >= t->frame.width || py >= t->frame.height || !tetcasti_rbf_ray(t, px, py, o[l], d[l], ends[l], &world[l]))
+            continue;
+        g->lanes |= 1u << l;
+        one = l;
+        from = tetcasti_min(from, ends[l][0]);
+        to = tetcasti_max(to, ends[l][1]);
+    }
+    if (g->lanes == 0) return 0;
+    at = (double)tetcasti_floor(from / h) * h;
+    for (l = 0; l < 8; l++) {
+        const uint32_t k = (g->lanes >> l & 1u) != 0 ? l : one;
+        for (a = 0; a < 3; a++) {
+            g->o[a][l] = (float)(o[k][a] + at * d[k][a]);
+            g->d[a][l] = (float)d[k][a];
+        }
+        g->in[l] = (float)(ends[k][0] - at);
+        g->out[l] = (float)(ends[k][1] - at);
+        g->world[l] = (float)world[k];
+        g->start[l] = (float)(at * world[k]);
+    }
+    g->h = t->h;
+    g->n = (int32_t)tetcasti_min((double)tetcasti_floor((to - at) / h) + 2.0, (double)t->rows);
+    return 1;
+}
+
+static void tetcasti_rbf_base_rows(const tetcasti_rbf_picture *t, const tetcasti_rbf_group *g, float *rows,
+                                   size_t stride) {
+    const tetcast_rbf *m = t->m;
+    uint32_t l, c, a;
+    int32_t j;
+    for (j = 0; j < g->n; j++) {
+        if (m->node == NULL) {
+            for (c = 0; c < m->components; c++)
+                for (l = 0; l < 8; l++) rows[c * stride + (size_t)j * 8 + l] = m->offset[c];
+            continue;
+        }
+#if TETCASTI_AVX2
+        if (t->isa >= TETCAST_ISA_AVX2) {
+            tetcasti_rbf_base8(m, g, j, rows, stride);
+            continue;
+        }
+#endif
+        for (l = 0; l < 8; l++) {
+            float p[3], v[TETCAST_RBF_MAX_COMPONENTS];
+            for (a = 0; a < 3; a++) p[a] = g->o[a][l] + (float)j * g->h * g->d[a][l];
+            tetcasti_rbf_base(m, p, v, NULL);
+            for (c = 0; c < m->components; c++) rows[c * stride + (size_t)j * 8 + l] = v[c];
+        }
+    }
+}
+
+/* What is seen of the components and their local slopes. */
+static float tetcasti_rbf_scalar(const tetcasti_rbf_picture *t, const float *v, const float *slope) {
+    const tetcast_rbf *m = t->m;
+    tetcast_flow flow;
+    float jacobian[9], s = 0.0f;
+    uint32_t c;
+    if (t->channel == TETCAST_RBF_CHANNEL_COMPONENT) return v[t->component];
+    if (t->channel == TETCAST_RBF_CHANNEL_LENGTH) {
+        for (c = 0; c < m->components; c++) s += v[c] * v[c];
+        return sqrtf(s);
+    }
+    for (c = 0; c < 9; c++) jacobian[c] = (float)((double)slope[c] / m->scale[c % 3]);
+    tetcast_flow_features(v, jacobian, &flow);
+    if (t->channel == TETCAST_RBF_CHANNEL_LAMBDA2) return -flow.lambda2;
+    if (t->channel == TETCAST_RBF_CHANNEL_HELICITY) return flow.helicity;
+    return (float)sqrt((double)flow.vorticity[0] * (double)flow.vorticity[0] + (double)flow.vorticity[1] *
+                       (double)flow.vorticity[1] + (double)flow.vorticity[2] * (double)flow.vorticity[2]);
+}
+
+/* Samples one by one: rows[0] gets what is seen. */
+static void tetcasti_rbf_gather_rows(const tetcasti_rbf_picture *t, const tetcasti_rbf_group *g, float *rows) {
+    const uint32_t n = t->m->components;
+    const int slopes = t->channel > TETCAST_RBF_CHANNEL_LENGTH;
+    float p[8][3], v[8 * TETCAST_RBF_MAX_COMPONENTS], s[8 * TETCAST_RBF_MAX_COMPONENTS * 3];
+    uint32_t l, a;
+    int32_t j;
+    for (j = 0; j < g->n; j++) {
+        for (l = 0; l < 8; l++)
+            for (a = 0; a < 3; a++) p[l][a] = g->o[a][l] + (float)j * g->h * g->d[a][l];
+        tetcasti_rbf_points(t->m, t->add, 0, (const float (*)[3])p, 8, v, slopes ? s : NULL);
+        for (l = 0; l < 8; l++) rows[(size_t)j * 8 + l] = tetcasti_rbf_scalar(t, v + l * n, s + l * n * 3);
+    }
+}
+
+/* Values of all samples of a group: rows[0 ..]. */
+static void tetcasti_rbf_group_values(tetcasti_rbf_picture *t, const tetcasti_rbf_group *g, uint32_t tile, float *rows,
+                                      size_t stride, uint64_t count[3]) {
+    const tetcast_rbf *m = t->m;
+    tetcasti_rbf_reach r;
+    size_t i;
+    uint32_t c, n = m->components;
+    memset(&r, 0, sizeof r);
+    if (t->desc->gather || t->channel > TETCAST_RBF_CHANNEL_LENGTH) {
+        tetcasti_rbf_gather_rows(t, g, rows);
+        return;
+    }
+    tetcasti_rbf_base_rows(t, g, rows, stride);
+    for (i = t->first[tile]; i < t->first[tile + 1]; i++) {
+        const tetcasti_rbf_record *f = &m->record[t->list[i]];
+        count[0]++;
+#if TETCASTI_AVX2
+        if (t->isa >= TETCAST_ISA_AVX2) {
+            if (!tetcasti_rbf_meet8(g, f, &r)) continue;
+            tetcasti_rbf_run8(m->kernel, n, g, f, &r, rows, stride);
+        } else
+#endif
+        {
+            if (!tetcasti_rbf_meet(g, f, &r)) continue;
+            tetcasti_rbf_run_scalar(m->kernel, n, g, f, &r, rows, stride);
+        }
+        count[1]++;
+        count[2] += 8u * (uint64_t)(r.last - r.first + 1);
+    }
+    if (t->channel == TETCAST_RBF_CHANNEL_LENGTH) {
+        for (i = 0; i < 8 * (size_t)g->n; i++) {
+            float s = 0.0f;
+            for (c = 0; c < n; c++) s += rows[c * stride + i] * rows[c * stride + i];
+            rows[i] = sqrtf(s);
+        }
+    } else if (t->component != 0) memcpy(rows, rows + t->component * stride, 8 * (size_t)g->n * sizeof *rows);
+}
+
+/* ---- along the rays ---- */
+
+typedef struct tetcasti_rbf_hit { /* a crossing of an isovalue */
+    const tetcasti_rbf_picture *t;
+    const tetcasti_rbf_group *g;
+    uint32_t lane;
+    float from, to, front, back;  /* way and value at both ends */
+    float *hit;                   /* the first crossing's way */
+} tetcasti_rbf_hit;
+
+static float tetcasti_rbf_probe(const tetcasti_rbf_hit *x, float s, float slope[3]) {
+    const tetcasti_rbf_picture *t = x->t;
+    const uint32_t n = t->m->components;
+    float p[1][3], v[TETCAST_RBF_MAX_COMPONENTS], d[TETCAST_RBF_MAX_COMPONENTS * 3], value;
+    uint32_t a, c;
+    for (a = 0; a < 3; a++) p[0][a] = x->g->o[a][x->lane] + s * x->g->d[a][x->lane];
+    tetcasti_rbf_points(t->m, t->add, 0, (const float (*)[3])p, 1, v, d);
+    value = tetcasti_rbf_scalar(t, v, d);
+    for (a = 0; a < 3; a++) {
+        double sum = 0.0;
+        if (t->channel == TETCAST_RBF_CHANNEL_COMPONENT) sum = (double)d[t->component * 3 + a];
+        else for (c = 0; c < n; c++) sum += (double)v[c] * (double)d[c * 3 + a];
+        slope[a] = (float)(sum / t->m->scale[a]);
+    }
+    return value;
+}
+
+/* The surface between two samples: false position on the function itself, then its gradient. Features of flows have no
+   gradient here: differences are taken. */
+static void tetcasti_rbf_normal(void *user, float fraction, float normal[3]) {
+    tetcasti_rbf_hit *x = (tetcasti_rbf_hit *)user;
+    const float want = x->front + fraction * (x->back - x->front), width = x->to - x->from;
+    float a = x->from, b = x->to, fa = x->front - want, fb = x->back - want, s = x->from + fraction * width, f;
+    uint32_t i, k;
+    f = tetcasti_rbf_probe(x, s, normal) - want;
+    for (i = 0; i < 6 && tetcasti_absf(b - a) > 1e-4f * width && f != 0.0f; i++) {
+        if ((f > 0.0f) == (fa > 0.0f)) {
+            a = s;
+            fa = f;
+            fb *= 0.5f; /* Illinois */
+        } else {
+            b = s;
+            fb = f;
+            fa *= 0.5f;
+        }
+        if (!(tetcasti_absf(fb - fa) > 0.0f)) break;
+        s = a - fa * ((b - a) / (fb - fa));
+        if (!(s >= (a < b ? a : b) && s <= (a < b ? b : a))) s = 0.5f * (a + b);
+        f = tetcasti_rbf_probe(x, s, normal) - want;
+    }
+    if (x->t->channel > TETCAST_RBF_CHANNEL_LENGTH) {
+        const float e = 0.02f * x->t->h;
+        for (k = 0; k < 3; k++) {
+            float p[1][3], v[TETCAST_RBF_MAX_COMPONENTS], d[TETCAST_RBF_MAX_COMPONENTS * 3], value[2];
+            for (i = 0; i < 2; i++) {
+                uint32_t c;
+                for (c = 0; c < 3; c++)
+                    p[0][c] = x->g->o[c][x->lane] + s * x->g->d[c][x->lane] + (c == k ? (i != 0 ? e : -e) : 0.0f);
+                tetcasti_rbf_points(x->t->m, x->t->add, 0, (const float (*)[3])p, 1, v, d);
+                value[i] = tetcasti_rbf_scalar(x->t, v, d);
+            }
+            normal[k] = (float)(((double)value[1] - (double)value[0]) / x->t->m->scale[k]);
+        }
+    }
+    if (*x->hit == TETCASTI_INF) *x->hit = s;
+}
+
+/* The segment of one lane between samples j and j + 1, cut by the box. 0: there is none. */
+static int tetcasti_rbf_cut(const tetcasti_rbf_group *g, const float *rows, int32_t j, uint32_t l, tetcasti_seg8 *seg,
+                            float *from, float *to) {
+    const float a = (float)j * g->h, b = (float)(j + 1) * g->h, v = rows[(size_t)j * 8 + l], w = rows[(size_t)j * 8 + 8 + l];
+    *from = a > g->in[l] ? a : g->in[l];
+    *to = b < g->out[l] ? b : g->out[l];
+    if ((g->lanes >> l & 1u) == 0 || !(*to > *from)) return 0;
+    seg->front[l] = *from > a ? v + (w - v) * ((*from - a) / g->h) : v;
+    seg->back[l] = *to < b ? v + (w - v) * ((*to - a) / g->h) : w;
+    seg->length[l] = (*to - *from) * g->world[l];
+    seg->depth[l] = g->start[l] + *from * g->world[l];
+    return 1;
+}
+
+/* Integrate the rows of a group. depth: local way to the first sample that shows something. */
+static void tetcasti_rbf_march(const tetcasti_rbf_picture *t, const tetcasti_rbf_group *g, const float *rows,
+                               tetcasti_ray_sum8 *sum, float depth[8]) {
+    const tetcast_optics *o = t->optics;
+    tetcasti_seg8 seg;
+    uint32_t l, ended = 0;
+    int32_t j;
+    const int want_depth = t->image->depth != NULL;
+    for (l = 0; l < 8; l++) {
+        tetcasti_lane_begin(o, sum, l);
+        depth[l] = TETCASTI_INF;
+    }
+    memset(&seg, 0, sizeof seg);
+    for (j = 0; j + 1 < g->n; j++) {
+        const float *v = rows + (size_t)j * 8;
+        float from[8], to[8];
+        uint32_t lanes = 0, below = 0, above = 0, hits;
+        for (l = 0; l < 8; l++) {
+            below |= (uint32_t)!((v[l] < t->seen[0]) & (v[l + 8] < t->seen[0])) << l;
+            above |= (uint32_t)!((v[l] > t->seen[1]) & (v[l + 8] > t->seen[1])) << l;
+        }
+        if ((below & above & g->lanes & ~ended) == 0) continue;
+        for (l = 0; l < 8; l++)
+            if ((below & above & ~ended) >> l & 1u)
+                lanes |= (uint32_t)tetcasti_rbf_cut(g, rows, j, l, &seg, &from[l], &to[l]) << l;
+        if (lanes == 0) continue;
+        hits = o->iso_count != 0 ? tetcasti_iso_lanes(o, &seg, lanes) : 0;
+        for (l = 0; l < 8; l++) {
+            if ((lanes >> l & 1u) == 0) continue;
+            if (want_depth && depth[l] == TETCASTI_INF && (hits >> l & 1u) == 0 &&
+                !tetcasti_optics_empty(o, seg.front[l] < seg.back[l] ? seg.front[l] : seg.back[l],
+                                       seg.front[l] < seg.back[l] ? seg.back[l] : seg.front[l])) depth[l] = from[l];
+            if (hits >> l & 1u) {
+                tetcasti_rbf_hit x;
+                float view[3];
+                double way = 0.0;
+                uint32_t a;
+                for (a = 0; a < 3; a++) {
+                    const double w = (double)g->d[a][l] * t->m->scale[a];
+                    way += w * w;
+                }
+                for (a = 0; a < 3; a++) view[a] = (float)((double)g->d[a][l] * t->m->scale[a] / sqrt(way));
+                x.t = t;
+                x.g = g;
+                x.lane = l;
+                x.from = from[l];
+                x.to = to[l];
+                x.front = seg.front[l];
+                x.back = seg.back[l];
+                x.hit = &depth[l];
+                tetcasti_lane_segment_iso(o, l, &seg, tetcasti_rbf_normal, &x, view, sum);
+                if (!(sum->t[l] > o->t_stop)) ended |= 1u << l;
+            }
+        }
+        if (lanes & ~hits) ended |= o->segment8(o, &seg, lanes & ~hits, sum);
+        if ((g->lanes & ~ended) == 0) break;
+    }
+}
+
+static void tetcasti_rbf_pixel(const tetcasti_rbf_picture *t, uint32_t x, uint32_t y, const float rgba[4], float depth,
+                               float length) {
+    const tetcast_image *m = t->image;
+    const float *back = t->desc->background;
+    float out[4];
+    uint32_t c;
+    for (c = 0; c < 4; c++) out[c] = rgba[c] + (1.0f - rgba[3]) * back[c];
+    if (m->rgba != NULL) {
+        const size_t stride = m->rgba_stride != 0 ? m->rgba_stride : (size_t)m->width * 16;
+        memcpy((uint8_t *)m->rgba + y * stride + (size_t)x * 16, out, 16);
+    }
+    if (m->rgba8 != NULL) {
+        uint8_t *p = m->rgba8 + y * (m->rgba8_stride != 0 ? m->rgba8_stride : (size_t)m->width * 4) + (size_t)x * 4;
+        const float a = out[3] < 1.0f ? out[3] : 1.0f;
+        for (c = 0; c < 3; c++) p[c] = tetcasti_encode(&t->encoder, a > 0.0f ? out[c] / a : out[c]);
+        p[3] = (uint8_t)(a > 0.0f ? a * 255.0f + 0.5f : 0.0f);
+    }
+    if (m->depth != NULL) {
+        const size_t stride = m->depth_stride != 0 ? m->depth_stride : (size_t)m->width * 4;
+        memcpy((uint8_t *)m->depth + y * stride + (size_t)x * 4, &depth, 4);
+    }
+    if (m->length != NULL) {
+        const size_t stride = m->length_stride != 0 ? m->length_stride : (size_t)m->width * 4;
+        memcpy((uint8_t *)m->length + y * stride + (size_t)x * 4, &length, 4);
+    }
+    if (m->steps != NULL) {
+        const uint32_t none = 0;
+        const size_t stride = m->steps_stride != 0 ? m->steps_stride : (size_t)m->width * 4;
+        memcpy((uint8_t *)m->steps + y * stride + (size_t)x * 4, &none, 4);
+    }
+}
+
+static void tetcasti_rbf_group_draw(tetcasti_rbf_picture *t, uint32_t tile, uint32_t x, uint32_t y, float *rows,
+                                    size_t stride, uint64_t count[5]) {
+    static const float nothing[4] = {0.0f, 0.0f, 0.0f, 0.0f};
+    tetcasti_rbf_group g;
+    tetcasti_ray_sum8 sum;
+    float depth[8], rgba[4];
+    uint32_t l;
+    const int met = tetcasti_rbf_group_open(t, x, y, &g);
+    if (met) {
+        tetcasti_rbf_group_values(t, &g, tile, rows, stride, count + 2);
+        tetcasti_rbf_march(t, &g, rows, &sum, depth);
+    } else g.lanes = 0;
+    for (l = 0; l < 8; l++) {
+        const uint32_t px = x + (l & 3u), py = y + (l >> 2);
+        if (px >= t->frame.width || py >= t->frame.height) continue;
+        if ((g.lanes >> l & 1u) == 0) {
+            tetcasti_rbf_pixel(t, px, py, nothing, TETCASTI_INF, 0.0f);
+            continue;
+        }
+        tetcasti_lane_finish(t->optics, &sum, l, rgba);
+        if (depth[l] < TETCASTI_INF) { /* along the viewing axis */
+            double z = 0.0;
+            uint32_t a;
+            for (a = 0; a < 3; a++)
+                z += (double)g.d[a][l] * t->m->scale[a] * t->frame.forward[a];
+            depth[l] = (float)(((double)g.start[l] / (double)g.world[l] + (double)depth[l]) * z);
+        }
+        tetcasti_rbf_pixel(t, px, py, rgba, depth[l], (g.out[l] - g.in[l]) * g.world[l]);
+        count[0]++;
+        count[1] += (uint64_t)((g.out[l] - g.in[l]) / g.h) + 2;
+    }
+}
+
+static void tetcasti_task_rbf_tiles(void *ctx, uint32_t strand) {
+    tetcasti_rbf_picture *t = (tetcasti_rbf_picture *)ctx;
+    const size_t stride = 8 * (size_t)t->rows;
+    float *rows = (float *)tetcasti_alloc_array(&t->mem, stride * t->m->components, sizeof(float));
+    uint64_t count[5] = {0, 0, 0, 0, 0};
+    uint32_t i;
+    if (rows == NULL) tetcasti_atomic_store(&t->failed, 1u);
+    while (rows != NULL) {
+        const uint32_t tile = tetcasti_atomic_add(&t->next, 1u) - 1u;
+        uint32_t x0, y0, x, y;
+        if (tile >= t->tiles || tetcasti_atomic_load(&t->failed) || tetcasti_atomic_load(&t->cancelled)) break;
+        x0 = tile % t->tiles_x * TETCASTI_RBF_TILE;
+        y0 = tile / t->tiles_x * TETCASTI_RBF_TILE;
+        for (y = y0; y < y0 + TETCASTI_RBF_TILE && y < t->frame.height; y += 2)
+            for (x = x0; x < x0 + TETCASTI_RBF_TILE && x < t->frame.width; x += 4)
+                tetcasti_rbf_group_draw(t, tile, x, y, rows, stride, count);
+        i = tetcasti_atomic_add(&t->done, 1u);
+        if (strand == 0 && t->desc->env.progress_fn != NULL &&
+            t->desc->env.progress_fn(t->desc->env.progress_user, i, t->tiles) != 0)
+                tetcasti_atomic_store(&t->cancelled, 1u);
+    }
+    for (i = 0; i < 5; i++) tetcasti_tally_add(t->tally[i], count[i]);
+    tetcasti_free(&t->mem, rows);
+}
+
+/* ---- functions -> tiles ---- */
+
+/* The plane through a line of the picture, x = at (axis 0) or y = at: positive on the side of larger x or y. */
+static void tetcasti_rbf_line_plane(const tetcasti_rbf_picture *t, uint32_t axis, double at, tetcasti_rbf_plane *p) {
+    const double k = axis == 0 ? at - 0.5 * (double)t->frame.width : 0.5 * (double)t->frame.height - at;
+    const double *across = axis == 0 ? t->right : t->up, *along = axis == 0 ? t->up : t->right;
+    double d[3], o[3], side = 0.0, l = 0.0;
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        d[a] = t->frame.parallel ? t->forward[a] : t->forward[a] + k * across[a];
+        o[a] = t->frame.parallel ? t->eye[a] + k * across[a] : t->eye[a];
+    }
+    tetcasti_cross(along, d, p->n);
+    for (a = 0; a < 3; a++) {
+        l += p->n[a] * p->n[a];
+        side += p->n[a] * across[a];
+    }
+    l = sqrt(l) * ((side > 0.0) == (axis == 0) ? 1.0 : -1.0);
+    p->at = 0.0;
+    for (a = 0; a < 3; a++) {
+        p->n[a] /= l;
+        p->at += p->n[a] * o[a];
+    }
+}
+
+/* Tiles [from, to) that a ball touches in one direction. */
+static void tetcasti_rbf_tile_range(const tetcasti_rbf_plane *p, uint32_t tiles, const tetcasti_rbf_record *f,
+                                    uint32_t *from, uint32_t *to) {
+    const double r = (double)f->radius * 1.0001 + 1e-7;
+    uint32_t i;
+    double before;
+    *from = tiles;
+    *to = 0;
+    before = p[0].n[0] * (double)f->c[0] + p[0].n[1] * (double)f->c[1] + p[0].n[2] * (double)f->c[2] - p[0].at;
+    for (i = 0; i < tiles; i++) {
+        const tetcasti_rbf_plane *q = &p[i + 1];
+        const double after = q->n[0] * (double)f->c[0] + q->n[1] * (double)f->c[1] + q->n[2] * (double)f->c[2] - q->at;
+        if (before > -r && after < r) {
+            if (*from == tiles) *from = i;
+            *to = i + 1;
+        }
+        before = after;
+    }
+}
+
+static int tetcasti_rbf_bin(tetcasti_rbf_picture *t, float least) { /* 0: no memory */
+    const tetcast_rbf *m = t->m;
+    tetcasti_rbf_plane *plane =
+        (tetcasti_rbf_plane *)tetcasti_alloc_array(&t->mem, (size_t)t->tiles_x + t->tiles_y + 2, sizeof *plane);
+    uint32_t (*range)[4] = (uint32_t (*)[4])tetcasti_alloc_array(&t->mem, (size_t)m->count + 1, sizeof *range);
+    uint32_t i, x, y;
+    size_t k, sum = 0;
+    int ok;
+    t->first = (size_t *)tetcasti_alloc_zero(&t->mem, (size_t)t->tiles + 1, sizeof *t->first);
+    ok = plane != NULL && range != NULL && t->first != NULL;
+    if (ok) {
+        for (i = 0; i <= t->tiles_x; i++) tetcasti_rbf_line_plane(t, 0, (double)i * TETCASTI_RBF_TILE, &plane[i]);
+        for (i = 0; i <= t->tiles_y; i++)
+            tetcasti_rbf_line_plane(t, 1, (double)i * TETCASTI_RBF_TILE, &plane[t->tiles_x + 1 + i]);
+        for (i = 0; i < m->count; i++) {
+            uint32_t *r = range[i];
+            memset(r, 0, sizeof range[i]);
+            if (!(m->record[i].radius > 0.0f) || m->record[i].most <= least) continue;
+            tetcasti_rbf_tile_range(plane, t->tiles_x, &m->record[i], &r[0], &r[1]);
+            tetcasti_rbf_tile_range(plane + t->tiles_x + 1, t->tiles_y, &m->record[i], &r[2], &r[3]);
+            for (y = r[2]; y < r[3]; y++)
+                for (x = r[0]; x < r[1]; x++) t->first[y * t->tiles_x + x]++;
+        }
+        for (k = 0; k <= t->tiles; k++) {
+            const size_t some = k < t->tiles ? t->first[k] : 0;
+            t->first[k] = sum;
+            sum += some;
+        }
+        t->list = (uint32_t *)tetcasti_alloc_array(&t->mem, sum + 1, sizeof *t->list);
+        ok = t->list != NULL;
+        for (i = 0; ok && i < m->count; i++)
+            for (y = range[i][2]; y < range[i][3]; y++)
+                for (x = range[i][0]; x < range[i][1]; x++) t->list[t->first[y * t->tiles_x + x]++] = i;
+        for (k = t->tiles; k > 0; k--) t->first[k] = t->first[k - 1];
+        t->first[0] = 0;
+    }
+    tetcasti_free(&t->mem, plane);
+    tetcasti_free(&t->mem, range);
+    return ok;
+}
+
+/* Values between which something may be seen. */
+static void tetcasti_rbf_seen(const tetcast_optics *o, float seen[2]) {
+    const tetcasti_tf *tf = &o->tf;
+    uint32_t i, last;
+    seen[0] = TETCASTI_INF;
+    seen[1] = -TETCASTI_INF;
+    if (o->model != TETCAST_MODEL_ISOSURFACE && tf->visible[0] < tf->n) {
+        for (last = tf->n - 1; tf->visible[last] != last;) last--;
+        seen[0] = tf->visible[0] == 0 ? -TETCASTI_INF : tf->knot[tf->visible[0]];
+        seen[1] = last == tf->n - 1 ? TETCASTI_INF : tf->knot[last + 1];
+    }
+    for (i = 0; i < o->iso_count; i++) {
+        seen[0] = o->iso[i].value < seen[0] ? o->iso[i].value : seen[0];
+        seen[1] = o->iso[i].value > seen[1] ? o->iso[i].value : seen[1];
+    }
+}
+
+/* The step that nothing was said about. */
+static double tetcasti_rbf_step(const tetcasti_rbf_picture *t) {
+    const tetcast_rbf *m = t->m;
+    double diagonal = 0.0, step = 1e30;
+    uint32_t histogram[128], i, a, seen = 0;
+    memset(histogram, 0, sizeof histogram);
+    for (a = 0; a < 3; a++) diagonal += (double)m->size[a] * (double)m->size[a];
+    diagonal = sqrt(diagonal);
+    for (i = 0; i < m->count; i++) {
+        const double k = 4.0 * (tetcasti_log2((double)m->width[i]) + 24.0);
+        histogram[k < 0.0 ? 0 : k > 127.0 ? 127 : (uint32_t)k]++;
+    }
+    for (i = 0; i < 128; i++) {
+        seen += histogram[i];
+        if (m->count != 0 && (uint64_t)seen * 10u >= m->count) {
+            step = 0.5 * tetcasti_exp2((double)i / 4.0 - 24.0);
+            break;
+        }
+    }
+    for (a = 0; a < 3; a++)
+        if (m->dims[a] > 1) step = tetcasti_min(step, 0.5 * (double)m->size[a] / (double)(m->dims[a] - 1));
+    return tetcasti_max(tetcasti_min(step, diagonal / 64.0), diagonal / 1024.0);
+}
+
+static tetcast_result tetcasti_rbf_picture_open(tetcasti_rbf_picture *t, tetcast_rbf_render_desc *d) {
+    const tetcast_rbf *m = t->m;
+    double diagonal = 0.0, least = 1e300;
+    tetcast_result r = TETCAST_OK;
+    uint32_t a;
+    if (d->camera.eye[0] == d->camera.at[0] && d->camera.eye[1] == d->camera.at[1] && d->camera.eye[2] == d->camera.at[2])
+        r = tetcast_camera_fit(&d->camera, m->box_min, m->box_max, NULL, t->image->width, t->image->height);
+    if (r == TETCAST_OK) r = tetcasti_frame_open(&d->camera, t->image->width, t->image->height, &t->frame);
+    if (r != TETCAST_OK) return r;
+    for (a = 0; a < 3; a++) {
+        t->eye[a] = (t->frame.eye[a] - m->box_min[a]) / m->scale[a];
+        t->right[a] = t->frame.right[a] / m->scale[a];
+        t->up[a] = t->frame.up[a] / m->scale[a];
+        t->forward[a] = t->frame.forward[a] / m->scale[a];
+        diagonal += (double)m->size[a] * (double)m->size[a];
+        least = tetcasti_min(least, m->scale[a]);
+    }
+    t->isa = tetcasti_rbf_isa(d->isa);
+    t->add = tetcasti_rbf_add_pick(m, t->isa);
+    t->h = (float)(d->step > 0.0f ? (double)d->step / least : tetcasti_rbf_step(t));
+    t->step = (float)((double)t->h * least);
+    if (!(t->h > 0.0f)) t->h = 1.0f; /* a box that is a point */
+    if (sqrt(diagonal) / (double)t->h > (double)(TETCASTI_RBF_SAMPLES - 4)) return TETCAST_ERR_RANGE;
+    t->rows = (uint32_t)(sqrt(diagonal) / (double)t->h) + 4;
+    t->tiles_x = (t->image->width + TETCASTI_RBF_TILE - 1) / TETCASTI_RBF_TILE;
+    t->tiles_y = (t->image->height + TETCASTI_RBF_TILE - 1) / TETCASTI_RBF_TILE;
+    if ((uint64_t)t->tiles_x * t->tiles_y > 0x7fffffffu) return TETCAST_ERR_RANGE;
+    t->tiles = t->tiles_x * t->tiles_y;
+    tetcasti_rbf_seen(t->optics, t->seen);
+    if (t->image->rgba8 != NULL) tetcasti_encoder_open(&t->encoder);
+    return TETCAST_OK;
+}
+
+static tetcast_result tetcasti_rbf_render_check(const tetcast_rbf_render_desc *d, const tetcast_rbf *m) {
+    uint32_t a;
+    if ((uint32_t)d->channel > TETCAST_RBF_CHANNEL_HELICITY || d->component >= m->components ||
+        (d->channel > TETCAST_RBF_CHANNEL_LENGTH && m->components != 3) ||
+        !(d->step >= 0.0f && d->step < 1e30f) || !(d->epsilon >= 0.0f && d->epsilon <= 1.0f))
+        return TETCAST_ERR_INVALID_ARG;
+    for (a = 0; a < 4; a++) if (!tetcasti_finite_f(d->background[a])) return TETCAST_ERR_INVALID_ARG;
+    return TETCAST_OK;
+}
+
+TETCAST_DEF tetcast_result tetcast_rbf_render(const tetcast_rbf_render_desc *desc, const tetcast_rbf *rbf,
+                                              const tetcast_optics *optics, const tetcast_image *image,
+                                              tetcast_rbf_render_stats *stats) {
+    tetcast_rbf_render_desc d;
+    tetcasti_rbf_picture t;
+    tetcast_result r;
+    uint32_t strands, i;
+    float most = 0.0f;
+    memset(&t, 0, sizeof t);
+    memset(&d, 0, sizeof d);
+    if (desc != NULL) d = *desc;
+    if (d._begin_zero != 0 || d._end_zero != 0) return TETCAST_ERR_UNINIT_DESC;
+    if (rbf == NULL || optics == NULL || image == NULL) return TETCAST_ERR_INVALID_ARG;
+    t.desc = &d;
+    t.m = rbf;
+    t.optics = optics;
+    t.image = image;
+    t.component = d.component;
+    t.channel = d.channel != TETCAST_RBF_CHANNEL_AUTO ? d.channel
+        : rbf->components == 1 ? TETCAST_RBF_CHANNEL_COMPONENT : TETCAST_RBF_CHANNEL_LENGTH;
+    r = tetcasti_env_open(&d.env, &t.mem);
+    if (r == TETCAST_OK) r = tetcasti_rbf_render_check(&d, rbf);
+    if (r == TETCAST_OK && (image->width == 0 || image->height == 0)) return TETCAST_OK;
+    if (r == TETCAST_OK) r = tetcasti_rbf_picture_open(&t, &d);
+    if (r != TETCAST_OK) return tetcasti_fail(d.env.error, r, 0, "render: bad camera or option, or too many samples");
+    for (i = 0; i < rbf->count; i++) most = rbf->record[i].most > most ? rbf->record[i].most : most;
+    if (!tetcasti_rbf_bin(&t, d.epsilon > 0.0f ? d.epsilon * most : -1.0f)) t.failed = 1;
+    else {
+        strands = tetcasti_thread_count(&d.env);
+        if (strands > t.tiles) strands = t.tiles;
+        tetcasti_parallel_for(&d.env, tetcasti_task_rbf_tiles, &t, strands);
+    }
+    tetcasti_free(&t.mem, t.first);
+    tetcasti_free(&t.mem, t.list);
+    if (t.failed) return tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "render: out of memory");
+    if (t.cancelled) return tetcasti_fail(d.env.error, TETCAST_ERR_CANCELLED, 0, "render: cancelled");
+    if (stats != NULL) {
+        stats->rays += (uint64_t)image->width * image->height;
+        stats->hit_rays += tetcasti_tally(t.tally[0]);
+        stats->samples += tetcasti_tally(t.tally[1]);
+        stats->tests += tetcasti_tally(t.tally[2]);
+        stats->pairs += tetcasti_tally(t.tally[3]);
+        stats->evaluations += tetcasti_tally(t.tally[4]);
+        stats->step = t.step;
+        stats->isa = t.isa;
+    }
+    return TETCAST_OK;
+}
+
+/* ---- traces ---- */
+
+typedef struct tetcasti_rbf_traces {
+    const tetcast_rbf_trace_desc *d;
+    const tetcast_rbf *m;
+    tetcasti_rbf_add_fn *add;
+    const double *seeds;
+    size_t count;
+    double *paths;
+    uint32_t *lengths;
+    tetcast_trace_end *ends;
+} tetcasti_rbf_traces;
+
+static void tetcasti_rbf_velocity(const tetcasti_rbf_traces *t, const double (*p)[3], uint32_t n, double (*v)[3]) {
+    float local[8][3], value[24];
+    uint32_t i, a;
+    for (i = 0; i < n; i++) tetcasti_rbf_local(t->m, p[i], local[i]);
+    tetcasti_rbf_points(t->m, t->add, 0, (const float (*)[3])local, n, value, NULL);
+    for (i = 0; i < n; i++) for (a = 0; a < 3; a++) v[i][a] = (double)value[3 * i + a];
+}
+
+static int tetcasti_rbf_inside(const tetcast_rbf *m, const double p[3]) {
+    uint32_t a;
+    int in = 1;
+    for (a = 0; a < 3; a++) in = in && p[a] >= m->box_min[a] && p[a] <= m->box_max[a];
+    return in;
+}
+
+/* Eight particles at a time. */
+static void tetcasti_task_rbf_trace(void *ctx, uint32_t task) {
+    const tetcasti_rbf_traces *t = (const tetcasti_rbf_traces *)ctx;
+    const size_t first = (size_t)task * 8, row = 3 * ((size_t)t->d->steps + 1);
+    const double dt = t->d->dt;
+    double p[8][3], q[8][3], k[4][8][3];
+    uint32_t number[8], length[8], end[8], n = 0, i, a, s, stage;
+    const uint32_t some = t->count - first < 8 ? (uint32_t)(t->count - first) : 8u;
+    for (i = 0; i < some; i++) {
+        const double *seed = t->seeds + 3 * (first + i);
+        memcpy(t->paths + (first + i) * row, seed, 3 * sizeof *seed);
+        length[i] = 1;
+        end[i] = TETCAST_TRACE_STEPS;
+        if (tetcasti_rbf_inside(t->m, seed)) {
+            memcpy(p[n], seed, sizeof p[n]);
+            number[n++] = i;
+        } else end[i] = TETCAST_TRACE_BAD;
+    }
+    for (s = 0; s < t->d->steps && n != 0; s++) {
+        uint32_t left = 0;
+        tetcasti_rbf_velocity(t, (const double (*)[3])p, n, k[0]);
+        for (stage = 1; stage < 4 && t->d->stepper == TETCAST_STEPPER_RK4; stage++) {
+            const double part = stage < 3 ? 0.5 * dt : dt;
+            for (i = 0; i < n; i++) for (a = 0; a < 3; a++) q[i][a] = p[i][a] + part * k[stage - 1][i][a];
+            tetcasti_rbf_velocity(t, (const double (*)[3])q, n, k[stage]);
+        }
+        for (i = 0; i < n; i++) {
+            const uint32_t who = number[i];
+            const double *v = k[0][i];
+            const double speed = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
+            if (!(speed >= (double)t->d->min_speed * (double)t->d->min_speed)) {
+                end[who] = TETCAST_TRACE_SLOW;
+                continue;
+            }
+            for (a = 0; a < 3; a++)
+                p[i][a] += t->d->stepper == TETCAST_STEPPER_EULER ? dt * v[a]
+                    : dt / 6.0 * ((k[0][i][a] + k[3][i][a]) + 2.0 * (k[1][i][a] + k[2][i][a]));
+            memcpy(t->paths + (first + who) * row + 3 * ((size_t)s + 1), p[i], sizeof p[i]);
+            length[who] = s + 2;
+            if (!tetcasti_rbf_inside(t->m, p[i])) {
+                end[who] = TETCAST_TRACE_LEFT;
+                continue;
+            }
+            if (left != i) memcpy(p[left], p[i], sizeof p[i]);
+            number[left++] = who;
+        }
+        n = left;
+    }
+    for (i = 0; i < some; i++) {
+        if (t->lengths != NULL) t->lengths[first + i] = length[i];
+        if (t->ends != NULL) t->ends[first + i] = (tetcast_trace_end)end[i];
+    }
+}
+
+TETCAST_DEF tetcast_result tetcast_rbf_trace(const tetcast_rbf_trace_desc *desc, const tetcast_rbf *rbf,
+                                             const double *seeds, size_t count, double *paths, uint32_t *lengths,
+                                             tetcast_trace_end *ends) {
+    tetcasti_rbf_traces t;
+    tetcasti_mem mem;
+    tetcast_result r;
+    size_t size;
+    if (desc == NULL || rbf == NULL || (count != 0 && (seeds == NULL || paths == NULL))) return TETCAST_ERR_INVALID_ARG;
+    if (desc->_begin_zero != 0 || desc->_end_zero != 0) return TETCAST_ERR_UNINIT_DESC;
+    r = tetcasti_env_open(&desc->env, &mem);
+    if (r != TETCAST_OK) return r;
+    if (rbf->components != 3 || desc->dt == 0.0 || !tetcasti_finite(desc->dt) || desc->steps == 0 ||
+        desc->steps > 0x7fffffffu || !(desc->min_speed >= 0.0f) || (uint32_t)desc->stepper > TETCAST_STEPPER_EULER)
+        return tetcasti_fail(desc->env.error, TETCAST_ERR_INVALID_ARG, 0, "trace: a number or an enum is out of range");
+    if (!tetcasti_mul_size(count, 24, &size) || !tetcasti_mul_size(size, (size_t)desc->steps + 1, &size) ||
+        count / 8 >= 0x7fffffffu) return TETCAST_ERR_RANGE;
+    t.d = desc;
+    t.m = rbf;
+    t.add = tetcasti_rbf_add_pick(rbf, tetcasti_rbf_isa(desc->isa));
+    t.seeds = seeds;
+    t.count = count;
+    t.paths = paths;
+    t.lengths = lengths;
+    t.ends = ends;
+    tetcasti_parallel_for(&desc->env, tetcasti_task_rbf_trace, &t, (uint32_t)((count + 7) / 8));
+    return TETCAST_OK;
+}
+#endif /* TETCAST_NO_RBF */
 /* ---------------------------------------------------------------------------
    misc: names and versions.                                                     // >>misc
    --------------------------------------------------------------------------- */
