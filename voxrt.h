@@ -15740,15 +15740,14 @@ static void voxrti_gi_side_place(const voxrt_gi *gi, const voxrti_gi_record *r, 
     }
 }
 
-/* Which side of cell (x, y, k) does a ray in direction dir see? 0: none. */
-static int voxrti_gi_side_open(const voxrt_gi *gi, uint32_t x, uint32_t y, uint32_t k, const float dir[3],
-                               voxrti_gi_side *s) {
-    const uint32_t cell[3] = {x, y, k};
+/* Which side of a cell does a ray in direction dir see? i, layer: its record. 0: none. */
+static int voxrti_gi_side_see(const voxrt_gi *gi, size_t i, uint32_t layer, const uint32_t cell[3], const float dir[3],
+                              voxrti_gi_side *s) {
     const voxrti_gi_record *r;
     float best = 0.0f, n[3] = {0, 0, 0};
     uint32_t side, seen = 2, a;
-    const size_t i = voxrti_gi_find(gi, x, y, k, &s->layer);
     s->gi = gi;
+    s->layer = layer;
     s->at = (size_t)-1;
     if (i == (size_t)-1) return 0;
     r = &gi->layer[s->layer].record[i];
@@ -15769,6 +15768,49 @@ static int voxrti_gi_side_open(const voxrt_gi *gi, uint32_t x, uint32_t y, uint3
         s->albedo[a] = q * q;
     }
     return 1;
+}
+
+static int voxrti_gi_side_open(const voxrt_gi *gi, uint32_t x, uint32_t y, uint32_t k, const float dir[3],
+                               voxrti_gi_side *s) {
+    const uint32_t cell[3] = {x, y, k};
+    uint32_t layer;
+    const size_t i = voxrti_gi_find(gi, x, y, k, &layer);
+    return voxrti_gi_side_see(gi, i, layer, cell, dir, s);
+}
+
+/* Records of the cells that rays have hit, on their way from memory when this returns. */
+VOXRTI_INLINE void voxrti_gi_find_each(const voxrt_gi *const *where, const voxrt_column_hit *hit, uint32_t count,
+                                       size_t *of, uint8_t *layer) {
+    uint32_t i, l;
+    for (i = 0; i < count; i++) {
+        const voxrt_gi *gi = where[i];
+        of[i] = (size_t)-1;
+        layer[i] = 0;
+        if (!(hit[i].t < INFINITY)) continue;
+        of[i] = voxrti_gi_find(gi, hit[i].cell[0], hit[i].cell[1], hit[i].cell[2], &l);
+        layer[i] = (uint8_t)l;
+        if (of[i] == (size_t)-1) continue;
+        VOXRTI_PREFETCH(&gi->layer[l].record[of[i]]);
+        VOXRTI_PREFETCH(&gi->layer[l].direct[2 * of[i]]);
+        VOXRTI_PREFETCH(&gi->layer[l].bounce[2 * of[i]]);
+    }
+}
+#if VOXRTI_AVX2
+VOXRTI_TARGET_AVX2 static void voxrti_gi_find_popcnt(const voxrt_gi *const *where, const voxrt_column_hit *hit,
+                                                     uint32_t count, size_t *of, uint8_t *layer) {
+    voxrti_gi_find_each(where, hit, count, of, layer); /* ranks by an instruction */
+}
+#endif
+static void voxrti_gi_find_all(int isa, const voxrt_gi *const *where, const voxrt_column_hit *hit, uint32_t count,
+                               size_t *of, uint8_t *layer) {
+#if VOXRTI_AVX2
+    if (isa >= VOXRT_ISA_AVX2) {
+        voxrti_gi_find_popcnt(where, hit, count, of, layer);
+        return;
+    }
+#endif
+    (void)isa;
+    voxrti_gi_find_each(where, hit, count, of, layer);
 }
 
 /* t at which a ray meets the plane of the side it hit at t; t itself where the plane lies far from there. */
@@ -15889,9 +15931,17 @@ VOXRTI_INLINE uint32_t voxrti_scramble(uint32_t x, uint32_t seed) { /* Owen: eac
     x ^= x * 0x8d22f6e6u;
     return voxrti_reverse_bits(x);
 }
+/* Second Sobol coordinate of i: bit k of i stands for (1 + s)^k, s a shift by one. As a polynomial of s by halves: the
+   upper half times (1 + s)^m = upper half + s^m upper half. */
+VOXRTI_INLINE uint32_t voxrti_sobol_second(uint32_t i) {
+    i ^= i >> 16;
+    i ^= i >> 8 & 0x00ff00ffu;
+    i ^= i >> 4 & 0x0f0f0f0fu;
+    i ^= i >> 2 & 0x33333333u;
+    return voxrti_reverse_bits(i ^ (i >> 1 & 0x55555555u));
+}
 VOXRTI_INLINE void voxrti_sobol2(uint32_t index, uint32_t seed, float out[2]) {
-    uint32_t i = voxrti_scramble(index, seed), v = 0x80000000u, y = 0, x = voxrti_reverse_bits(i);
-    for (; i != 0; i >>= 1, v ^= v >> 1) if (i & 1u) y ^= v;
+    const uint32_t i = voxrti_scramble(index, seed), x = voxrti_reverse_bits(i), y = voxrti_sobol_second(i);
     out[0] = (float)(voxrti_scramble(x, voxrti_hash32(seed ^ 0x9e3779b9u)) >> 8) * (1.0f / 16777216.0f);
     out[1] = (float)(voxrti_scramble(y, voxrti_hash32(seed ^ 0x7f4a7c15u)) >> 8) * (1.0f / 16777216.0f);
 }
@@ -15935,6 +15985,125 @@ VOXRTI_INLINE float voxrti_lobe_direction(const float n[3], const float u[2], fl
     else cosine = (float)voxrti_pow((double)(1.0f - u[1]), 1.0 / ((double)power + 1.0));
     voxrti_around(n, u[0], cosine, dir);
     return cosine;
+}
+
+#if VOXRTI_AVX2
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE __m256i voxrti_reverse_bits8(__m256i x) {
+    const __m256i bytes = _mm256_setr_epi8(3, 2, 1, 0, 7, 6, 5, 4, 11, 10, 9, 8, 15, 14, 13, 12,
+                                           3, 2, 1, 0, 7, 6, 5, 4, 11, 10, 9, 8, 15, 14, 13, 12);
+    const __m256i nibble = _mm256_set1_epi8(15);
+    const __m256i turned = _mm256_setr_epi8(0, 8, 4, 12, 2, 10, 6, 14, 1, 9, 5, 13, 3, 11, 7, 15,
+                                            0, 8, 4, 12, 2, 10, 6, 14, 1, 9, 5, 13, 3, 11, 7, 15);
+    const __m256i low = _mm256_shuffle_epi8(turned, _mm256_and_si256(x, nibble));
+    const __m256i high = _mm256_shuffle_epi8(turned, _mm256_and_si256(_mm256_srli_epi32(x, 4), nibble));
+    return _mm256_shuffle_epi8(_mm256_or_si256(_mm256_slli_epi32(low, 4), high), bytes);
+}
+/* voxrti_scramble without the first reversal */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE __m256i voxrti_scramble8(__m256i x, __m256i seed) {
+    x = _mm256_add_epi32(x, seed);
+    x = _mm256_xor_si256(x, _mm256_mullo_epi32(x, _mm256_set1_epi32((int)0x6c50b47cu)));
+    x = _mm256_xor_si256(x, _mm256_mullo_epi32(x, _mm256_set1_epi32((int)0xb82f1e52u)));
+    x = _mm256_xor_si256(x, _mm256_mullo_epi32(x, _mm256_set1_epi32((int)0xc7afe638u)));
+    x = _mm256_xor_si256(x, _mm256_mullo_epi32(x, _mm256_set1_epi32((int)0x8d22f6e6u)));
+    return voxrti_reverse_bits8(x);
+}
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE __m256i voxrti_hash32_8(__m256i x) {
+    x = _mm256_xor_si256(x, _mm256_srli_epi32(x, 16));
+    x = _mm256_mullo_epi32(x, _mm256_set1_epi32(0x7feb352d));
+    x = _mm256_xor_si256(x, _mm256_srli_epi32(x, 15));
+    x = _mm256_mullo_epi32(x, _mm256_set1_epi32((int)0x846ca68bu));
+    return _mm256_xor_si256(x, _mm256_srli_epi32(x, 16));
+}
+/* voxrti_sobol2 for eight seeds */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_sobol2_8(uint32_t index, __m256i seed, __m256 out[2]) {
+    const __m256i i = voxrti_scramble8(_mm256_set1_epi32((int)voxrti_reverse_bits(index)), seed);
+    const __m256 unit = _mm256_set1_ps(1.0f / 16777216.0f);
+    __m256i x, y = i;
+    y = _mm256_xor_si256(y, _mm256_srli_epi32(y, 16));
+    y = _mm256_xor_si256(y, _mm256_and_si256(_mm256_srli_epi32(y, 8), _mm256_set1_epi32(0x00ff00ff)));
+    y = _mm256_xor_si256(y, _mm256_and_si256(_mm256_srli_epi32(y, 4), _mm256_set1_epi32(0x0f0f0f0f)));
+    y = _mm256_xor_si256(y, _mm256_and_si256(_mm256_srli_epi32(y, 2), _mm256_set1_epi32(0x33333333)));
+    y = _mm256_xor_si256(y, _mm256_and_si256(_mm256_srli_epi32(y, 1), _mm256_set1_epi32(0x55555555)));
+    x = voxrti_scramble8(i, voxrti_hash32_8(_mm256_xor_si256(seed, _mm256_set1_epi32((int)0x9e3779b9u))));
+    y = voxrti_scramble8(y, voxrti_hash32_8(_mm256_xor_si256(seed, _mm256_set1_epi32((int)0x7f4a7c15u))));
+    out[0] = _mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_srli_epi32(x, 8)), unit);
+    out[1] = _mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_srli_epi32(y, 8)), unit);
+}
+/* voxrti_turn */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_turn8(__m256 u, __m256 *s, __m256 *c) {
+    const __m256 one = _mm256_set1_ps(1.0f);
+    const __m256i q = _mm256_cvttps_epi32(_mm256_add_ps(_mm256_mul_ps(u, _mm256_set1_ps(4.0f)), _mm256_set1_ps(0.5f)));
+    const __m256 r = _mm256_mul_ps(_mm256_sub_ps(u, _mm256_mul_ps(_mm256_cvtepi32_ps(q), _mm256_set1_ps(0.25f))),
+                                   _mm256_set1_ps(6.28318530718f));
+    const __m256 r2 = _mm256_mul_ps(r, r), odd = _mm256_castsi256_ps(_mm256_slli_epi32(q, 31));
+#define VOXRTI_LESS(k, rest) _mm256_sub_ps(one, _mm256_mul_ps(_mm256_mul_ps(r2, _mm256_set1_ps(k)), rest))
+    const __m256 sr = _mm256_mul_ps(r, VOXRTI_LESS(1.0f / 6.0f, VOXRTI_LESS(1.0f / 20.0f,
+            _mm256_sub_ps(one, _mm256_mul_ps(r2, _mm256_set1_ps(1.0f / 42.0f))))));
+    const __m256 cr = VOXRTI_LESS(0.5f, VOXRTI_LESS(1.0f / 12.0f, VOXRTI_LESS(1.0f / 30.0f,
+            _mm256_sub_ps(one, _mm256_mul_ps(r2, _mm256_set1_ps(1.0f / 56.0f))))));
+#undef VOXRTI_LESS
+    const __m256 two = _mm256_castsi256_ps(_mm256_slli_epi32(_mm256_srli_epi32(q, 1), 31));
+    /* quarters 0 1 2 3: sine s, c, -s, -c; cosine c, -s, -c, s */
+    *s = _mm256_xor_ps(_mm256_blendv_ps(sr, cr, odd), two);
+    *c = _mm256_xor_ps(_mm256_blendv_ps(cr, sr, odd), _mm256_xor_ps(two, odd));
+}
+
+/* As below, eight at a time. */
+VOXRTI_TARGET_AVX2 static void voxrti_cosine_rays_avx2(uint32_t index, const float (*n)[3], const uint32_t *seed,
+                                                       uint32_t count, voxrt_ray *ray) {
+    const __m256 one = _mm256_set1_ps(1.0f), zero = _mm256_setzero_ps();
+    const __m256i third = _mm256_setr_epi32(0, 3, 6, 9, 12, 15, 18, 21);
+    uint32_t i, j, a;
+    for (i = 0; i < count; i += 8) {
+        const __m256 x = _mm256_i32gather_ps(n[i], third, 4), y = _mm256_i32gather_ps(n[i] + 1, third, 4);
+        const __m256 z = _mm256_i32gather_ps(n[i] + 2, third, 4);
+        const __m256 side = _mm256_blendv_ps(_mm256_set1_ps(-1.0f), one, _mm256_cmp_ps(z, zero, _CMP_GE_OQ));
+        const __m256 q = _mm256_div_ps(_mm256_set1_ps(-1.0f), _mm256_add_ps(side, z));
+        const __m256 w = _mm256_mul_ps(_mm256_mul_ps(x, y), q);
+        __m256 u[2], s, c, cosine, sine, d[3], at[3], bt[3], nn[3];
+        float out[3][8];
+        voxrti_sobol2_8(index, _mm256_loadu_si256((const __m256i *)(const void *)(seed + i)), u);
+        voxrti_turn8(u[0], &s, &c);
+        cosine = _mm256_sqrt_ps(_mm256_sub_ps(one, u[1]));
+        sine = _mm256_sqrt_ps(_mm256_max_ps(_mm256_sub_ps(one, _mm256_mul_ps(cosine, cosine)), zero));
+        s = _mm256_mul_ps(s, sine);
+        c = _mm256_mul_ps(c, sine);
+        at[0] = _mm256_add_ps(one, _mm256_mul_ps(_mm256_mul_ps(_mm256_mul_ps(side, x), x), q));
+        at[1] = _mm256_mul_ps(side, w);
+        at[2] = _mm256_sub_ps(zero, _mm256_mul_ps(side, x));
+        bt[0] = w;
+        bt[1] = _mm256_add_ps(side, _mm256_mul_ps(_mm256_mul_ps(y, y), q));
+        bt[2] = _mm256_sub_ps(zero, y);
+        nn[0] = x;
+        nn[1] = y;
+        nn[2] = z;
+        for (a = 0; a < 3; a++) {
+            d[a] = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(s, bt[a]), _mm256_mul_ps(c, at[a])),
+                                 _mm256_mul_ps(cosine, nn[a]));
+            _mm256_storeu_ps(out[a], d[a]);
+        }
+        for (j = 0; j < 8 && i + j < count; j++) for (a = 0; a < 3; a++) ray[i + j].dir[a] = out[a][j];
+    }
+}
+#endif
+
+/* Directions of rays over the hemispheres of n, with a density of the cosine, point `index` of each seed's sequence. n
+   and seed have VOXRTI_COLUMN_BATCH entries. */
+static void voxrti_cosine_rays(int isa, uint32_t index, const float (*n)[3], const uint32_t *seed, uint32_t count,
+                               voxrt_ray *ray) {
+    uint32_t i;
+#if VOXRTI_AVX2
+    if (isa >= VOXRT_ISA_AVX2) {
+        voxrti_cosine_rays_avx2(index, n, seed, count, ray);
+        return;
+    }
+#endif
+    (void)isa;
+    for (i = 0; i < count; i++) {
+        float u[2];
+        voxrti_sobol2(index, seed[i], u);
+        (void)voxrti_lobe_direction(n[i], u, 1.0f, ray[i].dir);
+    }
 }
 
 /* Direction of a ray in direction d after a mirror with normal n. */
@@ -16285,32 +16454,32 @@ static void voxrti_gather_rays(const voxrti_gather *w, const voxrti_points *q, u
                                voxrti_gi_side *side, float *weight, voxrt_stats *stats) {
     voxrt_column_hit hit[VOXRTI_COLUMN_BATCH];
     const voxrt_gi *where[VOXRTI_COLUMN_BATCH];
+    size_t of[VOXRTI_COLUMN_BATCH];
+    uint8_t layer[VOXRTI_COLUMN_BATCH];
     uint32_t i, a;
     memset(hit, 0, sizeof hit);
+    voxrti_cosine_rays(w->isa, index, q->n, q->seed, q->count, ray);
     for (i = 0; i < q->count; i++) {
-        float u[2];
-        voxrti_sobol2(index, q->seed[i], u);
         weight[i] = 1.0f;
         ray[i].t_min = 0.0f;
         ray[i].t_max = w->radius;
         if (q->exponent[i] > 0.0f) { /* below the horizon: nothing, but it counts */
-            float axis[3], cosine;
+            float axis[3], cosine, u[2];
+            voxrti_sobol2(index, q->seed[i], u);
             voxrti_mirror(q->view[i], q->n[i], axis);
             (void)voxrti_lobe_direction(axis, u, q->exponent[i] == 1.0f ? 1.0f : q->exponent[i], ray[i].dir);
             cosine = voxrti_dot3(ray[i].dir, q->n[i]);
             weight[i] = cosine > 0.0f ? cosine * (q->exponent[i] + 2.0f) / (q->exponent[i] + 1.0f) : 0.0f;
             if (!(cosine > 0.0f)) ray[i].t_max = -1.0f;
-        } else {
-            (void)voxrti_lobe_direction(q->n[i], u, 1.0f, ray[i].dir);
         }
         for (a = 0; a < 3; a++) ray[i].org[a] = q->p[i][a];
     }
     voxrti_gi_trace(w->gi, w->isa, q->n[0], NULL, ray, q->count, hit, where, NULL, stats);
+    voxrti_gi_find_all(w->isa, where, hit, q->count, of, layer);
     for (i = 0; i < q->count; i++) {
         t[i] = hit[i].t;
         side[i].at = (size_t)-1;
-        if (!(hit[i].t < INFINITY)) continue;
-        (void)voxrti_gi_side_open(where[i], hit[i].cell[0], hit[i].cell[1], hit[i].cell[2], ray[i].dir, &side[i]);
+        if (hit[i].t < INFINITY) (void)voxrti_gi_side_see(where[i], of[i], layer[i], hit[i].cell, ray[i].dir, &side[i]);
     }
 }
 
