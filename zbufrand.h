@@ -1183,7 +1183,9 @@ typedef struct zbufrand_group {
     double area;               /* world */
     double z_min, z_max;       /* depths that it may have */
     double factor_max, factor_min; /* bounds of the projection factor, square pixels per square unit: never exceeded */
-    double expected;           /* density * area * factor_max: samples wanted before thinning */
+    /* samples wanted before thinning: density * area * factor_max, or less if there are points for the direction of
+       view */
+    double expected;
     uint32_t count;            /* samples drawn; triangles if rastered */
 } zbufrand_group;
 
@@ -7843,7 +7845,10 @@ typedef struct zbufrandi_draw { /* 64 bytes */
     uint32_t aux;
 } zbufrandi_draw;
 /* flat: normals within 60 degrees, planes tell depths */
-enum { ZBUFRANDI_STORED_TWO_SIDED = 1, ZBUFRANDI_STORED_FLAT = 2, ZBUFRANDI_STORED_VIEW = 4 };
+/* view: points for a direction of view; more: goes on with what the draw before it began */
+enum {
+    ZBUFRANDI_STORED_TWO_SIDED = 1, ZBUFRANDI_STORED_FLAT = 2, ZBUFRANDI_STORED_VIEW = 4, ZBUFRANDI_STORED_MORE = 8
+};
 
 typedef struct zbufrandi_cut { /* what is the same for all of a frame's selection */
     const zbufrand_scene *scene;
@@ -8387,7 +8392,8 @@ static int zbufrandi_emit_view(const zbufrandi_cut *cut, zbufrandi_pick *p, cons
         d->count = count > most ? most : count;
         d->hash = zbufrandi_hash32(hash + a);
         d->aux = (n->flags[i] & ZBUFRANDI_TWO_SIDED ? (uint32_t)ZBUFRANDI_STORED_TWO_SIDED : 0u) |
-                 (n->cosine[i] > 0.5f ? (uint32_t)ZBUFRANDI_STORED_FLAT : 0u) | (uint32_t)ZBUFRANDI_STORED_VIEW;
+                 (n->cosine[i] > 0.5f ? (uint32_t)ZBUFRANDI_STORED_FLAT : 0u) | (uint32_t)ZBUFRANDI_STORED_VIEW |
+                 (a > 0 ? (uint32_t)ZBUFRANDI_STORED_MORE : 0u);
         count -= d->count;
     }
     return 1;
@@ -14389,7 +14395,7 @@ static zbufrand_result zbufrandi_draw_scene(zbufrandi_picture *p) {
    not, and found when it shows something hidden and at least n of them show what hides it. If each pixel fails with
    probability q, on its own, one stays unfound with at most q P(9 - n or more of 8 fail). Rays through the suspects
    tell q. Most pixels that 5 of 8 neighbours are nearer than are right, at the edges of leaves and far hills: n is 7
-   first, and 5 only if the bound asks for it. */
+   first, then 6 and 5 if the bound asks for it. */
 
 enum { ZBUFRANDI_REPAIR_RAYS = 64, ZBUFRANDI_REPAIR_SURE = 7, ZBUFRANDI_REPAIR_LEAST = 5 };
 
@@ -14569,7 +14575,7 @@ static zbufrand_result zbufrandi_repair(zbufrandi_picture *p) {
     if (!zbufrandi_grow(&f->mem, (void **)&f->depth, &f->depth_capacity, 0, n, sizeof *f->depth) ||
         !zbufrandi_grow(&f->mem, (void **)&f->mask, &f->mask_capacity, 0, n, 1)) return ZBUFRAND_ERR_NO_MEMORY;
     f->suspect_count = 0;
-    for (count = ZBUFRANDI_REPAIR_SURE; ; count = ZBUFRANDI_REPAIR_LEAST) {
+    for (count = ZBUFRANDI_REPAIR_SURE; ; count--) {
         zbufrandi_parallel_for(&f->env, zbufrandi_depth_task, p, r->height);
         p->first_suspect = f->suspect_count;
         result = zbufrandi_find_suspects(p, count);
@@ -14975,6 +14981,11 @@ static zbufrand_result zbufrandi_draw_picture(zbufrandi_picture *p) {
         p->stats.incomplete = 1.0 - zbufrand_success_bound(density, pixels, block);
         if (p->stats.draws[0] + p->stats.draws[1] == 0) p->stats.incomplete = 0.0;
         if (d->no_repair || p->scene == NULL || p->stats.draws[0] + p->stats.draws[1] == 0) break;
+        /* a pixel covered with a margin would have had 25 or more: with so few there is none, nearly all is rastered */
+        if (zbufrandi_tally(p->stored) + zbufrandi_tally(p->sampled) < 8) {
+            p->stats.incomplete = zbufrandi_min(p->stats.incomplete, 1e-4);
+            break;
+        }
         failed = (double)p->stats.repaired;
         result = zbufrandi_repair(p);
         if (result != ZBUFRAND_OK) return result;
@@ -15198,7 +15209,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_select(zbufrand_frame *frame, const zbufra
     zbufrand_image image;
     zbufrandi_picture *p;
     zbufrand_result r;
-    size_t i;
+    size_t i, n;
     if (stats != NULL) memset(stats, 0, sizeof *stats);
     if (out_count == NULL || (groups == NULL && capacity != 0)) return ZBUFRAND_ERR_INVALID_ARG;
     *out_count = 0;
@@ -15207,8 +15218,16 @@ ZBUFRAND_DEF zbufrand_result zbufrand_select(zbufrand_frame *frame, const zbufra
     image.height = height;
     r = zbufrandi_query_open(frame, desc, &d, scene, &image, &p);
     if (r != ZBUFRAND_OK) return r;
-    *out_count = frame->draw_count;
-    for (i = 0; i < frame->draw_count && i < capacity; i++) zbufrandi_query_group(p, &frame->draw[i], &groups[i]);
+    for (i = 0, n = 0; i < frame->draw_count; i++) {
+        const zbufrandi_draw *draw = &frame->draw[i];
+        if (draw->item >> ZBUFRANDI_DRAW_SHIFT == ZBUFRANDI_DRAW_STORED && (draw->aux & ZBUFRANDI_STORED_MORE) != 0) {
+            if (n <= capacity) groups[n - 1].count += draw->count;
+            continue;
+        }
+        if (n < capacity) zbufrandi_query_group(p, draw, &groups[n]);
+        n++;
+    }
+    *out_count = n;
     if (stats != NULL) *stats = p->stats;
     return ZBUFRAND_OK;
 }

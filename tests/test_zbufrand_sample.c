@@ -401,6 +401,7 @@ TEST(points_for_directions) {
         for (k = 0; k < groups; k++) {
             views += group[k].kind == ZBUFRAND_DRAW_STORED && group[k].expected < 0.9 * d.density * group[k].area * group[k].factor_max;
             asked += group[k].count;
+            CHECK(fabs(group[k].count - group[k].expected) <= 1.001);
         }
         CHECK_MSG(views * 10 >= groups * 9, "only %u of %u groups are for a direction", views, (unsigned)groups);
         for (i = 0; i < seeds; i++) {

@@ -125,7 +125,8 @@ TEST(never_too_few) {
     test_rng r = test_rng_make(77);
     shape s[4];
     zbufrand_scene *scene = mixed_scene(&r, s);
-    const uint32_t cameras = test_quick() ? 20 : 4000;
+    /* TEST_FULL=1: 10^8 points */
+    const uint32_t cameras = test_quick() ? 20 : getenv("TEST_FULL") != NULL ? 90000 : 4000;
     uint32_t c, i, k, j;
     uint64_t tried = 0;
     for (c = 0; c < cameras; c++) {
@@ -189,6 +190,48 @@ TEST(never_too_few) {
     CHECK_MSG(tried > (test_quick() ? 10000u : 1000000u), "only %llu points", (unsigned long long)tried);
     zbufrand_scene_destroy(scene);
     free_shapes(s);
+}
+
+/* No direction of a cell, as any point of a structure that is far enough away sees it, shows more of a normal than its weight
+   says; the weights are below 1. */
+TEST(directions_of_view) {
+    test_rng r = test_rng_make(78);
+    const uint32_t tries = test_quick() ? 20000 : 2000000;
+    uint32_t i, k, a, used[ZBUFRANDI_VIEWS];
+    zbufrandi_view view[ZBUFRANDI_VIEWS];
+    memset(used, 0, sizeof used);
+    for (i = 0; i < ZBUFRANDI_VIEWS; i++) {
+        zbufrandi_view_open(i, &view[i]);
+        CHECK_EQ_U64(zbufrandi_view_cell(view[i].axis), i);
+        CHECK_MSG(view[i].reach < 0.36f, "cell %u reaches %g", i, (double)view[i].reach);
+    }
+    for (i = 0; i < tries; i++) {
+        double v[3][3], length[3] = {0, 0, 0}, d = 0;
+        float eye[3], n[3], weight;
+        for (k = 0; k < 3; k++) { /* direction, where the point is, normal */
+            do {
+                for (a = 0, length[k] = 0; a < 3; a++) {
+                    v[k][a] = 2 * test_rng_double(&r) - 1;
+                    if (test_rng_below(&r, 16) == 0) v[k][a] = 0;
+                    length[k] += v[k][a] * v[k][a];
+                }
+            } while (length[k] > 1 || length[k] < 1e-4);
+            for (a = 0; a < 3; a++) v[k][a] /= sqrt(length[k]);
+        }
+        for (a = 0; a < 3; a++) {
+            eye[a] = (float)v[0][a];
+            n[a] = (float)v[2][a];
+            v[0][a] += v[1][a] / (double)ZBUFRANDI_VIEW_DISTANCE * (i & 1 ? 1.0 : test_rng_double(&r));
+        }
+        k = zbufrandi_view_cell(eye);
+        used[k]++;
+        length[0] = sqrt(v[0][0] * v[0][0] + v[0][1] * v[0][1] + v[0][2] * v[0][2]);
+        for (a = 0; a < 3; a++) d += v[0][a] / length[0] * v[2][a];
+        weight = zbufrandi_view_weight(&view[k], n, 1.0f, (int)(i >> 1 & 1));
+        if (i >> 1 & 1) d = fabs(d);
+        CHECK_MSG((double)weight >= d * (1 - 2e-6) && weight <= 1.0f, "cell %u: weight %.7g for %.7g", k, (double)weight, d);
+    }
+    for (i = 0; i < ZBUFRANDI_VIEWS; i++) CHECK(used[i] != 0);
 }
 
 TEST(both_forms) {
@@ -447,6 +490,7 @@ TEST(visits_grow_slowly) {
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(never_too_few);
+    RUN(directions_of_view);
     RUN(both_forms);
     RUN(covers_everything_once);
     RUN(unbiased_counts);
