@@ -1027,7 +1027,8 @@ typedef struct zbufrand_costs {
    reconstruct     one pixel per sample; no fill; see there. Its `repair` is screen-space mending; for rays see
                    no_repair
    hybrid          by cost
-   independent     0: stratified samples; 1: independent points in Poisson numbers, as the theory has it; slower
+   independent     0: stratified samples; 1: independent points in Poisson numbers, as the theory has it; slower, and of
+                   the default tree only as far as 4 million clusters are in view (else RANGE)
    round_up        0; 1: expected numbers of samples of a run are rounded up instead of at random; with `independent`
                    the thesis' Algorithm 11. Only for scenes built with one of its trees, as the next three
    depth_ratio     1.5: epsilon, by how much the factor 1/z^2 may vary over what is drawn as a whole; more than 1
@@ -14340,6 +14341,9 @@ static zbufrand_result zbufrandi_draw_lists(zbufrandi_picture *p, uint32_t root)
     return ZBUFRAND_OK;
 }
 
+/* Independent samples are drawn from clusters, however small: of 10^11 triangles that would take hours. */
+enum { ZBUFRANDI_INDEPENDENT_DRAWS = 1 << 22 };
+
 /* Everything that is to be drawn, into the keys. */
 static zbufrand_result zbufrandi_draw_scene(zbufrandi_picture *p) {
     zbufrand_frame *f = p->f;
@@ -14373,6 +14377,7 @@ static zbufrand_result zbufrandi_draw_scene(zbufrandi_picture *p) {
         }
         if (!zbufrandi_round_select(p))
             return f->block_count > 0x3fff000u ? ZBUFRAND_ERR_RANGE : ZBUFRAND_ERR_NO_MEMORY;
+        if (p->cut.independent && f->draw_count > ZBUFRANDI_INDEPENDENT_DRAWS) return ZBUFRAND_ERR_RANGE;
         zbufrandi_lap(p, ZBUFRAND_STAGE_SELECT);
         /* drawn all at once, or not at all */
         if (p->cut.bounds || (p->d->no_occlusion && f->front_count > 0)) continue;
@@ -15123,6 +15128,11 @@ ZBUFRAND_DEF zbufrand_result zbufrand_render(zbufrand_frame *frame, const zbufra
     if (p->stats.frames > 1) p->stats.projected_area /= (double)p->stats.frames;
     p->stats.bytes = zbufrandi_atomic_load(&frame->mem.used);
     if (stats != NULL) *stats = p->stats;
+    if (r == ZBUFRAND_ERR_RANGE)
+        return zbufrandi_fail(frame->env.error, r, 0, p->cut.independent && p->image->width <= ZBUFRANDI_RASTER_MAX_SIZE &&
+                              p->image->height <= ZBUFRANDI_RASTER_MAX_SIZE
+            ? "render: independent samples of so many instances need one of the thesis' trees"
+            : "render: the picture is too large, or takes more than 2^32 samples");
     if (r != ZBUFRAND_OK)
         return zbufrandi_fail(frame->env.error, r, 0, "render: bad camera, light or option, or no memory");
     return ZBUFRAND_OK;
