@@ -90,8 +90,10 @@
    - Takes tetrahedra, hexahedra, prisms, pyramids and structured grids with any number of scalars, per vertex or per
      cell; cuts larger cells so that neighbours agree; finds neighbours; says what is wrong with a mesh and leaves out
      only what cannot be used.
-   - Keeps a tetrahedron in 8.5 to 20 bytes, all included, in the order of a space-filling curve; or in the forms of the
-     thesis that it comes from: a list of 160 bytes, tetrahedral strips.
+   - Keeps a tetrahedron in 12 (Tet8) to 19 bytes (Tet16), vertices, scalar and all else that rays need included, in the
+     order of a space-filling curve; or in the forms of the thesis that it comes from: a list of 160 bytes, tetrahedral
+     strips. What projection, isosurface meshes, leaping over empty regions and the numbers of the input need besides
+     is another 31 bytes, which options leave away.
    - Walks rays from cell to cell by exact signs: no epsilon, no failed ray, whatever the shape of the cells.
    - Projects cells onto the picture by the same signs, with exact order in every pixel, where cells are large.
    - Integrates light exactly for transfer functions that are piecewise linear: emission and absorption, either alone,
@@ -418,8 +420,8 @@ typedef struct tetcast_mesh_info {
     uint64_t connectivity_bytes;   /* cells, as they are walked */
     uint64_t vertex_bytes;         /* positions and the active scalar */
     uint64_t hull_bytes;           /* faces of the hull and the tree over them */
-    uint64_t field_bytes;          /* the other scalars */
-    uint64_t cluster_bytes;
+    uint64_t field_bytes;          /* all scalars, where there are several, and those per cell */
+    uint64_t cluster_bytes;        /* what disable_clusters is about: about 10 a cell, for leaping only */
     uint64_t optional_bytes;       /* what drop_* and keep_* are about */
     uint64_t total_bytes;
 } tetcast_mesh_info;
@@ -4098,7 +4100,8 @@ TETCAST_DEF void tetcast_mesh_get_info(const tetcast_mesh *mesh, tetcast_mesh_in
     info->hull_bytes = (uint64_t)mesh->face_count * sizeof *mesh->face + mesh->hull.bytes;
     for (i = 0; i < mesh->field_count; i++) {
         const tetcasti_field *f = &mesh->field[i];
-        info->field_bytes += (uint64_t)(f->per_cell ? mesh->cell_count : mesh->vertex_count) * sizeof *f->value;
+        if (f->value != NULL)
+            info->field_bytes += (uint64_t)(f->per_cell ? mesh->cell_count : mesh->vertex_count) * sizeof *f->value;
         if (f->hidden != NULL) info->field_bytes += ((uint64_t)mesh->cell_count / 32 + 1) * 4;
     }
     if (mesh->mask != NULL) info->field_bytes += ((uint64_t)mesh->cell_count / 32 + 1) * 4;
@@ -4133,7 +4136,7 @@ TETCAST_DEF uint32_t tetcast_mesh_find_field(const tetcast_mesh *mesh, const cha
 }
 
 TETCAST_DEF tetcast_result tetcast_mesh_set_field(tetcast_mesh *mesh, uint32_t field) {
-    const tetcasti_field *f;
+    tetcasti_field *f;
     uint32_t i;
     if (mesh == NULL) return TETCAST_ERR_INVALID_ARG;
     if (field >= mesh->field_count) return TETCAST_ERR_RANGE;
@@ -4145,7 +4148,12 @@ TETCAST_DEF tetcast_result tetcast_mesh_set_field(tetcast_mesh *mesh, uint32_t f
     mesh->active = field;
     mesh->cell_value = f->per_cell ? f->value : NULL;
     mesh->hidden = f->hidden != NULL ? f->hidden : mesh->mask;
-    for (i = 0; i < mesh->vertex_count; i++) mesh->vertex[i].s = f->per_cell ? 0.0f : f->value[i];
+    for (i = 0; i < mesh->vertex_count && (f->per_cell || f->value != NULL); i++)
+        mesh->vertex[i].s = f->per_cell ? 0.0f : f->value[i];
+    if (mesh->field_count == 1 && !f->per_cell) { /* now it is in the vertices, and no other will take its place */
+        tetcasti_free(&mesh->mem, f->value);
+        f->value = NULL;
+    }
     tetcasti_cells_field_changed(mesh);
     return TETCAST_OK;
 }

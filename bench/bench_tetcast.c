@@ -2,12 +2,12 @@
 
    bench_tetcast [--full] [--only BM1,BM2] [--threads N] [--data DIR] [--table FILE]
 
-   BM1 frames and traversal        BM7  walking or projecting       BM13 is bench/peers
+   BM1 frames and traversal        BM7  walking or projecting       BM13 against other ways, one picture
    BM2 integrators                 BM8  early termination           BM14 the thesis' scenes
    BM3 forms of cells              BM9  isosurfaces                 BM15 memory, import
    BM4 strips                      BM10 changes of the function     BM16 what exactness costs
    BM5 projection in any order     BM11 meshes that are not convex
-   BM6 projection in order         BM12 threads, instruction sets   BM17 tolerance against error
+   BM6 orders and forms of it      BM12 threads, instruction sets   BM17 tolerance against error
    One JSON object a line on stdout; the acceptance table on stderr and, after a run of all, in bench/table_tetcast.md
    beside the program. Errors of pictures are against an integrator in double that splits at every knot. */
 #include "bench.h"
@@ -18,6 +18,7 @@
 #include "../tetcast.h"
 #include "../tests/ray_oracle.h"
 #include "baseline/planes.h"
+#include "baseline/cell_projection.h"
 #include "bench_tets.h"
 #include <sys/resource.h>
 
@@ -569,15 +570,10 @@ static void forms_of(int id) {
         bench_num("frame_seconds", bench_seconds(&b[2 * i]));
         bench_num("bytes", (double)info.connectivity_bytes);
         bench_num("bytes_per_cell", (double)info.connectivity_bytes / (double)info.cell_count);
-        bench_num("total_per_cell", (double)(info.connectivity_bytes + info.vertex_bytes + info.hull_bytes) /
-                                        (double)info.cell_count);
+        bench_num("total_per_cell", (double)info.total_bytes / (double)info.cell_count);
         bench_num("build_seconds", made[i]);
         bench_hash(hash_frame(f[2 * i]));
         finish_line(&b[2 * i + 1], g_form[i]);
-        if (i == TETCAST_CELLS_TET8 && id == MESH_D150K) {
-            table_set("bytes", "%.2f / %.2f", (double)info.connectivity_bytes / (double)info.cell_count,
-                      (double)(info.connectivity_bytes + info.vertex_bytes + info.hull_bytes) / (double)info.cell_count);
-        }
         free_frame(f[2 * i]);
         free_frame(f[2 * i + 1]);
         tetcast_mesh_destroy(u[i].mesh);
@@ -585,24 +581,53 @@ static void forms_of(int id) {
     tetcast_optics_destroy(o);
 }
 
+/* What a mesh holds in all, by what it is to be good for. */
+static void bytes_of(int id) {
+    static const struct { const char *name; tetcast_cells cells; uint32_t tets, source, clusters; } kinds[] = {
+        {"Tet8: rays", TETCAST_CELLS_TET8, 0, 0, 0}, {"Tet8: rays that leap", TETCAST_CELLS_TET8, 0, 0, 1},
+        {"Tet8: rays, projection, surfaces", TETCAST_CELLS_TET8, 1, 0, 0}, {"Tet8: all", TETCAST_CELLS_TET8, 1, 1, 1},
+        {"Tet16: rays", TETCAST_CELLS_TET16, 0, 0, 0}, {"Tet16: all (default)", TETCAST_CELLS_TET16, 1, 1, 1}};
+    enum { KINDS = sizeof kinds / sizeof kinds[0] };
+    double total[KINDS];
+    size_t i;
+    for (i = 0; i < KINDS; i++) {
+        tetcast_mesh_info info;
+        build u;
+        double n;
+        memset(&u, 0, sizeof u);
+        u.t = get_tets(id);
+        u.d.env.thread_count = 1;
+        u.d.cells = kinds[i].cells;
+        u.d.drop_tets = !kinds[i].tets;
+        u.d.drop_source = !kinds[i].source;
+        u.d.disable_clusters = !kinds[i].clusters;
+        run_build(&u);
+        tetcast_mesh_get_info(u.mesh, &info);
+        n = (double)info.cell_count;
+        total[i] = (double)info.total_bytes / n;
+        bench_line("tetcast.bytes", g_mesh_name[id], "bytes_per_cell", total[i], "bytes");
+        bench_num("error", 0);
+        bench_text("error_unit", "pictures that differ (BM3)");
+        bench_text("method", kinds[i].name);
+        bench_num("connectivity", (double)info.connectivity_bytes / n);
+        bench_num("vertices", (double)info.vertex_bytes / n);
+        bench_num("fields", (double)info.field_bytes / n);
+        bench_num("hull", (double)info.hull_bytes / n);
+        bench_num("clusters", (double)info.cluster_bytes / n);
+        bench_num("optional", (double)info.optional_bytes / n);
+        bench_end();
+        if (i == 0) table_set("bytes", "%.2f / %.2f", (double)info.connectivity_bytes / n, total[0]);
+        tetcast_mesh_destroy(u.mesh);
+    }
+    table_set("bytes-more", "%.2f / %.2f / %.2f / %.2f", total[1], total[2], total[3], total[5]);
+}
+
 static void bm3(void) {
     forms_of(MESH_D31K);
+    bytes_of(MESH_D150K);
     if (g_opt.full) {
         forms_of(MESH_K32);
         forms_of(MESH_D150K);
-    } else { /* the bytes of the smallest form only */
-        build u;
-        tetcast_mesh_info info;
-        memset(&u, 0, sizeof u);
-        u.t = get_tets(MESH_D150K);
-        u.d.env.thread_count = 1;
-        u.d.cells = TETCAST_CELLS_TET8;
-        u.d.drop_source = u.d.drop_tets = 1;
-        run_build(&u);
-        tetcast_mesh_get_info(u.mesh, &info);
-        table_set("bytes", "%.2f / %.2f", (double)info.connectivity_bytes / (double)info.cell_count,
-                  (double)(info.connectivity_bytes + info.vertex_bytes + info.hull_bytes) / (double)info.cell_count);
-        tetcast_mesh_destroy(u.mesh);
     }
 }
 
@@ -718,6 +743,115 @@ static void bm5(void) {
         if (i == 0) drop_mesh(MESH_L128);
     }
     table_set("project", "%.1f (%.1f, %.1f)", 1e-6 * rate[0], 1e-6 * rate[1], 1e-6 * rate[2]);
+}
+
+/* ---- BM6: projection in order; forms of projection ---- */
+
+typedef struct old_way { frame *f; projection_way how; projection_report report; } old_way;
+
+static void run_old_way(void *ctx) {
+    old_way *o = (old_way *)ctx;
+    must(projection_project(&o->how, &o->f->d, o->f->mesh, o->f->optics, &o->f->image, &o->report), "projection");
+}
+
+typedef struct way { const char *name; projection_way how; } way;
+
+static bench_job old_job(const char *name, old_way *o) {
+    bench_job b = frame_job(name, o->f);
+    b.run = run_old_way;
+    b.ctx = o;
+    return b;
+}
+
+static double largest_difference(const frame *a, const frame *b) {
+    const size_t n = 4 * (size_t)a->image.width * a->image.height;
+    double most = 0;
+    size_t i;
+    for (i = 0; i < n; i++) {
+        const double e = fabs((double)a->image.rgba[i] - (double)b->image.rgba[i]);
+        most = fmax(most, e == e ? e : 1e9);
+    }
+    return most;
+}
+
+/* Ways of projecting one picture, against the walk. ortho: parallel rays. */
+static void ways_of(const char *bench, int id, tetcast_model model, int ortho, const way *ways, int count) {
+    enum { MOST = 8 };
+    const uint32_t size = g_opt.full ? SIZE : SIZE / 2;
+    tetcast_mesh_desc md;
+    tetcast_optics_desc d;
+    tetcast_mesh_info info;
+    tetcast_mesh *mesh;
+    tetcast_optics *o;
+    old_way old[MOST];
+    frame *walk;
+    bench_job b[MOST + 1];
+    char kase[64];
+    int i;
+    if (get_tets(id) == NULL) return;
+    memset(&md, 0, sizeof md);
+    memset(&d, 0, sizeof d);
+    memset(old, 0, sizeof old);
+    md.keep_neighbours = 1; /* an order of cells needs them */
+    mesh = build_mesh(get_tets(id), &md);
+    tetcast_mesh_get_info(mesh, &info);
+    d.model = model;
+    d.t_min = -1; /* rays that end see less of what comes too late */
+    o = make_optics(TF_SMOOTH, &d);
+    walk = new_frame(mesh, o, size);
+    if (ortho) walk->d.camera.ortho_height = 1.8f;
+    walk->d.method = TETCAST_METHOD_WALK;
+    b[count] = frame_job("walk", walk);
+    for (i = 0; i < count; i++) {
+        old[i].f = new_frame(mesh, o, size);
+        old[i].f->d.camera = walk->d.camera;
+        old[i].how = ways[i].how;
+        b[i] = old_job(ways[i].name, &old[i]);
+    }
+    bench_interleave(b, count + 1, g_opt.full ? 3 : 1);
+    snprintf(kase, sizeof kase, "%s%s", g_mesh_name[id], ortho ? ", parallel rays" : "");
+    for (i = 0; i <= count; i++) {
+        bench_line(bench, kase, "cells_per_second", bench_rate(&b[i], (double)info.cell_count), "1/s");
+        bench_num("error", i < count ? largest_difference(old[i].f, walk) : 0);
+        bench_text("error_unit", "colour, from the walk");
+        bench_num("frame_seconds", bench_seconds(&b[i]));
+        if (i < count) {
+            bench_num("fragments", (double)old[i].report.fragments);
+            bench_num("violations", (double)old[i].report.violations);
+            bench_num("cycles", (double)old[i].report.cycles);
+            bench_hash(hash_frame(old[i].f));
+        } else {
+            bench_num("fragments", (double)walk->stats.steps);
+        }
+        finish_line(&b[i], b[i].name);
+        if (i < count) free_frame(old[i].f);
+    }
+    free_frame(walk);
+    tetcast_optics_destroy(o);
+    tetcast_mesh_destroy(mesh);
+}
+
+static const way g_orders[] = {{"lists by depth", {PROJECTION_SIGNS, PROJECTION_LISTS, 0, 0, 0, 0, 0}},
+                               {"middles of cells", {PROJECTION_SIGNS, PROJECTION_CENTROID, 0, 0, 0, 0, 0}},
+                               {"MPVO", {PROJECTION_SIGNS, PROJECTION_MPVO, 0, 0, 0, 0, 0}},
+                               {"k-buffer, k = 2", {PROJECTION_SIGNS, PROJECTION_CENTROID, 2, 0, 0, 0, 0}},
+                               {"k-buffer, k = 6", {PROJECTION_SIGNS, PROJECTION_CENTROID, 6, 0, 0, 0, 0}},
+                               {"k-buffer, k = 16", {PROJECTION_SIGNS, PROJECTION_CENTROID, 16, 0, 0, 0, 0}},
+                               {"no order", {PROJECTION_SIGNS, PROJECTION_RANDOM, 0, 0, 0, 0, 0}}};
+static const way g_forms[] = {{"signs", {PROJECTION_SIGNS, PROJECTION_LISTS, 0, 0, 0, 0, 0}},
+                              {"faces, way out per fragment", {PROJECTION_FRAGMENT, PROJECTION_LISTS, 0, 0, 0, 3, 0}},
+                              {"projected tetrahedra", {PROJECTION_PT, PROJECTION_LISTS, 0, 0, 0, 0, 1}},
+                              {"projected tetrahedra, linear in the picture", {PROJECTION_PT, PROJECTION_LISTS, 0, 0, 0, 0, 0}},
+                              {"ways at vertices", {PROJECTION_VERTEX, PROJECTION_LISTS, 0, 2, 0, 0, 0}},
+                              {"ways at vertices, repaired edges", {PROJECTION_VERTEX, PROJECTION_LISTS, 0, 1, 0, 0, 0}},
+                              {"ways at vertices, table of 64^3", {PROJECTION_VERTEX, PROJECTION_LISTS, 0, 1, 64, 0, 0}}};
+
+static void bm6(void) {
+    ways_of("tetcast.order", MESH_K32, TETCAST_MODEL_VOLUME, 0, g_orders, 7);
+    ways_of("tetcast.order", MESH_D31K, TETCAST_MODEL_VOLUME, 0, g_orders, 7);
+    ways_of("tetcast.form", MESH_K32, TETCAST_MODEL_EMISSION, 0, g_forms, 4);
+    ways_of("tetcast.form", MESH_K32, TETCAST_MODEL_EMISSION, 1, g_forms, 7);
+    if (g_opt.full) ways_of("tetcast.order", MESH_SPX, TETCAST_MODEL_VOLUME, 0, g_orders, 7);
 }
 
 static void bm7(void) {
@@ -1123,6 +1257,96 @@ static void bm12(void) {
     tetcast_optics_destroy(o);
 }
 
+/* ---- BM13: other ways to the same picture ---- */
+
+typedef struct old_walk { frame *f; const baseline_list *list; baseline_desc d; baseline_stats stats; } old_walk;
+
+static void run_old_walk(void *ctx) {
+    old_walk *o = (old_walk *)ctx;
+    memset(&o->stats, 0, sizeof o->stats);
+    if (!baseline_picture(o->list, &o->d, &o->f->d.camera, SIZE, SIZE, o->f->optics, o->f->image.rgba, NULL, &o->stats))
+        die("planes", "out of memory");
+}
+
+/* One picture by what is ours, by the thesis' and its time's ways as written here, and as others' programs took for
+   the same mesh, camera and function on the same kind of machine. */
+static void against(int id) {
+    static const struct { int id; const char *name; double seconds; } others[] = {
+        {MESH_K32, "VTK, Bunyk and tables", 1.0}, {MESH_K32, "VTK, partial pre-integration", 1.38},
+        {MESH_K32, "VTK, ZSweep", 4.7}, {MESH_K32, "VTK, projected tetrahedra on llvmpipe", 0.52},
+        {MESH_K32, "Open VKL, sampled every 1.5 cells", 0.37},
+        {MESH_D31K, "VTK, Bunyk and tables", 1.61}, {MESH_D31K, "VTK, partial pre-integration", 3.45},
+        {MESH_D31K, "VTK, ZSweep", 19}, {MESH_D31K, "VTK, projected tetrahedra on llvmpipe", 0.66},
+        {MESH_D31K, "Open VKL, sampled every 1.5 cells", 0.97}};
+    static const char *const names[5] = {"walk", "projection", "planes, tables of 128^2 x 64",
+                                         "projected tetrahedra, by middles", "the same, colours interpolated"};
+    const tetcast_mesh *mesh = get_mesh(id);
+    tetcast_optics *exact = make_optics(TF_SMOOTH, NULL);
+    tetcast_optics_desc d;
+    tetcast_check check;
+    baseline_list list;
+    old_walk planes_walk;
+    old_way pt[2];
+    frame *f[5];
+    bench_job b[5];
+    reference r;
+    int i, k;
+    if (mesh == NULL) {
+        tetcast_optics_destroy(exact);
+        return;
+    }
+    memset(&d, 0, sizeof d);
+    memset(pt, 0, sizeof pt);
+    memset(&planes_walk, 0, sizeof planes_walk);
+    must(tetcast_mesh_check(mesh, NULL, &check), "check");
+    d.integrator = TETCAST_INTEGRATOR_TABLE_3D;
+    d.longest = (float)check.longest_edge;
+    for (i = 0; i < 5; i++) {
+        f[i] = new_frame(mesh, exact, SIZE);
+        b[i] = frame_job(names[i], f[i]);
+        f[i]->d.method = i == 1 ? TETCAST_METHOD_PROJECT : TETCAST_METHOD_WALK;
+    }
+    f[2]->optics = f[2]->own = make_optics(TF_SMOOTH, &d);
+    if (!baseline_list_make(mesh, &list)) die("planes", "out of memory");
+    planes_walk.f = f[2];
+    planes_walk.list = &list;
+    b[2].run = run_old_walk;
+    b[2].ctx = &planes_walk;
+    for (k = 0; k < 2; k++) {
+        pt[k].f = f[3 + k];
+        pt[k].how.form = k ? PROJECTION_PT_COLORS : PROJECTION_PT;
+        pt[k].how.order = PROJECTION_CENTROID;
+        pt[k].how.correction = (uint32_t)!k;
+        b[3 + k] = old_job(names[3 + k], &pt[k]);
+    }
+    bench_interleave(b, 5, g_opt.full ? 3 : 1);
+    r = make_reference(f[0], get_tets(id), TF_SMOOTH, EVERY);
+    for (i = 0; i < 5; i++) {
+        difference e = compare(f[i], &r);
+        bench_line("tetcast.against", g_mesh_name[id], "frame_seconds", bench_seconds(&b[i]), "s");
+        difference_line(&e);
+        bench_hash(hash_frame(f[i]));
+        finish_line(&b[i], names[i]);
+    }
+    for (i = 0; i < (int)(sizeof others / sizeof others[0]); i++) {
+        if (others[i].id != id) continue;
+        bench_line("tetcast.against", g_mesh_name[id], "frame_seconds", others[i].seconds, "s");
+        bench_text("method", others[i].name);
+        bench_text("source", "measured before, not by this program");
+        bench_num("threads", 1);
+        bench_end();
+    }
+    free(r.rgba);
+    baseline_list_free(&list);
+    for (i = 0; i < 5; i++) free_frame(f[i]);
+    tetcast_optics_destroy(exact);
+}
+
+static void bm13(void) {
+    against(MESH_K32);
+    against(MESH_D31K);
+}
+
 /* ---- BM14: the thesis' scenes ---- */
 
 static void scene_of(int id, int surface, double thesis) {
@@ -1415,8 +1639,8 @@ static void bm17(void) {
 
 int main(int argc, char **argv) {
     static const struct { int number; void (*run)(void); } all[] = {
-        {1, bm1}, {2, bm2}, {3, bm3}, {4, bm4}, {5, bm5}, {7, bm7}, {8, bm8}, {9, bm9}, {10, bm10}, {11, bm11}, {12, bm12}, {14, bm14},
-        {15, bm15}, {16, bm16}, {17, bm17}
+        {1, bm1}, {2, bm2}, {3, bm3}, {4, bm4}, {5, bm5}, {6, bm6}, {7, bm7}, {8, bm8}, {9, bm9}, {10, bm10}, {11, bm11}, {12, bm12},
+        {13, bm13}, {14, bm14}, {15, bm15}, {16, bm16}, {17, bm17}
     };
     size_t i;
     int status = bench_parse(argc, argv, &g_opt);

@@ -213,7 +213,14 @@ TEST(info) { /* bytes add up; what was dropped is gone */
     CHECK_EQ_U64(info.optional_bytes, 0);
     CHECK_EQ_U64(info.cluster_bytes, 0);
     CHECK_EQ_U64(info.connectivity_bytes, 16 * info.cell_count);
-    CHECK_EQ_U64(info.field_bytes, 4000);
+    CHECK_EQ_U64(info.field_bytes, 0); /* the only field is in the vertices */
+    {
+        float before = 0, after = 0;
+        tetcast_mesh_vertex(m, 500, NULL, &before, NULL);
+        CHECK_EQ_U64(tetcast_mesh_set_field(m, 0), TETCAST_OK);
+        tetcast_mesh_vertex(m, 500, NULL, &after, NULL);
+        CHECK(before == after && before != 0);
+    }
     CHECK(info.total_bytes >= info.connectivity_bytes + info.vertex_bytes + info.hull_bytes + info.field_bytes);
     CHECK(info.total_bytes <= m->mem.used);
     CHECK(info.box_min[0] == 0 && info.box_max[2] == 9);

@@ -640,13 +640,13 @@ TEST(any_bits) {
 
 /* ---- forms and orders that are compared with ---- */
 
-static double baseline_differ(const baseline_projection *how, const tetcast_render_desc *d, const scene *s,
-                              const picture *right, baseline_report *report, uint32_t *wrong) {
+static double projection_differ(const projection_way *how, const tetcast_render_desc *d, const scene *s,
+                              const picture *right, projection_report *report, uint32_t *wrong) {
     tetcast_image im = image_of(&pic[2]);
     double most = 0;
     int x, y, k;
     memset(&pic[2], 0, sizeof pic[2]);
-    CHECK_EQ_U64(baseline_project(how, d, s->mesh, s->optics, &im, report), TETCAST_OK);
+    CHECK_EQ_U64(projection_project(how, d, s->mesh, s->optics, &im, report), TETCAST_OK);
     *wrong = 0;
     for (y = 0; y < H; y++)
         for (x = 0; x < W; x++) {
@@ -661,8 +661,8 @@ static double baseline_differ(const baseline_projection *how, const tetcast_rend
 TEST(orders) {
     scene s;
     tetcast_render_desc d;
-    baseline_projection how;
-    baseline_report report, last;
+    projection_way how;
+    projection_report report, last;
     uint32_t wrong, k;
     double e;
     memset(&how, 0, sizeof how);
@@ -670,21 +670,21 @@ TEST(orders) {
     for (k = 0; k < 2; k++) {
         d = view_of(k ? PARALLEL : SLANTED, &s);
         CHECK_EQ_U64(draw(&d, TETCAST_METHOD_PROJECT, &s, &pic[0], NULL), TETCAST_OK);
-        how.order = BASELINE_LISTS;
-        CHECK(baseline_differ(&how, &d, &s, &pic[0], &report, &wrong) == 0 && report.violations == 0);
-        how.order = BASELINE_MPVO; /* a convex mesh without cycles */
-        e = baseline_differ(&how, &d, &s, &pic[0], &report, &wrong);
+        how.order = PROJECTION_LISTS;
+        CHECK(projection_differ(&how, &d, &s, &pic[0], &report, &wrong) == 0 && report.violations == 0);
+        how.order = PROJECTION_MPVO; /* a convex mesh without cycles */
+        e = projection_differ(&how, &d, &s, &pic[0], &report, &wrong);
         CHECK_MSG(e < 2e-5 && report.violations == 0 && report.cycles == 0, "MPVO: %g, %llu late, %llu cycles", e,
                   (unsigned long long)report.violations, (unsigned long long)report.cycles);
-        how.order = BASELINE_CENTROID;
-        e = baseline_differ(&how, &d, &s, &pic[0], &last, &wrong);
+        how.order = PROJECTION_CENTROID;
+        e = projection_differ(&how, &d, &s, &pic[0], &last, &wrong);
         CHECK_MSG(last.violations > 0 && last.violations * 5 < last.fragments && e > 1e-4, "centroids: %llu of %llu, %g",
                   (unsigned long long)last.violations, (unsigned long long)last.fragments, e);
-        how.order = BASELINE_RANDOM;
-        (void)baseline_differ(&how, &d, &s, &pic[0], &report, &wrong);
+        how.order = PROJECTION_RANDOM;
+        (void)projection_differ(&how, &d, &s, &pic[0], &report, &wrong);
         CHECK(report.violations > 3 * last.violations && report.fragments == last.fragments);
-        for (how.order = BASELINE_CENTROID, how.keep = 2; how.keep <= 16; how.keep *= 2) { /* fewer with every step */
-            e = baseline_differ(&how, &d, &s, &pic[0], &report, &wrong);
+        for (how.order = PROJECTION_CENTROID, how.keep = 2; how.keep <= 16; how.keep *= 2) { /* fewer with every step */
+            e = projection_differ(&how, &d, &s, &pic[0], &report, &wrong);
             CHECK(report.violations <= last.violations && report.fragments == last.fragments);
             last = report;
         }
@@ -696,20 +696,20 @@ TEST(orders) {
     d = view_of(SLANTED, &s);
     look(&d, 0.3, 0.2, 9, 0, 0, 0);
     oracle(&d, &s, 1, &pic[0]);
-    how.order = BASELINE_MPVO;
-    e = baseline_differ(&how, &d, &s, &pic[0], &report, &wrong);
+    how.order = PROJECTION_MPVO;
+    e = projection_differ(&how, &d, &s, &pic[0], &report, &wrong);
     CHECK_MSG(report.cycles > 0 && report.violations > 0 && e > 1e-2, "ring: %llu cycles, %llu late, %g",
               (unsigned long long)report.cycles, (unsigned long long)report.violations, e);
-    how.order = BASELINE_LISTS;
-    CHECK(baseline_differ(&how, &d, &s, &pic[0], &report, &wrong) < 1e-4);
+    how.order = PROJECTION_LISTS;
+    CHECK(projection_differ(&how, &d, &s, &pic[0], &report, &wrong) < 1e-4);
     scene_free(&s);
     scene_make(&s, HOLES); /* not convex: nearest middles first goes a long way, not all the way */
     d = view_of(SLANTED, &s);
     CHECK_EQ_U64(draw(&d, TETCAST_METHOD_PROJECT, &s, &pic[0], NULL), TETCAST_OK);
-    how.order = BASELINE_MPVO;
-    (void)baseline_differ(&how, &d, &s, &pic[0], &report, &wrong);
-    how.order = BASELINE_RANDOM;
-    (void)baseline_differ(&how, &d, &s, &pic[0], &last, &wrong);
+    how.order = PROJECTION_MPVO;
+    (void)projection_differ(&how, &d, &s, &pic[0], &report, &wrong);
+    how.order = PROJECTION_RANDOM;
+    (void)projection_differ(&how, &d, &s, &pic[0], &last, &wrong);
     CHECK_MSG(report.violations * 10 < last.violations, "MPVO %llu, any order %llu late", (unsigned long long)report.violations,
               (unsigned long long)last.violations);
     scene_free(&s);
@@ -720,29 +720,29 @@ TEST(forms) {
     scene s;
     tetcast_render_desc d;
     tetcast_image im = image_of(&pic[2]);
-    baseline_projection how;
-    baseline_report report;
+    projection_way how;
+    projection_report report;
     uint32_t wrong, naive, repaired, k;
     double e, linear, colors, before = 1e9;
     memset(&how, 0, sizeof how);
     scene_make(&s, JITTERED);
     d = view_of(PARALLEL, &s);
     CHECK_EQ_U64(draw(&d, TETCAST_METHOD_PROJECT, &s, &pic[0], NULL), TETCAST_OK);
-    how.form = BASELINE_FRAGMENT;
-    e = baseline_differ(&how, &d, &s, &pic[0], &report, &wrong);
+    how.form = PROJECTION_FRAGMENT;
+    e = projection_differ(&how, &d, &s, &pic[0], &report, &wrong);
     CHECK_MSG(e < 1e-4, "fragment-oriented, parallel: %g", e);
     how.planes = 2;
-    e = baseline_differ(&how, &d, &s, &pic[0], &report, &wrong);
+    e = projection_differ(&how, &d, &s, &pic[0], &report, &wrong);
     CHECK_MSG(wrong > W * H / 10, "two planes: %u wrong pixels", wrong);
-    how.form = BASELINE_VERTEX;
+    how.form = PROJECTION_VERTEX;
     how.repair = 2;
-    e = baseline_differ(&how, &d, &s, &pic[0], &report, &wrong);
+    e = projection_differ(&how, &d, &s, &pic[0], &report, &wrong);
     CHECK_MSG(e < 1e-4, "vertex-oriented, planes of front faces left out: %g", e);
     for (k = 0; k < 3; k++) { /* the table of the thesis: errors get smaller with its size */
         double sum = 0;
         int x, y;
         how.table = sizes[k];
-        (void)baseline_differ(&how, &d, &s, &pic[0], &report, &wrong);
+        (void)projection_differ(&how, &d, &s, &pic[0], &report, &wrong);
         for (y = 0; y < H; y++)
             for (x = 0; x < W; x++) sum += fabs((double)pic[2].length[y][x] - (double)pic[0].length[y][x]);
         CHECK_MSG(sum < before && sum > 1e-2, "table of %u: %g after %g", sizes[k], sum, before);
@@ -750,21 +750,21 @@ TEST(forms) {
     }
     how.table = 0;
     d = view_of(SLANTED, &s);
-    CHECK_EQ_U64(baseline_project(&how, &d, s.mesh, s.optics, &im, &report), TETCAST_ERR_INVALID_ARG);
+    CHECK_EQ_U64(projection_project(&how, &d, s.mesh, s.optics, &im, &report), TETCAST_ERR_INVALID_ARG);
     CHECK_EQ_U64(draw(&d, TETCAST_METHOD_PROJECT, &s, &pic[0], NULL), TETCAST_OK);
-    how.form = BASELINE_FRAGMENT;
+    how.form = PROJECTION_FRAGMENT;
     how.planes = 0;
-    e = baseline_differ(&how, &d, &s, &pic[0], &report, &wrong);
+    e = projection_differ(&how, &d, &s, &pic[0], &report, &wrong);
     CHECK_MSG(e < 1e-4, "fragment-oriented, perspective: %g", e);
-    how.form = BASELINE_PT;
+    how.form = PROJECTION_PT;
     how.correction = 1;
-    e = baseline_differ(&how, &d, &s, &pic[0], &report, &wrong);
+    e = projection_differ(&how, &d, &s, &pic[0], &report, &wrong);
     CHECK_MSG(e < 1e-4, "projected tetrahedra, homogeneous: %g", e);
     how.correction = 0;
-    linear = baseline_differ(&how, &d, &s, &pic[0], &report, &wrong);
-    how.form = BASELINE_PT_COLORS;
-    how.order = BASELINE_MPVO;
-    colors = baseline_differ(&how, &d, &s, &pic[0], &report, &wrong);
+    linear = projection_differ(&how, &d, &s, &pic[0], &report, &wrong);
+    how.form = PROJECTION_PT_COLORS;
+    how.order = PROJECTION_MPVO;
+    colors = projection_differ(&how, &d, &s, &pic[0], &report, &wrong);
     CHECK_MSG(linear > 2 * e && colors > 2 * linear, "projected tetrahedra: colours %g, linear %g, homogeneous %g", colors,
               linear, e);
     scene_free(&s);
@@ -774,12 +774,12 @@ TEST(forms) {
     look(&d, 3.5, 3.5, 30, 3.5 - 1e-7, 3.5 + 3e-7, 3.5);
     CHECK_EQ_U64(draw(&d, TETCAST_METHOD_PROJECT, &s, &pic[0], NULL), TETCAST_OK);
     memset(&how, 0, sizeof how);
-    how.form = BASELINE_VERTEX;
-    (void)baseline_differ(&how, &d, &s, &pic[0], &report, &naive);
+    how.form = PROJECTION_VERTEX;
+    (void)projection_differ(&how, &d, &s, &pic[0], &report, &naive);
     how.repair = 1;
-    (void)baseline_differ(&how, &d, &s, &pic[0], &report, &repaired);
+    (void)projection_differ(&how, &d, &s, &pic[0], &report, &repaired);
     how.repair = 2;
-    (void)baseline_differ(&how, &d, &s, &pic[0], &report, &wrong);
+    (void)projection_differ(&how, &d, &s, &pic[0], &report, &wrong);
     CHECK_MSG(naive > 2 * repaired && repaired >= wrong, "edges: %u pixels wrong, repaired %u, planes left out %u", naive,
               repaired, wrong);
     scene_free(&s);

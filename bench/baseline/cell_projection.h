@@ -5,8 +5,8 @@
    order these are added up. One thread.
 
    How a cell becomes fragments
-   BASELINE_SIGNS      as tetcast_render does
-   BASELINE_VERTEX     thesis 4.2, for parallel rays only: each front face is drawn; at a vertex the way to the plane
+   PROJECTION_SIGNS      as tetcast_render does
+   PROJECTION_VERTEX     thesis 4.2, for parallel rays only: each front face is drawn; at a vertex the way to the plane
                        opposite to it is known, it is interpolated over the face, and the smallest of three counts.
                        repair 0: ways into the cell (negative ones) are made large at the vertex: along an edge to
                        another front face its weight is 0 all the same, which leaves lines of no thickness (4.2.4)
@@ -14,22 +14,22 @@
                        repair 2: planes of front faces are left out, which is known once per face: nothing to repair
                        table n: the smallest of three by nearest look-up in n^3 entries of 8 bits, as in the texture
                        of the thesis, ways in units of the longest edge of the cell
-   BASELINE_FRAGMENT   thesis 4.3: each front face is drawn, each fragment meets the planes of the other three faces.
+   PROJECTION_FRAGMENT   thesis 4.3: each front face is drawn, each fragment meets the planes of the other three faces.
                        planes 2: the third is not tested, as on the hardware of the thesis: wrong where the drawn face
                        is not the only one in front
-   BASELINE_PT         projected tetrahedra (Shirley, Tuchman 1990): the outline is cut into three or four triangles
+   PROJECTION_PT         projected tetrahedra (Shirley, Tuchman 1990): the outline is cut into three or four triangles
                        around the thickest point; depths and values are interpolated on them, linearly in the picture
                        (correction 0: wrong in perspective) or divided by depth (1; Kraus, Qiao, Ebert 2004)
-   BASELINE_PT_COLORS  colour and opacity themselves are linear between the thickest point and the outline, as in the
+   PROJECTION_PT_COLORS  colour and opacity themselves are linear between the thickest point and the outline, as in the
                        original; goes into the picture in the order of drawing
 
    In which order
-   BASELINE_LISTS      as tetcast_render does: by depth, pixel by pixel
-   BASELINE_CENTROID   cells by the depth of their middles
-   BASELINE_MPVO       Williams (1992): cells that hide a neighbour come before it; where several come into question,
+   PROJECTION_LISTS      as tetcast_render does: by depth, pixel by pixel
+   PROJECTION_CENTROID   cells by the depth of their middles
+   PROJECTION_MPVO       Williams (1992): cells that hide a neighbour come before it; where several come into question,
                        as for meshes that are not convex, the nearest middle first; a cycle is cut at its nearest
                        middle and counted
-   BASELINE_RANDOM     any order
+   PROJECTION_RANDOM     any order
    keep k: each pixel keeps the k nearest fragments (k-buffer; Callahan et al. 2005); 0 or 1: none */
 #ifndef BASELINE_CELL_PROJECTION_H_INCLUDED
 #define BASELINE_CELL_PROJECTION_H_INCLUDED
@@ -38,49 +38,51 @@
 #endif
 #include "../../tetcast.h"
 
-typedef enum baseline_form {
-    BASELINE_SIGNS, BASELINE_VERTEX, BASELINE_FRAGMENT, BASELINE_PT, BASELINE_PT_COLORS
-} baseline_form;
-typedef enum baseline_order { BASELINE_LISTS, BASELINE_CENTROID, BASELINE_MPVO, BASELINE_RANDOM } baseline_order;
+typedef enum projection_form {
+    PROJECTION_SIGNS, PROJECTION_VERTEX, PROJECTION_FRAGMENT, PROJECTION_PT, PROJECTION_PT_COLORS
+} projection_form;
+typedef enum projection_order {
+    PROJECTION_LISTS, PROJECTION_CENTROID, PROJECTION_MPVO, PROJECTION_RANDOM
+} projection_order;
 
-typedef struct baseline_projection {
-    baseline_form form;
-    baseline_order order;
+typedef struct projection_way {
+    projection_form form;
+    projection_order order;
     uint32_t keep;          /* 0 to 255 */
     uint32_t repair, table, planes, correction;
-} baseline_projection;
+} projection_way;
 
-typedef struct baseline_report {
+typedef struct projection_report {
     uint64_t fragments;     /* that went into sums */
     uint64_t violations;    /* of these: came after one that lies behind them */
-    uint64_t cycles;        /* BASELINE_MPVO: cells that were taken although another one hides them */
+    uint64_t cycles;        /* PROJECTION_MPVO: cells that were taken although another one hides them */
     uint64_t exact_tests;
-} baseline_report;
+} projection_report;
 
 /* ---- orders ---- */
 
-typedef struct baseline_heap { uint32_t *cell; const float *key; uint32_t count; } baseline_heap;
+typedef struct projection_heap { uint32_t *cell; const float *key; uint32_t count; } projection_heap;
 
-static int baseline_before(const baseline_heap *h, uint32_t a, uint32_t b) {
+static int projection_before(const projection_heap *h, uint32_t a, uint32_t b) {
     return h->key[a] < h->key[b] || (h->key[a] == h->key[b] && a < b);
 }
 
-static void baseline_push(baseline_heap *h, uint32_t cell) {
+static void projection_push(projection_heap *h, uint32_t cell) {
     uint32_t i = h->count++;
-    while (i > 0 && baseline_before(h, cell, h->cell[(i - 1) / 2])) {
+    while (i > 0 && projection_before(h, cell, h->cell[(i - 1) / 2])) {
         h->cell[i] = h->cell[(i - 1) / 2];
         i = (i - 1) / 2;
     }
     h->cell[i] = cell;
 }
 
-static uint32_t baseline_pop(baseline_heap *h) {
+static uint32_t projection_pop(projection_heap *h) {
     uint32_t top = h->cell[0], last = h->cell[--h->count], i = 0;
     for (;;) {
         uint32_t k = 2 * i + 1;
         if (k >= h->count) break;
-        if (k + 1 < h->count && baseline_before(h, h->cell[k + 1], h->cell[k])) k++;
-        if (!baseline_before(h, h->cell[k], last)) break;
+        if (k + 1 < h->count && projection_before(h, h->cell[k + 1], h->cell[k])) k++;
+        if (!projection_before(h, h->cell[k], last)) break;
         h->cell[i] = h->cell[k];
         i = k;
     }
@@ -89,7 +91,8 @@ static uint32_t baseline_pop(baseline_heap *h) {
 }
 
 /* 1: `other`, behind face i of the cell, hides the cell; -1: the other way round; 0: the face is seen edge-on. */
-static int baseline_hides(const tetcasti_pixels *m, const tetcasti_vertex *vertex, const uint32_t tet[4], uint32_t i) {
+static int projection_hides(const tetcasti_pixels *m, const tetcasti_vertex *vertex, const uint32_t tet[4],
+                            uint32_t i) {
     double p[3][3], n[3], side = 0.0, w[3], e[2][3];
     uint32_t k, a;
     for (k = 0; k < 3; k++) {
@@ -108,19 +111,19 @@ static int baseline_hides(const tetcasti_pixels *m, const tetcasti_vertex *verte
     return side > 0.0 ? 1 : side < 0.0 ? -1 : 0;
 }
 
-/* Ranks of all cells, front to back. Needs the neighbours for BASELINE_MPVO. */
-static tetcast_result baseline_rank(tetcasti_mem *mem, const tetcast_mesh *mesh, const tetcasti_pixels *m,
-                                    baseline_order order, uint32_t *rank, uint64_t *cycles) {
+/* Ranks of all cells, front to back. Needs the neighbours for PROJECTION_MPVO. */
+static tetcast_result projection_rank(tetcasti_mem *mem, const tetcast_mesh *mesh, const tetcasti_pixels *m,
+                                    projection_order order, uint32_t *rank, uint64_t *cycles) {
     const uint32_t n = mesh->cell_count;
     float *depth = (float *)tetcasti_alloc_array(mem, n, sizeof *depth);
     uint32_t *heap = (uint32_t *)tetcasti_alloc_array(mem, n, sizeof *heap);
     uint32_t *hidden = (uint32_t *)tetcasti_alloc_zero(mem, n, sizeof *hidden);
     uint32_t *sorted = (uint32_t *)tetcasti_alloc_array(mem, n, sizeof *sorted);
-    baseline_heap h;
+    projection_heap h;
     tetcast_result r = TETCAST_OK;
     uint32_t i, k, at = 0, left = 0;
     if (depth == NULL || heap == NULL || hidden == NULL || sorted == NULL) r = TETCAST_ERR_NO_MEMORY;
-    else if (order == BASELINE_MPVO && mesh->neighbour == NULL) r = TETCAST_ERR_INVALID_ARG;
+    else if (order == PROJECTION_MPVO && mesh->neighbour == NULL) r = TETCAST_ERR_INVALID_ARG;
     for (i = 0; r == TETCAST_OK && i < n; i++) {
         double z = 0.0;
         for (k = 0; k < 4; k++) {
@@ -128,39 +131,39 @@ static tetcast_result baseline_rank(tetcasti_mem *mem, const tetcast_mesh *mesh,
             z += (double)v->x * m->forward[0] + (double)v->y * m->forward[1] + (double)v->z * m->forward[2];
         }
         depth[i] = (float)z;
-        if (order == BASELINE_RANDOM) depth[i] = (float)(tetcasti_hash32(i) >> 8);
+        if (order == PROJECTION_RANDOM) depth[i] = (float)(tetcasti_hash32(i) >> 8);
     }
     h.cell = heap;
     h.key = depth;
     h.count = 0;
-    for (i = 0; r == TETCAST_OK && i < n; i++) baseline_push(&h, i);
-    for (i = 0; r == TETCAST_OK && i < n; i++) sorted[i] = baseline_pop(&h);
-    if (r == TETCAST_OK && order != BASELINE_MPVO)
+    for (i = 0; r == TETCAST_OK && i < n; i++) projection_push(&h, i);
+    for (i = 0; r == TETCAST_OK && i < n; i++) sorted[i] = projection_pop(&h);
+    if (r == TETCAST_OK && order != PROJECTION_MPVO)
         for (i = 0; i < n; i++) rank[sorted[i]] = i;
-    if (r == TETCAST_OK && order == BASELINE_MPVO) {
+    if (r == TETCAST_OK && order == PROJECTION_MPVO) {
         for (i = 0; i < n; i++) {
             for (k = 0; k < 4; k++)
                 hidden[i] += mesh->neighbour[i][k] != TETCASTI_NONE &&
-                             baseline_hides(m, mesh->vertex, mesh->tet[i], k) > 0;
+                             projection_hides(m, mesh->vertex, mesh->tet[i], k) > 0;
             rank[i] = TETCASTI_NONE;
         }
         for (i = 0; i < n; i++)
-            if (hidden[i] == 0) baseline_push(&h, i);
+            if (hidden[i] == 0) projection_push(&h, i);
         while (left < n) {
             uint32_t cell;
             if (h.count == 0) { /* all that are left are hidden by others */
                 while (rank[sorted[at]] != TETCASTI_NONE) at++;
-                baseline_push(&h, sorted[at]);
+                projection_push(&h, sorted[at]);
                 ++*cycles;
             }
-            cell = baseline_pop(&h);
+            cell = projection_pop(&h);
             if (rank[cell] != TETCASTI_NONE) continue;
             rank[cell] = left++;
             for (k = 0; k < 4; k++) {
                 uint32_t other = mesh->neighbour[cell][k];
                 if (other == TETCASTI_NONE || rank[other] != TETCASTI_NONE ||
-                    baseline_hides(m, mesh->vertex, mesh->tet[cell], k) >= 0) continue;
-                if (--hidden[other] == 0) baseline_push(&h, other);
+                    projection_hides(m, mesh->vertex, mesh->tet[cell], k) >= 0) continue;
+                if (--hidden[other] == 0) projection_push(&h, other);
             }
         }
     }
@@ -173,29 +176,29 @@ static tetcast_result baseline_rank(tetcasti_mem *mem, const tetcast_mesh *mesh,
 
 /* ---- cells ---- */
 
-static const baseline_projection *baseline_of(const tetcasti_painter *p);
+static const projection_way *projection_of(const tetcasti_painter *p);
 
-typedef struct baseline_painter { /* what paint functions find behind the painter's view */
+typedef struct projection_painter { /* what paint functions find behind the painter's view */
     tetcasti_view view;
-    const baseline_projection *how;
-} baseline_painter;
+    const projection_way *how;
+} projection_painter;
 
-static const baseline_projection *baseline_of(const tetcasti_painter *p) {
-    return ((const baseline_painter *)(const void *)p->view)->how;
+static const projection_way *projection_of(const tetcasti_painter *p) {
+    return ((const projection_painter *)(const void *)p->view)->how;
 }
 
 /* A cell in the picture, in doubles: x, y in pixels of the tile (centres of pixels are whole numbers), depth, value. */
-typedef struct baseline_cell {
+typedef struct projection_cell {
     double x[4], y[4], z[4], w[4], s[4], p[4][3];
     double area[4];             /* of its faces, negative: in front */
     int32_t rect[4];
-} baseline_cell;
+} projection_cell;
 
-static double baseline_cross(const baseline_cell *c, uint32_t i, uint32_t j, double x, double y) {
+static double projection_cross(const projection_cell *c, uint32_t i, uint32_t j, double x, double y) {
     return (c->x[i] - x) * (c->y[j] - y) - (c->y[i] - y) * (c->x[j] - x);
 }
 
-static int baseline_cell_open(const tetcasti_painter *p, uint32_t cell, baseline_cell *c) {
+static int projection_cell_open(const tetcasti_painter *p, uint32_t cell, projection_cell *c) {
     const uint32_t *tet = p->scene->mesh->tet[cell];
     const tetcasti_view *v = p->view;
     uint32_t i;
@@ -215,13 +218,13 @@ static int baseline_cell_open(const tetcasti_painter *p, uint32_t cell, baseline
     }
     for (i = 0; i < 4; i++) {
         const uint8_t *f = tetcasti_face_of[i];
-        c->area[i] = baseline_cross(c, f[1], f[2], c->x[f[0]], c->y[f[0]]);
+        c->area[i] = projection_cross(c, f[1], f[2], c->x[f[0]], c->y[f[0]]);
     }
     return 1;
 }
 
 /* Weights of the triangle at a pixel, which add up to 1; 0: outside. Edges belong to one of the two sides. */
-static int baseline_inside(const double x[3], const double y[3], double px, double py, double weight[3]) {
+static int projection_inside(const double x[3], const double y[3], double px, double py, double weight[3]) {
     double sum = 0.0;
     uint32_t i;
     for (i = 0; i < 3; i++) {
@@ -235,7 +238,7 @@ static int baseline_inside(const double x[3], const double y[3], double px, doub
     return sum > 0.0;
 }
 
-static void baseline_put(tetcasti_painter *p, int32_t x, int32_t y, double z0, double z1, double s0, double s1,
+static void projection_put(tetcasti_painter *p, int32_t x, int32_t y, double z0, double z1, double s0, double s1,
                          uint32_t cell) {
     uint32_t i = (uint32_t)y * TETCASTI_TILE + (uint32_t)x;
     tetcasti_fragment f;
@@ -249,7 +252,7 @@ static void baseline_put(tetcasti_painter *p, int32_t x, int32_t y, double z0, d
 }
 
 /* Outward normal of face i and the gradient of the value. */
-static void baseline_planes(const baseline_cell *c, double n[4][3], double gradient[3]) {
+static void projection_planes(const projection_cell *c, double n[4][3], double gradient[3]) {
     uint32_t i, k;
     gradient[0] = gradient[1] = gradient[2] = 0.0;
     for (i = 0; i < 4; i++) {
@@ -266,7 +269,7 @@ static void baseline_planes(const baseline_cell *c, double n[4][3], double gradi
 }
 
 /* Front face i in the order that is positive in the picture. */
-static void baseline_face(const baseline_cell *c, uint32_t i, uint32_t v[3], double x[3], double y[3]) {
+static void projection_face(const projection_cell *c, uint32_t i, uint32_t v[3], double x[3], double y[3]) {
     uint32_t k;
     for (k = 0; k < 3; k++) {
         v[k] = tetcasti_face_of[i][k == 0 ? 0 : 3 - k];
@@ -275,7 +278,7 @@ static void baseline_face(const baseline_cell *c, uint32_t i, uint32_t v[3], dou
     }
 }
 
-static double baseline_min_table(const double way[3], double unit, uint32_t n) {
+static double projection_min_table(const double way[3], double unit, uint32_t n) {
     double least = 1.0;
     uint32_t k;
     if (n == 0) return tetcasti_min(tetcasti_min(way[0], way[1]), way[2]);
@@ -287,15 +290,15 @@ static double baseline_min_table(const double way[3], double unit, uint32_t n) {
     return (double)tetcasti_floor(least * 255.0 + 0.5) / 255.0 * unit;
 }
 
-static void baseline_paint_vertex(tetcasti_painter *p, uint32_t cell) {
-    const baseline_projection *how = baseline_of(p);
+static void projection_paint_vertex(tetcasti_painter *p, uint32_t cell) {
+    const projection_way *how = projection_of(p);
     const double *forward = p->view->pixels.forward;
-    baseline_cell c;
+    projection_cell c;
     double n[4][3], gradient[3], along = 0.0, unit = 0.0, way[4], edge;
     uint32_t i, j, k;
     int32_t px, py;
-    if (!baseline_cell_open(p, cell, &c)) return;
-    baseline_planes(&c, n, gradient);
+    if (!projection_cell_open(p, cell, &c)) return;
+    projection_planes(&c, n, gradient);
     for (k = 0; k < 3; k++) along += gradient[k] * forward[k];
     for (i = 0; i < 4; i++)
         for (j = 0; j < i; j++) {
@@ -316,11 +319,11 @@ static void baseline_paint_vertex(tetcasti_painter *p, uint32_t cell) {
         uint32_t v[3];
         double x[3], y[3], weight[3], channel[3];
         if (!(c.area[i] < 0.0)) continue;
-        baseline_face(&c, i, v, x, y);
+        projection_face(&c, i, v, x, y);
         for (py = c.rect[1]; py < c.rect[3]; py++)
             for (px = c.rect[0]; px < c.rect[2]; px++) {
                 double z = 0.0, s = 0.0, l;
-                if (!baseline_inside(x, y, (double)px, (double)py, weight)) continue;
+                if (!projection_inside(x, y, (double)px, (double)py, weight)) continue;
                 for (k = 0; k < 3; k++) {
                     z += weight[k] * c.z[v[k]];
                     s += weight[k] * c.s[v[k]];
@@ -331,30 +334,30 @@ static void baseline_paint_vertex(tetcasti_painter *p, uint32_t cell) {
                 if (how->repair == 1)
                     for (k = 0; k < 3; k++)
                         if (c.area[v[(k + 2) % 3]] < 0.0) channel[(k + 2) % 3] += weight[k] * 1000.0 * unit;
-                l = baseline_min_table(channel, unit, how->table);
-                baseline_put(p, px, py, z, z + l, s, s + along * l, cell);
+                l = projection_min_table(channel, unit, how->table);
+                projection_put(p, px, py, z, z + l, s, s + along * l, cell);
             }
     }
 }
 
-static void baseline_paint_fragment(tetcasti_painter *p, uint32_t cell) {
-    const baseline_projection *how = baseline_of(p);
+static void projection_paint_fragment(tetcasti_painter *p, uint32_t cell) {
+    const projection_way *how = projection_of(p);
     const tetcasti_pixels *m = &p->view->pixels;
-    baseline_cell c;
+    projection_cell c;
     double n[4][3], gradient[3];
     uint32_t i, j, k;
     int32_t px, py;
-    if (!baseline_cell_open(p, cell, &c)) return;
-    baseline_planes(&c, n, gradient);
+    if (!projection_cell_open(p, cell, &c)) return;
+    projection_planes(&c, n, gradient);
     for (i = 0; i < 4; i++) {
         uint32_t v[3], planes = how->planes != 0 ? how->planes : 3;
         double x[3], y[3], weight[3];
         if (!(c.area[i] < 0.0)) continue;
-        baseline_face(&c, i, v, x, y);
+        projection_face(&c, i, v, x, y);
         for (py = c.rect[1]; py < c.rect[3]; py++)
             for (px = c.rect[0]; px < c.rect[2]; px++) {
                 double at[3] = {0.0, 0.0, 0.0}, dir[3], sum = 0.0, s = 0.0, l = 1e300, z = -p->view->reference, deep = 0.0;
-                if (!baseline_inside(x, y, (double)px, (double)py, weight)) continue;
+                if (!projection_inside(x, y, (double)px, (double)py, weight)) continue;
                 for (k = 0; k < 3; k++) sum += weight[k] * c.w[v[k]]; /* as hardware interpolates in perspective */
                 for (k = 0; k < 3; k++) {
                     double q = weight[k] * c.w[v[k]] / sum;
@@ -376,18 +379,18 @@ static void baseline_paint_fragment(tetcasti_painter *p, uint32_t cell) {
                 }
                 if (l > 1e299) continue;
                 for (sum = 0.0, k = 0; k < 3; k++) sum += gradient[k] * dir[k];
-                baseline_put(p, px, py, z, z + l * deep, s, s + sum * l, cell);
+                projection_put(p, px, py, z, z + l * deep, s, s + sum * l, cell);
             }
     }
 }
 
 /* One triangle of a projected tetrahedron: two corners of the outline and the thickest point. */
-typedef struct baseline_corner { double x, y, w, z[2], s[2], rgba[4]; } baseline_corner;
+typedef struct projection_corner { double x, y, w, z[2], s[2], rgba[4]; } projection_corner;
 
-static void baseline_paint_triangle(tetcasti_painter *p, uint32_t cell, const int32_t rect[4],
-                                    const baseline_corner *a, const baseline_corner *b, const baseline_corner *c) {
-    const baseline_projection *how = baseline_of(p);
-    const baseline_corner *corner[3];
+static void projection_paint_triangle(tetcasti_painter *p, uint32_t cell, const int32_t rect[4],
+                                    const projection_corner *a, const projection_corner *b, const projection_corner *c) {
+    const projection_way *how = projection_of(p);
+    const projection_corner *corner[3];
     double x[3], y[3], weight[3];
     uint32_t k, j;
     int32_t px, py;
@@ -406,8 +409,8 @@ static void baseline_paint_triangle(tetcasti_painter *p, uint32_t cell, const in
         for (px = rect[0]; px < rect[2]; px++) {
             uint32_t i = (uint32_t)py * TETCASTI_TILE + (uint32_t)px;
             double z[2] = {0.0, 0.0}, s[2] = {0.0, 0.0}, rgba[4] = {0.0, 0.0, 0.0, 0.0};
-            if (!baseline_inside(x, y, (double)px, (double)py, weight)) continue;
-            if (how->form == BASELINE_PT_COLORS) {
+            if (!projection_inside(x, y, (double)px, (double)py, weight)) continue;
+            if (how->form == PROJECTION_PT_COLORS) {
                 tetcasti_ray_sum *sum = &p->b->sum[i];
                 for (k = 0; k < 3; k++)
                     for (j = 0; j < 4; j++) rgba[j] += weight[k] * corner[k]->rgba[j];
@@ -431,12 +434,12 @@ static void baseline_paint_triangle(tetcasti_painter *p, uint32_t cell, const in
                 z[j] /= per;
                 s[j] /= per;
             }
-            baseline_put(p, px, py, z[0], z[1], s[0], s[1], cell);
+            projection_put(p, px, py, z[0], z[1], s[0], s[1], cell);
         }
 }
 
 /* Depth and value of the line (two corners) or face (three) at a place of the picture. */
-static void baseline_meet(const baseline_cell *c, uint32_t count, const uint32_t *v, double x, double y, double *z,
+static void projection_meet(const projection_cell *c, uint32_t count, const uint32_t *v, double x, double y, double *z,
                           double *s) {
     double weight[3], w = 0.0;
     uint32_t k;
@@ -445,7 +448,7 @@ static void baseline_meet(const baseline_cell *c, uint32_t count, const uint32_t
         weight[1] = ((x - c->x[v[0]]) * dx + (y - c->y[v[0]]) * dy) / (dx * dx + dy * dy);
         weight[0] = 1.0 - weight[1];
     } else {
-        for (k = 0; k < 3; k++) weight[k] = baseline_cross(c, v[(k + 1) % 3], v[(k + 2) % 3], x, y);
+        for (k = 0; k < 3; k++) weight[k] = projection_cross(c, v[(k + 1) % 3], v[(k + 2) % 3], x, y);
     }
     *z = *s = 0.0;
     for (k = 0; k < count; k++) {
@@ -458,13 +461,13 @@ static void baseline_meet(const baseline_cell *c, uint32_t count, const uint32_t
     *s /= w;
 }
 
-static void baseline_paint_pt(tetcasti_painter *p, uint32_t cell) {
+static void projection_paint_pt(tetcasti_painter *p, uint32_t cell) {
     const tetcast_optics *o = p->scene->optics;
-    baseline_cell c;
-    baseline_corner outline[4], thick;
+    projection_cell c;
+    projection_corner outline[4], thick;
     uint32_t fronts = 0, i, count, k;
     const uint8_t *role;
-    if (!baseline_cell_open(p, cell, &c)) return;
+    if (!projection_cell_open(p, cell, &c)) return;
     for (i = 0; i < 4; i++) fronts |= (uint32_t)(c.area[i] < 0.0) << i;
     if (fronts == 0 || fronts == 15) return;
     memset(&thick, 0, sizeof thick);
@@ -486,8 +489,8 @@ static void baseline_paint_pt(tetcasti_painter *p, uint32_t cell) {
         for (k = 0; k < 4; k++) v[k] = role[k];
         thick.x = ax + t * bx;
         thick.y = ay + t * by;
-        baseline_meet(&c, 2, v, thick.x, thick.y, &thick.z[0], &thick.s[0]);
-        baseline_meet(&c, 2, v + 2, thick.x, thick.y, &thick.z[1], &thick.s[1]);
+        projection_meet(&c, 2, v, thick.x, thick.y, &thick.z[0], &thick.s[0]);
+        projection_meet(&c, 2, v + 2, thick.x, thick.y, &thick.z[1], &thick.s[1]);
         count = 4;
     } else {
         uint32_t v[3], one = tetcasti_forms[fronts], d = role[3];
@@ -496,7 +499,7 @@ static void baseline_paint_pt(tetcasti_painter *p, uint32_t cell) {
         thick.y = c.y[d];
         thick.z[!one] = c.z[d];
         thick.s[!one] = c.s[d];
-        baseline_meet(&c, 3, v, thick.x, thick.y, &thick.z[one], &thick.s[one]);
+        projection_meet(&c, 3, v, thick.x, thick.y, &thick.z[one], &thick.s[one]);
         count = 3;
     }
     if (o != NULL) {
@@ -511,21 +514,21 @@ static void baseline_paint_pt(tetcasti_painter *p, uint32_t cell) {
         for (k = 0; k < 4; k++) thick.rgba[k] = (double)rgba[k];
     }
     for (i = 0; i < count; i++)
-        baseline_paint_triangle(p, cell, c.rect, &outline[i], &outline[(i + 1) % count], &thick);
+        projection_paint_triangle(p, cell, c.rect, &outline[i], &outline[(i + 1) % count], &thick);
 }
 
 /* ---- pictures ---- */
 
-/* As tetcast_render, with one thread. Errors: INVALID_ARG as well for BASELINE_VERTEX with a perspective camera, for
-   BASELINE_PT_COLORS without an order of the cells or with another model than emission and absorption, for BASELINE_MPVO
-   without neighbours. */
-static tetcast_result baseline_project(const baseline_projection *how, const tetcast_render_desc *desc,
+/* As tetcast_render, with one thread. Errors: INVALID_ARG as well for PROJECTION_VERTEX with a perspective camera, for
+   PROJECTION_PT_COLORS without an order of the cells or with another model than emission and absorption, for
+   PROJECTION_MPVO without neighbours. */
+static tetcast_result projection_project(const projection_way *how, const tetcast_render_desc *desc,
                                        const tetcast_mesh *mesh, const tetcast_optics *optics,
-                                       const tetcast_image *image, baseline_report *report) {
+                                       const tetcast_image *image, projection_report *report) {
     tetcast_render_desc d;
-    static const baseline_report none = {0, 0, 0, 0};
+    static const projection_report none = {0, 0, 0, 0};
     tetcasti_render c;
-    baseline_painter bp;
+    projection_painter bp;
     tetcasti_batch *b = NULL;
     tetcasti_painter *p = NULL;
     tetcast_result r;
@@ -541,9 +544,9 @@ static tetcast_result baseline_project(const baseline_projection *how, const tet
     r = tetcasti_scene_open(&d, mesh, optics, &c.scene);
     if (r == TETCAST_OK) r = tetcasti_frame_open(&d.camera, image->width, image->height, &c.frame);
     if (r != TETCAST_OK) return r;
-    if (mesh->tet == NULL || (how->form == BASELINE_VERTEX && !c.frame.parallel)) return TETCAST_ERR_INVALID_ARG;
-    if (how->form == BASELINE_PT_COLORS &&
-        (how->order == BASELINE_LISTS || how->keep > 1 || optics == NULL || optics->model != TETCAST_MODEL_VOLUME))
+    if (mesh->tet == NULL || (how->form == PROJECTION_VERTEX && !c.frame.parallel)) return TETCAST_ERR_INVALID_ARG;
+    if (how->form == PROJECTION_PT_COLORS &&
+        (how->order == PROJECTION_LISTS || how->keep > 1 || optics == NULL || optics->model != TETCAST_MODEL_VOLUME))
         return TETCAST_ERR_INVALID_ARG;
     if (image->rgba8 != NULL) tetcasti_encoder_open(&c.encoder);
     c.scale = 1.0 / mesh->unit;
@@ -552,9 +555,9 @@ static tetcast_result baseline_project(const baseline_projection *how, const tet
     c.tiles = c.tiles_x * ((image->height + TETCASTI_TILE - 1) / TETCASTI_TILE);
     tetcasti_render_view(&c);
     if (!tetcasti_view_open(&c.mem, &d.env, 0, &c.view)) r = TETCAST_ERR_NO_MEMORY;
-    if (r == TETCAST_OK && how->order != BASELINE_LISTS) {
+    if (r == TETCAST_OK && how->order != PROJECTION_LISTS) {
         rank = (uint32_t *)tetcasti_alloc_array(&c.mem, mesh->cell_count, sizeof *rank);
-        r = rank != NULL ? baseline_rank(&c.mem, mesh, &c.view.pixels, how->order, rank, &report->cycles)
+        r = rank != NULL ? projection_rank(&c.mem, mesh, &c.view.pixels, how->order, rank, &report->cycles)
                          : TETCAST_ERR_NO_MEMORY;
         c.view.rank = rank;
         mode = how->keep > 1 ? TETCASTI_KEEP_SOME : TETCASTI_KEEP_NONE;
@@ -567,9 +570,9 @@ static tetcast_result baseline_project(const baseline_projection *how, const tet
         if (p == NULL) r = TETCAST_ERR_NO_MEMORY;
     }
     if (r == TETCAST_OK) {
-        if (how->form == BASELINE_VERTEX) p->paint = baseline_paint_vertex;
-        if (how->form == BASELINE_FRAGMENT) p->paint = baseline_paint_fragment;
-        if (how->form == BASELINE_PT || how->form == BASELINE_PT_COLORS) p->paint = baseline_paint_pt;
+        if (how->form == PROJECTION_VERTEX) p->paint = projection_paint_vertex;
+        if (how->form == PROJECTION_FRAGMENT) p->paint = projection_paint_fragment;
+        if (how->form == PROJECTION_PT || how->form == PROJECTION_PT_COLORS) p->paint = projection_paint_pt;
         ends[0] = (double)d.clip_near * c.scale;
         ends[1] = d.clip_far > 0.0f ? (double)d.clip_far * c.scale : (double)TETCASTI_INF;
         for (a = 0; a < c.tiles; a++) {
@@ -582,11 +585,11 @@ static tetcast_result baseline_project(const baseline_projection *how, const tet
             tetcasti_tile_paint(p, a, ends);
             for (i = 0; i < b->count; i++) {
                 if (i % TETCASTI_TILE >= m.width) continue;
-                report->fragments += how->form == BASELINE_PT_COLORS ? 0 : b->steps[i];
+                report->fragments += how->form == PROJECTION_PT_COLORS ? 0 : b->steps[i];
                 tetcasti_pixel_write(&c, b, i, p->x0 + i % TETCASTI_TILE, p->y0 + i / TETCASTI_TILE);
             }
         }
-        if (how->form == BASELINE_PT_COLORS) report->fragments = p->tests;
+        if (how->form == PROJECTION_PT_COLORS) report->fragments = p->tests;
         report->violations = p->wrong;
         report->exact_tests = p->exact;
         if (p->failed) r = TETCAST_ERR_NO_MEMORY;
