@@ -1259,7 +1259,7 @@ typedef struct voxrt_gi_report {
    direct_filter the same for direct light: soft edges of shadows
    coarse        1: every pixel sends rays. 2, 4, 8, 16: one in coarse x coarse pixels does; between those that lie on
                  one surface, where no other is near, light is interpolated, elsewhere the mesh is refined (Ward et al.
-                 1988)
+                 1988). VPL: with a pattern of 1, where as good as the same lights reach the pixels around
    detail        how far light may be interpolated, times the mean distance of what the rays hit: 0.15
    lookup        the cache of the cells
    pattern       VPL: 4 x 4 pixels share 16 sets of lights; 1 to 16
@@ -16537,7 +16537,8 @@ typedef struct voxrti_gather {
     float *direct, *direct_gloss;  /* irradiance / pi; what lobes send, as if they were white. NULL: not wanted */
     float *indirect, *gloss;
     float *half[2];                /* indirect as two independent sums; NULL: indirect itself */
-    float *apart;                  /* harmonic mean distance of what rays hit, or NULL */
+    float *apart;                  /* 1 / harmonic mean distance of what rays hit, or NULL */
+    uint32_t *lit;                 /* VPL, coarse: 128 bits for each pixel, which lights reach it */
     uint8_t *state;                /* coarse: 0 nothing there, 1 interpolated, 2 sends rays */
     uint32_t *list;                /* pixels that do, in runs of VOXRTI_COLUMN_BATCH; VOXRTI_NO_PIXEL fills up */
     size_t list_count;
@@ -16904,9 +16905,9 @@ VOXRT_DEF size_t voxrt_gi_virtual_lights(const voxrt_gi *gi, float *out, size_t 
     return gi->vpl_count;
 }
 
-/* The lights of set `set` on points: adds irradiance / pi to out, what white lobes send to gloss. */
+/* The lights of set `set` on points: adds irradiance / pi to out, what white lobes send to gloss. lit: which do. */
 static void voxrti_vpl_run(const voxrti_gather *w, const voxrti_points *q, uint32_t set, float (*out)[3],
-                           float (*gloss)[3], voxrt_stats *stats) {
+                           float (*gloss)[3], uint32_t (*lit)[4], voxrt_stats *stats) {
     const voxrt_gi *gi = w->gi;
     const size_t each = (size_t)w->d->rays * w->set * w->set;
     const float h = 4.0f * (float)gi->columns->diagonal, bound = 1.0f / (h * h);
@@ -16948,6 +16949,7 @@ static void voxrti_vpl_run(const voxrti_gather *w, const voxrti_points *q, uint3
                 const uint32_t k = of[i];
                 float to[3] = {0, 0, 0}, from[3], shine = 0.0f;
                 if (dark[i]) continue;
+                lit[k][(b * w->d->rays + r) >> 5 & 3u] |= 1u << ((b * w->d->rays + r) & 31u);
                 if (l->specular[3] > 0.0f || (gloss != NULL && q->exponent[k] > 0.0f)) {
                     const float one = 1.0f / sqrtf(voxrti_dot3(ray[i].dir, ray[i].dir));
                     for (a = 0; a < 3; a++) {
@@ -16966,8 +16968,10 @@ static void voxrti_vpl_run(const voxrti_gather *w, const voxrti_points *q, uint3
         }
 }
 
-/* What the bound cut off, by rays as short as that (Kollig & Keller 2004): adds irradiance / pi. */
-static void voxrti_vpl_compensate(const voxrti_gather *w, const voxrti_points *q, float (*out)[3], voxrt_stats *stats) {
+/* What the bound cut off, by rays as short as that (Kollig & Keller 2004): adds irradiance / pi; apart as
+   voxrti_gather_run. */
+static void voxrti_vpl_compensate(const voxrti_gather *w, const voxrti_points *q, float (*out)[3], float *apart,
+                                  voxrt_stats *stats) {
     const float h = 4.0f * (float)w->gi->columns->diagonal, bound = 1.0f / (h * h);
     const uint32_t rays = (w->d->rays + 3) / 4;
     voxrti_gather near_by = *w;
@@ -16984,6 +16988,7 @@ static void voxrti_vpl_compensate(const voxrti_gather *w, const voxrti_points *q
         for (i = 0; i < at.count; i++) {
             float c1, c2, rest;
             if (side[i].at == (size_t)-1) continue;
+            apart[i] += (float)(int32_t)w->d->rays / ((float)(int32_t)rays * (t[i] + 1e-20f));
             c1 = voxrti_dot3(ray[i].dir, at.n[i]);
             c2 = 0.0f - voxrti_dot3(ray[i].dir, side[i].normal);
             if (!(c1 > 0.0f && c2 > 0.0f)) continue;
@@ -17034,9 +17039,12 @@ static void voxrti_task_shade(void *ctx, uint32_t batch) {
     if (w->d->method == VOXRT_GI_VPL) {
         const uint32_t x = list[0] % w->g->width, y = list[0] / w->g->width;
         if (w->gi->vpl_count != 0) {
-            voxrti_vpl_run(w, &q, y % w->set * w->set + x % w->set, rgb, w->gloss != NULL ? gloss : NULL,
+            uint32_t lit[VOXRTI_COLUMN_BATCH][4];
+            memset(lit, 0, sizeof lit);
+            voxrti_vpl_run(w, &q, y % w->set * w->set + x % w->set, rgb, w->gloss != NULL ? gloss : NULL, lit,
                            w->want_stats ? &stats : NULL);
-            if (!(w->d->d_min > 0.0f)) voxrti_vpl_compensate(w, &q, rgb, w->want_stats ? &stats : NULL);
+            if (!(w->d->d_min > 0.0f)) voxrti_vpl_compensate(w, &q, rgb, apart, w->want_stats ? &stats : NULL);
+            for (i = 0; i < n && w->lit != NULL; i++) memcpy(w->lit + 4 * (size_t)list[i], lit[i], 16);
         }
     } else {
         voxrti_points other;
@@ -17182,8 +17190,14 @@ static void voxrti_task_between(void *ctx, uint32_t row) {
             ok = cosine > 0.9f && voxrti_absf(plane) < 0.1f * far_ + 1e-20f &&
                 far_ * r + sqrtf(2.0f * (cosine < 1.0f ? 1.0f - cosine : 0.0f)) * 0.25f < bound;
             if (g->specular != NULL && g->specular[4 * at + 3] > 0.0f) ok = 0;
+            if (w->lit != NULL && ok) { /* edges of shadows of more than one light in 32 */
+                uint32_t differ = 0;
+                for (k = 0; k < 4; k++) differ += voxrti_popcount64(w->lit[4 * from[i] + k] ^ w->lit[4 * from[0] + k]);
+                ok = 32 * differ <= w->d->rays * w->bounces;
+            }
         }
         if (m->decide) w->state[at] = ok ? 1 : 2;
+        if (m->decide && ok && w->lit != NULL) memcpy(w->lit + 4 * at, w->lit + 4 * from[0], 16);
         if (!ok) continue;
         for (a = 0; a < 3; a++) {
             float sum = 0.0f;
@@ -17674,8 +17688,10 @@ static voxrt_result voxrti_gather_all(voxrti_gather *w, voxrt_gi *gi, voxrti_mem
     if (w->d->coarse > 1) {
         w->apart = (float *)voxrti_alloc_zero(mem, n, 4);
         w->state = (uint8_t *)voxrti_alloc_zero(mem, n, 1);
+        if (w->d->method == VOXRT_GI_VPL) w->lit = (uint32_t *)voxrti_alloc_zero(mem, n, 16);
     }
-    if (w->list == NULL || (w->d->coarse > 1 && (w->apart == NULL || w->state == NULL)))
+    if (w->list == NULL || (w->d->coarse > 1 && (w->apart == NULL || w->state == NULL ||
+                                                 (w->lit == NULL && w->d->method == VOXRT_GI_VPL))))
         r = voxrti_fail(w->d->env.error, VOXRT_ERR_NO_MEMORY, n, "no memory for lists of % pixels");
     if (r == VOXRT_OK && w->d->coarse <= 1) w->list_count = voxrti_list_all(w->g, w->set, w->list);
     report->rays = w->d->rays;
@@ -17694,6 +17710,7 @@ static voxrt_result voxrti_gather_all(voxrti_gather *w, voxrt_gi *gi, voxrti_mem
         report->shaded += (w->state != NULL ? w->state[i] == 2 : voxrti_pixel_seen(w->g, i)) ? 1u : 0u;
     voxrti_free(mem, w->list);
     voxrti_free(mem, w->apart);
+    voxrti_free(mem, w->lit);
     voxrti_free(mem, w->state);
     return r;
 }
@@ -17796,12 +17813,12 @@ static voxrt_result voxrti_gi_render_open(const voxrt_gi_render_desc *desc, voxr
     if ((size_t)g->width * g->height == 0) return VOXRT_OK;
     if (g->position == NULL || g->normal == NULL || g->albedo == NULL || g->width > 65535 || g->height > 65535)
         return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "no G-buffer, or a side over 65535");
+    if (d->pattern == 0) d->pattern = 4;
     if (d->method == VOXRT_GI_VPL) {
-        d->coarse = 0;
+        if (d->pattern != 1) d->coarse = 0;
         d->tolerance = 0.0f;
     }
     if (d->rays == 0) d->rays = d->tolerance > 0.0f ? 1024 : 16;
-    if (d->pattern == 0) d->pattern = 4;
     if (d->map_size == 0) d->map_size = 256;
     w->d = d;
     w->gi = gi;

@@ -607,6 +607,21 @@ TEST(coarse_meshes_of_pixels) {
     e = rms(r.indirect, full, 96 * 64); /* most of it the noise of 64 rays in both */
     CHECK_MSG(report.shaded < 96 * 64 / 2, "%u of %u", (unsigned)report.shaded, 96 * 64);
     CHECK_MSG(e < 0.12, "%.4f with %.3f of the pixels", e, (double)report.shaded / (96 * 64));
+    d.method = VOXRT_GI_VPL; /* no noise but that of the short rays */
+    d.pattern = 1;
+    d.coarse = 1;
+    CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, full[0], NULL) == VOXRT_OK);
+    d.coarse = 8;
+    CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, r.indirect[0], NULL) == VOXRT_OK);
+    e = rms(r.indirect, full, 96 * 64);
+    CHECK_MSG(e < 0.03 && report.shaded < 96 * 64 * 2 / 3, "virtual lights: %.4f with %.3f of the pixels", e, (double)report.shaded / (96 * 64));
+    d.pattern = 2; /* neighbours see other lights: every pixel */
+    CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, r.indirect[0], NULL) == VOXRT_OK && report.shaded == report.pixels);
+    d.method = VOXRT_GI_GATHER;
+    d.rays = 64;
+    d.coarse = 1;
+    CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, full[0], NULL) == VOXRT_OK);
+    d.coarse = 8;
     d.tolerance = 0.5f; /* in two halves, the same mesh */
     d.rays = 8;
     CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, r.indirect[0], NULL) == VOXRT_OK);
