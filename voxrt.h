@@ -16301,6 +16301,32 @@ static int voxrti_gi_light_ray(const voxrt_gi *gi, const voxrt_gi_light *l, cons
     return rgb[0] + rgb[1] + rgb[2] > 0.0f && rgb[0] + rgb[1] + rgb[2] < INFINITY;
 }
 
+/* The same for emitters, number `index`: of VOXRTI_EMITTER_CHOICE points one by how much would come from it, for the
+   ray to it costs more than looking at all (Talbot et al. 2005). */
+#define VOXRTI_EMITTER_CHOICE 8
+static int voxrti_emitter_ray(const voxrt_gi *gi, const float p[3], const float n[3], uint32_t index, uint32_t seed,
+                              voxrt_ray *ray, float rgb[3], float ends[3]) {
+    float sum = 0.0f, mine = 0.0f;
+    uint32_t i, a;
+    for (i = 0; i < VOXRTI_EMITTER_CHOICE; i++) {
+        const uint32_t k = index * VOXRTI_EMITTER_CHOICE + i;
+        float u[2], color[3], normal[3], y;
+        voxrt_ray r;
+        voxrti_sobol2(k, voxrti_hash32(seed), u);
+        if (!voxrti_gi_light_ray(gi, &gi->emit, p, n, u, &r, color, normal)) continue;
+        y = 0.2126f * color[0] + 0.7152f * color[1] + 0.0722f * color[2];
+        sum += y;
+        if ((float)(voxrti_hash32(seed ^ voxrti_hash32(k)) >> 8) * (1.0f / 16777216.0f) * sum > y) continue;
+        mine = y;
+        *ray = r;
+        memcpy(rgb, color, 12);
+        memcpy(ends, normal, 12);
+    }
+    if (!(mine > 0.0f)) return 0;
+    for (a = 0; a < 3; a++) rgb[a] *= sum / (mine * (float)VOXRTI_EMITTER_CHOICE);
+    return 1;
+}
+
 /* ---- maps of what lamps see ---- */
 
 static void voxrti_gi_map_axes(const voxrt_gi_light *l, uint32_t face, float f[3], float u[3], float v[3]) {
@@ -16421,7 +16447,10 @@ static void voxrti_light_points(const voxrti_lighting *c, size_t lamp, const vox
         for (i = m = 0; i < q->count; i++) {
             float u[2] = {0.5f, 0.5f};
             if (wide) voxrti_sobol2(c->first + s, voxrti_hash32(q->seed[i]), u);
-            if (!voxrti_gi_light_ray(c->gi, l, q->p[i], q->n[i], u, &ray[m], in[m], end[m])) continue;
+            if ((uint32_t)l->kind == VOXRTI_GI_EMITTERS) {
+                if (!voxrti_emitter_ray(c->gi, q->p[i], q->n[i], c->first + s, q->seed[i], &ray[m], in[m], end[m]))
+                    continue;
+            } else if (!voxrti_gi_light_ray(c->gi, l, q->p[i], q->n[i], u, &ray[m], in[m], end[m])) continue;
             memcpy(normal[m], q->n[i], sizeof normal[m]);
             for (a = 0; a < 3 && c->shadow != NULL; a++) { /* from a little above the surface to the light */
                 const float up = c->lift * q->n[i][a];
@@ -16456,7 +16485,6 @@ static void voxrti_light_points(const voxrti_lighting *c, size_t lamp, const vox
 }
 
 #define VOXRTI_GI_AREA_SAMPLES 4     /* for the cache: it is looked at many times */
-#define VOXRTI_GI_EMITTER_SAMPLES 16 /* half of them lie on backs */
 
 /* Make sure the direct light on these sides is known. Two threads may find it out at once: they find the same. */
 static void voxrti_gi_fill(const voxrt_gi *gi, int isa, const voxrti_gi_side *side, uint32_t count) {
@@ -16486,7 +16514,7 @@ static void voxrti_gi_fill(const voxrt_gi *gi, int isa, const voxrti_gi_side *si
     c.gi = gi;
     c.isa = isa;
     for (l = 0; l < voxrti_gi_lamps(gi); l++) {
-        c.samples = l < gi->light_count ? VOXRTI_GI_AREA_SAMPLES : VOXRTI_GI_EMITTER_SAMPLES;
+        c.samples = VOXRTI_GI_AREA_SAMPLES;
         voxrti_light_points(&c, l, &q, rgb, NULL);
     }
     for (i = 0; i < m; i++)

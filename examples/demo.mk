@@ -115,7 +115,7 @@ $(G)/voxrt_gi_cornell.png: options = --scene cornell --size 480x480 --res 512
 $(G)/voxrt_gi_atrium.png: options = --scene atrium --size 576x384 --res 1024
 $(G)/voxrt_gi_openness.png: options = --scene atrium --size 576x384 --res 1024 --method ao --radius 3
 
-$(G)/voxrt_gi_still_life.png: options = --scene examples/still_life.txt --size 480x320 --grid 128 --shadow-filter 2 --coarse 4
+$(G)/voxrt_gi_still_life.png: options = --scene examples/still_life.txt --size 480x320 --grid 128 --shadow-filter 2
 $(G)/voxrt_gi_cubes.png: options = --scene cornell --size 360x360 --res 256 --grid 64 --depth-cells 64 --aa 1 --view cubes
 $(G)/voxrt_gi_virtual_lights.png: options = --scene cornell --size 360x360 --res 256 --grid 128 --aa 1 --view lights
 $(G)/voxrt_gi_lookup.png: options = --scene atrium --size 360x240 --res 256 --grid 128 --aa 1 --method vpl --view lookup
