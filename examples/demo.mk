@@ -92,11 +92,11 @@ GALLERY += $(VOXRT_PICTURES) $(G)/voxrt_minimal.png
 
 # --- zbufrand: scenes of up to 6.8 * 10^11 triangles ---------------------------------------------------------------
 
-$(G)/zbufrand_forest_1.png: options = --scene forest --view 1
-$(G)/zbufrand_forest_2.png: options = --scene forest --view 2
-$(G)/zbufrand_forest_3.png: options = --scene forest --view 3
-$(G)/zbufrand_forest_4.png: options = --scene forest --view 4
-$(G)/zbufrand_city.png: options = --scene city --view 2
+$(G)/zbufrand_forest_1.png: options = --scene forest --eye 0,42,7950 --at 0,13,7850 --fov 45 --mean 8
+$(G)/zbufrand_forest_2.png: options = --scene forest --view 2 --mean 8
+$(G)/zbufrand_forest_3.png: options = --scene forest --view 3 --mean 8
+$(G)/zbufrand_forest_4.png: options = --scene forest --view 4 --mean 8
+$(G)/zbufrand_city.png: options = --scene city --view 2 --mean 4
 $(G)/zbufrand_chess.png: options = --scene chess --mean 16
 $(G)/zbufrand_landscape.png: options = --scene landscape
 

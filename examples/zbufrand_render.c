@@ -190,6 +190,19 @@ static void set_camera(const options *o, const sup_world *world, const zbufrand_
     camera->fov_y = (double)framed.fov;
 }
 
+/* Out of doors it is morning: a low warm sun, blue light from above, a pale sky. Everything else has the library's lights. */
+static void set_morning(const options *o, zbufrand_render_desc *desc) {
+    static const zbufrand_light morning[3] = {{{-0.6, 0.5, 0.62}, 1, {1.25f, 1.0f, 0.68f}},
+                                              {{0.1, 1.0, -0.1}, 1, {0.26f, 0.36f, 0.52f}},
+                                              {{0.7, 0.2, 0.5}, 1, {0.16f, 0.18f, 0.2f}}};
+    static const float ambient[3] = {0.16f, 0.19f, 0.22f}, sky[4] = {0.48f, 0.63f, 0.83f, 1.0f};
+    if (!is_world(o->scene) || strcmp(o->scene, "chess") == 0 || o->thesis) return;
+    desc->lights = morning;
+    desc->light_count = sizeof morning / sizeof morning[0];
+    memcpy(desc->ambient, ambient, sizeof ambient);
+    memcpy(desc->background, sky, sizeof sky);
+}
+
 /* ---- pictures ----------------------------------------------------------------------------------------------- */
 
 static double clock_now(void *user) {
@@ -405,6 +418,7 @@ int main(int argc, char **argv) {
         return sup_bad_input(argv[0], err.text);
     }
     set_camera(&o, &world, &info, &desc.camera);
+    set_morning(&o, &desc);
     if (!make_image(&o, &p.image)) result = zbufrand_frame_create(&frame_desc, &frame);
     if (result == ZBUFRAND_OK && o.common.stats) /* the first frame of a size also takes its memory: not measured */
         result = zbufrand_render(frame, &desc, world.scene, &p.image, &p.stats);
