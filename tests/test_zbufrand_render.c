@@ -806,6 +806,81 @@ static void own_shade(void *user, const zbufrand_surface *f, size_t count, float
     }
 }
 
+/* Strips of two colours in one plane, far narrower than pixels: all at one depth, so chance decides which a pixel shows. The mean
+   of many frames is the mean of the surface, in each pixel; with strips of which every other one lies behind, the nearer one
+   shows more often than it is large, by as much as the law of pixels says. 30 x 20 pixels, p below 1e-5. */
+TEST(colours_are_unbiased) {
+    enum { W = 30, H = 20, STRIPS = 2048 };
+    const uint32_t frames = test_quick() ? 64 : 400;
+    uint32_t behind, i, k;
+    for (behind = 0; behind < 2; behind++) {
+        shape s;
+        zbufrand_mesh m;
+        zbufrand_scene *scene = NULL;
+        zbufrand_frame *frame = NULL;
+        zbufrand_render_desc d;
+        zbufrand_image image;
+        uint8_t *rgb = (uint8_t *)malloc(3 * 2 * STRIPS);
+        float *rgba = (float *)malloc(4 * W * H * sizeof *rgba);
+        double *sum = (double *)calloc(W * H, sizeof *sum), share = 1.0 / 3, want = share, mean = 0, worst = 0;
+        memset(&s, 0, sizeof s);
+        REQUIRE(rgb != NULL && rgba != NULL && sum != NULL);
+        for (i = 0; i < STRIPS; i++) { /* every other strip is white, and half as wide as the black ones */
+            const double x0 = 4.0 * (i / 2 + (i & 1 ? share : 0)) / (STRIPS / 2) - 2, x1 = 4.0 * (i / 2 + (i & 1 ? 1 : share)) / (STRIPS / 2) - 2;
+            const double z = behind && (i & 1) ? -0.001 : 0, left = behind && (i & 1) ? 4.0 * (i / 2) / (STRIPS / 2) - 2 : x0;
+            const uint32_t v = shape_vertex(&s, left, -2, z);
+            (void)shape_vertex(&s, x1, -2, z);
+            (void)shape_vertex(&s, x1, 2, z);
+            (void)shape_vertex(&s, left, 2, z);
+            shape_triangle(&s, v, v + 1, v + 2);
+            shape_triangle(&s, v, v + 2, v + 3);
+            memset(rgb + 6 * i, i & 1 ? 0 : 255, 6);
+        }
+        m = mesh_of(&s);
+        m.triangle_rgb = rgb;
+        CHECK_EQ_U64(zbufrand_scene_create(NULL, &scene), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_mesh(scene, ZBUFRAND_ROOT, NULL, 0, &m, NULL), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_scene_build(scene, NULL, NULL), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_frame_create(NULL, &frame), ZBUFRAND_OK);
+        memset(&d, 0, sizeof d);
+        memset(&image, 0, sizeof image);
+        d.camera.eye[2] = 3;
+        d.camera.fov_y = 40;
+        d.density = 6;
+        d.independent = 1;
+        d.hybrid = ZBUFRAND_HYBRID_OFF;
+        d.no_repair = d.no_plane_depth = d.no_occlusion = d.unlit = 1;
+        image.width = W;
+        image.height = H;
+        image.rgba = rgba;
+        for (k = 0; k < frames; k++) {
+            d.frame = k;
+            CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &image, NULL), ZBUFRAND_OK);
+            for (i = 0; i < W * H; i++) sum[i] += (double)rgba[4 * i] / frames;
+        }
+        if (behind) { /* fragments of a pixel: a third of it in front, white; all of it behind, black */
+            const double area[2] = {1.0 / 3, 1.0}, value[2] = {1, 0};
+            want = zbufrand_expected_pixel(area, value, 2, d.density, 0, NULL);
+        } else {
+            want = share * (1 - exp(-d.density)); /* pixels without a sample are black */
+        }
+        for (i = 0; i < W * H; i++) {
+            const double off = fabs(sum[i] - want) / sqrt(want * (1 - want) / frames);
+            worst = off > worst ? off : worst;
+            mean += sum[i] / (W * H);
+        }
+        /* a pair is a twenty-eighth of a pixel, so pixels differ by a hundredth */
+        CHECK_MSG(worst < 5.5 + 0.012 / sqrt(want * (1 - want) / frames), "%s: a pixel is off by %g standard deviations", behind ? "one behind the other" : "side by side", worst);
+        CHECK_MSG(fabs(mean - want) < 4.5 * sqrt(want * (1 - want) / frames / (W * H)) + 0.002, "%s: mean %g, not %g", behind ? "one behind the other" : "side by side", mean, want);
+        zbufrand_frame_destroy(frame);
+        zbufrand_scene_destroy(scene);
+        shape_free(&s);
+        free(rgb);
+        free(rgba);
+        free(sum);
+    }
+}
+
 TEST(own_shading) {
     shape s;
     zbufrand_mesh m;
@@ -1144,6 +1219,7 @@ int main(int argc, char **argv) {
     RUN(wrong_arguments);
     RUN(nothing_is_allocated_twice);
     RUN(out_of_memory);
+    RUN(colours_are_unbiased);
     RUN(own_shading);
     RUN(nodes_backgrounds_strides);
     RUN(clouds);
