@@ -142,7 +142,7 @@ static void look(tetcast_render_desc *d, double ex, double ey, double ez, double
     d->camera.at[2] = az;
 }
 
-enum { SLANTED, AXIS, DIAGONAL, VERTEX_ON, PARALLEL, PARALLEL_AXIS, INSIDE, ZOOMED, DISTANT, CLIPPED, VIEWS };
+enum { SLANTED, AXIS, DIAGONAL, VERTEX_ON, PARALLEL, PARALLEL_AXIS, PARALLEL_TILTED, INSIDE, ZOOMED, DISTANT, CLIPPED, VIEWS };
 
 static tetcast_render_desc view_of(int view, const scene *s) {
     tetcast_render_desc d;
@@ -159,8 +159,9 @@ static tetcast_render_desc view_of(int view, const scene *s) {
     if (view == AXIS || view == PARALLEL_AXIS) look(&d, c[0], c[1], c[2] + 3 * size, c[0], c[1], c[2]);
     if (view == DIAGONAL) look(&d, c[0] + 2 * size, c[1] + 2 * size, c[2] + 2 * size, c[0], c[1], c[2]);
     if (view == VERTEX_ON) look(&d, c[0] + 0.5 * size, c[1] + 0.5 * size, c[2] + 3 * size, c[0] + 0.5 * size, c[1] + 0.5 * size, c[2]);
-    if (view == PARALLEL || view == PARALLEL_AXIS) d.camera.ortho_height = (float)(1.6 * size);
-    if (view == PARALLEL_AXIS) d.camera.ortho_height = (float)(size * H / 28.0); /* rays along faces and edges */
+    if (view == PARALLEL_TILTED) look(&d, c[0] + 1e-6 * size, c[1] - 3e-8 * size, c[2] + 3 * size, c[0], c[1], c[2]);
+    if (view == PARALLEL) d.camera.ortho_height = (float)(1.6 * size);
+    if (view == PARALLEL_AXIS || view == PARALLEL_TILTED) d.camera.ortho_height = (float)(size * H / 28.0); /* rays along faces and edges */
     if (view == INSIDE) look(&d, c[0] + 0.06 * size, c[1] + 0.04 * size, c[2] + 0.05 * size, c[0] + size, c[1], c[2] - 0.3 * size);
     if (view == ZOOMED) d.camera.fov_y = 1.5f;
     if (view == DISTANT) {

@@ -287,6 +287,48 @@ static void check_box_lengths(const tetcast_camera *camera, const picture *p, ui
     CHECK(hits > 0);
 }
 
+TEST(million_rays) { /* the way through a box of jittered cells is that through the box */
+    enum { SIDE = 1000 };
+    uint32_t n = 12, side = test_quick() ? 200 : SIDE, x, y, a, wrong = 0, met = 0;
+    scene s;
+    tetcast_render_desc d = defaults();
+    tetcast_image im;
+    float *length = (float *)malloc(SIDE * SIDE * sizeof *length);
+    REQUIRE(length != NULL);
+    memset(&s, 0, sizeof s);
+    memset(&im, 0, sizeof im);
+    tets_lattice(&s.t, n, n, n, 5, NULL);
+    tets_jitter(&s.t, n, n, n, 0.6, 11);
+    s.mesh = tets_build(&s.t, TETCAST_CELLS_TET8, NULL);
+    REQUIRE(s.mesh != NULL);
+    look(&d, 19, 14, 23, 5.5, 5.5, 5.5);
+    d.camera.fov_y = 32;
+    d.traverse_only = 1;
+    im.width = im.height = side;
+    im.length = length;
+    CHECK_EQ_U64(tetcast_render(&d, s.mesh, NULL, &im, NULL), TETCAST_OK);
+    for (y = 0; y < side; y++)
+        for (x = 0; x < side; x++) {
+            double lo[3], hi[3], range[2], got = (double)length[y * side + x];
+            tetcast_ray r;
+            uint32_t k;
+            (void)tetcast_camera_ray(&d.camera, side, side, x + 0.5, y + 0.5, &r);
+            for (k = 0; k < 2; k++) { /* a box that is a little smaller, and one that is a little larger */
+                for (a = 0; a < 3; a++) {
+                    lo[a] = k ? -2e-6 : 2e-6;
+                    hi[a] = n - 1 - lo[a];
+                }
+                range[k] = ref_box(r.org, r.dir, lo, hi, 0, 1e300);
+            }
+            wrong += !(got >= range[0] - 1e-5 && got <= range[1] + 1e-5);
+            met += got > 0;
+        }
+    CHECK_MSG(wrong == 0, "%u of %u rays", wrong, met);
+    CHECK(met > side * side / 2);
+    free(length);
+    scene_free(&s);
+}
+
 TEST(symmetric_views) { /* a regular lattice from planes of symmetry, through vertices and edges: no pixel is lost */
     uint32_t k, n = 9;
     for (k = 0; k < 12; k++) {
@@ -1208,6 +1250,7 @@ int main(int argc, char **argv) {
     RUN(same_bits);
     RUN(forms);
     RUN(pixels_are_rays);
+    RUN(million_rays);
     RUN(symmetric_views);
     RUN(eye_inside);
     RUN(wide_angles);

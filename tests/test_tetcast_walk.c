@@ -8,7 +8,7 @@
      flat, inverted, tangled cells; no loop, no way lost                   pairs, lattices, flat_meshes, random_bits
      thin cells, down to 1e-8; boundary layers                             lattices, boundary_layers
      faces seen edge-on: places and values                                 single_cell, values_at_cuts
-     thousands of cells on a ray                                           long_bar, long_rays (integrate)
+     thousands of cells on a ray; a million rays                           long_bar, long_rays (integrate), million_rays (render)
      signs of determinants, underflow                                      determinant, frames
      cyclic order of cells                                                 cyclic
      holes, several parts, parts that touch in faces, edges, corners       shapes
@@ -154,7 +154,8 @@ TEST(determinant) { /* against products in double precision, which are exact for
 
 TEST(ties) { /* every cell with corners on a small grid around the ray, also in the same place: 0 or 2 faces are passed,
                 and the step leads from one to the other */
-    enum { R = 2, S = 2 * R + 1, N = S * S };
+    const int reach = test_quick() ? 2 : 3, side = 2 * reach + 1;
+    const uint32_t places = (uint32_t)(side * side);
     tetcasti_tet16 record;
     tetcasti_cells cells;
     tetcasti_vertex v[4];
@@ -169,12 +170,12 @@ TEST(ties) { /* every cell with corners on a small grid around the ray, also in 
     cells.count = 1;
     ray.iz = 1;
     ray.group = 5; /* x, y, z as they are */
-    for (i = 0; i < N * N * N * N; i++) {
+    for (i = 0; i < places * places * places * places; i++) {
         uint32_t faces = 0, face[4];
-        for (j = 0, k = i; j < 4; j++, k /= N) q[j] = k % N;
+        for (j = 0, k = i; j < 4; j++, k /= places) q[j] = k % places;
         for (j = 0; j < 4; j++) {
-            v[j].x = (float)((int)(q[j] % S) - R);
-            v[j].y = (float)((int)(q[j] / S) - R);
+            v[j].x = (float)((int)q[j] % side - reach);
+            v[j].y = (float)((int)q[j] / side - reach);
             v[j].z = (float)j;
         }
         for (j = 0; j < 4; j++) { /* seen one way round or the other */
