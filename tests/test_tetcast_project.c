@@ -549,6 +549,10 @@ TEST(arguments) {
     CHECK(stats.method == TETCAST_METHOD_PROJECT);
     CHECK_MSG(fabs((double)stats.pixels_per_cell - (double)stats.steps) < 0.02 * (double)stats.steps,
               "%g pixels a cell, measured %llu", (double)stats.pixels_per_cell, (unsigned long long)stats.steps);
+    scene_optics(&s, TETCAST_MODEL_ISOSURFACE, 0.4f, 1); /* projection is slow for surfaces */
+    CHECK_EQ_U64(tetcast_render(&d, s.mesh, s.optics, &im, &stats), TETCAST_OK);
+    CHECK(stats.method == TETCAST_METHOD_WALK && stats.pixels_per_cell > 16000);
+    scene_optics(&s, TETCAST_MODEL_VOLUME, -1, 1);
     im = image_of(&pic[0]);
     CHECK_EQ_U64(tetcast_render(&d, s.mesh, s.optics, &im, &stats), TETCAST_OK);
     CHECK(stats.method == TETCAST_METHOD_WALK);
