@@ -950,6 +950,265 @@ typedef struct tetcast_section {
 TETCAST_DEF tetcast_result tetcast_plane_section(const tetcast_env *env, const tetcast_mesh *mesh,
                                                  const tetcast_plane *plane, tetcast_section *out);
 TETCAST_DEF void tetcast_section_free(tetcast_section *section); /* NULL and cleared ones are allowed */
+
+/* ---- bricks: a volume as blocks of nodes on levels, each twice as coarse as the one before ---- */
+
+#define TETCAST_BRICK_LEVELS 6
+
+/* field        zero means
+   log_cells    bricks of 2^4 cells a side, 17^3 nodes; 3, 4 or 5
+   levels       as many as there can be: log_cells + 1
+   storage      TETCAST_TYPE_F32, _F16, _U16 or _U8. Integers share one scale over the whole volume, so that neighbours
+                agree in the nodes that they share; an integer is off by at most half a step of it
+   max_error    everything is kept on all levels. > 0: in units of the values; a brick has no finer ones below it where
+                it is nearer than this to the finest level
+   nearest      coarser levels are made with the quadratic B-spline (1 4 6 4 1)/16; 1: every other node (always so with
+                max_error, and from meshes: nodes of all levels then lie on the field itself)
+   longest      from meshes: as fine as max_error asks for, up to longest_end nodes; else nodes along the longest side
+   longest_end  4097
+   checks       from meshes: random points at which the error is looked at, besides all vertices: 200000 */
+typedef struct tetcast_bricks_desc {
+    uint32_t _begin_zero;
+    tetcast_env env;
+    uint32_t log_cells;
+    uint32_t levels;
+    tetcast_type storage;
+    float max_error;
+    uint32_t nearest;
+    uint32_t longest, longest_end;
+    uint32_t checks;
+    uint32_t _end_zero;
+} tetcast_bricks_desc;
+
+typedef struct tetcast_bricks_report {
+    uint64_t bad_values;       /* of a grid: no numbers, replaced by the smallest value */
+    uint64_t checks;           /* of a mesh: places at which bricks and mesh were compared: vertices, random points */
+    uint64_t above;            /* of these: farther apart than max_error */
+    double error, mean_error;  /* largest and mean difference there */
+    double worst[3];           /* where the largest is, world */
+    uint32_t tries;            /* lattices that were tried */
+} tetcast_bricks_report;
+
+typedef struct tetcast_bricks tetcast_bricks; /* immutable: any number of threads may use it */
+
+typedef struct tetcast_bricks_info {
+    tetcast_lattice lattice;   /* of the finest level */
+    uint32_t levels, cells;    /* cells: of a brick along a side */
+    uint32_t slots[3];         /* bricks of the finest level along each side */
+    tetcast_type storage;
+    float value_min, value_max;
+    float step;                /* of integers */
+    uint64_t bricks, nodes;    /* stored, all levels */
+    uint64_t leaves;           /* bricks without finer ones below */
+    uint64_t level_bricks[TETCAST_BRICK_LEVELS];
+    uint64_t hull_triangles;   /* of the mesh that it was made from */
+    uint64_t bytes;
+} tetcast_bricks_info;
+
+/* Bricks from nodes of a lattice, x fastest. Errors: INVALID_ARG, RANGE, UNINIT_DESC, NO_MEMORY. Cost: about 10 ns a
+   node, one core; holds the nodes twice. */
+TETCAST_DEF tetcast_result tetcast_bricks_create_grid(const tetcast_bricks_desc *desc, const tetcast_lattice *lattice,
+                                                      const tetcast_array *values, tetcast_bricks_report *report,
+                                                      tetcast_bricks **out);
+/* Bricks from the active field of a mesh. The hull goes along: pictures end where the mesh does. With max_error the
+   result is compared with the mesh afterwards, at all vertices and at random points, and made on a lattice four times as
+   fine as long as it fails and longest_end allows; report->above tells what is left. Needs the tets.
+   Source: the thesis, chapter 7.0 (resampling as the core of an adaptive hierarchy); refinement and its check are ours. */
+TETCAST_DEF tetcast_result tetcast_bricks_create_mesh(const tetcast_bricks_desc *desc, const tetcast_mesh *mesh,
+                                                      tetcast_bricks_report *report, tetcast_bricks **out);
+TETCAST_DEF void tetcast_bricks_destroy(tetcast_bricks *bricks); /* NULL is allowed */
+TETCAST_DEF void tetcast_bricks_get_info(const tetcast_bricks *bricks, tetcast_bricks_info *info);
+
+/* Bytes of a .brk file, and the file. data has room for tetcast_bricks_file_size bytes. */
+TETCAST_DEF size_t tetcast_bricks_file_size(const tetcast_bricks *bricks);
+TETCAST_DEF tetcast_result tetcast_bricks_write(const tetcast_bricks *bricks, void *data, size_t size);
+/* From a file in memory, which is checked completely. Errors: TRUNCATED, FORMAT, VERSION, CHECKSUM, RANGE, NO_MEMORY;
+   error->where is the byte. */
+TETCAST_DEF tetcast_result tetcast_bricks_read(const tetcast_env *env, const void *data, size_t size,
+                                               tetcast_bricks **out);
+
+/* Which level is shown where, in slots: the places of the finest bricks.
+   field        zero means
+   level        the finest that there is; else no finer than this
+   levels       none; else one level per slot, x fastest, clamped to what there is
+   focus,       none; else (focus_radius > 0) the finest level within this distance of the point, world, and one level
+   focus_radius coarser for each further radius: the rule of the thesis
+   byte_budget  none; else start with the coarsest everywhere and refine where the error is largest while the bricks take
+                no more bytes than this
+   sample_budget none; else the same while a ray through everything takes no more than this share of the samples that
+                the finest level takes
+   max_error    0; else stop refining where the error is no larger
+   max_jump     any. 1: neighbours differ by one level at most, as in the thesis; by refining
+   optics       errors count as they are; else bricks whose values it does not show have none */
+typedef struct tetcast_cut_desc {
+    uint32_t _begin_zero;
+    tetcast_env env;
+    uint32_t level;
+    const uint8_t *levels;
+    double focus[3];
+    double focus_radius;
+    uint64_t byte_budget;
+    double sample_budget;
+    float max_error;
+    uint32_t max_jump;
+    const tetcast_optics *optics;
+    uint32_t _end_zero;
+} tetcast_cut_desc;
+
+typedef struct tetcast_cut_info {
+    uint64_t bricks;           /* shown */
+    uint64_t adapted;          /* of these: with nodes of their border moved onto a coarser neighbour */
+    uint64_t bytes, full_bytes; /* of the bricks shown; of the finest everywhere */
+    double samples;            /* share of the samples of the finest level */
+    uint64_t level_slots[TETCAST_BRICK_LEVELS];
+    float error;               /* largest error of a brick shown, as stored */
+} tetcast_cut_info;
+
+/* A choice of levels and the borders that make it continuous. Borrows the bricks; immutable. */
+typedef struct tetcast_cut tetcast_cut;
+
+/* Choose levels and adapt borders: a node at which a finer brick touches a coarser one takes the value that the coarser
+   one has there; all 26 neighbours, coarse before fine, so any difference of levels is continuous to rounding. The
+   bricks are not changed: those with adapted nodes are copied as floats.
+   desc    NULL: the finest everywhere. Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY.
+   Cost: about 10 us for each brick that is adapted. Source: the thesis, 8.1.2, which adapts to one level coarser. */
+TETCAST_DEF tetcast_result tetcast_cut_create(const tetcast_cut_desc *desc, const tetcast_bricks *bricks,
+                                              tetcast_cut **out);
+TETCAST_DEF void tetcast_cut_destroy(tetcast_cut *cut); /* NULL is allowed */
+TETCAST_DEF void tetcast_cut_get_info(const tetcast_cut *cut, tetcast_cut_info *info);
+/* Level of each slot, x fastest: slots[0] * slots[1] * slots[2] bytes. */
+TETCAST_DEF const uint8_t *tetcast_cut_levels(const tetcast_cut *cut);
+
+/* Trilinear values at points of the finest lattice (node (i, j, k) is at x = i, y = j, z = k), clamped to it.
+   isa AUTO: eight at a time where the machine can; the same bits. Any thread. About 3 ns a point. */
+TETCAST_DEF void tetcast_cut_sample(const tetcast_cut *cut, const float *x, const float *y, const float *z, size_t count,
+                                    tetcast_isa isa, float *out);
+/* The same with the gradient of the trilinear function, per world unit. */
+TETCAST_DEF void tetcast_cut_gradient(const tetcast_cut *cut, const float *x, const float *y, const float *z,
+                                      size_t count, float *out, float (*gradient)[3]);
+
+/* ---- clipping: planes and closed meshes ---- */
+
+typedef struct tetcast_clip_plane { double normal[3], offset; } tetcast_clip_plane; /* kept: normal . p >= offset */
+
+/* A closed triangle mesh; world. A ray is inside between its hits number 1 and 2, 3 and 4, ...; where the mesh is not
+   closed and their number is odd the last one does not count. */
+typedef struct tetcast_clip_body {
+    const double (*points)[3];
+    size_t point_count;
+    const uint32_t *indices;   /* 3 per triangle */
+    size_t triangle_count;
+    uint32_t outside;          /* 0: what is inside is kept; 1: what is outside */
+} tetcast_clip_body;
+
+typedef struct tetcast_clip_desc {
+    uint32_t _begin_zero;
+    tetcast_env env;
+    const tetcast_clip_plane *planes;
+    size_t plane_count;
+    const tetcast_clip_body *bodies;  /* one after the other */
+    size_t body_count;
+    uint32_t _end_zero;
+} tetcast_clip_desc;
+
+#define TETCAST_CLIP_SPANS 32 /* parts of one ray; what is behind them is not seen */
+
+typedef struct tetcast_clip tetcast_clip; /* immutable */
+
+/* Errors: INVALID_ARG (index out of range, no number), NO_MEMORY. Cost: O(n log n). */
+TETCAST_DEF tetcast_result tetcast_clip_create(const tetcast_clip_desc *desc, tetcast_clip **out);
+TETCAST_DEF void tetcast_clip_destroy(tetcast_clip *clip); /* NULL is allowed */
+/* The parts of a ray that are kept, in order: distances in world units. Returns how many. Signs of areas decide, from
+   both sides of an edge the same: a ray between two triangles hits just one of them. */
+TETCAST_DEF uint32_t tetcast_clip_spans(const tetcast_clip *clip, const tetcast_ray *ray,
+                                        double spans[TETCAST_CLIP_SPANS][2]);
+
+/* ---- shaders: what a stretch of a ray looks like, as a function of the caller ---- */
+
+enum { /* what a shader asks for; front, back, length are always there */
+    TETCAST_NEED_GRADIENT = 1, /* of the value, in the middle of the segment, per world unit */
+    TETCAST_NEED_POSITION = 2, /* of its middle, world */
+    TETCAST_NEED_DIRECTION = 4,
+    TETCAST_NEED_DEPTH = 8     /* distance of its front from the ray's origin */
+};
+
+/* Eight segments of eight rays; those whose bit in mask is 0 hold nothing. Strangers in a packet change nothing. */
+typedef struct tetcast_packet {
+    uint32_t mask;
+    float front[8], back[8], length[8], depth[8];
+    float gradient[3][8], position[3][8], direction[3][8];
+    uint8_t level[8];          /* of the brick; 0 in meshes */
+} tetcast_packet;
+
+/* Parameters by name: numbers of the caller, borrowed. */
+typedef struct tetcast_param {
+    const char *name;
+    const float *values;
+    size_t count;
+} tetcast_param;
+
+/* user      what the functions get
+   needs     TETCAST_NEED_*
+   params    for prepare_fn
+   prepare_fn NULL, or called once before the picture, by one thread; what it returns ends the call if it is no
+             TETCAST_OK. tetcast_params_find reports a parameter that is missing by its name
+   shade_fn  colour, premultiplied, and opacity of each segment: rgba[0..2][lane], rgba[3][lane]. Called by several
+             threads at once; what it does for a lane depends on that lane only
+   empty_fn  NULL, or 1 if nothing is seen of values in [lo, hi]: such bricks are skipped */
+typedef struct tetcast_shader {
+    void *user;
+    uint32_t needs;
+    const tetcast_param *params;
+    size_t param_count;
+    tetcast_result (*prepare_fn)(void *user, const tetcast_param *params, size_t count, tetcast_error *error);
+    void (*shade_fn)(void *user, const tetcast_packet *in, float rgba[4][8]);
+    int (*empty_fn)(void *user, float lo, float hi);
+} tetcast_shader;
+
+/* A parameter with at least `least` numbers; NULL: it is not there, and *error says which. */
+TETCAST_DEF const float *tetcast_params_find(const tetcast_param *params, size_t count, const char *name, size_t least,
+                                             tetcast_error *error);
+
+/* ---- pictures of bricks ---- */
+
+/* field        zero means
+   camera       (eye equals at) one that frames everything
+   isa          the best that the machine has; all give the same bits
+   clip_near, clip_far, background: as in tetcast_render_desc
+   step         distance of samples in cells of the finest level: 1. A brick of level k has 2^k times that; samples lie at
+                whole multiples of its step on every ray, and where the ray enters and leaves: lengths are exact
+   fixed_step   0. 1: the same step on all levels
+   clip         nothing; applies before the hull of the mesh
+   no_hull      0. 1: do not end at the hull that came with the bricks
+   shader       none: the optics. Else its functions instead, front to back, until less than 1/512 of the light is left
+   frame        the picture is everything; else the image is the part of a frame of this size whose upper left pixel is
+   part         `part`: the same bits as in the whole frame
+   limit        none; else depths along the viewing axis, one per pixel of the image: nothing is seen behind them */
+typedef struct tetcast_brick_render_desc {
+    uint32_t _begin_zero;
+    tetcast_env env;
+    tetcast_camera camera;
+    tetcast_isa isa;
+    float clip_near, clip_far;
+    float background[4];
+    float step;
+    uint32_t fixed_step;
+    const tetcast_clip *clip;
+    uint32_t no_hull;
+    const tetcast_shader *shader;
+    uint32_t frame[2], part[2];
+    const float *limit;
+    uint32_t _end_zero;
+} tetcast_brick_render_desc;
+
+/* Cast rays through a cut. optics may be NULL where there is a shader. In the image: steps counts samples, depth is where
+   something is seen first. stats: rays, hit_rays, steps (samples), walks (bricks with samples), ended, lanes.
+   The same bits for any number of threads and any isa. Errors: as tetcast_render; what a shader's prepare_fn returns.
+   Source: the thesis, 8.2, draws slices 2^k apart and repairs the opacity of pieces that overlap or are missing at
+   borders; here lengths are exact, so nothing has to be repaired. */
+TETCAST_DEF tetcast_result tetcast_render_bricks(const tetcast_brick_render_desc *desc, const tetcast_cut *cut,
+                                                 const tetcast_optics *optics, const tetcast_image *image,
+                                                 tetcast_render_stats *stats);
 #endif /* TETCAST_NO_BRICKS */
 
 #ifndef TETCAST_NO_RBF
@@ -12604,7 +12863,7 @@ TETCASTI_INLINE int tetcasti_scan_set(const tetcasti_scan *c, uint32_t cell, con
         g[0] = g[1] = g[2] = 0.0;
     }
     if (c->grow > 0.0) { /* a cell of bad shape may have any gradient */
-        const float range = out->most - out->least;
+        const float range = 16.0f * (out->most - out->least);
         out->least -= range;
         out->most += range;
     }
@@ -13250,6 +13509,3245 @@ TETCAST_DEF tetcast_result tetcast_plane_section(const tetcast_env *env, const t
     out->point_count = (uint32_t)points;
     out->polygon_count = (uint32_t)polygons;
     return TETCAST_OK;
+}
+/* ---------------------------------------------------------------------------
+   bricks: nodes of a lattice in blocks, on levels; choices of levels.           // >>bricks
+
+   lattice  the finest level; everything below is in its units: node (i, j, k) is at the point (i, j, k)
+   slot     2^log cells of the lattice a side; slot (x, y, z) begins at node (x, y, z) << log
+   brick    of level k: (2^log + 1)^3 nodes, 2^k apart, so 2^k slots a side; it begins at a slot that is a multiple of
+            2^k. Neighbours share their nodes: borders lie on nodes on every level. Level k has the nodes of level k-1 with
+            even numbers
+   table    per level a number of a brick for each place, or NONE. A brick has a parent, always; it has all children or
+            none (a leaf), but for those that begin beyond the lattice
+   node     beyond the lattice, where its sides are no multiples: level k goes on linearly as far as a cell needs it
+   error    of a brick: the largest difference to the finest nodes below it; an upper bound, since it is added up from
+            level to level: the difference of two neighbouring levels is largest in a node of the finer one
+   cut      per slot a level, and 32 bits: number of the brick, level, adapted or not. Adapted bricks are copies in
+            floats. 2^level <= cells of a brick, so that a slot is not smaller than a cell of its own level: else
+            adapting would move nodes that other slots need
+   The thesis has 2^m nodes a brick (2^m - 1 cells), so its borders lie between nodes on coarser levels, two layers have
+   to be adapted, and neighbours may differ by one level only.
+   --------------------------------------------------------------------------- */
+
+#define TETCASTI_BRICKS_END ((uint32_t)1 << 26)  /* bricks: a cut has 26 bits for the number */
+#define TETCASTI_ADAPTED 0x80000000u
+#define TETCASTI_LEVEL_SHIFT 27u
+#define TETCASTI_SLOT_MASK (((uint32_t)1 << TETCASTI_LEVEL_SHIFT) - 1u)
+
+typedef struct tetcasti_brick {
+    uint32_t level, place[3];    /* place: in bricks of its level */
+    float lo, hi, error;
+} tetcasti_brick;
+
+struct tetcast_bricks {
+    tetcasti_mem mem;
+    tetcast_lattice lattice;
+    uint32_t log, levels, side;      /* side: nodes of a brick along a side */
+    uint32_t slots[3];
+    uint32_t grid[TETCAST_BRICK_LEVELS][3];
+    size_t table_start[TETCAST_BRICK_LEVELS + 1];
+    uint32_t *table;
+    tetcasti_brick *brick;
+    uint32_t count;
+    tetcast_type type;
+    uint32_t bytes;                  /* of a node */
+    float bias, step;                /* value = bias + step * integer */
+    size_t nodes;                    /* of a brick */
+    uint8_t *data;                   /* count * nodes * bytes, and 64 more */
+    float value_min, value_max;
+    double (*hull)[3];               /* world */
+    uint32_t (*face)[3];
+    uint32_t hull_count, face_count;
+};
+
+struct tetcast_cut {
+    tetcasti_mem mem;
+    const tetcast_bricks *bricks;
+    uint8_t *level;                  /* per slot */
+    uint32_t *slot;                  /* per slot: what is there, see above */
+    float (*range)[2];               /* per slot */
+    float *adapted;                  /* blocks of bricks->nodes floats */
+    uint32_t *source;                /* of each adapted block: its brick */
+    uint32_t adapted_count;
+    tetcast_cut_info info;
+};
+
+static void tetcasti_bricks_free(tetcast_bricks *b) {
+    tetcasti_mem mem;
+    if (b == NULL) return;
+    mem = b->mem;
+    tetcasti_free(&mem, b->table);
+    tetcasti_free(&mem, b->brick);
+    tetcasti_free(&mem, b->data);
+    tetcasti_free(&mem, b->hull);
+    tetcasti_free(&mem, b->face);
+    tetcasti_free(&mem, b);
+}
+TETCAST_DEF void tetcast_bricks_destroy(tetcast_bricks *bricks) { tetcasti_bricks_free(bricks); }
+
+/* Sizes of everything that follows from lattice, log and levels. 0: out of range. */
+static int tetcasti_bricks_shape(tetcast_bricks *b) {
+    uint32_t a, k;
+    size_t n = 0;
+    b->side = (1u << b->log) + 1;
+    b->nodes = (size_t)b->side * b->side * b->side;
+    for (a = 0; a < 3; a++) {
+        b->slots[a] = (b->lattice.dims[a] - 1 + (1u << b->log) - 1) >> b->log;
+        if (b->slots[a] == 0) b->slots[a] = 1;
+    }
+    for (k = 0; k < b->levels; k++) {
+        size_t m = 1;
+        for (a = 0; a < 3; a++) {
+            b->grid[k][a] = (b->slots[a] + (1u << k) - 1) >> k;
+            if (!tetcasti_mul_size(m, b->grid[k][a], &m)) return 0;
+        }
+        if (m >= TETCASTI_BRICKS_END) return 0;
+        b->table_start[k] = n;
+        n += m;
+    }
+    b->table_start[b->levels] = n;
+    b->bytes = b->type == TETCAST_TYPE_U8 ? 1 : b->type == TETCAST_TYPE_F32 ? 4 : 2;
+    return 1;
+}
+
+TETCASTI_INLINE uint32_t *tetcasti_bricks_at(const tetcast_bricks *b, uint32_t level, uint32_t x, uint32_t y,
+                                             uint32_t z) {
+    return b->table + b->table_start[level] + x + (size_t)b->grid[level][0] * (y + (size_t)b->grid[level][1] * z);
+}
+
+static int tetcasti_storage_good(tetcast_type t) {
+    return t == TETCAST_TYPE_F32 || t == TETCAST_TYPE_F16 || t == TETCAST_TYPE_U16 || t == TETCAST_TYPE_U8;
+}
+
+static tetcast_bricks *tetcasti_bricks_open(const tetcast_env *env, const tetcast_lattice *lattice, uint32_t log,
+                                            uint32_t levels, tetcast_type type, tetcast_result *r) {
+    tetcasti_mem mem;
+    tetcast_bricks *b;
+    *r = tetcasti_env_open(env, &mem);
+    if (*r != TETCAST_OK) return NULL;
+    b = (tetcast_bricks *)tetcasti_alloc_zero(&mem, 1, sizeof *b);
+    if (b == NULL) {
+        *r = tetcasti_fail(env->error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
+        return NULL;
+    }
+    b->mem = mem;
+    b->lattice = *lattice;
+    b->log = log;
+    b->levels = levels;
+    b->type = type;
+    if (!tetcasti_bricks_shape(b)) {
+        *r = tetcasti_fail(env->error, TETCAST_ERR_RANGE, 0, "bricks: too many");
+        tetcasti_bricks_free(b);
+        return NULL;
+    }
+    b->table = (uint32_t *)tetcasti_alloc_array(&b->mem, b->table_start[levels], sizeof *b->table);
+    if (b->table == NULL) {
+        *r = tetcasti_fail(env->error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
+        tetcasti_bricks_free(b);
+        return NULL;
+    }
+    memset(b->table, 255, b->table_start[levels] * sizeof *b->table);
+    return b;
+}
+
+/* ---- numbers as they are stored ---- */
+
+/* Nearest half, ties to even; beyond its range the largest. */
+static uint16_t tetcasti_to_half(float x) {
+    uint32_t u, e, m, s;
+    memcpy(&u, &x, 4);
+    s = u >> 16 & 0x8000u;
+    u &= 0x7fffffffu;
+    if (u >= 0x477ff000u) return (uint16_t)(s | (u > 0x7f800000u ? 0x7e00u : 0x7bffu));
+    if (u < 0x33000001u) return (uint16_t)s;
+    e = u >> 23;
+    m = (u & 0x7fffffu) | 0x800000u;
+    if (e >= 113) {
+        u = (e - 112) << 10 | (m & 0x7fffffu) >> 13;
+        u += (m & 0x1fffu) > 0x1000u || ((m & 0x1fffu) == 0x1000u && (u & 1u));
+        return (uint16_t)(s | u);
+    }
+    e = 126 - e; /* 14 .. 24 */
+    u = m >> e;
+    m &= ((uint32_t)1 << e) - 1u;
+    u += m > (uint32_t)1 << (e - 1) || (m == (uint32_t)1 << (e - 1) && (u & 1u));
+    return (uint16_t)(s | u);
+}
+/* Exact, without branches for what is stored: no infinities, no NaN. */
+TETCASTI_INLINE float tetcasti_from_half(uint32_t h) {
+    uint32_t u = (h & 0x7fffu) << 13;
+    float x;
+    memcpy(&x, &u, 4);
+    x *= 5.192296858534828e33f; /* 2^112 */
+    memcpy(&u, &x, 4);
+    u |= (h & 0x8000u) << 16;
+    memcpy(&x, &u, 4);
+    return x;
+}
+
+TETCASTI_INLINE float tetcasti_node_get(const tetcast_bricks *b, const uint8_t *block, size_t i) {
+    float f;
+    uint16_t u;
+    switch (b->type) {
+    case TETCAST_TYPE_F32: memcpy(&f, block + 4 * i, 4); return f;
+    case TETCAST_TYPE_F16: memcpy(&u, block + 2 * i, 2); return tetcasti_from_half(u);
+    case TETCAST_TYPE_U16: memcpy(&u, block + 2 * i, 2); return b->bias + b->step * (float)u;
+    default: return b->bias + b->step * (float)block[i];
+    }
+}
+
+TETCASTI_INLINE void tetcasti_node_put(const tetcast_bricks *b, uint8_t *block, size_t i, float v) {
+    uint16_t u;
+    float q;
+    switch (b->type) {
+    case TETCAST_TYPE_F32: memcpy(block + 4 * i, &v, 4); return;
+    case TETCAST_TYPE_F16: u = tetcasti_to_half(v); memcpy(block + 2 * i, &u, 2); return;
+    default:
+        q = b->step > 0.0f ? (v - b->bias) / b->step + 0.5f : 0.0f;
+        q = q > 0.0f ? q : 0.0f;
+        if (b->type == TETCAST_TYPE_U16) {
+            u = (uint16_t)(q < 65535.0f ? q : 65535.0f);
+            memcpy(block + 2 * i, &u, 2);
+        } else {
+            block[i] = (uint8_t)(q < 255.0f ? q : 255.0f);
+        }
+        return;
+    }
+}
+
+TETCASTI_INLINE const uint8_t *tetcasti_brick_block(const tetcast_bricks *b, uint32_t brick) {
+    return b->data + (size_t)brick * b->nodes * b->bytes;
+}
+
+/* ---- building ---- */
+
+/* The levels of a lattice as plain arrays. */
+typedef struct tetcasti_pyramid {
+    float *level[TETCAST_BRICK_LEVELS];
+    size_t dims[TETCAST_BRICK_LEVELS][3];
+    float *error[TETCAST_BRICK_LEVELS];  /* per brick of that level */
+    const uint8_t *inside;               /* NULL, or per node of level 0: errors count here */
+} tetcasti_pyramid;
+
+static void tetcasti_pyramid_free(tetcasti_mem *mem, tetcasti_pyramid *p) {
+    uint32_t k;
+    for (k = 0; k < TETCAST_BRICK_LEVELS; k++) {
+        if (k != 0) tetcasti_free(mem, p->level[k]);
+        tetcasti_free(mem, p->error[k]);
+    }
+}
+
+/* Node i of a row that goes on linearly beyond both ends. */
+TETCASTI_INLINE float tetcasti_row_at(const float *row, ptrdiff_t stride, ptrdiff_t n, ptrdiff_t i) {
+    if (i >= 0 && i < n) return row[i * stride];
+    if (n == 1) return row[0];
+    if (i < 0) {
+        const ptrdiff_t j = -i < n ? -i : n - 1;
+        return 2.0f * row[0] - row[j * stride];
+    }
+    {
+        const ptrdiff_t j = i - (n - 1) < n ? i - (n - 1) : n - 1;
+        return 2.0f * row[(n - 1) * stride] - row[(n - 1 - j) * stride];
+    }
+}
+
+/* One axis of one level: in[n] -> out[m], m = ceil((n - 1) / 2) + 1. */
+static void tetcasti_row_halve(const float *in, ptrdiff_t stride_in, size_t n, float *out, ptrdiff_t stride_out,
+                               size_t m, int nearest) {
+    size_t i;
+    for (i = 0; i < m; i++) {
+        const ptrdiff_t c = 2 * (ptrdiff_t)i, e = (ptrdiff_t)n;
+        float v;
+        if (nearest) v = tetcasti_row_at(in, stride_in, e, c);
+        else if (c >= 2 && c + 2 < e) {
+            const float *p = in + c * stride_in;
+            v = 0.0625f * (p[-2 * stride_in] + p[2 * stride_in]) + 0.25f * (p[-stride_in] + p[stride_in]) + 0.375f * p[0];
+        } else {
+            v = 0.0625f * (tetcasti_row_at(in, stride_in, e, c - 2) + tetcasti_row_at(in, stride_in, e, c + 2)) +
+                0.25f * (tetcasti_row_at(in, stride_in, e, c - 1) + tetcasti_row_at(in, stride_in, e, c + 1)) +
+                0.375f * tetcasti_row_at(in, stride_in, e, c);
+        }
+        out[(ptrdiff_t)i * stride_out] = v;
+    }
+}
+
+typedef struct tetcasti_halve {
+    const float *in;
+    float *out;
+    const size_t *from, *to; /* dims */
+    float *scratch;          /* per layer of the result: rows in x and y */
+    int nearest;
+    uint32_t axis;
+} tetcasti_halve;
+
+/* Axis 0 and 1: one task per layer z of the input; axis 2: one per row y of the result. */
+static void tetcasti_task_halve(void *ctx, uint32_t task) {
+    const tetcasti_halve *h = (const tetcasti_halve *)ctx;
+    const size_t nx = h->from[0], ny = h->from[1], mx = h->to[0], my = h->to[1];
+    size_t x, y;
+    if (h->axis == 0) {
+        for (y = 0; y < ny; y++)
+            tetcasti_row_halve(h->in + nx * (y + ny * task), 1, nx, h->out + mx * (y + ny * task), 1, mx, h->nearest);
+    } else if (h->axis == 1) {
+        for (x = 0; x < mx; x++)
+            tetcasti_row_halve(h->in + x + mx * ny * task, (ptrdiff_t)mx, ny, h->out + x + mx * my * task, (ptrdiff_t)mx,
+                               my, h->nearest);
+    } else {
+        for (x = 0; x < mx; x++)
+            tetcasti_row_halve(h->in + x + mx * task, (ptrdiff_t)(mx * my), h->from[2], h->out + x + mx * task,
+                               (ptrdiff_t)(mx * my), h->to[2], h->nearest);
+    }
+}
+
+/* The next coarser level. 0: no memory. */
+static int tetcasti_pyramid_halve(const tetcast_env *env, tetcasti_mem *mem, tetcasti_pyramid *p, uint32_t level,
+                                  int nearest) {
+    tetcasti_halve h;
+    float *one, *two;
+    const size_t *from = p->dims[level - 1];
+    size_t *to = p->dims[level];
+    uint32_t a;
+    for (a = 0; a < 3; a++) to[a] = from[a] / 2 + 1;
+    one = (float *)tetcasti_alloc_array(mem, to[0] * from[1] * from[2], sizeof *one);
+    two = (float *)tetcasti_alloc_array(mem, to[0] * to[1] * from[2], sizeof *two);
+    p->level[level] = (float *)tetcasti_alloc_array(mem, to[0] * to[1] * to[2], sizeof *two);
+    if (one != NULL && two != NULL && p->level[level] != NULL) {
+        memset(&h, 0, sizeof h);
+        h.from = from;
+        h.to = to;
+        h.nearest = nearest;
+        for (a = 0; a < 3; a++) {
+            h.axis = a;
+            h.in = a == 0 ? p->level[level - 1] : a == 1 ? one : two;
+            h.out = a == 0 ? one : a == 1 ? two : p->level[level];
+            tetcasti_parallel_for(env, tetcasti_task_halve, &h, (uint32_t)(a == 2 ? to[1] : from[2]));
+        }
+    }
+    tetcasti_free(mem, one);
+    tetcasti_free(mem, two);
+    return one != NULL && two != NULL && p->level[level] != NULL;
+}
+
+typedef struct tetcasti_errors {
+    const tetcast_bricks *b;
+    tetcasti_pyramid *p;
+    uint32_t level;
+} tetcasti_errors;
+
+/* Is a node of level k - 1 of interest? Those outside of a mesh are not. */
+TETCASTI_INLINE int tetcasti_inside_at(const tetcasti_pyramid *p, uint32_t level, size_t x, size_t y, size_t z) {
+    const size_t *d = p->dims[0];
+    x <<= level;
+    y <<= level;
+    z <<= level;
+    if (x >= d[0] || y >= d[1] || z >= d[2]) return 0;
+    return p->inside == NULL || p->inside[x + d[0] * (y + d[1] * z)];
+}
+
+/* Difference of a brick to the level below it, plus the largest error of its children. */
+static void tetcasti_task_errors(void *ctx, uint32_t i) {
+    const tetcasti_errors *e = (const tetcasti_errors *)ctx;
+    const tetcast_bricks *b = e->b;
+    const tetcasti_pyramid *p = e->p;
+    const uint32_t k = e->level, *grid = b->grid[k], cells = 2u << b->log;
+    const uint32_t at[3] = {i % grid[0], i / grid[0] % grid[1], i / grid[0] / grid[1]};
+    const size_t *coarse = p->dims[k], *fine = p->dims[k - 1];
+    const float *v = p->level[k], *w = p->level[k - 1];
+    size_t lo[3], hi[3], x, y, z;
+    float worst = 0.0f, below = 0.0f;
+    uint32_t a, c;
+    for (a = 0; a < 3; a++) {
+        lo[a] = (size_t)at[a] * cells;
+        hi[a] = lo[a] + cells < fine[a] - 1 ? lo[a] + cells : fine[a] - 1;
+    }
+    for (z = lo[2]; z <= hi[2]; z++)
+        for (y = lo[1]; y <= hi[1]; y++) {
+            /* means of two nodes where the number is odd: four rows of the coarser level, two of them the same if even */
+            const size_t z0 = z / 2, z1 = z0 + (z & 1u), y0 = y / 2, y1 = y0 + (y & 1u);
+            const float *r[4];
+            r[0] = v + coarse[0] * (y0 + coarse[1] * z0);
+            r[1] = v + coarse[0] * (y1 + coarse[1] * z0);
+            r[2] = v + coarse[0] * (y0 + coarse[1] * z1);
+            r[3] = v + coarse[0] * (y1 + coarse[1] * z1);
+            for (x = lo[0]; x <= hi[0]; x++) {
+                const size_t x0 = x / 2, x1 = x0 + (x & 1u);
+                const float m = 0.125f * (((r[0][x0] + r[0][x1]) + (r[1][x0] + r[1][x1])) +
+                                          ((r[2][x0] + r[2][x1]) + (r[3][x0] + r[3][x1])));
+                const float d = tetcasti_absf(m - w[x + fine[0] * (y + fine[1] * z)]);
+                if (d > worst && (p->inside == NULL || tetcasti_inside_at(p, k - 1, x, y, z))) worst = d;
+            }
+        }
+    if (k > 1)
+        for (c = 0; c < 8; c++) {
+            const uint32_t *g = b->grid[k - 1], cx = 2 * at[0] + (c & 1u), cy = 2 * at[1] + (c >> 1 & 1u),
+                cz = 2 * at[2] + (c >> 2);
+            if (cx < g[0] && cy < g[1] && cz < g[2]) {
+                const float d = p->error[k - 1][cx + (size_t)g[0] * (cy + (size_t)g[1] * cz)];
+                below = d > below ? d : below;
+            }
+        }
+    p->error[k][i] = worst + below;
+}
+
+typedef struct tetcasti_fill {
+    tetcast_bricks *b;
+    const tetcasti_pyramid *p;
+} tetcasti_fill;
+
+static void tetcasti_task_brick(void *ctx, uint32_t i) {
+    const tetcasti_fill *f = (const tetcasti_fill *)ctx;
+    tetcast_bricks *b = f->b;
+    tetcasti_brick *brick = &b->brick[i];
+    const size_t *d = f->p->dims[brick->level];
+    const float *v = f->p->level[brick->level];
+    uint8_t *block = b->data + (size_t)i * b->nodes * b->bytes;
+    const uint32_t cells = 1u << b->log;
+    size_t x, y, z, n = 0;
+    float lo = TETCASTI_INF, hi = -TETCASTI_INF;
+    for (z = 0; z <= cells; z++)
+        for (y = 0; y <= cells; y++) {
+            size_t gz = (size_t)brick->place[2] * cells + z, gy = (size_t)brick->place[1] * cells + y;
+            const float *row;
+            gz = gz < d[2] ? gz : d[2] - 1;
+            gy = gy < d[1] ? gy : d[1] - 1;
+            row = v + d[0] * (gy + d[1] * gz);
+            for (x = 0; x <= cells; x++, n++) {
+                size_t gx = (size_t)brick->place[0] * cells + x;
+                float q;
+                gx = gx < d[0] ? gx : d[0] - 1;
+                tetcasti_node_put(b, block, n, row[gx]);
+                q = tetcasti_node_get(b, block, n); /* as it will be seen */
+                lo = q < lo ? q : lo;
+                hi = q > hi ? q : hi;
+            }
+        }
+    brick->lo = lo;
+    brick->hi = hi;
+}
+
+/* Number the bricks that are kept: all, or with max_error those whose parent is not good enough. 0: no memory. */
+static int tetcasti_bricks_keep(tetcast_bricks *b, const tetcasti_pyramid *p, float max_error) {
+    uint32_t k, pass, n = 0;
+    for (pass = 0; pass < 2; pass++) {
+        n = 0;
+        for (k = b->levels; k-- > 0;) {
+            const uint32_t *g = b->grid[k];
+            uint32_t x, y, z;
+            for (z = 0; z < g[2]; z++)
+                for (y = 0; y < g[1]; y++)
+                    for (x = 0; x < g[0]; x++) {
+                        const size_t i = x + (size_t)g[0] * (y + (size_t)g[1] * z);
+                        if (k + 1 < b->levels) {
+                            const uint32_t parent = *tetcasti_bricks_at(b, k + 1, x / 2, y / 2, z / 2);
+                            const uint32_t *pg = b->grid[k + 1];
+                            if (parent == TETCASTI_NONE) continue;
+                            if (max_error > 0.0f &&
+                                p->error[k + 1][x / 2 + (size_t)pg[0] * (y / 2 + (size_t)pg[1] * (z / 2))] <= max_error)
+                                continue;
+                        }
+                        *tetcasti_bricks_at(b, k, x, y, z) = n;
+                        if (pass == 1) {
+                            tetcasti_brick *brick = &b->brick[n];
+                            brick->level = k;
+                            brick->place[0] = x;
+                            brick->place[1] = y;
+                            brick->place[2] = z;
+                            brick->error = k == 0 ? 0.0f : p->error[k][i];
+                        }
+                        n++;
+                    }
+        }
+        if (pass == 1) break;
+        if (n >= TETCASTI_BRICKS_END) return 0;
+        b->count = n;
+        b->brick = (tetcasti_brick *)tetcasti_alloc_zero(&b->mem, n, sizeof *b->brick);
+        if (b->brick == NULL) return 0;
+    }
+    return 1;
+}
+
+/* Bricks of nodes. values: level 0, changed nowhere; inside: see tetcasti_pyramid. */
+static tetcast_result tetcasti_bricks_build(const tetcast_bricks_desc *d, const tetcast_lattice *lattice, float *values,
+                                            const uint8_t *inside, tetcast_bricks **out) {
+    const uint32_t log = d->log_cells != 0 ? d->log_cells : 4;
+    tetcasti_pyramid p;
+    tetcasti_fill f;
+    tetcast_result r;
+    uint32_t k, a, levels = d->levels != 0 ? d->levels : log + 1;
+    size_t n, i, bytes;
+    tetcast_bricks *b;
+    int ok = 1;
+    memset(&p, 0, sizeof p);
+    b = tetcasti_bricks_open(&d->env, lattice, log, levels, d->storage, &r);
+    if (b == NULL) return r;
+    p.inside = inside;
+    p.level[0] = values;
+    n = 1;
+    for (a = 0; a < 3; a++) n *= p.dims[0][a] = lattice->dims[a];
+    b->value_min = TETCASTI_INF;
+    b->value_max = -TETCASTI_INF;
+    for (k = 0; k < levels && ok; k++) {
+        if (k != 0) ok = tetcasti_pyramid_halve(&d->env, &b->mem, &p, k, d->nearest || d->max_error > 0.0f || inside != NULL);
+        if (!ok) break;
+        n = p.dims[k][0] * p.dims[k][1] * p.dims[k][2];
+        for (i = 0; i < n && k == 0; i++) { /* integers clamp what goes beyond it on coarser levels */
+            b->value_min = p.level[k][i] < b->value_min ? p.level[k][i] : b->value_min;
+            b->value_max = p.level[k][i] > b->value_max ? p.level[k][i] : b->value_max;
+        }
+        if (k != 0) {
+            tetcasti_errors e;
+            const uint32_t count = b->grid[k][0] * b->grid[k][1] * b->grid[k][2];
+            e.b = b;
+            e.p = &p;
+            e.level = k;
+            p.error[k] = (float *)tetcasti_alloc_zero(&b->mem, count, sizeof *p.error[k]);
+            ok = p.error[k] != NULL;
+            if (ok) tetcasti_parallel_for(&d->env, tetcasti_task_errors, &e, count);
+        }
+    }
+    if (ok) {
+        b->bias = b->value_min;
+        b->step = (b->value_max - b->value_min) / (d->storage == TETCAST_TYPE_U8 ? 255.0f : 65535.0f);
+        ok = tetcasti_bricks_keep(b, &p, d->max_error) && tetcasti_mul_size(b->count, b->nodes, &bytes) &&
+             tetcasti_mul_size(bytes, b->bytes, &bytes) && bytes <= (size_t)-1 - 64;
+        if (ok) b->data = (uint8_t *)tetcasti_alloc(&b->mem, bytes + 64);
+        ok = ok && b->data != NULL;
+    }
+    if (ok) {
+        memset(b->data + bytes, 0, 64);
+        f.b = b;
+        f.p = &p;
+        tetcasti_parallel_for(&d->env, tetcasti_task_brick, &f, b->count);
+    }
+    tetcasti_pyramid_free(&b->mem, &p);
+    if (!ok) {
+        tetcasti_bricks_free(b);
+        return tetcasti_fail(d->env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
+    }
+    *out = b;
+    return TETCAST_OK;
+}
+
+static tetcast_result tetcasti_bricks_desc_open(const tetcast_bricks_desc *desc, tetcast_bricks_desc *d,
+                                                tetcast_bricks_report *report, tetcast_bricks **out) {
+    memset(d, 0, sizeof *d);
+    if (desc != NULL) *d = *desc;
+    if (out != NULL) *out = NULL;
+    if (report != NULL) memset(report, 0, sizeof *report);
+    if (d->_begin_zero != 0 || d->_end_zero != 0) return TETCAST_ERR_UNINIT_DESC;
+    if (out == NULL || !tetcasti_storage_good(d->storage) || !(d->max_error >= 0.0f) || d->max_error >= TETCASTI_INF ||
+        (d->log_cells != 0 && (d->log_cells < 3 || d->log_cells > 5)) ||
+        d->levels > (d->log_cells != 0 ? d->log_cells : 4) + 1)
+        return tetcasti_fail(d->env.error, TETCAST_ERR_INVALID_ARG, 0, "bricks: bad option");
+    return TETCAST_OK;
+}
+
+TETCAST_DEF tetcast_result tetcast_bricks_create_grid(const tetcast_bricks_desc *desc, const tetcast_lattice *lattice,
+                                                      const tetcast_array *values, tetcast_bricks_report *report,
+                                                      tetcast_bricks **out) {
+    tetcast_bricks_desc d;
+    tetcasti_mem mem;
+    tetcast_result r = tetcasti_bricks_desc_open(desc, &d, report, out);
+    size_t n, i, stride;
+    float *v, least = TETCASTI_INF;
+    uint64_t bad = 0;
+    if (r != TETCAST_OK) return r;
+    if (lattice == NULL || values == NULL || values->data == NULL || !tetcasti_lattice_good(lattice) ||
+        tetcasti_type_size(values->type) == 0)
+        return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, 0, "bricks: bad lattice or values");
+    r = tetcasti_env_open(&d.env, &mem);
+    if (r != TETCAST_OK) return r;
+    if (!tetcasti_mul_size(lattice->dims[0], lattice->dims[1], &n) || !tetcasti_mul_size(n, lattice->dims[2], &n) ||
+        n > (size_t)-1 / 64) return tetcasti_fail(d.env.error, TETCAST_ERR_RANGE, 0, "bricks: the lattice is too large");
+    v = (float *)tetcasti_alloc_array(&mem, n, sizeof *v);
+    if (v == NULL) return tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
+    stride = tetcasti_array_stride(values, 1);
+    for (i = 0; i < n; i++) {
+        v[i] = (float)tetcasti_array_get(values, stride, i, 0);
+        if (!(v[i] > -TETCASTI_VALUE_END && v[i] < TETCASTI_VALUE_END)) {
+            v[i] = (float)NAN;
+            bad++;
+        } else if (v[i] < least) least = v[i];
+    }
+    if (bad == n) least = 0.0f;
+    if (bad != 0)
+        for (i = 0; i < n; i++) v[i] = v[i] == v[i] ? v[i] : least;
+    if (report != NULL) report->bad_values = bad;
+    r = tetcasti_bricks_build(&d, lattice, v, NULL, out);
+    tetcasti_free(&mem, v);
+    return r;
+}
+
+/* ---- sampling ---- */
+
+/* Where a point lies: the eight nodes of its cell, and its place in it. */
+typedef struct tetcasti_place {
+    const uint8_t *block;    /* of the brick */
+    uint32_t type;           /* tetcast_type of the block */
+    size_t node;             /* the lowest of the eight */
+    float f[3];
+    uint32_t level;
+} tetcasti_place;
+
+TETCASTI_INLINE const uint8_t *tetcasti_slot_block(const tetcast_cut *cut, uint32_t word, uint32_t *type) {
+    const tetcast_bricks *b = cut->bricks;
+    const size_t number = word & TETCASTI_SLOT_MASK;
+    if (word & TETCASTI_ADAPTED) {
+        *type = TETCAST_TYPE_F32;
+        return (const uint8_t *)(cut->adapted + number * b->nodes);
+    }
+    *type = (uint32_t)b->type;
+    return b->data + number * b->nodes * b->bytes;
+}
+
+TETCASTI_INLINE float tetcasti_block_get(const tetcast_bricks *b, const uint8_t *block, uint32_t type, size_t i) {
+    float f;
+    uint16_t u;
+    switch (type) {
+    case TETCAST_TYPE_F32: memcpy(&f, block + 4 * i, 4); return f;
+    case TETCAST_TYPE_F16: memcpy(&u, block + 2 * i, 2); return tetcasti_from_half(u);
+    case TETCAST_TYPE_U16: memcpy(&u, block + 2 * i, 2); return b->bias + b->step * (float)u;
+    default: return b->bias + b->step * (float)block[i];
+    }
+}
+
+/* x: lattice units, inside of the lattice. */
+TETCASTI_INLINE void tetcasti_place_at(const tetcast_cut *cut, const float x[3], tetcasti_place *p) {
+    const tetcast_bricks *b = cut->bricks;
+    const uint32_t cells = 1u << b->log;
+    uint32_t s[3], word, a, k, i[3];
+    for (a = 0; a < 3; a++) {
+        s[a] = (uint32_t)(int32_t)x[a] >> b->log;
+        s[a] = s[a] < b->slots[a] ? s[a] : b->slots[a] - 1;
+    }
+    word = cut->slot[s[0] + (size_t)b->slots[0] * (s[1] + (size_t)b->slots[1] * s[2])];
+    k = word >> TETCASTI_LEVEL_SHIFT & 15u;
+    p->level = k;
+    p->block = tetcasti_slot_block(cut, word, &p->type);
+    for (a = 0; a < 3; a++) {
+        const float u = (x[a] - (float)(int32_t)(s[a] >> k << k << b->log)) * (1.0f / (float)(1u << k));
+        i[a] = (uint32_t)(int32_t)u;
+        i[a] = i[a] < cells ? i[a] : cells - 1;
+        p->f[a] = u - (float)(int32_t)i[a];
+    }
+    p->node = i[0] + (size_t)b->side * (i[1] + (size_t)b->side * i[2]);
+}
+
+TETCASTI_INLINE void tetcasti_place_nodes(const tetcast_cut *cut, const tetcasti_place *p, float v[8]) {
+    const tetcast_bricks *b = cut->bricks;
+    uint32_t i;
+    for (i = 0; i < 8; i++)
+        v[i] = tetcasti_block_get(b, p->block, p->type,
+                                  p->node + (i & 1u) + b->side * ((i >> 1 & 1u) + (size_t)b->side * (i >> 2)));
+}
+
+TETCASTI_INLINE float tetcasti_trilinear(const float v[8], const float f[3]) {
+    const float a = v[0] + f[0] * (v[1] - v[0]), c = v[2] + f[0] * (v[3] - v[2]);
+    const float d = v[4] + f[0] * (v[5] - v[4]), e = v[6] + f[0] * (v[7] - v[6]);
+    const float g = a + f[1] * (c - a), h = d + f[1] * (e - d);
+    return g + f[2] * (h - g);
+}
+
+TETCASTI_INLINE float tetcasti_cut_value(const tetcast_cut *cut, const float x[3]) {
+    const tetcast_bricks *b = cut->bricks;
+    tetcasti_place p;
+    float v[8], r;
+    uint16_t u;
+    uint32_t i;
+    tetcasti_place_at(cut, x, &p);
+    if (p.type != TETCAST_TYPE_U16 && p.type != TETCAST_TYPE_U8) {
+        tetcasti_place_nodes(cut, &p, v);
+        return tetcasti_trilinear(v, p.f);
+    }
+    for (i = 0; i < 8; i++) { /* interpolate integers, scale once */
+        const size_t n = p.node + (i & 1u) + b->side * ((i >> 1 & 1u) + (size_t)b->side * (i >> 2));
+        if (p.type == TETCAST_TYPE_U8) {
+            v[i] = (float)p.block[n];
+        } else {
+            memcpy(&u, p.block + 2 * n, 2);
+            v[i] = (float)u;
+        }
+    }
+    r = tetcasti_trilinear(v, p.f);
+    return b->bias + b->step * r;
+}
+
+/* Gradient per lattice unit of the cell's trilinear function. */
+TETCASTI_INLINE float tetcasti_cut_slope(const tetcast_cut *cut, const float x[3], float g[3]) {
+    tetcasti_place p;
+    float v[8], s;
+    uint32_t a;
+    tetcasti_place_at(cut, x, &p);
+    tetcasti_place_nodes(cut, &p, v);
+    for (a = 0; a < 3; a++) {
+        float lo[3], hi[3];
+        memcpy(lo, p.f, sizeof lo);
+        memcpy(hi, p.f, sizeof hi);
+        lo[a] = 0.0f;
+        hi[a] = 1.0f;
+        g[a] = tetcasti_trilinear(v, hi) - tetcasti_trilinear(v, lo);
+    }
+    s = tetcasti_trilinear(v, p.f);
+    for (a = 0; a < 3; a++) g[a] = g[a] * (1.0f / (float)(1u << p.level));
+    return s;
+}
+
+TETCASTI_INLINE void tetcasti_point_clamp(const tetcast_bricks *b, float x, float y, float z, float p[3]) {
+    uint32_t a;
+    p[0] = x;
+    p[1] = y;
+    p[2] = z;
+    for (a = 0; a < 3; a++) {
+        const float end = (float)(int32_t)(b->lattice.dims[a] - 1);
+        p[a] = p[a] > 0.0f ? p[a] : 0.0f;
+        p[a] = p[a] < end ? p[a] : end;
+    }
+}
+
+#if TETCASTI_AVX2
+/* Eight places side by side. `word` is what is in their slots, `node` the lowest node of their cells. */
+TETCASTI_TARGET_AVX2 static inline __m256 tetcasti_mix8(__m256 a, __m256 b, __m256 f) {
+    return _mm256_add_ps(a, _mm256_mul_ps(f, _mm256_sub_ps(b, a)));
+}
+
+/* A row of cells: nodes x and x + 1 of each lane. Loads of pairs and shuffles: gathers take twice the time on Zen 4. */
+TETCASTI_TARGET_AVX2 static inline __m256 tetcasti_nodes8_f32(const uint8_t *const p[8], size_t offset, __m256 fx) {
+    __m128 v[4];
+    __m256 a, b;
+    uint32_t i;
+    for (i = 0; i < 4; i++) {
+        v[i] = _mm_castsi128_ps(_mm_loadl_epi64((const __m128i *)(const void *)(p[2 * i] + offset)));
+        v[i] = _mm_loadh_pi(v[i], (const __m64 *)(const void *)(p[2 * i + 1] + offset));
+    }
+    a = _mm256_insertf128_ps(_mm256_castps128_ps256(v[0]), v[2], 1);
+    b = _mm256_insertf128_ps(_mm256_castps128_ps256(v[1]), v[3], 1);
+    return tetcasti_mix8(_mm256_shuffle_ps(a, b, 0x88), _mm256_shuffle_ps(a, b, 0xdd), fx);
+}
+TETCASTI_TARGET_AVX2 static inline __m256i tetcasti_pairs8(const uint8_t *const p[8], size_t offset) {
+    int32_t q[8];
+    uint32_t i;
+    for (i = 0; i < 8; i++) memcpy(&q[i], p[i] + offset, 4);
+    return _mm256_setr_epi32(q[0], q[1], q[2], q[3], q[4], q[5], q[6], q[7]);
+}
+TETCASTI_TARGET_AVX2 static inline __m256 tetcasti_half8(__m256i h) { /* 16 bits in each lane */
+    const __m256 v = _mm256_mul_ps(_mm256_castsi256_ps(_mm256_slli_epi32(_mm256_and_si256(h, _mm256_set1_epi32(0x7fff)), 13)),
+                                   _mm256_set1_ps(5.192296858534828e33f));
+    return _mm256_or_ps(v, _mm256_castsi256_ps(_mm256_slli_epi32(_mm256_and_si256(h, _mm256_set1_epi32(0x8000)), 16)));
+}
+TETCASTI_TARGET_AVX2 static inline __m256 tetcasti_nodes8(const uint32_t type, const uint8_t *const p[8], size_t node,
+                                                        __m256 fx) {
+    if (type == TETCAST_TYPE_F32) return tetcasti_nodes8_f32(p, 4 * node, fx);
+    if (type == TETCAST_TYPE_U8) {
+        const __m256i q = tetcasti_pairs8(p, node), low = _mm256_set1_epi32(255);
+        return tetcasti_mix8(_mm256_cvtepi32_ps(_mm256_and_si256(q, low)),
+                              _mm256_cvtepi32_ps(_mm256_and_si256(_mm256_srli_epi32(q, 8), low)), fx);
+    }
+    {
+        const __m256i q = tetcasti_pairs8(p, 2 * node), a = _mm256_and_si256(q, _mm256_set1_epi32(0xffff)),
+            b = _mm256_srli_epi32(q, 16);
+        if (type == TETCAST_TYPE_F16) return tetcasti_mix8(tetcasti_half8(a), tetcasti_half8(b), fx);
+        return tetcasti_mix8(_mm256_cvtepi32_ps(a), _mm256_cvtepi32_ps(b), fx);
+    }
+}
+TETCASTI_TARGET_AVX2 static inline __m256 tetcasti_place8(const uint32_t type, const tetcast_bricks *b,
+                                                         const uint8_t *const p[8], const __m256 f[3]) {
+    const size_t side = b->side;
+    const __m256 r0 = tetcasti_nodes8(type, p, 0, f[0]), r1 = tetcasti_nodes8(type, p, side, f[0]);
+    const __m256 r2 = tetcasti_nodes8(type, p, side * side, f[0]), r3 = tetcasti_nodes8(type, p, side * side + side, f[0]);
+    const __m256 g = tetcasti_mix8(r0, r1, f[1]), h = tetcasti_mix8(r2, r3, f[1]), v = tetcasti_mix8(g, h, f[2]);
+    if (type == TETCAST_TYPE_U8 || type == TETCAST_TYPE_U16)
+        return _mm256_add_ps(_mm256_set1_ps(b->bias), _mm256_mul_ps(_mm256_set1_ps(b->step), v));
+    return v;
+}
+
+/* Values of eight cells whose lowest nodes lie at p. adapted: lanes whose blocks are floats, as bits. */
+TETCASTI_TARGET_AVX2 static inline __m256 tetcasti_places8(const tetcast_bricks *b, const uint8_t *const p[8],
+                                                          uint32_t adapted, const __m256 f[3]) {
+    const uint8_t *q[8];
+    float v[8], w[8];
+    uint32_t i, first;
+    if (b->type == TETCAST_TYPE_F32 || adapted == 255u) return tetcasti_place8(TETCAST_TYPE_F32, b, p, f);
+    if (adapted != 0) { /* both, each with addresses that are good */
+        first = tetcasti_ctz64(adapted);
+        for (i = 0; i < 8; i++) q[i] = adapted >> i & 1u ? p[i] : p[first];
+        _mm256_storeu_ps(v, tetcasti_place8(TETCAST_TYPE_F32, b, q, f));
+        first = tetcasti_ctz64(~adapted);
+        for (i = 0; i < 8; i++) q[i] = adapted >> i & 1u ? p[first] : p[i];
+    } else {
+        memcpy(q, p, sizeof q);
+        memset(v, 0, sizeof v);
+    }
+    if (b->type == TETCAST_TYPE_U8) _mm256_storeu_ps(w, tetcasti_place8(TETCAST_TYPE_U8, b, q, f));
+    else if (b->type == TETCAST_TYPE_U16) _mm256_storeu_ps(w, tetcasti_place8(TETCAST_TYPE_U16, b, q, f));
+    else _mm256_storeu_ps(w, tetcasti_place8(TETCAST_TYPE_F16, b, q, f));
+    for (i = 0; i < 8; i++) w[i] = adapted >> i & 1u ? v[i] : w[i];
+    return _mm256_loadu_ps(w);
+}
+
+TETCASTI_TARGET_AVX2 static void tetcasti_cut_value8(const tetcast_cut *cut, const float *x, const float *y,
+                                                  const float *z, size_t count, float *out) {
+    const tetcast_bricks *b = cut->bricks;
+    const float *in[3];
+    const __m256i cells = _mm256_set1_epi32((1 << b->log) - 1), side = _mm256_set1_epi32((int32_t)b->side);
+    const __m128i log = _mm_cvtsi32_si128((int32_t)b->log);
+    size_t i;
+    in[0] = x;
+    in[1] = y;
+    in[2] = z;
+    for (i = 0; i < count; i += 8) {
+        __m256i s[3], slot, k, node = _mm256_setzero_si256();
+        __m256 f[3], v[3], half;
+        int32_t word[8], at[8];
+        const uint8_t *p[8];
+        uint32_t a, j, adapted;
+        for (a = 0; a < 3; a++) {
+            v[a] = _mm256_min_ps(_mm256_max_ps(_mm256_loadu_ps(in[a] + i), _mm256_setzero_ps()),
+                                 _mm256_set1_ps((float)(int32_t)(b->lattice.dims[a] - 1)));
+            s[a] = _mm256_min_epi32(_mm256_srl_epi32(_mm256_cvttps_epi32(v[a]), log),
+                                    _mm256_set1_epi32((int32_t)b->slots[a] - 1));
+        }
+        slot = _mm256_add_epi32(s[0], _mm256_mullo_epi32(_mm256_set1_epi32((int32_t)b->slots[0]),
+            _mm256_add_epi32(s[1], _mm256_mullo_epi32(_mm256_set1_epi32((int32_t)b->slots[1]), s[2]))));
+        if (_mm256_movemask_epi8(_mm256_cmpeq_epi32(slot, _mm256_broadcastd_epi32(_mm256_castsi256_si128(slot)))) == -1) {
+            /* all in one slot, as a rule: one block for all */
+            const uint32_t one = cut->slot[(uint32_t)_mm256_cvtsi256_si32(slot)], level = one >> TETCASTI_LEVEL_SHIFT & 15u;
+            const __m256 scale = _mm256_set1_ps(1.0f / (float)(1u << level));
+            uint32_t type, bytes;
+            const uint8_t *block = tetcasti_slot_block(cut, one, &type);
+            for (a = 3; a-- > 0;) {
+                const uint32_t start = (uint32_t)_mm256_cvtsi256_si32(s[a]) >> level << level << b->log;
+                const __m256 u = _mm256_mul_ps(_mm256_sub_ps(v[a], _mm256_set1_ps((float)(int32_t)start)), scale);
+                const __m256i n = _mm256_min_epi32(_mm256_cvttps_epi32(u), cells);
+                f[a] = _mm256_sub_ps(u, _mm256_cvtepi32_ps(n));
+                node = _mm256_add_epi32(_mm256_mullo_epi32(node, side), n);
+            }
+            bytes = one & TETCASTI_ADAPTED ? 4u : b->bytes;
+            _mm256_storeu_si256((__m256i *)(void *)at, node);
+            for (j = 0; j < 8; j++) p[j] = block + (size_t)(uint32_t)at[j] * bytes;
+            _mm256_storeu_ps(out + i, tetcasti_places8(b, p, one & TETCASTI_ADAPTED ? 255u : 0u, (const __m256 *)f));
+            continue;
+        }
+        slot = _mm256_i32gather_epi32((const int *)(const void *)cut->slot, slot, 4);
+        k = _mm256_and_si256(_mm256_srli_epi32(slot, (int)TETCASTI_LEVEL_SHIFT), _mm256_set1_epi32(15));
+        /* 2^-k as bits */
+        half = _mm256_castsi256_ps(_mm256_slli_epi32(_mm256_sub_epi32(_mm256_set1_epi32(127), k), 23));
+        for (a = 3; a-- > 0;) {
+            const __m256i origin = _mm256_sll_epi32(_mm256_sllv_epi32(_mm256_srlv_epi32(s[a], k), k), log);
+            const __m256 u = _mm256_mul_ps(_mm256_sub_ps(v[a], _mm256_cvtepi32_ps(origin)), half);
+            const __m256i n = _mm256_min_epi32(_mm256_cvttps_epi32(u), cells);
+            f[a] = _mm256_sub_ps(u, _mm256_cvtepi32_ps(n));
+            node = _mm256_add_epi32(_mm256_mullo_epi32(node, side), n);
+        }
+        adapted = (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(slot));
+        _mm256_storeu_si256((__m256i *)(void *)word, slot);
+        _mm256_storeu_si256((__m256i *)(void *)at, node);
+        for (j = 0; j < 8; j++) {
+            uint32_t type;
+            const uint8_t *block = tetcasti_slot_block(cut, (uint32_t)word[j], &type);
+            p[j] = block + (size_t)(uint32_t)at[j] * (adapted >> j & 1u ? 4u : b->bytes);
+        }
+        _mm256_storeu_ps(out + i, tetcasti_places8(b, p, adapted, (const __m256 *)f));
+    }
+}
+#endif
+
+TETCAST_DEF void tetcast_cut_sample(const tetcast_cut *cut, const float *x, const float *y, const float *z, size_t count,
+                                    tetcast_isa isa, float *out) {
+    size_t i = 0;
+#if TETCASTI_AVX2
+    if (tetcast_isa_best() >= TETCAST_ISA_AVX2 && (isa == TETCAST_ISA_AUTO || isa >= TETCAST_ISA_AVX2)) {
+        i = count & ~(size_t)7;
+        tetcasti_cut_value8(cut, x, y, z, i, out);
+    }
+#endif
+    (void)isa;
+    for (; i < count; i++) {
+        float p[3];
+        tetcasti_point_clamp(cut->bricks, x[i], y[i], z[i], p);
+        out[i] = tetcasti_cut_value(cut, p);
+    }
+}
+
+TETCAST_DEF void tetcast_cut_gradient(const tetcast_cut *cut, const float *x, const float *y, const float *z,
+                                      size_t count, float *out, float (*gradient)[3]) {
+    size_t i;
+    uint32_t a;
+    for (i = 0; i < count; i++) {
+        float p[3];
+        tetcasti_point_clamp(cut->bricks, x[i], y[i], z[i], p);
+        out[i] = tetcasti_cut_slope(cut, p, gradient[i]);
+        for (a = 0; a < 3; a++) gradient[i][a] = (float)((double)gradient[i][a] / cut->bricks->lattice.spacing[a]);
+    }
+}
+
+/* ---- cuts: choosing levels ---- */
+
+TETCASTI_INLINE size_t tetcasti_slot_count(const tetcast_bricks *b) {
+    return (size_t)b->slots[0] * b->slots[1] * b->slots[2];
+}
+
+/* The brick that a slot has on a level, or NONE. */
+TETCASTI_INLINE uint32_t tetcasti_slot_brick(const tetcast_bricks *b, uint32_t level, uint32_t x, uint32_t y,
+                                             uint32_t z) {
+    return *tetcasti_bricks_at(b, level, x >> level, y >> level, z >> level);
+}
+
+static void tetcasti_cut_clamp(tetcast_cut *cut) { /* to what there is */
+    const tetcast_bricks *b = cut->bricks;
+    uint32_t x, y, z;
+    size_t i = 0;
+    for (z = 0; z < b->slots[2]; z++)
+        for (y = 0; y < b->slots[1]; y++)
+            for (x = 0; x < b->slots[0]; x++, i++) {
+                uint32_t k = cut->level[i] < b->levels ? cut->level[i] : b->levels - 1;
+                while (tetcasti_slot_brick(b, k, x, y, z) == TETCASTI_NONE) k++; /* the coarsest level is complete */
+                cut->level[i] = (uint8_t)k;
+            }
+}
+
+/* Neighbours no more than one level coarser: by refining, as far as there are finer bricks. */
+static void tetcasti_cut_relax(tetcast_cut *cut, uint32_t jump) {
+    const tetcast_bricks *b = cut->bricks;
+    int changed = 1;
+    while (changed) {
+        uint32_t x, y, z, n;
+        size_t i = 0;
+        changed = 0;
+        for (z = 0; z < b->slots[2]; z++)
+            for (y = 0; y < b->slots[1]; y++)
+                for (x = 0; x < b->slots[0]; x++, i++)
+                    for (n = 0; n < 27; n++) {
+                        const uint32_t nx = x + n % 3 - 1, ny = y + n / 3 % 3 - 1, nz = z + n / 9 - 1;
+                        uint32_t most, k = cut->level[i];
+                        if (nx >= b->slots[0] || ny >= b->slots[1] || nz >= b->slots[2]) continue;
+                        most = cut->level[nx + (size_t)b->slots[0] * (ny + (size_t)b->slots[1] * nz)] + jump;
+                        while (k > most && tetcasti_slot_brick(b, k - 1, x, y, z) != TETCASTI_NONE) k--;
+                        if (k != cut->level[i]) {
+                            cut->level[i] = (uint8_t)k;
+                            changed = 1;
+                        }
+                    }
+    }
+}
+
+typedef struct tetcasti_heap { uint32_t *brick; float *key; uint32_t count; } tetcasti_heap;
+
+static void tetcasti_heap_push(tetcasti_heap *h, uint32_t brick, float key) {
+    uint32_t i = h->count++;
+    while (i > 0) {
+        const uint32_t up = (i - 1) / 2;
+        if (h->key[up] > key || (!(h->key[up] < key) && h->brick[up] < brick)) break;
+        h->key[i] = h->key[up];
+        h->brick[i] = h->brick[up];
+        i = up;
+    }
+    h->key[i] = key;
+    h->brick[i] = brick;
+}
+
+static uint32_t tetcasti_heap_pop(tetcasti_heap *h, float *key) {
+    const uint32_t top = h->brick[0];
+    uint32_t i = 0, last;
+    float last_key;
+    *key = h->key[0];
+    last = h->brick[--h->count];
+    last_key = h->key[h->count];
+    for (;;) {
+        uint32_t c = 2 * i + 1;
+        if (c >= h->count) break;
+        if (c + 1 < h->count && (h->key[c + 1] > h->key[c] || (!(h->key[c + 1] < h->key[c]) && h->brick[c + 1] < h->brick[c])))
+            c++;
+        if (last_key > h->key[c] || (!(last_key < h->key[c]) && last < h->brick[c])) break;
+        h->brick[i] = h->brick[c];
+        h->key[i] = h->key[c];
+        i = c;
+    }
+    if (h->count != 0) {
+        h->brick[i] = last;
+        h->key[i] = last_key;
+    }
+    return top;
+}
+
+/* What a brick is refined for. */
+static float tetcasti_cut_error(const tetcast_cut_desc *d, const tetcasti_brick *brick) {
+    if (d->optics != NULL && tetcasti_optics_empty(d->optics, brick->lo - brick->error, brick->hi + brick->error))
+        return 0.0f;
+    return brick->error;
+}
+
+/* Slots of a brick that are in the lattice. */
+static uint64_t tetcasti_brick_slots(const tetcast_bricks *b, const tetcasti_brick *brick) {
+    uint64_t n = 1;
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        const uint32_t first = brick->place[a] << brick->level, size = 1u << brick->level;
+        n *= b->slots[a] - first < size ? b->slots[a] - first : size;
+    }
+    return n;
+}
+
+static void tetcasti_brick_show(tetcast_cut *cut, const tetcasti_brick *brick) {
+    const tetcast_bricks *b = cut->bricks;
+    uint32_t lo[3], hi[3], y, z, a;
+    for (a = 0; a < 3; a++) {
+        lo[a] = brick->place[a] << brick->level;
+        hi[a] = lo[a] + (1u << brick->level) < b->slots[a] ? lo[a] + (1u << brick->level) : b->slots[a];
+    }
+    for (z = lo[2]; z < hi[2]; z++)
+        for (y = lo[1]; y < hi[1]; y++)
+            memset(cut->level + lo[0] + (size_t)b->slots[0] * (y + (size_t)b->slots[1] * z), (int)brick->level, hi[0] - lo[0]);
+}
+
+/* Refine from the coarsest down where the error is largest. 0: no memory. */
+static int tetcasti_cut_greedy(tetcast_cut *cut, const tetcast_cut_desc *d) {
+    const tetcast_bricks *b = cut->bricks;
+    const uint64_t brick_bytes = (uint64_t)b->nodes * b->bytes;
+    const double all = (double)tetcasti_slot_count(b);
+    tetcasti_heap h;
+    uint64_t bytes = 0;
+    double samples = 0.0;
+    uint32_t i;
+    memset(&h, 0, sizeof h);
+    h.brick = (uint32_t *)tetcasti_alloc_array(&cut->mem, (size_t)b->count + 1, sizeof *h.brick);
+    h.key = (float *)tetcasti_alloc_array(&cut->mem, (size_t)b->count + 1, sizeof *h.key);
+    if (h.brick != NULL && h.key != NULL) {
+        for (i = 0; i < b->count && b->brick[i].level == b->levels - 1; i++) { /* they come first */
+            tetcasti_brick_show(cut, &b->brick[i]);
+            bytes += brick_bytes;
+            samples += (double)tetcasti_brick_slots(b, &b->brick[i]) / (double)(1u << b->brick[i].level) / all;
+            tetcasti_heap_push(&h, i, tetcasti_cut_error(d, &b->brick[i]));
+        }
+        while (h.count != 0) {
+            float error;
+            const tetcasti_brick *brick = &b->brick[tetcasti_heap_pop(&h, &error)];
+            uint32_t child[8], n = 0, c;
+            double finer;
+            if (!(error > d->max_error)) break;
+            if (brick->level == 0) continue;
+            for (c = 0; c < 8; c++) {
+                const uint32_t x = 2 * brick->place[0] + (c & 1u), y = 2 * brick->place[1] + (c >> 1 & 1u),
+                    z = 2 * brick->place[2] + (c >> 2), *g = b->grid[brick->level - 1];
+                if (x >= g[0] || y >= g[1] || z >= g[2]) continue;
+                child[n] = *tetcasti_bricks_at(b, brick->level - 1, x, y, z);
+                if (child[n] != TETCASTI_NONE) n++;
+            }
+            if (n == 0) continue;
+            finer = (double)tetcasti_brick_slots(b, brick) / (double)(1u << brick->level) / all;
+            if (d->byte_budget != 0 && bytes + (n - 1) * brick_bytes > d->byte_budget) continue;
+            if (d->sample_budget > 0.0 && samples + finer > d->sample_budget) continue;
+            bytes += (n - 1) * brick_bytes;
+            samples += finer;
+            for (c = 0; c < n; c++) {
+                tetcasti_brick_show(cut, &b->brick[child[c]]);
+                tetcasti_heap_push(&h, child[c], tetcasti_cut_error(d, &b->brick[child[c]]));
+            }
+        }
+    }
+    tetcasti_free(&cut->mem, h.brick);
+    tetcasti_free(&cut->mem, h.key);
+    return h.brick != NULL && h.key != NULL;
+}
+
+static int tetcasti_cut_choose(tetcast_cut *cut, const tetcast_cut_desc *d) {
+    const tetcast_bricks *b = cut->bricks;
+    const size_t n = tetcasti_slot_count(b);
+    uint32_t x, y, z, a;
+    size_t i = 0;
+    if (d->levels != NULL) memcpy(cut->level, d->levels, n);
+    else if (d->byte_budget != 0 || d->sample_budget > 0.0 || d->max_error > 0.0f) {
+        if (!tetcasti_cut_greedy(cut, d)) return 0;
+    } else memset(cut->level, (int)(d->level < b->levels ? d->level : b->levels - 1), n);
+    if (d->focus_radius > 0.0)
+        for (z = 0; z < b->slots[2]; z++)
+            for (y = 0; y < b->slots[1]; y++)
+                for (x = 0; x < b->slots[0]; x++, i++) {
+                    const uint32_t s[3] = {x, y, z};
+                    double way = 0.0, far_off;
+                    for (a = 0; a < 3; a++) {
+                        const double c = b->lattice.origin[a] + ((double)s[a] + 0.5) * (double)(1u << b->log) *
+                            b->lattice.spacing[a] - d->focus[a];
+                        way += c * c;
+                    }
+                    far_off = sqrt(way) / d->focus_radius;
+                    cut->level[i] = (uint8_t)(far_off < (double)b->levels ? (uint32_t)far_off : b->levels - 1);
+                    if (cut->level[i] < d->level) cut->level[i] = (uint8_t)d->level;
+                }
+    tetcasti_cut_clamp(cut);
+    if (d->max_jump != 0) tetcasti_cut_relax(cut, d->max_jump);
+    return 1;
+}
+
+/* ---- cuts: borders ---- */
+
+typedef struct tetcasti_adapt {
+    tetcast_cut *cut;
+    uint32_t *list;    /* adapted bricks of a level, by number of their copy */
+} tetcasti_adapt;
+
+/* Does a slot touch a coarser one? */
+static int tetcasti_slot_touches(const tetcast_cut *cut, uint32_t x, uint32_t y, uint32_t z, uint32_t level) {
+    const tetcast_bricks *b = cut->bricks;
+    uint32_t lo[3], hi[3], i, j, k;
+    lo[0] = x > 0 ? x - 1 : 0;
+    lo[1] = y > 0 ? y - 1 : 0;
+    lo[2] = z > 0 ? z - 1 : 0;
+    hi[0] = x + 1 < b->slots[0] ? x + 1 : x;
+    hi[1] = y + 1 < b->slots[1] ? y + 1 : y;
+    hi[2] = z + 1 < b->slots[2] ? z + 1 : z;
+    for (k = lo[2]; k <= hi[2]; k++)
+        for (j = lo[1]; j <= hi[1]; j++) {
+            const uint8_t *row = cut->level + (size_t)b->slots[0] * (j + (size_t)b->slots[1] * k);
+            for (i = lo[0]; i <= hi[0]; i++)
+                if (row[i] > level) return 1;
+        }
+    return 0;
+}
+
+/* Values of the coarser block along a line of its nodes, n of them, between four lines `up` and `ahead` apart. */
+TETCASTI_INLINE void tetcasti_border_line(const tetcast_bricks *b, const uint8_t *block, const uint32_t type,
+                                          size_t node, size_t step, size_t n, size_t up, float fz, size_t ahead,
+                                          float fy, float *line) {
+    size_t i;
+    for (i = 0; i < n; i++, node += step) {
+        float v = tetcasti_block_get(b, block, type, node);
+        if (ahead != 0) v = v + fy * (tetcasti_block_get(b, block, type, node + ahead) - v);
+        if (up != 0) {
+            float w = tetcasti_block_get(b, block, type, node + up);
+            if (ahead != 0) w = w + fy * (tetcasti_block_get(b, block, type, node + up + ahead) - w);
+            v = v + fz * (w - v);
+        }
+        line[i] = v;
+    }
+}
+
+/* Nodes of a finer brick from the coarser one in `word`: those from r0 to r1 (in the finer one's numbers) take its
+   values. first: lattice coordinates of the finer brick's node 0, start: of the coarser one's; kf, ko: levels. Lines run
+   along an axis of the face or edge that both share. */
+static void tetcasti_border_copy(const tetcast_cut *cut, float *to, uint32_t word, const uint32_t r0[3],
+                                 const uint32_t r1[3], const uint32_t first[3], uint32_t kf, const uint32_t start[3],
+                                 uint32_t ko) {
+    const tetcast_bricks *b = cut->bricks;
+    const size_t stride[3] = {1, b->side, (size_t)b->side * b->side};
+    const uint32_t cells = 1u << b->log, mask = (1u << ko) - 1u;
+    const uint32_t p = r1[0] > r0[0] ? 0 : r1[1] > r0[1] ? 1 : 2, q = p == 0 ? 1 : 0, r = p == 2 ? 1 : 2;
+    const float part = 1.0f / (float)(1u << ko);
+    const uint32_t begin = first[p] + (r0[p] << kf) - start[p], end = first[p] + (r1[p] << kf) - start[p];
+    const uint32_t i0 = begin >> ko, i1 = (end >> ko) + ((end & mask) != 0);
+    float line[34];
+    uint32_t type, x, y, z;
+    const uint8_t *block = tetcasti_slot_block(cut, word, &type);
+    for (z = r0[r]; z <= r1[r]; z++)
+        for (y = r0[q]; y <= r1[q]; y++) {
+            const uint32_t pz = first[r] + (z << kf) - start[r], py = first[q] + (y << kf) - start[q];
+            const uint32_t sz = pz & mask, sy = py & mask;
+            const float fz = (float)sz * part, fy = (float)sy * part;
+            const size_t up = sz != 0 ? stride[r] : 0, ahead = sy != 0 ? stride[q] : 0;
+            const size_t node = stride[r] * (pz >> ko) + stride[q] * (py >> ko) + stride[p] * i0, n = i1 - i0 + 1;
+            float *out = to + stride[r] * z + stride[q] * y + stride[p] * r0[p];
+            if (n > 33 || (pz >> ko) > cells || (py >> ko) > cells) return; /* cannot be */
+            if (type == TETCAST_TYPE_F32)
+                tetcasti_border_line(b, block, TETCAST_TYPE_F32, node, stride[p], n, up, fz, ahead, fy, line);
+            else tetcasti_border_line(b, block, type, node, stride[p], n, up, fz, ahead, fy, line);
+            line[n] = line[n - 1];
+            for (x = begin; x <= end; x += 1u << kf, out += stride[p]) {
+                const uint32_t i = (x >> ko) - i0;
+                *out = line[i] + (float)(x & mask) * part * (line[i + 1] - line[i]);
+            }
+        }
+}
+
+/* Adapt one brick: all of its slots, all of their neighbours that are coarser. */
+static void tetcasti_task_adapt(void *ctx, uint32_t task) {
+    const tetcasti_adapt *t = (const tetcasti_adapt *)ctx;
+    tetcast_cut *cut = t->cut;
+    const tetcast_bricks *b = cut->bricks;
+    const uint32_t number = t->list[task], log = b->log, cells = 1u << log;
+    const uint32_t source = cut->source[number];
+    const tetcasti_brick *brick = &b->brick[source];
+    const uint8_t *block = tetcasti_brick_block(b, source);
+    float *to = cut->adapted + (size_t)number * b->nodes, lo = brick->lo, hi = brick->hi;
+    uint32_t first[3], k = brick->level, size = 1u << k, s[3], a, n;
+    size_t i;
+    if (b->type == TETCAST_TYPE_F32) memcpy(to, block, b->nodes * 4);
+    else for (i = 0; i < b->nodes; i++) to[i] = tetcasti_node_get(b, block, i);
+    for (a = 0; a < 3; a++) first[a] = brick->place[a] << k << log;
+    for (i = 0; i < (size_t)size * size * size; i++) {
+        size_t here;
+        s[0] = (brick->place[0] << k) + (uint32_t)i % size;
+        s[1] = (brick->place[1] << k) + (uint32_t)i / size % size;
+        s[2] = (brick->place[2] << k) + (uint32_t)i / size / size;
+        if (s[0] >= b->slots[0] || s[1] >= b->slots[1] || s[2] >= b->slots[2]) continue;
+        here = s[0] + (size_t)b->slots[0] * (s[1] + (size_t)b->slots[1] * s[2]);
+        if (cut->level[here] != k) continue;
+        for (n = 0; n < 27; n++) {
+            const uint32_t d[3] = {n % 3, n / 3 % 3, n / 9};
+            uint32_t o[3], r0[3], r1[3], start[3], ko, word;
+            size_t there;
+            for (a = 0; a < 3; a++) o[a] = s[a] + d[a] - 1;
+            if (o[0] >= b->slots[0] || o[1] >= b->slots[1] || o[2] >= b->slots[2]) continue;
+            there = o[0] + (size_t)b->slots[0] * (o[1] + (size_t)b->slots[1] * o[2]);
+            ko = cut->level[there];
+            if (ko <= k) continue;
+            word = cut->slot[there];
+            for (a = 0; a < 3; a++) { /* the face, edge or corner that both have */
+                uint32_t p0 = s[a] << log, p1 = p0 + cells;
+                if (d[a] == 0) p1 = p0;
+                if (d[a] == 2) p0 = p1;
+                r0[a] = (p0 - first[a]) >> k;
+                r1[a] = (p1 - first[a] + size - 1) >> k;
+                start[a] = o[a] >> ko << ko << log;
+            }
+            tetcasti_border_copy(cut, to, word, r0, r1, first, k, start, ko);
+            lo = cut->range[there][0] < lo ? cut->range[there][0] : lo;
+            hi = cut->range[there][1] > hi ? cut->range[there][1] : hi;
+        }
+    }
+    for (i = 0; i < (size_t)size * size * size; i++) {
+        size_t here;
+        s[0] = (brick->place[0] << k) + (uint32_t)i % size;
+        s[1] = (brick->place[1] << k) + (uint32_t)i / size % size;
+        s[2] = (brick->place[2] << k) + (uint32_t)i / size / size;
+        if (s[0] >= b->slots[0] || s[1] >= b->slots[1] || s[2] >= b->slots[2]) continue;
+        here = s[0] + (size_t)b->slots[0] * (s[1] + (size_t)b->slots[1] * s[2]);
+        if (cut->level[here] != k) continue;
+        cut->range[here][0] = lo;
+        cut->range[here][1] = hi;
+    }
+}
+
+/* Which bricks are shown, which have to be copied; then borders, coarse before fine. 0: no memory. */
+static int tetcasti_cut_adapt(tetcast_cut *cut, const tetcast_env *env) {
+    const tetcast_bricks *b = cut->bricks;
+    uint32_t *copy = (uint32_t *)tetcasti_alloc_zero(&cut->mem, b->count, sizeof *copy); /* 1 shown, 2 touches */
+    uint32_t first[TETCAST_BRICK_LEVELS + 2], x, y, z, k, n;
+    tetcasti_adapt t;
+    size_t i, all = tetcasti_slot_count(b);
+    memset(&t, 0, sizeof t);
+    memset(first, 0, sizeof first);
+    if (copy == NULL) return 0;
+    for (i = 0, z = 0; z < b->slots[2]; z++)
+        for (y = 0; y < b->slots[1]; y++)
+            for (x = 0; x < b->slots[0]; x++, i++) {
+                const uint32_t level = cut->level[i], brick = tetcasti_slot_brick(b, level, x, y, z);
+                cut->slot[i] = brick | level << TETCASTI_LEVEL_SHIFT;
+                cut->range[i][0] = b->brick[brick].lo;
+                cut->range[i][1] = b->brick[brick].hi;
+                copy[brick] |= 1u;
+                if (level + 1 < b->levels && !(copy[brick] & 2u) && tetcasti_slot_touches(cut, x, y, z, level))
+                    copy[brick] |= 2u;
+            }
+    for (n = 0; n < b->count; n++) {
+        cut->info.bricks += copy[n] & 1u;
+        if (copy[n] & 2u) first[b->brick[n].level + 1]++;
+        if ((copy[n] & 1u) && b->brick[n].error > cut->info.error) cut->info.error = b->brick[n].error;
+    }
+    for (k = 0; k <= TETCAST_BRICK_LEVELS; k++) first[k + 1] += first[k];
+    cut->adapted_count = first[TETCAST_BRICK_LEVELS];
+    cut->adapted = (float *)tetcasti_alloc_array(&cut->mem, (size_t)cut->adapted_count * b->nodes + 16, sizeof(float));
+    cut->source = (uint32_t *)tetcasti_alloc_array(&cut->mem, (size_t)cut->adapted_count + 1, sizeof *cut->source);
+    t.list = (uint32_t *)tetcasti_alloc_array(&cut->mem, (size_t)cut->adapted_count + 1, sizeof *t.list);
+    if (cut->adapted == NULL || cut->source == NULL || t.list == NULL) {
+        tetcasti_free(&cut->mem, copy);
+        tetcasti_free(&cut->mem, t.list);
+        return 0;
+    }
+    memset(cut->adapted + (size_t)cut->adapted_count * b->nodes, 0, 16 * sizeof(float));
+    for (n = 0; n < b->count; n++) {
+        if (!(copy[n] & 2u)) {
+            copy[n] = TETCASTI_NONE;
+            continue;
+        }
+        copy[n] = first[b->brick[n].level]++;
+        cut->source[copy[n]] = n;
+    }
+    for (i = 0; i < all; i++) {
+        const uint32_t brick = cut->slot[i] & TETCASTI_SLOT_MASK;
+        if (copy[brick] != TETCASTI_NONE)
+            cut->slot[i] = copy[brick] | (uint32_t)cut->level[i] << TETCASTI_LEVEL_SHIFT | TETCASTI_ADAPTED;
+    }
+    t.cut = cut;
+    for (k = b->levels; k-- > 0;) {
+        const uint32_t from = k == 0 ? 0 : first[k - 1], to = first[k];
+        for (n = from; n < to; n++) t.list[n - from] = n;
+        tetcasti_parallel_for(env, tetcasti_task_adapt, &t, to - from);
+    }
+    tetcasti_free(&cut->mem, copy);
+    tetcasti_free(&cut->mem, t.list);
+    return 1;
+}
+
+static void tetcasti_cut_measure(tetcast_cut *cut) {
+    const tetcast_bricks *b = cut->bricks;
+    const size_t n = tetcasti_slot_count(b);
+    size_t i;
+    cut->info.adapted = cut->adapted_count;
+    cut->info.bytes = cut->info.bricks * b->nodes * b->bytes;
+    cut->info.full_bytes = (uint64_t)n * b->nodes * b->bytes;
+    for (i = 0; i < n; i++) {
+        cut->info.level_slots[cut->level[i]]++;
+        cut->info.samples += 1.0 / (double)(1u << cut->level[i]);
+    }
+    cut->info.samples /= (double)n;
+}
+
+TETCAST_DEF void tetcast_cut_destroy(tetcast_cut *cut) {
+    tetcasti_mem mem;
+    if (cut == NULL) return;
+    mem = cut->mem;
+    tetcasti_free(&mem, cut->level);
+    tetcasti_free(&mem, cut->slot);
+    tetcasti_free(&mem, cut->range);
+    tetcasti_free(&mem, cut->adapted);
+    tetcasti_free(&mem, cut->source);
+    tetcasti_free(&mem, cut);
+}
+
+TETCAST_DEF tetcast_result tetcast_cut_create(const tetcast_cut_desc *desc, const tetcast_bricks *bricks,
+                                              tetcast_cut **out) {
+    tetcast_cut_desc d;
+    tetcasti_mem mem;
+    tetcast_result r;
+    tetcast_cut *cut;
+    uint32_t a;
+    size_t n;
+    memset(&d, 0, sizeof d);
+    if (desc != NULL) d = *desc;
+    if (out != NULL) *out = NULL;
+    if (d._begin_zero != 0 || d._end_zero != 0) return TETCAST_ERR_UNINIT_DESC;
+    r = tetcasti_env_open(&d.env, &mem);
+    if (r != TETCAST_OK) return r;
+    for (a = 0; a < 3; a++)
+        if (!tetcasti_finite(d.focus[a])) r = TETCAST_ERR_INVALID_ARG;
+    if (r != TETCAST_OK || bricks == NULL || out == NULL || !(d.focus_radius >= 0.0) || !(d.sample_budget >= 0.0) ||
+        !(d.max_error >= 0.0f))
+        return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, 0, "cut: bad option");
+    cut = (tetcast_cut *)tetcasti_alloc_zero(&mem, 1, sizeof *cut);
+    if (cut == NULL) return tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "cut: out of memory");
+    cut->mem = mem;
+    cut->bricks = bricks;
+    n = tetcasti_slot_count(bricks);
+    cut->level = (uint8_t *)tetcasti_alloc_zero(&cut->mem, n, 1);
+    cut->slot = (uint32_t *)tetcasti_alloc_array(&cut->mem, n, sizeof *cut->slot);
+    cut->range = (float (*)[2])tetcasti_alloc_array(&cut->mem, n, sizeof *cut->range);
+    if (cut->level == NULL || cut->slot == NULL || cut->range == NULL || !tetcasti_cut_choose(cut, &d) ||
+        !tetcasti_cut_adapt(cut, &d.env)) {
+        tetcast_cut_destroy(cut);
+        return tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "cut: out of memory");
+    }
+    tetcasti_cut_measure(cut);
+    *out = cut;
+    return TETCAST_OK;
+}
+
+TETCAST_DEF void tetcast_cut_get_info(const tetcast_cut *cut, tetcast_cut_info *info) {
+    if (info != NULL) memset(info, 0, sizeof *info);
+    if (cut != NULL && info != NULL) *info = cut->info;
+}
+TETCAST_DEF const uint8_t *tetcast_cut_levels(const tetcast_cut *cut) { return cut != NULL ? cut->level : NULL; }
+
+TETCAST_DEF void tetcast_bricks_get_info(const tetcast_bricks *b, tetcast_bricks_info *info) {
+    uint32_t i;
+    if (info != NULL) memset(info, 0, sizeof *info);
+    if (b == NULL || info == NULL) return;
+    info->lattice = b->lattice;
+    info->levels = b->levels;
+    info->cells = 1u << b->log;
+    memcpy(info->slots, b->slots, sizeof info->slots);
+    info->storage = b->type;
+    info->value_min = b->value_min;
+    info->value_max = b->value_max;
+    info->step = b->type == TETCAST_TYPE_U8 || b->type == TETCAST_TYPE_U16 ? b->step : 0.0f;
+    info->bricks = b->count;
+    info->nodes = (uint64_t)b->count * b->nodes;
+    for (i = 0; i < b->count; i++) {
+        const tetcasti_brick *k = &b->brick[i];
+        info->level_bricks[k->level]++;
+        info->leaves += k->level == 0 ||
+            *tetcasti_bricks_at(b, k->level - 1, 2 * k->place[0], 2 * k->place[1], 2 * k->place[2]) == TETCASTI_NONE;
+    }
+    info->hull_triangles = b->face_count;
+    info->bytes = b->mem.used;
+}
+
+/* ---- bricks of a mesh ---- */
+
+/* Nodes without a value take the nearest one of their row, then of their column. */
+static void tetcasti_lattice_fill(const tetcast_lattice *l, float *v) {
+    const size_t n[3] = {l->dims[0], l->dims[1], l->dims[2]}, step[3] = {1, n[0], n[0] * n[1]};
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        const uint32_t p = a == 0 ? 1 : 0, q = a == 2 ? 1 : 2;
+        size_t i, j, k;
+        for (j = 0; j < n[q]; j++)
+            for (i = 0; i < n[p]; i++) {
+                float *row = v + i * step[p] + j * step[q];
+                size_t last = n[a]; /* the last one with a value */
+                for (k = 0; k < n[a]; k++) {
+                    size_t m, from;
+                    if (!(row[k * step[a]] == row[k * step[a]])) continue;
+                    from = last == n[a] ? 0 : last + 1;
+                    for (m = from; m < k; m++)
+                        row[m * step[a]] = last != n[a] && m - last <= k - m ? row[last * step[a]] : row[k * step[a]];
+                    last = k;
+                }
+                if (last == n[a]) continue;
+                for (k = last + 1; k < n[a]; k++) row[k * step[a]] = row[last * step[a]];
+            }
+    }
+}
+
+/* The hull of a mesh, to clip pictures with. 0: no memory. */
+static int tetcasti_bricks_hull(tetcast_bricks *b, const tetcast_mesh *mesh) {
+    uint32_t *place = (uint32_t *)tetcasti_alloc_zero(&b->mem, (size_t)mesh->vertex_count + 1, sizeof *place), i, k;
+    uint32_t n = 0;
+    if (place == NULL) return 0;
+    for (i = 0; i < mesh->face_count; i++)
+        for (k = 0; k < 3; k++)
+            if (place[mesh->face[i].v[k]] == 0) place[mesh->face[i].v[k]] = ++n;
+    b->hull = (double (*)[3])tetcasti_alloc_array(&b->mem, (size_t)n + 1, sizeof *b->hull);
+    b->face = (uint32_t (*)[3])tetcasti_alloc_array(&b->mem, (size_t)mesh->face_count + 1, sizeof *b->face);
+    if (b->hull != NULL && b->face != NULL) {
+        for (i = 0; i < mesh->face_count; i++)
+            for (k = 0; k < 3; k++) {
+                const uint32_t v = mesh->face[i].v[k];
+                b->face[i][k] = place[v] - 1;
+                tetcast_mesh_vertex(mesh, v, b->hull[place[v] - 1], NULL, NULL);
+            }
+        b->hull_count = n;
+        b->face_count = mesh->face_count;
+    }
+    tetcasti_free(&b->mem, place);
+    return b->hull != NULL && b->face != NULL;
+}
+
+/* How far bricks are from the mesh: at all vertices, and at random points of random cells. force: slots where it is too
+   far and could be finer, *helps of them; may be NULL. */
+static tetcast_result tetcasti_bricks_check(const tetcast_bricks_desc *d, const tetcast_mesh *mesh,
+                                            const tetcast_bricks *b, uint8_t *force, uint32_t *helps,
+                                            tetcast_bricks_report *report) {
+    const uint32_t random = d->checks != 0 ? d->checks : 200000;
+    const uint64_t all = (uint64_t)mesh->vertex_count + random;
+    tetcast_cut_desc cd;
+    tetcast_cut *cut;
+    tetcast_result r;
+    uint64_t i, seed = 1;
+    double sum = 0.0;
+    uint32_t a, k;
+    memset(&cd, 0, sizeof cd);
+    cd.env = d->env;
+    r = tetcast_cut_create(&cd, b, &cut);
+    if (r != TETCAST_OK) return r;
+    report->checks = report->above = 0;
+    report->error = 0.0;
+    *helps = 0;
+    for (i = 0; i < all; i++) {
+        double p[3], v = 0.0, away;
+        float x[3];
+        if (i < mesh->vertex_count && mesh->cell_value == NULL) {
+            const tetcasti_vertex *q = &mesh->vertex[i];
+            p[0] = (double)q->x;
+            p[1] = (double)q->y;
+            p[2] = (double)q->z;
+            v = (double)q->s;
+        } else {
+            double w[4], whole = 0.0;
+            const uint32_t *t;
+            uint32_t cell;
+            seed = tetcasti_hash_mix(seed, i);
+            cell = (uint32_t)((seed >> 32) * mesh->cell_count >> 32);
+            t = mesh->tet[cell];
+            if (mesh->hidden != NULL && (mesh->hidden[cell >> 5] >> (cell & 31u) & 1u)) continue;
+            for (k = 0; k < 4; k++) { /* exponential numbers make even points of a simplex */
+                seed = tetcasti_hash_mix(seed, k);
+                w[k] = -tetcasti_log2(((double)(uint32_t)(seed >> 32) + 0.5) * (1.0 / 4294967296.0));
+                whole += w[k];
+            }
+            p[0] = p[1] = p[2] = 0.0;
+            for (k = 0; k < 4; k++) {
+                const tetcasti_vertex *q = &mesh->vertex[t[k]];
+                p[0] += w[k] / whole * (double)q->x;
+                p[1] += w[k] / whole * (double)q->y;
+                p[2] += w[k] / whole * (double)q->z;
+                v += w[k] / whole * (double)q->s;
+            }
+            if (mesh->cell_value != NULL) v = (double)mesh->cell_value[cell];
+        }
+        for (a = 0; a < 3; a++)
+            x[a] = (float)((mesh->origin[a] + p[a] * mesh->unit - b->lattice.origin[a]) / b->lattice.spacing[a]);
+        tetcasti_point_clamp(b, x[0], x[1], x[2], x);
+        away = tetcasti_abs((double)tetcasti_cut_value(cut, x) - v);
+        report->checks++;
+        if (d->max_error > 0.0f && away > (double)d->max_error) {
+            const uint32_t *n = b->slots, sx = (uint32_t)(int32_t)x[0] >> b->log, sy = (uint32_t)(int32_t)x[1] >> b->log,
+                sz = (uint32_t)(int32_t)x[2] >> b->log;
+            const size_t slot = (sx < n[0] ? sx : n[0] - 1) + (size_t)n[0] * ((sy < n[1] ? sy : n[1] - 1) +
+                                (size_t)n[1] * (sz < n[2] ? sz : n[2] - 1));
+            report->above++;
+            if (force != NULL && cut->level[slot] != 0) {
+                force[slot] = 1;
+                (*helps)++;
+            }
+        }
+        sum += away;
+        if (away > report->error) {
+            report->error = away;
+            for (a = 0; a < 3; a++) report->worst[a] = mesh->origin[a] + p[a] * mesh->unit;
+        }
+    }
+    report->mean_error = report->checks != 0 ? sum / (double)report->checks : 0.0;
+    tetcast_cut_destroy(cut);
+    return TETCAST_OK;
+}
+
+/* ---- growing bricks: from the coarsest level down, where the mesh asks for it ---- */
+
+/* What one brick of the coarsest level and all below it become. */
+typedef struct tetcasti_grown {
+    uint32_t (*brick)[4];           /* level, place */
+    float *error, *nodes;
+    size_t count, brick_room, error_room, node_room;
+    uint32_t short_of;              /* bricks of level 0 that are not good enough */
+} tetcasti_grown;
+
+typedef struct tetcasti_grower {
+    const tetcast_mesh *mesh;
+    tetcast_bricks *b;
+    tetcasti_mem *mem;
+    tetcasti_grown *grown;          /* per brick of the coarsest level */
+    uint32_t *first, *list;         /* cells of each; numbers of the mesh */
+    uint8_t *force;                 /* per slot: refine down to level 0 */
+    uint8_t *hull;                  /* per cell, bits: has a face at the hull */
+    float max_error;
+    uint32_t failed;
+} tetcasti_grower;
+
+/* Box of a cell in lattice units of the finest level. */
+TETCASTI_INLINE void tetcasti_grow_box(const tetcasti_grower *g, uint32_t cell, double lo[3], double hi[3]) {
+    const tetcast_mesh *mesh = g->mesh;
+    const tetcast_lattice *l = &g->b->lattice;
+    uint32_t a, k;
+    for (k = 0; k < 4; k++) {
+        const tetcasti_vertex *v = &mesh->vertex[mesh->tet[cell][k]];
+        const double p[3] = {(double)v->x, (double)v->y, (double)v->z};
+        for (a = 0; a < 3; a++) {
+            const double x = (p[a] * mesh->unit + (mesh->origin[a] - l->origin[a])) / l->spacing[a];
+            lo[a] = k == 0 ? x : tetcasti_min(lo[a], x);
+            hi[a] = k == 0 ? x : tetcasti_max(hi[a], x);
+        }
+    }
+}
+
+/* Nodes of level k from `start`, side of them a side. inside: those in the mesh; the others go on from it. */
+static void tetcasti_grow_nodes(const tetcasti_grower *g, uint32_t k, const uint32_t start[3], uint32_t side,
+                                const uint32_t *list, uint32_t count, uint32_t *hull, float *out, uint8_t *inside) {
+    const tetcast_bricks *b = g->b;
+    tetcast_lattice l = b->lattice, box;
+    tetcasti_scan c;
+    size_t i, n = (size_t)side * side * side;
+    uint32_t a, pass, hulls = 0;
+    for (a = 0; a < 3; a++) {
+        l.spacing[a] *= (double)(1u << k);
+        l.dims[a] = (uint32_t)(((uint64_t)l.dims[a] - 1 + (1u << k) - 1) >> k) + 1;
+    }
+    tetcasti_scan_open(&c, g->mesh, &l);
+    for (a = 0; a < 3; a++) {
+        c.lo[a] = (int32_t)start[a];
+        c.hi[a] = (int32_t)(start[a] + side < l.dims[a] ? start[a] + side : l.dims[a]);
+        c.stride[a] = a == 0 ? 1 : c.stride[a - 1] * (ptrdiff_t)side;
+        box.dims[a] = side;
+    }
+    for (i = 0; i < n; i++) out[i] = (float)NAN;
+    c.out = out;
+    c.list = list;
+    c.count = count;
+    c.wide = tetcast_isa_best() >= TETCAST_ISA_AVX2;
+    tetcasti_scan_run(&c);
+    for (i = 0; i < n; i++) inside[i] = out[i] == out[i];
+    for (i = 0; i < count; i++)
+        if (g->hull[list[i] >> 3] >> (list[i] & 7u) & 1u) hull[hulls++] = list[i];
+    c.list = hull;
+    c.count = hulls;
+    for (pass = 1; pass <= 2 && hulls != 0; pass++) {
+        c.grow = 0.5 * (double)pass;
+        tetcasti_scan_run(&c);
+    }
+    tetcasti_lattice_fill(&box, out);
+    for (i = 0; i < n; i++) out[i] = out[i] == out[i] ? out[i] : 0.0f;
+}
+
+/* The largest difference of a brick of level k to the mesh: in the nodes of level k - 1 (`fine`; NULL: not there) and
+   in the vertices of the mesh. */
+static float tetcasti_grow_error(const tetcasti_grower *g, uint32_t k, const uint32_t place[3], const float *nodes,
+                                 const float *fine, const uint8_t *inside, const uint32_t *list, uint32_t count) {
+    const tetcast_mesh *mesh = g->mesh;
+    const tetcast_bricks *b = g->b;
+    const size_t side = b->side, wide = 2 * (side - 1) + 1;
+    const float cells = (float)(1u << b->log);
+    float worst = 0.0f;
+    uint32_t i, j, a;
+    size_t x, y, z;
+    for (z = 0; fine != NULL && z < wide; z++)
+        for (y = 0; y < wide; y++) {
+            const size_t z0 = z / 2, z1 = z0 + (z & 1u), y0 = y / 2, y1 = y0 + (y & 1u);
+            const float *r0 = nodes + side * (y0 + side * z0), *r1 = nodes + side * (y1 + side * z0);
+            const float *r2 = nodes + side * (y0 + side * z1), *r3 = nodes + side * (y1 + side * z1);
+            for (x = 0; x < wide; x++) {
+                const size_t x0 = x / 2, x1 = x0 + (x & 1u), n = x + wide * (y + wide * z);
+                const float m = 0.125f * (((r0[x0] + r0[x1]) + (r1[x0] + r1[x1])) + ((r2[x0] + r2[x1]) + (r3[x0] + r3[x1])));
+                const float d = tetcasti_absf(m - fine[n]);
+                worst = inside[n] && d > worst ? d : worst;
+            }
+        }
+    if (mesh->cell_value != NULL) return worst;
+    for (i = 0; i < count; i++)
+        for (j = 0; j < 4; j++) {
+            const tetcasti_vertex *v = &mesh->vertex[mesh->tet[list[i]][j]];
+            const double p[3] = {(double)v->x, (double)v->y, (double)v->z};
+            float f[3], c[8], d;
+            size_t n = 0;
+            for (a = 3; a-- > 0;) {
+                const double at = (p[a] * mesh->unit + (mesh->origin[a] - b->lattice.origin[a])) / b->lattice.spacing[a];
+                const float u = (float)(at / (double)(1u << k) - (double)place[a] * (double)(1u << b->log));
+                uint32_t m;
+                if (!(u >= 0.0f && u <= cells)) break;
+                m = (uint32_t)(int32_t)u;
+                m = m < (1u << b->log) ? m : (1u << b->log) - 1;
+                f[a] = u - (float)(int32_t)m;
+                n = n * side + m;
+            }
+            if (a != 0xffffffffu) continue;
+            for (a = 0; a < 8; a++) c[a] = nodes[n + (a & 1u) + side * ((a >> 1 & 1u) + side * (a >> 2))];
+            d = tetcasti_absf(tetcasti_trilinear(c, f) - v->s);
+            worst = d > worst ? d : worst;
+        }
+    return worst;
+}
+
+/* Add a brick. 0: no memory. */
+static int tetcasti_grow_add(tetcasti_grower *g, tetcasti_grown *out, uint32_t level, const uint32_t place[3],
+                             const float *nodes, size_t stride_y, size_t stride_z) {
+    const tetcast_bricks *b = g->b;
+    size_t i, x, y, z;
+    float *to;
+    if (!tetcasti_grow(g->mem, (void **)&out->brick, &out->brick_room, out->count, out->count + 1, sizeof *out->brick) ||
+        !tetcasti_grow(g->mem, (void **)&out->error, &out->error_room, out->count, out->count + 1, sizeof *out->error) ||
+        !tetcasti_grow(g->mem, (void **)&out->nodes, &out->node_room, out->count * b->nodes, (out->count + 1) * b->nodes,
+                       sizeof *out->nodes)) return 0;
+    i = out->count++;
+    out->brick[i][0] = level;
+    for (x = 0; x < 3; x++) out->brick[i][1 + x] = place[x];
+    out->error[i] = 0.0f;
+    to = out->nodes + i * b->nodes;
+    for (z = 0; z < b->side; z++)
+        for (y = 0; y < b->side; y++, to += b->side) memcpy(to, nodes + stride_y * y + stride_z * z, b->side * sizeof *to);
+    return 1;
+}
+
+static int tetcasti_grow_forced(const tetcasti_grower *g, uint32_t level, const uint32_t place[3]) {
+    const tetcast_bricks *b = g->b;
+    uint32_t lo[3], hi[3], x, y, z, a;
+    if (g->force == NULL) return 0;
+    for (a = 0; a < 3; a++) {
+        lo[a] = place[a] << level;
+        hi[a] = lo[a] + (1u << level) < b->slots[a] ? lo[a] + (1u << level) : b->slots[a];
+    }
+    for (z = lo[2]; z < hi[2]; z++)
+        for (y = lo[1]; y < hi[1]; y++)
+            for (x = lo[0]; x < hi[0]; x++)
+                if (g->force[x + (size_t)b->slots[0] * (y + (size_t)b->slots[1] * z)]) return 1;
+    return 0;
+}
+
+/* Look at brick `i` of the list and put what it needs below it. 0: no memory. */
+static int tetcasti_grow_brick(tetcasti_grower *g, tetcasti_grown *out, size_t i, const uint32_t *list, uint32_t count) {
+    tetcast_bricks *b = g->b;
+    const uint32_t level = out->brick[i][0], place[3] = {out->brick[i][1], out->brick[i][2], out->brick[i][3]};
+    const uint32_t cells = 1u << b->log, wide = 2 * cells + 1;
+    uint32_t start[3], *sub, c, k, a, ok = 1;
+    float *fine, error;
+    uint8_t *inside;
+    if (level == 0) {
+        error = tetcasti_grow_error(g, 0, place, out->nodes + i * b->nodes, NULL, NULL, list, count);
+        out->error[i] = error;
+        out->short_of += error > g->max_error;
+        return 1;
+    }
+    fine = (float *)tetcasti_alloc_array(g->mem, (size_t)wide * wide * wide, sizeof *fine);
+    inside = (uint8_t *)tetcasti_alloc(g->mem, (size_t)wide * wide * wide);
+    sub = (uint32_t *)tetcasti_alloc_array(g->mem, (size_t)count + 1, sizeof *sub);
+    if (fine != NULL && inside != NULL && sub != NULL) {
+        for (a = 0; a < 3; a++) start[a] = place[a] * 2 * cells;
+        tetcasti_grow_nodes(g, level - 1, start, wide, list, count, sub, fine, inside);
+        error = tetcasti_grow_error(g, level, place, out->nodes + i * b->nodes, fine, inside, list, count);
+        out->error[i] = error;
+        for (c = 0; c < 8 && ok && (error > g->max_error || tetcasti_grow_forced(g, level, place)); c++) {
+            const uint32_t child[3] = {2 * place[0] + (c & 1u), 2 * place[1] + (c >> 1 & 1u), 2 * place[2] + (c >> 2)};
+            const size_t from = (size_t)cells * ((c & 1u) + (size_t)wide * ((c >> 1 & 1u) + (size_t)wide * (c >> 2)));
+            const double size = (double)(1u << (level - 1)), far_off = size * 1.01;
+            uint32_t n = 0;
+            if (child[0] >= b->grid[level - 1][0] || child[1] >= b->grid[level - 1][1] || child[2] >= b->grid[level - 1][2])
+                continue;
+            for (k = 0; k < count; k++) { /* what reaches into it, and a cell around it */
+                double lo[3], hi[3];
+                tetcasti_grow_box(g, list[k], lo, hi);
+                for (a = 0; a < 3; a++) {
+                    const double x = (double)child[a] * (double)cells * size;
+                    if (hi[a] < x - far_off || lo[a] > x + (double)cells * size + far_off) break;
+                }
+                if (a == 3) sub[n++] = list[k];
+            }
+            ok = tetcasti_grow_add(g, out, level - 1, child, fine + from, wide, (size_t)wide * wide) &&
+                 tetcasti_grow_brick(g, out, out->count - 1, sub, n);
+        }
+    } else {
+        ok = 0;
+    }
+    tetcasti_free(g->mem, fine);
+    tetcasti_free(g->mem, inside);
+    tetcasti_free(g->mem, sub);
+    return (int)ok;
+}
+
+static void tetcasti_task_grow(void *ctx, uint32_t i) {
+    tetcasti_grower *g = (tetcasti_grower *)ctx;
+    tetcast_bricks *b = g->b;
+    const uint32_t top = b->levels - 1, *grid = b->grid[top], count = g->first[i + 1] - g->first[i];
+    const uint32_t place[3] = {i % grid[0], i / grid[0] % grid[1], i / grid[0] / grid[1]};
+    const uint32_t start[3] = {place[0] << b->log, place[1] << b->log, place[2] << b->log};
+    float *nodes = (float *)tetcasti_alloc_array(g->mem, b->nodes, sizeof *nodes);
+    uint8_t *inside = (uint8_t *)tetcasti_alloc(g->mem, b->nodes);
+    uint32_t *hull = (uint32_t *)tetcasti_alloc_array(g->mem, (size_t)count + 1, sizeof *hull);
+    int ok = nodes != NULL && inside != NULL && hull != NULL;
+    if (ok) {
+        tetcasti_grow_nodes(g, top, start, b->side, g->list + g->first[i], count, hull, nodes, inside);
+        ok = tetcasti_grow_add(g, &g->grown[i], top, place, nodes, b->side, (size_t)b->side * b->side) &&
+             tetcasti_grow_brick(g, &g->grown[i], 0, g->list + g->first[i], count);
+    }
+    tetcasti_free(g->mem, nodes);
+    tetcasti_free(g->mem, inside);
+    tetcasti_free(g->mem, hull);
+    if (!ok) tetcasti_atomic_store(&g->failed, 1u);
+}
+
+/* Cells of each brick of the coarsest level: in it or one of its spacings away. 0: no memory. */
+static int tetcasti_grow_bin(tetcasti_grower *g) {
+    const tetcast_bricks *b = g->b;
+    const uint32_t top = b->levels - 1, *grid = b->grid[top];
+    const size_t bricks = (size_t)grid[0] * grid[1] * grid[2];
+    const double size = (double)((uint64_t)1 << (b->log + top)), far_off = 1.01 * (double)(1u << top);
+    uint32_t pass, i, a;
+    uint64_t total = 0;
+    g->first = (uint32_t *)tetcasti_alloc_zero(g->mem, bricks + 2, sizeof *g->first);
+    if (g->first == NULL) return 0;
+    for (pass = 0; pass < 2; pass++) {
+        for (i = 0; i < g->mesh->cell_count; i++) {
+            double lo[3], hi[3];
+            uint32_t from[3], to[3], x, y, z;
+            tetcasti_grow_box(g, i, lo, hi);
+            for (a = 0; a < 3; a++) {
+                const double p = (lo[a] - far_off) / size, q = (hi[a] + far_off) / size;
+                from[a] = p > 0.0 ? p < (double)grid[a] ? (uint32_t)p : grid[a] - 1 : 0;
+                to[a] = q > 0.0 ? q < (double)grid[a] ? (uint32_t)q : grid[a] - 1 : 0;
+            }
+            for (z = from[2]; z <= to[2]; z++)
+                for (y = from[1]; y <= to[1]; y++)
+                    for (x = from[0]; x <= to[0]; x++) {
+                        const size_t k = x + (size_t)grid[0] * (y + (size_t)grid[1] * z);
+                        if (pass == 0) {
+                            g->first[k + 2]++;
+                            total++;
+                        } else {
+                            g->list[g->first[k + 1]++] = i;
+                        }
+                    }
+        }
+        if (pass == 0) {
+            size_t k;
+            if (total >= 0xffffffffu) return 0;
+            for (k = 2; k <= bricks; k++) g->first[k + 1] += g->first[k];
+            g->list = (uint32_t *)tetcasti_alloc_array(g->mem, (size_t)total + 1, sizeof *g->list);
+            if (g->list == NULL) return 0;
+        }
+    }
+    return 1;
+}
+
+/* Nodes that bricks of one level share are those of the first one: far outside of the mesh they could differ. */
+static void tetcasti_grow_agree(tetcast_bricks *b, uint32_t brick, float *nodes, float *const *all) {
+    const tetcasti_brick *k = &b->brick[brick];
+    const uint32_t cells = 1u << b->log, *g = b->grid[k->level];
+    uint32_t n, a, x, y, z;
+    for (n = 0; n < 13; n++) { /* neighbours with smaller numbers */
+        const uint32_t d[3] = {n % 3, n / 3 % 3, n / 9};
+        uint32_t o[3], lo[3], hi[3], from[3], other;
+        for (a = 0; a < 3; a++) {
+            o[a] = k->place[a] + d[a] - 1;
+            lo[a] = d[a] == 2 ? cells : 0;
+            hi[a] = d[a] == 0 ? 0 : cells;
+            from[a] = d[a] == 0 ? cells : 0;
+        }
+        if (o[0] >= g[0] || o[1] >= g[1] || o[2] >= g[2]) continue;
+        other = *tetcasti_bricks_at(b, k->level, o[0], o[1], o[2]);
+        if (other == TETCASTI_NONE) continue;
+        for (z = lo[2]; z <= hi[2]; z++)
+            for (y = lo[1]; y <= hi[1]; y++)
+                for (x = lo[0]; x <= hi[0]; x++)
+                    nodes[x + b->side * (y + (size_t)b->side * z)] =
+                        all[other][(x - lo[0] + from[0]) + b->side * ((y - lo[1] + from[1]) + (size_t)b->side * (z - lo[2] + from[2]))];
+    }
+}
+
+/* All that was grown -> bricks in order. 0: no memory. */
+static int tetcasti_grow_finish(tetcasti_grower *g) {
+    tetcast_bricks *b = g->b;
+    const uint32_t *grid = b->grid[b->levels - 1], tops = grid[0] * grid[1] * grid[2];
+    float **nodes;
+    size_t n = 0, i, j, bytes;
+    uint32_t k, t;
+    for (t = 0; t < tops; t++) n += g->grown[t].count;
+    if (n >= TETCASTI_BRICKS_END || !tetcasti_mul_size(n, b->nodes * b->bytes, &bytes)) return 0;
+    b->count = (uint32_t)n;
+    b->brick = (tetcasti_brick *)tetcasti_alloc_zero(&b->mem, n, sizeof *b->brick);
+    b->data = (uint8_t *)tetcasti_alloc(&b->mem, bytes + 64);
+    nodes = (float **)tetcasti_alloc_zero(&b->mem, n, sizeof *nodes);
+    if (b->brick == NULL || b->data == NULL || nodes == NULL) {
+        tetcasti_free(&b->mem, nodes);
+        return 0;
+    }
+    memset(b->data + bytes, 0, 64);
+    for (t = 0; t < tops; t++)
+        for (i = 0; i < g->grown[t].count; i++) { /* mark, then number in order */
+            const uint32_t *q = g->grown[t].brick[i];
+            *tetcasti_bricks_at(b, q[0], q[1], q[2], q[3]) = 0;
+        }
+    for (k = b->levels, n = 0; k-- > 0;)
+        for (i = b->table_start[k]; i < b->table_start[k + 1]; i++)
+            if (b->table[i] != TETCASTI_NONE) b->table[i] = (uint32_t)n++;
+    for (t = 0; t < tops; t++)
+        for (i = 0; i < g->grown[t].count; i++) {
+            const uint32_t *q = g->grown[t].brick[i], at = *tetcasti_bricks_at(b, q[0], q[1], q[2], q[3]);
+            tetcasti_brick *brick = &b->brick[at];
+            brick->level = q[0];
+            memcpy(brick->place, q + 1, sizeof brick->place);
+            brick->error = g->grown[t].error[i];
+            nodes[at] = g->grown[t].nodes + i * b->nodes;
+        }
+    for (n = 0; n < b->count; n++) tetcasti_grow_agree(b, (uint32_t)n, nodes[n], nodes);
+    b->value_min = g->mesh->field[g->mesh->active].value_min;
+    b->value_max = g->mesh->field[g->mesh->active].value_max;
+    if (!(b->value_min <= b->value_max)) b->value_min = b->value_max = 0.0f;
+    b->bias = b->value_min; /* integers clamp what lies beyond the hull */
+    b->step = (b->value_max - b->value_min) / (b->type == TETCAST_TYPE_U8 ? 255.0f : 65535.0f);
+    for (n = 0; n < b->count; n++) {
+        uint8_t *block = b->data + n * b->nodes * b->bytes;
+        b->brick[n].lo = TETCASTI_INF;
+        b->brick[n].hi = -TETCASTI_INF;
+        for (j = 0; j < b->nodes; j++) {
+            float v;
+            tetcasti_node_put(b, block, j, nodes[n][j]);
+            v = tetcasti_node_get(b, block, j);
+            b->brick[n].lo = v < b->brick[n].lo ? v : b->brick[n].lo;
+            b->brick[n].hi = v > b->brick[n].hi ? v : b->brick[n].hi;
+        }
+    }
+    tetcasti_free(&b->mem, nodes);
+    return 1;
+}
+
+/* One lattice: grow, number, hull. *short_of: bricks of level 0 that are not good enough. */
+static tetcast_result tetcasti_bricks_try(const tetcast_bricks_desc *d, const tetcast_mesh *mesh, uint32_t longest,
+                                          uint8_t *force, uint32_t *short_of, tetcast_bricks **out) {
+    const uint32_t log = d->log_cells != 0 ? d->log_cells : 4, levels = d->levels != 0 ? d->levels : log + 1;
+    tetcasti_grower g;
+    tetcasti_mem mem;
+    tetcast_lattice l;
+    tetcast_result r = tetcast_lattice_fit(mesh, longest, &l);
+    uint32_t i, tops;
+    int ok;
+    *short_of = 0;
+    if (r != TETCAST_OK) return tetcasti_fail(d->env.error, r, 0, "bricks: the mesh has no extent");
+    memset(&g, 0, sizeof g);
+    g.b = tetcasti_bricks_open(&d->env, &l, log, levels, d->storage, &r);
+    if (g.b == NULL) return r;
+    (void)tetcasti_env_open(&d->env, &mem);
+    g.mesh = mesh;
+    g.mem = &mem;
+    g.max_error = d->max_error;
+    g.force = force;
+    tops = g.b->grid[levels - 1][0] * g.b->grid[levels - 1][1] * g.b->grid[levels - 1][2];
+    g.grown = (tetcasti_grown *)tetcasti_alloc_zero(&mem, tops, sizeof *g.grown);
+    g.hull = (uint8_t *)tetcasti_alloc_zero(&mem, (size_t)mesh->cell_count / 8 + 1, 1);
+    ok = g.grown != NULL && g.hull != NULL && tetcasti_grow_bin(&g);
+    if (ok) {
+        for (i = 0; i < mesh->face_count; i++) g.hull[mesh->face[i].cell >> 3] |= (uint8_t)(1u << (mesh->face[i].cell & 7u));
+        tetcasti_parallel_for(&d->env, tetcasti_task_grow, &g, tops);
+        ok = !g.failed && tetcasti_grow_finish(&g) && tetcasti_bricks_hull(g.b, mesh);
+        for (i = 0; i < tops; i++) *short_of += g.grown[i].short_of;
+    }
+    for (i = 0; g.grown != NULL && i < tops; i++) {
+        tetcasti_free(&mem, g.grown[i].brick);
+        tetcasti_free(&mem, g.grown[i].error);
+        tetcasti_free(&mem, g.grown[i].nodes);
+    }
+    tetcasti_free(&mem, g.grown);
+    tetcasti_free(&mem, g.hull);
+    tetcasti_free(&mem, g.first);
+    tetcasti_free(&mem, g.list);
+    if (!ok) {
+        tetcasti_bricks_free(g.b);
+        return tetcasti_fail(d->env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
+    }
+    *out = g.b;
+    return TETCAST_OK;
+}
+
+TETCAST_DEF tetcast_result tetcast_bricks_create_mesh(const tetcast_bricks_desc *desc, const tetcast_mesh *mesh,
+                                                      tetcast_bricks_report *report, tetcast_bricks **out) {
+    tetcast_bricks_desc d;
+    tetcast_bricks_report mine;
+    tetcasti_mem mem;
+    tetcast_result r = tetcasti_bricks_desc_open(desc, &d, report, out);
+    uint32_t longest, end, short_of, again, helps = 0;
+    uint8_t *force = NULL;
+    if (r != TETCAST_OK) return r;
+    if (report == NULL) report = &mine;
+    memset(report, 0, sizeof *report);
+    end = d.longest_end != 0 ? d.longest_end : 4097;
+    longest = d.longest != 0 ? d.longest : end < 257 ? end : 257;
+    if (mesh == NULL || mesh->tet == NULL || longest < 2 || (d.longest == 0 && !(d.max_error > 0.0f)) ||
+        longest > 16385 || end > 16385)
+        return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, 0, "bricks: needs tets, and max_error or longest");
+    r = tetcasti_env_open(&d.env, &mem);
+    while (r == TETCAST_OK) {
+        for (again = 0; again < 4 && r == TETCAST_OK; again++) { /* random points find what vertices and nodes do not */
+            tetcast_bricks *b = NULL;
+            r = tetcasti_bricks_try(&d, mesh, longest, force, &short_of, &b);
+            report->tries++;
+            if (r != TETCAST_OK) break;
+            if (force == NULL && d.max_error > 0.0f) {
+                force = (uint8_t *)tetcasti_alloc_zero(&mem, tetcasti_slot_count(b), 1);
+                if (force == NULL) r = tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
+            }
+            if (r == TETCAST_OK) r = tetcasti_bricks_check(&d, mesh, b, force, &helps, report);
+            tetcasti_bricks_free(*out);
+            *out = b;
+            if (report->above == 0 || helps == 0 || (short_of != 0 && d.longest == 0 && longest < end)) break;
+        }
+        tetcasti_free(&mem, force);
+        force = NULL;
+        if (d.longest != 0 || report->above == 0 || longest >= end) break;
+        longest = 4 * longest - 3 < end ? 4 * longest - 3 : end;
+    }
+    if (r != TETCAST_OK) {
+        tetcasti_bricks_free(*out);
+        *out = NULL;
+    }
+    return r;
+}
+
+/* ---- files ---- */
+
+#define TETCASTI_BRK_HEADER 152u
+#define TETCASTI_BRK_RECORD 28u
+
+static const uint8_t tetcasti_brk_magic[8] = {0x89, 'B', 'R', 'K', '\r', '\n', 0x1a, '\n'};
+
+static void tetcasti_store_f64(uint8_t *p, double v) {
+    uint64_t u;
+    memcpy(&u, &v, 8);
+    tetcasti_store_u64(p, u);
+}
+static double tetcasti_load_f64(const uint8_t *p) {
+    const uint64_t u = tetcasti_load_u64(p);
+    double v;
+    memcpy(&v, &u, 8);
+    return v;
+}
+static void tetcasti_store_f32(uint8_t *p, float v) {
+    uint32_t u;
+    memcpy(&u, &v, 4);
+    tetcasti_store_u32(p, u);
+}
+static float tetcasti_load_f32(const uint8_t *p) {
+    const uint32_t u = tetcasti_load_u32(p);
+    float v;
+    memcpy(&v, &u, 4);
+    return v;
+}
+
+TETCAST_DEF size_t tetcast_bricks_file_size(const tetcast_bricks *b) {
+    if (b == NULL) return 0;
+    return TETCASTI_BRK_HEADER + (size_t)b->count * TETCASTI_BRK_RECORD + (size_t)b->hull_count * 24 +
+           (size_t)b->face_count * 12 + (size_t)b->count * b->nodes * b->bytes;
+}
+
+TETCAST_DEF tetcast_result tetcast_bricks_write(const tetcast_bricks *b, void *data, size_t size) {
+    uint8_t *p = (uint8_t *)data, *q;
+    size_t i, n;
+    uint32_t a;
+    if (b == NULL || data == NULL) return TETCAST_ERR_INVALID_ARG;
+    if (size < tetcast_bricks_file_size(b)) return TETCAST_ERR_RANGE;
+    memset(p, 0, TETCASTI_BRK_HEADER);
+    memcpy(p, tetcasti_brk_magic, 8);
+    tetcasti_store_u32(p + 8, 1);
+    tetcasti_store_u32(p + 12, TETCASTI_BRK_HEADER);
+    tetcasti_store_u32(p + 16, b->log);
+    tetcasti_store_u32(p + 20, b->levels);
+    tetcasti_store_u32(p + 24, (uint32_t)b->type);
+    tetcasti_store_u32(p + 28, b->count);
+    for (a = 0; a < 3; a++) {
+        tetcasti_store_u32(p + 32 + 4 * a, b->lattice.dims[a]);
+        tetcasti_store_f64(p + 48 + 8 * a, b->lattice.origin[a]);
+        tetcasti_store_f64(p + 72 + 8 * a, b->lattice.spacing[a]);
+    }
+    tetcasti_store_u32(p + 44, b->hull_count);
+    tetcasti_store_f32(p + 96, b->bias);
+    tetcasti_store_f32(p + 100, b->step);
+    tetcasti_store_f32(p + 104, b->value_min);
+    tetcasti_store_f32(p + 108, b->value_max);
+    tetcasti_store_u32(p + 112, b->face_count);
+    tetcasti_store_u64(p + 120, tetcast_bricks_file_size(b));
+    q = p + TETCASTI_BRK_HEADER;
+    for (i = 0; i < b->count; i++, q += TETCASTI_BRK_RECORD) {
+        const tetcasti_brick *k = &b->brick[i];
+        tetcasti_store_u32(q, k->level);
+        for (a = 0; a < 3; a++) tetcasti_store_u32(q + 4 + 4 * a, k->place[a]);
+        tetcasti_store_f32(q + 16, k->lo);
+        tetcasti_store_f32(q + 20, k->hi);
+        tetcasti_store_f32(q + 24, k->error);
+    }
+    for (i = 0; i < b->hull_count; i++)
+        for (a = 0; a < 3; a++, q += 8) tetcasti_store_f64(q, b->hull[i][a]);
+    for (i = 0; i < b->face_count; i++)
+        for (a = 0; a < 3; a++, q += 4) tetcasti_store_u32(q, b->face[i][a]);
+    tetcasti_store_u64(p + 128, tetcasti_hash_bytes(1, p + TETCASTI_BRK_HEADER, (size_t)(q - p) - TETCASTI_BRK_HEADER));
+    n = (size_t)b->count * b->nodes;
+    if (b->bytes == 1) memcpy(q, b->data, n);
+    for (i = 0; i < n && b->bytes == 2; i++) {
+        uint16_t u;
+        memcpy(&u, b->data + 2 * i, 2);
+        tetcasti_store_u16(q + 2 * i, u);
+    }
+    for (i = 0; i < n && b->bytes == 4; i++) {
+        float f;
+        memcpy(&f, b->data + 4 * i, 4);
+        tetcasti_store_f32(q + 4 * i, f);
+    }
+    tetcasti_store_u64(p + 136, tetcasti_hash_bytes(2, q, n * b->bytes));
+    tetcasti_store_u64(p + 144, tetcasti_hash_bytes(3, p, 144));
+    return TETCAST_OK;
+}
+
+/* What records say: every place once, parents before children, all children or none, coarsest level complete. */
+static int tetcasti_brk_records(tetcast_bricks *b, const uint8_t *q, uint64_t *where) {
+    uint32_t i, a, last = b->levels;
+    size_t top;
+    for (i = 0; i < b->count; i++, q += TETCASTI_BRK_RECORD) {
+        tetcasti_brick *k = &b->brick[i];
+        uint32_t *at;
+        *where = TETCASTI_BRK_HEADER + (uint64_t)i * TETCASTI_BRK_RECORD;
+        k->level = tetcasti_load_u32(q);
+        if (k->level >= b->levels || k->level > last) return 0;
+        last = k->level;
+        for (a = 0; a < 3; a++) {
+            k->place[a] = tetcasti_load_u32(q + 4 + 4 * a);
+            if (k->place[a] >= b->grid[k->level][a]) return 0;
+        }
+        k->lo = tetcasti_load_f32(q + 16);
+        k->hi = tetcasti_load_f32(q + 20);
+        k->error = tetcasti_load_f32(q + 24);
+        if (!(k->lo <= k->hi) || !tetcasti_finite_f(k->lo) || !tetcasti_finite_f(k->hi) || !(k->error >= 0.0f) ||
+            !tetcasti_finite_f(k->error)) return 0;
+        at = tetcasti_bricks_at(b, k->level, k->place[0], k->place[1], k->place[2]);
+        if (*at != TETCASTI_NONE) return 0;
+        if (k->level + 1 < b->levels && *tetcasti_bricks_at(b, k->level + 1, k->place[0] / 2, k->place[1] / 2,
+                                                            k->place[2] / 2) == TETCASTI_NONE) return 0;
+        *at = i;
+    }
+    for (top = b->table_start[b->levels - 1]; top < b->table_start[b->levels]; top++)
+        if (b->table[top] == TETCASTI_NONE) return 0;
+    for (i = 0; i < b->count; i++) {
+        const tetcasti_brick *k = &b->brick[i];
+        uint32_t c, have = 0, all = 0;
+        *where = TETCASTI_BRK_HEADER + (uint64_t)i * TETCASTI_BRK_RECORD;
+        if (k->level == 0) continue;
+        for (c = 0; c < 8; c++) {
+            const uint32_t x = 2 * k->place[0] + (c & 1u), y = 2 * k->place[1] + (c >> 1 & 1u),
+                z = 2 * k->place[2] + (c >> 2), *g = b->grid[k->level - 1];
+            if (x >= g[0] || y >= g[1] || z >= g[2]) continue;
+            all++;
+            have += *tetcasti_bricks_at(b, k->level - 1, x, y, z) != TETCASTI_NONE;
+        }
+        if (have != 0 && have != all) return 0;
+    }
+    return 1;
+}
+
+static tetcast_result tetcasti_brk_body(tetcast_bricks *b, const uint8_t *p, size_t size, uint64_t *where) {
+    const uint8_t *q = p + TETCASTI_BRK_HEADER;
+    size_t i, n = (size_t)b->count * b->nodes;
+    uint32_t a;
+    uint64_t bytes = (uint64_t)b->count * TETCASTI_BRK_RECORD + (uint64_t)b->hull_count * 24 + (uint64_t)b->face_count * 12;
+    (void)size;
+    *where = 128;
+    if (tetcasti_load_u64(p + 128) != tetcasti_hash_bytes(1, q, (size_t)bytes) ||
+        tetcasti_load_u64(p + 136) != tetcasti_hash_bytes(2, q + bytes, n * b->bytes)) return TETCAST_ERR_CHECKSUM;
+    b->brick = (tetcasti_brick *)tetcasti_alloc_zero(&b->mem, b->count, sizeof *b->brick);
+    b->hull = (double (*)[3])tetcasti_alloc_array(&b->mem, (size_t)b->hull_count + 1, sizeof *b->hull);
+    b->face = (uint32_t (*)[3])tetcasti_alloc_array(&b->mem, (size_t)b->face_count + 1, sizeof *b->face);
+    b->data = (uint8_t *)tetcasti_alloc(&b->mem, n * b->bytes + 64);
+    if (b->brick == NULL || b->hull == NULL || b->face == NULL || b->data == NULL) return TETCAST_ERR_NO_MEMORY;
+    memset(b->data + n * b->bytes, 0, 64);
+    if (!tetcasti_brk_records(b, q, where)) return TETCAST_ERR_FORMAT;
+    q += (size_t)b->count * TETCASTI_BRK_RECORD;
+    for (i = 0; i < b->hull_count; i++)
+        for (a = 0; a < 3; a++, q += 8) {
+            *where = (uint64_t)(q - p);
+            b->hull[i][a] = tetcasti_load_f64(q);
+            if (!(tetcasti_abs(b->hull[i][a]) < 1e300)) return TETCAST_ERR_FORMAT;
+        }
+    for (i = 0; i < b->face_count; i++)
+        for (a = 0; a < 3; a++, q += 4) {
+            *where = (uint64_t)(q - p);
+            b->face[i][a] = tetcasti_load_u32(q);
+            if (b->face[i][a] >= b->hull_count) return TETCAST_ERR_FORMAT;
+        }
+    *where = (uint64_t)(q - p);
+    if (b->bytes == 1) memcpy(b->data, q, n);
+    for (i = 0; i < n && b->bytes == 2; i++) {
+        const uint16_t u = (uint16_t)(q[2 * i] | q[2 * i + 1] << 8);
+        if (b->type == TETCAST_TYPE_F16 && (u & 0x7c00u) == 0x7c00u) return TETCAST_ERR_FORMAT;
+        memcpy(b->data + 2 * i, &u, 2);
+    }
+    for (i = 0; i < n && b->bytes == 4; i++) {
+        const float f = tetcasti_load_f32(q + 4 * i);
+        if (!tetcasti_finite_f(f)) return TETCAST_ERR_FORMAT;
+        memcpy(b->data + 4 * i, &f, 4);
+    }
+    return TETCAST_OK;
+}
+
+TETCAST_DEF tetcast_result tetcast_bricks_read(const tetcast_env *env, const void *data, size_t size,
+                                               tetcast_bricks **out) {
+    const uint8_t *p = (const uint8_t *)data;
+    tetcast_env none;
+    tetcast_lattice l;
+    tetcast_bricks *b;
+    tetcast_result r;
+    uint32_t log, levels, type, a;
+    uint64_t where = 0, want;
+    if (out != NULL) *out = NULL;
+    memset(&none, 0, sizeof none);
+    if (env == NULL) env = &none;
+    if (data == NULL || out == NULL) return TETCAST_ERR_INVALID_ARG;
+    if (size < 16) return tetcasti_fail(env->error, TETCAST_ERR_TRUNCATED, size, "brk: the header ends at byte %");
+    if (memcmp(p, tetcasti_brk_magic, 8) != 0) return tetcasti_fail(env->error, TETCAST_ERR_FORMAT, 0, "brk: no brick file");
+    if (tetcasti_load_u32(p + 8) != 1) return tetcasti_fail(env->error, TETCAST_ERR_VERSION, 8, "brk: unknown version");
+    if (size < TETCASTI_BRK_HEADER)
+        return tetcasti_fail(env->error, TETCAST_ERR_TRUNCATED, size, "brk: the header ends at byte %");
+    if (tetcasti_load_u64(p + 144) != tetcasti_hash_bytes(3, p, 144))
+        return tetcasti_fail(env->error, TETCAST_ERR_CHECKSUM, 144, "brk: the header is damaged");
+    log = tetcasti_load_u32(p + 16);
+    levels = tetcasti_load_u32(p + 20);
+    type = tetcasti_load_u32(p + 24);
+    for (a = 0; a < 3; a++) {
+        l.dims[a] = tetcasti_load_u32(p + 32 + 4 * a);
+        l.origin[a] = tetcasti_load_f64(p + 48 + 8 * a);
+        l.spacing[a] = tetcasti_load_f64(p + 72 + 8 * a);
+    }
+    if (tetcasti_load_u32(p + 12) != TETCASTI_BRK_HEADER || log < 3 || log > 5 || levels == 0 || levels > log + 1 ||
+        !tetcasti_storage_good((tetcast_type)(type < 9 ? type : 1)) || !tetcasti_lattice_good(&l))
+        return tetcasti_fail(env->error, TETCAST_ERR_FORMAT, 16, "brk: impossible sizes at byte %");
+    b = tetcasti_bricks_open(env, &l, log, levels, (tetcast_type)type, &r);
+    if (b == NULL) return r;
+    b->count = tetcasti_load_u32(p + 28);
+    b->hull_count = tetcasti_load_u32(p + 44);
+    b->face_count = tetcasti_load_u32(p + 112);
+    b->bias = tetcasti_load_f32(p + 96);
+    b->step = tetcasti_load_f32(p + 100);
+    b->value_min = tetcasti_load_f32(p + 104);
+    b->value_max = tetcasti_load_f32(p + 108);
+    want = TETCASTI_BRK_HEADER + (uint64_t)b->count * (TETCASTI_BRK_RECORD + (uint64_t)b->nodes * b->bytes) +
+           (uint64_t)b->hull_count * 24 + (uint64_t)b->face_count * 12;
+    if (b->count == 0 || b->count >= TETCASTI_BRICKS_END || !tetcasti_finite_f(b->bias) || !(b->step >= 0.0f) ||
+        !tetcasti_finite_f(b->step) || !(b->value_min <= b->value_max) || !tetcasti_finite_f(b->value_min) ||
+        !tetcasti_finite_f(b->value_max) || b->hull_count > TETCAST_MAX_VERTICES || b->face_count > TETCAST_MAX_CELLS ||
+        tetcasti_load_u64(p + 120) != want) {
+        r = TETCAST_ERR_FORMAT;
+        where = 28;
+    } else if (want > size) {
+        r = TETCAST_ERR_TRUNCATED;
+        where = size;
+    } else {
+        r = tetcasti_brk_body(b, p, size, &where);
+    }
+    if (r != TETCAST_OK) {
+        tetcasti_bricks_free(b);
+        return tetcasti_fail(env->error, r, where, r == TETCAST_ERR_TRUNCATED ? "brk: ends at byte %" :
+                             r == TETCAST_ERR_NO_MEMORY ? "brk: out of memory" :
+                             r == TETCAST_ERR_CHECKSUM ? "brk: damaged, checksum at byte %" : "brk: impossible at byte %");
+    }
+    *out = b;
+    return TETCAST_OK;
+}
+/* ---------------------------------------------------------------------------
+   clip: planes and closed meshes as intervals on rays.                          // >>clip
+
+   A body has its triangles along a space-filling curve, eight to a box, eight boxes to a box, and so on. A ray sees them
+   sheared so that it runs along an axis; the doubled areas of the three triangles between the ray and two corners
+   decide, each computed from the corner of the smaller number to that of the larger one, so that the neighbour behind an
+   edge gets the same number with the other sign; a zero counts as positive before the sign is turned.
+   --------------------------------------------------------------------------- */
+
+typedef struct tetcasti_solid {
+    const double (*point)[3];      /* own copies */
+    uint32_t (*face)[3];
+    uint32_t count, outside;
+    double (*box)[6];              /* lo, hi */
+    uint32_t level_count, level_start[16], level_size[16];
+} tetcasti_solid;
+
+struct tetcast_clip {
+    tetcasti_mem mem;
+    tetcast_clip_plane *plane;
+    tetcasti_solid *solid;
+    size_t plane_count, solid_count;
+};
+
+static void tetcasti_solid_free(tetcasti_mem *mem, tetcasti_solid *s) {
+    tetcasti_free(mem, (void *)(uintptr_t)s->point);
+    tetcasti_free(mem, s->face);
+    tetcasti_free(mem, s->box);
+    memset(s, 0, sizeof *s);
+}
+
+typedef struct tetcasti_solid_key { uint64_t key; uint32_t face, unused; } tetcasti_solid_key;
+
+static void tetcasti_solid_sort(tetcasti_solid_key *a, tetcasti_solid_key *b, uint32_t n) { /* merge, from below */
+    uint32_t width, i;
+    tetcasti_solid_key *from = a, *to = b, *swap;
+    for (width = 1; width < n; width *= 2) {
+        for (i = 0; i < n; i += 2 * width) {
+            uint32_t l = i, m = i + width < n ? i + width : n, r = m, e = n - i < 2 * width ? n : i + 2 * width, k;
+            for (k = i; k < e; k++) to[k] = l < m && (r >= e || from[l].key <= from[r].key) ? from[l++] : from[r++];
+        }
+        swap = from;
+        from = to;
+        to = swap;
+        if (width > n / 2) break;
+    }
+    if (from != a) memcpy(a, from, n * sizeof *a);
+}
+
+/* Copies a body and builds its boxes. 0: no memory. */
+static int tetcasti_solid_open(tetcasti_mem *mem, const tetcast_clip_body *body, tetcasti_solid *s) {
+    const uint32_t n = (uint32_t)body->triangle_count;
+    double (*point)[3] = (double (*)[3])tetcasti_alloc_array(mem, body->point_count + 1, sizeof *point);
+    tetcasti_solid_key *key = (tetcasti_solid_key *)tetcasti_alloc_array(mem, 2 * (size_t)n + 1, sizeof *key);
+    double lo[3] = {1e300, 1e300, 1e300}, hi[3] = {-1e300, -1e300, -1e300};
+    uint32_t i, a, k, level, boxes = 0, size = n;
+    memset(s, 0, sizeof *s);
+    s->point = (const double (*)[3])point;
+    s->face = (uint32_t (*)[3])tetcasti_alloc_array(mem, (size_t)n + 1, sizeof *s->face);
+    s->count = n;
+    s->outside = body->outside;
+    do { /* boxes of each level */
+        size = (size + 7) / 8;
+        s->level_start[s->level_count] = boxes;
+        s->level_size[s->level_count++] = size;
+        boxes += size;
+    } while (size > 1);
+    s->box = (double (*)[6])tetcasti_alloc_array(mem, (size_t)boxes + 1, sizeof *s->box);
+    if (point == NULL || key == NULL || s->face == NULL || s->box == NULL) {
+        tetcasti_free(mem, key);
+        return 0;
+    }
+    if (body->point_count != 0) memcpy(point, body->points, body->point_count * sizeof *point);
+    for (i = 0; i < 3 * n; i++)
+        for (a = 0; a < 3; a++) {
+            lo[a] = tetcasti_min(lo[a], point[body->indices[i]][a]);
+            hi[a] = tetcasti_max(hi[a], point[body->indices[i]][a]);
+        }
+    for (i = 0; i < n; i++) {
+        key[i].key = 0;
+        key[i].face = i;
+        key[i].unused = 0;
+        for (a = 0; a < 3; a++) {
+            const double c = (point[body->indices[3 * i]][a] / 3.0 + point[body->indices[3 * i + 1]][a] / 3.0) +
+                             point[body->indices[3 * i + 2]][a] / 3.0;
+            const double x = hi[a] > lo[a] ? (c - lo[a]) / (hi[a] - lo[a]) * 2097151.0 : 0.0;
+            key[i].key |= tetcasti_spread3((uint64_t)(x > 0.0 ? x < 2097151.0 ? x : 2097151.0 : 0.0)) << a;
+        }
+    }
+    tetcasti_solid_sort(key, key + n, n);
+    for (i = 0; i < n; i++) memcpy(s->face[i], body->indices + 3 * (size_t)key[i].face, 12);
+    tetcasti_free(mem, key);
+    for (level = 0; level < s->level_count; level++)
+        for (i = 0; i < s->level_size[level]; i++) {
+            double *box = s->box[s->level_start[level] + i];
+            const uint32_t last = level == 0 ? n : s->level_size[level - 1];
+            for (a = 0; a < 3; a++) {
+                box[a] = 1e300;
+                box[3 + a] = -1e300;
+            }
+            for (k = 8 * i; k < 8 * i + 8 && k < last; k++)
+                for (a = 0; a < 3; a++) {
+                    if (level == 0) {
+                        uint32_t c;
+                        for (c = 0; c < 3; c++) {
+                            box[a] = tetcasti_min(box[a], point[s->face[k][c]][a]);
+                            box[3 + a] = tetcasti_max(box[3 + a], point[s->face[k][c]][a]);
+                        }
+                    } else {
+                        box[a] = tetcasti_min(box[a], s->box[s->level_start[level - 1] + k][a]);
+                        box[3 + a] = tetcasti_max(box[3 + a], s->box[s->level_start[level - 1] + k][3 + a]);
+                    }
+                }
+        }
+    return 1;
+}
+
+/* A ray as bodies see it. */
+typedef struct tetcasti_shear {
+    double o[3], d[3], sx, sy, inv;
+    uint32_t x, y, z;
+} tetcasti_shear;
+
+static int tetcasti_shear_open(const double o[3], const double d[3], tetcasti_shear *r) {
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        r->o[a] = o[a];
+        r->d[a] = d[a];
+    }
+    r->z = tetcasti_abs(d[1]) > tetcasti_abs(d[0]) ? 1 : 0;
+    if (tetcasti_abs(d[2]) > tetcasti_abs(d[r->z])) r->z = 2;
+    r->x = r->z == 2 ? 0 : r->z + 1;
+    r->y = r->x == 2 ? 0 : r->x + 1;
+    if (!(tetcasti_abs(d[r->z]) > 0.0)) return 0;
+    r->inv = 1.0 / d[r->z];
+    r->sx = d[r->x] * r->inv;
+    r->sy = d[r->y] * r->inv;
+    return 1;
+}
+
+/* > 0: the ray passes the edge from vertex a to b on the left. Same bits from both sides. */
+TETCASTI_INLINE double tetcasti_shear_edge(const double p[2], const double q[2], uint32_t a, uint32_t b) {
+    const double e = a < b ? p[0] * q[1] - p[1] * q[0] : q[0] * p[1] - q[1] * p[0];
+    return (a < b) == (e >= 0.0) ? 1.0 : -1.0;
+}
+
+/* Hits of a ray with a body, any order; at most room. */
+static uint32_t tetcasti_solid_hits(const tetcasti_solid *s, const tetcasti_shear *r, double *hit, uint32_t room) {
+    uint64_t todo[8 * 16];
+    uint32_t top = 0, n = 0, a;
+    if (s->count == 0) return 0;
+    todo[top++] = (uint64_t)(s->level_count - 1) << 32;
+    while (top != 0) {
+        const uint32_t level = (uint32_t)(todo[--top] >> 32), i = (uint32_t)todo[top];
+        const double *box = s->box[s->level_start[level] + i];
+        const uint32_t last = level == 0 ? s->count : s->level_size[level - 1];
+        uint32_t k;
+        /* the sheared box: the ray passes at (0, 0) */
+        double z0 = box[r->z] - r->o[r->z], z1 = box[3 + r->z] - r->o[r->z];
+        double lo, hi, slack;
+        for (a = 0; a < 2; a++) {
+            const uint32_t axis = a == 0 ? r->x : r->y;
+            const double slope = a == 0 ? r->sx : r->sy, at0 = slope * z0, at1 = slope * z1;
+            lo = box[axis] - r->o[axis] - tetcasti_max(at0, at1);
+            hi = box[3 + axis] - r->o[axis] - tetcasti_min(at0, at1);
+            slack = 1e-12 * (tetcasti_abs(box[axis]) + tetcasti_abs(box[3 + axis]) + tetcasti_abs(r->o[axis]) +
+                             tetcasti_abs(at0) + tetcasti_abs(at1));
+            if (lo > slack || hi < -slack) break;
+        }
+        if (a < 2) continue;
+        if (level != 0) {
+            for (k = 8 * i; k < 8 * i + 8 && k < last; k++) todo[top++] = (uint64_t)(level - 1) << 32 | k;
+            continue;
+        }
+        for (k = 8 * i; k < 8 * i + 8 && k < last; k++) {
+            const uint32_t *f = s->face[k];
+            double p[3][2], z[3], u, v, w, e0, e1, e2;
+            uint32_t c;
+            for (c = 0; c < 3; c++) {
+                const double *q = s->point[f[c]];
+                z[c] = q[r->z] - r->o[r->z];
+                p[c][0] = (q[r->x] - r->o[r->x]) - r->sx * z[c];
+                p[c][1] = (q[r->y] - r->o[r->y]) - r->sy * z[c];
+            }
+            e0 = tetcasti_shear_edge(p[1], p[2], f[1], f[2]);
+            e1 = tetcasti_shear_edge(p[2], p[0], f[2], f[0]);
+            e2 = tetcasti_shear_edge(p[0], p[1], f[0], f[1]);
+            if (!((e0 > 0.0 && e1 > 0.0 && e2 > 0.0) || (e0 < 0.0 && e1 < 0.0 && e2 < 0.0))) continue;
+            u = tetcasti_abs(p[1][0] * p[2][1] - p[1][1] * p[2][0]);
+            v = tetcasti_abs(p[2][0] * p[0][1] - p[2][1] * p[0][0]);
+            w = tetcasti_abs(p[0][0] * p[1][1] - p[0][1] * p[1][0]);
+            if (n == room) return n;
+            hit[n++] = (u + v) + w > 0.0 ? ((u * z[0] + v * z[1]) + w * z[2]) / ((u + v) + w) * r->inv : z[0] * r->inv;
+        }
+    }
+    return n;
+}
+
+/* spans := the part of them inside of (or outside of) pairs of hits. */
+static uint32_t tetcasti_spans_cut(double (*span)[2], uint32_t n, double *hit, uint32_t hits, uint32_t outside) {
+    double out[TETCAST_CLIP_SPANS][2];
+    uint32_t i, j, m = 0;
+    for (i = 1; i < hits; i++) { /* in order: insertion, they are few */
+        const double x = hit[i];
+        for (j = i; j > 0 && hit[j - 1] > x; j--) hit[j] = hit[j - 1];
+        hit[j] = x;
+    }
+    hits &= ~(uint32_t)1;
+    for (i = 0; i < n; i++) {
+        double at = span[i][0];
+        for (j = 0; j < hits && m < TETCAST_CLIP_SPANS; j += 2) {
+            double lo = outside ? at : tetcasti_max(at, hit[j]), hi = outside ? tetcasti_min(hit[j], span[i][1])
+                                                                             : tetcasti_min(hit[j + 1], span[i][1]);
+            if (lo < hi) {
+                out[m][0] = lo;
+                out[m++][1] = hi;
+            }
+            if (outside) at = tetcasti_max(at, hit[j + 1]);
+        }
+        if (outside && at < span[i][1] && m < TETCAST_CLIP_SPANS) {
+            out[m][0] = at;
+            out[m++][1] = span[i][1];
+        }
+    }
+    memcpy(span, out, m * sizeof *out);
+    return m;
+}
+
+#define TETCASTI_CLIP_HITS 128
+
+static uint32_t tetcasti_solid_spans(const tetcasti_solid *s, const double o[3], const double d[3], double (*span)[2],
+                                     uint32_t n) {
+    double hit[TETCASTI_CLIP_HITS];
+    tetcasti_shear r;
+    if (n == 0 || !tetcasti_shear_open(o, d, &r)) return 0;
+    return tetcasti_spans_cut(span, n, hit, tetcasti_solid_hits(s, &r, hit, TETCASTI_CLIP_HITS), s->outside);
+}
+
+/* d: unit vector, world. */
+static uint32_t tetcasti_clip_run(const tetcast_clip *clip, const double o[3], const double d[3], double (*span)[2],
+                                  uint32_t n) {
+    size_t i;
+    for (i = 0; i < clip->plane_count; i++) {
+        const tetcast_clip_plane *p = &clip->plane[i];
+        const double along = p->normal[0] * d[0] + p->normal[1] * d[1] + p->normal[2] * d[2];
+        const double height = p->normal[0] * o[0] + p->normal[1] * o[1] + p->normal[2] * o[2] - p->offset;
+        uint32_t j, m = 0;
+        for (j = 0; j < n; j++) {
+            double lo = span[j][0], hi = span[j][1];
+            if (along > 0.0) lo = tetcasti_max(lo, -height / along);
+            else if (along < 0.0) hi = tetcasti_min(hi, -height / along);
+            else if (height < 0.0) continue;
+            if (!(lo < hi)) continue;
+            span[m][0] = lo;
+            span[m++][1] = hi;
+        }
+        n = m;
+    }
+    for (i = 0; i < clip->solid_count; i++) n = tetcasti_solid_spans(&clip->solid[i], o, d, span, n);
+    return n;
+}
+
+TETCAST_DEF uint32_t tetcast_clip_spans(const tetcast_clip *clip, const tetcast_ray *ray,
+                                        double spans[TETCAST_CLIP_SPANS][2]) {
+    double d[3];
+    uint32_t a;
+    if (clip == NULL || ray == NULL) return 0;
+    for (a = 0; a < 3; a++) d[a] = ray->dir[a];
+    if (!tetcasti_unit(d) || !tetcasti_finite(ray->org[0] + ray->org[1] + ray->org[2])) return 0;
+    spans[0][0] = ray->t_min;
+    spans[0][1] = ray->t_min == 0.0 && ray->t_max == 0.0 ? 1e300 : ray->t_max;
+    return spans[0][0] < spans[0][1] ? tetcasti_clip_run(clip, ray->org, d, spans, 1) : 0;
+}
+
+TETCAST_DEF void tetcast_clip_destroy(tetcast_clip *clip) {
+    tetcasti_mem mem;
+    size_t i;
+    if (clip == NULL) return;
+    mem = clip->mem;
+    if (clip->solid != NULL)
+        for (i = 0; i < clip->solid_count; i++) tetcasti_solid_free(&mem, &clip->solid[i]);
+    tetcasti_free(&mem, clip->solid);
+    tetcasti_free(&mem, clip->plane);
+    tetcasti_free(&mem, clip);
+}
+
+static int tetcasti_body_good(const tetcast_clip_body *b) {
+    size_t i;
+    uint32_t a;
+    if (b->triangle_count > 0x15555555u || b->point_count > TETCAST_MAX_VERTICES ||
+        (b->triangle_count != 0 && (b->points == NULL || b->indices == NULL))) return 0;
+    for (i = 0; i < 3 * b->triangle_count; i++)
+        if (b->indices[i] >= b->point_count) return 0;
+    for (i = 0; i < b->point_count && b->points != NULL; i++)
+        for (a = 0; a < 3; a++)
+            if (!(tetcasti_abs(b->points[i][a]) < 1e150)) return 0;
+    return 1;
+}
+
+TETCAST_DEF tetcast_result tetcast_clip_create(const tetcast_clip_desc *desc, tetcast_clip **out) {
+    tetcast_clip_desc d;
+    tetcasti_mem mem;
+    tetcast_clip *c;
+    tetcast_result r;
+    size_t i;
+    uint32_t a;
+    memset(&d, 0, sizeof d);
+    if (desc != NULL) d = *desc;
+    if (out != NULL) *out = NULL;
+    if (d._begin_zero != 0 || d._end_zero != 0) return TETCAST_ERR_UNINIT_DESC;
+    r = tetcasti_env_open(&d.env, &mem);
+    if (r != TETCAST_OK) return r;
+    if (out == NULL || (d.plane_count != 0 && d.planes == NULL) || (d.body_count != 0 && d.bodies == NULL))
+        return TETCAST_ERR_INVALID_ARG;
+    for (i = 0; i < d.plane_count; i++) {
+        double sum = d.planes[i].offset;
+        for (a = 0; a < 3; a++) sum += d.planes[i].normal[a];
+        if (!tetcasti_finite(sum)) return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, i, "clip: plane % is none");
+    }
+    for (i = 0; i < d.body_count; i++)
+        if (!tetcasti_body_good(&d.bodies[i]))
+            return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, i, "clip: body % has a bad index or point");
+    c = (tetcast_clip *)tetcasti_alloc_zero(&mem, 1, sizeof *c);
+    if (c == NULL) return tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "clip: out of memory");
+    c->mem = mem;
+    c->plane = (tetcast_clip_plane *)tetcasti_alloc_array(&c->mem, d.plane_count + 1, sizeof *c->plane);
+    c->solid = (tetcasti_solid *)tetcasti_alloc_zero(&c->mem, d.body_count + 1, sizeof *c->solid);
+    if (c->plane != NULL && d.plane_count != 0) memcpy(c->plane, d.planes, d.plane_count * sizeof *c->plane);
+    c->plane_count = c->plane != NULL ? d.plane_count : 0;
+    for (i = 0; c->plane != NULL && c->solid != NULL && i < d.body_count; i++) {
+        c->solid_count = i + 1;
+        if (!tetcasti_solid_open(&c->mem, &d.bodies[i], &c->solid[i])) break;
+    }
+    if (c->plane == NULL || c->solid == NULL || i < d.body_count) {
+        tetcast_clip_destroy(c);
+        return tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "clip: out of memory");
+    }
+    *out = c;
+    return TETCAST_OK;
+}
+
+/* ---------------------------------------------------------------------------
+   brick_render: rays through a cut, eight at a time.                            // >>brick_render
+
+   A ray has spans (lattice, clipping, hull); in a span it goes from slot to slot by integers; a slot that shows nothing
+   is passed in one step, together with as large a cube of slots around it as shows nothing either. In the others a
+   segment ends at whole multiples of the step of its level and where the slot ends. The value there is that of both
+   slots: the field is continuous. All lanes are in slots of their own; what differs between isa is how the next eight
+   values are computed.
+   --------------------------------------------------------------------------- */
+
+/* One ray. t: world length along it; lattice coordinates o + t d. */
+typedef struct tetcasti_brick_ray {
+    double o[3], d[3], inv[3], world_o[3], world_d[3], t, end;
+    double span[TETCAST_CLIP_SPANS][2];
+    uint32_t spans, at;
+    int32_t slot[3];
+    uint32_t axis, in_span, last, front; /* axis: through whose border the slot ends; front: its front value is known */
+    uint32_t pixel;
+} tetcasti_brick_ray;
+
+typedef struct tetcasti_octet {
+    float tau[8], first[8], step[8], end[8], front[8], number[8], begin[8];
+    float l0[3][8], dl[3][8];
+    const uint8_t *block[8];
+    uint32_t adapted;            /* bits: blocks of floats */
+    uint8_t level[8];
+    float depth[8], length[8];
+    uint32_t steps[8], walks[8], live, ended;
+    tetcasti_brick_ray ray[8];
+    tetcasti_ray_sum8 sum;
+    tetcasti_seg8 seg;
+    tetcast_packet packet;
+} tetcasti_octet;
+
+typedef struct tetcasti_brick_frame {
+    const tetcast_brick_render_desc *desc;
+    const tetcast_cut *cut;
+    const tetcast_optics *optics;    /* NULL: the shader */
+    const tetcast_image *image;
+    tetcasti_segment8_fn *segment8;
+    tetcasti_frame frame;
+    tetcasti_encoder encoder;
+    tetcasti_mem mem;
+    tetcasti_solid hull;
+    uint8_t *skip;                   /* per slot: 0 visible, else 1 + log of the cube of slots that shows nothing */
+    double step;                     /* world, of level 0 */
+    float begin_t;
+    uint32_t wide, tiles_x, tiles, next, done, failed, cancelled;
+    uint32_t tally[6][2];
+} tetcasti_brick_frame;
+
+/* Set up a lane for the slot that its ray is in, from ray->t to ray->end. */
+static void tetcasti_lane_slot(const tetcasti_brick_frame *c, tetcasti_octet *l, uint32_t i) {
+    const tetcast_cut *cut = c->cut;
+    const tetcast_bricks *b = cut->bricks;
+    tetcasti_brick_ray *r = &l->ray[i];
+    const uint32_t word = cut->slot[(size_t)r->slot[0] + (size_t)b->slots[0] * ((size_t)r->slot[1] + (size_t)b->slots[1] *
+                                                                                 (size_t)r->slot[2])];
+    const uint32_t k = word >> TETCASTI_LEVEL_SHIFT & 15u, bit = 1u << i;
+    const double part = 1.0 / (double)(1u << k), step = c->desc->fixed_step ? c->step : c->step * (double)(1u << k);
+    const double whole = step > 0.0 && r->t / step < 4e15 ? (double)tetcasti_floor(r->t / step) : 0.0;
+    uint32_t a, type;
+    l->block[i] = tetcasti_slot_block(cut, word, &type);
+    l->adapted = word & TETCASTI_ADAPTED ? l->adapted | bit : l->adapted & ~bit;
+    l->level[i] = (uint8_t)k;
+    for (a = 0; a < 3; a++) {
+        const double origin = (double)((uint32_t)r->slot[a] >> k << k << b->log);
+        l->l0[a][i] = (float)(((r->o[a] + r->t * r->d[a]) - origin) * part);
+        l->dl[a][i] = (float)(r->d[a] * part);
+    }
+    l->step[i] = (float)step;
+    l->first[i] = (float)((whole + 1.0) * step - r->t);
+    l->end[i] = (float)(r->end - r->t);
+    l->tau[i] = 0.0f;
+    l->number[i] = 0.0f;
+    l->begin[i] = (float)r->t;
+    l->walks[i]++;
+    if (!r->front) {
+        const float cells = (float)(1u << b->log);
+        float x[3], v[8], f[3];
+        size_t n = 0;
+        for (a = 3; a-- > 0;) {
+            uint32_t m;
+            x[a] = l->l0[a][i] > 0.0f ? l->l0[a][i] : 0.0f;
+            x[a] = x[a] < cells ? x[a] : cells;
+            m = (uint32_t)(int32_t)x[a];
+            m = m < (1u << b->log) ? m : (1u << b->log) - 1;
+            f[a] = x[a] - (float)(int32_t)m;
+            n = n * b->side + m;
+        }
+        for (a = 0; a < 8; a++)
+            v[a] = tetcasti_block_get(b, l->block[i], type,
+                                      n + (a & 1u) + b->side * ((a >> 1 & 1u) + (size_t)b->side * (a >> 2)));
+        l->front[i] = tetcasti_trilinear(v, f);
+        r->front = 1;
+    }
+}
+
+/* Where the cube of 2^log slots at r->slot ends on the ray. */
+TETCASTI_INLINE double tetcasti_brick_exit(const tetcast_bricks *b, const tetcasti_brick_ray *r, uint32_t log,
+                                           uint32_t *axis) {
+    double best = 1e300;
+    uint32_t a;
+    *axis = 3;
+    for (a = 0; a < 3; a++) {
+        const int32_t first = r->slot[a] >> log << log;
+        double at;
+        if (r->d[a] > 0.0) at = ((double)((int64_t)(first + ((int32_t)1 << log)) << b->log) - r->o[a]) * r->inv[a];
+        else if (r->d[a] < 0.0) at = ((double)((int64_t)first << b->log) - r->o[a]) * r->inv[a];
+        else continue;
+        if (at < best) {
+            best = at;
+            *axis = a;
+        }
+    }
+    return best;
+}
+
+/* The slot of the point at r->t, between lo and hi. On a border it is the one that the ray goes into. */
+TETCASTI_INLINE void tetcasti_brick_find(const tetcast_bricks *b, tetcasti_brick_ray *r, uint32_t a, int32_t lo,
+                                         int32_t hi) {
+    const double x = (r->o[a] + r->t * r->d[a]) * (1.0 / (double)(1u << b->log));
+    int64_t s = tetcasti_floor(x > -1.0 ? x < 4294967296.0 ? x : 4294967296.0 : -1.0);
+    if (r->d[a] < 0.0 && (double)s == x) s--;
+    r->slot[a] = s < lo ? lo : s > hi ? hi : (int32_t)s;
+}
+
+/* Leave the slot (or enter the first one): to the next one that shows something. 0: the ray is through. */
+static int tetcasti_lane_next(const tetcasti_brick_frame *c, tetcasti_octet *l, uint32_t i) {
+    const tetcast_bricks *b = c->cut->bricks;
+    tetcasti_brick_ray *r = &l->ray[i];
+    uint32_t a, log = 0;
+    int leave = r->in_span != 0;
+    for (;;) {
+        uint8_t skip;
+        if (leave) {
+            r->t = r->end;
+            if (r->last) {
+                r->at++;
+                r->in_span = 0;
+            } else { /* through the border across r->axis */
+                const int32_t first = r->slot[r->axis] >> log << log;
+                const int32_t to = r->d[r->axis] > 0.0 ? first + ((int32_t)1 << log) : first - 1;
+                if (to < 0 || to >= (int32_t)b->slots[r->axis]) return 0;
+                for (a = 0; a < 3 && log != 0; a++) {
+                    const int32_t lo = r->slot[a] >> log << log, hi = lo + ((int32_t)1 << log) - 1;
+                    if (a != r->axis) tetcasti_brick_find(b, r, a, lo, hi < (int32_t)b->slots[a] ? hi :
+                                                          (int32_t)b->slots[a] - 1);
+                }
+                r->slot[r->axis] = to;
+            }
+        }
+        leave = 1;
+        log = 0;
+        if (!r->in_span) { /* a new span: nothing is known about what was before */
+            if (r->at >= r->spans) return 0;
+            r->t = r->span[r->at][0];
+            r->in_span = 1;
+            r->front = 0;
+            if (c->optics != NULL) tetcasti_lane_gap(c->optics, &l->sum, i);
+            for (a = 0; a < 3; a++) tetcasti_brick_find(b, r, a, 0, (int32_t)b->slots[a] - 1);
+        }
+        skip = c->skip[(size_t)r->slot[0] + (size_t)b->slots[0] * ((size_t)r->slot[1] + (size_t)b->slots[1] *
+                                                                    (size_t)r->slot[2])];
+        if (skip != 0) log = (uint32_t)skip - 1;
+        r->end = tetcasti_brick_exit(b, r, log, &r->axis);
+        r->last = r->axis == 3 || !(r->end < r->span[r->at][1]);
+        if (r->last) r->end = r->span[r->at][1];
+        if (!(r->end > r->t)) {
+            r->end = r->t;
+            continue;
+        }
+        if (skip == 0) {
+            tetcasti_lane_slot(c, l, i);
+            return 1;
+        }
+        if (r->front && c->optics != NULL) tetcasti_lane_gap(c->optics, &l->sum, i);
+        r->front = 0;
+    }
+}
+
+/* The next segment of all lanes: its ends and values. Returns lanes whose slot ends with it. */
+static uint32_t tetcasti_octet_step(const tetcast_bricks *b, tetcasti_octet *l) {
+    const float cells = (float)(1u << b->log);
+    uint32_t i, a, over = 0;
+    for (i = 0; i < 8; i++) {
+        float tn = l->first[i] + l->number[i] * l->step[i], f[3], v[8], s;
+        size_t n = 0;
+        uint32_t type;
+        if (!(l->live >> i & 1u)) continue;
+        if (!(tn < l->end[i])) {
+            tn = l->end[i];
+            over |= 1u << i;
+        }
+        for (a = 3; a-- > 0;) {
+            float x = l->l0[a][i] + tn * l->dl[a][i];
+            uint32_t m;
+            x = x > 0.0f ? x : 0.0f;
+            x = x < cells ? x : cells;
+            m = (uint32_t)(int32_t)x;
+            m = m < (1u << b->log) ? m : (1u << b->log) - 1;
+            f[a] = x - (float)(int32_t)m;
+            n = n * b->side + m;
+        }
+        type = l->adapted >> i & 1u ? TETCAST_TYPE_F32 : (uint32_t)b->type;
+        for (a = 0; a < 8; a++) {
+            const size_t node = n + (a & 1u) + b->side * ((a >> 1 & 1u) + (size_t)b->side * (a >> 2));
+            uint16_t u;
+            if (type == TETCAST_TYPE_U8) {
+                v[a] = (float)l->block[i][node];
+            } else if (type == TETCAST_TYPE_U16) {
+                memcpy(&u, l->block[i] + 2 * node, 2);
+                v[a] = (float)u;
+            } else {
+                v[a] = tetcasti_block_get(b, l->block[i], type, node);
+            }
+        }
+        s = tetcasti_trilinear(v, f);
+        if (type == TETCAST_TYPE_U8 || type == TETCAST_TYPE_U16) s = b->bias + b->step * s;
+        l->seg.front[i] = l->front[i];
+        l->seg.back[i] = s;
+        l->seg.length[i] = tn - l->tau[i];
+        l->seg.depth[i] = l->begin[i] + l->tau[i];
+        l->tau[i] = tn;
+        l->front[i] = s;
+        l->number[i] += 1.0f;
+    }
+    return over;
+}
+
+#if TETCASTI_AVX2
+TETCASTI_TARGET_AVX2 static uint32_t tetcasti_octet_step8(const tetcast_bricks *b, tetcasti_octet *l) {
+    const __m256 cells = _mm256_set1_ps((float)(1u << b->log)), zero = _mm256_setzero_ps();
+    const __m256i top = _mm256_set1_epi32((1 << b->log) - 1), side = _mm256_set1_epi32((int32_t)b->side);
+    const __m256 number = _mm256_loadu_ps(l->number), end = _mm256_loadu_ps(l->end), tau = _mm256_loadu_ps(l->tau);
+    __m256 tn = _mm256_add_ps(_mm256_loadu_ps(l->first), _mm256_mul_ps(number, _mm256_loadu_ps(l->step)));
+    const __m256 inner = _mm256_cmp_ps(tn, end, _CMP_LT_OQ);
+    __m256 f[3], s;
+    __m256i node = _mm256_setzero_si256();
+    const uint8_t *p[8];
+    int32_t at[8];
+    uint32_t a, i;
+    tn = _mm256_blendv_ps(end, tn, inner);
+    for (a = 3; a-- > 0;) {
+        __m256 x = _mm256_add_ps(_mm256_loadu_ps(l->l0[a]), _mm256_mul_ps(tn, _mm256_loadu_ps(l->dl[a])));
+        __m256i m;
+        x = _mm256_min_ps(_mm256_max_ps(x, zero), cells);
+        m = _mm256_min_epi32(_mm256_cvttps_epi32(x), top);
+        f[a] = _mm256_sub_ps(x, _mm256_cvtepi32_ps(m));
+        node = _mm256_add_epi32(_mm256_mullo_epi32(node, side), m);
+    }
+    _mm256_storeu_si256((__m256i *)(void *)at, node);
+    if (l->adapted == 0) for (i = 0; i < 8; i++) p[i] = l->block[i] + (size_t)(uint32_t)at[i] * b->bytes;
+    else for (i = 0; i < 8; i++) p[i] = l->block[i] + (size_t)(uint32_t)at[i] * (l->adapted >> i & 1u ? 4u : b->bytes);
+    s = tetcasti_places8(b, p, l->adapted, (const __m256 *)f);
+    _mm256_storeu_ps(l->seg.front, _mm256_loadu_ps(l->front));
+    _mm256_storeu_ps(l->seg.back, s);
+    _mm256_storeu_ps(l->seg.length, _mm256_sub_ps(tn, tau));
+    _mm256_storeu_ps(l->seg.depth, _mm256_add_ps(_mm256_loadu_ps(l->begin), tau));
+    _mm256_storeu_ps(l->tau, tn);
+    _mm256_storeu_ps(l->front, s);
+    _mm256_storeu_ps(l->number, _mm256_add_ps(number, _mm256_set1_ps(1.0f)));
+    return ~(uint32_t)_mm256_movemask_ps(inner) & l->live;
+}
+#endif
+
+/* ---- what is done with segments ---- */
+
+typedef struct tetcasti_lane_point {
+    const tetcast_bricks *b;
+    const tetcasti_octet *l;
+    uint32_t lane;
+} tetcasti_lane_point;
+
+/* Gradient per world unit at that fraction of the lane's last segment. */
+static void tetcasti_lane_gradient(void *user, float fraction, float normal[3]) {
+    const tetcasti_lane_point *q = (const tetcasti_lane_point *)user;
+    const tetcast_bricks *b = q->b;
+    const tetcasti_octet *l = q->l;
+    const uint32_t i = q->lane, type = l->adapted >> i & 1u ? TETCAST_TYPE_F32 : (uint32_t)b->type;
+    const float cells = (float)(1u << b->log), at = l->tau[i] - (1.0f - fraction) * l->seg.length[i];
+    float f[3], v[8];
+    size_t n = 0;
+    uint32_t a;
+    for (a = 3; a-- > 0;) {
+        float x = l->l0[a][i] + at * l->dl[a][i];
+        uint32_t m;
+        x = x > 0.0f ? x : 0.0f;
+        x = x < cells ? x : cells;
+        m = (uint32_t)(int32_t)x;
+        m = m < (1u << b->log) ? m : (1u << b->log) - 1;
+        f[a] = x - (float)(int32_t)m;
+        n = n * b->side + m;
+    }
+    for (a = 0; a < 8; a++)
+        v[a] = tetcasti_block_get(b, l->block[i], type,
+                                  n + (a & 1u) + b->side * ((a >> 1 & 1u) + (size_t)b->side * (a >> 2)));
+    for (a = 0; a < 3; a++) {
+        float lo[3], hi[3];
+        memcpy(lo, f, sizeof lo);
+        memcpy(hi, f, sizeof hi);
+        lo[a] = 0.0f;
+        hi[a] = 1.0f;
+        normal[a] = (float)((double)(tetcasti_trilinear(v, hi) - tetcasti_trilinear(v, lo)) /
+                            (b->lattice.spacing[a] * (double)(1u << l->level[i])));
+    }
+}
+
+/* Lanes that have ended. */
+static uint32_t tetcasti_octet_shade(const tetcasti_brick_frame *c, tetcasti_octet *l) {
+    const tetcast_bricks *b = c->cut->bricks;
+    const tetcast_shader *s = c->desc->shader;
+    tetcast_packet *p = &l->packet;
+    float rgba[4][8];
+    uint32_t i, a, ended = 0;
+    p->mask = l->live;
+    memset(rgba, 0, sizeof rgba);
+    memcpy(p->front, l->seg.front, sizeof p->front);
+    memcpy(p->back, l->seg.back, sizeof p->back);
+    memcpy(p->length, l->seg.length, sizeof p->length);
+    memcpy(p->depth, l->seg.depth, sizeof p->depth);
+    memcpy(p->level, l->level, sizeof p->level);
+    for (i = 0; i < 8; i++) {
+        const tetcasti_brick_ray *r = &l->ray[i];
+        if (!(l->live >> i & 1u)) continue;
+        if (s->needs & TETCAST_NEED_GRADIENT) {
+            tetcasti_lane_point q;
+            float g[3];
+            q.b = b;
+            q.l = l;
+            q.lane = i;
+            tetcasti_lane_gradient(&q, 0.5f, g);
+            for (a = 0; a < 3; a++) p->gradient[a][i] = g[a];
+        }
+        for (a = 0; a < 3; a++) {
+            p->direction[a][i] = (float)r->world_d[a];
+            if (s->needs & TETCAST_NEED_POSITION)
+                p->position[a][i] = (float)(r->world_o[a] + r->world_d[a] * (double)(p->depth[i] + 0.5f * p->length[i]));
+        }
+    }
+    s->shade_fn(s->user, p, rgba);
+    for (i = 0; i < 8; i++) {
+        const float t = l->sum.t[i];
+        float alpha = rgba[3][i];
+        if (!(l->live >> i & 1u)) continue;
+        alpha = alpha > 0.0f ? alpha : 0.0f;
+        alpha = alpha < 1.0f ? alpha : 1.0f;
+        for (a = 0; a < 3; a++)
+            if (tetcasti_finite_f(rgba[a][i])) l->sum.c[a][i] += t * rgba[a][i];
+        l->sum.t[i] = t - t * alpha;
+        if (alpha > 0.0f && l->depth[i] == TETCASTI_INF) l->depth[i] = p->depth[i];
+        ended |= (uint32_t)!(l->sum.t[i] > 1.0f / 512.0f) << i;
+    }
+    return ended & l->live;
+}
+
+static uint32_t tetcasti_octet_integrate(const tetcasti_brick_frame *c, tetcasti_octet *l) {
+    const tetcast_optics *o = c->optics;
+    const uint32_t hit = o->iso_count != 0 ? tetcasti_iso_lanes(o, &l->seg, l->live) : 0, rest = l->live & ~hit;
+    uint32_t i, ended = 0;
+    if (rest != 0) ended = c->segment8(o, &l->seg, rest, &l->sum) & rest;
+    for (i = 0; i < 8 && hit != 0; i++) {
+        tetcasti_lane_point q;
+        float view[3];
+        uint32_t a;
+        if (!(hit >> i & 1u)) continue;
+        q.b = c->cut->bricks;
+        q.l = l;
+        q.lane = i;
+        for (a = 0; a < 3; a++) view[a] = (float)l->ray[i].world_d[a];
+        tetcasti_lane_segment_iso(o, i, &l->seg, tetcasti_lane_gradient, &q, view, &l->sum);
+        if (!(l->sum.t[i] > o->t_stop)) ended |= 1u << i;
+    }
+    if (c->image->depth == NULL) return ended;
+    for (i = 0; i < 8; i++) {
+        const float f = l->seg.front[i], k = l->seg.back[i];
+        uint32_t at = 0;
+        if (!(l->live >> i & 1u) || l->depth[i] < TETCASTI_INF) continue;
+        if (hit >> i & 1u) { /* the surface itself, unless something of the volume is before it */
+            (void)tetcasti_iso_hits(o, f, k, &at);
+            l->depth[i] = l->seg.depth[i];
+            if (o->model == TETCAST_MODEL_ISOSURFACE)
+                l->depth[i] += l->seg.length[i] * ((o->iso[at].value - f) / (k - f));
+        } else if (o->model != TETCAST_MODEL_ISOSURFACE && !tetcasti_optics_empty(o, f < k ? f : k, f < k ? k : f)) {
+            l->depth[i] = l->seg.depth[i];
+        }
+    }
+    return ended;
+}
+
+/* Follow the rays of a packet to their ends. */
+static void tetcasti_octet_run(const tetcasti_brick_frame *c, tetcasti_octet *l) {
+    const tetcast_bricks *b = c->cut->bricks;
+    uint32_t i, start = l->live;
+    for (i = 0; i < 8; i++)
+        if ((start >> i & 1u) && !tetcasti_lane_next(c, l, i)) l->live &= ~(1u << i);
+    while (l->live != 0) {
+        uint32_t over, ended;
+#if TETCASTI_AVX2
+        if (c->wide) over = tetcasti_octet_step8(b, l);
+        else
+#endif
+        over = tetcasti_octet_step(b, l);
+        for (i = 0; i < 8; i++) {
+            if (!(l->live >> i & 1u)) continue;
+            l->steps[i]++;
+            l->length[i] += l->seg.length[i];
+        }
+        ended = c->optics != NULL ? tetcasti_octet_integrate(c, l) : tetcasti_octet_shade(c, l);
+        l->ended |= ended;
+        l->live &= ~ended;
+        for (over &= l->live; over != 0; over &= over - 1) {
+            i = tetcasti_ctz64(over);
+            if (!tetcasti_lane_next(c, l, i)) l->live &= ~(1u << i);
+        }
+    }
+}
+
+/* The ray of a pixel: spans inside of the lattice, between the ends of the view, not clipped away, in the hull. */
+static uint32_t tetcasti_brick_ray_open(const tetcasti_brick_frame *c, uint32_t x, uint32_t y, double limit,
+                                        tetcasti_brick_ray *r) {
+    const tetcast_brick_render_desc *d = c->desc;
+    const tetcast_bricks *b = c->cut->bricks;
+    const double px = (double)(d->part[0] + x) + 0.5, py = (double)(d->part[1] + y) + 0.5;
+    double way, lo, hi;
+    uint32_t a;
+    tetcasti_frame_ray(&c->frame, px, py, r->world_o, r->world_d);
+    way = sqrt(r->world_d[0] * r->world_d[0] + r->world_d[1] * r->world_d[1] + r->world_d[2] * r->world_d[2]);
+    lo = (double)d->clip_near * way;
+    hi = d->clip_far > 0.0f ? (double)d->clip_far * way : 1e300;
+    hi = tetcasti_min(hi, limit * way);
+    for (a = 0; a < 3; a++) {
+        const double end = (double)(b->lattice.dims[a] - 1), thin = end > 0.0 ? 0.0 : 0.5;
+        double t0, t1;
+        r->world_d[a] /= way;
+        r->o[a] = (r->world_o[a] - b->lattice.origin[a]) / b->lattice.spacing[a];
+        r->d[a] = r->world_d[a] / b->lattice.spacing[a];
+        if (tetcasti_abs(r->world_d[a]) < 1e-30) r->d[a] = 0.0;
+        r->inv[a] = r->d[a] != 0.0 ? 1.0 / r->d[a] : 0.0;
+        if (r->d[a] == 0.0) {
+            if (!(r->o[a] >= -thin && r->o[a] <= end + thin)) return 0;
+            continue;
+        }
+        t0 = (-thin - r->o[a]) * r->inv[a];
+        t1 = (end + thin - r->o[a]) * r->inv[a];
+        lo = tetcasti_max(lo, tetcasti_min(t0, t1));
+        hi = tetcasti_min(hi, tetcasti_max(t0, t1));
+    }
+    r->at = r->in_span = r->front = r->last = 0;
+    r->axis = 3;
+    r->spans = 0;
+    if (!(lo < hi) || !tetcasti_finite(lo)) return 0;
+    r->span[0][0] = lo;
+    r->span[0][1] = hi;
+    r->spans = 1;
+    if (d->clip != NULL) r->spans = tetcasti_clip_run(d->clip, r->world_o, r->world_d, r->span, r->spans);
+    if (c->hull.count != 0) r->spans = tetcasti_solid_spans(&c->hull, r->world_o, r->world_d, r->span, r->spans);
+    return r->spans;
+}
+
+static void tetcasti_brick_pixel(const tetcasti_brick_frame *c, tetcasti_octet *l, uint32_t i, uint32_t x, uint32_t y) {
+    const tetcast_image *m = c->image;
+    float rgba[4], t;
+    uint32_t a;
+    if (c->optics != NULL) tetcasti_lane_finish(c->optics, &l->sum, i, rgba);
+    else {
+        for (a = 0; a < 3; a++) rgba[a] = l->sum.c[a][i];
+        rgba[3] = 1.0f - l->sum.t[i];
+    }
+    t = 1.0f - rgba[3];
+    for (a = 0; a < 4; a++) rgba[a] += t * c->desc->background[a];
+    if (m->rgba != NULL)
+        memcpy((uint8_t *)m->rgba + y * (m->rgba_stride != 0 ? m->rgba_stride : (size_t)m->width * 16) + x * (size_t)16,
+               rgba, 16);
+    if (m->rgba8 != NULL) {
+        uint8_t *p = m->rgba8 + y * (m->rgba8_stride != 0 ? m->rgba8_stride : (size_t)m->width * 4) + x * (size_t)4;
+        const float inv = rgba[3] > 0.0f ? 1.0f / rgba[3] : 0.0f;
+        for (a = 0; a < 3; a++) p[a] = tetcasti_encode(&c->encoder, rgba[a] * inv);
+        p[3] = (uint8_t)((rgba[3] > 0.0f ? rgba[3] < 1.0f ? rgba[3] : 1.0f : 0.0f) * 255.0f + 0.5f);
+    }
+    if (m->depth != NULL) {
+        const double *d = l->ray[i].world_d;
+        float depth = l->depth[i];
+        if (depth < TETCASTI_INF)
+            depth *= (float)(d[0] * c->frame.forward[0] + d[1] * c->frame.forward[1] + d[2] * c->frame.forward[2]);
+        memcpy((uint8_t *)m->depth + y * (m->depth_stride != 0 ? m->depth_stride : (size_t)m->width * 4) + x * (size_t)4,
+               &depth, 4);
+    }
+    if (m->length != NULL)
+        memcpy((uint8_t *)m->length + y * (m->length_stride != 0 ? m->length_stride : (size_t)m->width * 4) + x * (size_t)4,
+               &l->length[i], 4);
+    if (m->steps != NULL)
+        memcpy((uint8_t *)m->steps + y * (m->steps_stride != 0 ? m->steps_stride : (size_t)m->width * 4) + x * (size_t)4,
+               &l->steps[i], 4);
+}
+
+static void tetcasti_octet_begin(const tetcasti_brick_frame *c, tetcasti_octet *l) {
+    uint32_t i;
+    l->live = l->ended = l->adapted = 0;
+    memset(&l->sum, 0, sizeof l->sum);
+    memset(l->steps, 0, sizeof l->steps);
+    memset(l->walks, 0, sizeof l->walks);
+    for (i = 0; i < 8; i++) {
+        if (c->optics != NULL) tetcasti_lane_begin(c->optics, &l->sum, i);
+        else l->sum.t[i] = 1.0f;
+        l->block[i] = c->cut->bricks->data;
+        l->tau[i] = l->first[i] = l->step[i] = l->end[i] = l->front[i] = l->number[i] = l->begin[i] = l->length[i] = 0.0f;
+        l->l0[0][i] = l->l0[1][i] = l->l0[2][i] = l->dl[0][i] = l->dl[1][i] = l->dl[2][i] = 0.0f;
+        l->depth[i] = TETCASTI_INF;
+        l->level[i] = 0;
+    }
+}
+
+static void tetcasti_task_bricks(void *ctx, uint32_t strand) {
+    tetcasti_brick_frame *c = (tetcasti_brick_frame *)ctx;
+    const tetcast_image *m = c->image;
+    tetcasti_octet *l = (tetcasti_octet *)tetcasti_alloc(&c->mem, sizeof *l);
+    uint64_t n[6];
+    if (l == NULL) {
+        tetcasti_atomic_store(&c->failed, 1u);
+        return;
+    }
+    memset(n, 0, sizeof n);
+    memset(l, 0, sizeof *l);
+    for (;;) {
+        const uint32_t tile = tetcasti_atomic_add(&c->next, 1u) - 1u;
+        uint32_t x0, y0, x, y, i;
+        if (tile >= c->tiles || tetcasti_atomic_load(&c->cancelled)) break;
+        x0 = tile % c->tiles_x * TETCASTI_TILE;
+        y0 = tile / c->tiles_x * TETCASTI_TILE;
+        for (y = y0; y < y0 + TETCASTI_TILE && y < m->height; y += 2)
+            for (x = x0; x < x0 + TETCASTI_TILE && x < m->width; x += 4) {
+                tetcasti_octet_begin(c, l);
+                for (i = 0; i < 8; i++) {
+                    const uint32_t px = x + (i & 3u), py = y + (i >> 2);
+                    double limit = 1e300;
+                    if (px >= m->width || py >= m->height) continue;
+                    if (c->desc->limit != NULL && c->desc->limit[px + (size_t)m->width * py] >= 0.0f)
+                        limit = (double)c->desc->limit[px + (size_t)m->width * py];
+                    if (tetcasti_brick_ray_open(c, px, py, limit, &l->ray[i]) != 0) l->live |= 1u << i;
+                }
+                tetcasti_octet_run(c, l);
+                for (i = 0; i < 8; i++) {
+                    const uint32_t px = x + (i & 3u), py = y + (i >> 2);
+                    if (px >= m->width || py >= m->height) continue;
+                    tetcasti_brick_pixel(c, l, i, px, py);
+                    n[0]++;
+                    n[1] += l->steps[i] != 0;
+                    n[2] += l->walks[i];
+                    n[3] += l->steps[i];
+                    n[4] += l->ended >> i & 1u;
+                }
+            }
+        i = tetcasti_atomic_add(&c->done, 1u);
+        if (strand == 0 && c->desc->env.progress_fn != NULL &&
+            c->desc->env.progress_fn(c->desc->env.progress_user, i, c->tiles) != 0)
+                tetcasti_atomic_store(&c->cancelled, 1u);
+    }
+    for (strand = 0; strand < 6; strand++) tetcasti_tally_add(c->tally[strand], n[strand]);
+    tetcasti_free(&c->mem, l);
+}
+
+/* Which slots show something, and how large the cubes are around those that do not. 0: no memory. */
+static int tetcasti_brick_skips(tetcasti_brick_frame *c) {
+    const tetcast_cut *cut = c->cut;
+    const tetcast_bricks *b = cut->bricks;
+    const size_t n = tetcasti_slot_count(b);
+    const tetcast_shader *s = c->desc->shader;
+    float seen_lo = 1.0f, seen_hi = 0.0f;
+    int known = -1;
+    size_t i;
+    uint32_t k;
+    c->skip = (uint8_t *)tetcasti_alloc(&c->mem, n);
+    if (c->skip == NULL) return 0;
+    for (i = 0; i < n; i++) {
+        const float lo = cut->range[i][0], hi = cut->range[i][1];
+        if (known < 0 || !(lo == seen_lo && hi == seen_hi)) {
+            if (c->optics != NULL) known = tetcasti_optics_empty(c->optics, lo, hi);
+            else known = s->empty_fn != NULL && s->empty_fn(s->user, lo, hi);
+            seen_lo = lo;
+            seen_hi = hi;
+        }
+        c->skip[i] = (uint8_t)(known != 0);
+    }
+    for (k = 1; k < 12; k++) { /* cubes whose eight parts show nothing */
+        const uint32_t size = 1u << k, half = size / 2;
+        uint32_t x, y, z, any = 0;
+        for (z = 0; z < b->slots[2]; z += size)
+            for (y = 0; y < b->slots[1]; y += size)
+                for (x = 0; x < b->slots[0]; x += size) {
+                    uint32_t j, empty = 1, px, py, pz;
+                    for (j = 0; j < 8; j++) {
+                        px = x + (j & 1u) * half;
+                        py = y + (j >> 1 & 1u) * half;
+                        pz = z + (j >> 2) * half;
+                        if (px < b->slots[0] && py < b->slots[1] && pz < b->slots[2])
+                            empty &= c->skip[px + (size_t)b->slots[0] * (py + (size_t)b->slots[1] * pz)] == k;
+                    }
+                    if (!empty) continue;
+                    any = 1;
+                    for (pz = z; pz < z + size && pz < b->slots[2]; pz++)
+                        for (py = y; py < y + size && py < b->slots[1]; py++)
+                            for (px = x; px < x + size && px < b->slots[0]; px++)
+                                c->skip[px + (size_t)b->slots[0] * (py + (size_t)b->slots[1] * pz)] = (uint8_t)(k + 1);
+                }
+        if (!any) break;
+    }
+    return 1;
+}
+
+static tetcast_result tetcasti_brick_frame_open(tetcasti_brick_frame *c, tetcast_brick_render_desc *d,
+                                                const tetcast_image *image) {
+    const tetcast_bricks *b = c->cut->bricks;
+    double lo[3], hi[3], least = 1e300;
+    const uint32_t width = d->frame[0] != 0 ? d->frame[0] : image->width;
+    const uint32_t height = d->frame[0] != 0 ? d->frame[1] : image->height;
+    tetcast_result r = TETCAST_OK;
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        lo[a] = b->lattice.origin[a];
+        hi[a] = lo[a] + (double)(b->lattice.dims[a] - 1) * b->lattice.spacing[a];
+        if (b->lattice.dims[a] > 1) least = tetcasti_min(least, b->lattice.spacing[a]);
+    }
+    c->step = (least < 1e300 ? least : b->lattice.spacing[0]) * (d->step > 0.0f ? (double)d->step : 1.0);
+    if (d->camera.eye[0] == d->camera.at[0] && d->camera.eye[1] == d->camera.at[1] && d->camera.eye[2] == d->camera.at[2])
+        r = tetcast_camera_fit(&d->camera, lo, hi, NULL, width, height);
+    if (r == TETCAST_OK) r = tetcasti_frame_open(&d->camera, width, height, &c->frame);
+    if (r == TETCAST_OK && c->optics == NULL && d->shader->prepare_fn != NULL)
+        return d->shader->prepare_fn(d->shader->user, d->shader->params, d->shader->param_count, d->env.error);
+    if (r != TETCAST_OK) return tetcasti_fail(d->env.error, r, 0, "bricks: bad camera");
+    if (b->face_count != 0 && !d->no_hull) {
+        tetcast_clip_body body;
+        memset(&body, 0, sizeof body);
+        body.points = (const double (*)[3])b->hull;
+        body.point_count = b->hull_count;
+        body.indices = b->face[0];
+        body.triangle_count = b->face_count;
+        if (!tetcasti_solid_open(&c->mem, &body, &c->hull))
+            return tetcasti_fail(d->env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
+    }
+    return TETCAST_OK;
+}
+
+TETCAST_DEF tetcast_result tetcast_render_bricks(const tetcast_brick_render_desc *desc, const tetcast_cut *cut,
+                                                 const tetcast_optics *optics, const tetcast_image *image,
+                                                 tetcast_render_stats *stats) {
+    tetcast_brick_render_desc d;
+    tetcasti_brick_frame c;
+    tetcast_result r;
+    uint32_t strands, a;
+    memset(&d, 0, sizeof d);
+    memset(&c, 0, sizeof c);
+    if (desc != NULL) d = *desc;
+    if (d._begin_zero != 0 || d._end_zero != 0) return TETCAST_ERR_UNINIT_DESC;
+    r = tetcasti_env_open(&d.env, &c.mem);
+    if (r != TETCAST_OK) return r;
+    for (a = 0; a < 4; a++)
+        if (!tetcasti_finite_f(d.background[a])) r = TETCAST_ERR_INVALID_ARG;
+    if (cut == NULL || image == NULL || (optics == NULL && d.shader == NULL) || (uint32_t)d.isa > TETCAST_ISA_AVX512 ||
+        !(d.step >= 0.0f && d.step < 1e6f) || !(d.clip_near >= 0.0f && d.clip_near < TETCASTI_INF) ||
+        !(d.clip_far >= 0.0f) || (d.shader != NULL && d.shader->shade_fn == NULL) ||
+        (d.frame[0] != 0 && (d.frame[1] == 0 || d.part[0] > d.frame[0] || d.part[1] > d.frame[1] ||
+                             image->width > d.frame[0] - d.part[0] || image->height > d.frame[1] - d.part[1])))
+        r = TETCAST_ERR_INVALID_ARG;
+    if (r != TETCAST_OK) return tetcasti_fail(d.env.error, r, 0, "bricks: bad option");
+    if (image->width == 0 || image->height == 0) return TETCAST_OK;
+    if (d.frame[0] == 0) d.part[0] = d.part[1] = 0;
+    c.desc = &d;
+    c.cut = cut;
+    c.optics = d.shader != NULL ? NULL : optics;
+    c.image = image;
+    c.wide = tetcast_isa_best() >= TETCAST_ISA_AVX2 && (d.isa == TETCAST_ISA_AUTO || d.isa >= TETCAST_ISA_AVX2);
+    c.tiles_x = (image->width + TETCASTI_TILE - 1) / TETCASTI_TILE;
+    if ((uint64_t)c.tiles_x * ((image->height + TETCASTI_TILE - 1) / TETCASTI_TILE) > 0x7fffffffu)
+        return tetcasti_fail(d.env.error, TETCAST_ERR_RANGE, image->width, "bricks: the picture is too large");
+    c.tiles = c.tiles_x * ((image->height + TETCASTI_TILE - 1) / TETCASTI_TILE);
+    if (c.optics != NULL)
+        c.segment8 = c.wide ? optics->segment8 : tetcasti_segment8_pick(optics, TETCAST_ISA_SCALAR);
+    if (image->rgba8 != NULL) tetcasti_encoder_open(&c.encoder);
+    r = tetcasti_brick_frame_open(&c, &d, image);
+    if (r == TETCAST_OK && !tetcasti_brick_skips(&c))
+        r = tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
+    if (r == TETCAST_OK) {
+        strands = tetcasti_thread_count(&d.env);
+        tetcasti_parallel_for(&d.env, tetcasti_task_bricks, &c, strands < c.tiles ? strands : c.tiles);
+        if (c.failed) r = tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
+        else if (c.cancelled) r = tetcasti_fail(d.env.error, TETCAST_ERR_CANCELLED, 0, "bricks: cancelled");
+    }
+    tetcasti_solid_free(&c.mem, &c.hull);
+    tetcasti_free(&c.mem, c.skip);
+    if (r == TETCAST_OK && stats != NULL) {
+        stats->rays += tetcasti_tally(c.tally[0]);
+        stats->hit_rays += tetcasti_tally(c.tally[1]);
+        stats->walks += tetcasti_tally(c.tally[2]);
+        stats->steps += tetcasti_tally(c.tally[3]);
+        stats->ended += tetcasti_tally(c.tally[4]);
+        stats->isa = c.wide ? TETCAST_ISA_AVX2 : TETCAST_ISA_SCALAR;
+    }
+    return r;
+}
+
+TETCAST_DEF const float *tetcast_params_find(const tetcast_param *params, size_t count, const char *name, size_t least,
+                                             tetcast_error *error) {
+    static const char text[] = "missing shader parameter: ";
+    size_t i, k;
+    for (i = 0; i < count && params != NULL && name != NULL; i++)
+        if (params[i].name != NULL && params[i].values != NULL && params[i].count >= least &&
+            strcmp(params[i].name, name) == 0) return params[i].values;
+    if (error == NULL || name == NULL) return NULL;
+    error->code = TETCAST_ERR_INVALID_ARG;
+    error->where = 0;
+    memcpy(error->text, text, sizeof text);
+    for (k = sizeof text - 1, i = 0; name[i] != 0 && k + 1 < sizeof error->text; i++) error->text[k++] = name[i];
+    error->text[k] = 0;
+    return NULL;
 }
 #endif /* TETCAST_NO_BRICKS */
 #ifndef TETCAST_NO_RBF

@@ -488,6 +488,695 @@ TEST(planes_and_sections) {
     tets_free(&m);
 }
 
+
+/* ---- bricks -------------------------------------------------------------------------------------------------- */
+
+static const tetcast_type g_types[4] = {TETCAST_TYPE_F32, TETCAST_TYPE_F16, TETCAST_TYPE_U16, TETCAST_TYPE_U8};
+
+static float *random_grid(const tetcast_lattice *l, uint64_t seed) {
+    test_rng r = test_rng_make(seed);
+    float *v = (float *)malloc(node_count(l) * 4);
+    size_t i;
+    for (i = 0; i < node_count(l); i++) v[i] = test_rng_float(&r);
+    return v;
+}
+
+static tetcast_lattice cube_lattice(uint32_t nx, uint32_t ny, uint32_t nz) {
+    tetcast_lattice l;
+    uint32_t k;
+    memset(&l, 0, sizeof l);
+    l.dims[0] = nx;
+    l.dims[1] = ny;
+    l.dims[2] = nz;
+    for (k = 0; k < 3; k++) l.spacing[k] = 1.0;
+    return l;
+}
+
+static tetcast_bricks *make_bricks(const tetcast_lattice *l, const float *v, tetcast_type type, uint32_t log,
+                                   float max_error) {
+    tetcast_bricks_desc d;
+    tetcast_bricks *b = NULL;
+    tetcast_array a;
+    memset(&d, 0, sizeof d);
+    memset(&a, 0, sizeof a);
+    a.data = v;
+    d.env.thread_count = 2;
+    d.storage = type;
+    d.log_cells = log;
+    d.max_error = max_error;
+    CHECK_EQ_U64(tetcast_bricks_create_grid(&d, l, &a, NULL, &b), TETCAST_OK);
+    return b;
+}
+
+static tetcast_cut *make_cut(const tetcast_bricks *b, const uint8_t *levels, uint32_t jump) {
+    tetcast_cut_desc d;
+    tetcast_cut *c = NULL;
+    memset(&d, 0, sizeof d);
+    d.env.thread_count = 2;
+    d.levels = levels;
+    d.max_jump = jump;
+    CHECK_EQ_U64(tetcast_cut_create(&d, b, &c), TETCAST_OK);
+    return c;
+}
+
+/* Trilinear in the nodes, in double. */
+static double grid_at(const tetcast_lattice *l, const float *v, double x, double y, double z) {
+    const double p[3] = {x, y, z};
+    uint32_t n[3], k;
+    double f[3], sum = 0;
+    for (k = 0; k < 3; k++) {
+        n[k] = (uint32_t)p[k];
+        if (n[k] > 0 && n[k] + 1 >= l->dims[k]) n[k] = l->dims[k] - 2;
+        f[k] = p[k] - n[k];
+    }
+    for (k = 0; k < 8; k++) {
+        const uint32_t i = n[0] + (k & 1u), j = n[1] + (k >> 1 & 1u), m = n[2] + (k >> 2);
+        const double w = ((k & 1u) ? f[0] : 1 - f[0]) * ((k >> 1 & 1u) ? f[1] : 1 - f[1]) * ((k >> 2) ? f[2] : 1 - f[2]);
+        if (w > 0) sum += w * (double)v[i + (size_t)l->dims[0] * (j + (size_t)l->dims[1] * m)];
+    }
+    return sum;
+}
+
+TEST(bricks_sample_the_grid) {
+    static const uint32_t dims[5][3] = {{40, 33, 17}, {1, 40, 20}, {2, 2, 2}, {1, 1, 1}, {65, 9, 18}};
+    int shape, type;
+    for (shape = 0; shape < 5; shape++)
+        for (type = 0; type < 4; type++) {
+            enum { N = 500 };
+            static float x[N], y[N], z[N], a[N], b[N];
+            const tetcast_lattice l = cube_lattice(dims[shape][0], dims[shape][1], dims[shape][2]);
+            float *v = random_grid(&l, 3);
+            tetcast_bricks *k = make_bricks(&l, v, g_types[type], 3, 0);
+            tetcast_cut *c = make_cut(k, NULL, 0);
+            test_rng r = test_rng_make(4);
+            double worst = 0;
+            size_t i;
+            for (i = 0; i < N; i++) {
+                x[i] = test_rng_float(&r) * (float)(dims[shape][0] - 1);
+                y[i] = test_rng_float(&r) * (float)(dims[shape][1] - 1);
+                z[i] = test_rng_float(&r) * (float)(dims[shape][2] - 1);
+                if (i % 5 == 0) x[i] = (float)(int)x[i];
+                if (i % 7 == 0) y[i] = (float)(dims[shape][1] - 1);
+            }
+            tetcast_cut_sample(c, x, y, z, N, TETCAST_ISA_SCALAR, a);
+            tetcast_cut_sample(c, x, y, z, N, TETCAST_ISA_AUTO, b);
+            CHECK(memcmp(a, b, sizeof a) == 0);
+            for (i = 0; i < N; i++) {
+                const double e = fabs((double)a[i] - grid_at(&l, v, (double)x[i], (double)y[i], (double)z[i]));
+                worst = e > worst || e != e ? e : worst;
+            }
+            CHECK_MSG(worst < (type == 0 ? 1e-5 : type == 1 ? 3e-4 : type == 2 ? 2e-5 : 2.1e-3), "%d %d %g", shape, type, worst);
+            tetcast_cut_destroy(c);
+            tetcast_bricks_destroy(k);
+            free(v);
+        }
+}
+
+/* The largest jump over the borders between slots: values on both sides of each face, a little away from it, and on
+   edges and corners. */
+static double largest_jump(const tetcast_bricks *b, const tetcast_cut *c, uint64_t seed, int count) {
+    tetcast_bricks_info info;
+    test_rng r = test_rng_make(seed);
+    double worst = 0;
+    int i;
+    tetcast_bricks_get_info(b, &info);
+    for (i = 0; i < count; i++) {
+        const float gap = 1.0f / 8192.0f;
+        float p[3], x[8], y[8], z[8], v[8];
+        int k, j, on = 0;
+        double lo = 1e9, hi = -1e9;
+        for (k = 0; k < 3; k++) {
+            const uint32_t slots = info.slots[k];
+            p[k] = test_rng_float(&r) * (float)(info.lattice.dims[k] - 1);
+            if (slots > 1 && (test_rng_below(&r, 3) == 0 || (k == 2 && on == 0))) {
+                p[k] = (float)((1 + test_rng_below(&r, slots - 1)) * info.cells);
+                on |= 1 << k;
+            }
+        }
+        for (j = 0; j < 8; j++) {
+            x[j] = p[0] + (on & 1 ? (j & 1 ? gap : -gap) : 0.0f);
+            y[j] = p[1] + (on & 2 ? (j & 2 ? gap : -gap) : 0.0f);
+            z[j] = p[2] + (on & 4 ? (j & 4 ? gap : -gap) : 0.0f);
+        }
+        tetcast_cut_sample(c, x, y, z, 8, TETCAST_ISA_AUTO, v);
+        for (j = 0; j < 8; j++) {
+            lo = (double)v[j] < lo ? (double)v[j] : lo;
+            hi = (double)v[j] > hi ? (double)v[j] : hi;
+        }
+        worst = hi - lo > worst ? hi - lo : worst;
+    }
+    return worst;
+}
+
+/* Exactly on the border from both sides: the nodes of the brick below it, and what is sampled there (which is of the one
+   above). Values a step of 2^-13 away differ by the slope, at most 1 a cell on level 0: so the gap bounds the jump. */
+TEST(bricks_are_continuous) {
+    int log, type, round;
+    for (log = 3; log <= 5; log++)
+        for (type = 0; type < (log == 3 ? 4 : 1); type++) {
+            const uint32_t n = log == 3 ? 64 : log == 4 ? 128 : 96;
+            const tetcast_lattice l = cube_lattice(n + 1, n / 2 + 1, n / 2 + 3);
+            float *v = random_grid(&l, 5);
+            tetcast_bricks *b = make_bricks(&l, v, g_types[type], (uint32_t)log, 0);
+            tetcast_bricks_info info;
+            tetcast_bricks_get_info(b, &info);
+            for (round = 0; round < (test_quick() ? 2 : 5); round++) {
+                const size_t slots = (size_t)info.slots[0] * info.slots[1] * info.slots[2];
+                uint8_t *levels = (uint8_t *)malloc(slots);
+                test_rng r = test_rng_make((uint64_t)(10 * log + round));
+                tetcast_cut *c;
+                tetcast_cut_info ci;
+                double jump;
+                size_t i;
+                for (i = 0; i < slots; i++) levels[i] = (uint8_t)test_rng_below(&r, round == 0 ? 2 : info.levels);
+                c = make_cut(b, levels, 0);
+                tetcast_cut_get_info(c, &ci);
+                CHECK(ci.adapted > 0);
+                CHECK(memcmp(tetcast_cut_levels(c), levels, slots) == 0);
+                jump = largest_jump(b, c, (uint64_t)round, 3000);
+                CHECK_MSG(jump < 6.0 / 8192.0, "log %d type %d round %d: %g", log, type, round, jump);
+                tetcast_cut_destroy(c);
+                free(levels);
+            }
+            tetcast_bricks_destroy(b);
+            free(v);
+        }
+}
+
+/* The same without the slope: nodes of the border from both sides. Both bricks' own interpolants, read by hand, in single
+   precision: 1e-6 of the range. Without the edge and corner neighbours, or fine before coarse, this has to fail. */
+static double border_gap(const tetcast_cut *cut, uint64_t seed, int count) {
+    const tetcast_bricks *b = cut->bricks;
+    test_rng r = test_rng_make(seed);
+    double worst = 0;
+    int i;
+    for (i = 0; i < count; i++) {
+        float first = 0.0f;
+        uint32_t s[3], on = 0, k, n, seen = 0;
+        float p[3];
+        for (k = 0; k < 3; k++) {
+            s[k] = test_rng_below(&r, b->slots[k]);
+            p[k] = ((float)s[k] + test_rng_float(&r)) * (float)(1u << b->log);
+            if (s[k] + 1 < b->slots[k] && (test_rng_u32(&r) & 1u)) {
+                p[k] = (float)((s[k] + 1) << b->log);
+                on |= 1u << k;
+            }
+            if (p[k] > (float)(b->lattice.dims[k] - 1)) p[k] = (float)(b->lattice.dims[k] - 1);
+        }
+        for (n = 0; n < 8; n++) { /* the same point in all slots that it belongs to */
+            uint32_t word, level, type, m[3], a, ok = 1;
+            const uint8_t *block;
+            float f[3], v[8], x;
+            size_t node = 0;
+            if ((n & ~on) != 0) continue;
+            word = cut->slot[(s[0] + (n & 1u)) + (size_t)b->slots[0] * ((s[1] + (n >> 1 & 1u)) + (size_t)b->slots[1] * (s[2] + (n >> 2)))];
+            level = word >> TETCASTI_LEVEL_SHIFT & 15u;
+            block = tetcasti_slot_block(cut, word, &type);
+            for (a = 3; a-- > 0;) {
+                const uint32_t slot = s[a] + (n >> a & 1u);
+                const float u = (p[a] - (float)(slot >> level << level << b->log)) / (float)(1u << level);
+                m[a] = (uint32_t)u;
+                if (m[a] >= (1u << b->log)) m[a] = (1u << b->log) - 1;
+                f[a] = u - (float)m[a];
+                ok &= f[a] >= 0.0f && f[a] <= 1.0f;
+                node = node * b->side + m[a];
+            }
+            CHECK(ok);
+            for (a = 0; a < 8; a++)
+                v[a] = tetcasti_block_get(b, block, type, node + (a & 1u) + b->side * ((a >> 1 & 1u) + (size_t)b->side * (a >> 2)));
+            x = tetcasti_trilinear(v, f);
+            if (!seen) first = x;
+            seen = 1;
+            if (fabs((double)x - (double)first) > worst) worst = fabs((double)x - (double)first);
+        }
+    }
+    return worst;
+}
+
+TEST(borders_agree) {
+    int log, type, round;
+    for (log = 3; log <= 5; log++)
+        for (type = 0; type < 4; type++) {
+            const uint32_t n = log == 5 ? 128 : 100;
+            const tetcast_lattice l = cube_lattice(n + 1, n / 2 + 1, n / 2 + 4);
+            float *v = random_grid(&l, 6);
+            tetcast_bricks *b = make_bricks(&l, v, g_types[type], (uint32_t)log, 0);
+            tetcast_bricks_info info;
+            tetcast_bricks_get_info(b, &info);
+            for (round = 0; round < (test_quick() ? 2 : 4); round++) {
+                const size_t slots = (size_t)info.slots[0] * info.slots[1] * info.slots[2];
+                uint8_t *levels = (uint8_t *)malloc(slots);
+                test_rng r = test_rng_make((uint64_t)(20 * log + round));
+                tetcast_cut *c;
+                double gap;
+                size_t i;
+                for (i = 0; i < slots; i++) levels[i] = (uint8_t)test_rng_below(&r, round == 0 ? 2 : info.levels);
+                c = make_cut(b, levels, 0);
+                gap = border_gap(c, (uint64_t)round, 4000);
+                CHECK_MSG(gap < 1e-6, "log %d type %d round %d: %g", log, type, round, gap);
+                if (round == 1) { /* control: with the bricks as they are it is large */
+                    for (i = 0; i < slots; i++)
+                        c->slot[i] = (c->slot[i] & TETCASTI_ADAPTED ? c->source[c->slot[i] & TETCASTI_SLOT_MASK]
+                                                                    : c->slot[i] & TETCASTI_SLOT_MASK) |
+                                     (uint32_t)levels[i] << TETCASTI_LEVEL_SHIFT;
+                    CHECK(border_gap(c, 1, 4000) > 0.1);
+                }
+                tetcast_cut_destroy(c);
+                free(levels);
+            }
+            tetcast_bricks_destroy(b);
+            free(v);
+        }
+}
+
+/* A linear field is the same on all levels; a constant one too; the filter keeps both up to the sides of the lattice. */
+TEST(levels_keep_linear_fields) {
+    const tetcast_lattice l = cube_lattice(37, 50, 23);
+    float *v = (float *)malloc(node_count(&l) * 4);
+    uint32_t nearest, level;
+    size_t i;
+    for (i = 0; i < node_count(&l); i++) {
+        double p[3];
+        node_at(&l, i, p);
+        v[i] = (float)linear_at(p);
+    }
+    for (nearest = 0; nearest < 2; nearest++) {
+        tetcast_bricks_desc d;
+        tetcast_bricks *b = NULL;
+        tetcast_array a;
+        memset(&d, 0, sizeof d);
+        memset(&a, 0, sizeof a);
+        a.data = v;
+        d.nearest = nearest;
+        REQUIRE(tetcast_bricks_create_grid(&d, &l, &a, NULL, &b) == TETCAST_OK);
+        for (level = 0; level < 5; level++) {
+            tetcast_cut_desc cd;
+            tetcast_cut *c = NULL;
+            tetcast_cut_info ci;
+            test_rng r = test_rng_make(level);
+            double worst = 0, slope = 0;
+            memset(&cd, 0, sizeof cd);
+            cd.level = level;
+            REQUIRE(tetcast_cut_create(&cd, b, &c) == TETCAST_OK);
+            tetcast_cut_get_info(c, &ci);
+            CHECK_NEAR(ci.error, 0, 6e-5); /* values reach 40 */
+            CHECK_NEAR(ci.samples, 1.0 / (1 << level), 1e-12);
+            for (i = 0; i < 400; i++) {
+                const float x = 36 * test_rng_float(&r), y = 49 * test_rng_float(&r), z = 22 * test_rng_float(&r);
+                const double p[3] = {(double)x, (double)y, (double)z};
+                float s, g[3];
+                tetcast_cut_gradient(c, &x, &y, &z, 1, &s, &g);
+                worst = fabs((double)s - linear_at(p)) > worst ? fabs((double)s - linear_at(p)) : worst;
+                slope = fabs((double)g[1] + 0.7) > slope ? fabs((double)g[1] + 0.7) : slope;
+            }
+            CHECK_MSG(worst < 2e-5, "level %u: %g", level, worst);
+            CHECK_MSG(slope < 4e-5, "level %u: %g", level, slope);
+            tetcast_cut_destroy(c);
+        }
+        tetcast_bricks_destroy(b);
+    }
+    free(v);
+}
+
+/* What is stored as the error of a brick is no less than what is found; with max_error nothing is above it. */
+TEST(errors_are_bounds) {
+    const tetcast_lattice l = cube_lattice(65, 65, 65);
+    float *v = (float *)malloc(node_count(&l) * 4);
+    size_t i;
+    int round;
+    for (i = 0; i < node_count(&l); i++) {
+        double p[3];
+        node_at(&l, i, p);
+        v[i] = (float)(tanh((p[0] - 30) / 3) + 0.3 * sin(p[1] / 9) * cos(p[2] / 7));
+    }
+    for (round = 0; round < 3; round++) {
+        tetcast_bricks *b = make_bricks(&l, v, TETCAST_TYPE_F32, 3, round == 0 ? 0.0f : 0.02f * (float)round);
+        tetcast_bricks_info info;
+        tetcast_cut_desc d;
+        tetcast_cut *c = NULL;
+        tetcast_cut_info ci;
+        double worst = 0;
+        tetcast_bricks_get_info(b, &info);
+        memset(&d, 0, sizeof d);
+        if (round == 0) d.byte_budget = 9 * 9 * 9 * 4 * 60;
+        REQUIRE(tetcast_cut_create(&d, b, &c) == TETCAST_OK);
+        tetcast_cut_get_info(c, &ci);
+        if (round == 0) CHECK(ci.bytes <= d.byte_budget);
+        if (round != 0) CHECK_MSG(info.bricks < 480, "%d", (int)info.bricks); /* of 585 */
+        for (i = 0; i < node_count(&l); i++) {
+            const float x = (float)(i % 65), y = (float)(i / 65 % 65), z = (float)(i / 65 / 65);
+            float s;
+            tetcast_cut_sample(c, &x, &y, &z, 1, TETCAST_ISA_SCALAR, &s);
+            worst = fabs((double)s - (double)v[i]) > worst ? fabs((double)s - (double)v[i]) : worst;
+        }
+        CHECK_MSG(worst <= (double)ci.error + 1e-6, "%g above %g", worst, (double)ci.error);
+        if (round != 0) CHECK_MSG(worst <= 0.02 * round + 1e-6, "%g", worst);
+        tetcast_cut_destroy(c);
+        /* levels by distance, neighbours by at most one */
+        memset(&d, 0, sizeof d);
+        d.focus_radius = 9;
+        d.max_jump = 1;
+        REQUIRE(tetcast_cut_create(&d, b, &c) == TETCAST_OK);
+        if (round == 0) {
+            const uint8_t *level = tetcast_cut_levels(c);
+            uint32_t x, y, z, wide = 0;
+            for (z = 0; z + 1 < 8; z++)
+                for (y = 0; y < 8; y++)
+                    for (x = 0; x + 1 < 8; x++) wide += abs((int)level[x + 8 * (y + 8 * z)] - (int)level[x + 1 + 8 * (y + 8 * (z + 1))]) > 1;
+            CHECK_EQ_U64(wide, 0);
+            CHECK_EQ_U64(level[0], 0);
+            CHECK(level[511] >= 2);
+        }
+        CHECK(border_gap(c, 3, 3000) < 2e-6);
+        tetcast_cut_destroy(c);
+        tetcast_bricks_destroy(b);
+    }
+    free(v);
+}
+
+TEST(bricks_of_a_mesh) {
+    tets m;
+    tetcast_mesh *mesh;
+    tetcast_bricks_desc d;
+    tetcast_bricks_report report;
+    tetcast_bricks *b = NULL;
+    tetcast_bricks *two = NULL;
+    size_t i;
+    memset(&m, 0, sizeof m);
+    tets_lattice(&m, 9, 8, 10, 6, NULL);
+    tets_jitter(&m, 9, 8, 10, 0.4, 3);
+    for (i = 0; i < m.nv; i++) m.s[i] = (float)sin(0.6 * m.p[3 * i]) + (float)cos(0.5 * m.p[3 * i + 1]);
+    mesh = tets_build(&m, TETCAST_CELLS_TET16, NULL);
+    REQUIRE(mesh != NULL);
+    memset(&d, 0, sizeof d);
+    d.max_error = 0.05f;
+    d.checks = 20000;
+    d.log_cells = 3;
+    d.env.thread_count = 1;
+    REQUIRE(tetcast_bricks_create_mesh(&d, mesh, &report, &b) == TETCAST_OK);
+    CHECK_EQ_U64(report.above, 0);
+    CHECK(report.error <= 0.05 && report.error > 0);
+    d.env.thread_count = 3;
+    REQUIRE(tetcast_bricks_create_mesh(&d, mesh, NULL, &two) == TETCAST_OK);
+    {
+        const size_t size = tetcast_bricks_file_size(b);
+        uint8_t *p = (uint8_t *)malloc(size), *q = (uint8_t *)malloc(size);
+        REQUIRE(tetcast_bricks_file_size(two) == size);
+        CHECK_EQ_U64(tetcast_bricks_write(b, p, size), TETCAST_OK);
+        CHECK_EQ_U64(tetcast_bricks_write(two, q, size), TETCAST_OK);
+        CHECK(memcmp(p, q, size) == 0);
+        free(p);
+        free(q);
+    }
+    tetcast_bricks_destroy(two);
+    tetcast_bricks_destroy(b);
+    tetcast_mesh_destroy(mesh);
+    tets_free(&m);
+}
+
+TEST(brick_files) {
+    const tetcast_lattice l = cube_lattice(20, 11, 9);
+    float *v = random_grid(&l, 8);
+    int type;
+    for (type = 0; type < 4; type++) {
+        tetcast_bricks *b = make_bricks(&l, v, g_types[type], 3, 0), *c = NULL;
+        const size_t size = tetcast_bricks_file_size(b);
+        uint8_t *p = (uint8_t *)malloc(size), *q = (uint8_t *)malloc(size);
+        test_rng r = test_rng_make(5);
+        tetcast_error error;
+        tetcast_env env;
+        size_t i;
+        memset(&env, 0, sizeof env);
+        env.error = &error;
+        CHECK_EQ_U64(tetcast_bricks_write(b, p, size - 1), TETCAST_ERR_RANGE);
+        CHECK_EQ_U64(tetcast_bricks_write(b, p, size), TETCAST_OK);
+        REQUIRE(tetcast_bricks_read(&env, p, size, &c) == TETCAST_OK);
+        CHECK_EQ_U64(tetcast_bricks_write(c, q, size), TETCAST_OK);
+        CHECK(memcmp(p, q, size) == 0);
+        tetcast_bricks_destroy(c);
+        for (i = 0; i < size; i += 1 + i / 20) {
+            CHECK(tetcast_bricks_read(&env, p, i, &c) != TETCAST_OK);
+            CHECK(c == NULL);
+        }
+        CHECK_EQ_U64(tetcast_bricks_read(&env, p, size - 1, &c), TETCAST_ERR_TRUNCATED);
+        for (i = 0; i < 300; i++) { /* any changed bit is found */
+            const size_t at = i < 152 ? i : test_rng_below(&r, (uint32_t)size);
+            const uint8_t bit = (uint8_t)(1u << test_rng_below(&r, 8));
+            if (at >= 116 && at < 120) continue; /* reserved, but under the checksum: still found */
+            p[at] ^= bit;
+            CHECK(tetcast_bricks_read(&env, p, size, &c) != TETCAST_OK);
+            p[at] ^= bit;
+        }
+        { /* damage with good checksums: refused or harmless, never a crash */
+            int n;
+            for (n = 0; n < 400; n++) {
+                const uint32_t records = 152 + 28 * tetcasti_load_u32(p + 28);
+                memcpy(q, p, size);
+                q[n % 2 ? 16 + test_rng_below(&r, 100) : 152 + test_rng_below(&r, records - 152)] ^= (uint8_t)(1u << test_rng_below(&r, 8));
+                tetcasti_store_u64(q + 128, tetcasti_hash_bytes(1, q + 152, records - 152));
+                tetcasti_store_u64(q + 144, tetcasti_hash_bytes(3, q, 144));
+                if (tetcast_bricks_read(&env, q, size, &c) == TETCAST_OK) {
+                    tetcast_cut *cut = make_cut(c, NULL, 0);
+                    const float x = 3.5f;
+                    float s;
+                    tetcast_cut_sample(cut, &x, &x, &x, 1, TETCAST_ISA_AUTO, &s);
+                    tetcast_cut_destroy(cut);
+                    tetcast_bricks_destroy(c);
+                }
+            }
+        }
+        free(p);
+        free(q);
+        tetcast_bricks_destroy(b);
+    }
+    free(v);
+}
+
+/* ---- pictures ------------------------------------------------------------------------------------------------ */
+
+static tetcast_optics *flat_optics(float extinction, tetcast_model model) {
+    tetcast_control_point p[2];
+    tetcast_transfer_desc td;
+    tetcast_optics_desc od;
+    tetcast_transfer *t = NULL;
+    tetcast_optics *o = NULL;
+    memset(p, 0, sizeof p);
+    memset(&td, 0, sizeof td);
+    memset(&od, 0, sizeof od);
+    p[0].value = -10;
+    p[1].value = 10;
+    p[0].extinction = p[1].extinction = extinction;
+    p[0].rgb[0] = p[1].rgb[0] = 1.0f;
+    p[0].rgb[2] = 0.5f;
+    td.points = p;
+    td.point_count = 2;
+    od.model = model;
+    od.t_min = -1;
+    CHECK_EQ_U64(tetcast_transfer_create(&td, &t), TETCAST_OK);
+    CHECK_EQ_U64(tetcast_optics_create(t, &od, &o), TETCAST_OK);
+    tetcast_transfer_destroy(t);
+    return o;
+}
+
+static void box_view(tetcast_brick_render_desc *d, const tetcast_lattice *l, int kind) {
+    double lo[3], hi[3];
+    static const double views[4][3] = {{0, 0, 1}, {1, 0.6, 0.4}, {-1, 0.2, -0.3}, {1, 1, 1}};
+    int k;
+    memset(d, 0, sizeof *d);
+    for (k = 0; k < 3; k++) {
+        lo[k] = l->origin[k];
+        hi[k] = lo[k] + (l->dims[k] - 1) * l->spacing[k];
+    }
+    d->camera.ortho_height = kind % 2 ? 0.0f : 1.0f;
+    CHECK_EQ_U64(tetcast_camera_fit(&d->camera, lo, hi, views[kind % 4], 48, 40), TETCAST_OK);
+}
+
+/* In a constant medium opacity depends on the length of the way through the box only, whatever the levels are. */
+TEST(constant_medium) {
+    tetcast_lattice l = cube_lattice(33, 25, 41);
+    float *v = random_grid(&l, 2);
+    tetcast_bricks *b;
+    tetcast_optics *o = flat_optics(0.04f, TETCAST_MODEL_VOLUME);
+    tetcast_bricks_info info;
+    int round;
+    l.spacing[1] = 1.7;
+    l.origin[2] = -9;
+    b = make_bricks(&l, v, TETCAST_TYPE_F32, 3, 0);
+    tetcast_bricks_get_info(b, &info);
+    for (round = 0; round < 8; round++) {
+        enum { W = 48, H = 40 };
+        static float rgba[W * H * 4], length[W * H];
+        uint8_t levels[512];
+        test_rng r = test_rng_make((uint64_t)round);
+        tetcast_brick_render_desc d;
+        tetcast_image image;
+        tetcast_cut *c;
+        double worst = 0, worst_length = 0;
+        uint32_t i;
+        for (i = 0; i < info.slots[0] * info.slots[1] * info.slots[2]; i++) levels[i] = (uint8_t)test_rng_below(&r, 4);
+        c = make_cut(b, levels, 0);
+        box_view(&d, &l, round);
+        d.step = round < 4 ? 1.0f : 2.7f;
+        memset(&image, 0, sizeof image);
+        image.width = W;
+        image.height = H;
+        image.rgba = rgba;
+        image.length = length;
+        CHECK_EQ_U64(tetcast_render_bricks(&d, c, o, &image, NULL), TETCAST_OK);
+        for (i = 0; i < W * H; i++) {
+            tetcast_ray ray;
+            double t0 = 0, t1 = 1e30, way;
+            int k;
+            (void)tetcast_camera_ray(&d.camera, W, H, i % W + 0.5, i / W + 0.5, &ray);
+            for (k = 0; k < 3; k++) {
+                const double lo = l.origin[k], hi = lo + (l.dims[k] - 1) * l.spacing[k];
+                const double a = (lo - ray.org[k]) / ray.dir[k], e = (hi - ray.org[k]) / ray.dir[k];
+                if (fabs(ray.dir[k]) < 1e-14) {
+                    if (ray.org[k] < lo || ray.org[k] > hi) t1 = -1;
+                    continue;
+                }
+                t0 = t0 > (a < e ? a : e) ? t0 : (a < e ? a : e);
+                t1 = t1 < (a < e ? e : a) ? t1 : (a < e ? e : a);
+            }
+            way = t1 > t0 ? t1 - t0 : 0;
+            worst = fabs((double)rgba[4 * i + 3] - (1 - exp(-(double)0.04f * way))) > worst
+                        ? fabs((double)rgba[4 * i + 3] - (1 - exp(-(double)0.04f * way))) : worst;
+            worst_length = fabs((double)length[i] - way) > worst_length ? fabs((double)length[i] - way) : worst_length;
+        }
+        CHECK_MSG(worst <= 1e-5, "round %d: %g", round, worst);
+        CHECK_MSG(worst_length <= 1e-4, "round %d: %g", round, worst_length);
+        tetcast_cut_destroy(c);
+    }
+    tetcast_optics_destroy(o);
+    tetcast_bricks_destroy(b);
+    free(v);
+}
+
+static uint64_t picture(const tetcast_brick_render_desc *d, const tetcast_cut *c, const tetcast_optics *o, uint32_t w,
+                        uint32_t h, float *rgba) {
+    tetcast_image image;
+    memset(&image, 0, sizeof image);
+    image.width = w;
+    image.height = h;
+    image.rgba = rgba;
+    CHECK_EQ_U64(tetcast_render_bricks(d, c, o, &image, NULL), TETCAST_OK);
+    return test_fnv1a(rgba, (size_t)w * h * 16, 0);
+}
+
+/* Any isa, any number of threads, any parts: the same bits. For all ways to store, with levels mixed. */
+TEST(brick_pictures_same_bits) {
+    enum { W = 70, H = 50 };
+    static float a[W * H * 4], piece[W * H * 4];
+    const tetcast_lattice l = cube_lattice(50, 34, 41);
+    float *v = random_grid(&l, 2);
+    int type;
+    for (type = 0; type < 4; type++) {
+        tetcast_bricks *b = make_bricks(&l, v, g_types[type], 3, 0);
+        tetcast_control_point p[3] = {{0.3f, {1, 0, 0}, 0}, {0.5f, {0, 1, 0}, 0.1f}, {0.9f, {0, 0, 1}, 0.3f}};
+        tetcast_isovalue iso = {0.6f, {1, 1, 1}, 0.4f, 0.2f, 0};
+        tetcast_transfer_desc td;
+        tetcast_optics_desc od;
+        tetcast_transfer *t = NULL;
+        tetcast_optics *o = NULL;
+        tetcast_cut_desc cd;
+        tetcast_cut *c = NULL;
+        tetcast_brick_render_desc d;
+        uint64_t want;
+        uint32_t x, y, row;
+        memset(&td, 0, sizeof td);
+        memset(&od, 0, sizeof od);
+        memset(&cd, 0, sizeof cd);
+        td.points = p;
+        td.point_count = 3;
+        td.isovalues = &iso;
+        td.isovalue_count = 1;
+        od.model = type % 2 ? TETCAST_MODEL_MIXED : TETCAST_MODEL_VOLUME;
+        REQUIRE(tetcast_transfer_create(&td, &t) == TETCAST_OK && tetcast_optics_create(t, &od, &o) == TETCAST_OK);
+        cd.focus_radius = 14;
+        REQUIRE(tetcast_cut_create(&cd, b, &c) == TETCAST_OK);
+        box_view(&d, &l, 1);
+        d.isa = TETCAST_ISA_SCALAR;
+        d.env.thread_count = 1;
+        want = picture(&d, c, o, W, H, a);
+        d.isa = TETCAST_ISA_AUTO;
+        d.env.thread_count = 3;
+        CHECK_EQ_U64(picture(&d, c, o, W, H, piece), want);
+        d.frame[0] = W;
+        d.frame[1] = H;
+        for (y = 0; y < H; y += 21)
+            for (x = 0; x < W; x += 33) {
+                const uint32_t w = W - x < 33 ? W - x : 33, h = H - y < 21 ? H - y : 21;
+                d.part[0] = x;
+                d.part[1] = y;
+                (void)picture(&d, c, o, w, h, piece);
+                for (row = 0; row < h; row++) CHECK(memcmp(piece + 4 * row * w, a + 4 * ((y + row) * W + x), 16 * w) == 0);
+            }
+        d.part[0] = W;
+        {
+            tetcast_image image;
+            memset(&image, 0, sizeof image);
+            image.width = image.height = 1;
+            CHECK_EQ_U64(tetcast_render_bricks(&d, c, o, &image, NULL), TETCAST_ERR_INVALID_ARG);
+        }
+        tetcast_cut_destroy(c);
+        tetcast_bricks_destroy(b);
+        tetcast_optics_destroy(o);
+        tetcast_transfer_destroy(t);
+    }
+    free(v);
+}
+
+/* Tetrahedra and bricks of the same field: the hull is the same to the pixel, pictures come nearer with the step. */
+TEST(bricks_look_like_tetrahedra) {
+    enum { W = 60, H = 60 };
+    static float a[W * H * 4], b[W * H * 4];
+    tets m;
+    tetcast_mesh *mesh;
+    tetcast_bricks_desc bd;
+    tetcast_bricks *bricks = NULL;
+    tetcast_cut *cut;
+    tetcast_optics *o = flat_optics(0.3f, TETCAST_MODEL_VOLUME);
+    tetcast_brick_render_desc d;
+    tetcast_render_desc rd;
+    tetcast_image image;
+    tetcast_lattice l;
+    double worst = 0;
+    size_t i, outline = 0;
+    memset(&m, 0, sizeof m);
+    tets_lattice(&m, 6, 6, 6, 5, NULL);
+    tets_jitter(&m, 6, 6, 6, 0.5, 3);
+    make_linear(&m);
+    mesh = tets_build(&m, TETCAST_CELLS_TET16, NULL);
+    REQUIRE(mesh != NULL);
+    memset(&bd, 0, sizeof bd);
+    bd.longest = 33;
+    bd.log_cells = 3;
+    REQUIRE(tetcast_bricks_create_mesh(&bd, mesh, NULL, &bricks) == TETCAST_OK);
+    cut = make_cut(bricks, NULL, 0);
+    (void)tetcast_lattice_fit(mesh, 33, &l);
+    box_view(&d, &l, 1);
+    memset(&rd, 0, sizeof rd);
+    memset(&image, 0, sizeof image);
+    rd.camera = d.camera;
+    image.width = W;
+    image.height = H;
+    image.rgba = a;
+    CHECK_EQ_U64(tetcast_render(&rd, mesh, o, &image, NULL), TETCAST_OK);
+    (void)picture(&d, cut, o, W, H, b);
+    for (i = 0; i < W * H * 4; i++) {
+        const double e = fabs((double)a[i] - (double)b[i]);
+        worst = e > worst || e != e ? e : worst;
+        if (i % 4 == 3) outline += (a[i] > 0) != (b[i] > 0);
+    }
+    CHECK_EQ_U64(outline, 0);
+    CHECK_MSG(worst < 2e-4, "%g", worst);
+    tetcast_cut_destroy(cut);
+    tetcast_bricks_destroy(bricks);
+    tetcast_mesh_destroy(mesh);
+    tetcast_optics_destroy(o);
+    tets_free(&m);
+}
+
 /*>>TESTS*/
 
 int main(int argc, char **argv) {
@@ -499,5 +1188,15 @@ int main(int argc, char **argv) {
     RUN(resample_keeps_the_integral);
     RUN(resample_bad_cells);
     RUN(planes_and_sections);
+    RUN(bricks_sample_the_grid);
+    RUN(bricks_are_continuous);
+    RUN(borders_agree);
+    RUN(levels_keep_linear_fields);
+    RUN(errors_are_bounds);
+    RUN(bricks_of_a_mesh);
+    RUN(brick_files);
+    RUN(constant_medium);
+    RUN(brick_pictures_same_bits);
+    RUN(bricks_look_like_tetrahedra);
     return test_end();
 }

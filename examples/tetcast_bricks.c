@@ -1,0 +1,784 @@
+/* tetcast_bricks.c - tetrahedra or a grid -> bricks with level of detail -> picture
+   SPDX-License-Identifier: MIT OR Unlicense */
+#include "support/camera.h"
+#include "support/cli.h"
+#include "support/png.h"
+#include "support/transfer.h"
+#include "support/volume.h"
+#include "support/volume_scenes.h"
+#define TETCAST_IMPLEMENTATION
+#include "tetcast.h"
+
+typedef struct options {
+    sup_common common;
+    const char *in, *out, *scene, *field, *tf, *reference, *data_type;
+    double max_error, opacity, iso, scale, step, radius, share, samples, lod_error;
+    int64_t detail, longest, longest_end, cells, level, jump;
+    int storage, model, has_iso, has_focus, has_cut, has_dims, has_background, shader, weld, tile;
+    float focus[3], cut[3], dims[3], spacing[3], background[3];
+} options;
+
+static const tetcast_type storages[4] = {TETCAST_TYPE_F16, TETCAST_TYPE_F32, TETCAST_TYPE_U16, TETCAST_TYPE_U8};
+static const char *const storage_names[4] = {"f16", "f32", "u16", "u8"};
+enum { SHADER_OPTICS, SHADER_LIT };
+
+static int ends_with(const char *text, const char *end) {
+    const size_t n = strlen(text), k = strlen(end);
+    return n >= k && strcmp(text + n - k, end) == 0;
+}
+
+/* ---- input -------------------------------------------------------------------------------------------------- */
+
+/* Bytes without a header: --dims says what they are. */
+static int read_raw(const options *o, sup_volume *v, sup_error *err) {
+    char *data;
+    size_t size, count;
+    float *values;
+    if (sup_read_file(o->in, &data, &size, err)) return 1;
+    memset(v, 0, sizeof *v);
+    for (int k = 0; k < 3; k++) {
+        v->dims[k] = (uint32_t)o->dims[k];
+        v->spacing[k] = o->spacing[k] > 0.0f ? (double)o->spacing[k] : 1.0;
+    }
+    count = (size_t)v->dims[0] * v->dims[1] * v->dims[2];
+    if (size != count && size != 2 * count) {
+        SUP_FREE(data);
+        return sup_fail(err, "%s: %lu bytes are not --dims %ux%ux%u with one or two bytes each", o->in, (unsigned long)size,
+                        v->dims[0], v->dims[1], v->dims[2]);
+    }
+    values = sup_volume_add_field(v, "data", 4, 1, 0, count);
+    for (size_t i = 0; values && i < count; i++) {
+        const uint8_t *p = (const uint8_t *)data + i * (size / count);
+        values[i] = size == count ? (float)p[0] : (float)(p[0] | p[1] << 8);
+    }
+    SUP_FREE(data);
+    return values ? 0 : sup_fail(err, "out of memory");
+}
+
+static int load_volume(const options *o, const char *path, sup_volume *v, sup_error *err) {
+    if (!path) return sup_volume_make(o->scene, (uint32_t)o->detail, v, err);
+    if (o->has_dims && !ends_with(path, ".vtk")) return read_raw(o, v, err);
+    return sup_volume_read(path, v, err);
+}
+
+/* One number a point or cell: a scalar, or the length of a vector. */
+static int choose_field(const options *o, const sup_volume *v, tetcast_field *out, float **made, sup_error *err) {
+    memset(out, 0, sizeof *out);
+    *made = NULL;
+    for (size_t i = 0; i < v->field_count; i++) {
+        const sup_field *f = v->fields + i;
+        if (o->field && strcmp(o->field, f->name) != 0) continue;
+        out->name = f->name;
+        out->per_cell = (uint32_t)f->per_cell;
+        out->values.data = f->values;
+        if (f->components == 1) return 0;
+        *made = (float *)sup_alloc(f->count, sizeof(float));
+        if (!*made) return sup_fail(err, "out of memory");
+        for (size_t k = 0; k < f->count; k++) {
+            double sum = 0.0;
+            for (size_t c = 0; c < f->components; c++) {
+                const double x = (double)f->values[k * f->components + c];
+                sum += x * x;
+            }
+            (*made)[k] = (float)sqrt(sum);
+        }
+        out->values.data = *made;
+        return 0;
+    }
+    (void)sup_fail(err, "%s: there is no field%s%s; there are:", o->in ? o->in : o->scene, o->field ? " " : "",
+                   o->field ? o->field : "");
+    for (size_t i = 0; i < v->field_count; i++) {
+        const size_t used = strlen(err->text);
+        (void)snprintf(err->text + used, sizeof err->text - used, " %s", v->fields[i].name);
+    }
+    return 1;
+}
+
+static tetcast_result make_mesh(const options *o, const sup_volume *v, const tetcast_field *field,
+                                const tetcast_env *env, tetcast_mesh **out) {
+    tetcast_mesh_desc desc;
+    memset(&desc, 0, sizeof desc);
+    desc.env = *env;
+    desc.weld = (uint32_t)o->weld;
+    if (v->dims[0]) {
+        tetcast_grid grid;
+        memset(&grid, 0, sizeof grid);
+        memcpy(grid.dims, v->dims, sizeof grid.dims);
+        grid.positions.data = v->points;
+        grid.positions.type = TETCAST_TYPE_F64;
+        for (int k = 0; k < 3; k++) {
+            grid.axes[k].data = v->axes[k];
+            grid.axes[k].type = TETCAST_TYPE_F64;
+            grid.origin[k] = v->origin[k];
+            grid.spacing[k] = v->spacing[k];
+        }
+        grid.blanks = v->blanks;
+        grid.fields = field;
+        grid.field_count = 1;
+        return tetcast_mesh_create_grid(&desc, &grid, NULL, out);
+    }
+    {
+        tetcast_input input;
+        memset(&input, 0, sizeof input);
+        input.positions.data = v->points;
+        input.positions.type = TETCAST_TYPE_F64;
+        input.vertex_count = v->point_count;
+        input.indices = v->indices;
+        input.index_count = v->index_count;
+        input.shapes = v->shapes;
+        input.cell_count = v->cell_count;
+        input.fields = field;
+        input.field_count = 1;
+        return tetcast_mesh_create(&desc, &input, NULL, out);
+    }
+}
+
+static int result_text(sup_error *err, const char *what, tetcast_result r, const tetcast_error *error) {
+    return sup_fail(err, "%s: %s", what, error->text[0] ? error->text : tetcast_result_string(r));
+}
+
+static int load_mesh(const options *o, const char *path, const tetcast_env *env, tetcast_mesh **mesh, sup_error *err) {
+    sup_volume volume;
+    tetcast_field field;
+    float *made = NULL;
+    tetcast_result r;
+    int failed = load_volume(o, path, &volume, err);
+    if (failed) return 1;
+    failed = choose_field(o, &volume, &field, &made, err);
+    if (!failed) {
+        r = make_mesh(o, &volume, &field, env, mesh);
+        if (r != TETCAST_OK) failed = result_text(err, path ? path : o->scene, r, env->error);
+    }
+    SUP_FREE(made);
+    sup_volume_free(&volume);
+    return failed;
+}
+
+/* Bricks from whatever the input is: a uniform grid as it is, other things through tetrahedra. */
+static int make_bricks(const options *o, const tetcast_env *env, tetcast_bricks_report *report, tetcast_bricks **out,
+                       sup_error *err) {
+    sup_volume v;
+    tetcast_field field;
+    tetcast_bricks_desc d;
+    tetcast_mesh *mesh = NULL;
+    tetcast_result r = TETCAST_OK;
+    float *made = NULL;
+    int failed = load_volume(o, o->in, &v, err);
+    if (failed) return 1;
+    memset(&d, 0, sizeof d);
+    d.env = *env;
+    d.storage = storages[o->storage];
+    d.log_cells = o->cells == 8 ? 3 : o->cells == 32 ? 5 : 4;
+    d.longest = (uint32_t)o->longest;
+    d.longest_end = (uint32_t)o->longest_end;
+    failed = choose_field(o, &v, &field, &made, err);
+    if (!failed && v.dims[0] && !v.points && !v.axes[0] && !v.blanks && !field.per_cell) {
+        tetcast_lattice l;
+        float lo = INFINITY, hi = -INFINITY;
+        memset(&l, 0, sizeof l);
+        memcpy(l.dims, v.dims, sizeof l.dims);
+        for (int k = 0; k < 3; k++) {
+            l.origin[k] = v.origin[k];
+            l.spacing[k] = v.spacing[k] > 0.0 ? v.spacing[k] : 1.0;
+        }
+        for (size_t i = 0; i < (size_t)l.dims[0] * l.dims[1] * l.dims[2]; i++) {
+            const float x = ((const float *)field.values.data)[i];
+            lo = x < lo ? x : lo;
+            hi = x > hi ? x : hi;
+        }
+        d.max_error = hi > lo ? (float)(o->max_error * ((double)hi - (double)lo)) : 0.0f;
+        r = tetcast_bricks_create_grid(&d, &l, &field.values, report, out);
+    } else if (!failed) {
+        r = make_mesh(o, &v, &field, env, &mesh);
+        if (r == TETCAST_OK) {
+            float lo = 0.0f, hi = 0.0f;
+            (void)tetcast_mesh_field(mesh, 0, &lo, &hi);
+            d.max_error = hi > lo ? (float)(o->max_error * ((double)hi - (double)lo)) : 1e-6f;
+            if (!(d.max_error > 0.0f) && d.longest == 0) d.longest = 257;
+            r = tetcast_bricks_create_mesh(&d, mesh, report, out);
+        }
+    }
+    if (r != TETCAST_OK) failed = result_text(err, o->in ? o->in : o->scene, r, env->error);
+    tetcast_mesh_destroy(mesh);
+    SUP_FREE(made);
+    sup_volume_free(&v);
+    return failed;
+}
+
+static int read_bricks(const options *o, const tetcast_env *env, tetcast_bricks **out, sup_error *err) {
+    tetcast_result r;
+    char *data;
+    size_t size;
+    if (sup_read_file(o->in, &data, &size, err)) return 1;
+    r = tetcast_bricks_read(env, data, size, out);
+    SUP_FREE(data);
+    return r == TETCAST_OK ? 0 : result_text(err, o->in, r, env->error);
+}
+
+/* ---- optics ------------------------------------------------------------------------------------------------- */
+
+typedef struct look {
+    tetcast_transfer *transfer;
+    tetcast_optics *optics;
+    double extinction;
+} look;
+
+static int compare_floats(const void *a, const void *b) {
+    const float x = *(const float *)a, y = *(const float *)b;
+    return (x > y) - (x < y);
+}
+
+/* By what extinctions have to be multiplied so that the thicker fifth of a small picture lets a tenth of the light
+   through. */
+static double choose_extinction(const tetcast_brick_render_desc *desc, const tetcast_cut *cut, const tetcast_transfer *t) {
+    enum { W = 64, H = 48 };
+    static float rgba[W * H][4], depth[W * H];
+    tetcast_brick_render_desc small = *desc;
+    tetcast_optics_desc absorb;
+    tetcast_optics *optics = NULL;
+    tetcast_image image;
+    size_t n = 0;
+    double scale = 1.0;
+    memset(&image, 0, sizeof image);
+    memset(&absorb, 0, sizeof absorb);
+    memset(small.background, 0, sizeof small.background);
+    small.shader = NULL;
+    absorb.model = TETCAST_MODEL_ABSORPTION;
+    image.width = W;
+    image.height = H;
+    image.rgba = rgba[0];
+    if (tetcast_optics_create(t, &absorb, &optics) == TETCAST_OK &&
+        tetcast_render_bricks(&small, cut, optics, &image, NULL) == TETCAST_OK) {
+        for (size_t i = 0; i < W * H; i++)
+            if (rgba[i][3] > 1e-4f) depth[n++] = -logf(1.0f - (rgba[i][3] < 0.999999f ? rgba[i][3] : 0.999999f));
+        qsort(depth, n, sizeof *depth, compare_floats);
+        if (n > 0) scale = 2.3 / (double)depth[n - 1 - n / 5];
+    }
+    tetcast_optics_destroy(optics);
+    return scale < 1e-4 ? 1e-4 : scale > 1e4 ? 1e4 : scale;
+}
+
+static int make_look(const options *o, const tetcast_brick_render_desc *render, const tetcast_bricks_info *info,
+                     const tetcast_cut *cut, look *out, sup_error *err) {
+    const int named = !o->tf || !(strchr(o->tf, '.') || strchr(o->tf, '/'));
+    tetcast_control_point *points;
+    tetcast_transfer_desc desc;
+    tetcast_optics_desc optics;
+    tetcast_isovalue iso;
+    tetcast_result r;
+    sup_transfer tf;
+    double diagonal = 0.0;
+    for (int k = 0; k < 3; k++) {
+        const double side = (double)(info->lattice.dims[k] - 1) * info->lattice.spacing[k];
+        diagonal += side * side;
+    }
+    diagonal = diagonal > 0.0 ? sqrt(diagonal) : 1.0;
+    memset(out, 0, sizeof *out);
+    if (!named) {
+        if (sup_transfer_read(o->tf, &tf, err)) return 1;
+    } else if (sup_transfer_named(o->tf ? o->tf : "rainbow", (double)info->value_min, (double)info->value_max, diagonal, &tf,
+                                  err)) return 1;
+    points = (tetcast_control_point *)sup_alloc(tf.count, sizeof *points);
+    if (!points) {
+        sup_transfer_free(&tf);
+        return sup_fail(err, "out of memory");
+    }
+    for (size_t i = 0; i < tf.count; i++) {
+        points[i].value = tf.points[i].value;
+        memcpy(points[i].rgb, tf.points[i].rgb, sizeof points[i].rgb);
+        points[i].extinction = tf.points[i].extinction;
+    }
+    memset(&desc, 0, sizeof desc);
+    memset(&optics, 0, sizeof optics);
+    memset(&iso, 0, sizeof iso);
+    iso.value = (float)o->iso;
+    iso.rgb[0] = 0.85f;
+    iso.rgb[1] = 0.6f;
+    iso.rgb[2] = 0.4f;
+    iso.opacity = (float)o->opacity;
+    iso.specular = 0.25f;
+    desc.env = render->env;
+    desc.points = points;
+    desc.point_count = tf.count;
+    desc.isovalues = &iso;
+    desc.isovalue_count = (size_t)o->has_iso;
+    optics.env = render->env;
+    optics.model = (tetcast_model)o->model;
+    if (o->has_iso && o->model == 0) optics.model = o->tf ? TETCAST_MODEL_MIXED : TETCAST_MODEL_ISOSURFACE;
+    optics.tolerance = o->common.has_tolerance ? (float)o->common.tolerance : 0.0f;
+    optics.path_length = (float)diagonal;
+    optics.ambient[0] = optics.ambient[1] = optics.ambient[2] = 0.1f;
+    out->extinction = o->scale;
+    r = tetcast_transfer_create(&desc, &out->transfer);
+    if (r == TETCAST_OK && named && optics.model != TETCAST_MODEL_ISOSURFACE && optics.model != TETCAST_MODEL_MAXIMUM) {
+        out->extinction *= choose_extinction(render, cut, out->transfer);
+        tetcast_transfer_destroy(out->transfer);
+        desc.extinction_scale = (float)out->extinction;
+        r = tetcast_transfer_create(&desc, &out->transfer);
+    }
+    if (r == TETCAST_OK) r = tetcast_optics_create(out->transfer, &optics, &out->optics);
+    SUP_FREE(points);
+    sup_transfer_free(&tf);
+    return r == TETCAST_OK ? 0 : result_text(err, "optics", r, render->env.error);
+}
+
+/* A shader of our own: the transfer function, lit where the gradient is strong. */
+typedef struct lit {
+    const tetcast_transfer *transfer;
+    float strong; /* a gradient that counts as a surface */
+} lit;
+
+static tetcast_result lit_prepare(void *user, const tetcast_param *params, size_t count, tetcast_error *error) {
+    const float *strong = tetcast_params_find(params, count, "strong", 1, error);
+    if (!strong) return TETCAST_ERR_INVALID_ARG;
+    ((lit *)user)->strong = strong[0];
+    return TETCAST_OK;
+}
+
+static void lit_shade(void *user, const tetcast_packet *in, float rgba[4][8]) {
+    const lit *l = (const lit *)user;
+    for (int i = 0; i < 8; i++) {
+        float c[4], g = 0.0f, facing = 0.0f, light, a;
+        if (!(in->mask >> i & 1u)) continue;
+        tetcast_transfer_eval(l->transfer, 0.5f * (in->front[i] + in->back[i]), c);
+        for (int k = 0; k < 3; k++) {
+            g += in->gradient[k][i] * in->gradient[k][i];
+            facing += in->gradient[k][i] * in->direction[k][i];
+        }
+        g = sqrtf(g);
+        light = g > 0.0f ? fabsf(facing) / g : 1.0f;
+        g = g < l->strong ? g / l->strong : 1.0f;
+        light = 0.15f + 0.85f * (1.0f - g + g * light);
+        a = 1.0f - expf(-c[3] * (0.1f + 0.9f * g) * in->length[i]);
+        for (int k = 0; k < 3; k++) rgba[k][i] = a * light * c[k];
+        rgba[3][i] = a;
+    }
+}
+
+static int lit_empty(void *user, float lo, float hi) {
+    return tetcast_transfer_is_empty(((const lit *)user)->transfer, lo, hi);
+}
+
+/* ---- resample ----------------------------------------------------------------------------------------------- */
+
+static void set_defaults(options *o) {
+    memset(o, 0, sizeof *o);
+    o->scale = 1.0;
+    o->opacity = 1.0;
+    o->max_error = 0.01;
+    o->cells = 16;
+    o->longest_end = 4097;
+}
+
+static size_t input_options(options *o, sup_option *table) {
+    size_t n = 0;
+    table[n++] = sup_opt_text("scene", &o->scene, SUP_VOLUME_SCENES, "a generated volume instead of IN");
+    table[n++] = sup_opt_int("detail", &o->detail, 0, 512, "N", "how fine --scene is");
+    table[n++] = sup_opt_text("field", &o->field, "NAME", "the scalar (the first one); of a vector its length");
+    table[n++] = sup_opt_given(sup_opt_vec3("dims", o->dims, "x,y,z: IN is so many numbers of 1 or 2 bytes"), &o->has_dims);
+    table[n++] = sup_opt_vec3("spacing", o->spacing, "x,y,z between them (1)");
+    table[n++] = sup_opt_choice("storage", &o->storage, "f16|f32|u16|u8", "how values are stored (f16)");
+    table[n++] = sup_opt_int("brick", &o->cells, 8, 32, "N", "cells along a brick: 8, 16, 32 (16)");
+    return n;
+}
+
+static void print_bricks(const char *command, const options *o, const tetcast_bricks *bricks) {
+    tetcast_bricks_info info;
+    tetcast_bricks_get_info(bricks, &info);
+    printf("{\"program\":\"tetcast_bricks\",\"command\":\"%s\",\"in\":", command);
+    sup_json_string(stdout, o->in ? o->in : o->scene);
+    printf(",\"dims\":[%u,%u,%u],\"levels\":%u,\"bricks\":%llu,\"nodes\":%llu,\"bytes\":%llu,\"file_bytes\":%llu,"
+           "\"range\":[%.9g,%.9g]", info.lattice.dims[0], info.lattice.dims[1], info.lattice.dims[2], info.levels,
+           (unsigned long long)info.bricks, (unsigned long long)info.nodes, (unsigned long long)info.bytes,
+           (unsigned long long)tetcast_bricks_file_size(bricks), (double)info.value_min, (double)info.value_max);
+    printf(",\"level_bricks\":[");
+    for (uint32_t k = 0; k < info.levels; k++) printf("%s%llu", k ? "," : "", (unsigned long long)info.level_bricks[k]);
+    printf("]");
+}
+
+static int resample(int argc, char **argv) {
+    sup_option table[24];
+    tetcast_env env;
+    tetcast_error error = {TETCAST_OK, 0, ""};
+    tetcast_bricks_report report;
+    tetcast_bricks_info info;
+    tetcast_bricks *bricks = NULL;
+    const char *first = NULL, *second = NULL;
+    sup_error err;
+    options o;
+    int64_t threads = 0;
+    int stats = 0, quiet = 0, status;
+    double start, seconds;
+    size_t n;
+    set_defaults(&o);
+    sup_error_clear(&err);
+    n = input_options(&o, table);
+    table[n++] = sup_opt_positional("IN", &first, 1, "volume mesh or grid; with --scene left out");
+    table[n++] = sup_opt_positional("OUT.brk", &second, 0, "brick file");
+    table[n++] = sup_opt_real("max-error", &o.max_error, 0.0, 1.0, "E", "largest error, as a share of the data range (0.01)");
+    table[n++] = sup_opt_int("longest", &o.longest, 2, 16385, "N", "nodes along the longest side (what the error needs)");
+    table[n++] = sup_opt_int("longest-end", &o.longest_end, 2, 16385, "N", "no more than that (4097)");
+    table[n++] = sup_opt_flag("weld", &o.weld, "points at the same place become one");
+    table[n++] = sup_opt_int("threads", &threads, 0, 64, "N", "0: one per core");
+    table[n++] = sup_opt_flag("stats", &stats, "one JSON object on stdout");
+    table[n++] = sup_opt_flag("quiet", &quiet, "no warnings");
+    status = sup_cli_parse(argc, argv, "Makes bricks with level of detail from tetrahedra, other cells or a grid.", table, n);
+    if (status >= 0) return status;
+    o.in = o.scene ? NULL : first;
+    o.out = o.scene ? first : second;
+    if (!o.out || (o.scene && second)) return sup_bad_usage(argv[0], "IN (or --scene) and OUT.brk have to be given");
+    if (o.cells != 8 && o.cells != 16 && o.cells != 32) return sup_bad_usage(argv[0], "--brick: 8, 16 or 32");
+    memset(&env, 0, sizeof env);
+    memset(&report, 0, sizeof report);
+    env.thread_count = (uint32_t)threads;
+    env.error = &error;
+    start = sup_now();
+    status = make_bricks(&o, &env, &report, &bricks, &err);
+    seconds = sup_now() - start;
+    if (!status) {
+        const size_t size = tetcast_bricks_file_size(bricks);
+        void *data = sup_alloc(size, 1);
+        status = !data ? sup_fail(&err, "out of memory") :
+                 tetcast_bricks_write(bricks, data, size) != TETCAST_OK ? sup_fail(&err, "%s: too large", o.out) :
+                 sup_write_file(o.out, data, size, &err);
+        SUP_FREE(data);
+    }
+    if (!status) {
+        double range;
+        tetcast_bricks_get_info(bricks, &info);
+        range = (double)info.value_max - (double)info.value_min;
+        range = range > 0.0 ? range : 1.0;
+        if (report.above && !quiet)
+            fprintf(stderr, "warning: %s: %llu of %llu points are farther off than %g of the range, the worst %g; --longest-end "
+                    "allows more nodes\n", o.out, (unsigned long long)report.above, (unsigned long long)report.checks,
+                    o.max_error, report.error / range);
+        if (stats) {
+            print_bricks("resample", &o, bricks);
+            printf(",\"max_error\":%.6g,\"error\":%.6g,\"mean_error\":%.6g,\"checks\":%llu,\"above\":%llu,\"tries\":%u,"
+                   "\"hull_triangles\":%llu,\"seconds\":%.6f}\n", o.max_error, report.error / range, report.mean_error / range,
+                   (unsigned long long)report.checks, (unsigned long long)report.above, report.tries,
+                   (unsigned long long)info.hull_triangles, seconds);
+        }
+    }
+    if (status) (void)sup_bad_input(argv[0], err.text);
+    tetcast_bricks_destroy(bricks);
+    return status;
+}
+
+/* ---- render ------------------------------------------------------------------------------------------------- */
+
+static int parse_render(int argc, char **argv, options *o, tetcast_brick_render_desc *desc) {
+    sup_option table[SUP_COMMON_OPTIONS + 32];
+    size_t n;
+    int status;
+    set_defaults(o);
+    o->max_error = 0.0;
+    n = sup_common_options(&o->common, table);
+    o->common.size[0] = 1024;
+    o->common.size[1] = 768;
+    table[n++] = sup_opt_positional("IN", &o->in, 0, ".brk, or a grid (VTK, or bytes with --dims)");
+    n += input_options(o, table + n);
+    table[n++] = sup_opt_text("tf", &o->tf, "FILE|" SUP_TRANSFER_NAMES, "transfer function (rainbow)");
+    table[n++] = sup_opt_real("extinction", &o->scale, 1e-9, 1e9, "F", "multiplies all extinctions");
+    table[n++] = sup_opt_choice("model", &o->model, "volume|emission|absorption|maximum", "what light does in it (volume)");
+    table[n++] = sup_opt_given(sup_opt_real("iso", &o->iso, -1e38, 1e38, "V", "show the surface of this value"), &o->has_iso);
+    table[n++] = sup_opt_real("iso-opacity", &o->opacity, 0.0, 1.0, "A", "of it (1)");
+    table[n++] = sup_opt_choice("shader", &o->shader, "optics|lit", "lit: a shader of this program, lit by gradients");
+    table[n++] = sup_opt_real("step", &o->step, 0.01, 100.0, "S", "distance of samples in cells (1)");
+    table[n++] = sup_opt_int("level", &o->level, 0, 5, "N", "no finer than this level");
+    table[n++] = sup_opt_given(sup_opt_vec3("focus", o->focus, "finest around this point"), &o->has_focus);
+    table[n++] = sup_opt_real("radius", &o->radius, 1e-30, 1e30, "R", "of the finest level; one coarser for each more");
+    table[n++] = sup_opt_real("budget", &o->share, 0.0, 1.0, "F", "no more than this share of the finest level's bytes");
+    table[n++] = sup_opt_real("samples", &o->samples, 0.0, 1.0, "F", "no more than this share of its samples");
+    table[n++] = sup_opt_real("lod-error", &o->lod_error, 0.0, 1.0, "E", "coarse where that is right to this share of the range");
+    table[n++] = sup_opt_int("jump", &o->jump, 0, 5, "N", "largest difference of neighbours' levels (any)");
+    table[n++] = sup_opt_given(sup_opt_vec3("cut", o->cut, "keep what lies this way from the middle"), &o->has_cut);
+    table[n++] = sup_opt_text("reference", &o->reference, "MESH", "show it beside the picture, and measure the difference");
+    table[n++] = sup_opt_flag("tiles", &o->tile, "draw in four parts, as several machines would");
+    table[n++] = sup_opt_given(sup_opt_vec3("background", o->background, "linear r,g,b instead of transparent"),
+                               &o->has_background);
+    status = sup_cli_parse(argc, argv, "Draws bricks.", table, n);
+    if (status >= 0) return status;
+    if (!o->in == !o->scene) return sup_bad_usage(argv[0], "IN or --scene has to be given");
+    if (!o->common.out && !o->common.depth && !o->common.stats) return sup_bad_usage(argv[0], "--out FILE is missing");
+    if (o->has_focus && !(o->radius > 0.0)) return sup_bad_usage(argv[0], "--focus needs --radius");
+    if (o->has_dims && !(o->dims[0] >= 1.0f && o->dims[1] >= 1.0f && o->dims[2] >= 1.0f))
+        return sup_bad_usage(argv[0], "--dims: at least 1");
+    memset(desc, 0, sizeof *desc);
+    desc->env.thread_count = (uint32_t)o->common.threads;
+    desc->isa = (tetcast_isa)o->common.isa;
+    desc->step = (float)o->step;
+    if (o->has_background) {
+        memcpy(desc->background, o->background, sizeof o->background);
+        desc->background[3] = 1.0f;
+    }
+    return -1;
+}
+
+static int make_cut(const options *o, const tetcast_env *env, const tetcast_bricks *bricks, tetcast_cut **cut, sup_error *err) {
+    tetcast_bricks_info info;
+    tetcast_cut_desc d;
+    tetcast_result r;
+    memset(&d, 0, sizeof d);
+    tetcast_bricks_get_info(bricks, &info);
+    d.env = *env;
+    d.level = (uint32_t)o->level;
+    d.focus_radius = o->has_focus ? o->radius : 0.0;
+    for (int k = 0; k < 3; k++) d.focus[k] = (double)o->focus[k];
+    d.sample_budget = o->samples;
+    d.max_error = (float)(o->lod_error * ((double)info.value_max - (double)info.value_min));
+    d.max_jump = (uint32_t)o->jump;
+    if (o->share > 0.0) {
+        const double side = (double)info.cells + 1.0, bytes = info.storage == TETCAST_TYPE_F32 ? 4.0 : info.storage == TETCAST_TYPE_U8 ? 1.0 : 2.0;
+        d.byte_budget = (uint64_t)(o->share * (double)info.slots[0] * info.slots[1] * info.slots[2] * side * side * side * bytes);
+    }
+    r = tetcast_cut_create(&d, bricks, cut);
+    return r == TETCAST_OK ? 0 : result_text(err, "levels", r, env->error);
+}
+
+/* In one call, or in four parts that are put side by side: the same bits. */
+static tetcast_result draw(const options *o, tetcast_brick_render_desc *desc, const tetcast_cut *cut,
+                           const tetcast_optics *optics, const tetcast_image *image, tetcast_render_stats *stats) {
+    tetcast_result r = TETCAST_OK;
+    if (!o->tile) return tetcast_render_bricks(desc, cut, optics, image, stats);
+    for (uint32_t i = 0; i < 4 && r == TETCAST_OK; i++) {
+        tetcast_image part = *image;
+        const uint32_t x = (i & 1u) * (image->width / 2), y = (i >> 1) * (image->height / 2);
+        part.width = i & 1u ? image->width - x : image->width / 2;
+        part.height = i >> 1 ? image->height - y : image->height / 2;
+        if (image->rgba8) part.rgba8 += 4 * ((size_t)y * image->width + x);
+        if (image->rgba) part.rgba += 4 * ((size_t)y * image->width + x);
+        if (image->depth) part.depth += (size_t)y * image->width + x;
+        part.rgba8_stride = (size_t)image->width * 4;
+        part.rgba_stride = (size_t)image->width * 16;
+        part.depth_stride = (size_t)image->width * 4;
+        desc->frame[0] = image->width;
+        desc->frame[1] = image->height;
+        desc->part[0] = x;
+        desc->part[1] = y;
+        r = tetcast_render_bricks(desc, cut, optics, &part, stats);
+    }
+    return r;
+}
+
+typedef struct difference { double most, rms; } difference;
+
+/* Both pictures side by side: tetrahedra left. */
+static int draw_reference(const options *o, const tetcast_brick_render_desc *desc, const tetcast_optics *optics,
+                          const tetcast_image *image, uint8_t **both, difference *diff, sup_error *err) {
+    const size_t n = (size_t)image->width * image->height;
+    tetcast_render_desc d;
+    tetcast_image other;
+    tetcast_mesh *mesh = NULL;
+    tetcast_result r;
+    int failed = load_mesh(o, o->reference, &desc->env, &mesh, err);
+    if (failed) return 1;
+    memset(&d, 0, sizeof d);
+    memset(&other, 0, sizeof other);
+    d.env = desc->env;
+    d.camera = desc->camera;
+    memcpy(d.background, desc->background, sizeof d.background);
+    other.width = image->width;
+    other.height = image->height;
+    other.rgba = (float *)sup_alloc(n, 16);
+    other.rgba8 = (uint8_t *)sup_alloc(n, 4);
+    *both = (uint8_t *)sup_alloc(n, 8);
+    if (!other.rgba || !other.rgba8 || !*both) failed = sup_fail(err, "out of memory");
+    if (!failed) {
+        r = tetcast_render(&d, mesh, optics, &other, NULL);
+        if (r != TETCAST_OK) failed = result_text(err, o->reference, r, desc->env.error);
+    }
+    if (!failed) {
+        diff->most = diff->rms = 0.0;
+        for (size_t i = 0; i < 4 * n; i++) {
+            const double e = fabs((double)image->rgba[i] - (double)other.rgba[i]);
+            diff->most = e > diff->most ? e : diff->most;
+            diff->rms += e * e;
+        }
+        diff->rms = sqrt(diff->rms / (4.0 * (double)n));
+        for (size_t y = 0; y < image->height; y++) {
+            memcpy(*both + y * 8 * image->width, other.rgba8 + y * 4 * image->width, 4 * (size_t)image->width);
+            memcpy(*both + y * 8 * image->width + 4 * image->width, image->rgba8 + y * 4 * image->width, 4 * (size_t)image->width);
+        }
+    }
+    SUP_FREE(other.rgba);
+    SUP_FREE(other.rgba8);
+    tetcast_mesh_destroy(mesh);
+    return failed;
+}
+
+static void set_camera(const options *o, const tetcast_bricks_info *info, tetcast_camera *camera) {
+    double lo[3], hi[3];
+    float flo[3], fhi[3];
+    sup_camera framed;
+    for (int k = 0; k < 3; k++) {
+        lo[k] = info->lattice.origin[k];
+        hi[k] = lo[k] + (double)(info->lattice.dims[k] - 1) * info->lattice.spacing[k];
+        flo[k] = (float)lo[k];
+        fhi[k] = (float)hi[k];
+    }
+    if (!o->common.has_eye && !o->common.has_at) {
+        for (int k = 0; k < 3; k++) camera->up[k] = o->common.has_up ? (double)o->common.camera.up[k] : k == 1;
+        camera->fov_y = (float)o->common.fov;
+        if (tetcast_camera_fit(camera, lo, hi, NULL, o->common.size[0], o->common.size[1]) == TETCAST_OK) return;
+    }
+    sup_common_camera(&o->common, flo, fhi, &framed);
+    for (int k = 0; k < 3; k++) {
+        camera->eye[k] = (double)framed.eye[k];
+        camera->at[k] = (double)framed.at[k];
+        camera->up[k] = (double)framed.up[k];
+    }
+    camera->fov_y = framed.fov;
+}
+
+static int write_pictures(const options *o, tetcast_image *image, const uint8_t *both, sup_error *err) {
+    const size_t pixels = (size_t)image->width * image->height;
+    if (o->common.depth && sup_pfm_write(o->common.depth, image->depth, image->width, image->height, 1, err)) return 1;
+    if (!o->common.out) return 0;
+    if (both) return sup_png_write8(o->common.out, both, 2 * image->width, image->height, 4, err);
+    if (!ends_with(o->common.out, ".pfm"))
+        return sup_png_write8(o->common.out, image->rgba8, image->width, image->height, 4, err);
+    for (size_t i = 0; i < pixels; i++) memmove(image->rgba + 3 * i, image->rgba + 4 * i, 12);
+    return sup_pfm_write(o->common.out, image->rgba, image->width, image->height, 3, err);
+}
+
+static void print_stats(const options *o, const tetcast_bricks *bricks, const tetcast_cut *cut, const look *l,
+                        const tetcast_render_stats *s, const tetcast_camera *camera, const difference *diff,
+                        const uint8_t *both, double build, double seconds) {
+    tetcast_cut_info info;
+    tetcast_cut_get_info(cut, &info);
+    print_bricks("render", o, bricks);
+    printf(",\"storage\":\"%s\",\"shown_bricks\":%llu,\"adapted\":%llu,\"shown_bytes\":%llu,\"full_bytes\":%llu,\"sample_share\":%.6g,"
+           "\"shown_error\":%.6g", storage_names[o->storage], (unsigned long long)info.bricks, (unsigned long long)info.adapted,
+           (unsigned long long)info.bytes, (unsigned long long)info.full_bytes, info.samples, (double)info.error);
+    printf(",\"width\":%u,\"height\":%u,\"rays\":%llu,\"hits\":%llu,\"samples\":%llu,\"slots\":%llu,\"ended\":%llu,"
+           "\"extinction\":%.6g", o->common.size[0], o->common.size[1], (unsigned long long)s->rays,
+           (unsigned long long)s->hit_rays, (unsigned long long)s->steps, (unsigned long long)s->walks,
+           (unsigned long long)s->ended, l->extinction);
+    if (both) printf(",\"difference\":%.6g,\"difference_rms\":%.6g", 255.0 * diff->most, 255.0 * diff->rms);
+    printf(",\"eye\":[%.9g,%.9g,%.9g],\"at\":[%.9g,%.9g,%.9g]", camera->eye[0], camera->eye[1], camera->eye[2],
+           camera->at[0], camera->at[1], camera->at[2]);
+    printf(",\"level_seconds\":%.6f,\"seconds\":%.6f,\"isa\":\"%s\",\"threads\":%lld}\n", build, seconds,
+           tetcast_isa_name(s->isa), (long long)o->common.threads);
+}
+
+static int render(int argc, char **argv) {
+    tetcast_brick_render_desc desc;
+    tetcast_bricks_report report;
+    tetcast_bricks_info info;
+    tetcast_render_stats stats;
+    tetcast_error error = {TETCAST_OK, 0, ""};
+    tetcast_bricks *bricks = NULL;
+    tetcast_cut *cut = NULL;
+    tetcast_clip *clip = NULL;
+    tetcast_image image;
+    tetcast_result r = TETCAST_OK;
+    difference diff = {0.0, 0.0};
+    uint8_t *both = NULL;
+    sup_error err;
+    options o;
+    look l;
+    lit shade;
+    tetcast_shader shader;
+    tetcast_param param;
+    float strong;
+    double start, build = 0.0, seconds = 0.0;
+    int status = parse_render(argc, argv, &o, &desc);
+    if (status >= 0) return status;
+    memset(&stats, 0, sizeof stats);
+    memset(&image, 0, sizeof image);
+    memset(&l, 0, sizeof l);
+    memset(&shader, 0, sizeof shader);
+    sup_error_clear(&err);
+    desc.env.error = &error;
+    if (o.in && ends_with(o.in, ".brk")) status = read_bricks(&o, &desc.env, &bricks, &err);
+    else status = make_bricks(&o, &desc.env, &report, &bricks, &err);
+    if (!status) {
+        start = sup_now();
+        status = make_cut(&o, &desc.env, bricks, &cut, &err);
+        build = sup_now() - start;
+    }
+    if (!status) {
+        tetcast_bricks_get_info(bricks, &info);
+        set_camera(&o, &info, &desc.camera);
+        if (o.has_cut) {
+            tetcast_clip_plane plane;
+            tetcast_clip_desc cd;
+            memset(&cd, 0, sizeof cd);
+            memset(&plane, 0, sizeof plane);
+            for (int k = 0; k < 3; k++) {
+                plane.normal[k] = (double)o.cut[k];
+                plane.offset += plane.normal[k] * (info.lattice.origin[k] +
+                                                   0.5 * (double)(info.lattice.dims[k] - 1) * info.lattice.spacing[k]);
+            }
+            cd.env = desc.env;
+            cd.planes = &plane;
+            cd.plane_count = 1;
+            r = tetcast_clip_create(&cd, &clip);
+            if (r != TETCAST_OK) status = result_text(&err, "--cut", r, &error);
+            desc.clip = clip;
+        }
+    }
+    if (!status) status = make_look(&o, &desc, &info, cut, &l, &err);
+    if (!status) {
+        const size_t n = (size_t)o.common.size[0] * o.common.size[1];
+        image.width = o.common.size[0];
+        image.height = o.common.size[1];
+        image.rgba8 = (uint8_t *)sup_alloc(n, 4);
+        image.rgba = (float *)sup_alloc(n, 16);
+        if (o.common.depth) image.depth = (float *)sup_alloc(n, 4);
+        if (!image.rgba8 || !image.rgba || (o.common.depth && !image.depth)) status = sup_fail(&err, "out of memory for the picture");
+    }
+    if (!status) {
+        strong = (float)(0.05 * ((double)info.value_max - (double)info.value_min) / info.lattice.spacing[0]);
+        shade.transfer = l.transfer;
+        param.name = "strong";
+        param.values = &strong;
+        param.count = 1;
+        shader.user = &shade;
+        shader.needs = TETCAST_NEED_GRADIENT | TETCAST_NEED_DIRECTION;
+        shader.params = &param;
+        shader.param_count = 1;
+        shader.prepare_fn = lit_prepare;
+        shader.shade_fn = lit_shade;
+        shader.empty_fn = lit_empty;
+        if (o.shader == SHADER_LIT) desc.shader = &shader;
+        start = sup_now();
+        r = draw(&o, &desc, cut, l.optics, &image, &stats);
+        seconds = sup_now() - start;
+        if (r != TETCAST_OK) status = result_text(&err, o.in ? o.in : o.scene, r, &error);
+    }
+    if (!status && o.reference) status = draw_reference(&o, &desc, l.optics, &image, &both, &diff, &err);
+    if (!status) status = write_pictures(&o, &image, both, &err);
+    if (!status && o.common.stats)
+        print_stats(&o, bricks, cut, &l, &stats, &desc.camera, &diff, both, build, seconds);
+    if (status) (void)sup_bad_input(argv[0], err.text);
+    SUP_FREE(image.rgba8);
+    SUP_FREE(image.rgba);
+    SUP_FREE(image.depth);
+    SUP_FREE(both);
+    tetcast_clip_destroy(clip);
+    tetcast_optics_destroy(l.optics);
+    tetcast_transfer_destroy(l.transfer);
+    tetcast_cut_destroy(cut);
+    tetcast_bricks_destroy(bricks);
+    return status;
+}
+
+int main(int argc, char **argv) {
+    if (argc > 1 && strcmp(argv[1], "resample") == 0) {
+        argv[1] = argv[0];
+        return resample(argc - 1, argv + 1);
+    }
+    if (argc > 1 && strcmp(argv[1], "render") == 0) {
+        argv[1] = argv[0];
+        return render(argc - 1, argv + 1);
+    }
+    if (argc > 1 && strcmp(argv[1], "--help") == 0) {
+        printf("usage: tetcast_bricks resample IN OUT.brk [--max-error E] ...\n"
+               "       tetcast_bricks render IN --out P.png ...\n"
+               "Bricks with level of detail: made from tetrahedra or a grid, and drawn. Each command has --help.\n");
+        return 0;
+    }
+    return sup_bad_usage(argv[0], "the first word is resample or render");
+}
