@@ -18196,7 +18196,8 @@ TETCAST_DEF void tetcast_flow_features(const float velocity[3], const float jaco
 
 #define TETCASTI_FIT_BIN 8u          /* points in a bin, about */
 #define TETCASTI_FIT_SPLIT 8         /* positions are stored in this part of the spacing */
-#define TETCASTI_FIT_LADDER 24u
+#define TETCASTI_FIT_LADDER 32u
+#define TETCASTI_FIT_LEFT 0.8        /* of the squared error where a function is put, at most: so the loop ends */
 
 typedef struct tetcasti_fit_function {
     float c[3], width, w[TETCAST_RBF_MAX_COMPONENTS];
@@ -18223,7 +18224,7 @@ typedef struct tetcasti_fit {
     float bin_scale[3];
     uint32_t *start;                 /* [bins + 1] */
     float *peak;                     /* [bins]: largest squared error */
-    double spacing;                  /* local */
+    double spacing, closest;         /* local: mean; smallest distance of two points */
     double range;
     float reach, e;                  /* radius / width; what the kernel is shifted by */
     float widest;
@@ -18434,7 +18435,7 @@ static void tetcasti_fit_apply(tetcasti_fit *t, const tetcasti_fit_function *f, 
     uint32_t c;
     memset(&r, 0, sizeof r);
     tetcasti_fit_record(t, f, &r);
-    if (sign < 0) for (c = 0; c < t->n; c++) r.w[c] = -r.w[c];
+    if (sign < 0) for (c = 0; c < TETCAST_RBF_MAX_COMPONENTS; c++) r.w[c] = -r.w[c];
     tetcasti_fit_reach(t, &r, &rows);
 #if TETCASTI_AVX2
     if (t->isa >= TETCAST_ISA_AVX2) tetcasti_fit_apply_avx2(t, &r, &rows);
@@ -18598,10 +18599,52 @@ static int tetcasti_fit_add(tetcasti_fit *t, tetcasti_fit_block *b, const tetcas
     return 1;
 }
 
+/* Distance of point i to its nearest neighbour, as far as it is in the bins around it; at most the mean. */
+static double tetcasti_fit_nearest(const tetcasti_fit *t, uint32_t i) {
+    const float p[3] = {t->x[i], t->y[i], t->z[i]};
+    float least = (float)(t->spacing * t->spacing);
+    uint32_t lo[3], hi[3], a, j, k, q;
+    for (a = 0; a < 3; a++) {
+        const uint32_t b = tetcasti_fit_bin(t, a, p[a]);
+        lo[a] = b != 0 ? b - 1 : 0;
+        hi[a] = b + 1 < t->bins[a] ? b + 1 : b;
+    }
+    for (k = lo[2]; k <= hi[2]; k++)
+        for (j = lo[1]; j <= hi[1]; j++) {
+            const size_t row = ((size_t)k * t->bins[1] + j) * t->bins[0];
+            for (q = t->start[row + lo[0]]; q < t->start[row + hi[0] + 1]; q++) {
+                const float dx = t->x[q] - p[0], dy = t->y[q] - p[1], dz = t->z[q] - p[2];
+                const float d2 = (dx * dx + dy * dy) + dz * dz;
+                if (q != i && d2 < least) least = d2;
+            }
+        }
+    return sqrt((double)least);
+}
+
+/* What is left of the squared error at point i with a function, as a share. */
+static double tetcasti_fit_left(const tetcasti_fit *t, const tetcasti_fit_function *f, uint32_t i) {
+    tetcasti_rbf_record r;
+    float dx, dy, dz, phi;
+    double before = 0.0, after = 0.0;
+    uint32_t c;
+    tetcasti_fit_record(t, f, &r);
+    dx = t->x[i] - r.c[0];
+    dy = t->y[i] - r.c[1];
+    dz = t->z[i] - r.c[2];
+    phi = tetcasti_rbf_phi(t->m->kernel, &r, (dx * dx + dy * dy) + dz * dz, NULL);
+    for (c = 0; c < t->n; c++) {
+        const double e = (double)t->res[c][i], g = e - (double)r.w[c] * (double)phi;
+        before += e * e;
+        after += g * g;
+    }
+    return before > 0.0 ? after / before : 0.0;
+}
+
 /* A function for the error at point i. */
 static int tetcasti_fit_insert(tetcasti_fit *t, tetcasti_fit_block *b, uint32_t i) {
     tetcasti_fit_function f, best;
-    double c[3], w[4], square, gain, most = -1.0, width = (double)t->m->bits.width_min;
+    double c[3], w[4], square, gain, most = -1.0, width = 0.35 * tetcasti_fit_nearest(t, i);
+    const double alone = width;
     uint32_t k, worse = 0, a;
     memset(&best, 0, sizeof best);
     c[0] = (double)t->x[i];
@@ -18619,9 +18662,11 @@ static int tetcasti_fit_insert(tetcasti_fit *t, tetcasti_fit_block *b, uint32_t 
     }
     (void)tetcasti_fit_weigh(t, &best, w, &square);
     gain = tetcasti_fit_round_weights(t, w, square, &best);
+    f = best;
     if (t->polish && gain > 0.0) tetcasti_fit_polish(t, b, 5, &best, &gain);
-    if (!(gain > 0.0)) { /* between its neighbours' errors: this point alone */
-        tetcasti_fit_round_place(t, b, c, (double)t->m->bits.width_min, &best);
+    if (tetcasti_fit_left(t, &best, i) > TETCASTI_FIT_LEFT) best = f;
+    if (!(gain > 0.0) || tetcasti_fit_left(t, &best, i) > TETCASTI_FIT_LEFT) { /* neighbours want it otherwise: alone */
+        tetcasti_fit_round_place(t, b, c, alone, &best);
         for (a = 0; a < t->n; a++) w[a] = (double)t->res[a][i];
         (void)tetcasti_fit_round_weights(t, w, 1.0, &best);
     }
@@ -18881,6 +18926,24 @@ static void tetcasti_fit_close(tetcasti_fit *t) {
     tetcasti_free(t->mem, t->block);
 }
 
+/* Bits of places and widths: by the closest points. */
+static void tetcasti_fit_precision(tetcasti_fit *t, int grid) {
+    tetcast_rbf *m = t->m;
+    uint32_t i, a, c;
+    t->closest = t->spacing;
+    for (i = 0; i < t->count && !grid; i++) t->closest = tetcasti_min(t->closest, tetcasti_fit_nearest(t, i));
+    t->closest = tetcasti_max(t->closest, 1e-5);
+    for (a = 0; a < 3; a++) {
+        const double fine = tetcasti_min(t->spacing / TETCASTI_FIT_SPLIT, t->closest / 4.0);
+        for (c = 1; c < 20 && (double)(1u << c) < (double)m->size[a] / fine + 1.0;) c++;
+        m->bits.position[a] = c;
+    }
+    m->bits.width_min = (float)(0.34 * t->closest);
+    if (t->widest < m->bits.width_min) t->widest = m->bits.width_min;
+    for (c = 1; c < 8 && tetcasti_exp2((double)((1u << c) - 1) / 8.0) * (double)m->bits.width_min < (double)t->widest;) c++;
+    m->bits.width = c;
+}
+
 /* Sizes of everything, arrays, bins, blocks. */
 static tetcast_result tetcasti_fit_open(tetcasti_fit *t, const tetcast_rbf_fit_desc *d, const tetcast_rbf_points *in) {
     tetcast_rbf *m = t->m;
@@ -18900,6 +18963,7 @@ static tetcast_result tetcasti_fit_open(tetcasti_fit *t, const tetcast_rbf_fit_d
     bin = t->spacing * (axes == 3 ? 2.0 : axes == 2 ? 2.83 : 8.0) * (1.0 + 1e-9);
     /* where a coarse grid has the broad features, short reach is worth more than a few functions less */
     t->widest = d->method == TETCAST_RBF_METHOD_PURE ? 0.25f : 0.07f;
+    if ((double)t->widest < 2.0 * t->spacing) t->widest = (float)tetcasti_min(2.0 * t->spacing, 0.5);
     for (a = 0; a < 3; a++) {
         double side = (double)m->size[a] / bin;
         t->bins[a] = side < 1.0 ? 1u : side > 1023.0 ? 1024u : (uint32_t)side + 1;
@@ -18912,14 +18976,7 @@ static tetcast_result tetcasti_fit_open(tetcasti_fit *t, const tetcast_rbf_fit_d
             const double half = 0.5 * (double)m->size[a] / (double)t->blocks[a] - 2.0 * t->spacing - 2.0 * bin;
             t->widest = (float)tetcasti_min((double)t->widest, half / (double)t->reach);
         }
-        c = 1;
-        while (c < 16 && (double)(1u << c) < (double)m->size[a] / t->spacing * TETCASTI_FIT_SPLIT + 1.0) c++;
-        m->bits.position[a] = c;
     }
-    m->bits.width_min = (float)(0.35 * t->spacing);
-    if (t->widest < m->bits.width_min) t->widest = m->bits.width_min;
-    for (c = 1; c < 8 && tetcasti_exp2((double)((1u << c) - 1) / 8.0) * (double)m->bits.width_min < (double)t->widest;) c++;
-    m->bits.width = c;
     m->bits.weight = m->bits.node = 24;
     m->bits.weight_step = m->bits.node_step = (float)(t->range * (double)d->max_error / 8.0);
     if (!(m->bits.weight_step > 1e-36f)) m->bits.weight_step = m->bits.node_step = 1e-36f;
@@ -18948,7 +19005,10 @@ static tetcast_result tetcasti_fit_open(tetcasti_fit *t, const tetcast_rbf_fit_d
             t->block[i].hi[a] = (uint32_t)((at[a] + 1) * t->bins[a] / t->blocks[a]);
         }
     }
-    return tetcasti_fit_sort(t, in) ? TETCAST_OK : TETCAST_ERR_NO_MEMORY;
+    if (!tetcasti_fit_sort(t, in)) return TETCAST_ERR_NO_MEMORY;
+    tetcasti_fit_precision(t, in->positions.data == NULL);
+    if (t->cap > 4 * (size_t)t->count + 64) t->cap = 4 * (size_t)t->count + 64; /* data that cannot be met ends the loop */
+    return TETCAST_OK;
 }
 
 /* ---- base ---- */
@@ -19633,7 +19693,8 @@ typedef struct tetcasti_rbf_group {   /* eight rays; lanes without a ray are cop
     float h;
 } tetcasti_rbf_group;
 
-typedef struct tetcasti_rbf_reach { float tc[8], d2[8]; int32_t first, last, middle; } tetcasti_rbf_reach;
+/* where a function is on the rays; decay: 2^(2 a h^2), as exact as can be: its error grows with the square of the steps */
+typedef struct tetcasti_rbf_reach { float tc[8], d2[8]; int32_t first, last, middle; float decay; } tetcasti_rbf_reach;
 
 /* Where a function is on the rays; 0: on none of the samples. */
 static int tetcasti_rbf_meet(const tetcasti_rbf_group *g, const tetcasti_rbf_record *f, tetcasti_rbf_reach *r) {
@@ -19666,7 +19727,7 @@ static int tetcasti_rbf_meet(const tetcasti_rbf_group *g, const tetcasti_rbf_rec
 TETCASTI_INLINE void tetcasti_rbf_run_kind(const tetcast_kernel kernel, const uint32_t n, const tetcasti_rbf_group *g,
                                            const tetcasti_rbf_record *f, const tetcasti_rbf_reach *r, float *rows,
                                            size_t stride) {
-    const float h = g->h, c2 = tetcasti_exp2_fast(2.0f * f->a * h * h);
+    const float h = g->h, c2 = r->decay;
     uint32_t l, c;
     int32_t j, k, way;
     for (l = 0; l < 8; l++) {
@@ -19763,7 +19824,7 @@ TETCASTI_TARGET_AVX2 TETCASTI_INLINE void tetcasti_rbf_run8_kind(const tetcast_k
         return;
     }
     {
-        const __m256 c2 = _mm256_set1_ps(tetcasti_exp2_fast(2.0f * f->a * h * h)), e = _mm256_set1_ps(f->e);
+        const __m256 c2 = _mm256_set1_ps(r->decay), e = _mm256_set1_ps(f->e);
         const __m256 a = _mm256_set1_ps(f->a), ah = _mm256_set1_ps(f->a * h), h8 = _mm256_set1_ps(h);
         for (way = 1; way >= -1; way -= 2) {
             const __m256 twice = _mm256_set1_ps(way > 0 ? 2.0f : -2.0f);
@@ -19869,6 +19930,7 @@ typedef struct tetcasti_rbf_picture {
     uint32_t tiles_x, tiles_y, tiles;
     size_t *first;                /* [tiles + 1] */
     uint32_t *list;
+    float *decay;                 /* [functions] */
     tetcasti_rbf_add_fn *add;
     uint32_t next, done, failed, cancelled;
     uint32_t tally[6][2];
@@ -20013,6 +20075,7 @@ static void tetcasti_rbf_group_values(tetcasti_rbf_picture *t, const tetcasti_rb
     tetcasti_rbf_base_rows(t, g, rows, stride);
     for (i = t->first[tile]; i < t->first[tile + 1]; i++) {
         const tetcasti_rbf_record *f = &m->record[t->list[i]];
+        r.decay = t->decay[t->list[i]];
         count[0]++;
 #if TETCASTI_AVX2
         if (t->isa >= TETCAST_ISA_AVX2) {
@@ -20071,7 +20134,7 @@ static void tetcasti_rbf_normal(void *user, float fraction, float normal[3]) {
     float a = x->from, b = x->to, fa = x->front - want, fb = x->back - want, s = x->from + fraction * width, f;
     uint32_t i, k;
     f = tetcasti_rbf_probe(x, s, normal) - want;
-    for (i = 0; i < 6 && tetcasti_absf(b - a) > 1e-4f * width && f != 0.0f; i++) {
+    for (i = 0; i < 8 && tetcasti_absf(b - a) > 1e-5f * width && f != 0.0f; i++) {
         if ((f > 0.0f) == (fa > 0.0f)) {
             a = s;
             fa = f;
@@ -20320,14 +20383,17 @@ static int tetcasti_rbf_bin(tetcasti_rbf_picture *t, float least) { /* 0: no mem
     size_t k, sum = 0;
     int ok;
     t->first = (size_t *)tetcasti_alloc_zero(&t->mem, (size_t)t->tiles + 1, sizeof *t->first);
-    ok = plane != NULL && range != NULL && t->first != NULL;
+    t->decay = (float *)tetcasti_alloc_array(&t->mem, (size_t)m->count + 1, sizeof *t->decay);
+    ok = plane != NULL && range != NULL && t->first != NULL && t->decay != NULL;
     if (ok) {
         for (i = 0; i <= t->tiles_x; i++) tetcasti_rbf_line_plane(t, 0, (double)i * TETCASTI_RBF_TILE, &plane[i]);
         for (i = 0; i <= t->tiles_y; i++)
             tetcasti_rbf_line_plane(t, 1, (double)i * TETCASTI_RBF_TILE, &plane[t->tiles_x + 1 + i]);
         for (i = 0; i < m->count; i++) {
             uint32_t *r = range[i];
+            const double exponent = 2.0 * (double)m->record[i].a * (double)t->h * (double)t->h;
             memset(r, 0, sizeof range[i]);
+            t->decay[i] = (float)tetcasti_exp2(exponent > -120.0 ? exponent : -120.0);
             if (!(m->record[i].radius > 0.0f) || m->record[i].most <= least) continue;
             tetcasti_rbf_tile_range(plane, t->tiles_x, &m->record[i], &r[0], &r[1]);
             tetcasti_rbf_tile_range(plane + t->tiles_x + 1, t->tiles_y, &m->record[i], &r[2], &r[3]);
@@ -20470,6 +20536,7 @@ TETCAST_DEF tetcast_result tetcast_rbf_render(const tetcast_rbf_render_desc *des
     }
     tetcasti_free(&t.mem, t.first);
     tetcasti_free(&t.mem, t.list);
+    tetcasti_free(&t.mem, t.decay);
     if (t.failed) return tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "render: out of memory");
     if (t.cancelled) return tetcasti_fail(d.env.error, TETCAST_ERR_CANCELLED, 0, "render: cancelled");
     if (stats != NULL) {

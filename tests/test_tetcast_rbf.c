@@ -1,0 +1,1047 @@
+/* test_tetcast_rbf.c - radial basis functions: values, files, the encoder's promise, pictures, traces, against doubles */
+#include "test.h"
+#define TETCAST_IMPLEMENTATION
+#include "tetcast.h"
+
+/* ---- helpers ---- */
+
+enum { MOST = 4096 };
+static tetcast_rbf_function g_f[MOST];
+
+static double kernel_oracle(tetcast_kernel kernel, double cut, double epsilon, double most, double d, double w) {
+    const double q2 = d / (3.70 * w), q4 = d / (4.22 * w), q8 = d / (4.21 * w);
+    const double e = exp(-0.5 * cut * cut), g = exp(-0.5 * d * d / (w * w));
+    switch (kernel) {
+    case TETCAST_KERNEL_GAUSS: return d < cut * w ? (g - e) / (1.0 - e) : 0.0;
+    case TETCAST_KERNEL_GAUSS_CUT: return most * g > epsilon ? g : 0.0;
+    case TETCAST_KERNEL_WENDLAND2: return q2 < 1.0 ? pow(1.0 - q2, 4.0) * (4.0 * q2 + 1.0) : 0.0;
+    case TETCAST_KERNEL_WENDLAND4: return q4 < 1.0 ? pow(1.0 - q4, 6.0) * ((35.0 * q4 + 18.0) * q4 + 3.0) / 3.0 : 0.0;
+    default: return q8 < 1.0 ? pow(1.0 - q8 * q8, 8.0) : 0.0;
+    }
+}
+
+/* Sum over all functions in double; sum of the absolute values in *all. */
+static double value_oracle(const tetcast_rbf_desc *d, const double p[3], uint32_t c, double *all) {
+    const double cut = d->cut != 0.0f ? (double)d->cut : 3.5;
+    double sum = (double)d->offset[c], most_weight = 0.0;
+    size_t i;
+    uint32_t a;
+    *all = fabs(sum);
+    for (i = 0; i < d->function_count; i++)
+        for (a = 0; a < d->components; a++) most_weight = fmax(most_weight, fabs((double)d->functions[i].weight[a]));
+    for (i = 0; i < d->function_count; i++) {
+        const tetcast_rbf_function *f = &d->functions[i];
+        double d2 = 0.0, most = 0.0, v;
+        for (a = 0; a < 3; a++) {
+            const double x = (p[a] - f->centre[a]) / (d->metric[a] != 0.0 ? d->metric[a] : 1.0);
+            d2 += x * x;
+        }
+        for (a = 0; a < d->components; a++) most = fmax(most, fabs((double)f->weight[a]));
+        v = (double)f->weight[c] * kernel_oracle(d->kernel, cut, d->epsilon > 0.0f ? (double)d->epsilon : 1e-3 * most_weight, most,
+                                                 sqrt(d2), f->width);
+        sum += v;
+        *all += fabs(v);
+    }
+    return sum;
+}
+
+static tetcast_rbf_desc random_desc(uint64_t seed, uint32_t count, uint32_t components, double narrow, double wide, double shift) {
+    test_rng r = test_rng_make(seed);
+    tetcast_rbf_desc d;
+    uint32_t i, a;
+    memset(&d, 0, sizeof d);
+    for (i = 0; i < count; i++) {
+        for (a = 0; a < 3; a++) g_f[i].centre[a] = shift + test_rng_double(&r) * 2.0;
+        g_f[i].width = narrow * pow(wide / narrow, test_rng_double(&r));
+        for (a = 0; a < 4; a++) g_f[i].weight[a] = test_rng_range(&r, -1.0f, 1.0f);
+    }
+    for (a = 0; a < 3; a++) {
+        d.box_min[a] = shift;
+        d.box_max[a] = shift + 2.0;
+    }
+    d.components = components;
+    for (a = 0; a < 4; a++) d.offset[a] = 0.25f * (float)a - 0.1f;
+    d.functions = g_f;
+    d.function_count = count;
+    return d;
+}
+
+static tetcast_rbf *make(const tetcast_rbf_desc *d) {
+    tetcast_rbf *m = NULL;
+    CHECK(tetcast_rbf_create(d, &m) == TETCAST_OK);
+    return m;
+}
+
+static tetcast_result eval(const tetcast_rbf *m, tetcast_isa isa, uint32_t all, uint32_t threads, const double *p, size_t n, float *v,
+                           float *j) {
+    tetcast_rbf_eval_desc d;
+    memset(&d, 0, sizeof d);
+    d.isa = isa;
+    d.all = all;
+    d.env.thread_count = threads;
+    return tetcast_rbf_eval(&d, m, p, n, v, j);
+}
+
+static void random_points(double *p, size_t n, const tetcast_rbf_desc *d, uint64_t seed) {
+    test_rng r = test_rng_make(seed);
+    size_t i;
+    for (i = 0; i < 3 * n; i++) {
+        const double side = d->box_max[i % 3] - d->box_min[i % 3];
+        const uint32_t kind = test_rng_below(&r, 12); /* also on cell faces, and outside of the box */
+        p[i] = d->box_min[i % 3] + side * (kind == 0 ? (double)test_rng_below(&r, 65) / 64.0
+                                          : kind == 1 ? test_rng_double(&r) * 1.4 - 0.2 : test_rng_double(&r));
+    }
+}
+
+/* ---- values ---- */
+
+/* 2^x for x <= 0: relative error, and what is below. */
+TEST(exponential) {
+    test_rng r = test_rng_make(1);
+    double worst = 0.0;
+    int i;
+    for (i = 0; i < 200000; i++) {
+        const float x = i < 1000 ? (float)i * -0.12f : -119.0f * test_rng_float(&r);
+        const double e = fabs((double)tetcasti_exp2_fast(x) / exp2((double)x) - 1.0);
+        worst = e > worst ? e : worst;
+    }
+    CHECK_MSG(worst < 4e-7, "relative error %.3g", worst);
+    CHECK(tetcasti_exp2_fast(-0.0f) == tetcasti_exp2_fast(0.0f));
+    CHECK(tetcasti_exp2_fast(-150.0f) < 1e-36f && tetcasti_exp2_fast(-1e30f) < 1e-36f && tetcasti_exp2_fast(-INFINITY) < 1e-36f);
+    CHECK(tetcasti_exp2_fast((float)NAN) < 1e-36f);
+}
+
+/* All kernels and numbers of components: near a sum in double, the same bits by lists and by all functions, scalar and
+   vectors, any number of threads. */
+TEST(sums) {
+    enum { N = 500 };
+    static double p[3 * N];
+    static float v[4][4 * N];
+    uint32_t kernel, n, i, c, k;
+    for (kernel = 0; kernel < TETCAST_KERNEL_COUNT; kernel++)
+        for (n = 1; n <= 4; n++) {
+            tetcast_rbf_desc d = random_desc(77 + kernel, n == 1 ? 2000 : 150, n, 0.01, 0.3, -1.0);
+            tetcast_rbf *m;
+            const size_t count = test_quick() ? 200 : n == 1 ? N : N / 4;
+            double worst = 0.0;
+            d.kernel = (tetcast_kernel)kernel;
+            if (kernel == TETCAST_KERNEL_GAUSS && n == 2) d.cut = 2.0f;
+            if (n == 3) {
+                d.metric[0] = 0.5;
+                d.metric[1] = d.metric[2] = 2.0;
+            }
+            m = make(&d);
+            REQUIRE(m != NULL);
+            random_points(p, count, &d, 5 + n);
+            CHECK(eval(m, TETCAST_ISA_SCALAR, 0, 1, p, count, v[0], NULL) == TETCAST_OK);
+            CHECK(eval(m, TETCAST_ISA_SCALAR, 1, 1, p, count, v[1], NULL) == TETCAST_OK);
+            CHECK(eval(m, TETCAST_ISA_AUTO, 0, 3, p, count, v[2], NULL) == TETCAST_OK);
+            CHECK(eval(m, TETCAST_ISA_AUTO, 1, 2, p, count, v[3], NULL) == TETCAST_OK);
+            for (k = 1; k < 4; k++) CHECK(memcmp(v[0], v[k], count * n * sizeof(float)) == 0);
+            for (i = 0; i < count; i++)
+                for (c = 0; c < n; c++) {
+                    double all, want = value_oracle(&d, p + 3 * i, c, &all);
+                    double e = fabs((double)v[0][i * n + c] - want) / (all + 1e-3);
+                    /* the cut form jumps by epsilon where rounding decides */
+                    if (kernel == TETCAST_KERNEL_GAUSS_CUT) e = e > 1.1e-3 ? e : 0.0;
+                    if (!(e <= worst)) worst = e;
+                }
+            CHECK_MSG(worst < 3e-5, "kernel %u, %u components: %.3g", kernel, n, worst); /* centres are floats: 6e-8 / width */
+            tetcast_rbf_destroy(m);
+        }
+}
+
+/* Jacobians against differences of the double sum, and they have the same bits everywhere. */
+TEST(derivatives) {
+    enum { N = 300 };
+    static double p[3 * N];
+    static float v[3 * N], j[2][9 * N];
+    uint32_t kernel, i, c, a;
+    for (kernel = 0; kernel < TETCAST_KERNEL_COUNT; kernel++) {
+        tetcast_rbf_desc d = random_desc(99, 60, 3, 0.1, 0.4, 10.0);
+        tetcast_rbf *m;
+        double worst = 0.0, most = 0.0;
+        if (kernel == TETCAST_KERNEL_GAUSS_CUT) continue; /* jumps */
+        d.kernel = (tetcast_kernel)kernel;
+        d.metric[1] = 2.0;
+        d.metric[0] = d.metric[2] = 1.0;
+        m = make(&d);
+        REQUIRE(m != NULL);
+        random_points(p, N, &d, 3);
+        CHECK(eval(m, TETCAST_ISA_SCALAR, 0, 1, p, N, v, j[0]) == TETCAST_OK);
+        CHECK(eval(m, TETCAST_ISA_AUTO, 1, 2, p, N, NULL, j[1]) == TETCAST_OK);
+        CHECK(memcmp(j[0], j[1], sizeof j[0]) == 0);
+        for (i = 0; i < N; i++)
+            for (c = 0; c < 3; c++)
+                for (a = 0; a < 3; a++) {
+                    const double h = 1e-5;
+                    double q[3], all, up, down, want;
+                    memcpy(q, p + 3 * i, sizeof q);
+                    q[a] += h;
+                    up = value_oracle(&d, q, c, &all);
+                    q[a] -= 2.0 * h;
+                    down = value_oracle(&d, q, c, &all);
+                    want = (up - down) / (2.0 * h);
+                    most = fmax(most, fabs(want));
+                    if (!(fabs((double)j[0][(i * 3 + c) * 3 + a] - want) <= worst))
+                        worst = fabs((double)j[0][(i * 3 + c) * 3 + a] - want);
+                }
+        /* a point within h of a rim sees its kink: 1e-3 of the slope */
+        CHECK_MSG(worst < (kernel == TETCAST_KERNEL_GAUSS ? 1e-3 : 2e-5) * most, "kernel %u: %.3g of %.3g", kernel, worst, most);
+        tetcast_rbf_destroy(m);
+    }
+}
+
+/* Base grids: trilinear inside, the nearest node outside, thin ones. */
+TEST(bases) {
+    static const uint32_t dims[][3] = {{2, 2, 2}, {3, 4, 5}, {1, 4, 4}, {4, 1, 1}, {1, 1, 1}};
+    float node[60], v[2];
+    double p[6];
+    uint32_t t, i;
+    for (t = 0; t < 5; t++) {
+        tetcast_rbf_desc d = random_desc(1, 0, 1, 1, 1, 0.0);
+        tetcast_rbf *m;
+        float want;
+        for (i = 0; i < 60; i++) {
+            const uint32_t x = i % dims[t][0], y = i / dims[t][0] % dims[t][1], z = i / dims[t][0] / dims[t][1];
+            node[i] = 1.0f + (dims[t][0] > 1 ? 2.0f * (float)x / (float)(dims[t][0] - 1) : 0.0f) +
+                      (dims[t][1] > 1 ? 3.0f * (float)y / (float)(dims[t][1] - 1) : 0.0f) +
+                      (dims[t][2] > 1 ? 4.0f * (float)z / (float)(dims[t][2] - 1) : 0.0f);
+        }
+        memcpy(d.base_dims, dims[t], sizeof dims[t]);
+        d.base = node;
+        m = make(&d);
+        REQUIRE(m != NULL);
+        p[0] = 0.5;
+        p[1] = 1.2;
+        p[2] = 1.9;
+        p[3] = p[4] = p[5] = 5.0;
+        CHECK(tetcast_rbf_eval(NULL, m, p, 2, v, NULL) == TETCAST_OK);
+        want = 1.0f + (dims[t][0] > 1 ? 2.0f * 0.25f : 0.0f) + (dims[t][1] > 1 ? 3.0f * 0.6f : 0.0f) + (dims[t][2] > 1 ? 4.0f * 0.95f : 0.0f);
+        CHECK_NEAR(v[0], want, 1e-5);
+        want = 1.0f + (dims[t][0] > 1 ? 2.0f : 0.0f) + (dims[t][1] > 1 ? 3.0f : 0.0f) + (dims[t][2] > 1 ? 4.0f : 0.0f);
+        CHECK_NEAR(v[1], want, 1e-5);
+        tetcast_rbf_destroy(m);
+    }
+}
+
+TEST(bounds_hold) {
+    test_rng r = test_rng_make(8);
+    static float node[4 * 4 * 4];
+    uint32_t kernel, t, i, a;
+    for (i = 0; i < 64; i++) node[i] = test_rng_range(&r, -1.0f, 1.0f);
+    for (kernel = 0; kernel < TETCAST_KERNEL_COUNT; kernel++) {
+        tetcast_rbf_desc d = random_desc(5, 100, 1, 0.05, 0.3, 0.0);
+        tetcast_rbf *m;
+        d.kernel = (tetcast_kernel)kernel;
+        d.base_dims[0] = d.base_dims[1] = d.base_dims[2] = 4;
+        d.base = node;
+        d.metric[0] = 0.5;
+        d.metric[1] = d.metric[2] = 1.0;
+        m = make(&d);
+        REQUIRE(m != NULL);
+        for (t = 0; t < 60; t++) {
+            double lo[3], hi[3], p[3 * 50];
+            float v[50], j[150], least = 0.0f, most = 0.0f, steep = 0.0f;
+            for (a = 0; a < 3; a++) {
+                const double s = test_rng_double(&r) * (t % 3 == 0 ? 0.5 : 0.05);
+                lo[a] = (2.0 - s) * test_rng_double(&r);
+                hi[a] = lo[a] + s;
+            }
+            for (i = 0; i < 150; i++) p[i] = lo[i % 3] + (hi[i % 3] - lo[i % 3]) * test_rng_double(&r);
+            CHECK(tetcast_rbf_bounds(m, 0, lo, hi, &least, &most, &steep) == TETCAST_OK);
+            CHECK(tetcast_rbf_eval(NULL, m, p, 50, v, j) == TETCAST_OK);
+            for (i = 0; i < 50; i++) {
+                CHECK(v[i] >= least && v[i] <= most);
+                CHECK(sqrt((double)j[3 * i] * (double)j[3 * i] + (double)j[3 * i + 1] * (double)j[3 * i + 1] +
+                           (double)j[3 * i + 2] * (double)j[3 * i + 2]) <= (double)steep);
+            }
+        }
+        tetcast_rbf_destroy(m);
+    }
+}
+
+/* Widths from far too small to far too large, weights of any size; places far from the origin. */
+TEST(extremes) {
+    tetcast_rbf_desc d = random_desc(4, 200, 1, 1e-5, 1e5, 0.0);
+    tetcast_rbf *m;
+    double p[3 * 100];
+    float v[100], near_v[100];
+    uint32_t i, k;
+    test_rng r = test_rng_make(6);
+    for (i = 0; i < 200; i++) g_f[i].weight[0] = (float)pow(10.0, (double)test_rng_range(&r, -30.0f, 30.0f));
+    m = make(&d);
+    REQUIRE(m != NULL);
+    random_points(p, 100, &d, 2);
+    CHECK(tetcast_rbf_eval(NULL, m, p, 100, v, NULL) == TETCAST_OK);
+    for (i = 0; i < 100; i++) CHECK(v[i] - v[i] == 0.0f);
+    tetcast_rbf_destroy(m);
+    for (k = 0; k < 3; k++) { /* the same at the origin and far away */
+        const double shift = k == 0 ? 0.0 : k == 1 ? 1048576.0 : 1073741824.0;
+        d = random_desc(4, 200, 1, 0.05, 0.2, shift);
+        m = make(&d);
+        REQUIRE(m != NULL);
+        random_points(p, 100, &d, 2);
+        CHECK(tetcast_rbf_eval(NULL, m, p, 100, v, NULL) == TETCAST_OK);
+        for (i = 0; i < 100; i++) {
+            if (k == 0) near_v[i] = v[i];
+            else CHECK_NEAR(v[i], near_v[i], 1e-4);
+        }
+        tetcast_rbf_destroy(m);
+    }
+    d = random_desc(4, 10, 1, 0.05, 0.2, 0.0);
+    g_f[3].width = NAN;
+    CHECK(tetcast_rbf_create(&d, &m) == TETCAST_ERR_INVALID_ARG && m == NULL);
+    g_f[3].width = 0.0;
+    CHECK(tetcast_rbf_create(&d, &m) == TETCAST_ERR_INVALID_ARG);
+    g_f[3].width = 0.1;
+    g_f[4].centre[1] = INFINITY;
+    CHECK(tetcast_rbf_create(&d, &m) == TETCAST_ERR_INVALID_ARG);
+    d = random_desc(4, 10, 1, 0.05, 0.2, 0.0);
+    d.box_max[1] = -1.0;
+    CHECK(tetcast_rbf_create(&d, &m) == TETCAST_ERR_INVALID_ARG);
+    d = random_desc(4, 0, 1, 0.05, 0.2, 0.0); /* nothing at all: a constant */
+    m = make(&d);
+    REQUIRE(m != NULL);
+    p[0] = NAN;
+    CHECK(tetcast_rbf_eval(NULL, m, p, 2, v, NULL) == TETCAST_OK && v[0] != v[0] && v[1] == d.offset[0]);
+    tetcast_rbf_destroy(m);
+    for (i = 0; i < 3; i++) d.box_max[i] = d.box_min[i]; /* a box that is a point */
+    m = make(&d);
+    REQUIRE(m != NULL);
+    CHECK(tetcast_rbf_eval(NULL, m, d.box_min, 1, v, NULL) == TETCAST_OK && v[0] == d.offset[0]);
+    tetcast_rbf_destroy(m);
+}
+
+/* ---- files ---- */
+
+static unsigned char *save(const tetcast_rbf *m, size_t *size) {
+    unsigned char *p;
+    CHECK(tetcast_rbf_save_memory(m, NULL, 0, size) == TETCAST_OK);
+    p = (unsigned char *)malloc(*size);
+    if (p == NULL) return NULL;
+    CHECK(tetcast_rbf_save_memory(m, p, *size - 1, size) == TETCAST_ERR_RANGE);
+    CHECK(tetcast_rbf_save_memory(m, p, *size, size) == TETCAST_OK);
+    return p;
+}
+
+/* The tornado of R. Crawfis, discontinuous by design. */
+static void tornado(uint32_t n, float *out) {
+    size_t i;
+    for (i = 0; i < (size_t)n * n * n; i++, out += 3) {
+        const double x = (double)(i % n) / (n - 1), y = (double)(i / n % n) / (n - 1), z = (double)(i / n / n) / (n - 1);
+        const double xc = 0.5 + 0.1 * sin(10 * z), yc = 0.5 + 0.1 * cos(3 * z), r = 0.1 + 0.4 * z * z + 0.1 * z * sin(8 * z);
+        double t = sqrt((x - xc) * (x - xc) + (y - yc) * (y - yc)), s = fabs(r - t), up = fmax(0.0, 0.1 * (0.1 - t * z));
+        s = s > 0.2 + 0.1 * z ? 0.8 - s : 1.0;
+        t = sqrt(t * t + up * up);
+        s = (r + 0.2 + 0.1 * z - t) * s / ((t + 1e-11) * (1 + z));
+        out[0] = (float)(s * (y - yc) + 0.1 * (x - xc));
+        out[1] = (float)(0.1 * (y - yc) - s * (x - xc));
+        out[2] = (float)(s * up);
+    }
+}
+
+static tetcast_rbf_points grid_points(const float *values, uint32_t nx, uint32_t ny, uint32_t nz, uint32_t components) {
+    tetcast_rbf_points p;
+    memset(&p, 0, sizeof p);
+    p.values.data = values;
+    p.components = components;
+    p.dims[0] = nx;
+    p.dims[1] = ny;
+    p.dims[2] = nz;
+    p.count = (size_t)nx * ny * nz;
+    return p;
+}
+
+TEST(files) {
+    static float data[3 * 12 * 12 * 12];
+    tetcast_rbf_points p = grid_points(data, 12, 12, 12, 3);
+    tetcast_rbf_desc d = random_desc(7, 40, 2, 0.05, 0.3, 0.0);
+    tetcast_rbf *m[2] = {NULL, NULL}, *again = NULL;
+    uint32_t k, i;
+    test_rng r = test_rng_make(3);
+    tornado(12, data);
+    CHECK(tetcast_rbf_fit(NULL, &p, NULL, &m[0]) == TETCAST_OK);
+    m[1] = make(&d);
+    for (k = 0; k < 2; k++) {
+        size_t size, size2, n;
+        unsigned char *b, *c;
+        REQUIRE(m[k] != NULL);
+        b = save(m[k], &size);
+        REQUIRE(b != NULL);
+        CHECK(tetcast_rbf_load_memory(NULL, b, size, &again) == TETCAST_OK);
+        REQUIRE(again != NULL);
+        CHECK(again->count == m[k]->count && memcmp(again->record, m[k]->record, again->count * sizeof *again->record) == 0);
+        CHECK(again->index_count == m[k]->index_count);
+        c = save(again, &size2);
+        CHECK(c != NULL && size == size2 && memcmp(b, c, size) == 0);
+        free(c);
+        tetcast_rbf_destroy(again);
+        for (n = 0; n < size; n += n < 230 ? 1 : 137) { /* any end that is too early */
+            c = (unsigned char *)malloc(n + (n == 0));
+            if (c == NULL) continue;
+            memcpy(c, b, n);
+            CHECK(tetcast_rbf_load_memory(NULL, c, n, &again) != TETCAST_OK && again == NULL);
+            free(c);
+        }
+        c = (unsigned char *)malloc(size + 1); /* a byte too many */
+        REQUIRE(c != NULL);
+        memcpy(c, b, size);
+        c[size] = 0;
+        CHECK(tetcast_rbf_load_memory(NULL, c, size + 1, &again) != TETCAST_OK);
+        for (i = 0; i < (test_quick() ? 230u : 300u); i++) { /* damage: found by the checksum, or by what it says when that is right */
+            const size_t at = i < 216 ? i : test_rng_below(&r, (uint32_t)size);
+            const int seal = i % 3 != 0 && at >= 32;
+            uint64_t sum;
+            memcpy(c, b, size);
+            c[at] = (unsigned char)(c[at] ^ (1u << test_rng_below(&r, 8)));
+            if (i % 5 == 0 && at + 4 < size && at >= 32) memset(c + at, test_rng_below(&r, 2) ? 0xff : 0, 4);
+            sum = tetcasti_rbf_checksum(c, size);
+            if (seal) tetcasti_store_u64(c + 24, sum);
+            again = NULL;
+            if (tetcast_rbf_load_memory(NULL, c, size, &again) == TETCAST_OK) {
+                double q[3];
+                float v[4];
+                CHECK(seal || memcmp(b, c, size) == 0);
+                memcpy(q, again->box_min, sizeof q);
+                CHECK(tetcast_rbf_eval(NULL, again, q, 1, v, NULL) == TETCAST_OK);
+                tetcast_rbf_destroy(again);
+            } else CHECK(again == NULL);
+        }
+        free(b);
+        free(c);
+    }
+    {
+        const char *path = test_temp_path(".rbf");
+        CHECK(tetcast_rbf_save_file(m[0], NULL, path) == TETCAST_OK);
+        CHECK(tetcast_rbf_load_file(NULL, path, &again) == TETCAST_OK && again != NULL && again->count == m[0]->count);
+        tetcast_rbf_destroy(again);
+        (void)remove(path);
+        CHECK(tetcast_rbf_load_file(NULL, path, &again) == TETCAST_ERR_IO && again == NULL);
+    }
+    tetcast_rbf_destroy(m[0]);
+    tetcast_rbf_destroy(m[1]);
+}
+
+/* ---- the encoder ---- */
+
+/* Largest and mean error at the points, from values asked for one by one. */
+static void errors(const tetcast_rbf *m, const tetcast_rbf_points *p, const double *at, const float *values, double range, double out[2]) {
+    size_t i;
+    uint32_t c;
+    out[0] = out[1] = 0.0;
+    for (i = 0; i < p->count; i++) {
+        double q[3], e = 0.0;
+        float v[4];
+        if (at != NULL) memcpy(q, at + 3 * i, sizeof q);
+        else {
+            q[0] = p->origin[0] + (p->spacing[0] != 0.0 ? p->spacing[0] : 1.0) * (double)(i % p->dims[0]);
+            q[1] = p->origin[1] + (p->spacing[1] != 0.0 ? p->spacing[1] : 1.0) * (double)(i / p->dims[0] % p->dims[1]);
+            q[2] = p->origin[2] + (p->spacing[2] != 0.0 ? p->spacing[2] : 1.0) * (double)(i / p->dims[0] / p->dims[1]);
+        }
+        CHECK(tetcast_rbf_eval(NULL, m, q, 1, v, NULL) == TETCAST_OK);
+        for (c = 0; c < p->components; c++)
+            e += ((double)v[c] - (double)values[i * p->components + c]) * ((double)v[c] - (double)values[i * p->components + c]);
+        e = sqrt(e) / range;
+        out[0] = fmax(out[0], e);
+        out[1] += e / (double)p->count;
+    }
+}
+
+static double shock(const double *p) { /* two sheets, 2 cells wide on 24 */
+    return tanh((p[0] + 0.4 * p[1] - 0.8) * 20.0) + 0.5 * tanh((sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]) - 0.7) * 15.0);
+}
+static double ripple(const double *p) { /* of Marschner and Lobb, with one wave instead of six: 14 points see no more */
+    const double x = 2 * p[0] - 1, y = 2 * p[1] - 1, z = 2 * p[2] - 1, r = sqrt(x * x + y * y);
+    return (1.0 - sin(1.5707963267948966 * z) + 0.25 * (1.0 + cos(3.1415926535897931 * cos(1.5707963267948966 * r)))) / 2.5;
+}
+
+TEST(promise) {
+    enum { N = 14 };
+    static float value[3 * N * N * N];
+    static double at[3 * N * N * N];
+    static const float asked[] = {0.1f, 0.03f, 0.01f};
+    int field, t, scattered;
+    size_t i;
+    for (field = 0; field < 3; field++)
+        for (t = 0; t < (test_quick() ? 1 : 3); t++)
+            for (scattered = 0; scattered < 2; scattered++) {
+                const uint32_t n = field == 2 ? 3 : 1;
+                tetcast_rbf_points p = grid_points(value, N, N, N, n);
+                tetcast_rbf_fit_desc d;
+                tetcast_rbf_report report;
+                tetcast_rbf *m = NULL;
+                double e[2];
+                test_rng r = test_rng_make(17);
+                if (field == 2 && (scattered || t == 2)) continue;
+                for (i = 0; i < p.count; i++) {
+                    uint32_t a;
+                    const size_t k[3] = {i % N, i / N % N, i / N / N};
+                    for (a = 0; a < 3; a++)
+                        at[3 * i + a] = scattered ? test_rng_double(&r) : (double)k[a] / (N - 1);
+                    if (field < 2) value[i] = (float)(field == 0 ? ripple(at + 3 * i) : shock(at + 3 * i));
+                }
+                if (field == 2) tornado(N, value);
+                for (i = 0; i < 3; i++) p.spacing[i] = 1.0 / (N - 1);
+                if (scattered) {
+                    p.positions.data = at;
+                    p.positions.type = TETCAST_TYPE_F64;
+                }
+                memset(&d, 0, sizeof d);
+                d.max_error = asked[t];
+                if (t == 1 && scattered) d.method = TETCAST_RBF_METHOD_PURE;
+                if (t == 1 && !scattered && field == 0) d.kernel = TETCAST_KERNEL_POWER;
+                if (t == 1 && !scattered && field == 1) d.kernel = TETCAST_KERNEL_WENDLAND2;
+                if (t == 0 && scattered) d.mean_error = 0.01f;
+                CHECK(tetcast_rbf_fit(&d, &p, &report, &m) == TETCAST_OK);
+                REQUIRE(m != NULL);
+                errors(m, &p, scattered ? at : NULL, value, report.range, e);
+                CHECK_MSG(e[0] <= (double)asked[t] * (1.0 + 1e-4), "field %d, %g: %g", field, (double)asked[t], e[0]);
+                CHECK_NEAR(e[0], report.max_error, 1e-5);
+                CHECK_NEAR(e[1], report.mean_error, 1e-5);
+                CHECK(report.p999_error <= report.max_error && report.rms_error >= report.mean_error);
+                CHECK(d.mean_error == 0.0f || report.mean_error <= 0.01);
+                CHECK(report.largest_weight < 100.0 && report.points == p.count && report.functions == m->count);
+                if (getenv("TEST_PRINT") != NULL)
+                    printf("field %d scattered %d tolerance %g: %u functions, %llu bytes, max %.4f mean %.5f, between %.4f %.5f\n", field,
+                           scattered, (double)asked[t], report.functions, (unsigned long long)report.bytes, report.max_error,
+                           report.mean_error, report.between_max, report.between_mean);
+                if (!scattered && field < 2) CHECK(report.between_mean < 3.0 * report.mean_error + 0.003);
+                tetcast_rbf_destroy(m);
+            }
+}
+
+TEST(same_model) {
+    static float value[320 * 16 * 10];
+    size_t i, size[5] = {0, 0, 0, 0, 0};
+    unsigned char *bytes[5] = {NULL, NULL, NULL, NULL, NULL};
+    int k;
+    for (k = 0; k < 5; k++) {
+        /* the last two: a long bar in eight blocks */
+        const uint32_t n[3] = {k < 3 ? 20 : 320, 16, 10};
+        tetcast_rbf_points p = grid_points(value, n[0], n[1], n[2], 1);
+        tetcast_rbf_fit_desc d;
+        tetcast_rbf *m = NULL;
+        for (i = 0; i < p.count; i++) {
+            const double x = 0.1 * (double)(i % n[0]), y = 0.1 * (double)(i / n[0] % n[1]), z = 0.1 * (double)(i / n[0] / n[1]);
+            value[i] = (float)(sin(2.0 * x + y) + cos(3.0 * z - x));
+        }
+        memset(&d, 0, sizeof d);
+        d.max_error = k < 3 ? 0.05f : 0.2f;
+        d.sweeps = 1;
+        d.env.thread_count = k == 1 || k == 4 ? 3 : 1;
+        d.isa = k == 0 || k == 3 ? TETCAST_ISA_SCALAR : TETCAST_ISA_AUTO;
+        CHECK(tetcast_rbf_fit(&d, &p, NULL, &m) == TETCAST_OK);
+        REQUIRE(m != NULL);
+        bytes[k] = save(m, &size[k]);
+        tetcast_rbf_destroy(m);
+    }
+    REQUIRE(bytes[0] != NULL && bytes[1] != NULL && bytes[2] != NULL && bytes[3] != NULL && bytes[4] != NULL);
+    CHECK(size[0] == size[1] && memcmp(bytes[0], bytes[1], size[0]) == 0);
+    CHECK(size[0] == size[2] && memcmp(bytes[0], bytes[2], size[0]) == 0);
+    CHECK(size[3] == size[4] && memcmp(bytes[3], bytes[4], size[3]) == 0);
+    for (k = 0; k < 5; k++) free(bytes[k]);
+}
+
+/* Nothing, one point, coincident, on a line, in a plane, all equal, not finite; thin and stretched grids. */
+TEST(odd_data) {
+    static double at[3 * 64];
+    static float value[3 * 64 * 4];
+    static const uint32_t thin[][3] = {{1, 1, 1}, {64, 1, 1}, {1, 8, 8}, {8, 8, 1}, {4, 4, 4}, {2, 2, 2}};
+    test_rng r = test_rng_make(2);
+    tetcast_rbf *m = NULL;
+    tetcast_rbf_report report;
+    uint32_t kind, i, a;
+    for (kind = 0; kind < 9; kind++) {
+        tetcast_rbf_points p;
+        tetcast_result result;
+        double e[2];
+        memset(&p, 0, sizeof p);
+        p.positions.data = at;
+        p.positions.type = TETCAST_TYPE_F64;
+        p.values.data = value;
+        p.components = kind == 6 ? 3 : 1;
+        p.count = kind < 4 ? kind : 64;
+        for (i = 0; i < 64; i++) {
+            for (a = 0; a < 3; a++) at[3 * i + a] = kind == 4 ? 5.0 : kind == 5 && a > 0 ? 1.0 : kind == 6 && a == 2 ? 1e6 : test_rng_double(&r);
+            for (a = 0; a < p.components; a++) value[i * p.components + a] = kind == 7 ? 3.5f : test_rng_range(&r, -1.0f, 1.0f);
+        }
+        if (kind == 4) for (i = 0; i < 64; i++) value[i] = 2.0f; /* one place */
+        if (kind == 8) { /* twice, and not finite */
+            for (i = 0; i < 32; i++) {
+                memcpy(at + 3 * (i + 32), at + 3 * i, 3 * sizeof *at);
+                value[i + 32] = value[i];
+            }
+            value[3] = (float)NAN;
+            at[3 * 5] = INFINITY;
+        }
+        result = tetcast_rbf_fit(NULL, &p, &report, &m);
+        if (p.count == 0) {
+            CHECK(result == TETCAST_ERR_EMPTY && m == NULL);
+            continue;
+        }
+        CHECK_MSG(result == TETCAST_OK, "kind %u: %s", kind, tetcast_result_string(result));
+        REQUIRE(m != NULL);
+        if (kind == 8) CHECK(report.rejected == 2 && report.duplicates == 30);
+        if (kind != 8 && report.range > 0.0) {
+            errors(m, &p, at, value, report.range, e);
+            CHECK_MSG(e[0] <= 0.0501, "kind %u: %g", kind, e[0]);
+        }
+        tetcast_rbf_destroy(m);
+    }
+    for (kind = 0; kind < 6; kind++) {
+        tetcast_rbf_points p = grid_points(value, thin[kind][0], thin[kind][1], thin[kind][2], 1);
+        double e[2];
+        for (i = 0; i < 64; i++) value[i] = (float)sin(0.3 * i);
+        p.spacing[0] = p.spacing[1] = 1.0;
+        p.spacing[2] = 1000.0;
+        if (kind == 5) p.spacing[0] = -1.0;
+        CHECK(tetcast_rbf_fit(NULL, &p, &report, &m) == TETCAST_OK);
+        REQUIRE(m != NULL);
+        if (report.range > 0.0 && kind != 0) {
+            errors(m, &p, NULL, value, report.range, e);
+            CHECK_MSG(e[0] <= 0.0501, "grid %u: %g", kind, e[0]);
+        }
+        tetcast_rbf_destroy(m);
+    }
+    { /* too few functions are allowed; cancelled; bad arguments */
+        tetcast_rbf_points p = grid_points(value, 4, 4, 4, 1);
+        tetcast_rbf_fit_desc d;
+        memset(&d, 0, sizeof d);
+        d.max_error = 0.001f;
+        d.max_functions = 2;
+        CHECK(tetcast_rbf_fit(&d, &p, NULL, &m) == TETCAST_ERR_RANGE && m == NULL);
+        d.max_error = -1.0f;
+        CHECK(tetcast_rbf_fit(&d, &p, NULL, &m) == TETCAST_ERR_INVALID_ARG);
+        memset(&d, 0, sizeof d);
+        d._end_zero = 1;
+        CHECK(tetcast_rbf_fit(&d, &p, NULL, &m) == TETCAST_ERR_UNINIT_DESC);
+        p.components = 5;
+        CHECK(tetcast_rbf_fit(NULL, &p, NULL, &m) == TETCAST_ERR_INVALID_ARG);
+        p = grid_points(value, 4, 4, 5, 1);
+        p.count = 64;
+        CHECK(tetcast_rbf_fit(NULL, &p, NULL, &m) == TETCAST_ERR_INVALID_ARG);
+    }
+}
+
+/* ---- flows ---- */
+
+static void features(const double j[9], tetcast_flow *f) {
+    const float v[3] = {1.0f, 2.0f, 3.0f};
+    float g[9];
+    int i;
+    for (i = 0; i < 9; i++) g[i] = (float)j[i];
+    tetcast_flow_features(v, g, f);
+}
+
+TEST(flows) {
+    const double rotation[9] = {0, -3, 0, 3, 0, 0, 0, 0, 0}, shear[9] = {0, 2, 0, 0, 0, 0, 0, 0, 0};
+    const double swell[9] = {2, 0, 0, 0, 2, 0, 0, 0, 2}, none[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0};
+    test_rng r = test_rng_make(12);
+    tetcast_flow f, g;
+    double j[9];
+    int t, i;
+    features(rotation, &f); /* W^2 = diag(-9, -9, 0), S = 0 */
+    CHECK_NEAR(f.lambda2, -9.0, 1e-5);
+    CHECK_NEAR(f.vorticity[2], 6.0, 1e-6);
+    CHECK_NEAR(f.helicity, 18.0, 1e-5);
+    CHECK_NEAR(f.speed, sqrt(14.0), 1e-6);
+    features(shear, &f);
+    CHECK_NEAR(f.lambda2, 0.0, 1e-6);
+    CHECK_NEAR(f.vorticity[2], -2.0, 1e-6);
+    features(swell, &f);
+    CHECK_NEAR(f.lambda2, 4.0, 1e-5);
+    features(none, &f);
+    CHECK(f.lambda2 == 0.0f);
+    for (t = 0; t < 2000; t++) { /* the characteristic polynomial vanishes there and one root lies on each side; scales */
+        double m[9], q, a, b, c, x, value, slope;
+        int k, l;
+        for (i = 0; i < 9; i++) j[i] = (double)test_rng_range(&r, -1.0f, 1.0f) * (t % 4 == 0 && i % 3 == 1 ? 1e-4 : 1.0);
+        features(j, &f);
+        for (k = 0; k < 3; k++)
+            for (l = 0; l < 3; l++) {
+                m[3 * k + l] = 0.0;
+                for (i = 0; i < 3; i++) {
+                    const double s1 = 0.5 * (j[3 * k + i] + j[3 * i + k]), s2 = 0.5 * (j[3 * i + l] + j[3 * l + i]);
+                    const double w1 = 0.5 * (j[3 * k + i] - j[3 * i + k]), w2 = 0.5 * (j[3 * i + l] - j[3 * l + i]);
+                    m[3 * k + l] += s1 * s2 + w1 * w2;
+                }
+            }
+        a = m[0] + m[4] + m[8];
+        b = m[0] * m[4] + m[0] * m[8] + m[4] * m[8] - m[1] * m[1] - m[2] * m[2] - m[5] * m[5];
+        c = m[0] * (m[4] * m[8] - m[5] * m[7]) - m[1] * (m[3] * m[8] - m[5] * m[6]) + m[2] * (m[3] * m[7] - m[4] * m[6]);
+        x = (double)f.lambda2;
+        value = ((x - a) * x + b) * x - c;
+        slope = (3.0 * x - 2.0 * a) * x + b;
+        q = fabs(m[0]) + fabs(m[4]) + fabs(m[8]) + 1e-9;
+        CHECK(fabs(value) < 1e-4 * q * q * q + 1e-12);
+        CHECK(slope < 1e-3 * q * q); /* between the other two the polynomial falls */
+        for (i = 0; i < 9; i++) j[i] *= t % 2 ? 1e15 : 1e-15;
+        features(j, &g);
+        CHECK(g.lambda2 - g.lambda2 == 0.0f);
+        if (fabs(x) > 1e-3) CHECK_NEAR((double)g.lambda2 / x * (t % 2 ? 1e-30 : 1e30), 1.0, 1e-3);
+    }
+}
+
+/* Rigid rotation, exactly a base of 2 x 2 x 2: the error of RK4 goes with dt^4, Euler leaves as Euler does. */
+TEST(traces) {
+    static const double seed[6] = {0.5, 0.0, 0.2, 3.0, 0.0, 0.0};
+    float node[24];
+    tetcast_rbf_desc d = random_desc(1, 0, 3, 1, 1, 0.0);
+    tetcast_rbf_trace_desc t;
+    tetcast_rbf *m;
+    tetcast_trace_end end[2];
+    uint32_t length[2], i, k;
+    double path[2 * 3 * 401], error[2];
+    for (i = 0; i < 8; i++) {
+        node[3 * i] = (i & 2u) ? -1.0f : 1.0f;
+        node[3 * i + 1] = (i & 1u) ? 1.0f : -1.0f;
+        node[3 * i + 2] = 0.0f;
+    }
+    for (i = 0; i < 3; i++) {
+        d.box_min[i] = -1.0;
+        d.box_max[i] = 1.0;
+        d.base_dims[i] = 2;
+    }
+    d.base = node;
+    m = make(&d);
+    REQUIRE(m != NULL);
+    for (k = 0; k < 2; k++) {
+        memset(&t, 0, sizeof t);
+        t.steps = k ? 40 : 20;
+        t.dt = 6.283185307179586 / (double)t.steps;
+        CHECK(tetcast_rbf_trace(&t, m, seed, 2, path, length, end) == TETCAST_OK);
+        CHECK(length[0] == t.steps + 1 && end[0] == TETCAST_TRACE_STEPS && length[1] == 1 && end[1] == TETCAST_TRACE_BAD);
+        error[k] = hypot(path[3 * t.steps] - 0.5, path[3 * t.steps + 1]);
+    }
+    CHECK_NEAR(log2(error[0] / error[1]), 4.0, 0.2);
+    t.stepper = TETCAST_STEPPER_EULER;
+    t.steps = 400;
+    t.dt = 0.1;
+    CHECK(tetcast_rbf_trace(&t, m, seed, 1, path, length, end) == TETCAST_OK && end[0] == TETCAST_TRACE_LEFT);
+    for (i = 1; i < length[0]; i++) { /* each step is longer by sqrt(1 + dt^2) */
+        CHECK_NEAR(hypot(path[3 * i], path[3 * i + 1]) / hypot(path[3 * i - 3], path[3 * i - 2]), sqrt(1.0 + 0.01), 1e-6);
+    }
+    t.min_speed = 10.0f;
+    CHECK(tetcast_rbf_trace(&t, m, seed, 1, path, length, end) == TETCAST_OK && end[0] == TETCAST_TRACE_SLOW && length[0] == 1);
+    t.dt = 0.0;
+    CHECK(tetcast_rbf_trace(&t, m, seed, 1, path, length, end) == TETCAST_ERR_INVALID_ARG);
+    tetcast_rbf_destroy(m);
+}
+
+/* ---- pictures ---- */
+
+static tetcast_optics *make_optics(tetcast_model model, float iso) {
+    static const tetcast_control_point points[] = {{0.05f, {0, 0, 1}, 0}, {0.4f, {0.2f, 1, 0.3f}, 1.5f}, {1.0f, {1, 0.2f, 0}, 4.0f}};
+    tetcast_transfer_desc d;
+    tetcast_optics_desc o;
+    tetcast_isovalue value;
+    tetcast_transfer *t = NULL;
+    tetcast_optics *optics = NULL;
+    memset(&d, 0, sizeof d);
+    memset(&o, 0, sizeof o);
+    memset(&value, 0, sizeof value);
+    value.value = iso;
+    value.rgb[0] = value.rgb[1] = value.rgb[2] = value.opacity = 1.0f;
+    d.points = points;
+    d.point_count = 3;
+    d.isovalues = &value;
+    d.isovalue_count = 1;
+    o.model = model;
+    o.t_min = -1.0f;
+    CHECK(tetcast_transfer_create(&d, &t) == TETCAST_OK);
+    CHECK(tetcast_optics_create(t, &o, &optics) == TETCAST_OK);
+    tetcast_transfer_destroy(t);
+    return optics;
+}
+
+/* Tiles against samples one by one against an oracle that steps along the ray in double; same bits for threads and
+   instruction sets. */
+TEST(pictures) {
+    enum { W = 45, H = 37 };
+    static float rgba[4][W * H][4], depth[W * H];
+    static float node[3 * 3 * 3 * 3];
+    uint32_t kernel, k, i, c;
+    tetcast_optics *o = make_optics(TETCAST_MODEL_VOLUME, 0.5f);
+    test_rng r = test_rng_make(9);
+    REQUIRE(o != NULL);
+    for (i = 0; i < 81; i++) node[i] = test_rng_range(&r, 0.0f, 0.3f);
+    for (kernel = 0; kernel < TETCAST_KERNEL_COUNT; kernel++) {
+        tetcast_rbf_desc d = random_desc(11, 120, kernel == 1 ? 3 : 1, 0.01, 0.3, 4.0);
+        tetcast_rbf *m;
+        double worst = 0.0, worst_oracle = 0.0;
+        d.kernel = (tetcast_kernel)kernel;
+        d.epsilon = 1e-5f;
+        if (kernel != 2) {
+            d.base_dims[0] = d.base_dims[1] = d.base_dims[2] = 3;
+            d.base = node;
+        }
+        if (kernel == 3) {
+            d.metric[0] = 1.0;
+            d.metric[1] = 1.5;
+            d.metric[2] = 0.7;
+        }
+        m = make(&d);
+        REQUIRE(m != NULL);
+        for (k = 0; k < 4; k++) {
+            tetcast_rbf_render_desc q;
+            tetcast_image image;
+            memset(&q, 0, sizeof q);
+            memset(&image, 0, sizeof image);
+            image.width = W;
+            image.height = H;
+            image.rgba = rgba[k][0];
+            image.depth = depth;
+            q.isa = k == 0 ? TETCAST_ISA_SCALAR : TETCAST_ISA_AUTO;
+            q.env.thread_count = k == 1 ? 1 : 3;
+            q.gather = k == 3;
+            q.step = kernel == 4 ? 0.005f : 0.02f;
+            if (kernel == 0) { /* the eye inside of the box */
+                q.camera.eye[0] = q.camera.eye[1] = q.camera.eye[2] = 4.9;
+                q.camera.at[0] = 6.0;
+                q.camera.at[1] = 5.2;
+                q.camera.at[2] = 5.5;
+                q.camera.fov_y = 70.0f;
+            }
+            if (kernel == 1) q.camera.ortho_height = 3.0f;
+            CHECK(tetcast_rbf_render(&q, m, o, &image, NULL) == TETCAST_OK);
+        }
+        CHECK(memcmp(rgba[0], rgba[1], sizeof rgba[0]) == 0 && memcmp(rgba[0], rgba[2], sizeof rgba[0]) == 0);
+        for (i = 0; i < W * H; i++)
+            for (c = 0; c < 4; c++) {
+                const double e = fabs((double)rgba[0][i][c] - (double)rgba[3][i][c]);
+                if (!(e <= worst)) worst = e;
+            }
+        CHECK_MSG(worst < 1.0 / 1024.0, "kernel %u: tiles and samples differ by %.3g", kernel, worst);
+        for (i = 0; i < W * H && kernel != 1; i += 13) { /* the same field in fine steps through the box */
+            tetcast_rbf_render_desc q;
+            tetcast_camera camera;
+            tetcast_ray ray;
+            static tetcast_segment segment[4000];
+            static double p[3 * 4001];
+            static float v[4001];
+            double ends[2] = {0.0, 1e30};
+            float want[4];
+            uint32_t a, n = 4000, s;
+            memset(&q, 0, sizeof q);
+            memset(&camera, 0, sizeof camera);
+            if (kernel == 0) {
+                camera.eye[0] = camera.eye[1] = camera.eye[2] = 4.9;
+                camera.at[0] = 6.0;
+                camera.at[1] = 5.2;
+                camera.at[2] = 5.5;
+                camera.fov_y = 70.0f;
+            } else CHECK(tetcast_camera_fit(&camera, d.box_min, d.box_max, NULL, W, H) == TETCAST_OK);
+            CHECK(tetcast_camera_ray(&camera, W, H, i % W + 0.5, i / W + 0.5, &ray) == TETCAST_OK);
+            for (a = 0; a < 3; a++) {
+                const double x = (d.box_min[a] - ray.org[a]) / ray.dir[a], y = (d.box_max[a] - ray.org[a]) / ray.dir[a];
+                ends[0] = fmax(ends[0], fmin(x, y));
+                ends[1] = fmin(ends[1], fmax(x, y));
+            }
+            if (!(ends[1] > ends[0])) {
+                CHECK(rgba[0][i][3] == 0.0f);
+                continue;
+            }
+            if (test_quick()) n = 400;
+            for (s = 0; s <= n; s++)
+                for (a = 0; a < 3; a++) p[3 * s + a] = ray.org[a] + ray.dir[a] * (ends[0] + (ends[1] - ends[0]) * s / n);
+            CHECK(tetcast_rbf_eval(NULL, m, p, n + 1, v, NULL) == TETCAST_OK);
+            for (s = 0; s < n; s++) {
+                segment[s].front = v[s];
+                segment[s].back = v[s + 1];
+                segment[s].length = (float)((ends[1] - ends[0]) / n);
+                segment[s].depth = 0.0f;
+            }
+            CHECK(tetcast_optics_ray(o, segment, n, want, NULL) == TETCAST_OK);
+            for (c = 0; c < 4; c++) {
+                const double e = fabs((double)rgba[0][i][c] - (double)want[c]);
+                if (!(e <= worst_oracle)) worst_oracle = e;
+            }
+        }
+        CHECK_MSG(worst_oracle < 0.02, "kernel %u: off by %.3g", kernel, worst_oracle); /* steps of 0.02 with widths from 0.01 */
+        tetcast_rbf_destroy(m);
+    }
+    tetcast_optics_destroy(o);
+}
+
+/* One Gaussian: its isosurface is a sphere; depth and normal by the formula. */
+TEST(sphere) {
+    enum { W = 64 };
+    static float rgba[W * W][4], depth[W * W];
+    tetcast_rbf_desc d;
+    tetcast_rbf_function f;
+    tetcast_rbf_render_desc q;
+    tetcast_image image;
+    tetcast_rbf *m;
+    tetcast_optics *o = make_optics(TETCAST_MODEL_ISOSURFACE, 0.5f);
+    const double e = exp(-0.5 * 3.5 * 3.5), radius = 0.2 * sqrt(-2.0 * log(0.5 * (1.0 - e) + e));
+    double worst = 0.0, bright = 0.0;
+    int i, hits = 0, k;
+    memset(&f, 0, sizeof f);
+    memset(&d, 0, sizeof d);
+    memset(&q, 0, sizeof q);
+    memset(&image, 0, sizeof image);
+    f.width = 0.2;
+    f.weight[0] = 1.0f;
+    d.functions = &f;
+    d.function_count = 1;
+    for (k = 0; k < 3; k++) {
+        d.box_min[k] = -1.0;
+        d.box_max[k] = 1.0;
+    }
+    m = make(&d);
+    REQUIRE(m != NULL && o != NULL);
+    q.camera.eye[2] = 3.0;
+    q.camera.fov_y = 20.0f;
+    q.step = 0.05f;
+    image.width = image.height = W;
+    image.rgba = rgba[0];
+    image.depth = depth;
+    CHECK(tetcast_rbf_render(&q, m, o, &image, NULL) == TETCAST_OK);
+    for (i = 0; i < W * W; i++) {
+        tetcast_ray r;
+        double b, c, t, n;
+        CHECK(tetcast_camera_ray(&q.camera, W, W, i % W + 0.5, i / W + 0.5, &r) == TETCAST_OK);
+        b = 3.0 * r.dir[2];
+        c = b * b - 9.0 + radius * radius;
+        if (c < 0.0) {
+            if (c < -0.01) CHECK(depth[i] == INFINITY);
+            continue;
+        }
+        if (c < 0.01) continue; /* grazing: two crossings between two samples */
+        t = -b - sqrt(c);
+        n = -((r.dir[0] * t) * r.dir[0] + (r.dir[1] * t) * r.dir[1] + (3.0 + r.dir[2] * t) * r.dir[2]) / radius;
+        hits++;
+        worst = fmax(worst, fabs((double)depth[i] - t * -r.dir[2]));
+        bright = fmax(bright, fabs((double)rgba[i][0] - n)); /* a light from the eye, no ambient */
+    }
+    CHECK(hits > 500);
+    CHECK_MSG(worst < 0.2 * 1e-4, "depth off by %.3g", worst);
+    CHECK_MSG(bright < 2e-4, "cosine off by %.3g", bright);
+    tetcast_rbf_destroy(m);
+    tetcast_optics_destroy(o);
+}
+
+/* The recurrence along rays against the formula: steps from far smaller to far larger than the width, starts in tails. */
+TEST(recurrence) {
+    test_rng r = test_rng_make(31);
+    static float rows[2][4096 * 8];
+    double worst = 0.0;
+    int t, j, l, rounds = test_quick() ? 60 : 400;
+    for (t = 0; t < rounds; t++) {
+        tetcasti_rbf_group g;
+        tetcasti_rbf_record f;
+        tetcasti_rbf_reach reach;
+        const double ratio = pow(10.0, (double)test_rng_range(&r, -4.0f, 1.0f)); /* h / width */
+        const float width = 0.05f;
+        memset(&g, 0, sizeof g);
+        memset(&f, 0, sizeof f);
+        g.h = (float)(ratio * (double)width);
+        g.n = 4096;
+        f.e = (float)exp(-0.5 * 3.5 * 3.5);
+        f.a = (float)(-0.72134752044448170368 / ((double)width * (double)width));
+        f.radius = 3.5f * width;
+        f.w[0] = 1.0f;
+        f.c[2] = test_rng_range(&r, -0.3f, 1.0f);
+        for (l = 0; l < 8; l++) {
+            g.o[0][l] = test_rng_range(&r, -0.2f, 0.2f);
+            g.d[0][l] = test_rng_range(&r, -0.01f, 0.01f);
+            g.d[2][l] = sqrtf(1.0f - g.d[0][l] * g.d[0][l]);
+        }
+        memset(rows, 0, sizeof rows);
+        memset(&reach, 0, sizeof reach);
+        reach.decay = (float)exp2(fmax(-120.0, 2.0 * (double)f.a * (double)g.h * (double)g.h));
+        if (!tetcasti_rbf_meet(&g, &f, &reach)) continue;
+        tetcasti_rbf_run_scalar(TETCAST_KERNEL_GAUSS, 1, &g, &f, &reach, rows[0], 0);
+#if TETCASTI_AVX2
+        if (tetcast_isa_best() >= TETCAST_ISA_AVX2) {
+            tetcasti_rbf_reach again = reach;
+            CHECK(tetcasti_rbf_meet8(&g, &f, &again) && memcmp(&again, &reach, sizeof reach) == 0);
+            tetcasti_rbf_run8(TETCAST_KERNEL_GAUSS, 1, &g, &f, &reach, rows[1], 0);
+            CHECK(memcmp(rows[0], rows[1], sizeof rows[0]) == 0);
+        }
+#endif
+        for (j = 0; j < 4096; j++)
+            for (l = 0; l < 8; l++) {
+                const double x = (double)g.o[0][l] + (double)j * (double)g.h * (double)g.d[0][l];
+                const double z = (double)j * (double)g.h * (double)g.d[2][l] - (double)f.c[2];
+                const double v = exp(-0.5 * (x * x + z * z) / ((double)width * (double)width)) - (double)f.e;
+                const double e = fabs((double)rows[0][j * 8 + l] - (v > 0.0 ? v : 0.0));
+                if (!(e <= worst)) worst = e;
+            }
+    }
+    CHECK_MSG(worst < 4e-5, "off by %.3g of the height", worst);
+}
+
+/* The k-th allocation fails, for all k. */
+TEST(out_of_memory) {
+    enum { W = 20 };
+    static float data[6 * 6 * 6], rgba[W * W * 4];
+    tetcast_rbf_points p = grid_points(data, 6, 6, 6, 1);
+    tetcast_optics *o = make_optics(TETCAST_MODEL_VOLUME, 0.5f);
+    test_rng r = test_rng_make(14);
+    int64_t k;
+    int done = 0, i;
+    for (i = 0; i < 216; i++) data[i] = test_rng_float(&r);
+    for (k = 0; !done && k < 2000; k++) {
+        tetcast_rbf_fit_desc d;
+        tetcast_rbf_render_desc q;
+        tetcast_image image;
+        tetcast_rbf *m = NULL;
+        tetcast_result result;
+        test_alloc ta;
+        test_alloc_init(&ta);
+        ta.fail_at = k;
+        memset(&d, 0, sizeof d);
+        memset(&q, 0, sizeof q);
+        memset(&image, 0, sizeof image);
+        d.env.allocator.alloc_fn = test_alloc_fn;
+        d.env.allocator.free_fn = test_free_fn;
+        d.env.allocator.user = &ta;
+        d.env.thread_count = 1;
+        d.max_error = 0.3f;
+        d.compare = 1;
+        result = tetcast_rbf_fit(&d, &p, NULL, &m);
+        CHECK(result == TETCAST_OK || (result == TETCAST_ERR_NO_MEMORY && m == NULL));
+        if (result == TETCAST_OK) {
+            size_t size = 0;
+            void *bytes = save(m, &size);
+            tetcast_rbf *again = NULL;
+            result = tetcast_rbf_load_memory(&d.env, bytes, size, &again);
+            CHECK(result == TETCAST_OK || (result == TETCAST_ERR_NO_MEMORY && again == NULL));
+            tetcast_rbf_destroy(again);
+            free(bytes);
+            q.env = d.env;
+            image.width = image.height = W;
+            image.rgba = rgba;
+            if (result == TETCAST_OK) result = tetcast_rbf_render(&q, m, o, &image, NULL);
+            CHECK(result == TETCAST_OK || result == TETCAST_ERR_NO_MEMORY);
+            done = result == TETCAST_OK;
+        }
+        tetcast_rbf_destroy(m);
+        test_alloc_check(&ta);
+    }
+    CHECK(done && k > 20);
+    tetcast_optics_destroy(o);
+}
+
+int main(int argc, char **argv) {
+    test_begin(argc, argv);
+    RUN(exponential);
+    RUN(sums);
+    RUN(derivatives);
+    RUN(bases);
+    RUN(bounds_hold);
+    RUN(extremes);
+    RUN(files);
+    RUN(promise);
+    RUN(same_model);
+    RUN(odd_data);
+    RUN(flows);
+    RUN(traces);
+    RUN(pictures);
+    RUN(sphere);
+    RUN(recurrence);
+    RUN(out_of_memory);
+    return test_end();
+}
