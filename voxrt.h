@@ -16581,6 +16581,11 @@ typedef struct voxrti_gather {
 
 #define VOXRTI_NO_PIXEL 0xffffffffu
 
+/* A ray that grazes the surface it starts on can meet cells of that whose surface faces away from it: where the surface
+   curves away from its tangent plane, and where cells stick out at edges. As near as this, in cell diagonals, it goes
+   on; farther away what faces away is dark. */
+#define VOXRTI_GATHER_SELF 16.0f
+
 /* A ray from each point, over its hemisphere with density cos, or, where it has a lobe, in its Phong lobe: what it
    meets. weight: what its light counts for the mean. t of a miss is INFINITY; a hit that shows no side has at = -1. */
 static void voxrti_gather_rays(const voxrti_gather *w, const voxrti_points *q, uint32_t index, voxrt_ray *ray, float *t,
@@ -16588,8 +16593,10 @@ static void voxrti_gather_rays(const voxrti_gather *w, const voxrti_points *q, u
     voxrt_column_hit hit[VOXRTI_COLUMN_BATCH];
     const voxrt_gi *where[VOXRTI_COLUMN_BATCH];
     size_t of[VOXRTI_COLUMN_BATCH];
-    uint8_t layer[VOXRTI_COLUMN_BATCH];
-    uint32_t i, a;
+    uint8_t layer[VOXRTI_COLUMN_BATCH], from[VOXRTI_COLUMN_BATCH];
+    voxrt_ray again[VOXRTI_COLUMN_BATCH];
+    float normal[VOXRTI_COLUMN_BATCH][3];
+    uint32_t i, j, a, more = 0, still, turn;
     memset(hit, 0, sizeof hit);
     voxrti_cosine_rays(w->isa, index, q->n, q->seed, q->count, ray);
     for (i = 0; i < q->count; i++) {
@@ -16612,7 +16619,29 @@ static void voxrti_gather_rays(const voxrti_gather *w, const voxrti_points *q, u
     for (i = 0; i < q->count; i++) {
         t[i] = hit[i].t;
         side[i].at = (size_t)-1;
-        if (hit[i].t < INFINITY) (void)voxrti_gi_side_see(where[i], of[i], layer[i], hit[i].cell, ray[i].dir, &side[i]);
+        if (!(hit[i].t < INFINITY)) continue;
+        if (voxrti_gi_side_see(where[i], of[i], layer[i], hit[i].cell, ray[i].dir, &side[i])) continue;
+        if (t[i] > VOXRTI_GATHER_SELF * (float)where[i]->columns->diagonal) continue;
+        again[more] = ray[i];
+        again[more].t_min = t[i] + 0.5f * (float)where[i]->columns->diagonal;
+        memcpy(normal[more], q->n[i], sizeof normal[more]);
+        from[more++] = (uint8_t)i;
+    }
+    for (turn = 0; turn < 4 && more != 0; turn++) {
+        voxrti_gi_trace(w->gi, w->isa, normal[0], NULL, again, more, hit, where, NULL, stats);
+        voxrti_gi_find_all(w->isa, where, hit, more, of, layer);
+        for (j = still = 0; j < more; j++) {
+            i = from[j];
+            t[i] = hit[j].t;
+            if (!(hit[j].t < INFINITY)) continue;
+            if (voxrti_gi_side_see(where[j], of[j], layer[j], hit[j].cell, ray[i].dir, &side[i])) continue;
+            if (t[i] > VOXRTI_GATHER_SELF * (float)where[j]->columns->diagonal) continue;
+            again[still] = again[j];
+            again[still].t_min = t[i] + 0.5f * (float)where[j]->columns->diagonal;
+            memcpy(normal[still], normal[j], sizeof normal[still]);
+            from[still++] = (uint8_t)i;
+        }
+        more = still;
     }
 }
 

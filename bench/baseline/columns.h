@@ -170,7 +170,7 @@ typedef struct baseline_light_desc {
 
 /* Irradiance / pi by other surfaces: what voxrt_gi_render gives, without colours and filter. Light at hits is that of the
    cells, as there. */
-static void baseline_light(voxrt_gi *gi, const baseline_light_desc *d, const voxrt_gbuffer *g, float *out) {
+static inline void baseline_light(voxrt_gi *gi, const baseline_light_desc *d, const voxrt_gbuffer *g, float *out) {
     const float h = (float)gi->columns->diagonal;
     const int isa = (int)voxrt_isa_best();
     uint32_t x, y, i, b, a;

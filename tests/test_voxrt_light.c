@@ -1,0 +1,577 @@
+/* Light on bit columns against paths through triangles and closed forms; ways of rays that are there to be compared with;
+   flicker; scales. */
+#include "test.h"
+#define VOXRT_IMPLEMENTATION
+#include "../voxrt.h"
+#include "../bench/baseline/columns.h"
+#include "path_oracle.h"
+
+static uint32_t rng_state = 1;
+static double rnd(void) { return (double)(rng_state = voxrti_hash32(rng_state + 0x9e3779b9u)) / 4294967296.0; }
+
+enum { POINTS = 48 };
+
+typedef struct model { float p[40000][3]; uint32_t index[40000][3]; uint8_t rgb[40000][3]; uint32_t points, triangles; } model;
+typedef struct picture {
+    float position[POINTS][3], normal[POINTS][3], albedo[POINTS][3], direct[POINTS][3], indirect[POINTS][3];
+    voxrt_gbuffer g;
+} picture;
+
+static voxrt_gi *make_gi(uint32_t grid, uint32_t depth, double half, const double middle[3]) {
+    voxrt_gi_desc d;
+    voxrt_gi *gi = NULL;
+    uint32_t a;
+    memset(&d, 0, sizeof d);
+    d.columns.size_x = d.columns.size_y = grid;
+    d.columns.size_z = depth;
+    d.columns.depth_axis_plus_1 = 3;
+    for (a = 0; a < 3; a++) {
+        d.columns.box_min[a] = middle[a] - half;
+        d.columns.box_max[a] = middle[a] + half;
+    }
+    if (voxrt_gi_create(&d, &gi) != VOXRT_OK) abort();
+    return gi;
+}
+
+static void add_model(voxrt_gi *gi, const model *m) {
+    voxrt_gi_object o;
+    memset(&o, 0, sizeof o);
+    o.mesh.positions = m->p[0];
+    o.mesh.vertex_count = m->points;
+    o.mesh.indices = m->index[0];
+    o.mesh.triangle_count = m->triangles;
+    o.mesh.triangle_rgb = m->rgb[0];
+    o.still = 1;
+    if (voxrt_gi_add(gi, &o, NULL) != VOXRT_OK) abort();
+}
+
+static void set_lamp(voxrt_gi *gi, const double at[3], double intensity) {
+    voxrt_gi_light l;
+    uint32_t a;
+    memset(&l, 0, sizeof l);
+    for (a = 0; a < 3; a++) {
+        l.position[a] = (float)at[a];
+        l.color[a] = (float)intensity;
+    }
+    CHECK(voxrt_gi_set_lights(gi, &l, 1) == VOXRT_OK);
+    CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
+}
+
+static void open_picture(picture *p) {
+    memset(p, 0, sizeof *p);
+    p->g.width = POINTS / 4;
+    p->g.height = 4;
+    p->g.position = p->position[0];
+    p->g.normal = p->normal[0];
+    p->g.albedo = p->albedo[0];
+}
+
+/* Both scenes get each triangle. */
+static void both_quad(model *m, path_scene *s, const double *a, const double *b, const double *c, const double *d, uint8_t grey) {
+    const double *p[4] = {a, b, c, d};
+    const uint32_t v = m->points, t[2][3] = {{v, v + 1, v + 2}, {v, v + 2, v + 3}};
+    uint32_t i, k;
+    for (i = 0; i < 4; i++) for (k = 0; k < 3; k++) m->p[v + i][k] = (float)p[i][k];
+    m->points += 4;
+    memcpy(m->index[m->triangles], t, sizeof t);
+    memset(m->rgb[m->triangles], grey, 6);
+    m->triangles += 2;
+    path_add(s, a, b, c, voxrti_srgb_to_linear(grey / 255.0), 0);
+    path_add(s, a, c, d, voxrti_srgb_to_linear(grey / 255.0), 0);
+}
+
+/* A box; inside: its faces look inwards. */
+static void both_box(model *m, path_scene *s, const double lo[3], const double hi[3], int inside, uint8_t grey) {
+    uint32_t k, side, i;
+    for (k = 0; k < 3; k++)
+        for (side = 0; side < 2; side++) {
+            double p[4][3];
+            const int turned = (int)side ^ inside;
+            for (i = 0; i < 4; i++) {
+                p[i][k] = side ? hi[k] : lo[k];
+                p[i][(k + 1) % 3] = (i + 1) % 4 < 2 ? lo[(k + 1) % 3] : hi[(k + 1) % 3];
+                p[i][(k + 2) % 3] = i < 2 ? lo[(k + 2) % 3] : hi[(k + 2) % 3];
+            }
+            both_quad(m, s, p[0], p[turned ? 1 : 3], p[2], p[turned ? 3 : 1], (uint8_t)(grey - 20 * k));
+        }
+}
+
+TEST(paths_through_triangles_are_right) { /* closed forms */
+    static path_scene s;
+    static model m;
+    const double lo[3] = {-1, -2, -3}, hi[3] = {1, 2, 3}, p[3] = {0.2, -2, 0.7}, up[3] = {0, 1, 0};
+    double q, want, error, is;
+    int i;
+    memset(&s, 0, sizeof s);
+    s.state = 1;
+    both_box(&m, &s, lo, hi, 1, 188);
+    CHECK(s.count == 12);
+    q = 0.5;
+    for (i = 0; i < s.count; i++) {
+        s.albedo[i] = q;
+        s.emission[i] = 1;
+    }
+    for (i = 1; i < 6; i++) { /* a furnace: no noise */
+        want = (1 - pow(q, i)) / (1 - q);
+        is = path_indirect(&s, p, up, i, 200, &error);
+        CHECK_MSG(fabs(is - want) < 1e-9 && error < 1e-6, "%d bounces: %g, not %g", i, is, want);
+    }
+    for (i = 0; i < s.count; i++) s.emission[i] = fabs(s.n[i][1]) > 0.5 ? 1 : 0; /* floor and ceiling: form factor */
+    is = path_indirect(&s, p, up, 1, 200000, &error);
+    { /* of a rectangle above a point: four corners */
+        const double h = 4, x[2] = {1 - 0.2, 1 + 0.2}, z[2] = {3 - 0.7, 3 + 0.7};
+        want = 0;
+        for (i = 0; i < 4; i++) {
+            const double a = x[i & 1] / h, b = z[i >> 1] / h, ra = sqrt(1 + a * a), rb = sqrt(1 + b * b);
+            want += (a / ra * atan(b / ra) + b / rb * atan(a / rb)) / 6.283185307179586;
+        }
+    }
+    CHECK_MSG(fabs(is - want) < 4 * error, "form factor %g, not %g +- %g", is, want, error);
+    s.intensity = 8;
+    s.lamp[1] = 1;
+    for (i = 0; i < s.count; i++) s.emission[i] = 0;
+    {
+        const double below[3] = {0, -2, 0};
+        CHECK(fabs(path_direct(&s, below, up) - 8.0 / 9.0) < 1e-12); /* i / r^2 */
+    }
+}
+
+/* A room with two boxes and a lamp: irradiance at points of floor, walls and boxes, one and two bounces, by both methods.
+   The paths' own noise is allowed for with four standard deviations. */
+TEST(a_room_as_paths_through_its_triangles_have_it) {
+    static path_scene s;
+    static model m;
+    static picture pic;
+    const double lo[3] = {-9, -9, -9}, hi[3] = {9, 9, 9}, none[3] = {0, 0, 0};
+    const double lo1[3] = {-6.2, -9, -5.1}, hi1[3] = {-1.3, -1.1, -0.4}, lo2[3] = {1.7, -9, 0.3}, hi2[3] = {6.1, -4.875, 5.2};
+    voxrt_gi *gi = make_gi(128, 128, 9.6, none);
+    voxrt_gi_render_desc d;
+    uint32_t i, a, bounces;
+    memset(&s, 0, sizeof s);
+    memset(&d, 0, sizeof d);
+    s.state = 7;
+    rng_state = 3;
+    both_box(&m, &s, lo, hi, 1, 225);
+    both_box(&m, &s, lo1, hi1, 0, 200);
+    both_box(&m, &s, lo2, hi2, 0, 230);
+    s.lamp[0] = 2.0;
+    s.lamp[1] = 6.0;
+    s.lamp[2] = 1.0;
+    s.intensity = 100;
+    add_model(gi, &m);
+    set_lamp(gi, s.lamp, s.intensity);
+    open_picture(&pic);
+    for (i = 0; i < POINTS; i++) { /* not nearer than four cells to an edge */
+        const double u = 2 * rnd() - 1, v = 2 * rnd() - 1;
+        double p[3] = {u * 8.4, -9, 7.2 + 1.2 * v}, n[3] = {0, 1, 0};
+        if (i % 4 == 1) { p[0] = -9; p[1] = u * 8.4; p[2] = v * 8.4; n[1] = 0; n[0] = 1; }
+        if (i % 4 == 2) { p[0] = u * 8.4; p[1] = v * 8.4; p[2] = -9; n[1] = 0; n[2] = 1; }
+        if (i % 4 == 3) { p[0] = 3.9 + 1.6 * u; p[1] = -4.875; p[2] = 2.7 + 1.8 * v; }
+        for (a = 0; a < 3; a++) {
+            pic.position[i][a] = (float)p[a];
+            pic.normal[i][a] = (float)n[a];
+            pic.albedo[i][a] = 1.0f;
+        }
+    }
+    d.rays = test_quick() ? 256 : 1024;
+    for (bounces = 1; bounces <= 2; bounces++) {
+        double want[POINTS], error[POINTS], mean = 0;
+        uint32_t way;
+        for (i = 0; i < POINTS; i++) {
+            double p[3], n[3];
+            for (a = 0; a < 3; a++) {
+                p[a] = (double)pic.position[i][a];
+                n[a] = (double)pic.normal[i][a];
+            }
+            want[i] = path_indirect(&s, p, n, (int)bounces, test_quick() ? 400 : 4000, &error[i]);
+            mean += want[i] / POINTS;
+        }
+        for (way = 0; way < 2; way++) {
+            double sum = 0, sum_direct = 0, want_direct = 0;
+            if (way == 0 && bounces == 2) CHECK(voxrt_gi_bounce(gi, NULL, 16, 0.0f, 5) == VOXRT_OK);
+            d.method = way == 0 ? VOXRT_GI_GATHER : VOXRT_GI_PATH;
+            d.bounces = bounces;
+            CHECK(voxrt_gi_render(&d, gi, &pic.g, pic.direct[0], pic.indirect[0], NULL) == VOXRT_OK);
+            for (i = 0; i < POINTS; i++) {
+                const double p[3] = {(double)pic.position[i][0], (double)pic.position[i][1], (double)pic.position[i][2]};
+                const double n[3] = {(double)pic.normal[i][0], (double)pic.normal[i][1], (double)pic.normal[i][2]};
+                const double is = (double)pic.indirect[i][0];
+                sum += is / POINTS;
+                sum_direct += (double)pic.direct[i][0];
+                want_direct += path_direct(&s, p, n) * 0.3183098861837907;
+                CHECK_MSG(fabs(is - want[i]) < 0.12 * mean + 4 * error[i] + (d.rays < 1000 ? 0.1 * mean : 0),
+                          "way %u, %u bounces, point %u: %g, not %g +- %g (mean %g)", way, bounces, i, is, want[i], error[i], mean);
+            }
+            CHECK_MSG(fabs(sum / mean - 1) < 0.025, "way %u, %u bounces: mean %g, not %g", way, bounces, sum, mean);
+            CHECK_MSG(fabs(sum_direct / want_direct - 1) < 0.01, "direct light %g, not %g", sum_direct, want_direct);
+        }
+        { /* the thesis' gathering and paths, which offsets and lost rays make darker or lighter */
+            baseline_light_desc b;
+            double sum = 0;
+            memset(&b, 0, sizeof b);
+            b.way = BASELINE_EPSILON;
+            b.rays = d.rays / 2;
+            b.bounces = bounces;
+            b.radius = 100.0f;
+            b.s_n = 1.0f;
+            pic.g.albedo = NULL;
+            baseline_light(gi, &b, &pic.g, pic.indirect[0]);
+            pic.g.albedo = pic.albedo[0];
+            for (i = 0; i < POINTS; i++) sum += (double)pic.indirect[i][0] / POINTS;
+            CHECK_MSG(fabs(sum / mean - 1) < 0.1, "the thesis' way, %u bounces: mean %g, not %g", bounces, sum, mean);
+        }
+    }
+    voxrt_gi_destroy(gi);
+}
+
+static void sphere(model *m, double r, uint32_t rings, uint8_t grey) { /* looks inwards */
+    uint32_t i, j, n = 2 * rings;
+    m->points = m->triangles = 0;
+    for (i = 0; i <= rings; i++)
+        for (j = 0; j < n; j++) {
+            const double a = 3.14159265358979 * i / rings, b = 6.28318530717959 * j / n;
+            m->p[m->points][0] = (float)(r * sin(a) * cos(b));
+            m->p[m->points][1] = (float)(r * sin(a) * sin(b));
+            m->p[m->points++][2] = (float)(r * cos(a));
+        }
+    for (i = 0; i < rings; i++)
+        for (j = 0; j < n; j++) {
+            const uint32_t a = i * n + j, b = i * n + (j + 1) % n, t[2][3] = {{a, b, a + n}, {b, b + n, a + n}};
+            memcpy(m->index[m->triangles], t, sizeof t);
+            memset(m->rgb[m->triangles], grey, 6);
+            m->triangles += 2;
+        }
+}
+
+/* A closed sphere with a lamp in its middle: k bounces bring i / r^2 (q + ... + q^k), on the default grid to 1 %. */
+TEST(closed_sphere_to_a_percent) {
+    static model m;
+    static picture pic;
+    const double none[3] = {0, 0, 0}, r = 9;
+    const double q = voxrti_srgb_to_linear(188 / 255.0);
+    voxrt_gi *gi = make_gi(256, 128, 10, none);
+    voxrt_gi_render_desc d;
+    uint32_t i, a, bounces;
+    rng_state = 13;
+    sphere(&m, r, 80, 188);
+    add_model(gi, &m);
+    set_lamp(gi, none, r * r);
+    open_picture(&pic);
+    memset(&d, 0, sizeof d);
+    for (i = 0; i < POINTS; i++) {
+        double v[3], l = 0;
+        for (a = 0; a < 3; a++) {
+            v[a] = 2 * rnd() - 1;
+            l += v[a] * v[a];
+        }
+        for (a = 0; a < 3; a++) {
+            pic.normal[i][a] = (float)(-v[a] / sqrt(l));
+            pic.position[i][a] = (float)(v[a] / sqrt(l) * r);
+            pic.albedo[i][a] = 1.0f;
+        }
+    }
+    d.rays = test_quick() ? 128 : 512;
+    for (bounces = 1; bounces <= 3; bounces++) {
+        const double want = q * (1 - pow(q, bounces)) / (1 - q);
+        double sum = 0;
+        d.method = bounces == 1 ? VOXRT_GI_GATHER : VOXRT_GI_PATH;
+        d.bounces = bounces;
+        CHECK(voxrt_gi_render(&d, gi, &pic.g, NULL, pic.indirect[0], NULL) == VOXRT_OK);
+        for (i = 0; i < POINTS; i++) sum += 3.14159265358979 * (double)pic.indirect[i][0] / POINTS;
+        CHECK_MSG(fabs(sum / want - 1) < 0.01, "%u bounces: %.5f, not %.5f", bounces, sum, want);
+    }
+    voxrt_gi_destroy(gi);
+}
+
+/* ---- ways of rays ---- */
+
+static voxrt_columns *hall(uint32_t n, uint32_t depth) {
+    voxrt_columns_desc d;
+    voxrt_columns *c = NULL;
+    voxrti_insert in;
+    uint32_t x, y, z;
+    memset(&d, 0, sizeof d);
+    memset(&in, 0, sizeof in);
+    d.size_x = d.size_y = n;
+    d.size_z = depth;
+    d.depth_axis_plus_1 = 3;
+    d.box_max[0] = d.box_max[1] = n;
+    d.box_max[2] = depth;
+    if (voxrt_columns_create(&d, &c) != VOXRT_OK) abort();
+    in.columns = c;
+    for (y = 0; y < n; y++)
+        for (x = 0; x < n; x++) {
+            if (x == 0 || y == 0 || x + 1 == n || y + 1 == n) voxrti_insert_run(&in, x, y, 0, depth - 1);
+            if (x % 16 < 3 && y % 16 < 3) voxrti_insert_run(&in, x, y, 0, depth - 9);
+            voxrti_insert_run(&in, x, y, 1, 1);
+            for (z = 0; z < depth; z++) if (rnd() < 0.0005) voxrti_insert_run(&in, x, y, z, z);
+        }
+    voxrt_columns_update(c);
+    return c;
+}
+
+/* What is measured against must be what it says: the library's ray and the scalar walk agree, double stepping but for
+   ties; marching comes nearer with more points; the thesis' stepping loses some. */
+TEST(ways_of_rays) {
+    enum { N = 4000 };
+    voxrt_columns *c;
+    voxrt_columns_trace_desc d;
+    voxrt_stats st;
+    uint32_t i, a, wrong_ours = 0, wrong_eps = 0, wrong_march[3] = {0, 0, 0}, hits = 0;
+    uint64_t longest = 0;
+    rng_state = 5;
+    c = hall(128, 64);
+    for (i = 0; i < N; i++) {
+        static const uint32_t points[3] = {60, 600, 6000};
+        voxrt_ray ray;
+        voxrt_column_hit hit;
+        voxrti_column_ray r;
+        voxrti_column_found f, e;
+        int is, k;
+        memset(&ray, 0, sizeof ray);
+        memset(&f, 0, sizeof f);
+        for (a = 0; a < 3; a++) {
+            ray.org[a] = (float)(4 + rnd() * (a < 2 ? 120 : 50));
+            ray.dir[a] = (float)(2 * rnd() - 1);
+        }
+        ray.t_max = INFINITY;
+        memset(&d, 0, sizeof d);
+        memset(&st, 0, sizeof st);
+        d.stats = &st;
+        CHECK(voxrt_columns_trace(c, &d, &ray, &hit, 1) == VOXRT_OK);
+        longest = st.steps > longest ? st.steps : longest;
+        REQUIRE(voxrti_column_ray_open(c, &ray, &r) == 1);
+        is = baseline_ray(c, &r, BASELINE_OURS, 0, &f);
+        if (is != (hit.t < INFINITY) || (is && ((uint32_t)f.x != hit.cell[0] || (uint32_t)f.y != hit.cell[1] ||
+                                                (uint32_t)f.k != hit.cell[2]))) CHECK_MSG(0, "ray %u", i);
+        is = baseline_ray(c, &r, BASELINE_EXACT, 0, &e);
+        hits += (uint32_t)is;
+        if (is != (hit.t < INFINITY) || (is && ((uint32_t)e.x != hit.cell[0] || (uint32_t)e.y != hit.cell[1] ||
+                                                (uint32_t)e.k != hit.cell[2]))) wrong_ours++;
+        for (k = 0; k < 4; k++) {
+            const int s = k < 3 ? baseline_ray(c, &r, BASELINE_MARCH, points[k], &f) : baseline_ray(c, &r, BASELINE_EPSILON, 0, &f);
+            const uint32_t bad = s != is || (is && (f.x != e.x || f.y != e.y || f.k != e.k));
+            if (k < 3) wrong_march[k] += bad;
+            else wrong_eps += bad;
+        }
+    }
+    CHECK(hits == N || hits > N / 2);
+    CHECK_MSG(wrong_ours <= N / 2000, "%u rays are not as in double precision", wrong_ours);
+    CHECK_MSG(longest <= 3 * (128 + 128) + 8, "%lu steps", (unsigned long)longest);
+    CHECK_MSG(wrong_march[0] > wrong_march[1] && wrong_march[1] > wrong_march[2] && wrong_march[2] < N / 100,
+              "marching: %u, %u, %u wrong", wrong_march[0], wrong_march[1], wrong_march[2]);
+    CHECK_MSG(wrong_eps > 0 && wrong_eps < N / 5, "epsilon stepping: %u wrong", wrong_eps);
+    voxrt_columns_destroy(c);
+}
+
+/* The thesis' offsets let a kerb of 2.7 cells float above nothing: rays that leave at a low angle start behind it. */
+TEST(offsets_lose_what_planes_keep) {
+    voxrt_columns_desc cd;
+    voxrt_columns *c = NULL;
+    voxrti_insert in;
+    const double a = 1.7, h = 2.7, exact = 0.5 * (1 - a / sqrt(a * a + h * h)), diagonal = sqrt(3.0);
+    const uint32_t many = test_quick() ? 4000 : 40000;
+    uint32_t x, y, i, k, hits[2] = {0, 0};
+    const float up[3] = {0, 0, 1};
+    memset(&cd, 0, sizeof cd);
+    cd.size_x = cd.size_y = cd.size_z = 128;
+    cd.depth_axis_plus_1 = 3;
+    cd.box_max[0] = cd.box_max[1] = cd.box_max[2] = 128;
+    REQUIRE(voxrt_columns_create(&cd, &c) == VOXRT_OK);
+    memset(&in, 0, sizeof in);
+    in.columns = c;
+    for (y = 0; y < 128; y++)
+        for (x = 0; x < 128; x++) {
+            voxrti_insert_run(&in, x, y, 20, 20);
+            if (x >= 24 && x <= 30) voxrti_insert_run(&in, x, y, 20, 22);
+        }
+    voxrt_columns_update(c);
+    rng_state = 6;
+    for (i = 0; i < many; i++) {
+        voxrt_ray r;
+        voxrt_columns_trace_desc d;
+        float u[2], cosine;
+        uint8_t dark;
+        memset(&r, 0, sizeof r);
+        memset(&d, 0, sizeof d);
+        u[0] = (float)rnd() * 0.999999f;
+        u[1] = (float)rnd() * 0.999999f;
+        cosine = voxrti_lobe_direction(up, u, 1.0f, r.dir);
+        for (k = 0; k < 2; k++) {
+            const double off = k == 0 ? 0 : 1.2 * diagonal / (double)cosine;
+            r.org[0] = (float)(31 + a + off * (double)r.dir[0]);
+            r.org[1] = (float)(64.5 + off * (double)r.dir[1]);
+            r.org[2] = (float)(20.3 + (k == 0 ? 0 : diagonal) + off * (double)r.dir[2]);
+            r.t_max = (float)(40 - off);
+            d.normals = k == 0 ? up : NULL;
+            if (!(r.t_max > 0)) continue;
+            CHECK(voxrt_columns_occluded(c, &d, &r, &dark, 1) == VOXRT_OK);
+            hits[k] += dark;
+        }
+    }
+    CHECK_MSG(fabs((double)hits[0] / many - exact) < 0.01 + 4 * sqrt(0.25 / many), "%.4f, not %.4f", (double)hits[0] / many, exact);
+    CHECK_MSG((double)hits[1] / many < 0.02, "with offsets %.4f", (double)hits[1] / many);
+    voxrt_columns_destroy(c);
+}
+
+/* Points: cells by the same sums in plain C; any stride, length and place in memory. */
+TEST(points_go_where_sums_say) {
+    enum { N = 3000 };
+    static float p[N][5];
+    static const uint32_t strides[2] = {12, 20};
+    uint32_t round, i, k;
+    rng_state = 9;
+    for (round = 0; round < 8; round++) {
+        voxrt_columns *c = hall(64, 64), *want = hall(64, 64);
+        voxrt_columns_insert_desc d;
+        voxrt_columns_insert_stats st;
+        uint64_t rejected = 0, outside = 0;
+        const uint32_t stride = strides[round & 1], n = N - round;
+        double m[12] = {0.9, 0.3, -0.1, 3, -0.2, 1.1, 0.2, 5, 0.05, -0.1, 0.8, 2};
+        voxrt_columns_clear(c, 1);
+        voxrt_columns_clear(want, 1);
+        memset(&d, 0, sizeof d);
+        memset(&st, 0, sizeof st);
+        memcpy(d.to_world, m, sizeof m);
+        d.still = round >= 4;
+        for (i = 0; i < n; i++) {
+            float *q = (float *)(void *)((char *)p + (size_t)i * stride);
+            double at[3];
+            int bad = 0;
+            for (k = 0; k < 3; k++) q[k] = (float)(rnd() * 70 - 3);
+            if (i % 101 == 5) q[i % 3] = NAN;
+            if (i % 103 == 5) q[i % 3] = INFINITY;
+            for (k = 0; k < 3; k++) {
+                const double *row = m + 4 * c->axis[k];
+                at[k] = row[0] * (double)q[0] + row[1] * (double)q[1] + row[2] * (double)q[2] + row[3];
+                bad |= !(at[k] > -1e15 && at[k] < 1e15);
+            }
+            if (bad) rejected++;
+            else if (at[0] < 0 || at[1] < 0 || at[2] < 0 || at[0] >= 64 || at[1] >= 64 || at[2] >= 64) outside++;
+            else want->bits[voxrti_column(want, 0, (uint32_t)at[0], (uint32_t)at[1]) + ((uint32_t)at[2] >> 5)] |=
+                1u << ((uint32_t)at[2] & 31u);
+        }
+        CHECK(voxrt_columns_insert_points(c, &d, p[0], stride, n, &st) == VOXRT_OK);
+        CHECK(st.items == n && st.rejected == rejected && st.outside == outside);
+        CHECK(memcmp(c->bits, want->bits, (size_t)64 * 64 * 8) == 0);
+        want->all_changed = 1;
+        voxrt_columns_update(want);
+        voxrt_columns_update(c); /* what changed only */
+        CHECK(memcmp(c->bits, want->bits, ((size_t)c->start[c->levels - 1] + c->words) * 4) == 0);
+        CHECK(voxrt_columns_insert_points(c, &d, p[0], stride, n, NULL) == VOXRT_OK); /* again: nothing new */
+        CHECK(memcmp(c->bits, want->bits, (size_t)64 * 64 * 8) == 0);
+        voxrt_columns_clear(c, 0);
+        for (i = 0; i < 64 * 64 * 2; i++) if (c->bits[i] != (d.still ? want->bits[i] : 0)) break;
+        CHECK(i == 64 * 64 * 2);
+        voxrt_columns_destroy(c);
+        voxrt_columns_destroy(want);
+    }
+}
+
+/* ---- time and scale ---- */
+
+/* The lamp moves: the second difference in time of each pixel, against that of many rays. The same rays in every frame:
+   their noise stays where it is. */
+TEST(no_flicker_under_a_moving_lamp) {
+    enum { W = 48, H = 36, FRAMES = 6 };
+    static path_scene s;
+    static model m;
+    static float position[W * H][3], normal[W * H][3], albedo[W * H][3], last[2][3][W * H][3];
+    const double lo[3] = {-9, -9, -9}, hi[3] = {9, 9, 9}, none[3] = {0, 0, 0}, lo1[3] = {-3, -9, -3}, hi1[3] = {2, -4, 2};
+    voxrt_gi *gi = make_gi(64, 64, 9.6, none);
+    voxrt_camera camera;
+    voxrt_gbuffer g;
+    double sum[2] = {0, 0};
+    uint32_t frame, way, i;
+    memset(&s, 0, sizeof s);
+    memset(&g, 0, sizeof g);
+    memset(&camera, 0, sizeof camera);
+    both_box(&m, &s, lo, hi, 1, 225);
+    both_box(&m, &s, lo1, hi1, 0, 200);
+    add_model(gi, &m);
+    camera.eye[2] = 8.0f;
+    camera.at[1] = -2.0f;
+    camera.up[1] = 1.0f;
+    camera.fov_y = 60.0f;
+    g.width = W;
+    g.height = H;
+    g.position = position[0];
+    g.normal = normal[0];
+    g.albedo = albedo[0];
+    for (frame = 0; frame < FRAMES; frame++) {
+        const double at[3] = {-4 + 0.3 * frame, 5, 1};
+        set_lamp(gi, at, 100);
+        if (frame == 0) CHECK(voxrt_gbuffer_from_gi(NULL, &camera, gi, &g) == VOXRT_OK);
+        for (way = 0; way < 2; way++) {
+            voxrt_gi_render_desc d;
+            memset(&d, 0, sizeof d);
+            d.rays = way == 0 ? 128 : 16;
+            d.filter = way == 0 ? 0 : 3;
+            memmove(last[way][0], last[way][1], 2 * sizeof last[0][0]);
+            CHECK(voxrt_gi_render(&d, gi, &g, NULL, last[way][2][0], NULL) == VOXRT_OK);
+            for (i = 0; i < W * H && frame >= 2; i++)
+                sum[way] += fabs((double)last[way][2][i][0] - 2 * (double)last[way][1][i][0] + (double)last[way][0][i][0]);
+        }
+    }
+    CHECK(sum[0] > 0);
+    CHECK_MSG(sum[1] < 1.3 * sum[0], "flicker %.5f, of many rays %.5f", sum[1], sum[0]);
+    voxrt_gi_destroy(gi);
+}
+
+/* The same room small, large, and far away: the same light, but for rounding. */
+TEST(scale_and_place_do_not_matter) {
+    static path_scene s;
+    static model m, n;
+    static picture pic;
+    static const double scale[4] = {1, 1.0 / 8192, 8192, 1}, shift[4] = {0, 0, 0, 4096};
+    static float first[POINTS][3];
+    const double lo[3] = {-9, -9, -9}, hi[3] = {9, 9, 9}, lo1[3] = {-3, -9, -3}, hi1[3] = {2, -4, 2};
+    uint32_t k, i, a;
+    memset(&s, 0, sizeof s);
+    both_box(&m, &s, lo, hi, 1, 225);
+    both_box(&m, &s, lo1, hi1, 0, 200);
+    for (k = 0; k < 4; k++) {
+        const double middle[3] = {shift[k], -shift[k], shift[k]}, lamp[3] = {middle[0] + 2 * scale[k], middle[1] + 5 * scale[k], middle[2]};
+        voxrt_gi *gi = make_gi(64, 64, 10 * scale[k], middle);
+        voxrt_gi_render_desc d;
+        double worst = 0, mean = 0;
+        memset(&d, 0, sizeof d);
+        n = m;
+        for (i = 0; i < n.points; i++) for (a = 0; a < 3; a++) n.p[i][a] = (float)((double)m.p[i][a] * scale[k] + middle[a]);
+        add_model(gi, &n);
+        set_lamp(gi, lamp, 100 * scale[k] * scale[k]);
+        open_picture(&pic);
+        rng_state = 16;
+        for (i = 0; i < POINTS; i++) {
+            const double x = -8.5 + 17 * rnd(), z = 3 + 5 * rnd();
+            pic.position[i][0] = (float)(x * scale[k] + middle[0]);
+            pic.position[i][1] = (float)(-9 * scale[k] + middle[1]);
+            pic.position[i][2] = (float)(z * scale[k] + middle[2]);
+            pic.normal[i][1] = 1.0f;
+            pic.albedo[i][0] = pic.albedo[i][1] = pic.albedo[i][2] = 1.0f;
+        }
+        d.rays = 64;
+        CHECK(voxrt_gi_render(&d, gi, &pic.g, NULL, pic.indirect[0], NULL) == VOXRT_OK);
+        if (k == 0) memcpy(first, pic.indirect, sizeof first);
+        for (i = 0; i < POINTS; i++) {
+            mean += (double)first[i][0] / POINTS;
+            worst = fmax(worst, fabs((double)pic.indirect[i][0] - (double)first[i][0]));
+        }
+        /* powers of two: the same numbers; far away floats have 1/2048 of a unit left */
+        CHECK_MSG(worst <= (k < 3 ? 1e-3 : 0.06) * mean, "scale %g, shift %g: %g of %g", scale[k], shift[k], worst, mean);
+        voxrt_gi_destroy(gi);
+    }
+}
+
+int main(int argc, char **argv) {
+    test_begin(argc, argv);
+    RUN(paths_through_triangles_are_right);
+    RUN(a_room_as_paths_through_its_triangles_have_it);
+    RUN(closed_sphere_to_a_percent);
+    RUN(ways_of_rays);
+    RUN(offsets_lose_what_planes_keep);
+    RUN(points_go_where_sums_say);
+    RUN(no_flicker_under_a_moving_lamp);
+    RUN(scale_and_place_do_not_matter);
+    return test_end();
+}
