@@ -8,6 +8,7 @@
    BM4 strips                      BM10 changes of the function     BM16 what exactness costs
    BM5 projection in any order     BM11 meshes that are not convex
    BM6 orders and forms of it      BM12 threads, instruction sets   BM17 tolerance against error
+   BM21 to BM27: radial basis functions, see bench_tetcast_rbf.h
    One JSON object a line on stdout; the acceptance table on stderr and, after a run of all, in bench/table_tetcast.md
    beside the program. Errors of pictures are against an integrator in double that splits at every knot. */
 #include "bench.h"
@@ -1637,10 +1638,13 @@ static void bm17(void) {
     if (g_opt.full) tolerances(MESH_D150K, TF_SMOOTH);
 }
 
+#include "bench_tetcast_rbf.h"
+
 int main(int argc, char **argv) {
     static const struct { int number; void (*run)(void); } all[] = {
         {1, bm1}, {2, bm2}, {3, bm3}, {4, bm4}, {5, bm5}, {6, bm6}, {7, bm7}, {8, bm8}, {9, bm9}, {10, bm10}, {11, bm11}, {12, bm12},
-        {13, bm13}, {14, bm14}, {15, bm15}, {16, bm16}, {17, bm17}
+        {13, bm13}, {14, bm14}, {15, bm15}, {16, bm16}, {17, bm17},
+        {21, rbf_evaluations}, {22, rbf_frames}, {24, rbf_encoder}, {27, rbf_traces}
     };
     size_t i;
     int status = bench_parse(argc, argv, &g_opt);
