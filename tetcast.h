@@ -2216,6 +2216,18 @@ static TETCASTI_UNUSED uint32_t tetcasti_oct_encode(const float n[3]) {
 #define TETCASTI_CLUSTER_LOG 7      /* cells of a cluster: 128 that follow each other */
 #define TETCASTI_INF ((float)INFINITY)
 
+TETCASTI_UNUSED static void tetcasti_store_f64(uint8_t *p, double v) {
+    uint64_t u;
+    memcpy(&u, &v, 8);
+    tetcasti_store_u64(p, u);
+}
+TETCASTI_UNUSED static double tetcasti_load_f64(const uint8_t *p) {
+    const uint64_t u = tetcasti_load_u64(p);
+    double v;
+    memcpy(&v, &u, 8);
+    return v;
+}
+
 typedef struct tetcasti_vertex { float x, y, z, s; } tetcasti_vertex;
 typedef struct tetcasti_face { uint32_t v[3], cell; } tetcasti_face;
 typedef struct tetcasti_tet16 { uint32_t x, n[3]; } tetcasti_tet16;
@@ -15454,17 +15466,6 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_mesh(const tetcast_bricks_desc 
 
 static const uint8_t tetcasti_brk_magic[8] = {0x89, 'B', 'R', 'K', '\r', '\n', 0x1a, '\n'};
 
-static void tetcasti_store_f64(uint8_t *p, double v) {
-    uint64_t u;
-    memcpy(&u, &v, 8);
-    tetcasti_store_u64(p, u);
-}
-static double tetcasti_load_f64(const uint8_t *p) {
-    const uint64_t u = tetcasti_load_u64(p);
-    double v;
-    memcpy(&v, &u, 8);
-    return v;
-}
 static void tetcasti_store_f32(uint8_t *p, float v) {
     uint32_t u;
     memcpy(&u, &v, 4);
@@ -17320,13 +17321,6 @@ static int32_t tetcasti_bits_signed(tetcasti_bits *b, uint32_t bits) {
 }
 static uint32_t tetcasti_float_bits(float x) { uint32_t u; memcpy(&u, &x, 4); return u; }
 static float tetcasti_bits_float(uint32_t u) { float x; memcpy(&x, &u, 4); return x; }
-static void tetcasti_store_f64(uint8_t *p, double x) { uint64_t u; memcpy(&u, &x, 8); tetcasti_store_u64(p, u); }
-static double tetcasti_load_f64(const uint8_t *p) {
-    const uint64_t u = tetcasti_load_u64(p);
-    double x;
-    memcpy(&x, &u, 8);
-    return x;
-}
 
 /* Numbers <-> what is stored of them. */
 static float tetcasti_rbf_position(const tetcast_rbf *m, uint32_t axis, uint32_t q) {
