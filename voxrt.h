@@ -16431,8 +16431,8 @@ typedef struct voxrti_lighting {
 
 /* The light of a lamp on points: adds what falls on them to rgb, and what their lobes send along `view`, as if they
    were white, to gloss, unless it is NULL. */
-static void voxrti_light_points(const voxrti_lighting *c, size_t lamp, const voxrti_points *q, float (*rgb)[3],
-                                float (*gloss)[3]) {
+static VOXRTI_NOINLINE void voxrti_light_points(const voxrti_lighting *c, size_t lamp, const voxrti_points *q,
+                                                float (*rgb)[3], float (*gloss)[3]) {
     const voxrt_gi_light *l = lamp < c->gi->light_count ? &c->gi->light[lamp] : &c->gi->emit;
     voxrt_ray ray[VOXRTI_COLUMN_BATCH];
     float in[VOXRTI_COLUMN_BATCH][3], normal[VOXRTI_COLUMN_BATCH][3], end[VOXRTI_COLUMN_BATCH][3];
@@ -16646,8 +16646,8 @@ static void voxrti_gather_rays(const voxrti_gather *w, const voxrti_points *q, u
 }
 
 /* What comes back along rays from the sides they hit; 0 where at = -1. */
-static void voxrti_hit_light(const voxrti_gather *w, const voxrti_gi_side *side, const voxrt_ray *ray, const float *t,
-                             uint32_t count, int with_bounces, float (*out)[3]) {
+static VOXRTI_NOINLINE void voxrti_hit_light(const voxrti_gather *w, const voxrti_gi_side *side, const voxrt_ray *ray,
+                                             const float *t, uint32_t count, int with_bounces, float (*out)[3]) {
     const int cached = w->d->lookup == VOXRT_GI_LOOKUP_CACHE || w->d->lookup == VOXRT_GI_LOOKUP_VOLUME;
     voxrti_points q;
     voxrti_lighting c;
@@ -16716,8 +16716,8 @@ static void voxrti_gather_turn(const voxrti_gi_side *s, const float dir[3], uint
 
 /* Adds for each point: what comes back along w->rays rays, times weights and colours on the way; apart, unless NULL:
    the sum of 1 / t. */
-static void voxrti_gather_run(const voxrti_gather *w, const voxrti_points *q, float (*out)[3], float *apart,
-                              voxrt_stats *stats) {
+static VOXRTI_NOINLINE void voxrti_gather_run(const voxrti_gather *w, const voxrti_points *q, float (*out)[3],
+                                              float *apart, voxrt_stats *stats) {
     voxrt_ray ray[VOXRTI_COLUMN_BATCH];
     voxrti_gi_side side[VOXRTI_COLUMN_BATCH];
     float t[VOXRTI_COLUMN_BATCH], part[VOXRTI_COLUMN_BATCH][3], rgb[VOXRTI_COLUMN_BATCH][3];
@@ -16963,8 +16963,8 @@ VOXRT_DEF size_t voxrt_gi_virtual_lights(const voxrt_gi *gi, float *out, size_t 
 }
 
 /* The lights of set `set` on points: adds irradiance / pi to out, what white lobes send to gloss. lit: which do. */
-static void voxrti_vpl_run(const voxrti_gather *w, const voxrti_points *q, uint32_t set, float (*out)[3],
-                           float (*gloss)[3], uint32_t (*lit)[4], voxrt_stats *stats) {
+static VOXRTI_NOINLINE void voxrti_vpl_run(const voxrti_gather *w, const voxrti_points *q, uint32_t set,
+                                           float (*out)[3], float (*gloss)[3], uint32_t (*lit)[4], voxrt_stats *stats) {
     const voxrt_gi *gi = w->gi;
     const size_t each = (size_t)w->d->rays * w->set * w->set;
     const float h = 4.0f * (float)gi->columns->diagonal, bound = 1.0f / (h * h);
@@ -17027,8 +17027,8 @@ static void voxrti_vpl_run(const voxrti_gather *w, const voxrti_points *q, uint3
 
 /* What the bound cut off, by rays as short as that (Kollig & Keller 2004): adds irradiance / pi; apart as
    voxrti_gather_run. */
-static void voxrti_vpl_compensate(const voxrti_gather *w, const voxrti_points *q, float (*out)[3], float *apart,
-                                  voxrt_stats *stats) {
+static VOXRTI_NOINLINE void voxrti_vpl_compensate(const voxrti_gather *w, const voxrti_points *q, float (*out)[3],
+                                                  float *apart, voxrt_stats *stats) {
     const float h = 4.0f * (float)w->gi->columns->diagonal, bound = 1.0f / (h * h);
     const uint32_t rays = (w->d->rays + 3) / 4;
     voxrti_gather near_by = *w;
