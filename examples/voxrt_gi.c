@@ -31,7 +31,9 @@ typedef struct piece { /* an object: its triangles for the light that bounces, i
     voxrt_instance instance;
     voxrt_gi_object object;
     uint32_t id;
-    int frame; /* of a sequence; -1: none yet */
+    double placed[12]; /* where the light has it */
+    int frame;         /* of a sequence; -1: none yet */
+    int fresh;         /* the light does not know its mesh yet */
 } piece;
 
 typedef struct world {
@@ -309,6 +311,7 @@ static int load_piece(world *w, const gi_options *o, size_t i, int frame, sup_er
     p->mesh = mesh;
     p->tree = tree;
     p->frame = frame;
+    p->fresh = 1;
     return 0;
 }
 
@@ -457,7 +460,10 @@ static int place(world *w, const gi_options *o, double t, int first, sup_error *
         voxrt_tree_geometry(p->tree, &p->instance.geometry);
         memcpy(p->instance.to_world, m, sizeof p->instance.to_world);
         if (voxrt_instance_geometry(&p->instance, &w->parts[i]) != VOXRT_OK) return sup_fail(err, "a matrix has no inverse");
-        if (!p->object.still && voxrt_gi_set(w->gi, p->id, &p->object) != VOXRT_OK) return sup_fail(err, "an object is lost");
+        if (!p->object.still && (p->fresh || memcmp(p->placed, m, sizeof p->placed) != 0) &&
+            voxrt_gi_set(w->gi, p->id, &p->object) != VOXRT_OK) return sup_fail(err, "an object is lost");
+        memcpy(p->placed, m, sizeof p->placed);
+        p->fresh = 0;
         sup_mesh_free(&w->stale[i]);
     }
     voxrt_group_destroy(w->group);
