@@ -18148,7 +18148,7 @@ static void voxrti_task_gbuffer(void *ctx, uint32_t tile) {
     }
     for (i = 0; i < n; i++) {
         const size_t at = 3 * pixel[i];
-        float normal[3] = {0, 0, 0}, facing;
+        float normal[3] = {0, 0, 0}, facing, length;
         float t = INFINITY;
         if (g->emission != NULL) g->emission[at] = g->emission[at + 1] = g->emission[at + 2] = 0.0f;
         if (g->specular != NULL) memset(g->specular + 4 * pixel[i], 0, 16);
@@ -18170,11 +18170,18 @@ static void voxrti_task_gbuffer(void *ctx, uint32_t tile) {
             }
         }
         if (!(t < INFINITY) || !voxrti_normalize(normal)) continue;
-        facing = voxrti_dot3(normal, ray[i].dir);
+        length = sqrtf(voxrti_dot3(ray[i].dir, ray[i].dir));
+        facing = voxrti_dot3(normal, ray[i].dir) / length;
+        if (facing > 0.5f) { /* the back of a surface */
+            for (a = 0; a < 3; a++) normal[a] = 0.0f - normal[a];
+        } else if (facing > -0.01f) { /* a voxel of the outline, whose mean normal leans over: just in sight */
+            for (a = 0; a < 3; a++) normal[a] -= (facing + 0.01f) / length * ray[i].dir[a];
+            (void)voxrti_normalize(normal);
+        }
         for (a = 0; a < 3; a++) {
             g->position[at + a] = ray[i].org[a] + t * ray[i].dir[a];
             if (g->before != NULL) g->before[at + a] = g->position[at + a];
-            g->normal[at + a] = facing > 0.0f ? 0.0f - normal[a] : normal[a];
+            g->normal[at + a] = normal[a];
         }
     }
 }
