@@ -1177,7 +1177,283 @@ TEST(bricks_look_like_tetrahedra) {
     tets_free(&m);
 }
 
-/*>>TESTS*/
+
+/* ---- clipping, shaders, parts -------------------------------------------------------------------------------- */
+
+/* A cube of 12 triangles. */
+static const uint32_t g_cube[36] = {0, 2, 1, 1, 2, 3, 4, 5, 6, 5, 7, 6, 0, 1, 4, 1, 5, 4, 2, 6, 3, 3, 6, 7, 0, 4, 2, 2, 4, 6, 1, 3, 5, 3, 7, 5};
+
+static void cube_points(double p[8][3], double lo, double hi) {
+    int i, k;
+    for (i = 0; i < 8; i++)
+        for (k = 0; k < 3; k++) p[i][k] = i >> k & 1 ? hi : lo;
+}
+
+TEST(clip_spans) {
+    double outer[8][3], inner[8][3];
+    tetcast_clip_body body[2];
+    tetcast_clip_plane plane = {{0, 0, 1}, 0.25};
+    tetcast_clip_desc d;
+    tetcast_clip *c = NULL;
+    test_rng r = test_rng_make(1);
+    int i, n;
+    cube_points(outer, 0, 4);
+    cube_points(inner, 1, 3);
+    memset(body, 0, sizeof body);
+    memset(&d, 0, sizeof d);
+    body[0].points = (const double (*)[3])outer;
+    body[1].points = (const double (*)[3])inner;
+    for (i = 0; i < 2; i++) {
+        body[i].point_count = 8;
+        body[i].indices = g_cube;
+        body[i].triangle_count = 12;
+    }
+    body[1].outside = 1;
+    d.bodies = body;
+    d.body_count = 2;
+    d.planes = &plane;
+    d.plane_count = 1;
+    REQUIRE(tetcast_clip_create(&d, &c) == TETCAST_OK);
+    for (n = 0; n < 3000; n++) {
+        tetcast_ray ray;
+        double spans[TETCAST_CLIP_SPANS][2], t, want = 0, got = 0;
+        uint32_t count, j;
+        int k;
+        memset(&ray, 0, sizeof ray);
+        for (k = 0; k < 3; k++) {
+            ray.org[k] = n % 3 == 0 ? (double)test_rng_below(&r, 5) : 4 * test_rng_double(&r); /* often on edges and corners */
+            ray.dir[k] = n % 2 ? test_rng_double(&r) - 0.5 : (k == n / 2 % 3 ? 1.0 : 0.0);
+        }
+        ray.t_min = -20;
+        ray.t_max = 20;
+        count = tetcast_clip_spans(c, &ray, spans);
+        for (j = 0; j < count; j++) {
+            CHECK(spans[j][0] < spans[j][1] && (j == 0 || spans[j][0] >= spans[j - 1][1]));
+            got += spans[j][1] - spans[j][0];
+        }
+        if (n % 3 == 0) continue; /* on a side both answers are right: only order and ends are looked at */
+        { /* the same by boxes */
+            double length = sqrt(ray.dir[0] * ray.dir[0] + ray.dir[1] * ray.dir[1] + ray.dir[2] * ray.dir[2]);
+            double ends[2][2];
+            for (i = 0; i < 2; i++) {
+                ends[i][0] = -20;
+                ends[i][1] = 20;
+                for (k = 0; k < 3; k++) {
+                    const double lo = i == 0 ? (k == 2 ? 0.25 : 0) : k == 2 ? 1 : 1, hi = i == 0 ? 4 : 3, dir = ray.dir[k] / length;
+                    if (dir == 0) {
+                        if (ray.org[k] < lo || ray.org[k] > hi) ends[i][1] = ends[i][0];
+                        continue;
+                    }
+                    t = (lo - ray.org[k]) / dir;
+                    want = (hi - ray.org[k]) / dir;
+                    ends[i][0] = ends[i][0] > (t < want ? t : want) ? ends[i][0] : (t < want ? t : want);
+                    ends[i][1] = ends[i][1] < (t < want ? want : t) ? ends[i][1] : (t < want ? want : t);
+                }
+            }
+            want = ends[0][1] > ends[0][0] ? ends[0][1] - ends[0][0] : 0;
+            if (ends[1][1] > ends[1][0]) want -= ends[1][1] - ends[1][0];
+            CHECK_NEAR(got, want, 1e-9);
+        }
+    }
+    tetcast_clip_destroy(c);
+    body[0].triangle_count = 11; /* open: no crash, ordered */
+    REQUIRE(tetcast_clip_create(&d, &c) == TETCAST_OK);
+    tetcast_clip_destroy(c);
+    inner[3][1] = (double)NAN;
+    CHECK_EQ_U64(tetcast_clip_create(&d, &c), TETCAST_ERR_INVALID_ARG);
+}
+
+typedef struct probe_shader { int prepared; float density; } probe_shader;
+
+static tetcast_result probe_prepare(void *user, const tetcast_param *params, size_t count, tetcast_error *error) {
+    const float *v = tetcast_params_find(params, count, "density", 1, error);
+    if (v == NULL) return TETCAST_ERR_INVALID_ARG;
+    ((probe_shader *)user)->density = v[0];
+    ((probe_shader *)user)->prepared++;
+    return TETCAST_OK;
+}
+
+/* Absorbs evenly where what it was given fits together: linear field, its gradient, its position. */
+static void probe_shade(void *user, const tetcast_packet *in, float rgba[4][8]) {
+    const probe_shader *p = (const probe_shader *)user;
+    int i, k;
+    for (i = 0; i < 8; i++) {
+        double q[3], along = 0;
+        int fits;
+        if (!(in->mask >> i & 1u)) continue;
+        for (k = 0; k < 3; k++) {
+            q[k] = (double)in->position[k][i];
+            along += (double)in->gradient[k][i] * (double)in->direction[k][i];
+        }
+        fits = fabs(linear_at(q) - 0.5 * ((double)in->front[i] + (double)in->back[i])) < 1e-4 &&
+               fabs((double)in->gradient[0][i] - 0.3) < 1e-4 &&
+               fabs(along * (double)in->length[i] - ((double)in->back[i] - (double)in->front[i])) < 1e-4;
+        rgba[3][i] = 1.0f - expf(-p->density * in->length[i]);
+        rgba[0][i] = rgba[3][i] * (fits ? 1.0f : 0.0f);
+    }
+}
+
+TEST(shaders) {
+    enum { W = 48, H = 40 };
+    static float a[W * H * 4], b[W * H * 4];
+    const tetcast_lattice l = cube_lattice(30, 22, 19);
+    float *v = (float *)malloc(node_count(&l) * 4), density = 0.03f;
+    tetcast_bricks *k;
+    tetcast_cut *c;
+    tetcast_optics *o = flat_optics(0.03f, TETCAST_MODEL_VOLUME);
+    tetcast_brick_render_desc d;
+    tetcast_shader s;
+    tetcast_param param = {"density", NULL, 1};
+    tetcast_error error;
+    tetcast_image image;
+    probe_shader probe = {0, 0};
+    double worst = 0;
+    size_t i;
+    for (i = 0; i < node_count(&l); i++) {
+        double p[3];
+        node_at(&l, i, p);
+        v[i] = (float)linear_at(p);
+    }
+    k = make_bricks(&l, v, TETCAST_TYPE_F32, 3, 0);
+    c = make_cut(k, NULL, 0);
+    box_view(&d, &l, 1);
+    (void)picture(&d, c, o, W, H, a);
+    memset(&s, 0, sizeof s);
+    memset(&image, 0, sizeof image);
+    image.width = W;
+    image.height = H;
+    image.rgba = b;
+    s.user = &probe;
+    s.needs = TETCAST_NEED_GRADIENT | TETCAST_NEED_POSITION | TETCAST_NEED_DIRECTION;
+    s.prepare_fn = probe_prepare;
+    s.shade_fn = probe_shade;
+    s.params = &param;
+    s.param_count = 1;
+    d.shader = &s;
+    d.env.error = &error;
+    CHECK_EQ_U64(tetcast_render_bricks(&d, c, NULL, &image, NULL), TETCAST_ERR_INVALID_ARG);
+    CHECK_STR(error.text, "missing shader parameter: density");
+    param.values = &density;
+    CHECK_EQ_U64(tetcast_render_bricks(&d, c, NULL, &image, NULL), TETCAST_OK);
+    CHECK_EQ_U64((uint64_t)probe.prepared, 1);
+    for (i = 0; i < W * H; i++) { /* colour and opacity of the optics: white there is red here */
+        const double e = fabs((double)a[4 * i + 3] - (double)b[4 * i + 3]), f = fabs((double)b[4 * i] - (double)b[4 * i + 3]);
+        worst = e > worst ? e : worst;
+        worst = f > worst ? f : worst;
+    }
+    CHECK_MSG(worst < 1e-4, "%g", worst);
+    tetcast_cut_destroy(c);
+    tetcast_bricks_destroy(k);
+    tetcast_optics_destroy(o);
+    free(v);
+}
+
+TEST(codecs) {
+    static const uint32_t sizes[5][2] = {{64, 64}, {1, 1}, {5, 7}, {33, 2}, {16, 130}};
+    test_rng r = test_rng_make(6);
+    int n, kind;
+    CHECK_EQ_U64(tetcast_ccc_size(512, 512, 0) * 8, 512 * 512 * 3);
+    for (n = 0; n < 5; n++)
+        for (kind = 0; kind < 4; kind++) {
+            const uint32_t w = sizes[n][0], h = sizes[n][1];
+            uint8_t *p = (uint8_t *)malloc((size_t)w * h * 4), *q = (uint8_t *)malloc((size_t)w * h * 4);
+            uint8_t *code = (uint8_t *)malloc(tetcast_ccc_size(w, h, 1)), *pack = (uint8_t *)malloc(tetcast_pack_bound(w, h));
+            size_t i, size;
+            uint32_t x, y;
+            for (y = 0; y < h; y++)
+                for (x = 0; x < w; x++) {
+                    uint8_t *c = p + 4 * ((size_t)y * w + x);
+                    /* 0: one colour a cell, 1: two colours a cell, those that 16 bits hold, 2: noise, 3: mostly empty */
+                    const uint32_t cell = x / 4 * 7 + y / 4 * 13, odd = kind == 1 ? (x ^ y) & 1u : 0, level = (cell * 8 + odd * 99) & 31u;
+                    c[0] = (uint8_t)(level << 3 | level >> 2);
+                    c[1] = (uint8_t)(odd ? 255 : 0);
+                    c[2] = c[0];
+                    c[3] = (uint8_t)(odd ? 255 : 128);
+                    if (kind == 2) tetcasti_store_u32(c, test_rng_u32(&r));
+                    if (kind == 3) tetcasti_store_u32(c, test_rng_below(&r, 40) == 0 ? test_rng_u32(&r) : 0u);
+                }
+            tetcast_ccc_encode(p, w, h, 0, 1, code);
+            tetcast_ccc_decode(code, w, h, 0, 1, q);
+            if (kind < 2) CHECK(memcmp(p, q, (size_t)w * h * 4) == 0);
+            size = tetcast_pack(p, w, h, 0, pack);
+            CHECK(size <= tetcast_pack_bound(w, h));
+            memset(q, 7, (size_t)w * h * 4);
+            CHECK_EQ_U64(tetcast_unpack(pack, size, w, h, 0, q), TETCAST_OK);
+            CHECK(memcmp(p, q, (size_t)w * h * 4) == 0);
+            if (kind == 3 && n == 0) CHECK(size < (size_t)w * h);
+            for (i = 0; i < size; i += 1 + size / 50) CHECK(tetcast_unpack(pack, i, w, h, 0, q) != TETCAST_OK);
+            for (i = 0; i < 50; i++) {
+                pack[test_rng_below(&r, (uint32_t)size)] ^= (uint8_t)test_rng_u32(&r);
+                (void)tetcast_unpack(pack, size, w, h, 0, q);
+            }
+            free(p);
+            free(q);
+            free(code);
+            free(pack);
+        }
+}
+
+/* Ranges of depth, one over the other, are the whole; memory that runs out anywhere is reported and given back. */
+TEST(depth_ranges_and_memory) {
+    enum { W = 40, H = 30 };
+    static float whole[W * H * 4], near_part[W * H * 4], far_part[W * H * 4];
+    const tetcast_lattice l = cube_lattice(26, 21, 23);
+    float *v = random_grid(&l, 2);
+    tetcast_bricks *b = make_bricks(&l, v, TETCAST_TYPE_U16, 3, 0);
+    tetcast_optics *o = flat_optics(0.05f, TETCAST_MODEL_VOLUME);
+    tetcast_brick_render_desc d;
+    tetcast_cut *c = make_cut(b, NULL, 0);
+    test_alloc ta;
+    double worst = 0;
+    uint32_t fail;
+    size_t i;
+    box_view(&d, &l, 1);
+    (void)picture(&d, c, o, W, H, whole);
+    d.clip_far = 40;
+    (void)picture(&d, c, o, W, H, near_part);
+    d.clip_far = 0;
+    d.clip_near = 40;
+    (void)picture(&d, c, o, W, H, far_part);
+    tetcast_over(near_part, far_part, W * H);
+    for (i = 0; i < W * H * 4; i++) {
+        const double e = fabs((double)whole[i] - (double)near_part[i]);
+        worst = i % 4 == 3 && e > worst ? e : worst;
+        CHECK(e < 1e-3); /* colours: a segment is cut in two, and the field is not linear along it */
+    }
+    CHECK_MSG(worst < 1e-5, "%g", worst);
+    tetcast_cut_destroy(c);
+    test_alloc_init(&ta);
+    for (fail = 1; fail < 200; fail++) {
+        tetcast_bricks_desc bd;
+        tetcast_cut_desc cd;
+        tetcast_array a;
+        tetcast_bricks *k = NULL;
+        tetcast_result r;
+        memset(&bd, 0, sizeof bd);
+        memset(&cd, 0, sizeof cd);
+        memset(&a, 0, sizeof a);
+        a.data = v;
+        bd.env.memory_limit = (size_t)fail * 4000;
+        bd.env.allocator.alloc_fn = test_alloc_fn;
+        bd.env.allocator.free_fn = test_free_fn;
+        bd.env.allocator.user = &ta;
+        bd.env.thread_count = 1;
+        cd.env = bd.env;
+        cd.byte_budget = 100000;
+        r = tetcast_bricks_create_grid(&bd, &l, &a, NULL, &k);
+        CHECK(r == TETCAST_OK || (r == TETCAST_ERR_NO_MEMORY && k == NULL));
+        if (r == TETCAST_OK) {
+            r = tetcast_cut_create(&cd, k, &c);
+            CHECK(r == TETCAST_OK || (r == TETCAST_ERR_NO_MEMORY && c == NULL));
+            if (r == TETCAST_OK) tetcast_cut_destroy(c);
+        }
+        tetcast_bricks_destroy(k);
+    }
+    test_alloc_check(&ta);
+    tetcast_optics_destroy(o);
+    tetcast_bricks_destroy(b);
+    free(v);
+}
 
 int main(int argc, char **argv) {
     test_begin(argc, argv);
@@ -1198,5 +1474,9 @@ int main(int argc, char **argv) {
     RUN(constant_medium);
     RUN(brick_pictures_same_bits);
     RUN(bricks_look_like_tetrahedra);
+    RUN(clip_spans);
+    RUN(shaders);
+    RUN(codecs);
+    RUN(depth_ranges_and_memory);
     return test_end();
 }
