@@ -148,4 +148,17 @@ $(TETCAST_PICTURES): $(B)/tetcast_render
 $(G)/tetcast_minimal.png: $(B)/minimal_tetcast
 	@mkdir -p $(@D); echo "$@"; $(B)/minimal_tetcast $@
 
+# A generated flow and a generated volume as radial basis functions.
+RBF := $(G)/rbf
+$(RBF)/%.rbf: $(B)/tetcast_rbf
+	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf fit $* $@ --quiet --max-error 0.05
+
+$(G)/tetcast_rbf_tornado.png: $(RBF)/tornado.rbf
+	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf render $< --out $@ --quiet --channel vorticity --samples 150
+$(G)/tetcast_rbf_traces.png: $(RBF)/tornado.rbf
+	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf trace $< --out $@ --quiet --seeds 110
+$(G)/tetcast_rbf_bow.png: $(RBF)/bow.rbf
+	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf render $< --out $@ --quiet
+
+GALLERY += $(G)/tetcast_rbf_tornado.png $(G)/tetcast_rbf_traces.png $(G)/tetcast_rbf_bow.png
 GALLERY += $(GI_PICTURES) $(ZBUFRAND_PICTURES) $(G)/zbufrand_minimal.png $(TETCAST_PICTURES) $(G)/tetcast_minimal.png
