@@ -9,6 +9,7 @@
    BM5 projection in any order     BM11 meshes that are not convex
    BM6 orders and forms of it      BM12 threads, instruction sets   BM17 tolerance against error
    BM21 to BM27: radial basis functions, see bench_tetcast_rbf.h
+   BM40 to BM43: resampling, bricks, codecs, see bench_tetcast_bricks.h
    One JSON object a line on stdout; the acceptance table on stderr and, after a run of all, in bench/table_tetcast.md
    beside the program. Errors of pictures are against an integrator in double that splits at every knot. */
 #include "bench.h"
@@ -24,6 +25,7 @@
 #include <sys/resource.h>
 
 enum { SIZE = 512, ROUNDS = 5, EVERY = 4 }; /* the peers' picture; the reference looks at every fourth row and column */
+#include "bench_tetcast_bricks.h"
 
 /* ---- frames ---- */
 
@@ -1644,7 +1646,8 @@ int main(int argc, char **argv) {
     static const struct { int number; void (*run)(void); } all[] = {
         {1, bm1}, {2, bm2}, {3, bm3}, {4, bm4}, {5, bm5}, {6, bm6}, {7, bm7}, {8, bm8}, {9, bm9}, {10, bm10}, {11, bm11}, {12, bm12},
         {13, bm13}, {14, bm14}, {15, bm15}, {16, bm16}, {17, bm17},
-        {21, rbf_evaluations}, {22, rbf_frames}, {24, rbf_encoder}, {27, rbf_traces}
+        {21, rbf_evaluations}, {22, rbf_frames}, {24, rbf_encoder}, {27, rbf_traces},
+        {40, bm40}, {41, bm41}, {42, bm42}, {43, bm43}
     };
     size_t i;
     int status = bench_parse(argc, argv, &g_opt);
