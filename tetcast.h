@@ -16806,10 +16806,11 @@ TETCAST_DEF size_t tetcast_ccc_size(uint32_t width, uint32_t height, int alpha) 
 TETCASTI_INLINE uint64_t tetcasti_ccc_spread(uint32_t p) {
     return (uint64_t)(p & 255u) | (uint64_t)(p >> 8 & 255u) << 16 | (uint64_t)(p >> 16 & 255u) << 32 | (uint64_t)(p >> 24) << 48;
 }
-/* Mean of n = 1 .. 16, rounded. */
+/* Mean of n = 1 .. 16, rounded: 2^18 / n, rounded up, is exact for sums up to 16 * 255. */
+static const uint32_t tetcasti_ccc_part[17] = {0, 262144, 131072, 87382, 65536, 52429, 43691, 37450, 32768, 29128, 26215,
+                                               23832, 21846, 20165, 18725, 17477, 16384};
 TETCASTI_INLINE uint32_t tetcasti_ccc_mean(uint64_t sum, uint32_t channel, uint32_t n) {
-    const uint32_t s = (uint32_t)(sum >> (16 * channel)) & 0xffffu;
-    return (s + n / 2) / n;
+    return (((uint32_t)(sum >> (16 * channel)) & 0xffffu) + n / 2) * tetcasti_ccc_part[n] >> 18;
 }
 TETCASTI_INLINE uint32_t tetcasti_ccc_565(uint64_t sum, uint32_t n) {
     const uint32_t r = tetcasti_ccc_mean(sum, 0, n), g = tetcasti_ccc_mean(sum, 1, n), b = tetcasti_ccc_mean(sum, 2, n);
@@ -16874,6 +16875,18 @@ TETCAST_DEF void tetcast_ccc_decode(const uint8_t *data, uint32_t width, uint32_
             const uint32_t high = tetcasti_ccc_color(data + 2 * (cells + c)) | a1 << 24;
             const uint32_t low = tetcasti_ccc_color(data + 2 * (2 * cells + c)) | a0 << 24, both = high ^ low;
             uint32_t mask = (uint32_t)data[2 * c] | (uint32_t)data[2 * c + 1] << 8;
+#if TETCASTI_X64
+            if (4 * x + 4 <= width && 4 * y + 4 <= height) {
+                const __m128i bits = _mm_setr_epi32(1, 2, 4, 8), one = _mm_set1_epi32((int32_t)both);
+                const __m128i other = _mm_set1_epi32((int32_t)low);
+                uint8_t *to = rgba + (size_t)(4 * y) * stride + (size_t)x * 16;
+                for (j = 0; j < 4; j++, mask >>= 4, to += stride) {
+                    const __m128i set = _mm_cmpeq_epi32(_mm_and_si128(_mm_set1_epi32((int32_t)mask), bits), bits);
+                    _mm_storeu_si128((__m128i *)(void *)to, _mm_xor_si128(other, _mm_and_si128(set, one)));
+                }
+                continue;
+            }
+#endif
             for (j = 0; j < 4 && 4 * y + j < height; j++, mask >>= 4) {
                 uint8_t *to = rgba + (size_t)(4 * y + j) * stride + (size_t)x * 16;
                 const uint32_t n = width - 4 * x < 4 ? width - 4 * x : 4;
