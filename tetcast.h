@@ -16269,7 +16269,7 @@ static uint32_t tetcasti_octet_step(const tetcast_bricks *b, tetcasti_octet *l) 
             f[a] = x - (float)(int32_t)m;
             n = n * b->side + m;
         }
-        type = l->adapted >> i & 1u ? TETCAST_TYPE_F32 : (uint32_t)b->type;
+        type = l->adapted >> i & 1u ? (uint32_t)TETCAST_TYPE_F32 : (uint32_t)b->type;
         for (a = 0; a < 8; a++) {
             const size_t node = n + (a & 1u) + b->side * ((a >> 1 & 1u) + (size_t)b->side * (a >> 2));
             uint16_t u;
@@ -16344,7 +16344,7 @@ static void tetcasti_lane_gradient(void *user, float fraction, float normal[3]) 
     const tetcasti_lane_point *q = (const tetcasti_lane_point *)user;
     const tetcast_bricks *b = q->b;
     const tetcasti_octet *l = q->l;
-    const uint32_t i = q->lane, type = l->adapted >> i & 1u ? TETCAST_TYPE_F32 : (uint32_t)b->type;
+    const uint32_t i = q->lane, type = l->adapted >> i & 1u ? (uint32_t)TETCAST_TYPE_F32 : (uint32_t)b->type;
     const float cells = (float)(1u << b->log), at = l->tau[i] - (1.0f - fraction) * l->seg.length[i];
     float f[3], v[8];
     size_t n = 0;

@@ -161,4 +161,14 @@ $(G)/tetcast_rbf_bow.png: $(RBF)/bow.rbf
 	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf render $< --out $@ --quiet
 
 GALLERY += $(G)/tetcast_rbf_tornado.png $(G)/tetcast_rbf_traces.png $(G)/tetcast_rbf_bow.png
-GALLERY += $(GI_PICTURES) $(ZBUFRAND_PICTURES) $(G)/zbufrand_minimal.png $(TETCAST_PICTURES) $(G)/tetcast_minimal.png
+
+# Bricks: as fine as an error of 2 % asks for; and finest at one place, coarser away from it.
+$(G)/tetcast_bricks.png: $(B)/tetcast_bricks
+	@mkdir -p $(G)/bricks; echo "$@"; $(B)/tetcast_bricks resample --scene fins $(G)/bricks/fins.brk --max-error 0.02 --longest-end 513 --quiet && \
+	  $(B)/tetcast_bricks render $(G)/bricks/fins.brk $(NIGHT) --tf hot --out $@ --quiet
+$(G)/tetcast_bricks_lod.png: $(B)/tetcast_bricks
+	@mkdir -p $(G)/bricks; echo "$@"; $(B)/tetcast_bricks resample --scene ball $(G)/bricks/ball.brk --max-error 0 --longest 129 --brick 8 --quiet && \
+	  $(B)/tetcast_bricks render $(G)/bricks/ball.brk $(NIGHT) --iso 0.2 --focus 0.6,0.3,0.6 --radius 0.5 --out $@ --quiet
+
+GALLERY += $(GI_PICTURES) $(ZBUFRAND_PICTURES) $(G)/zbufrand_minimal.png $(TETCAST_PICTURES) $(G)/tetcast_minimal.png \
+	$(G)/tetcast_bricks.png $(G)/tetcast_bricks_lod.png
