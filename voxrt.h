@@ -16,7 +16,7 @@
    @octree        the octree of the thesis: make, change, convert
    @format_v4     files of the thesis
    @format        version 5 files of trees
-   @trace         rays through the tree: scalar and AVX2; common starts of tiles
+   @trace         rays through the tree: scalar, SSE and AVX2; common starts of tiles
    @trace_octree  rays through the octree of the thesis: single, and packets of four
    @shade         surfaces -> colours; lights and shadows
    @render        camera -> rays -> tiles -> buffers
@@ -9185,6 +9185,7 @@ static VOXRTI_UNUSED void voxrti_beam_find(const voxrt_tree *t, const voxrti_con
 static double voxrti_below(float x) {
     uint32_t bits;
     float before;
+    if (x < -3.402823466e38f) x = -3.402823466e38f; /* the bits before -infinity are a NaN's */
     memcpy(&bits, &x, sizeof bits);
     bits = (bits & 0x7fffffffu) == 0 ? 0x80000001u : (bits >> 31) != 0 ? bits + 1u : bits - 1u;
     memcpy(&before, &bits, sizeof before);
@@ -9425,7 +9426,8 @@ VOXRTI_TARGET_AVX2 static inline void voxrti_rays4(const voxrt_ray *r0, const vo
 }
 
 /* voxrti_below of four times */
-VOXRTI_TARGET_AVX2 static inline __m256d voxrti_below4(__m128 t) {
+VOXRTI_TARGET_AVX2 static inline __m256d voxrti_below4(__m128 time) {
+    const __m128 t = _mm_max_ps(time, _mm_set1_ps(-3.402823466e38f));
     __m128i x = _mm_castps_si128(t), zero = _mm_cmpeq_epi32(_mm_slli_epi32(x, 1), _mm_setzero_si128());
     __m128i before = _mm_sub_epi32(x, _mm_or_si128(_mm_srai_epi32(x, 31), _mm_set1_epi32(1)));
     before = _mm_blendv_epi8(before, _mm_set1_epi32((int)0x80000001u), zero);

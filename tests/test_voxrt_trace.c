@@ -429,6 +429,7 @@ static voxrt_ray nasty_ray(test_rng *r, int32_t size, uint8_t *wild) {
         q.t_max = test_rng_below(r, 3) == 0 ? q.t_min : lattice(r, -4, size, 0);
         if (test_rng_below(r, 4) == 0) q.t_max = INFINITY;
         if (test_rng_below(r, 4) == 0) q.t_min = test_rng_below(r, 2) != 0 ? -INFINITY : 1e-20f;
+        if (q.t_min < -1e30f && test_rng_below(r, 4) == 0) q.t_max = q.t_min; /* empty, but not turned round */
         break;
     case 11:                                                           /* equal components */
         for (a = 0; a < 3; a++) q.dir[a] = a == b && test_rng_below(r, 2) != 0 ? 0.0f : test_rng_below(r, 2) != 0 ? 0.7f : -0.7f;
