@@ -341,7 +341,7 @@ typedef struct voxrt_build_desc {
     uint32_t fill;            /* 1: fill closed hulls; cells get the attributes of the nearest surface voxel */
     uint32_t fill_depth;      /* with fill: only this many voxels deep, 0: all */
     uint32_t strict;          /* 1: bad triangles are an error (FORMAT) instead of being skipped and counted */
-    double box_min[3];        /* with box_size > 0: the world cube that maps to the whole grid */
+    double box_min[3];        /* with box_size > 0: the world cube that maps to the whole grid; up to 1e300 */
     double box_size;
     uint32_t _end_zero;
 } voxrt_build_desc;
@@ -6091,8 +6091,20 @@ static VOXRTI_UNUSED voxrt_result voxrti_tree_from_leafset(voxrti_mem *mem, cons
     return voxrti_tree_from_leafset_palette(mem, d, grid, set, NULL, 0, stats, out);
 }
 
+/* A box of a desc: neither an edge of a cell, nor its reciprocal, nor the far corner may leave the doubles. */
+static voxrt_result voxrti_box_check(voxrt_error *error, const double box_min[3], double size) {
+    double most = voxrti_max(voxrti_max(voxrti_abs(box_min[0]), voxrti_abs(box_min[1])), voxrti_abs(box_min[2]));
+    if (!voxrti_finite(size) || size < 0 || !voxrti_finite(box_min[0]) || !voxrti_finite(box_min[1]) ||
+        !voxrti_finite(box_min[2]))
+        return voxrti_fail(error, VOXRT_ERR_INVALID_ARG, 0, "box_min or box_size is not finite");
+    if (size > 0 && !(size >= 1e-300 && size <= 1e300 && most <= 1e300))
+        return voxrti_fail(error, VOXRT_ERR_RANGE, 0, "box_size is not in 1e-300..1e300, or box_min beyond 1e300");
+    return VOXRT_OK;
+}
+
 /* Copy a build desc with the defaults filled in. */
 static voxrt_result voxrti_build_open(const voxrt_build_desc *desc, voxrt_build_desc *d, voxrti_mem *mem) {
+    voxrt_result r;
     memset(d, 0, sizeof *d);
     if (desc != NULL) *d = *desc;
     if (d->_begin_zero != 0 || d->_end_zero != 0) return VOXRT_ERR_UNINIT_DESC; /* its pointers may be wild */
@@ -6105,9 +6117,8 @@ static voxrt_result voxrti_build_open(const voxrt_build_desc *desc, voxrt_build_
         return voxrti_fail(d->env.error, VOXRT_ERR_RANGE, d->palette_size, "palette of % colours is too large");
     if (d->resolution > 1u << VOXRT_MAX_VOXELIZE_DEPTH)
         return voxrti_fail(d->env.error, VOXRT_ERR_RANGE, d->resolution, "resolution % is too large");
-    if (!voxrti_finite(d->box_size) || d->box_size < 0 || !voxrti_finite(d->box_min[0]) ||
-        !voxrti_finite(d->box_min[1]) || !voxrti_finite(d->box_min[2]))
-        return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "box_min or box_size is not finite");
+    r = voxrti_box_check(d->env.error, d->box_min, d->box_size);
+    if (r != VOXRT_OK) return r;
     return voxrti_env_open(&d->env, mem);
 }
 
@@ -6393,13 +6404,13 @@ VOXRTI_INLINE uint32_t voxrti_octree_block(voxrt_octree *t) {
 
 /* Copy the desc, check it, take its memory. */
 static voxrt_result voxrti_octree_open(const voxrt_octree_desc *desc, voxrt_octree_desc *d, voxrti_mem *mem) {
+    voxrt_result r;
     memset(d, 0, sizeof *d);
     if (desc != NULL) *d = *desc;
     if (d->_begin_zero != 0 || d->_end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
     if (d->env.error != NULL) memset(d->env.error, 0, sizeof *d->env.error);
-    if (!voxrti_finite(d->box_size) || d->box_size < 0 || !voxrti_finite(d->box_min[0]) ||
-        !voxrti_finite(d->box_min[1]) || !voxrti_finite(d->box_min[2]))
-        return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "box_min or box_size is not finite");
+    r = voxrti_box_check(d->env.error, d->box_min, d->box_size);
+    if (r != VOXRT_OK) return r;
     if (d->grid_level > 10)
         return voxrti_fail(d->env.error, VOXRT_ERR_RANGE, d->grid_level, "start grid of level % is too fine");
     return voxrti_env_open(&d->env, mem);
@@ -11838,7 +11849,7 @@ static VOXRTI_NOINLINE void voxrti_run_light(const voxrti_render *c, const voxrt
         }
         if (!light->directional) (void)voxrti_normalize(to);
         cosine = voxrti_dot3(normal[i], to);
-        if (!(cosine > 0.0f)) continue;
+        if (!(cosine > 0.0f && cosine < 2.0f)) continue; /* above 1: no float is as long as the way to the light */
         diffuse[m] = cosine * c->material.diffuse;
         specular[m] = 0.0f;
         if (c->material.specular > 0.0f) {

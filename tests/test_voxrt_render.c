@@ -1225,6 +1225,30 @@ TEST(edges) {
         set3(d.background, 0, 0, 0);
         set3(light.position, 0, 0, 0);
     }
+    { /* a light so far from a surface so far away that no float holds the way: dark, but a number */
+        picture q = make_picture(20, 15, 0, 1);
+        voxrt_voxel v;
+        voxrt_build_desc b;
+        voxrt_tree *far_tree = NULL;
+        uint32_t x, bad = 0, hits = 0;
+        memset(&v, 0, sizeof v);
+        memset(&b, 0, sizeof b);
+        v.has_normal = 1;
+        v.normal[1] = 1;
+        v.rgb[0] = 255;
+        b.box_size = 1e38;
+        b.box_min[1] = -2e38;
+        CHECK(voxrt_tree_from_voxels(&b, &v, 1, 2, &far_tree) == VOXRT_OK);
+        set3(light.position, 0, 3.4e38, 0);
+        set3(light.color, 1, 1, 1);
+        CHECK(voxrt_render(&d, far_tree, &q.m, NULL) == VOXRT_OK);
+        for (x = 0; x < 20 * 15 * 4; x++) bad += !(fabsf(q.m.rgba[x]) <= 1.0f);
+        for (x = 3; x < 20 * 15 * 4; x += 4) hits += q.m.rgba[x] > 0;
+        CHECK(bad == 0 && hits > 20);
+        voxrt_tree_destroy(far_tree);
+        free_picture(&q);
+        set3(light.position, 0, 0, 0);
+    }
     light.directional = 1; /* no direction: no light */
     CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
     d.lights = NULL;

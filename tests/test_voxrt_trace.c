@@ -1220,6 +1220,25 @@ TEST(wrong_arguments_are_refused) {
     b.box_size = 1.0;
     b.box_min[1] = (double)INFINITY;
     if (voxrt_tree_from_voxels(&b, v, 2, 2, &t) == VOXRT_OK) test_fail(__FILE__, __LINE__, "an infinite box_min is accepted");
+    b.box_min[1] = 0.0;
+    { /* boxes whose cells, or the reciprocals of them, are no doubles; what is accepted can be saved and loaded */
+        static const double size[7] = {1e-320, 1e-301, 1e301, 1.7e308, 1.0, 1e-300, 1e300}, low[7] = {0, 0, 0, 0, -1e301, 1e300, -1e300};
+        static uint8_t file[4096];
+        size_t n;
+        uint32_t k;
+        for (k = 0; k < 7; k++) {
+            voxrt_tree *again = NULL;
+            b.box_size = size[k];
+            b.box_min[1] = low[k];
+            CHECK_EQ_U64(voxrt_tree_from_voxels(&b, v, 2, 20, &t), k < 5 ? VOXRT_ERR_RANGE : VOXRT_OK);
+            CHECK((t != NULL) == (k >= 5));
+            if (t == NULL) continue;
+            CHECK(voxrt_tree_save_memory(t, NULL, file, sizeof file, &n) == VOXRT_OK && voxrt_tree_load_memory(NULL, file, n, &again) == VOXRT_OK);
+            CHECK(again != NULL && voxrt_tree_hash(again) == voxrt_tree_hash(t));
+            voxrt_tree_destroy(again);
+            voxrt_tree_destroy(t);
+        }
+    }
     REQUIRE(voxrt_tree_from_voxels(NULL, v, 2, 2, &t) == VOXRT_OK);
     memset(&h, 0x31, sizeof h);
     d._begin_zero = 5;
