@@ -11624,8 +11624,8 @@ static voxrt_result voxrti_trace_open(const voxrt_tree *t, const voxrt_trace_des
     if (t == NULL || (uint32_t)d->isa > 4u) return VOXRT_ERR_INVALID_ARG;
     if (!(d->cone_width >= 0.0f) || !(d->cone_spread >= 0.0f)) return VOXRT_ERR_INVALID_ARG;
     scale = 1.0 / t->voxel_size;
-    cone->width = (double)d->cone_width * scale;
-    cone->spread = (double)d->cone_spread * scale;
+    cone->width = voxrti_min((double)d->cone_width * scale, 1e300); /* infinity times 0 is no width */
+    cone->spread = voxrti_min((double)d->cone_spread * scale, 1e300);
     cone->floor_ = 0;
     if (d->max_level_plus_1 != 0 && d->max_level_plus_1 <= t->depth)
         cone->floor_ = (double)((uint32_t)1 << (t->depth + 1 - d->max_level_plus_1));

@@ -1009,6 +1009,31 @@ static void check_cones(int corners) {
 
 TEST(cones_stop_at_the_level_of_their_width) { check_cones(1); }
 
+TEST(endless_cones) { /* as wide as floats go: the same from each isa */
+    static const float odd[4][2] = {{0.0f, INFINITY}, {INFINITY, INFINITY}, {1e-45f, 3e38f}, {3e38f, 0.0f}};
+    static voxrt_ray rays[BATCH];
+    static voxrt_hit ref[BATCH];
+    uint32_t depth, k, i;
+    uint8_t wild;
+    test_rng r = test_rng_make(77);
+    for (depth = 1; depth < 6; depth += 2) {
+        scene s;
+        scene_make(&s, depth, RANDOM);
+        for (k = 0; k < 4; k++) {
+            voxrt_trace_desc d;
+            memset(&d, 0, sizeof d);
+            d.cone_width = odd[k][0];
+            d.cone_spread = odd[k][1];
+            for (i = 0; i < 640; i++) {
+                rays[i] = nasty_ray(&r, s.size, &wild);
+                if (i % 2 != 0) memcpy(rays[i].org, rays[i - 1].org, sizeof rays[i].org);
+            }
+            check_same(s.tree, &d, rays, 640, ref);
+        }
+        scene_drop(&s);
+    }
+}
+
 /* Coarse cells that reach out of the box of the filled leaves, and the root. */
 /* ---- trees ---- */
 
@@ -1565,6 +1590,7 @@ int main(int argc, char **argv) {
     RUN(deep_planes_do_not_leak);
     RUN(a_forced_level_is_the_tree_of_that_level);
     RUN(cones_stop_at_the_level_of_their_width);
+    RUN(endless_cones);
     RUN(every_level_holds_the_cells_of_the_grid);
     RUN(order_and_copies_of_voxels_do_not_matter);
     RUN(steps_are_bounded_and_counted);
