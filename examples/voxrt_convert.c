@@ -72,6 +72,7 @@ static int parse(int argc, char **argv, convert_options *o) {
     if (o->format == FORMAT_V4 && o->palette > 32767)
         return sup_bad_usage(argv[0], "--format v4 holds at most 32767 colours");
     if (o->raw && o->format == FORMAT_V4) return sup_bad_usage(argv[0], "--raw goes with --format v5");
+    if (o->fill_depth != 0 && !o->fill) return sup_bad_usage(argv[0], "--fill-depth goes with --fill");
     return -1;
 }
 

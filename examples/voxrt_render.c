@@ -148,15 +148,20 @@ static int load(const char *program, const render_options *o, scene *s) {
     sup_error err;
     char *data;
     size_t size;
+    uint32_t kind;
     if (sup_read_file(o->in, &data, &size, &err)) return sup_bad_input(program, err.text);
     desc.env.thread_count = (uint32_t)o->common.threads;
     desc.env.memory_limit = sup_memory_limit();
     desc.env.error = &error;
     octree.env = desc.env;
-    if (voxrt_file_kind(data, size) == 5) {
+    /* files of versions to come go to the loader whose mark they bear: it says what is wrong */
+    kind = voxrt_file_kind(data, size);
+    if (kind == 0 && size >= 12 && memcmp(data, "\211VOX\r\n\032\n", 8) == 0) kind = 5;
+    if (kind == 0 && size >= 4 && memcmp(data, "MB", 2) == 0) kind = 4;
+    if (kind == 5) {
         result = voxrt_tree_load_memory(&desc, data, size, &s->tree);
         if (result == VOXRT_OK && o->path == PATH_THESIS) result = voxrt_octree_from_tree(&octree, s->tree, &s->octree);
-    } else if (voxrt_file_kind(data, size) == 4) {
+    } else if (kind == 4) {
         result = voxrt_octree_load_memory(&octree, data, size, &s->octree);
         if (result == VOXRT_OK) result = voxrt_tree_from_octree(&octree, s->octree, &s->tree);
     } else {
@@ -166,8 +171,11 @@ static int load(const char *program, const render_options *o, scene *s) {
     }
     SUP_FREE(data);
     if (result == VOXRT_OK) return 0;
-    (void)sup_fail(&err, "%s: byte %llu: %s", o->in, (unsigned long long)error.where,
-                   error.text[0] ? error.text : voxrt_result_string(result));
+    if (result == VOXRT_ERR_VERSION || result == VOXRT_ERR_NO_MEMORY || strstr(error.text, "byte") != NULL)
+        (void)sup_fail(&err, "%s: %s", o->in, error.text[0] ? error.text : voxrt_result_string(result));
+    else
+        (void)sup_fail(&err, "%s: byte %llu: %s", o->in, (unsigned long long)error.where,
+                       error.text[0] ? error.text : voxrt_result_string(result));
     return sup_bad_input(program, err.text);
 }
 
