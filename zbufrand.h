@@ -4478,7 +4478,8 @@ static void zbufrandi_view_make(zbufrandi_view_job *j, uint32_t cell) {
     zbufrandi_structure *s = j->b->s;
     zbufrandi_view *view = &s->view[cell];
     const uint32_t points = j->count * ZBUFRANDI_SET;
-    const size_t first = ((size_t)s->cluster_count + s->node_count + (size_t)cell * ZBUFRANDI_VIEW_SETS) * ZBUFRANDI_SET;
+    const size_t sets = (size_t)s->cluster_count + s->node_count + (size_t)cell * ZBUFRANDI_VIEW_SETS,
+                 first = sets * ZBUFRANDI_SET;
     const float start = zbufrandi_unit24(zbufrandi_hash32(j->b->scene->seed ^ zbufrandi_hash32(
         j->b->index ^ zbufrandi_hash32(cell + 0x7f4a7c15u))));
     uint32_t i, k;
@@ -7921,10 +7922,10 @@ static void zbufrandi_camera_sides(zbufrandi_camera *c) {
     }
 }
 
-/* to_camera, scale, structure and so on are there; the rest follows. */
-static void zbufrandi_local_finish(const zbufrandi_camera *camera, zbufrandi_local *l) {
+/* to_camera, scale, structure and so on are there; what drawing takes follows. */
+static void zbufrandi_local_seen(zbufrandi_local *l) {
     const double inverse = 1.0 / ((double)l->scale * (double)l->scale);
-    int a, k, p;
+    int a, k;
     for (a = 0; a < 3; a++) {
         double eye = 0.0;
         for (k = 0; k < 3; k++) eye -= l->to_camera[k][a] * l->to_camera[k][3];
@@ -7940,6 +7941,11 @@ static void zbufrandi_local_finish(const zbufrandi_camera *camera, zbufrandi_loc
         }
         l->rest[a] = (float)rest;
     }
+}
+
+/* And what tests of nodes take. */
+static void zbufrandi_local_sides(const zbufrandi_camera *camera, zbufrandi_local *l) {
+    int a, p;
     for (p = 0; p < 4; p++) { /* the sides lie along x (left, right) or y (top, bottom), and z */
         const double *side = l->to_camera[p >> 1];
         for (a = 0; a < 3; a++) {
@@ -7952,6 +7958,11 @@ static void zbufrandi_local_finish(const zbufrandi_camera *camera, zbufrandi_loc
         l->xy_e[0][a] = zbufrandi_absf(l->m[0][a]) * 1.000001f;
         l->xy_e[1][a] = zbufrandi_absf(l->m[1][a]) * 1.000001f;
     }
+}
+
+static void zbufrandi_local_finish(const zbufrandi_camera *camera, zbufrandi_local *l) {
+    zbufrandi_local_seen(l);
+    zbufrandi_local_sides(camera, l);
 }
 
 static void zbufrandi_local_root(const zbufrandi_camera *c, const zbufrandi_structure *s, uint32_t seed,
@@ -7974,7 +7985,8 @@ static void zbufrandi_local_root(const zbufrandi_camera *c, const zbufrandi_stru
     zbufrandi_local_finish(c, l);
 }
 
-static void zbufrandi_local_enter(const zbufrandi_cut *cut, const zbufrandi_local *from, uint32_t from_index,
+/* An instance that is drawn as a whole: nothing in it will be tested. */
+static void zbufrandi_local_whole(const zbufrandi_cut *cut, const zbufrandi_local *from, uint32_t from_index,
                                   uint32_t instance, zbufrandi_local *l) {
     const zbufrandi_instance *it = &cut->scene->structure[from->structure].instance[instance];
     memset(l, 0, sizeof *l);
@@ -7985,7 +7997,13 @@ static void zbufrandi_local_enter(const zbufrandi_cut *cut, const zbufrandi_loca
     l->hash = zbufrandi_hash32(from->hash ^ zbufrandi_hash32(instance + 0x9e3779b9u));
     l->parent = from_index;
     l->instance = instance;
-    zbufrandi_local_finish(&cut->camera, l);
+    zbufrandi_local_seen(l);
+}
+
+static void zbufrandi_local_enter(const zbufrandi_cut *cut, const zbufrandi_local *from, uint32_t from_index,
+                                  uint32_t instance, zbufrandi_local *l) {
+    zbufrandi_local_whole(cut, from, from_index, instance, l);
+    zbufrandi_local_sides(&cut->camera, l);
 }
 
 /* ---- the children of a node ---- */
@@ -8454,7 +8472,7 @@ static void zbufrandi_pick_child(const zbufrandi_cut *cut, const zbufrandi_local
         const zbufrandi_structure *to;
         uint32_t entered = ZBUFRANDI_NEW_LOCAL + p->local_count;
         zbufrandi_local *k = &p->local[p->local_count++];
-        zbufrandi_local_enter(cut, l, local, index, k);
+        zbufrandi_local_whole(cut, l, local, index, k);
         to = &cut->scene->structure[k->structure];
         if (samples) {
             const uint32_t draws = p->draw_count;
@@ -8469,6 +8487,7 @@ static void zbufrandi_pick_child(const zbufrandi_cut *cut, const zbufrandi_local
             f->node = 0;
             f->local = entered;
             f->_pad = 0;
+            zbufrandi_local_sides(&cut->camera, k);
             p->counts.entered++;
         }
     }
@@ -15129,8 +15148,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_render(zbufrand_frame *frame, const zbufra
     p->stats.bytes = zbufrandi_atomic_load(&frame->mem.used);
     if (stats != NULL) *stats = p->stats;
     if (r == ZBUFRAND_ERR_RANGE)
-        return zbufrandi_fail(frame->env.error, r, 0, p->cut.independent && p->image->width <= ZBUFRANDI_RASTER_MAX_SIZE &&
-                              p->image->height <= ZBUFRANDI_RASTER_MAX_SIZE
+        return zbufrandi_fail(frame->env.error, r, 0, p->cut.independent && /* set after sizes are checked */
+                              frame->draw_count > ZBUFRANDI_INDEPENDENT_DRAWS
             ? "render: independent samples of so many instances need one of the thesis' trees"
             : "render: the picture is too large, or takes more than 2^32 samples");
     if (r != ZBUFRAND_OK)

@@ -870,8 +870,10 @@ TEST(colours_are_unbiased) {
             mean += sum[i] / (W * H);
         }
         /* a pair is a twenty-eighth of a pixel, so pixels differ by a hundredth */
-        CHECK_MSG(worst < 5.5 + 0.012 / sqrt(want * (1 - want) / frames), "%s: a pixel is off by %g standard deviations", behind ? "one behind the other" : "side by side", worst);
-        CHECK_MSG(fabs(mean - want) < 4.5 * sqrt(want * (1 - want) / frames / (W * H)) + 0.002, "%s: mean %g, not %g", behind ? "one behind the other" : "side by side", mean, want);
+        CHECK_MSG(worst < 5.5 + 0.012 / sqrt(want * (1 - want) / frames), "%s: a pixel is off by %g standard deviations",
+                  behind ? "one behind the other" : "side by side", worst);
+        CHECK_MSG(fabs(mean - want) < 4.5 * sqrt(want * (1 - want) / frames / (W * H)) + 0.002, "%s: mean %g, not %g",
+                  behind ? "one behind the other" : "side by side", mean, want);
         zbufrand_frame_destroy(frame);
         zbufrand_scene_destroy(scene);
         shape_free(&s);

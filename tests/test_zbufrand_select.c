@@ -126,7 +126,7 @@ TEST(never_too_few) {
     shape s[4];
     zbufrand_scene *scene = mixed_scene(&r, s);
     /* TEST_FULL=1: 10^8 points */
-    const uint32_t cameras = test_quick() ? 20 : getenv("TEST_FULL") != NULL ? 90000 : 4000;
+    const uint32_t cameras = test_quick() ? 20 : getenv("TEST_FULL") != NULL ? 140000 : 4000;
     uint32_t c, i, k, j;
     uint64_t tried = 0;
     for (c = 0; c < cameras; c++) {
