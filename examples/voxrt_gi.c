@@ -65,7 +65,7 @@ typedef struct buffers {
 typedef struct timing { double update, gbuffer, light, all; uint64_t rays; double shaded, noise, kept, per_pixel; } timing;
 
 static const char cornell_text[] =
-    "voxrt_gi 1\nwhite 1.1\nseconds 4\n"
+    "voxrt_gi 1\nwhite 0.6\nseconds 4\n"
     "camera front eye 2.78 2.73 8 at 2.78 2.73 -2.8 fov 38\n"
     "object scene:cornell\n"
     "light area position 2.78 5.44 -2.795 u 0.55 0 0 v 0 0 0.55 color 22 18.7 13.2\n";
@@ -638,6 +638,44 @@ static int light_picture(world *w, const gi_options *o, buffers *b, voxrt_gi_ren
     return 0;
 }
 
+/* Lamps with an area are seen: they are no meshes, and so not in the G-buffer. */
+static void show_lamps(const world *w, buffers *b) {
+    for (size_t i = 0; i < w->scene.lamp_count; i++) {
+        const voxrt_gi_light *l = &w->lights[i];
+        const float *u = l->edge_u, *v = l->edge_v;
+        const float n[3] = {u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]};
+        if (l->kind != VOXRT_GI_AREA) continue;
+        for (uint32_t y = 0; y < b->g.height; y++)
+            for (uint32_t x = 0; x < b->g.width; x++) {
+                const size_t at = 3 * ((size_t)y * b->g.width + x);
+                voxrt_ray ray;
+                float side = 0.0f, down = 0.0f, along[2] = {0, 0}, size[2] = {0, 0}, depth = 0.0f, t;
+                if (voxrt_camera_ray(&w->camera, b->g.width, b->g.height, x + 0.5, y + 0.5, &ray) != VOXRT_OK) return;
+                for (int a = 0; a < 3; a++) {
+                    side += n[a] * (l->position[a] - ray.org[a]);
+                    down += n[a] * ray.dir[a];
+                    depth += ray.dir[a] * ray.dir[a];
+                }
+                t = side / down;
+                if (!(down < 0.0f && t > 0.0f)) continue;
+                if (b->g.normal[at] != 0.0f || b->g.normal[at + 1] != 0.0f || b->g.normal[at + 2] != 0.0f) {
+                    float surface = 0.0f;
+                    for (int a = 0; a < 3; a++) surface += ray.dir[a] * (b->g.position[at + (size_t)a] - ray.org[a]) / depth;
+                    if (t > surface) continue;
+                }
+                for (int a = 0; a < 3; a++) {
+                    const float p = ray.org[a] + t * ray.dir[a] - l->position[a];
+                    along[0] += p * u[a];
+                    along[1] += p * v[a];
+                    size[0] += u[a] * u[a];
+                    size[1] += v[a] * v[a];
+                }
+                if (fabsf(along[0]) > size[0] || fabsf(along[1]) > size[1]) continue;
+                memcpy(b->direct + at, l->color, sizeof l->color);
+            }
+    }
+}
+
 static int draw(world *w, const gi_options *o, buffers *b, double t, int first, timing *spent, sup_error *err) {
     static const voxrt_gi_method method[6] = {VOXRT_GI_GATHER, VOXRT_GI_GATHER, VOXRT_GI_PATH, VOXRT_GI_VPL, VOXRT_GI_AO, VOXRT_GI_NONE};
     voxrt_gi_render_desc d;
@@ -693,6 +731,7 @@ static int draw(world *w, const gi_options *o, buffers *b, double t, int first, 
         if (o->common.unlit) b->direct[i] = b->g.albedo[i] * (float)w->scene.white;
         if (o->view == VIEW_LIGHTS) b->direct[i] *= 0.4f;
     }
+    if (!voxels && o->view != VIEW_INDIRECT && o->method != METHOD_AO) show_lamps(w, b);
     r = voxrt_tone_map((voxrt_tone)o->tone, o->method == METHOD_AO ? 1.0f : (float)(w->scene.white / o->exposure), b->direct, b->direct, n);
     if (o->view == VIEW_LIGHTS) show_lights(w, b);
     return r != VOXRT_OK;
