@@ -11987,7 +11987,7 @@ static tetcasti_batch *tetcasti_batch_open(tetcasti_mem *mem) {
 }
 
 /* The rays will be the pixels of tiles: lanes take blocks of 4 x 2, and these along a Z curve. */
-static void tetcasti_batch_blocks(tetcasti_batch *b) {
+static void tetcasti_batch_blocks(tetcasti_batch *b, uint32_t together) {
     uint32_t i, k;
     for (i = 0; i < TETCASTI_BATCH; i++) {
         uint32_t x = 0, y = 0;
@@ -11997,7 +11997,7 @@ static void tetcasti_batch_blocks(tetcasti_batch *b) {
         }
         b->queue[i] = (uint16_t)(y * TETCASTI_TILE + x);
     }
-    b->together = 1;
+    b->together = together;
 }
 
 static void tetcasti_batch_close(tetcasti_batch *b) {
@@ -12388,7 +12388,8 @@ static void tetcasti_task_tiles(void *ctx, uint32_t strand) {
         tetcasti_atomic_store(&c->failed, 1u);
         return;
     }
-    tetcasti_batch_blocks(b);
+    /* rays that end at surfaces end at any depth: waiting for each other would cost more than it brings */
+    tetcasti_batch_blocks(b, c->scene.optics == NULL || c->scene.optics->model != TETCAST_MODEL_ISOSURFACE);
     for (;;) {
         uint32_t tile = tetcasti_atomic_add(&c->next, 1u) - 1u, x0, y0, i;
         tetcasti_pixels m;
