@@ -17266,7 +17266,7 @@ static void tetcasti_rbf_leaf(tetcasti_rbf_grow *g, uint32_t node, size_t begin,
     }
     m->tree[node].first = m->index_count;
     m->tree[node].count = (uint32_t)count;
-    memcpy(m->index + m->index_count, g->list + begin, count * sizeof *m->index);
+    if (count != 0) memcpy(m->index + m->index_count, g->list + begin, count * sizeof *m->index);
     m->index_count += (uint32_t)count;
 }
 
@@ -17559,7 +17559,7 @@ static uint32_t tetcasti_rbf_width_code(const tetcast_rbf *m, double w) {
 }
 static int32_t tetcasti_rbf_code(double x, double step, uint32_t bits) { /* nearest multiple of step in `bits` bits */
     const double most = (double)(((uint32_t)1 << (bits - 1)) - 1u), q = x / step;
-    if (!(q > -most)) return (int32_t)-most;
+    if (!(q > -most - 1.0)) return (int32_t)(-most - 1.0);
     if (q >= most) return (int32_t)most;
     return (int32_t)tetcasti_floor(q + 0.5);
 }
