@@ -451,8 +451,8 @@ typedef struct voxrt_stats {
 
 /* field          zero means
    cone_width     a ray is a line. A cell whose edge (world) is <= cone_width + cone_spread * t counts as a leaf
-   cone_spread    growth of the footprint per unit of t. Cones meet large cells only inside the box of the filled leaves
-                  and never the root
+   cone_spread    growth of the footprint per unit of t. Cones meet large cells only inside the box of the filled
+                  leaves, and the root only in trees of odd depth
    max_level      no limit; k: octree level k is the finest (k+1 is given, so 1 = root only) */
 typedef struct voxrt_trace_desc {
     uint32_t _begin_zero;

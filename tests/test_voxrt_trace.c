@@ -1034,7 +1034,6 @@ TEST(endless_cones) { /* as wide as floats go: the same from each isa */
     }
 }
 
-/* Coarse cells that reach out of the box of the filled leaves, and the root. */
 /* ---- trees ---- */
 
 TEST(every_level_holds_the_cells_of_the_grid) {
