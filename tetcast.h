@@ -1019,9 +1019,9 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_grid(const tetcast_bricks_desc 
                                                       const tetcast_array *values, tetcast_bricks_report *report,
                                                       tetcast_bricks **out);
 /* Bricks from the active field of a mesh. The hull goes along: pictures end where the mesh does. With max_error the
-   result is compared with the mesh afterwards, at all vertices and at random points, and made on a lattice four times as
-   fine as long as it fails and longest_end allows; report->above tells what is left. Needs the tets.
-   Source: the thesis, chapter 7.0 (resampling as the core of an adaptive hierarchy); refinement and its check are ours. */
+   result is compared with the mesh afterwards, at all vertices and at random points, and made on a lattice four times
+   as fine as long as it fails and longest_end allows; report->above tells what is left. Needs the tets.
+   Source: the thesis, chapter 7 (resampling as the core of an adaptive hierarchy); refinement, check: ours. */
 TETCAST_DEF tetcast_result tetcast_bricks_create_mesh(const tetcast_bricks_desc *desc, const tetcast_mesh *mesh,
                                                       tetcast_bricks_report *report, tetcast_bricks **out);
 TETCAST_DEF void tetcast_bricks_destroy(tetcast_bricks *bricks); /* NULL is allowed */
@@ -1041,8 +1041,8 @@ TETCAST_DEF tetcast_result tetcast_bricks_read(const tetcast_env *env, const voi
    levels       none; else one level per slot, x fastest, clamped to what there is
    focus,       none; else (focus_radius > 0) the finest level within this distance of the point, world, and one level
    focus_radius coarser for each further radius: the rule of the thesis
-   byte_budget  none; else start with the coarsest everywhere and refine where the error is largest while the bricks take
-                no more bytes than this
+   byte_budget  none; else start with the coarsest everywhere and refine where the error is largest while the bricks
+                take no more bytes than this
    sample_budget none; else the same while a ray through everything takes no more than this share of the samples that
                 the finest level takes
    max_error    0; else stop refining where the error is no larger
@@ -1089,8 +1089,8 @@ TETCAST_DEF const uint8_t *tetcast_cut_levels(const tetcast_cut *cut);
 
 /* Trilinear values at points of the finest lattice (node (i, j, k) is at x = i, y = j, z = k), clamped to it.
    isa AUTO: eight at a time where the machine can; the same bits. Any thread. About 3 ns a point. */
-TETCAST_DEF void tetcast_cut_sample(const tetcast_cut *cut, const float *x, const float *y, const float *z, size_t count,
-                                    tetcast_isa isa, float *out);
+TETCAST_DEF void tetcast_cut_sample(const tetcast_cut *cut, const float *x, const float *y, const float *z,
+                                    size_t count, tetcast_isa isa, float *out);
 /* The same with the gradient of the trilinear function, per world unit. */
 TETCAST_DEF void tetcast_cut_gradient(const tetcast_cut *cut, const float *x, const float *y, const float *z,
                                       size_t count, float *out, float (*gradient)[3]);
@@ -1183,8 +1183,8 @@ TETCAST_DEF const float *tetcast_params_find(const tetcast_param *params, size_t
    camera       (eye equals at) one that frames everything
    isa          the best that the machine has; all give the same bits
    clip_near, clip_far, background: as in tetcast_render_desc
-   step         distance of samples in cells of the finest level: 1. A brick of level k has 2^k times that; samples lie at
-                whole multiples of its step on every ray, and where the ray enters and leaves: lengths are exact
+   step         distance of samples in cells of the finest level: 1. A brick of level k has 2^k times that; samples lie
+                at whole multiples of its step on every ray, and where the ray enters and leaves: lengths are exact
    fixed_step   0. 1: the same step on all levels
    clip         nothing; applies before the hull of the mesh
    no_hull      0. 1: do not end at the hull that came with the bricks
@@ -1209,8 +1209,8 @@ typedef struct tetcast_brick_render_desc {
     uint32_t _end_zero;
 } tetcast_brick_render_desc;
 
-/* Cast rays through a cut. optics may be NULL where there is a shader. In the image: steps counts samples, depth is where
-   something is seen first. stats: rays, hit_rays, steps (samples), walks (bricks with samples), ended, lanes.
+/* Cast rays through a cut. optics may be NULL where there is a shader. In the image: steps counts samples, depth is
+   where something is seen first. stats: rays, hit_rays, steps (samples), walks (bricks with samples), ended, lanes.
    The same bits for any number of threads and any isa. Errors: as tetcast_render; what a shader's prepare_fn returns.
    Source: the thesis, 8.2, draws slices 2^k apart and repairs the opacity of pieces that overlap or are missing at
    borders; here lengths are exact, so nothing has to be repaired. */
@@ -1220,13 +1220,14 @@ TETCAST_DEF tetcast_result tetcast_render_bricks(const tetcast_brick_render_desc
 
 /* ---- parts of pictures: putting them together, sending them ---- */
 
-/* front := front over back; premultiplied linear rgba, `pixels` of them: the ranges of depth of a frame, nearest first. */
+/* front := front over back; premultiplied linear rgba, `pixels` of them: the ranges of depth of a frame, nearest
+   first. */
 TETCAST_DEF void tetcast_over(float *front, const float *back, size_t pixels);
 
-/* Colour cells (Campbell 1986, as in the thesis): 4 x 4 pixels have two colours of 16 bits and a mask: 6 bytes, an eighth
-   of three bytes a pixel; with alpha 8. Planes: masks, brighter colours, darker colours, [two alphas a cell]. Pixels
-   beyond the picture repeat the last row and column. rgba: 4 bytes a pixel, stride in bytes (0: rows lie close together).
-   Cost: about 1 ns a pixel to encode, 0.2 to decode. */
+/* Colour cells (Campbell 1986, as in the thesis): 4 x 4 pixels have two colours of 16 bits and a mask: 6 bytes, an
+   eighth of three bytes a pixel; with alpha 8. Planes: masks, brighter colours, darker colours, [two alphas a cell].
+   Pixels beyond the picture repeat the last row and column. rgba: 4 bytes a pixel, stride in bytes (0: rows lie close
+   together). Cost: about 1 ns a pixel to encode, 0.2 to decode. */
 TETCAST_DEF size_t tetcast_ccc_size(uint32_t width, uint32_t height, int alpha); /* 0: too large */
 TETCAST_DEF void tetcast_ccc_encode(const uint8_t *rgba, uint32_t width, uint32_t height, size_t stride, int alpha,
                                     uint8_t *out);
@@ -1245,8 +1246,8 @@ TETCAST_DEF tetcast_result tetcast_unpack(const uint8_t *data, size_t size, uint
 #ifndef TETCAST_NO_RBF
 /* ---- radial basis functions ---- */
 
-/* A field as a sum: f(x) = base(x) + sum over i of weight_i * phi(d_i), where d_i is the distance of x from centre_i and
-   base a coarse grid of nodes with trilinear interpolation between them, or one constant. Distances are measured in
+/* A field as a sum: f(x) = base(x) + sum over i of weight_i * phi(d_i), where d_i is the distance of x from centre_i
+   and base a coarse grid of nodes with trilinear interpolation between them, or one constant. Distances are measured in
    kernel space: world coordinates divided axis by axis by a metric. There are up to four components, each with a weight
    of its own; they share centres and widths. Defined everywhere, meant for its box.
    GAUSS          (exp(-d^2 / 2 w^2) - e) / (1 - e) up to the radius cut * w, where it is 0: no jump there; e is what
@@ -1381,7 +1382,8 @@ TETCAST_DEF tetcast_result tetcast_rbf_bounds(const tetcast_rbf *rbf, uint32_t c
 typedef struct tetcast_flow {
     float speed;
     float vorticity[3];
-    float lambda2;     /* middle eigenvalue of S^2 + W^2 (symmetric and antisymmetric part): < 0 in the core of a vortex */
+    /* middle eigenvalue of S^2 + W^2 (symmetric and antisymmetric part): < 0 in the core of a vortex */
+    float lambda2;
     float helicity;    /* velocity . vorticity */
 } tetcast_flow;
 
@@ -1450,7 +1452,8 @@ typedef struct tetcast_rbf_report {
     double overshoot;            /* how far values leave the range of the data, there and at the points */
     double largest_weight;       /* over 100: the fit is ill-conditioned */
     uint64_t bytes, raw_bytes;   /* of the file; of the values as 32-bit floats, scattered: with positions */
-    uint64_t grid_bytes;         /* compare: least bytes of a plain grid, or of the values alone, with quantised numbers,
+    uint64_t grid_bytes;         /* compare: least bytes of a plain grid, or of the values alone, with
+                                    quantised numbers,
                                     that keeps max_error */
     uint32_t grid_dims[3], grid_bits;
     double grid_max_error, grid_mean_error;
@@ -1461,12 +1464,12 @@ typedef struct tetcast_rbf_report {
    desc    NULL: all defaults
    report  out, may be NULL
    out     free with tetcast_rbf_destroy; NULL on failure
-   Greedy: a function where the error is largest, of the width that takes most of it away, then moved and widened for the
-   least sum of squares; later all are fitted again in turn, weighted so that large errors count most. Parameters are
-   rounded as they will be stored before the error is taken, so storing adds none.
+   Greedy: a function where the error is largest, of the width that takes most of it away, then moved and widened for
+   the least sum of squares; later all are fitted again in turn, weighted so that large errors count most. Parameters
+   are rounded as they will be stored before the error is taken, so storing adds none.
    The same model for any number of threads and any isa. Errors: INVALID_ARG, EMPTY (no usable point), RANGE
    (max_functions is not enough), UNINIT_DESC, NO_MEMORY, CANCELLED.
-   Source: the thesis' loop of centres, widths, weights and error (its own steps are in bench/baseline). */
+   Source: the thesis' loop of centres, widths, weights and error; the steps are ours. */
 TETCAST_DEF tetcast_result tetcast_rbf_fit(const tetcast_rbf_fit_desc *desc, const tetcast_rbf_points *points,
                                            tetcast_rbf_report *report, tetcast_rbf **out);
 
@@ -12755,8 +12758,8 @@ TETCAST_DEF uint64_t tetcast_probe(const tetcast_mesh *mesh, const tetcast_ray *
    Everything about a cell is in lattice units, relative to the lowest node of its box (which the lattice clips, but no
    task does: so the bits do not depend on how the work is cut).
    row    the nodes of the box along one axis, the longest side: there are fewest of them then
-   face   e(x) = n . (x - a) >= -eps is inside; n = (b - a) x (c - a) with a, b, c in the order of their numbers, so that
-          both cells at a face have the same n but for the sign, which is exact
+   face   e(x) = n . (x - a) >= -eps is inside; n = (b - a) x (c - a) with a, b, c in the order of their numbers, so
+          that both cells at a face have the same n but for the sign, which is exact
    span   along a row each face gives t = p . place: the row is inside between the largest t of faces that it enters
           through and the smallest of those that it leaves through. Four rows at a time.
    value  s = s0 + g . x, in double where a row begins, then one multiplication and one addition a node in float; never
@@ -12856,7 +12859,8 @@ TETCASTI_INLINE int tetcasti_scan_set(const tetcasti_scan *c, uint32_t cell, con
     out->first = first;
     out->second = second;
     for (i = 0; i < 4; i++) {
-        const double *o = p[tetcasti_scan_face[i][0]], *q = p[tetcasti_scan_face[i][1]], *r = p[tetcasti_scan_face[i][2]];
+        const double *o = p[tetcasti_scan_face[i][0]], *q = p[tetcasti_scan_face[i][1]],
+            *r = p[tetcasti_scan_face[i][2]];
         const double u0 = q[0] - o[0], u1 = q[1] - o[1], u2 = q[2] - o[2];
         const double v0 = r[0] - o[0], v1 = r[1] - o[1], v2 = r[2] - o[2];
         double n[3], d, side, eps, inv;
@@ -13026,7 +13030,8 @@ TETCASTI_TARGET_AVX2 static void tetcasti_scan_paint4(tetcasti_scan *c, const te
             __m128i a, b;
             uint32_t live;
             for (i = 0; i < 4; i++) {
-                const __m256d v = _mm256_add_pd(_mm256_set1_pd(at[i]), _mm256_mul_pd(_mm256_set1_pd(t->t[i][1]), place));
+                const __m256d v = _mm256_add_pd(_mm256_set1_pd(at[i]),
+                                                _mm256_mul_pd(_mm256_set1_pd(t->t[i][1]), place));
                 if (t->t[i][3] > 0.0) lo = _mm256_max_pd(v, lo);
                 else if (t->t[i][3] < 0.0) hi = _mm256_min_pd(v, hi);
                 else miss = _mm256_or_pd(miss, _mm256_cmp_pd(v, zero, _CMP_LT_OQ));
@@ -13288,7 +13293,8 @@ static int tetcasti_plane_open(const tetcast_mesh *mesh, const tetcast_plane *pl
     uint32_t a;
     double un[3], vn[3];
     for (a = 0; a < 3; a++)
-        if (!tetcasti_finite(plane->origin[a]) || !tetcasti_finite(plane->u[a]) || !tetcasti_finite(plane->v[a])) return 0;
+        if (!tetcasti_finite(plane->origin[a]) || !tetcasti_finite(plane->u[a]) || !tetcasti_finite(plane->v[a]))
+            return 0;
     for (a = 0; a < 3; a++) {
         out->origin[a] = (plane->origin[a] - mesh->origin[a]) / mesh->unit;
         un[a] = plane->u[a] / mesh->unit;
@@ -13331,7 +13337,8 @@ static void tetcasti_plane_paint(const double (*p)[2], const double *s, uint32_t
     }
     if (!(hi[0] >= 0.0 && hi[1] >= 0.0 && lo[0] <= (double)width && lo[1] <= (double)height)) return;
     for (i = 1; i + 1 < n; i++) { /* the gradient from the largest triangle */
-        const double ux = p[i][0] - p[0][0], uy = p[i][1] - p[0][1], vx = p[i + 1][0] - p[0][0], vy = p[i + 1][1] - p[0][1];
+        const double ux = p[i][0] - p[0][0], uy = p[i][1] - p[0][1], vx = p[i + 1][0] - p[0][0],
+            vy = p[i + 1][1] - p[0][1];
         const double det = ux * vy - uy * vx;
         if (!(tetcasti_abs(det) > best)) continue;
         best = tetcasti_abs(det);
@@ -13560,8 +13567,8 @@ TETCAST_DEF tetcast_result tetcast_plane_section(const tetcast_env *env, const t
    lattice  the finest level; everything below is in its units: node (i, j, k) is at the point (i, j, k)
    slot     2^log cells of the lattice a side; slot (x, y, z) begins at node (x, y, z) << log
    brick    of level k: (2^log + 1)^3 nodes, 2^k apart, so 2^k slots a side; it begins at a slot that is a multiple of
-            2^k. Neighbours share their nodes: borders lie on nodes on every level. Level k has the nodes of level k-1 with
-            even numbers
+            2^k. Neighbours share their nodes: borders lie on nodes on every level. Level k has the nodes of level k-1
+            with even numbers
    table    per level a number of a brick for each place, or NONE. A brick has a parent, always; it has all children or
             none (a leaf), but for those that begin beyond the lattice
    node     beyond the lattice, where its sides are no multiples: level k goes on linearly as far as a cell needs it
@@ -13806,7 +13813,8 @@ static void tetcasti_row_halve(const float *in, ptrdiff_t stride_in, size_t n, f
         if (nearest) v = tetcasti_row_at(in, stride_in, e, c);
         else if (c >= 2 && c + 2 < e) {
             const float *p = in + c * stride_in;
-            v = 0.0625f * (p[-2 * stride_in] + p[2 * stride_in]) + 0.25f * (p[-stride_in] + p[stride_in]) + 0.375f * p[0];
+            v = 0.0625f * (p[-2 * stride_in] + p[2 * stride_in]) + 0.25f * (p[-stride_in] + p[stride_in]) + 0.375f *
+                p[0];
         } else {
             v = 0.0625f * (tetcasti_row_at(in, stride_in, e, c - 2) + tetcasti_row_at(in, stride_in, e, c + 2)) +
                 0.25f * (tetcasti_row_at(in, stride_in, e, c - 1) + tetcasti_row_at(in, stride_in, e, c + 1)) +
@@ -13835,7 +13843,8 @@ static void tetcasti_task_halve(void *ctx, uint32_t task) {
             tetcasti_row_halve(h->in + nx * (y + ny * task), 1, nx, h->out + mx * (y + ny * task), 1, mx, h->nearest);
     } else if (h->axis == 1) {
         for (x = 0; x < mx; x++)
-            tetcasti_row_halve(h->in + x + mx * ny * task, (ptrdiff_t)mx, ny, h->out + x + mx * my * task, (ptrdiff_t)mx,
+            tetcasti_row_halve(h->in + x + mx * ny * task, (ptrdiff_t)mx, ny, h->out + x + mx * my * task,
+                               (ptrdiff_t)mx,
                                my, h->nearest);
     } else {
         for (x = 0; x < mx; x++)
@@ -13907,7 +13916,8 @@ static void tetcasti_task_errors(void *ctx, uint32_t i) {
     }
     for (z = lo[2]; z <= hi[2]; z++)
         for (y = lo[1]; y <= hi[1]; y++) {
-            /* means of two nodes where the number is odd: four rows of the coarser level, two of them the same if even */
+            /* means of two nodes where the number is odd: four rows of the coarser level, two of them the same if
+               even */
             const size_t z0 = z / 2, z1 = z0 + (z & 1u), y0 = y / 2, y1 = y0 + (y & 1u);
             const float *r[4];
             r[0] = v + coarse[0] * (y0 + coarse[1] * z0);
@@ -14032,7 +14042,8 @@ static tetcast_result tetcasti_bricks_build(const tetcast_bricks_desc *d, const 
     b->value_min = TETCASTI_INF;
     b->value_max = -TETCASTI_INF;
     for (k = 0; k < levels && ok; k++) {
-        if (k != 0) ok = tetcasti_pyramid_halve(&d->env, &b->mem, &p, k, d->nearest || d->max_error > 0.0f || inside != NULL);
+        if (k != 0) ok = tetcasti_pyramid_halve(&d->env, &b->mem, &p, k, d->nearest || d->max_error > 0.0f ||
+                                                inside != NULL);
         if (!ok) break;
         n = p.dims[k][0] * p.dims[k][1] * p.dims[k][2];
         for (i = 0; i < n && k == 0; i++) { /* integers clamp what goes beyond it on coarser levels */
@@ -14103,7 +14114,8 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_grid(const tetcast_bricks_desc 
     r = tetcasti_env_open(&d.env, &mem);
     if (r != TETCAST_OK) return r;
     if (!tetcasti_mul_size(lattice->dims[0], lattice->dims[1], &n) || !tetcasti_mul_size(n, lattice->dims[2], &n) ||
-        n > (size_t)-1 / 64) return tetcasti_fail(d.env.error, TETCAST_ERR_RANGE, 0, "bricks: the lattice is too large");
+        n > (size_t)-1 / 64)
+            return tetcasti_fail(d.env.error, TETCAST_ERR_RANGE, 0, "bricks: the lattice is too large");
     v = (float *)tetcasti_alloc_array(&mem, n, sizeof *v);
     if (v == NULL) return tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
     stride = tetcasti_array_stride(values, 1);
@@ -14275,7 +14287,8 @@ TETCASTI_TARGET_AVX2 static inline __m256i tetcasti_pairs8(const uint8_t *const 
     return _mm256_setr_epi32(q[0], q[1], q[2], q[3], q[4], q[5], q[6], q[7]);
 }
 TETCASTI_TARGET_AVX2 static inline __m256 tetcasti_half8(__m256i h) { /* 16 bits in each lane */
-    const __m256 v = _mm256_mul_ps(_mm256_castsi256_ps(_mm256_slli_epi32(_mm256_and_si256(h, _mm256_set1_epi32(0x7fff)), 13)),
+    const __m256 v = _mm256_mul_ps(_mm256_castsi256_ps(_mm256_slli_epi32(_mm256_and_si256(h,
+            _mm256_set1_epi32(0x7fff)), 13)),
                                    _mm256_set1_ps(5.192296858534828e33f));
     return _mm256_or_ps(v, _mm256_castsi256_ps(_mm256_slli_epi32(_mm256_and_si256(h, _mm256_set1_epi32(0x8000)), 16)));
 }
@@ -14298,7 +14311,8 @@ TETCASTI_TARGET_AVX2 static inline __m256 tetcasti_place8(const uint32_t type, c
                                                          const uint8_t *const p[8], const __m256 f[3]) {
     const size_t side = b->side;
     const __m256 r0 = tetcasti_nodes8(type, p, 0, f[0]), r1 = tetcasti_nodes8(type, p, side, f[0]);
-    const __m256 r2 = tetcasti_nodes8(type, p, side * side, f[0]), r3 = tetcasti_nodes8(type, p, side * side + side, f[0]);
+    const __m256 r2 = tetcasti_nodes8(type, p, side * side, f[0]),
+        r3 = tetcasti_nodes8(type, p, side * side + side, f[0]);
     const __m256 g = tetcasti_mix8(r0, r1, f[1]), h = tetcasti_mix8(r2, r3, f[1]), v = tetcasti_mix8(g, h, f[2]);
     if (type == TETCAST_TYPE_U8 || type == TETCAST_TYPE_U16)
         return _mm256_add_ps(_mm256_set1_ps(b->bias), _mm256_mul_ps(_mm256_set1_ps(b->step), v));
@@ -14353,9 +14367,11 @@ TETCASTI_TARGET_AVX2 static void tetcasti_cut_value8(const tetcast_cut *cut, con
         }
         slot = _mm256_add_epi32(s[0], _mm256_mullo_epi32(_mm256_set1_epi32((int32_t)b->slots[0]),
             _mm256_add_epi32(s[1], _mm256_mullo_epi32(_mm256_set1_epi32((int32_t)b->slots[1]), s[2]))));
-        if (_mm256_movemask_epi8(_mm256_cmpeq_epi32(slot, _mm256_broadcastd_epi32(_mm256_castsi256_si128(slot)))) == -1) {
+        if (_mm256_movemask_epi8(_mm256_cmpeq_epi32(slot,
+                                                    _mm256_broadcastd_epi32(_mm256_castsi256_si128(slot)))) == -1) {
             /* all in one slot, as a rule: one block for all */
-            const uint32_t one = cut->slot[(uint32_t)_mm256_cvtsi256_si32(slot)], level = one >> TETCASTI_LEVEL_SHIFT & 15u;
+            const uint32_t one = cut->slot[(uint32_t)_mm256_cvtsi256_si32(slot)],
+                level = one >> TETCASTI_LEVEL_SHIFT & 15u;
             const __m256 scale = _mm256_set1_ps(1.0f / (float)(1u << level));
             uint32_t type, bytes;
             const uint8_t *block = tetcasti_slot_block(cut, one, &type);
@@ -14396,7 +14412,8 @@ TETCASTI_TARGET_AVX2 static void tetcasti_cut_value8(const tetcast_cut *cut, con
 }
 #endif
 
-TETCAST_DEF void tetcast_cut_sample(const tetcast_cut *cut, const float *x, const float *y, const float *z, size_t count,
+TETCAST_DEF void tetcast_cut_sample(const tetcast_cut *cut, const float *x, const float *y, const float *z,
+                                    size_t count,
                                     tetcast_isa isa, float *out) {
     size_t i = 0;
 #if TETCASTI_AVX2
@@ -14500,7 +14517,8 @@ static uint32_t tetcasti_heap_pop(tetcasti_heap *h, float *key) {
     for (;;) {
         uint32_t c = 2 * i + 1;
         if (c >= h->count) break;
-        if (c + 1 < h->count && (h->key[c + 1] > h->key[c] || (!(h->key[c + 1] < h->key[c]) && h->brick[c + 1] < h->brick[c])))
+        if (c + 1 < h->count &&
+            (h->key[c + 1] > h->key[c] || (!(h->key[c + 1] < h->key[c]) && h->brick[c + 1] < h->brick[c])))
             c++;
         if (last_key > h->key[c] || (!(last_key < h->key[c]) && last < h->brick[c])) break;
         h->brick[i] = h->brick[c];
@@ -14541,7 +14559,8 @@ static void tetcasti_brick_show(tetcast_cut *cut, const tetcasti_brick *brick) {
     }
     for (z = lo[2]; z < hi[2]; z++)
         for (y = lo[1]; y < hi[1]; y++)
-            memset(cut->level + lo[0] + (size_t)b->slots[0] * (y + (size_t)b->slots[1] * z), (int)brick->level, hi[0] - lo[0]);
+            memset(cut->level + lo[0] + (size_t)b->slots[0] * (y + (size_t)b->slots[1] * z), (int)brick->level,
+                   hi[0] - lo[0]);
 }
 
 /* Refine from the coarsest down where the error is largest. 0: no memory. */
@@ -14667,8 +14686,8 @@ TETCASTI_INLINE void tetcasti_border_line(const tetcast_bricks *b, const uint8_t
 }
 
 /* Nodes of a finer brick from the coarser one in `word`: those from r0 to r1 (in the finer one's numbers) take its
-   values. first: lattice coordinates of the finer brick's node 0, start: of the coarser one's; kf, ko: levels. Lines run
-   along an axis of the face or edge that both share. */
+   values. first: lattice coordinates of the finer brick's node 0, start: of the coarser one's; kf, ko: levels. Lines
+   run along an axis of the face or edge that both share. */
 static void tetcasti_border_copy(const tetcast_cut *cut, float *to, uint32_t word, const uint32_t r0[3],
                                  const uint32_t r1[3], const uint32_t first[3], uint32_t kf, const uint32_t start[3],
                                  uint32_t ko) {
@@ -15024,7 +15043,8 @@ static tetcast_result tetcasti_bricks_check(const tetcast_bricks_desc *d, const 
         away = tetcasti_abs((double)tetcasti_cut_value(cut, x) - v);
         report->checks++;
         if (d->max_error > 0.0f && away > (double)d->max_error) {
-            const uint32_t *n = b->slots, sx = (uint32_t)(int32_t)x[0] >> b->log, sy = (uint32_t)(int32_t)x[1] >> b->log,
+            const uint32_t *n = b->slots, sx = (uint32_t)(int32_t)x[0] >> b->log,
+                sy = (uint32_t)(int32_t)x[1] >> b->log,
                 sz = (uint32_t)(int32_t)x[2] >> b->log;
             const size_t slot = (sx < n[0] ? sx : n[0] - 1) + (size_t)n[0] * ((sy < n[1] ? sy : n[1] - 1) +
                                 (size_t)n[1] * (sz < n[2] ? sz : n[2] - 1));
@@ -15139,7 +15159,8 @@ static float tetcasti_grow_error(const tetcasti_grower *g, uint32_t k, const uin
             const float *r2 = nodes + side * (y0 + side * z1), *r3 = nodes + side * (y1 + side * z1);
             for (x = 0; x < wide; x++) {
                 const size_t x0 = x / 2, x1 = x0 + (x & 1u), n = x + wide * (y + wide * z);
-                const float m = 0.125f * (((r0[x0] + r0[x1]) + (r1[x0] + r1[x1])) + ((r2[x0] + r2[x1]) + (r3[x0] + r3[x1])));
+                const float m = 0.125f *
+                    (((r0[x0] + r0[x1]) + (r1[x0] + r1[x1])) + ((r2[x0] + r2[x1]) + (r3[x0] + r3[x1])));
                 const float d = tetcasti_absf(m - fine[n]);
                 worst = inside[n] && d > worst ? d : worst;
             }
@@ -15152,7 +15173,8 @@ static float tetcasti_grow_error(const tetcasti_grower *g, uint32_t k, const uin
             float f[3], c[8], d;
             size_t n = 0;
             for (a = 3; a-- > 0;) {
-                const double at = (p[a] * mesh->unit + (mesh->origin[a] - b->lattice.origin[a])) / b->lattice.spacing[a];
+                const double at = (p[a] * mesh->unit + (mesh->origin[a] - b->lattice.origin[a]))
+                    / b->lattice.spacing[a];
                 const float u = (float)(at / (double)(1u << k) - (double)place[a] * (double)(1u << b->log));
                 uint32_t m;
                 if (!(u >= 0.0f && u <= cells)) break;
@@ -15175,9 +15197,12 @@ static int tetcasti_grow_add(tetcasti_grower *g, tetcasti_grown *out, uint32_t l
     const tetcast_bricks *b = g->b;
     size_t i, x, y, z;
     float *to;
-    if (!tetcasti_grow(g->mem, (void **)&out->brick, &out->brick_room, out->count, out->count + 1, sizeof *out->brick) ||
-        !tetcasti_grow(g->mem, (void **)&out->error, &out->error_room, out->count, out->count + 1, sizeof *out->error) ||
-        !tetcasti_grow(g->mem, (void **)&out->nodes, &out->node_room, out->count * b->nodes, (out->count + 1) * b->nodes,
+    if (!tetcasti_grow(g->mem, (void **)&out->brick, &out->brick_room, out->count, out->count + 1,
+                       sizeof *out->brick) ||
+        !tetcasti_grow(g->mem, (void **)&out->error, &out->error_room, out->count, out->count + 1,
+                       sizeof *out->error) ||
+        !tetcasti_grow(g->mem, (void **)&out->nodes, &out->node_room, out->count * b->nodes,
+                       (out->count + 1) * b->nodes,
                        sizeof *out->nodes)) return 0;
     i = out->count++;
     out->brick[i][0] = level;
@@ -15185,7 +15210,8 @@ static int tetcasti_grow_add(tetcasti_grower *g, tetcasti_grown *out, uint32_t l
     out->error[i] = 0.0f;
     to = out->nodes + i * b->nodes;
     for (z = 0; z < b->side; z++)
-        for (y = 0; y < b->side; y++, to += b->side) memcpy(to, nodes + stride_y * y + stride_z * z, b->side * sizeof *to);
+        for (y = 0; y < b->side; y++, to += b->side)
+            memcpy(to, nodes + stride_y * y + stride_z * z, b->side * sizeof *to);
     return 1;
 }
 
@@ -15205,7 +15231,8 @@ static int tetcasti_grow_forced(const tetcasti_grower *g, uint32_t level, const 
 }
 
 /* Look at brick `i` of the list and put what it needs below it. 0: no memory. */
-static int tetcasti_grow_brick(tetcasti_grower *g, tetcasti_grown *out, size_t i, const uint32_t *list, uint32_t count) {
+static int tetcasti_grow_brick(tetcasti_grower *g, tetcasti_grown *out, size_t i, const uint32_t *list,
+                               uint32_t count) {
     tetcast_bricks *b = g->b;
     const uint32_t level = out->brick[i][0], place[3] = {out->brick[i][1], out->brick[i][2], out->brick[i][3]};
     const uint32_t cells = 1u << b->log, wide = 2 * cells + 1;
@@ -15231,7 +15258,8 @@ static int tetcasti_grow_brick(tetcasti_grower *g, tetcasti_grown *out, size_t i
             const size_t from = (size_t)cells * ((c & 1u) + (size_t)wide * ((c >> 1 & 1u) + (size_t)wide * (c >> 2)));
             const double size = (double)(1u << (level - 1)), far_off = size * 1.01;
             uint32_t n = 0;
-            if (child[0] >= b->grid[level - 1][0] || child[1] >= b->grid[level - 1][1] || child[2] >= b->grid[level - 1][2])
+            if (child[0] >= b->grid[level - 1][0] || child[1] >= b->grid[level - 1][1] ||
+                child[2] >= b->grid[level - 1][2])
                 continue;
             for (k = 0; k < count; k++) { /* what reaches into it, and a cell around it */
                 double lo[3], hi[3];
@@ -15339,7 +15367,8 @@ static void tetcasti_grow_agree(tetcast_bricks *b, uint32_t brick, float *nodes,
             for (y = lo[1]; y <= hi[1]; y++)
                 for (x = lo[0]; x <= hi[0]; x++)
                     nodes[x + b->side * (y + (size_t)b->side * z)] =
-                        all[other][(x - lo[0] + from[0]) + b->side * ((y - lo[1] + from[1]) + (size_t)b->side * (z - lo[2] + from[2]))];
+                        all[other][(x - lo[0] + from[0]) + b->side *
+                                   ((y - lo[1] + from[1]) + (size_t)b->side * (z - lo[2] + from[2]))];
     }
 }
 
@@ -15425,7 +15454,8 @@ static tetcast_result tetcasti_bricks_try(const tetcast_bricks_desc *d, const te
     g.hull = (uint8_t *)tetcasti_alloc_zero(&mem, (size_t)mesh->cell_count / 8 + 1, 1);
     ok = g.grown != NULL && g.hull != NULL && tetcasti_grow_bin(&g);
     if (ok) {
-        for (i = 0; i < mesh->face_count; i++) g.hull[mesh->face[i].cell >> 3] |= (uint8_t)(1u << (mesh->face[i].cell & 7u));
+        for (i = 0; i < mesh->face_count; i++)
+            g.hull[mesh->face[i].cell >> 3] |= (uint8_t)(1u << (mesh->face[i].cell & 7u));
         tetcasti_parallel_for(&d->env, tetcasti_task_grow, &g, tops);
         ok = !g.failed && tetcasti_grow_finish(&g) && tetcasti_bricks_hull(g.b, mesh);
         for (i = 0; i < tops; i++) *short_of += g.grown[i].short_of;
@@ -15622,7 +15652,8 @@ static tetcast_result tetcasti_brk_body(tetcast_bricks *b, const uint8_t *p, siz
     const uint8_t *q = p + TETCASTI_BRK_HEADER;
     size_t i, n = (size_t)b->count * b->nodes;
     uint32_t a;
-    uint64_t bytes = (uint64_t)b->count * TETCASTI_BRK_RECORD + (uint64_t)b->hull_count * 24 + (uint64_t)b->face_count * 12;
+    uint64_t bytes = (uint64_t)b->count * TETCASTI_BRK_RECORD + (uint64_t)b->hull_count * 24 +
+        (uint64_t)b->face_count * 12;
     (void)size;
     *where = 128;
     if (tetcasti_load_u64(p + 128) != tetcasti_hash_bytes(1, q, (size_t)bytes) ||
@@ -15676,7 +15707,8 @@ TETCAST_DEF tetcast_result tetcast_bricks_read(const tetcast_env *env, const voi
     if (env == NULL) env = &none;
     if (data == NULL || out == NULL) return TETCAST_ERR_INVALID_ARG;
     if (size < 16) return tetcasti_fail(env->error, TETCAST_ERR_TRUNCATED, size, "brk: the header ends at byte %");
-    if (memcmp(p, tetcasti_brk_magic, 8) != 0) return tetcasti_fail(env->error, TETCAST_ERR_FORMAT, 0, "brk: no brick file");
+    if (memcmp(p, tetcasti_brk_magic, 8) != 0)
+        return tetcasti_fail(env->error, TETCAST_ERR_FORMAT, 0, "brk: no brick file");
     if (tetcasti_load_u32(p + 8) != 1) return tetcasti_fail(env->error, TETCAST_ERR_VERSION, 8, "brk: unknown version");
     if (size < TETCASTI_BRK_HEADER)
         return tetcasti_fail(env->error, TETCAST_ERR_TRUNCATED, size, "brk: the header ends at byte %");
@@ -15720,7 +15752,8 @@ TETCAST_DEF tetcast_result tetcast_bricks_read(const tetcast_env *env, const voi
         tetcasti_bricks_free(b);
         return tetcasti_fail(env->error, r, where, r == TETCAST_ERR_TRUNCATED ? "brk: ends at byte %" :
                              r == TETCAST_ERR_NO_MEMORY ? "brk: out of memory" :
-                             r == TETCAST_ERR_CHECKSUM ? "brk: damaged, checksum at byte %" : "brk: impossible at byte %");
+                             r == TETCAST_ERR_CHECKSUM
+                                 ? "brk: damaged, checksum at byte %" : "brk: impossible at byte %");
     }
     *out = b;
     return TETCAST_OK;
@@ -15728,10 +15761,10 @@ TETCAST_DEF tetcast_result tetcast_bricks_read(const tetcast_env *env, const voi
 /* ---------------------------------------------------------------------------
    clip: planes and closed meshes as intervals on rays.                          // >>clip
 
-   A body has its triangles along a space-filling curve, eight to a box, eight boxes to a box, and so on. A ray sees them
-   sheared so that it runs along an axis; the doubled areas of the three triangles between the ray and two corners
-   decide, each computed from the corner of the smaller number to that of the larger one, so that the neighbour behind an
-   edge gets the same number with the other sign; a zero counts as positive before the sign is turned.
+   A body has its triangles along a space-filling curve, eight to a box, eight boxes to a box, and so on. A ray sees
+   them sheared so that it runs along an axis; the doubled areas of the three triangles between the ray and two corners
+   decide, each computed from the corner of the smaller number to that of the larger one, so that the neighbour behind
+   an edge gets the same number with the other sign; a zero counts as positive before the sign is turned.
    --------------------------------------------------------------------------- */
 
 typedef struct tetcasti_solid {
@@ -16042,7 +16075,8 @@ TETCAST_DEF tetcast_result tetcast_clip_create(const tetcast_clip_desc *desc, te
     for (i = 0; i < d.plane_count; i++) {
         double sum = d.planes[i].offset;
         for (a = 0; a < 3; a++) sum += d.planes[i].normal[a];
-        if (!tetcasti_finite(sum)) return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, i, "clip: plane % is none");
+        if (!tetcasti_finite(sum))
+            return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, i, "clip: plane % is none");
     }
     for (i = 0; i < d.body_count; i++)
         if (!tetcasti_body_good(&d.bodies[i]))
@@ -16122,7 +16156,8 @@ static void tetcasti_lane_slot(const tetcasti_brick_frame *c, tetcasti_octet *l,
     const tetcast_cut *cut = c->cut;
     const tetcast_bricks *b = cut->bricks;
     tetcasti_brick_ray *r = &l->ray[i];
-    const uint32_t word = cut->slot[(size_t)r->slot[0] + (size_t)b->slots[0] * ((size_t)r->slot[1] + (size_t)b->slots[1] *
+    const uint32_t word =
+        cut->slot[(size_t)r->slot[0] + (size_t)b->slots[0] * ((size_t)r->slot[1] + (size_t)b->slots[1] *
                                                                                  (size_t)r->slot[2])];
     const uint32_t k = word >> TETCASTI_LEVEL_SHIFT & 15u, bit = 1u << i;
     const double part = 1.0 / (double)(1u << k), step = c->desc->fixed_step ? c->step : c->step * (double)(1u << k);
@@ -16403,7 +16438,8 @@ static uint32_t tetcasti_octet_shade(const tetcasti_brick_frame *c, tetcasti_oct
         for (a = 0; a < 3; a++) {
             p->direction[a][i] = (float)r->world_d[a];
             if (s->needs & TETCAST_NEED_POSITION)
-                p->position[a][i] = (float)(r->world_o[a] + r->world_d[a] * (double)(p->depth[i] + 0.5f * p->length[i]));
+                p->position[a][i] = (float)(r->world_o[a] + r->world_d[a] *
+                                            (double)(p->depth[i] + 0.5f * p->length[i]));
         }
     }
     s->shade_fn(s->user, p, rgba);
@@ -16551,14 +16587,17 @@ static void tetcasti_brick_pixel(const tetcasti_brick_frame *c, tetcasti_octet *
         float depth = l->depth[i];
         if (depth < TETCASTI_INF)
             depth *= (float)(d[0] * c->frame.forward[0] + d[1] * c->frame.forward[1] + d[2] * c->frame.forward[2]);
-        memcpy((uint8_t *)m->depth + y * (m->depth_stride != 0 ? m->depth_stride : (size_t)m->width * 4) + x * (size_t)4,
+        memcpy((uint8_t *)m->depth + y * (m->depth_stride != 0 ? m->depth_stride : (size_t)m->width * 4) + x *
+               (size_t)4,
                &depth, 4);
     }
     if (m->length != NULL)
-        memcpy((uint8_t *)m->length + y * (m->length_stride != 0 ? m->length_stride : (size_t)m->width * 4) + x * (size_t)4,
+        memcpy((uint8_t *)m->length + y * (m->length_stride != 0 ? m->length_stride : (size_t)m->width * 4) + x *
+               (size_t)4,
                &l->length[i], 4);
     if (m->steps != NULL)
-        memcpy((uint8_t *)m->steps + y * (m->steps_stride != 0 ? m->steps_stride : (size_t)m->width * 4) + x * (size_t)4,
+        memcpy((uint8_t *)m->steps + y * (m->steps_stride != 0 ? m->steps_stride : (size_t)m->width * 4) + x *
+               (size_t)4,
                &l->steps[i], 4);
 }
 
@@ -16572,7 +16611,8 @@ static void tetcasti_octet_begin(const tetcasti_brick_frame *c, tetcasti_octet *
         if (c->optics != NULL) tetcasti_lane_begin(c->optics, &l->sum, i);
         else l->sum.t[i] = 1.0f;
         l->block[i] = c->cut->bricks->data;
-        l->tau[i] = l->first[i] = l->step[i] = l->end[i] = l->front[i] = l->number[i] = l->begin[i] = l->length[i] = 0.0f;
+        l->tau[i] = l->first[i] = l->step[i] = l->end[i] = l->front[i] = l->number[i] = l->begin[i] = l->length[i] =
+            0.0f;
         l->l0[0][i] = l->l0[1][i] = l->l0[2][i] = l->dl[0][i] = l->dl[1][i] = l->dl[2][i] = 0.0f;
         l->depth[i] = TETCASTI_INF;
         l->level[i] = 0;
@@ -16690,7 +16730,8 @@ static tetcast_result tetcasti_brick_frame_open(tetcasti_brick_frame *c, tetcast
         if (b->lattice.dims[a] > 1) least = tetcasti_min(least, b->lattice.spacing[a]);
     }
     c->step = (least < 1e300 ? least : b->lattice.spacing[0]) * (d->step > 0.0f ? (double)d->step : 1.0);
-    if (d->camera.eye[0] == d->camera.at[0] && d->camera.eye[1] == d->camera.at[1] && d->camera.eye[2] == d->camera.at[2])
+    if (d->camera.eye[0] == d->camera.at[0] && d->camera.eye[1] == d->camera.at[1] &&
+        d->camera.eye[2] == d->camera.at[2])
         r = tetcast_camera_fit(&d->camera, lo, hi, NULL, width, height);
     if (r == TETCAST_OK) r = tetcasti_frame_open(&d->camera, width, height, &c->frame);
     if (r == TETCAST_OK && c->optics == NULL && d->shader->prepare_fn != NULL)
@@ -16805,10 +16846,12 @@ TETCAST_DEF size_t tetcast_ccc_size(uint32_t width, uint32_t height, int alpha) 
 
 /* Sums are kept as four numbers of 16 bits in one word: red, green, blue, alpha. */
 TETCASTI_INLINE uint64_t tetcasti_ccc_spread(uint32_t p) {
-    return (uint64_t)(p & 255u) | (uint64_t)(p >> 8 & 255u) << 16 | (uint64_t)(p >> 16 & 255u) << 32 | (uint64_t)(p >> 24) << 48;
+    return (uint64_t)(p & 255u) | (uint64_t)(p >> 8 & 255u) << 16 | (uint64_t)(p >> 16 & 255u) << 32 |
+        (uint64_t)(p >> 24) << 48;
 }
 /* Mean of n = 1 .. 16, rounded: 2^18 / n, rounded up, is exact for sums up to 16 * 255. */
-static const uint32_t tetcasti_ccc_part[17] = {0, 262144, 131072, 87382, 65536, 52429, 43691, 37450, 32768, 29128, 26215,
+static const uint32_t tetcasti_ccc_part[17] = {0, 262144, 131072, 87382, 65536, 52429, 43691, 37450, 32768, 29128,
+                                               26215,
                                                23832, 21846, 20165, 18725, 17477, 16384};
 TETCASTI_INLINE uint32_t tetcasti_ccc_mean(uint64_t sum, uint32_t channel, uint32_t n) {
     return (((uint32_t)(sum >> (16 * channel)) & 0xffffu) + n / 2) * tetcasti_ccc_part[n] >> 18;
@@ -16902,8 +16945,8 @@ TETCAST_DEF size_t tetcast_pack_bound(uint32_t width, uint32_t height) {
     return 4 * n + n / 64 + height + 1;
 }
 
-/* 0 .. 127: as many pixels + 1 like the last one; 128 .. 191: as many + 1 as they are, 4 bytes each; 192 .. 255: as many
-   + 1 like those above. Before the first row and pixel everything is 0. */
+/* 0 .. 127: as many pixels + 1 like the last one; 128 .. 191: as many + 1 as they are, 4 bytes each; 192 .. 255: as
+   many + 1 like those above. Before the first row and pixel everything is 0. */
 TETCAST_DEF size_t tetcast_pack(const uint8_t *rgba, uint32_t width, uint32_t height, size_t stride, uint8_t *out) {
     size_t n = 0, plain = 0; /* plain: place of the count of the pixels that are being listed, + 1 */
     uint32_t x, y, last = 0;
@@ -16973,8 +17016,8 @@ TETCAST_DEF tetcast_result tetcast_unpack(const uint8_t *data, size_t size, uint
 /* ---------------------------------------------------------------------------
    rbf: sums of radial basis functions: bytes, kernels, files.                   // >>rbf
 
-   Local coordinates: (world - origin) / scale, scale = metric * unit, unit the power of two for which the longest side of
-   the box is in (0.5, 1]. The box is [0, size] there, distances are isotropic.
+   Local coordinates: (world - origin) / scale, scale = metric * unit, unit the power of two for which the longest side
+   of the box is in (0.5, 1]. The box is [0, size] there, distances are isotropic.
    --------------------------------------------------------------------------- */
 
 #define TETCASTI_RBF_DEPTH 10u      /* of the octree */
@@ -17270,8 +17313,8 @@ static void tetcasti_rbf_leaf(tetcasti_rbf_grow *g, uint32_t node, size_t begin,
     m->index_count += (uint32_t)count;
 }
 
-/* Node `node` has the functions list[begin .. begin + count). A node is split unless its children would have lists about
-   as long as its own (the thesis' rule), or memory for lists runs out: 16 entries a function. */
+/* Node `node` has the functions list[begin .. begin + count). A node is split unless its children would have lists
+   about as long as its own (the thesis' rule), or memory for lists runs out: 16 entries a function. */
 static void tetcasti_rbf_split(tetcasti_rbf_grow *g, uint32_t node, const float lo[3], float side, uint32_t depth,
                                size_t begin, size_t count) {
     tetcast_rbf *m = g->m;
@@ -17509,7 +17552,8 @@ TETCAST_DEF int tetcast_rbf_get_function(const tetcast_rbf *rbf, uint32_t index,
 /* ---- files ---- */
 
 enum { TETCASTI_RBF_HEADER = 216 };
-static const uint8_t tetcasti_rbf_magic[8] = {0x89, 0x52, 0x42, 0x46, 0x0d, 0x0a, 0x1a, 0x0a}; /* 89 R B F CR LF ^Z LF */
+/* 89 R B F CR LF ^Z LF */
+static const uint8_t tetcasti_rbf_magic[8] = {0x89, 0x52, 0x42, 0x46, 0x0d, 0x0a, 0x1a, 0x0a};
 
 /* Bytes of the nodes and of the functions. */
 static void tetcasti_rbf_sizes(const tetcast_rbf *m, uint64_t *nodes, uint64_t *functions) {
@@ -17598,7 +17642,8 @@ static void tetcasti_rbf_write_header(const tetcast_rbf *m, uint8_t *p, uint64_t
         tetcasti_store_f64(p + 136 + 8 * a, m->box_max[a]);
         tetcasti_store_f64(p + 160 + 8 * a, m->metric[a]);
     }
-    for (a = 0; a < TETCAST_RBF_MAX_COMPONENTS; a++) tetcasti_store_u32(p + 96 + 4 * a, tetcasti_float_bits(m->offset[a]));
+    for (a = 0; a < TETCAST_RBF_MAX_COMPONENTS; a++)
+        tetcasti_store_u32(p + 96 + 4 * a, tetcasti_float_bits(m->offset[a]));
 }
 
 TETCAST_DEF tetcast_result tetcast_rbf_save_memory(const tetcast_rbf *rbf, void *buffer, size_t capacity,
@@ -17662,7 +17707,8 @@ static tetcast_result tetcasti_rbf_read_header(const uint8_t *p, size_t size, te
     *at = 12;
     if (tetcasti_load_u16(p + 12) != TETCASTI_RBF_HEADER) return TETCAST_ERR_FORMAT;
     *at = 16;
-    if (tetcasti_load_u64(p + 16) != size) return size < tetcasti_load_u64(p + 16) ? TETCAST_ERR_TRUNCATED : TETCAST_ERR_FORMAT;
+    if (tetcasti_load_u64(p + 16) != size)
+        return size < tetcasti_load_u64(p + 16) ? TETCAST_ERR_TRUNCATED : TETCAST_ERR_FORMAT;
     *at = 24;
     if (tetcasti_load_u64(p + 24) != tetcasti_rbf_checksum(p, size)) return TETCAST_ERR_CHECKSUM;
     m->kernel = (tetcast_kernel)p[14];
@@ -17711,7 +17757,8 @@ static tetcast_result tetcasti_rbf_read_header(const uint8_t *p, size_t size, te
         if (b->width > 8 || b->weight < 2 || b->weight > 24 || b->node < 2 || b->node > 24) return TETCAST_ERR_FORMAT;
         if (!(b->width_min >= 1e-6f && b->width_min <= 1e-3f * 1e6f / 4.0f) || !(b->weight_step > 1e-37f) ||
             !(b->weight_step < 1e30f) || !(b->node_step > 1e-37f) || !(b->node_step < 1e30f)) return TETCAST_ERR_FORMAT;
-        if (!(tetcasti_exp2((double)((1u << b->width) - 1u) / 8.0) * (double)b->width_min <= 1e6)) return TETCAST_ERR_FORMAT;
+        if (!(tetcasti_exp2((double)((1u << b->width) - 1u) / 8.0) * (double)b->width_min <= 1e6))
+            return TETCAST_ERR_FORMAT;
     }
     for (a = 62; a < 64; a++) if (p[a] != 0) return TETCAST_ERR_FORMAT;
     for (a = 184; a < TETCASTI_RBF_HEADER; a++) if (p[a] != 0) return TETCAST_ERR_FORMAT;
@@ -17942,7 +17989,8 @@ TETCASTI_TARGET_AVX2 TETCASTI_INLINE __m256 tetcasti_rbf_phi8(const tetcast_kern
         s = _mm256_max_ps(_mm256_add_ps(one, x), zero);
         s2 = _mm256_mul_ps(s, s);
         s4 = _mm256_mul_ps(s2, s2);
-        if (want) *slope = _mm256_mul_ps(_mm256_mul_ps(_mm256_set1_ps(16.0f), a), _mm256_mul_ps(s4, _mm256_mul_ps(s2, s)));
+        if (want) *slope = _mm256_mul_ps(_mm256_mul_ps(_mm256_set1_ps(16.0f), a),
+                                         _mm256_mul_ps(s4, _mm256_mul_ps(s2, s)));
         return _mm256_mul_ps(s4, s4);
     }
     q = _mm256_sqrt_ps(_mm256_sub_ps(zero, x));
@@ -18057,7 +18105,8 @@ static void tetcasti_rbf_sum(const tetcast_rbf *m, tetcasti_rbf_add_fn *add, uin
     else add(m, m->index + m->tree[leaf].first, m->tree[leaf].count, want, v);
 }
 
-/* Up to TETCASTI_RBF_CHUNK points, local coordinates. values [n][components], slopes [n][components][3] (local) or NULL. */
+/* Up to TETCASTI_RBF_CHUNK points, local coordinates. values [n][components], slopes [n][components][3] (local) or
+   NULL. */
 static void tetcasti_rbf_points(const tetcast_rbf *m, tetcasti_rbf_add_fn *add, int all, const float (*p)[3],
                                 uint32_t n, float *values, float *slopes) {
     tetcasti_rbf_key key[TETCASTI_RBF_CHUNK];
@@ -18335,7 +18384,8 @@ static double tetcasti_middle_eigenvalue(const double s[6]) {
     double r, x, y, lo = 0.5, hi = 1.0;
     uint32_t i;
     if (!(p > 1e-300) || !(p2 > 1e-28 * q * q)) return q;
-    r = (a * (b * c - s[5] * s[5]) - s[3] * (s[3] * c - s[5] * s[4]) + s[4] * (s[3] * s[5] - b * s[4])) / (p * p2 * 2.0);
+    r = (a * (b * c - s[5] * s[5]) - s[3] * (s[3] * c - s[5] * s[4]) + s[4] * (s[3] * s[5] - b * s[4]))
+        / (p * p2 * 2.0);
     r = r < -1.0 ? -1.0 : r > 1.0 ? 1.0 : r;
     /* the largest is q + 2 p x with 4 x^3 - 3 x = r, x in [1/2, 1], where that rises from -1 to 1 */
     x = 0.75 + 0.25 * r;
@@ -18395,15 +18445,16 @@ TETCAST_DEF void tetcast_flow_features(const float velocity[3], const float jaco
    rbf_fit: points -> coarse grid and functions, with a guaranteed error.        // >>rbf_fit
 
    1  points are put into bins of about eight, a row of bins along x is one run of points,
-   2  the coarse grid is the least-squares fit of its nodes (normal equations with 27 entries a row, conjugate gradients),
+   2  the coarse grid is the least-squares fit of its nodes (normal equations with 27 entries a row, conjugate
+      gradients),
    3  greedy: where the error is largest goes a function, of the width out of a ladder that takes most off the sum of
       squares in its reach, then five Gauss-Newton steps move and widen it,
    4  sweeps: each function in turn is taken out, left out if nothing exceeds the tolerance without it, else fitted
       again with weights that grow with the error, so that the largest errors sink,
    3 and 4 alternate while the threshold sinks to the tolerance. All parameters are rounded to what is stored before the
    error is updated.
-   Threads: blocks of bins in eight colours (parities); functions of one block reach less than half a block beyond it, so
-   blocks of one colour share no point.
+   Threads: blocks of bins in eight colours (parities); functions of one block reach less than half a block beyond it,
+   so blocks of one colour share no point.
    --------------------------------------------------------------------------- */
 
 #define TETCASTI_FIT_BIN 8u          /* points in a bin, about */
@@ -18862,7 +18913,8 @@ static int tetcasti_fit_insert(tetcasti_fit *t, tetcasti_fit_block *b, uint32_t 
     c[0] = (double)t->x[i];
     c[1] = (double)t->y[i];
     c[2] = (double)t->z[i];
-    for (k = 0; k < TETCASTI_FIT_LADDER && width <= (double)t->widest && worse < 2; k++, width *= 1.41421356237309504880) {
+    for (k = 0; k < TETCASTI_FIT_LADDER && width <= (double)t->widest && worse < 2; k++,
+         width *= 1.41421356237309504880) {
         memset(&f, 0, sizeof f);
         tetcasti_fit_round_place(t, b, c, width, &f);
         gain = tetcasti_fit_weigh(t, &f, w, &square);
@@ -19152,7 +19204,8 @@ static void tetcasti_fit_precision(tetcasti_fit *t, int grid) {
     }
     m->bits.width_min = (float)(0.34 * t->closest);
     if (t->widest < m->bits.width_min) t->widest = m->bits.width_min;
-    for (c = 1; c < 8 && tetcasti_exp2((double)((1u << c) - 1) / 8.0) * (double)m->bits.width_min < (double)t->widest;) c++;
+    for (c = 1; c < 8 && tetcasti_exp2((double)((1u << c) - 1) / 8.0) * (double)m->bits.width_min < (double)t->widest;)
+        c++;
     m->bits.width = c;
 }
 
@@ -19219,7 +19272,8 @@ static tetcast_result tetcasti_fit_open(tetcasti_fit *t, const tetcast_rbf_fit_d
     }
     if (!tetcasti_fit_sort(t, in)) return TETCAST_ERR_NO_MEMORY;
     tetcasti_fit_precision(t, in->positions.data == NULL);
-    if (t->cap > 4 * (size_t)t->count + 64) t->cap = 4 * (size_t)t->count + 64; /* data that cannot be met ends the loop */
+    /* data that cannot be met ends the loop */
+    if (t->cap > 4 * (size_t)t->count + 64) t->cap = 4 * (size_t)t->count + 64;
     return TETCAST_OK;
 }
 
@@ -19667,7 +19721,8 @@ static int tetcasti_fit_compare(tetcasti_fit *t, const tetcast_rbf_points *in, d
     uint64_t bytes;
     while (bits < 24 && (double)(1u << bits) * step < 1.0 * (t->n == 1 ? 1.0 : 2.0)) bits++;
     bytes = ((uint64_t)t->count * t->n * bits + 7) / 8;
-    if (!grid) bytes += (uint64_t)t->count * (t->m->bits.position[0] + t->m->bits.position[1] + t->m->bits.position[2]) / 8;
+    if (!grid) bytes += (uint64_t)t->count * (t->m->bits.position[0] + t->m->bits.position[1] + t->m->bits.position[2])
+        / 8;
     report->grid_bytes = bytes;
     memcpy(report->grid_dims, in->dims, sizeof in->dims);
     report->grid_bits = bits;
@@ -19736,7 +19791,8 @@ static tetcast_result tetcasti_fit_loop(tetcasti_fit *t, const tetcast_rbf_fit_d
             t->sharp = 0;
             tetcasti_fit_reset_heed(t);
             tetcasti_fit_greedy(t, tolerance);
-            if (tetcasti_fit_bad(t, sweeps + 1, sweeps + 2)) return t->failed ? TETCAST_ERR_NO_MEMORY : TETCAST_ERR_RANGE;
+            if (tetcasti_fit_bad(t, sweeps + 1, sweeps + 2))
+                return t->failed ? TETCAST_ERR_NO_MEMORY : TETCAST_ERR_RANGE;
         }
         r = tetcasti_fit_model(t);
         if (r != TETCAST_OK) return r;
@@ -19816,7 +19872,8 @@ static tetcast_result tetcasti_fit_check(const tetcast_rbf_fit_desc *d, const te
         (uint32_t)d->kernel >= TETCAST_KERNEL_COUNT || d->kernel == TETCAST_KERNEL_GAUSS_CUT ||
         (uint32_t)d->method > TETCAST_RBF_METHOD_PURE || !(d->cut >= 1.0f && d->cut <= 8.0f) ||
         (in->tets != NULL && in->tet_count == 0)) return TETCAST_ERR_INVALID_ARG;
-    for (a = 0; a < 3; a++) if (!(d->metric[a] >= 0.0) || !tetcasti_finite(d->metric[a])) return TETCAST_ERR_INVALID_ARG;
+    for (a = 0; a < 3; a++) if (!(d->metric[a] >= 0.0) || !tetcasti_finite(d->metric[a]))
+        return TETCAST_ERR_INVALID_ARG;
     if (!tetcasti_rbf_dims_ok(d->base_dims)) return TETCAST_ERR_INVALID_ARG;
     if (in->positions.data == NULL) {
         for (a = 0; a < 3; a++) {
@@ -19885,8 +19942,8 @@ TETCAST_DEF tetcast_result tetcast_rbf_fit(const tetcast_rbf_fit_desc *desc, con
    rbf_render: functions -> tiles -> groups of eight rays -> sums along rays.    // >>rbf_render
 
    All in local coordinates, where functions are round. Samples are at multiples of the step h from the eye. A group is
-   4 x 2 pixels; the values of its samples are rows of eight. On a ray at distance e from a centre, with u the way to the
-   nearest point, a Gaussian is 2^(a (e^2 + u^2)): from one sample to the next it is multiplied by q, and q by the
+   4 x 2 pixels; the values of its samples are rows of eight. On a ray at distance e from a centre, with u the way to
+   the nearest point, a Gaussian is 2^(a (e^2 + u^2)): from one sample to the next it is multiplied by q, and q by the
    constant c = 2^(2 a h^2). The error of that grows with the square of the steps, so it starts in the middle of the
    reach, goes outwards both ways, and starts anew every 32 samples: 2e-5 of the height.
    --------------------------------------------------------------------------- */
@@ -19905,7 +19962,8 @@ typedef struct tetcasti_rbf_group {   /* eight rays; lanes without a ray are cop
     float h;
 } tetcasti_rbf_group;
 
-/* where a function is on the rays; decay: 2^(2 a h^2), as exact as can be: its error grows with the square of the steps */
+/* where a function is on the rays; decay: 2^(2 a h^2), as exact as can be: its error grows with the square of the
+   steps */
 typedef struct tetcasti_rbf_reach { float tc[8], d2[8]; int32_t first, last, middle; float decay; } tetcasti_rbf_reach;
 
 /* Where a function is on the rays; 0: on none of the samples. */
@@ -20118,7 +20176,8 @@ TETCASTI_TARGET_AVX2 static void tetcasti_rbf_base8(const tetcast_rbf *m, const 
         const __m256 y1 = _mm256_add_ps(v101, _mm256_mul_ps(u[1], _mm256_sub_ps(v111, v101)));
         const __m256 z0 = _mm256_add_ps(x0, _mm256_mul_ps(u[2], _mm256_sub_ps(y0, x0)));
         const __m256 z1 = _mm256_add_ps(x1, _mm256_mul_ps(u[2], _mm256_sub_ps(y1, x1)));
-        _mm256_storeu_ps(rows + c * stride + (size_t)j * 8, _mm256_add_ps(z0, _mm256_mul_ps(u[0], _mm256_sub_ps(z1, z0))));
+        _mm256_storeu_ps(rows + c * stride + (size_t)j * 8,
+                         _mm256_add_ps(z0, _mm256_mul_ps(u[0], _mm256_sub_ps(z1, z0))));
     }
 }
 #endif
@@ -20151,7 +20210,8 @@ typedef struct tetcasti_rbf_picture {
 /* One ray of a group. 0: it misses the box. ends: local distances. */
 static int tetcasti_rbf_ray(const tetcasti_rbf_picture *t, uint32_t x, uint32_t y, double o[3], double d[3],
                             double ends[2], double *world) {
-    const double u = ((double)x + 0.5) - 0.5 * (double)t->frame.width, v = 0.5 * (double)t->frame.height - ((double)y + 0.5);
+    const double u = ((double)x + 0.5) - 0.5 * (double)t->frame.width,
+        v = 0.5 * (double)t->frame.height - ((double)y + 0.5);
     double l = 0.0, w = 0.0;
     uint32_t a;
     for (a = 0; a < 3; a++) {
@@ -20187,7 +20247,8 @@ static int tetcasti_rbf_group_open(const tetcasti_rbf_picture *t, uint32_t x, ui
     g->lanes = 0;
     for (l = 0; l < 8; l++) {
         const uint32_t px = x + (l & 3u), py = y + (l >> 2);
-        if (px >= t->frame.width || py >= t->frame.height || !tetcasti_rbf_ray(t, px, py, o[l], d[l], ends[l], &world[l]))
+        if (px >= t->frame.width || py >= t->frame.height ||
+            !tetcasti_rbf_ray(t, px, py, o[l], d[l], ends[l], &world[l]))
             continue;
         g->lanes |= 1u << l;
         one = l;
@@ -20381,7 +20442,8 @@ static void tetcasti_rbf_normal(void *user, float fraction, float normal[3]) {
 /* The segment of one lane between samples j and j + 1, cut by the box. 0: there is none. */
 static int tetcasti_rbf_cut(const tetcasti_rbf_group *g, const float *rows, int32_t j, uint32_t l, tetcasti_seg8 *seg,
                             float *from, float *to) {
-    const float a = (float)j * g->h, b = (float)(j + 1) * g->h, v = rows[(size_t)j * 8 + l], w = rows[(size_t)j * 8 + 8 + l];
+    const float a = (float)j * g->h, b = (float)(j + 1) * g->h, v = rows[(size_t)j * 8 + l],
+        w = rows[(size_t)j * 8 + 8 + l];
     *from = a > g->in[l] ? a : g->in[l];
     *to = b < g->out[l] ? b : g->out[l];
     if ((g->lanes >> l & 1u) == 0 || !(*to > *from)) return 0;
@@ -20676,7 +20738,8 @@ static tetcast_result tetcasti_rbf_picture_open(tetcasti_rbf_picture *t, tetcast
     double diagonal = 0.0, least = 1e300;
     tetcast_result r = TETCAST_OK;
     uint32_t a;
-    if (d->camera.eye[0] == d->camera.at[0] && d->camera.eye[1] == d->camera.at[1] && d->camera.eye[2] == d->camera.at[2])
+    if (d->camera.eye[0] == d->camera.at[0] && d->camera.eye[1] == d->camera.at[1] &&
+        d->camera.eye[2] == d->camera.at[2])
         r = tetcast_camera_fit(&d->camera, m->box_min, m->box_max, NULL, t->image->width, t->image->height);
     if (r == TETCAST_OK) r = tetcasti_frame_open(&d->camera, t->image->width, t->image->height, &t->frame);
     if (r != TETCAST_OK) return r;

@@ -14108,8 +14108,8 @@ typedef struct voxrti_column_ray {
 } voxrti_column_ray;
 
 /* A surface on which an end of the ray lies: the plane n . (cell centre - at) = 0. Cells whose centres are at most half
-   a cell's width along n away from it do not count near `at`. As intervals of a column (x, y): base - slope . (x + c[0],
-   y + c[1]) -+ half, within lo .. hi, where |x + c[0]| and |y + c[1]| are within reach. */
+   a cell's width along n away from it do not count near `at`. As intervals of a column (x, y): base - slope .
+   (x + c[0], y + c[1]) -+ half, within lo .. hi, where |x + c[0]| and |y + c[1]| are within reach. */
 typedef struct voxrti_column_plane {
     float c[2], slope[2], base, half, lo, hi;
 } voxrti_column_plane;
@@ -14401,7 +14401,8 @@ typedef struct voxrti_column_ready {
 typedef struct voxrti_column_lanes {
     __m256 f[VOXRTI_CF_FIELDS], behind[2], t; /* behind: origin, 1/256 back */
     __m256i on[2], back[2];                   /* by x, y: 1 forwards, else 0; -1 backwards, else 0 */
-    __m256i x, y, level, k, column, by_x, bits, word, alive; /* column: where that of x, y, level starts; by_x: -1 the last step was along x, 0 along y; 1: none yet */
+    /* column: where that of x, y, level starts; by_x: -1 the last step was along x, 0 along y; 1: none yet */
+    __m256i x, y, level, k, column, by_x, bits, word, alive;
     double t_in[8], per_t[8];
     uint32_t id[8], held;                     /* held: lanes with a ray, bits */
 } voxrti_column_lanes;
