@@ -14389,12 +14389,14 @@ enum { /* of a ray that is ready, and of two planes */
     VOXRTI_CP_FIELDS, VOXRTI_CF_FIELDS = 25
 };
 
+#define VOXRTI_COLUMN_READY 52 /* rays that are prepared ahead; rows of 60 do not fall on each other in the cache */
+
 /* Rays that are ready, fields apart; any eight in a row can be loaded. */
 typedef struct voxrti_column_ready {
     uint32_t count, next;
-    float f[VOXRTI_CF_FIELDS][VOXRTI_COLUMN_BATCH + 8];
-    double t_in[VOXRTI_COLUMN_BATCH + 8], per_t[VOXRTI_COLUMN_BATCH + 8];
-    uint32_t id[VOXRTI_COLUMN_BATCH + 8];
+    float f[VOXRTI_CF_FIELDS][VOXRTI_COLUMN_READY + 8];
+    double t_in[VOXRTI_COLUMN_READY + 8], per_t[VOXRTI_COLUMN_READY + 8];
+    uint32_t id[VOXRTI_COLUMN_READY + 8];
 } voxrti_column_ready;
 
 /* Eight rays on their way. A lane that has ended keeps what it had: bits of `word` that made it end, 0 for a miss. */
@@ -14497,7 +14499,7 @@ VOXRTI_TARGET_AVX2 static uint32_t voxrti_column_setup4(const voxrt_columns *c, 
 /* voxrti_column_plane_open for four rays. end: at t_max instead of 0; rays without an end have none. */
 VOXRTI_TARGET_AVX2 static void voxrti_column_planes4(const voxrti_column_trace *t, const __m256 v[4], int end,
                                                      const float *normals, uint32_t at,
-                                                     float (*f)[VOXRTI_COLUMN_BATCH + 8]) {
+                                                     float (*f)[VOXRTI_COLUMN_READY + 8]) {
     const voxrt_columns *c = t->columns;
     const __m256d sign = _mm256_set1_pd(-0.0);
     const __m128 half = _mm_set1_ps(0.5f), sign4 = _mm_set1_ps(-0.0f), one = _mm_set1_ps(1.0f);
@@ -14691,7 +14693,7 @@ VOXRTI_TARGET_AVX2 static void voxrti_column_more(voxrti_column_stream *s) {
     }
     g->next = 0;
     g->count = left;
-    while (s->done < s->count && g->count + 4 <= VOXRTI_COLUMN_BATCH) {
+    while (s->done < s->count && g->count + 4 <= VOXRTI_COLUMN_READY) {
         const uint32_t first = s->done, many = s->count - first < 4 ? s->count - first : 4;
         const voxrt_ray *r[4];
         float normal[12];
