@@ -10837,7 +10837,7 @@ VOXRTI_TARGET_SSE4 VOXRTI_INLINE uint32_t voxrti_single_visit(const voxrt_tree *
     uint32_t first;
     const uint64_t *node = (const uint64_t *)(uintptr_t)s->path[w];
     uint64_t mask = *node, ahead = mask;
-    __m128i far, step, q;
+    __m128i over, step, q;
     __m128d exy, ez, time, pxy, pz;
     uintptr_t below;
     set = (uint32_t)(mask >> slot) & 1u;
@@ -10847,9 +10847,9 @@ VOXRTI_TARGET_SSE4 VOXRTI_INLINE uint32_t voxrti_single_visit(const voxrt_tree *
     q = c;
     if (!set) {
         /* over: the first event of the three far faces of what is empty */
-        far = _mm_add_epi32(_mm_or_si128(c, _mm_set1_epi32((int)((1u << ls) - 1u))), _mm_set1_epi32(1));
-        exy = _mm_mul_pd(_mm_sub_pd(_mm_cvtepi32_pd(far), oxy), _mm_loadu_pd(s->r.inv));
-        ez = _mm_mul_pd(_mm_sub_pd(_mm_cvtepi32_pd(_mm_shuffle_epi32(far, 0xaa)), oz), _mm_load1_pd(s->r.inv + 2));
+        over = _mm_add_epi32(_mm_or_si128(c, _mm_set1_epi32((int)((1u << ls) - 1u))), _mm_set1_epi32(1));
+        exy = _mm_mul_pd(_mm_sub_pd(_mm_cvtepi32_pd(over), oxy), _mm_loadu_pd(s->r.inv));
+        ez = _mm_mul_pd(_mm_sub_pd(_mm_cvtepi32_pd(_mm_shuffle_epi32(over, 0xaa)), oz), _mm_load1_pd(s->r.inv + 2));
         time = _mm_min_pd(_mm_min_pd(exy, _mm_shuffle_pd(exy, exy, 1)), ez);
         k = (uint32_t)_mm_movemask_pd(_mm_cmpeq_pd(exy, time));
         k |= ((uint32_t)_mm_movemask_pd(_mm_cmpeq_pd(ez, time)) & 1u) << 2;
@@ -10862,7 +10862,7 @@ VOXRTI_TARGET_SSE4 VOXRTI_INLINE uint32_t voxrti_single_visit(const voxrt_tree *
         q = _mm_cmpeq_epi32(_mm_srli_epi32(q, 17), _mm_setzero_si128());
         x = (uint32_t)_mm_movemask_ps(_mm_castsi128_ps(q)) & 7u;
         q = _mm_sub_epi32(VOXRTI_ODD4(pxy, pz), _mm_set1_epi32(0x41300000)); /* see voxrti_octet_cells */
-        q = _mm_and_si128(_mm_blendv_epi8(q, far, step), xyz);
+        q = _mm_and_si128(_mm_blendv_epi8(q, over, step), xyz);
         if (VOXRTI_UNLIKELY(x != 0))
             q = voxrti_single_doubt(s, _mm_cvtsd_f64(time), voxrti_ctz64(k), (1u << ls) - 1u, q);
         _mm_storeu_si128((__m128i *)(void *)s->c, q);
@@ -15768,7 +15768,7 @@ VOXRT_DEF voxrt_result voxrt_gi_create(const voxrt_gi_desc *desc, voxrt_gi **out
     d = desc->columns;
     for (l = 0, to = out_gi; l < levels && r == VOXRT_OK; l++) {
         r = voxrti_gi_open(desc, &d, to);
-        if (r != VOXRT_OK) break;
+        if (r != VOXRT_OK || *to == NULL || (*to)->columns == NULL) break;
         d.depth_axis_plus_1 = (*to)->columns->axis[2] + 1; /* of a box like the first */
         to = &(*to)->outer;
         for (a = 0; a < 3; a++) {
@@ -16743,6 +16743,10 @@ static VOXRTI_NOINLINE void voxrti_gather_run(const voxrti_gather *w, const voxr
     uint32_t r, b, i, a, m;
     memset(of, 0, sizeof of);
     memset(part, 0, sizeof part);
+    memset(side, 0, sizeof side);
+    memset(t, 0, sizeof t);
+    memset(weight, 0, sizeof weight);
+    memset(rgb, 0, sizeof rgb);
     for (r = 0; r < w->rays; r++) {
         at = *q;
         for (i = 0; i < at.count; i++) {
@@ -17053,6 +17057,10 @@ static VOXRTI_NOINLINE void voxrti_vpl_compensate(const voxrti_gather *w, const 
     float t[VOXRTI_COLUMN_BATCH], weight[VOXRTI_COLUMN_BATCH], rgb[VOXRTI_COLUMN_BATCH][3];
     voxrti_points at = *q;
     uint32_t r, i, a;
+    memset(side, 0, sizeof side);
+    memset(t, 0, sizeof t);
+    memset(weight, 0, sizeof weight);
+    memset(rgb, 0, sizeof rgb);
     near_by.radius = h < w->radius ? h : w->radius;
     for (i = 0; i < at.count; i++) at.exponent[i] = 0.0f;
     for (r = 0; r < rays; r++) {
@@ -17538,8 +17546,9 @@ static void voxrti_task_reuse(void *ctx, uint32_t y) {
     for (x = 0; x < g->width; x++) {
         const size_t at = (size_t)y * g->width + x;
         size_t from[4] = {0, 0, 0, 0};
-        float weight[4], old[4][3], n = 0.0f, share;
+        float weight[4] = {0, 0, 0, 0}, old[4][3], n = 0.0f, share;
         int changed = 0;
+        memset(old, 0, sizeof old);
         memcpy(u->now->position + 3 * at, g->position + 3 * at, 12);
         memcpy(u->now->normal + 3 * at, g->normal + 3 * at, 12);
         u->now->count[at] = 0.0f;
@@ -17550,7 +17559,6 @@ static void voxrti_task_reuse(void *ctx, uint32_t y) {
         if (u->same) {
             from[0] = at;
             weight[0] = 1.0f;
-            weight[1] = weight[2] = weight[3] = 0.0f;
             n = u->old->count[at];
         } else if (u->h->pictures != 0 &&
                    !(u->still && (g->before == NULL || memcmp(g->before + 3 * at, g->position + 3 * at, 12) == 0)) &&
@@ -17990,7 +17998,6 @@ VOXRT_DEF int voxrt_gi_budget_update(voxrt_gi_budget *budget, const voxrt_gi_rep
     double each, room, full;
     if (budget == NULL) return 0;
     most = budget->most != 0 ? budget->most : 64;
-    rays = budget->rays;
     coarse = budget->coarse != 0 ? budget->coarse : 1;
     if (report == NULL || !(frame_ms > 0.0f) || !(light_ms > 0.0f) || !(target_ms > 0.0f) || !(frame_ms < INFINITY) ||
         report->shaded == 0 || report->rays == 0) {
