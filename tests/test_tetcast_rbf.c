@@ -290,12 +290,12 @@ TEST(extremes) {
         tetcast_rbf_destroy(m);
     }
     d = random_desc(4, 10, 1, 0.05, 0.2, 0.0);
-    g_f[3].width = NAN;
+    g_f[3].width = (double)NAN;
     CHECK(tetcast_rbf_create(&d, &m) == TETCAST_ERR_INVALID_ARG && m == NULL);
     g_f[3].width = 0.0;
     CHECK(tetcast_rbf_create(&d, &m) == TETCAST_ERR_INVALID_ARG);
     g_f[3].width = 0.1;
-    g_f[4].centre[1] = INFINITY;
+    g_f[4].centre[1] = (double)INFINITY;
     CHECK(tetcast_rbf_create(&d, &m) == TETCAST_ERR_INVALID_ARG);
     d = random_desc(4, 10, 1, 0.05, 0.2, 0.0);
     d.box_max[1] = -1.0;
@@ -303,7 +303,7 @@ TEST(extremes) {
     d = random_desc(4, 0, 1, 0.05, 0.2, 0.0); /* nothing at all: a constant */
     m = make(&d);
     REQUIRE(m != NULL);
-    p[0] = NAN;
+    p[0] = (double)NAN;
     CHECK(tetcast_rbf_eval(NULL, m, p, 2, v, NULL) == TETCAST_OK && v[0] != v[0] && v[1] == d.offset[0]);
     tetcast_rbf_destroy(m);
     for (i = 0; i < 3; i++) d.box_max[i] = d.box_min[i]; /* a box that is a point */
@@ -573,7 +573,7 @@ TEST(odd_data) {
                 value[i + 32] = value[i];
             }
             value[3] = (float)NAN;
-            at[3 * 5] = INFINITY;
+            at[3 * 5] = (double)INFINITY;
         }
         result = tetcast_rbf_fit(NULL, &p, &report, &m);
         if (p.count == 0) {

@@ -7,6 +7,7 @@
 #include <fcntl.h>
 #include <sys/wait.h>
 #define main voxrt_view_main
+int main(int argc, char **argv);
 #include "../examples/voxrt_view.c"
 #undef main
 

@@ -452,7 +452,7 @@ TEST(phong_lobes) { /* of light from everywhere, radiance l: at normal incidence
         { /* direct: the lamp is where the eye is: (n + 2) / (2 pi) of what falls there */
             double direct = 0;
             for (i = 0; i < 32; i++) direct += (double)b.direct[i][0] / 32;
-            CHECK_MSG(fabs(direct / ((exponents[e] + 2) / 6.283185307) - 1) < 0.01, "direct, exponent %g: %.4f", (double)exponents[e], direct);
+            CHECK_MSG(fabs(direct / (((double)exponents[e] + 2) / 6.283185307) - 1) < 0.01, "direct, exponent %g: %.4f", (double)exponents[e], direct);
         }
     }
     voxrt_gi_destroy(b.gi);
