@@ -14418,10 +14418,11 @@ static zbufrand_result zbufrandi_draw_scene(zbufrandi_picture *p) {
    A pixel that surfaces cover together with its eight neighbours is found when it is empty and at least 4 of them are
    not, and found when it shows something hidden and at least n of them show what hides it. If each pixel fails with
    probability q, on its own, one stays unfound with at most q P(9 - n or more of 8 fail). Rays through the suspects
-   tell q. Most pixels that 5 of 8 neighbours are nearer than are right, at the edges of leaves and far hills: n is 7
-   first, then 6 and 5 if the bound asks for it. */
+   tell q. Most pixels that 5 of 8 neighbours are nearer than are right, at the edges of leaves and far hills; but with
+   n = 7 or 6, which cost fewer rays, 13 % of pictures of a statue were incomplete, with 5 they are 3 %: at silhouettes
+   what hides a pixel can be nearer by less than the share that counts as nearer. */
 
-enum { ZBUFRANDI_REPAIR_RAYS = 64, ZBUFRANDI_REPAIR_SURE = 7, ZBUFRANDI_REPAIR_LEAST = 5 };
+enum { ZBUFRANDI_REPAIR_RAYS = 64, ZBUFRANDI_REPAIR_SURE = 5, ZBUFRANDI_REPAIR_LEAST = 5 };
 
 static void zbufrandi_depth_task(void *ctx, uint32_t y) { /* depths of the picture from its keys */
     zbufrandi_picture *p = (zbufrandi_picture *)ctx;
