@@ -902,13 +902,14 @@ typedef struct voxrt_instance {
 } voxrt_instance;
 
 /* An instance as voxrt_geometry. The instance is borrowed and must stay where it is; call again after a change.
-   INVALID_ARG: no functions, or to_world has no inverse or is not finite. */
+   INVALID_ARG: no functions, or to_world is not finite or has no inverse that doubles can tell: |det| of its 3x3 part
+   is at most 1e-12 times the cube of its largest element. */
 VOXRT_DEF voxrt_result voxrt_instance_geometry(voxrt_instance *instance, voxrt_geometry *out_geometry);
 
 /* Many geometries as one, by a hierarchy of their boxes: a run of rays meets only those whose boxes it crosses.
    env       where memory and errors come from, NULL: the defaults
    geometry  in, [count], copied; what they stand for is borrowed until the group is destroyed. At least one, at most
-             2^31 - 1, with finite boxes; they may overlap. Among equal distances the first in the list is seen
+             2^31 - 1, with boxes within -1e38 and 1e38; they may overlap. Among equal distances the first is seen
    O(count log count), 136 bytes for each. Errors: INVALID_ARG, RANGE, NO_MEMORY; error->where: which one.
    Thread safety: any number of threads may draw a group. Groups can hold instances of groups, a few deep. */
 typedef struct voxrt_group voxrt_group;
@@ -932,7 +933,8 @@ VOXRT_DEF void voxrt_group_geometry(const voxrt_group *group, voxrt_geometry *ou
 VOXRT_DEF voxrt_result voxrt_render(const voxrt_render_desc *desc, const voxrt_tree *tree, const voxrt_image *image,
                                     voxrt_render_stats *stats);
 
-/* rgba -> rgba8, for pictures that were changed after drawing. Both buffers have to be there. */
+/* rgba -> rgba8, for pictures that were changed after drawing. env may be NULL. INVALID_ARG: a buffer is missing.
+   Thread safety: any number of calls on different pictures. */
 VOXRT_DEF voxrt_result voxrt_image_encode(const voxrt_env *env, const voxrt_image *image);
 
 /* field      zero means
@@ -12735,8 +12737,10 @@ static void voxrti_encode_row(void *ctx, uint32_t y) {
 VOXRT_DEF voxrt_result voxrt_image_encode(const voxrt_env *env, const voxrt_image *image) {
     voxrt_env none;
     voxrti_post p;
-    if (image == NULL || image->rgba == NULL || image->rgba8 == NULL) return VOXRT_ERR_INVALID_ARG;
     memset(&none, 0, sizeof none);
+    if (env != NULL && env->error != NULL) memset(env->error, 0, sizeof *env->error);
+    if (image == NULL || image->rgba == NULL || image->rgba8 == NULL)
+        return voxrti_fail(env != NULL ? env->error : NULL, VOXRT_ERR_INVALID_ARG, 0, "image: no rgba or no rgba8");
     memset(&p, 0, sizeof p);
     p.image = image;
     voxrti_srgb_open(&p.srgb);
@@ -12822,15 +12826,19 @@ VOXRT_DEF voxrt_result voxrt_blur(const voxrt_blur_desc *desc, const voxrt_image
     voxrt_result r;
     size_t bytes;
     uint32_t i, y;
+    const char *why;
     memset(&d, 0, sizeof d);
     if (desc != NULL) d = *desc;
     if (d._begin_zero != 0 || d._end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
-    if (image == NULL || image->rgba == NULL) return VOXRT_ERR_INVALID_ARG;
+    if (d.env.error != NULL) memset(d.env.error, 0, sizeof *d.env.error);
     if (d.radius == 0.0f) d.radius = 4.0f;
-    if (!(d.radius > 0.0f && d.radius <= 64.0f) || !(d.footprint >= 0.0f) || d.depth > VOXRT_MAX_DEPTH)
-        return VOXRT_ERR_INVALID_ARG;
-    if (d.footprint > 0.0f && (image->depth == NULL || image->hit == NULL || !(d.voxel_size > 0.0f)))
-        return VOXRT_ERR_INVALID_ARG;
+    why = image == NULL || image->rgba == NULL ? "image: rgba is missing" :
+          !(d.radius > 0.0f && d.radius <= 64.0f) ? "radius: not above 0 and up to 64" :
+          !(d.footprint >= 0.0f) ? "footprint: not a number from 0" :
+          d.depth > VOXRT_MAX_DEPTH ? "depth: more levels than a tree has" :
+          d.footprint > 0.0f && (image->depth == NULL || image->hit == NULL) ? "footprint: needs depth and hit" :
+          d.footprint > 0.0f && !(d.voxel_size > 0.0f) ? "footprint: needs voxel_size" : NULL;
+    if (why != NULL) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, why);
     r = voxrti_env_open(&d.env, &mem);
     if (r != VOXRT_OK || image->width == 0 || image->height == 0) return r;
     memset(&p, 0, sizeof p);
@@ -16743,7 +16751,12 @@ static VOXRTI_NOINLINE void voxrti_gather_run(const voxrti_gather *w, const voxr
     uint32_t r, b, i, a, m;
     memset(of, 0, sizeof of);
     memset(part, 0, sizeof part);
+    memset(ray, 0, sizeof ray);
     memset(side, 0, sizeof side);
+    for (i = 0; i < VOXRTI_COLUMN_BATCH; i++) {
+        side[i].gi = w->gi;
+        side[i].at = (size_t)-1;
+    }
     memset(t, 0, sizeof t);
     memset(weight, 0, sizeof weight);
     memset(rgb, 0, sizeof rgb);
@@ -17927,6 +17940,7 @@ VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_g
     voxrt_result r = voxrti_gi_render_open(desc, gi, gbuffer, &d, &w);
     size_t n, i;
     uint32_t k;
+    memset(&reuse, 0, sizeof reuse);
     memset(&report, 0, sizeof report);
     if (r == VOXRT_OK && d.report != NULL) *d.report = report;
     if (r != VOXRT_OK || w.d == NULL) return r;

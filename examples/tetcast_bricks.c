@@ -1,8 +1,6 @@
 /* tetcast_bricks.c - tetrahedra or a grid -> bricks with level of detail -> picture
    SPDX-License-Identifier: MIT OR Unlicense */
-#include "support/camera.h"
-#include "support/cli.h"
-#include "support/png.h"
+#include "support/picture.h"
 #include "support/transfer.h"
 #include "support/volume.h"
 #include "support/volume_scenes.h"
@@ -21,11 +19,6 @@ typedef struct options {
 static const tetcast_type storages[4] = {TETCAST_TYPE_F16, TETCAST_TYPE_F32, TETCAST_TYPE_U16, TETCAST_TYPE_U8};
 static const char *const storage_names[4] = {"f16", "f32", "u16", "u8"};
 enum { SHADER_OPTICS, SHADER_LIT };
-
-static int ends_with(const char *text, const char *end) {
-    const size_t n = strlen(text), k = strlen(end);
-    return n >= k && strcmp(text + n - k, end) == 0;
-}
 
 /* ---- input -------------------------------------------------------------------------------------------------- */
 
@@ -57,7 +50,7 @@ static int read_raw(const options *o, sup_volume *v, sup_error *err) {
 
 static int load_volume(const options *o, const char *path, sup_volume *v, sup_error *err) {
     if (!path) return sup_volume_make(o->scene, (uint32_t)o->detail, v, err);
-    if (o->has_dims && !ends_with(path, ".vtk")) return read_raw(o, v, err);
+    if (o->has_dims && !sup_name_ends(path, ".vtk")) return read_raw(o, v, err);
     return sup_volume_read(path, v, err);
 }
 
@@ -500,7 +493,8 @@ static int parse_render(int argc, char **argv, options *o, tetcast_brick_render_
     status = sup_cli_parse(argc, argv, "Draws bricks.", table, n);
     if (status >= 0) return status;
     if (!o->in == !o->scene) return sup_bad_usage(argv[0], "IN or --scene has to be given");
-    if (!o->common.out && !o->common.depth && !o->common.stats) return sup_bad_usage(argv[0], "--out FILE is missing");
+    status = sup_out_check(argv[0], &o->common);
+    if (status >= 0) return status;
     if (o->has_focus && !(o->radius > 0.0)) return sup_bad_usage(argv[0], "--focus needs --radius");
     if (o->has_dims && !(o->dims[0] >= 1.0f && o->dims[1] >= 1.0f && o->dims[2] >= 1.0f))
         return sup_bad_usage(argv[0], "--dims: at least 1");
@@ -632,14 +626,10 @@ static void set_camera(const options *o, const tetcast_bricks_info *info, tetcas
 }
 
 static int write_pictures(const options *o, tetcast_image *image, const uint8_t *both, sup_error *err) {
-    const size_t pixels = (size_t)image->width * image->height;
-    if (o->common.depth && sup_pfm_write(o->common.depth, image->depth, image->width, image->height, 1, err)) return 1;
-    if (!o->common.out) return 0;
-    if (both) return sup_png_write8(o->common.out, both, 2 * image->width, image->height, 4, err);
-    if (!ends_with(o->common.out, ".pfm"))
-        return sup_png_write8(o->common.out, image->rgba8, image->width, image->height, 4, err);
-    for (size_t i = 0; i < pixels; i++) memmove(image->rgba + 3 * i, image->rgba + 4 * i, 12);
-    return sup_pfm_write(o->common.out, image->rgba, image->width, image->height, 3, err);
+    sup_common depth_only = o->common;
+    if (both) depth_only.out = NULL;
+    if (sup_out_write(&depth_only, image->rgba8, image->rgba, image->depth, image->width, image->height, err)) return 1;
+    return both && o->common.out ? sup_png_write8(o->common.out, both, 2 * image->width, image->height, 4, err) : 0;
 }
 
 static void print_stats(const options *o, const tetcast_bricks *bricks, const tetcast_cut *cut, const look *l,
@@ -658,8 +648,8 @@ static void print_stats(const options *o, const tetcast_bricks *bricks, const te
     if (both) printf(",\"difference\":%.6g,\"difference_rms\":%.6g", 255.0 * diff->most, 255.0 * diff->rms);
     printf(",\"eye\":[%.9g,%.9g,%.9g],\"at\":[%.9g,%.9g,%.9g]", camera->eye[0], camera->eye[1], camera->eye[2],
            camera->at[0], camera->at[1], camera->at[2]);
-    printf(",\"level_seconds\":%.6f,\"seconds\":%.6f,\"isa\":\"%s\",\"threads\":%lld}\n", build, seconds,
-           tetcast_isa_name(s->isa), (long long)o->common.threads);
+    printf(",\"level_seconds\":%.6f,\"seconds\":%.6f,\"isa\":\"%s\",\"threads\":%d}\n", build, seconds,
+           tetcast_isa_name(s->isa), sup_threads(o->common.threads));
 }
 
 static int render(int argc, char **argv) {
@@ -691,7 +681,7 @@ static int render(int argc, char **argv) {
     memset(&shader, 0, sizeof shader);
     sup_error_clear(&err);
     desc.env.error = &error;
-    if (o.in && ends_with(o.in, ".brk")) status = read_bricks(&o, &desc.env, &bricks, &err);
+    if (o.in && sup_name_ends(o.in, ".brk")) status = read_bricks(&o, &desc.env, &bricks, &err);
     else status = make_bricks(&o, &desc.env, &report, &bricks, &err);
     if (!status) {
         start = sup_now();

@@ -5,9 +5,7 @@
    tetcast_rbf fit tornado OUT.rbf                 a generated flow; or a scene of volume_scenes.h
    tetcast_rbf render IN.rbf --out P.png           picture of the field
    tetcast_rbf trace IN.rbf --out P.png            paths of particles in a field of vectors */
-#include "support/camera.h"
-#include "support/cli.h"
-#include "support/png.h"
+#include "support/picture.h"
 #include "support/transfer.h"
 #include "support/volume.h"
 #include "support/volume_scenes.h"
@@ -82,8 +80,8 @@ static int parse(int argc, char **argv, options *o) {
     if (o->command == COMMAND_FIT && !o->out) return sup_bad_usage(argv[0], "OUT.rbf is missing");
     if (o->command == COMMAND_FIT && o->kernel == TETCAST_KERNEL_GAUSS_CUT)
         return sup_bad_usage(argv[0], "--kernel cut: that one jumps, no error could be guaranteed");
-    if (o->command != COMMAND_FIT && !o->common.out && !o->common.stats && !o->common.depth)
-        return sup_bad_usage(argv[0], "--out FILE is missing");
+    if (o->command != COMMAND_FIT) status = sup_out_check(argv[0], &o->common);
+    if (status >= 0) return status;
     if (o->slice && !(o->slice[0] >= 'x' && o->slice[0] <= 'z' && o->slice[1] == '='))
         return sup_bad_usage(argv[0], "--slice: x=, y= or z= and a number from 0 to 1");
     if (!o->has_model && o->has_iso) o->model = o->tf ? TETCAST_MODEL_MIXED : TETCAST_MODEL_ISOSURFACE;
@@ -146,8 +144,8 @@ static void print_fit(const options *o, const sup_field *field, const tetcast_rb
     printf(",\"bytes\":%llu,\"raw_bytes\":%llu,\"grid_bytes\":%llu,\"grid\":[%u,%u,%u],\"grid_bits\":%u,\"grid_max_error\":%.6g,"
            "\"grid_mean_error\":%.6g", (unsigned long long)r->bytes, (unsigned long long)r->raw_bytes, (unsigned long long)r->grid_bytes,
            r->grid_dims[0], r->grid_dims[1], r->grid_dims[2], r->grid_bits, r->grid_max_error, r->grid_mean_error);
-    printf(",\"verdict\":\"%s\",\"seconds\":%.6f,\"threads\":%lld}\n", r->functions_win ? "functions" : "grid", seconds,
-           (long long)o->common.threads);
+    printf(",\"verdict\":\"%s\",\"seconds\":%.6f,\"threads\":%d}\n", r->functions_win ? "functions" : "grid", seconds,
+           sup_threads(o->common.threads));
 }
 
 static int fit(const options *o, tetcast_env *env, sup_error *err) {
@@ -502,13 +500,7 @@ static int make_image(const options *o, tetcast_image *image) {
 }
 
 static int write_image(const options *o, tetcast_image *image, sup_error *err) {
-    const char *name = o->common.out;
-    const size_t pixels = (size_t)image->width * image->height, n = name ? strlen(name) : 0;
-    if (o->common.depth && sup_pfm_write(o->common.depth, image->depth, image->width, image->height, 1, err)) return 1;
-    if (!name) return 0;
-    if (n < 4 || strcmp(name + n - 4, ".pfm") != 0) return sup_png_write8(name, image->rgba8, image->width, image->height, 4, err);
-    for (size_t i = 0; i < pixels; i++) memmove(image->rgba + 3 * i, image->rgba + 4 * i, 12);
-    return sup_pfm_write(name, image->rgba, image->width, image->height, 3, err);
+    return sup_out_write(&o->common, image->rgba8, image->rgba, image->depth, image->width, image->height, err);
 }
 
 static void rainbow(double x, float rgb[3]) {
@@ -616,9 +608,9 @@ static int render(const options *o, const tetcast_env *env, const model *m, sup_
                    (double)stats.step, (unsigned long long)stats.rays, (unsigned long long)stats.hit_rays,
                    (unsigned long long)stats.samples, (unsigned long long)stats.evaluations, (unsigned long long)stats.pairs,
                    (unsigned long long)stats.tests);
-            printf(",\"extinction\":%.6g,\"seconds\":%.6f,\"evaluations_per_second\":%.4g,\"isa\":\"%s\",\"threads\":%lld}\n", extinction,
+            printf(",\"extinction\":%.6g,\"seconds\":%.6f,\"evaluations_per_second\":%.4g,\"isa\":\"%s\",\"threads\":%d}\n", extinction,
                    start, start > 0.0 ? (double)stats.evaluations / start : 0.0, tetcast_isa_name(stats.isa),
-                   (long long)o->common.threads);
+                   sup_threads(o->common.threads));
         }
     }
     if (!failed) failed = write_image(o, &image, err);
@@ -769,8 +761,8 @@ static int trace(const options *o, const tetcast_env *env, const model *m, sup_e
             printf("{\"program\":\"tetcast_rbf\",\"command\":\"trace\",\"in\":");
             sup_json_string(stdout, o->in);
             printf(",\"particles\":%llu,\"steps\":%llu,\"left\":%u,\"dt\":%.6g,\"stepper\":\"%s\",\"seconds\":%.6f,\"steps_per_second\":%.4g,"
-                   "\"threads\":%lld}\n", (unsigned long long)count, (unsigned long long)moved, left, d.dt, o->stepper ? "euler" : "rk4",
-                   start, start > 0.0 ? (double)moved / start : 0.0, (long long)o->common.threads);
+                   "\"threads\":%d}\n", (unsigned long long)count, (unsigned long long)moved, left, d.dt, o->stepper ? "euler" : "rk4",
+                   start, start > 0.0 ? (double)moved / start : 0.0, sup_threads(o->common.threads));
         }
     }
     SUP_FREE(image.rgba);

@@ -1,8 +1,6 @@
 /* tetcast_render.c - volume mesh or grid -> picture
    SPDX-License-Identifier: MIT OR Unlicense */
-#include "support/camera.h"
-#include "support/cli.h"
-#include "support/png.h"
+#include "support/picture.h"
 #include "support/transfer.h"
 #include "support/volume.h"
 #include "support/volume_scenes.h"
@@ -88,7 +86,8 @@ static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
     status = collect_isovalues(argc, argv, o);
     if (status >= 0) return status;
     if (!o->in == !o->scene) return sup_bad_usage(argv[0], "MESH or --scene has to be given");
-    if (!o->common.out && !o->common.depth && !o->common.stats) return sup_bad_usage(argv[0], "--out FILE is missing");
+    status = sup_out_check(argv[0], &o->common);
+    if (status >= 0) return status;
     if (!o->has_model && o->isovalue_count) o->model = o->tf ? TETCAST_MODEL_MIXED : TETCAST_MODEL_ISOSURFACE;
     if (has_clip && !(clip[0] >= 0.0f && (clip[1] > clip[0] || clip[1] == 0.0f)))
         return sup_bad_usage(argv[0], "--clip: near and far have to ascend");
@@ -476,19 +475,8 @@ static void set_camera(const options *o, const tetcast_mesh *mesh, tetcast_camer
 
 /* ---- output ------------------------------------------------------------------------------------------------- */
 
-static int ends_with(const char *text, const char *end) {
-    const size_t n = strlen(text), k = strlen(end);
-    return n >= k && strcmp(text + n - k, end) == 0;
-}
-
 static int write_pictures(const options *o, tetcast_image *image, sup_error *err) {
-    const size_t pixels = (size_t)image->width * image->height;
-    if (o->common.depth && sup_pfm_write(o->common.depth, image->depth, image->width, image->height, 1, err)) return 1;
-    if (!o->common.out) return 0;
-    if (!ends_with(o->common.out, ".pfm"))
-        return sup_png_write8(o->common.out, image->rgba8, image->width, image->height, 4, err);
-    for (size_t i = 0; i < pixels; i++) memmove(image->rgba + 3 * i, image->rgba + 4 * i, 12);
-    return sup_pfm_write(o->common.out, image->rgba, image->width, image->height, 3, err);
+    return sup_out_write(&o->common, image->rgba8, image->rgba, image->depth, image->width, image->height, err);
 }
 
 static void print_stats(const options *o, const char *field, const tetcast_mesh *mesh, const tetcast_report *report,
@@ -532,14 +520,14 @@ static void print_stats(const options *o, const char *field, const tetcast_mesh 
            (double)how.bound_end, (double)how.bound_knots);
     printf(",\"eye\":[%.9g,%.9g,%.9g],\"at\":[%.9g,%.9g,%.9g]", camera->eye[0], camera->eye[1], camera->eye[2],
            camera->at[0], camera->at[1], camera->at[2]);
-    printf(",\"seconds\":%.6f,\"msteps_per_second\":%.3f,\"isa\":\"%s\",\"threads\":%lld}\n", seconds,
+    printf(",\"seconds\":%.6f,\"msteps_per_second\":%.3f,\"isa\":\"%s\",\"threads\":%d}\n", seconds,
            seconds > 0.0 ? 1e-6 * (double)s->steps / seconds : 0.0, tetcast_isa_name(s->isa),
-           (long long)o->common.threads);
+           sup_threads(o->common.threads));
 }
 
 static int make_image(const options *o, tetcast_image *image) {
     const size_t pixels = (size_t)o->common.size[0] * o->common.size[1];
-    const int linear = o->common.out && ends_with(o->common.out, ".pfm");
+    const int linear = sup_out_is_linear(&o->common);
     memset(image, 0, sizeof *image);
     image->width = o->common.size[0];
     image->height = o->common.size[1];

@@ -64,6 +64,7 @@ static int parse(int argc, char **argv, convert_options *o) {
         o->in = o->scene;
         o->out = o->first;
     } else {
+        if (o->detail != 0) return sup_bad_usage(argv[0], "--detail goes with --scene");
         if (o->second == NULL)
             return sup_bad_usage(argv[0], "%s is missing", o->first == NULL ? "IN.{obj,ply,stl,off}" : "OUT.vox");
         o->in = o->first;

@@ -1,14 +1,12 @@
 /* voxrt_gi.c - a scene that may move -> pictures with the light that bounces between its surfaces
    SPDX-License-Identifier: MIT OR Unlicense */
-#include "support/camera.h"
-#include "support/cli.h"
 #include "support/gi_scene.h"
 #include "support/mesh.h"
 #include "support/mesh_obj.h"
 #include "support/mesh_off.h"
 #include "support/mesh_ply.h"
 #include "support/mesh_stl.h"
-#include "support/png.h"
+#include "support/picture.h"
 #include "support/scenes.h"
 #define VOXRT_IMPLEMENTATION
 #include "voxrt.h"
@@ -139,7 +137,8 @@ static int parse(int argc, char **argv, gi_options *o) {
                                 "parts of the picture; what rays see, plain or as cubes; virtual lights; where maps let light through (red) or hold it (blue)");
     status = sup_cli_parse(argc, argv, "Draws a scene with global illumination.", table, n);
     if (status >= 0) return status;
-    if (o->common.out == NULL && !o->common.stats) return sup_bad_usage(argv[0], "--out FILE is missing");
+    status = sup_out_check(argv[0], &o->common);
+    if (status >= 0) return status;
     if ((o->grid & (o->grid - 1)) != 0) return sup_bad_usage(argv[0], "--grid: %d is no power of two", (int)o->grid);
     if (o->coarse & (o->coarse - 1)) return sup_bad_usage(argv[0], "--coarse: %d is no power of two", (int)o->coarse);
     if (o->depth != 0 && o->depth != 64 && o->depth != 128 && o->depth != 256)
@@ -740,8 +739,7 @@ static int draw(world *w, const gi_options *o, buffers *b, double t, int first, 
 /* Means of side x side samples: bytes in sRGB, or floats. */
 static int write_frame(const gi_options *o, const buffers *b, uint32_t side, const char *path, sup_error *err) {
     const uint32_t width = o->common.size[0], height = o->common.size[1];
-    const size_t tail = strlen(path);
-    const int linear = tail > 4 && strcmp(path + tail - 4, ".pfm") == 0;
+    const int linear = sup_out_is_linear(&o->common);
     for (uint32_t y = 0; y < height; y++)
         for (uint32_t x = 0; x < width; x++) {
             double rgb[3] = {0.0, 0.0, 0.0}, seen = 0.0;

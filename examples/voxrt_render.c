@@ -1,8 +1,6 @@
 /* voxrt_render.c - voxel file -> picture
    SPDX-License-Identifier: MIT OR Unlicense */
-#include "support/camera.h"
-#include "support/cli.h"
-#include "support/png.h"
+#include "support/picture.h"
 #define VOXRT_IMPLEMENTATION
 #include "voxrt.h"
 
@@ -100,8 +98,9 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
     status = sup_cli_parse(argc, argv, "Draws a voxel file.", table, n);
     if (status >= 0) return status;
     if (o->smooth && o->path == PATH_THESIS) return sup_bad_usage(argv[0], "--smooth goes with --path fast");
-    if (o->common.out == NULL && o->common.depth == NULL && !o->common.stats)
-        return sup_bad_usage(argv[0], "--out FILE is missing");
+    if (o->smooth && !o->has_blur) return sup_bad_usage(argv[0], "--smooth goes with --blur");
+    status = sup_out_check(argv[0], &o->common);
+    if (status >= 0) return status;
     status = collect_lights(argc, argv, o);
     if (status >= 0) return status;
 
@@ -214,22 +213,6 @@ static void free_scene(scene *s) {
     voxrt_octree_destroy(s->octree);
 }
 
-static int ends_with(const char *text, const char *end) {
-    const size_t n = strlen(text), k = strlen(end);
-    return n >= k && strcmp(text + n - k, end) == 0;
-}
-
-static int write_picture(const render_options *o, const voxrt_image *image, sup_error *err) {
-    const size_t pixels = (size_t)image->width * image->height;
-    if (o->common.depth != NULL && sup_pfm_write(o->common.depth, image->depth, image->width, image->height, 1, err))
-        return 1;
-    if (o->common.out == NULL) return 0;
-    if (!ends_with(o->common.out, ".pfm"))
-        return sup_png_write8(o->common.out, image->rgba8, image->width, image->height, 4, err);
-    for (size_t i = 0; i < pixels; i++) memmove(image->rgba + 3 * i, image->rgba + 4 * i, 12);
-    return sup_pfm_write(o->common.out, image->rgba, image->width, image->height, 3, err);
-}
-
 static int blur(const render_options *o, const voxrt_render_desc *desc, const scene *s, const voxrt_image *image,
                 voxrt_error *error) {
     voxrt_blur_desc b = {0};
@@ -251,9 +234,7 @@ static void print_stats(const render_options *o, const scene *s, const voxrt_cam
                         const voxrt_render_stats *stats, double seconds) {
     const voxrt_isa best = voxrt_isa_best(), wanted = (voxrt_isa)o->common.isa;
     const uint64_t rays = stats->primary.rays + stats->shadow.rays;
-    voxrt_env env = {0};
     voxrt_tree_info info;
-    env.thread_count = (uint32_t)o->common.threads;
     voxrt_tree_get_info(s->tree, &info);
     printf("{\"program\":\"voxrt_render\",\"in\":");
     sup_json_string(stdout, o->in);
@@ -266,9 +247,9 @@ static void print_stats(const render_options *o, const scene *s, const voxrt_cam
            (unsigned long long)stats->primary.steps, (unsigned long long)stats->primary.descents);
     printf(",\"eye\":[%.9g,%.9g,%.9g],\"at\":[%.9g,%.9g,%.9g]", (double)camera->eye[0], (double)camera->eye[1],
            (double)camera->eye[2], (double)camera->at[0], (double)camera->at[1], (double)camera->at[2]);
-    printf(",\"seconds\":%.6f,\"mrays_per_second\":%.3f,\"isa\":\"%s\",\"threads\":%u}\n", seconds,
+    printf(",\"seconds\":%.6f,\"mrays_per_second\":%.3f,\"isa\":\"%s\",\"threads\":%d}\n", seconds,
            seconds > 0.0 ? 1e-6 * (double)rays / seconds : 0.0,
-           voxrt_isa_name(wanted == VOXRT_ISA_AUTO || wanted > best ? best : wanted), voxrti_thread_count(&env));
+           voxrt_isa_name(wanted == VOXRT_ISA_AUTO || wanted > best ? best : wanted), sup_threads(o->common.threads));
 }
 
 static void free_image(voxrt_image *image) {
@@ -283,7 +264,7 @@ static void free_image(voxrt_image *image) {
 /* Buffers for what is asked for; returns 1 when memory is short. */
 static int make_image(const render_options *o, voxrt_image *image) {
     const size_t pixels = (size_t)o->common.size[0] * o->common.size[1];
-    const int linear = o->has_blur || (o->common.out != NULL && ends_with(o->common.out, ".pfm"));
+    const int linear = o->has_blur || sup_out_is_linear(&o->common);
     const double bytes = (double)pixels * (4.0 + (linear ? 16.0 : 0.0) + (o->has_blur ? 16.0 : 0.0) +
                                            (o->common.depth != NULL || o->smooth ? 4.0 : 0.0) +
                                            (o->smooth ? 12.0 + (double)sizeof(voxrt_hit) : 0.0));
@@ -346,7 +327,7 @@ int main(int argc, char **argv) {
         (void)sup_fail(&err, "%s: %s", o.in, error.text[0] ? error.text : "cannot be drawn");
         (void)sup_bad_input(argv[0], err.text);
     } else {
-        status = write_picture(&o, &image, &err);
+        status = sup_out_write(&o.common, image.rgba8, image.rgba, image.depth, image.width, image.height, &err);
         if (status) (void)sup_bad_input(argv[0], err.text);
         else if (o.common.stats) print_stats(&o, &s, &desc.camera, &image, &stats, seconds);
     }

@@ -1,9 +1,7 @@
 /* zbufrand_render.c - scenes of up to 10^13 triangles -> picture
    SPDX-License-Identifier: MIT OR Unlicense */
-#include "support/camera.h"
-#include "support/cli.h"
 #include "support/mesh.h"
-#include "support/png.h"
+#include "support/picture.h"
 #define ZBUFRAND_IMPLEMENTATION
 #include "zbufrand.h"
 #include "support/worlds.h"
@@ -65,7 +63,8 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     status = sup_cli_parse(argc, argv, "Draws a scene from random points of its surface.", table, n);
     if (status >= 0) return status;
     if (!o->scene) return sup_bad_usage(argv[0], "--scene is missing");
-    if (!o->common.out && !o->common.depth && !o->common.stats) return sup_bad_usage(argv[0], "--out FILE is missing");
+    status = sup_out_check(argv[0], &o->common);
+    if (status >= 0) return status;
     if (o->frames && (!o->common.out || o->common.depth || o->mean))
         return sup_bad_usage(argv[0], "--frames needs --out, and goes without --depth and --mean");
     if (!(o->common.tolerance > 0.0 && o->common.tolerance < 1.0))
@@ -241,19 +240,8 @@ static zbufrand_result draw_mean(const options *o, zbufrand_frame *frame, zbufra
     return ZBUFRAND_OK;
 }
 
-static int ends_with(const char *text, const char *end) {
-    const size_t n = strlen(text), k = strlen(end);
-    return n >= k && strcmp(text + n - k, end) == 0;
-}
-
 static int write_pictures(const options *o, zbufrand_image *image, sup_error *err) {
-    const size_t pixels = (size_t)image->width * image->height;
-    if (o->common.depth && sup_pfm_write(o->common.depth, image->depth, image->width, image->height, 1, err)) return 1;
-    if (!o->common.out) return 0;
-    if (!ends_with(o->common.out, ".pfm"))
-        return sup_png_write8(o->common.out, image->rgba8, image->width, image->height, 4, err);
-    for (size_t i = 0; i < pixels; i++) memmove(image->rgba + 3 * i, image->rgba + 4 * i, 12);
-    return sup_pfm_write(o->common.out, image->rgba, image->width, image->height, 3, err);
+    return sup_out_write(&o->common, image->rgba8, image->rgba, image->depth, image->width, image->height, err);
 }
 
 static void print_stats(const options *o, const zbufrand_scene_info *info, const zbufrand_camera *camera,
@@ -283,9 +271,9 @@ static void print_stats(const options *o, const zbufrand_scene_info *info, const
     for (int k = 0; k < ZBUFRAND_STAGE_COUNT; k++) printf("%s\"%s\":%.6f", k ? "," : "", stages[k], s->seconds[k]);
     printf("},\"eye\":[%.9g,%.9g,%.9g],\"at\":[%.9g,%.9g,%.9g]", camera->eye[0], camera->eye[1], camera->eye[2],
            camera->at[0], camera->at[1], camera->at[2]);
-    printf(",\"seconds\":%.6f,\"isa\":\"%s\",\"threads\":%lld}\n", p->seconds,
+    printf(",\"seconds\":%.6f,\"isa\":\"%s\",\"threads\":%d}\n", p->seconds,
            zbufrand_isa_name(o->common.isa ? (zbufrand_isa)o->common.isa : zbufrand_isa_best()),
-           (long long)o->common.threads);
+           sup_threads(o->common.threads));
 }
 
 /* ---- moving pictures ---------------------------------------------------------------------------------------- */

@@ -417,6 +417,61 @@ group_hygiene() {
 
 # --- programs: examples, tests, benches under the same warnings; pictures ----------------------------------------
 
+# Exit status: 0 done, 1 the input was bad (one line on stderr, nothing written), 2 wrong usage (one line on stderr).
+EXITS="
+0 voxrt_convert --help
+0 voxrt_convert --scene sphere @/s.vox --res 32 --quiet
+0 voxrt_render @/s.vox --out @/s.png --size 32x32 --quiet
+1 voxrt_convert @/none.ply @/bad.vox
+1 voxrt_convert @/garbage.obj @/bad.vox
+1 voxrt_render @/none.vox --out @/bad.png
+1 voxrt_render @/garbage.obj --out @/bad.png
+1 voxrt_render @/cut.vox --out @/bad.png
+1 voxrt_render @/s.vox --out @/no/folder.png --size 8x8
+1 voxrt_view @/garbage.obj
+1 voxrt_gi --scene @/none.txt --out @/bad.png
+1 voxrt_gi --scene @/garbage.obj --out @/bad.png
+1 zbufrand_render --scene @/garbage.obj --out @/bad.png
+1 tetcast_render @/garbage.obj --out @/bad.png
+1 tetcast_bricks resample @/garbage.obj @/bad.brk
+1 tetcast_bricks render @/garbage.brk --out @/bad.png
+1 tetcast_rbf fit @/garbage.obj @/bad.rbf --max-error 0.1
+1 tetcast_rbf render @/garbage.rbf --out @/bad.png
+2 voxrt_convert
+2 voxrt_convert --scene nothing @/bad.vox
+2 voxrt_convert @/garbage.obj @/bad.vox --detail 3
+2 voxrt_convert @/garbage.obj @/bad.vox --res 0
+2 voxrt_render
+2 voxrt_render @/s.vox
+2 voxrt_render @/s.vox --out @/bad.jpg
+2 voxrt_render @/s.vox --out @/bad.png --smooth
+2 voxrt_render @/s.vox --out @/bad.png --size 0x8
+2 voxrt_render @/s.vox --out @/bad.png --aa nan
+2 voxrt_view
+2 voxrt_gi
+2 voxrt_gi --scene cornell --out @/bad.png --grid 100
+2 zbufrand_render --scene forest --out @/bad.png --tolerance 2
+2 zbufrand_render --scene forest --depth @/bad.png
+2 tetcast_render --out @/bad.png
+2 tetcast_bricks
+2 tetcast_bricks render --out @/bad.png
+2 tetcast_rbf
+2 tetcast_rbf render @/garbage.rbf
+"
+exit_statuses() {
+    local d=$OUT/obj/exits want line got bad=0
+    rm -rf "$d"; mkdir -p "$d"
+    printf 'v 0 0 nothing\nf 1 2 3\n' > "$d/garbage.obj"; cp "$d/garbage.obj" "$d/garbage.brk"; cp "$d/garbage.obj" "$d/garbage.rbf"
+    while read -r want line; do
+        [ -n "$want" ] || continue
+        [ -f "$d/s.vox" ] && [ ! -f "$d/cut.vox" ] && head -c 100 "$d/s.vox" > "$d/cut.vox"
+        timeout 60 build/${line//@/$d} > "$d/out" 2> "$d/err" < /dev/null; got=$?
+        [ $got = "$want" ] || { echo "$line: status $got, not $want"; bad=1; }
+        [ "$want" = 0 ] || [ "$(wc -l < "$d/err")" = 1 ] || { echo "$line: not one line on stderr:"; cat "$d/err"; bad=1; }
+    done <<< "$EXITS"
+    ls "$d" | grep -F bad. && { echo "was written after an error"; bad=1; }
+    return $bad
+}
 group_programs() {
     local f name
     for f in $(ls examples/*.c tests/test_*.c tests/fuzz/*.c bench/*.c 2>/dev/null); do
@@ -431,6 +486,7 @@ group_programs() {
         item "programs include $f" c gcc -std=c99 -fsyntax-only -Wno-unused-function "$name"
     done
     solo "programs make all" make -j"$JOBS" all
+    solo "programs exit statuses" exit_statuses
     solo "programs make demo" timeout 400 make -j"$JOBS" demo
 }
 

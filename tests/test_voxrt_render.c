@@ -1305,6 +1305,7 @@ TEST(allocations) { /* drawing takes none; blur fails cleanly */
 /* ---- post -------------------------------------------------------------------------------------------------- */
 
 TEST(encode_and_blur) {
+    voxrt_error error;
     voxrt_tree *t = make_sphere(5, 0.9);
     picture p = make_picture(70, 50, 8, 0), q;
     voxrt_render_desc d;
@@ -1379,6 +1380,13 @@ TEST(encode_and_blur) {
     q.m.hit_stride = 0;
     b.voxel_size = 0;
     CHECK(voxrt_blur(&b, &q.m) == VOXRT_ERR_INVALID_ARG);
+    b.env.error = &error;
+    CHECK(voxrt_blur(&b, &q.m) == VOXRT_ERR_INVALID_ARG && strstr(error.text, "voxel_size") != NULL);
+    CHECK(voxrt_blur(&b, NULL) == VOXRT_ERR_INVALID_ARG && strstr(error.text, "rgba") != NULL);
+    bytes = q.m.rgba8;
+    q.m.rgba8 = NULL;
+    CHECK(voxrt_image_encode(&b.env, &q.m) == VOXRT_ERR_INVALID_ARG && error.code == VOXRT_ERR_INVALID_ARG && error.text[0] != 0);
+    q.m.rgba8 = bytes;
     voxrt_tree_destroy(t);
     free_picture(&p);
     free_picture(&q);

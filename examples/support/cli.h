@@ -354,6 +354,14 @@ SUP_FN double sup_now(void) {
     return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
 }
 
+/* How many threads the libraries use when `asked` were asked for: 0 means one per core; 64 at most. */
+SUP_FN int sup_threads(int64_t asked) {
+#if defined(_SC_NPROCESSORS_ONLN)
+    if (asked == 0) asked = (int64_t)sysconf(_SC_NPROCESSORS_ONLN);
+#endif
+    return asked < 1 ? 1 : asked > 64 ? 64 : (int)asked;
+}
+
 /* 1 when stderr is a terminal. */
 SUP_FN int sup_is_terminal(void) {
 #if defined(_WIN32)
