@@ -5696,7 +5696,7 @@ VOXRTI_INLINE uint32_t voxrti_octant_rank(const voxrt_tree *t, uint32_t i) {
 
 /* Index of the attributes of a cell of virtual level v: `node` holds it, at bit `slot` (v even) or octant slot/8 (v
    odd). v = 0: the virtual root. */
-static VOXRTI_UNUSED uint64_t voxrti_attr_index(const voxrt_tree *t, uint32_t v, uint32_t node, uint32_t slot) {
+VOXRTI_INLINE uint64_t voxrti_attr_index(const voxrt_tree *t, uint32_t v, uint32_t node, uint32_t slot) {
     uint32_t w, r;
     if (v == 0) return t->attr_first[0];
     w = (v - 1) / 2;
@@ -11703,16 +11703,44 @@ VOXRT_DEF voxrt_result voxrt_occluded(const voxrt_tree *tree, const voxrt_trace_
     return VOXRT_OK;
 }
 
-static uint64_t voxrti_hit_attr(const voxrt_tree *t, const voxrt_hit *hit) {
+VOXRTI_INLINE uint64_t voxrti_hit_attr(const voxrt_tree *t, const voxrt_hit *hit) {
     return voxrti_attr_index(t, (uint32_t)hit->level + 2 * t->wide - t->depth, hit->node, hit->slot);
 }
 
+/* Those of n rays, 0 for misses; the attributes are on their way from memory when this returns. */
+VOXRTI_INLINE void voxrti_hit_attrs_each(const voxrt_tree *t, const voxrt_hit *hit, uint32_t n, uint64_t *attr) {
+    uint32_t i;
+    for (i = 0; i < n; i++) {
+        attr[i] = 0;
+        if (hit[i].node == VOXRT_NO_NODE) continue;
+        attr[i] = voxrti_hit_attr(t, &hit[i]);
+        if (t->normal != NULL) VOXRTI_PREFETCH(t->normal + attr[i]);
+        if (t->colors.block != NULL) VOXRTI_PREFETCH(t->colors.block + (attr[i] >> 6));
+    }
+}
+#if VOXRTI_AVX2
+VOXRTI_TARGET_AVX2 static void voxrti_hit_attrs_popcnt(const voxrt_tree *t, const voxrt_hit *hit, uint32_t n,
+                                                       uint64_t *attr) {
+    voxrti_hit_attrs_each(t, hit, n, attr); /* ranks by an instruction */
+}
+#endif
+static void voxrti_hit_attrs(voxrt_isa isa, const voxrt_tree *t, const voxrt_hit *hit, uint32_t n, uint64_t *attr) {
+#if VOXRTI_AVX2
+    if ((isa == VOXRT_ISA_AUTO || isa >= VOXRT_ISA_AVX2) && voxrt_isa_best() >= VOXRT_ISA_AVX2) {
+        voxrti_hit_attrs_popcnt(t, hit, n, attr);
+        return;
+    }
+#endif
+    (void)isa;
+    voxrti_hit_attrs_each(t, hit, n, attr);
+}
+
+VOXRTI_INLINE void voxrti_attr_color(const voxrt_tree *t, uint64_t attr, uint8_t rgb[3]) {
+    memcpy(rgb, t->palette + (size_t)3 * voxrti_color_index(t, attr), 3);
+}
+
 VOXRT_DEF void voxrt_hit_color(const voxrt_tree *tree, const voxrt_hit *hit, uint8_t rgb[3]) {
-    const uint8_t *p = tree->palette;
-    if (tree->colors.block != NULL) p += (size_t)3 * voxrti_colors_get(&tree->colors, voxrti_hit_attr(tree, hit));
-    rgb[0] = p[0];
-    rgb[1] = p[1];
-    rgb[2] = p[2];
+    voxrti_attr_color(tree, tree->colors.block != NULL ? voxrti_hit_attr(tree, hit) : 0, rgb);
 }
 
 VOXRT_DEF void voxrt_hit_normal(const voxrt_tree *tree, const voxrt_hit *hit, float normal[3]) {
@@ -12001,8 +12029,10 @@ static void voxrti_heat(const voxrti_render *c, const voxrt_ray *ray, float valu
 /* Trace through the tree and fill in what the rays met. */
 static void voxrti_tree_trace(const voxrt_tree *tree, const voxrt_trace_desc *td, uint32_t bare, const voxrt_ray *ray,
                               voxrt_surface *surface, voxrt_hit *hit, uint32_t n) {
+    uint64_t attr[VOXRTI_RUN];
     uint32_t i;
     if (voxrt_trace(tree, td, ray, hit, n) != VOXRT_OK) memset(hit, 0xff, n * sizeof *hit);
+    if (!bare) voxrti_hit_attrs(td->isa, tree, hit, n, attr);
     for (i = 0; i < n; i++) {
         voxrt_surface *s = &surface[i];
         memset(s, 0, sizeof *s);
@@ -12012,8 +12042,8 @@ static void voxrti_tree_trace(const voxrt_tree *tree, const voxrt_trace_desc *td
         s->face = hit[i].face;
         s->edge = (float)(tree->voxel_size * (double)((uint32_t)1 << (tree->depth - hit[i].level)));
         if (bare) continue;
-        voxrt_hit_color(tree, &hit[i], s->rgb);
-        if (tree->normal != NULL) voxrt_hit_normal(tree, &hit[i], s->normal);
+        voxrti_attr_color(tree, attr[i], s->rgb);
+        if (tree->normal != NULL) voxrti_normal_decode(tree->spherical, tree->normal[attr[i]], s->normal);
     }
 }
 

@@ -65,6 +65,7 @@ tsan           clang   -fsanitize=thread
 msan           clang   -fsanitize=memory -fsanitize-memory-track-origins
 "
 SAN_FLAGS="-std=c99 -g -O1 -ffp-contract=off -fno-omit-frame-pointer"
+STATIC="-DVOXRT_STATIC -DZBUFRAND_STATIC -DTETCAST_STATIC" # what a program does not use is not compiled
 # gcc for s390x computes float in double with -std=c99, which gives other bits.
 EMULATE="
 aarch64        aarch64-linux-gnu-gcc  qemu-aarch64
@@ -611,7 +612,7 @@ group_emulate() {
 
 fuzz_standalone() { # NAME SECONDS
     local p=$OUT/fuzz/$1.standalone
-    cmd gcc $SAN_FLAGS -fsanitize=address,undefined -fno-sanitize-recover=all -I. -o "$p" tests/fuzz/$1.c tests/fuzz/standalone.c -lm -lpthread &&
+    cmd gcc $SAN_FLAGS $STATIC -fsanitize=address,undefined -fno-sanitize-recover=all -I. -o "$p" tests/fuzz/$1.c tests/fuzz/standalone.c -lm -lpthread &&
     cmd timeout 300 "$p" -seconds="$2" -crash="$OUT/fuzz/$1.crash" $( [ -d tests/fuzz/corpus/${1#fuzz_} ] && echo tests/fuzz/corpus/${1#fuzz_} )
 }
 fuzz_libfuzzer() { # NAME SECONDS
@@ -619,7 +620,7 @@ fuzz_libfuzzer() { # NAME SECONDS
     [ -f tests/fuzz/${1#fuzz_}.dict ] && dict=-dict=tests/fuzz/${1#fuzz_}.dict
     [ -d tests/fuzz/corpus/${1#fuzz_} ] && seeds=tests/fuzz/corpus/${1#fuzz_}
     mkdir -p "$OUT/fuzz/$1.found"
-    cmd clang $SAN_FLAGS -fsanitize=fuzzer,address,undefined -fno-sanitize-recover=all -I. -o "$p" tests/fuzz/$1.c -lm -lpthread &&
+    cmd clang $SAN_FLAGS $STATIC -fsanitize=fuzzer,address,undefined -fno-sanitize-recover=all -I. -o "$p" tests/fuzz/$1.c -lm -lpthread &&
     cmd timeout 600 "$p" -max_total_time=$2 -timeout=10 -rss_limit_mb=3000 -seed=1 -print_final_stats=1 \
         -artifact_prefix="$OUT/fuzz/$1." $dict "$OUT/fuzz/$1.found" $seeds
 }
