@@ -13494,6 +13494,39 @@ TETCAST_DEF void tetcast_section_free(tetcast_section *section) {
     memset(section, 0, sizeof *section);
 }
 
+/* One pass over the cells: counts points and polygons, and writes them where section is not NULL. */
+static void tetcasti_section_pass(const tetcast_mesh *mesh, const double *heights, tetcast_section *section,
+                                  size_t *points, size_t *polygons) {
+    size_t i;
+    *points = *polygons = 0;
+    for (i = 0; i < mesh->cell_count; i++) {
+        double p[4][3], s[4];
+        uint32_t k, a, n;
+        if (mesh->hidden != NULL && (mesh->hidden[i >> 5] >> (i & 31u) & 1u)) continue;
+        n = tetcasti_section_cell(mesh, (uint32_t)i, heights, p, s);
+        if (n == 0) continue;
+        if (section != NULL) {
+            section->first[*polygons] = (uint32_t)*points;
+            section->cells[*polygons] = (uint32_t)i;
+            for (k = 0; k < n; k++) {
+                for (a = 0; a < 3; a++) section->points[*points + k][a] = mesh->origin[a] + p[k][a] * mesh->unit;
+                section->values[*points + k] = (float)s[k];
+            }
+            for (k = 1; k + 1 < n; k++) {
+                double u[3], v[3], w[3];
+                for (a = 0; a < 3; a++) {
+                    u[a] = (p[k][a] - p[0][a]) * mesh->unit;
+                    v[a] = (p[k + 1][a] - p[0][a]) * mesh->unit;
+                }
+                tetcasti_cross(u, v, w);
+                section->area += 0.5 * sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]);
+            }
+        }
+        *points += n;
+        ++*polygons;
+    }
+}
+
 TETCAST_DEF tetcast_result tetcast_plane_section(const tetcast_env *env, const tetcast_mesh *mesh,
                                                  const tetcast_plane *plane, tetcast_section *out) {
     tetcast_env none;
@@ -13501,8 +13534,7 @@ TETCAST_DEF tetcast_result tetcast_plane_section(const tetcast_env *env, const t
     tetcasti_mem mem;
     tetcast_result r;
     double *heights;
-    size_t points = 0, polygons = 0, i;
-    uint32_t pass;
+    size_t points, polygons;
     memset(&none, 0, sizeof none);
     if (env == NULL) env = &none;
     if (out != NULL) memset(out, 0, sizeof *out);
@@ -13514,48 +13546,22 @@ TETCAST_DEF tetcast_result tetcast_plane_section(const tetcast_env *env, const t
     out->_allocator = mem.allocator;
     heights = tetcasti_plane_heights(&mem, mesh, &f);
     if (heights == NULL) return tetcasti_fail(env->error, TETCAST_ERR_NO_MEMORY, 0, "section: out of memory");
-    for (pass = 0; pass < 2 && r == TETCAST_OK; pass++) {
-        points = polygons = 0;
-        for (i = 0; i < mesh->cell_count; i++) {
-            double p[4][3], s[4];
-            uint32_t k, a, n;
-            if (mesh->hidden != NULL && (mesh->hidden[i >> 5] >> (i & 31u) & 1u)) continue;
-            n = tetcasti_section_cell(mesh, (uint32_t)i, heights, p, s);
-            if (n == 0) continue;
-            if (pass == 1) {
-                out->first[polygons] = (uint32_t)points;
-                out->cells[polygons] = (uint32_t)i;
-                for (k = 0; k < n; k++) {
-                    for (a = 0; a < 3; a++) out->points[points + k][a] = mesh->origin[a] + p[k][a] * mesh->unit;
-                    out->values[points + k] = (float)s[k];
-                }
-                for (k = 1; k + 1 < n; k++) {
-                    double u[3], v[3], w[3];
-                    for (a = 0; a < 3; a++) {
-                        u[a] = (p[k][a] - p[0][a]) * mesh->unit;
-                        v[a] = (p[k + 1][a] - p[0][a]) * mesh->unit;
-                    }
-                    tetcasti_cross(u, v, w);
-                    out->area += 0.5 * sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]);
-                }
-            }
-            points += n;
-            polygons++;
-        }
-        if (pass == 1) break;
-        if (points > 0x7fffffffu) r = tetcasti_fail(env->error, TETCAST_ERR_RANGE, points, "section: too many points");
-        out->points = (double (*)[3])tetcasti_alloc_array(&mem, points + 1, sizeof *out->points);
-        out->values = (float *)tetcasti_alloc_array(&mem, points + 1, sizeof *out->values);
-        out->first = (uint32_t *)tetcasti_alloc_array(&mem, polygons + 1, sizeof *out->first);
-        out->cells = (uint32_t *)tetcasti_alloc_array(&mem, polygons + 1, sizeof *out->cells);
-        if (r == TETCAST_OK && (out->points == NULL || out->values == NULL || out->first == NULL || out->cells == NULL))
-            r = tetcasti_fail(env->error, TETCAST_ERR_NO_MEMORY, 0, "section: out of memory");
+    tetcasti_section_pass(mesh, heights, NULL, &points, &polygons);
+    if (points > 0x7fffffffu) {
+        tetcasti_free(&mem, heights);
+        return tetcasti_fail(env->error, TETCAST_ERR_RANGE, points, "section: too many points");
     }
-    tetcasti_free(&mem, heights);
-    if (r != TETCAST_OK) {
+    out->points = (double (*)[3])tetcasti_alloc_array(&mem, points + 1, sizeof *out->points);
+    out->values = (float *)tetcasti_alloc_array(&mem, points + 1, sizeof *out->values);
+    out->first = (uint32_t *)tetcasti_alloc_array(&mem, polygons + 1, sizeof *out->first);
+    out->cells = (uint32_t *)tetcasti_alloc_array(&mem, polygons + 1, sizeof *out->cells);
+    if (out->points == NULL || out->values == NULL || out->first == NULL || out->cells == NULL) {
+        tetcasti_free(&mem, heights);
         tetcast_section_free(out);
-        return r;
+        return tetcasti_fail(env->error, TETCAST_ERR_NO_MEMORY, 0, "section: out of memory");
     }
+    tetcasti_section_pass(mesh, heights, out, &points, &polygons);
+    tetcasti_free(&mem, heights);
     out->first[polygons] = (uint32_t)points;
     out->point_count = (uint32_t)points;
     out->polygon_count = (uint32_t)polygons;
@@ -14456,13 +14462,14 @@ TETCASTI_INLINE uint32_t tetcasti_slot_brick(const tetcast_bricks *b, uint32_t l
 
 static void tetcasti_cut_clamp(tetcast_cut *cut) { /* to what there is */
     const tetcast_bricks *b = cut->bricks;
+    const uint32_t last = b->levels > 1 ? b->levels - 1 : 0;
     uint32_t x, y, z;
     size_t i = 0;
     for (z = 0; z < b->slots[2]; z++)
         for (y = 0; y < b->slots[1]; y++)
             for (x = 0; x < b->slots[0]; x++, i++) {
-                uint32_t k = cut->level[i] < b->levels ? cut->level[i] : b->levels - 1;
-                while (tetcasti_slot_brick(b, k, x, y, z) == TETCASTI_NONE) k++; /* the coarsest level is complete */
+                uint32_t k = cut->level[i] < last ? cut->level[i] : last; /* the coarsest level is complete */
+                while (k < last && tetcasti_slot_brick(b, k, x, y, z) == TETCASTI_NONE) k++;
                 cut->level[i] = (uint8_t)k;
             }
 }
@@ -14709,7 +14716,7 @@ static void tetcasti_border_copy(const tetcast_cut *cut, float *to, uint32_t wor
             const size_t up = sz != 0 ? stride[r] : 0, ahead = sy != 0 ? stride[q] : 0;
             const size_t node = stride[r] * (pz >> ko) + stride[q] * (py >> ko) + stride[p] * i0, n = i1 - i0 + 1;
             float *out = to + stride[r] * z + stride[q] * y + stride[p] * r0[p];
-            if (n > 33 || (pz >> ko) > cells || (py >> ko) > cells) return; /* cannot be */
+            if (n == 0 || n > 33 || (pz >> ko) > cells || (py >> ko) > cells) return; /* cannot be */
             if (type == TETCAST_TYPE_F32)
                 tetcasti_border_line(b, block, TETCAST_TYPE_F32, node, stride[p], n, up, fz, ahead, fy, line);
             else tetcasti_border_line(b, block, type, node, stride[p], n, up, fz, ahead, fy, line);
@@ -15000,8 +15007,9 @@ static tetcast_result tetcasti_bricks_check(const tetcast_bricks_desc *d, const 
     uint32_t a, k;
     memset(&cd, 0, sizeof cd);
     cd.env = d->env;
+    cut = NULL;
     r = tetcast_cut_create(&cd, b, &cut);
-    if (r != TETCAST_OK) return r;
+    if (cut == NULL) return r;
     report->checks = report->above = 0;
     report->error = 0.0;
     *helps = 0;
@@ -15499,7 +15507,7 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_mesh(const tetcast_bricks_desc 
             tetcast_bricks *b = NULL;
             r = tetcasti_bricks_try(&d, mesh, longest, force, &short_of, &b);
             report->tries++;
-            if (r != TETCAST_OK) break;
+            if (b == NULL) break; /* r says why */
             if (force == NULL && d.max_error > 0.0f) {
                 force = (uint8_t *)tetcasti_alloc_zero(&mem, tetcasti_slot_count(b), 1);
                 if (force == NULL) r = tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
@@ -17602,7 +17610,8 @@ static uint32_t tetcasti_rbf_width_code(const tetcast_rbf *m, double w) {
     return !(q > 0.0) ? 0u : q >= (double)last ? last : (uint32_t)q;
 }
 static int32_t tetcasti_rbf_code(double x, double step, uint32_t bits) { /* nearest multiple of step in `bits` bits */
-    const double most = (double)(((uint32_t)1 << (bits - 1)) - 1u), q = x / step;
+    const double most = bits != 0 ? (double)(((uint32_t)1 << (bits - 1)) - 1u) : 0.0, q = x / step;
+    if (bits == 0) return 0;
     if (!(q > -most - 1.0)) return (int32_t)(-most - 1.0);
     if (q >= most) return (int32_t)most;
     return (int32_t)tetcasti_floor(q + 0.5);
@@ -19047,6 +19056,7 @@ static void tetcasti_fit_colors(tetcasti_fit *t, tetcast_task_fn *task) {
 static int tetcasti_fit_read(const tetcast_rbf_points *in, size_t i, double p[3], double v[4]) {
     const size_t vs = tetcasti_array_stride(&in->values, in->components);
     uint32_t a, ok = 1;
+    v[0] = v[1] = v[2] = v[3] = 0.0;
     if (in->positions.data == NULL) {
         const size_t at[3] = {i % in->dims[0], i / in->dims[0] % in->dims[1], i / in->dims[0] / in->dims[1]};
         const int unit = in->spacing[0] == 0.0 && in->spacing[1] == 0.0 && in->spacing[2] == 0.0;
@@ -20843,6 +20853,7 @@ typedef struct tetcasti_rbf_traces {
 static void tetcasti_rbf_velocity(const tetcasti_rbf_traces *t, const double (*p)[3], uint32_t n, double (*v)[3]) {
     float local[8][3], value[24];
     uint32_t i, a;
+    memset(value, 0, sizeof value);
     for (i = 0; i < n; i++) tetcasti_rbf_local(t->m, p[i], local[i]);
     tetcasti_rbf_points(t->m, t->add, 0, (const float (*)[3])local, n, value, NULL);
     for (i = 0; i < n; i++) for (a = 0; a < 3; a++) v[i][a] = (double)value[3 * i + a];
