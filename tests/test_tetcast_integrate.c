@@ -591,6 +591,57 @@ TEST(absorption_is_summed) { /* depth added, one exponential: 1000 thin segments
     tetcast_optics_destroy(o);
 }
 
+/* Color and opacity rounded to multiples of 1 / steps after each segment, as frame buffers of few bits would. */
+static double few_bits(float (*part)[4], size_t count, double steps, const double want[4]) {
+    double sum[4] = {0, 0, 0, 0}, worst = 0;
+    size_t i;
+    int c;
+    for (i = 0; i < count; i++) {
+        const double left = 1 - sum[3];
+        for (c = 0; c < 4; c++) sum[c] = floor((sum[c] + left * (double)part[i][c]) * steps + 0.5) / steps;
+    }
+    for (c = 0; c < 4; c++) worst = fmax(worst, fabs(sum[c] - want[c]));
+    return worst;
+}
+
+TEST(bits_between_segments) { /* why sums are floats: each segment is exact, but 8 bits between them are not enough */
+    static const size_t counts[4] = {16, 64, 256, 1024};
+    static tetcast_segment s[1024];
+    static float part[1024][4];
+    tetcast_optics *o = make_optics(oracle_smooth, ORACLE_SMOOTH, 0, TETCAST_MODEL_VOLUME, -1.0f);
+    double bytes[4], words[4], floats[4];
+    size_t i, n, k;
+    int c;
+    for (k = 0; k < 4; k++) {
+        double want[4] = {0, 0, 0, 0}, left = 1;
+        float got[4];
+        n = counts[k];
+        for (i = 0; i < n; i++) {
+            double e[4];
+            s[i].front = (float)i / (float)n;
+            s[i].back = (float)(i + 1) / (float)n;
+            s[i].length = 2.0f / (float)n;
+            s[i].depth = 0;
+            oracle_segment(oracle_smooth, ORACLE_SMOOTH, 0, &s[i], e);
+            for (c = 0; c < 3; c++) want[c] += left * e[c];
+            left *= 1 - e[3];
+        }
+        want[3] = 1 - left;
+        CHECK(tetcast_optics_segments(o, s, n, TETCAST_ISA_AUTO, part) == TETCAST_OK);
+        CHECK(tetcast_optics_ray(o, s, n, got, NULL) == TETCAST_OK);
+        for (c = 0, floats[k] = 0; c < 4; c++) floats[k] = fmax(floats[k], fabs((double)got[c] - want[c]));
+        bytes[k] = few_bits(part, n, 255, want);
+        words[k] = few_bits(part, n, 65535, want);
+        if (getenv("TEST_PRINT") != NULL)
+            printf("%4u segments: 8 bits %.2g, 16 bits %.2g, floats %.2g\n", (unsigned)n, bytes[k], words[k], floats[k]);
+        CHECK(floats[k] < 1e-6);
+        CHECK(words[k] < 1.5 * (double)n / 65535 && words[k] > floats[k]); /* half a step for each segment, and the rest */
+    }
+    CHECK(bytes[0] < 0.02 && bytes[2] < 0.2); /* the error grows with the segments */
+    CHECK(bytes[3] > 0.2 && bytes[3] > 10 * bytes[0]); /* what each of many adds is less than half a step: it vanishes */
+    tetcast_optics_destroy(o);
+}
+
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(exact_smooth);
@@ -609,5 +660,6 @@ int main(int argc, char **argv) {
     RUN(golden_bits);
     RUN(odd_values);
     RUN(absorption_is_summed);
+    RUN(bits_between_segments);
     return test_end();
 }

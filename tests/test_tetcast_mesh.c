@@ -510,6 +510,87 @@ TEST(grids) {
         }
 }
 
+static int first_value(void *user, const tetcast_crossing *c) {
+    *(float *)user = c->front;
+    return 1;
+}
+
+/* Largest differences of the mesh's function from the trilinear one of its grid of n^3 hexahedra, and from the smooth
+   function at the nodes. */
+static void hexahedra_differ(uint32_t n, uint32_t alternate, double differ[2]) {
+    const uint32_t m = n + 1;
+    tetcast_grid g;
+    tetcast_field f;
+    tetcast_mesh_desc d = defaults();
+    tetcast_mesh *mesh = NULL;
+    test_rng r = test_rng_make(n);
+    float *value = (float *)malloc((size_t)m * m * m * sizeof *value);
+    uint32_t i, k;
+    memset(&g, 0, sizeof g);
+    memset(&f, 0, sizeof f);
+    differ[0] = differ[1] = 0;
+    if (value == NULL) abort();
+    for (i = 0; i < m * m * m; i++) {
+        const double x = (double)(i % m) / n, y = (double)(i / m % m) / n, z = (double)(i / m / m) / n;
+        value[i] = (float)(x * y + y * z - x * z + x * y * z + 0.2 * sin(3 * x + 2 * y) * cos(3 * z));
+    }
+    f.values.data = value;
+    g.fields = &f;
+    g.field_count = 1;
+    g.alternate = alternate;
+    for (k = 0; k < 3; k++) {
+        g.dims[k] = m;
+        g.spacing[k] = 1.0 / n;
+    }
+    CHECK_EQ_U64(tetcast_mesh_create_grid(&d, &g, NULL, &mesh), TETCAST_OK);
+    for (i = 0; mesh != NULL && i < 4000; i++) {
+        tetcast_ray ray;
+        double w[3], hex = 0, smooth;
+        float got = NAN;
+        uint32_t c[3];
+        memset(&ray, 0, sizeof ray);
+        ray.dir[0] = 1;
+        ray.t_max = 10;
+        for (k = 0; k < 3; k++) {
+            ray.org[k] = 0.001 + 0.998 * test_rng_double(&r);
+            c[k] = (uint32_t)(ray.org[k] * n);
+            w[k] = ray.org[k] * n - c[k];
+        }
+        for (k = 0; k < 8; k++)
+            hex += (k & 1 ? w[0] : 1 - w[0]) * (k & 2 ? w[1] : 1 - w[1]) * (k & 4 ? w[2] : 1 - w[2]) *
+                   (double)value[c[0] + (k & 1) + m * (c[1] + (k >> 1 & 1) + m * (c[2] + (k >> 2)))];
+        smooth = ray.org[0] * ray.org[1] + ray.org[1] * ray.org[2] - ray.org[0] * ray.org[2] +
+                 ray.org[0] * ray.org[1] * ray.org[2] +
+                 0.2 * sin(3 * ray.org[0] + 2 * ray.org[1]) * cos(3 * ray.org[2]);
+        (void)tetcast_probe(mesh, &ray, first_value, &got);
+        CHECK(got == got);
+        differ[0] = fmax(differ[0], fabs((double)got - hex));
+        differ[1] = fmax(differ[1], fabs((double)got - smooth));
+    }
+    tetcast_mesh_destroy(mesh);
+    free(value);
+}
+
+TEST(hexahedra_converge) { /* half the size of the cells, a quarter of what cutting hexahedra changes */
+    uint32_t alternate, n, k;
+    for (alternate = 0; alternate < 2; alternate++) {
+        double last[2] = {0, 0}, first[2] = {0, 0};
+        for (n = 4; n <= 32; n *= 2) {
+            double now[2];
+            hexahedra_differ(n, alternate, now);
+            if (getenv("TEST_PRINT") != NULL)
+                printf("%2u^3 hexahedra, %u each: from trilinear %.3g, from the function %.3g\n", n, alternate ? 5u : 6u,
+                       now[0], now[1]);
+            for (k = 0; k < 2; k++) {
+                CHECK(n == 4 || (now[k] < last[k] / 3 && now[k] > last[k] / 5));
+                if (n == 4) first[k] = now[k];
+                last[k] = now[k];
+            }
+        }
+        for (k = 0; k < 2; k++) CHECK(first[k] > 50 * last[k] && first[k] < 80 * last[k]); /* 64 */
+    }
+}
+
 TEST(grid_blanks) { /* a vertex that is blanked takes its eight cells out */
     tetcast_grid g;
     tetcast_mesh_desc d = defaults();
@@ -1112,6 +1193,7 @@ int main(int argc, char **argv) {
     RUN(hexahedron_all_numberings);
     RUN(degenerate_shapes);
     RUN(grids);
+    RUN(hexahedra_converge);
     RUN(grid_blanks);
     RUN(bad_cells);
     RUN(nonmanifold);

@@ -1169,12 +1169,13 @@ static size_t random_function(test_rng *r, tetcast_control_point *p) {
     return n;
 }
 
-TEST(tolerance_of_pictures) { /* random meshes, fields, functions, cameras: no pixel is off by more than was allowed */
+TEST(tolerance_of_pictures) { /* random meshes, fields, functions, cameras, ways: no pixel is off by more than allowed */
+    enum { SIDE = 11 };
     static tetcast_control_point p[256];
-    static float rgba[16 * 16 * 4];
+    static float rgba[SIDE * SIDE * 4];
     static const float allowed[6] = {0.1f, 0.3f, 1, 3, 8, 20};
     test_rng r = test_rng_make(4711);
-    const int count = test_quick() ? 12 : 84;
+    const int count = test_quick() ? 24 : 240;
     oracle_cells list;
     int k, tight = 0, shorter = 0;
     memset(&list, 0, sizeof list);
@@ -1203,12 +1204,13 @@ TEST(tolerance_of_pictures) { /* random meshes, fields, functions, cameras: no p
             s.t.s[i] = (float)(0.5 + 0.3 * sin(wave * q[0] / middle + q[1]) + 0.2 * cos(2 * q[2] / middle) +
                                0.1 * (test_rng_double(&r) - 0.5));
         }
-        s.mesh = tets_build(&s.t, TETCAST_CELLS_TET16, NULL);
+        s.mesh = tets_build(&s.t, (tetcast_cells)(k % 7), NULL);
         REQUIRE(s.mesh != NULL);
         td.points = p;
         td.point_count = points;
+        td.color_mode = k / 6 % 4 == 3 ? TETCAST_COLOR_INDEPENDENT : TETCAST_COLOR_ASSOCIATED;
         td.extinction_scale = (float)(1.0 / middle);
-        od.tolerance = allowed[k % 6];
+        od.tolerance = allowed[k % 6] * (0.5f + test_rng_float(&r));
         od.path_length = 0;
         tetcast_mesh_get_info(s.mesh, &about);
         for (a = 0; a < 3; a++) od.path_length += (float)pow(about.box_max[a] - about.box_min[a], 2);
@@ -1216,21 +1218,26 @@ TEST(tolerance_of_pictures) { /* random meshes, fields, functions, cameras: no p
         CHECK_EQ_U64(tetcast_transfer_create(&td, &s.transfer), TETCAST_OK);
         CHECK_EQ_U64(tetcast_optics_create(s.transfer, &od, &s.optics), TETCAST_OK);
         tetcast_optics_get_info(s.optics, &info);
-        for (i = 0; i < points; i++) p[i].extinction *= td.extinction_scale;
+        for (i = 0; i < points; i++) {
+            p[i].extinction *= td.extinction_scale;
+            for (c = 0; c < 3 && td.color_mode == TETCAST_COLOR_INDEPENDENT; c++) p[i].rgb[c] *= td.extinction_scale;
+        }
         CHECK(info.bound > 0 && info.bound <= od.tolerance * 1.0001f);
         CHECK(info.knot_count <= points);
         look(&d, middle * (1 + 3 * test_rng_double(&r)), middle * (1 + 3 * (test_rng_double(&r) - 0.5)),
              middle * (1 + 3 * test_rng_double(&r)), middle, middle + 0.01, middle);
-        image.width = image.height = 16;
+        if (k % 5 == 4) d.camera.ortho_height = (float)(2.5 * middle);
+        d.method = (tetcast_method)(k % 3);
+        image.width = image.height = SIDE;
         image.rgba = rgba;
         CHECK_EQ_U64(tetcast_render(&d, s.mesh, s.optics, &image, NULL), TETCAST_OK);
-        for (y = 0; y < 16; y++)
-            for (x = 0; x < 16; x++) {
+        for (y = 0; y < SIDE; y++)
+            for (x = 0; x < SIDE; x++) {
                 tetcast_ray ray;
                 double want[4];
-                CHECK_EQ_U64(tetcast_camera_ray(&d.camera, 16, 16, x + 0.5, y + 0.5, &ray), TETCAST_OK);
-                oracle_ray(s.mesh, &s.t, p, points, 0, &ray, &list, want);
-                for (c = 0; c < 4; c++) worst = fmax(worst, 255 * fabs((double)rgba[4 * (16 * y + x) + c] - want[c]));
+                CHECK_EQ_U64(tetcast_camera_ray(&d.camera, SIDE, SIDE, x + 0.5, y + 0.5, &ray), TETCAST_OK);
+                oracle_ray(s.mesh, &s.t, p, points, td.color_mode == TETCAST_COLOR_INDEPENDENT, &ray, &list, want);
+                for (c = 0; c < 4; c++) worst = fmax(worst, 255 * fabs((double)rgba[4 * (SIDE * y + x) + c] - want[c]));
             }
         CHECK_MSG(worst <= (double)info.bound, "scene %d: tolerance %g, bound %g, error %g", k, (double)od.tolerance,
                   (double)info.bound, worst);

@@ -107,7 +107,9 @@ static int sign_of(double x) { return (x > 0) - (x < 0); }
 
 TEST(determinant) { /* against products in double precision, which are exact for floats */
     test_rng rng = test_rng_make(1);
-    uint32_t i, n = test_quick() ? 100000 : 3000000, wrong = 0, zeros = 0;
+    const char *count = getenv("TEST_DETERMINANTS"); /* 1e8 takes a few seconds */
+    const uint32_t n = count != NULL ? (uint32_t)strtod(count, NULL) : test_quick() ? 100000 : 3000000;
+    uint32_t i, wrong = 0, zeros = 0;
     for (i = 0; i < n; i++) {
         /* multiples of 2^-63 below 2^33, as they come from the frame of a ray: small ones among them */
         tetcasti_point p[2];
