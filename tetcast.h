@@ -2508,7 +2508,7 @@ typedef uint32_t tetcasti_segment8_fn(const tetcast_optics *o, const tetcasti_se
 typedef struct tetcasti_table { /* pre-integrated table; entry = {r, g, b, opacity}, colour associated */
     float (*entry)[4];          /* [lengths][values][values]: slice l is for length longest * (l + 1) / lengths */
     uint32_t values, lengths;
-    float first, scale;         /* column of value s = (s - first) * scale */
+    float first, last, scale;   /* column of value s = (s - first) * scale; values beyond them are as there */
     float longest, per_length;  /* slice of length d = d * per_length - 1; length 0 is no entry: all zero */
 } tetcasti_table;
 
@@ -8999,7 +8999,7 @@ static void tetcasti_table_lookup(const tetcasti_table *t, float front, float ba
 }
 
 /* Longer segments than the table holds are cut into equal parts. */
-static void tetcasti_segment_table(const tetcast_optics *o, float front, float back, float length, float depth,
+static void tetcasti_segment_parts(const tetcast_optics *o, float front, float back, float length, float depth,
                                    tetcasti_ray_sum *sum) {
     const float parts = length / o->table.longest;
     uint32_t n = parts <= 1.0f ? 1 : parts < 1e6f ? (uint32_t)parts + 1 : 1000000u, i;
@@ -9010,6 +9010,26 @@ static void tetcasti_segment_table(const tetcast_optics *o, float front, float b
                               e);
         tetcasti_over(o, e, e[3], depth + d * (float)i, d, sum);
     }
+}
+
+/* Values outside of the table are those of its ends: a segment is cut where it comes in and where it goes out. */
+static void tetcasti_segment_table(const tetcast_optics *o, float front, float back, float length, float depth,
+                                   tetcasti_ray_sum *sum) {
+    const float lo = o->table.first, hi = o->table.last;
+    float u, v;
+    if ((front < lo) == (back < lo) && (front > hi) == (back > hi)) {
+        tetcasti_segment_parts(o, front, back, length, depth, sum);
+        return;
+    }
+    u = ((front < back ? lo : hi) - front) / (back - front);
+    v = ((front < back ? hi : lo) - front) / (back - front);
+    u = u > 0.0f ? (u < 1.0f ? u : 1.0f) : 0.0f;
+    v = v > u ? (v < 1.0f ? v : 1.0f) : u;
+    if (u > 0.0f) tetcasti_segment_parts(o, front, front < back ? lo : hi, length * u, depth, sum);
+    tetcasti_segment_parts(o, u > 0.0f ? (front < back ? lo : hi) : front, v < 1.0f ? (front < back ? hi : lo) : back,
+                           length * (v - u), depth + length * u, sum);
+    if (v < 1.0f)
+        tetcasti_segment_parts(o, front < back ? hi : lo, back, length * (1.0f - v), depth + length * v, sum);
 }
 
 /* Equidistant samples along the whole ray, one lookup between two of them; what is left at the end of the ray is
@@ -9211,6 +9231,18 @@ static int tetcasti_has_table(tetcast_integrator integrator) {
     return integrator >= TETCAST_INTEGRATOR_TABLE_3D && integrator <= TETCAST_INTEGRATOR_TABLE_PREFIX;
 }
 
+static int tetcasti_tf_jumps(const tetcasti_tf *tf, uint32_t k) { /* the function, at knot k */
+    const float *a = tf->coef[k - 1], *b = tf->coef[k];
+    const double s = (double)tf->knot[k];
+    uint32_t i;
+    for (i = 0; i < 4; i++) {
+        const double below = (double)a[2 * i] + (double)a[2 * i + 1] * (s - (double)a[TETCASTI_BASE]);
+        const double above = (double)b[2 * i] + (double)b[2 * i + 1] * (s - (double)b[TETCASTI_BASE]);
+        if (tetcasti_abs(above - below) > 1e-5 * (double)(i == 0 ? tf->max_extinction : tf->max_color)) return 1;
+    }
+    return 0;
+}
+
 static tetcast_result tetcasti_table_alloc(tetcast_optics *o, const tetcast_optics_desc *d) {
     tetcasti_table *t = &o->table;
     double first = 0.0, last = 1.0;
@@ -9229,13 +9261,20 @@ static tetcast_result tetcasti_table_alloc(tetcast_optics *o, const tetcast_opti
         return tetcasti_fail(d->env.error, TETCAST_ERR_INVALID_ARG, 0, "optics: a table needs the longest length");
     }
     if (o->tf.n > 2) {
+        const int before = tetcasti_tf_jumps(&o->tf, 1), behind = tetcasti_tf_jumps(&o->tf, o->tf.n - 1);
         first = (double)o->tf.knot[1];
         last = (double)o->tf.knot[o->tf.n - 1];
+        if (t->values > 4) { /* outside of a jump at an end it is another function: one column there */
+            const double column = (last - first) / (double)((int)t->values - 1 - before - behind);
+            first -= before ? column : 0.0;
+            last += behind ? column : 0.0;
+        }
     } else if (o->tf.n == 2) {
         first = (double)o->tf.knot[1] - 0.5;
         last = first + 1.0;
     }
     t->first = (float)first;
+    t->last = (float)last;
     t->scale = (float)((double)(t->values - 1) / (last - first));
     t->per_length = (float)((double)t->lengths / (double)t->longest);
     if (!tetcasti_finite_f(t->scale)) t->scale = 3e38f;

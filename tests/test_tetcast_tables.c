@@ -459,6 +459,36 @@ TEST(lengths_beyond_the_table) { /* cut into parts that fit: not clamped */
     tetcast_optics_destroy(o);
 }
 
+TEST(values_outside) { /* of the table: what the function is there, also behind a jump at its end */
+    static const tetcast_control_point jumps[4] = {
+        {0.3f, {0.1f, 0.3f, 0.9f}, 0.3f}, {0.3f, {0.9f, 0.4f, 0.1f}, 6}, {0.7f, {0.9f, 0.4f, 0.1f}, 8}, {0.7f, {0.2f, 0.9f, 0.2f}, 1}};
+    static const tetcast_control_point ramp[3] = {
+        {0.3f, {0.1f, 0.3f, 0.9f}, 0.5f}, {0.5f, {0.9f, 0.4f, 0.1f}, 3}, {0.7f, {0.2f, 0.9f, 0.2f}, 1}};
+    int which, k, i, c;
+    for (which = TETCAST_INTEGRATOR_TABLE_3D; which <= (int)TETCAST_INTEGRATOR_TABLE_SUBRANGE; which++)
+        for (k = 0; k < 3; k++) { /* one side, the other, across a function without jumps */
+            tetcast_optics_desc d = desc_of((tetcast_integrator)which, 128, 64, 2.0f);
+            tetcast_optics *o = make(k == 2 ? ramp : jumps, k == 2 ? 3 : 4, 0, &d);
+            test_rng r = test_rng_make(77);
+            double worst = 0;
+            REQUIRE(o != NULL);
+            for (i = 0; i < 1000; i++) {
+                tetcast_segment s;
+                float got[4];
+                double want[4];
+                s.front = k == 0 ? test_rng_range(&r, -0.5f, 0.29f) : k == 1 ? test_rng_range(&r, 0.71f, 1.5f) : test_rng_range(&r, -0.5f, 1.5f);
+                s.back = k == 0 ? test_rng_range(&r, -0.5f, 0.29f) : k == 1 ? test_rng_range(&r, 0.71f, 1.5f) : test_rng_range(&r, -0.5f, 1.5f);
+                s.length = 3.0f * test_rng_float(&r);
+                s.depth = 0;
+                CHECK(tetcast_optics_ray(o, &s, 1, got, NULL) == TETCAST_OK);
+                oracle_segment(k == 2 ? ramp : jumps, k == 2 ? 3 : 4, 0, &s, want);
+                for (c = 0; c < 4; c++) worst = fmax(worst, fabs((double)got[c] - want[c]));
+            }
+            CHECK_MSG(worst < 0.005, "%s, %d: %.3g", names[which], k, worst);
+            tetcast_optics_destroy(o);
+        }
+}
+
 TEST(equidistant_steps) { /* across segments and gaps: converges to the exact ray; the rest at the end counts */
     tetcast_segment s[60];
     test_rng r = test_rng_make(5);
@@ -556,6 +586,7 @@ int main(int argc, char **argv) {
     RUN(local_update);
     RUN(threads_same_bits);
     RUN(lengths_beyond_the_table);
+    RUN(values_outside);
     RUN(equidistant_steps);
     RUN(bad_tables);
     return test_end();
