@@ -1216,6 +1216,12 @@ VOXRT_DEF voxrt_result voxrt_gbuffer_from_gi(const voxrt_env *env, const voxrt_c
    O(pixels). Thread safety: as drawing. */
 VOXRT_DEF voxrt_result voxrt_gbuffer_materials(const voxrt_env *env, const voxrt_gi *gi, const voxrt_gbuffer *gbuffer);
 
+/* A voxel at an edge has the mean of the normals of two surfaces, and that of an outline may have one that faces away:
+   dots along edges. Where the cells know two flat surfaces there, such a normal becomes that of the one which faces the
+   camera more. Errors: INVALID_ARG. O(pixels). Thread safety: as drawing. */
+VOXRT_DEF voxrt_result voxrt_gbuffer_edges(const voxrt_env *env, const voxrt_camera *camera, const voxrt_gi *gi,
+                                           const voxrt_gbuffer *gbuffer);
+
 typedef enum voxrt_gi_method {
     VOXRT_GI_GATHER = 0,  /* rays over the hemisphere; light at their hits from a cache of the cells (default) */
     VOXRT_GI_PATH = 1,    /* paths of `bounces` rays; direct light at each vertex */
@@ -13431,7 +13437,7 @@ static voxrt_result voxrti_columns_open(const voxrt_columns_desc *d, voxrt_colum
         c->map_start[l] = map;
         map += c->map_row[l] * c->rows[l];
     }
-    c->bits = (uint32_t *)voxrti_alloc_zero(&c->mem, at, 4);
+    c->bits = (uint32_t *)voxrti_alloc_zero(&c->mem, at + 2, 4); /* four words are read where there are two */
     c->moving = (uint32_t *)voxrti_alloc_zero(&c->mem, (size_t)c->map_row[0] * c->rows[0], 4);
     c->changed = (uint32_t *)voxrti_alloc_zero(&c->mem, map, 4);
     if (c->bits != NULL && c->moving != NULL && c->changed != NULL) return VOXRT_OK;
@@ -14437,13 +14443,14 @@ typedef struct voxrti_column_ready {
     uint32_t id[VOXRTI_COLUMN_READY + 8];
 } voxrti_column_ready;
 
-/* Eight rays on their way. A lane that has ended keeps what it had: bits of `word` that made it end, 0 for a miss. */
+/* Eight rays on their way. A lane that has ended keeps what it had. */
 typedef struct voxrti_column_lanes {
     __m256 f[VOXRTI_CF_FIELDS], behind[2], t; /* behind: origin, 1/256 back */
     __m256i on[2], back[2];                   /* by x, y: 1 forwards, else 0; -1 backwards, else 0 */
-    /* column: where that of x, y, level starts; by_x: -1 the last step was along x, 0 along y; 1: none yet */
-    __m256i x, y, level, k, column, by_x, bits, word, alive;
+    /* by_x: -1 the last step was along x, 0 along y; 1: none yet. hit: -1, it ended at a cell from lo to hi */
+    __m256i x, y, level, k, by_x, lo, hi, hit, alive;
     double t_in[8], per_t[8];
+    int32_t column[8];                        /* where that of x, y, level starts; 0 for a lane that has ended */
     uint32_t id[8], held;                     /* held: lanes with a ray, bits */
 } voxrti_column_lanes;
 
@@ -14453,7 +14460,7 @@ typedef struct voxrti_column_const {
     __m256i last_k, log_x, log_y, level;
     __m256 reach[2];
     __m128i word_log;
-    uint32_t planes, fields;
+    uint32_t planes, fields, words;
 } voxrti_column_const;
 
 VOXRTI_TARGET_AVX2 static void voxrti_column_const_open(const voxrti_column_trace *t, voxrti_column_const *k) {
@@ -14478,6 +14485,7 @@ VOXRTI_TARGET_AVX2 static void voxrti_column_const_open(const voxrti_column_trac
     k->reach[1] = _mm256_set1_ps(t->reach[1]);
     k->word_log = _mm_cvtsi32_si128((int)c->word_log);
     k->planes = t->planes;
+    k->words = c->words;
     k->fields = VOXRTI_CF_PLANE + VOXRTI_CP_FIELDS * t->planes;
 }
 
@@ -14577,13 +14585,6 @@ VOXRTI_TARGET_AVX2 static void voxrti_column_planes4(const voxrti_column_trace *
                                                    _mm_set1_ps((float)c->size[2])));
 }
 
-VOXRTI_TARGET_AVX2 VOXRTI_INLINE __m256i voxrti_column_mask8(__m256i lo, __m256i hi, __m256i base) {
-    const __m256i ones = _mm256_set1_epi32(-1), most = _mm256_set1_epi32(31);
-    lo = _mm256_max_epi32(_mm256_sub_epi32(lo, base), _mm256_setzero_si256());
-    hi = _mm256_min_epi32(_mm256_sub_epi32(hi, base), most);
-    return _mm256_and_si256(_mm256_sllv_epi32(ones, lo), _mm256_srlv_epi32(ones, _mm256_sub_epi32(most, hi)));
-}
-
 /* voxrti_column_plane_cells for eight lanes */
 VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_column_planes8(const voxrti_column_const *k, const __m256 *f, __m256i x,
                                                             __m256i y, __m256i *lo, __m256i *hi) {
@@ -14607,18 +14608,69 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_column_planes8(const voxrti_column_
 VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_column_aim8(const voxrti_column_const *k, voxrti_column_lanes *g) {
     const __m256i cx = _mm256_srav_epi32(g->x, g->level), cy = _mm256_srav_epi32(g->y, g->level);
     const __m256i rows = _mm256_permutevar8x32_epi32(k->row, g->level);
-    int32_t at[8];
     uint32_t i;
-    g->column = _mm256_add_epi32(_mm256_permutevar8x32_epi32(k->start, g->level),
+    const __m256i column = _mm256_add_epi32(_mm256_permutevar8x32_epi32(k->start, g->level),
             _mm256_sll_epi32(_mm256_add_epi32(_mm256_sllv_epi32(cy, rows), cx), k->word_log));
-    _mm256_storeu_si256((__m256i *)(void *)at, _mm256_and_si256(g->alive, _mm256_add_epi32(g->column,
-            _mm256_srli_epi32(g->k, 5))));
-    for (i = 0; i < 8; i++) VOXRTI_PREFETCH(k->bits + at[i]);
+    _mm256_storeu_si256((__m256i *)(void *)g->column, _mm256_and_si256(g->alive, column));
+    for (i = 0; i < 8; i++) VOXRTI_PREFETCH(k->bits + g->column[i]);
 }
 
-/* One turn of the loop of voxrti_column_walk for the lanes that are alive. Returns those that still are. */
+/* Is any of the cells lo .. hi of each of eight columns set? Not 0 if so. Columns are read as a whole and turned over:
+   gathers of words, one after the other until the last lane has ended, took a quarter more. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE __m256i voxrti_column_any8(const voxrti_column_const *k, const int32_t column[8],
+                                                            __m256i lo, __m256i hi) {
+    const __m256i ones = _mm256_set1_epi32(-1), zero = _mm256_setzero_si256();
+    __m256i any = zero, word[4], a, b, c, d;
+    uint32_t i, first;
+    for (first = 0; first < k->words; first += 4) {
+        const int *p = k->bits + first;
+#define VOXRTI_TWO(u, v) _mm256_inserti128_si256(_mm256_castsi128_si256( \
+        _mm_loadu_si128((const __m128i *)(const void *)(p + column[u]))), \
+        _mm_loadu_si128((const __m128i *)(const void *)(p + column[v])), 1)
+        const __m256i r0 = VOXRTI_TWO(0, 4), r1 = VOXRTI_TWO(1, 5), r2 = VOXRTI_TWO(2, 6), r3 = VOXRTI_TWO(3, 7);
+#undef VOXRTI_TWO
+        a = _mm256_unpacklo_epi32(r0, r1);
+        b = _mm256_unpackhi_epi32(r0, r1);
+        c = _mm256_unpacklo_epi32(r2, r3);
+        d = _mm256_unpackhi_epi32(r2, r3);
+        word[0] = _mm256_unpacklo_epi64(a, c);
+        word[1] = _mm256_unpackhi_epi64(a, c);
+        word[2] = _mm256_unpacklo_epi64(b, d);
+        word[3] = _mm256_unpackhi_epi64(b, d);
+        for (i = 0; i < 4; i++) { /* shifts by 32 and more give 0 */
+            const int base = (int)(32 * (first + i));
+            const __m256i from = _mm256_max_epi32(_mm256_sub_epi32(lo, _mm256_set1_epi32(base)), zero);
+            const __m256i to = _mm256_max_epi32(_mm256_sub_epi32(_mm256_set1_epi32(base + 31), hi), zero);
+            const __m256i mask = _mm256_and_si256(_mm256_sllv_epi32(ones, from), _mm256_srlv_epi32(ones, to));
+            any = _mm256_or_si256(any, _mm256_and_si256(word[i], mask));
+        }
+    }
+    return any;
+}
+
+/* What planes leave of lo .. hi may be two or three intervals: take the first cell on the way that is set. gone: what
+   they take out, lo and hi of each. */
+static VOXRTI_NOINLINE void voxrti_column_apart(const voxrti_column_const *k, const int32_t column[8],
+                                                const int32_t (*gone)[8], const int32_t ka[8], int32_t lo[8],
+                                                int32_t hi[8]) {
+    uint32_t i, p;
+    for (i = 0; i < 8; i++) {
+        const int up = ka[i] == lo[i];
+        int at = up ? lo[i] : hi[i], out;
+        for (; at >= lo[i] && at <= hi[i]; at += up ? 1 : -1) {
+            for (p = 0, out = 0; p < k->planes; p++) out |= at >= gone[2 * p][i] && at <= gone[2 * p + 1][i];
+            if (!out && ((uint32_t)k->bits[column[i] + (at >> 5)] >> (at & 31) & 1u) != 0) break;
+        }
+        if (!(at >= lo[i] && at <= hi[i])) at = -1;
+        lo[i] = at >= 0 ? at : 1;
+        hi[i] = at >= 0 ? at : 0;
+    }
+}
+
+/* One turn of the loop of voxrti_column_walk for the lanes that are alive. Returns those that still are. any: what they
+   meet is not asked for. */
 VOXRTI_TARGET_AVX2 VOXRTI_INLINE uint32_t voxrti_column_step8(const voxrti_column_const *k, voxrti_column_lanes *g,
-                                                              voxrt_stats *stats) {
+                                                              int any, voxrt_stats *stats) {
     const __m256i one = _mm256_set1_epi32(1), zero = _mm256_setzero_si256();
     const __m256i x = g->x, y = g->y, level = g->level, ka = g->k, alive = g->alive;
     const __m256 ox = g->f[VOXRTI_CF_O], oy = g->f[VOXRTI_CF_O + 1], t = g->t, dz = g->f[VOXRTI_CF_D + 2];
@@ -14630,29 +14682,39 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE uint32_t voxrti_column_step8(const voxrti_colum
     const __m256 te = _mm256_max_ps(_mm256_min_ps(_mm256_min_ps(tx, ty), g->f[VOXRTI_CF_T_MAX]), t);
     const __m256i kb = _mm256_min_epi32(_mm256_max_epi32(_mm256_cvttps_epi32(_mm256_add_ps(g->f[VOXRTI_CF_O + 2],
             _mm256_mul_ps(te, dz))), zero), k->last_k);
-    const __m256i lo = _mm256_min_epi32(ka, kb), hi = _mm256_max_epi32(ka, kb);
-    const __m256i ground = _mm256_cmpeq_epi32(level, zero), last = _mm256_srli_epi32(kb, 5);
-    __m256i word = _mm256_srli_epi32(ka, 5), todo = alive, bits = zero, gone_lo[2], gone_hi[2], step, hit, end;
-    uint32_t p, planes = k->planes;
-    if (_mm256_testz_si256(ground, alive)) planes = 0;
-    for (p = 0; p < planes; p++) {
-        voxrti_column_planes8(k, g->f + VOXRTI_CF_PLANE + p * VOXRTI_CP_FIELDS, x, y, &gone_lo[p], &gone_hi[p]);
-        gone_hi[p] = _mm256_or_si256(gone_hi[p], _mm256_xor_si256(ground, _mm256_set1_epi32(-1))); /* -1: none */
+    const __m256i ground = _mm256_cmpeq_epi32(level, zero);
+    __m256i lo = _mm256_min_epi32(ka, kb), hi = _mm256_max_epi32(ka, kb), set, step, hit, end;
+    if (k->planes != 0 && !_mm256_testz_si256(ground, alive)) { /* what planes leave: mostly an interval */
+        const __m256i all_lo = lo, all_hi = hi;
+        __m256i gone[4], apart = zero;
+        uint32_t p;
+        for (p = 0; p < k->planes; p++) {
+            __m256i from, to;
+            voxrti_column_planes8(k, g->f + VOXRTI_CF_PLANE + p * VOXRTI_CP_FIELDS, x, y, &from, &to);
+            to = _mm256_or_si256(to, _mm256_xor_si256(ground, _mm256_set1_epi32(-1))); /* -1: none */
+            gone[2 * p] = from;
+            gone[2 * p + 1] = to;
+            apart = _mm256_or_si256(apart, _mm256_andnot_si256(_mm256_cmpgt_epi32(from, to), _mm256_and_si256(
+                    _mm256_cmpgt_epi32(from, lo), _mm256_cmpgt_epi32(hi, to))));
+            set = _mm256_cmpgt_epi32(from, lo);
+            end = _mm256_cmpgt_epi32(hi, to);
+            lo = _mm256_blendv_epi8(_mm256_max_epi32(lo, _mm256_add_epi32(to, one)), lo, set);
+            hi = _mm256_blendv_epi8(_mm256_min_epi32(hi, _mm256_sub_epi32(from, one)), hi, end);
+        }
+        if (!_mm256_testz_si256(apart, alive)) {
+            int32_t part[8][8];
+            for (p = 0; p < 2 * k->planes; p++) _mm256_storeu_si256((__m256i *)(void *)part[p], gone[p]);
+            _mm256_storeu_si256((__m256i *)(void *)part[4], ka);
+            _mm256_storeu_si256((__m256i *)(void *)part[5], all_lo);
+            _mm256_storeu_si256((__m256i *)(void *)part[6], all_hi);
+            voxrti_column_apart(k, g->column, (const int32_t (*)[8])part, part[4], part[5], part[6]);
+            lo = _mm256_loadu_si256((const __m256i *)(const void *)part[5]);
+            hi = _mm256_loadu_si256((const __m256i *)(const void *)part[6]);
+        }
     }
-    for (;;) { /* the words of the interval, until one has a bit */
-        const __m256i base = _mm256_slli_epi32(word, 5);
-        __m256i w = _mm256_mask_i32gather_epi32(zero, k->bits, _mm256_add_epi32(g->column, word), todo, 4);
-        w = _mm256_and_si256(w, voxrti_column_mask8(lo, hi, base));
-        for (p = 0; p < planes; p++)
-            w = _mm256_andnot_si256(voxrti_column_mask8(gone_lo[p], gone_hi[p], base), w);
-        bits = _mm256_or_si256(bits, w);
-        todo = _mm256_andnot_si256(_mm256_cmpeq_epi32(word, last), _mm256_and_si256(todo, _mm256_cmpeq_epi32(w, zero)));
-        if (_mm256_testz_si256(todo, todo)) break;
-        word = _mm256_blendv_epi8(word, /* on or back: last > word or last < word */
-                                  _mm256_sub_epi32(word, _mm256_or_si256(_mm256_cmpgt_epi32(last, word), one)), todo);
-    }
-    step = _mm256_and_si256(alive, _mm256_cmpeq_epi32(bits, zero));
-    hit = _mm256_andnot_si256(step, _mm256_and_si256(alive, ground));
+    set = _mm256_cmpeq_epi32(voxrti_column_any8(k, g->column, lo, hi), zero);
+    step = _mm256_and_si256(alive, set);
+    hit = _mm256_andnot_si256(set, _mm256_and_si256(alive, ground));
     { /* the step out of the cell */
         const __m256 by_x = _mm256_cmp_ps(tx, ty, _CMP_LT_OQ);
         const __m256i by_xi = _mm256_castps_si256(by_x);
@@ -14691,12 +14753,15 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE uint32_t voxrti_column_step8(const voxrti_colum
                                     _mm256_and_si256(step, _mm256_cmpgt_epi32(crossed, zero)));
         g->x = _mm256_blendv_epi8(x, next_x, step);
         g->y = _mm256_blendv_epi8(y, next_y, step);
-        g->by_x = _mm256_blendv_epi8(g->by_x, by_xi, step);
+        if (!any) g->by_x = _mm256_blendv_epi8(g->by_x, by_xi, step);
     }
     g->t = _mm256_blendv_ps(t, te, _mm256_castsi256_ps(step));
     g->k = _mm256_blendv_epi8(ka, kb, step);
-    g->bits = _mm256_or_si256(g->bits, _mm256_and_si256(bits, hit));
-    g->word = _mm256_blendv_epi8(g->word, word, hit);
+    g->hit = _mm256_or_si256(g->hit, hit);
+    if (!any) {
+        g->lo = _mm256_blendv_epi8(g->lo, lo, hit);
+        g->hi = _mm256_blendv_epi8(g->hi, hi, hit);
+    }
     g->alive = _mm256_andnot_si256(_mm256_or_si256(hit, end), alive);
     voxrti_column_aim8(k, g);
     if (stats != NULL) {
@@ -14774,41 +14839,51 @@ VOXRTI_TARGET_AVX2 static void voxrti_column_more(voxrti_column_stream *s) {
 }
 
 /* Report what the lanes that have ended found. */
-VOXRTI_TARGET_AVX2 static void voxrti_column_ended(voxrti_column_stream *s, voxrti_column_lanes *g, uint32_t ended) {
-    int32_t bits[8], word[8], ka[8], x[8], y[8], face[8];
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_column_ended(voxrti_column_stream *s, voxrti_column_lanes *g,
+                                                          uint32_t ended, int any) {
+    const voxrt_columns *c = s->trace->columns;
+    const uint32_t hit = (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(g->hit));
+    int32_t lo[8], hi[8], ka[8], x[8], y[8], face[8];
     float t[8], oz[8], dz[8];
-    _mm256_storeu_si256((__m256i *)(void *)bits, g->bits);
-    if (s->hits != NULL) {
-        _mm256_storeu_si256((__m256i *)(void *)word, g->word);
-        _mm256_storeu_si256((__m256i *)(void *)ka, g->k);
-        _mm256_storeu_si256((__m256i *)(void *)x, g->x);
-        _mm256_storeu_si256((__m256i *)(void *)y, g->y);
-        /* along y: 2 on, 3 back; along x: 0 on, 1 back; none yet: 6 */
-        _mm256_storeu_si256((__m256i *)(void *)face, _mm256_blendv_epi8(
-                _mm256_blendv_epi8(_mm256_sub_epi32(_mm256_set1_epi32(3), g->on[1]),
-                                   _mm256_sub_epi32(_mm256_set1_epi32(1), g->on[0]), g->by_x),
-                _mm256_set1_epi32(6), _mm256_cmpeq_epi32(g->by_x, _mm256_set1_epi32(1))));
-        _mm256_storeu_ps(t, g->t);
-        _mm256_storeu_ps(oz, g->f[VOXRTI_CF_O + 2]);
-        _mm256_storeu_ps(dz, g->f[VOXRTI_CF_D + 2]);
+    if (s->trace->stats != NULL) s->trace->stats->hits += voxrti_popcount64(hit & ended);
+    if (any) {
+        for (; ended != 0; ended &= ended - 1) {
+            const uint32_t i = voxrti_ctz64(ended);
+            s->occluded[g->id[i]] = (uint8_t)(hit >> i & 1u);
+        }
+        return;
     }
+    _mm256_storeu_si256((__m256i *)(void *)lo, g->lo);
+    _mm256_storeu_si256((__m256i *)(void *)hi, g->hi);
+    _mm256_storeu_si256((__m256i *)(void *)ka, g->k);
+    _mm256_storeu_si256((__m256i *)(void *)x, g->x);
+    _mm256_storeu_si256((__m256i *)(void *)y, g->y);
+    /* along y: 2 on, 3 back; along x: 0 on, 1 back; none yet: 6 */
+    _mm256_storeu_si256((__m256i *)(void *)face, _mm256_blendv_epi8(
+            _mm256_blendv_epi8(_mm256_sub_epi32(_mm256_set1_epi32(3), g->on[1]),
+                               _mm256_sub_epi32(_mm256_set1_epi32(1), g->on[0]), g->by_x),
+            _mm256_set1_epi32(6), _mm256_cmpeq_epi32(g->by_x, _mm256_set1_epi32(1))));
+    _mm256_storeu_ps(t, g->t);
+    _mm256_storeu_ps(oz, g->f[VOXRTI_CF_O + 2]);
+    _mm256_storeu_ps(dz, g->f[VOXRTI_CF_D + 2]);
     for (; ended != 0; ended &= ended - 1) {
-        const uint32_t i = voxrti_ctz64(ended), set = (uint32_t)bits[i], id = g->id[i];
+        const uint32_t i = voxrti_ctz64(ended), id = g->id[i], *column;
+        const int up = dz[i] >= 0.0f;
         voxrti_column_found f;
-        int up;
-        if (set == 0) {
+        uint32_t bits;
+        int w;
+        if ((hit >> i & 1u) == 0) {
             voxrti_column_miss(s->hits, s->occluded, id);
             continue;
         }
-        if (s->trace->stats != NULL) s->trace->stats->hits++;
-        if (s->hits == NULL) {
-            s->occluded[id] = 1;
-            continue;
+        column = c->bits + voxrti_column(c, 0, (uint32_t)x[i], (uint32_t)y[i]);
+        for (w = (up ? lo[i] : hi[i]) >> 5;; w += up ? 1 : -1) { /* one of them is set */
+            bits = column[w] & voxrti_column_mask(lo[i], hi[i], w);
+            if (bits != 0) break;
         }
-        up = dz[i] >= 0.0f;
         f.x = x[i];
         f.y = y[i];
-        f.k = 32 * word[i] + (up ? (int)voxrti_ctz64(set) : 31 - (int)voxrti_clz32(set));
+        f.k = 32 * w + (up ? (int)voxrti_ctz64(bits) : 31 - (int)voxrti_clz32(bits));
         f.t = t[i];
         f.face = (uint32_t)face[i];
         if (f.k != ka[i]) {
@@ -14821,7 +14896,8 @@ VOXRTI_TARGET_AVX2 static void voxrti_column_ended(voxrti_column_stream *s, voxr
 }
 
 /* Give the lanes in `empty` rays that are ready: the first of them the first ray, and so on. */
-VOXRTI_TARGET_AVX2 static void voxrti_column_fill(voxrti_column_stream *s, voxrti_column_lanes *g, uint32_t empty) {
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_column_fill(voxrti_column_stream *s, voxrti_column_lanes *g,
+                                                         uint32_t empty, int any) {
     voxrti_column_ready *r = &s->ready;
     const __m256i bit = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128), one = _mm256_set1_epi32(1);
     const __m256 sign = _mm256_set1_ps(-0.0f), behind = _mm256_set1_ps(0.00390625f);
@@ -14843,6 +14919,7 @@ VOXRTI_TARGET_AVX2 static void voxrti_column_fill(voxrti_column_stream *s, voxrt
     for (m = empty; m != 0; m &= m - 1, next++) {
         const uint32_t i = voxrti_ctz64(m);
         g->id[i] = r->id[next];
+        if (any) continue;
         g->t_in[i] = r->t_in[next];
         g->per_t[i] = r->per_t[next];
     }
@@ -14858,9 +14935,9 @@ VOXRTI_TARGET_AVX2 static void voxrti_column_fill(voxrti_column_stream *s, voxrt
     g->y = _mm256_blendv_epi8(g->y, _mm256_cvttps_epi32(g->f[VOXRTI_CF_O + 1]), mask);
     g->k = _mm256_blendv_epi8(g->k, _mm256_cvttps_epi32(g->f[VOXRTI_CF_O + 2]), mask);
     g->level = _mm256_blendv_epi8(g->level, s->k.level, mask);
-    g->by_x = _mm256_blendv_epi8(g->by_x, one, mask);
+    if (!any) g->by_x = _mm256_blendv_epi8(g->by_x, one, mask);
     g->t = _mm256_andnot_ps(maskf, g->t);
-    g->bits = _mm256_andnot_si256(mask, g->bits);
+    g->hit = _mm256_andnot_si256(mask, g->hit);
     g->alive = _mm256_or_si256(g->alive, mask);
     voxrti_column_aim8(&s->k, g);
 }
@@ -14869,8 +14946,9 @@ VOXRTI_TARGET_AVX2 static void voxrti_column_fill(voxrti_column_stream *s, voxrt
 #define VOXRTI_COLUMN_IDLE 2 /* lanes of a group that wait for new rays until they get some */
 
 /* What voxrti_column_trace_scalar does: the same steps, the same bits. */
-VOXRTI_TARGET_AVX2 static void voxrti_column_trace_avx2(const voxrti_column_trace *t, const voxrt_ray *rays,
-                                                        uint32_t count, voxrt_column_hit *hits, uint8_t *occluded) {
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_column_stream8(const voxrti_column_trace *t, const voxrt_ray *rays,
+                                                            uint32_t count, voxrt_column_hit *hits,
+                                                            uint8_t *occluded, int any_hit) {
     voxrti_column_stream s;
     voxrti_column_lanes g[VOXRTI_COLUMN_GROUPS];
     uint32_t i, groups = count / 16, live[VOXRTI_COLUMN_GROUPS], any, idle;
@@ -14894,9 +14972,9 @@ VOXRTI_TARGET_AVX2 static void voxrti_column_trace_avx2(const voxrti_column_trac
             if (live[i] != 0 && voxrti_popcount64(live[i]) > 8 - VOXRTI_COLUMN_IDLE) continue;
             if (s.ready.count - s.ready.next < 8 && s.done < s.count) voxrti_column_more(&s);
             if (live[i] != 0 && s.ready.count == s.ready.next) continue; /* nothing would change */
-            if (ended != 0) voxrti_column_ended(&s, &g[i], ended);
+            if (ended != 0) voxrti_column_ended(&s, &g[i], ended, any_hit);
             g[i].held &= ~ended;
-            voxrti_column_fill(&s, &g[i], ~g[i].held & 255u);
+            voxrti_column_fill(&s, &g[i], ~g[i].held & 255u, any_hit);
             live[i] = g[i].held;
             any |= live[i];
         }
@@ -14904,12 +14982,22 @@ VOXRTI_TARGET_AVX2 static void voxrti_column_trace_avx2(const voxrti_column_trac
         do {
             idle = any = 0;
             for (i = 0; i < groups; i++) {
-                if (live[i] != 0) live[i] = voxrti_column_step8(&s.k, &g[i], t->stats);
+                if (live[i] != 0) live[i] = voxrti_column_step8(&s.k, &g[i], any_hit, t->stats);
                 idle |= (uint32_t)(voxrti_popcount64(live[i]) <= 8 - VOXRTI_COLUMN_IDLE);
                 any |= live[i];
             }
         } while (s.done == s.count && s.ready.next == s.ready.count ? any != 0 : !idle);
     }
+}
+VOXRTI_TARGET_AVX2 static VOXRTI_NOINLINE void voxrti_column_hits_avx2(const voxrti_column_trace *t,
+                                                                       const voxrt_ray *rays, uint32_t count,
+                                                                       voxrt_column_hit *hits) {
+    voxrti_column_stream8(t, rays, count, hits, NULL, 0);
+}
+VOXRTI_TARGET_AVX2 static VOXRTI_NOINLINE void voxrti_column_any_avx2(const voxrti_column_trace *t,
+                                                                      const voxrt_ray *rays, uint32_t count,
+                                                                      uint8_t *occluded) {
+    voxrti_column_stream8(t, rays, count, NULL, occluded, 1);
 }
 #endif
 
@@ -14955,7 +15043,8 @@ static voxrt_result voxrti_column_trace_all(const voxrt_columns *c, const voxrt_
         if (t.end_normals != NULL) part.end_normals = t.end_normals + 3 * i;
 #if VOXRTI_AVX2
         if (t.isa >= VOXRT_ISA_AVX2) {
-            voxrti_column_trace_avx2(&part, rays + i, (uint32_t)n, part_hits, part_occluded);
+            if (part_hits != NULL) voxrti_column_hits_avx2(&part, rays + i, (uint32_t)n, part_hits);
+            else voxrti_column_any_avx2(&part, rays + i, (uint32_t)n, part_occluded);
             continue;
         }
 #endif
@@ -14982,14 +15071,16 @@ VOXRT_DEF voxrt_result voxrt_columns_occluded(const voxrt_columns *columns, cons
 #ifndef VOXRT_NO_GI
 
 /* The bytes. A layer (of what is still, of what moves) has a record for each of its cells, in the order of columns and
-   of depth: that of cell k of a column is base[column] + (cells set below k). A record has two sides: 0 faces up its
-   axis (the one that most of the surface in it faces, either way), 1 down. A side that has no surface has area 0. */
+   of depth: that of cell k of a column is base[column] + (cells set below k). A record has two sides: where normals of
+   the surface in it differ much, those on either side of their mean along the direction in which they differ most: both
+   faces of a thin wall, or the two that meet at an edge. A side that has no surface has area 0. */
 typedef struct voxrti_gi_record {
     uint16_t normal[2];  /* octahedral */
     uint16_t object[2];
     uint8_t rgb[2][3];   /* albedo, square root of linear values */
     uint8_t area[2];
     int8_t offset[2];    /* of the surface from the cell's centre along the normal, 1/127 of half a diagonal */
+    uint8_t edge;        /* 1: both sides are flat, and they meet at an angle */
 } voxrti_gi_record;
 
 typedef struct voxrti_gi_layer {
@@ -15051,11 +15142,15 @@ struct voxrt_gi {
     voxrt_gi *outer;          /* the volume around this one, with the same objects, or NULL */
 };
 
-/* Sums while a layer is made; integers, so that threads may add in any order. */
-typedef struct voxrti_gi_sum {
-    uint32_t vote[3];                      /* by world axis: how much surface faces along it */
+/* Sums while a layer is made; integers, so that threads may add in any order. First moments of normals n, two in a word
+   (xx yy, zz xy, xz yz, x y, z), then what lies on both sides of the split n . split = split[3]. */
+typedef struct voxrti_gi_sides {
     int32_t normal[2][3], offset[2];
     uint32_t rgb[2][3], weight[2], object[2];
+} voxrti_gi_sides;
+typedef struct voxrti_gi_sum {
+    union { uint64_t moment[5]; voxrti_gi_sides sides; } u;
+    int32_t split[4];
 } voxrti_gi_sum;
 
 /* What a triangle adds to each cell it is put into. */
@@ -15065,6 +15160,7 @@ typedef struct voxrti_splat {
     voxrti_gi_sum *sum;
     double plane[4];      /* distance of a point (in cells) from its plane, along the normal, world units */
     int32_t normal[3];    /* world, times 1024 */
+    uint64_t moment[5];   /* of that, times 128 */
     uint32_t rgb[3], object, votes;
 } voxrti_splat;
 
@@ -15125,16 +15221,25 @@ VOXRTI_INLINE size_t voxrti_gi_find(const voxrt_gi *gi, uint32_t x, uint32_t y, 
     return (size_t)-1;
 }
 
+/* Two signed sums in a word. */
+VOXRTI_INLINE uint64_t voxrti_pair(int32_t a, int32_t b) {
+    return (uint64_t)(int64_t)a + ((uint64_t)(int64_t)b << 32);
+}
+VOXRTI_INLINE void voxrti_pair_open(uint64_t v, double *a, double *b) {
+    const int32_t low = (int32_t)(uint32_t)v;
+    *a = (double)low;
+    *b = (double)(int32_t)(uint32_t)((v - (uint64_t)(int64_t)low) >> 32);
+}
+
 static void voxrti_splat_add(const voxrti_splat *f, uint32_t x, uint32_t y, uint32_t k) {
-    voxrti_gi_sum *s = &f->sum[voxrti_gi_rank(f->columns, f->layer, x, y, k)];
-    uint32_t a, axis, side;
+    voxrti_gi_sum *sum = &f->sum[voxrti_gi_rank(f->columns, f->layer, x, y, k)];
+    voxrti_gi_sides *s = &sum->u.sides;
+    uint32_t a, side;
     if (f->votes) {
-        for (a = 0; a < 3; a++)
-            voxrti_add_shared(&s->vote[a], (uint32_t)(f->normal[a] < 0 ? -f->normal[a] : f->normal[a]));
+        for (a = 0; a < 5; a++) voxrti_add_shared(&sum->u.moment[a], f->moment[a]);
         return;
     }
-    axis = s->vote[0] >= s->vote[1] ? (s->vote[0] >= s->vote[2] ? 0 : 2) : s->vote[1] >= s->vote[2] ? 1 : 2;
-    side = f->normal[axis] < 0;
+    side = f->normal[0] * sum->split[0] + f->normal[1] * sum->split[1] + f->normal[2] * sum->split[2] < sum->split[3];
     for (a = 0; a < 3; a++) {
         voxrti_add_shared(&s->normal[side][a], f->normal[a]);
         voxrti_add_shared(&s->rgb[side][a], f->rgb[a]);
@@ -15165,6 +15270,7 @@ static int voxrti_splat_open(voxrti_splat *f, const voxrt_mesh *mesh, const voxr
     const voxrt_columns *c = f->columns;
     double u[3], v[3], n[3], length = 0.0, rgb[3];
     float nf[3];
+    int32_t m[3];
     uint32_t a, k;
     for (a = 0; a < 3; a++) {
         u[a] = (p[1][a] - p[0][a]) * c->cell[a];
@@ -15184,7 +15290,16 @@ static int voxrti_splat_open(voxrti_splat *f, const voxrt_mesh *mesh, const voxr
     }
     for (a = 0; a < 3; a++) {
         f->normal[a] = (int32_t)voxrti_floor((double)nf[a] * 1024.0 + 0.5);
+        m[a] = (int32_t)voxrti_floor((double)nf[a] * 128.0 + 0.5);
         rgb[a] = 1.0;
+    }
+    if (f->votes) {
+        f->moment[0] = voxrti_pair(m[0] * m[0], m[1] * m[1]);
+        f->moment[1] = voxrti_pair(m[2] * m[2], m[0] * m[1]);
+        f->moment[2] = voxrti_pair(m[0] * m[2], m[1] * m[2]);
+        f->moment[3] = voxrti_pair(m[0], m[1]);
+        f->moment[4] = voxrti_pair(m[2], 0);
+        return 1;
     }
     if (mesh->triangle_rgb != NULL) {
         for (a = 0; a < 3; a++) rgb[a] = (double)srgb[mesh->triangle_rgb[3 * i + a]];
@@ -15243,15 +15358,66 @@ static void voxrti_task_gi_fragments(void *ctx, uint32_t index) {
     }
 }
 
+/* Normals differ much where their variance along some direction is above this: two flat faces of the same size in a
+   cell are split if there are 37 degrees and more between them. */
+#define VOXRTI_GI_SPLIT 0.1
+
+/* Moments -> split: across the direction in which normals vary most (power iteration), at their mean. */
+static void voxrti_gi_split(voxrti_gi_sum *s) {
+    double m[3], c[3][3], v[3], w, most = 0.0, mean = 0.0, vary = 0.0, none;
+    uint32_t a, b, turn, top = 0;
+    voxrti_pair_open(s->u.moment[0], &c[0][0], &c[1][1]);
+    voxrti_pair_open(s->u.moment[1], &c[2][2], &c[0][1]);
+    voxrti_pair_open(s->u.moment[2], &c[0][2], &c[1][2]);
+    voxrti_pair_open(s->u.moment[3], &m[0], &m[1]);
+    voxrti_pair_open(s->u.moment[4], &m[2], &none);
+    memset(s, 0, sizeof *s);
+    w = c[0][0] + c[1][1] + c[2][2]; /* how many, times 128^2 */
+    if (!(w > 0.0)) return;
+    for (a = 0; a < 3; a++) m[a] *= 128.0 / w;
+    for (a = 0; a < 3; a++)
+        for (b = a; b < 3; b++) c[a][b] = c[b][a] = c[a][b] / w - m[a] * m[b];
+    for (a = 1; a < 3; a++) if (c[a][a] > c[top][top]) top = a;
+    for (a = 0; a < 3; a++) v[a] = c[top][a];
+    for (turn = 0; turn < 8; turn++) {
+        double n[3];
+        for (most = 0.0, a = 0; a < 3; a++) most = voxrti_max(most, voxrti_abs(v[a]));
+        if (!(most > 1e-9)) return;
+        for (a = 0; a < 3; a++) v[a] /= most;
+        for (a = 0; a < 3; a++) n[a] = c[a][0] * v[0] + c[a][1] * v[1] + c[a][2] * v[2];
+        for (a = 0; a < 3; a++) v[a] = n[a];
+    }
+    w = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+    if (!(w > 1e-9)) return;
+    for (top = 0, a = 1; a < 3; a++) if (voxrti_abs(v[a]) > voxrti_abs(v[top])) top = a;
+    if (v[top] < 0.0) w = 0.0 - w;
+    for (a = 0; a < 3; a++) v[a] /= w;
+    for (a = 0; a < 3; a++) {
+        vary += v[a] * (c[a][0] * v[0] + c[a][1] * v[1] + c[a][2] * v[2]);
+        mean += v[a] * m[a];
+    }
+    if (!(vary > VOXRTI_GI_SPLIT)) return;
+    for (a = 0; a < 3; a++) s->split[a] = (int32_t)voxrti_floor(v[a] * 1024.0 + 0.5);
+    s->split[3] = (int32_t)voxrti_floor(mean * 1048576.0 + 0.5);
+}
+
+static void voxrti_task_gi_split(void *ctx, uint32_t index) {
+    voxrti_gi_build *b = (voxrti_gi_build *)ctx;
+    size_t i = (size_t)index * 4096, end = i + 4096;
+    end = end < b->layer->count ? end : b->layer->count;
+    for (; i < end; i++) voxrti_gi_split(&b->sum[i]);
+}
+
 static void voxrti_task_gi_resolve(void *ctx, uint32_t index) {
     voxrti_gi_build *b = (voxrti_gi_build *)ctx;
     size_t i = (size_t)index * 4096, end = i + 4096;
     end = end < b->layer->count ? end : b->layer->count;
     for (; i < end; i++) {
-        const voxrti_gi_sum *s = &b->sum[i];
+        const voxrti_gi_sides *s = &b->sum[i].u.sides;
         voxrti_gi_record *r = &b->layer->record[i];
         const uint32_t all = s->weight[0] + s->weight[1];
-        uint32_t side, a;
+        float face[2][3] = {{0, 0, 0}, {0, 0, 0}};
+        uint32_t side, a, flat = 0;
         memset(r, 0, sizeof *r);
         for (side = 0; side < 2 && all != 0; side++) {
             float n[3];
@@ -15261,13 +15427,16 @@ static void voxrti_task_gi_resolve(void *ctx, uint32_t index) {
                 n[a] = (float)s->normal[side][a];
                 r->rgb[side][a] = (uint8_t)(sqrt((double)s->rgb[side][a] / ((double)w * 65535.0)) * 255.0 + 0.5);
             }
+            flat += voxrti_dot3(n, n) > 1017118.72f * (float)w * (float)w; /* 0.97 of what one direction had */
             if (!voxrti_normalize(n)) n[2] = 1.0f;
+            memcpy(face[side], n, sizeof n);
             r->normal[side] = (uint16_t)voxrti_oct_encode(n);
             r->object[side] = (uint16_t)s->object[side];
             r->area[side] = (uint8_t)(255.0 * (double)w / (double)all + 0.5);
             if (r->area[side] == 0) r->area[side] = 1;
             r->offset[side] = (int8_t)voxrti_floor((double)s->offset[side] / (double)w + 0.5);
         }
+        r->edge = flat == 2 && voxrti_absf(voxrti_dot3(face[0], face[1])) < 0.8f;
     }
 }
 
@@ -15325,7 +15494,7 @@ static voxrt_result voxrti_gi_layer_build(voxrt_gi *gi, uint32_t which) {
     b.gi = gi;
     b.layer = l;
     for (i = 0; i < 256; i++) b.srgb[i] = (float)voxrti_srgb_to_linear((double)i / 255.0);
-    for (pass = 0; pass < 3; pass++) { /* cells, then votes for their axes, then the sums of both sides */
+    for (pass = 0; pass < 3; pass++) { /* cells, then how their normals vary, then the sums of both sides */
         if (pass == 1) {
             r = voxrti_gi_layer_open(gi, l);
             if (r != VOXRT_OK) return r;
@@ -15336,6 +15505,7 @@ static voxrt_result voxrti_gi_layer_build(voxrt_gi *gi, uint32_t which) {
                 return VOXRT_ERR_NO_MEMORY;
             }
         }
+        if (pass == 2) voxrti_parallel_for(&gi->env, voxrti_task_gi_split, &b, (uint32_t)((l->count + 4095) / 4096));
         b.votes = pass == 1;
         for (i = 0; i < gi->entry_count; i++) {
             const voxrti_gi_entry *e = &gi->entry[i];
@@ -16172,9 +16342,9 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE __m256i voxrti_hash32_8(__m256i x) {
     x = _mm256_mullo_epi32(x, _mm256_set1_epi32((int)0x846ca68bu));
     return _mm256_xor_si256(x, _mm256_srli_epi32(x, 16));
 }
-/* voxrti_sobol2 for eight seeds */
-VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_sobol2_8(uint32_t index, __m256i seed, __m256 out[2]) {
-    const __m256i i = voxrti_scramble8(_mm256_set1_epi32((int)voxrti_reverse_bits(index)), seed);
+/* voxrti_sobol2 for eight indices and seeds */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_sobol2_8(__m256i index, __m256i seed, __m256 out[2]) {
+    const __m256i i = voxrti_scramble8(voxrti_reverse_bits8(index), seed);
     const __m256 unit = _mm256_set1_ps(1.0f / 16777216.0f);
     __m256i x, y = i;
     y = _mm256_xor_si256(y, _mm256_srli_epi32(y, 16));
@@ -16207,8 +16377,8 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_turn8(__m256 u, __m256 *s, __m256 *
 }
 
 /* As below, eight at a time. */
-VOXRTI_TARGET_AVX2 static void voxrti_cosine_rays_avx2(uint32_t index, const float (*n)[3], const uint32_t *seed,
-                                                       uint32_t count, voxrt_ray *ray) {
+VOXRTI_TARGET_AVX2 static void voxrti_cosine_rays_avx2(const uint32_t *index, const float (*n)[3],
+                                                       const uint32_t *seed, uint32_t count, voxrt_ray *ray) {
     const __m256 one = _mm256_set1_ps(1.0f), zero = _mm256_setzero_ps();
     const __m256i third = _mm256_setr_epi32(0, 3, 6, 9, 12, 15, 18, 21);
     uint32_t i, j, a;
@@ -16220,7 +16390,8 @@ VOXRTI_TARGET_AVX2 static void voxrti_cosine_rays_avx2(uint32_t index, const flo
         const __m256 w = _mm256_mul_ps(_mm256_mul_ps(x, y), q);
         __m256 u[2], s, c, cosine, sine, d[3], at[3], bt[3], nn[3];
         float out[3][8];
-        voxrti_sobol2_8(index, _mm256_loadu_si256((const __m256i *)(const void *)(seed + i)), u);
+        voxrti_sobol2_8(_mm256_loadu_si256((const __m256i *)(const void *)(index + i)),
+                        _mm256_loadu_si256((const __m256i *)(const void *)(seed + i)), u);
         voxrti_turn8(u[0], &s, &c);
         cosine = _mm256_sqrt_ps(_mm256_sub_ps(one, u[1]));
         sine = _mm256_sqrt_ps(_mm256_max_ps(_mm256_sub_ps(one, _mm256_mul_ps(cosine, cosine)), zero));
@@ -16245,10 +16416,10 @@ VOXRTI_TARGET_AVX2 static void voxrti_cosine_rays_avx2(uint32_t index, const flo
 }
 #endif
 
-/* Directions of rays over the hemispheres of n, with a density of the cosine, point `index` of each seed's sequence. n
-   and seed have VOXRTI_COLUMN_BATCH entries. */
-static void voxrti_cosine_rays(int isa, uint32_t index, const float (*n)[3], const uint32_t *seed, uint32_t count,
-                               voxrt_ray *ray) {
+/* Directions of rays over the hemispheres of n, with a density of the cosine: point index[i] of the sequence seed[i].
+   index, n and seed have VOXRTI_COLUMN_BATCH entries. */
+static void voxrti_cosine_rays(int isa, const uint32_t *index, const float (*n)[3], const uint32_t *seed,
+                               uint32_t count, voxrt_ray *ray) {
     uint32_t i;
 #if VOXRTI_AVX2
     if (isa >= VOXRT_ISA_AVX2) {
@@ -16259,7 +16430,7 @@ static void voxrti_cosine_rays(int isa, uint32_t index, const float (*n)[3], con
     (void)isa;
     for (i = 0; i < count; i++) {
         float u[2];
-        voxrti_sobol2(index, seed[i], u);
+        voxrti_sobol2(index[i], seed[i], u);
         (void)voxrti_lobe_direction(n[i], u, 1.0f, ray[i].dir);
     }
 }
@@ -16471,8 +16642,18 @@ static int voxrti_gi_map_sees(const voxrt_gi *gi, size_t light, const float p[3]
 typedef struct voxrti_points {
     float p[VOXRTI_COLUMN_BATCH][3], n[VOXRTI_COLUMN_BATCH][3];
     float view[VOXRTI_COLUMN_BATCH][3], exponent[VOXRTI_COLUMN_BATCH]; /* unit, towards p; of a Phong lobe, or 0 */
-    uint32_t seed[VOXRTI_COLUMN_BATCH], count;
+    uint32_t seed[VOXRTI_COLUMN_BATCH], place[VOXRTI_COLUMN_BATCH], count; /* which samples are theirs */
+    uint32_t share; /* log2 of how many a place has */
 } voxrti_points;
+
+/* Sample number s of a point: which point of which sequence. Points with one seed are places of one sequence, each has
+   1 << share of its points; further ones are from the same places of another sequence. share 32: a sequence each. */
+VOXRTI_INLINE void voxrti_point_sample(const voxrti_points *q, uint32_t i, uint32_t s, uint32_t *index,
+                                       uint32_t *seed) {
+    const uint32_t turn = q->share < 32 ? s >> q->share : 0;
+    *index = q->share < 32 ? q->place[i] << q->share | (s & ((1u << q->share) - 1u)) : s;
+    *seed = turn == 0 ? q->seed[i] : q->seed[i] ^ voxrti_hash32(turn);
+}
 
 /* How lamps light points. */
 typedef struct voxrti_lighting {
@@ -16500,10 +16681,13 @@ static VOXRTI_NOINLINE void voxrti_light_points(const voxrti_lighting *c, size_t
     for (s = 0; s < samples; s++) {
         for (i = m = 0; i < q->count; i++) {
             float u[2] = {0.5f, 0.5f};
-            if (wide) voxrti_sobol2(c->first + s, voxrti_hash32(q->seed[i]), u);
+            uint32_t index = 0, seed = 0;
+            if (wide) {
+                voxrti_point_sample(q, i, c->first + s, &index, &seed);
+                voxrti_sobol2(index, voxrti_hash32(seed), u);
+            }
             if ((uint32_t)l->kind == VOXRTI_GI_EMITTERS) {
-                if (!voxrti_emitter_ray(c->gi, q->p[i], q->n[i], c->first + s, q->seed[i], &ray[m], in[m], end[m]))
-                    continue;
+                if (!voxrti_emitter_ray(c->gi, q->p[i], q->n[i], index, seed, &ray[m], in[m], end[m])) continue;
             } else if (!voxrti_gi_light_ray(c->gi, l, q->p[i], q->n[i], u, &ray[m], in[m], end[m])) continue;
             memcpy(normal[m], q->n[i], sizeof normal[m]);
             for (a = 0; a < 3 && c->shadow != NULL; a++) { /* from a little above the surface to the light */
@@ -16564,6 +16748,7 @@ static void voxrti_gi_fill(const voxrt_gi *gi, int isa, const voxrti_gi_side *si
     }
     if (m == 0) return;
     q.count = m;
+    q.share = 32;
     memset(&c, 0, sizeof c);
     c.gi = gi;
     c.isa = isa;
@@ -16626,6 +16811,7 @@ typedef struct voxrti_gather {
     size_t list_count;
     uint32_t rays, bounces, first, which; /* of this pass; which: 0, 1 half, 2 indirect itself */
     uint32_t seed, set;            /* set: pixels in VPL's pattern */
+    uint32_t share, direct_share;  /* of voxrti_gather_open: indirect, direct light */
     float radius;
     int isa;
     voxrti_frame frame;
@@ -16640,11 +16826,13 @@ typedef struct voxrti_gather {
    on; farther away what faces away is dark. */
 #define VOXRTI_GATHER_SELF 16.0f
 
-/* A ray from each point, over its hemisphere with density cos, or, where it has a lobe, in its Phong lobe: what it
-   meets. weight: what its light counts for the mean. t of a miss is INFINITY; a hit that shows no side has at = -1. */
-static void voxrti_gather_rays(const voxrti_gather *w, const voxrti_points *q, uint32_t index, voxrt_ray *ray, float *t,
-                               voxrti_gi_side *side, float *weight, voxrt_stats *stats) {
+/* Sample `number` of each point: a ray over its hemisphere with density cos, or, where it has a lobe, in its Phong lobe:
+   what it meets. weight: what its light counts for the mean. t of a miss is INFINITY; a hit that shows no side has at =
+   -1. */
+static void voxrti_gather_rays(const voxrti_gather *w, const voxrti_points *q, uint32_t number, voxrt_ray *ray,
+                               float *t, voxrti_gi_side *side, float *weight, voxrt_stats *stats) {
     voxrt_column_hit hit[VOXRTI_COLUMN_BATCH];
+    uint32_t index[VOXRTI_COLUMN_BATCH], seed[VOXRTI_COLUMN_BATCH];
     const voxrt_gi *where[VOXRTI_COLUMN_BATCH];
     size_t of[VOXRTI_COLUMN_BATCH];
     uint8_t layer[VOXRTI_COLUMN_BATCH], from[VOXRTI_COLUMN_BATCH];
@@ -16652,14 +16840,17 @@ static void voxrti_gather_rays(const voxrti_gather *w, const voxrti_points *q, u
     float normal[VOXRTI_COLUMN_BATCH][3];
     uint32_t i, j, a, more = 0, still, turn;
     memset(hit, 0, sizeof hit);
-    voxrti_cosine_rays(w->isa, index, q->n, q->seed, q->count, ray);
+    memset(index, 0, sizeof index);
+    memset(seed, 0, sizeof seed);
+    for (i = 0; i < q->count; i++) voxrti_point_sample(q, i, number, &index[i], &seed[i]);
+    voxrti_cosine_rays(w->isa, index, q->n, seed, q->count, ray);
     for (i = 0; i < q->count; i++) {
         weight[i] = 1.0f;
         ray[i].t_min = 0.0f;
         ray[i].t_max = w->radius;
         if (q->exponent[i] > 0.0f) { /* below the horizon: nothing, but it counts */
             float axis[3], cosine, u[2];
-            voxrti_sobol2(index, q->seed[i], u);
+            voxrti_sobol2(index[i], seed[i], u);
             voxrti_mirror(q->view[i], q->n[i], axis);
             (void)voxrti_lobe_direction(axis, u, q->exponent[i] == 1.0f ? 1.0f : q->exponent[i], ray[i].dir);
             cosine = voxrti_dot3(ray[i].dir, q->n[i]);
@@ -16711,6 +16902,7 @@ static VOXRTI_NOINLINE void voxrti_hit_light(const voxrti_gather *w, const voxrt
     size_t l;
     if (cached) voxrti_gi_fill(w->gi, w->isa, side, count);
     q.count = 0;
+    q.share = 32;
     for (i = 0; i < count; i++) {
         const uint32_t m = q.count;
         const voxrti_gi_entry *e;
@@ -16814,7 +17006,9 @@ static VOXRTI_NOINLINE void voxrti_gather_run(const voxrti_gather *w, const voxr
                     out[of[i]][a] += rgb[i][a] * now[a];
                 }
                 at.seed[m] = voxrti_hash32(at.seed[i] + 0x9e3779b9u);
-                voxrti_gather_turn(&side[i], ray[i].dir, at.seed[m] + w->first + r, &at, m, now);
+                at.place[m] = at.place[i];
+                voxrti_gather_turn(&side[i], ray[i].dir, (at.seed[m] ^ voxrti_hash32(at.place[m])) + w->first + r, &at,
+                                   m, now);
                 memcpy(part[m], now, sizeof now);
                 memcpy(at.p[m], side[i].position, sizeof at.p[m]);
                 memcpy(at.n[m], side[i].normal, sizeof at.n[m]);
@@ -17105,6 +17299,7 @@ static VOXRTI_NOINLINE void voxrti_vpl_compensate(const voxrti_gather *w, const 
     memset(weight, 0, sizeof weight);
     memset(rgb, 0, sizeof rgb);
     near_by.radius = h < w->radius ? h : w->radius;
+    for (at.share = at.share < 32 ? 0 : 32; at.share < 32 && rays > 1u << at.share; at.share++) { }
     for (i = 0; i < at.count; i++) at.exponent[i] = 0.0f;
     for (r = 0; r < rays; r++) {
         voxrti_gather_rays(&near_by, &at, w->first + r, ray, t, side, weight, stats);
@@ -17125,16 +17320,30 @@ static VOXRTI_NOINLINE void voxrti_vpl_compensate(const voxrti_gather *w, const 
 
 /* ---- pixels ---- */
 
-/* Pixels -> points; those with a lobe also in shiny (indices into the points). */
-static void voxrti_gather_open(const voxrti_gather *w, const uint32_t *pixel, uint32_t count, voxrti_points *q) {
+/* Bits 0 to 7 of x, a zero before each. */
+VOXRTI_INLINE uint32_t voxrti_spread8(uint32_t x) {
+    x &= 255u;
+    x = (x | x << 4) & 0x0f0fu;
+    x = (x | x << 2) & 0x3333u;
+    return (x | x << 1) & 0x5555u;
+}
+
+/* Pixels -> points. share: below 32, pixels of 256 x 256 share a sequence, along a Z curve (Ahmed & Wonka 2020): what
+   a pixel and its neighbours send is spread as evenly as what one pixel sends, so their mean is better by more than
+   their number; for what a filter will average. */
+static void voxrti_gather_open(const voxrti_gather *w, const uint32_t *pixel, uint32_t count, uint32_t share,
+                               voxrti_points *q) {
     const voxrt_gbuffer *g = w->g;
     uint32_t i, a;
     q->count = count;
+    q->share = share;
     for (i = 0; i < count; i++) {
         const size_t at = pixel[i];
+        const uint32_t x = (uint32_t)(at % g->width), y = (uint32_t)(at / g->width), far_ = share < 32 ? 8 : 0;
         memcpy(q->p[i], g->position + 3 * at, 12);
         memcpy(q->n[i], g->normal + 3 * at, 12);
-        q->seed[i] = voxrti_hash32((uint32_t)(at % g->width) + ((uint32_t)(at / g->width) << 16)) ^ w->seed;
+        q->seed[i] = voxrti_hash32((x >> far_) + (y >> far_ << 16)) ^ w->seed;
+        q->place[i] = voxrti_spread8(x) | voxrti_spread8(y) << 1;
         q->exponent[i] = g->specular != NULL ? g->specular[4 * at + 3] : 0.0f;
         memset(q->view[i], 0, 12);
         if (!(q->exponent[i] > 0.0f)) continue;
@@ -17159,7 +17368,7 @@ static void voxrti_task_shade(void *ctx, uint32_t batch) {
     memset(rgb, 0, sizeof rgb);
     memset(gloss, 0, sizeof gloss);
     memset(apart, 0, sizeof apart);
-    voxrti_gather_open(w, list, n, &q);
+    voxrti_gather_open(w, list, n, w->share, &q);
     if (w->d->method == VOXRT_GI_VPL) {
         const uint32_t x = list[0] % w->g->width, y = list[0] / w->g->width;
         if (w->gi->vpl_count != 0) {
@@ -17175,6 +17384,7 @@ static void voxrti_task_shade(void *ctx, uint32_t batch) {
         uint8_t of[VOXRTI_COLUMN_BATCH];
         float more[VOXRTI_COLUMN_BATCH][3];
         other.count = 0;
+        other.share = q.share;
         for (i = 0; i < n && w->gloss != NULL && w->d->method != VOXRT_GI_AO; i++) {
             const uint32_t m = other.count;
             if (!(q.exponent[i] > 0.0f)) continue;
@@ -17183,6 +17393,7 @@ static void voxrti_task_shade(void *ctx, uint32_t batch) {
             memcpy(other.view[m], q.view[i], 12);
             other.exponent[m] = q.exponent[i];
             other.seed[m] = voxrti_hash32(q.seed[i]);
+            other.place[m] = q.place[i];
             of[m] = (uint8_t)i;
             other.count++;
         }
@@ -17227,7 +17438,7 @@ static void voxrti_task_direct(void *ctx, uint32_t tile) {
             if (voxrti_dot3(v, v) > 0.5f) pixel[n++] = (uint32_t)at;
         }
     if (n == 0) return;
-    voxrti_gather_open(w, pixel, n, &q);
+    voxrti_gather_open(w, pixel, n, w->direct_share, &q);
     memset(rgb, 0, sizeof rgb);
     memset(gloss, 0, sizeof gloss);
     memset(&c, 0, sizeof c);
@@ -17949,6 +18160,10 @@ static voxrt_result voxrti_gi_render_open(const voxrt_gi_render_desc *desc, voxr
     w->g = g;
     w->rays = d->tolerance > 0.0f && d->rays > 16 ? 16 : d->rays;
     w->first = d->first_ray;
+    for (w->share = 0; w->rays > 1u << w->share; w->share++) { }
+    w->direct_share = w->share;
+    if (d->filter == 0) w->share = 32;
+    if (d->direct_filter == 0 && d->history != NULL) w->direct_share = 32;
     w->bounces = (d->method == VOXRT_GI_PATH || d->method == VOXRT_GI_VPL) && d->bounces != 0 ? d->bounces : 1;
     w->radius = d->radius > 0.0f ? d->radius : voxrti_gi_reach(gi);
     w->isa = (int)voxrt_isa_best();
@@ -18113,6 +18328,7 @@ static void voxrti_task_bounce(void *ctx, uint32_t y) {
     uint32_t x, w, side, i;
     memset(at, 0, sizeof at);
     q.count = 0;
+    q.share = 32;
     for (x = 0; x < c->size[0]; x++)
         for (w = 0; w < c->words; w++) {
             uint32_t bits = l->bits[voxrti_column(c, 0, x, y) + w];
@@ -18124,6 +18340,7 @@ static void voxrti_task_bounce(void *ctx, uint32_t y) {
                     at[i] = 2 * rec + side;
                     voxrti_gi_side_place(b->gi, &l->record[rec], side, cell, q.p[i], q.n[i]);
                     q.exponent[i] = 0.0f;
+                    q.place[i] = 0;
                     q.seed[i] = voxrti_hash32((uint32_t)at[i] * 2u + b->layer) ^ b->seed;
                     if (q.count == VOXRTI_COLUMN_BATCH) voxrti_bounce_flush(b, &q, at);
                 }
@@ -18324,6 +18541,106 @@ static const voxrti_gi_entry *voxrti_gi_entry_at(const voxrt_gi *gi, const float
         }
     }
     return found;
+}
+
+typedef struct voxrti_edge_work { const voxrt_gi *gi; const voxrt_gbuffer *g; voxrti_frame frame; } voxrti_edge_work;
+
+/* Is n, but for a little, a mix of two normals? */
+VOXRTI_INLINE int voxrti_normal_mixed(const float n[3], const float face[2][3]) {
+    const float c = voxrti_dot3(face[0], face[1]), a = voxrti_dot3(n, face[0]), b = voxrti_dot3(n, face[1]);
+    const float pa = (a - b * c) / (1.0f - c * c), pb = (b - a * c) / (1.0f - c * c);
+    return pa > 0.05f && pb > 0.05f && pa * a + pb * b > 0.97f;
+}
+
+/* The surface of the cells around p that a pixel at an edge shows: to_eye is from p to the camera, unit length. 0: its
+   normal n may stay. */
+static int voxrti_edge_normal(const voxrt_gi *gi, const float p[3], const float n[3], const float to_eye[3],
+                              float out[3]) {
+    const int outline = voxrti_dot3(n, to_eye) < 0.02f; /* it faces away, and was turned until it did not */
+    double at[3];
+    float best = 0.0f;
+    uint32_t a, i, side, layer, found = 0, cell[3];
+    size_t r;
+    for (; gi != NULL; gi = gi->outer) {
+        for (a = 0; a < 3; a++) {
+            at[a] = ((double)p[gi->columns->axis[a]] - gi->columns->origin[a]) * gi->columns->per_cell[a];
+            if (!(at[a] >= 0.0 && at[a] < (double)gi->columns->size[a])) break;
+            cell[a] = (uint32_t)at[a];
+        }
+        if (a == 3) break;
+    }
+    if (gi == NULL) return 0;
+    r = voxrti_gi_find(gi, cell[0], cell[1], cell[2], &layer);
+    for (side = 0; side < 2 && r != (size_t)-1 && !outline; side++) { /* most pixels */
+        float m[3];
+        if (gi->layer[layer].record[r].area[side] == 0) continue;
+        voxrti_oct_decode(gi->layer[layer].record[r].normal[side], m);
+        if (voxrti_dot3(m, n) > 0.95f) return 0;
+    }
+    for (i = 0; i < 27; i++) {
+        const float wide = 0.6f * (float)gi->columns->diagonal;
+        const voxrti_gi_record *rec;
+        float face[2][3], place[3], d[3];
+        for (a = 0; a < 3; a++) {
+            const int64_t q = voxrti_floor(at[a]) + (int64_t)(a == 0 ? i % 3 : a == 1 ? i / 3 % 3 : i / 9) - 1;
+            if (q < 0 || q >= (int64_t)gi->columns->size[a]) break;
+            cell[a] = (uint32_t)q;
+        }
+        if (a < 3 || (r = voxrti_gi_find(gi, cell[0], cell[1], cell[2], &layer)) == (size_t)-1) continue;
+        rec = &gi->layer[layer].record[r];
+        if (!outline) {
+            if (!rec->edge) continue;
+            for (side = 0; side < 2; side++) voxrti_oct_decode(rec->normal[side], face[side]);
+            if (!voxrti_normal_mixed(n, (const float (*)[3])face)) continue;
+        }
+        for (side = 0; side < 2; side++) {
+            float seen, away;
+            if (rec->area[side] == 0) continue;
+            voxrti_gi_side_place(gi, rec, side, cell, place, face[side]);
+            for (a = 0; a < 3; a++) d[a] = p[a] - place[a];
+            away = voxrti_absf(voxrti_dot3(d, face[side]));
+            if (away > wide || (outline && voxrti_absf(voxrti_dot3(n, face[side])) > 0.8f)) continue;
+            seen = voxrti_dot3(to_eye, face[side]) - away / wide * 0.1f;
+            if (!(seen > best)) continue;
+            best = seen;
+            found = 1;
+            memcpy(out, face[side], sizeof face[side]);
+        }
+    }
+    return (int)found;
+}
+
+static void voxrti_task_edges(void *ctx, uint32_t y) {
+    const voxrti_edge_work *w = (const voxrti_edge_work *)ctx;
+    const voxrt_gbuffer *g = w->g;
+    size_t at = (size_t)y * g->width, end = at + g->width;
+    uint32_t a;
+    for (; at < end; at++) {
+        float to[3], n[3];
+        if (!voxrti_pixel_seen(g, at)) continue;
+        for (a = 0; a < 3; a++) to[a] = w->frame.eye[a] - g->position[3 * at + a];
+        if (!voxrti_normalize(to)) continue;
+        if (voxrti_edge_normal(w->gi, g->position + 3 * at, g->normal + 3 * at, to, n))
+            memcpy(g->normal + 3 * at, n, sizeof n);
+    }
+}
+
+VOXRT_DEF voxrt_result voxrt_gbuffer_edges(const voxrt_env *env, const voxrt_camera *camera, const voxrt_gi *gi,
+                                           const voxrt_gbuffer *gbuffer) {
+    voxrti_edge_work w;
+    voxrt_env none;
+    voxrt_result r;
+    if (gi == NULL || gbuffer == NULL || camera == NULL) return VOXRT_ERR_INVALID_ARG;
+    if (gbuffer->width == 0 || gbuffer->height == 0) return VOXRT_OK;
+    if (gbuffer->position == NULL || gbuffer->normal == NULL || gbuffer->width > 65535 || gbuffer->height > 65535)
+        return VOXRT_ERR_INVALID_ARG;
+    memset(&none, 0, sizeof none);
+    w.gi = gi;
+    w.g = gbuffer;
+    r = voxrti_frame_open(camera, gbuffer->height, &w.frame);
+    if (r == VOXRT_OK)
+        voxrti_parallel_for(env != NULL ? env : &none, voxrti_task_edges, &w, gbuffer->height);
+    return r;
 }
 
 typedef struct voxrti_material_work { const voxrt_gi *gi; const voxrt_gbuffer *g; } voxrti_material_work;

@@ -690,6 +690,7 @@ static int draw(world *w, const gi_options *o, buffers *b, double t, int first, 
     d.env.thread_count = (uint32_t)o->common.threads;
     r = voxels ? voxrt_gbuffer_from_gi(&d.env, &w->camera, w->gi, &b->g) : voxrt_gbuffer_from_geometry(&d.env, &w->camera, &w->geometry, &b->g);
     if (r != VOXRT_OK) return sup_fail(err, "no camera: eye and at are the same, or the angle is out of range");
+    if (!voxels) (void)voxrt_gbuffer_edges(&d.env, &w->camera, w->gi, &b->g);
     if (o->view == VIEW_CUBES) see_cubes(w, o, &b->g);
     if (w->shine || w->glow || b->g.before != NULL) (void)voxrt_gbuffer_materials(&d.env, w->gi, &b->g);
     light = sup_now();
