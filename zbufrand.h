@@ -1015,8 +1015,10 @@ typedef struct zbufrand_costs {
 
 /* field           zero means
    camera          (eye equals at) one that frames the scene
-   tolerance       0.05: probability that the picture is incomplete: that a pixel which a surface covers, with a margin
-                   of the block size, stays empty or shows something behind it
+   tolerance       0.05: probability that the picture is incomplete, at most: that somewhere a pixel is empty, or more
+                   than 1 % deeper than all that is visible in it and in the pixels around it (in blocks of d x d: up
+                   to 3 d / 2 pixels away), where these are covered as a whole. Holds for surfaces that are sampled;
+                   rastered ones miss nothing. With `noise`: for each frame
    density         as `tolerance` needs it. L: samples per square pixel of projected surface, visible or hidden
    noise           one frame. E: frames are averaged until the estimated RMSE of the mean (linear light) is below E
    max_frames      256: for `noise`
@@ -1111,7 +1113,10 @@ typedef struct zbufrand_stats {
     /* pixels that rays were cast for, because they were empty, because of their neighbours */
     uint64_t holes, wrong;
     uint64_t repaired;         /* of both: pixels that were changed by their ray */
-    double incomplete;         /* bound of the probability that the picture is incomplete */
+    /* bound of the probability that the picture is incomplete, see `tolerance`; from the density, or from how many
+       pixels had to be repaired, if these were more. Without repair pixels where rastered and sampled surfaces meet are
+       not part of it */
+    double incomplete;
     uint32_t frames;           /* averaged */
     double rmse;               /* estimated error of their mean, linear light; 0: not measured */
     double seconds[5];         /* by zbufrand_stage */
@@ -10978,6 +10983,8 @@ typedef struct zbufrandi_suspects {
     const float *depth;
     uint8_t *mask;          /* kind, or 0 */
     uint32_t width, height, hole_count, wrong_count;
+    uint32_t reach;         /* neighbours are looked at in this distance, in pixels */
+    int sure;               /* 1: as wrong counts all that has enough nearer neighbours, whatever their depths */
     float keep;             /* 1 - tolerance */
     int level;
 } zbufrandi_suspects;
@@ -10993,17 +11000,23 @@ ZBUFRANDI_INLINE float zbufrandi_depth_at(const zbufrandi_suspects *c, uint32_t 
 
 static uint8_t zbufrandi_suspect_pixel(const zbufrandi_suspects *c, uint32_t x, uint32_t y) {
     float z = c->depth[(size_t)y * c->width + x], nearer[8]; /* deepest first */
+    const int reach = (int)c->reach;
     uint32_t k, i, n = 0, sides = 0;
     if (!(z < (float)INFINITY)) {
         for (k = 0; k < 8; k++) {
-            n += zbufrandi_depth_at(c, x, y, zbufrandi_around[k][0], zbufrandi_around[k][1]) < (float)INFINITY;
+            n += zbufrandi_depth_at(c, x, y, reach * zbufrandi_around[k][0], reach * zbufrandi_around[k][1]) <
+                (float)INFINITY;
         }
         return (uint8_t)(n >= c->hole_count ? (int)ZBUFRAND_SUSPECT_HOLE : 0);
     }
     for (k = 0; k < 8; k++) {
-        int dx = zbufrandi_around[k][0], dy = zbufrandi_around[k][1];
+        int dx = reach * zbufrandi_around[k][0], dy = reach * zbufrandi_around[k][1];
         float z1 = zbufrandi_depth_at(c, x, y, dx, dy), z2;
         if (!(z1 < z * c->keep)) continue;
+        if (c->sure) {
+            if (++n >= c->wrong_count) return (uint8_t)ZBUFRAND_SUSPECT_WRONG;
+            continue;
+        }
         z2 = zbufrandi_depth_at(c, x, y, 2 * dx, 2 * dy);
         /* 1/z runs linearly along a plane: 2/z1 - 1/z2 here; nearer than z by the tolerance? */
         if (z2 < z1 && !((2.0f / z1 - 1.0f / z2) * (z * c->keep) > 1.0f)) continue;
@@ -11011,7 +11024,7 @@ static uint8_t zbufrandi_suspect_pixel(const zbufrandi_suspects *c, uint32_t x, 
         nearer[i] = z1;
         sides |= 1u << k;
     }
-    if (n < c->wrong_count || (sides & sides >> 4) == 0) return 0;
+    if (c->sure || n < c->wrong_count || (sides & sides >> 4) == 0) return 0;
     return (uint8_t)(z - nearer[0] >= nearer[0] - nearer[c->wrong_count - 1] ? (int)ZBUFRAND_SUSPECT_WRONG : 0);
 }
 
@@ -11021,11 +11034,11 @@ ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_suspect_eight(const zbufrandi_su
                                                               uint32_t least) {
     __m256 limit = _mm256_mul_ps(_mm256_loadu_ps(p), _mm256_set1_ps(c->keep));
     __m256i n = _mm256_setzero_si256();
-    ptrdiff_t w = (ptrdiff_t)c->width;
+    const ptrdiff_t r = (ptrdiff_t)c->reach, w = r * (ptrdiff_t)c->width;
     const float *q[8];
     uint32_t k;
-    q[0] = p + 1; q[1] = p + w + 1; q[2] = p + w; q[3] = p + w - 1;
-    q[4] = p - 1; q[5] = p - w - 1; q[6] = p - w; q[7] = p - w + 1;
+    q[0] = p + r; q[1] = p + w + r; q[2] = p + w; q[3] = p + w - r;
+    q[4] = p - r; q[5] = p - w - r; q[6] = p - w; q[7] = p - w + r;
     for (k = 0; k < 8; k++) {
         n = _mm256_sub_epi32(n, _mm256_castps_si256(_mm256_cmp_ps(_mm256_loadu_ps(q[k]), limit, _CMP_LT_OQ)));
     }
@@ -11041,10 +11054,11 @@ static void zbufrandi_suspect_task(void *ctx, uint32_t task) {
         uint8_t *mask = c->mask + (size_t)y * c->width;
         x = 0;
 #if ZBUFRANDI_AVX2
-        if (c->level >= 3 && y > 0 && y + 1 < c->height && c->width >= 10) {
+        if (c->level >= 3 && y >= c->reach && y + c->reach < c->height && c->width >= 8 + 2 * c->reach) {
+            const uint32_t reach = c->reach;
             uint32_t least = c->hole_count < c->wrong_count ? c->hole_count : c->wrong_count;
-            mask[0] = zbufrandi_suspect_pixel(c, 0, y);
-            for (x = 1; x + 9 <= c->width; x += 8) {
+            for (; x < reach; x++) mask[x] = zbufrandi_suspect_pixel(c, x, y);
+            for (; x + 8 + reach <= c->width; x += 8) {
                 uint32_t bits = zbufrandi_suspect_eight(c, c->depth + (size_t)y * c->width + x, least);
                 memset(mask + x, 0, 8);
                 for (; bits != 0; bits &= bits - 1) {
@@ -11117,6 +11131,7 @@ static zbufrand_result zbufrandi_suspect_desc(const zbufrand_suspect_desc *desc,
     c->keep = 1.0f - (desc->tolerance > 0.0f ? desc->tolerance : 0.01f);
     c->hole_count = desc->hole_count != 0 ? desc->hole_count : 4;
     c->wrong_count = desc->wrong_count != 0 ? desc->wrong_count : 5;
+    c->reach = 1;
     c->level = zbufrandi_level(desc->isa);
     if (c->hole_count > 8 || c->wrong_count < 2 || c->wrong_count > 9 || desc->hole_rounds > 8) {
         return zbufrandi_fail(desc->env.error, ZBUFRAND_ERR_INVALID_ARG, 0, "a count is out of range");
@@ -13977,7 +13992,6 @@ struct zbufrandi_picture {
     zbufrandi_look look;
     uint32_t first_block;
     uint32_t done_draws;               /* drawn already */
-    size_t first_suspect;              /* of those that rays are cast for now */
     uint32_t accepted[2], sampled[2], stored[2], points[2]; /* tallies */
     uint32_t area[2][2];               /* tallies of the first pass: samples with hidden ones, pixels rastered */
     uint32_t pass;
@@ -14415,14 +14429,16 @@ static zbufrand_result zbufrandi_draw_scene(zbufrandi_picture *p) {
 
 /* ---- repair ----
 
-   A pixel that surfaces cover together with its eight neighbours is found when it is empty and at least 4 of them are
-   not, and found when it shows something hidden and at least n of them show what hides it. If each pixel fails with
-   probability q, on its own, one stays unfound with at most q P(9 - n or more of 8 fail). Rays through the suspects
-   tell q. Most pixels that 5 of 8 neighbours are nearer than are right, at the edges of leaves and far hills; but with
-   n = 7 or 6, which cost fewer rays, 13 % of pictures of a statue were incomplete, with 5 they are 3 %: at silhouettes
-   what hides a pixel can be nearer by less than the share that counts as nearer. */
+   Of d x d blocks (1: pixels) one that only surfaces which are sampled cover, all of it, gets no sample of them with a
+   probability of at most q = exp(-density d^2), n of them that do not overlap none at all with q^n: drawn independently
+   or by strata, as many are expected. A pixel that shows something hidden is found when at least 5 of its neighbours
+   at a distance of d show what is nearer. So it stays unfound only if 4 of 8 got no sample either, of 70 fours one; an
+   empty pixel is found when 4 neighbours are not empty, and stays if 5 are, of 56 fives one. That holds if all that
+   has 5 nearer neighbours is found: most of it is right, at the edges of leaves and far hills, but with only what was
+   far enough behind for the spread of depths around it, and behind planes through them, up to three of four pictures
+   were incomplete. At least 5 because with 6 and 7 the density has to be a quarter and 60 % higher. */
 
-enum { ZBUFRANDI_REPAIR_RAYS = 64, ZBUFRANDI_REPAIR_SURE = 5, ZBUFRANDI_REPAIR_LEAST = 5 };
+enum { ZBUFRANDI_REPAIR_RAYS = 64, ZBUFRANDI_REPAIR_WRONG = 5, ZBUFRANDI_REPAIR_HOLE = 4, ZBUFRANDI_REPAIR_TILE = 8 };
 
 static void zbufrandi_depth_task(void *ctx, uint32_t y) { /* depths of the picture from its keys */
     zbufrandi_picture *p = (zbufrandi_picture *)ctx;
@@ -14441,7 +14457,7 @@ static void zbufrandi_repair_task(void *ctx, uint32_t task) { /* rays through su
     zbufrand_frame *f = p->f;
     const zbufrandi_recon *r = &f->recon;
     const zbufrandi_camera *c = &p->cut.camera;
-    const size_t begin = p->first_suspect + (size_t)task * ZBUFRANDI_REPAIR_RAYS, left = f->suspect_count - begin;
+    const size_t begin = (size_t)task * ZBUFRANDI_REPAIR_RAYS, left = f->suspect_count - begin;
     const size_t n = left < ZBUFRANDI_REPAIR_RAYS ? left : (size_t)ZBUFRANDI_REPAIR_RAYS;
     zbufrandi_ray ray[ZBUFRANDI_REPAIR_RAYS];
     size_t i;
@@ -14480,8 +14496,23 @@ static int zbufrandi_repair_local(zbufrandi_picture *p, const zbufrandi_ray_hit 
     return 1;
 }
 
-/* Put what the rays found into the keys. */
-static zbufrand_result zbufrandi_repair_apply(zbufrandi_picture *p) {
+/* Were all neighbours of a pixel nearer than it, before rays changed anything? f->depth has that. */
+static int zbufrandi_repair_inside(const zbufrandi_picture *p, uint32_t pixel) {
+    const zbufrandi_recon *r = &p->f->recon;
+    const int64_t x = pixel % r->width, y = pixel / r->width, d = r->o.block;
+    int64_t i, j;
+    if (x < d || y < d || x + d >= (int64_t)r->width || y + d >= (int64_t)r->height) return 0;
+    for (j = y - d; j <= y + d; j += d) {
+        for (i = x - d; i <= x + d; i += d) {
+            if (i == x && j == y) continue;
+            if (!(p->f->depth[(size_t)j * r->width + (size_t)i] < p->f->depth[pixel] * 0.99f)) return 0;
+        }
+    }
+    return 1;
+}
+
+/* Put what the rays found into the keys. out_inside: how many changed that all neighbours were nearer than. */
+static zbufrand_result zbufrandi_repair_apply(zbufrandi_picture *p, uint32_t *out_inside) {
     zbufrand_frame *f = p->f;
     zbufrandi_recon *r = &f->recon;
     zbufrandi_draw *d;
@@ -14489,15 +14520,15 @@ static zbufrand_result zbufrandi_repair_apply(zbufrandi_picture *p) {
     uint32_t local = 0, first = (uint32_t)f->ray_count, count = 0;
     size_t i;
     if (!zbufrandi_grow(&f->mem, (void **)&f->ray_seen, &f->ray_capacity, f->ray_count,
-                        f->ray_count + f->suspect_count - p->first_suspect, sizeof *f->ray_seen) ||
+                        f->ray_count + f->suspect_count, sizeof *f->ray_seen) ||
         !zbufrandi_grow(&f->mem, (void **)&f->draw, &f->draw_capacity, f->draw_count, f->draw_count + 1,
                         sizeof *f->draw)) return ZBUFRAND_ERR_NO_MEMORY;
     d = &f->draw[f->draw_count];
     memset(d, 0, sizeof *d);
     d->item = (uint32_t)ZBUFRANDI_DRAW_RAYS << ZBUFRANDI_DRAW_SHIFT | first;
-    d->count = (uint32_t)(f->suspect_count - p->first_suspect);
+    d->count = (uint32_t)f->suspect_count;
     if (!zbufrandi_number_draw(p, d, (uint32_t)f->draw_count)) return ZBUFRAND_ERR_NO_MEMORY;
-    for (i = p->first_suspect; i < f->suspect_count; i++) {
+    for (i = 0; i < f->suspect_count; i++) {
         const zbufrandi_ray_hit *hit = &f->hit[i];
         const uint32_t x = f->suspect[i] % r->width + r->result_guard, y = f->suspect[i] / r->width + r->result_guard;
         uint64_t *key = &r->result[(size_t)y * r->result_width + x];
@@ -14507,6 +14538,7 @@ static zbufrand_result zbufrandi_repair_apply(zbufrandi_picture *p) {
         if (*key != ZBUFRANDI_EMPTY && !(z < zbufrandi_key_depth(*key) * 0.999f)) continue;
         if (!zbufrandi_repair_local(p, hit, before, &local)) return ZBUFRAND_ERR_NO_MEMORY;
         before = hit;
+        *out_inside += (uint32_t)zbufrandi_repair_inside(p, f->suspect[i]);
         seen->depth = z;
         seen->local = local;
         seen->cluster = hit->cluster;
@@ -14521,63 +14553,72 @@ static zbufrand_result zbufrandi_repair_apply(zbufrandi_picture *p) {
     return ZBUFRAND_OK;
 }
 
-/* Bound of the probability that a picture of `pixels` covered pixels is wrong somewhere although repaired, when `bad`
-   of them had failed: q with two standard deviations more than was seen. A failure is missed when `miss` or more of
-   its neighbours failed, 2..4. */
-static double zbufrandi_incomplete(double pixels, double bad, int miss) {
-    double q = (bad + 2.0 * sqrt(bad + 1.0) + 1.0) / zbufrandi_max(pixels, 1.0), tail = 0.0, term;
-    int k, j;
-    if (q > 0.5) return 1.0;
-    for (k = miss; k <= 8; k++) {
-        term = 1.0;
-        for (j = 0; j < 8; j++) term *= j < k ? q : 1.0 - q;
-        tail += term * (k == 2 || k == 6 ? 28.0 : k == 3 || k == 5 ? 56.0 : k == 4 ? 70.0 : k == 7 ? 8.0 : 1.0);
-    }
-    return zbufrandi_min(1.0, pixels * q * tail);
+/* Bound of the probability that a picture of `pixels` covered pixels is wrong somewhere although repaired, when a block
+   gets no sample with probability q. */
+static double zbufrandi_incomplete(double pixels, double q) {
+    const double q2 = q * q;
+    return zbufrandi_min(1.0, pixels * q2 * q2 * q * (70.0 + 56.0 * q));
 }
 
-/* Does the pixel or one of its neighbours show a sample? What lies among rastered pixels alone is right as it is. */
-static int zbufrandi_near_samples(const zbufrandi_picture *p, uint32_t pixel) {
+/* What lies among rastered pixels alone is right as it is. Is there a pixel that shows a sample in the tile around this
+   one and the eight tiles around it? tile: 0 not looked at yet, 1 no, 2 yes. */
+static int zbufrandi_near_samples(const zbufrandi_picture *p, uint8_t *tile, uint32_t pixel) {
     const zbufrand_frame *f = p->f;
     const zbufrandi_recon *r = &f->recon;
-    const int64_t x = pixel % r->width, y = pixel / r->width;
-    int64_t i, j;
-    for (j = y > 0 ? y - 1 : 0; j <= y + 1 && j < (int64_t)r->height; j++) {
-        for (i = x > 0 ? x - 1 : 0; i <= x + 1 && i < (int64_t)r->width; i++) {
-            const uint64_t key = r->result[(size_t)(j + r->result_guard) * r->result_width +
-                                           (size_t)(i + r->result_guard)];
-            uint32_t block;
-            if (key == ZBUFRANDI_EMPTY) continue;
-            block = ((zbufrandi_key_number(key) >> 6) - p->first_block) & 0x3ffffffu;
-            block = f->draw[f->block_draw[block]].item >> ZBUFRANDI_DRAW_SHIFT;
-            if (block != ZBUFRANDI_DRAW_RASTERED && block != ZBUFRANDI_DRAW_LISTED_RASTER) return 1;
+    const uint32_t wide = (r->width + ZBUFRANDI_REPAIR_TILE - 1) / ZBUFRANDI_REPAIR_TILE,
+        high = (r->height + ZBUFRANDI_REPAIR_TILE - 1) / ZBUFRANDI_REPAIR_TILE,
+        tx = pixel % r->width / ZBUFRANDI_REPAIR_TILE, ty = pixel / r->width / ZBUFRANDI_REPAIR_TILE;
+    uint32_t i, j, x, y;
+    for (j = ty > 0 ? ty - 1 : 0; j <= ty + 1 && j < high; j++) {
+        for (i = tx > 0 ? tx - 1 : 0; i <= tx + 1 && i < wide; i++) {
+            uint8_t *t = &tile[(size_t)j * wide + i];
+            const uint32_t x1 = (i + 1) * ZBUFRANDI_REPAIR_TILE, y1 = (j + 1) * ZBUFRANDI_REPAIR_TILE;
+            if (*t == 0) {
+                *t = 1;
+                for (y = j * ZBUFRANDI_REPAIR_TILE; y < y1 && y < r->height && *t == 1; y++) {
+                    const uint64_t *key = r->result + (size_t)(y + r->result_guard) * r->result_width + r->result_guard;
+                    for (x = i * ZBUFRANDI_REPAIR_TILE; x < x1 && x < r->width; x++) {
+                        uint32_t block;
+                        if (key[x] == ZBUFRANDI_EMPTY) continue;
+                        block = ((zbufrandi_key_number(key[x]) >> 6) - p->first_block) & 0x3ffffffu;
+                        block = f->draw[f->block_draw[block]].item >> ZBUFRANDI_DRAW_SHIFT;
+                        if (block == ZBUFRANDI_DRAW_RASTERED || block == ZBUFRANDI_DRAW_LISTED_RASTER) continue;
+                        *t = 2;
+                        break;
+                    }
+                }
+            }
+            if (*t == 2) return 1;
         }
     }
     return 0;
 }
 
-/* Suspects that were none before go to the end of the list. */
-static zbufrand_result zbufrandi_find_suspects(zbufrandi_picture *p, uint32_t wrong_count) {
+/* Pixels that rays are cast for. */
+static zbufrand_result zbufrandi_find_suspects(zbufrandi_picture *p) {
     zbufrand_frame *f = p->f;
     const zbufrandi_recon *r = &f->recon;
-    const size_t n = (size_t)r->width * r->height, before = f->suspect_count;
-    size_t at, old = 0;
+    const size_t n = (size_t)r->width * r->height, tiles = ((size_t)r->width / ZBUFRANDI_REPAIR_TILE + 1) *
+        ((size_t)r->height / ZBUFRANDI_REPAIR_TILE + 1);
+    size_t at;
     zbufrandi_suspects s;
+    if (!zbufrandi_grow(&f->mem, (void **)&f->mask, &f->mask_capacity, 0, n + tiles, 1)) return ZBUFRAND_ERR_NO_MEMORY;
+    memset(f->mask + n, 0, tiles);
     memset(&s, 0, sizeof s);
     s.depth = f->depth;
     s.mask = f->mask;
     s.width = r->width;
     s.height = r->height;
     s.keep = 0.99f;
-    s.hole_count = 4;
-    s.wrong_count = wrong_count;
+    s.hole_count = ZBUFRANDI_REPAIR_HOLE;
+    s.wrong_count = ZBUFRANDI_REPAIR_WRONG;
+    s.reach = r->o.block;
+    s.sure = 1;
     s.level = f->level;
     zbufrandi_parallel_for(&f->env, zbufrandi_suspect_task, &s, (s.height + 15) / 16);
     zbufrandi_suspect_round(&s, 1);
     for (at = 0; (at = zbufrandi_next_mark(f->mask, at, n)) < n; at++) {
-        while (old < before && f->suspect[old] < at) old++;
-        if (old < before && f->suspect[old] == at) continue;
-        if (p->stats.rastered != 0 && !zbufrandi_near_samples(p, (uint32_t)at)) continue;
+        if (p->stats.rastered != 0 && !zbufrandi_near_samples(p, f->mask + n, (uint32_t)at)) continue;
         if (!zbufrandi_grow(&f->mem, (void **)&f->suspect, &f->suspect_capacity, f->suspect_count, f->suspect_count + 1,
                             sizeof *f->suspect)) return ZBUFRAND_ERR_NO_MEMORY;
         f->suspect[f->suspect_count++] = (uint32_t)at;
@@ -14588,33 +14629,34 @@ static zbufrand_result zbufrandi_find_suspects(zbufrandi_picture *p, uint32_t wr
         ? ZBUFRAND_OK : ZBUFRAND_ERR_NO_MEMORY;
 }
 
-/* Find suspects, send rays. */
-static zbufrand_result zbufrandi_repair(zbufrandi_picture *p) {
+/* Find suspects, send rays, say how complete the picture is then. density: of all passes. */
+static zbufrand_result zbufrandi_repair(zbufrandi_picture *p, double density) {
     zbufrand_frame *f = p->f;
     const zbufrandi_recon *r = &f->recon;
-    const double tolerance = p->d->tolerance > 0.0 ? p->d->tolerance : 0.05;
+    const double block = (double)r->o.block;
     size_t n = (size_t)r->width * r->height, at;
-    uint64_t covered, before = p->stats.repaired;
-    uint32_t count;
+    uint64_t covered = p->stats.repaired;
+    uint32_t inside = 0;
+    double failed, q;
     zbufrand_result result = ZBUFRAND_OK;
-    if (!zbufrandi_grow(&f->mem, (void **)&f->depth, &f->depth_capacity, 0, n, sizeof *f->depth) ||
-        !zbufrandi_grow(&f->mem, (void **)&f->mask, &f->mask_capacity, 0, n, 1)) return ZBUFRAND_ERR_NO_MEMORY;
+    if (!zbufrandi_grow(&f->mem, (void **)&f->depth, &f->depth_capacity, 0, n, sizeof *f->depth))
+        return ZBUFRAND_ERR_NO_MEMORY;
     f->suspect_count = 0;
-    for (count = ZBUFRANDI_REPAIR_SURE; ; count--) {
-        zbufrandi_parallel_for(&f->env, zbufrandi_depth_task, p, r->height);
-        p->first_suspect = f->suspect_count;
-        result = zbufrandi_find_suspects(p, count);
-        if (result != ZBUFRAND_OK) return result;
-        zbufrandi_parallel_for(&f->env, zbufrandi_repair_task, p,
-                               (uint32_t)((f->suspect_count - p->first_suspect + ZBUFRANDI_REPAIR_RAYS - 1) /
-                                          ZBUFRANDI_REPAIR_RAYS));
-        result = zbufrandi_repair_apply(p);
-        if (result != ZBUFRAND_OK) return result;
-        for (at = 0, covered = 0; at < n; at++) covered += f->depth[at] < INFINITY;
-        p->stats.incomplete = zbufrandi_incomplete((double)covered, (double)(p->stats.repaired - before),
-                                                   9 - (int)count);
-        if (count == ZBUFRANDI_REPAIR_LEAST || p->stats.incomplete <= 0.25 * tolerance) break;
-    }
+    zbufrandi_parallel_for(&f->env, zbufrandi_depth_task, p, r->height);
+    result = zbufrandi_find_suspects(p);
+    if (result != ZBUFRAND_OK) return result;
+    zbufrandi_parallel_for(&f->env, zbufrandi_repair_task, p,
+                           (uint32_t)((f->suspect_count + ZBUFRANDI_REPAIR_RAYS - 1) / ZBUFRANDI_REPAIR_RAYS));
+    result = zbufrandi_repair_apply(p, &inside);
+    if (result != ZBUFRAND_OK) return result;
+    covered = p->stats.repaired - covered; /* holes are among them */
+    for (at = 0; at < n; at++) covered += f->depth[at] < INFINITY;
+    /* What the density promises, or more if more had failed than that: four standard deviations more of those whose
+       neighbours show that they lie within a surface. Others were changed because it covers a part of them. */
+    q = zbufrandi_exp2(-1.4426950408889634 * density * block * block);
+    failed = (double)inside - 4.0 * sqrt((double)inside);
+    q = zbufrandi_max(q, failed / (zbufrandi_max((double)covered, 1.0) * (1.0 - zbufrandi_min(8.0 * q, 0.5))));
+    p->stats.incomplete = zbufrandi_incomplete((double)covered, q);
     zbufrandi_lap(p, ZBUFRAND_STAGE_REPAIR);
     return ZBUFRAND_OK;
 }
@@ -14860,8 +14902,9 @@ static double zbufrandi_choose_density(const zbufrandi_picture *p) {
     double pixels = (double)p->image->width * (double)p->image->height;
     double tolerance = d->tolerance > 0.0 ? d->tolerance : 0.05;
     if (d->density > 0.0) return d->density;
-    if (!d->no_repair) return 4.0 / (block * block); /* more if that turns out not to do */
-    return zbufrand_density(pixels, block, 1.0 - tolerance);
+    if (d->no_repair) return zbufrand_density(pixels, block, 1.0 - tolerance);
+    /* zbufrandi_incomplete is at most the tolerance then: 70 + 56 q is below 80 */
+    return zbufrandi_max(0.2 * 0.6931471805599453 * zbufrandi_log2(80.0 * pixels / tolerance), 2.0) / (block * block);
 }
 
 static void zbufrandi_set_density(zbufrandi_picture *p) {
@@ -15006,18 +15049,17 @@ static zbufrand_result zbufrandi_draw_picture(zbufrandi_picture *p) {
         p->stats.incomplete = 1.0 - zbufrand_success_bound(density, pixels, block);
         if (p->stats.draws[0] + p->stats.draws[1] == 0) p->stats.incomplete = 0.0;
         if (d->no_repair || p->scene == NULL || p->stats.draws[0] + p->stats.draws[1] == 0) break;
-        /* a pixel covered with a margin would have had 25 or more: with so few there is none, nearly all is rastered */
-        if (zbufrandi_tally(p->stored) + zbufrandi_tally(p->sampled) < 8) {
+        /* a pixel covered with a margin expects 27 or more: with so few there is none, nearly all is rastered */
+        if (zbufrandi_tally(p->stored) + zbufrandi_tally(p->sampled) < 8 && density * block * block >= 3.0) {
             p->stats.incomplete = zbufrandi_min(p->stats.incomplete, 1e-4);
             break;
         }
-        failed = (double)p->stats.repaired;
-        result = zbufrandi_repair(p);
+        result = zbufrandi_repair(p, density);
         if (result != ZBUFRAND_OK) return result;
         if (p->stats.incomplete <= tolerance || d->density > 0.0 || pass == 3) break;
         /* the share that failed falls like exp(-density): how much density is missing */
-        failed = zbufrandi_max((double)p->stats.repaired - failed, 1.0) / pixels;
-        wanted = zbufrandi_pow(tolerance / (70.0 * pixels), 0.2);
+        failed = zbufrandi_pow(p->stats.incomplete / (80.0 * pixels), 0.2);
+        wanted = zbufrandi_pow(tolerance / (80.0 * pixels), 0.2);
         p->cut.density = density * (zbufrandi_log2(wanted) / zbufrandi_log2(zbufrandi_min(failed, 0.9)) - 1.0) * 1.1;
         p->cut.density = zbufrandi_min(zbufrandi_max(p->cut.density, 0.25 * density), 4.0 * density);
         density += p->cut.density;
