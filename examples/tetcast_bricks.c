@@ -1,11 +1,10 @@
 /* tetcast_bricks.c - tetrahedra or a grid -> bricks with level of detail -> picture
    SPDX-License-Identifier: MIT OR Unlicense */
-#include "support/picture.h"
-#include "support/transfer.h"
-#include "support/volume.h"
+#include "support/cli.h"
 #include "support/volume_scenes.h"
 #define TETCAST_IMPLEMENTATION
 #include "tetcast.h"
+#include "support/volume_look.h"
 
 typedef struct options {
     sup_common common;
@@ -54,93 +53,27 @@ static int load_volume(const options *o, const char *path, sup_volume *v, sup_er
     return sup_volume_read(path, v, err);
 }
 
-/* One number a point or cell: a scalar, or the length of a vector. */
-static int choose_field(const options *o, const sup_volume *v, tetcast_field *out, float **made, sup_error *err) {
-    memset(out, 0, sizeof *out);
-    *made = NULL;
-    for (size_t i = 0; i < v->field_count; i++) {
-        const sup_field *f = v->fields + i;
-        if (o->field && strcmp(o->field, f->name) != 0) continue;
-        out->name = f->name;
-        out->per_cell = (uint32_t)f->per_cell;
-        out->values.data = f->values;
-        if (f->components == 1) return 0;
-        *made = (float *)sup_alloc(f->count, sizeof(float));
-        if (!*made) return sup_fail(err, "out of memory");
-        for (size_t k = 0; k < f->count; k++) {
-            double sum = 0.0;
-            for (size_t c = 0; c < f->components; c++) {
-                const double x = (double)f->values[k * f->components + c];
-                sum += x * x;
-            }
-            (*made)[k] = (float)sqrt(sum);
-        }
-        out->values.data = *made;
-        return 0;
-    }
-    (void)sup_fail(err, "%s: there is no field%s%s; there are:", o->in ? o->in : o->scene, o->field ? " " : "",
-                   o->field ? o->field : "");
-    for (size_t i = 0; i < v->field_count; i++) {
-        const size_t used = strlen(err->text);
-        (void)snprintf(err->text + used, sizeof err->text - used, " %s", v->fields[i].name);
-    }
-    return 1;
-}
-
 static tetcast_result make_mesh(const options *o, const sup_volume *v, const tetcast_field *field,
                                 const tetcast_env *env, tetcast_mesh **out) {
     tetcast_mesh_desc desc;
     memset(&desc, 0, sizeof desc);
     desc.env = *env;
     desc.weld = (uint32_t)o->weld;
-    if (v->dims[0]) {
-        tetcast_grid grid;
-        memset(&grid, 0, sizeof grid);
-        memcpy(grid.dims, v->dims, sizeof grid.dims);
-        grid.positions.data = v->points;
-        grid.positions.type = TETCAST_TYPE_F64;
-        for (int k = 0; k < 3; k++) {
-            grid.axes[k].data = v->axes[k];
-            grid.axes[k].type = TETCAST_TYPE_F64;
-            grid.origin[k] = v->origin[k];
-            grid.spacing[k] = v->spacing[k];
-        }
-        grid.blanks = v->blanks;
-        grid.fields = field;
-        grid.field_count = 1;
-        return tetcast_mesh_create_grid(&desc, &grid, NULL, out);
-    }
-    {
-        tetcast_input input;
-        memset(&input, 0, sizeof input);
-        input.positions.data = v->points;
-        input.positions.type = TETCAST_TYPE_F64;
-        input.vertex_count = v->point_count;
-        input.indices = v->indices;
-        input.index_count = v->index_count;
-        input.shapes = v->shapes;
-        input.cell_count = v->cell_count;
-        input.fields = field;
-        input.field_count = 1;
-        return tetcast_mesh_create(&desc, &input, NULL, out);
-    }
-}
-
-static int result_text(sup_error *err, const char *what, tetcast_result r, const tetcast_error *error) {
-    return sup_fail(err, "%s: %s", what, error->text[0] ? error->text : tetcast_result_string(r));
+    return sup_volume_mesh(v, field, &desc, NULL, out);
 }
 
 static int load_mesh(const options *o, const char *path, const tetcast_env *env, tetcast_mesh **mesh, sup_error *err) {
     sup_volume volume;
     tetcast_field field;
     float *made = NULL;
+    char label[80] = "";
     tetcast_result r;
     int failed = load_volume(o, path, &volume, err);
     if (failed) return 1;
-    failed = choose_field(o, &volume, &field, &made, err);
+    failed = sup_choose_field(&volume, o->field, path ? path : o->scene, &field, &made, label, sizeof label, err);
     if (!failed) {
         r = make_mesh(o, &volume, &field, env, mesh);
-        if (r != TETCAST_OK) failed = result_text(err, path ? path : o->scene, r, env->error);
+        if (r != TETCAST_OK) failed = sup_fail_result(err, path ? path : o->scene, r, env->error);
     }
     SUP_FREE(made);
     sup_volume_free(&volume);
@@ -156,6 +89,7 @@ static int make_bricks(const options *o, const tetcast_env *env, tetcast_bricks_
     tetcast_mesh *mesh = NULL;
     tetcast_result r = TETCAST_OK;
     float *made = NULL;
+    char label[80] = "";
     int failed = load_volume(o, o->in, &v, err);
     if (failed) return 1;
     memset(&d, 0, sizeof d);
@@ -164,7 +98,7 @@ static int make_bricks(const options *o, const tetcast_env *env, tetcast_bricks_
     d.log_cells = o->cells == 8 ? 3 : o->cells == 32 ? 5 : 4;
     d.longest = (uint32_t)o->longest;
     d.longest_end = (uint32_t)o->longest_end;
-    failed = choose_field(o, &v, &field, &made, err);
+    failed = sup_choose_field(&v, o->field, o->in ? o->in : o->scene, &field, &made, label, sizeof label, err);
     if (!failed && v.dims[0] && !v.points && !v.axes[0] && !v.blanks && !field.per_cell) {
         tetcast_lattice l;
         float lo = INFINITY, hi = -INFINITY;
@@ -175,7 +109,7 @@ static int make_bricks(const options *o, const tetcast_env *env, tetcast_bricks_
             l.spacing[k] = v.spacing[k] > 0.0 ? v.spacing[k] : 1.0;
         }
         for (size_t i = 0; i < (size_t)l.dims[0] * l.dims[1] * l.dims[2]; i++) {
-            const float x = ((const float *)field.values.data)[i];
+            const float x = ((const float *)field.values.data)[i * (field.values.stride ? field.values.stride / sizeof(float) : 1)];
             lo = x < lo ? x : lo;
             hi = x > hi ? x : hi;
         }
@@ -191,7 +125,7 @@ static int make_bricks(const options *o, const tetcast_env *env, tetcast_bricks_
             r = tetcast_bricks_create_mesh(&d, mesh, report, out);
         }
     }
-    if (r != TETCAST_OK) failed = result_text(err, o->in ? o->in : o->scene, r, env->error);
+    if (r != TETCAST_OK) failed = sup_fail_result(err, o->in ? o->in : o->scene, r, env->error);
     tetcast_mesh_destroy(mesh);
     SUP_FREE(made);
     sup_volume_free(&v);
@@ -205,7 +139,7 @@ static int read_bricks(const options *o, const tetcast_env *env, tetcast_bricks 
     if (sup_read_file(o->in, &data, &size, err)) return 1;
     r = tetcast_bricks_read(env, data, size, out);
     SUP_FREE(data);
-    return r == TETCAST_OK ? 0 : result_text(err, o->in, r, env->error);
+    return r == TETCAST_OK ? 0 : sup_fail_result(err, o->in, r, env->error);
 }
 
 /* ---- optics ------------------------------------------------------------------------------------------------- */
@@ -216,70 +150,52 @@ typedef struct look {
     double extinction;
 } look;
 
-static int compare_floats(const void *a, const void *b) {
-    const float x = *(const float *)a, y = *(const float *)b;
-    return (x > y) - (x < y);
+typedef struct small_picture {
+    tetcast_brick_render_desc desc;
+    const tetcast_cut *cut;
+} small_picture;
+
+static tetcast_result draw_small(void *ctx, const tetcast_optics *optics, const tetcast_image *image) {
+    const small_picture *p = (const small_picture *)ctx;
+    return tetcast_render_bricks(&p->desc, p->cut, optics, image, NULL);
 }
 
-/* By what extinctions have to be multiplied so that the thicker fifth of a small picture lets a tenth of the light
-   through. */
 static double choose_extinction(const tetcast_brick_render_desc *desc, const tetcast_cut *cut, const tetcast_transfer *t) {
-    enum { W = 64, H = 48 };
-    static float rgba[W * H][4], depth[W * H];
-    tetcast_brick_render_desc small = *desc;
-    tetcast_optics_desc absorb;
-    tetcast_optics *optics = NULL;
-    tetcast_image image;
-    size_t n = 0;
-    double scale = 1.0;
-    memset(&image, 0, sizeof image);
-    memset(&absorb, 0, sizeof absorb);
-    memset(small.background, 0, sizeof small.background);
-    small.shader = NULL;
-    absorb.model = TETCAST_MODEL_ABSORPTION;
-    image.width = W;
-    image.height = H;
-    image.rgba = rgba[0];
-    if (tetcast_optics_create(t, &absorb, &optics) == TETCAST_OK &&
-        tetcast_render_bricks(&small, cut, optics, &image, NULL) == TETCAST_OK) {
-        for (size_t i = 0; i < W * H; i++)
-            if (rgba[i][3] > 1e-4f) depth[n++] = -logf(1.0f - (rgba[i][3] < 0.999999f ? rgba[i][3] : 0.999999f));
-        qsort(depth, n, sizeof *depth, compare_floats);
-        if (n > 0) scale = 2.3 / (double)depth[n - 1 - n / 5];
+    small_picture p;
+    p.desc = *desc;
+    p.desc.shader = NULL;
+    p.cut = cut;
+    memset(p.desc.background, 0, sizeof p.desc.background);
+    return sup_extinction_scale(t, 64, 48, 2.3, draw_small, &p);
+}
+
+static void brick_box(const tetcast_bricks_info *info, double lo[3], double hi[3]) {
+    for (int k = 0; k < 3; k++) {
+        lo[k] = info->lattice.origin[k];
+        hi[k] = lo[k] + (double)(info->lattice.dims[k] - 1) * info->lattice.spacing[k];
     }
-    tetcast_optics_destroy(optics);
-    return scale < 1e-4 ? 1e-4 : scale > 1e4 ? 1e4 : scale;
 }
 
 static int make_look(const options *o, const tetcast_brick_render_desc *render, const tetcast_bricks_info *info,
                      const tetcast_cut *cut, look *out, sup_error *err) {
-    const int named = !o->tf || !(strchr(o->tf, '.') || strchr(o->tf, '/'));
+    const int named = !sup_transfer_is_file(o->tf);
     tetcast_control_point *points;
     tetcast_transfer_desc desc;
     tetcast_optics_desc optics;
     tetcast_isovalue iso;
     tetcast_result r;
     sup_transfer tf;
-    double diagonal = 0.0;
-    for (int k = 0; k < 3; k++) {
-        const double side = (double)(info->lattice.dims[k] - 1) * info->lattice.spacing[k];
-        diagonal += side * side;
-    }
-    diagonal = diagonal > 0.0 ? sqrt(diagonal) : 1.0;
+    double diagonal, lo[3], hi[3];
+    brick_box(info, lo, hi);
+    diagonal = sup_box_diagonal(lo, hi);
     memset(out, 0, sizeof *out);
     if (!named) {
         if (sup_transfer_read(o->tf, &tf, err)) return 1;
     } else if (sup_transfer_named(o->tf ? o->tf : "rainbow", (double)info->value_min, (double)info->value_max, diagonal, &tf,
                                   err)) return 1;
-    points = (tetcast_control_point *)sup_alloc(tf.count, sizeof *points);
-    if (!points) {
+    if (sup_control_points(&tf, &points, err)) {
         sup_transfer_free(&tf);
-        return sup_fail(err, "out of memory");
-    }
-    for (size_t i = 0; i < tf.count; i++) {
-        points[i].value = tf.points[i].value;
-        memcpy(points[i].rgb, tf.points[i].rgb, sizeof points[i].rgb);
-        points[i].extinction = tf.points[i].extinction;
+        return 1;
     }
     memset(&desc, 0, sizeof desc);
     memset(&optics, 0, sizeof optics);
@@ -312,7 +228,7 @@ static int make_look(const options *o, const tetcast_brick_render_desc *render, 
     if (r == TETCAST_OK) r = tetcast_optics_create(out->transfer, &optics, &out->optics);
     SUP_FREE(points);
     sup_transfer_free(&tf);
-    return r == TETCAST_OK ? 0 : result_text(err, "optics", r, render->env.error);
+    return r == TETCAST_OK ? 0 : sup_fail_result(err, "optics", r, render->env.error);
 }
 
 /* A shader of our own: the transfer function, lit where the gradient is strong. */
@@ -527,7 +443,7 @@ static int make_cut(const options *o, const tetcast_env *env, const tetcast_bric
         d.byte_budget = (uint64_t)(o->share * (double)info.slots[0] * info.slots[1] * info.slots[2] * side * side * side * bytes);
     }
     r = tetcast_cut_create(&d, bricks, cut);
-    return r == TETCAST_OK ? 0 : result_text(err, "levels", r, env->error);
+    return r == TETCAST_OK ? 0 : sup_fail_result(err, "levels", r, env->error);
 }
 
 /* In one call, or in four parts that are put side by side: the same bits. */
@@ -580,7 +496,7 @@ static int draw_reference(const options *o, const tetcast_brick_render_desc *des
     if (!other.rgba || !other.rgba8 || !*both) failed = sup_fail(err, "out of memory");
     if (!failed) {
         r = tetcast_render(&d, mesh, optics, &other, NULL);
-        if (r != TETCAST_OK) failed = result_text(err, o->reference, r, desc->env.error);
+        if (r != TETCAST_OK) failed = sup_fail_result(err, o->reference, r, desc->env.error);
     }
     if (!failed) {
         diff->most = diff->rms = 0.0;
@@ -601,35 +517,11 @@ static int draw_reference(const options *o, const tetcast_brick_render_desc *des
     return failed;
 }
 
-static void set_camera(const options *o, const tetcast_bricks_info *info, tetcast_camera *camera) {
-    double lo[3], hi[3];
-    float flo[3], fhi[3];
-    sup_camera framed;
-    for (int k = 0; k < 3; k++) {
-        lo[k] = info->lattice.origin[k];
-        hi[k] = lo[k] + (double)(info->lattice.dims[k] - 1) * info->lattice.spacing[k];
-        flo[k] = (float)lo[k];
-        fhi[k] = (float)hi[k];
-    }
-    if (!o->common.has_eye && !o->common.has_at) {
-        for (int k = 0; k < 3; k++) camera->up[k] = o->common.has_up ? (double)o->common.camera.up[k] : k == 1;
-        camera->fov_y = (float)o->common.fov;
-        if (tetcast_camera_fit(camera, lo, hi, NULL, o->common.size[0], o->common.size[1]) == TETCAST_OK) return;
-    }
-    sup_common_camera(&o->common, flo, fhi, &framed);
-    for (int k = 0; k < 3; k++) {
-        camera->eye[k] = (double)framed.eye[k];
-        camera->at[k] = (double)framed.at[k];
-        camera->up[k] = (double)framed.up[k];
-    }
-    camera->fov_y = framed.fov;
-}
-
 static int write_pictures(const options *o, tetcast_image *image, const uint8_t *both, sup_error *err) {
-    sup_common depth_only = o->common;
-    if (both) depth_only.out = NULL;
-    if (sup_out_write(&depth_only, image->rgba8, image->rgba, image->depth, image->width, image->height, err)) return 1;
-    return both && o->common.out ? sup_png_write8(o->common.out, both, 2 * image->width, image->height, 4, err) : 0;
+    const tetcast_image *m = image;
+    if (!both || !o->common.out) return sup_write_image(&o->common, image, err);
+    if (o->common.depth && sup_pfm_write(o->common.depth, m->depth, m->width, m->height, 1, err)) return 1;
+    return sup_png_write8(o->common.out, both, 2 * m->width, m->height, 4, err);
 }
 
 static void print_stats(const options *o, const tetcast_bricks *bricks, const tetcast_cut *cut, const look *l,
@@ -672,7 +564,7 @@ static int render(int argc, char **argv) {
     tetcast_shader shader;
     tetcast_param param;
     float strong;
-    double start, build = 0.0, seconds = 0.0;
+    double start, build = 0.0, seconds = 0.0, lo[3], hi[3];
     int status = parse_render(argc, argv, &o, &desc);
     if (status >= 0) return status;
     memset(&stats, 0, sizeof stats);
@@ -690,7 +582,8 @@ static int render(int argc, char **argv) {
     }
     if (!status) {
         tetcast_bricks_get_info(bricks, &info);
-        set_camera(&o, &info, &desc.camera);
+        brick_box(&info, lo, hi);
+        (void)sup_volume_camera(&o.common, lo, hi, 0.0, &desc.camera);
         if (o.has_cut) {
             tetcast_clip_plane plane;
             tetcast_clip_desc cd;
@@ -705,7 +598,7 @@ static int render(int argc, char **argv) {
             cd.planes = &plane;
             cd.plane_count = 1;
             r = tetcast_clip_create(&cd, &clip);
-            if (r != TETCAST_OK) status = result_text(&err, "--cut", r, &error);
+            if (r != TETCAST_OK) status = sup_fail_result(&err, "--cut", r, &error);
             desc.clip = clip;
         }
     }
@@ -736,7 +629,7 @@ static int render(int argc, char **argv) {
         start = sup_now();
         r = draw(&o, &desc, cut, l.optics, &image, &stats);
         seconds = sup_now() - start;
-        if (r != TETCAST_OK) status = result_text(&err, o.in ? o.in : o.scene, r, &error);
+        if (r != TETCAST_OK) status = sup_fail_result(&err, o.in ? o.in : o.scene, r, &error);
     }
     if (!status && o.reference) status = draw_reference(&o, &desc, l.optics, &image, &both, &diff, &err);
     if (!status) status = write_pictures(&o, &image, both, &err);

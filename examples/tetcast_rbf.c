@@ -5,12 +5,11 @@
    tetcast_rbf fit tornado OUT.rbf                 a generated flow; or a scene of volume_scenes.h
    tetcast_rbf render IN.rbf --out P.png           picture of the field
    tetcast_rbf trace IN.rbf --out P.png            paths of particles in a field of vectors */
-#include "support/picture.h"
-#include "support/transfer.h"
-#include "support/volume.h"
+#include "support/cli.h"
 #include "support/volume_scenes.h"
 #define TETCAST_IMPLEMENTATION
 #include "tetcast.h"
+#include "support/volume_look.h"
 
 enum { COMMAND_FIT, COMMAND_RENDER, COMMAND_TRACE };
 enum { LOOK = 40 }; /* a grid of so many places a side tells what values there are */
@@ -89,7 +88,7 @@ static int parse(int argc, char **argv, options *o) {
 }
 
 static int fail(const options *o, const tetcast_error *error, tetcast_result result, sup_error *err) {
-    return sup_fail(err, "%s: %s", o->in, error->text[0] ? error->text : tetcast_result_string(result));
+    return sup_fail_result(err, o->in, result, error);
 }
 
 /* ---- fit ---------------------------------------------------------------------------------------------------- */
@@ -249,11 +248,6 @@ typedef struct model {
     float *value;               /* LOOK^3 of what is seen */
 } model;
 
-static int compare_floats(const void *a, const void *b) {
-    const float x = *(const float *)a, y = *(const float *)b;
-    return (x > y) - (x < y);
-}
-
 /* What the channel shows of values and derivatives. */
 static float channel_value(const options *o, const model *m, const float *v, const float *jacobian) {
     const uint32_t n = m->info.components;
@@ -305,12 +299,7 @@ static int open_model(const options *o, const tetcast_env *env, model *m, sup_er
     if (o->component >= m->info.components) return sup_fail(err, "%s: there are %u components", o->in, m->info.components);
     if (o->channel > TETCAST_RBF_CHANNEL_LENGTH && m->info.components != 3)
         return sup_fail(err, "%s: this channel needs three components", o->in);
-    for (int k = 0; k < 3; k++) {
-        const double side = m->info.box_max[k] - m->info.box_min[k];
-        m->diagonal += side * side;
-    }
-    m->diagonal = sqrt(m->diagonal);
-    if (!(m->diagonal > 0.0)) m->diagonal = 1.0;
+    m->diagonal = sup_box_diagonal(m->info.box_min, m->info.box_max);
     points = (double *)sup_alloc((size_t)LOOK * LOOK * LOOK, 3 * sizeof *points);
     sorted = (float *)sup_alloc((size_t)LOOK * LOOK * LOOK, sizeof *sorted);
     m->value = (float *)sup_alloc((size_t)LOOK * LOOK * LOOK, sizeof *m->value);
@@ -324,7 +313,7 @@ static int open_model(const options *o, const tetcast_env *env, model *m, sup_er
     if (!failed) {
         const size_t n = (size_t)LOOK * LOOK * LOOK;
         memcpy(sorted, m->value, n * sizeof *sorted);
-        qsort(sorted, n, sizeof *sorted, compare_floats);
+        qsort(sorted, n, sizeof *sorted, sup_compare_floats);
         m->lo = (double)sorted[n / 200];
         m->hi = (double)sorted[n - 1 - n / 200];
         if (!(m->hi > m->lo)) {
@@ -340,72 +329,39 @@ static int open_model(const options *o, const tetcast_env *env, model *m, sup_er
 
 /* ---- optics -------------------------------------------------------------------------------------------------- */
 
-/* The rainbow, but what is common is thin and what is rare is dense. */
+/* The rainbow by how much of the box has which value. */
 static int rare_transfer(const model *m, sup_transfer *tf, sup_error *err) {
-    enum { POINTS = 33, BINS = 256 };
     const size_t n = (size_t)LOOK * LOOK * LOOK;
-    sup_transfer rainbow;
-    double below[BINS + 1] = {0.0};
-    if (sup_transfer_named("rainbow", m->lo, m->hi, m->diagonal, &rainbow, err)) return 1;
-    memset(tf, 0, sizeof *tf);
-    for (size_t i = 0; i < n; i++) {
-        const double at = ((double)m->value[i] - m->lo) / (m->hi - m->lo) * BINS;
-        if (at >= 0.0 && at < BINS) below[1 + (int)at] += 1.0 / (double)n;
-    }
-    for (int i = 0; i < BINS; i++) below[i + 1] += below[i];
-    for (size_t i = 0, k = 0; i < POINTS; i++) {
-        const double v = m->lo + (m->hi - m->lo) * (double)i / (POINTS - 1);
-        const size_t at = i * BINS / (POINTS - 1);
-        const double share = below[at + 8 < BINS ? at + 8 : BINS] - below[at > 8 ? at - 8 : 0];
-        const sup_control *p;
-        double number[5], x;
-        while (k + 2 < rainbow.count && (double)rainbow.points[k + 1].value <= v) k++;
-        p = rainbow.points + k;
-        x = (v - (double)p[0].value) / ((double)p[1].value - (double)p[0].value);
-        number[0] = v;
-        for (int c = 0; c < 3; c++) number[1 + c] = (double)p[0].rgb[c] + x * (double)(p[1].rgb[c] - p[0].rgb[c]);
-        number[4] = ((double)p[0].extinction + x * (double)(p[1].extinction - p[0].extinction)) / pow(0.01 + share, 0.8);
-        if (supi_transfer_add(tf, number)) {
-            sup_transfer_free(&rainbow);
-            return sup_fail(err, "out of memory");
-        }
-    }
-    sup_transfer_free(&rainbow);
-    return 0;
+    sup_shares s;
+    memset(&s, 0, sizeof s);
+    s.lo = m->lo;
+    s.hi = m->hi;
+    for (size_t i = 0; i < n; i++) sup_shares_add(&s, (double)m->value[i], 1.0);
+    sup_shares_end(&s, (double)n);
+    return sup_rare_transfer(&s, m->diagonal, tf, err);
 }
 
-/* The factor with which the thicker fifth of a small picture lets a tenth of the light through. */
+typedef struct small_picture {
+    tetcast_rbf_render_desc desc;
+    const tetcast_rbf *rbf;
+} small_picture;
+
+static tetcast_result draw_small(void *ctx, const tetcast_optics *optics, const tetcast_image *image) {
+    const small_picture *p = (const small_picture *)ctx;
+    return tetcast_rbf_render(&p->desc, p->rbf, optics, image, NULL);
+}
+
 static double choose_extinction(const tetcast_rbf_render_desc *desc, const model *m, const tetcast_transfer *transfer) {
-    enum { W = 48, H = 36 };
-    static float rgba[W * H][4];
-    tetcast_rbf_render_desc small = *desc;
-    tetcast_optics_desc absorb;
-    tetcast_optics *optics = NULL;
-    tetcast_image image;
-    float depth[W * H];
-    size_t n = 0;
-    double scale = 1.0;
-    memset(&image, 0, sizeof image);
-    memset(&absorb, 0, sizeof absorb);
-    memset(small.background, 0, sizeof small.background);
-    image.width = W;
-    image.height = H;
-    image.rgba = rgba[0];
-    absorb.model = TETCAST_MODEL_ABSORPTION;
-    if (tetcast_optics_create(transfer, &absorb, &optics) == TETCAST_OK &&
-        tetcast_rbf_render(&small, m->rbf, optics, &image, NULL) == TETCAST_OK) {
-        for (size_t i = 0; i < W * H; i++)
-            if (rgba[i][3] > 1e-4f) depth[n++] = -logf(1.0f - (rgba[i][3] < 0.999999f ? rgba[i][3] : 0.999999f));
-        qsort(depth, n, sizeof *depth, compare_floats);
-        if (n > 0) scale = 2.3 / (double)depth[n - 1 - n / 5];
-    }
-    tetcast_optics_destroy(optics);
-    return scale < 1e-4 ? 1e-4 : scale > 1e4 ? 1e4 : scale;
+    small_picture p;
+    p.desc = *desc;
+    p.rbf = m->rbf;
+    memset(p.desc.background, 0, sizeof p.desc.background);
+    return sup_extinction_scale(transfer, 48, 36, 2.3, draw_small, &p);
 }
 
 static int make_optics(const options *o, const model *m, const tetcast_rbf_render_desc *render, tetcast_optics **out, double *extinction,
                        sup_error *err) {
-    const int from_file = o->tf && (strchr(o->tf, '.') || strchr(o->tf, '/'));
+    const int from_file = sup_transfer_is_file(o->tf);
     tetcast_control_point *points;
     tetcast_isovalue iso;
     tetcast_transfer_desc desc;
@@ -415,15 +371,9 @@ static int make_optics(const options *o, const model *m, const tetcast_rbf_rende
     sup_transfer tf;
     if (from_file ? sup_transfer_read(o->tf, &tf, err)
                   : o->tf ? sup_transfer_named(o->tf, m->lo, m->hi, m->diagonal, &tf, err) : rare_transfer(m, &tf, err)) return 1;
-    points = (tetcast_control_point *)sup_alloc(tf.count, sizeof *points);
-    if (!points) {
+    if (sup_control_points(&tf, &points, err)) {
         sup_transfer_free(&tf);
-        return sup_fail(err, "out of memory");
-    }
-    for (size_t i = 0; i < tf.count; i++) {
-        points[i].value = tf.points[i].value;
-        memcpy(points[i].rgb, tf.points[i].rgb, sizeof points[i].rgb);
-        points[i].extinction = tf.points[i].extinction;
+        return 1;
     }
     memset(&iso, 0, sizeof iso);
     iso.value = (float)o->iso;
@@ -458,32 +408,7 @@ static int make_optics(const options *o, const model *m, const tetcast_rbf_rende
     SUP_FREE(points);
     sup_transfer_free(&tf);
     if (result == TETCAST_OK) return 0;
-    return sup_fail(err, "%s: %s", o->tf ? o->tf : "transfer function",
-                    render->env.error->text[0] ? render->env.error->text : tetcast_result_string(result));
-}
-
-static void set_camera(const options *o, const model *m, tetcast_camera *camera) {
-    sup_camera framed;
-    float lo[3], hi[3];
-    for (int k = 0; k < 3; k++) camera->up[k] = o->common.has_up ? (double)o->common.camera.up[k] : k == 1;
-    camera->fov_y = (float)o->common.fov;
-    camera->ortho_height = (float)o->ortho;
-    if (!o->common.has_eye && !o->common.has_at &&
-        tetcast_camera_fit(camera, m->info.box_min, m->info.box_max, NULL, o->common.size[0], o->common.size[1]) == TETCAST_OK) {
-        if (o->ortho > 0.0) camera->ortho_height = (float)o->ortho;
-        return;
-    }
-    for (int k = 0; k < 3; k++) {
-        lo[k] = (float)m->info.box_min[k];
-        hi[k] = (float)m->info.box_max[k];
-    }
-    sup_common_camera(&o->common, lo, hi, &framed);
-    for (int k = 0; k < 3; k++) {
-        camera->eye[k] = (double)framed.eye[k];
-        camera->at[k] = (double)framed.at[k];
-        camera->up[k] = (double)framed.up[k];
-    }
-    camera->fov_y = framed.fov;
+    return sup_fail_result(err, o->tf ? o->tf : "transfer function", result, render->env.error);
 }
 
 /* ---- pictures ------------------------------------------------------------------------------------------------ */
@@ -497,10 +422,6 @@ static int make_image(const options *o, tetcast_image *image) {
     image->rgba8 = (uint8_t *)sup_alloc(pixels, 4);
     image->depth = (float *)sup_alloc(pixels, 4);
     return !image->rgba || !image->rgba8 || !image->depth;
-}
-
-static int write_image(const options *o, tetcast_image *image, sup_error *err) {
-    return sup_out_write(&o->common, image->rgba8, image->rgba, image->depth, image->width, image->height, err);
 }
 
 static void rainbow(double x, float rgb[3]) {
@@ -580,7 +501,7 @@ static int render(const options *o, const tetcast_env *env, const model *m, sup_
         memcpy(d.background, o->background, sizeof o->background);
         d.background[3] = 1.0f;
     }
-    set_camera(o, m, &d.camera);
+    (void)sup_volume_camera(&o->common, m->info.box_min, m->info.box_max, o->ortho, &d.camera);
     failed = make_image(o, &image) ? sup_fail(err, "out of memory for the picture") : 0;
     if (!failed && o->slice) failed = draw_slice(o, m, env, &image, err);
     else if (!failed) {
@@ -613,7 +534,7 @@ static int render(const options *o, const tetcast_env *env, const model *m, sup_
                    sup_threads(o->common.threads));
         }
     }
-    if (!failed) failed = write_image(o, &image, err);
+    if (!failed) failed = sup_write_image(&o->common, &image, err);
     tetcast_optics_destroy(optics);
     SUP_FREE(image.rgba);
     SUP_FREE(image.rgba8);
@@ -753,9 +674,9 @@ static int trace(const options *o, const tetcast_env *env, const model *m, sup_e
             left += ends[i] == TETCAST_TRACE_LEFT;
         }
         if (!failed) {
-            set_camera(o, m, &camera);
+            (void)sup_volume_camera(&o->common, m->info.box_min, m->info.box_max, o->ortho, &camera);
             draw_traces(o, m, &camera, paths, lengths, &image);
-            failed = write_image(o, &image, err);
+            failed = sup_write_image(&o->common, &image, err);
         }
         if (!failed && o->common.stats) {
             printf("{\"program\":\"tetcast_rbf\",\"command\":\"trace\",\"in\":");

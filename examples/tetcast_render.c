@@ -1,11 +1,10 @@
 /* tetcast_render.c - volume mesh or grid -> picture
    SPDX-License-Identifier: MIT OR Unlicense */
-#include "support/picture.h"
-#include "support/transfer.h"
-#include "support/volume.h"
+#include "support/cli.h"
 #include "support/volume_scenes.h"
 #define TETCAST_IMPLEMENTATION
 #include "tetcast.h"
+#include "support/volume_look.h"
 
 enum { MAX_ISOVALUES = 16 };
 enum { METHOD_AUTO, METHOD_MARCH, METHOD_STRIPS, METHOD_PROJECT };
@@ -108,130 +107,18 @@ static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
     return -1;
 }
 
-/* ---- volume -> mesh ----------------------------------------------------------------------------------------- */
-
-/* The field that was asked for as one float per point or cell. *made: values that have to be freed. Returns 1 if there is
-   no such field. */
-static int choose_field(const options *o, const sup_volume *v, tetcast_field *out, float **made, char *label,
-                        size_t room, sup_error *err) {
-    const char *want = o->field;
-    memset(out, 0, sizeof *out);
-    *made = NULL;
-    for (size_t i = 0; i < v->field_count; i++) {
-        const sup_field *f = v->fields + i;
-        const size_t length = strlen(f->name);
-        int component = -1;
-        if (want && strncmp(want, f->name, length) == 0 && want[length] == '_' && want[length + 1] >= 'x' &&
-            want[length + 1] <= 'z' && want[length + 2] == '\0' && f->components > (uint32_t)(want[length + 1] - 'x'))
-            component = want[length + 1] - 'x';
-        else if (want && strcmp(want, f->name) != 0) continue;
-        out->per_cell = (uint32_t)f->per_cell;
-        out->values.data = f->values;
-        out->values.stride = f->components * sizeof(float);
-        (void)snprintf(label, room, "%s", want ? want : f->name);
-        if (component >= 0) {
-            out->values.data = f->values + component;
-        } else if (f->components > 1) {
-            float *length_of = (float *)sup_alloc(f->count, sizeof(float));
-            if (!length_of) return sup_fail(err, "out of memory");
-            for (size_t k = 0; k < f->count; k++) {
-                double sum = 0.0;
-                for (size_t c = 0; c < f->components; c++) {
-                    const double x = (double)f->values[k * f->components + c];
-                    sum += x * x;
-                }
-                length_of[k] = (float)sqrt(sum);
-            }
-            *made = length_of;
-            out->values.data = length_of;
-            out->values.stride = 0;
-        }
-        return 0;
-    }
-    if (want && want[0] >= 'x' && want[0] <= 'z' && want[1] == '\0' && v->points) {
-        out->values.data = v->points + (want[0] - 'x');
-        out->values.type = TETCAST_TYPE_F64;
-        out->values.stride = 3 * sizeof(double);
-        (void)snprintf(label, room, "%s", want);
-        return 0;
-    }
-    if (!want) return sup_fail(err, "%s: there is no field in it; --field x, y or z shows coordinates", o->in);
-    (void)sup_fail(err, "%s: there is no field \"%s\"; there are:", o->in ? o->in : o->scene, want);
-    for (size_t i = 0; i < v->field_count; i++) {
-        const size_t used = strlen(err->text);
-        (void)snprintf(err->text + used, sizeof err->text - used, " %s", v->fields[i].name);
-    }
-    return 1;
-}
-
-static tetcast_result make_mesh(const options *o, const sup_volume *v, const tetcast_field *field,
-                                const tetcast_env *env, tetcast_report *report, tetcast_mesh **out) {
-    tetcast_mesh_desc desc;
-    memset(&desc, 0, sizeof desc);
-    desc.env = *env;
-    desc.cells = (tetcast_cells)o->cells;
-    desc.order = (tetcast_order)o->order;
-    desc.weld = (uint32_t)o->weld;
-    if (v->dims[0]) {
-        tetcast_grid grid;
-        memset(&grid, 0, sizeof grid);
-        memcpy(grid.dims, v->dims, sizeof grid.dims);
-        grid.positions.data = v->points;
-        grid.positions.type = TETCAST_TYPE_F64;
-        for (int k = 0; k < 3; k++) {
-            grid.axes[k].data = v->axes[k];
-            grid.axes[k].type = TETCAST_TYPE_F64;
-            grid.origin[k] = v->origin[k];
-            grid.spacing[k] = v->spacing[k];
-        }
-        grid.blanks = v->blanks;
-        grid.fields = field;
-        grid.field_count = 1;
-        return tetcast_mesh_create_grid(&desc, &grid, report, out);
-    }
-    {
-        tetcast_input input;
-        memset(&input, 0, sizeof input);
-        input.positions.data = v->points;
-        input.positions.type = TETCAST_TYPE_F64;
-        input.vertex_count = v->point_count;
-        input.indices = v->indices;
-        input.index_count = v->index_count;
-        input.shapes = v->shapes;
-        input.cell_count = v->cell_count;
-        input.fields = field;
-        input.field_count = 1;
-        return tetcast_mesh_create(&desc, &input, report, out);
-    }
-}
-
-static int compare_floats(const void *a, const void *b) {
-    const float x = *(const float *)a, y = *(const float *)b;
-    return (x > y) - (x < y);
-}
-
 /* ---- optics ------------------------------------------------------------------------------------------------- */
 
-enum { BINS = 256 };
-typedef struct seen { /* how much of the rays' way through the volume has a value up to lo + (hi - lo) i / BINS */
-    double lo, hi, below[BINS + 1];
-} seen;
-
 static int see(void *user, const tetcast_crossing *x) {
-    seen *s = (seen *)user;
-    const double at = (0.5 * ((double)x->front + (double)x->back) - s->lo) / (s->hi - s->lo) * BINS;
-    if (at >= 0.0 && at < BINS) s->below[1 + (int)at] += x->t_back - x->t_front;
+    sup_shares_add((sup_shares *)user, 0.5 * ((double)x->front + (double)x->back), x->t_back - x->t_front);
     return 0;
 }
 
-/* The rainbow, but what is common is thin and what is rare is dense: the air around a body hides nothing. */
+/* The rainbow by how much of the rays' way through the volume has which value. */
 static int rare_transfer(const tetcast_camera *camera, const tetcast_mesh *mesh, double lo, double hi, double diagonal,
                          sup_transfer *tf, sup_error *err) {
-    enum { POINTS = 33, W = 32, H = 24 };
-    sup_transfer rainbow;
-    seen s;
-    if (sup_transfer_named("rainbow", lo, hi, diagonal, &rainbow, err)) return 1;
-    memset(tf, 0, sizeof *tf);
+    enum { W = 32, H = 24 };
+    sup_shares s;
     memset(&s, 0, sizeof s);
     s.lo = lo;
     s.hi = hi;
@@ -240,29 +127,8 @@ static int rare_transfer(const tetcast_camera *camera, const tetcast_mesh *mesh,
         if (tetcast_camera_ray(camera, W, H, i % W + 0.5, i / W + 0.5, &ray) == TETCAST_OK)
             (void)tetcast_probe(mesh, &ray, see, &s);
     }
-    for (int i = 0; i < BINS; i++) s.below[i + 1] += s.below[i];
-    if (!(s.below[BINS] > 0.0)) s.below[BINS] = 1.0;
-    for (size_t i = 0, k = 0; i < POINTS; i++) {
-        const double v = lo + (hi - lo) * (double)i / (POINTS - 1);
-        const size_t at = i * BINS / (POINTS - 1);
-        const double share = (s.below[at + 8 < BINS ? at + 8 : BINS] - s.below[at > 8 ? at - 8 : 0]) / s.below[BINS];
-        const sup_control *p, *q;
-        double number[5], x;
-        while (k + 2 < rainbow.count && (double)rainbow.points[k + 1].value <= v) k++;
-        p = rainbow.points + k;
-        q = p + 1;
-        x = (v - (double)p->value) / ((double)q->value - (double)p->value);
-        number[0] = v;
-        for (int c = 0; c < 3; c++) number[1 + c] = (double)p->rgb[c] + x * (double)(q->rgb[c] - p->rgb[c]);
-        number[4] = ((double)p->extinction + x * (double)(q->extinction - p->extinction)) / pow(0.01 + share, 0.8);
-        if (supi_transfer_add(tf, number)) {
-            sup_transfer_free(&rainbow);
-            sup_transfer_free(tf);
-            return sup_fail(err, "out of memory");
-        }
-    }
-    sup_transfer_free(&rainbow);
-    return 0;
+    sup_shares_end(&s, 0.0);
+    return sup_rare_transfer(&s, diagonal, tf, err);
 }
 
 /* What --tf says. A named function lies over the middle 99 % of the values, so that a few odd ones do not take it away
@@ -273,7 +139,7 @@ static int read_transfer(const options *o, const tetcast_camera *camera, const t
     float lo = 0.0f, hi = 1.0f, *values;
     size_t n = 0;
     int failed;
-    if (o->tf && (strchr(o->tf, '.') || strchr(o->tf, '/'))) return sup_transfer_read(o->tf, tf, err);
+    if (sup_transfer_is_file(o->tf)) return sup_transfer_read(o->tf, tf, err);
     (void)tetcast_mesh_field(mesh, 0, &lo, &hi);
     tetcast_mesh_get_info(mesh, &info);
     values = (float *)sup_alloc((size_t)info.vertex_count, sizeof *values);
@@ -284,7 +150,7 @@ static int read_transfer(const options *o, const tetcast_camera *camera, const t
         tetcast_mesh_vertex(mesh, (uint32_t)i, p, &v, NULL);
         if (v >= lo && v <= hi) values[n++] = v;
     }
-    qsort(values, n, sizeof *values, compare_floats);
+    qsort(values, n, sizeof *values, sup_compare_floats);
     if (n >= 1000 && values[n - 1 - n / 200] > values[n / 200]) { /* a field per cell has no values here */
         lo = values[n / 200];
         hi = values[n - 1 - n / 200];
@@ -295,36 +161,24 @@ static int read_transfer(const options *o, const tetcast_camera *camera, const t
     return failed;
 }
 
-/* By what the extinctions of a named function have to be multiplied so that the thicker fifth of a small picture lets
-   less than a tenth of the light through: volumes are thin and thick, and fields have much of one value. */
+typedef struct small_picture {
+    tetcast_render_desc desc;
+    const tetcast_mesh *mesh;
+} small_picture;
+
+static tetcast_result draw_small(void *ctx, const tetcast_optics *optics, const tetcast_image *image) {
+    const small_picture *p = (const small_picture *)ctx;
+    return tetcast_render(&p->desc, p->mesh, optics, image, NULL);
+}
+
 static double choose_extinction(const options *o, const tetcast_render_desc *desc, const tetcast_mesh *mesh,
                                 const tetcast_transfer *transfer) {
-    enum { W = 64, H = 48 };
-    static float rgba[W * H][4];
     const double want = o->model == TETCAST_MODEL_EMISSION ? 0.7 : o->model == TETCAST_MODEL_ABSORPTION ? 1.2 : 2.3;
-    tetcast_render_desc small = *desc;
-    tetcast_optics_desc absorb;
-    tetcast_optics *optics = NULL;
-    tetcast_image image;
-    size_t n = 0;
-    float depth[W * H];
-    double scale = 1.0;
-    memset(&image, 0, sizeof image);
-    memset(&absorb, 0, sizeof absorb);
-    memset(small.background, 0, sizeof small.background);
-    image.width = W;
-    image.height = H;
-    image.rgba = rgba[0];
-    absorb.model = TETCAST_MODEL_ABSORPTION;
-    if (tetcast_optics_create(transfer, &absorb, &optics) == TETCAST_OK &&
-        tetcast_render(&small, mesh, optics, &image, NULL) == TETCAST_OK) {
-        for (size_t i = 0; i < W * H; i++)
-            if (rgba[i][3] > 1e-4f) depth[n++] = -logf(1.0f - (rgba[i][3] < 0.999999f ? rgba[i][3] : 0.999999f));
-        qsort(depth, n, sizeof *depth, compare_floats);
-        if (n > 0) scale = want / (double)depth[n - 1 - n / 5];
-    }
-    tetcast_optics_destroy(optics);
-    return scale < 1e-4 ? 1e-4 : scale > 1e4 ? 1e4 : scale;
+    small_picture p;
+    p.desc = *desc;
+    p.mesh = mesh;
+    memset(p.desc.background, 0, sizeof p.desc.background);
+    return sup_extinction_scale(transfer, 64, 48, want, draw_small, &p);
 }
 
 static int make_optics(const options *o, const tetcast_mesh *mesh, const tetcast_render_desc *render,
@@ -340,22 +194,14 @@ static int make_optics(const options *o, const tetcast_mesh *mesh, const tetcast
     tetcast_mesh_info info;
     tetcast_result result;
     sup_transfer tf;
-    const int named = !o->tf || !(strchr(o->tf, '.') || strchr(o->tf, '/'));
-    double diagonal = 0.0;
+    const int named = !sup_transfer_is_file(o->tf);
+    double diagonal;
     tetcast_mesh_get_info(mesh, &info);
-    for (int k = 0; k < 3; k++) diagonal += (info.box_max[k] - info.box_min[k]) * (info.box_max[k] - info.box_min[k]);
-    diagonal = sqrt(diagonal);
-    if (!(diagonal > 0.0)) diagonal = 1.0;
+    diagonal = sup_box_diagonal(info.box_min, info.box_max);
     if (read_transfer(o, &render->camera, mesh, diagonal, &tf, err)) return 1;
-    points = (tetcast_control_point *)sup_alloc(tf.count, sizeof *points);
-    if (!points) {
+    if (sup_control_points(&tf, &points, err)) {
         sup_transfer_free(&tf);
-        return sup_fail(err, "out of memory");
-    }
-    for (size_t i = 0; i < tf.count; i++) {
-        points[i].value = tf.points[i].value;
-        memcpy(points[i].rgb, tf.points[i].rgb, sizeof points[i].rgb);
-        points[i].extinction = tf.points[i].extinction;
+        return 1;
     }
     memset(isovalues, 0, sizeof isovalues);
     for (size_t i = 0; i < o->isovalue_count; i++) {
@@ -403,8 +249,7 @@ static int make_optics(const options *o, const tetcast_mesh *mesh, const tetcast
     SUP_FREE(points);
     sup_transfer_free(&tf);
     if (result == TETCAST_OK) return 0;
-    return sup_fail(err, "%s: %s", o->tf ? o->tf : "transfer function",
-                    env->error->text[0] ? env->error->text : tetcast_result_string(result));
+    return sup_fail_result(err, o->tf ? o->tf : "transfer function", result, env->error);
 }
 
 /* Move the camera along its view so that all vertices just fit: the box of a bent body is much larger than the body. */
@@ -448,36 +293,12 @@ static void fit_vertices(const options *o, const tetcast_mesh *mesh, tetcast_cam
 
 static void set_camera(const options *o, const tetcast_mesh *mesh, tetcast_camera *camera) {
     tetcast_mesh_info info;
-    sup_camera framed;
-    tetcast_result result;
-    float lo[3], hi[3];
     tetcast_mesh_get_info(mesh, &info);
-    if (!o->common.has_eye && !o->common.has_at) { /* as large as it fits */
-        for (int k = 0; k < 3; k++) camera->up[k] = o->common.has_up ? (double)o->common.camera.up[k] : k == 1;
-        camera->fov_y = (float)o->common.fov;
-        result = tetcast_camera_fit(camera, info.box_min, info.box_max, NULL, o->common.size[0], o->common.size[1]);
-        camera->ortho_height = (float)o->ortho;
-        if (result == TETCAST_OK && !(o->ortho > 0.0)) fit_vertices(o, mesh, camera);
-        if (result == TETCAST_OK) return;
-    }
-    for (int k = 0; k < 3; k++) {
-        lo[k] = (float)info.box_min[k];
-        hi[k] = (float)info.box_max[k];
-    }
-    sup_common_camera(&o->common, lo, hi, &framed);
-    for (int k = 0; k < 3; k++) {
-        camera->eye[k] = (double)framed.eye[k];
-        camera->at[k] = (double)framed.at[k];
-        camera->up[k] = (double)framed.up[k];
-    }
-    camera->fov_y = framed.fov;
+    if (sup_volume_camera(&o->common, info.box_min, info.box_max, o->ortho, camera) && !(o->ortho > 0.0))
+        fit_vertices(o, mesh, camera);
 }
 
 /* ---- output ------------------------------------------------------------------------------------------------- */
-
-static int write_pictures(const options *o, tetcast_image *image, sup_error *err) {
-    return sup_out_write(&o->common, image->rgba8, image->rgba, image->depth, image->width, image->height, err);
-}
 
 static void print_stats(const options *o, const char *field, const tetcast_mesh *mesh, const tetcast_report *report,
                         const tetcast_optics *optics, const tetcast_image *image, const tetcast_camera *camera,
@@ -539,7 +360,9 @@ static int make_image(const options *o, tetcast_image *image) {
 
 static int load(const options *o, const tetcast_env *env, char *field_name, size_t room, tetcast_report *report,
                 tetcast_mesh **mesh, sup_error *err) {
+    const char *in = o->in ? o->in : o->scene;
     sup_volume volume;
+    tetcast_mesh_desc desc;
     tetcast_field field;
     float *made = NULL;
     tetcast_result result = TETCAST_OK;
@@ -547,12 +370,14 @@ static int load(const options *o, const tetcast_env *env, char *field_name, size
                        : sup_volume_make(o->scene, (uint32_t)o->detail, &volume, err);
     if (failed) return 1;
     if (err->text[0] && !o->common.quiet) fprintf(stderr, "warning: %s\n", err->text);
-    failed = choose_field(o, &volume, &field, &made, field_name, room, err);
-    field.name = field_name;
-    if (!failed) result = make_mesh(o, &volume, &field, env, report, mesh);
-    if (result != TETCAST_OK)
-        failed = sup_fail(err, "%s: %s", o->in ? o->in : o->scene,
-                          env->error->text[0] ? env->error->text : tetcast_result_string(result));
+    memset(&desc, 0, sizeof desc);
+    desc.env = *env;
+    desc.cells = (tetcast_cells)o->cells;
+    desc.order = (tetcast_order)o->order;
+    desc.weld = (uint32_t)o->weld;
+    failed = sup_choose_field(&volume, o->field, in, &field, &made, field_name, room, err);
+    if (!failed) result = sup_volume_mesh(&volume, &field, &desc, report, mesh);
+    if (result != TETCAST_OK) failed = sup_fail_result(err, in, result, env->error);
     SUP_FREE(made);
     sup_volume_free(&volume);
     return failed;
@@ -595,9 +420,8 @@ int main(int argc, char **argv) {
         seconds = sup_now() - start;
         sup_progress_end(&progress);
         if (result != TETCAST_OK)
-            status = sup_fail(&err, "%s: %s", o.in ? o.in : o.scene,
-                              error.text[0] ? error.text : tetcast_result_string(result));
-        else status = write_pictures(&o, &image, &err);
+            status = sup_fail_result(&err, o.in ? o.in : o.scene, result, &error);
+        else status = sup_write_image(&o.common, &image, &err);
         if (!status && o.common.stats)
             print_stats(&o, field, mesh, &report, optics, &image, &desc.camera, &stats, seconds, extinction);
         SUP_FREE(image.rgba8);
