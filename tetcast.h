@@ -16908,44 +16908,51 @@ TETCASTI_INLINE uint32_t tetcasti_ccc_565(uint64_t sum, uint32_t n) {
     return (r * 31 + 127) / 255 << 11 | (g * 63 + 127) / 255 << 5 | (b * 31 + 127) / 255;
 }
 
-TETCAST_DEF void tetcast_ccc_encode(const uint8_t *rgba, uint32_t width, uint32_t height, size_t stride, int alpha,
-                                    uint8_t *out) {
-    const uint32_t cx = (uint32_t)(((uint64_t)width + 3) / 4), cy = (uint32_t)(((uint64_t)height + 3) / 4);
-    const size_t cells = (size_t)cx * cy;
-    size_t c = 0;
-    uint32_t x, y, i;
-    if (stride == 0) stride = (size_t)width * 4;
-    for (y = 0; y < cy; y++)
-        for (x = 0; x < cx; x++, c++) {
-            uint32_t light[16], sum = 0, mask = 0, n = 0, p[16];
-            uint64_t all = 0, bright = 0;
-            const int whole = 4 * x + 4 <= width && 4 * y + 4 <= height;
-            for (i = 0; i < 16; i++) {
-                uint32_t px = 4 * x + (i & 3u), py = 4 * y + (i >> 2);
-                if (!whole) {
-                    px = px < width ? px : width - 1;
-                    py = py < height ? py : height - 1;
-                }
-                p[i] = tetcasti_load_u32(rgba + (size_t)py * stride + (size_t)px * 4);
-                light[i] = 77u * (p[i] & 255u) + 151u * (p[i] >> 8 & 255u) + 28u * (p[i] >> 16 & 255u);
-                sum += light[i];
-            }
-            for (i = 0; i < 16; i++) {
-                const uint32_t bit = 16 * light[i] > sum;
-                const uint64_t v = tetcasti_ccc_spread(p[i]);
-                mask |= bit << i;
-                n += bit;
-                all += v;
-                bright += v & ((uint64_t)0 - bit);
-            }
-            tetcasti_store_u16(out + 2 * c, mask);
-            tetcasti_store_u16(out + 2 * (cells + c), tetcasti_ccc_565(n != 0 ? bright : all, n != 0 ? n : 16));
-            tetcasti_store_u16(out + 2 * (2 * cells + c), tetcasti_ccc_565(all - bright, 16 - n));
-            if (alpha) {
-                out[6 * cells + c] = (uint8_t)tetcasti_ccc_mean(n != 0 ? bright : all, 3, n != 0 ? n : 16);
-                out[7 * cells + c] = (uint8_t)tetcasti_ccc_mean(all - bright, 3, 16 - n);
-            }
-        }
+/* What both directions work on. */
+typedef struct tetcasti_ccc {
+    uint32_t width, height, cx, cy;
+    size_t stride, cells;
+    int alpha;
+} tetcasti_ccc;
+
+static void tetcasti_ccc_open(tetcasti_ccc *k, uint32_t width, uint32_t height, size_t stride, int alpha) {
+    k->width = width;
+    k->height = height;
+    k->cx = (uint32_t)(((uint64_t)width + 3) / 4);
+    k->cy = (uint32_t)(((uint64_t)height + 3) / 4);
+    k->stride = stride != 0 ? stride : (size_t)width * 4;
+    k->cells = (size_t)k->cx * k->cy;
+    k->alpha = alpha;
+}
+
+/* Brightness 38 r + 75 g + 15 b, 128 times; brighter than the mean of the cell: one colour, the others: the other. */
+static void tetcasti_ccc_encode_cell(const tetcasti_ccc *k, const uint8_t *rgba, uint32_t x, uint32_t y, uint8_t *out) {
+    const size_t c = x + (size_t)k->cx * y;
+    uint32_t light[16], sum = 0, mask = 0, n = 0, p[16], i;
+    uint64_t all = 0, bright = 0;
+    for (i = 0; i < 16; i++) {
+        uint32_t px = 4 * x + (i & 3u), py = 4 * y + (i >> 2);
+        px = px < k->width ? px : k->width - 1;
+        py = py < k->height ? py : k->height - 1;
+        p[i] = tetcasti_load_u32(rgba + (size_t)py * k->stride + (size_t)px * 4);
+        light[i] = 38u * (p[i] & 255u) + 75u * (p[i] >> 8 & 255u) + 15u * (p[i] >> 16 & 255u);
+        sum += light[i];
+    }
+    for (i = 0; i < 16; i++) {
+        const uint32_t bit = 16 * light[i] > sum;
+        const uint64_t v = tetcasti_ccc_spread(p[i]);
+        mask |= bit << i;
+        n += bit;
+        all += v;
+        bright += v & ((uint64_t)0 - bit);
+    }
+    tetcasti_store_u16(out + 2 * c, mask);
+    tetcasti_store_u16(out + 2 * (k->cells + c), tetcasti_ccc_565(n != 0 ? bright : all, n != 0 ? n : 16));
+    tetcasti_store_u16(out + 2 * (2 * k->cells + c), tetcasti_ccc_565(all - bright, 16 - n));
+    if (k->alpha) {
+        out[6 * k->cells + c] = (uint8_t)tetcasti_ccc_mean(n != 0 ? bright : all, 3, n != 0 ? n : 16);
+        out[7 * k->cells + c] = (uint8_t)tetcasti_ccc_mean(all - bright, 3, 16 - n);
+    }
 }
 
 TETCASTI_INLINE uint32_t tetcasti_ccc_color(const uint8_t *p) {
@@ -16953,37 +16960,161 @@ TETCASTI_INLINE uint32_t tetcasti_ccc_color(const uint8_t *p) {
     return (r << 3 | r >> 2) | (g << 2 | g >> 4) << 8 | (b << 3 | b >> 2) << 16;
 }
 
+static void tetcasti_ccc_decode_cell(const tetcasti_ccc *k, const uint8_t *data, uint32_t x, uint32_t y, uint8_t *rgba) {
+    const size_t c = x + (size_t)k->cx * y;
+    const uint32_t a1 = k->alpha ? data[6 * k->cells + c] : 255u, a0 = k->alpha ? data[7 * k->cells + c] : 255u;
+    const uint32_t high = tetcasti_ccc_color(data + 2 * (k->cells + c)) | a1 << 24;
+    const uint32_t low = tetcasti_ccc_color(data + 2 * (2 * k->cells + c)) | a0 << 24, both = high ^ low;
+    uint32_t mask = (uint32_t)data[2 * c] | (uint32_t)data[2 * c + 1] << 8, i, j;
+    for (j = 0; j < 4 && 4 * y + j < k->height; j++, mask >>= 4) {
+        uint8_t *to = rgba + (size_t)(4 * y + j) * k->stride + (size_t)x * 16;
+        const uint32_t n = k->width - 4 * x < 4 ? k->width - 4 * x : 4;
+        for (i = 0; i < n; i++) tetcasti_store_u32(to + 4 * i, low ^ (both & (0u - (mask >> i & 1u))));
+    }
+}
+
+#if TETCASTI_AVX2
+/* Two colours of two cells as sums of r g b a (a cell in each half) and how many pixels they are of -> means and 565. */
+TETCASTI_TARGET_AVX2 static inline __m256i tetcasti_ccc_means2(__m256i sum, const uint32_t n[2]) {
+    const __m256i half = _mm256_setr_m128i(_mm_set1_epi32((int32_t)(n[0] / 2)), _mm_set1_epi32((int32_t)(n[1] / 2)));
+    const __m256i part = _mm256_setr_m128i(_mm_set1_epi32((int32_t)tetcasti_ccc_part[n[0]]),
+                                           _mm_set1_epi32((int32_t)tetcasti_ccc_part[n[1]]));
+    return _mm256_srli_epi32(_mm256_mullo_epi32(_mm256_add_epi32(sum, half), part), 18);
+}
+TETCASTI_TARGET_AVX2 static inline void tetcasti_ccc_store2(const tetcasti_ccc *k, __m256i mean, size_t c,
+                                                            uint32_t which, uint8_t *out) {
+    const __m256i scale = _mm256_setr_epi32(31, 63, 31, 0, 31, 63, 31, 0);
+    const __m256i used = _mm256_setr_epi32(-1, -1, -1, 0, -1, -1, -1, 0);
+    const __m256i shift = _mm256_setr_epi32(11, 5, 0, 0, 11, 5, 0, 0);
+    __m256i v = _mm256_add_epi32(_mm256_mullo_epi32(mean, scale), _mm256_set1_epi32(128)); /* + 127, and 1 to divide */
+    v = _mm256_srli_epi32(_mm256_add_epi32(v, _mm256_srli_epi32(v, 8)), 8);                /* by 255 */
+    v = _mm256_sllv_epi32(_mm256_and_si256(v, used), shift);
+    v = _mm256_or_si256(v, _mm256_shuffle_epi32(v, 0x4e));
+    v = _mm256_or_si256(v, _mm256_shuffle_epi32(v, 0xb1));
+    tetcasti_store_u16(out + 2 * ((1 + which) * k->cells + c), (uint32_t)_mm256_extract_epi32(v, 0));
+    tetcasti_store_u16(out + 2 * ((1 + which) * k->cells + c + 1), (uint32_t)_mm256_extract_epi32(v, 4));
+    if (k->alpha) {
+        out[(6 + which) * k->cells + c] = (uint8_t)_mm256_extract_epi32(mean, 3);
+        out[(6 + which) * k->cells + c + 1] = (uint8_t)_mm256_extract_epi32(mean, 7);
+    }
+}
+
+/* Two whole cells, side by side in the halves of a register. */
+TETCASTI_TARGET_AVX2 static void tetcasti_ccc_encode2(const tetcasti_ccc *k, const uint8_t *rgba, uint32_t x, uint32_t y,
+                                                      uint8_t *out) {
+    const uint8_t *from = rgba + (size_t)(4 * y) * k->stride + (size_t)x * 16;
+    const size_t c = x + (size_t)k->cx * y;
+    const __m256i weight = _mm256_set1_epi32(38 | 75 << 8 | 15 << 16), pair = _mm256_set1_epi16(1);
+    const __m256i byte = _mm256_set1_epi8(1);
+    const __m256i group = _mm256_setr_epi8(0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15,
+                                           0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15);
+    __m256i p[4], light[4], mean, all = _mm256_setzero_si256(), bright = _mm256_setzero_si256(), bits;
+    uint32_t i, mask, n[2], m[2];
+    for (i = 0; i < 4; i++) {
+        p[i] = _mm256_loadu_si256((const __m256i *)(const void *)(from + i * k->stride));
+        light[i] = _mm256_madd_epi16(_mm256_maddubs_epi16(p[i], weight), pair);
+    }
+    mean = _mm256_add_epi32(_mm256_add_epi32(light[0], light[1]), _mm256_add_epi32(light[2], light[3]));
+    mean = _mm256_add_epi32(mean, _mm256_shuffle_epi32(mean, 0x4e));
+    mean = _mm256_add_epi32(mean, _mm256_shuffle_epi32(mean, 0xb1));
+    for (i = 0; i < 4; i++) {
+        light[i] = _mm256_cmpgt_epi32(_mm256_slli_epi32(light[i], 4), mean);
+        all = _mm256_add_epi16(all, _mm256_maddubs_epi16(_mm256_shuffle_epi8(p[i], group), byte));
+        bright = _mm256_add_epi16(bright, _mm256_maddubs_epi16(
+            _mm256_shuffle_epi8(_mm256_and_si256(p[i], light[i]), group), byte));
+    }
+    bits = _mm256_packs_epi16(_mm256_packs_epi32(light[0], light[1]), _mm256_packs_epi32(light[2], light[3]));
+    mask = (uint32_t)_mm256_movemask_epi8(bits);
+    all = _mm256_madd_epi16(all, pair);
+    bright = _mm256_madd_epi16(bright, pair);
+    tetcasti_store_u32(out + 2 * c, mask);
+    for (i = 0; i < 2; i++) {
+        n[i] = tetcasti_popcount64(mask >> 16 * i & 0xffffu);
+        m[i] = 16 - n[i];
+    }
+    mean = _mm256_sub_epi32(all, bright);
+    if (n[0] == 0 || n[1] == 0) { /* all the same: both colours are its */
+        bright = _mm256_blendv_epi8(bright, all, _mm256_setr_m128i(_mm_set1_epi32(n[0] == 0 ? -1 : 0),
+                                                                   _mm_set1_epi32(n[1] == 0 ? -1 : 0)));
+        for (i = 0; i < 2; i++) n[i] = n[i] != 0 ? n[i] : 16;
+    }
+    tetcasti_ccc_store2(k, tetcasti_ccc_means2(bright, n), c, 0, out);
+    tetcasti_ccc_store2(k, tetcasti_ccc_means2(mean, m), c, 1, out);
+}
+
+/* Eight colours of 16 bits -> r g b 0. */
+TETCASTI_TARGET_AVX2 static inline __m256i tetcasti_ccc_colors8(const uint8_t *p) {
+    const __m256i v = _mm256_cvtepu16_epi32(_mm_loadu_si128((const __m128i *)(const void *)p));
+    const __m256i r = _mm256_srli_epi32(v, 11), g = _mm256_and_si256(_mm256_srli_epi32(v, 5), _mm256_set1_epi32(63));
+    const __m256i b = _mm256_and_si256(v, _mm256_set1_epi32(31));
+    const __m256i r8 = _mm256_or_si256(_mm256_slli_epi32(r, 3), _mm256_srli_epi32(r, 2));
+    const __m256i g8 = _mm256_or_si256(_mm256_slli_epi32(g, 2), _mm256_srli_epi32(g, 4));
+    const __m256i b8 = _mm256_or_si256(_mm256_slli_epi32(b, 3), _mm256_srli_epi32(b, 2));
+    return _mm256_or_si256(r8, _mm256_or_si256(_mm256_slli_epi32(g8, 8), _mm256_slli_epi32(b8, 16)));
+}
+
+/* Eight whole cells of a row. */
+TETCASTI_TARGET_AVX2 static void tetcasti_ccc_decode8(const tetcasti_ccc *k, const uint8_t *data, uint32_t x, uint32_t y,
+                                                      uint8_t *rgba) {
+    const size_t c = x + (size_t)k->cx * y;
+    uint8_t *to = rgba + (size_t)(4 * y) * k->stride + (size_t)x * 16;
+    __m256i low = tetcasti_ccc_colors8(data + 2 * (2 * k->cells + c)), a = _mm256_set1_epi32(255), both;
+    int32_t lows[8], boths[8], masks[8];
+    uint32_t i, j;
+    if (k->alpha) a = _mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i *)(const void *)(data + 7 * k->cells + c)));
+    low = _mm256_or_si256(low, _mm256_slli_epi32(a, 24));
+    if (k->alpha) a = _mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i *)(const void *)(data + 6 * k->cells + c)));
+    both = _mm256_or_si256(tetcasti_ccc_colors8(data + 2 * (k->cells + c)), _mm256_slli_epi32(a, 24));
+    _mm256_storeu_si256((__m256i *)(void *)lows, low);
+    _mm256_storeu_si256((__m256i *)(void *)boths, _mm256_xor_si256(both, low));
+    _mm256_storeu_si256((__m256i *)(void *)masks,
+                        _mm256_cvtepu16_epi32(_mm_loadu_si128((const __m128i *)(const void *)(data + 2 * c))));
+    for (i = 0; i < 8; i += 2, to += 32) {
+        const __m256i l = _mm256_setr_m128i(_mm_set1_epi32(lows[i]), _mm_set1_epi32(lows[i + 1]));
+        const __m256i b = _mm256_setr_m128i(_mm_set1_epi32(boths[i]), _mm_set1_epi32(boths[i + 1]));
+        const __m256i m = _mm256_setr_m128i(_mm_set1_epi32(masks[i]), _mm_set1_epi32(masks[i + 1]));
+        __m256i bits = _mm256_setr_epi32(1, 2, 4, 8, 1, 2, 4, 8);
+        for (j = 0; j < 4; j++, bits = _mm256_slli_epi32(bits, 4)) {
+            const __m256i set = _mm256_cmpeq_epi32(_mm256_and_si256(m, bits), bits);
+            _mm256_storeu_si256((__m256i *)(void *)(to + j * k->stride), _mm256_xor_si256(l, _mm256_and_si256(set, b)));
+        }
+    }
+}
+#endif
+
+/* How many cells of a row, `step` at a time, lie whole inside of the picture. */
+TETCASTI_UNUSED static uint32_t tetcasti_ccc_whole(const tetcasti_ccc *k, uint32_t y, uint32_t step) {
+    return tetcasti_cpu_level() >= 3 && 4 * (uint64_t)y + 4 <= k->height ? k->width / 4 / step * step : 0;
+}
+
+TETCAST_DEF void tetcast_ccc_encode(const uint8_t *rgba, uint32_t width, uint32_t height, size_t stride, int alpha,
+                                    uint8_t *out) {
+    tetcasti_ccc k;
+    uint32_t x, y, whole = 0;
+    tetcasti_ccc_open(&k, width, height, stride, alpha);
+    for (y = 0; y < k.cy; y++) {
+        x = 0;
+        (void)whole;
+#if TETCASTI_AVX2
+        for (whole = tetcasti_ccc_whole(&k, y, 2); x < whole; x += 2) tetcasti_ccc_encode2(&k, rgba, x, y, out);
+#endif
+        for (; x < k.cx; x++) tetcasti_ccc_encode_cell(&k, rgba, x, y, out);
+    }
+}
+
 TETCAST_DEF void tetcast_ccc_decode(const uint8_t *data, uint32_t width, uint32_t height, size_t stride, int alpha,
                                     uint8_t *rgba) {
-    const uint32_t cx = (uint32_t)(((uint64_t)width + 3) / 4), cy = (uint32_t)(((uint64_t)height + 3) / 4);
-    const size_t cells = (size_t)cx * cy;
-    size_t c = 0;
-    uint32_t x, y, i, j;
-    if (stride == 0) stride = (size_t)width * 4;
-    for (y = 0; y < cy; y++)
-        for (x = 0; x < cx; x++, c++) {
-            const uint32_t a1 = alpha ? data[6 * cells + c] : 255u, a0 = alpha ? data[7 * cells + c] : 255u;
-            const uint32_t high = tetcasti_ccc_color(data + 2 * (cells + c)) | a1 << 24;
-            const uint32_t low = tetcasti_ccc_color(data + 2 * (2 * cells + c)) | a0 << 24, both = high ^ low;
-            uint32_t mask = (uint32_t)data[2 * c] | (uint32_t)data[2 * c + 1] << 8;
-#if TETCASTI_X64
-            if (4 * x + 4 <= width && 4 * y + 4 <= height) {
-                const __m128i bits = _mm_setr_epi32(1, 2, 4, 8), one = _mm_set1_epi32((int32_t)both);
-                const __m128i other = _mm_set1_epi32((int32_t)low);
-                uint8_t *to = rgba + (size_t)(4 * y) * stride + (size_t)x * 16;
-                for (j = 0; j < 4; j++, mask >>= 4, to += stride) {
-                    const __m128i set = _mm_cmpeq_epi32(_mm_and_si128(_mm_set1_epi32((int32_t)mask), bits), bits);
-                    _mm_storeu_si128((__m128i *)(void *)to, _mm_xor_si128(other, _mm_and_si128(set, one)));
-                }
-                continue;
-            }
+    tetcasti_ccc k;
+    uint32_t x, y, whole = 0;
+    tetcasti_ccc_open(&k, width, height, stride, alpha);
+    for (y = 0; y < k.cy; y++) {
+        x = 0;
+        (void)whole;
+#if TETCASTI_AVX2
+        for (whole = tetcasti_ccc_whole(&k, y, 8); x < whole; x += 8) tetcasti_ccc_decode8(&k, data, x, y, rgba);
 #endif
-            for (j = 0; j < 4 && 4 * y + j < height; j++, mask >>= 4) {
-                uint8_t *to = rgba + (size_t)(4 * y + j) * stride + (size_t)x * 16;
-                const uint32_t n = width - 4 * x < 4 ? width - 4 * x : 4;
-                for (i = 0; i < n; i++) tetcasti_store_u32(to + 4 * i, low ^ (both & (0u - (mask >> i & 1u))));
-            }
-        }
+        for (; x < k.cx; x++) tetcasti_ccc_decode_cell(&k, data, x, y, rgba);
+    }
 }
 
 TETCAST_DEF size_t tetcast_pack_bound(uint32_t width, uint32_t height) {
@@ -17077,7 +17208,7 @@ TETCAST_DEF tetcast_result tetcast_unpack(const uint8_t *data, size_t size, uint
 typedef struct tetcasti_rbf_record {
     float c[3], a, e, radius;
     float w[TETCAST_RBF_MAX_COMPONENTS];
-    float most, unused;             /* largest |w| */
+    float most, reach2;             /* largest |w|; Gaussians: squared distance from which on there is nothing */
 } tetcasti_rbf_record;
 
 typedef struct tetcasti_rbf_node {
@@ -17138,6 +17269,29 @@ TETCASTI_INLINE float tetcasti_exp2_fast(float x) {
     bits += n << 23;
     memcpy(&p, &bits, 4);
     return p;
+}
+
+/* 2^t times 2^f, t an integer plus TETCASTI_RBF_MAGIC, |f| <= 1/2: the same polynomial, fused and in pairs. */
+TETCASTI_INLINE float tetcasti_exp2_parts(float t, float f) {
+    const float u = f * f;
+    float p = fmaf(fmaf(0.001327647198f, f, 0.009675541334f), u, fmaf(0.05550713274f, f, 0.2402211972f));
+    uint32_t n, bits;
+    p = fmaf(p, u, fmaf(0.6931469671f, f, 1.000000072f));
+    memcpy(&n, &t, 4);
+    memcpy(&bits, &p, 4);
+    bits += n << 23;
+    memcpy(&p, &bits, 4);
+    return p;
+}
+TETCASTI_INLINE float tetcasti_exp2_fused(float x) { /* 2^-120 below -120 */
+    float t;
+    x = x > -120.0f ? x : -120.0f;
+    t = x + TETCASTI_RBF_MAGIC;
+    return tetcasti_exp2_parts(t, x - (t - TETCASTI_RBF_MAGIC));
+}
+TETCASTI_INLINE float tetcasti_gauss_fused(float a, float d2) { /* 2^(a d2); a d2 > -120 */
+    const float t = fmaf(a, d2, TETCASTI_RBF_MAGIC);
+    return tetcasti_exp2_parts(t, fmaf(a, d2, -(t - TETCASTI_RBF_MAGIC)));
 }
 
 /* phi of a squared distance. *slope: derivative by the place = slope * (place - centre). */
@@ -17203,6 +17357,11 @@ static void tetcasti_rbf_prepare(const tetcast_rbf *m, uint32_t i, tetcasti_rbf_
         f->w[c] = (float)((double)m->weight[(size_t)i * m->components + c] / divide);
     f->most = (float)((double)f->most / divide);
     if (f->most == 0.0f) f->radius = 0.0f;
+    if (m->kernel == TETCAST_KERNEL_GAUSS || m->kernel == TETCAST_KERNEL_GAUSS_CUT) {
+        f->reach2 = f->radius * f->radius;
+        if (f->reach2 * f->a < -118.0f) f->reach2 = -118.0f / f->a; /* 2^-118 of the height */
+        if (m->kernel == TETCAST_KERNEL_GAUSS) f->e = tetcasti_gauss_fused(f->a, f->reach2);
+    }
     f->radius *= 1.00001f; /* lists are made by it: rounding shall leave nobody out */
 }
 
@@ -17970,17 +18129,30 @@ static uint32_t tetcasti_rbf_find(const tetcast_rbf *m, const float p[3]) {
     return node;
 }
 
+/* phi as it is evaluated: multiplications and additions are fused. A Gaussian ends where the squared distance is
+   reach2, e being its value there by the same operations: so it is 0 from there on without a question. */
+TETCASTI_INLINE float tetcasti_rbf_phi_fused(const tetcast_kernel kernel, const tetcasti_rbf_record *f, float d2,
+                                             float *slope) {
+    if (kernel == TETCAST_KERNEL_GAUSS || kernel == TETCAST_KERNEL_GAUSS_CUT) {
+        const int in = d2 < f->reach2;
+        const float g = tetcasti_gauss_fused(f->a, in ? d2 : f->reach2);
+        if (slope != NULL) *slope = in ? (1.38629436f * f->a) * g : 0.0f;
+        return kernel == TETCAST_KERNEL_GAUSS ? g - f->e : in ? g : 0.0f;
+    }
+    return tetcasti_rbf_phi(kernel, f, d2, slope);
+}
+
 #define TETCASTI_RBF_ONE(kernel, want) do { \
     float sl, phi; \
     const float dx = v->p[0][l] - f->c[0], dy = v->p[1][l] - f->c[1], dz = v->p[2][l] - f->c[2]; \
-    const float d2 = (dx * dx + dy * dy) + dz * dz; \
-    phi = tetcasti_rbf_phi(kernel, f, d2, (want) ? &sl : NULL); \
-    for (c = 0; c < n; c++) v->sum[c][l] += f->w[c] * phi; \
+    const float d2 = fmaf(dz, dz, fmaf(dy, dy, dx * dx)); \
+    phi = tetcasti_rbf_phi_fused(kernel, f, d2, (want) ? &sl : NULL); \
+    for (c = 0; c < n; c++) v->sum[c][l] = fmaf(f->w[c], phi, v->sum[c][l]); \
     if (want) for (c = 0; c < n; c++) { \
         const float s = f->w[c] * sl; \
-        v->slope[c][0][l] += s * dx; \
-        v->slope[c][1][l] += s * dy; \
-        v->slope[c][2][l] += s * dz; \
+        v->slope[c][0][l] = fmaf(s, dx, v->slope[c][0][l]); \
+        v->slope[c][1][l] = fmaf(s, dy, v->slope[c][1][l]); \
+        v->slope[c][2][l] = fmaf(s, dz, v->slope[c][2][l]); \
     } } while (0)
 
 TETCASTI_INLINE void tetcasti_rbf_add_kind(const tetcast_kernel kernel, const tetcast_rbf *m, const uint32_t *list,
@@ -17993,16 +18165,22 @@ TETCASTI_INLINE void tetcasti_rbf_add_kind(const tetcast_kernel kernel, const te
         else for (l = 0; l < 8; l++) TETCASTI_RBF_ONE(kernel, 0);
     }
 }
-static void tetcasti_rbf_add(const tetcast_rbf *m, const uint32_t *list, uint32_t count, int want,
-                             tetcasti_rbf_packet *v) {
-    switch (m->kernel) {
-    case TETCAST_KERNEL_GAUSS: tetcasti_rbf_add_kind(TETCAST_KERNEL_GAUSS, m, list, count, want, v); break;
-    case TETCAST_KERNEL_GAUSS_CUT: tetcasti_rbf_add_kind(TETCAST_KERNEL_GAUSS_CUT, m, list, count, want, v); break;
-    case TETCAST_KERNEL_WENDLAND2: tetcasti_rbf_add_kind(TETCAST_KERNEL_WENDLAND2, m, list, count, want, v); break;
-    case TETCAST_KERNEL_WENDLAND4: tetcasti_rbf_add_kind(TETCAST_KERNEL_WENDLAND4, m, list, count, want, v); break;
-    default: tetcasti_rbf_add_kind(TETCAST_KERNEL_POWER, m, list, count, want, v); break;
+#define TETCASTI_RBF_ADD(name, target) \
+    target static void name(const tetcast_rbf *m, const uint32_t *list, uint32_t count, int want, \
+                            tetcasti_rbf_packet *v) { \
+        switch (m->kernel) { \
+        case TETCAST_KERNEL_GAUSS: tetcasti_rbf_add_kind(TETCAST_KERNEL_GAUSS, m, list, count, want, v); break; \
+        case TETCAST_KERNEL_GAUSS_CUT: \
+            tetcasti_rbf_add_kind(TETCAST_KERNEL_GAUSS_CUT, m, list, count, want, v); break; \
+        case TETCAST_KERNEL_WENDLAND2: \
+            tetcasti_rbf_add_kind(TETCAST_KERNEL_WENDLAND2, m, list, count, want, v); break; \
+        case TETCAST_KERNEL_WENDLAND4: \
+            tetcasti_rbf_add_kind(TETCAST_KERNEL_WENDLAND4, m, list, count, want, v); break; \
+        default: tetcasti_rbf_add_kind(TETCAST_KERNEL_POWER, m, list, count, want, v); break; \
+        } \
     }
-}
+TETCASTI_RBF_ADD(tetcasti_rbf_add, TETCASTI_UNUSED)
+TETCASTI_RBF_ADD(tetcasti_rbf_add_fma, TETCASTI_TARGET_FMA) /* the same bits, for machines that have the instruction */
 
 #if TETCASTI_AVX2
 TETCASTI_TARGET_AVX2 TETCASTI_INLINE __m256 tetcasti_exp2_fast8(__m256 x) {
@@ -18056,7 +18234,38 @@ TETCASTI_TARGET_AVX2 TETCASTI_INLINE __m256 tetcasti_rbf_phi8(const tetcast_kern
                       _mm256_set1_ps(3.0f))), _mm256_set1_ps(0.33333333f));
 }
 
-TETCASTI_TARGET_AVX2 TETCASTI_INLINE void tetcasti_rbf_add8_kind(const tetcast_kernel kernel, const uint32_t n,
+TETCASTI_TARGET_WALK TETCASTI_INLINE __m256 tetcasti_exp2_parts8(__m256 t, __m256 f) {
+    const __m256 u = _mm256_mul_ps(f, f);
+    const __m256 low = _mm256_fmadd_ps(_mm256_set1_ps(0.6931469671f), f, _mm256_set1_ps(1.000000072f));
+    __m256 p = _mm256_fmadd_ps(_mm256_set1_ps(0.05550713274f), f, _mm256_set1_ps(0.2402211972f));
+    p = _mm256_fmadd_ps(_mm256_fmadd_ps(_mm256_set1_ps(0.001327647198f), f, _mm256_set1_ps(0.009675541334f)), u, p);
+    p = _mm256_fmadd_ps(p, u, low);
+    return _mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(p),
+                                                _mm256_slli_epi32(_mm256_castps_si256(t), 23)));
+}
+TETCASTI_TARGET_WALK TETCASTI_INLINE __m256 tetcasti_exp2_fused8(__m256 x) {
+    const __m256 magic = _mm256_set1_ps(TETCASTI_RBF_MAGIC);
+    __m256 t;
+    x = _mm256_max_ps(x, _mm256_set1_ps(-120.0f));
+    t = _mm256_add_ps(x, magic);
+    return tetcasti_exp2_parts8(t, _mm256_sub_ps(x, _mm256_sub_ps(t, magic)));
+}
+TETCASTI_TARGET_WALK TETCASTI_INLINE __m256 tetcasti_rbf_phi_fused8(const tetcast_kernel kernel,
+        const tetcasti_rbf_record *f, __m256 d2, const int want, __m256 *slope) {
+    if (kernel == TETCAST_KERNEL_GAUSS || kernel == TETCAST_KERNEL_GAUSS_CUT) {
+        const __m256 a = _mm256_set1_ps(f->a), magic = _mm256_set1_ps(TETCASTI_RBF_MAGIC);
+        const __m256 reach2 = _mm256_set1_ps(f->reach2), in = _mm256_cmp_ps(d2, reach2, _CMP_LT_OQ);
+        __m256 t, g;
+        d2 = _mm256_min_ps(d2, reach2);
+        t = _mm256_fmadd_ps(a, d2, magic);
+        g = tetcasti_exp2_parts8(t, _mm256_fmsub_ps(a, d2, _mm256_sub_ps(t, magic)));
+        if (want) *slope = _mm256_and_ps(in, _mm256_mul_ps(_mm256_mul_ps(_mm256_set1_ps(1.38629436f), a), g));
+        return kernel == TETCAST_KERNEL_GAUSS ? _mm256_sub_ps(g, _mm256_set1_ps(f->e)) : _mm256_and_ps(in, g);
+    }
+    return tetcasti_rbf_phi8(kernel, f, d2, want, slope);
+}
+
+TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_rbf_add8_kind(const tetcast_kernel kernel, const uint32_t n,
         const int want, const tetcast_rbf *m, const uint32_t *list, uint32_t count, tetcasti_rbf_packet *v) {
     const __m256 px = _mm256_loadu_ps(v->p[0]), py = _mm256_loadu_ps(v->p[1]), pz = _mm256_loadu_ps(v->p[2]);
     __m256 sum[TETCAST_RBF_MAX_COMPONENTS], slope[TETCAST_RBF_MAX_COMPONENTS][3];
@@ -18069,16 +18278,15 @@ TETCASTI_TARGET_AVX2 TETCASTI_INLINE void tetcasti_rbf_add8_kind(const tetcast_k
         const tetcasti_rbf_record *f = &m->record[list != NULL ? list[i] : i];
         const __m256 dx = _mm256_sub_ps(px, _mm256_set1_ps(f->c[0])), dy = _mm256_sub_ps(py, _mm256_set1_ps(f->c[1]));
         const __m256 dz = _mm256_sub_ps(pz, _mm256_set1_ps(f->c[2]));
-        const __m256 d2 = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(dx, dx), _mm256_mul_ps(dy, dy)),
-                                        _mm256_mul_ps(dz, dz));
+        const __m256 d2 = _mm256_fmadd_ps(dz, dz, _mm256_fmadd_ps(dy, dy, _mm256_mul_ps(dx, dx)));
         __m256 sl = _mm256_setzero_ps();
-        const __m256 phi = tetcasti_rbf_phi8(kernel, f, d2, want, &sl);
-        for (c = 0; c < n; c++) sum[c] = _mm256_add_ps(sum[c], _mm256_mul_ps(_mm256_set1_ps(f->w[c]), phi));
+        const __m256 phi = tetcasti_rbf_phi_fused8(kernel, f, d2, want, &sl);
+        for (c = 0; c < n; c++) sum[c] = _mm256_fmadd_ps(_mm256_set1_ps(f->w[c]), phi, sum[c]);
         if (want) for (c = 0; c < n; c++) {
             const __m256 s = _mm256_mul_ps(_mm256_set1_ps(f->w[c]), sl);
-            slope[c][0] = _mm256_add_ps(slope[c][0], _mm256_mul_ps(s, dx));
-            slope[c][1] = _mm256_add_ps(slope[c][1], _mm256_mul_ps(s, dy));
-            slope[c][2] = _mm256_add_ps(slope[c][2], _mm256_mul_ps(s, dz));
+            slope[c][0] = _mm256_fmadd_ps(s, dx, slope[c][0]);
+            slope[c][1] = _mm256_fmadd_ps(s, dy, slope[c][1]);
+            slope[c][2] = _mm256_fmadd_ps(s, dz, slope[c][2]);
         }
     }
     for (c = 0; c < n; c++) {
@@ -18088,7 +18296,7 @@ TETCASTI_TARGET_AVX2 TETCASTI_INLINE void tetcasti_rbf_add8_kind(const tetcast_k
 }
 
 #define TETCASTI_RBF_ADD8(name, kernel) \
-    TETCASTI_TARGET_AVX2 static void name(const tetcast_rbf *m, const uint32_t *list, uint32_t count, int want, \
+    TETCASTI_TARGET_WALK static void name(const tetcast_rbf *m, const uint32_t *list, uint32_t count, int want, \
                                           tetcasti_rbf_packet *v) { \
         if (m->components == 1 && !want) tetcasti_rbf_add8_kind(kernel, 1, 0, m, list, count, v); \
         else if (m->components == 1) tetcasti_rbf_add8_kind(kernel, 1, 1, m, list, count, v); \
@@ -18110,7 +18318,7 @@ typedef void tetcasti_rbf_add_fn(const tetcast_rbf *m, const uint32_t *list, uin
 static tetcast_isa tetcasti_rbf_isa(tetcast_isa isa) { /* AVX2 or scalar */
     const tetcast_isa best = tetcast_isa_best();
     if (isa == TETCAST_ISA_AUTO || isa > best) isa = best;
-    return isa >= TETCAST_ISA_AVX2 ? TETCAST_ISA_AVX2 : TETCAST_ISA_SCALAR;
+    return isa >= TETCAST_ISA_AVX2 && tetcasti_has_fma() ? TETCAST_ISA_AVX2 : TETCAST_ISA_SCALAR;
 }
 static tetcasti_rbf_add_fn *tetcasti_rbf_add_pick(const tetcast_rbf *m, tetcast_isa isa) {
 #if TETCASTI_AVX2
@@ -18126,7 +18334,7 @@ static tetcasti_rbf_add_fn *tetcasti_rbf_add_pick(const tetcast_rbf *m, tetcast_
 #endif
     (void)m;
     (void)isa;
-    return tetcasti_rbf_add;
+    return tetcasti_has_fma() ? tetcasti_rbf_add_fma : tetcasti_rbf_add;
 }
 
 /* Points of one leaf: base, then the functions. Lanes from `lanes` on are copies of lane 0. */
@@ -20053,32 +20261,49 @@ TETCASTI_INLINE void tetcasti_rbf_run_kind(const tetcast_kernel kernel, const ui
         if (kernel != TETCAST_KERNEL_GAUSS && kernel != TETCAST_KERNEL_GAUSS_CUT) {
             for (j = r->first; j <= r->last; j++) {
                 const float u = (float)j * h - r->tc[l], phi = tetcasti_rbf_phi(kernel, f, r->d2[l] + u * u, NULL);
-                for (c = 0; c < n; c++) rows[c * stride + (size_t)j * 8 + l] += f->w[c] * phi;
+                for (c = 0; c < n; c++)
+                    rows[c * stride + (size_t)j * 8 + l] = fmaf(f->w[c], phi, rows[c * stride + (size_t)j * 8 + l]);
             }
             continue;
         }
-        for (way = 1; way >= -1; way -= 2) {
-            j = way > 0 ? r->middle : r->middle - 1;
-            while (way > 0 ? j <= r->last : j >= r->first) {
-                const float u = (float)j * h - r->tc[l];
-                float v = tetcasti_exp2_fast(f->a * (r->d2[l] + u * u));
-                float q = tetcasti_exp2_fast((f->a * h) * (h + (way > 0 ? 2.0f : -2.0f) * u));
-                int32_t left = way > 0 ? r->last - j + 1 : j - r->first + 1;
-                left = left < TETCASTI_RBF_RUN ? left : TETCASTI_RBF_RUN;
-                for (k = 0; k < left; k++, j += way) {
-                    const float m = v - f->e;
-                    const float phi = m > 0.0f ? (kernel == TETCAST_KERNEL_GAUSS ? m : v) : 0.0f;
-                    for (c = 0; c < n; c++) rows[c * stride + (size_t)j * 8 + l] += f->w[c] * phi;
+        {
+            const float u0 = (float)r->middle * h - r->tc[l], v0 = tetcasti_exp2_fused(f->a * fmaf(u0, u0, r->d2[l]));
+            for (way = 1; way >= -1; way -= 2) {
+                float u = u0, v = v0, q = tetcasti_exp2_fused((f->a * h) * fmaf(way > 0 ? 2.0f : -2.0f, u, h));
+                int32_t left, all = way > 0 ? r->last - r->middle + 1 : r->middle - r->first;
+                if (way < 0) { /* the middle itself is done */
                     v = v * q;
                     q = q * c2;
+                }
+                for (j = way > 0 ? r->middle : r->middle - 1; all > 0; all -= left) {
+                    left = all < TETCASTI_RBF_RUN ? all : TETCASTI_RBF_RUN;
+                    for (k = 0; k < left; k++, j += way) {
+                        const float m = v - f->e;
+                        const float phi = m > 0.0f ? (kernel == TETCAST_KERNEL_GAUSS ? m : v) : 0.0f;
+                        for (c = 0; c < n; c++)
+                            rows[c * stride + (size_t)j * 8 + l] = fmaf(f->w[c], phi, rows[c * stride + (size_t)j * 8 + l]);
+                        v = v * q;
+                        q = q * c2;
+                    }
+                    if (all == left) break;
+                    u = (float)j * h - r->tc[l];
+                    v = tetcasti_exp2_fused(f->a * fmaf(u, u, r->d2[l]));
+                    q = tetcasti_exp2_fused((f->a * h) * fmaf(way > 0 ? 2.0f : -2.0f, u, h));
                 }
             }
         }
     }
 }
+typedef void tetcasti_rbf_run_fn(tetcast_kernel kernel, uint32_t n, const tetcasti_rbf_group *g,
+                                 const tetcasti_rbf_record *f, const tetcasti_rbf_reach *r, float *rows, size_t stride);
 static void tetcasti_rbf_run_scalar(tetcast_kernel kernel, uint32_t n, const tetcasti_rbf_group *g,
                                     const tetcasti_rbf_record *f, const tetcasti_rbf_reach *r, float *rows,
                                     size_t stride) {
+    tetcasti_rbf_run_kind(kernel, n, g, f, r, rows, stride);
+}
+TETCASTI_TARGET_FMA static void tetcasti_rbf_run_fma(tetcast_kernel kernel, uint32_t n, const tetcasti_rbf_group *g,
+                                                     const tetcasti_rbf_record *f, const tetcasti_rbf_reach *r,
+                                                     float *rows, size_t stride) {
     tetcasti_rbf_run_kind(kernel, n, g, f, r, rows, stride);
 }
 
@@ -20122,14 +20347,35 @@ TETCASTI_TARGET_AVX2 static int tetcasti_rbf_meet8(const tetcasti_rbf_group *g, 
     return 1;
 }
 
-TETCASTI_TARGET_AVX2 TETCASTI_INLINE void tetcasti_rbf_run8_kind(const tetcast_kernel kernel, const uint32_t n,
+/* One sample, `step` floats before the next one; the rest of one way, which begins anew every TETCASTI_RBF_RUN. */
+#define TETCASTI_RBF_STEP8(v, q, to, step) do { \
+    const __m256 m = _mm256_sub_ps(v, e); \
+    const __m256 phi = kernel == TETCAST_KERNEL_GAUSS \
+        ? _mm256_max_ps(m, zero) : _mm256_and_ps(_mm256_cmp_ps(m, zero, _CMP_GT_OQ), v); \
+    for (c = 0; c < n; c++) \
+        _mm256_storeu_ps(to + c * stride, _mm256_fmadd_ps(w[c], phi, _mm256_loadu_ps(to + c * stride))); \
+    v = _mm256_mul_ps(v, q); \
+    q = _mm256_mul_ps(q, c2); \
+    to += step; } while (0)
+#define TETCASTI_RBF_REST8(v, q, to, way, at, count) \
+    for (k = left, j = (at) + (way) * left; k < (count); k += some, j += (way) * some) { \
+        some = (count) - k < TETCASTI_RBF_RUN - k % TETCASTI_RBF_RUN ? (count) - k \
+                                                                     : TETCASTI_RBF_RUN - k % TETCASTI_RBF_RUN; \
+        if (k % TETCASTI_RBF_RUN == 0 && k != 0) { \
+            u = _mm256_sub_ps(_mm256_set1_ps((float)j * h), tc); \
+            v = tetcasti_exp2_fused8(_mm256_mul_ps(a, _mm256_fmadd_ps(u, u, d2))); \
+            q = tetcasti_exp2_fused8(_mm256_mul_ps(ah, _mm256_fmadd_ps(_mm256_set1_ps(2.0f * (float)(way)), u, h8))); \
+        } \
+        for (i = 0; i < some; i++) TETCASTI_RBF_STEP8(v, q, to, 8 * (way)); \
+    }
+TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_rbf_run8_kind(const tetcast_kernel kernel, const uint32_t n,
         const tetcasti_rbf_group *g, const tetcasti_rbf_record *f, const tetcasti_rbf_reach *r, float *rows,
         size_t stride) {
     const __m256 tc = _mm256_loadu_ps(r->tc), d2 = _mm256_loadu_ps(r->d2), zero = _mm256_setzero_ps();
     const float h = g->h;
     __m256 w[TETCAST_RBF_MAX_COMPONENTS];
     uint32_t c;
-    int32_t j, k, way;
+    int32_t j, k;
     for (c = 0; c < n; c++) w[c] = _mm256_set1_ps(f->w[c]);
     if (kernel != TETCAST_KERNEL_GAUSS && kernel != TETCAST_KERNEL_GAUSS_CUT) {
         for (j = r->first; j <= r->last; j++) {
@@ -20137,40 +20383,35 @@ TETCASTI_TARGET_AVX2 TETCASTI_INLINE void tetcasti_rbf_run8_kind(const tetcast_k
             const __m256 phi = tetcasti_rbf_phi8(kernel, f, _mm256_add_ps(d2, _mm256_mul_ps(u, u)), 0, NULL);
             for (c = 0; c < n; c++) {
                 float *at = rows + c * stride + (size_t)j * 8;
-                _mm256_storeu_ps(at, _mm256_add_ps(_mm256_loadu_ps(at), _mm256_mul_ps(w[c], phi)));
+                _mm256_storeu_ps(at, _mm256_fmadd_ps(w[c], phi, _mm256_loadu_ps(at)));
             }
         }
         return;
     }
     {
-        const __m256 c2 = _mm256_set1_ps(r->decay), e = _mm256_set1_ps(f->e);
-        const __m256 a = _mm256_set1_ps(f->a), ah = _mm256_set1_ps(f->a * h), h8 = _mm256_set1_ps(h);
-        for (way = 1; way >= -1; way -= 2) {
-            const __m256 twice = _mm256_set1_ps(way > 0 ? 2.0f : -2.0f);
-            j = way > 0 ? r->middle : r->middle - 1;
-            while (way > 0 ? j <= r->last : j >= r->first) {
-                const __m256 u = _mm256_sub_ps(_mm256_set1_ps((float)j * h), tc);
-                __m256 v = tetcasti_exp2_fast8(_mm256_mul_ps(a, _mm256_add_ps(d2, _mm256_mul_ps(u, u))));
-                __m256 q = tetcasti_exp2_fast8(_mm256_mul_ps(ah, _mm256_add_ps(h8, _mm256_mul_ps(twice, u))));
-                int32_t left = way > 0 ? r->last - j + 1 : j - r->first + 1;
-                float *at = rows + (size_t)j * 8;
-                left = left < TETCASTI_RBF_RUN ? left : TETCASTI_RBF_RUN;
-                for (k = 0; k < left; k++, at += 8 * way) {
-                    const __m256 m = _mm256_sub_ps(v, e);
-                    const __m256 phi = kernel == TETCAST_KERNEL_GAUSS
-                        ? _mm256_max_ps(m, zero) : _mm256_and_ps(_mm256_cmp_ps(m, zero, _CMP_GT_OQ), v);
-                    for (c = 0; c < n; c++)
-                        _mm256_storeu_ps(at + c * stride, _mm256_add_ps(_mm256_loadu_ps(at + c * stride),
-                                                                        _mm256_mul_ps(w[c], phi)));
-                    v = _mm256_mul_ps(v, q);
-                    q = _mm256_mul_ps(q, c2);
-                }
-                j += way * left;
-            }
+        const __m256 c2 = _mm256_set1_ps(r->decay), e = _mm256_set1_ps(f->e), h8 = _mm256_set1_ps(h);
+        const __m256 a = _mm256_set1_ps(f->a), ah = _mm256_set1_ps(f->a * h), two = _mm256_set1_ps(2.0f);
+        __m256 u = _mm256_sub_ps(_mm256_set1_ps((float)r->middle * h), tc), up, down, q, p;
+        const int32_t above = r->last - r->middle + 1, below = r->middle - r->first;
+        const int32_t both = above < below ? above : below, left = both < TETCASTI_RBF_RUN ? both : TETCASTI_RBF_RUN;
+        float *higher = rows + (size_t)r->middle * 8, *lower = higher - 8;
+        int32_t some, i;
+        up = tetcasti_exp2_fused8(_mm256_mul_ps(a, _mm256_fmadd_ps(u, u, d2)));
+        q = tetcasti_exp2_fused8(_mm256_mul_ps(ah, _mm256_fmadd_ps(two, u, h8)));
+        p = tetcasti_exp2_fused8(_mm256_mul_ps(ah, _mm256_fnmadd_ps(two, u, h8)));
+        down = _mm256_mul_ps(up, p);
+        p = _mm256_mul_ps(p, c2);
+        for (k = 0; k < left; k++) { /* both ways at once: each is a chain of products */
+            TETCASTI_RBF_STEP8(up, q, higher, 8);
+            TETCASTI_RBF_STEP8(down, p, lower, -8);
         }
+        TETCASTI_RBF_REST8(up, q, higher, 1, r->middle, above)
+        TETCASTI_RBF_REST8(down, p, lower, -1, r->middle - 1, below)
     }
 }
-TETCASTI_TARGET_AVX2 static void tetcasti_rbf_run8(tetcast_kernel kernel, uint32_t n, const tetcasti_rbf_group *g,
+#undef TETCASTI_RBF_REST8
+#undef TETCASTI_RBF_STEP8
+TETCASTI_TARGET_WALK static void tetcasti_rbf_run8(tetcast_kernel kernel, uint32_t n, const tetcasti_rbf_group *g,
         const tetcasti_rbf_record *f, const tetcasti_rbf_reach *r, float *rows, size_t stride) {
     if (kernel == TETCAST_KERNEL_GAUSS && n == 1)
         tetcasti_rbf_run8_kind(TETCAST_KERNEL_GAUSS, 1, g, f, r, rows, stride);
@@ -20252,6 +20493,7 @@ typedef struct tetcasti_rbf_picture {
     uint32_t *list;
     float *decay;                 /* [functions] */
     tetcasti_rbf_add_fn *add;
+    tetcasti_rbf_run_fn *run;
     uint32_t next, done, failed, cancelled;
     uint32_t tally[6][2];
 } tetcasti_rbf_picture;
@@ -20407,7 +20649,7 @@ static void tetcasti_rbf_group_values(tetcasti_rbf_picture *t, const tetcasti_rb
 #endif
         {
             if (!tetcasti_rbf_meet(g, f, &r)) continue;
-            tetcasti_rbf_run_scalar(m->kernel, n, g, f, &r, rows, stride);
+            t->run(m->kernel, n, g, f, &r, rows, stride);
         }
         count[1]++;
         count[2] += 8u * (uint64_t)(r.last - r.first + 1);
@@ -20503,6 +20745,43 @@ static int tetcasti_rbf_cut(const tetcasti_rbf_group *g, const float *rows, int3
     return 1;
 }
 
+#if TETCASTI_AVX2
+/* Lanes that show something between samples j and j + 1, and their segments, as tetcasti_rbf_cut. */
+TETCASTI_TARGET_AVX2 static uint32_t tetcasti_rbf_cut8(const tetcasti_rbf_picture *t, const tetcasti_rbf_group *g,
+                                                       const float *rows, int32_t j, uint32_t lanes,
+                                                       tetcasti_seg8 *seg, float from[8], float to[8]) {
+    const __m256 v = _mm256_loadu_ps(rows + (size_t)j * 8), w = _mm256_loadu_ps(rows + (size_t)j * 8 + 8);
+    const __m256 lo = _mm256_set1_ps(t->seen[0]), hi = _mm256_set1_ps(t->seen[1]);
+    const __m256 unseen = _mm256_or_ps(
+        _mm256_and_ps(_mm256_cmp_ps(v, lo, _CMP_LT_OQ), _mm256_cmp_ps(w, lo, _CMP_LT_OQ)),
+        _mm256_and_ps(_mm256_cmp_ps(v, hi, _CMP_GT_OQ), _mm256_cmp_ps(w, hi, _CMP_GT_OQ)));
+    __m256 a, b, x, y, front = v, back = w, after, before, h, world;
+    lanes &= ~(uint32_t)_mm256_movemask_ps(unseen);
+    if (lanes == 0) return 0;
+    h = _mm256_set1_ps(g->h);
+    world = _mm256_loadu_ps(g->world);
+    a = _mm256_set1_ps((float)j * g->h);
+    b = _mm256_set1_ps((float)(j + 1) * g->h);
+    x = _mm256_max_ps(a, _mm256_loadu_ps(g->in));
+    y = _mm256_min_ps(b, _mm256_loadu_ps(g->out));
+    after = _mm256_cmp_ps(x, a, _CMP_GT_OQ);
+    before = _mm256_cmp_ps(y, b, _CMP_LT_OQ);
+    lanes &= (uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(y, x, _CMP_GT_OQ));
+    if (_mm256_movemask_ps(_mm256_or_ps(after, before)) != 0) {
+        const __m256 rise = _mm256_sub_ps(w, v);
+        front = _mm256_blendv_ps(v, _mm256_add_ps(v, _mm256_mul_ps(rise, _mm256_div_ps(_mm256_sub_ps(x, a), h))), after);
+        back = _mm256_blendv_ps(w, _mm256_add_ps(v, _mm256_mul_ps(rise, _mm256_div_ps(_mm256_sub_ps(y, a), h))), before);
+    }
+    _mm256_storeu_ps(seg->front, front);
+    _mm256_storeu_ps(seg->back, back);
+    _mm256_storeu_ps(seg->length, _mm256_mul_ps(_mm256_sub_ps(y, x), world));
+    _mm256_storeu_ps(seg->depth, _mm256_add_ps(_mm256_loadu_ps(g->start), _mm256_mul_ps(x, world)));
+    _mm256_storeu_ps(from, x);
+    _mm256_storeu_ps(to, y);
+    return lanes;
+}
+#endif
+
 /* Integrate the rows of a group. depth: local way to the first sample that shows something. */
 static void tetcasti_rbf_march(const tetcasti_rbf_picture *t, const tetcasti_rbf_group *g, const float *rows,
                                tetcasti_ray_sum8 *sum, float depth[8]) {
@@ -20519,18 +20798,18 @@ static void tetcasti_rbf_march(const tetcasti_rbf_picture *t, const tetcasti_rbf
     for (j = 0; j + 1 < g->n; j++) {
         const float *v = rows + (size_t)j * 8;
         float from[8], to[8];
-        uint32_t lanes = 0, below = 0, above = 0, hits;
-        for (l = 0; l < 8; l++) {
-            below |= (uint32_t)!((v[l] < t->seen[0]) & (v[l + 8] < t->seen[0])) << l;
-            above |= (uint32_t)!((v[l] > t->seen[1]) & (v[l + 8] > t->seen[1])) << l;
-        }
-        if ((below & above & g->lanes & ~ended) == 0) continue;
+        uint32_t lanes = 0, hits;
+#if TETCASTI_AVX2
+        if (t->isa >= TETCAST_ISA_AVX2) lanes = tetcasti_rbf_cut8(t, g, rows, j, g->lanes & ~ended, &seg, from, to);
+        else
+#endif
         for (l = 0; l < 8; l++)
-            if ((below & above & ~ended) >> l & 1u)
+            if ((g->lanes & ~ended) >> l & 1u && !(v[l] < t->seen[0] && v[l + 8] < t->seen[0]) &&
+                !(v[l] > t->seen[1] && v[l + 8] > t->seen[1]))
                 lanes |= (uint32_t)tetcasti_rbf_cut(g, rows, j, l, &seg, &from[l], &to[l]) << l;
         if (lanes == 0) continue;
         hits = o->iso_count != 0 ? tetcasti_iso_lanes(o, &seg, lanes) : 0;
-        for (l = 0; l < 8; l++) {
+        for (l = 0; l < 8 && (want_depth || hits != 0); l++) {
             if ((lanes >> l & 1u) == 0) continue;
             if (want_depth && depth[l] == TETCASTI_INF && (hits >> l & 1u) == 0 &&
                 !tetcasti_optics_empty(o, seg.front[l] < seg.back[l] ? seg.front[l] : seg.back[l],
@@ -20802,6 +21081,7 @@ static tetcast_result tetcasti_rbf_picture_open(tetcasti_rbf_picture *t, tetcast
     }
     t->isa = tetcasti_rbf_isa(d->isa);
     t->add = tetcasti_rbf_add_pick(m, t->isa);
+    t->run = tetcasti_has_fma() ? tetcasti_rbf_run_fma : tetcasti_rbf_run_scalar;
     t->h = (float)(d->step > 0.0f ? (double)d->step / least : tetcasti_rbf_step(t));
     t->step = (float)((double)t->h * least);
     if (!(t->h > 0.0f)) t->h = 1.0f; /* a box that is a point */

@@ -72,7 +72,7 @@ static void rbf_run_sums(void *ctx) {
 #endif
             {
                 met = tetcasti_rbf_meet(&s->g, f, &r);
-                if (met) tetcasti_rbf_run_scalar(s->m->kernel, 1, &s->g, f, &r, s->rows, 0);
+                if (met) (tetcasti_has_fma() ? tetcasti_rbf_run_fma : tetcasti_rbf_run_scalar)(s->m->kernel, 1, &s->g, f, &r, s->rows, 0);
             }
             if (met) s->work += 8.0 * (double)(r.last - r.first + 1);
         }

@@ -1375,6 +1375,19 @@ TEST(codecs) {
             tetcast_ccc_encode(p, w, h, 0, 1, code);
             tetcast_ccc_decode(code, w, h, 0, 1, q);
             if (kind < 2) CHECK(memcmp(p, q, (size_t)w * h * 4) == 0);
+            { /* cell by cell: what wide instructions have to give */
+                uint8_t *cell = (uint8_t *)malloc(tetcast_ccc_size(w, h, 1)), *back = (uint8_t *)malloc((size_t)w * h * 4);
+                tetcasti_ccc k;
+                tetcasti_ccc_open(&k, w, h, 0, 1);
+                for (i = 0; i < k.cells; i++) {
+                    tetcasti_ccc_encode_cell(&k, p, (uint32_t)(i % k.cx), (uint32_t)(i / k.cx), cell);
+                    tetcasti_ccc_decode_cell(&k, code, (uint32_t)(i % k.cx), (uint32_t)(i / k.cx), back);
+                }
+                CHECK(memcmp(cell, code, tetcast_ccc_size(w, h, 1)) == 0);
+                CHECK(memcmp(back, q, (size_t)w * h * 4) == 0);
+                free(cell);
+                free(back);
+            }
             size = tetcast_pack(p, w, h, 0, pack);
             CHECK(size <= tetcast_pack_bound(w, h));
             memset(q, 7, (size_t)w * h * 4);
