@@ -10759,7 +10759,11 @@ VOXRTI_TARGET_AVX2 VOXRTI_NOINLINE static void voxrti_stream_trace(const voxrt_t
     voxrti_octet group[VOXRTI_OCTETS];
     voxrti_octet_const k;
     uint32_t i, lane, busy;
+    if (!voxrti_stream_next(t, cone, s, stats)) return; /* tiles took all */
     memset(group, 0, sizeof group);
+    memset(s->done_ray, 0, sizeof s->done_ray); /* four are written at a time, the last ones for nothing */
+    memset(s->done_node, 0, sizeof s->done_node);
+    memset(s->done_cell, 0, sizeof s->done_cell);
     for (i = 0; i < VOXRTI_OCTETS; i++)
         for (lane = 0; lane < 8; lane++) group[i].path[lane][0] = voxrti_root(t);
     voxrti_octet_open(t, &k);
@@ -10778,11 +10782,14 @@ VOXRTI_TARGET_AVX2 VOXRTI_NOINLINE static void voxrti_stream_trace(const voxrt_t
 /* Trace count (< 2^32) rays. cone->floor_ < 4^wide: one cell for all is left to the scalar path. */
 VOXRTI_TARGET_AVX2 static void voxrti_trace_avx2(const voxrt_tree *t, const voxrti_cone *cone, const voxrt_ray *rays,
                                                  voxrt_hit *hits, size_t count, voxrt_stats *stats) {
-    voxrti_stream s;
-    memset(&s, 0, sizeof s);
+    voxrti_stream s; /* 10 KB: the rest is written before it is read */
     s.rays = rays;
     s.hits = hits;
     s.count = count;
+    s.next = 0;
+    s.left = 0;
+    s.first = s.done_count = 0;
+    s.beam.on = s.chain.w = s.ready.live = 0;
     voxrti_stream_trace(t, cone, &s, stats);
 }
 
@@ -18221,9 +18228,9 @@ VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_g
         r = voxrti_gather_all(&w, gi, &mem, &report);
     }
     for (i = 0; i < n; i++) report.pixels += (uint64_t)voxrti_pixel_seen(gbuffer, i);
-    if (r == VOXRT_OK && d.history != NULL) {
+    if (r == VOXRT_OK && reuse.h != NULL) {
         voxrti_reuse_run(&reuse, value);
-        report.kept = report.pixels != 0 ? d.history->kept / (float)report.pixels : 0.0f;
+        report.kept = report.pixels != 0 ? reuse.h->kept / (float)report.pixels : 0.0f;
     }
     for (k = 0; k < 4 && r == VOXRT_OK; k++) {
         const uint32_t radius = k < 2 ? d.filter : d.direct_filter;
