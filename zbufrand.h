@@ -11029,10 +11029,14 @@ static uint8_t zbufrandi_suspect_pixel(const zbufrandi_suspects *c, uint32_t x, 
 }
 
 #if ZBUFRANDI_AVX2
-/* Which of the 8 pixels from (x, y) have at least `least` nearer neighbours; none of them at the border. */
+/* Which of the 8 pixels from (x, y) have enough nearer neighbours, for holes or for wrong pixels; none of them at the
+   border. out_empty: which are empty. */
 ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_suspect_eight(const zbufrandi_suspects *c, const float *p,
-                                                              uint32_t least) {
-    __m256 limit = _mm256_mul_ps(_mm256_loadu_ps(p), _mm256_set1_ps(c->keep));
+                                                              uint32_t *out_empty) {
+    const __m256 here = _mm256_loadu_ps(p);
+    const __m256 empty = _mm256_cmp_ps(here, _mm256_set1_ps((float)INFINITY), _CMP_NLT_UQ);
+    const __m256 limit = _mm256_mul_ps(here, _mm256_set1_ps(c->keep));
+    __m256 least;
     __m256i n = _mm256_setzero_si256();
     const ptrdiff_t r = (ptrdiff_t)c->reach, w = r * (ptrdiff_t)c->width;
     const float *q[8];
@@ -11042,8 +11046,10 @@ ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_suspect_eight(const zbufrandi_su
     for (k = 0; k < 8; k++) {
         n = _mm256_sub_epi32(n, _mm256_castps_si256(_mm256_cmp_ps(_mm256_loadu_ps(q[k]), limit, _CMP_LT_OQ)));
     }
-    n = _mm256_cmpgt_epi32(n, _mm256_set1_epi32((int)least - 1));
-    return (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(n));
+    least = _mm256_blendv_ps(_mm256_castsi256_ps(_mm256_set1_epi32((int)c->wrong_count - 1)),
+                             _mm256_castsi256_ps(_mm256_set1_epi32((int)c->hole_count - 1)), empty);
+    *out_empty = (uint32_t)_mm256_movemask_ps(empty);
+    return (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(_mm256_cmpgt_epi32(n, _mm256_castps_si256(least))));
 }
 #endif
 
@@ -11056,14 +11062,14 @@ static void zbufrandi_suspect_task(void *ctx, uint32_t task) {
 #if ZBUFRANDI_AVX2
         if (c->level >= 3 && y >= c->reach && y + c->reach < c->height && c->width >= 8 + 2 * c->reach) {
             const uint32_t reach = c->reach;
-            uint32_t least = c->hole_count < c->wrong_count ? c->hole_count : c->wrong_count;
             for (; x < reach; x++) mask[x] = zbufrandi_suspect_pixel(c, x, y);
             for (; x + 8 + reach <= c->width; x += 8) {
-                uint32_t bits = zbufrandi_suspect_eight(c, c->depth + (size_t)y * c->width + x, least);
+                uint32_t empty, bits = zbufrandi_suspect_eight(c, c->depth + (size_t)y * c->width + x, &empty);
                 memset(mask + x, 0, 8);
                 for (; bits != 0; bits &= bits - 1) {
-                    uint32_t i = x + zbufrandi_ctz64(bits);
-                    mask[i] = zbufrandi_suspect_pixel(c, i, y);
+                    const uint32_t k = zbufrandi_ctz64(bits);
+                    if ((empty >> k & 1u) != 0) mask[x + k] = (uint8_t)ZBUFRAND_SUSPECT_HOLE;
+                    else mask[x + k] = c->sure ? (uint8_t)ZBUFRAND_SUSPECT_WRONG : zbufrandi_suspect_pixel(c, x + k, y);
                 }
             }
         }
@@ -14438,7 +14444,8 @@ static zbufrand_result zbufrandi_draw_scene(zbufrandi_picture *p) {
    far enough behind for the spread of depths around it, and behind planes through them, up to three of four pictures
    were incomplete. At least 5 because with 6 and 7 the density has to be a quarter and 60 % higher. */
 
-enum { ZBUFRANDI_REPAIR_RAYS = 64, ZBUFRANDI_REPAIR_WRONG = 5, ZBUFRANDI_REPAIR_HOLE = 4, ZBUFRANDI_REPAIR_TILE = 8 };
+enum { ZBUFRANDI_REPAIR_RAYS = 64, ZBUFRANDI_REPAIR_WRONG = 5, ZBUFRANDI_REPAIR_HOLE = 4, ZBUFRANDI_REPAIR_TILE = 2,
+       ZBUFRANDI_REPAIR_AREA = 16 };
 
 static void zbufrandi_depth_task(void *ctx, uint32_t y) { /* depths of the picture from its keys */
     zbufrandi_picture *p = (zbufrandi_picture *)ctx;
@@ -14594,13 +14601,14 @@ static int zbufrandi_near_samples(const zbufrandi_picture *p, uint8_t *tile, uin
     return 0;
 }
 
-/* Pixels that rays are cast for. */
+/* Pixels that rays are cast for, by areas of 16 x 16: rays that go the same way share packets. */
 static zbufrand_result zbufrandi_find_suspects(zbufrandi_picture *p) {
     zbufrand_frame *f = p->f;
     const zbufrandi_recon *r = &f->recon;
     const size_t n = (size_t)r->width * r->height, tiles = ((size_t)r->width / ZBUFRANDI_REPAIR_TILE + 1) *
         ((size_t)r->height / ZBUFRANDI_REPAIR_TILE + 1);
     size_t at;
+    uint32_t x0, y0, y;
     zbufrandi_suspects s;
     if (!zbufrandi_grow(&f->mem, (void **)&f->mask, &f->mask_capacity, 0, n + tiles, 1)) return ZBUFRAND_ERR_NO_MEMORY;
     memset(f->mask + n, 0, tiles);
@@ -14617,13 +14625,21 @@ static zbufrand_result zbufrandi_find_suspects(zbufrandi_picture *p) {
     s.level = f->level;
     zbufrandi_parallel_for(&f->env, zbufrandi_suspect_task, &s, (s.height + 15) / 16);
     zbufrandi_suspect_round(&s, 1);
-    for (at = 0; (at = zbufrandi_next_mark(f->mask, at, n)) < n; at++) {
-        if (p->stats.rastered != 0 && !zbufrandi_near_samples(p, f->mask + n, (uint32_t)at)) continue;
-        if (!zbufrandi_grow(&f->mem, (void **)&f->suspect, &f->suspect_capacity, f->suspect_count, f->suspect_count + 1,
-                            sizeof *f->suspect)) return ZBUFRAND_ERR_NO_MEMORY;
-        f->suspect[f->suspect_count++] = (uint32_t)at;
-        if (f->mask[at] == ZBUFRAND_SUSPECT_WRONG) p->stats.wrong++;
-        else p->stats.holes++;
+    for (y0 = 0; y0 < r->height; y0 += ZBUFRANDI_REPAIR_AREA) {
+        for (x0 = 0; x0 < r->width; x0 += ZBUFRANDI_REPAIR_AREA) {
+            for (y = y0; y < r->height && y < y0 + ZBUFRANDI_REPAIR_AREA; y++) {
+                const size_t row = (size_t)y * r->width,
+                    end = row + (r->width - x0 < ZBUFRANDI_REPAIR_AREA ? r->width : x0 + ZBUFRANDI_REPAIR_AREA);
+                for (at = row + x0; (at = zbufrandi_next_mark(f->mask, at, end)) < end; at++) {
+                    if (p->stats.rastered != 0 && !zbufrandi_near_samples(p, f->mask + n, (uint32_t)at)) continue;
+                    if (!zbufrandi_grow(&f->mem, (void **)&f->suspect, &f->suspect_capacity, f->suspect_count,
+                                        f->suspect_count + 1, sizeof *f->suspect)) return ZBUFRAND_ERR_NO_MEMORY;
+                    f->suspect[f->suspect_count++] = (uint32_t)at;
+                    if (f->mask[at] == ZBUFRAND_SUSPECT_WRONG) p->stats.wrong++;
+                    else p->stats.holes++;
+                }
+            }
+        }
     }
     return zbufrandi_grow(&f->mem, (void **)&f->hit, &f->hit_capacity, 0, f->suspect_count, sizeof *f->hit)
         ? ZBUFRAND_OK : ZBUFRAND_ERR_NO_MEMORY;
