@@ -10425,13 +10425,15 @@ typedef struct tetcasti_view {
     double reference, w_scale;
     double x_end[2], y_end[2];  /* places between which coordinates are used */
     float blur;                 /* pixels by which a vertex with w = 1 may be elsewhere for the walker */
-    float place;                /* 2^-log */
+    float place, places;        /* 2^-log, 2^log */
     uint32_t tiles_x, tiles_y;
     tetcasti_seen *seen;        /* per vertex */
     uint32_t *cluster_hidden;   /* NULL, or one bit a cluster: not drawn */
-    uint32_t chunk, chunks;     /* cells of a task of binning, number of tasks */
-    uint32_t *start;            /* [tile * chunks + chunk]: first place in entry, [tiles * chunks] the end */
-    tetcasti_entry *entry;
+    uint32_t chunk, chunks;     /* cells that are binned at once, how many such chunks there are */
+    uint32_t next, failed;      /* atomic: chunks taken; no memory */
+    tetcasti_mem *mem;
+    uint32_t *start;            /* [chunk][tile]: first place in the chunk's entries, [chunk][tiles] their end */
+    tetcasti_entry **entry;     /* [chunk]: in the order of tiles, then of cells */
     const uint32_t *rank;       /* NULL, or order of the cells from front to back instead of by depth */
     uint32_t taken[2];          /* atomic: cells in bins */
 } tetcasti_view;
@@ -10562,7 +10564,7 @@ TETCASTI_TARGET_WALK static uint32_t tetcasti_rects8(const tetcasti_view *v, uin
     _mm256_storeu_ps(z[0], _mm256_mul_ps(_mm256_set1_ps(0.25f), sum));
     _mm256_storeu_ps(z[1], nearest);
     behind = (uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(w, _mm256_set1_ps(TETCASTI_INF), _CMP_EQ_OQ));
-    wide = _mm256_add_ps(_mm256_div_ps(_mm256_mul_ps(_mm256_set1_ps(v->blur), w), _mm256_set1_ps(v->place)),
+    wide = _mm256_add_ps(_mm256_mul_ps(_mm256_mul_ps(_mm256_set1_ps(v->blur), w), _mm256_set1_ps(v->places)),
                          _mm256_set1_ps(2.0f));
     margin = _mm256_cvttps_epi32(_mm256_min_ps(wide, _mm256_set1_ps(268435456.0f)));
     for (i = 0; i < 2; i++) {
@@ -10591,10 +10593,13 @@ TETCASTI_TARGET_WALK static uint32_t tetcasti_rects8(const tetcasti_view *v, uin
 }
 #endif
 
-/* Cells of one chunk into bins: how many go into each, or, once the starts are known, themselves. */
-static void tetcasti_bin_chunk(tetcasti_view *v, uint32_t chunk, int fill) {
+/* A cell of a chunk, before it is known how many cells there are in a tile. */
+typedef struct tetcasti_binned { tetcasti_entry entry; uint16_t x0, y0, x1, y1; } tetcasti_binned; /* in tiles */
+
+/* What can be seen of one chunk: returns how many cells, counts[tile]: how many of them reach into a tile. */
+static uint32_t tetcasti_bin_cells(const tetcasti_view *v, uint32_t chunk, tetcasti_binned *out, uint32_t *counts) {
     const tetcast_mesh *mesh = v->scene->mesh;
-    uint32_t i = chunk * v->chunk, end = mesh->cell_count - i < v->chunk ? mesh->cell_count : i + v->chunk, taken = 0;
+    uint32_t i = chunk * v->chunk, end = mesh->cell_count - i < v->chunk ? mesh->cell_count : i + v->chunk, n = 0;
     uint32_t seen, k;
     int32_t rect[4][8], x, y;
     float z[2][8];
@@ -10617,30 +10622,65 @@ static void tetcasti_bin_chunk(tetcasti_view *v, uint32_t chunk, int fill) {
             z[0][k] = depth[0];
             z[1][k] = depth[1];
         }
-        taken += tetcasti_popcount64(seen);
-        for (; seen != 0; seen &= seen - 1) {
-            int32_t x_end, y_end;
+        for (; seen != 0; seen &= seen - 1, n++) {
+            tetcasti_binned *b = &out[n];
             k = tetcasti_ctz64(seen);
-            x_end = (rect[2][k] - 1) / (int32_t)TETCASTI_TILE;
-            y_end = (rect[3][k] - 1) / (int32_t)TETCASTI_TILE;
-            for (y = rect[1][k] / (int32_t)TETCASTI_TILE; y <= y_end; y++)
-                for (x = rect[0][k] / (int32_t)TETCASTI_TILE; x <= x_end; x++) {
-                    uint32_t *place = &v->start[((size_t)y * v->tiles_x + (size_t)x) * v->chunks + chunk];
-                    if (fill) {
-                        v->entry[*place].cell = i + k;
-                        v->entry[*place].z = z[0][k];
-                        v->entry[*place].nearest = z[1][k];
-                    }
-                    ++*place;
-                }
+            b->entry.cell = i + k;
+            b->entry.z = z[0][k];
+            b->entry.nearest = z[1][k];
+            b->x0 = (uint16_t)((uint32_t)rect[0][k] / TETCASTI_TILE);
+            b->y0 = (uint16_t)((uint32_t)rect[1][k] / TETCASTI_TILE);
+            b->x1 = (uint16_t)((uint32_t)(rect[2][k] - 1) / TETCASTI_TILE);
+            b->y1 = (uint16_t)((uint32_t)(rect[3][k] - 1) / TETCASTI_TILE);
+            for (y = b->y0; y <= b->y1; y++)
+                for (x = b->x0; x <= b->x1; x++) counts[(uint32_t)y * v->tiles_x + (uint32_t)x]++;
         }
     }
-    if (fill) tetcasti_tally_add(v->taken, taken);
+    return n;
 }
-static void tetcasti_task_bin_count(void *ctx, uint32_t i) { tetcasti_bin_chunk((tetcasti_view *)ctx, i, 0); }
-static void tetcasti_task_bin_fill(void *ctx, uint32_t i) { tetcasti_bin_chunk((tetcasti_view *)ctx, i, 1); }
+
+/* Chunks into bins, one after the other: once for each thread. */
+static void tetcasti_task_bin(void *ctx, uint32_t strand) {
+    tetcasti_view *v = (tetcasti_view *)ctx;
+    const uint32_t tiles = v->tiles_x * v->tiles_y;
+    tetcasti_binned *cell = (tetcasti_binned *)tetcasti_alloc_array(v->mem, v->chunk, sizeof *cell);
+    uint64_t taken = 0;
+    (void)strand;
+    if (cell == NULL) tetcasti_atomic_store(&v->failed, 1u);
+    while (!tetcasti_atomic_load(&v->failed)) {
+        const uint32_t chunk = tetcasti_atomic_add(&v->next, 1u) - 1;
+        uint32_t *start, n, i, x, y;
+        uint64_t sum = 0;
+        tetcasti_entry *entry;
+        if (chunk >= v->chunks) break;
+        start = v->start + (size_t)chunk * (tiles + 1);
+        n = tetcasti_bin_cells(v, chunk, cell, start);
+        taken += n;
+        for (i = 0; i <= tiles; i++) {
+            const uint32_t count = start[i];
+            start[i] = (uint32_t)sum;
+            sum += count;
+        }
+        entry = NULL;
+        if (sum < 0x80000000u) entry = (tetcasti_entry *)tetcasti_alloc_array(v->mem, (size_t)sum + 1, sizeof *entry);
+        v->entry[chunk] = entry;
+        if (entry == NULL) {
+            tetcasti_atomic_store(&v->failed, 1u);
+            break;
+        }
+        for (i = 0; i < n; i++)
+            for (y = cell[i].y0; y <= cell[i].y1; y++)
+                for (x = cell[i].x0; x <= cell[i].x1; x++) entry[start[y * v->tiles_x + x]++] = cell[i].entry;
+        for (i = tiles; i > 0; i--) start[i] = start[i - 1]; /* filling moved each start to the next one */
+        start[0] = 0;
+    }
+    tetcasti_free(v->mem, cell);
+    tetcasti_tally_add(v->taken, taken);
+}
 
 static void tetcasti_view_close(tetcasti_mem *mem, tetcasti_view *v) {
+    uint32_t i;
+    for (i = 0; v->entry != NULL && i < v->chunks; i++) tetcasti_free(mem, v->entry[i]);
     tetcasti_free(mem, v->seen);
     tetcasti_free(mem, v->start);
     tetcasti_free(mem, v->entry);
@@ -10673,7 +10713,8 @@ static void tetcasti_view_set(const tetcasti_scene *scene, const tetcasti_pixels
     v->scene = scene;
     v->pixels = *pixels;
     for (v->log = 20; v->log > 0 && ((uint64_t)side << v->log) > ((uint64_t)1 << TETCASTI_PLACE_LOG); v->log--) { }
-    v->place = 1.0f / (float)(1u << v->log);
+    v->places = (float)(1u << v->log);
+    v->place = 1.0f / v->places;
     for (k = 0; k < 8; k++) { /* nearest and farthest corner of the mesh's box */
         double p[3], z = 0.0;
         for (i = 0; i < 3; i++) {
@@ -10729,31 +10770,22 @@ static float tetcasti_view_measure(const tetcasti_view *v) {
 static int tetcasti_view_open(tetcasti_mem *mem, const tetcast_env *env, int hide, tetcasti_view *v) {
     const tetcast_mesh *mesh = v->scene->mesh;
     uint32_t tiles = v->tiles_x * v->tiles_y;
-    size_t n, sum = 0, i;
     v->chunks = (1u << 24) / tiles < 256u ? (1u << 24) / tiles : 256u;
     if (v->chunks == 0) v->chunks = 1;
     v->chunk = mesh->cell_count / v->chunks + 1;
     if (v->chunk < TETCASTI_CHUNK) v->chunk = TETCASTI_CHUNK;
     v->chunk = (v->chunk + (1u << TETCASTI_CLUSTER_LOG) - 1u) >> TETCASTI_CLUSTER_LOG << TETCASTI_CLUSTER_LOG;
     v->chunks = (mesh->cell_count + v->chunk - 1) / v->chunk;
-    n = (size_t)tiles * v->chunks;
     if (hide) tetcasti_view_hide(mem, v);
+    v->mem = mem;
+    v->next = v->failed = 0;
     v->seen = (tetcasti_seen *)tetcasti_alloc_array(mem, mesh->vertex_count, sizeof *v->seen);
-    v->start = (uint32_t *)tetcasti_alloc_zero(mem, n + 1, sizeof *v->start);
-    if (v->seen == NULL || v->start == NULL) return 0;
+    v->start = (uint32_t *)tetcasti_alloc_zero(mem, (size_t)(tiles + 1) * v->chunks, sizeof *v->start);
+    v->entry = (tetcasti_entry **)tetcasti_alloc_zero(mem, v->chunks, sizeof *v->entry);
+    if (v->seen == NULL || v->start == NULL || v->entry == NULL) return 0;
     tetcasti_parallel_for(env, tetcasti_task_see, v, (mesh->vertex_count + TETCASTI_CHUNK - 1) / TETCASTI_CHUNK);
-    tetcasti_parallel_for(env, tetcasti_task_bin_count, v, v->chunks);
-    for (i = 0; i < n; i++) {
-        uint32_t count = v->start[i];
-        v->start[i] = (uint32_t)sum;
-        sum += count;
-        if (sum > 0xffffffffu) return 0;
-    }
-    v->entry = (tetcasti_entry *)tetcasti_alloc_array(mem, sum + 1, sizeof *v->entry);
-    if (v->entry == NULL) return 0;
-    tetcasti_parallel_for(env, tetcasti_task_bin_fill, v, v->chunks);
-    for (i = n; i > 0; i--) v->start[i] = v->start[i - 1]; /* filling moved each start to the next one */
-    v->start[0] = 0;
+    tetcasti_parallel_for(env, tetcasti_task_bin, v, tetcasti_thread_count(env));
+    if (v->failed) return 0;
     return 1;
 }
 
@@ -11436,7 +11468,7 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_splat_open4(const tetcast
     hi = _mm_unpacklo_epi32(tetcasti_most4(xi), tetcasti_most4(yi));
     t0 = _mm_max_ps(w, _mm_shuffle_ps(w, w, 0x4e));
     most = _mm_cvtss_f32(_mm_max_ss(t0, _mm_shuffle_ps(t0, t0, 0xb1)));
-    wide = v->blur * most / v->place + 2.0f;
+    wide = v->blur * most * v->places + 2.0f;
     margin = wide < 268435456.0f ? (int32_t)wide : 268435456;
     for (k = 0; k < 2; k++) {
         int32_t l = k == 0 ? _mm_cvtsi128_si32(lo) : _mm_extract_epi32(lo, 1);
@@ -11499,27 +11531,31 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_splat_open4(const tetcast
     return 1;
 }
 
-/* tetcasti_list_put of z0, z1, s0, s1. */
-TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_list_put4(tetcasti_painter *p, uint32_t i, const float rec[4],
-                                                             uint32_t cell) {
-    uint32_t n = p->count[i];
-    tetcasti_fragment *f = p->list + (size_t)i * p->room + n;
-    p->count[i] = (uint16_t)(n + 1);
-    p->fullest = n + 1 > p->fullest ? n + 1 : p->fullest;
+/* tetcasti_list_put of z0, z1, s0, s1; list: p->list + i * p->room. Returns how many there are now. */
+TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_list_put4(tetcasti_fragment *list, uint16_t *count,
+                                                                 const float rec[4], uint32_t cell) {
+    const uint32_t full = *count + 1u;
+    uint32_t n = full - 1;
+    tetcasti_fragment *f = list + n;
+    *count = (uint16_t)full;
     for (; n > 0 && TETCASTI_UNLIKELY(f[-1].z0 >= rec[0]); n--, f--) {
         if (!(f[-1].z0 > rec[0] || f[-1].z1 > rec[1])) break;
         *f = f[-1];
     }
     _mm_storeu_ps(&f->z0, _mm_loadu_ps(rec));
     f->cell = cell;
+    return full;
 }
 
 /* tetcasti_paint_cell, eight pixels at a time: of a row, or four of two rows where cells are narrow. */
 TETCASTI_TARGET_WALK static void tetcasti_paint8(tetcasti_painter *p, uint32_t cell) {
     const uint32_t *tet = p->scene->mesh->tet[cell];
+    tetcasti_fragment *const list = p->list; /* what is written may not be what is read: only we know */
+    uint16_t *const count = p->count;
+    const size_t room = p->room;
     tetcasti_splat s;
     int32_t x, y, rect[4], step_x, step_y;
-    uint32_t good = tetcasti_splat_open4(p, tet, &s, rect);
+    uint32_t good = tetcasti_splat_open4(p, tet, &s, rect), fullest = p->fullest, tests = 0;
     __m256 lane_x, lane_y;
     int narrow;
     if (TETCASTI_UNLIKELY(good != 1)) {
@@ -11541,7 +11577,7 @@ TETCASTI_TARGET_WALK static void tetcasti_paint8(tetcasti_painter *p, uint32_t c
             float rec[8][4];
             if (narrow && y + 1 < rect[3]) lanes |= (p->live[y + 1] >> x & wide) << 4;
             if (lanes == 0) continue;
-            p->tests += tetcasti_popcount64(lanes);
+            tests += tetcasti_popcount64(lanes);
             if (s.form == 2) {
                 lanes = tetcasti_splat_lanes(&s, 4, lanes, vx, vy, e, &exact);
                 if (lanes != 0) tetcasti_splat_quad8(&s, e, out);
@@ -11563,8 +11599,10 @@ TETCASTI_TARGET_WALK static void tetcasti_paint8(tetcasti_painter *p, uint32_t c
 #undef TETCASTI_RECORDS
             }
             for (; lanes != 0; lanes &= lanes - 1) {
-                uint32_t k = tetcasti_ctz64(lanes);
-                tetcasti_list_put4(p, first + (narrow ? (k & 4u) * (TETCASTI_TILE / 4 - 1) + k : k), rec[k], cell);
+                const uint32_t k = tetcasti_ctz64(lanes);
+                const uint32_t i = first + (narrow ? (k & 4u) * (TETCASTI_TILE / 4 - 1) + k : k);
+                const uint32_t n = tetcasti_list_put4(list + i * room, &count[i], rec[k], cell);
+                fullest = n > fullest ? n : fullest;
             }
             for (; TETCASTI_UNLIKELY(exact != 0); exact &= exact - 1) {
                 uint32_t k = tetcasti_ctz64(exact);
@@ -11572,6 +11610,8 @@ TETCASTI_TARGET_WALK static void tetcasti_paint8(tetcasti_painter *p, uint32_t c
             }
         }
     }
+    p->fullest = fullest > p->fullest ? fullest : p->fullest; /* exact ones count themselves */
+    p->tests += tests;
 }
 #undef TETCASTI_SUMS_FIRST
 #undef TETCASTI_SUMS_ADD
@@ -11815,17 +11855,28 @@ static void tetcasti_painter_begin(tetcasti_painter *p, const double ends[2]) {
 /* Draw the cells of a tile into the sums of its rays. ends: depths where rays begin and end. */
 static void tetcasti_tile_paint(tetcasti_painter *p, uint32_t tile, const double ends[2]) {
     const tetcasti_view *v = p->view;
-    const uint32_t *start = v->start + (size_t)tile * v->chunks;
-    uint32_t n = start[v->chunks] - start[0], k;
+    const uint32_t *start = v->start + tile, step = v->tiles_x * v->tiles_y + 1;
+    uint32_t n = 0, k;
+    uint64_t all = 0;
     const tetcasti_entry *e;
     float first, scale;
     tetcasti_painter_begin(p, ends);
+    for (k = 0; k < v->chunks; k++) all += start[(size_t)k * step + 1] - start[(size_t)k * step];
+    if (all >= 0x80000000u) {
+        p->failed = 1;
+        return;
+    }
+    n = (uint32_t)all;
     if (n == 0 || p->open == 0) return;
     if (!tetcasti_grow(p->mem, (void **)&p->entry, &p->entry_room, 0, 2 * (size_t)n, sizeof *p->entry)) {
         p->failed = 1;
         return;
     }
-    memcpy(p->entry, v->entry + start[0], n * sizeof *p->entry);
+    for (n = k = 0; k < v->chunks; k++) {
+        const uint32_t *part = start + (size_t)k * step;
+        memcpy(p->entry + n, v->entry[k] + part[0], (part[1] - part[0]) * sizeof *p->entry);
+        n += part[1] - part[0];
+    }
     e = p->entry + (tetcasti_tile_order(p, n, &first, &scale) ? n : 0);
     for (k = 0; k <= TETCASTI_DEPTHS; k++) p->ahead[k] = TETCASTI_INF;
     for (k = 0; k < n; k++) {

@@ -346,19 +346,34 @@ static int by_x(const void *a, const void *b) {
     return p->y < q->y ? 1 : p->y > q->y ? -1 : 0;
 }
 
-static void draw_curve(FILE *f, const axis *x, const axis *y, point *points, size_t count, const char *color) {
+/* Eight colours; the eight series after that have squares and dashed lines. */
+static void draw_mark(FILE *f, double x, double y, int series, int hollow) {
+    const char *color = g_colors[series % 8], *fill = hollow ? "white" : color;
+    if (series < 8) fprintf(f, "<circle cx=\"%.1f\" cy=\"%.1f\" r=\"4\"", x, y);
+    else fprintf(f, "<rect x=\"%.1f\" y=\"%.1f\" width=\"8\" height=\"8\"", x - 4, y - 4);
+    fprintf(f, " fill=\"%s\" stroke=\"%s\"/>\n", fill, hollow ? color : "white");
+}
+
+static void draw_curve(FILE *f, const axis *x, const axis *y, point *points, size_t count, int series) {
     size_t i;
     qsort(points, count, sizeof points[0], by_x);
-    fprintf(f, "<polyline fill=\"none\" stroke=\"%s\" stroke-width=\"1.5\" points=\"", color);
+    fprintf(f, "<polyline fill=\"none\" stroke=\"%s\" stroke-width=\"1.5\"%s points=\"", g_colors[series % 8],
+            series < 8 ? "" : " stroke-dasharray=\"4 3\"");
     for (i = 0; i < count; i++) {
         fprintf(f, "%.1f,%.1f ", place(x, points[i].x), points[i].y > 0 ? place(y, points[i].y) : y->from);
     }
     fputs("\"/>\n", f);
     for (i = 0; i < count; i++) {
         int zero = !(points[i].y > 0);
-        fprintf(f, "<circle cx=\"%.1f\" cy=\"%.1f\" r=\"3.5\" fill=\"%s\" stroke=\"%s\"/>\n",
-            place(x, points[i].x), zero ? y->from : place(y, points[i].y), zero ? "white" : color, color);
+        draw_mark(f, place(x, points[i].x), zero ? y->from : place(y, points[i].y), series, zero);
     }
+}
+
+static const char *words(const char *name, char out[NAME_SIZE]) { /* frame_seconds -> frame seconds */
+    size_t i;
+    for (i = 0; name[i] != 0 && i + 1 < NAME_SIZE; i++) out[i] = name[i] == '_' ? ' ' : name[i];
+    out[i] = 0;
+    return out;
 }
 
 /* Returns 0, and writes nothing, when the group of `first` has not two different errors. */
@@ -368,6 +383,7 @@ static int error_plot(const list *all, const record *first, const char *path) {
     size_t i, k, width = 760, height = 460;
     axis x, y;
     FILE *f;
+    char text[NAME_SIZE];
     point *points = (point *)malloc((all->count + 1) * sizeof(point));
     if (points == NULL) fail(path, "no memory");
     for (i = 0; i < all->count; i++) {
@@ -395,7 +411,7 @@ static int error_plot(const list *all, const record *first, const char *path) {
     put_text(f, get(first, "case"));
     fputs("</text>\n", f);
     put_label(f, 0.5 * (x.from + x.to), y.from + 40, "text-anchor=\"middle\"",
-        strcmp(get(first, "unit"), "1/s") == 0 ? "time for one, from " : "time, ", get(first, "metric"));
+        strcmp(get(first, "unit"), "1/s") == 0 ? "time for one, from " : "time, ", words(get(first, "metric"), text));
     fprintf(f, "<g transform=\"translate(20 %.1f) rotate(-90)\">", 0.5 * (y.from + y.to));
     put_label(f, 0, 0, "text-anchor=\"middle\"", "error, ", get(first, "error_unit"));
     fputs("</g>\n", f);
@@ -416,11 +432,8 @@ static int error_plot(const list *all, const record *first, const char *path) {
             count++;
         }
         if (seen || count == 0) continue;
-        if (series >= 8) fputs("<g stroke-dasharray=\"3 2\" fill-opacity=\"0.3\">\n", f); /* colours begin again */
-        draw_curve(f, &x, &y, points, count, g_colors[series % 8]);
-        fprintf(f, "<circle cx=\"%.1f\" cy=\"%.1f\" r=\"4\" fill=\"%s\"/>\n",
-            x.to + 18, y.to + 10 + 20 * series, g_colors[series % 8]);
-        if (series >= 8) fputs("</g>\n", f);
+        draw_curve(f, &x, &y, points, count, series);
+        draw_mark(f, x.to + 18, y.to + 10 + 20 * series, series, 0);
         put_label(f, x.to + 28, y.to + 14 + 20 * series, "", name[0] != 0 ? name : get(first, "metric"), "");
         series++;
     }
