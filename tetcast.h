@@ -31,6 +31,7 @@
    @resample       tetrahedra -> nodes of a lattice; planes through the mesh
    @bricks         nodes of a lattice in blocks, on levels; choices of levels
    @clip           planes and closed meshes as intervals on rays
+   @shade          functions of the caller along rays; tetrahedra with them and with clipping
    @brick_render   rays through a cut, eight at a time
    @parts          pictures in pieces, and as fewer bytes
    @misc           names and versions
@@ -133,7 +134,7 @@
    TETCAST_NO_SIMD             scalar code only                                         off           code only
    TETCAST_NO_AVX2             no AVX2                                                  off           code only
    TETCAST_NO_RBF              no radial basis functions                                off           yes
-   TETCAST_NO_BRICKS           no resampling, bricks, clipping, shaders, codecs         off           yes
+   TETCAST_NO_BRICKS           no resampling, no bricks                                 off           yes
    TETCAST_ALLOW_FAST_MATH     accept -ffast-math; nothing is promised then             #error        code only
    No macro changes a struct. The instruction set is chosen when the program runs; desc.isa can lower it.
 
@@ -874,7 +875,7 @@ TETCAST_DEF tetcast_result tetcast_isosurface(const tetcast_surface_desc *desc, 
                                               tetcast_surface *out);
 TETCAST_DEF void tetcast_surface_free(tetcast_surface *surface); /* NULL and cleared ones are allowed */
 
-/* ---- resampling: tetrahedra onto lattices, cuts (TETCAST_NO_BRICKS leaves out all from here to misc) ---- */
+/* ---- resampling: tetrahedra onto lattices, cuts (TETCAST_NO_BRICKS leaves out this and bricks) ---- */
 #ifndef TETCAST_NO_BRICKS
 
 /* A regular lattice of nodes: node (i, j, k) stands at origin + (i*spacing[0], j*spacing[1], k*spacing[2]), world. */
@@ -1095,6 +1096,8 @@ TETCAST_DEF void tetcast_cut_sample(const tetcast_cut *cut, const float *x, cons
 TETCAST_DEF void tetcast_cut_gradient(const tetcast_cut *cut, const float *x, const float *y, const float *z,
                                       size_t count, float *out, float (*gradient)[3]);
 
+#endif /* TETCAST_NO_BRICKS */
+
 /* ---- clipping: planes and closed meshes ---- */
 
 typedef struct tetcast_clip_plane { double normal[3], offset; } tetcast_clip_plane; /* kept: normal . p >= offset */
@@ -1140,12 +1143,13 @@ enum { /* what a shader asks for; front, back, length are always there */
     TETCAST_NEED_DEPTH = 8     /* distance of its front from the ray's origin */
 };
 
-/* Eight segments of eight rays; those whose bit in mask is 0 hold nothing. Strangers in a packet change nothing. */
+/* Eight segments of eight rays, or of one in their order; those whose bit in mask is 0 hold nothing. Strangers in a
+   packet change nothing. */
 typedef struct tetcast_packet {
     uint32_t mask;
     float front[8], back[8], length[8], depth[8];
     float gradient[3][8], position[3][8], direction[3][8];
-    uint8_t level[8];          /* of the brick; 0 in meshes */
+    uint8_t level[8];          /* of the brick; 0 in meshes and functions */
 } tetcast_packet;
 
 /* Parameters by name: numbers of the caller, borrowed. */
@@ -1177,6 +1181,37 @@ typedef struct tetcast_shader {
 TETCAST_DEF const float *tetcast_params_find(const tetcast_param *params, size_t count, const char *name, size_t least,
                                              tetcast_error *error);
 
+/* ---- pictures of tetrahedra by shaders, of parts of them ---- */
+
+/* field        zero means
+   camera       (eye equals at) one that frames everything
+   clip_near, clip_far, background: as in tetcast_render_desc
+   clip         nothing
+   shader       none: the optics. Else its functions instead, front to back, until less than 1/512 of the light is left
+   frame, part, limit: as in tetcast_brick_render_desc: parts of a frame and ranges of its depth */
+typedef struct tetcast_shade_desc {
+    uint32_t _begin_zero;
+    tetcast_env env;
+    tetcast_camera camera;
+    float clip_near, clip_far;
+    float background[4];
+    const tetcast_clip *clip;
+    const tetcast_shader *shader;
+    uint32_t frame[2], part[2];
+    const float *limit;
+    uint32_t _end_zero;
+} tetcast_shade_desc;
+
+/* Walk through the tetrahedra as tetcast_render does, ray by ray, for what that has no place for: functions of the
+   caller and clipping. A packet holds up to eight segments of one ray, in their order; the gradient is that of the
+   tetrahedron. optics may be NULL where there is a shader. Gradients and isosurfaces need the tets of the mesh.
+   The same bits for any number of threads. Errors: as tetcast_render; what a shader's prepare_fn returns. Cost: four
+   to eight times that of tetcast_render, and the shader. */
+TETCAST_DEF tetcast_result tetcast_render_shaded(const tetcast_shade_desc *desc, const tetcast_mesh *mesh,
+                                                 const tetcast_optics *optics, const tetcast_image *image,
+                                                 tetcast_render_stats *stats);
+
+#ifndef TETCAST_NO_BRICKS
 /* ---- pictures of bricks ---- */
 
 /* field        zero means
@@ -1218,6 +1253,8 @@ TETCAST_DEF tetcast_result tetcast_render_bricks(const tetcast_brick_render_desc
                                                  const tetcast_optics *optics, const tetcast_image *image,
                                                  tetcast_render_stats *stats);
 
+#endif /* TETCAST_NO_BRICKS */
+
 /* ---- parts of pictures: putting them together, sending them ---- */
 
 /* front := front over back; premultiplied linear rgba, `pixels` of them: the ranges of depth of a frame, nearest
@@ -1241,7 +1278,6 @@ TETCAST_DEF size_t tetcast_pack(const uint8_t *rgba, uint32_t width, uint32_t he
 /* Errors: TRUNCATED, FORMAT (the data is for another size). */
 TETCAST_DEF tetcast_result tetcast_unpack(const uint8_t *data, size_t size, uint32_t width, uint32_t height,
                                           size_t stride, uint8_t *rgba);
-#endif /* TETCAST_NO_BRICKS */
 
 #ifndef TETCAST_NO_RBF
 /* ---- radial basis functions ---- */
@@ -1491,7 +1527,11 @@ typedef enum tetcast_rbf_channel {
    step         distance of the samples on a ray, world units; 0: half of the width of narrow functions (of the tenth
                 part of all), and of a cell of the base, between 1/64 and 1/1024 of the diagonal of the box
    epsilon      exact. > 0: leave out functions with weights up to this share of the largest: faster while moving
-   gather       functions come to the rays tile by tile. 1: samples go to the leaf that they are in and ask its list */
+   gather       functions come to the rays tile by tile. 1: samples go to the leaf that they are in and ask its list
+   clip_near, clip_far: as in tetcast_render_desc
+   clip       nothing
+   shader     none: the optics. Else its functions instead; gradients are analytic, of flow features differences
+   frame, part, limit: as in tetcast_brick_render_desc: parts of a frame and ranges of its depth */
 typedef struct tetcast_rbf_render_desc {
     uint32_t _begin_zero;
     tetcast_env env;
@@ -1503,6 +1543,11 @@ typedef struct tetcast_rbf_render_desc {
     float step;
     float epsilon;
     uint32_t gather;
+    float clip_near, clip_far;
+    const tetcast_clip *clip;
+    const tetcast_shader *shader;
+    uint32_t frame[2], part[2];
+    const float *limit;
     uint32_t _end_zero;
 } tetcast_rbf_render_desc;
 
@@ -1517,7 +1562,7 @@ typedef struct tetcast_rbf_render_stats { /* added to */
 } tetcast_rbf_render_stats;
 
 /* Draw a model inside its box.
-   optics  as for meshes; its integrator gets segments between samples on which the value is taken as linear
+   optics  as for meshes, may be NULL where there is a shader; its integrator gets segments between samples on which the value is taken as linear
    image   length: way inside of the box. depth: of the first sample that shows something, isosurfaces exactly
    Samples lie at multiples of the step from the eye, and where a ray enters and leaves the box; segments have their
    exact lengths. On a ray a Gaussian is one of a line: it is summed up with two multiplications a sample, begun at
@@ -12784,45 +12829,38 @@ TETCAST_DEF tetcast_result tetcast_cast(const tetcast_render_desc *desc, const t
     return TETCAST_OK;
 }
 
-TETCAST_DEF uint64_t tetcast_probe(const tetcast_mesh *mesh, const tetcast_ray *ray,
+/* One ray, local, through all tetrahedra: what tetcast_probe does, with memory that is there. */
+static uint64_t tetcasti_probe_run(const tetcasti_scene *scene, tetcasti_batch *b, const double o[3],
+                                   const double dir[3], const double ends[2],
                                    int (*fn)(void *user, const tetcast_crossing *crossing), void *user) {
-    tetcast_render_desc d;
-    tetcasti_scene scene;
-    tetcasti_mem mem;
-    tetcasti_batch *b;
+    const tetcast_mesh *mesh = scene->mesh;
     tetcasti_ray r;
-    double o[3], dir[3], ends[2], unit;
+    double unit;
     uint64_t n = 0;
     uint32_t k;
     float cursor, last;
     int over = 0;
-    if (mesh == NULL || ray == NULL || fn == NULL || !tetcasti_ray_local(mesh, ray, o, dir, ends)) return 0;
-    if (tetcasti_desc_open(NULL, &d, &mem) != TETCAST_OK) return 0;
-    mem.allocator = mesh->mem.allocator;
-    (void)tetcasti_scene_open(&d, mesh, NULL, &scene);
-    b = tetcasti_batch_open(&mem);
-    if (b == NULL) return 0;
     b->count = 1;
-    tetcasti_batch_begin(&scene, b);
-    tetcasti_batch_put(&scene, b, 0, o, dir, ends[0], ends[1]);
-    tetcasti_line_hits(&scene, b, 0);
+    tetcasti_batch_begin(scene, b);
+    tetcasti_batch_put(scene, b, 0, o, dir, ends[0], ends[1]);
+    tetcasti_line_hits(scene, b, 0);
     tetcasti_batch_sort(b);
     r = tetcasti_batch_ray(b, 0);
     cursor = b->cursor[0];
     last = b->last[0];
     unit = mesh->unit;
     for (k = 0; k < b->hit_start[1] && !over && b->sorted[k].at < last; k++) {
-        tetcasti_start start = tetcasti_hit_start(&scene, b, &b->sorted[k]);
+        tetcasti_start start = tetcasti_hit_start(scene, b, &b->sorted[k]);
         tetcasti_walk w;
-        tetcasti_walk_begin(&r, scene.vertex, &start, &w);
+        tetcasti_walk_begin(&r, scene->vertex, &start, &w);
         if (w.at_face > cursor) cursor = w.at_face;
         while (!over && w.cell != TETCASTI_NONE) {
             float at, s;
-            tetcasti_walk_step_any(scene.cells, &r, scene.vertex, &w, &at, &s);
+            tetcasti_walk_step_any(scene->cells, &r, scene->vertex, &w, &at, &s);
             if (at >= cursor) {
                 tetcast_crossing x;
                 float end = at < last ? at : last;
-                x.cell = tetcasti_cell_number(scene.cells, w.prev);
+                x.cell = tetcasti_cell_number(scene->cells, w.prev);
                 x.front = w.s_face;
                 x.back = s;
                 if (w.at_face < cursor) x.front += (s - w.s_face) * ((cursor - w.at_face) / (at - w.at_face));
@@ -12838,6 +12876,24 @@ TETCAST_DEF uint64_t tetcast_probe(const tetcast_mesh *mesh, const tetcast_ray *
             w.s_face = s;
         }
     }
+    return n;
+}
+
+TETCAST_DEF uint64_t tetcast_probe(const tetcast_mesh *mesh, const tetcast_ray *ray,
+                                   int (*fn)(void *user, const tetcast_crossing *crossing), void *user) {
+    tetcast_render_desc d;
+    tetcasti_scene scene;
+    tetcasti_mem mem;
+    tetcasti_batch *b;
+    double o[3], dir[3], ends[2];
+    uint64_t n;
+    if (mesh == NULL || ray == NULL || fn == NULL || !tetcasti_ray_local(mesh, ray, o, dir, ends)) return 0;
+    if (tetcasti_desc_open(NULL, &d, &mem) != TETCAST_OK) return 0;
+    mem.allocator = mesh->mem.allocator;
+    (void)tetcasti_scene_open(&d, mesh, NULL, &scene);
+    b = tetcasti_batch_open(&mem);
+    if (b == NULL) return 0;
+    n = tetcasti_probe_run(&scene, b, o, dir, ends, fn, user);
     tetcasti_batch_close(b);
     return n;
 }
@@ -15856,6 +15912,7 @@ TETCAST_DEF tetcast_result tetcast_bricks_read(const tetcast_env *env, const voi
     *out = b;
     return TETCAST_OK;
 }
+#endif /* TETCAST_NO_BRICKS */
 /* ---------------------------------------------------------------------------
    clip: planes and closed meshes as intervals on rays.                          // >>clip
 
@@ -16198,6 +16255,357 @@ TETCAST_DEF tetcast_result tetcast_clip_create(const tetcast_clip_desc *desc, te
     return TETCAST_OK;
 }
 
+/* ---------------------------------------------------------------------------
+   shade: functions of the caller along rays; tetrahedra with them and clipping. // >>shade
+
+   The walk gives one tetrahedron after the other. What of it lies in the spans that clipping leaves is a segment; eight
+   of them, all of one ray, go to the shader together and are put one behind the other.
+   --------------------------------------------------------------------------- */
+
+#define TETCASTI_SHADE_STOP (1.0f / 512.0f)  /* a ray ends where less light than that is left */
+
+TETCAST_DEF const float *tetcast_params_find(const tetcast_param *params, size_t count, const char *name, size_t least,
+                                             tetcast_error *error) {
+    static const char text[] = "missing shader parameter: ";
+    size_t i, k;
+    for (i = 0; i < count && params != NULL && name != NULL; i++)
+        if (params[i].name != NULL && params[i].values != NULL && params[i].count >= least &&
+            strcmp(params[i].name, name) == 0) return params[i].values;
+    if (error == NULL || name == NULL) return NULL;
+    error->code = TETCAST_ERR_INVALID_ARG;
+    error->where = 0;
+    memcpy(error->text, text, sizeof text);
+    for (k = sizeof text - 1, i = 0; name[i] != 0 && k + 1 < sizeof error->text; i++) error->text[k++] = name[i];
+    error->text[k] = 0;
+    return NULL;
+}
+
+/* One lane of what a shader gave, behind what there is: light left and colours. Returns the opacity that counted. */
+TETCASTI_INLINE float tetcasti_shade_over(const float rgba[4], float *t, float c[3]) {
+    float alpha = rgba[3] > 0.0f ? rgba[3] : 0.0f;
+    uint32_t a;
+    alpha = alpha < 1.0f ? alpha : 1.0f;
+    for (a = 0; a < 3; a++)
+        if (tetcasti_finite_f(rgba[a])) c[a] += *t * rgba[a];
+    *t = *t - *t * alpha;
+    return alpha;
+}
+
+typedef struct tetcasti_shade_frame {
+    const tetcast_shade_desc *desc;
+    const tetcast_mesh *mesh;
+    const tetcast_optics *optics;    /* NULL: the shader */
+    const tetcast_image *image;
+    tetcasti_scene scene;
+    tetcasti_frame frame;
+    tetcasti_encoder encoder;
+    tetcasti_mem mem;
+    uint32_t tiles_x, tiles, next, done, failed, cancelled;
+    uint32_t tally[4][2];
+} tetcasti_shade_frame;
+
+/* One ray on its way. */
+typedef struct tetcasti_shade_ray {
+    const tetcasti_shade_frame *c;
+    tetcast_ray ray;                 /* unit direction */
+    double span[TETCAST_CLIP_SPANS][2], last;
+    uint32_t spans, at, steps, n, ended;
+    uint32_t cell[8];
+    float color[3], t, depth, length;
+    tetcasti_ray_sum sum;
+    tetcast_packet packet;
+} tetcasti_shade_ray;
+
+/* Gradient of the value in a cell, per world unit. */
+static void tetcasti_shade_gradient(const tetcast_mesh *mesh, uint32_t cell, float out[3]) {
+    const uint32_t *t = mesh->tet[cell];
+    double g[3], volume;
+    uint32_t a;
+    tetcasti_cell_gradient(&mesh->vertex[t[0]], &mesh->vertex[t[1]], &mesh->vertex[t[2]], &mesh->vertex[t[3]], g,
+                           &volume);
+    for (a = 0; a < 3; a++) {
+        const double v = volume > 0.0 && mesh->cell_value == NULL ? g[a] / volume / mesh->unit : 0.0;
+        out[a] = v > -1e38 && v < 1e38 ? (float)v : 0.0f;
+    }
+}
+
+typedef struct tetcasti_shade_cell { const tetcast_mesh *mesh; uint32_t cell; } tetcasti_shade_cell;
+
+static void tetcasti_shade_normal(void *user, float fraction, float normal[3]) {
+    const tetcasti_shade_cell *x = (const tetcasti_shade_cell *)user;
+    (void)fraction;
+    tetcasti_shade_gradient(x->mesh, x->cell, normal);
+}
+
+/* Shade the segments that wait. */
+static void tetcasti_shade_flush(tetcasti_shade_ray *r) {
+    const tetcast_shader *s = r->c->desc->shader;
+    tetcast_packet *p = &r->packet;
+    float rgba[4][8];
+    uint32_t i, a;
+    if (r->n == 0) return;
+    memset(rgba, 0, sizeof rgba);
+    p->mask = (1u << r->n) - 1u;
+    for (i = 0; i < r->n; i++) {
+        float g[3] = {0.0f, 0.0f, 0.0f};
+        if (s->needs & TETCAST_NEED_GRADIENT) tetcasti_shade_gradient(r->c->mesh, r->cell[i], g);
+        for (a = 0; a < 3; a++) {
+            p->gradient[a][i] = g[a];
+            p->direction[a][i] = (float)r->ray.dir[a];
+            p->position[a][i] = (float)(r->ray.org[a] + r->ray.dir[a] * (double)(p->depth[i] + 0.5f * p->length[i]));
+        }
+    }
+    s->shade_fn(s->user, p, rgba);
+    for (i = 0; i < r->n && !r->ended; i++) {
+        float one[4];
+        for (a = 0; a < 4; a++) one[a] = rgba[a][i];
+        if (tetcasti_shade_over(one, &r->t, r->color) > 0.0f && r->depth == TETCASTI_INF) r->depth = p->depth[i];
+        r->ended = !(r->t > TETCASTI_SHADE_STOP);
+    }
+    r->n = 0;
+}
+
+/* A segment for the optics: what is seen of it first is its front, or the surface. */
+static void tetcasti_shade_optics(tetcasti_shade_ray *r, uint32_t cell, float front, float back, float length,
+                                  float depth) {
+    const tetcast_optics *o = r->c->optics;
+    tetcasti_seg8 seg;
+    uint32_t at = 0;
+    int hit;
+    if (o->iso_count == 0) o->segment(o, front, back, length, depth, &r->sum);
+    else {
+        tetcasti_shade_cell x;
+        float view[3];
+        for (at = 0; at < 3; at++) view[at] = (float)r->ray.dir[at];
+        x.mesh = r->c->mesh;
+        x.cell = cell;
+        tetcasti_segment_iso(o, front, back, length, depth, tetcasti_shade_normal, &x, view, &r->sum);
+    }
+    r->ended = !(r->sum.t > o->t_stop);
+    if (r->depth < TETCASTI_INF) return;
+    memset(&seg, 0, sizeof seg);
+    seg.front[0] = front;
+    seg.back[0] = back;
+    hit = o->iso_count != 0 && tetcasti_iso_lanes(o, &seg, 1u) != 0;
+    if (hit) {
+        (void)tetcasti_iso_hits(o, front, back, &at);
+        r->depth = depth;
+        if (o->model == TETCAST_MODEL_ISOSURFACE)
+            r->depth += length * ((o->iso[at].value - front) / (back - front));
+    } else if (o->model != TETCAST_MODEL_ISOSURFACE &&
+               !tetcasti_optics_empty(o, front < back ? front : back, front < back ? back : front)) r->depth = depth;
+}
+
+/* A tetrahedron: its parts in the spans. */
+static int tetcasti_shade_crossing(void *user, const tetcast_crossing *x) {
+    tetcasti_shade_ray *r = (tetcasti_shade_ray *)user;
+    const double way = x->t_back - x->t_front;
+    uint32_t s;
+    r->steps++;
+    while (r->at < r->spans && r->span[r->at][1] <= x->t_front) r->at++;
+    if (r->at == r->spans) return 1;
+    for (s = r->at; s < r->spans && r->span[s][0] < x->t_back && !r->ended; s++) {
+        const double from = tetcasti_max(x->t_front, r->span[s][0]), to = tetcasti_min(x->t_back, r->span[s][1]);
+        const float rise = x->back - x->front;
+        const float front = from > x->t_front ? x->front + rise * (float)((from - x->t_front) / way) : x->front;
+        const float back = to < x->t_back ? x->front + rise * (float)((to - x->t_front) / way) : x->back;
+        const float length = (float)(to - from);
+        if (!(to > from)) continue;
+        r->length += length;
+        if (r->c->optics != NULL) {
+            if (from > r->last) tetcasti_ray_gap(r->c->optics, &r->sum);
+            tetcasti_shade_optics(r, x->cell, front, back, length, (float)from);
+        } else {
+            r->packet.front[r->n] = front;
+            r->packet.back[r->n] = back;
+            r->packet.length[r->n] = length;
+            r->packet.depth[r->n] = (float)from;
+            r->cell[r->n++] = x->cell;
+            if (r->n == 8) tetcasti_shade_flush(r);
+        }
+        r->last = to;
+    }
+    return (int)r->ended;
+}
+
+/* The ray of a pixel of the image and its spans. 0: nothing of it is kept. */
+static int tetcasti_shade_open(const tetcasti_shade_frame *c, uint32_t x, uint32_t y, tetcasti_shade_ray *r) {
+    const tetcast_shade_desc *d = c->desc;
+    double way;
+    uint32_t a;
+    memset(r, 0, sizeof *r);
+    r->c = c;
+    r->t = 1.0f;
+    r->depth = TETCASTI_INF;
+    r->last = -1e300;
+    if (c->optics != NULL) tetcasti_ray_begin(c->optics, &r->sum);
+    tetcasti_frame_ray(&c->frame, (double)(d->part[0] + x) + 0.5, (double)(d->part[1] + y) + 0.5, r->ray.org,
+                       r->ray.dir);
+    way = sqrt(r->ray.dir[0] * r->ray.dir[0] + r->ray.dir[1] * r->ray.dir[1] + r->ray.dir[2] * r->ray.dir[2]);
+    for (a = 0; a < 3; a++) r->ray.dir[a] /= way;
+    r->span[0][0] = (double)d->clip_near * way;
+    r->span[0][1] = d->clip_far > 0.0f ? (double)d->clip_far * way : 1e300;
+    if (d->limit != NULL && d->limit[x + (size_t)c->image->width * y] >= 0.0f)
+        r->span[0][1] = tetcasti_min(r->span[0][1], (double)d->limit[x + (size_t)c->image->width * y] * way);
+    if (!(r->span[0][0] < r->span[0][1])) return 0;
+    r->spans = 1;
+    if (d->clip != NULL) r->spans = tetcasti_clip_run(d->clip, r->ray.org, r->ray.dir, r->span, 1);
+    return r->spans != 0;
+}
+
+/* A pixel of any picture that is made ray by ray: over the background, into the buffers that there are. */
+static void tetcasti_pixel_put(const tetcast_image *m, const tetcasti_encoder *encoder, const float background[4],
+                               uint32_t x, uint32_t y, float rgba[4], float depth, float length, uint32_t steps) {
+    const float t = 1.0f - rgba[3];
+    uint32_t a;
+    for (a = 0; a < 4; a++) rgba[a] += t * background[a];
+    if (m->rgba != NULL)
+        memcpy((uint8_t *)m->rgba + y * (m->rgba_stride != 0 ? m->rgba_stride : (size_t)m->width * 16) + x * (size_t)16,
+               rgba, 16);
+    if (m->rgba8 != NULL) {
+        uint8_t *p = m->rgba8 + y * (m->rgba8_stride != 0 ? m->rgba8_stride : (size_t)m->width * 4) + x * (size_t)4;
+        const float inv = rgba[3] > 0.0f ? 1.0f / rgba[3] : 0.0f;
+        for (a = 0; a < 3; a++) p[a] = tetcasti_encode(encoder, rgba[a] * inv);
+        p[3] = (uint8_t)((rgba[3] > 0.0f ? rgba[3] < 1.0f ? rgba[3] : 1.0f : 0.0f) * 255.0f + 0.5f);
+    }
+    if (m->depth != NULL)
+        memcpy((uint8_t *)m->depth + y * (m->depth_stride != 0 ? m->depth_stride : (size_t)m->width * 4) +
+               x * (size_t)4, &depth, 4);
+    if (m->length != NULL)
+        memcpy((uint8_t *)m->length + y * (m->length_stride != 0 ? m->length_stride : (size_t)m->width * 4) +
+               x * (size_t)4, &length, 4);
+    if (m->steps != NULL)
+        memcpy((uint8_t *)m->steps + y * (m->steps_stride != 0 ? m->steps_stride : (size_t)m->width * 4) +
+               x * (size_t)4, &steps, 4);
+}
+
+static void tetcasti_task_shade(void *ctx, uint32_t strand) {
+    tetcasti_shade_frame *c = (tetcasti_shade_frame *)ctx;
+    const tetcast_image *m = c->image;
+    tetcasti_batch *b = tetcasti_batch_open(&c->mem);
+    uint64_t n[4] = {0, 0, 0, 0};
+    uint32_t i;
+    if (b == NULL) {
+        tetcasti_atomic_store(&c->failed, 1u);
+        return;
+    }
+    for (;;) {
+        const uint32_t tile = tetcasti_atomic_add(&c->next, 1u) - 1u;
+        uint32_t x0, y0, x, y;
+        if (tile >= c->tiles || tetcasti_atomic_load(&c->cancelled) || tetcasti_atomic_load(&c->failed)) break;
+        x0 = tile % c->tiles_x * TETCASTI_TILE;
+        y0 = tile / c->tiles_x * TETCASTI_TILE;
+        for (y = y0; y < y0 + TETCASTI_TILE && y < m->height; y++)
+            for (x = x0; x < x0 + TETCASTI_TILE && x < m->width; x++) {
+                tetcasti_shade_ray r;
+                double o[3], dir[3], ends[2];
+                float rgba[4];
+                if (tetcasti_shade_open(c, x, y, &r)) {
+                    tetcast_ray ray = r.ray;
+                    ray.t_min = r.span[0][0];
+                    ray.t_max = r.span[r.spans - 1][1];
+                    if (tetcasti_ray_local(c->mesh, &ray, o, dir, ends))
+                        (void)tetcasti_probe_run(&c->scene, b, o, dir, ends, tetcasti_shade_crossing, &r);
+                    if (b->failed) tetcasti_atomic_store(&c->failed, 1u);
+                    tetcasti_shade_flush(&r);
+                }
+                if (c->optics != NULL) tetcasti_ray_finish(c->optics, &r.sum, rgba);
+                else {
+                    memcpy(rgba, r.color, sizeof r.color);
+                    rgba[3] = 1.0f - r.t;
+                }
+                if (r.depth < TETCASTI_INF)
+                    r.depth *= (float)(r.ray.dir[0] * c->frame.forward[0] + r.ray.dir[1] * c->frame.forward[1] +
+                                       r.ray.dir[2] * c->frame.forward[2]);
+                tetcasti_pixel_put(m, &c->encoder, c->desc->background, x, y, rgba, r.depth, r.length, r.steps);
+                n[0]++;
+                n[1] += r.steps != 0;
+                n[2] += r.steps;
+                n[3] += r.ended;
+            }
+        i = tetcasti_atomic_add(&c->done, 1u);
+        if (strand == 0 && c->desc->env.progress_fn != NULL &&
+            c->desc->env.progress_fn(c->desc->env.progress_user, i, c->tiles) != 0)
+                tetcasti_atomic_store(&c->cancelled, 1u);
+    }
+    for (i = 0; i < 4; i++) tetcasti_tally_add(c->tally[i], n[i]);
+    tetcasti_batch_close(b);
+}
+
+static tetcast_result tetcasti_shade_check(const tetcast_shade_desc *d, const tetcast_mesh *mesh,
+                                           const tetcast_optics *optics, const tetcast_image *image) {
+    uint32_t a;
+    for (a = 0; a < 4; a++)
+        if (!tetcasti_finite_f(d->background[a])) return TETCAST_ERR_INVALID_ARG;
+    if (mesh == NULL || image == NULL || (optics == NULL && d->shader == NULL) ||
+        (d->shader != NULL && d->shader->shade_fn == NULL) ||
+        !(d->clip_near >= 0.0f && d->clip_near < TETCASTI_INF) || !(d->clip_far >= 0.0f) ||
+        (d->frame[0] != 0 && (d->frame[1] == 0 || d->part[0] > d->frame[0] || d->part[1] > d->frame[1] ||
+                              image->width > d->frame[0] - d->part[0] || image->height > d->frame[1] - d->part[1])))
+        return TETCAST_ERR_INVALID_ARG;
+    if (mesh->tet == NULL && (d->shader != NULL ? (d->shader->needs & TETCAST_NEED_GRADIENT) != 0
+                                                : optics->iso_count != 0)) return TETCAST_ERR_INVALID_ARG;
+    return TETCAST_OK;
+}
+
+TETCAST_DEF tetcast_result tetcast_render_shaded(const tetcast_shade_desc *desc, const tetcast_mesh *mesh,
+                                                 const tetcast_optics *optics, const tetcast_image *image,
+                                                 tetcast_render_stats *stats) {
+    tetcast_shade_desc d;
+    tetcast_render_desc none;
+    tetcasti_shade_frame c;
+    tetcasti_mem unused;
+    tetcast_result r;
+    double lo[3], hi[3];
+    uint32_t strands, a, width, height;
+    memset(&d, 0, sizeof d);
+    memset(&c, 0, sizeof c);
+    if (desc != NULL) d = *desc;
+    if (d._begin_zero != 0 || d._end_zero != 0) return TETCAST_ERR_UNINIT_DESC;
+    r = tetcasti_env_open(&d.env, &c.mem);
+    if (r != TETCAST_OK) return r;
+    r = tetcasti_shade_check(&d, mesh, optics, image);
+    if (r != TETCAST_OK) return tetcasti_fail(d.env.error, r, 0, "shade: bad option, or a mesh without the tets");
+    if (image->width == 0 || image->height == 0) return TETCAST_OK;
+    if (d.frame[0] == 0) d.part[0] = d.part[1] = 0;
+    width = d.frame[0] != 0 ? d.frame[0] : image->width;
+    height = d.frame[0] != 0 ? d.frame[1] : image->height;
+    c.desc = &d;
+    c.mesh = mesh;
+    c.optics = d.shader != NULL ? NULL : optics;
+    c.image = image;
+    c.tiles_x = (image->width + TETCASTI_TILE - 1) / TETCASTI_TILE;
+    if ((uint64_t)c.tiles_x * ((image->height + TETCASTI_TILE - 1) / TETCASTI_TILE) > 0x7fffffffu)
+        return tetcasti_fail(d.env.error, TETCAST_ERR_RANGE, image->width, "shade: the picture is too large");
+    c.tiles = c.tiles_x * ((image->height + TETCASTI_TILE - 1) / TETCASTI_TILE);
+    for (a = 0; a < 3; a++) {
+        lo[a] = mesh->origin[a] + (double)mesh->box.lo[a] * mesh->unit;
+        hi[a] = mesh->origin[a] + (double)mesh->box.hi[a] * mesh->unit;
+    }
+    if (d.camera.eye[0] == d.camera.at[0] && d.camera.eye[1] == d.camera.at[1] && d.camera.eye[2] == d.camera.at[2])
+        r = tetcast_camera_fit(&d.camera, lo, hi, NULL, width, height);
+    if (r == TETCAST_OK) r = tetcasti_frame_open(&d.camera, width, height, &c.frame);
+    if (r == TETCAST_OK) r = tetcasti_desc_open(NULL, &none, &unused);
+    if (r == TETCAST_OK) r = tetcasti_scene_open(&none, mesh, NULL, &c.scene);
+    if (r != TETCAST_OK) return tetcasti_fail(d.env.error, r, 0, "shade: bad camera");
+    if (c.optics == NULL && d.shader->prepare_fn != NULL)
+        r = d.shader->prepare_fn(d.shader->user, d.shader->params, d.shader->param_count, d.env.error);
+    if (r != TETCAST_OK) return r;
+    if (image->rgba8 != NULL) tetcasti_encoder_open(&c.encoder);
+    strands = tetcasti_thread_count(&d.env);
+    tetcasti_parallel_for(&d.env, tetcasti_task_shade, &c, strands < c.tiles ? strands : c.tiles);
+    if (c.failed) return tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "shade: out of memory");
+    if (c.cancelled) return tetcasti_fail(d.env.error, TETCAST_ERR_CANCELLED, 0, "shade: cancelled");
+    if (stats != NULL) {
+        stats->rays += tetcasti_tally(c.tally[0]);
+        stats->hit_rays += tetcasti_tally(c.tally[1]);
+        stats->steps += tetcasti_tally(c.tally[2]);
+        stats->ended += tetcasti_tally(c.tally[3]);
+        stats->isa = TETCAST_ISA_SCALAR;
+    }
+    return TETCAST_OK;
+}
+#ifndef TETCAST_NO_BRICKS
 /* ---------------------------------------------------------------------------
    brick_render: rays through a cut, eight at a time.                            // >>brick_render
 
@@ -16542,16 +16950,14 @@ static uint32_t tetcasti_octet_shade(const tetcasti_brick_frame *c, tetcasti_oct
     }
     s->shade_fn(s->user, p, rgba);
     for (i = 0; i < 8; i++) {
-        const float t = l->sum.t[i];
-        float alpha = rgba[3][i];
+        float one[4], color[3];
         if (!(l->live >> i & 1u)) continue;
-        alpha = alpha > 0.0f ? alpha : 0.0f;
-        alpha = alpha < 1.0f ? alpha : 1.0f;
-        for (a = 0; a < 3; a++)
-            if (tetcasti_finite_f(rgba[a][i])) l->sum.c[a][i] += t * rgba[a][i];
-        l->sum.t[i] = t - t * alpha;
-        if (alpha > 0.0f && l->depth[i] == TETCASTI_INF) l->depth[i] = p->depth[i];
-        ended |= (uint32_t)!(l->sum.t[i] > 1.0f / 512.0f) << i;
+        for (a = 0; a < 4; a++) one[a] = rgba[a][i];
+        for (a = 0; a < 3; a++) color[a] = l->sum.c[a][i];
+        if (tetcasti_shade_over(one, &l->sum.t[i], color) > 0.0f && l->depth[i] == TETCASTI_INF)
+            l->depth[i] = p->depth[i];
+        for (a = 0; a < 3; a++) l->sum.c[a][i] = color[a];
+        ended |= (uint32_t)!(l->sum.t[i] > TETCASTI_SHADE_STOP) << i;
     }
     return ended & l->live;
 }
@@ -16661,42 +17067,18 @@ static uint32_t tetcasti_brick_ray_open(const tetcasti_brick_frame *c, uint32_t 
 }
 
 static void tetcasti_brick_pixel(const tetcasti_brick_frame *c, tetcasti_octet *l, uint32_t i, uint32_t x, uint32_t y) {
-    const tetcast_image *m = c->image;
-    float rgba[4], t;
+    float rgba[4], depth = l->depth[i];
     uint32_t a;
     if (c->optics != NULL) tetcasti_lane_finish(c->optics, &l->sum, i, rgba);
     else {
         for (a = 0; a < 3; a++) rgba[a] = l->sum.c[a][i];
         rgba[3] = 1.0f - l->sum.t[i];
     }
-    t = 1.0f - rgba[3];
-    for (a = 0; a < 4; a++) rgba[a] += t * c->desc->background[a];
-    if (m->rgba != NULL)
-        memcpy((uint8_t *)m->rgba + y * (m->rgba_stride != 0 ? m->rgba_stride : (size_t)m->width * 16) + x * (size_t)16,
-               rgba, 16);
-    if (m->rgba8 != NULL) {
-        uint8_t *p = m->rgba8 + y * (m->rgba8_stride != 0 ? m->rgba8_stride : (size_t)m->width * 4) + x * (size_t)4;
-        const float inv = rgba[3] > 0.0f ? 1.0f / rgba[3] : 0.0f;
-        for (a = 0; a < 3; a++) p[a] = tetcasti_encode(&c->encoder, rgba[a] * inv);
-        p[3] = (uint8_t)((rgba[3] > 0.0f ? rgba[3] < 1.0f ? rgba[3] : 1.0f : 0.0f) * 255.0f + 0.5f);
-    }
-    if (m->depth != NULL) {
+    if (l->depth[i] < TETCASTI_INF) {
         const double *d = l->ray[i].world_d;
-        float depth = l->depth[i];
-        if (depth < TETCASTI_INF)
-            depth *= (float)(d[0] * c->frame.forward[0] + d[1] * c->frame.forward[1] + d[2] * c->frame.forward[2]);
-        memcpy((uint8_t *)m->depth + y * (m->depth_stride != 0 ? m->depth_stride : (size_t)m->width * 4) + x *
-               (size_t)4,
-               &depth, 4);
+        depth *= (float)(d[0] * c->frame.forward[0] + d[1] * c->frame.forward[1] + d[2] * c->frame.forward[2]);
     }
-    if (m->length != NULL)
-        memcpy((uint8_t *)m->length + y * (m->length_stride != 0 ? m->length_stride : (size_t)m->width * 4) + x *
-               (size_t)4,
-               &l->length[i], 4);
-    if (m->steps != NULL)
-        memcpy((uint8_t *)m->steps + y * (m->steps_stride != 0 ? m->steps_stride : (size_t)m->width * 4) + x *
-               (size_t)4,
-               &l->steps[i], 4);
+    tetcasti_pixel_put(c->image, &c->encoder, c->desc->background, x, y, rgba, depth, l->length[i], l->steps[i]);
 }
 
 static void tetcasti_octet_begin(const tetcasti_brick_frame *c, tetcasti_octet *l) {
@@ -16906,21 +17288,7 @@ TETCAST_DEF tetcast_result tetcast_render_bricks(const tetcast_brick_render_desc
     return r;
 }
 
-TETCAST_DEF const float *tetcast_params_find(const tetcast_param *params, size_t count, const char *name, size_t least,
-                                             tetcast_error *error) {
-    static const char text[] = "missing shader parameter: ";
-    size_t i, k;
-    for (i = 0; i < count && params != NULL && name != NULL; i++)
-        if (params[i].name != NULL && params[i].values != NULL && params[i].count >= least &&
-            strcmp(params[i].name, name) == 0) return params[i].values;
-    if (error == NULL || name == NULL) return NULL;
-    error->code = TETCAST_ERR_INVALID_ARG;
-    error->where = 0;
-    memcpy(error->text, text, sizeof text);
-    for (k = sizeof text - 1, i = 0; name[i] != 0 && k + 1 < sizeof error->text; i++) error->text[k++] = name[i];
-    error->text[k] = 0;
-    return NULL;
-}
+#endif /* TETCAST_NO_BRICKS */
 /* ---------------------------------------------------------------------------
    parts: pictures in pieces, and as fewer bytes.                                // >>parts
    --------------------------------------------------------------------------- */
@@ -17240,7 +17608,6 @@ TETCAST_DEF tetcast_result tetcast_unpack(const uint8_t *data, size_t size, uint
     }
     return at == size ? TETCAST_OK : TETCAST_ERR_FORMAT;
 }
-#endif /* TETCAST_NO_BRICKS */
 #ifndef TETCAST_NO_RBF
 /* ---------------------------------------------------------------------------
    rbf: sums of radial basis functions: bytes, kernels, files.                   // >>rbf
@@ -20267,7 +20634,7 @@ typedef struct tetcasti_rbf_group {   /* eight rays; lanes without a ray are cop
     float start[8];                   /* world distance of sample 0 from the eye */
     uint32_t lanes;                   /* that have a ray */
     int32_t n;                        /* samples */
-    float h;
+    float h, per;                     /* step, and 1 / h */
 } tetcasti_rbf_group;
 
 /* where a function is on the rays; decay: 2^(2 a h^2), as exact as can be: its error grows with the square of the
@@ -20276,7 +20643,8 @@ typedef struct tetcasti_rbf_reach { float tc[8], d2[8]; int32_t first, last, mid
 
 /* Where a function is on the rays; 0: on none of the samples. */
 static int tetcasti_rbf_meet(const tetcasti_rbf_group *g, const tetcasti_rbf_record *f, tetcasti_rbf_reach *r) {
-    float least = 1e30f, lo = 1e30f, hi = -1e30f, half, scale = 1.0f / g->h;
+    float least = 1e30f, lo = 1e30f, hi = -1e30f, half;
+    const float scale = g->per;
     uint32_t l;
     for (l = 0; l < 8; l++) {
         const float mx = f->c[0] - g->o[0][l], my = f->c[1] - g->o[1][l], mz = f->c[2] - g->o[2][l];
@@ -20371,7 +20739,8 @@ TETCASTI_TARGET_AVX2 static int tetcasti_rbf_meet8(const tetcasti_rbf_group *g, 
     const __m256 d2 = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(vx, vx), _mm256_mul_ps(vy, vy)), _mm256_mul_ps(vz, vz));
     const float radius2 = f->radius * f->radius;
     __m128 a, b, e;
-    float least, lo, hi, half, scale;
+    const float scale = g->per;
+    float least, lo, hi, half;
     if (_mm256_movemask_ps(_mm256_cmp_ps(d2, _mm256_set1_ps(radius2), _CMP_LT_OQ)) == 0) return 0;
     _mm256_storeu_ps(r->tc, tc);
     _mm256_storeu_ps(r->d2, d2);
@@ -20384,7 +20753,6 @@ TETCASTI_TARGET_AVX2 static int tetcasti_rbf_meet8(const tetcasti_rbf_group *g, 
     least = _mm_cvtss_f32(_mm_min_ss(a, _mm_shuffle_ps(a, a, 1)));
     lo = _mm_cvtss_f32(_mm_min_ss(b, _mm_shuffle_ps(b, b, 1)));
     hi = _mm_cvtss_f32(_mm_max_ss(e, _mm_shuffle_ps(e, e, 1)));
-    scale = 1.0f / g->h;
     half = radius2 - least;
     if (!(half > 0.0f)) return 0;
     half = sqrtf(half);
@@ -20539,7 +20907,7 @@ typedef struct tetcasti_rbf_picture {
     uint32_t component;
     float h, step, seen[2];       /* step local, world; values outside of seen[] show nothing */
     uint32_t rows;                /* most samples of a ray */
-    uint32_t tiles_x, tiles_y, tiles;
+    uint32_t tiles_x, tiles_y, tiles, base[2];
     size_t *first;                /* [tiles + 1] */
     uint32_t *list;
     float *decay;                 /* [functions] */
@@ -20552,8 +20920,8 @@ typedef struct tetcasti_rbf_picture {
 /* One ray of a group. 0: it misses the box. ends: local distances. */
 static int tetcasti_rbf_ray(const tetcasti_rbf_picture *t, uint32_t x, uint32_t y, double o[3], double d[3],
                             double ends[2], double *world) {
-    const double u = ((double)x + 0.5) - 0.5 * (double)t->frame.width,
-        v = 0.5 * (double)t->frame.height - ((double)y + 0.5);
+    const double u = ((double)x + 0.5) - 0.5 * (double)t->frame.width;
+    const double v = 0.5 * (double)t->frame.height - ((double)y + 0.5);
     double l = 0.0, w = 0.0;
     uint32_t a;
     for (a = 0; a < 3; a++) {
@@ -20581,7 +20949,8 @@ static int tetcasti_rbf_ray(const tetcasti_rbf_picture *t, uint32_t x, uint32_t 
     return ends[1] > ends[0];
 }
 
-/* The rays of a group at pixel (x, y), 4 x 2. 0: none meets the box. */
+/* The rays of a group at pixel (x, y) of the frame, 4 x 2. 0: none meets the box. Those outside of the part that is drawn
+   are in it, so that parts have the bits of the whole. */
 static int tetcasti_rbf_group_open(const tetcasti_rbf_picture *t, uint32_t x, uint32_t y, tetcasti_rbf_group *g) {
     double o[8][3], d[8][3], ends[8][2], world[8], from = 1e30, to = 0.0, at;
     const double h = (double)t->h;
@@ -20611,6 +20980,7 @@ static int tetcasti_rbf_group_open(const tetcasti_rbf_picture *t, uint32_t x, ui
         g->start[l] = (float)(at * world[k]);
     }
     g->h = t->h;
+    g->per = 1.0f / t->h;
     g->n = (int32_t)tetcasti_min((double)tetcasti_floor((to - at) / h) + 2.0, (double)t->rows);
     return 1;
 }
@@ -20741,13 +21111,29 @@ static float tetcasti_rbf_probe(const tetcasti_rbf_hit *x, float s, float slope[
     return value;
 }
 
+/* Slope of a feature of a flow, which has no gradient of its own: differences. */
+static void tetcasti_rbf_differences(const tetcasti_rbf_hit *x, float s, float normal[3]) {
+    const float e = 0.02f * x->t->h;
+    uint32_t i, k, c;
+    for (k = 0; k < 3; k++) {
+        float p[1][3], v[TETCAST_RBF_MAX_COMPONENTS], d[TETCAST_RBF_MAX_COMPONENTS * 3], value[2];
+        for (i = 0; i < 2; i++) {
+            for (c = 0; c < 3; c++)
+                p[0][c] = x->g->o[c][x->lane] + s * x->g->d[c][x->lane] + (c == k ? (i != 0 ? e : -e) : 0.0f);
+            tetcasti_rbf_points(x->t->m, x->t->add, 0, (const float (*)[3])p, 1, v, d);
+            value[i] = tetcasti_rbf_scalar(x->t, v, d);
+        }
+        normal[k] = (float)(((double)value[1] - (double)value[0]) / x->t->m->scale[k]);
+    }
+}
+
 /* The surface between two samples: false position on the function itself, then its gradient. Features of flows have no
    gradient here: differences are taken. */
 static void tetcasti_rbf_normal(void *user, float fraction, float normal[3]) {
     tetcasti_rbf_hit *x = (tetcasti_rbf_hit *)user;
     const float want = x->front + fraction * (x->back - x->front), width = x->to - x->from;
     float a = x->from, b = x->to, fa = x->front - want, fb = x->back - want, s = x->from + fraction * width, f;
-    uint32_t i, k;
+    uint32_t i;
     f = tetcasti_rbf_probe(x, s, normal) - want;
     for (i = 0; i < 8 && tetcasti_absf(b - a) > 1e-5f * width && f != 0.0f; i++) {
         if ((f > 0.0f) == (fa > 0.0f)) {
@@ -20764,20 +21150,7 @@ static void tetcasti_rbf_normal(void *user, float fraction, float normal[3]) {
         if (!(s >= (a < b ? a : b) && s <= (a < b ? b : a))) s = 0.5f * (a + b);
         f = tetcasti_rbf_probe(x, s, normal) - want;
     }
-    if (x->t->channel > TETCAST_RBF_CHANNEL_LENGTH) {
-        const float e = 0.02f * x->t->h;
-        for (k = 0; k < 3; k++) {
-            float p[1][3], v[TETCAST_RBF_MAX_COMPONENTS], d[TETCAST_RBF_MAX_COMPONENTS * 3], value[2];
-            for (i = 0; i < 2; i++) {
-                uint32_t c;
-                for (c = 0; c < 3; c++)
-                    p[0][c] = x->g->o[c][x->lane] + s * x->g->d[c][x->lane] + (c == k ? (i != 0 ? e : -e) : 0.0f);
-                tetcasti_rbf_points(x->t->m, x->t->add, 0, (const float (*)[3])p, 1, v, d);
-                value[i] = tetcasti_rbf_scalar(x->t, v, d);
-            }
-            normal[k] = (float)(((double)value[1] - (double)value[0]) / x->t->m->scale[k]);
-        }
-    }
+    if (x->t->channel > TETCAST_RBF_CHANNEL_LENGTH) tetcasti_rbf_differences(x, s, normal);
     if (*x->hit == TETCASTI_INF) *x->hit = s;
 }
 
@@ -20833,23 +21206,177 @@ TETCASTI_TARGET_AVX2 static uint32_t tetcasti_rbf_cut8(const tetcasti_rbf_pictur
 }
 #endif
 
-/* Integrate the rows of a group. depth: local way to the first sample that shows something. */
-static void tetcasti_rbf_march(const tetcasti_rbf_picture *t, const tetcasti_rbf_group *g, const float *rows,
-                               tetcasti_ray_sum8 *sum, float depth[8]) {
+/* What clipping leaves of the rays of a group: ways as those of segments. */
+typedef struct tetcasti_rbf_spans {
+    float from[8][TETCAST_CLIP_SPANS], to[8][TETCAST_CLIP_SPANS];
+    uint32_t count[8], at[8];
+} tetcasti_rbf_spans;
+
+static void tetcasti_rbf_spans_open(const tetcasti_rbf_picture *t, const tetcasti_rbf_group *g, uint32_t x, uint32_t y,
+                                    tetcasti_rbf_spans *out) {
+    const tetcast_rbf_render_desc *d = t->desc;
+    uint32_t l, i, a;
+    for (l = 0; l < 8; l++) {
+        double span[TETCAST_CLIP_SPANS][2], o[3], dir[3], way;
+        const uint32_t px = x + (l & 3u), py = y + (l >> 2);
+        out->count[l] = out->at[l] = 0;
+        if (!(g->lanes >> l & 1u)) continue;
+        tetcasti_frame_ray(&t->frame, (double)px + 0.5, (double)py + 0.5, o, dir);
+        way = sqrt(dir[0] * dir[0] + dir[1] * dir[1] + dir[2] * dir[2]);
+        for (a = 0; a < 3; a++) dir[a] /= way;
+        span[0][0] = (double)d->clip_near * way;
+        span[0][1] = d->clip_far > 0.0f ? (double)d->clip_far * way : 1e300;
+        if (d->limit != NULL && px - d->part[0] < t->image->width && py - d->part[1] < t->image->height) {
+            const float limit = d->limit[px - d->part[0] + (size_t)t->image->width * (py - d->part[1])];
+            if (limit >= 0.0f) span[0][1] = tetcasti_min(span[0][1], (double)limit * way);
+        }
+        if (!(span[0][0] < span[0][1])) continue;
+        out->count[l] = d->clip != NULL ? tetcasti_clip_run(d->clip, o, dir, span, 1) : 1u;
+        for (i = 0; i < out->count[l]; i++) {
+            const double scale = (double)g->world[l], start = (double)g->start[l];
+            out->from[l][i] = (float)((span[i][0] - start) / scale);
+            out->to[l][i] = (float)(tetcasti_min(span[i][1] - start, 1e30 * scale) / scale);
+        }
+    }
+}
+
+/* Part number `part` of the segments of the lanes between from and to: lanes that have one; from, to and seg of it. */
+static uint32_t tetcasti_rbf_spans_cut(tetcasti_rbf_spans *s, const tetcasti_rbf_group *g, uint32_t part, uint32_t lanes,
+                                       const tetcasti_seg8 *whole, const float a[8], const float b[8],
+                                       tetcasti_seg8 *seg, float from[8], float to[8]) {
+    uint32_t l, out = 0;
+    for (l = 0; l < 8; l++) {
+        float rise, way;
+        uint32_t i;
+        if (!(lanes >> l & 1u)) continue;
+        while (s->at[l] < s->count[l] && s->to[l][s->at[l]] <= a[l]) s->at[l]++;
+        i = s->at[l] + part;
+        if (i >= s->count[l] || !(s->from[l][i] < b[l])) continue;
+        from[l] = a[l] > s->from[l][i] ? a[l] : s->from[l][i];
+        to[l] = b[l] < s->to[l][i] ? b[l] : s->to[l][i];
+        if (!(to[l] > from[l])) continue;
+        rise = whole->back[l] - whole->front[l];
+        way = b[l] - a[l];
+        seg->front[l] = from[l] > a[l] ? whole->front[l] + rise * ((from[l] - a[l]) / way) : whole->front[l];
+        seg->back[l] = to[l] < b[l] ? whole->front[l] + rise * ((to[l] - a[l]) / way) : whole->back[l];
+        seg->length[l] = (to[l] - from[l]) * g->world[l];
+        seg->depth[l] = g->start[l] + from[l] * g->world[l];
+        out |= 1u << l;
+    }
+    return out;
+}
+
+static void tetcasti_rbf_hit_open(const tetcasti_rbf_picture *t, const tetcasti_rbf_group *g, uint32_t l,
+                                  const tetcasti_seg8 *seg, float from, float to, float *depth, tetcasti_rbf_hit *x,
+                                  float view[3]) {
+    double way = 0.0;
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        const double w = (double)g->d[a][l] * t->m->scale[a];
+        way += w * w;
+    }
+    for (a = 0; a < 3; a++) view[a] = (float)((double)g->d[a][l] * t->m->scale[a] / sqrt(way));
+    x->t = t;
+    x->g = g;
+    x->lane = l;
+    x->from = from;
+    x->to = to;
+    x->front = seg->front[l];
+    x->back = seg->back[l];
+    x->hit = depth;
+}
+
+/* Segments to the shader. Lanes that have ended. */
+static uint32_t tetcasti_rbf_shade(const tetcasti_rbf_picture *t, const tetcasti_rbf_group *g, const tetcasti_seg8 *seg,
+                                   uint32_t lanes, const float from[8], const float to[8], tetcasti_ray_sum8 *sum,
+                                   float depth[8]) {
+    const tetcast_shader *s = t->desc->shader;
+    tetcast_packet p;
+    float rgba[4][8];
+    uint32_t l, a, ended = 0;
+    memset(&p, 0, sizeof p);
+    memset(rgba, 0, sizeof rgba);
+    p.mask = lanes;
+    memcpy(p.front, seg->front, sizeof p.front);
+    memcpy(p.back, seg->back, sizeof p.back);
+    memcpy(p.length, seg->length, sizeof p.length);
+    memcpy(p.depth, seg->depth, sizeof p.depth);
+    for (l = 0; l < 8; l++) {
+        tetcasti_rbf_hit x;
+        const float middle = 0.5f * (from[l] + to[l]);
+        float view[3], slope[3] = {0.0f, 0.0f, 0.0f}, value;
+        if (!(lanes >> l & 1u)) continue;
+        tetcasti_rbf_hit_open(t, g, l, seg, from[l], to[l], &depth[l], &x, view);
+        if (s->needs & TETCAST_NEED_GRADIENT) {
+            value = tetcasti_rbf_probe(&x, middle, slope);
+            if (t->channel > TETCAST_RBF_CHANNEL_LENGTH) tetcasti_rbf_differences(&x, middle, slope);
+            else if (t->channel == TETCAST_RBF_CHANNEL_LENGTH)
+                for (a = 0; a < 3; a++) slope[a] = value > 0.0f ? slope[a] / value : 0.0f;
+            if (t->channel > TETCAST_RBF_CHANNEL_LENGTH)
+                for (a = 0; a < 3; a++) slope[a] /= 0.04f * t->h;
+        }
+        for (a = 0; a < 3; a++) {
+            p.gradient[a][l] = slope[a];
+            p.direction[a][l] = view[a];
+            p.position[a][l] = (float)(t->m->box_min[a] + ((double)g->o[a][l] + (double)middle * (double)g->d[a][l]) *
+                                                              t->m->scale[a]);
+        }
+    }
+    s->shade_fn(s->user, &p, rgba);
+    for (l = 0; l < 8; l++) {
+        float one[4], color[3];
+        if (!(lanes >> l & 1u)) continue;
+        for (a = 0; a < 4; a++) one[a] = rgba[a][l];
+        for (a = 0; a < 3; a++) color[a] = sum->c[a][l];
+        if (tetcasti_shade_over(one, &sum->t[l], color) > 0.0f && depth[l] == TETCASTI_INF) depth[l] = from[l];
+        for (a = 0; a < 3; a++) sum->c[a][l] = color[a];
+        ended |= (uint32_t)!(sum->t[l] > TETCASTI_SHADE_STOP) << l;
+    }
+    return ended;
+}
+
+/* Segments to the optics. Lanes that have ended. */
+static uint32_t tetcasti_rbf_integrate(const tetcasti_rbf_picture *t, const tetcasti_rbf_group *g,
+                                       const tetcasti_seg8 *seg, uint32_t lanes, const float from[8], const float to[8],
+                                       tetcasti_ray_sum8 *sum, float depth[8]) {
     const tetcast_optics *o = t->optics;
+    const uint32_t hits = o->iso_count != 0 ? tetcasti_iso_lanes(o, seg, lanes) : 0;
+    const int want_depth = t->image->depth != NULL;
+    uint32_t l, ended = 0;
+    for (l = 0; l < 8 && (want_depth || hits != 0); l++) {
+        if ((lanes >> l & 1u) == 0) continue;
+        if (want_depth && depth[l] == TETCASTI_INF && (hits >> l & 1u) == 0 &&
+            !tetcasti_optics_empty(o, seg->front[l] < seg->back[l] ? seg->front[l] : seg->back[l],
+                                   seg->front[l] < seg->back[l] ? seg->back[l] : seg->front[l])) depth[l] = from[l];
+        if (hits >> l & 1u) {
+            tetcasti_rbf_hit x;
+            float view[3];
+            tetcasti_rbf_hit_open(t, g, l, seg, from[l], to[l], &depth[l], &x, view);
+            tetcasti_lane_segment_iso(o, l, seg, tetcasti_rbf_normal, &x, view, sum);
+            if (!(sum->t[l] > o->t_stop)) ended |= 1u << l;
+        }
+    }
+    if (lanes & ~hits) ended |= o->segment8(o, seg, lanes & ~hits, sum);
+    return ended;
+}
+
+/* Go through the rows of a group. depth: local way to the first sample that shows something. spans NULL: all. */
+static void tetcasti_rbf_march(const tetcasti_rbf_picture *t, const tetcasti_rbf_group *g, const float *rows,
+                               tetcasti_rbf_spans *spans, tetcasti_ray_sum8 *sum, float depth[8]) {
     tetcasti_seg8 seg;
     uint32_t l, ended = 0;
     int32_t j;
-    const int want_depth = t->image->depth != NULL;
+    memset(sum, 0, sizeof *sum);
     for (l = 0; l < 8; l++) {
-        tetcasti_lane_begin(o, sum, l);
+        if (t->optics != NULL) tetcasti_lane_begin(t->optics, sum, l);
+        else sum->t[l] = 1.0f;
         depth[l] = TETCASTI_INF;
     }
     memset(&seg, 0, sizeof seg);
-    for (j = 0; j + 1 < g->n; j++) {
+    for (j = 0; j + 1 < g->n && (g->lanes & ~ended) != 0; j++) {
         const float *v = rows + (size_t)j * 8;
         float from[8], to[8];
-        uint32_t lanes = 0, hits;
+        uint32_t lanes = 0, part;
 #if TETCASTI_AVX2
         if (t->isa >= TETCAST_ISA_AVX2) lanes = tetcasti_rbf_cut8(t, g, rows, j, g->lanes & ~ended, &seg, from, to);
         else
@@ -20859,36 +21386,21 @@ static void tetcasti_rbf_march(const tetcasti_rbf_picture *t, const tetcasti_rbf
                 !(v[l] > t->seen[1] && v[l + 8] > t->seen[1]))
                 lanes |= (uint32_t)tetcasti_rbf_cut(g, rows, j, l, &seg, &from[l], &to[l]) << l;
         if (lanes == 0) continue;
-        hits = o->iso_count != 0 ? tetcasti_iso_lanes(o, &seg, lanes) : 0;
-        for (l = 0; l < 8 && (want_depth || hits != 0); l++) {
-            if ((lanes >> l & 1u) == 0) continue;
-            if (want_depth && depth[l] == TETCASTI_INF && (hits >> l & 1u) == 0 &&
-                !tetcasti_optics_empty(o, seg.front[l] < seg.back[l] ? seg.front[l] : seg.back[l],
-                                       seg.front[l] < seg.back[l] ? seg.back[l] : seg.front[l])) depth[l] = from[l];
-            if (hits >> l & 1u) {
-                tetcasti_rbf_hit x;
-                float view[3];
-                double way = 0.0;
-                uint32_t a;
-                for (a = 0; a < 3; a++) {
-                    const double w = (double)g->d[a][l] * t->m->scale[a];
-                    way += w * w;
-                }
-                for (a = 0; a < 3; a++) view[a] = (float)((double)g->d[a][l] * t->m->scale[a] / sqrt(way));
-                x.t = t;
-                x.g = g;
-                x.lane = l;
-                x.from = from[l];
-                x.to = to[l];
-                x.front = seg.front[l];
-                x.back = seg.back[l];
-                x.hit = &depth[l];
-                tetcasti_lane_segment_iso(o, l, &seg, tetcasti_rbf_normal, &x, view, sum);
-                if (!(sum->t[l] > o->t_stop)) ended |= 1u << l;
-            }
+        if (spans == NULL) {
+            ended |= t->optics != NULL ? tetcasti_rbf_integrate(t, g, &seg, lanes, from, to, sum, depth)
+                                       : tetcasti_rbf_shade(t, g, &seg, lanes, from, to, sum, depth);
+            continue;
         }
-        if (lanes & ~hits) ended |= o->segment8(o, &seg, lanes & ~hits, sum);
-        if ((g->lanes & ~ended) == 0) break;
+        for (part = 0; part < TETCAST_CLIP_SPANS; part++) {
+            tetcasti_seg8 some = seg;
+            float a[8], b[8];
+            const uint32_t left = tetcasti_rbf_spans_cut(spans, g, part, lanes & ~ended, &seg, from, to, &some, a, b);
+            if (left == 0) break;
+            if (t->optics != NULL && part != 0)
+                for (l = 0; l < 8; l++) if (left >> l & 1u) tetcasti_lane_gap(t->optics, sum, l);
+            ended |= t->optics != NULL ? tetcasti_rbf_integrate(t, g, &some, left, a, b, sum, depth)
+                                       : tetcasti_rbf_shade(t, g, &some, left, a, b, sum, depth);
+        }
     }
 }
 
@@ -20934,16 +21446,25 @@ static void tetcasti_rbf_group_draw(tetcasti_rbf_picture *t, uint32_t tile, uint
     const int met = tetcasti_rbf_group_open(t, x, y, &g);
     if (met) {
         tetcasti_rbf_group_values(t, &g, tile, rows, stride, count + 2);
-        tetcasti_rbf_march(t, &g, rows, &sum, depth);
+        if (t->desc->clip != NULL || t->desc->limit != NULL || t->desc->clip_near > 0.0f || t->desc->clip_far > 0.0f) {
+            tetcasti_rbf_spans spans;
+            tetcasti_rbf_spans_open(t, &g, x, y, &spans);
+            tetcasti_rbf_march(t, &g, rows, &spans, &sum, depth);
+        } else tetcasti_rbf_march(t, &g, rows, NULL, &sum, depth);
     } else g.lanes = 0;
     for (l = 0; l < 8; l++) {
-        const uint32_t px = x + (l & 3u), py = y + (l >> 2);
-        if (px >= t->frame.width || py >= t->frame.height) continue;
+        const uint32_t px = x + (l & 3u) - t->desc->part[0], py = y + (l >> 2) - t->desc->part[1];
+        if (px >= t->image->width || py >= t->image->height) continue; /* those before the part wrap around */
         if ((g.lanes >> l & 1u) == 0) {
             tetcasti_rbf_pixel(t, px, py, nothing, TETCASTI_INF, 0.0f);
             continue;
         }
-        tetcasti_lane_finish(t->optics, &sum, l, rgba);
+        if (t->optics != NULL) tetcasti_lane_finish(t->optics, &sum, l, rgba);
+        else {
+            uint32_t a;
+            for (a = 0; a < 3; a++) rgba[a] = sum.c[a][l];
+            rgba[3] = 1.0f - sum.t[l];
+        }
         if (depth[l] < TETCASTI_INF) { /* along the viewing axis */
             double z = 0.0;
             uint32_t a;
@@ -20968,10 +21489,10 @@ static void tetcasti_task_rbf_tiles(void *ctx, uint32_t strand) {
         const uint32_t tile = tetcasti_atomic_add(&t->next, 1u) - 1u;
         uint32_t x0, y0, x, y;
         if (tile >= t->tiles || tetcasti_atomic_load(&t->failed) || tetcasti_atomic_load(&t->cancelled)) break;
-        x0 = tile % t->tiles_x * TETCASTI_RBF_TILE;
-        y0 = tile / t->tiles_x * TETCASTI_RBF_TILE;
-        for (y = y0; y < y0 + TETCASTI_RBF_TILE && y < t->frame.height; y += 2)
-            for (x = x0; x < x0 + TETCASTI_RBF_TILE && x < t->frame.width; x += 4)
+        x0 = t->base[0] + tile % t->tiles_x * TETCASTI_RBF_TILE;
+        y0 = t->base[1] + tile / t->tiles_x * TETCASTI_RBF_TILE;
+        for (y = y0; y < y0 + TETCASTI_RBF_TILE && y < t->desc->part[1] + t->image->height; y += 2)
+            for (x = x0; x < x0 + TETCASTI_RBF_TILE && x < t->desc->part[0] + t->image->width; x += 4)
                 tetcasti_rbf_group_draw(t, tile, x, y, rows, stride, count);
         i = tetcasti_atomic_add(&t->done, 1u);
         if (strand == 0 && t->desc->env.progress_fn != NULL &&
@@ -21039,9 +21560,11 @@ static int tetcasti_rbf_bin(tetcasti_rbf_picture *t, float least) { /* 0: no mem
     t->decay = (float *)tetcasti_alloc_array(&t->mem, (size_t)m->count + 1, sizeof *t->decay);
     ok = plane != NULL && range != NULL && t->first != NULL && t->decay != NULL;
     if (ok) {
-        for (i = 0; i <= t->tiles_x; i++) tetcasti_rbf_line_plane(t, 0, (double)i * TETCASTI_RBF_TILE, &plane[i]);
+        for (i = 0; i <= t->tiles_x; i++) 
+            tetcasti_rbf_line_plane(t, 0, (double)t->base[0] + (double)i * TETCASTI_RBF_TILE, &plane[i]);
         for (i = 0; i <= t->tiles_y; i++)
-            tetcasti_rbf_line_plane(t, 1, (double)i * TETCASTI_RBF_TILE, &plane[t->tiles_x + 1 + i]);
+            tetcasti_rbf_line_plane(t, 1, (double)t->base[1] + (double)i * TETCASTI_RBF_TILE,
+                                    &plane[t->tiles_x + 1 + i]);
         for (i = 0; i < m->count; i++) {
             uint32_t *r = range[i];
             const double exponent = 2.0 * (double)m->record[i].a * (double)t->h * (double)t->h;
@@ -21114,13 +21637,16 @@ static double tetcasti_rbf_step(const tetcasti_rbf_picture *t) {
 
 static tetcast_result tetcasti_rbf_picture_open(tetcasti_rbf_picture *t, tetcast_rbf_render_desc *d) {
     const tetcast_rbf *m = t->m;
+    const uint32_t width = d->frame[0] != 0 ? d->frame[0] : t->image->width;
+    const uint32_t height = d->frame[0] != 0 ? d->frame[1] : t->image->height;
     double diagonal = 0.0, least = 1e300;
     tetcast_result r = TETCAST_OK;
     uint32_t a;
+    if (d->frame[0] == 0) d->part[0] = d->part[1] = 0;
     if (d->camera.eye[0] == d->camera.at[0] && d->camera.eye[1] == d->camera.at[1] &&
         d->camera.eye[2] == d->camera.at[2])
-        r = tetcast_camera_fit(&d->camera, m->box_min, m->box_max, NULL, t->image->width, t->image->height);
-    if (r == TETCAST_OK) r = tetcasti_frame_open(&d->camera, t->image->width, t->image->height, &t->frame);
+        r = tetcast_camera_fit(&d->camera, m->box_min, m->box_max, NULL, width, height);
+    if (r == TETCAST_OK) r = tetcasti_frame_open(&d->camera, width, height, &t->frame);
     if (r != TETCAST_OK) return r;
     for (a = 0; a < 3; a++) {
         t->eye[a] = (t->frame.eye[a] - m->box_min[a]) / m->scale[a];
@@ -21138,20 +21664,31 @@ static tetcast_result tetcasti_rbf_picture_open(tetcasti_rbf_picture *t, tetcast
     if (!(t->h > 0.0f)) t->h = 1.0f; /* a box that is a point */
     if (sqrt(diagonal) / (double)t->h > (double)(TETCASTI_RBF_SAMPLES - 4)) return TETCAST_ERR_RANGE;
     t->rows = (uint32_t)(sqrt(diagonal) / (double)t->h) + 4;
-    t->tiles_x = (t->image->width + TETCASTI_RBF_TILE - 1) / TETCASTI_RBF_TILE;
-    t->tiles_y = (t->image->height + TETCASTI_RBF_TILE - 1) / TETCASTI_RBF_TILE;
+    t->base[0] = d->part[0] & ~3u; /* groups begin at multiples of their size */
+    t->base[1] = d->part[1] & ~1u;
+    t->tiles_x = (t->image->width + 3 + TETCASTI_RBF_TILE - 1) / TETCASTI_RBF_TILE;
+    t->tiles_y = (t->image->height + 1 + TETCASTI_RBF_TILE - 1) / TETCASTI_RBF_TILE;
     if ((uint64_t)t->tiles_x * t->tiles_y > 0x7fffffffu) return TETCAST_ERR_RANGE;
     t->tiles = t->tiles_x * t->tiles_y;
-    tetcasti_rbf_seen(t->optics, t->seen);
+    if (t->optics != NULL) tetcasti_rbf_seen(t->optics, t->seen);
+    else { /* the shader may see anything */
+        t->seen[0] = -TETCASTI_INF;
+        t->seen[1] = TETCASTI_INF;
+    }
     if (t->image->rgba8 != NULL) tetcasti_encoder_open(&t->encoder);
     return TETCAST_OK;
 }
 
-static tetcast_result tetcasti_rbf_render_check(const tetcast_rbf_render_desc *d, const tetcast_rbf *m) {
+static tetcast_result tetcasti_rbf_render_check(const tetcast_rbf_render_desc *d, const tetcast_rbf *m,
+                                                const tetcast_image *image) {
     uint32_t a;
     if ((uint32_t)d->channel > TETCAST_RBF_CHANNEL_HELICITY || d->component >= m->components ||
         (d->channel > TETCAST_RBF_CHANNEL_LENGTH && m->components != 3) ||
-        !(d->step >= 0.0f && d->step < 1e30f) || !(d->epsilon >= 0.0f && d->epsilon <= 1.0f))
+        !(d->step >= 0.0f && d->step < 1e30f) || !(d->epsilon >= 0.0f && d->epsilon <= 1.0f) ||
+        (d->shader != NULL && d->shader->shade_fn == NULL) ||
+        !(d->clip_near >= 0.0f && d->clip_near < TETCASTI_INF) || !(d->clip_far >= 0.0f) ||
+        (d->frame[0] != 0 && (d->frame[1] == 0 || d->part[0] > d->frame[0] || d->part[1] > d->frame[1] ||
+                              image->width > d->frame[0] - d->part[0] || image->height > d->frame[1] - d->part[1])))
         return TETCAST_ERR_INVALID_ARG;
     for (a = 0; a < 4; a++) if (!tetcasti_finite_f(d->background[a])) return TETCAST_ERR_INVALID_ARG;
     return TETCAST_OK;
@@ -21169,19 +21706,22 @@ TETCAST_DEF tetcast_result tetcast_rbf_render(const tetcast_rbf_render_desc *des
     memset(&d, 0, sizeof d);
     if (desc != NULL) d = *desc;
     if (d._begin_zero != 0 || d._end_zero != 0) return TETCAST_ERR_UNINIT_DESC;
-    if (rbf == NULL || optics == NULL || image == NULL) return TETCAST_ERR_INVALID_ARG;
+    if (rbf == NULL || (optics == NULL && d.shader == NULL) || image == NULL) return TETCAST_ERR_INVALID_ARG;
     t.desc = &d;
     t.m = rbf;
-    t.optics = optics;
+    t.optics = d.shader != NULL ? NULL : optics;
     t.image = image;
     t.component = d.component;
     t.channel = d.channel != TETCAST_RBF_CHANNEL_AUTO ? d.channel
         : rbf->components == 1 ? TETCAST_RBF_CHANNEL_COMPONENT : TETCAST_RBF_CHANNEL_LENGTH;
     r = tetcasti_env_open(&d.env, &t.mem);
-    if (r == TETCAST_OK) r = tetcasti_rbf_render_check(&d, rbf);
+    if (r == TETCAST_OK) r = tetcasti_rbf_render_check(&d, rbf, image);
     if (r == TETCAST_OK && (image->width == 0 || image->height == 0)) return TETCAST_OK;
     if (r == TETCAST_OK) r = tetcasti_rbf_picture_open(&t, &d);
     if (r != TETCAST_OK) return tetcasti_fail(d.env.error, r, 0, "render: bad camera or option, or too many samples");
+    if (d.shader != NULL && d.shader->prepare_fn != NULL)
+        r = d.shader->prepare_fn(d.shader->user, d.shader->params, d.shader->param_count, d.env.error);
+    if (r != TETCAST_OK) return r;
     for (i = 0; i < rbf->count; i++) most = rbf->record[i].most > most ? rbf->record[i].most : most;
     if (!tetcasti_rbf_bin(&t, d.epsilon > 0.0f ? d.epsilon * most : -1.0f)) t.failed = 1;
     else {

@@ -96,6 +96,7 @@ static void rbf_evaluations(void) {
             s.repeat = along == 1 ? 2000 : 20000;
             s.g.n = 64;
             s.g.h = 1.0f / 64.0f;
+            s.g.per = 64.0f;
             s.rows = (float *)must_alloc(65 * 8, sizeof(float));
             for (l = 0; l < 8; l++) {
                 s.v.p[0][l] = s.g.o[0][l] = 0.5f + 0.01f * (float)l;

@@ -17,7 +17,6 @@ typedef struct options {
 
 static const tetcast_type storages[4] = {TETCAST_TYPE_F16, TETCAST_TYPE_F32, TETCAST_TYPE_U16, TETCAST_TYPE_U8};
 static const char *const storage_names[4] = {"f16", "f32", "u16", "u8"};
-enum { SHADER_OPTICS, SHADER_LIT };
 
 /* ---- input -------------------------------------------------------------------------------------------------- */
 
@@ -231,43 +230,6 @@ static int make_look(const options *o, const tetcast_brick_render_desc *render, 
     return r == TETCAST_OK ? 0 : sup_fail_result(err, "optics", r, render->env.error);
 }
 
-/* A shader of our own: the transfer function, lit where the gradient is strong. */
-typedef struct lit {
-    const tetcast_transfer *transfer;
-    float strong; /* a gradient that counts as a surface */
-} lit;
-
-static tetcast_result lit_prepare(void *user, const tetcast_param *params, size_t count, tetcast_error *error) {
-    const float *strong = tetcast_params_find(params, count, "strong", 1, error);
-    if (!strong) return TETCAST_ERR_INVALID_ARG;
-    ((lit *)user)->strong = strong[0];
-    return TETCAST_OK;
-}
-
-static void lit_shade(void *user, const tetcast_packet *in, float rgba[4][8]) {
-    const lit *l = (const lit *)user;
-    for (int i = 0; i < 8; i++) {
-        float c[4], g = 0.0f, facing = 0.0f, light, a;
-        if (!(in->mask >> i & 1u)) continue;
-        tetcast_transfer_eval(l->transfer, 0.5f * (in->front[i] + in->back[i]), c);
-        for (int k = 0; k < 3; k++) {
-            g += in->gradient[k][i] * in->gradient[k][i];
-            facing += in->gradient[k][i] * in->direction[k][i];
-        }
-        g = sqrtf(g);
-        light = g > 0.0f ? fabsf(facing) / g : 1.0f;
-        g = g < l->strong ? g / l->strong : 1.0f;
-        light = 0.15f + 0.85f * (1.0f - g + g * light);
-        a = 1.0f - expf(-c[3] * (0.1f + 0.9f * g) * in->length[i]);
-        for (int k = 0; k < 3; k++) rgba[k][i] = a * light * c[k];
-        rgba[3][i] = a;
-    }
-}
-
-static int lit_empty(void *user, float lo, float hi) {
-    return tetcast_transfer_is_empty(((const lit *)user)->transfer, lo, hi);
-}
-
 /* ---- resample ----------------------------------------------------------------------------------------------- */
 
 static void set_defaults(options *o) {
@@ -392,7 +354,7 @@ static int parse_render(int argc, char **argv, options *o, tetcast_brick_render_
     table[n++] = sup_opt_choice("model", &o->model, "volume|emission|absorption|maximum", "what light does in it (volume)");
     table[n++] = sup_opt_given(sup_opt_real("iso", &o->iso, -1e38, 1e38, "V", "show the surface of this value"), &o->has_iso);
     table[n++] = sup_opt_real("iso-opacity", &o->opacity, 0.0, 1.0, "A", "of it (1)");
-    table[n++] = sup_opt_choice("shader", &o->shader, "optics|lit", "lit: a shader of this program, lit by gradients");
+    table[n++] = sup_opt_choice("shader", &o->shader, SUP_SHADERS, "lit: a shader of this program, lit by gradients");
     table[n++] = sup_opt_real("step", &o->step, 0.01, 100.0, "S", "distance of samples in cells (1)");
     table[n++] = sup_opt_int("level", &o->level, 0, 5, "N", "no finer than this level");
     table[n++] = sup_opt_given(sup_opt_vec3("focus", o->focus, "finest around this point"), &o->has_focus);
@@ -560,17 +522,13 @@ static int render(int argc, char **argv) {
     sup_error err;
     options o;
     look l;
-    lit shade;
-    tetcast_shader shader;
-    tetcast_param param;
-    float strong;
+    sup_lit lit;
     double start, build = 0.0, seconds = 0.0, lo[3], hi[3];
     int status = parse_render(argc, argv, &o, &desc);
     if (status >= 0) return status;
     memset(&stats, 0, sizeof stats);
     memset(&image, 0, sizeof image);
     memset(&l, 0, sizeof l);
-    memset(&shader, 0, sizeof shader);
     sup_error_clear(&err);
     desc.env.error = &error;
     if (o.in && sup_name_ends(o.in, ".brk")) status = read_bricks(&o, &desc.env, &bricks, &err);
@@ -585,19 +543,7 @@ static int render(int argc, char **argv) {
         brick_box(&info, lo, hi);
         (void)sup_volume_camera(&o.common, lo, hi, 0.0, &desc.camera);
         if (o.has_cut) {
-            tetcast_clip_plane plane;
-            tetcast_clip_desc cd;
-            memset(&cd, 0, sizeof cd);
-            memset(&plane, 0, sizeof plane);
-            for (int k = 0; k < 3; k++) {
-                plane.normal[k] = (double)o.cut[k];
-                plane.offset += plane.normal[k] * (info.lattice.origin[k] +
-                                                   0.5 * (double)(info.lattice.dims[k] - 1) * info.lattice.spacing[k]);
-            }
-            cd.env = desc.env;
-            cd.planes = &plane;
-            cd.plane_count = 1;
-            r = tetcast_clip_create(&cd, &clip);
+            r = sup_cut(&desc.env, o.cut, lo, hi, &clip);
             if (r != TETCAST_OK) status = sup_fail_result(&err, "--cut", r, &error);
             desc.clip = clip;
         }
@@ -613,19 +559,8 @@ static int render(int argc, char **argv) {
         if (!image.rgba8 || !image.rgba || (o.common.depth && !image.depth)) status = sup_fail(&err, "out of memory for the picture");
     }
     if (!status) {
-        strong = (float)(0.05 * ((double)info.value_max - (double)info.value_min) / info.lattice.spacing[0]);
-        shade.transfer = l.transfer;
-        param.name = "strong";
-        param.values = &strong;
-        param.count = 1;
-        shader.user = &shade;
-        shader.needs = TETCAST_NEED_GRADIENT | TETCAST_NEED_DIRECTION;
-        shader.params = &param;
-        shader.param_count = 1;
-        shader.prepare_fn = lit_prepare;
-        shader.shade_fn = lit_shade;
-        shader.empty_fn = lit_empty;
-        if (o.shader == SHADER_LIT) desc.shader = &shader;
+        sup_lit_open(&lit, l.transfer, 0.05 * ((double)info.value_max - (double)info.value_min) / info.lattice.spacing[0]);
+        if (o.shader == SUP_SHADER_LIT) desc.shader = &lit.shader;
         start = sup_now();
         r = draw(&o, &desc, cut, l.optics, &image, &stats);
         seconds = sup_now() - start;

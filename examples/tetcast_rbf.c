@@ -20,8 +20,8 @@ typedef struct options {
     int command, method, kernel, model, channel, gather, stepper, has_model, euler;
     int64_t detail, sweeps, component, samples, seeds, steps, base;
     double max_error, mean_error, cut, scale, iso, opacity, dt, ortho, epsilon, step;
-    int has_iso;
-    float background[3];
+    int has_iso, has_cut, shader;
+    float background[3], cut_way[3];
     int has_background;
 } options;
 
@@ -64,6 +64,8 @@ static int parse(int argc, char **argv, options *o) {
     t[n++] = sup_opt_int("component", &o->component, 0, 3, "N", "which component");
     t[n++] = sup_opt_int("samples", &o->samples, 0, 65000, "N", "samples along the diagonal (by the functions)");
     t[n++] = sup_opt_real("epsilon", &o->epsilon, 0.0, 1.0, "E", "leave out functions below this share of the largest");
+    t[n++] = sup_opt_choice("shader", &o->shader, SUP_SHADERS, "lit: a shader of this program, lit by gradients");
+    t[n++] = sup_opt_given(sup_opt_vec3("half", o->cut_way, "keep what lies this way from the middle"), &o->has_cut);
     t[n++] = sup_opt_flag("gather", &o->gather, "ask the cell of each sample instead of sorting functions into tiles");
     t[n++] = sup_opt_text("slice", &o->slice, "x|y|z=F", "a plane instead, F of the way through the box");
     t[n++] = sup_opt_real("ortho", &o->ortho, 0.0, 1e30, "H", "parallel rays; height of the picture");
@@ -359,8 +361,8 @@ static double choose_extinction(const tetcast_rbf_render_desc *desc, const model
     return sup_extinction_scale(transfer, 48, 36, 2.3, draw_small, &p);
 }
 
-static int make_optics(const options *o, const model *m, const tetcast_rbf_render_desc *render, tetcast_optics **out, double *extinction,
-                       sup_error *err) {
+static int make_optics(const options *o, const model *m, const tetcast_rbf_render_desc *render, tetcast_optics **out,
+                       tetcast_transfer **colours, double *extinction, sup_error *err) {
     const int from_file = sup_transfer_is_file(o->tf);
     tetcast_control_point *points;
     tetcast_isovalue iso;
@@ -404,7 +406,7 @@ static int make_optics(const options *o, const model *m, const tetcast_rbf_rende
         result = tetcast_transfer_create(&desc, &transfer);
     }
     if (result == TETCAST_OK) result = tetcast_optics_create(transfer, &optics, out);
-    tetcast_transfer_destroy(transfer);
+    *colours = transfer;
     SUP_FREE(points);
     sup_transfer_free(&tf);
     if (result == TETCAST_OK) return 0;
@@ -483,9 +485,12 @@ static int render(const options *o, const tetcast_env *env, const model *m, sup_
     tetcast_rbf_render_desc d;
     tetcast_rbf_render_stats stats;
     tetcast_optics *optics = NULL;
+    tetcast_transfer *transfer = NULL;
+    tetcast_clip *clip = NULL;
     tetcast_image image;
     tetcast_result result;
     sup_progress progress;
+    sup_lit lit;
     double start, extinction = 1.0;
     int failed;
     memset(&d, 0, sizeof d);
@@ -505,7 +510,14 @@ static int render(const options *o, const tetcast_env *env, const model *m, sup_
     failed = make_image(o, &image) ? sup_fail(err, "out of memory for the picture") : 0;
     if (!failed && o->slice) failed = draw_slice(o, m, env, &image, err);
     else if (!failed) {
-        failed = make_optics(o, m, &d, &optics, &extinction, err);
+        failed = make_optics(o, m, &d, &optics, &transfer, &extinction, err);
+        sup_lit_open(&lit, transfer, 4.0 * (m->hi - m->lo) / m->diagonal);
+        if (o->shader == SUP_SHADER_LIT) d.shader = &lit.shader;
+        if (!failed && o->has_cut) {
+            result = sup_cut(env, o->cut_way, m->info.box_min, m->info.box_max, &clip);
+            if (result != TETCAST_OK) failed = fail(o, env->error, result, err);
+            d.clip = clip;
+        }
         sup_progress_begin(&progress, "drawing", o->common.quiet);
         if (!progress.quiet) {
             d.env.progress_fn = sup_progress_fn;
@@ -536,6 +548,8 @@ static int render(const options *o, const tetcast_env *env, const model *m, sup_
     }
     if (!failed) failed = sup_write_image(&o->common, &image, err);
     tetcast_optics_destroy(optics);
+    tetcast_transfer_destroy(transfer);
+    tetcast_clip_destroy(clip);
     SUP_FREE(image.rgba);
     SUP_FREE(image.rgba8);
     SUP_FREE(image.depth);

@@ -15,7 +15,8 @@ typedef struct options {
     int method, model, integrator, cells, order, has_model, has_opacity, smooth, weld, has_background, cue;
     int64_t detail;
     double opacity, scale, ortho, samples;
-    float background[3];
+    int shader, has_cut;
+    float background[3], cut[3];
     float isovalues[MAX_ISOVALUES];
     size_t isovalue_count;
 } options;
@@ -39,7 +40,7 @@ static int collect_isovalues(int argc, char **argv, options *o) {
 }
 
 static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
-    sup_option table[SUP_COMMON_OPTIONS + 24];
+    sup_option table[SUP_COMMON_OPTIONS + 28];
     double iso = 0.0;
     float clip[3] = {0.0f, 0.0f, 0.0f};
     size_t n;
@@ -76,6 +77,8 @@ static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
     table[n++] = sup_opt_flag("weld", &o->weld, "points at the same place become one");
     table[n++] = sup_opt_given(sup_opt_vec3("clip", clip, "near,far,0: show only these distances along the view"),
                                &has_clip);
+    table[n++] = sup_opt_given(sup_opt_vec3("cut", o->cut, "keep what lies this way from the middle"), &o->has_cut);
+    table[n++] = sup_opt_choice("shader", &o->shader, SUP_SHADERS, "lit: a shader of this program, lit by gradients");
     table[n++] = sup_opt_real("ortho", &o->ortho, 0.0, 1e30, "H", "parallel rays; height of the picture in the volume");
     table[n++] = sup_opt_flag("cue", &o->cue, "what is farther away is darker");
     table[n++] = sup_opt_given(sup_opt_vec3("background", o->background, "linear r,g,b instead of transparent"),
@@ -182,7 +185,7 @@ static double choose_extinction(const options *o, const tetcast_render_desc *des
 }
 
 static int make_optics(const options *o, const tetcast_mesh *mesh, const tetcast_render_desc *render,
-                       tetcast_optics **out, double *extinction, sup_error *err) {
+                       tetcast_optics **out, tetcast_transfer **colours, double *extinction, sup_error *err) {
     static const float palette[4][3] = {{0.85f, 0.45f, 0.12f}, {0.15f, 0.45f, 0.85f}, {0.3f, 0.75f, 0.25f},
                                         {0.8f, 0.2f, 0.35f}};
     const tetcast_env *env = &render->env;
@@ -245,7 +248,7 @@ static int make_optics(const options *o, const tetcast_mesh *mesh, const tetcast
         result = tetcast_transfer_create(&desc, &transfer);
     }
     if (result == TETCAST_OK) result = tetcast_optics_create(transfer, &optics, out);
-    tetcast_transfer_destroy(transfer);
+    *colours = transfer;
     SUP_FREE(points);
     sup_transfer_free(&tf);
     if (result == TETCAST_OK) return 0;
@@ -383,6 +386,33 @@ static int load(const options *o, const tetcast_env *env, char *field_name, size
     return failed;
 }
 
+/* With a shader or clipping. */
+static tetcast_result draw_shaded(const options *o, const tetcast_render_desc *desc, const tetcast_mesh *mesh,
+                                  const tetcast_transfer *transfer, const tetcast_optics *optics, const tetcast_image *image,
+                                  tetcast_render_stats *stats) {
+    tetcast_mesh_info info;
+    tetcast_shade_desc d;
+    tetcast_clip *clip = NULL;
+    tetcast_result result = TETCAST_OK;
+    sup_lit lit;
+    float lo = 0.0f, hi = 1.0f;
+    tetcast_mesh_get_info(mesh, &info);
+    (void)tetcast_mesh_field(mesh, 0, &lo, &hi);
+    memset(&d, 0, sizeof d);
+    d.env = desc->env;
+    d.camera = desc->camera;
+    d.clip_near = desc->clip_near;
+    d.clip_far = desc->clip_far;
+    memcpy(d.background, desc->background, sizeof d.background);
+    sup_lit_open(&lit, transfer, 4.0 * ((double)hi - (double)lo) / sup_box_diagonal(info.box_min, info.box_max));
+    if (o->shader == SUP_SHADER_LIT) d.shader = &lit.shader;
+    if (o->has_cut) result = sup_cut(&desc->env, o->cut, info.box_min, info.box_max, &clip);
+    d.clip = clip;
+    if (result == TETCAST_OK) result = tetcast_render_shaded(&d, mesh, optics, image, stats);
+    tetcast_clip_destroy(clip);
+    return result;
+}
+
 int main(int argc, char **argv) {
     options o;
     tetcast_render_desc desc;
@@ -391,6 +421,7 @@ int main(int argc, char **argv) {
     tetcast_error error = {TETCAST_OK, 0, ""};
     tetcast_mesh *mesh = NULL;
     tetcast_optics *optics = NULL;
+    tetcast_transfer *transfer = NULL;
     tetcast_image image;
     tetcast_result result = TETCAST_OK;
     sup_progress progress;
@@ -406,7 +437,7 @@ int main(int argc, char **argv) {
     status = load(&o, &desc.env, field, sizeof field, &report, &mesh, &err);
     if (!status) {
         set_camera(&o, mesh, &desc.camera);
-        status = make_optics(&o, mesh, &desc, &optics, &extinction, &err);
+        status = make_optics(&o, mesh, &desc, &optics, &transfer, &extinction, &err);
     }
     if (!status && make_image(&o, &image)) status = sup_fail(&err, "out of memory for the picture");
     if (!status) {
@@ -416,7 +447,8 @@ int main(int argc, char **argv) {
             desc.env.progress_user = &progress;
         }
         start = sup_now();
-        if (result == TETCAST_OK) result = tetcast_render(&desc, mesh, optics, &image, &stats);
+        if (result == TETCAST_OK && !o.shader && !o.has_cut) result = tetcast_render(&desc, mesh, optics, &image, &stats);
+        else if (result == TETCAST_OK) result = draw_shaded(&o, &desc, mesh, transfer, optics, &image, &stats);
         seconds = sup_now() - start;
         sup_progress_end(&progress);
         if (result != TETCAST_OK)
@@ -430,6 +462,7 @@ int main(int argc, char **argv) {
     }
     if (status) (void)sup_bad_input(argv[0], err.text);
     tetcast_optics_destroy(optics);
+    tetcast_transfer_destroy(transfer);
     tetcast_mesh_destroy(mesh);
     return status;
 }

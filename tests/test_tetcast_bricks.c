@@ -1348,6 +1348,176 @@ TEST(shaders) {
     free(v);
 }
 
+/* Where a ray is inside of a tetrahedron. */
+static int ray_in_tet(const tets *m, size_t cell, const tetcast_ray *ray, double ends[2]) {
+    int i, a;
+    ends[0] = 0.0;
+    ends[1] = 1e300;
+    for (i = 0; i < 4; i++) {
+        const double *p = m->p + 3 * m->t[4 * cell + (size_t)((i + 1) & 3)], *q = m->p + 3 * m->t[4 * cell + (size_t)((i + 2) & 3)];
+        const double *r = m->p + 3 * m->t[4 * cell + (size_t)((i + 3) & 3)], *o = m->p + 3 * m->t[4 * cell + (size_t)i];
+        double u[3], v[3], n[3], side = 0, height = 0, along = 0;
+        for (a = 0; a < 3; a++) {
+            u[a] = q[a] - p[a];
+            v[a] = r[a] - p[a];
+        }
+        for (a = 0; a < 3; a++) n[a] = u[(a + 1) % 3] * v[(a + 2) % 3] - u[(a + 2) % 3] * v[(a + 1) % 3];
+        for (a = 0; a < 3; a++) {
+            side += n[a] * (o[a] - p[a]);
+            height += n[a] * (ray->org[a] - p[a]);
+            along += n[a] * ray->dir[a];
+        }
+        if (side < 0) {
+            height = -height;
+            along = -along;
+        }
+        if (along > 0) ends[0] = fmax(ends[0], -height / along);
+        else if (along < 0) ends[1] = fmin(ends[1], -height / along);
+        else if (height < 0) return 0;
+    }
+    return ends[1] > ends[0];
+}
+
+/* Tetrahedra ray by ray: the picture of the walker, what a shader is told, half of a body cut away, parts of a frame. */
+TEST(shaded_tetrahedra) {
+    enum { W = 48, H = 40 };
+    static float a[W * H * 4], b[W * H * 4], e[W * H * 4], length[2][W * H], depth[2][W * H];
+    static const double hole[2] = {1.0, 3.5};
+    tets m;
+    tetcast_mesh *mesh;
+    tetcast_optics *o = flat_optics(0.3f, TETCAST_MODEL_VOLUME);
+    tetcast_shade_desc d;
+    tetcast_render_desc rd;
+    tetcast_mesh_info info;
+    tetcast_image image;
+    tetcast_shader s;
+    tetcast_param param = {"density", NULL, 1};
+    tetcast_clip_desc cd;
+    tetcast_clip_plane plane;
+    tetcast_clip_body body;
+    tetcast_clip *clip = NULL;
+    probe_shader probe = {0, 0};
+    double corner[8][3], worst = 0, worst_shader = 0, worst_length = 0, worst_parts = 0;
+    float density = 0.3f;
+    uint32_t i, k;
+    memset(&m, 0, sizeof m);
+    tets_lattice(&m, 6, 6, 6, 5, NULL);
+    tets_jitter(&m, 6, 6, 6, 0.5, 3);
+    make_linear(&m);
+    mesh = tets_build(&m, TETCAST_CELLS_TET16, NULL);
+    REQUIRE(mesh != NULL);
+    tetcast_mesh_get_info(mesh, &info);
+    memset(&d, 0, sizeof d);
+    memset(&rd, 0, sizeof rd);
+    memset(&image, 0, sizeof image);
+    d.camera.fov_y = 50.0f;
+    CHECK_EQ_U64(tetcast_camera_fit(&d.camera, info.box_min, info.box_max, NULL, W, H), TETCAST_OK);
+    rd.camera = d.camera;
+    image.width = W;
+    image.height = H;
+    image.rgba = a;
+    image.length = length[0];
+    image.depth = depth[0];
+    CHECK_EQ_U64(tetcast_render(&rd, mesh, o, &image, NULL), TETCAST_OK);
+    image.rgba = b;
+    image.length = length[1];
+    image.depth = depth[1];
+    CHECK_EQ_U64(tetcast_render_shaded(&d, mesh, o, &image, NULL), TETCAST_OK);
+    for (i = 0; i < W * H; i++) {
+        for (k = 0; k < 4; k++) worst = fmax(worst, fabs((double)a[4 * i + k] - (double)b[4 * i + k]));
+        worst_length = fmax(worst_length, fabs((double)length[0][i] - (double)length[1][i]));
+        CHECK((depth[0][i] < INFINITY) == (depth[1][i] < INFINITY));
+        if (depth[0][i] < INFINITY) CHECK_NEAR((double)depth[0][i], (double)depth[1][i], 1e-4);
+    }
+    CHECK_MSG(worst < 1e-5 && worst_length < 1e-4, "%g %g", worst, worst_length);
+    memset(&s, 0, sizeof s);
+    s.user = &probe;
+    s.needs = TETCAST_NEED_GRADIENT | TETCAST_NEED_POSITION | TETCAST_NEED_DIRECTION;
+    s.prepare_fn = probe_prepare;
+    s.shade_fn = probe_shade;
+    s.params = &param;
+    s.param_count = 1;
+    d.shader = &s;
+    CHECK_EQ_U64(tetcast_render_shaded(&d, mesh, NULL, &image, NULL), TETCAST_ERR_INVALID_ARG);
+    param.values = &density;
+    CHECK_EQ_U64(tetcast_render_shaded(&d, mesh, NULL, &image, NULL), TETCAST_OK);
+    for (i = 0; i < W * H; i++) {
+        worst_shader = fmax(worst_shader, fabs((double)a[4 * i + 3] - (double)b[4 * i + 3]));
+        worst_shader = fmax(worst_shader, fabs((double)b[4 * i] - (double)b[4 * i + 3])); /* all of it fitted */
+    }
+    CHECK_MSG(worst_shader < 3e-3, "%g", worst_shader); /* a ray ends with 1/512 */
+    /* a plane and a hole: ways by the box are known */
+    memset(&cd, 0, sizeof cd);
+    memset(&plane, 0, sizeof plane);
+    memset(&body, 0, sizeof body);
+    plane.normal[0] = 1.0;
+    plane.offset = 0.5 * (info.box_min[0] + info.box_max[0]);
+    cube_points(corner, hole[0], hole[1]);
+    body.points = (const double (*)[3])corner;
+    body.point_count = 8;
+    body.indices = g_cube;
+    body.triangle_count = 12;
+    body.outside = 1;
+    cd.planes = &plane;
+    cd.plane_count = 1;
+    cd.bodies = &body;
+    cd.body_count = 1;
+    REQUIRE(tetcast_clip_create(&cd, &clip) == TETCAST_OK);
+    d.shader = NULL;
+    d.clip = clip;
+    d.env.thread_count = 1;
+    CHECK_EQ_U64(tetcast_render_shaded(&d, mesh, o, &image, NULL), TETCAST_OK);
+    worst = worst_length = 0;
+    for (i = 0; i < W * H; i++) { /* the mesh is convex */
+        tetcast_ray ray;
+        double span[TETCAST_CLIP_SPANS][2], want = 0, ends[2] = {0, 0}, enter = 1e300, leave = 0;
+        uint32_t n, q;
+        CHECK_EQ_U64(tetcast_camera_ray(&d.camera, W, H, i % W + 0.5, i / W + 0.5, &ray), TETCAST_OK);
+        n = tetcast_clip_spans(clip, &ray, span);
+        for (q = 0; q < m.nt; q++) { /* where the ray is in any tetrahedron */
+            if (!ray_in_tet(&m, q, &ray, ends)) continue;
+            enter = fmin(enter, ends[0]);
+            leave = fmax(leave, ends[1]);
+        }
+        for (q = 0; q < n; q++)
+            if (fmin(span[q][1], leave) > fmax(span[q][0], enter)) want += fmin(span[q][1], leave) - fmax(span[q][0], enter);
+        worst_length = fmax(worst_length, fabs(want - (double)length[1][i]));
+        worst = fmax(worst, fabs(1.0 - exp(-0.3 * want) - (double)b[4 * i + 3]));
+    }
+    CHECK_MSG(worst_length < 1e-4 && worst < 1e-4, "%g %g", worst_length, worst);
+    memcpy(e, b, sizeof e); /* in four parts, by three threads: the same bits */
+    d.env.thread_count = 3;
+    d.frame[0] = W;
+    d.frame[1] = H;
+    for (k = 0; k < 4; k++) {
+        tetcast_image part = image;
+        d.part[0] = k & 1u ? 20 : 0;
+        d.part[1] = k >> 1 ? 9 : 0;
+        part.width = k & 1u ? W - 20 : 20;
+        part.height = k >> 1 ? H - 9 : 9;
+        part.rgba = a + 4 * (d.part[1] * W + d.part[0]);
+        part.rgba_stride = W * 16;
+        part.length = part.depth = NULL;
+        CHECK_EQ_U64(tetcast_render_shaded(&d, mesh, o, &part, NULL), TETCAST_OK);
+    }
+    CHECK(memcmp(a, e, sizeof a) == 0);
+    memset(d.frame, 0, sizeof d.frame);
+    memset(d.part, 0, sizeof d.part);
+    d.clip_far = 7.0f; /* what is before a plane of the view, and what is behind it */
+    CHECK_EQ_U64(tetcast_render_shaded(&d, mesh, o, &image, NULL), TETCAST_OK);
+    memcpy(a, b, sizeof a);
+    d.clip_near = 7.0f;
+    d.clip_far = 0.0f;
+    CHECK_EQ_U64(tetcast_render_shaded(&d, mesh, o, &image, NULL), TETCAST_OK);
+    tetcast_over(a, b, W * H);
+    for (i = 0; i < 4 * W * H; i++) worst_parts = fmax(worst_parts, fabs((double)a[i] - (double)e[i]));
+    CHECK_MSG(worst_parts < 1e-5, "%g", worst_parts);
+    tetcast_clip_destroy(clip);
+    tetcast_mesh_destroy(mesh);
+    tetcast_optics_destroy(o);
+    tets_free(&m);
+}
+
 TEST(codecs) {
     static const uint32_t sizes[5][2] = {{64, 64}, {1, 1}, {5, 7}, {33, 2}, {16, 130}};
     test_rng r = test_rng_make(6);
@@ -1489,6 +1659,7 @@ int main(int argc, char **argv) {
     RUN(bricks_look_like_tetrahedra);
     RUN(clip_spans);
     RUN(shaders);
+    RUN(shaded_tetrahedra);
     RUN(codecs);
     RUN(depth_ranges_and_memory);
     return test_end();

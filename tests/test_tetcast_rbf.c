@@ -922,6 +922,143 @@ TEST(sphere) {
     tetcast_optics_destroy(o);
 }
 
+/* ---- shaders and clipping ---- */
+
+typedef struct field_probe {
+    const tetcast_rbf *m;
+    float density;
+    int bad;                     /* gradients and places that are not those of the field */
+} field_probe;
+
+static void field_shade(void *user, const tetcast_packet *in, float rgba[4][8]) {
+    field_probe *q = (field_probe *)user;
+    int i, a;
+    for (i = 0; i < 8; i++) {
+        const float middle = 0.5f * (in->front[i] + in->back[i]);
+        double p[3];
+        float v[1], j[3];
+        if (!(in->mask >> i & 1u)) continue;
+        for (a = 0; a < 3; a++) p[a] = (double)in->position[a][i];
+        if (tetcast_rbf_eval(NULL, q->m, p, 1, v, j) != TETCAST_OK || !(fabs((double)v[0] - (double)middle) < 0.05)) q->bad++;
+        for (a = 0; a < 3; a++)
+            if (!(fabs((double)j[a] - (double)in->gradient[a][i]) < 2e-3 * (1.0 + fabs((double)j[a])))) q->bad++;
+        rgba[3][i] = 1.0f - expf(-q->density * (middle > 0.0f ? middle : 0.0f) * in->length[i]);
+        rgba[0][i] = rgba[3][i];
+    }
+}
+
+/* A shader that does what the optics do gives their picture; half of the box and the other half are the whole; parts of
+   a frame have its bits. */
+TEST(shaded_functions) {
+    enum { W = 36, H = 28 };
+    static float rgba[6][W * H * 4];
+    tetcast_rbf_desc d = random_desc(9, 60, 1, 0.1, 0.4, 0.1);
+    tetcast_control_point points[2];
+    tetcast_transfer_desc td;
+    tetcast_transfer *t = NULL;
+    tetcast_optics *o = NULL;
+    tetcast_rbf_render_desc q;
+    tetcast_image image;
+    tetcast_shader s;
+    tetcast_clip_desc cd;
+    tetcast_clip_plane plane;
+    tetcast_clip *clip = NULL;
+    field_probe probe;
+    tetcast_rbf *m;
+    double worst = 0.0, halves = 0.0;
+    uint32_t i, k;
+    for (i = 0; i < 60; i++) g_f[i].weight[0] = fabsf(g_f[i].weight[0]);
+    d.offset[0] = 0.1f;
+    m = make(&d);
+    memset(points, 0, sizeof points);
+    memset(&td, 0, sizeof td);
+    points[1].value = 100.0f; /* extinction in proportion to the value, red */
+    points[1].extinction = 100.0f * 0.4f;
+    points[0].rgb[0] = points[1].rgb[0] = 1.0f;
+    td.points = points;
+    td.point_count = 2;
+    CHECK(tetcast_transfer_create(&td, &t) == TETCAST_OK && tetcast_optics_create(t, NULL, &o) == TETCAST_OK);
+    memset(&q, 0, sizeof q);
+    memset(&image, 0, sizeof image);
+    memset(&s, 0, sizeof s);
+    memset(&cd, 0, sizeof cd);
+    memset(&plane, 0, sizeof plane);
+    image.width = W;
+    image.height = H;
+    q.step = 0.02f;
+    q.env.thread_count = 1;
+    probe.m = m;
+    probe.density = 0.4f;
+    probe.bad = 0;
+    s.user = &probe;
+    s.needs = TETCAST_NEED_GRADIENT | TETCAST_NEED_POSITION;
+    s.shade_fn = field_shade;
+    image.rgba = rgba[0];
+    CHECK(tetcast_rbf_render(&q, m, o, &image, NULL) == TETCAST_OK);
+    q.shader = &s;
+    image.rgba = rgba[1];
+    CHECK(tetcast_rbf_render(&q, m, NULL, &image, NULL) == TETCAST_OK);
+    q.shader = NULL;
+    CHECK_EQ_U64((uint64_t)probe.bad, 0);
+    for (k = 0; k < 2; k++) {
+        plane.normal[0] = k == 0 ? 1.0 : -1.0;
+        plane.normal[1] = k == 0 ? 0.3 : -0.3;
+        plane.offset = plane.normal[0] * 0.5 * (d.box_min[0] + d.box_max[0]) + plane.normal[1] * 0.5 * (d.box_min[1] + d.box_max[1]);
+        cd.planes = &plane;
+        cd.plane_count = 1;
+        CHECK(tetcast_clip_create(&cd, &clip) == TETCAST_OK);
+        q.clip = clip;
+        image.rgba = rgba[2 + k];
+        CHECK(tetcast_rbf_render(&q, m, o, &image, NULL) == TETCAST_OK);
+        if (k == 0) { /* the same by the scalar code, in two parts, on three threads */
+            tetcast_image part = image;
+            q.isa = TETCAST_ISA_SCALAR;
+            q.env.thread_count = 3;
+            q.frame[0] = W;
+            q.frame[1] = H;
+            for (i = 0; i < 2; i++) {
+                q.part[0] = i * 13;
+                part.width = i != 0 ? W - 13 : 13;
+                part.rgba = rgba[4] + 4 * q.part[0];
+                part.rgba_stride = W * 16;
+                CHECK(tetcast_rbf_render(&q, m, o, &part, NULL) == TETCAST_OK);
+            }
+            CHECK(memcmp(rgba[2], rgba[4], sizeof rgba[2]) == 0);
+            q.isa = TETCAST_ISA_AUTO;
+            q.env.thread_count = 1;
+            memset(q.frame, 0, sizeof q.frame);
+            memset(q.part, 0, sizeof q.part);
+        }
+        tetcast_clip_destroy(clip);
+        q.clip = NULL;
+    }
+    for (i = 0; i < W * H; i++) {
+        const double a = (double)rgba[0][4 * i + 3], b = (double)rgba[2][4 * i + 3], c = (double)rgba[3][4 * i + 3];
+        worst = fmax(worst, fabs(a - (double)rgba[1][4 * i + 3]));
+        worst = fmax(worst, fabs((double)rgba[0][4 * i] - (double)rgba[1][4 * i]));
+        halves = fmax(halves, fabs((1.0 - a) - (1.0 - b) * (1.0 - c))); /* light through one and the other */
+    }
+    CHECK_MSG(worst < 3e-3, "%g", worst);
+    CHECK_MSG(halves < 1e-5, "%g", halves);
+    for (k = 0; k < 2; k++) { /* ranges of depth, nearest first */
+        float limit[W * H];
+        for (i = 0; i < W * H; i++) limit[i] = 4.0f;
+        q.limit = k == 0 ? limit : NULL;
+        q.clip_near = k == 0 ? 0.0f : 4.0f;
+        image.rgba = rgba[2 + k];
+        CHECK(tetcast_rbf_render(&q, m, o, &image, NULL) == TETCAST_OK);
+    }
+    tetcast_over(rgba[2], rgba[3], W * H);
+    for (i = 0, worst = 0.0; i < 4 * W * H; i++) worst = fmax(worst, fabs((double)rgba[0][i] - (double)rgba[2][i]));
+    CHECK_MSG(worst < 1e-5, "%g", worst);
+    s.shade_fn = NULL;
+    q.shader = &s;
+    CHECK(tetcast_rbf_render(&q, m, o, &image, NULL) == TETCAST_ERR_INVALID_ARG);
+    tetcast_optics_destroy(o);
+    tetcast_transfer_destroy(t);
+    tetcast_rbf_destroy(m);
+}
+
 /* The recurrence along rays against the formula: steps from far smaller to far larger than the width, starts in tails. */
 TEST(recurrence) {
     test_rng r = test_rng_make(31);
@@ -937,6 +1074,7 @@ TEST(recurrence) {
         memset(&g, 0, sizeof g);
         memset(&f, 0, sizeof f);
         g.h = (float)(ratio * (double)width);
+        g.per = 1.0f / g.h;
         g.n = 4096;
         f.e = (float)exp(-0.5 * 3.5 * 3.5);
         f.a = (float)(-0.72134752044448170368 / ((double)width * (double)width));
@@ -1041,6 +1179,7 @@ int main(int argc, char **argv) {
     RUN(traces);
     RUN(pictures);
     RUN(sphere);
+    RUN(shaded_functions);
     RUN(recurrence);
     RUN(out_of_memory);
     return test_end();

@@ -207,6 +207,84 @@ SUP_FN double sup_extinction_scale(const tetcast_transfer *transfer, uint32_t wi
     return scale < 1e-4 ? 1e-4 : scale > 1e4 ? 1e4 : scale;
 }
 
+/* ---- a shader of the programs' own, clipping ----------------------------------------------------------------- */
+
+enum { SUP_SHADER_OPTICS, SUP_SHADER_LIT };
+#define SUP_SHADERS "optics|lit"
+
+/* The transfer function, lit where the gradient is strong. */
+typedef struct sup_lit {
+    const tetcast_transfer *transfer;
+    float strong;           /* a gradient that counts as a surface */
+    float wanted;           /* what it is set to */
+    tetcast_param param;
+    tetcast_shader shader;
+} sup_lit;
+
+SUP_FN tetcast_result sup_lit_prepare(void *user, const tetcast_param *params, size_t count, tetcast_error *error) {
+    const float *strong = tetcast_params_find(params, count, "strong", 1, error);
+    if (!strong) return TETCAST_ERR_INVALID_ARG;
+    ((sup_lit *)user)->strong = strong[0];
+    return TETCAST_OK;
+}
+
+SUP_FN void sup_lit_shade(void *user, const tetcast_packet *in, float rgba[4][8]) {
+    const sup_lit *l = (const sup_lit *)user;
+    for (int i = 0; i < 8; i++) {
+        float c[4], g = 0.0f, facing = 0.0f, light, a;
+        if (!(in->mask >> i & 1u)) continue;
+        tetcast_transfer_eval(l->transfer, 0.5f * (in->front[i] + in->back[i]), c);
+        for (int k = 0; k < 3; k++) {
+            g += in->gradient[k][i] * in->gradient[k][i];
+            facing += in->gradient[k][i] * in->direction[k][i];
+        }
+        g = sqrtf(g);
+        light = g > 0.0f ? fabsf(facing) / g : 1.0f;
+        g = g < l->strong ? g / l->strong : 1.0f;
+        light = 0.15f + 0.85f * (1.0f - g + g * light);
+        a = 1.0f - expf(-c[3] * (0.1f + 0.9f * g) * in->length[i]);
+        for (int k = 0; k < 3; k++) rgba[k][i] = a * light * c[k];
+        rgba[3][i] = a;
+    }
+}
+
+SUP_FN int sup_lit_empty(void *user, float lo, float hi) {
+    return tetcast_transfer_is_empty(((const sup_lit *)user)->transfer, lo, hi);
+}
+
+SUP_FN void sup_lit_open(sup_lit *l, const tetcast_transfer *transfer, double strong) {
+    memset(l, 0, sizeof *l);
+    l->transfer = transfer;
+    l->wanted = (float)strong;
+    l->param.name = "strong";
+    l->param.values = &l->wanted;
+    l->param.count = 1;
+    l->shader.user = l;
+    l->shader.needs = TETCAST_NEED_GRADIENT | TETCAST_NEED_DIRECTION;
+    l->shader.params = &l->param;
+    l->shader.param_count = 1;
+    l->shader.prepare_fn = sup_lit_prepare;
+    l->shader.shade_fn = sup_lit_shade;
+    l->shader.empty_fn = sup_lit_empty;
+}
+
+/* --cut: what lies this way from the middle of the box is kept. */
+SUP_FN tetcast_result sup_cut(const tetcast_env *env, const float way[3], const double lo[3], const double hi[3],
+                              tetcast_clip **out) {
+    tetcast_clip_plane plane;
+    tetcast_clip_desc desc;
+    memset(&desc, 0, sizeof desc);
+    memset(&plane, 0, sizeof plane);
+    for (int k = 0; k < 3; k++) {
+        plane.normal[k] = (double)way[k];
+        plane.offset += plane.normal[k] * (lo[k] + 0.5 * (hi[k] - lo[k]));
+    }
+    desc.env = *env;
+    desc.planes = &plane;
+    desc.plane_count = 1;
+    return tetcast_clip_create(&desc, out);
+}
+
 /* ---- camera and picture ------------------------------------------------------------------------------------- */
 
 SUP_FN double sup_box_diagonal(const double lo[3], const double hi[3]) {
