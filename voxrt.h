@@ -1306,7 +1306,8 @@ typedef struct voxrt_gi_render_desc {
 
 /* Light a G-buffer. direct, indirect: rgb for each pixel, linear: what the surface sends to the camera because of
    lights (with its emission), and because of other surfaces; may be NULL. Surfaces that emit light count as lights. The
-   same bits for any number of threads and any isa. Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY, CANCELLED. Thread
+   same bits for any number of threads and any isa. env.progress_fn may stop it: what is drawn then is of no use, a
+   history stays as it was. Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY, CANCELLED. Thread
    safety: one call on a scene at a time (it fills the cache). Source: thesis (2010) 6, 7, 8.6. */
 VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_gi *gi, const voxrt_gbuffer *gbuffer,
                                        float *direct, float *indirect, voxrt_stats *stats);
@@ -15087,7 +15088,6 @@ typedef struct voxrti_gi_record {
     uint8_t rgb[2][3];   /* albedo, square root of linear values */
     uint8_t area[2];
     int8_t offset[2];    /* of the surface from the cell's centre along the normal, 1/127 of half a diagonal */
-    uint8_t edge;        /* 1: both sides are flat, and they meet at an angle */
 } voxrti_gi_record;
 
 typedef struct voxrti_gi_layer {
@@ -15423,8 +15423,7 @@ static void voxrti_task_gi_resolve(void *ctx, uint32_t index) {
         const voxrti_gi_sides *s = &b->sum[i].u.sides;
         voxrti_gi_record *r = &b->layer->record[i];
         const uint32_t all = s->weight[0] + s->weight[1];
-        float face[2][3] = {{0, 0, 0}, {0, 0, 0}};
-        uint32_t side, a, flat = 0;
+        uint32_t side, a;
         memset(r, 0, sizeof *r);
         for (side = 0; side < 2 && all != 0; side++) {
             float n[3];
@@ -15434,16 +15433,13 @@ static void voxrti_task_gi_resolve(void *ctx, uint32_t index) {
                 n[a] = (float)s->normal[side][a];
                 r->rgb[side][a] = (uint8_t)(sqrt((double)s->rgb[side][a] / ((double)w * 65535.0)) * 255.0 + 0.5);
             }
-            flat += voxrti_dot3(n, n) > 1017118.72f * (float)w * (float)w; /* 0.97 of what one direction had */
             if (!voxrti_normalize(n)) n[2] = 1.0f;
-            memcpy(face[side], n, sizeof n);
             r->normal[side] = (uint16_t)voxrti_oct_encode(n);
             r->object[side] = (uint16_t)s->object[side];
             r->area[side] = (uint8_t)(255.0 * (double)w / (double)all + 0.5);
             if (r->area[side] == 0) r->area[side] = 1;
             r->offset[side] = (int8_t)voxrti_floor((double)s->offset[side] / (double)w + 0.5);
         }
-        r->edge = flat == 2 && voxrti_absf(voxrti_dot3(face[0], face[1])) < 0.8f;
     }
 }
 
@@ -16823,7 +16819,8 @@ typedef struct voxrti_gather {
     int isa;
     voxrti_frame frame;
     uint32_t sum[3][2]; /* tallies: rays, hits, steps */
-    uint32_t want_stats;
+    uint32_t want_stats, from;     /* from: first run of the list that is worked on */
+    uint64_t done, total;          /* for env.progress_fn: pixels times rays; total is the most */
 } voxrti_gather;
 
 #define VOXRTI_NO_PIXEL 0xffffffffu
@@ -17360,8 +17357,9 @@ static void voxrti_gather_open(const voxrti_gather *w, const uint32_t *pixel, ui
 }
 
 /* A run of the list: sums over the rays of this pass. */
-static void voxrti_task_shade(void *ctx, uint32_t batch) {
+static void voxrti_task_shade(void *ctx, uint32_t index) {
     voxrti_gather *w = (voxrti_gather *)ctx;
+    const uint32_t batch = w->from + index;
     const uint32_t *list = w->list + (size_t)batch * VOXRTI_COLUMN_BATCH;
     voxrti_points q;
     voxrt_stats stats;
@@ -17551,21 +17549,34 @@ static void voxrti_task_between(void *ctx, uint32_t row) {
     }
 }
 
-static void voxrti_shade_list(voxrti_gather *w) {
-    voxrti_parallel_for(&w->d->env, voxrti_task_shade, w,
-                        (uint32_t)((w->list_count + VOXRTI_COLUMN_BATCH - 1) / VOXRTI_COLUMN_BATCH));
+static voxrt_result voxrti_shade_list(voxrti_gather *w) {
+    const voxrt_env *env = &w->d->env;
+    const uint32_t n = (uint32_t)((w->list_count + VOXRTI_COLUMN_BATCH - 1) / VOXRTI_COLUMN_BATCH);
+    const uint32_t most = env->progress_fn != NULL ? 256 : n; /* with someone who may want to stop, in parts */
+    uint32_t part;
+    for (w->from = 0; w->from < n; w->from += part) {
+        part = n - w->from < most ? n - w->from : most;
+        voxrti_parallel_for(env, voxrti_task_shade, w, part);
+        if (env->progress_fn == NULL) continue;
+        w->done += (uint64_t)part * VOXRTI_COLUMN_BATCH * w->rays;
+        if (w->done > w->total) w->done = w->total;
+        if (env->progress_fn(env->progress_user, w->done, w->total) != 0)
+            return voxrti_fail(env->error, VOXRT_ERR_CANCELLED, w->from, "cancelled");
+    }
+    return VOXRT_OK;
 }
 
 /* A pass over a mesh of pixels that is refined where it has to be. With `again` it is already known where. */
-static void voxrti_shade_coarse(voxrti_gather *w, int again) {
+static voxrt_result voxrti_shade_coarse(voxrti_gather *w, int again) {
     const voxrt_gbuffer *g = w->g;
+    voxrt_result r = VOXRT_OK;
     uint32_t step, x, y;
     const uint32_t first = w->rays;
     voxrti_mesh_work m;
     m.w = w;
     m.value = w->which == 2 ? w->indirect : w->half[w->which];
     m.decide = !again;
-    for (step = w->d->coarse; step != 0; step /= 2) {
+    for (step = w->d->coarse; step != 0 && r == VOXRT_OK; step /= 2) {
         m.step = step;
         if (step != w->d->coarse)
             voxrti_parallel_for(&w->d->env, voxrti_task_between, &m, (g->height + step - 1) / step);
@@ -17579,9 +17590,10 @@ static void voxrti_shade_coarse(voxrti_gather *w, int again) {
                 if (coarsest) w->state[at] = 2;
                 if (w->state[at] == 2) w->list[w->list_count++] = (uint32_t)at;
             }
-        voxrti_shade_list(w);
+        r = voxrti_shade_list(w);
         for (x = 0; x < w->list_count && !again; x++) w->apart[w->list[x]] *= 1.0f / (float)(int32_t)first;
     }
+    return r;
 }
 
 /* ---- filter: weights by distance in the picture, angle of normals, distance from the tangent plane ---- */
@@ -17979,13 +17991,13 @@ static voxrt_result voxrti_gather_until(voxrti_gather *w, voxrti_mem *mem, float
     while (r == VOXRT_OK) {
         double sum = 0.0, differ = 0.0, e;
         w->rays = more;
-        for (side = 0; side < 2; side++) {
+        for (side = 0; side < 2 && r == VOXRT_OK; side++) {
             w->which = side;
             w->first = w->d->first_ray / 2 + done;
             w->seed = side ? 0x68bc21ebu : 0;
-            if (w->state != NULL) voxrti_shade_coarse(w, done != 0 || side != 0);
-            else voxrti_shade_list(w);
+            r = w->state != NULL ? voxrti_shade_coarse(w, done != 0 || side != 0) : voxrti_shade_list(w);
         }
+        if (r != VOXRT_OK) break;
         done += more;
         /* the filter is linear: it may see the difference itself */
         for (i = 0; i < n; i++) {
@@ -18037,13 +18049,13 @@ static voxrt_result voxrti_gather_all(voxrti_gather *w, voxrt_gi *gi, voxrti_mem
         r = voxrti_fail(w->d->env.error, VOXRT_ERR_NO_MEMORY, n, "no memory for lists of % pixels");
     if (r == VOXRT_OK && w->d->coarse <= 1) w->list_count = voxrti_list_all(w->g, w->set, w->list);
     report->rays = w->d->rays;
+    w->total = (uint64_t)n * w->d->rays;
     if (r == VOXRT_OK && w->d->tolerance > 0.0f) {
         r = voxrti_gather_until(w, mem, &report->noise, &report->rays);
     } else if (r == VOXRT_OK) {
         w->which = 2;
-        if (w->state != NULL) voxrti_shade_coarse(w, 0);
-        else voxrti_shade_list(w);
-        if (w->d->method != VOXRT_GI_VPL) {
+        r = w->state != NULL ? voxrti_shade_coarse(w, 0) : voxrti_shade_list(w);
+        if (r == VOXRT_OK && w->d->method != VOXRT_GI_VPL) {
             voxrti_scale_run(&w->d->env, w->indirect, 3 * n, 1.0f / (float)(int32_t)w->rays);
             if (w->gloss != NULL) voxrti_scale_run(&w->d->env, w->gloss, 3 * n, 1.0f / (float)(int32_t)w->rays);
         }
@@ -18191,7 +18203,7 @@ VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_g
     float *value[4] = {NULL, NULL, NULL, NULL};
     voxrt_result r = voxrti_gi_render_open(desc, gi, gbuffer, &d, &w);
     size_t n, i;
-    uint32_t k;
+    uint32_t k, turns = 0, opened = 0;
     memset(&reuse, 0, sizeof reuse);
     memset(&report, 0, sizeof report);
     if (r == VOXRT_OK && d.report != NULL) *d.report = report;
@@ -18217,6 +18229,8 @@ VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_g
     w.want_stats = stats != NULL;
     if (r == VOXRT_OK && d.history != NULL) {
         const float *const wanted[4] = {value[0], value[1], value[2], value[3]};
+        opened = 1;
+        turns = d.history->turns;
         r = voxrti_reuse_open(&w, wanted, &reuse);
         w.first += d.history->turns * d.rays;
     }
@@ -18231,6 +18245,8 @@ VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_g
     if (r == VOXRT_OK && reuse.h != NULL) {
         voxrti_reuse_run(&reuse, value);
         report.kept = report.pixels != 0 ? reuse.h->kept / (float)report.pixels : 0.0f;
+    } else if (d.history != NULL && opened) {
+        d.history->turns = turns; /* there was no picture */
     }
     for (k = 0; k < 4 && r == VOXRT_OK; k++) {
         const uint32_t radius = k < 2 ? d.filter : d.direct_filter;
@@ -18552,11 +18568,11 @@ static const voxrti_gi_entry *voxrti_gi_entry_at(const voxrt_gi *gi, const float
 
 typedef struct voxrti_edge_work { const voxrt_gi *gi; const voxrt_gbuffer *g; voxrti_frame frame; } voxrti_edge_work;
 
-/* Is n, but for a little, a mix of two normals? */
-VOXRTI_INLINE int voxrti_normal_mixed(const float n[3], const float face[2][3]) {
-    const float c = voxrti_dot3(face[0], face[1]), a = voxrti_dot3(n, face[0]), b = voxrti_dot3(n, face[1]);
+/* Is n, but for a little, a mix of two normals that differ? */
+VOXRTI_INLINE int voxrti_normal_mixed(const float n[3], const float f[3], const float g[3]) {
+    const float c = voxrti_dot3(f, g), a = voxrti_dot3(n, f), b = voxrti_dot3(n, g);
     const float pa = (a - b * c) / (1.0f - c * c), pb = (b - a * c) / (1.0f - c * c);
-    return pa > 0.05f && pb > 0.05f && pa * a + pb * b > 0.97f;
+    return voxrti_absf(c) < 0.8f && pa > 0.05f && pb > 0.05f && pa * a + pb * b > 0.97f;
 }
 
 /* The surface of the cells around p that a pixel at an edge shows: to_eye is from p to the camera, unit length. 0: its
@@ -18565,8 +18581,8 @@ static int voxrti_edge_normal(const voxrt_gi *gi, const float p[3], const float 
                               float out[3]) {
     const int outline = voxrti_dot3(n, to_eye) < 0.02f; /* it faces away, and was turned until it did not */
     double at[3];
-    float best = 0.0f;
-    uint32_t a, i, side, layer, found = 0, cell[3];
+    float face[54][3], best = 0.0f, wide;
+    uint32_t a, i, k, side, layer, count = 0, found = 0, cell[3];
     size_t r;
     for (; gi != NULL; gi = gi->outer) {
         for (a = 0; a < 3; a++) {
@@ -18579,40 +18595,38 @@ static int voxrti_edge_normal(const voxrt_gi *gi, const float p[3], const float 
     if (gi == NULL) return 0;
     r = voxrti_gi_find(gi, cell[0], cell[1], cell[2], &layer);
     for (side = 0; side < 2 && r != (size_t)-1 && !outline; side++) { /* most pixels */
-        float m[3];
         if (gi->layer[layer].record[r].area[side] == 0) continue;
-        voxrti_oct_decode(gi->layer[layer].record[r].normal[side], m);
-        if (voxrti_dot3(m, n) > 0.95f) return 0;
+        voxrti_oct_decode(gi->layer[layer].record[r].normal[side], face[0]);
+        if (voxrti_dot3(face[0], n) > 0.95f) return 0;
     }
-    for (i = 0; i < 27; i++) {
-        const float wide = 0.6f * (float)gi->columns->diagonal;
-        const voxrti_gi_record *rec;
-        float face[2][3], place[3], d[3];
+    wide = 0.6f * (float)gi->columns->diagonal;
+    for (i = 0; i < 27; i++) { /* surfaces near by whose planes go past p */
         for (a = 0; a < 3; a++) {
             const int64_t q = voxrti_floor(at[a]) + (int64_t)(a == 0 ? i % 3 : a == 1 ? i / 3 % 3 : i / 9) - 1;
             if (q < 0 || q >= (int64_t)gi->columns->size[a]) break;
             cell[a] = (uint32_t)q;
         }
         if (a < 3 || (r = voxrti_gi_find(gi, cell[0], cell[1], cell[2], &layer)) == (size_t)-1) continue;
-        rec = &gi->layer[layer].record[r];
-        if (!outline) {
-            if (!rec->edge) continue;
-            for (side = 0; side < 2; side++) voxrti_oct_decode(rec->normal[side], face[side]);
-            if (!voxrti_normal_mixed(n, (const float (*)[3])face)) continue;
-        }
         for (side = 0; side < 2; side++) {
-            float seen, away;
-            if (rec->area[side] == 0) continue;
-            voxrti_gi_side_place(gi, rec, side, cell, place, face[side]);
+            float place[3], d[3];
+            if (gi->layer[layer].record[r].area[side] == 0) continue;
+            voxrti_gi_side_place(gi, &gi->layer[layer].record[r], side, cell, place, face[count]);
             for (a = 0; a < 3; a++) d[a] = p[a] - place[a];
-            away = voxrti_absf(voxrti_dot3(d, face[side]));
-            if (away > wide || (outline && voxrti_absf(voxrti_dot3(n, face[side])) > 0.8f)) continue;
-            seen = voxrti_dot3(to_eye, face[side]) - away / wide * 0.1f;
-            if (!(seen > best)) continue;
-            best = seen;
-            found = 1;
-            memcpy(out, face[side], sizeof face[side]);
+            if (voxrti_absf(voxrti_dot3(d, face[count])) > wide) continue;
+            if (!outline && voxrti_dot3(face[count], n) > 0.95f) return 0;
+            count++;
         }
+    }
+    for (i = 0; i < count; i++) {
+        const float seen = voxrti_dot3(to_eye, face[i]);
+        if (!(seen > best + 1e-4f)) continue;
+        for (k = 0; k < count; k++) /* of two that make n; or of a surface that is not the one seen from behind */
+            if (outline ? k == i && voxrti_absf(voxrti_dot3(n, face[i])) < 0.8f :
+                voxrti_normal_mixed(n, face[i], face[k])) break;
+        if (k == count) continue;
+        best = seen;
+        found = 1;
+        memcpy(out, face[i], sizeof face[i]);
     }
     return (int)found;
 }

@@ -604,6 +604,7 @@ static int light_picture(world *w, const gi_options *o, buffers *b, voxrt_gi_ren
     voxrt_gi_report report;
     voxrt_stats stats;
     voxrt_result r;
+    sup_progress progress;
     const size_t n = (size_t)b->g.width * b->g.height;
     memset(&stats, 0, sizeof stats);
     d->report = &report;
@@ -612,7 +613,14 @@ static int light_picture(world *w, const gi_options *o, buffers *b, voxrt_gi_ren
         d->rays = w->budget.rays;
         d->coarse = w->budget.coarse;
     }
+    sup_progress_begin(&progress, "light", o->common.quiet);
+    if (!progress.quiet) {
+        d->env.progress_fn = sup_progress_fn;
+        d->env.progress_user = &progress;
+    }
     r = voxrt_gi_render(d, w->gi, &b->g, b->direct, b->indirect, &stats);
+    sup_progress_end(&progress);
+    d->env.progress_fn = NULL;
     if (r != VOXRT_OK) return sup_fail(err, "%s", voxrt_result_string(r));
     if (o->view == VIEW_LOOKUP) { /* maps, then rays */
         voxrt_gi_render_desc plain = *d;

@@ -1,83 +1,9 @@
 /* Global illumination: attributes of cells, light on them, closed forms, the same bits whatever computes them. */
 #include "test.h"
+#include <pthread.h>
 #define VOXRT_IMPLEMENTATION
 #include "../voxrt.h"
-
-static uint32_t rng_state = 1;
-static double rnd(void) { return (double)(rng_state = voxrti_hash32(rng_state + 0x9e3779b9u)) / 4294967296.0; }
-
-typedef struct { float p[20000][3]; uint32_t index[40000][3]; uint8_t rgb[40000][3]; uint32_t points, triangles; } model;
-
-static voxrt_gi *make_gi(uint32_t nx, uint32_t ny, uint32_t nz, double half) {
-    voxrt_gi_desc d;
-    voxrt_gi *gi = NULL;
-    uint32_t a;
-    memset(&d, 0, sizeof d);
-    d.columns.size_x = nx;
-    d.columns.size_y = ny;
-    d.columns.size_z = nz;
-    d.columns.depth_axis_plus_1 = 3;
-    for (a = 0; a < 3; a++) {
-        d.columns.box_min[a] = -half;
-        d.columns.box_max[a] = half;
-    }
-    if (voxrt_gi_create(&d, &gi) != VOXRT_OK) abort();
-    return gi;
-}
-static voxrt_gi_object object_of(const model *m, uint32_t still) {
-    voxrt_gi_object o;
-    memset(&o, 0, sizeof o);
-    o.mesh.positions = m->p[0];
-    o.mesh.vertex_count = m->points;
-    o.mesh.indices = m->index[0];
-    o.mesh.triangle_count = m->triangles;
-    o.mesh.triangle_rgb = m->rgb[0];
-    o.still = still;
-    return o;
-}
-static void quad(model *m, const double a[3], const double b[3], const double c[3], const double d[3], uint8_t grey) {
-    const double *p[4] = {a, b, c, d};
-    const uint32_t v = m->points, t[2][3] = {{v, v + 1, v + 2}, {v, v + 2, v + 3}};
-    uint32_t i, k;
-    for (i = 0; i < 4; i++) for (k = 0; k < 3; k++) m->p[v + i][k] = (float)p[i][k];
-    m->points += 4;
-    memcpy(m->index[m->triangles], t, sizeof t);
-    memset(m->rgb[m->triangles], grey, 6);
-    m->triangles += 2;
-}
-static void sphere(model *m, double r, uint32_t rings, uint8_t grey, int inwards) {
-    uint32_t i, j, n = 2 * rings;
-    m->points = m->triangles = 0;
-    for (i = 0; i <= rings; i++)
-        for (j = 0; j < n; j++) {
-            const double a = 3.14159265358979 * i / rings, b = 6.28318530717959 * j / n;
-            m->p[m->points][0] = (float)(r * sin(a) * cos(b));
-            m->p[m->points][1] = (float)(r * sin(a) * sin(b));
-            m->p[m->points++][2] = (float)(r * cos(a));
-        }
-    for (i = 0; i < rings; i++)
-        for (j = 0; j < n; j++) {
-            const uint32_t a = i * n + j, b = i * n + (j + 1) % n, t[2][3] = {{a, a + n, b}, {b, a + n, b + n}};
-            uint32_t k;
-            memcpy(m->index[m->triangles], t, sizeof t);
-            memset(m->rgb[m->triangles], grey, 6);
-            for (k = 0; k < 2 && inwards; k++) {
-                const uint32_t x = m->index[m->triangles + k][1];
-                m->index[m->triangles + k][1] = m->index[m->triangles + k][2];
-                m->index[m->triangles + k][2] = x;
-            }
-            m->triangles += 2;
-        }
-}
-static voxrt_gi_light point_light(float x, float y, float z, float power) {
-    voxrt_gi_light l;
-    memset(&l, 0, sizeof l);
-    l.position[0] = x;
-    l.position[1] = y;
-    l.position[2] = z;
-    l.color[0] = l.color[1] = l.color[2] = power;
-    return l;
-}
+#include "gi_models.h"
 
 TEST(shared_exponents) {
     uint32_t i, a;
@@ -576,16 +502,6 @@ static void room_open(room *r, uint32_t width, uint32_t height, uint32_t threads
     CHECK(voxrt_gbuffer_from_gi(&r->gi->env, &r->camera, r->gi, &r->g) == VOXRT_OK);
     CHECK(voxrt_gbuffer_materials(&r->gi->env, r->gi, &r->g) == VOXRT_OK);
 }
-static double rms(float (*a)[3], float (*b)[3], size_t n) { /* of a - b, over the mean of b */
-    double sum = 0, mean = 0;
-    size_t i;
-    for (i = 0; i < n; i++) {
-        sum += ((double)a[i][1] - (double)b[i][1]) * ((double)a[i][1] - (double)b[i][1]);
-        mean += (double)b[i][1];
-    }
-    return sqrt(sum / (double)n) / (mean / (double)n);
-}
-
 TEST(coarse_meshes_of_pixels) {
     static room r;
     static float full[96 * 64][3];
@@ -1167,6 +1083,523 @@ TEST(filter_keeps_to_surfaces) { /* a constant stays one; nothing crosses a righ
     voxrt_gi_destroy(gi);
 }
 
+/* ---- pixels that share a sequence, pixels at edges ---- */
+
+TEST(neighbours_share_a_sequence) { /* 4 samples each of 16 x 16 pixels: one of the 1024 in each 1/32 x 1/32, and of any
+                                       aligned block and pixel likewise */
+    enum { SIDE = 64, LOG = 2 };
+    static float position[SIDE * SIDE][3], normal[SIDE * SIDE][3];
+    static uint8_t cell[32][32];
+    voxrti_gather w;
+    voxrt_gbuffer g;
+    uint32_t block, turn, y, x, s, i, far_off = 0;
+    memset(&w, 0, sizeof w);
+    memset(&g, 0, sizeof g);
+    g.width = g.height = SIDE;
+    g.position = position[0];
+    g.normal = normal[0];
+    w.g = &g;
+    for (turn = 0; turn < 2; turn++) /* the first samples, and the next ones: of another sequence */
+        for (block = 1; block <= 16; block *= 4) {
+            const uint32_t n = block * block << LOG, side = (uint32_t)(sqrt((double)n) + 0.5);
+            uint32_t most = 0;
+            memset(cell, 0, sizeof cell);
+            for (y = 0; y < block; y++)
+                for (x = 0; x < block; x++) {
+                    const uint32_t pixel = (16 + y) * SIDE + 32 + x;
+                    voxrti_points q;
+                    voxrti_gather_open(&w, &pixel, 1, LOG, &q);
+                    for (s = 0; s < 1u << LOG; s++) {
+                        uint32_t index, seed;
+                        float u[2];
+                        voxrti_point_sample(&q, 0, s + 4 * turn, &index, &seed);
+                        voxrti_sobol2(index, seed, u);
+                        i = ++cell[(int)(u[1] * (float)side)][(int)(u[0] * (float)side)];
+                        most = i > most ? i : most;
+                    }
+                }
+            CHECK_MSG(most == 1, "%u x %u pixels: %u in one interval", block, block, most);
+        }
+    for (i = 0; i < 2; i++) { /* pixels with a sequence each: none is like another */
+        const uint32_t pixel[2] = {5, 6};
+        voxrti_points q;
+        voxrti_gather_open(&w, pixel, 2, 32, &q);
+        far_off += q.seed[0] != q.seed[1];
+    }
+    CHECK(far_off == 2);
+}
+
+TEST(neighbours_make_less_noise) { /* what a filter averages: against the same rays with a sequence for each pixel */
+    static room r;
+    static float truth[64 * 48][3], own[64 * 48][3];
+    voxrt_gi_render_desc d;
+    voxrti_mem mem;
+    double together, apart;
+    room_open(&r, 64, 48, 0);
+    memset(&d, 0, sizeof d);
+    d.rays = test_quick() ? 128 : 512;
+    d.first_ray = 1u << 20;
+    CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, truth[0], NULL) == VOXRT_OK);
+    d.rays = 4;
+    d.first_ray = 0;
+    CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, own[0], NULL) == VOXRT_OK); /* no filter: a sequence each */
+    d.filter = 4;
+    CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, r.indirect[0], NULL) == VOXRT_OK);
+    REQUIRE(voxrti_env_open(&d.env, &mem) == VOXRT_OK); /* colours here are near to each other */
+    CHECK(voxrti_gi_filter_run(&d.env, &r.g, r.gi->columns->diagonal, 4, own[0], &mem) == VOXRT_OK);
+    CHECK(voxrti_gi_filter_run(&d.env, &r.g, r.gi->columns->diagonal, 4, truth[0], &mem) == VOXRT_OK);
+    together = rms(r.indirect, truth, 64 * 48);
+    apart = rms(own, truth, 64 * 48);
+    CHECK_MSG(together < 0.7 * apart, "%.4f together, %.4f each for itself", together, apart);
+    voxrt_gi_destroy(r.gi);
+}
+
+TEST(edges_keep_both_faces) { /* a block that is turned: cells along its edges know both faces, in any of its directions */
+    static model m;
+    uint32_t turn, both = 0, wrong = 0;
+    for (turn = 0; turn < 4; turn++) {
+        voxrt_gi *gi = make_gi(64, 64, 64, 4);
+        const double a = 0.13 + 0.31 * turn, c = cos(a), s = sin(a);
+        const double rot[9] = {c, 0, s, s * s, c, -s * c, -s * c, s, c * c};
+        const double half = 2.2;
+        voxrt_gi_object o;
+        size_t at = 0;
+        uint32_t x, y, z, i, k, side;
+        m.points = m.triangles = 0;
+        box(&m, half, 180, 0);
+        o = object_of(&m, turn & 1);
+        for (i = 0; i < 3; i++) for (k = 0; k < 3; k++) o.to_world[4 * i + k] = rot[3 * i + k];
+        CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK && voxrt_gi_update(gi, NULL) == VOXRT_OK);
+        for (y = 0; y < 64; y++)
+            for (x = 0; x < 64; x++)
+                for (z = 0; z < 64; z++) {
+                    const voxrti_gi_layer *l = &gi->layer[!(turn & 1)];
+                    const voxrti_gi_record *r;
+                    float face[2][3] = {{0, 0, 0}, {0, 0, 0}};
+                    if (!voxrt_columns_get(gi->columns, 0, x, y, z)) continue;
+                    r = &l->record[at++];
+                    for (side = 0; side < 2; side++) { /* every side is one of the faces, or at corners two of them */
+                        const float *n = face[side];
+                        double best = 0;
+                        if (r->area[side] == 0) continue;
+                        voxrti_oct_decode(r->normal[side], face[side]);
+                        for (k = 0; k < 3; k++) best = fmax(best, fabs((double)n[0] * rot[k] + (double)n[1] * rot[3 + k] + (double)n[2] * rot[6 + k]));
+                        wrong += best < 0.99;
+                    }
+                    both += r->area[0] != 0 && r->area[1] != 0 && fabs((double)voxrti_dot3(face[0], face[1])) < 0.1;
+                }
+        voxrt_gi_destroy(gi);
+    }
+    CHECK_MSG(both > 4 * 60 && wrong <= 4 * 8, "%u cells with both faces, %u sides that are none", both, wrong);
+}
+
+TEST(pixels_at_edges_show_one_face) {
+    static model m;
+    static float position[4][3], normal[4][3], albedo[4][3];
+    voxrt_gi *gi = make_gi(64, 64, 64, 4);
+    voxrt_gi_object o;
+    voxrt_camera camera;
+    voxrt_gbuffer g;
+    uint32_t i;
+    m.points = m.triangles = 0;
+    box(&m, 2.05, 180, 0);
+    o = object_of(&m, 1);
+    CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK && voxrt_gi_update(gi, NULL) == VOXRT_OK);
+    memset(&g, 0, sizeof g);
+    memset(&camera, 0, sizeof camera);
+    g.width = 4;
+    g.height = 1;
+    g.position = position[0];
+    g.normal = normal[0];
+    g.albedo = albedo[0];
+    camera.eye[1] = 3.0f; /* above the block a little, in front of it far */
+    camera.eye[2] = 20.0f;
+    camera.fov_y = 40;
+    for (i = 0; i < 4; i++) {
+        position[i][0] = 0.3f;
+        position[i][1] = position[i][2] = 2.05f;
+    }
+    normal[0][1] = normal[0][2] = 0.70710678f;               /* a mix of top and front */
+    normal[1][1] = 0.70710678f;
+    normal[1][0] = 0.70710678f;                              /* not one of theirs */
+    normal[2][2] = 1.0f;                                     /* the front itself */
+    normal[3][1] = 1.0f;
+    CHECK(voxrt_gbuffer_edges(NULL, &camera, gi, &g) == VOXRT_OK);
+    CHECK_MSG(normal[0][2] > 0.99f, "%g %g %g", (double)normal[0][0], (double)normal[0][1], (double)normal[0][2]);
+    CHECK(normal[1][0] > 0.7f && normal[1][2] == 0.0f);
+    CHECK(normal[2][2] == 1.0f && normal[3][1] == 1.0f);
+    camera.eye[1] = -8.0f;                                   /* from below the top cannot be seen */
+    normal[3][1] = 0.99995f;
+    normal[3][2] = 0.01f;
+    CHECK(voxrt_gbuffer_edges(NULL, &camera, gi, &g) == VOXRT_OK);
+    CHECK_MSG(normal[3][2] > 0.99f, "%g %g %g", (double)normal[3][0], (double)normal[3][1], (double)normal[3][2]);
+    CHECK(voxrt_gbuffer_edges(NULL, NULL, gi, &g) == VOXRT_ERR_INVALID_ARG);
+    CHECK(voxrt_gbuffer_edges(NULL, &camera, NULL, &g) == VOXRT_ERR_INVALID_ARG);
+    voxrt_gi_destroy(gi);
+}
+
+TEST(lists_have_every_pixel_once) { /* odd sizes, patterns; a run of 64 has one place of the pattern */
+    static const uint32_t size[3][2] = {{64, 32}, {37, 21}, {3, 5}};
+    static float normal[64 * 32][3], position[64 * 32][3];
+    static uint32_t list[64 * 32 * 64];
+    static uint8_t seen[64 * 32];
+    uint32_t k, set, i;
+    for (k = 0; k < 3; k++)
+        for (set = 1; set <= 5; set++) {
+            voxrt_gbuffer g;
+            const uint32_t n = size[k][0] * size[k][1];
+            uint32_t wrong = 0, want = 0;
+            size_t count;
+            memset(&g, 0, sizeof g);
+            memset(seen, 0, sizeof seen);
+            g.width = size[k][0];
+            g.height = size[k][1];
+            g.normal = normal[0];
+            g.position = position[0];
+            for (i = 0; i < n; i++) {
+                normal[i][1] = i % 7 == 3 ? 0.0f : 1.0f;
+                want += i % 7 != 3;
+            }
+            count = voxrti_list_all(&g, set, NULL);
+            REQUIRE(count <= sizeof list / sizeof list[0] && voxrti_list_all(&g, set, list) == count);
+            for (i = 0; i < count; i++) {
+                const uint32_t first = list[i / VOXRTI_COLUMN_BATCH * VOXRTI_COLUMN_BATCH];
+                if (list[i] == VOXRTI_NO_PIXEL) continue;
+                wrong += list[i] >= n || seen[list[i]]++ != 0 || list[i] % 7 == 3;
+                wrong += list[i] % g.width % set != first % g.width % set || list[i] / g.width % set != first / g.width % set;
+                want--;
+            }
+            CHECK_MSG(wrong == 0 && want == 0, "%u x %u, pattern %u: %u wrong, %u missing", g.width, g.height, set, wrong, want);
+        }
+}
+
+/* ---- scenes that are changed, stopped, drawn at once ---- */
+
+typedef struct stopper { uint32_t calls, after; uint64_t last, total; uint32_t backwards; } stopper;
+static int stop_fn(void *user, uint64_t done, uint64_t total) {
+    stopper *s = (stopper *)user;
+    s->backwards += done < s->last || done > total || (s->total != 0 && total != s->total);
+    s->last = done;
+    s->total = total;
+    return ++s->calls == s->after;
+}
+
+TEST(stopped_pictures_leave_no_trace) {
+    enum { W = 192, H = 128 };
+    static room r;
+    static float position[W * H][3], normal[W * H][3], albedo[W * H][3], out[2][2][W * H][3];
+    voxrt_gi_render_desc d;
+    uint32_t run, frame;
+    room_open(&r, 16, 16, 2);
+    r.g.width = W;
+    r.g.height = H;
+    r.g.position = position[0];
+    r.g.normal = normal[0];
+    r.g.albedo = albedo[0];
+    r.g.before = NULL;
+    CHECK(voxrt_gbuffer_from_gi(NULL, &r.camera, r.gi, &r.g) == VOXRT_OK);
+    for (run = 0; run < 2; run++) { /* not stopped; stopped before each picture */
+        voxrt_gi_history *h = NULL;
+        REQUIRE(voxrt_gi_history_create(NULL, &h) == VOXRT_OK);
+        memset(&d, 0, sizeof d);
+        d.camera = r.camera;
+        d.history = h;
+        d.rays = 2;
+        d.filter = 2;
+        for (frame = 0; frame < 2; frame++) {
+            stopper s;
+            memset(&s, 0, sizeof s);
+            d.env.progress_user = &s;
+            d.env.progress_fn = run == 1 ? stop_fn : NULL;
+            s.after = 1;
+            if (run == 1) {
+                CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, out[run][frame][0], NULL) == VOXRT_ERR_CANCELLED && s.calls == 1);
+                memset(&s, 0, sizeof s);
+            }
+            CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, out[run][frame][0], NULL) == VOXRT_OK);
+            if (run == 1) CHECK_MSG(s.calls > 1 && s.backwards == 0 && s.last == s.total, "%u calls, %lu of %lu", s.calls, (unsigned long)s.last, (unsigned long)s.total);
+        }
+        voxrt_gi_history_destroy(h);
+    }
+    CHECK(memcmp(out[0], out[1], sizeof out[0]) == 0);
+    d.history = NULL;
+    d.tolerance = 0.01f; /* stopped in rounds of rays, in meshes of pixels */
+    d.coarse = 4;
+    d.rays = 64;
+    {
+        stopper s;
+        memset(&s, 0, sizeof s);
+        s.after = 3;
+        d.env.progress_user = &s;
+        d.env.progress_fn = stop_fn;
+        CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, out[0][0][0], NULL) == VOXRT_ERR_CANCELLED && s.calls == 3);
+    }
+    voxrt_gi_destroy(r.gi);
+}
+
+typedef struct two_rooms { room r; float out[48 * 32][3]; } two_rooms;
+static void *draw_room(void *user) {
+    two_rooms *t = (two_rooms *)user;
+    voxrt_gi_render_desc d;
+    memset(&d, 0, sizeof d);
+    d.rays = 8;
+    d.env.thread_count = 2;
+    if (voxrt_gi_bounce(t->r.gi, &d.env, 8, 0.0f, 1) != VOXRT_OK) return user;
+    if (voxrt_gi_render(&d, t->r.gi, &t->r.g, NULL, t->out[0], NULL) != VOXRT_OK) return user;
+    return NULL;
+}
+
+TEST(two_scenes_at_once) {
+    static two_rooms t[3];
+    pthread_t thread[2];
+    uint32_t i;
+    for (i = 0; i < 3; i++) room_open(&t[i].r, 48, 32, 1);
+    CHECK(draw_room(&t[2]) == NULL);
+    for (i = 0; i < 2; i++) REQUIRE(pthread_create(&thread[i], NULL, draw_room, &t[i]) == 0);
+    for (i = 0; i < 2; i++) {
+        void *bad = NULL;
+        CHECK(pthread_join(thread[i], &bad) == 0 && bad == NULL);
+        CHECK(memcmp(t[i].out, t[2].out, sizeof t[2].out) == 0);
+    }
+    for (i = 0; i < 3; i++) voxrt_gi_destroy(t[i].r.gi);
+}
+
+TEST(every_edit_begins_anew) { /* progressive pictures: after any change nothing old is in the mean; light may be glaring */
+    static room r;
+    static float fresh[48 * 32][3];
+    voxrt_gi_render_desc d;
+    voxrt_gi_report report;
+    uint32_t edit, i, k, id = 0, bad = 0;
+    voxrt_gi_object o;
+    room_open(&r, 48, 32, 0);
+    r.g.before = NULL;
+    for (edit = 0; edit < 10; edit++) {
+        voxrt_gi_history *h = NULL;
+        REQUIRE(voxrt_gi_history_create(NULL, &h) == VOXRT_OK);
+        memset(&d, 0, sizeof d);
+        d.camera = r.camera;
+        d.history = h;
+        d.report = &report;
+        d.rays = 2;
+        for (i = 0; i < 2; i++) CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, r.indirect[0], NULL) == VOXRT_OK);
+        CHECK(report.kept == 1.0f);
+        o = r.object;
+        if (edit == 0) o.to_world[3] += 0.4;
+        if (edit == 1) o.material.albedo[0] = o.material.albedo[1] = o.material.albedo[2] = 0.25f;
+        if (edit == 2) r.light.position[0] += 0.1f;
+        if (edit == 3) r.light.color[1] = 1e6f;
+        if (edit == 4) r.light.kind = VOXRT_GI_SPOT, r.light.direction[1] = -1, r.light.angle = 50;
+        if (edit == 5) CHECK(voxrt_gi_add(r.gi, &o, &id) == VOXRT_OK);
+        if (edit == 6) CHECK(voxrt_gi_remove(r.gi, id) == VOXRT_OK);
+        if (edit == 7) d.radius = 3;
+        if (edit == 8) d.method = VOXRT_GI_PATH;
+        if (edit == 9) d.coarse = 4;
+        if (edit < 2) CHECK(voxrt_gi_set(r.gi, r.id, &o) == VOXRT_OK);
+        CHECK(voxrt_gi_set_lights(r.gi, &r.light, 1) == VOXRT_OK && voxrt_gi_update(r.gi, NULL) == VOXRT_OK);
+        CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, r.indirect[0], NULL) == VOXRT_OK);
+        CHECK_MSG(report.kept == 0.0f, "edit %u: %g kept", edit, (double)report.kept);
+        d.history = NULL; /* as if there had been nothing, but with the rays of its turn */
+        for (i = k = 0; i < 2 && k == 0; i++) {
+            d.first_ray = i * d.rays;
+            CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, fresh[0], NULL) == VOXRT_OK);
+            k = memcmp(fresh, r.indirect, sizeof fresh) == 0;
+        }
+        CHECK_MSG(k == 1, "edit %u", edit);
+        for (i = 0; i < 48 * 32; i++) for (k = 0; k < 3; k++) bad += !(r.indirect[i][k] >= 0.0f && r.indirect[i][k] < 1e12f);
+        voxrt_gi_history_destroy(h);
+    }
+    CHECK(bad == 0);
+    voxrt_gi_destroy(r.gi);
+}
+
+/* ---- what moves ---- */
+
+TEST(things_that_turn_do_not_pop) { /* a block that turns by 0.2 degrees a frame: cells come and go, light stays smooth */
+    enum { FRAMES = 7, N = 64 * 40 };
+    static room r;
+    static float last[3][N][3];
+    static double second[N];
+    voxrt_gi_render_desc d;
+    double mean = 0, sum = 0, p99;
+    uint32_t f, i, over = 0;
+    room_open(&r, 64, 40, 0);
+    memset(&d, 0, sizeof d);
+    d.rays = 16;
+    d.filter = 3;
+    d.camera = r.camera;
+    memset(second, 0, sizeof second);
+    for (f = 0; f < FRAMES; f++) {
+        const double a = 0.4 + f * 0.2 * 3.14159265358979 / 180;
+        r.object.to_world[0] = r.object.to_world[10] = cos(a);
+        r.object.to_world[2] = sin(a);
+        r.object.to_world[8] = -sin(a);
+        CHECK(voxrt_gi_set(r.gi, r.id, &r.object) == VOXRT_OK && voxrt_gi_update(r.gi, NULL) == VOXRT_OK);
+        memmove(last[0], last[1], 2 * sizeof last[0]);
+        CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, last[2][0], NULL) == VOXRT_OK);
+        for (i = 0; i < N && f >= 2; i++)
+            second[i] += fabs((double)last[2][i][1] - 2 * (double)last[1][i][1] + (double)last[0][i][1]) / (FRAMES - 2);
+    }
+    for (i = 0; i < N; i++) {
+        mean += (double)last[2][i][1] / N;
+        sum += second[i] / N;
+    }
+    p99 = 0.05 * mean;
+    for (i = 0; i < N; i++) over += second[i] > p99;
+    CHECK_MSG(sum < 0.01 * mean, "popping %.4f of the mean", sum / mean);
+    CHECK_MSG(over <= N / 100, "%u of %u pixels over 5 %%", over, N);
+    voxrt_gi_destroy(r.gi);
+}
+
+TEST(deforming_meshes) { /* a ball whose surface swells in waves: each frame as if made anew, and no flicker but the light's own */
+    enum { FRAMES = 6, N = 48 * 32 };
+    static room r;
+    static model ball, wave;
+    static float last[2][3][N][3], fresh[N][3];
+    voxrt_gi_object o;
+    double sum[2] = {0, 0};
+    uint32_t f, i, k, way, id;
+    room_open(&r, 48, 32, 0);
+    r.g.before = NULL;
+    sphere(&ball, 2.5, 30, 180, 0);
+    wave = ball;
+    o = object_of(&wave, 0);
+    CHECK(voxrt_gi_add(r.gi, &o, &id) == VOXRT_OK);
+    for (f = 0; f < FRAMES; f++) {
+        for (i = 0; i < ball.points; i++)
+            for (k = 0; k < 3; k++) wave.p[i][k] = ball.p[i][k] * (1.0f + 0.2f * (float)sin((double)ball.p[i][1] * 2 + 0.15 * f));
+        CHECK(voxrt_gi_set(r.gi, id, &o) == VOXRT_OK && voxrt_gi_update(r.gi, NULL) == VOXRT_OK);
+        for (way = 0; way < 2; way++) {
+            voxrt_gi_render_desc d;
+            memset(&d, 0, sizeof d);
+            d.rays = way == 0 ? 128 : 16;
+            d.filter = way == 0 ? 0 : 3;
+            memmove(last[way][0], last[way][1], 2 * sizeof last[0][0]);
+            CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, last[way][2][0], NULL) == VOXRT_OK);
+            for (i = 0; i < N && f >= 2; i++)
+                sum[way] += fabs((double)last[way][2][i][1] - 2 * (double)last[way][1][i][1] + (double)last[way][0][i][1]);
+        }
+    }
+    CHECK_MSG(sum[1] < 1.3 * sum[0], "flicker %.4f, of many rays %.4f", sum[1], sum[0]);
+    {
+        voxrt_gi *gi = make_gi(64, 64, 64, 10);
+        const voxrt_gi_object room_object = object_of(&r.m, 1);
+        voxrt_gi_render_desc d;
+        memset(&d, 0, sizeof d);
+        d.rays = 16;
+        d.filter = 3;
+        CHECK(voxrt_gi_add(gi, &room_object, NULL) == VOXRT_OK && voxrt_gi_add(gi, &r.object, NULL) == VOXRT_OK);
+        CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK && voxrt_gi_set_lights(gi, &r.light, 1) == VOXRT_OK);
+        CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
+        CHECK(voxrt_gi_render(&d, gi, &r.g, NULL, fresh[0], NULL) == VOXRT_OK);
+        CHECK(memcmp(fresh, last[1][2], sizeof fresh) == 0);
+        voxrt_gi_destroy(gi);
+    }
+    voxrt_gi_destroy(r.gi);
+}
+
+TEST(a_camera_that_pans) { /* with history there is less error than without, and nothing old where the picture shows what
+                              was not in it before */
+    enum { W = 64, H = 40, N = W * H };
+    static room r;
+    static float truth[N][3], alone[N][3];
+    voxrt_gi_history *h = NULL;
+    voxrt_gi_render_desc d;
+    double with, without, new_with = 0, new_without = 0;
+    uint32_t f, i, x;
+    room_open(&r, W, H, 0);
+    r.g.before = NULL;
+    REQUIRE(voxrt_gi_history_create(NULL, &h) == VOXRT_OK);
+    memset(&d, 0, sizeof d);
+    for (f = 0; f < 8; f++) {
+        r.camera.at[0] = 0.35f * (float)f;
+        CHECK(voxrt_gbuffer_from_gi(NULL, &r.camera, r.gi, &r.g) == VOXRT_OK);
+        d.camera = r.camera;
+        d.rays = 4;
+        d.filter = 3;
+        d.history = h;
+        CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, r.indirect[0], NULL) == VOXRT_OK);
+    }
+    d.history = NULL;
+    d.first_ray = 4 * 7;
+    CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, alone[0], NULL) == VOXRT_OK);
+    d.rays = 256;
+    d.first_ray = 1u << 20;
+    CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, truth[0], NULL) == VOXRT_OK);
+    with = rms(r.indirect, truth, N);
+    without = rms(alone, truth, N);
+    CHECK_MSG(with < 0.8 * without, "%.4f with history, %.4f without", with, without);
+    for (i = 0; i < N; i++) { /* the side that came in over the last four pictures */
+        x = i % W;
+        if (x < W - 8) continue;
+        new_with += fabs((double)r.indirect[i][1] - (double)truth[i][1]);
+        new_without += fabs((double)alone[i][1] - (double)truth[i][1]);
+    }
+    CHECK_MSG(new_with < 1.4 * new_without, "where it is new: %.4f with history, %.4f without", new_with, new_without);
+    voxrt_gi_history_destroy(h);
+    voxrt_gi_destroy(r.gi);
+}
+
+TEST(volumes_that_follow_leave_no_seam) { /* points that stay while three nested volumes go past them: the same light */
+    enum { N = 32 };
+    static model m, block;
+    static float position[N][3], normal[N][3], albedo[N][3], first[N][3], indirect[N][3];
+    voxrt_gi_desc gd;
+    voxrt_gi_render_desc d;
+    voxrt_gi_light light = point_light(1, 5, -2, 80);
+    voxrt_gi_object o;
+    voxrt_gbuffer g;
+    voxrt_gi *gi = NULL;
+    uint32_t i, step;
+    memset(&gd, 0, sizeof gd);
+    memset(&g, 0, sizeof g);
+    gd.columns.size_x = gd.columns.size_y = 64;
+    gd.columns.size_z = 64;
+    for (i = 0; i < 3; i++) {
+        gd.columns.box_min[i] = -5;
+        gd.columns.box_max[i] = 5;
+    }
+    gd.nested = 3;
+    REQUIRE(voxrt_gi_create(&gd, &gi) == VOXRT_OK);
+    m.points = m.triangles = block.points = block.triangles = 0;
+    box(&m, 9, 190, 1);
+    box(&block, 1.5, 170, 0);
+    o = object_of(&m, 1);
+    CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
+    o = object_of(&block, 1);
+    CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
+    CHECK(voxrt_gi_set_lights(gi, &light, 1) == VOXRT_OK);
+    g.width = N;
+    g.height = 1;
+    g.position = position[0];
+    g.normal = normal[0];
+    g.albedo = albedo[0];
+    rng_state = 31;
+    for (i = 0; i < N; i++) { /* on the top and a side of the block, near the middle */
+        position[i][0] = (float)(2.4 * rnd() - 1.2);
+        position[i][i % 2 ? 1 : 2] = 1.5f;
+        position[i][i % 2 ? 2 : 1] = (float)(2.4 * rnd() - 1.2);
+        normal[i][i % 2 ? 1 : 2] = 1.0f;
+        albedo[i][0] = albedo[i][1] = albedo[i][2] = 1;
+    }
+    memset(&d, 0, sizeof d);
+    d.rays = test_quick() ? 128 : 512;
+    for (step = 0; step < 3; step++) {
+        const double centre[3] = {1.3 * step, -0.9 * step, 0.4 * step};
+        double mean = 0, worst = 0, sum = 0;
+        CHECK(voxrt_gi_follow(gi, centre, NULL) == VOXRT_OK && voxrt_gi_update(gi, NULL) == VOXRT_OK);
+        CHECK(voxrt_gi_render(&d, gi, &g, NULL, indirect[0], NULL) == VOXRT_OK);
+        if (step == 0) memcpy(first, indirect, sizeof first);
+        for (i = 0; i < N; i++) {
+            mean += (double)first[i][0] / N;
+            sum += (double)indirect[i][0] / N;
+            worst = fmax(worst, fabs((double)indirect[i][0] - (double)first[i][0]));
+        }
+        CHECK_MSG(fabs(sum / mean - 1) < 0.005, "step %u: %.5f of what it was", step, sum / mean);
+        CHECK_MSG(worst < 0.04 * mean, "step %u: %.4f of the mean", step, worst / mean);
+    }
+    voxrt_gi_destroy(gi);
+}
+
 TEST(tones) {
     float in[300], out[300], most = 8.0f;
     uint32_t tone, i;
@@ -1363,6 +1796,18 @@ int main(int argc, char **argv) {
     RUN(threads_and_instruction_sets);
     RUN(threads_and_instruction_sets_in_all_methods);
     RUN(filter_keeps_to_surfaces);
+    RUN(neighbours_share_a_sequence);
+    RUN(neighbours_make_less_noise);
+    RUN(edges_keep_both_faces);
+    RUN(pixels_at_edges_show_one_face);
+    RUN(lists_have_every_pixel_once);
+    RUN(stopped_pictures_leave_no_trace);
+    RUN(two_scenes_at_once);
+    RUN(every_edit_begins_anew);
+    RUN(things_that_turn_do_not_pop);
+    RUN(deforming_meshes);
+    RUN(a_camera_that_pans);
+    RUN(volumes_that_follow_leave_no_seam);
     RUN(tones);
     RUN(bad_input);
     RUN(memory);

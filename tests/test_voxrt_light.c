@@ -4,44 +4,18 @@
 #define VOXRT_IMPLEMENTATION
 #include "../voxrt.h"
 #include "../bench/baseline/columns.h"
+#include "gi_models.h"
 #include "path_oracle.h"
-
-static uint32_t rng_state = 1;
-static double rnd(void) { return (double)(rng_state = voxrti_hash32(rng_state + 0x9e3779b9u)) / 4294967296.0; }
 
 enum { POINTS = 48 };
 
-typedef struct model { float p[40000][3]; uint32_t index[40000][3]; uint8_t rgb[40000][3]; uint32_t points, triangles; } model;
 typedef struct picture {
     float position[POINTS][3], normal[POINTS][3], albedo[POINTS][3], direct[POINTS][3], indirect[POINTS][3];
     voxrt_gbuffer g;
 } picture;
 
-static voxrt_gi *make_gi(uint32_t grid, uint32_t depth, double half, const double middle[3]) {
-    voxrt_gi_desc d;
-    voxrt_gi *gi = NULL;
-    uint32_t a;
-    memset(&d, 0, sizeof d);
-    d.columns.size_x = d.columns.size_y = grid;
-    d.columns.size_z = depth;
-    d.columns.depth_axis_plus_1 = 3;
-    for (a = 0; a < 3; a++) {
-        d.columns.box_min[a] = middle[a] - half;
-        d.columns.box_max[a] = middle[a] + half;
-    }
-    if (voxrt_gi_create(&d, &gi) != VOXRT_OK) abort();
-    return gi;
-}
-
 static void add_model(voxrt_gi *gi, const model *m) {
-    voxrt_gi_object o;
-    memset(&o, 0, sizeof o);
-    o.mesh.positions = m->p[0];
-    o.mesh.vertex_count = m->points;
-    o.mesh.indices = m->index[0];
-    o.mesh.triangle_count = m->triangles;
-    o.mesh.triangle_rgb = m->rgb[0];
-    o.still = 1;
+    const voxrt_gi_object o = object_of(m, 1);
     if (voxrt_gi_add(gi, &o, NULL) != VOXRT_OK) abort();
 }
 
@@ -68,14 +42,7 @@ static void open_picture(picture *p) {
 
 /* Both scenes get each triangle. */
 static void both_quad(model *m, path_scene *s, const double *a, const double *b, const double *c, const double *d, uint8_t grey) {
-    const double *p[4] = {a, b, c, d};
-    const uint32_t v = m->points, t[2][3] = {{v, v + 1, v + 2}, {v, v + 2, v + 3}};
-    uint32_t i, k;
-    for (i = 0; i < 4; i++) for (k = 0; k < 3; k++) m->p[v + i][k] = (float)p[i][k];
-    m->points += 4;
-    memcpy(m->index[m->triangles], t, sizeof t);
-    memset(m->rgb[m->triangles], grey, 6);
-    m->triangles += 2;
+    quad(m, a, b, c, d, grey);
     path_add(s, a, b, c, voxrti_srgb_to_linear(grey / 255.0), 0);
     path_add(s, a, c, d, voxrti_srgb_to_linear(grey / 255.0), 0);
 }
@@ -144,7 +111,7 @@ TEST(a_room_as_paths_through_its_triangles_have_it) {
     static picture pic;
     const double lo[3] = {-9, -9, -9}, hi[3] = {9, 9, 9}, none[3] = {0, 0, 0};
     const double lo1[3] = {-6.2, -9, -5.1}, hi1[3] = {-1.3, -1.1, -0.4}, lo2[3] = {1.7, -9, 0.3}, hi2[3] = {6.1, -4.875, 5.2};
-    voxrt_gi *gi = make_gi(128, 128, 9.6, none);
+    voxrt_gi *gi = make_gi_at(128, 128, 128, 9.6, none);
     voxrt_gi_render_desc d;
     uint32_t i, a, bounces;
     memset(&s, 0, sizeof s);
@@ -224,36 +191,17 @@ TEST(a_room_as_paths_through_its_triangles_have_it) {
     voxrt_gi_destroy(gi);
 }
 
-static void sphere(model *m, double r, uint32_t rings, uint8_t grey) { /* looks inwards */
-    uint32_t i, j, n = 2 * rings;
-    m->points = m->triangles = 0;
-    for (i = 0; i <= rings; i++)
-        for (j = 0; j < n; j++) {
-            const double a = 3.14159265358979 * i / rings, b = 6.28318530717959 * j / n;
-            m->p[m->points][0] = (float)(r * sin(a) * cos(b));
-            m->p[m->points][1] = (float)(r * sin(a) * sin(b));
-            m->p[m->points++][2] = (float)(r * cos(a));
-        }
-    for (i = 0; i < rings; i++)
-        for (j = 0; j < n; j++) {
-            const uint32_t a = i * n + j, b = i * n + (j + 1) % n, t[2][3] = {{a, b, a + n}, {b, b + n, a + n}};
-            memcpy(m->index[m->triangles], t, sizeof t);
-            memset(m->rgb[m->triangles], grey, 6);
-            m->triangles += 2;
-        }
-}
-
 /* A closed sphere with a lamp in its middle: k bounces bring i / r^2 (q + ... + q^k), on the default grid to 1 %. */
 TEST(closed_sphere_to_a_percent) {
     static model m;
     static picture pic;
     const double none[3] = {0, 0, 0}, r = 9;
     const double q = voxrti_srgb_to_linear(188 / 255.0);
-    voxrt_gi *gi = make_gi(256, 128, 10, none);
+    voxrt_gi *gi = make_gi_at(256, 256, 128, 10, none);
     voxrt_gi_render_desc d;
     uint32_t i, a, bounces;
     rng_state = 13;
-    sphere(&m, r, 80, 188);
+    sphere(&m, r, 80, 188, 1);
     add_model(gi, &m);
     set_lamp(gi, none, r * r);
     open_picture(&pic);
@@ -478,7 +426,7 @@ TEST(no_flicker_under_a_moving_lamp) {
     static model m;
     static float position[W * H][3], normal[W * H][3], albedo[W * H][3], last[2][3][W * H][3];
     const double lo[3] = {-9, -9, -9}, hi[3] = {9, 9, 9}, none[3] = {0, 0, 0}, lo1[3] = {-3, -9, -3}, hi1[3] = {2, -4, 2};
-    voxrt_gi *gi = make_gi(64, 64, 9.6, none);
+    voxrt_gi *gi = make_gi_at(64, 64, 64, 9.6, none);
     voxrt_camera camera;
     voxrt_gbuffer g;
     double sum[2] = {0, 0};
@@ -532,7 +480,7 @@ TEST(scale_and_place_do_not_matter) {
     both_box(&m, &s, lo1, hi1, 0, 200);
     for (k = 0; k < 4; k++) {
         const double middle[3] = {shift[k], -shift[k], shift[k]}, lamp[3] = {middle[0] + 2 * scale[k], middle[1] + 5 * scale[k], middle[2]};
-        voxrt_gi *gi = make_gi(64, 64, 10 * scale[k], middle);
+        voxrt_gi *gi = make_gi_at(64, 64, 64, 10 * scale[k], middle);
         voxrt_gi_render_desc d;
         double worst = 0, mean = 0;
         memset(&d, 0, sizeof d);
