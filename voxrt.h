@@ -14208,6 +14208,9 @@ static int voxrti_column_ray_open(const voxrt_columns *c, const voxrt_ray *ray, 
     return 1;
 }
 
+/* Planes are that much thicker than a cell: a surface between two layers of cells lies in one of them, and where points
+   on it are a little off they would be in the shadow of that. */
+#define VOXRTI_COLUMN_WIDER 1.02
 #define VOXRTI_COLUMN_NO_PLANE 1e9f /* as lo: no cell is above that */
 
 /* at: t of the end point; reach: in cells, along the grid's axes. A normal of 0: no plane. */
@@ -14227,7 +14230,7 @@ static void voxrti_column_plane_open(const voxrt_columns *c, const voxrt_ray *ra
         end[a] = (float)x;
         wide += 0.5 * voxrti_abs(m);
     }
-    width = (float)(wide * (1.0 + 1e-6));
+    width = (float)(wide * VOXRTI_COLUMN_WIDER);
     flat = 1e-6f * width; /* a plane along the columns: half is so large then that a column is in or out as a whole */
     steep = voxrti_absf(n[2]) > flat ? n[2] : flat;
     inv = 1.0f / steep;
@@ -14574,7 +14577,7 @@ VOXRTI_TARGET_AVX2 static void voxrti_column_planes4(const voxrti_column_trace *
         p[a] = _mm256_cvtpd_ps(x);
         wide = _mm256_add_pd(wide, _mm256_mul_pd(_mm256_set1_pd(0.5), _mm256_andnot_pd(sign, m)));
     }
-    width = _mm256_cvtpd_ps(_mm256_mul_pd(wide, _mm256_set1_pd(1.0 + 1e-6)));
+    width = _mm256_cvtpd_ps(_mm256_mul_pd(wide, _mm256_set1_pd(VOXRTI_COLUMN_WIDER)));
     flat = _mm_mul_ps(_mm_set1_ps(1e-6f), width);
     steep = _mm_blendv_ps(flat, n[2], _mm_cmpgt_ps(_mm_andnot_ps(sign4, n[2]), flat));
     inv = _mm_div_ps(one, steep);
@@ -16697,6 +16700,7 @@ static VOXRTI_NOINLINE void voxrti_light_points(const voxrti_lighting *c, size_t
                 const float up = c->lift * q->n[i][a];
                 ray[m].org[a] += up;
                 if (ray[m].t_max < INFINITY) ray[m].dir[a] -= up;
+                if (ends != NULL) ray[m].dir[a] += c->lift * end[m][a];
             }
             if (c->shadow != NULL && ray[m].t_max < INFINITY) ray[m].t_max *= 0.9999f;
             of[m++] = (uint8_t)i;
@@ -16830,8 +16834,8 @@ typedef struct voxrti_gather {
    on; farther away what faces away is dark. */
 #define VOXRTI_GATHER_SELF 16.0f
 
-/* Sample `number` of each point: a ray over its hemisphere with density cos, or, where it has a lobe, in its Phong lobe:
-   what it meets. weight: what its light counts for the mean. t of a miss is INFINITY; a hit that shows no side has at =
+/* Sample `number` of each point: a ray over its hemisphere with density cos, or, where it has a lobe, in that: what it
+   meets. weight: what its light counts for the mean. t of a miss is INFINITY; a hit that shows no side has at =
    -1. */
 static void voxrti_gather_rays(const voxrti_gather *w, const voxrti_points *q, uint32_t number, voxrt_ray *ray,
                                float *t, voxrti_gi_side *side, float *weight, voxrt_stats *stats) {

@@ -652,6 +652,65 @@ TEST(rays_hit_what_plain_stepping_hits) {
               (unsigned long)untied, (unsigned long)missed, (unsigned long)extra, (unsigned long)other, (unsigned long)counted);
 }
 
+TEST(segments_from_both_ends) { /* what lies between two points does not depend on where one looks from */
+    const uint32_t n = test_quick() ? 4000 : 40000;
+    voxrt_columns *c = make(64, 64, 64);
+    uint32_t i, k, a, differ = 0, hit = 0;
+    rng_state = 61;
+    hall(c, 0.01);
+    for (i = 0; i < n; i++) {
+        voxrt_ray r[2];
+        uint8_t dark[2];
+        memset(r, 0, sizeof r);
+        for (a = 0; a < 3; a++) {
+            const float p = (float)rnd_in(1, 63), q = (float)rnd_in(1, 63);
+            for (k = 0; k < 2; k++) {
+                r[k].org[a] = k ? q : p;
+                r[k].dir[a] = k ? p - q : q - p;
+                r[k].t_max = 1.0f;
+            }
+        }
+        CHECK(voxrt_columns_occluded(c, NULL, r, dark, 2) == VOXRT_OK);
+        differ += dark[0] != dark[1];
+        hit += dark[0];
+    }
+    CHECK(hit > n / 20 && hit < n - n / 20);
+    CHECK_MSG(differ <= n / 10000, "%u of %u", differ, n);
+    voxrt_columns_destroy(c);
+}
+
+TEST(large_grids) { /* 1024 x 1024: more levels than a register of AVX2 has lanes */
+    voxrt_columns *c = make(1024, 1024, 64);
+    const uint32_t n = test_quick() ? 300 : 3000;
+    voxrti_insert in;
+    uint32_t i, wrong = 0, hits = 0;
+    memset(&in, 0, sizeof in);
+    in.columns = c;
+    rng_state = 62;
+    for (i = 0; i < 20000; i++) {
+        const uint32_t k = rng() % 60;
+        voxrti_insert_run(&in, rng() % 1024, rng() % 1024, k, k + rng() % 4);
+    }
+    voxrt_columns_update(c);
+    CHECK(hierarchy_errors(c) == 0);
+    for (i = 0; i < n; i++) {
+        const voxrt_ray ray = random_ray(c, i % 4);
+        voxrti_column_ray r;
+        voxrt_column_hit hit;
+        plain want;
+        const int open = voxrti_column_ray_open(c, &ray, &r);
+        CHECK(voxrt_columns_trace(c, NULL, &ray, &hit, 1) == VOXRT_OK);
+        if (open != 1) continue;
+        want = step_plain(c, &r);
+        hits += want.hit != 0;
+        if (want.hit != (hit.t < INFINITY) || (want.hit && (want.cell[0] != (int)hit.cell[0] || want.cell[1] != (int)hit.cell[1] ||
+                                                            want.cell[2] != (int)hit.cell[2])))
+            wrong += !want.tie;
+    }
+    CHECK_MSG(wrong == 0 && hits > n / 20, "%u wrong, %u hits of %u", wrong, hits, n);
+    voxrt_columns_destroy(c);
+}
+
 TEST(rays_in_all_ways_the_same) { /* instruction sets, start levels, any hit, groups of rays */
     enum { N = 5000 };
     static voxrt_ray ray[N];
@@ -870,6 +929,8 @@ int main(int argc, char **argv) {
     RUN(threads_and_order_do_not_matter);
     RUN(still_and_moving);
     RUN(rays_hit_what_plain_stepping_hits);
+    RUN(segments_from_both_ends);
+    RUN(large_grids);
     RUN(rays_in_all_ways_the_same);
     RUN(a_hit_lies_on_its_face);
     RUN(tangent_planes_instead_of_offsets);

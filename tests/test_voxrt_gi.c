@@ -1193,6 +1193,37 @@ TEST(edges_keep_both_faces) { /* a block that is turned: cells along its edges k
     CHECK_MSG(both > 4 * 60 && wrong <= 4 * 8, "%u cells with both faces, %u sides that are none", both, wrong);
 }
 
+TEST(walls_on_borders_of_cells) { /* each wall of a lit box between two layers of cells, and a little beside: no cell of it
+                                     lies in its own shadow */
+    static model m;
+    uint32_t turn;
+    for (turn = 0; turn < 5; turn++) {
+        const double half = 3.0 + (turn == 0 ? 0.0 : turn == 1 ? 1e-6 : turn == 2 ? -1e-6 : turn == 3 ? 3e-4 : -3e-4);
+        voxrt_gi *gi = make_gi(64, 64, 64, 4); /* borders at multiples of 1/8 */
+        voxrt_gi_light light = point_light(0.1f, 0.2f, -0.3f, 20);
+        voxrt_gi_render_desc d;
+        voxrt_gi_object o;
+        uint32_t l = 0, i, dark = 0, all = 0;
+        m.points = m.triangles = 0;
+        box(&m, half, 180, 1);
+        o = object_of(&m, 1);
+        CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK && voxrt_gi_set_lights(gi, &light, 1) == VOXRT_OK);
+        CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
+        memset(&d, 0, sizeof d);
+        d.lookup = VOXRT_GI_LOOKUP_VOLUME;
+        CHECK(voxrti_gi_prepare(&d, gi, (int)voxrt_isa_best()) == VOXRT_OK);
+        for (i = 0; i < 2 * gi->layer[l].count; i++) {
+            float rgb[3];
+            if (gi->layer[l].record[i / 2].area[i % 2] == 0) continue;
+            voxrti_rgb9e5_decode(gi->layer[l].direct[i], rgb);
+            all++;
+            dark += !(rgb[1] > 0.1f); /* at least 20 cos / r^2 */
+        }
+        CHECK_MSG(all > 10000 && dark < all / 200, "%g: %u of %u sides are dark", half, dark, all);
+        voxrt_gi_destroy(gi);
+    }
+}
+
 TEST(pixels_at_edges_show_one_face) {
     static model m;
     static float position[4][3], normal[4][3], albedo[4][3];
@@ -1799,6 +1830,7 @@ int main(int argc, char **argv) {
     RUN(neighbours_share_a_sequence);
     RUN(neighbours_make_less_noise);
     RUN(edges_keep_both_faces);
+    RUN(walls_on_borders_of_cells);
     RUN(pixels_at_edges_show_one_face);
     RUN(lists_have_every_pixel_once);
     RUN(stopped_pictures_leave_no_trace);

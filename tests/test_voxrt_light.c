@@ -1,6 +1,8 @@
 /* Light on bit columns against paths through triangles and closed forms; ways of rays that are there to be compared with;
    flicker; scales. */
 #include "test.h"
+#include "../examples/support/mesh.h"
+#include "../examples/support/scenes.h"
 #define VOXRT_IMPLEMENTATION
 #include "../voxrt.h"
 #include "../bench/baseline/columns.h"
@@ -511,6 +513,301 @@ TEST(scale_and_place_do_not_matter) {
     }
 }
 
+/* ---- hard scenes against paths through their triangles ---- */
+
+static double mean_of(const float (*v)[3], uint32_t n) {
+    double sum = 0;
+    uint32_t i;
+    for (i = 0; i < n; i++) sum += (double)v[i][0] / n;
+    return sum;
+}
+
+/* Points on the floor of a room of +-9 that has something in it; the lamp; mean of one bounce, by rays on a grid, and by
+   paths. */
+static void compare_room(model *m, path_scene *s, const double lamp[3], const double at[3], const double wide[2], uint32_t nx, uint32_t nz,
+                         double *is, double *want, double *error) {
+    static picture pic;
+    const double none[3] = {0, 0, 0};
+    voxrt_gi *gi = make_gi_at(nx, nx, nz, 9.6, none);
+    voxrt_gi_render_desc d;
+    uint32_t i, a;
+    memset(&d, 0, sizeof d);
+    s->state = 7;
+    s->intensity = 100;
+    memcpy(s->lamp, lamp, sizeof s->lamp);
+    add_model(gi, m);
+    set_lamp(gi, lamp, s->intensity);
+    open_picture(&pic);
+    rng_state = 5;
+    for (i = 0; i < POINTS; i++) {
+        pic.position[i][0] = (float)(at[0] + wide[0] * (2 * rnd() - 1));
+        pic.position[i][1] = (float)at[1];
+        pic.position[i][2] = (float)(at[2] + wide[1] * (2 * rnd() - 1));
+        pic.normal[i][1] = 1;
+        for (a = 0; a < 3; a++) pic.albedo[i][a] = 1;
+    }
+    d.rays = test_quick() ? 256 : 512;
+    CHECK(voxrt_gi_render(&d, gi, &pic.g, NULL, pic.indirect[0], NULL) == VOXRT_OK);
+    *is = mean_of((const float (*)[3])pic.indirect, POINTS);
+    *want = *error = 0;
+    for (i = 0; i < POINTS; i++) {
+        double p[3], n[3] = {0, 1, 0}, e;
+        for (a = 0; a < 3; a++) p[a] = (double)pic.position[i][a];
+        *want += path_indirect(s, p, n, 1, test_quick() ? 150 : 500, &e) / POINTS;
+        *error += e * e / (POINTS * POINTS);
+    }
+    *error = sqrt(*error);
+    voxrt_gi_destroy(gi);
+}
+
+TEST(under_a_lattice) { /* bars that are eight cells wide hide little more than they should; those of two thirds of a cell are
+                           fatter here, so it is darker under them, but not dark */
+    static const double thick[2] = {0.6, 0.05}, apart[2] = {5.0, 2.5};
+    uint32_t k, i, axis;
+    for (k = 0; k < 2; k++) {
+        static path_scene s;
+        static model m;
+        const double lo[3] = {-9, -9, -9}, hi[3] = {9, 9, 9}, lamp[3] = {1, 7, 0.5}, at[3] = {0, -9, 0}, wide[2] = {5, 5};
+        double is, want, error;
+        memset(&s, 0, sizeof s);
+        m.points = m.triangles = 0;
+        both_box(&m, &s, lo, hi, 1, 225);
+        for (axis = 0; axis < 3; axis += 2)
+            for (i = 0; i < (k == 0 ? 4 : 7); i++) {
+                const double c = -8.1 + apart[k] * i;
+                double a[3] = {-9, -5.0, -9}, b[3] = {9, -5.0, 9};
+                if (axis == 2) a[1] = b[1] = -3.6;
+                a[axis] = c;
+                b[axis] = c + thick[k] * 2;
+                a[1] -= thick[k];
+                b[1] += thick[k];
+                both_box(&m, &s, a, b, 0, 200);
+            }
+        compare_room(&m, &s, lamp, at, wide, 128, 128, &is, &want, &error);
+        CHECK_MSG(fabs(is / want - 1) < (k == 0 ? 0.1 : 0.25) + 4 * error / want, "bars of %.1f cells: %.4f of %.4f +- %.4f",
+                  thick[k] * 2 / 0.15, is, want, error);
+    }
+}
+
+TEST(a_sheet_between_two_rooms) { /* 0.1 cells thick, red on one side and green on the other: each room gets its own colour */
+    static path_scene s;
+    static model m;
+    static picture pic;
+    const double lo[3] = {-9, -9, -9}, hi[3] = {9, 9, 9}, none[3] = {0, 0, 0}, lamp[3] = {-5, 2, 0}, thick = 0.015;
+    const double top[2][4][3] = {{{-thick, -9, -6}, {-thick, -9, 6}, {-thick, 4, 6}, {-thick, 4, -6}}, {{thick, -9, -6}, {thick, 4, -6}, {thick, 4, 6}, {thick, -9, 6}}};
+    voxrt_gi *gi = make_gi_at(128, 128, 128, 9.6, none);
+    voxrt_gi_render_desc d;
+    double sum[2][2] = {{0, 0}, {0, 0}};
+    uint32_t i, side, a;
+    memset(&s, 0, sizeof s);
+    m.points = m.triangles = 0;
+    both_box(&m, &s, lo, hi, 1, 120);
+    for (side = 0; side < 2; side++) {
+        const uint32_t first = m.triangles;
+        quad(&m, top[side][0], top[side][1], top[side][2], top[side][3], 0);
+        for (i = first; i < m.triangles; i++) m.rgb[i][side] = 230;
+    }
+    add_model(gi, &m);
+    set_lamp(gi, lamp, 100);
+    open_picture(&pic);
+    rng_state = 8;
+    for (i = 0; i < POINTS; i++) { /* on the floor on both sides of it */
+        pic.position[i][0] = (float)((i % 2 ? 1 : -1) * (0.8 + 2 * rnd()));
+        pic.position[i][1] = -9;
+        pic.position[i][2] = (float)(6 * rnd() - 3);
+        pic.normal[i][1] = 1;
+        for (a = 0; a < 3; a++) pic.albedo[i][a] = 1;
+    }
+    memset(&d, 0, sizeof d);
+    d.rays = 256;
+    CHECK(voxrt_gi_render(&d, gi, &pic.g, NULL, pic.indirect[0], NULL) == VOXRT_OK);
+    for (i = 0; i < POINTS; i++) for (a = 0; a < 2; a++) sum[i % 2][a] += (double)pic.indirect[i][a];
+    /* the lit side is on -x and red; the other one gets no light but from the walls, which are grey */
+    CHECK_MSG(sum[0][0] > 1.5 * sum[0][1], "lit side: red %.4f, green %.4f", sum[0][0], sum[0][1]);
+    CHECK_MSG(fabs(sum[1][0] / sum[1][1] - 1) < 0.02 && sum[1][0] < sum[0][0], "dark side: red %.4f, green %.4f", sum[1][0], sum[1][1]);
+    voxrt_gi_destroy(gi);
+}
+
+TEST(coarse_grids_are_near) { /* a room with a block, light on one wall: the finer the grid the nearer the mean */
+    static const struct { uint32_t nx, nz; double bound; } grid[4] = {{16, 64, 0.15}, {32, 64, 0.08}, {64, 64, 0.04}, {256, 128, 0.025}};
+    uint32_t k;
+    for (k = 0; k < 4; k++) {
+        static path_scene s;
+        static model m;
+        const double lo[3] = {-9, -9, -9}, hi[3] = {9, 9, 9}, lo1[3] = {-4.1, -9, -4.3}, hi1[3] = {0.7, -3.2, 0.4};
+        const double lamp[3] = {-6.5, 4, 1}, at[3] = {4.5, -9, 3}, wide[2] = {3, 4};
+        double is, want, error;
+        memset(&s, 0, sizeof s);
+        m.points = m.triangles = 0;
+        both_box(&m, &s, lo, hi, 1, 225);
+        both_box(&m, &s, lo1, hi1, 0, 200);
+        compare_room(&m, &s, lamp, at, wide, grid[k].nx, grid[k].nz, &is, &want, &error);
+        CHECK_MSG(fabs(is / want - 1) < grid[k].bound + 4 * error / want, "%u columns a side: %.4f of %.4f +- %.4f", grid[k].nx, is, want, error);
+    }
+}
+
+TEST(a_hall_of_many_triangles) { /* openness within 3 units, against every triangle of the hall */
+    sup_mesh mesh;
+    static picture pic;
+    float lo[3], hi[3];
+    voxrt_gi_desc gd;
+    voxrt_gi_object o;
+    voxrt_gi_render_desc d;
+    voxrt_gi *gi = NULL;
+    voxrt_tree *tree = NULL;
+    voxrt_build_desc build;
+    voxrt_geometry geometry;
+    const uint32_t rays = test_quick() ? 100 : 400;
+    double is, want = 0;
+    uint32_t i, k, a;
+    REQUIRE(sup_scene_make("pillars", 0, &mesh) == 0 && sup_mesh_bounds(&mesh, lo, hi) == 0);
+    memset(&gd, 0, sizeof gd);
+    for (a = 0; a < 3; a++) {
+        gd.columns.box_min[a] = (double)lo[a] - 0.1;
+        gd.columns.box_max[a] = (double)hi[a] + 0.1;
+    }
+    REQUIRE(voxrt_gi_create(&gd, &gi) == VOXRT_OK);
+    memset(&o, 0, sizeof o);
+    o.mesh.positions = mesh.positions;
+    o.mesh.vertex_count = mesh.vertex_count;
+    o.mesh.indices = mesh.indices;
+    o.mesh.triangle_count = mesh.triangle_count;
+    o.still = 1;
+    CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK && voxrt_gi_update(gi, NULL) == VOXRT_OK);
+    memset(&build, 0, sizeof build);
+    build.resolution = 1024; /* 4 times as fine, by another way of rays */
+    REQUIRE(voxrt_tree_build(&build, &o.mesh, NULL, &tree) == VOXRT_OK);
+    voxrt_tree_geometry(tree, &geometry);
+    open_picture(&pic);
+    rng_state = 44;
+    for (i = 0; i < POINTS; i++) {
+        pic.position[i][0] = (float)((double)lo[0] + (double)(hi[0] - lo[0]) * (0.3 + 0.4 * rnd()));
+        pic.position[i][1] = 1.2f;
+        pic.position[i][2] = (float)((double)lo[2] + (double)(hi[2] - lo[2]) * (0.2 + 0.6 * rnd()));
+        pic.normal[i][i % 3] = 1;
+        for (a = 0; a < 3; a++) pic.albedo[i][a] = 1;
+    }
+    memset(&d, 0, sizeof d);
+    d.method = VOXRT_GI_AO;
+    d.rays = rays;
+    d.radius = 3;
+    CHECK(voxrt_gi_render(&d, gi, &pic.g, NULL, pic.indirect[0], NULL) == VOXRT_OK);
+    is = mean_of((const float (*)[3])pic.indirect, POINTS);
+    for (i = 0; i < POINTS; i++)
+        for (k = 0; k < rays; k++) {
+            voxrt_trace_desc t;
+            voxrt_ray r;
+            float u[2];
+            uint8_t dark = 0;
+            memset(&t, 0, sizeof t);
+            u[0] = (float)rnd() * 0.999999f;
+            u[1] = (float)rnd() * 0.999999f;
+            (void)voxrti_lobe_direction(pic.normal[i], u, 1.0f, r.dir);
+            memcpy(r.org, pic.position[i], sizeof r.org);
+            r.t_min = 0;
+            r.t_max = 3;
+            geometry.occluded_fn(geometry.user, &t, &r, &dark, 1);
+            want += (dark ? 0.0 : 1.0) / ((double)POINTS * rays);
+        }
+    CHECK(want > 0.2 && want < 0.95);
+    CHECK_MSG(fabs(is - want) < 0.03, "%zu triangles: openness %.4f, not %.4f", mesh.triangle_count, is, want);
+    voxrt_tree_destroy(tree);
+    voxrt_gi_destroy(gi);
+    sup_mesh_free(&mesh);
+}
+
+TEST(maps_accept_what_is_lit) { /* a slanted floor up to 80 degrees from the lamp: lit but for less than 0.5 %; behind a wall
+                                   of 0.1 cells less than 1/1000 of the light gets through */
+    static path_scene s;
+    static model m;
+    static picture pic;
+    const double lo[3] = {-9, -9, -9}, hi[3] = {9, 9, 9}, none[3] = {0, 0, 0};
+    const double wall[2][4][3] = {{{2, -9, -9}, {2, -9, 9}, {2, 9, 9}, {2, 9, -9}}, {{2.015, -9, -9}, {2.015, 9, -9}, {2.015, 9, 9}, {2.015, -9, 9}}};
+    voxrt_gi *gi = make_gi_at(128, 128, 128, 9.6, none);
+    voxrt_gi_render_desc d;
+    const double lamp[3] = {-8.2, -7.4, 0};
+    uint32_t i, a, lit = 0, behind = 0, turn;
+    double before = 0, after = 0;
+    memset(&s, 0, sizeof s);
+    m.points = m.triangles = 0;
+    both_box(&m, &s, lo, hi, 1, 200);
+    for (i = 0; i < 2; i++) quad(&m, wall[i][0], wall[i][1], wall[i][2], wall[i][3], 200);
+    add_model(gi, &m);
+    set_lamp(gi, lamp, 100);
+    memset(&d, 0, sizeof d);
+    d.lookup = VOXRT_GI_LOOKUP_MAPS;
+    d.map_size = 256;
+    d.rays = 1;
+    rng_state = 18;
+    open_picture(&pic);
+    for (turn = 0; turn < 40; turn++) {
+        for (i = 0; i < POINTS; i++) { /* tan 80 degrees = 5.67, times 1.6 above the floor */
+            const double x = i % 4 ? -8 + 9 * rnd() : 2.3 + 6 * rnd(), z = i % 4 ? 2 * rnd() - 1 : 16 * rnd() - 8;
+            pic.position[i][0] = (float)x;
+            pic.position[i][1] = -9;
+            pic.position[i][2] = (float)z;
+            pic.normal[i][1] = 1;
+            for (a = 0; a < 3; a++) pic.albedo[i][a] = 1;
+        }
+        CHECK(voxrt_gi_render(&d, gi, &pic.g, pic.direct[0], NULL, NULL) == VOXRT_OK);
+        for (i = 0; i < POINTS; i++) {
+            if (i % 4) {
+                lit += pic.direct[i][0] > 0;
+                behind++;
+                before += (double)pic.direct[i][0];
+            } else {
+                after += (double)pic.direct[i][0];
+            }
+        }
+    }
+    CHECK_MSG(lit > 0.995 * behind, "%u of %u points are lit", lit, behind);
+    CHECK_MSG(after < 1e-3 * before, "%g of the light is behind the wall", after / before);
+    voxrt_gi_destroy(gi);
+}
+
+TEST(errors_fall_with_rays) { /* smooth light: faster than 1 / sqrt(rays) */
+    static path_scene s;
+    static model m;
+    static picture pic;
+    static float truth[POINTS][3];
+    static const uint32_t many[3] = {16, 64, 256};
+    const double lo[3] = {-9, -9, -9}, hi[3] = {9, 9, 9}, none[3] = {0, 0, 0}, lamp[3] = {0, 2, 0};
+    voxrt_gi *gi = make_gi_at(64, 64, 64, 9.6, none);
+    voxrt_gi_render_desc d;
+    double error[3], slope;
+    uint32_t i, a, k, turn;
+    memset(&s, 0, sizeof s);
+    m.points = m.triangles = 0;
+    both_box(&m, &s, lo, hi, 1, 200);
+    add_model(gi, &m);
+    set_lamp(gi, lamp, 100);
+    open_picture(&pic);
+    rng_state = 77;
+    for (i = 0; i < POINTS; i++) {
+        pic.position[i][0] = (float)(16 * rnd() - 8);
+        pic.position[i][1] = -9;
+        pic.position[i][2] = (float)(16 * rnd() - 8);
+        pic.normal[i][1] = 1;
+        for (a = 0; a < 3; a++) pic.albedo[i][a] = 1;
+    }
+    memset(&d, 0, sizeof d);
+    d.rays = 16384;
+    CHECK(voxrt_gi_render(&d, gi, &pic.g, NULL, truth[0], NULL) == VOXRT_OK);
+    for (k = 0; k < 3; k++) {
+        double sum = 0;
+        d.rays = many[k];
+        for (turn = 0; turn < 4; turn++) {
+            d.first_ray = (1u << 20) + turn * many[k];
+            CHECK(voxrt_gi_render(&d, gi, &pic.g, NULL, pic.indirect[0], NULL) == VOXRT_OK);
+            for (i = 0; i < POINTS; i++) sum += pow((double)pic.indirect[i][0] - (double)truth[i][0], 2);
+        }
+        error[k] = sqrt(sum);
+    }
+    slope = log(error[2] / error[0]) / log(16.0);
+    CHECK_MSG(slope < -0.65, "errors %.4g %.4g %.4g: slope %.3f", error[0], error[1], error[2], slope);
+    voxrt_gi_destroy(gi);
+}
+
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(paths_through_triangles_are_right);
@@ -521,5 +818,11 @@ int main(int argc, char **argv) {
     RUN(points_go_where_sums_say);
     RUN(no_flicker_under_a_moving_lamp);
     RUN(scale_and_place_do_not_matter);
+    RUN(under_a_lattice);
+    RUN(a_sheet_between_two_rooms);
+    RUN(coarse_grids_are_near);
+    RUN(a_hall_of_many_triangles);
+    RUN(maps_accept_what_is_lit);
+    RUN(errors_fall_with_rays);
     return test_end();
 }
