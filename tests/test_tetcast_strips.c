@@ -4,7 +4,7 @@
 #define TETCAST_IMPLEMENTATION
 #include "tetcast.h"
 #include "tets.h"
-#include "../bench/baseline/planes.h"
+#include "../bench/baseline/strip_planes.h"
 
 enum { FORMS = 5 };
 static const tetcast_cells g_forms[FORMS] = {TETCAST_CELLS_TET20, TETCAST_CELLS_TET32, TETCAST_CELLS_LIST160,
@@ -271,6 +271,102 @@ TEST(planes) { /* right where cells are good and near the origin; in tangled mes
     CHECK(far_offset >= far_vertex);
 }
 
+TEST(planes_of_strips) { /* faces kept once and turned are the cells' own; rays by them, by none, with and without gradients */
+    static const tetcast_cells kinds[2] = {TETCAST_CELLS_STRIPS, TETCAST_CELLS_STRIPS_GENERAL};
+    uint32_t kind, keep, i, k;
+    for (kind = 0; kind < 2; kind++) {
+        tets t;
+        tetcast_mesh *m;
+        tetcast_optics *o;
+        tetcast_transfer *transfer;
+        tetcast_transfer_desc td;
+        static const tetcast_control_point points[3] = {{0, {0, 0, 1}, 0.1f}, {9, {0, 1, 0}, 0.4f}, {20, {1, 0, 0}, 0.2f}};
+        memset(&t, 0, sizeof t);
+        memset(&td, 0, sizeof td);
+        tets_lattice(&t, 7, 7, 7, 5, NULL);
+        tets_jitter(&t, 6, 6, 6, 0.3, 8);
+        tets_round(&t);
+        for (i = 0; i < t.nv; i++) t.s[i] = (float)(t.p[3 * i] + t.p[3 * i + 1] + sin(t.p[3 * i + 2]) + 2);
+        m = build(&t, kinds[kind], 1);
+        REQUIRE(m != NULL);
+        td.points = points;
+        td.point_count = 3;
+        CHECK_EQ_U64(tetcast_transfer_create(&td, &transfer), TETCAST_OK);
+        CHECK_EQ_U64(tetcast_optics_create(transfer, NULL, &o), TETCAST_OK);
+        for (keep = 0; keep < 4; keep++) {
+            strips_planes s;
+            baseline_stats stats;
+            test_rng rng = test_rng_make(12);
+            memset(&stats, 0, sizeof stats);
+            REQUIRE(strips_planes_make(m, keep, &s));
+            CHECK(strips_planes_bytes(&s) > 12.0 * m->cell_count);
+            if (keep == (STRIPS_PLANES_NORMALS | STRIPS_PLANES_GRADIENTS)) { /* against the list, cell by cell */
+                const uint32_t *cell_of = (const uint32_t *)m->cells.side;
+                baseline_list l;
+                uint32_t used = 0, turned = 0;
+                REQUIRE(baseline_list_make(m, &l));
+                for (i = 0; i < s.columns; i++) {
+                    const baseline_cell *c = &l.cell[cell_of[i] != TETCASTI_NONE ? cell_of[i] : 0];
+                    if (cell_of[i] == TETCASTI_NONE) continue;
+                    for (k = 0; k < 4; k++) {
+                        const float *p = s.plane[s.number[i][k] & ~STRIPS_PLANES_TURNED];
+                        const float sign = s.number[i][k] & STRIPS_PLANES_TURNED ? -1.0f : 1.0f;
+                        uint32_t f = 0;
+                        while (m->tet[cell_of[i]][f] != s.column[i + k].v) f++;
+                        CHECK_NEAR(sign * p[0], c->nx[f], 1e-7); /* a sum of products in another order */
+                        CHECK_NEAR(sign * p[1], c->ny[f], 1e-7);
+                        CHECK_NEAR(sign * p[2], c->nz[f], 1e-7);
+                        CHECK_NEAR(sign * p[3], c->o[f], 1e-6);
+                        turned += sign < 0;
+                        used++;
+                    }
+                }
+                CHECK_EQ_U64(used, 4 * m->cell_count);
+                CHECK_EQ_U64(s.planes, (4 * m->cell_count + m->face_count) / 2); /* each face once */
+                CHECK_EQ_U64(turned, s.planes - m->face_count);
+                baseline_list_free(&l);
+            }
+            for (i = 0; i < 400; i++) {
+                tetcast_ray r;
+                tetcast_ray_result want;
+                tetcasti_ray_sum sum;
+                double length = 0, to[3];
+                float e[3], d[3], at, rgba[4];
+                uint32_t column;
+                memset(&r, 0, sizeof r);
+                for (k = 0; k < 3; k++) {
+                    r.org[k] = (double)(float)(3 + 20 * (test_rng_double(&rng) - 0.5) + (k == 2 ? 20 : 0));
+                    to[k] = 1 + 4 * test_rng_double(&rng);
+                    r.dir[k] = to[k] - r.org[k];
+                }
+                ref_unit(r.dir);
+                for (k = 0; k < 3; k++) {
+                    e[k] = (float)r.org[k];
+                    d[k] = (float)r.dir[k];
+                }
+                column = strips_planes_enter(&s, m, &r, &at);
+                CHECK_EQ_U64(tetcast_cast(NULL, m, o, &r, 1, &want, NULL), TETCAST_OK);
+                if (column == TETCASTI_NONE) {
+                    CHECK(want.length == 0);
+                    continue;
+                }
+                tetcasti_ray_begin(o, &sum);
+                strips_planes_walk(&s, e, d, column, at, o, &sum, &length, &stats);
+                tetcasti_ray_finish(o, &sum, rgba);
+                CHECK_NEAR(length, want.length, 1e-4);
+                for (k = 0; k < 4; k++) CHECK_NEAR(rgba[k], want.rgba[k], 1e-4);
+            }
+            CHECK_EQ_U64(stats.no_exit + stats.endless, 0);
+            CHECK(stats.walks > 200);
+            strips_planes_free(&s);
+        }
+        tetcast_optics_destroy(o);
+        tetcast_transfer_destroy(transfer);
+        tetcast_mesh_destroy(m);
+        tets_free(&t);
+    }
+}
+
 static int keep_layers(uint32_t x, uint32_t y, uint32_t z) { (void)x; (void)y; return (z & 1u) == 0; }
 static int keep_corner(uint32_t x, uint32_t y, uint32_t z) { return (x < 2) == (y < 2) && (y < 2) == (z < 2); }
 
@@ -316,6 +412,7 @@ int main(int argc, char **argv) {
     RUN(same_for_all_threads);
     RUN(list_of_planes);
     RUN(planes);
+    RUN(planes_of_strips);
     RUN(peeling);
     return test_end();
 }
