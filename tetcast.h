@@ -30,6 +30,7 @@
    @rbf_render     functions -> tiles -> groups of eight rays -> sums along rays; traces of particles
    @resample       tetrahedra -> nodes of a lattice; planes through the mesh
    @bricks         nodes of a lattice in blocks, on levels; choices of levels
+   @amr            locally refined grids with values of cells
    @clip           planes and closed meshes as intervals on rays
    @shade          functions of the caller along rays; tetrahedra with them and with clipping
    @brick_render   rays through a cut, eight at a time
@@ -1026,6 +1027,71 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_grid(const tetcast_bricks_desc 
 TETCAST_DEF tetcast_result tetcast_bricks_create_mesh(const tetcast_bricks_desc *desc, const tetcast_mesh *mesh,
                                                       tetcast_bricks_report *report, tetcast_bricks **out);
 TETCAST_DEF void tetcast_bricks_destroy(tetcast_bricks *bricks); /* NULL is allowed */
+
+/* ---- locally refined grids with values of cells (AMR) ---- */
+
+/* A box of cells of one level. Where boxes of a level overlap the last one counts; where there are boxes of finer levels
+   the finest counts. */
+typedef struct tetcast_patch {
+    uint32_t level;            /* 0: coarsest */
+    int32_t lo[3];             /* first cell, in cells of the level; the cell at `origin` is 0 0 0 */
+    uint32_t dims[3];
+    const float *values;       /* of cells, x fastest; borrowed while the call lasts */
+} tetcast_patch;
+
+/* What lies between the centres of the cells.
+   NEAREST  the value of the cell; jumps
+   CURRENT  trilinear between the centres of its level, as if there were no other; jumps where levels meet
+   OCTANT   cells are cut in eight; each eighth is trilinear between the centre, centres of sides and edges, and a corner,
+            where values are means over the cells around; what touches coarser cells takes the values that those have
+            there. Continuous, and at centres the value of the cell. Wang, Wald, Wu, Usher, Johnson: CPU isosurface ray
+            tracing of adaptive mesh refinement data. IEEE TVCG 25(1), 2019; how corners get their values: ours
+   BASIS    mean of the cells around, weighted by tents two cells of their own level wide: continuous, smoother, not the
+            value of the cell at centres near borders. Wald, Zellmann, Usher, Morrical, Lang, Pascucci: Ray tracing
+            structured AMR data using ExaBricks. IEEE TVCG 27(2), 2021 */
+typedef enum tetcast_amr_method {
+    TETCAST_AMR_OCTANT = 0,
+    TETCAST_AMR_BASIS = 1,
+    TETCAST_AMR_CURRENT = 2,
+    TETCAST_AMR_NEAREST = 3,
+    TETCAST_AMR_METHOD_FORCE_32BIT = 0x7fffffff
+} tetcast_amr_method;
+
+#define TETCAST_AMR_LEVELS 16
+
+/* field        zero means
+   origin       corner of the domain: of cell 0 0 0 of each level
+   spacing      1: of the cells of level 0
+   cells        of level 0, along each side: the domain; has to be given
+   ratio_log    1: a cell has 2^ratio_log cells of the next level along each side */
+typedef struct tetcast_amr_desc {
+    uint32_t _begin_zero;
+    tetcast_env env;
+    double origin[3], spacing[3];
+    uint32_t cells[3];
+    uint32_t ratio_log;
+    const tetcast_patch *patches;
+    size_t patch_count;
+    uint32_t _end_zero;
+} tetcast_amr_desc;
+
+typedef struct tetcast_amr tetcast_amr; /* immutable */
+
+/* Copies the values. Level 0 has to fill the domain, by itself or by finer cells; a cell with finer ones in it and no
+   value has their mean. Patches should consist of whole cells of the level before. Errors: INVALID_ARG (a patch beyond the domain, a value that is no number: where says which
+   patch), RANGE (over 2^20 finest cells along a side, 16 levels or 2^27 cells), NO_MEMORY. */
+TETCAST_DEF tetcast_result tetcast_amr_create(const tetcast_amr_desc *desc, tetcast_amr **out);
+TETCAST_DEF void tetcast_amr_destroy(tetcast_amr *amr); /* NULL is allowed */
+/* Values at world points; beyond the domain as on its border. Any thread. About 0.1 (NEAREST) to 1 us a point. */
+TETCAST_DEF tetcast_result tetcast_amr_sample(const tetcast_amr *amr, tetcast_amr_method method,
+                                              const double (*points)[3], size_t count, float *out);
+/* Level of the finest cell at a point. */
+TETCAST_DEF uint32_t tetcast_amr_level(const tetcast_amr *amr, const double point[3]);
+/* Bricks whose finest nodes are the corners of the finest cells, coarser by max_error. Errors: as
+   tetcast_bricks_create_grid. */
+TETCAST_DEF tetcast_result tetcast_bricks_create_amr(const tetcast_bricks_desc *desc, const tetcast_amr *amr,
+                                                     tetcast_amr_method method, tetcast_bricks_report *report,
+                                                     tetcast_bricks **out);
 TETCAST_DEF void tetcast_bricks_get_info(const tetcast_bricks *bricks, tetcast_bricks_info *info);
 
 /* Bytes of a .brk file, and the file. data has room for tetcast_bricks_file_size bytes. */
@@ -1205,8 +1271,8 @@ typedef struct tetcast_shade_desc {
 /* Walk through the tetrahedra as tetcast_render does, ray by ray, for what that has no place for: functions of the
    caller and clipping. A packet holds up to eight segments of one ray, in their order; the gradient is that of the
    tetrahedron. optics may be NULL where there is a shader. Gradients and isosurfaces need the tets of the mesh.
-   The same bits for any number of threads. Errors: as tetcast_render; what a shader's prepare_fn returns. Cost: four
-   to eight times that of tetcast_render, and the shader. */
+   The same bits for any number of threads. Errors: as tetcast_render; what a shader's prepare_fn returns. Cost: ten
+   times that of tetcast_render, and the shader. */
 TETCAST_DEF tetcast_result tetcast_render_shaded(const tetcast_shade_desc *desc, const tetcast_mesh *mesh,
                                                  const tetcast_optics *optics, const tetcast_image *image,
                                                  tetcast_render_stats *stats);
@@ -15912,6 +15978,509 @@ TETCAST_DEF tetcast_result tetcast_bricks_read(const tetcast_env *env, const voi
     *out = b;
     return TETCAST_OK;
 }
+/* ---------------------------------------------------------------------------
+   amr: locally refined grids with values of cells.                              // >>amr
+
+   Places are in halves of finest cells: there all centres, sides, edges and corners of cells are whole numbers, so what
+   lies where is decided without rounding. A cell of level k is 2 unit(k) wide. Patches of a level are found through
+   blocks of 8^3 cells, each of which has the list of the patches that meet it.
+   Octants: an eighth of cell C has eight corners P. Let K be the coarsest level of the cells that touch P. If P is a
+   centre, side, edge or corner of level K, its value is the mean of the (1, 2, 4, 8) cells of level K around it, of
+   which some may be means of finer ones; else it is what the eighth of a cell of level K that touches P has there. A
+   side of an eighth has no corner that only one of its neighbours knows of: the field is continuous for any jump of
+   levels, by induction from the coarsest level.
+   --------------------------------------------------------------------------- */
+
+#define TETCASTI_AMR_BLOCK 3u   /* log of the cells of a block */
+#define TETCASTI_AMR_CELLS ((size_t)1 << 27)
+
+typedef struct tetcasti_amr_level {
+    int32_t cells[3], blocks[3];
+    size_t *first;               /* [blocks + 1] into list; NULL: no patches */
+    uint32_t *list;              /* patches, ascending */
+} tetcasti_amr_level;
+
+struct tetcast_amr {
+    tetcasti_mem mem;
+    double origin[3], spacing[3]; /* of finest cells */
+    uint32_t levels, ratio_log, patch_count;
+    tetcast_patch *patch;
+    float *value;
+    tetcasti_amr_level level[TETCAST_AMR_LEVELS];
+};
+
+TETCAST_DEF void tetcast_amr_destroy(tetcast_amr *amr) {
+    tetcasti_mem mem;
+    uint32_t k;
+    if (amr == NULL) return;
+    mem = amr->mem;
+    for (k = 0; k < TETCAST_AMR_LEVELS; k++) {
+        tetcasti_free(&mem, amr->level[k].first);
+        tetcasti_free(&mem, amr->level[k].list);
+    }
+    tetcasti_free(&mem, amr->patch);
+    tetcasti_free(&mem, amr->value);
+    tetcasti_free(&mem, amr);
+}
+
+/* Half the width of a cell, in halves of finest cells. */
+TETCASTI_INLINE int32_t tetcasti_amr_unit(const tetcast_amr *m, uint32_t level) {
+    return (int32_t)1 << (m->ratio_log * (m->levels - 1 - level));
+}
+
+/* The value that a patch of this level has for a cell. 0: there is none. */
+static int tetcasti_amr_find(const tetcast_amr *m, uint32_t level, const int32_t c[3], float *value) {
+    const tetcasti_amr_level *l = &m->level[level];
+    size_t block, i;
+    if (l->first == NULL) return 0;
+    block = (size_t)(c[0] >> TETCASTI_AMR_BLOCK) + (size_t)l->blocks[0] *
+        ((size_t)(c[1] >> TETCASTI_AMR_BLOCK) + (size_t)l->blocks[1] * (size_t)(c[2] >> TETCASTI_AMR_BLOCK));
+    for (i = l->first[block + 1]; i-- > l->first[block];) {
+        const tetcast_patch *p = &m->patch[l->list[i]];
+        uint32_t x[3], a;
+        for (a = 0; a < 3; a++) {
+            x[a] = (uint32_t)(c[a] - p->lo[a]);
+            if (x[a] >= p->dims[a]) break;
+        }
+        if (a < 3) continue;
+        *value = p->values[x[0] + (size_t)p->dims[0] * (x[1] + (size_t)p->dims[1] * x[2])];
+        return 1;
+    }
+    return 0;
+}
+
+/* The value of a cell of a level, wherever it comes from. */
+static float tetcasti_amr_value(const tetcast_amr *m, uint32_t level, const int32_t at[3]) {
+    int32_t c[3], d[3];
+    float v = 0.0f;
+    uint32_t a, k;
+    for (a = 0; a < 3; a++) {
+        c[a] = at[a] > 0 ? at[a] : 0;
+        c[a] = c[a] < m->level[level].cells[a] ? c[a] : m->level[level].cells[a] - 1;
+    }
+    if (tetcasti_amr_find(m, level, c, &v)) return v;
+    for (k = level; k-- > 0;) { /* a coarser one */
+        for (a = 0; a < 3; a++) d[a] = c[a] >> (m->ratio_log * (level - k));
+        if (tetcasti_amr_find(m, k, d, &v)) break;
+    }
+    if (level + 1 < m->levels) { /* finer ones, if all are there or nothing else is: level 0 is full in the end */
+        const int32_t n = (int32_t)1 << m->ratio_log;
+        int32_t x, y, z;
+        double sum = 0.0;
+        float one;
+        uint32_t count = 0;
+        for (z = 0; z < n; z++)
+            for (y = 0; y < n; y++)
+                for (x = 0; x < n; x++) {
+                    d[0] = (c[0] << m->ratio_log) + x;
+                    d[1] = (c[1] << m->ratio_log) + y;
+                    d[2] = (c[2] << m->ratio_log) + z;
+                    if (!tetcasti_amr_find(m, level + 1, d, &one)) {
+                        if (k != (uint32_t)-1) continue; /* a coarser value will do */
+                        one = tetcasti_amr_value(m, level + 1, d);
+                    }
+                    sum += (double)one;
+                    count++;
+                }
+        if (count == (uint32_t)(n * n * n)) return (float)(sum / (double)count);
+    }
+    return v;
+}
+
+/* Level of the finest cell at a finest cell. */
+static uint32_t tetcasti_amr_leaf(const tetcast_amr *m, const int32_t finest[3]) {
+    uint32_t k, a;
+    for (k = m->levels; k-- > 1;) {
+        int32_t c[3];
+        float v;
+        for (a = 0; a < 3; a++) c[a] = finest[a] >> (m->ratio_log * (m->levels - 1 - k));
+        if (tetcasti_amr_find(m, k, c, &v)) return k;
+    }
+    return 0;
+}
+
+static float tetcasti_amr_octant(const tetcast_amr *m, uint32_t level, const int32_t cell[3], const double p[3]);
+
+/* The value at a corner of an eighth. */
+static float tetcasti_amr_corner(const tetcast_amr *m, const int32_t p[3]) {
+    const uint32_t last = m->levels - 1;
+    uint32_t coarsest = m->levels, i, a, n = 0;
+    int32_t touch[3] = {0, 0, 0}, unit, c[2][3];
+    double sum = 0.0;
+    for (i = 0; i < 8; i++) {
+        int32_t f[3];
+        uint32_t k;
+        for (a = 0; a < 3; a++) { /* the finest cell on that side of p; p itself may lie in the middle of one */
+            f[a] = i >> a & 1u ? p[a] >> 1 : ((p[a] + 1) >> 1) - 1;
+            if (f[a] < 0 || f[a] >= m->level[last].cells[a]) break;
+        }
+        if (a < 3) continue;
+        k = tetcasti_amr_leaf(m, f);
+        if (k < coarsest) {
+            coarsest = k;
+            memcpy(touch, f, sizeof touch);
+        }
+    }
+    unit = tetcasti_amr_unit(m, coarsest);
+    for (a = 0; a < 3; a++) {
+        if (p[a] & (unit - 1)) { /* between the corners that a coarser cell has */
+            double q[3];
+            for (i = 0; i < 3; i++) {
+                touch[i] >>= m->ratio_log * (last - coarsest);
+                q[i] = (double)p[i];
+            }
+            return tetcasti_amr_octant(m, coarsest, touch, q);
+        }
+        c[0][a] = (p[a] / unit - 1) >> 1;
+        c[1][a] = p[a] / unit >> 1;
+    }
+    for (i = 0; i < 8; i++) {
+        int32_t d[3];
+        for (a = 0; a < 3; a++) {
+            d[a] = c[i >> a & 1u][a];
+            if ((i >> a & 1u) && c[1][a] == c[0][a]) break; /* in the middle: once */
+        }
+        if (a < 3) continue;
+        sum += (double)tetcasti_amr_value(m, coarsest, d);
+        n++;
+    }
+    return (float)(sum / (double)n);
+}
+
+/* The eighth of a cell in which p lies. */
+static float tetcasti_amr_octant(const tetcast_amr *m, uint32_t level, const int32_t cell[3], const double p[3]) {
+    const int32_t unit = tetcasti_amr_unit(m, level);
+    int32_t lo[3];
+    double f[3], v[8];
+    uint32_t i, a;
+    for (a = 0; a < 3; a++) {
+        lo[a] = 2 * unit * cell[a];
+        if (p[a] >= (double)(lo[a] + unit)) lo[a] += unit;
+        f[a] = (p[a] - (double)lo[a]) / (double)unit;
+    }
+    for (i = 0; i < 8; i++) {
+        int32_t q[3];
+        double w = 1.0;
+        for (a = 0; a < 3; a++) {
+            q[a] = lo[a] + (i >> a & 1u ? unit : 0);
+            w *= i >> a & 1u ? f[a] : 1.0 - f[a];
+        }
+        v[i] = w != 0.0 ? w * (double)tetcasti_amr_corner(m, q) : 0.0;
+    }
+    return (float)(((v[0] + v[1]) + (v[2] + v[3])) + ((v[4] + v[5]) + (v[6] + v[7])));
+}
+
+/* Trilinear between the centres of one level. */
+static float tetcasti_amr_current(const tetcast_amr *m, uint32_t level, const double p[3]) {
+    const double unit = (double)tetcasti_amr_unit(m, level);
+    double f[3], sum = 0.0;
+    int32_t lo[3];
+    uint32_t i, a;
+    for (a = 0; a < 3; a++) {
+        const double x = (p[a] / unit - 1.0) * 0.5;
+        lo[a] = (int32_t)tetcasti_floor(x);
+        f[a] = x - (double)lo[a];
+    }
+    for (i = 0; i < 8; i++) {
+        int32_t c[3];
+        double w = 1.0;
+        for (a = 0; a < 3; a++) {
+            c[a] = lo[a] + (int32_t)(i >> a & 1u);
+            w *= i >> a & 1u ? f[a] : 1.0 - f[a];
+        }
+        if (w != 0.0) sum += w * (double)tetcasti_amr_value(m, level, c);
+    }
+    return (float)sum;
+}
+
+/* Is something of a cell seen, not only finer ones in it? By its corners. */
+static int tetcasti_amr_seen(const tetcast_amr *m, uint32_t level, const int32_t c[3]) {
+    const int32_t width = tetcasti_amr_unit(m, level); /* in finest cells */
+    uint32_t i, a;
+    if (level + 1 == m->levels) return 1;
+    for (i = 0; i < 8; i++) {
+        int32_t f[3];
+        for (a = 0; a < 3; a++) f[a] = c[a] * width + (i >> a & 1u ? width - 1 : 0);
+        if (tetcasti_amr_leaf(m, f) <= level) return 1;
+    }
+    return 0;
+}
+
+/* Tents of all finest cells that reach p. */
+static float tetcasti_amr_basis(const tetcast_amr *m, const double p[3]) {
+    double sum = 0.0, weight = 0.0;
+    uint32_t k, i, a;
+    for (k = 0; k < m->levels; k++) {
+        const double unit = (double)tetcasti_amr_unit(m, k);
+        int32_t lo[3];
+        if (m->level[k].first == NULL && k != 0) continue;
+        for (a = 0; a < 3; a++) lo[a] = (int32_t)tetcasti_floor((p[a] / unit - 1.0) * 0.5);
+        for (i = 0; i < 8; i++) {
+            int32_t c[3];
+            double w = 1.0;
+            float v;
+            for (a = 0; a < 3; a++) {
+                const double away = tetcasti_abs(p[a] / unit - (double)(2 * (lo[a] + (int32_t)(i >> a & 1u)) + 1));
+                c[a] = lo[a] + (int32_t)(i >> a & 1u);
+                if (c[a] < 0 || c[a] >= m->level[k].cells[a]) break;
+                w *= 1.0 - 0.5 * away;
+            }
+            if (a < 3 || !(w > 0.0) || !tetcasti_amr_find(m, k, c, &v) || !tetcasti_amr_seen(m, k, c)) continue;
+            sum += w * (double)v;
+            weight += w;
+        }
+    }
+    return weight > 0.0 ? (float)(sum / weight) : 0.0f;
+}
+
+/* World point -> place, and the finest cell that it is in. */
+static void tetcasti_amr_place(const tetcast_amr *m, const double point[3], double p[3], int32_t finest[3]) {
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        const double end = 2.0 * (double)m->level[m->levels - 1].cells[a];
+        const double x = (point[a] - m->origin[a]) / m->spacing[a] * 2.0;
+        p[a] = x > 0.0 ? x < end ? x : end : 0.0;
+        finest[a] = (int32_t)(p[a] * 0.5);
+        if (finest[a] >= m->level[m->levels - 1].cells[a]) finest[a]--;
+    }
+}
+
+static float tetcasti_amr_at(const tetcast_amr *m, tetcast_amr_method method, const double point[3]) {
+    double p[3];
+    int32_t c[3];
+    uint32_t level, a;
+    tetcasti_amr_place(m, point, p, c);
+    level = tetcasti_amr_leaf(m, c);
+    for (a = 0; a < 3; a++) c[a] >>= m->ratio_log * (m->levels - 1 - level);
+    if (method == TETCAST_AMR_NEAREST) return tetcasti_amr_value(m, level, c);
+    if (method == TETCAST_AMR_CURRENT) return tetcasti_amr_current(m, level, p);
+    if (method == TETCAST_AMR_BASIS) return tetcasti_amr_basis(m, p);
+    return tetcasti_amr_octant(m, level, c, p);
+}
+
+TETCAST_DEF tetcast_result tetcast_amr_sample(const tetcast_amr *amr, tetcast_amr_method method,
+                                              const double (*points)[3], size_t count, float *out) {
+    size_t i;
+    if (amr == NULL || (uint32_t)method > TETCAST_AMR_NEAREST || (count != 0 && (points == NULL || out == NULL)))
+        return TETCAST_ERR_INVALID_ARG;
+    for (i = 0; i < count; i++)
+        out[i] = tetcasti_finite(points[i][0] + points[i][1] + points[i][2]) ? tetcasti_amr_at(amr, method, points[i])
+                                                                             : (float)NAN;
+    return TETCAST_OK;
+}
+
+TETCAST_DEF uint32_t tetcast_amr_level(const tetcast_amr *amr, const double point[3]) {
+    double p[3];
+    int32_t c[3];
+    if (amr == NULL || point == NULL || !tetcasti_finite(point[0] + point[1] + point[2])) return 0;
+    tetcasti_amr_place(amr, point, p, c);
+    return tetcasti_amr_leaf(amr, c);
+}
+
+/* Lists of the patches of a level by blocks. 0: no memory. */
+static int tetcasti_amr_bin(tetcast_amr *m, uint32_t level) {
+    tetcasti_amr_level *l = &m->level[level];
+    size_t blocks = (size_t)l->blocks[0] * (size_t)l->blocks[1] * (size_t)l->blocks[2], b;
+    uint32_t pass, i, any = 0;
+    for (i = 0; i < m->patch_count; i++) any |= m->patch[i].level == level;
+    if (!any) return 1;
+    l->first = (size_t *)tetcasti_alloc_zero(&m->mem, blocks + 2, sizeof *l->first);
+    if (l->first == NULL) return 0;
+    for (pass = 0; pass < 2; pass++) {
+        for (i = 0; i < m->patch_count; i++) {
+            const tetcast_patch *p = &m->patch[i];
+            int32_t from[3], to[3], x, y, z;
+            uint32_t a;
+            if (p->level != level || p->dims[0] == 0 || p->dims[1] == 0 || p->dims[2] == 0) continue;
+            for (a = 0; a < 3; a++) {
+                from[a] = p->lo[a] >> TETCASTI_AMR_BLOCK;
+                to[a] = (p->lo[a] + (int32_t)p->dims[a] - 1) >> TETCASTI_AMR_BLOCK;
+            }
+            for (z = from[2]; z <= to[2]; z++)
+                for (y = from[1]; y <= to[1]; y++)
+                    for (x = from[0]; x <= to[0]; x++) {
+                        b = (size_t)x + (size_t)l->blocks[0] * ((size_t)y + (size_t)l->blocks[1] * (size_t)z);
+                        if (pass == 0) l->first[b + 2]++;
+                        else l->list[l->first[b + 1]++] = i;
+                    }
+        }
+        if (pass == 1) break;
+        for (b = 2; b <= blocks + 1; b++) l->first[b] += l->first[b - 1];
+        l->list = (uint32_t *)tetcasti_alloc_array(&m->mem, l->first[blocks + 1] + 1, sizeof *l->list);
+        if (l->list == NULL) return 0;
+    }
+    return 1;
+}
+
+/* Is the domain full? Every finest block of level 0 has a value at last. */
+static int tetcasti_amr_full(const tetcast_amr *m, uint32_t level, const int32_t c[3]) {
+    const int32_t n = (int32_t)1 << m->ratio_log;
+    int32_t d[3], x, y, z;
+    float v;
+    if (tetcasti_amr_find(m, level, c, &v)) return 1;
+    if (level + 1 >= m->levels) return 0;
+    for (z = 0; z < n; z++)
+        for (y = 0; y < n; y++)
+            for (x = 0; x < n; x++) {
+                d[0] = c[0] * n + x;
+                d[1] = c[1] * n + y;
+                d[2] = c[2] * n + z;
+                if (!tetcasti_amr_full(m, level + 1, d)) return 0;
+            }
+    return 1;
+}
+
+/* Sizes and copies. */
+static tetcast_result tetcasti_amr_open(tetcast_amr *m, const tetcast_amr_desc *d, size_t *where) {
+    size_t i, total = 0, at = 0, n;
+    uint32_t a, k;
+    m->ratio_log = d->ratio_log != 0 ? d->ratio_log : 1;
+    m->levels = 1;
+    m->patch_count = (uint32_t)d->patch_count;
+    for (i = 0; i < d->patch_count; i++) {
+        const tetcast_patch *p = &d->patches[i];
+        *where = i;
+        if (p->level >= TETCAST_AMR_LEVELS) return TETCAST_ERR_RANGE;
+        m->levels = p->level + 1 > m->levels ? p->level + 1 : m->levels;
+        if (p->values == NULL && p->dims[0] != 0 && p->dims[1] != 0 && p->dims[2] != 0) return TETCAST_ERR_INVALID_ARG;
+        if (!tetcasti_mul_size(p->dims[0], p->dims[1], &n) || !tetcasti_mul_size(n, p->dims[2], &n) ||
+            n > TETCASTI_AMR_CELLS - total) return TETCAST_ERR_RANGE;
+        total += n;
+    }
+    if (m->ratio_log > 4 || m->ratio_log * (m->levels - 1) > 20) return TETCAST_ERR_RANGE;
+    for (k = 0; k < m->levels; k++) {
+        size_t blocks = 1;
+        for (a = 0; a < 3; a++) {
+            const uint64_t cells = (uint64_t)d->cells[a] << (m->ratio_log * k);
+            if (cells == 0) return TETCAST_ERR_INVALID_ARG;
+            if (cells > TETCASTI_LATTICE_END - 1) return TETCAST_ERR_RANGE;
+            m->level[k].cells[a] = (int32_t)cells;
+            m->level[k].blocks[a] = (int32_t)((cells - 1) >> TETCASTI_AMR_BLOCK) + 1;
+            if (!tetcasti_mul_size(blocks, (size_t)m->level[k].blocks[a], &blocks)) return TETCAST_ERR_RANGE;
+        }
+        if (blocks > TETCASTI_AMR_CELLS) return TETCAST_ERR_RANGE;
+    }
+    m->patch = (tetcast_patch *)tetcasti_alloc_array(&m->mem, d->patch_count + 1, sizeof *m->patch);
+    m->value = (float *)tetcasti_alloc_array(&m->mem, total + 1, sizeof *m->value);
+    if (m->patch == NULL || m->value == NULL) return TETCAST_ERR_NO_MEMORY;
+    for (i = 0; i < d->patch_count; i++) {
+        tetcast_patch *p = &m->patch[i];
+        *where = i;
+        *p = d->patches[i];
+        for (a = 0; a < 3; a++)
+            if (p->lo[a] < 0 || (int64_t)p->lo[a] + (int64_t)p->dims[a] > (int64_t)m->level[p->level].cells[a])
+                return TETCAST_ERR_INVALID_ARG;
+        n = (size_t)p->dims[0] * p->dims[1] * p->dims[2];
+        if (n != 0) memcpy(m->value + at, p->values, n * sizeof(float));
+        p->values = m->value + at;
+        for (; n > 0; n--, at++)
+            if (!(m->value[at] > -TETCASTI_VALUE_END && m->value[at] < TETCASTI_VALUE_END))
+                return TETCAST_ERR_INVALID_ARG;
+    }
+    for (k = 0; k < m->levels; k++)
+        if (!tetcasti_amr_bin(m, k)) return TETCAST_ERR_NO_MEMORY;
+    for (i = 0; i < (size_t)d->cells[0] * d->cells[1] * d->cells[2]; i++) {
+        int32_t c[3];
+        c[0] = (int32_t)(i % d->cells[0]);
+        c[1] = (int32_t)(i / d->cells[0] % d->cells[1]);
+        c[2] = (int32_t)(i / d->cells[0] / d->cells[1]);
+        *where = i;
+        if (!tetcasti_amr_full(m, 0, c)) return TETCAST_ERR_EMPTY;
+    }
+    return TETCAST_OK;
+}
+
+TETCAST_DEF tetcast_result tetcast_amr_create(const tetcast_amr_desc *desc, tetcast_amr **out) {
+    tetcast_amr *m;
+    tetcasti_mem mem;
+    tetcast_result r;
+    size_t where = 0;
+    uint32_t a;
+    if (out != NULL) *out = NULL;
+    if (desc == NULL || out == NULL) return TETCAST_ERR_INVALID_ARG;
+    if (desc->_begin_zero != 0 || desc->_end_zero != 0) return TETCAST_ERR_UNINIT_DESC;
+    r = tetcasti_env_open(&desc->env, &mem);
+    if (r != TETCAST_OK) return r;
+    if ((desc->patch_count != 0 && desc->patches == NULL) || desc->patch_count > 0x7fffffffu)
+        return tetcasti_fail(desc->env.error, TETCAST_ERR_INVALID_ARG, 0, "amr: no patches");
+    for (a = 0; a < 3; a++)
+        if (!tetcasti_finite(desc->origin[a]) || !(desc->spacing[a] >= 0.0) || !tetcasti_finite(desc->spacing[a]))
+            return tetcasti_fail(desc->env.error, TETCAST_ERR_INVALID_ARG, 0, "amr: bad origin or spacing");
+    m = (tetcast_amr *)tetcasti_alloc_zero(&mem, 1, sizeof *m);
+    if (m == NULL) return tetcasti_fail(desc->env.error, TETCAST_ERR_NO_MEMORY, 0, "amr: out of memory");
+    m->mem = mem;
+    r = tetcasti_amr_open(m, desc, &where);
+    if (r != TETCAST_OK) {
+        tetcast_amr_destroy(m);
+        return tetcasti_fail(desc->env.error, r, where, r == TETCAST_ERR_NO_MEMORY ? "amr: out of memory"
+                             : r == TETCAST_ERR_EMPTY ? "amr: cell % of level 0 has no value"
+                             : r == TETCAST_ERR_RANGE ? "amr: too many cells or levels: patch %"
+                             : "amr: patch % is beyond the domain, or has a value that is no number");
+    }
+    for (a = 0; a < 3; a++) {
+        m->origin[a] = desc->origin[a];
+        m->spacing[a] = (desc->spacing[a] > 0.0 ? desc->spacing[a] : 1.0) /
+                        (double)((uint64_t)1 << (m->ratio_log * (m->levels - 1)));
+    }
+    *out = m;
+    return TETCAST_OK;
+}
+
+typedef struct tetcasti_amr_nodes {
+    const tetcast_amr *m;
+    tetcast_amr_method method;
+    tetcast_lattice l;
+    float *v;
+} tetcasti_amr_nodes;
+
+static void tetcasti_task_amr(void *ctx, uint32_t layer) {
+    const tetcasti_amr_nodes *t = (const tetcasti_amr_nodes *)ctx;
+    float *v = t->v + (size_t)layer * t->l.dims[0] * t->l.dims[1];
+    double p[3];
+    uint32_t x, y;
+    p[2] = t->l.origin[2] + (double)layer * t->l.spacing[2];
+    for (y = 0; y < t->l.dims[1]; y++)
+        for (x = 0; x < t->l.dims[0]; x++) {
+            p[0] = t->l.origin[0] + (double)x * t->l.spacing[0];
+            p[1] = t->l.origin[1] + (double)y * t->l.spacing[1];
+            *v++ = tetcasti_amr_at(t->m, t->method, p);
+        }
+}
+
+TETCAST_DEF tetcast_result tetcast_bricks_create_amr(const tetcast_bricks_desc *desc, const tetcast_amr *amr,
+                                                     tetcast_amr_method method, tetcast_bricks_report *report,
+                                                     tetcast_bricks **out) {
+    tetcast_bricks_desc d;
+    tetcasti_amr_nodes t;
+    tetcasti_mem mem;
+    tetcast_array values;
+    tetcast_result r = tetcasti_bricks_desc_open(desc, &d, report, out);
+    size_t n;
+    uint32_t a;
+    if (r != TETCAST_OK) return r;
+    if (amr == NULL || (uint32_t)method > TETCAST_AMR_NEAREST)
+        return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, 0, "bricks: no cells, or no such method");
+    r = tetcasti_env_open(&d.env, &mem);
+    if (r != TETCAST_OK) return r;
+    memset(&t, 0, sizeof t);
+    memset(&values, 0, sizeof values);
+    t.m = amr;
+    t.method = method;
+    for (a = 0; a < 3; a++) {
+        t.l.dims[a] = (uint32_t)amr->level[amr->levels - 1].cells[a] + 1;
+        t.l.origin[a] = amr->origin[a];
+        t.l.spacing[a] = amr->spacing[a];
+    }
+    if (!tetcasti_mul_size(t.l.dims[0], t.l.dims[1], &n) || !tetcasti_mul_size(n, t.l.dims[2], &n) ||
+        n > (size_t)-1 / 64) return tetcasti_fail(d.env.error, TETCAST_ERR_RANGE, 0, "bricks: too many finest cells");
+    t.v = (float *)tetcasti_alloc_array(&mem, n, sizeof *t.v);
+    if (t.v == NULL) return tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
+    tetcasti_parallel_for(&d.env, tetcasti_task_amr, &t, t.l.dims[2]);
+    values.data = t.v;
+    r = tetcast_bricks_create_grid(&d, &t.l, &values, report, out);
+    tetcasti_free(&mem, t.v);
+    return r;
+}
 #endif /* TETCAST_NO_BRICKS */
 /* ---------------------------------------------------------------------------
    clip: planes and closed meshes as intervals on rays.                          // >>clip
@@ -21286,14 +21855,42 @@ static void tetcasti_rbf_hit_open(const tetcasti_rbf_picture *t, const tetcasti_
     x->hit = depth;
 }
 
+/* Gradients per world unit in the middle of the segments of the lanes: neighbours, so one list does for most of them. */
+static void tetcasti_rbf_gradients(const tetcasti_rbf_picture *t, const tetcasti_rbf_group *g, const float middle[8],
+                                   uint32_t lanes, float out[3][8]) {
+    const uint32_t n = t->m->components;
+    float p[8][3], v[8 * TETCAST_RBF_MAX_COMPONENTS], d[8 * TETCAST_RBF_MAX_COMPONENTS * 3];
+    uint32_t l, a, c;
+    for (l = 0; l < 8; l++) {
+        const uint32_t k = lanes >> l & 1u ? l : tetcasti_ctz64(lanes);
+        for (a = 0; a < 3; a++) p[l][a] = g->o[a][k] + middle[k] * g->d[a][k];
+    }
+    tetcasti_rbf_points(t->m, t->add, 0, (const float (*)[3])p, 8, v, d);
+    for (l = 0; l < 8; l++) {
+        const float *value = v + l * n, *slope = d + l * n * 3;
+        const float length = t->channel == TETCAST_RBF_CHANNEL_LENGTH ? tetcasti_rbf_scalar(t, value, slope) : 1.0f;
+        for (a = 0; a < 3; a++) {
+            double sum = 0.0;
+            if (t->channel == TETCAST_RBF_CHANNEL_COMPONENT) sum = (double)slope[t->component * 3 + a];
+            else for (c = 0; c < n; c++) sum += (double)value[c] * (double)slope[c * 3 + a];
+            out[a][l] = length > 0.0f ? (float)(sum / t->m->scale[a] / (double)length) : 0.0f;
+        }
+    }
+}
+
 /* Segments to the shader. Lanes that have ended. */
 static uint32_t tetcasti_rbf_shade(const tetcasti_rbf_picture *t, const tetcasti_rbf_group *g, const tetcasti_seg8 *seg,
                                    uint32_t lanes, const float from[8], const float to[8], tetcasti_ray_sum8 *sum,
                                    float depth[8]) {
     const tetcast_shader *s = t->desc->shader;
     tetcast_packet p;
-    float rgba[4][8];
+    float rgba[4][8], middle[8];
     uint32_t l, a, ended = 0;
+    for (l = 0; l < 8 && s->empty_fn != NULL; l++) /* what shows nothing needs no gradient */
+        if ((lanes >> l & 1u) && s->empty_fn(s->user, seg->front[l] < seg->back[l] ? seg->front[l] : seg->back[l],
+                                             seg->front[l] < seg->back[l] ? seg->back[l] : seg->front[l]))
+            lanes &= ~(1u << l);
+    if (lanes == 0) return 0;
     memset(&p, 0, sizeof p);
     memset(rgba, 0, sizeof rgba);
     p.mask = lanes;
@@ -21301,25 +21898,22 @@ static uint32_t tetcasti_rbf_shade(const tetcasti_rbf_picture *t, const tetcasti
     memcpy(p.back, seg->back, sizeof p.back);
     memcpy(p.length, seg->length, sizeof p.length);
     memcpy(p.depth, seg->depth, sizeof p.depth);
+    for (l = 0; l < 8; l++) middle[l] = lanes >> l & 1u ? 0.5f * (from[l] + to[l]) : 0.0f;
+    if ((s->needs & TETCAST_NEED_GRADIENT) && t->channel <= TETCAST_RBF_CHANNEL_LENGTH)
+        tetcasti_rbf_gradients(t, g, middle, lanes, p.gradient);
     for (l = 0; l < 8; l++) {
         tetcasti_rbf_hit x;
-        const float middle = 0.5f * (from[l] + to[l]);
-        float view[3], slope[3] = {0.0f, 0.0f, 0.0f}, value;
+        float view[3], slope[3] = {0.0f, 0.0f, 0.0f};
         if (!(lanes >> l & 1u)) continue;
         tetcasti_rbf_hit_open(t, g, l, seg, from[l], to[l], &depth[l], &x, view);
-        if (s->needs & TETCAST_NEED_GRADIENT) {
-            value = tetcasti_rbf_probe(&x, middle, slope);
-            if (t->channel > TETCAST_RBF_CHANNEL_LENGTH) tetcasti_rbf_differences(&x, middle, slope);
-            else if (t->channel == TETCAST_RBF_CHANNEL_LENGTH)
-                for (a = 0; a < 3; a++) slope[a] = value > 0.0f ? slope[a] / value : 0.0f;
-            if (t->channel > TETCAST_RBF_CHANNEL_LENGTH)
-                for (a = 0; a < 3; a++) slope[a] /= 0.04f * t->h;
+        if ((s->needs & TETCAST_NEED_GRADIENT) && t->channel > TETCAST_RBF_CHANNEL_LENGTH) {
+            tetcasti_rbf_differences(&x, middle[l], slope);
+            for (a = 0; a < 3; a++) p.gradient[a][l] = slope[a] / (0.04f * t->h);
         }
         for (a = 0; a < 3; a++) {
-            p.gradient[a][l] = slope[a];
             p.direction[a][l] = view[a];
-            p.position[a][l] = (float)(t->m->box_min[a] + ((double)g->o[a][l] + (double)middle * (double)g->d[a][l]) *
-                                                              t->m->scale[a]);
+            p.position[a][l] = (float)(t->m->box_min[a] + ((double)g->o[a][l] + (double)middle[l] *
+                                                           (double)g->d[a][l]) * t->m->scale[a]);
         }
     }
     s->shade_fn(s->user, &p, rgba);

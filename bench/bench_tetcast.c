@@ -22,6 +22,7 @@
 #include "baseline/planes.h"
 #include "baseline/cell_projection.h"
 #include "bench_tets.h"
+#include "../examples/support/amr_scenes.h"
 #include <sys/resource.h>
 
 enum { SIZE = 512, ROUNDS = 5, EVERY = 4 }; /* the peers' picture; the reference looks at every fourth row and column */
@@ -1647,7 +1648,7 @@ int main(int argc, char **argv) {
         {1, bm1}, {2, bm2}, {3, bm3}, {4, bm4}, {5, bm5}, {6, bm6}, {7, bm7}, {8, bm8}, {9, bm9}, {10, bm10}, {11, bm11}, {12, bm12},
         {13, bm13}, {14, bm14}, {15, bm15}, {16, bm16}, {17, bm17},
         {21, rbf_evaluations}, {22, rbf_frames}, {24, rbf_encoder}, {27, rbf_traces},
-        {40, bm40}, {41, bm41}, {42, bm42}, {43, bm43}
+        {40, bm40}, {41, bm41}, {42, bm42}, {43, bm43}, {44, bm44}
     };
     size_t i;
     int status = bench_parse(argc, argv, &g_opt);

@@ -1,5 +1,6 @@
 /* bench_tetcast_bricks.h - resampling, bricks, codecs: rows BM40 to BM43 of bench_tetcast.c - MIT OR Unlicense, see LICENSE
-   BM40 resampling   BM41 samples of bricks   BM42 borders and frames with level of detail   BM43 colour cells */
+   BM40 resampling   BM41 samples of bricks   BM42 borders and frames with level of detail   BM43 colour cells
+   BM44 cells of locally refined grids */
 #ifndef BENCH_TETCAST_BRICKS_H
 #define BENCH_TETCAST_BRICKS_H
 
@@ -286,6 +287,62 @@ static void bm42(void) {
     tetcast_optics_destroy(o);
     tetcast_transfer_destroy(t);
     tetcast_bricks_destroy(b);
+}
+
+/* ---- cells of locally refined grids ---- */
+
+static void bm44(void) {
+    static const char *const names[4] = {"octant", "basis", "current", "nearest"};
+    enum { POINTS = 20000, PAIRS = 20000 };
+    tetcast_amr_desc d;
+    tetcast_amr *amr = NULL;
+    tetcast_patch *patches;
+    float *values, *out = (float *)must_alloc(POINTS, 4);
+    double (*p)[3] = (double (*)[3])must_alloc(POINTS, 24);
+    size_t count = 0, i;
+    int method, a;
+    if (sup_blast_patches(4, 16, &patches, &count, &values)) return;
+    memset(&d, 0, sizeof d);
+    d.patches = patches;
+    d.patch_count = count;
+    for (a = 0; a < 3; a++) {
+        d.cells[a] = 16;
+        d.spacing[a] = 1.0 / 16.0;
+    }
+    must(tetcast_amr_create(&d, &amr), "amr");
+    for (method = 0; method < 4; method++) {
+        double start, s = 1e30, jump = 0, off = 0;
+        int k;
+        test_rng r = test_rng_make(4);
+        for (i = 0; i < POINTS; i++) for (a = 0; a < 3; a++) p[i][a] = test_rng_double(&r);
+        for (k = 0; k < 3; k++) {
+            start = bench_cpu();
+            must(tetcast_amr_sample(amr, (tetcast_amr_method)method, (const double (*)[3])p, POINTS, out), "sample");
+            if (bench_cpu() - start < s) s = bench_cpu() - start;
+        }
+        for (i = 0; i < POINTS; i++) off += fabs((double)out[i] - sup_blast(p[i][0], p[i][1], p[i][2])) / POINTS;
+        for (i = 0; i < PAIRS; i += 2) { /* both sides of faces of finest cells */
+            a = (int)(i / 2 % 3);
+            p[i][a] = (double)(test_rng_u32(&r) % 128) / 128.0;
+            memcpy(p[i + 1], p[i], sizeof p[i]);
+            p[i][a] -= 1e-9;
+            p[i + 1][a] += 1e-9;
+        }
+        must(tetcast_amr_sample(amr, (tetcast_amr_method)method, (const double (*)[3])p, PAIRS, out), "sample");
+        for (i = 0; i < PAIRS; i += 2) jump = fmax(jump, fabs((double)out[i] - (double)out[i + 1]) / 4.0);
+        bench_line("tetcast.amr", names[method], "samples_per_second", POINTS / s, "1/s");
+        bench_num("error", jump);
+        bench_text("error_unit", "of the range, largest jump");
+        bench_num("mean_error", off / 4.0);
+        bench_num("patches", (double)count);
+        bench_num("threads", 1);
+        bench_end();
+    }
+    tetcast_amr_destroy(amr);
+    SUP_FREE(patches);
+    SUP_FREE(values);
+    free(p);
+    free(out);
 }
 
 /* ---- codecs ---- */

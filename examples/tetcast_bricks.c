@@ -5,12 +5,14 @@
 #define TETCAST_IMPLEMENTATION
 #include "tetcast.h"
 #include "support/volume_look.h"
+#include "support/amr_scenes.h"
 
 typedef struct options {
     sup_common common;
     const char *in, *out, *scene, *field, *tf, *reference, *data_type;
     double max_error, opacity, iso, scale, step, radius, share, samples, lod_error;
     int64_t detail, longest, longest_end, cells, level, jump;
+    int between;
     int storage, model, has_iso, has_focus, has_cut, has_dims, has_background, shader, weld, tile;
     float focus[3], cut[3], dims[3], spacing[3], background[3];
 } options;
@@ -79,6 +81,35 @@ static int load_mesh(const options *o, const char *path, const tetcast_env *env,
     return failed;
 }
 
+/* Bricks from the cells of a locally refined grid. */
+static int make_amr_bricks(const options *o, tetcast_bricks_desc *d, tetcast_bricks_report *report, tetcast_bricks **out,
+                           sup_error *err) {
+    tetcast_amr_desc desc;
+    tetcast_amr *amr = NULL;
+    tetcast_patch *patches;
+    float *values;
+    tetcast_result r;
+    size_t count;
+    uint32_t levels = o->detail > 0 ? (uint32_t)o->detail : 4;
+    if (levels > 6) levels = 6;
+    if (sup_blast_patches(levels, 16, &patches, &count, &values)) return sup_fail(err, "out of memory");
+    memset(&desc, 0, sizeof desc);
+    desc.env = d->env;
+    desc.patches = patches;
+    desc.patch_count = count;
+    for (int k = 0; k < 3; k++) {
+        desc.cells[k] = 16;
+        desc.spacing[k] = 1.0 / 16.0;
+    }
+    r = tetcast_amr_create(&desc, &amr);
+    d->max_error = (float)(o->max_error * 4.0);
+    if (r == TETCAST_OK) r = tetcast_bricks_create_amr(d, amr, (tetcast_amr_method)o->between, report, out);
+    tetcast_amr_destroy(amr);
+    SUP_FREE(patches);
+    SUP_FREE(values);
+    return r == TETCAST_OK ? 0 : sup_fail_result(err, o->scene, r, d->env.error);
+}
+
 /* Bricks from whatever the input is: a uniform grid as it is, other things through tetrahedra. */
 static int make_bricks(const options *o, const tetcast_env *env, tetcast_bricks_report *report, tetcast_bricks **out,
                        sup_error *err) {
@@ -89,14 +120,15 @@ static int make_bricks(const options *o, const tetcast_env *env, tetcast_bricks_
     tetcast_result r = TETCAST_OK;
     float *made = NULL;
     char label[80] = "";
-    int failed = load_volume(o, o->in, &v, err);
-    if (failed) return 1;
+    int failed;
     memset(&d, 0, sizeof d);
     d.env = *env;
     d.storage = storages[o->storage];
     d.log_cells = o->cells == 8 ? 3 : o->cells == 32 ? 5 : 4;
     d.longest = (uint32_t)o->longest;
     d.longest_end = (uint32_t)o->longest_end;
+    if (!o->in && strcmp(o->scene, "blast") == 0) return make_amr_bricks(o, &d, report, out, err);
+    if (load_volume(o, o->in, &v, err)) return 1;
     failed = sup_choose_field(&v, o->field, o->in ? o->in : o->scene, &field, &made, label, sizeof label, err);
     if (!failed && v.dims[0] && !v.points && !v.axes[0] && !v.blanks && !field.per_cell) {
         tetcast_lattice l;
@@ -243,12 +275,14 @@ static void set_defaults(options *o) {
 
 static size_t input_options(options *o, sup_option *table) {
     size_t n = 0;
-    table[n++] = sup_opt_text("scene", &o->scene, SUP_VOLUME_SCENES, "a generated volume instead of IN");
+    table[n++] = sup_opt_text("scene", &o->scene, SUP_VOLUME_SCENES "|blast", "a generated volume instead of IN");
     table[n++] = sup_opt_int("detail", &o->detail, 0, 512, "N", "how fine --scene is");
     table[n++] = sup_opt_text("field", &o->field, "NAME", "the scalar (the first one); of a vector its length");
     table[n++] = sup_opt_given(sup_opt_vec3("dims", o->dims, "x,y,z: IN is so many numbers of 1 or 2 bytes"), &o->has_dims);
     table[n++] = sup_opt_vec3("spacing", o->spacing, "x,y,z between them (1)");
     table[n++] = sup_opt_choice("storage", &o->storage, "f16|f32|u16|u8", "how values are stored (f16)");
+    table[n++] = sup_opt_choice("between", &o->between, "octant|basis|current|nearest",
+                                "--scene blast, a grid of cells refined locally: what lies between their centres (octant)");
     table[n++] = sup_opt_int("brick", &o->cells, 8, 32, "N", "cells along a brick: 8, 16, 32 (16)");
     return n;
 }

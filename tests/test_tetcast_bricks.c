@@ -1518,6 +1518,185 @@ TEST(shaded_tetrahedra) {
     tets_free(&m);
 }
 
+/* ---- grids with local refinement ---- */
+
+enum { AMR_PATCHES = 64 };
+typedef struct amr_case {
+    tetcast_patch patch[AMR_PATCHES];
+    float value[AMR_PATCHES][8 * 8 * 8];
+    tetcast_amr_desc d;
+} amr_case;
+
+/* Level 0: 4^3 cells in a patch; finer patches at random, levels skipped as well, so that neighbours differ by up to
+   three. kind 0: random values; 1: a linear field. */
+static void amr_random(amr_case *c, uint64_t seed, int kind, uint32_t ratio_log) {
+    test_rng r = test_rng_make(seed);
+    uint32_t i, k, a;
+    memset(c, 0, sizeof *c);
+    for (i = 0; i < 40; i++) {
+        tetcast_patch *p = &c->patch[i];
+        const uint32_t level = i == 0 ? 0 : kind == 1 ? 1 + (i > 5) : 1 + test_rng_below(&r, ratio_log == 1 ? 3 : 2);
+        const uint32_t per = 1u << (ratio_log * level);
+        const double size = 1.0 / (double)per;
+        p->level = level;
+        p->values = c->value[i];
+        for (a = 0; a < 3; a++) {
+            p->dims[a] = i == 0 ? 4 : level == 1 ? 2u << (ratio_log - 1) : 8; /* whole cells of the level before */
+            p->lo[a] = i == 0 ? 0 : (int32_t)(test_rng_below(&r, (4 * per - p->dims[a]) / (1u << ratio_log) + 1) << ratio_log);
+            if (kind == 1 && level == 2) { /* inside of a patch of the level before */
+                const tetcast_patch *q = &c->patch[1 + i % 5];
+                p->dims[a] = 1u << ratio_log;
+                p->lo[a] = (q->lo[a] + (int32_t)test_rng_below(&r, q->dims[a])) << ratio_log;
+            }
+        }
+        for (k = 0; k < p->dims[0] * p->dims[1] * p->dims[2]; k++) {
+            double x[3];
+            x[0] = ((double)p->lo[0] + k % p->dims[0] + 0.5) * size;
+            x[1] = ((double)p->lo[1] + k / p->dims[0] % p->dims[1] + 0.5) * size;
+            x[2] = ((double)p->lo[2] + k / p->dims[0] / p->dims[1] + 0.5) * size;
+            c->value[i][k] = kind == 1 ? (float)linear_at(x) : test_rng_float(&r);
+        }
+    }
+    c->d.patches = c->patch;
+    c->d.patch_count = 40;
+    c->d.ratio_log = ratio_log;
+    for (a = 0; a < 3; a++) c->d.cells[a] = 4;
+}
+
+TEST(refined_grids) {
+    static const double limit[4] = {2e-5, 2e-5, 0, 0}, control[4] = {0, 0, 0.1, 0.1};
+    static amr_case c;
+    test_rng r = test_rng_make(8);
+    uint32_t seed, method, i, a, ratio;
+    double jump[4] = {0, 0, 0, 0};
+    for (seed = 0; seed < (test_quick() ? 3u : 12u); seed++) {
+        tetcast_amr *m = NULL;
+        ratio = 1 + seed % 2;
+        amr_random(&c, 50 + seed, 0, ratio);
+        REQUIRE(tetcast_amr_create(&c.d, &m) == TETCAST_OK);
+        for (i = 0; i < 600; i++) { /* both sides of a plane of the finest cells, or of half of them */
+            const double finest = 1.0 / (double)(1u << (ratio * (ratio == 1 ? 3 : 2)));
+            const uint32_t axis = test_rng_below(&r, 3);
+            double p[2][3];
+            float v[2];
+            for (a = 0; a < 3; a++) p[0][a] = 4.0 * test_rng_double(&r);
+            if (i % 3 == 0) p[0][(axis + 1) % 3] = (double)test_rng_below(&r, 8) * 0.5; /* on edges */
+            p[0][axis] = (double)test_rng_below(&r, (uint32_t)(8.0 / finest)) * 0.5 * finest;
+            memcpy(p[1], p[0], sizeof p[0]);
+            p[0][axis] -= 1e-7;
+            p[1][axis] += 1e-7;
+            for (method = 0; method < 4; method++) {
+                REQUIRE(tetcast_amr_sample(m, (tetcast_amr_method)method, (const double (*)[3])p, 2, v) == TETCAST_OK);
+                jump[method] = fmax(jump[method], fabs((double)v[0] - (double)v[1]));
+            }
+        }
+        for (i = 0; i < 40; i++) { /* centres of cells that no finer patch covers */
+            const tetcast_patch *p = &c.patch[i];
+            const double size = 1.0 / (double)(1u << (ratio * p->level));
+            const uint32_t k = test_rng_below(&r, p->dims[0] * p->dims[1] * p->dims[2]);
+            double x[1][3], want = -1;
+            uint32_t j;
+            float v;
+            x[0][0] = ((double)p->lo[0] + k % p->dims[0] + 0.5) * size;
+            x[0][1] = ((double)p->lo[1] + k / p->dims[0] % p->dims[1] + 0.5) * size;
+            x[0][2] = ((double)p->lo[2] + k / p->dims[0] / p->dims[1] + 0.5) * size;
+            if (tetcast_amr_level(m, x[0]) != p->level) continue;
+            for (j = 0; j < 40; j++) { /* the last patch of that level that has the place */
+                const tetcast_patch *q = &c.patch[j];
+                uint32_t at[3];
+                if (q->level != p->level) continue;
+                for (a = 0; a < 3; a++) at[a] = (uint32_t)((int32_t)(x[0][a] / size) - q->lo[a]);
+                if (at[0] < q->dims[0] && at[1] < q->dims[1] && at[2] < q->dims[2])
+                    want = (double)q->values[at[0] + q->dims[0] * (at[1] + q->dims[1] * at[2])];
+            }
+            for (method = 0; method < 4; method++) {
+                if (method == TETCAST_AMR_BASIS) continue;
+                REQUIRE(tetcast_amr_sample(m, (tetcast_amr_method)method, (const double (*)[3])x, 1, &v) == TETCAST_OK);
+                CHECK_NEAR((double)v, want, 1e-6);
+            }
+        }
+        tetcast_amr_destroy(m);
+        amr_random(&c, 50 + seed, 1, ratio); /* a linear field, away from the border of the domain */
+        REQUIRE(tetcast_amr_create(&c.d, &m) == TETCAST_OK);
+        for (i = 0; i < 300; i++) {
+            double p[1][3];
+            float v;
+            for (a = 0; a < 3; a++) p[0][a] = 0.5 + 3.0 * test_rng_double(&r);
+            REQUIRE(tetcast_amr_sample(m, TETCAST_AMR_OCTANT, (const double (*)[3])p, 1, &v) == TETCAST_OK);
+            CHECK_NEAR((double)v, linear_at(p[0]), 2e-6);
+        }
+        tetcast_amr_destroy(m);
+    }
+    for (method = 0; method < 4; method++) {
+        if (limit[method] > 0) CHECK_MSG(jump[method] < limit[method], "method %u jumps by %g", method, jump[method]);
+        if (control[method] > 0) CHECK_MSG(jump[method] > control[method], "method %u: %g", method, jump[method]);
+    }
+}
+
+TEST(refined_grids_as_bricks) {
+    static amr_case c;
+    tetcast_amr *m = NULL;
+    tetcast_bricks_desc d;
+    tetcast_bricks *b = NULL;
+    tetcast_cut *cut;
+    tetcast_error error;
+    uint32_t i, a;
+    amr_random(&c, 3, 0, 1);
+    c.d.origin[1] = 5.0;
+    c.d.spacing[0] = 2.0;
+    REQUIRE(tetcast_amr_create(&c.d, &m) == TETCAST_OK);
+    memset(&d, 0, sizeof d);
+    d.storage = TETCAST_TYPE_F32;
+    d.env.thread_count = 3;
+    REQUIRE(tetcast_bricks_create_amr(&d, m, TETCAST_AMR_OCTANT, NULL, &b) == TETCAST_OK);
+    cut = make_cut(b, NULL, 0);
+    for (i = 0; i < 500; i++) { /* at the corners of finest cells, 8 of which are one of level 0 */
+        const float x = (float)(i * 7 % 33), y = (float)(i * 13 % 33), z = (float)(i * 29 % 33);
+        double p[1][3];
+        float v, w;
+        p[0][0] = 2.0 * (double)x / 8.0;
+        p[0][1] = 5.0 + (double)y / 8.0;
+        p[0][2] = (double)z / 8.0;
+        tetcast_cut_sample(cut, &x, &y, &z, 1, TETCAST_ISA_AUTO, &v);
+        CHECK_EQ_U64(tetcast_amr_sample(m, TETCAST_AMR_OCTANT, (const double (*)[3])p, 1, &w), TETCAST_OK);
+        CHECK(v == w);
+    }
+    tetcast_cut_destroy(cut);
+    tetcast_bricks_destroy(b);
+    tetcast_amr_destroy(m);
+    /* what cannot be */
+    c.d.env.error = &error;
+    c.patch[5].lo[1] = 1000;
+    CHECK_EQ_U64(tetcast_amr_create(&c.d, &m), TETCAST_ERR_INVALID_ARG);
+    CHECK_EQ_U64(error.where, 5);
+    c.patch[5].lo[1] = 0;
+    c.value[9][3] = (float)NAN;
+    CHECK_EQ_U64(tetcast_amr_create(&c.d, &m), TETCAST_ERR_INVALID_ARG);
+    CHECK_EQ_U64(error.where, 9);
+    c.value[9][3] = 0;
+    c.patch[0].dims[2] = 3; /* a layer of the domain that nobody fills */
+    CHECK_EQ_U64(tetcast_amr_create(&c.d, &m), TETCAST_ERR_EMPTY);
+    c.patch[0].dims[2] = 4;
+    c.patch[1].level = 16;
+    CHECK_EQ_U64(tetcast_amr_create(&c.d, &m), TETCAST_ERR_RANGE);
+    CHECK(m == NULL);
+    amr_random(&c, 3, 0, 1);
+    for (i = 0; ; i++) { /* memory that ends */
+        test_alloc ta;
+        test_alloc_init(&ta);
+        ta.fail_at = (int64_t)i;
+        c.d.env.allocator.alloc_fn = test_alloc_fn;
+        c.d.env.allocator.free_fn = test_free_fn;
+        c.d.env.allocator.user = &ta;
+        a = (uint32_t)tetcast_amr_create(&c.d, &m);
+        tetcast_amr_destroy(m);
+        test_alloc_check(&ta);
+        if (a == TETCAST_OK) break;
+        CHECK_EQ_U64(a, TETCAST_ERR_NO_MEMORY);
+    }
+    CHECK(i > 4);
+}
+
 TEST(codecs) {
     static const uint32_t sizes[5][2] = {{64, 64}, {1, 1}, {5, 7}, {33, 2}, {16, 130}};
     test_rng r = test_rng_make(6);
@@ -1660,6 +1839,8 @@ int main(int argc, char **argv) {
     RUN(clip_spans);
     RUN(shaders);
     RUN(shaded_tetrahedra);
+    RUN(refined_grids);
+    RUN(refined_grids_as_bricks);
     RUN(codecs);
     RUN(depth_ranges_and_memory);
     return test_end();
