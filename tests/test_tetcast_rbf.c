@@ -122,7 +122,7 @@ TEST(sums) {
         for (n = 1; n <= 4; n++) {
             tetcast_rbf_desc d = random_desc(77 + kernel, n == 1 ? 2000 : 150, n, 0.01, 0.3, -1.0);
             tetcast_rbf *m;
-            const size_t count = test_quick() ? 200 : n == 1 ? N : N / 4;
+            const size_t count = test_quick() ? 200 : n == 1 ? N / 2 : N / 4;
             double worst = 0.0;
             d.kernel = (tetcast_kernel)kernel;
             if (kernel == TETCAST_KERNEL_GAUSS && n == 2) d.cut = 2.0f;
@@ -354,13 +354,13 @@ static tetcast_rbf_points grid_points(const float *values, uint32_t nx, uint32_t
 }
 
 TEST(files) {
-    static float data[3 * 12 * 12 * 12];
-    tetcast_rbf_points p = grid_points(data, 12, 12, 12, 3);
+    static float data[3 * 10 * 10 * 10];
+    tetcast_rbf_points p = grid_points(data, 10, 10, 10, 3);
     tetcast_rbf_desc d = random_desc(7, 40, 2, 0.05, 0.3, 0.0);
     tetcast_rbf *m[2] = {NULL, NULL}, *again = NULL;
     uint32_t k, i;
     test_rng r = test_rng_make(3);
-    tornado(12, data);
+    tornado(10, data);
     CHECK(tetcast_rbf_fit(NULL, &p, NULL, &m[0]) == TETCAST_OK);
     m[1] = make(&d);
     for (k = 0; k < 2; k++) {
@@ -389,7 +389,7 @@ TEST(files) {
         memcpy(c, b, size);
         c[size] = 0;
         CHECK(tetcast_rbf_load_memory(NULL, c, size + 1, &again) != TETCAST_OK);
-        for (i = 0; i < (test_quick() ? 230u : 300u); i++) { /* damage: found by the checksum, or by what it says when that is right */
+        for (i = 0; i < 230; i++) { /* damage: found by the checksum, or by what it says when that is right */
             const size_t at = i < 216 ? i : test_rng_below(&r, (uint32_t)size);
             const int seal = i % 3 != 0 && at >= 32;
             uint64_t sum;
@@ -451,13 +451,13 @@ static void errors(const tetcast_rbf *m, const tetcast_rbf_points *p, const doub
 static double shock(const double *p) { /* two sheets, 2 cells wide on 24 */
     return tanh((p[0] + 0.4 * p[1] - 0.8) * 20.0) + 0.5 * tanh((sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]) - 0.7) * 15.0);
 }
-static double ripple(const double *p) { /* of Marschner and Lobb, with one wave instead of six: 14 points see no more */
+static double ripple(const double *p) { /* of Marschner and Lobb, with one wave instead of six: 12 points see no more */
     const double x = 2 * p[0] - 1, y = 2 * p[1] - 1, z = 2 * p[2] - 1, r = sqrt(x * x + y * y);
     return (1.0 - sin(1.5707963267948966 * z) + 0.25 * (1.0 + cos(3.1415926535897931 * cos(1.5707963267948966 * r)))) / 2.5;
 }
 
 TEST(promise) {
-    enum { N = 14 };
+    enum { N = 12 };
     static float value[3 * N * N * N];
     static double at[3 * N * N * N];
     static const float asked[] = {0.1f, 0.03f, 0.01f};
@@ -473,7 +473,7 @@ TEST(promise) {
                 tetcast_rbf *m = NULL;
                 double e[2];
                 test_rng r = test_rng_make(17);
-                if (field == 2 && (scattered || t == 2)) continue;
+                if ((field == 2 && (scattered || t == 2)) || (t == 2 && scattered == field)) continue;
                 for (i = 0; i < p.count; i++) {
                     uint32_t a;
                     const size_t k[3] = {i % N, i / N % N, i / N / N};
@@ -512,13 +512,13 @@ TEST(promise) {
 }
 
 TEST(same_model) {
-    static float value[320 * 16 * 10];
+    static float value[320 * 12 * 7];
     size_t i, size[5] = {0, 0, 0, 0, 0};
     unsigned char *bytes[5] = {NULL, NULL, NULL, NULL, NULL};
     int k;
     for (k = 0; k < 5; k++) {
         /* the last two: a long bar in eight blocks */
-        const uint32_t n[3] = {k < 3 ? 20 : 320, 16, 10};
+        const uint32_t n[3] = {k < 3 ? 20 : 320, 12, 7};
         tetcast_rbf_points p = grid_points(value, n[0], n[1], n[2], 1);
         tetcast_rbf_fit_desc d;
         tetcast_rbf *m = NULL;
@@ -842,7 +842,7 @@ TEST(pictures) {
                 CHECK(rgba[0][i][3] == 0.0f);
                 continue;
             }
-            if (test_quick()) n = 400;
+            n = test_quick() ? 400 : 2000;
             for (s = 0; s <= n; s++)
                 for (a = 0; a < 3; a++) p[3 * s + a] = ray.org[a] + ray.dir[a] * (ends[0] + (ends[1] - ends[0]) * s / n);
             CHECK(tetcast_rbf_eval(NULL, m, p, n + 1, v, NULL) == TETCAST_OK);
@@ -1114,13 +1114,13 @@ TEST(recurrence) {
 /* The k-th allocation fails, for all k. */
 TEST(out_of_memory) {
     enum { W = 20 };
-    static float data[6 * 6 * 6], rgba[W * W * 4];
-    tetcast_rbf_points p = grid_points(data, 6, 6, 6, 1);
+    static float data[5 * 5 * 5], rgba[W * W * 4];
+    tetcast_rbf_points p = grid_points(data, 5, 5, 5, 1);
     tetcast_optics *o = make_optics(TETCAST_MODEL_VOLUME, 0.5f);
     test_rng r = test_rng_make(14);
     int64_t k;
     int done = 0, i;
-    for (i = 0; i < 216; i++) data[i] = test_rng_float(&r);
+    for (i = 0; i < 125; i++) data[i] = test_rng_float(&r);
     for (k = 0; !done && k < 2000; k++) {
         tetcast_rbf_fit_desc d;
         tetcast_rbf_render_desc q;
