@@ -1193,6 +1193,45 @@ TEST(edges_keep_both_faces) { /* a block that is turned: cells along its edges k
     CHECK_MSG(both > 4 * 60 && wrong <= 4 * 8, "%u cells with both faces, %u sides that are none", both, wrong);
 }
 
+TEST(lamps_do_not_shade_themselves) { /* a ball that emits, with shadows by rays through its own voxels: pi l (r / d)^2 */
+    static model m;
+    static float position[1][3], normal[1][3], albedo[1][3], direct[1][3];
+    voxrt_gi *gi = make_gi(64, 64, 64, 8);
+    voxrt_gi_object o;
+    voxrt_build_desc build;
+    voxrt_tree *tree = NULL;
+    voxrt_tree_info info;
+    voxrt_geometry geometry;
+    voxrt_gbuffer g;
+    voxrt_gi_render_desc d;
+    uint32_t a;
+    sphere(&m, 1.0, 40, 180, 0);
+    o = object_of(&m, 1);
+    for (a = 0; a < 3; a++) o.material.emission[a] = 2;
+    CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK && voxrt_gi_update(gi, NULL) == VOXRT_OK);
+    memset(&build, 0, sizeof build);
+    build.resolution = 256;
+    REQUIRE(voxrt_tree_build(&build, &o.mesh, NULL, &tree) == VOXRT_OK);
+    voxrt_tree_get_info(tree, &info);
+    voxrt_tree_geometry(tree, &geometry);
+    memset(&g, 0, sizeof g);
+    memset(&d, 0, sizeof d);
+    g.width = g.height = 1;
+    g.position = position[0];
+    g.normal = normal[0];
+    g.albedo = albedo[0];
+    position[0][1] = -4;
+    normal[0][1] = 1;
+    albedo[0][0] = albedo[0][1] = albedo[0][2] = 1;
+    d.rays = 256;
+    d.shadow = &geometry;
+    d.shadow_lift = (float)(1.5 * info.voxel_size);
+    CHECK(voxrt_gi_render(&d, gi, &g, direct[0], NULL, NULL) == VOXRT_OK);
+    CHECK_MSG(fabs((double)direct[0][1] / (2.0 / 16) - 1) < 0.05, "%.4f of what it is", (double)direct[0][1] / (2.0 / 16));
+    voxrt_tree_destroy(tree);
+    voxrt_gi_destroy(gi);
+}
+
 TEST(walls_on_borders_of_cells) { /* each wall of a lit box between two layers of cells, and a little beside: no cell of it
                                      lies in its own shadow */
     static model m;
@@ -1830,6 +1869,7 @@ int main(int argc, char **argv) {
     RUN(neighbours_share_a_sequence);
     RUN(neighbours_make_less_noise);
     RUN(edges_keep_both_faces);
+    RUN(lamps_do_not_shade_themselves);
     RUN(walls_on_borders_of_cells);
     RUN(pixels_at_edges_show_one_face);
     RUN(lists_have_every_pixel_once);
