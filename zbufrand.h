@@ -1018,7 +1018,8 @@ typedef struct zbufrand_costs {
    tolerance       0.05: probability that the picture is incomplete, at most: that somewhere a pixel is empty, or more
                    than 1 % deeper than all that is visible in it and in the pixels around it (in blocks of d x d: up
                    to 3 d / 2 pixels away), where these are covered as a whole. Holds for surfaces that are sampled;
-                   rastered ones miss nothing. With `noise`: for each frame
+                   rastered ones miss nothing. With `noise` and without a tolerance frames have half as many samples,
+                   and what is reported is about all of them: that somewhere none is right
    density         as `tolerance` needs it. L: samples per square pixel of projected surface, visible or hidden
    noise           one frame. E: frames are averaged until the estimated RMSE of the mean (linear light) is below E
    max_frames      256: for `noise`
@@ -14645,8 +14646,8 @@ static zbufrand_result zbufrandi_find_suspects(zbufrandi_picture *p) {
         ? ZBUFRAND_OK : ZBUFRAND_ERR_NO_MEMORY;
 }
 
-/* Find suspects, send rays, say how complete the picture is then. density: of all passes. */
-static zbufrand_result zbufrandi_repair(zbufrandi_picture *p, double density) {
+/* Find suspects, send rays, say how complete the picture is then, or the mean of that many. density: of all passes. */
+static zbufrand_result zbufrandi_repair(zbufrandi_picture *p, double density, uint32_t frames) {
     zbufrand_frame *f = p->f;
     const zbufrandi_recon *r = &f->recon;
     const double block = (double)r->o.block;
@@ -14672,7 +14673,7 @@ static zbufrand_result zbufrandi_repair(zbufrandi_picture *p, double density) {
     q = zbufrandi_exp2(-1.4426950408889634 * density * block * block);
     failed = (double)inside - 4.0 * sqrt((double)inside);
     q = zbufrandi_max(q, failed / (zbufrandi_max((double)covered, 1.0) * (1.0 - zbufrandi_min(8.0 * q, 0.5))));
-    p->stats.incomplete = zbufrandi_incomplete((double)covered, q);
+    p->stats.incomplete = zbufrandi_incomplete((double)covered, zbufrandi_pow(zbufrandi_min(q, 1.0), (double)frames));
     zbufrandi_lap(p, ZBUFRAND_STAGE_REPAIR);
     return ZBUFRAND_OK;
 }
@@ -14912,6 +14913,13 @@ static zbufrand_result zbufrandi_open_lights(zbufrandi_picture *p) {
 }
 
 /* Samples per square pixel. */
+/* One of several frames, which together have to be complete. Most frames are wrong in some pixel then, of a million in
+   seven with strata and rays; with half of these samples it would be 2 of 100, which no mean takes out. */
+enum { ZBUFRANDI_MEAN_DENSITY = 2 };
+static int zbufrandi_shares_samples(const zbufrand_render_desc *d) {
+    return d->noise > 0.0 && !(d->tolerance > 0.0) && !(d->density > 0.0) && !d->no_repair;
+}
+
 static double zbufrandi_choose_density(const zbufrandi_picture *p) {
     const zbufrand_render_desc *d = p->d;
     double block = d->reconstruct.block != 0 ? (double)d->reconstruct.block : 1.0;
@@ -14919,6 +14927,7 @@ static double zbufrandi_choose_density(const zbufrandi_picture *p) {
     double tolerance = d->tolerance > 0.0 ? d->tolerance : 0.05;
     if (d->density > 0.0) return d->density;
     if (d->no_repair) return zbufrand_density(pixels, block, 1.0 - tolerance);
+    if (zbufrandi_shares_samples(d)) return ZBUFRANDI_MEAN_DENSITY / (block * block);
     /* zbufrandi_incomplete is at most the tolerance then: 70 + 56 q is below 80 */
     return zbufrandi_max(0.2 * 0.6931471805599453 * zbufrandi_log2(80.0 * pixels / tolerance), 2.0) / (block * block);
 }
@@ -15070,7 +15079,12 @@ static zbufrand_result zbufrandi_draw_picture(zbufrandi_picture *p) {
             p->stats.incomplete = zbufrandi_min(p->stats.incomplete, 1e-4);
             break;
         }
-        result = zbufrandi_repair(p, density);
+        if (zbufrandi_shares_samples(d)) {
+            result = zbufrandi_repair(p, density, p->stats.frames);
+            if (result != ZBUFRAND_OK) return result;
+            break;
+        }
+        result = zbufrandi_repair(p, density, 1);
         if (result != ZBUFRAND_OK) return result;
         if (p->stats.incomplete <= tolerance || d->density > 0.0 || pass == 3) break;
         /* the share that failed falls like exp(-density): how much density is missing */
@@ -15155,12 +15169,12 @@ static zbufrand_result zbufrandi_render_frames(zbufrandi_picture *p, zbufrand_re
             while (d->spread < ZBUFRANDI_SET && (double)d->spread < more && d->spread < frames) d->spread *= 2;
         }
         d->frame = first + i;
+        p->stats.frames = i + 1;
         r = zbufrandi_open_picture(p);
         if (r == ZBUFRAND_OK) r = zbufrandi_draw_picture(p);
         if (r == ZBUFRAND_OK) r = zbufrandi_finish_picture(p);
         if (r == ZBUFRAND_OK) r = zbufrand_accumulator_add(f->accumulator, f->color, NULL, NULL);
         if (r != ZBUFRAND_OK) return r;
-        p->stats.frames = i + 1;
         if (i < 3) continue;
         r = zbufrand_accumulator_noise(f->accumulator, d->noise, &noise);
         if (r != ZBUFRAND_OK) return r;

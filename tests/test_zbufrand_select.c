@@ -4,7 +4,7 @@
 #include "zbufrand.h"
 #include "zbufrand_shapes.h"
 
-/* A torus, a two-sided soup, a flat patch, a box; as instances of many sizes, too. */
+/* A torus, a two-sided soup, a flat patch with two sides, a box; as instances of many sizes, too. */
 static zbufrand_scene *mixed_scene(test_rng *r, shape *s) {
     zbufrand_scene *scene = NULL;
     zbufrand_node lib, node[4];
@@ -25,7 +25,7 @@ static zbufrand_scene *mixed_scene(test_rng *r, shape *s) {
     CHECK_EQ_U64(zbufrand_add_list(scene, 1, NULL, ZBUFRAND_HIDDEN, &lib), ZBUFRAND_OK);
     for (i = 0; i < 4; i++) {
         zbufrand_mesh m = mesh_of(&s[i]);
-        m.two_sided = i == 1;
+        m.two_sided = i == 1 || i == 2;
         CHECK_EQ_U64(zbufrand_add_mesh(scene, lib, NULL, 0, &m, &node[i]), ZBUFRAND_OK);
         if (i != 3) CHECK_EQ_U64(zbufrand_add_mesh(scene, 1, NULL, 0, &m, NULL), ZBUFRAND_OK);
     }
