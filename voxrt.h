@@ -13,6 +13,7 @@
    @voxelize      triangles -> filled leaves with mean colours and normals
    @fill          the inside of closed hulls
    @tree          leaves -> nodes of all levels -> attributes of the levels of detail; look-up
+   @share         equal parts of a tree stored once
    @octree        the octree of the thesis: make, change, convert
    @format_v4     files of the thesis
    @format        version 5 files of trees
@@ -81,8 +82,8 @@
    - Triangle mesh -> sparse voxels of 2^1 to 2^16 cells along an axis, with colours and normals; no gaps: 6-separating
      or conservative. Or a list of voxels, up to 2^20 along an axis. Fills closed hulls.
    - Keeps them as a tree of 4x4x4 nodes in which each octree level can be addressed: 5 to 8 bits a voxel for geometry,
-     2 bytes a cell (of any level) for normals, 0 to 2 bytes for colours as a rule. Saves and
-     loads it, or maps a file into memory.
+     0.1 to 3 when equal parts are stored once, 2 bytes a cell (of any level) for normals, 0 to 2 bytes for colours as
+     a rule. Saves and loads it, or maps a file into memory.
    - Traces rays: closest hit, any hit, with a cone for level of detail, 1 ray or millions, any order.
    - Draws pictures: camera, lights, shadows, anti-aliasing, progressive pictures, level of detail by pixels, heat maps,
      depth, normals, ids; of many trees, moved and repeated, mixed with other geometry through two callbacks; with steps
@@ -188,6 +189,8 @@
    B. Ottosson: A perceptual color space for image processing, 2020 (Oklab)
    J. Ward: Hierarchical Grouping to Optimize an Objective Function. JASA 58, 1963; W. Equitz: A New Vector
        Quantization Clustering Algorithm. IEEE Trans. ASSP 37(10), 1989 (palette by pairwise nearest neighbours)
+   V. Kaempe, E. Sintorn, U. Assarsson: High Resolution Sparse Voxel DAGs. ACM TOG 32(4), 2013 (equal parts once)
+   B. Dado et al.: Geometry and Attribute Compression for Voxel Scenes. Computer Graphics Forum 35(2), 2016
    J. Duda: Asymmetric numeral systems. arXiv:1311.2540, 2013 (entropy coding)
    E. Eisemann, X. Decoret: Fast Scene Voxelization and Applications. I3D 2006 (bits of slabs); Single-Pass GPU Solid
        Voxelization. Graphics Interface 2008 (parity of crossings)
@@ -371,6 +374,7 @@ typedef struct voxrt_tree_info {
     uint64_t level_count[VOXRT_MAX_DEPTH + 1]; /* non-empty cells of each octree level, 0 = root */
     uint64_t geometry_bytes; /* masks and what traversal and addressing need */
     uint64_t color_bytes, normal_bytes, total_bytes;
+    uint32_t shared;         /* 1: equal parts are stored once (voxrt_tree_share) */
 } voxrt_tree_info;
 
 /* Voxelise a mesh and build the tree with colours, normals and all levels of detail.
@@ -409,8 +413,20 @@ VOXRT_DEF int voxrt_tree_each(const voxrt_tree *tree, uint32_t level,
 /* The palette: 3 sRGB bytes an entry. Owned by the tree. */
 VOXRT_DEF const uint8_t *voxrt_tree_palette(const voxrt_tree *tree, uint32_t *out_count);
 
-/* 64-bit hash of occupancy, attributes and placement: equal trees have equal hashes on every machine. */
+/* 64-bit hash of occupancy, attributes and placement: equal trees have equal hashes on every machine, shared or not. */
 VOXRT_DEF uint64_t voxrt_tree_hash(const voxrt_tree *tree);
+
+/* A copy of a tree in which equal parts are stored once (a directed acyclic graph), or one without that.
+   tree   in, either kind; a copy of what is already as asked for
+   env    in, NULL: all zero
+   Geometry takes a third of the memory on scanned surfaces and less than a tenth on regular ones. Attributes, all
+   levels, hits (but for voxrt_hit.node), pictures and the hash are the same; finding an attribute takes a walk down the
+   tree. Cost: O(cells), serial but for the coding of colours; holds up to 32 bytes a leaf node, and 8 a cell if there
+   are colours, beside both trees. Errors: INVALID_ARG, NO_MEMORY; RANGE: more than 2^32 - 2 cells of all levels
+   together, or an unshared tree beyond the limits. Thread safety: any number of calls on one tree.
+   Source: Kaempe et al. 2013; attributes kept aside: Dado et al. 2016. */
+VOXRT_DEF voxrt_result voxrt_tree_share(const voxrt_tree *tree, const voxrt_env *env, voxrt_tree **out_tree);
+VOXRT_DEF voxrt_result voxrt_tree_unshare(const voxrt_tree *tree, const voxrt_env *env, voxrt_tree **out_tree);
 
 /* ---- rays ---- */
 
@@ -1994,14 +2010,28 @@ static VOXRTI_UNUSED uint32_t voxrti_oct_encode(const float n[3]) {
      leaf nodes        8 bytes: mask; and 8 bytes per 16 leaf nodes: ranks of the first voxel and octant
    Attributes of virtual level v start at attr_first[v], leaves first (attr_first[2*wide] = 0, then level 2*wide-1 and
    so on up to the root): palette index (compressed blocks of 64) and 16-bit normal.
+
+   A shared tree (code != NULL) keeps equal lists of children once:
+     interior nodes   16 bytes: mask, index of the first child, cells before it. The children of a node are a run of
+                      consecutive nodes as above, but nodes with equal lists of children name the same run. A level is
+                      its runs in the order in which they are first named
+     leaf nodes       2 bytes: code of the mask, at `child` and behind it
+     masks            8 bytes: those codes stand for, each once, the most frequent first. Only when there are more than
+                      65536: codes below VOXRTI_COMMON are the most frequent ones, and each block of 4096 leaf nodes has
+                      its own masks for the codes above
+   Attributes stand depth first: the cell of a node, its octants, then (interior) child after child with all that is
+   below it, or (leaf) its voxels. "Cells before" a node are the cells of its run that stand before it, of all levels:
+   so the index of an attribute is a sum along the way down, and where the way began does not matter to it.
    --------------------------------------------------------------------------- */
 
 #define VOXRTI_MAX_WIDE 10
+#define VOXRTI_COMMON 61440u
+#define VOXRTI_CODE_LOG 12 /* log2 of the leaf nodes with masks of their own */
 
 typedef struct voxrti_node {
     uint64_t mask;
     uint32_t child;  /* index of the first child: in tree->node, on the last interior level in tree->leaf */
-    uint32_t octant; /* rank of the node's first non-empty octant in its level */
+    uint32_t octant; /* rank of the node's first non-empty octant in its level; shared trees: cells before it */
 } voxrti_node;
 
 /* Colour indices of attr_count cells in blocks of 64 (see palette). index_bytes = 0: all cells have entry 0. */
@@ -2023,6 +2053,9 @@ struct voxrt_tree {
     uint32_t node_count;                      /* interior nodes */
     uint64_t *leaf;                           /* [level_nodes[wide-1]], padded by 8 */
     uint32_t *rank;                           /* [2*(leaves/16 + 1)]: voxels, octants before leaf node 16*i */
+    uint16_t *code;                           /* shared trees: [level_nodes[wide-1]], and `leaf` has masks; or NULL */
+    uint32_t *extra;                          /* shared trees: [codes/4096 + 1], added to codes >= VOXRTI_COMMON */
+    uint32_t mask_count;                      /* shared trees: masks in `leaf`, padded by 8; else 0 */
     uint64_t attr_first[2 * VOXRTI_MAX_WIDE + 2]; /* by virtual level 0..2*wide, descending; [2*wide+1] = 0 */
     uint64_t attr_count;
     uint64_t voxel_count;
@@ -2033,6 +2066,14 @@ struct voxrt_tree {
     uint32_t palette_count;
     const void *borrowed;                     /* the memory image the arrays point into, or NULL: owned */
 };
+
+/* Index in `leaf` of the mask of leaf node i. */
+VOXRTI_INLINE uint32_t voxrti_leaf_at(const voxrt_tree *t, uint32_t i) {
+    uint32_t c;
+    if (t->code == NULL) return i;
+    c = t->code[i];
+    return c < VOXRTI_COMMON ? c : c + t->extra[i >> VOXRTI_CODE_LOG];
+}
 
 /* Filled leaves on their way into a tree: 4x4x4 blocks in ascending Morton order, the attributes of their voxels in
    the same order (block after block, bit after bit). Behind them, if lod_count is not 0, those of all larger cells in
@@ -5561,6 +5602,8 @@ static void voxrti_tree_free(voxrti_mem *mem, voxrt_tree *t) {
         voxrti_free(mem, t->node);
         voxrti_free(mem, t->leaf);
         voxrti_free(mem, t->rank);
+        voxrti_free(mem, t->code);
+        voxrti_free(mem, t->extra);
         voxrti_free(mem, t->normal);
         voxrti_free(mem, t->colors.block);
         voxrti_free(mem, t->colors.data);
@@ -5721,6 +5764,39 @@ VOXRTI_INLINE uint64_t voxrti_attr_index(const voxrt_tree *t, uint32_t v, uint32
         }
     }
     return t->attr_first[v] + r;
+}
+
+/* Cells of a leaf node: itself, octants, voxels. */
+VOXRTI_INLINE uint32_t voxrti_leaf_cells(uint64_t mask) {
+    return 1 + voxrti_popcount64(voxrti_octants(mask)) + voxrti_popcount64(mask);
+}
+
+/* Index of the attributes of cell (x, y, z) of virtual level v of a shared tree; the cell is not empty. */
+static VOXRTI_UNUSED uint64_t voxrti_shared_attr(const voxrt_tree *t, uint32_t v, uint32_t x, uint32_t y, uint32_t z) {
+    uint32_t w, node = 0, i, to;
+    uint64_t at = 0;
+    if (v == 0) return 0;
+    for (w = 0;; w++) {
+        const uint32_t leaf = w + 1 == t->wide, sh = v - 2 * w - 2;
+        const uint64_t mask = leaf ? t->leaf[node] : t->node[node].mask;
+        uint64_t below;
+        if (v == 2 * w + 1) {
+            i = (x & 1u) | (y & 1u) << 1 | (z & 1u) << 2;
+            return at + 1 + voxrti_popcount64(voxrti_octants(mask) & ((1u << i) - 1u));
+        }
+        below = mask & (((uint64_t)1 << voxrti_slot(x >> sh, y >> sh, z >> sh)) - 1);
+        at += 1 + voxrti_popcount64(voxrti_octants(mask));
+        if (leaf) return at + voxrti_popcount64(below);
+        to = t->node[node].child + voxrti_popcount64(below);
+        if (w + 2 == t->wide) {
+            for (i = t->node[node].child; i < to; i++) at += voxrti_leaf_cells(t->leaf[voxrti_leaf_at(t, i)]);
+            node = voxrti_leaf_at(t, to);
+        } else {
+            at += t->node[to].octant;
+            node = to;
+        }
+        if (sh == 0) return at;
+    }
 }
 
 VOXRTI_INLINE uint32_t voxrti_color_index(const voxrt_tree *t, uint64_t attr) {
@@ -6217,9 +6293,15 @@ VOXRT_DEF void voxrt_tree_get_info(const voxrt_tree *t, voxrt_tree_info *info) {
         uint32_t v = e + shift;
         info->level_count[e] = (v == 0 ? t->attr_count : t->attr_first[v - 1]) - t->attr_first[v];
     }
-    info->geometry_bytes = (uint64_t)t->node_count * sizeof(voxrti_node) +
-                           (uint64_t)t->level_nodes[t->wide - 1] * 8 +
-                           (uint64_t)(t->level_nodes[t->wide - 1] / 16 + 1) * 8;
+    info->geometry_bytes = (uint64_t)t->node_count * sizeof(voxrti_node);
+    if (t->code != NULL)
+        info->geometry_bytes += (uint64_t)t->level_nodes[t->wide - 1] * sizeof *t->code +
+                                (uint64_t)t->mask_count * 8 +
+                                (uint64_t)((t->level_nodes[t->wide - 1] >> VOXRTI_CODE_LOG) + 1) * sizeof *t->extra;
+    else
+        info->geometry_bytes += (uint64_t)t->level_nodes[t->wide - 1] * 8 +
+                                (uint64_t)(t->level_nodes[t->wide - 1] / 16 + 1) * 8;
+    info->shared = t->code != NULL;
     info->color_bytes =
         t->colors.block_count * sizeof(uint32_t) + t->colors.data_bytes + (uint64_t)3 * t->palette_count;
     info->normal_bytes = t->normal != NULL ? t->attr_count * sizeof(uint16_t) : 0;
@@ -6250,20 +6332,88 @@ VOXRT_DEF int voxrt_tree_get(const voxrt_tree *t, uint32_t level, uint32_t x, ui
         if ((mask >> slot & 1u) == 0) return 0;
         if (sh == 0) break;
         node = t->node[node].child + voxrti_popcount64(mask & (((uint64_t)1 << slot) - 1));
+        if (w + 2 == t->wide) node = voxrti_leaf_at(t, node);
     }
     if (out != NULL) {
         out->x = x;
         out->y = y;
         out->z = z;
-        voxrti_attr_voxel(t, voxrti_attr_index(t, v, node, slot), out);
+        if (t->code != NULL)
+            voxrti_attr_voxel(t, voxrti_shared_attr(t, level + 2 * t->wide - t->depth, x, y, z), out);
+        else
+            voxrti_attr_voxel(t, voxrti_attr_index(t, v, node, slot), out);
     }
     return 1;
 }
 
+/* A way through the nodes of wide levels 0..w in Morton order, wherever they are stored. */
+typedef struct voxrti_way_node {
+    uint32_t node, x, y, z;
+    uint64_t mask, left;
+    uint64_t attr, next; /* shared trees: index of the attributes of the node itself, of the next leaf node below it */
+} voxrti_way_node;
+
+typedef struct voxrti_way {
+    const voxrt_tree *t;
+    uint32_t w, depth;   /* nodes of level w are visited; entries of `at` in use */
+    voxrti_way_node at[VOXRTI_MAX_WIDE];
+} voxrti_way;
+
+static void voxrti_way_start(voxrti_way *way, const voxrt_tree *t, uint32_t w) {
+    way->t = t;
+    way->w = w;
+    way->depth = 0;
+}
+
+/* The next node of level w; NULL: there is none. Whoever asks for it has used up `left` of the one before. */
+static voxrti_way_node *voxrti_way_next(voxrti_way *way) {
+    const voxrt_tree *t = way->t;
+    if (way->depth == 0) {
+        voxrti_way_node *n = &way->at[0];
+        memset(n, 0, sizeof *n);
+        n->mask = n->left = t->wide > 1 ? t->node[0].mask : t->leaf[0];
+        n->next = 1 + voxrti_popcount64(voxrti_octants(n->mask));
+        way->depth = 1;
+        if (way->w == 0) return n;
+    } else if (way->depth == way->w + 1) {
+        way->depth--;
+    }
+    while (way->depth != 0) {
+        const uint32_t to = way->depth; /* level of the child */
+        voxrti_way_node *p = &way->at[to - 1], *n = &way->at[to];
+        uint32_t s;
+        if (p->left == 0) {
+            way->depth--;
+            continue;
+        }
+        s = voxrti_ctz64(p->left);
+        p->left &= p->left - 1;
+        n->node = t->node[p->node].child + voxrti_popcount64(p->mask & (((uint64_t)1 << s) - 1));
+        n->attr = p->next;
+        if (to + 1 == t->wide) {
+            n->node = voxrti_leaf_at(t, n->node);
+            n->mask = t->leaf[n->node];
+            p->next += voxrti_leaf_cells(n->mask);
+        } else {
+            n->mask = t->node[n->node].mask;
+            n->attr += t->node[n->node].octant;
+            n->next = n->attr + 1 + voxrti_popcount64(voxrti_octants(n->mask));
+        }
+        n->left = n->mask;
+        n->x = p->x * 4 + voxrti_slot_x(s);
+        n->y = p->y * 4 + voxrti_slot_y(s);
+        n->z = p->z * 4 + voxrti_slot_z(s);
+        way->depth++;
+        if (to == way->w) return n;
+    }
+    return NULL;
+}
+
 VOXRT_DEF int voxrt_tree_each(const voxrt_tree *t, uint32_t level,
                               int (*fn)(void *user, const voxrt_voxel *voxel, uint32_t palette_index), void *user) {
-    struct { uint32_t node, x, y, z; uint64_t left, mask; } stack[VOXRTI_MAX_WIDE];
-    uint32_t sp = 1, v, target;
+    voxrti_way way;
+    voxrti_way_node *n;
+    uint32_t v;
     uint64_t attr;
     voxrt_voxel voxel;
     if (t == NULL || fn == NULL || level > t->depth) return 0;
@@ -6271,53 +6421,69 @@ VOXRT_DEF int voxrt_tree_each(const voxrt_tree *t, uint32_t level,
     attr = t->attr_first[v];
     memset(&voxel, 0, sizeof voxel);
     if (v == 0) {
+        if (t->code != NULL) attr = 0;
         voxrti_attr_voxel(t, attr, &voxel);
         return fn(user, &voxel, voxrti_color_index(t, attr));
     }
-    target = (v - 1) / 2; /* wide level whose bits or octants are the cells */
-    memset(stack, 0, sizeof stack);
-    stack[0].left = stack[0].mask = t->wide > 1 ? t->node[0].mask : t->leaf[0];
-    while (sp > 0) {
-        uint32_t w = sp - 1, s, sx, sy, sz;
-        uint64_t bit;
-        if (stack[w].left == 0) {
-            sp--;
-            continue;
-        }
-        s = voxrti_ctz64(stack[w].left);
-        bit = (uint64_t)1 << s;
-        sx = voxrti_slot_x(s);
-        sy = voxrti_slot_y(s);
-        sz = voxrti_slot_z(s);
-        if (w == target) {
+    voxrti_way_start(&way, t, (v - 1) / 2); /* nodes whose bits or octants are the cells */
+    while ((n = voxrti_way_next(&way)) != NULL) {
+        const uint32_t leaf = way.w + 1 == t->wide, octants = voxrti_octants(n->mask);
+        for (; n->left != 0; attr++) {
+            const uint32_t s = voxrti_ctz64(n->left);
+            const uint32_t sx = voxrti_slot_x(s), sy = voxrti_slot_y(s), sz = voxrti_slot_z(s);
+            const uint64_t below = ((uint64_t)1 << s) - 1;
             int stop;
             if (v & 1u) { /* the whole octant at once */
-                stack[w].left &= ~((uint64_t)255 << (s & 56u));
-                voxel.x = stack[w].x * 2 + (sx >> 1);
-                voxel.y = stack[w].y * 2 + (sy >> 1);
-                voxel.z = stack[w].z * 2 + (sz >> 1);
+                n->left &= ~((uint64_t)255 << (s & 56u));
+                voxel.x = n->x * 2 + (sx >> 1);
+                voxel.y = n->y * 2 + (sy >> 1);
+                voxel.z = n->z * 2 + (sz >> 1);
+                if (t->code != NULL) attr = n->attr + 1 + voxrti_popcount64(octants & ((1u << (s >> 3)) - 1u));
             } else {
-                stack[w].left &= ~bit;
-                voxel.x = stack[w].x * 4 + sx;
-                voxel.y = stack[w].y * 4 + sy;
-                voxel.z = stack[w].z * 4 + sz;
+                n->left &= n->left - 1;
+                voxel.x = n->x * 4 + sx;
+                voxel.y = n->y * 4 + sy;
+                voxel.z = n->z * 4 + sz;
+                if (t->code != NULL && leaf) {
+                    attr = n->attr + 1 + voxrti_popcount64(octants) + voxrti_popcount64(n->mask & below);
+                } else if (t->code != NULL && way.w + 2 == t->wide) {
+                    const uint32_t child = t->node[n->node].child + voxrti_popcount64(n->mask & below);
+                    attr = n->next;
+                    n->next += voxrti_leaf_cells(t->leaf[voxrti_leaf_at(t, child)]);
+                } else if (t->code != NULL) {
+                    const uint32_t child = t->node[n->node].child + voxrti_popcount64(n->mask & below);
+                    attr = n->next + t->node[child].octant;
+                }
             }
             voxrti_attr_voxel(t, attr, &voxel);
             stop = fn(user, &voxel, voxrti_color_index(t, attr));
             if (stop) return stop;
-            attr++;
-            continue;
         }
-        stack[w].left &= ~bit;
-        stack[sp].node = t->node[stack[w].node].child + voxrti_popcount64(stack[w].mask & (bit - 1));
-        stack[sp].mask = sp + 1 == t->wide ? t->leaf[stack[sp].node] : t->node[stack[sp].node].mask;
-        stack[sp].left = stack[sp].mask;
-        stack[sp].x = stack[w].x * 4 + sx;
-        stack[sp].y = stack[w].y * 4 + sy;
-        stack[sp].z = stack[w].z * 4 + sz;
-        sp++;
     }
     return 0;
+}
+
+/* The attributes of all cells of virtual level v of a shared tree, in Morton order, into a hash. */
+static uint64_t voxrti_shared_hash(const voxrt_tree *t, uint32_t v, int colors, uint64_t h) {
+    voxrti_way way;
+    voxrti_way_node *n;
+    uint32_t leaf = v == 2 * t->wide;
+    voxrti_way_start(&way, t, leaf ? t->wide - 1 : v / 2);
+    while ((n = voxrti_way_next(&way)) != NULL) { /* the nodes themselves (v even), their octants (v odd), voxels */
+        uint64_t at = n->attr, count = 1;
+        const uint32_t octants = voxrti_popcount64(voxrti_octants(n->mask));
+        n->left = 0;
+        if (leaf) {
+            at += 1 + octants;
+            count = voxrti_popcount64(n->mask);
+        } else if (v & 1u) {
+            at += 1;
+            count = octants;
+        }
+        for (; count > 0; count--, at++)
+            h = voxrti_hash_mix(h, colors ? voxrti_colors_get(&t->colors, at) : (uint64_t)t->normal[at]);
+    }
+    return h;
 }
 
 VOXRT_DEF uint64_t voxrt_tree_hash(const voxrt_tree *t) {
@@ -6329,15 +6495,641 @@ VOXRT_DEF uint64_t voxrt_tree_hash(const voxrt_tree *t) {
         memcpy(&bits, a < 3 ? &t->origin[a] : &t->voxel_size, sizeof bits);
         h = voxrti_hash_mix(h, bits);
     }
-    for (i = 0; i < t->node_count; i++) h = voxrti_hash_mix(h, t->node[i].mask);
-    for (i = 0; i < t->level_nodes[t->wide - 1]; i++) h = voxrti_hash_mix(h, t->leaf[i]);
+    for (a = 0; a < t->wide && t->code != NULL; a++) {
+        voxrti_way way;
+        voxrti_way_node *n;
+        voxrti_way_start(&way, t, a);
+        while ((n = voxrti_way_next(&way)) != NULL) {
+            h = voxrti_hash_mix(h, n->mask);
+            n->left = 0;
+        }
+    }
+    for (i = 0; i < t->node_count && t->code == NULL; i++) h = voxrti_hash_mix(h, t->node[i].mask);
+    for (i = 0; i < t->level_nodes[t->wide - 1] && t->code == NULL; i++) h = voxrti_hash_mix(h, t->leaf[i]);
     h = voxrti_hash_bytes(h, t->palette, (size_t)3 * t->palette_count);
     if (t->spherical) h = voxrti_hash_mix(h, 1);
+    if (t->code != NULL) {
+        for (a = 2 * t->wide + 1; t->normal != NULL && a-- > 0;) h = voxrti_shared_hash(t, a, 0, h);
+        for (a = 2 * t->wide + 1; t->colors.block != NULL && a-- > 0;) h = voxrti_shared_hash(t, a, 1, h);
+        return h;
+    }
     if (t->normal != NULL)
         for (i = 0; i < t->attr_count; i++) h = voxrti_hash_mix(h, t->normal[i]);
     if (t->colors.block != NULL)
         for (i = 0; i < t->attr_count; i++) h = voxrti_hash_mix(h, voxrti_colors_get(&t->colors, i));
     return h;
+}
+
+/* ---------------------------------------------------------------------------
+   share: equal parts of a tree stored once; core says what the bytes are.      // >>share
+
+   Bottom up, level by level, each node gets the number of the first node that is equal to it: equal masks of leaf nodes
+   first; then lists of children that have equal numbers in a row are the same run, and interior nodes are equal when
+   mask and run are. The mask is no part of a run: what moved by a cell within its parent is shared, too (Kaempe et al.
+   2013 share whole nodes). Then the runs are laid out top down, each where it is named first.
+   Mirrored parts are not found: mirrored leaf nodes would save a third of the masks, which are 2 to 5 % of a tree, and
+   cost each ray that enters one; and runs of a curved surface are different however they are turned.
+   --------------------------------------------------------------------------- */
+
+/* A set of numbers by what they stand for. */
+typedef struct voxrti_intern {
+    voxrti_mem *mem;
+    uint32_t (*slot)[2]; /* [capacity] number, hash; VOXRT_NO_NODE: free */
+    size_t capacity, count; /* capacity: a power of two */
+} voxrti_intern;
+
+static int voxrti_intern_grow(voxrti_intern *h) {
+    size_t capacity = h->capacity != 0 ? 2 * h->capacity : 1024, i, k;
+    uint32_t (*slot)[2] = (uint32_t (*)[2])voxrti_alloc_array(h->mem, capacity, sizeof *slot);
+    if (slot == NULL) return 0;
+    for (i = 0; i < capacity; i++) slot[i][0] = VOXRT_NO_NODE;
+    for (i = 0; i < h->capacity; i++) {
+        if (h->slot[i][0] == VOXRT_NO_NODE) continue;
+        for (k = h->slot[i][1] & (capacity - 1); slot[k][0] != VOXRT_NO_NODE; k = (k + 1) & (capacity - 1)) { }
+        slot[k][0] = h->slot[i][0];
+        slot[k][1] = h->slot[i][1];
+    }
+    voxrti_free(h->mem, h->slot);
+    h->slot = slot;
+    h->capacity = capacity;
+    return 1;
+}
+
+/* The number in the set that is the same as `number`, or `number`, which then belongs to it. NO_NODE: no memory. */
+static uint32_t voxrti_intern_get(voxrti_intern *h, uint64_t hash, uint32_t number,
+                                  int (*same)(const void *user, uint32_t a, uint32_t b), const void *user) {
+    const uint32_t key = (uint32_t)(hash >> 32);
+    size_t k;
+    if (2 * h->count >= h->capacity && !voxrti_intern_grow(h)) return VOXRT_NO_NODE;
+    for (k = key & (h->capacity - 1); h->slot[k][0] != VOXRT_NO_NODE; k = (k + 1) & (h->capacity - 1))
+        if (h->slot[k][1] == key && same(user, h->slot[k][0], number)) return h->slot[k][0];
+    h->slot[k][0] = number;
+    h->slot[k][1] = key;
+    h->count++;
+    return number;
+}
+
+/* A tree on its way to a shared one. */
+typedef struct voxrti_sharer {
+    voxrti_mem *mem;
+    const voxrt_tree *s;
+    voxrt_tree *t;
+    const voxrti_node *node;               /* of the level in work, */
+    const uint32_t *child;                 /* and the numbers of the nodes below it */
+    uint32_t child_first;
+    const uint32_t *level_run;             /* and their runs */
+    uint32_t *number[VOXRTI_MAX_WIDE];     /* of each node: the first equal one; leaf nodes: the number of the mask */
+    uint32_t *run[VOXRTI_MAX_WIDE];        /* of each interior node: the first that has an equal list of children */
+    uint64_t *mask;                        /* [mask_count] different masks in the order of their numbers */
+    size_t mask_count, mask_capacity;
+    uint32_t *code;                        /* numbers of masks of the leaf nodes that are kept */
+} voxrti_sharer;
+
+static int voxrti_same_mask(const void *user, uint32_t a, uint32_t b) {
+    const voxrti_sharer *h = (const voxrti_sharer *)user;
+    return h->mask[a] == h->mask[b];
+}
+
+static int voxrti_same_run(const void *user, uint32_t a, uint32_t b) {
+    const voxrti_sharer *h = (const voxrti_sharer *)user;
+    const uint32_t n = voxrti_popcount64(h->node[a].mask);
+    return n == voxrti_popcount64(h->node[b].mask) &&
+           memcmp(h->child + (h->node[a].child - h->child_first), h->child + (h->node[b].child - h->child_first),
+                  n * sizeof *h->child) == 0;
+}
+
+static int voxrti_same_node(const void *user, uint32_t a, uint32_t b) {
+    const voxrti_sharer *h = (const voxrti_sharer *)user;
+    return h->node[a].mask == h->node[b].mask && h->level_run[a] == h->level_run[b];
+}
+
+/* Numbers of n masks: [n] to. */
+static voxrt_result voxrti_share_masks(voxrti_sharer *h, const uint64_t *leaf, uint32_t n, uint32_t *to) {
+    uint32_t i;
+    voxrti_intern set;
+    int ok = to != NULL;
+    memset(&set, 0, sizeof set);
+    set.mem = h->mem;
+    for (i = 0; ok && i < n; i++) {
+        const uint64_t mask = leaf[i];
+        void *p = h->mask;
+        ok = voxrti_grow(h->mem, &p, &h->mask_capacity, h->mask_count, h->mask_count + 1, sizeof(uint64_t));
+        h->mask = (uint64_t *)p;
+        if (!ok) break;
+        h->mask[h->mask_count] = mask;
+        to[i] = voxrti_intern_get(&set, voxrti_hash_mix(voxrti_hash_mix(1, mask), 0), (uint32_t)h->mask_count,
+                                  voxrti_same_mask, h);
+        ok = to[i] != VOXRT_NO_NODE;
+        h->mask_count += to[i] == h->mask_count;
+    }
+    voxrti_free(h->mem, set.slot);
+    return ok ? VOXRT_OK : VOXRT_ERR_NO_MEMORY;
+}
+
+/* Runs and numbers of the nodes of interior level w. */
+static voxrt_result voxrti_share_level(voxrti_sharer *h, uint32_t w) {
+    const uint32_t n = h->s->level_nodes[w];
+    uint32_t i, k, *run, *number;
+    voxrti_intern set;
+    int ok, pass;
+    h->run[w] = run = (uint32_t *)voxrti_alloc_array(h->mem, n, sizeof(uint32_t));
+    h->number[w] = number = (uint32_t *)voxrti_alloc_array(h->mem, n, sizeof(uint32_t));
+    h->node = h->s->node + h->s->level_first[w];
+    h->child = h->number[w + 1];
+    h->child_first = w + 2 < h->s->wide ? h->s->level_first[w + 1] : 0;
+    h->level_run = run;
+    ok = run != NULL && number != NULL;
+    for (pass = 0; ok && pass < 2; pass++) {
+        memset(&set, 0, sizeof set);
+        set.mem = h->mem;
+        for (i = 0; ok && i < n; i++) {
+            const voxrti_node *node = &h->node[i];
+            uint64_t hash = 2;
+            if (pass == 0) {
+                const uint32_t *c = h->child + (node->child - h->child_first), m = voxrti_popcount64(node->mask);
+                for (k = 0; k < m; k++) hash = voxrti_hash_mix(hash, c[k]);
+                run[i] = voxrti_intern_get(&set, voxrti_hash_mix(hash, 0), i, voxrti_same_run, h);
+                ok = run[i] != VOXRT_NO_NODE;
+            } else {
+                hash = voxrti_hash_mix(voxrti_hash_mix(voxrti_hash_mix(hash, node->mask), run[i]), 0);
+                number[i] = voxrti_intern_get(&set, hash, i, voxrti_same_node, h);
+                ok = number[i] != VOXRT_NO_NODE;
+            }
+        }
+        voxrti_free(h->mem, set.slot);
+    }
+    return ok ? VOXRT_OK : VOXRT_ERR_NO_MEMORY;
+}
+
+/* Lay out the runs of all levels: t->node without `octant`, h->code. */
+static voxrt_result voxrti_share_runs(voxrti_sharer *h) {
+    const voxrt_tree *s = h->s;
+    voxrt_tree *t = h->t;
+    uint32_t *from = NULL, *below, *place, w, i, k; /* from, below: which nodes of s the runs of a level hold */
+    uint64_t total = 0, n;
+    t->level_nodes[0] = 1;
+    for (w = 0; w + 1 < t->wide; w++) {
+        t->level_first[w] = (uint32_t)total;
+        total += t->level_nodes[w];
+        for (i = 0, n = 0; i < s->level_nodes[w]; i++)
+            if (h->run[w][i] == i) n += voxrti_popcount64(s->node[s->level_first[w] + i].mask);
+        t->level_nodes[w + 1] = (uint32_t)n;
+    }
+    t->node_count = (uint32_t)total;
+    t->node = (voxrti_node *)voxrti_alloc_zero(h->mem, (size_t)total + 1, sizeof(voxrti_node));
+    h->code = (uint32_t *)voxrti_alloc_array(h->mem, t->level_nodes[t->wide - 1], sizeof(uint32_t));
+    if (t->node == NULL || h->code == NULL) return VOXRT_ERR_NO_MEMORY;
+    if (t->wide == 1) h->code[0] = h->number[0][0];
+    for (w = 0; w + 1 < t->wide; w++) {
+        const voxrti_node *node = s->node + s->level_first[w];
+        const uint32_t last = w + 2 == t->wide, first = last ? 0 : s->level_first[w + 1];
+        uint32_t at = 0;
+        place = (uint32_t *)voxrti_alloc_array(h->mem, s->level_nodes[w], sizeof(uint32_t));
+        below = last ? h->code : (uint32_t *)voxrti_alloc_array(h->mem, t->level_nodes[w + 1], sizeof(uint32_t));
+        if (place == NULL || below == NULL) {
+            voxrti_free(h->mem, place);
+            if (!last) voxrti_free(h->mem, below);
+            voxrti_free(h->mem, from);
+            return VOXRT_ERR_NO_MEMORY;
+        }
+        memset(place, 0xff, (size_t)s->level_nodes[w] * sizeof *place);
+        for (i = 0; i < t->level_nodes[w]; i++) {
+            const uint32_t like = from != NULL ? from[i] : 0, run = h->run[w][like];
+            voxrti_node *to = &t->node[t->level_first[w] + i];
+            to->mask = node[like].mask;
+            if (place[run] == VOXRT_NO_NODE) {
+                const uint32_t c = node[like].child - first, m = voxrti_popcount64(to->mask);
+                place[run] = at;
+                for (k = 0; k < m; k++) below[at++] = last ? h->number[w + 1][c + k] : c + k;
+            }
+            to->child = place[run] + (last ? 0 : t->level_first[w] + t->level_nodes[w]);
+        }
+        voxrti_free(h->mem, place);
+        voxrti_free(h->mem, from);
+        from = last ? NULL : below;
+    }
+    return VOXRT_OK;
+}
+
+/* Order of masks by how often they are met: count (descending) << 32 | number, least first when turned round. */
+static void voxrti_share_sort(uint64_t *a, uint64_t *b, size_t n) {
+    uint32_t pass;
+    size_t i, sum, count[256];
+    for (pass = 0; pass < 4; pass++) { /* stable, by the upper half */
+        uint64_t *swap = a;
+        memset(count, 0, sizeof count);
+        for (i = 0; i < n; i++) count[a[i] >> (32 + 8 * pass) & 255u]++;
+        for (i = 0, sum = 0; i < 256; i++) {
+            const size_t c = count[i];
+            count[i] = sum;
+            sum += c;
+        }
+        for (i = 0; i < n; i++) b[count[a[i] >> (32 + 8 * pass) & 255u]++] = a[i];
+        a = b;
+        b = swap;
+    }
+}
+
+/* Masks and codes from the numbers of the leaf nodes that are kept. [2 mask_count] key, [mask_count] rank: room. */
+static voxrt_result voxrti_share_codes(voxrti_sharer *h, uint64_t *key, uint32_t *rank) {
+    voxrt_tree *t = h->t;
+    const uint32_t n = t->level_nodes[t->wide - 1], block = (uint32_t)1 << VOXRTI_CODE_LOG;
+    const size_t all = h->mask_count, common = all <= 65536 ? all : VOXRTI_COMMON;
+    size_t i, masks;
+    uint32_t pass;
+    t->code = (uint16_t *)voxrti_alloc_array(h->mem, n, sizeof(uint16_t));
+    t->extra = (uint32_t *)voxrti_alloc_zero(h->mem, ((size_t)n >> VOXRTI_CODE_LOG) + 1, sizeof(uint32_t));
+    if (t->code == NULL || t->extra == NULL) return VOXRT_ERR_NO_MEMORY;
+    memset(rank, 0xff, all * sizeof *rank); /* masks in the order in which the codes name them: it decides ties */
+    for (i = 0, masks = 0; i < n; i++) {
+        uint32_t *to = &rank[h->code[i]];
+        if (*to == VOXRT_NO_NODE) {
+            key[masks] = h->mask[h->code[i]];
+            *to = (uint32_t)masks++;
+        }
+        h->code[i] = *to;
+    }
+    memcpy(h->mask, key, all * sizeof *key);
+    masks = common;
+    for (i = 0; i < all; i++) key[i] = (uint64_t)0xffffffffu << 32 | i;
+    for (i = 0; i < n; i++) key[h->code[i]] -= (uint64_t)1 << 32;
+    voxrti_share_sort(key, key + all, all);
+    for (i = 0; i < all; i++) rank[(uint32_t)key[i]] = (uint32_t)i;
+    if (all <= 65536) {
+        for (i = 0; i < n; i++) t->code[i] = (uint16_t)rank[h->code[i]];
+    } else { /* upper half of key: of each mask the block that has it, and its place there */
+        memset(key + all, 0, all * sizeof *key);
+        for (pass = 0; pass < 2; pass++) {
+            masks = common;
+            for (i = 0; i < n; i++) {
+                const uint32_t m = h->code[i];
+                const size_t start = i >> VOXRTI_CODE_LOG << VOXRTI_CODE_LOG;
+                const uint64_t stamp = (uint64_t)start / block + 1 + (uint64_t)pass * 0x80000000u;
+                if (i == start) t->extra[i >> VOXRTI_CODE_LOG] = (uint32_t)(masks - common);
+                if (rank[m] < common) {
+                    t->code[i] = (uint16_t)rank[m];
+                    continue;
+                }
+                if (key[all + m] >> 32 != stamp) {
+                    key[all + m] = stamp << 32 | masks;
+                    if (pass == 1) t->leaf[masks] = h->mask[m];
+                    masks++;
+                }
+                t->code[i] = (uint16_t)((uint32_t)key[all + m] - t->extra[i >> VOXRTI_CODE_LOG]);
+            }
+            if (pass == 1) break;
+            if (masks > 0xfffffff0u) return VOXRT_ERR_RANGE;
+            t->leaf = (uint64_t *)voxrti_alloc_zero(h->mem, masks + 8, sizeof(uint64_t));
+            if (t->leaf == NULL) return VOXRT_ERR_NO_MEMORY;
+        }
+    }
+    if (t->leaf == NULL) t->leaf = (uint64_t *)voxrti_alloc_zero(h->mem, masks + 8, sizeof(uint64_t));
+    if (t->leaf == NULL) return VOXRT_ERR_NO_MEMORY;
+    for (i = 0; i < common; i++) t->leaf[i] = h->mask[(uint32_t)key[i]];
+    t->mask_count = (uint32_t)masks;
+    return VOXRT_OK;
+}
+
+/* Layers of a mask along x, y, z. */
+static const uint64_t voxrti_layer[3][4] = {
+    {0x0055005500550055u, 0x00aa00aa00aa00aau, 0x5500550055005500u, 0xaa00aa00aa00aa00u},
+    {0x0000333300003333u, 0x0000cccc0000ccccu, 0x3333000033330000u, 0xcccc0000cccc0000u},
+    {0x000000000f0f0f0fu, 0x00000000f0f0f0f0u, 0x0f0f0f0f00000000u, 0xf0f0f0f000000000u}};
+
+/* What is below a node: cells of all levels, and the box of its voxels from its corner. */
+typedef struct voxrti_part {
+    uint32_t cells, lo[3], hi[3];
+} voxrti_part;
+
+static void voxrti_part_leaf(uint64_t mask, voxrti_part *p) {
+    uint32_t a;
+    p->cells = voxrti_leaf_cells(mask);
+    for (a = 0; a < 3; a++) {
+        const uint64_t *l = voxrti_layer[a];
+        p->lo[a] = (mask & l[0]) != 0 ? 0u : (mask & l[1]) != 0 ? 1u : (mask & l[2]) != 0 ? 2u : 3u;
+        p->hi[a] = (mask & l[3]) != 0 ? 4u : (mask & l[2]) != 0 ? 3u : (mask & l[1]) != 0 ? 2u : 1u;
+    }
+}
+
+/* One level of voxrti_shared_index. below: parts of the level beneath it, NULL: leaf nodes. write: set `octant` of the
+   children, else compare. 0: not a tree; or too many cells. */
+static int voxrti_shared_parts(voxrt_tree *t, uint32_t w, const voxrti_part *below, voxrti_part *out, int write) {
+    const uint32_t last = w + 2 == t->wide, first = last ? 0 : t->level_first[w + 1];
+    const uint32_t size = (uint32_t)4 << 2 * (t->wide - 2 - w);
+    uint32_t i, a;
+    for (i = 0; i < t->level_nodes[w]; i++) {
+        const voxrti_node *n = &t->node[t->level_first[w] + i];
+        uint64_t cells = 0, m;
+        uint32_t k = n->child - first;
+        voxrti_part p, *o = &out[i];
+        if (n->mask == 0 || n->child < first || k > t->level_nodes[w + 1] ||
+            voxrti_popcount64(n->mask) > t->level_nodes[w + 1] - k)
+            return 0;
+        memset(o, 0, sizeof *o);
+        o->lo[0] = o->lo[1] = o->lo[2] = 0xffffffffu;
+        for (m = n->mask; m != 0; m &= m - 1, k++) {
+            const uint32_t s = voxrti_ctz64(m), c[3] = {voxrti_slot_x(s) * size, voxrti_slot_y(s) * size,
+                                                        voxrti_slot_z(s) * size};
+            if (last) {
+                voxrti_part_leaf(t->leaf[voxrti_leaf_at(t, k)], &p);
+            } else {
+                voxrti_node *child = &t->node[first + k];
+                p = below[k];
+                if (write) child->octant = (uint32_t)cells;
+                else if (child->octant != cells) return 0;
+            }
+            cells += p.cells;
+            if (cells > 0xfffffffeu) return 0;
+            for (a = 0; a < 3; a++) {
+                if (c[a] + p.lo[a] < o->lo[a]) o->lo[a] = c[a] + p.lo[a];
+                if (c[a] + p.hi[a] > o->hi[a]) o->hi[a] = c[a] + p.hi[a];
+            }
+        }
+        cells += 1 + voxrti_popcount64(voxrti_octants(n->mask));
+        if (cells > 0xfffffffeu) return 0;
+        o->cells = (uint32_t)cells;
+    }
+    return 1;
+}
+
+/* Cells of each virtual level: how often each node is met, from the root down. The sum is known to be below 2^32. */
+static voxrt_result voxrti_shared_counts(voxrti_mem *mem, voxrt_tree *t) {
+    uint64_t count[2 * VOXRTI_MAX_WIDE + 1], total = 0;
+    uint32_t w, i, k, *times = NULL, *below = NULL;
+    memset(count, 0, sizeof count);
+    count[0] = 1;
+    for (w = 0; w + 1 < t->wide; w++, times = below) {
+        const uint32_t last = w + 2 == t->wide, first = last ? 0 : t->level_first[w + 1];
+        below = last ? NULL : (uint32_t *)voxrti_alloc_zero(mem, t->level_nodes[w + 1], sizeof(uint32_t));
+        if (below == NULL && !last) {
+            voxrti_free(mem, times);
+            return VOXRT_ERR_NO_MEMORY;
+        }
+        for (i = 0; i < t->level_nodes[w]; i++) {
+            const voxrti_node *n = &t->node[t->level_first[w] + i];
+            const uint64_t met = times != NULL ? times[i] : 1;
+            const uint32_t c = n->child - first, m = voxrti_popcount64(n->mask);
+            if (met == 0) continue;
+            count[2 * w + 1] += met * voxrti_popcount64(voxrti_octants(n->mask));
+            count[2 * w + 2] += met * m;
+            for (k = c; k < c + m; k++) {
+                if (!last) below[k] += (uint32_t)met;
+                if (!last) continue;
+                count[2 * w + 3] += met * voxrti_popcount64(voxrti_octants(t->leaf[voxrti_leaf_at(t, k)]));
+                count[2 * w + 4] += met * voxrti_popcount64(t->leaf[voxrti_leaf_at(t, k)]);
+            }
+        }
+        voxrti_free(mem, times);
+    }
+    if (t->wide == 1) {
+        count[1] = voxrti_popcount64(voxrti_octants(t->leaf[0]));
+        count[2] = voxrti_popcount64(t->leaf[0]);
+    }
+    t->voxel_count = count[2 * t->wide];
+    memset(t->attr_first, 0, sizeof t->attr_first);
+    for (i = 2 * t->wide + 1; i-- > 0;) {
+        t->attr_first[i] = total;
+        total += count[i];
+    }
+    t->attr_count = total;
+    return VOXRT_OK;
+}
+
+/* Given masks, children and codes of a shared tree, and level_first, level_nodes, derive the rest: cells before nodes
+   (write; else check them), counts, box. ERR_FORMAT: they are not those of a tree, or of one with too many cells. */
+static VOXRTI_UNUSED voxrt_result voxrti_shared_index(voxrti_mem *mem, voxrt_tree *t, int write) {
+    voxrti_part *below = NULL, *part = NULL, root;
+    uint32_t w, i;
+    uint64_t mask;
+    for (i = 0; i < t->mask_count; i++)
+        if (t->leaf[i] == 0) return VOXRT_ERR_FORMAT;
+    for (i = 0; i < t->level_nodes[t->wide - 1]; i++)
+        if (voxrti_leaf_at(t, i) >= t->mask_count) return VOXRT_ERR_FORMAT;
+    for (w = t->wide - 1; w-- > 0; below = part) {
+        int ok;
+        part = (voxrti_part *)voxrti_alloc_array(mem, t->level_nodes[w], sizeof(voxrti_part));
+        ok = part != NULL && voxrti_shared_parts(t, w, below, part, write);
+        voxrti_free(mem, below);
+        if (ok) continue;
+        w = part != NULL;
+        voxrti_free(mem, part);
+        return w ? VOXRT_ERR_FORMAT : VOXRT_ERR_NO_MEMORY;
+    }
+    mask = t->wide > 1 ? t->node[0].mask : t->leaf[voxrti_leaf_at(t, 0)];
+    if (t->wide > 1) root = part[0];
+    else voxrti_part_leaf(mask, &root);
+    voxrti_free(mem, part);
+    if (t->wide > 1 && write) t->node[0].octant = 0;
+    if (t->wide > 1 && t->node[0].octant != 0) return VOXRT_ERR_FORMAT;
+    if (t->wide == 1 && voxrti_leaf_at(t, 0) != 0) return VOXRT_ERR_FORMAT;
+    if ((t->depth & 1u) != 0 && (mask & ~(uint64_t)0xff) != 0) return VOXRT_ERR_FORMAT;
+    memcpy(t->cell_min, root.lo, sizeof root.lo);
+    memcpy(t->cell_max, root.hi, sizeof root.hi);
+    return voxrti_shared_counts(mem, t);
+}
+
+/* Attributes of all cells from the order of plain tree s to that of a shared one, or back; either array may be NULL. */
+static void voxrti_share_reorder(const voxrt_tree *s, int back, const uint16_t *normal, uint16_t *normal_to,
+                                 const uint32_t *color, uint32_t *color_to) {
+    struct { uint32_t node; uint64_t left, mask; } stack[VOXRTI_MAX_WIDE];
+    uint64_t next[2 * VOXRTI_MAX_WIDE + 1], at = 0;
+    uint32_t sp = 1, w, k;
+    memcpy(next, s->attr_first, sizeof next);
+    stack[0].node = 0;
+    stack[0].left = 0;
+    for (;;) { /* the node on top of the stack is new */
+        uint64_t mask, i;
+        uint32_t part, n[3];
+        w = sp - 1;
+        mask = w + 1 == s->wide ? s->leaf[stack[w].node] : s->node[stack[w].node].mask;
+        n[0] = 1;
+        n[1] = voxrti_popcount64(voxrti_octants(mask));
+        n[2] = w + 1 == s->wide ? voxrti_popcount64(mask) : 0;
+        for (part = 0; part < 3; part++) {
+            const uint64_t from = back ? at : next[2 * w + part], to = back ? next[2 * w + part] : at;
+            for (k = 0; k < n[part] && normal != NULL; k++) normal_to[to + k] = normal[from + k];
+            for (k = 0; k < n[part] && color != NULL; k++) color_to[to + k] = color[from + k];
+            if (n[part] != 0) next[2 * w + part] += n[part];
+            at += n[part];
+        }
+        stack[w].mask = stack[w].left = w + 1 == s->wide ? 0 : mask;
+        while (sp > 0 && stack[sp - 1].left == 0) sp--;
+        if (sp == 0) return;
+        mask = stack[sp - 1].mask;
+        i = stack[sp - 1].left;
+        stack[sp - 1].left &= i - 1;
+        stack[sp].node = s->node[stack[sp - 1].node].child + voxrti_popcount64(mask & ((i & (0 - i)) - 1));
+        sp++;
+    }
+}
+
+/* Placement and palette of s for t, and its attributes in the order that t needs. plain: which of both is one. */
+static voxrt_result voxrti_share_attributes(voxrti_mem *mem, const voxrt_env *env, const voxrt_tree *plain,
+                                            const voxrt_tree *s, voxrt_tree *t) {
+    const size_t n = (size_t)s->attr_count;
+    uint32_t *from = NULL, *to = NULL;
+    voxrt_result r = VOXRT_OK;
+    size_t i;
+    t->spherical = s->spherical;
+    t->palette_count = s->palette_count;
+    t->palette = (uint8_t *)voxrti_alloc_array(mem, s->palette_count, 3);
+    if (t->palette == NULL) return VOXRT_ERR_NO_MEMORY;
+    memcpy(t->palette, s->palette, (size_t)3 * s->palette_count);
+    if (s->normal != NULL) {
+        t->normal = (uint16_t *)voxrti_alloc_array(mem, n, sizeof(uint16_t));
+        if (t->normal == NULL) return VOXRT_ERR_NO_MEMORY;
+    }
+    if (s->colors.block != NULL) {
+        from = (uint32_t *)voxrti_alloc_array(mem, n, sizeof(uint32_t));
+        to = (uint32_t *)voxrti_alloc_array(mem, n, sizeof(uint32_t));
+        if (from == NULL || to == NULL) r = VOXRT_ERR_NO_MEMORY;
+        for (i = 0; r == VOXRT_OK && i < n; i++) from[i] = voxrti_colors_get(&s->colors, i);
+    }
+    if (r == VOXRT_OK) voxrti_share_reorder(plain, plain == t, s->normal, t->normal, from, to);
+    voxrti_free(mem, from);
+    if (r == VOXRT_OK && to != NULL) r = voxrti_colors_encode(mem, env, to, n, &t->colors);
+    voxrti_free(mem, to);
+    return r;
+}
+
+static voxrt_result voxrti_share_finish(voxrti_sharer *h) {
+    uint64_t *key = (uint64_t *)voxrti_alloc_array(h->mem, 2 * h->mask_count, sizeof(uint64_t));
+    uint32_t *rank = (uint32_t *)voxrti_alloc_array(h->mem, h->mask_count, sizeof(uint32_t));
+    voxrt_result r = VOXRT_ERR_NO_MEMORY;
+    if (key != NULL && rank != NULL) r = voxrti_share_codes(h, key, rank);
+    voxrti_free(h->mem, key);
+    voxrti_free(h->mem, rank);
+    return r;
+}
+
+/* t->leaf, t->code and t->extra from the masks of the leaf nodes of a shared tree. */
+static VOXRTI_UNUSED voxrt_result voxrti_share_decoded(voxrti_mem *mem, voxrt_tree *t, const uint64_t *leaf) {
+    const uint32_t n = t->level_nodes[t->wide - 1];
+    voxrti_sharer h;
+    voxrt_result r;
+    memset(&h, 0, sizeof h);
+    h.mem = mem;
+    h.t = t;
+    h.code = (uint32_t *)voxrti_alloc_array(mem, n, sizeof(uint32_t));
+    r = voxrti_share_masks(&h, leaf, n, h.code);
+    if (r == VOXRT_OK) r = voxrti_share_finish(&h);
+    voxrti_free(mem, h.mask);
+    voxrti_free(mem, h.code);
+    return r;
+}
+
+/* The geometry of plain tree s, shared. */
+static voxrt_result voxrti_share_geometry(voxrti_mem *mem, const voxrt_tree *s, voxrt_tree *t) {
+    const uint32_t last = s->wide - 1;
+    voxrti_sharer h;
+    uint32_t w;
+    voxrt_result r;
+    memset(&h, 0, sizeof h);
+    h.mem = mem;
+    h.s = s;
+    h.t = t;
+    h.number[last] = (uint32_t *)voxrti_alloc_array(mem, s->level_nodes[last], sizeof(uint32_t));
+    r = voxrti_share_masks(&h, s->leaf, s->level_nodes[last], h.number[last]);
+    for (w = last; w-- > 0 && r == VOXRT_OK;) r = voxrti_share_level(&h, w);
+    if (r == VOXRT_OK) r = voxrti_share_runs(&h);
+    for (w = 0; w < s->wide; w++) {
+        voxrti_free(mem, h.number[w]);
+        voxrti_free(mem, h.run[w]);
+    }
+    if (r == VOXRT_OK) r = voxrti_share_finish(&h);
+    voxrti_free(mem, h.mask);
+    voxrti_free(mem, h.code);
+    return r == VOXRT_OK ? voxrti_shared_index(mem, t, 1) : r;
+}
+
+/* The geometry of shared tree s, plain. */
+static voxrt_result voxrti_unshare_geometry(voxrti_mem *mem, const voxrt_tree *s, voxrt_tree *t) {
+    uint32_t *from = NULL, *below = NULL, w, i, k;
+    uint64_t total = 0, n;
+    for (w = 0; w < t->wide; w++) {
+        n = (w == 0 ? s->attr_count : s->attr_first[2 * w - 1]) - s->attr_first[2 * w];
+        if (w + 1 < t->wide) total += n;
+        if (n > 0xfffffff0u || total > 0xfffffff0u) return VOXRT_ERR_RANGE;
+        t->level_nodes[w] = (uint32_t)n;
+    }
+    t->node_count = (uint32_t)total;
+    t->node = (voxrti_node *)voxrti_alloc_array(mem, (size_t)total + 1, sizeof(voxrti_node));
+    t->leaf = (uint64_t *)voxrti_alloc_array(mem, (size_t)t->level_nodes[t->wide - 1] + 8, sizeof(uint64_t));
+    t->rank = (uint32_t *)voxrti_alloc_array(mem, 2 * ((size_t)t->level_nodes[t->wide - 1] / 16 + 2), sizeof(uint32_t));
+    if (t->node == NULL || t->leaf == NULL || t->rank == NULL) return VOXRT_ERR_NO_MEMORY;
+    if (t->wide == 1) t->leaf[0] = s->leaf[0];
+    for (w = 0, total = 0; w + 1 < t->wide; w++, from = below) {
+        const uint32_t last = w + 2 == t->wide;
+        size_t at = 0;
+        below = last ? NULL : (uint32_t *)voxrti_alloc_array(mem, t->level_nodes[w + 1], sizeof(uint32_t));
+        if (below == NULL && !last) {
+            voxrti_free(mem, from);
+            return VOXRT_ERR_NO_MEMORY;
+        }
+        for (i = 0; i < t->level_nodes[w]; i++) {
+            const voxrti_node *node = &s->node[from != NULL ? from[i] : 0];
+            const uint32_t m = voxrti_popcount64(node->mask);
+            t->node[total++].mask = node->mask;
+            for (k = 0; k < m; k++, at++) {
+                if (last) t->leaf[at] = s->leaf[voxrti_leaf_at(s, node->child + k)];
+                else below[at] = node->child + k;
+            }
+        }
+        voxrti_free(mem, from);
+    }
+    return voxrti_tree_index(t);
+}
+
+static voxrt_result voxrti_share_convert(const voxrt_tree *s, const voxrt_env *env, int share, voxrt_tree **out_tree) {
+    voxrt_env e;
+    voxrti_mem mem;
+    voxrt_tree *t, *other = NULL;
+    voxrt_result r;
+    if (out_tree == NULL) return VOXRT_ERR_INVALID_ARG;
+    *out_tree = NULL;
+    memset(&e, 0, sizeof e);
+    if (env != NULL) e = *env;
+    if (e.error != NULL) memset(e.error, 0, sizeof *e.error);
+    if (s == NULL) return voxrti_fail(e.error, VOXRT_ERR_INVALID_ARG, 0, "no tree");
+    r = voxrti_env_open(&e, &mem);
+    if (r != VOXRT_OK) return r;
+    if ((s->code != NULL) == share) { /* the same again: by way of the other kind */
+        r = voxrti_share_convert(s, &e, !share, &other);
+        if (r != VOXRT_OK) return r;
+        s = other;
+    }
+    t = (voxrt_tree *)voxrti_alloc_zero(&mem, 1, sizeof *t);
+    if (t == NULL) r = VOXRT_ERR_NO_MEMORY;
+    if (r == VOXRT_OK && share && s->attr_count > 0xfffffffeu) r = VOXRT_ERR_RANGE;
+    if (r == VOXRT_OK) {
+        t->cpu_level = s->cpu_level;
+        t->depth = s->depth;
+        t->wide = s->wide;
+        t->resolution = s->resolution;
+        memcpy(t->origin, s->origin, sizeof t->origin);
+        t->voxel_size = s->voxel_size;
+        r = share ? voxrti_share_geometry(&mem, s, t) : voxrti_unshare_geometry(&mem, s, t);
+        memcpy(t->cell_min, s->cell_min, sizeof t->cell_min);
+        memcpy(t->cell_max, s->cell_max, sizeof t->cell_max);
+    }
+    if (r == VOXRT_OK) r = voxrti_share_attributes(&mem, &e, share ? s : t, s, t);
+    voxrt_tree_destroy(other);
+    if (r != VOXRT_OK) {
+        voxrti_tree_free(&mem, t);
+        return voxrti_fail(e.error, r, 0, voxrt_result_string(r));
+    }
+    t->mem = mem;
+    t->mem.limit = 0;
+    *out_tree = t;
+    return VOXRT_OK;
+}
+
+VOXRT_DEF voxrt_result voxrt_tree_share(const voxrt_tree *tree, const voxrt_env *env, voxrt_tree **out_tree) {
+    return voxrti_share_convert(tree, env, 1, out_tree);
+}
+
+VOXRT_DEF voxrt_result voxrt_tree_unshare(const voxrt_tree *tree, const voxrt_env *env, voxrt_tree **out_tree) {
+    return voxrti_share_convert(tree, env, 0, out_tree);
 }
 
 /* ---------------------------------------------------------------------------
@@ -6885,6 +7677,13 @@ VOXRT_DEF voxrt_result voxrt_octree_from_tree(const voxrt_octree_desc *desc, con
     if (s->palette_count > 32767)
         return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, s->palette_count,
                            "an octree has at most 32767 colours, not %");
+    if (s->code != NULL) {
+        voxrt_tree *plain;
+        r = voxrt_tree_unshare(s, &d.env, &plain);
+        if (r == VOXRT_OK) r = voxrt_octree_from_tree(desc, plain, out_octree);
+        voxrt_tree_destroy(plain);
+        return r;
+    }
     top = 2 * s->wide - s->depth;
     nodes = s->attr_count - s->voxel_count - top; /* odd depth: the virtual root is not ours */
     if (nodes >= VOXRTI_MAX_BLOCKS) return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, nodes, "% nodes are too many");
@@ -7229,15 +8028,18 @@ VOXRT_DEF voxrt_result voxrt_octree_load_file(const voxrt_octree_desc *desc, con
 #define VOXRTI_V5_HEADER 64u
 #define VOXRTI_V5_ENTRY 40u
 #define VOXRTI_V5_PLACE 144u
+#define VOXRTI_V5_SHARING_HEAD 48u
 #define VOXRTI_V5_MAX_SECTIONS 64u
 #define VOXRTI_V5_OPTIONAL 0x80000000u /* flag in an id: readers that do not know it skip the section */
 
 enum { /* ids */
     VOXRTI_V5_PLACEMENT = 1, VOXRTI_V5_PALETTE = 2, VOXRTI_V5_NODES = 3, VOXRTI_V5_LEAVES = 4, VOXRTI_V5_RANKS = 5,
-    VOXRTI_V5_GEOMETRY = 6, VOXRTI_V5_NORMALS = 7, VOXRTI_V5_BLOCKS = 8, VOXRTI_V5_COLORS = 9, VOXRTI_V5_IDS = 10
+    VOXRTI_V5_GEOMETRY = 6, VOXRTI_V5_NORMALS = 7, VOXRTI_V5_BLOCKS = 8, VOXRTI_V5_COLORS = 9,
+    VOXRTI_V5_SHARING = 10, VOXRTI_V5_CODES = 11, VOXRTI_V5_EXTRA = 12, VOXRTI_V5_IDS = 13
 };
 enum { /* flags of the header */
-    VOXRTI_V5_RAW_FILE = 1, VOXRTI_V5_HAS_NORMALS = 2, VOXRTI_V5_HAS_COLORS = 4, VOXRTI_V5_SPHERICAL = 8
+    VOXRTI_V5_RAW_FILE = 1, VOXRTI_V5_HAS_NORMALS = 2, VOXRTI_V5_HAS_COLORS = 4, VOXRTI_V5_SPHERICAL = 8,
+    VOXRTI_V5_SHARED = 16
 };
 
 static const uint8_t voxrti_v5_magic[8] = {0x89, 0x56, 0x4f, 0x58, 0x0d, 0x0a, 0x1a, 0x0a}; /* 89 V O X CR LF ^Z LF */
@@ -7660,10 +8462,13 @@ VOXRTI_INLINE int voxrti_rans_done(const voxrti_rans *r) {
 
    The octree's child masks, level by level: of each node of a wide level the octant mask (children at octree level
    2w+1), then the bytes of its octants. Each is coded in the context of the cell's siblings (the mask that the cell is
-   a bit of), both mirrored so that the cell is number 0; the bytes of the finest level in a group of their own. */
+   a bit of), both mirrored so that the cell is number 0; the bytes of the finest level in a group of their own.
+   Of a shared tree the nodes that are kept, each run as the children of the node that names it first, its owner. The
+   section `sharing` says which nodes are owners, and which run the others name. */
 
 typedef struct voxrti_family { /* goes through the nodes of a level with the masks that they are bits of */
-    const voxrti_node *parent;
+    const voxrti_node *parent, *base;
+    const uint32_t *owner; /* shared trees: the next parent's place behind base; NULL: it is the next node */
     uint64_t mask, left;
 } voxrti_family;
 
@@ -7672,7 +8477,10 @@ static const voxrti_node voxrti_root_family = {1, 0, 0};
 /* Bit of the next node among its siblings; *siblings = their mask. */
 VOXRTI_INLINE uint32_t voxrti_family_next(voxrti_family *f, uint32_t *siblings) {
     uint32_t s;
-    if (f->left == 0) f->left = f->mask = (++f->parent)->mask;
+    if (f->left == 0) {
+        f->parent = f->owner != NULL ? f->base + *f->owner++ : f->parent + 1;
+        f->left = f->mask = f->parent->mask;
+    }
     s = voxrti_ctz64(f->left);
     f->left &= f->left - 1;
     *siblings = (uint32_t)(f->mask >> (s & 56u)) & 255u;
@@ -7688,18 +8496,28 @@ static uint64_t voxrti_chunks(const voxrt_tree *t) {
 
 typedef struct voxrti_geometry_source {
     const voxrt_tree *t;
+    uint32_t *owner;                        /* shared trees: [node_count], from level_first[w] on those of level w */
+    uint32_t owner_count[VOXRTI_MAX_WIDE];
     uint8_t mirror[8][256];
 } voxrti_geometry_source;
 
 /* The node whose child `at` of level w >= 1 is, and what is left of its children from there on. */
-static voxrti_family voxrti_family_of(const voxrt_tree *t, uint32_t w, uint32_t at) {
-    uint32_t lo = t->level_first[w - 1], hi = lo + t->level_nodes[w - 1], k;
+static voxrti_family voxrti_family_of(const voxrti_geometry_source *g, uint32_t w, uint32_t at) {
+    const voxrt_tree *t = g->t;
+    uint32_t lo = t->level_first[w - 1], k;
+    uint32_t hi = lo + (g->owner != NULL ? g->owner_count[w - 1] : t->level_nodes[w - 1]);
     voxrti_family f;
     if (w + 1 < t->wide) at += t->level_first[w];
     while (hi - lo > 1) {
         uint32_t mid = lo + (hi - lo) / 2;
-        if (t->node[mid].child <= at) lo = mid;
+        if (t->node[g->owner != NULL ? g->owner[mid] : mid].child <= at) lo = mid;
         else hi = mid;
+    }
+    f.base = t->node;
+    f.owner = NULL;
+    if (g->owner != NULL) {
+        f.owner = g->owner + lo + 1;
+        lo = g->owner[lo];
     }
     f.parent = &t->node[lo];
     f.mask = f.left = f.parent->mask;
@@ -7718,13 +8536,14 @@ static void voxrti_geometry_symbols(const void *user, uint32_t chunk, voxrti_sym
         chunk -= k;
     }
     at = chunk * VOXRTI_CHUNK;
-    family.parent = &voxrti_root_family;
+    family.parent = family.base = &voxrti_root_family;
+    family.owner = NULL;
     family.mask = family.left = 1;
-    if (w != 0) family = voxrti_family_of(t, w, at);
+    if (w != 0) family = voxrti_family_of(g, w, at);
     group = w + 1 == t->wide ? 128 : 0;
     end = t->level_nodes[w] - at < VOXRTI_CHUNK ? t->level_nodes[w] : at + VOXRTI_CHUNK;
     for (; at < end; at++) {
-        uint64_t mask = group ? t->leaf[at] : t->node[t->level_first[w] + at].mask;
+        uint64_t mask = group ? t->leaf[voxrti_leaf_at(t, at)] : t->node[t->level_first[w] + at].mask;
         uint32_t octants = voxrti_octants(mask), siblings, b = voxrti_family_next(&family, &siblings);
         out->context[n] = g->mirror[b][siblings] >> 1;
         out->symbol[n++] = g->mirror[b][octants];
@@ -7737,9 +8556,49 @@ static void voxrti_geometry_symbols(const void *user, uint32_t chunk, voxrti_sym
     out->count = n;
 }
 
+/* Owners of runs; and `out`, the section that tells them: stored nodes of each level, masks, 0 (u32 each); a bit for
+   each interior node, 1: an owner; u32 for each other one: first node of its run, counted from 0 in the level. */
+static voxrt_result voxrti_sharing(voxrti_geometry_source *g, voxrti_bytes *out, int raw) {
+    const voxrt_tree *t = g->t;
+    const size_t bits = raw ? 0 : ((size_t)t->node_count + 7) / 8;
+    uint32_t w, i;
+    uint8_t *p;
+    p = voxrti_bytes_more(out, VOXRTI_V5_SHARING_HEAD + bits);
+    if (p == NULL) return VOXRT_ERR_NO_MEMORY;
+    memset(p, 0, VOXRTI_V5_SHARING_HEAD + bits);
+    for (w = 0; w < t->wide; w++) voxrti_store_u32(p + 4 * w, t->level_nodes[w]);
+    voxrti_store_u32(p + 40, t->mask_count);
+    out->size = VOXRTI_V5_SHARING_HEAD + bits;
+    if (raw) return VOXRT_OK;
+    g->owner = (uint32_t *)voxrti_alloc_array(out->mem, (size_t)t->node_count + 1, sizeof(uint32_t));
+    if (g->owner == NULL) return VOXRT_ERR_NO_MEMORY;
+    for (w = 0; w + 1 < t->wide; w++) {
+        const uint32_t first = w + 2 < t->wide ? t->level_first[w + 1] : 0;
+        uint32_t next = first, n = 0;
+        for (i = t->level_first[w]; i < t->level_first[w] + t->level_nodes[w]; i++) {
+            if (t->node[i].child == next) {
+                next += voxrti_popcount64(t->node[i].mask);
+                g->owner[t->level_first[w] + n++] = i;
+                out->data[VOXRTI_V5_SHARING_HEAD + i / 8] |= (uint8_t)(1u << (i & 7u));
+                continue;
+            }
+            p = voxrti_bytes_more(out, 4);
+            if (p == NULL) return VOXRT_ERR_NO_MEMORY;
+            voxrti_store_u32(p, t->node[i].child - first);
+            out->size += 4;
+        }
+        g->owner_count[w] = n;
+    }
+    return VOXRT_OK;
+}
+
 typedef struct voxrti_geometry_decoder {
     voxrti_decoder d;
     voxrt_tree *t;
+    uint64_t *leaf;           /* masks of the leaf nodes: t->leaf, or on their way there */
+    const uint8_t *sharing;   /* shared trees: that section, NULL: a plain one */
+    size_t sharing_size, sharing_at; /* what was read of it */
+    uint32_t *owner, owner_count;    /* [node_count] owners of level w */
     uint32_t w, first_chunk;  /* of the level in work */
     uint32_t *start;          /* per chunk: parent node of its first node, and how many of the parent's are before */
     uint8_t mirror[8][256];
@@ -7752,8 +8611,15 @@ static void voxrti_geometry_task(void *ctx, uint32_t task) {
     uint32_t end = t->level_nodes[g->w] - i < VOXRTI_CHUNK ? t->level_nodes[g->w] : i + VOXRTI_CHUNK;
     voxrti_family family;
     voxrti_rans r;
-    family.parent = &voxrti_root_family;
-    if (g->w != 0) family.parent = t->node + t->level_first[g->w - 1] + g->start[2 * task];
+    family.parent = family.base = &voxrti_root_family;
+    family.owner = NULL;
+    if (g->w != 0 && g->sharing != NULL) {
+        family.base = t->node;
+        family.owner = g->owner + g->start[2 * task];
+        family.parent = t->node + *family.owner++;
+    } else if (g->w != 0) {
+        family.parent = t->node + t->level_first[g->w - 1] + g->start[2 * task];
+    }
     family.mask = family.left = family.parent->mask;
     for (k = g->w != 0 ? g->start[2 * task + 1] : 0; k > 0; k--) family.left &= family.left - 1;
     voxrti_rans_open(&g->d, g->first_chunk + task, &r);
@@ -7769,23 +8635,62 @@ static void voxrti_geometry_task(void *ctx, uint32_t task) {
             bad |= s == 0;
             mask |= (uint64_t)g->mirror[o][s] << (8 * o);
         }
-        if (leaf) t->leaf[i] = mask;
+        if (leaf) g->leaf[i] = mask;
         else t->node[t->level_first[g->w] + i].mask = mask;
     }
     if (bad || !voxrti_rans_done(&r)) voxrti_atomic_store(&g->d.bad, 1u);
 }
 
+/* Read which runs the nodes of level w name. */
+static voxrt_result voxrti_geometry_runs(voxrti_geometry_decoder *g, uint32_t w) {
+    const voxrt_tree *t = g->t;
+    const uint32_t last = w + 2 == t->wide, base = last ? 0 : t->level_first[w] + t->level_nodes[w];
+    uint32_t i, n = 0;
+    uint64_t next = 0;
+    for (i = t->level_first[w]; i < t->level_first[w] + t->level_nodes[w]; i++) {
+        voxrti_node *node = &t->node[i];
+        const uint32_t m = voxrti_popcount64(node->mask);
+        uint32_t lo = 0, hi = n, run;
+        if ((g->sharing[VOXRTI_V5_SHARING_HEAD + i / 8] >> (i & 7u) & 1u) != 0) {
+            if (next + m > t->level_nodes[w + 1]) return VOXRT_ERR_FORMAT;
+            node->child = base + (uint32_t)next;
+            next += m;
+            g->owner[n++] = i;
+            continue;
+        }
+        if (g->sharing_size - g->sharing_at < 4 || n == 0) return VOXRT_ERR_FORMAT;
+        run = voxrti_load_u32(g->sharing + g->sharing_at);
+        g->sharing_at += 4;
+        if (run >= next) return VOXRT_ERR_FORMAT;
+        while (hi - lo > 1) {
+            const uint32_t mid = lo + (hi - lo) / 2;
+            if (t->node[g->owner[mid]].child - base <= run) lo = mid;
+            else hi = mid;
+        }
+        if (t->node[g->owner[lo]].child - base != run || voxrti_popcount64(t->node[g->owner[lo]].mask) != m)
+            return VOXRT_ERR_FORMAT;
+        node->child = base + run;
+    }
+    g->owner_count = n;
+    return VOXRT_OK;
+}
+
 /* Where the chunks of level w+1 begin among the nodes of level w; their number must be what the file says. */
 static voxrt_result voxrti_geometry_starts(voxrti_mem *mem, voxrti_geometry_decoder *g, uint32_t w) {
     const voxrti_node *node = g->t->node + g->t->level_first[w];
-    uint32_t i, n = g->t->level_nodes[w + 1], chunk = 0;
+    uint32_t i, n = g->t->level_nodes[w + 1], chunk = 0, parents = g->t->level_nodes[w];
     uint64_t total = 0;
+    if (g->sharing != NULL) {
+        const voxrt_result r = voxrti_geometry_runs(g, w);
+        if (r != VOXRT_OK) return r;
+        parents = g->owner_count;
+    }
     voxrti_free(mem, g->start);
     g->start = (uint32_t *)voxrti_alloc_array(mem, n / VOXRTI_CHUNK + 1, 2 * sizeof(uint32_t));
     if (g->start == NULL) return VOXRT_ERR_NO_MEMORY;
-    for (i = 0; i < g->t->level_nodes[w]; i++) {
+    for (i = 0; i < parents; i++) {
         uint64_t before = total;
-        total += voxrti_popcount64(node[i].mask);
+        total += voxrti_popcount64(g->sharing != NULL ? g->t->node[g->owner[i]].mask : node[i].mask);
         if (total > n) return VOXRT_ERR_FORMAT;
         if ((uint64_t)chunk * VOXRTI_CHUNK < total) { /* at most 64 children: at most one start */
             g->start[2 * chunk] = i;
@@ -7805,6 +8710,16 @@ static voxrt_result voxrti_geometry_levels(voxrti_mem *mem, const voxrt_env *env
     if (r != VOXRT_OK) return r;
     t->node = (voxrti_node *)voxrti_alloc_array(mem, (size_t)t->node_count + 1, sizeof(voxrti_node));
     if (t->node == NULL) return VOXRT_ERR_NO_MEMORY;
+    if (g->sharing != NULL) {
+        memset(t->node, 0, ((size_t)t->node_count + 1) * sizeof *t->node);
+        g->sharing_at = VOXRTI_V5_SHARING_HEAD + ((size_t)t->node_count + 7) / 8;
+        if (g->sharing_at > g->sharing_size) return VOXRT_ERR_FORMAT;
+        for (at = t->node_count; (at & 7u) != 0; at++)
+            if ((g->sharing[VOXRTI_V5_SHARING_HEAD + at / 8] >> (at & 7u) & 1u) != 0) return VOXRT_ERR_FORMAT;
+        g->owner = (uint32_t *)voxrti_alloc_array(mem, (size_t)t->node_count + 1, sizeof(uint32_t));
+        if (g->owner == NULL) return VOXRT_ERR_NO_MEMORY;
+        at = 0;
+    }
     for (w = 0; w < t->wide; w++) {
         uint32_t chunks = (uint32_t)(((uint64_t)t->level_nodes[w] + VOXRTI_CHUNK - 1) / VOXRTI_CHUNK);
         if (w != 0) {
@@ -7812,9 +8727,13 @@ static voxrt_result voxrti_geometry_levels(voxrti_mem *mem, const voxrt_env *env
             if (r != VOXRT_OK) return r;
         }
         if (w + 1 == t->wide) { /* not before the levels above have shown that there are so many */
-            t->leaf = (uint64_t *)voxrti_alloc_array(mem, leaves + 8, sizeof(uint64_t));
-            t->rank = (uint32_t *)voxrti_alloc_array(mem, 2 * (leaves / 16 + 2), sizeof(uint32_t));
-            if (t->leaf == NULL || t->rank == NULL) return VOXRT_ERR_NO_MEMORY;
+            g->leaf = (uint64_t *)voxrti_alloc_array(mem, leaves + 8, sizeof(uint64_t));
+            if (g->leaf == NULL) return VOXRT_ERR_NO_MEMORY;
+            if (g->sharing == NULL) {
+                t->leaf = g->leaf;
+                t->rank = (uint32_t *)voxrti_alloc_array(mem, 2 * (leaves / 16 + 2), sizeof(uint32_t));
+                if (t->rank == NULL) return VOXRT_ERR_NO_MEMORY;
+            }
         }
         t->level_first[w] = w + 1 == t->wide ? 0 : at;
         g->w = w;
@@ -7826,18 +8745,28 @@ static voxrt_result voxrti_geometry_levels(voxrti_mem *mem, const voxrt_env *env
     return VOXRT_OK;
 }
 
+/* sharing: that section of a shared tree's file, else NULL */
 static voxrt_result voxrti_geometry_decode(voxrti_mem *mem, const voxrt_env *env, voxrt_tree *t, const uint8_t *data,
-                                           size_t size) {
+                                           size_t size, const uint8_t *sharing, size_t sharing_size) {
     voxrti_geometry_decoder *g = (voxrti_geometry_decoder *)voxrti_alloc_zero(mem, 1, sizeof *g);
     voxrt_result r;
     if (g == NULL) return VOXRT_ERR_NO_MEMORY;
     g->t = t;
+    g->sharing = sharing;
+    g->sharing_size = sharing_size;
     voxrti_mirror_table(g->mirror);
     r = voxrti_geometry_levels(mem, env, g, data, size);
+    if (r == VOXRT_OK && sharing != NULL) {
+        r = g->sharing_at == sharing_size ? voxrti_share_decoded(mem, t, g->leaf) : VOXRT_ERR_FORMAT;
+        if (r == VOXRT_OK && t->mask_count != voxrti_load_u32(sharing + 40)) r = VOXRT_ERR_FORMAT;
+    }
     voxrti_decoder_close(mem, &g->d);
+    if (sharing != NULL) voxrti_free(mem, g->leaf);
+    voxrti_free(mem, g->owner);
     voxrti_free(mem, g->start);
     voxrti_free(mem, g);
-    return r == VOXRT_OK ? voxrti_tree_index(t) : r;
+    if (r != VOXRT_OK) return r;
+    return sharing != NULL ? voxrti_shared_index(mem, t, 1) : voxrti_tree_index(t);
 }
 
 /* ---- coded normals ----
@@ -8064,7 +8993,7 @@ typedef struct voxrti_v5_section {
 typedef struct voxrti_v5_file {
     uint32_t section_count;
     voxrti_v5_section section[VOXRTI_V5_IDS]; /* write: in order; read: by id, id = 0: not there */
-    voxrti_bytes geometry, normals;           /* write: coded sections */
+    voxrti_bytes geometry, normals, sharing;  /* write: coded sections */
 } voxrti_v5_file;
 
 VOXRTI_INLINE uint64_t voxrti_v5_align(uint64_t x) { return (x + 63u) & ~(uint64_t)63; }
@@ -8104,7 +9033,9 @@ static uint64_t voxrti_v5_raw_size(uint32_t id, uint64_t count) {
     case VOXRTI_V5_LEAVES: return 8 * (count + 8);
     case VOXRTI_V5_NORMALS: return 2 * count;
     case VOXRTI_V5_COLORS: return count + 8;
-    default: return 4 * count; /* ranks, colour blocks */
+    case VOXRTI_V5_SHARING: return count;
+    case VOXRTI_V5_CODES: return 2 * count;
+    default: return 4 * count; /* ranks, colour blocks, extra */
     }
 }
 
@@ -8114,7 +9045,9 @@ static uint64_t voxrti_v5_count(const voxrt_tree *t, uint32_t id) {
     case VOXRTI_V5_PLACEMENT: return 1;
     case VOXRTI_V5_PALETTE: return t->palette_count;
     case VOXRTI_V5_NODES: return t->node_count;
-    case VOXRTI_V5_LEAVES: return t->level_nodes[t->wide - 1];
+    case VOXRTI_V5_LEAVES: return t->mask_count != 0 ? t->mask_count : t->level_nodes[t->wide - 1];
+    case VOXRTI_V5_CODES: return t->level_nodes[t->wide - 1];
+    case VOXRTI_V5_EXTRA: return ((uint64_t)t->level_nodes[t->wide - 1] >> VOXRTI_CODE_LOG) + 1;
     case VOXRTI_V5_RANKS: return voxrti_rank_count(t);
     case VOXRTI_V5_GEOMETRY: return (uint64_t)t->node_count + t->level_nodes[t->wide - 1];
     case VOXRTI_V5_NORMALS: return t->attr_count;
@@ -8131,6 +9064,11 @@ static void voxrti_store_f64(uint8_t *p, double v) {
     voxrti_store_u64(p, bits);
 }
 
+/* Cells of virtual level v that are not empty. */
+static uint64_t voxrti_level_cells(const voxrt_tree *t, uint32_t v) {
+    return (v == 0 ? t->attr_count : t->attr_first[v - 1]) - t->attr_first[v];
+}
+
 static void voxrti_v5_write_placement(const voxrt_tree *t, uint8_t *p) {
     uint32_t i;
     memset(p, 0, VOXRTI_V5_PLACE);
@@ -8142,7 +9080,7 @@ static void voxrti_v5_write_placement(const voxrt_tree *t, uint8_t *p) {
     voxrti_store_f64(p + 24, t->voxel_size);
     voxrti_store_u32(p + 56, t->palette_count);
     for (i = 0; i < t->wide; i++) {
-        voxrti_store_u32(p + 64 + 4 * i, t->level_nodes[i]);
+        voxrti_store_u32(p + 64 + 4 * i, (uint32_t)voxrti_level_cells(t, 2 * i));
         voxrti_store_u32(p + 104 + 4 * i, (uint32_t)(t->attr_first[2 * i] - t->attr_first[2 * i + 1]));
     }
 }
@@ -8171,6 +9109,9 @@ static void voxrti_v5_write_section(const voxrt_tree *t, const voxrti_v5_file *f
         else for (i = 0; i < n; i++) voxrti_store_u16(p + 2 * i, t->normal[i]);
         break;
     case VOXRTI_V5_BLOCKS: for (i = 0; i < n; i++) voxrti_store_u32(p + 4 * i, t->colors.block[i]); break;
+    case VOXRTI_V5_SHARING: memcpy(p, f->sharing.data, f->sharing.size); break;
+    case VOXRTI_V5_CODES: for (i = 0; i < n; i++) voxrti_store_u16(p + 2 * i, t->code[i]); break;
+    case VOXRTI_V5_EXTRA: for (i = 0; i < n; i++) voxrti_store_u32(p + 4 * i, t->extra[i]); break;
     default: /* colours */
         if (n != 0) memcpy(p, t->colors.data, n);
         memset(p + n, 0, 8);
@@ -8181,17 +9122,19 @@ static void voxrti_v5_write_section(const voxrt_tree *t, const voxrti_v5_file *f
 /* Code what is coded and lay out the sections. */
 static voxrt_result voxrti_v5_plan(voxrti_mem *mem, const voxrt_save_desc *d, const voxrt_tree *t, voxrti_v5_file *f,
                                    size_t *out_size) {
-    uint32_t raw = d->encoding == VOXRT_ENCODING_RAW, id, n = 0, i;
+    uint32_t raw = d->encoding == VOXRT_ENCODING_RAW, shared = t->code != NULL, id, n = 0, i;
     uint64_t at;
     voxrt_result r = VOXRT_OK;
     memset(f, 0, sizeof *f);
-    f->geometry.mem = f->normals.mem = mem;
+    f->geometry.mem = f->normals.mem = f->sharing.mem = mem;
     for (id = VOXRTI_V5_PLACEMENT; id < VOXRTI_V5_IDS && r == VOXRT_OK; id++) {
         voxrti_v5_section *s = &f->section[n];
         if (id >= VOXRTI_V5_NODES && id <= VOXRTI_V5_RANKS && !raw) continue;
+        if (id == VOXRTI_V5_RANKS && shared) continue;
         if (id == VOXRTI_V5_GEOMETRY && raw) continue;
+        if (id == VOXRTI_V5_SHARING ? !shared : id > VOXRTI_V5_SHARING && !(shared && raw)) continue;
         if (id == VOXRTI_V5_NORMALS && (t->normal == NULL || d->disable_normals != 0)) continue;
-        if (id >= VOXRTI_V5_BLOCKS && t->colors.block == NULL) continue;
+        if ((id == VOXRTI_V5_BLOCKS || id == VOXRTI_V5_COLORS) && t->colors.block == NULL) continue;
         s->id = id;
         s->count = voxrti_v5_count(t, id);
         s->size = voxrti_v5_raw_size(id, s->count);
@@ -8201,10 +9144,18 @@ static voxrt_result voxrti_v5_plan(voxrti_mem *mem, const voxrt_save_desc *d, co
             if (g == NULL) return VOXRT_ERR_NO_MEMORY;
             g->t = t;
             voxrti_mirror_table(g->mirror);
-            r = voxrti_encode(mem, &d->env, voxrti_geometry_symbols, g, (uint32_t)voxrti_chunks(t), &f->geometry);
+            if (shared) r = voxrti_sharing(g, &f->sharing, 0);
+            if (r == VOXRT_OK)
+                r = voxrti_encode(mem, &d->env, voxrti_geometry_symbols, g, (uint32_t)voxrti_chunks(t), &f->geometry);
+            voxrti_free(mem, g->owner);
             voxrti_free(mem, g);
             s->encoding = 1;
             s->size = f->geometry.size;
+        } else if (id == VOXRTI_V5_SHARING) {
+            voxrti_geometry_source g;
+            g.t = t;
+            if (raw) r = voxrti_sharing(&g, &f->sharing, 1);
+            s->count = s->size = f->sharing.size;
         } else if (id == VOXRTI_V5_NORMALS && !raw) {
             r = voxrti_encode(mem, &d->env, voxrti_normal_symbols, t,
                               (uint32_t)((t->attr_count + VOXRTI_CHUNK - 1) / VOXRTI_CHUNK), &f->normals);
@@ -8228,6 +9179,7 @@ static voxrt_result voxrti_v5_plan(voxrti_mem *mem, const voxrt_save_desc *d, co
 
 static void voxrti_v5_write(const voxrt_tree *t, const voxrti_v5_file *f, uint8_t *out, size_t size) {
     uint32_t i, flags = 0, n = f->section_count;
+    uint64_t nodes = 0;
     size_t at = VOXRTI_V5_HEADER + (size_t)n * VOXRTI_V5_ENTRY;
     memset(out, 0, at);
     for (i = 0; i < n; i++) {
@@ -8244,7 +9196,9 @@ static void voxrti_v5_write(const voxrt_tree *t, const voxrti_v5_file *f, uint8_
         if (s->id == VOXRTI_V5_NODES) flags |= VOXRTI_V5_RAW_FILE;
         if (s->id == VOXRTI_V5_NORMALS) flags |= VOXRTI_V5_HAS_NORMALS | VOXRTI_V5_SPHERICAL * t->spherical;
         if (s->id == VOXRTI_V5_BLOCKS) flags |= VOXRTI_V5_HAS_COLORS;
+        if (s->id == VOXRTI_V5_SHARING) flags |= VOXRTI_V5_SHARED;
     }
+    for (i = 0; i < t->wide; i++) nodes += voxrti_level_cells(t, 2 * i);
     memcpy(out, voxrti_v5_magic, 8);
     voxrti_store_u16(out + 8, 5);
     voxrti_store_u16(out + 12, VOXRTI_V5_HEADER);
@@ -8253,7 +9207,7 @@ static void voxrti_v5_write(const voxrt_tree *t, const voxrti_v5_file *f, uint8_
     voxrti_store_u32(out + 32, flags);
     voxrti_store_u32(out + 36, t->depth);
     voxrti_store_u32(out + 40, t->resolution);
-    voxrti_store_u64(out + 48, (uint64_t)t->node_count + t->level_nodes[t->wide - 1]);
+    voxrti_store_u64(out + 48, nodes);
     voxrti_store_u64(out + 56, t->voxel_count);
     voxrti_v5_seal(out, size);
 }
@@ -8288,6 +9242,7 @@ VOXRT_DEF voxrt_result voxrt_tree_save_memory(const voxrt_tree *tree, const voxr
     }
     voxrti_free(&mem, f.geometry.data);
     voxrti_free(&mem, f.normals.data);
+    voxrti_free(&mem, f.sharing.data);
     if (r == VOXRT_ERR_RANGE) return voxrti_fail(d.env.error, r, size, "the file needs % bytes");
     return r == VOXRT_OK ? r : voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
 }
@@ -8371,15 +9326,18 @@ static voxrt_result voxrti_v5_read_table(voxrti_v5_reader *r) {
 static voxrt_result voxrti_v5_read_placement(voxrti_v5_reader *r, voxrt_tree *t) {
     const uint8_t *h = r->data, *p;
     const voxrti_v5_section *s = r->f.section;
-    uint64_t nodes = 0, total = 0, count[2 * VOXRTI_MAX_WIDE + 1];
-    uint32_t i, raw = s[VOXRTI_V5_NODES].id != 0, flags = 0, ok, first = 0;
+    uint64_t nodes = 0, kept = 0, total = 0, count[2 * VOXRTI_MAX_WIDE + 1];
+    uint32_t i, raw = s[VOXRTI_V5_NODES].id != 0, shared = s[VOXRTI_V5_SHARING].id != 0, flags = 0, ok, first = 0;
     if (raw) flags |= VOXRTI_V5_RAW_FILE;
+    if (shared) flags |= VOXRTI_V5_SHARED;
     if (s[VOXRTI_V5_NORMALS].id != 0) flags |= VOXRTI_V5_HAS_NORMALS | (voxrti_load_u32(h + 32) & VOXRTI_V5_SPHERICAL);
     if (s[VOXRTI_V5_BLOCKS].id != 0) flags |= VOXRTI_V5_HAS_COLORS;
     r->flags = flags;
     if (voxrti_load_u32(h + 32) != flags || voxrti_load_u32(h + 44) != 0 || s[VOXRTI_V5_PLACEMENT].id == 0 ||
         s[VOXRTI_V5_PLACEMENT].size != VOXRTI_V5_PLACE || s[VOXRTI_V5_PALETTE].id == 0 ||
-        (s[VOXRTI_V5_LEAVES].id != 0) != raw || (s[VOXRTI_V5_RANKS].id != 0) != raw ||
+        (s[VOXRTI_V5_LEAVES].id != 0) != raw || (s[VOXRTI_V5_RANKS].id != 0) != (raw && !shared) ||
+        (s[VOXRTI_V5_CODES].id != 0) != (raw && shared) || (s[VOXRTI_V5_EXTRA].id != 0) != (raw && shared) ||
+        (shared && s[VOXRTI_V5_SHARING].size < VOXRTI_V5_SHARING_HEAD) ||
         (s[VOXRTI_V5_GEOMETRY].id != 0) == raw || (s[VOXRTI_V5_BLOCKS].id != 0) != (s[VOXRTI_V5_COLORS].id != 0))
         return voxrti_v5_fail(r, VOXRT_ERR_FORMAT, 0, "sections do not belong together");
     p = voxrti_v5_at(r, VOXRTI_V5_PLACEMENT);
@@ -8406,18 +9364,30 @@ static voxrt_result voxrti_v5_read_placement(voxrti_v5_reader *r, voxrt_tree *t)
         uint32_t n = voxrti_load_u32(p + 64 + 4 * i), o = voxrti_load_u32(p + 104 + 4 * i);
         ok = ok && (i < t->wide ? n >= 1 && o >= 1 : n == 0 && o == 0);
         if (!ok) break;
-        t->level_nodes[i] = n;
-        if (i + 1 < t->wide) t->level_first[i] = first;
-        if (i + 1 < t->wide) first += n;
         nodes += n;
         count[2 * i] = n;
         count[2 * i + 1] = o;
+        if (shared) {
+            n = voxrti_load_u32(voxrti_v5_at(r, VOXRTI_V5_SHARING) + 4 * i);
+            ok = i < t->wide ? n >= 1 && n <= 0xfffffff0u : n == 0;
+            if (!ok) break;
+        }
+        kept += n;
+        t->level_nodes[i] = n;
+        if (i + 1 < t->wide) t->level_first[i] = first;
+        if (i + 1 < t->wide) first += n;
     }
-    ok = ok && nodes == voxrti_load_u64(h + 48) && nodes <= 0xffffffffu && t->level_nodes[0] == 1;
-    ok = ok && t->voxel_count >= 1 && t->voxel_count < 0xffffffffu;
+    if (shared) {
+        const uint8_t *q = voxrti_v5_at(r, VOXRTI_V5_SHARING);
+        t->mask_count = voxrti_load_u32(q + 40);
+        ok = ok && t->mask_count >= 1 && t->mask_count <= 0xfffffff0u && voxrti_load_u32(q + 44) == 0;
+        ok = ok && (!raw || s[VOXRTI_V5_SHARING].size == VOXRTI_V5_SHARING_HEAD);
+    }
+    ok = ok && nodes == voxrti_load_u64(h + 48) && nodes <= 0xffffffffu && kept <= 0xffffffffu;
+    ok = ok && t->level_nodes[0] == 1 && count[0] == 1 && t->voxel_count >= 1 && t->voxel_count < 0xffffffffu;
     if (!ok)
         return voxrti_v5_fail(r, VOXRT_ERR_FORMAT, s[VOXRTI_V5_PLACEMENT].offset, "bad placement section at byte %");
-    t->node_count = (uint32_t)nodes - t->level_nodes[t->wide - 1];
+    t->node_count = (uint32_t)kept - t->level_nodes[t->wide - 1];
     count[2 * t->wide] = t->voxel_count;
     for (i = 2 * t->wide + 1; i-- > 0;) {
         t->attr_first[i] = total;
@@ -8426,7 +9396,9 @@ static voxrt_result voxrti_v5_read_placement(voxrti_v5_reader *r, voxrt_tree *t)
     t->attr_count = total;
     for (i = VOXRTI_V5_PLACEMENT; i < VOXRTI_V5_IDS; i++) {
         if (s[i].id == 0) continue;
-        if (i == VOXRTI_V5_COLORS) {
+        if (i == VOXRTI_V5_SHARING) {
+            ok = s[i].count == s[i].size;
+        } else if (i == VOXRTI_V5_COLORS) {
             ok = s[i].size >= 8 && s[i].count == s[i].size - 8;
             t->colors.data_bytes = ok ? (size_t)s[i].count : 0;
         } else { /* counts are below 2^35 here: no overflow */
@@ -8448,12 +9420,20 @@ static void *voxrti_v5_array(voxrti_v5_reader *r, uint32_t id) {
 }
 
 static voxrt_result voxrti_v5_read_raw(voxrti_v5_reader *r, voxrt_tree *t) {
-    size_t i, leaves = t->level_nodes[t->wide - 1], ranks = (size_t)voxrti_rank_count(t);
+    const int shared = t->mask_count != 0;
+    size_t i, leaves = (size_t)voxrti_v5_count(t, VOXRTI_V5_LEAVES), ranks = shared ? 0 : (size_t)voxrti_rank_count(t);
     const uint8_t *p;
     t->node = (voxrti_node *)voxrti_v5_array(r, VOXRTI_V5_NODES);
     t->leaf = (uint64_t *)voxrti_v5_array(r, VOXRTI_V5_LEAVES);
-    t->rank = (uint32_t *)voxrti_v5_array(r, VOXRTI_V5_RANKS);
-    if (t->node == NULL || t->leaf == NULL || t->rank == NULL) return VOXRT_ERR_NO_MEMORY;
+    if (shared) {
+        t->code = (uint16_t *)voxrti_v5_array(r, VOXRTI_V5_CODES);
+        t->extra = (uint32_t *)voxrti_v5_array(r, VOXRTI_V5_EXTRA);
+        if (t->code == NULL || t->extra == NULL) return VOXRT_ERR_NO_MEMORY;
+    } else {
+        t->rank = (uint32_t *)voxrti_v5_array(r, VOXRTI_V5_RANKS);
+        if (t->rank == NULL) return VOXRT_ERR_NO_MEMORY;
+    }
+    if (t->node == NULL || t->leaf == NULL) return VOXRT_ERR_NO_MEMORY;
     if (r->map) return VOXRT_OK;
     p = voxrti_v5_at(r, VOXRTI_V5_NODES);
     for (i = 0; i < t->node_count; i++, p += 16) {
@@ -8463,8 +9443,14 @@ static voxrt_result voxrti_v5_read_raw(voxrti_v5_reader *r, voxrt_tree *t) {
     }
     p = voxrti_v5_at(r, VOXRTI_V5_LEAVES);
     for (i = 0; i < leaves + 8; i++) t->leaf[i] = voxrti_load_u64(p + 8 * i);
-    p = voxrti_v5_at(r, VOXRTI_V5_RANKS);
+    if (!shared) p = voxrti_v5_at(r, VOXRTI_V5_RANKS);
     for (i = 0; i < ranks; i++) t->rank[i] = voxrti_load_u32(p + 4 * i);
+    if (!shared) return VOXRT_OK;
+    p = voxrti_v5_at(r, VOXRTI_V5_CODES);
+    for (i = 0; i < t->level_nodes[t->wide - 1]; i++) t->code[i] = (uint16_t)voxrti_load_u16(p + 2 * i);
+    p = voxrti_v5_at(r, VOXRTI_V5_EXTRA);
+    for (i = 0; i < ((size_t)t->level_nodes[t->wide - 1] >> VOXRTI_CODE_LOG) + 1; i++)
+        t->extra[i] = voxrti_load_u32(p + 4 * i);
     return VOXRT_OK;
 }
 
@@ -8522,8 +9508,6 @@ static int voxrti_v5_consistent(const voxrt_tree *t) {
         cells += voxrti_popcount64(t->leaf[i]);
         octants += voxrti_popcount64(voxrti_octants(t->leaf[i]));
     }
-    for (i = 0; i < 8; i++)
-        if (t->leaf[(size_t)leaves + i] != 0) return 0;
     i = (uint32_t)voxrti_rank_count(t);
     return t->rank[i - 2] == cells && t->rank[i - 1] == octants && cells == t->voxel_count &&
            octants == t->attr_first[2 * w] - t->attr_first[2 * w + 1];
@@ -8531,7 +9515,7 @@ static int voxrti_v5_consistent(const voxrt_tree *t) {
 
 /* Arrays of the tree whose header fields are set, and what may be wrong with them. */
 static voxrt_result voxrti_v5_read_arrays(voxrti_v5_reader *r, voxrt_tree *t) {
-    uint32_t raw = (r->flags & VOXRTI_V5_RAW_FILE) != 0, lo[3], hi[3];
+    uint32_t raw = (r->flags & VOXRTI_V5_RAW_FILE) != 0, shared = (r->flags & VOXRTI_V5_SHARED) != 0, lo[3], hi[3], i;
     uint64_t attr_first[2 * VOXRTI_MAX_WIDE + 2], root;
     voxrt_result result;
     memcpy(lo, t->cell_min, sizeof lo);
@@ -8541,7 +9525,9 @@ static voxrt_result voxrti_v5_read_arrays(voxrti_v5_reader *r, voxrt_tree *t) {
         result = voxrti_v5_read_raw(r, t);
     } else {
         const voxrti_v5_section *s = &r->f.section[VOXRTI_V5_GEOMETRY];
-        result = voxrti_geometry_decode(&r->mem, &r->desc.env, t, voxrti_v5_at(r, VOXRTI_V5_GEOMETRY), (size_t)s->size);
+        result = voxrti_geometry_decode(&r->mem, &r->desc.env, t, voxrti_v5_at(r, VOXRTI_V5_GEOMETRY), (size_t)s->size,
+                                        shared ? voxrti_v5_at(r, VOXRTI_V5_SHARING) : NULL,
+                                        (size_t)r->f.section[VOXRTI_V5_SHARING].size);
         /* voxel_count is part of attr_first */
         if (result == VOXRT_OK && memcmp(attr_first, t->attr_first, sizeof attr_first) != 0) result = VOXRT_ERR_FORMAT;
     }
@@ -8550,8 +9536,16 @@ static voxrt_result voxrti_v5_read_arrays(voxrti_v5_reader *r, voxrt_tree *t) {
     if ((t->depth & 1u) != 0 && (root & ~(uint64_t)0xff) != 0) return VOXRT_ERR_FORMAT;
     result = voxrti_v5_read_attributes(r, t);
     if (result != VOXRT_OK || r->desc.trust_input) return result;
-    if (raw && !voxrti_v5_consistent(t)) return VOXRT_ERR_FORMAT;
-    result = voxrti_tree_box(t);
+    if (raw)
+        for (i = 0; i < 8; i++)
+            if (t->leaf[(size_t)voxrti_v5_count(t, VOXRTI_V5_LEAVES) + i] != 0) return VOXRT_ERR_FORMAT;
+    if (raw && shared) { /* finds the box, too; as decoding does */
+        result = voxrti_shared_index(&r->mem, t, 0);
+        if (result == VOXRT_OK && memcmp(attr_first, t->attr_first, sizeof attr_first) != 0) result = VOXRT_ERR_FORMAT;
+    } else if (!shared) {
+        if (raw && !voxrti_v5_consistent(t)) return VOXRT_ERR_FORMAT;
+        result = voxrti_tree_box(t);
+    }
     if (result != VOXRT_OK) return result;
     if (memcmp(lo, t->cell_min, sizeof lo) != 0 || memcmp(hi, t->cell_max, sizeof hi) != 0) return VOXRT_ERR_FORMAT;
     return voxrti_colors_valid(&t->colors, t->attr_count, t->palette_count) ? VOXRT_OK : VOXRT_ERR_FORMAT;
@@ -8687,6 +9681,7 @@ VOXRT_DEF voxrt_result voxrt_tree_save_file(const voxrt_tree *tree, const voxrt_
     }
     voxrti_free(&mem, f.geometry.data);
     voxrti_free(&mem, f.normals.data);
+    voxrti_free(&mem, f.sharing.data);
     if (r == VOXRT_OK) r = voxrti_write_file(&mem, path, data, size);
     voxrti_free(&mem, data);
     return r == VOXRT_OK ? r : voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
@@ -8967,6 +9962,7 @@ VOXRTI_TARGET_AVX2 static void voxrti_beam_cut_avx2(const voxrt_tree *t, voxrti_
     __m128i first[2], last[2];
     uint64_t any = 0, slab[4];
     uint32_t i, a, index[2][4];
+    const int codes = t->code != NULL && w + 2 == t->wide;
     for (a = 0; a < 2; a++) {
         const __m256d o = _mm256_set1_pd(b->o[a]), lo = _mm256_set1_pd(b->lo[a]), hi = _mm256_set1_pd(b->hi[a]);
         p = _mm256_sub_pd(_mm256_min_pd(_mm256_mul_pd(from, lo), _mm256_mul_pd(z1, lo)), margin);
@@ -8994,6 +9990,7 @@ VOXRTI_TARGET_AVX2 static void voxrti_beam_cut_avx2(const voxrt_tree *t, voxrti_
             cells |= slab[a] & voxrti_axis_range[b->u][index[0][a]] & voxrti_axis_range[b->v][index[1][a]];
         c->left = cells & t->node[c->node].mask;
         any |= c->left;
+        if (codes) VOXRTI_PREFETCH(t->code + t->node[c->node].child);
     }
     b->any[w] = any;
 }
@@ -9038,6 +10035,7 @@ VOXRTI_INLINE uint32_t voxrti_beam_walk(const voxrt_tree *t, const voxrti_cone *
                 voxrti_beam_cell *to = &b->cell[n++];
                 to->node = child + voxrti_popcount64(mask & (((uint64_t)1 << slot) - 1));
                 to->parent = i;
+                if (sh == 2) to->node = voxrti_leaf_at(t, to->node);
                 VOXRTI_PREFETCH(base + ((size_t)to->node << shift));
                 to->u = 4 * c.u + (int32_t)((slot >> b->u & 1u) | (slot >> (b->u + 2) & 2u));
                 to->v = 4 * c.v + (int32_t)((slot >> b->v & 1u) | (slot >> (b->v + 2) & 2u));
@@ -9125,6 +10123,7 @@ static VOXRTI_UNUSED void voxrti_chain_to(const voxrt_tree *t, const voxrt_ray *
         const uint32_t slot = voxrti_slot_of(chain->cell, 2 * (t->wide - 1 - w));
         if ((n->mask >> slot & 1u) == 0) break;
         node = n->child + voxrti_popcount64(n->mask & (((uint64_t)1 << slot) - 1));
+        if (w + 2 == t->wide) node = voxrti_leaf_at(t, node);
         chain->at[w + 1] = voxrti_address(t, w + 1, node);
     }
     chain->w = w;
@@ -9381,6 +10380,7 @@ static VOXRTI_UNUSED int voxrti_trace_scalar(const voxrt_tree *t, const voxrti_r
             stack_mask[w] = mask;
             node = t->node[node].child + voxrti_popcount64(mask & (((uint64_t)1 << slot) - 1));
             w++;
+            if (w == leaf_w) node = voxrti_leaf_at(t, node);
             mask = w == leaf_w ? t->leaf[node] : t->node[node].mask;
             descents++;
         }
@@ -10180,12 +11180,14 @@ typedef struct voxrti_octet {
     uint64_t path[8][VOXRTI_MAX_WIDE + 1];  /* addresses of the nodes from the root to level w, by lane */
     uint32_t c[3][8], w[8], flip[8], turn[3][8], ray[8], alive[8]; /* turn: 4 for a mirrored axis */
     uint32_t live, found, used; /* bit per lane: on its way; stands on a voxel; taken, result not written yet */
+    uint32_t coded;             /* shared trees, bit per lane: its leaf node is still the address of a code */
 } voxrti_octet;
 
 /* Constants of the step, in memory: gcc would make each anew with three instructions. */
 typedef struct voxrti_octet_const {
     __m256i one, three, seven, octant, last_slot, places, bytes, words, nibble, two52, half, exponent, e127, four;
-    __m256i leaf_w, node, leaf;
+    __m256i leaf_w, node, leaf, leaf_less; /* leaf: where leaf nodes are, or their codes */
+    uint32_t coded;                        /* lanes that go to codes: none or all */
 } voxrti_octet_const;
 
 VOXRTI_TARGET_AVX2 static void voxrti_octet_open(const voxrt_tree *t, voxrti_octet_const *k) {
@@ -10205,7 +11207,9 @@ VOXRTI_TARGET_AVX2 static void voxrti_octet_open(const voxrt_tree *t, voxrti_oct
     k->e127 = _mm256_set1_epi32(127);
     k->leaf_w = _mm256_set1_epi32((int)t->wide - 1);
     k->node = _mm256_set1_epi64x((long long)(intptr_t)t->node);
-    k->leaf = _mm256_set1_epi64x((long long)(intptr_t)t->leaf);
+    k->leaf = _mm256_set1_epi64x(t->code != NULL ? (long long)(intptr_t)t->code : (long long)(intptr_t)t->leaf);
+    k->leaf_less = _mm256_set1_epi32(t->code != NULL ? -3 : -1);
+    k->coded = t->code != NULL ? 255u : 0u;
 }
 
 /* p is within 2^-16 of a whole number (false for NaN) */
@@ -10499,6 +11503,19 @@ VOXRTI_TARGET_AVX2 static inline void voxrti_octet_reach(const voxrti_octet *g, 
     r[1] = _mm256_and_si256(m[1], _mm256_unpackhi_epi32(x, y));
 }
 
+/* Shared trees: from codes to masks. The codes were asked for one group's step ago, the masks are there one later. */
+static void voxrti_octet_decode(const voxrt_tree *t, voxrti_octet *g) {
+    const uint32_t w = t->wide - 1;
+    uint32_t k;
+    for (k = g->coded; k != 0; k &= k - 1) {
+        uint64_t *at = &g->path[voxrti_ctz64(k)][w];
+        const size_t i = (size_t)((uintptr_t)*at - (uintptr_t)t->code) / sizeof *t->code;
+        *at = (uint64_t)(uintptr_t)(t->leaf + voxrti_leaf_at(t, (uint32_t)i));
+        VOXRTI_PREFETCH((const void *)(uintptr_t)*at);
+    }
+    g->coded = 0;
+}
+
 /* One step of every live lane: over an empty cell, up to the node that holds the next one, and down when that is
    filled. Lanes that end leave g->live; those on a voxel are added to g->found. Masks count by their sign. */
 VOXRTI_TARGET_AVX2 static VOXRTI_NOINLINE void voxrti_octet_step(const voxrt_tree *t, const voxrti_cone *cone,
@@ -10624,13 +11641,14 @@ VOXRTI_TARGET_AVX2 static VOXRTI_NOINLINE void voxrti_octet_step(const voxrt_tre
     if (stats != NULL) stats->descents += voxrti_popcount64(VOXRTI_SIGNS(go));
     /* addresses of the nodes below */
     x = _mm256_cmpeq_epi32(_mm256_add_epi32(w, k->one), k->leaf_w);
-    y = _mm256_add_epi32(x, k->four); /* log2 of a node's bytes */
+    y = _mm256_add_epi32(_mm256_and_si256(x, k->leaf_less), k->four); /* log2 of a node's bytes */
     m[0] = _mm256_sllv_epi64(_mm256_unpacklo_epi32(first, zero), _mm256_unpacklo_epi32(y, zero));
     m[1] = _mm256_sllv_epi64(_mm256_unpackhi_epi32(first, zero), _mm256_unpackhi_epi32(y, zero));
     m[0] = _mm256_add_epi64(m[0], _mm256_blendv_epi8(k->node, k->leaf, _mm256_unpacklo_epi32(x, x)));
     m[1] = _mm256_add_epi64(m[1], _mm256_blendv_epi8(k->node, k->leaf, _mm256_unpackhi_epi32(x, x)));
     VOXRTI_STOREI(g->child, m[0]);
     VOXRTI_STOREI(g->child + 4, m[1]);
+    g->coded = k->coded & VOXRTI_SIGNS(_mm256_and_si256(go, x));
     for (l = 0; l < 8; l++) { /* fetched while the other groups step */
         const uint64_t at = g->child[VOXRTI_PLACE8(l)];
         g->path[l][g->w[l] + 1] = at;
@@ -10773,6 +11791,7 @@ VOXRTI_TARGET_AVX2 VOXRTI_NOINLINE static void voxrti_stream_trace(const voxrt_t
         for (i = 0; i < VOXRTI_OCTETS; i++) {
             voxrti_octet *g = &group[i];
             if (g->live != 0) voxrti_octet_step(t, cone, &k, g, s->rays, s->hits, stats);
+            voxrti_octet_decode(t, &group[i != 0 ? i - 1 : VOXRTI_OCTETS - 1]);
             if (voxrti_popcount64(g->live) <= VOXRTI_OCTET_REFILL) voxrti_stream_refill(t, cone, s, g, stats);
             busy |= g->live;
         }
@@ -10901,6 +11920,7 @@ VOXRTI_TARGET_SSE4 VOXRTI_INLINE uint32_t voxrti_single_visit(const voxrt_tree *
     }
     if (stats != NULL) stats->descents += set;
     first = (uint32_t)(node[1] & 0xffffffffu) + (uint32_t)_mm_popcnt_u64(mask & (((uint64_t)1 << slot) - 1u));
+    if (w + 1 == leaf_w && set) first = voxrti_leaf_at(t, first);
     below = w + 1 == leaf_w ? (uintptr_t)t->leaf + 8 * (uintptr_t)first : (uintptr_t)t->node + 16 * (uintptr_t)first;
     below = set ? below : (uintptr_t)node;
     VOXRTI_PREFETCH((const void *)below);
@@ -11718,6 +12738,9 @@ VOXRT_DEF voxrt_result voxrt_occluded(const voxrt_tree *tree, const voxrt_trace_
 }
 
 VOXRTI_INLINE uint64_t voxrti_hit_attr(const voxrt_tree *t, const voxrt_hit *hit) {
+    if (t->code != NULL)
+        return voxrti_shared_attr(t, (uint32_t)hit->level + 2 * t->wide - t->depth, hit->cell[0], hit->cell[1],
+                                  hit->cell[2]);
     return voxrti_attr_index(t, (uint32_t)hit->level + 2 * t->wide - t->depth, hit->node, hit->slot);
 }
 

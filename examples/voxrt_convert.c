@@ -11,14 +11,14 @@ typedef struct convert_options {
     const char *first, *second; /* positional arguments */
     const char *in, *out, *scene;
     int64_t resolution, palette, threads, detail, fill_depth;
-    int separating, palette_method, lod, format, normals, fill, no_colors, raw, keep_inside_out, stats, quiet;
+    int separating, palette_method, lod, format, normals, fill, no_colors, raw, share, keep_inside_out, stats, quiet;
 } convert_options;
 
 enum { NORMALS_SMOOTH, NORMALS_FLAT, NORMALS_NONE };
 enum { FORMAT_V5, FORMAT_V4 };
 
 static int parse(int argc, char **argv, convert_options *o) {
-    sup_option table[24];
+    sup_option table[25];
     size_t n = 0;
     int status;
     memset(o, 0, sizeof *o);
@@ -49,6 +49,7 @@ static int parse(int argc, char **argv, convert_options *o) {
     table[n++] = sup_opt_choice("format", &o->format, "v5|v4",
                                 "v5: compact and lossless (default); v4: the thesis' octree file");
     table[n++] = sup_opt_flag("raw", &o->raw, "v5 without compression: can be mapped into memory and used in place");
+    table[n++] = sup_opt_flag("share", &o->share, "store equal parts once: less memory when loaded, the same picture");
     table[n++] = sup_opt_text("scene", &o->scene, SUP_SCENE_NAMES, "a generated mesh instead of a file");
     table[n++] = sup_opt_int("detail", &o->detail, 0, 65536, "N", "how fine the generated mesh is (0: its default)");
     table[n++] = sup_opt_int("threads", &o->threads, 0, 1024, "N", "threads, 0: one per core; the file is the same");
@@ -73,6 +74,7 @@ static int parse(int argc, char **argv, convert_options *o) {
     if (o->format == FORMAT_V4 && o->palette > 32767)
         return sup_bad_usage(argv[0], "--format v4 holds at most 32767 colours");
     if (o->raw && o->format == FORMAT_V4) return sup_bad_usage(argv[0], "--raw goes with --format v5");
+    if (o->share && o->format == FORMAT_V4) return sup_bad_usage(argv[0], "--share goes with --format v5");
     if (o->fill_depth != 0 && !o->fill) return sup_bad_usage(argv[0], "--fill-depth goes with --fill");
     return -1;
 }
@@ -263,6 +265,12 @@ int main(int argc, char **argv) {
     desc.fill_depth = (uint32_t)o.fill_depth;
     start = sup_now();
     result = voxrt_tree_build(&desc, &in, &stats, &tree);
+    if (result == VOXRT_OK && o.share) {
+        voxrt_tree *plain = tree;
+        desc.env.progress_fn = NULL;
+        result = voxrt_tree_share(plain, &desc.env, &tree);
+        voxrt_tree_destroy(plain);
+    }
     build_s = sup_now() - start;
     sup_progress_end(&progress);
     sup_mesh_free(&mesh);
