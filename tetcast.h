@@ -1030,8 +1030,8 @@ TETCAST_DEF void tetcast_bricks_destroy(tetcast_bricks *bricks); /* NULL is allo
 
 /* ---- locally refined grids with values of cells (AMR) ---- */
 
-/* A box of cells of one level. Where boxes of a level overlap the last one counts; where there are boxes of finer levels
-   the finest counts. */
+/* A box of cells of one level. Where boxes of a level overlap the last one counts; where there are boxes of finer
+   levels the finest counts. */
 typedef struct tetcast_patch {
     uint32_t level;            /* 0: coarsest */
     int32_t lo[3];             /* first cell, in cells of the level; the cell at `origin` is 0 0 0 */
@@ -1042,10 +1042,10 @@ typedef struct tetcast_patch {
 /* What lies between the centres of the cells.
    NEAREST  the value of the cell; jumps
    CURRENT  trilinear between the centres of its level, as if there were no other; jumps where levels meet
-   OCTANT   cells are cut in eight; each eighth is trilinear between the centre, centres of sides and edges, and a corner,
-            where values are means over the cells around; what touches coarser cells takes the values that those have
-            there. Continuous, and at centres the value of the cell. Wang, Wald, Wu, Usher, Johnson: CPU isosurface ray
-            tracing of adaptive mesh refinement data. IEEE TVCG 25(1), 2019; how corners get their values: ours
+   OCTANT   cells are cut in eight; each eighth is trilinear between the centre, centres of sides and edges, and a
+            corner, where values are means over the cells around; what touches coarser cells takes the values that those
+            have there. Continuous, and at centres the value of the cell. Wang, Wald, Wu, Usher, Johnson: CPU isosurface
+            ray tracing of adaptive mesh refinement data. IEEE TVCG 25(1), 2019; how corners get their values: ours
    BASIS    mean of the cells around, weighted by tents two cells of their own level wide: continuous, smoother, not the
             value of the cell at centres near borders. Wald, Zellmann, Usher, Morrical, Lang, Pascucci: Ray tracing
             structured AMR data using ExaBricks. IEEE TVCG 27(2), 2021 */
@@ -1078,8 +1078,9 @@ typedef struct tetcast_amr_desc {
 typedef struct tetcast_amr tetcast_amr; /* immutable */
 
 /* Copies the values. Level 0 has to fill the domain, by itself or by finer cells; a cell with finer ones in it and no
-   value has their mean. Patches should consist of whole cells of the level before. Errors: INVALID_ARG (a patch beyond the domain, a value that is no number: where says which
-   patch), RANGE (over 2^20 finest cells along a side, 16 levels or 2^27 cells), NO_MEMORY. */
+   value has their mean. Patches should consist of whole cells of the level before. Errors: INVALID_ARG (a patch beyond
+   the domain, a value that is no number: where says which patch), RANGE (over 2^20 finest cells along a side, 16 levels
+   or 2^27 cells), NO_MEMORY. */
 TETCAST_DEF tetcast_result tetcast_amr_create(const tetcast_amr_desc *desc, tetcast_amr **out);
 TETCAST_DEF void tetcast_amr_destroy(tetcast_amr *amr); /* NULL is allowed */
 /* Values at world points; beyond the domain as on its border. Any thread. About 0.1 (NEAREST) to 1 us a point. */
@@ -1628,7 +1629,8 @@ typedef struct tetcast_rbf_render_stats { /* added to */
 } tetcast_rbf_render_stats;
 
 /* Draw a model inside its box.
-   optics  as for meshes, may be NULL where there is a shader; its integrator gets segments between samples on which the value is taken as linear
+   optics  as for meshes, may be NULL where there is a shader; its integrator gets segments between samples on which the
+           value is taken as linear
    image   length: way inside of the box. depth: of the first sample that shows something, isosurfaces exactly
    Samples lie at multiples of the step from the eye, and where a ray enters and leaves the box; segments have their
    exact lengths. On a ray a Gaussian is one of a line: it is summed up with two multiplications a sample, begun at
@@ -10758,7 +10760,7 @@ static void tetcasti_task_bin(void *ctx, uint32_t strand) {
     uint64_t taken = 0;
     (void)strand;
     if (cell == NULL) tetcasti_atomic_store(&v->failed, 1u);
-    while (!tetcasti_atomic_load(&v->failed)) {
+    while (cell != NULL && !tetcasti_atomic_load(&v->failed)) {
         const uint32_t chunk = tetcasti_atomic_add(&v->next, 1u) - 1;
         uint32_t *start, n, i, x, y;
         uint64_t sum = 0;
@@ -17157,7 +17159,7 @@ TETCAST_DEF tetcast_result tetcast_render_shaded(const tetcast_shade_desc *desc,
     if (r == TETCAST_OK) r = tetcasti_desc_open(NULL, &none, &unused);
     if (r == TETCAST_OK) r = tetcasti_scene_open(&none, mesh, NULL, &c.scene);
     if (r != TETCAST_OK) return tetcasti_fail(d.env.error, r, 0, "shade: bad camera");
-    if (c.optics == NULL && d.shader->prepare_fn != NULL)
+    if (d.shader != NULL && d.shader->prepare_fn != NULL)
         r = d.shader->prepare_fn(d.shader->user, d.shader->params, d.shader->param_count, d.env.error);
     if (r != TETCAST_OK) return r;
     if (image->rgba8 != NULL) tetcasti_encoder_open(&c.encoder);
@@ -17948,7 +17950,8 @@ TETCASTI_INLINE uint32_t tetcasti_ccc_color(const uint8_t *p) {
     return (r << 3 | r >> 2) | (g << 2 | g >> 4) << 8 | (b << 3 | b >> 2) << 16;
 }
 
-static void tetcasti_ccc_decode_cell(const tetcasti_ccc *k, const uint8_t *data, uint32_t x, uint32_t y, uint8_t *rgba) {
+static void tetcasti_ccc_decode_cell(const tetcasti_ccc *k, const uint8_t *data, uint32_t x, uint32_t y,
+                                     uint8_t *rgba) {
     const size_t c = x + (size_t)k->cx * y;
     const uint32_t a1 = k->alpha ? data[6 * k->cells + c] : 255u, a0 = k->alpha ? data[7 * k->cells + c] : 255u;
     const uint32_t high = tetcasti_ccc_color(data + 2 * (k->cells + c)) | a1 << 24;
@@ -17962,7 +17965,8 @@ static void tetcasti_ccc_decode_cell(const tetcasti_ccc *k, const uint8_t *data,
 }
 
 #if TETCASTI_AVX2
-/* Two colours of two cells as sums of r g b a (a cell in each half) and how many pixels they are of -> means and 565. */
+/* Two colours of two cells as sums of r g b a (a cell in each half) and how many pixels they are of -> means and
+   565. */
 TETCASTI_TARGET_AVX2 static inline __m256i tetcasti_ccc_means2(__m256i sum, const uint32_t n[2]) {
     const __m256i half = _mm256_setr_m128i(_mm_set1_epi32((int32_t)(n[0] / 2)), _mm_set1_epi32((int32_t)(n[1] / 2)));
     const __m256i part = _mm256_setr_m128i(_mm_set1_epi32((int32_t)tetcasti_ccc_part[n[0]]),
@@ -17988,7 +17992,8 @@ TETCASTI_TARGET_AVX2 static inline void tetcasti_ccc_store2(const tetcasti_ccc *
 }
 
 /* Two whole cells, side by side in the halves of a register. */
-TETCASTI_TARGET_AVX2 static void tetcasti_ccc_encode2(const tetcasti_ccc *k, const uint8_t *rgba, uint32_t x, uint32_t y,
+TETCASTI_TARGET_AVX2 static void tetcasti_ccc_encode2(const tetcasti_ccc *k, const uint8_t *rgba, uint32_t x,
+                                                      uint32_t y,
                                                       uint8_t *out) {
     const uint8_t *from = rgba + (size_t)(4 * y) * k->stride + (size_t)x * 16;
     const size_t c = x + (size_t)k->cx * y;
@@ -18042,7 +18047,8 @@ TETCASTI_TARGET_AVX2 static inline __m256i tetcasti_ccc_colors8(const uint8_t *p
 }
 
 /* Eight whole cells of a row. */
-TETCASTI_TARGET_AVX2 static void tetcasti_ccc_decode8(const tetcasti_ccc *k, const uint8_t *data, uint32_t x, uint32_t y,
+TETCASTI_TARGET_AVX2 static void tetcasti_ccc_decode8(const tetcasti_ccc *k, const uint8_t *data, uint32_t x,
+                                                      uint32_t y,
                                                       uint8_t *rgba) {
     const size_t c = x + (size_t)k->cx * y;
     uint8_t *to = rgba + (size_t)(4 * y) * k->stride + (size_t)x * 16;
@@ -21269,7 +21275,8 @@ TETCASTI_INLINE void tetcasti_rbf_run_kind(const tetcast_kernel kernel, const ui
                         const float m = v - f->e;
                         const float phi = m > 0.0f ? (kernel == TETCAST_KERNEL_GAUSS ? m : v) : 0.0f;
                         for (c = 0; c < n; c++)
-                            rows[c * stride + (size_t)j * 8 + l] = fmaf(f->w[c], phi, rows[c * stride + (size_t)j * 8 + l]);
+                            rows[c * stride + (size_t)j * 8 + l] = fmaf(f->w[c], phi,
+                                                                        rows[c * stride + (size_t)j * 8 + l]);
                         v = v * q;
                         q = q * c2;
                     }
@@ -21518,8 +21525,8 @@ static int tetcasti_rbf_ray(const tetcasti_rbf_picture *t, uint32_t x, uint32_t 
     return ends[1] > ends[0];
 }
 
-/* The rays of a group at pixel (x, y) of the frame, 4 x 2. 0: none meets the box. Those outside of the part that is drawn
-   are in it, so that parts have the bits of the whole. */
+/* The rays of a group at pixel (x, y) of the frame, 4 x 2. 0: none meets the box. Those outside of the part that is
+   drawn are in it, so that parts have the bits of the whole. */
 static int tetcasti_rbf_group_open(const tetcasti_rbf_picture *t, uint32_t x, uint32_t y, tetcasti_rbf_group *g) {
     double o[8][3], d[8][3], ends[8][2], world[8], from = 1e30, to = 0.0, at;
     const double h = (double)t->h;
@@ -21762,8 +21769,10 @@ TETCASTI_TARGET_AVX2 static uint32_t tetcasti_rbf_cut8(const tetcasti_rbf_pictur
     lanes &= (uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(y, x, _CMP_GT_OQ));
     if (_mm256_movemask_ps(_mm256_or_ps(after, before)) != 0) {
         const __m256 rise = _mm256_sub_ps(w, v);
-        front = _mm256_blendv_ps(v, _mm256_add_ps(v, _mm256_mul_ps(rise, _mm256_div_ps(_mm256_sub_ps(x, a), h))), after);
-        back = _mm256_blendv_ps(w, _mm256_add_ps(v, _mm256_mul_ps(rise, _mm256_div_ps(_mm256_sub_ps(y, a), h))), before);
+        front = _mm256_blendv_ps(v, _mm256_add_ps(v, _mm256_mul_ps(rise, _mm256_div_ps(_mm256_sub_ps(x, a), h))),
+                                 after);
+        back = _mm256_blendv_ps(w, _mm256_add_ps(v, _mm256_mul_ps(rise, _mm256_div_ps(_mm256_sub_ps(y, a), h))),
+                                before);
     }
     _mm256_storeu_ps(seg->front, front);
     _mm256_storeu_ps(seg->back, back);
@@ -21810,7 +21819,8 @@ static void tetcasti_rbf_spans_open(const tetcasti_rbf_picture *t, const tetcast
 }
 
 /* Part number `part` of the segments of the lanes between from and to: lanes that have one; from, to and seg of it. */
-static uint32_t tetcasti_rbf_spans_cut(tetcasti_rbf_spans *s, const tetcasti_rbf_group *g, uint32_t part, uint32_t lanes,
+static uint32_t tetcasti_rbf_spans_cut(tetcasti_rbf_spans *s, const tetcasti_rbf_group *g, uint32_t part,
+                                       uint32_t lanes,
                                        const tetcasti_seg8 *whole, const float a[8], const float b[8],
                                        tetcasti_seg8 *seg, float from[8], float to[8]) {
     uint32_t l, out = 0;
@@ -21855,7 +21865,8 @@ static void tetcasti_rbf_hit_open(const tetcasti_rbf_picture *t, const tetcasti_
     x->hit = depth;
 }
 
-/* Gradients per world unit in the middle of the segments of the lanes: neighbours, so one list does for most of them. */
+/* Gradients per world unit in the middle of the segments of the lanes: neighbours, so one list does for most of
+   them. */
 static void tetcasti_rbf_gradients(const tetcasti_rbf_picture *t, const tetcasti_rbf_group *g, const float middle[8],
                                    uint32_t lanes, float out[3][8]) {
     const uint32_t n = t->m->components;
@@ -22154,7 +22165,7 @@ static int tetcasti_rbf_bin(tetcasti_rbf_picture *t, float least) { /* 0: no mem
     t->decay = (float *)tetcasti_alloc_array(&t->mem, (size_t)m->count + 1, sizeof *t->decay);
     ok = plane != NULL && range != NULL && t->first != NULL && t->decay != NULL;
     if (ok) {
-        for (i = 0; i <= t->tiles_x; i++) 
+        for (i = 0; i <= t->tiles_x; i++)
             tetcasti_rbf_line_plane(t, 0, (double)t->base[0] + (double)i * TETCASTI_RBF_TILE, &plane[i]);
         for (i = 0; i <= t->tiles_y; i++)
             tetcasti_rbf_line_plane(t, 1, (double)t->base[1] + (double)i * TETCASTI_RBF_TILE,

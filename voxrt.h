@@ -19059,6 +19059,7 @@ static voxrt_result voxrti_gather_all(voxrti_gather *w, voxrt_gi *gi, voxrti_mem
     const size_t n = (size_t)w->g->width * w->g->height;
     size_t i, room;
     voxrt_result r = VOXRT_OK;
+    int ok;
     w->set = w->d->method == VOXRT_GI_VPL ? w->d->pattern : 1;
     if (w->d->method == VOXRT_GI_VPL) r = voxrti_vpl_make(w, gi);
     if (r != VOXRT_OK) return r;
@@ -19071,15 +19072,16 @@ static voxrt_result voxrti_gather_all(voxrti_gather *w, voxrt_gi *gi, voxrti_mem
         w->state = (uint8_t *)voxrti_alloc_zero(mem, n, 1);
         if (w->d->method == VOXRT_GI_VPL) w->lit = (uint32_t *)voxrti_alloc_zero(mem, n, 16);
     }
-    if (w->list == NULL || (w->d->coarse > 1 && (w->apart == NULL || w->state == NULL ||
-                                                 (w->lit == NULL && w->d->method == VOXRT_GI_VPL))))
+    ok = w->list != NULL && (w->d->coarse <= 1 || (w->apart != NULL && w->state != NULL &&
+                                                   (w->lit != NULL || w->d->method != VOXRT_GI_VPL)));
+    if (!ok)
         r = voxrti_fail(w->d->env.error, VOXRT_ERR_NO_MEMORY, n, "no memory for lists of % pixels");
-    if (r == VOXRT_OK && w->d->coarse <= 1) w->list_count = voxrti_list_all(w->g, w->set, w->list);
+    if (ok && w->d->coarse <= 1) w->list_count = voxrti_list_all(w->g, w->set, w->list);
     report->rays = w->d->rays;
     w->total = (uint64_t)n * w->d->rays;
-    if (r == VOXRT_OK && w->d->tolerance > 0.0f) {
+    if (ok && w->d->tolerance > 0.0f) {
         r = voxrti_gather_until(w, mem, &report->noise, &report->rays);
-    } else if (r == VOXRT_OK) {
+    } else if (ok) {
         w->which = 2;
         r = w->state != NULL ? voxrti_shade_coarse(w, 0) : voxrti_shade_list(w);
         if (r == VOXRT_OK && w->d->method != VOXRT_GI_VPL) {

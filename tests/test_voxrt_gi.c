@@ -1387,7 +1387,8 @@ TEST(stopped_pictures_leave_no_trace) {
                 memset(&s, 0, sizeof s);
             }
             CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, out[run][frame][0], NULL) == VOXRT_OK);
-            if (run == 1) CHECK_MSG(s.calls > 1 && s.backwards == 0 && s.last == s.total, "%u calls, %lu of %lu", s.calls, (unsigned long)s.last, (unsigned long)s.total);
+            if (run == 1) CHECK_MSG(s.calls > 1 && s.backwards == 0 && s.last == s.total, "%u calls, %lu of %lu", s.calls, (unsigned long)s.last,
+                                    (unsigned long)s.total);
         }
         voxrt_gi_history_destroy(h);
     }

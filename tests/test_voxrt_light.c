@@ -594,7 +594,8 @@ TEST(a_sheet_between_two_rooms) { /* 0.1 cells thick, red on one side and green 
     static model m;
     static picture pic;
     const double lo[3] = {-9, -9, -9}, hi[3] = {9, 9, 9}, none[3] = {0, 0, 0}, lamp[3] = {-5, 2, 0}, thick = 0.015;
-    const double top[2][4][3] = {{{-thick, -9, -6}, {-thick, -9, 6}, {-thick, 4, 6}, {-thick, 4, -6}}, {{thick, -9, -6}, {thick, 4, -6}, {thick, 4, 6}, {thick, -9, 6}}};
+    const double top[2][4][3] = {{{-thick, -9, -6}, {-thick, -9, 6}, {-thick, 4, 6}, {-thick, 4, -6}},
+                                 {{thick, -9, -6}, {thick, 4, -6}, {thick, 4, 6}, {thick, -9, 6}}};
     voxrt_gi *gi = make_gi_at(128, 128, 128, 9.6, none);
     voxrt_gi_render_desc d;
     double sum[2][2] = {{0, 0}, {0, 0}};
