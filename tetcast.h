@@ -12914,6 +12914,7 @@ static uint64_t tetcasti_probe_run(const tetcasti_scene *scene, tetcasti_batch *
     tetcasti_line_hits(scene, b, 0);
     tetcasti_batch_sort(b);
     r = tetcasti_batch_ray(b, 0);
+    TETCAST_ASSERT(r.group < 6);
     cursor = b->cursor[0];
     last = b->last[0];
     unit = mesh->unit;

@@ -6739,7 +6739,7 @@ static voxrt_result voxrti_share_codes(voxrti_sharer *h, uint64_t *key, uint32_t
     uint32_t pass;
     t->code = (uint16_t *)voxrti_alloc_array(h->mem, n, sizeof(uint16_t));
     t->extra = (uint32_t *)voxrti_alloc_zero(h->mem, ((size_t)n >> VOXRTI_CODE_LOG) + 1, sizeof(uint32_t));
-    if (t->code == NULL || t->extra == NULL) return VOXRT_ERR_NO_MEMORY;
+    if (h->mask == NULL || t->code == NULL || t->extra == NULL) return VOXRT_ERR_NO_MEMORY;
     memset(rank, 0xff, all * sizeof *rank); /* masks in the order in which the codes name them: it decides ties */
     for (i = 0, masks = 0; i < n; i++) {
         uint32_t *to = &rank[h->code[i]];
@@ -7095,7 +7095,7 @@ static voxrt_result voxrti_share_convert(const voxrt_tree *s, const voxrt_env *e
     if (r != VOXRT_OK) return r;
     if ((s->code != NULL) == share) { /* the same again: by way of the other kind */
         r = voxrti_share_convert(s, &e, !share, &other);
-        if (r != VOXRT_OK) return r;
+        if (other == NULL) return r;
         s = other;
     }
     t = (voxrt_tree *)voxrti_alloc_zero(&mem, 1, sizeof *t);
