@@ -7,6 +7,8 @@
    A line without "metric" describes the machine and the build. Lines with the same bench, case and metric are a group;
    in it "method" (or else "variant"), "isa" and "threads" tell the curves apart as far as they differ. Writes
      FOLDER/error_BENCH_CASE_METRIC.svg   time against error, both logarithmic, for groups with two different errors
+     FOLDER/overview_BENCH.svg            all of those in one picture, for benches that end in ".error": a row for each case,
+                                          a column for each metric, the same colour for the same method
      FOLDER/rate_BENCH_METRIC.svg         bars, for metrics whose unit ends in /s
      FOLDER/report.md                     tables (FOLDER/table_*.md, as the programs left them), all numbers, the pictures
    Metrics with the unit s, ms, us or ns are times; of a rate in 1/s the time is its inverse. An error of 0 is drawn
@@ -443,6 +445,98 @@ static int error_plot(const list *all, const record *first, const char *path) {
     return 1;
 }
 
+/* ---- many of them ---- */
+
+static int same_case(const record *a, const record *b) { return same(a, b, "bench") && same(a, b, "case"); }
+static int same_metric(const record *a, const record *b) { return same(a, b, "bench") && same(a, b, "metric"); }
+static int same_method(const record *a, const record *b) { return same(a, b, "bench") && same(a, b, "method"); }
+
+/* Those records of the bench of `first` that begin a set; returns how many, at most `most`. */
+static int firsts(const list *all, const record *first, int (*same_set)(const record *, const record *),
+                  const record **out, int most) {
+    size_t i;
+    int n = 0, k;
+    for (i = 0; i < all->count; i++) {
+        const record *r = &all->items[i];
+        if (!same(r, first, "bench") || !(seconds(r) > 0) || !(number(r, "error") >= 0)) continue;
+        for (k = 0; k < n && !same_set(out[k], r); k++) { }
+        if (k == n && n < most) out[n++] = r;
+    }
+    return n;
+}
+
+/* One panel: a case and a metric. */
+static void panel(FILE *f, const list *all, const record *kase, const record *metric, const record **methods, int method_count,
+                  double left, double top, double wide, double high) {
+    double t_lo = HUGE_VAL, t_hi = 0, e_lo = HUGE_VAL, e_hi = 0;
+    point *points = (point *)malloc((all->count + 1) * sizeof(point));
+    axis x, y;
+    size_t i;
+    int m;
+    if (points == NULL) fail("overview", "no memory");
+    for (i = 0; i < all->count; i++) { /* times are the same in all panels of a case */
+        const record *r = &all->items[i];
+        const double t = seconds(r), e = number(r, "error");
+        if (!same_case(r, kase) || !(t > 0) || !(e >= 0)) continue;
+        if (t < t_lo) t_lo = t;
+        if (t > t_hi) t_hi = t;
+        if (!same_metric(r, metric)) continue;
+        if (e > 0 && e < e_lo) e_lo = e;
+        if (e > e_hi) e_hi = e;
+    }
+    if (!(e_hi > 0)) e_lo = e_hi = 1e-3;
+    axis_fit(&x, t_lo, t_hi, left, left + wide);
+    axis_fit(&y, e_lo, e_hi, top + high, top);
+    draw_ticks(f, &x, 1, y.from, y.to, "s");
+    draw_ticks(f, &y, 0, x.from, x.to, NULL);
+    fprintf(f, "<path d=\"M%.1f %.1fV%.1fH%.1f\" fill=\"none\" stroke=\"black\"/>\n", x.from, y.to, y.from, x.to);
+    for (m = 0; m < method_count; m++) {
+        size_t n = 0;
+        for (i = 0; i < all->count; i++) {
+            const record *r = &all->items[i];
+            if (!same_case(r, kase) || !same_metric(r, metric) || !same_method(r, methods[m]) || !(seconds(r) > 0) ||
+                !(number(r, "error") >= 0)) continue;
+            points[n].x = seconds(r);
+            points[n++].y = number(r, "error");
+        }
+        if (m >= 8) fputs("<g stroke-dasharray=\"3 2\" fill-opacity=\"0.3\">\n", f);
+        if (n > 0) draw_curve(f, &x, &y, points, n, g_colors[m % 8]);
+        if (m >= 8) fputs("</g>\n", f);
+    }
+    free(points);
+}
+
+/* Returns 0, and writes nothing, with fewer than two metrics. */
+static int overview(const list *all, const record *first, const char *path) {
+    enum { MOST = 12 };
+    const double wide = 280, high = 190, step_x = 370, step_y = 262, left = 70, top = 76;
+    const record *kase[MOST], *metric[MOST], *method[2 * MOST];
+    const int cases = firsts(all, first, same_case, kase, MOST), metrics = firsts(all, first, same_metric, metric, MOST),
+        methods = firsts(all, first, same_method, method, 2 * MOST);
+    int i, k;
+    FILE *f;
+    if (metrics < 2) return 0;
+    f = open_part(path);
+    svg_begin(f, (int)(left + step_x * metrics), (int)(top + step_y * cases) + 24 + 20 * ((methods + 2) / 3));
+    put_label(f, left, 24, "font-size=\"16\"", "time of a picture against its error: ", get(first, "bench"));
+    for (i = 0; i < metrics; i++) put_label(f, left + step_x * i, 48, "font-weight=\"bold\"", get(metric[i], "error_unit"), "");
+    for (k = 0; k < cases; k++) {
+        put_label(f, left, top + step_y * k - 8, "font-size=\"14\"", get(kase[k], "case"), "");
+        for (i = 0; i < metrics; i++)
+            panel(f, all, kase[k], metric[i], method, methods, left + step_x * i, top + step_y * k, wide, high);
+    }
+    for (i = 0; i < methods; i++) { /* the legend, in three columns below */
+        const double x = left + step_x * metrics / 3.0 * (i % 3), y = top + step_y * cases + 20 * (i / 3);
+        fprintf(f, "<circle cx=\"%.1f\" cy=\"%.1f\" r=\"4\" fill=\"%s\"%s/>\n", x, y, g_colors[i % 8],
+            i >= 8 ? " fill-opacity=\"0.3\"" : "");
+        put_label(f, x + 10, y + 4, "", get(method[i], "method"), "");
+    }
+    put_label(f, left, top + step_y * cases + 20 * ((methods + 2) / 3), "fill=\"#555\"", "hollow: no error", "");
+    fputs("</svg>\n", f);
+    close_part(f, path);
+    return 1;
+}
+
 /* ---- bars ---- */
 
 static int same_bars(const record *a, const record *b) {
@@ -578,6 +672,15 @@ static void write_report(const list *all, const char *folder) {
     for (i = 0; i < all->count; i++) {
         if (get(&all->items[i], "metric")[0] == 0 || !is_first(all, i, same_bench)) continue;
         fprintf(f, "\n## %s\n\n", get(&all->items[i], "bench"));
+        k = strlen(get(&all->items[i], "bench"));
+        if (k > 6 && strcmp(get(&all->items[i], "bench") + k - 6, ".error") == 0) {
+            file_name(name, sizeof name, "overview_%s.svg", get(&all->items[i], "bench"));
+            snprintf(svg, sizeof svg, "%s/%s", folder, name);
+            if (overview(all, &all->items[i], svg)) {
+                fprintf(f, "![time against error](%s)\n", name);
+                plots++;
+            }
+        }
         for (k = i; k < all->count; k++) {
             const record *r = &all->items[k];
             if (!same_bench(r, &all->items[i]) || get(r, "metric")[0] == 0) continue;
