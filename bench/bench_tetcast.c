@@ -19,7 +19,7 @@
 #define TETCAST_IMPLEMENTATION
 #include "../tetcast.h"
 #include "../tests/ray_oracle.h"
-#include "baseline/planes.h"
+#include "baseline/strip_planes.h"
 #include "baseline/cell_projection.h"
 #include "bench_tets.h"
 #include "../examples/support/amr_scenes.h"
@@ -626,8 +626,70 @@ static void bytes_of(int id) {
     table_set("bytes-more", "%.2f / %.2f / %.2f / %.2f", total[1], total[2], total[3], total[5]);
 }
 
+/* The thesis' strips with what it keeps beside them: bytes against steps of rays by planes, and lengths that are wrong. */
+static void strips_planes_of(int id) {
+    static const char *const names[4] = {"nothing: planes from positions", "normals", "gradients", "normals and gradients"};
+    enum { RAYS = 64 };
+    const tets *t = get_tets(id);
+    tetcast_mesh_desc d;
+    tetcast_mesh *mesh;
+    tetcast_optics *o;
+    uint32_t keep, x, y;
+    if (t == NULL) return;
+    memset(&d, 0, sizeof d);
+    d.cells = TETCAST_CELLS_STRIPS;
+    d.keep_neighbours = 1;
+    mesh = build_mesh(t, &d);
+    o = make_optics(TF_SMOOTH, NULL);
+    for (keep = 0; keep < 4; keep++) {
+        tetcast_camera camera;
+        strips_planes s;
+        baseline_stats stats;
+        double seconds = 0;
+        size_t wrong = 0;
+        memset(&stats, 0, sizeof stats);
+        if (!strips_planes_make(mesh, keep, &s)) die("strips", "out of memory");
+        place_camera(&camera, mesh);
+        for (y = 0; y < RAYS; y++)
+            for (x = 0; x < RAYS; x++) {
+                tetcast_ray ray;
+                tetcast_ray_result want;
+                tetcasti_ray_sum sum;
+                double length = 0, start;
+                float e[3], dir[3], at;
+                uint32_t column, k;
+                must(tetcast_camera_ray(&camera, RAYS, RAYS, x + 0.5, y + 0.5, &ray), "camera");
+                must(tetcast_cast(NULL, mesh, NULL, &ray, 1, &want, NULL), "cast");
+                column = strips_planes_enter(&s, mesh, &ray, &at);
+                if (column == TETCASTI_NONE) continue;
+                for (k = 0; k < 3; k++) {
+                    e[k] = (float)ray.org[k];
+                    dir[k] = (float)ray.dir[k];
+                }
+                tetcasti_ray_begin(o, &sum);
+                start = bench_cpu();
+                strips_planes_walk(&s, e, dir, column, at, o, &sum, &length, &stats);
+                seconds += bench_cpu() - start;
+                wrong += !(fabs(length - (double)want.length) < 1e-4);
+            }
+        bench_line("tetcast.strip_planes", g_mesh_name[id], "steps_per_second", (double)stats.steps / seconds, "1/s");
+        bench_num("error", (double)wrong);
+        bench_text("error_unit", "rays");
+        bench_text("method", names[keep]);
+        bench_num("bytes", strips_planes_bytes(&s));
+        bench_num("bits_per_cell", 8 * strips_planes_bytes(&s) / (double)s.cells);
+        bench_num("thesis_bits", keep == 0 ? 117 : keep == 3 ? 608 : 0);
+        bench_num("threads", 1);
+        bench_end();
+        strips_planes_free(&s);
+    }
+    tetcast_optics_destroy(o);
+    tetcast_mesh_destroy(mesh);
+}
+
 static void bm3(void) {
     forms_of(MESH_D31K);
+    strips_planes_of(MESH_L32);
     bytes_of(MESH_D150K);
     if (g_opt.full) {
         forms_of(MESH_K32);
@@ -644,6 +706,7 @@ static void bm4(void) {
             tetcast_mesh_info info;
             build u;
             double start, seconds, share;
+            strips_rows rows;
             if (meshes[i].id == MESH_BLUNT || get_tets(meshes[i].id) == NULL) continue;
             memset(&u, 0, sizeof u);
             u.t = get_tets(meshes[i].id);
@@ -666,6 +729,13 @@ static void bm4(void) {
             bench_num("cells_per_second", (double)info.cell_count / seconds);
             bench_num("bytes", (double)info.connectivity_bytes);
             if (meshes[i].thesis[k] > 0) bench_num("thesis", meshes[i].thesis[k]);
+            if (strips_rows_make(u.mesh, 4096, &rows)) { /* in a texture; with two bits a vertex instead of repetitions */
+                const double columns = (double)info.cell_count + 3.0 * rows.strips;
+                bench_num("used_of_rows", 100.0 * (columns + rows.repeated) / ((double)rows.rows * rows.width));
+                bench_num("strips", rows.strips);
+                bench_num("share_with_bits", 100.0 * columns * (3.0 + 2.0 / 32.0) / (8.0 * (double)info.cell_count));
+                strips_rows_free(&rows);
+            }
             bench_end();
             if (k == 0 && meshes[i].id == MESH_L32) table_set("strips", "%.1f", share);
             tetcast_mesh_destroy(u.mesh);

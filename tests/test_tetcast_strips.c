@@ -367,6 +367,38 @@ TEST(planes_of_strips) { /* faces kept once and turned are the cells' own; rays 
     }
 }
 
+TEST(rows_of_strips) { /* strips in rows: each column once, none across an end, little is lost */
+    static const tetcast_cells kinds[2] = {TETCAST_CELLS_STRIPS, TETCAST_CELLS_STRIPS_GENERAL};
+    uint32_t kind, i, k;
+    for (kind = 0; kind < 2; kind++) {
+        tets t;
+        tetcast_mesh *m;
+        strips_rows r;
+        uint8_t *used;
+        size_t count = 0;
+        memset(&t, 0, sizeof t);
+        tets_lattice(&t, 26, 26, 26, 5, NULL);
+        m = build(&t, kinds[kind], 1);
+        REQUIRE(m != NULL);
+        CHECK(!strips_rows_make(m, 8, &r)); /* longer than a row */
+        REQUIRE(strips_rows_make(m, 2048, &r));
+        used = (uint8_t *)calloc((size_t)r.rows * r.width, 1);
+        REQUIRE(used != NULL);
+        for (i = 0; i < r.strips; i++) {
+            CHECK(r.row[i] < r.rows && r.offset[i] + r.length[i] <= r.width);
+            CHECK_EQ_U64(r.first[i], i == 0 ? 0 : r.first[i - 1] + r.length[i - 1]);
+            for (k = 0; k < r.length[i]; k++) count += used[(size_t)r.row[i] * r.width + r.offset[i] + k]++ == 0;
+        }
+        CHECK_EQ_U64(count, m->cells.count);
+        CHECK((double)count > 0.95 * r.rows * r.width);
+        CHECK(kind == 0 ? r.repeated == 0 : r.repeated > 0);
+        free(used);
+        strips_rows_free(&r);
+        tetcast_mesh_destroy(m);
+        tets_free(&t);
+    }
+}
+
 static int keep_layers(uint32_t x, uint32_t y, uint32_t z) { (void)x; (void)y; return (z & 1u) == 0; }
 static int keep_corner(uint32_t x, uint32_t y, uint32_t z) { return (x < 2) == (y < 2) && (y < 2) == (z < 2); }
 
@@ -413,6 +445,7 @@ int main(int argc, char **argv) {
     RUN(list_of_planes);
     RUN(planes);
     RUN(planes_of_strips);
+    RUN(rows_of_strips);
     RUN(peeling);
     return test_end();
 }

@@ -9,7 +9,9 @@
    strips_planes_make   from a mesh with strips as its form of cells, its tets and its neighbours
    strips_planes_enter  where a ray comes in
    strips_planes_walk   one walk from there
-   strips_planes_bytes  what is kept, all of it: columns, vertices, numbers of faces, faces, gradients */
+   strips_planes_bytes  what is kept, all of it: columns, vertices, numbers of faces, faces, gradients
+   strips_rows_make     strips into the rows of a texture, which they may not be broken over: the longest first, each into
+                        the row where the least is left. What is left over and counted, here columns just follow each other */
 #ifndef BASELINE_STRIP_PLANES_H_INCLUDED
 #define BASELINE_STRIP_PLANES_H_INCLUDED
 #include "planes.h"
@@ -216,6 +218,82 @@ static uint32_t strips_planes_enter(const strips_planes *s, const tetcast_mesh *
         found = s->first[f];
     }
     return found;
+}
+
+/* ---- rows ---- */
+
+typedef struct strips_rows {
+    uint32_t *first, *length, *row, *offset; /* per strip: its columns, its place */
+    uint32_t strips, rows, width;
+    uint32_t repeated;       /* columns of vertices that are there again so that a strip can turn */
+} strips_rows;
+
+static void strips_rows_free(strips_rows *r) {
+    free(r->first);
+    memset(r, 0, sizeof *r);
+}
+
+/* width: columns of a row; 0: no memory, another form of cells, or a strip is longer than a row. */
+static int strips_rows_make(const tetcast_mesh *m, uint32_t width, strips_rows *r) {
+    const uint32_t *cell_of = (const uint32_t *)m->cells.side;
+    uint32_t *start, *order, *head, *next, i, k, none = 0;
+    memset(r, 0, sizeof *r);
+    if (m->cells.kind != TETCAST_CELLS_STRIPS && m->cells.kind != TETCAST_CELLS_STRIPS_GENERAL) return 0;
+    for (i = 0; i < m->cells.count; i++) { /* a strip ends with three columns without a cell, within it there are fewer */
+        none = cell_of[i] == TETCASTI_NONE ? none + 1 : 0;
+        if (none == 3) {
+            r->strips++;
+            none = 0;
+        }
+    }
+    r->repeated = m->cells.count - m->cell_count - 3 * r->strips;
+    r->width = width;
+    r->first = (uint32_t *)malloc(((size_t)6 * r->strips + 2 * (size_t)width + 4) * sizeof *r->first);
+    if (r->first == NULL) return 0;
+    r->length = r->first + r->strips;
+    r->row = r->length + r->strips;
+    r->offset = r->row + r->strips;
+    order = r->offset + r->strips;
+    next = order + r->strips;  /* of a row: the next one with as much left */
+    head = next + r->strips;   /* [columns left] */
+    start = head + width + 1;  /* [length] */
+    memset(start, 0, ((size_t)width + 2) * sizeof *start);
+    for (i = k = none = 0; i < m->cells.count; i++) {
+        if (i == 0 || none == 3) {
+            r->first[k] = i;
+            none = 0;
+        }
+        none = cell_of[i] == TETCASTI_NONE ? none + 1 : 0;
+        if (none != 3) continue;
+        r->length[k] = i + 1 - r->first[k];
+        if (r->length[k] > width) {
+            strips_rows_free(r);
+            return 0;
+        }
+        start[width - r->length[k] + 1]++;
+        k++;
+    }
+    for (i = 0; i <= width; i++) start[i + 1] += start[i];
+    for (i = 0; i < r->strips; i++) order[start[width - r->length[i]]++] = i;
+    for (i = 0; i <= width; i++) head[i] = TETCASTI_NONE;
+    for (i = 0; i < r->strips; i++) {
+        const uint32_t strip = order[i];
+        uint32_t left = r->length[strip], row;
+        while (left <= width && head[left] == TETCASTI_NONE) left++;
+        if (left > width) {
+            left = width;
+            row = r->rows++;
+        } else {
+            row = head[left];
+            head[left] = next[row];
+        }
+        r->row[strip] = row;
+        r->offset[strip] = width - left;
+        left -= r->length[strip];
+        next[row] = head[left];
+        head[left] = row;
+    }
+    return 1;
 }
 
 #endif
