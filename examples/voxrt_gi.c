@@ -19,7 +19,7 @@ typedef struct gi_options {
     const char *scene, *camera;
     int method, tone, view, lookup;
     int64_t frames, rays, bounces, grid, depth, res, filter, shadow_filter, aa, coarse, pattern, keep, nested, first, still;
-    double radius, exposure, budget, d_min;
+    double radius, exposure, budget, d_min, relief;
     int has_rays;
 } gi_options;
 
@@ -60,7 +60,7 @@ typedef struct buffers {
     uint8_t *rgba;
 } buffers;
 
-typedef struct timing { double update, gbuffer, light, all; uint64_t rays; double shaded, noise, kept, per_pixel; } timing;
+typedef struct timing { double update, gbuffer, light, all; uint64_t rays; double shaded, noise, kept, per_pixel, brightest; } timing;
 
 static const char cornell_text[] =
     "voxrt_gi 1\nwhite 0.6\nseconds 4\n"
@@ -120,6 +120,7 @@ static int parse(int argc, char **argv, gi_options *o) {
     table[n++] = sup_opt_int("bounces", &o->bounces, 1, 64, "N", "how often light is followed (3)");
     table[n++] = sup_opt_real("radius", &o->radius, 0.0, 1e9, "R", "length of the rays, world units (all)");
     table[n++] = sup_opt_int("filter", &o->filter, 0, 64, "R", "radius of the filter of indirect light in pixels, 0: none (3)");
+    table[n++] = sup_opt_real("relief", &o->relief, 0.0, 1.0, "A", "indirect light darker where surfaces lean away, for strong filters (0)");
     table[n++] = sup_opt_int("shadow-filter", &o->shadow_filter, 0, 64, "R", "the same for direct light: soft shadows (0)");
     table[n++] = sup_opt_int("coarse", &o->coarse, 1, 16, "N", "one of N x N pixels sends rays where light is smooth: 1, 2, 4, 8 or 16 (1)");
     table[n++] = sup_opt_int("keep", &o->keep, 0, 1000, "N", "pictures that each one remembers, 0: none (0; 16 if frames move)");
@@ -716,6 +717,7 @@ static int draw(world *w, const gi_options *o, buffers *b, double t, int first, 
     d.coarse = (uint32_t)o->coarse;
     d.pattern = (uint32_t)o->pattern;
     d.d_min = (float)o->d_min;
+    d.relief = (float)o->relief;
     if (o->common.has_tolerance && o->budget == 0.0) {
         d.tolerance = (float)o->common.tolerance;
         if (!o->has_rays) d.rays = 0;
@@ -736,6 +738,7 @@ static int draw(world *w, const gi_options *o, buffers *b, double t, int first, 
         if (o->view == VIEW_DIRECT) b->indirect[i] = 0.0f;
         if (o->view == VIEW_INDIRECT || o->method == METHOD_AO) b->direct[i] = 0.0f;
         b->direct[i] += b->indirect[i];
+        if (b->direct[i] > (float)spent->brightest) spent->brightest = (double)b->direct[i];
         if (o->common.unlit) b->direct[i] = b->g.albedo[i] * (float)w->scene.white;
         if (o->view == VIEW_LIGHTS) b->direct[i] *= 0.4f;
     }
@@ -802,6 +805,7 @@ static void print_stats(const gi_options *o, const world *w, uint32_t side, cons
     printf(",\"width\":%u,\"height\":%u,\"samples\":%u,\"frames\":%d,\"grid\":[%u,%u,%u],\"cells\":%llu,\"rays\":%llu", o->common.size[0],
            o->common.size[1], side * side, (int)(o->frames - o->first), info.size[0], info.size[1], info.size[2], (unsigned long long)info.cells,
            (unsigned long long)spent->rays);
+    printf(",\"brightest\":%.6g", spent->brightest); /* shown only: a white that follows it would make pictures pump */
     printf(",\"rays_per_sample\":%.2f,\"shaded\":%.4f,\"noise\":%.6f,\"kept\":%.4f",
            spent->per_pixel / n, spent->shaded / n, spent->noise / n, spent->kept / n);
     printf(",\"update_seconds\":%.6f,\"gbuffer_seconds\":%.6f,\"light_seconds\":%.6f,\"seconds\":%.6f}\n",

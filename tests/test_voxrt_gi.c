@@ -1308,6 +1308,35 @@ TEST(pixels_at_edges_show_one_face) {
     voxrt_gi_destroy(gi);
 }
 
+TEST(relief) { /* times relief * cos + 1 - relief */
+    static room r;
+    static float plain[48 * 32][3];
+    voxrt_gi_render_desc d;
+    uint32_t i, k;
+    double worst = 0;
+    room_open(&r, 48, 32, 0);
+    memset(&d, 0, sizeof d);
+    d.rays = 4;
+    CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, plain[0], NULL) == VOXRT_OK);
+    d.relief = 0.75f;
+    CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, r.indirect[0], NULL) == VOXRT_ERR_INVALID_ARG); /* no camera */
+    d.camera = r.camera;
+    CHECK(voxrt_gi_render(&d, r.gi, &r.g, r.direct[0], r.indirect[0], NULL) == VOXRT_OK);
+    for (i = 0; i < 48 * 32; i++) {
+        double to[3], l = 0, c = 0;
+        for (k = 0; k < 3; k++) {
+            to[k] = (double)r.camera.eye[k] - (double)r.position[i][k];
+            l += to[k] * to[k];
+            c += to[k] * (double)r.normal[i][k];
+        }
+        worst = fmax(worst, fabs((double)r.indirect[i][1] - (double)plain[i][1] * (0.75 * fmax(0, c / sqrt(l)) + 0.25)));
+    }
+    CHECK_MSG(worst < 1e-4, "%g", worst);
+    d.relief = 1.5f;
+    CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, r.indirect[0], NULL) == VOXRT_ERR_INVALID_ARG);
+    voxrt_gi_destroy(r.gi);
+}
+
 TEST(lists_have_every_pixel_once) { /* odd sizes, patterns; a run of 64 has one place of the pattern */
     static const uint32_t size[3][2] = {{64, 32}, {37, 21}, {3, 5}};
     static float normal[64 * 32][3], position[64 * 32][3];
@@ -1873,6 +1902,7 @@ int main(int argc, char **argv) {
     RUN(lamps_do_not_shade_themselves);
     RUN(walls_on_borders_of_cells);
     RUN(pixels_at_edges_show_one_face);
+    RUN(relief);
     RUN(lists_have_every_pixel_once);
     RUN(stopped_pictures_leave_no_trace);
     RUN(two_scenes_at_once);
