@@ -711,6 +711,42 @@ TEST(large_grids) { /* 1024 x 1024: more levels than a register of AVX2 has lane
     voxrt_columns_destroy(c);
 }
 
+#if VOXRTI_AVX2
+TEST(planes_may_leave_two_intervals) { /* seldom: then the first cell on the way is looked for one by one */
+    static voxrti_column_const k;
+    static uint32_t bits[8 * 4];
+    uint32_t turn, i, p, w, met = 0;
+    rng_state = 71;
+    k.bits = (const int *)(const void *)bits;
+    for (turn = 0; turn < 400; turn++) {
+        int32_t column[8], gone[4][8], ka[8], lo[8], hi[8], want[8];
+        k.planes = 1 + turn % 2;
+        for (i = 0; i < 8; i++) {
+            int32_t at;
+            column[i] = (int32_t)(4 * i);
+            for (w = 0; w < 4; w++) bits[4 * i + w] = rng() & rng() & rng() & rng();
+            lo[i] = (int32_t)(rng() % 128);
+            hi[i] = lo[i] + (int32_t)(rng() % (128 - (uint32_t)lo[i]));
+            ka[i] = rng() % 2 ? lo[i] : hi[i];
+            for (p = 0; p < 2 * k.planes; p++) gone[p][i] = (int32_t)(rng() % 128);
+            want[i] = -1;
+            for (at = ka[i]; at >= lo[i] && at <= hi[i] && want[i] < 0; at += ka[i] == lo[i] ? 1 : -1) {
+                int out = 0;
+                for (p = 0; p < k.planes; p++) out |= at >= gone[2 * p][i] && at <= gone[2 * p + 1][i];
+                if (!out && (bits[4 * i + ((uint32_t)at >> 5)] >> ((uint32_t)at & 31u) & 1u) != 0) want[i] = at;
+            }
+        }
+        voxrti_column_apart(&k, column, (const int32_t (*)[8])gone, ka, lo, hi);
+        for (i = 0; i < 8; i++) {
+            if (want[i] < 0) CHECK(lo[i] > hi[i]);
+            else CHECK(lo[i] == want[i] && hi[i] == want[i]);
+            met += want[i] >= 0;
+        }
+    }
+    CHECK(met > 400 && met < 3200);
+}
+#endif
+
 TEST(rays_in_all_ways_the_same) { /* instruction sets, start levels, any hit, groups of rays */
     enum { N = 5000 };
     static voxrt_ray ray[N];
@@ -931,6 +967,9 @@ int main(int argc, char **argv) {
     RUN(rays_hit_what_plain_stepping_hits);
     RUN(segments_from_both_ends);
     RUN(large_grids);
+#if VOXRTI_AVX2
+    RUN(planes_may_leave_two_intervals);
+#endif
     RUN(rays_in_all_ways_the_same);
     RUN(a_hit_lies_on_its_face);
     RUN(tangent_planes_instead_of_offsets);

@@ -1560,13 +1560,13 @@ TEST(deforming_meshes) { /* a ball whose surface swells in waves: each frame as 
     uint32_t f, i, k, way, id;
     room_open(&r, 48, 32, 0);
     r.g.before = NULL;
-    sphere(&ball, 2.5, 30, 180, 0);
-    wave = ball;
+    sphere(&still, 2.5, 30, 180, 0);
+    wave = still;
     o = object_of(&wave, 0);
     CHECK(voxrt_gi_add(r.gi, &o, &id) == VOXRT_OK);
     for (f = 0; f < FRAMES; f++) {
-        for (i = 0; i < ball.points; i++)
-            for (k = 0; k < 3; k++) wave.p[i][k] = ball.p[i][k] * (1.0f + 0.2f * (float)sin((double)ball.p[i][1] * 2 + 0.15 * f));
+        for (i = 0; i < still.points; i++)
+            for (k = 0; k < 3; k++) wave.p[i][k] = still.p[i][k] * (1.0f + 0.2f * (float)sin((double)still.p[i][1] * 2 + 0.15 * f));
         CHECK(voxrt_gi_set(r.gi, id, &o) == VOXRT_OK && voxrt_gi_update(r.gi, NULL) == VOXRT_OK);
         for (way = 0; way < 2; way++) {
             voxrt_gi_render_desc d;
