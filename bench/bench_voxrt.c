@@ -799,6 +799,15 @@ static uint8_t *smooth_rgb(const sup_mesh *m) {
     return rgb;
 }
 
+static voxrt_tree *shared_tree(const voxrt_tree *tree) {
+    voxrt_env env;
+    voxrt_tree *out = NULL;
+    memset(&env, 0, sizeof env);
+    env.thread_count = (uint32_t)g_opt.threads;
+    must(voxrt_tree_share(tree, &env, &out), "share");
+    return out;
+}
+
 static void bytes_of_model(int id, uint32_t resolution) {
     const voxrt_tree *tree = get_tree(id, resolution, KIND_DEFAULT);
     voxrt_tree_info info, plain_info;
@@ -852,8 +861,14 @@ static void bytes_of_model(int id, uint32_t resolution) {
         (double)info.total_bytes, &info);
     size_line(kase, id == MODEL_BLOB ? "file, compact, smooth colours, normals" : "file, compact, 24 colours, normals",
         (double)file_bytes(coloured, VOXRT_ENCODING_COMPACT), &info);
+    plain = shared_tree(coloured);
+    voxrt_tree_get_info(plain, &plain_info);
+    size_line(kase, id == MODEL_BLOB ? "shared tree, smooth colours, normals" : "shared tree, 24 colours, normals",
+        (double)plain_info.total_bytes, &plain_info);
+    voxrt_tree_destroy(plain);
     voxrt_tree_destroy(coloured);
     if (id == MODEL_BLOB) {
+        table_set("shared-smooth", "%.0f", (double)plain_info.total_bytes / (double)info.voxel_count * 50e6 / 1048576.0);
         table_set("attributes-smooth", "%.0f", (double)info.total_bytes / (double)info.voxel_count * 50e6 / 1048576.0);
     } else if (strcmp(g_models[id].name, "dragon") == 0) {
         const double leaves = (double)info.voxel_count;
@@ -887,8 +902,114 @@ static void bytes_of_peer_voxels(void) {
     voxrt_tree_destroy(tree);
 }
 
+typedef struct share_job {
+    const voxrt_tree *tree;
+    voxrt_tree *out;
+} share_job;
+
+static void run_share(void *ctx) {
+    share_job *j = (share_job *)ctx;
+    voxrt_env env;
+    memset(&env, 0, sizeof env);
+    env.thread_count = 1;
+    voxrt_tree_destroy(j->out);
+    must(voxrt_tree_share(j->tree, &env, &j->out), "share");
+}
+
+/* Rays through the plain and the shared tree in turn; 0 of them may differ. */
+static double shared_rays(const voxrt_tree *plain, const voxrt_tree *shared, const char *kase, const char *what,
+    const rayset *rays) {
+    trace_job t[2];
+    bench_job b[2];
+    double ratio;
+    int i;
+    memset(t, 0, sizeof t);
+    memset(b, 0, sizeof b);
+    for (i = 0; i < 2; i++) {
+        t[i].tree = i == 0 ? plain : shared;
+        t[i].rays = rays;
+        t[i].hit = (voxrt_hit *)must_alloc(rays->count, sizeof(voxrt_hit));
+        b[i].name = i == 0 ? "tree" : "shared tree";
+        b[i].run = run_trace;
+        b[i].ctx = &t[i];
+    }
+    bench_interleave(b, 2, 2 * ROUNDS + 1);
+    ratio = bench_ratio(&b[0], &b[1]);
+    bench_line("voxrt.shared", kase, "times_plain", ratio, "");
+    bench_text("rays", what);
+    bench_num("rays_per_s", bench_rate(&b[1], (double)rays->count));
+    bench_num("wrong", (double)count_wrong(t[0].hit, t[1].hit, rays->count));
+    bench_hash(hash_hits(t[1].hit, rays->count));
+    bench_end();
+    for (i = 0; i < 2; i++) free(t[i].hit);
+    return ratio;
+}
+
+/* Equal parts once: what is left, how long it takes, what rays lose or win. */
+static void bytes_shared(int regular, double bits[2]) {
+    const model *m = regular ? NULL : get_model(MODEL_DRAGON);
+    const uint32_t resolution = regular ? (g_opt.full ? 8192 : 4096) : (g_opt.full ? 4096 : 2048);
+    sup_mesh made;
+    voxrt_mesh mesh;
+    voxrt_build_desc d;
+    voxrt_tree *plain;
+    voxrt_tree_info info, shared;
+    share_job job;
+    bench_job b;
+    rayset camera, other;
+    double ratio[3];
+    char kase[64];
+    memset(&made, 0, sizeof made);
+    bits[0] = bits[1] = 0.0;
+    if (!regular && m == NULL) return;
+    if (regular && sup_scene_make("pillars", 0, &made)) run_failed("pillars", "no mesh");
+    mesh = mesh_view(regular ? &made : &m->mesh);
+    snprintf(kase, sizeof kase, "%s-%u", regular ? "pillars" : m->name, resolution);
+    memset(&d, 0, sizeof d);
+    d.env.thread_count = (uint32_t)g_opt.threads;
+    d.resolution = resolution;
+    d.disable_colors = d.disable_normals = 1;
+    must(voxrt_tree_build(&d, &mesh, NULL, &plain), "build");
+    sup_mesh_free(&made);
+    memset(&job, 0, sizeof job);
+    memset(&b, 0, sizeof b);
+    job.tree = plain;
+    b.name = "share";
+    b.run = run_share;
+    b.ctx = &job;
+    bench_interleave(&b, 1, 3);
+    voxrt_tree_get_info(plain, &info);
+    voxrt_tree_get_info(job.out, &shared);
+    size_line(kase, "tree (T64), geometry", (double)info.geometry_bytes, &info);
+    size_line(kase, "shared tree, geometry", (double)shared.geometry_bytes, &info);
+    bits[0] = 8.0 * (double)shared.geometry_bytes / (double)info.voxel_count;
+    bits[1] = (double)file_bytes(job.out, VOXRT_ENCODING_COMPACT);
+    size_line(kase, "file, compact, shared, geometry", bits[1], &info);
+    bits[1] *= 8.0 / (double)info.voxel_count;
+    bench_line("voxrt.shared", kase, "build", bench_seconds(&b), "s");
+    bench_num("voxels_per_s", bench_rate(&b, (double)info.voxel_count));
+    bench_end();
+    camera = camera_rays(plain, WIDTH, HEIGHT);
+    ratio[0] = shared_rays(plain, job.out, kase, "camera", &camera);
+    other = second_rays(plain, &camera, SECOND_COSINE, 0.0f);
+    ratio[1] = shared_rays(plain, job.out, kase, "diffuse", &other);
+    free_rayset(&other);
+    other = chord_rays(plain, 500000);
+    ratio[2] = shared_rays(plain, job.out, kase, "chords", &other);
+    free_rayset(&other);
+    free_rayset(&camera);
+    if (!regular) table_set("shared-rays", "%.2f / %.2f / %.2f", ratio[0], ratio[1], ratio[2]);
+    voxrt_tree_destroy(job.out);
+    voxrt_tree_destroy(plain);
+}
+
 static void bm5(void) {
+    double bits[2], regular[2];
     uint32_t r;
+    bytes_shared(0, bits);
+    bytes_shared(1, regular);
+    table_set("shared-bits", "%.2f / %.2f", bits[0], regular[0]);
+    table_set("shared-file", "%.2f / %.2f", bits[1], regular[1]);
     bytes_of_peer_voxels();
     for (r = g_opt.full ? 256 : 1024; r <= (g_opt.full ? 4096u : 2048u); r *= 2) {
         bytes_of_model(MODEL_BLOB, g_opt.full ? r : 1024);
