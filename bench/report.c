@@ -499,9 +499,7 @@ static void panel(FILE *f, const list *all, const record *kase, const record *me
             points[n].x = seconds(r);
             points[n++].y = number(r, "error");
         }
-        if (m >= 8) fputs("<g stroke-dasharray=\"3 2\" fill-opacity=\"0.3\">\n", f);
-        if (n > 0) draw_curve(f, &x, &y, points, n, g_colors[m % 8]);
-        if (m >= 8) fputs("</g>\n", f);
+        if (n > 0) draw_curve(f, &x, &y, points, n, m);
     }
     free(points);
 }
@@ -527,8 +525,7 @@ static int overview(const list *all, const record *first, const char *path) {
     }
     for (i = 0; i < methods; i++) { /* the legend, in three columns below */
         const double x = left + step_x * metrics / 3.0 * (i % 3), y = top + step_y * cases + 20 * (i / 3);
-        fprintf(f, "<circle cx=\"%.1f\" cy=\"%.1f\" r=\"4\" fill=\"%s\"%s/>\n", x, y, g_colors[i % 8],
-            i >= 8 ? " fill-opacity=\"0.3\"" : "");
+        draw_mark(f, x, y, i, 0);
         put_label(f, x + 10, y + 4, "", get(method[i], "method"), "");
     }
     put_label(f, left, top + step_y * cases + 20 * ((methods + 2) / 3), "fill=\"#555\"", "hollow: no error", "");

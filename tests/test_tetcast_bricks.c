@@ -1490,15 +1490,15 @@ TEST(shaded_tetrahedra) {
     d.frame[0] = W;
     d.frame[1] = H;
     for (k = 0; k < 4; k++) {
-        tetcast_image part = image;
+        tetcast_image quarter = image;
         d.part[0] = k & 1u ? 20 : 0;
         d.part[1] = k >> 1 ? 9 : 0;
-        part.width = k & 1u ? W - 20 : 20;
-        part.height = k >> 1 ? H - 9 : 9;
-        part.rgba = a + 4 * (d.part[1] * W + d.part[0]);
-        part.rgba_stride = W * 16;
-        part.length = part.depth = NULL;
-        CHECK_EQ_U64(tetcast_render_shaded(&d, mesh, o, &part, NULL), TETCAST_OK);
+        quarter.width = k & 1u ? W - 20 : 20;
+        quarter.height = k >> 1 ? H - 9 : 9;
+        quarter.rgba = a + 4 * (d.part[1] * W + d.part[0]);
+        quarter.rgba_stride = W * 16;
+        quarter.length = quarter.depth = NULL;
+        CHECK_EQ_U64(tetcast_render_shaded(&d, mesh, o, &quarter, NULL), TETCAST_OK);
     }
     CHECK(memcmp(a, e, sizeof a) == 0);
     memset(d.frame, 0, sizeof d.frame);

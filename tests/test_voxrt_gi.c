@@ -1553,7 +1553,7 @@ TEST(things_that_turn_do_not_pop) { /* a block that turns by 0.2 degrees a frame
 TEST(deforming_meshes) { /* a ball whose surface swells in waves: each frame as if made anew, and no flicker but the light's own */
     enum { FRAMES = 6, N = 48 * 32 };
     static room r;
-    static model ball, wave;
+    static model still, wave;
     static float last[2][3][N][3], fresh[N][3];
     voxrt_gi_object o;
     double sum[2] = {0, 0};

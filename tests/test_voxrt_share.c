@@ -567,7 +567,7 @@ TEST(wrong_values) {
         REQUIRE(at != NULL);
         for (i = 0; i < n; i++) { /* counts, owners, runs: no bit of it can be another one */
             memcpy(q, p, size);
-            at[i] ^= (uint8_t)(1u << (i * 5 & 7));
+            at[i] ^= (uint8_t)(1u << (i * 5u & 7u));
             voxrti_v5_seal(q, size);
             tried++;
             wrong += try_load(q, size);
