@@ -570,7 +570,7 @@ TEST(wrong_values) {
             at[i] ^= (uint8_t)(1u << (i * 5u & 7u));
             voxrti_v5_seal(q, size);
             tried++;
-            wrong += try_load(q, size);
+            wrong += (size_t)try_load(q, size);
         }
         CHECK(tried >= 48);
         /* but for a run that is named instead of another one of the same length, with as many cells in it */
