@@ -1137,7 +1137,7 @@ TEST(neighbours_make_less_noise) { /* what a filter averages: against the same r
     double together, apart;
     room_open(&r, 64, 48, 0);
     memset(&d, 0, sizeof d);
-    d.rays = test_quick() ? 128 : 512;
+    d.rays = test_quick() ? 128 : 256;
     d.first_ray = 1u << 20;
     CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, truth[0], NULL) == VOXRT_OK);
     d.rays = 4;
