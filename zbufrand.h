@@ -14189,6 +14189,7 @@ static int zbufrandi_round_select(zbufrandi_picture *p) {
     left = f->front_count;
     zbufrandi_parallel_for(&f->env, zbufrandi_select_task, p, tasks);
     if (!zbufrandi_round_merge(p, tasks)) return 0;
+    if (f->front_count == 0) return 1;
     if (!zbufrandi_grow(&f->mem, (void **)&f->sorted, &f->sorted_capacity, 0, f->front_count, sizeof *f->sorted))
         return 0;
     { /* what is new is sorted, then both parts are merged */
