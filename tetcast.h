@@ -1083,7 +1083,8 @@ typedef struct tetcast_amr tetcast_amr; /* immutable */
    or 2^27 cells), NO_MEMORY. */
 TETCAST_DEF tetcast_result tetcast_amr_create(const tetcast_amr_desc *desc, tetcast_amr **out);
 TETCAST_DEF void tetcast_amr_destroy(tetcast_amr *amr); /* NULL is allowed */
-/* Values at world points; beyond the domain as on its border. Any thread. About 0.1 (NEAREST) to 1 us a point. */
+/* Values at world points; beyond the domain as on its border. Any thread. About 0.06 (NEAREST), 0.3 (CURRENT), 2 to
+   3 us a point. */
 TETCAST_DEF tetcast_result tetcast_amr_sample(const tetcast_amr *amr, tetcast_amr_method method,
                                               const double (*points)[3], size_t count, float *out);
 /* Level of the finest cell at a point. */
