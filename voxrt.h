@@ -451,7 +451,7 @@ typedef struct voxrt_ray {
 typedef struct voxrt_hit {
     float t;
     uint32_t cell[3];  /* of the octree level `level` */
-    uint32_t node;     /* wide node that holds the cell; with `slot` the handle of its attributes */
+    uint32_t node;     /* wide node that holds the cell; in a shared tree many cells may have the same one */
     uint8_t slot;      /* bit of the node's mask, or octant*8 when level is an octant level */
     uint8_t level;     /* octree level of the cell that was hit; the tree's depth unless level of detail stopped it */
     uint8_t face;      /* face through which the ray entered: 0 -x, 1 +x, 2 -y, 3 +y, 4 -z, 5 +z, 6 origin inside */

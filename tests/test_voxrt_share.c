@@ -590,7 +590,7 @@ TEST(wrong_values) {
             at = section(q, 11, &n);
             memcpy(q, p, size);
             REQUIRE(at != NULL);
-            voxrti_store_u16(at, s->mask_count); /* no such mask */
+            voxrti_store_u16(at, s->mask_count + 9); /* no such mask, nor anything that follows them */
             voxrti_v5_seal(q, size);
             CHECK(!try_load(q, size));
             at = section(q, 4, &n);
@@ -603,6 +603,42 @@ TEST(wrong_values) {
         free(q);
         free(p);
     }
+    voxrt_tree_destroy(s);
+    voxrt_tree_destroy(t);
+}
+
+/* A run is named that begins within another one: as long, with as many cells, and still no run. */
+TEST(runs_within_runs) {
+    cells c;
+    voxrt_tree *t = NULL, *s;
+    size_t size = 0, n = 0;
+    uint32_t i;
+    uint8_t *p, *at;
+    memset(&c, 0, sizeof c);
+    add(&c, 0, 0, 0); /* the box stays the same */
+    add(&c, 255, 255, 255);
+    for (i = 0; i < 3; i++) { /* P Q, R S, P Q */
+        add(&c, 64 * i + 1 + (i & 1), 64 + 2, 64 + 3);
+        add(&c, 64 * i + 18 + (i & 1), 64 + 1, 64 + 2 * (i & 1));
+    }
+    CHECK(voxrt_tree_from_voxels(NULL, c.v, c.n, 8, &t) == VOXRT_OK);
+    free(c.v);
+    s = share(t);
+    REQUIRE(t != NULL && s != NULL);
+    p = save(s, 0, &size);
+    REQUIRE(p != NULL);
+    at = section(p, 10, &n);
+    REQUIRE(at != NULL && n > 52);
+    at += n - 4; /* the only node that names the run of another one */
+    CHECK(try_load(p, size));
+    CHECK_EQ_U64(voxrti_load_u32(at), 1);
+    voxrti_store_u32(at, 2);
+    voxrti_v5_seal(p, size);
+    CHECK(!try_load(p, size));
+    voxrti_store_u32(at, 3); /* R S: another tree */
+    voxrti_v5_seal(p, size);
+    CHECK(try_load(p, size));
+    free(p);
     voxrt_tree_destroy(s);
     voxrt_tree_destroy(t);
 }
@@ -692,6 +728,7 @@ int main(void) {
     RUN(files);
     RUN(damaged_files);
     RUN(wrong_values);
+    RUN(runs_within_runs);
     RUN(allocation_failures);
     RUN(threads_and_arguments);
     return test_end();
