@@ -14928,7 +14928,7 @@ static double zbufrandi_choose_density(const zbufrandi_picture *p) {
     double tolerance = d->tolerance > 0.0 ? d->tolerance : 0.05;
     if (d->density > 0.0) return d->density;
     if (d->no_repair) return zbufrand_density(pixels, block, 1.0 - tolerance);
-    if (zbufrandi_shares_samples(d)) return ZBUFRANDI_MEAN_DENSITY / (block * block);
+    if (zbufrandi_shares_samples(d)) return (double)ZBUFRANDI_MEAN_DENSITY / (block * block);
     /* zbufrandi_incomplete is at most the tolerance then: 70 + 56 q is below 80 */
     return zbufrandi_max(0.2 * 0.6931471805599453 * zbufrandi_log2(80.0 * pixels / tolerance), 2.0) / (block * block);
 }
