@@ -31,7 +31,6 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     memset(o, 0, sizeof *o);
     o->gauss = 2.0;
     n = sup_common_options(&o->common, table);
-    o->common.tolerance = 0.05;
     table[n++] = sup_opt_text("scene", &o->scene, "forest|city|chess|landscape|FILE", "what to draw; FILE is a mesh");
     table[n++] = sup_opt_given(sup_opt_choice("mode", &o->mode, "pixel|blocks|gauss|voronoi|nodepth",
                                               "from samples to pixels (pixel)"), &o->has_mode);
@@ -67,7 +66,7 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     if (status >= 0) return status;
     if (o->frames && (!o->common.out || o->common.depth || o->mean))
         return sup_bad_usage(argv[0], "--frames needs --out, and goes without --depth and --mean");
-    if (!(o->common.tolerance > 0.0 && o->common.tolerance < 1.0))
+    if (o->common.has_tolerance && !(o->common.tolerance > 0.0 && o->common.tolerance < 1.0))
         return sup_bad_usage(argv[0], "--tolerance is a probability: between 0 and 1");
     memset(desc, 0, sizeof *desc);
     memset(build, 0, sizeof *build);
@@ -75,7 +74,7 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     if (o->has_structure) build->structure = (zbufrand_structure)o->structure;
     build->normal_depth = (uint32_t)o->classes;
     if (o->epsilon > 0.0) desc->depth_ratio = o->epsilon;
-    desc->tolerance = o->common.tolerance;
+    desc->tolerance = o->common.has_tolerance ? o->common.tolerance : 0.0; /* 0: the library chooses */
     desc->density = o->density;
     desc->noise = o->noise;
     desc->max_frames = (uint32_t)o->max_frames;
