@@ -9156,6 +9156,7 @@ static voxrt_result voxrti_v5_plan(voxrti_mem *mem, const voxrt_save_desc *d, co
             s->size = f->geometry.size;
         } else if (id == VOXRTI_V5_SHARING) {
             voxrti_geometry_source g;
+            memset(&g, 0, sizeof g);
             g.t = t;
             if (raw) r = voxrti_sharing(&g, &f->sharing, 1);
             s->count = s->size = f->sharing.size;
@@ -19159,10 +19160,12 @@ static voxrt_result voxrti_gi_prepare(const voxrt_gi_render_desc *d, voxrt_gi *g
     size_t l;
     f.root = gi;
     f.isa = isa;
-    for (f.gi = gi; f.gi != NULL && d->lookup == VOXRT_GI_LOOKUP_VOLUME; f.gi = f.gi->outer)
-        for (f.layer = 0; f.layer < 2; f.layer++)
-            if (f.gi->layer[f.layer].count != 0)
-                voxrti_parallel_for(&d->env, voxrti_task_fill, &f, f.gi->columns->size[1]);
+    if (d->lookup == VOXRT_GI_LOOKUP_VOLUME) {
+        for (f.gi = gi; f.gi != NULL; f.gi = f.gi->outer)
+            for (f.layer = 0; f.layer < 2; f.layer++)
+                if (f.gi->layer[f.layer].count != 0)
+                    voxrti_parallel_for(&d->env, voxrti_task_fill, &f, f.gi->columns->size[1]);
+    }
     if (d->lookup != VOXRT_GI_LOOKUP_MAPS || gi->light_count == 0) return VOXRT_OK;
     if (gi->map != NULL && gi->map[0].side == d->map_size) return VOXRT_OK;
     voxrti_gi_maps_free(gi);
