@@ -687,6 +687,37 @@ TEST(bad_descs) {
     tetcast_transfer_destroy(t);
 }
 
+TEST(cue_of_a_surface) { /* at its own depth, not at that of the cell */
+    static const tetcast_control_point point = {0, {1, 1, 1}, 0};
+    const tetcast_segment segment = {0, 1, 2, 1};
+    tetcast_isovalue iso;
+    tetcast_transfer_desc td;
+    tetcast_optics_desc od;
+    tetcast_transfer *t;
+    tetcast_optics *o;
+    float rgba[4];
+    memset(&iso, 0, sizeof iso);
+    memset(&td, 0, sizeof td);
+    memset(&od, 0, sizeof od);
+    iso.value = 0.5f; /* halfway: depth 2 */
+    iso.rgb[0] = iso.rgb[1] = iso.rgb[2] = iso.opacity = 1;
+    td.points = &point;
+    td.point_count = 1;
+    td.isovalues = &iso;
+    td.isovalue_count = 1;
+    od.model = TETCAST_MODEL_ISOSURFACE;
+    od.cue = 1;
+    od.cue_depth[1] = 4;
+    od.cue_scale[0] = 1;
+    CHECK_EQ_U64(tetcast_transfer_create(&td, &t), TETCAST_OK);
+    CHECK_EQ_U64(tetcast_optics_create(t, &od, &o), TETCAST_OK);
+    CHECK_EQ_U64(tetcast_optics_ray(o, &segment, 1, rgba, NULL), TETCAST_OK);
+    CHECK_NEAR(rgba[0], 0.5, 1e-6);
+    CHECK_NEAR(rgba[3], 1, 1e-6);
+    tetcast_optics_destroy(o);
+    tetcast_transfer_destroy(t);
+}
+
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(emission);
@@ -699,6 +730,7 @@ int main(int argc, char **argv) {
     RUN(shading);
     RUN(opaque_surface_ends_the_ray);
     RUN(surfaces_by_lane);
+    RUN(cue_of_a_surface);
     RUN(tolerance_holds);
     RUN(bad_descs);
     return test_end();
