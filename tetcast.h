@@ -12915,13 +12915,13 @@ static uint64_t tetcasti_probe_run(const tetcasti_scene *scene, tetcasti_batch *
     tetcasti_line_hits(scene, b, 0);
     tetcasti_batch_sort(b);
     r = tetcasti_batch_ray(b, 0);
-    TETCAST_ASSERT(r.group < 6);
     cursor = b->cursor[0];
     last = b->last[0];
     unit = mesh->unit;
     for (k = 0; k < b->hit_start[1] && !over && b->sorted[k].at < last; k++) {
         tetcasti_start start = tetcasti_hit_start(scene, b, &b->sorted[k]);
         tetcasti_walk w;
+        TETCAST_ASSERT(r.group < 6); /* what meets the hull has one */
         tetcasti_walk_begin(&r, scene->vertex, &start, &w);
         if (w.at_face > cursor) cursor = w.at_face;
         while (!over && w.cell != TETCASTI_NONE) {

@@ -16180,6 +16180,9 @@ struct voxrt_gi {
     voxrt_gi *outer;          /* the volume around this one, with the same objects, or NULL */
 };
 
+/* Two signed sums: in one word, where a machine can add to it in one go. */
+typedef union voxrti_pair { uint64_t both; int32_t each[2]; } voxrti_pair;
+
 /* Sums while a layer is made; integers, so that threads may add in any order. First moments of normals n, two in a word
    (xx yy, zz xy, xz yz, x y, z), then what lies on both sides of the split n . split = split[3]. */
 typedef struct voxrti_gi_sides {
@@ -16187,7 +16190,7 @@ typedef struct voxrti_gi_sides {
     uint32_t rgb[2][3], weight[2], object[2];
 } voxrti_gi_sides;
 typedef struct voxrti_gi_sum {
-    union { uint64_t moment[5]; voxrti_gi_sides sides; } u;
+    union { voxrti_pair moment[5]; voxrti_gi_sides sides; } u;
     int32_t split[4];
 } voxrti_gi_sum;
 
@@ -16198,7 +16201,7 @@ typedef struct voxrti_splat {
     voxrti_gi_sum *sum;
     double plane[4];      /* distance of a point (in cells) from its plane, along the normal, world units */
     int32_t normal[3];    /* world, times 1024 */
-    uint64_t moment[5];   /* of that, times 128 */
+    voxrti_pair moment[5]; /* of that, times 128 */
     uint32_t rgb[3], object, votes;
 } voxrti_splat;
 
@@ -16259,14 +16262,33 @@ VOXRTI_INLINE size_t voxrti_gi_find(const voxrt_gi *gi, uint32_t x, uint32_t y, 
     return (size_t)-1;
 }
 
-/* Two signed sums in a word. */
-VOXRTI_INLINE uint64_t voxrti_pair(int32_t a, int32_t b) {
-    return (uint64_t)(int64_t)a + ((uint64_t)(int64_t)b << 32);
+VOXRTI_INLINE voxrti_pair voxrti_pair_make(int32_t a, int32_t b) {
+    voxrti_pair p;
+#if UINTPTR_MAX > 0xffffffffu
+    p.both = (uint64_t)(int64_t)a + ((uint64_t)(int64_t)b << 32);
+#else
+    p.each[0] = a;
+    p.each[1] = b;
+#endif
+    return p;
 }
-VOXRTI_INLINE void voxrti_pair_open(uint64_t v, double *a, double *b) {
-    const int32_t low = (int32_t)(uint32_t)v;
+VOXRTI_INLINE void voxrti_pair_add(voxrti_pair *to, const voxrti_pair *p) {
+#if UINTPTR_MAX > 0xffffffffu
+    voxrti_add_shared(&to->both, p->both);
+#else
+    voxrti_add_shared(&to->each[0], p->each[0]);
+    voxrti_add_shared(&to->each[1], p->each[1]);
+#endif
+}
+VOXRTI_INLINE void voxrti_pair_open(const voxrti_pair *p, double *a, double *b) {
+#if UINTPTR_MAX > 0xffffffffu
+    const int32_t low = (int32_t)(uint32_t)p->both;
     *a = (double)low;
-    *b = (double)(int32_t)(uint32_t)((v - (uint64_t)(int64_t)low) >> 32);
+    *b = (double)(int32_t)(uint32_t)((p->both - (uint64_t)(int64_t)low) >> 32);
+#else
+    *a = (double)p->each[0];
+    *b = (double)p->each[1];
+#endif
 }
 
 static void voxrti_splat_add(const voxrti_splat *f, uint32_t x, uint32_t y, uint32_t k) {
@@ -16274,7 +16296,7 @@ static void voxrti_splat_add(const voxrti_splat *f, uint32_t x, uint32_t y, uint
     voxrti_gi_sides *s = &sum->u.sides;
     uint32_t a, side;
     if (f->votes) {
-        for (a = 0; a < 5; a++) voxrti_add_shared(&sum->u.moment[a], f->moment[a]);
+        for (a = 0; a < 5; a++) voxrti_pair_add(&sum->u.moment[a], &f->moment[a]);
         return;
     }
     side = f->normal[0] * sum->split[0] + f->normal[1] * sum->split[1] + f->normal[2] * sum->split[2] < sum->split[3];
@@ -16332,11 +16354,11 @@ static int voxrti_splat_open(voxrti_splat *f, const voxrt_mesh *mesh, const voxr
         rgb[a] = 1.0;
     }
     if (f->votes) {
-        f->moment[0] = voxrti_pair(m[0] * m[0], m[1] * m[1]);
-        f->moment[1] = voxrti_pair(m[2] * m[2], m[0] * m[1]);
-        f->moment[2] = voxrti_pair(m[0] * m[2], m[1] * m[2]);
-        f->moment[3] = voxrti_pair(m[0], m[1]);
-        f->moment[4] = voxrti_pair(m[2], 0);
+        f->moment[0] = voxrti_pair_make(m[0] * m[0], m[1] * m[1]);
+        f->moment[1] = voxrti_pair_make(m[2] * m[2], m[0] * m[1]);
+        f->moment[2] = voxrti_pair_make(m[0] * m[2], m[1] * m[2]);
+        f->moment[3] = voxrti_pair_make(m[0], m[1]);
+        f->moment[4] = voxrti_pair_make(m[2], 0);
         return 1;
     }
     if (mesh->triangle_rgb != NULL) {
@@ -16404,11 +16426,11 @@ static void voxrti_task_gi_fragments(void *ctx, uint32_t index) {
 static void voxrti_gi_split(voxrti_gi_sum *s) {
     double m[3], c[3][3], v[3], w, most = 0.0, mean = 0.0, vary = 0.0, none;
     uint32_t a, b, turn, top = 0;
-    voxrti_pair_open(s->u.moment[0], &c[0][0], &c[1][1]);
-    voxrti_pair_open(s->u.moment[1], &c[2][2], &c[0][1]);
-    voxrti_pair_open(s->u.moment[2], &c[0][2], &c[1][2]);
-    voxrti_pair_open(s->u.moment[3], &m[0], &m[1]);
-    voxrti_pair_open(s->u.moment[4], &m[2], &none);
+    voxrti_pair_open(&s->u.moment[0], &c[0][0], &c[1][1]);
+    voxrti_pair_open(&s->u.moment[1], &c[2][2], &c[0][1]);
+    voxrti_pair_open(&s->u.moment[2], &c[0][2], &c[1][2]);
+    voxrti_pair_open(&s->u.moment[3], &m[0], &m[1]);
+    voxrti_pair_open(&s->u.moment[4], &m[2], &none);
     memset(s, 0, sizeof *s);
     w = c[0][0] + c[1][1] + c[2][2]; /* how many, times 128^2 */
     if (!(w > 0.0)) return;

@@ -2,6 +2,9 @@
    LICENSE. Comes after voxrt.h with its implementation. */
 #ifndef GI_MODELS_H_INCLUDED
 #define GI_MODELS_H_INCLUDED
+#ifndef VOXRT_IMPLEMENTATION
+#error "include voxrt.h and its implementation before this header"
+#endif
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>

@@ -3,8 +3,12 @@
    Include it after tetcast.h. */
 #ifndef SUP_AMR_SCENES_H
 #define SUP_AMR_SCENES_H
+#ifndef TETCAST_VERSION_MAJOR
+#error "include tetcast.h before this header"
+#endif
 
 #include "base.h"
+#include <math.h>
 
 enum { SUP_BLAST_BLOCK = 8 }; /* cells of a patch along each side */
 

@@ -4,6 +4,9 @@
    Include it after tetcast.h. */
 #ifndef SUP_VOLUME_LOOK_H
 #define SUP_VOLUME_LOOK_H
+#ifndef TETCAST_VERSION_MAJOR
+#error "include tetcast.h before this header"
+#endif
 
 #include "picture.h"
 #include "transfer.h"
