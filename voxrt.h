@@ -10498,7 +10498,7 @@ VOXRTI_TARGET_AVX2 static inline void voxrti_hits4(const voxrt_tree *t, const vo
         x = _mm_and_si128(_mm_or_si128(x, _mm_slli_epi32(x, 2)), _mm_set1_epi32(9));
         slot = _mm_or_si128(slot, _mm_slli_epi32(x, (int)a));
     }
-    t_min = _mm256_cvtps_pd(_mm256_castps256_ps128(v[3]));
+    t_min = _mm256_add_pd(_mm256_cvtps_pd(_mm256_castps256_ps128(v[3])), _mm256_setzero_pd()); /* -0 becomes 0 */
     m = _mm256_cmp_pd(time, t_min, _CMP_LT_OQ);
     time = _mm256_blendv_pd(time, t_min, m);
     face = _mm_blendv_epi8(face, _mm_set1_epi32(6), voxrti_narrow4(m));

@@ -621,7 +621,7 @@ fuzz_libfuzzer() { # NAME SECONDS
     [ -d tests/fuzz/corpus/${1#fuzz_} ] && seeds=tests/fuzz/corpus/${1#fuzz_}
     mkdir -p "$OUT/fuzz/$1.found"
     cmd clang $SAN_FLAGS $STATIC -fsanitize=fuzzer,address,undefined -fno-sanitize-recover=all -I. -o "$p" tests/fuzz/$1.c -lm -lpthread &&
-    cmd timeout 600 "$p" -max_total_time=$2 -timeout=10 -rss_limit_mb=3000 -seed=1 -print_final_stats=1 \
+    cmd timeout 600 "$p" -max_total_time=$2 -timeout=10 -rss_limit_mb=3000 -seed=1 -error_exitcode=1 -timeout_exitcode=1 -print_final_stats=1 \
         -artifact_prefix="$OUT/fuzz/$1." $dict "$OUT/fuzz/$1.found" $seeds
 }
 group_fuzz() {

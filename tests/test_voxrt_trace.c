@@ -554,6 +554,7 @@ static void make_run(test_rng *r, const scene *s, voxrt_ray *q, size_t n, const 
             if (i % 32 == 13) q[i].dir[1] = NAN;
             if (i % 32 == 21) q[i].dir[0] = q[i].dir[1] = q[i].dir[2] = 0.0f;
             break;
+        case 4: if (i % 4 == 0) q[i].t_min = -0.0f; break; /* begins in a voxel: t is 0, not -0 */
         case 9: if (i % 2 != 0) q[i].org[0] = -0.0f; break;
         case 10: q[i].dir[0] = step * ((float)(i % 8) - 3.5f); break; /* a component that changes its sign in the tile */
         default: break;
