@@ -5622,12 +5622,24 @@ VOXRT_DEF void voxrt_tree_destroy(voxrt_tree *tree) {
     }
 }
 
+/* Where the attributes of each virtual level begin, finest first; count: cells of the levels. */
+static VOXRTI_UNUSED void voxrti_attr_places(voxrt_tree *t, const uint64_t *count) {
+    uint64_t total = 0;
+    uint32_t v;
+    memset(t->attr_first, 0, sizeof t->attr_first);
+    for (v = 2 * t->wide + 1; v-- > 0;) {
+        t->attr_first[v] = total;
+        total += count[v];
+    }
+    t->attr_count = total;
+}
+
 /* Given wide, depth, level_nodes and the masks of all nodes, derive the rest of the geometry: level_first, child,
    octant, rank, attr_first, counts and the box of the filled cells. Arrays are allocated by the caller: node, leaf
    (padded by 8), rank. ERR_FORMAT: the masks do not describe a tree. O(nodes). */
 static VOXRTI_UNUSED voxrt_result voxrti_tree_index(voxrt_tree *t) {
     uint32_t w, i, k, octants = 0, at = 0;
-    uint64_t count[2 * VOXRTI_MAX_WIDE + 1], voxels = 0, total = 0;
+    uint64_t count[2 * VOXRTI_MAX_WIDE + 1], voxels = 0;
     memset(count, 0, sizeof count);
     if (t->depth < 1 || t->depth > VOXRT_MAX_DEPTH || t->wide != (t->depth + 1) / 2) return VOXRT_ERR_FORMAT;
     if (t->level_nodes[0] != 1) return VOXRT_ERR_FORMAT;
@@ -5670,12 +5682,7 @@ static VOXRTI_UNUSED voxrt_result voxrti_tree_index(voxrt_tree *t) {
     count[2 * w + 1] = octants;
     count[2 * w + 2] = voxels;
     t->voxel_count = voxels;
-    memset(t->attr_first, 0, sizeof t->attr_first);
-    for (k = 2 * t->wide + 1; k-- > 0;) {
-        t->attr_first[k] = total;
-        total += count[k];
-    }
-    t->attr_count = total;
+    voxrti_attr_places(t, count);
     return VOXRT_OK;
 }
 
@@ -6857,7 +6864,7 @@ static int voxrti_shared_parts(voxrt_tree *t, uint32_t w, const voxrti_part *bel
 
 /* Cells of each virtual level: how often each node is met, from the root down. The sum is known to be below 2^32. */
 static voxrt_result voxrti_shared_counts(voxrti_mem *mem, voxrt_tree *t) {
-    uint64_t count[2 * VOXRTI_MAX_WIDE + 1], total = 0;
+    uint64_t count[2 * VOXRTI_MAX_WIDE + 1];
     uint32_t w, i, k, *times = NULL, *below = NULL;
     memset(count, 0, sizeof count);
     count[0] = 1;
@@ -6889,12 +6896,7 @@ static voxrt_result voxrti_shared_counts(voxrti_mem *mem, voxrt_tree *t) {
         count[2] = voxrti_popcount64(t->leaf[0]);
     }
     t->voxel_count = count[2 * t->wide];
-    memset(t->attr_first, 0, sizeof t->attr_first);
-    for (i = 2 * t->wide + 1; i-- > 0;) {
-        t->attr_first[i] = total;
-        total += count[i];
-    }
-    t->attr_count = total;
+    voxrti_attr_places(t, count);
     return VOXRT_OK;
 }
 

@@ -5,11 +5,11 @@
 extern "C" {
 #endif
 typedef unsigned long pthread_t;
-typedef struct stub_attr { long a[8]; } pthread_attr_t;
-typedef struct stub_mutex { long a[8]; } pthread_mutex_t;
-typedef struct stub_cond { long a[8]; } pthread_cond_t;
-typedef struct stub_mattr { long a; } pthread_mutexattr_t;
-typedef struct stub_cattr { long a; } pthread_condattr_t;
+typedef struct { long a[8]; } pthread_attr_t;
+typedef struct { long a[8]; } pthread_mutex_t;
+typedef struct { long a[8]; } pthread_cond_t;
+typedef struct { long a; } pthread_mutexattr_t;
+typedef struct { long a; } pthread_condattr_t;
 int pthread_create(pthread_t *, const pthread_attr_t *, void *(*)(void *), void *);
 int pthread_join(pthread_t, void **);
 int pthread_attr_init(pthread_attr_t *);
