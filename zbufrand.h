@@ -2027,6 +2027,7 @@ typedef struct zbufrandi_structure {
     uint32_t first_view;            /* set of the first direction of view; 0: there are none, or an edit spoilt them */
     uint32_t material;
     float box_lo[3], box_hi[3];     /* of everything, rounded outwards */
+    float radius;                   /* of a ball around the middle of that box that holds everything, stored points, too */
     struct zbufrandi_lists *lists;  /* the thesis' trees; NULL: not asked for */
     double *item_sum;               /* [cluster_count + instance_count + 1] areas added up: clusters, then instances */
     double area;                    /* all triangles, instances included, in units of the structure */
@@ -4165,6 +4166,7 @@ static int zbufrandi_instance_box(const zbufrandi_instance *it, const zbufrandi_
             c += it->to_parent[a][k] * (0.5 * ((double)to->box_lo[k] + (double)to->box_hi[k]));
             e += zbufrandi_abs(it->to_parent[a][k]) * (0.5 * ((double)to->box_hi[k] - (double)to->box_lo[k]));
         }
+        e = zbufrandi_min(e, (double)to->radius * it->scale * (1.0 + 1e-12)); /* boxes that are turned grow, balls do not */
         e += 1e-15 * (zbufrandi_abs(c) + e);
         ok &= zbufrandi_abs(c) + e <= 1e15;
         lo[a] = zbufrandi_float_down(zbufrandi_max(c - e, -1e15));
@@ -4262,6 +4264,37 @@ static int zbufrandi_finish_tree(zbufrandi_build *b) {
     return ok;
 }
 
+/* The ball around the middle of the box. Stored points are off by up to half a step of their grid. */
+static void zbufrandi_structure_radius(const zbufrand_scene *scene, zbufrandi_structure *s) {
+    double c[3], p[3], diagonal = 0.0, most = 0.0, r;
+    size_t i;
+    uint32_t k;
+    int a;
+    for (a = 0; a < 3; a++) {
+        c[a] = 0.5 * ((double)s->box_lo[a] + (double)s->box_hi[a]);
+        diagonal += ((double)s->box_hi[a] - c[a]) * ((double)s->box_hi[a] - c[a]);
+    }
+    for (i = 0; i < s->vertex_count; i++) {
+        for (a = 0, r = 0.0; a < 3; a++) {
+            p[a] = (double)s->position[3 * i + (size_t)a] - c[a];
+            r += p[a] * p[a];
+        }
+        most = zbufrandi_max(most, r);
+    }
+    most = sqrt(most);
+    for (i = 0; i < s->instance_count; i++) {
+        const zbufrandi_instance *it = &s->instance[i];
+        const zbufrandi_structure *to = &scene->structure[it->structure];
+        if (to->node_count == 0 || it->hidden) continue;
+        for (k = 0; k < 3; k++) p[k] = 0.5 * ((double)to->box_lo[k] + (double)to->box_hi[k]);
+        zbufrandi_m34_point(ZBUFRANDI_M34(it->to_parent), p, p);
+        for (a = 0, r = 0.0; a < 3; a++) r += (p[a] - c[a]) * (p[a] - c[a]);
+        most = zbufrandi_max(most, sqrt(r) + (double)to->radius * it->scale);
+    }
+    diagonal = sqrt(diagonal);
+    s->radius = zbufrandi_float_up(zbufrandi_min(most + 0.001 * diagonal, diagonal) * (1.0 + 1e-6));
+}
+
 /* Areas and counts of the whole structure. 0: more than 2^64 - 1 triangles. */
 static int zbufrandi_structure_totals(zbufrandi_build *b) {
     zbufrandi_structure *s = b->s;
@@ -4271,6 +4304,7 @@ static int zbufrandi_structure_totals(zbufrandi_build *b) {
     zbufrandi_node_lane(&s->node[0], &root);
     memcpy(s->box_lo, root.lo, sizeof s->box_lo);
     memcpy(s->box_hi, root.hi, sizeof s->box_hi);
+    zbufrandi_structure_radius(b->scene, s);
     s->item_sum[0] = 0.0;
     for (i = 0; i < items; i++) {
         s->item_sum[i + 1] = s->item_sum[i];
@@ -7367,6 +7401,26 @@ ZBUFRANDI_INLINE void zbufrandi_ray_fetch(const zbufrandi_structure *s, const zb
     }
 }
 
+/* Ask for what a child that waits is looked at for first: boxes and children of a node, the boxes of a cluster's
+   groups, the transform of an instance, of which there may be more than any cache holds. */
+ZBUFRANDI_INLINE void zbufrandi_ray_child_fetch(const zbufrandi_rays *r, const zbufrandi_structure *s,
+                                                uint32_t structure, uint32_t child) {
+    const uint32_t index = ZBUFRANDI_CHILD_INDEX(child);
+    if (ZBUFRANDI_CHILD_KIND(child) == ZBUFRANDI_CHILD_NODE) {
+        const zbufrandi_node8 *node = &s->node[index];
+        ZBUFRANDI_PREFETCH(node->lo[0]);
+        ZBUFRANDI_PREFETCH(node->lo[2]);
+        ZBUFRANDI_PREFETCH(node->hi[1]);
+        ZBUFRANDI_PREFETCH(node->child);
+    } else if (ZBUFRANDI_CHILD_KIND(child) == ZBUFRANDI_CHILD_INSTANCE) {
+        const uint8_t *in = (const uint8_t *)&s->instance[index];
+        ZBUFRANDI_PREFETCH(in);
+        ZBUFRANDI_PREFETCH(in + 64);
+    } else {
+        ZBUFRANDI_PREFETCH(&r->box[structure][index]);
+    }
+}
+
 ZBUFRANDI_TARGET_AVX2 static void zbufrandi_ray_cluster_avx2(zbufrandi_ray_walk *walk, zbufrandi_ray_local *l,
                                                              uint32_t structure, uint32_t index) {
     const zbufrandi_structure *s = &walk->r->structure[structure];
@@ -7427,8 +7481,7 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_ray_subtree_avx2(zbufrandi_ray_walk 
                     k--;
                     stack[k].child = node->child[c];
                     stack[k].t = enter[c];
-                    if (ZBUFRANDI_CHILD_KIND(node->child[c]) == ZBUFRANDI_CHILD_CLUSTER)
-                        ZBUFRANDI_PREFETCH(&walk->r->box[structure][ZBUFRANDI_CHILD_INDEX(node->child[c])]);
+                    zbufrandi_ray_child_fetch(walk->r, s, structure, node->child[c]);
                 }
                 continue;
             }
@@ -7759,7 +7812,11 @@ static void zbufrandi_ray_structure8(zbufrandi_ray_bundle *b, uint32_t mask, uin
             zbufrandi_ray_cluster8(b, &p, active, structure, index);
         else if (ZBUFRANDI_CHILD_KIND(child) == ZBUFRANDI_CHILD_INSTANCE)
             zbufrandi_ray_instance8(b, &p, active, s, index, o, d);
-        else count = zbufrandi_ray_node8(&p, &s->node[index], active, stack, count);
+        else {
+            i = count;
+            count = zbufrandi_ray_node8(&p, &s->node[index], active, stack, count);
+            for (; i < count; i++) zbufrandi_ray_child_fetch(b->walk[0].r, s, structure, stack[i].child);
+        }
     }
 }
 #endif
@@ -8260,45 +8317,89 @@ ZBUFRANDI_TARGET_AVX2 static int zbufrandi_behind_pixels_avx2(const zbufrandi_cu
 }
 #endif
 
-/* Which of the children in `mask` are certainly not seen: small ones pixel by pixel, others by the pyramid. */
-static uint32_t zbufrandi_hidden_children(const zbufrandi_cut *cut, const zbufrandi_tested *t, uint32_t mask) {
+/* Is child i certainly not seen? Small ones are looked at pixel by pixel, others by the pyramid. */
+static int zbufrandi_hidden_child(const zbufrandi_cut *cut, const zbufrandi_tested *t, uint32_t i) {
     const float w = (float)(int32_t)cut->camera.width, h = (float)(int32_t)cut->camera.height;
+    float rect[4];
+    int behind = 0;
+    if (!(t->expected[i] < INFINITY)) return 0; /* crosses the near plane */
+    rect[0] = t->x0[i] > 0.0f ? t->x0[i] : 0.0f;
+    rect[1] = t->y0[i] > 0.0f ? t->y0[i] : 0.0f;
+    rect[2] = t->x1[i] < w - 1.0f ? t->x1[i] : w - 1.0f;
+    rect[3] = t->y1[i] < h - 1.0f ? t->y1[i] : h - 1.0f;
+    if (!(rect[0] <= rect[2] && rect[1] <= rect[3])) return 0;
+    if (cut->pyramid != NULL && (cut->keys == NULL || rect[2] - rect[0] >= 7.0f || rect[3] - rect[1] >= 7.0f)) {
+#if ZBUFRANDI_AVX2
+        if (cut->level >= 3) behind = zbufrandi_pyramid_hidden_avx2(cut->pyramid, rect, t->z_min[i]);
+        else
+#endif
+            behind = zbufrandi_pyramid_hidden(cut->pyramid, rect, t->z_min[i]);
+    }
+    if (!behind && cut->keys != NULL && rect[2] - rect[0] < ZBUFRANDI_HIDDEN_PIXELS &&
+        rect[3] - rect[1] < ZBUFRANDI_HIDDEN_PIXELS) {
+        const uint32_t x0 = (uint32_t)(int32_t)rect[0], y0 = (uint32_t)(int32_t)rect[1];
+        uint32_t x1 = (uint32_t)(int32_t)rect[2], y1 = (uint32_t)(int32_t)rect[3];
+        if (cut->block == 2) { /* what samples there paint */
+            x1 += x1 + 1 < cut->keys->width;
+            y1 += y1 + 1 < cut->keys->height;
+        }
+#if ZBUFRANDI_AVX2
+        if (cut->level >= 3 && x1 + 8 <= cut->keys->width)
+            behind = zbufrandi_behind_pixels_avx2(cut, x0, y0, x1, y1, t->z_min[i]);
+        else
+#endif
+            behind = zbufrandi_behind_pixels(cut, x0, y0, x1, y1, t->z_min[i]);
+    }
+    return behind;
+}
+
+/* Which of the children in `mask` are certainly not seen. */
+static uint32_t zbufrandi_hidden_children(const zbufrandi_cut *cut, const zbufrandi_tested *t, uint32_t mask) {
     uint32_t hidden = 0;
     for (; mask != 0; mask &= mask - 1) {
         const uint32_t i = zbufrandi_ctz64(mask);
-        float rect[4];
-        int behind = 0;
-        if (!(t->expected[i] < INFINITY)) continue; /* crosses the near plane */
-        rect[0] = t->x0[i] > 0.0f ? t->x0[i] : 0.0f;
-        rect[1] = t->y0[i] > 0.0f ? t->y0[i] : 0.0f;
-        rect[2] = t->x1[i] < w - 1.0f ? t->x1[i] : w - 1.0f;
-        rect[3] = t->y1[i] < h - 1.0f ? t->y1[i] : h - 1.0f;
-        if (!(rect[0] <= rect[2] && rect[1] <= rect[3])) continue;
-        if (cut->pyramid != NULL && (cut->keys == NULL || rect[2] - rect[0] >= 7.0f || rect[3] - rect[1] >= 7.0f)) {
-#if ZBUFRANDI_AVX2
-            if (cut->level >= 3) behind = zbufrandi_pyramid_hidden_avx2(cut->pyramid, rect, t->z_min[i]);
-            else
-#endif
-                behind = zbufrandi_pyramid_hidden(cut->pyramid, rect, t->z_min[i]);
-        }
-        if (!behind && cut->keys != NULL && rect[2] - rect[0] < ZBUFRANDI_HIDDEN_PIXELS &&
-            rect[3] - rect[1] < ZBUFRANDI_HIDDEN_PIXELS) {
-            const uint32_t x0 = (uint32_t)(int32_t)rect[0], y0 = (uint32_t)(int32_t)rect[1];
-            uint32_t x1 = (uint32_t)(int32_t)rect[2], y1 = (uint32_t)(int32_t)rect[3];
-            if (cut->block == 2) { /* what samples there paint */
-                x1 += x1 + 1 < cut->keys->width;
-                y1 += y1 + 1 < cut->keys->height;
-            }
-#if ZBUFRANDI_AVX2
-            if (cut->level >= 3 && x1 + 8 <= cut->keys->width)
-                behind = zbufrandi_behind_pixels_avx2(cut, x0, y0, x1, y1, t->z_min[i]);
-            else
-#endif
-                behind = zbufrandi_behind_pixels(cut, x0, y0, x1, y1, t->z_min[i]);
-        }
-        hidden |= (uint32_t)behind << i;
+        hidden |= (uint32_t)zbufrandi_hidden_child(cut, t, i) << i;
     }
     return hidden;
+}
+
+/* A whole instance, seen from its own structure: the box there and the ball in it are narrower than the box around them
+   in the parent. Narrows what is known of child i. 0: outside of the picture. */
+static int zbufrandi_narrow(const zbufrandi_cut *cut, const zbufrandi_local *l, zbufrandi_tested *t, uint32_t i) {
+    const zbufrandi_structure *s = &cut->scene->structure[l->structure];
+    const float ball = s->radius * l->scale;
+    float q[3], e[3], reach[3], c[3], slack, near_i, far_i;
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        e[a] = (s->box_hi[a] - s->box_lo[a]) * 0.5f +
+            (zbufrandi_absf(s->box_lo[a]) + zbufrandi_absf(s->box_hi[a])) * 1.2e-7f;
+        q[a] = (s->box_lo[a] + s->box_hi[a]) * 0.5f - l->eye[a];
+    }
+    slack = sqrtf(q[0] * q[0] + q[1] * q[1] + q[2] * q[2]) * (l->scale * 1e-6f);
+    for (a = 0; a < 3; a++) {
+        c[a] = (q[0] * l->m[a][0] + q[1] * l->m[a][1] + q[2] * l->m[a][2]) + l->rest[a];
+        reach[a] = (e[0] * zbufrandi_absf(l->m[a][0]) + e[1] * zbufrandi_absf(l->m[a][1]) +
+                    e[2] * zbufrandi_absf(l->m[a][2])) * 1.000001f;
+        reach[a] = (reach[a] < ball ? reach[a] : ball) + slack;
+    }
+    if (c[2] - reach[2] > t->z_min[i]) t->z_min[i] = c[2] - reach[2];
+    if (c[2] + reach[2] < t->z_max[i]) t->z_max[i] = c[2] + reach[2];
+    if (!(t->z_min[i] <= t->z_max[i])) return 1; /* rounding: nothing gained */
+    near_i = 1.0f / t->z_min[i];
+    far_i = 1.0f / t->z_max[i];
+    for (a = 0; a < 2; a++) {
+        const float focal = a == 0 ? cut->focal : 0.0f - cut->focal, center = a == 0 ? cut->center_x : cut->center_y;
+        const float lo = c[a] * focal - reach[a] * cut->focal, hi = c[a] * focal + reach[a] * cut->focal;
+        const float first = (lo * near_i < lo * far_i ? lo * near_i : lo * far_i) +
+            (center - ZBUFRANDI_PYRAMID_SLACK);
+        const float last = (hi * near_i > hi * far_i ? hi * near_i : hi * far_i) + (center + ZBUFRANDI_PYRAMID_SLACK);
+        float *x0 = a == 0 ? &t->x0[i] : &t->y0[i], *x1 = a == 0 ? &t->x1[i] : &t->y1[i];
+        if (first > *x0) *x0 = first;
+        if (last < *x1) *x1 = last;
+        if (!(*x1 >= 0.0f && *x0 <= (a == 0 ? (float)(int32_t)cut->camera.width
+                                            : (float)(int32_t)cut->camera.height))) return 0;
+    }
+    return 1;
 }
 
 /* ---- what is done with a child ---- */
@@ -8433,7 +8534,7 @@ ZBUFRANDI_INLINE void zbufrandi_prefetch_node(const zbufrandi_node8 *n) {
 /* Draw child i of a node, or open it, or enter it. */
 static void zbufrandi_pick_child(const zbufrandi_cut *cut, const zbufrandi_local *locals, zbufrandi_pick *p,
                                  uint32_t local,
-                                 const zbufrandi_node8 *n, const zbufrandi_tested *t, uint32_t i, float *expected) {
+                                 const zbufrandi_node8 *n, zbufrandi_tested *t, uint32_t i, float *expected) {
     const zbufrandi_local *l = local >= ZBUFRANDI_NEW_LOCAL ? &p->local[local - ZBUFRANDI_NEW_LOCAL] : &locals[local];
     const zbufrandi_structure *s = &cut->scene->structure[l->structure];
     uint32_t child = n->child[i], kind = ZBUFRANDI_CHILD_KIND(child), index = ZBUFRANDI_CHILD_INDEX(child), a;
@@ -8480,6 +8581,27 @@ static void zbufrandi_pick_child(const zbufrandi_cut *cut, const zbufrandi_local
         zbufrandi_local *k = &p->local[p->local_count++];
         zbufrandi_local_whole(cut, l, local, index, k);
         to = &cut->scene->structure[k->structure];
+        if (e < INFINITY) {
+            const float z = t->z_min[i], wide = (t->x1[i] - t->x0[i] + 1.0f) * (t->y1[i] - t->y0[i] + 1.0f);
+            if (!zbufrandi_narrow(cut, k, t, i)) {
+                p->local_count--;
+                p->counts.outside++;
+                return;
+            }
+            if ((cut->pyramid != NULL || cut->keys != NULL) &&
+                (t->x1[i] - t->x0[i] + 1.0f) * (t->y1[i] - t->y0[i] + 1.0f) < 0.7f * wide &&
+                zbufrandi_hidden_child(cut, t, i)) {
+                p->local_count--;
+                p->counts.hidden++;
+                return;
+            }
+            if (t->z_min[i] > z) {
+                const float nearer = z / t->z_min[i];
+                t->expected[i] = e = e * (nearer * nearer * nearer * 1.000001f);
+                *expected = e;
+                stored = e <= cut->stored && samples;
+            }
+        }
         if (samples) {
             const uint32_t draws = p->draw_count;
             if (zbufrandi_emit_view(cut, p, k, entered, hash, n, t, i, expected)) stored = 1;
@@ -14444,10 +14566,16 @@ static zbufrand_result zbufrandi_draw_scene(zbufrandi_picture *p) {
    empty pixel is found when 4 neighbours are not empty, and stays if 5 are, of 56 fives one. That holds if all that
    has 5 nearer neighbours is found: most of it is right, at the edges of leaves and far hills, but with only what was
    far enough behind for the spread of depths around it, and behind planes through them, up to three of four pictures
-   were incomplete. At least 5 because with 6 and 7 the density has to be a quarter and 60 % higher. */
+   were incomplete. At least 5 because with 6 and 7 the density has to be a quarter and 60 % higher.
+
+   Most suspects are right, and a ray that gets as deep as they are speaks for more than its own pixel: what it sees is
+   visible around all the pixels beside it, so that none of them that is no deeper than that is incomplete. So the
+   pixel with most suspects around it gets a ray first, and only those it cannot speak for get their own. */
 
 enum { ZBUFRANDI_REPAIR_RAYS = 64, ZBUFRANDI_REPAIR_WRONG = 5, ZBUFRANDI_REPAIR_HOLE = 4, ZBUFRANDI_REPAIR_TILE = 2,
-       ZBUFRANDI_REPAIR_AREA = 16 };
+       ZBUFRANDI_REPAIR_AREA = 16,
+       /* in the mask of suspects: their kind, another one's ray may speak for it, a ray of its own that may do so */
+       ZBUFRANDI_REPAIR_KIND = 63, ZBUFRANDI_REPAIR_SPOKEN = 64, ZBUFRANDI_REPAIR_SPEAKS = 128 };
 
 static void zbufrandi_depth_task(void *ctx, uint32_t y) { /* depths of the picture from its keys */
     zbufrandi_picture *p = (zbufrandi_picture *)ctx;
@@ -14459,6 +14587,72 @@ static void zbufrandi_depth_task(void *ctx, uint32_t y) { /* depths of the pictu
         const uint32_t bits = (uint32_t)(keys[x] >> 32) < 0x7f800000u ? (uint32_t)(keys[x] >> 32) : 0x7f800000u;
         memcpy(&out[x], &bits, sizeof bits);
     }
+}
+
+/* Suspects within a block of a pixel that the ray through it speaks for: holes if it is empty itself, else others.
+   Returns how many. */
+static uint32_t zbufrandi_repair_around(const zbufrandi_picture *p, uint32_t pixel, uint32_t around[25]) {
+    const zbufrandi_recon *r = &p->f->recon;
+    const int there = p->f->depth[pixel] < (float)INFINITY;
+    const int64_t x = pixel % r->width, y = pixel / r->width, d = r->o.block < 2 ? 1 : 2;
+    int64_t i, j;
+    uint32_t n = 0;
+    for (j = y - d; j <= y + d; j++) {
+        if (j < 0 || j >= (int64_t)r->height) continue;
+        for (i = x - d; i <= x + d; i++) {
+            const size_t at = (size_t)j * r->width + (size_t)i;
+            if (i < 0 || i >= (int64_t)r->width || (p->f->mask[at] & ZBUFRANDI_REPAIR_KIND) == 0) continue;
+            if ((p->f->depth[at] < (float)INFINITY) == there) around[n++] = (uint32_t)at;
+        }
+    }
+    return n;
+}
+
+/* The pixel in a suspect's surroundings whose ray speaks for most suspects that nobody speaks for yet: the middle of a
+   gap between leaves rather than one of its corners. */
+static uint32_t zbufrandi_repair_speaker(const zbufrandi_picture *p, uint32_t pixel) {
+    const zbufrandi_recon *r = &p->f->recon;
+    const uint8_t *mask = p->f->mask;
+    const float *depth = p->f->depth, limit = depth[pixel] * 0.99f;
+    const int32_t d = r->o.block < 2 ? 1 : 2, x = (int32_t)(pixel % r->width), y = (int32_t)(pixel / r->width),
+        w = (int32_t)r->width, h = (int32_t)r->height;
+    uint32_t row[9], best = pixel, most = 0;
+    int32_t i, j, k;
+    for (j = 0; j <= 4 * d; j++) { /* a bit for each suspect without a speaker, up to two blocks away */
+        const int32_t v = y + j - 2 * d;
+        row[j] = 0;
+        if (v < 0 || v >= h) continue;
+        for (i = 0; i <= 4 * d; i++) {
+            const int32_t u = x + i - 2 * d;
+            if (u < 0 || u >= w) continue;
+            k = mask[(size_t)v * r->width + (size_t)u];
+            if ((k & ZBUFRANDI_REPAIR_KIND) != 0 && (k & ZBUFRANDI_REPAIR_SPOKEN) == 0) row[j] |= 1u << i;
+        }
+    }
+    for (j = 0; j <= 2 * d; j++) {
+        for (i = 0; i <= 2 * d; i++) {
+            const int32_t u = x + i - d, v = y + j - d;
+            const size_t at = (size_t)v * r->width + (size_t)u;
+            uint32_t n = 0;
+            if (u < 0 || v < 0 || u >= w || v >= h || !(depth[at] >= limit)) continue;
+            if ((depth[at] < (float)INFINITY) != (depth[pixel] < (float)INFINITY)) continue;
+            for (k = j; k <= j + 2 * d; k++) n += zbufrandi_popcount64(row[k] >> i & ((2u << 2 * d) - 1u));
+            if (n < most || (n == most && mask[at] != 0)) continue;
+            most = n;
+            best = (uint32_t)at;
+        }
+    }
+    return best;
+}
+
+/* How deep the ray through a pixel has to look: as deep as it shows, and all that it speaks for. */
+static float zbufrandi_repair_reach(const zbufrandi_picture *p, uint32_t pixel) {
+    float most = p->f->depth[pixel];
+    uint32_t around[25], n, k;
+    if ((p->f->mask[pixel] & ZBUFRANDI_REPAIR_SPEAKS) == 0) return most;
+    n = zbufrandi_repair_around(p, pixel, around);
+    for (k = 0; k < n; k++) most = p->f->depth[around[k]] > most ? p->f->depth[around[k]] : most;
+    return most;
 }
 
 static void zbufrandi_repair_task(void *ctx, uint32_t task) { /* rays through suspects */
@@ -14475,7 +14669,7 @@ static void zbufrandi_repair_task(void *ctx, uint32_t task) { /* rays through su
         const uint32_t pixel = f->suspect[begin + i], x = pixel % r->width + r->guard, y = pixel / r->width + r->guard;
         const double u = ((double)x + 0.5 + (double)p->jitter[0] - c->center_x) / c->focal;
         const double v = (c->center_y - (double)y - 0.5 - (double)p->jitter[1]) / c->focal;
-        const double shown = (double)f->depth[pixel];
+        const double shown = (double)zbufrandi_repair_reach(p, pixel);
         for (a = 0; a < 3; a++) {
             ray[i].o[a] = c->eye[a] - p->scene->structure[0].origin[a];
             ray[i].d[a] = c->dir[a] + u * c->right[a] + v * c->up[a];
@@ -14633,18 +14827,72 @@ static zbufrand_result zbufrandi_find_suspects(zbufrandi_picture *p) {
                 const size_t row = (size_t)y * r->width,
                     end = row + (r->width - x0 < ZBUFRANDI_REPAIR_AREA ? r->width : x0 + ZBUFRANDI_REPAIR_AREA);
                 for (at = row + x0; (at = zbufrandi_next_mark(f->mask, at, end)) < end; at++) {
-                    if (p->stats.rastered != 0 && !zbufrandi_near_samples(p, f->mask + n, (uint32_t)at)) continue;
+                    if (p->stats.rastered != 0 && !zbufrandi_near_samples(p, f->mask + n, (uint32_t)at)) {
+                        f->mask[at] = 0;
+                        continue;
+                    }
                     if (!zbufrandi_grow(&f->mem, (void **)&f->suspect, &f->suspect_capacity, f->suspect_count,
                                         f->suspect_count + 1, sizeof *f->suspect)) return ZBUFRAND_ERR_NO_MEMORY;
                     f->suspect[f->suspect_count++] = (uint32_t)at;
-                    if (f->mask[at] == ZBUFRAND_SUSPECT_WRONG) p->stats.wrong++;
-                    else p->stats.holes++;
                 }
             }
         }
     }
-    return zbufrandi_grow(&f->mem, (void **)&f->hit, &f->hit_capacity, 0, f->suspect_count, sizeof *f->hit)
+    return zbufrandi_grow(&f->mem, (void **)&f->suspect, &f->suspect_capacity, f->suspect_count, 2 * f->suspect_count,
+                          sizeof *f->suspect) &&
+           zbufrandi_grow(&f->mem, (void **)&f->hit, &f->hit_capacity, 0, f->suspect_count, sizeof *f->hit)
         ? ZBUFRAND_OK : ZBUFRAND_ERR_NO_MEMORY;
+}
+
+/* Cast the rays of the list and put what they find into the keys. */
+static zbufrand_result zbufrandi_repair_cast(zbufrandi_picture *p, uint32_t *out_inside) {
+    zbufrand_frame *f = p->f;
+    size_t i;
+    if (f->suspect_count == 0) return ZBUFRAND_OK;
+    for (i = 0; i < f->suspect_count; i++) {
+        if (f->depth[f->suspect[i]] < (float)INFINITY) p->stats.wrong++;
+        else p->stats.holes++;
+    }
+    zbufrandi_parallel_for(&f->env, zbufrandi_repair_task, p,
+                           (uint32_t)((f->suspect_count + ZBUFRANDI_REPAIR_RAYS - 1) / ZBUFRANDI_REPAIR_RAYS));
+    return zbufrandi_repair_apply(p, out_inside);
+}
+
+/* All suspects: some get rays, which speak for others; then those that are left. */
+static zbufrand_result zbufrandi_repair_suspects(zbufrandi_picture *p, uint32_t *out_inside) {
+    zbufrand_frame *f = p->f;
+    const size_t all = f->suspect_count;
+    uint32_t *list = f->suspect + all, around[25], n, k;
+    size_t i, rays = 0;
+    zbufrand_result result;
+    memcpy(list, f->suspect, all * sizeof *list);
+    for (i = 0; i < all; i++) {
+        uint32_t from;
+        if ((f->mask[list[i]] & (ZBUFRANDI_REPAIR_SPOKEN | ZBUFRANDI_REPAIR_SPEAKS)) != 0) continue;
+        from = zbufrandi_repair_speaker(p, list[i]);
+        n = zbufrandi_repair_around(p, from, around);
+        for (k = 0; k < n; k++) f->mask[around[k]] |= ZBUFRANDI_REPAIR_SPOKEN;
+        f->mask[from] |= ZBUFRANDI_REPAIR_SPEAKS;
+        f->suspect[rays++] = from;
+    }
+    f->suspect_count = rays;
+    result = zbufrandi_repair_cast(p, out_inside);
+    if (result != ZBUFRAND_OK) return result;
+    for (i = 0; i < rays; i++) {
+        const float seen = (float)f->hit[i].t; /* INFINITY: nothing as far as it had to look */
+        const uint32_t from = f->suspect[i];
+        n = zbufrandi_repair_around(p, from, around);
+        for (k = 0; k < n; k++) {
+            if ((f->mask[around[k]] & ZBUFRANDI_REPAIR_SPEAKS) == 0 && f->depth[around[k]] <= seen * 1.009f)
+                f->mask[around[k]] &= (uint8_t)~(uint32_t)ZBUFRANDI_REPAIR_SPOKEN;
+        }
+    }
+    for (i = 0, rays = 0; i < all; i++) {
+        if ((f->mask[list[i]] & (ZBUFRANDI_REPAIR_SPOKEN | ZBUFRANDI_REPAIR_SPEAKS)) == ZBUFRANDI_REPAIR_SPOKEN)
+            f->suspect[rays++] = list[i];
+    }
+    f->suspect_count = rays;
+    return zbufrandi_repair_cast(p, out_inside);
 }
 
 /* Find suspects, send rays, say how complete the picture is then, or the mean of that many. density: of all passes. */
@@ -14663,9 +14911,7 @@ static zbufrand_result zbufrandi_repair(zbufrandi_picture *p, double density, ui
     zbufrandi_parallel_for(&f->env, zbufrandi_depth_task, p, r->height);
     result = zbufrandi_find_suspects(p);
     if (result != ZBUFRAND_OK) return result;
-    zbufrandi_parallel_for(&f->env, zbufrandi_repair_task, p,
-                           (uint32_t)((f->suspect_count + ZBUFRANDI_REPAIR_RAYS - 1) / ZBUFRANDI_REPAIR_RAYS));
-    result = zbufrandi_repair_apply(p, &inside);
+    result = zbufrandi_repair_suspects(p, &inside);
     if (result != ZBUFRAND_OK) return result;
     covered = p->stats.repaired - covered; /* holes are among them */
     for (at = 0; at < n; at++) covered += f->depth[at] < INFINITY;
@@ -16991,15 +17237,23 @@ static void zbufrandi_edit_refit(zbufrand_scene *scene, uint32_t index) {
 /* Box, area and count of a structure, from its root. */
 static void zbufrandi_edit_totals(zbufrandi_structure *s) {
     zbufrandi_lane root;
+    double diagonal = 0.0;
     uint32_t i;
+    int a;
     s->area = 0.0;
     s->virtual_triangles = 0;
     memset(s->box_lo, 0, sizeof s->box_lo);
     memset(s->box_hi, 0, sizeof s->box_hi);
+    s->radius = 0.0f;
     if (s->node_count == 0) return;
     zbufrandi_node_lane(&s->node[0], &root);
     memcpy(s->box_lo, root.lo, sizeof s->box_lo);
     memcpy(s->box_hi, root.hi, sizeof s->box_hi);
+    for (a = 0; a < 3; a++) {
+        const double e = 0.5 * ((double)s->box_hi[a] - (double)s->box_lo[a]);
+        diagonal += e * e;
+    }
+    s->radius = zbufrandi_float_up(sqrt(diagonal) * (1.0 + 1e-6)); /* of the box: nothing else is at hand */
     for (i = 0; i < s->node[0].count; i++) s->area += (double)s->node[0].area[i];
     s->virtual_triangles = root.triangles;
 }

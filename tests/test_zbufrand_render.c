@@ -360,7 +360,7 @@ static zbufrand_scene *forest(shape *s, uint32_t n) { /* colourful, two-sided, n
 
 TEST(same_bits) {
     shape s[2];
-    zbufrand_scene *scene = forest(s, test_quick() ? 200 : 1000);
+    zbufrand_scene *scene = forest(s, getenv("TEST_FULL") != NULL ? 1000 : test_quick() ? 200 : 400); /* 400: several rounds, all kinds of draws */
     uint32_t mode, k;
     for (mode = 0; mode < 9; mode++) {
         zbufrand_render_desc d;
@@ -524,6 +524,9 @@ TEST(reported_share_is_incomplete) {
     exact e;
     exact_open(&e, W, H, K);
     buffers_open(&b, W, H);
+    b.image.rgba8 = NULL; /* depths are all that is asked for: no colours are made */
+    b.image.rgba = NULL;
+    b.image.node = NULL;
     for (world = 0; world < 4; world++) {
         const uint32_t wall = world == 3;
         shape s;
@@ -561,7 +564,7 @@ TEST(reported_share_is_incomplete) {
                         const int inside = x >= reach && y >= reach && x + reach < W && y + reach < H;
                         double most = inside ? 0 : (double)INFINITY;
                         for (j = (y - reach) * K; inside && j < (y + reach + 1) * K; j++)
-                            for (i = (x - reach) * K; i < (x + reach + 1) * K; i++) most = fmax(most, e.z[j * (W * K) + i]);
+                            for (i = (x - reach) * K; i < (x + reach + 1) * K; i++) most = e.z[j * (W * K) + i] > most ? e.z[j * (W * K) + i] : most;
                         behind[m][y * W + x] = (float)(most * 1.01);
                         covered += most < (double)INFINITY;
                     }
