@@ -11,6 +11,7 @@
    @scene          the graph as the caller made it, its checks, and how it is cut into structures
    @cluster        triangles -> clusters -> tree -> stored points
    @lists          the thesis' trees: fair-split tree, octree, classes of normals, tree over normals
+   @veil           transparency: what of a material a pixel does not show in a frame
    @raster         exact z-buffer rasteriser for the triangles of a cluster
    @occlusion      largest depth per tile of the key buffer
    @rays           closest hit of a ray through structures and their instances
@@ -111,7 +112,8 @@
    - Has the thesis' own trees and rules beside its own: fair-split tree, octree, classes of normals, tree over normals.
 
    WHAT IT DOES NOT DO
-   - No transparency, no shadows, no textures: colours come per vertex, per triangle or from a callback.
+   - No refraction, no shadows, no textures: colours come per vertex, per triangle or from a callback. Transparency is by
+     chance, per material and pixel: one frame is speckled, the mean of frames blends.
    - No mesh files, no picture files: examples/support has readers, a PNG writer and a command line.
    - Of one scanned statue or a big wall it makes what a rasteriser makes, by rasterising: samples gain nothing there.
 
@@ -1038,6 +1040,11 @@ typedef struct zbufrand_costs {
    angle_ratio     no rule for normals (tree over normals: as depth_ratio). e: the same for the cosine of the angle of
                    view, as far as classes are fine enough to tell
    clip_ratio      no rule. c: what is partly outside of the view and wider than c times its depth is divided
+   opacity         all is opaque. In each frame a pixel shows surfaces of a material or does not, with that probability, whether by
+                   samples, rasterised or by rays, and all of a material alike: what is behind shows through as
+                   through one layer, however many there are. Frames differ, so that the mean of frames (`noise`) tends
+                   to opacity * in front + (1 - opacity) * behind. With blocks neighbouring pixels decide, too, and
+                   less shows through. What shines through is not part of `tolerance`
    no_lists        1: the default tree, though the scene was built with another
    no_*            the thing is on */
 typedef struct zbufrand_render_desc {
@@ -1065,6 +1072,8 @@ typedef struct zbufrand_render_desc {
     size_t points_count;       /* how many clouds */
     zbufrand_shade_fn *shade_fn;   /* NULL: lights and the colours of the meshes */
     void *shade_user;
+    const float *opacity;      /* of materials 0, 1, ..., 0..1; NULL: all are opaque, as others and clouds are */
+    size_t opacity_count;
     const zbufrand_light *lights;  /* NULL: a key light from the upper left behind the camera, a weak fill light */
     size_t light_count;
     float ambient[3];          /* all zero: 0.05 each, of light from everywhere */
@@ -5573,6 +5582,45 @@ static void zbufrandi_list_totals(const zbufrand_scene *scene, zbufrand_scene_in
 }
 
 /* ---------------------------------------------------------------------------
+   veil: transparency: what of a material a pixel does not show in a frame.     // >>veil
+
+   A random mask of the pixels for each material and frame, the same for samples, rastered pixels and rays, so that they
+   agree pixel by pixel. A decision for each sample would not do: of several samples in a pixel one is kept nearly
+   always, and surfaces look the more opaque the more samples there are.
+   --------------------------------------------------------------------------- */
+
+typedef struct zbufrandi_veil {
+    const zbufrand_scene *scene;
+    const float *opacity;      /* NULL: all is opaque */
+    uint32_t count, seed;
+} zbufrandi_veil;
+
+typedef struct zbufrandi_mask { /* of a material */
+    float opacity;
+    uint32_t hash;
+} zbufrandi_mask;
+
+static zbufrandi_mask zbufrandi_veil_mask(const zbufrandi_veil *v, uint32_t material) {
+    zbufrandi_mask m;
+    m.opacity = 1.0f;
+    m.hash = 0;
+    if (v->opacity == NULL || material >= v->count || !(v->opacity[material] < 1.0f)) return m;
+    m.opacity = v->opacity[material];
+    m.hash = zbufrandi_hash32(v->seed ^ zbufrandi_hash32(material + 0x9e3779b9u));
+    return m;
+}
+
+static zbufrandi_mask zbufrandi_veil_cluster(const zbufrandi_veil *v, const zbufrandi_cluster *c) {
+    return zbufrandi_veil_mask(v, v->opacity != NULL ? v->scene->mesh[c->mesh].m.material : 0);
+}
+
+/* Does a pixel (its index in the keys) show what has the material? */
+ZBUFRANDI_INLINE int zbufrandi_mask_shows(const zbufrandi_mask *m, size_t pixel) {
+    return m->opacity >= 1.0f ||
+        zbufrandi_unit24(zbufrandi_hash32(m->hash ^ (uint32_t)pixel * 0x9e3779b1u)) < m->opacity;
+}
+
+/* ---------------------------------------------------------------------------
    raster: exact z-buffer rasteriser for the triangles of a cluster.            // >>raster
 
    A vertex is a pure function of its position and the matrix: 1/z in float, the picture position in units of 1/4096
@@ -5612,6 +5660,7 @@ typedef struct zbufrandi_raster {
     int32_t x0, y0, x1, y1;        /* pixels that may be written: x0 <= x < x1, y0 <= y < y1 */
     uint32_t width;
     uint64_t *key;
+    zbufrandi_mask mask;           /* of the material at work */
     double scale;                  /* units per tangent */
     int mirrored;
     int exclusive;                 /* nobody else writes these pixels meanwhile: plain stores do */
@@ -5640,6 +5689,7 @@ static ZBUFRANDI_UNUSED void zbufrandi_raster_begin(zbufrandi_raster *r, const z
     r->y1 = (int32_t)keys->height;
     r->width = keys->width;
     r->key = keys->key;
+    r->mask.opacity = 1.0f;
 }
 
 static ZBUFRANDI_UNUSED void zbufrandi_raster_local(zbufrandi_raster *r, const zbufrandi_local *local) {
@@ -5698,6 +5748,7 @@ static uint32_t zbufrandi_raster_project(const zbufrandi_raster *r, const float 
 ZBUFRANDI_INLINE void zbufrandi_raster_put(const zbufrandi_raster *r, size_t at, float z, uint32_t low) {
     uint32_t bits;
     uint64_t key;
+    if (!zbufrandi_mask_shows(&r->mask, at)) return;
     memcpy(&bits, &z, sizeof bits);
     key = (uint64_t)bits << 32 | low;
     if (!r->exclusive) zbufrandi_key_min(&r->key[at], key);
@@ -6472,6 +6523,13 @@ static ZBUFRANDI_UNUSED uint32_t zbufrandi_raster_cluster(const zbufrandi_raster
     zbufrandi_raster_vertex vertex[256];
     if (triangle_count == 0 || r->x0 >= r->x1 || r->y0 >= r->y1) return 0;
 #if ZBUFRANDI_AVX2
+    if (r->mask.opacity < 1.0f && r->level >= 3) { /* pixel by pixel */
+        zbufrandi_raster scalar = *r;
+        scalar.level = 1;
+        (void)zbufrandi_raster_project(r, position, vertex_count, vertex);
+        return zbufrandi_raster_cluster_scalar(&scalar, position, vertex, triangle, triangle_count, two_sided,
+                                               first_number);
+    }
     if (r->level >= 3) {
         if (zbufrandi_raster_project_avx2(r, position, vertex_count, vertex) == 0) {
             return zbufrandi_raster_cluster_avx2(r, vertex, triangle, triangle_count, two_sided, first_number);
@@ -6974,6 +7032,8 @@ typedef struct zbufrandi_ray_walk { /* one ray through all levels */
     const zbufrandi_rays *r;
     double t_min;
     double best;             /* closest hit so far, or t_max */
+    const zbufrandi_veil *veil; /* NULL: all is opaque */
+    uint32_t pixel;          /* for that */
     uint32_t levels;         /* where the walk is */
     uint32_t path[ZBUFRANDI_MAX_LEVELS];
     zbufrandi_ray_hit *hit;
@@ -7275,6 +7335,10 @@ static void zbufrandi_ray_take(zbufrandi_ray_walk *walk, zbufrandi_ray_local *l,
                                uint32_t back, uint32_t structure, uint32_t cluster, uint32_t triangle) {
     const double at = l->shift + (double)t;
     zbufrandi_ray_hit *hit = walk->hit;
+    if (walk->veil != NULL) {
+        const zbufrandi_mask m = zbufrandi_veil_cluster(walk->veil, &walk->r->structure[structure].cluster[cluster]);
+        if (!zbufrandi_mask_shows(&m, walk->pixel)) return;
+    }
     if (!(at < walk->best) && !(at == walk->best && zbufrandi_ray_before(walk, structure, triangle))) return;
     walk->best = hit->t = at;
     l->t_max = zbufrandi_ray_bound(at, l->shift);
@@ -7525,6 +7589,8 @@ static void zbufrandi_ray_open(zbufrandi_ray_walk *walk, const zbufrandi_rays *r
     walk->best = ray->t_max;
     walk->levels = 0;
     walk->hit = hit;
+    walk->veil = NULL;
+    walk->pixel = 0;
     hit->t = (double)INFINITY;
     hit->levels = 0;
 }
@@ -7822,9 +7888,10 @@ static void zbufrandi_ray_structure8(zbufrandi_ray_bundle *b, uint32_t mask, uin
 #endif
 
 /* As zbufrandi_ray_cast for each of `count` rays, with the same hits; faster if neighbours in the array are neighbours
-   in space: rays through the pixels of small tiles one after the other. Returns how many hit something. */
-static ZBUFRANDI_UNUSED size_t zbufrandi_ray_cast_many(const zbufrandi_rays *r, const zbufrandi_ray *ray, size_t count,
-                                                       zbufrandi_ray_hit *hit) {
+   in space: rays through the pixels of small tiles one after the other. Returns how many hit something. With a veil the
+   rays pass through what pixel[i] does not show. */
+static size_t zbufrandi_ray_cast_veiled(const zbufrandi_rays *r, const zbufrandi_ray *ray, size_t count,
+                                        zbufrandi_ray_hit *hit, const zbufrandi_veil *veil, const uint32_t *pixel) {
     size_t i = 0, hits = 0;
 #if ZBUFRANDI_AVX2
     if (r->level >= 3 && r->structure_count != 0) {
@@ -7836,6 +7903,8 @@ static ZBUFRANDI_UNUSED size_t zbufrandi_ray_cast_many(const zbufrandi_rays *r, 
             for (k = 0; k < 8; k++) {
                 const uint32_t from = k < n ? k : 0;
                 zbufrandi_ray_open(&b.walk[k], r, &ray[i + from], &hit[i + from]);
+                b.walk[k].veil = veil;
+                if (veil != NULL) b.walk[k].pixel = pixel[i + from];
                 memcpy(o[k], ray[i + from].o, sizeof o[k]);
                 memcpy(d[k], ray[i + from].d, sizeof d[k]);
                 if (k < n && b.walk[k].t_min <= b.walk[k].best) mask |= 1u << k;
@@ -7845,8 +7914,21 @@ static ZBUFRANDI_UNUSED size_t zbufrandi_ray_cast_many(const zbufrandi_rays *r, 
         }
     }
 #endif
-    for (; i < count; i++) hits += (size_t)zbufrandi_ray_cast(r, &ray[i], &hit[i]);
+    for (; i < count; i++) {
+        zbufrandi_ray_walk walk;
+        zbufrandi_ray_open(&walk, r, &ray[i], &hit[i]);
+        walk.veil = veil;
+        if (veil != NULL) walk.pixel = pixel[i];
+        if (r->structure_count == 0 || !(walk.t_min <= walk.best)) continue;
+        zbufrandi_ray_structure(&walk, 0, ray[i].o, ray[i].d);
+        hits += hit[i].t < (double)INFINITY;
+    }
     return hits;
+}
+
+static ZBUFRANDI_UNUSED size_t zbufrandi_ray_cast_many(const zbufrandi_rays *r, const zbufrandi_ray *ray, size_t count,
+                                                       zbufrandi_ray_hit *hit) {
+    return zbufrandi_ray_cast_veiled(r, ray, count, hit, NULL, NULL);
 }
 
 /* The ray through the centre of pixel (x, y); t is the depth. */
@@ -7934,6 +8016,7 @@ typedef struct zbufrandi_cut { /* what is the same for all of a frame's selectio
     float focal, center_x, center_y;
     uint32_t seed;
     int level;                 /* instruction set */
+    zbufrandi_veil veil;
     int bounds;                /* remember bounds, and draws without samples */
     float depth_ratio, angle_ratio, clip_ratio, list_sample; /* for the thesis' trees; depths may differ by the first */
     int round_up;
@@ -8728,6 +8811,8 @@ typedef struct zbufrandi_stored { /* constants of a draw, for points as grid num
     float n[3][3];             /* rows x / f, -y / f, z of the camera: normal for these coordinates */
     float ih_ref, iz_ref, z_lo, iz_hi;
     const zbufrandi_view *view; /* NULL: points as likely as area makes them */
+    const uint32_t *material;   /* of the points; NULL: all as `mask`, or nobody asks */
+    zbufrandi_mask mask;
     int plane;
     uint32_t first, shift;     /* samples are taken in the order i ^ first; added to their random numbers */
 } zbufrandi_stored;
@@ -8764,6 +8849,10 @@ static void zbufrandi_stored_begin(const zbufrandi_target *target, const zbufran
     s->view = d->aux & ZBUFRANDI_STORED_VIEW
         ? &structure->view[((d->item & ((1u << ZBUFRANDI_DRAW_SHIFT) - 1u)) - structure->first_view) /
                            ZBUFRANDI_VIEW_SETS] : NULL;
+    s->material = NULL;
+    s->mask = zbufrandi_veil_mask(&target->cut->veil, structure->material);
+    if (target->cut->veil.opacity != NULL && structure->set_material != NULL)
+        s->material = structure->set_material + (size_t)(d->item & ((1u << ZBUFRANDI_DRAW_SHIFT) - 1u)) * ZBUFRANDI_SET;
     s->ih_ref = 1.0f / d->h_ref;
     s->plane = target->plane && (d->aux & ZBUFRANDI_STORED_FLAT) != 0;
     s->iz_ref = d->iz_ref;
@@ -8771,6 +8860,14 @@ static void zbufrandi_stored_begin(const zbufrandi_target *target, const zbufran
     s->iz_hi = 1.0f / (d->z_hi < target->far_z ? d->z_hi : target->far_z);
     s->first = zbufrandi_stored_first(target->cut, d, l);
     s->shift = zbufrandi_hash32(h);
+}
+
+/* Is point i of the set one that a pixel shows? */
+ZBUFRANDI_INLINE int zbufrandi_stored_shows(const zbufrandi_target *g, const zbufrandi_stored *s, uint32_t i,
+                                            size_t pixel) {
+    zbufrandi_mask m = s->mask;
+    if (s->material != NULL) m = zbufrandi_veil_mask(&g->cut->veil, s->material[i]);
+    return zbufrandi_mask_shows(&m, pixel);
 }
 
 typedef struct zbufrandi_spot { /* a sample in the picture */
@@ -8815,6 +8912,8 @@ ZBUFRANDI_INLINE int zbufrandi_stored_sample(const zbufrandi_target *g, const zb
     }
     out->ix = (uint32_t)(int32_t)out->x;
     out->iy = (uint32_t)(int32_t)out->y;
+    if (g->cut->veil.opacity != NULL &&
+        !zbufrandi_stored_shows(g, s, i, (size_t)out->iy * g->keys.width + out->ix)) return 0;
     out->z = p[2];
     out->shown = p[2];
     if (s->plane) { /* 1/z of the plane at the centre of the pixel */
@@ -8996,6 +9095,14 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE uint32_t zbufrandi_stored_eights(const zb
                                                  _CMP_LT_OQ));
         }
         mask = (uint32_t)_mm256_movemask_ps(ok);
+        if (g->cut->veil.opacity != NULL) {
+            uint32_t pixel[8], lane;
+            _mm256_storeu_si256((__m256i *)(void *)pixel, at);
+            for (lane = 0; lane < 8; lane++) {
+                if ((mask >> lane & 1u) != 0 && !zbufrandi_stored_shows(g, &s, first + lane, pixel[lane]))
+                    mask &= ~(1u << lane);
+            }
+        }
         if (mask == 0) continue;
         if (plane) {
             const __m256 dx = _mm256_sub_ps(_mm256_add_ps(_mm256_cvtepi32_ps(ix), half), x);
@@ -9064,6 +9171,7 @@ enum { ZBUFRANDI_FLAT_CHUNK = 512 };
 typedef struct zbufrandi_flat { /* a cluster in the picture */
     float v[ZBUFRANDI_CLUSTER_VERTICES + 8][4];      /* x, y, 1/z, nothing */
     uint32_t sum[ZBUFRANDI_CLUSTER_TRIANGLES + 8];   /* areas added up, in units of `unit` */
+    zbufrandi_mask mask;                             /* of the material */
     uint8_t triangle[ZBUFRANDI_FLAT_CHUNK + 32];     /* of the samples at work */
     float unit;                                      /* twice the area in pixels is sum / unit */
     uint32_t total;
@@ -9076,7 +9184,9 @@ typedef struct zbufrandi_flatten { /* constants of a draw */
 static void zbufrandi_flatten_begin(const zbufrandi_target *g, const zbufrandi_draw *d, const zbufrandi_local *l,
                                     zbufrandi_flatten *c, zbufrandi_flat *f) {
     const float fx = (float)g->focal;
+    const zbufrandi_structure *s = &g->cut->scene->structure[l->structure];
     uint32_t i;
+    f->mask = zbufrandi_veil_cluster(&g->cut->veil, &s->cluster[d->item & ((1u << ZBUFRANDI_DRAW_SHIFT) - 1u)]);
     for (i = 0; i < 3; i++) {
         c->m[0][i] = l->m[0][i] * fx;
         c->m[1][i] = l->m[1][i] * (0.0f - fx);
@@ -9209,6 +9319,7 @@ ZBUFRANDI_INLINE int zbufrandi_flat_sample(const zbufrandi_target *g, const zbuf
     if (!(out->x >= 0.0f && out->x < g->width && out->y >= 0.0f && out->y < g->height)) return 0;
     out->ix = (uint32_t)(int32_t)out->x;
     out->iy = (uint32_t)(int32_t)out->y;
+    if (!zbufrandi_mask_shows(&f->mask, (size_t)out->iy * g->keys.width + out->ix)) return 0;
     out->z = 1.0f / iz;
     out->slope[0] = out->slope[1] = 0.0f;
     if (g->plane) { /* 1/z of the plane at the centre of the pixel, within that of the corners */
@@ -9399,6 +9510,13 @@ ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_flat_put_avx2(const zbufrandi_ta
         iz = _mm256_div_ps(one, iz);
         mask = (uint32_t)_mm256_movemask_ps(_mm256_and_ps(ok, _mm256_cmp_ps(iz, _mm256_set1_ps(g->far_z), _CMP_LE_OQ)));
         if (end - j < 8) mask &= (1u << (end - j)) - 1u;
+        if (f->mask.opacity < 1.0f) {
+            uint32_t pixel[8];
+            _mm256_storeu_si256((__m256i *)(void *)pixel,
+                                _mm256_add_epi32(_mm256_mullo_epi32(iy, _mm256_set1_epi32((int)g->keys.width)), ix));
+            for (i = 0; i < 8; i++)
+                if ((mask >> i & 1u) != 0 && !zbufrandi_mask_shows(&f->mask, pixel[i])) mask &= ~(1u << i);
+        }
         if (mask == 0) continue;
         zbufrandi_put8(g, wait, _mm256_add_epi32(_mm256_mullo_epi32(iy, _mm256_set1_epi32((int)g->keys.width)), ix), iz,
                        _mm256_add_epi32(number, _mm256_set1_epi32((int)first_number)), mask, 1);
@@ -10045,6 +10163,10 @@ static int zbufrandi_list_sample(const zbufrandi_target *g, const zbufrandi_draw
     }
     out->ix = (uint32_t)(int32_t)out->x;
     out->iy = (uint32_t)(int32_t)out->y;
+    if (g->cut->veil.opacity != NULL) {
+        const zbufrandi_mask m = zbufrandi_veil_cluster(&g->cut->veil, at->cluster);
+        if (!zbufrandi_mask_shows(&m, (size_t)out->iy * g->keys.width + out->ix)) return 0;
+    }
     out->z = (float)q[2];
     out->shown = out->z;
     out->slope[0] = (float)(0.0 - k[0] / (g->focal * h));
@@ -10092,26 +10214,33 @@ static uint32_t zbufrandi_draw_listed(const zbufrandi_target *g, const zbufrandi
 }
 
 /* The triangles of a run through the rasteriser, as clusters made for the moment. */
-static void zbufrandi_raster_listed(const zbufrandi_raster *r, const zbufrandi_structure *s, const zbufrandi_draw *d) {
+static void zbufrandi_raster_listed(zbufrandi_raster *r, const zbufrandi_structure *s, const zbufrandi_draw *d,
+                                    const zbufrandi_veil *veil) {
     enum { RUN = 64 };
     float position[9 * RUN + 24];
     uint8_t tri[3 * RUN + 48];
     const uint32_t first = d->item & ((1u << ZBUFRANDI_DRAW_SHIFT) - 1u);
-    uint32_t i, n = 0, k, flags = 0;
+    uint32_t i, n = 0, k, flags = 0, mesh = 0;
     memset(position, 0, sizeof position);
     memset(tri, 0, sizeof tri);
     for (i = 0; i < 3 * RUN; i++) tri[i] = (uint8_t)i;
     for (i = 0; i <= d->count; i++) {
         const float *c[3];
-        uint32_t two = flags;
-        if (i < d->count)
-            two = zbufrandi_list_triangle(s, s->lists->object[first + i], c)->flags & ZBUFRANDI_TWO_SIDED;
-        if (n != 0 && (i == d->count || n == RUN || two != flags)) {
+        uint32_t two = flags, of = mesh;
+        if (i < d->count) {
+            const zbufrandi_cluster *cluster = zbufrandi_list_triangle(s, s->lists->object[first + i], c);
+            two = cluster->flags & ZBUFRANDI_TWO_SIDED;
+            of = cluster->mesh;
+            if (i == 0) mesh = of;
+        }
+        if (n != 0 && (i == d->count || n == RUN || two != flags || of != mesh)) {
+            if (veil->opacity != NULL) r->mask = zbufrandi_veil_mask(veil, veil->scene->mesh[mesh].m.material);
             (void)zbufrandi_raster_cluster(r, position, 3 * n, tri, n, (int)flags,
                                            d->block * ZBUFRANDI_SET + i - n);
             n = 0;
         }
         flags = two;
+        mesh = of;
         if (i == d->count) break;
         for (k = 0; k < 3; k++) memcpy(position + 9 * n + 3 * k, c[k], 3 * sizeof(float));
         n++;
@@ -14396,11 +14525,12 @@ static void zbufrandi_draw_task(void *ctx, uint32_t task) {
         } else if (kind == ZBUFRANDI_DRAW_LISTED_RASTER) {
             if (raster_local != d.local) zbufrandi_raster_local(&r, l);
             raster_local = d.local;
-            zbufrandi_raster_listed(&r, s, &d);
+            zbufrandi_raster_listed(&r, s, &d, &p->cut.veil);
         } else {
             const zbufrandi_cluster *c = &s->cluster[d.item & ((1u << ZBUFRANDI_DRAW_SHIFT) - 1u)];
             if (raster_local != d.local) zbufrandi_raster_local(&r, l);
             raster_local = d.local;
+            if (p->cut.veil.opacity != NULL) r.mask = zbufrandi_veil_cluster(&p->cut.veil, c);
             covered += zbufrandi_raster_cluster(&r, s->position + 3 * (size_t)c->first_vertex, c->vertex_count,
                                            s->triangle + 3 * (size_t)c->first_triangle, c->triangle_count,
                                            c->flags & ZBUFRANDI_TWO_SIDED, d.block * ZBUFRANDI_SET);
@@ -14663,6 +14793,7 @@ static void zbufrandi_repair_task(void *ctx, uint32_t task) { /* rays through su
     const size_t begin = (size_t)task * ZBUFRANDI_REPAIR_RAYS, left = f->suspect_count - begin;
     const size_t n = left < ZBUFRANDI_REPAIR_RAYS ? left : (size_t)ZBUFRANDI_REPAIR_RAYS;
     zbufrandi_ray ray[ZBUFRANDI_REPAIR_RAYS];
+    uint32_t at[ZBUFRANDI_REPAIR_RAYS];
     size_t i;
     uint32_t a;
     for (i = 0; i < n; i++) {
@@ -14670,6 +14801,7 @@ static void zbufrandi_repair_task(void *ctx, uint32_t task) { /* rays through su
         const double u = ((double)x + 0.5 + (double)p->jitter[0] - c->center_x) / c->focal;
         const double v = (c->center_y - (double)y - 0.5 - (double)p->jitter[1]) / c->focal;
         const double shown = (double)zbufrandi_repair_reach(p, pixel);
+        at[i] = y * r->canvas.width + x;
         for (a = 0; a < 3; a++) {
             ray[i].o[a] = c->eye[a] - p->scene->structure[0].origin[a];
             ray[i].d[a] = c->dir[a] + u * c->right[a] + v * c->up[a];
@@ -14677,7 +14809,8 @@ static void zbufrandi_repair_task(void *ctx, uint32_t task) { /* rays through su
         ray[i].t_min = c->near_z;
         ray[i].t_max = zbufrandi_min(c->far_z, shown); /* what is behind does not matter */
     }
-    (void)zbufrandi_ray_cast_many(p->scene->rays, ray, n, f->hit + begin);
+    (void)zbufrandi_ray_cast_veiled(p->scene->rays, ray, n, f->hit + begin,
+                                    p->cut.veil.opacity != NULL ? &p->cut.veil : NULL, at);
 }
 
 /* Local camera of a ray's hit: entered along its path, unless it is the one before. 0: no memory. */
@@ -15200,7 +15333,7 @@ static zbufrand_result zbufrandi_open_picture(zbufrandi_picture *p) {
     const zbufrand_render_desc *d = p->d;
     zbufrand_frame *f = p->f;
     zbufrand_result r;
-    size_t bytes;
+    size_t bytes, i;
     uint32_t h = zbufrandi_hash32(d->seed ^ zbufrandi_hash32(d->frame + 0x9e3779b9u));
     double spread = d->spread != 0 ? (double)d->spread : 1.0;
     int same = f->recon_open && memcmp(&f->recon_asked, &d->reconstruct, sizeof d->reconstruct) == 0 &&
@@ -15208,8 +15341,11 @@ static zbufrand_result zbufrandi_open_picture(zbufrandi_picture *p) {
     if ((uint32_t)d->hybrid > ZBUFRAND_HYBRID_LARGE || !(d->tolerance >= 0.0 && d->tolerance < 1.0) ||
         !(d->density >= 0.0 && d->density < 1e6) || !(d->noise >= 0.0) || !(d->hybrid_radius >= 0.0) ||
         (d->lights == NULL && d->light_count != 0) || (d->points == NULL && d->points_count != 0) ||
+        (d->opacity == NULL && d->opacity_count != 0) ||
         (d->spread & (d->spread - 1u)) != 0 || !zbufrandi_list_rules(d, p->scene, &p->cut))
             return ZBUFRAND_ERR_INVALID_ARG;
+    for (i = 0; i < d->opacity_count; i++)
+        if (!(d->opacity[i] >= 0.0f && d->opacity[i] <= 1.0f)) return ZBUFRAND_ERR_INVALID_ARG;
     if (p->image->width > ZBUFRANDI_RASTER_MAX_SIZE || p->image->height > ZBUFRANDI_RASTER_MAX_SIZE)
         return ZBUFRAND_ERR_RANGE;
     if (!same) {
@@ -15254,6 +15390,10 @@ static zbufrand_result zbufrandi_open_picture(zbufrandi_picture *p) {
     p->cut.independent = d->independent != 0;
     p->cut.round_up = d->round_up != 0;
     p->cut.seed = h;
+    p->cut.veil.scene = p->scene;
+    p->cut.veil.opacity = d->opacity;
+    p->cut.veil.count = (uint32_t)(d->opacity_count < 0xffffffffu ? d->opacity_count : 0xffffffffu);
+    p->cut.veil.seed = zbufrandi_hash32(h + 2);
     p->cut.level = f->level;
     p->target.cut = &p->cut;
     p->target.keys = f->recon.canvas;

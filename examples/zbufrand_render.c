@@ -10,9 +10,10 @@ enum { MODE_PIXEL, MODE_BLOCKS, MODE_GAUSS, MODE_VORONOI, MODE_NODEPTH };
 
 typedef struct options {
     sup_common common;
-    const char *scene, *hybrid;
+    const char *scene, *hybrid, *opacity;
     int64_t block, mean, view, frame, frames, scatter, max_frames, classes;
     double noise, density, gauss, epsilon;
+    float material[16]; /* opacities */
     int mode, has_mode, has_block, occlusion, has_occlusion, has_noise, no_repair, no_occlusion, independent, structure, has_structure,
         thesis;
 } options;
@@ -24,7 +25,7 @@ typedef struct pictures {
 } pictures;
 
 static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, zbufrand_build_desc *build) {
-    sup_option table[SUP_COMMON_OPTIONS + 23];
+    sup_option table[SUP_COMMON_OPTIONS + 24];
     double radius = 0.0;
     size_t n;
     int status;
@@ -58,6 +59,7 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
                                &o->has_structure);
     table[n++] = sup_opt_int("angle-depth", &o->classes, 1, 8, "N", "classes of normals of those: levels of halving (4)");
     table[n++] = sup_opt_real("epsilon", &o->epsilon, 1.001, 1000.0, "E", "how unequal depths they draw as one (1.5)");
+    table[n++] = sup_opt_text("opacity", &o->opacity, "A[,A...]", "of materials 0, 1, ...: by chance in a frame, so with --mean or --noise");
     table[n++] = sup_opt_flag("thesis", &o->thesis, "as the thesis' program did; other options change parts of that");
     status = sup_cli_parse(argc, argv, "Draws a scene from random points of its surface.", table, n);
     if (status >= 0) return status;
@@ -100,6 +102,18 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
         desc->reconstruct.reach = 2 * desc->reconstruct.block;
     }
     if (o->has_occlusion) desc->reconstruct.occlusion = (zbufrand_occlusion)o->occlusion;
+    if (o->opacity) {
+        const char *at = o->opacity, *end = at + strlen(at);
+        double a;
+        for (;;) {
+            if (desc->opacity_count == sizeof o->material / sizeof o->material[0] || sup_parse_double(&at, end, &a) || !(a >= 0.0 && a <= 1.0))
+                return sup_bad_usage(argv[0], "--opacity: \"%s\" is no list of up to 16 numbers from 0 to 1", o->opacity);
+            o->material[desc->opacity_count++] = (float)a;
+            if (at == end) break;
+            if (*at++ != ',') at = end; /* a number is missing there */
+        }
+        desc->opacity = o->material;
+    }
     if (o->hybrid && strcmp(o->hybrid, "off") == 0) {
         desc->hybrid = ZBUFRAND_HYBRID_OFF;
     } else if (o->hybrid && strcmp(o->hybrid, "auto") == 0) {
