@@ -112,8 +112,8 @@
    - Has the thesis' own trees and rules beside its own: fair-split tree, octree, classes of normals, tree over normals.
 
    WHAT IT DOES NOT DO
-   - No refraction, no shadows, no textures: colours come per vertex, per triangle or from a callback. Transparency is by
-     chance, per material and pixel: one frame is speckled, the mean of frames blends.
+   - No refraction, no shadows, no textures: colours come per vertex, per triangle or from a callback. Transparency is
+     by chance, per material and pixel: one frame is speckled, the mean of frames blends.
    - No mesh files, no picture files: examples/support has readers, a PNG writer and a command line.
    - Of one scanned statue or a big wall it makes what a rasteriser makes, by rasterising: samples gain nothing there.
 
@@ -994,7 +994,7 @@ typedef void zbufrand_shade_fn(void *user, const zbufrand_surface *surfaces, siz
 
 typedef enum zbufrand_hybrid { /* which clusters of triangles are rasterised exactly instead of sampled */
     ZBUFRAND_HYBRID_AUTO = 0,  /* where it is cheaper by zbufrand_costs (default) */
-    ZBUFRAND_HYBRID_OFF = 1,   /* only what crosses the near plane */
+    ZBUFRAND_HYBRID_OFF = 1,   /* only what crosses the near plane, or is 64 times as large as the picture */
     ZBUFRAND_HYBRID_ALL = 2,   /* all: an ordinary z-buffer picture */
     ZBUFRAND_HYBRID_CUBE = 3,  /* the thesis: what touches the cube of edge 2 * hybrid_radius around the eye */
     ZBUFRAND_HYBRID_LARGE = 4, /* the thesis: triangles too large for depth_ratio; with the default tree as OFF */
@@ -1040,11 +1040,12 @@ typedef struct zbufrand_costs {
    angle_ratio     no rule for normals (tree over normals: as depth_ratio). e: the same for the cosine of the angle of
                    view, as far as classes are fine enough to tell
    clip_ratio      no rule. c: what is partly outside of the view and wider than c times its depth is divided
-   opacity         all is opaque. In each frame a pixel shows surfaces of a material or does not, with that probability, whether by
-                   samples, rasterised or by rays, and all of a material alike: what is behind shows through as
-                   through one layer, however many there are. Frames differ, so that the mean of frames (`noise`) tends
-                   to opacity * in front + (1 - opacity) * behind. With blocks neighbouring pixels decide, too, and
-                   less shows through. What shines through is not part of `tolerance`
+   opacity         all is opaque. In each frame a pixel shows surfaces of a material or does not, with that
+                   probability, whether by samples, rasterised or by rays, and all of a material alike: what is
+                   behind shows through as through one layer, however many there are. Frames differ, so that the
+                   mean of frames (`noise`) tends to opacity * in front + (1 - opacity) * behind. With blocks
+                   neighbouring pixels decide, too, and less shows through. What shines through is not part of
+                   `tolerance`
    no_lists        1: the default tree, though the scene was built with another
    no_*            the thing is on */
 typedef struct zbufrand_render_desc {
@@ -2036,7 +2037,7 @@ typedef struct zbufrandi_structure {
     uint32_t first_view;            /* set of the first direction of view; 0: there are none, or an edit spoilt them */
     uint32_t material;
     float box_lo[3], box_hi[3];     /* of everything, rounded outwards */
-    float radius;                   /* of a ball around the middle of that box that holds everything, stored points, too */
+    float radius;                   /* of a ball around the middle of that box that holds it all, stored points, too */
     struct zbufrandi_lists *lists;  /* the thesis' trees; NULL: not asked for */
     double *item_sum;               /* [cluster_count + instance_count + 1] areas added up: clusters, then instances */
     double area;                    /* all triangles, instances included, in units of the structure */
@@ -4175,7 +4176,8 @@ static int zbufrandi_instance_box(const zbufrandi_instance *it, const zbufrandi_
             c += it->to_parent[a][k] * (0.5 * ((double)to->box_lo[k] + (double)to->box_hi[k]));
             e += zbufrandi_abs(it->to_parent[a][k]) * (0.5 * ((double)to->box_hi[k] - (double)to->box_lo[k]));
         }
-        e = zbufrandi_min(e, (double)to->radius * it->scale * (1.0 + 1e-12)); /* boxes that are turned grow, balls do not */
+        /* boxes that are turned grow, balls do not */
+        e = zbufrandi_min(e, (double)to->radius * it->scale * (1.0 + 1e-12));
         e += 1e-15 * (zbufrandi_abs(c) + e);
         ok &= zbufrandi_abs(c) + e <= 1e15;
         lo[a] = zbufrandi_float_down(zbufrandi_max(c - e, -1e15));
@@ -8003,6 +8005,7 @@ typedef struct zbufrandi_cut { /* what is the same for all of a frame's selectio
     double density;
     float density_f2;          /* density * focal^2 */
     float stored;              /* most samples that stored ones may stand for: 64 / spread */
+    float most;                /* what expects more is rastered: it is far larger than the picture */
     uint32_t run, runs;        /* which share of the stored samples this frame takes, of how many; 0 of 1: any */
     float near_z, far_z;
     float triangle, edge, pixel, cluster, sample, set_cost, stored_cost; /* costs; pixel: per expected sample */
@@ -8634,7 +8637,7 @@ static void zbufrandi_pick_child(const zbufrandi_cut *cut, const zbufrandi_local
         const uint32_t count = (uint32_t)n->triangles[i];
         const float edge = n->edge[i] * l->scale * cut->focal, widest = 12.0f * t->z_min[i]; /* times z_min */
         float triangles = (float)count, raster, sampled, prefix;
-        int exact = cut->hybrid == ZBUFRAND_HYBRID_ALL || cube || !(e < 4e8f);
+        int exact = cut->hybrid == ZBUFRAND_HYBRID_ALL || cube || !(e < cut->most);
         raster = triangles * (cut->triangle + cut->edge * (edge < widest ? edge / t->z_min[i] : 12.0f)) +
             e * cut->pixel;
         if (cut->hybrid != ZBUFRAND_HYBRID_AUTO) raster = INFINITY;
@@ -9871,10 +9874,12 @@ static void zbufrandi_list_single(const zbufrandi_cut *cut, const zbufrandi_loca
     z_min -= 1e-14 * slack;
     large = !(z_min >= v->near_z && z_max <= (double)cut->depth_ratio * z_min);
     if (large && (cut->hybrid != ZBUFRAND_HYBRID_OFF || !(z_min >= v->near_z))) exact = 1;
-    if (!exact && cut->hybrid == ZBUFRAND_HYBRID_AUTO) { /* as is cheaper */
+    if (!exact) { /* as is cheaper */
         const double area = 0.5 * length * (double)l->scale;
         const double expected = cut->density * area * v->focal * v->focal * h / (z_min * z_min * z_min);
-        exact = (double)cut->triangle + expected * (double)cut->pixel < expected * (double)cut->list_sample;
+        exact = !(expected < (double)cut->most);
+        if (cut->hybrid == ZBUFRAND_HYBRID_AUTO)
+            exact |= (double)cut->triangle + expected * (double)cut->pixel < expected * (double)cut->list_sample;
     }
     zbufrandi_list_emit(cut, locals, p, local, object, object + 1, z_min, z_max, h, exact);
 }
@@ -9993,6 +9998,7 @@ static void zbufrandi_list_step(zbufrandi_list_walk *w) {
     const zbufrandi_list_node *n;
     const zbufrandi_list_class *c;
     zbufrandi_list_bound b;
+    double expected = 0.0;
     uint32_t child, children = 0;
     int seen, depth_ok, angle_ok, leaf, cube = 0;
     if (!zbufrandi_list_room(w, 1)) return;
@@ -10018,6 +10024,12 @@ static void zbufrandi_list_step(zbufrandi_list_walk *w) {
     }
     depth_ok = b.z_min >= cut->camera.near_z && b.z_max <= (double)cut->depth_ratio * b.z_min &&
                (b.inside || cut->clip_ratio <= 0.0f || b.diameter <= (double)cut->clip_ratio * b.z_min);
+    if (depth_ok) {
+        const double area = (double)(lists->sum[at.last] - lists->sum[at.first]) * lists->unit;
+        expected = cut->density * area * (double)l->scale * (double)l->scale * cut->camera.focal * cut->camera.focal *
+                   b.h / (b.z_min * b.z_min * b.z_min);
+        depth_ok = expected < (double)cut->most;
+    }
     angle_ok = cut->angle_ratio <= 0.0f || (b.cos_lo > 0.0 && b.cos_hi <= (double)cut->angle_ratio * b.cos_lo);
     if (depth_ok && !cube && !angle_ok && c->children != 0 && (!b.wide || leaf)) {
         zbufrandi_list_finer(w, lists, &at);
@@ -10027,10 +10039,6 @@ static void zbufrandi_list_step(zbufrandi_list_walk *w) {
         const uint32_t objects = at.last - at.first;
         int raster = 0;
         if (cut->hybrid == ZBUFRAND_HYBRID_AUTO && !n->dummies) {
-            const double area = (double)(lists->sum[at.last] - lists->sum[at.first]) * lists->unit * (double)l->scale *
-                                (double)l->scale;
-            const double expected = cut->density * area * cut->camera.focal * cut->camera.focal * b.h /
-                                    (b.z_min * b.z_min * b.z_min);
             raster = (double)objects * (double)cut->triangle + expected * (double)cut->pixel <
                      expected * (double)cut->list_sample;
         }
@@ -14995,9 +15003,11 @@ static zbufrand_result zbufrandi_repair_cast(zbufrandi_picture *p, uint32_t *out
 static zbufrand_result zbufrandi_repair_suspects(zbufrandi_picture *p, uint32_t *out_inside) {
     zbufrand_frame *f = p->f;
     const size_t all = f->suspect_count;
-    uint32_t *list = f->suspect + all, around[25], n, k;
+    uint32_t *list, around[25], n, k;
     size_t i, rays = 0;
     zbufrand_result result;
+    if (all == 0) return ZBUFRAND_OK;
+    list = f->suspect + all;
     memcpy(list, f->suspect, all * sizeof *list);
     for (i = 0; i < all; i++) {
         uint32_t from;
@@ -15381,6 +15391,8 @@ static zbufrand_result zbufrandi_open_picture(zbufrandi_picture *p) {
     p->cut.density = zbufrandi_choose_density(p);
     zbufrandi_set_density(p);
     p->cut.stored = (float)(64.0 / spread);
+    p->cut.most = (float)zbufrandi_min(zbufrandi_max(1e6, 64.0 * p->cut.density * (double)p->cut.camera.width *
+                                                     (double)p->cut.camera.height), 4e8);
     p->cut.runs = spread < 64.0 ? (uint32_t)spread : 64u;
     p->cut.run = d->frame & (p->cut.runs - 1u);
     p->cut.near_z = (float)p->cut.camera.near_z;

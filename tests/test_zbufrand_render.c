@@ -722,6 +722,44 @@ TEST(odd_cameras) {
     shape_free(&s);
 }
 
+/* A triangle a million times as large as the picture, all in front of the near plane, is not sampled point by point, whatever the
+   options say and by whatever tree. */
+TEST(far_too_large) {
+    static const float position[3][3] = {{-900, -900, 0}, {900, -900, 0}, {0, 900, 0}};
+    static const uint32_t index[3] = {0, 1, 2};
+    uint32_t tree;
+    for (tree = 0; tree < 5; tree++) {
+        zbufrand_scene *scene = NULL;
+        zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
+        zbufrand_build_desc bd;
+        zbufrand_render_desc d;
+        zbufrand_stats st;
+        zbufrand_mesh m;
+        buffers b;
+        buffers_open(&b, 13, 9);
+        memset(&m, 0, sizeof m);
+        memset(&d, 0, sizeof d);
+        memset(&bd, 0, sizeof bd);
+        m.positions = position[0];
+        m.vertex_count = 3;
+        m.indices = index;
+        m.triangle_count = 1;
+        bd.structure = (zbufrand_structure)tree;
+        CHECK_EQ_U64(zbufrand_scene_create(NULL, &scene), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_mesh(scene, ZBUFRAND_ROOT, NULL, 0, &m, NULL), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_scene_build(scene, &bd, NULL), ZBUFRAND_OK);
+        d.camera.eye[2] = 0.5;
+        d.hybrid = ZBUFRAND_HYBRID_OFF;
+        d.independent = tree == 1;
+        CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, &st), ZBUFRAND_OK);
+        CHECK_EQ_U64(st.covered, 13 * 9);
+        CHECK_MSG(st.samples[0] + st.samples[1] < 2000000, "tree %u: %g samples for 117 pixels", tree, (double)(st.samples[0] + st.samples[1]));
+        buffers_close(&b);
+        zbufrand_frame_destroy(frame);
+        zbufrand_scene_destroy(scene);
+    }
+}
+
 TEST(wrong_arguments) {
     shape s;
     zbufrand_mesh m;
@@ -1442,6 +1480,7 @@ int main(int argc, char **argv) {
     RUN(reported_share_is_incomplete);
     RUN(noise_is_kept);
     RUN(odd_cameras);
+    RUN(far_too_large);
     RUN(wrong_arguments);
     RUN(nothing_is_allocated_twice);
     RUN(out_of_memory);
