@@ -1003,6 +1003,8 @@ typedef enum voxrt_columns_mode {
     VOXRT_COLUMNS_FAT = 1,    /* every cell that the surface touches */
     VOXRT_COLUMNS_RASTER = 2, /* lines along the depth only, as in one pass of a rasteriser: gaps in steep surfaces */
     VOXRT_COLUMNS_SOLID = 3,  /* cells with their centre inside a closed mesh, and its THIN surface */
+    VOXRT_COLUMNS_SAMPLES = 4, /* cells of points on each triangle, which stay where they are on it as it moves: gaps
+                                  where they lie too far apart */
     VOXRT_COLUMNS_MODE_FORCE_32BIT = 0x7fffffff
 } voxrt_columns_mode;
 
@@ -1022,13 +1024,15 @@ typedef struct voxrt_columns_desc {
 
 /* field      zero means
    to_world   (all zero) the mesh is in world coordinates; else three rows of four: world = to_world * (x, y, z, 1)
-   still      1: into the layer that voxrt_columns_clear keeps */
+   still      1: into the layer that voxrt_columns_clear keeps
+   spacing    SAMPLES: 0.5 of the shortest side of a cell between points that are side by side; 1/64 to 64 */
 typedef struct voxrt_columns_insert_desc {
     uint32_t _begin_zero;
     voxrt_env env; /* thread_count, parallel and error count */
     voxrt_columns_mode mode;
     double to_world[12];
     uint32_t still;
+    float spacing;
     uint32_t _end_zero;
 } voxrt_columns_insert_desc;
 
@@ -1058,7 +1062,8 @@ VOXRT_DEF void voxrt_columns_get_info(const voxrt_columns *columns, voxrt_column
    desc   in, NULL: THIN, world coordinates
    stats  added to, may be NULL
    Vertices are snapped to 1/256 of a cell, then decisions are exact (THIN, RASTER, SOLID); FAT may take cells that lie
-   up to 1e-6 of a cell beside the surface.
+   up to 1e-6 of a cell beside the surface. SAMPLES: rows of points along the longest edge; triangles smaller than what
+   a point stands for have one now and then, so that they cost by area; those with 16383 in a row are THIN.
    O(triangles + cells). Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY (SOLID). Thread safety: one call on a volume at a
    time. Source: Laine 2013 (thin), Eisemann & Decoret 2006 (raster) and 2008 (solid), Zhang et al. 2007 (fat). */
 VOXRT_DEF voxrt_result voxrt_columns_insert(voxrt_columns *columns, const voxrt_columns_insert_desc *desc,
@@ -1113,6 +1118,25 @@ VOXRT_DEF voxrt_result voxrt_columns_trace(const voxrt_columns *columns, const v
 /* Is any cell set along the ray? occluded out, [count]: exactly when voxrt_columns_trace reports a hit. */
 VOXRT_DEF voxrt_result voxrt_columns_occluded(const voxrt_columns *columns, const voxrt_columns_trace_desc *desc,
                                               const voxrt_ray *rays, uint8_t *occluded, size_t count);
+
+/* A look of a ray at a column of some level. */
+typedef struct voxrt_column_step {
+    float t_in, t_out;   /* the part of the ray within it, in t of the ray */
+    uint32_t level;      /* it is 2^level x 2^level columns wide */
+    uint32_t column[2];  /* x >> level, y >> level of the grid */
+    uint32_t depth[2];   /* the ray is in the cells from the first of them to the second there, the first is less */
+    uint32_t found;      /* 0: none of them is set, the ray goes on behind the column. 1: some are: one level down.
+                            2: at level 0: the hit */
+} voxrt_column_step;
+
+/* How voxrt_columns_trace finds what it finds: all that one ray looks at, in order.
+   desc   in, NULL: none; normals and end_normals of this ray
+   steps  out, [most]: the first of them; may be NULL if most is 0
+   hit    out, may be NULL: what voxrt_columns_trace gives
+   Returns how many there are, 0 if the ray misses the box or an argument is bad. Any thread. */
+VOXRT_DEF size_t voxrt_columns_explain(const voxrt_columns *columns, const voxrt_columns_trace_desc *desc,
+                                       const voxrt_ray *ray, voxrt_column_step *steps, size_t most,
+                                       voxrt_column_hit *hit);
 #endif /* VOXRT_NO_GI */
 
 /* ---- global illumination of scenes that move ---- */
@@ -1132,12 +1156,18 @@ typedef struct voxrt_gi_material {
 /* field     zero means
    mesh      positions, indices and colours count; borrowed until the object is taken out or gets another
    to_world  (all zero) the mesh is in world coordinates; else three rows of four
-   still     1: it will not move, its voxels are made once */
+   still     1: it will not move, its voxels are made once
+   mode      THIN. SAMPLES: which points of a triangle are taken is found when the object comes and kept, so that they
+             follow its surface wherever voxrt_gi_set takes it; triangles that grow by more than a tenth get more.
+             SOLID: it is dark inside
+   spacing   SAMPLES: as voxrt_columns_insert_desc.spacing */
 typedef struct voxrt_gi_object {
     voxrt_mesh mesh;
     voxrt_gi_material material;
     double to_world[12];
     uint32_t still;
+    voxrt_columns_mode mode;
+    float spacing;
 } voxrt_gi_object;
 
 typedef enum voxrt_gi_light_kind {
@@ -1187,6 +1217,7 @@ typedef struct voxrt_gi_update_stats {
     uint64_t still_cells, moving_cells; /* that have attributes */
     uint64_t rejected;                  /* triangles left out */
     uint64_t bytes;                     /* of everything */
+    uint64_t open_columns;              /* SOLID: of what was voxelised this time; they got no inside */
 } voxrt_gi_update_stats;
 
 /* Voxelise what changed, bring the hierarchy up to date. After every change of objects or lights and before drawing.
@@ -14574,6 +14605,9 @@ typedef struct voxrti_insert {
     int isa;
     uint32_t *own;            /* a level 0 that gets the cells, too, or NULL */
     const struct voxrti_splat *splat; /* instead of setting cells: what they are made of */
+    uint16_t (*lattice)[2];   /* SAMPLES: of each triangle, or NULL: made when it is looked at */
+    int grow;                 /* 0: lattices stay; 1: they are made anew where triangles have grown; 2: everywhere */
+    double per_length;        /* points for a world unit */
     uint32_t rejected[2], outside[2]; /* tallies */
 } voxrti_insert;
 
@@ -14867,6 +14901,109 @@ VOXRTI_INLINE int voxrti_insert_point(const voxrti_insert *in, const uint8_t *fr
     return 1;
 }
 
+/* A point in a cell that has been set in the same way changes nothing: most do. */
+VOXRTI_INLINE void voxrti_insert_cell(const voxrti_insert *in, uint32_t x, uint32_t y, uint32_t k) {
+    const voxrt_columns *c = in->columns;
+    const size_t at = voxrti_column(c, 0, x, y) + (k >> 5);
+    const uint32_t bit = 1u << (k & 31u);
+    uint32_t *word = in->own != NULL ? &in->own[at] : in->still ? &c->still[at] : &c->bits[at];
+    if (in->splat != NULL) voxrti_splat_add(in->splat, x, y, k);
+    else if ((voxrti_load_shared(word) & bit) == 0) voxrti_insert_run(in, x, y, k, k);
+}
+
+/* Points that stay where they are on a triangle, as the texels of an atlas do. Rows lie along its longest edge; row j
+   of `rows` is (j + 1/2) / rows of the way up and has as many of the `most` as it is long. Two numbers a triangle:
+   rows; most, and which edge, in the two highest bits. 0 rows: no point. */
+#define VOXRTI_LATTICE_MOST 16383
+
+/* For triangle i with corners p, world units; `density` points for a unit. Too many: 65535. A triangle that is much
+   smaller than what a point stands for has one with a chance, so that cost goes by area: up to eight in that area on
+   average, as chance leaves gaps that rows do not. */
+static void voxrti_lattice_make(const double (*p)[3], double density, size_t i, uint16_t out[2]) {
+    double l[3], across = 0.0, u, v, chance;
+    uint32_t a, e, side = 0;
+    for (e = 0; e < 3; e++)
+        for (l[e] = 0.0, a = 0; a < 3; a++) {
+            const double d = p[e == 2 ? 0 : e + 1][a] - p[e][a];
+            l[e] += d * d;
+        }
+    for (e = 1; e < 3; e++) if (l[e] > l[side]) side = e;
+    for (a = 0; a < 3; a++) {
+        const uint32_t b = (a + 1) % 3, c = (a + 2) % 3;
+        const double n = (p[1][b] - p[0][b]) * (p[2][c] - p[0][c]) - (p[1][c] - p[0][c]) * (p[2][b] - p[0][b]);
+        across += n * n;
+    }
+    u = sqrt(l[side]);
+    v = u > 0.0 ? sqrt(across) / u * density : 0.0;
+    u *= density;
+    if (!(u < VOXRTI_LATTICE_MOST && v < VOXRTI_LATTICE_MOST)) {
+        out[0] = out[1] = 0xffff;
+        return;
+    }
+    chance = (u < 0.5 ? 2.0 * u : 1.0) * (v < 0.5 ? 2.0 * v : 1.0);
+    out[0] = (uint16_t)((double)voxrti_hash32((uint32_t)i + 1u) < chance * 4294967296.0 ? (uint32_t)v + 1 : 0);
+    out[1] = (uint16_t)((uint32_t)u + 1 + (side << 14));
+}
+
+/* The points of triangle i. As voxrti_insert_triangle. */
+static int voxrti_insert_samples(const voxrti_insert *in, const double (*p)[3], size_t i) {
+    const voxrt_columns *c = in->columns;
+    uint16_t own[2], *lattice = in->lattice != NULL ? in->lattice[i] : own;
+    const double size[3] = {(double)c->size[0], (double)c->size[1], (double)c->size[2]};
+    double d[2][3];
+    uint32_t a, e, j, k, rows, most, side;
+    for (a = 0; a < 3; a++) {
+        if (voxrti_min(p[0][a], voxrti_min(p[1][a], p[2][a])) >= size[a]) return 0;
+        if (voxrti_max(p[0][a], voxrti_max(p[1][a], p[2][a])) < 0.0) return 0;
+    }
+    if (in->lattice == NULL || in->grow) {
+        double w[3][3];
+        const double (*q)[3] = (const double (*)[3])w;
+        for (e = 0; e < 3; e++) for (a = 0; a < 3; a++) w[e][a] = p[e][a] * c->cell[a];
+        if (in->lattice == NULL || in->grow == 2) {
+            voxrti_lattice_make(q, in->per_length * (in->lattice != NULL ? 1.1 : 1.0), i, lattice);
+        } else {
+            uint16_t now[2]; /* what it needs; it was given a tenth more than that */
+            voxrti_lattice_make(q, in->per_length, i, now);
+            if (now[0] > lattice[0] || (now[1] & VOXRTI_LATTICE_MOST) > (lattice[1] & VOXRTI_LATTICE_MOST))
+                voxrti_lattice_make(q, in->per_length * 1.1, i, lattice);
+        }
+    }
+    rows = lattice[0];
+    most = lattice[1] & VOXRTI_LATTICE_MOST;
+    side = lattice[1] >> 14;
+    if (rows > VOXRTI_LATTICE_MOST) return voxrti_insert_triangle(in, p);
+    for (a = 0; a < 3; a++) {
+        d[0][a] = p[(side + 1) % 3][a] - p[side][a];
+        d[1][a] = p[(side + 2) % 3][a] - p[side][a];
+    }
+    for (j = 0; j < rows; j++) {
+        const double v = ((double)j + 0.5) / (double)rows, wide = (1.0 - v) * (double)most;
+        const uint32_t n = (uint32_t)wide + (wide > (double)(uint32_t)wide);
+        const double part = (1.0 - v) / (double)n;
+        double from[3], by[3], q[3];
+        uint32_t first = 0, last = n;
+        for (a = 0; a < 3; a++) {
+            by[a] = d[0][a] * part;
+            from[a] = p[side][a] + v * d[1][a] + 0.5 * by[a];
+        }
+        for (a = 0; a < 3 && n > 8; a++) { /* what lies in the box, and a little more */
+            double lo, hi;
+            if (voxrti_abs(by[a]) < 1e-9) continue;
+            lo = ((by[a] > 0.0 ? -1.0 : size[a] + 1.0) - from[a]) / by[a];
+            hi = ((by[a] > 0.0 ? size[a] + 1.0 : -1.0) - from[a]) / by[a];
+            if (lo > (double)first) first = lo < (double)n ? (uint32_t)lo : n;
+            if (hi < (double)last) last = hi > 0.0 ? (uint32_t)hi : 0;
+        }
+        for (k = first; k < last; k++) {
+            for (a = 0; a < 3; a++) q[a] = from[a] + (double)k * by[a];
+            if (q[0] >= 0.0 && q[1] >= 0.0 && q[2] >= 0.0 && q[0] < size[0] && q[1] < size[1] && q[2] < size[2])
+                voxrti_insert_cell(in, (uint32_t)q[0], (uint32_t)q[1], (uint32_t)q[2]);
+        }
+    }
+    return 1;
+}
+
 static void voxrti_task_insert_mesh(void *ctx, uint32_t index) {
     voxrti_insert *in = (voxrti_insert *)ctx;
     const voxrt_mesh *mesh = in->mesh;
@@ -14883,19 +15020,11 @@ static void voxrti_task_insert_mesh(void *ctx, uint32_t index) {
                 voxrti_insert_point(in, (const uint8_t *)mesh->positions + at * stride, p[e]);
         }
         if (!ok) rejected++;
-        else if (!voxrti_insert_triangle(in, (const double (*)[3])p)) outside++;
+        else if (in->mode == VOXRT_COLUMNS_SAMPLES ? !voxrti_insert_samples(in, (const double (*)[3])p, i) :
+                 !voxrti_insert_triangle(in, (const double (*)[3])p)) outside++;
     }
     voxrti_tally_add(in->rejected, rejected);
     voxrti_tally_add(in->outside, outside);
-}
-
-/* A point in a cell that has been set in the same way changes nothing: most do. */
-VOXRTI_INLINE void voxrti_insert_cell(const voxrti_insert *in, uint32_t x, uint32_t y, uint32_t k) {
-    const voxrt_columns *c = in->columns;
-    const size_t at = voxrti_column(c, 0, x, y) + (k >> 5);
-    const uint32_t bit = 1u << (k & 31u);
-    uint32_t *word = in->still ? &c->still[at] : &c->bits[at];
-    if ((voxrti_load_shared(word) & bit) == 0) voxrti_insert_run(in, x, y, k, k);
 }
 
 /* Points i .. end - 1, those outside and bad ones counted. */
@@ -14984,6 +15113,10 @@ static void voxrti_task_insert_points(void *ctx, uint32_t index) {
     voxrti_tally_add(in->outside, outside);
 }
 
+VOXRTI_INLINE int voxrti_spacing_ok(float spacing) {
+    return spacing == 0.0f || (spacing >= 0.015625f && spacing <= 64.0f);
+}
+
 /* Close what all kinds of insertion open: the layer, the matrix, the threads. */
 static voxrt_result voxrti_insert_open(voxrti_insert *in, voxrt_columns *c, const voxrt_columns_insert_desc *desc,
                                        voxrt_columns_insert_desc *d) {
@@ -14992,8 +15125,10 @@ static voxrt_result voxrti_insert_open(voxrti_insert *in, voxrt_columns *c, cons
     if (desc != NULL) *d = *desc;
     else memset(d, 0, sizeof *d);
     if (d->_begin_zero != 0 || d->_end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
-    if (c == NULL || (uint32_t)d->mode > VOXRT_COLUMNS_SOLID)
+    if (c == NULL || (uint32_t)d->mode > VOXRT_COLUMNS_SAMPLES)
         return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, (uint64_t)d->mode, "no grid, or unknown mode %");
+    if (!voxrti_spacing_ok(d->spacing))
+        return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "spacing is not 0, nor from 1/64 to 64");
     for (a = 0; a < 12; a++) {
         if (!voxrti_finite(d->to_world[a]))
             return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, a, "to_world[%] is not finite");
@@ -15009,6 +15144,8 @@ static voxrt_result voxrti_insert_open(voxrti_insert *in, voxrt_columns *c, cons
     in->columns = c;
     in->isa = (int)voxrt_isa_best();
     in->mode = d->mode;
+    in->per_length = 1.0 / ((d->spacing > 0.0f ? (double)d->spacing : 0.5) *
+                            voxrti_min(c->cell[0], voxrti_min(c->cell[1], c->cell[2])));
     in->still = d->still != 0;
     in->shared = d->env.parallel.for_fn != NULL || voxrti_thread_count(&d->env) > 1;
     if (in->still && c->still == NULL) {
@@ -15046,6 +15183,27 @@ static uint64_t voxrti_insert_inside(const voxrti_insert *in) {
     return open;
 }
 
+/* The cells of in->mesh. open: columns in which it is not closed. */
+static voxrt_result voxrti_insert_mesh(voxrti_insert *in, const voxrt_env *env, uint64_t *open) {
+    voxrt_columns *c = in->columns;
+    *open = 0;
+    in->count = in->mesh->triangle_count;
+    if (in->mode == VOXRT_COLUMNS_SOLID) {
+        const size_t n = ((size_t)c->words * c->size[0] + c->map_row[0]) * c->size[1];
+        in->flips = (uint32_t *)voxrti_alloc_zero(&c->mem, n, 4);
+        if (in->flips == NULL)
+            return voxrti_fail(env->error, VOXRT_ERR_NO_MEMORY, n, "no memory for % words of parities");
+    }
+    voxrti_parallel_for(env, voxrti_task_insert_mesh, in,
+                        (uint32_t)((in->count + VOXRTI_INSERT_TASK - 1) / VOXRTI_INSERT_TASK));
+    if (in->flips != NULL) {
+        *open = voxrti_insert_inside(in);
+        voxrti_free(&c->mem, in->flips);
+        in->flips = NULL;
+    }
+    return VOXRT_OK;
+}
+
 VOXRT_DEF voxrt_result voxrt_columns_insert(voxrt_columns *columns, const voxrt_columns_insert_desc *desc,
                                             const voxrt_mesh *mesh, voxrt_columns_insert_stats *stats) {
     voxrt_columns_insert_desc d;
@@ -15058,19 +15216,8 @@ VOXRT_DEF voxrt_result voxrt_columns_insert(voxrt_columns *columns, const voxrt_
     if (mesh->triangle_count / VOXRTI_INSERT_TASK >= 0x7fffffff)
         return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, mesh->triangle_count, "% triangles are too many");
     in.mesh = mesh;
-    in.count = mesh->triangle_count;
-    if (in.mode == VOXRT_COLUMNS_SOLID) {
-        const size_t n = ((size_t)columns->words * columns->size[0] + columns->map_row[0]) * columns->size[1];
-        in.flips = (uint32_t *)voxrti_alloc_zero(&columns->mem, n, 4);
-        if (in.flips == NULL)
-            return voxrti_fail(d.env.error, VOXRT_ERR_NO_MEMORY, n, "no memory for % words of parities");
-    }
-    voxrti_parallel_for(&d.env, voxrti_task_insert_mesh, &in,
-                        (uint32_t)((in.count + VOXRTI_INSERT_TASK - 1) / VOXRTI_INSERT_TASK));
-    if (in.flips != NULL) {
-        open = voxrti_insert_inside(&in);
-        voxrti_free(&columns->mem, in.flips);
-    }
+    r = voxrti_insert_mesh(&in, &d.env, &open);
+    if (r != VOXRT_OK) return r;
     if (stats != NULL) {
         stats->items += in.count;
         stats->rejected += voxrti_tally(in.rejected);
@@ -15326,13 +15473,34 @@ VOXRTI_INLINE int voxrti_column_at(float o, float d, float inv, float t, int fro
     return x;
 }
 
+typedef struct voxrti_column_log { /* voxrt_columns_explain */
+    voxrt_column_step *step;
+    size_t count, most;
+    double t_in, per_t;
+} voxrti_column_log;
+
+static VOXRTI_NOINLINE void voxrti_column_note(voxrti_column_log *log, float t, float te, int level, int cx, int cy,
+                                               int lo, int hi, uint32_t found) {
+    voxrt_column_step *s;
+    if (log->count++ >= log->most) return;
+    s = &log->step[log->count - 1];
+    s->t_in = (float)(log->t_in + (double)t * log->per_t);
+    s->t_out = (float)(log->t_in + (double)te * log->per_t);
+    s->level = (uint32_t)level;
+    s->column[0] = (uint32_t)cx;
+    s->column[1] = (uint32_t)cy;
+    s->depth[0] = (uint32_t)lo;
+    s->depth[1] = (uint32_t)hi;
+    s->found = found;
+}
+
 /* Step from column to column; the depths at which the ray is above a column are an interval of its bits. Where a level
    has none of them set it is left as a whole, and the next step tries one level up if it crossed a border of that; else
    one level down. The t of the step out of a column is that of the step into the next: no gap between their
    intervals. */
 static int voxrti_column_walk(const voxrt_columns *c, const voxrti_column_ray *r, const voxrti_column_plane *plane,
                               uint32_t planes, const float reach[3], uint32_t start, voxrti_column_found *f,
-                              voxrt_stats *stats) {
+                              voxrti_column_log *log, voxrt_stats *stats) {
     const float ox = r->o[0], oy = r->o[1], oz = r->o[2], dx = r->d[0], dy = r->d[1], dz = r->d[2], t_max = r->t_max;
     /* a ray that stays in its row never comes to the border ahead: that lies more than 0 away, times infinity */
     const float ix = dx != 0.0f ? 1.0f / dx : INFINITY, iy = dy != 0.0f ? 1.0f / dy : INFINITY;
@@ -15363,6 +15531,7 @@ static int voxrti_column_walk(const voxrt_columns *c, const voxrti_column_ray *r
             for (p = 0; p < planes && level == 0; p++) bits &= ~voxrti_column_mask(gone[p][0], gone[p][1], w);
             if (bits != 0 || w == last) break;
         }
+        if (log != NULL) voxrti_column_note(log, t, te, level, cx, cy, lo, hi, bits == 0 ? 0 : level > 0 ? 1 : 2);
         if (bits != 0 && level > 0) {
             level--;
             descents++;
@@ -15440,7 +15609,7 @@ VOXRTI_INLINE void voxrti_column_miss(voxrt_column_hit *hits, uint8_t *occluded,
 }
 
 static void voxrti_column_trace_scalar(const voxrti_column_trace *t, const voxrt_ray *rays, size_t count,
-                                       voxrt_column_hit *hits, uint8_t *occluded) {
+                                       voxrt_column_hit *hits, uint8_t *occluded, voxrti_column_log *log) {
     size_t i;
     for (i = 0; i < count; i++) {
         voxrti_column_ray r;
@@ -15451,12 +15620,16 @@ static void voxrti_column_trace_scalar(const voxrti_column_trace *t, const voxrt
         voxrti_column_miss(hits, occluded, i);
         if (t->stats != NULL) t->stats->bad_rays += open < 0;
         if (open != 1) continue;
+        if (log != NULL) {
+            log->t_in = r.t_in;
+            log->per_t = r.per_t;
+        }
         if (t->normals != NULL)
             voxrti_column_plane_open(t->columns, &rays[i], 0.0, t->normals + 3 * i, t->reach, &plane[planes++]);
         if (t->end_normals != NULL && rays[i].t_max < INFINITY)
             voxrti_column_plane_open(t->columns, &rays[i], (double)rays[i].t_max, t->end_normals + 3 * i, t->reach,
                                      &plane[planes++]);
-        if (!voxrti_column_walk(t->columns, &r, plane, planes, t->reach, t->start, &f, t->stats)) continue;
+        if (!voxrti_column_walk(t->columns, &r, plane, planes, t->reach, t->start, &f, log, t->stats)) continue;
         if (t->stats != NULL) t->stats->hits++;
         if (hits != NULL) voxrti_column_report(t, &rays[i], r.t_in, r.per_t, &f, &hits[i]);
         else occluded[i] = 1;
@@ -16089,7 +16262,7 @@ static voxrt_result voxrti_column_trace_all(const voxrt_columns *c, const voxrt_
             continue;
         }
 #endif
-        voxrti_column_trace_scalar(&part, rays + i, n, part_hits, part_occluded);
+        voxrti_column_trace_scalar(&part, rays + i, n, part_hits, part_occluded, NULL);
     }
     return VOXRT_OK;
 }
@@ -16102,6 +16275,24 @@ VOXRT_DEF voxrt_result voxrt_columns_trace(const voxrt_columns *columns, const v
 VOXRT_DEF voxrt_result voxrt_columns_occluded(const voxrt_columns *columns, const voxrt_columns_trace_desc *desc,
                                               const voxrt_ray *rays, uint8_t *occluded, size_t count) {
     return voxrti_column_trace_all(columns, desc, rays, NULL, occluded, count);
+}
+
+VOXRT_DEF size_t voxrt_columns_explain(const voxrt_columns *columns, const voxrt_columns_trace_desc *desc,
+                                       const voxrt_ray *ray, voxrt_column_step *steps, size_t most,
+                                       voxrt_column_hit *hit) {
+    voxrti_column_trace t;
+    voxrti_column_log log;
+    voxrt_column_hit found;
+    if (hit != NULL) voxrti_column_miss(hit, NULL, 0);
+    if (ray == NULL || (steps == NULL && most != 0)) return 0;
+    if (voxrti_column_trace_open(columns, desc, &t) != VOXRT_OK) return 0;
+    memset(&log, 0, sizeof log);
+    log.step = steps;
+    log.most = most;
+    if (t.stats != NULL) t.stats->rays++;
+    voxrti_column_trace_scalar(&t, ray, 1, &found, NULL, &log);
+    if (hit != NULL) *hit = found;
+    return log.count;
 }
 #endif /* VOXRT_NO_GI */
 
@@ -16137,6 +16328,8 @@ typedef struct voxrti_gi_layer {
 typedef struct voxrti_gi_entry {
     voxrt_gi_object object;
     float emission[3], specular[4]; /* specular is 0 without an exponent */
+    uint16_t (*lattice)[2];   /* SAMPLES: of each triangle */
+    size_t lattice_count;
     uint32_t used;
     uint32_t placed, moved;   /* by how many updates since it came; its place is not the one of the update before */
     double at[12], back[12];  /* to_world at the last update; from the world of the last update to that before it */
@@ -16178,7 +16371,7 @@ struct voxrt_gi {
     double origin_before[3];  /* of the columns, at the last update */
     uint32_t still_changed, changed; /* since the last update */
     uint32_t version;         /* of what can be seen */
-    uint64_t rejected;
+    uint64_t rejected, open_columns;
     voxrt_gi *outer;          /* the volume around this one, with the same objects, or NULL */
 };
 
@@ -16415,8 +16608,9 @@ static void voxrti_task_gi_fragments(void *ctx, uint32_t index) {
             ok = at < mesh->vertex_count &&
                 voxrti_insert_point(&in, (const uint8_t *)mesh->positions + at * stride, p[e]);
         }
-        if (ok && voxrti_splat_open(&f, mesh, &b->gi->entry[b->id], i, (const double (*)[3])p, b->srgb))
-            (void)voxrti_insert_triangle(&in, (const double (*)[3])p);
+        if (!ok || !voxrti_splat_open(&f, mesh, &b->gi->entry[b->id], i, (const double (*)[3])p, b->srgb)) continue;
+        if (in.mode == VOXRT_COLUMNS_SAMPLES) (void)voxrti_insert_samples(&in, (const double (*)[3])p, i);
+        else (void)voxrti_insert_triangle(&in, (const double (*)[3])p);
     }
 }
 
@@ -16541,6 +16735,16 @@ static voxrt_result voxrti_gi_layer_open(voxrt_gi *gi, voxrti_gi_layer *l) {
     return VOXRT_OK;
 }
 
+/* Which points of an object's triangles are taken: 1, known from before; 2, to be found out; -1, no memory. */
+static int voxrti_gi_lattice(voxrt_gi *gi, voxrti_gi_entry *e) {
+    const size_t n = e->object.mesh.triangle_count;
+    if (e->lattice != NULL && e->lattice_count == n) return 1;
+    voxrti_free(&gi->mem, e->lattice);
+    e->lattice_count = n;
+    e->lattice = (uint16_t (*)[2])voxrti_alloc_zero(&gi->mem, n + 1, sizeof *e->lattice);
+    return e->lattice != NULL ? 2 : -1;
+}
+
 /* Insert all objects of a layer; then their attributes. */
 static voxrt_result voxrti_gi_layer_build(voxrt_gi *gi, uint32_t which) {
     voxrti_gi_layer *l = &gi->layer[which];
@@ -16566,26 +16770,40 @@ static voxrt_result voxrti_gi_layer_build(voxrt_gi *gi, uint32_t which) {
         if (pass == 2) voxrti_parallel_for(&gi->env, voxrti_task_gi_split, &b, (uint32_t)((l->count + 4095) / 4096));
         b.votes = pass == 1;
         for (i = 0; i < gi->entry_count; i++) {
-            const voxrti_gi_entry *e = &gi->entry[i];
+            voxrti_gi_entry *e = &gi->entry[i];
             voxrt_columns_insert_desc d, open;
+            uint64_t leaks;
             if (!e->used || (e->object.still != 0) != (which == 0)) continue;
             memset(&d, 0, sizeof d);
             d.env = gi->env;
+            d.mode = e->object.mode;
+            d.spacing = e->object.spacing;
             memcpy(d.to_world, e->object.to_world, sizeof d.to_world);
             d.still = which == 0;
+            if (pass != 0 && d.mode == VOXRT_COLUMNS_SOLID) d.mode = VOXRT_COLUMNS_THIN;
             r = voxrti_insert_open(&b.in, gi->columns, &d, &open);
-            if (r != VOXRT_OK) {
-                voxrti_free(&gi->mem, b.sum);
-                return r;
-            }
             b.in.mesh = &e->object.mesh;
             b.in.count = e->object.mesh.triangle_count;
             b.in.own = which == 1 ? gi->own : NULL;
             b.id = (uint32_t)i;
-            voxrti_parallel_for(&gi->env, pass == 0 ? voxrti_task_insert_mesh : voxrti_task_gi_fragments,
-                                pass == 0 ? (void *)&b.in : (void *)&b,
-                                (uint32_t)((b.in.count + VOXRTI_INSERT_TASK - 1) / VOXRTI_INSERT_TASK));
-            if (pass == 0) gi->rejected += voxrti_tally(b.in.rejected);
+            if (r == VOXRT_OK && d.mode == VOXRT_COLUMNS_SAMPLES) {
+                b.in.grow = pass == 0 ? voxrti_gi_lattice(gi, e) : 0;
+                b.in.lattice = e->lattice;
+                if (b.in.grow < 0) r = VOXRT_ERR_NO_MEMORY;
+            }
+            if (r == VOXRT_OK && pass == 0) {
+                r = voxrti_insert_mesh(&b.in, &gi->env, &leaks);
+                gi->rejected += voxrti_tally(b.in.rejected);
+                gi->open_columns += leaks;
+            } else if (r == VOXRT_OK) {
+                voxrti_parallel_for(&gi->env, voxrti_task_gi_fragments, &b,
+                                    (uint32_t)((b.in.count + VOXRTI_INSERT_TASK - 1) / VOXRTI_INSERT_TASK));
+            }
+            if (r != VOXRT_OK) {
+                voxrti_free(&gi->mem, b.sum);
+                l->count = 0;
+                return r;
+            }
         }
     }
     voxrti_parallel_for(&gi->env, voxrti_task_gi_resolve, &b, (uint32_t)((l->count + 4095) / 4096));
@@ -16755,7 +16973,7 @@ static voxrt_result voxrti_gi_update_one(voxrt_gi *gi) {
     voxrti_gi_carry carry;
     voxrt_result r = VOXRT_OK;
     uint32_t *still = NULL, *own = gi->own;
-    gi->rejected = 0;
+    gi->rejected = gi->open_columns = 0;
     voxrti_gi_track(gi);
     memset(&old, 0, sizeof old);
     carry.gi = gi;
@@ -16827,6 +17045,7 @@ VOXRT_DEF voxrt_result voxrt_gi_update(voxrt_gi *gi, voxrt_gi_update_stats *stat
         stats->still_cells += g->layer[0].count;
         stats->moving_cells += g->layer[1].count;
         stats->rejected += g == gi ? g->rejected : 0;
+        stats->open_columns += g == gi ? g->open_columns : 0;
         stats->bytes += g->mem.used + g->columns->mem.used;
     }
     return VOXRT_OK;
@@ -16847,7 +17066,15 @@ static voxrt_result voxrti_gi_object_check(const voxrt_gi *gi, const voxrt_gi_ob
         ok &= m->emission[a] >= 0.0f && voxrti_finite_f(m->emission[a]);
     }
     ok &= o->material.exponent >= 0.0f && o->material.exponent <= 1e6f;
-    return ok ? VOXRT_OK : voxrti_fail(gi->env.error, VOXRT_ERR_INVALID_ARG, 0, "matrix or material out of range");
+    ok &= (uint32_t)o->mode <= VOXRT_COLUMNS_SAMPLES && voxrti_spacing_ok(o->spacing);
+    return ok ? VOXRT_OK : voxrti_fail(gi->env.error, VOXRT_ERR_INVALID_ARG, 0,
+                                       "matrix, material, mode or spacing out of range");
+}
+
+static void voxrti_gi_lattice_free(voxrt_gi *gi, voxrti_gi_entry *e) {
+    voxrti_free(&gi->mem, e->lattice);
+    e->lattice = NULL;
+    e->lattice_count = 0;
 }
 
 static void voxrti_gi_entry_set(voxrt_gi *gi, size_t id, const voxrt_gi_object *o) {
@@ -16855,6 +17082,8 @@ static void voxrti_gi_entry_set(voxrt_gi *gi, size_t id, const voxrt_gi_object *
     if (o->still || (e->used && e->object.still)) gi->still_changed = 1;
     gi->changed = 1;
     if (!e->used) e->placed = 0;
+    if (o->mode != VOXRT_COLUMNS_SAMPLES || o->spacing != e->object.spacing ||
+        o->mesh.triangle_count != e->lattice_count) voxrti_gi_lattice_free(gi, e);
     e->object = *o;
     e->used = 1;
     memcpy(e->emission, o->material.emission, sizeof e->emission);
@@ -16880,6 +17109,7 @@ static voxrt_result voxrti_gi_pass_on(voxrt_gi *gi, size_t id, const voxrt_gi_ob
         } else {
             if (gi->entry[id].object.still) gi->still_changed = 1;
             gi->changed = 1;
+            voxrti_gi_lattice_free(gi, &gi->entry[id]);
             memset(&gi->entry[id], 0, sizeof gi->entry[id]);
         }
     }
@@ -16922,6 +17152,7 @@ VOXRT_DEF voxrt_result voxrt_gi_remove(voxrt_gi *gi, uint32_t id) {
         return voxrti_fail(gi->env.error, VOXRT_ERR_INVALID_ARG, id, "there is no object %");
     if (gi->entry[id].object.still) gi->still_changed = 1;
     gi->changed = 1;
+    voxrti_gi_lattice_free(gi, &gi->entry[id]);
     memset(&gi->entry[id], 0, sizeof gi->entry[id]);
     return voxrti_gi_pass_on(gi, id, NULL);
 }
@@ -17054,7 +17285,9 @@ VOXRT_DEF void voxrt_gi_destroy(voxrt_gi *gi) {
     while (gi != NULL) {
         voxrt_gi *outer = gi->outer;
         voxrti_mem mem = gi->mem;
+        size_t i;
         uint32_t l;
+        for (i = 0; i < gi->entry_count; i++) voxrti_gi_lattice_free(gi, &gi->entry[i]);
         for (l = 0; l < 2; l++) voxrti_gi_layer_free(gi, &gi->layer[l]);
         voxrti_gi_layer_free(gi, &gi->before);
         voxrti_gi_maps_free(gi);

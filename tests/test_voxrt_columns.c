@@ -414,6 +414,89 @@ TEST(open_meshes_get_no_inside) {
     voxrt_columns_destroy(thin);
 }
 
+/* Points of a lattice on each triangle: cells that they are in are touched by it; close ones close a mesh, those that lie
+   far apart leave gaps, as an atlas that is too coarse does; small triangles cost by their area. */
+TEST(samples_of_surfaces) {
+    static closed m, fine;
+    static uint8_t seen[64 * 32 * 64];
+    int round, rounds = test_quick() ? 6 : 24, gaps = 0;
+    rng_state = 77;
+    for (round = 0; round < rounds; round++) {
+        voxrt_columns *c = make(64, 32, 64), *fat = make(64, 32, 64), *thin = make(64, 32, 64);
+        const double center[3] = {rnd_in(28, 36), rnd_in(14, 18), rnd_in(28, 36)};
+        const double angle[3] = {rnd_in(0, 6), rnd_in(0, 6), rnd_in(0, 6)};
+        const uint32_t mid = ((uint32_t)center[2] * 32 + (uint32_t)center[1]) * 64 + (uint32_t)center[0];
+        uint32_t x, y, z, beside = 0, lost = 0, many = 0;
+        voxrt_columns_insert_desc d;
+        voxrt_mesh mesh;
+        if (round % 2) make_sphere(&m, center[0], center[1], center[2], 12.3, 16);
+        else make_cube(&m, center, 7.5, angle);
+        CHECK(insert(c, VOXRT_COLUMNS_SAMPLES, m.p[0], m.index[0], m.triangles, m.points, 0, NULL) == VOXRT_OK);
+        CHECK(insert(fat, VOXRT_COLUMNS_FAT, m.p[0], m.index[0], m.triangles, m.points, 0, NULL) == VOXRT_OK);
+        CHECK(insert(thin, VOXRT_COLUMNS_THIN, m.p[0], m.index[0], m.triangles, m.points, 0, NULL) == VOXRT_OK);
+        for (z = 0; z < 64; z++)
+            for (y = 0; y < 32; y++)
+                for (x = 0; x < 64; x++) {
+                    beside += voxrt_columns_get(c, 0, x, y, z) && !voxrt_columns_get(fat, 0, x, y, z);
+                    lost += voxrt_columns_get(thin, 0, x, y, z) && !voxrt_columns_get(c, 0, x, y, z);
+                    many += (uint32_t)voxrt_columns_get(thin, 0, x, y, z);
+                }
+        CHECK_MSG(beside == 0, "%u cells beside the surface", beside);
+        CHECK_MSG(lost * 100 < many, "mesh %d: %u of %u cells lost", round, lost, many);
+        memset(&d, 0, sizeof d);
+        memset(&mesh, 0, sizeof mesh);
+        d.mode = VOXRT_COLUMNS_SAMPLES;
+        mesh.positions = m.p[0];
+        mesh.vertex_count = m.points;
+        mesh.indices = m.index[0];
+        mesh.triangle_count = m.triangles;
+        for (x = 0; x < 2; x++) {
+            d.spacing = x == 0 ? 0.25f : 2.0f;
+            voxrt_columns_clear(c, 1);
+            CHECK(voxrt_columns_insert(c, &d, &mesh, NULL) == VOXRT_OK);
+            (void)flood(c, 64, 32, 64, seen);
+            if (x == 0) CHECK_MSG(seen[mid] == 0, "mesh %d leaks", round);
+            else gaps += seen[mid];
+        }
+        voxrt_columns_destroy(c);
+        voxrt_columns_destroy(fat);
+        voxrt_columns_destroy(thin);
+    }
+    CHECK(gaps == rounds);
+    { /* a ball of many triangles in a grid where it is 5 cells wide: nearly all of its cells by fewer points */
+        voxrt_columns *c = make(64, 32, 64), *thin = make(64, 32, 64);
+        voxrt_columns_insert_desc d;
+        voxrt_mesh mesh;
+        voxrt_columns_info a, b;
+        uint32_t i, points = 0;
+        make_sphere(&fine, 16, 16, 32, 2.5, 48);
+        CHECK(insert(c, VOXRT_COLUMNS_SAMPLES, fine.p[0], fine.index[0], fine.triangles, fine.points, 0, NULL) == VOXRT_OK);
+        CHECK(insert(thin, VOXRT_COLUMNS_THIN, fine.p[0], fine.index[0], fine.triangles, fine.points, 0, NULL) == VOXRT_OK);
+        voxrt_columns_get_info(c, &a);
+        voxrt_columns_get_info(thin, &b);
+        CHECK_MSG(a.cells >= b.cells && a.cells < 2 * b.cells, "%u cells, thin %u", (unsigned)a.cells, (unsigned)b.cells);
+        for (i = 0; i < fine.triangles; i++) {
+            double p[3][3];
+            uint16_t l[2] = {9, 9};
+            uint32_t e, k;
+            for (e = 0; e < 3; e++) for (k = 0; k < 3; k++) p[e][k] = (double)fine.p[fine.index[i][e]][k];
+            voxrti_lattice_make((const double (*)[3])p, 2.0, i, l);
+            CHECK(l[0] <= 1);
+            points += l[0];
+        }
+        CHECK_MSG(points < fine.triangles / 2 && points > 400, "%u points for %u triangles", points, fine.triangles);
+        memset(&d, 0, sizeof d);
+        memset(&mesh, 0, sizeof mesh);
+        d.mode = VOXRT_COLUMNS_SAMPLES;
+        d.spacing = 100.0f;
+        CHECK(voxrt_columns_insert(c, &d, &mesh, NULL) == VOXRT_ERR_INVALID_ARG);
+        d.spacing = NAN;
+        CHECK(voxrt_columns_insert(c, &d, &mesh, NULL) == VOXRT_ERR_INVALID_ARG);
+        voxrt_columns_destroy(c);
+        voxrt_columns_destroy(thin);
+    }
+}
+
 TEST(triangles_far_outside) { /* a floor of 10^6 cells, cut before it is snapped; neighbours leave no gap */
     voxrt_columns *c = make(64, 32, 64);
     const float p[4][3] = {{-1e6f, -1e6f, 10.3f}, {1e6f, -1e6f, 10.3f}, {1e6f, 1e6f, 10.3f}, {-1e6f, 1e6f, 10.3f}};
@@ -426,6 +509,17 @@ TEST(triangles_far_outside) { /* a floor of 10^6 cells, cut before it is snapped
     CHECK(insert(c, VOXRT_COLUMNS_FAT, p[0], index, 2, 4, 0, NULL) == VOXRT_OK);
     voxrt_columns_get_info(c, &info);
     CHECK_EQ_U64(info.cells, 64 * 32);
+    voxrt_columns_clear(c, 1);
+    CHECK(insert(c, VOXRT_COLUMNS_SAMPLES, p[0], index, 2, 4, 0, NULL) == VOXRT_OK);
+    voxrt_columns_get_info(c, &info);
+    CHECK_EQ_U64(info.cells, 64 * 32);
+    { /* as many rows as a lattice can have, of which few are in the box */
+        const float q[3][3] = {{-3000.0f, -2000.0f, 10.3f}, {4900.0f, -2000.0f, 10.3f}, {1000.0f, 4000.0f, 10.3f}};
+        voxrt_columns_clear(c, 1);
+        CHECK(insert(c, VOXRT_COLUMNS_SAMPLES, q[0], index, 1, 3, 0, NULL) == VOXRT_OK);
+        voxrt_columns_get_info(c, &info);
+        CHECK_EQ_U64(info.cells, 64 * 32);
+    }
     voxrt_columns_destroy(c);
 }
 
@@ -797,6 +891,46 @@ TEST(rays_in_all_ways_the_same) { /* instruction sets, start levels, any hit, gr
     voxrt_columns_destroy(c);
 }
 
+TEST(rays_explained) { /* what a ray looks at follows on each other, is what the columns hold, and ends at its hit */
+    enum { N = 1500, MOST = 400 };
+    static voxrt_column_step s[MOST];
+    voxrt_columns *c = make(128, 64, 128);
+    voxrt_columns_trace_desc d;
+    uint32_t i, hits = 0;
+    rng_state = 51;
+    hall(c, 0.002);
+    for (i = 0; i < N; i++) {
+        const voxrt_ray ray = random_ray(c, i % 12);
+        voxrt_column_hit hit, want;
+        voxrt_stats stats;
+        size_t n, k;
+        uint32_t wrong = 0;
+        memset(&d, 0, sizeof d);
+        memset(&stats, 0, sizeof stats);
+        d.stats = &stats;
+        d.start_level_plus_1 = i % 9;
+        n = voxrt_columns_explain(c, &d, &ray, s, MOST, &hit);
+        REQUIRE(n <= MOST);
+        CHECK(voxrt_columns_explain(c, &d, &ray, NULL, 0, NULL) == n);
+        CHECK(stats.rays == 2 && 2 * n == stats.steps + stats.descents + stats.hits);
+        CHECK(voxrt_columns_trace(c, NULL, &ray, &want, 1) == VOXRT_OK && memcmp(&hit, &want, sizeof hit) == 0);
+        for (k = 0; k < n; k++) {
+            uint32_t z, set = 0;
+            for (z = s[k].depth[0]; z <= s[k].depth[1]; z++)
+                set |= (uint32_t)voxrt_columns_get(c, s[k].level, s[k].column[0], s[k].column[1], z);
+            wrong += set != (s[k].found != 0) || !(s[k].t_in <= s[k].t_out) || (s[k].found == 2 && s[k].level != 0);
+            if (k + 1 == n) wrong += (s[k].found == 2) != (hit.t < INFINITY);
+            else if (s[k].found == 0) wrong += s[k + 1].t_in != s[k].t_out || s[k + 1].level > s[k].level + 1;
+            else wrong += s[k].found == 2 || s[k + 1].t_in != s[k].t_in || s[k + 1].level + 1 != s[k].level;
+        }
+        CHECK_MSG(wrong == 0, "ray %u: %u of %u steps", i, wrong, (unsigned)n);
+        hits += hit.t < INFINITY;
+    }
+    CHECK(hits > N / 4);
+    CHECK(voxrt_columns_explain(c, NULL, NULL, s, MOST, NULL) == 0 && voxrt_columns_explain(NULL, NULL, NULL, NULL, 0, NULL) == 0);
+    voxrt_columns_destroy(c);
+}
+
 TEST(a_hit_lies_on_its_face) {
     voxrt_columns *c = make(128, 64, 128);
     uint32_t i, k, hits = 0;
@@ -961,6 +1095,7 @@ int main(int argc, char **argv) {
     RUN(fat_is_what_is_touched);
     RUN(closed_meshes_are_tight_and_fill);
     RUN(open_meshes_get_no_inside);
+    RUN(samples_of_surfaces);
     RUN(triangles_far_outside);
     RUN(threads_and_order_do_not_matter);
     RUN(still_and_moving);
@@ -971,6 +1106,7 @@ int main(int argc, char **argv) {
     RUN(planes_may_leave_two_intervals);
 #endif
     RUN(rays_in_all_ways_the_same);
+    RUN(rays_explained);
     RUN(a_hit_lies_on_its_face);
     RUN(tangent_planes_instead_of_offsets);
     RUN(memory);

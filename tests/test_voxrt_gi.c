@@ -1597,6 +1597,95 @@ TEST(deforming_meshes) { /* a ball whose surface swells in waves: each frame as 
     voxrt_gi_destroy(r.gi);
 }
 
+/* An object by points on its surface: they follow it as it moves, turns and bends, and are the same ones until it has
+   grown. Solid ones are dark inside and look the same from outside. */
+TEST(objects_by_samples_and_solid) {
+    enum { N = 48 * 32, WAYS = 4 };
+    static const voxrt_columns_mode mode[WAYS] = {VOXRT_COLUMNS_THIN, VOXRT_COLUMNS_SAMPLES, VOXRT_COLUMNS_SOLID, VOXRT_COLUMNS_FAT};
+    static room r;
+    static model bend;
+    static float light[WAYS][N][3];
+    uint32_t way, frame, i, k;
+    double mean = 0;
+    room_open(&r, 48, 32, 0);
+    for (way = 0; way < WAYS; way++) {
+        voxrt_gi_render_desc d;
+        voxrt_gi_update_stats stats;
+        voxrt_column_hit middle;
+        voxrt_gi_surface s;
+        const float down[3] = {0, -1, 0};
+        double rms = 0;
+        memset(&d, 0, sizeof d);
+        d.rays = 64;
+        r.object.mode = mode[way];
+        CHECK(voxrt_gi_set(r.gi, r.id, &r.object) == VOXRT_OK && voxrt_gi_update(r.gi, &stats) == VOXRT_OK);
+        CHECK(stats.open_columns == 0);
+        CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, light[way][0], NULL) == VOXRT_OK);
+        memset(&middle, 0, sizeof middle);
+        for (k = 0; k < 3; k++) middle.cell[k] = (uint32_t)((r.object.to_world[4 * k + 3] + 10.0) * 64.0 / 20.0);
+        CHECK(voxrt_columns_get(r.gi->columns, 0, middle.cell[0], middle.cell[1], middle.cell[2]) == (mode[way] == VOXRT_COLUMNS_SOLID));
+        CHECK(voxrt_gi_get(r.gi, &middle, down, &s) == 0);
+        for (i = 0; i < N; i++) {
+            const double e = (double)light[way][i][1] - (double)light[0][i][1];
+            rms += e * e / N;
+            if (way == 0) mean += (double)light[0][i][1] / N;
+        }
+        CHECK_MSG(sqrt(rms) < (mode[way] == VOXRT_COLUMNS_FAT ? 0.15 : 0.05) * mean, "way %u: %.4f of %.4f", way, sqrt(rms), mean);
+    }
+    r.block.triangles -= 2; /* a face is missing */
+    r.object = object_of(&r.block, 0);
+    r.object.mode = VOXRT_COLUMNS_SOLID;
+    {
+        voxrt_gi_update_stats stats;
+        CHECK(voxrt_gi_set(r.gi, r.id, &r.object) == VOXRT_OK && voxrt_gi_update(r.gi, &stats) == VOXRT_OK);
+        CHECK(stats.open_columns > 100);
+    }
+    voxrt_gi_destroy(r.gi);
+    sphere(&bend, 3.0, 12, 180, 0);
+    {
+        voxrt_gi *gi = make_gi(64, 64, 64, 10), *thin = make_gi(64, 64, 64, 10);
+        voxrt_gi_object o = object_of(&bend, 0);
+        static uint16_t first[40000][2];
+        uint32_t id[2], same = 0;
+        CHECK(voxrt_gi_add(thin, &o, &id[1]) == VOXRT_OK);
+        o.mode = VOXRT_COLUMNS_SAMPLES;
+        CHECK(voxrt_gi_add(gi, &o, &id[0]) == VOXRT_OK);
+        for (frame = 0; frame < 24; frame++) {
+            const double turn = 0.1 * frame, more = frame < 12 ? 1.0 : frame < 18 ? 1.05 : 2.0;
+            uint32_t lost = 0, many = 0, x, y, z;
+            size_t rec;
+            o.to_world[0] = more * cos(turn);
+            o.to_world[1] = -sin(turn);
+            o.to_world[4] = more * sin(turn);
+            o.to_world[5] = cos(turn);
+            o.to_world[10] = 1;
+            o.to_world[3] = 0.11 * frame - 1;
+            CHECK(voxrt_gi_set(gi, id[0], &o) == VOXRT_OK && voxrt_gi_update(gi, NULL) == VOXRT_OK);
+            o.mode = VOXRT_COLUMNS_THIN;
+            CHECK(voxrt_gi_set(thin, id[1], &o) == VOXRT_OK && voxrt_gi_update(thin, NULL) == VOXRT_OK);
+            o.mode = VOXRT_COLUMNS_SAMPLES;
+            if (frame == 0) memcpy(first, gi->entry[id[0]].lattice, bend.triangles * sizeof first[0]);
+            same = memcmp(first, gi->entry[id[0]].lattice, bend.triangles * sizeof first[0]) == 0;
+            CHECK(same == (frame < 18));
+            for (z = 0; z < 64; z++)
+                for (y = 0; y < 64; y++)
+                    for (x = 0; x < 64; x++) {
+                        lost += voxrt_columns_get(thin->columns, 0, x, y, z) && !voxrt_columns_get(gi->columns, 0, x, y, z);
+                        many += (uint32_t)voxrt_columns_get(thin->columns, 0, x, y, z);
+                    }
+            CHECK_MSG(lost * 50 < many, "frame %u: %u of %u cells lost", frame, lost, many);
+            for (rec = 0; rec < gi->layer[1].count; rec++) { /* sides that are there, of this object, in its colour */
+                const voxrti_gi_record *q = &gi->layer[1].record[rec];
+                if (q->area[0] + q->area[1] == 0 || q->object[q->area[0] == 0] != id[0]) many = 0;
+                if (q->rgb[q->area[0] == 0][0] != (uint8_t)(sqrt(voxrti_srgb_to_linear(180.0 / 255.0)) * 255.0 + 0.5)) many = 0;
+            }
+            CHECK_MSG(many != 0, "frame %u: attributes", frame);
+        }
+        voxrt_gi_destroy(gi);
+        voxrt_gi_destroy(thin);
+    }
+}
+
 TEST(a_camera_that_pans) { /* with history there is less error than without, and nothing old where the picture shows what
                               was not in it before */
     enum { W = 64, H = 40, N = W * H };
@@ -1753,6 +1842,13 @@ TEST(bad_input) {
     o.material.emission[0] = INFINITY;
     CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_ERR_INVALID_ARG);
     o.material.emission[0] = 0;
+    o.mode = (voxrt_columns_mode)5;
+    CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_ERR_INVALID_ARG);
+    o.mode = VOXRT_COLUMNS_SAMPLES;
+    o.spacing = -1.0f;
+    CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_ERR_INVALID_ARG);
+    o.mode = VOXRT_COLUMNS_THIN;
+    o.spacing = 0.0f;
     CHECK(voxrt_gi_set(gi, 0, &o) == VOXRT_ERR_INVALID_ARG);
     m.p[3][1] = NAN;
     m.index[5][2] = 1u << 30;
@@ -1810,6 +1906,7 @@ TEST(memory) {
         d.columns.size_x = d.columns.size_y = 16;
         d.columns.size_z = 64;
         d.nested = 1 + fail % 2;
+        o.mode = fail % 3 == 0 ? VOXRT_COLUMNS_THIN : fail % 3 == 1 ? VOXRT_COLUMNS_SAMPLES : VOXRT_COLUMNS_SOLID;
         for (a = 0; a < 3; a++) {
             d.columns.box_min[a] = -6;
             d.columns.box_max[a] = 6;
@@ -1909,6 +2006,7 @@ int main(int argc, char **argv) {
     RUN(every_edit_begins_anew);
     RUN(things_that_turn_do_not_pop);
     RUN(deforming_meshes);
+    RUN(objects_by_samples_and_solid);
     RUN(a_camera_that_pans);
     RUN(volumes_that_follow_leave_no_seam);
     RUN(tones);
