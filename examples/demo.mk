@@ -118,9 +118,10 @@ $(G)/voxrt_gi_openness.png: options = --scene atrium --size 576x384 --res 1024 -
 $(G)/voxrt_gi_still_life.png: options = --scene examples/still_life.txt --size 480x320 --grid 128 --shadow-filter 2
 $(G)/voxrt_gi_cubes.png: options = --scene cornell --size 360x360 --res 256 --grid 64 --depth-cells 64 --aa 1 --view cubes
 $(G)/voxrt_gi_virtual_lights.png: options = --scene cornell --size 360x360 --res 256 --grid 128 --aa 1 --view lights
+$(G)/voxrt_gi_steps.png: options = --scene cornell --size 360x360 --res 64 --grid 64 --depth-cells 64 --aa 1 --view steps --pixel 135,225
 $(G)/voxrt_gi_lookup.png: options = --scene atrium --size 360x240 --res 256 --grid 128 --aa 1 --method vpl --view lookup
 
-GI_PICTURES := $(addprefix $(G)/voxrt_gi_,cornell.png atrium.png openness.png still_life.png cubes.png virtual_lights.png lookup.png)
+GI_PICTURES := $(addprefix $(G)/voxrt_gi_,cornell.png atrium.png openness.png still_life.png cubes.png virtual_lights.png lookup.png steps.png)
 
 $(GI_PICTURES): $(B)/voxrt_gi
 	@mkdir -p $(@D); echo "$@"; $(B)/voxrt_gi $(options) --rays 16 --bounces 2 --out $@ --quiet

@@ -12,15 +12,16 @@
 #include "voxrt.h"
 
 enum { METHOD_DEFAULT, METHOD_GATHER, METHOD_PATH, METHOD_VPL, METHOD_AO, METHOD_NONE };
-enum { VIEW_PICTURE, VIEW_DIRECT, VIEW_INDIRECT, VIEW_VOXELS, VIEW_CUBES, VIEW_LIGHTS, VIEW_LOOKUP };
+enum { VIEW_PICTURE, VIEW_DIRECT, VIEW_INDIRECT, VIEW_VOXELS, VIEW_CUBES, VIEW_LIGHTS, VIEW_LOOKUP, VIEW_STEPS };
 
 typedef struct gi_options {
     sup_common common;
-    const char *scene, *camera;
-    int method, tone, view, lookup;
+    const char *scene, *camera, *save, *export_to, *pixel;
+    int method, tone, view, lookup, voxels;
+    int64_t at[2], steps;
     int64_t frames, rays, bounces, grid, depth, res, filter, shadow_filter, aa, coarse, pattern, keep, nested, first, still;
     double radius, exposure, budget, d_min, relief;
-    int has_rays;
+    int has_rays, has_voxels;
 } gi_options;
 
 typedef struct piece { /* an object: its triangles for the light that bounces, its voxels for what the camera sees */
@@ -48,8 +49,9 @@ typedef struct world {
     voxrt_camera camera;
     size_t which; /* camera */
     voxrt_gi_budget budget;
-    double lift;
+    double lift, box[6];
     int shine, glow;   /* is there an object with a lobe, that emits light? */
+    int of_mesh;       /* the file is no scene but a mesh: object "mesh" */
     const char *name;
     sup_mesh *stale;   /* meshes of sequences that the light still uses until the next update */
 } world;
@@ -86,7 +88,7 @@ static const char atrium_text[] =
     "light point position -4 5.2 0 color 26 36 60 path cold\n";
 
 static int parse(int argc, char **argv, gi_options *o) {
-    sup_option table[SUP_COMMON_OPTIONS + 32];
+    sup_option table[SUP_COMMON_OPTIONS + 40];
     size_t n;
     int status;
     memset(o, 0, sizeof *o);
@@ -134,12 +136,30 @@ static int parse(int argc, char **argv, gi_options *o) {
     table[n++] = sup_opt_int("res", &o->res, 16, 8192, "N", "voxels along the longest side of an object that the camera sees (1024; atrium 2048)");
     table[n++] = sup_opt_choice("tone", &o->tone, "linear|log|drago", "tone mapping");
     table[n++] = sup_opt_real("exposure", &o->exposure, 1e-6, 1e6, "E", "brightness, times the scene's own (1)");
-    table[n++] = sup_opt_choice("view", &o->view, "picture|direct|indirect|voxels|cubes|lights|lookup",
-                                "parts of the picture; what rays see, plain or as cubes; virtual lights; where maps let light through (red) or hold it (blue)");
+    table[n++] = sup_opt_choice("view", &o->view, "picture|direct|indirect|voxels|cubes|lights|lookup|steps",
+                                "parts of the picture; what rays see, plain or as cubes; virtual lights; where maps let light through (red) or hold it (blue); "
+                                "the columns that a ray from --pixel looks at: empty (green), not empty (red), hit (yellow)");
+    table[n++] = sup_opt_text("pixel", &o->pixel, "X,Y", "steps: the ray that a mirror at this pixel would send (the middle)");
+    table[n++] = sup_opt_int("steps", &o->steps, 1, 100000, "N", "steps: the first N of them (all)");
+    table[n++] = sup_opt_given(sup_opt_choice("voxels", &o->voxels, "thin|fat|raster|solid|samples",
+                                              "how objects become voxels that do not say it themselves (thin)"), &o->has_voxels);
+    table[n++] = sup_opt_text("save", &o->save, "FILE", "write the scene, with the camera of --eye and the like, as a scene file");
+    table[n++] = sup_opt_text("export", &o->export_to, "FILE", "write what there is to see at picture --first: a scene file where nothing moves, "
+                              "and a PLY file in world coordinates for each object");
     status = sup_cli_parse(argc, argv, "Draws a scene with global illumination.", table, n);
     if (status >= 0) return status;
-    status = sup_out_check(argv[0], &o->common);
+    if (o->common.out != NULL || o->common.depth != NULL || (o->save == NULL && o->export_to == NULL)) status = sup_out_check(argv[0], &o->common);
     if (status >= 0) return status;
+    o->at[0] = o->common.size[0] / 2;
+    o->at[1] = o->common.size[1] / 2;
+    if (o->pixel != NULL) {
+        const char *p = o->pixel, *end = p + strlen(p);
+        int bad = sup_parse_int(&p, end, &o->at[0]) || p == end || *p++ != ',' || sup_parse_int(&p, end, &o->at[1]) || p != end;
+        for (int a = 0; a < 2 && !bad; a++) bad = o->at[a] < 0 || o->at[a] >= (int64_t)o->common.size[a];
+        if (bad) return sup_bad_usage(argv[0], "--pixel: \"%s\" is no X,Y in the picture", o->pixel);
+        if (o->view != VIEW_STEPS) return sup_bad_usage(argv[0], "--pixel goes with --view steps");
+    }
+    if (o->steps != 0 && o->view != VIEW_STEPS) return sup_bad_usage(argv[0], "--steps goes with --view steps");
     if ((o->grid & (o->grid - 1)) != 0) return sup_bad_usage(argv[0], "--grid: %d is no power of two", (int)o->grid);
     if (o->coarse & (o->coarse - 1)) return sup_bad_usage(argv[0], "--coarse: %d is no power of two", (int)o->coarse);
     if (o->depth != 0 && o->depth != 64 && o->depth != 128 && o->depth != 256)
@@ -178,6 +198,7 @@ static int scene_of_mesh(world *w, const gi_options *o, sup_error *err) {
                    0.5 * ((double)lo[0] + (double)hi[0]), (double)lo[1], 0.5 * ((double)lo[2] + (double)hi[2]),
                    (double)lo[0] - 0.6 * (double)size, (double)hi[1] + (double)size, (double)hi[2] + 0.5 * (double)size,
                    0.4 * (double)size, 0.4 * (double)size);
+    w->of_mesh = 1;
     return sup_gi_scene_parse(text, strlen(text), o->scene, &w->scene, err);
 }
 
@@ -411,6 +432,8 @@ static int make_world(world *w, const gi_options *o, sup_error *err) {
         voxrt_gi_object *object = &w->pieces[i].object;
         w->pieces[i].frame = -1;
         object->still = !t->moving;
+        object->mode = (voxrt_columns_mode)(t->voxels ? t->voxels - 1 : o->voxels);
+        object->spacing = (float)t->spacing;
         if (t->material < 0) continue;
         for (int a = 0; a < 3; a++) {
             object->material.specular[a] = (float)s->materials[t->material].specular[a];
@@ -429,6 +452,8 @@ static int make_world(world *w, const gi_options *o, sup_error *err) {
     for (int a = 0; a < 3; a++) {
         const double pad = 0.012 * (hi[a] - lo[a]) + 1e-6, part = ldexp(1.0, 1 - (int)o->nested);
         const double middle = 0.5 * (lo[a] + hi[a]), half = (0.5 * (hi[a] - lo[a]) + pad) * (o->nested > 1 ? 1.25 * part : 1.0);
+        w->box[a] = lo[a];
+        w->box[3 + a] = hi[a];
         d.columns.box_min[a] = middle - half;
         d.columns.box_max[a] = middle + half;
     }
@@ -442,6 +467,56 @@ static int make_world(world *w, const gi_options *o, sup_error *err) {
     for (size_t i = 0; i < w->piece_count; i++)
         if (voxrt_gi_add(w->gi, &w->pieces[i].object, &w->pieces[i].id) != VOXRT_OK)
             return sup_fail(err, "%s: %s", s->things[i].file, error.text[0] ? error.text : "out of memory");
+    return 0;
+}
+
+/* --save, --export */
+static int write_scene(world *w, const gi_options *o, sup_error *err) {
+    sup_gi_scene *s = &w->scene;
+    if (o->save != NULL) {
+        sup_gi_camera *c = &s->cameras[w->which];
+        const char *slash = strrchr(w->name, '/'), *to = strrchr(o->save, '/');
+        const size_t from_length = slash ? (size_t)(slash - w->name) : 0, to_length = to ? (size_t)(to - o->save) : 0;
+        char folder[4096] = "", here[2048] = "";
+        for (int a = 0; a < 3; a++) {
+            if (o->common.has_eye) c->eye[a] = (double)o->common.camera.eye[a];
+            if (o->common.has_at) c->at[a] = (double)o->common.camera.at[a];
+            if (o->common.has_up) c->up[a] = (double)o->common.camera.up[a];
+        }
+        if (o->common.has_eye) c->path = -1;
+        if (o->common.has_at) c->at_path = -1;
+        if (o->common.fov != 40.0) c->fov = o->common.fov;
+        for (size_t i = 0; i < s->thing_count; i++) {
+            sup_gi_thing *t = &s->things[i];
+            if (o->has_voxels && !t->voxels) t->voxels = o->voxels + 1;
+            if (w->of_mesh && strcmp(t->file, "mesh") == 0) {
+                const char *name = slash ? slash + 1 : w->name;
+                char *copy = (char *)sup_alloc(strlen(name) + 1, 1);
+                if (copy == NULL) return sup_fail(err, "out of memory");
+                memcpy(copy, name, strlen(name) + 1);
+                SUP_FREE(t->file);
+                t->file = copy;
+            }
+        }
+        if (from_length != to_length || strncmp(w->name, o->save, from_length) != 0) { /* files are looked for beside the scene */
+#if !defined(_WIN32)
+            if (w->name[0] != '/' && getcwd(here, sizeof here) == NULL) return sup_fail(err, "%s: no folder", w->name);
+#endif
+            (void)snprintf(folder, sizeof folder, "%s%s%.*s", here, here[0] != 0 && from_length != 0 ? "/" : "", (int)from_length, w->name);
+        }
+        if (sup_gi_scene_write(s, o->save, folder, err)) return 1;
+    }
+    if (o->export_to != NULL) {
+        const double time = s->seconds * (double)o->first / (double)o->frames;
+        const sup_mesh **mesh = (const sup_mesh **)sup_alloc(w->piece_count, sizeof *mesh);
+        int status;
+        if (mesh == NULL) return sup_fail(err, "out of memory");
+        status = pose(w, o, time, err);
+        for (size_t i = 0; i < w->piece_count; i++) mesh[i] = &w->pieces[i].mesh;
+        if (!status) status = sup_gi_export(s, time, mesh, w->box, o->export_to, err);
+        SUP_FREE(mesh);
+        return status;
+    }
     return 0;
 }
 
@@ -555,50 +630,139 @@ static void see_cubes(const world *w, const gi_options *o, voxrt_gbuffer *g) {
         }
 }
 
-/* Virtual lights as dots of their colour, where nothing hides them, and a line along their normal. */
-static void show_lights(const world *w, buffers *b) {
-    const size_t n = voxrt_gi_virtual_lights(w->gi, NULL, 0);
-    float *v = (float *)sup_alloc(n + 1, 9 * sizeof(float)), most = 1e-20f;
+typedef struct screen { /* where points are in the picture */
+    float eye[3], f[3], u[3], d[3], ff, uu, dd;
+} screen;
+
+static void open_screen(const world *w, const buffers *b, screen *s) {
     voxrt_ray mid, right, down;
-    float f[3], u[3], d[3], uu, dd;
-    if (v == NULL) return;
-    (void)voxrt_gi_virtual_lights(w->gi, v, n);
-    for (size_t i = 0; i < n; i++) for (int a = 6; a < 9; a++) most = v[9 * i + (size_t)a] > most ? v[9 * i + (size_t)a] : most;
     (void)voxrt_camera_ray(&w->camera, b->g.width, b->g.height, 0.5 * b->g.width, 0.5 * b->g.height, &mid);
     (void)voxrt_camera_ray(&w->camera, b->g.width, b->g.height, 0.5 * b->g.width + 1.0, 0.5 * b->g.height, &right);
     (void)voxrt_camera_ray(&w->camera, b->g.width, b->g.height, 0.5 * b->g.width, 0.5 * b->g.height + 1.0, &down);
     for (int a = 0; a < 3; a++) {
-        f[a] = mid.dir[a];
-        u[a] = right.dir[a] - mid.dir[a];
-        d[a] = down.dir[a] - mid.dir[a];
+        s->eye[a] = w->camera.eye[a];
+        s->f[a] = mid.dir[a];
+        s->u[a] = right.dir[a] - mid.dir[a];
+        s->d[a] = down.dir[a] - mid.dir[a];
     }
-    uu = voxrti_dot3(u, u);
-    dd = voxrti_dot3(d, d);
+    s->ff = voxrti_dot3(s->f, s->f);
+    s->uu = voxrti_dot3(s->u, s->u);
+    s->dd = voxrti_dot3(s->d, s->d);
+}
+
+/* A dot of (2 r + 1)^2 pixels at a point; as much of it as `hidden` where something is in front. */
+static void draw_dot(const screen *s, buffers *b, const float p[3], int r, const float rgb[3], float hidden) {
+    float q[3], z, x, y;
+    for (int a = 0; a < 3; a++) q[a] = p[a] - s->eye[a];
+    z = voxrti_dot3(q, s->f) / s->ff;
+    if (!(z > 0.0f)) return;
+    x = voxrti_dot3(q, s->u) / (s->uu * z) + 0.5f * (float)b->g.width;
+    y = voxrti_dot3(q, s->d) / (s->dd * z) + 0.5f * (float)b->g.height;
+    if (!(x > -10.0f && y > -10.0f && x < 1e6f && y < 1e6f)) return;
+    for (int j = -r; j <= r; j++)
+        for (int k = -r; k <= r; k++) {
+            const int px = (int)floorf(x) + k, py = (int)floorf(y) + j;
+            size_t at;
+            float e[3], part = 1.0f;
+            if (px < 0 || py < 0 || px >= (int)b->g.width || py >= (int)b->g.height) continue;
+            at = (size_t)py * b->g.width + (size_t)px;
+            for (int a = 0; a < 3; a++) e[a] = b->g.position[3 * at + (size_t)a] - s->eye[a];
+            if (voxrti_dot3(e, s->f) / s->ff < z * 0.97f && voxrti_dot3(b->g.normal + 3 * at, b->g.normal + 3 * at) > 0.5f) part = hidden;
+            for (int a = 0; a < 3; a++) {
+                float *to = &b->direct[3 * at + (size_t)a];
+                *to += part * (rgb[a] - *to);
+            }
+        }
+}
+
+/* Virtual lights as dots of their colour, where nothing hides them, and a line along their normal. */
+static void show_lights(const world *w, buffers *b) {
+    const size_t n = voxrt_gi_virtual_lights(w->gi, NULL, 0);
+    float *v = (float *)sup_alloc(n + 1, 9 * sizeof(float)), most = 1e-20f;
+    screen s;
+    if (v == NULL) return;
+    (void)voxrt_gi_virtual_lights(w->gi, v, n);
+    for (size_t i = 0; i < n; i++) for (int a = 6; a < 9; a++) most = v[9 * i + (size_t)a] > most ? v[9 * i + (size_t)a] : most;
+    open_screen(w, b, &s);
     for (size_t i = 0; i < n; i++)
         for (int step = 0; step < 12; step++) {
             const float *p = v + 9 * i, along = 0.02f * (float)step * (float)w->lift * 10.0f;
-            float q[3], z, x, y;
-            const int r = step == 0 ? 2 : 0;
+            float q[3], rgb[3];
             if (p[6] + p[7] + p[8] <= 0.0f) break;
-            for (int a = 0; a < 3; a++) q[a] = p[a] + along * p[3 + a] - w->camera.eye[a];
-            z = voxrti_dot3(q, f) / voxrti_dot3(f, f);
-            if (!(z > 0.0f)) continue;
-            x = voxrti_dot3(q, u) / (uu * z) + 0.5f * (float)b->g.width;
-            y = voxrti_dot3(q, d) / (dd * z) + 0.5f * (float)b->g.height;
-            for (int j = -r; j <= r; j++)
-                for (int k = -r; k <= r; k++) {
-                    const int px = (int)floorf(x) + k, py = (int)floorf(y) + j;
-                    size_t at;
-                    float e[3], far_;
-                    if (!(x > -10.0f && y > -10.0f && x < 1e6f && y < 1e6f) || px < 0 || py < 0 || px >= (int)b->g.width || py >= (int)b->g.height) continue;
-                    at = (size_t)py * b->g.width + (size_t)px;
-                    for (int a = 0; a < 3; a++) e[a] = b->g.position[3 * at + (size_t)a] - w->camera.eye[a];
-                    far_ = voxrti_dot3(e, f) / voxrti_dot3(f, f);
-                    if (far_ < z * 0.97f && voxrti_dot3(b->g.normal + 3 * at, b->g.normal + 3 * at) > 0.5f) continue;
-                    for (int a = 0; a < 3; a++) b->direct[3 * at + (size_t)a] = 0.15f + 0.85f * p[6 + a] / most;
-                }
+            for (int a = 0; a < 3; a++) {
+                q[a] = p[a] + along * p[3 + a];
+                rgb[a] = 0.15f + 0.85f * p[6 + a] / most;
+            }
+            draw_dot(&s, b, q, step == 0 ? 2 : 0, rgb, 0.0f);
         }
     SUP_FREE(v);
+}
+
+static void draw_line(const screen *s, buffers *b, const float p[3], const float q[3], int r, const float rgb[3]) {
+    enum { DOTS = 1500 };
+    for (int i = 0; i <= DOTS; i++) {
+        float at[3];
+        for (int a = 0; a < 3; a++) at[a] = p[a] + (q[a] - p[a]) * (float)i / (float)DOTS;
+        draw_dot(s, b, at, r, rgb, 0.25f);
+    }
+}
+
+/* What the ray that a mirror at a pixel would send looks at, column by column. */
+static int show_steps(const world *w, const gi_options *o, buffers *b, uint32_t side, sup_error *err) {
+    static const float colour[3][3] = {{0.05f, 0.7f, 0.1f}, {0.9f, 0.06f, 0.04f}, {1.0f, 0.8f, 0.05f}}, line[3] = {0.1f, 0.3f, 1.0f};
+    const voxrt_columns *columns = voxrt_gi_columns(w->gi);
+    const size_t at = ((size_t)o->at[1] * side + side / 2) * b->g.width + (size_t)o->at[0] * side + side / 2;
+    const int r = (int)side / 2;
+    voxrt_columns_trace_desc d;
+    voxrt_columns_info info;
+    voxrt_column_step *step;
+    voxrt_column_hit hit;
+    voxrt_ray ray;
+    screen s;
+    float to[3], twice = 0.0f;
+    size_t n;
+    open_screen(w, b, &s);
+    if (!(voxrti_dot3(b->g.normal + 3 * at, b->g.normal + 3 * at) > 0.5f)) return sup_fail(err, "--pixel: there is no surface");
+    memset(&ray, 0, sizeof ray);
+    for (int a = 0; a < 3; a++) {
+        ray.org[a] = b->g.position[3 * at + (size_t)a];
+        ray.dir[a] = ray.org[a] - w->camera.eye[a];
+        twice += 2.0f * ray.dir[a] * b->g.normal[3 * at + (size_t)a];
+    }
+    for (int a = 0; a < 3; a++) ray.dir[a] -= twice * b->g.normal[3 * at + (size_t)a];
+    ray.t_max = o->radius > 0.0 ? (float)o->radius / sqrtf(voxrti_dot3(ray.dir, ray.dir)) : INFINITY;
+    memset(&d, 0, sizeof d);
+    d.normals = b->g.normal + 3 * at;
+    n = voxrt_columns_explain(columns, &d, &ray, NULL, 0, &hit);
+    step = (voxrt_column_step *)sup_alloc(n + 1, sizeof *step);
+    if (step == NULL) return sup_fail(err, "out of memory");
+    (void)voxrt_columns_explain(columns, &d, &ray, step, n, &hit);
+    if (o->steps != 0 && (size_t)o->steps < n) n = (size_t)o->steps;
+    voxrt_columns_get_info(columns, &info);
+    for (size_t i = 0; i < n; i++) { /* the edges of what it looks at */
+        const voxrt_column_step *q = &step[i];
+        float lo[3], hi[3];
+        for (int a = 0; a < 3; a++) {
+            const double from = a < 2 ? (double)(q->column[a] << q->level) : (double)q->depth[0];
+            const double end = a < 2 ? (double)((q->column[a] + 1) << q->level) : (double)q->depth[1] + 1.0;
+            lo[info.axis[a]] = (float)(columns->origin[a] + from * info.cell[a]);
+            hi[info.axis[a]] = (float)(columns->origin[a] + end * info.cell[a]);
+        }
+        for (int e = 0; e < 12; e++) {
+            float p[2][3];
+            for (int k = 0; k < 2; k++)
+                for (int a = 0; a < 3; a++) {
+                    const int bit = a == e % 3 ? k : a == (e + 1) % 3 ? (e / 3) & 1 : e / 6;
+                    p[k][a] = bit ? hi[a] : lo[a];
+                }
+            draw_line(&s, b, p[0], p[1], r, colour[q->found]);
+        }
+    }
+    for (int a = 0; a < 3; a++) to[a] = ray.org[a] + (n != 0 ? step[n - 1].t_out : 0.0f) * ray.dir[a];
+    if (n != 0 && step[n - 1].found == 2) for (int a = 0; a < 3; a++) to[a] = ray.org[a] + hit.t * ray.dir[a];
+    draw_line(&s, b, ray.org, to, r, line);
+    SUP_FREE(step);
+    return 0;
 }
 
 static int light_picture(world *w, const gi_options *o, buffers *b, voxrt_gi_render_desc *d, timing *spent, sup_error *err) {
@@ -691,7 +855,7 @@ static int draw(world *w, const gi_options *o, buffers *b, double t, int first, 
     const size_t n = (size_t)b->g.width * b->g.height;
     const double start = sup_now();
     double now, light;
-    const int voxels = o->view == VIEW_VOXELS || o->view == VIEW_CUBES || o->view == VIEW_LOOKUP;
+    const int voxels = o->view == VIEW_VOXELS || o->view == VIEW_CUBES || o->view == VIEW_LOOKUP || o->view == VIEW_STEPS;
     memset(&d, 0, sizeof d);
     if (place(w, o, t, first, err)) return 1;
     now = sup_now();
@@ -740,11 +904,12 @@ static int draw(world *w, const gi_options *o, buffers *b, double t, int first, 
         b->direct[i] += b->indirect[i];
         if (b->direct[i] > (float)spent->brightest) spent->brightest = (double)b->direct[i];
         if (o->common.unlit) b->direct[i] = b->g.albedo[i] * (float)w->scene.white;
-        if (o->view == VIEW_LIGHTS) b->direct[i] *= 0.4f;
+        if (o->view == VIEW_LIGHTS || o->view == VIEW_STEPS) b->direct[i] *= 0.4f;
     }
     if (!voxels && o->view != VIEW_INDIRECT && o->method != METHOD_AO) show_lamps(w, b);
     r = voxrt_tone_map((voxrt_tone)o->tone, o->method == METHOD_AO ? 1.0f : (float)(w->scene.white / o->exposure), b->direct, b->direct, n);
     if (o->view == VIEW_LIGHTS) show_lights(w, b);
+    if (o->view == VIEW_STEPS && show_steps(w, o, b, b->g.width / o->common.size[0], err)) return 1;
     return r != VOXRT_OK;
 }
 
@@ -820,7 +985,7 @@ int main(int argc, char **argv) {
     sup_error err;
     char path[4096];
     uint32_t side = 1;
-    int status = parse(argc, argv, &o);
+    int draws, status = parse(argc, argv, &o);
     if (status >= 0) return status;
     while ((int64_t)side * side < o.aa) side++;
     if (o.common.out != NULL && frame_path(o.common.out, 0, o.frames - o.first, path, sizeof path))
@@ -830,8 +995,10 @@ int main(int argc, char **argv) {
     memset(&spent, 0, sizeof spent);
     w.name = o.scene;
     status = make_world(&w, &o, &err);
-    if (!status && make_buffers(&o, &w, side, &b)) status = sup_fail(&err, "out of memory for the picture");
-    for (int64_t f = o.first; f < o.frames && !status; f++) {
+    if (!status) status = write_scene(&w, &o, &err);
+    draws = o.common.out != NULL || o.common.stats;
+    if (!status && draws && make_buffers(&o, &w, side, &b)) status = sup_fail(&err, "out of memory for the picture");
+    for (int64_t f = o.first; f < o.frames && draws && !status; f++) {
         for (int64_t k = 0; k < o.still && !status; k++)
             status = draw(&w, &o, &b, w.scene.seconds * (double)f / (double)o.frames, f == o.first && k == 0, &spent, &err);
         if (status || o.common.out == NULL) continue;

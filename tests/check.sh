@@ -423,6 +423,8 @@ EXITS="
 0 voxrt_convert --help
 0 voxrt_convert --scene sphere @/s.vox --res 32 --quiet
 0 voxrt_render @/s.vox --out @/s.png --size 32x32 --quiet
+0 voxrt_gi --scene cornell --save @/c.txt --export @/e.txt
+0 voxrt_gi --scene @/e.txt --out @/e.png --size 32x32 --res 32 --grid 32 --voxels samples --quiet
 1 voxrt_convert @/none.ply @/bad.vox
 1 voxrt_convert @/garbage.obj @/bad.vox
 1 voxrt_render @/none.vox --out @/bad.png
@@ -432,6 +434,7 @@ EXITS="
 1 voxrt_view @/garbage.obj
 1 voxrt_gi --scene @/none.txt --out @/bad.png
 1 voxrt_gi --scene @/garbage.obj --out @/bad.png
+1 voxrt_gi --scene cornell --save @/no/folder.txt
 1 zbufrand_render --scene @/garbage.obj --out @/bad.png
 1 tetcast_render @/garbage.obj --out @/bad.png
 1 tetcast_bricks resample @/garbage.obj @/bad.brk
@@ -451,6 +454,7 @@ EXITS="
 2 voxrt_view
 2 voxrt_gi
 2 voxrt_gi --scene cornell --out @/bad.png --grid 100
+2 voxrt_gi --scene cornell --out @/bad.png --pixel 3,4
 2 zbufrand_render --scene forest --out @/bad.png --tolerance 2
 2 zbufrand_render --scene forest --depth @/bad.png
 2 tetcast_render --out @/bad.png

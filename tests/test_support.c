@@ -2033,7 +2033,8 @@ static const char gi_text[] =
     "camera front eye 0 2 8 at 0 1 0 path line\ncamera \"from behind\" eye 0 2 -8 at 0 1 0 up 1 0 0 fov 50\n"
     "object \"a file.obj\" scale 2 turn 0 90 0 position 1 2 3\n"
     "object scene:torus:12 spin 0 90 0 material brass path round color 1 0.5 0\n"
-    "object b%03d.obj frames 3 6 2\nlight spot position 0 4 0 direction 0 -2 0 angle 30 color 40 36 30 path round\nlight area u 1 0 0 v 0 0 1";
+    "object b%03d.obj frames 3 6 2 voxels samples spacing 0.25\nobject plane voxels solid\n"
+    "light spot position 0 4 0 direction 0 -2 0 angle 30 color 40 36 30 path round\nlight area u 1 0 0 v 0 0 1";
 
 TEST(gi_scenes) {
     sup_gi_scene s;
@@ -2044,12 +2045,13 @@ TEST(gi_scenes) {
     int i;
     memory_reset(-1);
     REQUIRE(sup_gi_scene_parse(gi_text, sizeof gi_text - 1, "x", &s, &err) == 0);
-    CHECK(s.seconds == 4 && s.white == 2.5 && s.camera_count == 2 && s.thing_count == 3 && s.lamp_count == 2 && s.path_count == 2);
+    CHECK(s.seconds == 4 && s.white == 2.5 && s.camera_count == 2 && s.thing_count == 4 && s.lamp_count == 2 && s.path_count == 2);
     CHECK_STR(s.cameras[1].name, "from behind");
     CHECK(s.cameras[0].path == 1 && s.cameras[1].path == -1 && s.cameras[1].fov == 50 && s.cameras[1].up[0] == 1);
     CHECK_STR(s.things[0].file, "a file.obj");
     CHECK(!s.things[0].moving && s.things[1].moving && s.things[2].moving && s.things[1].material == 0 && s.things[1].color[1] == 0.5);
     CHECK(s.lamps[0].kind == 1 && s.lamps[0].angle == 30 && s.lamps[1].kind == 3);
+    CHECK(s.things[0].voxels == 0 && s.things[2].voxels == 5 && s.things[2].spacing == 0.25 && s.things[3].voxels == 4);
     sup_gi_matrix(&s, &s.things[0], 0, m); /* twice as large, x to -z, z to x */
     CHECK_NEAR(m[0], 0, 1e-12);
     CHECK_NEAR(m[2], 2, 1e-12);
@@ -2096,6 +2098,7 @@ TEST(gi_scenes_that_are_none) { /* every mistake has its line; any cut and any l
         {"voxrt_gi 1\npath a\nknot 1 0 0 0\nknot 1 0 0 0\n", "line 4"},
         {"voxrt_gi 1\nobject \"a\n", "quote"}, {"voxrt_gi 1\nobject a scale 0\n", "line 2"}, {"voxrt_gi 1\nobject a frames 3 2 1\n", "line 2"},
         {"voxrt_gi 1\nobject a color 1e31 0 0\n", "line 2"}, {"voxrt_gi 1\nobject a blue\n", "blue"}, {"voxrt_gi 1\nbox 0 0 0 1 1 0\n", "line 2"},
+        {"voxrt_gi 1\nobject a voxels thick\n", "thick"}, {"voxrt_gi 1\nobject a voxels\n", "voxels"}, {"voxrt_gi 1\nobject a spacing 0.001\n", "spacing"},
         {"voxrt_gi 1\ncamera a\nobject b\npath p\n", "knots"}, {"voxrt_gi 1\ncamera a eye 1 2 nan\n", "line 2"},
     };
     sup_gi_scene s;
@@ -2125,6 +2128,103 @@ TEST(gi_scenes_that_are_none) { /* every mistake has its line; any cut and any l
     if (fail < 100) sup_gi_scene_free(&s);
     CHECK(g_memory.live == 0);
     memory_reset(-1);
+}
+
+static int same_bytes(const void *a, const void *b, size_t n) { return n == 0 || memcmp(a, b, n) == 0; }
+
+static void same_scene(const sup_gi_scene *a, const sup_gi_scene *b) {
+    size_t i;
+    REQUIRE(a->thing_count == b->thing_count && a->path_count == b->path_count && a->knot_count == b->knot_count);
+    REQUIRE(a->lamp_count == b->lamp_count && a->camera_count == b->camera_count && a->material_count == b->material_count);
+    CHECK(same_bytes(a->knots, b->knots, a->knot_count * sizeof *a->knots) && same_bytes(a->paths, b->paths, a->path_count * sizeof *a->paths));
+    CHECK(same_bytes(a->lamps, b->lamps, a->lamp_count * sizeof *a->lamps));
+    CHECK(same_bytes(a->cameras, b->cameras, a->camera_count * sizeof *a->cameras));
+    CHECK(same_bytes(a->materials, b->materials, a->material_count * sizeof *a->materials));
+    CHECK(a->seconds == b->seconds && a->white == b->white && a->has_box == b->has_box && memcmp(a->box, b->box, sizeof a->box) == 0);
+    for (i = 0; i < a->thing_count; i++) {
+        sup_gi_thing x = a->things[i], y = b->things[i];
+        CHECK_STR(x.file, y.file);
+        x.file = y.file = NULL;
+        CHECK(memcmp(&x, &y, sizeof x) == 0);
+    }
+}
+
+TEST(gi_scenes_written) { /* read back they are the same; and as they are at a time, in files of their own */
+    static const char more[] = "voxrt_gi 1\nbox -1 -0.1 1e-7 1 1 0.3333333333333333\ncamera a\"b eye 0.1 0.2 0.3\nobject plane color 0.1 0.2 0.3\n";
+    const char *path = test_temp_path(".txt");
+    sup_gi_scene s, again;
+    sup_mesh mesh[4], back;
+    const sup_mesh *list[4] = {&mesh[0], &mesh[1], &mesh[2], &mesh[3]};
+    const double box[6] = {-1, -2, -3, 4, 5, 6};
+    sup_error err;
+    char *data;
+    size_t size;
+    int i, k;
+    int64_t fail;
+    memory_reset(-1);
+    for (i = 0; i < 2; i++) {
+        REQUIRE(sup_gi_scene_parse(i ? more : gi_text, i ? sizeof more - 1 : sizeof gi_text - 1, "x", &s, &err) == 0);
+        REQUIRE(sup_gi_scene_write(&s, path, "", &err) == 0);
+        REQUIRE(sup_read_file(path, &data, &size, &err) == 0);
+        REQUIRE(sup_gi_scene_parse(data, size, path, &again, &err) == 0);
+        same_scene(&s, &again);
+        SUP_FREE(data);
+        sup_gi_scene_free(&again);
+        if (i == 1) sup_gi_scene_free(&s);
+        else { /* in another folder: what is a file is found */
+            REQUIRE(sup_gi_scene_write(&s, path, "/some/folder", &err) == 0 && sup_read_file(path, &data, &size, &err) == 0);
+            REQUIRE(sup_gi_scene_parse(data, size, path, &again, &err) == 0);
+            CHECK_STR(again.things[0].file, "/some/folder/a file.obj");
+            CHECK_STR(again.things[1].file, "scene:torus:12");
+            CHECK_STR(again.things[3].file, "plane");
+            SUP_FREE(data);
+            sup_gi_scene_free(&again);
+            sup_gi_scene_free(&s);
+        }
+    }
+    REQUIRE(sup_gi_scene_parse(gi_text, sizeof gi_text - 1, "x", &s, &err) == 0);
+    for (i = 0; i < 4; i++) REQUIRE(sup_scene_make("torus", 8 + i, &mesh[i]) == 0);
+    for (fail = 0; fail < 100; fail++) {
+        const int64_t live = g_memory.live;
+        memory_reset(fail);
+        if (sup_gi_export(&s, 1.0, list, box, path, &err) == 0) break;
+        CHECK(strstr(err.text, "memory") != NULL && g_memory.live == live);
+    }
+    CHECK(fail > 5 && fail < 100);
+    memory_reset(-1);
+    REQUIRE(sup_read_file(path, &data, &size, &err) == 0 && sup_gi_scene_parse(data, size, path, &again, &err) == 0);
+    SUP_FREE(data);
+    CHECK(again.path_count == 0 && again.has_box && again.box[4] == 5 && again.thing_count == 4 && again.camera_count == 2);
+    CHECK(again.cameras[0].eye[0] == 0 && again.lamps[0].position[0] == 0 && again.lamps[0].position[1] == 4 && again.lamps[0].position[2] == 2);
+    CHECK(again.things[1].material == 0 && again.materials[0].albedo[0] == 1 && again.materials[0].exponent == 16 && again.things[2].voxels == 5);
+    for (i = 0; i < 4; i++) {
+        double m[12];
+        char name[1100];
+        (void)snprintf(name, sizeof name, "%.*s%s", (int)(strrchr(path, '/') + 1 - path), path, again.things[i].file);
+        REQUIRE(sup_mesh_read(name, &back, &err) == 0);
+        CHECK(!again.things[i].moving && again.things[i].scale == 1 && back.vertex_count == mesh[i].vertex_count);
+        REQUIRE(back.triangle_count == mesh[i].triangle_count);
+        CHECK(memcmp(back.indices, mesh[i].indices, 12 * back.triangle_count) == 0);
+        CHECK((back.vertex_rgb != NULL) == (mesh[i].vertex_rgb != NULL));
+        if (back.vertex_rgb && mesh[i].vertex_rgb) CHECK(memcmp(back.vertex_rgb, mesh[i].vertex_rgb, 3 * back.vertex_count) == 0);
+        if (back.triangle_rgb && mesh[i].triangle_rgb) CHECK(memcmp(back.triangle_rgb, mesh[i].triangle_rgb, 3 * back.triangle_count) == 0);
+        sup_gi_matrix(&s, &s.things[i], 1.0, m);
+        for (k = 0; k < 3; k++) {
+            const float *p = mesh[i].positions + 3 * 5;
+            const double to = m[4 * k] * (double)p[0] + m[4 * k + 1] * (double)p[1] + m[4 * k + 2] * (double)p[2] + m[4 * k + 3];
+            CHECK_NEAR((double)back.positions[15 + k], to, 1e-6);
+        }
+        sup_mesh_free(&back);
+        sup_mesh_free(&mesh[i]);
+        (void)remove(name);
+    }
+    (void)remove(path);
+    sup_gi_scene_free(&again);
+    sup_gi_scene_free(&s);
+    CHECK(sup_gi_scene_parse(more, sizeof more - 1, "x", &s, &err) == 0);
+    CHECK(sup_gi_scene_write(&s, "no/such/folder/x.txt", "", &err) == 1);
+    sup_gi_scene_free(&s);
+    CHECK(g_memory.live == 0);
 }
 
 int main(int argc, char **argv) {
@@ -2183,5 +2283,6 @@ int main(int argc, char **argv) {
     RUN(comparison_scenes);
     RUN(gi_scenes);
     RUN(gi_scenes_that_are_none);
+    RUN(gi_scenes_written);
     return test_end();
 }

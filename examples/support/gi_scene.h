@@ -1,4 +1,4 @@
-/* gi_scene.h - scenes for global illumination as text: cameras, lights, objects, paths, sequences
+/* gi_scene.h - scenes for global illumination as text, read and written: cameras, lights, objects, paths, sequences
    SPDX-License-Identifier: MIT OR Unlicense
 
    A line is a word and its fields; docs/formats.md has the list. Everything that moves is a function of the time in
@@ -7,6 +7,7 @@
 #define SUP_GI_SCENE_H
 
 #include "base.h"
+#include "mesh.h"
 #include "text.h"
 
 enum { SUP_GI_NAME = 48, SUP_GI_WORDS = 96 };
@@ -26,9 +27,12 @@ typedef struct sup_gi_lamp {
 } sup_gi_lamp;
 typedef struct sup_gi_thing {
     char *file;                    /* or "scene:NAME", "scene:NAME:DETAIL"; owned */
-    double position[3], turn[3], spin[3], scale, color[3], frames[3];
+    double position[3], turn[3], spin[3], scale, color[3], frames[3], spacing;
     int moving, has_color, has_frames, material, path;
+    int voxels; /* index of sup_gi_voxels + 1; 0: not said */
 } sup_gi_thing;
+
+static const char *const sup_gi_voxels[5] = {"thin", "fat", "raster", "solid", "samples"};
 
 typedef struct sup_gi_scene {
     sup_gi_knot *knots;
@@ -237,12 +241,20 @@ SUP_FN int supi_gi_thing_line(sup_gi_scene *s, supi_gi_line *l) {
         if (!r && (r = supi_gi_numbers(l, "color", o->color, 3)) == 1) o->has_color = 1;
         if (!r && (r = supi_gi_numbers(l, "frames", o->frames, 3)) == 1) o->has_frames = o->moving = 1;
         if (!r) r = supi_gi_flag(l, "moving", &o->moving);
+        if (!r) r = supi_gi_numbers(l, "spacing", &o->spacing, 1);
+        if (!r && supi_gi_is(l, l->at, "voxels")) {
+            for (o->voxels = 1; o->voxels < 6 && !supi_gi_is(l, l->at + 1, sup_gi_voxels[o->voxels - 1]); o->voxels++) { }
+            if (o->voxels == 6) return supi_gi_fail(l, "voxels: thin, fat, raster, solid or samples, not", l->at + 1);
+            l->at += 2;
+            r = 1;
+        }
         if (!r) r = supi_gi_reference(l, "material", s->materials, sizeof *s->materials, s->material_count, &o->material);
         if (!r) r = supi_gi_reference(l, "path", s->paths, sizeof *s->paths, s->path_count, &o->path);
         if (r <= 0) return r < 0 ? 1 : supi_gi_fail(l, "no field of an object:", l->at);
     }
     if (o->path >= 0 || o->spin[0] != 0.0 || o->spin[1] != 0.0 || o->spin[2] != 0.0) o->moving = 1;
     if (!(o->scale > 0.0)) return supi_gi_fail(l, "scale is not above 0", SUP_GI_WORDS);
+    if (o->spacing != 0.0 && !(o->spacing >= 0.015625 && o->spacing <= 64.0)) return supi_gi_fail(l, "spacing is not from 1/64 to 64", SUP_GI_WORDS);
     if (o->has_frames && !(o->frames[0] >= 0.0 && o->frames[1] >= o->frames[0] && o->frames[1] < 1e6 && o->frames[2] > 0.0))
         return supi_gi_fail(l, "frames: first, last (not before it) and how many a second", SUP_GI_WORDS);
     return 0;
@@ -335,6 +347,124 @@ SUP_FN int sup_gi_scene_parse(const char *data, size_t size, const char *name, s
     return status;
 }
 
+/* ---- writing -------------------------------------------------------------------------------------------------- */
+
+SUP_FN void supi_gi_put_word(FILE *f, const char *before, const char *word) { /* with a quote in it, it has no blank */
+    const char *quote = strchr(word, '"') ? "" : "\"";
+    fprintf(f, "%s%s%s%s", before, quote, word, quote);
+}
+
+SUP_FN void supi_gi_put_number(FILE *f, double v) { /* as short as it can be read back */
+    char text[40];
+    int digits = 14;
+    do (void)snprintf(text, sizeof text, " %.*g", ++digits, v);
+    while (digits < 17 && strtod(text, NULL) != v);
+    fputs(text, f);
+}
+
+SUP_FN void supi_gi_put(FILE *f, const char *key, const double *v, int n) {
+    fprintf(f, " %s", key);
+    for (int k = 0; k < n; k++) supi_gi_put_number(f, v[k]);
+}
+
+SUP_FN void supi_gi_put_path(FILE *f, const sup_gi_scene *s, const char *key, int path) {
+    if (path < 0) return;
+    fprintf(f, " %s", key);
+    supi_gi_put_word(f, " ", s->paths[path].name);
+}
+
+/* Is it a file, with a place that goes by the scene's? */
+SUP_FN int sup_gi_is_relative(const char *file) {
+    return strncmp(file, "scene:", 6) != 0 && strcmp(file, "plane") != 0 && strcmp(file, "mesh") != 0 && file[0] != '/';
+}
+
+SUP_FN void supi_gi_put_thing(FILE *f, const sup_gi_scene *s, const sup_gi_thing *o, const char *folder) {
+    char *whole = NULL;
+    const size_t n = strlen(folder) + strlen(o->file) + 2;
+    if (folder[0] != '\0' && sup_gi_is_relative(o->file)) whole = (char *)sup_alloc(n, 1);
+    if (whole) (void)snprintf(whole, n, "%s/%s", folder, o->file);
+    supi_gi_put_word(f, "object ", whole ? whole : o->file);
+    SUP_FREE(whole);
+    supi_gi_put(f, "position", o->position, 3);
+    supi_gi_put(f, "turn", o->turn, 3);
+    supi_gi_put(f, "spin", o->spin, 3);
+    supi_gi_put(f, "scale", &o->scale, 1);
+    if (o->has_color) supi_gi_put(f, "color", o->color, 3);
+    if (o->has_frames) supi_gi_put(f, "frames", o->frames, 3);
+    if (o->spacing != 0.0) supi_gi_put(f, "spacing", &o->spacing, 1);
+    if (o->voxels) fprintf(f, " voxels %s", sup_gi_voxels[o->voxels - 1]);
+    if (o->moving) fputs(" moving", f);
+    if (o->material >= 0) supi_gi_put_word(f, " material ", s->materials[o->material].name);
+    supi_gi_put_path(f, s, "path", o->path);
+    fputc('\n', f);
+}
+
+/* Write a scene as text that sup_gi_scene_parse reads as the same scene. folder: before names of files that have no
+   place of their own, "" for none. Returns 0, or 1 with err->text set and no file. */
+SUP_FN int sup_gi_scene_write(const sup_gi_scene *s, const char *path, const char *folder, sup_error *err) {
+    static const char *const kinds[4] = {"point", "spot", "directional", "area"};
+    sup_file file;
+    FILE *f;
+    size_t i, k;
+    if (sup_file_open(path, &file, err)) return 1;
+    f = file.stream;
+    fputs("voxrt_gi 1\nseconds", f);
+    supi_gi_put_number(f, s->seconds);
+    fputs("\nwhite", f);
+    supi_gi_put_number(f, s->white);
+    fputc('\n', f);
+    if (s->has_box) {
+        fputs("box", f);
+        for (k = 0; k < 6; k++) supi_gi_put_number(f, s->box[k]);
+        fputc('\n', f);
+    }
+    for (i = 0; i < s->material_count; i++) {
+        const sup_gi_material *m = &s->materials[i];
+        supi_gi_put_word(f, "material ", m->name);
+        supi_gi_put(f, "albedo", m->albedo, 3);
+        supi_gi_put(f, "specular", m->specular, 3);
+        supi_gi_put(f, "exponent", &m->exponent, 1);
+        supi_gi_put(f, "emission", m->emission, 3);
+        fputc('\n', f);
+    }
+    for (i = 0; i < s->path_count; i++) {
+        supi_gi_put_word(f, "path ", s->paths[i].name);
+        fputs(s->paths[i].loop ? " loop\n" : "\n", f);
+        for (k = s->paths[i].first; k < s->paths[i].first + s->paths[i].count; k++) {
+            fputs("knot", f);
+            supi_gi_put_number(f, s->knots[k].t);
+            for (int a = 0; a < 3; a++) supi_gi_put_number(f, s->knots[k].at[a]);
+            if (s->knots[k].has_tangent) supi_gi_put(f, "tangent", s->knots[k].tangent, 3);
+            fputc('\n', f);
+        }
+    }
+    for (i = 0; i < s->camera_count; i++) {
+        const sup_gi_camera *c = &s->cameras[i];
+        supi_gi_put_word(f, "camera ", c->name);
+        supi_gi_put(f, "eye", c->eye, 3);
+        supi_gi_put(f, "at", c->at, 3);
+        supi_gi_put(f, "up", c->up, 3);
+        supi_gi_put(f, "fov", &c->fov, 1);
+        supi_gi_put_path(f, s, "path", c->path);
+        supi_gi_put_path(f, s, "at_path", c->at_path);
+        fputc('\n', f);
+    }
+    for (i = 0; i < s->lamp_count; i++) {
+        const sup_gi_lamp *l = &s->lamps[i];
+        fprintf(f, "light %s", kinds[l->kind]);
+        supi_gi_put(f, "position", l->position, 3);
+        supi_gi_put(f, "direction", l->direction, 3);
+        supi_gi_put(f, "angle", &l->angle, 1);
+        supi_gi_put(f, "u", l->u, 3);
+        supi_gi_put(f, "v", l->v, 3);
+        supi_gi_put(f, "color", l->color, 3);
+        supi_gi_put_path(f, s, "path", l->path);
+        fputc('\n', f);
+    }
+    for (i = 0; i < s->thing_count; i++) supi_gi_put_thing(f, s, &s->things[i], folder);
+    return sup_file_commit(&file, err);
+}
+
 /* ---- places at a time ----------------------------------------------------------------------------------------- */
 
 /* Tangent of knot i, for a unit of time: as given, or along the neighbours (Catmull & Rom 1974). */
@@ -425,6 +555,76 @@ SUP_FN int sup_gi_frame_name(const char *pattern, int64_t frame, char *out, size
     while (*end >= '0' && *end <= '9' && digits < 100) digits = 10 * digits + (*end++ - '0');
     if (*end != 'd' || digits > 20 || strchr(end, '%') != NULL) return 1;
     return (size_t)snprintf(out, size, "%.*s%0*d%s", (int)(at - pattern), pattern, digits, (int)frame, end + 1) >= size;
+}
+
+/* ---- for other renderers -------------------------------------------------------------------------------------- */
+
+/* A scene as it is at a time, for any renderer: `path`, a scene in which nothing moves, with one PLY file for each object
+   in world coordinates, its colours in it, PATH-0.ply and so on (the extension of PATH left out). mesh: of each object.
+   box: what indirect light sees. Returns 0, or 1 with err->text set. */
+SUP_FN int sup_gi_export(const sup_gi_scene *s, double time, const sup_mesh *const *mesh, const double box[6], const char *path, sup_error *err) {
+    const char *slash = strrchr(path, '/'), *name = slash ? slash + 1 : path, *dot = strrchr(name, '.');
+    const size_t stem = dot && dot != name ? (size_t)(dot - path) : strlen(path), room = strlen(path) + 32;
+    sup_gi_scene flat;
+    sup_gi_thing *things = (sup_gi_thing *)sup_alloc(s->thing_count, sizeof *things);
+    sup_gi_lamp *lamps = (sup_gi_lamp *)sup_alloc(s->lamp_count + 1, sizeof *lamps);
+    sup_gi_camera *cameras = (sup_gi_camera *)sup_alloc(s->camera_count, sizeof *cameras);
+    char *file = (char *)sup_alloc(s->thing_count + 1, room);
+    float at[3];
+    size_t i;
+    int status = things && lamps && cameras && file ? 0 : sup_fail(err, "%s: out of memory", path);
+    flat = *s;
+    flat.things = things;
+    flat.lamps = lamps;
+    flat.cameras = cameras;
+    flat.path_count = flat.knot_count = 0;
+    flat.has_box = 1;
+    memcpy(flat.box, box, sizeof flat.box);
+    for (i = 0; !status && i < s->lamp_count; i++) {
+        lamps[i] = s->lamps[i];
+        sup_gi_place(s, s->lamps[i].position, s->lamps[i].path, time, at);
+        for (int a = 0; a < 3; a++) lamps[i].position[a] = (double)at[a];
+        lamps[i].path = -1;
+    }
+    for (i = 0; !status && i < s->camera_count; i++) {
+        cameras[i] = s->cameras[i];
+        sup_gi_place(s, s->cameras[i].eye, s->cameras[i].path, time, at);
+        for (int a = 0; a < 3; a++) cameras[i].eye[a] = (double)at[a];
+        sup_gi_place(s, s->cameras[i].at, s->cameras[i].at_path, time, at);
+        for (int a = 0; a < 3; a++) cameras[i].at[a] = (double)at[a];
+        cameras[i].path = cameras[i].at_path = -1;
+    }
+    for (i = 0; !status && i < s->thing_count; i++) {
+        sup_gi_thing *o = &things[i];
+        double m[12];
+        char *to = file + i * room;
+        (void)snprintf(to, room, "%.*s-%lu.ply", (int)stem, path, (unsigned long)i);
+        sup_gi_matrix(s, &s->things[i], time, m);
+        status = sup_ply_write(to, mesh[i], m, err);
+        memset(o, 0, sizeof *o);
+        o->file = to + (name - path);
+        o->scale = 1.0;
+        o->path = -1;
+        o->material = s->things[i].material;
+        o->voxels = s->things[i].voxels;
+        o->spacing = s->things[i].spacing;
+    }
+    if (!status) { /* albedo is in the colours now */
+        sup_gi_material *materials = (sup_gi_material *)sup_alloc(s->material_count + 1, sizeof *materials);
+        if (!materials) status = sup_fail(err, "%s: out of memory", path);
+        for (i = 0; !status && i < s->material_count; i++) {
+            materials[i] = s->materials[i];
+            materials[i].albedo[0] = materials[i].albedo[1] = materials[i].albedo[2] = 1.0;
+        }
+        flat.materials = materials;
+        if (!status) status = sup_gi_scene_write(&flat, path, "", err);
+        SUP_FREE(materials);
+    }
+    SUP_FREE(things);
+    SUP_FREE(lamps);
+    SUP_FREE(cameras);
+    SUP_FREE(file);
+    return status;
 }
 
 #endif /* SUP_GI_SCENE_H */

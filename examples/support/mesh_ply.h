@@ -1,4 +1,4 @@
-/* mesh_ply.h - PLY reader: text, binary little-endian and big-endian; included by mesh.h
+/* mesh_ply.h - PLY reader: text, binary little-endian and big-endian; a writer of text; included by mesh.h
    SPDX-License-Identifier: MIT OR Unlicense */
 #ifndef SUP_MESH_PLY_H
 #define SUP_MESH_PLY_H
@@ -503,6 +503,37 @@ SUP_FN int supi_read_ply(const sup_text *text, const char *name, sup_mesh *out, 
     SUP_FREE(ply.properties);
     SUP_FREE(ply.corners);
     return failed;
+}
+
+/* Write positions, colours and triangles as text. m: NULL, or three rows of four that every point is taken through.
+   Returns 0, or 1 with err->text set and no file. */
+SUP_FN int sup_ply_write(const char *path, const sup_mesh *mesh, const double m[12], sup_error *err) {
+    static const char colour[] = "property uchar red\nproperty uchar green\nproperty uchar blue\n";
+    sup_file file;
+    size_t i;
+    if (sup_file_open(path, &file, err)) return 1;
+    fprintf(file.stream, "ply\nformat ascii 1.0\nelement vertex %lu\nproperty float x\nproperty float y\nproperty float z\n%s",
+            (unsigned long)mesh->vertex_count, mesh->vertex_rgb ? colour : "");
+    fprintf(file.stream, "element face %lu\nproperty list uchar int vertex_indices\n%send_header\n", (unsigned long)mesh->triangle_count,
+            mesh->triangle_rgb ? colour : "");
+    for (i = 0; i < mesh->vertex_count; i++) {
+        const float *p = mesh->positions + 3 * i;
+        double q[3];
+        int a;
+        for (a = 0; a < 3; a++)
+            q[a] = m ? m[4 * a] * (double)p[0] + m[4 * a + 1] * (double)p[1] + m[4 * a + 2] * (double)p[2] + m[4 * a + 3] : (double)p[a];
+        fprintf(file.stream, "%.9g %.9g %.9g", q[0], q[1], q[2]);
+        if (mesh->vertex_rgb) fprintf(file.stream, " %u %u %u", mesh->vertex_rgb[3 * i], mesh->vertex_rgb[3 * i + 1], mesh->vertex_rgb[3 * i + 2]);
+        fputc('\n', file.stream);
+    }
+    for (i = 0; i < mesh->triangle_count; i++) {
+        const uint32_t *t = mesh->indices + 3 * i;
+        fprintf(file.stream, "3 %lu %lu %lu", (unsigned long)t[0], (unsigned long)t[1], (unsigned long)t[2]);
+        if (mesh->triangle_rgb)
+            fprintf(file.stream, " %u %u %u", mesh->triangle_rgb[3 * i], mesh->triangle_rgb[3 * i + 1], mesh->triangle_rgb[3 * i + 2]);
+        fputc('\n', file.stream);
+    }
+    return sup_file_commit(&file, err);
 }
 
 #endif
