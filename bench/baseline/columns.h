@@ -146,7 +146,7 @@ static int baseline_ray(const voxrt_columns *c, const voxrti_column_ray *r, base
     const float reach[3] = {0, 0, 0};
     if (way == BASELINE_EPSILON) return baseline_epsilon(c, r, steps, f);
     if (way == BASELINE_EXACT) return baseline_exact(c, r, f);
-    if (way == BASELINE_OURS) return voxrti_column_walk(c, r, NULL, 0, reach, 1, f, NULL);
+    if (way == BASELINE_OURS) return voxrti_column_walk(c, r, NULL, 0, reach, 1, f, NULL, NULL);
     return baseline_march(c, r, steps, way == BASELINE_MARCH_3, f);
 }
 
