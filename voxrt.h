@@ -1005,6 +1005,9 @@ typedef enum voxrt_columns_mode {
     VOXRT_COLUMNS_SOLID = 3,  /* cells with their centre inside a closed mesh, and its THIN surface */
     VOXRT_COLUMNS_SAMPLES = 4, /* cells of points on each triangle, which stay where they are on it as it moves: gaps
                                   where they lie too far apart */
+    VOXRT_COLUMNS_BODY = 5,   /* cells with their centre inside a closed mesh, and THIN ones where there are none: on
+                                 average as wide as the mesh is. The others make it wider, THIN and SOLID by half a
+                                 cell on each side */
     VOXRT_COLUMNS_MODE_FORCE_32BIT = 0x7fffffff
 } voxrt_columns_mode;
 
@@ -1040,7 +1043,7 @@ typedef struct voxrt_columns_insert_stats { /* added to */
     uint64_t items;        /* triangles or points */
     uint64_t rejected;     /* NaN, infinite, or an index out of range: left out */
     uint64_t outside;      /* not in the box */
-    uint64_t open_columns; /* SOLID: columns in which the mesh is not closed; they got no inside */
+    uint64_t open_columns; /* SOLID, BODY: columns in which the mesh is not closed; they got no inside */
 } voxrt_columns_insert_stats;
 
 typedef struct voxrt_columns_info {
@@ -1064,8 +1067,8 @@ VOXRT_DEF void voxrt_columns_get_info(const voxrt_columns *columns, voxrt_column
    Vertices are snapped to 1/256 of a cell, then decisions are exact (THIN, RASTER, SOLID); FAT may take cells that lie
    up to 1e-6 of a cell beside the surface. SAMPLES: rows of points along the longest edge; triangles smaller than what
    a point stands for have one now and then, so that they cost by area; those with 16383 in a row are THIN.
-   O(triangles + cells). Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY (SOLID). Thread safety: one call on a volume at a
-   time. Source: Laine 2013 (thin), Eisemann & Decoret 2006 (raster) and 2008 (solid), Zhang et al. 2007 (fat). */
+   O(triangles + cells). Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY (SOLID, BODY). Thread safety: one call on a volume
+   at a time. Source: Laine 2013 (thin), Eisemann & Decoret 2006 (raster) and 2008 (solid), Zhang et al. 2007 (fat). */
 VOXRT_DEF voxrt_result voxrt_columns_insert(voxrt_columns *columns, const voxrt_columns_insert_desc *desc,
                                             const voxrt_mesh *mesh, voxrt_columns_insert_stats *stats);
 
@@ -1159,7 +1162,8 @@ typedef struct voxrt_gi_material {
    still     1: it will not move, its voxels are made once
    mode      THIN. SAMPLES: which points of a triangle are taken is found when the object comes and kept, so that they
              follow its surface wherever voxrt_gi_set takes it; triangles that grow by more than a tenth get more.
-             SOLID: it is dark inside
+             SOLID: it is dark inside. BODY: that, and it hides no more than it should; not for rooms, whose inside is
+             where the light is
    spacing   SAMPLES: as voxrt_columns_insert_desc.spacing */
 typedef struct voxrt_gi_object {
     voxrt_mesh mesh;
@@ -1217,7 +1221,7 @@ typedef struct voxrt_gi_update_stats {
     uint64_t still_cells, moving_cells; /* that have attributes */
     uint64_t rejected;                  /* triangles left out */
     uint64_t bytes;                     /* of everything */
-    uint64_t open_columns;              /* SOLID: of what was voxelised this time; they got no inside */
+    uint64_t open_columns;              /* SOLID, BODY: of what was voxelised this time; they got no inside */
 } voxrt_gi_update_stats;
 
 /* Voxelise what changed, bring the hierarchy up to date. After every change of objects or lights and before drawing.
@@ -14598,7 +14602,8 @@ typedef struct voxrti_insert {
     const voxrt_mesh *mesh;
     const uint8_t *points;
     size_t point_stride, count;
-    uint32_t *flips;          /* SOLID: a level 0 of parities, then a map of columns with an odd number of crossings */
+    uint32_t *flips;          /* SOLID, BODY: a level 0 of parities, then a map of columns with an odd number of them */
+    const uint32_t *inside;   /* BODY: a level 0 of cells with their centre inside; NULL: still to be found */
     double m[12];             /* to cells, by grid axis */
     voxrt_columns_mode mode;
     uint32_t still, shared;   /* shared: by several threads */
@@ -14679,6 +14684,25 @@ VOXRTI_INLINE int64_t voxrti_floor_div(int64_t a, int64_t b) {
 /* floor(a / 256) for |a| < 2^30 */
 VOXRTI_INLINE int32_t voxrti_floor_256(int32_t a) { return (int32_t)(((uint32_t)a + 0x40000000u) >> 8) - 0x400000; }
 
+/* BODY: a crossing at `at` (in 1/256 of a cell) of the line along axis a through the centres of (i, j): the cell behind
+   it whose centre is inside, or else the one that it lies in. Of two that are inside the one behind the triangle. */
+static void voxrti_insert_behind(const voxrti_insert *in, uint32_t a, int32_t i, int32_t j, double at, int up) {
+    const voxrt_columns *c = in->columns;
+    const int32_t size = (int32_t)c->size[a], upper = (int32_t)(0 - voxrti_floor((128.0 - at) * (1.0 / 256.0)));
+    int32_t k = (int32_t)voxrti_floor(at * (1.0 / 256.0)), e;
+    for (e = 0; e < 2; e++) { /* the better one last */
+        const int32_t q = upper - (int32_t)(e == (up != 0));
+        const uint32_t x = (uint32_t)(a == 0 ? q : a == 1 ? j : i), y = (uint32_t)(a == 1 ? q : j);
+        const uint32_t z = (uint32_t)(a == 2 ? q : i);
+        if (q >= 0 && q < size && (in->inside[voxrti_column(c, 0, x, y) + (z >> 5)] >> (z & 31u) & 1u) != 0) k = q;
+    }
+    if (k < 0 || k >= size) return;
+    {
+        const uint32_t z = (uint32_t)(a == 2 ? k : i);
+        voxrti_insert_run(in, (uint32_t)(a == 0 ? k : a == 1 ? j : i), (uint32_t)(a == 1 ? k : j), z, z);
+    }
+}
+
 /* Lines along grid axis a through the centres of the cells that triangle p (in 1/256 of a cell) meets. A centre exactly
    on an edge belongs to one of the two triangles that share it: as if it lay a little to the left of it, and a little
    less above. Rows go along v and their runs along u. flip: toggle what lies above instead of setting the cell. */
@@ -14741,6 +14765,10 @@ static void voxrti_insert_lines(const voxrti_insert *in, const int32_t p[3][3], 
                 k = (int32_t)(0 - voxrti_floor((128.0 - at) * (1.0 / 256.0)));
                 voxrti_insert_flip(in, (uint32_t)i, (uint32_t)j,
                                    k < 0 ? 0 : k > size_a ? (uint32_t)size_a : (uint32_t)k);
+                continue;
+            }
+            if (in->inside != NULL) {
+                voxrti_insert_behind(in, a, i, j, at, normal[a] > 0);
                 continue;
             }
             k = (int32_t)voxrti_floor(at * (1.0 / 256.0));
@@ -14844,6 +14872,10 @@ static void voxrti_insert_snapped(const voxrti_insert *in, const double (*p)[3])
         const uint32_t b = (a + 1) % 3, c = (a + 2) % 3;
         normal[a] = d[0][b] * d[1][c] - d[0][c] * d[1][b];
     }
+    if (in->mode == VOXRT_COLUMNS_BODY && in->inside == NULL) {
+        voxrti_insert_lines(in, (const int32_t (*)[3])s, normal, 2, 1);
+        return;
+    }
     voxrti_insert_lines(in, (const int32_t (*)[3])s, normal, 2, 0);
     if (in->mode == VOXRT_COLUMNS_SOLID) voxrti_insert_lines(in, (const int32_t (*)[3])s, normal, 2, 1);
     if (in->mode == VOXRT_COLUMNS_RASTER) return;
@@ -14856,13 +14888,14 @@ static int voxrti_insert_triangle(const voxrti_insert *in, const double (*p)[3])
     const voxrt_columns *c = in->columns;
     double poly[12][3], cut[12][3], tri[3][3];
     uint32_t a, e, n = 3, far_off = 0;
-    const int above = in->mode == VOXRT_COLUMNS_SOLID; /* what lies below the grid toggles it all */
+    /* what lies below the grid toggles it all */
+    const int above = in->mode == VOXRT_COLUMNS_SOLID || (in->mode == VOXRT_COLUMNS_BODY && in->inside == NULL);
     for (a = 0; a < 3; a++) {
         const double lo = voxrti_min(p[0][a], voxrti_min(p[1][a], p[2][a])),
             hi = voxrti_max(p[0][a], voxrti_max(p[1][a],
                                                                                                               p[2][a]));
         if (hi < -1e-3 && !(above && a == 2)) return 0;
-        if (lo > (double)c->size[a] + 1e-3) return 0;
+        if (lo > (double)c->size[a] + 1e-3 && !(above && a == 2)) return 0; /* there it still ends */
         if (lo < -16384.0 || hi > 16384.0) far_off = 1;
     }
     if (in->mode == VOXRT_COLUMNS_FAT) {
@@ -15125,7 +15158,7 @@ static voxrt_result voxrti_insert_open(voxrti_insert *in, voxrt_columns *c, cons
     if (desc != NULL) *d = *desc;
     else memset(d, 0, sizeof *d);
     if (d->_begin_zero != 0 || d->_end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
-    if (c == NULL || (uint32_t)d->mode > VOXRT_COLUMNS_SAMPLES)
+    if (c == NULL || (uint32_t)d->mode > VOXRT_COLUMNS_BODY)
         return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, (uint64_t)d->mode, "no grid, or unknown mode %");
     if (!voxrti_spacing_ok(d->spacing))
         return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "spacing is not 0, nor from 1/64 to 64");
@@ -15157,20 +15190,21 @@ static voxrt_result voxrti_insert_open(voxrti_insert *in, voxrt_columns *c, cons
     return VOXRT_OK;
 }
 
-/* Parities -> inside, in closed columns. */
-static uint64_t voxrti_insert_inside(const voxrti_insert *in) {
+/* Parities -> inside, in closed columns; set: these cells. */
+static uint64_t voxrti_insert_inside(const voxrti_insert *in, int set) {
     const voxrt_columns *c = in->columns;
     const size_t n = ((size_t)c->rows[0] << c->row_log[0]) << c->word_log;
     uint64_t open = 0;
     uint32_t x, y, w;
     for (y = 0; y < c->size[1]; y++)
         for (x = 0; x < c->size[0]; x++) {
-            const uint32_t *f = in->flips + voxrti_column(c, 0, x, y);
+            uint32_t *f = in->flips + voxrti_column(c, 0, x, y);
             if ((in->flips[n + (size_t)y * c->map_row[0] + (x >> 5)] >> (x & 31u) & 1u) != 0) {
                 open++;
+                memset(f, 0, 4 * (size_t)c->words);
                 continue;
             }
-            for (w = 0; w < c->words; w++) {
+            for (w = 0; w < c->words && set; w++) {
                 uint32_t bits = f[w];
                 while (bits != 0) { /* runs of ones */
                     const uint32_t lo = voxrti_ctz64(bits), up = ~(bits >> lo);
@@ -15183,24 +15217,40 @@ static uint64_t voxrti_insert_inside(const voxrti_insert *in) {
     return open;
 }
 
+static uint32_t voxrti_insert_tasks(const voxrti_insert *in) {
+    return (uint32_t)((in->count + VOXRTI_INSERT_TASK - 1) / VOXRTI_INSERT_TASK);
+}
+
+/* Make room for parities. BODY: find which cells lie inside; in->flips and in->inside are to be freed. */
+static voxrt_result voxrti_insert_parity(voxrti_insert *in, const voxrt_env *env, int set, uint64_t *open) {
+    voxrt_columns *c = in->columns;
+    const size_t n = ((size_t)c->words * c->size[0] + c->map_row[0]) * c->size[1];
+    in->flips = (uint32_t *)voxrti_alloc_zero(&c->mem, n, 4);
+    if (in->flips == NULL) return voxrti_fail(env->error, VOXRT_ERR_NO_MEMORY, n, "no memory for % words of parities");
+    if (in->mode != VOXRT_COLUMNS_BODY) return VOXRT_OK;
+    voxrti_parallel_for(env, voxrti_task_insert_mesh, in, voxrti_insert_tasks(in));
+    *open = voxrti_insert_inside(in, set);
+    in->inside = in->flips;
+    return VOXRT_OK;
+}
+
 /* The cells of in->mesh. open: columns in which it is not closed. */
 static voxrt_result voxrti_insert_mesh(voxrti_insert *in, const voxrt_env *env, uint64_t *open) {
     voxrt_columns *c = in->columns;
+    voxrti_insert again;
     *open = 0;
     in->count = in->mesh->triangle_count;
-    if (in->mode == VOXRT_COLUMNS_SOLID) {
-        const size_t n = ((size_t)c->words * c->size[0] + c->map_row[0]) * c->size[1];
-        in->flips = (uint32_t *)voxrti_alloc_zero(&c->mem, n, 4);
-        if (in->flips == NULL)
-            return voxrti_fail(env->error, VOXRT_ERR_NO_MEMORY, n, "no memory for % words of parities");
+    if (in->mode == VOXRT_COLUMNS_SOLID || in->mode == VOXRT_COLUMNS_BODY) {
+        const voxrt_result r = voxrti_insert_parity(in, env, 1, open);
+        if (r != VOXRT_OK) return r;
     }
-    voxrti_parallel_for(env, voxrti_task_insert_mesh, in,
-                        (uint32_t)((in->count + VOXRTI_INSERT_TASK - 1) / VOXRTI_INSERT_TASK));
-    if (in->flips != NULL) {
-        *open = voxrti_insert_inside(in);
-        voxrti_free(&c->mem, in->flips);
-        in->flips = NULL;
-    }
+    again = *in; /* what BODY leaves out has been counted */
+    voxrti_parallel_for(env, voxrti_task_insert_mesh, &again, voxrti_insert_tasks(in));
+    if (in->mode != VOXRT_COLUMNS_BODY) *in = again;
+    if (in->mode == VOXRT_COLUMNS_SOLID) *open = voxrti_insert_inside(in, 1);
+    voxrti_free(&c->mem, in->flips);
+    in->flips = NULL;
+    in->inside = NULL;
     return VOXRT_OK;
 }
 
@@ -16825,8 +16875,10 @@ static voxrt_result voxrti_gi_layer_build(voxrt_gi *gi, uint32_t which) {
                 gi->rejected += voxrti_tally(b.in.rejected);
                 gi->open_columns += leaks;
             } else if (r == VOXRT_OK) {
-                voxrti_parallel_for(&gi->env, voxrti_task_gi_fragments, &b,
-                                    (uint32_t)((b.in.count + VOXRTI_INSERT_TASK - 1) / VOXRTI_INSERT_TASK));
+                if (d.mode == VOXRT_COLUMNS_BODY) r = voxrti_insert_parity(&b.in, &gi->env, 0, &leaks);
+                if (r == VOXRT_OK)
+                    voxrti_parallel_for(&gi->env, voxrti_task_gi_fragments, &b, voxrti_insert_tasks(&b.in));
+                voxrti_free(&gi->columns->mem, b.in.flips);
             }
             if (r != VOXRT_OK) {
                 voxrti_free(&gi->mem, b.sum);
@@ -17095,7 +17147,7 @@ static voxrt_result voxrti_gi_object_check(const voxrt_gi *gi, const voxrt_gi_ob
         ok &= m->emission[a] >= 0.0f && voxrti_finite_f(m->emission[a]);
     }
     ok &= o->material.exponent >= 0.0f && o->material.exponent <= 1e6f;
-    ok &= (uint32_t)o->mode <= VOXRT_COLUMNS_SAMPLES && voxrti_spacing_ok(o->spacing);
+    ok &= (uint32_t)o->mode <= VOXRT_COLUMNS_BODY && voxrti_spacing_ok(o->spacing);
     return ok ? VOXRT_OK : voxrti_fail(gi->env.error, VOXRT_ERR_INVALID_ARG, 0,
                                        "matrix, material, mode or spacing out of range");
 }

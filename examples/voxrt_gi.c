@@ -141,7 +141,7 @@ static int parse(int argc, char **argv, gi_options *o) {
                                 "the columns that a ray from --pixel looks at: empty (green), not empty (red), hit (yellow)");
     table[n++] = sup_opt_text("pixel", &o->pixel, "X,Y", "steps: the ray that a mirror at this pixel would send (the middle)");
     table[n++] = sup_opt_int("steps", &o->steps, 1, 100000, "N", "steps: the first N of them (all)");
-    table[n++] = sup_opt_given(sup_opt_choice("voxels", &o->voxels, "thin|fat|raster|solid|samples",
+    table[n++] = sup_opt_given(sup_opt_choice("voxels", &o->voxels, "thin|fat|raster|solid|samples|body",
                                               "how objects become voxels that do not say it themselves (thin)"), &o->has_voxels);
     table[n++] = sup_opt_text("save", &o->save, "FILE", "write the scene, with the camera of --eye and the like, as a scene file");
     table[n++] = sup_opt_text("export", &o->export_to, "FILE", "write what there is to see at picture --first: a scene file where nothing moves, "

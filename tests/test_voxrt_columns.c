@@ -398,6 +398,89 @@ TEST(closed_meshes_are_tight_and_fill) {
     CHECK(gaps > rounds / 2); /* lines along one axis alone leave gaps: the test above could fail */
 }
 
+/* Cells of a body are those with their centre inside, which is neither more nor less than its volume; where it is thinner
+   than a cell they are a wall that nothing gets through. */
+TEST(bodies_are_as_wide_as_they_are) {
+    static closed m;
+    int round, rounds = test_quick() ? 12 : 60;
+    double volume = 0, cells = 0, fat = 0;
+    uint32_t beside = 0;
+    rng_state = 18;
+    for (round = 0; round < rounds; round++) {
+        voxrt_columns *c = make(64, 32, 64), *thin = make(64, 32, 64);
+        const double center[3] = {rnd_in(28, 36), rnd_in(14, 18), rnd_in(28, 36)}, half = rnd_in(1.6, 4.0);
+        const double angle[3] = {rnd_in(0, 6), rnd_in(0, 6), round % 5 == 0 ? 0.0 : rnd_in(0, 6)};
+        voxrt_columns_insert_stats stats;
+        voxrt_columns_info info;
+        uint32_t i, x, y, z, wrong = 0;
+        memset(&stats, 0, sizeof stats);
+        if (round % 2) make_sphere(&m, center[0], center[1], center[2], half, 16);
+        else make_cube(&m, center, half, angle);
+        CHECK(insert(c, VOXRT_COLUMNS_BODY, m.p[0], m.index[0], m.triangles, m.points, round % 3 == 0, &stats) == VOXRT_OK);
+        CHECK(insert(thin, VOXRT_COLUMNS_SOLID, m.p[0], m.index[0], m.triangles, m.points, 0, NULL) == VOXRT_OK);
+        CHECK(stats.open_columns == 0 && stats.items == m.triangles && stats.outside == 0);
+        {
+            double v = 0;
+            for (i = 0; i < m.triangles; i++) {
+                const float *a = m.p[m.index[i][0]], *b = m.p[m.index[i][1]], *d = m.p[m.index[i][2]];
+                v += ((double)a[0] * ((double)b[1] * (double)d[2] - (double)b[2] * (double)d[1]) - (double)a[1] *
+                      ((double)b[0] * (double)d[2] - (double)b[2] * (double)d[0]) +
+                      (double)a[2] * ((double)b[0] * (double)d[1] - (double)b[1] * (double)d[0])) / 6;
+            }
+            volume += fabs(v);
+        }
+        voxrt_columns_get_info(c, &info);
+        cells += (double)info.cells;
+        voxrt_columns_get_info(thin, &info);
+        fat += (double)info.cells;
+        for (z = 0; z < 64; z++) /* centres are in a ball a little larger, and all in one a little smaller are cells */
+            for (y = 0; y < 32; y++)
+                for (x = 0; x < 64; x++) {
+                    const double dx = x + 0.5 - center[0], dy = y + 0.5 - center[1], dz = z + 0.5 - center[2];
+                    const double d = sqrt(dx * dx + dy * dy + dz * dz);
+                    const int is = voxrt_columns_get(c, 0, x, y, z);
+                    if (round % 2 && !is) wrong += d < 0.98 * half - 0.01;
+                    if (round % 2 && is) beside += d > half + 0.01;
+                    wrong += is && !voxrt_columns_get(thin, 0, x, y, z);
+                }
+        CHECK_MSG(wrong == 0, "mesh %d: %u cells", round, wrong);
+        voxrt_columns_destroy(c);
+        voxrt_columns_destroy(thin);
+    }
+    /* edges and tips that lie between two centres are cells, too */
+    CHECK_MSG(fabs(cells / volume - 1) < 0.06 && fat > 1.35 * volume, "%g cells, %g with their surface, volume %g", cells, fat, volume);
+    CHECK_MSG(beside < 0.04 * cells, "%u of %g", beside, cells);
+    for (round = 0; round < rounds; round++) { /* plates of 0.2 to 2 cells that fill the grid */
+        voxrt_columns *c = make(64, 32, 64);
+        const double thick = rnd_in(0.1, 1.0), n[3] = {rnd_in(-1, 1), rnd_in(-1, 1), round % 4 ? rnd_in(-1, 1) : 0.0};
+        const double l = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+        double u[3], v[3];
+        uint32_t i, k, x, y, z, through = 0, free_cells = 0;
+        voxrt_columns_insert_stats stats;
+        u[0] = n[1] / sqrt(n[0] * n[0] + n[1] * n[1]);
+        u[1] = -n[0] / sqrt(n[0] * n[0] + n[1] * n[1]);
+        u[2] = 0;
+        for (k = 0; k < 3; k++) v[k] = (n[(k + 1) % 3] * u[(k + 2) % 3] - n[(k + 2) % 3] * u[(k + 1) % 3]) / l;
+        make_cube(&m, n, 1.0, n); /* for its triangles */
+        for (i = 0; i < 8; i++)
+            for (k = 0; k < 3; k++)
+                m.p[i][k] = (float)((k == 1 ? 16.2 : 32.3) + (i & 1 ? 90 : -90) * u[k] + (i & 2 ? 90 : -90) * v[k] + (i & 4 ? thick : -thick) * n[k] / l);
+        memset(&stats, 0, sizeof stats);
+        CHECK(insert(c, VOXRT_COLUMNS_BODY, m.p[0], m.index[0], m.triangles, m.points, 0, &stats) == VOXRT_OK);
+        CHECK(stats.open_columns == 0); /* they end above the grid */
+        for (z = 0; z < 64; z++) /* no two free cells side by side have it between them */
+            for (y = 0; y < 32; y++)
+                for (x = 0; x + 1 < 64; x++) {
+                    const double a = ((x + 0.5 - 32.3) * n[0] + (y + 0.5 - 16.2) * n[1] + (z + 0.5 - 32.3) * n[2]) / l, b = a + n[0] / l;
+                    if (voxrt_columns_get(c, 0, x, y, z) || voxrt_columns_get(c, 0, x + 1, y, z)) continue;
+                    free_cells++;
+                    through += (a < 0) != (b < 0);
+                }
+        CHECK_MSG(through == 0 && free_cells > 1000, "plate %d: %u ways through, %u free", round, through, free_cells);
+        voxrt_columns_destroy(c);
+    }
+}
+
 TEST(open_meshes_get_no_inside) {
     static closed m;
     voxrt_columns *c = make(64, 32, 64), *thin = make(64, 32, 64);
@@ -1094,6 +1177,7 @@ int main(int argc, char **argv) {
     RUN(thin_is_three_crosshairs);
     RUN(fat_is_what_is_touched);
     RUN(closed_meshes_are_tight_and_fill);
+    RUN(bodies_are_as_wide_as_they_are);
     RUN(open_meshes_get_no_inside);
     RUN(samples_of_surfaces);
     RUN(triangles_far_outside);

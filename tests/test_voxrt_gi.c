@@ -1600,8 +1600,8 @@ TEST(deforming_meshes) { /* a ball whose surface swells in waves: each frame as 
 /* An object by points on its surface: they follow it as it moves, turns and bends, and are the same ones until it has
    grown. Solid ones are dark inside and look the same from outside. */
 TEST(objects_by_samples_and_solid) {
-    enum { N = 48 * 32, WAYS = 4 };
-    static const voxrt_columns_mode mode[WAYS] = {VOXRT_COLUMNS_THIN, VOXRT_COLUMNS_SAMPLES, VOXRT_COLUMNS_SOLID, VOXRT_COLUMNS_FAT};
+    enum { N = 48 * 32, WAYS = 5 };
+    static const voxrt_columns_mode mode[WAYS] = {VOXRT_COLUMNS_THIN, VOXRT_COLUMNS_SAMPLES, VOXRT_COLUMNS_SOLID, VOXRT_COLUMNS_FAT, VOXRT_COLUMNS_BODY};
     static room r;
     static model bend;
     static float light[WAYS][N][3];
@@ -1623,14 +1623,43 @@ TEST(objects_by_samples_and_solid) {
         CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, light[way][0], NULL) == VOXRT_OK);
         memset(&middle, 0, sizeof middle);
         for (k = 0; k < 3; k++) middle.cell[k] = (uint32_t)((r.object.to_world[4 * k + 3] + 10.0) * 64.0 / 20.0);
-        CHECK(voxrt_columns_get(r.gi->columns, 0, middle.cell[0], middle.cell[1], middle.cell[2]) == (mode[way] == VOXRT_COLUMNS_SOLID));
+        CHECK(voxrt_columns_get(r.gi->columns, 0, middle.cell[0], middle.cell[1], middle.cell[2]) ==
+              (mode[way] == VOXRT_COLUMNS_SOLID || mode[way] == VOXRT_COLUMNS_BODY));
         CHECK(voxrt_gi_get(r.gi, &middle, down, &s) == 0);
         for (i = 0; i < N; i++) {
             const double e = (double)light[way][i][1] - (double)light[0][i][1];
             rms += e * e / N;
             if (way == 0) mean += (double)light[0][i][1] / N;
         }
-        CHECK_MSG(sqrt(rms) < (mode[way] == VOXRT_COLUMNS_FAT ? 0.15 : 0.05) * mean, "way %u: %.4f of %.4f", way, sqrt(rms), mean);
+        CHECK_MSG(sqrt(rms) < (mode[way] == VOXRT_COLUMNS_FAT ? 0.15 : mode[way] == VOXRT_COLUMNS_BODY ? 0.1 : 0.05) * mean,
+                  "way %u: %.4f of %.4f", way, sqrt(rms), mean);
+    }
+    { /* what a body's cells are made of: from outside each ray sees a face that faces it, in the block's colour */
+        uint32_t dark = 0, seen = 0;
+        rng_state = 9;
+        for (i = 0; i < 4000; i++) {
+            voxrt_ray ray;
+            voxrt_column_hit h;
+            voxrt_gi_surface s;
+            double p[3], l = 0;
+            memset(&ray, 0, sizeof ray);
+            for (k = 0; k < 3; k++) {
+                p[k] = 2 * rnd() - 1;
+                l += p[k] * p[k];
+            }
+            for (k = 0; k < 3; k++) {
+                const double to = r.object.to_world[4 * k + 3] + 3.0 * (rnd() - 0.5);
+                ray.org[k] = (float)(r.object.to_world[4 * k + 3] + 4.6 * p[k] / sqrt(l));
+                ray.dir[k] = (float)to - ray.org[k];
+            }
+            ray.t_max = INFINITY;
+            if (ray.org[1] < -8.5f) continue; /* below the floor */
+            CHECK(voxrt_columns_trace(r.gi->columns, NULL, &ray, &h, 1) == VOXRT_OK && h.t < INFINITY);
+            seen++;
+            if (!voxrt_gi_get(r.gi, &h, ray.dir, &s)) dark++;
+            else if (s.object == r.id) CHECK(fabs((double)s.albedo[0] - voxrti_srgb_to_linear(160.0 / 255.0)) < 0.01);
+        }
+        CHECK_MSG(seen > 2000 && dark * 100 < seen, "%u of %u see a back", dark, seen);
     }
     r.block.triangles -= 2; /* a face is missing */
     r.object = object_of(&r.block, 0);
@@ -1842,7 +1871,7 @@ TEST(bad_input) {
     o.material.emission[0] = INFINITY;
     CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_ERR_INVALID_ARG);
     o.material.emission[0] = 0;
-    o.mode = (voxrt_columns_mode)5;
+    o.mode = (voxrt_columns_mode)6;
     CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_ERR_INVALID_ARG);
     o.mode = VOXRT_COLUMNS_SAMPLES;
     o.spacing = -1.0f;
@@ -1906,7 +1935,7 @@ TEST(memory) {
         d.columns.size_x = d.columns.size_y = 16;
         d.columns.size_z = 64;
         d.nested = 1 + fail % 2;
-        o.mode = fail % 3 == 0 ? VOXRT_COLUMNS_THIN : fail % 3 == 1 ? VOXRT_COLUMNS_SAMPLES : VOXRT_COLUMNS_SOLID;
+        o.mode = fail % 3 == 0 ? VOXRT_COLUMNS_THIN : fail % 3 == 1 ? VOXRT_COLUMNS_SAMPLES : fail % 2 ? VOXRT_COLUMNS_SOLID : VOXRT_COLUMNS_BODY;
         for (a = 0; a < 3; a++) {
             d.columns.box_min[a] = -6;
             d.columns.box_max[a] = 6;

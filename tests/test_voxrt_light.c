@@ -524,8 +524,8 @@ static double mean_of(const float (*v)[3], uint32_t n) {
 
 /* Points on the floor of a room of +-9 that has something in it; the lamp; mean of one bounce, by rays on a grid, and by
    paths. */
-static void compare_room(model *m, path_scene *s, const double lamp[3], const double at[3], const double wide[2], uint32_t nx, uint32_t nz,
-                         double *is, double *want, double *error) {
+static void compare_room(model *m, model *more, voxrt_columns_mode mode, path_scene *s, const double lamp[3], const double at[3],
+                         const double wide[2], uint32_t nx, uint32_t nz, double *is, double *want, double *error) {
     static picture pic;
     const double none[3] = {0, 0, 0};
     voxrt_gi *gi = make_gi_at(nx, nx, nz, 9.6, none);
@@ -535,6 +535,11 @@ static void compare_room(model *m, path_scene *s, const double lamp[3], const do
     s->state = 7;
     s->intensity = 100;
     memcpy(s->lamp, lamp, sizeof s->lamp);
+    if (more != NULL) {
+        voxrt_gi_object o = object_of(more, 1);
+        o.mode = mode;
+        CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
+    }
     add_model(gi, m);
     set_lamp(gi, lamp, s->intensity);
     open_picture(&pic);
@@ -560,33 +565,47 @@ static void compare_room(model *m, path_scene *s, const double lamp[3], const do
     voxrt_gi_destroy(gi);
 }
 
-TEST(under_a_lattice) { /* bars that are eight cells wide hide little more than they should; those of two thirds of a cell are
-                           fatter here, so it is darker under them, but not dark */
-    static const double thick[2] = {0.6, 0.05}, apart[2] = {5.0, 2.5};
-    uint32_t k, i, axis;
-    for (k = 0; k < 2; k++) {
-        static path_scene s;
-        static model m;
-        const double lo[3] = {-9, -9, -9}, hi[3] = {9, 9, 9}, lamp[3] = {1, 7, 0.5}, at[3] = {0, -9, 0}, wide[2] = {5, 5};
-        double is, want, error;
-        memset(&s, 0, sizeof s);
-        m.points = m.triangles = 0;
-        both_box(&m, &s, lo, hi, 1, 225);
-        for (axis = 0; axis < 3; axis += 2)
-            for (i = 0; i < (k == 0 ? 4 : 7); i++) {
-                const double c = -8.1 + apart[k] * i;
-                double a[3] = {-9, -5.0, -9}, b[3] = {9, -5.0, 9};
-                if (axis == 2) a[1] = b[1] = -3.6;
-                a[axis] = c;
-                b[axis] = c + thick[k] * 2;
-                a[1] -= thick[k];
-                b[1] += thick[k];
-                both_box(&m, &s, a, b, 0, 200);
-            }
-        compare_room(&m, &s, lamp, at, wide, 128, 128, &is, &want, &error);
-        CHECK_MSG(fabs(is / want - 1) < (k == 0 ? 0.1 : 0.25) + 4 * error / want, "bars of %.1f cells: %.4f of %.4f +- %.4f",
-                  thick[k] * 2 / 0.15, is, want, error);
-    }
+/* Bars make it darker under them: as bodies by as much as they should, whether they are eight cells wide or four. By their
+   surface they are a cell wider, and it is as dark as under bars that are that wide. Those of two thirds of a cell are
+   fatter anyhow. */
+TEST(under_a_lattice) {
+    static const double thick[3] = {0.6, 0.3, 0.05}, apart[3] = {5.0, 2.5, 2.5};
+    uint32_t k, i, axis, way;
+    for (k = 0; k < 3; k++)
+        for (way = 0; way < 3; way++) { /* surface, surface against wider bars, bodies */
+            static path_scene s;
+            static model room, bars;
+            const double lo[3] = {-9, -9, -9}, hi[3] = {9, 9, 9}, lamp[3] = {1, 7, 0.5}, at[3] = {0, -9, 0}, wide[2] = {5, 5};
+            const double more = way == 1 ? 0.075 : 0.0, most = k == 2 ? 0.25 : way == 0 ? (k == 0 ? 0.1 : 0.25) : 0.06;
+            double is, want, error;
+            if (way == 1 && k == 2) continue;
+            memset(&s, 0, sizeof s);
+            room.points = room.triangles = bars.points = bars.triangles = 0;
+            both_box(&room, &s, lo, hi, 1, 225);
+            for (axis = 0; axis < 3; axis += 2)
+                for (i = 0; i < (k == 0 ? 4 : 7); i++) {
+                    static model none;
+                    static path_scene other;
+                    const double c = -8.1 + apart[k] * i + 0.037 * i;
+                    double a[3] = {-9, -5.0, -9}, b[3] = {9, -5.0, 9};
+                    if (axis == 2) a[1] = b[1] = -3.6;
+                    a[axis] = c;
+                    b[axis] = c + thick[k] * 2;
+                    a[1] -= thick[k];
+                    b[1] += thick[k];
+                    other.count = 0;
+                    none.points = none.triangles = 0;
+                    both_box(&bars, &other, a, b, 0, 200);
+                    a[axis] -= more;
+                    b[axis] += more;
+                    a[1] -= more;
+                    b[1] += more;
+                    both_box(&none, &s, a, b, 0, 200);
+                }
+            compare_room(&room, &bars, way == 2 ? VOXRT_COLUMNS_BODY : VOXRT_COLUMNS_THIN, &s, lamp, at, wide, 128, 128, &is, &want, &error);
+            CHECK_MSG(fabs(is / want - 1) < most + 4 * error / want, "way %u, bars of %.1f cells: %.4f of %.4f +- %.4f", way,
+                      thick[k] * 2 / 0.15, is, want, error);
+        }
 }
 
 TEST(a_sheet_between_two_rooms) { /* 0.1 cells thick, red on one side and green on the other: each room gets its own colour */
@@ -642,7 +661,7 @@ TEST(coarse_grids_are_near) { /* a room with a block, light on one wall: the fin
         m.points = m.triangles = 0;
         both_box(&m, &s, lo, hi, 1, 225);
         both_box(&m, &s, lo1, hi1, 0, 200);
-        compare_room(&m, &s, lamp, at, wide, grid[k].nx, grid[k].nz, &is, &want, &error);
+        compare_room(&m, NULL, VOXRT_COLUMNS_THIN, &s, lamp, at, wide, grid[k].nx, grid[k].nz, &is, &want, &error);
         CHECK_MSG(fabs(is / want - 1) < grid[k].bound + 4 * error / want, "%u columns a side: %.4f of %.4f +- %.4f", grid[k].nx, is, want, error);
     }
 }

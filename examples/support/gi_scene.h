@@ -32,7 +32,7 @@ typedef struct sup_gi_thing {
     int voxels; /* index of sup_gi_voxels + 1; 0: not said */
 } sup_gi_thing;
 
-static const char *const sup_gi_voxels[5] = {"thin", "fat", "raster", "solid", "samples"};
+static const char *const sup_gi_voxels[6] = {"thin", "fat", "raster", "solid", "samples", "body"};
 
 typedef struct sup_gi_scene {
     sup_gi_knot *knots;
@@ -243,8 +243,8 @@ SUP_FN int supi_gi_thing_line(sup_gi_scene *s, supi_gi_line *l) {
         if (!r) r = supi_gi_flag(l, "moving", &o->moving);
         if (!r) r = supi_gi_numbers(l, "spacing", &o->spacing, 1);
         if (!r && supi_gi_is(l, l->at, "voxels")) {
-            for (o->voxels = 1; o->voxels < 6 && !supi_gi_is(l, l->at + 1, sup_gi_voxels[o->voxels - 1]); o->voxels++) { }
-            if (o->voxels == 6) return supi_gi_fail(l, "voxels: thin, fat, raster, solid or samples, not", l->at + 1);
+            for (o->voxels = 1; o->voxels < 7 && !supi_gi_is(l, l->at + 1, sup_gi_voxels[o->voxels - 1]); o->voxels++) { }
+            if (o->voxels == 7) return supi_gi_fail(l, "voxels: thin, fat, raster, solid, samples or body, not", l->at + 1);
             l->at += 2;
             r = 1;
         }
