@@ -6856,12 +6856,13 @@ static void voxrti_part_leaf(uint64_t mask, voxrti_part *p) {
     }
 }
 
-/* One level of voxrti_shared_index. below: parts of the level beneath it, NULL: leaf nodes. write: set `octant` of the
-   children, else compare. 0: not a tree; or too many cells. */
-static int voxrti_shared_parts(voxrt_tree *t, uint32_t w, const voxrti_part *below, voxrti_part *out, int write) {
+/* One level of voxrti_shared_index. below: parts of the level beneath it, NULL: leaf nodes. run: NULL: set `octant` of
+   the children; else compare it, and runs must stand without gaps in the order in which they are named, for so they are
+   written down. [nodes beneath] zeros, for the lengths of the runs. 0: not a tree; or too many cells. */
+static int voxrti_shared_parts(voxrt_tree *t, uint32_t w, const voxrti_part *below, voxrti_part *out, uint8_t *run) {
     const uint32_t last = w + 2 == t->wide, first = last ? 0 : t->level_first[w + 1];
     const uint32_t size = (uint32_t)4 << 2 * (t->wide - 2 - w);
-    uint32_t i, a;
+    uint32_t i, a, next = 0;
     for (i = 0; i < t->level_nodes[w]; i++) {
         const voxrti_node *n = &t->node[t->level_first[w] + i];
         uint64_t cells = 0, m;
@@ -6870,6 +6871,11 @@ static int voxrti_shared_parts(voxrt_tree *t, uint32_t w, const voxrti_part *bel
         if (n->mask == 0 || n->child < first || k > t->level_nodes[w + 1] ||
             voxrti_popcount64(n->mask) > t->level_nodes[w + 1] - k)
             return 0;
+        if (run != NULL && k == next) {
+            run[k] = (uint8_t)voxrti_popcount64(n->mask);
+            next += run[k];
+        }
+        if (run != NULL && (k >= next || run[k] != voxrti_popcount64(n->mask))) return 0;
         memset(o, 0, sizeof *o);
         o->lo[0] = o->lo[1] = o->lo[2] = 0xffffffffu;
         for (m = n->mask; m != 0; m &= m - 1, k++) {
@@ -6880,7 +6886,7 @@ static int voxrti_shared_parts(voxrt_tree *t, uint32_t w, const voxrti_part *bel
             } else {
                 voxrti_node *child = &t->node[first + k];
                 p = below[k];
-                if (write) child->octant = (uint32_t)cells;
+                if (run == NULL) child->octant = (uint32_t)cells;
                 else if (child->octant != cells) return 0;
             }
             cells += p.cells;
@@ -6894,7 +6900,7 @@ static int voxrti_shared_parts(voxrt_tree *t, uint32_t w, const voxrti_part *bel
         if (cells > 0xfffffffeu) return 0;
         o->cells = (uint32_t)cells;
     }
-    return 1;
+    return run == NULL || next == t->level_nodes[w + 1];
 }
 
 /* Cells of each virtual level: how often each node is met, from the root down. The sum is known to be below 2^32. */
@@ -6946,14 +6952,16 @@ static VOXRTI_UNUSED voxrt_result voxrti_shared_index(voxrti_mem *mem, voxrt_tre
     for (i = 0; i < t->level_nodes[t->wide - 1]; i++)
         if (voxrti_leaf_at(t, i) >= t->mask_count) return VOXRT_ERR_FORMAT;
     for (w = t->wide - 1; w-- > 0; below = part) {
-        int ok;
+        uint8_t *run = write ? NULL : (uint8_t *)voxrti_alloc_zero(mem, t->level_nodes[w + 1], 1);
+        int room, ok;
         part = (voxrti_part *)voxrti_alloc_array(mem, t->level_nodes[w], sizeof(voxrti_part));
-        ok = part != NULL && voxrti_shared_parts(t, w, below, part, write);
+        room = part != NULL && (write || run != NULL);
+        ok = room && voxrti_shared_parts(t, w, below, part, run);
         voxrti_free(mem, below);
+        voxrti_free(mem, run);
         if (ok) continue;
-        w = part != NULL;
         voxrti_free(mem, part);
-        return w ? VOXRT_ERR_FORMAT : VOXRT_ERR_NO_MEMORY;
+        return room ? VOXRT_ERR_FORMAT : VOXRT_ERR_NO_MEMORY;
     }
     mask = t->wide > 1 ? t->node[0].mask : t->leaf[voxrti_leaf_at(t, 0)];
     if (t->wide > 1) root = part[0];
@@ -8798,7 +8806,6 @@ static voxrt_result voxrti_geometry_decode(voxrti_mem *mem, const voxrt_env *env
     r = voxrti_geometry_levels(mem, env, g, data, size);
     if (r == VOXRT_OK && sharing != NULL) {
         r = g->sharing_at == sharing_size ? voxrti_share_decoded(mem, t, g->leaf) : VOXRT_ERR_FORMAT;
-        if (r == VOXRT_OK && t->mask_count != voxrti_load_u32(sharing + 40)) r = VOXRT_ERR_FORMAT;
     }
     voxrti_decoder_close(mem, &g->d);
     if (sharing != NULL) voxrti_free(mem, g->leaf);

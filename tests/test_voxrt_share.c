@@ -463,7 +463,7 @@ TEST(files) {
     }
 }
 
-/* Load with a limit; use what is accepted. */
+/* Load with a limit; use what is accepted. It is the same when it is written down in the compact form and read again. */
 static int try_load(const uint8_t *p, size_t size) {
     voxrt_load_desc d;
     voxrt_tree *t = NULL;
@@ -486,7 +486,15 @@ static int try_load(const uint8_t *p, size_t size) {
         }
         loaded = 1;
         voxrt_tree_get_info(t, &info);
-        if (info.voxel_count < 100000) (void)voxrt_tree_hash(t);
+        if (info.voxel_count < 100000 && map == 0) {
+            voxrt_tree *again = NULL;
+            size_t n = 0;
+            uint8_t *q = save(t, 0, &n);
+            CHECK(q != NULL && voxrt_tree_load_memory(&d, q, n, &again) == VOXRT_OK);
+            CHECK_EQ_U64(voxrt_tree_hash(again), voxrt_tree_hash(t));
+            voxrt_tree_destroy(again);
+            free(q);
+        }
         memset(&ray, 0, sizeof ray);
         ray.t_max = INFINITY;
         ray.dir[0] = 0.31f;
@@ -506,7 +514,7 @@ static int try_load(const uint8_t *p, size_t size) {
 TEST(damaged_files) {
     static const int kinds[4] = {1, 3, 8, 9};
     test_rng r = test_rng_make(4);
-    int k, encoding, round, rounds = test_quick() || TEST_SANITIZED ? 300 : 3000;
+    int k, encoding, round, rounds = test_quick() || TEST_SANITIZED ? 300 : 1500;
     size_t loaded = 0, refused = 0;
     for (k = 0; k < 4; k++)
         for (encoding = 0; encoding < 2; encoding++) {
@@ -643,6 +651,109 @@ TEST(runs_within_runs) {
     voxrt_tree_destroy(t);
 }
 
+/* Raw files of the same tree in other orders. Runs have one order, which the compact form builds on; masks may stand as
+   they like. */
+TEST(other_orders) {
+    voxrt_tree *t = make_tree(9, 1, 1), *s = share(t);
+    size_t size = 0, n = 0, swaps = 0, alike = 0;
+    uint32_t i, k, j;
+    uint8_t *p, *q, *node, *code, *leaf;
+    REQUIRE(t != NULL && s != NULL);
+    p = save(s, 1, &size);
+    q = (uint8_t *)malloc(size);
+    REQUIRE(p != NULL && q != NULL);
+    CHECK(try_load(p, size));
+    for (i = s->level_first[s->wide - 2]; i + 1 < s->node_count; i++) { /* two runs change places */
+        const voxrti_node *a = &s->node[i], *b = &s->node[i + 1];
+        const uint32_t m = voxrti_popcount64(a->mask), l = voxrti_popcount64(b->mask);
+        uint32_t named = 0;
+        for (k = s->level_first[s->wide - 2]; k < s->node_count; k++)
+            named += s->node[k].child == a->child || s->node[k].child == a->child + m;
+        if (b->child != a->child + m || named != 2) continue;
+        memcpy(q, p, size);
+        node = section(q, 3, &n);
+        code = section(q, 11, &n);
+        REQUIRE(node != NULL && code != NULL);
+        voxrti_store_u32(node + 16 * i + 8, a->child + l);
+        voxrti_store_u32(node + 16 * i + 24, a->child);
+        for (k = 0; k < m; k++) voxrti_store_u16(code + 2 * (a->child + l + k), s->code[a->child + k]);
+        for (k = 0; k < l; k++) voxrti_store_u16(code + 2 * (a->child + k), s->code[b->child + k]);
+        voxrti_v5_seal(q, size);
+        CHECK(!try_load(q, size));
+        swaps++;
+    }
+    CHECK(swaps > 2);
+    for (i = 0; i < s->mask_count && (i <= 8 || alike <= 4); i++)
+        for (j = 0; j < i; j++) { /* masks i and j change places; or i is used for both, and j is not used or the same */
+            for (k = 0; k < 3; k++) {
+                uint32_t c;
+                if (k > 0 && (voxrti_popcount64(s->leaf[i]) != voxrti_popcount64(s->leaf[j]) ||
+                    voxrti_popcount64(voxrti_octants(s->leaf[i])) != voxrti_popcount64(voxrti_octants(s->leaf[j]))))
+                    break;
+                if (k == 0 && i > 8) continue;
+                memcpy(q, p, size);
+                code = section(q, 11, &n);
+                leaf = section(q, 4, &n);
+                REQUIRE(code != NULL && leaf != NULL);
+                for (c = 0; c < s->level_nodes[s->wide - 1]; c++) {
+                    if (k < 2 && s->code[c] == j) voxrti_store_u16(code + 2 * c, i);
+                    if (k == 0 && s->code[c] == i) voxrti_store_u16(code + 2 * c, j);
+                }
+                if (k == 0) voxrti_store_u64(leaf + 8 * i, s->leaf[j]);
+                if (k != 1) voxrti_store_u64(leaf + 8 * j, s->leaf[i]);
+                voxrti_v5_seal(q, size);
+                if (k == 0) CHECK(try_load(q, size));
+                else alike += (size_t)try_load(q, size); /* the box may be another one */
+            }
+        }
+    CHECK(alike > 4);
+    free(q);
+    free(p);
+    voxrt_tree_destroy(s);
+    voxrt_tree_destroy(t);
+}
+
+/* Nodes with children A B, A, and B: a run of them each. The second one names the begin of the first one's, the third
+   one its end; nobody names the nodes that were theirs. */
+TEST(runs_that_overlap) {
+    cells c;
+    voxrt_tree *t = NULL, *s;
+    size_t size = 0, n = 0;
+    uint32_t i, k, first[3] = {0, 0, 0}, count = 0;
+    uint8_t *p, *q, *node;
+    memset(&c, 0, sizeof c);
+    add(&c, 0, 0, 0);
+    add(&c, 255, 255, 255);
+    for (i = 0; i < 3; i++) {
+        if (i != 2) add(&c, 64 + 16 * i + 1, 64 + 2, 64 + 3);
+        if (i != 1) add(&c, 64 + 16 * i + 4 + 2, 64 + 1, 64);
+    }
+    CHECK(voxrt_tree_from_voxels(NULL, c.v, c.n, 8, &t) == VOXRT_OK);
+    free(c.v);
+    s = share(t);
+    REQUIRE(t != NULL && s != NULL);
+    for (i = s->level_first[s->wide - 2]; i < s->node_count; i++) /* the one with two children, and those behind it */
+        if (count != 0 || voxrti_popcount64(s->node[i].mask) == 2)
+            if (count < 3) first[count++] = i;
+    REQUIRE(count == 3);
+    p = save(s, 1, &size);
+    q = (uint8_t *)malloc(size);
+    REQUIRE(p != NULL && q != NULL);
+    for (k = 0; k < 4; k++) {
+        memcpy(q, p, size);
+        node = section(q, 3, &n);
+        REQUIRE(node != NULL);
+        if (k & 1) voxrti_store_u32(node + 16 * first[1] + 8, s->node[first[0]].child);
+        if (k & 2) voxrti_store_u32(node + 16 * first[2] + 8, s->node[first[0]].child + 1);
+        voxrti_v5_seal(q, size);
+        CHECK_EQ_U64(try_load(q, size), k == 0);
+    }
+    free(q);
+    free(p);
+    voxrt_tree_destroy(s);
+    voxrt_tree_destroy(t);
+}
+
 /* ---- memory, threads, arguments ---- */
 
 TEST(allocation_failures) {
@@ -719,7 +830,8 @@ TEST(threads_and_arguments) {
     voxrt_tree_destroy(t);
 }
 
-int main(void) {
+int main(int argc, char **argv) {
+    test_begin(argc, argv);
     RUN(what_is_kept);
     RUN(many_masks);
     RUN(same_cells);
@@ -729,6 +841,8 @@ int main(void) {
     RUN(damaged_files);
     RUN(wrong_values);
     RUN(runs_within_runs);
+    RUN(other_orders);
+    RUN(runs_that_overlap);
     RUN(allocation_failures);
     RUN(threads_and_arguments);
     return test_end();
