@@ -70,6 +70,7 @@ static int parse(int argc, char **argv, convert_options *o) {
             return sup_bad_usage(argv[0], "%s is missing", o->first == NULL ? "IN.{obj,ply,stl,off}" : "OUT.vox");
         o->in = o->first;
         o->out = o->second;
+        if (strcmp(o->in, o->out) == 0) return sup_bad_usage(argv[0], "\"%s\" is read and written", o->in);
     }
     if (o->format == FORMAT_V4 && o->palette > 32767)
         return sup_bad_usage(argv[0], "--format v4 holds at most 32767 colours");
@@ -171,6 +172,7 @@ static int write_out(const convert_options *o, const voxrt_env *env, const voxrt
     voxrt_result result;
     int failed;
     sup_error_clear(err);
+    errno = 0;
     if (!sup_is_special_file(o->out)) {
         result = write_voxels(o, env, tree, NULL, 0, NULL);
     } else {
@@ -182,6 +184,7 @@ static int write_out(const convert_options *o, const voxrt_env *env, const voxrt
         if (failed) return 1;
     }
     if (result == VOXRT_OK) return 0;
+    if (result == VOXRT_ERR_IO && errno != 0) return sup_fail(err, "%s: %s", o->out, strerror(errno));
     return sup_fail(err, "%s: %s", o->out, env->error->text[0] ? env->error->text : voxrt_result_string(result));
 }
 
@@ -277,6 +280,12 @@ int main(int argc, char **argv) {
     if (result != VOXRT_OK) {
         (void)sup_fail(&err, "%s: %s", o.in, error.text[0] ? error.text : voxrt_result_string(result));
         return sup_bad_input(argv[0], err.text);
+    }
+
+    if (stats.rejected != 0 && !o.quiet) {
+        (void)sup_fail(&err, "%s: %llu of %llu triangles are left out: coordinates or indices out of range", o.in,
+                       (unsigned long long)stats.rejected, (unsigned long long)stats.triangles);
+        sup_warn(argv[0], err.text);
     }
 
     start = sup_now();

@@ -3,6 +3,7 @@
 #include "support/picture.h"
 #define VOXRT_IMPLEMENTATION
 #include "voxrt.h"
+#include "support/voxel_file.h"
 
 enum { MAX_LIGHTS = 64 };
 enum { PATH_FAST, PATH_THESIS };
@@ -62,7 +63,7 @@ static int collect_lights(int argc, char **argv, render_options *o) {
 static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *desc) {
     sup_option table[SUP_COMMON_OPTIONS + 20];
     size_t n;
-    int status, compose = 0, normals = 0;
+    int status, compose = 0, normals = 0, has_heat_max = 0;
     memset(o, 0, sizeof *o);
     o->samples = 1;
     o->blur = 4.0;
@@ -82,7 +83,8 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
     table[n++] = sup_opt_choice("path", &o->path, "fast|thesis", "wide tree, or the octree of 2009");
     table[n++] = sup_opt_given(sup_opt_choice("heat", &o->heat, "outer|inner", "cells left, or nodes entered, per ray"),
                                &o->has_heat);
-    table[n++] = sup_opt_real("heat-max", &o->heat_max, 1.0, 1e6, "N", "cells that are fully red (64)");
+    table[n++] = sup_opt_given(sup_opt_real("heat-max", &o->heat_max, 1.0, 1e6, "N", "cells that are fully red (64)"),
+                               &has_heat_max);
     table[n++] = sup_opt_flag("split", &o->split, "left third colours, middle the picture, right third brightness");
     table[n++] =
         sup_opt_choice("normals", &normals, "stored|face", "shade by stored normals or by the faces of the cubes");
@@ -97,6 +99,9 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
         sup_opt_flag("smooth", &o->smooth, "with --blur: only where voxels are larger than pixels, not over edges");
     status = sup_cli_parse(argc, argv, "Draws a voxel file.", table, n);
     if (status >= 0) return status;
+    if (o->common.unlit + o->split + o->has_heat > 1)
+        return sup_bad_usage(argv[0], "--unlit, --split and --heat are three different pictures");
+    if (has_heat_max && !o->has_heat) return sup_bad_usage(argv[0], "--heat-max goes with --heat");
     if (o->smooth && o->path == PATH_THESIS) return sup_bad_usage(argv[0], "--smooth goes with --path fast");
     if (o->smooth && !o->has_blur) return sup_bad_usage(argv[0], "--smooth goes with --blur");
     status = sup_out_check(argv[0], &o->common);
@@ -140,42 +145,9 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
 }
 
 static int load(const char *program, const render_options *o, scene *s) {
-    voxrt_load_desc desc = {0};
-    voxrt_octree_desc octree = {0};
-    voxrt_error error = {VOXRT_OK, 0, ""};
-    voxrt_result result = VOXRT_ERR_FORMAT;
     sup_error err;
-    char *data;
-    size_t size;
-    uint32_t kind;
-    if (sup_read_file(o->in, &data, &size, &err)) return sup_bad_input(program, err.text);
-    desc.env.thread_count = (uint32_t)o->common.threads;
-    desc.env.memory_limit = sup_memory_limit();
-    desc.env.error = &error;
-    octree.env = desc.env;
-    /* files of versions to come go to the loader whose mark they bear: it says what is wrong */
-    kind = voxrt_file_kind(data, size);
-    if (kind == 0 && size >= 12 && memcmp(data, "\211VOX\r\n\032\n", 8) == 0) kind = 5;
-    if (kind == 0 && size >= 4 && memcmp(data, "MB", 2) == 0) kind = 4;
-    if (kind == 5) {
-        result = voxrt_tree_load_memory(&desc, data, size, &s->tree);
-        if (result == VOXRT_OK && o->path == PATH_THESIS) result = voxrt_octree_from_tree(&octree, s->tree, &s->octree);
-    } else if (kind == 4) {
-        result = voxrt_octree_load_memory(&octree, data, size, &s->octree);
-        if (result == VOXRT_OK) result = voxrt_tree_from_octree(&octree, s->octree, &s->tree);
-    } else {
-        (void)sup_fail(&err, "%s: not a voxel file", o->in);
-        SUP_FREE(data);
-        return sup_bad_input(program, err.text);
-    }
-    SUP_FREE(data);
-    if (result == VOXRT_OK) return 0;
-    if (result == VOXRT_ERR_VERSION || result == VOXRT_ERR_NO_MEMORY || strstr(error.text, "byte") != NULL)
-        (void)sup_fail(&err, "%s: %s", o->in, error.text[0] ? error.text : voxrt_result_string(result));
-    else
-        (void)sup_fail(&err, "%s: byte %llu: %s", o->in, (unsigned long long)error.where,
-                       error.text[0] ? error.text : voxrt_result_string(result));
-    return sup_bad_input(program, err.text);
+    return sup_voxels_load(o->in, (uint32_t)o->common.threads, &s->tree, o->path == PATH_THESIS ? &s->octree : NULL, &err) ?
+           sup_bad_input(program, err.text) : 0;
 }
 
 static void set_camera(const render_options *o, const scene *s, voxrt_camera *camera) {

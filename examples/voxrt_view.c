@@ -7,6 +7,7 @@
 #include "support/cli.h"
 #define VOXRT_IMPLEMENTATION
 #include "voxrt.h"
+#include "support/voxel_file.h"
 #include <poll.h>
 #include <signal.h>
 #include <sys/ioctl.h>
@@ -351,33 +352,6 @@ static int move(viewer *v, double seconds) {
 
 /* ---- program ---- */
 
-static int load(const char *program, const view_options *o, voxrt_tree **out) {
-    voxrt_load_desc desc = {0};
-    voxrt_octree_desc octree = {0};
-    voxrt_octree *old = NULL;
-    voxrt_error error = {VOXRT_OK, 0, ""};
-    voxrt_result result = VOXRT_ERR_FORMAT;
-    sup_error err;
-    char *data;
-    size_t size;
-    if (sup_read_file(o->in, &data, &size, &err)) return sup_bad_input(program, err.text);
-    desc.env.thread_count = octree.env.thread_count = (uint32_t)o->threads;
-    desc.env.memory_limit = octree.env.memory_limit = sup_memory_limit();
-    desc.env.error = octree.env.error = &error;
-    if (voxrt_file_kind(data, size) == 4) {
-        result = voxrt_octree_load_memory(&octree, data, size, &old);
-        if (result == VOXRT_OK) result = voxrt_tree_from_octree(&octree, old, out);
-        voxrt_octree_destroy(old);
-    } else {
-        result = voxrt_tree_load_memory(&desc, data, size, out);
-    }
-    SUP_FREE(data);
-    if (result == VOXRT_OK) return 0;
-    (void)sup_fail(&err, "%s: byte %llu: %s", o->in, (unsigned long long)error.where,
-                   error.text[0] ? error.text : voxrt_result_string(result));
-    return sup_bad_input(program, err.text);
-}
-
 static voxrt_result fly(viewer *v, const view_options *o) {
     double before = sup_now();
     int64_t frame = 0;
@@ -412,6 +386,7 @@ int main(int argc, char **argv) {
     viewer v = {0};
     sup_option table[8];
     size_t n = 0;
+    sup_error err;
     uint32_t size[2];
     voxrt_result result;
     int status;
@@ -425,8 +400,7 @@ int main(int argc, char **argv) {
     table[n++] = sup_opt_int("threads", &o.threads, 0, 1024, "N", "threads, 0: one per core");
     status = sup_cli_parse(argc, argv, "Flies through a voxel file in a terminal with 24-bit colours.", table, n);
     if (status >= 0) return status;
-    status = load(argv[0], &o, &v.tree);
-    if (status) return status;
+    if (sup_voxels_load(o.in, (uint32_t)o.threads, &v.tree, NULL, &err)) return sup_bad_input(argv[0], err.text);
     stop_signal = 0;
     if (terminal_open()) {
         voxrt_tree_destroy(v.tree);

@@ -432,6 +432,7 @@ EXITS="
 1 voxrt_render @/cut.vox --out @/bad.png
 1 voxrt_render @/s.vox --out @/no/folder.png --size 8x8
 1 voxrt_view @/garbage.obj
+1 voxrt_view @/cut.vox
 1 voxrt_gi --scene @/none.txt --out @/bad.png
 1 voxrt_gi --scene @/garbage.obj --out @/bad.png
 1 voxrt_gi --scene cornell --save @/no/folder.txt
@@ -445,10 +446,14 @@ EXITS="
 2 voxrt_convert --scene nothing @/bad.vox
 2 voxrt_convert @/garbage.obj @/bad.vox --detail 3
 2 voxrt_convert @/garbage.obj @/bad.vox --res 0
+2 voxrt_convert @/garbage.obj @/garbage.obj
+2 voxrt_convert --scene sphere @/bad.vox --share --format v4
 2 voxrt_render
 2 voxrt_render @/s.vox
 2 voxrt_render @/s.vox --out @/bad.jpg
 2 voxrt_render @/s.vox --out @/bad.png --smooth
+2 voxrt_render @/s.vox --out @/bad.png --heat outer --split
+2 voxrt_render @/s.vox --out @/bad.png --heat-max 9
 2 voxrt_render @/s.vox --out @/bad.png --size 0x8
 2 voxrt_render @/s.vox --out @/bad.png --aa nan
 2 voxrt_view
