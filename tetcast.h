@@ -4113,6 +4113,12 @@ static tetcast_result tetcasti_import_scan(tetcasti_import *m, uint64_t *tets) {
     if (m->desc->strict && r->bad_positions != 0)
         return tetcasti_fail(error, TETCAST_ERR_FORMAT, r->first_bad_position,
                              "mesh: cell % has a vertex whose position is no number");
+    if (*tets == 0 && r->bad_indices != 0)
+        return tetcasti_fail(error, TETCAST_ERR_EMPTY, r->first_bad_index,
+                             "mesh: no usable cell; cell % has a vertex that is not there");
+    if (*tets == 0 && r->bad_positions != 0)
+        return tetcasti_fail(error, TETCAST_ERR_EMPTY, r->first_bad_position,
+                             "mesh: no usable cell; cell % has a position that is no number below 1e38");
     if (*tets == 0) return tetcasti_fail(error, TETCAST_ERR_EMPTY, m->source_count, "mesh: no usable cell among %");
     if (*tets > TETCAST_MAX_CELLS)
         return tetcasti_fail(error, TETCAST_ERR_RANGE, *tets, "mesh: % tetrahedra are too many");
@@ -4823,7 +4829,9 @@ static void tetcasti_cell_gradient(const tetcasti_vertex *a, const tetcasti_vert
 TETCAST_DEF tetcast_result tetcast_mesh_make_gradients(tetcast_mesh *mesh, const tetcast_env *env) {
     double (*sum)[4], g[3], volume;
     uint32_t i, j, a;
-    if (mesh == NULL || mesh->tet == NULL || mesh->cell_value != NULL) return TETCAST_ERR_INVALID_ARG;
+    if (mesh == NULL || mesh->tet == NULL || mesh->cell_value != NULL)
+        return tetcasti_fail(env != NULL ? env->error : NULL, TETCAST_ERR_INVALID_ARG, 0,
+                             "gradients: no tets, or a field of one value a cell");
     if (mesh->gradient != NULL) return TETCAST_OK;
     sum = (double (*)[4])tetcasti_alloc_zero(&mesh->mem, mesh->vertex_count, sizeof *sum);
     mesh->gradient = (float (*)[3])tetcasti_alloc_array(&mesh->mem, mesh->vertex_count, sizeof *mesh->gradient);
@@ -10557,13 +10565,20 @@ typedef struct tetcasti_view {
               edges ab bc ca | ad bd cd
    form 2     roles p q r s: front faces share pq, faces at the back share rs. edges pr rq qs sp | pq rs */
 typedef struct tetcasti_splat {
-    float a[8], b[8], c[8];     /* six are used */
+    float a[6], b[6], c[6];
     float w[4], wz[4], ws[4];   /* per vertex, by role: w, w times depth, w times value */
     float bound;                /* edge functions that are nearer to zero do not decide */
     float s_lo, s_hi;
     uint32_t form;
     int32_t x0, y0;
 } tetcasti_splat;
+
+/* Eight cells side by side: column k is the splat of cell k. rect: its pixels in the tile. */
+typedef struct tetcasti_splat8 {
+    float a[6][8], b[6][8], c[6][8], w[4][8], wz[4][8], ws[4][8], bound[8], s_lo[8], s_hi[8];
+    int32_t form[8], x0[8], y0[8], rect[4][8];
+    uint32_t ready, exact;      /* bits: cells that are set up, those where only the exact signs can tell */
+} tetcasti_splat8;
 
 /* What one pixel sees of one cell: depths as in tetcasti_seen, values. */
 typedef struct tetcasti_fragment {
@@ -10905,15 +10920,15 @@ static int tetcasti_view_open(tetcasti_mem *mem, const tetcast_env *env, int hid
 
 /* ---- one cell ---- */
 
-/* By which faces are in front (bit i: the one opposite to vertex i): the vertices' roles, so that what is positive
+/* By which faces are in front (bit i: the one opposite to vertex i): the vertex of each role, so that what is positive
    inside is so, and the form. */
-static const uint8_t tetcasti_roles[16][4] = {
-    {0, 1, 2, 3}, {1, 3, 2, 0}, {0, 2, 3, 1}, {3, 2, 0, 1}, {0, 3, 1, 2}, {1, 3, 0, 2}, {3, 0, 1, 2}, {0, 2, 1, 3},
-    {0, 1, 2, 3}, {2, 1, 0, 3}, {0, 2, 1, 3}, {0, 1, 3, 2}, {1, 0, 2, 3}, {0, 3, 2, 1}, {1, 2, 3, 0}, {0, 1, 2, 3}};
+static const uint8_t tetcasti_roles[4][16] = {
+    {0, 1, 0, 3, 0, 1, 3, 0, 0, 2, 0, 0, 1, 0, 1, 0}, {1, 3, 2, 2, 3, 3, 0, 2, 1, 1, 2, 1, 0, 3, 2, 1},
+    {2, 2, 3, 0, 1, 0, 1, 1, 2, 0, 1, 3, 2, 2, 3, 2}, {3, 0, 1, 1, 2, 2, 2, 3, 3, 3, 3, 2, 3, 1, 0, 3}};
 static const uint8_t tetcasti_forms[16] = {0, 0, 0, 2, 0, 2, 2, 1, 0, 2, 2, 1, 2, 1, 1, 0};
 /* Ends of the edges of a splat, by role: with a single face, with two. */
-static const uint8_t tetcasti_splat_edges[2][2][8] = {{{0, 1, 2, 0, 1, 2, 0, 0}, {1, 2, 0, 3, 3, 3, 0, 0}},
-                                                  {{0, 2, 1, 3, 0, 2, 0, 0}, {2, 1, 3, 0, 1, 3, 0, 0}}};
+static const uint8_t tetcasti_splat_edges[2][2][6] = {{{0, 1, 2, 0, 1, 2}, {1, 2, 0, 3, 3, 3}},
+                                                      {{0, 2, 1, 3, 0, 2}, {2, 1, 3, 0, 1, 3}}};
 
 /* Set up a cell; 0: only the exact signs can tell. */
 static int tetcasti_splat_open(const tetcasti_view *v, const uint32_t tet[4], tetcasti_splat *s) {
@@ -10921,8 +10936,7 @@ static int tetcasti_splat_open(const tetcasti_view *v, const uint32_t tet[4], te
     const tetcasti_seen *p[4];
     float x[4], y[4], area[4], wide, w = 0.0f;
     int32_t lo[2] = {0, 0}, hi[2] = {0, 0}, half = (int32_t)(1u << v->log) / 2;
-    const uint8_t *role;
-    uint32_t i, fronts = 0;
+    uint32_t i, role[4], fronts = 0;
     for (i = 0; i < 4; i++) {
         p[i] = &v->seen[tet[i]];
         if (!(p[i]->w > 0.0f)) return 0;
@@ -10949,7 +10963,7 @@ static int tetcasti_splat_open(const tetcasti_view *v, const uint32_t tet[4], te
         fronts |= (uint32_t)(area[i] < 0.0f) << i;
     }
     if (fronts == 0 || fronts == 15) return 0;
-    role = tetcasti_roles[fronts];
+    for (i = 0; i < 4; i++) role[i] = tetcasti_roles[i][fronts];
     s->form = tetcasti_forms[fronts];
     for (i = 0; i < 6; i++) {
         uint32_t from = role[tetcasti_splat_edges[s->form >> 1][0][i]];
@@ -10958,7 +10972,6 @@ static int tetcasti_splat_open(const tetcasti_view *v, const uint32_t tet[4], te
         s->b[i] = x[to] - x[from];
         s->c[i] = -(s->a[i] * x[from] + s->b[i] * y[from]);
     }
-    for (i = 6; i < 8; i++) s->a[i] = s->b[i] = s->c[i] = 0.0f;
     s->s_lo = s->s_hi = 0.0f;
     for (i = 0; i < 4; i++) {
         const tetcasti_seen *q = p[role[i]];
@@ -11102,8 +11115,9 @@ typedef struct tetcasti_painter { /* zeroed */
     tetcasti_batch *b;              /* rays of the tile, and their sums at the end */
     tetcasti_entry *entry;          /* cells of the tile, in order */
     size_t entry_room;
-    tetcasti_fragment *list;        /* [pixel * room] */
-    uint32_t room, fullest;         /* fullest: no list is longer */
+    float (*list)[4];               /* z0, z1, s0, s1 [slot * TETCASTI_BATCH + pixel]: slots of neighbours lie together */
+    uint32_t *list_cell;            /* NULL, or the cell of each */
+    uint32_t room, full;            /* full: not 0 when a list has no room left */
     uint32_t mode, keep_room;
     uint32_t failed, open;          /* open: pixels whose rays go on */
     uint32_t live[TETCASTI_TILE];   /* one bit a pixel of a row */
@@ -11113,6 +11127,7 @@ typedef struct tetcasti_painter { /* zeroed */
     uint32_t groups;                /* of rays: one bit each */
     tetcasti_beam beam[6];
     /* tetcasti_paint_cell and tetcasti_lists_run, or what has the same bits */
+    void (*open_cells)(struct tetcasti_painter *p, const tetcasti_entry *e, uint32_t n); /* NULL, or sets splat up */
     void (*paint)(struct tetcasti_painter *p, uint32_t cell);
     void (*run)(struct tetcasti_painter *p, float until);
     uint64_t tests, exact;          /* pixels that were looked at, and those by exact signs */
@@ -11123,6 +11138,8 @@ typedef struct tetcasti_painter { /* zeroed */
     float last[TETCASTI_BATCH];     /* where the ray ends */
     float way[TETCASTI_BATCH];      /* distance on the ray per depth */
     tetcasti_ray_sum8 sum[TETCASTI_BATCH / 8];
+    tetcasti_splat8 splat;          /* what open_cells made */
+    uint32_t column;                /* of it: the cell that is painted */
 } tetcasti_painter;
 
 /* ---- fragments into sums ---- */
@@ -11260,72 +11277,97 @@ TETCASTI_INLINE int tetcasti_pixel_live(const tetcasti_painter *p, uint32_t i) {
     return (int)(p->live[i / TETCASTI_TILE] >> (i % TETCASTI_TILE) & 1u);
 }
 
+TETCASTI_INLINE tetcasti_fragment tetcasti_list_get(const tetcasti_painter *p, size_t at) {
+    tetcasti_fragment f;
+    memcpy(&f.z0, p->list[at], sizeof p->list[at]);
+    f.cell = p->list_cell != NULL ? p->list_cell[at] : 0;
+    return f;
+}
+
+TETCASTI_INLINE void tetcasti_list_move(tetcasti_painter *p, size_t to, size_t from) {
+    memcpy(p->list[to], p->list[from], sizeof p->list[to]);
+    if (p->list_cell != NULL) p->list_cell[to] = p->list_cell[from];
+}
+
+/* The first `used` fragments of pixel i go, `left` stay. */
+TETCASTI_INLINE void tetcasti_list_drop(tetcasti_painter *p, uint32_t i, uint32_t used, uint32_t left) {
+    uint32_t k;
+    for (k = 0; used != 0 && k < left; k++)
+        tetcasti_list_move(p, (size_t)k * TETCASTI_BATCH + i, (size_t)(k + used) * TETCASTI_BATCH + i);
+    p->count[i] = (uint16_t)left;
+    p->full |= (uint32_t)(left == p->room);
+}
+
 /* All that lies before `until` goes into the sums. */
 static void tetcasti_lists_run(tetcasti_painter *p, float until) {
     uint32_t i, end = TETCASTI_TILE * p->height;
-    p->fullest = 0;
+    p->full = 0;
     for (i = 0; i < end; i++) {
-        tetcasti_fragment *f = p->list + (size_t)i * p->room;
-        uint32_t n = p->count[i], k = 0;
-        if (n == 0) continue;
-        while (k < n && f[k].z0 < until && tetcasti_pixel_live(p, i)) tetcasti_fragment_add(p, i, &f[k++]);
-        n = tetcasti_pixel_live(p, i) ? n - k : 0;
-        if (n != 0 && k != 0) memmove(f, f + k, n * sizeof *f);
-        p->count[i] = (uint16_t)n;
-        if (n > p->fullest) p->fullest = n;
+        const uint32_t n = p->count[i];
+        uint32_t k;
+        for (k = 0; k < n && tetcasti_pixel_live(p, i); k++) {
+            const tetcasti_fragment f = tetcasti_list_get(p, (size_t)k * TETCASTI_BATCH + i);
+            if (!(f.z0 < until)) break;
+            tetcasti_fragment_add(p, i, &f);
+        }
+        if (n != 0) tetcasti_list_drop(p, i, k, tetcasti_pixel_live(p, i) ? n - k : 0);
     }
 }
 
 /* ---- fragments into lists ---- */
 
 static int tetcasti_lists_grow(tetcasti_painter *p) {
-    size_t room = (size_t)p->room * 2, i;
-    tetcasti_fragment *list = (tetcasti_fragment *)tetcasti_alloc_zero(p->mem, room * TETCASTI_BATCH, sizeof *list);
-    if (list == NULL || room > 0x8000u) {
+    const size_t room = (size_t)p->room * 2, n = p->room * (size_t)TETCASTI_BATCH;
+    float (*list)[4] = (float (*)[4])tetcasti_alloc_zero(p->mem, 2 * n, sizeof *list);
+    uint32_t *cell = NULL;
+    if (p->list_cell != NULL) cell = (uint32_t *)tetcasti_alloc_zero(p->mem, 2 * n, sizeof *cell);
+    if (list == NULL || (p->list_cell != NULL && cell == NULL) || room > 0x8000u) {
         tetcasti_free(p->mem, list);
+        tetcasti_free(p->mem, cell);
         p->failed = 1;
         return 0;
     }
-    for (i = 0; i < TETCASTI_BATCH; i++)
-        memcpy(list + i * room, p->list + i * p->room, p->count[i] * sizeof *list);
+    memcpy(list, p->list, n * sizeof *list);
+    if (cell != NULL) memcpy(cell, p->list_cell, n * sizeof *cell);
     tetcasti_free(p->mem, p->list);
+    tetcasti_free(p->mem, p->list_cell);
     p->list = list;
+    p->list_cell = cell;
     p->room = (uint32_t)room;
+    p->full = 0;
     return 1;
 }
 
 /* Pixel i is live and its list has room. */
-TETCASTI_INLINE void tetcasti_list_put(tetcasti_painter *p, uint32_t i, float z0, float z1, float s0, float s1,
-                                       uint32_t cell) {
-    tetcasti_fragment *f = p->list + (size_t)i * p->room;
+TETCASTI_INLINE void tetcasti_list_put(tetcasti_painter *p, uint32_t i, const tetcasti_fragment *f) {
     uint32_t n = p->count[i];
+    size_t at = (size_t)n * TETCASTI_BATCH + i;
     p->count[i] = (uint16_t)(n + 1);
-    p->fullest = n + 1 > p->fullest ? n + 1 : p->fullest;
-    for (; n > 0 && (f[n - 1].z0 > z0 || (f[n - 1].z0 == z0 && f[n - 1].z1 > z1)); n--) f[n] = f[n - 1];
-    f[n].z0 = z0;
-    f[n].z1 = z1;
-    f[n].s0 = s0;
-    f[n].s1 = s1;
-    f[n].cell = cell;
+    p->full |= (uint32_t)(n + 1 == p->room);
+    for (; n > 0; n--, at -= TETCASTI_BATCH) {
+        const float *before = p->list[at - TETCASTI_BATCH];
+        if (!(before[0] > f->z0 || (before[0] == f->z0 && before[1] > f->z1))) break;
+        tetcasti_list_move(p, at, at - TETCASTI_BATCH);
+    }
+    memcpy(p->list[at], &f->z0, sizeof p->list[at]);
+    if (p->list_cell != NULL) p->list_cell[at] = f->cell;
 }
 
 /* The same for orders that are compared with: the nearest fragment goes when there are enough. */
 static void tetcasti_list_put_some(tetcasti_painter *p, uint32_t i, const tetcasti_fragment *f) {
-    tetcasti_fragment *list = p->list + (size_t)i * p->room;
+    tetcasti_fragment first;
     if (p->mode == TETCASTI_KEEP_SOME) {
-        tetcasti_list_put(p, i, f->z0, f->z1, f->s0, f->s1, f->cell);
+        tetcasti_list_put(p, i, f);
         if (p->count[i] < p->keep_room) return;
-        f = list;
+        first = tetcasti_list_get(p, i);
+        f = &first;
     }
     tetcasti_fragment_add(p, i, f);
-    if (p->mode == TETCASTI_KEEP_SOME) {
-        p->count[i]--;
-        memmove(list, list + 1, p->count[i] * sizeof *list);
-    }
+    if (p->mode == TETCASTI_KEEP_SOME) tetcasti_list_drop(p, i, 1, p->count[i] - 1u);
 }
 
 TETCASTI_INLINE void tetcasti_paint_put(tetcasti_painter *p, uint32_t i, const tetcasti_fragment *f) {
-    if (p->mode == TETCASTI_KEEP_ALL) tetcasti_list_put(p, i, f->z0, f->z1, f->s0, f->s1, f->cell);
+    if (p->mode == TETCASTI_KEEP_ALL) tetcasti_list_put(p, i, f);
     else tetcasti_list_put_some(p, i, f);
 }
 
@@ -11450,23 +11492,23 @@ static void tetcasti_paint_plain(tetcasti_painter *p, uint32_t cell) { tetcasti_
 #define TETCASTI_ALL(x) _mm256_broadcast_ss(&(x))
 
 /* Lanes whose pixels (x, y) are inside, and those for exact signs. Edge functions in e. */
-TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_splat_lanes(const tetcasti_splat *s, const uint32_t silhouette,
+TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_splat_lanes(const tetcasti_splat8 *s, const uint32_t j, const uint32_t silhouette,
                                                                    uint32_t lanes, __m256 x, __m256 y, __m256 e[6],
                                                                    uint32_t *exact) {
-    const __m256 sign = _mm256_set1_ps(-0.0f), bound = TETCASTI_ALL(s->bound);
+    const __m256 sign = _mm256_set1_ps(-0.0f), bound = TETCASTI_ALL(s->bound[j]);
     __m256 least, inside;
     uint32_t k;
     for (k = 0; k < silhouette; k++)
-        e[k] = _mm256_fmadd_ps(TETCASTI_ALL(s->a[k]), x,
-                               _mm256_fmadd_ps(TETCASTI_ALL(s->b[k]), y, TETCASTI_ALL(s->c[k])));
+        e[k] = _mm256_fmadd_ps(TETCASTI_ALL(s->a[k][j]), x,
+                               _mm256_fmadd_ps(TETCASTI_ALL(s->b[k][j]), y, TETCASTI_ALL(s->c[k][j])));
     inside = _mm256_min_ps(_mm256_min_ps(e[0], e[1]), e[2]);
     if (silhouette == 4) inside = _mm256_min_ps(inside, e[3]);
     lanes &= ~(uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(inside, _mm256_xor_ps(bound, sign), _CMP_LT_OQ));
     *exact = 0;
     if (lanes == 0) return 0;
     for (k = silhouette; k < 6; k++)
-        e[k] = _mm256_fmadd_ps(TETCASTI_ALL(s->a[k]), x,
-                               _mm256_fmadd_ps(TETCASTI_ALL(s->b[k]), y, TETCASTI_ALL(s->c[k])));
+        e[k] = _mm256_fmadd_ps(TETCASTI_ALL(s->a[k][j]), x,
+                               _mm256_fmadd_ps(TETCASTI_ALL(s->b[k][j]), y, TETCASTI_ALL(s->c[k][j])));
     least = _mm256_andnot_ps(sign, inside);
     for (k = silhouette; k < 6; k++) least = _mm256_min_ps(least, _mm256_andnot_ps(sign, e[k]));
     *exact = lanes & ~(uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(least, bound, _CMP_GT_OQ));
@@ -11483,24 +11525,24 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_sums_add(tetcasti_sums8 *t, _
 }
 
 #define TETCASTI_SUMS_FIRST(t, q, i) \
-    t.d = _mm256_mul_ps(q, TETCASTI_ALL(s->w[i])); t.e = _mm256_mul_ps(q, TETCASTI_ALL(s->wz[i])); \
-    t.f = _mm256_mul_ps(q, TETCASTI_ALL(s->ws[i]))
+    t.d = _mm256_mul_ps(q, TETCASTI_ALL(s->w[i][j])); t.e = _mm256_mul_ps(q, TETCASTI_ALL(s->wz[i][j])); \
+    t.f = _mm256_mul_ps(q, TETCASTI_ALL(s->ws[i][j]))
 #define TETCASTI_SUMS_ADD(t, q, i) \
-    tetcasti_sums_add(&t, q, TETCASTI_ALL(s->w[i]), TETCASTI_ALL(s->wz[i]), TETCASTI_ALL(s->ws[i]))
-#define TETCASTI_SUMS_EITHER(t, q, i, j, m) tetcasti_sums_add(&t, q, \
-        _mm256_blendv_ps(TETCASTI_ALL(s->w[i]), TETCASTI_ALL(s->w[j]), m), \
-        _mm256_blendv_ps(TETCASTI_ALL(s->wz[i]), TETCASTI_ALL(s->wz[j]), m), \
-        _mm256_blendv_ps(TETCASTI_ALL(s->ws[i]), TETCASTI_ALL(s->ws[j]), m))
+    tetcasti_sums_add(&t, q, TETCASTI_ALL(s->w[i][j]), TETCASTI_ALL(s->wz[i][j]), TETCASTI_ALL(s->ws[i][j]))
+#define TETCASTI_SUMS_EITHER(t, q, i, o, m) tetcasti_sums_add(&t, q, \
+        _mm256_blendv_ps(TETCASTI_ALL(s->w[i][j]), TETCASTI_ALL(s->w[o][j]), m), \
+        _mm256_blendv_ps(TETCASTI_ALL(s->wz[i][j]), TETCASTI_ALL(s->wz[o][j]), m), \
+        _mm256_blendv_ps(TETCASTI_ALL(s->ws[i][j]), TETCASTI_ALL(s->ws[o][j]), m))
 
-TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_sums_end(const tetcasti_splat *s, const tetcasti_sums8 *t,
+TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_sums_end(const tetcasti_splat8 *s, const uint32_t j, const tetcasti_sums8 *t,
                                                             __m256 *z, __m256 *value) {
     __m256 inv = _mm256_div_ps(_mm256_set1_ps(1.0f), t->d);
     *z = _mm256_mul_ps(t->e, inv);
-    *value = _mm256_min_ps(_mm256_max_ps(_mm256_mul_ps(t->f, inv), TETCASTI_ALL(s->s_lo)), TETCASTI_ALL(s->s_hi));
+    *value = _mm256_min_ps(_mm256_max_ps(_mm256_mul_ps(t->f, inv), TETCASTI_ALL(s->s_lo[j])), TETCASTI_ALL(s->s_hi[j]));
 }
 
 /* What the lanes see. out: z0, z1, s0, s1. The operations of tetcasti_splat_pixel. */
-TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_splat_quad8(const tetcasti_splat *s, const __m256 e[6],
+TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_splat_quad8(const tetcasti_splat8 *s, const uint32_t j, const __m256 e[6],
                                                                __m256 out[4]) {
     const __m256 sign = _mm256_set1_ps(-0.0f);
     tetcasti_sums8 t;
@@ -11510,16 +11552,16 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_splat_quad8(const tetcasti_sp
     TETCASTI_SUMS_FIRST(t, q0, 0);
     TETCASTI_SUMS_ADD(t, q1, 1);
     TETCASTI_SUMS_EITHER(t, _mm256_andnot_ps(sign, e[4]), 3, 2, e[4]);
-    tetcasti_sums_end(s, &t, &out[0], &out[2]);
+    tetcasti_sums_end(s, j, &t, &out[0], &out[2]);
     q0 = _mm256_blendv_ps(e[3], e[2], e[5]);
     q1 = _mm256_blendv_ps(e[0], e[1], e[5]);
     TETCASTI_SUMS_FIRST(t, q0, 2);
     TETCASTI_SUMS_ADD(t, q1, 3);
     TETCASTI_SUMS_EITHER(t, _mm256_andnot_ps(sign, e[5]), 0, 1, e[5]);
-    tetcasti_sums_end(s, &t, &out[1], &out[3]);
+    tetcasti_sums_end(s, j, &t, &out[1], &out[3]);
 }
 
-TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_splat_single8(const tetcasti_splat *s, const __m256 e[6],
+TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_splat_single8(const tetcasti_splat8 *s, const uint32_t j, const __m256 e[6],
                                                                  __m256 out[4]) {
     const __m256 sign = _mm256_set1_ps(-0.0f);
     tetcasti_sums8 t;
@@ -11529,7 +11571,7 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_splat_single8(const tetcasti_
     TETCASTI_SUMS_FIRST(t, e[1], 0);
     TETCASTI_SUMS_ADD(t, e[2], 1);
     TETCASTI_SUMS_ADD(t, e[0], 2);
-    tetcasti_sums_end(s, &t, &z[0], &value[0]);
+    tetcasti_sums_end(s, j, &t, &z[0], &value[0]);
     no_c = _mm256_castsi256_ps(_mm256_srai_epi32(_mm256_castps_si256(no_c), 31)); /* all bits */
     no_b = _mm256_castsi256_ps(_mm256_srai_epi32(_mm256_castps_si256(no_b), 31));
     no_a = _mm256_or_ps(no_c, no_b);
@@ -11537,167 +11579,227 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_splat_single8(const tetcasti_
     TETCASTI_SUMS_ADD(t, _mm256_andnot_ps(no_b, _mm256_blendv_ps(c, a, no_c)), 1);
     TETCASTI_SUMS_ADD(t, _mm256_andnot_ps(no_c, _mm256_blendv_ps(b, a, no_b)), 2);
     TETCASTI_SUMS_ADD(t, _mm256_blendv_ps(_mm256_blendv_ps(e[1], e[2], no_b), e[0], no_c), 3);
-    tetcasti_sums_end(s, &t, &z[1], &value[1]);
-    out[0] = z[s->form];
-    out[1] = z[!s->form];
-    out[2] = value[s->form];
-    out[3] = value[!s->form];
+    tetcasti_sums_end(s, j, &t, &z[1], &value[1]);
+    out[0] = z[s->form[j]];
+    out[1] = z[!s->form[j]];
+    out[2] = value[s->form[j]];
+    out[3] = value[!s->form[j]];
 }
 
-/* Smallest and largest of four in all lanes. */
-TETCASTI_TARGET_WALK TETCASTI_INLINE __m128i tetcasti_least4(__m128i x) {
-    x = _mm_min_epi32(x, _mm_shuffle_epi32(x, 0x4e));
-    return _mm_min_epi32(x, _mm_shuffle_epi32(x, 0xb1));
-}
-TETCASTI_TARGET_WALK TETCASTI_INLINE __m128i tetcasti_most4(__m128i x) {
-    x = _mm_max_epi32(x, _mm_shuffle_epi32(x, 0x4e));
-    return _mm_max_epi32(x, _mm_shuffle_epi32(x, 0xb1));
+/* The vertices' numbers in fours for eight fronts: bits of roles to blend with. */
+TETCASTI_TARGET_WALK TETCASTI_INLINE __m256 tetcasti_role8(const __m256 of[4], __m256 odd, __m256 high) {
+    return _mm256_blendv_ps(_mm256_blendv_ps(of[0], of[1], odd), _mm256_blendv_ps(of[2], of[3], odd), high);
 }
 
-/* tetcasti_tile_rect and tetcasti_splat_open with the four vertices side by side: 0: no pixel, 1: ready, 2: only the
-   exact signs can tell. */
-TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_splat_open4(const tetcasti_painter *p, const uint32_t tet[4],
-                                                                   tetcasti_splat *s, int32_t rect[4]) {
-    const tetcasti_view *v = p->view;
-    const tetcasti_vertex *vertex = v->scene->vertex;
-    const __m128 sign = _mm_set1_ps(-0.0f), place = _mm_set1_ps(v->place);
-    __m128 x, y, z, w, t0, t1, t2, t3, area, fx[3], fy[3], value, span;
-    __m128i lo, hi, xi, yi, roles;
-    __m256 xx, yy, x_from, x_to, y_from, y_to, a, b;
-    __m256i from, to;
-    int32_t half = (int32_t)(1u << v->log) / 2, margin;
-    uint32_t k, fronts;
-    float wide, most;
-    t0 = _mm_loadu_ps((const float *)(const void *)&v->seen[tet[0]]);
-    t1 = _mm_loadu_ps((const float *)(const void *)&v->seen[tet[1]]);
-    t2 = _mm_loadu_ps((const float *)(const void *)&v->seen[tet[2]]);
-    t3 = _mm_loadu_ps((const float *)(const void *)&v->seen[tet[3]]);
-    _MM_TRANSPOSE4_PS(t0, t1, t2, t3);
-    xi = _mm_castps_si128(t0);
-    yi = _mm_castps_si128(t1);
-    z = t2;
-    w = t3;
-    if (TETCASTI_UNLIKELY(_mm_movemask_ps(w) != 0)) return tetcasti_tile_rect(p, tet, rect) ? 2 : 0;
-    lo = _mm_unpacklo_epi32(tetcasti_least4(xi), tetcasti_least4(yi)); /* x, y */
-    hi = _mm_unpacklo_epi32(tetcasti_most4(xi), tetcasti_most4(yi));
-    t0 = _mm_max_ps(w, _mm_shuffle_ps(w, w, 0x4e));
-    most = _mm_cvtss_f32(_mm_max_ss(t0, _mm_shuffle_ps(t0, t0, 0xb1)));
-    wide = v->blur * most * v->places + 2.0f;
-    margin = wide < 268435456.0f ? (int32_t)wide : 268435456;
-    for (k = 0; k < 2; k++) {
-        int32_t l = k == 0 ? _mm_cvtsi128_si32(lo) : _mm_extract_epi32(lo, 1);
-        int32_t h = k == 0 ? _mm_cvtsi128_si32(hi) : _mm_extract_epi32(hi, 1);
-        int32_t size = (int32_t)(k == 0 ? v->pixels.width : v->pixels.height);
-        rect[k] = tetcasti_place_pixel(l - margin + half - 1, v->log);
-        rect[k + 2] = tetcasti_place_pixel(h + margin - half, v->log) + 1;
-        rect[k] = rect[k] > 0 ? rect[k] : 0;
-        rect[k + 2] = rect[k + 2] < size ? rect[k + 2] : size;
-        if (k == 0) s->x0 = tetcasti_place_pixel(l, v->log);
-        else s->y0 = tetcasti_place_pixel(l, v->log);
+#define TETCASTI_LOAD16(table) \
+    _mm256_broadcastsi128_si256(_mm_loadu_si128((const __m128i *)(const void *)(table)))
+#define TETCASTI_STORE(to, what) _mm256_storeu_ps(to, what)
+#define TETCASTI_STORE_INT(to, what) _mm256_storeu_si256((__m256i *)(void *)(to), what)
+
+/* The second half of tetcasti_splats_open8: roles and edge functions. fronts: faces in front. */
+TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_splats_roles8(tetcasti_splat8 *s, __m256i fronts, const __m256 x[4],
+                                                                 const __m256 y[4], const __m256 z[4],
+                                                                 const __m256 w[4], const __m256 value[4]) {
+    const __m256 sign = _mm256_set1_ps(-0.0f);
+    __m256i form = _mm256_and_si256(_mm256_shuffle_epi8(TETCASTI_LOAD16(tetcasti_forms), fronts), _mm256_set1_epi32(3));
+    __m256 two = _mm256_castsi256_ps(_mm256_slli_epi32(form, 30)), px[4], py[4];
+    uint32_t k;
+    TETCASTI_STORE_INT(s->form, form);
+    for (k = 0; k < 4; k++) {
+        __m256i role = _mm256_shuffle_epi8(TETCASTI_LOAD16(tetcasti_roles[k]), fronts);
+        __m256 odd = _mm256_castsi256_ps(_mm256_slli_epi32(role, 31)), high = _mm256_castsi256_ps(_mm256_slli_epi32(role, 30));
+        __m256 q = tetcasti_role8(w, odd, high);
+        px[k] = tetcasti_role8(x, odd, high);
+        py[k] = tetcasti_role8(y, odd, high);
+        TETCASTI_STORE(s->w[k], q);
+        TETCASTI_STORE(s->wz[k], _mm256_mul_ps(q, tetcasti_role8(z, odd, high)));
+        TETCASTI_STORE(s->ws[k], _mm256_mul_ps(q, tetcasti_role8(value, odd, high)));
     }
-    tetcasti_tile_clip(p, rect);
-    if (rect[0] >= rect[2] || rect[1] >= rect[3]) return 0;
-    x = _mm_mul_ps(_mm_cvtepi32_ps(_mm_sub_epi32(xi, _mm_set1_epi32(s->x0 * 2 * half + half))), place);
-    y = _mm_mul_ps(_mm_cvtepi32_ps(_mm_sub_epi32(yi, _mm_set1_epi32(s->y0 * 2 * half + half))), place);
-    span = _mm_mul_ps(_mm_cvtepi32_ps(_mm_sub_epi32(hi, lo)), place);
-    wide = _mm_cvtss_f32(span) + _mm_cvtss_f32(_mm_shuffle_ps(span, span, 0x55)) + 2.0f;
-    s->bound = v->blur * most * wide + 9.5367432e-7f * (wide * wide);
-    /* faces {1,2,3} {0,3,2} {0,1,3} {0,2,1} */
-    fx[0] = _mm_shuffle_ps(x, x, _MM_SHUFFLE(0, 0, 0, 1));
-    fx[1] = _mm_shuffle_ps(x, x, _MM_SHUFFLE(2, 1, 3, 2));
-    fx[2] = _mm_shuffle_ps(x, x, _MM_SHUFFLE(1, 3, 2, 3));
-    fy[0] = _mm_shuffle_ps(y, y, _MM_SHUFFLE(0, 0, 0, 1));
-    fy[1] = _mm_shuffle_ps(y, y, _MM_SHUFFLE(2, 1, 3, 2));
-    fy[2] = _mm_shuffle_ps(y, y, _MM_SHUFFLE(1, 3, 2, 3));
-    area = _mm_sub_ps(_mm_mul_ps(_mm_sub_ps(fx[1], fx[0]), _mm_sub_ps(fy[2], fy[0])),
-                      _mm_mul_ps(_mm_sub_ps(fy[1], fy[0]), _mm_sub_ps(fx[2], fx[0])));
-    fronts = (uint32_t)_mm_movemask_ps(area);
-    if (TETCASTI_UNLIKELY(_mm_movemask_ps(_mm_cmpgt_ps(_mm_andnot_ps(sign, area),
-                                                       _mm_set1_ps(3.0f * s->bound))) != 15 ||
-                          fronts == 0 || fronts == 15)) return 2;
-    s->form = tetcasti_forms[fronts];
-    roles = _mm_cvtepu8_epi32(_mm_cvtsi32_si128((int)tetcasti_load_u32(tetcasti_roles[fronts])));
-    value = _mm_setr_ps(vertex[tet[0]].s, vertex[tet[1]].s, vertex[tet[2]].s, vertex[tet[3]].s);
-    x = _mm_permutevar_ps(x, roles);
-    y = _mm_permutevar_ps(y, roles);
-    xx = _mm256_castps128_ps256(x);
-    yy = _mm256_castps128_ps256(y);
-    from = _mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i *)(const void *)tetcasti_splat_edges[s->form >> 1][0]));
-    to = _mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i *)(const void *)tetcasti_splat_edges[s->form >> 1][1]));
-    x_from = _mm256_permutevar8x32_ps(xx, from);
-    x_to = _mm256_permutevar8x32_ps(xx, to);
-    y_from = _mm256_permutevar8x32_ps(yy, from);
-    y_to = _mm256_permutevar8x32_ps(yy, to);
-    a = _mm256_sub_ps(y_from, y_to);
-    b = _mm256_sub_ps(x_to, x_from);
-    _mm256_storeu_ps(s->a, a);
-    _mm256_storeu_ps(s->b, b);
-    _mm256_storeu_ps(s->c, _mm256_xor_ps(_mm256_set1_ps(-0.0f),
-                                         _mm256_add_ps(_mm256_mul_ps(a, x_from), _mm256_mul_ps(b, y_from))));
-    t0 = _mm_min_ps(value, _mm_shuffle_ps(value, value, 0x4e));
-    t1 = _mm_max_ps(value, _mm_shuffle_ps(value, value, 0x4e));
-    s->s_lo = _mm_cvtss_f32(_mm_min_ss(t0, _mm_shuffle_ps(t0, t0, 0xb1)));
-    s->s_hi = _mm_cvtss_f32(_mm_max_ss(t1, _mm_shuffle_ps(t1, t1, 0xb1)));
-    w = _mm_permutevar_ps(w, roles);
-    _mm_storeu_ps(s->w, w);
-    _mm_storeu_ps(s->wz, _mm_mul_ps(w, _mm_permutevar_ps(z, roles)));
-    _mm_storeu_ps(s->ws, _mm_mul_ps(w, _mm_permutevar_ps(value, roles)));
-    return 1;
+    for (k = 0; k < 6; k++) {
+        const uint32_t from = tetcasti_splat_edges[0][0][k], from2 = tetcasti_splat_edges[1][0][k];
+        const uint32_t to = tetcasti_splat_edges[0][1][k], to2 = tetcasti_splat_edges[1][1][k];
+        __m256 x_from = _mm256_blendv_ps(px[from], px[from2], two), y_from = _mm256_blendv_ps(py[from], py[from2], two);
+        __m256 a = _mm256_sub_ps(y_from, _mm256_blendv_ps(py[to], py[to2], two));
+        __m256 b = _mm256_sub_ps(_mm256_blendv_ps(px[to], px[to2], two), x_from);
+        TETCASTI_STORE(s->a[k], a);
+        TETCASTI_STORE(s->b[k], b);
+        TETCASTI_STORE(s->c[k], _mm256_xor_ps(sign, _mm256_add_ps(_mm256_mul_ps(a, x_from), _mm256_mul_ps(b, y_from))));
+    }
 }
 
-/* tetcasti_list_put of z0, z1, s0, s1; list: p->list + i * p->room. Returns how many there are now. */
-TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_list_put4(tetcasti_fragment *list, uint16_t *count,
+/* tetcasti_tile_rect and tetcasti_splat_open of up to eight cells, side by side. */
+TETCASTI_TARGET_WALK static void tetcasti_splats_open8(tetcasti_painter *p, const tetcasti_entry *e, uint32_t n) {
+    const tetcasti_view *v = p->view;
+    const uint32_t (*tets)[4] = (const uint32_t (*)[4])v->scene->mesh->tet;
+    tetcasti_splat8 *s = &p->splat;
+    const __m256 sign = _mm256_set1_ps(-0.0f), place = _mm256_set1_ps(v->place), zero = _mm256_setzero_ps();
+    const __m128i log = _mm_cvtsi32_si128((int)v->log);
+    const __m256i flip = _mm256_set1_epi32((int)0x80000000u), base = _mm256_srl_epi32(flip, log);
+    const __m256i half = _mm256_set1_epi32((int32_t)(1u << v->log) / 2), one = _mm256_set1_epi32(1);
+    __m256 ids[4], row[4], x[4], y[4], z[4], w[4], value[4], behind = zero, most, wide, bound, clear, t0, t1;
+    __m256i at[2][4], lo[2], hi[2], margin, good, fronts = _mm256_setzero_si256();
+    uint32_t cell[8], id[8], i, k, odd;
+    for (k = 0; k < 8; k++) cell[k] = e[k < n ? k : 0].cell;
+    tetcasti_load8x4(tets, 4, cell, NULL, ids);
+    for (k = 0; k < 4; k++) {
+        _mm256_storeu_si256((__m256i *)(void *)id, _mm256_castps_si256(ids[k]));
+        tetcasti_load8x4(v->seen, 4, id, NULL, row);
+        at[0][k] = _mm256_castps_si256(row[0]);
+        at[1][k] = _mm256_castps_si256(row[1]);
+        z[k] = row[2];
+        w[k] = row[3];
+        behind = _mm256_or_ps(behind, row[3]);
+        tetcasti_load8x4(v->scene->vertex, 4, id, NULL, row);
+        value[k] = row[3];
+    }
+    most = _mm256_max_ps(_mm256_max_ps(w[0], w[2]), _mm256_max_ps(w[1], w[3]));
+    wide = _mm256_add_ps(_mm256_mul_ps(_mm256_mul_ps(_mm256_set1_ps(v->blur), most), _mm256_set1_ps(v->places)),
+                         _mm256_set1_ps(2.0f));
+    margin = _mm256_cvttps_epi32(_mm256_min_ps(wide, _mm256_set1_ps(268435456.0f)));
+    good = _mm256_set1_epi32(-1);
+    for (i = 0; i < 2; i++) { /* pixels in the picture, then in the tile */
+        const int32_t size = (int32_t)(i == 0 ? v->pixels.width : v->pixels.height);
+        const __m256i start = _mm256_set1_epi32((int32_t)(i == 0 ? p->x0 : p->y0));
+        const __m256i length = _mm256_set1_epi32((int32_t)(i == 0 ? p->width : p->height));
+        __m256i from, to, first;
+        lo[i] = _mm256_min_epi32(_mm256_min_epi32(at[i][0], at[i][1]), _mm256_min_epi32(at[i][2], at[i][3]));
+        hi[i] = _mm256_max_epi32(_mm256_max_epi32(at[i][0], at[i][1]), _mm256_max_epi32(at[i][2], at[i][3]));
+        from = _mm256_sub_epi32(_mm256_add_epi32(_mm256_sub_epi32(lo[i], margin), half), one);
+        to = _mm256_sub_epi32(_mm256_add_epi32(hi[i], margin), half);
+        from = _mm256_sub_epi32(_mm256_srl_epi32(_mm256_add_epi32(from, flip), log), base);
+        to = _mm256_add_epi32(_mm256_sub_epi32(_mm256_srl_epi32(_mm256_add_epi32(to, flip), log), base), one);
+        to = _mm256_min_epi32(to, _mm256_set1_epi32(size));
+        from = _mm256_max_epi32(_mm256_sub_epi32(from, start), _mm256_setzero_si256());
+        to = _mm256_min_epi32(_mm256_sub_epi32(to, start), length);
+        good = _mm256_and_si256(good, _mm256_cmpgt_epi32(to, from));
+        TETCASTI_STORE_INT(s->rect[i], from);
+        TETCASTI_STORE_INT(s->rect[i + 2], to);
+        first = _mm256_sub_epi32(_mm256_srl_epi32(_mm256_add_epi32(lo[i], flip), log), base);
+        TETCASTI_STORE_INT(i == 0 ? s->x0 : s->y0, first);
+        first = _mm256_add_epi32(_mm256_sll_epi32(first, log), half);
+        for (k = 0; k < 4; k++)
+            (i == 0 ? x : y)[k] = _mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_sub_epi32(at[i][k], first)), place);
+    }
+    wide = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_sub_epi32(hi[0], lo[0])), place),
+                                       _mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_sub_epi32(hi[1], lo[1])), place)),
+                         _mm256_set1_ps(2.0f));
+    bound = _mm256_add_ps(_mm256_mul_ps(_mm256_mul_ps(_mm256_set1_ps(v->blur), most), wide),
+                          _mm256_mul_ps(_mm256_set1_ps(9.5367432e-7f), _mm256_mul_ps(wide, wide)));
+    TETCASTI_STORE(s->bound, bound);
+    bound = _mm256_mul_ps(_mm256_set1_ps(3.0f), bound);
+    clear = _mm256_castsi256_ps(_mm256_set1_epi32(-1));
+    for (k = 0; k < 4; k++) {
+        const uint8_t *f = tetcasti_face_of[k];
+        __m256 area = _mm256_sub_ps(
+            _mm256_mul_ps(_mm256_sub_ps(x[f[1]], x[f[0]]), _mm256_sub_ps(y[f[2]], y[f[0]])),
+            _mm256_mul_ps(_mm256_sub_ps(y[f[1]], y[f[0]]), _mm256_sub_ps(x[f[2]], x[f[0]])));
+        clear = _mm256_and_ps(clear, _mm256_cmp_ps(_mm256_andnot_ps(sign, area), bound, _CMP_GT_OQ));
+        fronts = _mm256_or_si256(fronts, _mm256_slli_epi32(_mm256_srli_epi32(_mm256_castps_si256(area), 31), (int)k));
+    }
+    clear = _mm256_andnot_ps(_mm256_castsi256_ps(_mm256_or_si256(
+                                 _mm256_cmpeq_epi32(fronts, _mm256_setzero_si256()),
+                                 _mm256_cmpeq_epi32(fronts, _mm256_set1_epi32(15)))), clear);
+    t0 = _mm256_min_ps(value[0], value[2]);
+    t1 = _mm256_min_ps(value[1], value[3]);
+    TETCASTI_STORE(s->s_lo, _mm256_min_ps(t0, t1));
+    t0 = _mm256_max_ps(value[0], value[2]);
+    t1 = _mm256_max_ps(value[1], value[3]);
+    TETCASTI_STORE(s->s_hi, _mm256_max_ps(t0, t1));
+    tetcasti_splats_roles8(s, fronts, x, y, z, w, value);
+    k = (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(good));
+    odd = (uint32_t)_mm256_movemask_ps(behind);
+    s->ready = k & ~odd & (uint32_t)_mm256_movemask_ps(clear);
+    s->exact = k & ~odd & ~s->ready;
+    for (; TETCASTI_UNLIKELY(odd != 0); odd &= odd - 1) {
+        int32_t rect[4];
+        i = tetcasti_ctz64(odd);
+        if (!tetcasti_tile_rect(p, tets[cell[i]], rect)) continue;
+        s->exact |= 1u << i;
+        for (k = 0; k < 4; k++) s->rect[k][i] = rect[k];
+    }
+}
+#undef TETCASTI_LOAD16
+#undef TETCASTI_STORE
+#undef TETCASTI_STORE_INT
+
+/* tetcasti_list_put of z0, z1, s0, s1; list: p->list + i. Returns how many there are now. */
+TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_list_put4(float (*list)[4], uint32_t *list_cell, uint16_t *count,
                                                                  const float rec[4], uint32_t cell) {
     const uint32_t full = *count + 1u;
-    uint32_t n = full - 1;
-    tetcasti_fragment *f = list + n;
+    const ptrdiff_t back = (ptrdiff_t)TETCASTI_BATCH;
+    float (*f)[4] = list + (full - 1) * (size_t)TETCASTI_BATCH;
     *count = (uint16_t)full;
-    for (; n > 0 && TETCASTI_UNLIKELY(f[-1].z0 >= rec[0]); n--, f--) {
-        if (!(f[-1].z0 > rec[0] || f[-1].z1 > rec[1])) break;
-        *f = f[-1];
+    for (; f != list && TETCASTI_UNLIKELY(f[-back][0] >= rec[0]); f -= back) {
+        if (!(f[-back][0] > rec[0] || f[-back][1] > rec[1])) break;
+        _mm_storeu_ps(f[0], _mm_loadu_ps(f[-back]));
+        if (list_cell != NULL) list_cell[f - list] = list_cell[f - list - back];
     }
-    _mm_storeu_ps(&f->z0, _mm_loadu_ps(rec));
-    f->cell = cell;
+    _mm_storeu_ps(f[0], _mm_loadu_ps(rec));
+    if (list_cell != NULL) list_cell[f - list] = cell;
     return full;
 }
 
-/* tetcasti_paint_cell, eight pixels at a time: of a row, or four of two rows where cells are narrow. */
-TETCASTI_TARGET_WALK static void tetcasti_paint8(tetcasti_painter *p, uint32_t cell) {
-    const uint32_t *tet = p->scene->mesh->tet[cell];
-    tetcasti_fragment *const list = p->list; /* what is written may not be what is read: only we know */
+/* Pixels of a block of 2x4, 4x2 or 8x1 pixels: coordinates, and places in the tile. */
+static const float tetcasti_block_x[3][8] = {{0, 1, 0, 1, 0, 1, 0, 1}, {0, 1, 2, 3, 0, 1, 2, 3}, {0, 1, 2, 3, 4, 5, 6, 7}};
+static const float tetcasti_block_y[3][8] = {{0, 0, 1, 1, 2, 2, 3, 3}, {0, 0, 0, 0, 1, 1, 1, 1}, {0, 0, 0, 0, 0, 0, 0, 0}};
+#define TETCASTI_T TETCASTI_TILE
+static const uint32_t tetcasti_block_place[3][8] = {
+    {0, 1, TETCASTI_T, TETCASTI_T + 1, 2 * TETCASTI_T, 2 * TETCASTI_T + 1, 3 * TETCASTI_T, 3 * TETCASTI_T + 1},
+    {0, 1, 2, 3, TETCASTI_T, TETCASTI_T + 1, TETCASTI_T + 2, TETCASTI_T + 3}, {0, 1, 2, 3, 4, 5, 6, 7}};
+#undef TETCASTI_T
+
+/* Pixels of a block by exact signs. Few: not where registers are short. */
+TETCASTI_TARGET_WALK TETCASTI_NOINLINE static void tetcasti_paint_exacts8(tetcasti_painter *p, uint32_t first,
+                                                                          const uint32_t place[8], uint32_t lanes,
+                                                                          uint32_t cell) {
+    for (; lanes != 0; lanes &= lanes - 1)
+        tetcasti_paint_exact(p, first + place[tetcasti_ctz64(lanes)], p->scene->mesh->tet[cell], cell);
+}
+
+/* tetcasti_paint_cell, eight pixels at a time. */
+TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_paint8(tetcasti_painter *p, uint32_t cell, const int with_cells) {
+    const tetcasti_splat8 *s = &p->splat;
+    const uint32_t column = p->column;
+    float (*const list)[4] = p->list; /* what is written may not be what is read: only we know */
+    uint32_t *const list_cell = with_cells ? p->list_cell : NULL;
     uint16_t *const count = p->count;
-    const size_t room = p->room;
-    tetcasti_splat s;
-    int32_t x, y, rect[4], step_x, step_y;
-    uint32_t good = tetcasti_splat_open4(p, tet, &s, rect), fullest = p->fullest, tests = 0;
-    __m256 lane_x, lane_y;
-    int narrow;
-    if (TETCASTI_UNLIKELY(good != 1)) {
-        if (good != 0) tetcasti_paint_rect(p, cell, rect);
+    const uint32_t room = p->room;
+    const int32_t x_end = s->rect[2][column], y_end = s->rect[3][column];
+    int32_t x, y, step_x, step_y, rect[4];
+    uint32_t full = 0, tests = 0, k, log;
+    const uint32_t *place;
+    __m256 dx, dy;
+    if (TETCASTI_UNLIKELY((s->ready >> column & 1u) == 0)) {
+        if ((s->exact >> column & 1u) == 0) return;
+        for (k = 0; k < 4; k++) rect[k] = s->rect[k][column];
+        tetcasti_paint_rect(p, cell, rect);
         return;
     }
-    narrow = rect[2] - rect[0] <= 4;
-    step_x = narrow ? 4 : 8;
-    step_y = narrow ? 2 : 1;
-    lane_x = narrow ? _mm256_setr_ps(0, 1, 2, 3, 0, 1, 2, 3) : _mm256_setr_ps(0, 1, 2, 3, 4, 5, 6, 7);
-    lane_y = narrow ? _mm256_setr_ps(0, 0, 0, 0, 1, 1, 1, 1) : _mm256_setzero_ps();
-    for (y = rect[1]; y < rect[3]; y += step_y) {
-        __m256 vy = _mm256_add_ps(_mm256_set1_ps((float)((int32_t)p->y0 + y - s.y0)), lane_y);
-        for (x = rect[0]; x < rect[2]; x += step_x) {
-            __m256 e[6], vx = _mm256_add_ps(_mm256_set1_ps((float)((int32_t)p->x0 + x - s.x0)), lane_x);
-            uint32_t wide = rect[2] - x < step_x ? (1u << (rect[2] - x)) - 1u : narrow ? 15u : 255u;
-            uint32_t lanes = p->live[y] >> x & wide, exact, first = (uint32_t)y * TETCASTI_TILE + (uint32_t)x;
-            __m256 out[4], t0, t1, t2, t3;
+    x = x_end - s->rect[0][column];
+    log = x <= 2 ? 1 : x <= 4 ? 2 : 3;
+    place = tetcasti_block_place[log - 1];
+    step_x = (int32_t)(1u << log);
+    step_y = (int32_t)(8u >> log);
+    dx = _mm256_add_ps(_mm256_set1_ps((float)((int32_t)p->x0 - s->x0[column])), _mm256_loadu_ps(tetcasti_block_x[log - 1]));
+    dy = _mm256_add_ps(_mm256_set1_ps((float)((int32_t)p->y0 - s->y0[column])), _mm256_loadu_ps(tetcasti_block_y[log - 1]));
+    for (y = s->rect[1][column]; y < y_end; y += step_y) {
+        const __m256 vy = _mm256_add_ps(_mm256_set1_ps((float)y), dy);
+        for (x = s->rect[0][column]; x < x_end; x += step_x) {
+            const uint32_t wide = x_end - x < step_x ? (1u << (x_end - x)) - 1u : (1u << step_x) - 1u;
+            const uint32_t first = (uint32_t)y * TETCASTI_TILE + (uint32_t)x;
+            __m256 e[6], vx = _mm256_add_ps(_mm256_set1_ps((float)x), dx), out[4], t0, t1, t2, t3;
+            uint32_t lanes = p->live[y] >> x & wide, exact;
             float rec[8][4];
-            if (narrow && y + 1 < rect[3]) lanes |= (p->live[y + 1] >> x & wide) << 4;
+            for (k = 1; k < (uint32_t)step_y && y + (int32_t)k < y_end; k++)
+                lanes |= (p->live[y + (int32_t)k] >> x & wide) << (k << log);
             if (lanes == 0) continue;
             tests += tetcasti_popcount64(lanes);
-            if (s.form == 2) {
-                lanes = tetcasti_splat_lanes(&s, 4, lanes, vx, vy, e, &exact);
-                if (lanes != 0) tetcasti_splat_quad8(&s, e, out);
+            if (s->form[column] == 2) {
+                lanes = tetcasti_splat_lanes(s, column, 4, lanes, vx, vy, e, &exact);
+                if (lanes != 0) tetcasti_splat_quad8(s, column, e, out);
             } else {
-                lanes = tetcasti_splat_lanes(&s, 3, lanes, vx, vy, e, &exact);
-                if (lanes != 0) tetcasti_splat_single8(&s, e, out);
+                lanes = tetcasti_splat_lanes(s, column, 3, lanes, vx, vy, e, &exact);
+                if (lanes != 0) tetcasti_splat_single8(s, column, e, out);
             }
             if (lanes != 0) { /* one record a lane */
                 t0 = _mm256_unpacklo_ps(out[0], out[1]);
@@ -11713,19 +11815,23 @@ TETCASTI_TARGET_WALK static void tetcasti_paint8(tetcasti_painter *p, uint32_t c
 #undef TETCASTI_RECORDS
             }
             for (; lanes != 0; lanes &= lanes - 1) {
-                const uint32_t k = tetcasti_ctz64(lanes);
-                const uint32_t i = first + (narrow ? (k & 4u) * (TETCASTI_TILE / 4 - 1) + k : k);
-                const uint32_t n = tetcasti_list_put4(list + i * room, &count[i], rec[k], cell);
-                fullest = n > fullest ? n : fullest;
+                const uint32_t lane = tetcasti_ctz64(lanes), i = first + place[lane];
+                const uint32_t n = tetcasti_list_put4(list + i, list_cell != NULL ? list_cell + i : NULL, &count[i],
+                                                      rec[lane], cell);
+                full |= (uint32_t)(n == room);
             }
-            for (; TETCASTI_UNLIKELY(exact != 0); exact &= exact - 1) {
-                uint32_t k = tetcasti_ctz64(exact);
-                tetcasti_paint_exact(p, first + (narrow ? (k & 4u) * (TETCASTI_TILE / 4 - 1) + k : k), tet, cell);
-            }
+            if (TETCASTI_UNLIKELY(exact != 0)) tetcasti_paint_exacts8(p, first, place, exact, cell);
         }
     }
-    p->fullest = fullest > p->fullest ? fullest : p->fullest; /* exact ones count themselves */
+    p->full |= full; /* exact ones see to that themselves */
     p->tests += tests;
+}
+
+TETCASTI_TARGET_WALK static void tetcasti_paint8_plain(tetcasti_painter *p, uint32_t cell) {
+    tetcasti_paint8(p, cell, 0);
+}
+TETCASTI_TARGET_WALK static void tetcasti_paint8_cells(tetcasti_painter *p, uint32_t cell) {
+    tetcasti_paint8(p, cell, 1);
 }
 #undef TETCASTI_SUMS_FIRST
 #undef TETCASTI_SUMS_ADD
@@ -11797,9 +11903,9 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_fragments_add8(tetcasti_p
 
 TETCASTI_TARGET_WALK static void tetcasti_lists_run8(tetcasti_painter *p, float until) {
     uint32_t i, k, j, end = TETCASTI_TILE * p->height, live;
-    p->fullest = 0;
+    p->full = 0;
     for (i = 0; i < end; i += 8) {
-        const tetcasti_fragment *f = p->list + (size_t)i * p->room;
+        const float (*f)[4] = (const float (*)[4])p->list + i;
         uint32_t n[8], most = 0, todo, used[8];
         for (j = 0; j < 8; j++) {
             n[j] = p->count[i + j];
@@ -11809,13 +11915,12 @@ TETCASTI_TARGET_WALK static void tetcasti_lists_run8(tetcasti_painter *p, float 
         if (most == 0) continue;
         live = p->live[i / TETCASTI_TILE] >> (i % TETCASTI_TILE) & 255u;
         todo = live;
-        for (k = 0; k < most && todo != 0; k++) {
+        for (k = 0; k < most && todo != 0; k++, f += TETCASTI_BATCH) {
             __m256 r0, r1, r2, r3, t0, t1, t2, t3, z0;
             __m256i count = _mm256_loadu_si256((const __m256i *)(const void *)n);
             uint32_t ended;
 #define TETCASTI_PAIR(l) \
-            _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(&f[(l) * (size_t)p->room + k].z0)), \
-                                 _mm_loadu_ps(&f[((l) + 4) * (size_t)p->room + k].z0), 1)
+            _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(f[l])), _mm_loadu_ps(f[(l) + 4]), 1)
             r0 = TETCASTI_PAIR(0);
             r1 = TETCASTI_PAIR(1);
             r2 = TETCASTI_PAIR(2);
@@ -11839,14 +11944,7 @@ TETCASTI_TARGET_WALK static void tetcasti_lists_run8(tetcasti_painter *p, float 
             for (; TETCASTI_UNLIKELY(ended != 0); ended &= ended - 1) tetcasti_pixel_end(p, i + tetcasti_ctz64(ended));
         }
         live = p->live[i / TETCASTI_TILE] >> (i % TETCASTI_TILE) & 255u;
-        for (j = 0; j < 8; j++) {
-            uint32_t left = live >> j & 1u ? n[j] - used[j] : 0;
-            if (left != 0 && used[j] != 0)
-                memmove(p->list + (i + j) * (size_t)p->room, p->list + (i + j) * (size_t)p->room + used[j],
-                        left * sizeof *f);
-            p->count[i + j] = (uint16_t)left;
-            p->fullest = left > p->fullest ? left : p->fullest;
-        }
+        for (j = 0; j < 8; j++) tetcasti_list_drop(p, i + j, used[j], live >> j & 1u ? n[j] - used[j] : 0);
     }
 }
 #endif /* TETCASTI_AVX2 */
@@ -11857,6 +11955,7 @@ static void tetcasti_painter_close(tetcasti_painter *p) {
     if (p == NULL) return;
     tetcasti_free(p->mem, p->entry);
     tetcasti_free(p->mem, p->list);
+    tetcasti_free(p->mem, p->list_cell);
     tetcasti_free(p->mem, p);
 }
 
@@ -11873,15 +11972,20 @@ static tetcasti_painter *tetcasti_painter_open(tetcasti_mem *mem, const tetcasti
     p->mode = mode;
     p->keep_room = keep;
     p->room = keep + 1 > TETCASTI_LIST_ROOM ? keep + 1 : TETCASTI_LIST_ROOM;
-    p->list = (tetcasti_fragment *)tetcasti_alloc_zero(mem, (size_t)p->room * TETCASTI_BATCH, sizeof *p->list);
-    if (p->list == NULL) {
+    p->list = (float (*)[4])tetcasti_alloc_zero(mem, (size_t)p->room * TETCASTI_BATCH, sizeof *p->list);
+    if (v->scene->any)
+        p->list_cell = (uint32_t *)tetcasti_alloc_zero(mem, (size_t)p->room * TETCASTI_BATCH, sizeof *p->list_cell);
+    if (p->list == NULL || (v->scene->any && p->list_cell == NULL)) {
         tetcasti_painter_close(p);
         return NULL;
     }
     p->run = tetcasti_lists_run;
     p->paint = v->scene->fma ? tetcasti_paint_fma : tetcasti_paint_plain;
 #if TETCASTI_AVX2
-    if (v->scene->isa >= TETCAST_ISA_AVX2 && mode == TETCASTI_KEEP_ALL) p->paint = tetcasti_paint8;
+    if (v->scene->isa >= TETCAST_ISA_AVX2 && mode == TETCASTI_KEEP_ALL) {
+        p->open_cells = tetcasti_splats_open8;
+        p->paint = v->scene->any ? tetcasti_paint8_cells : tetcasti_paint8_plain;
+    }
     if (v->scene->isa >= TETCAST_ISA_AVX2 && mode == TETCASTI_KEEP_ALL && !v->scene->any) p->run = tetcasti_lists_run8;
 #endif
     p->join_z = (float)(4.0 * TETCASTI_BLUR);
@@ -11941,7 +12045,7 @@ static void tetcasti_painter_begin(tetcasti_painter *p, const double ends[2]) {
     memset(p->live, 0, sizeof p->live);
     if (p->scene->optics != NULL)
         for (i = 0; i < TETCASTI_BATCH; i++) tetcasti_lane_begin(p->scene->optics, &p->sum[i / 8], i % 8);
-    p->fullest = p->open = p->groups = 0;
+    p->full = p->open = p->groups = 0;
     for (k = 0; k < 3; k++) {
         right += m->right[k] * m->right[k];
         up += m->up[k] * m->up[k];
@@ -12000,20 +12104,22 @@ static void tetcasti_tile_paint(tetcasti_painter *p, uint32_t tile, const double
     for (k = TETCASTI_DEPTHS; k > 0; k--)
         p->ahead[k - 1] = p->ahead[k] < p->ahead[k - 1] ? p->ahead[k] : p->ahead[k - 1];
     for (k = 0; k < n && p->open != 0; k++, e++) {
-        if (p->fullest == p->room) { /* the other cells lie behind this */
+        if (p->full) { /* the other cells lie behind this */
             if (p->mode == TETCASTI_KEEP_ALL)
                 p->run(p, p->ahead[tetcasti_depth_step(e->z - first, scale)] - p->join_z);
-            if (p->fullest == p->room && !tetcasti_lists_grow(p)) return;
+            if (p->full && !tetcasti_lists_grow(p)) return;
         }
-        if (n - k > 12) { /* cells of a tile are far from each other in memory: a fifth of the time */
-            const uint32_t *tet = v->scene->mesh->tet[e[6].cell];
+        if (n - k > 22) { /* cells of a tile are far from each other in memory: a fifth of the time */
+            const uint32_t *tet = v->scene->mesh->tet[e[14].cell];
             uint32_t j;
-            TETCASTI_PREFETCH(v->scene->mesh->tet[e[12].cell]);
+            TETCASTI_PREFETCH(v->scene->mesh->tet[e[22].cell]);
             for (j = 0; j < 4; j++) {
                 TETCASTI_PREFETCH(&v->seen[tet[j]]);
                 TETCASTI_PREFETCH(&v->scene->vertex[tet[j]]);
             }
         }
+        p->column = k % 8;
+        if (p->open_cells != NULL && p->column == 0) p->open_cells(p, e, n - k);
         p->paint(p, e->cell);
     }
     p->run(p, TETCASTI_INF);

@@ -12,7 +12,7 @@ enum { METHOD_AUTO, METHOD_MARCH, METHOD_STRIPS, METHOD_PROJECT };
 typedef struct options {
     sup_common common;
     const char *in, *scene, *field, *tf, *clip;
-    int method, model, integrator, cells, order, has_model, has_opacity, smooth, weld, has_background, cue;
+    int method, model, integrator, cells, order, has_model, has_cells, has_opacity, smooth, weld, has_background, cue;
     int64_t detail;
     double opacity, scale, ortho, samples;
     int shader, has_cut;
@@ -36,6 +36,25 @@ static int collect_isovalues(int argc, char **argv, options *o) {
             return sup_bad_usage(argv[0], "--iso: not a number");
         o->isovalues[o->isovalue_count++] = (float)number;
     }
+    return -1;
+}
+
+/* Options that cannot both be meant. */
+static int contradictions(const char *program, const options *o) {
+    const int surfaces = o->model == TETCAST_MODEL_ISOSURFACE || o->model == TETCAST_MODEL_MIXED;
+    if (surfaces && !o->isovalue_count) return sup_bad_usage(program, "--model iso and mixed need --iso");
+    if (!surfaces && o->isovalue_count) return sup_bad_usage(program, "--iso is for --model iso and mixed");
+    if (o->method == METHOD_STRIPS && o->has_cells && o->cells != TETCAST_CELLS_STRIPS &&
+        o->cells != TETCAST_CELLS_STRIPS_GENERAL) return sup_bad_usage(program, "--method strips: --cells are others");
+    if (o->method == METHOD_PROJECT && (o->shader || o->has_cut))
+        return sup_bad_usage(program, "--shader and --cut walk, they do not project");
+    if (o->has_cut && o->cut[0] == 0.0f && o->cut[1] == 0.0f && o->cut[2] == 0.0f)
+        return sup_bad_usage(program, "--cut: 0,0,0 is no direction");
+    if (o->common.has_eye && o->common.has_at &&
+        memcmp(o->common.camera.eye, o->common.camera.at, sizeof o->common.camera.eye) == 0)
+        return sup_bad_usage(program, "--eye and --at are the same place");
+    if (o->common.has_tolerance && o->integrator != TETCAST_INTEGRATOR_EXACT)
+        return sup_bad_usage(program, "--tolerance: only the exact integrator knows its error");
     return -1;
 }
 
@@ -71,8 +90,8 @@ static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
                                 "exact|psi|riemann|trapezoid|midpoint|pre|prefix|table|incremental|subrange|table2d|"
                                 "table-prefix", "how a segment is integrated (exact)");
     table[n++] = sup_opt_real("samples", &o->samples, 1, 4096, "N", "parts of a segment, where it is cut");
-    table[n++] = sup_opt_choice("cells", &o->cells, "tet16|tet8|tet20|tet32|list|strips|strips-general",
-                                "how cells are stored (tet16)");
+    table[n++] = sup_opt_given(sup_opt_choice("cells", &o->cells, "tet16|tet8|tet20|tet32|list|strips|strips-general",
+                                              "how cells are stored (tet16)"), &o->has_cells);
     table[n++] = sup_opt_choice("order", &o->order, "hilbert|morton|input", "order of the cells in memory (hilbert)");
     table[n++] = sup_opt_flag("weld", &o->weld, "points at the same place become one");
     table[n++] = sup_opt_given(sup_opt_vec3("clip", clip, "near,far,0: show only these distances along the view"),
@@ -91,6 +110,8 @@ static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
     status = sup_out_check(argv[0], &o->common);
     if (status >= 0) return status;
     if (!o->has_model && o->isovalue_count) o->model = o->tf ? TETCAST_MODEL_MIXED : TETCAST_MODEL_ISOSURFACE;
+    status = contradictions(argv[0], o);
+    if (status >= 0) return status;
     if (has_clip && !(clip[0] >= 0.0f && (clip[1] > clip[0] || clip[1] == 0.0f)))
         return sup_bad_usage(argv[0], "--clip: near and far have to ascend");
     memset(desc, 0, sizeof *desc);
@@ -104,7 +125,7 @@ static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
         memcpy(desc->background, o->background, sizeof o->background);
         desc->background[3] = 1.0f;
     }
-    if (o->method == METHOD_STRIPS && o->cells == 0) o->cells = TETCAST_CELLS_STRIPS;
+    if (o->method == METHOD_STRIPS && !o->has_cells) o->cells = TETCAST_CELLS_STRIPS;
     desc->method = o->method == METHOD_AUTO ? TETCAST_METHOD_AUTO :
                    o->method == METHOD_PROJECT ? TETCAST_METHOD_PROJECT : TETCAST_METHOD_WALK;
     return -1;
@@ -184,7 +205,7 @@ static double choose_extinction(const options *o, const tetcast_render_desc *des
     return sup_extinction_scale(transfer, 64, 48, want, draw_small, &p);
 }
 
-static int make_optics(const options *o, const tetcast_mesh *mesh, const tetcast_render_desc *render,
+static int make_optics(const options *o, const char *in, const tetcast_mesh *mesh, const tetcast_render_desc *render,
                        tetcast_optics **out, tetcast_transfer **colours, double *extinction, sup_error *err) {
     static const float palette[4][3] = {{0.85f, 0.45f, 0.12f}, {0.15f, 0.45f, 0.85f}, {0.3f, 0.75f, 0.25f},
                                         {0.8f, 0.2f, 0.35f}};
@@ -199,8 +220,13 @@ static int make_optics(const options *o, const tetcast_mesh *mesh, const tetcast
     sup_transfer tf;
     const int named = !sup_transfer_is_file(o->tf);
     double diagonal;
+    float lo = 0.0f, hi = 0.0f;
     tetcast_mesh_get_info(mesh, &info);
     diagonal = sup_box_diagonal(info.box_min, info.box_max);
+    (void)tetcast_mesh_field(mesh, 0, &lo, &hi);
+    if (lo > hi) return sup_fail(err, "%s: all values of the field are NaN or infinite", in);
+    if (!(diagonal > 1e-15 && diagonal < 1e17)) /* lengths and what is per length are floats of such a size */
+        return sup_fail(err, "%s: the volume is %.3g long, 1e-15 to 1e17 can be shown", in, diagonal);
     if (read_transfer(o, &render->camera, mesh, diagonal, &tf, err)) return 1;
     if (sup_control_points(&tf, &points, err)) {
         sup_transfer_free(&tf);
@@ -228,7 +254,7 @@ static int make_optics(const options *o, const tetcast_mesh *mesh, const tetcast
         tetcast_check check;
         optics.longest = tetcast_mesh_check(mesh, env, &check) == TETCAST_OK ? (float)check.longest_edge : (float)diagonal;
     }
-    optics.tolerance = o->common.has_tolerance ? (float)o->common.tolerance : 0.0f;
+    optics.tolerance = o->common.has_tolerance ? fmaxf((float)o->common.tolerance, 1e-9f) : 0.0f; /* 0: its default */
     optics.path_length = (float)diagonal; /* no ray is longer inside of the box */
     optics.ambient[0] = optics.ambient[1] = optics.ambient[2] = 0.1f;
     if (o->cue) {
@@ -437,7 +463,7 @@ int main(int argc, char **argv) {
     status = load(&o, &desc.env, field, sizeof field, &report, &mesh, &err);
     if (!status) {
         set_camera(&o, mesh, &desc.camera);
-        status = make_optics(&o, mesh, &desc, &optics, &transfer, &extinction, &err);
+        status = make_optics(&o, o.in ? o.in : o.scene, mesh, &desc, &optics, &transfer, &extinction, &err);
     }
     if (!status && make_image(&o, &image)) status = sup_fail(&err, "out of memory for the picture");
     if (!status) {
@@ -459,6 +485,12 @@ int main(int argc, char **argv) {
         SUP_FREE(image.rgba8);
         SUP_FREE(image.rgba);
         SUP_FREE(image.depth);
+    }
+    if (!status && o.common.has_tolerance && !o.common.quiet) {
+        tetcast_optics_info how;
+        tetcast_optics_get_info(optics, &how);
+        if ((double)how.bound > o.common.tolerance * 1.0001)
+            fprintf(stderr, "warning: rounding alone can make errors of %.3g, which is more than --tolerance\n", (double)how.bound);
     }
     if (status) (void)sup_bad_input(argv[0], err.text);
     tetcast_optics_destroy(optics);

@@ -438,6 +438,10 @@ EXITS="
 1 voxrt_gi --scene cornell --save @/no/folder.txt
 1 zbufrand_render --scene @/garbage.obj --out @/bad.png
 1 tetcast_render @/garbage.obj --out @/bad.png
+1 tetcast_render @/nan.vtk --out @/bad.png
+1 tetcast_render @/huge.vtk --out @/bad.png
+1 tetcast_render @/cell.vtk --out @/bad.png --iso 7 --smooth
+0 tetcast_render @/cell.vtk --out @/one_cell.png --size 16x16 --quiet
 1 tetcast_bricks resample @/garbage.obj @/bad.brk
 1 tetcast_bricks render @/garbage.brk --out @/bad.png
 1 tetcast_rbf fit @/garbage.obj @/bad.rbf --max-error 0.1
@@ -463,6 +467,15 @@ EXITS="
 2 zbufrand_render --scene forest --out @/bad.png --tolerance 2
 2 zbufrand_render --scene forest --depth @/bad.png
 2 tetcast_render --out @/bad.png
+2 tetcast_render --scene lattice --out @/bad.png --model iso
+2 tetcast_render --scene lattice --out @/bad.png --model emission --iso 0.5
+2 tetcast_render --scene lattice --out @/bad.png --method strips --cells tet8
+2 tetcast_render --scene lattice --out @/bad.png --method project --shader lit
+2 tetcast_render --scene lattice --out @/bad.png --method project --cut 1,0,0
+2 tetcast_render --scene lattice --out @/bad.png --cut 0,0,0
+2 tetcast_render --scene lattice --out @/bad.png --integrator riemann --tolerance 1
+2 tetcast_render --scene lattice --out @/bad.png --eye 1,2,3 --at 1,2,3
+2 tetcast_render --scene lattice --out @/bad.png --clip 3,2,0
 2 tetcast_bricks
 2 tetcast_bricks render --out @/bad.png
 2 tetcast_rbf
@@ -472,6 +485,13 @@ exit_statuses() {
     local d=$OUT/obj/exits want line got bad=0
     rm -rf "$d"; mkdir -p "$d"
     printf 'v 0 0 nothing\nf 1 2 3\n' > "$d/garbage.obj"; cp "$d/garbage.obj" "$d/garbage.brk"; cp "$d/garbage.obj" "$d/garbage.rbf"
+    tetrahedron() { # LENGTH DATA VALUES
+        printf '# vtk DataFile Version 3.0\n\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 4 float\n0 0 0 %s 0 0 0 1 0 0 0 1\n' "$1"
+        printf 'CELLS 1 5\n4 0 1 2 3\nCELL_TYPES 1\n10\n%s\nSCALARS s float\nLOOKUP_TABLE default\n%s\n' "$2" "$3"
+    }
+    tetrahedron 1 'POINT_DATA 4' 'nan nan nan nan' > "$d/nan.vtk"
+    tetrahedron 1e30 'POINT_DATA 4' '0 1 2 3' > "$d/huge.vtk"
+    tetrahedron 1 'CELL_DATA 1' 7 > "$d/cell.vtk"
     while read -r want line; do
         [ -n "$want" ] || continue
         [ -f "$d/s.vox" ] && [ ! -f "$d/cut.vox" ] && head -c 100 "$d/s.vox" > "$d/cut.vox"

@@ -161,6 +161,46 @@ TEST(vtk_cells) {
     CHECK(g_memory.live == 0);
 }
 
+TEST(vtk_attributes) { /* all of them, the ones that are passed over as well: what follows is found */
+    static const struct {
+        const char *head, *type, *name; /* name NULL: no field */
+        int numbers, components;
+    } part[] = {{"SCALARS a float 2\nLOOKUP_TABLE own", "float", "a", 8, 2}, {"LOOKUP_TABLE own 2", "char", NULL, 8, 0},
+                {"VECTORS b double", "double", "b", 12, 3},                 {"NORMALS c float", "float", "c", 12, 3},
+                {"TENSORS d float", "float", "d", 36, 9},                   {"TEXTURE_COORDINATES e 2 float", "float", "e", 8, 2},
+                {"GLOBAL_IDS f vtktypeint64", "vtktypeint64", "f", 4, 1},   {"FIELD more 2\ng 1 4 int", "int", "g", 4, 1},
+                {"METADATA\nINFORMATION 0\n\nh 3 4 short", "short", "h", 12, 3},
+                {"METADATA\nCOMPONENT_NAMES\nx\n\nSCALARS i int", "int", "i", 4, 1}};
+    static file_text f;
+    int binary, i, k, fields;
+    for (binary = 0; binary < 2; binary++) {
+        sup_volume v;
+        sup_error err;
+        f.size = 0;
+        put(&f, "# vtk DataFile Version 3.0\nt\n%s\nDATASET STRUCTURED_POINTS\nDIMENSIONS 2 2 1\nPOINT_DATA 4\n", binary ? "BINARY" : "ASCII");
+        for (i = 0; i < 10; i++) {
+            put(&f, "%s\n", part[i].head);
+            for (k = 0; k < part[i].numbers; k++) {
+                if (binary && strcmp(part[i].type, "char") == 0) put_bits(&f, (uint64_t)k, 1, 1);
+                else put_vtk_number(&f, binary, part[i].type, (double)(100 * i + k));
+            }
+            put(&f, "\n");
+        }
+        CHECK_MSG(!read_text(&f, "a.vtk", &v, &err), "%s", err.text);
+        CHECK(v.field_count == 9);
+        for (i = fields = 0; i < 10; i++) {
+            const sup_field *field = v.fields + fields;
+            if (part[i].name == NULL || (size_t)fields >= v.field_count) continue;
+            fields++;
+            CHECK_STR(field->name, part[i].name);
+            REQUIRE(field->components == (uint32_t)part[i].components && field->count == 4 && !field->per_cell);
+            for (k = 0; k < part[i].numbers; k++) CHECK_NEAR(field->values[k], 100 * i + k, 0);
+        }
+        sup_volume_free(&v);
+    }
+    CHECK(g_memory.live == 0);
+}
+
 TEST(vtk_grids) {
     static file_text f;
     sup_volume v;
@@ -444,6 +484,18 @@ static void check_indices(const sup_volume *v) {
         CHECK(v->dims[0] || v->fields[k].count == (v->fields[k].per_cell ? v->cell_count : v->point_count));
 }
 
+/* What is wrong with a file is said with its name and a place in it. PLOT3D says nothing about itself: only its size is
+   wrong. */
+static void check_place(const char *name, size_t size, const char *message) {
+    static const char *const places[] = {": line ", ": byte ", ": cell ", "offset of cell ", "of this size", "is empty", "not a volume",
+                                         "has no cells", "no $Nodes"};
+    size_t i, n = strlen(name);
+    int found = 0;
+    while (n > 0 && name[n - 1] != '.') n--; /* a.ele for a.node */
+    for (i = 0; i < sizeof places / sizeof places[0]; i++) found |= strstr(message, places[i]) != NULL;
+    CHECK_MSG(found && strncmp(message, name, n) == 0, "%s, %lu bytes: \"%s\"", name, (unsigned long)size, message);
+}
+
 TEST(truncated) {
     static file_text f, second;
     int kind;
@@ -457,11 +509,24 @@ TEST(truncated) {
             sup_error err;
             char *exact = (char *)malloc(size ? size : 1); /* a sanitizer sees reading beyond it */
             memcpy(exact, f.data, size);
-            if (sup_volume_read_memory(exact, size, name, open_other, &other, &v, &err))
-                CHECK_MSG(err.text[0] != 0, "no message");
+            if (sup_volume_read_memory(exact, size, name, open_other, &other, &v, &err)) check_place(name, size, err.text);
             else check_indices(&v);
             sup_volume_free(&v);
             free(exact);
+        }
+    }
+    for (kind = 6; kind < 8; kind++) { /* the second file */
+        other_file other;
+        const char *name;
+        size_t size;
+        make_any(kind, &f, &second, &other, &name);
+        for (size = second.size; size > 0;) {
+            sup_volume v;
+            sup_error err;
+            second.size = size -= size < 7 ? 1 : 1 + size % 7;
+            if (sup_volume_read_memory(f.data, f.size, name, open_other, &other, &v, &err)) check_place(name, size, err.text);
+            else check_indices(&v);
+            sup_volume_free(&v);
         }
     }
     CHECK(g_memory.live == 0);
@@ -516,6 +581,13 @@ TEST(out_of_memory) {
     }
 }
 
+#define VTK_HEAD "# vtk DataFile Version 3.0\nt\nASCII\nDATASET UNSTRUCTURED_GRID\n"
+#define VTK_GRID "# vtk DataFile Version 3.0\nt\nASCII\nDATASET STRUCTURED_GRID\n"
+#define VTK_TETRA VTK_HEAD "POINTS 4 float\n0 0 0 1 0 0 0 1 0 0 0 1\n"
+#define VTK_CELL "CELLS 1 5\n4 0 1 2 3\n"
+#define VTK_LONG "1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1 1\n"
+#define VTK_VALUES "POINT_DATA 4\nSCALARS s float\nLOOKUP_TABLE default\n1 2 3 4\n"
+
 TEST(messages) {
     static const struct {
         const char *name, *text, *part;
@@ -528,6 +600,58 @@ TEST(messages) {
                {"a.inp", "1 1 0 0 0\n1 0 0 0\n1 1 tet 1 1 2 1\n", "does not exist"},
                {"a.msh", "$MeshFormat\n4.0 0 8\n$EndMeshFormat\n", "version"},
                {"a.msh", "$MeshFormat\n2.2 1 8\n$EndMeshFormat\n", "binary"},
+               {"a.vtk", VTK_HEAD "POINTS 1 decimal\n0 0 0\n", "line 5: unknown type"},
+               {"a.vtk", VTK_TETRA "CELLS 1 5\n4 0 1 2 3 9\nCELL_TYPES 1\n10\n", "unknown keyword"},
+               {"a.vtk", VTK_TETRA "CELLS 1 4\n4 0 1 2\n", "shorter than its counts"},
+               {"a.vtk", VTK_TETRA "CELLS 1 7\n4 0 1 2 3 0 1\n", "longer than its counts"},
+               {"a.vtk", VTK_TETRA "CELLS 1 4\n3 0 1 2\nCELL_TYPES 1\n10\n", "cell 0 has 3 points"},
+               {"a.vtk", VTK_TETRA "CELLS 1 6\n5 0 1 2 3 0\nCELL_TYPES 1\n10\n", "cell 0 has 5 points"},
+               {"a.vtk", VTK_TETRA "CELLS 1 5\n4 0 1 -1 3\nCELL_TYPES 1\n10\n", "cell 0 has a point"},
+               {"a.vtk", VTK_TETRA VTK_CELL "CELL_TYPES 2\n10 10\n", "does not fit to CELLS"},
+               {"a.vtk", VTK_TETRA "CELLS 1 5\n4 0 1 2 3\n", "no cells"},
+               {"a.vtk", VTK_TETRA VTK_CELL "CELL_TYPES 1\n10\nPOINT_DATA 3\nSCALARS s float\n", "line 11: values for another number"},
+               {"a.vtk", VTK_TETRA VTK_CELL "CELL_TYPES 1\n10\nPOINT_DATA 4\nSCALARS s float 65\n", "1 to 64 components"},
+               {"a.vtk", "# vtk DataFile Version 5.1\nt\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 4 float\n0 0 0 1 0 0 0 1 0 0 0 1\n"
+                         "CELLS 2 4\nOFFSETS int\n0 5\nCONNECTIVITY int\n0 1 2 3\n", "offset of cell 0"},
+               {"a.vtk", "# vtk DataFile Version 5.1\nt\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 4 float\n0 0 0 1 0 0 0 1 0 0 0 1\n"
+                         "CELLS 3 4\nOFFSETS int\n0 4 3\nCONNECTIVITY int\n0 1 2 3\n", "offset of cell 1"},
+               {"a.vtk", VTK_GRID "DIMENSIONS 0 2 2\n", "line 5: DIMENSIONS have to be positive"},
+               {"a.vtk", VTK_GRID "DIMENSIONS 65536 65536 1\n", "more points than"},
+               {"a.vtk", VTK_GRID "DIMENSIONS 2 2 2\nPOINTS 7 float\n", "does not fit to DIMENSIONS"},
+               {"a.vtk", VTK_GRID "DIMENSIONS 2 2 2\nX_COORDINATES 3 float\n0 1 2\n", "do not fit to DIMENSIONS"},
+               {"a.vtk", VTK_GRID "DIMENSIONS 2 2 2\nX_COORDINATES 2 float\n0 1\n", "axis are missing"},
+               {"a.vtk", VTK_GRID, "no cells"},
+               {"a.vtk", "# vtk DataFile Version 3.0\nt\nEBCDIC\nDATASET UNSTRUCTURED_GRID\n", "line 3: ASCII or BINARY"},
+               {"a.vtk", "# vtk DataFile Version 3.0\nt\nASCII\nDATA UNSTRUCTURED_GRID\n", "line 4: DATASET was expected"},
+               {"a.vtk", VTK_TETRA VTK_CELL "CELL_TYPES 1\n10\nPOINT_DATA 4\nFIELD f 1\ns 1 4 string\na\nb\nc\nd\n", "strings are not read"},
+               {"a.vtk", VTK_TETRA VTK_CELL "CELL_TYPES 1\n10\nPOINT_DATA 4\nLOOKUP_TABLE t 20\n1 2 3 4 5 6 7 8 9 10 11\n", "LOOKUP_TABLE is cut off"},
+               {"a.vtk", VTK_TETRA VTK_CELL "CELL_TYPES 1\n10\nPOINT_DATA 4\nCOLOR_SCALARS c 65\n" VTK_LONG, "1 to 64 components"},
+               {"a.vtk", "# vtk DataFile Version 5.1\nt\nASCII\nDATASET UNSTRUCTURED_GRID\nCELLS 0 0\n", "offset of its end"},
+               {"a.vtk", "# vtk DataFile Version 5.1\nt\nASCII\nDATASET UNSTRUCTURED_GRID\nCELLS 1 0\nOFFSET int\n0\n", "line 6: OFFSETS"},
+               {"a.vtk", "# vtk DataFile Version 5.1\nt\nASCII\nDATASET UNSTRUCTURED_GRID\nCELLS 1 0\nOFFSETS int\n0\nCORNERS int\n", "line 8: CONNECTIVITY"},
+               /* what comes first decides how much there has to be of what follows */
+               {"a.vtk", VTK_TETRA VTK_CELL "CELL_TYPES 1\n10\n" VTK_VALUES "POINTS 5 float\n0 0 0 0 0 0 0 0 0 0 0 0 0 0 0\n", "before the values"},
+               {"a.vtk", VTK_TETRA "POINTS 1 float\n0 0 0\n", "POINTS is there twice"},
+               {"a.vtk", VTK_HEAD "POINT_DATA 0\nSCALARS s float\nLOOKUP_TABLE default\nPOINTS 1 float\n0 0 0\n", "before the values"},
+               {"a.vtk", VTK_TETRA VTK_CELL "CELL_DATA 1\nSCALARS c float\nLOOKUP_TABLE default\n1\nCELL_TYPES 1\n10\n", "before the values"},
+               {"a.vtk", VTK_TETRA "CELL_DATA 0\nSCALARS c float\nLOOKUP_TABLE default\n" VTK_CELL "CELL_TYPES 1\n10\n", "before the values"},
+               {"a.vtk", VTK_TETRA VTK_CELL VTK_CELL, "CELLS is there twice"},
+               {"a.vtk", VTK_TETRA VTK_CELL "CELL_TYPES 1\n10\nDIMENSIONS 9 9 9\n", "no place in this kind"},
+               {"a.vtk", VTK_GRID "DIMENSIONS 2 2 2\nCELLS 1 5\n4 0 1 2 3\n", "no place in this kind"},
+               {"a.vtk", VTK_GRID "DIMENSIONS 2 1 1\nPOINTS 2 float\n0 0 0 1 1 1\nDIMENSIONS 9 9 9\n", "DIMENSIONS is there twice"},
+               {"a.vtk", VTK_GRID "POINTS 2 float\n0 0 0 1 1 1\nDIMENSIONS 9 9 9\n", "DIMENSIONS has to come first"},
+               {"a.vtk", VTK_GRID "POINT_DATA 0\nSCALARS s float\nLOOKUP_TABLE default\nDIMENSIONS 1 1 1\n", "has to come first"},
+               {"a.msh", "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$NodeData\n0\n0\n3\n0\n1\n0\n$EndNodeData\n", "before the values"},
+               {"a.msh", "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n1\n1 0 0 0\n$EndNodes\n"
+                         "$ElementData\n0\n0\n3\n0\n1\n0\n$EndElementData\n", "before the values"},
+               {"a.msh", "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n2\n1 0 0 0\n1 0 0 0\n$EndNodes\n", "node 1 is there twice"},
+               {"a.msh", "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n1\n1 0 0 0\n$EndNodes\n$Elements\n1\n1 4 0 1 1 1 2\n", "line 10: an element has"},
+               {"a.msh", "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n1\n1 0 0 0\n$EndNodes\n$Elements\n1\n1 99 0\n", "unknown type of element"},
+               {"a.msh", "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n0\n$EndNodes\n$Nodes\n", "$Nodes is there twice"},
+               {"a.inp", "2 0 0 0 0\n1 0 0 0\n1 0 0 0\n", "point 1 is there twice"},
+               {"a.inp", "1 2 0 0 0\n1 0 0 0\n1 1 tet 1 1 1 1\n1 1 tet 1 1 1 1\n", "cell 1 is there twice"},
+               {"a.inp", "1 1 1 0 0\n1 0 0 0\n1 1 tet 1 1 1 1\n1 1\ns, m\n2 0\n", "line 6: values of a point"},
+               {"a.inp", "1 0 1 0 0\n1 0 0 0\n1 65\nsome, m\n" "1 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0\n", "1 to 64 components"},
                {"a.bin", "nothing of that kind", "PLOT3D"},
                {"a.xyz", "", "empty"},
                {"a.txt", "hello", "not a volume"}};
@@ -538,6 +662,61 @@ TEST(messages) {
         CHECK(sup_volume_read_memory(bad[i].text, strlen(bad[i].text), bad[i].name, NULL, NULL, &v, &err) == 1);
         CHECK_MSG(strstr(err.text, bad[i].part) != NULL, "\"%s\" does not say \"%s\"", err.text, bad[i].part);
     }
+}
+
+TEST(long_names) { /* 63 characters are kept */
+    static file_text f;
+    sup_volume v;
+    sup_error err;
+    size_t n;
+    for (n = 62; n < 200; n = n < 65 ? n + 1 : n * 2) {
+        char name[200];
+        memset(name, 'n', n);
+        name[n] = '\0';
+        f.size = 0;
+        put(&f, VTK_TETRA VTK_CELL "CELL_TYPES 1\n10\nPOINT_DATA 4\nSCALARS %s float\nLOOKUP_TABLE default\n1 2 3 4\n", name);
+        CHECK_MSG(!read_text(&f, "a.vtk", &v, &err), "%s", err.text);
+        REQUIRE(v.field_count == 1);
+        CHECK_EQ_U64(strlen(v.fields[0].name), n < 63 ? n : 63);
+        CHECK(v.fields[0].components == 1 && v.fields[0].values[3] == 4.0f);
+        sup_volume_free(&v);
+        f.size = 0;
+        put(&f, "4 1 1 0 0\n1 0 0 0\n2 1 0 0\n3 0 1 0\n4 0 0 1\n1 1 tet 1 2 3 4\n1 1\n%s, m\n1 1\n2 2\n3 3\n4 4\n", name);
+        CHECK_MSG(!read_text(&f, "a.inp", &v, &err), "%s", err.text);
+        REQUIRE(v.field_count == 1);
+        CHECK_EQ_U64(strlen(v.fields[0].name), n < 63 ? n : 63);
+        CHECK(v.fields[0].values[3] == 4.0f);
+        sup_volume_free(&v);
+    }
+}
+
+TEST(plot3d_marks) { /* each record has its length before and after it: neither may be wrong, in neither file */
+    static file_text xyz, q;
+    int big, which, wrong = 0;
+    for (big = 0; big < 2; big++) {
+        const size_t n = 5 * 6 * 7;
+        const size_t at[2][6] = {{0, 16, 20, 24 + 12 * n, 0, 0}, {0, 16, 20, 40, 44, 48 + 20 * n}};
+        for (which = 0; which < 10; which++) {
+            const int of_q = which >= 4;
+            other_file other;
+            sup_volume v;
+            sup_error err;
+            make_plot3d(&xyz, 4 + !big, 0);
+            make_plot3d(&q, 4 + !big, 1);
+            other.name = "aq.bin";
+            other.text = &q;
+            (of_q ? &q : &xyz)->data[at[of_q][of_q ? which - 4 : which] + (big ? 3 : 0)]++;
+            if (sup_volume_read_memory(xyz.data, xyz.size, "axyz.bin", open_other, &other, &v, &err)) {
+                CHECK(!of_q && strstr(err.text, "no layout") != NULL);
+                wrong++;
+            } else {
+                CHECK_MSG(of_q && v.field_count == 0 && strstr(err.text, "does not fit") != NULL, "mark %d, %s", which,
+                          big ? "big" : "little");
+            }
+            sup_volume_free(&v);
+        }
+    }
+    CHECK(wrong == 8);
 }
 
 /* ---- files of others ---------------------------------------------------------------------------------------- */
@@ -641,6 +820,7 @@ TEST(generated) {
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(vtk_cells);
+    RUN(vtk_attributes);
     RUN(vtk_grids);
     RUN(ucd);
     RUN(gmsh);
@@ -650,6 +830,8 @@ int main(int argc, char **argv) {
     RUN(bytes_changed);
     RUN(out_of_memory);
     RUN(messages);
+    RUN(long_names);
+    RUN(plot3d_marks);
     RUN(real_files);
     RUN(transfer_functions);
     RUN(generated);

@@ -248,7 +248,9 @@ static void projection_put(tetcasti_painter *p, int32_t x, int32_t y, double z0,
     f.s1 = (float)s1;
     f.cell = cell;
     p->tests++;
-    if (tetcasti_pixel_live(p, i)) tetcasti_paint_put(p, i, &f);
+    if (!tetcasti_pixel_live(p, i)) return;
+    if (p->count[i] == p->room && !tetcasti_lists_grow(p)) return; /* faces of a cell may overlap by rounding */
+    tetcasti_paint_put(p, i, &f);
 }
 
 /* Outward normal of face i and the gradient of the value. */
@@ -465,14 +467,13 @@ static void projection_paint_pt(tetcasti_painter *p, uint32_t cell) {
     const tetcast_optics *o = p->scene->optics;
     projection_cell c;
     projection_corner outline[4], thick;
-    uint32_t fronts = 0, i, count, k;
-    const uint8_t *role;
+    uint32_t fronts = 0, i, count, k, role[4];
     if (!projection_cell_open(p, cell, &c)) return;
     for (i = 0; i < 4; i++) fronts |= (uint32_t)(c.area[i] < 0.0) << i;
     if (fronts == 0 || fronts == 15) return;
     memset(&thick, 0, sizeof thick);
     memset(outline, 0, sizeof outline);
-    role = tetcasti_roles[fronts];
+    for (i = 0; i < 4; i++) role[i] = tetcasti_roles[i][fronts];
     for (i = 0; i < 4; i++) {
         static const uint8_t around[4] = {0, 2, 1, 3}; /* p r q s */
         uint32_t v = role[tetcasti_forms[fronts] == 2 ? around[i] : i];
@@ -570,6 +571,7 @@ static tetcast_result projection_project(const projection_way *how, const tetcas
         if (p == NULL) r = TETCAST_ERR_NO_MEMORY;
     }
     if (r == TETCAST_OK) {
+        if (how->form != PROJECTION_SIGNS) p->open_cells = NULL; /* nothing for them */
         if (how->form == PROJECTION_VERTEX) p->paint = projection_paint_vertex;
         if (how->form == PROJECTION_FRAGMENT) p->paint = projection_paint_fragment;
         if (how->form == PROJECTION_PT || how->form == PROJECTION_PT_COLORS) p->paint = projection_paint_pt;

@@ -33,6 +33,7 @@ typedef struct supi_gmsh {
     supi_ids nodes, cells;
     size_t node_capacity, point_capacity, cell_capacity;
     int version; /* 2 or 4 */
+    int has_nodes, has_elements;
 } supi_gmsh;
 
 SUP_FN int supi_gmsh_add_node(supi_gmsh *g, int64_t id, const double p[3]) {
@@ -157,6 +158,8 @@ SUP_FN int supi_gmsh_data(supi_gmsh *g, int per_cell) {
     int64_t number[3] = {0, 1, 0}, id = 0;
     double value = 0.0;
     float *values;
+    if (!g->has_nodes || (per_cell && !g->has_elements)) /* they say how many there have to be */
+        return supi_volume_fail(r, "nodes and elements have to come before the values");
     if (supi_volume_count(r, 1, &tags)) return 1;
     for (i = 0; i < tags; i++) { /* "name" */
         sup_text_skip_space(&r->text);
@@ -202,7 +205,6 @@ SUP_FN int supi_gmsh_data(supi_gmsh *g, int per_cell) {
 SUP_FN int supi_gmsh_sections(supi_gmsh *g) {
     supi_volume_reader *r = g->r;
     sup_text *t = &r->text;
-    int has_nodes = 0, has_elements = 0;
     for (;;) {
         const char *word, *end;
         size_t length;
@@ -212,10 +214,10 @@ SUP_FN int supi_gmsh_sections(supi_gmsh *g) {
         if (*t->at != '$') return supi_volume_fail(r, "a section ($Nodes, ...) was expected");
         length = supi_volume_word(r, &word);
         if (supi_word_is(word, length, "$nodes")) {
-            if (has_nodes++) return supi_volume_fail(r, "$Nodes is there twice");
+            if (g->has_nodes++) return supi_volume_fail(r, "$Nodes is there twice");
             failed = supi_gmsh_nodes(g);
         } else if (supi_word_is(word, length, "$elements")) {
-            if (has_elements++) return supi_volume_fail(r, "$Elements is there twice");
+            if (g->has_elements++) return supi_volume_fail(r, "$Elements is there twice");
             failed = supi_gmsh_elements(g);
         } else if (supi_word_is(word, length, "$nodedata")) {
             failed = supi_gmsh_data(g, 0);
@@ -233,7 +235,7 @@ SUP_FN int supi_gmsh_sections(supi_gmsh *g) {
             return supi_volume_fail(r, "the end of a section was expected");
         }
     }
-    if (!has_nodes || !has_elements) return sup_fail(r->err, "%s: no $Nodes or no $Elements", r->name);
+    if (!g->has_nodes || !g->has_elements) return sup_fail(r->err, "%s: no $Nodes or no $Elements", r->name);
     return 0;
 }
 

@@ -23,7 +23,8 @@ typedef struct supi_vtk {
     size_t cells, corner_count;
     uint8_t *types;
     uint32_t *kept;      /* number of a cell of the file among those that are volumes; 0xffffffff: none of them */
-    int grid;            /* structured */
+    int listed;          /* the kind of DATASET: cells are listed; else it is a grid */
+    int grid;            /* DIMENSIONS are known */
 } supi_vtk;
 
 SUP_FN supi_vtk_type supi_vtk_parse_type(const char *word, size_t n) {
@@ -415,7 +416,15 @@ SUP_FN int supi_vtk_geometry(supi_vtk *f, const char *key, size_t n) { /* -1: no
     sup_volume *v = r->out;
     const char *word;
     size_t k, count = 0, length;
-    if (supi_word_is(key, n, "points")) {
+    const int cells = supi_word_is(key, n, "cells") || supi_word_is(key, n, "cell_types");
+    const int points = supi_word_is(key, n, "points"), dimensions = supi_word_is(key, n, "dimensions");
+    if (cells ? !f->listed : dimensions && f->listed) return supi_vtk_fail(f, "this has no place in this kind of DATASET");
+    if ((cells || points) && f->per_cell >= 0) /* they say how many there have to be */
+        return supi_vtk_fail(f, "points and cells have to come before the values");
+    if (dimensions && f->grid) return supi_vtk_fail(f, "DIMENSIONS is there twice");
+    if (dimensions && (v->points || f->per_cell >= 0)) return supi_vtk_fail(f, "DIMENSIONS has to come first");
+    if (points && v->points) return supi_vtk_fail(f, "POINTS is there twice");
+    if (points) {
         if (supi_volume_count(r, 1, &count)) return 1;
         if (f->grid && count != v->point_count) return supi_vtk_fail(f, "POINTS does not fit to DIMENSIONS");
         length = supi_volume_word(r, &word);
@@ -425,7 +434,7 @@ SUP_FN int supi_vtk_geometry(supi_vtk *f, const char *key, size_t n) { /* -1: no
     }
     if (supi_word_is(key, n, "cells")) return supi_vtk_cells(f);
     if (supi_word_is(key, n, "cell_types")) return supi_vtk_cell_types(f);
-    if (supi_word_is(key, n, "dimensions")) return supi_vtk_dimensions(f);
+    if (dimensions) return supi_vtk_dimensions(f);
     if (supi_word_is(key, n, "spacing") || supi_word_is(key, n, "aspect_ratio") || supi_word_is(key, n, "origin")) {
         double *to = supi_word_is(key, n, "origin") ? v->origin : v->spacing;
         for (k = 0; k < 3; k++)
@@ -478,7 +487,7 @@ SUP_FN int supi_vtk_body(supi_vtk *f) {
         }
         if (status) return 1;
     }
-    if (!f->grid && !f->kept) return sup_fail(r->err, "%s: the file has no cells", r->name);
+    if (f->listed ? !f->kept : !f->grid) return sup_fail(r->err, "%s: the file has no cells", r->name);
     if (f->grid) {
         size_t k, axes = 0;
         for (k = 0; k < 3; k++) axes += v->axes[k] != NULL;
@@ -513,6 +522,7 @@ SUP_FN int supi_read_vtk(supi_volume_reader *r) {
     if (!supi_word_is(word, n, "unstructured_grid") && !supi_word_is(word, n, "structured_grid") &&
         !supi_word_is(word, n, "rectilinear_grid") && !supi_word_is(word, n, "structured_points"))
         return supi_volume_fail(r, "this kind of DATASET is no volume");
+    f.listed = supi_word_is(word, n, "unstructured_grid");
     failed = supi_vtk_body(&f);
     SUP_FREE(f.offsets);
     SUP_FREE(f.corners);
