@@ -11115,7 +11115,7 @@ typedef struct tetcasti_painter { /* zeroed */
     tetcasti_batch *b;              /* rays of the tile, and their sums at the end */
     tetcasti_entry *entry;          /* cells of the tile, in order */
     size_t entry_room;
-    float (*list)[4];               /* z0, z1, s0, s1 [slot * TETCASTI_BATCH + pixel]: slots of neighbours lie together */
+    float (*list)[4];               /* z0, z1, s0, s1 [slot * TETCASTI_BATCH + pixel]: neighbours lie together */
     uint32_t *list_cell;            /* NULL, or the cell of each */
     uint32_t room, full;            /* full: not 0 when a list has no room left */
     uint32_t mode, keep_room;
@@ -11492,9 +11492,9 @@ static void tetcasti_paint_plain(tetcasti_painter *p, uint32_t cell) { tetcasti_
 #define TETCASTI_ALL(x) _mm256_broadcast_ss(&(x))
 
 /* Lanes whose pixels (x, y) are inside, and those for exact signs. Edge functions in e. */
-TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_splat_lanes(const tetcasti_splat8 *s, const uint32_t j, const uint32_t silhouette,
-                                                                   uint32_t lanes, __m256 x, __m256 y, __m256 e[6],
-                                                                   uint32_t *exact) {
+TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_splat_lanes(const tetcasti_splat8 *s, const uint32_t j,
+                                                                   const uint32_t silhouette, uint32_t lanes, __m256 x,
+                                                                   __m256 y, __m256 e[6], uint32_t *exact) {
     const __m256 sign = _mm256_set1_ps(-0.0f), bound = TETCASTI_ALL(s->bound[j]);
     __m256 least, inside;
     uint32_t k;
@@ -11534,16 +11534,16 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_sums_add(tetcasti_sums8 *t, _
         _mm256_blendv_ps(TETCASTI_ALL(s->wz[i][j]), TETCASTI_ALL(s->wz[o][j]), m), \
         _mm256_blendv_ps(TETCASTI_ALL(s->ws[i][j]), TETCASTI_ALL(s->ws[o][j]), m))
 
-TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_sums_end(const tetcasti_splat8 *s, const uint32_t j, const tetcasti_sums8 *t,
-                                                            __m256 *z, __m256 *value) {
+TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_sums_end(const tetcasti_splat8 *s, const uint32_t j,
+                                                            const tetcasti_sums8 *t, __m256 *z, __m256 *value) {
     __m256 inv = _mm256_div_ps(_mm256_set1_ps(1.0f), t->d);
     *z = _mm256_mul_ps(t->e, inv);
     *value = _mm256_min_ps(_mm256_max_ps(_mm256_mul_ps(t->f, inv), TETCASTI_ALL(s->s_lo[j])), TETCASTI_ALL(s->s_hi[j]));
 }
 
 /* What the lanes see. out: z0, z1, s0, s1. The operations of tetcasti_splat_pixel. */
-TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_splat_quad8(const tetcasti_splat8 *s, const uint32_t j, const __m256 e[6],
-                                                               __m256 out[4]) {
+TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_splat_quad8(const tetcasti_splat8 *s, const uint32_t j,
+                                                               const __m256 e[6], __m256 out[4]) {
     const __m256 sign = _mm256_set1_ps(-0.0f);
     tetcasti_sums8 t;
     __m256 q0, q1;
@@ -11561,8 +11561,8 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_splat_quad8(const tetcasti_sp
     tetcasti_sums_end(s, j, &t, &out[1], &out[3]);
 }
 
-TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_splat_single8(const tetcasti_splat8 *s, const uint32_t j, const __m256 e[6],
-                                                                 __m256 out[4]) {
+TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_splat_single8(const tetcasti_splat8 *s, const uint32_t j,
+                                                                 const __m256 e[6], __m256 out[4]) {
     const __m256 sign = _mm256_set1_ps(-0.0f);
     tetcasti_sums8 t;
     __m256 z[2], value[2];
@@ -11586,7 +11586,7 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_splat_single8(const tetcasti_
     out[3] = value[!s->form[j]];
 }
 
-/* The vertices' numbers in fours for eight fronts: bits of roles to blend with. */
+/* Of each cell the one of four that two bits choose; masks: their sign bits count. */
 TETCASTI_TARGET_WALK TETCASTI_INLINE __m256 tetcasti_role8(const __m256 of[4], __m256 odd, __m256 high) {
     return _mm256_blendv_ps(_mm256_blendv_ps(of[0], of[1], odd), _mm256_blendv_ps(of[2], of[3], odd), high);
 }
@@ -11607,8 +11607,8 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_splats_roles8(tetcasti_splat8
     TETCASTI_STORE_INT(s->form, form);
     for (k = 0; k < 4; k++) {
         __m256i role = _mm256_shuffle_epi8(TETCASTI_LOAD16(tetcasti_roles[k]), fronts);
-        __m256 odd = _mm256_castsi256_ps(_mm256_slli_epi32(role, 31)), high = _mm256_castsi256_ps(_mm256_slli_epi32(role, 30));
-        __m256 q = tetcasti_role8(w, odd, high);
+        __m256 odd = _mm256_castsi256_ps(_mm256_slli_epi32(role, 31));
+        __m256 high = _mm256_castsi256_ps(_mm256_slli_epi32(role, 30)), q = tetcasti_role8(w, odd, high);
         px[k] = tetcasti_role8(x, odd, high);
         py[k] = tetcasti_role8(y, odd, high);
         TETCASTI_STORE(s->w[k], q);
@@ -11740,8 +11740,10 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_list_put4(float (*list)[4
 }
 
 /* Pixels of a block of 2x4, 4x2 or 8x1 pixels: coordinates, and places in the tile. */
-static const float tetcasti_block_x[3][8] = {{0, 1, 0, 1, 0, 1, 0, 1}, {0, 1, 2, 3, 0, 1, 2, 3}, {0, 1, 2, 3, 4, 5, 6, 7}};
-static const float tetcasti_block_y[3][8] = {{0, 0, 1, 1, 2, 2, 3, 3}, {0, 0, 0, 0, 1, 1, 1, 1}, {0, 0, 0, 0, 0, 0, 0, 0}};
+static const float tetcasti_block_x[3][8] = {
+    {0, 1, 0, 1, 0, 1, 0, 1}, {0, 1, 2, 3, 0, 1, 2, 3}, {0, 1, 2, 3, 4, 5, 6, 7}};
+static const float tetcasti_block_y[3][8] = {
+    {0, 0, 1, 1, 2, 2, 3, 3}, {0, 0, 0, 0, 1, 1, 1, 1}, {0, 0, 0, 0, 0, 0, 0, 0}};
 #define TETCASTI_T TETCASTI_TILE
 static const uint32_t tetcasti_block_place[3][8] = {
     {0, 1, TETCASTI_T, TETCASTI_T + 1, 2 * TETCASTI_T, 2 * TETCASTI_T + 1, 3 * TETCASTI_T, 3 * TETCASTI_T + 1},
@@ -11780,8 +11782,10 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_paint8(tetcasti_painter *p, u
     place = tetcasti_block_place[log - 1];
     step_x = (int32_t)(1u << log);
     step_y = (int32_t)(8u >> log);
-    dx = _mm256_add_ps(_mm256_set1_ps((float)((int32_t)p->x0 - s->x0[column])), _mm256_loadu_ps(tetcasti_block_x[log - 1]));
-    dy = _mm256_add_ps(_mm256_set1_ps((float)((int32_t)p->y0 - s->y0[column])), _mm256_loadu_ps(tetcasti_block_y[log - 1]));
+    dx = _mm256_add_ps(_mm256_set1_ps((float)((int32_t)p->x0 - s->x0[column])),
+                       _mm256_loadu_ps(tetcasti_block_x[log - 1]));
+    dy = _mm256_add_ps(_mm256_set1_ps((float)((int32_t)p->y0 - s->y0[column])),
+                       _mm256_loadu_ps(tetcasti_block_y[log - 1]));
     for (y = s->rect[1][column]; y < y_end; y += step_y) {
         const __m256 vy = _mm256_add_ps(_mm256_set1_ps((float)y), dy);
         for (x = s->rect[0][column]; x < x_end; x += step_x) {

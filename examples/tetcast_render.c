@@ -15,8 +15,8 @@ typedef struct options {
     int method, model, integrator, cells, order, has_model, has_cells, has_opacity, smooth, weld, has_background, cue;
     int64_t detail;
     double opacity, scale, ortho, samples;
-    int shader, has_cut;
-    float background[3], cut[3];
+    int shader, has_cut, has_light;
+    float background[3], cut[3], light[3];
     float isovalues[MAX_ISOVALUES];
     size_t isovalue_count;
 } options;
@@ -48,6 +48,11 @@ static int contradictions(const char *program, const options *o) {
         o->cells != TETCAST_CELLS_STRIPS_GENERAL) return sup_bad_usage(program, "--method strips: --cells are others");
     if (o->method == METHOD_PROJECT && (o->shader || o->has_cut))
         return sup_bad_usage(program, "--shader and --cut walk, they do not project");
+    if (o->has_light && o->shader != SUP_SHADER_SHADOW) return sup_bad_usage(program, "--light is for --shader shadow");
+    if (o->light[0] == 0.0f && o->light[1] == 0.0f && o->light[2] == 0.0f)
+        return sup_bad_usage(program, "--light: 0,0,0 is no direction");
+    if (o->shader == SUP_SHADER_SHADOW && o->model != TETCAST_MODEL_VOLUME)
+        return sup_bad_usage(program, "--shader shadow is for --model volume");
     if (o->has_cut && o->cut[0] == 0.0f && o->cut[1] == 0.0f && o->cut[2] == 0.0f)
         return sup_bad_usage(program, "--cut: 0,0,0 is no direction");
     if (o->common.has_eye && o->common.has_at &&
@@ -59,13 +64,16 @@ static int contradictions(const char *program, const options *o) {
 }
 
 static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
-    sup_option table[SUP_COMMON_OPTIONS + 28];
+    sup_option table[SUP_COMMON_OPTIONS + 29];
     double iso = 0.0;
     float clip[3] = {0.0f, 0.0f, 0.0f};
     size_t n;
     int status, has_clip = 0;
     memset(o, 0, sizeof *o);
     o->opacity = 0.6;
+    o->light[0] = 0.4f;
+    o->light[1] = 1.0f;
+    o->light[2] = 0.3f;
     o->scale = 1.0;
     n = sup_common_options(&o->common, table);
     o->common.size[0] = 1024;
@@ -97,7 +105,10 @@ static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
     table[n++] = sup_opt_given(sup_opt_vec3("clip", clip, "near,far,0: show only these distances along the view"),
                                &has_clip);
     table[n++] = sup_opt_given(sup_opt_vec3("cut", o->cut, "keep what lies this way from the middle"), &o->has_cut);
-    table[n++] = sup_opt_choice("shader", &o->shader, SUP_SHADERS, "lit: a shader of this program, lit by gradients");
+    table[n++] = sup_opt_choice("shader", &o->shader, SUP_MESH_SHADERS, "shaders of this program; lit: by gradients, "
+                             "shadow: by --light through the volume, slow");
+    table[n++] = sup_opt_given(sup_opt_vec3("light", o->light, "where the light of --shader shadow is (0.4,1,0.3)"),
+                               &o->has_light);
     table[n++] = sup_opt_real("ortho", &o->ortho, 0.0, 1e30, "H", "parallel rays; height of the picture in the volume");
     table[n++] = sup_opt_flag("cue", &o->cue, "what is farther away is darker");
     table[n++] = sup_opt_given(sup_opt_vec3("background", o->background, "linear r,g,b instead of transparent"),
@@ -421,6 +432,7 @@ static tetcast_result draw_shaded(const options *o, const tetcast_render_desc *d
     tetcast_clip *clip = NULL;
     tetcast_result result = TETCAST_OK;
     sup_lit lit;
+    sup_shadow shadow;
     float lo = 0.0f, hi = 1.0f;
     tetcast_mesh_get_info(mesh, &info);
     (void)tetcast_mesh_field(mesh, 0, &lo, &hi);
@@ -431,11 +443,17 @@ static tetcast_result draw_shaded(const options *o, const tetcast_render_desc *d
     d.clip_far = desc->clip_far;
     memcpy(d.background, desc->background, sizeof d.background);
     sup_lit_open(&lit, transfer, 4.0 * ((double)hi - (double)lo) / sup_box_diagonal(info.box_min, info.box_max));
+    memset(&shadow, 0, sizeof shadow);
     if (o->shader == SUP_SHADER_LIT) d.shader = &lit.shader;
-    if (o->has_cut) result = sup_cut(&desc->env, o->cut, info.box_min, info.box_max, &clip);
+    if (o->shader == SUP_SHADER_SHADOW) {
+        result = sup_shadow_open(&shadow, mesh, transfer, optics, o->light, 0.25f);
+        d.shader = &shadow.shader;
+    }
+    if (result == TETCAST_OK && o->has_cut) result = sup_cut(&desc->env, o->cut, info.box_min, info.box_max, &clip);
     d.clip = clip;
     if (result == TETCAST_OK) result = tetcast_render_shaded(&d, mesh, optics, image, stats);
     tetcast_clip_destroy(clip);
+    sup_shadow_close(&shadow);
     return result;
 }
 

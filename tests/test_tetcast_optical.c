@@ -3,6 +3,7 @@
 #define TETCAST_IMPLEMENTATION
 #include "tetcast.h"
 #include "transfer_oracle.h"
+#include "../examples/support/volume_look.h"
 
 static tetcast_transfer *make_transfer(const tetcast_control_point *p, size_t count, int independent,
                                        const tetcast_isovalue *iso, size_t iso_count) {
@@ -639,6 +640,112 @@ TEST(tolerance_holds) { /* the promised bound against the double reference, for 
     }
 }
 
+/* What leaving out knots changes grows with the way through the mesh. A parabola lies below its chords everywhere: along a
+   ray of one value the errors only add up. */
+TEST(tolerance_of_long_rays) {
+    enum { POINTS = 200 };
+    static tetcast_control_point p[POINTS];
+    static const float path[3] = {0.05f, 1.0f, 400.0f};
+    int i, k, independent;
+    for (independent = 0; independent < 2; independent++)
+        for (k = 0; k < 3; k++) {
+            tetcast_optics *plain, *o;
+            tetcast_optics_desc d;
+            tetcast_optics_info info;
+            double worst = 0.0;
+            memset(p, 0, sizeof p);
+            for (i = 0; i < POINTS; i++) {
+                const float x = (float)i / (float)(POINTS - 1), y = 0.12f * (x - 0.5f) * (x - 0.5f) / path[k];
+                p[i].value = x;
+                p[i].rgb[0] = independent ? y : 1.0f;
+                p[i].extinction = independent ? 0.0f : y;
+            }
+            memset(&d, 0, sizeof d);
+            plain = make(p, POINTS, independent, NULL, 0, &d);
+            d.tolerance = 8.0f;
+            d.path_length = path[k];
+            o = make(p, POINTS, independent, NULL, 0, &d);
+            tetcast_optics_get_info(o, &info);
+            for (i = 0; i <= 1000; i++) {
+                tetcast_segment s;
+                float a[4], b[4];
+                memset(&s, 0, sizeof s);
+                s.front = s.back = (float)i / 1000.0f;
+                s.length = path[k];
+                CHECK(tetcast_optics_ray(plain, &s, 1, a, NULL) == TETCAST_OK);
+                CHECK(tetcast_optics_ray(o, &s, 1, b, NULL) == TETCAST_OK);
+                worst = fmax(worst, 255.0 * fabs((double)a[0] - (double)b[0]));
+            }
+            CHECK_MSG(info.knot_count < 20 && worst <= (double)(info.bound_knots + info.bound_integral) &&
+                          worst > 0.2 * (double)info.bound_knots,
+                      "way %g, %s: %u knots, bound %g, error %g", (double)path[k], independent ? "independent" : "associated",
+                      info.knot_count, (double)info.bound_knots, worst);
+            tetcast_optics_destroy(plain);
+            tetcast_optics_destroy(o);
+        }
+}
+
+/* Single scattering by a shader that casts rays to the light: in a cube of one density what a ray brings is
+       tau int_0^D (ambient + (1 - ambient) exp(-tau way to the light)) exp(-tau x) dx */
+TEST(single_scattering) {
+    enum { N = 17, W = 12 };
+    static float value[N * N * N], rgba[W * W * 4];
+    static const float light[2][3] = {{0, 1, 0}, {0, 0.6f, 0.8f}}; /* at right angles to the rays, aslant */
+    const tetcast_control_point p[2] = {{0, {1, 0.5f, 0.25f}, 2}, {1, {1, 0.5f, 0.25f}, 2}};
+    tetcast_transfer *t = make_transfer(p, 2, 0, NULL, 0);
+    tetcast_optics_desc od = desc_of(TETCAST_MODEL_VOLUME);
+    tetcast_optics *o = make(p, 2, 0, NULL, 0, &od);
+    tetcast_grid grid;
+    tetcast_field field;
+    tetcast_mesh *mesh = NULL;
+    int which, x, y, k, c;
+    memset(&grid, 0, sizeof grid);
+    memset(&field, 0, sizeof field);
+    for (k = 0; k < N * N * N; k++) value[k] = 0.5f;
+    field.values.data = value;
+    grid.fields = &field;
+    grid.field_count = 1;
+    for (k = 0; k < 3; k++) {
+        grid.dims[k] = N;
+        grid.spacing[k] = 1.0 / (N - 1);
+    }
+    REQUIRE(tetcast_mesh_create_grid(NULL, &grid, NULL, &mesh) == TETCAST_OK);
+    for (which = 0; which < 2; which++) {
+        tetcast_shade_desc d;
+        tetcast_image image;
+        sup_shadow shadow;
+        double worst = 0;
+        memset(&d, 0, sizeof d);
+        memset(&image, 0, sizeof image);
+        REQUIRE(sup_shadow_open(&shadow, mesh, t, o, light[which], 0.25f) == TETCAST_OK);
+        d.shader = &shadow.shader;
+        d.camera.eye[0] = d.camera.eye[1] = d.camera.at[0] = d.camera.at[1] = d.camera.at[2] = 0.5;
+        d.camera.eye[2] = 3;
+        d.camera.ortho_height = 0.9f;
+        image.width = image.height = W;
+        image.rgba = rgba;
+        CHECK_EQ_U64(tetcast_render_shaded(&d, mesh, NULL, &image, NULL), TETCAST_OK);
+        for (y = 0; y < W; y++)
+            for (x = 0; x < W; x++) {
+                const double above = 0.5 + 0.9 * ((y + 0.5) / W - 0.5); /* as far below the upper face */
+                double want = 0;
+                for (k = 0; k < 2000; k++) {
+                    const double at = (k + 0.5) / 2000;
+                    const double up = above / (double)light[which][1], front = which ? at / (double)light[which][2] : 9;
+                    want += 2 * (0.25 + 0.75 * exp(-2 * fmin(up, front))) * exp(-2 * at) / 2000;
+                }
+                for (c = 0; c < 3; c++)
+                    worst = fmax(worst, fabs((double)rgba[4 * (y * W + x) + c] - want * (double)p[0].rgb[c]));
+                CHECK_NEAR(rgba[4 * (y * W + x) + 3], 1 - exp(-2), 2.0 / 512);
+            }
+        CHECK_MSG(worst < 1e-3, "light %d: %g", which, worst);
+        sup_shadow_close(&shadow);
+    }
+    tetcast_mesh_destroy(mesh);
+    tetcast_optics_destroy(o);
+    tetcast_transfer_destroy(t);
+}
+
 TEST(bad_descs) {
     tetcast_transfer *t = make_transfer(oracle_smooth, ORACLE_SMOOTH, 0, NULL, 0);
     tetcast_optics_desc d;
@@ -732,6 +839,8 @@ int main(int argc, char **argv) {
     RUN(surfaces_by_lane);
     RUN(cue_of_a_surface);
     RUN(tolerance_holds);
+    RUN(tolerance_of_long_rays);
+    RUN(single_scattering);
     RUN(bad_descs);
     return test_end();
 }

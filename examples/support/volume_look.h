@@ -212,8 +212,9 @@ SUP_FN double sup_extinction_scale(const tetcast_transfer *transfer, uint32_t wi
 
 /* ---- a shader of the programs' own, clipping ----------------------------------------------------------------- */
 
-enum { SUP_SHADER_OPTICS, SUP_SHADER_LIT };
+enum { SUP_SHADER_OPTICS, SUP_SHADER_LIT, SUP_SHADER_SHADOW };
 #define SUP_SHADERS "optics|lit"
+#define SUP_MESH_SHADERS SUP_SHADERS "|shadow"
 
 /* The transfer function, lit where the gradient is strong. */
 typedef struct sup_lit {
@@ -270,6 +271,91 @@ SUP_FN void sup_lit_open(sup_lit *l, const tetcast_transfer *transfer, double st
     l->shader.shade_fn = sup_lit_shade;
     l->shader.empty_fn = sup_lit_empty;
 }
+
+/* Single scattering: what a particle sends to the eye is what reaches it of a light far away, weakened on its way
+   through the volume, and of light from everywhere. One ray a segment: some hundred times the time. */
+typedef struct sup_shadow {
+    const tetcast_mesh *mesh;
+    const tetcast_optics *optics;
+    tetcast_optics *absorb;
+    double to_light[3];
+    float ambient;          /* share of the light that comes from everywhere */
+    tetcast_shader shader;
+} sup_shadow;
+
+typedef struct sup_shadow_ray {
+    const tetcast_optics *absorb;
+    tetcast_segment segment[16];
+    size_t count;
+    float passes;
+} sup_shadow_ray;
+
+SUP_FN void sup_shadow_flush(sup_shadow_ray *r) {
+    float c[16][4];
+    if (tetcast_optics_segments(r->absorb, r->segment, r->count, TETCAST_ISA_AUTO, c) != TETCAST_OK) r->count = 0;
+    for (size_t i = 0; i < r->count; i++) r->passes *= 1.0f - c[i][3];
+    r->count = 0;
+}
+
+SUP_FN int sup_shadow_crossing(void *user, const tetcast_crossing *x) {
+    sup_shadow_ray *r = (sup_shadow_ray *)user;
+    tetcast_segment *s = &r->segment[r->count++];
+    s->front = x->front;
+    s->back = x->back;
+    s->length = (float)(x->t_back - x->t_front);
+    s->depth = 0.0f;
+    if (r->count == 16) sup_shadow_flush(r);
+    return r->passes < 1.0f / 1024.0f;
+}
+
+SUP_FN void sup_shadow_shade(void *user, const tetcast_packet *in, float rgba[4][8]) {
+    const sup_shadow *s = (const sup_shadow *)user;
+    for (int i = 0; i < 8; i++) {
+        tetcast_segment segment;
+        tetcast_ray ray;
+        sup_shadow_ray shadow;
+        float c[1][4], light = 1.0f;
+        if (!(in->mask >> i & 1u)) continue;
+        segment.front = in->front[i];
+        segment.back = in->back[i];
+        segment.length = in->length[i];
+        segment.depth = 0.0f;
+        if (tetcast_optics_segments(s->optics, &segment, 1, TETCAST_ISA_AUTO, c) != TETCAST_OK) memset(c, 0, sizeof c);
+        if (c[0][0] > 0.0f || c[0][1] > 0.0f || c[0][2] > 0.0f) {
+            memset(&ray, 0, sizeof ray);
+            for (int k = 0; k < 3; k++) {
+                ray.org[k] = (double)in->position[k][i];
+                ray.dir[k] = s->to_light[k];
+            }
+            shadow.absorb = s->absorb;
+            shadow.count = 0;
+            shadow.passes = 1.0f;
+            (void)tetcast_probe(s->mesh, &ray, sup_shadow_crossing, &shadow);
+            sup_shadow_flush(&shadow);
+            light = s->ambient + (1.0f - s->ambient) * shadow.passes;
+        }
+        for (int k = 0; k < 3; k++) rgba[k][i] = c[0][k] * light;
+        rgba[3][i] = c[0][3];
+    }
+}
+
+/* All but s has to stay there while it is used. Close it in any case. */
+SUP_FN tetcast_result sup_shadow_open(sup_shadow *s, const tetcast_mesh *mesh, const tetcast_transfer *transfer,
+                                      const tetcast_optics *optics, const float to_light[3], float ambient) {
+    tetcast_optics_desc desc;
+    memset(s, 0, sizeof *s);
+    memset(&desc, 0, sizeof desc);
+    desc.model = TETCAST_MODEL_ABSORPTION;
+    s->mesh = mesh;
+    s->optics = optics;
+    for (int k = 0; k < 3; k++) s->to_light[k] = (double)to_light[k];
+    s->ambient = ambient;
+    s->shader.user = s;
+    s->shader.needs = TETCAST_NEED_POSITION;
+    s->shader.shade_fn = sup_shadow_shade;
+    return tetcast_optics_create(transfer, &desc, &s->absorb);
+}
+SUP_FN void sup_shadow_close(sup_shadow *s) { tetcast_optics_destroy(s->absorb); }
 
 /* --cut: what lies this way from the middle of the box is kept. */
 SUP_FN tetcast_result sup_cut(const tetcast_env *env, const float way[3], const double lo[3], const double hi[3],
