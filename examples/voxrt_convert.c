@@ -1,17 +1,20 @@
-/* voxrt_convert.c - mesh -> voxel file
+/* voxrt_convert.c - mesh -> voxel file, or one voxel file -> another
    SPDX-License-Identifier: MIT OR Unlicense */
 #include "support/camera.h"
 #include "support/cli.h"
 #include "support/mesh.h"
+#include "support/picture.h"
 #include "support/scenes.h"
 #define VOXRT_IMPLEMENTATION
 #include "voxrt.h"
+#include "support/voxel_file.h"
 
 typedef struct convert_options {
     const char *first, *second; /* positional arguments */
     const char *in, *out, *scene;
     int64_t resolution, palette, threads, detail, fill_depth;
     int separating, palette_method, lod, format, normals, fill, no_colors, raw, share, keep_inside_out, stats, quiet;
+    int voxels, flip_y, flip_z, swap_angles; /* voxels: `in` is a voxel file; how to turn it */
 } convert_options;
 
 enum { NORMALS_SMOOTH, NORMALS_FLAT, NORMALS_NONE };
@@ -19,13 +22,15 @@ enum { FORMAT_V5, FORMAT_V4 };
 
 static int parse(int argc, char **argv, convert_options *o) {
     sup_option table[25];
-    size_t n = 0;
-    int status;
+    size_t n = 0, mesh_options, k;
+    int status, for_meshes = 0, has_lod = 0;
     memset(o, 0, sizeof *o);
     o->resolution = 1024;
     o->palette = 32767;
-    table[n++] = sup_opt_positional("IN.{obj,ply,stl,off}", &o->first, 0, "mesh to convert; left out with --scene");
+    table[n++] = sup_opt_positional("IN.{obj,ply,stl,off,vox}", &o->first, 0,
+                                      "mesh to convert, or a voxel file of format 5 or 4; left out with --scene");
     table[n++] = sup_opt_positional("OUT.vox", &o->second, 0, "voxel file to write");
+    mesh_options = n;
     table[n++] = sup_opt_int("res", &o->resolution, 1, 65536, "N", "voxels along the longest side (1024)");
     table[n++] = sup_opt_choice("separating", &o->separating, "6|26|thesis",
                                 "6: thin and without holes (default); 26: every voxel the surface touches; thesis: the "
@@ -33,9 +38,6 @@ static int parse(int argc, char **argv, convert_options *o) {
     table[n++] = sup_opt_int("palette", &o->palette, 1, 16777216, "N", "colours at most (32767)");
     table[n++] = sup_opt_choice("palette-method", &o->palette_method, "oklab|thesis",
                                 "how colours are merged when there are more");
-    table[n++] = sup_opt_choice(
-        "lod", &o->lod, "mean|majority",
-        "colours of the coarser levels: mean of the voxels, or the most frequent child as in the thesis");
     table[n++] = sup_opt_choice(
         "normals", &o->normals, "smooth|flat|none",
         "of the file or, if it has none, smooth but for edges sharper than 60 degrees; of the triangles; none: shade the "
@@ -46,16 +48,23 @@ static int parse(int argc, char **argv, convert_options *o) {
     table[n++] = sup_opt_flag("fill", &o->fill, "fill closed hulls");
     table[n++] =
         sup_opt_int("fill-depth", &o->fill_depth, 0, 1048576, "N", "with --fill: only so many voxels deep (0: all)");
+    for (k = mesh_options; k < n; k++) table[k].given = &for_meshes;
+    table[n++] = sup_opt_given(sup_opt_choice("lod", &o->lod, "mean|majority",
+                                              "colours of the coarser levels: mean of the voxels, or the most frequent "
+                                              "child as in the thesis"), &has_lod);
     table[n++] = sup_opt_choice("format", &o->format, "v5|v4",
                                 "v5: compact and lossless (default); v4: the thesis' octree file");
     table[n++] = sup_opt_flag("raw", &o->raw, "v5 without compression: can be mapped into memory and used in place");
     table[n++] = sup_opt_flag("share", &o->share, "store equal parts once: less memory when loaded, the same picture");
+    table[n++] = sup_opt_flag("flip-y", &o->flip_y, "of files of format 4 from elsewhere: y runs the other way");
+    table[n++] = sup_opt_flag("flip-z", &o->flip_z, "the same for z");
+    table[n++] = sup_opt_flag("swap-angles", &o->swap_angles, "their normals have the angles in the other order");
     table[n++] = sup_opt_text("scene", &o->scene, SUP_SCENE_NAMES, "a generated mesh instead of a file");
     table[n++] = sup_opt_int("detail", &o->detail, 0, 65536, "N", "how fine the generated mesh is (0: its default)");
     table[n++] = sup_opt_int("threads", &o->threads, 0, 1024, "N", "threads, 0: one per core; the file is the same");
     table[n++] = sup_opt_flag("stats", &o->stats, "one JSON object on stdout");
     table[n++] = sup_opt_flag("quiet", &o->quiet, "no progress and no warnings");
-    status = sup_cli_parse(argc, argv, "Turns a triangle mesh into a voxel file.", table, n);
+    status = sup_cli_parse(argc, argv, "Turns a mesh into a voxel file, or a voxel file into one of another kind.", table, n);
     if (status >= 0) return status;
     if (o->scene != NULL) {
         if (o->first == NULL) return sup_bad_usage(argv[0], "OUT.vox is missing");
@@ -67,11 +76,16 @@ static int parse(int argc, char **argv, convert_options *o) {
     } else {
         if (o->detail != 0) return sup_bad_usage(argv[0], "--detail goes with --scene");
         if (o->second == NULL)
-            return sup_bad_usage(argv[0], "%s is missing", o->first == NULL ? "IN.{obj,ply,stl,off}" : "OUT.vox");
+            return sup_bad_usage(argv[0], "%s is missing", o->first == NULL ? "IN.{obj,ply,stl,off,vox}" : "OUT.vox");
         o->in = o->first;
         o->out = o->second;
         if (strcmp(o->in, o->out) == 0) return sup_bad_usage(argv[0], "\"%s\" is read and written", o->in);
+        o->voxels = sup_name_ends(o->in, ".vox");
     }
+    if (o->voxels && (for_meshes || (has_lod && o->format != FORMAT_V4)))
+        return sup_bad_usage(argv[0], "what a voxel file becomes is said by --format, --lod with v4, --raw and --share");
+    if (!o->voxels && (o->flip_y || o->flip_z || o->swap_angles))
+        return sup_bad_usage(argv[0], "--flip-y, --flip-z and --swap-angles go with a voxel file");
     if (o->format == FORMAT_V4 && o->palette > 32767)
         return sup_bad_usage(argv[0], "--format v4 holds at most 32767 colours");
     if (o->raw && o->format == FORMAT_V4) return sup_bad_usage(argv[0], "--raw goes with --format v5");
@@ -198,16 +212,23 @@ static size_t file_size(const char *path) {
     return size > 0 ? (size_t)size : 0;
 }
 
-static void print_stats(const convert_options *o, const voxrt_build_stats *s, const voxrt_tree *tree, int turned,
-                        double read_s, double build_s, double write_s) {
+typedef struct converted {
+    voxrt_tree *tree;
+    voxrt_build_stats stats;
+    double read_seconds, build_seconds, write_seconds;
+    int turned; /* 1: the mesh faced inwards */
+} converted;
+
+static void print_stats(const convert_options *o, const converted *c) {
+    const voxrt_build_stats *s = &c->stats;
     voxrt_tree_info info;
-    voxrt_tree_get_info(tree, &info);
+    voxrt_tree_get_info(c->tree, &info);
     printf("{\"program\":\"voxrt_convert\",\"in\":");
     sup_json_string(stdout, o->in);
     printf(",\"triangles\":%llu,\"rejected\":%llu,\"degenerate\":%llu,\"fragments\":%llu",
            (unsigned long long)s->triangles, (unsigned long long)s->rejected, (unsigned long long)s->degenerate,
            (unsigned long long)s->fragments);
-    printf(",\"turned\":%d,\"resolution\":%u,\"depth\":%u,\"voxels\":%llu,\"colors_in\":%llu,\"palette\":%u", turned,
+    printf(",\"turned\":%d,\"resolution\":%u,\"depth\":%u,\"voxels\":%llu,\"colors_in\":%llu,\"palette\":%u", c->turned,
            info.resolution, info.depth, (unsigned long long)info.voxel_count, (unsigned long long)s->colors_in,
            info.palette_count);
     printf(",\"geometry_bytes\":%llu,\"color_bytes\":%llu,\"normal_bytes\":%llu,\"bytes\":%llu,\"file_bytes\":%llu,"
@@ -215,33 +236,32 @@ static void print_stats(const convert_options *o, const voxrt_build_stats *s, co
            (unsigned long long)info.geometry_bytes, (unsigned long long)info.color_bytes,
            (unsigned long long)info.normal_bytes, (unsigned long long)info.total_bytes,
            (unsigned long long)file_size(o->out), (unsigned long long)s->peak_bytes);
-    printf(",\"read_seconds\":%.6f,\"build_seconds\":%.6f,\"write_seconds\":%.6f}\n", read_s, build_s, write_s);
+    printf(",\"read_seconds\":%.6f,\"build_seconds\":%.6f,\"write_seconds\":%.6f}\n", c->read_seconds,
+           c->build_seconds, c->write_seconds);
 }
 
-int main(int argc, char **argv) {
+static int bad_result(const char *program, const convert_options *o, voxrt_result result, const voxrt_error *error) {
+    sup_error err;
+    (void)sup_fail(&err, "%s: %s", o->in, error->text[0] ? error->text : voxrt_result_string(result));
+    return sup_bad_input(program, err.text);
+}
+
+/* Read a mesh and make the tree. Returns 0 or the exit status. */
+static int build(const char *program, const convert_options *o, const voxrt_env *env, converted *c) {
     static const voxrt_separating separating[3] = {VOXRT_SEPARATING_6, VOXRT_SEPARATING_26, VOXRT_SEPARATING_THESIS};
-    convert_options o;
     voxrt_build_desc desc = {0};
-    voxrt_build_stats stats = {0};
     voxrt_mesh in = {0};
-    voxrt_error error = {VOXRT_OK, 0, ""};
-    voxrt_tree *tree = NULL;
     voxrt_result result;
     sup_mesh mesh = {0};
     sup_error err;
     sup_progress progress;
-    double start, read_s, build_s, write_s;
-    int turned = 0, status = parse(argc, argv, &o);
-    if (status >= 0) return status;
-
-    start = sup_now();
-    status = read_mesh(argv[0], &o, &mesh, &turned);
+    double start = sup_now();
+    const int status = read_mesh(program, o, &mesh, &c->turned);
     if (status) {
         sup_mesh_free(&mesh);
         return status;
     }
-    read_s = sup_now() - start;
-
+    c->read_seconds = sup_now() - start;
     in.positions = mesh.positions;
     in.vertex_count = mesh.vertex_count;
     in.indices = mesh.indices;
@@ -249,50 +269,81 @@ int main(int argc, char **argv) {
     in.normals = mesh.normals;
     in.vertex_rgb = mesh.vertex_rgb;
     in.triangle_rgb = mesh.triangle_rgb;
-    sup_progress_begin(&progress, "voxelising", o.quiet);
+    desc.env = *env;
+    sup_progress_begin(&progress, "voxelising", o->quiet);
     if (!progress.quiet) {
         desc.env.progress_fn = sup_progress_fn;
         desc.env.progress_user = &progress;
     }
-    desc.env.thread_count = (uint32_t)o.threads;
-    desc.env.memory_limit = sup_memory_limit();
-    desc.env.error = &error;
-    desc.resolution = (uint32_t)o.resolution;
-    desc.separating = separating[o.separating];
-    desc.palette_size = (uint32_t)o.palette;
-    desc.palette_method = o.palette_method ? VOXRT_PALETTE_THESIS : VOXRT_PALETTE_OKLAB;
-    desc.lod_method = o.lod ? VOXRT_LOD_MAJORITY : VOXRT_LOD_MEAN;
-    desc.disable_normals = o.normals == NORMALS_NONE;
-    desc.disable_colors = (uint32_t)o.no_colors;
-    desc.fill = (uint32_t)o.fill;
-    desc.fill_depth = (uint32_t)o.fill_depth;
+    desc.resolution = (uint32_t)o->resolution;
+    desc.separating = separating[o->separating];
+    desc.palette_size = (uint32_t)o->palette;
+    desc.palette_method = o->palette_method ? VOXRT_PALETTE_THESIS : VOXRT_PALETTE_OKLAB;
+    desc.lod_method = o->lod ? VOXRT_LOD_MAJORITY : VOXRT_LOD_MEAN;
+    desc.disable_normals = o->normals == NORMALS_NONE;
+    desc.disable_colors = (uint32_t)o->no_colors;
+    desc.fill = (uint32_t)o->fill;
+    desc.fill_depth = (uint32_t)o->fill_depth;
     start = sup_now();
-    result = voxrt_tree_build(&desc, &in, &stats, &tree);
-    if (result == VOXRT_OK && o.share) {
-        voxrt_tree *plain = tree;
-        desc.env.progress_fn = NULL;
-        result = voxrt_tree_share(plain, &desc.env, &tree);
-        voxrt_tree_destroy(plain);
-    }
-    build_s = sup_now() - start;
+    result = voxrt_tree_build(&desc, &in, &c->stats, &c->tree);
+    c->build_seconds = sup_now() - start;
     sup_progress_end(&progress);
     sup_mesh_free(&mesh);
-    if (result != VOXRT_OK) {
-        (void)sup_fail(&err, "%s: %s", o.in, error.text[0] ? error.text : voxrt_result_string(result));
-        return sup_bad_input(argv[0], err.text);
+    if (result != VOXRT_OK) return bad_result(program, o, result, env->error);
+    if (c->stats.rejected != 0 && !o->quiet) {
+        (void)sup_fail(&err, "%s: %llu of %llu triangles are left out: coordinates or indices out of range", o->in,
+                       (unsigned long long)c->stats.rejected, (unsigned long long)c->stats.triangles);
+        sup_warn(program, err.text);
     }
+    return 0;
+}
 
-    if (stats.rejected != 0 && !o.quiet) {
-        (void)sup_fail(&err, "%s: %llu of %llu triangles are left out: coordinates or indices out of range", o.in,
-                       (unsigned long long)stats.rejected, (unsigned long long)stats.triangles);
-        sup_warn(argv[0], err.text);
-    }
+/* Read a voxel file. Returns 0 or the exit status. */
+static int reopen(const char *program, const convert_options *o, converted *c) {
+    const double start = sup_now();
+    voxrt_octree_desc how = {0};
+    sup_error err;
+    how.flip_y = (uint32_t)o->flip_y;
+    how.flip_z = (uint32_t)o->flip_z;
+    how.swap_angles = (uint32_t)o->swap_angles;
+    if (sup_voxels_load(o->in, (uint32_t)o->threads, &how, &c->tree, NULL, &err)) return sup_bad_input(program, err.text);
+    c->read_seconds = sup_now() - start;
+    return 0;
+}
 
+/* Equal parts once, or not, as was asked for. Returns 0 or the exit status. */
+static int share(const char *program, const convert_options *o, const voxrt_env *env, converted *c) {
+    const double start = sup_now();
+    voxrt_tree *before = c->tree;
+    voxrt_tree_info info;
+    voxrt_result result;
+    voxrt_tree_get_info(before, &info);
+    if (info.shared == (uint32_t)o->share) return 0;
+    result = o->share ? voxrt_tree_share(before, env, &c->tree) : voxrt_tree_unshare(before, env, &c->tree);
+    voxrt_tree_destroy(before);
+    c->build_seconds += sup_now() - start;
+    return result == VOXRT_OK ? 0 : bad_result(program, o, result, env->error);
+}
+
+int main(int argc, char **argv) {
+    convert_options o;
+    converted c = {0};
+    voxrt_env env = {0};
+    voxrt_error error = {VOXRT_OK, 0, ""};
+    sup_error err;
+    double start;
+    int status = parse(argc, argv, &o);
+    if (status >= 0) return status;
+    env.thread_count = (uint32_t)o.threads;
+    env.memory_limit = sup_memory_limit();
+    env.error = &error;
+    status = o.voxels ? reopen(argv[0], &o, &c) : build(argv[0], &o, &env, &c);
+    if (!status) status = share(argv[0], &o, &env, &c);
+    if (status) return status;
     start = sup_now();
-    desc.env.progress_fn = NULL;
-    status = write_out(&o, &desc.env, tree, &err);
-    write_s = sup_now() - start;
-    if (!status && o.stats) print_stats(&o, &stats, tree, turned, read_s, build_s, write_s);
-    voxrt_tree_destroy(tree);
+    status = write_out(&o, &env, c.tree, &err);
+    c.write_seconds = sup_now() - start;
+    if (!status && o.stats) print_stats(&o, &c);
+    voxrt_tree_destroy(c.tree);
     return status ? sup_bad_input(argv[0], err.text) : 0;
 }

@@ -14,7 +14,8 @@ typedef struct render_options {
     int shadows, path, heat, has_heat, split, face_normals, thesis_compose, one_sided, progressive, has_background;
     int64_t samples, lod_split;
     double blur, heat_max;
-    int has_blur, smooth;
+    int has_blur, smooth, has_material, panorama;
+    double diffuse, specular, shininess;
     float background[3];
     voxrt_light lights[MAX_LIGHTS];
     size_t light_count;
@@ -24,6 +25,11 @@ typedef struct scene { /* what is to be drawn, and what the file held */
     voxrt_tree *tree;
     voxrt_octree *octree;
     voxrt_geometry geometry;
+    voxrt_material material;
+    voxrt_states states; /* of a panorama, with the camera and its axes */
+    sup_camera camera;
+    sup_view axes;
+    double size[2];
 } scene;
 
 /* "[dir:]x,y,z[:r,g,b]"; returns 1 if it is not that. */
@@ -61,7 +67,7 @@ static int collect_lights(int argc, char **argv, render_options *o) {
 }
 
 static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *desc) {
-    sup_option table[SUP_COMMON_OPTIONS + 20];
+    sup_option table[SUP_COMMON_OPTIONS + 24];
     size_t n;
     int status, compose = 0, normals = 0, has_heat_max = 0;
     memset(o, 0, sizeof *o);
@@ -69,11 +75,20 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
     o->blur = 4.0;
     o->heat_max = 64.0;
     o->lod_split = -1;
+    o->diffuse = 1.0;
+    o->shininess = 32.0;
     n = sup_common_options(&o->common, table);
     table[n++] = sup_opt_positional("IN.vox", &o->in, 1, "voxel file, format 5 or 4");
     table[n++] = sup_opt_text("light", &o->light, "[dir:]x,y,z[:r,g,b]",
                               "a point light, or the direction towards a distant one; may be repeated");
     table[n++] = sup_opt_flag("shadows", &o->shadows, "trace shadow rays");
+    table[n++] = sup_opt_given(sup_opt_real("diffuse", &o->diffuse, 0.0, 1e6, "D",
+                                            "how much of the light the colours send back (1; thesis 0.5)"), &o->has_material);
+    table[n++] = sup_opt_given(sup_opt_real("specular", &o->specular, 0.0, 1e6, "S", "how bright highlights are (0)"),
+                               &o->has_material);
+    table[n++] = sup_opt_given(sup_opt_real("shininess", &o->shininess, 1.0, 1e6, "N", "how small they are (32)"),
+                               &o->has_material);
+    table[n++] = sup_opt_flag("panorama", &o->panorama, "all directions from the eye, 360 by 180 degrees");
     table[n++] = sup_opt_int("aa", &o->samples, 1, 65536, "N", "rays per pixel (1)");
     table[n++] = sup_opt_text("lod", &o->lod, "off|object|LEVEL",
                               "level of detail: full; one level for all by --tolerance; octree level LEVEL (0: one "
@@ -101,6 +116,7 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
     if (status >= 0) return status;
     if (o->common.unlit + o->split + o->has_heat > 1)
         return sup_bad_usage(argv[0], "--unlit, --split and --heat are three different pictures");
+    if (o->panorama && !o->common.has_eye) return sup_bad_usage(argv[0], "--panorama goes with --eye");
     if (has_heat_max && !o->has_heat) return sup_bad_usage(argv[0], "--heat-max goes with --heat");
     if (o->smooth && o->path == PATH_THESIS) return sup_bad_usage(argv[0], "--smooth goes with --path fast");
     if (o->smooth && !o->has_blur) return sup_bad_usage(argv[0], "--smooth goes with --blur");
@@ -146,26 +162,44 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
 
 static int load(const char *program, const render_options *o, scene *s) {
     sup_error err;
-    return sup_voxels_load(o->in, (uint32_t)o->common.threads, &s->tree, o->path == PATH_THESIS ? &s->octree : NULL, &err) ?
+    return sup_voxels_load(o->in, (uint32_t)o->common.threads, NULL, &s->tree, o->path == PATH_THESIS ? &s->octree : NULL, &err) ?
            sup_bad_input(program, err.text) : 0;
 }
 
-static void set_camera(const render_options *o, const scene *s, voxrt_camera *camera) {
+static void set_camera(const render_options *o, scene *s, voxrt_camera *camera) {
     double box_min[3], box_max[3];
     float lo[3], hi[3];
-    sup_camera framed;
     voxrt_tree_bounds(s->tree, box_min, box_max);
     for (int a = 0; a < 3; a++) {
         lo[a] = (float)box_min[a];
         hi[a] = (float)box_max[a];
     }
-    sup_common_camera(&o->common, lo, hi, &framed);
-    memcpy(camera->eye, framed.eye, sizeof camera->eye);
-    memcpy(camera->at, framed.at, sizeof camera->at);
-    memcpy(camera->up, framed.up, sizeof camera->up);
-    camera->fov_y = framed.fov;
+    sup_common_camera(&o->common, lo, hi, &s->camera);
+    memcpy(camera->eye, s->camera.eye, sizeof camera->eye);
+    memcpy(camera->at, s->camera.at, sizeof camera->at);
+    memcpy(camera->up, s->camera.up, sizeof camera->up);
+    camera->fov_y = s->camera.fov;
     if (!o->common.has_eye && !o->common.has_at)
         (void)voxrt_camera_fit_tree(camera, s->tree, NULL, o->common.size[0], o->common.size[1]);
+}
+
+/* The ray through a point of a picture of all directions: longitude to the right, latitude upwards. */
+static void panorama_ray(void *user, double x, double y, voxrt_ray *ray) {
+    const scene *s = (const scene *)user;
+    const double turn = (x / s->size[0] - 0.5) * 6.283185307179586, rise = (0.5 - y / s->size[1]) * 3.141592653589793;
+    for (int a = 0; a < 3; a++)
+        ray->dir[a] = (float)(cos(rise) * (cos(turn) * s->axes.forward[a] + sin(turn) * s->axes.right[a]) +
+                              sin(rise) * s->axes.up[a]);
+}
+
+static void set_panorama(scene *s, voxrt_render_desc *desc, const voxrt_image *image) {
+    sup_camera_view(&s->camera, &s->axes);
+    s->size[0] = (double)image->width;
+    s->size[1] = (double)image->height;
+    s->states.ray_fn = panorama_ray;
+    s->states.user = s;
+    desc->states = &s->states;
+    desc->camera.fov_y = 115.0372f; /* whose pixels in the middle are as wide */
 }
 
 /* Draw the octree in place of the tree; its level of detail is one level for all. */
@@ -279,7 +313,15 @@ int main(int argc, char **argv) {
         return status ? status : sup_bad_input(argv[0], "out of memory for the picture");
     }
     set_camera(&o, &s, &desc.camera);
+    if (o.panorama) set_panorama(&s, &desc, &image);
     if (o.path == PATH_THESIS) use_octree(&s, &desc, image.height);
+    if (o.has_material) {
+        s.material.ambient[0] = s.material.ambient[1] = s.material.ambient[2] = 0.05f; /* as without a material */
+        s.material.diffuse = (float)o.diffuse;
+        s.material.specular = (float)o.specular;
+        s.material.shininess = (float)o.shininess;
+        desc.material = &s.material;
+    }
     drawn = o.path == PATH_THESIS ? NULL : s.tree;
     sup_progress_begin(&progress, "drawing", o.common.quiet);
     if (!progress.quiet) {

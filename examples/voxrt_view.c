@@ -400,7 +400,7 @@ int main(int argc, char **argv) {
     table[n++] = sup_opt_int("threads", &o.threads, 0, 1024, "N", "threads, 0: one per core");
     status = sup_cli_parse(argc, argv, "Flies through a voxel file in a terminal with 24-bit colours.", table, n);
     if (status >= 0) return status;
-    if (sup_voxels_load(o.in, (uint32_t)o.threads, &v.tree, NULL, &err)) return sup_bad_input(argv[0], err.text);
+    if (sup_voxels_load(o.in, (uint32_t)o.threads, NULL, &v.tree, NULL, &err)) return sup_bad_input(argv[0], err.text);
     stop_signal = 0;
     if (terminal_open()) {
         voxrt_tree_destroy(v.tree);

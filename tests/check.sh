@@ -425,7 +425,10 @@ EXITS="
 0 voxrt_render @/s.vox --out @/s.png --size 32x32 --quiet
 0 voxrt_gi --scene cornell --save @/c.txt --export @/e.txt
 0 voxrt_gi --scene @/e.txt --out @/e.png --size 32x32 --res 32 --grid 32 --voxels samples --quiet
+0 voxrt_convert @/s.vox @/t.vox --share --raw
+0 voxrt_render @/t.vox --out @/t.png --size 32x16 --panorama --eye 9,9,9 --at 0,0,0 --specular 1
 1 voxrt_convert @/none.ply @/bad.vox
+1 voxrt_convert @/cut.vox @/bad.vox
 1 voxrt_convert @/garbage.obj @/bad.vox
 1 voxrt_render @/none.vox --out @/bad.png
 1 voxrt_render @/garbage.obj --out @/bad.png
@@ -451,6 +454,7 @@ EXITS="
 2 voxrt_convert @/garbage.obj @/bad.vox --detail 3
 2 voxrt_convert @/garbage.obj @/bad.vox --res 0
 2 voxrt_convert @/garbage.obj @/garbage.obj
+2 voxrt_convert @/s.vox @/bad.vox --res 9
 2 voxrt_convert --scene sphere @/bad.vox --share --format v4
 2 voxrt_render
 2 voxrt_render @/s.vox
@@ -458,6 +462,7 @@ EXITS="
 2 voxrt_render @/s.vox --out @/bad.png --smooth
 2 voxrt_render @/s.vox --out @/bad.png --heat outer --split
 2 voxrt_render @/s.vox --out @/bad.png --heat-max 9
+2 voxrt_render @/s.vox --out @/bad.png --panorama
 2 voxrt_render @/s.vox --out @/bad.png --size 0x8
 2 voxrt_render @/s.vox --out @/bad.png --aa nan
 2 voxrt_view

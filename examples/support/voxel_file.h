@@ -6,9 +6,11 @@
 #include "voxrt.h"
 
 /* Load a file of format 5 or 4.
+   how      in, NULL: as we write them. Else how a file of format 4 from elsewhere has to be turned; its env is not used
    octree   out, or NULL when it is not wanted
    Returns 0 and what the caller destroys, or 1 with err->text set and nothing to destroy. */
-SUP_FN int sup_voxels_load(const char *path, uint32_t threads, voxrt_tree **tree, voxrt_octree **octree, sup_error *err) {
+SUP_FN int sup_voxels_load(const char *path, uint32_t threads, const voxrt_octree_desc *how, voxrt_tree **tree,
+                           voxrt_octree **octree, sup_error *err) {
     voxrt_load_desc desc;
     voxrt_octree_desc old;
     voxrt_octree *o = NULL;
@@ -23,6 +25,7 @@ SUP_FN int sup_voxels_load(const char *path, uint32_t threads, voxrt_tree **tree
     if (sup_read_file(path, &data, &size, err)) return 1;
     memset(&desc, 0, sizeof desc);
     memset(&old, 0, sizeof old);
+    if (how) old = *how;
     memset(&error, 0, sizeof error);
     desc.env.thread_count = threads;
     desc.env.memory_limit = sup_memory_limit();
@@ -33,6 +36,10 @@ SUP_FN int sup_voxels_load(const char *path, uint32_t threads, voxrt_tree **tree
     kind = voxrt_file_kind(data, size);
     if (kind == 0 && size >= 12 && memcmp(data, "\211VOX\r\n\032\n", 8) == 0) kind = 5;
     if (kind == 0 && size >= 4 && memcmp(data, "MB", 2) == 0) kind = 4;
+    if (kind == 5 && (old.flip_y || old.flip_z || old.swap_angles)) {
+        SUP_FREE(data);
+        return sup_fail(err, "%s: only files of format 4 can be turned", path);
+    }
     if (kind == 5) {
         result = voxrt_tree_load_memory(&desc, data, size, tree);
         if (result == VOXRT_OK && octree) result = voxrt_octree_from_tree(&old, *tree, &o);
