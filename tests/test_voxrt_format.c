@@ -2,49 +2,21 @@
 #include "test.h"
 #define VOXRT_IMPLEMENTATION
 #include "../voxrt.h"
-
-typedef struct cells { voxrt_voxel *v; size_t n, room; } cells;
+#include "voxel_list.h"
 
 static void add(cells *c, uint32_t x, uint32_t y, uint32_t z) {
-    voxrt_voxel *v;
-    if (c->n == c->room) {
-        c->room = c->room ? 2 * c->room : 64;
-        c->v = (voxrt_voxel *)realloc(c->v, c->room * sizeof *c->v);
-        if (c->v == NULL) exit(1);
-    }
-    v = &c->v[c->n];
-    memset(v, 0, sizeof *v);
-    v->x = x;
-    v->y = y;
-    v->z = z;
-    v->rgb[0] = (uint8_t)(x * 3);
-    v->rgb[1] = (uint8_t)(c->n % 7 * 30);
-    v->rgb[2] = (uint8_t)(z >> 2 << 4);
-    v->has_normal = 1;
-    v->normal[0] = (float)(x % 17) - 8.0f;
-    v->normal[1] = 1.0f;
-    v->normal[2] = (float)(z % 5) - 2.0f;
-    c->n++;
+    (void)cells_add(c, x, y, z, (x * 3 & 255u) | (uint32_t)(c->n % 7 * 30) << 8 | (z >> 2 << 4 & 255u) << 16);
+    cells_normal(c, x % 17 - 8.0, 1.0, z % 5 - 2.0);
 }
 
-/* A cell is set when its centre is within half a voxel of the sphere along the normal's longest axis: 6-separating. */
 static void add_sphere(cells *c, uint32_t size, double radius) {
-    uint32_t x, y, z, a;
-    double h = size / 2.0;
-    for (z = 0; z < size; z++)
-        for (y = 0; y < size; y++)
-            for (x = 0; x < size; x++) {
-                double p[3], r, most = 0;
-                p[0] = x + 0.5 - h;
-                p[1] = y + 0.5 - h;
-                p[2] = z + 0.5 - h;
-                r = sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]);
-                if (fabs(r - radius) > 1) continue;
-                for (a = 0; a < 3; a++) most = fabs(p[a]) / r > most ? fabs(p[a]) / r : most;
-                if (fabs(r - radius) > 0.5 * most) continue;
-                add(c, x, y, z);
-                for (a = 0; a < 3; a++) c->v[c->n - 1].normal[a] = (float)(p[a] / r);
-            }
+    size_t i;
+    cells_sphere(c, size, radius);
+    for (i = 0; i < c->n; i++) { /* colours */
+        c->v[i].rgb[0] = (uint8_t)(c->v[i].x * 3);
+        c->v[i].rgb[1] = (uint8_t)(i % 7 * 30);
+        c->v[i].rgb[2] = (uint8_t)(c->v[i].z >> 2 << 4);
+    }
 }
 
 enum { KINDS = 9 };
@@ -75,16 +47,13 @@ static uint32_t make_cells(int kind, cells *c) { /* returns the depth */
 static voxrt_tree *make_tree(int kind, int colors, int normals) {
     cells c;
     voxrt_build_desc d;
-    voxrt_tree *t = NULL;
     uint32_t depth = make_cells(kind, &c);
     memset(&d, 0, sizeof d);
     d.env.thread_count = 1;
     d.palette_size = 64;
     d.disable_colors = !colors;
     d.disable_normals = !normals;
-    CHECK(voxrt_tree_from_voxels(&d, c.v, c.n, depth, &t) == VOXRT_OK);
-    free(c.v);
-    return t;
+    return cells_tree(&c, &d, depth);
 }
 
 static uint8_t *save(const voxrt_tree *t, int encoding, size_t *size) {

@@ -5,57 +5,19 @@
 #include "shapes.h"
 #define VOXRT_IMPLEMENTATION
 #include "../voxrt.h"
+#include "voxel_list.h"
 
 static double srgb_of(double c) { return c <= 0.0031308 ? c * 12.92 : 1.055 * pow(c, 1.0 / 2.4) - 0.055; }
 
 /* The sphere of radius `part` around (1, 1, 1) in the cube [0,2)^3, as the thinnest closed shell of 2^depth voxels. */
 static voxrt_tree *make_sphere(uint32_t depth, double part) {
-    const uint32_t n = 1u << depth;
-    const double h = n / 2.0, radius = h * part;
-    voxrt_voxel *v = NULL;
-    size_t count = 0, room = 0;
     voxrt_build_desc d;
-    voxrt_tree *t = NULL;
-    uint32_t x, y;
-    for (y = 0; y < n; y++)
-        for (x = 0; x < n; x++) {
-            const double px = x + 0.5 - h, py = y + 0.5 - h, q = px * px + py * py;
-            const double high = (radius + 1) * (radius + 1) - q, low = (radius - 1) * (radius - 1) - q;
-            int side;
-            if (high <= 0) continue;
-            for (side = -1; side <= 1; side += 2) { /* only near the surface */
-                const double z0 = low > 0 ? sqrt(low) : 0, z1 = sqrt(high);
-                int64_t from = (int64_t)floor((side < 0 ? h - z1 : h + z0) - 1), to = (int64_t)ceil((side < 0 ? h - z0 : h + z1) + 1), z;
-                if (side > 0 && low <= 0) from = (int64_t)h;
-                if (side < 0 && low <= 0) to = (int64_t)h - 1;
-                for (z = from < 0 ? 0 : from; z <= to && z < (int64_t)n; z++) {
-                    const double pz = (double)z + 0.5 - h, r = sqrt(q + pz * pz);
-                    double most = fabs(px) > fabs(py) ? fabs(px) : fabs(py);
-                    most = (fabs(pz) > most ? fabs(pz) : most) / r;
-                    if ((pz < 0) != (side < 0) || fabs(r - radius) > 0.5 * most) continue;
-                    if (count == room) {
-                        room = room ? 2 * room : 1024;
-                        v = (voxrt_voxel *)realloc(v, room * sizeof *v);
-                        if (v == NULL) exit(1);
-                    }
-                    memset(&v[count], 0, sizeof *v);
-                    v[count].x = x;
-                    v[count].y = y;
-                    v[count].z = (uint32_t)z;
-                    v[count].rgb[0] = v[count].rgb[1] = v[count].rgb[2] = 255;
-                    v[count].has_normal = 1;
-                    v[count].normal[0] = (float)(px / r);
-                    v[count].normal[1] = (float)(py / r);
-                    v[count].normal[2] = (float)(pz / r);
-                    count++;
-                }
-            }
-        }
+    cells c;
+    memset(&c, 0, sizeof c);
     memset(&d, 0, sizeof d);
     d.box_size = 2;
-    CHECK(voxrt_tree_from_voxels(&d, v, count, depth, &t) == VOXRT_OK);
-    free(v);
-    return t;
+    cells_sphere(&c, 1u << depth, (1u << depth) / 2.0 * part);
+    return cells_tree(&c, &d, depth);
 }
 
 typedef struct shot { /* a picture and what it is lit by */

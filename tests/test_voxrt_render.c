@@ -3,25 +3,10 @@
 #include "test.h"
 #define VOXRT_IMPLEMENTATION
 #include "../voxrt.h"
-
-typedef struct cells { voxrt_voxel *v; size_t n, room; } cells;
+#include "voxel_list.h"
 
 static voxrt_voxel *add(cells *c, uint32_t x, uint32_t y, uint32_t z, int red, int green, int blue) {
-    voxrt_voxel *v;
-    if (c->n == c->room) {
-        c->room = c->room ? 2 * c->room : 64;
-        c->v = (voxrt_voxel *)realloc(c->v, c->room * sizeof *c->v);
-        if (c->v == NULL) exit(1);
-    }
-    v = &c->v[c->n++];
-    memset(v, 0, sizeof *v);
-    v->x = x;
-    v->y = y;
-    v->z = z;
-    v->rgb[0] = (uint8_t)red;
-    v->rgb[1] = (uint8_t)green;
-    v->rgb[2] = (uint8_t)blue;
-    return v;
+    return cells_add(c, x, y, z, (uint32_t)red | (uint32_t)green << 8 | (uint32_t)blue << 16);
 }
 
 static void add_box(cells *c, uint32_t x0, uint32_t y0, uint32_t z0, uint32_t x1, uint32_t y1, uint32_t z1) {
@@ -34,40 +19,24 @@ static void add_box(cells *c, uint32_t x0, uint32_t y0, uint32_t z0, uint32_t x1
 /* A tree of all cells; depth levels; the whole grid is the cube of edge `size` at the origin (0: unit voxels). */
 static voxrt_tree *make_tree(cells *c, uint32_t depth, double size, int normals) {
     voxrt_build_desc d;
-    voxrt_tree *t = NULL;
     memset(&d, 0, sizeof d);
     d.disable_normals = !normals;
     d.box_size = size;
-    CHECK(voxrt_tree_from_voxels(&d, c->v, c->n, depth, &t) == VOXRT_OK);
-    free(c->v);
-    memset(c, 0, sizeof *c);
-    return t;
+    return cells_tree(c, &d, depth);
 }
 
-/* Voxels of the sphere around the middle of a grid of 2^depth cells, 6-separating, with its exact normals. */
+/* A sphere in a grid of 2^depth cells, colours by place. */
 static voxrt_tree *make_sphere(uint32_t depth, double part) {
-    uint32_t n = 1u << depth, x, y, z, a;
-    double h = n / 2.0, radius = h * part;
+    const uint32_t n = 1u << depth;
     cells c;
+    size_t i;
     memset(&c, 0, sizeof c);
-    for (z = 0; z < n; z++)
-        for (y = 0; y < n; y++)
-            for (x = 0; x < n; x++) {
-                double p[3], r, most = 0;
-                voxrt_voxel *v;
-                p[0] = x + 0.5 - h;
-                p[1] = y + 0.5 - h;
-                r = p[0] * p[0] + p[1] * p[1];
-                if (x == 0 && r > (radius + 1) * (radius + 1) && fabs(p[1]) > radius + 1) break;
-                p[2] = z + 0.5 - h;
-                r = sqrt(r + p[2] * p[2]);
-                if (fabs(r - radius) > 1) continue;
-                for (a = 0; a < 3; a++) most = fabs(p[a]) / r > most ? fabs(p[a]) / r : most;
-                if (fabs(r - radius) > 0.5 * most) continue;
-                v = add(&c, x, y, z, (int)(x * 255 / n), (int)(y * 255 / n), (int)(z * 37 & 255));
-                v->has_normal = 1;
-                for (a = 0; a < 3; a++) v->normal[a] = (float)(p[a] / r);
-            }
+    cells_sphere(&c, n, n / 2.0 * part);
+    for (i = 0; i < c.n; i++) {
+        c.v[i].rgb[0] = (uint8_t)(c.v[i].x * 255 / n);
+        c.v[i].rgb[1] = (uint8_t)(c.v[i].y * 255 / n);
+        c.v[i].rgb[2] = (uint8_t)(c.v[i].z * 37);
+    }
     return make_tree(&c, depth, 2.0, 1);
 }
 

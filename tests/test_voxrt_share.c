@@ -2,28 +2,11 @@
 #include "test.h"
 #define VOXRT_IMPLEMENTATION
 #include "../voxrt.h"
-
-typedef struct cells { voxrt_voxel *v; size_t n, room; } cells;
+#include "voxel_list.h"
 
 static void add(cells *c, uint32_t x, uint32_t y, uint32_t z) {
-    voxrt_voxel *v;
-    if (c->n == c->room) {
-        c->room = c->room ? 2 * c->room : 64;
-        c->v = (voxrt_voxel *)realloc(c->v, c->room * sizeof *c->v);
-        if (c->v == NULL) exit(1);
-    }
-    v = &c->v[c->n++];
-    memset(v, 0, sizeof *v);
-    v->x = x;
-    v->y = y;
-    v->z = z;
-    v->rgb[0] = (uint8_t)(x % 4 * 60);
-    v->rgb[1] = (uint8_t)(y >> 2 << 6);
-    v->rgb[2] = (uint8_t)(z % 3 * 80);
-    v->has_normal = 1;
-    v->normal[0] = (float)(x % 17) - 8.0f;
-    v->normal[1] = 1.0f + (float)(y % 3);
-    v->normal[2] = (float)(z % 5) - 2.0f;
+    (void)cells_add(c, x, y, z, x % 4 * 60 | (y >> 2 << 6 & 255u) << 8 | z % 3 * 80 << 16);
+    cells_normal(c, x % 17 - 8.0, 1.0 + y % 3, z % 5 - 2.0);
 }
 
 static int in_menger(uint32_t x, uint32_t y, uint32_t z) {
@@ -88,15 +71,12 @@ static uint32_t make_cells(int kind, cells *c) { /* returns the depth */
 static voxrt_tree *make_tree(int kind, int colors, int normals) {
     cells c;
     voxrt_build_desc d;
-    voxrt_tree *t = NULL;
     uint32_t depth = make_cells(kind, &c);
     memset(&d, 0, sizeof d);
     d.lod_method = kind == 6 || kind == MANY ? VOXRT_LOD_MAJORITY : VOXRT_LOD_MEAN; /* few colours to merge */
     d.disable_colors = !colors;
     d.disable_normals = !normals;
-    CHECK(voxrt_tree_from_voxels(&d, c.v, c.n, depth, &t) == VOXRT_OK);
-    free(c.v);
-    return t;
+    return cells_tree(&c, &d, depth);
 }
 
 static voxrt_tree *share(const voxrt_tree *t) {
@@ -618,7 +598,7 @@ TEST(wrong_values) {
 /* A run is named that begins within another one: as long, with as many cells, and still no run. */
 TEST(runs_within_runs) {
     cells c;
-    voxrt_tree *t = NULL, *s;
+    voxrt_tree *t, *s;
     size_t size = 0, n = 0;
     uint32_t i;
     uint8_t *p, *at;
@@ -629,8 +609,7 @@ TEST(runs_within_runs) {
         add(&c, 64 * i + 1 + (i & 1), 64 + 2, 64 + 3);
         add(&c, 64 * i + 18 + (i & 1), 64 + 1, 64 + 2 * (i & 1));
     }
-    CHECK(voxrt_tree_from_voxels(NULL, c.v, c.n, 8, &t) == VOXRT_OK);
-    free(c.v);
+    t = cells_tree(&c, NULL, 8);
     s = share(t);
     REQUIRE(t != NULL && s != NULL);
     p = save(s, 0, &size);
@@ -717,7 +696,7 @@ TEST(other_orders) {
    one its end; nobody names the nodes that were theirs. */
 TEST(runs_that_overlap) {
     cells c;
-    voxrt_tree *t = NULL, *s;
+    voxrt_tree *t, *s;
     size_t size = 0, n = 0;
     uint32_t i, k, first[3] = {0, 0, 0}, count = 0;
     uint8_t *p, *q, *node;
@@ -728,8 +707,7 @@ TEST(runs_that_overlap) {
         if (i != 2) add(&c, 64 + 16 * i + 1, 64 + 2, 64 + 3);
         if (i != 1) add(&c, 64 + 16 * i + 4 + 2, 64 + 1, 64);
     }
-    CHECK(voxrt_tree_from_voxels(NULL, c.v, c.n, 8, &t) == VOXRT_OK);
-    free(c.v);
+    t = cells_tree(&c, NULL, 8);
     s = share(t);
     REQUIRE(t != NULL && s != NULL);
     for (i = s->level_first[s->wide - 2]; i < s->node_count; i++) /* the one with two children, and those behind it */

@@ -4,41 +4,7 @@
 #define VOXRT_IMPLEMENTATION
 #include "../voxrt.h"
 #include "shapes.h"
-
-/* ---- lists of voxels ------------------------------------------------------------------------------------------- */
-
-typedef struct list { voxrt_voxel *v; size_t n, room; } list;
-
-static voxrt_voxel *list_add(list *l, uint32_t x, uint32_t y, uint32_t z, uint32_t rgb) { /* 0xBBGGRR */
-    voxrt_voxel *v;
-    if (l->n == l->room) {
-        l->room = 2 * l->room + 64;
-        l->v = (voxrt_voxel *)realloc(l->v, l->room * sizeof *l->v);
-        if (l->v == NULL) abort();
-    }
-    v = &l->v[l->n++];
-    memset(v, 0, sizeof *v);
-    v->x = x;
-    v->y = y;
-    v->z = z;
-    v->rgb[0] = (uint8_t)rgb;
-    v->rgb[1] = (uint8_t)(rgb >> 8);
-    v->rgb[2] = (uint8_t)(rgb >> 16);
-    return v;
-}
-
-static void list_normal(list *l, double x, double y, double z) { /* of the last one */
-    voxrt_voxel *v = &l->v[l->n - 1];
-    v->has_normal = 1;
-    v->normal[0] = (float)x;
-    v->normal[1] = (float)y;
-    v->normal[2] = (float)z;
-}
-
-static void list_free(list *l) {
-    free(l->v);
-    memset(l, 0, sizeof *l);
-}
+#include "voxel_list.h"
 
 static voxrt_build_desc defaults(void) {
     voxrt_build_desc d;
@@ -47,7 +13,7 @@ static voxrt_build_desc defaults(void) {
     return d;
 }
 
-static voxrt_tree *make(const voxrt_build_desc *d, const list *l, uint32_t depth) {
+static voxrt_tree *make(const voxrt_build_desc *d, const cells *l, uint32_t depth) {
     voxrt_tree *t = NULL;
     voxrt_result r = voxrt_tree_from_voxels(d, l->v, l->n, depth, &t);
     CHECK_EQ_U64(r, VOXRT_OK);
@@ -133,7 +99,7 @@ TEST(random_voxels) {
         test_rng rng = test_rng_make(k);
         uint32_t depth = depths[k % 10], n = k < 10 ? 300 : 1 + test_rng_below(&rng, 20), i, j, side = 1u << depth;
         uint32_t lo[3] = {0xffffffffu, 0xffffffffu, 0xffffffffu}, hi[3] = {0, 0, 0}, unique = 0;
-        list l;
+        cells l;
         voxrt_build_desc d = defaults();
         voxrt_tree *t;
         voxrt_tree_info info;
@@ -144,8 +110,8 @@ TEST(random_voxels) {
             if (i == 5) c[0] = c[1] = c[2] = side - 1;
             for (j = 0; j < i; j++) again |= l.v[j].x == c[0] && l.v[j].y == c[1] && l.v[j].z == c[2];
             unique += !again;
-            list_add(&l, c[0], c[1], c[2], test_rng_below(&rng, 5) * 0x102030u);
-            if (k & 1) list_normal(&l, test_rng_double(&rng) - 0.5, test_rng_double(&rng) - 0.5, 0.2);
+            cells_add(&l, c[0], c[1], c[2], test_rng_below(&rng, 5) * 0x102030u);
+            if (k & 1) cells_normal(&l, test_rng_double(&rng) - 0.5, test_rng_double(&rng) - 0.5, 0.2);
             for (a = 0; a < 3; a++) {
                 lo[a] = c[a] < lo[a] ? c[a] : lo[a];
                 hi[a] = c[a] + 1 > hi[a] ? c[a] + 1 : hi[a];
@@ -191,19 +157,19 @@ TEST(random_voxels) {
             }
         }
         voxrt_tree_destroy(t);
-        list_free(&l);
+        cells_free(&l);
     }
 }
 
 TEST(each_can_stop) {
-    list l;
+    cells l;
     voxrt_build_desc d = defaults();
     voxrt_tree *t;
     voxrt_tree_info info;
     walk w;
     uint32_t i;
     memset(&l, 0, sizeof l);
-    for (i = 0; i < 100; i++) list_add(&l, i % 16, i / 16, i % 7, 0);
+    for (i = 0; i < 100; i++) cells_add(&l, i % 16, i / 16, i % 7, 0);
     t = make(&d, &l, 4);
     voxrt_tree_get_info(t, &info);
     memset(&w, 0, sizeof w);
@@ -219,7 +185,7 @@ TEST(each_can_stop) {
     CHECK_EQ_U64(voxrt_tree_hash(NULL), 0);
     voxrt_tree_destroy(t);
     voxrt_tree_destroy(NULL);
-    list_free(&l);
+    cells_free(&l);
 }
 
 /* The same colours and normals in other places, one cell elsewhere, another place in the world: other hashes. */
@@ -227,26 +193,26 @@ TEST(hash_sees_everything) {
     uint64_t h[6];
     int k, i;
     for (k = 0; k < 6; k++) {
-        list l;
+        cells l;
         voxrt_build_desc d = defaults();
         voxrt_tree *t;
         memset(&l, 0, sizeof l);
-        list_add(&l, 0, 0, 0, k == 1 ? 0x0000ff : 0xff0000);
-        list_normal(&l, k == 2, k != 2, 0);
-        list_add(&l, 7, k == 3 ? 6 : 7, 7, k == 1 ? 0xff0000 : 0x0000ff);
-        list_normal(&l, k != 2, k == 2, 0);
+        cells_add(&l, 0, 0, 0, k == 1 ? 0x0000ff : 0xff0000);
+        cells_normal(&l, k == 2, k != 2, 0);
+        cells_add(&l, 7, k == 3 ? 6 : 7, 7, k == 1 ? 0xff0000 : 0x0000ff);
+        cells_normal(&l, k != 2, k == 2, 0);
         d.box_size = k == 4 ? 16 : 8;
         d.box_min[1] = k == 5;
         t = make(&d, &l, 3);
         h[k] = voxrt_tree_hash(t);
         for (i = 0; i < k; i++) CHECK_MSG(h[i] != h[k], "%d and %d", i, k);
         voxrt_tree_destroy(t);
-        list_free(&l);
+        cells_free(&l);
     }
 }
 
 TEST(from_voxels_arguments) {
-    list l;
+    cells l;
     voxrt_build_desc d = defaults();
     voxrt_tree *t = (voxrt_tree *)&l;
     voxrt_tree_info info;
@@ -258,7 +224,7 @@ TEST(from_voxels_arguments) {
     CHECK_EQ_U64(voxrt_tree_from_voxels(&d, NULL, 0, 4, &t), VOXRT_ERR_EMPTY);
     CHECK(t == NULL && e.code == VOXRT_ERR_EMPTY);
     CHECK_EQ_U64(voxrt_tree_from_voxels(&d, NULL, 1, 4, &t), VOXRT_ERR_INVALID_ARG);
-    for (k = 0; k < 10; k++) list_add(&l, k, 0, 0, 0);
+    for (k = 0; k < 10; k++) cells_add(&l, k, 0, 0, 0);
     CHECK_EQ_U64(voxrt_tree_from_voxels(&d, l.v, l.n, 4, NULL), VOXRT_ERR_INVALID_ARG);
     CHECK_EQ_U64(voxrt_tree_from_voxels(&d, l.v, l.n, 0, &t), VOXRT_ERR_RANGE);
     CHECK_EQ_U64(voxrt_tree_from_voxels(&d, l.v, l.n, 21, &t), VOXRT_ERR_RANGE);
@@ -292,7 +258,7 @@ TEST(from_voxels_arguments) {
     d = defaults();
     d.env.allocator.alloc_fn = test_alloc_fn; /* one without the other */
     CHECK_EQ_U64(voxrt_tree_from_voxels(&d, l.v, l.n, 4, &t), VOXRT_ERR_INVALID_ARG);
-    list_free(&l);
+    cells_free(&l);
 }
 
 /* ---- filling ----------------------------------------------------------------------------------------------------- */
@@ -372,7 +338,7 @@ static void dense_fill(dense *g) {
 
 /* The walls as a list, each with its own colour and normal, filled to `depth_limit`; compared with the oracle. */
 static void check_fill(dense *g, uint32_t tree_depth, uint32_t depth_limit, const char *what, size_t expect_inner) {
-    list l;
+    cells l;
     voxrt_build_desc d = defaults();
     voxrt_tree *t;
     size_t total = (size_t)g->n * g->n * g->n, i, inner = 0, wrong = 0, colour = 0;
@@ -380,9 +346,9 @@ static void check_fill(dense *g, uint32_t tree_depth, uint32_t depth_limit, cons
     dense_fill(g);
     for (i = 0; i < total; i++) {
         if (!g->wall[i]) continue;
-        list_add(&l, (uint32_t)(i % g->n), (uint32_t)(i / g->n % g->n), (uint32_t)(i / g->n / g->n),
+        cells_add(&l, (uint32_t)(i % g->n), (uint32_t)(i / g->n % g->n), (uint32_t)(i / g->n / g->n),
                  (uint32_t)((i * 2654435761u) >> 7) & 0xffffffu);
-        list_normal(&l, (double)(i % 5) - 2, (double)(i % 7) - 3, (double)(i % 3) - 0.5);
+        cells_normal(&l, (double)(i % 5) - 2, (double)(i % 7) - 3, (double)(i % 3) - 0.5);
     }
     d.fill = 1;
     d.fill_depth = depth_limit;
@@ -420,7 +386,7 @@ static void check_fill(dense *g, uint32_t tree_depth, uint32_t depth_limit, cons
         CHECK_EQ_U64(info.voxel_count, count);
     }
     voxrt_tree_destroy(t);
-    list_free(&l);
+    cells_free(&l);
 }
 
 static void shell(dense *g, uint32_t x0, uint32_t y0, uint32_t z0, uint32_t x1, uint32_t y1, uint32_t z1) {
@@ -598,14 +564,14 @@ TEST(fill_meshes) {
         shape_free(&s);
     }
     { /* a box of 8 cells in a grid of 1024^3 */
-        list l;
+        cells l;
         dense g = dense_make(8);
         uint64_t n = 0;
         size_t i;
         memset(&l, 0, sizeof l);
         shell(&g, 0, 0, 0, 7, 7, 7);
         for (i = 0; i < 512; i++)
-            if (g.wall[i]) list_add(&l, 509 + (uint32_t)(i % 8), 1016 + (uint32_t)(i / 8 % 8), (uint32_t)(i / 64), 0);
+            if (g.wall[i]) cells_add(&l, 509 + (uint32_t)(i % 8), 1016 + (uint32_t)(i / 8 % 8), (uint32_t)(i / 64), 0);
         d = defaults();
         d.fill = 1;
         t = make(&d, &l, 10);
@@ -615,7 +581,7 @@ TEST(fill_meshes) {
         CHECK_EQ_U64(voxrt_tree_from_voxels(&d, l.v, l.n, 15, &t), VOXRT_ERR_RANGE); /* deeper than filling goes */
         CHECK(t == NULL);
         dense_free(&g);
-        list_free(&l);
+        cells_free(&l);
     }
 }
 
@@ -629,20 +595,20 @@ static double to_linear(uint32_t byte) {
 static uint32_t to_byte(double l) { return (uint32_t)(255 * (l <= 0.0031308 ? l * 12.92 : 1.055 * pow(l, 1 / 2.4) - 0.055) + 0.5); }
 
 TEST(lod_mean) { /* weighted by leaves, in linear light; leaves of depth 3 */
-    list l;
+    cells l;
     voxrt_build_desc d = defaults();
     voxrt_tree *t;
     voxrt_voxel v;
     uint32_t i;
     memset(&l, 0, sizeof l);
     for (i = 0; i < 8; i++) { /* octant 0: eight red leaves in one parent */
-        list_add(&l, i & 1, i >> 1 & 1, i >> 2, 0x0000ff);
-        list_normal(&l, 1, 0, 0);
+        cells_add(&l, i & 1, i >> 1 & 1, i >> 2, 0x0000ff);
+        cells_normal(&l, 1, 0, 0);
     }
-    list_add(&l, 2, 0, 0, 0xff0000); /* beside it one blue leaf */
-    list_normal(&l, 0, 1, 0);
-    list_add(&l, 7, 7, 7, 0x00ff00); /* far off a green one, its normal cancels the blue one's */
-    list_normal(&l, 0, -1, 0);
+    cells_add(&l, 2, 0, 0, 0xff0000); /* beside it one blue leaf */
+    cells_normal(&l, 0, 1, 0);
+    cells_add(&l, 7, 7, 7, 0x00ff00); /* far off a green one, its normal cancels the blue one's */
+    cells_normal(&l, 0, -1, 0);
     t = make(&d, &l, 3);
     check_tree(t);
     REQUIRE(t != NULL);
@@ -659,7 +625,7 @@ TEST(lod_mean) { /* weighted by leaves, in linear light; leaves of depth 3 */
     CHECK_MSG(pack(&v) == (to_byte(0.8) | to_byte(0.1) << 8 | to_byte(0.1) << 16), "%06x", pack(&v));
     CHECK_NEAR(v.normal[0], 1, 1e-4);
     voxrt_tree_destroy(t);
-    list_free(&l);
+    cells_free(&l);
 }
 
 /* Random trees against sums over the leaves below a cell. */
@@ -668,7 +634,7 @@ TEST(lod_mean_random) {
     for (k = 0; k < 8; k++) {
         test_rng rng = test_rng_make(60 + k);
         uint32_t depth = 2 + k, n = 40 + 100 * k, i, level, side = 1u << depth;
-        list l;
+        cells l;
         voxrt_build_desc d = defaults();
         voxrt_tree *t;
         uint8_t *used;
@@ -679,8 +645,8 @@ TEST(lod_mean_random) {
             uint32_t x = test_rng_below(&rng, side), y = test_rng_below(&rng, 1 + side / 4), z = test_rng_below(&rng, 1 + side / 8);
             if (used[at(side, x, y, z)]) continue;
             used[at(side, x, y, z)] = 1;
-            list_add(&l, x, y, z, test_rng_u32(&rng) & 0xffffffu);
-            list_normal(&l, test_rng_double(&rng) - 0.3, test_rng_double(&rng) - 0.3, test_rng_double(&rng) - 0.3);
+            cells_add(&l, x, y, z, test_rng_u32(&rng) & 0xffffffu);
+            cells_normal(&l, test_rng_double(&rng) - 0.3, test_rng_double(&rng) - 0.3, test_rng_double(&rng) - 0.3);
         }
         d.palette_size = 1u << 24;
         t = make(&d, &l, depth);
@@ -714,12 +680,12 @@ TEST(lod_mean_random) {
         }
         free(used);
         voxrt_tree_destroy(t);
-        list_free(&l);
+        cells_free(&l);
     }
 }
 
 TEST(lod_majority) {
-    list l;
+    cells l;
     voxrt_build_desc d = defaults();
     voxrt_tree *t;
     voxrt_voxel v;
@@ -728,17 +694,17 @@ TEST(lod_majority) {
     memset(&l, 0, sizeof l);
     d.lod_method = VOXRT_LOD_MAJORITY;
     /* parent (0,0,0): three of A, two of B, one of C */
-    for (i = 0; i < 6; i++) list_add(&l, i & 1, i >> 1 & 1, i >> 2, i < 3 ? 0xaaaaaa : i < 5 ? 0xbbbbbb : 0xcccccc);
+    for (i = 0; i < 6; i++) cells_add(&l, i & 1, i >> 1 & 1, i >> 2, i < 3 ? 0xaaaaaa : i < 5 ? 0xbbbbbb : 0xcccccc);
     /* parent (1,0,0): a tie of A and B, one each: the lower index of the palette */
-    list_add(&l, 2, 0, 0, 0xbbbbbb);
-    list_add(&l, 3, 0, 0, 0xaaaaaa);
+    cells_add(&l, 2, 0, 0, 0xbbbbbb);
+    cells_add(&l, 3, 0, 0, 0xaaaaaa);
     /* parent (0,1,0): B alone, 8 times */
-    for (i = 0; i < 8; i++) list_add(&l, i & 1, 2 + (i >> 1 & 1), i >> 2, 0xbbbbbb);
+    for (i = 0; i < 8; i++) cells_add(&l, i & 1, 2 + (i >> 1 & 1), i >> 2, 0xbbbbbb);
     /* the grandparents (4.., 0, 0): two of A with one leaf each, two of C with eight: a tie by votes, C by weight */
-    list_add(&l, 4, 0, 0, 0xaaaaaa);
-    list_add(&l, 6, 0, 0, 0xaaaaaa);
-    for (i = 0; i < 8; i++) list_add(&l, 4 + (i & 1), 2 + (i >> 1 & 1), i >> 2, 0xcccccc);
-    for (i = 0; i < 8; i++) list_add(&l, 6 + (i & 1), 2 + (i >> 1 & 1), i >> 2, 0xcccccc);
+    cells_add(&l, 4, 0, 0, 0xaaaaaa);
+    cells_add(&l, 6, 0, 0, 0xaaaaaa);
+    for (i = 0; i < 8; i++) cells_add(&l, 4 + (i & 1), 2 + (i >> 1 & 1), i >> 2, 0xcccccc);
+    for (i = 0; i < 8; i++) cells_add(&l, 6 + (i & 1), 2 + (i >> 1 & 1), i >> 2, 0xcccccc);
     t = make(&d, &l, 3);
     check_tree(t);
     REQUIRE(t != NULL);
@@ -752,7 +718,7 @@ TEST(lod_majority) {
     CHECK(voxrt_tree_get(t, 1, 1, 0, 0, &v));
     CHECK_MSG(pack(&v) == 0xcccccc, "%06x", pack(&v));
     voxrt_tree_destroy(t);
-    list_free(&l);
+    cells_free(&l);
 }
 
 TEST(lod_opposite_normals) { /* they cancel: one of them, never zero or NaN; twenty levels deep */
@@ -760,15 +726,15 @@ TEST(lod_opposite_normals) { /* they cancel: one of them, never zero or NaN; twe
     for (method = 0; method < 2; method++) {
         uint32_t depth;
         for (depth = 1; depth <= 20; depth += depth < 4 ? 1 : 4) {
-            list l;
+            cells l;
             voxrt_build_desc d = defaults();
             voxrt_tree *t;
             uint32_t i, level, side = 1u << depth;
             memset(&l, 0, sizeof l);
             d.lod_method = (voxrt_lod_method)method;
             for (i = 0; i < 6; i++) {
-                list_add(&l, i & 1 ? side - 1 : 0, i & 2 ? side - 1 : 0, i & 4 ? side - 1 : 0, i * 0x202020u);
-                list_normal(&l, i / 2 == 0 ? (i & 1 ? 1 : -1) : 0, i / 2 == 1 ? (i & 1 ? 1 : -1) : 0, i / 2 == 2 ? (i & 1 ? 1 : -1) : 0);
+                cells_add(&l, i & 1 ? side - 1 : 0, i & 2 ? side - 1 : 0, i & 4 ? side - 1 : 0, i * 0x202020u);
+                cells_normal(&l, i / 2 == 0 ? (i & 1 ? 1 : -1) : 0, i / 2 == 1 ? (i & 1 ? 1 : -1) : 0, i / 2 == 2 ? (i & 1 ? 1 : -1) : 0);
             }
             t = make(&d, &l, depth);
             check_tree(t); /* checks the length of all normals */
@@ -778,23 +744,23 @@ TEST(lod_opposite_normals) { /* they cancel: one of them, never zero or NaN; twe
                 CHECK(fabsf(v.normal[0]) + fabsf(v.normal[1]) + fabsf(v.normal[2]) < 1.02f); /* along an axis */
             }
             voxrt_tree_destroy(t);
-            list_free(&l);
+            cells_free(&l);
         }
     }
 }
 
 TEST(same_voxel_twice) { /* the means are kept */
-    list l;
+    cells l;
     voxrt_build_desc d = defaults();
     voxrt_tree *t;
     voxrt_voxel v;
     memset(&l, 0, sizeof l);
-    list_add(&l, 5, 6, 7, 0x0000ff);
-    list_normal(&l, 1, 0, 0);
-    list_add(&l, 1, 1, 1, 0x123456);
-    list_normal(&l, 0, 0, 2);
-    list_add(&l, 5, 6, 7, 0xff0000);
-    list_normal(&l, 0, 1, 0);
+    cells_add(&l, 5, 6, 7, 0x0000ff);
+    cells_normal(&l, 1, 0, 0);
+    cells_add(&l, 1, 1, 1, 0x123456);
+    cells_normal(&l, 0, 0, 2);
+    cells_add(&l, 5, 6, 7, 0xff0000);
+    cells_normal(&l, 0, 1, 0);
     t = make(&d, &l, 3);
     REQUIRE(t != NULL);
     CHECK(voxrt_tree_get(t, 3, 5, 6, 7, &v));
@@ -804,7 +770,7 @@ TEST(same_voxel_twice) { /* the means are kept */
     CHECK(voxrt_tree_get(t, 3, 1, 1, 1, &v) && pack(&v) == 0x123456);
     CHECK_NEAR(v.normal[2], 1, 1e-4);
     voxrt_tree_destroy(t);
-    list_free(&l);
+    cells_free(&l);
 }
 
 /* ---- colours ----------------------------------------------------------------------------------------------------------- */
@@ -815,13 +781,13 @@ TEST(palettes) {
     for (k = 0; k < (test_quick() ? 4 : 6); k++) {
         for (method = 0; method < 2; method++) {
             uint32_t n = colours[k], i, count, wrong = 0, total = n < 4096 ? 4096 : n;
-            list l;
+            cells l;
             voxrt_build_desc d = defaults();
             voxrt_tree *t;
             voxrt_tree_info info;
             memset(&l, 0, sizeof l);
             for (i = 0; i < total; i++)
-                list_add(&l, i & 63, i >> 6 & 63, i >> 12, ((i % n) * 2654435761u) >> 8 & 0xffffffu);
+                cells_add(&l, i & 63, i >> 6 & 63, i >> 12, ((i % n) * 2654435761u) >> 8 & 0xffffffu);
             if (n == 40000) d.palette_size = 1u << 24;
             d.lod_method = (voxrt_lod_method)method;
             t = make(&d, &l, 6);
@@ -840,7 +806,7 @@ TEST(palettes) {
             else CHECK(count >= n);
             CHECK_EQ_U64(info.has_normals, 0);
             voxrt_tree_destroy(t);
-            list_free(&l);
+            cells_free(&l);
         }
     }
 }
@@ -851,12 +817,12 @@ TEST(few_colours_for_many) {
     for (k = 0; k < 4; k++) {
         for (method = 0; method < 2; method++) {
             uint32_t i, count;
-            list l;
+            cells l;
             voxrt_build_desc d = defaults();
             voxrt_tree *t;
             double worst = 0;
             memset(&l, 0, sizeof l);
-            for (i = 0; i < 4096; i++) list_add(&l, i & 15, i >> 4 & 15, i >> 8, i & 1 ? 0xff - (i >> 7) : 0xff0000 - (i >> 7 << 16));
+            for (i = 0; i < 4096; i++) cells_add(&l, i & 15, i >> 4 & 15, i >> 8, i & 1 ? 0xff - (i >> 7) : 0xff0000 - (i >> 7 << 16));
             d.palette_size = sizes[k];
             d.lod_method = (voxrt_lod_method)method;
             t = make(&d, &l, 4);
@@ -873,7 +839,7 @@ TEST(few_colours_for_many) {
             if (sizes[k] > 1 && method == 1) CHECK_MSG(worst < 40, "%u colours: %.0f", sizes[k], worst);
             if (sizes[k] == 1000) CHECK_MSG(worst < 8, "%.0f", worst);
             voxrt_tree_destroy(t);
-            list_free(&l);
+            cells_free(&l);
         }
     }
 }
@@ -884,7 +850,7 @@ typedef struct job {
     shape s;
     uint8_t *rgb;
     voxrt_mesh mesh;
-    list l;
+    cells l;
 } job;
 
 static void job_make(job *j, uint32_t rings) {
@@ -901,15 +867,15 @@ static void job_make(job *j, uint32_t rings) {
     j->mesh.triangle_count = j->s.triangles;
     j->mesh.vertex_rgb = j->rgb;
     for (i = 0; i < 300; i++) {
-        list_add(&j->l, test_rng_below(&rng, 16), test_rng_below(&rng, 16), test_rng_below(&rng, 16), test_rng_u32(&rng) & 0xffffffu);
-        list_normal(&j->l, 1, 0.5, 0.1);
+        cells_add(&j->l, test_rng_below(&rng, 16), test_rng_below(&rng, 16), test_rng_below(&rng, 16), test_rng_u32(&rng) & 0xffffffu);
+        cells_normal(&j->l, 1, 0.5, 0.1);
     }
 }
 
 static void job_free(job *j) {
     shape_free(&j->s);
     free(j->rgb);
-    list_free(&j->l);
+    cells_free(&j->l);
 }
 
 static voxrt_result job_run(const job *j, int what, voxrt_env env, voxrt_tree **t) { /* 0, 1, 2: mesh; 3: voxels */
@@ -1103,13 +1069,13 @@ static void count_for(voxrt_task_fn *task, void *ctx, uint32_t count, void *user
 /* More than one chunk of nodes on a level: threads share the levels of detail. */
 TEST(many_nodes) {
     test_rng rng = test_rng_make(12);
-    list l;
+    cells l;
     uint32_t i, k, calls = 0;
     uint64_t hash[2] = {0, 0};
     memset(&l, 0, sizeof l);
     for (i = 0; i < (test_quick() ? 20000u : 60000u); i++) {
-        list_add(&l, test_rng_below(&rng, 256), test_rng_below(&rng, 256), test_rng_below(&rng, 256), (test_rng_u32(&rng) & 7u) * 0x111111u);
-        list_normal(&l, test_rng_double(&rng) - 0.5, test_rng_double(&rng) - 0.5, test_rng_double(&rng) - 0.5);
+        cells_add(&l, test_rng_below(&rng, 256), test_rng_below(&rng, 256), test_rng_below(&rng, 256), (test_rng_u32(&rng) & 7u) * 0x111111u);
+        cells_normal(&l, test_rng_double(&rng) - 0.5, test_rng_double(&rng) - 0.5, test_rng_double(&rng) - 0.5);
     }
     for (k = 0; k < 8; k++) {
         static const uint32_t threads[4] = {1, 2, 7, 16};
@@ -1131,7 +1097,7 @@ TEST(many_nodes) {
     }
     CHECK(calls > 0);
     CHECK(hash[0] != hash[1]);
-    list_free(&l);
+    cells_free(&l);
 }
 
 int main(int argc, char **argv) {
