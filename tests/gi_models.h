@@ -20,6 +20,19 @@ MODEL_FN double rnd(void) { return (double)(rng_state = voxrti_hash32(rng_state 
 
 typedef struct model { float p[40000][3]; uint32_t index[40000][3]; uint8_t rgb[40000][3]; uint32_t points, triangles; } model;
 
+/* A G-buffer in arrays of width * height. */
+MODEL_FN voxrt_gbuffer gbuffer_of(uint32_t width, uint32_t height, float (*position)[3], float (*normal)[3],
+                                  float (*albedo)[3]) {
+    voxrt_gbuffer g;
+    memset(&g, 0, sizeof g);
+    g.width = width;
+    g.height = height;
+    g.position = position[0];
+    g.normal = normal[0];
+    g.albedo = albedo[0];
+    return g;
+}
+
 /* A scene in a cube around `middle`, the depth along z. */
 MODEL_FN voxrt_gi *make_gi_at(uint32_t nx, uint32_t ny, uint32_t nz, double half, const double middle[3]) {
     voxrt_gi_desc d;

@@ -185,13 +185,8 @@ TEST(closed_sphere) {
     CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
     CHECK(voxrt_gi_set_lights(gi, &light, 1) == VOXRT_OK);
     CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
-    memset(&g, 0, sizeof g);
     memset(&d, 0, sizeof d);
-    g.width = 8;
-    g.height = 4;
-    g.position = position[0];
-    g.normal = normal[0];
-    g.albedo = albedo[0];
+    g = gbuffer_of(8, 4, position, normal, albedo);
     for (i = 0; i < 32; i++) {
         double v[3], l = 0;
         for (k = 0; k < 3; k++) {
@@ -247,11 +242,7 @@ static void ball_open(ball *b, double r, const voxrt_gi_material *material) {
     CHECK(voxrt_gi_set_lights(b->gi, &light, 1) == VOXRT_OK);
     CHECK(voxrt_gi_update(b->gi, NULL) == VOXRT_OK);
     memset(&b->g, 0, sizeof b->g);
-    b->g.width = 8;
-    b->g.height = 4;
-    b->g.position = b->position[0];
-    b->g.normal = b->normal[0];
-    b->g.albedo = b->albedo[0];
+    b->g = gbuffer_of(8, 4, b->position, b->normal, b->albedo);
     rng_state = 17;
     for (i = 0; i < 32; i++) {
         double v[3], l = 0;
@@ -487,11 +478,7 @@ static void room_open(room *r, uint32_t width, uint32_t height, uint32_t threads
     CHECK(voxrt_gi_set_lights(r->gi, &r->light, 1) == VOXRT_OK);
     CHECK(voxrt_gi_update(r->gi, NULL) == VOXRT_OK);
     memset(&r->g, 0, sizeof r->g);
-    r->g.width = width;
-    r->g.height = height;
-    r->g.position = r->position[0];
-    r->g.normal = r->normal[0];
-    r->g.albedo = r->albedo[0];
+    r->g = gbuffer_of(width, height, r->position, r->normal, r->albedo);
     r->g.before = r->before[0];
     memset(&r->camera, 0, sizeof r->camera);
     r->camera.eye[0] = 2;
@@ -704,12 +691,7 @@ TEST(nested_volumes) { /* from the middle of the inner one rays reach a lit sphe
     CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
     CHECK(voxrt_gi_set_lights(gi, &light, 1) == VOXRT_OK);
     CHECK(voxrt_gi_update(gi, &su) == VOXRT_OK && su.still_cells > 1000);
-    memset(&g, 0, sizeof g);
-    g.width = 16;
-    g.height = 1;
-    g.position = position[0];
-    g.normal = normal[0];
-    g.albedo = albedo[0];
+    g = gbuffer_of(16, 1, position, normal, albedo);
     rng_state = 23;
     for (i = 0; i < 16; i++) {
         for (k = 0; k < 3; k++) {
@@ -841,13 +823,8 @@ TEST(nothing_leaks_through_a_thin_wall) { /* a room of single triangles, a wall 
     CHECK(voxrt_gi_set_lights(gi, &light, 1) == VOXRT_OK);
     CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
     for (i = 0; i < 3; i++) CHECK(voxrt_gi_bounce(gi, NULL, 16, 0.0f, i) == VOXRT_OK);
-    memset(&g, 0, sizeof g);
     memset(&d, 0, sizeof d);
-    g.width = 64;
-    g.height = 1;
-    g.position = position[0];
-    g.normal = normal[0];
-    g.albedo = albedo[0];
+    g = gbuffer_of(64, 1, position, normal, albedo);
     for (i = 0; i < 64; i++) { /* the floor, left and right */
         position[i][0] = (float)(i < 32 ? -8.5 + 0.2 * i : 8.5 - 0.2 * (i - 32));
         position[i][1] = -9.0f;
@@ -880,13 +857,8 @@ TEST(openness_is_a_form_factor) { /* a wall of height h at distance a hides 1/2 
     o = object_of(&m, 1);
     CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
     CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
-    memset(&g, 0, sizeof g);
     memset(&d, 0, sizeof d);
-    g.width = 16;
-    g.height = 1;
-    g.position = position[0];
-    g.normal = normal[0];
-    g.albedo = albedo[0];
+    g = gbuffer_of(16, 1, position, normal, albedo);
     for (i = 0; i < 16; i++) {
         position[i][0] = (float)(wall_x - 1.7 - 2.0 * i);
         position[i][1] = (float)floor_y;
@@ -910,12 +882,7 @@ TEST(threads_and_instruction_sets) {
     voxrt_camera camera;
     voxrt_gbuffer g;
     uint32_t way, k;
-    memset(&g, 0, sizeof g);
-    g.width = W;
-    g.height = H;
-    g.position = position[0];
-    g.normal = normal[0];
-    g.albedo = albedo[0];
+    g = gbuffer_of(W, H, position, normal, albedo);
     sphere(&a, 9.0, 40, 200, 1);
     sphere(&b, 3.0, 20, 120, 0);
     memset(lights, 0, sizeof lights);
@@ -978,12 +945,7 @@ TEST(threads_and_instruction_sets_in_all_methods) { /* the same bits: virtual li
     voxrt_camera camera;
     voxrt_gbuffer g;
     uint32_t run, way, k;
-    memset(&g, 0, sizeof g);
-    g.width = W;
-    g.height = H;
-    g.position = position[0];
-    g.normal = normal[0];
-    g.albedo = albedo[0];
+    g = gbuffer_of(W, H, position, normal, albedo);
     g.specular = specular[0];
     g.emission = emission[0];
     g.before = before[0];
@@ -1060,13 +1022,8 @@ TEST(filter_keeps_to_surfaces) { /* a constant stays one; nothing crosses a righ
     voxrt_env none;
     uint32_t x, y, a;
     double worst = 0;
-    memset(&g, 0, sizeof g);
     memset(&none, 0, sizeof none);
-    g.width = W;
-    g.height = H;
-    g.position = position[0];
-    g.normal = normal[0];
-    g.albedo = albedo[0];
+    g = gbuffer_of(W, H, position, normal, albedo);
     for (y = 0; y < H; y++)
         for (x = 0; x < W; x++) { /* left half a floor, right half a wall */
             const uint32_t i = y * W + x;
@@ -1214,12 +1171,8 @@ TEST(lamps_do_not_shade_themselves) { /* a ball that emits, with shadows by rays
     REQUIRE(voxrt_tree_build(&build, &o.mesh, NULL, &tree) == VOXRT_OK);
     voxrt_tree_get_info(tree, &info);
     voxrt_tree_geometry(tree, &geometry);
-    memset(&g, 0, sizeof g);
     memset(&d, 0, sizeof d);
-    g.width = g.height = 1;
-    g.position = position[0];
-    g.normal = normal[0];
-    g.albedo = albedo[0];
+    g = gbuffer_of(1, 1, position, normal, albedo);
     position[0][1] = -4;
     normal[0][1] = 1;
     albedo[0][0] = albedo[0][1] = albedo[0][2] = 1;
@@ -1275,13 +1228,8 @@ TEST(pixels_at_edges_show_one_face) {
     box(&m, 2.05, 180, 0);
     o = object_of(&m, 1);
     CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK && voxrt_gi_update(gi, NULL) == VOXRT_OK);
-    memset(&g, 0, sizeof g);
     memset(&camera, 0, sizeof camera);
-    g.width = 4;
-    g.height = 1;
-    g.position = position[0];
-    g.normal = normal[0];
-    g.albedo = albedo[0];
+    g = gbuffer_of(4, 1, position, normal, albedo);
     camera.eye[1] = 3.0f; /* above the block a little, in front of it far */
     camera.eye[2] = 20.0f;
     camera.fov_y = 40;
@@ -1390,11 +1338,7 @@ TEST(stopped_pictures_leave_no_trace) {
     voxrt_gi_render_desc d;
     uint32_t run, frame;
     room_open(&r, 16, 16, 2);
-    r.g.width = W;
-    r.g.height = H;
-    r.g.position = position[0];
-    r.g.normal = normal[0];
-    r.g.albedo = albedo[0];
+    r.g = gbuffer_of(W, H, position, normal, albedo);
     r.g.before = NULL;
     CHECK(voxrt_gbuffer_from_gi(NULL, &r.camera, r.gi, &r.g) == VOXRT_OK);
     for (run = 0; run < 2; run++) { /* not stopped; stopped before each picture */
@@ -1769,7 +1713,6 @@ TEST(volumes_that_follow_leave_no_seam) { /* points that stay while three nested
     voxrt_gi *gi = NULL;
     uint32_t i, step;
     memset(&gd, 0, sizeof gd);
-    memset(&g, 0, sizeof g);
     gd.columns.size_x = gd.columns.size_y = 64;
     gd.columns.size_z = 64;
     for (i = 0; i < 3; i++) {
@@ -1786,11 +1729,7 @@ TEST(volumes_that_follow_leave_no_seam) { /* points that stay while three nested
     o = object_of(&block, 1);
     CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
     CHECK(voxrt_gi_set_lights(gi, &light, 1) == VOXRT_OK);
-    g.width = N;
-    g.height = 1;
-    g.position = position[0];
-    g.normal = normal[0];
-    g.albedo = albedo[0];
+    g = gbuffer_of(N, 1, position, normal, albedo);
     rng_state = 31;
     for (i = 0; i < N; i++) { /* on the top and a side of the block, near the middle */
         position[i][0] = (float)(2.4 * rnd() - 1.2);
@@ -1954,7 +1893,6 @@ TEST(memory) {
                 voxrt_result r5, r6;
                 uint32_t k;
                 memset(&rd, 0, sizeof rd);
-                memset(&g, 0, sizeof g);
                 memset(n, 0, sizeof n);
                 for (k = 0; k < 16; k++) {
                     p[k][0] = p[k][1] = 0;
@@ -1962,10 +1900,7 @@ TEST(memory) {
                     n[k][2] = sp[k][3] = 1;
                     c[k][0] = c[k][1] = c[k][2] = sp[k][0] = sp[k][1] = sp[k][2] = 0.5f;
                 }
-                g.width = g.height = 4;
-                g.position = p[0];
-                g.normal = n[0];
-                g.albedo = c[0];
+                g = gbuffer_of(4, 4, p, n, c);
                 g.specular = sp[0];
                 rd.env = d.env;
                 rd.env.thread_count = 1;

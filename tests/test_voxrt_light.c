@@ -35,11 +35,7 @@ static void set_lamp(voxrt_gi *gi, const double at[3], double intensity) {
 
 static void open_picture(picture *p) {
     memset(p, 0, sizeof *p);
-    p->g.width = POINTS / 4;
-    p->g.height = 4;
-    p->g.position = p->position[0];
-    p->g.normal = p->normal[0];
-    p->g.albedo = p->albedo[0];
+    p->g = gbuffer_of(POINTS / 4, 4, p->position, p->normal, p->albedo);
 }
 
 /* Both scenes get each triangle. */
@@ -434,7 +430,6 @@ TEST(no_flicker_under_a_moving_lamp) {
     double sum[2] = {0, 0};
     uint32_t frame, way, i;
     memset(&s, 0, sizeof s);
-    memset(&g, 0, sizeof g);
     memset(&camera, 0, sizeof camera);
     both_box(&m, &s, lo, hi, 1, 225);
     both_box(&m, &s, lo1, hi1, 0, 200);
@@ -443,11 +438,7 @@ TEST(no_flicker_under_a_moving_lamp) {
     camera.at[1] = -2.0f;
     camera.up[1] = 1.0f;
     camera.fov_y = 60.0f;
-    g.width = W;
-    g.height = H;
-    g.position = position[0];
-    g.normal = normal[0];
-    g.albedo = albedo[0];
+    g = gbuffer_of(W, H, position, normal, albedo);
     for (frame = 0; frame < FRAMES; frame++) {
         const double at[3] = {-4 + 0.3 * frame, 5, 1};
         set_lamp(gi, at, 100);
