@@ -96,6 +96,7 @@ TEST(golden_file) {
     voxrt_octree_info info;
     const voxrt_octree_voxel *v;
     uint8_t out[64];
+    uint32_t colors;
     size_t n = 0, i;
     REQUIRE(voxrt_octree_load_memory(NULL, golden, sizeof golden, &t) == VOXRT_OK);
     voxrt_octree_get_info(t, &info);
@@ -110,6 +111,8 @@ TEST(golden_file) {
     CHECK(voxrt_octree_save_memory(t, NULL, out, sizeof out, &n) == VOXRT_OK && n == 50);
     CHECK(memcmp(out, golden, 50) == 0);
     CHECK(voxrt_file_kind(golden, sizeof golden) == 4);
+    CHECK(memcmp(voxrt_octree_palette(t, &colors), golden + 6, 6) == 0 && colors == 2);
+    CHECK(voxrt_octree_palette(NULL, &colors) == NULL && colors == 0);
     voxrt_octree_destroy(t);
 }
 
