@@ -6630,11 +6630,6 @@ typedef struct voxrti_sharer {
     uint32_t *code;                        /* numbers of masks of the leaf nodes that are kept */
 } voxrti_sharer;
 
-static int voxrti_same_mask(const void *user, uint32_t a, uint32_t b) {
-    const voxrti_sharer *h = (const voxrti_sharer *)user;
-    return h->mask[a] == h->mask[b];
-}
-
 static int voxrti_same_run(const void *user, uint32_t a, uint32_t b) {
     const voxrti_sharer *h = (const voxrti_sharer *)user;
     const uint32_t n = voxrti_popcount64(h->node[a].mask);
@@ -6648,27 +6643,45 @@ static int voxrti_same_node(const void *user, uint32_t a, uint32_t b) {
     return h->node[a].mask == h->node[b].mask && h->level_run[a] == h->level_run[b];
 }
 
-/* Numbers of n masks: [n] to. */
+/* Numbers of n masks, in the order in which they come up: [n] to. A set of its own: most masks are found at the first
+   look, and then nothing else is read. */
+typedef struct voxrti_mask_slot { uint64_t mask; uint32_t number; } voxrti_mask_slot; /* mask 0: free */
+
 static voxrt_result voxrti_share_masks(voxrti_sharer *h, const uint64_t *leaf, uint32_t n, uint32_t *to) {
-    uint32_t i;
-    voxrti_intern set;
-    int ok = to != NULL;
-    memset(&set, 0, sizeof set);
-    set.mem = h->mem;
-    for (i = 0; ok && i < n; i++) {
-        const uint64_t mask = leaf[i];
-        void *p = h->mask;
-        ok = voxrti_grow(h->mem, &p, &h->mask_capacity, h->mask_count, h->mask_count + 1, sizeof(uint64_t));
-        h->mask = (uint64_t *)p;
-        if (!ok) break;
-        h->mask[h->mask_count] = mask;
-        to[i] = voxrti_intern_get(&set, voxrti_hash_mix(voxrti_hash_mix(1, mask), 0), (uint32_t)h->mask_count,
-                                  voxrti_same_mask, h);
-        ok = to[i] != VOXRT_NO_NODE;
-        h->mask_count += to[i] == h->mask_count;
+    voxrti_mask_slot *slot = NULL, *old;
+    size_t capacity = 0, from, i, k;
+    uint32_t next, shift = 64;
+    for (next = 0; to != NULL && next < n; next++) {
+        const uint64_t mask = leaf[next];
+        if (2 * h->mask_count >= capacity) {
+            from = capacity;
+            capacity = from != 0 ? 2 * from : 1024;
+            old = slot;
+            slot = (voxrti_mask_slot *)voxrti_alloc_zero(h->mem, capacity, sizeof *slot);
+            for (shift = 64, i = capacity; i > 1; i /= 2) shift--;
+            for (i = 0; slot != NULL && i < from; i++) {
+                if (old[i].mask == 0) continue;
+                for (k = (size_t)(old[i].mask * 0x9e3779b97f4a7c15u >> shift); slot[k].mask != 0;)
+                    k = (k + 1) & (capacity - 1);
+                slot[k] = old[i];
+            }
+            voxrti_free(h->mem, old);
+            if (slot == NULL) return VOXRT_ERR_NO_MEMORY;
+        }
+        for (k = (size_t)(mask * 0x9e3779b97f4a7c15u >> shift); slot[k].mask != mask && slot[k].mask != 0;)
+            k = (k + 1) & (capacity - 1);
+        if (slot[k].mask == 0) {
+            void *p = h->mask;
+            if (!voxrti_grow(h->mem, &p, &h->mask_capacity, h->mask_count, h->mask_count + 1, sizeof(uint64_t))) break;
+            h->mask = (uint64_t *)p;
+            h->mask[h->mask_count] = mask;
+            slot[k].mask = mask;
+            slot[k].number = (uint32_t)h->mask_count++;
+        }
+        to[next] = slot[k].number;
     }
-    voxrti_free(h->mem, set.slot);
-    return ok ? VOXRT_OK : VOXRT_ERR_NO_MEMORY;
+    voxrti_free(h->mem, slot);
+    return to != NULL && next == n ? VOXRT_OK : VOXRT_ERR_NO_MEMORY;
 }
 
 /* Runs and numbers of the nodes of interior level w. */
@@ -6846,54 +6859,97 @@ typedef struct voxrti_part {
     uint32_t cells, lo[3], hi[3];
 } voxrti_part;
 
-static void voxrti_part_leaf(uint64_t mask, voxrti_part *p) {
+/* The same of leaf nodes, and of those above them, in one word: bytes 16 - lo and hi along x, y, z, of which the largest
+   are those of a whole; then octants and voxels, but only of a leaf node. */
+#define VOXRTI_PART_BOX 0x0000ffffffffffffu
+
+static uint64_t voxrti_part_leaf(uint64_t mask) {
+    uint64_t p = (uint64_t)voxrti_popcount64(voxrti_octants(mask)) << 48 | (uint64_t)voxrti_popcount64(mask) << 56;
     uint32_t a;
-    p->cells = voxrti_leaf_cells(mask);
     for (a = 0; a < 3; a++) {
         const uint64_t *l = voxrti_layer[a];
-        p->lo[a] = (mask & l[0]) != 0 ? 0u : (mask & l[1]) != 0 ? 1u : (mask & l[2]) != 0 ? 2u : 3u;
-        p->hi[a] = (mask & l[3]) != 0 ? 4u : (mask & l[2]) != 0 ? 3u : (mask & l[1]) != 0 ? 2u : 1u;
+        p |= (uint64_t)((mask & l[0]) != 0 ? 16u : (mask & l[1]) != 0 ? 15u : (mask & l[2]) != 0 ? 14u : 13u) << 8 * a;
+        p |= (uint64_t)((mask & l[3]) != 0 ? 4u : (mask & l[2]) != 0 ? 3u : (mask & l[1]) != 0 ? 2u : 1u) << (24 + 8 * a);
     }
+    return p;
+}
+
+static void voxrti_part_box(uint64_t packed, voxrti_part *p) {
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        p->lo[a] = 16 - ((uint32_t)(packed >> 8 * a) & 255u);
+        p->hi[a] = (uint32_t)(packed >> (24 + 8 * a)) & 255u;
+    }
+}
+
+typedef struct voxrti_shared_indexer {
+    voxrt_tree *t;
+    uint64_t *mask;         /* [mask_count] voxrti_part_leaf */
+    uint16_t (*leaf)[2];    /* [nodes above leaf nodes] octants and voxels of their leaf nodes */
+    uint64_t place[64];     /* what a box in cell s adds to the bytes of one in cell 0 */
+} voxrti_shared_indexer;
+
+/* The part of node n above leaf nodes, which begin at k. */
+static void voxrti_shared_part_last(const voxrti_shared_indexer *x, uint64_t m, uint32_t k, voxrti_part *o,
+                                    uint16_t leaf[2]) {
+    const uint64_t high = 0x808080808080u;
+    uint64_t box = 0, v, ge;
+    uint32_t octants = 0, voxels = 0, n = 0;
+    for (; m != 0; m &= m - 1, k++, n++) {
+        v = x->mask[voxrti_leaf_at(x->t, k)];
+        octants += (uint32_t)(v >> 48) & 255u;
+        voxels += (uint32_t)(v >> 56);
+        v = (v & VOXRTI_PART_BOX) + x->place[voxrti_ctz64(m)];
+        ge = ((box | high) - v) & high; /* bytes in which the box is the larger one already */
+        ge |= ge - (ge >> 7);
+        box = (box & ge) | (v & ~ge);
+    }
+    voxrti_part_box(box, o);
+    o->cells = n + octants + voxels;
+    leaf[0] = (uint16_t)octants;
+    leaf[1] = (uint16_t)voxels;
 }
 
 /* One level of voxrti_shared_index. below: parts of the level beneath it, NULL: leaf nodes. run: NULL: set `octant` of
    the children; else compare it, and runs must stand without gaps in the order in which they are named, for so they are
    written down. [nodes beneath] zeros, for the lengths of the runs. 0: not a tree; or too many cells. */
-static int voxrti_shared_parts(voxrt_tree *t, uint32_t w, const voxrti_part *below, voxrti_part *out, uint8_t *run) {
+static int voxrti_shared_parts(const voxrti_shared_indexer *x, uint32_t w, const voxrti_part *below, voxrti_part *out,
+                               uint8_t *run) {
+    voxrt_tree *t = x->t;
     const uint32_t last = w + 2 == t->wide, first = last ? 0 : t->level_first[w + 1];
     const uint32_t size = (uint32_t)4 << 2 * (t->wide - 2 - w);
     uint32_t i, a, next = 0;
     for (i = 0; i < t->level_nodes[w]; i++) {
         const voxrti_node *n = &t->node[t->level_first[w] + i];
+        const uint32_t children = voxrti_popcount64(n->mask);
         uint64_t cells = 0, m;
         uint32_t k = n->child - first;
-        voxrti_part p, *o = &out[i];
-        if (n->mask == 0 || n->child < first || k > t->level_nodes[w + 1] ||
-            voxrti_popcount64(n->mask) > t->level_nodes[w + 1] - k)
+        voxrti_part *o = &out[i];
+        if (n->mask == 0 || n->child < first || k > t->level_nodes[w + 1] || children > t->level_nodes[w + 1] - k)
             return 0;
         if (run != NULL && k == next) {
-            run[k] = (uint8_t)voxrti_popcount64(n->mask);
-            next += run[k];
+            run[k] = (uint8_t)children;
+            next += children;
         }
-        if (run != NULL && (k >= next || run[k] != voxrti_popcount64(n->mask))) return 0;
+        if (run != NULL && (k >= next || run[k] != children)) return 0;
+        if (last) {
+            voxrti_shared_part_last(x, n->mask, k, o, x->leaf[i]);
+            o->cells += 1 + voxrti_popcount64(voxrti_octants(n->mask));
+            continue;
+        }
         memset(o, 0, sizeof *o);
         o->lo[0] = o->lo[1] = o->lo[2] = 0xffffffffu;
         for (m = n->mask; m != 0; m &= m - 1, k++) {
             const uint32_t s = voxrti_ctz64(m), c[3] = {voxrti_slot_x(s) * size, voxrti_slot_y(s) * size,
                                                         voxrti_slot_z(s) * size};
-            if (last) {
-                voxrti_part_leaf(t->leaf[voxrti_leaf_at(t, k)], &p);
-            } else {
-                voxrti_node *child = &t->node[first + k];
-                p = below[k];
-                if (run == NULL) child->octant = (uint32_t)cells;
-                else if (child->octant != cells) return 0;
-            }
-            cells += p.cells;
+            voxrti_node *child = &t->node[first + k];
+            if (run == NULL) child->octant = (uint32_t)cells;
+            else if (child->octant != cells) return 0;
+            cells += below[k].cells;
             if (cells > 0xfffffffeu) return 0;
             for (a = 0; a < 3; a++) {
-                if (c[a] + p.lo[a] < o->lo[a]) o->lo[a] = c[a] + p.lo[a];
-                if (c[a] + p.hi[a] > o->hi[a]) o->hi[a] = c[a] + p.hi[a];
+                if (c[a] + below[k].lo[a] < o->lo[a]) o->lo[a] = c[a] + below[k].lo[a];
+                if (c[a] + below[k].hi[a] > o->hi[a]) o->hi[a] = c[a] + below[k].hi[a];
             }
         }
         cells += 1 + voxrti_popcount64(voxrti_octants(n->mask));
@@ -6904,7 +6960,8 @@ static int voxrti_shared_parts(voxrt_tree *t, uint32_t w, const voxrti_part *bel
 }
 
 /* Cells of each virtual level: how often each node is met, from the root down. The sum is known to be below 2^32. */
-static voxrt_result voxrti_shared_counts(voxrti_mem *mem, voxrt_tree *t) {
+static voxrt_result voxrti_shared_counts(voxrti_mem *mem, const voxrti_shared_indexer *x) {
+    voxrt_tree *t = x->t;
     uint64_t count[2 * VOXRTI_MAX_WIDE + 1];
     uint32_t w, i, k, *times = NULL, *below = NULL;
     memset(count, 0, sizeof count);
@@ -6920,15 +6977,11 @@ static voxrt_result voxrti_shared_counts(voxrti_mem *mem, voxrt_tree *t) {
             const voxrti_node *n = &t->node[t->level_first[w] + i];
             const uint64_t met = times != NULL ? times[i] : 1;
             const uint32_t c = n->child - first, m = voxrti_popcount64(n->mask);
-            if (met == 0) continue;
             count[2 * w + 1] += met * voxrti_popcount64(voxrti_octants(n->mask));
             count[2 * w + 2] += met * m;
-            for (k = c; k < c + m; k++) {
-                if (!last) below[k] += (uint32_t)met;
-                if (!last) continue;
-                count[2 * w + 3] += met * voxrti_popcount64(voxrti_octants(t->leaf[voxrti_leaf_at(t, k)]));
-                count[2 * w + 4] += met * voxrti_popcount64(t->leaf[voxrti_leaf_at(t, k)]);
-            }
+            for (k = c; k < c + m && !last; k++) below[k] += (uint32_t)met;
+            if (last) count[2 * w + 3] += met * x->leaf[i][0];
+            if (last) count[2 * w + 4] += met * x->leaf[i][1];
         }
         voxrti_free(mem, times);
     }
@@ -6941,39 +6994,71 @@ static voxrt_result voxrti_shared_counts(voxrti_mem *mem, voxrt_tree *t) {
     return VOXRT_OK;
 }
 
-/* Given masks, children and codes of a shared tree, and level_first, level_nodes, derive the rest: cells before nodes
-   (write; else check them), counts, box. ERR_FORMAT: they are not those of a tree, or of one with too many cells. */
-static VOXRTI_UNUSED voxrt_result voxrti_shared_index(voxrti_mem *mem, voxrt_tree *t, int write) {
-    voxrti_part *below = NULL, *part = NULL, root;
-    uint32_t w, i;
-    uint64_t mask;
-    for (i = 0; i < t->mask_count; i++)
-        if (t->leaf[i] == 0) return VOXRT_ERR_FORMAT;
-    for (i = 0; i < t->level_nodes[t->wide - 1]; i++)
-        if (voxrti_leaf_at(t, i) >= t->mask_count) return VOXRT_ERR_FORMAT;
+/* The parts of all levels, bottom up; the root's. */
+static voxrt_result voxrti_shared_levels(voxrti_mem *mem, const voxrti_shared_indexer *x, int write, voxrti_part *root) {
+    const voxrt_tree *t = x->t;
+    voxrti_part *below = NULL, *part = NULL;
+    uint32_t w;
     for (w = t->wide - 1; w-- > 0; below = part) {
         uint8_t *run = write ? NULL : (uint8_t *)voxrti_alloc_zero(mem, t->level_nodes[w + 1], 1);
         int room, ok;
         part = (voxrti_part *)voxrti_alloc_array(mem, t->level_nodes[w], sizeof(voxrti_part));
         room = part != NULL && (write || run != NULL);
-        ok = room && voxrti_shared_parts(t, w, below, part, run);
+        ok = room && voxrti_shared_parts(x, w, below, part, run);
         voxrti_free(mem, below);
         voxrti_free(mem, run);
         if (ok) continue;
         voxrti_free(mem, part);
         return room ? VOXRT_ERR_FORMAT : VOXRT_ERR_NO_MEMORY;
     }
-    mask = t->wide > 1 ? t->node[0].mask : t->leaf[voxrti_leaf_at(t, 0)];
-    if (t->wide > 1) root = part[0];
-    else voxrti_part_leaf(mask, &root);
+    if (part != NULL) *root = part[0];
     voxrti_free(mem, part);
+    return VOXRT_OK;
+}
+
+static voxrt_result voxrti_shared_fill(voxrti_mem *mem, voxrti_shared_indexer *x, int write) {
+    voxrt_tree *t = x->t;
+    const uint32_t above = t->wide > 1 ? t->level_nodes[t->wide - 2] : 1;
+    uint32_t i;
+    uint64_t mask;
+    voxrti_part root;
+    voxrt_result r;
+    x->mask = (uint64_t *)voxrti_alloc_array(mem, t->mask_count, sizeof(uint64_t));
+    x->leaf = (uint16_t (*)[2])voxrti_alloc_array(mem, above, sizeof *x->leaf);
+    if (x->mask == NULL || x->leaf == NULL) return VOXRT_ERR_NO_MEMORY;
+    for (i = 0; i < t->mask_count; i++) {
+        if (t->leaf[i] == 0) return VOXRT_ERR_FORMAT;
+        x->mask[i] = voxrti_part_leaf(t->leaf[i]);
+    }
+    for (i = 0; i < t->level_nodes[t->wide - 1]; i++)
+        if (voxrti_leaf_at(t, i) >= t->mask_count) return VOXRT_ERR_FORMAT;
+    for (i = 0; i < 64; i++)
+        x->place[i] = 4 * (((uint64_t)voxrti_slot_x(i) | (uint64_t)voxrti_slot_y(i) << 8 | (uint64_t)voxrti_slot_z(i) << 16) *
+                           0xffffffu); /* 2^24 - 1: what hi gains 16 - lo loses */
+    if (t->wide == 1 && voxrti_leaf_at(t, 0) != 0) return VOXRT_ERR_FORMAT;
+    voxrti_part_box(x->mask[0], &root);
+    r = voxrti_shared_levels(mem, x, write, &root);
+    if (r != VOXRT_OK) return r;
     if (t->wide > 1 && write) t->node[0].octant = 0;
     if (t->wide > 1 && t->node[0].octant != 0) return VOXRT_ERR_FORMAT;
-    if (t->wide == 1 && voxrti_leaf_at(t, 0) != 0) return VOXRT_ERR_FORMAT;
+    mask = t->wide > 1 ? t->node[0].mask : t->leaf[0];
     if ((t->depth & 1u) != 0 && (mask & ~(uint64_t)0xff) != 0) return VOXRT_ERR_FORMAT;
     memcpy(t->cell_min, root.lo, sizeof root.lo);
     memcpy(t->cell_max, root.hi, sizeof root.hi);
-    return voxrti_shared_counts(mem, t);
+    return voxrti_shared_counts(mem, x);
+}
+
+/* Given masks, children and codes of a shared tree, and level_first, level_nodes, derive the rest: cells before nodes
+   (write; else check them), counts, box. ERR_FORMAT: they are not those of a tree, or of one with too many cells. */
+static VOXRTI_UNUSED voxrt_result voxrti_shared_index(voxrti_mem *mem, voxrt_tree *t, int write) {
+    voxrti_shared_indexer x;
+    voxrt_result r;
+    memset(&x, 0, sizeof x);
+    x.t = t;
+    r = voxrti_shared_fill(mem, &x, write);
+    voxrti_free(mem, x.mask);
+    voxrti_free(mem, x.leaf);
+    return r;
 }
 
 /* Attributes of all cells from the order of plain tree s to that of a shared one, or back; either array may be NULL. */
