@@ -92,8 +92,8 @@ GALLERY += $(VOXRT_PICTURES) $(G)/voxrt_minimal.png
 
 # --- zbufrand: scenes of up to 6.8 * 10^11 triangles ---------------------------------------------------------------
 
-$(G)/zbufrand_forest_1.png: options = --scene forest --eye 0,42,7950 --at 0,13,7850 --fov 45 --mean 8
-$(G)/zbufrand_forest_2.png: options = --scene forest --view 2 --mean 8
+$(G)/zbufrand_forest_1.png: options = --scene forest --eye 0,42,7950 --at 0,13,7850 --fov 45 --mean 4
+$(G)/zbufrand_forest_2.png: options = --scene forest --view 2 --mean 4
 $(G)/zbufrand_forest_3.png: options = --scene forest --view 3 --mean 8
 $(G)/zbufrand_forest_4.png: options = --scene forest --view 4 --mean 8
 $(G)/zbufrand_city.png: options = --scene city --view 2 --mean 4
@@ -155,7 +155,7 @@ $(RBF)/%.rbf: $(B)/tetcast_rbf
 	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf fit $* $@ --quiet --max-error 0.05
 
 $(G)/tetcast_rbf_tornado.png: $(RBF)/tornado.rbf
-	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf render $< --out $@ --quiet --channel vorticity --samples 150
+	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf render $< --out $@ --quiet --channel vorticity --samples 60
 $(G)/tetcast_rbf_traces.png: $(RBF)/tornado.rbf
 	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf trace $< --out $@ --quiet --seeds 110
 $(G)/tetcast_rbf_bow.png: $(RBF)/bow.rbf
