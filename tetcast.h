@@ -478,6 +478,10 @@ TETCAST_DEF void tetcast_mesh_vertex(const tetcast_mesh *mesh, uint32_t vertex, 
 /* Needs the tets, else RANGE. source_cell: the cell of the input that it was cut from. */
 TETCAST_DEF tetcast_result tetcast_mesh_cell(const tetcast_mesh *mesh, uint32_t cell, uint32_t vertices[4],
                                              uint32_t *source_cell);
+/* Face of the hull, face < hull_face_count: three vertices of the mesh's own order, counter-clockwise seen from outside.
+   All of them are a closed surface, such as tetcast_clip_body wants. */
+TETCAST_DEF void tetcast_mesh_hull_face(const tetcast_mesh *mesh, uint32_t face, uint32_t vertices[3]);
+
 /* ---- transfer functions ---- */
 
 /* Scalar value -> colour and extinction, piecewise linear between control points. Two points of equal value make a
@@ -4582,6 +4586,11 @@ TETCAST_DEF tetcast_result tetcast_mesh_set_field(tetcast_mesh *mesh, uint32_t f
     }
     tetcasti_cells_field_changed(mesh);
     return TETCAST_OK;
+}
+
+TETCAST_DEF void tetcast_mesh_hull_face(const tetcast_mesh *mesh, uint32_t face, uint32_t vertices[3]) {
+    vertices[0] = vertices[1] = vertices[2] = TETCAST_NONE;
+    if (mesh != NULL && face < mesh->face_count) memcpy(vertices, mesh->face[face].v, sizeof mesh->face[face].v);
 }
 
 TETCAST_DEF void tetcast_mesh_vertex(const tetcast_mesh *mesh, uint32_t vertex, double position[3], float *value,

@@ -152,16 +152,17 @@ $(G)/tetcast_minimal.png: $(B)/minimal_tetcast
 # A generated flow and a generated volume as radial basis functions.
 RBF := $(G)/rbf
 $(RBF)/%.rbf: $(B)/tetcast_rbf
-	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf fit $* $@ --quiet --max-error 0.05
+	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf fit $* $@ --quiet --max-error 0.05 $(detail)
+$(RBF)/ball.rbf: detail = --detail 24
 
 $(G)/tetcast_rbf_tornado.png: $(RBF)/tornado.rbf
 	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf render $< --out $@ --quiet --channel vorticity --samples 60
 $(G)/tetcast_rbf_traces.png: $(RBF)/tornado.rbf
 	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf trace $< --out $@ --quiet --seeds 110
-$(G)/tetcast_rbf_bow.png: $(RBF)/bow.rbf
-	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf render $< --out $@ --quiet
+$(G)/tetcast_rbf_ball.png: $(RBF)/ball.rbf
+	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf render $< $(NIGHT) --inside ball --shader lit --tf shells --samples 500 --size 640x640 --out $@ --quiet
 
-GALLERY += $(G)/tetcast_rbf_tornado.png $(G)/tetcast_rbf_traces.png $(G)/tetcast_rbf_bow.png
+GALLERY += $(G)/tetcast_rbf_tornado.png $(G)/tetcast_rbf_traces.png $(G)/tetcast_rbf_ball.png
 
 # Bricks: as fine as an error of 2 % asks for; and finest at one place, coarser away from it.
 $(G)/tetcast_bricks.png: $(B)/tetcast_bricks

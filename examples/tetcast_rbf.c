@@ -16,7 +16,7 @@ enum { LOOK = 40 }; /* a grid of so many places a side tells what values there a
 
 typedef struct options {
     sup_common common;
-    const char *in, *out, *field, *tf, *slice;
+    const char *in, *out, *field, *tf, *slice, *inside;
     int command, method, kernel, model, channel, gather, stepper, has_model, euler;
     int64_t detail, sweeps, component, samples, seeds, steps, base;
     double max_error, mean_error, cut, scale, iso, opacity, dt, ortho, epsilon, step;
@@ -66,6 +66,7 @@ static int parse(int argc, char **argv, options *o) {
     t[n++] = sup_opt_real("epsilon", &o->epsilon, 0.0, 1.0, "E", "leave out functions below this share of the largest");
     t[n++] = sup_opt_choice("shader", &o->shader, SUP_SHADERS, "lit: a shader of this program, lit by gradients");
     t[n++] = sup_opt_given(sup_opt_vec3("half", o->cut_way, "keep what lies this way from the middle"), &o->has_cut);
+    t[n++] = sup_opt_text("inside", &o->inside, "VOLUME", "keep what lies within this one, as IN of fit");
     t[n++] = sup_opt_flag("gather", &o->gather, "ask the cell of each sample instead of sorting functions into tiles");
     t[n++] = sup_opt_text("slice", &o->slice, "x|y|z=F", "a plane instead, F of the way through the box");
     t[n++] = sup_opt_real("ortho", &o->ortho, 0.0, 1e30, "H", "parallel rays; height of the picture");
@@ -85,6 +86,7 @@ static int parse(int argc, char **argv, options *o) {
     if (status >= 0) return status;
     if (o->slice && !(o->slice[0] >= 'x' && o->slice[0] <= 'z' && o->slice[1] == '='))
         return sup_bad_usage(argv[0], "--slice: x=, y= or z= and a number from 0 to 1");
+    if (o->inside && o->has_cut) return sup_bad_usage(argv[0], "--inside and --half: one of them");
     if (!o->has_model && o->has_iso) o->model = o->tf ? TETCAST_MODEL_MIXED : TETCAST_MODEL_ISOSURFACE;
     return -1;
 }
@@ -121,10 +123,10 @@ static int make_tornado(uint32_t n, sup_volume *v, sup_error *err) {
     return 0;
 }
 
-static int read_volume(const options *o, sup_volume *v, sup_error *err) {
-    if (strcmp(o->in, "tornado") == 0) return make_tornado(o->detail > 1 ? (uint32_t)o->detail : 32, v, err);
-    if (sup_parse_choice(o->in, SUP_VOLUME_SCENES) >= 0) return sup_volume_make(o->in, (uint32_t)o->detail, v, err);
-    return sup_volume_read(o->in, v, err);
+static int read_volume(const options *o, const char *in, sup_volume *v, sup_error *err) {
+    if (strcmp(in, "tornado") == 0) return make_tornado(o->detail > 1 ? (uint32_t)o->detail : 32, v, err);
+    if (sup_parse_choice(in, SUP_VOLUME_SCENES) >= 0) return sup_volume_make(in, (uint32_t)o->detail, v, err);
+    return sup_volume_read(in, v, err);
 }
 
 static void print_fit(const options *o, const sup_field *field, const tetcast_rbf_report *r, double seconds) {
@@ -162,7 +164,7 @@ static int fit(const options *o, tetcast_env *env, sup_error *err) {
     size_t size = 0;
     double start;
     int failed, tets = 1;
-    if (read_volume(o, &v, err)) return 1;
+    if (read_volume(o, o->in, &v, err)) return 1;
     if (err->text[0] && !o->common.quiet) sup_warn("tetcast_rbf", err->text);
     for (size_t i = 0; i < v.field_count && !field; i++)
         if (!o->field || strcmp(v.fields[i].name, o->field) == 0) field = v.fields + i;
@@ -481,6 +483,31 @@ static int draw_slice(const options *o, const model *m, const tetcast_env *env, 
     return failed;
 }
 
+/* The part of --inside. */
+static int open_inside(const options *o, const tetcast_env *env, tetcast_clip **out, sup_error *err) {
+    sup_volume v;
+    tetcast_mesh_desc desc;
+    tetcast_field field;
+    tetcast_mesh *mesh = NULL;
+    tetcast_result result;
+    float *made = NULL;
+    char label[64];
+    int failed;
+    if (read_volume(o, o->inside, &v, err)) return 1;
+    memset(&desc, 0, sizeof desc);
+    desc.env = *env;
+    failed = sup_choose_field(&v, NULL, o->inside, &field, &made, label, sizeof label, err);
+    if (!failed) {
+        result = sup_volume_mesh(&v, &field, &desc, NULL, &mesh);
+        if (result == TETCAST_OK) result = sup_keep_inside(env, mesh, out);
+        if (result != TETCAST_OK) failed = sup_fail_result(err, o->inside, result, env->error);
+    }
+    tetcast_mesh_destroy(mesh);
+    SUP_FREE(made);
+    sup_volume_free(&v);
+    return failed;
+}
+
 static int render(const options *o, const tetcast_env *env, const model *m, sup_error *err) {
     tetcast_rbf_render_desc d;
     tetcast_rbf_render_stats stats;
@@ -516,8 +543,9 @@ static int render(const options *o, const tetcast_env *env, const model *m, sup_
         if (!failed && o->has_cut) {
             result = sup_cut(env, o->cut_way, m->info.box_min, m->info.box_max, &clip);
             if (result != TETCAST_OK) failed = fail(o, env->error, result, err);
-            d.clip = clip;
         }
+        if (!failed && o->inside) failed = open_inside(o, env, &clip, err);
+        d.clip = clip;
         sup_progress_begin(&progress, "drawing", o->common.quiet);
         if (!progress.quiet) {
             d.env.progress_fn = sup_progress_fn;

@@ -449,6 +449,9 @@ EXITS="
 1 tetcast_bricks render @/garbage.brk --out @/bad.png
 1 tetcast_rbf fit @/garbage.obj @/bad.rbf --max-error 0.1
 1 tetcast_rbf render @/garbage.rbf --out @/bad.png
+0 tetcast_rbf fit ball @/ball.rbf --detail 6 --max-error 0.3 --quiet
+0 tetcast_rbf render @/ball.rbf --inside ball --detail 6 --out @/ball.png --size 16x16 --quiet
+1 tetcast_rbf render @/ball.rbf --inside @/garbage.obj --out @/bad.png
 2 voxrt_convert
 2 voxrt_convert --scene nothing @/bad.vox
 2 voxrt_convert @/garbage.obj @/bad.vox --detail 3
@@ -484,6 +487,7 @@ EXITS="
 2 tetcast_bricks
 2 tetcast_bricks render --out @/bad.png
 2 tetcast_rbf
+2 tetcast_rbf render @/ball.rbf --inside ball --half 1,0,0 --out @/bad.png
 2 tetcast_rbf render @/garbage.rbf
 "
 exit_statuses() {

@@ -239,6 +239,46 @@ TEST(source_numbers) { /* vertices and cells can be found again */
     tets_free(&t);
 }
 
+TEST(hull_faces) { /* outwards and closed: each edge once each way, and what they hold is the volume of all cells */
+    tets t;
+    tetcast_mesh_desc d = defaults();
+    tetcast_mesh *m;
+    tetcast_check check;
+    static uint8_t edge[400][400];
+    double volume = 0.0;
+    uint32_t i, k, faces, v[3];
+    int open = 0;
+    memset(&t, 0, sizeof t);
+    tets_lattice(&t, 7, 6, 5, 6, NULL);
+    tets_jitter(&t, 7, 6, 5, 0.2, 5);
+    m = tets_build_desc(&t, &d, NULL);
+    REQUIRE(m != NULL && m->vertex_count <= 400);
+    faces = m->face_count;
+    CHECK_EQ_U64(faces, 4 * (6 * 5 + 5 * 4 + 4 * 6));
+    memset(edge, 0, sizeof edge);
+    for (i = 0; i < faces; i++) {
+        double p[3][3];
+        tetcast_mesh_hull_face(m, i, v);
+        for (k = 0; k < 3; k++) {
+            tetcast_mesh_vertex(m, v[k], p[k], NULL, NULL);
+            edge[v[k]][v[(k + 1) % 3]]++;
+        }
+        for (k = 0; k < 3; k++)
+            volume += p[0][k] * (p[1][(k + 1) % 3] * p[2][(k + 2) % 3] - p[1][(k + 2) % 3] * p[2][(k + 1) % 3]) / 6.0;
+    }
+    for (i = 0; i < 400; i++)
+        for (k = 0; k < 400; k++) open |= edge[i][k] > 1 || edge[i][k] != edge[k][i];
+    CHECK(!open);
+    CHECK_EQ_U64(tetcast_mesh_check(m, NULL, &check), TETCAST_OK);
+    CHECK(fabs(volume - check.volume) < 1e-9 * check.volume);
+    tetcast_mesh_hull_face(m, faces, v);
+    CHECK(v[0] == TETCAST_NONE && v[1] == TETCAST_NONE && v[2] == TETCAST_NONE);
+    tetcast_mesh_hull_face(NULL, 0, v);
+    CHECK(v[0] == TETCAST_NONE);
+    tetcast_mesh_destroy(m);
+    tets_free(&t);
+}
+
 /* ---- exact volumes ---- */
 
 TEST(exact_volume) { /* against integers of 128 bits and more, from coordinates that are nearly in a plane */
@@ -1188,6 +1228,7 @@ int main(int argc, char **argv) {
     RUN(neighbours);
     RUN(other_orientation);
     RUN(source_numbers);
+    RUN(hull_faces);
     RUN(exact_volume);
     RUN(mixed_shapes);
     RUN(hexahedron_all_numberings);

@@ -286,7 +286,7 @@ TEST(fat_is_what_is_touched) {
 
 /* ---- closed meshes ---- */
 
-typedef struct { float p[4000][3]; uint32_t index[8000][3]; uint32_t points, triangles; } closed;
+typedef struct { float p[5000][3]; uint32_t index[10000][3]; uint32_t points, triangles; } closed; /* of up to 49 rings */
 
 static void make_sphere(closed *m, double cx, double cy, double cz, double r, uint32_t rings) {
     uint32_t i, j, n = 2 * rings;

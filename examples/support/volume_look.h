@@ -374,6 +374,36 @@ SUP_FN tetcast_result sup_cut(const tetcast_env *env, const float way[3], const 
     return tetcast_clip_create(&desc, out);
 }
 
+/* --inside: what lies within a mesh is kept. */
+SUP_FN tetcast_result sup_keep_inside(const tetcast_env *env, const tetcast_mesh *mesh, tetcast_clip **out) {
+    tetcast_mesh_info info;
+    tetcast_clip_body body;
+    tetcast_clip_desc desc;
+    tetcast_result result = TETCAST_ERR_NO_MEMORY;
+    double (*points)[3];
+    uint32_t *indices;
+    tetcast_mesh_get_info(mesh, &info);
+    points = (double (*)[3])sup_alloc((size_t)info.vertex_count, sizeof *points);
+    indices = (uint32_t *)sup_alloc((size_t)info.hull_face_count, 3 * sizeof *indices);
+    if (points && indices) {
+        for (uint32_t i = 0; i < info.vertex_count; i++) tetcast_mesh_vertex(mesh, i, points[i], NULL, NULL);
+        for (uint32_t i = 0; i < info.hull_face_count; i++) tetcast_mesh_hull_face(mesh, i, indices + 3 * (size_t)i);
+        memset(&desc, 0, sizeof desc);
+        memset(&body, 0, sizeof body);
+        body.points = (const double (*)[3])points;
+        body.point_count = (size_t)info.vertex_count;
+        body.indices = indices;
+        body.triangle_count = (size_t)info.hull_face_count;
+        desc.env = *env;
+        desc.bodies = &body;
+        desc.body_count = 1;
+        result = tetcast_clip_create(&desc, out);
+    }
+    SUP_FREE(points);
+    SUP_FREE(indices);
+    return result;
+}
+
 /* ---- camera and picture ------------------------------------------------------------------------------------- */
 
 SUP_FN double sup_box_diagonal(const double lo[3], const double hi[3]) {
