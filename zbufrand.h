@@ -14645,6 +14645,122 @@ static zbufrand_result zbufrandi_draw_lists(zbufrandi_picture *p, uint32_t root)
 /* Independent samples are drawn from clusters, however small: of 10^11 triangles that would take hours. */
 enum { ZBUFRANDI_INDEPENDENT_DRAWS = 1 << 22 };
 
+/* A picture has hundreds of short rounds: their threads wait for the next one instead of being started anew. */
+#ifndef ZBUFRAND_NO_THREADS
+typedef struct zbufrandi_crew {
+    pthread_t thread[63];
+    pthread_mutex_t lock;
+    pthread_cond_t go, done;
+    zbufrandi_for work;
+    uint32_t started;
+    uint32_t wanted; /* threads that have not taken part in `work` yet, and may */
+    uint32_t busy;   /* those that do */
+    int quit;
+} zbufrandi_crew;
+
+static void *zbufrandi_crew_thread(void *arg) {
+    zbufrandi_crew *c = (zbufrandi_crew *)arg;
+    (void)pthread_mutex_lock(&c->lock);
+    for (;;) {
+        while (c->wanted == 0 && !c->quit) (void)pthread_cond_wait(&c->go, &c->lock);
+        if (c->quit) break;
+        c->wanted--;
+        c->busy++;
+        (void)pthread_mutex_unlock(&c->lock);
+        zbufrandi_for_drain(&c->work);
+        (void)pthread_mutex_lock(&c->lock);
+        if (--c->busy == 0) (void)pthread_cond_signal(&c->done);
+    }
+    (void)pthread_mutex_unlock(&c->lock);
+    return NULL;
+}
+
+/* A parallel-for of a zbufrand_env. Who comes after all is done is not waited for. */
+static void zbufrandi_crew_for(zbufrand_task_fn *task, void *ctx, uint32_t count, void *user) {
+    zbufrandi_crew *c = (zbufrandi_crew *)user;
+    uint32_t i, want = count - 1u < c->started ? count - 1u : c->started;
+    (void)pthread_mutex_lock(&c->lock);
+    c->work.task = task;
+    c->work.ctx = ctx;
+    c->work.count = count;
+    c->work.next = 0;
+    c->wanted = want;
+    for (i = 0; i < want; i++) (void)pthread_cond_signal(&c->go);
+    (void)pthread_mutex_unlock(&c->lock);
+    zbufrandi_for_drain(&c->work);
+    (void)pthread_mutex_lock(&c->lock);
+    c->wanted = 0;
+    while (c->busy > 0) (void)pthread_cond_wait(&c->done, &c->lock);
+    (void)pthread_mutex_unlock(&c->lock);
+}
+
+static void zbufrandi_crew_close(zbufrandi_crew *c, zbufrand_env *env) {
+    uint32_t i;
+    if (c->started == 0) return;
+    (void)pthread_mutex_lock(&c->lock);
+    c->quit = 1;
+    (void)pthread_cond_broadcast(&c->go);
+    (void)pthread_mutex_unlock(&c->lock);
+    for (i = 0; i < c->started; i++) (void)pthread_join(c->thread[i], NULL);
+    (void)pthread_cond_destroy(&c->done);
+    (void)pthread_cond_destroy(&c->go);
+    (void)pthread_mutex_destroy(&c->lock);
+    env->parallel.for_fn = NULL;
+    env->parallel.user = NULL;
+}
+
+/* Into env, until it is closed. Where there are no threads, or not enough memory for them, env stays as it is. */
+static void zbufrandi_crew_open(zbufrandi_crew *c, zbufrand_env *env) {
+    const uint32_t want = env->parallel.for_fn != NULL ? 1 : zbufrandi_thread_count(env);
+    pthread_attr_t attr;
+    memset(c, 0, sizeof *c);
+    if (want < 2 || pthread_attr_init(&attr) != 0) return;
+    if (pthread_mutex_init(&c->lock, NULL) == 0) {
+        int conds = pthread_cond_init(&c->go, NULL) == 0;
+        if (conds && pthread_cond_init(&c->done, NULL) == 0) conds = 2;
+        (void)pthread_attr_setstacksize(&attr, 512 * 1024);
+        while (conds == 2 && c->started + 1 < want &&
+               pthread_create(&c->thread[c->started], &attr, zbufrandi_crew_thread, c) == 0) c->started++;
+        if (c->started > 0) {
+            env->parallel.for_fn = zbufrandi_crew_for;
+            env->parallel.user = c;
+        } else {
+            if (conds == 2) (void)pthread_cond_destroy(&c->done);
+            if (conds > 0) (void)pthread_cond_destroy(&c->go);
+            (void)pthread_mutex_destroy(&c->lock);
+        }
+    }
+    (void)pthread_attr_destroy(&attr);
+}
+#endif
+
+/* What was put into front, until it is empty. */
+static zbufrand_result zbufrandi_draw_rounds(zbufrandi_picture *p, uint64_t refresh_after) {
+    zbufrand_frame *f = p->f;
+    while (f->front_count > 0) {
+        if (f->env.progress_fn != NULL &&
+            f->env.progress_fn(f->env.progress_user, p->stats.nodes, p->stats.nodes + f->front_count) != 0) {
+            return ZBUFRAND_ERR_CANCELLED;
+        }
+        if (!zbufrandi_round_select(p))
+            return f->block_count > 0x3fff000u ? ZBUFRAND_ERR_RANGE : ZBUFRAND_ERR_NO_MEMORY;
+        if (p->cut.independent && f->draw_count > ZBUFRANDI_INDEPENDENT_DRAWS) return ZBUFRAND_ERR_RANGE;
+        zbufrandi_lap(p, ZBUFRAND_STAGE_SELECT);
+        /* drawn all at once, or not at all */
+        if (p->cut.bounds || (p->d->no_occlusion && f->front_count > 0)) continue;
+        if (!zbufrandi_round_draw(p)) return ZBUFRAND_ERR_NO_MEMORY;
+        zbufrandi_lap(p, ZBUFRAND_STAGE_DRAW);
+        if (!p->d->no_occlusion && f->front_count > 0 && p->since_refresh >= refresh_after) {
+            zbufrandi_pyramid_refresh_all(&f->env, &p->pyramid, &f->recon.canvas,
+                                          f->recon.exact != NULL ? &p->exact : NULL, f->level);
+            p->cut.pyramid = &p->pyramid;
+            p->since_refresh = 0;
+            zbufrandi_lap(p, ZBUFRAND_STAGE_OCCLUSION);
+        }
+    }
+    return ZBUFRAND_OK;
+}
+
 /* Everything that is to be drawn, into the keys. */
 static zbufrand_result zbufrandi_draw_scene(zbufrandi_picture *p) {
     zbufrand_frame *f = p->f;
@@ -14671,28 +14787,18 @@ static zbufrand_result zbufrandi_draw_scene(zbufrandi_picture *p) {
     memset(&f->front[0], 0, sizeof f->front[0]);
     f->front[0].local = (uint32_t)f->local_count++;
     f->front_count = 1;
-    while (f->front_count > 0) {
-        if (f->env.progress_fn != NULL &&
-            f->env.progress_fn(f->env.progress_user, p->stats.nodes, p->stats.nodes + f->front_count) != 0) {
-            return ZBUFRAND_ERR_CANCELLED;
-        }
-        if (!zbufrandi_round_select(p))
-            return f->block_count > 0x3fff000u ? ZBUFRAND_ERR_RANGE : ZBUFRAND_ERR_NO_MEMORY;
-        if (p->cut.independent && f->draw_count > ZBUFRANDI_INDEPENDENT_DRAWS) return ZBUFRAND_ERR_RANGE;
-        zbufrandi_lap(p, ZBUFRAND_STAGE_SELECT);
-        /* drawn all at once, or not at all */
-        if (p->cut.bounds || (p->d->no_occlusion && f->front_count > 0)) continue;
-        if (!zbufrandi_round_draw(p)) return ZBUFRAND_ERR_NO_MEMORY;
-        zbufrandi_lap(p, ZBUFRAND_STAGE_DRAW);
-        if (!p->d->no_occlusion && f->front_count > 0 && p->since_refresh >= refresh_after) {
-            zbufrandi_pyramid_refresh_all(&f->env, &p->pyramid, &f->recon.canvas,
-                                          f->recon.exact != NULL ? &p->exact : NULL, f->level);
-            p->cut.pyramid = &p->pyramid;
-            p->since_refresh = 0;
-            zbufrandi_lap(p, ZBUFRAND_STAGE_OCCLUSION);
-        }
+#ifndef ZBUFRAND_NO_THREADS
+    {
+        zbufrandi_crew crew;
+        zbufrand_result r;
+        zbufrandi_crew_open(&crew, &f->env);
+        r = zbufrandi_draw_rounds(p, refresh_after);
+        zbufrandi_crew_close(&crew, &f->env);
+        return r;
     }
-    return ZBUFRAND_OK;
+#else
+    return zbufrandi_draw_rounds(p, refresh_after);
+#endif
 }
 
 /* ---- repair ----
