@@ -14,7 +14,7 @@ typedef struct options {
     int64_t block, mean, view, frame, frames, scatter, max_frames, classes;
     double noise, density, gauss, epsilon;
     float material[16]; /* opacities */
-    int mode, has_mode, has_block, occlusion, has_occlusion, has_noise, no_repair, no_occlusion, independent, structure, has_structure,
+    int mode, has_mode, has_block, occlusion, has_occlusion, has_noise, has_gauss, no_repair, no_occlusion, independent, structure, has_structure,
         thesis;
 } options;
 
@@ -23,6 +23,28 @@ typedef struct pictures {
     zbufrand_stats stats;
     double seconds;
 } pictures;
+
+static int is_world(const char *name) {
+    static const char *const names[] = {"forest", "city", "city-small", "city-low", "chess", "landscape"};
+    for (size_t i = 0; i < sizeof names / sizeof names[0]; i++)
+        if (strcmp(name, names[i]) == 0) return 1;
+    return 0;
+}
+
+/* Options that are nothing without another one, or say the same thing twice. Returns what parse returns. */
+static int check_options(const char *program, const options *o) {
+    if (o->scatter && is_world(o->scene)) return sup_bad_usage(program, "--scatter is for mesh files");
+    if (o->view && !is_world(o->scene)) return sup_bad_usage(program, "--view: mesh files bring no cameras along");
+    if (o->density > 0.0 && o->common.has_tolerance) return sup_bad_usage(program, "--density or --tolerance, not both");
+    if (o->mean > 0 && o->has_noise) return sup_bad_usage(program, "--mean or --noise, not both");
+    if (o->max_frames > 0 && !o->has_noise) return sup_bad_usage(program, "--max-frames goes with --noise");
+    if (o->has_gauss && o->mode != MODE_GAUSS) return sup_bad_usage(program, "--gauss goes with --mode gauss");
+    if (o->epsilon > 0.0 && !o->thesis && o->structure == 0)
+        return sup_bad_usage(program, "--epsilon goes with one of the thesis' trees: --structure or --thesis");
+    if (o->classes > 0 && o->structure < (int)ZBUFRAND_STRUCTURE_CLASSES)
+        return sup_bad_usage(program, "--angle-depth goes with --structure classes or normals");
+    return -1;
+}
 
 static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, zbufrand_build_desc *build) {
     sup_option table[SUP_COMMON_OPTIONS + 24];
@@ -46,7 +68,7 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     table[n++] = sup_opt_real("density", &o->density, 1e-3, 1e4, "L", "samples per pixel instead of --tolerance");
     table[n++] = sup_opt_given(sup_opt_choice("occlusion", &o->occlusion, "blocks|cells|squares|squares-all",
                                               "which samples count as seen"), &o->has_occlusion);
-    table[n++] = sup_opt_real("gauss", &o->gauss, 0.1, 256.0, "C", "radius of the Gaussian in pixels (2)");
+    table[n++] = sup_opt_given(sup_opt_real("gauss", &o->gauss, 0.1, 256.0, "C", "radius of the Gaussian in pixels (2)"), &o->has_gauss);
     table[n++] = sup_opt_flag("no-repair", &o->no_repair, "no rays for empty and suspicious pixels");
     table[n++] = sup_opt_flag("no-occlusion", &o->no_occlusion, "draw what is hidden, too");
     table[n++] = sup_opt_flag("independent", &o->independent, "independent samples instead of stratified ones");
@@ -65,6 +87,8 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     if (status >= 0) return status;
     if (!o->scene) return sup_bad_usage(argv[0], "--scene is missing");
     status = sup_out_check(argv[0], &o->common);
+    if (status >= 0) return status;
+    status = check_options(argv[0], o);
     if (status >= 0) return status;
     if (o->frames && (!o->common.out || o->common.depth || o->mean))
         return sup_bad_usage(argv[0], "--frames needs --out, and goes without --depth and --mean");
@@ -133,13 +157,6 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
 }
 
 /* ---- scenes ------------------------------------------------------------------------------------------------- */
-
-static int is_world(const char *name) {
-    static const char *const names[] = {"forest", "city", "city-small", "city-low", "chess", "landscape"};
-    for (size_t i = 0; i < sizeof names / sizeof names[0]; i++)
-        if (strcmp(name, names[i]) == 0) return 1;
-    return 0;
-}
 
 /* A mesh file as it is, or 10^K copies of it scattered over a plain. */
 static int make_mesh_scene(const options *o, const zbufrand_scene_desc *desc, const zbufrand_build_desc *build,
@@ -417,6 +434,11 @@ int main(int argc, char **argv) {
     if (status) {
         sup_world_free(&world);
         return sup_bad_input(argv[0], err.text);
+    }
+    if (o.view > 0 && (size_t)o.view > world.view_count) {
+        status = sup_bad_usage(argv[0], "--view: of %s there are %d", o.scene, (int)world.view_count);
+        sup_world_free(&world);
+        return status;
     }
     set_camera(&o, &world, &info, &desc.camera);
     set_morning(&o, &desc);

@@ -474,6 +474,12 @@ EXITS="
 2 voxrt_gi --scene cornell --out @/bad.png --pixel 3,4
 2 zbufrand_render --scene forest --out @/bad.png --tolerance 2
 2 zbufrand_render --scene forest --depth @/bad.png
+2 zbufrand_render --scene chess --out @/bad.png --scatter 2
+2 zbufrand_render --scene chess --out @/bad.png --view 3
+2 zbufrand_render --scene chess --out @/bad.png --density 2 --tolerance 0.1
+2 zbufrand_render --scene chess --out @/bad.png --mean 2 --noise 0.1
+2 zbufrand_render --scene chess --out @/bad.png --epsilon 2
+2 zbufrand_render --scene chess --out @/bad.png --opacity 0.5,
 2 tetcast_render --out @/bad.png
 2 tetcast_render --scene lattice --out @/bad.png --model iso
 2 tetcast_render --scene lattice --out @/bad.png --model emission --iso 0.5
