@@ -112,7 +112,7 @@
      those, grids as well, with the same optics or with shaders of the caller, clipped by planes and closed meshes.
 
    WHAT IT DOES NOT DO
-   - No curved cells, no scattering, no shadows inside the volume.
+   - No curved cells. No scattering and no shadows but by shaders that cast rays (tetcast_render --shader shadow).
    - No volume files, no picture files: examples/support has readers, a PNG writer and a command line.
    - Meshes are not edited and vertices do not move; another field or transfer function at any time.
 
@@ -11112,6 +11112,7 @@ TETCASTI_INLINE int tetcasti_cell_meet(const tetcasti_ray *r, const tetcasti_ver
    --------------------------------------------------------------------------- */
 
 #define TETCASTI_LIST_ROOM 16u
+#define TETCASTI_SLOT (TETCASTI_BATCH + 4u) /* 4 more: not all slots of a pixel in the same set of the cache */
 #define TETCASTI_DEPTHS 2048u   /* steps of depth by which the cells of a tile are ordered */
 #define TETCASTI_KEEP_ALL 0u    /* what happens to a fragment when it comes: it goes into a list by depth, */
 #define TETCASTI_KEEP_NONE 1u   /* straight into the sum: the order is that of the cells (for comparisons), */
@@ -11124,7 +11125,7 @@ typedef struct tetcasti_painter { /* zeroed */
     tetcasti_batch *b;              /* rays of the tile, and their sums at the end */
     tetcasti_entry *entry;          /* cells of the tile, in order */
     size_t entry_room;
-    float (*list)[4];               /* z0, z1, s0, s1 [slot * TETCASTI_BATCH + pixel]: neighbours lie together */
+    float (*list)[4];               /* z0, z1, s0, s1 [slot * TETCASTI_SLOT + pixel]: neighbours lie together */
     uint32_t *list_cell;            /* NULL, or the cell of each */
     uint32_t room, full;            /* full: not 0 when a list has no room left */
     uint32_t mode, keep_room;
@@ -11302,7 +11303,7 @@ TETCASTI_INLINE void tetcasti_list_move(tetcasti_painter *p, size_t to, size_t f
 TETCASTI_INLINE void tetcasti_list_drop(tetcasti_painter *p, uint32_t i, uint32_t used, uint32_t left) {
     uint32_t k;
     for (k = 0; used != 0 && k < left; k++)
-        tetcasti_list_move(p, (size_t)k * TETCASTI_BATCH + i, (size_t)(k + used) * TETCASTI_BATCH + i);
+        tetcasti_list_move(p, (size_t)k * TETCASTI_SLOT + i, (size_t)(k + used) * TETCASTI_SLOT + i);
     p->count[i] = (uint16_t)left;
     p->full |= (uint32_t)(left == p->room);
 }
@@ -11315,7 +11316,7 @@ static void tetcasti_lists_run(tetcasti_painter *p, float until) {
         const uint32_t n = p->count[i];
         uint32_t k;
         for (k = 0; k < n && tetcasti_pixel_live(p, i); k++) {
-            const tetcasti_fragment f = tetcasti_list_get(p, (size_t)k * TETCASTI_BATCH + i);
+            const tetcasti_fragment f = tetcasti_list_get(p, (size_t)k * TETCASTI_SLOT + i);
             if (!(f.z0 < until)) break;
             tetcasti_fragment_add(p, i, &f);
         }
@@ -11326,7 +11327,7 @@ static void tetcasti_lists_run(tetcasti_painter *p, float until) {
 /* ---- fragments into lists ---- */
 
 static int tetcasti_lists_grow(tetcasti_painter *p) {
-    const size_t room = (size_t)p->room * 2, n = p->room * (size_t)TETCASTI_BATCH;
+    const size_t room = (size_t)p->room * 2, n = p->room * (size_t)TETCASTI_SLOT;
     float (*list)[4] = (float (*)[4])tetcasti_alloc_zero(p->mem, 2 * n, sizeof *list);
     uint32_t *cell = NULL;
     if (p->list_cell != NULL) cell = (uint32_t *)tetcasti_alloc_zero(p->mem, 2 * n, sizeof *cell);
@@ -11350,13 +11351,13 @@ static int tetcasti_lists_grow(tetcasti_painter *p) {
 /* Pixel i is live and its list has room. */
 TETCASTI_INLINE void tetcasti_list_put(tetcasti_painter *p, uint32_t i, const tetcasti_fragment *f) {
     uint32_t n = p->count[i];
-    size_t at = (size_t)n * TETCASTI_BATCH + i;
+    size_t at = (size_t)n * TETCASTI_SLOT + i;
     p->count[i] = (uint16_t)(n + 1);
     p->full |= (uint32_t)(n + 1 == p->room);
-    for (; n > 0; n--, at -= TETCASTI_BATCH) {
-        const float *before = p->list[at - TETCASTI_BATCH];
+    for (; n > 0; n--, at -= TETCASTI_SLOT) {
+        const float *before = p->list[at - TETCASTI_SLOT];
         if (!(before[0] > f->z0 || (before[0] == f->z0 && before[1] > f->z1))) break;
-        tetcasti_list_move(p, at, at - TETCASTI_BATCH);
+        tetcasti_list_move(p, at, at - TETCASTI_SLOT);
     }
     memcpy(p->list[at], &f->z0, sizeof p->list[at]);
     if (p->list_cell != NULL) p->list_cell[at] = f->cell;
@@ -11735,8 +11736,8 @@ TETCASTI_TARGET_WALK static void tetcasti_splats_open8(tetcasti_painter *p, cons
 TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_list_put4(float (*list)[4], uint32_t *list_cell, uint16_t *count,
                                                                  const float rec[4], uint32_t cell) {
     const uint32_t full = *count + 1u;
-    const ptrdiff_t back = (ptrdiff_t)TETCASTI_BATCH;
-    float (*f)[4] = list + (full - 1) * (size_t)TETCASTI_BATCH;
+    const ptrdiff_t back = (ptrdiff_t)TETCASTI_SLOT;
+    float (*f)[4] = list + (full - 1) * (size_t)TETCASTI_SLOT;
     *count = (uint16_t)full;
     for (; f != list && TETCASTI_UNLIKELY(f[-back][0] >= rec[0]); f -= back) {
         if (!(f[-back][0] > rec[0] || f[-back][1] > rec[1])) break;
@@ -11928,7 +11929,7 @@ TETCASTI_TARGET_WALK static void tetcasti_lists_run8(tetcasti_painter *p, float 
         if (most == 0) continue;
         live = p->live[i / TETCASTI_TILE] >> (i % TETCASTI_TILE) & 255u;
         todo = live;
-        for (k = 0; k < most && todo != 0; k++, f += TETCASTI_BATCH) {
+        for (k = 0; k < most && todo != 0; k++, f += TETCASTI_SLOT) {
             __m256 r0, r1, r2, r3, t0, t1, t2, t3, z0;
             __m256i count = _mm256_loadu_si256((const __m256i *)(const void *)n);
             uint32_t ended;
@@ -11985,9 +11986,9 @@ static tetcasti_painter *tetcasti_painter_open(tetcasti_mem *mem, const tetcasti
     p->mode = mode;
     p->keep_room = keep;
     p->room = keep + 1 > TETCASTI_LIST_ROOM ? keep + 1 : TETCASTI_LIST_ROOM;
-    p->list = (float (*)[4])tetcasti_alloc_zero(mem, (size_t)p->room * TETCASTI_BATCH, sizeof *p->list);
+    p->list = (float (*)[4])tetcasti_alloc_zero(mem, (size_t)p->room * TETCASTI_SLOT, sizeof *p->list);
     if (v->scene->any)
-        p->list_cell = (uint32_t *)tetcasti_alloc_zero(mem, (size_t)p->room * TETCASTI_BATCH, sizeof *p->list_cell);
+        p->list_cell = (uint32_t *)tetcasti_alloc_zero(mem, (size_t)p->room * TETCASTI_SLOT, sizeof *p->list_cell);
     if (p->list == NULL || (v->scene->any && p->list_cell == NULL)) {
         tetcasti_painter_close(p);
         return NULL;
