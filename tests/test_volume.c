@@ -363,6 +363,27 @@ TEST(tetgen) {
             sup_volume_free(&v);
             CHECK(sup_volume_read_memory(f->data, f->size, given ? "m.ele" : "m.node", NULL, NULL, &v, &err));
         }
+    for (first = 0; first < 8; first++) {
+        static const char *const text[8][3] = { /* .node, .ele, what is said */
+            {"1 2 0 0\n1 0 0\n", "0 4 0\n", "m.node: line 1: points of three dimensions"},
+            {"2 3 0 0\n1 0 0 0\n3 0 0 0\n", "0 4 0\n", "m.node: line 3: the points are not numbered one after"},
+            {"1 3 0 0\n1 0 0\n", "0 4 0\n", "m.node: line 3: the file ends too early"},
+            {"900 3 0 0\n1 0 0 0\n", "0 4 0\n", "m.node: line 1: more is announced"},
+            {"1 3 0 0\n1 0 0 0\n", "1 5 0\n1 1 1 1 1 1\n", "m.ele: line 1: tetrahedra of 4 or 10 points"},
+            {"1 3 0 0\n1 0 0 0\n", "1 4 0\n1 1 1 1 2\n", "m.ele: line 2: a cell has a point"},
+            {"1 3 0 0\n1 0 0 0\n", "1 4 0\n1 1 0 1 1\n", "m.ele: line 2: a cell has a point"},
+            {"1 3 0 0\n1 0 0 0\n", "9 4 0\n1 1 1 1 1\n", "m.ele: line 1: more is announced"}};
+        static file_text f;
+        other_file other;
+        sup_volume v;
+        sup_error err;
+        f.size = 0;
+        put(&f, "%s", text[first][1]);
+        other.name = "m.ele";
+        other.text = &f;
+        CHECK(sup_volume_read_memory(text[first][0], strlen(text[first][0]), "m.node", open_other, &other, &v, &err));
+        CHECK_MSG(strstr(err.text, text[first][2]) == err.text, "\"%s\" instead of \"%s\"", err.text, text[first][2]);
+    }
     for (first = 0; first < 2; first++) { /* numbers at the ends of what a number can be */
         static const char *const text[2] = {"2 3 0 0\n9223372036854775807 0 0 0\n0 0 0 1\n",
                                             "2 3 0 0\n-9223372036854775808 0 0 0\n-9223372036854775807 0 0 1\n"};
