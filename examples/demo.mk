@@ -97,7 +97,7 @@ $(G)/zbufrand_forest_2.png: options = --scene forest --view 2 --mean 4
 $(G)/zbufrand_forest_3.png: options = --scene forest --view 3 --mean 8
 $(G)/zbufrand_forest_4.png: options = --scene forest --view 4 --mean 8
 $(G)/zbufrand_city.png: options = --scene city --view 2 --mean 4
-$(G)/zbufrand_chess.png: options = --scene chess --mean 16
+$(G)/zbufrand_chess.png: options = --scene chess --eye 0,0.016,0.995 --at 0,-0.004,0.9 --mean 8
 $(G)/zbufrand_landscape.png: options = --scene landscape --view 3
 
 ZBUFRAND_PICTURES := $(addprefix $(G)/zbufrand_,forest_1.png forest_2.png forest_3.png forest_4.png city.png chess.png \

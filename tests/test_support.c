@@ -2112,7 +2112,7 @@ TEST(gi_scenes_that_are_none) { /* every mistake has its line; any cut and any l
         CHECK(g_memory.live == 0);
     }
     for (i = 0; i < sizeof gi_text - 1; i++) {
-        char *copy = (char *)malloc(i + 1);
+        char *copy = (char *)malloc(i ? i : 1);
         REQUIRE(copy != NULL);
         memcpy(copy, gi_text, i);
         if (sup_gi_scene_parse(copy, i, "x", &s, &err) == 0) sup_gi_scene_free(&s);

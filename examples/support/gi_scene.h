@@ -70,8 +70,9 @@ typedef struct supi_gi_line {
 } supi_gi_line;
 
 SUP_FN int supi_gi_fail(const supi_gi_line *l, const char *what, size_t word) {
-    const char *text = word < SUP_GI_WORDS && word < l->count ? l->word[word] : "";
-    const int n = *text ? (int)(l->length[word % SUP_GI_WORDS] < 60 ? l->length[word % SUP_GI_WORDS] : 60) : 0;
+    const size_t k = word < SUP_GI_WORDS && word < l->count ? word : 0;
+    const char *text = k == word && l->count ? l->word[k] : "";
+    const int n = k == word && l->count ? (int)(l->length[k] < 60 ? l->length[k] : 60) : 0;
     return sup_fail(l->err, "%s: line %zu: %s%s%.*s%s", l->name, l->line, what, n ? " \"" : "", n, text, n ? "\"" : "");
 }
 
