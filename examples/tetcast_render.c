@@ -11,9 +11,10 @@ enum { METHOD_AUTO, METHOD_MARCH, METHOD_STRIPS, METHOD_PROJECT };
 
 typedef struct options {
     sup_common common;
-    const char *in, *scene, *field, *tf, *clip;
+    const char *in, *scene, *field, *tf, *mask, *surface;
     int method, model, integrator, cells, order, has_model, has_cells, has_opacity, smooth, weld, has_background, cue;
-    int64_t detail;
+    int check, colors;
+    int64_t detail, table;
     double opacity, scale, ortho, samples;
     int shader, has_cut, has_light;
     float background[3], cut[3], light[3];
@@ -44,6 +45,7 @@ static int contradictions(const char *program, const options *o) {
     const int surfaces = o->model == TETCAST_MODEL_ISOSURFACE || o->model == TETCAST_MODEL_MIXED;
     if (surfaces && !o->isovalue_count) return sup_bad_usage(program, "--model iso and mixed need --iso");
     if (!surfaces && o->isovalue_count) return sup_bad_usage(program, "--iso is for --model iso and mixed");
+    if (o->surface && !o->isovalue_count) return sup_bad_usage(program, "--surface needs --iso");
     if (o->method == METHOD_STRIPS && o->has_cells && o->cells != TETCAST_CELLS_STRIPS &&
         o->cells != TETCAST_CELLS_STRIPS_GENERAL) return sup_bad_usage(program, "--method strips: --cells are others");
     if (o->method == METHOD_PROJECT && (o->shader || o->has_cut))
@@ -64,7 +66,7 @@ static int contradictions(const char *program, const options *o) {
 }
 
 static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
-    sup_option table[SUP_COMMON_OPTIONS + 29];
+    sup_option table[SUP_COMMON_OPTIONS + 34];
     double iso = 0.0;
     float clip[3] = {0.0f, 0.0f, 0.0f};
     size_t n;
@@ -84,6 +86,10 @@ static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
     table[n++] = sup_opt_text("field", &o->field, "NAME", "the scalar to show (the first one); of a vector its length, "
                               "or NAME_x, NAME_y, NAME_z; x, y, z: the coordinates");
     table[n++] = sup_opt_text("tf", &o->tf, "FILE|" SUP_TRANSFER_NAMES, "transfer function (a rainbow that shows what is rare)");
+    table[n++] = sup_opt_int("table", &o->table, 2, 1 << 20, "N", "the transfer function as a table of N samples, as other programs "
+                             "have it, instead of control points");
+    table[n++] = sup_opt_choice("colors", &o->colors, "associated|independent", "colours are of what absorbs, or are the "
+                                "emission per length themselves (associated)");
     table[n++] = sup_opt_real("extinction", &o->scale, 1e-9, 1e9, "F", "multiplies all extinctions (a named function has them so that"
                               " most of the volume is seen)");
     table[n++] = sup_opt_choice("method", &o->method, "auto|march|strips|project", "walk from cell to cell; through "
@@ -101,6 +107,9 @@ static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
     table[n++] = sup_opt_given(sup_opt_choice("cells", &o->cells, "tet16|tet8|tet20|tet32|list|strips|strips-general",
                                               "how cells are stored (tet16)"), &o->has_cells);
     table[n++] = sup_opt_choice("order", &o->order, "hilbert|morton|input", "order of the cells in memory (hilbert)");
+    table[n++] = sup_opt_text("mask", &o->mask, "NAME", "cells whose value of this field is not 0 show nothing");
+    table[n++] = sup_opt_text("surface", &o->surface, "FILE.obj", "the first --iso as triangles as well");
+    table[n++] = sup_opt_flag("check", &o->check, "with --stats: all that is wrong with the mesh");
     table[n++] = sup_opt_flag("weld", &o->weld, "points at the same place become one");
     table[n++] = sup_opt_given(sup_opt_vec3("clip", clip, "near,far,0: show only these distances along the view"),
                                &has_clip);
@@ -216,6 +225,22 @@ static double choose_extinction(const options *o, const tetcast_render_desc *des
     return sup_extinction_scale(transfer, 64, 48, want, draw_small, &p);
 }
 
+/* The points as `count` samples from the first value to the last: jumps become ramps. Freed by the caller. */
+static float *sample_points(const tetcast_control_point *p, size_t points, size_t count) {
+    float *table = (float *)sup_alloc(count, 4 * sizeof *table);
+    for (size_t i = 0, k = 0; table && i < count; i++) {
+        const double x = (double)p[0].value + ((double)p[points - 1].value - (double)p[0].value) * (double)i / (double)(count - 1);
+        double at;
+        while (k + 2 < points && (double)p[k + 1].value <= x) k++;
+        at = p[k + 1].value > p[k].value ? (x - (double)p[k].value) / ((double)p[k + 1].value - (double)p[k].value) : 1.0;
+        at = at < 1.0 ? at : 1.0;
+        for (int c = 0; c < 3; c++)
+            table[4 * i + (size_t)c] = (float)((double)p[k].rgb[c] + at * ((double)p[k + 1].rgb[c] - (double)p[k].rgb[c]));
+        table[4 * i + 3] = (float)((double)p[k].extinction + at * ((double)p[k + 1].extinction - (double)p[k].extinction));
+    }
+    return table;
+}
+
 static int make_optics(const options *o, const char *in, const tetcast_mesh *mesh, const tetcast_render_desc *render,
                        tetcast_optics **out, tetcast_transfer **colours, double *extinction, sup_error *err) {
     static const float palette[4][3] = {{0.85f, 0.45f, 0.12f}, {0.15f, 0.45f, 0.85f}, {0.3f, 0.75f, 0.25f},
@@ -231,7 +256,7 @@ static int make_optics(const options *o, const char *in, const tetcast_mesh *mes
     sup_transfer tf;
     const int named = !sup_transfer_is_file(o->tf);
     double diagonal;
-    float lo = 0.0f, hi = 0.0f;
+    float lo = 0.0f, hi = 0.0f, *table = NULL;
     tetcast_mesh_get_info(mesh, &info);
     diagonal = sup_box_diagonal(info.box_min, info.box_max);
     (void)tetcast_mesh_field(mesh, 0, &lo, &hi);
@@ -253,8 +278,17 @@ static int make_optics(const options *o, const char *in, const tetcast_mesh *mes
     memset(&desc, 0, sizeof desc);
     memset(&optics, 0, sizeof optics);
     desc.env = *env;
-    desc.points = points;
-    desc.point_count = tf.count;
+    if (o->table && tf.count > 1) {
+        table = sample_points(points, tf.count, (size_t)o->table);
+        desc.table = table;
+        desc.table_count = table ? (size_t)o->table : 0;
+        desc.table_value[0] = points[0].value;
+        desc.table_value[1] = points[tf.count - 1].value;
+    } else {
+        desc.points = points;
+        desc.point_count = tf.count;
+    }
+    desc.color_mode = o->colors ? TETCAST_COLOR_INDEPENDENT : TETCAST_COLOR_ASSOCIATED;
     desc.isovalues = isovalues;
     desc.isovalue_count = o->isovalue_count;
     optics.env = *env;
@@ -276,7 +310,7 @@ static int make_optics(const options *o, const char *in, const tetcast_mesh *mes
         optics.cue_scale[1] = 0.25f;
     }
     *extinction = o->scale;
-    result = tetcast_transfer_create(&desc, &transfer);
+    result = o->table && tf.count > 1 && !table ? TETCAST_ERR_NO_MEMORY : tetcast_transfer_create(&desc, &transfer);
     if (result == TETCAST_OK && named && o->model != TETCAST_MODEL_ISOSURFACE && o->model != TETCAST_MODEL_MAXIMUM)
         *extinction *= choose_extinction(o, render, mesh, transfer);
     if (result == TETCAST_OK && *extinction != 1.0) {
@@ -286,6 +320,7 @@ static int make_optics(const options *o, const char *in, const tetcast_mesh *mes
     }
     if (result == TETCAST_OK) result = tetcast_optics_create(transfer, &optics, out);
     *colours = transfer;
+    SUP_FREE(table);
     SUP_FREE(points);
     sup_transfer_free(&tf);
     if (result == TETCAST_OK) return 0;
@@ -340,7 +375,54 @@ static void set_camera(const options *o, const tetcast_mesh *mesh, tetcast_camer
 
 /* ---- output ------------------------------------------------------------------------------------------------- */
 
-static void print_stats(const options *o, const char *field, const tetcast_mesh *mesh, const tetcast_report *report,
+/* All that an import counts, and a closer look. */
+static void print_check(const tetcast_mesh *mesh, const tetcast_env *env, const tetcast_report *r) {
+    tetcast_check c;
+    printf(",\"check\":{\"bad_indices\":%llu,\"bad_positions\":%llu,\"bad_shapes\":%llu,\"repeated\":%llu,\"duplicates\":%llu",
+           (unsigned long long)r->bad_indices, (unsigned long long)r->bad_positions, (unsigned long long)r->bad_shapes,
+           (unsigned long long)r->repeated, (unsigned long long)r->duplicates);
+    printf(",\"nonmanifold_faces\":%llu,\"hull_faces\":%llu,\"bad_values\":%llu,\"masked\":%llu,\"welded\":%llu,\"unused_vertices\":%llu",
+           (unsigned long long)r->nonmanifold_faces, (unsigned long long)r->hull_faces, (unsigned long long)r->bad_values,
+           (unsigned long long)r->masked, (unsigned long long)r->welded, (unsigned long long)r->unused_vertices);
+    if (tetcast_mesh_check(mesh, env, &c) == TETCAST_OK)
+        printf(",\"hanging_nodes\":%llu,\"coincident_vertices\":%llu,\"components\":%llu,\"volume\":%.9g,\"smallest\":%.6g,"
+               "\"largest\":%.6g,\"longest_edge\":%.6g", (unsigned long long)c.hanging_nodes,
+               (unsigned long long)c.coincident_vertices, (unsigned long long)c.components, c.volume, c.smallest, c.largest,
+               c.longest_edge);
+    printf("}");
+}
+
+/* The first isosurface as an .obj file. */
+static int write_surface(const options *o, const tetcast_env *env, const tetcast_mesh *mesh, sup_error *err) {
+    tetcast_surface_desc desc;
+    tetcast_surface s;
+    tetcast_result result;
+    sup_file file;
+    memset(&desc, 0, sizeof desc);
+    desc.env = *env;
+    desc.env.progress_fn = NULL;
+    desc.isovalue = o->isovalues[0];
+    desc.normals = 1;
+    result = tetcast_isosurface(&desc, mesh, &s);
+    if (result != TETCAST_OK) return sup_fail_result(err, o->surface, result, env->error);
+    if (sup_file_open(o->surface, &file, err)) {
+        tetcast_surface_free(&s);
+        return 1;
+    }
+    for (size_t i = 0; i < s.vertex_count; i++) {
+        const float *p = s.positions + 3 * i, *n = s.normals + 3 * i;
+        fprintf(file.stream, "v %.9g %.9g %.9g\nvn %.4g %.4g %.4g\n", s.origin[0] + (double)p[0], s.origin[1] + (double)p[1],
+                s.origin[2] + (double)p[2], (double)n[0], (double)n[1], (double)n[2]);
+    }
+    for (size_t i = 0; i < s.triangle_count; i++) {
+        const unsigned a = s.indices[3 * i] + 1, b = s.indices[3 * i + 1] + 1, c = s.indices[3 * i + 2] + 1;
+        fprintf(file.stream, "f %u//%u %u//%u %u//%u\n", a, a, b, b, c, c);
+    }
+    tetcast_surface_free(&s);
+    return sup_file_commit(&file, err);
+}
+
+static void print_stats(const options *o, const tetcast_env *env, const char *field, const tetcast_mesh *mesh, const tetcast_report *report,
                         const tetcast_optics *optics, const tetcast_image *image, const tetcast_camera *camera,
                         const tetcast_render_stats *s, double seconds, double extinction) {
     static const char *const integrators[TETCAST_INTEGRATOR_COUNT] = {
@@ -366,6 +448,7 @@ static void print_stats(const options *o, const char *field, const tetcast_mesh 
            (unsigned long long)(report->bad_indices + report->bad_positions + report->bad_shapes + report->repeated +
                                 report->duplicates),
            (unsigned long long)report->inverted, (unsigned long long)report->zero_volume);
+    if (o->check) print_check(mesh, env, report);
     printf(",\"rays\":%llu,\"hits\":%llu,\"walks\":%llu,\"steps\":%llu,\"ended\":%llu",
            (unsigned long long)s->rays, (unsigned long long)s->hit_rays, (unsigned long long)s->walks,
            (unsigned long long)s->steps, (unsigned long long)s->ended);
@@ -398,6 +481,19 @@ static int make_image(const options *o, tetcast_image *image) {
     return !image->rgba8 || (linear && !image->rgba) || (o->common.depth && !image->depth);
 }
 
+/* Cells whose value of a field is not 0 are hidden. */
+static int mask_cells(sup_volume *v, const char *name, const char *in, sup_error *err) {
+    for (size_t i = 0; i < v->field_count; i++) {
+        const sup_field *f = v->fields + i;
+        if (strcmp(f->name, name) != 0 || !f->per_cell || f->components != 1 || v->dims[0]) continue;
+        v->masks = (uint8_t *)sup_alloc(f->count, 1);
+        if (!v->masks) return sup_fail(err, "out of memory");
+        for (size_t k = 0; k < f->count; k++) v->masks[k] = f->values[k] != 0.0f;
+        return 0;
+    }
+    return sup_fail(err, "%s: no listed cells with one value each of a field \"%s\"", in, name);
+}
+
 static int load(const options *o, const tetcast_env *env, char *field_name, size_t room, tetcast_report *report,
                 tetcast_mesh **mesh, sup_error *err) {
     const char *in = o->in ? o->in : o->scene;
@@ -416,6 +512,7 @@ static int load(const options *o, const tetcast_env *env, char *field_name, size
     desc.order = (tetcast_order)o->order;
     desc.weld = (uint32_t)o->weld;
     failed = sup_choose_field(&volume, o->field, in, &field, &made, field_name, room, err);
+    if (!failed && o->mask) failed = mask_cells(&volume, o->mask, in, err);
     if (!failed) result = sup_volume_mesh(&volume, &field, &desc, report, mesh);
     if (result != TETCAST_OK) failed = sup_fail_result(err, in, result, env->error);
     SUP_FREE(made);
@@ -497,9 +594,10 @@ int main(int argc, char **argv) {
         sup_progress_end(&progress);
         if (result != TETCAST_OK)
             status = sup_fail_result(&err, o.in ? o.in : o.scene, result, &error);
+        else if (o.surface && write_surface(&o, &desc.env, mesh, &err)) status = 1;
         else status = sup_write_image(&o.common, &image, &err);
         if (!status && o.common.stats)
-            print_stats(&o, field, mesh, &report, optics, &image, &desc.camera, &stats, seconds, extinction);
+            print_stats(&o, &desc.env, field, mesh, &report, optics, &image, &desc.camera, &stats, seconds, extinction);
         SUP_FREE(image.rgba8);
         SUP_FREE(image.rgba);
         SUP_FREE(image.depth);

@@ -444,7 +444,10 @@ EXITS="
 1 tetcast_render @/nan.vtk --out @/bad.png
 1 tetcast_render @/huge.vtk --out @/bad.png
 1 tetcast_render @/cell.vtk --out @/bad.png --iso 7 --smooth
-0 tetcast_render @/cell.vtk --out @/one_cell.png --size 16x16 --quiet
+1 tetcast_render @/cell.vtk --out @/bad.png --mask t
+1 tetcast_render @/cell.vtk --out @/bad.png --iso 7 --surface @/bad.obj
+0 tetcast_render @/cell.vtk --out @/one_cell.png --mask s --colors independent --table 9 --size 16x16 --stats --check --quiet
+0 tetcast_render --scene lattice --detail 4 --iso 0.5 --surface @/one.obj --out @/one_surface.png --size 16x16 --quiet
 1 tetcast_bricks resample @/garbage.obj @/bad.brk
 1 tetcast_bricks render @/garbage.brk --out @/bad.png
 1 tetcast_rbf fit @/garbage.obj @/bad.rbf --max-error 0.1
@@ -490,6 +493,9 @@ EXITS="
 2 tetcast_render --scene lattice --out @/bad.png --integrator riemann --tolerance 1
 2 tetcast_render --scene lattice --out @/bad.png --eye 1,2,3 --at 1,2,3
 2 tetcast_render --scene lattice --out @/bad.png --clip 3,2,0
+2 tetcast_render --scene lattice --out @/bad.png --surface @/bad.obj
+2 tetcast_render --scene lattice --out @/bad.png --light 1,0,0
+2 tetcast_render --scene lattice --out @/bad.png --shader shadow --model emission
 2 tetcast_bricks
 2 tetcast_bricks render --out @/bad.png
 2 tetcast_rbf

@@ -46,6 +46,7 @@ typedef struct sup_volume {
     double *axes[3];     /* dims[k] numbers each */
     double origin[3], spacing[3];
     uint8_t *blanks;     /* per point, 0: not there */
+    uint8_t *masks;      /* per listed cell, not 0: shows nothing; no file has it */
     sup_field *fields;
     size_t field_count, field_capacity;
     size_t skipped_cells; /* cells that are no volume */
@@ -62,6 +63,7 @@ SUP_FN void sup_volume_free(sup_volume *volume) {
     SUP_FREE(volume->indices);
     SUP_FREE(volume->shapes);
     SUP_FREE(volume->blanks);
+    SUP_FREE(volume->masks);
     for (i = 0; i < 3; i++) SUP_FREE(volume->axes[i]);
     for (i = 0; i < volume->field_count; i++) SUP_FREE(volume->fields[i].values);
     SUP_FREE(volume->fields);

@@ -106,6 +106,7 @@ SUP_FN tetcast_result sup_volume_mesh(const sup_volume *v, const tetcast_field *
     input.index_count = v->index_count;
     input.shapes = v->shapes;
     input.cell_count = v->cell_count;
+    input.masks = v->masks;
     input.fields = field;
     input.field_count = 1;
     return tetcast_mesh_create(desc, &input, report, out);
