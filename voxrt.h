@@ -17909,10 +17909,13 @@ VOXRTI_INLINE void voxrti_mirror(const float d[3], const float n[3], float out[3
 /* The Phong lobe for light from `to` that leaves against `view`: (e + 2) / (2 pi) cos^e. All unit. */
 VOXRTI_INLINE float voxrti_phong(const float view[3], const float n[3], const float to[3], float exponent) {
     float r[3], c;
+    double power;
     voxrti_mirror(view, n, r);
     c = voxrti_dot3(r, to);
     if (!(c > 0.0f)) return 0.0f;
-    return (exponent + 2.0f) * 0.159154943f * (float)voxrti_pow((double)c, (double)exponent);
+    power = (double)exponent * voxrti_log2((double)c);
+    if (power < -120.0) return 0.0f; /* sharp ones go beyond what a power can be */
+    return (exponent + 2.0f) * 0.159154943f * (float)voxrti_exp2(power);
 }
 
 /* ---- lamps: the caller's lights, and all surfaces that emit light as one more ---- */
@@ -18794,6 +18797,17 @@ VOXRTI_INLINE uint32_t voxrti_spread8(uint32_t x) {
     return (x | x << 1) & 0x5555u;
 }
 
+/* Does it see a surface? Its normal is of unit length, about, and it is somewhere. */
+VOXRTI_INLINE int voxrti_pixel_seen(const voxrt_gbuffer *g, size_t at) {
+    const float *n = g->normal + 3 * at, *p = g->position + 3 * at, l = voxrti_dot3(n, n);
+    return l > 0.5f && l < 2.0f && voxrti_absf(p[0]) < 1e15f && voxrti_absf(p[1]) < 1e15f && voxrti_absf(p[2]) < 1e15f;
+}
+/* Of its lobe; 0: none. */
+VOXRTI_INLINE float voxrti_pixel_exponent(const voxrt_gbuffer *g, size_t at) {
+    const float e = g->specular != NULL ? g->specular[4 * at + 3] : 0.0f;
+    return e > 0.0f ? (e < 1e6f ? e : 1e6f) : 0.0f;
+}
+
 /* Pixels -> points. share: below 32, pixels of 256 x 256 share a sequence, along a Z curve (Ahmed & Wonka 2020): what
    a pixel and its neighbours send is spread as evenly as what one pixel sends, so their mean is better by more than
    their number; for what a filter will average. */
@@ -18810,7 +18824,7 @@ static void voxrti_gather_open(const voxrti_gather *w, const uint32_t *pixel, ui
         memcpy(q->n[i], g->normal + 3 * at, 12);
         q->seed[i] = voxrti_hash32((x >> far_) + (y >> far_ << 16)) ^ w->seed;
         q->place[i] = voxrti_spread8(x) | voxrti_spread8(y) << 1;
-        q->exponent[i] = g->specular != NULL ? g->specular[4 * at + 3] : 0.0f;
+        q->exponent[i] = voxrti_pixel_exponent(g, at);
         memset(q->view[i], 0, 12);
         if (!(q->exponent[i] > 0.0f)) continue;
         for (a = 0; a < 3; a++) q->view[i][a] = q->p[i][a] - w->frame.eye[a];
@@ -18899,10 +18913,9 @@ static void voxrti_task_direct(void *ctx, uint32_t tile) {
     for (y = y0; y < y0 + 8 && y < g->height; y++)
         for (x = x0; x < x0 + 8 && x < g->width; x++) {
             const size_t at = (size_t)y * g->width + x;
-            const float *v = g->normal + 3 * at;
             memset(w->direct + 3 * at, 0, 12);
             if (w->direct_gloss != NULL) memset(w->direct_gloss + 3 * at, 0, 12);
-            if (voxrti_dot3(v, v) > 0.5f) pixel[n++] = (uint32_t)at;
+            if (voxrti_pixel_seen(g, at)) pixel[n++] = (uint32_t)at;
         }
     if (n == 0) return;
     voxrti_gather_open(w, pixel, n, w->direct_share, &q);
@@ -18926,11 +18939,6 @@ static void voxrti_task_direct(void *ctx, uint32_t tile) {
 }
 
 /* ---- which pixels send rays ---- */
-
-VOXRTI_INLINE int voxrti_pixel_seen(const voxrt_gbuffer *g, size_t at) {
-    const float *n = g->normal + 3 * at;
-    return voxrti_dot3(n, n) > 0.5f;
-}
 
 /* All that see something, in tiles of 8 x 8; with a pattern, those of one of its places after the other. Every tile and
    place begins a run. Without a list: how long it would be. */
@@ -19086,11 +19094,11 @@ static void voxrti_task_gi_filter(void *ctx, uint32_t y) {
             if (qx < 0 || qy < 0 || qx >= (int64_t)g->width || qy >= (int64_t)g->height) continue;
             q = 3 * ((size_t)qy * g->width + (size_t)qx);
             cosine = voxrti_dot3(n, g->normal + q);
-            if (!(cosine > 0.0f)) continue;
+            if (!(cosine > 0.0f && cosine < 2.0f)) continue; /* of a normal and a position that are none: not seen */
             for (a = 0; a < 3; a++) d[a] = g->position[q + a] - p[a];
             plane = voxrti_dot3(n, d);
             plane = plane * plane * f->depth_scale / (float)((1 + far_) * (1 + far_));
-            if (plane > 20.0f) continue;
+            if (!(plane <= 20.0f)) continue;
             cosine *= cosine;
             cosine *= cosine;
             cosine *= cosine;

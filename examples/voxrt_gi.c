@@ -188,6 +188,7 @@ static int scene_of_mesh(world *w, const gi_options *o, sup_error *err) {
         box[0][a] = (double)lo[a];
         box[1][a] = (double)hi[a];
     }
+    if (!(size > 1e-15f && size < 1e15f)) return sup_fail(err, "%s: its size, %g, is too small or too large to be lit", o->scene, (double)size);
     memset(&c, 0, sizeof c);
     (void)voxrt_camera_fit(&c, box[0], box[1], view, o->common.size[0], o->common.size[1]);
     (void)snprintf(text, sizeof text,
@@ -417,7 +418,7 @@ static int make_world(world *w, const gi_options *o, sup_error *err) {
     const sup_gi_scene *s = &w->scene;
     voxrt_gi_desc d;
     voxrt_error error;
-    double lo[3], hi[3];
+    double lo[3], hi[3], largest = 0.0;
     if (read_scene(w, o, err)) return 1;
     w->pieces = (piece *)sup_alloc(s->thing_count, sizeof *w->pieces);
     w->stale = (sup_mesh *)sup_alloc(s->thing_count, sizeof *w->stale);
@@ -449,8 +450,10 @@ static int make_world(world *w, const gi_options *o, sup_error *err) {
     if (world_box(w, lo, hi)) return sup_fail(err, "%s: no triangles", w->name);
     memset(&d, 0, sizeof d);
     memset(&error, 0, sizeof error);
+    for (int a = 0; a < 3; a++) largest = fmax(largest, hi[a] - lo[a]);
     for (int a = 0; a < 3; a++) {
-        const double pad = 0.012 * (hi[a] - lo[a]) + 1e-6, part = ldexp(1.0, 1 - (int)o->nested);
+        /* what is flat needs room, too: voxels that the camera sees lie a little beside it */
+        const double pad = fmax(0.012 * (hi[a] - lo[a]), 0.5 * (0.125 * largest - (hi[a] - lo[a]))) + 1e-6, part = ldexp(1.0, 1 - (int)o->nested);
         const double middle = 0.5 * (lo[a] + hi[a]), half = (0.5 * (hi[a] - lo[a]) + pad) * (o->nested > 1 ? 1.25 * part : 1.0);
         w->box[a] = lo[a];
         w->box[3 + a] = hi[a];

@@ -552,7 +552,7 @@ TEST(samples_of_surfaces) {
         voxrt_mesh mesh;
         voxrt_columns_info a, b;
         uint32_t i, points = 0;
-        make_sphere(&fine, 16, 16, 32, 2.5, 48);
+        make_sphere(&fine, 16, 16, 32, 2.5, 40);
         CHECK(insert(c, VOXRT_COLUMNS_SAMPLES, fine.p[0], fine.index[0], fine.triangles, fine.points, 0, NULL) == VOXRT_OK);
         CHECK(insert(thin, VOXRT_COLUMNS_THIN, fine.p[0], fine.index[0], fine.triangles, fine.points, 0, NULL) == VOXRT_OK);
         voxrt_columns_get_info(c, &a);

@@ -345,6 +345,18 @@ TEST(spot_lights_become_virtual_ones) { /* uniform in solid angle: flux of a con
     }
 }
 
+TEST(sharp_lobes) { /* far beside a lobe there is nothing, however sharp it is */
+    uint32_t i, k;
+    static const float exponent[6] = {1.0f, 20.0f, 300.0f, 5000.0f, 100000.0f, 1e6f};
+    for (k = 0; k < 6; k++)
+        for (i = 0; i < 200; i++) {
+            const double angle = 1.57 * i / 200.0, n = (double)exponent[k];
+            const float view[3] = {0, -1, 0}, up[3] = {0, 1, 0}, to[3] = {(float)sin(angle), (float)cos(angle), 0};
+            const double want = (n + 2) * 0.15915494309189535 * pow((double)to[1], n), is = (double)voxrti_phong(view, up, to, exponent[k]);
+            CHECK_MSG(fabs(is - want) <= 2e-6 * want + 1e-25, "exponent %g, angle %g: %g, not %g", n, angle, is, want);
+        }
+}
+
 TEST(phong_lobes) { /* of light from everywhere, radiance l: at normal incidence a white lobe sends l back, by rays */
     static ball b;
     static const float exponents[4] = {1, 4, 16, 256};
@@ -1853,6 +1865,55 @@ TEST(bad_input) {
     voxrt_gi_destroy(NULL);
 }
 
+/* Pixels of a G-buffer that are none among others: normals that are no unit vectors, positions, exponents. No other pixel
+   gets a value that is none from them. */
+TEST(pixels_that_are_none) {
+    enum { N = 24 * 16 };
+    static room r;
+    static float specular[N][4], got[2][N][3], position[N][3], normal[N][3];
+    static const float odd[6] = {NAN, INFINITY, -INFINITY, 1e30f, -1e30f, 100.0f};
+    voxrt_gi_render_desc d;
+    voxrt_gi_history *history = NULL;
+    uint32_t way, i, k, what;
+    room_open(&r, 24, 16, 1);
+    r.g.specular = specular[0];
+    memcpy(position, r.position, sizeof position);
+    memcpy(normal, r.normal, sizeof normal);
+    CHECK(voxrt_gi_history_create(NULL, &history) == VOXRT_OK);
+    for (way = 0; way < 5; way++) { /* gathering, openness, virtual lights, coarse meshes, pictures before this one */
+        memset(&d, 0, sizeof d);
+        d.env.thread_count = 1;
+        d.camera = r.camera;
+        d.rays = 4;
+        d.method = way == 1 ? VOXRT_GI_AO : way == 2 ? VOXRT_GI_VPL : VOXRT_GI_GATHER;
+        d.coarse = way == 3 ? 4 : 0;
+        d.filter = way == 3 ? 0 : 3;
+        d.direct_filter = way == 2 ? 2 : 0;
+        d.history = way == 4 ? history : NULL;
+        for (what = 0; what < 6; what++) {
+            for (i = 0; i < N; i++) {
+                memcpy(r.position[i], position[i], 12);
+                memcpy(r.normal[i], normal[i], 12);
+                memcpy(r.before[i], position[i], 12);
+                for (k = 0; k < 3; k++) specular[i][k] = 0.25f;
+                specular[i][3] = i % 2 ? 8.0f : 0.0f;
+                if (i % 7 != 3) continue;
+                if (i % 4 == 0) r.normal[i][1] = odd[what];
+                if (i % 4 == 1) r.position[i][2] = odd[what];
+                if (i % 4 == 2) specular[i][3] = odd[what];
+                if (i % 4 == 3) r.before[i][0] = odd[what];
+            }
+            CHECK(voxrt_gi_render(&d, r.gi, &r.g, got[0][0], got[1][0], NULL) == VOXRT_OK);
+            for (i = 0; i < N; i++)
+                for (k = 0; k < 3; k++)
+                    CHECK_MSG(got[0][i][k] >= 0 && got[0][i][k] < 1e3f && got[1][i][k] >= 0 && got[1][i][k] < 1e3f, "way %u, %g: pixel %u is %g, %g",
+                              way, (double)odd[what], i, (double)got[0][i][k], (double)got[1][i][k]);
+        }
+    }
+    voxrt_gi_history_destroy(history);
+    voxrt_gi_destroy(r.gi);
+}
+
 TEST(memory) {
     static model m;
     uint32_t fail, done = 0;
@@ -1942,6 +2003,7 @@ int main(int argc, char **argv) {
     RUN(ways_to_look_up_light);
     RUN(virtual_lights);
     RUN(spot_lights_become_virtual_ones);
+    RUN(sharp_lobes);
     RUN(phong_lobes);
     RUN(phong_senders);
     RUN(meshes_that_emit);
@@ -1975,6 +2037,7 @@ int main(int argc, char **argv) {
     RUN(volumes_that_follow_leave_no_seam);
     RUN(tones);
     RUN(bad_input);
+    RUN(pixels_that_are_none);
     RUN(memory);
     return test_end();
 }
