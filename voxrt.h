@@ -2156,6 +2156,22 @@ VOXRTI_INLINE uint32_t voxrti_octants(uint64_t mask) {
     return (uint32_t)((m * 0x0102040810204080u) >> 56);
 }
 
+/* Layers of a mask along x, y, z. */
+static const uint64_t voxrti_layer[3][4] = {
+    {0x0055005500550055u, 0x00aa00aa00aa00aau, 0x5500550055005500u, 0xaa00aa00aa00aa00u},
+    {0x0000333300003333u, 0x0000cccc0000ccccu, 0x3333000033330000u, 0xcccc0000cccc0000u},
+    {0x000000000f0f0f0fu, 0x00000000f0f0f0f0u, 0x0f0f0f0f00000000u, 0xf0f0f0f000000000u}};
+
+/* Box of the cells of a mask along axis a, 0..4, hi exclusive; the mask is not 0. */
+VOXRTI_INLINE uint32_t voxrti_mask_lo(uint64_t mask, uint32_t a) {
+    const uint64_t *l = voxrti_layer[a];
+    return (mask & l[0]) != 0 ? 0u : (mask & l[1]) != 0 ? 1u : (mask & l[2]) != 0 ? 2u : 3u;
+}
+VOXRTI_INLINE uint32_t voxrti_mask_hi(uint64_t mask, uint32_t a) {
+    const uint64_t *l = voxrti_layer[a];
+    return (mask & l[3]) != 0 ? 4u : (mask & l[2]) != 0 ? 3u : (mask & l[1]) != 0 ? 2u : 1u;
+}
+
 /* ---------------------------------------------------------------------------
    normals: the thesis' codes, and which code a tree has.                        // >>normals
    A tree has octahedral normals (see math), or the thesis' when it was made from an octree: so none is rounded twice,
@@ -2298,7 +2314,7 @@ static VOXRTI_UNUSED int voxrti_colors_valid(const voxrti_colors *c, uint64_t co
     if (c->block == NULL) return c->block_count == 0 && c->data_bytes == 0;
     if (c->block_count != (count + 63) / 64 || (c->data == NULL && c->data_bytes != 0)) return 0;
     for (b = 0; b < c->block_count; b++) {
-        uint32_t word = c->block[b], kind = word & 15u, bits, j, code, high = 0;
+        uint32_t word = c->block[b], kind = word & 15u, bits, j, k, high = 0;
         size_t at = (size_t)(word >> 4) * 4, room;
         const uint8_t *p = c->data;
         if (kind == 0) {
@@ -2316,17 +2332,24 @@ static VOXRTI_UNUSED int voxrti_colors_valid(const voxrti_colors *c, uint64_t co
         }
         if (room < 8 * (size_t)bits) return 0;
         room -= 8 * (size_t)bits;
-        for (j = 0; j < 64; j++) {
-            code = voxrti_colors_code(p, bits, j);
-            if (code > high) high = code;
-        }
         if (kind == 1) {
-            if ((voxrti_load_u32(p - 4) & 0xffffffu) + high >= palette_count) return 0;
+            const uint32_t base = voxrti_load_u32(p - 4) & 0xffffffu;
+            if (base + ((1u << bits) - 1) < palette_count) continue; /* whatever the codes are */
+            for (j = 0; j < 64; j++)
+                if (base + voxrti_colors_code(p, bits, j) >= palette_count) return 0;
             continue;
         }
+        for (j = 0; j < 8; j++) { /* 8 codes of at most 5 bits at a time */
+            uint64_t codes = voxrti_load_u64(p + bits * j);
+            for (k = 0; k < 8; k++, codes >>= bits) {
+                const uint32_t code = (uint32_t)codes & ((1u << bits) - 1);
+                if (code > high) high = code;
+            }
+        }
         if (room < (size_t)(high + 1) * (kind < 7 ? 2u : 3u)) return 0;
-        for (j = 0; j < 64; j++)
-            if (voxrti_colors_get(c, (uint64_t)b * 64 + j) >= palette_count) return 0;
+        p += 8 * bits;
+        for (j = 0; j <= high; j++)
+            if ((kind < 7 ? voxrti_load_u16(p + 2 * j) : voxrti_load_u24(p + 3 * j)) >= palette_count) return 0;
     }
     return 1;
 }
@@ -5724,41 +5747,47 @@ static VOXRTI_UNUSED voxrt_result voxrti_tree_index(voxrt_tree *t) {
 /* Box of the filled leaves; also checks that an odd-depth model stays in octant 0 of the virtual root. O(nodes),
    descending only where the box can still grow. */
 static VOXRTI_UNUSED voxrt_result voxrti_tree_box(voxrt_tree *t) {
-    struct { uint32_t node, x, y, z, w; uint64_t left; } stack[VOXRTI_MAX_WIDE];
+    struct { uint32_t node, x, y, z; uint64_t mask, left; } stack[VOXRTI_MAX_WIDE];
     uint32_t sp = 1, a, lo[3] = {0xffffffffu, 0xffffffffu, 0xffffffffu}, hi[3] = {0, 0, 0};
     uint64_t root = t->wide > 1 ? t->node[0].mask : t->leaf[0];
     if ((t->depth & 1u) != 0 && (root & ~(uint64_t)0xff) != 0) return VOXRT_ERR_FORMAT;
     memset(stack, 0, sizeof stack);
-    stack[0].left = root;
+    stack[0].mask = stack[0].left = root;
     while (sp > 0) {
-        uint32_t s, w = stack[sp - 1].w, sh = 2 * (t->wide - 1 - w), c[3], inside = 1;
-        uint64_t mask, bit;
-        if (stack[sp - 1].left == 0) {
+        const uint32_t w = sp - 1, sh = 2 * (t->wide - sp);
+        uint32_t s, c[3], inside = 1;
+        uint64_t bit;
+        if (sp == t->wide) { /* a leaf node */
+            c[0] = stack[w].x;
+            c[1] = stack[w].y;
+            c[2] = stack[w].z;
+            for (a = 0; a < 3; a++) {
+                const uint32_t from = c[a] + voxrti_mask_lo(stack[w].mask, a);
+                const uint32_t to = c[a] + voxrti_mask_hi(stack[w].mask, a);
+                lo[a] = from < lo[a] ? from : lo[a];
+                hi[a] = to > hi[a] ? to : hi[a];
+            }
             sp--;
             continue;
         }
-        s = voxrti_ctz64(stack[sp - 1].left);
-        bit = (uint64_t)1 << s;
-        stack[sp - 1].left &= ~bit;
-        c[0] = stack[sp - 1].x + (voxrti_slot_x(s) << sh);
-        c[1] = stack[sp - 1].y + (voxrti_slot_y(s) << sh);
-        c[2] = stack[sp - 1].z + (voxrti_slot_z(s) << sh);
-        for (a = 0; a < 3; a++) inside &= c[a] >= lo[a] && c[a] + (1u << sh) <= hi[a];
-        if (inside) continue;
-        if (w + 1 == t->wide) {
-            for (a = 0; a < 3; a++) {
-                if (c[a] < lo[a]) lo[a] = c[a];
-                if (c[a] + 1 > hi[a]) hi[a] = c[a] + 1;
-            }
+        if (stack[w].left == 0) {
+            sp--;
             continue;
         }
-        mask = t->node[stack[sp - 1].node].mask;
-        stack[sp].node = t->node[stack[sp - 1].node].child + voxrti_popcount64(mask & (bit - 1));
-        stack[sp].left = w + 2 < t->wide ? t->node[stack[sp].node].mask : t->leaf[stack[sp].node];
+        s = voxrti_ctz64(stack[w].left);
+        bit = (uint64_t)1 << s;
+        stack[w].left &= ~bit;
+        c[0] = stack[w].x + (voxrti_slot_x(s) << sh);
+        c[1] = stack[w].y + (voxrti_slot_y(s) << sh);
+        c[2] = stack[w].z + (voxrti_slot_z(s) << sh);
+        for (a = 0; a < 3; a++) inside &= c[a] >= lo[a] && c[a] + (1u << sh) <= hi[a];
+        if (inside) continue;
+        stack[sp].node = t->node[stack[w].node].child + voxrti_popcount64(stack[w].mask & (bit - 1));
+        stack[sp].mask = sp + 1 < t->wide ? t->node[stack[sp].node].mask : t->leaf[stack[sp].node];
+        stack[sp].left = stack[sp].mask;
         stack[sp].x = c[0];
         stack[sp].y = c[1];
         stack[sp].z = c[2];
-        stack[sp].w = w + 1;
         sp++;
     }
     for (a = 0; a < 3; a++) {
@@ -6848,29 +6877,20 @@ static voxrt_result voxrti_share_codes(voxrti_sharer *h, uint64_t *key, uint32_t
     return VOXRT_OK;
 }
 
-/* Layers of a mask along x, y, z. */
-static const uint64_t voxrti_layer[3][4] = {
-    {0x0055005500550055u, 0x00aa00aa00aa00aau, 0x5500550055005500u, 0xaa00aa00aa00aa00u},
-    {0x0000333300003333u, 0x0000cccc0000ccccu, 0x3333000033330000u, 0xcccc0000cccc0000u},
-    {0x000000000f0f0f0fu, 0x00000000f0f0f0f0u, 0x0f0f0f0f00000000u, 0xf0f0f0f000000000u}};
-
 /* What is below a node: cells of all levels, and the box of its voxels from its corner. */
 typedef struct voxrti_part {
     uint32_t cells, lo[3], hi[3];
 } voxrti_part;
 
-/* The same of leaf nodes, and of those above them, in one word: bytes 16 - lo and hi along x, y, z, of which the largest
-   are those of a whole; then octants and voxels, but only of a leaf node. */
+/* The same of leaf nodes, and of those above them, in one word: bytes 16 - lo and hi along x, y, z, of which the
+   largest are those of a whole; then octants and voxels, but only of a leaf node. */
 #define VOXRTI_PART_BOX 0x0000ffffffffffffu
 
 static uint64_t voxrti_part_leaf(uint64_t mask) {
     uint64_t p = (uint64_t)voxrti_popcount64(voxrti_octants(mask)) << 48 | (uint64_t)voxrti_popcount64(mask) << 56;
     uint32_t a;
-    for (a = 0; a < 3; a++) {
-        const uint64_t *l = voxrti_layer[a];
-        p |= (uint64_t)((mask & l[0]) != 0 ? 16u : (mask & l[1]) != 0 ? 15u : (mask & l[2]) != 0 ? 14u : 13u) << 8 * a;
-        p |= (uint64_t)((mask & l[3]) != 0 ? 4u : (mask & l[2]) != 0 ? 3u : (mask & l[1]) != 0 ? 2u : 1u) << (24 + 8 * a);
-    }
+    for (a = 0; a < 3; a++)
+        p |= (uint64_t)(16 - voxrti_mask_lo(mask, a)) << 8 * a | (uint64_t)voxrti_mask_hi(mask, a) << (24 + 8 * a);
     return p;
 }
 
@@ -6995,7 +7015,8 @@ static voxrt_result voxrti_shared_counts(voxrti_mem *mem, const voxrti_shared_in
 }
 
 /* The parts of all levels, bottom up; the root's. */
-static voxrt_result voxrti_shared_levels(voxrti_mem *mem, const voxrti_shared_indexer *x, int write, voxrti_part *root) {
+static voxrt_result voxrti_shared_levels(voxrti_mem *mem, const voxrti_shared_indexer *x, int write,
+                                         voxrti_part *root) {
     const voxrt_tree *t = x->t;
     voxrti_part *below = NULL, *part = NULL;
     uint32_t w;
@@ -7032,9 +7053,10 @@ static voxrt_result voxrti_shared_fill(voxrti_mem *mem, voxrti_shared_indexer *x
     }
     for (i = 0; i < t->level_nodes[t->wide - 1]; i++)
         if (voxrti_leaf_at(t, i) >= t->mask_count) return VOXRT_ERR_FORMAT;
-    for (i = 0; i < 64; i++)
-        x->place[i] = 4 * (((uint64_t)voxrti_slot_x(i) | (uint64_t)voxrti_slot_y(i) << 8 | (uint64_t)voxrti_slot_z(i) << 16) *
-                           0xffffffu); /* 2^24 - 1: what hi gains 16 - lo loses */
+    for (i = 0; i < 64; i++) { /* 2^24 - 1: what hi gains 16 - lo loses */
+        mask = (uint64_t)voxrti_slot_x(i) | (uint64_t)voxrti_slot_y(i) << 8 | (uint64_t)voxrti_slot_z(i) << 16;
+        x->place[i] = 4 * mask * 0xffffffu;
+    }
     if (t->wide == 1 && voxrti_leaf_at(t, 0) != 0) return VOXRT_ERR_FORMAT;
     voxrti_part_box(x->mask[0], &root);
     r = voxrti_shared_levels(mem, x, write, &root);
@@ -8737,41 +8759,86 @@ typedef struct voxrti_geometry_decoder {
     uint8_t mirror[8][256];
 } voxrti_geometry_decoder;
 
-static void voxrti_geometry_task(void *ctx, uint32_t task) {
-    voxrti_geometry_decoder *g = (voxrti_geometry_decoder *)ctx;
-    voxrt_tree *t = g->t;
-    uint32_t leaf = g->w + 1 == t->wide, i = task * VOXRTI_CHUNK, k, o, group = leaf ? 128 : 0, bad = 0;
-    uint32_t end = t->level_nodes[g->w] - i < VOXRTI_CHUNK ? t->level_nodes[g->w] : i + VOXRTI_CHUNK;
+typedef struct voxrti_geometry_lane { /* of one chunk */
     voxrti_family family;
     voxrti_rans r;
+    uint32_t i, end, bad; /* next node of the level */
+} voxrti_geometry_lane;
+
+static void voxrti_geometry_open(const voxrti_geometry_decoder *g, uint32_t chunk, voxrti_geometry_lane *l) {
+    const voxrt_tree *t = g->t;
+    voxrti_family family;
+    uint32_t k;
+    l->i = chunk * VOXRTI_CHUNK;
+    l->end = t->level_nodes[g->w] - l->i < VOXRTI_CHUNK ? t->level_nodes[g->w] : l->i + VOXRTI_CHUNK;
+    l->bad = 0;
     family.parent = family.base = &voxrti_root_family;
     family.owner = NULL;
     if (g->w != 0 && g->sharing != NULL) {
         family.base = t->node;
-        family.owner = g->owner + g->start[2 * task];
+        family.owner = g->owner + g->start[2 * chunk];
         family.parent = t->node + *family.owner++;
     } else if (g->w != 0) {
-        family.parent = t->node + t->level_first[g->w - 1] + g->start[2 * task];
+        family.parent = t->node + t->level_first[g->w - 1] + g->start[2 * chunk];
     }
     family.mask = family.left = family.parent->mask;
-    for (k = g->w != 0 ? g->start[2 * task + 1] : 0; k > 0; k--) family.left &= family.left - 1;
-    voxrti_rans_open(&g->d, g->first_chunk + task, &r);
-    for (; i < end; i++) {
-        uint32_t siblings, b = voxrti_family_next(&family, &siblings), octants;
-        uint64_t mask = 0;
-        octants = g->mirror[b][voxrti_rans_get(&r, g->d.of[g->mirror[b][siblings] >> 1])];
-        bad |= octants == 0;
-        for (k = octants; k != 0; k &= k - 1) {
-            uint32_t s;
-            o = voxrti_ctz64(k);
-            s = voxrti_rans_get(&r, g->d.of[group + (g->mirror[o][octants] >> 1)]);
-            bad |= s == 0;
-            mask |= (uint64_t)g->mirror[o][s] << (8 * o);
+    for (k = g->w != 0 ? g->start[2 * chunk + 1] : 0; k > 0; k--) family.left &= family.left - 1;
+    l->family = family;
+    voxrti_rans_open(&g->d, g->first_chunk + chunk, &l->r);
+}
+
+VOXRTI_INLINE uint32_t voxrti_geometry_first(const voxrti_geometry_decoder *g, voxrti_geometry_lane *l) {
+    uint32_t siblings, b = voxrti_family_next(&l->family, &siblings), octants;
+    octants = g->mirror[b][voxrti_rans_get(&l->r, g->d.of[g->mirror[b][siblings] >> 1])];
+    l->bad |= octants == 0;
+    return octants;
+}
+
+VOXRTI_INLINE uint64_t voxrti_geometry_byte(const voxrti_geometry_decoder *g, uint32_t group, uint32_t octants,
+                                            uint32_t k, voxrti_geometry_lane *l) {
+    const uint32_t o = voxrti_ctz64(k), s = voxrti_rans_get(&l->r, g->d.of[group + (g->mirror[o][octants] >> 1)]);
+    l->bad |= s == 0;
+    return (uint64_t)g->mirror[o][s] << (8 * o);
+}
+
+VOXRTI_INLINE void voxrti_geometry_put(const voxrti_geometry_decoder *g, uint32_t group, voxrti_geometry_lane *l,
+                                       uint64_t mask) {
+    if (group) g->leaf[l->i++] = mask;
+    else g->t->node[g->t->level_first[g->w] + l->i++].mask = mask;
+}
+
+/* Two chunks in turn: while a symbol of one is looked up, one of the other can be. */
+static void voxrti_geometry_task(void *ctx, uint32_t task) {
+    voxrti_geometry_decoder *g = (voxrti_geometry_decoder *)ctx;
+    const uint32_t group = g->w + 1 == g->t->wide ? 128 : 0;
+    const uint32_t chunks = (uint32_t)(((uint64_t)g->t->level_nodes[g->w] + VOXRTI_CHUNK - 1) / VOXRTI_CHUNK);
+    voxrti_geometry_lane a, b;
+    voxrti_geometry_open(g, 2 * task, &a);
+    if (2 * task + 1 < chunks) {
+        voxrti_geometry_open(g, 2 * task + 1, &b);
+        while (b.i < b.end) { /* the first one is whole */
+            const uint32_t p = voxrti_geometry_first(g, &a), q = voxrti_geometry_first(g, &b);
+            uint32_t i = p, k = q;
+            uint64_t m = 0, n = 0;
+            for (; i != 0 && k != 0; i &= i - 1, k &= k - 1) {
+                m |= voxrti_geometry_byte(g, group, p, i, &a);
+                n |= voxrti_geometry_byte(g, group, q, k, &b);
+            }
+            for (; i != 0; i &= i - 1) m |= voxrti_geometry_byte(g, group, p, i, &a);
+            for (; k != 0; k &= k - 1) n |= voxrti_geometry_byte(g, group, q, k, &b);
+            voxrti_geometry_put(g, group, &a, m);
+            voxrti_geometry_put(g, group, &b, n);
         }
-        if (leaf) g->leaf[i] = mask;
-        else t->node[t->level_first[g->w] + i].mask = mask;
+        if (b.bad || !voxrti_rans_done(&b.r)) voxrti_atomic_store(&g->d.bad, 1u);
     }
-    if (bad || !voxrti_rans_done(&r)) voxrti_atomic_store(&g->d.bad, 1u);
+    while (a.i < a.end) {
+        const uint32_t p = voxrti_geometry_first(g, &a);
+        uint32_t i = p;
+        uint64_t m = 0;
+        for (; i != 0; i &= i - 1) m |= voxrti_geometry_byte(g, group, p, i, &a);
+        voxrti_geometry_put(g, group, &a, m);
+    }
+    if (a.bad || !voxrti_rans_done(&a.r)) voxrti_atomic_store(&g->d.bad, 1u);
 }
 
 /* Read which runs the nodes of level w name. */
@@ -8870,7 +8937,7 @@ static voxrt_result voxrti_geometry_levels(voxrti_mem *mem, const voxrt_env *env
         }
         t->level_first[w] = w + 1 == t->wide ? 0 : at;
         g->w = w;
-        voxrti_parallel_for(env, voxrti_geometry_task, g, chunks);
+        voxrti_parallel_for(env, voxrti_geometry_task, g, (chunks + 1) / 2);
         if (voxrti_atomic_load(&g->d.bad)) return VOXRT_ERR_FORMAT;
         g->first_chunk += chunks;
         at += t->level_nodes[w];
