@@ -6,16 +6,17 @@
 #include "zbufrand.h"
 #include "support/worlds.h"
 
-enum { MODE_PIXEL, MODE_BLOCKS, MODE_GAUSS, MODE_VORONOI, MODE_NODEPTH };
+enum { MODE_PIXEL, MODE_BLOCKS, MODE_GAUSS, MODE_VORONOI, MODE_NODEPTH, MODE_PULLPUSH, MODE_LAYERS };
 
 typedef struct options {
     sup_common common;
     const char *scene, *hybrid, *opacity;
     int64_t block, mean, view, frame, frames, scatter, max_frames, classes;
-    double noise, density, gauss, epsilon;
+    int64_t grid, leaf;
+    double noise, density, gauss, epsilon, smooth, contrast, depth_tolerance, angle_ratio, clip, zone;
     float material[16]; /* opacities */
     int mode, has_mode, has_block, occlusion, has_occlusion, has_noise, has_gauss, no_repair, no_occlusion, independent, structure, has_structure,
-        thesis;
+        has_contrast, average, drop_back, thesis;
 } options;
 
 typedef struct pictures {
@@ -41,13 +42,24 @@ static int check_options(const char *program, const options *o) {
     if (o->has_gauss && o->mode != MODE_GAUSS) return sup_bad_usage(program, "--gauss goes with --mode gauss");
     if (o->epsilon > 0.0 && !o->thesis && o->structure == 0)
         return sup_bad_usage(program, "--epsilon goes with one of the thesis' trees: --structure or --thesis");
+    if (o->mean == 0 && (o->average != 0 || o->has_contrast)) return sup_bad_usage(program, "--average and --contrast go with --mean");
+    if (o->smooth > 0.0 && o->average != (int)ZBUFRAND_ACCUMULATE_SMOOTH) return sup_bad_usage(program, "--smooth goes with --average smooth");
+    if (o->mode == MODE_LAYERS && (o->mean > 0 || o->has_noise || o->frames > 0 || o->has_structure || o->thesis || o->common.depth))
+        return sup_bad_usage(program, "--mode layers is one picture by the default tree, without --depth");
+    if ((o->depth_tolerance > 0.0 || o->drop_back) && o->mode < MODE_GAUSS)
+        return sup_bad_usage(program, "--depth-tolerance and --drop-back go with --mode gauss, voronoi, nodepth, pullpush or layers");
+    if ((o->angle_ratio > 0.0 || o->clip > 0.0 || o->leaf > 0) && !o->thesis && o->structure == 0)
+        return sup_bad_usage(program, "--angle-ratio, --clip and --leaf go with one of the thesis' trees");
+    if (o->grid > 0 && o->structure != (int)ZBUFRAND_STRUCTURE_CLASSES) return sup_bad_usage(program, "--normal-grid goes with --structure classes");
+    if (o->zone > 0.0 && o->structure != (int)ZBUFRAND_STRUCTURE_OCTREE && o->structure != (int)ZBUFRAND_STRUCTURE_NORMALS)
+        return sup_bad_usage(program, "--zone goes with --structure octree or normals");
     if (o->classes > 0 && o->structure < (int)ZBUFRAND_STRUCTURE_CLASSES)
         return sup_bad_usage(program, "--angle-depth goes with --structure classes or normals");
     return -1;
 }
 
 static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, zbufrand_build_desc *build) {
-    sup_option table[SUP_COMMON_OPTIONS + 24];
+    sup_option table[SUP_COMMON_OPTIONS + 34];
     double radius = 0.0;
     size_t n;
     int status;
@@ -55,7 +67,7 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     o->gauss = 2.0;
     n = sup_common_options(&o->common, table);
     table[n++] = sup_opt_text("scene", &o->scene, "forest|city|chess|landscape|FILE", "what to draw; FILE is a mesh");
-    table[n++] = sup_opt_given(sup_opt_choice("mode", &o->mode, "pixel|blocks|gauss|voronoi|nodepth",
+    table[n++] = sup_opt_given(sup_opt_choice("mode", &o->mode, "pixel|blocks|gauss|voronoi|nodepth|pullpush|layers",
                                               "from samples to pixels (pixel)"), &o->has_mode);
     table[n++] = sup_opt_given(sup_opt_int("block", &o->block, 1, 1024, "D", "edge of blocks, cells or squares in pixels"),
                                &o->has_block);
@@ -82,6 +94,17 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     table[n++] = sup_opt_int("angle-depth", &o->classes, 1, 8, "N", "classes of normals of those: levels of halving (4)");
     table[n++] = sup_opt_real("epsilon", &o->epsilon, 1.001, 1000.0, "E", "how unequal depths they draw as one (1.5)");
     table[n++] = sup_opt_text("opacity", &o->opacity, "A[,A...]", "of materials 0, 1, ...: by chance in a frame, so with --mean or --noise");
+    table[n++] = sup_opt_choice("average", &o->average, "mean|smooth|adaptive", "what --mean does with its frames (mean)");
+    table[n++] = sup_opt_real("smooth", &o->smooth, 1e-3, 1.0, "E", "weight of a new frame for --average smooth (0.1)");
+    table[n++] = sup_opt_given(sup_opt_real("contrast", &o->contrast, -1.0, 1e6, "G", "the mean times that; -1: over frames that hit a pixel"),
+                               &o->has_contrast);
+    table[n++] = sup_opt_real("depth-tolerance", &o->depth_tolerance, 0.0, 100.0, "T", "modes without depth buffer: samples that much deeper stay, too");
+    table[n++] = sup_opt_flag("drop-back", &o->drop_back, "... but none that are seen from behind");
+    table[n++] = sup_opt_real("angle-ratio", &o->angle_ratio, 1.001, 1000.0, "E", "thesis' trees: how unequal angles they draw as one");
+    table[n++] = sup_opt_real("clip", &o->clip, 1e-3, 1000.0, "C", "thesis' trees: divide what sticks out and is wider than C times its depth");
+    table[n++] = sup_opt_int("normal-grid", &o->grid, 1, 64, "K", "classes of normals: a grid of K x 2K");
+    table[n++] = sup_opt_int("leaf", &o->leaf, 1, 1024, "N", "thesis' trees: most objects of a leaf (64)");
+    table[n++] = sup_opt_real("zone", &o->zone, 1.0, 2.0, "C", "octree: a cell takes what lies within it enlarged by that (1.5)");
     table[n++] = sup_opt_flag("thesis", &o->thesis, "as the thesis' program did; other options change parts of that");
     status = sup_cli_parse(argc, argv, "Draws a scene from random points of its surface.", table, n);
     if (status >= 0) return status;
@@ -99,6 +122,13 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     if (o->thesis) zbufrand_preset_thesis(build, desc);
     if (o->has_structure) build->structure = (zbufrand_structure)o->structure;
     build->normal_depth = (uint32_t)o->classes;
+    build->normal_grid = (uint32_t)o->grid;
+    if (o->leaf > 0) build->leaf_objects = (uint32_t)o->leaf;
+    build->tolerance_zone = (float)o->zone;
+    desc->angle_ratio = o->angle_ratio;
+    desc->clip_ratio = o->clip;
+    desc->reconstruct.tolerance = (float)o->depth_tolerance;
+    desc->reconstruct.drop_back = (uint32_t)o->drop_back;
     if (o->epsilon > 0.0) desc->depth_ratio = o->epsilon;
     desc->tolerance = o->common.has_tolerance ? o->common.tolerance : 0.0; /* 0: the library chooses */
     desc->density = o->density;
@@ -119,11 +149,19 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     case MODE_GAUSS: desc->reconstruct.fill = ZBUFRAND_FILL_GAUSS; break;
     case MODE_VORONOI: desc->reconstruct.fill = ZBUFRAND_FILL_VORONOI; break;
     case MODE_NODEPTH: desc->reconstruct.fill = ZBUFRAND_FILL_VORONOI_L1; break;
+    case MODE_PULLPUSH: desc->reconstruct.fill = ZBUFRAND_FILL_PULL_PUSH; break;
+    case MODE_LAYERS: /* counts of samples: nothing rastered, nothing painted over */
+        memset(&desc->reconstruct, 0, sizeof desc->reconstruct);
+        desc->hybrid = ZBUFRAND_HYBRID_OFF;
+        if (!(desc->density > 0.0)) desc->density = 8.0;
+        return -1;
     default: break;
     }
     if (o->mode >= MODE_GAUSS) {
         desc->reconstruct.occlusion = ZBUFRAND_OCCLUSION_SQUARES;
         desc->reconstruct.reach = 2 * desc->reconstruct.block;
+        /* or of a tilted plane only the nearest of each square would be left: holes where it is rastered, pixel by pixel */
+        if (!(o->depth_tolerance > 0.0) && !o->thesis) desc->reconstruct.tolerance_slope = 1.5f;
     }
     if (o->has_occlusion) desc->reconstruct.occlusion = (zbufrand_occlusion)o->occlusion;
     if (o->opacity) {
@@ -239,35 +277,93 @@ static double clock_now(void *user) {
     return sup_now();
 }
 
-/* --mean N: N frames with other random numbers each, added up in linear light. */
-static zbufrand_result draw_mean(const options *o, zbufrand_frame *frame, zbufrand_render_desc *desc,
-                                 const zbufrand_scene *scene, zbufrand_image *image, zbufrand_stats *stats) {
-    const size_t values = (size_t)image->width * image->height * 4;
-    zbufrand_image one = *image;
-    float *sum = (float *)sup_alloc(values, sizeof(float));
-    zbufrand_result result = ZBUFRAND_OK;
-    uint32_t spread = 1;
-    if (!sum) return ZBUFRAND_ERR_NO_MEMORY;
-    memset(sum, 0, values * sizeof(float));
-    while (2 * (int64_t)spread <= o->mean && spread < 64) spread *= 2;
-    for (int64_t k = 0; k < o->mean && result == ZBUFRAND_OK; k++) {
-        desc->frame = (uint32_t)(o->frame + k);
-        desc->spread = spread;
-        one.depth = k == 0 ? image->depth : NULL; /* depth is that of the first frame */
-        result = zbufrand_render(frame, desc, scene, &one, stats);
-        for (size_t i = 0; i < values && result == ZBUFRAND_OK; i++) sum[i] += image->rgba[i];
-    }
-    for (size_t i = 0; i < values; i++) image->rgba[i] = sum[i] / (float)o->mean;
-    SUP_FREE(sum);
-    if (result != ZBUFRAND_OK) return result;
-    for (size_t i = 0; i < values / 4; i++) {
+/* Bytes from linear, premultiplied floats. */
+static void make_bytes(zbufrand_image *image) {
+    const size_t pixels = (size_t)image->width * image->height;
+    for (size_t i = 0; i < pixels; i++) {
         const float *c = image->rgba + 4 * i;
         for (size_t k = 0; k < 3; k++)
             image->rgba8[4 * i + k] = sup_unit_to_byte(zbufrandi_linear_to_srgb(c[3] > 0.0f ? (double)(c[k] / c[3]) : 0.0));
         image->rgba8[4 * i + 3] = sup_unit_to_byte((double)c[3]);
     }
+}
+
+/* The background behind linear, premultiplied colours. */
+static void put_behind(zbufrand_image *image, const float background[4]) {
+    const size_t pixels = (size_t)image->width * image->height;
+    for (size_t i = 0; i < pixels; i++) {
+        const float rest = 1.0f - image->rgba[4 * i + 3];
+        for (size_t k = 0; k < 4; k++) image->rgba[4 * i + k] += rest * background[k];
+    }
+}
+
+/* --mean N: N frames with other random numbers each, averaged in linear light. */
+static zbufrand_result draw_mean(const options *o, zbufrand_frame *frame, zbufrand_render_desc *desc,
+                                 const zbufrand_scene *scene, zbufrand_image *image, zbufrand_stats *stats) {
+    zbufrand_image one = *image;
+    zbufrand_accumulator_desc ad;
+    zbufrand_accumulator *sum = NULL;
+    zbufrand_view view;
+    float *depth = image->depth != NULL ? image->depth : (float *)sup_alloc((size_t)image->width * image->height, sizeof(float));
+    zbufrand_result result;
+    float background[4];
+    uint32_t spread = 1;
+    memcpy(background, desc->background, sizeof background);
+    if (o->has_contrast) memset(desc->background, 0, sizeof desc->background); /* empty pixels count as empty */
+    memset(&ad, 0, sizeof ad);
+    ad.env.thread_count = (uint32_t)o->common.threads;
+    ad.width = image->width;
+    ad.height = image->height;
+    ad.mode = (zbufrand_accumulation)o->average;
+    ad.epsilon = (float)o->smooth;
+    result = depth != NULL ? zbufrand_accumulator_create(&ad, &sum) : ZBUFRAND_ERR_NO_MEMORY;
+    if (result == ZBUFRAND_OK) result = zbufrand_camera_view(&desc->camera, scene, image->width, image->height, &view);
+    while (2 * (int64_t)spread <= o->mean && spread < 64) spread *= 2;
+    for (int64_t k = 0; k < o->mean && result == ZBUFRAND_OK; k++) {
+        desc->frame = (uint32_t)(o->frame + k);
+        desc->spread = o->average == 0 ? spread : 1;
+        one.depth = k == 0 || o->average != 0 ? depth : NULL; /* depth is that of the first frame, or of the last */
+        result = zbufrand_render(frame, desc, scene, &one, stats);
+        if (result == ZBUFRAND_OK) result = zbufrand_accumulator_add(sum, image->rgba, o->average != 0 ? depth : NULL, o->average != 0 ? &view : NULL);
+    }
+    if (result == ZBUFRAND_OK) result = zbufrand_accumulator_get(sum, (float)o->contrast, image->rgba);
+    zbufrand_accumulator_destroy(sum);
+    if (depth != image->depth) SUP_FREE(depth);
+    if (result != ZBUFRAND_OK) return result;
+    if (o->has_contrast) put_behind(image, background);
+    make_bytes(image);
     stats->frames = (uint32_t)o->mean;
     return ZBUFRAND_OK;
+}
+
+/* --mode layers: samples are counted by layers of depth, which cover as much of a pixel as their counts say. Colours are not lit. */
+static int count_layers(void *user, const zbufrand_sample *samples, const uint32_t *numbers, size_t count) {
+    (void)numbers;
+    return zbufrand_layers_submit((zbufrand_layers *)user, samples, count) != ZBUFRAND_OK;
+}
+static zbufrand_result draw_layers(const options *o, zbufrand_frame *frame, const zbufrand_render_desc *desc,
+                                   const zbufrand_scene *scene, zbufrand_image *image, zbufrand_stats *stats) {
+    zbufrand_layers_desc ld;
+    zbufrand_layers *layers = NULL;
+    zbufrand_result result;
+    memset(&ld, 0, sizeof ld);
+    ld.env.thread_count = (uint32_t)o->common.threads;
+    ld.width = image->width;
+    ld.height = image->height;
+    ld.density = (float)desc->density;
+    ld.dispersion = desc->independent ? 1.0f : 0.4f;
+    ld.tolerance = o->depth_tolerance > 0.0 ? (float)o->depth_tolerance : 0.02f; /* what a pixel of rough ground spans */
+    result = zbufrand_layers_create(&ld, &layers);
+    if (result != ZBUFRAND_OK) return result;
+    do {
+        result = zbufrand_sample_scene(frame, desc, scene, image->width, image->height, count_layers, layers, stats);
+    } while (result == ZBUFRAND_OK && zbufrand_layers_next(layers));
+    if (result == ZBUFRAND_OK) result = zbufrand_layers_resolve(layers, image->rgba, NULL);
+    zbufrand_layers_destroy(layers);
+    if (result != ZBUFRAND_OK) return result;
+    put_behind(image, desc->background);
+    make_bytes(image);
+    return result;
 }
 
 static int write_pictures(const options *o, zbufrand_image *image, sup_error *err) {
@@ -297,6 +393,15 @@ static void print_stats(const options *o, const zbufrand_scene_info *info, const
     printf(",\"holes\":%llu,\"wrong\":%llu,\"repaired\":%llu,\"incomplete\":%.6g,\"probability\":%.9g",
            (unsigned long long)s->holes, (unsigned long long)s->wrong, (unsigned long long)s->repaired, s->incomplete,
            1.0 - s->incomplete);
+    if (s->covered > 0 && s->projected_area >= (double)s->covered) { /* what the theorems ask for, of independent samples, and leave empty */
+        static const char *const bounds[8] = {"union", "direct", "lemma2", "lemma3", "theorem1", "theorem2", "lemma4", "theorem5"};
+        const double wanted = 1.0 - (o->common.has_tolerance ? o->common.tolerance : 0.05), seen = (double)s->covered;
+        printf(",\"theory\":{");
+        for (int k = 0; k < 8; k++)
+            printf("\"%s\":%.6g,", bounds[k], zbufrand_samples((zbufrand_bound)k, s->projected_area, seen, 1.0, wanted));
+        printf("\"one_percent_empty\":%.6g,\"success\":%.6g,\"empty\":%.6g}", zbufrand_samples_for_share(s->projected_area, 1.0, 0.01),
+               zbufrand_success(s->density, seen, 1.0), zbufrand_expected_holes(s->density, seen, 1.0));
+    }
     printf(",\"frames\":%u,\"rmse\":%.6g,\"stages\":{", s->frames, s->rmse);
     for (int k = 0; k < ZBUFRAND_STAGE_COUNT; k++) printf("%s\"%s\":%.6f", k ? "," : "", stages[k], s->seconds[k]);
     printf("},\"eye\":[%.9g,%.9g,%.9g],\"at\":[%.9g,%.9g,%.9g]", camera->eye[0], camera->eye[1], camera->eye[2],
@@ -443,11 +548,12 @@ int main(int argc, char **argv) {
     set_camera(&o, &world, &info, &desc.camera);
     set_morning(&o, &desc);
     if (!make_image(&o, &p.image)) result = zbufrand_frame_create(&frame_desc, &frame);
-    if (result == ZBUFRAND_OK && o.common.stats) /* the first frame of a size also takes its memory: not measured */
+    if (result == ZBUFRAND_OK && o.common.stats && o.mode != MODE_LAYERS) /* the first frame of a size also takes its memory: not measured */
         result = zbufrand_render(frame, &desc, world.scene, &p.image, &p.stats);
     start = sup_now();
     if (result == ZBUFRAND_OK) {
-        result = o.frames > 0 ? draw_frames(&o, frame, &desc, &world, &p, &err, &status)
+        result = o.mode == MODE_LAYERS ? draw_layers(&o, frame, &desc, world.scene, &p.image, &p.stats)
+               : o.frames > 0 ? draw_frames(&o, frame, &desc, &world, &p, &err, &status)
                : o.mean > 0 ? draw_mean(&o, frame, &desc, world.scene, &p.image, &p.stats)
                             : zbufrand_render(frame, &desc, world.scene, &p.image, &p.stats);
     }

@@ -483,6 +483,8 @@ EXITS="
 2 zbufrand_render --scene chess --out @/bad.png --mean 2 --noise 0.1
 2 zbufrand_render --scene chess --out @/bad.png --epsilon 2
 2 zbufrand_render --scene chess --out @/bad.png --opacity 0.5,
+2 zbufrand_render --scene chess --out @/bad.png --mode layers --mean 2
+2 zbufrand_render --scene chess --out @/bad.png --contrast 2
 2 tetcast_render --out @/bad.png
 2 tetcast_render --scene lattice --out @/bad.png --model iso
 2 tetcast_render --scene lattice --out @/bad.png --model emission --iso 0.5
