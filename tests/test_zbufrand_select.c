@@ -305,6 +305,73 @@ static int inside_view(const zbufrandi_camera *c, const double p[3]) { /* with n
     return x > 0 && x < c->width && y > 0 && y < c->height;
 }
 
+/* What is narrowed to an instance's own box and ball still holds it: depths, rectangle, and the ball itself; and it is narrower. */
+TEST(whole_instances) {
+    test_rng r = test_rng_make(97);
+    shape s[4];
+    zbufrand_scene *scene = mixed_scene(&r, s);
+    const zbufrandi_structure *st = &scene->structure[0];
+    double before = 0, after = 0;
+    uint32_t c, n, i, k, a, looked = 0;
+    for (i = 1; i < scene->structure_count; i++) { /* all vertices are in the ball */
+        const zbufrandi_structure *in = &scene->structure[i];
+        for (k = 0; k < in->vertex_count; k++) {
+            double d = 0;
+            for (a = 0; a < 3; a++) {
+                const double e = (double)in->position[3 * k + a] - 0.5 * ((double)in->box_lo[a] + (double)in->box_hi[a]);
+                d += e * e;
+            }
+            CHECK_MSG(sqrt(d) <= (double)in->radius, "structure %u: a vertex at %g, radius %g", i, sqrt(d), (double)in->radius);
+        }
+    }
+    for (c = 0; c < (test_quick() ? 10u : 60u); c++) {
+        zbufrandi_cut cut;
+        zbufrandi_local root, whole;
+        open_cut(&cut, scene);
+        random_camera(&r, &cut.camera, 6);
+        cut.near_z = (float)cut.camera.near_z;
+        cut.focal = (float)cut.camera.focal;
+        cut.center_x = (float)cut.camera.center_x;
+        cut.center_y = (float)cut.camera.center_y;
+        cut.density_f2 = cut.focal * cut.focal;
+        zbufrandi_local_root(&cut.camera, st, 1, &root);
+        for (n = 0; n < st->node_count; n++) {
+            zbufrandi_tested t, u;
+            zbufrandi_test_node(&cut, &root, &st->node[n], &t);
+            for (i = 0; i < st->node[n].count; i++) {
+                const uint32_t child = st->node[n].child[i];
+                const zbufrandi_structure *in;
+                if (ZBUFRANDI_CHILD_KIND(child) != ZBUFRANDI_CHILD_INSTANCE || !(t.expected[i] < INFINITY) || (t.outside >> i & 1)) continue;
+                zbufrandi_local_whole(&cut, &root, 0, ZBUFRANDI_CHILD_INDEX(child), &whole);
+                in = &scene->structure[whole.structure];
+                u = t;
+                a = (uint32_t)zbufrandi_narrow(&cut, &whole, &u, i);
+                for (k = 0; k < in->vertex_count; k++) {
+                    double q[3], x, y;
+                    uint32_t b;
+                    for (b = 0; b < 3; b++)
+                        q[b] = whole.to_camera[b][0] * (double)in->position[3 * k] + whole.to_camera[b][1] * (double)in->position[3 * k + 1] +
+                               whole.to_camera[b][2] * (double)in->position[3 * k + 2] + whole.to_camera[b][3];
+                    x = cut.camera.center_x + cut.camera.focal * q[0] / q[2];
+                    y = cut.camera.center_y - cut.camera.focal * q[1] / q[2];
+                    if (!a) CHECK(x < 0 || y < 0 || x > 320 || y > 240);
+                    else CHECK_MSG(q[2] >= (double)u.z_min[i] && q[2] <= (double)u.z_max[i] && x >= (double)u.x0[i] && x <= (double)u.x1[i] &&
+                                   y >= (double)u.y0[i] && y <= (double)u.y1[i], "camera %u, instance %u: a vertex is outside", c, child);
+                }
+                if (!a) continue;
+                CHECK(u.z_min[i] >= t.z_min[i] && u.x0[i] >= t.x0[i] && u.x1[i] <= t.x1[i]);
+                before += log((double)((t.x1[i] - t.x0[i]) * (t.y1[i] - t.y0[i])));
+                after += log((double)((u.x1[i] - u.x0[i]) * (u.y1[i] - u.y0[i])));
+                looked++;
+            }
+        }
+    }
+    CHECK(looked > 50);
+    CHECK_MSG(exp((after - before) / looked) < 0.95, "rectangles are %g times as large", exp((after - before) / looked));
+    zbufrand_scene_destroy(scene);
+    free_shapes(s);
+}
+
 TEST(covers_everything_once) {
     test_rng r = test_rng_make(79);
     const zbufrand_hybrid modes[4] = {ZBUFRAND_HYBRID_AUTO, ZBUFRAND_HYBRID_OFF, ZBUFRAND_HYBRID_ALL, ZBUFRAND_HYBRID_CUBE};
@@ -492,6 +559,7 @@ int main(int argc, char **argv) {
     RUN(never_too_few);
     RUN(directions_of_view);
     RUN(both_forms);
+    RUN(whole_instances);
     RUN(covers_everything_once);
     RUN(unbiased_counts);
     RUN(visits_grow_slowly);
