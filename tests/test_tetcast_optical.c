@@ -688,7 +688,7 @@ TEST(tolerance_of_long_rays) {
 /* Single scattering by a shader that casts rays to the light: in a cube of one density what a ray brings is
        tau int_0^D (ambient + (1 - ambient) exp(-tau way to the light)) exp(-tau x) dx */
 TEST(single_scattering) {
-    enum { N = 17, W = 12 };
+    enum { N = 17, W = 8 };
     static float value[N * N * N], rgba[W * W * 4];
     static const float light[2][3] = {{0, 1, 0}, {0, 0.6f, 0.8f}}; /* at right angles to the rays, aslant */
     const tetcast_control_point p[2] = {{0, {1, 0.5f, 0.25f}, 2}, {1, {1, 0.5f, 0.25f}, 2}};
