@@ -26,6 +26,9 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     if (!sup_volume_read_memory(text.begin, size - 1, names[data[0] % 6], open_itself, &text, &volume, &err)) {
         for (i = 0; i < volume.index_count; i++)
             if (volume.indices[i] >= volume.point_count) abort(); /* the readers have checked every index */
+        if (volume.dims[0] && (uint64_t)volume.dims[0] * volume.dims[1] * volume.dims[2] != volume.point_count) abort();
+        for (i = 0; i < volume.field_count && !volume.dims[0]; i++) /* and have a value for everything */
+            if (volume.fields[i].count < (volume.fields[i].per_cell ? volume.cell_count : volume.point_count)) abort();
     }
     sup_volume_free(&volume);
     if (!sup_transfer_read_memory(text.begin, size - 1, "tf", &transfer, &err)) sup_transfer_free(&transfer);
