@@ -478,7 +478,7 @@ TETCAST_DEF void tetcast_mesh_vertex(const tetcast_mesh *mesh, uint32_t vertex, 
 /* Needs the tets, else RANGE. source_cell: the cell of the input that it was cut from. */
 TETCAST_DEF tetcast_result tetcast_mesh_cell(const tetcast_mesh *mesh, uint32_t cell, uint32_t vertices[4],
                                              uint32_t *source_cell);
-/* Face of the hull, face < hull_face_count: three vertices of the mesh's own order, counter-clockwise seen from outside.
+/* Face of the hull, face < hull_face_count: three vertices of the mesh's own order, counter-clockwise from outside.
    All of them are a closed surface, such as tetcast_clip_body wants. */
 TETCAST_DEF void tetcast_mesh_hull_face(const tetcast_mesh *mesh, uint32_t face, uint32_t vertices[3]);
 

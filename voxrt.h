@@ -20310,7 +20310,7 @@ VOXRT_DEF const char *voxrt_isa_name(voxrt_isa isa) {
     return "unknown";
 }
 
-/* AVX-512 gains 3 to 6 % over the AVX2 kernel with 1.6 times its code: there is none. */
+/* For trees AVX-512 gains 3 to 6 % over the AVX2 kernel with 1.6 times its code: there is none. */
 VOXRT_DEF voxrt_isa voxrt_isa_best(void) {
     int level = voxrti_cpu_level();
     if (level >= 3 && VOXRTI_AVX2) return VOXRT_ISA_AVX2;

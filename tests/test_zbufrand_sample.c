@@ -478,6 +478,7 @@ TEST(twelve_decades_in_a_cluster) {
     memset(&d, 0, sizeof d);
     memset(&cut, 0, sizeof cut);
     CHECK_EQ_U64(zbufrandi_camera_open(&k, scene, WIDTH, HEIGHT, 0, &camera), ZBUFRAND_OK);
+    cut.scene = scene;
     cut.camera = camera;
     cut.density = 1;
     g.cut = &cut;
