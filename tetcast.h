@@ -887,7 +887,7 @@ TETCAST_DEF void tetcast_surface_free(tetcast_surface *surface); /* NULL and cle
 typedef struct tetcast_lattice {
     uint32_t dims[3];      /* nodes, at most 2^20 a side */
     double origin[3];
-    double spacing[3];     /* > 0 */
+    double spacing[3];     /* > 0; of bricks the largest is at most 4096 times the smallest */
 } tetcast_lattice;
 
 /* field        zero means
@@ -14017,8 +14017,18 @@ static tetcast_bricks *tetcasti_bricks_open(const tetcast_env *env, const tetcas
                                             uint32_t levels, tetcast_type type, tetcast_result *r) {
     tetcasti_mem mem;
     tetcast_bricks *b;
+    double least = 1e300, most = 0.0;
+    uint32_t a;
     *r = tetcasti_env_open(env, &mem);
     if (*r != TETCAST_OK) return NULL;
+    for (a = 0; a < 3; a++) {
+        if (lattice->dims[a] > 1 && lattice->spacing[a] < least) least = lattice->spacing[a];
+        if (lattice->dims[a] > 1 && lattice->spacing[a] > most) most = lattice->spacing[a];
+    }
+    if (most > 4096.0 * least) { /* rays take steps of the least one */
+        *r = tetcasti_fail(env->error, TETCAST_ERR_RANGE, 0, "bricks: one spacing is 4096 times another");
+        return NULL;
+    }
     b = (tetcast_bricks *)tetcasti_alloc_zero(&mem, 1, sizeof *b);
     if (b == NULL) {
         *r = tetcasti_fail(env->error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
