@@ -15812,7 +15812,7 @@ VOXRTI_INLINE void voxrti_column_miss(voxrt_column_hit *hits, uint8_t *occluded,
     if (hits != NULL) {
         memset(&hits[i], 0, sizeof hits[i]);
         hits[i].t = INFINITY;
-    } else {
+    } else if (occluded != NULL) {
         occluded[i] = 0;
     }
 }
