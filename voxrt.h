@@ -5757,7 +5757,7 @@ static VOXRTI_UNUSED voxrt_result voxrti_tree_box(voxrt_tree *t) {
         const uint32_t w = sp - 1, sh = 2 * (t->wide - sp);
         uint32_t s, c[3], inside = 1;
         uint64_t bit;
-        if (sp == t->wide) { /* a leaf node */
+        if (sp >= t->wide) { /* a leaf node */
             c[0] = stack[w].x;
             c[1] = stack[w].y;
             c[2] = stack[w].z;

@@ -51,12 +51,12 @@ $(G)/voxrt_menger.png: $(VOX)/menger.vox
 $(G)/voxrt_menger.png: options = --shadows --aa 8 --one-sided $(SKY) --eye 0.15,0.1,0.95 --at -0.1,-0.15,-1 --fov 75
 
 $(G)/voxrt_cornell.png: $(VOX)/cornell.vox
-$(G)/voxrt_cornell.png: options = --size 640x640 --shadows --aa 8 --one-sided --eye 2.78,2.73,8 --at 2.78,2.73,-2.8 --fov 37.7 \
+$(G)/voxrt_cornell.png: options = --size 640x640 --shadows --aa 4 --one-sided --eye 2.78,2.73,8 --at 2.78,2.73,-2.8 --fov 37.7 \
 	--light 2.78,2.73,8:0.1,0.1,0.1 $(foreach x,2.3 2.62 2.94 3.26,\
 	$(foreach z,-2.4 -2.8 -3.2,--light $x,5.2,$z:0.065,0.06,0.053))
 
 $(G)/voxrt_pillars.png: $(VOX)/pillars.vox
-$(G)/voxrt_pillars.png: options = --shadows --aa 8 --one-sided --eye -0.2,2.2,16 --at -1,3.2,0 --fov 62 \
+$(G)/voxrt_pillars.png: options = --shadows --aa 4 --one-sided --eye -0.2,2.2,16 --at -1,3.2,0 --fov 62 \
 	--light 0,4,12:0.5,0.4,0.3 --light -4,5,2:0.5,0.42,0.35 --light 4,3,-8:0.3,0.35,0.5
 
 $(G)/voxrt_blob.png: $(VOX)/blob.vox
