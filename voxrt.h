@@ -15050,9 +15050,8 @@ static int voxrti_insert_triangle(const voxrti_insert *in, const double (*p)[3])
     /* what lies below the grid toggles it all */
     const int above = in->mode == VOXRT_COLUMNS_SOLID || (in->mode == VOXRT_COLUMNS_BODY && in->inside == NULL);
     for (a = 0; a < 3; a++) {
-        const double lo = voxrti_min(p[0][a], voxrti_min(p[1][a], p[2][a])),
-            hi = voxrti_max(p[0][a], voxrti_max(p[1][a],
-                                                                                                              p[2][a]));
+        const double lo = voxrti_min(p[0][a], voxrti_min(p[1][a], p[2][a]));
+        const double hi = voxrti_max(p[0][a], voxrti_max(p[1][a], p[2][a]));
         if (hi < -1e-3 && !(above && a == 2)) return 0;
         if (lo > (double)c->size[a] + 1e-3 && !(above && a == 2)) return 0; /* there it still ends */
         if (lo < -16384.0 || hi > 16384.0) far_off = 1;

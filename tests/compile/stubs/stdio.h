@@ -5,7 +5,7 @@
 #ifdef __cplusplus
 extern "C" {
 #endif
-typedef struct stub_file FILE;
+typedef struct system_file FILE;
 #define SEEK_SET 0
 #define SEEK_CUR 1
 #define SEEK_END 2
