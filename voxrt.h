@@ -6629,14 +6629,19 @@ static int voxrti_intern_grow(voxrti_intern *h) {
     return 1;
 }
 
-/* The number in the set that is the same as `number`, or `number`, which then belongs to it. NO_NODE: no memory. */
+/* The number in the set that is the same as `number`, or `number`, which then belongs to it. NO_NODE: no memory. Whoever
+   makes nodes collide on purpose gets a tree with fewer parts shared, not a program that hangs. */
+#define VOXRTI_INTERN_LOOKS 1024
 static uint32_t voxrti_intern_get(voxrti_intern *h, uint64_t hash, uint32_t number,
                                   int (*same)(const void *user, uint32_t a, uint32_t b), const void *user) {
     const uint32_t key = (uint32_t)(hash >> 32);
+    uint32_t looks = 0;
     size_t k;
     if (2 * h->count >= h->capacity && !voxrti_intern_grow(h)) return VOXRT_NO_NODE;
-    for (k = key & (h->capacity - 1); h->slot[k][0] != VOXRT_NO_NODE; k = (k + 1) & (h->capacity - 1))
+    for (k = key & (h->capacity - 1); h->slot[k][0] != VOXRT_NO_NODE; k = (k + 1) & (h->capacity - 1)) {
         if (h->slot[k][1] == key && same(user, h->slot[k][0], number)) return h->slot[k][0];
+        if (++looks == VOXRTI_INTERN_LOOKS) return number;
+    }
     h->slot[k][0] = number;
     h->slot[k][1] = key;
     h->count++;
@@ -6672,13 +6677,48 @@ static int voxrti_same_node(const void *user, uint32_t a, uint32_t b) {
     return h->node[a].mask == h->node[b].mask && h->level_run[a] == h->level_run[b];
 }
 
-/* Numbers of n masks, in the order in which they come up: [n] to. A set of its own: most masks are found at the first
-   look, and then nothing else is read. */
+/* Numbers of n masks, in the order in which they come up: [n] to. By sorting, which takes as long for any masks. */
+static voxrt_result voxrti_share_masks_sorted(voxrti_sharer *h, const uint64_t *leaf, uint32_t n, uint32_t *to) {
+    voxrti_keyed *key = (voxrti_keyed *)voxrti_alloc_array(h->mem, 2 * (size_t)n, sizeof *key);
+    uint32_t i, first = 0;
+    size_t count = 0;
+    if (key == NULL) return VOXRT_ERR_NO_MEMORY;
+    for (i = 0; i < n; i++) {
+        key[i].key = leaf[i];
+        key[i].index = i;
+    }
+    voxrti_keyed_sort(key, key + n, n, 64);
+    for (i = 0; i < n; i++) {
+        if (i == 0 || key[i].key != key[i - 1].key) {
+            first = key[i].index; /* stable: the first leaf node that has the mask */
+            count++;
+        }
+        to[key[i].index] = first;
+    }
+    voxrti_free(h->mem, key);
+    voxrti_free(h->mem, h->mask);
+    h->mask_count = 0;
+    h->mask_capacity = count;
+    h->mask = (uint64_t *)voxrti_alloc_array(h->mem, count, sizeof *h->mask);
+    if (h->mask == NULL) return VOXRT_ERR_NO_MEMORY;
+    for (i = 0; i < n; i++) {
+        if (to[i] < i) {
+            to[i] = to[to[i]];
+        } else {
+            h->mask[h->mask_count] = leaf[i];
+            to[i] = (uint32_t)h->mask_count++;
+        }
+    }
+    return VOXRT_OK;
+}
+
+/* The same by a set of its own: most masks are found at the first look, and then nothing else is read. Masks that a file
+   chose so that they collide are sorted. */
 typedef struct voxrti_mask_slot { uint64_t mask; uint32_t number; } voxrti_mask_slot; /* mask 0: free */
 
 static voxrt_result voxrti_share_masks(voxrti_sharer *h, const uint64_t *leaf, uint32_t n, uint32_t *to) {
     voxrti_mask_slot *slot = NULL, *old;
-    size_t capacity = 0, from, i, k;
+    size_t capacity = 0, from, i, k, looks = 0;
     uint32_t next, shift = 64;
     for (next = 0; to != NULL && next < n; next++) {
         const uint64_t mask = leaf[next];
@@ -6690,15 +6730,19 @@ static voxrt_result voxrti_share_masks(voxrti_sharer *h, const uint64_t *leaf, u
             for (shift = 64, i = capacity; i > 1; i /= 2) shift--;
             for (i = 0; slot != NULL && i < from; i++) {
                 if (old[i].mask == 0) continue;
-                for (k = (size_t)(old[i].mask * 0x9e3779b97f4a7c15u >> shift); slot[k].mask != 0;)
+                for (k = (size_t)(old[i].mask * 0x9e3779b97f4a7c15u >> shift); slot[k].mask != 0; looks++)
                     k = (k + 1) & (capacity - 1);
                 slot[k] = old[i];
             }
             voxrti_free(h->mem, old);
             if (slot == NULL) return VOXRT_ERR_NO_MEMORY;
         }
-        for (k = (size_t)(mask * 0x9e3779b97f4a7c15u >> shift); slot[k].mask != mask && slot[k].mask != 0;)
+        for (k = (size_t)(mask * 0x9e3779b97f4a7c15u >> shift); slot[k].mask != mask && slot[k].mask != 0; looks++)
             k = (k + 1) & (capacity - 1);
+        if (looks > 65536 + 16 * (uint64_t)next) { /* half full: 1.5 are usual for a new one, and 0.5 for an old one */
+            voxrti_free(h->mem, slot);
+            return voxrti_share_masks_sorted(h, leaf, n, to);
+        }
         if (slot[k].mask == 0) {
             void *p = h->mask;
             if (!voxrti_grow(h->mem, &p, &h->mask_capacity, h->mask_count, h->mask_count + 1, sizeof(uint64_t))) break;
@@ -6798,25 +6842,6 @@ static voxrt_result voxrti_share_runs(voxrti_sharer *h) {
     return VOXRT_OK;
 }
 
-/* Order of masks by how often they are met: count (descending) << 32 | number, least first when turned round. */
-static void voxrti_share_sort(uint64_t *a, uint64_t *b, size_t n) {
-    uint32_t pass;
-    size_t i, sum, count[256];
-    for (pass = 0; pass < 4; pass++) { /* stable, by the upper half */
-        uint64_t *swap = a;
-        memset(count, 0, sizeof count);
-        for (i = 0; i < n; i++) count[a[i] >> (32 + 8 * pass) & 255u]++;
-        for (i = 0, sum = 0; i < 256; i++) {
-            const size_t c = count[i];
-            count[i] = sum;
-            sum += c;
-        }
-        for (i = 0; i < n; i++) b[count[a[i] >> (32 + 8 * pass) & 255u]++] = a[i];
-        a = b;
-        b = swap;
-    }
-}
-
 /* Masks and codes from the numbers of the leaf nodes that are kept. [2 mask_count] key, [mask_count] rank: room. */
 static voxrt_result voxrti_share_codes(voxrti_sharer *h, uint64_t *key, uint32_t *rank) {
     voxrt_tree *t = h->t;
@@ -6840,7 +6865,7 @@ static voxrt_result voxrti_share_codes(voxrti_sharer *h, uint64_t *key, uint32_t
     masks = common;
     for (i = 0; i < all; i++) key[i] = (uint64_t)0xffffffffu << 32 | i;
     for (i = 0; i < n; i++) key[h->code[i]] -= (uint64_t)1 << 32;
-    voxrti_share_sort(key, key + all, all);
+    voxrti_pal_sort(key, key + all, all); /* how often (descending) << 32 | number */
     for (i = 0; i < all; i++) rank[(uint32_t)key[i]] = (uint32_t)i;
     if (all <= 65536) {
         for (i = 0; i < n; i++) t->code[i] = (uint16_t)rank[h->code[i]];

@@ -5378,6 +5378,7 @@ static double zbufrandi_list_area(const zbufrand_scene *scene, const zbufrandi_s
     return zbufrandi_list_normal(s, item, n);
 }
 
+/* Objects, their keys, and their areas where the sums will be. */
 static void zbufrandi_list_fill_task(void *ctx, uint32_t task) {
     const zbufrandi_list_build *b = (const zbufrandi_list_build *)ctx;
     zbufrandi_lists *l = b->l;
@@ -5385,9 +5386,30 @@ static void zbufrandi_list_fill_task(void *ctx, uint32_t task) {
     if (end > b->room) end = b->room;
     for (; i < end; i++) {
         const zbufrandi_list_object *o = &b->object[i];
+        double area = zbufrandi_list_area(b->scene, b->s, l, o->item);
+        if (!(area < 1e200)) area = 1e200; /* out of the range of floats long before */
         l->object[i] = o->item;
-        l->sum[i + 1] = (uint64_t)(zbufrandi_list_area(b->scene, b->s, l, o->item) / l->unit) + 1;
+        memcpy(&l->sum[i + 1], &area, sizeof area);
         if (l->key != NULL) l->key[i] = o->key;
+    }
+}
+
+/* unit and sum[], for areas that are there. levels: how often a triangle is in them. */
+static void zbufrandi_list_sums(zbufrandi_list_build *b, double levels) {
+    zbufrandi_lists *l = b->l;
+    double area, all = 0.0;
+    size_t i;
+    for (i = 0; i < b->room; i++) {
+        memcpy(&area, &l->sum[i + 1], sizeof area);
+        all += area;
+    }
+    /* the structure's own area is a sum of floats, and 0 where those underflow */
+    all = all > 1.5 * levels * b->s->area ? all : b->s->area * levels;
+    l->unit = zbufrandi_max(all, 1e-290) * (1.0 / 2305843009213693952.0); /* 2^61: room for rounding up */
+    l->sum[0] = 0;
+    for (i = 0; i < b->room; i++) {
+        memcpy(&area, &l->sum[i + 1], sizeof area);
+        l->sum[i + 1] = l->sum[i] + (uint64_t)(area / l->unit) + 1;
     }
 }
 
@@ -5482,12 +5504,9 @@ static int zbufrandi_list_finish(zbufrandi_list_build *b, const zbufrand_build_d
     l->sum = (uint64_t *)zbufrandi_alloc_array(b->mem, b->room + 1, sizeof *l->sum);
     if (tree) l->key = (uint64_t *)zbufrandi_alloc_array(b->mem, b->room, sizeof *l->key);
     if (l->object == NULL || l->sum == NULL || (tree && l->key == NULL) || !zbufrandi_list_trees(b)) return 0;
-    /* room for each level of a tree over normals, and for rounding up */
-    l->unit = zbufrandi_max(b->s->area, 1e-300) * (double)(tree ? depth : 1) * (1.0 / 2305843009213693952.0);
     zbufrandi_parallel_for(&b->scene->env, zbufrandi_list_fill_task, b,
                            (uint32_t)((b->room + ZBUFRANDI_TASK_TRIANGLES - 1) / ZBUFRANDI_TASK_TRIANGLES));
-    l->sum[0] = 0;
-    for (i = 0; i < b->room; i++) l->sum[i + 1] += l->sum[i];
+    zbufrandi_list_sums(b, tree ? (double)depth : 1.0);
     if (!zbufrandi_list_guide(b)) return 0;
     for (i = 0; i < l->class_count; i++) {
         zbufrandi_list_class *c = &l->list_class[i];

@@ -214,6 +214,48 @@ TEST(many_masks) {
     voxrt_tree_destroy(t);
 }
 
+/* Masks as if somebody knew the set's hash function: all of them fall on few places of it. */
+TEST(masks_that_collide) {
+    enum { COUNT = 200000, DISTINCT = 60000 };
+    const uint64_t inverse = 0xf1de83e19937733du; /* of 0x9e3779b97f4a7c15 */
+    uint64_t *leaf = (uint64_t *)malloc(COUNT * sizeof *leaf);
+    uint32_t *first = (uint32_t *)malloc(DISTINCT * sizeof *first), *to[2], i, which, numbers;
+    clock_t spent[2];
+    test_rng r;
+    to[0] = (uint32_t *)malloc(2 * COUNT * sizeof **to);
+    REQUIRE(leaf != NULL && first != NULL && to[0] != NULL && inverse * 0x9e3779b97f4a7c15u == 1);
+    to[1] = to[0] + COUNT;
+    r = test_rng_make(7);
+    for (which = 0; which < 2; which++) {
+        voxrti_mem mem;
+        voxrti_sharer h;
+        voxrt_env env;
+        memset(&env, 0, sizeof env);
+        REQUIRE(voxrti_env_open(&env, &mem) == VOXRT_OK);
+        memset(&h, 0, sizeof h);
+        h.mem = &mem;
+        for (i = 0; i < COUNT; i++) {
+            const uint64_t k = i < DISTINCT ? i + 1u : test_rng_below(&r, DISTINCT) + 1u;
+            leaf[i] = which ? k * inverse : voxrti_hash_mix(voxrti_hash_mix(1, k), 2); /* hash: k, so its upper bits are 0 */
+        }
+        spent[which] = clock();
+        REQUIRE(voxrti_share_masks(&h, leaf, COUNT, to[which]) == VOXRT_OK);
+        spent[which] = clock() - spent[which];
+        memset(first, 0xff, DISTINCT * sizeof *first);
+        for (i = 0, numbers = 0; i < COUNT; i++) { /* in the order in which they come up */
+            REQUIRE(to[which][i] <= numbers && to[which][i] < h.mask_count && h.mask[to[which][i]] == leaf[i]);
+            numbers += to[which][i] == numbers;
+        }
+        CHECK(numbers == h.mask_count && numbers == DISTINCT);
+        voxrti_free(&mem, h.mask);
+        CHECK(mem.used == 0);
+    }
+    CHECK(spent[1] < 20 * spent[0] + CLOCKS_PER_SEC / 5); /* the collisions one by one are 1.8e9 */
+    free(leaf);
+    free(first);
+    free(to[0]);
+}
+
 /* ---- cells and attributes ---- */
 
 typedef struct seen { voxrt_voxel v; uint32_t index; } seen;
@@ -834,6 +876,7 @@ int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(what_is_kept);
     RUN(many_masks);
+    RUN(masks_that_collide);
     RUN(same_cells);
     RUN(same_hits);
     RUN(same_picture_and_octree);
