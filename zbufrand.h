@@ -15435,11 +15435,16 @@ static int zbufrandi_shares_samples(const zbufrand_render_desc *d) {
     return d->noise > 0.0 && !(d->tolerance > 0.0) && !(d->density > 0.0) && !d->no_repair;
 }
 
+/* Less is nothing that 1 - tolerance can say. */
+static double zbufrandi_tolerance(const zbufrand_render_desc *d) {
+    return d->tolerance > 0.0 ? zbufrandi_max(d->tolerance, 1e-15) : 0.05;
+}
+
 static double zbufrandi_choose_density(const zbufrandi_picture *p) {
     const zbufrand_render_desc *d = p->d;
     double block = d->reconstruct.block != 0 ? (double)d->reconstruct.block : 1.0;
     double pixels = (double)p->image->width * (double)p->image->height;
-    double tolerance = d->tolerance > 0.0 ? d->tolerance : 0.05;
+    double tolerance = zbufrandi_tolerance(d);
     if (d->density > 0.0) return d->density;
     if (d->no_repair) return zbufrand_density(pixels, block, 1.0 - tolerance);
     if (zbufrandi_shares_samples(d)) return (double)ZBUFRANDI_MEAN_DENSITY / (block * block);
@@ -15582,7 +15587,7 @@ static zbufrand_result zbufrandi_draw_picture(zbufrandi_picture *p) {
     zbufrandi_recon *r = &p->f->recon;
     double pixels = (double)p->image->width * (double)p->image->height, block = (double)r->o.block,
         density = p->cut.density;
-    double tolerance = d->tolerance > 0.0 ? d->tolerance : 0.05;
+    double tolerance = zbufrandi_tolerance(d);
     uint32_t pass;
     zbufrand_result result;
     p->first_density = density;

@@ -2,7 +2,7 @@
 # Everything that `make check` checks.
 #   bash tests/check.sh [group...]     groups: see GROUPS_ALL; without one all of them run
 #   V=1                                names and times of the checks that passed, too
-#   JOBS=2 FUZZ_SECONDS=60 OUT=build/check
+#   JOBS=2 FUZZ_SECONDS=60 FUZZ_FIXED= OUT=build/check
 # Works on those of the three headers that exist. Each check is one line in the sum `N passed, N failed, N skipped`;
 # all names, results and seconds are in $OUT/results. A check that cannot run here (no tool) is skipped.
 cd "$(dirname "$0")/.." || exit 1
@@ -15,6 +15,7 @@ GROUPS_ALL="text options matrix targets link symbols hygiene programs readme ins
 JOBS=${JOBS:-$(nproc)}
 OUT=${OUT:-build/check}
 FUZZ_SECONDS=${FUZZ_SECONDS:-60}
+FUZZ_FIXED=${FUZZ_FIXED:-}
 
 STD_C="c99 c11 c17 gnu17"
 STD_CXX="c++11 c++17 c++20"
@@ -661,11 +662,13 @@ group_emulate() {
 }
 
 # --- fuzz: tests/fuzz/fuzz_*.c, seeds in tests/fuzz/corpus/NAME/ -------------------------------------------------
+# With FUZZ_FIXED=N nothing depends on coverage: the seeds and the first N changes of them, less on slow machines, always
+# the same ones. This is what a change is judged by; the search for new inputs is FUZZ_SECONDS.
 
-fuzz_standalone() { # NAME SECONDS
+fuzz_standalone() { # NAME -seconds=N|-iterations=N
     local p=$OUT/fuzz/$1.standalone
     cmd gcc $SAN_FLAGS $STATIC -fsanitize=address,undefined -fno-sanitize-recover=all -I. -o "$p" tests/fuzz/$1.c tests/fuzz/standalone.c -lm -lpthread &&
-    cmd timeout 300 "$p" -seconds="$2" -crash="$OUT/fuzz/$1.crash" $( [ -d tests/fuzz/corpus/${1#fuzz_} ] && echo tests/fuzz/corpus/${1#fuzz_} )
+    cmd timeout 600 "$p" $2 -crash="$OUT/fuzz/$1.crash" $( [ -d tests/fuzz/corpus/${1#fuzz_} ] && echo tests/fuzz/corpus/${1#fuzz_} )
 }
 fuzz_libfuzzer() { # NAME SECONDS
     local p=$OUT/fuzz/$1.libfuzzer dict= seeds=
@@ -687,11 +690,13 @@ group_fuzz() {
     each=$((FUZZ_SECONDS * JOBS / ${#names[@]})); [ $each -ge 2 ] || each=2
     [ $each -le "$FUZZ_SECONDS" ] || each=$FUZZ_SECONDS
     for f in "${names[@]}"; do
-        if [ $libfuzzer = 1 ]; then
+        if [ -n "$FUZZ_FIXED" ]; then
+            item "fuzz $f $FUZZ_FIXED changes" fuzz_standalone $f "-iterations=$FUZZ_FIXED -seconds=10"
+        elif [ $libfuzzer = 1 ]; then
             item "fuzz $f libfuzzer $each s" fuzz_libfuzzer $f $each
-            item "fuzz $f standalone 2 s" fuzz_standalone $f 2
+            item "fuzz $f standalone 2 s" fuzz_standalone $f -seconds=2
         else
-            item "fuzz $f standalone $each s" fuzz_standalone $f $each
+            item "fuzz $f standalone $each s" fuzz_standalone $f -seconds=$each
         fi
     done
 }
