@@ -6629,7 +6629,7 @@ static int voxrti_intern_grow(voxrti_intern *h) {
     return 1;
 }
 
-/* The number in the set that is the same as `number`, or `number`, which then belongs to it. NO_NODE: no memory. Whoever
+/* The number in the set that is the same as `number`, or `number`, which then belongs to it. NO_NODE: no memory. Who
    makes nodes collide on purpose gets a tree with fewer parts shared, not a program that hangs. */
 #define VOXRTI_INTERN_LOOKS 1024
 static uint32_t voxrti_intern_get(voxrti_intern *h, uint64_t hash, uint32_t number,
@@ -6712,8 +6712,8 @@ static voxrt_result voxrti_share_masks_sorted(voxrti_sharer *h, const uint64_t *
     return VOXRT_OK;
 }
 
-/* The same by a set of its own: most masks are found at the first look, and then nothing else is read. Masks that a file
-   chose so that they collide are sorted. */
+/* The same by a set of its own: most masks are found at the first look, and then nothing else is read. Masks that a
+   file chose so that they collide are sorted. */
 typedef struct voxrti_mask_slot { uint64_t mask; uint32_t number; } voxrti_mask_slot; /* mask 0: free */
 
 static voxrt_result voxrti_share_masks(voxrti_sharer *h, const uint64_t *leaf, uint32_t n, uint32_t *to) {

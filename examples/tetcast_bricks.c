@@ -238,8 +238,7 @@ static int make_look(const options *o, const tetcast_brick_render_desc *render, 
     iso.opacity = (float)o->opacity;
     iso.specular = 0.25f;
     desc.env = render->env;
-    desc.points = points;
-    desc.point_count = tf.count;
+    sup_transfer_points(&tf, points, &desc);
     desc.isovalues = &iso;
     desc.isovalue_count = (size_t)o->has_iso;
     optics.env = render->env;

@@ -389,8 +389,7 @@ static int make_optics(const options *o, const model *m, const tetcast_rbf_rende
     memset(&desc, 0, sizeof desc);
     memset(&optics, 0, sizeof optics);
     desc.env = render->env;
-    desc.points = points;
-    desc.point_count = tf.count;
+    sup_transfer_points(&tf, points, &desc);
     desc.isovalues = &iso;
     desc.isovalue_count = o->has_iso ? 1 : 0;
     optics.env = render->env;

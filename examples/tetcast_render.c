@@ -13,9 +13,9 @@ typedef struct options {
     sup_common common;
     const char *in, *scene, *field, *tf, *mask, *surface;
     int method, model, integrator, cells, order, has_model, has_cells, has_opacity, smooth, weld, has_background, cue;
-    int check, colors;
+    int check, colors, constant, strict, five;
     int64_t detail, table;
-    double opacity, scale, ortho, samples;
+    double opacity, scale, ortho, samples, simplify;
     int shader, has_cut, has_light;
     float background[3], cut[3], light[3];
     float isovalues[MAX_ISOVALUES];
@@ -55,6 +55,7 @@ static int contradictions(const char *program, const options *o) {
         return sup_bad_usage(program, "--light: 0,0,0 is no direction");
     if (o->shader == SUP_SHADER_SHADOW && o->model != TETCAST_MODEL_VOLUME)
         return sup_bad_usage(program, "--shader shadow is for --model volume");
+    if (o->constant && !o->table) return sup_bad_usage(program, "--constant is for --table");
     if (o->has_cut && o->cut[0] == 0.0f && o->cut[1] == 0.0f && o->cut[2] == 0.0f)
         return sup_bad_usage(program, "--cut: 0,0,0 is no direction");
     if (o->common.has_eye && o->common.has_at &&
@@ -66,7 +67,7 @@ static int contradictions(const char *program, const options *o) {
 }
 
 static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
-    sup_option table[SUP_COMMON_OPTIONS + 34];
+    sup_option table[SUP_COMMON_OPTIONS + 38];
     double iso = 0.0;
     float clip[3] = {0.0f, 0.0f, 0.0f};
     size_t n;
@@ -88,6 +89,9 @@ static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
     table[n++] = sup_opt_text("tf", &o->tf, "FILE|" SUP_TRANSFER_NAMES, "transfer function (a rainbow that shows what is rare)");
     table[n++] = sup_opt_int("table", &o->table, 2, 1 << 20, "N", "the transfer function as a table of N samples, as other programs "
                              "have it, instead of control points");
+    table[n++] = sup_opt_flag("constant", &o->constant, "between the samples of --table values do not change, but half way");
+    table[n++] = sup_opt_real("simplify", &o->simplify, 0.0, 1.0, "S", "leave out knots of the transfer function that move no value by "
+                              "more than this share of the largest");
     table[n++] = sup_opt_choice("colors", &o->colors, "associated|independent", "colours are of what absorbs, or are the "
                                 "emission per length themselves (associated)");
     table[n++] = sup_opt_real("extinction", &o->scale, 1e-9, 1e9, "F", "multiplies all extinctions (a named function has them so that"
@@ -110,6 +114,8 @@ static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
     table[n++] = sup_opt_text("mask", &o->mask, "NAME", "cells whose value of this field is not 0 show nothing");
     table[n++] = sup_opt_text("surface", &o->surface, "FILE.obj", "the first --iso as triangles as well");
     table[n++] = sup_opt_flag("check", &o->check, "with --stats: all that is wrong with the mesh");
+    table[n++] = sup_opt_flag("strict", &o->strict, "an index out of range, a NaN, a cell of unknown shape is an error");
+    table[n++] = sup_opt_flag("five", &o->five, "five tetrahedra for each cell of a grid instead of six");
     table[n++] = sup_opt_flag("weld", &o->weld, "points at the same place become one");
     table[n++] = sup_opt_given(sup_opt_vec3("clip", clip, "near,far,0: show only these distances along the view"),
                                &has_clip);
@@ -278,16 +284,22 @@ static int make_optics(const options *o, const char *in, const tetcast_mesh *mes
     memset(&desc, 0, sizeof desc);
     memset(&optics, 0, sizeof optics);
     desc.env = *env;
+    if (o->table && tf.colors) {
+        SUP_FREE(points);
+        sup_transfer_free(&tf);
+        return sup_fail(err, "%s: --table samples one list of control points, there are two in it", o->tf);
+    }
     if (o->table && tf.count > 1) {
+        desc.table_steps = (uint32_t)o->constant;
         table = sample_points(points, tf.count, (size_t)o->table);
         desc.table = table;
         desc.table_count = table ? (size_t)o->table : 0;
         desc.table_value[0] = points[0].value;
         desc.table_value[1] = points[tf.count - 1].value;
     } else {
-        desc.points = points;
-        desc.point_count = tf.count;
+        sup_transfer_points(&tf, points, &desc);
     }
+    desc.simplify = (float)o->simplify;
     desc.color_mode = o->colors ? TETCAST_COLOR_INDEPENDENT : TETCAST_COLOR_ASSOCIATED;
     desc.isovalues = isovalues;
     desc.isovalue_count = o->isovalue_count;
@@ -511,6 +523,8 @@ static int load(const options *o, const tetcast_env *env, char *field_name, size
     desc.cells = (tetcast_cells)o->cells;
     desc.order = (tetcast_order)o->order;
     desc.weld = (uint32_t)o->weld;
+    desc.strict = (uint32_t)o->strict;
+    volume.five = o->five;
     failed = sup_choose_field(&volume, o->field, in, &field, &made, field_name, room, err);
     if (!failed && o->mask) failed = mask_cells(&volume, o->mask, in, err);
     if (!failed) result = sup_volume_mesh(&volume, &field, &desc, report, mesh);

@@ -776,16 +776,24 @@ TEST(real_files) {
 
 TEST(transfer_functions) {
     static const char good[] = "# a comment\n0 0 0 0 0 # the start\r\n\n 0.5 1 .5 0 1e1\n0.5 0 0 1 2\n1 1 1 1 0";
+    static const char lists[] = "0 3\n1 0 1 0\n1 4 # thick\n2 0 0 1\n5 0\n";
     static const struct {
         const char *text, *part;
-    } bad[] = {{"0 0 0 0\n", "line 1"},       {"0 0 0 0 0\n1 0 0 0 -1\n", "negative"}, {"1 0 0 0 0\n0 0 0 0 0\n", "ascend"},
+    } bad[] = {{"0 0 0\n", "line 1"}, {"0 0 0 0\n1 1 1 1\n", "no extinctions"}, {"0 1\n", "no colours"},
+               {"0 0 0 0\n0 0 0 0 0\n", "do not go together"}, {"0 1\n0 0 0 0 0\n", "line 2"},
+               {"0 0 0 0 0\n0 1\n", "together"}, {"0 1\n0 0 0 0\n-1 0\n", "line 3"}, {"1 0 0 0\n0 1\n0 0 0 0\n", "line 3"},
+                    {"0 0 0 0 0\n1 0 0 0 -1\n", "negative"}, {"1 0 0 0 0\n0 0 0 0 0\n", "ascend"},
                {"0 0 0 0 0 0\n", "expected"}, {"", "no control point"},                 {"0 0 nan 0 0\n", "finite"},
                {"0 0 -1 0 0\n", "negative"},  {"0 0 x 0 0\n", "number"}};
     sup_transfer t;
     sup_error err;
     size_t i;
     CHECK(!sup_transfer_read_memory(good, sizeof good - 1, "tf", &t, &err));
-    CHECK(t.count == 4 && t.points[1].extinction == 10.0f && t.points[2].value == 0.5f && t.points[2].rgb[2] == 1.0f);
+    CHECK(t.count == 4 && t.colors == 0 && t.points[1].extinction == 10.0f && t.points[2].value == 0.5f && t.points[2].rgb[2] == 1.0f);
+    sup_transfer_free(&t);
+    CHECK(!sup_transfer_read_memory(lists, sizeof lists - 1, "tf", &t, &err)); /* colours go before extinctions */
+    CHECK(t.count == 5 && t.colors == 2 && t.points[0].rgb[1] == 1.0f && t.points[1].value == 2.0f);
+    CHECK(t.points[2].value == 0.0f && t.points[2].extinction == 3.0f && t.points[4].value == 5.0f);
     sup_transfer_free(&t);
     for (i = 0; i < sizeof bad / sizeof bad[0]; i++) {
         CHECK(sup_transfer_read_memory(bad[i].text, strlen(bad[i].text), "tf", &t, &err));

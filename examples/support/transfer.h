@@ -2,7 +2,9 @@
    SPDX-License-Identifier: MIT OR Unlicense
 
    One control point a line: value red green blue extinction. Values ascend, in units of the data; colours are linear,
-   0 to 1; extinction is per unit of length. Two lines with one value make a jump. '#' starts a comment. */
+   0 to 1; extinction is per unit of length. Two lines with one value make a jump. '#' starts a comment.
+   Or two lists with values of their own, as many programs have them: lines "value red green blue" for the colours and
+   lines "value extinction", in any order of the two. */
 #ifndef SUP_TRANSFER_H
 #define SUP_TRANSFER_H
 
@@ -16,6 +18,7 @@ typedef struct sup_control {
 typedef struct sup_transfer {
     sup_control *points; /* from SUP_MALLOC */
     size_t count, capacity;
+    size_t colors; /* not 0: the first points are colours, so many; the others are extinctions */
 } sup_transfer;
 
 SUP_FN void sup_transfer_free(sup_transfer *transfer) {
@@ -23,12 +26,14 @@ SUP_FN void sup_transfer_free(sup_transfer *transfer) {
     memset(transfer, 0, sizeof *transfer);
 }
 
-SUP_FN int supi_transfer_add(sup_transfer *t, const double number[5]) { /* 1: no memory */
+SUP_FN int supi_transfer_insert(sup_transfer *t, size_t at, const double number[5]) { /* 1: no memory */
     void *grown = sup_grow(t->points, &t->capacity, t->count + 1, sizeof *t->points);
     sup_control *p;
     if (!grown) return 1;
     t->points = (sup_control *)grown;
-    p = t->points + t->count++;
+    p = t->points + at;
+    memmove(p + 1, p, (t->count - at) * sizeof *p);
+    t->count++;
     p->value = (float)number[0];
     p->rgb[0] = (float)number[1];
     p->rgb[1] = (float)number[2];
@@ -37,11 +42,37 @@ SUP_FN int supi_transfer_add(sup_transfer *t, const double number[5]) { /* 1: no
     return 0;
 }
 
+SUP_FN int supi_transfer_add(sup_transfer *t, const double number[5]) {
+    return supi_transfer_insert(t, t->count, number);
+}
+
+/* One line, of n numbers. Returns NULL, or what is wrong with it. */
+SUP_FN const char *supi_transfer_line(sup_transfer *t, double number[5], size_t n) {
+    const size_t at = n == 4 ? t->colors : t->count, first = n == 2 ? t->colors : 0;
+    size_t i;
+    if (n != 2 && n != 4 && n != 5) return "value, red, green, blue, extinction were expected";
+    if (t->count && (n == 5) != (t->points[0].extinction >= 0.0f && !t->colors && t->points[0].rgb[0] >= 0.0f))
+        return "lines of 5 numbers and lists of 4 and 2 numbers do not go together";
+    if (n == 2) {
+        number[4] = number[1];
+        number[1] = number[2] = number[3] = -1.0; /* marks what a point of a list has not */
+    } else if (n == 4) {
+        number[4] = -1.0;
+    }
+    if (n != 4 && number[4] < 0.0) return "the extinction is negative";
+    for (i = 1; i < 4; i++) if (n != 2 && number[i] < 0.0) return "a colour is negative";
+    if (at > first && (float)number[0] < t->points[at - 1].value) return "values have to ascend";
+    if (supi_transfer_insert(t, at, number)) return "out of memory";
+    t->colors += n == 4;
+    return NULL;
+}
+
 /* Read a transfer function from memory. Returns 0, or 1 with err->text set and `out` cleared. */
 SUP_FN int sup_transfer_read_memory(const char *data, size_t size, const char *name, sup_transfer *out,
                                     sup_error *err) {
     sup_text text;
     size_t line = 0, i;
+    int lists;
     sup_error_clear(err);
     memset(out, 0, sizeof *out);
     text.begin = text.at = data;
@@ -56,24 +87,23 @@ SUP_FN int sup_transfer_read_memory(const char *data, size_t size, const char *n
             if (sup_parse_double(&text.at, text.end, number + i)) what = "a number was expected";
             else if (!(fabs(number[i]) <= (double)FLT_MAX)) what = "a number is not finite";
         }
-        if (!what && i == 5) {
-            while (text.at < text.end && supi_is_blank(*text.at)) text.at++;
-            if (text.at < text.end && *text.at != '\n' && *text.at != '\r' && *text.at != '#')
-                what = "value, red, green, blue, extinction were expected";
-            else if (number[4] < 0.0) what = "the extinction is negative";
-            else if (number[1] < 0.0 || number[2] < 0.0 || number[3] < 0.0) what = "a colour is negative";
-            else if (out->count && (float)number[0] < out->points[out->count - 1].value) what = "values have to ascend";
-            else if (supi_transfer_add(out, number)) what = "out of memory";
-        } else if (!what && i != 0) {
+        while (text.at < text.end && supi_is_blank(*text.at)) text.at++;
+        if (!what && text.at < text.end && *text.at != '\n' && *text.at != '\r' && *text.at != '#')
             what = "value, red, green, blue, extinction were expected";
-        }
+        if (!what && i != 0) what = supi_transfer_line(out, number, i);
         if (what) {
             sup_transfer_free(out);
             return sup_fail(err, "%s: line %lu: %s", name, (unsigned long)line, what);
         }
         sup_text_skip_line(&text);
     }
-    if (out->count == 0) return sup_fail(err, "%s: no control point", name);
+    lists = out->count && (out->colors || out->points[0].rgb[0] < 0.0f);
+    if (out->count == 0 || (lists && (out->colors == 0 || out->colors == out->count))) {
+        const char *what = !out->count ? "no control point" : out->colors ? "colours, but no extinctions"
+                                                                         : "extinctions, but no colours";
+        sup_transfer_free(out);
+        return sup_fail(err, "%s: %s", name, what);
+    }
     return 0;
 }
 

@@ -45,6 +45,7 @@ typedef struct sup_volume {
     uint32_t dims[3];
     double *axes[3];     /* dims[k] numbers each */
     double origin[3], spacing[3];
+    int five;            /* cells of a grid become five tetrahedra, not six; no file has it */
     uint8_t *blanks;     /* per point, 0: not there */
     uint8_t *masks;      /* per listed cell, not 0: shows nothing; no file has it */
     sup_field *fields;

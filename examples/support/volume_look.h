@@ -94,6 +94,7 @@ SUP_FN tetcast_result sup_volume_mesh(const sup_volume *v, const tetcast_field *
             grid.spacing[k] = v->spacing[k];
         }
         grid.blanks = v->blanks;
+        grid.alternate = (uint32_t)v->five;
         grid.fields = field;
         grid.field_count = 1;
         return tetcast_mesh_create_grid(desc, &grid, report, out);
@@ -114,7 +115,7 @@ SUP_FN tetcast_result sup_volume_mesh(const sup_volume *v, const tetcast_field *
 
 /* ---- colours ------------------------------------------------------------------------------------------------ */
 
-/* Control points for the library. Returns 1: no memory. */
+/* Control points for the library, which sup_transfer_points hands to it. Returns 1: no memory. */
 SUP_FN int sup_control_points(const sup_transfer *tf, tetcast_control_point **out, sup_error *err) {
     *out = (tetcast_control_point *)sup_alloc(tf->count, sizeof **out);
     if (!*out) return sup_fail(err, "out of memory");
@@ -129,6 +130,18 @@ SUP_FN int sup_control_points(const sup_transfer *tf, tetcast_control_point **ou
 SUP_FN int sup_compare_floats(const void *a, const void *b) {
     const float x = *(const float *)a, y = *(const float *)b;
     return (x > y) - (x < y);
+}
+
+SUP_FN void sup_transfer_points(const sup_transfer *tf, const tetcast_control_point *points, tetcast_transfer_desc *desc) {
+    if (tf->colors) {
+        desc->color_points = points;
+        desc->color_count = tf->colors;
+        desc->extinction_points = points + tf->colors;
+        desc->extinction_count = tf->count - tf->colors;
+    } else {
+        desc->points = points;
+        desc->point_count = tf->count;
+    }
 }
 
 enum { SUP_SHARE_BINS = 256 };
