@@ -23,6 +23,7 @@
    @render        camera -> rays -> tiles -> buffers
    @post          work on finished pictures: encode, blur, keep to a frame time
    @scene         geometry in other places, many geometries as one
+   @model         voxels that can be edited: a tree for each block of 64^3
    @columns       a grid of bit columns for what moves: voxelising into it, hierarchy, rays
    @gi            a scene of meshes and lights in columns: what cells look like, how much light falls on them
    @gather        light from other surfaces: G-buffers -> pictures
@@ -933,6 +934,106 @@ VOXRT_DEF voxrt_result voxrt_group_create(const voxrt_env *env, const voxrt_geom
                                           voxrt_group **out_group);
 VOXRT_DEF void voxrt_group_destroy(voxrt_group *group); /* NULL is allowed */
 VOXRT_DEF void voxrt_group_geometry(const voxrt_group *group, voxrt_geometry *out_geometry); /* borrowed */
+
+/* ---- editing ---- */
+
+/* Voxels that change: blocks of 64^3 cells, each a small tree of its own, and a tree of the blocks above them. An edit
+   makes anew the blocks it touches, with all their levels; a copy of a model has the same blocks as the model, so that
+   keeping one before an edit costs next to nothing (undo). Colours are exact, no palette is chosen. */
+typedef struct voxrt_model voxrt_model;
+
+/* field            zero means
+   depth            10: 2^10 cells along an axis; 1 to VOXRT_MAX_DEPTH
+   disable_colors   voxels have colours
+   disable_normals  voxels have normals
+   box_min,         the grid's corner is the world's origin, a voxel has edge 1. box_size > 0: the world cube that maps
+   box_size         to the whole grid */
+typedef struct voxrt_model_desc {
+    uint32_t _begin_zero;
+    voxrt_env env;
+    uint32_t depth;
+    uint32_t disable_colors, disable_normals;
+    double box_min[3], box_size;
+    uint32_t _end_zero;
+} voxrt_model_desc;
+
+typedef struct voxrt_model_info {
+    uint32_t depth;
+    double world_origin[3], voxel_size;
+    uint64_t voxel_count;
+    uint64_t block_count, block_bytes; /* blocks that other models have, too, are counted for each */
+} voxrt_model_info;
+
+/* A model without voxels. Errors: INVALID_ARG, UNINIT_DESC, RANGE, NO_MEMORY. Calls are independent. */
+VOXRT_DEF voxrt_result voxrt_model_create(const voxrt_model_desc *desc, voxrt_model **out_model);
+
+/* A model of what is in a tree, of either kind; depth, place and normals are the tree's. env may be NULL.
+   O(voxels); holds 6 bytes a voxel and 16 a leaf node beside both. Errors: INVALID_ARG, NO_MEMORY. */
+VOXRT_DEF voxrt_result voxrt_model_from_tree(const voxrt_env *env, const voxrt_tree *tree, voxrt_model **out_model);
+
+/* A tree of what is in a model. desc may be NULL; palette, level of detail, colours and normals count, the rest comes
+   from the model. O(voxels). Errors: UNINIT_DESC, EMPTY, RANGE, NO_MEMORY. Thread safety: any number of calls on one
+   model. */
+VOXRT_DEF voxrt_result voxrt_tree_from_model(const voxrt_build_desc *desc, const voxrt_model *model,
+                                             voxrt_tree **out_tree);
+
+/* A model with the same voxels, which shares the blocks: what is done to one is not seen in the other, and each is
+   destroyed by itself, also while other threads use the other. env may be NULL. O(blocks). Errors: NO_MEMORY. */
+VOXRT_DEF voxrt_result voxrt_model_copy(const voxrt_env *env, const voxrt_model *model, voxrt_model **out_model);
+
+VOXRT_DEF void voxrt_model_destroy(voxrt_model *model); /* NULL is allowed */
+VOXRT_DEF void voxrt_model_get_info(const voxrt_model *model, voxrt_model_info *info);
+
+/* As voxrt_tree_get: any cell of any level. O(depth). Any thread, but not during an edit. */
+VOXRT_DEF int voxrt_model_get(const voxrt_model *model, uint32_t level, uint32_t x, uint32_t y, uint32_t z,
+                              voxrt_voxel *out);
+
+typedef enum voxrt_edit_op {
+    VOXRT_EDIT_SET = 0,   /* what is in the shape gets filled, with its colour and, where they can show, normals */
+    VOXRT_EDIT_CLEAR = 1, /* it gets empty; what lay inside and shows now gets the normal of the hole */
+    VOXRT_EDIT_PAINT = 2, /* what is filled there gets its colour */
+    VOXRT_EDIT_FORCE_32BIT = 0x7fffffff
+} voxrt_edit_op;
+
+/* field    zero means
+   op       VOXRT_EDIT_SET
+   rgb      black; sRGB. Boxes and spheres; triangles and lists have colours of their own */
+typedef struct voxrt_edit_desc {
+    uint32_t _begin_zero;
+    voxrt_env env;
+    voxrt_edit_op op;
+    uint8_t rgb[3];
+    uint32_t _end_zero;
+} voxrt_edit_desc;
+
+typedef struct voxrt_edit_stats { /* out */
+    uint64_t filled, cleared, painted; /* voxels; painted: also those that SET found filled */
+    uint64_t blocks;                   /* made anew or gone */
+} voxrt_edit_stats;
+
+/* Edit a model: voxels whose centres lie in a box (world, the far faces not included) or in a sphere, voxels that
+   triangles touch as voxrt_tree_build finds them, or listed voxels (as voxrt_tree_from_voxels takes them; CLEAR needs
+   only their places). What lies outside of the grid is left out; a listed voxel there is an error (RANGE,
+   error->where = its index).
+   desc    in, NULL: all defaults
+   stats   out, may be NULL
+   Either all of it is done or, with an error, nothing. O(voxels of the touched blocks + blocks); threads share the
+   blocks. The result does not depend on them.
+   Errors: INVALID_ARG (also numbers that are not finite), UNINIT_DESC, RANGE, NO_MEMORY. Thread safety: nobody else may
+   use the model meanwhile; its copies are models of their own. */
+VOXRT_DEF voxrt_result voxrt_model_box(voxrt_model *model, const voxrt_edit_desc *desc, const double box_min[3],
+                                       const double box_max[3], voxrt_edit_stats *stats);
+VOXRT_DEF voxrt_result voxrt_model_sphere(voxrt_model *model, const voxrt_edit_desc *desc, const double centre[3],
+                                          double radius, voxrt_edit_stats *stats);
+VOXRT_DEF voxrt_result voxrt_model_mesh(voxrt_model *model, const voxrt_edit_desc *desc, const voxrt_mesh *mesh,
+                                        voxrt_edit_stats *stats);
+VOXRT_DEF voxrt_result voxrt_model_voxels(voxrt_model *model, const voxrt_edit_desc *desc, const voxrt_voxel *voxels,
+                                          size_t count, voxrt_edit_stats *stats);
+
+/* A model as voxrt_geometry, with level of detail; good until the model is edited or destroyed. Distances are those of
+   the tree of the model, to the last bit; cones may pass beside cells that the tree would have stopped them at where
+   those reach out of the blocks' voxels. O(1). */
+VOXRT_DEF void voxrt_model_geometry(const voxrt_model *model, voxrt_geometry *out_geometry);
 
 /* Draw.
    desc    in, NULL: all defaults
@@ -2121,6 +2222,7 @@ typedef struct voxrti_leafset {
     uint64_t *mask;   /* [block_count] never 0 */
     uint32_t *rgb;    /* [voxel_count] 0x00BBGGRR, sRGB; NULL: no colours */
     uint16_t *normal; /* [voxel_count] codes; NULL: no normals */
+    const struct voxrti_sum *sums; /* [voxel_count] borrowed: what is in each voxel; NULL: itself alone */
     size_t block_count, voxel_count, lod_count;
     uint32_t spherical; /* as in voxrt_tree */
 } voxrti_leafset;
@@ -5902,6 +6004,7 @@ typedef struct voxrti_lod {
     uint32_t w;                 /* the level in work */
     uint32_t *value;            /* [attr_count] colours (mean) or palette indices (majority), or NULL */
     const voxrti_sum *children; /* sums of the nodes of level w+1; NULL on the leaf level */
+    const voxrti_sum *leaves;   /* sums of the voxels, or NULL */
     voxrti_sum *sums;           /* sums of the nodes of level w */
     uint32_t srgb[256];
 } voxrti_lod;
@@ -5999,10 +6102,10 @@ static void voxrti_lod_node(voxrti_lod *l, uint32_t i, uint64_t cell, uint64_t o
         if (bits == 0) continue;
         memset(&s, 0, sizeof s);
         for (; bits != 0; bits &= bits - 1, n++, cell++) {
-            if (leaf) {
+            if (leaf && l->leaves == NULL) {
                 voxrti_sum_add_cell(l, cell, &s);
             } else {
-                const voxrti_sum *c = &l->children[cell - first];
+                const voxrti_sum *c = leaf ? &l->leaves[cell] : &l->children[cell - first];
                 for (a = 0; a < 3; a++) {
                     s.rgb[a] += c->rgb[a];
                     s.normal[a] += c->normal[a];
@@ -6062,7 +6165,7 @@ static void voxrti_lod_task(void *ctx, uint32_t task) {
 
 /* Attributes of all levels above the leaves, bottom up. */
 static voxrt_result voxrti_tree_lod(voxrti_mem *mem, const voxrt_env *env, voxrt_tree *t, voxrt_lod_method method,
-                                    uint32_t *value) {
+                                    uint32_t *value, const voxrti_sum *leaves) {
     voxrti_lod l;
     voxrti_sum *below = NULL;
     uint32_t w;
@@ -6071,6 +6174,7 @@ static voxrt_result voxrti_tree_lod(voxrti_mem *mem, const voxrt_env *env, voxrt
     l.t = t;
     l.method = method;
     l.value = value;
+    l.leaves = leaves;
     voxrti_srgb_table(l.srgb);
     for (w = t->wide; w-- > 0;) {
         l.sums = (voxrti_sum *)voxrti_alloc_array(mem, t->level_nodes[w], sizeof *l.sums);
@@ -6149,11 +6253,11 @@ static voxrt_result voxrti_tree_masks(voxrti_mem *mem, voxrt_tree *t, voxrti_lea
    has all levels. */
 static voxrt_result voxrti_tree_colors(voxrti_mem *mem, const voxrt_build_desc *d, voxrt_tree *t, uint32_t *value,
                                        const uint8_t *palette, uint32_t palette_count, int complete,
-                                       uint64_t *colors_in) {
+                                       const voxrti_sum *sums, uint64_t *colors_in) {
     voxrt_result r = VOXRT_OK;
     size_t leaves = (size_t)t->voxel_count, all = (size_t)t->attr_count;
     voxrt_lod_method lod = palette != NULL ? VOXRT_LOD_MAJORITY : d->lod_method;
-    if (palette == NULL && lod == VOXRT_LOD_MEAN) r = voxrti_tree_lod(mem, &d->env, t, lod, value);
+    if (palette == NULL && lod == VOXRT_LOD_MEAN) r = voxrti_tree_lod(mem, &d->env, t, lod, value, sums);
     if (r == VOXRT_OK && palette == NULL)
         r = voxrti_palette_build(mem, &d->env, value, lod == VOXRT_LOD_MEAN ? all : leaves, leaves,
                                  d->palette_size, d->palette_method, &t->palette, &t->palette_count, colors_in);
@@ -6163,7 +6267,7 @@ static voxrt_result voxrti_tree_colors(voxrti_mem *mem, const voxrt_build_desc *
         if (t->palette == NULL) return VOXRT_ERR_NO_MEMORY;
         memcpy(t->palette, palette, (size_t)3 * palette_count);
     }
-    if (r == VOXRT_OK && lod == VOXRT_LOD_MAJORITY && !complete) r = voxrti_tree_lod(mem, &d->env, t, lod, value);
+    if (r == VOXRT_OK && lod == VOXRT_LOD_MAJORITY && !complete) r = voxrti_tree_lod(mem, &d->env, t, lod, value, sums);
     if (r == VOXRT_OK) r = voxrti_colors_encode(mem, &d->env, value, all, &t->colors);
     return r;
 }
@@ -6217,9 +6321,10 @@ static VOXRTI_UNUSED voxrt_result voxrti_tree_from_leafset_palette(
         value = (uint32_t *)voxrti_tree_attributes(mem, t, complete, set->rgb, sizeof(uint32_t));
         if (value == NULL) r = VOXRT_ERR_NO_MEMORY;
         set->rgb = NULL;
-        if (r == VOXRT_OK) r = voxrti_tree_colors(mem, d, t, value, palette, palette_count, complete, &colors_in);
+        if (r == VOXRT_OK)
+            r = voxrti_tree_colors(mem, d, t, value, palette, palette_count, complete, set->sums, &colors_in);
     } else if (r == VOXRT_OK && !complete) {
-        r = voxrti_tree_lod(mem, &d->env, t, d->lod_method, NULL); /* of the normals */
+        r = voxrti_tree_lod(mem, &d->env, t, d->lod_method, NULL, set->sums); /* of the normals */
     }
     if (r == VOXRT_OK && t->palette == NULL) {
         t->palette = (uint8_t *)voxrti_alloc(mem, 3);
@@ -6238,8 +6343,7 @@ static VOXRTI_UNUSED voxrt_result voxrti_tree_from_leafset_palette(
         stats->colors_in = colors_in;
         stats->peak_bytes = mem->peak;
     }
-    t->mem = *mem;
-    t->mem.limit = 0;
+    t->mem.allocator = mem->allocator; /* others may be counting in *mem */
     *out = t;
     return VOXRT_OK;
 }
@@ -14412,7 +14516,7 @@ VOXRT_DEF voxrt_result voxrt_group_create(const voxrt_env *env, const voxrt_geom
         if (!ok) return voxrti_fail(e.error, VOXRT_ERR_INVALID_ARG, i, "geometry %: no functions or no finite box");
     }
     g = (voxrt_group *)voxrti_alloc_zero(&mem, 1, sizeof *g);
-    order = (uint64_t *)voxrti_alloc_array(&mem, count, sizeof *order);
+    order = (uint64_t *)voxrti_alloc_array(&mem, 2 * count, sizeof *order);
     if (g != NULL) {
         g->geometry = (voxrt_geometry *)voxrti_alloc_array(&mem, count, sizeof *g->geometry);
         g->box = (voxrti_box *)voxrti_alloc_array(&mem, 2 * count, sizeof *g->box);
@@ -14444,7 +14548,7 @@ VOXRT_DEF voxrt_result voxrt_group_create(const voxrt_env *env, const voxrt_geom
         }
         order[i] = voxrti_morton(c[0], c[1], c[2]) << 32 | i;
     }
-    voxrti_heap_sort(order, count);
+    voxrti_pal_sort(order, order + count, count);
     (void)voxrti_group_build(g, order, count, 0);
     voxrti_free(&mem, order);
     g->mem = mem;
@@ -14467,6 +14571,9 @@ typedef struct voxrti_group_run {
     const voxrt_group *g;
     const voxrt_ray *ray;
     double inv[VOXRTI_RUN][3], end[VOXRTI_RUN]; /* 1 / direction; t behind which nothing matters any more */
+    /* what usable rays have in common: origins, 1 / direction, start. sign 0: along this axis they do not go one way */
+    double org_lo[3], org_hi[3], inv_lo[3], inv_hi[3], start;
+    int sign[3];
     voxrt_ray some[VOXRTI_RUN];                 /* those that meet an object, */
     uint8_t index[VOXRTI_RUN];                  /* and which they are */
 } voxrti_group_run;
@@ -14491,11 +14598,52 @@ static uint64_t voxrti_group_open(voxrti_group_run *c, const voxrt_group *g, con
         desc->stats->rays++;
         desc->stats->bad_rays++;
     }
+    c->start = VOXRTI_INF;
+    for (a = 0; a < 3; a++) {
+        uint64_t m;
+        c->org_lo[a] = c->inv_lo[a] = VOXRTI_INF;
+        c->org_hi[a] = c->inv_hi[a] = -VOXRTI_INF;
+        for (m = live; m != 0; m &= m - 1) {
+            const uint32_t k = voxrti_ctz64(m);
+            c->org_lo[a] = voxrti_min(c->org_lo[a], (double)rays[k].org[a]);
+            c->org_hi[a] = voxrti_max(c->org_hi[a], (double)rays[k].org[a]);
+            c->inv_lo[a] = voxrti_min(c->inv_lo[a], c->inv[k][a]);
+            c->inv_hi[a] = voxrti_max(c->inv_hi[a], c->inv[k][a]);
+            c->start = voxrti_min(c->start, (double)rays[k].t_min);
+        }
+        c->sign[a] = c->inv_lo[a] > 0.0 ? 1 : c->inv_hi[a] < 0.0 ? -1 : 0;
+    }
     return live;
 }
 
-/* The rays of `mask` that meet a box before their end; a hair's breadth counts as meeting. */
-static uint64_t voxrti_group_meet(const voxrti_group_run *c, const voxrti_box *b, uint64_t mask) {
+/* 1: none of the rays meets the box, by bounds of where they enter and leave it. */
+static int voxrti_group_beside(const voxrti_group_run *c, const voxrti_box *b) {
+    double in = c->start, out = VOXRTI_INF;
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        double near_lo, far_hi; /* least distance to the near face, largest one to the far face */
+        if (c->sign[a] > 0) {
+            near_lo = (double)b->lo[a] - c->org_hi[a];
+            far_hi = (double)b->hi[a] - c->org_lo[a];
+            near_lo *= near_lo > 0.0 ? c->inv_lo[a] : c->inv_hi[a];
+            far_hi *= far_hi > 0.0 ? c->inv_hi[a] : c->inv_lo[a];
+        } else if (c->sign[a] < 0) {
+            near_lo = (double)b->hi[a] - c->org_lo[a];
+            far_hi = (double)b->lo[a] - c->org_hi[a];
+            near_lo *= near_lo < 0.0 ? c->inv_hi[a] : c->inv_lo[a];
+            far_hi *= far_hi < 0.0 ? c->inv_lo[a] : c->inv_hi[a];
+        } else {
+            continue;
+        }
+        in = voxrti_max(in, near_lo);
+        out = voxrti_min(out, far_hi);
+    }
+    return in - 1e-6 * voxrti_abs(in) > out + 1e-6 * voxrti_abs(out);
+}
+
+/* The rays of `mask` that meet a box before their end; a hair's breadth counts as meeting. any: the first that does is
+   enough, those behind it may or may not. */
+static uint64_t voxrti_group_meet(const voxrti_group_run *c, const voxrti_box *b, uint64_t mask, int any) {
     uint64_t m, out = 0;
     uint32_t a;
     for (m = mask; m != 0; m &= m - 1) {
@@ -14512,7 +14660,9 @@ static uint64_t voxrti_group_meet(const voxrti_group_run *c, const voxrti_box *b
             t0 = voxrti_max(t0, voxrti_min(u, v));
             t1 = voxrti_min(t1, voxrti_max(u, v));
         }
-        if (!beside && !(t0 - 1e-6 * voxrti_abs(t0) > t1 + 1e-6 * voxrti_abs(t1))) out |= m & (0u - m);
+        if (beside || t0 - 1e-6 * voxrti_abs(t0) > t1 + 1e-6 * voxrti_abs(t1)) continue;
+        if (any) return m;
+        out |= m & (0u - m);
     }
     return out;
 }
@@ -14529,7 +14679,9 @@ static int voxrti_group_next(const voxrti_group_run *c, voxrti_group_stack *s, u
     while (s->n != 0) {
         uint32_t at = s->box[--s->n], a, axis = 0, back, i;
         const voxrti_box *b = &c->g->box[at], *l = b + 1, *r = &c->g->box[b->right];
-        uint64_t m = voxrti_group_meet(c, b, s->mask[s->n] & live);
+        uint64_t m;
+        if (voxrti_group_beside(c, b)) continue;
+        m = voxrti_group_meet(c, b, s->mask[s->n] & live, b->object == VOXRT_NO_NODE);
         if (m == 0) continue;
         if (b->object != VOXRT_NO_NODE) {
             *object = b->object;
@@ -14626,6 +14778,1112 @@ VOXRT_DEF void voxrt_group_geometry(const voxrt_group *group, voxrt_geometry *ou
     memcpy(&out_geometry->user, &group, sizeof group);
     memcpy(out_geometry->box_min, group->lo, sizeof group->lo);
     memcpy(out_geometry->box_max, group->hi, sizeof group->hi);
+}
+
+/* ---------------------------------------------------------------------------
+   model: voxels that can be edited, a tree for each block.                      // >>model
+
+   A block is 64^3 cells. Its tree has the depth, place and grid of the whole model, but only the block's voxels: a few
+   nodes with one child, and rays meet in it to the last bit what they would meet in one tree of all. Blocks never
+   change; models that have the same block count its users. Coarser cells than blocks come from a small tree whose
+   voxels are the blocks, with the sums of what is in them, so that all levels are those of one tree.
+   --------------------------------------------------------------------------- */
+
+#define VOXRTI_BLOCK_LOG 6
+
+typedef struct voxrti_block {
+    uint32_t users;   /* models that have it; atomic */
+    voxrt_tree *tree; /* its palette has each colour */
+    uint64_t bytes;
+    voxrti_sum sum;   /* of all its voxels */
+} voxrti_block;
+
+typedef struct voxrti_block_ref { /* what a group's functions get */
+    const voxrt_model *model;
+    const voxrt_tree *tree;
+} voxrti_block_ref;
+
+struct voxrt_model {
+    voxrti_mem mem;
+    voxrt_build_desc build; /* of the blocks */
+    voxrti_grid grid;
+    uint32_t log;           /* a block has 2^log cells along an axis; at most VOXRTI_BLOCK_LOG, at least 2 */
+    uint32_t spherical;     /* as voxrt_tree */
+    uint64_t *key;          /* [count] Morton codes of the blocks, ascending */
+    voxrti_block **block;   /* [count] */
+    size_t count;
+    voxrti_block_ref *part;      /* [count] */
+    voxrt_group *group;     /* of the parts, or NULL: nothing is filled */
+    voxrt_tree *top;        /* of the blocks, or NULL: nothing is filled, or there is one block only */
+};
+
+static void voxrti_block_drop(voxrti_block *b) {
+    if (b != NULL && voxrti_atomic_add(&b->users, (uint32_t)-1) == 0) {
+        voxrti_mem mem = b->tree->mem;
+        voxrt_tree_destroy(b->tree);
+        voxrti_free(&mem, b);
+    }
+}
+
+/* ---- rays ---- */
+
+static void voxrti_block_trace(void *user, const voxrt_trace_desc *desc, const voxrt_ray *rays, voxrt_surface *surfaces,
+                              size_t count) {
+    const voxrti_block_ref *p = (const voxrti_block_ref *)user;
+    const voxrt_model *m = p->model;
+    voxrt_hit hit[VOXRTI_RUN];
+    size_t i;
+    voxrti_tree_trace(p->tree, desc, 0, rays, surfaces, hit, (uint32_t)count);
+    for (i = 0; i < count && m->top != NULL; i++) { /* cells that more than this block is in */
+        voxrt_voxel v;
+        if (hit[i].node == VOXRT_NO_NODE || hit[i].level + m->log >= m->grid.depth) continue;
+        if (!voxrt_tree_get(m->top, hit[i].level, hit[i].cell[0], hit[i].cell[1], hit[i].cell[2], &v)) continue;
+        memcpy(surfaces[i].rgb, v.rgb, sizeof v.rgb);
+        if (v.has_normal) memcpy(surfaces[i].normal, v.normal, sizeof v.normal);
+    }
+}
+
+static void voxrti_block_occluded(void *user, const voxrt_trace_desc *desc, const voxrt_ray *rays, uint8_t *occluded,
+                                 size_t count) {
+    (void)voxrt_occluded(((const voxrti_block_ref *)user)->tree, desc, rays, occluded, count);
+}
+
+/* ---- from leaf nodes to blocks ---- */
+
+VOXRTI_INLINE uint32_t voxrti_block_leaves(const voxrt_model *m) { return (uint32_t)1 << 3 * (m->log - 2); }
+
+/* A block of filled leaves, which are used up. */
+static voxrt_result voxrti_block_make(voxrti_mem *mem, const voxrt_model *m, voxrti_leafset *set, voxrti_block **out) {
+    const uint64_t first = set->key[0] >> 3 * (m->log - 2);
+    voxrti_block *b = (voxrti_block *)voxrti_alloc_zero(mem, 1, sizeof *b);
+    uint32_t srgb[256], corner[3], a;
+    voxrt_tree_info info;
+    voxrt_result r;
+    size_t i;
+    if (b == NULL) {
+        voxrti_leafset_free(mem, set);
+        return VOXRT_ERR_NO_MEMORY;
+    }
+    voxrti_srgb_table(srgb);
+    b->sum.count = set->voxel_count;
+    for (i = 0; i < set->voxel_count; i++) { /* as voxrti_sum_add_cell */
+        for (a = 0; a < 3 && set->rgb != NULL; a++) b->sum.rgb[a] += srgb[set->rgb[i] >> 8 * a & 255u];
+        if (set->normal != NULL) {
+            float n[3];
+            voxrti_normal_decode(set->spherical, set->normal[i], n);
+            for (a = 0; a < 3; a++) b->sum.normal[a] += (int64_t)(n[a] * 16384.0f);
+        }
+    }
+    r = voxrti_tree_from_leafset(mem, &m->build, &m->grid, set, NULL, &b->tree);
+    if (r != VOXRT_OK) {
+        voxrti_free(mem, b);
+        return r;
+    }
+    /* the whole block: cones meet large cells only within this box */
+    corner[0] = voxrti_compact3(first) << m->log;
+    corner[1] = voxrti_compact3(first >> 1) << m->log;
+    corner[2] = voxrti_compact3(first >> 2) << m->log;
+    for (a = 0; a < 3; a++) {
+        const uint32_t end = corner[a] + ((uint32_t)1 << m->log), most = (uint32_t)1 << m->grid.depth;
+        b->tree->cell_min[a] = corner[a];
+        b->tree->cell_max[a] = end < most ? end : most;
+    }
+    voxrt_tree_get_info(b->tree, &info);
+    b->bytes = info.total_bytes + sizeof *b;
+    b->users = 1;
+    *out = b;
+    return VOXRT_OK;
+}
+
+/* What follows from key, block and count: part, group and top. */
+static voxrt_result voxrti_model_index(voxrti_mem *mem, const voxrt_env *env, voxrt_model *m) {
+    const uint32_t level = m->grid.depth > m->log ? m->grid.depth - m->log : 0;
+    voxrt_build_desc d = m->build;
+    voxrt_geometry *g;
+    voxrti_leafset set;
+    voxrti_grid grid = m->grid;
+    voxrti_sum *sums;
+    voxrt_env e = *env;
+    voxrt_result r = VOXRT_OK;
+    size_t i;
+    m->part = NULL;
+    m->group = NULL;
+    m->top = NULL;
+    if (m->count == 0) return VOXRT_OK;
+    e.error = NULL;
+    e.memory_limit = 0; /* small beside the blocks */
+    d.env = e;
+    m->part = (voxrti_block_ref *)voxrti_alloc_array(mem, m->count, sizeof *m->part);
+    g = (voxrt_geometry *)voxrti_alloc_array(mem, m->count, sizeof *g);
+    if (m->part == NULL || g == NULL) r = VOXRT_ERR_NO_MEMORY;
+    for (i = 0; r == VOXRT_OK && i < m->count; i++) {
+        m->part[i].model = m;
+        m->part[i].tree = m->block[i]->tree;
+        g[i].trace_fn = voxrti_block_trace;
+        g[i].occluded_fn = voxrti_block_occluded;
+        g[i].user = &m->part[i];
+        voxrt_tree_bounds(m->part[i].tree, g[i].box_min, g[i].box_max);
+    }
+    if (r == VOXRT_OK) r = voxrt_group_create(&e, g, m->count, &m->group);
+    voxrti_free(mem, g);
+    if (r != VOXRT_OK || level == 0) return r;
+    memset(&set, 0, sizeof set);
+    for (i = 0; i < m->count; i++) set.block_count += i == 0 || m->key[i] >> 6 != m->key[i - 1] >> 6;
+    set.voxel_count = m->count;
+    set.spherical = m->spherical;
+    set.key = (uint64_t *)voxrti_alloc_array(mem, set.block_count, sizeof *set.key);
+    set.mask = (uint64_t *)voxrti_alloc_zero(mem, set.block_count, sizeof *set.mask);
+    sums = (voxrti_sum *)voxrti_alloc_array(mem, m->count, sizeof *sums);
+    if (!d.disable_colors) set.rgb = (uint32_t *)voxrti_alloc_array(mem, m->count, sizeof *set.rgb);
+    if (!d.disable_normals) set.normal = (uint16_t *)voxrti_alloc_array(mem, m->count, sizeof *set.normal);
+    if (set.key == NULL || set.mask == NULL || sums == NULL || (!d.disable_colors && set.rgb == NULL) ||
+        (!d.disable_normals && set.normal == NULL)) {
+        voxrti_leafset_free(mem, &set);
+        voxrti_free(mem, sums);
+        return VOXRT_ERR_NO_MEMORY;
+    }
+    set.block_count = 0;
+    for (i = 0; i < m->count; i++) {
+        const voxrt_tree *t = m->block[i]->tree;
+        const uint64_t attr = t->attr_first[2 * t->wide - m->log]; /* its only cell of that level */
+        if (i == 0 || m->key[i] >> 6 != m->key[i - 1] >> 6) set.key[set.block_count++] = m->key[i] >> 6;
+        set.mask[set.block_count - 1] |= (uint64_t)1 << (m->key[i] & 63u);
+        sums[i] = m->block[i]->sum;
+        if (set.rgb != NULL) {
+            const uint8_t *p = t->palette + (size_t)3 * voxrti_color_index(t, attr);
+            set.rgb[i] = p[0] | (uint32_t)p[1] << 8 | (uint32_t)p[2] << 16;
+        }
+        if (set.normal != NULL) set.normal[i] = t->normal[attr];
+    }
+    grid.depth = grid.depth - m->log;
+    grid.resolution = (uint32_t)1 << grid.depth;
+    grid.voxel_size *= (double)((uint32_t)1 << m->log);
+    set.sums = sums;
+    r = voxrti_tree_from_leafset(mem, &d, &grid, &set, NULL, &m->top);
+    voxrti_free(mem, sums);
+    return r;
+}
+
+/* What voxrti_model_index made. */
+static void voxrti_model_unindex(voxrti_mem *mem, voxrt_model *m) {
+    voxrt_group_destroy(m->group);
+    voxrt_tree_destroy(m->top);
+    voxrti_free(mem, m->part);
+}
+
+/* Where a block with this key is or would be. */
+static size_t voxrti_model_find(const voxrt_model *m, uint64_t key) {
+    size_t lo = 0, hi = m->count;
+    while (lo < hi) {
+        const size_t mid = lo + (hi - lo) / 2;
+        if (m->key[mid] < key) lo = mid + 1;
+        else hi = mid;
+    }
+    return lo;
+}
+
+/* ---- making and taking apart ---- */
+
+/* An empty model; box and depth are known to be right. */
+static voxrt_result voxrti_model_open(const voxrt_env *env, uint32_t depth, voxrt_model **out) {
+    voxrti_mem mem;
+    voxrt_model *m;
+    voxrt_result r = voxrti_env_open(env, &mem);
+    if (r != VOXRT_OK) return r;
+    m = (voxrt_model *)voxrti_alloc_zero(&mem, 1, sizeof *m);
+    if (m == NULL) return voxrti_fail(env->error, VOXRT_ERR_NO_MEMORY, 0, "out of memory");
+    m->build.env.allocator = mem.allocator;
+    m->build.env.thread_count = 1; /* threads share the blocks */
+    m->build.palette_size = 16777216u;
+    m->grid.depth = depth;
+    m->grid.resolution = (uint32_t)1 << depth;
+    m->log = depth < 2 ? 2 : depth < VOXRTI_BLOCK_LOG ? depth : VOXRTI_BLOCK_LOG;
+    m->mem = mem;
+    m->mem.limit = 0;
+    *out = m;
+    return VOXRT_OK;
+}
+
+/* env of a call, with the error cleared. */
+static void voxrti_model_env(const voxrt_env *env, voxrt_env *e) {
+    memset(e, 0, sizeof *e);
+    if (env != NULL) *e = *env;
+    if (e->error != NULL) memset(e->error, 0, sizeof *e->error);
+}
+
+VOXRT_DEF voxrt_result voxrt_model_create(const voxrt_model_desc *desc, voxrt_model **out_model) {
+    voxrt_model_desc d;
+    voxrt_model *m;
+    voxrt_result r;
+    if (out_model == NULL) return VOXRT_ERR_INVALID_ARG;
+    *out_model = NULL;
+    memset(&d, 0, sizeof d);
+    if (desc != NULL) d = *desc;
+    if (d._begin_zero != 0 || d._end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
+    if (d.env.error != NULL) memset(d.env.error, 0, sizeof *d.env.error);
+    if (d.depth == 0) d.depth = 10;
+    if (d.depth > VOXRT_MAX_DEPTH)
+        return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, d.depth, "depth % is out of range");
+    r = voxrti_box_check(d.env.error, d.box_min, d.box_size);
+    if (r == VOXRT_OK) r = voxrti_model_open(&d.env, d.depth, &m);
+    if (r != VOXRT_OK) return r;
+    m->build.disable_colors = d.disable_colors;
+    m->build.disable_normals = d.disable_normals;
+    m->grid.voxel_size = 1.0;
+    if (d.box_size > 0) {
+        memcpy(m->grid.origin, d.box_min, sizeof d.box_min);
+        m->grid.voxel_size = d.box_size / (double)m->grid.resolution;
+    }
+    *out_model = m;
+    return VOXRT_OK;
+}
+
+VOXRT_DEF void voxrt_model_destroy(voxrt_model *model) {
+    if (model != NULL) {
+        voxrti_mem mem = model->mem;
+        size_t i;
+        voxrti_model_unindex(&mem, model);
+        for (i = 0; i < model->count; i++) voxrti_block_drop(model->block[i]);
+        voxrti_free(&mem, model->block);
+        voxrti_free(&mem, model->key);
+        voxrti_free(&mem, model);
+    }
+}
+
+VOXRT_DEF voxrt_result voxrt_model_copy(const voxrt_env *env, const voxrt_model *model, voxrt_model **out_model) {
+    voxrt_env e;
+    voxrti_mem mem;
+    voxrt_model *m;
+    voxrt_result r;
+    size_t i;
+    if (out_model == NULL) return VOXRT_ERR_INVALID_ARG;
+    *out_model = NULL;
+    voxrti_model_env(env, &e);
+    if (model == NULL) return voxrti_fail(e.error, VOXRT_ERR_INVALID_ARG, 0, "no model");
+    r = voxrti_model_open(&e, model->grid.depth, &m);
+    if (r != VOXRT_OK) return r;
+    mem = m->mem;
+    mem.limit = e.memory_limit;
+    m->build.disable_colors = model->build.disable_colors;
+    m->build.disable_normals = model->build.disable_normals;
+    m->grid = model->grid;
+    m->spherical = model->spherical;
+    m->key = (uint64_t *)voxrti_alloc_array(&mem, model->count, sizeof *m->key);
+    m->block = (voxrti_block **)voxrti_alloc_array(&mem, model->count, sizeof *m->block);
+    if (m->key == NULL || m->block == NULL) {
+        voxrt_model_destroy(m);
+        return voxrti_fail(e.error, VOXRT_ERR_NO_MEMORY, 0, "out of memory");
+    }
+    for (i = 0; i < model->count; i++) {
+        m->key[i] = model->key[i];
+        m->block[i] = model->block[i];
+        (void)voxrti_atomic_add(&m->block[i]->users, 1u);
+    }
+    m->count = model->count;
+    r = voxrti_model_index(&mem, &e, m);
+    if (r != VOXRT_OK) {
+        voxrt_model_destroy(m);
+        return voxrti_fail(e.error, r, 0, voxrt_result_string(r));
+    }
+    *out_model = m;
+    return VOXRT_OK;
+}
+
+VOXRT_DEF void voxrt_model_get_info(const voxrt_model *model, voxrt_model_info *info) {
+    size_t i;
+    if (info == NULL) return;
+    memset(info, 0, sizeof *info);
+    if (model == NULL) return;
+    info->depth = model->grid.depth;
+    memcpy(info->world_origin, model->grid.origin, sizeof info->world_origin);
+    info->voxel_size = model->grid.voxel_size;
+    info->block_count = model->count;
+    for (i = 0; i < model->count; i++) {
+        info->voxel_count += model->block[i]->sum.count;
+        info->block_bytes += model->block[i]->bytes;
+    }
+}
+
+VOXRT_DEF int voxrt_model_get(const voxrt_model *m, uint32_t level, uint32_t x, uint32_t y, uint32_t z,
+                              voxrt_voxel *out) {
+    uint32_t top, up;
+    uint64_t key;
+    size_t i;
+    if (out != NULL) memset(out, 0, sizeof *out);
+    if (m == NULL || m->count == 0 || level > m->grid.depth || (x | y | z) >> level != 0) return 0;
+    top = m->grid.depth > m->log ? m->grid.depth - m->log : 0;
+    if (top != 0 && level <= top) return voxrt_tree_get(m->top, level, x, y, z, out);
+    up = level - top;
+    key = top != 0 ? voxrti_morton(x >> up, y >> up, z >> up) : 0;
+    i = voxrti_model_find(m, key);
+    return i < m->count && m->key[i] == key && voxrt_tree_get(m->block[i]->tree, level, x, y, z, out);
+}
+
+/* ---- blocks of a tree, a tree of blocks ---- */
+
+/* The leaf nodes of a tree in Morton order: keys; masks, and the number of the first voxel of each. */
+static voxrt_result voxrti_tree_leaves(voxrti_mem *mem, const voxrt_tree *t, uint64_t **key) {
+    voxrti_way way;
+    voxrti_way_node *n;
+    size_t i = 0;
+    *key = (uint64_t *)voxrti_alloc_array(mem, t->level_nodes[t->wide - 1], sizeof **key);
+    if (*key == NULL) return VOXRT_ERR_NO_MEMORY;
+    voxrti_way_start(&way, t, t->wide - 1);
+    while ((n = voxrti_way_next(&way)) != NULL) {
+        (*key)[i++] = voxrti_morton(n->x, n->y, n->z);
+        n->left = 0;
+    }
+    return VOXRT_OK;
+}
+
+/* Colours of `count` voxels of a plain tree from number `first` on, 0x00BBGGRR. */
+static void voxrti_tree_rgb(const voxrt_tree *t, uint64_t first, size_t count, uint32_t *rgb) {
+    size_t i;
+    voxrti_colors_decode(&t->colors, first, count, rgb);
+    for (i = 0; i < count; i++) {
+        const uint8_t *p = t->palette + (size_t)3 * rgb[i];
+        rgb[i] = p[0] | (uint32_t)p[1] << 8 | (uint32_t)p[2] << 16;
+    }
+}
+
+/* Room for a leafset of a model. 0: no memory, then it is empty. */
+static int voxrti_model_set(voxrti_mem *mem, const voxrt_model *m, size_t leaves, size_t voxels, voxrti_leafset *set) {
+    memset(set, 0, sizeof *set);
+    set->key = (uint64_t *)voxrti_alloc_array(mem, leaves, sizeof *set->key);
+    set->mask = (uint64_t *)voxrti_alloc_array(mem, leaves, sizeof *set->mask);
+    if (!m->build.disable_colors) set->rgb = (uint32_t *)voxrti_alloc_array(mem, voxels, sizeof *set->rgb);
+    if (!m->build.disable_normals) set->normal = (uint16_t *)voxrti_alloc_array(mem, voxels, sizeof *set->normal);
+    set->spherical = m->spherical;
+    set->block_count = leaves;
+    set->voxel_count = voxels;
+    if (set->key != NULL && set->mask != NULL && (m->build.disable_colors || set->rgb != NULL) &&
+        (m->build.disable_normals || set->normal != NULL)) return 1;
+    voxrti_leafset_free(mem, set);
+    return 0;
+}
+
+typedef struct voxrti_unpack {
+    voxrti_mem *mem;
+    const voxrt_model *m;
+    const voxrt_tree *tree;
+    const uint64_t *key;     /* of the leaf nodes of the tree */
+    const uint32_t *first;   /* [count + 1] leaf nodes before each block */
+    voxrti_block **block;    /* [count] */
+    voxrt_result *result;    /* [count] */
+} voxrti_unpack;
+
+static void voxrti_unpack_task(void *ctx, uint32_t task) {
+    const voxrti_unpack *u = (const voxrti_unpack *)ctx;
+    const uint32_t n = u->first[task + 1] - u->first[task], from = u->first[task];
+    const uint64_t at = voxrti_attr_index(u->tree, 2 * u->tree->wide, from, 0);
+    size_t voxels = 0, i;
+    voxrti_leafset set;
+    for (i = 0; i < n; i++) voxels += voxrti_popcount64(u->tree->leaf[from + i]);
+    u->result[task] = VOXRT_ERR_NO_MEMORY;
+    if (!voxrti_model_set(u->mem, u->m, n, voxels, &set)) return;
+    memcpy(set.key, u->key + from, n * sizeof *set.key);
+    memcpy(set.mask, u->tree->leaf + from, n * sizeof *set.mask);
+    if (set.rgb != NULL) voxrti_tree_rgb(u->tree, at, voxels, set.rgb);
+    if (set.normal != NULL) memcpy(set.normal, u->tree->normal + at, voxels * sizeof *set.normal);
+    u->result[task] = voxrti_block_make(u->mem, u->m, &set, &u->block[task]);
+}
+
+static voxrt_result voxrti_model_unpack(voxrti_mem *mem, const voxrt_env *env, const voxrt_tree *t, voxrt_model *m) {
+    const uint32_t shift = 3 * (m->log - 2), leaves = t->level_nodes[t->wide - 1];
+    voxrti_unpack u;
+    uint64_t *key = NULL;
+    uint32_t *first = NULL;
+    size_t i, n = 0;
+    voxrt_result r = voxrti_tree_leaves(mem, t, &key);
+    memset(&u, 0, sizeof u);
+    for (i = 0; r == VOXRT_OK && i < leaves; i++) n += i == 0 || key[i] >> shift != key[i - 1] >> shift;
+    if (r == VOXRT_OK) {
+        first = (uint32_t *)voxrti_alloc_array(mem, n + 1, sizeof *first);
+        m->key = (uint64_t *)voxrti_alloc_array(mem, n, sizeof *m->key);
+        m->block = u.block = (voxrti_block **)voxrti_alloc_zero(mem, n, sizeof *m->block);
+        u.result = (voxrt_result *)voxrti_alloc_array(mem, n, sizeof *u.result);
+        if (first == NULL || m->key == NULL || u.block == NULL || u.result == NULL) r = VOXRT_ERR_NO_MEMORY;
+    }
+    if (r == VOXRT_OK) {
+        for (i = 0, n = 0; i < leaves; i++) {
+            if (i != 0 && key[i] >> shift == key[i - 1] >> shift) continue;
+            m->key[n] = key[i] >> shift;
+            first[n++] = (uint32_t)i;
+        }
+        first[n] = leaves;
+        u.mem = mem;
+        u.m = m;
+        u.tree = t;
+        u.key = key;
+        u.first = first;
+        voxrti_parallel_for(env, voxrti_unpack_task, &u, (uint32_t)n);
+        for (i = 0; i < n && r == VOXRT_OK; i++) r = u.result[i];
+        m->count = n; /* those that are NULL are dropped as nothing */
+    }
+    voxrti_free(mem, key);
+    voxrti_free(mem, first);
+    voxrti_free(mem, u.result);
+    return r;
+}
+
+VOXRT_DEF voxrt_result voxrt_model_from_tree(const voxrt_env *env, const voxrt_tree *tree, voxrt_model **out_model) {
+    voxrt_env e;
+    voxrti_mem mem;
+    voxrt_tree *plain = NULL;
+    voxrt_model *m = NULL;
+    voxrt_result r;
+    if (out_model == NULL) return VOXRT_ERR_INVALID_ARG;
+    *out_model = NULL;
+    voxrti_model_env(env, &e);
+    if (tree == NULL) return voxrti_fail(e.error, VOXRT_ERR_INVALID_ARG, 0, "no tree");
+    if (tree->code != NULL) {
+        r = voxrt_tree_unshare(tree, &e, &plain);
+        if (r != VOXRT_OK) return r;
+        tree = plain;
+    }
+    r = voxrti_model_open(&e, tree->depth, &m);
+    if (r == VOXRT_OK) {
+        mem = m->mem;
+        mem.limit = e.memory_limit;
+        m->build.disable_normals = tree->normal == NULL;
+        m->spherical = tree->spherical;
+        memcpy(m->grid.origin, tree->origin, sizeof m->grid.origin);
+        m->grid.voxel_size = tree->voxel_size;
+        r = voxrti_model_unpack(&mem, &e, tree, m);
+        if (r == VOXRT_OK) r = voxrti_model_index(&mem, &e, m);
+        if (r != VOXRT_OK) {
+            voxrt_model_destroy(m);
+            (void)voxrti_fail(e.error, r, 0, voxrt_result_string(r));
+        }
+    }
+    voxrt_tree_destroy(plain);
+    if (r == VOXRT_OK) *out_model = m;
+    return r;
+}
+
+VOXRT_DEF voxrt_result voxrt_tree_from_model(const voxrt_build_desc *desc, const voxrt_model *m,
+                                             voxrt_tree **out_tree) {
+    voxrt_build_desc d;
+    voxrti_mem mem;
+    voxrti_leafset set;
+    voxrt_result r;
+    size_t i, leaves = 0, voxels = 0;
+    if (out_tree == NULL) return VOXRT_ERR_INVALID_ARG;
+    *out_tree = NULL;
+    r = voxrti_build_open(desc, &d, &mem);
+    if (r != VOXRT_OK) return r;
+    if (m == NULL) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no model");
+    for (i = 0; i < m->count; i++) {
+        leaves += m->block[i]->tree->level_nodes[m->block[i]->tree->wide - 1];
+        voxels += (size_t)m->block[i]->sum.count;
+    }
+    if (!voxrti_model_set(&mem, m, leaves, voxels, &set))
+        return voxrti_fail(d.env.error, VOXRT_ERR_NO_MEMORY, 0, "out of memory");
+    for (i = 0, leaves = 0, voxels = 0; i < m->count && r == VOXRT_OK; i++) {
+        const voxrt_tree *t = m->block[i]->tree;
+        const size_t n = t->level_nodes[t->wide - 1];
+        uint64_t *key = NULL;
+        r = voxrti_tree_leaves(&mem, t, &key);
+        if (r == VOXRT_OK) {
+            memcpy(set.key + leaves, key, n * sizeof *key);
+            memcpy(set.mask + leaves, t->leaf, n * sizeof *t->leaf);
+            if (set.rgb != NULL) voxrti_tree_rgb(t, 0, (size_t)t->voxel_count, set.rgb + voxels);
+            if (set.normal != NULL) memcpy(set.normal + voxels, t->normal, (size_t)t->voxel_count * sizeof *t->normal);
+            leaves += n;
+            voxels += (size_t)t->voxel_count;
+        }
+        voxrti_free(&mem, key);
+    }
+    if (d.disable_colors) {
+        voxrti_free(&mem, set.rgb);
+        set.rgb = NULL;
+    }
+    if (d.disable_normals) {
+        voxrti_free(&mem, set.normal);
+        set.normal = NULL;
+    }
+    if (r == VOXRT_OK) return voxrti_tree_from_leafset(&mem, &d, &m->grid, &set, NULL, out_tree);
+    voxrti_leafset_free(&mem, &set);
+    return voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
+}
+
+/* ---- edits ---- */
+
+typedef struct voxrti_edit {
+    voxrti_mem *mem;
+    const voxrt_model *m;
+    voxrt_edit_op op;
+    uint32_t rgb, sphere;
+    uint32_t lo[3], hi[3];       /* voxels of the shape lie in here, hi exclusive */
+    double centre[3], radius2;   /* sphere: in voxels, those with a centre nearer than that */
+    double deep2;                /* nearer than that no face of a voxel shows */
+    uint16_t up;                 /* code of the normal (0, 0, 1), which voxels have that do not show */
+    const voxrti_leafset *set;   /* not NULL: the voxels themselves */
+    const size_t *set_voxel;     /* [block_count] of the set: number of the first voxel of each leaf */
+    const uint64_t *key;         /* [n] of the touched blocks, ascending */
+    voxrti_block **made;         /* [n] what becomes of them; NULL: empty */
+    uint8_t *state;              /* [n] 0: stays as it is, 1: made or emptied, 2: no memory, 3: too large */
+    uint64_t (*stats)[3];        /* [n] filled, cleared, painted */
+} voxrti_edit;
+
+/* Is a voxel in the shape? */
+static int voxrti_edit_has(const voxrti_edit *e, uint32_t x, uint32_t y, uint32_t z) {
+    double d[3];
+    if (e->set != NULL) {
+        const uint64_t key = voxrti_morton(x >> 2, y >> 2, z >> 2);
+        size_t lo = 0, hi = e->set->block_count;
+        while (lo < hi) {
+            const size_t mid = lo + (hi - lo) / 2;
+            if (e->set->key[mid] < key) lo = mid + 1;
+            else hi = mid;
+        }
+        return (x | y | z) >> e->m->grid.depth == 0 && lo < e->set->block_count && e->set->key[lo] == key &&
+               (e->set->mask[lo] >> voxrti_slot(x, y, z) & 1u) != 0;
+    }
+    if (x < e->lo[0] || x >= e->hi[0] || y < e->lo[1] || y >= e->hi[1] || z < e->lo[2] || z >= e->hi[2]) return 0;
+    if (!e->sphere) return 1;
+    d[0] = (double)x + 0.5 - e->centre[0];
+    d[1] = (double)y + 0.5 - e->centre[1];
+    d[2] = (double)z + 0.5 - e->centre[2];
+    return d[0] * d[0] + d[1] * d[1] + d[2] * d[2] < e->radius2;
+}
+
+/* The voxels of a box or sphere in the leaf whose first voxel is at (x, y, z). */
+static uint64_t voxrti_edit_mask(const voxrti_edit *e, const uint32_t at[3]) {
+    uint64_t mask = ~(uint64_t)0, out = 0;
+    uint32_t a, k;
+    for (a = 0; a < 3; a++) {
+        uint64_t layers = 0;
+        for (k = 0; k < 4; k++)
+            if (at[a] + k >= e->lo[a] && at[a] + k < e->hi[a]) layers |= voxrti_layer[a][k];
+        mask &= layers;
+    }
+    if (!e->sphere) return mask;
+    for (; mask != 0; mask &= mask - 1) {
+        const uint32_t s = voxrti_ctz64(mask);
+        if (voxrti_edit_has(e, at[0] + voxrti_slot_x(s), at[1] + voxrti_slot_y(s), at[2] + voxrti_slot_z(s)))
+            out |= mask & (0u - mask);
+    }
+    return out;
+}
+
+/* The normal of a box or sphere at a voxel. */
+static uint16_t voxrti_edit_normal(const voxrti_edit *e, uint32_t x, uint32_t y, uint32_t z) {
+    const uint32_t p[3] = {x, y, z};
+    float n[3] = {0, 0, 0};
+    uint32_t a, best = 0;
+    double nearest = VOXRTI_INF, d[3];
+    if (e->sphere) {
+        for (a = 0; a < 3; a++) d[a] = (double)p[a] + 0.5 - e->centre[a];
+        if (d[0] * d[0] + d[1] * d[1] + d[2] * d[2] < e->deep2) { /* it shows only where the grid ends */
+            for (a = 0; a < 3; a++)
+                n[a] = p[a] == 0 ? -1.0f : p[a] + 1 == (uint32_t)1 << e->m->grid.depth ? 1.0f : 0.0f;
+        } else {
+            for (a = 0; a < 3; a++) n[a] = (float)d[a];
+        }
+        if (!voxrti_normalize(n)) return e->up;
+    } else {
+        for (a = 0; a < 6; a++) {
+            const double face = (double)(a & 1u ? e->hi[a >> 1] : e->lo[a >> 1]);
+            const double away = voxrti_abs((double)p[a >> 1] + 0.5 - face);
+            if (away < nearest) {
+                nearest = away;
+                best = a;
+            }
+        }
+        if (nearest > 2.0) return e->up;
+        n[best >> 1] = best & 1u ? 1.0f : -1.0f;
+    }
+    return (uint16_t)voxrti_normal_encode(e->m->spherical, n);
+}
+
+/* The normal of a voxel beside the shape that is cleared: into the hole. 0: no neighbour of it is cleared. */
+static int voxrti_edit_hole(const voxrti_edit *e, uint32_t x, uint32_t y, uint32_t z, uint16_t *code) {
+    const uint32_t p[3] = {x, y, z};
+    float n[3];
+    uint32_t a;
+    int any = 0;
+    n[0] = (float)(voxrti_edit_has(e, x + 1, y, z) - voxrti_edit_has(e, x - 1, y, z));
+    n[1] = (float)(voxrti_edit_has(e, x, y + 1, z) - voxrti_edit_has(e, x, y - 1, z));
+    n[2] = (float)(voxrti_edit_has(e, x, y, z + 1) - voxrti_edit_has(e, x, y, z - 1));
+    any = n[0] != 0.0f || n[1] != 0.0f || n[2] != 0.0f;
+    if (any && e->sphere)
+        for (a = 0; a < 3; a++) n[a] = (float)(e->centre[a] - ((double)p[a] + 0.5));
+    if (!any || !voxrti_normalize(n)) return 0;
+    *code = (uint16_t)voxrti_normal_encode(e->m->spherical, n);
+    return 1;
+}
+
+/* A block on its way: masks of all its leaves before, of the shape, and after. */
+typedef struct voxrti_patch {
+    uint64_t old, shape;
+    uint32_t old_voxel, shape_voxel; /* numbers of their first voxels */
+} voxrti_patch;
+
+/* Was voxel (x, y, z) filled, with nothing but filled ones at its six faces? */
+static int voxrti_edit_buried(const voxrti_edit *e, uint32_t x, uint32_t y, uint32_t z) {
+    const uint32_t d = e->m->grid.depth;
+    return voxrt_model_get(e->m, d, x - 1, y, z, NULL) && voxrt_model_get(e->m, d, x + 1, y, z, NULL) &&
+           voxrt_model_get(e->m, d, x, y - 1, z, NULL) && voxrt_model_get(e->m, d, x, y + 1, z, NULL) &&
+           voxrt_model_get(e->m, d, x, y, z - 1, NULL) && voxrt_model_get(e->m, d, x, y, z + 1, NULL);
+}
+
+/* The leaves of a block before the edit and in the shape. Returns voxels that there will be, leaves in *leaves; 0 and
+   *same = 1: nothing changes. */
+static size_t voxrti_edit_leaves(const voxrti_edit *e, uint64_t key, const voxrt_tree *old, voxrti_patch *patch,
+                                 uint32_t *leaves, int *same, uint64_t stats[3]) {
+    const uint32_t n = voxrti_block_leaves(e->m), shift = 3 * (e->m->log - 2);
+    uint32_t i, voxel = 0, at[3];
+    size_t voxels = 0, k;
+    memset(patch, 0, n * sizeof *patch);
+    if (old != NULL) {
+        voxrti_way way;
+        voxrti_way_node *w;
+        voxrti_way_start(&way, old, old->wide - 1);
+        while ((w = voxrti_way_next(&way)) != NULL) {
+            i = (uint32_t)voxrti_morton(w->x, w->y, w->z) & (n - 1u);
+            patch[i].old = w->mask;
+            patch[i].old_voxel = voxel;
+            voxel += voxrti_popcount64(w->mask);
+            w->left = 0;
+        }
+    }
+    if (e->set != NULL) {
+        size_t lo = 0, hi = e->set->block_count;
+        while (lo < hi) {
+            const size_t mid = lo + (hi - lo) / 2;
+            if (e->set->key[mid] >> shift < key) lo = mid + 1;
+            else hi = mid;
+        }
+        for (k = lo; k < e->set->block_count && e->set->key[k] >> shift == key; k++) {
+            i = (uint32_t)e->set->key[k] & (n - 1u);
+            patch[i].shape = e->set->mask[k];
+            patch[i].shape_voxel = (uint32_t)e->set_voxel[k];
+        }
+    }
+    *leaves = 0;
+    for (i = 0; i < n; i++) {
+        const uint64_t code = key << shift | i;
+        voxrti_patch *p = &patch[i];
+        uint64_t after;
+        at[0] = voxrti_compact3(code) * 4;
+        at[1] = voxrti_compact3(code >> 1) * 4;
+        at[2] = voxrti_compact3(code >> 2) * 4;
+        if (e->set == NULL && (e->op == VOXRT_EDIT_SET || p->old != 0)) p->shape = voxrti_edit_mask(e, at);
+        after = e->op == VOXRT_EDIT_SET ? p->old | p->shape : e->op == VOXRT_EDIT_CLEAR ? p->old & ~p->shape : p->old;
+        if (e->op == VOXRT_EDIT_SET) stats[0] += voxrti_popcount64(p->shape & ~p->old);
+        if (e->op == VOXRT_EDIT_CLEAR) stats[1] += voxrti_popcount64(p->shape & p->old);
+        else stats[2] += voxrti_popcount64(p->shape & p->old);
+        voxels += voxrti_popcount64(after);
+        *leaves += after != 0;
+    }
+    *same = stats[0] + stats[1] + stats[2] == 0;
+    return voxels;
+}
+
+/* One leaf behind the edit, from voxel number `voxel` of set on. Returns 1 if a voxel that stays got another normal. */
+static int voxrti_edit_leaf(const voxrti_edit *e, const voxrti_patch *p, const uint32_t at[3], uint64_t after,
+                            const uint32_t *rgb, const uint16_t *normal, voxrti_leafset *set, size_t voxel) {
+    const int hole = e->op == VOXRT_EDIT_CLEAR && set->normal != NULL;
+    uint16_t code = 0;
+    uint64_t m;
+    int changed = 0;
+    for (m = after; m != 0; m &= m - 1, voxel++) {
+        const uint64_t bit = m & (0u - m), below = bit - 1;
+        const uint32_t s = voxrti_ctz64(m), old = p->old_voxel + voxrti_popcount64(p->old & below);
+        const uint32_t in = p->shape_voxel + voxrti_popcount64(p->shape & below);
+        const uint32_t x = at[0] + voxrti_slot_x(s), y = at[1] + voxrti_slot_y(s), z = at[2] + voxrti_slot_z(s);
+        if ((p->shape & bit) == 0) {
+            if (set->rgb != NULL) set->rgb[voxel] = rgb[old];
+            if (set->normal != NULL) set->normal[voxel] = normal[old];
+            if (hole && voxrti_edit_hole(e, x, y, z, &code) && voxrti_edit_buried(e, x, y, z)) {
+                set->normal[voxel] = code;
+                changed = 1;
+            }
+            continue;
+        }
+        if (set->rgb != NULL)
+            set->rgb[voxel] = e->set == NULL ? e->rgb : e->set->rgb != NULL ? e->set->rgb[in] : 0xffffffu;
+        if (set->normal == NULL) continue;
+        if (e->op == VOXRT_EDIT_PAINT) set->normal[voxel] = normal[old];
+        else if (e->set == NULL) set->normal[voxel] = voxrti_edit_normal(e, x, y, z);
+        else {
+            float n[3] = {0, 0, 1};
+            if (e->set->normal != NULL) voxrti_normal_decode(e->set->spherical, e->set->normal[in], n);
+            set->normal[voxel] = (uint16_t)voxrti_normal_encode(e->m->spherical, n);
+        }
+    }
+    return changed;
+}
+
+static void voxrti_edit_task(void *ctx, uint32_t task) {
+    const voxrti_edit *e = (const voxrti_edit *)ctx;
+    const voxrt_model *m = e->m;
+    const uint32_t n = voxrti_block_leaves(m), shift = 3 * (m->log - 2);
+    const uint64_t key = e->key[task];
+    const size_t found = voxrti_model_find(m, key);
+    const voxrt_tree *old = found < m->count && m->key[found] == key ? m->block[found]->tree : NULL;
+    voxrti_patch *patch = (voxrti_patch *)voxrti_alloc_array(e->mem, n, sizeof *patch);
+    uint32_t *rgb = NULL, leaves, i;
+    size_t voxels, voxel = 0, leaf = 0;
+    int same = 0, edge = e->op == VOXRT_EDIT_CLEAR && !m->build.disable_normals;
+    voxrti_leafset set;
+    voxrt_result r = VOXRT_ERR_NO_MEMORY;
+    memset(&set, 0, sizeof set);
+    e->state[task] = 2;
+    if (patch == NULL) return;
+    voxels = voxrti_edit_leaves(e, key, old, patch, &leaves, &same, e->stats[task]);
+    if ((same && !edge) || voxels == 0) {
+        e->state[task] = (uint8_t)!same;
+        voxrti_free(e->mem, patch);
+        return;
+    }
+    if (voxrti_model_set(e->mem, m, leaves, voxels, &set)) {
+        r = VOXRT_OK;
+        if (old != NULL && set.rgb != NULL) {
+            rgb = (uint32_t *)voxrti_alloc_array(e->mem, (size_t)old->voxel_count, sizeof *rgb);
+            if (rgb != NULL) voxrti_tree_rgb(old, 0, (size_t)old->voxel_count, rgb);
+            else r = VOXRT_ERR_NO_MEMORY;
+        }
+    }
+    for (i = 0; i < n && r == VOXRT_OK; i++) {
+        const voxrti_patch *p = &patch[i];
+        const uint64_t code = key << shift | i;
+        const uint64_t after = e->op == VOXRT_EDIT_SET ? p->old | p->shape :
+                               e->op == VOXRT_EDIT_CLEAR ? p->old & ~p->shape : p->old;
+        const uint32_t at[3] = {voxrti_compact3(code) * 4, voxrti_compact3(code >> 1) * 4,
+                                voxrti_compact3(code >> 2) * 4};
+        if (after == 0) continue;
+        set.key[leaf] = code;
+        set.mask[leaf++] = after;
+        if (voxrti_edit_leaf(e, p, at, after, rgb, old != NULL ? old->normal : NULL, &set, voxel)) same = 0;
+        voxel += voxrti_popcount64(after);
+    }
+    voxrti_free(e->mem, rgb);
+    voxrti_free(e->mem, patch);
+    if (r == VOXRT_OK && !same) r = voxrti_block_make(e->mem, m, &set, &e->made[task]);
+    else voxrti_leafset_free(e->mem, &set);
+    e->state[task] = r == VOXRT_OK ? (uint8_t)!same : r == VOXRT_ERR_NO_MEMORY ? 2 : 3;
+}
+
+/* Put the made blocks into the model; on failure it is what it was, and they are left to the caller. */
+static voxrt_result voxrti_edit_commit(const voxrti_edit *e, const voxrt_env *env, size_t n, voxrt_model *m) {
+    voxrt_model next = *m, old = *m;
+    size_t i = 0, k = 0, count = 0;
+    voxrt_result r = VOXRT_ERR_NO_MEMORY;
+    next.key = (uint64_t *)voxrti_alloc_array(e->mem, m->count + n, sizeof *next.key);
+    next.block = (voxrti_block **)voxrti_alloc_array(e->mem, m->count + n, sizeof *next.block);
+    if (next.key != NULL && next.block != NULL) {
+        while (i < m->count || k < n) {
+            const int touched = k < n && (i >= m->count || e->key[k] <= m->key[i]);
+            const int there = i < m->count && (!touched || m->key[i] == e->key[k]);
+            voxrti_block *b = touched && e->state[k] != 0 ? e->made[k] : there ? m->block[i] : NULL;
+            if (b != NULL) {
+                next.key[count] = touched ? e->key[k] : m->key[i];
+                next.block[count++] = b;
+            }
+            i += (size_t)there;
+            k += (size_t)touched;
+        }
+        next.count = count;
+        r = voxrti_model_index(e->mem, env, &next);
+    }
+    if (r != VOXRT_OK) {
+        if (next.key != NULL && next.block != NULL) voxrti_model_unindex(e->mem, &next);
+        voxrti_free(e->mem, next.key);
+        voxrti_free(e->mem, next.block);
+        return r;
+    }
+    for (i = 0; i < n; i++) { /* what was replaced */
+        const size_t at = voxrti_model_find(m, e->key[i]);
+        if (e->state[i] != 0 && at < m->count && m->key[at] == e->key[i]) voxrti_block_drop(m->block[at]);
+    }
+    *m = next;
+    for (i = 0; i < m->count; i++) m->part[i].model = m;
+    voxrti_model_unindex(e->mem, &old);
+    voxrti_free(e->mem, old.key);
+    voxrti_free(e->mem, old.block);
+    return VOXRT_OK;
+}
+
+/* Keys of the blocks that a shape may touch. */
+static voxrt_result voxrti_edit_blocks(const voxrti_edit *e, uint64_t **out, size_t *out_count) {
+    const voxrt_model *m = e->m;
+    const uint32_t shift = 3 * (m->log - 2), edge = e->op == VOXRT_EDIT_CLEAR; /* voxels beside it get normals */
+    const uint32_t leaves = m->grid.depth < 2 ? 1u : (uint32_t)1 << (m->grid.depth - 2);
+    uint32_t lo[3], hi[3], a, x, y, z;
+    uint64_t *key = NULL, all = 1;
+    size_t n = 0, i;
+    if (e->set != NULL) {
+        size_t room = 0, to;
+        for (i = 0; i < e->set->block_count; i++) {
+            const uint64_t code = e->set->key[i];
+            if (i == 0 || code >> shift != e->set->key[i - 1] >> shift) {
+                if (!voxrti_grow(e->mem, (void **)&key, &room, n, n + 7, sizeof *key)) break;
+                key[n++] = code >> shift;
+            }
+            for (a = 0; a < 6 && edge; a++) { /* of leaves at the border of a block: the block beside them */
+                int inside;
+                const uint64_t beside = voxrti_step_code(code, a >> 1, (int)(a & 1u), leaves, &inside) >> shift;
+                if (!inside || beside == code >> shift || beside == key[n - 1]) continue;
+                if (!voxrti_grow(e->mem, (void **)&key, &room, n, n + 7, sizeof *key)) break;
+                key[n++] = beside;
+            }
+            if (edge && a < 6) break;
+        }
+        if (i < e->set->block_count) {
+            voxrti_free(e->mem, key);
+            return VOXRT_ERR_NO_MEMORY;
+        }
+        voxrti_heap_sort(key, n);
+        for (i = 1, to = 1; i < n; i++)
+            if (key[i] != key[to - 1]) key[to++] = key[i];
+        n = to;
+    } else {
+        for (a = 0; a < 3; a++) {
+            lo[a] = (e->lo[a] - (edge && e->lo[a] != 0)) >> m->log;
+            hi[a] = (e->hi[a] - 1 + (edge && e->hi[a] < (uint32_t)1 << m->grid.depth)) >> m->log;
+            all *= hi[a] - lo[a] + 1;
+        }
+        if (e->op != VOXRT_EDIT_SET && all > m->count) {
+            key = (uint64_t *)voxrti_alloc_array(e->mem, m->count, sizeof *key);
+            for (i = 0; key != NULL && i < m->count; i++) {
+                x = voxrti_compact3(m->key[i]);
+                y = voxrti_compact3(m->key[i] >> 1);
+                z = voxrti_compact3(m->key[i] >> 2);
+                if (x >= lo[0] && x <= hi[0] && y >= lo[1] && y <= hi[1] && z >= lo[2] && z <= hi[2])
+                    key[n++] = m->key[i];
+            }
+        } else {
+            if (all > 0x1000000u) return VOXRT_ERR_RANGE;
+            key = (uint64_t *)voxrti_alloc_array(e->mem, (size_t)all, sizeof *key);
+            for (z = lo[2]; key != NULL && z <= hi[2]; z++)
+                for (y = lo[1]; y <= hi[1]; y++)
+                    for (x = lo[0]; x <= hi[0]; x++) key[n++] = voxrti_morton(x, y, z);
+            if (key != NULL) voxrti_heap_sort(key, n);
+        }
+    }
+    *out = key;
+    *out_count = n;
+    return key != NULL ? VOXRT_OK : VOXRT_ERR_NO_MEMORY;
+}
+
+static voxrt_result voxrti_edit_run(voxrti_edit *e, const voxrt_env *env, voxrt_model *m, voxrt_edit_stats *stats) {
+    uint64_t *key = NULL;
+    size_t n = 0, i, a;
+    int any = 0;
+    voxrt_result r = voxrti_edit_blocks(e, &key, &n);
+    if (r == VOXRT_OK) {
+        e->key = key;
+        e->made = (voxrti_block **)voxrti_alloc_zero(e->mem, n, sizeof *e->made);
+        e->state = (uint8_t *)voxrti_alloc_zero(e->mem, n, 1);
+        e->stats = (uint64_t (*)[3])voxrti_alloc_zero(e->mem, n, sizeof *e->stats);
+        if (e->made == NULL || e->state == NULL || e->stats == NULL) r = VOXRT_ERR_NO_MEMORY;
+    }
+    if (r == VOXRT_OK) {
+        voxrti_parallel_for(env, voxrti_edit_task, e, (uint32_t)n);
+        for (i = 0; i < n && r == VOXRT_OK; i++) {
+            if (e->state[i] >= 2) r = e->state[i] == 2 ? VOXRT_ERR_NO_MEMORY : VOXRT_ERR_RANGE;
+            any |= e->state[i];
+        }
+        if (r == VOXRT_OK && any) r = voxrti_edit_commit(e, env, n, m);
+        for (i = 0; r != VOXRT_OK && i < n; i++) voxrti_block_drop(e->made[i]);
+    }
+    for (i = 0; r == VOXRT_OK && stats != NULL && i < n; i++) {
+        uint64_t *to[3];
+        to[0] = &stats->filled;
+        to[1] = &stats->cleared;
+        to[2] = &stats->painted;
+        for (a = 0; a < 3; a++) *to[a] += e->stats[i][a];
+        stats->blocks += e->state[i];
+    }
+    voxrti_free(e->mem, key);
+    voxrti_free(e->mem, e->made);
+    voxrti_free(e->mem, e->state);
+    voxrti_free(e->mem, e->stats);
+    return r == VOXRT_OK ? r : voxrti_fail(env->error, r, 0, voxrt_result_string(r));
+}
+
+/* What all edits begin with. */
+static voxrt_result voxrti_edit_open(voxrt_model *m, const voxrt_edit_desc *desc, voxrt_edit_stats *stats,
+                                     voxrt_edit_desc *d, voxrti_mem *mem, voxrti_edit *e) {
+    static const float up[3] = {0, 0, 1};
+    voxrt_result r;
+    memset(d, 0, sizeof *d);
+    memset(e, 0, sizeof *e);
+    if (stats != NULL) memset(stats, 0, sizeof *stats);
+    if (desc != NULL) *d = *desc;
+    if (d->_begin_zero != 0 || d->_end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
+    if (d->env.error != NULL) memset(d->env.error, 0, sizeof *d->env.error);
+    if (m == NULL || (uint32_t)d->op > 2u)
+        return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "no model, or an unknown kind of edit");
+    r = voxrti_env_open(&d->env, mem);
+    if (r != VOXRT_OK) return r;
+    mem->allocator = m->mem.allocator; /* what is made here lives as long as the model */
+    e->mem = mem;
+    e->m = m;
+    e->op = d->op;
+    e->rgb = d->rgb[0] | (uint32_t)d->rgb[1] << 8 | (uint32_t)d->rgb[2] << 16;
+    e->up = (uint16_t)voxrti_normal_encode(m->spherical, up);
+    return VOXRT_OK;
+}
+
+/* Voxels whose centres lie in [min, max). 0: none. */
+static int voxrti_edit_range(voxrti_edit *e, const double min[3], const double max[3]) {
+    const double most = (double)((uint32_t)1 << e->m->grid.depth);
+    uint32_t a;
+    for (a = 0; a < 3; a++) { /* the least k with k + 0.5 >= min is the ceiling of min - 0.5 */
+        const int64_t lo = -voxrti_floor(0.5 - voxrti_min(voxrti_max(min[a], 0.0), most));
+        const int64_t hi = -voxrti_floor(0.5 - voxrti_min(voxrti_max(max[a], 0.0), most));
+        if (lo >= hi) return 0;
+        e->lo[a] = (uint32_t)lo;
+        e->hi[a] = (uint32_t)hi;
+    }
+    return 1;
+}
+
+VOXRT_DEF voxrt_result voxrt_model_box(voxrt_model *model, const voxrt_edit_desc *desc, const double box_min[3],
+                                       const double box_max[3], voxrt_edit_stats *stats) {
+    voxrt_edit_desc d;
+    voxrti_mem mem;
+    voxrti_edit e;
+    double lo[3], hi[3];
+    uint32_t a;
+    voxrt_result r = voxrti_edit_open(model, desc, stats, &d, &mem, &e);
+    if (r != VOXRT_OK) return r;
+    for (a = 0; a < 3; a++) {
+        if (!voxrti_finite(box_min[a]) || !voxrti_finite(box_max[a]))
+            return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "the box is not finite");
+        lo[a] = (box_min[a] - model->grid.origin[a]) / model->grid.voxel_size;
+        hi[a] = (box_max[a] - model->grid.origin[a]) / model->grid.voxel_size;
+    }
+    return voxrti_edit_range(&e, lo, hi) ? voxrti_edit_run(&e, &d.env, model, stats) : VOXRT_OK;
+}
+
+VOXRT_DEF voxrt_result voxrt_model_sphere(voxrt_model *model, const voxrt_edit_desc *desc, const double centre[3],
+                                          double radius, voxrt_edit_stats *stats) {
+    voxrt_edit_desc d;
+    voxrti_mem mem;
+    voxrti_edit e;
+    double lo[3], hi[3], r_voxels;
+    uint32_t a;
+    voxrt_result r = voxrti_edit_open(model, desc, stats, &d, &mem, &e);
+    if (r != VOXRT_OK) return r;
+    if (!voxrti_finite(centre[0]) || !voxrti_finite(centre[1]) || !voxrti_finite(centre[2]) || !voxrti_finite(radius))
+        return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "the sphere is not finite");
+    if (!(radius > 0.0)) return VOXRT_OK;
+    r_voxels = voxrti_min(radius / model->grid.voxel_size, 1e30);
+    for (a = 0; a < 3; a++) {
+        e.centre[a] = voxrti_min(voxrti_max((centre[a] - model->grid.origin[a]) / model->grid.voxel_size, -1e30), 1e30);
+        lo[a] = e.centre[a] - r_voxels;
+        hi[a] = e.centre[a] + r_voxels + 1.0; /* the test of the centres decides */
+    }
+    e.sphere = 1;
+    e.radius2 = r_voxels * r_voxels;
+    e.deep2 = r_voxels > 2.0 ? (r_voxels - 2.0) * (r_voxels - 2.0) : 0.0;
+    return voxrti_edit_range(&e, lo, hi) ? voxrti_edit_run(&e, &d.env, model, stats) : VOXRT_OK;
+}
+
+/* An edit by the voxels of `set`, which is used up. */
+static voxrt_result voxrti_edit_set(voxrti_edit *e, const voxrt_env *env, voxrt_model *m, voxrti_leafset *set,
+                                    voxrt_edit_stats *stats) {
+    size_t *first = (size_t *)voxrti_alloc_array(e->mem, set->block_count, sizeof *first), i, n = 0;
+    voxrt_result r = VOXRT_OK;
+    if (first == NULL) {
+        r = voxrti_fail(env->error, VOXRT_ERR_NO_MEMORY, 0, "out of memory");
+    } else if (set->block_count != 0) {
+        for (i = 0; i < set->block_count; i++) {
+            first[i] = n;
+            n += voxrti_popcount64(set->mask[i]);
+        }
+        e->set = set;
+        e->set_voxel = first;
+        r = voxrti_edit_run(e, env, m, stats);
+    }
+    voxrti_free(e->mem, first);
+    voxrti_leafset_free(e->mem, set);
+    return r;
+}
+
+VOXRT_DEF voxrt_result voxrt_model_mesh(voxrt_model *model, const voxrt_edit_desc *desc, const voxrt_mesh *mesh,
+                                        voxrt_edit_stats *stats) {
+    voxrt_edit_desc d;
+    voxrt_build_desc b;
+    voxrt_build_stats built;
+    voxrti_mem mem;
+    voxrti_edit e;
+    voxrti_leafset set;
+    voxrt_result r = voxrti_edit_open(model, desc, stats, &d, &mem, &e);
+    if (r != VOXRT_OK) return r;
+    if (mesh == NULL || (mesh->triangle_count != 0 && mesh->positions == NULL))
+        return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no mesh");
+    if (model->grid.depth > VOXRT_MAX_VOXELIZE_DEPTH)
+        return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, model->grid.depth, "depth % is too large for triangles");
+    memset(&built, 0, sizeof built);
+    b = model->build;
+    b.env = d.env;
+    b.env.allocator = mem.allocator;
+    r = voxrti_voxelize(&mem, &b, mesh, &model->grid, &built, &set);
+    if (r != VOXRT_OK) {
+        voxrti_leafset_free(&mem, &set);
+        return voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
+    }
+    return voxrti_edit_set(&e, &d.env, model, &set, stats);
+}
+
+VOXRT_DEF voxrt_result voxrt_model_voxels(voxrt_model *model, const voxrt_edit_desc *desc, const voxrt_voxel *voxels,
+                                          size_t count, voxrt_edit_stats *stats) {
+    voxrt_edit_desc d;
+    voxrt_build_desc b;
+    voxrti_mem mem;
+    voxrti_edit e;
+    voxrti_leafset set;
+    voxrt_result r = voxrti_edit_open(model, desc, stats, &d, &mem, &e);
+    if (r != VOXRT_OK) return r;
+    if (voxels == NULL && count != 0) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no voxels");
+    if (count == 0) return VOXRT_OK;
+    b = model->build;
+    b.env.error = d.env.error;
+    r = voxrti_leafset_from_voxels(&mem, &b, voxels, count, model->grid.depth, &set);
+    return r == VOXRT_OK ? voxrti_edit_set(&e, &d.env, model, &set, stats) : r;
+}
+
+/* ---- as geometry ---- */
+
+static void voxrti_nothing_trace(void *user, const voxrt_trace_desc *desc, const voxrt_ray *rays,
+                                 voxrt_surface *surfaces, size_t count) {
+    size_t i;
+    (void)user;
+    (void)rays;
+    if (desc->stats != NULL) desc->stats->rays += count;
+    for (i = 0; i < count; i++) {
+        memset(&surfaces[i], 0, sizeof surfaces[i]);
+        surfaces[i].t = INFINITY;
+    }
+}
+
+static void voxrti_nothing_occluded(void *user, const voxrt_trace_desc *desc, const voxrt_ray *rays, uint8_t *occluded,
+                                    size_t count) {
+    (void)user;
+    (void)rays;
+    if (desc->stats != NULL) desc->stats->rays += count;
+    memset(occluded, 0, count);
+}
+
+VOXRT_DEF void voxrt_model_geometry(const voxrt_model *model, voxrt_geometry *out_geometry) {
+    uint32_t a;
+    if (model->group != NULL) {
+        voxrt_group_geometry(model->group, out_geometry);
+        return;
+    }
+    memset(out_geometry, 0, sizeof *out_geometry);
+    out_geometry->trace_fn = voxrti_nothing_trace;
+    out_geometry->occluded_fn = voxrti_nothing_occluded;
+    for (a = 0; a < 3; a++) {
+        out_geometry->box_min[a] = model->grid.origin[a];
+        out_geometry->box_max[a] =
+            model->grid.origin[a] + model->grid.voxel_size * (double)((uint32_t)1 << model->grid.depth);
+    }
 }
 
 /* ---------------------------------------------------------------------------

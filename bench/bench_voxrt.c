@@ -5,7 +5,7 @@
    BM1 paths: the thesis' and ours; errors, leaks   BM6 shadows, occlusion, mirrors   BM11 frame budget
    BM2 resolution                                   BM7 ways through the octree       BM12 is bench/peers/embree_voxrt.cpp
    BM3 stages of a picture, threads                 BM8 converter                     BM13 tolerance against error
-   BM4 start grid of the octree                     BM9 loading
+   BM4 start grid of the octree                     BM9 loading                       BM14 editing
    BM5 memory and files                             BM10 normals (setup, compose: BM3)
    One JSON object a line on stdout; the acceptance table on stderr and, after a run of all, in bench/table.md beside the
    program. */
@@ -1710,9 +1710,103 @@ static void bm11(void) {
     }
 }
 
+/* ---- BM14: editing ---- */
+
+/* Balls of 10^5 voxels into the surface of a model and out of it; rays before; what a snapshot costs. */
+static void bm14(void) {
+    enum { PLACES = 16 };
+    static const char *const names[3] = {"set a ball", "clear a ball", "paint a ball"};
+    const int id = get_model(MODEL_DRAGON) != NULL ? MODEL_DRAGON : MODEL_BLOB;
+    const uint32_t resolutions[2] = {1024, g_opt.full ? 8192u : 4096u};
+    int k, i, place, pixels;
+    for (k = 0; k < 2; k++) {
+        const voxrt_tree *tree = get_tree(id, resolutions[k], KIND_DEFAULT);
+        voxrt_model *m = NULL;
+        voxrt_model_info info;
+        frame_job f[2];
+        bench_job b[2];
+        voxrt_geometry g;
+        double start = bench_wall(), take;
+        char kase[64];
+        snprintf(kase, sizeof kase, "%s-%u", g_models[id].name, resolutions[k]);
+        must(voxrt_model_from_tree(NULL, tree, &m), "model");
+        take = bench_wall() - start;
+        voxrt_model_get_info(m, &info);
+        f[0] = f[1] = make_frame(tree);
+        f[1].image.rgba8 = (uint8_t *)must_alloc((size_t)WIDTH * HEIGHT, 4);
+        f[1].tree = NULL;
+        voxrt_model_geometry(m, &g);
+        f[1].desc.geometry = &g;
+        f[1].desc.geometry_count = 1;
+        memset(b, 0, sizeof b);
+        for (i = 0; i < 2; i++) {
+            b[i].name = i ? "model" : "tree";
+            b[i].run = run_frame;
+            b[i].ctx = &f[i];
+        }
+        bench_interleave(b, 2, 5);
+        for (i = 0, pixels = 0; i < WIDTH * HEIGHT; i++)
+            pixels += memcmp(f[0].image.rgba8 + 4 * i, f[1].image.rgba8 + 4 * i, 4) != 0;
+        for (i = 0; i < 2; i++) {
+            frame_line("voxrt.edit", kase, &f[i], &b[i]);
+            bench_num("differ_from_tree", (double)pixels);
+            bench_num("bytes", i ? (double)info.block_bytes : 0.0);
+            bench_end();
+        }
+        for (i = 0; i < 3; i++) {
+            double spent = 0.0, most = 0.0, blocks = 0.0, voxels = 0.0, snap = 0.0;
+            bench_rng r;
+            r.state = 14;
+            for (place = 0; place < PLACES; place++) { /* where the picture's rays meet it: on the surface */
+                voxrt_model *before = NULL;
+                voxrt_edit_desc d;
+                voxrt_edit_stats stats;
+                voxrt_ray ray;
+                voxrt_hit hit;
+                double centre[3], seconds;
+                int a;
+                do {
+                    must(voxrt_camera_ray(&f[0].desc.camera, WIDTH, HEIGHT, WIDTH * (double)bench_random(&r),
+                                          HEIGHT * (double)bench_random(&r), &ray), "ray");
+                } while (!voxrt_trace1(tree, &ray, &hit));
+                for (a = 0; a < 3; a++) centre[a] = (double)ray.org[a] + (double)hit.t * (double)ray.dir[a];
+                start = bench_wall();
+                must(voxrt_model_copy(NULL, m, &before), "copy");
+                snap += bench_wall() - start;
+                memset(&d, 0, sizeof d);
+                d.env.thread_count = (uint32_t)g_opt.threads;
+                d.op = VOXRT_EDIT_SET;
+                d.rgb[0] = 200;
+                if (i != 0) must(voxrt_model_sphere(before, &d, centre, 28.8 * info.voxel_size, NULL), "edit");
+                d.op = (voxrt_edit_op)i;
+                d.rgb[1] = 100;
+                start = bench_wall();
+                must(voxrt_model_sphere(before, &d, centre, 28.8 * info.voxel_size, &stats), "edit");
+                seconds = bench_wall() - start;
+                spent += seconds;
+                if (seconds > most) most = seconds;
+                blocks += (double)stats.blocks;
+                voxels += (double)(stats.filled + stats.cleared + stats.painted);
+                voxrt_model_destroy(before);
+            }
+            bench_line("voxrt.edit", kase, "edit_time", 1e3 * spent / PLACES, "ms");
+            bench_text("method", names[i]);
+            bench_num("most_ms", 1e3 * most);
+            bench_num("voxels", voxels / PLACES);
+            bench_num("blocks", blocks / PLACES);
+            bench_num("snapshot_ms", 1e3 * snap / PLACES);
+            bench_num("from_tree_ms", 1e3 * take);
+            bench_num("threads", (double)g_opt.threads);
+            bench_end();
+        }
+        for (i = 0; i < 2; i++) free(f[i].image.rgba8);
+        voxrt_model_destroy(m);
+    }
+}
+
 int main(int argc, char **argv) {
     static const struct { int number; void (*run)(void); } all[] = {
-        {1, bm1}, {2, bm2}, {3, bm3}, {4, bm4}, {7, bm7}, {10, bm10}, {13, bm13}, {11, bm11}, {9, bm9}, {5, bm5}, {6, bm6}, {8, bm8}
+        {1, bm1}, {2, bm2}, {3, bm3}, {4, bm4}, {7, bm7}, {10, bm10}, {13, bm13}, {11, bm11}, {9, bm9}, {5, bm5}, {6, bm6}, {14, bm14}, {8, bm8}
     };
     size_t i;
     int status = bench_parse(argc, argv, &g_opt);

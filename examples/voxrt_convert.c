@@ -11,7 +11,7 @@
 
 typedef struct convert_options {
     const char *first, *second; /* positional arguments */
-    const char *in, *out, *scene;
+    const char *in, *out, *scene, *edit;
     int64_t resolution, palette, threads, detail, fill_depth;
     int separating, palette_method, lod, format, normals, fill, no_colors, raw, share, keep_inside_out, stats, quiet;
     int voxels, flip_y, flip_z, swap_angles; /* voxels: `in` is a voxel file; how to turn it */
@@ -21,7 +21,7 @@ enum { NORMALS_SMOOTH, NORMALS_FLAT, NORMALS_NONE };
 enum { FORMAT_V5, FORMAT_V4 };
 
 static int parse(int argc, char **argv, convert_options *o) {
-    sup_option table[25];
+    sup_option table[26];
     size_t n = 0, mesh_options, k;
     int status, for_meshes = 0, has_lod = 0;
     memset(o, 0, sizeof *o);
@@ -56,6 +56,8 @@ static int parse(int argc, char **argv, convert_options *o) {
                                 "v5: compact and lossless (default); v4: the thesis' octree file");
     table[n++] = sup_opt_flag("raw", &o->raw, "v5 without compression: can be mapped into memory and used in place");
     table[n++] = sup_opt_flag("share", &o->share, "store equal parts once: less memory when loaded, the same picture");
+    table[n++] = sup_opt_text("edit", &o->edit, "FILE", "change the voxels; lines like \"clear sphere X Y Z RADIUS\", \"set box X Y Z "
+                              "X Y Z R G B\", \"paint sphere ...\", \"set mesh FILE\", \"undo\"; lengths as in IN");
     table[n++] = sup_opt_flag("flip-y", &o->flip_y, "of files of format 4 from elsewhere: y runs the other way");
     table[n++] = sup_opt_flag("flip-z", &o->flip_z, "the same for z");
     table[n++] = sup_opt_flag("swap-angles", &o->swap_angles, "their normals have the angles in the other order");
@@ -215,7 +217,9 @@ static size_t file_size(const char *path) {
 typedef struct converted {
     voxrt_tree *tree;
     voxrt_build_stats stats;
-    double read_seconds, build_seconds, write_seconds;
+    double read_seconds, build_seconds, edit_seconds, write_seconds;
+    voxrt_edit_stats edits;
+    int edited; /* lines of --edit */
     int turned; /* 1: the mesh faced inwards */
 } converted;
 
@@ -236,6 +240,10 @@ static void print_stats(const convert_options *o, const converted *c) {
            (unsigned long long)info.geometry_bytes, (unsigned long long)info.color_bytes,
            (unsigned long long)info.normal_bytes, (unsigned long long)info.total_bytes,
            (unsigned long long)file_size(o->out), (unsigned long long)s->peak_bytes);
+    if (o->edit)
+        printf(",\"edits\":%d,\"filled\":%llu,\"cleared\":%llu,\"painted\":%llu,\"edit_seconds\":%.6f", c->edited,
+               (unsigned long long)c->edits.filled, (unsigned long long)c->edits.cleared,
+               (unsigned long long)c->edits.painted, c->edit_seconds);
     printf(",\"read_seconds\":%.6f,\"build_seconds\":%.6f,\"write_seconds\":%.6f}\n", c->read_seconds,
            c->build_seconds, c->write_seconds);
 }
@@ -311,6 +319,115 @@ static int reopen(const char *program, const convert_options *o, converted *c) {
     return 0;
 }
 
+/* ---- edits ---------------------------------------------------------------------------------------------------- */
+
+/* One line of --edit done to *model; a copy of what was goes to *before. Returns NULL, or what is wrong. */
+static const char *edit_line(const char *line, const voxrt_env *env, voxrt_model **model, voxrt_model **before,
+                             voxrt_edit_stats *stats) {
+    static const char *const ops[3] = {"set", "clear", "paint"};
+    voxrt_edit_desc desc = {0};
+    voxrt_result result = VOXRT_OK;
+    char op[16] = "", shape[16] = "";
+    double v[9] = {0.0};
+    const char *at, *end;
+    int used = 0, n = 0, k, count;
+    if (sscanf(line, "%15s %15s %n", op, shape, &used) < 1) return NULL;
+    if (strcmp(op, "undo") == 0 && shape[0] == '\0') {
+        if (!*before) return "there is nothing to undo";
+        voxrt_model_destroy(*model);
+        *model = *before;
+        *before = NULL;
+        return NULL;
+    }
+    for (k = 0; k < 3 && strcmp(op, ops[k]) != 0;) k++;
+    if (k == 3) return "set, clear, paint or undo was expected";
+    desc.env = *env;
+    desc.op = (voxrt_edit_op)k;
+    voxrt_model_destroy(*before);
+    *before = NULL;
+    if (voxrt_model_copy(env, *model, before) != VOXRT_OK) return "out of memory";
+    if (strcmp(shape, "mesh") == 0) {
+        sup_mesh mesh = {0};
+        sup_error err;
+        voxrt_mesh in = {0};
+        char name[1024];
+        if (sscanf(line + used, "%1023[^\r\n]", name) != 1) return "the name of a mesh was expected";
+        if (sup_mesh_read(name, &mesh, &err)) return "the mesh cannot be read";
+        in.positions = mesh.positions;
+        in.vertex_count = mesh.vertex_count;
+        in.indices = mesh.indices;
+        in.triangle_count = mesh.triangle_count;
+        in.normals = mesh.normals;
+        in.vertex_rgb = mesh.vertex_rgb;
+        in.triangle_rgb = mesh.triangle_rgb;
+        result = voxrt_model_mesh(*model, &desc, &in, stats);
+        sup_mesh_free(&mesh);
+        return result == VOXRT_OK ? NULL : voxrt_result_string(result);
+    }
+    if (strcmp(shape, "box") != 0 && strcmp(shape, "sphere") != 0) return "box, sphere or mesh was expected";
+    for (at = line + used, end = at + strlen(at); n < 9; n++) {
+        while (supi_is_space(*at)) at++;
+        if (*at == '\0') break;
+        if (sup_parse_double(&at, end, &v[n])) return "a number was expected";
+    }
+    while (supi_is_space(*at)) at++;
+    count = shape[0] == 'b' ? 6 : 4;
+    if (*at != '\0' || n != count + (desc.op == VOXRT_EDIT_CLEAR ? 0 : 3)) return "this is another count of numbers";
+    for (k = 0; k < 3; k++) {
+        const double c = v[count + k];
+        if (desc.op != VOXRT_EDIT_CLEAR && !(c >= 0.0 && c <= 255.0)) return "colours are 0 to 255";
+        desc.rgb[k] = (uint8_t)(desc.op == VOXRT_EDIT_CLEAR ? 0.0 : c);
+    }
+    result = shape[0] == 'b' ? voxrt_model_box(*model, &desc, v, v + 3, stats) : voxrt_model_sphere(*model, &desc, v, v[3], stats);
+    return result == VOXRT_OK ? NULL : voxrt_result_string(result);
+}
+
+/* What --edit says. Returns 0 or the exit status. */
+static int edit(const char *program, const convert_options *o, const voxrt_env *env, converted *c) {
+    const double start = sup_now();
+    voxrt_model *model = NULL, *before = NULL;
+    voxrt_build_desc desc = {0};
+    voxrt_result result;
+    char *text = NULL, *line, *next;
+    const char *what = NULL;
+    size_t size;
+    int number = 0;
+    sup_error err;
+    if (!o->edit) return 0;
+    if (sup_read_file(o->edit, &text, &size, &err)) return sup_bad_input(program, err.text);
+    result = voxrt_model_from_tree(env, c->tree, &model);
+    for (line = text; result == VOXRT_OK && !what && line < text + size; line = next) {
+        voxrt_edit_stats stats = {0};
+        next = (char *)memchr(line, '\n', (size_t)(text + size - line));
+        next = next ? next : text + size; /* there is a 0 behind a file */
+        if (*next != '\0') *next++ = '\0';
+        line[strcspn(line, "#\r")] = '\0';
+        number++;
+        if (line[strspn(line, " \t")] == '\0') continue;
+        what = edit_line(line, env, &model, &before, &stats);
+        c->edited++;
+        c->edits.filled += stats.filled;
+        c->edits.cleared += stats.cleared;
+        c->edits.painted += stats.painted;
+        c->edits.blocks += stats.blocks;
+    }
+    SUP_FREE(text);
+    if (what) (void)sup_fail(&err, "%s: line %d: %s", o->edit, number, what);
+    c->edit_seconds = sup_now() - start;
+    if (result == VOXRT_OK && !what) {
+        voxrt_tree_destroy(c->tree);
+        c->tree = NULL;
+        desc.env = *env;
+        desc.palette_size = (uint32_t)o->palette;
+        desc.lod_method = o->lod ? VOXRT_LOD_MAJORITY : VOXRT_LOD_MEAN;
+        result = voxrt_tree_from_model(&desc, model, &c->tree);
+    }
+    voxrt_model_destroy(model);
+    voxrt_model_destroy(before);
+    if (what) return sup_bad_input(program, err.text);
+    return result == VOXRT_OK ? 0 : bad_result(program, o, result, env->error);
+}
+
 /* Equal parts once, or not, as was asked for. Returns 0 or the exit status. */
 static int share(const char *program, const convert_options *o, const voxrt_env *env, converted *c) {
     const double start = sup_now();
@@ -338,8 +455,12 @@ int main(int argc, char **argv) {
     env.memory_limit = sup_memory_limit();
     env.error = &error;
     status = o.voxels ? reopen(argv[0], &o, &c) : build(argv[0], &o, &env, &c);
+    if (!status) status = edit(argv[0], &o, &env, &c);
     if (!status) status = share(argv[0], &o, &env, &c);
-    if (status) return status;
+    if (status) {
+        voxrt_tree_destroy(c.tree);
+        return status;
+    }
     start = sup_now();
     status = write_out(&o, &env, c.tree, &err);
     c.write_seconds = sup_now() - start;
