@@ -491,7 +491,7 @@ typedef struct zbufrand_surface_points_desc {
    rgb        sRGB
    triangles  node of the mesh and index of the triangle within it, 2 numbers per point; the scene has to be built
               with ids
-   Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY, EMPTY (nothing built, or no area).
+   Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY, EMPTY (nothing built, or no area), RANGE (areas beyond 3e38).
    Cost: O(1) per point; many points at once are cheapest, 2^20 and more take about 10 ns each. Runs on the calling
    thread; any number of calls on one scene at once. The same points on any machine. */
 ZBUFRAND_DEF zbufrand_result zbufrand_surface_points(const zbufrand_scene *scene,
@@ -553,25 +553,30 @@ typedef enum zbufrand_fill { /* what the pixels between samples show */
     ZBUFRAND_FILL_VORONOI_L1 = 2, /* the nearest sample, |dx| + |dy|: the thesis' growing regions */
     ZBUFRAND_FILL_VORONOI = 3,    /* the nearest sample, exactly Euclidean */
     ZBUFRAND_FILL_PULL_PUSH = 4,  /* smooth interpolation over a pyramid; pixels with samples keep their colour */
+    /* as GAUSS, but a sample counts for the area of its Euclidean Voronoi region: an integral instead of a mean, so
+       that chance in how densely samples lie does not become noise. For sparse samples */
+    ZBUFRAND_FILL_REGIONS = 5,
     ZBUFRAND_FILL_FORCE_32BIT = 0x7fffffff
 } zbufrand_fill;
 
 /* How samples become a picture. The thesis' ways: Algorithm 2: all zero; large colour blocks: block; Algorithm 3:
    cells; Algorithm 4: squares, as its introduction has it, squares_all as it is printed; 5: squares and Gauss; 6:
-   squares and Voronoi L1.
+   squares and Voronoi L1; all of them with tolerance_slope -1.
    field                zero means
    block                1: d, edge of blocks, cells or squares in pixels, 1..1024. Even blocks reach one pixel further
                         to the right and downwards; squares reach floor(d/2) to all sides
    occlusion            blocks
    fill                 none
-   reach                fills go as far as they can. r: not further than about r pixels from a sample
+   reach                pictures of scenes: 2 block; others: fills go as far as they can. r: not further than about r
+                        pixels from a sample
    gauss_radius         2: c of exp(-(1.5 r / c)^2), a standard deviation of 0.471 c; pixels, at most 256
    gauss_support        1: cut off at |dx|, |dy| >= support * c; the Gaussian is 0.105 at 1 and 0.006 at 1.5
    tolerance            cells and squares keep only the nearest. t: also samples up to (1 + t) times as deep
    tolerance_projected  the same on f z / (f + z), f = focal, as in the thesis: up to this value deeper
    focal                1, for tolerance_projected
-   tolerance_slope      the same by the sample's slope: up to this times |grad z| d deeper (1.5 is a good value); what
-                        any of the three tolerates is kept
+   tolerance_slope      the same by the sample's slope: up to this times |grad z| d deeper; what any of the three
+                        tolerates is kept. 1.5 if none of them is given, or of a surface that is seen at an angle only
+                        one edge of each cell or square would be left; below 0: none, as the thesis has it
    drop_back            1: samples that are seen from behind do not take part in the fill, though they still hide others
                         (closed surfaces: what a tolerance lets through at silhouettes)
    plane_depth          1: the depth of a pixel is that of the sample's surface at the centre of the pixel, along its
@@ -9244,6 +9249,7 @@ static void zbufrandi_flatten_cluster(const zbufrandi_target *g, const zbufrandi
         w = w > 0.0f ? w : 0.0f; /* NaN, too */
         w = w < 1073741824.0f ? w : 1073741824.0f;
         sum += (uint32_t)(int32_t)w;
+        sum = sum < 1073741824u ? sum : 1073741824u; /* areas that are rounding errors may be above the bound */
         f->sum[i] = sum;
     }
     f->total = sum;
@@ -9435,7 +9441,11 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_flatten_cluster_avx2(const zbufrandi
         w = _mm256_min_ps(_mm256_max_ps(w, _mm256_setzero_ps()), _mm256_set1_ps(1073741824.0f));
         _mm256_storeu_si256((__m256i *)(void *)(f->sum + i), _mm256_cvttps_epi32(w));
     }
-    for (i = 0; i < c->triangle_count; i++) f->sum[i] = sum += f->sum[i];
+    for (i = 0; i < c->triangle_count; i++) {
+        sum += f->sum[i];
+        sum = sum < 1073741824u ? sum : 1073741824u;
+        f->sum[i] = sum;
+    }
     f->total = sum;
 }
 
@@ -9682,6 +9692,7 @@ ZBUFRAND_DEF void zbufrand_preset_thesis(zbufrand_build_desc *build, zbufrand_re
         render->no_occlusion = render->no_repair = render->no_plane_depth = render->no_thinning = 1;
         memset(&render->reconstruct, 0, sizeof render->reconstruct);
         render->reconstruct.block = 2;
+        render->reconstruct.tolerance_slope = -1.0f;
     }
 }
 
@@ -11590,7 +11601,7 @@ static zbufrand_result zbufrandi_reconstruct_check(const zbufrand_env *env, zbuf
     if (o->plane_depth && o->block > 32) {
         return zbufrandi_fail(env->error, ZBUFRAND_ERR_RANGE, o->block, "block % is above 32 with plane_depth");
     }
-    if ((uint32_t)o->occlusion > ZBUFRAND_OCCLUSION_SQUARES_ALL || (uint32_t)o->fill > ZBUFRAND_FILL_PULL_PUSH) {
+    if ((uint32_t)o->occlusion > ZBUFRAND_OCCLUSION_SQUARES_ALL || (uint32_t)o->fill > ZBUFRAND_FILL_REGIONS) {
         return zbufrandi_fail(env->error, ZBUFRAND_ERR_INVALID_ARG, 0, "unknown occlusion or fill");
     }
     if (o->gauss_radius == 0.0f) o->gauss_radius = 2.0f;
@@ -11599,9 +11610,12 @@ static zbufrand_result zbufrandi_reconstruct_check(const zbufrand_env *env, zbuf
     if (!(o->gauss_radius > 0.0f && o->gauss_radius <= 256.0f && o->gauss_support > 0.0f && o->gauss_support <= 1.5f)) {
         return zbufrandi_fail(env->error, ZBUFRAND_ERR_RANGE, 0, "gauss_radius or gauss_support is out of range");
     }
-    if (!(o->tolerance >= 0.0f && o->tolerance_projected >= 0.0f && o->tolerance_slope >= 0.0f && o->focal > 0.0f)) {
+    if (!(o->tolerance >= 0.0f && o->tolerance_projected >= 0.0f && o->focal > 0.0f) ||
+        o->tolerance_slope != o->tolerance_slope) {
         return zbufrandi_fail(env->error, ZBUFRAND_ERR_INVALID_ARG, 0, "a tolerance is negative or not a number");
     }
+    if (o->tolerance_slope < 0.0f) o->tolerance_slope = 0.0f;
+    else if (o->tolerance + o->tolerance_projected + o->tolerance_slope == 0.0f) o->tolerance_slope = 1.5f;
     return ZBUFRAND_OK;
 }
 
@@ -11620,6 +11634,11 @@ ZBUFRANDI_UNUSED static void zbufrandi_recon_close(zbufrandi_mem *mem, zbufrandi
     zbufrandi_free(mem, r->inverse);
     zbufrandi_free(mem, r->between);
     memset(r, 0, sizeof *r);
+}
+
+static int zbufrandi_recon_regions(const zbufrandi_recon *r) { /* does a pixel show the nearest sample? */
+    return r->o.fill == ZBUFRAND_FILL_VORONOI_L1 || r->o.fill == ZBUFRAND_FILL_VORONOI ||
+           r->o.fill == ZBUFRAND_FILL_REGIONS;
 }
 
 /* want_exact: there will be pixels of a rasteriser. r->exact is allocated only where it differs from the canvas. */
@@ -11641,8 +11660,9 @@ ZBUFRANDI_UNUSED static zbufrand_result zbufrandi_recon_open(zbufrandi_mem *mem,
     if (result != ZBUFRAND_OK) return result;
     d = r->o.block;
     blocks = r->o.occlusion == ZBUFRAND_OCCLUSION_BLOCKS;
-    voronoi = r->o.fill == ZBUFRAND_FILL_VORONOI_L1 || r->o.fill == ZBUFRAND_FILL_VORONOI;
-    mixes = r->o.fill == ZBUFRAND_FILL_GAUSS || r->o.fill == ZBUFRAND_FILL_PULL_PUSH;
+    voronoi = zbufrandi_recon_regions(r);
+    mixes = r->o.fill == ZBUFRAND_FILL_GAUSS || r->o.fill == ZBUFRAND_FILL_PULL_PUSH ||
+            r->o.fill == ZBUFRAND_FILL_REGIONS;
     points = !blocks || d == 1; /* fills begin with points in the canvas, not with a picture of blocks */
     guard = blocks ? d / 2 : 2 * (d / 2);
     if (points && r->o.fill == ZBUFRAND_FILL_GAUSS) guard += (uint32_t)(r->o.gauss_radius * r->o.gauss_support) + 1;
@@ -11823,7 +11843,7 @@ static void zbufrandi_recon_occlusion(zbufrandi_recon *r) {
 /* keys -> r->result. Slopes and backs have to be filled in before, where there is room for them. */
 ZBUFRANDI_UNUSED static void zbufrandi_recon_keys(zbufrandi_recon *r) {
     zbufrandi_recon_occlusion(r);
-    if (r->o.fill == ZBUFRAND_FILL_VORONOI_L1 || r->o.fill == ZBUFRAND_FILL_VORONOI) {
+    if (zbufrandi_recon_regions(r)) {
         zbufrandi_voronoi v;
         memset(&v, 0, sizeof v);
         v.keys = r->result;
@@ -11837,7 +11857,7 @@ ZBUFRANDI_UNUSED static void zbufrandi_recon_keys(zbufrandi_recon *r) {
         v.height = r->height;
         v.guard = r->result_guard;
         v.reach = r->o.reach != 0 && r->o.reach < 0x20000u ? r->o.reach : 0x20000u;
-        v.euclidean = r->o.fill == ZBUFRAND_FILL_VORONOI;
+        v.euclidean = r->o.fill != ZBUFRAND_FILL_VORONOI_L1;
         zbufrandi_parallel_for(&r->env, zbufrandi_voronoi_columns, &v,
                                (v.pitch + ZBUFRANDI_VORONOI_COLUMNS - 1) / ZBUFRANDI_VORONOI_COLUMNS);
         zbufrandi_parallel_for(&r->env, zbufrandi_voronoi_rows, &v,
@@ -11862,7 +11882,7 @@ ZBUFRANDI_UNUSED static void zbufrandi_recon_keys(zbufrandi_recon *r) {
 /* r->color -> picture, rgba [4 * width * height], which may be r->color. r->color is used up. */
 ZBUFRANDI_UNUSED static void zbufrandi_recon_colors(zbufrandi_recon *r, float *rgba) {
     uint32_t y;
-    if (r->o.fill == ZBUFRAND_FILL_GAUSS) {
+    if (r->o.fill != ZBUFRAND_FILL_PULL_PUSH) {
         zbufrandi_gauss g;
         float weight[ZBUFRANDI_GAUSS_TAPS];
         memset(&g, 0, sizeof g);
@@ -14790,7 +14810,8 @@ static zbufrand_result zbufrandi_draw_scene(zbufrandi_picture *p) {
         (uint64_t)(layers * p->cut.density * (double)f->recon.width * (double)f->recon.height);
     zbufrandi_lap(p, -1);
     if (f->draw_count == 0 && !p->cut.bounds) {
-        if (!zbufrandi_add_points(p) || !zbufrandi_round_draw(p)) return ZBUFRAND_ERR_NO_MEMORY;
+        if (!zbufrandi_add_points(p) || !zbufrandi_round_draw(p))
+            return f->block_count > 0x3fff000u ? ZBUFRAND_ERR_RANGE : ZBUFRAND_ERR_NO_MEMORY;
         zbufrandi_lap(p, ZBUFRAND_STAGE_DRAW);
     }
     if (p->scene == NULL || p->scene->structure_count == 0 || p->scene->structure[0].node_count == 0)
@@ -14908,6 +14929,8 @@ static uint32_t zbufrandi_repair_speaker(const zbufrandi_picture *p, uint32_t pi
     return best;
 }
 
+#define ZBUFRANDI_REPAIR_NEARER 0.991 /* room for rounding */
+
 /* How deep the ray through a pixel has to look: as deep as it shows, and all that it speaks for. */
 static float zbufrandi_repair_reach(const zbufrandi_picture *p, uint32_t pixel) {
     float most = p->f->depth[pixel];
@@ -14933,7 +14956,8 @@ static void zbufrandi_repair_task(void *ctx, uint32_t task) { /* rays through su
         const uint32_t pixel = f->suspect[begin + i], x = pixel % r->width + r->guard, y = pixel / r->width + r->guard;
         const double u = ((double)x + 0.5 + (double)p->jitter[0] - c->center_x) / c->focal;
         const double v = (c->center_y - (double)y - 0.5 - (double)p->jitter[1]) / c->focal;
-        const double shown = (double)zbufrandi_repair_reach(p, pixel);
+        /* a surface up to 1 % nearer does not make a pixel wrong; most rays need not look at what it shows, then */
+        const double shown = ZBUFRANDI_REPAIR_NEARER * (double)zbufrandi_repair_reach(p, pixel);
         at[i] = y * r->canvas.width + x;
         for (a = 0; a < 3; a++) {
             ray[i].o[a] = c->eye[a] - p->scene->structure[0].origin[a];
@@ -15476,6 +15500,7 @@ static zbufrand_result zbufrandi_open_picture(zbufrandi_picture *p) {
     size_t bytes, i;
     uint32_t h = zbufrandi_hash32(d->seed ^ zbufrandi_hash32(d->frame + 0x9e3779b9u));
     double spread = d->spread != 0 ? (double)d->spread : 1.0;
+    zbufrand_reconstruct o = d->reconstruct;
     int same = f->recon_open && memcmp(&f->recon_asked, &d->reconstruct, sizeof d->reconstruct) == 0 &&
                f->recon.width == p->image->width && f->recon.height == p->image->height;
     if ((uint32_t)d->hybrid > ZBUFRAND_HYBRID_LARGE || !(d->tolerance >= 0.0 && d->tolerance < 1.0) ||
@@ -15486,13 +15511,15 @@ static zbufrand_result zbufrandi_open_picture(zbufrandi_picture *p) {
             return ZBUFRAND_ERR_INVALID_ARG;
     for (i = 0; i < d->opacity_count; i++)
         if (!(d->opacity[i] >= 0.0f && d->opacity[i] <= 1.0f)) return ZBUFRAND_ERR_INVALID_ARG;
+    for (i = 0; i < d->points_count; i++)
+        if (d->points[i].positions == NULL && d->points[i].count != 0) return ZBUFRAND_ERR_INVALID_ARG;
     if (p->image->width > ZBUFRANDI_RASTER_MAX_SIZE || p->image->height > ZBUFRANDI_RASTER_MAX_SIZE)
         return ZBUFRAND_ERR_RANGE;
     if (!same) {
         if (f->recon_open) zbufrandi_recon_close(&f->mem, &f->recon);
         f->recon_open = 0;
-        r = zbufrandi_recon_open(&f->mem, &f->env, f->isa, &d->reconstruct, p->image->width, p->image->height, 1,
-                                 &f->recon);
+        if (o.reach == 0) o.reach = o.block != 0 ? 2 * o.block : 2u; /* or there is no background left */
+        r = zbufrandi_recon_open(&f->mem, &f->env, f->isa, &o, p->image->width, p->image->height, 1, &f->recon);
         if (r != ZBUFRAND_OK) return r;
         f->recon_open = 1;
         f->recon_asked = d->reconstruct;
@@ -16005,6 +16032,7 @@ enum {
     /* chapters that wait for their order stand apart by 64 bytes more, so that they do not meet in the caches */
     ZBUFRANDI_CHAPTER_PAD = 16
 };
+#define ZBUFRANDI_SLIVER 1e-15f /* in units of zbufrandi_areas_unit: the square of less loses bits */
 
 /* a point that is wanted: it lies at stratum + jitter on the scale of 0..2^20 for all the area */
 typedef struct zbufrandi_asked {
@@ -16077,25 +16105,57 @@ ZBUFRANDI_INLINE uint32_t zbufrandi_reverse12(uint32_t x) {
 
 /* ---- points of a cluster ---- */
 
+/* A power of two that brings the edges of a cluster to about 1: squares of areas are in the range of floats then. */
+ZBUFRANDI_INLINE float zbufrandi_areas_unit(const zbufrandi_cluster *c) {
+    float e = 1.17549435e-38f, unit;
+    uint32_t a, bits;
+    for (a = 0; a < 3; a++) e = c->box_hi[a] - c->box_lo[a] > e ? c->box_hi[a] - c->box_lo[a] : e;
+    memcpy(&bits, &e, sizeof bits);
+    bits = 254u - (bits >> 23); /* exponents of a normal number and of its inverse, rounded to powers of two */
+    bits = (bits < 230u ? bits : 230u) << 23;
+    memcpy(&unit, &bits, sizeof unit);
+    return unit;
+}
+
+/* Slivers whose squared area is below the range of floats even so: once more, in double. */
+static void zbufrandi_areas_slivers(const float *position, const uint8_t *tri, uint32_t count, float unit,
+                                    zbufrandi_areas *m) {
+    uint32_t t;
+    int a;
+    for (t = 0; t < count; t++) {
+        double n[3], length;
+        if (!(m->sum[t] < ZBUFRANDI_SLIVER)) continue;
+        zbufrandi_cross(position + 3 * tri[3 * t], position + 3 * tri[3 * t + 1], position + 3 * tri[3 * t + 2], n);
+        length = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+        for (a = 0; a < 3; a++) m->normal[t][a] = length > 0.0 ? (float)(n[a] / length) : 0.0f;
+        m->sum[t] = (float)(length * (double)unit * (double)unit);
+    }
+}
+
 /* The area of all (twice), and where the triangles lie in it: a cluster has one at least. */
 static float zbufrandi_areas_of(const zbufrandi_structure *s, const zbufrandi_cluster *c, zbufrandi_areas *m) {
     const float *position = s->position + 3 * (size_t)c->first_vertex;
     const uint8_t *tri = s->triangle + 3 * (size_t)c->first_triangle;
+    const float unit = zbufrandi_areas_unit(c);
     float sum = 0.0f;
+    int slivers = 0;
     uint32_t t = 0;
     do {
         const float *p = position + 3 * tri[3 * t], *q = position + 3 * tri[3 * t + 1],
             *r = position + 3 * tri[3 * t + 2];
-        const float ux = q[0] - p[0], uy = q[1] - p[1], uz = q[2] - p[2], vx = r[0] - p[0], vy = r[1] - p[1],
-            vz = r[2] - p[2];
+        const float ux = (q[0] - p[0]) * unit, uy = (q[1] - p[1]) * unit, uz = (q[2] - p[2]) * unit;
+        const float vx = (r[0] - p[0]) * unit, vy = (r[1] - p[1]) * unit, vz = (r[2] - p[2]) * unit;
         const float x = uy * vz - uz * vy, y = uz * vx - ux * vz, z = ux * vy - uy * vx;
         const float length = sqrtf(x * x + y * y + z * z);
         m->normal[t][0] = x / length;
         m->normal[t][1] = y / length;
         m->normal[t][2] = z / length;
-        m->sum[t] = sum += length;
+        m->sum[t] = length;
+        slivers |= length < ZBUFRANDI_SLIVER;
     } while (++t < c->triangle_count);
-    return sum;
+    if (slivers) zbufrandi_areas_slivers(position, tri, c->triangle_count, unit, m);
+    for (t = 0; t < c->triangle_count; t++) m->sum[t] = sum += m->sum[t];
+    return sum > 1e-37f ? sum : 1e-37f;
 }
 
 #if ZBUFRANDI_AVX2
@@ -16133,20 +16193,21 @@ ZBUFRANDI_TARGET_AVX2 static float zbufrandi_areas_avx2(const zbufrandi_structur
                                                         zbufrandi_areas *m) {
     const float *position = s->position + 3 * (size_t)c->first_vertex;
     const uint8_t *tri = s->triangle + 3 * (size_t)c->first_triangle;
+    const __m256 unit = _mm256_set1_ps(zbufrandi_areas_unit(c)), sliver = _mm256_set1_ps(ZBUFRANDI_SLIVER);
     float sum = 0.0f;
-    uint32_t i, k, t[8];
+    uint32_t i, k, t[8], slivers = 0;
     for (i = 0; i < c->triangle_count; i += 8) {
         __m256 px, py, pz, ux, uy, uz, vx, vy, vz, x, y, z, length;
         for (k = 0; k < 8; k++) t[k] = i + k < c->triangle_count ? i + k : c->triangle_count - 1u;
         zbufrandi_fetch3(position, tri, t, 0, &px, &py, &pz);
         zbufrandi_fetch3(position, tri, t, 1, &ux, &uy, &uz);
         zbufrandi_fetch3(position, tri, t, 2, &vx, &vy, &vz);
-        ux = _mm256_sub_ps(ux, px);
-        uy = _mm256_sub_ps(uy, py);
-        uz = _mm256_sub_ps(uz, pz);
-        vx = _mm256_sub_ps(vx, px);
-        vy = _mm256_sub_ps(vy, py);
-        vz = _mm256_sub_ps(vz, pz);
+        ux = _mm256_mul_ps(_mm256_sub_ps(ux, px), unit);
+        uy = _mm256_mul_ps(_mm256_sub_ps(uy, py), unit);
+        uz = _mm256_mul_ps(_mm256_sub_ps(uz, pz), unit);
+        vx = _mm256_mul_ps(_mm256_sub_ps(vx, px), unit);
+        vy = _mm256_mul_ps(_mm256_sub_ps(vy, py), unit);
+        vz = _mm256_mul_ps(_mm256_sub_ps(vz, pz), unit);
         x = _mm256_sub_ps(_mm256_mul_ps(uy, vz), _mm256_mul_ps(uz, vy));
         y = _mm256_sub_ps(_mm256_mul_ps(uz, vx), _mm256_mul_ps(ux, vz));
         z = _mm256_sub_ps(_mm256_mul_ps(ux, vy), _mm256_mul_ps(uy, vx));
@@ -16154,9 +16215,11 @@ ZBUFRANDI_TARGET_AVX2 static float zbufrandi_areas_avx2(const zbufrandi_structur
         length = _mm256_sqrt_ps(length);
         zbufrandi_rows8(_mm256_div_ps(x, length), _mm256_div_ps(y, length), _mm256_div_ps(z, length), &m->normal[i]);
         _mm256_storeu_ps(m->sum + i, length);
+        slivers |= (uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(length, sliver, _CMP_LT_OQ));
     }
+    if (slivers) zbufrandi_areas_slivers(position, tri, c->triangle_count, zbufrandi_areas_unit(c), m);
     for (i = 0; i < c->triangle_count; i++) m->sum[i] = sum += m->sum[i];
-    return sum;
+    return sum > 1e-37f ? sum : 1e-37f;
 }
 #endif
 
@@ -16675,6 +16738,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_surface_points(const zbufrand_scene *scene
     if (scene == NULL || (positions == NULL && count != 0) || d.first > UINT64_MAX - count)
         return ZBUFRAND_ERR_INVALID_ARG;
     if (scene->structure_count == 0 || !(scene->structure[0].area > 0.0)) return ZBUFRAND_ERR_EMPTY;
+    if (!(scene->structure[0].area < (double)INFINITY)) return ZBUFRAND_ERR_RANGE;
     for (i = 0; i < scene->structure_count && triangles != NULL; i++) {
         if (scene->structure[i].triangle_count != 0 && scene->structure[i].triangle_id == NULL)
             return ZBUFRAND_ERR_INVALID_ARG;

@@ -6,7 +6,7 @@
 #include "zbufrand.h"
 #include "support/worlds.h"
 
-enum { MODE_PIXEL, MODE_BLOCKS, MODE_GAUSS, MODE_VORONOI, MODE_NODEPTH, MODE_PULLPUSH, MODE_LAYERS };
+enum { MODE_PIXEL, MODE_BLOCKS, MODE_GAUSS, MODE_VORONOI, MODE_NODEPTH, MODE_PULLPUSH, MODE_REGIONS, MODE_LAYERS };
 
 typedef struct options {
     sup_common common;
@@ -39,7 +39,7 @@ static int check_options(const char *program, const options *o) {
     if (o->density > 0.0 && o->common.has_tolerance) return sup_bad_usage(program, "--density or --tolerance, not both");
     if (o->mean > 0 && o->has_noise) return sup_bad_usage(program, "--mean or --noise, not both");
     if (o->max_frames > 0 && !o->has_noise) return sup_bad_usage(program, "--max-frames goes with --noise");
-    if (o->has_gauss && o->mode != MODE_GAUSS) return sup_bad_usage(program, "--gauss goes with --mode gauss");
+    if (o->has_gauss && o->mode != MODE_GAUSS && o->mode != MODE_REGIONS) return sup_bad_usage(program, "--gauss goes with --mode gauss or regions");
     if (o->epsilon > 0.0 && !o->thesis && o->structure == 0)
         return sup_bad_usage(program, "--epsilon goes with one of the thesis' trees: --structure or --thesis");
     if (o->mean == 0 && (o->average != 0 || o->has_contrast)) return sup_bad_usage(program, "--average and --contrast go with --mean");
@@ -47,7 +47,7 @@ static int check_options(const char *program, const options *o) {
     if (o->mode == MODE_LAYERS && (o->mean > 0 || o->has_noise || o->frames > 0 || o->has_structure || o->thesis || o->common.depth))
         return sup_bad_usage(program, "--mode layers is one picture by the default tree, without --depth");
     if ((o->depth_tolerance > 0.0 || o->drop_back) && o->mode < MODE_GAUSS)
-        return sup_bad_usage(program, "--depth-tolerance and --drop-back go with --mode gauss, voronoi, nodepth, pullpush or layers");
+        return sup_bad_usage(program, "--depth-tolerance and --drop-back go with --mode gauss, voronoi, nodepth, pullpush, regions or layers");
     if ((o->angle_ratio > 0.0 || o->clip > 0.0 || o->leaf > 0) && !o->thesis && o->structure == 0)
         return sup_bad_usage(program, "--angle-ratio, --clip and --leaf go with one of the thesis' trees");
     if (o->grid > 0 && o->structure != (int)ZBUFRAND_STRUCTURE_CLASSES) return sup_bad_usage(program, "--normal-grid goes with --structure classes");
@@ -67,7 +67,7 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     o->gauss = 2.0;
     n = sup_common_options(&o->common, table);
     table[n++] = sup_opt_text("scene", &o->scene, "forest|city|chess|landscape|FILE", "what to draw; FILE is a mesh");
-    table[n++] = sup_opt_given(sup_opt_choice("mode", &o->mode, "pixel|blocks|gauss|voronoi|nodepth|pullpush|layers",
+    table[n++] = sup_opt_given(sup_opt_choice("mode", &o->mode, "pixel|blocks|gauss|voronoi|nodepth|pullpush|regions|layers",
                                               "from samples to pixels (pixel)"), &o->has_mode);
     table[n++] = sup_opt_given(sup_opt_int("block", &o->block, 1, 1024, "D", "edge of blocks, cells or squares in pixels"),
                                &o->has_block);
@@ -150,6 +150,7 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     case MODE_VORONOI: desc->reconstruct.fill = ZBUFRAND_FILL_VORONOI; break;
     case MODE_NODEPTH: desc->reconstruct.fill = ZBUFRAND_FILL_VORONOI_L1; break;
     case MODE_PULLPUSH: desc->reconstruct.fill = ZBUFRAND_FILL_PULL_PUSH; break;
+    case MODE_REGIONS: desc->reconstruct.fill = ZBUFRAND_FILL_REGIONS; break;
     case MODE_LAYERS: /* counts of samples: nothing rastered, nothing painted over */
         memset(&desc->reconstruct, 0, sizeof desc->reconstruct);
         desc->hybrid = ZBUFRAND_HYBRID_OFF;
@@ -159,9 +160,6 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     }
     if (o->mode >= MODE_GAUSS) {
         desc->reconstruct.occlusion = ZBUFRAND_OCCLUSION_SQUARES;
-        desc->reconstruct.reach = 2 * desc->reconstruct.block;
-        /* or of a tilted plane only the nearest of each square would be left: holes where it is rastered, pixel by pixel */
-        if (!(o->depth_tolerance > 0.0) && !o->thesis) desc->reconstruct.tolerance_slope = 1.5f;
     }
     if (o->has_occlusion) desc->reconstruct.occlusion = (zbufrand_occlusion)o->occlusion;
     if (o->opacity) {

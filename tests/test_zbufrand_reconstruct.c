@@ -47,6 +47,7 @@ static zbufrand_canvas_desc defaults(uint32_t w, uint32_t h, uint32_t d) {
     c.width = w;
     c.height = h;
     c.reconstruct.block = d;
+    c.reconstruct.tolerance_slope = -1.0f; /* by the letter */
     return c;
 }
 
@@ -193,6 +194,7 @@ TEST(min_filter_of_any_size) { /* the stage alone: blocks and squares, sizes aro
             memset(&o, 0, sizeof o);
             env.thread_count = 1;
             o.block = d;
+            o.tolerance_slope = -1.0f; /* there are no slopes */
             CHECK_EQ_U64(zbufrandi_env_open(&env, &mem), ZBUFRAND_OK);
             for (squares = 0; squares < 2; squares++) {
                 o.occlusion = squares ? ZBUFRAND_OCCLUSION_SQUARES : ZBUFRAND_OCCLUSION_BLOCKS;
@@ -369,7 +371,7 @@ TEST(same_bits) { /* threads 1, 2, 3, 8, 64, both instruction sets, shuffled and
         order[i] = order[j];
         order[j] = x;
     }
-    for (option = 0; option < 14; option++) {
+    for (option = 0; option < 15; option++) {
         zbufrand_canvas_desc d = defaults(w, h, 1 + option % 5);
         uint64_t first = 0;
         if (option >= 5) d.reconstruct.occlusion = (zbufrand_occlusion)((option - 5) % 4);
@@ -377,7 +379,7 @@ TEST(same_bits) { /* threads 1, 2, 3, 8, 64, both instruction sets, shuffled and
         d.reconstruct.plane_depth = option == 2 || option == 7;
         d.reconstruct.drop_back = option & 1;
         d.reconstruct.tolerance = option == 6 ? 0.1f : 0.0f;
-        d.reconstruct.tolerance_slope = option == 8 ? 1.5f : 0.0f;
+        d.reconstruct.tolerance_slope = option == 8 ? 1.5f : -1.0f;
         d.reconstruct.repair = option == 4 || option == 11;
         d.bucket_bits = option == 3 ? 8 : 0;
         for (t = 0; t < (test_quick() ? 2u : 5u); t++) {
@@ -414,7 +416,7 @@ TEST(same_bits) { /* threads 1, 2, 3, 8, 64, both instruction sets, shuffled and
             hash = view_hash(&v);
             if (t == 0) {
                 first = hash;
-                all = (all ^ hash) * 0x100000001b3u;
+                if (option < 14) all = (all ^ hash) * 0x100000001b3u;
             }
             CHECK_MSG(hash == first, "option %u: other bits with %u threads", option, threads[t]);
             CHECK_EQ_U64(zbufrand_canvas_resolve(c, &source, &v.p, NULL), ZBUFRAND_OK); /* again: the same */
@@ -588,7 +590,7 @@ TEST(tolerance_and_backs) {
             }
         }
         d.reconstruct.occlusion = ZBUFRAND_OCCLUSION_SQUARES;
-        if (pass == 1) d.reconstruct.tolerance_slope = 1.5f;
+        if (pass == 1) d.reconstruct.tolerance_slope = 0.0f; /* what there is if nothing is asked for */
         if (pass >= 2) d.reconstruct.tolerance = 0.1f;
         d.reconstruct.drop_back = pass == 3;
         v = render(&d, &l);
@@ -1112,10 +1114,69 @@ TEST(gauss_against_the_sum) { /* the thesis' sum over all points, one by one */
     }
 }
 
+/* Weights by regions: every pixel has the colour of the sample nearest to it, and these are weighted by the Gaussian. Of a smooth
+   picture that is closer to its mean around a pixel than the mean of the samples there, as chance has put them. */
+TEST(regions_against_the_sum) {
+    const uint32_t w = 64, h = 48;
+    const double c = 9.0;
+    zbufrand_canvas_desc d = defaults(w, h, 1);
+    double off[2] = {0, 0}, worst = 0.0;
+    uint32_t seed, mode, x, y, n = 0;
+    d.reconstruct.gauss_radius = (float)c;
+    for (seed = 0; seed < 6; seed++) {
+        test_rng r = test_rng_make(500 + seed);
+        list l = {NULL, 0, 0};
+        uint32_t i;
+        for (i = 0; i < 220; i++) {
+            zbufrand_sample *s = add(&l, floor(test_rng_double(&r) * w) + 0.5, floor(test_rng_double(&r) * h) + 0.5, 2.0);
+            s->rgb[0] = s->x / (float)w; /* a slope across the picture: in its middle the mean is the value there */
+            s->rgb[1] = s->rgb[2] = 0.5f;
+        }
+        for (mode = 0; mode < 2; mode++) {
+            view v;
+            d.reconstruct.fill = mode ? ZBUFRAND_FILL_REGIONS : ZBUFRAND_FILL_GAUSS;
+            v = render(&d, &l);
+            for (y = 12; y < h - 12; y++) {
+                for (x = 12; x < w - 12; x++) {
+                    const double e = (double)v.p.rgba[4 * ((size_t)y * w + x)] - (x + 0.5) / w;
+                    off[mode] += e * e;
+                    n += mode;
+                }
+            }
+            for (y = 20; mode && seed == 0 && y < 28; y++) { /* the sum itself; of equally near samples any may be taken */
+                for (x = 20; x < 44; x++) {
+                    double lo = 0.0, hi = 0.0, sum = 0.0, at = (double)v.p.rgba[4 * ((size_t)y * w + x)];
+                    int i0, j0;
+                    for (j0 = -8; j0 <= 8; j0++) {
+                        for (i0 = -8; i0 <= 8; i0++) {
+                            const double f = exp(-2.25 * (i0 * i0 + j0 * j0) / (c * c)), px = (double)x + i0 + 0.5, py = (double)y + j0 + 0.5;
+                            double best = 1e300, least = 2.0, most = -1.0;
+                            for (i = 0; i < l.n; i++) {
+                                const double dx = (double)l.s[i].x - px, dy = (double)l.s[i].y - py, q = dx * dx + dy * dy, k = (double)l.s[i].rgb[0];
+                                if (q < best) least = most = k;
+                                else if (q == best) { least = fmin(least, k); most = fmax(most, k); }
+                                best = fmin(best, q);
+                            }
+                            lo += f * least;
+                            hi += f * most;
+                            sum += f;
+                        }
+                    }
+                    worst = fmax(worst, fmax(lo / sum - at, at - hi / sum));
+                }
+            }
+            view_free(&v);
+        }
+        drop(&l);
+    }
+    CHECK_MSG(worst < 1e-6, "off by %g", worst);
+    CHECK_MSG(off[1] < 0.2 * off[0], "RMSE %g by regions, %g without", sqrt(off[1] / n), sqrt(off[0] / n));
+}
+
 TEST(fills_keep_a_constant) { /* one colour stays one colour, and one sample fills everything in reach */
     test_rng r = test_rng_make(18);
     int fill;
-    for (fill = 1; fill <= 4; fill++) {
+    for (fill = 1; fill <= 5; fill++) {
         zbufrand_canvas_desc d = defaults(75, 50, 3);
         list l = {NULL, 0, 0};
         view v;
@@ -1147,6 +1208,11 @@ TEST(fills_keep_a_constant) { /* one colour stays one colour, and one sample fil
         for (i = 0, off = 0; i < n; i++) {
             double dx = (double)(i % 75) - 20.0, dy = (double)(i / 75) - 20.0;
             int in = fill == 2 ? fabs(dx) + fabs(dy) <= 8.0 : fill == 3 ? dx * dx + dy * dy <= 64.0 : fabs(dx) < 12.0 && fabs(dy) < 12.0;
+            if (fill == 5) { /* a disc of 8, and 12 more of the square */
+                if (dx * dx + dy * dy <= 64.0) off += v.p.rgba[4 * i + 3] != 1.0f;
+                if (fabs(dx) >= 20.0 || fabs(dy) >= 20.0) off += v.p.rgba[4 * i + 3] != 0.0f;
+                continue;
+            }
             if (fill == 4) { /* a pyramid of cells of 8 pixels: it reaches somewhere between 4 and 16 */
                 if (fabs(dx) <= 3.0 && fabs(dy) <= 3.0) off += v.p.rgba[4 * i + 3] != 1.0f;
                 if (fabs(dx) > 16.0 || fabs(dy) > 16.0) off += v.p.rgba[4 * i + 3] != 0.0f;
@@ -2001,11 +2067,11 @@ TEST(memory_runs_out) {
             d.env.allocator.alloc_fn = test_alloc_fn;
             d.env.allocator.free_fn = test_free_fn;
             d.env.allocator.user = &ta;
-            if (option < 5) d.reconstruct.fill = (zbufrand_fill)option;
+            if (option < 6) d.reconstruct.fill = (zbufrand_fill)option;
             if (option & 1) d.reconstruct.occlusion = ZBUFRAND_OCCLUSION_SQUARES;
             d.reconstruct.plane_depth = option == 6;
             d.reconstruct.drop_back = option == 7;
-            d.reconstruct.tolerance_slope = option == 7 ? 1.0f : 0.0f;
+            d.reconstruct.tolerance_slope = option == 7 ? 1.0f : -1.0f;
             d.reconstruct.repair = option == 8 || option == 0;
             r = zbufrand_canvas_create(&d, &c);
             CHECK((r == ZBUFRAND_OK) == (c != NULL));
@@ -2108,6 +2174,7 @@ int main(int argc, char **argv) {
     RUN(wrong_pixels_of_the_practical_rule);
     RUN(silhouettes);
     RUN(gauss_against_the_sum);
+    RUN(regions_against_the_sum);
     RUN(fills_keep_a_constant);
     RUN(voronoi_regions);
     RUN(pull_push_by_definition);

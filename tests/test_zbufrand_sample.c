@@ -835,6 +835,145 @@ TEST(attributes_of_surface_points) {
     shape_free(&s);
 }
 
+/* Scenes in any unit: points of a mesh scaled by a power of two are the points of the mesh, scaled. */
+TEST(points_of_any_size) {
+    static const int exponent[4] = {-62, -33, 31, 48}; /* squares of areas are out of the range of floats in all of them */
+    test_rng r = test_rng_make(44);
+    const size_t most = test_quick() ? 2000 : (size_t)ZBUFRANDI_PAGE; /* a whole page is another way */
+    float *p[2] = {(float *)malloc(12 * most), (float *)malloc(12 * most)}, *n[2] = {(float *)malloc(12 * most), (float *)malloc(12 * most)};
+    uint32_t e, i, a;
+    shape s;
+    zbufrand_mesh m;
+    zbufrand_scene *scene;
+    REQUIRE(p[0] != NULL && p[1] != NULL && n[0] != NULL && n[1] != NULL);
+    memset(&s, 0, sizeof s);
+    for (i = 0; i < 900; i++) (void)shape_vertex(&s, test_rng_double(&r), test_rng_double(&r), test_rng_double(&r));
+    for (i = 0; i < 900; i += 3) shape_triangle(&s, i, i + 1, i + 2);
+    m = mesh_of(&s);
+    scene = scene_of(&m, 0);
+    CHECK_EQ_U64(zbufrand_surface_points(scene, NULL, most, p[0], n[0], NULL, NULL), ZBUFRAND_OK);
+    zbufrand_scene_destroy(scene);
+    for (e = 0; e < 4; e++) {
+        const float scale = (float)ldexp(1, exponent[e]);
+        const size_t count = e == 2 ? most : 2000;
+        size_t wrong = 0, k;
+        shape t = s;
+        t.p = (float *)malloc(12 * s.vertices);
+        REQUIRE(t.p != NULL);
+        for (k = 0; k < 3 * s.vertices; k++) t.p[k] = s.p[k] * scale;
+        m = mesh_of(&t);
+        scene = scene_of(&m, 0);
+        CHECK_EQ_U64(zbufrand_surface_points(scene, NULL, count, p[1], n[1], NULL, NULL), ZBUFRAND_OK);
+        for (k = 0; k < 3 * count; k++) wrong += p[1][k] != p[0][k] * scale || n[1][k] != n[0][k];
+        CHECK_MSG(wrong == 0, "2^%d: %zu of %zu numbers", exponent[e], wrong, 6 * count);
+        zbufrand_scene_destroy(scene);
+        free(t.p);
+    }
+    shape_free(&s);
+    memset(&s, 0, sizeof s);
+    for (i = 0; i < 2; i++) { /* needles: the second is three times as wide */
+        (void)shape_vertex(&s, 0, 2.0 * i, 0);
+        (void)shape_vertex(&s, 1, 2.0 * i, 0);
+        (void)shape_vertex(&s, 0.5, 2.0 * i, i ? 3e-23 : 1e-23);
+        shape_triangle(&s, 3 * i, 3 * i + 1, 3 * i + 2);
+    }
+    m = mesh_of(&s);
+    scene = scene_of(&m, 0);
+    CHECK_EQ_U64(zbufrand_surface_points(scene, NULL, 2000, p[0], n[0], NULL, NULL), ZBUFRAND_OK);
+    for (i = a = 0; i < 2000; i++) {
+        a += p[0][3 * i + 1] > 1;
+        CHECK(n[0][3 * i] == 0 && n[0][3 * i + 1] == -1 && n[0][3 * i + 2] == 0);
+    }
+    CHECK_MSG(a > 1490 && a < 1510, "%u of 2000 on the wide one", a);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s);
+    for (i = 0; i < 2; i++) {
+        free(p[i]);
+        free(n[i]);
+    }
+}
+
+/* Four levels of references to a triangle of 10^15: areas are beyond floats, which is said. */
+TEST(areas_beyond_floats) {
+    static const float corner[9] = {0, 0, 0, 9e14f, 0, 0, 0, 9e14f, 0};
+    zbufrand_transform t[1000];
+    zbufrand_mesh m;
+    zbufrand_scene *scene = NULL;
+    zbufrand_node node, list;
+    float p[3];
+    uint32_t i, k;
+    memset(t, 0, sizeof t);
+    memset(&m, 0, sizeof m);
+    for (i = 0; i < 1000; i++) t[i].m[0][0] = t[i].m[1][1] = t[i].m[2][2] = 1;
+    m.positions = corner;
+    m.vertex_count = 3;
+    m.triangle_count = 1;
+    CHECK_EQ_U64(zbufrand_scene_create(NULL, &scene), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_add_mesh(scene, 1, NULL, ZBUFRAND_HIDDEN, &m, &node), ZBUFRAND_OK);
+    for (k = 0; k < 4; k++) {
+        CHECK_EQ_U64(zbufrand_add_list(scene, 1, NULL, k < 3 ? ZBUFRAND_HIDDEN : 0, &list), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_references(scene, list, t, 1000, node, NULL), ZBUFRAND_OK);
+        node = list;
+    }
+    CHECK_EQ_U64(zbufrand_scene_build(scene, NULL, NULL), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_surface_points(scene, NULL, 1, p, NULL, NULL, NULL), ZBUFRAND_ERR_RANGE);
+    zbufrand_scene_destroy(scene);
+}
+
+/* Corners that are closer together than floats at the distance of the eye are moved by rounding, so that triangles are larger
+   in the picture than all bounds: their areas stay in order, and no more samples are drawn than there is room for. */
+TEST(corners_moved_by_rounding) {
+    test_rng r = test_rng_make(45);
+    const uint32_t seeds = test_quick() ? 15 : 60;
+    uint32_t seed, i, level, w = 64;
+    uint64_t samples = 0;
+    for (level = 0; level < 2; level++) {
+        for (seed = 0; seed < seeds; seed++) {
+            shape s;
+            zbufrand_mesh m;
+            zbufrand_scene *scene;
+            zbufrand_frame *frame = NULL;
+            zbufrand_frame_desc fd;
+            zbufrand_render_desc d;
+            zbufrand_image image;
+            zbufrand_stats stats;
+            float depth[64 * 64];
+            memset(&s, 0, sizeof s);
+            memset(&fd, 0, sizeof fd);
+            memset(&d, 0, sizeof d);
+            memset(&image, 0, sizeof image);
+            for (i = 0; i < 576; i++) { /* most at the origin, the others half a step from it */
+                const double c = i < 390 ? 0 : 2.98e-8;
+                (void)shape_vertex(&s, c + 3e-9 * test_rng_double(&r), c + 3e-9 * test_rng_double(&r), c + 3e-9 * test_rng_double(&r));
+            }
+            for (i = 0; i < 192; i++) shape_triangle(&s, 3 * i, 3 * i + 1, 3 * i + 2);
+            m = mesh_of(&s);
+            m.two_sided = 1;
+            scene = scene_of(&m, 0);
+            fd.isa = level ? ZBUFRAND_ISA_SCALAR : ZBUFRAND_ISA_AUTO;
+            fd.env.thread_count = 1;
+            CHECK_EQ_U64(zbufrand_frame_create(&fd, &frame), ZBUFRAND_OK);
+            d.camera.eye[0] = 0.6;
+            d.camera.eye[1] = 0.5;
+            d.camera.eye[2] = 0.7;
+            d.camera.fov_y = 0.02;
+            d.density = 999999;
+            d.seed = seed;
+            d.hybrid = ZBUFRAND_HYBRID_OFF;
+            d.no_repair = 1;
+            d.costs.cluster = 1e-3f; /* drawn from the cluster whatever stored points cost */
+            image.width = image.height = w;
+            image.depth = depth;
+            CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &image, &stats), ZBUFRAND_OK);
+            samples += stats.samples[1];
+            zbufrand_frame_destroy(frame);
+            zbufrand_scene_destroy(scene);
+            shape_free(&s);
+        }
+    }
+    CHECK_MSG(samples > 50, "only %llu samples", (unsigned long long)samples);
+}
+
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(planes);
@@ -851,5 +990,8 @@ int main(int argc, char **argv) {
     RUN(short_prefixes_are_even);
     RUN(points_of_instances);
     RUN(attributes_of_surface_points);
+    RUN(points_of_any_size);
+    RUN(areas_beyond_floats);
+    RUN(corners_moved_by_rounding);
     return test_end();
 }
