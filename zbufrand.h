@@ -1039,12 +1039,17 @@ typedef struct zbufrand_costs {
    hybrid          by cost
    independent     0: stratified samples; 1: independent points in Poisson numbers, as the theory has it; slower, and of
                    the default tree only as far as 4 million clusters are in view (else RANGE)
+   comb            0: each sample has a random place in its stratum; 1: all of a draw have the same one, a comb through
+                   the areas. More even yet, but no bound holds: where the surface repeats itself as often as the comb
+                   has teeth whole patterns are missed. Stored samples stay as they are
    round_up        0; 1: expected numbers of samples of a run are rounded up instead of at random; with `independent`
                    the thesis' Algorithm 11. Only for scenes built with one of its trees, as the next three
    depth_ratio     1.5: epsilon, by how much the factor 1/z^2 may vary over what is drawn as a whole; more than 1
    angle_ratio     no rule for normals (tree over normals: as depth_ratio). e: the same for the cosine of the angle of
                    view, as far as classes are fine enough to tell
    clip_ratio      no rule. c: what is partly outside of the view and wider than c times its depth is divided
+   corners         0; 1: of triangles up to half a pixel wide one of the corners is drawn instead of a point in them.
+                   Only for scenes built with one of the thesis' trees
    opacity         all is opaque. In each frame a pixel shows surfaces of a material or does not, with that
                    probability, whether by samples, rasterised or by rays, and all of a material alike: what is
                    behind shows through as through one layer, however many there are. Frames differ, so that the
@@ -1066,8 +1071,10 @@ typedef struct zbufrand_render_desc {
     double hybrid_radius;
     zbufrand_costs costs;
     uint32_t independent;
+    uint32_t comb;
     uint32_t round_up;
     double depth_ratio, angle_ratio, clip_ratio;
+    uint32_t corners;
     uint32_t no_lists;
     uint32_t no_occlusion;     /* 1: what is hidden is drawn too; the picture is the same but for chance */
     uint32_t no_repair;        /* 1: no rays for empty and suspicious pixels */
@@ -8047,6 +8054,7 @@ typedef struct zbufrandi_cut { /* what is the same for all of a frame's selectio
     int bounds;                /* remember bounds, and draws without samples */
     float depth_ratio, angle_ratio, clip_ratio, list_sample; /* for the thesis' trees; depths may differ by the first */
     int round_up;
+    int comb, corners;
 } zbufrandi_cut;
 
 typedef struct zbufrandi_open_node { /* a node still to be opened */
@@ -9303,14 +9311,13 @@ static void zbufrandi_flat_independent(const zbufrandi_draw *d, zbufrandi_flat *
 /* The same for stratified ones. Samples before the end of a triangle: the whole strata, and that of the stratum in
    which it ends if it lies before the end. */
 static void zbufrandi_flat_strata(const zbufrandi_draw *d, zbufrandi_flat *f, uint32_t triangles, uint32_t k,
-                                  uint32_t begin,
-                                  uint32_t end) {
+                                  int comb, uint32_t begin, uint32_t end) {
     const float step = (float)(int32_t)k / (float)(int32_t)f->total;
     uint32_t t, j, before = 0;
     for (t = 0; t < triangles; t++) {
         const float at = (float)(int32_t)f->sum[t] * step;
         const uint32_t whole = (uint32_t)(int32_t)at;
-        uint32_t after = whole + (zbufrandi_jitter(d->hash, whole) < at - (float)(int32_t)whole ? 1u : 0u);
+        uint32_t after = whole + (zbufrandi_jitter(d->hash, comb ? 0u : whole) < at - (float)(int32_t)whole ? 1u : 0u);
         if (f->sum[t] == f->total || after > k) after = k;
         for (j = before > begin ? before : begin; j < after && j < end; j++) f->triangle[j - begin] = (uint8_t)t;
         before = after;
@@ -9450,7 +9457,8 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_flatten_cluster_avx2(const zbufrandi
 }
 
 ZBUFRANDI_TARGET_AVX2 static void zbufrandi_flat_strata_avx2(const zbufrandi_draw *d, zbufrandi_flat *f,
-                                                             uint32_t triangles, uint32_t k) {
+                                                             uint32_t triangles, uint32_t k, int comb) {
+    const __m256i each = _mm256_set1_epi32(comb ? 0 : (int)0x9e3779b1u);
     const __m256 step = _mm256_set1_ps((float)(int32_t)k / (float)(int32_t)f->total);
     const __m256i most = _mm256_set1_epi32((int)k), total = _mm256_set1_epi32((int)f->total);
     uint32_t after[ZBUFRANDI_CLUSTER_TRIANGLES], t, before = 0;
@@ -9458,7 +9466,7 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_flat_strata_avx2(const zbufrandi_dra
         const __m256i sum = _mm256_loadu_si256((const __m256i *)(const void *)(f->sum + t));
         const __m256 at = _mm256_mul_ps(_mm256_cvtepi32_ps(sum), step);
         const __m256i whole = _mm256_cvttps_epi32(at);
-        __m256i h = _mm256_add_epi32(_mm256_mullo_epi32(whole, _mm256_set1_epi32((int)0x9e3779b1u)),
+        __m256i h = _mm256_add_epi32(_mm256_mullo_epi32(whole, each),
                                      _mm256_set1_epi32((int)(d->hash + 0x7f4a7c15u)));
         __m256 u = _mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_srli_epi32(zbufrandi_mix8(h), 8)),
                                  _mm256_set1_ps(1.0f / 16777216.0f));
@@ -9581,9 +9589,10 @@ static uint32_t zbufrandi_draw_sampled(const zbufrandi_target *g, const zbufrand
         end = k - begin > ZBUFRANDI_FLAT_CHUNK ? begin + ZBUFRANDI_FLAT_CHUNK : k;
         if (g->cut->independent) zbufrandi_flat_independent(d, &f, c->triangle_count, begin, end);
 #if ZBUFRANDI_AVX2
-        else if (g->level >= 3 && k <= ZBUFRANDI_FLAT_CHUNK) zbufrandi_flat_strata_avx2(d, &f, c->triangle_count, k);
+        else if (g->level >= 3 && k <= ZBUFRANDI_FLAT_CHUNK) zbufrandi_flat_strata_avx2(d, &f, c->triangle_count, k,
+                                                                                            g->cut->comb);
 #endif
-        else zbufrandi_flat_strata(d, &f, c->triangle_count, k, begin, end);
+        else zbufrandi_flat_strata(d, &f, c->triangle_count, k, g->cut->comb, begin, end);
         memcpy(aux + begin, f.triangle, end - begin);
 #if ZBUFRANDI_AVX2
         if (g->level >= 3) {
@@ -9643,6 +9652,8 @@ static uint32_t zbufrandi_draw_points(const zbufrandi_target *g, const zbufrandi
    --------------------------------------------------------------------------- */
 
 #define ZBUFRANDI_LISTED_INDEPENDENT 0x80000000u /* of a draw's aux, beside the end of its run */
+#define ZBUFRANDI_LISTED_COMB 0x40000000u
+#define ZBUFRANDI_LISTED_LAST 0x3fffffffu
 
 typedef struct zbufrandi_list_open { /* a node to be looked at, seen from a local */
     uint32_t node, list_class, local;
@@ -9832,7 +9843,7 @@ static void zbufrandi_list_emit(const zbufrandi_cut *cut, const zbufrandi_local 
     memset(&d, 0, sizeof d);
     d.hash = zbufrandi_hash32(l->hash ^ zbufrandi_hash32(first * 0x9e3779b1u + 0x2545f491u) ^ last);
     d.local = local;
-    d.aux = last | (cut->independent ? ZBUFRANDI_LISTED_INDEPENDENT : 0u);
+    d.aux = last | (cut->independent ? ZBUFRANDI_LISTED_INDEPENDENT : cut->comb ? ZBUFRANDI_LISTED_COMB : 0u);
     d.z_lo = zbufrandi_float_down(z_min);
     d.z_hi = zbufrandi_float_up(z_max);
     if (raster) {
@@ -9842,6 +9853,7 @@ static void zbufrandi_list_emit(const zbufrandi_cut *cut, const zbufrandi_local 
         d.item = (uint32_t)ZBUFRANDI_DRAW_LISTED << ZBUFRANDI_DRAW_SHIFT | first;
         d.h_ref = zbufrandi_float_up(h * 1.000001);
         d.iz_ref = zbufrandi_float_up(1.000001 / z_min);
+        if (cut->corners) d.step[0] = (float)(2.0 * cut->camera.focal / z_min); /* 1 over half a pixel there */
         expected *= 1.000005;
         expected = expected < 4e8 ? expected : 4e8;
         d.count = (uint32_t)(expected + (double)zbufrandi_unit24(d.hash));
@@ -10123,7 +10135,7 @@ static void zbufrandi_list_find(const zbufrand_scene *scene, const zbufrandi_loc
     const uint32_t high = zbufrandi_hash32(d->hash ^ zbufrandi_hash32(j + 1));
     const uint32_t low = zbufrandi_hash32((d->hash + 0x9e3779b9u) ^ zbufrandi_hash32(j + 0x85ebca6bu));
     const zbufrandi_lists *lists;
-    uint32_t first = d->item & ((1u << ZBUFRANDI_DRAW_SHIFT) - 1u), last = d->aux & ~ZBUFRANDI_LISTED_INDEPENDENT;
+    uint32_t first = d->item & ((1u << ZBUFRANDI_DRAW_SHIFT) - 1u), last = d->aux & ZBUFRANDI_LISTED_LAST;
     uint32_t at, level = 0;
     const int independent = (d->aux & ZBUFRANDI_LISTED_INDEPENDENT) != 0;
     uint64_t place = (uint64_t)high << 32 | low, y;
@@ -10134,6 +10146,7 @@ static void zbufrandi_list_find(const zbufrand_scene *scene, const zbufrandi_loc
     lists = out->s->lists;
     if (!independent) { /* stratum j of as many equal ones as there are samples; places are 64 bits behind the point */
         const uint64_t part = ~(uint64_t)0 / d->count;
+        if (d->aux & ZBUFRANDI_LISTED_COMB) place = (uint64_t)zbufrandi_hash32(d->hash + 0x51ed270bu) << 32;
         place = part * j + zbufrandi_mul_high(place, part);
     }
     y = zbufrandi_mul_high(place, lists->sum[last] - lists->sum[first]);
@@ -10166,6 +10179,12 @@ static void zbufrandi_list_find(const zbufrand_scene *scene, const zbufrandi_loc
     out->keep = zbufrandi_unit24(zbufrandi_hash32(low + 0xa54ff53au));
     zbufrandi_square_to_triangle(&out->u, &out->v);
     out->cluster = zbufrandi_list_triangle(out->s, out->item, out->corner);
+    if (d->step[0] > 0.0f && out->scale * (double)d->step[0] *
+            sqrt(zbufrandi_longest2(out->corner[0], out->corner[1], out->corner[2])) < 1.0) {
+        const uint32_t which = (uint32_t)((uint64_t)zbufrandi_hash32(high + 0x2545f491u) * 3 >> 32);
+        out->u = which == 1 ? 1.0f : 0.0f;
+        out->v = which == 2 ? 1.0f : 0.0f;
+    }
 }
 
 /* 0: not seen. */
@@ -15558,6 +15577,8 @@ static zbufrand_result zbufrandi_open_picture(zbufrandi_picture *p) {
     p->cut.cube = (float)d->hybrid_radius;
     p->cut.independent = d->independent != 0;
     p->cut.round_up = d->round_up != 0;
+    p->cut.corners = d->corners != 0;
+    p->cut.comb = d->comb != 0;
     p->cut.seed = h;
     p->cut.veil.scene = p->scene;
     p->cut.veil.opacity = d->opacity;
@@ -15934,8 +15955,10 @@ static void zbufrandi_stream_add(zbufrandi_stream *s, const zbufrandi_spot *spot
     out->x = spot->x;
     out->y = spot->y;
     out->z = spot->z;
-    out->slope_x = spot->slope[0];
-    out->slope_y = spot->slope[1];
+    if (zbufrandi_absf(spot->slope[0]) < 1e30f && zbufrandi_absf(spot->slope[1]) < 1e30f) { /* of an area */
+        out->slope_x = spot->slope[0];
+        out->slope_y = spot->slope[1];
+    }
     s->number[s->count++] = number;
     if (s->count == ZBUFRANDI_SHADE_RUN) zbufrandi_stream_flush(s);
 }
@@ -15975,7 +15998,7 @@ static void zbufrandi_stream_draw(zbufrandi_stream *s, const zbufrandi_draw *dra
         for (begin = 0; begin < k; begin = end) {
             end = k - begin > ZBUFRANDI_FLAT_CHUNK ? begin + ZBUFRANDI_FLAT_CHUNK : k;
             if (p->cut.independent) zbufrandi_flat_independent(draw, &f, cluster->triangle_count, begin, end);
-            else zbufrandi_flat_strata(draw, &f, cluster->triangle_count, k, begin, end);
+            else zbufrandi_flat_strata(draw, &f, cluster->triangle_count, k, p->cut.comb, begin, end);
             memcpy(p->f->aux + (size_t)draw->aux * ZBUFRANDI_SET + begin, f.triangle, end - begin);
             for (j = begin; j < end; j++) {
                 if (zbufrandi_flat_sample(&p->target, &f, tri, at_u, at_v, j, f.triangle[j - begin], &spot)) {
@@ -16117,18 +16140,18 @@ ZBUFRANDI_INLINE float zbufrandi_areas_unit(const zbufrandi_cluster *c) {
     return unit;
 }
 
-/* Slivers whose squared area is below the range of floats even so: once more, in double. */
-static void zbufrandi_areas_slivers(const float *position, const uint8_t *tri, uint32_t count, float unit,
-                                    zbufrandi_areas *m) {
-    uint32_t t;
+/* A cluster with slivers whose squared areas are below the range of floats even so: all in double, of a sum of 1. */
+static void zbufrandi_areas_slivers(const float *position, const uint8_t *tri, uint32_t count, zbufrandi_areas *m) {
+    double all = 1e-300, length = 0.0, n[3];
+    uint32_t i, t;
     int a;
-    for (t = 0; t < count; t++) {
-        double n[3], length;
-        if (!(m->sum[t] < ZBUFRANDI_SLIVER)) continue;
+    for (i = 0; i < 2 * count; i++) {
+        t = i < count ? i : i - count;
         zbufrandi_cross(position + 3 * tri[3 * t], position + 3 * tri[3 * t + 1], position + 3 * tri[3 * t + 2], n);
         length = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+        if (i < count) all += length;
         for (a = 0; a < 3; a++) m->normal[t][a] = length > 0.0 ? (float)(n[a] / length) : 0.0f;
-        m->sum[t] = (float)(length * (double)unit * (double)unit);
+        m->sum[t] = (float)(length / all);
     }
 }
 
@@ -16153,9 +16176,9 @@ static float zbufrandi_areas_of(const zbufrandi_structure *s, const zbufrandi_cl
         m->sum[t] = length;
         slivers |= length < ZBUFRANDI_SLIVER;
     } while (++t < c->triangle_count);
-    if (slivers) zbufrandi_areas_slivers(position, tri, c->triangle_count, unit, m);
+    if (slivers) zbufrandi_areas_slivers(position, tri, c->triangle_count, m);
     for (t = 0; t < c->triangle_count; t++) m->sum[t] = sum += m->sum[t];
-    return sum > 1e-37f ? sum : 1e-37f;
+    return sum;
 }
 
 #if ZBUFRANDI_AVX2
@@ -16217,9 +16240,9 @@ ZBUFRANDI_TARGET_AVX2 static float zbufrandi_areas_avx2(const zbufrandi_structur
         _mm256_storeu_ps(m->sum + i, length);
         slivers |= (uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(length, sliver, _CMP_LT_OQ));
     }
-    if (slivers) zbufrandi_areas_slivers(position, tri, c->triangle_count, zbufrandi_areas_unit(c), m);
+    if (slivers) zbufrandi_areas_slivers(position, tri, c->triangle_count, m);
     for (i = 0; i < c->triangle_count; i++) m->sum[i] = sum += m->sum[i];
-    return sum > 1e-37f ? sum : 1e-37f;
+    return sum;
 }
 #endif
 

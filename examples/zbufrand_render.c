@@ -16,7 +16,7 @@ typedef struct options {
     double noise, density, gauss, epsilon, smooth, contrast, depth_tolerance, angle_ratio, clip, zone;
     float material[16]; /* opacities */
     int mode, has_mode, has_block, occlusion, has_occlusion, has_noise, has_gauss, no_repair, no_occlusion, independent, structure, has_structure,
-        has_contrast, average, drop_back, thesis;
+        comb, corners, has_contrast, average, drop_back, thesis;
 } options;
 
 typedef struct pictures {
@@ -48,8 +48,8 @@ static int check_options(const char *program, const options *o) {
         return sup_bad_usage(program, "--mode layers is one picture by the default tree, without --depth");
     if ((o->depth_tolerance > 0.0 || o->drop_back) && o->mode < MODE_GAUSS)
         return sup_bad_usage(program, "--depth-tolerance and --drop-back go with --mode gauss, voronoi, nodepth, pullpush, regions or layers");
-    if ((o->angle_ratio > 0.0 || o->clip > 0.0 || o->leaf > 0) && !o->thesis && o->structure == 0)
-        return sup_bad_usage(program, "--angle-ratio, --clip and --leaf go with one of the thesis' trees");
+    if ((o->angle_ratio > 0.0 || o->clip > 0.0 || o->leaf > 0 || o->corners) && !o->thesis && o->structure == 0)
+        return sup_bad_usage(program, "--angle-ratio, --clip, --leaf and --corners go with one of the thesis' trees");
     if (o->grid > 0 && o->structure != (int)ZBUFRAND_STRUCTURE_CLASSES) return sup_bad_usage(program, "--normal-grid goes with --structure classes");
     if (o->zone > 0.0 && o->structure != (int)ZBUFRAND_STRUCTURE_OCTREE && o->structure != (int)ZBUFRAND_STRUCTURE_NORMALS)
         return sup_bad_usage(program, "--zone goes with --structure octree or normals");
@@ -59,7 +59,7 @@ static int check_options(const char *program, const options *o) {
 }
 
 static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, zbufrand_build_desc *build) {
-    sup_option table[SUP_COMMON_OPTIONS + 34];
+    sup_option table[SUP_COMMON_OPTIONS + 36];
     double radius = 0.0;
     size_t n;
     int status;
@@ -84,6 +84,7 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     table[n++] = sup_opt_flag("no-repair", &o->no_repair, "no rays for empty and suspicious pixels");
     table[n++] = sup_opt_flag("no-occlusion", &o->no_occlusion, "draw what is hidden, too");
     table[n++] = sup_opt_flag("independent", &o->independent, "independent samples instead of stratified ones");
+    table[n++] = sup_opt_flag("comb", &o->comb, "all samples of a draw at the same place of their strata");
     table[n++] = sup_opt_int("view", &o->view, 1, SUP_WORLD_VIEWS, "K", "one of the cameras that a scene brings along (1)");
     table[n++] = sup_opt_int("frame", &o->frame, 0, 65535, "K", "other random numbers of the same kind");
     table[n++] = sup_opt_int("frames", &o->frames, 1, 100000, "N", "N pictures NAME_0000.png and on, in which things move");
@@ -105,6 +106,7 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     table[n++] = sup_opt_int("normal-grid", &o->grid, 1, 64, "K", "classes of normals: a grid of K x 2K");
     table[n++] = sup_opt_int("leaf", &o->leaf, 1, 1024, "N", "thesis' trees: most objects of a leaf (64)");
     table[n++] = sup_opt_real("zone", &o->zone, 1.0, 2.0, "C", "octree: a cell takes what lies within it enlarged by that (1.5)");
+    table[n++] = sup_opt_flag("corners", &o->corners, "thesis' trees: corners of triangles below half a pixel instead of points in them");
     table[n++] = sup_opt_flag("thesis", &o->thesis, "as the thesis' program did; other options change parts of that");
     status = sup_cli_parse(argc, argv, "Draws a scene from random points of its surface.", table, n);
     if (status >= 0) return status;
@@ -140,6 +142,8 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     desc->no_occlusion |= (uint32_t)o->no_occlusion;
     desc->independent |= (uint32_t)o->independent;
     desc->unlit = (uint32_t)o->common.unlit;
+    desc->comb = (uint32_t)o->comb;
+    desc->corners = (uint32_t)o->corners;
     if (o->has_block || !o->thesis || o->has_mode)
         desc->reconstruct.block = o->has_block ? (uint32_t)o->block : o->mode == MODE_PIXEL ? 1u : 2u;
     desc->reconstruct.gauss_radius = (float)o->gauss;

@@ -1173,6 +1173,133 @@ TEST(numbers_of_samples) {
     free_shapes(s);
 }
 
+/* A comb resonates: of triangles of equal area that repeat themselves with as many as there are between two teeth, all samples are
+   of one kind. With a random place in each stratum all kinds get their share; and so they do on average over combs. */
+TEST(combs_resonate) {
+    enum { N = 4000, PERIOD = 8 };
+    const uint32_t hashes = test_quick() ? 100 : 600;
+    shape s;
+    zbufrand_mesh m;
+    zbufrand_scene *scene = NULL;
+    zbufrand_build_desc bd = kind_of(0);
+    zbufrandi_local local;
+    zbufrandi_draw d;
+    const zbufrandi_lists *l;
+    uint32_t i, way, h, place[N];
+    memset(&s, 0, sizeof s);
+    memset(&local, 0, sizeof local);
+    memset(&d, 0, sizeof d);
+    for (i = 0; i < N; i++) {
+        const double x = 2.0 * i;
+        shape_triangle(&s, shape_vertex(&s, x, 0, 0), shape_vertex(&s, x + 1, 0, 0), shape_vertex(&s, x, 1, 0));
+    }
+    m = mesh_of(&s);
+    CHECK_EQ_U64(zbufrand_scene_create(NULL, &scene), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_add_mesh(scene, 1, NULL, 0, &m, NULL), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_scene_build(scene, &bd, NULL), ZBUFRAND_OK);
+    l = scene->structure[0].lists;
+    REQUIRE(l != NULL && l->object_count == N);
+    zbufrandi_m34_identity(local.to_camera);
+    local.scale = 1;
+    d.item = (uint32_t)ZBUFRANDI_DRAW_LISTED << ZBUFRANDI_DRAW_SHIFT;
+    d.count = N / PERIOD;
+    for (way = 0; way < 2; way++) {
+        uint32_t kinds = 0, all[PERIOD], worst = 0;
+        d.aux = N | (way ? ZBUFRANDI_LISTED_COMB : 0u);
+        memset(all, 0, sizeof all);
+        for (h = 0; h < hashes; h++) {
+            uint32_t seen[PERIOD], a;
+            memset(seen, 0, sizeof seen);
+            d.hash = zbufrandi_hash32(h + 5);
+            for (i = 0; i < d.count; i++) {
+                zbufrandi_list_spot at;
+                zbufrandi_list_find(scene, &local, &d, i, &at);
+                for (a = 0; h == 0 && a < N; a++) if (l->object[a] == at.item) place[i] = a;
+                for (a = i * PERIOD; a < (i + 1) * PERIOD && l->object[a] != at.item; a++) { }
+                CHECK_MSG(a < (i + 1) * PERIOD, "sample %u is beside its stratum", i); /* areas are equal but for rounding */
+                seen[a % PERIOD]++;
+                all[a % PERIOD]++;
+            }
+            for (a = 0; a < PERIOD; a++) {
+                kinds += seen[a] > 0;
+                worst = seen[a] > worst ? seen[a] : worst;
+            }
+        }
+        if (way) CHECK_EQ_U64(kinds, hashes);
+        else CHECK_MSG(kinds == PERIOD * hashes && worst < N / PERIOD / 4, "%u kinds in %u draws, at most %u", kinds, hashes, worst);
+        for (i = 0; way && i < PERIOD; i++) { /* mean over combs: binomial, four and a half standard deviations */
+            const double want = 1.0 / PERIOD, is = (double)all[i] / (double)(hashes * d.count);
+            CHECK_MSG(fabs(is - want) < 4.5 * sqrt(want * (1 - want) / hashes), "kind %u: %g", i, is);
+        }
+    }
+    CHECK(place[1] > place[0]);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s);
+}
+
+/* Of small triangles corners are drawn: each sample lies on one, each corner of a triangle gets its third, and there are as many
+   samples as of points in them. Large triangles get points. */
+static int keep_sample(void *user, const zbufrand_sample *s, const uint32_t *numbers, size_t n) {
+    double (*to)[2] = (double (*)[2])user; /* to[0][0]: how many */
+    size_t i;
+    (void)numbers;
+    for (i = 0; i < n && to[0][0] < 4999; i++) {
+        to[0][0] += 1;
+        to[(size_t)to[0][0]][0] = (double)s[i].x;
+        to[(size_t)to[0][0]][1] = (double)s[i].y;
+    }
+    return 0;
+}
+TEST(corners_of_small_triangles) {
+    static double sample[3][5000][2];
+    shape s;
+    zbufrand_mesh m;
+    zbufrand_scene *scene = NULL;
+    zbufrand_frame *frame = NULL;
+    zbufrand_build_desc bd = kind_of(0);
+    uint32_t way, i, k;
+    memset(&s, 0, sizeof s);
+    memset(sample, 0, sizeof sample);
+    shape_sphere(&s, 0, 0, 0, 1, 30);
+    m = mesh_of(&s);
+    CHECK_EQ_U64(zbufrand_scene_create(NULL, &scene), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_add_mesh(scene, 1, NULL, 0, &m, NULL), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_scene_build(scene, &bd, NULL), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_frame_create(NULL, &frame), ZBUFRAND_OK);
+    for (way = 0; way < 3; way++) { /* points, corners, corners from nearby */
+        zbufrand_render_desc d;
+        zbufrand_view v;
+        uint32_t on = 0, count;
+        memset(&d, 0, sizeof d);
+        d.camera.eye[2] = way == 2 ? 8 : 160;
+        d.camera.at[2] = 1e-9;
+        d.camera.fov_y = way == 2 ? 40 : 20;
+        d.density = way == 2 ? 1 : 150;
+        d.hybrid = ZBUFRAND_HYBRID_OFF;
+        d.corners = way > 0;
+        CHECK_EQ_U64(zbufrand_sample_scene(frame, &d, scene, WIDTH, HEIGHT, keep_sample, sample[way], NULL), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_camera_view(&d.camera, scene, WIDTH, HEIGHT, &v), ZBUFRAND_OK);
+        count = (uint32_t)sample[way][0][0];
+        CHECK_MSG(count > 800, "%u samples", count);
+        for (i = 1; i <= count; i++) {
+            double best = 1e300;
+            for (k = 0; k < s.vertices; k++) {
+                const double z = d.camera.eye[2] - (double)s.p[3 * k + 2];
+                const double dx = v.center_x + v.focal * (double)s.p[3 * k] / z - sample[way][i][0],
+                             dy = v.center_y - v.focal * (double)s.p[3 * k + 1] / z - sample[way][i][1];
+                best = fmin(best, dx * dx + dy * dy);
+            }
+            on += best < 1e-8;
+        }
+        if (way == 1) CHECK_EQ_U64(on, count);
+        else CHECK_MSG(on < count / 50, "%u of %u lie on corners", on, count);
+    }
+    CHECK_MSG(fabs(sample[0][0][0] - sample[1][0][0]) < 4.5 * sqrt(2 * sample[0][0][0]), "%g points, %g corners", sample[0][0][0], sample[1][0][0]);
+    zbufrand_frame_destroy(frame);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s);
+}
+
 /* ---- pictures ---- */
 
 static void picture(const zbufrand_scene *scene, const zbufrand_render_desc *d, uint32_t threads, zbufrand_isa isa, float *rgba,
@@ -1605,6 +1732,8 @@ int main(int argc, char **argv) {
     RUN(instances_are_what_they_stand_for);
     RUN(excess_of_samples);
     RUN(numbers_of_samples);
+    RUN(combs_resonate);
+    RUN(corners_of_small_triangles);
     RUN(same_as_the_z_buffer);
     RUN(preset_in_the_mean);
     RUN(visits_grow_slowly);

@@ -520,7 +520,7 @@ TEST(twelve_decades_in_a_cluster) {
                 zbufrandi_flatten_cluster(&g, &constants, st, cl, &f);
                 n = wanted;
                 if (independent) zbufrandi_flat_independent(&d, &f, cl->triangle_count, 0, n);
-                else zbufrandi_flat_strata(&d, &f, cl->triangle_count, n, 0, n);
+                else zbufrandi_flat_strata(&d, &f, cl->triangle_count, n, 0, 0, n);
                 for (j = 0; j < n; j++) {
                     REQUIRE(f.triangle[j] < cl->triangle_count);
                     seen[f.triangle[j]] += 1;
@@ -544,6 +544,32 @@ TEST(twelve_decades_in_a_cluster) {
     }
     zbufrand_scene_destroy(scene);
     shape_free(&s);
+}
+
+/* A comb through 100 triangles of equal area, 20 teeth: every fifth. Both forms; unbiased. */
+TEST(combs_of_clusters) {
+    zbufrandi_flat f[2];
+    zbufrandi_draw d;
+    uint32_t h, i, first[5] = {0, 0, 0, 0, 0};
+    memset(f, 0, sizeof f);
+    memset(&d, 0, sizeof d);
+    for (i = 0; i < 100; i++) f[0].sum[i] = f[1].sum[i] = 1000000 * (i + 1);
+    f[0].total = f[1].total = 100000000;
+    for (h = 0; h < 1000; h++) {
+        uint32_t wrong = 0;
+        d.hash = zbufrandi_hash32(h);
+        zbufrandi_flat_strata(&d, &f[0], 100, 20, 1, 0, 20);
+#if ZBUFRANDI_AVX2
+        if (zbufrandi_cpu_level() >= 3) {
+            zbufrandi_flat_strata_avx2(&d, &f[1], 100, 20, 1);
+            CHECK(memcmp(f[0].triangle, f[1].triangle, 20) == 0);
+        }
+#endif
+        for (i = 0; i < 20; i++) wrong += f[0].triangle[i] != f[0].triangle[0] + 5 * i;
+        CHECK_MSG(wrong == 0 && f[0].triangle[0] < 5, "draw %u: %u teeth", h, wrong);
+        first[f[0].triangle[0] % 5]++;
+    }
+    for (i = 0; i < 5; i++) CHECK_MSG(first[i] > 140 && first[i] < 260, "%u of 1000", first[i]); /* 4.7 standard deviations */
 }
 
 /* Weights on a triangle: means, variances, covariance; 64 equal parts. */
@@ -985,6 +1011,7 @@ int main(int argc, char **argv) {
     RUN(instances_and_copies);
     RUN(points_for_directions);
     RUN(twelve_decades_in_a_cluster);
+    RUN(combs_of_clusters);
     RUN(uniform_on_a_triangle);
     RUN(points_of_a_mesh);
     RUN(short_prefixes_are_even);

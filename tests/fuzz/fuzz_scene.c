@@ -58,6 +58,41 @@ static void draw(const zbufrand_scene *scene, const zbufrand_render_desc *desc, 
     }
 }
 
+static int look(void *user, const zbufrand_sample *s, const uint32_t *numbers, size_t count) {
+    size_t i;
+    (void)numbers;
+    for (i = 0; i < count; i++) {
+        if (!(s[i].x >= 0.0f && s[i].y >= 0.0f && s[i].z > 0.0f && s[i].x < 65536.0f && s[i].y < 65536.0f)) abort();
+        if (!zbufrandi_finite_f(s[i].rgb[0]) || s[i].slope_x != s[i].slope_x || s[i].slope_y != s[i].slope_y) abort();
+    }
+    return (*(size_t *)user += count) > 5000;
+}
+
+/* What the scene is, without a picture: points of its surface, the cut for a view, samples of it. */
+static void ask(const zbufrand_scene *scene, const zbufrand_render_desc *desc) {
+    float position[30][3], normal[30][3];
+    zbufrand_surface_points_desc pd;
+    zbufrand_frame_desc fd;
+    zbufrand_frame *frame = NULL;
+    zbufrand_group group[8];
+    size_t count = 0, i, a;
+    memset(&pd, 0, sizeof pd);
+    memset(&fd, 0, sizeof fd);
+    pd.independent = desc->independent;
+    pd.seed = desc->seed;
+    if (zbufrand_surface_points(scene, &pd, 30, position[0], normal[0], NULL, NULL) == ZBUFRAND_OK)
+        for (i = 0; i < 30; i++)
+            for (a = 0; a < 3; a++) if (!zbufrandi_finite_f(position[i][a]) || !(normal[i][a] >= -1.001f && normal[i][a] <= 1.001f)) abort();
+    fd.env.thread_count = 1;
+    fd.env.memory_limit = 1u << 28;
+    if (zbufrand_frame_create(&fd, &frame) != ZBUFRAND_OK) abort();
+    if (zbufrand_select(frame, desc, scene, WIDE, HIGH, group, 8, &count, NULL) == ZBUFRAND_OK)
+        for (i = 0; i < count && i < 8; i++) if (!(group[i].z_min <= group[i].z_max) || group[i].area != group[i].area) abort();
+    count = 0;
+    (void)zbufrand_sample_scene(frame, desc, scene, WIDE, HIGH, look, &count, NULL);
+    zbufrand_frame_destroy(frame);
+}
+
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     static picture p[2]; /* 6 KB */
     float f[NUMBERS], position[NODES][18];
@@ -144,6 +179,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     d.reconstruct.drop_back = o[12] >> 7;
     if (zbufrand_scene_build(scene, &b, NULL) == ZBUFRAND_OK) {
         draw(scene, &d, o[12] & 4, p);
+        ask(scene, &d);
         for (i = 0; i < 3; i++) { /* edits, as many as there are bytes for */
             const zbufrand_transform t = place(o[13 + 2 * i], f + o[13 + 2 * i] % (NUMBERS - 12));
             const zbufrand_node which = node[1 + o[14 + 2 * i] % n];
