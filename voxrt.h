@@ -17839,7 +17839,8 @@ typedef struct voxrti_gi_layer {
     uint32_t *base;
     voxrti_gi_record *record;
     uint32_t *direct;      /* two for each record: irradiance by lights, shared exponents; VOXRTI_GI_UNKNOWN */
-    uint32_t *bounce;      /* two for each record: irradiance by other surfaces; VOXRTI_GI_UNKNOWN */
+    uint32_t *bounce;      /* two for each record: irradiance by other surfaces; VOXRTI_GI_UNKNOWN. Both in units of
+                              voxrt_gi.unit */
     size_t count, capacity;
 } voxrti_gi_layer;
 
@@ -17891,6 +17892,7 @@ struct voxrt_gi {
     double origin_before[3];  /* of the columns, at the last update */
     uint32_t still_changed, changed; /* since the last update */
     uint32_t version;         /* of what can be seen */
+    float unit, per_unit;     /* of irradiance in the layers, a power of two, and 1 / unit */
     uint64_t rejected, open_columns;
     voxrt_gi *outer;          /* the volume around this one, with the same objects, or NULL */
 };
@@ -17951,6 +17953,12 @@ VOXRTI_INLINE void voxrti_rgb9e5_decode(uint32_t v, float rgb[3]) {
     rgb[0] = (float)(v & 511u) * scale;
     rgb[1] = (float)(v >> 9 & 511u) * scale;
     rgb[2] = (float)(v >> 18 & 511u) * scale;
+}
+
+/* As much light as a sample may bring: sums of millions of them, and lobes of any exponent, stay finite. */
+#define VOXRTI_GI_GLARING 1e25f
+VOXRTI_INLINE float voxrti_bounded(float light) { /* what is not a number is dark */
+    return light > 0.0f ? (light < VOXRTI_GI_GLARING ? light : VOXRTI_GI_GLARING) : 0.0f;
 }
 
 /* ---- cells and their records ---- */
@@ -18542,6 +18550,7 @@ static voxrt_result voxrti_gi_update_one(voxrt_gi *gi) {
 }
 
 static void voxrti_gi_darken(voxrt_gi *gi);
+static void voxrti_gi_unit(voxrt_gi *gi);
 
 VOXRT_DEF voxrt_result voxrt_gi_update(voxrt_gi *gi, voxrt_gi_update_stats *stats) {
     voxrt_gi *g;
@@ -18558,6 +18567,7 @@ VOXRT_DEF voxrt_result voxrt_gi_update(voxrt_gi *gi, voxrt_gi_update_stats *stat
     if (changed) {
         voxrti_gi_darken(gi);
         if (r == VOXRT_OK) r = voxrti_gi_find_emitters(gi);
+        voxrti_gi_unit(gi);
     }
     if (r != VOXRT_OK) {
         gi->changed = 1;
@@ -18734,7 +18744,43 @@ VOXRT_DEF voxrt_result voxrt_gi_set_lights(voxrt_gi *gi, const voxrt_gi_light *l
     voxrti_free(&gi->mem, gi->light);
     gi->light = copy;
     gi->light_count = count;
+    voxrti_gi_unit(gi);
     return VOXRT_OK;
+}
+
+static float voxrti_vpl_power(const voxrt_gi *gi, size_t lamp, float rgb[3]);
+
+/* Light in cells has 5 bits of exponent. They begin where they are of use: a unit is what all lamps bring to the box's
+   surface on average, rounded to a power of two, so nothing depends on the unit that light is measured in. */
+static void voxrti_gi_unit(voxrt_gi *gi) {
+    voxrt_gi *g;
+    double power = 0.0, around = 0.0;
+    float unit = 1.0f, change;
+    size_t i;
+    uint32_t a, l;
+    for (a = 0; a < 3; a++)
+        around += ((double)gi->hi[a] - (double)gi->lo[a]) * ((double)gi->hi[a] - (double)gi->lo[a]);
+    for (i = 0; i < gi->light_count + (gi->emitter_count != 0); i++) {
+        float rgb[3];
+        const double p = (double)voxrti_vpl_power(gi, i, rgb);
+        power += p < 1e38 ? p : 1e38;
+    }
+    power /= 3.141592653589793 * around;
+    for (i = 0; i < 80 && power > 1.5; i++, power *= 0.5) unit *= 2.0f;
+    for (i = 0; i < 80 && power < 0.75 && power > 0.0; i++, power *= 2.0) unit *= 0.5f;
+    change = gi->unit / unit;
+    for (g = gi; g != NULL; g = g->outer) {
+        g->unit = unit;
+        g->per_unit = 1.0f / unit;
+        for (l = 0; l < 2 && change != 1.0f; l++)
+            for (i = 0; i < 2 * g->layer[l].count; i++) {
+                float rgb[3];
+                if (g->layer[l].bounce[i] == VOXRTI_GI_UNKNOWN) continue;
+                voxrti_rgb9e5_decode(g->layer[l].bounce[i], rgb);
+                for (a = 0; a < 3; a++) rgb[a] *= change;
+                g->layer[l].bounce[i] = voxrti_rgb9e5(rgb);
+            }
+    }
 }
 
 /* One volume; those around it are added by voxrt_gi_create. */
@@ -18751,6 +18797,7 @@ static voxrt_result voxrti_gi_open(const voxrt_gi_desc *desc, const voxrt_column
     gi->mem = mem;
     gi->env = desc->env;
     gi->still_changed = gi->changed = 1;
+    gi->unit = gi->per_unit = 1.0f;
     gi->emit.kind = (voxrt_gi_light_kind)VOXRTI_GI_EMITTERS;
     d = *columns;
     d.env = desc->env;
@@ -19339,32 +19386,41 @@ static int voxrti_gi_light_ray(const voxrt_gi *gi, const voxrt_gi_light *l, cons
     }
     ray->t_min = 0.0f;
     ray->t_max = l->kind == VOXRT_GI_DIRECTIONAL ? INFINITY : 1.0f;
-    return rgb[0] + rgb[1] + rgb[2] > 0.0f && rgb[0] + rgb[1] + rgb[2] < INFINITY;
+    for (a = 0; a < 3; a++) rgb[a] = voxrti_bounded(rgb[a]);
+    return rgb[0] + rgb[1] + rgb[2] > 0.0f;
 }
 
 /* The same for emitters, number `index`: of VOXRTI_EMITTER_CHOICE points one by how much would come from it, for the
-   ray to it costs more than looking at all (Talbot et al. 2005). */
+   ray to it costs more than looking at all (Talbot et al. 2005). The points of a run of the sequence lie in equal parts
+   of the power of all triangles, one in each. Taken in that order and asked for by a number of another sequence, what
+   successive indices get is spread over the part of the lamp that is seen; by chance there is twice the noise. */
 #define VOXRTI_EMITTER_CHOICE 8
 static int voxrti_emitter_ray(const voxrt_gi *gi, const float p[3], const float n[3], uint32_t index, uint32_t seed,
                               voxrt_ray *ray, float rgb[3], float ends[3]) {
-    float sum = 0.0f, mine = 0.0f;
-    uint32_t i, a;
+    float sum = 0.0f, want, y[VOXRTI_EMITTER_CHOICE], u[VOXRTI_EMITTER_CHOICE][2], which[2];
+    uint32_t i, a, at;
+    memset(y, 0, sizeof y);
+    memset(u, 0, sizeof u);
     for (i = 0; i < VOXRTI_EMITTER_CHOICE; i++) {
-        const uint32_t k = index * VOXRTI_EMITTER_CHOICE + i;
-        float u[2], color[3], normal[3], y;
+        float v[2], color[3], normal[3];
         voxrt_ray r;
-        voxrti_sobol2(k, voxrti_hash32(seed), u);
-        if (!voxrti_gi_light_ray(gi, &gi->emit, p, n, u, &r, color, normal)) continue;
-        y = 0.2126f * color[0] + 0.7152f * color[1] + 0.0722f * color[2];
-        sum += y;
-        if ((float)(voxrti_hash32(seed ^ voxrti_hash32(k)) >> 8) * (1.0f / 16777216.0f) * sum > y) continue;
-        mine = y;
-        *ray = r;
-        memcpy(rgb, color, 12);
-        memcpy(ends, normal, 12);
+        voxrti_sobol2(index * VOXRTI_EMITTER_CHOICE + i, voxrti_hash32(seed), v);
+        at = (uint32_t)(v[0] * (float)VOXRTI_EMITTER_CHOICE);
+        memcpy(u[at], v, sizeof v);
+        if (!voxrti_gi_light_ray(gi, &gi->emit, p, n, v, &r, color, normal)) continue;
+        y[at] = 0.2126f * color[0] + 0.7152f * color[1] + 0.0722f * color[2];
     }
-    if (!(mine > 0.0f)) return 0;
-    for (a = 0; a < 3; a++) rgb[a] *= sum / (mine * (float)VOXRTI_EMITTER_CHOICE);
+    for (i = 0; i < VOXRTI_EMITTER_CHOICE; i++) sum += y[i];
+    voxrti_sobol2(index, voxrti_hash32(seed ^ 0x3c6ef372u), which);
+    want = which[0] * sum;
+    for (at = VOXRTI_EMITTER_CHOICE, i = 0; i < VOXRTI_EMITTER_CHOICE; i++) {
+        if (!(y[i] > 0.0f)) continue;
+        at = i; /* the last one, if rounding leaves something */
+        if (want < y[i]) break;
+        want -= y[i];
+    }
+    if (at == VOXRTI_EMITTER_CHOICE || !voxrti_gi_light_ray(gi, &gi->emit, p, n, u[at], ray, rgb, ends)) return 0;
+    for (a = 0; a < 3; a++) rgb[a] = voxrti_bounded(rgb[a] * (sum / (y[at] * (float)VOXRTI_EMITTER_CHOICE)));
     return 1;
 }
 
@@ -19573,8 +19629,10 @@ static void voxrti_gi_fill(const voxrt_gi *gi, int isa, const voxrti_gi_side *si
         c.samples = VOXRTI_GI_AREA_SAMPLES;
         voxrti_light_points(&c, l, &q, rgb, NULL);
     }
-    for (i = 0; i < m; i++)
+    for (i = 0; i < m; i++) {
+        for (k = 0; k < 3; k++) rgb[i][k] *= gi->per_unit;
         voxrti_store_shared(&side[of[i]].gi->layer[side[of[i]].layer].direct[side[of[i]].at], voxrti_rgb9e5(rgb[i]));
+    }
 }
 
 /* What a side sends out by light that was there before: (direct + bounced) * albedo / pi. A Phong lobe sends bounced
@@ -19588,7 +19646,7 @@ VOXRTI_INLINE void voxrti_gi_radiance(const voxrti_gi_side *s, int with_direct, 
     if (with_direct) voxrti_rgb9e5_decode(voxrti_load_shared(&l->direct[s->at]), direct);
     if (with_bounces && known != VOXRTI_GI_UNKNOWN) voxrti_rgb9e5_decode(known, more);
     for (a = 0; a < 3; a++)
-        rgb[a] = (direct[a] * s->albedo[a] + more[a] * (s->albedo[a] + e->specular[a])) * 0.318309886f;
+        rgb[a] = (direct[a] * s->albedo[a] + more[a] * (s->albedo[a] + e->specular[a])) * (0.318309886f * s->gi->unit);
 }
 
 VOXRT_DEF int voxrt_gi_get(const voxrt_gi *gi, const voxrt_column_hit *hit, const float dir[3],
@@ -19641,8 +19699,14 @@ typedef struct voxrti_gather {
 
 /* A ray that grazes the surface it starts on can meet cells of that whose surface faces away from it: where the surface
    curves away from its tangent plane, and where cells stick out at edges. As near as this, in cell diagonals, it goes
-   on; farther away what faces away is dark. */
+   on; farther away what faces away is dark. So it is higher above the surface: where a body stands on a floor, the cells
+   of its foot are in the floor's, rays get into it there, and must not leave it on the other side. */
 #define VOXRTI_GATHER_SELF 16.0f
+#define VOXRTI_GATHER_RISE 2.0f
+VOXRTI_INLINE int voxrti_gather_grazes(const voxrt_gi *gi, const voxrt_ray *r, const float n[3], float t) {
+    const float diagonal = (float)gi->columns->diagonal;
+    return t <= VOXRTI_GATHER_SELF * diagonal && t * voxrti_dot3(r->dir, n) <= VOXRTI_GATHER_RISE * diagonal;
+}
 
 /* Sample `number` of each point: a ray over its hemisphere with density cos, or, where it has a lobe, in that: what it
    meets. weight: what its light counts for the mean. t of a miss is INFINITY; a hit that shows no side has at =
@@ -19684,7 +19748,7 @@ static void voxrti_gather_rays(const voxrti_gather *w, const voxrti_points *q, u
         side[i].at = (size_t)-1;
         if (!(hit[i].t < INFINITY)) continue;
         if (voxrti_gi_side_see(where[i], of[i], layer[i], hit[i].cell, ray[i].dir, &side[i])) continue;
-        if (t[i] > VOXRTI_GATHER_SELF * (float)where[i]->columns->diagonal) continue;
+        if (!voxrti_gather_grazes(where[i], &ray[i], q->n[i], t[i])) continue;
         again[more] = ray[i];
         again[more].t_min = t[i] + 0.5f * (float)where[i]->columns->diagonal;
         memcpy(normal[more], q->n[i], sizeof normal[more]);
@@ -19698,7 +19762,7 @@ static void voxrti_gather_rays(const voxrti_gather *w, const voxrti_points *q, u
             t[i] = hit[j].t;
             if (!(hit[j].t < INFINITY)) continue;
             if (voxrti_gi_side_see(where[j], of[j], layer[j], hit[j].cell, ray[i].dir, &side[i])) continue;
-            if (t[i] > VOXRTI_GATHER_SELF * (float)where[j]->columns->diagonal) continue;
+            if (!voxrti_gather_grazes(where[j], &ray[i], q->n[i], t[i])) continue;
             again[still] = again[j];
             again[still].t_min = t[i] + 0.5f * (float)where[j]->columns->diagonal;
             memcpy(normal[still], normal[j], sizeof normal[still]);
@@ -19821,7 +19885,7 @@ static VOXRTI_NOINLINE void voxrti_gather_run(const voxrti_gather *w, const voxr
                 if (side[i].at == (size_t)-1) continue;
                 for (a = 0; a < 3; a++) {
                     now[a] = part[i][a] * weight[i];
-                    out[of[i]][a] += rgb[i][a] * now[a];
+                    out[of[i]][a] += voxrti_bounded(rgb[i][a] * now[a]);
                 }
                 at.seed[m] = voxrti_hash32(at.seed[i] + 0x9e3779b9u);
                 at.place[m] = at.place[i];
@@ -19893,7 +19957,7 @@ static void voxrti_vpl_start(const voxrti_vpl_work *v, uint32_t i, voxrt_ray *ra
     }
     p = voxrti_vpl_power(gi, lamp, flux);
     l = lamp < gi->light_count ? &gi->light[lamp] : &gi->emit;
-    for (a = 0; a < 3; a++) flux[a] = p > 0.0f ? flux[a] * v->power / p : 0.0f;
+    for (a = 0; a < 3; a++) flux[a] = p > 0.0f ? voxrti_bounded(flux[a] * (v->power / p)) : 0.0f;
     memcpy(ray->org, l->position, 12);
     ray->t_min = 0.0f;
     ray->t_max = INFINITY;
@@ -19927,7 +19991,7 @@ static void voxrti_vpl_start(const voxrti_vpl_work *v, uint32_t i, voxrt_ray *ra
         voxrti_sobol2(i, 0x7a4f92c1u, q);
         e = voxrti_gi_emitter(gi, q, ray->org);
         (void)voxrti_lobe_direction(e->n, u, 1.0f, ray->dir);
-        for (a = 0; a < 3; a++) flux[a] *= e->rgb[a] / e->share;
+        for (a = 0; a < 3; a++) flux[a] = voxrti_bounded(flux[a] * (e->rgb[a] / e->share));
         memcpy(normal, e->n, 12);
     }
 }
@@ -19967,11 +20031,11 @@ static void voxrti_task_vpl(void *ctx, uint32_t batch) {
                 cosine = voxrti_dot3(ray[i].dir, from->n);
                 k = cosine * (from->specular[3] + 2.0f) / (from->specular[3] + 1.0f) * all / shine;
                 k = k > 0.0f ? k : 0.0f;
-                for (a = 0; a < 3; a++) flux[i][a] = from->flux[a] * from->specular[a] * k;
+                for (a = 0; a < 3; a++) flux[i][a] = voxrti_bounded(from->flux[a] * from->specular[a] * k);
             } else {
                 (void)voxrti_lobe_direction(from->n, u, 1.0f, ray[i].dir);
                 k = all > shine ? all / (all - shine) : 0.0f;
-                for (a = 0; a < 3; a++) flux[i][a] = from->flux[a] * from->albedo[a] * k;
+                for (a = 0; a < 3; a++) flux[i][a] = voxrti_bounded(from->flux[a] * from->albedo[a] * k);
             }
             if (!(flux[i][0] + flux[i][1] + flux[i][2] > 0.0f)) ray[i].t_max = -1.0f;
         }
@@ -20091,7 +20155,8 @@ static VOXRTI_NOINLINE void voxrti_vpl_run(const voxrti_gather *w, const voxrti_
                     if (l->specular[3] > 0.0f) shine = voxrti_phong(l->view, l->n, from, l->specular[3]);
                 }
                 for (a = 0; a < 3; a++) {
-                    const float e = l->flux[a] * (l->albedo[a] * 0.318309886f + l->specular[a] * shine) * scale[i];
+                    const float e = voxrti_bounded(
+                        l->flux[a] * (l->albedo[a] * 0.318309886f + l->specular[a] * shine) * scale[i]);
                     out[k][a] += e * 0.318309886f;
                     if (gloss != NULL && q->exponent[k] > 0.0f)
                         gloss[k][a] += e * voxrti_phong(q->view[k], q->n[k], to, q->exponent[k]);
@@ -20131,7 +20196,7 @@ static VOXRTI_NOINLINE void voxrti_vpl_compensate(const voxrti_gather *w, const 
             if (!(c1 > 0.0f && c2 > 0.0f)) continue;
             rest = 1.0f - bound * t[i] * t[i] / (c1 * c2);
             if (!(rest > 0.0f)) continue;
-            for (a = 0; a < 3; a++) out[i][a] += rgb[i][a] * rest * (1.0f / (float)(int32_t)rays);
+            for (a = 0; a < 3; a++) out[i][a] += voxrti_bounded(rgb[i][a] * rest) * (1.0f / (float)(int32_t)rays);
         }
     }
 }
@@ -20783,7 +20848,7 @@ static void voxrti_task_combine(void *ctx, uint32_t y) {
             if (!c->ao) v *= g->albedo[3 * at + a];
             if (c->gloss != NULL) v += c->gloss[3 * at + a] * part * g->specular[4 * at + a];
             if (c->emit && g->emission != NULL) v += g->emission[3 * at + a];
-            c->value[3 * at + a] = v;
+            c->value[3 * at + a] = v > 0.0f ? (v < 1e38f ? v : 1e38f) : 0.0f; /* whatever the caller's buffers hold */
         }
     }
 }
@@ -21159,7 +21224,7 @@ typedef struct voxrti_bounce {
 
 static void voxrti_bounce_flush(const voxrti_bounce *b, voxrti_points *q, const size_t *at) {
     const voxrti_gi_layer *l = &b->gi->layer[b->layer];
-    const float scale = 3.14159265f / (float)(int32_t)b->gather.rays;
+    const float scale = 3.14159265f / (float)(int32_t)b->gather.rays * b->gi->per_unit;
     float rgb[VOXRTI_COLUMN_BATCH][3], old[3];
     uint32_t i, a;
     memset(rgb, 0, sizeof rgb);

@@ -93,6 +93,7 @@ SUP_FN int supi_gi_cut(sup_text *text, supi_gi_line *l) {
         if (l->count == SUP_GI_WORDS) return supi_gi_fail(l, "more words than a line can have", SUP_GI_WORDS);
         l->word[l->count] = from;
         l->length[l->count++] = (size_t)(text->at - from);
+        if (memchr(from, 0, (size_t)(text->at - from)) != NULL) return supi_gi_fail(l, "a byte that is 0 in a word", SUP_GI_WORDS);
         if (quoted && (text->at >= text->end || *text->at != '"')) return supi_gi_fail(l, "a quote is not closed:", l->count - 1);
         if (quoted) text->at++;
     }
@@ -543,8 +544,8 @@ SUP_FN void sup_gi_matrix(const sup_gi_scene *s, const sup_gi_thing *o, double t
 
 /* Which file of a sequence is shown: its number. */
 SUP_FN int sup_gi_frame(const sup_gi_thing *o, double time) {
-    const double n = o->frames[1] - o->frames[0] + 1.0, f = floor(time * o->frames[2] + 1e-9);
-    return (int)(o->frames[0] + f - floor(f / n) * n);
+    const double n = o->frames[1] - o->frames[0] + 1.0, f = fmod(floor(time * o->frames[2] + 1e-9), n);
+    return (int)(o->frames[0] + (f < 0.0 ? f + n : f));
 }
 
 /* The name of a frame: its number in place of %d, %3d or %03d. Returns 1 when there is none, or `out` is too short. */
