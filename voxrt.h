@@ -18877,9 +18877,12 @@ VOXRT_DEF voxrt_result voxrt_gi_follow(voxrt_gi *gi, const double centre[3], uin
     uint32_t a;
     if (out_moved != NULL) *out_moved = 0;
     if (gi == NULL || centre == NULL) return VOXRT_ERR_INVALID_ARG;
-    for (a = 0; a < 3; a++)
-        if (!(voxrti_abs(centre[a]) < 1e12))
-            return voxrti_fail(gi->env.error, VOXRT_ERR_INVALID_ARG, a, "coordinate % is not finite");
+    for (a = 0; a < 3; a++) {
+        const uint32_t w = gi->columns->axis[a];
+        if (!(voxrti_abs(centre[w]) < 1e12) ||
+            !(voxrti_abs(centre[w] - gi->columns->origin[a]) < 1e15 * gi->columns->cell[a]))
+            return voxrti_fail(gi->env.error, VOXRT_ERR_INVALID_ARG, w, "coordinate % is not finite, or too far away");
+    }
     for (; gi != NULL; gi = gi->outer) {
         voxrt_columns *c = gi->columns;
         int moved = 0;
@@ -19850,10 +19853,12 @@ static VOXRTI_NOINLINE void voxrti_gather_run(const voxrti_gather *w, const voxr
     voxrti_gi_side side[VOXRTI_COLUMN_BATCH];
     float t[VOXRTI_COLUMN_BATCH], part[VOXRTI_COLUMN_BATCH][3], rgb[VOXRTI_COLUMN_BATCH][3];
     float weight[VOXRTI_COLUMN_BATCH];
+    float sum[VOXRTI_COLUMN_BATCH][3]; /* of up to 1024 rays: floats forget small parts of large sums */
     uint8_t of[VOXRTI_COLUMN_BATCH];
     voxrti_points at;
     uint32_t r, b, i, a, m;
     memset(of, 0, sizeof of);
+    memset(sum, 0, sizeof sum);
     memset(part, 0, sizeof part);
     memset(ray, 0, sizeof ray);
     memset(side, 0, sizeof side);
@@ -19876,7 +19881,7 @@ static VOXRTI_NOINLINE void voxrti_gather_run(const voxrti_gather *w, const voxr
                 if (t[i] < INFINITY) apart[i] += 1.0f / (t[i] + 1e-20f);
             if (w->d->method == VOXRT_GI_AO) {
                 for (i = 0; i < at.count; i++)
-                    for (a = 0; a < 3 && !(t[i] < INFINITY); a++) out[i][a] += weight[i];
+                    for (a = 0; a < 3 && !(t[i] < INFINITY); a++) sum[i][a] += weight[i];
                 break;
             }
             voxrti_hit_light(w, side, ray, t, at.count, w->d->method == VOXRT_GI_GATHER, rgb);
@@ -19885,7 +19890,7 @@ static VOXRTI_NOINLINE void voxrti_gather_run(const voxrti_gather *w, const voxr
                 if (side[i].at == (size_t)-1) continue;
                 for (a = 0; a < 3; a++) {
                     now[a] = part[i][a] * weight[i];
-                    out[of[i]][a] += voxrti_bounded(rgb[i][a] * now[a]);
+                    sum[of[i]][a] += voxrti_bounded(rgb[i][a] * now[a]);
                 }
                 at.seed[m] = voxrti_hash32(at.seed[i] + 0x9e3779b9u);
                 at.place[m] = at.place[i];
@@ -19898,6 +19903,9 @@ static VOXRTI_NOINLINE void voxrti_gather_run(const voxrti_gather *w, const voxr
             }
             at.count = m;
         }
+        if (r % 1024 != 1023 && r + 1 != w->rays) continue;
+        for (i = 0; i < q->count; i++) for (a = 0; a < 3; a++) out[i][a] += sum[i][a];
+        memset(sum, 0, sizeof sum);
     }
 }
 
@@ -21028,12 +21036,13 @@ static voxrt_result voxrti_gi_prepare(const voxrt_gi_render_desc *d, voxrt_gi *g
     for (l = 0; l < gi->light_count; l++) {
         struct voxrti_gi_map *map = &gi->map[l];
         const voxrt_gi_light *light = &gi->light[l];
-        double s, c;
+        double s = 1.0, c = 1.0;
         map->side = d->map_size;
         if (light->kind != VOXRT_GI_POINT && light->kind != VOXRT_GI_SPOT) continue;
-        voxrti_sincos((double)light->angle * (3.14159265358979323846 / 180.0), &s, &c);
+        if (light->kind == VOXRT_GI_SPOT)
+            voxrti_sincos((double)light->angle * (3.14159265358979323846 / 180.0), &s, &c);
         map->faces = light->kind == VOXRT_GI_POINT ? 6 : 1;
-        map->tangent = light->kind == VOXRT_GI_POINT ? 1.0f : (float)(s / c);
+        map->tangent = (float)(s / c);
         map->texel = (float *)voxrti_alloc_array(&gi->mem, (size_t)map->faces * map->side * map->side, 24);
         if (map->texel == NULL) {
             voxrti_gi_maps_free(gi);

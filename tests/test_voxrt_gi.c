@@ -1052,6 +1052,145 @@ TEST(filter_keeps_to_surfaces) { /* a constant stays one; nothing crosses a righ
     voxrt_gi_destroy(gi);
 }
 
+TEST(filters_leave_colours) { /* light is filtered, then coloured: a pattern of colours is as sharp as before */
+    static room r;
+    static float white[48 * 32][3];
+    voxrt_gi_render_desc d;
+    uint32_t i, a, bad = 0;
+    room_open(&r, 48, 32, 0);
+    memset(&d, 0, sizeof d);
+    d.rays = 8;
+    d.filter = 5;
+    for (i = 0; i < 48 * 32; i++) for (a = 0; a < 3; a++) r.albedo[i][a] = 1;
+    CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, white[0], NULL) == VOXRT_OK);
+    for (i = 0; i < 48 * 32; i++) for (a = 0; a < 3; a++) r.albedo[i][a] = (i + i / 48 + a) % 2 ? 0.75f : 0.125f;
+    CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, r.indirect[0], NULL) == VOXRT_OK);
+    for (i = 0; i < 48 * 32; i++) for (a = 0; a < 3; a++) bad += r.indirect[i][a] != white[i][a] * r.albedo[i][a];
+    CHECK_MSG(bad == 0, "%u values", bad);
+    voxrt_gi_destroy(r.gi);
+}
+
+TEST(units_of_light_do_not_matter) { /* lamps 2^40 times as bright or dark: the same bits, times that */
+    static room r;
+    static float first[48 * 32][3];
+    static const float times[4] = {1.0f, 1099511627776.0f, 1.0f / 1099511627776.0f, 1.0f};
+    voxrt_gi_render_desc d;
+    uint32_t k, i, a, bad;
+    for (k = 0; k < 4; k++) {
+        room_open(&r, 48, 32, 0);
+        memset(&d, 0, sizeof d);
+        d.rays = 8;
+        if (k == 3) { /* bounced light goes over from one unit to the other */
+            r.light.color[0] = r.light.color[1] = r.light.color[2] = 80 * 65536.0f;
+            CHECK(voxrt_gi_set_lights(r.gi, &r.light, 1) == VOXRT_OK);
+            CHECK(voxrt_gi_bounce(r.gi, NULL, 8, 0, 3) == VOXRT_OK);
+            for (a = 0; a < 3; a++) r.light.color[a] = 80;
+            CHECK(voxrt_gi_set_lights(r.gi, &r.light, 1) == VOXRT_OK);
+        } else {
+            for (a = 0; a < 3; a++) r.light.color[a] *= times[k];
+            CHECK(voxrt_gi_set_lights(r.gi, &r.light, 1) == VOXRT_OK);
+            CHECK(voxrt_gi_bounce(r.gi, NULL, 8, 0, 3) == VOXRT_OK);
+        }
+        CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, r.indirect[0], NULL) == VOXRT_OK);
+        if (k == 0) memcpy(first, r.indirect, sizeof first);
+        for (i = 0, bad = 0; i < 48 * 32 && k < 3; i++) for (a = 0; a < 3; a++) bad += r.indirect[i][a] != first[i][a] * times[k];
+        CHECK_MSG(bad == 0, "times %g: %u values", (double)times[k], bad);
+        for (i = 0, bad = 0; i < 48 * 32 && k == 3; i++) for (a = 0; a < 3; a++) bad += !(r.indirect[i][a] > first[i][a]);
+        CHECK_MSG(bad < 48 * 32, "bounced light is gone: %u values", bad); /* it was 65536 times as bright */
+        voxrt_gi_destroy(r.gi);
+    }
+}
+
+TEST(many_rays_sum_up) { /* 2^18 rays in a closed sphere of constant radiance: what some of them say */
+    static ball b;
+    voxrt_gi_render_desc d;
+    double few, many;
+    ball_open(&b, 9.0, NULL);
+    b.g.width = 4;
+    b.g.height = 1;
+    memset(&d, 0, sizeof d);
+    d.rays = 4096;
+    few = ball_light(&b, &d);
+    d.rays = 1u << (test_quick() ? 16 : 18);
+    many = ball_light(&b, &d);
+    CHECK_MSG(fabs(many / few - 1) < 2e-3, "%.6f, not %.6f", many, few);
+    voxrt_gi_destroy(b.gi);
+}
+
+TEST(sheets_have_two_sides) { /* a sheet of two triangles, lit from behind: from the front it is black */
+    static model m;
+    static float position[8][3], normal[8][3], albedo[8][3], indirect[8][3];
+    const double lit[4][3] = {{-9, 0, -9}, {-9, 0, 9}, {9, 0, 9}, {9, 0, -9}}; /* its front is up */
+    voxrt_gi_light light = point_light(0, -4, 0, 50);
+    voxrt_gi_render_desc d;
+    voxrt_gbuffer g = gbuffer_of(8, 1, position, normal, albedo);
+    uint32_t turn, i, a;
+    for (turn = 0; turn < 2; turn++) {
+        voxrt_gi *gi = make_gi(64, 64, 64, 10);
+        voxrt_gi_object o;
+        double sum = 0;
+        m.points = m.triangles = 0;
+        quad(&m, lit[0], lit[1], lit[2], lit[3], 200);
+        o = object_of(&m, 1);
+        CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
+        light.position[1] = turn ? 4.0f : -4.0f;
+        CHECK(voxrt_gi_set_lights(gi, &light, 1) == VOXRT_OK && voxrt_gi_update(gi, NULL) == VOXRT_OK);
+        for (i = 0; i < 8; i++) { /* above it, looking down */
+            position[i][0] = (float)i - 4;
+            position[i][1] = 6;
+            normal[i][1] = -1;
+            for (a = 0; a < 3; a++) albedo[i][a] = 1;
+        }
+        memset(&d, 0, sizeof d);
+        d.rays = 64;
+        CHECK(voxrt_gi_render(&d, gi, &g, NULL, indirect[0], NULL) == VOXRT_OK);
+        for (i = 0; i < 8; i++) sum += (double)indirect[i][0];
+        CHECK_MSG(turn ? sum > 0.1 : sum == 0.0, "lit from %s: %g", turn ? "the front" : "behind", sum);
+        voxrt_gi_destroy(gi);
+    }
+}
+
+TEST(still_scenes_come_to_rest) { /* frames as they are drawn of what moves, but nothing does: each differs from the one
+                                     before by less than 0.2 %, and they do not drift */
+    enum { N = 40 * 24, FRAMES = 48 };
+    static room r;
+    static float last[N][3], truth[N][3];
+    voxrt_gi_history *h = NULL;
+    voxrt_gi_render_desc d;
+    uint32_t f, i;
+    double worst = 0, mean[2] = {0, 0};
+    room_open(&r, 40, 24, 0);
+    REQUIRE(voxrt_gi_history_create(NULL, &h) == VOXRT_OK);
+    memset(&d, 0, sizeof d);
+    d.camera = r.camera;
+    d.filter = 3;
+    for (f = 0; f < FRAMES; f++) {
+        d.history = h;
+        d.rays = 16;
+        CHECK(voxrt_gi_set_lights(r.gi, &r.light, 1) == VOXRT_OK && voxrt_gi_update(r.gi, NULL) == VOXRT_OK); /* the same */
+        if (f < 16) CHECK(voxrt_gi_bounce(r.gi, NULL, 16, 0.25f, 7) == VOXRT_OK);
+        if (f == 16) { /* light on cells is at rest: from here on it is the mean of all pictures */
+            voxrt_gi_history_destroy(h);
+            REQUIRE(voxrt_gi_history_create(NULL, &h) == VOXRT_OK);
+            d.history = h;
+        }
+        memcpy(last, r.indirect, sizeof last);
+        CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, r.indirect[0], NULL) == VOXRT_OK);
+        if (f >= 40) worst = fmax(worst, rms(r.indirect, last, N));
+    }
+    d.history = NULL;
+    d.rays = 512;
+    CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, truth[0], NULL) == VOXRT_OK);
+    for (i = 0; i < N; i++) {
+        mean[0] += (double)r.indirect[i][1];
+        mean[1] += (double)truth[i][1];
+    }
+    CHECK_MSG(worst < 0.002, "%.5f from one frame to the next", worst);
+    CHECK_MSG(fabs(mean[0] / mean[1] - 1) < 0.003, "%.5f of the light", mean[0] / mean[1]);
+    voxrt_gi_history_destroy(h);
+    voxrt_gi_destroy(r.gi);
+}
+
 /* ---- pixels that share a sequence, pixels at edges ---- */
 
 TEST(neighbours_share_a_sequence) { /* 4 samples each of 16 x 16 pixels: one of the 1024 in each 1/32 x 1/32, and of any
@@ -1221,7 +1360,7 @@ TEST(walls_on_borders_of_cells) { /* each wall of a lit box between two layers o
             if (gi->layer[l].record[i / 2].area[i % 2] == 0) continue;
             voxrti_rgb9e5_decode(gi->layer[l].direct[i], rgb);
             all++;
-            dark += !(rgb[1] > 0.1f); /* at least 20 cos / r^2 */
+            dark += !(rgb[1] * gi->unit > 0.1f); /* at least 20 cos / r^2 */
         }
         CHECK_MSG(all > 10000 && dark < all / 200, "%g: %u of %u sides are dark", half, dark, all);
         voxrt_gi_destroy(gi);
@@ -2019,6 +2158,11 @@ int main(int argc, char **argv) {
     RUN(threads_and_instruction_sets);
     RUN(threads_and_instruction_sets_in_all_methods);
     RUN(filter_keeps_to_surfaces);
+    RUN(filters_leave_colours);
+    RUN(units_of_light_do_not_matter);
+    RUN(many_rays_sum_up);
+    RUN(sheets_have_two_sides);
+    RUN(still_scenes_come_to_rest);
     RUN(neighbours_share_a_sequence);
     RUN(neighbours_make_less_noise);
     RUN(edges_keep_both_faces);
