@@ -19700,15 +19700,37 @@ typedef struct voxrti_gather {
 
 #define VOXRTI_NO_PIXEL 0xffffffffu
 
-/* A ray that grazes the surface it starts on can meet cells of that whose surface faces away from it: where the surface
-   curves away from its tangent plane, and where cells stick out at edges. As near as this, in cell diagonals, it goes
-   on; farther away what faces away is dark. So it is higher above the surface: where a body stands on a floor, the cells
-   of its foot are in the floor's, rays get into it there, and must not leave it on the other side. */
-#define VOXRTI_GATHER_SELF 16.0f
-#define VOXRTI_GATHER_RISE 2.0f
-VOXRTI_INLINE int voxrti_gather_grazes(const voxrt_gi *gi, const voxrt_ray *r, const float n[3], float t) {
+/* Surfaces do not fill the cells they lie in. Does a ray that hit a cell at t go on?
+
+   A cell may show it no side, for the surface faces away. If the ray begins in front of that surface it goes away from it,
+   and cannot meet it: the cell only sticks out. It may be of the surface where the ray starts, which curves away from its
+   tangent plane or ends at an edge, or of a wall beside it. If it begins behind it, by more than a cell's diagonal, it
+   is within a body, and what it sees is dark.
+
+   A ray that begins beside a wall meets cells of it too early, where it goes up steeply by many cells. So where the start
+   is near the plane of what it sees, and the ray meets that plane beyond the cell, it looks at the next one.
+
+   side: what it sees, out; at = -1 if nothing. */
+#define VOXRTI_GATHER_TURNS 24
+static int voxrti_gather_goes_on(const voxrt_gi *gi, size_t i, uint32_t layer, const voxrt_ray *ray,
+                                 const voxrt_column_hit *hit, voxrti_gi_side *s) {
     const float diagonal = (float)gi->columns->diagonal;
-    return t <= VOXRTI_GATHER_SELF * diagonal && t * voxrti_dot3(r->dir, n) <= VOXRTI_GATHER_RISE * diagonal;
+    float d[3], away;
+    uint32_t side, a;
+    if (voxrti_gi_side_see(gi, i, layer, hit->cell, ray->dir, s)) {
+        for (a = 0; a < 3; a++) d[a] = ray->org[a] - s->position[a];
+        away = voxrti_dot3(d, s->normal);
+        return away > 0.0f && away < 1.5f * diagonal &&
+            away > (hit->t + diagonal) * (0.0f - voxrti_dot3(ray->dir, s->normal));
+    }
+    for (side = 0; side < 2 && i != (size_t)-1; side++) {
+        float at[3], n[3];
+        if (gi->layer[layer].record[i].area[side] == 0) continue;
+        voxrti_gi_side_place(gi, &gi->layer[layer].record[i], side, hit->cell, at, n);
+        for (a = 0; a < 3; a++) d[a] = ray->org[a] - at[a];
+        if (voxrti_dot3(d, n) > 0.0f - diagonal) return 1;
+    }
+    return 0;
 }
 
 /* Sample `number` of each point: a ray over its hemisphere with density cos, or, where it has a lobe, in that: what it
@@ -19750,22 +19772,21 @@ static void voxrti_gather_rays(const voxrti_gather *w, const voxrti_points *q, u
         t[i] = hit[i].t;
         side[i].at = (size_t)-1;
         if (!(hit[i].t < INFINITY)) continue;
-        if (voxrti_gi_side_see(where[i], of[i], layer[i], hit[i].cell, ray[i].dir, &side[i])) continue;
-        if (!voxrti_gather_grazes(where[i], &ray[i], q->n[i], t[i])) continue;
+        if (!voxrti_gather_goes_on(where[i], of[i], layer[i], &ray[i], &hit[i], &side[i])) continue;
         again[more] = ray[i];
         again[more].t_min = t[i] + 0.5f * (float)where[i]->columns->diagonal;
         memcpy(normal[more], q->n[i], sizeof normal[more]);
         from[more++] = (uint8_t)i;
     }
-    for (turn = 0; turn < 4 && more != 0; turn++) {
+    for (turn = 0; turn < VOXRTI_GATHER_TURNS && more != 0; turn++) {
         voxrti_gi_trace(w->gi, w->isa, normal[0], NULL, again, more, hit, where, NULL, stats);
         voxrti_gi_find_all(w->isa, where, hit, more, of, layer);
         for (j = still = 0; j < more; j++) {
             i = from[j];
             t[i] = hit[j].t;
+            side[i].at = (size_t)-1;
             if (!(hit[j].t < INFINITY)) continue;
-            if (voxrti_gi_side_see(where[j], of[j], layer[j], hit[j].cell, ray[i].dir, &side[i])) continue;
-            if (!voxrti_gather_grazes(where[j], &ray[i], q->n[i], t[i])) continue;
+            if (!voxrti_gather_goes_on(where[j], of[j], layer[j], &again[j], &hit[j], &side[i])) continue;
             again[still] = again[j];
             again[still].t_min = t[i] + 0.5f * (float)where[j]->columns->diagonal;
             memcpy(normal[still], normal[j], sizeof normal[still]);

@@ -1101,65 +1101,61 @@ TEST(units_of_light_do_not_matter) { /* lamps 2^40 times as bright or dark: the 
     }
 }
 
-TEST(many_rays_sum_up) { /* 2^18 rays in a closed sphere of constant radiance: what some of them say */
+TEST(many_rays_sum_up) { /* 2^19 rays in a closed sphere of constant radiance: what some of them say */
     static ball b;
     voxrt_gi_render_desc d;
     double few, many;
     ball_open(&b, 9.0, NULL);
-    b.g.width = 4;
-    b.g.height = 1;
+    b.g.width = b.g.height = 1;
     memset(&d, 0, sizeof d);
     d.rays = 4096;
     few = ball_light(&b, &d);
-    d.rays = 1u << (test_quick() ? 16 : 18);
+    d.rays = 1u << (test_quick() ? 14 : 19);
     many = ball_light(&b, &d);
     CHECK_MSG(fabs(many / few - 1) < 2e-3, "%.6f, not %.6f", many, few);
     voxrt_gi_destroy(b.gi);
 }
 
-TEST(sheets_have_two_sides) { /* a sheet of two triangles, lit from behind: from the front it is black */
+TEST(sheets_have_two_sides) { /* a sheet of two triangles, lit from above: from below it is black */
     static model m;
-    static float position[8][3], normal[8][3], albedo[8][3], indirect[8][3];
+    static float position[16][3], normal[16][3], albedo[16][3], indirect[16][3];
     const double lit[4][3] = {{-9, 0, -9}, {-9, 0, 9}, {9, 0, 9}, {9, 0, -9}}; /* its front is up */
-    voxrt_gi_light light = point_light(0, -4, 0, 50);
+    voxrt_gi *gi = make_gi(64, 64, 64, 10);
+    voxrt_gi_light light = point_light(0, 4, 0, 50);
+    voxrt_gi_object o;
     voxrt_gi_render_desc d;
-    voxrt_gbuffer g = gbuffer_of(8, 1, position, normal, albedo);
-    uint32_t turn, i, a;
-    for (turn = 0; turn < 2; turn++) {
-        voxrt_gi *gi = make_gi(64, 64, 64, 10);
-        voxrt_gi_object o;
-        double sum = 0;
-        m.points = m.triangles = 0;
-        quad(&m, lit[0], lit[1], lit[2], lit[3], 200);
-        o = object_of(&m, 1);
-        CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
-        light.position[1] = turn ? 4.0f : -4.0f;
-        CHECK(voxrt_gi_set_lights(gi, &light, 1) == VOXRT_OK && voxrt_gi_update(gi, NULL) == VOXRT_OK);
-        for (i = 0; i < 8; i++) { /* above it, looking down */
-            position[i][0] = (float)i - 4;
-            position[i][1] = 6;
-            normal[i][1] = -1;
-            for (a = 0; a < 3; a++) albedo[i][a] = 1;
-        }
-        memset(&d, 0, sizeof d);
-        d.rays = 64;
-        CHECK(voxrt_gi_render(&d, gi, &g, NULL, indirect[0], NULL) == VOXRT_OK);
-        for (i = 0; i < 8; i++) sum += (double)indirect[i][0];
-        CHECK_MSG(turn ? sum > 0.1 : sum == 0.0, "lit from %s: %g", turn ? "the front" : "behind", sum);
-        voxrt_gi_destroy(gi);
+    voxrt_gbuffer g = gbuffer_of(16, 1, position, normal, albedo);
+    double sum[2] = {0, 0};
+    uint32_t i, a;
+    m.points = m.triangles = 0;
+    quad(&m, lit[0], lit[1], lit[2], lit[3], 200);
+    o = object_of(&m, 1);
+    CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
+    CHECK(voxrt_gi_set_lights(gi, &light, 1) == VOXRT_OK && voxrt_gi_update(gi, NULL) == VOXRT_OK);
+    for (i = 0; i < 16; i++) { /* above it, looking down, and below it, looking up */
+        position[i][0] = (float)(i / 2) - 4;
+        position[i][1] = i % 2 ? -6.0f : 6.0f;
+        normal[i][1] = i % 2 ? 1.0f : -1.0f;
+        for (a = 0; a < 3; a++) albedo[i][a] = 1;
     }
+    memset(&d, 0, sizeof d);
+    d.rays = 64;
+    CHECK(voxrt_gi_render(&d, gi, &g, NULL, indirect[0], NULL) == VOXRT_OK);
+    for (i = 0; i < 16; i++) sum[i % 2] += (double)indirect[i][0];
+    CHECK_MSG(sum[0] > 0.5 && sum[1] == 0.0, "above %g, below %g", sum[0], sum[1]);
+    voxrt_gi_destroy(gi);
 }
 
 TEST(still_scenes_come_to_rest) { /* frames as they are drawn of what moves, but nothing does: each differs from the one
                                      before by less than 0.2 %, and they do not drift */
-    enum { N = 40 * 24, FRAMES = 48 };
+    enum { N = 32 * 20, FRAMES = 36 };
     static room r;
     static float last[N][3], truth[N][3];
     voxrt_gi_history *h = NULL;
     voxrt_gi_render_desc d;
     uint32_t f, i;
     double worst = 0, mean[2] = {0, 0};
-    room_open(&r, 40, 24, 0);
+    room_open(&r, 32, 20, 0);
     REQUIRE(voxrt_gi_history_create(NULL, &h) == VOXRT_OK);
     memset(&d, 0, sizeof d);
     d.camera = r.camera;
@@ -1168,15 +1164,15 @@ TEST(still_scenes_come_to_rest) { /* frames as they are drawn of what moves, but
         d.history = h;
         d.rays = 16;
         CHECK(voxrt_gi_set_lights(r.gi, &r.light, 1) == VOXRT_OK && voxrt_gi_update(r.gi, NULL) == VOXRT_OK); /* the same */
-        if (f < 16) CHECK(voxrt_gi_bounce(r.gi, NULL, 16, 0.25f, 7) == VOXRT_OK);
-        if (f == 16) { /* light on cells is at rest: from here on it is the mean of all pictures */
+        if (f < 8) CHECK(voxrt_gi_bounce(r.gi, NULL, 4, 0.5f, 7) == VOXRT_OK);
+        if (f == 8) { /* light on cells is at rest: from here on it is the mean of all pictures */
             voxrt_gi_history_destroy(h);
             REQUIRE(voxrt_gi_history_create(NULL, &h) == VOXRT_OK);
             d.history = h;
         }
         memcpy(last, r.indirect, sizeof last);
         CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, r.indirect[0], NULL) == VOXRT_OK);
-        if (f >= 40) worst = fmax(worst, rms(r.indirect, last, N));
+        if (f >= 30) worst = fmax(worst, rms(r.indirect, last, N));
     }
     d.history = NULL;
     d.rays = 512;

@@ -170,6 +170,19 @@ TEST(a_room_as_paths_through_its_triangles_have_it) {
             CHECK_MSG(fabs(sum / mean - 1) < 0.025, "way %u, %u bounces: mean %g, not %g", way, bounces, sum, mean);
             CHECK_MSG(fabs(sum_direct / want_direct - 1) < 0.01, "direct light %g, not %g", sum_direct, want_direct);
         }
+        { /* 65536 virtual lights, 256 for each point: what paths have */
+            double by_paths = 0, by_lights = 0;
+            for (i = 0; i < POINTS; i++) by_paths += (double)pic.indirect[i][0] / POINTS;
+            d.method = VOXRT_GI_VPL;
+            d.pattern = 16;
+            i = d.rays;
+            d.rays = 256;
+            CHECK(voxrt_gi_render(&d, gi, &pic.g, NULL, pic.indirect[0], NULL) == VOXRT_OK);
+            d.rays = i;
+            CHECK(voxrt_gi_virtual_lights(gi, NULL, 0) == 65536u * bounces);
+            for (i = 0; i < POINTS; i++) by_lights += (double)pic.indirect[i][0] / POINTS;
+            CHECK_MSG(fabs(by_lights / by_paths - 1) < 0.02, "virtual lights, %u bounces: mean %g, by paths %g", bounces, by_lights, by_paths);
+        }
         { /* the thesis' gathering and paths, which offsets and lost rays make darker or lighter */
             baseline_light_desc b;
             double sum = 0;
@@ -599,6 +612,202 @@ TEST(under_a_lattice) {
         }
 }
 
+/* A slab as wide as a table, on the floor, half a cell above it, and 1.5 cells: in its shadow, up to where it begins and
+   beneath it, there is as much light as by paths. Rays that begin below get into its foot, and must not come out above. */
+TEST(slabs_that_lie_and_hover) {
+    static const double gap[3] = {0.0, 0.5, 1.5};
+    uint32_t k, where;
+    for (k = 0; k < 3; k++)
+        for (where = 0; where < 2; where++) { /* beside its foot; beneath it */
+            static path_scene s;
+            static model room, slab;
+            const double lo[3] = {-9, -9, -9}, hi[3] = {9, 9, 9}, cell = 0.15, low = -9 + gap[k] * cell;
+            const double lo1[3] = {-3, low, -3}, hi1[3] = {3, low + 6 * cell, 3}, lamp[3] = {-4, 6, 1};
+            const double at[3] = {where == 0 ? 3 + 1.25 * cell : 1.5, -9, 0}, wide[2] = {where == 0 ? 0.75 * cell : 0.9, 2};
+            double is, want, error;
+            if (where == 1 && k == 0) continue;
+            memset(&s, 0, sizeof s);
+            room.points = room.triangles = slab.points = slab.triangles = 0;
+            both_box(&room, &s, lo, hi, 1, 225);
+            both_box(&slab, &s, lo1, hi1, 0, 200);
+            compare_room(&room, &slab, VOXRT_COLUMNS_THIN, &s, lamp, at, wide, 128, 128, &is, &want, &error);
+            /* of the floor's light in the open, 0.13 */
+            CHECK_MSG(fabs(is - want) < (where == 0 ? 0.02 : 0.004) + 4 * error, "%g cells above the floor, %s: %.4f, not %.4f +- %.4f", gap[k],
+                      where ? "beneath" : "beside", is, want, error);
+        }
+}
+
+TEST(floors_beside_walls) { /* from half a cell to six cells from a wall: as bright as by paths, but for the first cell */
+    static const double away[5] = {0.5, 1, 2, 3.5, 6}, bound[5] = {0.16, 0.1, 0.05, 0.04, 0.04};
+    uint32_t k;
+    for (k = 0; k < 5; k++) {
+        static path_scene s;
+        static model room;
+        const double lo[3] = {-9, -9, -9}, hi[3] = {9, 9, 9}, lamp[3] = {-3, 4, 1}, at[3] = {-9 + 0.15 * away[k], -9, 0}, wide[2] = {0, 6};
+        double is, want, error;
+        memset(&s, 0, sizeof s);
+        room.points = room.triangles = 0;
+        both_box(&room, &s, lo, hi, 1, 225);
+        compare_room(&room, NULL, VOXRT_COLUMNS_THIN, &s, lamp, at, wide, 128, 128, &is, &want, &error);
+        CHECK_MSG(fabs(is / want - 1) < bound[k] + 4 * error / want, "%g cells from the wall: %.4f, not %.4f +- %.4f", away[k], is, want,
+                  error);
+    }
+}
+
+/* A box without a lid: light that leaves it is lost, and not given to what stays (as by dividing by the virtual lights
+   that are somewhere). */
+TEST(light_that_leaves_is_lost) {
+    static path_scene s;
+    static model m;
+    static picture pic;
+    const double lo[3] = {-9, -9, -9}, hi[3] = {9, 9, 9}, none[3] = {0, 0, 0}, lamp[3] = {0, 6, 0};
+    voxrt_gi *gi = make_gi_at(64, 64, 64, 9.6, none);
+    voxrt_gi_render_desc d;
+    double want = 0, is = 0, error = 0;
+    uint32_t i, a, k = 0;
+    memset(&s, 0, sizeof s);
+    memset(&d, 0, sizeof d);
+    m.points = m.triangles = 0;
+    s.state = 9;
+    both_box(&m, &s, lo, hi, 1, 225);
+    for (i = 0; i < 12; i++) { /* without the triangles at the top */
+        if (s.p[i][0][1] > 8.9 && s.p[i][1][1] > 8.9 && s.p[i][2][1] > 8.9) continue;
+        memcpy(s.p[k], s.p[i], sizeof s.p[k]);
+        memcpy(s.n[k], s.n[i], sizeof s.n[k]);
+        s.albedo[k] = s.albedo[i];
+        memcpy(m.index[k], m.index[i], sizeof m.index[k]);
+        memcpy(m.rgb[k], m.rgb[i], sizeof m.rgb[k]);
+        k++;
+    }
+    REQUIRE(k == 10);
+    s.count = (int)k;
+    m.triangles = k;
+    memcpy(s.lamp, lamp, sizeof s.lamp);
+    s.intensity = 100;
+    add_model(gi, &m);
+    set_lamp(gi, lamp, s.intensity);
+    open_picture(&pic);
+    rng_state = 3;
+    for (i = 0; i < POINTS; i++) {
+        double p[3] = {0, -9, 0}, n[3] = {0, 1, 0}, e;
+        for (a = 0; a < 3; a += 2) p[a] = 14 * rnd() - 7;
+        for (a = 0; a < 3; a++) {
+            pic.position[i][a] = (float)p[a];
+            pic.normal[i][a] = (float)n[a];
+            pic.albedo[i][a] = 1.0f;
+        }
+        want += path_indirect(&s, p, n, 1, 1000, &e) / POINTS;
+        error += e * e / (POINTS * POINTS);
+    }
+    d.method = VOXRT_GI_VPL;
+    d.rays = 256;
+    d.pattern = 4;
+    CHECK(voxrt_gi_render(&d, gi, &pic.g, NULL, pic.indirect[0], NULL) == VOXRT_OK);
+    for (i = 0; i < gi->vpl_count; i++) k += gi->vpl[i].flux[0] > 0;
+    CHECK_MSG(k > 0.6 * (double)gi->vpl_count && k < 0.8 * (double)gi->vpl_count, "%u of %u are somewhere", k, (unsigned)gi->vpl_count);
+    is = mean_of((const float (*)[3])pic.indirect, POINTS);
+    CHECK_MSG(fabs(is / want - 1) < 0.03 + 4 * sqrt(error) / want, "%.4f, not %.4f +- %.4f", is, want, sqrt(error));
+    voxrt_gi_destroy(gi);
+}
+
+TEST(balls_do_not_shade_themselves) { /* rays from balls of 4 to 48 cells' radius, seen from outside: less than 1 % meet them */
+    static const double radius[4] = {4, 8, 20, 48};
+    uint32_t k;
+    for (k = 0; k < 4; k++) {
+        static model m;
+        const double none[3] = {0, 0, 0};
+        voxrt_gi *gi = make_gi_at(128, 128, 128, 64, none);
+        voxrt_columns_trace_desc d;
+        const uint32_t rays = test_quick() ? 4000 : 20000;
+        uint32_t i, a, hits = 0;
+        sphere(&m, radius[k], 90, 200, 0);
+        add_model(gi, &m);
+        CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
+        memset(&d, 0, sizeof d);
+        rng_state = 31 + k;
+        for (i = 0; i < rays; i++) {
+            voxrt_ray r;
+            float n[3], u[2], l;
+            uint8_t dark;
+            do {
+                for (a = 0; a < 3; a++) n[a] = (float)(2 * rnd() - 1);
+                l = voxrti_dot3(n, n);
+            } while (!(l > 0.01f && l < 1.0f) || !voxrti_normalize(n));
+            u[0] = (float)rnd() * 0.999999f;
+            u[1] = (float)rnd() * 0.999999f;
+            (void)voxrti_lobe_direction(n, u, 1.0f, r.dir);
+            for (a = 0; a < 3; a++) r.org[a] = (float)radius[k] * n[a];
+            r.t_min = 0;
+            r.t_max = 200;
+            d.normals = n;
+            CHECK(voxrt_columns_occluded(gi->columns, &d, &r, &dark, 1) == VOXRT_OK);
+            hits += dark;
+        }
+        CHECK_MSG(hits < rays / 100, "radius %g: %.4f of the rays", radius[k], (double)hits / rays);
+        voxrt_gi_destroy(gi);
+    }
+}
+
+/* Least upper bound of |share of points in [0, x) x [0, y) - x y|, by all corners the points make. */
+static double star(float (*u)[2], uint32_t n) {
+    double worst = 0;
+    uint32_t i, j, k;
+    for (i = 0; i <= n; i++)
+        for (j = 0; j <= n; j++) {
+            const double x = i < n ? (double)u[i][0] : 1, y = j < n ? (double)u[j][1] : 1;
+            uint32_t within = 0, open = 0;
+            for (k = 0; k < n; k++) {
+                within += (double)u[k][0] <= x && (double)u[k][1] <= y;
+                open += (double)u[k][0] < x && (double)u[k][1] < y;
+            }
+            worst = fmax(worst, fmax((double)within / n - x * y, x * y - (double)open / n));
+        }
+    return worst;
+}
+
+/* Hammersley's points have the discrepancy that theory gives them (Halton & Zaremba 1969), ours are as good and random
+   ones are not; a rotation makes it no worse than twice; numbers of one bounce say nothing about those of the next. */
+TEST(points_are_even) {
+    enum { N = 128 };
+    static float u[N][2];
+    double d, mean = 0, hammersley, xy = 0, xx = 0, yy = 0;
+    uint32_t i, seed;
+    for (i = 0; i < N; i++) {
+        u[i][0] = (float)i / N;
+        u[i][1] = baseline_radical(i, 2);
+    }
+    hammersley = star(u, N);
+    CHECK_MSG(fabs(hammersley * N - (7 / 3.0 + 13 / 9.0)) < 0.3, "%.4f / %u", hammersley * N, N);
+    for (i = 0; i < N; i++) {
+        u[i][0] = baseline_turned(u[i][0], voxrti_hash32(5));
+        u[i][1] = baseline_turned(u[i][1], voxrti_hash32(6));
+    }
+    d = star(u, N);
+    CHECK_MSG(d < 2.5 * hammersley, "%.4f", d);
+    for (seed = 0; seed < 8; seed++) {
+        for (i = 0; i < N; i++) voxrti_sobol2(i, voxrti_hash32(seed), u[i]);
+        mean += star(u, N) / 8;
+    }
+    CHECK_MSG(mean < 1.25 * hammersley, "%.4f against %.4f", mean, hammersley);
+    rng_state = 4;
+    for (i = 0; i < N; i++) {
+        u[i][0] = (float)rnd();
+        u[i][1] = (float)rnd();
+    }
+    d = star(u, N);
+    CHECK_MSG(d > 2 * mean, "random points: %.4f", d);
+    for (i = 0; i < 4096; i++) { /* as voxrti_gather_run makes them: the sample of the third bounce and of the fourth */
+        const uint32_t third = voxrti_hash32(voxrti_hash32(77u + 0x9e3779b9u) + 0x9e3779b9u);
+        float a[2], b[2];
+        voxrti_sobol2(i, third, a);
+        voxrti_sobol2(i, voxrti_hash32(third + 0x9e3779b9u), b);
+        xy += ((double)a[0] - 0.5) * ((double)b[1] - 0.5);
+        xx += ((double)a[0] - 0.5) * ((double)a[0] - 0.5);
+        yy += ((double)b[1] - 0.5) * ((double)b[1] - 0.5);
+    }
+    CHECK_MSG(fabs(xy / sqrt(xx * yy)) < 4 / sqrt(4096.0), "correlation %.4f", xy / sqrt(xx * yy));
+}
+
 TEST(a_sheet_between_two_rooms) { /* 0.1 cells thick, red on one side and green on the other: each room gets its own colour */
     static path_scene s;
     static model m;
@@ -830,6 +1039,11 @@ int main(int argc, char **argv) {
     RUN(no_flicker_under_a_moving_lamp);
     RUN(scale_and_place_do_not_matter);
     RUN(under_a_lattice);
+    RUN(slabs_that_lie_and_hover);
+    RUN(floors_beside_walls);
+    RUN(light_that_leaves_is_lost);
+    RUN(balls_do_not_shade_themselves);
+    RUN(points_are_even);
     RUN(a_sheet_between_two_rooms);
     RUN(coarse_grids_are_near);
     RUN(a_hall_of_many_triangles);
