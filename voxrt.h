@@ -18437,15 +18437,52 @@ static void voxrti_gi_track(voxrt_gi *gi) {
     }
 }
 
+/* Bring triangles that emit along a Z curve, and add up their power: equal parts of the sum are patches of a lamp then,
+   so points that are even in the sum see it from one side, or shadows of it, evenly, too. */
+static voxrt_result voxrti_gi_sort_emitters(voxrt_gi *gi) {
+    const size_t n = gi->emitter_count;
+    uint64_t *key = (uint64_t *)voxrti_alloc_array(&gi->mem, n, sizeof *key);
+    voxrti_emitter *copy = (voxrti_emitter *)voxrti_alloc_array(&gi->mem, n, sizeof *copy);
+    float lo[3] = {INFINITY, INFINITY, INFINITY}, size = 0.0f;
+    double sum = 0.0;
+    size_t i;
+    uint32_t a;
+    if (key == NULL || copy == NULL) {
+        voxrti_free(&gi->mem, key);
+        voxrti_free(&gi->mem, copy);
+        return VOXRT_ERR_NO_MEMORY;
+    }
+    memcpy(copy, gi->emitter, n * sizeof *copy);
+    for (i = 0; i < n; i++) for (a = 0; a < 3; a++) lo[a] = copy[i].p[a] < lo[a] ? copy[i].p[a] : lo[a];
+    for (i = 0; i < n; i++)
+        for (a = 0; a < 3; a++) size = copy[i].p[a] - lo[a] > size ? copy[i].p[a] - lo[a] : size;
+    for (i = 0; i < n; i++) {
+        uint32_t q[3];
+        for (a = 0; a < 3; a++) {
+            const float at = copy[i].p[a] - lo[a] + (copy[i].u[a] + copy[i].v[a]) * (1.0f / 3.0f);
+            q[a] = at > 0.0f && size > 0.0f ? (uint32_t)(at / size < 1.0f ? at / size * 1023.0f : 1023.0f) : 0;
+        }
+        key[i] = voxrti_morton(q[0], q[1], q[2]) << 32 | (uint64_t)i;
+    }
+    voxrti_heap_sort(key, n);
+    for (i = 0; i < n; i++) {
+        gi->emitter[i] = copy[key[i] & 0xffffffffu];
+        gi->emitter[i].sum = sum += gi->emitter[i].sum;
+    }
+    voxrti_free(&gi->mem, key);
+    voxrti_free(&gi->mem, copy);
+    return VOXRT_OK;
+}
+
 /* All triangles of objects that emit light. */
 static voxrt_result voxrti_gi_find_emitters(voxrt_gi *gi) {
-    double sum = 0.0;
     size_t i, t, room = 0;
     gi->emitter_count = 0;
     for (i = 0; i < gi->entry_count; i++) {
         const voxrti_gi_entry *e = &gi->entry[i];
         if (e->used && e->emission[0] + e->emission[1] + e->emission[2] > 0.0f) room += e->object.mesh.triangle_count;
     }
+    if (room > 0xffffffffu) return VOXRT_ERR_NO_MEMORY;
     if (room > gi->emitter_capacity) {
         voxrti_free(&gi->mem, gi->emitter);
         gi->emitter_capacity = 0;
@@ -18488,11 +18525,11 @@ static voxrt_result voxrti_gi_find_emitters(voxrt_gi *gi) {
             if (!voxrti_normalize(m->n) || !(l > 0.0f) || !(l < 1e30f)) continue;
             memcpy(m->rgb, e->emission, 12);
             m->share = share;
-            m->sum = sum += (double)share * (double)l;
+            m->sum = (double)share * (double)l;
             gi->emitter_count++;
         }
     }
-    return VOXRT_OK;
+    return gi->emitter_count != 0 ? voxrti_gi_sort_emitters(gi) : VOXRT_OK;
 }
 
 /* Voxelise the layers of one volume that changed, keep what bounced. */
@@ -19396,7 +19433,7 @@ static int voxrti_gi_light_ray(const voxrt_gi *gi, const voxrt_gi_light *l, cons
 /* The same for emitters, number `index`: of VOXRTI_EMITTER_CHOICE points one by how much would come from it, for the
    ray to it costs more than looking at all (Talbot et al. 2005). The points of a run of the sequence lie in equal parts
    of the power of all triangles, one in each. Taken in that order and asked for by a number of another sequence, what
-   successive indices get is spread over the part of the lamp that is seen; by chance there is twice the noise. */
+   successive indices get is spread over the part of the lamp that is seen. */
 #define VOXRTI_EMITTER_CHOICE 8
 static int voxrti_emitter_ray(const voxrt_gi *gi, const float p[3], const float n[3], uint32_t index, uint32_t seed,
                               voxrt_ray *ray, float rgb[3], float ends[3]) {
@@ -19702,13 +19739,13 @@ typedef struct voxrti_gather {
 
 /* Surfaces do not fill the cells they lie in. Does a ray that hit a cell at t go on?
 
-   A cell may show it no side, for the surface faces away. If the ray begins in front of that surface it goes away from it,
-   and cannot meet it: the cell only sticks out. It may be of the surface where the ray starts, which curves away from its
-   tangent plane or ends at an edge, or of a wall beside it. If it begins behind it, by more than a cell's diagonal, it
-   is within a body, and what it sees is dark.
+   A cell may show it no side, for the surface faces away. If the ray begins in front of that surface it goes away from
+   it, and cannot meet it: the cell only sticks out. It may be of the surface where the ray starts, which curves away from
+   its tangent plane or ends at an edge, or of a wall beside it. If it begins behind it, by more than a cell's diagonal,
+   it is within a body, and what it sees is dark.
 
-   A ray that begins beside a wall meets cells of it too early, where it goes up steeply by many cells. So where the start
-   is near the plane of what it sees, and the ray meets that plane beyond the cell, it looks at the next one.
+   A ray that begins beside a wall meets cells of it too early, where it goes up steeply by many cells. So where the
+   start is near the plane of what it sees, and the ray meets that plane beyond the cell, it looks at the next one.
 
    side: what it sees, out; at = -1 if nothing. */
 #define VOXRTI_GATHER_TURNS 24

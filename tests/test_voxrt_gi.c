@@ -2070,6 +2070,7 @@ TEST(memory) {
         d.columns.size_x = d.columns.size_y = 16;
         d.columns.size_z = 64;
         d.nested = 1 + fail % 2;
+        o.material.emission[1] = fail % 4 == 3 ? 2.0f : 0.0f;
         o.mode = fail % 3 == 0 ? VOXRT_COLUMNS_THIN : fail % 3 == 1 ? VOXRT_COLUMNS_SAMPLES : fail % 2 ? VOXRT_COLUMNS_SOLID : VOXRT_COLUMNS_BODY;
         for (a = 0; a < 3; a++) {
             d.columns.box_min[a] = -6;
