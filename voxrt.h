@@ -19740,9 +19740,9 @@ typedef struct voxrti_gather {
 /* Surfaces do not fill the cells they lie in. Does a ray that hit a cell at t go on?
 
    A cell may show it no side, for the surface faces away. If the ray begins in front of that surface it goes away from
-   it, and cannot meet it: the cell only sticks out. It may be of the surface where the ray starts, which curves away from
-   its tangent plane or ends at an edge, or of a wall beside it. If it begins behind it, by more than a cell's diagonal,
-   it is within a body, and what it sees is dark.
+   it, and cannot meet it: the cell only sticks out. It may be of the surface where the ray starts, which curves away
+   from its tangent plane or ends at an edge, or of a wall beside it. If it begins behind it, by more than a cell's
+   diagonal, it is within a body, and what it sees is dark.
 
    A ray that begins beside a wall meets cells of it too early, where it goes up steeply by many cells. So where the
    start is near the plane of what it sees, and the ray meets that plane beyond the cell, it looks at the next one.
