@@ -1524,6 +1524,9 @@ typedef enum tetcast_rbf_method {
    cut            3.5
    metric         world for scattered points, the spacing (over the smallest one) for grids
    base_dims      chosen by trial
+   between        errors are kept at the points. 1: in the middles of the cells of a grid, of tets as well, where the
+                  value is the mean of the corners: two points instead of one (tetrahedra: six), and as much time more.
+                  For data with jumps, where functions otherwise ripple between the points
    sweeps         3 rounds in which functions are fitted again, one after the other, and dropped where they are not
                   needed; 0xffffffff: none
    max_functions  2^26
@@ -1538,6 +1541,7 @@ typedef struct tetcast_rbf_fit_desc {
     float cut;
     double metric[3];
     uint32_t base_dims[3];
+    uint32_t between;
     uint32_t sweeps;
     uint32_t max_functions;
     uint32_t compare;
@@ -15074,6 +15078,40 @@ static void tetcasti_border_copy(const tetcast_cut *cut, float *to, uint32_t wor
         }
 }
 
+/* Least and largest value that a slot shows: of the nodes of its cells, not of the whole brick, which for a coarse one
+   is the range of its neighbours too. */
+static void tetcasti_slot_range(tetcast_cut *cut, size_t slot, const uint32_t s[3]) {
+    const tetcast_bricks *b = cut->bricks;
+    const uint32_t k = cut->level[slot], log = b->log, mask = (1u << k) - 1u;
+    uint32_t lo[3], hi[3], type, a, x, y, z;
+    const uint8_t *block = tetcasti_slot_block(cut, cut->slot[slot], &type);
+    float least = TETCASTI_INF, most = -TETCASTI_INF;
+    for (a = 0; a < 3; a++) {
+        lo[a] = (s[a] & mask) << log >> k;
+        hi[a] = lo[a] + (1u << log >> k);
+    }
+    for (z = lo[2]; z <= hi[2]; z++)
+        for (y = lo[1]; y <= hi[1]; y++) {
+            const size_t row = (size_t)b->side * (y + (size_t)b->side * z);
+            if (type == TETCAST_TYPE_F32) {
+                for (x = lo[0]; x <= hi[0]; x++) {
+                    float v;
+                    memcpy(&v, block + 4 * (row + x), 4);
+                    least = v < least ? v : least;
+                    most = v > most ? v : most;
+                }
+            } else {
+                for (x = lo[0]; x <= hi[0]; x++) {
+                    const float v = tetcasti_node_get(b, block, row + x);
+                    least = v < least ? v : least;
+                    most = v > most ? v : most;
+                }
+            }
+        }
+    cut->range[slot][0] = least;
+    cut->range[slot][1] = most;
+}
+
 /* Adapt one brick: all of its slots, all of their neighbours that are coarser. */
 static void tetcasti_task_adapt(void *ctx, uint32_t task) {
     const tetcasti_adapt *t = (const tetcasti_adapt *)ctx;
@@ -15083,7 +15121,7 @@ static void tetcasti_task_adapt(void *ctx, uint32_t task) {
     const uint32_t source = cut->source[number];
     const tetcasti_brick *brick = &b->brick[source];
     const uint8_t *block = tetcasti_brick_block(b, source);
-    float *to = cut->adapted + (size_t)number * b->nodes, lo = brick->lo, hi = brick->hi;
+    float *to = cut->adapted + (size_t)number * b->nodes;
     uint32_t first[3], k = brick->level, size = 1u << k, s[3], a, n;
     size_t i;
     if (b->type == TETCAST_TYPE_F32) memcpy(to, block, b->nodes * 4);
@@ -15116,8 +15154,6 @@ static void tetcasti_task_adapt(void *ctx, uint32_t task) {
                 start[a] = o[a] >> ko << ko << log;
             }
             tetcasti_border_copy(cut, to, word, r0, r1, first, k, start, ko);
-            lo = cut->range[there][0] < lo ? cut->range[there][0] : lo;
-            hi = cut->range[there][1] > hi ? cut->range[there][1] : hi;
         }
     }
     for (i = 0; i < (size_t)size * size * size; i++) {
@@ -15127,9 +15163,7 @@ static void tetcasti_task_adapt(void *ctx, uint32_t task) {
         s[2] = (brick->place[2] << k) + (uint32_t)i / size / size;
         if (s[0] >= b->slots[0] || s[1] >= b->slots[1] || s[2] >= b->slots[2]) continue;
         here = s[0] + (size_t)b->slots[0] * (s[1] + (size_t)b->slots[1] * s[2]);
-        if (cut->level[here] != k) continue;
-        cut->range[here][0] = lo;
-        cut->range[here][1] = hi;
+        if (cut->level[here] == k) tetcasti_slot_range(cut, here, s);
     }
 }
 
@@ -15150,6 +15184,10 @@ static int tetcasti_cut_adapt(tetcast_cut *cut, const tetcast_env *env) {
                 cut->slot[i] = brick | level << TETCASTI_LEVEL_SHIFT;
                 cut->range[i][0] = b->brick[brick].lo;
                 cut->range[i][1] = b->brick[brick].hi;
+                if (level != 0) {
+                    const uint32_t at[3] = {x, y, z};
+                    tetcasti_slot_range(cut, i, at);
+                }
                 copy[brick] |= 1u;
                 if (level + 1 < b->levels && !(copy[brick] & 2u) && tetcasti_slot_touches(cut, x, y, z, level))
                     copy[brick] |= 2u;
@@ -17313,10 +17351,12 @@ TETCAST_DEF tetcast_result tetcast_render_shaded(const tetcast_shade_desc *desc,
    brick_render: rays through a cut, eight at a time.                            // >>brick_render
 
    A ray has spans (lattice, clipping, hull); in a span it goes from slot to slot by integers; a slot that shows nothing
-   is passed in one step, together with as large a cube of slots around it as shows nothing either. In the others a
+   is passed in one step, together with as large a cube of slots around it as shows nothing either. Slots of one coarse
+   brick that are all seen are one. In the others a
    segment ends at whole multiples of the step of its level and where the slot ends. The value there is that of both
    slots: the field is continuous. All lanes are in slots of their own; what differs between isa is how the next eight
-   values are computed.
+   values are computed. Tried: lanes whose ray has ended take the next pixel of the tile. All of them are then busy, but
+   no two slots end in the same step any more: a fifth slower.
    --------------------------------------------------------------------------- */
 
 /* One ray. t: world length along it; lattice coordinates o + t d. */
@@ -17326,7 +17366,7 @@ typedef struct tetcasti_brick_ray {
     uint32_t spans, at;
     int32_t slot[3];
     uint32_t axis, in_span, last, front; /* axis: through whose border the slot ends; front: its front value is known */
-    uint32_t pixel;
+    uint32_t pixel, log;              /* log: of the cube of slots that is walked through at once */
 } tetcasti_brick_ray;
 
 typedef struct tetcasti_octet {
@@ -17336,12 +17376,14 @@ typedef struct tetcasti_octet {
     uint32_t adapted;            /* bits: blocks of floats */
     uint8_t level[8];
     float depth[8], length[8];
-    uint32_t steps[8], walks[8], live, ended;
+    uint32_t steps[8], walks[8], live, ended, octets;
     tetcasti_brick_ray ray[8];
     tetcasti_ray_sum8 sum;
     tetcasti_seg8 seg;
     tetcast_packet packet;
 } tetcasti_octet;
+
+#define TETCASTI_SEEN 128u
 
 typedef struct tetcasti_brick_frame {
     const tetcast_brick_render_desc *desc;
@@ -17353,7 +17395,9 @@ typedef struct tetcasti_brick_frame {
     tetcasti_encoder encoder;
     tetcasti_mem mem;
     tetcasti_solid hull;
-    uint8_t *skip;                   /* per slot: 0 visible, else 1 + log of the cube of slots that shows nothing */
+    uint8_t *skip;                   /* per slot: 1 + log of the cube of slots that shows nothing; with the bit
+                                        TETCASTI_SEEN: it is seen, and log of the cube of one coarse brick around it
+                                        that is as well */
     double step;                     /* world, of level 0 */
     float begin_t;
     uint32_t wide, tiles_x, tiles, next, done, failed, cancelled;
@@ -17441,10 +17485,10 @@ TETCASTI_INLINE void tetcasti_brick_find(const tetcast_bricks *b, tetcasti_brick
 static int tetcasti_lane_next(const tetcasti_brick_frame *c, tetcasti_octet *l, uint32_t i) {
     const tetcast_bricks *b = c->cut->bricks;
     tetcasti_brick_ray *r = &l->ray[i];
-    uint32_t a, log = 0;
+    uint32_t a, log = r->log;
     int leave = r->in_span != 0;
     for (;;) {
-        uint8_t skip;
+        uint32_t skip;
         if (leave) {
             r->t = r->end;
             if (r->last) {
@@ -17474,7 +17518,7 @@ static int tetcasti_lane_next(const tetcasti_brick_frame *c, tetcasti_octet *l, 
         }
         skip = c->skip[(size_t)r->slot[0] + (size_t)b->slots[0] * ((size_t)r->slot[1] + (size_t)b->slots[1] *
                                                                     (size_t)r->slot[2])];
-        if (skip != 0) log = (uint32_t)skip - 1;
+        log = skip & TETCASTI_SEEN ? skip & 127u : skip - 1;
         r->end = tetcasti_brick_exit(b, r, log, &r->axis);
         r->last = r->axis == 3 || !(r->end < r->span[r->at][1]);
         if (r->last) r->end = r->span[r->at][1];
@@ -17482,7 +17526,8 @@ static int tetcasti_lane_next(const tetcasti_brick_frame *c, tetcasti_octet *l, 
             r->end = r->t;
             continue;
         }
-        if (skip == 0) {
+        if (skip & TETCASTI_SEEN) {
+            r->log = log;
             tetcasti_lane_slot(c, l, i);
             return 1;
         }
@@ -17712,6 +17757,7 @@ static void tetcasti_octet_run(const tetcasti_brick_frame *c, tetcasti_octet *l)
         else
 #endif
         over = tetcasti_octet_step(b, l);
+        l->octets++;
         for (i = 0; i < 8; i++) {
             if (!(l->live >> i & 1u)) continue;
             l->steps[i]++;
@@ -17757,7 +17803,7 @@ static uint32_t tetcasti_brick_ray_open(const tetcasti_brick_frame *c, uint32_t 
         lo = tetcasti_max(lo, tetcasti_min(t0, t1));
         hi = tetcasti_min(hi, tetcasti_max(t0, t1));
     }
-    r->at = r->in_span = r->front = r->last = 0;
+    r->at = r->in_span = r->front = r->last = r->log = 0;
     r->axis = 3;
     r->spans = 0;
     if (!(lo < hi) || !tetcasti_finite(lo)) return 0;
@@ -17786,7 +17832,7 @@ static void tetcasti_brick_pixel(const tetcasti_brick_frame *c, tetcasti_octet *
 
 static void tetcasti_octet_begin(const tetcasti_brick_frame *c, tetcasti_octet *l) {
     uint32_t i;
-    l->live = l->ended = l->adapted = 0;
+    l->live = l->ended = l->adapted = l->octets = 0;
     memset(&l->sum, 0, sizeof l->sum);
     memset(l->steps, 0, sizeof l->steps);
     memset(l->walks, 0, sizeof l->walks);
@@ -17841,6 +17887,7 @@ static void tetcasti_task_bricks(void *ctx, uint32_t strand) {
                     n[3] += l->steps[i];
                     n[4] += l->ended >> i & 1u;
                 }
+                n[5] += 8u * (uint64_t)l->octets;
             }
         i = tetcasti_atomic_add(&c->done, 1u);
         if (strand == 0 && c->desc->env.progress_fn != NULL &&
@@ -17871,28 +17918,34 @@ static int tetcasti_brick_skips(tetcasti_brick_frame *c) {
             seen_lo = lo;
             seen_hi = hi;
         }
-        c->skip[i] = (uint8_t)(known != 0);
+        c->skip[i] = (uint8_t)(known != 0 ? 1u : TETCASTI_SEEN);
     }
-    for (k = 1; k < 12; k++) { /* cubes whose eight parts show nothing */
+    for (k = 1; k < 12; k++) { /* cubes whose eight parts show nothing, or are of one brick that is seen */
         const uint32_t size = 1u << k, half = size / 2;
         uint32_t x, y, z, any = 0;
         for (z = 0; z < b->slots[2]; z += size)
             for (y = 0; y < b->slots[1]; y += size)
                 for (x = 0; x < b->slots[0]; x += size) {
-                    uint32_t j, empty = 1, px, py, pz;
-                    for (j = 0; j < 8; j++) {
+                    const size_t first = x + (size_t)b->slots[0] * (y + (size_t)b->slots[1] * z);
+                    const uint32_t want = c->skip[first];
+                    uint32_t j, same = want == k || (want == (TETCASTI_SEEN | (k - 1)) && cut->level[first] >= k);
+                    uint32_t px, py, pz;
+                    for (j = 1; j < 8 && same; j++) {
                         px = x + (j & 1u) * half;
                         py = y + (j >> 1 & 1u) * half;
                         pz = z + (j >> 2) * half;
-                        if (px < b->slots[0] && py < b->slots[1] && pz < b->slots[2])
-                            empty &= c->skip[px + (size_t)b->slots[0] * (py + (size_t)b->slots[1] * pz)] == k;
+                        if (px < b->slots[0] && py < b->slots[1] && pz < b->slots[2]) {
+                            const size_t at = px + (size_t)b->slots[0] * (py + (size_t)b->slots[1] * pz);
+                            same = c->skip[at] == want && (want == k || cut->slot[at] == cut->slot[first]);
+                        }
                     }
-                    if (!empty) continue;
+                    if (!same) continue;
                     any = 1;
                     for (pz = z; pz < z + size && pz < b->slots[2]; pz++)
                         for (py = y; py < y + size && py < b->slots[1]; py++)
                             for (px = x; px < x + size && px < b->slots[0]; px++)
-                                c->skip[px + (size_t)b->slots[0] * (py + (size_t)b->slots[1] * pz)] = (uint8_t)(k + 1);
+                                c->skip[px + (size_t)b->slots[0] * (py + (size_t)b->slots[1] * pz)] =
+                                    (uint8_t)(want + 1);
                 }
         if (!any) break;
     }
@@ -17986,6 +18039,7 @@ TETCAST_DEF tetcast_result tetcast_render_bricks(const tetcast_brick_render_desc
         stats->walks += tetcasti_tally(c.tally[2]);
         stats->steps += tetcasti_tally(c.tally[3]);
         stats->ended += tetcasti_tally(c.tally[4]);
+        stats->lanes += tetcasti_tally(c.tally[5]);
         stats->isa = c.wide ? TETCAST_ISA_AVX2 : TETCAST_ISA_SCALAR;
     }
     return r;
@@ -19863,6 +19917,7 @@ typedef struct tetcasti_fit {
     uint32_t n, count;
     float *x, *y, *z;                /* local */
     float *value[TETCAST_RBF_MAX_COMPONENTS], *res[TETCAST_RBF_MAX_COMPONENTS], *heed; /* heed: weight of a point */
+    size_t middles;                  /* of cells, after the points of the input */
     uint32_t *source;                /* number in the input */
     uint32_t bins[3];
     float bin_scale[3];
@@ -20424,10 +20479,47 @@ static void tetcasti_fit_colors(tetcasti_fit *t, tetcast_task_fn *task) {
 
 /* ---- points ---- */
 
+static int tetcasti_fit_read(const tetcast_rbf_points *in, size_t i, double p[3], double v[4]);
+
+/* Cells of the input, whose middles are points as well where desc.between asks for them. */
+static size_t tetcasti_fit_middles(const tetcast_rbf_points *in) {
+    size_t n = 1;
+    uint32_t a;
+    if (in->positions.data != NULL) return in->tets != NULL ? in->tet_count : 0;
+    for (a = 0; a < 3; a++) n *= in->dims[a] > 1 ? in->dims[a] - 1 : 1;
+    return in->count > 1 ? n : 0;
+}
+
+/* Middle of a cell, mean of its corners. */
+static int tetcasti_fit_middle(const tetcast_rbf_points *in, size_t cell, double p[3], double v[4]) {
+    const int grid = in->positions.data == NULL;
+    const uint32_t corners = grid ? 8 : 4;
+    size_t at[3] = {0, 0, 0};
+    uint32_t k, a;
+    for (a = 0; a < 3 && grid; a++) {
+        const size_t n = in->dims[a] > 1 ? in->dims[a] - 1 : 1;
+        at[a] = cell % n;
+        cell /= n;
+    }
+    p[0] = p[1] = p[2] = v[0] = v[1] = v[2] = v[3] = 0.0;
+    for (k = 0; k < corners; k++) {
+        double q[3], w[4];
+        size_t i = 0;
+        if (grid) {
+            for (a = 3; a-- > 0;) i = i * in->dims[a] + at[a] + (in->dims[a] > 1 ? k >> a & 1u : 0u);
+        } else i = in->tets[4 * cell + k];
+        if (i >= in->count || !tetcasti_fit_read(in, i, q, w)) return 0;
+        for (a = 0; a < 3; a++) p[a] += q[a] / (double)corners;
+        for (a = 0; a < 4; a++) v[a] += w[a] / (double)corners;
+    }
+    return 1;
+}
+
 /* Number in the input -> world position and values. 0: something is not finite. */
 static int tetcasti_fit_read(const tetcast_rbf_points *in, size_t i, double p[3], double v[4]) {
     const size_t vs = tetcasti_array_stride(&in->values, in->components);
     uint32_t a, ok = 1;
+    if (i >= in->count) return tetcasti_fit_middle(in, i - in->count, p, v);
     v[0] = v[1] = v[2] = v[3] = 0.0;
     if (in->positions.data == NULL) {
         const size_t at[3] = {i % in->dims[0], i / in->dims[0] % in->dims[1], i / in->dims[0] / in->dims[1]};
@@ -20452,10 +20544,10 @@ static tetcast_result tetcasti_fit_survey(tetcasti_fit *t, const tetcast_rbf_fit
     double lo = 1e300, hi = -1e300, longest = 0.0, sum[4] = {0.0, 0.0, 0.0, 0.0}, step = 0.0;
     size_t i, used = 0;
     uint32_t a, c;
-    for (i = 0; i < in->count; i++) {
+    for (i = 0; i < in->count + t->middles; i++) {
         double p[3], v[4], l = 0.0;
         if (!tetcasti_fit_read(in, i, p, v)) {
-            t->rejected++;
+            t->rejected += (uint64_t)(i < in->count);
             continue;
         }
         for (a = 0; a < 3; a++) {
@@ -20499,7 +20591,7 @@ static int tetcasti_fit_sort(tetcasti_fit *t, const tetcast_rbf_points *in) {
     size_t bins = (size_t)t->bins[0] * t->bins[1] * t->bins[2], i, b;
     uint32_t *start = t->start, k = 0, a, c, out = 0;
     const int ok = key != NULL && p != NULL && v != NULL && number != NULL;
-    for (i = 0; ok && i < in->count; i++) {
+    for (i = 0; ok && i < in->count + t->middles; i++) {
         double w[3], value[4];
         if (!tetcasti_fit_read(in, i, w, value)) continue;
         tetcasti_rbf_local(t->m, w, p[k]);
@@ -21099,12 +21191,12 @@ static int tetcasti_fit_compare(tetcasti_fit *t, const tetcast_rbf_points *in, d
     static const uint32_t sizes[] = {4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128};
     const uint32_t grid = in->positions.data == NULL;
     const double step = 2.0 * tolerance / sqrt((double)t->n); /* values: half of it in each component */
+    const uint64_t values = t->count < in->count ? t->count : in->count;
     uint32_t k, c, bits = 1, dims[3];
     uint64_t bytes;
     while (bits < 24 && (double)(1u << bits) * step < 1.0 * (t->n == 1 ? 1.0 : 2.0)) bits++;
-    bytes = ((uint64_t)t->count * t->n * bits + 7) / 8;
-    if (!grid) bytes += (uint64_t)t->count * (t->m->bits.position[0] + t->m->bits.position[1] + t->m->bits.position[2])
-        / 8;
+    bytes = (values * t->n * bits + 7) / 8;
+    if (!grid) bytes += values * (t->m->bits.position[0] + t->m->bits.position[1] + t->m->bits.position[2]) / 8;
     report->grid_bytes = bytes;
     memcpy(report->grid_dims, in->dims, sizeof in->dims);
     report->grid_bits = bits;
@@ -21196,8 +21288,10 @@ static tetcast_result tetcasti_fit_run(tetcasti_fit *t, const tetcast_rbf_fit_de
                                        tetcast_rbf_report *report) {
     const uint32_t none[3] = {0, 0, 0};
     tetcast_rbf *m = t->m;
-    tetcast_result r = tetcasti_fit_survey(t, d, in);
+    tetcast_result r;
     int ok = 1;
+    t->middles = d->between != 0 ? tetcasti_fit_middles(in) : 0;
+    r = tetcasti_fit_survey(t, d, in);
     if (r != TETCAST_OK) return r;
     t->tolerance = (float)((double)d->max_error * t->range * (1.0 - 1e-4));
     if (!(t->range > 1e-30)) t->range = 0.0;
@@ -21206,7 +21300,8 @@ static tetcast_result tetcasti_fit_run(tetcasti_fit *t, const tetcast_rbf_fit_de
     report->rejected = t->rejected;
     report->duplicates = t->duplicates;
     report->range = t->range;
-    report->raw_bytes = (uint64_t)t->count * (t->n + (in->positions.data == NULL ? 0u : 3u)) * 4u;
+    report->raw_bytes = (uint64_t)(t->count < in->count ? t->count : in->count) *
+                        (t->n + (in->positions.data == NULL ? 0u : 3u)) * 4u;
     if (r != TETCAST_OK) return r;
     if (t->range == 0.0) { /* one value everywhere */
         if (!tetcasti_fit_base(t, none)) return TETCAST_ERR_NO_MEMORY;

@@ -17,7 +17,7 @@ enum { LOOK = 40 }; /* a grid of so many places a side tells what values there a
 typedef struct options {
     sup_common common;
     const char *in, *out, *field, *tf, *slice, *inside;
-    int command, method, kernel, model, channel, gather, stepper, has_model, euler;
+    int command, method, kernel, model, channel, gather, stepper, has_model, euler, between;
     int64_t detail, sweeps, component, samples, seeds, steps, base;
     double max_error, mean_error, cut, scale, iso, opacity, dt, ortho, epsilon, step;
     int has_iso, has_cut, shader;
@@ -50,6 +50,7 @@ static int parse(int argc, char **argv, options *o) {
     t[n++] = sup_opt_int("detail", &o->detail, 0, 512, "N", "fit: how fine a generated volume is (32)");
     t[n++] = sup_opt_choice("method", &o->method, "hybrid|pure", "fit: with a coarse grid, or functions only");
     t[n++] = sup_opt_int("base", &o->base, 2, 512, "N", "fit: nodes of the coarse grid along each side (by trial)");
+    t[n++] = sup_opt_flag("between", &o->between, "fit: keep the error in the middles of cells as well");
     t[n++] = sup_opt_choice("kernel", &o->kernel, "gauss|cut|wendland2|wendland4|power", "fit: the kernel");
     t[n++] = sup_opt_real("cut", &o->cut, 1.0, 8.0, "K", "fit: where Gaussians end, in widths (3.5)");
     t[n++] = sup_opt_int("sweeps", &o->sweeps, 0, 100, "N", "fit: how often functions are fitted again (3)");
@@ -213,6 +214,7 @@ static int fit(const options *o, tetcast_env *env, sup_error *err) {
     d.sweeps = o->sweeps ? (uint32_t)o->sweeps : 0xffffffffu;
     for (int k = 0; k < 3; k++) d.base_dims[k] = (uint32_t)o->base;
     d.compare = 1;
+    d.between = (uint32_t)o->between;
     start = sup_now();
     result = tetcast_rbf_fit(&d, &p, &report, &rbf);
     start = sup_now() - start;
