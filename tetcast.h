@@ -1159,6 +1159,10 @@ TETCAST_DEF void tetcast_cut_destroy(tetcast_cut *cut); /* NULL is allowed */
 TETCAST_DEF void tetcast_cut_get_info(const tetcast_cut *cut, tetcast_cut_info *info);
 /* Level of each slot, x fastest: slots[0] * slots[1] * slots[2] bytes. */
 TETCAST_DEF const uint8_t *tetcast_cut_levels(const tetcast_cut *cut);
+/* Level of detail for a given time: the sample_budget of the next frame's cut, when the last one had `last` and took
+   `seconds` instead of `target`. Times between 85 and 100 % of the target change nothing, so levels do not flicker.
+   The library has no clock: what it is told decides. A few frames settle, since time is nearly linear in samples. */
+TETCAST_DEF double tetcast_cut_pace(const tetcast_cut_info *last, double seconds, double target);
 
 /* Trilinear values at points of the finest lattice (node (i, j, k) is at x = i, y = j, z = k), clamped to it.
    isa AUTO: eight at a time where the machine can; the same bits. Any thread. About 3 ns a point. */
@@ -1690,6 +1694,19 @@ typedef struct tetcast_rbf_trace_desc {
 TETCAST_DEF tetcast_result tetcast_rbf_trace(const tetcast_rbf_trace_desc *desc, const tetcast_rbf *rbf,
                                              const double *seeds, size_t count, double *paths, uint32_t *lengths,
                                              tetcast_trace_end *ends);
+
+#ifndef TETCAST_NO_BRICKS
+/* Decode what is seen of a model into bricks, which rays pass through ten times as fast as through many functions.
+   desc    longest: so many nodes along the longest side; 0: 33, then twice as many again until max_error is kept or
+           longest_end (0: 513) is reached. Half of max_error is for levels that are coarser where they may be, half for
+           what lies between the finest nodes
+   report  checks: random points at which bricks and model were compared; error, mean_error, above, worst as for meshes
+   Spacings follow the metric. Errors: INVALID_ARG (neither longest nor max_error; flow channels need three components),
+   RANGE, UNINIT_DESC, NO_MEMORY. The same bits for any number of threads. Cost: that of tetcast_rbf_eval per node. */
+TETCAST_DEF tetcast_result tetcast_bricks_create_rbf(const tetcast_bricks_desc *desc, const tetcast_rbf *rbf,
+                                                     tetcast_rbf_channel channel, uint32_t component,
+                                                     tetcast_bricks_report *report, tetcast_bricks **out);
+#endif
 
 #endif /* TETCAST_NO_RBF */
 
@@ -15301,6 +15318,16 @@ TETCAST_DEF void tetcast_cut_get_info(const tetcast_cut *cut, tetcast_cut_info *
 }
 TETCAST_DEF const uint8_t *tetcast_cut_levels(const tetcast_cut *cut) { return cut != NULL ? cut->level : NULL; }
 
+TETCAST_DEF double tetcast_cut_pace(const tetcast_cut_info *last, double seconds, double target) {
+    double ratio, budget;
+    if (last == NULL || !(last->samples > 0.0) || !(seconds > 0.0) || !(target > 0.0)) return 1.0;
+    ratio = target / seconds;
+    if (ratio >= 1.0 && ratio <= 1.0 / 0.85) return last->samples;
+    ratio *= 0.93; /* for the middle of what is left alone */
+    budget = last->samples * (ratio < 0.25 ? 0.25 : ratio > 4.0 ? 4.0 : ratio);
+    return budget < 1.0 / 32.0 ? 1.0 / 32.0 : budget < 1.0 ? budget : 1.0; /* the coarsest level has 1/32 */
+}
+
 TETCAST_DEF void tetcast_bricks_get_info(const tetcast_bricks *b, tetcast_bricks_info *info) {
     uint32_t i;
     if (info != NULL) memset(info, 0, sizeof *info);
@@ -22689,6 +22716,159 @@ TETCAST_DEF tetcast_result tetcast_rbf_trace(const tetcast_rbf_trace_desc *desc,
     tetcasti_parallel_for(&desc->env, tetcasti_task_rbf_trace, &t, (uint32_t)((count + 7) / 8));
     return TETCAST_OK;
 }
+/* ---- decoding to bricks ---- */
+
+#ifndef TETCAST_NO_BRICKS
+typedef struct tetcasti_rbf_nodes {
+    tetcasti_rbf_picture picture;   /* what tetcasti_rbf_scalar looks at */
+    tetcast_lattice l;
+    float *out;
+} tetcasti_rbf_nodes;
+
+/* What is seen at up to eight places. */
+static void tetcasti_rbf_seen_at(const tetcasti_rbf_picture *t, const float (*p)[3], uint32_t n, float *out) {
+    float v[8 * TETCAST_RBF_MAX_COMPONENTS], s[8 * TETCAST_RBF_MAX_COMPONENTS * 3];
+    const uint32_t c = t->m->components;
+    uint32_t l;
+    tetcasti_rbf_points(t->m, t->add, 0, p, n, v, t->channel > TETCAST_RBF_CHANNEL_LENGTH ? s : NULL);
+    for (l = 0; l < n; l++) out[l] = tetcasti_rbf_scalar(t, v + l * c, s + l * c * 3);
+}
+
+static void tetcasti_task_rbf_nodes(void *ctx, uint32_t layer) {
+    const tetcasti_rbf_nodes *t = (const tetcasti_rbf_nodes *)ctx;
+    const uint32_t *n = t->l.dims;
+    const float *size = t->picture.m->size;
+    float p[8][3], step[3], *out = t->out + (size_t)layer * n[0] * n[1];
+    uint32_t x, y, k, a;
+    for (a = 0; a < 3; a++) step[a] = n[a] > 1 ? size[a] / (float)(n[a] - 1) : 0.0f;
+    for (y = 0; y < n[1]; y++)
+        for (x = 0; x < n[0]; x += 8, out += k) {
+            for (k = 0; k < 8 && x + k < n[0]; k++) {
+                p[k][0] = (float)(x + k) * step[0];
+                p[k][1] = (float)y * step[1];
+                p[k][2] = (float)layer * step[2];
+            }
+            tetcasti_rbf_seen_at(&t->picture, (const float (*)[3])p, k, out);
+        }
+}
+
+/* Bricks and model at random points. */
+static tetcast_result tetcasti_rbf_bricks_check(const tetcast_bricks_desc *d, const tetcasti_rbf_picture *t,
+                                                const tetcast_bricks *b, tetcast_bricks_report *report) {
+    const uint32_t count = d->checks != 0 ? d->checks : 200000;
+    const tetcast_rbf *m = t->m;
+    tetcast_cut_desc cd;
+    tetcast_cut *cut = NULL;
+    tetcast_result r;
+    double sum = 0.0;
+    uint64_t seed = 1;
+    uint32_t i, k, a, n;
+    memset(&cd, 0, sizeof cd);
+    cd.env = d->env;
+    r = tetcast_cut_create(&cd, b, &cut);
+    if (r != TETCAST_OK) return r;
+    report->above = 0;
+    report->error = 0.0;
+    for (i = 0; i < count; i += n) {
+        float p[8][3], v[8];
+        for (n = 0; n < 8 && i + n < count; n++)
+            for (a = 0; a < 3; a++) {
+                seed = tetcasti_hash_mix(seed, 3u * (i + n) + a);
+                p[n][a] = m->size[a] * (float)((double)(uint32_t)(seed >> 32) * (1.0 / 4294967296.0));
+            }
+        tetcasti_rbf_seen_at(t, (const float (*)[3])p, n, v);
+        for (k = 0; k < n; k++) {
+            float x[3];
+            double away;
+            for (a = 0; a < 3; a++)
+                x[a] = m->size[a] > 0.0f ? p[k][a] / m->size[a] * (float)(b->lattice.dims[a] - 1) : 0.0f;
+            tetcasti_point_clamp(b, x[0], x[1], x[2], x);
+            away = tetcasti_abs((double)tetcasti_cut_value(cut, x) - (double)v[k]);
+            sum += away;
+            report->above += d->max_error > 0.0f && away > (double)d->max_error;
+            if (away > report->error) {
+                report->error = away;
+                for (a = 0; a < 3; a++) report->worst[a] = m->box_min[a] + (double)p[k][a] * m->scale[a];
+            }
+        }
+    }
+    report->checks = count;
+    report->mean_error = sum / (double)count;
+    tetcast_cut_destroy(cut);
+    return TETCAST_OK;
+}
+
+/* Bricks on a lattice of `longest` nodes. */
+static tetcast_result tetcasti_rbf_bricks_try(const tetcast_bricks_desc *d, tetcasti_rbf_nodes *t, uint32_t longest,
+                                              tetcast_bricks **out) {
+    const tetcast_rbf *m = t->picture.m;
+    tetcast_bricks_desc half = *d;
+    tetcasti_mem mem;
+    tetcast_array values;
+    tetcast_result r = tetcasti_env_open(&d->env, &mem);
+    float side = 0.0f;
+    size_t n = 1;
+    uint32_t a;
+    if (r != TETCAST_OK) return r;
+    memset(&values, 0, sizeof values);
+    for (a = 0; a < 3; a++) side = m->size[a] > side ? m->size[a] : side;
+    for (a = 0; a < 3; a++) {
+        uint32_t cells = side > 0.0f ? (uint32_t)(m->size[a] / side * (float)(longest - 1) + 0.5f) : 0u;
+        if (cells == 0 && m->size[a] > 0.0f) cells = 1;
+        t->l.dims[a] = cells + 1;
+        t->l.origin[a] = m->box_min[a];
+        t->l.spacing[a] = cells != 0 ? (m->box_max[a] - m->box_min[a]) / (double)cells : m->scale[a];
+        n *= t->l.dims[a]; /* at most 16385^3 */
+    }
+    t->out = (float *)tetcasti_alloc_array(&mem, n, sizeof *t->out);
+    if (t->out == NULL) return tetcasti_fail(d->env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
+    tetcasti_parallel_for(&d->env, tetcasti_task_rbf_nodes, t, t->l.dims[2]);
+    half.max_error = 0.5f * d->max_error;
+    values.data = t->out;
+    r = tetcast_bricks_create_grid(&half, &t->l, &values, NULL, out);
+    tetcasti_free(&mem, t->out);
+    return r;
+}
+
+TETCAST_DEF tetcast_result tetcast_bricks_create_rbf(const tetcast_bricks_desc *desc, const tetcast_rbf *rbf,
+                                                     tetcast_rbf_channel channel, uint32_t component,
+                                                     tetcast_bricks_report *report, tetcast_bricks **out) {
+    tetcast_bricks_desc d;
+    tetcast_bricks_report mine;
+    tetcasti_rbf_nodes t;
+    tetcast_result r = tetcasti_bricks_desc_open(desc, &d, report, out);
+    uint32_t longest, end;
+    if (r != TETCAST_OK) return r;
+    if (report == NULL) report = &mine;
+    memset(report, 0, sizeof *report);
+    end = d.longest_end != 0 ? d.longest_end : 513;
+    longest = d.longest != 0 ? d.longest : end < 33 ? end : 33;
+    if (rbf == NULL || (uint32_t)channel > TETCAST_RBF_CHANNEL_HELICITY || component >= rbf->components ||
+        (channel > TETCAST_RBF_CHANNEL_LENGTH && rbf->components != 3) || longest < 2 || longest > 16385 ||
+        end > 16385 || (d.longest == 0 && !(d.max_error > 0.0f)))
+        return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, 0, "bricks: needs a model, and max_error or longest");
+    memset(&t, 0, sizeof t);
+    t.picture.m = rbf;
+    t.picture.component = component;
+    t.picture.channel = channel != TETCAST_RBF_CHANNEL_AUTO ? channel
+        : rbf->components == 1 ? TETCAST_RBF_CHANNEL_COMPONENT : TETCAST_RBF_CHANNEL_LENGTH;
+    t.picture.add = tetcasti_rbf_add_pick(rbf, tetcasti_rbf_isa(TETCAST_ISA_AUTO));
+    for (;;) {
+        tetcasti_bricks_free(*out);
+        *out = NULL;
+        r = tetcasti_rbf_bricks_try(&d, &t, longest, out);
+        report->tries++;
+        if (r == TETCAST_OK) r = tetcasti_rbf_bricks_check(&d, &t.picture, *out, report);
+        if (r != TETCAST_OK || d.longest != 0 || report->above == 0 || longest >= end) break;
+        longest = 2 * longest - 1 < end ? 2 * longest - 1 : end;
+    }
+    if (r != TETCAST_OK) {
+        tetcasti_bricks_free(*out);
+        *out = NULL;
+    }
+    return r;
+}
+#endif /* TETCAST_NO_BRICKS */
 #endif /* TETCAST_NO_RBF */
 /* ---------------------------------------------------------------------------
    misc: names and versions.                                                     // >>misc

@@ -6,15 +6,17 @@
 #include "tetcast.h"
 #include "support/volume_look.h"
 #include "support/amr_scenes.h"
+#include "support/amr_file.h"
+#include "support/tile_file.h"
 
 typedef struct options {
     sup_common common;
-    const char *in, *out, *scene, *field, *tf, *reference, *data_type;
-    double max_error, opacity, iso, scale, step, radius, share, samples, lod_error;
+    const char *in, *out, *scene, *field, *tf, *reference, *data_type, *coded, *section;
+    double max_error, opacity, iso, scale, step, radius, share, samples, lod_error, seconds;
     int64_t detail, longest, longest_end, cells, level, jump;
     int between;
-    int storage, model, has_iso, has_focus, has_cut, has_dims, has_background, shader, weld, tile;
-    float focus[3], cut[3], dims[3], spacing[3], background[3];
+    int storage, model, has_iso, has_focus, has_cut, has_dims, has_background, shader, weld, tile, codec, has_through;
+    float focus[3], cut[3], dims[3], spacing[3], background[3], normal[3], through[3];
 } options;
 
 static const tetcast_type storages[4] = {TETCAST_TYPE_F16, TETCAST_TYPE_F32, TETCAST_TYPE_U16, TETCAST_TYPE_U8};
@@ -81,33 +83,48 @@ static int load_mesh(const options *o, const char *path, const tetcast_env *env,
     return failed;
 }
 
-/* Bricks from the cells of a locally refined grid. */
+/* Bricks from the cells of a locally refined grid: a plotfile, or the generated blast. */
 static int make_amr_bricks(const options *o, tetcast_bricks_desc *d, tetcast_bricks_report *report, tetcast_bricks **out,
                            sup_error *err) {
     tetcast_amr_desc desc;
     tetcast_amr *amr = NULL;
-    tetcast_patch *patches;
-    float *values;
+    tetcast_patch *patches = NULL;
+    sup_amr file;
+    float *values = NULL, lo = INFINITY, hi = -INFINITY;
     tetcast_result r;
-    size_t count;
+    size_t count = 0;
     uint32_t levels = o->detail > 0 ? (uint32_t)o->detail : 4;
-    if (levels > 6) levels = 6;
-    if (sup_blast_patches(levels, 16, &patches, &count, &values)) return sup_fail(err, "out of memory");
+    memset(&file, 0, sizeof file);
     memset(&desc, 0, sizeof desc);
-    desc.env = d->env;
-    desc.patches = patches;
-    desc.patch_count = count;
-    for (int k = 0; k < 3; k++) {
-        desc.cells[k] = 16;
-        desc.spacing[k] = 1.0 / 16.0;
+    if (o->in) {
+        if (sup_amr_read(o->in, o->field, &file, err)) return 1;
+        sup_amr_desc(&file, &desc);
+    } else {
+        if (levels > 6) levels = 6;
+        if (sup_blast_patches(levels, 16, &patches, &count, &values)) return sup_fail(err, "out of memory");
+        desc.patches = patches;
+        desc.patch_count = count;
+        for (int k = 0; k < 3; k++) {
+            desc.cells[k] = 16;
+            desc.spacing[k] = 1.0 / 16.0;
+        }
     }
+    for (size_t i = 0; i < desc.patch_count; i++) {
+        const tetcast_patch *p = &desc.patches[i];
+        for (size_t k = 0; k < (size_t)p->dims[0] * p->dims[1] * p->dims[2]; k++) {
+            lo = p->values[k] < lo ? p->values[k] : lo;
+            hi = p->values[k] > hi ? p->values[k] : hi;
+        }
+    }
+    desc.env = d->env;
     r = tetcast_amr_create(&desc, &amr);
-    d->max_error = (float)(o->max_error * 4.0);
+    d->max_error = hi > lo ? (float)(o->max_error * ((double)hi - (double)lo)) : 0.0f;
     if (r == TETCAST_OK) r = tetcast_bricks_create_amr(d, amr, (tetcast_amr_method)o->between, report, out);
     tetcast_amr_destroy(amr);
     SUP_FREE(patches);
     SUP_FREE(values);
-    return r == TETCAST_OK ? 0 : sup_fail_result(err, o->scene, r, d->env.error);
+    sup_amr_free(&file);
+    return r == TETCAST_OK ? 0 : sup_fail_result(err, o->in ? o->in : o->scene, r, d->env.error);
 }
 
 /* Bricks from whatever the input is: a uniform grid as it is, other things through tetrahedra. */
@@ -127,7 +144,7 @@ static int make_bricks(const options *o, const tetcast_env *env, tetcast_bricks_
     d.log_cells = o->cells == 8 ? 3 : o->cells == 32 ? 5 : 4;
     d.longest = (uint32_t)o->longest;
     d.longest_end = (uint32_t)o->longest_end;
-    if (!o->in && strcmp(o->scene, "blast") == 0) return make_amr_bricks(o, &d, report, out, err);
+    if (o->in ? sup_amr_is(o->in) : strcmp(o->scene, "blast") == 0) return make_amr_bricks(o, &d, report, out, err);
     if (load_volume(o, o->in, &v, err)) return 1;
     failed = sup_choose_field(&v, o->field, o->in ? o->in : o->scene, &field, &made, label, sizeof label, err);
     if (!failed && v.dims[0] && !v.points && !v.axes[0] && !v.blanks && !field.per_cell) {
@@ -281,7 +298,7 @@ static size_t input_options(options *o, sup_option *table) {
     table[n++] = sup_opt_vec3("spacing", o->spacing, "x,y,z between them (1)");
     table[n++] = sup_opt_choice("storage", &o->storage, "f16|f32|u16|u8", "how values are stored (f16)");
     table[n++] = sup_opt_choice("between", &o->between, "octant|basis|current|nearest",
-                                "--scene blast, a grid of cells refined locally: what lies between their centres (octant)");
+                                "AMReX plotfiles, --scene blast: grids refined locally: what lies between the centres of cells (octant)");
     table[n++] = sup_opt_int("brick", &o->cells, 8, 32, "N", "cells along a brick: 8, 16, 32 (16)");
     return n;
 }
@@ -317,7 +334,7 @@ static int resample(int argc, char **argv) {
     set_defaults(&o);
     sup_error_clear(&err);
     n = input_options(&o, table);
-    table[n++] = sup_opt_positional("IN", &first, 1, "volume mesh or grid; with --scene left out");
+    table[n++] = sup_opt_positional("IN", &first, 1, "volume mesh, grid or AMReX plotfile (its folder); with --scene left out");
     table[n++] = sup_opt_positional("OUT.brk", &second, 0, "brick file");
     table[n++] = sup_opt_real("max-error", &o.max_error, 0.0, 1.0, "E", "largest error, as a share of the data range (0.01)");
     table[n++] = sup_opt_int("longest", &o.longest, 2, 16385, "N", "nodes along the longest side (what the error needs)");
@@ -398,6 +415,9 @@ static int parse_render(int argc, char **argv, options *o, tetcast_brick_render_
     table[n++] = sup_opt_int("jump", &o->jump, 0, 5, "N", "largest difference of neighbours' levels (any)");
     table[n++] = sup_opt_given(sup_opt_vec3("cut", o->cut, "keep what lies this way from the middle"), &o->has_cut);
     table[n++] = sup_opt_text("reference", &o->reference, "MESH", "show it beside the picture, and measure the difference");
+    table[n++] = sup_opt_real("seconds", &o->seconds, 1e-6, 1e6, "T", "levels such that a picture takes no longer than that: draws some");
+    table[n++] = sup_opt_text("coded", &o->coded, "FILE.tile", "also write the picture as --codec codes it");
+    table[n++] = sup_opt_choice("codec", &o->codec, SUP_TILE_CODECS, "colour cells (6 bytes for 16 pixels), with alpha (8), or without loss");
     table[n++] = sup_opt_flag("tiles", &o->tile, "draw in four parts, as several machines would");
     table[n++] = sup_opt_given(sup_opt_vec3("background", o->background, "linear r,g,b instead of transparent"),
                                &o->has_background);
@@ -420,7 +440,9 @@ static int parse_render(int argc, char **argv, options *o, tetcast_brick_render_
     return -1;
 }
 
-static int make_cut(const options *o, const tetcast_env *env, const tetcast_bricks *bricks, tetcast_cut **cut, sup_error *err) {
+/* samples: share of the samples of the finest level, 0: as the options say. */
+static int make_cut(const options *o, const tetcast_env *env, const tetcast_bricks *bricks, double samples, tetcast_cut **cut,
+                    sup_error *err) {
     tetcast_bricks_info info;
     tetcast_cut_desc d;
     tetcast_result r;
@@ -430,7 +452,7 @@ static int make_cut(const options *o, const tetcast_env *env, const tetcast_bric
     d.level = (uint32_t)o->level;
     d.focus_radius = o->has_focus ? o->radius : 0.0;
     for (int k = 0; k < 3; k++) d.focus[k] = (double)o->focus[k];
-    d.sample_budget = o->samples;
+    d.sample_budget = samples > 0.0 ? samples : o->samples;
     d.max_error = (float)(o->lod_error * ((double)info.value_max - (double)info.value_min));
     d.max_jump = (uint32_t)o->jump;
     if (o->share > 0.0) {
@@ -568,7 +590,7 @@ static int render(int argc, char **argv) {
     else status = make_bricks(&o, &desc.env, &report, &bricks, &err);
     if (!status) {
         start = sup_now();
-        status = make_cut(&o, &desc.env, bricks, &cut, &err);
+        status = make_cut(&o, &desc.env, bricks, o.seconds > 0.0 ? 1.0 : 0.0, &cut, &err);
         build = sup_now() - start;
     }
     if (!status) {
@@ -594,11 +616,26 @@ static int render(int argc, char **argv) {
     if (!status) {
         sup_lit_open(&lit, l.transfer, 0.05 * ((double)info.value_max - (double)info.value_min) / info.lattice.spacing[0]);
         if (o.shader == SUP_SHADER_LIT) desc.shader = &lit.shader;
-        start = sup_now();
-        r = draw(&o, &desc, cut, l.optics, &image, &stats);
-        seconds = sup_now() - start;
-        if (r != TETCAST_OK) status = sup_fail_result(&err, o.in ? o.in : o.scene, r, &error);
+        for (int frame = 0; frame < 12 && !status; frame++) { /* --seconds: as many as it takes to fit */
+            tetcast_cut_info shown;
+            double samples;
+            memset(&stats, 0, sizeof stats);
+            start = sup_now();
+            r = draw(&o, &desc, cut, l.optics, &image, &stats);
+            seconds = sup_now() - start;
+            if (r != TETCAST_OK) status = sup_fail_result(&err, o.in ? o.in : o.scene, r, &error);
+            if (status || !(o.seconds > 0.0)) break;
+            tetcast_cut_get_info(cut, &shown);
+            samples = tetcast_cut_pace(&shown, seconds, o.seconds);
+            if (samples == shown.samples || (samples >= 1.0 && shown.samples >= 1.0)) break;
+            tetcast_cut_destroy(cut);
+            cut = NULL;
+            start = sup_now();
+            status = make_cut(&o, &desc.env, bricks, samples, &cut, &err);
+            build = sup_now() - start;
+        }
     }
+    if (!status && o.coded) status = sup_tile_write(o.coded, o.codec, image.rgba8, image.width, image.height, &err);
     if (!status && o.reference) status = draw_reference(&o, &desc, l.optics, &image, &both, &diff, &err);
     if (!status) status = write_pictures(&o, &image, both, &err);
     if (!status && o.common.stats)
@@ -616,6 +653,194 @@ static int render(int argc, char **argv) {
     return status;
 }
 
+/* ---- slice: a plane through cells or bricks ----------------------------------------------------------------- */
+
+static void rainbow(double x, uint8_t rgb[3]) {
+    for (int c = 0; c < 3; c++) { /* blue, cyan, green, yellow, red */
+        const double d = 1.5 - fabs(4.0 * (x < 0.0 ? 0.0 : x > 1.0 ? 1.0 : x) - (double)(3 - c));
+        rgb[c] = (uint8_t)(255.0 * (d < 0.0 ? 0.0 : d > 1.0 ? 1.0 : d) + 0.5);
+    }
+}
+
+/* The plane through a point at right angles to a direction, as large as the box. */
+static void plane_of(const float normal[3], const double through[3], double side, uint32_t width, uint32_t height, tetcast_plane *out) {
+    double n[3], u[3], v[3], length = 0.0;
+    int k, least = 0;
+    for (k = 0; k < 3; k++) length += (double)normal[k] * (double)normal[k];
+    for (k = 0; k < 3; k++) n[k] = (double)normal[k] / sqrt(length);
+    for (k = 1; k < 3; k++) if (fabs(n[k]) < fabs(n[least])) least = k;
+    for (k = 0; k < 3; k++) u[k] = (k == least ? 1.0 : 0.0) - n[least] * n[k];
+    length = sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2]);
+    for (k = 0; k < 3; k++) u[k] /= length;
+    for (k = 0; k < 3; k++) v[k] = n[(k + 1) % 3] * u[(k + 2) % 3] - n[(k + 2) % 3] * u[(k + 1) % 3];
+    for (k = 0; k < 3; k++) {
+        out->u[k] = u[k] * side * (width > height ? 1.0 : (double)width / height);
+        out->v[k] = v[k] * side * (width > height ? (double)height / width : 1.0);
+        out->origin[k] = through[k] - 0.5 * (out->u[k] + out->v[k]);
+    }
+}
+
+/* Polygons of a section as an OBJ file. */
+static int write_section(const char *path, const tetcast_section *s, sup_error *err) {
+    sup_file file;
+    if (sup_file_open(path, &file, err)) return 1;
+    for (uint32_t i = 0; i < s->point_count; i++)
+        fprintf(file.stream, "v %.9g %.9g %.9g %.9g\n", s->points[i][0], s->points[i][1], s->points[i][2], (double)s->values[i]);
+    for (uint32_t i = 0; i < s->polygon_count; i++) {
+        fputs("f", file.stream);
+        for (uint32_t k = s->first[i]; k < s->first[i + 1]; k++) fprintf(file.stream, " %u", k + 1);
+        fputs("\n", file.stream);
+    }
+    return sup_file_commit(&file, err);
+}
+
+static int slice_bricks(const options *o, const tetcast_env *env, const tetcast_bricks *bricks, const tetcast_plane *plane, uint32_t width,
+                        uint32_t height, float *out, sup_error *err) {
+    tetcast_bricks_info info;
+    tetcast_cut *cut = NULL;
+    float *x = (float *)sup_alloc(width, 4), *y = (float *)sup_alloc(width, 4), *z = (float *)sup_alloc(width, 4), *row[3];
+    int failed = x && y && z ? make_cut(o, env, bricks, 0.0, &cut, err) : sup_fail(err, "out of memory");
+    tetcast_bricks_get_info(bricks, &info);
+    row[0] = x;
+    row[1] = y;
+    row[2] = z;
+    for (uint32_t j = 0; j < height && !failed; j++) {
+        for (uint32_t i = 0; i < width; i++)
+            for (int k = 0; k < 3; k++) {
+                const double at = plane->origin[k] + ((double)i + 0.5) / width * plane->u[k] + ((double)j + 0.5) / height * plane->v[k];
+                row[k][i] = (float)((at - info.lattice.origin[k]) / info.lattice.spacing[k]);
+            }
+        tetcast_cut_sample(cut, x, y, z, width, TETCAST_ISA_AUTO, out + (size_t)j * width);
+        for (uint32_t i = 0; i < width; i++)
+            for (int k = 0; k < 3; k++)
+                if (!(row[k][i] >= -1e-4f && row[k][i] <= (float)(info.lattice.dims[k] - 1) + 1e-4f)) out[(size_t)j * width + i] = NAN;
+    }
+    tetcast_cut_destroy(cut);
+    SUP_FREE(x);
+    SUP_FREE(y);
+    SUP_FREE(z);
+    return failed;
+}
+
+static int slice(int argc, char **argv) {
+    sup_option table[SUP_COMMON_OPTIONS + 16];
+    tetcast_error error = {TETCAST_OK, 0, ""};
+    tetcast_env env;
+    tetcast_bricks *bricks = NULL;
+    tetcast_bricks_report report;
+    tetcast_mesh *mesh = NULL;
+    tetcast_section section;
+    tetcast_plane plane;
+    tetcast_result r = TETCAST_OK;
+    sup_error err;
+    options o;
+    float *values = NULL, least = 0.0f, most = 0.0f;
+    uint8_t *pixels = NULL;
+    double lo[3], hi[3], through[3], side, start, seconds, covered = 0.0;
+    size_t n, pixel_count;
+    int status, is_bricks;
+    set_defaults(&o);
+    sup_error_clear(&err);
+    memset(&env, 0, sizeof env);
+    memset(&section, 0, sizeof section);
+    n = sup_common_options(&o.common, table);
+    o.common.size[0] = 1024;
+    o.common.size[1] = 768;
+    o.normal[2] = 1.0f;
+    table[n++] = sup_opt_positional("IN", &o.in, 0, "volume mesh or grid, or .brk");
+    n += input_options(&o, table + n);
+    table[n++] = sup_opt_vec3("normal", o.normal, "x,y,z: direction at right angles to the plane (0,0,1)");
+    table[n++] = sup_opt_given(sup_opt_vec3("through", o.through, "x,y,z: a point of it (the middle)"), &o.has_through);
+    table[n++] = sup_opt_text("section", &o.section, "FILE.obj", "of meshes: the polygons in which it cuts the cells; a value after each x y z");
+    table[n++] = sup_opt_int("level", &o.level, 0, 5, "N", "of bricks: no finer than this level");
+    status = sup_cli_parse(argc, argv, "Values on a plane through cells or bricks.", table, n);
+    if (status >= 0) return status;
+    if (!o.in == !o.scene) return sup_bad_usage(argv[0], "IN or --scene has to be given");
+    if (!(fabsf(o.normal[0]) + fabsf(o.normal[1]) + fabsf(o.normal[2]) > 0.0f)) return sup_bad_usage(argv[0], "--normal: no direction");
+    if (!o.common.out && !o.section) return sup_bad_usage(argv[0], "--out or --section has to be given");
+    is_bricks = o.in ? sup_name_ends(o.in, ".brk") || sup_amr_is(o.in) : strcmp(o.scene, "blast") == 0;
+    if (is_bricks && o.section) return sup_bad_usage(argv[0], "--section: of meshes");
+    env.thread_count = (uint32_t)o.common.threads;
+    env.error = &error;
+    if (!is_bricks) status = load_mesh(&o, o.in, &env, &mesh, &err);
+    else if (o.in && sup_name_ends(o.in, ".brk")) status = read_bricks(&o, &env, &bricks, &err);
+    else status = make_bricks(&o, &env, &report, &bricks, &err);
+    status = status > 0;
+    if (!status && is_bricks) {
+        tetcast_bricks_info info;
+        tetcast_bricks_get_info(bricks, &info);
+        brick_box(&info, lo, hi);
+        least = info.value_min;
+        most = info.value_max;
+    } else if (!status) {
+        tetcast_mesh_info info;
+        tetcast_mesh_get_info(mesh, &info);
+        memcpy(lo, info.box_min, sizeof lo);
+        memcpy(hi, info.box_max, sizeof hi);
+        (void)tetcast_mesh_field(mesh, 0, &least, &most);
+    }
+    pixel_count = (size_t)o.common.size[0] * o.common.size[1];
+    values = (float *)sup_alloc(pixel_count, 4);
+    pixels = (uint8_t *)sup_alloc(pixel_count, 4);
+    if (!status && (!values || !pixels)) status = sup_fail(&err, "out of memory for the picture");
+    start = sup_now();
+    if (!status) {
+        side = 1.1 * sup_box_diagonal(lo, hi) / sqrt(2.0);
+        for (int k = 0; k < 3; k++) through[k] = o.has_through ? (double)o.through[k] : 0.5 * (lo[k] + hi[k]);
+        plane_of(o.normal, through, side, o.common.size[0], o.common.size[1], &plane);
+        if (is_bricks) status = slice_bricks(&o, &env, bricks, &plane, o.common.size[0], o.common.size[1], values, &err);
+        else r = tetcast_plane_sample(&env, mesh, &plane, o.common.size[0], o.common.size[1], values);
+        if (r == TETCAST_OK && o.section) r = tetcast_plane_section(&env, mesh, &plane, &section);
+        if (r != TETCAST_OK) status = sup_fail_result(&err, o.in ? o.in : o.scene, r, &error);
+    }
+    seconds = sup_now() - start;
+    for (size_t i = 0; i < pixel_count && !status; i++) {
+        memset(pixels + 4 * i, 0, 4);
+        if (!(values[i] == values[i])) continue;
+        covered += 1.0;
+        rainbow(most > least ? ((double)values[i] - (double)least) / ((double)most - (double)least) : 0.5, pixels + 4 * i);
+        pixels[4 * i + 3] = 255;
+    }
+    if (!status && o.section) status = write_section(o.section, &section, &err);
+    if (!status && o.common.out) status = sup_png_write8(o.common.out, pixels, o.common.size[0], o.common.size[1], 4, &err);
+    if (!status && o.common.stats) {
+        printf("{\"program\":\"tetcast_bricks\",\"command\":\"slice\",\"in\":");
+        sup_json_string(stdout, o.in ? o.in : o.scene);
+        printf(",\"width\":%u,\"height\":%u,\"covered\":%.0f,\"polygons\":%u,\"area\":%.9g,\"range\":[%.9g,%.9g],\"seconds\":%.6f}\n",
+               o.common.size[0], o.common.size[1], covered, section.polygon_count, section.area, (double)least, (double)most, seconds);
+    }
+    if (status) (void)sup_bad_input(argv[0], err.text);
+    tetcast_section_free(&section);
+    tetcast_bricks_destroy(bricks);
+    tetcast_mesh_destroy(mesh);
+    SUP_FREE(values);
+    SUP_FREE(pixels);
+    return status;
+}
+
+/* ---- tile: a coded picture back ----------------------------------------------------------------------------- */
+
+static int tile(int argc, char **argv) {
+    sup_option table[8];
+    const char *in = NULL, *out = NULL;
+    uint8_t *pixels = NULL;
+    uint32_t width = 0, height = 0;
+    sup_error err;
+    size_t n = 0;
+    int status;
+    sup_error_clear(&err);
+    table[n++] = sup_opt_positional("IN.tile", &in, 1, "what --coded wrote");
+    table[n++] = sup_opt_text("out", &out, "P.png", "the picture");
+    status = sup_cli_parse(argc, argv, "Decodes a picture of colour cells, or without loss.", table, n);
+    if (status >= 0) return status;
+    if (!out) return sup_bad_usage(argv[0], "--out has to be given");
+    status = sup_tile_read(in, &pixels, &width, &height, &err);
+    if (!status) status = sup_png_write8(out, pixels, width, height, 4, &err);
+    if (status) (void)sup_bad_input(argv[0], err.text);
+    SUP_FREE(pixels);
+    return status;
+}
+
 int main(int argc, char **argv) {
     if (argc > 1 && strcmp(argv[1], "resample") == 0) {
         argv[1] = argv[0];
@@ -625,11 +850,18 @@ int main(int argc, char **argv) {
         argv[1] = argv[0];
         return render(argc - 1, argv + 1);
     }
+    if (argc > 1 && (strcmp(argv[1], "slice") == 0 || strcmp(argv[1], "tile") == 0)) {
+        const int is_slice = argv[1][0] == 's';
+        argv[1] = argv[0];
+        return is_slice ? slice(argc - 1, argv + 1) : tile(argc - 1, argv + 1);
+    }
     if (argc > 1 && strcmp(argv[1], "--help") == 0) {
         printf("usage: tetcast_bricks resample IN OUT.brk [--max-error E] ...\n"
                "       tetcast_bricks render IN --out P.png ...\n"
+               "       tetcast_bricks slice IN --normal x,y,z --out P.png ...\n"
+               "       tetcast_bricks tile IN.tile --out P.png\n"
                "Bricks with level of detail: made from tetrahedra or a grid, and drawn. Each command has --help.\n");
         return 0;
     }
-    return sup_bad_usage(argv[0], "the first word is resample or render");
+    return sup_bad_usage(argv[0], "the first word is resample, render, slice or tile");
 }

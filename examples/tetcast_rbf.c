@@ -3,6 +3,7 @@
 
    tetcast_rbf fit IN OUT.rbf --max-error 0.05     grid, tetrahedra or other points -> functions
    tetcast_rbf fit tornado OUT.rbf                 a generated flow; or a scene of volume_scenes.h
+   tetcast_rbf decode IN.rbf OUT.brk               functions -> bricks, for tetcast_bricks
    tetcast_rbf render IN.rbf --out P.png           picture of the field
    tetcast_rbf trace IN.rbf --out P.png            paths of particles in a field of vectors */
 #include "support/cli.h"
@@ -11,14 +12,15 @@
 #include "tetcast.h"
 #include "support/volume_look.h"
 
-enum { COMMAND_FIT, COMMAND_RENDER, COMMAND_TRACE };
+#define COMMANDS "fit|render|trace|decode"
+enum { COMMAND_FIT, COMMAND_RENDER, COMMAND_TRACE, COMMAND_DECODE };
 enum { LOOK = 40 }; /* a grid of so many places a side tells what values there are */
 
 typedef struct options {
     sup_common common;
     const char *in, *out, *field, *tf, *slice, *inside;
-    int command, method, kernel, model, channel, gather, stepper, has_model, euler, between;
-    int64_t detail, sweeps, component, samples, seeds, steps, base;
+    int command, method, kernel, model, channel, gather, stepper, has_model, euler, between, storage;
+    int64_t detail, sweeps, component, samples, seeds, steps, base, longest, longest_end;
     double max_error, mean_error, cut, scale, iso, opacity, dt, ortho, epsilon, step;
     int has_iso, has_cut, shader;
     float background[3], cut_way[3];
@@ -26,7 +28,7 @@ typedef struct options {
 } options;
 
 static int parse(int argc, char **argv, options *o) {
-    sup_option t[SUP_COMMON_OPTIONS + 40];
+    sup_option t[SUP_COMMON_OPTIONS + 48];
     const char *command = NULL;
     size_t n;
     int status;
@@ -40,11 +42,11 @@ static int parse(int argc, char **argv, options *o) {
     n = sup_common_options(&o->common, t);
     o->common.size[0] = 1024;
     o->common.size[1] = 768;
-    t[n++] = sup_opt_positional("fit|render|trace", &command, 1, "what to do");
+    t[n++] = sup_opt_positional(COMMANDS, &command, 1, "what to do");
     t[n++] = sup_opt_positional("IN", &o->in, 1, "fit: a volume (.vtk, .inp, .msh, .node, PLOT3D), \"tornado\" or one of "
                                 SUP_VOLUME_SCENES "; else an .rbf file");
-    t[n++] = sup_opt_positional("OUT.rbf", &o->out, 0, "fit: what is written");
-    t[n++] = sup_opt_real("max-error", &o->max_error, 1e-6, 1.0, "E", "fit: largest error at the points, share of the range");
+    t[n++] = sup_opt_positional("OUT", &o->out, 0, "fit: the .rbf, decode: the .brk file");
+    t[n++] = sup_opt_real("max-error", &o->max_error, 1e-6, 1.0, "E", "fit: largest error at the points; decode: of the bricks; share of the range");
     t[n++] = sup_opt_real("mean-error", &o->mean_error, 0.0, 1.0, "E", "fit: mean error (any)");
     t[n++] = sup_opt_text("field", &o->field, "NAME", "fit: the field (the first one)");
     t[n++] = sup_opt_int("detail", &o->detail, 0, 512, "N", "fit: how fine a generated volume is (32)");
@@ -72,18 +74,22 @@ static int parse(int argc, char **argv, options *o) {
     t[n++] = sup_opt_text("slice", &o->slice, "x|y|z=F", "a plane instead, F of the way through the box");
     t[n++] = sup_opt_real("ortho", &o->ortho, 0.0, 1e30, "H", "parallel rays; height of the picture");
     t[n++] = sup_opt_given(sup_opt_vec3("background", o->background, "linear r,g,b instead of transparent"), &o->has_background);
+    t[n++] = sup_opt_int("longest", &o->longest, 2, 16385, "N", "decode: nodes along the longest side (what the error needs)");
+    t[n++] = sup_opt_int("longest-end", &o->longest_end, 2, 16385, "N", "decode: no more than that (513)");
+    t[n++] = sup_opt_choice("storage", &o->storage, "f16|f32|u16|u8", "decode: how values are stored (f16)");
     t[n++] = sup_opt_int("seeds", &o->seeds, 1, 1000000, "N", "trace: particles");
     t[n++] = sup_opt_int("steps", &o->steps, 1, 1000000, "N", "trace: steps of each");
     t[n++] = sup_opt_real("dt", &o->dt, -1e30, 1e30, "T", "trace: time of a step (1/200 of the box at the greatest speed)");
     t[n++] = sup_opt_choice("stepper", &o->stepper, "rk4|euler", "trace: Runge-Kutta, or the thesis' way");
     status = sup_cli_parse(argc, argv, "Encodes volumes as radial basis functions and looks at them.", t, n);
     if (status >= 0) return status;
-    o->command = sup_parse_choice(command, "fit|render|trace");
-    if (o->command < 0) return sup_bad_usage(argv[0], "\"%s\" is none of fit, render, trace", command);
-    if (o->command == COMMAND_FIT && !o->out) return sup_bad_usage(argv[0], "OUT.rbf is missing");
+    o->command = sup_parse_choice(command, COMMANDS);
+    if (o->command < 0) return sup_bad_usage(argv[0], "\"%s\" is none of fit, render, trace, decode", command);
+    if ((o->command == COMMAND_FIT || o->command == COMMAND_DECODE) && !o->out)
+        return sup_bad_usage(argv[0], "the file to write is missing");
     if (o->command == COMMAND_FIT && o->kernel == TETCAST_KERNEL_GAUSS_CUT)
         return sup_bad_usage(argv[0], "--kernel cut: that one jumps, no error could be guaranteed");
-    if (o->command != COMMAND_FIT) status = sup_out_check(argv[0], &o->common);
+    if (o->command != COMMAND_FIT && o->command != COMMAND_DECODE) status = sup_out_check(argv[0], &o->common);
     if (status >= 0) return status;
     if (o->slice && !(o->slice[0] >= 'x' && o->slice[0] <= 'z' && o->slice[1] == '='))
         return sup_bad_usage(argv[0], "--slice: x=, y= or z= and a number from 0 to 1");
@@ -152,6 +158,69 @@ static void print_fit(const options *o, const sup_field *field, const tetcast_rb
            sup_threads(o->common.threads));
 }
 
+/* Where the values of a field are, as the encoder takes them: vertices, or middles of cells where values are those of
+   cells. *made: positions that had to be made, free with SUP_FREE. 1: no memory. */
+static int fit_points(const sup_volume *v, const sup_field *field, tetcast_rbf_points *p, double **made) {
+    const int grid = v->dims[0] && !v->points, lattice = grid && !v->axes[0] && !v->axes[1] && !v->axes[2];
+    size_t n[3], at = 0;
+    int tets = 1;
+    *made = NULL;
+    memset(p, 0, sizeof *p);
+    p->values.data = field->values;
+    p->components = field->components;
+    p->count = field->count;
+    for (int k = 0; k < 3; k++) n[k] = v->dims[k] > 1 && field->per_cell ? v->dims[k] - 1 : v->dims[k];
+    if (lattice) {
+        for (int k = 0; k < 3; k++) {
+            p->dims[k] = (uint32_t)n[k];
+            p->spacing[k] = v->spacing[k];
+            p->origin[k] = v->origin[k] + (field->per_cell && v->dims[k] > 1 ? 0.5 * v->spacing[k] : 0.0);
+        }
+        return 0;
+    }
+    p->positions.data = v->points;
+    p->positions.type = TETCAST_TYPE_F64;
+    for (size_t i = 0; i < v->cell_count; i++) tets = tets && v->shapes[i] == SUP_TETRA;
+    if (v->points && !field->per_cell && tets && v->cell_count) {
+        p->tets = v->indices;
+        p->tet_count = v->cell_count;
+    }
+    if (v->points && !field->per_cell) return 0;
+    *made = (double *)sup_alloc(field->count, 24);
+    if (!*made) return 1;
+    p->positions.data = *made;
+    for (size_t i = 0; i < field->count; i++) {
+        double *q = *made + 3 * i;
+        q[0] = q[1] = q[2] = 0.0;
+        if (grid) { /* rectilinear: lines of nodes along each axis, or the middles between them */
+            const size_t c[3] = {i % n[0], i / n[0] % n[1], i / n[0] / n[1]};
+            for (int k = 0; k < 3; k++) {
+                const double a = v->axes[k] ? v->axes[k][c[k]] : v->origin[k] + v->spacing[k] * (double)c[k];
+                const double b = v->dims[k] < 2 ? a : v->axes[k] ? v->axes[k][c[k] + (field->per_cell ? 1 : 0)]
+                    : a + (field->per_cell ? v->spacing[k] : 0.0);
+                q[k] = 0.5 * (a + b);
+            }
+            continue;
+        }
+        if (v->dims[0]) { /* curvilinear: eight corners */
+            const size_t c[3] = {i % n[0], i / n[0] % n[1], i / n[0] / n[1]};
+            for (int j = 0; j < 8; j++) {
+                size_t point = 0;
+                for (int k = 3; k-- > 0;) point = point * v->dims[k] + c[k] + (v->dims[k] > 1 ? (size_t)(j >> k & 1) : 0);
+                for (int k = 0; k < 3; k++) q[k] += v->points[3 * point + (size_t)k] / 8.0;
+            }
+            continue;
+        }
+        {
+            const size_t corners = (size_t)sup_shape_corners(v->shapes[i]);
+            for (size_t j = 0; j < corners; j++)
+                for (int k = 0; k < 3; k++) q[k] += v->points[3 * (size_t)v->indices[at + j] + (size_t)k] / (double)corners;
+            at += corners;
+        }
+    }
+    return 0;
+}
+
 static int fit(const options *o, tetcast_env *env, sup_error *err) {
     tetcast_rbf_fit_desc d;
     tetcast_rbf_points p;
@@ -163,41 +232,22 @@ static int fit(const options *o, tetcast_env *env, sup_error *err) {
     tetcast_result result;
     void *bytes = NULL;
     size_t size = 0;
-    double start;
-    int failed, tets = 1;
+    double start, *points = NULL;
+    int failed;
     if (read_volume(o, o->in, &v, err)) return 1;
     if (err->text[0] && !o->common.quiet) sup_warn("tetcast_rbf", err->text);
     for (size_t i = 0; i < v.field_count && !field; i++)
         if (!o->field || strcmp(v.fields[i].name, o->field) == 0) field = v.fields + i;
-    if (!field || field->per_cell || field->components > TETCAST_RBF_MAX_COMPONENTS) {
+    if (!field || field->components > TETCAST_RBF_MAX_COMPONENTS) {
         failed = !field ? sup_fail(err, "%s: there is no field%s%s", o->in, o->field ? " " : "", o->field ? o->field : "")
-            : sup_fail(err, "%s: field %s: %s", o->in, field->name, field->per_cell
-                       ? "values of cells; functions need values at points" : "too many components");
+            : sup_fail(err, "%s: field %s: too many components", o->in, field->name);
         sup_volume_free(&v);
         return failed;
     }
     memset(&d, 0, sizeof d);
-    memset(&p, 0, sizeof p);
-    p.values.data = field->values;
-    p.components = field->components;
-    p.count = field->count;
-    if (v.dims[0] && !v.points && !v.axes[0]) {
-        for (int k = 0; k < 3; k++) {
-            p.dims[k] = v.dims[k];
-            p.origin[k] = v.origin[k];
-            p.spacing[k] = v.spacing[k];
-        }
-    } else if (v.points) {
-        p.positions.data = v.points;
-        p.positions.type = TETCAST_TYPE_F64;
-        for (size_t i = 0; i < v.cell_count; i++) tets = tets && v.shapes[i] == SUP_TETRA;
-        if (tets && v.cell_count) {
-            p.tets = v.indices;
-            p.tet_count = v.cell_count;
-        }
-    } else {
+    if (fit_points(&v, field, &p, &points)) {
         sup_volume_free(&v);
-        return sup_fail(err, "%s: rectilinear grids are not supported", o->in);
+        return sup_fail(err, "out of memory");
     }
     sup_progress_begin(&progress, "fitting", o->common.quiet);
     d.env = *env;
@@ -240,6 +290,7 @@ static int fit(const options *o, tetcast_env *env, sup_error *err) {
         fprintf(stderr, "\n");
     }
     SUP_FREE(bytes);
+    SUP_FREE(points);
     tetcast_rbf_destroy(rbf);
     sup_volume_free(&v);
     return failed;
@@ -330,6 +381,56 @@ static int open_model(const options *o, const tetcast_env *env, model *m, sup_er
     }
     SUP_FREE(points);
     SUP_FREE(sorted);
+    return failed;
+}
+
+/* ---- decode -------------------------------------------------------------------------------------------------- */
+
+static int decode(const options *o, const tetcast_env *env, const model *m, sup_error *err) {
+    static const tetcast_type storages[4] = {TETCAST_TYPE_F16, TETCAST_TYPE_F32, TETCAST_TYPE_U16, TETCAST_TYPE_U8};
+    const double range = o->channel == TETCAST_RBF_CHANNEL_AUTO && m->info.range[1] > m->info.range[0]
+        ? (double)m->info.range[1] - (double)m->info.range[0] : m->hi - m->lo;
+    tetcast_bricks_desc d;
+    tetcast_bricks_report report;
+    tetcast_bricks_info info;
+    tetcast_bricks *bricks = NULL;
+    tetcast_result result;
+    double start = sup_now();
+    int failed;
+    memset(&d, 0, sizeof d);
+    memset(&report, 0, sizeof report);
+    d.env = *env;
+    d.storage = storages[o->storage];
+    d.max_error = (float)(o->max_error * range);
+    d.longest = (uint32_t)o->longest;
+    d.longest_end = (uint32_t)o->longest_end;
+    result = tetcast_bricks_create_rbf(&d, m->rbf, (tetcast_rbf_channel)o->channel, (uint32_t)o->component, &report, &bricks);
+    failed = result != TETCAST_OK ? fail(o, env->error, result, err) : 0;
+    start = sup_now() - start;
+    if (!failed) {
+        const size_t size = tetcast_bricks_file_size(bricks);
+        void *data = sup_alloc(size, 1);
+        failed = !data ? sup_fail(err, "out of memory") :
+                 tetcast_bricks_write(bricks, data, size) != TETCAST_OK ? sup_fail(err, "%s: too large", o->out) :
+                 sup_write_file(o->out, data, size, err);
+        SUP_FREE(data);
+    }
+    if (!failed && report.above && !o->common.quiet)
+        fprintf(stderr, "warning: %s: %llu of %llu points are farther off than %g of the range, the worst %g; --longest-end allows "
+                "more nodes\n", o->out, (unsigned long long)report.above, (unsigned long long)report.checks, o->max_error,
+                report.error / range);
+    if (!failed && o->common.stats) {
+        tetcast_bricks_get_info(bricks, &info);
+        printf("{\"program\":\"tetcast_rbf\",\"command\":\"decode\",\"in\":");
+        sup_json_string(stdout, o->in);
+        printf(",\"dims\":[%u,%u,%u],\"bricks\":%llu,\"bytes\":%llu,\"file_bytes\":%llu,\"rbf_bytes\":%llu,\"max_error\":%.6g,\"error\":%.6g,"
+               "\"mean_error\":%.6g,\"checks\":%llu,\"above\":%llu,\"tries\":%u,\"seconds\":%.6f}\n", info.lattice.dims[0],
+               info.lattice.dims[1], info.lattice.dims[2], (unsigned long long)info.bricks, (unsigned long long)info.bytes,
+               (unsigned long long)tetcast_bricks_file_size(bricks), (unsigned long long)m->info.file_bytes, o->max_error,
+               report.error / range, report.mean_error / range, (unsigned long long)report.checks, (unsigned long long)report.above,
+               report.tries, start);
+    }
+    tetcast_bricks_destroy(bricks);
     return failed;
 }
 
@@ -755,7 +856,8 @@ int main(int argc, char **argv) {
     if (o.command == COMMAND_FIT) status = fit(&o, &env, &err);
     else {
         status = open_model(&o, &env, &m, &err);
-        if (!status) status = o.command == COMMAND_RENDER ? render(&o, &env, &m, &err) : trace(&o, &env, &m, &err);
+        if (!status) status = o.command == COMMAND_RENDER ? render(&o, &env, &m, &err)
+            : o.command == COMMAND_TRACE ? trace(&o, &env, &m, &err) : decode(&o, &env, &m, &err);
         tetcast_rbf_destroy(m.rbf);
         SUP_FREE(m.value);
     }

@@ -4,6 +4,12 @@
 #define TETCAST_IMPLEMENTATION
 #include "tetcast.h"
 #include "tets.h"
+#include "../examples/support/amr_file.h"
+#include "../examples/support/tile_file.h"
+#if !defined(_WIN32)
+#include <sys/stat.h>
+#include <unistd.h>
+#endif
 
 /* ---- resampling ---------------------------------------------------------------------------------------------- */
 
@@ -750,6 +756,91 @@ TEST(borders_agree) {
 }
 
 /* A linear field is the same on all levels; a constant one too; the filter keeps both up to the sides of the lattice. */
+/* What a slot may show is what it can show: no more, or empty space is walked through; no less, or something is left out. */
+TEST(ranges_of_slots) {
+    enum { SIDE = 65 };
+    static const tetcast_type types[3] = {TETCAST_TYPE_F32, TETCAST_TYPE_F16, TETCAST_TYPE_U8};
+    static float v[SIDE * SIDE * SIDE];
+    test_rng r = test_rng_make(44);
+    int t, pass;
+    size_t i;
+    for (i = 0; i < sizeof v / sizeof v[0]; i++) v[i] = i % SIDE < 40 ? 0.0f : test_rng_float(&r);
+    for (t = 0; t < 3; t++) {
+        tetcast_bricks_desc d;
+        tetcast_bricks *b = NULL;
+        tetcast_lattice l;
+        tetcast_array a;
+        memset(&d, 0, sizeof d);
+        memset(&l, 0, sizeof l);
+        memset(&a, 0, sizeof a);
+        for (i = 0; i < 3; i++) {
+            l.dims[i] = SIDE;
+            l.spacing[i] = 1.0;
+        }
+        a.data = v;
+        d.storage = types[t];
+        d.log_cells = 3;
+        REQUIRE(tetcast_bricks_create_grid(&d, &l, &a, NULL, &b) == TETCAST_OK);
+        for (pass = 0; pass < 4; pass++) {
+            uint8_t levels[512];
+            tetcast_cut_desc cd;
+            tetcast_cut *cut = NULL;
+            uint32_t slot, k, empty = 0;
+            memset(&cd, 0, sizeof cd);
+            for (slot = 0; slot < 512; slot++)
+                levels[slot] = pass == 0 ? 2 : pass == 1 ? (uint8_t)(slot % 8 < 4) : (uint8_t)test_rng_below(&r, 4);
+            cd.levels = levels;
+            REQUIRE(tetcast_cut_create(&cd, b, &cut) == TETCAST_OK);
+            for (slot = 0; slot < 512; slot++) {
+                float lo = 1e30f, hi = -1e30f;
+                for (k = 0; k < 60 + 729; k++) { /* random places, and all nodes of the finest level */
+                    float x[3], got;
+                    const uint32_t n = k - 60;
+                    for (i = 0; i < 3; i++) {
+                        const uint32_t base = 8 * (i == 0 ? slot % 8 : i == 1 ? slot / 8 % 8 : slot / 64);
+                        x[i] = (float)base + (k < 60 ? 8.0f * test_rng_float(&r) : (float)(i == 0 ? n % 9 : i == 1 ? n / 9 % 9 : n / 81));
+                    }
+                    tetcast_cut_sample(cut, x, x + 1, x + 2, 1, TETCAST_ISA_SCALAR, &got);
+                    lo = got < lo ? got : lo;
+                    hi = got > hi ? got : hi;
+                }
+                CHECK_MSG(lo >= cut->range[slot][0] - 1e-6f && hi <= cut->range[slot][1] + 1e-6f, "slot %u: %g %g in %g %g", slot, (double)lo,
+                          (double)hi, (double)cut->range[slot][0], (double)cut->range[slot][1]);
+                /* nodes of all levels are nodes of the finest; a border node may only be seen by the neighbour */
+                CHECK_MSG(lo <= cut->range[slot][0] + 1e-5f && hi >= cut->range[slot][1] - 1e-5f, "slot %u of level %u: %g %g is less than %g %g",
+                          slot, levels[slot], (double)lo, (double)hi, (double)cut->range[slot][0], (double)cut->range[slot][1]);
+                empty += cut->range[slot][1] < 1e-6f;
+            }
+            if (pass == 1) CHECK_MSG(empty == 256, "%u", empty); /* the four columns left of x = 32, below coarse ones or not */
+            tetcast_cut_destroy(cut);
+        }
+        tetcast_bricks_destroy(b);
+    }
+}
+
+/* The budget that a time asks for: a model of frames that take 20 ms and 300 ms for all samples. */
+TEST(pace) {
+    tetcast_cut_info info;
+    double target;
+    int k;
+    memset(&info, 0, sizeof info);
+    CHECK(tetcast_cut_pace(NULL, 1.0, 1.0) == 1.0 && tetcast_cut_pace(&info, 1.0, 1.0) == 1.0);
+    for (target = 0.05; target < 0.5; target *= 1.3) {
+        double seconds = 0.0, next = 1.0;
+        for (k = 0; k < 12; k++) {
+            info.samples = next;
+            seconds = 0.02 + 0.3 * info.samples;
+            next = tetcast_cut_pace(&info, seconds, target);
+            CHECK(next > 0.0 && next <= 1.0);
+            if (next == info.samples) break;
+        }
+        CHECK_MSG(k < 12 && seconds <= target && (seconds >= 0.85 * target || info.samples == 1.0), "%g: %g after %d", target, seconds, k);
+    }
+    info.samples = 0.5;
+    CHECK(tetcast_cut_pace(&info, 1e9, 1e-9) == 0.125); /* one step at most by four */
+    CHECK(tetcast_cut_pace(&info, 0.0, 1.0) == 1.0 && tetcast_cut_pace(&info, 1.0, -1.0) == 1.0);
+}
+
 TEST(levels_keep_linear_fields) {
     const tetcast_lattice l = cube_lattice(37, 50, 23);
     float *v = (float *)malloc(node_count(&l) * 4);
@@ -1697,6 +1788,154 @@ TEST(refined_grids_as_bricks) {
     CHECK(i > 4);
 }
 
+#if !defined(_WIN32)
+static void write_text(const char *folder, const char *name, const void *text, size_t size) {
+    char path[600];
+    sup_error err;
+    (void)snprintf(path, sizeof path, "%s/%s", folder, name);
+    CHECK(sup_write_file(path, text, size, &err) == 0);
+}
+
+/* Values of a box of cells, components one after the other: 1 + field of the cell's middle; in doubles, or floats with the
+   most significant byte first. */
+static size_t put_box(uint8_t *out, const char *box, const int lo[3], const int hi[3], int cells, int wide) {
+    size_t n = (size_t)sprintf((char *)out, wide ? "FAB ((8, (64 11 52 0 1 12 0 1023)),(8, (8 7 6 5 4 3 2 1)))%s 2\n"
+                                                 : "FAB ((8, (32 8 23 0 1 9 0 127)),(4, (1 2 3 4)))%s 2\n", box);
+    int c, i, j, k, a;
+    for (c = 0; c < 2; c++)
+        for (k = lo[2]; k <= hi[2]; k++)
+            for (j = lo[1]; j <= hi[1]; j++)
+                for (i = lo[0]; i <= hi[0]; i++) {
+                    const double p[3] = {(i + 0.5) / cells, (j + 0.5) / cells, (k + 0.5) / cells}, v = linear_at(p) + 10.0 * c;
+                    uint64_t u;
+                    uint32_t w;
+                    float f = (float)v;
+                    memcpy(&u, &v, 8);
+                    memcpy(&w, &f, 4);
+                    for (a = 0; a < (wide ? 8 : 4); a++) out[n++] = (uint8_t)(wide ? u >> (8 * a) : (uint64_t)(w >> (24 - 8 * a)));
+                }
+    return n;
+}
+
+TEST(plotfiles) {
+    static const char header[] = "HyperCLaw-V1.1\n2\nfirst one\nsecond\n3\n0.5\n1\n0 0 0\n1 1 1\n2\n((0,0,0) (7,7,7) (0,0,0)) "
+                                 "((0,0,0) (15,15,15) (0,0,0))\n3 3\n0.125 0.125 0.125\n0.0625 0.0625 0.0625\n0\n0\n"
+                                 "0 2 0.5\n3\n0 0.5\n0 1\n0 1\n0.5 1\n0 1\n0 1\nLevel_0/Cell\n"
+                                 "1 1 0.5\n3\n0.25 0.75\n0.25 0.75\n0.25 0.75\nLevel_1/Cell\n";
+    static uint8_t data[2][40000];
+    const int lo[3][3] = {{0, 0, 0}, {4, 0, 0}, {3, 3, 3}}, hi[3][3] = {{3, 7, 7}, {7, 7, 7}, {12, 12, 12}}; /* ghost cells around the last */
+    char folder[512], cells[2][400], name[600];
+    size_t size[2], first;
+    sup_amr amr;
+    sup_error err;
+    tetcast_amr_desc d;
+    tetcast_amr *m = NULL;
+    int k;
+    size_t i;
+    (void)snprintf(folder, sizeof folder, "%s/tetcast_plt_%ld", getenv("TMPDIR") != NULL ? getenv("TMPDIR") : "/tmp", (long)getpid());
+    (void)mkdir(folder, 0700);
+    for (k = 0; k < 2; k++) {
+        (void)snprintf(name, sizeof name, "%s/Level_%d", folder, k);
+        (void)mkdir(name, 0700);
+    }
+    first = put_box(data[0], "((0,0,0) (3,7,7) (0,0,0))", lo[0], hi[0], 8, 1);
+    size[0] = first + put_box(data[0] + first, "((4,0,0) (7,7,7) (0,0,0))", lo[1], hi[1], 8, 1);
+    size[1] = put_box(data[1], "((3,3,3) (12,12,12) (0,0,0))", lo[2], hi[2], 16, 0);
+    (void)snprintf(cells[0], sizeof cells[0], "1\n1\n2\n0\n(2 0\n((0,0,0) (3,7,7) (0,0,0))\n((4,0,0) (7,7,7) (0,0,0))\n)\n2\n"
+                   "FabOnDisk: Cell_D_00000 0\nFabOnDisk: Cell_D_00000 %lu\n\n", (unsigned long)first);
+    (void)snprintf(cells[1], sizeof cells[1], "1\n1\n2\n(1,1,1)\n(1 0\n((4,4,4) (11,11,11) (0,0,0))\n)\n1\nFabOnDisk: Cell_D_00000 0\n");
+    write_text(folder, "Header", header, sizeof header - 1);
+    write_text(folder, "Level_0/Cell_H", cells[0], strlen(cells[0]));
+    write_text(folder, "Level_1/Cell_H", cells[1], strlen(cells[1]));
+    write_text(folder, "Level_0/Cell_D_00000", data[0], size[0]);
+    write_text(folder, "Level_1/Cell_D_00000", data[1], size[1]);
+    CHECK(sup_amr_is(folder) && !sup_amr_is("/tmp/nothing/here"));
+    for (k = 0; k < 2; k++) {
+        CHECK_MSG(sup_amr_read(folder, k ? "second" : NULL, &amr, &err) == 0, "%s", err.text);
+        CHECK(amr.count == 3 && amr.levels == 2 && amr.ratio_log == 1 && amr.cells[2] == 8 && amr.spacing[1] == 0.125);
+        CHECK(strcmp(amr.field, k ? "second" : "first one") == 0);
+        sup_amr_desc(&amr, &d);
+        REQUIRE(tetcast_amr_create(&d, &m) == TETCAST_OK);
+        for (i = 0; i < 3; i++) {
+            const double p[1][3] = {{i == 0 ? 0.1875 : i == 1 ? 0.8125 : 0.46875, 0.53125, 0.40625}};
+            float v;
+            CHECK(tetcast_amr_sample(m, TETCAST_AMR_OCTANT, p, 1, &v) == TETCAST_OK && tetcast_amr_level(m, p[0]) == (i == 2));
+            CHECK_NEAR((double)v, linear_at(p[0]) + 10.0 * k, 0.08); /* away from middles of coarse cells: near */
+            if (i == 2) CHECK_NEAR((double)v, linear_at(p[0]) + 10.0 * k, 1e-5);
+        }
+        tetcast_amr_destroy(m);
+        sup_amr_free(&amr);
+    }
+    CHECK(sup_amr_read(folder, "third", &amr, &err) == 1 && strstr(err.text, "third") != NULL && amr.patches == NULL);
+    for (i = 0; i < sizeof header - 1; i++) { /* every text cut short fails, or says the same */
+        write_text(folder, "Header", header, i);
+        if (sup_amr_read(folder, NULL, &amr, &err) == 0) CHECK(i + 1 >= sizeof header - 1 && amr.count == 3);
+        sup_amr_free(&amr);
+        if (test_quick()) i += 6;
+    }
+    write_text(folder, "Header", header, sizeof header - 1);
+    for (i = 0; i < strlen(cells[1]) - 1; i++) {
+        write_text(folder, "Level_1/Cell_H", cells[1], i);
+        CHECK_MSG(sup_amr_read(folder, NULL, &amr, &err) == 1, "%lu", (unsigned long)i);
+    }
+    write_text(folder, "Level_1/Cell_H", "1\n1\n2\n0\n(1 0\n((4,4,4) (11,11,16) (0,0,0))\n)\n1\nFabOnDisk: Cell_D_00000 0\n", 66);
+    CHECK(sup_amr_read(folder, NULL, &amr, &err) == 1); /* beyond the domain */
+    write_text(folder, "Level_1/Cell_H", "1\n1\n2\n0\n(1 0\n((4,4,4) (11,11,11) (0,0,0))\n)\n1\nFabOnDisk: ../Level_0/Cell_D_00000 0\n", 79);
+    CHECK(sup_amr_read(folder, NULL, &amr, &err) == 1); /* elsewhere */
+    write_text(folder, "Level_1/Cell_H", cells[1], strlen(cells[1]));
+    for (i = 0; i < 90; i++) { /* values that end early, or whose head does */
+        const size_t n = i < 80 ? i : size[1] / 2 - (90 - i) * 40;
+        write_text(folder, "Level_1/Cell_D_00000", data[1], n);
+        CHECK_MSG(sup_amr_read(folder, NULL, &amr, &err) == 1, "%lu", (unsigned long)i);
+    }
+    write_text(folder, "Level_1/Cell_D_00000", data[1], size[1]);
+    CHECK(sup_amr_read(folder, NULL, &amr, &err) == 0);
+    sup_amr_free(&amr);
+    for (k = 0; k < 2; k++) {
+        (void)snprintf(name, sizeof name, "%s/Level_%d/Cell_H", folder, k);
+        (void)remove(name);
+        (void)snprintf(name, sizeof name, "%s/Level_%d/Cell_D_00000", folder, k);
+        (void)remove(name);
+        (void)snprintf(name, sizeof name, "%s/Level_%d", folder, k);
+        (void)remove(name);
+    }
+    (void)snprintf(name, sizeof name, "%s/Header", folder);
+    (void)remove(name);
+    (void)remove(folder);
+}
+#endif
+
+TEST(tiles_in_files) {
+    enum { W = 37, H = 21 };
+    static uint8_t p[W * H * 4];
+    test_rng r = test_rng_make(3);
+    sup_error err;
+    int codec;
+    size_t i;
+    for (i = 0; i < sizeof p; i++) p[i] = (uint8_t)(i / 64 % 3 ? 40 : test_rng_below(&r, 256));
+    for (codec = 0; codec < 3; codec++) {
+        uint8_t *data = NULL, *back = NULL;
+        uint32_t w, h;
+        size_t size = 0;
+        CHECK(sup_tile_encode(codec, p, W, H, &data, &size) == 0);
+        CHECK(sup_tile_decode(data, size, &back, &w, &h, &err) == 0 && w == W && h == H);
+        CHECK((memcmp(back, p, sizeof p) == 0) == (codec == SUP_TILE_LOSSLESS));
+        SUP_FREE(back);
+        for (i = 0; i < size; i++) {
+            uint8_t *copy = (uint8_t *)malloc(i ? i : 1);
+            memcpy(copy, data, i);
+            CHECK(sup_tile_decode(copy, i, &back, &w, &h, &err) == 1 && back == NULL);
+            free(copy);
+        }
+        for (i = 0; i < SUP_TILE_HEAD; i++) {
+            data[i] ^= 0x21;
+            if (sup_tile_decode(data, size, &back, &w, &h, &err) == 0) SUP_FREE(back);
+            data[i] ^= 0x21;
+        }
+        SUP_FREE(data);
+    }
+}
+
 TEST(codecs) {
     static const uint32_t sizes[5][2] = {{64, 64}, {1, 1}, {5, 7}, {33, 2}, {16, 130}};
     test_rng r = test_rng_make(6);
@@ -1829,6 +2068,8 @@ int main(int argc, char **argv) {
     RUN(bricks_sample_the_grid);
     RUN(bricks_are_continuous);
     RUN(borders_agree);
+    RUN(ranges_of_slots);
+    RUN(pace);
     RUN(levels_keep_linear_fields);
     RUN(errors_are_bounds);
     RUN(bricks_of_a_mesh);
@@ -1841,6 +2082,10 @@ int main(int argc, char **argv) {
     RUN(shaded_tetrahedra);
     RUN(refined_grids);
     RUN(refined_grids_as_bricks);
+#if !defined(_WIN32)
+    RUN(plotfiles);
+#endif
+    RUN(tiles_in_files);
     RUN(codecs);
     RUN(depth_ranges_and_memory);
     return test_end();

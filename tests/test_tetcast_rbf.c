@@ -511,6 +511,134 @@ TEST(promise) {
             }
 }
 
+/* The middles of cells keep the error where that is asked for, and do not where it is not. */
+TEST(middles) {
+    enum { N = 12, CELLS = (N - 1) * (N - 1) * (N - 1) };
+    static float value[N * N * N];
+    static double at[3 * N * N * N];
+    static uint32_t tets[4 * 5 * CELLS];
+    tetcast_rbf_points p = grid_points(value, N, N, N, 1);
+    double worst[2] = {0.0, 0.0};
+    uint32_t between, tetra, i, k, n = 0;
+    for (i = 0; i < N * N * N; i++) {
+        at[3 * i] = i % N;
+        at[3 * i + 1] = i / N % N;
+        at[3 * i + 2] = i / N / N;
+        value[i] = at[3 * i] + 0.37 * at[3 * i + 1] + 0.21 * at[3 * i + 2] > 8.3 ? 1.0f : 0.0f;
+    }
+    for (i = 0; i < CELLS; i += 7) /* some tetrahedra: one of a cell */
+        for (k = 0; k < 4; k++) {
+            static const uint32_t corner[4] = {0, 1, N, N * N};
+            tets[n++] = i % (N - 1) + N * (i / (N - 1) % (N - 1)) + N * N * (i / (N - 1) / (N - 1)) + corner[k];
+        }
+    for (tetra = 0; tetra < 2; tetra++)
+        for (between = 0; between < 2; between++) {
+            tetcast_rbf_fit_desc d;
+            tetcast_rbf_report report;
+            tetcast_rbf *m = NULL;
+            memset(&d, 0, sizeof d);
+            d.max_error = 0.1f;
+            d.between = between;
+            if (tetra) {
+                p.positions.data = at;
+                p.positions.type = TETCAST_TYPE_F64;
+                p.tets = tets;
+                p.tet_count = n / 4;
+            }
+            CHECK(tetcast_rbf_fit(&d, &p, &report, &m) == TETCAST_OK);
+            REQUIRE(m != NULL);
+            CHECK(report.points == (between ? p.count + (tetra ? n / 4 : CELLS) : p.count) && report.raw_bytes == p.count * (tetra ? 16 : 4));
+            worst[between] = 0.0;
+            for (i = 0; i < (tetra ? n / 4 : (uint32_t)CELLS); i++) {
+                const uint32_t first = i % (N - 1) + N * (i / (N - 1) % (N - 1)) + N * N * (i / (N - 1) / (N - 1));
+                double q[3] = {0.0, 0.0, 0.0}, want = 0.0;
+                float v;
+                uint32_t a;
+                for (k = 0; k < (tetra ? 4u : 8u); k++) {
+                    const uint32_t j = tetra ? tets[4 * i + k] : first + (k & 1u) + N * (k >> 1 & 1u) + N * N * (k >> 2);
+                    for (a = 0; a < 3; a++) q[a] += at[3 * j + a] / (tetra ? 4.0 : 8.0);
+                    want += (double)value[j] / (tetra ? 4.0 : 8.0);
+                }
+                CHECK(tetcast_rbf_eval(NULL, m, q, 1, &v, NULL) == TETCAST_OK);
+                worst[between] = fmax(worst[between], fabs((double)v - want));
+            }
+            tetcast_rbf_destroy(m);
+        }
+    CHECK_MSG(worst[1] <= 0.1 * (1.0 + 1e-4) && worst[0] > 0.12, "%g without, %g with", worst[0], worst[1]);
+}
+
+/* ---- decoding ---- */
+
+TEST(decoded) {
+    static const tetcast_rbf_channel channels[3] = {TETCAST_RBF_CHANNEL_COMPONENT, TETCAST_RBF_CHANNEL_LENGTH,
+                                                    TETCAST_RBF_CHANNEL_VORTICITY};
+    int kind;
+    for (kind = 0; kind < 3; kind++) {
+        tetcast_rbf_desc d = random_desc(31, 40, kind == 0 ? 1 : 3, 0.15, 0.5, 3.0);
+        tetcast_rbf *m;
+        tetcast_bricks_desc bd;
+        tetcast_bricks_report report;
+        tetcast_bricks_info info;
+        tetcast_bricks *b[2] = {NULL, NULL};
+        tetcast_cut *cut = NULL;
+        test_rng r = test_rng_make(5);
+        double worst = 0.0;
+        uint32_t i, a;
+        d.box_max[2] = d.box_min[2] + 1.0;
+        m = make(&d);
+        REQUIRE(m != NULL);
+        memset(&bd, 0, sizeof bd);
+        bd.storage = TETCAST_TYPE_F32;
+        bd.max_error = kind == 2 ? 0.2f : 0.02f;
+        bd.checks = 20000;
+        bd.longest_end = 129;
+        bd.log_cells = 3;
+        for (i = 0; i < 2; i++) {
+            bd.env.thread_count = i ? 3 : 1;
+            CHECK(tetcast_bricks_create_rbf(&bd, m, channels[kind], 0, &report, &b[i]) == TETCAST_OK);
+            REQUIRE(b[i] != NULL);
+        }
+        CHECK(b[0]->count == b[1]->count && memcmp(b[0]->data, b[1]->data, b[0]->count * b[0]->nodes * 4) == 0);
+        CHECK_MSG(report.above == 0 && report.error <= (double)bd.max_error && report.checks == 20000, "%g after %u tries", report.error,
+                  report.tries);
+        tetcast_bricks_get_info(b[0], &info);
+        CHECK(info.lattice.dims[0] == info.lattice.dims[1] && info.lattice.dims[2] == (info.lattice.dims[0] + 1) / 2);
+        REQUIRE(tetcast_cut_create(NULL, b[0], &cut) == TETCAST_OK);
+        for (i = 0; i < 2000; i++) {
+            double p[3], v[3], all, want;
+            float x[3], got;
+            for (a = 0; a < 3; a++) {
+                p[a] = d.box_min[a] + test_rng_double(&r) * (d.box_max[a] - d.box_min[a]);
+                x[a] = (float)((p[a] - info.lattice.origin[a]) / info.lattice.spacing[a]);
+            }
+            if (kind == 2) {
+                float f[3], j[9];
+                tetcast_flow flow;
+                CHECK(tetcast_rbf_eval(NULL, m, p, 1, f, j) == TETCAST_OK);
+                tetcast_flow_features(f, j, &flow);
+                for (a = 0; a < 3; a++) v[a] = (double)flow.vorticity[a];
+            } else for (a = 0; a < d.components; a++) v[a] = value_oracle(&d, p, a, &all);
+            want = kind == 0 ? v[0] : sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+            tetcast_cut_sample(cut, x, x + 1, x + 2, 1, TETCAST_ISA_SCALAR, &got);
+            worst = fmax(worst, fabs((double)got - want));
+        }
+        CHECK_MSG(worst <= 1.2 * (double)bd.max_error, "%d: %g", kind, worst); /* other points than those that were checked */
+        tetcast_cut_destroy(cut);
+        tetcast_bricks_destroy(b[1]);
+        bd.longest = 9; /* too coarse: says so */
+        CHECK(tetcast_bricks_create_rbf(&bd, m, channels[kind], 0, &report, &b[1]) == TETCAST_OK && report.above > 0 && report.tries == 1);
+        tetcast_bricks_destroy(b[0]);
+        tetcast_bricks_destroy(b[1]);
+        CHECK(tetcast_bricks_create_rbf(&bd, NULL, channels[0], 0, NULL, &b[0]) == TETCAST_ERR_INVALID_ARG && b[0] == NULL);
+        CHECK(tetcast_bricks_create_rbf(&bd, m, channels[0], d.components, NULL, &b[0]) == TETCAST_ERR_INVALID_ARG);
+        if (kind == 0) CHECK(tetcast_bricks_create_rbf(&bd, m, TETCAST_RBF_CHANNEL_HELICITY, 0, NULL, &b[0]) == TETCAST_ERR_INVALID_ARG);
+        bd.longest = 0;
+        bd.max_error = 0.0f;
+        CHECK(tetcast_bricks_create_rbf(&bd, m, channels[0], 0, NULL, &b[0]) == TETCAST_ERR_INVALID_ARG);
+        tetcast_rbf_destroy(m);
+    }
+}
+
 TEST(same_model) {
     static float value[320 * 12 * 7];
     size_t i, size[5] = {0, 0, 0, 0, 0};
@@ -1173,6 +1301,8 @@ int main(int argc, char **argv) {
     RUN(extremes);
     RUN(files);
     RUN(promise);
+    RUN(middles);
+    RUN(decoded);
     RUN(same_model);
     RUN(odd_data);
     RUN(flows);
