@@ -22846,7 +22846,8 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_rbf(const tetcast_bricks_desc *
     if (rbf == NULL || (uint32_t)channel > TETCAST_RBF_CHANNEL_HELICITY || component >= rbf->components ||
         (channel > TETCAST_RBF_CHANNEL_LENGTH && rbf->components != 3) || longest < 2 || longest > 16385 ||
         end > 16385 || (d.longest == 0 && !(d.max_error > 0.0f)))
-        return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, 0, "bricks: needs a model, and max_error or longest");
+        return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, 0,
+                             "bricks: needs a model, and max_error or longest");
     memset(&t, 0, sizeof t);
     t.picture.m = rbf;
     t.picture.component = component;

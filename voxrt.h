@@ -990,7 +990,7 @@ VOXRT_DEF int voxrt_model_get(const voxrt_model *model, uint32_t level, uint32_t
 
 typedef enum voxrt_edit_op {
     VOXRT_EDIT_SET = 0,   /* what is in the shape gets filled, with its colour and, where they can show, normals */
-    VOXRT_EDIT_CLEAR = 1, /* it gets empty; what lay inside and shows now gets the normal of the hole */
+    VOXRT_EDIT_CLEAR = 1, /* it gets empty; what lies beside it gets normals into the hole */
     VOXRT_EDIT_PAINT = 2, /* what is filled there gets its colour */
     VOXRT_EDIT_FORCE_32BIT = 0x7fffffff
 } voxrt_edit_op;
@@ -15397,19 +15397,37 @@ static uint16_t voxrti_edit_normal(const voxrti_edit *e, uint32_t x, uint32_t y,
     return (uint16_t)voxrti_normal_encode(e->m->spherical, n);
 }
 
-/* The normal of a voxel beside the shape that is cleared: into the hole. 0: no neighbour of it is cleared. */
-static int voxrti_edit_hole(const voxrti_edit *e, uint32_t x, uint32_t y, uint32_t z, uint16_t *code) {
+/* 1: the voxel was filled and goes. */
+static int voxrti_edit_goes(const voxrti_edit *e, uint32_t x, uint32_t y, uint32_t z) {
+    return voxrti_edit_has(e, x, y, z) && voxrt_model_get(e->m, e->m->grid.depth, x, y, z, NULL);
+}
+
+/* Was voxel (x, y, z) filled, with nothing but filled ones at its six faces? */
+static int voxrti_edit_buried(const voxrti_edit *e, uint32_t x, uint32_t y, uint32_t z) {
+    const uint32_t d = e->m->grid.depth;
+    return voxrt_model_get(e->m, d, x - 1, y, z, NULL) && voxrt_model_get(e->m, d, x + 1, y, z, NULL) &&
+           voxrt_model_get(e->m, d, x, y - 1, z, NULL) && voxrt_model_get(e->m, d, x, y + 1, z, NULL) &&
+           voxrt_model_get(e->m, d, x, y, z - 1, NULL) && voxrt_model_get(e->m, d, x, y, z + 1, NULL);
+}
+
+/* The normal of a voxel beside those that go: into the hole or, if it was to be seen before, half way there.
+   0: none of its neighbours goes. */
+static int voxrti_edit_hole(const voxrti_edit *e, uint32_t x, uint32_t y, uint32_t z, uint16_t old, uint16_t *code) {
     const uint32_t p[3] = {x, y, z};
-    float n[3];
+    float n[3], o[3];
     uint32_t a;
-    int any = 0;
-    n[0] = (float)(voxrti_edit_has(e, x + 1, y, z) - voxrti_edit_has(e, x - 1, y, z));
-    n[1] = (float)(voxrti_edit_has(e, x, y + 1, z) - voxrti_edit_has(e, x, y - 1, z));
-    n[2] = (float)(voxrti_edit_has(e, x, y, z + 1) - voxrti_edit_has(e, x, y, z - 1));
-    any = n[0] != 0.0f || n[1] != 0.0f || n[2] != 0.0f;
-    if (any && e->sphere)
-        for (a = 0; a < 3; a++) n[a] = (float)(e->centre[a] - ((double)p[a] + 0.5));
-    if (!any || !voxrti_normalize(n)) return 0;
+    n[0] = (float)(voxrti_edit_goes(e, x + 1, y, z) - voxrti_edit_goes(e, x - 1, y, z));
+    n[1] = (float)(voxrti_edit_goes(e, x, y + 1, z) - voxrti_edit_goes(e, x, y - 1, z));
+    n[2] = (float)(voxrti_edit_goes(e, x, y, z + 1) - voxrti_edit_goes(e, x, y, z - 1));
+    if (n[0] == 0.0f && n[1] == 0.0f && n[2] == 0.0f) return 0;
+    for (a = 0; a < 3 && e->sphere; a++) n[a] = (float)(e->centre[a] - ((double)p[a] + 0.5));
+    if (!voxrti_normalize(n)) return 0;
+    if (!voxrti_edit_buried(e, x, y, z)) {
+        voxrti_normal_decode(e->m->spherical, old, o);
+        for (a = 0; a < 3; a++) n[a] += o[a];
+        if (!(voxrti_dot3(n, n) > 0.01f)) return 0; /* a thin wall from behind */
+        (void)voxrti_normalize(n);
+    }
     *code = (uint16_t)voxrti_normal_encode(e->m->spherical, n);
     return 1;
 }
@@ -15419,14 +15437,6 @@ typedef struct voxrti_patch {
     uint64_t old, shape;
     uint32_t old_voxel, shape_voxel; /* numbers of their first voxels */
 } voxrti_patch;
-
-/* Was voxel (x, y, z) filled, with nothing but filled ones at its six faces? */
-static int voxrti_edit_buried(const voxrti_edit *e, uint32_t x, uint32_t y, uint32_t z) {
-    const uint32_t d = e->m->grid.depth;
-    return voxrt_model_get(e->m, d, x - 1, y, z, NULL) && voxrt_model_get(e->m, d, x + 1, y, z, NULL) &&
-           voxrt_model_get(e->m, d, x, y - 1, z, NULL) && voxrt_model_get(e->m, d, x, y + 1, z, NULL) &&
-           voxrt_model_get(e->m, d, x, y, z - 1, NULL) && voxrt_model_get(e->m, d, x, y, z + 1, NULL);
-}
 
 /* The leaves of a block before the edit and in the shape. Returns voxels that there will be, leaves in *leaves; 0 and
    *same = 1: nothing changes. */
@@ -15496,9 +15506,9 @@ static int voxrti_edit_leaf(const voxrti_edit *e, const voxrti_patch *p, const u
         if ((p->shape & bit) == 0) {
             if (set->rgb != NULL) set->rgb[voxel] = rgb[old];
             if (set->normal != NULL) set->normal[voxel] = normal[old];
-            if (hole && voxrti_edit_hole(e, x, y, z, &code) && voxrti_edit_buried(e, x, y, z)) {
+            if (hole && voxrti_edit_hole(e, x, y, z, normal[old], &code)) {
+                changed |= set->normal[voxel] != code;
                 set->normal[voxel] = code;
-                changed = 1;
             }
             continue;
         }

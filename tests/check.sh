@@ -427,6 +427,9 @@ EXITS="
 0 voxrt_gi --scene cornell --save @/c.txt --export @/e.txt
 0 voxrt_gi --scene @/e.txt --out @/e.png --size 32x32 --res 32 --grid 32 --voxels samples --quiet
 0 voxrt_convert @/s.vox @/t.vox --share --raw
+0 voxrt_convert --scene sphere @/planet.vox --res 32 --fill --edit examples/planet.txt --quiet --stats
+1 voxrt_convert @/s.vox @/bad.vox --edit @/garbage.obj
+1 voxrt_convert @/s.vox @/bad.vox --edit @/none.txt
 0 voxrt_render @/t.vox --out @/t.png --size 32x16 --panorama --eye 9,9,9 --at 0,0,0 --specular 1
 1 voxrt_convert @/none.ply @/bad.vox
 1 voxrt_convert @/cut.vox @/bad.vox

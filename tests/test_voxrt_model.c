@@ -87,15 +87,26 @@ static void world_edit(world *w, const shape *s, voxrt_edit_op op, const uint8_t
                     if (op == VOXRT_EDIT_SET) outward(s, p, w->normal[i]);
                 } else if (!in && op == VOXRT_EDIT_CLEAR && before[i]) {
                     int buried = 1, beside = 0;
+                    float into[3], *normal = w->normal[i];
                     for (k = 0; k < 6; k++) {
                         const double x = p[0] + 0.5 + step[k][0], y = p[1] + 0.5 + step[k][1], z = p[2] + 0.5 + step[k][2];
-                        buried &= full(w, before, (int64_t)p[0] + step[k][0], (int64_t)p[1] + step[k][1], (int64_t)p[2] + step[k][2]);
-                        beside |= inside(s, x, y, z);
+                        const int was = full(w, before, (int64_t)p[0] + step[k][0], (int64_t)p[1] + step[k][1], (int64_t)p[2] + step[k][2]);
+                        buried &= was;
+                        beside |= was && inside(s, x, y, z);
                     }
-                    if (buried && beside) {
-                        outward(s, p, w->normal[i]);
-                        for (a = 0; a < 3; a++) w->normal[i][a] = -w->normal[i][a];
+                    if (!beside) continue;
+                    outward(s, p, into);
+                    if (!buried) { /* half way between both normals, if both are known */
+                        const int known = normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2] > 0.5f &&
+                                          into[0] * into[0] + into[1] * into[1] + into[2] * into[2] > 0.5f;
+                        double sum[3], length = 0.0;
+                        for (a = 0; a < 3; a++) {
+                            sum[a] = (double)normal[a] - (double)into[a];
+                            length += sum[a] * sum[a];
+                        }
+                        for (a = 0; a < 3; a++) into[a] = known && length > 0.1 ? (float)(-sum[a] / sqrt(length)) : 0.0f;
                     }
+                    for (a = 0; a < 3; a++) normal[a] = -into[a];
                 }
             }
         }
@@ -158,7 +169,7 @@ static size_t compare(const world *w, const voxrt_model *m, voxrt_voxel *list) {
                 const int has = voxrt_model_get(m, info.depth, x, y, z, &v);
                 wrong += has != w->filled[i] || (has && memcmp(v.rgb, w->rgb[i], 3) != 0);
                 if (has && (w->normal[i][0] != 0.0f || w->normal[i][1] != 0.0f || w->normal[i][2] != 0.0f))
-                    turned += v.normal[0] * w->normal[i][0] + v.normal[1] * w->normal[i][1] + v.normal[2] * w->normal[i][2] < 0.9998f;
+                    turned += v.normal[0] * w->normal[i][0] + v.normal[1] * w->normal[i][1] + v.normal[2] * w->normal[i][2] < 0.999f;
                 if (has && list != NULL) list[n] = v;
                 n += (size_t)has;
             }
