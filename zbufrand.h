@@ -553,8 +553,8 @@ typedef enum zbufrand_fill { /* what the pixels between samples show */
     ZBUFRAND_FILL_VORONOI_L1 = 2, /* the nearest sample, |dx| + |dy|: the thesis' growing regions */
     ZBUFRAND_FILL_VORONOI = 3,    /* the nearest sample, exactly Euclidean */
     ZBUFRAND_FILL_PULL_PUSH = 4,  /* smooth interpolation over a pyramid; pixels with samples keep their colour */
-    /* as GAUSS, but a sample counts for the area of its Euclidean Voronoi region: an integral instead of a mean, so
-       that chance in how densely samples lie does not become noise. For sparse samples */
+    /* as GAUSS, but a sample counts for the area of its Euclidean Voronoi region: an integral instead of a mean. Less
+       noise of smooth surfaces, as chance in how densely samples lie is none; more at edges and of fine textures */
     ZBUFRAND_FILL_REGIONS = 5,
     ZBUFRAND_FILL_FORCE_32BIT = 0x7fffffff
 } zbufrand_fill;

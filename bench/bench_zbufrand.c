@@ -333,8 +333,9 @@ static void bm5(void) {
         {"city", 1, 2, NULL}, {"chess", 0, 1, NULL}, {"landscape", 0, 2, NULL}
     };
     static const uint32_t blocks[5] = {1, 2, 3, 5, 10};
-    static const struct { const char *name; zbufrand_fill fill; } fills[3] = {
-        {"Gauss, d=2", ZBUFRAND_FILL_GAUSS}, {"Voronoi, d=2", ZBUFRAND_FILL_VORONOI}, {"Voronoi L1, d=2", ZBUFRAND_FILL_VORONOI_L1}
+    static const struct { const char *name; zbufrand_fill fill; } fills[4] = {
+        {"Gauss, d=2", ZBUFRAND_FILL_GAUSS}, {"Voronoi, d=2", ZBUFRAND_FILL_VORONOI}, {"Voronoi L1, d=2", ZBUFRAND_FILL_VORONOI_L1},
+        {"regions, d=2", ZBUFRAND_FILL_REGIONS}
     };
     world *w;
     size_t i;
@@ -361,12 +362,11 @@ static void bm5(void) {
             if (scenes[i].row != NULL && blocks[k] == scenes[i].block)
                 table_set(scenes[i].row, "%.1f", 1e3 * bench_seconds(&b));
         }
-        for (k = 0; k < 3 && g_opt.full; k++) {
+        for (k = 0; k < 4 && g_opt.full; k++) {
             bench_job b;
             p.desc.reconstruct.block = 2;
             p.desc.reconstruct.fill = fills[k].fill;
             p.desc.reconstruct.occlusion = ZBUFRAND_OCCLUSION_SQUARES;
-            p.desc.reconstruct.reach = 4;
             b = picture_time(&p, fills[k].name, 3);
             (void)picture_line("zbufrand.scenes", w->name, fills[k].name, &p, &b, t, 1);
         }
