@@ -808,7 +808,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_accumulator_create(const zbufrand_accumula
 ZBUFRAND_DEF void zbufrand_accumulator_destroy(zbufrand_accumulator *accumulator); /* NULL is allowed */
 ZBUFRAND_DEF void zbufrand_accumulator_clear(zbufrand_accumulator *accumulator);   /* forget all frames */
 
-/* Take a frame. Pixels that are not finite are left out.
+/* Take a frame. Pixels that are not finite, or above 1e15, are left out.
    rgba   in, width * height, linear, premultiplied
    depth  in, INFINITY where empty; adaptive mode and `blur` need it, otherwise it may be NULL
    view   in, as depth
@@ -12679,8 +12679,9 @@ ZBUFRANDI_INLINE void zbufrandi_blend(float *mean, float *square, const float *s
     square[3] = 1.0f / ((1.0f - w) * (1.0f - w) / n + w * w);
 }
 
-ZBUFRANDI_INLINE int zbufrandi_finite4(const float *p) {
-    return zbufrandi_finite_f(p[0]) && zbufrandi_finite_f(p[1]) && zbufrandi_finite_f(p[2]) && zbufrandi_finite_f(p[3]);
+ZBUFRANDI_INLINE int zbufrandi_finite4(const float *p) { /* and the sum of many squares is, too */
+    return zbufrandi_absf(p[0]) < 1e15f && zbufrandi_absf(p[1]) < 1e15f && zbufrandi_absf(p[2]) < 1e15f &&
+           zbufrandi_absf(p[3]) < 1e15f;
 }
 
 typedef struct zbufrandi_accumulate {

@@ -448,6 +448,7 @@ TEST(bad_pixels_are_left_out) {
             for (i = 0; i < N; i++) depth[i] = i % 3 == 0 ? INF_F : i % 3 == 1 ? 1.0f : 0.0f;
             frame[4 * (n % N)] = (float)NAN;
             frame[4 * ((n + 9) % N) + 3] = INF_F;
+            frame[4 * ((n + 11) % N) + 1] = n & 1 ? 3e38f : -3e38f; /* finite, but their difference is not */
             depth[(n + 5) % N] = (float)NAN;
             depth[(n + 6) % N] = -1.0f;
             CHECK_EQ_U64(zbufrand_accumulator_add(a, frame, depth, &v), ZBUFRAND_OK);
