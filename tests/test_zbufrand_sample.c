@@ -861,6 +861,39 @@ TEST(attributes_of_surface_points) {
     shape_free(&s);
 }
 
+/* A triangle of 10^9 pixels: within a column of four of them places are still uniform, and many (Kolmogorov and Smirnov, p = 1e-3). */
+TEST(fine_places) {
+    const uint32_t n = 1u << 22;
+    const double edge = 44721 / 4.0;
+    uint32_t way, j, i, k;
+    double *seen = (double *)malloc(8192 * sizeof *seen);
+    REQUIRE(seen != NULL);
+    for (way = 0; way < 4; way++) { /* R2 and independent, both weights */
+        uint32_t count = 0, distinct = 1;
+        double worst = 0;
+        for (j = 0; j < n; j++) {
+            float u, v;
+            double at;
+            zbufrandi_flat_weights(0x1234567u, 0x89abcdefu, j, (int)(way & 1), &u, &v);
+            at = ((double)(way & 2 ? v : u) - 0.3) * edge;
+            if (at >= 0 && at < 1 && count < 8192) seen[count++] = at;
+        }
+        CHECK_MSG(count > 400 && count < 700, "%u in four pixels", count);
+        for (i = 1; i < count; i++) { /* sorted by insertion */
+            const double x = seen[i];
+            for (k = i; k > 0 && seen[k - 1] > x; k--) seen[k] = seen[k - 1];
+            seen[k] = x;
+        }
+        for (i = 0; i < count; i++) {
+            worst = fmax(worst, fmax((i + 1.0) / count - seen[i], seen[i] - (double)i / count));
+            distinct += i > 0 && seen[i] > seen[i - 1];
+        }
+        CHECK_MSG(worst < 1.95 / sqrt(count) + 0.003, "way %u: off by %g of %u", way, worst, count);
+        CHECK_MSG(distinct > 200, "only %u places", distinct);
+    }
+    free(seen);
+}
+
 /* Scenes in any unit: points of a mesh scaled by a power of two are the points of the mesh, scaled. */
 TEST(points_of_any_size) {
     static const int exponent[4] = {-62, -33, 31, 48}; /* squares of areas are out of the range of floats in all of them */
@@ -1017,6 +1050,7 @@ int main(int argc, char **argv) {
     RUN(short_prefixes_are_even);
     RUN(points_of_instances);
     RUN(attributes_of_surface_points);
+    RUN(fine_places);
     RUN(points_of_any_size);
     RUN(areas_beyond_floats);
     RUN(corners_moved_by_rounding);
