@@ -570,8 +570,8 @@ static void compare_room(model *m, model *more, voxrt_columns_mode mode, path_sc
 }
 
 /* Bars make it darker under them: as bodies by as much as they should, whether they are eight cells wide or four. By their
-   surface they are a cell wider, and it is as dark as under bars that are that wide. Those of two thirds of a cell are
-   fatter anyhow. */
+   surface they are a cell wider, and it is as dark as under bars that are that wide. Those of two thirds of a cell are in
+   cells that know all their faces. */
 TEST(under_a_lattice) {
     static const double thick[3] = {0.6, 0.3, 0.05}, apart[3] = {5.0, 2.5, 2.5};
     uint32_t k, i, axis, way;
@@ -580,7 +580,7 @@ TEST(under_a_lattice) {
             static path_scene s;
             static model room, bars;
             const double lo[3] = {-9, -9, -9}, hi[3] = {9, 9, 9}, lamp[3] = {1, 7, 0.5}, at[3] = {0, -9, 0}, wide[2] = {5, 5};
-            const double more = way == 1 ? 0.075 : 0.0, most = k == 2 ? 0.25 : way == 0 ? (k == 0 ? 0.1 : 0.25) : 0.06;
+            const double more = way == 1 ? 0.075 : 0.0, most = k == 2 ? 0.08 : way == 0 ? (k == 0 ? 0.12 : 0.16) : 0.06;
             double is, want, error;
             if (way == 1 && k == 2) continue;
             memset(&s, 0, sizeof s);
@@ -1024,7 +1024,7 @@ TEST(errors_fall_with_rays) { /* smooth light: faster than 1 / sqrt(rays) */
         error[k] = sqrt(sum);
     }
     slope = log(error[2] / error[0]) / log(16.0);
-    CHECK_MSG(slope < -0.65, "errors %.4g %.4g %.4g: slope %.3f", error[0], error[1], error[2], slope);
+    CHECK_MSG(slope < -0.75, "errors %.4g %.4g %.4g: slope %.3f", error[0], error[1], error[2], slope);
     voxrt_gi_destroy(gi);
 }
 
