@@ -192,6 +192,26 @@ static void run_rays(void *ctx) {
 
 typedef struct wrong { size_t missed, extra, other; } wrong;
 
+/* Columns that a ray looks at, on average and at most by ray: of some of the rays. */
+static void count_steps(const ray_job *j) {
+    double sum = 0.0, most = 0.0;
+    size_t i, n = 0, by = j->rays->count / 4000 + 1;
+    for (i = 0; i < j->rays->count; i += by, n++) {
+        voxrt_columns_trace_desc d;
+        voxrt_stats st;
+        voxrt_column_hit hit;
+        memset(&d, 0, sizeof d);
+        memset(&st, 0, sizeof st);
+        d.stats = &st;
+        if (j->normals) d.normals = j->rays->normal + 3 * i;
+        must(voxrt_columns_trace(j->columns, &d, j->rays->ray + i, &hit, 1), "rays");
+        sum += (double)st.steps;
+        most = fmax(most, (double)st.steps);
+    }
+    bench_num("steps_per_ray", sum / (double)n);
+    bench_num("most_steps", most);
+}
+
 static wrong compare(const ray_job *exact, const ray_job *j) {
     wrong w = {0, 0, 0};
     size_t i;
@@ -268,6 +288,7 @@ static void bm3(void) {
                 bench_num("times_thesis", bench_ratio(&b[1], &b[i]));
                 one_thread(&b[i]);
                 bench_num("rays", (double)count);
+                if (i == 7 || t[i].normals) count_steps(&t[i]);
                 bench_hash(t[i].way < 0 && !t[i].any ? bench_hash_bytes(t[i].hits, count * sizeof *t[i].hits) :
                            bench_hash_bytes(t[i].hit, count));
                 bench_end();
@@ -1085,12 +1106,13 @@ static float *sparse_reference(world *w, uint32_t rays, uint32_t first) {
     return out;
 }
 
-typedef struct setting { uint32_t rays, filter, coarse; int thesis; } setting;
+typedef struct setting { uint32_t rays, filter, coarse; int thesis; /* 2: its virtual lights; 3: ours */ } setting;
 
 static void error_scene(const char *name, double *share) {
     static const setting settings[] = {
         {32, 3, 1, 1}, {1, 6, 1, 0}, {2, 6, 1, 0}, {4, 6, 1, 0}, {6, 6, 1, 0}, {8, 6, 1, 0}, {8, 4, 1, 0}, {16, 3, 1, 0},
-        {1, 3, 1, 1}, {4, 3, 1, 1}, {16, 3, 1, 1}, {1, 3, 1, 0}, {4, 3, 1, 0}, {1, 0, 1, 0}, {8, 0, 1, 0}, {16, 3, 8, 0}
+        {1, 3, 1, 1}, {4, 3, 1, 1}, {16, 3, 1, 1}, {1, 3, 1, 0}, {4, 3, 1, 0}, {1, 0, 1, 0}, {8, 0, 1, 0}, {16, 3, 8, 0},
+        {4, 3, 1, 2}, {24, 3, 1, 2}, {4, 3, 1, 3}, {24, 3, 1, 3}
     };
     enum { COUNT = sizeof settings / sizeof settings[0], GATE = 8 }; /* the first ones count for the table */
     world w;
@@ -1106,11 +1128,14 @@ static void error_scene(const char *name, double *share) {
     memset(b, 0, sizeof b);
     for (i = 0; i < COUNT; i++) {
         const setting *s = &settings[i];
-        t[i] = s->thesis ? thesis_of(&w, s->rays, 1, 0.0f) : light_of(&w, s->rays);
-        if (s->thesis) t[i].base_filter = s->filter;
+        t[i] = s->thesis == 1 ? thesis_of(&w, s->rays, 1, 0.0f) : light_of(&w, s->rays);
+        if (s->thesis == 1) t[i].base_filter = s->filter;
         else t[i].d.filter = s->filter;
         t[i].d.coarse = s->coarse;
-        b[i].name = s->thesis ? "thesis, filter" : s->coarse > 1 ? "coarse mesh and filter" :
+        if (s->thesis > 1) t[i].d.method = VOXRT_GI_VPL;
+        if (s->thesis == 2) t[i].d.d_min = (float)(16.0 * w.gi->columns->diagonal * w.gi->columns->diagonal);
+        b[i].name = s->thesis == 3 ? "virtual lights, filter" : s->thesis == 2 ? "virtual lights as in the thesis, filter" :
+            s->thesis ? "thesis, filter" : s->coarse > 1 ? "coarse mesh and filter" :
             s->filter == 0 ? "gathering" : s->filter < 6 ? "gathering, filter 3 or 4" : "gathering, filter 6";
         b[i].run = run_light;
         b[i].ctx = &t[i];
