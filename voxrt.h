@@ -1258,7 +1258,8 @@ typedef struct voxrt_gi_material {
 } voxrt_gi_material;
 
 /* field     zero means
-   mesh      positions, indices and colours count; borrowed until the object is taken out or gets another
+   mesh      positions, indices and colours count, and whether there are normals (voxrt_gbuffer_edges); borrowed until the
+             object is taken out or gets another
    to_world  (all zero) the mesh is in world coordinates; else three rows of four
    still     1: it will not move, its voxels are made once
    mode      THIN. SAMPLES: which points of a triangle are taken is found when the object comes and kept, so that they
@@ -1370,7 +1371,7 @@ VOXRT_DEF voxrt_result voxrt_gbuffer_materials(const voxrt_env *env, const voxrt
 
 /* A voxel at an edge has the mean of the normals of two surfaces, and that of an outline may have one that faces away:
    dots along edges. Where the cells know two flat surfaces there, such a normal becomes that of the one which faces the
-   camera more. Errors: INVALID_ARG. O(pixels). Thread safety: as drawing. */
+   camera more. Objects with normals are left as they are: smooth shading is a mix, too. Errors: INVALID_ARG. O(pixels). Thread safety: as drawing. */
 VOXRT_DEF voxrt_result voxrt_gbuffer_edges(const voxrt_env *env, const voxrt_camera *camera, const voxrt_gi *gi,
                                            const voxrt_gbuffer *gbuffer);
 
@@ -21552,6 +21553,11 @@ VOXRTI_INLINE int voxrti_normal_mixed(const float n[3], const float f[3], const 
     return voxrti_absf(c) < 0.8f && pa > 0.05f && pb > 0.05f && pa * a + pb * b > 0.97f;
 }
 
+/* Does the object of a side bring its own normals? */
+VOXRTI_INLINE int voxrti_side_smooth(const voxrt_gi *gi, uint32_t layer, size_t r, uint32_t side) {
+    return gi->entry[gi->layer[layer].record[r].object[side]].object.mesh.normals != NULL;
+}
+
 /* The surface of the cells around p that a pixel at an edge shows: to_eye is from p to the camera, unit length. 0: its
    normal n may stay. */
 static int voxrti_edge_normal(const voxrt_gi *gi, const float p[3], const float n[3], const float to_eye[3],
@@ -21573,6 +21579,7 @@ static int voxrti_edge_normal(const voxrt_gi *gi, const float p[3], const float 
     r = voxrti_gi_find(gi, cell[0], cell[1], cell[2], &layer);
     for (side = 0; side < 2 && r != (size_t)-1 && !outline; side++) { /* most pixels */
         if (gi->layer[layer].record[r].area[side] == 0) continue;
+        if (voxrti_side_smooth(gi, layer, r, side)) return 0;
         voxrti_oct_decode(gi->layer[layer].record[r].normal[side], face[0]);
         if (voxrti_dot3(face[0], n) > 0.95f) return 0;
     }
@@ -21590,6 +21597,7 @@ static int voxrti_edge_normal(const voxrt_gi *gi, const float p[3], const float 
             voxrti_gi_side_place(gi, &gi->layer[layer].record[r], side, cell, place, face[count]);
             for (a = 0; a < 3; a++) d[a] = p[a] - place[a];
             if (voxrti_absf(voxrti_dot3(d, face[count])) > wide) continue;
+            if (voxrti_side_smooth(gi, layer, r, side)) return 0;
             if (!outline && voxrti_dot3(face[count], n) > 0.95f) return 0;
             count++;
         }

@@ -1398,6 +1398,13 @@ TEST(pixels_at_edges_show_one_face) {
     normal[3][2] = 0.01f;
     CHECK(voxrt_gbuffer_edges(NULL, &camera, gi, &g) == VOXRT_OK);
     CHECK_MSG(normal[3][2] > 0.99f, "%g %g %g", (double)normal[3][0], (double)normal[3][1], (double)normal[3][2]);
+    normal[0][1] = normal[0][2] = 0.70710678f;               /* a mesh that brings normals may mean the mix */
+    normal[3][1] = 0.99995f;
+    normal[3][2] = 0.01f;
+    o.mesh.normals = m.p[0];
+    CHECK(voxrt_gi_set(gi, 0, &o) == VOXRT_OK && voxrt_gi_update(gi, NULL) == VOXRT_OK);
+    CHECK(voxrt_gbuffer_edges(NULL, &camera, gi, &g) == VOXRT_OK);
+    CHECK(normal[0][1] == 0.70710678f && normal[3][2] == 0.01f);
     CHECK(voxrt_gbuffer_edges(NULL, NULL, gi, &g) == VOXRT_ERR_INVALID_ARG);
     CHECK(voxrt_gbuffer_edges(NULL, &camera, NULL, &g) == VOXRT_ERR_INVALID_ARG);
     voxrt_gi_destroy(gi);
