@@ -17704,7 +17704,7 @@ static uint32_t tetcasti_octet_shade(const tetcasti_brick_frame *c, tetcasti_oct
     memcpy(p->length, l->seg.length, sizeof p->length);
     memcpy(p->depth, l->seg.depth, sizeof p->depth);
     memcpy(p->level, l->level, sizeof p->level);
-    for (i = 0; i < 8; i++) {
+    for (i = 0; i < 8 && s->needs != 0; i++) {
         const tetcasti_brick_ray *r = &l->ray[i];
         if (!(l->live >> i & 1u)) continue;
         if (s->needs & TETCAST_NEED_GRADIENT) {
@@ -21455,6 +21455,7 @@ TETCAST_DEF tetcast_result tetcast_rbf_fit(const tetcast_rbf_fit_desc *desc, con
 #define TETCASTI_RBF_TILE 16u
 #define TETCASTI_RBF_RUN 32           /* samples from one start of the recurrence to the next */
 #define TETCASTI_RBF_SAMPLES 65536u
+#define TETCASTI_RBF_BATCH 32u
 
 typedef struct tetcasti_rbf_group {   /* eight rays; lanes without a ray are copies of one that has one */
     float o[3][8], d[3][8];           /* local place of sample 0, unit direction */
@@ -21761,17 +21762,17 @@ static int tetcasti_rbf_ray(const tetcasti_rbf_picture *t, uint32_t x, uint32_t 
         l += d[a] * d[a];
         w += d[a] * t->m->scale[a] * (d[a] * t->m->scale[a]);
     }
-    l = sqrt(l);
-    *world = sqrt(w) / l;
+    l = 1.0 / sqrt(l);
+    *world = sqrt(w) * l;
     ends[0] = 0.0;
     ends[1] = 1e30;
     for (a = 0; a < 3; a++) {
         const double hi = (double)t->m->size[a];
-        d[a] /= l;
+        d[a] *= l;
         if (d[a] == 0.0) {
             if (!(o[a] >= 0.0 && o[a] <= hi)) return 0;
         } else {
-            const double p = -o[a] / d[a], q = (hi - o[a]) / d[a];
+            const double inv = 1.0 / d[a], p = -o[a] * inv, q = (hi - o[a]) * inv;
             ends[0] = tetcasti_max(ends[0], tetcasti_min(p, q));
             ends[1] = tetcasti_min(ends[1], tetcasti_max(p, q));
         }
@@ -21879,31 +21880,39 @@ static void tetcasti_rbf_gather_rows(const tetcasti_rbf_picture *t, const tetcas
 static void tetcasti_rbf_group_values(tetcasti_rbf_picture *t, const tetcasti_rbf_group *g, uint32_t tile, float *rows,
                                       size_t stride, uint64_t count[3]) {
     const tetcast_rbf *m = t->m;
-    tetcasti_rbf_reach r;
+    tetcasti_rbf_reach r[TETCASTI_RBF_BATCH];
+    uint32_t list[TETCASTI_RBF_BATCH];
     size_t i;
     uint32_t c, n = m->components;
-    memset(&r, 0, sizeof r);
     if (t->desc->gather || t->channel > TETCAST_RBF_CHANNEL_LENGTH) {
         tetcasti_rbf_gather_rows(t, g, rows);
         return;
     }
     tetcasti_rbf_base_rows(t, g, rows, stride);
-    for (i = t->first[tile]; i < t->first[tile + 1]; i++) {
-        const tetcasti_rbf_record *f = &m->record[t->list[i]];
-        r.decay = t->decay[t->list[i]];
-        count[0]++;
+    i = t->first[tile];
+    count[0] += t->first[tile + 1] - i;
+    while (i < t->first[tile + 1]) { /* some meet first, then they are added: what one waits for another one does */
+        uint32_t k, met = 0;
+        for (; i < t->first[tile + 1] && met < TETCASTI_RBF_BATCH; i++) {
+            const tetcasti_rbf_record *f = &m->record[t->list[i]];
+            list[met] = t->list[i];
 #if TETCASTI_AVX2
-        if (t->isa >= TETCAST_ISA_AVX2) {
-            if (!tetcasti_rbf_meet8(g, f, &r)) continue;
-            tetcasti_rbf_run8(m->kernel, n, g, f, &r, rows, stride);
-        } else
+            if (t->isa >= TETCAST_ISA_AVX2) met += (uint32_t)tetcasti_rbf_meet8(g, f, &r[met]);
+            else
 #endif
-        {
-            if (!tetcasti_rbf_meet(g, f, &r)) continue;
-            t->run(m->kernel, n, g, f, &r, rows, stride);
+            met += (uint32_t)tetcasti_rbf_meet(g, f, &r[met]);
         }
-        count[1]++;
-        count[2] += 8u * (uint64_t)(r.last - r.first + 1);
+        for (k = 0; k < met; k++) {
+            const tetcasti_rbf_record *f = &m->record[list[k]];
+            r[k].decay = t->decay[list[k]];
+#if TETCASTI_AVX2
+            if (t->isa >= TETCAST_ISA_AVX2) tetcasti_rbf_run8(m->kernel, n, g, f, &r[k], rows, stride);
+            else
+#endif
+            t->run(m->kernel, n, g, f, &r[k], rows, stride);
+            count[2] += 8u * (uint64_t)(r[k].last - r[k].first + 1);
+        }
+        count[1] += met;
     }
     if (t->channel == TETCAST_RBF_CHANNEL_LENGTH) {
         for (i = 0; i < 8 * (size_t)g->n; i++) {

@@ -9,7 +9,8 @@
    BM5 projection in any order     BM11 meshes that are not convex
    BM6 orders and forms of it      BM12 threads, instruction sets   BM17 tolerance against error
    BM21 to BM27: radial basis functions, see bench_tetcast_rbf.h
-   BM40 to BM43: resampling, bricks, codecs, see bench_tetcast_bricks.h
+   BM40 to BM44: resampling, bricks, codecs, see bench_tetcast_bricks.h; BM45 to BM53: against each other,
+   bench_tetcast_ways.h
    One JSON object a line on stdout; the acceptance table on stderr and, after a run of all, in bench/table_tetcast.md
    beside the program. Errors of pictures are against an integrator in double that splits at every knot. */
 #include "bench.h"
@@ -21,6 +22,8 @@
 #include "../tests/ray_oracle.h"
 #include "baseline/strip_planes.h"
 #include "baseline/cell_projection.h"
+#include "baseline/slices.h"
+#include "baseline/rbf_steps.h"
 #include "bench_tets.h"
 #include "../examples/support/amr_scenes.h"
 #include <sys/resource.h>
@@ -1712,13 +1715,15 @@ static void bm17(void) {
 }
 
 #include "bench_tetcast_rbf.h"
+#include "bench_tetcast_ways.h"
 
 int main(int argc, char **argv) {
     static const struct { int number; void (*run)(void); } all[] = {
         {1, bm1}, {2, bm2}, {3, bm3}, {4, bm4}, {5, bm5}, {6, bm6}, {7, bm7}, {8, bm8}, {9, bm9}, {10, bm10}, {11, bm11}, {12, bm12},
         {13, bm13}, {14, bm14}, {15, bm15}, {16, bm16}, {17, bm17},
         {21, rbf_evaluations}, {22, rbf_frames}, {24, rbf_encoder}, {27, rbf_traces},
-        {40, bm40}, {41, bm41}, {42, bm42}, {43, bm43}, {44, bm44}
+        {40, bm40}, {41, bm41}, {42, bm42}, {43, bm43}, {44, bm44},
+        {45, bm45}, {46, bm46}, {47, bm47}, {48, bm48}, {49, bm49}, {50, bm50}, {51, bm51}, {52, bm52}, {53, bm53}
     };
     size_t i;
     int status = bench_parse(argc, argv, &g_opt);

@@ -72,6 +72,32 @@ static void scan_of(int id, const char *row, const uint32_t dims[3], double thes
         bench_end();
         if (k == 0 && row != NULL) table_set(row, "%.0f", 1e3 * s);
     }
+    if (n <= 300000 || g_opt.full) { /* the thesis' other two ways, slice by slice */
+        static const char *const ways[2] = {"slices, masked", "slices, sections"};
+        float *theirs = (float *)must_alloc(n, 4);
+        size_t i;
+        j.d.isa = TETCAST_ISA_AUTO;
+        must(tetcast_resample(&j.d, mesh, &j.l, j.out, NULL), "resample");
+        for (k = 0; k < 2; k++) {
+            slices_stats st;
+            double s = bench_cpu(), differ = 0;
+            if (!slices_resample(mesh, &j.l, (slices_method)k, theirs, &st)) continue;
+            s = bench_cpu() - s;
+            for (i = 0; i < n; i++) differ += (theirs[i] == theirs[i]) != (j.out[i] == j.out[i]);
+            bench_line("tetcast.resample", kase, "seconds", s, "s");
+            bench_num("error", differ);
+            bench_text("error_unit", "nodes lost");
+            bench_num("nodes_per_second", (double)n / s);
+            bench_num("pieces", (double)st.pieces);
+            bench_num("scanned", (double)st.scanned);
+            bench_num("writes", (double)st.written);
+            bench_text("axis", ways[k]);
+            bench_text("isa", "scalar");
+            bench_num("threads", 1);
+            bench_end();
+        }
+        free(theirs);
+    }
     free(j.out);
 }
 

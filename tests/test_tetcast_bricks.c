@@ -6,6 +6,8 @@
 #include "tets.h"
 #include "../examples/support/amr_file.h"
 #include "../examples/support/tile_file.h"
+#include "../bench/baseline/slices.h"
+#include "../bench/baseline/opacity_slices.h"
 #if !defined(_WIN32)
 #include <sys/stat.h>
 #include <unistd.h>
@@ -424,6 +426,79 @@ TEST(resample_bad_cells) { /* slivers, flat and turned cells, repeated vertices,
 }
 
 /* Planes: samples, section polygons and brute force agree; the area is that of the cut cube. */
+/* The baselines slice by slice: the nodes of the scanline resampler but for those that lie in faces, and its values. */
+TEST(slice_by_slice) {
+    int method, kind;
+    for (kind = 0; kind < 3; kind++) {
+        tets t;
+        tetcast_mesh *mesh;
+        tetcast_lattice l;
+        float *want, *got;
+        size_t n, i, differ = 0, covered = 0;
+        memset(&t, 0, sizeof t);
+        tets_lattice(&t, 4, kind == 0 ? 5 : 4, 3, kind == 2 ? 5 : 6, NULL);
+        if (kind != 0) tets_jitter(&t, 4, 4, 3, 0.2, 4);
+        make_linear(&t);
+        mesh = tets_build(&t, TETCAST_CELLS_TET16, NULL);
+        REQUIRE(mesh != NULL && tetcast_lattice_fit(mesh, kind == 2 ? 40 : 23, &l) == TETCAST_OK);
+        if (kind != 0) for (i = 0; i < 3; i++) l.origin[i] += 0.37 * l.spacing[i]; /* no node in a face */
+        n = node_count(&l);
+        want = resample(mesh, &l, TETCAST_ISA_SCALAR, 0, 1, 0, NULL);
+        got = (float *)malloc(n * 4);
+        for (method = 0; method < 2; method++) {
+            slices_stats st;
+            double worst = 0.0;
+            CHECK(slices_resample(mesh, &l, (slices_method)method, got, &st));
+            for (i = differ = covered = 0; i < n; i++) {
+                covered += want[i] == want[i];
+                if ((want[i] == want[i]) != (got[i] == got[i])) differ++;
+                else if (want[i] == want[i]) worst = fmax(worst, fabs((double)want[i] - (double)got[i]));
+            }
+            CHECK_MSG(worst < 2e-6, "%d %d: %g", kind, method, worst);
+            /* nodes on the hull: the lowest layer has cells only above it */
+            CHECK_MSG(kind == 0 ? differ * 8 < covered : differ == 0, "%d %d: %lu of %lu", kind, method, (unsigned long)differ,
+                      (unsigned long)covered);
+            CHECK(st.pieces > 0 && st.written >= covered - differ && (method == 1 || st.scanned > st.written));
+        }
+        free(want);
+        free(got);
+        tetcast_mesh_destroy(mesh);
+        tets_free(&t);
+    }
+}
+
+/* Slices of different distance: what they count for along a ray. */
+TEST(slices_of_levels) {
+    enum { N = 4096 };
+    static uint8_t level[N];
+    static uint32_t ways[N];
+    test_rng r = test_rng_make(9);
+    double off[4] = {0, 0, 0, 0};
+    int pass, rule;
+    size_t i;
+    for (pass = 0; pass < 40; pass++) {
+        uint32_t k = test_rng_below(&r, 3), left = 0;
+        for (i = 0; i < N; i++) { /* bricks of 4 and more slots, levels up to 2, the ends on the finest */
+            if (left == 0) {
+                left = 4 + test_rng_below(&r, 30);
+                k = k == 1 ? 2 * test_rng_below(&r, 2) : 1;
+            }
+            left--;
+            level[i] = (uint8_t)(i < 8 || i >= N - 8 ? 0 : i < 16 || i >= N - 16 ? (k < 1 ? k : 1) : k);
+        }
+        for (i = 1; i < N; i++) if (level[i] > level[i - 1] + 1) level[i] = (uint8_t)(level[i - 1] + 1);
+        for (rule = 0; rule < 4; rule++) {
+            long sum = -(long)N;
+            opacity_slots((opacity_rule)rule, level, N, ways);
+            for (i = 0; i < N; i++) sum += (long)ways[i];
+            off[rule] += fabs((double)sum) / 40.0;
+        }
+    }
+    CHECK_MSG(off[OPACITY_REPAIRED] == 0.0 && off[OPACITY_EXACT] == 0.0, "repaired: %g slots", off[OPACITY_REPAIRED]);
+    CHECK_MSG(off[OPACITY_NAIVE] > 2.0 && off[OPACITY_MISPRINT] > 2.0 * off[OPACITY_NAIVE], "%g, misprint %g", off[OPACITY_NAIVE],
+              off[OPACITY_MISPRINT]);
+}
+
 TEST(planes_and_sections) {
     tets m;
     tetcast_mesh *mesh;
@@ -2064,6 +2139,8 @@ int main(int argc, char **argv) {
     RUN(resample_extends);
     RUN(resample_keeps_the_integral);
     RUN(resample_bad_cells);
+    RUN(slice_by_slice);
+    RUN(slices_of_levels);
     RUN(planes_and_sections);
     RUN(bricks_sample_the_grid);
     RUN(bricks_are_continuous);

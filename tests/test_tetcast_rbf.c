@@ -2,6 +2,7 @@
 #include "test.h"
 #define TETCAST_IMPLEMENTATION
 #include "tetcast.h"
+#include "../bench/baseline/rbf_steps.h"
 
 /* ---- helpers ---- */
 
@@ -565,6 +566,45 @@ TEST(middles) {
             tetcast_rbf_destroy(m);
         }
     CHECK_MSG(worst[1] <= 0.1 * (1.0 + 1e-4) && worst[0] > 0.12, "%g without, %g with", worst[0], worst[1]);
+}
+
+/* The baseline: what it says of its error is so, it finds simple things, domains add up. */
+TEST(thesis_steps) {
+    enum { N = 9 };
+    static double p[N * N * N][3], value[N * N * N * 2];
+    int leaves;
+    for (leaves = 0; leaves < 2; leaves++) {
+        steps_desc d;
+        steps_model m;
+        double worst = 0.0;
+        size_t i;
+        for (i = 0; i < N * N * N; i++) {
+            const double q[2][3] = {{0.3, 0.4, 0.5}, {0.7, 0.6, 0.45}};
+            p[i][0] = (double)(i % N) / (N - 1);
+            p[i][1] = (double)(i / N % N) / (N - 1);
+            p[i][2] = (double)(i / N / N) / (N - 1);
+            value[2 * i] = 0.2 + exp(-steps_way2(p[i], q[0]) / 0.06) - 0.7 * exp(-steps_way2(p[i], q[1]) / 0.05);
+            value[2 * i + 1] = 0.5 * exp(-steps_way2(p[i], q[0]) / 0.1);
+        }
+        memset(&d, 0, sizeof d);
+        d.max_error = 0.03;
+        d.leaf = leaves ? 300 : 0;
+        d.overlap = 0.15;
+        d.rounds = 20;
+        d.cut = 4.0;
+        CHECK(steps_run(&d, (const double (*)[3])p, value, N * N * N, 2, &m));
+        CHECK(m.leaves == (leaves ? 4u : 1u) && m.count > 1 && steps_bytes(&m) == m.count * 28 + 8 + (leaves ? 96 : 0));
+        for (i = 0; i < N * N * N; i++) {
+            double v[STEPS_MOST];
+            steps_value(&m, d.cut, p[i], v);
+            worst = fmax(worst, hypot(v[0] - value[2 * i], v[1] - value[2 * i + 1]));
+        }
+        CHECK_NEAR(worst, m.max_error, 1e-12);
+        CHECK_MSG(m.max_error <= (leaves ? 2.0 : 1.0) * d.max_error, "%d leaves: %g with %lu functions", (int)m.leaves, m.max_error,
+                  (unsigned long)m.count);
+        CHECK_MSG(m.count < (leaves ? N * N * N : N * N * N / 4), "%lu", (unsigned long)m.count);
+        steps_model_free(&m);
+    }
 }
 
 /* ---- decoding ---- */
@@ -1302,6 +1342,7 @@ int main(int argc, char **argv) {
     RUN(files);
     RUN(promise);
     RUN(middles);
+    RUN(thesis_steps);
     RUN(decoded);
     RUN(same_model);
     RUN(odd_data);
