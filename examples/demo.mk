@@ -161,6 +161,7 @@ RBF := $(G)/rbf
 $(RBF)/%.rbf: $(B)/tetcast_rbf
 	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf fit $* $@ --quiet --max-error 0.05 $(detail)
 $(RBF)/ball.rbf: detail = --detail 24
+$(RBF)/tornado.rbf: detail = --between
 
 $(G)/tetcast_rbf_tornado.png: $(RBF)/tornado.rbf
 	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf render $< --out $@ --quiet --channel vorticity --samples 60
@@ -181,3 +182,7 @@ $(G)/tetcast_bricks_lod.png: $(B)/tetcast_bricks
 
 GALLERY += $(GI_PICTURES) $(ZBUFRAND_PICTURES) $(G)/zbufrand_minimal.png $(TETCAST_PICTURES) $(G)/tetcast_minimal.png \
 	$(G)/tetcast_bricks.png $(G)/tetcast_bricks_lod.png
+
+# Optional: needs MPI (Debian: libopenmpi-dev). make build/tetcast_mpi
+$(B)/tetcast_mpi: examples/mpi/tetcast_mpi.c tetcast.h
+	@mkdir -p $(@D); echo "mpicc $<"; mpicc -std=c99 -O2 -ffp-contract=off -Wall -Wextra -DTETCAST_STATIC -I. -Iexamples -o $@ $< -lm -lpthread

@@ -78,7 +78,7 @@ static uint8_t *draw_tile(const job *j, int tile, size_t *size) {
 
 static int put_tile(const job *j, int tile, const uint8_t *data, size_t size, uint8_t *picture, sup_error *err) {
     uint8_t *pixels;
-    uint32_t box[4], width, height;
+    uint32_t box[4], width = 0, height = 0;
     tile_box(j, tile, box);
     if (sup_tile_decode(data, size, &pixels, &width, &height, err)) return 1;
     if (width == box[2] && height == box[3])
