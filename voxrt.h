@@ -1371,7 +1371,8 @@ VOXRT_DEF voxrt_result voxrt_gbuffer_materials(const voxrt_env *env, const voxrt
 
 /* A voxel at an edge has the mean of the normals of two surfaces, and that of an outline may have one that faces away:
    dots along edges. Where the cells know two flat surfaces there, such a normal becomes that of the one which faces the
-   camera more. Objects with normals are left as they are: smooth shading is a mix, too. Errors: INVALID_ARG. O(pixels). Thread safety: as drawing. */
+   camera more. Objects with normals are left as they are: smooth shading is a mix, too. Errors: INVALID_ARG. O(pixels).
+   Thread safety: as drawing. */
 VOXRT_DEF voxrt_result voxrt_gbuffer_edges(const voxrt_env *env, const voxrt_camera *camera, const voxrt_gi *gi,
                                            const voxrt_gbuffer *gbuffer);
 

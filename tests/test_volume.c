@@ -255,6 +255,28 @@ TEST(ucd) {
     check_standard(&v, 1);
     if (v.field_count) CHECK_STR(v.fields[0].name, "temperature");
     sup_volume_free(&v);
+    /* two fields, a vector first, of points; names after blanks */
+    f.size = 0;
+    put(&f, "4 1 4 0 0\n1 0 0 0\n2 1 0 0\n3 0 1 0\n4 0 0 1\n1 1 tet 1 2 3 4\n2 3 1\n  speed , m/s\n\theat,\n");
+    put(&f, "1 1 2 3 4\n2 5 6 7 8\n3 9 10 11 12\n4 13 14 15 16\n");
+    CHECK_MSG(read_text(&f, "a.inp", &v, &err) == 0, "%s", err.text);
+    REQUIRE(v.field_count == 2 && v.fields[0].components == 3 && v.fields[1].components == 1);
+    CHECK_STR(v.fields[0].name, "speed");
+    CHECK_STR(v.fields[1].name, "heat");
+    CHECK(v.fields[0].values[11] == 15.0f && v.fields[0].values[3] == 5.0f && v.fields[1].values[2] == 12.0f);
+    sup_volume_free(&v);
+    /* only of cells; of nothing */
+    f.size = 0;
+    put(&f, "4 1 0 2 0\n1 0 0 0\n2 1 0 0\n3 0 1 0\n4 0 0 1\n1 1 tet 1 2 3 4\n2 1 1\na, m\nb, m\n1 8 9\n");
+    CHECK_MSG(read_text(&f, "a.inp", &v, &err) == 0, "%s", err.text);
+    REQUIRE(v.field_count == 2 && v.fields[0].per_cell && v.fields[1].per_cell);
+    CHECK(v.fields[0].values[0] == 8.0f && v.fields[1].values[0] == 9.0f);
+    sup_volume_free(&v);
+    f.size = 0;
+    put(&f, "4 1 0 0 0\n1 0 0 0\n2 1 0 0\n3 0 1 0\n4 0 0 1\n1 1 tet 1 2 3 4\n");
+    CHECK_MSG(read_text(&f, "a.inp", &v, &err) == 0, "%s", err.text);
+    CHECK(v.field_count == 0 && v.cell_count == 1);
+    sup_volume_free(&v);
 }
 
 static void make_gmsh(file_text *f, int version) {
@@ -669,6 +691,7 @@ TEST(messages) {
                {"a.msh", "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n1\n1 0 0 0\n$EndNodes\n$Elements\n1\n1 4 0 1 1 1 2\n", "line 10: an element has"},
                {"a.msh", "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n1\n1 0 0 0\n$EndNodes\n$Elements\n1\n1 99 0\n", "unknown type of element"},
                {"a.msh", "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n0\n$EndNodes\n$Nodes\n", "$Nodes is there twice"},
+               {"a.msh", "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n1\n1 0 0 0\n$EndNodes\n", "no $Elements"},
                {"a.inp", "2 0 0 0 0\n1 0 0 0\n1 0 0 0\n", "point 1 is there twice"},
                {"a.inp", "1 2 0 0 0\n1 0 0 0\n1 1 tet 1 1 1 1\n1 1 tet 1 1 1 1\n", "cell 1 is there twice"},
                {"a.inp", "1 1 1 0 0\n1 0 0 0\n1 1 tet 1 1 1 1\n1 1\ns, m\n2 0\n", "line 6: values of a point"},
