@@ -1258,8 +1258,8 @@ typedef struct voxrt_gi_material {
 } voxrt_gi_material;
 
 /* field     zero means
-   mesh      positions, indices and colours count, and whether there are normals (voxrt_gbuffer_edges); borrowed until the
-             object is taken out or gets another
+   mesh      positions, indices and colours count, and whether there are normals (voxrt_gbuffer_edges); borrowed until
+             the object is taken out or gets another
    to_world  (all zero) the mesh is in world coordinates; else three rows of four
    still     1: it will not move, its voxels are made once
    mode      THIN. SAMPLES: which points of a triangle are taken is found when the object comes and kept, so that they
