@@ -577,6 +577,10 @@ typedef enum zbufrand_fill { /* what the pixels between samples show */
    tolerance_slope      the same by the sample's slope: up to this times |grad z| d deeper; what any of the three
                         tolerates is kept. 1.5 if none of them is given, or of a surface that is seen at an angle only
                         one edge of each cell or square would be left; below 0: none, as the thesis has it
+   tolerance_color      none. t: also samples, however deep, whose linear red, green and blue differ by at most t from
+                        those of the nearest in their cell or square: they may be wrong, but one does not see it. Of
+                        scenes colours are those of the library's lights, without shade_fn. Up to (2 d)^2 pixels are
+                        looked at for each sample that would be dropped
    drop_back            1: samples that are seen from behind do not take part in the fill, though they still hide others
                         (closed surfaces: what a tolerance lets through at silhouettes)
    plane_depth          1: the depth of a pixel is that of the sample's surface at the centre of the pixel, along its
@@ -588,7 +592,7 @@ typedef struct zbufrand_reconstruct {
     zbufrand_fill fill;
     uint32_t reach;
     float gauss_radius, gauss_support;
-    float tolerance, tolerance_projected, focal, tolerance_slope;
+    float tolerance, tolerance_projected, focal, tolerance_slope, tolerance_color;
     uint32_t drop_back;
     uint32_t plane_depth;
     uint32_t repair;
@@ -674,8 +678,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_canvas_submit_points(zbufrand_canvas *canv
                                                            zbufrand_submit_stats *stats);
 
 /* Make the picture. The samples stay: more may be submitted and the picture made again.
-   source  shade_fn is needed if picture->rgba is; surface_fn serves drop_back, tolerance_slope, and plane_depth of
-           blocks larger than 1; may be NULL if nothing of that is asked for
+   source  shade_fn is needed if picture->rgba or tolerance_color is; surface_fn serves drop_back, tolerance_slope, and
+           plane_depth of blocks larger than 1; may be NULL if nothing of that is asked for
    stats   out, may be NULL
    The same bits for any number of threads and any isa. Needs the canvas for itself; allocates only for a repair.
    Errors: INVALID_ARG, NO_MEMORY. */
@@ -10787,11 +10791,29 @@ static void zbufrandi_planes_task(void *ctx, uint32_t task) {
 typedef struct zbufrandi_seen {
     const uint64_t *keys, *nearest; /* nearest: minima around; cells find their own */
     uint64_t *out;
-    const float *slope_x, *slope_y;
+    const float *slope_x, *slope_y, *tint;
     const uint8_t *back;
     const zbufrand_reconstruct *o;
     uint32_t width, height, offset;  /* of the canvas; cells begin at `offset`, the guard */
 } zbufrandi_seen;
+
+/* Has a sample about the colour of the nearest one, which is somewhere around it? */
+static int zbufrandi_seen_alike(const zbufrandi_seen *c, size_t q, uint64_t nearest) {
+    const uint32_t d = c->o->block, x = (uint32_t)(q % c->width), y = (uint32_t)(q / c->width);
+    const uint32_t r = c->o->occlusion == ZBUFRAND_OCCLUSION_CELLS ? d - 1 : 2 * (d / 2);
+    const uint32_t x1 = c->width - x > r ? x + r : c->width - 1, y1 = c->height - y > r ? y + r : c->height - 1;
+    uint32_t i, j, a;
+    for (j = y > r ? y - r : 0; j <= y1; j++) {
+        for (i = x > r ? x - r : 0; i <= x1; i++) {
+            const size_t p = (size_t)j * c->width + i;
+            if (c->keys[p] != nearest) continue;
+            for (a = 0; a < 3; a++)
+                if (!(zbufrandi_absf(c->tint[3 * q + a] - c->tint[3 * p + a]) <= c->o->tolerance_color)) return 0;
+            return 1;
+        }
+    }
+    return 0;
+}
 
 static int zbufrandi_seen_keep(const zbufrandi_seen *c, size_t q, uint64_t nearest) {
     const zbufrand_reconstruct *o = c->o;
@@ -10807,7 +10829,7 @@ static int zbufrandi_seen_keep(const zbufrandi_seen *c, size_t q, uint64_t neare
         float g = sqrtf(c->slope_x[q] * c->slope_x[q] + c->slope_y[q] * c->slope_y[q]) * z * z;
         if (z - z_min <= o->tolerance_slope * g * (float)o->block) return 1;
     }
-    return 0;
+    return c->tint != NULL && zbufrandi_seen_alike(c, q, nearest);
 }
 
 static void zbufrandi_squares_task(void *ctx, uint32_t task) {
@@ -11588,7 +11610,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_mend(const zbufrand_suspect_desc *desc, fl
    Use:  zbufrandi_recon_open          once for a size and a set of options
          zbufrandi_recon_clear         before each frame
          samples -> recon.canvas       pixels of a rasteriser -> recon.exact if it is there (blocks larger than 1)
-         recon.slope_x, slope_y, back  where they are there: filled in for each pixel of the canvas that is not empty
+         recon.slope_x, slope_y, back, tint
+                                       where they are there: filled in for each pixel of the canvas that is not empty
          zbufrandi_recon_keys          -> recon.result: keys of what is seen, result_width x result_height of them; the
                                        picture begins at (result_guard, result_guard)
          shade recon.result            into recon.color if it is there; else right into the picture: the sizes agree
@@ -11604,6 +11627,7 @@ typedef struct zbufrandi_recon {
     uint64_t *exact;                 /* canvas size: what is not to be widened to blocks; or NULL */
     float *slope_x, *slope_y;        /* canvas size, of the winners of the canvas; NULL: not needed */
     uint8_t *back;                   /* the same: 1 if seen from behind */
+    float *tint;                     /* the same: linear red, green, blue */
     float *color;                    /* rgba of result size, for fills that mix colours; NULL: not needed */
     uint64_t *result;
     uint32_t result_width, result_height, result_guard;
@@ -11629,7 +11653,7 @@ static zbufrand_result zbufrandi_reconstruct_check(const zbufrand_env *env, zbuf
     if (!(o->gauss_radius > 0.0f && o->gauss_radius <= 256.0f && o->gauss_support > 0.0f && o->gauss_support <= 1.5f)) {
         return zbufrandi_fail(env->error, ZBUFRAND_ERR_RANGE, 0, "gauss_radius or gauss_support is out of range");
     }
-    if (!(o->tolerance >= 0.0f && o->tolerance_projected >= 0.0f && o->focal > 0.0f) ||
+    if (!(o->tolerance >= 0.0f && o->tolerance_projected >= 0.0f && o->tolerance_color >= 0.0f && o->focal > 0.0f) ||
         o->tolerance_slope != o->tolerance_slope) {
         return zbufrandi_fail(env->error, ZBUFRAND_ERR_INVALID_ARG, 0, "a tolerance is negative or not a number");
     }
@@ -11644,6 +11668,7 @@ ZBUFRANDI_UNUSED static void zbufrandi_recon_close(zbufrandi_mem *mem, zbufrandi
     zbufrandi_free(mem, r->slope_x);
     zbufrandi_free(mem, r->slope_y);
     zbufrandi_free(mem, r->back);
+    zbufrandi_free(mem, r->tint);
     zbufrandi_free(mem, r->color);
     zbufrandi_free(mem, r->pass[0]);
     zbufrandi_free(mem, r->pass[1]);
@@ -11712,6 +11737,8 @@ ZBUFRANDI_UNUSED static zbufrand_result zbufrandi_recon_open(zbufrandi_mem *mem,
         ok = ok && (r->inverse = (float *)zbufrandi_alloc_array(mem, n, 4)) != NULL;
     }
     if (!blocks && r->o.drop_back) ok = ok && (r->back = (uint8_t *)zbufrandi_alloc(mem, n)) != NULL;
+    if (!blocks && r->o.tolerance_color > 0.0f)
+        ok = ok && (r->tint = (float *)zbufrandi_alloc_array(mem, n, 3 * sizeof *r->tint)) != NULL;
     if (voronoi) {
         tasks = (height + ZBUFRANDI_VORONOI_ROWS - 1) / ZBUFRANDI_VORONOI_ROWS;
         ok = ok && (r->cost = (uint64_t *)zbufrandi_alloc_array(mem, n, 8)) != NULL;
@@ -11838,6 +11865,7 @@ static void zbufrandi_recon_occlusion(zbufrandi_recon *r) {
     s.slope_x = r->slope_x;
     s.slope_y = r->slope_y;
     s.back = r->back;
+    s.tint = r->tint;
     s.o = &r->o;
     s.width = r->canvas.width;
     s.height = r->canvas.height;
@@ -12221,7 +12249,7 @@ static void zbufrandi_surface_task(void *ctx, uint32_t task) { /* slopes and sid
     const zbufrandi_recon *r = c->recon;
     uint32_t y = task * ZBUFRANDI_SHADE_ROWS, end = y + ZBUFRANDI_SHADE_ROWS, numbers[ZBUFRANDI_SHADE_BATCH], n = 0, i;
     size_t place[ZBUFRANDI_SHADE_BATCH], q, stop;
-    float slopes[2 * ZBUFRANDI_SHADE_BATCH];
+    float slopes[2 * ZBUFRANDI_SHADE_BATCH], rgba[4 * ZBUFRANDI_SHADE_BATCH];
     uint8_t back[ZBUFRANDI_SHADE_BATCH];
     if (end > r->canvas.height) end = r->canvas.height;
     stop = (size_t)end * r->canvas.width;
@@ -12232,12 +12260,14 @@ static void zbufrandi_surface_task(void *ctx, uint32_t task) { /* slopes and sid
             if (c->source != NULL && c->source->surface_fn != NULL) {
                 c->source->surface_fn(c->source->user, numbers, n, slopes, back);
             }
+            if (r->tint != NULL) c->source->shade_fn(c->source->user, numbers, n, rgba);
             for (i = 0; i < n; i++) {
                 if (r->slope_x != NULL) {
                     r->slope_x[place[i]] = slopes[2 * i];
                     r->slope_y[place[i]] = slopes[2 * i + 1];
                 }
                 if (r->back != NULL) r->back[place[i]] = back[i] != 0;
+                if (r->tint != NULL) memcpy(r->tint + 3 * place[i], rgba + 4 * (size_t)i, 3 * sizeof *rgba);
             }
             n = 0;
         }
@@ -12298,7 +12328,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_canvas_resolve(zbufrand_canvas *canvas, co
     memset(&n, 0, sizeof n);
     if (stats != NULL) *stats = n;
     if (canvas == NULL || picture == NULL) return ZBUFRAND_ERR_INVALID_ARG;
-    if (picture->rgba != NULL && (source == NULL || source->shade_fn == NULL)) return ZBUFRAND_ERR_INVALID_ARG;
+    if ((picture->rgba != NULL || canvas->recon.tint != NULL) && (source == NULL || source->shade_fn == NULL))
+        return ZBUFRAND_ERR_INVALID_ARG;
     r = &canvas->recon;
     pixels = (size_t)r->width * r->height;
     depth = picture->depth;
@@ -12310,7 +12341,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_canvas_resolve(zbufrand_canvas *canvas, co
     s.recon = r;
     s.source = source;
     s.salt = canvas->salt;
-    if (r->slope_x != NULL || r->back != NULL) {
+    if (r->slope_x != NULL || r->back != NULL || r->tint != NULL) {
         tasks = (r->canvas.height + ZBUFRANDI_SHADE_ROWS - 1) / ZBUFRANDI_SHADE_ROWS;
         zbufrandi_parallel_for(&canvas->env, zbufrandi_surface_task, &s, tasks);
     }
@@ -15322,6 +15353,11 @@ static void zbufrandi_slope_task(void *ctx, uint32_t y) {
                 r->slope_y[row + at[i]] = 0.0f - f[1] * k;
             }
             if (r->back != NULL) r->back[row + at[i]] = d > 0.0f;
+            if (r->tint != NULL) {
+                float rgba[4];
+                zbufrandi_look_shade(&p->look, &found[i], rgba);
+                memcpy(r->tint + 3 * (row + at[i]), rgba, 3 * sizeof *rgba);
+            }
         }
     }
 }
@@ -15646,7 +15682,7 @@ static zbufrand_result zbufrandi_draw_picture(zbufrandi_picture *p) {
         result = zbufrandi_draw_scene(p);
         if (result != ZBUFRAND_OK) return result;
         zbufrandi_open_drawn(p);
-        if (r->slope_x != NULL || r->back != NULL)
+        if (r->slope_x != NULL || r->back != NULL || r->tint != NULL)
             zbufrandi_parallel_for(&p->f->env, zbufrandi_slope_task, p, r->canvas.height);
         zbufrandi_recon_keys(r);
         p->stats.incomplete = 1.0 - zbufrand_success_bound(density, pixels, block);

@@ -13,7 +13,7 @@ typedef struct options {
     const char *scene, *hybrid, *opacity;
     int64_t block, mean, view, frame, frames, scatter, max_frames, classes;
     int64_t grid, leaf;
-    double noise, density, gauss, epsilon, smooth, contrast, depth_tolerance, angle_ratio, clip, zone;
+    double noise, density, gauss, epsilon, smooth, contrast, depth_tolerance, color_tolerance, angle_ratio, clip, zone;
     float material[16]; /* opacities */
     int mode, has_mode, has_block, occlusion, has_occlusion, has_noise, has_gauss, no_repair, no_occlusion, independent, structure, has_structure,
         comb, corners, has_contrast, average, drop_back, thesis;
@@ -46,8 +46,8 @@ static int check_options(const char *program, const options *o) {
     if (o->smooth > 0.0 && o->average != (int)ZBUFRAND_ACCUMULATE_SMOOTH) return sup_bad_usage(program, "--smooth goes with --average smooth");
     if (o->mode == MODE_LAYERS && (o->mean > 0 || o->has_noise || o->frames > 0 || o->has_structure || o->thesis || o->common.depth))
         return sup_bad_usage(program, "--mode layers is one picture by the default tree, without --depth");
-    if ((o->depth_tolerance > 0.0 || o->drop_back) && o->mode < MODE_GAUSS)
-        return sup_bad_usage(program, "--depth-tolerance and --drop-back go with --mode gauss, voronoi, nodepth, pullpush, regions or layers");
+    if ((o->depth_tolerance > 0.0 || o->color_tolerance > 0.0 || o->drop_back) && o->mode < MODE_GAUSS)
+        return sup_bad_usage(program, "--depth-tolerance, --color-tolerance, --drop-back: for --mode gauss, voronoi, nodepth, pullpush, regions, layers");
     if ((o->angle_ratio > 0.0 || o->clip > 0.0 || o->leaf > 0 || o->corners) && !o->thesis && o->structure == 0)
         return sup_bad_usage(program, "--angle-ratio, --clip, --leaf and --corners go with one of the thesis' trees");
     if (o->grid > 0 && o->structure != (int)ZBUFRAND_STRUCTURE_CLASSES) return sup_bad_usage(program, "--normal-grid goes with --structure classes");
@@ -59,7 +59,7 @@ static int check_options(const char *program, const options *o) {
 }
 
 static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, zbufrand_build_desc *build) {
-    sup_option table[SUP_COMMON_OPTIONS + 36];
+    sup_option table[SUP_COMMON_OPTIONS + 37];
     double radius = 0.0;
     size_t n;
     int status;
@@ -100,6 +100,7 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     table[n++] = sup_opt_given(sup_opt_real("contrast", &o->contrast, -1.0, 1e6, "G", "the mean times that; -1: over frames that hit a pixel"),
                                &o->has_contrast);
     table[n++] = sup_opt_real("depth-tolerance", &o->depth_tolerance, 0.0, 100.0, "T", "modes without depth buffer: samples that much deeper stay, too");
+    table[n++] = sup_opt_real("color-tolerance", &o->color_tolerance, 0.0, 10.0, "T", "... and those whose colour differs from the nearest by at most that");
     table[n++] = sup_opt_flag("drop-back", &o->drop_back, "... but none that are seen from behind");
     table[n++] = sup_opt_real("angle-ratio", &o->angle_ratio, 1.001, 1000.0, "E", "thesis' trees: how unequal angles they draw as one");
     table[n++] = sup_opt_real("clip", &o->clip, 1e-3, 1000.0, "C", "thesis' trees: divide what sticks out and is wider than C times its depth");
@@ -130,6 +131,7 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     desc->angle_ratio = o->angle_ratio;
     desc->clip_ratio = o->clip;
     desc->reconstruct.tolerance = (float)o->depth_tolerance;
+    desc->reconstruct.tolerance_color = (float)o->color_tolerance;
     desc->reconstruct.drop_back = (uint32_t)o->drop_back;
     if (o->epsilon > 0.0) desc->depth_ratio = o->epsilon;
     desc->tolerance = o->common.has_tolerance ? o->common.tolerance : 0.0; /* 0: the library chooses */

@@ -175,7 +175,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     d.reconstruct.occlusion = (zbufrand_occlusion)(o[11] & 7); d.reconstruct.reach = o[11] >> 3 & 7;
     d.reconstruct.plane_depth = o[11] >> 6 & 1; d.reconstruct.repair = o[11] >> 7;
     d.reconstruct.gauss_radius = o[12] & 1 ? f[50] : 0; d.reconstruct.gauss_support = o[12] & 2 ? f[51] : 0;
-    if (o[12] & 64) memcpy(&d.reconstruct.tolerance, f + 52, 4 * sizeof(float));
+    if (o[12] & 64) memcpy(&d.reconstruct.tolerance, f + 52, 5 * sizeof(float));
     d.reconstruct.drop_back = o[12] >> 7;
     if (zbufrand_scene_build(scene, &b, NULL) == ZBUFRAND_OK) {
         draw(scene, &d, o[12] & 4, p);
