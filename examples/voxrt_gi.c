@@ -174,6 +174,26 @@ static int parse(int argc, char **argv, gi_options *o) {
 
 /* ---- scenes ---------------------------------------------------------------------------------------------------- */
 
+/* A body that is seen from outside: if its triangles face inwards, turn them. Light is on the side they face. */
+static void turn_outwards(sup_mesh *m, const float lo[3], const float hi[3]) {
+    double volume = 0.0, box = 1.0;
+    for (int a = 0; a < 3; a++) box *= (double)hi[a] - (double)lo[a];
+    for (size_t i = 0; i < m->triangle_count; i++) {
+        double p[3][3];
+        for (int k = 0; k < 3; k++)
+            for (int a = 0; a < 3; a++)
+                p[k][a] = (double)m->positions[3 * (size_t)m->indices[3 * i + (size_t)k] + (size_t)a] - 0.5 * ((double)lo[a] + (double)hi[a]);
+        for (int a = 0; a < 3; a++)
+            volume += p[0][a] * (p[1][(a + 1) % 3] * p[2][(a + 2) % 3] - p[1][(a + 2) % 3] * p[2][(a + 1) % 3]) / 6.0;
+    }
+    if (volume > -0.001 * box) return;
+    for (size_t i = 0; i < m->triangle_count; i++) {
+        const uint32_t corner = m->indices[3 * i + 1];
+        m->indices[3 * i + 1] = m->indices[3 * i + 2];
+        m->indices[3 * i + 2] = corner;
+    }
+}
+
 /* A mesh on a plane, a lamp above it. */
 static int scene_of_mesh(world *w, const gi_options *o, sup_error *err) {
     static const float view[3] = {0.55f, 0.35f, 1.0f};
@@ -188,6 +208,7 @@ static int scene_of_mesh(world *w, const gi_options *o, sup_error *err) {
         box[0][a] = (double)lo[a];
         box[1][a] = (double)hi[a];
     }
+    turn_outwards(&w->first, lo, hi);
     if (!(size > 1e-15f && size < 1e15f)) return sup_fail(err, "%s: its size, %g, is too small or too large to be lit", o->scene, (double)size);
     memset(&c, 0, sizeof c);
     (void)voxrt_camera_fit(&c, box[0], box[1], view, o->common.size[0], o->common.size[1]);
