@@ -18494,7 +18494,7 @@ static voxrt_result voxrti_gi_find_emitters(voxrt_gi *gi) {
         const voxrti_gi_entry *e = &gi->entry[i];
         if (e->used && e->emission[0] + e->emission[1] + e->emission[2] > 0.0f) room += e->object.mesh.triangle_count;
     }
-    if (room > 0xffffffffu) return VOXRT_ERR_NO_MEMORY;
+    if ((uint64_t)room >> 32 != 0) return VOXRT_ERR_NO_MEMORY;
     if (room > gi->emitter_capacity) {
         voxrti_free(&gi->mem, gi->emitter);
         gi->emitter_capacity = 0;
