@@ -30,7 +30,7 @@ static void draw(voxrt_gi *gi, const uint8_t *o, const float *f, const voxrt_gi_
         voxrt_env env;
         memset(&g, 0, sizeof g);
         memset(&env, 0, sizeof env);
-        env.thread_count = 1 + (k != 0 && (o[20] & 1) != 0);
+        env.thread_count = k != 0 && (o[20] & 1) != 0 ? 2u : 1u;
         env.memory_limit = 1u << 26;
         d.env = env;
         d.isa = k ? VOXRT_ISA_AUTO : VOXRT_ISA_SCALAR;
