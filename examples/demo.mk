@@ -180,6 +180,13 @@ $(G)/tetcast_bricks_lod.png: $(B)/tetcast_bricks
 	@mkdir -p $(G)/bricks; echo "$@"; $(B)/tetcast_bricks resample --scene ball $(G)/bricks/ball.brk --max-error 0 --longest 129 --brick 8 --quiet && \
 	  $(B)/tetcast_bricks render $(G)/bricks/ball.brk $(NIGHT) --iso 0.2 --focus 0.6,0.3,0.6 --radius 0.5 --out $@ --quiet
 
+# The flow around a blunt body as tetrahedra, bricks and functions.
+$(RBF)/bow.rbf: detail = --detail 32 --mean-error 0.01
+$(G)/tetcast_three.png: $(RBF)/bow.rbf $(B)/tetcast_bricks
+	@mkdir -p $(G)/bricks; echo "$@"; $(B)/tetcast_bricks resample --scene bow --detail 32 $(G)/bricks/bow.brk --max-error 0.02 --longest-end 257 --quiet && \
+	  $(B)/tetcast_bricks render $(G)/bricks/bow.brk $(NIGHT) --detail 32 --tf hot --reference bow --functions $< --size 400x400 --out $@ --quiet
+GALLERY += $(G)/tetcast_three.png
+
 GALLERY += $(GI_PICTURES) $(ZBUFRAND_PICTURES) $(G)/zbufrand_minimal.png $(TETCAST_PICTURES) $(G)/tetcast_minimal.png \
 	$(G)/tetcast_bricks.png $(G)/tetcast_bricks_lod.png
 

@@ -11,7 +11,7 @@
 
 typedef struct options {
     sup_common common;
-    const char *in, *out, *scene, *field, *tf, *reference, *data_type, *coded, *section;
+    const char *in, *out, *scene, *field, *tf, *reference, *data_type, *coded, *section, *functions;
     double max_error, opacity, iso, scale, step, radius, share, samples, lod_error, seconds;
     int64_t detail, longest, longest_end, cells, level, jump;
     int between;
@@ -51,6 +51,8 @@ static int read_raw(const options *o, sup_volume *v, sup_error *err) {
 }
 
 static int load_volume(const options *o, const char *path, sup_volume *v, sup_error *err) {
+    if (path && sup_parse_choice(path, SUP_VOLUME_SCENES) >= 0 && !sup_is_plain_file(path))
+        return sup_volume_make(path, (uint32_t)o->detail, v, err);
     if (!path) return sup_volume_make(o->scene, (uint32_t)o->detail, v, err);
     if (o->has_dims && !sup_name_ends(path, ".vtk")) return read_raw(o, v, err);
     return sup_volume_read(path, v, err);
@@ -414,7 +416,8 @@ static int parse_render(int argc, char **argv, options *o, tetcast_brick_render_
     table[n++] = sup_opt_real("lod-error", &o->lod_error, 0.0, 1.0, "E", "coarse where that is right to this share of the range");
     table[n++] = sup_opt_int("jump", &o->jump, 0, 5, "N", "largest difference of neighbours' levels (any)");
     table[n++] = sup_opt_given(sup_opt_vec3("cut", o->cut, "keep what lies this way from the middle"), &o->has_cut);
-    table[n++] = sup_opt_text("reference", &o->reference, "MESH", "show it beside the picture, and measure the difference");
+    table[n++] = sup_opt_text("reference", &o->reference, "MESH", "a mesh or scene: show it beside the picture, and measure the difference");
+    table[n++] = sup_opt_text("functions", &o->functions, "FILE.rbf", "and these beside both, inside of the mesh");
     table[n++] = sup_opt_real("seconds", &o->seconds, 1e-6, 1e6, "T", "levels such that a picture takes no longer than that: draws some");
     table[n++] = sup_opt_text("coded", &o->coded, "FILE.tile", "also write the picture as --codec codes it");
     table[n++] = sup_opt_choice("codec", &o->codec, SUP_TILE_CODECS, "colour cells (6 bytes for 16 pixels), with alpha (8), or without loss");
@@ -426,6 +429,7 @@ static int parse_render(int argc, char **argv, options *o, tetcast_brick_render_
     if (!o->in == !o->scene) return sup_bad_usage(argv[0], "IN or --scene has to be given");
     status = sup_out_check(argv[0], &o->common);
     if (status >= 0) return status;
+    if (o->functions && !o->reference) return sup_bad_usage(argv[0], "--functions needs --reference");
     if (o->has_focus && !(o->radius > 0.0)) return sup_bad_usage(argv[0], "--focus needs --radius");
     if (o->has_dims && !(o->dims[0] >= 1.0f && o->dims[1] >= 1.0f && o->dims[2] >= 1.0f))
         return sup_bad_usage(argv[0], "--dims: at least 1");
@@ -490,46 +494,83 @@ static tetcast_result draw(const options *o, tetcast_brick_render_desc *desc, co
 
 typedef struct difference { double most, rms; } difference;
 
-/* Both pictures side by side: tetrahedra left. */
+static void compare_pictures(const float *a, const float *b, size_t n, difference *out) {
+    out->most = out->rms = 0.0;
+    for (size_t i = 0; i < 4 * n; i++) {
+        const double e = fabs((double)a[i] - (double)b[i]);
+        out->most = e > out->most ? e : out->most;
+        out->rms += e * e;
+    }
+    out->rms = sqrt(out->rms / (4.0 * (double)n));
+}
+
+/* The functions of --functions inside of the mesh, as the bricks are drawn. */
+static int draw_functions(const options *o, const tetcast_brick_render_desc *desc, const tetcast_optics *optics, const tetcast_mesh *mesh,
+                          const tetcast_image *image, sup_error *err) {
+    tetcast_rbf_render_desc d;
+    tetcast_rbf *rbf = NULL;
+    tetcast_clip *clip = NULL;
+    tetcast_result r;
+    char *data;
+    size_t size;
+    if (sup_read_file(o->functions, &data, &size, err)) return 1;
+    memset(&d, 0, sizeof d);
+    d.env = desc->env;
+    d.camera = desc->camera;
+    memcpy(d.background, desc->background, sizeof d.background);
+    r = tetcast_rbf_load_memory(&desc->env, data, size, &rbf);
+    SUP_FREE(data);
+    if (r == TETCAST_OK) r = sup_keep_inside(&desc->env, mesh, &clip);
+    d.clip = clip;
+    if (r == TETCAST_OK) r = tetcast_rbf_render(&d, rbf, optics, image, NULL);
+    tetcast_clip_destroy(clip);
+    tetcast_rbf_destroy(rbf);
+    return r == TETCAST_OK ? 0 : sup_fail_result(err, o->functions, r, desc->env.error);
+}
+
+/* Pictures side by side: tetrahedra left, bricks, functions. diff: bricks and functions against tetrahedra. */
 static int draw_reference(const options *o, const tetcast_brick_render_desc *desc, const tetcast_optics *optics,
-                          const tetcast_image *image, uint8_t **both, difference *diff, sup_error *err) {
-    const size_t n = (size_t)image->width * image->height;
+                          const tetcast_image *image, uint8_t **both, difference diff[2], sup_error *err) {
+    const size_t n = (size_t)image->width * image->height, panels = o->functions ? 3 : 2, row = 4 * (size_t)image->width;
     tetcast_render_desc d;
-    tetcast_image other;
+    tetcast_image other[2];
     tetcast_mesh *mesh = NULL;
     tetcast_result r;
     int failed = load_mesh(o, o->reference, &desc->env, &mesh, err);
     if (failed) return 1;
     memset(&d, 0, sizeof d);
-    memset(&other, 0, sizeof other);
+    memset(other, 0, sizeof other);
     d.env = desc->env;
     d.camera = desc->camera;
     memcpy(d.background, desc->background, sizeof d.background);
-    other.width = image->width;
-    other.height = image->height;
-    other.rgba = (float *)sup_alloc(n, 16);
-    other.rgba8 = (uint8_t *)sup_alloc(n, 4);
-    *both = (uint8_t *)sup_alloc(n, 8);
-    if (!other.rgba || !other.rgba8 || !*both) failed = sup_fail(err, "out of memory");
+    for (size_t k = 0; k + 1 < panels; k++) {
+        other[k].width = image->width;
+        other[k].height = image->height;
+        other[k].rgba = (float *)sup_alloc(n, 16);
+        other[k].rgba8 = (uint8_t *)sup_alloc(n, 4);
+        if (!other[k].rgba || !other[k].rgba8) failed = sup_fail(err, "out of memory");
+    }
+    *both = (uint8_t *)sup_alloc(n, 4 * panels);
+    if (!*both) failed = sup_fail(err, "out of memory");
     if (!failed) {
-        r = tetcast_render(&d, mesh, optics, &other, NULL);
+        r = tetcast_render(&d, mesh, optics, &other[0], NULL);
         if (r != TETCAST_OK) failed = sup_fail_result(err, o->reference, r, desc->env.error);
     }
+    if (!failed && o->functions) failed = draw_functions(o, desc, optics, mesh, &other[1], err);
     if (!failed) {
-        diff->most = diff->rms = 0.0;
-        for (size_t i = 0; i < 4 * n; i++) {
-            const double e = fabs((double)image->rgba[i] - (double)other.rgba[i]);
-            diff->most = e > diff->most ? e : diff->most;
-            diff->rms += e * e;
-        }
-        diff->rms = sqrt(diff->rms / (4.0 * (double)n));
+        compare_pictures(image->rgba, other[0].rgba, n, &diff[0]);
+        if (o->functions) compare_pictures(other[1].rgba, other[0].rgba, n, &diff[1]);
         for (size_t y = 0; y < image->height; y++) {
-            memcpy(*both + y * 8 * image->width, other.rgba8 + y * 4 * image->width, 4 * (size_t)image->width);
-            memcpy(*both + y * 8 * image->width + 4 * image->width, image->rgba8 + y * 4 * image->width, 4 * (size_t)image->width);
+            uint8_t *to = *both + y * panels * row;
+            memcpy(to, other[0].rgba8 + y * row, row);
+            memcpy(to + row, image->rgba8 + y * row, row);
+            if (o->functions) memcpy(to + 2 * row, other[1].rgba8 + y * row, row);
         }
     }
-    SUP_FREE(other.rgba);
-    SUP_FREE(other.rgba8);
+    for (int k = 0; k < 2; k++) {
+        SUP_FREE(other[k].rgba);
+        SUP_FREE(other[k].rgba8);
+    }
     tetcast_mesh_destroy(mesh);
     return failed;
 }
@@ -538,7 +579,7 @@ static int write_pictures(const options *o, tetcast_image *image, const uint8_t 
     const tetcast_image *m = image;
     if (!both || !o->common.out) return sup_write_image(&o->common, image, err);
     if (o->common.depth && sup_pfm_write(o->common.depth, m->depth, m->width, m->height, 1, err)) return 1;
-    return sup_png_write8(o->common.out, both, 2 * m->width, m->height, 4, err);
+    return sup_png_write8(o->common.out, both, (o->functions ? 3 : 2) * m->width, m->height, 4, err);
 }
 
 static void print_stats(const options *o, const tetcast_bricks *bricks, const tetcast_cut *cut, const look *l,
@@ -555,6 +596,7 @@ static void print_stats(const options *o, const tetcast_bricks *bricks, const te
            (unsigned long long)s->hit_rays, (unsigned long long)s->steps, (unsigned long long)s->walks,
            (unsigned long long)s->ended, l->extinction);
     if (both) printf(",\"difference\":%.6g,\"difference_rms\":%.6g", 255.0 * diff->most, 255.0 * diff->rms);
+    if (both && o->functions) printf(",\"functions_difference\":%.6g,\"functions_difference_rms\":%.6g", 255.0 * diff[1].most, 255.0 * diff[1].rms);
     printf(",\"eye\":[%.9g,%.9g,%.9g],\"at\":[%.9g,%.9g,%.9g]", camera->eye[0], camera->eye[1], camera->eye[2],
            camera->at[0], camera->at[1], camera->at[2]);
     printf(",\"level_seconds\":%.6f,\"seconds\":%.6f,\"isa\":\"%s\",\"threads\":%d}\n", build, seconds,
@@ -572,7 +614,7 @@ static int render(int argc, char **argv) {
     tetcast_clip *clip = NULL;
     tetcast_image image;
     tetcast_result r = TETCAST_OK;
-    difference diff = {0.0, 0.0};
+    difference diff[2] = {{0.0, 0.0}, {0.0, 0.0}};
     uint8_t *both = NULL;
     sup_error err;
     options o;
@@ -636,10 +678,10 @@ static int render(int argc, char **argv) {
         }
     }
     if (!status && o.coded) status = sup_tile_write(o.coded, o.codec, image.rgba8, image.width, image.height, &err);
-    if (!status && o.reference) status = draw_reference(&o, &desc, l.optics, &image, &both, &diff, &err);
+    if (!status && o.reference) status = draw_reference(&o, &desc, l.optics, &image, &both, diff, &err);
     if (!status) status = write_pictures(&o, &image, both, &err);
     if (!status && o.common.stats)
-        print_stats(&o, bricks, cut, &l, &stats, &desc.camera, &diff, both, build, seconds);
+        print_stats(&o, bricks, cut, &l, &stats, &desc.camera, diff, both, build, seconds);
     if (status) (void)sup_bad_input(argv[0], err.text);
     SUP_FREE(image.rgba8);
     SUP_FREE(image.rgba);
