@@ -19564,7 +19564,22 @@ static void tetcasti_rbf_sum(const tetcast_rbf *m, tetcasti_rbf_add_fn *add, uin
         }
     }
     if (leaf == TETCAST_NONE) add(m, NULL, m->count, want, v);
-    else add(m, m->index + m->tree[leaf].first, m->tree[leaf].count, want, v);
+    else if (lanes > 2) add(m, m->index + m->tree[leaf].first, m->tree[leaf].count, want, v);
+    else { /* one point or two: those that do not reach them would add exactly 0 */
+        const uint32_t *list = m->index + m->tree[leaf].first, count = m->tree[leaf].count;
+        uint32_t reach[64], from, n, i;
+        for (from = 0; from < count; from += 64) {
+            for (i = from, n = 0; i < count && i < from + 64; i++) {
+                const tetcasti_rbf_record *f = &m->record[list[i]];
+                const float r2 = f->radius * f->radius;
+                const float x = v->p[0][0] - f->c[0], y = v->p[1][0] - f->c[1], z = v->p[2][0] - f->c[2];
+                const float q = v->p[0][1] - f->c[0], r = v->p[1][1] - f->c[1], s = v->p[2][1] - f->c[2];
+                reach[n] = list[i];
+                n += (uint32_t)(((x * x + y * y) + z * z <= r2) | ((q * q + r * r) + s * s <= r2));
+            }
+            add(m, reach, n, want, v);
+        }
+    }
 }
 
 /* Up to TETCASTI_RBF_CHUNK points, local coordinates. values [n][components], slopes [n][components][3] (local) or
