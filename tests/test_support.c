@@ -2081,6 +2081,7 @@ TEST(gi_scenes) {
     sup_gi_place(&s, s.lamps[0].position, s.lamps[0].path, 1, q);
     CHECK(q[0] == 0 && q[1] == 4 && q[2] == 2);
     CHECK(sup_gi_frame(&s.things[2], 0) == 3 && sup_gi_frame(&s.things[2], 1.5) == 6 && sup_gi_frame(&s.things[2], 2.1) == 3);
+    CHECK(sup_gi_frame(&s.things[2], 1e25) >= 3 && sup_gi_frame(&s.things[2], 1e25) <= 6);
     CHECK(sup_gi_frame_name("b%03d.obj", 7, name, sizeof name) == 0);
     CHECK_STR(name, "b007.obj");
     CHECK(sup_gi_frame_name("b.obj", 7, name, sizeof name) && sup_gi_frame_name("%s", 7, name, sizeof name) && sup_gi_frame_name("%d%d", 7, name, sizeof name));
@@ -2110,6 +2111,10 @@ TEST(gi_scenes_that_are_none) { /* every mistake has its line; any cut and any l
         CHECK_MSG(sup_gi_scene_parse(bad[i].text, strlen(bad[i].text), "x", &s, &err) == 1, "%s", bad[i].text);
         CHECK_MSG(strstr(err.text, bad[i].part) != NULL, "%s: %s", bad[i].text, err.text);
         CHECK(g_memory.live == 0);
+    }
+    { /* a name with a 0 in it would be written as another */
+        static const char zero[] = "voxrt_gi 1\ncamera c\nobject a\0b\n";
+        CHECK(sup_gi_scene_parse(zero, sizeof zero - 1, "x", &s, &err) == 1 && strstr(err.text, "line 3") != NULL);
     }
     for (i = 0; i < sizeof gi_text - 1; i++) {
         char *copy = (char *)malloc(i ? i : 1);
