@@ -569,7 +569,8 @@ typedef enum zbufrand_fill { /* what the pixels between samples show */
    fill                 none
    reach                pictures of scenes: 2 block; others: fills go as far as they can. r: not further than about r
                         pixels from a sample
-   gauss_radius         2: c of exp(-(1.5 r / c)^2), a standard deviation of 0.471 c; pixels, at most 256
+   gauss_radius         2, or block if that is more: c of exp(-(1.5 r / c)^2), a standard deviation of 0.471 c; pixels,
+                        at most 256
    gauss_support        1: cut off at |dx|, |dy| >= support * c; the Gaussian is 0.105 at 1 and 0.006 at 1.5
    tolerance            cells and squares keep only the nearest. t: also samples up to (1 + t) times as deep
    tolerance_projected  the same on f z / (f + z), f = focal, as in the thesis: up to this value deeper
@@ -11647,7 +11648,7 @@ static zbufrand_result zbufrandi_reconstruct_check(const zbufrand_env *env, zbuf
     if ((uint32_t)o->occlusion > ZBUFRAND_OCCLUSION_SQUARES_ALL || (uint32_t)o->fill > ZBUFRAND_FILL_REGIONS) {
         return zbufrandi_fail(env->error, ZBUFRAND_ERR_INVALID_ARG, 0, "unknown occlusion or fill");
     }
-    if (o->gauss_radius == 0.0f) o->gauss_radius = 2.0f;
+    if (o->gauss_radius == 0.0f) o->gauss_radius = o->block <= 2 ? 2.0f : o->block < 256 ? (float)o->block : 256.0f;
     if (o->gauss_support == 0.0f) o->gauss_support = 1.0f;
     if (o->focal == 0.0f) o->focal = 1.0f;
     if (!(o->gauss_radius > 0.0f && o->gauss_radius <= 256.0f && o->gauss_support > 0.0f && o->gauss_support <= 1.5f)) {

@@ -64,7 +64,6 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     size_t n;
     int status;
     memset(o, 0, sizeof *o);
-    o->gauss = 2.0;
     n = sup_common_options(&o->common, table);
     table[n++] = sup_opt_text("scene", &o->scene, "forest|city|chess|landscape|FILE", "what to draw; FILE is a mesh");
     table[n++] = sup_opt_given(sup_opt_choice("mode", &o->mode, "pixel|blocks|gauss|voronoi|nodepth|pullpush|regions|layers",
@@ -80,7 +79,7 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     table[n++] = sup_opt_real("density", &o->density, 1e-3, 1e4, "L", "samples per pixel instead of --tolerance");
     table[n++] = sup_opt_given(sup_opt_choice("occlusion", &o->occlusion, "blocks|cells|squares|squares-all",
                                               "which samples count as seen"), &o->has_occlusion);
-    table[n++] = sup_opt_given(sup_opt_real("gauss", &o->gauss, 0.1, 256.0, "C", "radius of the Gaussian in pixels (2)"), &o->has_gauss);
+    table[n++] = sup_opt_given(sup_opt_real("gauss", &o->gauss, 0.1, 256.0, "C", "radius of the Gaussian in pixels (2, or D)"), &o->has_gauss);
     table[n++] = sup_opt_flag("no-repair", &o->no_repair, "no rays for empty and suspicious pixels");
     table[n++] = sup_opt_flag("no-occlusion", &o->no_occlusion, "draw what is hidden, too");
     table[n++] = sup_opt_flag("independent", &o->independent, "independent samples instead of stratified ones");
@@ -148,7 +147,7 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     desc->corners = (uint32_t)o->corners;
     if (o->has_block || !o->thesis || o->has_mode)
         desc->reconstruct.block = o->has_block ? (uint32_t)o->block : o->mode == MODE_PIXEL ? 1u : 2u;
-    desc->reconstruct.gauss_radius = (float)o->gauss;
+    if (o->has_gauss) desc->reconstruct.gauss_radius = (float)o->gauss;
     if (o->mode == MODE_PIXEL && desc->reconstruct.block > 1 && o->has_mode)
         return sup_bad_usage(argv[0], "--mode pixel has no blocks: use --mode blocks");
     switch (o->mode) {

@@ -358,11 +358,71 @@ static zbufrand_scene *forest(shape *s, uint32_t n) { /* colourful, two-sided, n
     return scene;
 }
 
+/* A floor seen at an angle below an empty sky, rasterised or sampled. Whatever fill is asked for, and nothing else: the floor has
+   no holes, the sky stays empty. */
+TEST(fills_without_asking) {
+    enum { W = 160, H = 120 };
+    shape s;
+    zbufrand_mesh m;
+    zbufrand_scene *scene;
+    zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
+    buffers a, b;
+    uint32_t i, k, way, fill, top = H;
+    memset(&s, 0, sizeof s);
+    for (i = 0; i <= 60; i++) for (k = 0; k <= 60; k++) (void)shape_vertex(&s, (i - 30.0) / 3, 0, (k - 30.0) / 3);
+    for (i = 0; i < 60; i++) {
+        for (k = 0; k < 60; k++) {
+            shape_triangle(&s, 61 * i + k, 61 * i + k + 1, 61 * i + k + 62);
+            shape_triangle(&s, 61 * i + k, 61 * i + k + 62, 61 * i + k + 61);
+        }
+    }
+    m = mesh_of(&s);
+    m.two_sided = 1;
+    scene = scene_of(&m, 1);
+    buffers_open(&a, W, H);
+    buffers_open(&b, W, H);
+    for (way = 0; way < 2; way++) {
+        for (fill = 0; fill <= 5; fill++) {
+            zbufrand_render_desc d;
+            uint32_t covered = 0, missing = 0, beyond = 0;
+            memset(&d, 0, sizeof d);
+            d.camera.eye[1] = 1.5;
+            d.camera.at[1] = 1.2;
+            d.camera.at[2] = -3;
+            d.camera.fov_y = 50;
+            d.hybrid = ZBUFRAND_HYBRID_ALL;
+            if (fill == 0 && way == 0) { /* which pixels are floor */
+                CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &a.image, NULL), ZBUFRAND_OK);
+                for (i = 0; i < W * H; i++) if (a.depth[i] < (float)INFINITY && i / W < top) top = i / W;
+                CHECK(top > 40 && top < 80);
+            }
+            if (fill == 0) continue;
+            if (way) d.hybrid = ZBUFRAND_HYBRID_OFF;
+            d.reconstruct.fill = (zbufrand_fill)fill;
+            d.reconstruct.block = 4;
+            d.reconstruct.occlusion = ZBUFRAND_OCCLUSION_SQUARES;
+            CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, NULL), ZBUFRAND_OK);
+            for (i = 0; i < W * H; i++) {
+                covered += a.depth[i] < (float)INFINITY;
+                missing += a.depth[i] < (float)INFINITY && !(b.rgba[4 * i + 3] > 0.9f);
+                beyond += i / W + 20 < top && b.rgba[4 * i + 3] != 0;
+            }
+            CHECK_MSG(missing <= covered / 500, "fill %u way %u: %u of %u pixels of the floor are empty", fill, way, missing, covered);
+            CHECK_MSG(beyond == 0, "fill %u way %u: %u pixels of the sky are not", fill, way, beyond);
+        }
+    }
+    buffers_close(&a);
+    buffers_close(&b);
+    zbufrand_frame_destroy(frame);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s);
+}
+
 TEST(same_bits) {
     shape s[2];
     zbufrand_scene *scene = forest(s, getenv("TEST_FULL") != NULL ? 1000 : test_quick() ? 200 : 400); /* 400: several rounds, all kinds of draws */
     uint32_t mode, k;
-    for (mode = 0; mode < 10; mode++) {
+    for (mode = 0; mode < 11; mode++) {
         static const float half = 0.5f;
         zbufrand_render_desc d;
         uint64_t hash = 0;
@@ -379,6 +439,13 @@ TEST(same_bits) {
             d.reconstruct.block = 2;
             d.reconstruct.plane_depth = 1;
             d.reconstruct.fill = ZBUFRAND_FILL_GAUSS;
+        }
+        if (mode == 10) { /* points without depth buffer, by slope and colour, weighted by their regions */
+            d.reconstruct.block = 4;
+            d.reconstruct.occlusion = ZBUFRAND_OCCLUSION_SQUARES;
+            d.reconstruct.fill = ZBUFRAND_FILL_REGIONS;
+            d.reconstruct.tolerance_color = 0.05f;
+            d.comb = 1;
         }
         if (mode == 9) {
             d.opacity = &half;
@@ -1475,6 +1542,7 @@ int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(like_a_z_buffer);
     RUN(raster_is_exact);
+    RUN(fills_without_asking);
     RUN(same_bits);
     RUN(seeds_and_occlusion);
     RUN(reported_share_is_incomplete);
