@@ -459,6 +459,15 @@ EXITS="
 0 tetcast_rbf fit ball @/ball.rbf --detail 6 --max-error 0.3 --quiet
 0 tetcast_rbf render @/ball.rbf --inside ball --detail 6 --out @/ball.png --size 16x16 --quiet
 1 tetcast_rbf render @/ball.rbf --inside @/garbage.obj --out @/bad.png
+0 tetcast_rbf decode @/ball.rbf @/ball.brk --max-error 0.3 --longest-end 65 --quiet
+1 tetcast_rbf decode @/garbage.rbf @/bad.brk
+0 tetcast_bricks render @/ball.brk --out @/b.png --coded @/b.tile --codec alpha --size 16x16 --seconds 1 --quiet
+0 tetcast_bricks tile @/b.tile --out @/b2.png
+1 tetcast_bricks tile @/garbage.brk --out @/bad.png
+0 tetcast_bricks slice --scene ball --detail 6 --out @/slice.png --section @/section.obj --size 16x16
+0 tetcast_bricks slice @/ball.brk --normal 1,1,0 --out @/slice2.png --size 16x16
+1 tetcast_bricks slice @/garbage.brk --out @/bad.png
+2 tetcast_bricks slice --scene ball --out @/bad.png --normal 0,0,0
 2 voxrt_convert
 2 voxrt_convert --scene nothing @/bad.vox
 2 voxrt_convert @/garbage.obj @/bad.vox --detail 3
