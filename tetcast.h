@@ -1555,7 +1555,7 @@ typedef struct tetcast_rbf_fit_desc {
 
 /* Errors are shares of the range, measured with the model as it is stored. */
 typedef struct tetcast_rbf_report {
-    uint64_t points;             /* used */
+    uint64_t points;             /* used; middles of cells as well */
     uint64_t rejected;           /* not finite */
     uint64_t duplicates;         /* at the place of another one: their mean was fitted */
     double range;                /* of the values: what errors are shares of */

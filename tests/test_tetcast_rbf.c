@@ -1306,7 +1306,7 @@ TEST(out_of_memory) {
         d.env.allocator.user = &ta;
         d.env.thread_count = 1;
         d.max_error = 0.3f;
-        d.compare = 1;
+        d.compare = d.between = 1;
         result = tetcast_rbf_fit(&d, &p, NULL, &m);
         CHECK(result == TETCAST_OK || (result == TETCAST_ERR_NO_MEMORY && m == NULL));
         if (result == TETCAST_OK) {
@@ -1322,6 +1322,19 @@ TEST(out_of_memory) {
             image.rgba = rgba;
             if (result == TETCAST_OK) result = tetcast_rbf_render(&q, m, o, &image, NULL);
             CHECK(result == TETCAST_OK || result == TETCAST_ERR_NO_MEMORY);
+            if (result == TETCAST_OK) {
+                tetcast_bricks_desc bd;
+                tetcast_bricks *b = NULL;
+                memset(&bd, 0, sizeof bd);
+                bd.env = d.env;
+                bd.log_cells = 3;
+                bd.max_error = 0.05f;
+                bd.longest_end = 17;
+                bd.checks = 100;
+                result = tetcast_bricks_create_rbf(&bd, m, TETCAST_RBF_CHANNEL_AUTO, 0, NULL, &b);
+                CHECK(result == TETCAST_OK ? b != NULL : result == TETCAST_ERR_NO_MEMORY && b == NULL);
+                tetcast_bricks_destroy(b);
+            }
             done = result == TETCAST_OK;
         }
         tetcast_rbf_destroy(m);
