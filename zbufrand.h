@@ -15901,6 +15901,12 @@ static void zbufrandi_query_group(const zbufrandi_picture *p, const zbufrandi_dr
     g->factor_min = f2 * (double)b->h_min / ((double)d->z_hi * (double)d->z_hi * (double)d->z_hi);
     g->expected = d->aux & ZBUFRANDI_STORED_VIEW && kind == ZBUFRANDI_DRAW_STORED
         ? (double)b->expected : p->cut.density * g->area * g->factor_max;
+    if (!(g->z_min <= g->z_max)) { /* out of the range of floats: nothing is known */
+        g->z_min = g->factor_min = 0.0;
+        g->z_max = g->factor_max = (double)INFINITY;
+    }
+    if (!(g->factor_min >= 0.0)) g->factor_min = 0.0;
+    if (!(g->expected >= 0.0)) g->expected = (double)INFINITY;
     g->count = d->count;
     if (kind >= ZBUFRANDI_DRAW_LISTED) {
         g->kind = kind == ZBUFRANDI_DRAW_LISTED ? ZBUFRAND_DRAW_SAMPLED : ZBUFRAND_DRAW_RASTERED;
