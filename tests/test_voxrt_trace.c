@@ -288,7 +288,7 @@ TEST(general_rays) {
     memset(&sum, 0, sizeof sum);
     for (k = 0; k < sizeof list / sizeof list[0]; k++) {
         scene s;
-        size_t want = list[k].share * (test_quick() ? 50u : 200u), done = 0;
+        size_t want = list[k].share * (test_quick() ? 50u : 130u), done = 0;
         test_rng r = test_rng_make(k);
         if (test_quick() && list[k].depth > 7) continue;
         scene_make(&s, list[k].depth, list[k].kind);
@@ -645,7 +645,7 @@ static void scene_shell(scene *s, uint32_t depth, int kind) {
 TEST(closed_shells_do_not_leak) {
     static voxrt_ray rays[BATCH];
     static voxrt_hit hits[BATCH];
-    size_t per_shape = test_quick() ? 25000 : 250000, escapes = 0, done, i;
+    size_t per_shape = test_quick() ? 25000 : 130000, escapes = 0, done, i;
     int kind;
     for (kind = 0; kind < 4; kind++) {
         scene s;
