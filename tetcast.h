@@ -17534,7 +17534,6 @@ static int tetcasti_lane_next(const tetcasti_brick_frame *c, tetcasti_octet *l, 
             }
         }
         leave = 1;
-        log = 0;
         if (!r->in_span) { /* a new span: nothing is known about what was before */
             if (r->at >= r->spans) return 0;
             r->t = r->span[r->at][0];
@@ -22754,6 +22753,7 @@ static void tetcasti_rbf_seen_at(const tetcasti_rbf_picture *t, const float (*p)
     float v[8 * TETCAST_RBF_MAX_COMPONENTS], s[8 * TETCAST_RBF_MAX_COMPONENTS * 3];
     const uint32_t c = t->m->components;
     uint32_t l;
+    memset(s, 0, sizeof s);
     tetcasti_rbf_points(t->m, t->add, 0, p, n, v, t->channel > TETCAST_RBF_CHANNEL_LENGTH ? s : NULL);
     for (l = 0; l < n; l++) out[l] = tetcasti_rbf_scalar(t, v + l * c, s + l * c * 3);
 }

@@ -964,11 +964,12 @@ typedef struct voxrt_model_info {
     uint64_t block_count, block_bytes; /* blocks that other models have, too, are counted for each */
 } voxrt_model_info;
 
-/* A model without voxels. Errors: INVALID_ARG, UNINIT_DESC, RANGE, NO_MEMORY. Calls are independent. */
+/* A model without voxels. Errors: INVALID_ARG, UNINIT_DESC, RANGE (also a box that is not within 1e37), NO_MEMORY.
+   Calls are independent. */
 VOXRT_DEF voxrt_result voxrt_model_create(const voxrt_model_desc *desc, voxrt_model **out_model);
 
 /* A model of what is in a tree, of either kind; depth, place and normals are the tree's. env may be NULL.
-   O(voxels); holds 6 bytes a voxel and 16 a leaf node beside both. Errors: INVALID_ARG, NO_MEMORY. */
+   O(voxels); holds 6 bytes a voxel and 16 a leaf node beside both. Errors: INVALID_ARG, RANGE (as above), NO_MEMORY. */
 VOXRT_DEF voxrt_result voxrt_model_from_tree(const voxrt_env *env, const voxrt_tree *tree, voxrt_model **out_model);
 
 /* A tree of what is in a model. desc may be NULL; palette, level of detail, colours and normals count, the rest comes
@@ -978,7 +979,8 @@ VOXRT_DEF voxrt_result voxrt_tree_from_model(const voxrt_build_desc *desc, const
                                              voxrt_tree **out_tree);
 
 /* A model with the same voxels, which shares the blocks: what is done to one is not seen in the other, and each is
-   destroyed by itself, also while other threads use the other. env may be NULL. O(blocks). Errors: NO_MEMORY. */
+   destroyed by itself, also while other threads use the other (with compilers that know gcc's atomics). Blocks keep the
+   allocator that they came from. env may be NULL. O(blocks). Errors: INVALID_ARG, NO_MEMORY. */
 VOXRT_DEF voxrt_result voxrt_model_copy(const voxrt_env *env, const voxrt_model *model, voxrt_model **out_model);
 
 VOXRT_DEF void voxrt_model_destroy(voxrt_model *model); /* NULL is allowed */
@@ -1030,9 +1032,10 @@ VOXRT_DEF voxrt_result voxrt_model_mesh(voxrt_model *model, const voxrt_edit_des
 VOXRT_DEF voxrt_result voxrt_model_voxels(voxrt_model *model, const voxrt_edit_desc *desc, const voxrt_voxel *voxels,
                                           size_t count, voxrt_edit_stats *stats);
 
-/* A model as voxrt_geometry, with level of detail; good until the model is edited or destroyed. Distances are those of
-   the tree of the model, to the last bit; cones may pass beside cells that the tree would have stopped them at where
-   those reach out of the blocks' voxels. O(1). */
+/* A model as voxrt_geometry, with level of detail; good until the model is edited or destroyed. Without level of detail
+   distances are those of the tree of the model, to the last bit, but for rays that touch the box of all its voxels only
+   at an edge. With it, cells larger than blocks begin at the box of a block, and cones stop at them in the room around
+   the filled cells as well. O(1). */
 VOXRT_DEF void voxrt_model_geometry(const voxrt_model *model, voxrt_geometry *out_geometry);
 
 /* Draw.
@@ -14474,9 +14477,10 @@ static uint32_t voxrti_group_build(voxrt_group *g, const uint64_t *order, size_t
         b->object = (uint32_t)order[0];
         b->right = 0;
         for (a = 0; a < 3; a++) { /* a little larger, for the rounding to float and that of the tests */
-            float lo = (float)o->box_min[a], hi = (float)o->box_max[a];
-            b->lo[a] = lo - voxrti_absf(lo) * 2.4e-7f - 1e-30f;
-            b->hi[a] = hi + voxrti_absf(hi) * 2.4e-7f + 1e-30f;
+            float lo = (float)o->box_min[a], hi = (float)o->box_max[a], slack = voxrti_absf(lo);
+            slack = (slack > voxrti_absf(hi) ? slack : voxrti_absf(hi)) * 2.4e-7f + 1e-30f;
+            b->lo[a] = lo - slack;
+            b->hi[a] = hi + slack;
         }
         return at + 1;
     }
@@ -14877,17 +14881,18 @@ static voxrt_result voxrti_block_make(voxrti_mem *mem, const voxrt_model *m, vox
         }
     }
     r = voxrti_tree_from_leafset(mem, &m->build, &m->grid, set, NULL, &b->tree);
-    if (r != VOXRT_OK) {
+    if (r != VOXRT_OK || b->tree == NULL) { /* the second for analyzers, which do not see that far */
         voxrti_free(mem, b);
         return r;
     }
-    /* the whole block: cones meet large cells only within this box */
+    /* The whole block, as cones meet large cells only within this box; and a cell more, as a ray that goes through an
+       edge of the block visits the cell there for no time at all. */
     corner[0] = voxrti_compact3(first) << m->log;
     corner[1] = voxrti_compact3(first >> 1) << m->log;
     corner[2] = voxrti_compact3(first >> 2) << m->log;
     for (a = 0; a < 3; a++) {
-        const uint32_t end = corner[a] + ((uint32_t)1 << m->log), most = (uint32_t)1 << m->grid.depth;
-        b->tree->cell_min[a] = corner[a];
+        const uint32_t end = corner[a] + ((uint32_t)1 << m->log) + 1, most = (uint32_t)1 << m->grid.depth;
+        b->tree->cell_min[a] = corner[a] - (corner[a] != 0);
         b->tree->cell_max[a] = end < most ? end : most;
     }
     voxrt_tree_get_info(b->tree, &info);
@@ -14914,6 +14919,7 @@ static voxrt_result voxrti_model_index(voxrti_mem *mem, const voxrt_env *env, vo
     if (m->count == 0) return VOXRT_OK;
     e.error = NULL;
     e.memory_limit = 0; /* small beside the blocks */
+    e.allocator = mem->allocator; /* what is made here lives as long as the model */
     d.env = e;
     m->part = (voxrti_block_ref *)voxrti_alloc_array(mem, m->count, sizeof *m->part);
     g = (voxrt_geometry *)voxrti_alloc_array(mem, m->count, sizeof *g);
@@ -14986,12 +14992,18 @@ static size_t voxrti_model_find(const voxrt_model *m, uint64_t key) {
 
 /* ---- making and taking apart ---- */
 
-/* An empty model; box and depth are known to be right. */
-static voxrt_result voxrti_model_open(const voxrt_env *env, uint32_t depth, voxrt_model **out) {
+/* An empty model; depth, origin and size of a voxel are known to be right for trees. */
+static voxrt_result voxrti_model_open(const voxrt_env *env, uint32_t depth, const double origin[3], double voxel_size,
+                                      voxrt_model **out) {
+    const double size = voxel_size * (double)((uint32_t)1 << depth);
     voxrti_mem mem;
     voxrt_model *m;
+    uint32_t a;
     voxrt_result r = voxrti_env_open(env, &mem);
     if (r != VOXRT_OK) return r;
+    for (a = 0; a < 3; a++) /* boxes of blocks are floats */
+        if (!(voxrti_abs(origin[a]) < 1e37 && size < 1e37))
+            return voxrti_fail(env->error, VOXRT_ERR_RANGE, a, "a model lies within 1e37");
     m = (voxrt_model *)voxrti_alloc_zero(&mem, 1, sizeof *m);
     if (m == NULL) return voxrti_fail(env->error, VOXRT_ERR_NO_MEMORY, 0, "out of memory");
     m->build.env.allocator = mem.allocator;
@@ -14999,6 +15011,8 @@ static voxrt_result voxrti_model_open(const voxrt_env *env, uint32_t depth, voxr
     m->build.palette_size = 16777216u;
     m->grid.depth = depth;
     m->grid.resolution = (uint32_t)1 << depth;
+    memcpy(m->grid.origin, origin, sizeof m->grid.origin);
+    m->grid.voxel_size = voxel_size;
     m->log = depth < 2 ? 2 : depth < VOXRTI_BLOCK_LOG ? depth : VOXRTI_BLOCK_LOG;
     m->mem = mem;
     m->mem.limit = 0;
@@ -15015,7 +15029,7 @@ static void voxrti_model_env(const voxrt_env *env, voxrt_env *e) {
 
 VOXRT_DEF voxrt_result voxrt_model_create(const voxrt_model_desc *desc, voxrt_model **out_model) {
     voxrt_model_desc d;
-    voxrt_model *m;
+    voxrt_model *m = NULL;
     voxrt_result r;
     if (out_model == NULL) return VOXRT_ERR_INVALID_ARG;
     *out_model = NULL;
@@ -15027,15 +15041,13 @@ VOXRT_DEF voxrt_result voxrt_model_create(const voxrt_model_desc *desc, voxrt_mo
     if (d.depth > VOXRT_MAX_DEPTH)
         return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, d.depth, "depth % is out of range");
     r = voxrti_box_check(d.env.error, d.box_min, d.box_size);
-    if (r == VOXRT_OK) r = voxrti_model_open(&d.env, d.depth, &m);
-    if (r != VOXRT_OK) return r;
+    if (!(d.box_size > 0)) memset(d.box_min, 0, sizeof d.box_min);
+    if (r == VOXRT_OK)
+        r = voxrti_model_open(&d.env, d.depth, d.box_min,
+                              d.box_size > 0 ? d.box_size / (double)((uint32_t)1 << d.depth) : 1.0, &m);
+    if (r != VOXRT_OK || m == NULL) return r;
     m->build.disable_colors = d.disable_colors;
     m->build.disable_normals = d.disable_normals;
-    m->grid.voxel_size = 1.0;
-    if (d.box_size > 0) {
-        memcpy(m->grid.origin, d.box_min, sizeof d.box_min);
-        m->grid.voxel_size = d.box_size / (double)m->grid.resolution;
-    }
     *out_model = m;
     return VOXRT_OK;
 }
@@ -15055,15 +15067,15 @@ VOXRT_DEF void voxrt_model_destroy(voxrt_model *model) {
 VOXRT_DEF voxrt_result voxrt_model_copy(const voxrt_env *env, const voxrt_model *model, voxrt_model **out_model) {
     voxrt_env e;
     voxrti_mem mem;
-    voxrt_model *m;
+    voxrt_model *m = NULL;
     voxrt_result r;
     size_t i;
     if (out_model == NULL) return VOXRT_ERR_INVALID_ARG;
     *out_model = NULL;
     voxrti_model_env(env, &e);
     if (model == NULL) return voxrti_fail(e.error, VOXRT_ERR_INVALID_ARG, 0, "no model");
-    r = voxrti_model_open(&e, model->grid.depth, &m);
-    if (r != VOXRT_OK) return r;
+    r = voxrti_model_open(&e, model->grid.depth, model->grid.origin, model->grid.voxel_size, &m);
+    if (r != VOXRT_OK || m == NULL) return r;
     mem = m->mem;
     mem.limit = e.memory_limit;
     m->build.disable_colors = model->build.disable_colors;
@@ -15243,14 +15255,13 @@ VOXRT_DEF voxrt_result voxrt_model_from_tree(const voxrt_env *env, const voxrt_t
         if (r != VOXRT_OK) return r;
         tree = plain;
     }
-    r = voxrti_model_open(&e, tree->depth, &m);
-    if (r == VOXRT_OK) {
+    r = voxrti_model_open(&e, tree->depth, tree->origin, tree->voxel_size, &m);
+    if (r == VOXRT_OK && m != NULL) {
         mem = m->mem;
         mem.limit = e.memory_limit;
         m->build.disable_normals = tree->normal == NULL;
         m->spherical = tree->spherical;
-        memcpy(m->grid.origin, tree->origin, sizeof m->grid.origin);
-        m->grid.voxel_size = tree->voxel_size;
+        m->grid.resolution = tree->resolution;
         r = voxrti_model_unpack(&mem, &e, tree, m);
         if (r == VOXRT_OK) r = voxrti_model_index(&mem, &e, m);
         if (r != VOXRT_OK) {
@@ -15270,6 +15281,8 @@ VOXRT_DEF voxrt_result voxrt_tree_from_model(const voxrt_build_desc *desc, const
     voxrti_leafset set;
     voxrt_result r;
     size_t i, leaves = 0, voxels = 0;
+    uint64_t all = 0;
+    uint32_t a;
     if (out_tree == NULL) return VOXRT_ERR_INVALID_ARG;
     *out_tree = NULL;
     r = voxrti_build_open(desc, &d, &mem);
@@ -15277,8 +15290,10 @@ VOXRT_DEF voxrt_result voxrt_tree_from_model(const voxrt_build_desc *desc, const
     if (m == NULL) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no model");
     for (i = 0; i < m->count; i++) {
         leaves += m->block[i]->tree->level_nodes[m->block[i]->tree->wide - 1];
-        voxels += (size_t)m->block[i]->sum.count;
+        all += m->block[i]->sum.count;
     }
+    if (all > 0xfffffffeu) return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, all, "% voxels are too many for a tree");
+    voxels = (size_t)all;
     if (!voxrti_model_set(&mem, m, leaves, voxels, &set))
         return voxrti_fail(d.env.error, VOXRT_ERR_NO_MEMORY, 0, "out of memory");
     for (i = 0, leaves = 0, voxels = 0; i < m->count && r == VOXRT_OK; i++) {
@@ -15304,7 +15319,13 @@ VOXRT_DEF voxrt_result voxrt_tree_from_model(const voxrt_build_desc *desc, const
         voxrti_free(&mem, set.normal);
         set.normal = NULL;
     }
-    if (r == VOXRT_OK) return voxrti_tree_from_leafset(&mem, &d, &m->grid, &set, NULL, out_tree);
+    if (r == VOXRT_OK) {
+        r = voxrti_tree_from_leafset(&mem, &d, &m->grid, &set, NULL, out_tree);
+        for (a = 0; a < 3 && r == VOXRT_OK; a++) /* edits may fill more than what was asked for when it was built */
+            if ((*out_tree)->cell_max[a] > (*out_tree)->resolution)
+                (*out_tree)->resolution = (uint32_t)1 << m->grid.depth;
+        return r;
+    }
     voxrti_leafset_free(&mem, &set);
     return voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
 }
@@ -15856,6 +15877,7 @@ VOXRT_DEF voxrt_result voxrt_model_voxels(voxrt_model *model, const voxrt_edit_d
     if (count == 0) return VOXRT_OK;
     b = model->build;
     b.env.error = d.env.error;
+    if (d.op == VOXRT_EDIT_CLEAR) b.disable_colors = b.disable_normals = 1;
     r = voxrti_leafset_from_voxels(&mem, &b, voxels, count, model->grid.depth, &set);
     return r == VOXRT_OK ? voxrti_edit_set(&e, &d.env, model, &set, stats) : r;
 }

@@ -12252,6 +12252,7 @@ static void zbufrandi_surface_task(void *ctx, uint32_t task) { /* slopes and sid
     size_t place[ZBUFRANDI_SHADE_BATCH], q, stop;
     float slopes[2 * ZBUFRANDI_SHADE_BATCH], rgba[4 * ZBUFRANDI_SHADE_BATCH];
     uint8_t back[ZBUFRANDI_SHADE_BATCH];
+    memset(rgba, 0, sizeof rgba);
     if (end > r->canvas.height) end = r->canvas.height;
     stop = (size_t)end * r->canvas.width;
     for (q = (size_t)y * r->canvas.width; q <= stop; q++) {
@@ -12261,7 +12262,7 @@ static void zbufrandi_surface_task(void *ctx, uint32_t task) { /* slopes and sid
             if (c->source != NULL && c->source->surface_fn != NULL) {
                 c->source->surface_fn(c->source->user, numbers, n, slopes, back);
             }
-            if (r->tint != NULL) c->source->shade_fn(c->source->user, numbers, n, rgba);
+            if (r->tint != NULL && c->source != NULL) c->source->shade_fn(c->source->user, numbers, n, rgba);
             for (i = 0; i < n; i++) {
                 if (r->slope_x != NULL) {
                     r->slope_x[place[i]] = slopes[2 * i];

@@ -321,9 +321,10 @@ static int reopen(const char *program, const convert_options *o, converted *c) {
 
 /* ---- edits ---------------------------------------------------------------------------------------------------- */
 
-/* One line of --edit done to *model; a copy of what was goes to *before. Returns NULL, or what is wrong. */
+/* One line of --edit, without blanks at its ends, done to *model; a copy of what was goes to *before. Returns NULL, or
+   what is wrong; reason: room for that, as much as sup_error has. */
 static const char *edit_line(const char *line, const voxrt_env *env, voxrt_model **model, voxrt_model **before,
-                             voxrt_edit_stats *stats) {
+                             voxrt_edit_stats *stats, char *reason) {
     static const char *const ops[3] = {"set", "clear", "paint"};
     voxrt_edit_desc desc = {0};
     voxrt_result result = VOXRT_OK;
@@ -350,9 +351,11 @@ static const char *edit_line(const char *line, const voxrt_env *env, voxrt_model
         sup_mesh mesh = {0};
         sup_error err;
         voxrt_mesh in = {0};
-        char name[1024];
-        if (sscanf(line + used, "%1023[^\r\n]", name) != 1) return "the name of a mesh was expected";
-        if (sup_mesh_read(name, &mesh, &err)) return "the mesh cannot be read";
+        if (line[used] == '\0') return "the name of a mesh was expected";
+        if (sup_mesh_read(line + used, &mesh, &err)) {
+            (void)snprintf(reason, sizeof err.text, "%s", err.text);
+            return reason;
+        }
         in.positions = mesh.positions;
         in.vertex_count = mesh.vertex_count;
         in.indices = mesh.indices;
@@ -390,21 +393,28 @@ static int edit(const char *program, const convert_options *o, const voxrt_env *
     voxrt_result result;
     char *text = NULL, *line, *next;
     const char *what = NULL;
+    char reason[sizeof(((sup_error *)0)->text)];
     size_t size;
     int number = 0;
     sup_error err;
     if (!o->edit) return 0;
     if (sup_read_file(o->edit, &text, &size, &err)) return sup_bad_input(program, err.text);
     result = voxrt_model_from_tree(env, c->tree, &model);
+    if (memchr(text, '\0', size)) what = "the file is not text";
     for (line = text; result == VOXRT_OK && !what && line < text + size; line = next) {
         voxrt_edit_stats stats = {0};
-        next = (char *)memchr(line, '\n', (size_t)(text + size - line));
-        next = next ? next : text + size; /* there is a 0 behind a file */
-        if (*next != '\0') *next++ = '\0';
-        line[strcspn(line, "#\r")] = '\0';
+        size_t length = strcspn(line, "\r\n"); /* there is a 0 behind a file */
+        next = line + length;
+        if (next[0] == '\r' && next[1] == '\n') next++;
+        next += *next != '\0';
         number++;
-        if (line[strspn(line, " \t")] == '\0') continue;
-        what = edit_line(line, env, &model, &before, &stats);
+        line[length] = '\0';
+        line[strcspn(line, "#")] = '\0';
+        line += strspn(line, " \t");
+        for (length = strlen(line); length > 0 && supi_is_blank(line[length - 1]);) line[--length] = '\0';
+        if (length == 0) continue;
+        if (length > 4000) what = "the line is too long";
+        else what = edit_line(line, env, &model, &before, &stats, reason);
         c->edited++;
         c->edits.filled += stats.filled;
         c->edits.cleared += stats.cleared;
@@ -412,7 +422,8 @@ static int edit(const char *program, const convert_options *o, const voxrt_env *
         c->edits.blocks += stats.blocks;
     }
     SUP_FREE(text);
-    if (what) (void)sup_fail(&err, "%s: line %d: %s", o->edit, number, what);
+    if (what && number == 0) (void)sup_fail(&err, "%s: %s", o->edit, what);
+    else if (what) (void)sup_fail(&err, "%s: line %d: %s", o->edit, number, what);
     c->edit_seconds = sup_now() - start;
     if (result == VOXRT_OK && !what) {
         voxrt_tree_destroy(c->tree);

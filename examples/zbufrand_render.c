@@ -393,9 +393,10 @@ static void print_stats(const options *o, const zbufrand_scene_info *info, const
     printf(",\"nodes\":%llu,\"draws\":[%llu,%llu,%llu],\"hidden\":%llu,\"covered\":%llu", (unsigned long long)s->nodes,
            (unsigned long long)s->draws[0], (unsigned long long)s->draws[1], (unsigned long long)s->draws[2],
            (unsigned long long)s->hidden, (unsigned long long)s->covered);
-    printf(",\"holes\":%llu,\"wrong\":%llu,\"repaired\":%llu,\"incomplete\":%.6g,\"probability\":%.9g",
-           (unsigned long long)s->holes, (unsigned long long)s->wrong, (unsigned long long)s->repaired, s->incomplete,
-           1.0 - s->incomplete);
+    printf(",\"holes\":%llu,\"wrong\":%llu,\"repaired\":%llu", (unsigned long long)s->holes, (unsigned long long)s->wrong,
+           (unsigned long long)s->repaired);
+    if (o->mode == MODE_LAYERS) printf(",\"incomplete\":null,\"probability\":null"); /* nothing is promised of counts */
+    else printf(",\"incomplete\":%.6g,\"probability\":%.9g", s->incomplete, 1.0 - s->incomplete);
     if (s->covered > 0 && s->projected_area >= (double)s->covered) { /* what the theorems ask for, of independent samples, and leave empty */
         static const char *const bounds[8] = {"union", "direct", "lemma2", "lemma3", "theorem1", "theorem2", "lemma4", "theorem5"};
         const double wanted = 1.0 - (o->common.has_tolerance ? o->common.tolerance : 0.05), seen = (double)s->covered;

@@ -447,6 +447,79 @@ TEST(undo) {
     world_close(&w);
 }
 
+/* Rays through the edges of blocks, along them, in worlds around 0; cells larger than blocks; allocators of edits. */
+TEST(edges_of_blocks) {
+    voxrt_model *m = open_model(7, 0.0);
+    voxrt_voxel v[256];
+    voxrt_model_desc md;
+    voxrt_geometry g;
+    voxrt_trace_desc td;
+    voxrt_ray ray;
+    voxrt_surface s;
+    voxrt_tree *t = NULL, *back = NULL;
+    voxrt_build_desc b;
+    uint32_t n = 0, x;
+    REQUIRE(m != NULL);
+    memset(v, 0, sizeof v);
+    memset(&td, 0, sizeof td);
+    memset(&ray, 0, sizeof ray);
+    memset(&md, 0, sizeof md);
+    memset(&b, 0, sizeof b);
+    for (x = 0; x < 128; x++, n++) { /* a wall at right angles to the ray, whose cells touch at edges only */
+        v[n].x = x;
+        v[n].y = 127 - x;
+    }
+    CHECK(voxrt_model_voxels(m, NULL, v, n, NULL) == VOXRT_OK);
+    voxrt_model_geometry(m, &g);
+    ray.org[0] = ray.org[1] = ray.org[2] = 0.5f;
+    ray.dir[0] = ray.dir[1] = 1.0f;
+    ray.t_max = INFINITY;
+    g.trace_fn(g.user, &td, &ray, &s, 1);
+    CHECK(s.t == 63.5f);
+    voxrt_model_destroy(m);
+    md.depth = 7;
+    md.box_size = 128.0;
+    md.box_min[0] = md.box_min[1] = md.box_min[2] = -64.0;
+    REQUIRE(voxrt_model_create(&md, &m) == VOXRT_OK);
+    v[0].x = v[0].y = 64;
+    v[0].z = 100;
+    CHECK(voxrt_model_voxels(m, NULL, v, 1, NULL) == VOXRT_OK);
+    voxrt_model_geometry(m, &g);
+    ray.org[0] = -1e-16f;
+    ray.org[1] = 0.5f;
+    ray.org[2] = -100.0f;
+    ray.dir[0] = ray.dir[1] = 0.0f;
+    ray.dir[2] = 1.0f;
+    g.trace_fn(g.user, &td, &ray, &s, 1);
+    CHECK(s.t == 136.0f);
+    REQUIRE(voxrt_tree_from_model(NULL, m, &t) == VOXRT_OK);
+    for (td.max_level_plus_1 = 1; td.max_level_plus_1 <= 8; td.max_level_plus_1++) { /* a cell of each level */
+        voxrt_voxel cell;
+        const uint32_t level = td.max_level_plus_1 - 1, up = 7 - level;
+        g.trace_fn(g.user, &td, &ray, &s, 1);
+        CHECK(voxrt_tree_get(t, level, 64u >> up, 64u >> up, 100u >> up, &cell));
+        CHECK(s.t < INFINITY && memcmp(s.rgb, cell.rgb, 3) == 0 && s.edge == (float)(1u << up));
+    }
+    voxrt_tree_destroy(t);
+    voxrt_model_destroy(m);
+    b.resolution = 100; /* is kept, until something lies beyond it */
+    b.box_size = 100.0;
+    v[0].z = 10;
+    REQUIRE(voxrt_tree_from_voxels(&b, v, 1, 7, &t) == VOXRT_OK);
+    t->resolution = 100;
+    REQUIRE(voxrt_model_from_tree(NULL, t, &m) == VOXRT_OK && voxrt_tree_from_model(NULL, m, &back) == VOXRT_OK);
+    CHECK(back->resolution == 100 && voxrt_tree_hash(back) == voxrt_tree_hash(t));
+    voxrt_tree_destroy(back);
+    v[0].x = 100;
+    CHECK(voxrt_model_voxels(m, NULL, v, 1, NULL) == VOXRT_OK && voxrt_tree_from_model(NULL, m, &back) == VOXRT_OK);
+    CHECK(back->resolution == 128);
+    voxrt_tree_destroy(back);
+    voxrt_tree_destroy(t);
+    voxrt_model_destroy(m);
+    md.box_size = 1e39;
+    CHECK(voxrt_model_create(&md, &m) == VOXRT_ERR_RANGE && m == NULL);
+}
+
 /* A picture of the model is that of the tree. */
 TEST(same_picture) {
     enum { W = 96, H = 64 };
@@ -624,6 +697,7 @@ int main(int argc, char **argv) {
     RUN(lists_meshes_and_trees);
     RUN(holes_of_lists);
     RUN(undo);
+    RUN(edges_of_blocks);
     RUN(same_picture);
     RUN(allocation_failures);
     RUN(arguments);
