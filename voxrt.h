@@ -15252,7 +15252,7 @@ VOXRT_DEF voxrt_result voxrt_model_from_tree(const voxrt_env *env, const voxrt_t
     if (tree == NULL) return voxrti_fail(e.error, VOXRT_ERR_INVALID_ARG, 0, "no tree");
     if (tree->code != NULL) {
         r = voxrt_tree_unshare(tree, &e, &plain);
-        if (r != VOXRT_OK) return r;
+        if (r != VOXRT_OK || plain == NULL) return r;
         tree = plain;
     }
     r = voxrti_model_open(&e, tree->depth, tree->origin, tree->voxel_size, &m);
@@ -15321,7 +15321,7 @@ VOXRT_DEF voxrt_result voxrt_tree_from_model(const voxrt_build_desc *desc, const
     }
     if (r == VOXRT_OK) {
         r = voxrti_tree_from_leafset(&mem, &d, &m->grid, &set, NULL, out_tree);
-        for (a = 0; a < 3 && r == VOXRT_OK; a++) /* edits may fill more than what was asked for when it was built */
+        for (a = 0; a < 3 && r == VOXRT_OK && *out_tree != NULL; a++) /* edits may fill more than what was asked for when it was built */
             if ((*out_tree)->cell_max[a] > (*out_tree)->resolution)
                 (*out_tree)->resolution = (uint32_t)1 << m->grid.depth;
         return r;
@@ -15762,8 +15762,8 @@ static voxrt_result voxrti_edit_open(voxrt_model *m, const voxrt_edit_desc *desc
 }
 
 /* Voxels whose centres lie in [min, max). 0: none. */
-static int voxrti_edit_range(voxrti_edit *e, const double min[3], const double max[3]) {
-    const double most = (double)((uint32_t)1 << e->m->grid.depth);
+static int voxrti_edit_range(voxrti_edit *e, const double *min, const double *max) {
+    const double most = e->m != NULL ? (double)((uint32_t)1 << e->m->grid.depth) : 0.0;
     uint32_t a;
     for (a = 0; a < 3; a++) { /* the least k with k + 0.5 >= min is the ceiling of min - 0.5 */
         const int64_t lo = -voxrti_floor(0.5 - voxrti_min(voxrti_max(min[a], 0.0), most));
@@ -15783,7 +15783,7 @@ VOXRT_DEF voxrt_result voxrt_model_box(voxrt_model *model, const voxrt_edit_desc
     double lo[3], hi[3];
     uint32_t a;
     voxrt_result r = voxrti_edit_open(model, desc, stats, &d, &mem, &e);
-    if (r != VOXRT_OK) return r;
+    if (r != VOXRT_OK || e.m == NULL) return r;
     for (a = 0; a < 3; a++) {
         if (!voxrti_finite(box_min[a]) || !voxrti_finite(box_max[a]))
             return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "the box is not finite");
@@ -15801,7 +15801,7 @@ VOXRT_DEF voxrt_result voxrt_model_sphere(voxrt_model *model, const voxrt_edit_d
     double lo[3], hi[3], r_voxels;
     uint32_t a;
     voxrt_result r = voxrti_edit_open(model, desc, stats, &d, &mem, &e);
-    if (r != VOXRT_OK) return r;
+    if (r != VOXRT_OK || e.m == NULL) return r;
     if (!voxrti_finite(centre[0]) || !voxrti_finite(centre[1]) || !voxrti_finite(centre[2]) || !voxrti_finite(radius))
         return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "the sphere is not finite");
     if (!(radius > 0.0)) return VOXRT_OK;
@@ -15847,7 +15847,7 @@ VOXRT_DEF voxrt_result voxrt_model_mesh(voxrt_model *model, const voxrt_edit_des
     voxrti_edit e;
     voxrti_leafset set;
     voxrt_result r = voxrti_edit_open(model, desc, stats, &d, &mem, &e);
-    if (r != VOXRT_OK) return r;
+    if (r != VOXRT_OK || e.m == NULL) return r;
     if (mesh == NULL || (mesh->triangle_count != 0 && mesh->positions == NULL))
         return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no mesh");
     if (model->grid.depth > VOXRT_MAX_VOXELIZE_DEPTH)
@@ -15872,7 +15872,7 @@ VOXRT_DEF voxrt_result voxrt_model_voxels(voxrt_model *model, const voxrt_edit_d
     voxrti_edit e;
     voxrti_leafset set;
     voxrt_result r = voxrti_edit_open(model, desc, stats, &d, &mem, &e);
-    if (r != VOXRT_OK) return r;
+    if (r != VOXRT_OK || e.m == NULL) return r;
     if (voxels == NULL && count != 0) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no voxels");
     if (count == 0) return VOXRT_OK;
     b = model->build;
