@@ -15321,7 +15321,8 @@ VOXRT_DEF voxrt_result voxrt_tree_from_model(const voxrt_build_desc *desc, const
     }
     if (r == VOXRT_OK) {
         r = voxrti_tree_from_leafset(&mem, &d, &m->grid, &set, NULL, out_tree);
-        for (a = 0; a < 3 && r == VOXRT_OK && *out_tree != NULL; a++) /* edits may fill more than what was asked for when it was built */
+        /* edits may fill more than what was asked for when it was built */
+        for (a = 0; a < 3 && r == VOXRT_OK && *out_tree != NULL; a++)
             if ((*out_tree)->cell_max[a] > (*out_tree)->resolution)
                 (*out_tree)->resolution = (uint32_t)1 << m->grid.depth;
         return r;
