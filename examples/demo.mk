@@ -25,6 +25,9 @@ $(VOX)/torus.vox: $(B)/voxrt_convert
 	@mkdir -p $(@D); echo "$@"; $(B)/voxrt_convert --scene torus --detail 128 $@ --quiet --res 512
 
 # A ball that was filled, painted and cut open.
+$(VOX)/torus-planes.vox: $(B)/voxrt_convert
+	@mkdir -p $(@D); echo "$@"; $(B)/voxrt_convert --scene torus --detail 128 $@ --quiet --res 64 --planes
+
 $(VOX)/planet.vox: $(B)/voxrt_convert examples/planet.txt
 	@mkdir -p $(@D); echo "$@"; $(B)/voxrt_convert --scene sphere --detail 128 $@ --quiet --res 256 --fill --edit examples/planet.txt
 
@@ -73,6 +76,10 @@ $(G)/voxrt_planet.png: $(VOX)/planet.vox
 $(G)/voxrt_planet.png: options = --shadows --aa 4 $(SKY) --eye 1.5,1.2,2.1 --at 0,-0.02,0 --fov 44 --light dir:0.3,0.9,0.8
 
 # A version 4 file has no placement: one voxel is a unit. Both see the same.
+$(G)/voxrt_planes.png $(G)/voxrt_planes_off.png: $(VOX)/torus-planes.vox
+$(G)/voxrt_planes.png: options = --shadows --aa 8 $(SKY) --size 656x640 --eye 1.1,1.3,1.9 --at 0.35,-0.05,0.25 --fov 38
+$(G)/voxrt_planes_off.png: options = --cubes --shadows --aa 8 $(SKY) --size 656x640 --eye 1.1,1.3,1.9 --at 0.35,-0.05,0.25 --fov 38
+
 $(G)/voxrt_torus_2009.png: $(VOX)/torus-2009.vox
 $(G)/voxrt_torus_2009.png: options = --path thesis --compose thesis --shadows --lod off $(SKY) \
 	--eye 484,475,740 --at 256,245,256 --fov 46
@@ -87,7 +94,7 @@ $(G)/voxrt_aa64.png: $(VOX)/menger.vox
 $(G)/voxrt_aa64.png: options = --size 328x160 --aa 64 --shadows $(SKY) --eye 3,2.5,4 --at 0,0,0 --fov 40
 
 VOXRT_PICTURES := $(addprefix $(G)/voxrt_,sphere.png gyroid.png terrain.png terrain_heat.png terrain_lod.png \
-	terrain_split.png menger.png cornell.png pillars.png blob.png blob_cubes.png torus_2009.png torus.png planet.png aa1.png aa64.png)
+	terrain_split.png menger.png cornell.png pillars.png blob.png blob_cubes.png torus_2009.png torus.png planet.png planes.png planes_off.png aa1.png aa64.png)
 
 $(VOXRT_PICTURES): $(B)/voxrt_render
 	@mkdir -p $(@D); echo "$@"; $(B)/voxrt_render $(filter %.vox,$^) --out $@ --quiet $(options)

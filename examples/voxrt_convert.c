@@ -13,7 +13,7 @@ typedef struct convert_options {
     const char *first, *second; /* positional arguments */
     const char *in, *out, *scene, *edit;
     int64_t resolution, palette, threads, detail, fill_depth;
-    int separating, palette_method, lod, format, normals, fill, no_colors, raw, share, keep_inside_out, stats, quiet;
+    int separating, palette_method, lod, format, normals, fill, planes, no_colors, raw, share, keep_inside_out, stats, quiet;
     int voxels, flip_y, flip_z, swap_angles; /* voxels: `in` is a voxel file; how to turn it */
 } convert_options;
 
@@ -21,7 +21,7 @@ enum { NORMALS_SMOOTH, NORMALS_FLAT, NORMALS_NONE };
 enum { FORMAT_V5, FORMAT_V4 };
 
 static int parse(int argc, char **argv, convert_options *o) {
-    sup_option table[26];
+    sup_option table[27];
     size_t n = 0, mesh_options, k;
     int status, for_meshes = 0, has_lod = 0;
     memset(o, 0, sizeof *o);
@@ -42,6 +42,8 @@ static int parse(int argc, char **argv, convert_options *o) {
         "normals", &o->normals, "smooth|flat|none",
         "of the file or, if it has none, smooth but for edges sharper than 60 degrees; of the triangles; none: shade the "
         "faces of the cubes");
+    table[n++] = sup_opt_flag("planes", &o->planes, "a plane in each voxel: smooth outlines and shadows close up; one byte "
+                              "a voxel, and --separating 26");
     table[n++] = sup_opt_flag("no-colors", &o->no_colors, "one colour for all");
     table[n++] = sup_opt_flag("keep-inside-out", &o->keep_inside_out,
                               "do not turn the normals of a mesh that encloses a negative volume");
@@ -92,6 +94,7 @@ static int parse(int argc, char **argv, convert_options *o) {
         return sup_bad_usage(argv[0], "--format v4 holds at most 32767 colours");
     if (o->raw && o->format == FORMAT_V4) return sup_bad_usage(argv[0], "--raw goes with --format v5");
     if (o->share && o->format == FORMAT_V4) return sup_bad_usage(argv[0], "--share goes with --format v5");
+    if (o->planes && o->normals == NORMALS_NONE) return sup_bad_usage(argv[0], "--planes needs normals");
     if (o->fill_depth != 0 && !o->fill) return sup_bad_usage(argv[0], "--fill-depth goes with --fill");
     return -1;
 }
@@ -289,6 +292,7 @@ static int build(const char *program, const convert_options *o, const voxrt_env 
     desc.palette_method = o->palette_method ? VOXRT_PALETTE_THESIS : VOXRT_PALETTE_OKLAB;
     desc.lod_method = o->lod ? VOXRT_LOD_MAJORITY : VOXRT_LOD_MEAN;
     desc.disable_normals = o->normals == NORMALS_NONE;
+    desc.planes = (uint32_t)o->planes;
     desc.disable_colors = (uint32_t)o->no_colors;
     desc.fill = (uint32_t)o->fill;
     desc.fill_depth = (uint32_t)o->fill_depth;

@@ -185,7 +185,7 @@ static int is_miss(const voxrt_hit *h) {
    depth the blocks are those of a tree one level deeper, the model in its first octant. */
 static int leaf_form(const scene *s, const voxrt_hit *h) {
     return h->level == s->depth && h->slot == voxrti_slot(h->cell[0] & 3u, h->cell[1] & 3u, h->cell[2] & 3u) &&
-           h->_reserved == 0 && h->face <= 6;
+           h->plane == 0 && h->face <= 6;
 }
 
 /* rays[n], n <= BATCH: equal bits for every isa, one by one too; occluded the same; right by the oracle. Rays of which

@@ -1,0 +1,607 @@
+/* Voxels with planes: they lie where the mesh does; rays end where a slow search over all voxels ends them, on every
+   instruction set; closed shells keep all rays; files, shared trees and filled hulls keep them; pictures are closer to
+   the exact ones than those of cubes, and surfaces throw no shadow on themselves. -v prints the numbers. */
+#include "test.h"
+#include "shapes.h"
+#define VOXRT_IMPLEMENTATION
+#include "../voxrt.h"
+
+static voxrt_tree *build(const shape *s, voxrt_build_desc *d) {
+    voxrt_mesh m;
+    voxrt_tree *t = NULL;
+    memset(&m, 0, sizeof m);
+    m.positions = s->p;
+    m.vertex_count = s->vertices;
+    m.indices = s->t;
+    m.triangle_count = s->triangles;
+    m.normals = s->normal;
+    CHECK(voxrt_tree_build(d, &m, NULL, &t) == VOXRT_OK);
+    return t;
+}
+
+/* The ball of radius 0.9 around (1, 1, 1) in the cube [0,2)^3. planes: 2: normals point inwards. */
+static voxrt_tree *make_ball(uint32_t resolution, int planes, uint32_t rings) {
+    voxrt_build_desc d;
+    voxrt_tree *t;
+    shape s;
+    size_t i;
+    memset(&s, 0, sizeof s);
+    memset(&d, 0, sizeof d);
+    shape_sphere(&s, 1, 1, 1, 0.9, rings);
+    d.resolution = resolution;
+    d.box_size = 2;
+    d.planes = planes != 0;
+    for (i = 0; planes == 2 && i < 3 * s.vertices; i++) s.normal[i] = -s.normal[i];
+    t = build(&s, &d);
+    shape_free(&s);
+    return t;
+}
+
+/* What is in a mixed scene: a ball, a box beside it, and a thin plate that both of its sides share voxels of. */
+static voxrt_tree *make_mixed(uint32_t resolution) {
+    voxrt_build_desc d;
+    voxrt_tree *t;
+    shape s;
+    size_t i;
+    memset(&s, 0, sizeof s);
+    memset(&d, 0, sizeof d);
+    shape_box(&s, 0.15, 0.2, 0.3, 0.6, 0.9, 0.95);
+    shape_box(&s, 1.5, 0.3, 0.3, 1.505, 1.7, 1.6);
+    for (i = 0; i < s.vertices; i++) memset(s.normal + 3 * i, 0, 12); /* the triangles' own */
+    shape_sphere(&s, 1, 1, 1, 0.5, 40);
+    d.resolution = resolution;
+    d.box_size = 2;
+    d.planes = 1;
+    t = build(&s, &d);
+    shape_free(&s);
+    return t;
+}
+
+/* ---- what is stored ---- */
+
+TEST(planes_are_where_triangles_are) {
+    static const uint32_t resolution[2] = {32, 128};
+    uint32_t k;
+    for (k = 0; k < 2; k++) {
+        voxrt_tree *t = make_ball(resolution[k], 2 - (int)k, 160);
+        voxrt_tree_info info;
+        const double edge = 2.0 / (double)resolution[k];
+        double most = 0, sum = 0;
+        uint64_t i = 0;
+        uint32_t x, y, z, n = resolution[k];
+        voxrt_tree_get_info(t, &info);
+        CHECK(info.has_planes == 1 && info.plane_bytes == info.voxel_count);
+        for (z = 0; z < n; z++)
+            for (y = 0; y < n; y++)
+                for (x = 0; x < n; x++) {
+                    voxrt_voxel v;
+                    double p[3], r = 0, e;
+                    uint64_t code = voxrti_spread3(x) | voxrti_spread3(y) << 1 | voxrti_spread3(z) << 2, at;
+                    uint32_t a, node = 0, w;
+                    if (!voxrt_tree_get(t, t->depth, x, y, z, &v)) continue;
+                    for (w = 0; w + 1 < t->wide; w++) { /* down to the leaf node */
+                        const uint32_t slot = (uint32_t)(code >> 6 * (t->wide - 1 - w)) & 63u;
+                        node = t->node[node].child +
+                               voxrti_popcount64(t->node[node].mask & (((uint64_t)1 << slot) - 1));
+                    }
+                    at = voxrti_attr_index(t, 2 * t->wide, node, (uint32_t)code & 63u);
+                    REQUIRE(at < info.voxel_count && t->plane[at] != 0);
+                    p[0] = x + 0.5;
+                    p[1] = y + 0.5;
+                    p[2] = z + 0.5;
+                    for (a = 0; a < 3; a++) {
+                        p[a] += (double)v.normal[a] * ((double)t->plane[at] - 128.0) * VOXRTI_PLANE_STEP;
+                        r += (p[a] * edge - 1) * (p[a] * edge - 1);
+                    }
+                    e = fabs(sqrt(r) - 0.9) / edge; /* of the foot of the plane, in voxels */
+                    most = e > most ? e : most;
+                    sum += e;
+                    i++;
+                }
+        if (test_g.verbose)
+            printf("     %u cells: planes are off by %.4f voxels, %.4f at most\n", n, sum / (double)i, most);
+        CHECK(i == info.voxel_count && most < (k == 0 ? 0.06 : 0.03) && sum < 0.012 * (double)i);
+        voxrt_tree_destroy(t);
+    }
+}
+
+TEST(sheets_and_insides_stay_cubes) {
+    voxrt_build_desc d;
+    voxrt_tree *t;
+    shape s;
+    uint64_t i, none = 0;
+    memset(&s, 0, sizeof s);
+    memset(&d, 0, sizeof d);
+    shape_box(&s, 0.54, 0.3, 0.3, 0.545, 1.7, 1.6); /* both sides in the same voxels */
+    d.resolution = 64;
+    d.box_size = 2;
+    d.planes = 1;
+    t = build(&s, &d);
+    for (i = 0; i < t->voxel_count; i++) none += t->plane[i] == 0;
+    CHECK(none * 10 > t->voxel_count * 8);
+    voxrt_tree_destroy(t);
+    shape_free(&s);
+    {
+        voxrt_tree *shell = make_ball(64, 1, 60), *full;
+        shape_sphere(&s, 1, 1, 1, 0.9, 60);
+        d.fill = 1;
+        full = build(&s, &d);
+        for (i = 0, none = 0; i < full->voxel_count; i++) none += full->plane[i] == 0;
+        CHECK(full->voxel_count > 3 * shell->voxel_count && none == full->voxel_count - shell->voxel_count);
+        voxrt_tree_destroy(shell);
+        voxrt_tree_destroy(full);
+        shape_free(&s);
+    }
+}
+
+/* ---- rays against all voxels one by one ---- */
+
+typedef struct slow_voxel { uint32_t c[3]; double n[3], offset; int cube; } slow_voxel;
+typedef struct slow_list { slow_voxel *v; size_t n; const voxrt_tree *t; } slow_list;
+
+static int slow_add(void *user, const voxrt_voxel *v, uint32_t index) {
+    slow_list *l = (slow_list *)user;
+    slow_voxel *s = &l->v[l->n];
+    uint32_t a;
+    (void)index;
+    s->c[0] = v->x;
+    s->c[1] = v->y;
+    s->c[2] = v->z;
+    for (a = 0; a < 3; a++) s->n[a] = (double)v->normal[a];
+    s->cube = l->t->plane[l->n] == 0; /* leaves come in the order of their attributes */
+    s->offset = ((double)l->t->plane[l->n] - 128.0) * VOXRTI_PLANE_STEP;
+    l->n++;
+    return 0;
+}
+
+/* First voxel along the ray that ends it, and when; -1: none. close: a decision was a matter of rounding. */
+static double slow_trace(const slow_list *l, const voxrt_ray *q, const slow_voxel **voxel, int *close) {
+    double best = (double)INFINITY, best_in = best;
+    const double edge = l->t->voxel_size;
+    size_t i;
+    uint32_t a;
+    *close = 0;
+    *voxel = NULL;
+    for (i = 0; i < l->n; i++) {
+        const slow_voxel *s = &l->v[i];
+        double in = (double)q->t_min, out = (double)q->t_max, base = 0, slope = 0, at;
+        int miss = 0;
+        for (a = 0; a < 3; a++) {
+            const double lo = l->t->origin[a] + s->c[a] * edge - (double)q->org[a], d = (double)q->dir[a];
+            double t0 = lo / d, t1 = (lo + edge) / d;
+            base += s->n[a] * (-(lo / edge) - 0.5);
+            slope += s->n[a] * d / edge;
+            if (d == 0) {
+                miss |= !(lo <= 0 && lo + edge > 0);
+                continue;
+            }
+            if (t0 > t1) {
+                at = t0;
+                t0 = t1;
+                t1 = at;
+            }
+            in = t0 > in ? t0 : in;
+            out = t1 < out ? t1 : out;
+        }
+        if (miss || out < in) continue;
+        if (in > best_in + 1e-9) continue; /* voxels are visited in order */
+        *close |= out - in < 1e-6 && in < best;
+        at = in;
+        if (!s->cube) {
+            double f;
+            base -= s->offset;
+            f = base + slope * in;
+            if (fabs(f) < 1e-5) *close = 1;
+            if (f > 0) {
+                double over = 0;
+                if (!(slope < 0)) continue;
+                at = -base / slope;
+                for (a = 0; a < 3; a++) {
+                    const double p = ((double)q->org[a] + at * (double)q->dir[a] - l->t->origin[a]) / edge - s->c[a];
+                    const double o = fabs(p - 0.5);
+                    over = o > over ? o : over;
+                }
+                if (fabs(over - 0.5 - VOXRTI_PLANE_SLACK) < 1e-5 || fabs(at - (double)q->t_max) < 1e-6) *close = 1;
+                if (over > 0.5 + VOXRTI_PLANE_SLACK || at >= (double)q->t_max) continue;
+            }
+        }
+        if (at < in) at = in;
+        best = at;
+        best_in = in;
+        *voxel = s;
+    }
+    return *voxel != NULL ? best : -1;
+}
+
+TEST(rays_end_where_slow_ones_do) {
+    static const voxrt_isa isa[3] = {VOXRT_ISA_SCALAR, VOXRT_ISA_SSE, VOXRT_ISA_AVX2};
+    enum { RAYS = 1500 };
+    voxrt_tree *t = make_mixed(32);
+    test_rng r = test_rng_make(5);
+    slow_list l;
+    static voxrt_ray ray[RAYS];
+    static voxrt_hit hit[3][RAYS];
+    uint32_t i, a, k, hits = 0, passed = 0, unsure = 0;
+    voxrt_trace_desc d;
+    l.v = (slow_voxel *)calloc(t->voxel_count, sizeof *l.v);
+    REQUIRE(l.v != NULL);
+    l.n = 0;
+    l.t = t;
+    voxrt_tree_each(t, t->depth, slow_add, &l);
+    memset(&d, 0, sizeof d);
+    for (i = 0; i < RAYS; i++) {
+        float to[3];
+        ray[i].t_min = i % 5 == 0 ? test_rng_float(&r) : 0.0f;
+        ray[i].t_max = i % 7 == 0 ? 1.0f + test_rng_float(&r) : INFINITY;
+        for (a = 0; a < 3; a++) {
+            to[a] = test_rng_range(&r, 0.3f, 1.7f);
+            ray[i].org[a] = i < 64 ? 3.0f + (float)a : test_rng_range(&r, -1.0f, 3.0f); /* a tile at first */
+            ray[i].dir[a] = to[a] - ray[i].org[a];
+        }
+        if (i % 11 == 0) ray[i].dir[i % 3] = 0;
+        if (i % 22 == 0) ray[i].dir[(i + 1) % 3] = 0;
+    }
+    for (k = 0; k < 3; k++) {
+        d.isa = isa[k];
+        CHECK(voxrt_trace(t, &d, ray, hit[k], RAYS) == VOXRT_OK);
+        CHECK(memcmp(hit[k], hit[0], sizeof hit[0]) == 0);
+    }
+    for (i = 0; i < RAYS; i++) { /* one by one the same */
+        voxrt_hit one;
+        uint8_t dark;
+        (void)voxrt_trace1(t, &ray[i], &one);
+        CHECK(memcmp(&one, &hit[0][i], sizeof one) == 0);
+        CHECK(voxrt_occluded(t, NULL, &ray[i], &dark, 1) == VOXRT_OK && dark == (one.node != VOXRT_NO_NODE));
+    }
+    for (i = 0; i < RAYS; i++) {
+        const voxrt_hit *h = &hit[0][i];
+        const slow_voxel *v;
+        int close, same;
+        const double at = slow_trace(&l, &ray[i], &v, &close);
+        voxrt_hit cube;
+        d.cubes = 1;
+        CHECK(voxrt_trace(t, &d, &ray[i], &cube, 1) == VOXRT_OK && cube.plane == 0);
+        same = v == NULL ? h->node == VOXRT_NO_NODE :
+               h->node != VOXRT_NO_NODE && memcmp(h->cell, v->c, sizeof v->c) == 0 && fabs((double)h->t - at) < 1e-4;
+        unsure += !same && close;
+        CHECK_MSG(same || close, "ray %u: t %g, is %g", i, at, (double)h->t);
+        hits += v != NULL;
+        passed += cube.node != VOXRT_NO_NODE && memcmp(h->cell, cube.cell, sizeof cube.cell) != 0;
+    }
+    if (test_g.verbose) printf("     %u rays: %u hits, %u passed by a voxel, %u unsure\n", RAYS, hits, passed, unsure);
+    CHECK(hits > RAYS / 3 && passed > RAYS / 10 && unsure < RAYS / 100);
+    free(l.v);
+    voxrt_tree_destroy(t);
+}
+
+/* Whatever the planes leave open between them, no ray gets through a closed shell, from outside or inside. */
+TEST(closed_shells_keep_all_rays) {
+    const uint32_t rays = test_quick() ? 20000 : 200000;
+    voxrt_tree *t = make_ball(64, 1, 90);
+    test_rng r = test_rng_make(9);
+    uint32_t i, a, out = 0, in = 0;
+    double most = 0;
+    for (i = 0; i < rays; i++) {
+        double u[3], l = 0;
+        voxrt_ray q;
+        voxrt_hit h;
+        memset(&q, 0, sizeof q);
+        q.t_max = INFINITY;
+        for (a = 0; a < 3; a++) { /* to corners and edges of cells as often as to anything */
+            u[a] = (double)test_rng_range(&r, -1, 1);
+            if (i & 1u) u[a] = (floor(u[a] * 32) / 32);
+            l += u[a] * u[a];
+        }
+        if (l < 0.01) continue;
+        for (a = 0; a < 3; a++) {
+            q.org[a] = 1;
+            q.dir[a] = (float)u[a];
+        }
+        in += !voxrt_trace1(t, &q, &h);
+        for (a = 0; a < 3; a++) {
+            q.org[a] = (float)(1 + 4 * u[a] / sqrt(l));
+            q.dir[a] = (float)(-u[a] / sqrt(l)) + test_rng_range(&r, -0.1f, 0.1f);
+        }
+        {   /* towards the inner 0.85: must meet the shell at the ball's surface */
+            double oo = 0, od = 0, dd = 0, e;
+            for (a = 0; a < 3; a++) {
+                const double o = (double)q.org[a] - 1, d = (double)q.dir[a];
+                oo += o * o;
+                od += o * d;
+                dd += d * d;
+            }
+            if (od * od - dd * (oo - 0.85 * 0.85) <= 0) continue;
+            if (!voxrt_trace1(t, &q, &h)) {
+                out++;
+                continue;
+            }
+            e = fabs(-od - sqrt(od * od - dd * (oo - 0.81)) - (double)h.t * dd) / sqrt(dd) * 32;
+            most = e > most ? e : most;
+        }
+    }
+    if (test_g.verbose) printf("     %u rays each way; depth is off by %.3f voxels at most\n", rays, most);
+    CHECK(in == 0 && out == 0 && most < 0.75);
+    voxrt_tree_destroy(t);
+}
+
+/* ---- files, shared trees, failures ---- */
+
+TEST(files_and_shared_trees_keep_planes) {
+    voxrt_tree *t = make_mixed(96), *cubes = make_ball(16, 0, 20), *other[4];
+    voxrt_save_desc sd;
+    voxrt_ray ray[512];
+    voxrt_hit hit[512], again[512];
+    test_rng r = test_rng_make(3);
+    uint8_t *file[3];
+    size_t size[3], i;
+    uint32_t k, a;
+    memset(&sd, 0, sizeof sd);
+    memset(file, 0, sizeof file);
+    memset(other, 0, sizeof other);
+    for (i = 0; i < 512; i++) {
+        memset(&ray[i], 0, sizeof ray[i]);
+        ray[i].t_max = INFINITY;
+        for (a = 0; a < 3; a++) {
+            ray[i].org[a] = test_rng_range(&r, -1.0f, 3.0f);
+            ray[i].dir[a] = test_rng_range(&r, 0.3f, 1.7f) - ray[i].org[a];
+        }
+    }
+    CHECK(voxrt_trace(t, NULL, ray, hit, 512) == VOXRT_OK);
+    CHECK(voxrt_tree_share(t, NULL, &other[0]) == VOXRT_OK);
+    CHECK(voxrt_tree_unshare(other[0], NULL, &other[1]) == VOXRT_OK);
+    REQUIRE(other[0] != NULL && other[1] != NULL);
+    CHECK(memcmp(other[1]->plane, t->plane, t->voxel_count) == 0);
+    for (k = 0; k < 3; k++) { /* coded, raw, shared and raw */
+        const voxrt_tree *from = k == 2 ? other[0] : t;
+        voxrt_tree *back = NULL;
+        voxrt_load_desc ld;
+        uint64_t at;
+        memset(&ld, 0, sizeof ld);
+        sd.encoding = k == 0 ? VOXRT_ENCODING_COMPACT : VOXRT_ENCODING_RAW;
+        CHECK(voxrt_tree_save_memory(from, &sd, NULL, 0, &size[k]) == VOXRT_OK);
+        file[k] = (uint8_t *)malloc(size[k] + 64);
+        REQUIRE(file[k] != NULL);
+        CHECK(voxrt_tree_save_memory(from, &sd, file[k], size[k], &size[k]) == VOXRT_OK);
+        CHECK(voxrt_tree_load_memory(&ld, file[k], size[k], &back) == VOXRT_OK);
+        REQUIRE(back != NULL);
+        CHECK(voxrt_tree_hash(back) == voxrt_tree_hash(t));
+        CHECK(voxrt_trace(back, NULL, ray, again, 512) == VOXRT_OK);
+        for (i = 0; i < 512; i++) CHECK(again[i].t == hit[i].t && again[i].plane == hit[i].plane);
+        voxrt_tree_destroy(back);
+        if (k == 0) { /* without normals there are none, and a file that says so is none */
+            sd.disable_normals = 1;
+            CHECK(voxrt_tree_save_memory(t, &sd, NULL, 0, &size[0]) == VOXRT_OK && size[0] < size[k] + 1);
+            file[0] = (uint8_t *)realloc(file[0], size[0] + 64);
+            REQUIRE(file[0] != NULL);
+            CHECK(voxrt_tree_save_memory(t, &sd, file[0], size[0], &size[0]) == VOXRT_OK);
+            CHECK(voxrt_tree_load_memory(&ld, file[0], size[0], &back) == VOXRT_OK);
+            REQUIRE(back != NULL);
+            CHECK(back->plane == NULL && back->normal == NULL);
+            voxrt_tree_destroy(back);
+            sd.disable_normals = 0;
+            continue;
+        }
+        for (at = 64; at < 64 + 40 * (uint64_t)file[k][14]; at += 40) /* planes of a wrong number; normals cut out */
+            if (file[k][at] == 13) {
+                file[k][at + 24] ^= 1;
+                voxrti_v5_seal(file[k], size[k]);
+                CHECK(voxrt_tree_load_memory(&ld, file[k], size[k], &back) == VOXRT_ERR_FORMAT && back == NULL);
+                file[k][at + 24] ^= 1;
+                file[k][32] ^= 32; /* the flag */
+                voxrti_v5_seal(file[k], size[k]);
+                CHECK(voxrt_tree_load_memory(&ld, file[k], size[k], &back) == VOXRT_ERR_FORMAT && back == NULL);
+                break;
+            }
+        CHECK(at < 64 + 40 * (uint64_t)file[k][14]);
+    }
+    CHECK(voxrt_tree_hash(other[0]) == voxrt_tree_hash(t) && voxrt_tree_hash(other[1]) == voxrt_tree_hash(t));
+    t->plane[t->voxel_count / 2] ^= 1;
+    CHECK(voxrt_tree_hash(other[0]) != voxrt_tree_hash(t));
+    CHECK(cubes->plane == NULL);
+    for (k = 0; k < 3; k++) free(file[k]);
+    for (k = 0; k < 2; k++) voxrt_tree_destroy(other[k]);
+    voxrt_tree_destroy(cubes);
+    voxrt_tree_destroy(t);
+}
+
+TEST(arguments_and_failures) {
+    voxrt_build_desc d;
+    voxrt_mesh m;
+    voxrt_error error;
+    voxrt_tree *t = NULL;
+    shape s;
+    int64_t k, n = 1;
+    memset(&s, 0, sizeof s);
+    memset(&d, 0, sizeof d);
+    memset(&m, 0, sizeof m);
+    shape_sphere(&s, 1, 1, 1, 0.9, 12);
+    m.positions = s.p;
+    m.vertex_count = s.vertices;
+    m.indices = s.t;
+    m.triangle_count = s.triangles;
+    d.resolution = 16;
+    d.planes = 1;
+    d.fill = 1;
+    d.disable_normals = 1;
+    d.env.error = &error;
+    CHECK(voxrt_tree_build(&d, &m, NULL, &t) == VOXRT_ERR_INVALID_ARG && t == NULL && error.text[0] != 0);
+    d.disable_normals = 0;
+    d.env.thread_count = 1;
+    for (k = 0; k < n; k++) { /* the n-th allocation fails, in building, sharing and undoing that */
+        test_alloc ta;
+        voxrt_tree *shared = NULL, *back = NULL;
+        voxrt_result result;
+        test_alloc_init(&ta);
+        ta.fail_at = k;
+        d.env.allocator.alloc_fn = test_alloc_fn;
+        d.env.allocator.free_fn = test_free_fn;
+        d.env.allocator.user = &ta;
+        result = voxrt_tree_build(&d, &m, NULL, &t);
+        if (result == VOXRT_OK) result = voxrt_tree_share(t, &d.env, &shared);
+        if (result == VOXRT_OK) result = voxrt_tree_unshare(shared, &d.env, &back);
+        CHECK(result == (ta.count > k ? VOXRT_ERR_NO_MEMORY : VOXRT_OK));
+        voxrt_tree_destroy(t);
+        voxrt_tree_destroy(shared);
+        voxrt_tree_destroy(back);
+        if (ta.count > k) n = k + 2;
+        test_alloc_check(&ta);
+    }
+    CHECK(n > 40);
+    shape_free(&s);
+}
+
+/* ---- pictures ---- */
+
+static double srgb_of(double c) { return c <= 0.0031308 ? c * 12.92 : 1.055 * pow(c, 1.0 / 2.4) - 0.055; }
+
+enum { SIZE = 200 };
+
+/* The ball itself, 16 x 16 rays a pixel, as sRGB. */
+static void exact_picture(const voxrt_camera *camera, const double l[3], double *out) {
+    voxrt_ray c[3];
+    uint32_t x, y, i, a;
+    for (i = 0; i < 3; i++)
+        CHECK(voxrt_camera_ray(camera, SIZE, SIZE, i == 1 ? SIZE : 0, i == 2 ? SIZE : 0, &c[i]) == VOXRT_OK);
+    for (y = 0; y < SIZE; y++)
+        for (x = 0; x < SIZE; x++) {
+            double sum = 0;
+            for (i = 0; i < 256; i++) {
+                const double u = (x + (i % 16 + 0.5) / 16) / (double)SIZE, v = (y + (i / 16 + 0.5) / 16) / (double)SIZE;
+                double o[3], d[3], od = 0, oo = 0, dd = 0, disc, at, shine = 0;
+                for (a = 0; a < 3; a++) {
+                    o[a] = (double)c[0].org[a] - 1;
+                    d[a] = (double)c[0].dir[a] + u * ((double)c[1].dir[a] - (double)c[0].dir[a]) +
+                           v * ((double)c[2].dir[a] - (double)c[0].dir[a]);
+                    od += o[a] * d[a];
+                    oo += o[a] * o[a];
+                    dd += d[a] * d[a];
+                }
+                disc = od * od - dd * (oo - 0.81);
+                if (disc <= 0) continue;
+                at = (-od - sqrt(disc)) / dd;
+                for (a = 0; a < 3; a++) shine += (o[a] + at * d[a]) / 0.9 * l[a];
+                sum += 0.05 + (shine > 0 ? 0.9 * shine : 0);
+            }
+            out[y * SIZE + x] = 255 * srgb_of(sum / 256);
+        }
+}
+
+/* Voxels of 10 pixels at the outline of a ball. */
+TEST(outlines_close_up) {
+    static double exact[SIZE * SIZE];
+    static float rgba[SIZE * SIZE * 4];
+    const double l[3] = {0.6 / sqrt(1.1), 0.7 / sqrt(1.1), 0.5 / sqrt(1.1)};
+    voxrt_light light;
+    voxrt_image m;
+    voxrt_render_desc d;
+    double p[2];
+    uint32_t k, i, a;
+    memset(&light, 0, sizeof light);
+    memset(&m, 0, sizeof m);
+    memset(&d, 0, sizeof d);
+    light.directional = 1;
+    for (a = 0; a < 3; a++) light.position[a] = (float)l[a];
+    light.color[0] = light.color[1] = light.color[2] = 0.9f;
+    d.camera.at[0] = d.camera.eye[0] = 1.6f;
+    d.camera.at[1] = d.camera.eye[1] = 1.55f;
+    d.camera.at[2] = 1;
+    d.camera.eye[2] = 21;
+    d.camera.fov_y = (float)(2 * atan(0.5 * (double)SIZE / 10 * 2 / 64 / 20) * 57.29577951308232);
+    d.lights = &light;
+    d.light_count = 1;
+    d.samples = 16;
+    d.shadows = 1;
+    m.width = m.height = SIZE;
+    m.rgba = rgba;
+    exact_picture(&d.camera, l, exact);
+    for (k = 0; k < 2; k++) {
+        voxrt_tree *t = make_ball(64, (int)k, 160);
+        double e = 0;
+        CHECK(voxrt_render(&d, t, &m, NULL) == VOXRT_OK);
+        for (i = 0; i < SIZE * SIZE; i++) {
+            const double v = 255 * srgb_of((double)(rgba[4 * i] > 1 ? 1 : rgba[4 * i])) - exact[i];
+            e += v * v;
+        }
+        p[k] = 10 * log10(65025.0 * (double)(SIZE * SIZE) / e);
+        voxrt_tree_destroy(t);
+    }
+    if (test_g.verbose) printf("     cubes %.1f dB, planes %.1f dB\n", p[0], p[1]);
+    CHECK_MSG(p[1] > p[0] + 8 && p[1] > 38, "%.1f and %.1f dB", p[0], p[1]);
+}
+
+/* Pixels of a ball that face the light and are dark, over all heights of the light. */
+TEST(no_false_shadows) {
+    static float rgba[SIZE * SIZE * 4];
+    const char *more = getenv("TEST_DEPTH");
+    const uint32_t resolution = 1u << (more != NULL ? atoi(more) : 6);
+    uint32_t k, e, x, y, a, lit = 0, dark[3] = {0, 0, 0}, leaks[3] = {0, 0, 0};
+    for (k = 0; k < 3; k++) { /* as in the thesis, cubes, planes */
+        voxrt_tree *t = make_ball(resolution, k == 2, 2 * resolution);
+        for (e = 1, lit = 0; e < 90; e += 8) {
+            const double up = e * 0.017453292519943, around = e * 2.39996;
+            const double l[3] = {cos(up) * cos(around), sin(up), cos(up) * sin(around)};
+            voxrt_render_desc d;
+            voxrt_light light;
+            voxrt_image m;
+            memset(&d, 0, sizeof d);
+            memset(&light, 0, sizeof light);
+            memset(&m, 0, sizeof m);
+            m.width = m.height = SIZE;
+            m.rgba = rgba;
+            light.directional = 1;
+            for (a = 0; a < 3; a++) {
+                light.position[a] = (float)l[a];
+                light.color[a] = 1;
+                d.camera.at[a] = 1;
+            }
+            d.camera.eye[0] = 2.2f;
+            d.camera.eye[1] = 2.5f;
+            d.camera.eye[2] = 3.3f;
+            d.camera.fov_y = 36;
+            d.lights = &light;
+            d.light_count = 1;
+            d.shadows = 1;
+            d.view = VOXRT_VIEW_LIGHT;
+            d.thesis_shadows = k == 0;
+            CHECK(voxrt_render(&d, t, &m, NULL) == VOXRT_OK);
+            for (y = 0; y < SIZE; y++)
+                for (x = 0; x < SIZE; x++) {
+                    voxrt_ray q;
+                    double oo = 0, od = 0, dd = 0, c = 0, at;
+                    CHECK(voxrt_camera_ray(&d.camera, SIZE, SIZE, x + 0.5, y + 0.5, &q) == VOXRT_OK);
+                    for (a = 0; a < 3; a++) {
+                        const double o = (double)q.org[a] - 1, v = (double)q.dir[a];
+                        oo += o * o;
+                        od += o * v;
+                        dd += v * v;
+                    }
+                    if (od * od - dd * (oo - 0.81) <= 0) continue;
+                    at = (-od - sqrt(od * od - dd * (oo - 0.81))) / dd;
+                    for (a = 0; a < 3; a++) c += ((double)q.org[a] - 1 + at * (double)q.dir[a]) / 0.9 * l[a];
+                    lit += c > 0.02;
+                    dark[k] += c > 0.02 && rgba[4 * (y * SIZE + x)] < 0.0501f;
+                    leaks[k] += c < -0.05 && rgba[4 * (y * SIZE + x)] > 0.0501f;
+                }
+        }
+        voxrt_tree_destroy(t);
+    }
+    if (test_g.verbose)
+        printf("     %u cells, %u pixels: false shadow thesis %.3f %%, cubes %.3f %%, planes %.4f %%; light where none "
+               "falls %u, %u, %u\n", resolution, lit, 100.0 * dark[0] / lit, 100.0 * dark[1] / lit, 100.0 * dark[2] / lit,
+               leaks[0], leaks[1], leaks[2]);
+    CHECK(lit > 50000 && dark[0] > lit / 10 && dark[2] * 100 < dark[0] && dark[2] <= dark[1]);
+    CHECK(leaks[2] == 0);
+}
+
+int main(int argc, char **argv) {
+    test_begin(argc, argv);
+    RUN(planes_are_where_triangles_are);
+    RUN(sheets_and_insides_stay_cubes);
+    RUN(rays_end_where_slow_ones_do);
+    RUN(closed_shells_keep_all_rays);
+    RUN(files_and_shared_trees_keep_planes);
+    RUN(arguments_and_failures);
+    RUN(outlines_close_up);
+    RUN(no_false_shadows);
+    return test_end();
+}
