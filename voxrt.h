@@ -1342,8 +1342,9 @@ typedef struct voxrt_gi_update_stats {
 } voxrt_gi_update_stats;
 
 /* Voxelise what changed, bring the hierarchy up to date. After every change of objects or lights and before drawing.
-   The same bits for any number of threads. O(moving triangles and cells). Errors: INVALID_ARG, NO_MEMORY (call it
-   again). Thread safety: alone with the scene. */
+   The same bits for any number of threads. O(moving triangles and cells). Errors: INVALID_ARG, NO_MEMORY (there may be
+   no cells, until it is called again and has memory; light that has bounced is kept for that). Thread safety: alone
+   with the scene. */
 VOXRT_DEF voxrt_result voxrt_gi_update(voxrt_gi *gi, voxrt_gi_update_stats *stats);
 VOXRT_DEF const voxrt_columns *voxrt_gi_columns(const voxrt_gi *gi); /* owned by gi; the innermost volume */
 
@@ -1351,8 +1352,9 @@ VOXRT_DEF const voxrt_columns *voxrt_gi_columns(const voxrt_gi *gi); /* owned by
    voxelised again by the next voxrt_gi_update. out_moved, not NULL: how many. O(1). Errors: INVALID_ARG. */
 VOXRT_DEF voxrt_result voxrt_gi_follow(voxrt_gi *gi, const double centre[3], uint32_t *out_moved);
 
-/* Surface in a cell that a ray in direction dir sees. Returns 0 where nothing faces it. radiance: what it sends back
-   along the ray: direct light, indirect light as far as it is known, emission. */
+/* Surface in a cell of voxrt_gi_columns that a ray in direction dir sees. Returns 0 where nothing faces it. radiance:
+   what it sends back along the ray: direct light, indirect light as far as it is known, emission. Thread safety: as
+   drawing (it fills the cache). */
 typedef struct voxrt_gi_surface {
     float position[3], normal[3], albedo[3], radiance[3];
     uint32_t object;
@@ -1431,8 +1433,8 @@ typedef struct voxrt_gi_report {
    radius        rays are as long as the box
    first_ray     where the sequence of each pixel begins: frame * rays for progressive pictures
    shadow        direct light by shadow rays through the columns, or by maps with LOOKUP_MAPS; else rays through this
-   filter        0: as sampled. Radius in pixels of a filter that keeps to surfaces; 2 passes. Irradiance and what comes
-                 by Phong lobes are filtered for themselves, before colours
+   filter        0: as sampled. Radius in pixels, at most 64, of a filter that keeps to surfaces; 2 passes. Irradiance
+                 and what comes by Phong lobes are filtered for themselves, before colours
    direct_filter the same for direct light: soft edges of shadows
    coarse        1: every pixel sends rays. 2, 4, 8, 16: one in coarse x coarse pixels does; between those that lie on
                  one surface, where no other is near, light is interpolated, elsewhere the mesh is refined (Ward et al.
@@ -1486,7 +1488,9 @@ VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_g
 
 /* One more bounce: each side of each cell gathers the light of the others with `rays` rays (0: 16), and what it finds
    counts from now on at hits. weight: share of the new value (0: 1); smaller ones let it follow a moving scene without
-   flicker. The more often it is called the more bounces there are. seed: another one gives other rays. */
+   flicker. The more often it is called the more bounces there are. seed: another one gives other rays. With a weight
+   over 1/2, or on cells that are new, it is a change of light for a history. Errors: INVALID_ARG, NO_MEMORY (light
+   stays as it was). Thread safety: alone with the scene. O(cells times rays). */
 VOXRT_DEF voxrt_result voxrt_gi_bounce(voxrt_gi *gi, const voxrt_env *env, uint32_t rays, float weight, uint32_t seed);
 
 /* Keep frames within a time. Zero it before the first frame; before each frame draw with `rays` and `coarse`, after it
@@ -18141,6 +18145,7 @@ typedef struct voxrti_gi_layer {
     uint32_t *direct;      /* two for each record: irradiance by lights, shared exponents; VOXRTI_GI_UNKNOWN */
     uint32_t *bounce;      /* two for each record: irradiance by other surfaces; VOXRTI_GI_UNKNOWN. Both in units of
                               voxrt_gi.unit */
+    double origin[3];      /* of the columns, when it was made */
     size_t count, capacity;
 } voxrti_gi_layer;
 
@@ -18187,10 +18192,12 @@ struct voxrt_gi {
     size_t vpl_count, vpl_capacity;
     voxrti_gi_layer layer[2]; /* still, moving */
     voxrti_gi_layer before;   /* the moving layer of the last update, then memory for the next */
+    voxrti_gi_layer left;     /* the still layer that a new one replaces, until that is made */
     uint32_t *own, *own_before; /* level 0 of the moving layer */
+    uint32_t *left_bits;      /* of the layer that is left */
     float lo[3], hi[3];       /* world box */
-    double origin_before[3];  /* of the columns, at the last update */
     uint32_t still_changed, changed; /* since the last update */
+    uint32_t turned;          /* `before` is that of the last update, but there is no new one yet */
     uint32_t version;         /* of what can be seen */
     float unit, per_unit;     /* of irradiance in the layers, a power of two, and 1 / unit */
     uint64_t rejected, open_columns;
@@ -18638,6 +18645,7 @@ static voxrt_result voxrti_gi_layer_build(voxrt_gi *gi, uint32_t which) {
     }
     voxrti_parallel_for(&gi->env, voxrti_task_gi_resolve, &b, (uint32_t)((l->count + 4095) / 4096));
     voxrti_free(&gi->mem, b.sum);
+    memcpy(l->origin, gi->columns->origin, sizeof l->origin);
     return VOXRT_OK;
 }
 
@@ -18705,7 +18713,7 @@ static void voxrti_task_gi_carry(void *ctx, uint32_t y) {
                                 m[g] += (float)e->back[4 * g + b] * n[b];
                             }
                         }
-                        q[a] = (at - w->gi->origin_before[a]) * c->per_cell[a];
+                        q[a] = (at - w->from->origin[a]) * c->per_cell[a];
                     }
                     (void)voxrti_normalize(m);
                     w->to->bounce[2 * rec + side] = voxrti_gi_carried(w, q, m);
@@ -18713,7 +18721,7 @@ static void voxrti_task_gi_carry(void *ctx, uint32_t y) {
         }
 }
 
-/* Where objects were at the last update and where they are now. */
+/* From where objects are now to where they were at the last update. */
 static void voxrti_gi_track(voxrt_gi *gi) {
     static const double same[12] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0};
     size_t i;
@@ -18732,8 +18740,20 @@ static void voxrti_gi_track(voxrt_gi *gi) {
                 e->back[4 * a + b] = b == 3 ? e->at[4 * a + 3] : 0.0;
                 for (k = 0; k < 3; k++) e->back[4 * a + b] += e->at[4 * a + k] * inverse[4 * k + b];
             }
-        memcpy(e->at, now, sizeof e->at);
-        e->placed = 1;
+    }
+}
+
+/* The update is done. */
+static void voxrti_gi_placed(voxrt_gi *gi) {
+    static const double same[12] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0};
+    size_t i;
+    uint32_t a;
+    for (i = 0; i < gi->entry_count; i++) {
+        voxrti_gi_entry *e = &gi->entry[i];
+        int any = 0;
+        for (a = 0; a < 12; a++) any |= e->object.to_world[a] != 0.0;
+        memcpy(e->at, any ? e->object.to_world : same, sizeof e->at);
+        e->placed = e->used;
     }
 }
 
@@ -18832,56 +18852,69 @@ static voxrt_result voxrti_gi_find_emitters(voxrt_gi *gi) {
     return gi->emitter_count != 0 ? voxrti_gi_sort_emitters(gi) : VOXRT_OK;
 }
 
-/* Voxelise the layers of one volume that changed, keep what bounced. */
+static void voxrti_gi_left_free(voxrt_gi *gi) {
+    voxrti_gi_layer_free(gi, &gi->left);
+    voxrti_free(&gi->mem, gi->left_bits);
+    gi->left_bits = NULL;
+}
+
+/* Voxelise the layers of one volume that changed, keep what bounced. If memory runs out the next call goes on with what
+   the last one that ended well has left. */
 static voxrt_result voxrti_gi_update_one(voxrt_gi *gi) {
     voxrt_columns *c = gi->columns;
     const size_t words = (size_t)c->size[0] * c->size[1] * c->words;
-    voxrti_gi_layer old, spare;
     voxrti_gi_carry carry;
     voxrt_result r = VOXRT_OK;
-    uint32_t *still = NULL, *own = gi->own;
     gi->rejected = gi->open_columns = 0;
     voxrti_gi_track(gi);
-    memset(&old, 0, sizeof old);
     carry.gi = gi;
     if (gi->still_changed && gi->layer[0].count != 0) {
-        still = (uint32_t *)voxrti_alloc_array(&gi->mem, words, 4);
-        if (still == NULL) return VOXRT_ERR_NO_MEMORY;
-        memcpy(still, c->still, words * 4);
-        old = gi->layer[0];
-        old.bits = still;
+        voxrti_gi_left_free(gi);
+        gi->left_bits = (uint32_t *)voxrti_alloc_array(&gi->mem, words, 4);
+        if (gi->left_bits == NULL) return VOXRT_ERR_NO_MEMORY;
+        memcpy(gi->left_bits, c->still, words * 4);
+        gi->left = gi->layer[0];
+        gi->left.bits = gi->left_bits;
         memset(&gi->layer[0], 0, sizeof gi->layer[0]);
     }
-    gi->own = gi->own_before;
-    gi->own_before = own;
+    if (!gi->turned) {
+        const voxrti_gi_layer spare = gi->before;
+        uint32_t *own = gi->own;
+        gi->own = gi->own_before;
+        gi->own_before = own;
+        gi->before = gi->layer[1];
+        gi->before.bits = gi->own_before;
+        gi->layer[1] = spare;
+        gi->turned = 1;
+    }
     memset(gi->own, 0, words * 4);
+    gi->layer[1].count = 0;
+    gi->layer[1].bits = gi->own;
     voxrt_columns_clear(c, gi->still_changed != 0);
     if (gi->still_changed) {
         gi->layer[0].count = 0;
         gi->layer[0].bits = c->still;
         r = voxrti_gi_layer_build(gi, 0);
-        if (r == VOXRT_OK && old.count != 0 && gi->layer[0].count != 0) {
+        if (r == VOXRT_OK && gi->left.count != 0 && gi->layer[0].count != 0) {
             carry.to = &gi->layer[0];
-            carry.from = &old;
+            carry.from = &gi->left;
             voxrti_parallel_for(&gi->env, voxrti_task_gi_carry, &carry, c->size[1]);
         }
-        if (r == VOXRT_OK) gi->still_changed = 0;
-        voxrti_gi_layer_free(gi, &old);
-        voxrti_free(&gi->mem, still);
+        if (r == VOXRT_OK) {
+            gi->still_changed = 0;
+            voxrti_gi_left_free(gi);
+        }
     }
-    spare = gi->before;
-    gi->before = gi->layer[1];
-    gi->before.bits = gi->own_before;
-    gi->layer[1] = spare;
-    gi->layer[1].count = 0;
-    gi->layer[1].bits = gi->own;
     if (r == VOXRT_OK) r = voxrti_gi_layer_build(gi, 1);
     if (r == VOXRT_OK && gi->before.count != 0 && gi->layer[1].count != 0) {
         carry.to = &gi->layer[1];
         carry.from = &gi->before;
         voxrti_parallel_for(&gi->env, voxrti_task_gi_carry, &carry, c->size[1]);
     }
-    memcpy(gi->origin_before, c->origin, sizeof gi->origin_before);
+    if (r == VOXRT_OK) {
+        gi->turned = 0;
+        voxrti_gi_placed(gi);
+    }
     voxrt_columns_update(c);
     return r;
 }
@@ -18897,19 +18930,23 @@ VOXRT_DEF voxrt_result voxrt_gi_update(voxrt_gi *gi, voxrt_gi_update_stats *stat
     if (gi == NULL) return VOXRT_ERR_INVALID_ARG;
     for (g = gi; g != NULL; g = g->outer) changed |= g->changed;
     for (g = gi; g != NULL && r == VOXRT_OK; g = g->outer) {
-        if (!changed) voxrti_gi_track(g); /* what moved before stands still now */
-        else if ((r = voxrti_gi_update_one(g)) == VOXRT_OK) g->changed = 0;
-        else g->changed = 1;
+        if (g->changed) {
+            r = voxrti_gi_update_one(g);
+            if (r == VOXRT_OK) g->changed = 0;
+        } else {
+            voxrti_gi_track(g); /* what moved before stands still now */
+            g->open_columns = 0;
+        }
     }
     if (changed) {
         voxrti_gi_darken(gi);
-        if (r == VOXRT_OK) r = voxrti_gi_find_emitters(gi);
+        if (r == VOXRT_OK) {
+            r = voxrti_gi_find_emitters(gi);
+            if (r != VOXRT_OK) gi->changed = 1;
+        }
         voxrti_gi_unit(gi);
     }
-    if (r != VOXRT_OK) {
-        gi->changed = 1;
-        return voxrti_fail(gi->env.error, r, 0, "no memory for the attributes of cells");
-    }
+    if (r != VOXRT_OK) return voxrti_fail(gi->env.error, r, 0, "no memory for the attributes of cells");
     for (g = gi; g != NULL && stats != NULL; g = g->outer) {
         stats->still_cells += g->layer[0].count;
         stats->moving_cells += g->layer[1].count;
@@ -18963,9 +19000,9 @@ static void voxrti_gi_entry_set(voxrt_gi *gi, size_t id, const voxrt_gi_object *
     }
 }
 
-/* Put an object in place id of the outer volumes, too. */
-static voxrt_result voxrti_gi_pass_on(voxrt_gi *gi, size_t id, const voxrt_gi_object *object) {
-    for (gi = gi->outer; gi != NULL; gi = gi->outer) {
+/* Room for object id in all volumes. */
+static voxrt_result voxrti_gi_room(voxrt_gi *gi, size_t id) {
+    for (; gi != NULL; gi = gi->outer)
         while (id >= gi->entry_count) {
             const size_t n = gi->entry_count;
             if (!voxrti_grow(&gi->mem, (void **)&gi->entry, &gi->entry_capacity, n, n + 1, sizeof *gi->entry))
@@ -18973,6 +19010,12 @@ static voxrt_result voxrti_gi_pass_on(voxrt_gi *gi, size_t id, const voxrt_gi_ob
             memset(&gi->entry[n], 0, sizeof gi->entry[n]);
             gi->entry_count++;
         }
+    return VOXRT_OK;
+}
+
+/* Put an object in place id of all volumes, or take it out. */
+static void voxrti_gi_put(voxrt_gi *gi, size_t id, const voxrt_gi_object *object) {
+    for (; gi != NULL; gi = gi->outer) {
         if (object != NULL) {
             voxrti_gi_entry_set(gi, id, object);
         } else {
@@ -18982,7 +19025,6 @@ static voxrt_result voxrti_gi_pass_on(voxrt_gi *gi, size_t id, const voxrt_gi_ob
             memset(&gi->entry[id], 0, sizeof gi->entry[id]);
         }
     }
-    return VOXRT_OK;
 }
 
 VOXRT_DEF voxrt_result voxrt_gi_add(voxrt_gi *gi, const voxrt_gi_object *object, uint32_t *out_id) {
@@ -18993,15 +19035,9 @@ VOXRT_DEF voxrt_result voxrt_gi_add(voxrt_gi *gi, const voxrt_gi_object *object,
     if (r != VOXRT_OK) return r;
     for (i = 0; i < gi->entry_count && gi->entry[i].used; i++) { }
     if (i >= 65535) return voxrti_fail(gi->env.error, VOXRT_ERR_RANGE, i, "% objects are the most");
-    if (i == gi->entry_count) {
-        if (!voxrti_grow(&gi->mem, (void **)&gi->entry, &gi->entry_capacity, gi->entry_count, i + 1, sizeof *gi->entry))
-            return voxrti_fail(gi->env.error, VOXRT_ERR_NO_MEMORY, i, "no memory for object %");
-        memset(&gi->entry[i], 0, sizeof gi->entry[i]);
-        gi->entry_count++;
-    }
-    r = voxrti_gi_pass_on(gi, i, object);
+    r = voxrti_gi_room(gi, i);
     if (r != VOXRT_OK) return r;
-    voxrti_gi_entry_set(gi, i, object);
+    voxrti_gi_put(gi, i, object);
     if (out_id != NULL) *out_id = (uint32_t)i;
     return VOXRT_OK;
 }
@@ -19011,19 +19047,16 @@ VOXRT_DEF voxrt_result voxrt_gi_set(voxrt_gi *gi, uint32_t id, const voxrt_gi_ob
     if (r != VOXRT_OK) return r;
     if (id >= gi->entry_count || !gi->entry[id].used)
         return voxrti_fail(gi->env.error, VOXRT_ERR_INVALID_ARG, id, "there is no object %");
-    voxrti_gi_entry_set(gi, id, object);
-    return voxrti_gi_pass_on(gi, id, object);
+    voxrti_gi_put(gi, id, object);
+    return VOXRT_OK;
 }
 
 VOXRT_DEF voxrt_result voxrt_gi_remove(voxrt_gi *gi, uint32_t id) {
     if (gi == NULL) return VOXRT_ERR_INVALID_ARG;
     if (id >= gi->entry_count || !gi->entry[id].used)
         return voxrti_fail(gi->env.error, VOXRT_ERR_INVALID_ARG, id, "there is no object %");
-    if (gi->entry[id].object.still) gi->still_changed = 1;
-    gi->changed = 1;
-    voxrti_gi_lattice_free(gi, &gi->entry[id]);
-    memset(&gi->entry[id], 0, sizeof gi->entry[id]);
-    return voxrti_gi_pass_on(gi, id, NULL);
+    voxrti_gi_put(gi, id, NULL);
+    return VOXRT_OK;
 }
 
 static void voxrti_gi_maps_free(voxrt_gi *gi) {
@@ -19105,6 +19138,7 @@ static void voxrti_gi_unit(voxrt_gi *gi) {
     power /= 3.141592653589793 * around;
     for (i = 0; i < 80 && power > 1.5; i++, power *= 0.5) unit *= 2.0f;
     for (i = 0; i < 80 && power < 0.75 && power > 0.0; i++, power *= 2.0) unit *= 0.5f;
+    if (!(power > 0.0)) unit = gi->unit; /* all lamps are off: what has bounced is still under way */
     change = gi->unit / unit;
     for (g = gi; g != NULL; g = g->outer) {
         g->unit = unit;
@@ -19148,7 +19182,6 @@ static voxrt_result voxrti_gi_open(const voxrt_gi_desc *desc, const voxrt_column
         gi->own = (uint32_t *)voxrti_alloc_zero(&gi->mem, n, 4);
         gi->own_before = (uint32_t *)voxrti_alloc_zero(&gi->mem, n, 4);
         gi->columns->still = (uint32_t *)voxrti_alloc_zero(&gi->columns->mem, n, 4);
-        memcpy(gi->origin_before, gi->columns->origin, sizeof gi->origin_before);
         if (gi->own == NULL || gi->own_before == NULL || gi->columns->still == NULL)
             r = voxrti_fail(desc->env.error, VOXRT_ERR_NO_MEMORY, n, "no memory for layers of % words");
     }
@@ -19196,6 +19229,7 @@ VOXRT_DEF void voxrt_gi_destroy(voxrt_gi *gi) {
         for (i = 0; i < gi->entry_count; i++) voxrti_gi_lattice_free(gi, &gi->entry[i]);
         for (l = 0; l < 2; l++) voxrti_gi_layer_free(gi, &gi->layer[l]);
         voxrti_gi_layer_free(gi, &gi->before);
+        voxrti_gi_left_free(gi);
         voxrti_gi_maps_free(gi);
         voxrt_columns_destroy(gi->columns);
         voxrti_free(&gi->mem, gi->entry);
@@ -19993,10 +20027,11 @@ VOXRT_DEF int voxrt_gi_get(const voxrt_gi *gi, const voxrt_column_hit *hit, cons
                            voxrt_gi_surface *out_surface) {
     voxrti_gi_side s;
     uint32_t a;
+    if (out_surface == NULL) return 0;
     memset(out_surface, 0, sizeof *out_surface);
-    if (gi == NULL || hit == NULL || hit->cell[0] >= gi->columns->size[0] || hit->cell[1] >= gi->columns->size[1] ||
-        hit->cell[2] >= gi->columns->size[2] || !voxrti_gi_side_open(gi, hit->cell[0], hit->cell[1], hit->cell[2], dir,
-                                                                     &s))
+    if (gi == NULL || hit == NULL || dir == NULL || hit->cell[0] >= gi->columns->size[0] ||
+        hit->cell[1] >= gi->columns->size[1] || hit->cell[2] >= gi->columns->size[2] ||
+        !voxrti_gi_side_open(gi, hit->cell[0], hit->cell[1], hit->cell[2], dir, &s))
         return 0;
     voxrti_gi_fill(gi, (int)voxrt_isa_best(), &s, 1);
     memcpy(out_surface->position, s.position, sizeof s.position);
@@ -20458,7 +20493,7 @@ VOXRT_DEF size_t voxrt_gi_virtual_lights(const voxrt_gi *gi, float *out, size_t 
     size_t i;
     uint32_t a;
     if (gi == NULL) return 0;
-    for (i = 0; i < gi->vpl_count && i < most; i++)
+    for (i = 0; i < gi->vpl_count && i < most && out != NULL; i++)
         for (a = 0; a < 3; a++) {
             out[9 * i + a] = gi->vpl[i].p[a];
             out[9 * i + 3 + a] = gi->vpl[i].n[a];
@@ -21585,11 +21620,11 @@ typedef struct voxrti_bounce {
     voxrti_gather gather;
     voxrt_gi_render_desc desc;
     uint32_t *next;        /* the new values */
-    uint32_t layer, seed;
+    uint32_t layer, seed, fresh; /* fresh: there were sides on which nothing was known */
     float weight;
 } voxrti_bounce;
 
-static void voxrti_bounce_flush(const voxrti_bounce *b, voxrti_points *q, const size_t *at) {
+static void voxrti_bounce_flush(voxrti_bounce *b, voxrti_points *q, const size_t *at) {
     const voxrti_gi_layer *l = &b->gi->layer[b->layer];
     const float scale = 3.14159265f / (float)(int32_t)b->gather.rays * b->gi->per_unit;
     float rgb[VOXRTI_COLUMN_BATCH][3], old[3];
@@ -21599,6 +21634,7 @@ static void voxrti_bounce_flush(const voxrti_bounce *b, voxrti_points *q, const 
     for (i = 0; i < q->count; i++) {
         const uint32_t known = l->bounce[at[i]];
         if (known != VOXRTI_GI_UNKNOWN) voxrti_rgb9e5_decode(known, old);
+        else voxrti_store_shared(&b->fresh, 1u);
         for (a = 0; a < 3; a++) {
             rgb[i][a] *= scale;
             if (known != VOXRTI_GI_UNKNOWN) rgb[i][a] = old[a] + (rgb[i][a] - old[a]) * b->weight;
@@ -21610,7 +21646,7 @@ static void voxrti_bounce_flush(const voxrti_bounce *b, voxrti_points *q, const 
 
 /* Both sides of the cells in a row of columns. */
 static void voxrti_task_bounce(void *ctx, uint32_t y) {
-    const voxrti_bounce *b = (const voxrti_bounce *)ctx;
+    voxrti_bounce *b = (voxrti_bounce *)ctx;
     const voxrt_columns *c = b->gi->columns;
     const voxrti_gi_layer *l = &b->gi->layer[b->layer];
     voxrti_points q;
@@ -21677,6 +21713,7 @@ VOXRT_DEF voxrt_result voxrt_gi_bounce(voxrt_gi *gi, const voxrt_env *env, uint3
             if (r == VOXRT_OK && next[k][l] != NULL) memcpy(g->layer[l].bounce, next[k][l], g->layer[l].count * 8);
             voxrti_free(&g->mem, next[k][l]);
         }
+    if (r == VOXRT_OK && (b.fresh || b.weight > 0.5f)) gi->version++;
     return r;
 }
 

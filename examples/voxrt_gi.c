@@ -133,7 +133,7 @@ static int parse(int argc, char **argv, gi_options *o) {
     table[n++] = sup_opt_int("grid", &o->grid, 16, 2048, "N", "columns along each side, a power of two (256)");
     table[n++] = sup_opt_int("depth-cells", &o->depth, 64, 256, "N", "cells of a column: 64, 128 or 256 (128; 256 if --grid is more than 256)");
     table[n++] = sup_opt_int("nested", &o->nested, 1, 8, "N", "volumes around the camera, each twice as wide (1: one around the scene)");
-    table[n++] = sup_opt_int("res", &o->res, 16, 8192, "N", "voxels along the longest side of an object that the camera sees (1024; atrium 2048)");
+    table[n++] = sup_opt_int("res", &o->res, 16, 8192, "N", "voxels along the longest side of an object that the camera sees (1024; atrium 4096)");
     table[n++] = sup_opt_choice("tone", &o->tone, "linear|log|drago", "tone mapping");
     table[n++] = sup_opt_real("exposure", &o->exposure, 1e-6, 1e6, "E", "brightness, times the scene's own (1)");
     table[n++] = sup_opt_choice("view", &o->view, "picture|direct|indirect|voxels|cubes|lights|lookup|steps",
@@ -175,8 +175,10 @@ static int parse(int argc, char **argv, gi_options *o) {
 /* ---- scenes ---------------------------------------------------------------------------------------------------- */
 
 /* A body that is seen from outside: if its triangles face inwards, turn them. Light is on the side they face. */
-static void turn_outwards(sup_mesh *m, const float lo[3], const float hi[3]) {
+static void turn_outwards(sup_mesh *m) {
     double volume = 0.0, box = 1.0;
+    float lo[3], hi[3];
+    if (sup_mesh_bounds(m, lo, hi)) return;
     for (int a = 0; a < 3; a++) box *= (double)hi[a] - (double)lo[a];
     for (size_t i = 0; i < m->triangle_count; i++) {
         double p[3][3];
@@ -208,12 +210,11 @@ static int scene_of_mesh(world *w, const gi_options *o, sup_error *err) {
         box[0][a] = (double)lo[a];
         box[1][a] = (double)hi[a];
     }
-    turn_outwards(&w->first, lo, hi);
     if (!(size > 1e-15f && size < 1e15f)) return sup_fail(err, "%s: its size, %g, is too small or too large to be lit", o->scene, (double)size);
     memset(&c, 0, sizeof c);
     (void)voxrt_camera_fit(&c, box[0], box[1], view, o->common.size[0], o->common.size[1]);
     (void)snprintf(text, sizeof text,
-                   "voxrt_gi 1\ncamera fit eye %.9g %.9g %.9g at %.9g %.9g %.9g\nobject mesh\n"
+                   "voxrt_gi 1\ncamera fit eye %.9g %.9g %.9g at %.9g %.9g %.9g\nobject mesh outwards\n"
                    "object plane scale %.9g position %.9g %.9g %.9g color 0.51 0.51 0.55\n"
                    "light area position %.9g %.9g %.9g u %.9g 0 0 v 0 0 %.9g color 14 11.9 8.4\n",
                    (double)c.eye[0], (double)c.eye[1], (double)c.eye[2], (double)c.at[0], (double)c.at[1], (double)c.at[2], 1.5 * (double)size,
@@ -326,6 +327,7 @@ static int load_piece(world *w, const gi_options *o, size_t i, int frame, sup_er
     voxrt_error error;
     voxrt_mesh *m = &p->object.mesh;
     if (read_mesh(w, t, frame, &mesh, err)) return 1;
+    if (t->outwards) turn_outwards(&mesh);
     if (paint(&mesh, t->has_color ? t->color : NULL, material ? material->albedo : NULL)) {
         sup_mesh_free(&mesh);
         return sup_fail(err, "%s: out of memory", t->file);
@@ -340,7 +342,7 @@ static int load_piece(world *w, const gi_options *o, size_t i, int frame, sup_er
     m->normals = mesh.normals;
     m->vertex_rgb = mesh.vertex_rgb;
     m->triangle_rgb = mesh.triangle_rgb;
-    build.resolution = o->res != 0 ? (uint32_t)o->res : t->moving ? 512 : strcmp(t->file, "scene:pillars") == 0 ? 2048 : 1024;
+    build.resolution = o->res != 0 ? (uint32_t)o->res : t->moving ? 512 : strcmp(t->file, "scene:pillars") == 0 ? 4096 : 1024;
     build.env.thread_count = (uint32_t)o->common.threads;
     build.env.error = &error;
     if (voxrt_tree_build(&build, m, NULL, &tree) != VOXRT_OK) {

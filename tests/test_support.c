@@ -2033,7 +2033,7 @@ static const char gi_text[] =
     "camera front eye 0 2 8 at 0 1 0 path line\ncamera \"from behind\" eye 0 2 -8 at 0 1 0 up 1 0 0 fov 50\n"
     "object \"a file.obj\" scale 2 turn 0 90 0 position 1 2 3\n"
     "object scene:torus:12 spin 0 90 0 material brass path round color 1 0.5 0\n"
-    "object b%03d.obj frames 3 6 2 voxels samples spacing 0.25\nobject plane voxels solid\n"
+    "object b%03d.obj frames 3 6 2 voxels samples spacing 0.25\nobject plane voxels solid outwards\n"
     "light spot position 0 4 0 direction 0 -2 0 angle 30 color 40 36 30 path round\nlight area u 1 0 0 v 0 0 1";
 
 TEST(gi_scenes) {
@@ -2052,6 +2052,7 @@ TEST(gi_scenes) {
     CHECK(!s.things[0].moving && s.things[1].moving && s.things[2].moving && s.things[1].material == 0 && s.things[1].color[1] == 0.5);
     CHECK(s.lamps[0].kind == 1 && s.lamps[0].angle == 30 && s.lamps[1].kind == 3);
     CHECK(s.things[0].voxels == 0 && s.things[2].voxels == 5 && s.things[2].spacing == 0.25 && s.things[3].voxels == 4);
+    CHECK(!s.things[0].outwards && s.things[3].outwards);
     sup_gi_matrix(&s, &s.things[0], 0, m); /* twice as large, x to -z, z to x */
     CHECK_NEAR(m[0], 0, 1e-12);
     CHECK_NEAR(m[2], 2, 1e-12);

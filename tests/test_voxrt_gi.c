@@ -1164,12 +1164,7 @@ TEST(still_scenes_come_to_rest) { /* frames as they are drawn of what moves, but
         d.history = h;
         d.rays = 16;
         CHECK(voxrt_gi_set_lights(r.gi, &r.light, 1) == VOXRT_OK && voxrt_gi_update(r.gi, NULL) == VOXRT_OK); /* the same */
-        if (f < 8) CHECK(voxrt_gi_bounce(r.gi, NULL, 4, 0.5f, 7) == VOXRT_OK);
-        if (f == 8) { /* light on cells is at rest: from here on it is the mean of all pictures */
-            voxrt_gi_history_destroy(h);
-            REQUIRE(voxrt_gi_history_create(NULL, &h) == VOXRT_OK);
-            d.history = h;
-        }
+        if (f < 8) CHECK(voxrt_gi_bounce(r.gi, NULL, 4, 0.75f, 7) == VOXRT_OK); /* then it is at rest: the mean of all from there on */
         memcpy(last, r.indirect, sizeof last);
         CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, r.indirect[0], NULL) == VOXRT_OK);
         if (f >= 30) worst = fmax(worst, rms(r.indirect, last, N));
@@ -1571,7 +1566,7 @@ TEST(every_edit_begins_anew) { /* progressive pictures: after any change nothing
     voxrt_gi_object o;
     room_open(&r, 48, 32, 0);
     r.g.before = NULL;
-    for (edit = 0; edit < 10; edit++) {
+    for (edit = 0; edit < 12; edit++) {
         voxrt_gi_history *h = NULL;
         REQUIRE(voxrt_gi_history_create(NULL, &h) == VOXRT_OK);
         memset(&d, 0, sizeof d);
@@ -1592,15 +1587,16 @@ TEST(every_edit_begins_anew) { /* progressive pictures: after any change nothing
         if (edit == 7) d.radius = 3;
         if (edit == 8) d.method = VOXRT_GI_PATH;
         if (edit == 9) d.coarse = 4;
+        if (edit > 9) CHECK(voxrt_gi_bounce(r.gi, NULL, 4, edit == 10 ? 0.0f : 0.25f, 1) == VOXRT_OK);
         if (edit < 2) CHECK(voxrt_gi_set(r.gi, r.id, &o) == VOXRT_OK);
         CHECK(voxrt_gi_set_lights(r.gi, &r.light, 1) == VOXRT_OK && voxrt_gi_update(r.gi, NULL) == VOXRT_OK);
         CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, r.indirect[0], NULL) == VOXRT_OK);
-        CHECK_MSG(report.kept == 0.0f, "edit %u: %g kept", edit, (double)report.kept);
+        CHECK_MSG(report.kept == (edit == 11 ? 1.0f : 0.0f), "edit %u: %g kept", edit, (double)report.kept); /* it follows */
         d.history = NULL; /* as if there had been nothing, but with the rays of its turn */
         for (i = k = 0; i < 2 && k == 0; i++) {
             d.first_ray = i * d.rays;
             CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, fresh[0], NULL) == VOXRT_OK);
-            k = memcmp(fresh, r.indirect, sizeof fresh) == 0;
+            k = edit == 11 || memcmp(fresh, r.indirect, sizeof fresh) == 0;
         }
         CHECK_MSG(k == 1, "edit %u", edit);
         for (i = 0; i < 48 * 32; i++) for (k = 0; k < 3; k++) bad += !(r.indirect[i][k] >= 0.0f && r.indirect[i][k] < 1e12f);
@@ -2003,6 +1999,13 @@ TEST(bad_input) {
     }
     CHECK(voxrt_gi_bounce(gi, NULL, 4, NAN, 0) == VOXRT_ERR_INVALID_ARG);
     CHECK(voxrt_gi_bounce(NULL, NULL, 4, 0, 0) == VOXRT_ERR_INVALID_ARG);
+    {
+        voxrt_column_hit hit;
+        voxrt_gi_surface surface;
+        memset(&hit, 0, sizeof hit);
+        CHECK(voxrt_gi_get(gi, &hit, NULL, &surface) == 0 && voxrt_gi_get(gi, &hit, up, NULL) == 0 && voxrt_gi_get(gi, NULL, up, &surface) == 0);
+        CHECK(voxrt_gi_virtual_lights(gi, NULL, 5) == 0 && voxrt_gi_virtual_lights(NULL, one, 0) == 0);
+    }
     voxrt_gi_destroy(gi);
     voxrt_gi_destroy(NULL);
 }
@@ -2136,6 +2139,91 @@ TEST(memory) {
     CHECK(done);
 }
 
+/* Memory runs out in a call: it has done nothing, or the next one ends as if nothing had been. Three nested volumes. */
+TEST(memory_that_runs_out_loses_nothing) {
+    static model a, b;
+    static uint32_t want[3][2][40000];
+    static size_t many[3][2];
+    int64_t fail;
+    uint32_t i, l, k, lost = 0;
+    sphere(&a, 3.0, 12, 200, 1);
+    sphere(&b, 1.0, 10, 160, 0);
+    for (fail = -1; fail < 40; fail += 1 + fail / 12) { /* the first time nothing fails */
+        test_alloc ta;
+        voxrt_gi_desc d;
+        voxrt_gi *gi = NULL, *g;
+        voxrt_gi_object oa = object_of(&a, 1), ob = object_of(&b, 0);
+        const voxrt_gi_light light = point_light(0, 2, 0, 9);
+        uint32_t id = 99, ids[2];
+        voxrt_result r;
+        test_alloc_init(&ta);
+        memset(&d, 0, sizeof d);
+        d.env.allocator.alloc_fn = test_alloc_fn;
+        d.env.allocator.free_fn = test_free_fn;
+        d.env.allocator.user = &ta;
+        d.env.thread_count = 1;
+        d.columns.size_x = d.columns.size_y = 16;
+        d.columns.size_z = 64;
+        d.nested = 3;
+        for (k = 0; k < 3; k++) {
+            d.columns.box_min[k] = -4;
+            d.columns.box_max[k] = 4;
+        }
+        REQUIRE(voxrt_gi_create(&d, &gi) == VOXRT_OK);
+        ta.fail_at = fail >= 0 && fail < 3 ? ta.count + fail : -1;
+        r = voxrt_gi_add(gi, &oa, &id);
+        CHECK(r == (ta.failed != 0 ? VOXRT_ERR_NO_MEMORY : VOXRT_OK));
+        for (g = gi; g != NULL && r != VOXRT_OK; g = g->outer)
+            for (i = 0; i < g->entry_count; i++) CHECK_MSG(!g->entry[i].used, "an object that is not there");
+        ta.fail_at = -1;
+        if (r != VOXRT_OK) CHECK(voxrt_gi_add(gi, &oa, &id) == VOXRT_OK);
+        ids[0] = id;
+        ob.to_world[0] = ob.to_world[5] = ob.to_world[10] = 1;
+        CHECK(voxrt_gi_add(gi, &ob, &ids[1]) == VOXRT_OK && voxrt_gi_set_lights(gi, &light, 1) == VOXRT_OK);
+        CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK && voxrt_gi_bounce(gi, NULL, 2, 0, 0) == VOXRT_OK);
+        oa.material.albedo[0] = 0.5f; /* what stands still and what moves are made anew */
+        ob.to_world[3] = 1.5;
+        CHECK(voxrt_gi_set(gi, ids[0], &oa) == VOXRT_OK && voxrt_gi_set(gi, ids[1], &ob) == VOXRT_OK);
+        ta.failed = 0;
+        ta.fail_at = fail >= 0 ? ta.count + fail : -1;
+        for (i = 0; i < 2; i++) { /* it fails once more, the next time */
+            r = voxrt_gi_update(gi, NULL);
+            CHECK(r == (ta.failed != 0 ? VOXRT_ERR_NO_MEMORY : VOXRT_OK));
+            if (r == VOXRT_OK) break;
+            ta.failed = 0;
+            ta.fail_at = i == 0 ? ta.count + fail % 4 : -1;
+        }
+        ta.fail_at = -1;
+        if (r != VOXRT_OK) CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
+        for (g = gi, k = 0; g != NULL; g = g->outer, k++)
+            for (l = 0; l < 2; l++) {
+                if (fail < 0) many[k][l] = g->layer[l].count;
+                REQUIRE(many[k][l] == g->layer[l].count && many[k][l] <= 20000);
+                if (fail < 0) memcpy(want[k][l], g->layer[l].bounce, 8 * many[k][l]);
+                lost += memcmp(want[k][l], g->layer[l].bounce, 8 * many[k][l]) != 0;
+                for (i = 0, id = 0; i < 2 * many[k][l]; i++) id += want[k][l][i] != VOXRTI_GI_UNKNOWN;
+                CHECK_MSG(k != 0 || id > many[k][l] / 2, "light is known on %u of %u cells", id, (uint32_t)many[k][l]);
+            }
+        CHECK_MSG(lost == 0, "allocation %d: light that bounced is lost", (int)fail);
+        voxrt_gi_destroy(gi);
+        test_alloc_check(&ta);
+    }
+}
+
+TEST(lamps_that_go_out) { /* for a picture, and come back as they were: what has bounced is the same bits */
+    static room r;
+    static uint32_t first[40000];
+    const float bright = 80 * 1099511627776.0f;
+    room_open(&r, 8, 8, 0);
+    r.light.color[0] = r.light.color[1] = r.light.color[2] = bright;
+    CHECK(voxrt_gi_set_lights(r.gi, &r.light, 1) == VOXRT_OK && voxrt_gi_bounce(r.gi, NULL, 4, 0, 3) == VOXRT_OK);
+    REQUIRE(r.gi->layer[0].count <= 20000 && r.gi->layer[0].count > 5000);
+    memcpy(first, r.gi->layer[0].bounce, 8 * r.gi->layer[0].count);
+    CHECK(voxrt_gi_set_lights(r.gi, NULL, 0) == VOXRT_OK && voxrt_gi_set_lights(r.gi, &r.light, 1) == VOXRT_OK);
+    CHECK(memcmp(first, r.gi->layer[0].bounce, 8 * r.gi->layer[0].count) == 0);
+    voxrt_gi_destroy(r.gi);
+}
+
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(shared_exponents);
@@ -2187,5 +2275,7 @@ int main(int argc, char **argv) {
     RUN(bad_input);
     RUN(pixels_that_are_none);
     RUN(memory);
+    RUN(memory_that_runs_out_loses_nothing);
+    RUN(lamps_that_go_out);
     return test_end();
 }

@@ -29,6 +29,7 @@ typedef struct sup_gi_thing {
     char *file;                    /* or "scene:NAME", "scene:NAME:DETAIL"; owned */
     double position[3], turn[3], spin[3], scale, color[3], frames[3], spacing;
     int moving, has_color, has_frames, material, path;
+    int outwards; /* triangles that face inwards are turned */
     int voxels; /* index of sup_gi_voxels + 1; 0: not said */
 } sup_gi_thing;
 
@@ -243,6 +244,7 @@ SUP_FN int supi_gi_thing_line(sup_gi_scene *s, supi_gi_line *l) {
         if (!r && (r = supi_gi_numbers(l, "color", o->color, 3)) == 1) o->has_color = 1;
         if (!r && (r = supi_gi_numbers(l, "frames", o->frames, 3)) == 1) o->has_frames = o->moving = 1;
         if (!r) r = supi_gi_flag(l, "moving", &o->moving);
+        if (!r) r = supi_gi_flag(l, "outwards", &o->outwards);
         if (!r) r = supi_gi_numbers(l, "spacing", &o->spacing, 1);
         if (!r && supi_gi_is(l, l->at, "voxels")) {
             for (o->voxels = 1; o->voxels < 7 && !supi_gi_is(l, l->at + 1, sup_gi_voxels[o->voxels - 1]); o->voxels++) { }
@@ -396,6 +398,7 @@ SUP_FN void supi_gi_put_thing(FILE *f, const sup_gi_scene *s, const sup_gi_thing
     if (o->spacing != 0.0) supi_gi_put(f, "spacing", &o->spacing, 1);
     if (o->voxels) fprintf(f, " voxels %s", sup_gi_voxels[o->voxels - 1]);
     if (o->moving) fputs(" moving", f);
+    if (o->outwards) fputs(" outwards", f);
     if (o->material >= 0) supi_gi_put_word(f, " material ", s->materials[o->material].name);
     supi_gi_put_path(f, s, "path", o->path);
     fputc('\n', f);
