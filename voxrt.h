@@ -442,7 +442,7 @@ typedef enum voxrt_isa {
     VOXRT_ISA_SCALAR = 1,
     VOXRT_ISA_SSE = 2,
     VOXRT_ISA_AVX2 = 3,
-    VOXRT_ISA_AVX512 = 4, /* the AVX2 kernel: more lanes do not pay here; rays in columns get its registers */
+    VOXRT_ISA_AVX512 = 4, /* trees: the AVX2 kernel, more lanes do not pay there; rays in columns: 16 lanes */
     VOXRT_ISA_FORCE_32BIT = 0x7fffffff
 } voxrt_isa;
 
@@ -17446,7 +17446,7 @@ enum { /* of a ray that is ready, and of two planes */
 
 /* Rays that are ready, fields apart; any eight in a row can be loaded. */
 typedef struct voxrti_column_ready {
-    uint32_t count, next;
+    uint32_t count, next, fields;
     float f[VOXRTI_CF_FIELDS][VOXRTI_COLUMN_READY + 8];
     double t_in[VOXRTI_COLUMN_READY + 8], per_t[VOXRTI_COLUMN_READY + 8];
     uint32_t id[VOXRTI_COLUMN_READY + 8];
@@ -17469,7 +17469,7 @@ typedef struct voxrti_column_const {
     __m256i last_k, log_x, log_y, level;
     __m256 reach[2];
     __m128i word_log;
-    uint32_t planes, fields, words, large;
+    uint32_t planes, words, large;
 } voxrti_column_const;
 
 VOXRTI_TARGET_AVX2 static void voxrti_column_const_open(const voxrti_column_trace *t, voxrti_column_const *k) {
@@ -17496,7 +17496,6 @@ VOXRTI_TARGET_AVX2 static void voxrti_column_const_open(const voxrti_column_trac
     k->planes = t->planes;
     k->words = c->words;
     k->large = (uint64_t)c->size[0] * c->size[1] * c->words > 0x40000; /* level 0: more than 1 MiB */
-    k->fields = VOXRTI_CF_PLANE + VOXRTI_CP_FIELDS * t->planes;
 }
 
 /* voxrti_column_ray_open for four rays: what is ready goes to `at` of the arrays. Returns lanes that are to be traced;
@@ -17791,7 +17790,6 @@ typedef struct voxrti_column_stream {
     voxrt_column_hit *hits;
     uint8_t *occluded;
     uint32_t done, count;   /* rays that were made ready, and all */
-    voxrti_column_const k;
     voxrti_column_ready ready;
 } voxrti_column_stream;
 
@@ -17801,11 +17799,11 @@ VOXRTI_TARGET_AVX2 static void voxrti_column_more(voxrti_column_stream *s) {
     voxrti_column_ready *g = &s->ready;
     const uint32_t left = g->count - g->next;
     uint32_t i, f, p;
-    if (left != 0) { /* fewer than eight */
-        for (f = 0; f < s->k.fields; f++) memmove(g->f[f], g->f[f] + g->next, 8 * sizeof(float));
-        memmove(g->t_in, g->t_in + g->next, 8 * sizeof(double));
-        memmove(g->per_t, g->per_t + g->next, 8 * sizeof(double));
-        memmove(g->id, g->id + g->next, 8 * sizeof(uint32_t));
+    if (left != 0) { /* fewer than a group */
+        for (f = 0; f < g->fields; f++) memmove(g->f[f], g->f[f] + g->next, left * sizeof(float));
+        memmove(g->t_in, g->t_in + g->next, left * sizeof(double));
+        memmove(g->per_t, g->per_t + g->next, left * sizeof(double));
+        memmove(g->id, g->id + g->next, left * sizeof(uint32_t));
     }
     g->next = 0;
     g->count = left;
@@ -17842,7 +17840,7 @@ VOXRTI_TARGET_AVX2 static void voxrti_column_more(voxrti_column_stream *s) {
                     voxrti_column_miss(s->hits, s->occluded, first + i);
                     continue;
                 }
-                for (f = 0; f < s->k.fields; f++) g->f[f][g->count] = g->f[f][from + i];
+                for (f = 0; f < g->fields; f++) g->f[f][g->count] = g->f[f][from + i];
                 g->t_in[g->count] = g->t_in[from + i];
                 g->per_t[g->count] = g->per_t[from + i];
                 g->id[g->count++] = first + i;
@@ -17851,10 +17849,36 @@ VOXRTI_TARGET_AVX2 static void voxrti_column_more(voxrti_column_stream *s) {
     }
 }
 
+/* Report what a lane has found at column (x, y), in cells lo .. hi, one of which is set; ka: where it came in. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_column_close(voxrti_column_stream *s, uint32_t id, int x, int y, int lo,
+                                                          int hi, int ka, uint32_t face, float t, float oz, float dz,
+                                                          double t_in, double per_t) {
+    const voxrt_columns *c = s->trace->columns;
+    const uint32_t *column = c->bits + voxrti_column(c, 0, (uint32_t)x, (uint32_t)y);
+    const int up = dz >= 0.0f;
+    voxrti_column_found f;
+    uint32_t bits;
+    int w;
+    for (w = (up ? lo : hi) >> 5;; w += up ? 1 : -1) {
+        bits = column[w] & voxrti_column_mask(lo, hi, w);
+        if (bits != 0) break;
+    }
+    f.x = x;
+    f.y = y;
+    f.k = 32 * w + (up ? (int)voxrti_ctz64(bits) : 31 - (int)voxrti_clz32(bits));
+    f.t = t;
+    f.face = face;
+    if (f.k != ka) {
+        const float tk = ((float)(up ? f.k : f.k + 1) - oz) / dz;
+        f.t = tk > t ? tk : t;
+        f.face = up ? 4 : 5;
+    }
+    voxrti_column_report(s->trace, &s->rays[id], t_in, per_t, &f, &s->hits[id]);
+}
+
 /* Report what the lanes that have ended found. */
 VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_column_ended(voxrti_column_stream *s, voxrti_column_lanes *g,
                                                           uint32_t ended, int any) {
-    const voxrt_columns *c = s->trace->columns;
     const uint32_t hit = (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(g->hit));
     int32_t lo[8], hi[8], ka[8], x[8], y[8], face[8];
     float t[8], oz[8], dz[8];
@@ -17880,37 +17904,16 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_column_ended(voxrti_column_stream *
     _mm256_storeu_ps(oz, g->f[VOXRTI_CF_O + 2]);
     _mm256_storeu_ps(dz, g->f[VOXRTI_CF_D + 2]);
     for (; ended != 0; ended &= ended - 1) {
-        const uint32_t i = voxrti_ctz64(ended), id = g->id[i], *column;
-        const int up = dz[i] >= 0.0f;
-        voxrti_column_found f;
-        uint32_t bits;
-        int w;
-        if ((hit >> i & 1u) == 0) {
-            voxrti_column_miss(s->hits, s->occluded, id);
-            continue;
-        }
-        column = c->bits + voxrti_column(c, 0, (uint32_t)x[i], (uint32_t)y[i]);
-        for (w = (up ? lo[i] : hi[i]) >> 5;; w += up ? 1 : -1) { /* one of them is set */
-            bits = column[w] & voxrti_column_mask(lo[i], hi[i], w);
-            if (bits != 0) break;
-        }
-        f.x = x[i];
-        f.y = y[i];
-        f.k = 32 * w + (up ? (int)voxrti_ctz64(bits) : 31 - (int)voxrti_clz32(bits));
-        f.t = t[i];
-        f.face = (uint32_t)face[i];
-        if (f.k != ka[i]) {
-            const float tk = ((float)(up ? f.k : f.k + 1) - oz[i]) / dz[i];
-            f.t = tk > t[i] ? tk : t[i];
-            f.face = up ? 4 : 5;
-        }
-        voxrti_column_report(s->trace, &s->rays[id], g->t_in[i], g->per_t[i], &f, &s->hits[id]);
+        const uint32_t i = voxrti_ctz64(ended);
+        if ((hit >> i & 1u) == 0) voxrti_column_miss(s->hits, s->occluded, g->id[i]);
+        else voxrti_column_close(s, g->id[i], x[i], y[i], lo[i], hi[i], ka[i], (uint32_t)face[i], t[i], oz[i], dz[i],
+                                 g->t_in[i], g->per_t[i]);
     }
 }
 
 /* Give the lanes in `empty` rays that are ready: the first of them the first ray, and so on. */
-VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_column_fill(voxrti_column_stream *s, voxrti_column_lanes *g,
-                                                         uint32_t empty, int any) {
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_column_fill(voxrti_column_stream *s, const voxrti_column_const *k,
+                                                         voxrti_column_lanes *g, uint32_t empty, int any) {
     voxrti_column_ready *r = &s->ready;
     const __m256i bit = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128), one = _mm256_set1_epi32(1);
     const __m256 sign = _mm256_set1_ps(-0.0f), behind = _mm256_set1_ps(0.00390625f);
@@ -17927,7 +17930,7 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_column_fill(voxrti_column_stream *s
     rank = _mm256_cvtepu8_epi32(_mm_cvtsi64_si128((long long)lanes));
     mask = _mm256_cmpgt_epi32(_mm256_and_si256(_mm256_set1_epi32((int)empty), bit), _mm256_setzero_si256());
     maskf = _mm256_castsi256_ps(mask);
-    for (f = 0; f < s->k.fields; f++)
+    for (f = 0; f < r->fields; f++)
         g->f[f] = _mm256_blendv_ps(g->f[f], _mm256_permutevar8x32_ps(_mm256_loadu_ps(&r->f[f][next]), rank), maskf);
     for (m = empty; m != 0; m &= m - 1, next++) {
         const uint32_t i = voxrti_ctz64(m);
@@ -17947,36 +17950,43 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_column_fill(voxrti_column_stream *s
     g->x = _mm256_blendv_epi8(g->x, _mm256_cvttps_epi32(g->f[VOXRTI_CF_O]), mask);
     g->y = _mm256_blendv_epi8(g->y, _mm256_cvttps_epi32(g->f[VOXRTI_CF_O + 1]), mask);
     g->k = _mm256_blendv_epi8(g->k, _mm256_cvttps_epi32(g->f[VOXRTI_CF_O + 2]), mask);
-    g->level = _mm256_blendv_epi8(g->level, s->k.level, mask);
+    g->level = _mm256_blendv_epi8(g->level, k->level, mask);
     if (!any) g->by_x = _mm256_blendv_epi8(g->by_x, one, mask);
     g->t = _mm256_andnot_ps(maskf, g->t);
     g->hit = _mm256_andnot_si256(mask, g->hit);
     g->alive = _mm256_or_si256(g->alive, mask);
-    voxrti_column_aim8(&s->k, g);
+    voxrti_column_aim8(k, g);
 }
 
 #define VOXRTI_COLUMN_GROUPS 4
 #define VOXRTI_COLUMN_IDLE 2 /* lanes of a group that wait for new rays until they get some */
+
+static void voxrti_column_stream_open(voxrti_column_stream *s, const voxrti_column_trace *t, const voxrt_ray *rays,
+                                      uint32_t count, voxrt_column_hit *hits, uint8_t *occluded) {
+    s->trace = t;
+    s->rays = rays;
+    s->hits = hits;
+    s->occluded = occluded;
+    s->done = 0;
+    s->count = count;
+    s->ready.count = s->ready.next = 0;
+    s->ready.fields = VOXRTI_CF_PLANE + VOXRTI_CP_FIELDS * t->planes;
+    memset(s->ready.f, 0, s->ready.fields * sizeof s->ready.f[0]); /* eight are loaded where there are fewer */
+}
 
 /* What voxrti_column_trace_scalar does: the same steps, the same bits. */
 VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_column_stream8(const voxrti_column_trace *t, const voxrt_ray *rays,
                                                             uint32_t count, voxrt_column_hit *hits,
                                                             uint8_t *occluded, int any_hit) {
     voxrti_column_stream s;
+    voxrti_column_const k;
     voxrti_column_lanes g[VOXRTI_COLUMN_GROUPS];
     uint32_t i, groups = count / 16, live[VOXRTI_COLUMN_GROUPS], any, idle;
     groups = groups < 1 ? 1 : groups > VOXRTI_COLUMN_GROUPS ? VOXRTI_COLUMN_GROUPS : groups;
-    s.trace = t;
-    s.rays = rays;
-    s.hits = hits;
-    s.occluded = occluded;
-    s.done = 0;
-    s.count = count;
-    s.ready.count = s.ready.next = 0;
-    voxrti_column_const_open(t, &s.k);
+    voxrti_column_stream_open(&s, t, rays, count, hits, occluded);
+    voxrti_column_const_open(t, &k);
     memset(g, 0, groups * sizeof g[0]);
     memset(live, 0, sizeof live);
-    memset(s.ready.f, 0, s.k.fields * sizeof s.ready.f[0]); /* eight are loaded where there are fewer */
     for (;;) {
         any = 0;
         for (i = 0; i < groups; i++) {
@@ -17987,7 +17997,7 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_column_stream8(const voxrti_column_
             if (live[i] != 0 && s.ready.count == s.ready.next) continue; /* nothing would change */
             if (ended != 0) voxrti_column_ended(&s, &g[i], ended, any_hit);
             g[i].held &= ~ended;
-            voxrti_column_fill(&s, &g[i], ~g[i].held & 255u, any_hit);
+            voxrti_column_fill(&s, &k, &g[i], ~g[i].held & 255u, any_hit);
             live[i] = g[i].held;
             any |= live[i];
         }
@@ -17995,7 +18005,7 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_column_stream8(const voxrti_column_
         do {
             idle = any = 0;
             for (i = 0; i < groups; i++) {
-                if (live[i] != 0) live[i] = voxrti_column_step8(&s.k, &g[i], any_hit, t->stats);
+                if (live[i] != 0) live[i] = voxrti_column_step8(&k, &g[i], any_hit, t->stats);
                 idle |= (uint32_t)(voxrti_popcount64(live[i]) <= 8 - VOXRTI_COLUMN_IDLE);
                 any |= live[i];
             }
@@ -18013,18 +18023,358 @@ VOXRTI_TARGET_AVX2 static VOXRTI_NOINLINE void voxrti_column_any_avx2(const voxr
     voxrti_column_stream8(t, rays, count, NULL, occluded, 1);
 }
 
-/* The same with the instructions of AVX-512 for 256 bits: their 32 registers hold what 16 do not, 8 % */
+/* ---- rays in AVX-512: the same with sixteen lanes ----
+   What groups of eight wait for is the way from one step of theirs to the next, of which no more than two are under way
+   at once, as many as there is room for instructions: twice the lanes are no more instructions. */
+
 #if defined(__GNUC__)
-#  define VOXRTI_TARGET_AVX512VL __attribute__((target("avx2,avx512f,avx512vl,bmi,bmi2,lzcnt,popcnt")))
-VOXRTI_TARGET_AVX512VL static VOXRTI_NOINLINE void voxrti_column_hits_avx512(const voxrti_column_trace *t,
-                                                                             const voxrt_ray *rays, uint32_t count,
-                                                                             voxrt_column_hit *hits) {
-    voxrti_column_stream8(t, rays, count, hits, NULL, 0);
+#  define VOXRTI_COLUMN_AVX512 1
+/* nothing is contracted here, either: same bits */
+#  define VOXRTI_TARGET_AVX512 \
+       __attribute__((target("avx2,avx512f,avx512vl,avx512bw,avx512dq,bmi,bmi2,lzcnt,popcnt")))
+
+/* As voxrti_column_lanes; masks have a bit for each lane. none: no step yet. */
+typedef struct voxrti_column_lanes16 {
+    __m512 f[VOXRTI_CF_FIELDS], behind[2], t;
+    __m512i on[2], back[2], x, y, level, k, lo, hi;
+    double t_in[16], per_t[16];
+    int32_t column[16];
+    uint32_t id[16], held, by_x, none, hit, alive;
+} voxrti_column_lanes16;
+
+typedef struct voxrti_column_const16 {
+    const int *bits;
+    __m512i start, row, up, last_k, level;
+    __m512 reach[2];
+    __m128i word_log, log_x, log_y;
+    uint32_t planes, words, large;
+} voxrti_column_const16;
+
+VOXRTI_TARGET_AVX512 static void voxrti_column_const16_open(const voxrti_column_trace *t, voxrti_column_const16 *k) {
+    const voxrt_columns *c = t->columns;
+    const uint32_t top = c->levels > VOXRTI_COLUMN_TOP ? VOXRTI_COLUMN_TOP : c->levels - 1;
+    int32_t start[16], row[16], up[16];
+    uint32_t l;
+    for (l = 0; l < 16; l++) {
+        start[l] = l < c->levels ? (int32_t)c->start[l] : 0;
+        row[l] = l < c->levels ? (int32_t)c->row_log[l] : 0;
+        up[l] = l < top ? (int32_t)l + 1 : 31;
+    }
+    k->bits = (const int *)c->bits;
+    k->start = _mm512_loadu_si512((const void *)start);
+    k->row = _mm512_loadu_si512((const void *)row);
+    k->up = _mm512_loadu_si512((const void *)up);
+    k->last_k = _mm512_set1_epi32((int)c->size[2] - 1);
+    k->level = _mm512_set1_epi32((int)(t->start < top ? t->start : top));
+    k->reach[0] = _mm512_set1_ps(t->reach[0]);
+    k->reach[1] = _mm512_set1_ps(t->reach[1]);
+    k->word_log = _mm_cvtsi32_si128((int)c->word_log);
+    k->log_x = _mm_cvtsi32_si128((int)voxrti_log2_u32(c->size[0]));
+    k->log_y = _mm_cvtsi32_si128((int)voxrti_log2_u32(c->size[1]));
+    k->planes = t->planes;
+    k->words = c->words;
+    k->large = (uint64_t)c->size[0] * c->size[1] * c->words > 0x40000;
 }
-VOXRTI_TARGET_AVX512VL static VOXRTI_NOINLINE void voxrti_column_any_avx512(const voxrti_column_trace *t,
-                                                                            const voxrt_ray *rays, uint32_t count,
-                                                                            uint8_t *occluded) {
-    voxrti_column_stream8(t, rays, count, NULL, occluded, 1);
+
+VOXRTI_TARGET_AVX512 VOXRTI_INLINE void voxrti_column_planes16(const voxrti_column_const16 *k, const __m512 *f,
+                                                               __m512i x, __m512i y, __m512i *lo, __m512i *hi) {
+    const __m512 dx = _mm512_add_ps(_mm512_cvtepi32_ps(x), f[VOXRTI_CP_C]);
+    const __m512 dy = _mm512_add_ps(_mm512_cvtepi32_ps(y), f[VOXRTI_CP_C + 1]);
+    const __m512 mid = _mm512_sub_ps(f[VOXRTI_CP_BASE], _mm512_add_ps(_mm512_mul_ps(f[VOXRTI_CP_SLOPE], dx),
+                                                                      _mm512_mul_ps(f[VOXRTI_CP_SLOPE + 1], dy)));
+    const __mmask16 in = _mm512_cmp_ps_mask(_mm512_abs_ps(dx), k->reach[0], _CMP_LE_OQ) &
+        _mm512_cmp_ps_mask(_mm512_abs_ps(dy), k->reach[1], _CMP_LE_OQ);
+    __m512 low = _mm512_max_ps(_mm512_sub_ps(mid, f[VOXRTI_CP_HALF]), f[VOXRTI_CP_LO]);
+    __m512 high = _mm512_min_ps(_mm512_add_ps(mid, f[VOXRTI_CP_HALF]), f[VOXRTI_CP_HI]);
+    low = _mm512_min_ps(low, _mm512_set1_ps(512.0f));
+    high = _mm512_max_ps(high, _mm512_set1_ps(-1.0f));
+    *lo = _mm512_cvtps_epi32(_mm512_ceil_ps(low));
+    *hi = _mm512_mask_mov_epi32(_mm512_set1_epi32(-1), in, _mm512_cvtps_epi32(_mm512_floor_ps(high)));
+}
+
+VOXRTI_TARGET_AVX512 VOXRTI_INLINE void voxrti_column_aim16(const voxrti_column_const16 *k, voxrti_column_lanes16 *g) {
+    const __m512i cx = _mm512_srav_epi32(g->x, g->level), cy = _mm512_srav_epi32(g->y, g->level);
+    const __m512i rows = _mm512_permutexvar_epi32(g->level, k->row);
+    const __m512i column = _mm512_add_epi32(_mm512_permutexvar_epi32(g->level, k->start),
+            _mm512_sll_epi32(_mm512_add_epi32(_mm512_sllv_epi32(cy, rows), cx), k->word_log));
+    uint32_t i;
+    _mm512_storeu_si512((void *)g->column, _mm512_maskz_mov_epi32((__mmask16)g->alive, column));
+    for (i = 0; i < 16 && k->large; i++) VOXRTI_PREFETCH(k->bits + g->column[i]);
+}
+
+/* Lanes in which any of the cells lo .. hi is set. */
+VOXRTI_TARGET_AVX512 VOXRTI_INLINE uint32_t voxrti_column_any16(const voxrti_column_const16 *k,
+                                                                const int32_t column[16], __m512i lo, __m512i hi) {
+    const __m512i one = _mm512_set1_epi32(1);
+    __m512i any = _mm512_setzero_si512(), word[4], a, b, c, d;
+    uint32_t i, first;
+    lo = _mm512_add_epi32(lo, one);
+    hi = _mm512_add_epi32(hi, one);
+    for (first = 0; first < k->words; first += 4) {
+        const int *p = k->bits + first;
+#define VOXRTI_ONE(u) _mm_loadu_si128((const __m128i *)(const void *)(p + column[u]))
+#define VOXRTI_FOUR(u) _mm512_inserti32x4(_mm512_inserti32x4(_mm512_inserti32x4( \
+        _mm512_castsi128_si512(VOXRTI_ONE(u)), VOXRTI_ONE(u + 4), 1), VOXRTI_ONE(u + 8), 2), VOXRTI_ONE(u + 12), 3)
+        const __m512i r0 = VOXRTI_FOUR(0), r1 = VOXRTI_FOUR(1), r2 = VOXRTI_FOUR(2), r3 = VOXRTI_FOUR(3);
+#undef VOXRTI_FOUR
+#undef VOXRTI_ONE
+        a = _mm512_unpacklo_epi32(r0, r1);
+        b = _mm512_unpackhi_epi32(r0, r1);
+        c = _mm512_unpacklo_epi32(r2, r3);
+        d = _mm512_unpackhi_epi32(r2, r3);
+        word[0] = _mm512_unpacklo_epi64(a, c);
+        word[1] = _mm512_unpackhi_epi64(a, c);
+        word[2] = _mm512_unpacklo_epi64(b, d);
+        word[3] = _mm512_unpackhi_epi64(b, d);
+        for (i = 0; i < 4; i++) {
+            const int base = (int)(32 * (first + i));
+            const __m512i below = _mm512_subs_epu16(lo, _mm512_set1_epi32(base + 1));
+            const __m512i above = _mm512_subs_epu16(_mm512_set1_epi32(base + 32), hi);
+            any = _mm512_or_si512(any, _mm512_sllv_epi32(_mm512_srlv_epi32(word[i], below),
+                                                         _mm512_add_epi32(below, above)));
+        }
+    }
+    return (uint32_t)_mm512_test_epi32_mask(any, any);
+}
+
+/* What planes leave of lo .. hi, for lanes at level 0. */
+VOXRTI_TARGET_AVX512 VOXRTI_INLINE void voxrti_column_cut16(const voxrti_column_const16 *k,
+                                                            const voxrti_column_lanes16 *g, __mmask16 ground,
+                                                            __m512i *lo, __m512i *hi) {
+    const __m512i one = _mm512_set1_epi32(1), all_lo = *lo, all_hi = *hi;
+    __m512i gone[4];
+    uint32_t p, apart = 0;
+    for (p = 0; p < k->planes; p++) {
+        __m512i from, to;
+        __mmask16 above, below;
+        voxrti_column_planes16(k, g->f + VOXRTI_CF_PLANE + p * VOXRTI_CP_FIELDS, g->x, g->y, &from, &to);
+        to = _mm512_mask_mov_epi32(_mm512_set1_epi32(-1), ground, to);
+        gone[2 * p] = from;
+        gone[2 * p + 1] = to;
+        above = _mm512_cmpgt_epi32_mask(from, *lo);
+        below = _mm512_cmpgt_epi32_mask(*hi, to);
+        apart |= (uint32_t)above & (uint32_t)below & ~(uint32_t)_mm512_cmpgt_epi32_mask(from, to);
+        *lo = _mm512_mask_mov_epi32(_mm512_max_epi32(*lo, _mm512_add_epi32(to, one)), above, *lo);
+        *hi = _mm512_mask_mov_epi32(_mm512_min_epi32(*hi, _mm512_sub_epi32(from, one)), below, *hi);
+    }
+    if ((apart & g->alive) != 0) {
+        int32_t part[4][16], gone8[4][8], ka[16], first[16], last[16];
+        uint32_t half;
+        voxrti_column_const eight; /* of which it needs two */
+        eight.bits = k->bits;
+        eight.planes = k->planes;
+        for (p = 0; p < 2 * k->planes; p++) _mm512_storeu_si512((void *)part[p], gone[p]);
+        _mm512_storeu_si512((void *)ka, g->k);
+        _mm512_storeu_si512((void *)first, all_lo);
+        _mm512_storeu_si512((void *)last, all_hi);
+        for (half = 0; half < 16; half += 8) {
+            for (p = 0; p < 2 * k->planes; p++) memcpy(gone8[p], part[p] + half, sizeof gone8[p]);
+            voxrti_column_apart(&eight, g->column + half, (const int32_t (*)[8])gone8, ka + half, first + half,
+                                last + half);
+        }
+        *lo = _mm512_loadu_si512((const void *)first);
+        *hi = _mm512_loadu_si512((const void *)last);
+    }
+}
+
+/* voxrti_column_step8 */
+VOXRTI_TARGET_AVX512 VOXRTI_INLINE uint32_t voxrti_column_step16(const voxrti_column_const16 *k,
+                                                                 voxrti_column_lanes16 *g, int any,
+                                                                 voxrt_stats *stats) {
+    const __m512i one = _mm512_set1_epi32(1), zero = _mm512_setzero_si512();
+    const __m512i x = g->x, y = g->y, level = g->level, ka = g->k;
+    const __m512 ox = g->f[VOXRTI_CF_O], oy = g->f[VOXRTI_CF_O + 1], t = g->t, dz = g->f[VOXRTI_CF_D + 2];
+    const __m512i cx = _mm512_srav_epi32(x, level), cy = _mm512_srav_epi32(y, level);
+    const __m512i ex = _mm512_sllv_epi32(_mm512_add_epi32(cx, g->on[0]), level);
+    const __m512i ey = _mm512_sllv_epi32(_mm512_add_epi32(cy, g->on[1]), level);
+    const __m512 tx = _mm512_mul_ps(_mm512_sub_ps(_mm512_cvtepi32_ps(ex), ox), g->f[VOXRTI_CF_INV]);
+    const __m512 ty = _mm512_mul_ps(_mm512_sub_ps(_mm512_cvtepi32_ps(ey), oy), g->f[VOXRTI_CF_INV + 1]);
+    const __m512 te = _mm512_max_ps(_mm512_min_ps(_mm512_min_ps(tx, ty), g->f[VOXRTI_CF_T_MAX]), t);
+    const __m512i kb = _mm512_min_epi32(_mm512_max_epi32(_mm512_cvttps_epi32(_mm512_add_ps(g->f[VOXRTI_CF_O + 2],
+            _mm512_mul_ps(te, dz))), zero), k->last_k);
+    const __mmask16 ground = _mm512_cmpeq_epi32_mask(level, zero), by_x = _mm512_cmp_ps_mask(tx, ty, _CMP_LT_OQ);
+    const uint32_t alive = g->alive;
+    __m512i lo = _mm512_min_epi32(ka, kb), hi = _mm512_max_epi32(ka, kb);
+    uint32_t found, step, hit, end;
+    if (k->planes != 0 && ((uint32_t)ground & alive) != 0) voxrti_column_cut16(k, g, ground, &lo, &hi);
+    found = voxrti_column_any16(k, g->column, lo, hi);
+    step = alive & ~found;
+    hit = alive & found & (uint32_t)ground;
+    {
+        /* along the other axis: which column there */
+#define VOXRTI_OTHER(of_x, of_y) _mm512_mask_blend_ps(by_x, of_x, of_y)
+#define VOXRTI_OTHER_I(of_x, of_y) _mm512_mask_blend_epi32(by_x, of_x, of_y)
+        const __m512i from = VOXRTI_OTHER_I(x, y), on = VOXRTI_OTHER_I(g->on[0], g->on[1]);
+        const __m512i back = VOXRTI_OTHER_I(g->back[0], g->back[1]);
+        const __m512i wide = _mm512_sub_epi32(_mm512_sllv_epi32(one, level), one);
+        const __m512i most = _mm512_add_epi32(_mm512_sllv_epi32(VOXRTI_OTHER_I(cx, cy), level),
+                                              _mm512_andnot_si512(back, wide));
+        const __m512i te_tie = _mm512_mask_add_epi32(_mm512_castps_si512(te), by_x, _mm512_castps_si512(te), one);
+        __m512i at = _mm512_cvttps_epi32(_mm512_add_ps(VOXRTI_OTHER(g->behind[0], g->behind[1]),
+                _mm512_mul_ps(te, VOXRTI_OTHER(g->f[VOXRTI_CF_D], g->f[VOXRTI_CF_D + 1]))));
+        __m512i next_x = _mm512_add_epi32(ex, g->back[0]), next_y = _mm512_add_epi32(ey, g->back[1]), out, crossed;
+        __m512 ahead;
+        __mmask16 over;
+        at = _mm512_max_epi32(at, _mm512_min_epi32(from, most));
+        at = _mm512_min_epi32(at, _mm512_max_epi32(from, most));
+        ahead = _mm512_mul_ps(_mm512_sub_ps(_mm512_cvtepi32_ps(_mm512_add_epi32(at, on)), VOXRTI_OTHER(ox, oy)),
+                              VOXRTI_OTHER(g->f[VOXRTI_CF_INV], g->f[VOXRTI_CF_INV + 1]));
+#undef VOXRTI_OTHER
+#undef VOXRTI_OTHER_I
+        over = _mm512_mask_cmp_ps_mask(_mm512_cmpneq_epi32_mask(at, most), ahead, _mm512_castsi512_ps(te_tie),
+                                       _CMP_LT_OQ);
+        at = _mm512_mask_add_epi32(at, over, at, _mm512_add_epi32(on, back));
+        next_x = _mm512_mask_mov_epi32(at, by_x, next_x);
+        next_y = _mm512_mask_mov_epi32(next_y, by_x, at);
+        out = _mm512_or_si512(_mm512_sra_epi32(next_x, k->log_x), _mm512_sra_epi32(next_y, k->log_y));
+        end = step & ((uint32_t)_mm512_test_epi32_mask(out, out) |
+                      (uint32_t)_mm512_cmp_ps_mask(te, g->f[VOXRTI_CF_T_MAX], _CMP_GE_OQ));
+        crossed = _mm512_srlv_epi32(_mm512_or_si512(_mm512_xor_si512(x, next_x), _mm512_xor_si512(y, next_y)),
+                                    _mm512_permutexvar_epi32(level, k->up));
+        g->level = _mm512_mask_sub_epi32(level, (__mmask16)(alive & found), level, one);
+        g->level = _mm512_mask_add_epi32(g->level, _mm512_mask_cmpgt_epi32_mask((__mmask16)step, crossed, zero), level,
+                                         one);
+        g->x = _mm512_mask_mov_epi32(x, (__mmask16)step, next_x);
+        g->y = _mm512_mask_mov_epi32(y, (__mmask16)step, next_y);
+    }
+    g->t = _mm512_mask_mov_ps(t, (__mmask16)step, te);
+    g->k = _mm512_mask_mov_epi32(ka, (__mmask16)step, kb);
+    g->hit |= hit;
+    if (!any) {
+        g->by_x = (g->by_x & ~step) | ((uint32_t)by_x & step);
+        g->none &= ~step;
+        g->lo = _mm512_mask_mov_epi32(g->lo, (__mmask16)hit, lo);
+        g->hi = _mm512_mask_mov_epi32(g->hi, (__mmask16)hit, hi);
+    }
+    g->alive = alive & ~(hit | end);
+    voxrti_column_aim16(k, g);
+    if (stats != NULL) {
+        stats->steps += voxrti_popcount64(step);
+        stats->descents += voxrti_popcount64(alive & found & ~(uint32_t)ground);
+    }
+    return g->alive;
+}
+
+VOXRTI_TARGET_AVX512 VOXRTI_INLINE void voxrti_column_ended16(voxrti_column_stream *s, voxrti_column_lanes16 *g,
+                                                              uint32_t ended, int any) {
+    int32_t lo[16], hi[16], ka[16], x[16], y[16], on[2][16];
+    float t[16], oz[16], dz[16];
+    if (s->trace->stats != NULL) s->trace->stats->hits += voxrti_popcount64(g->hit & ended);
+    if (any) {
+        for (; ended != 0; ended &= ended - 1) {
+            const uint32_t i = voxrti_ctz64(ended);
+            s->occluded[g->id[i]] = (uint8_t)(g->hit >> i & 1u);
+        }
+        return;
+    }
+    _mm512_storeu_si512((void *)lo, g->lo);
+    _mm512_storeu_si512((void *)hi, g->hi);
+    _mm512_storeu_si512((void *)ka, g->k);
+    _mm512_storeu_si512((void *)x, g->x);
+    _mm512_storeu_si512((void *)y, g->y);
+    _mm512_storeu_si512((void *)on[0], g->on[0]);
+    _mm512_storeu_si512((void *)on[1], g->on[1]);
+    _mm512_storeu_ps(t, g->t);
+    _mm512_storeu_ps(oz, g->f[VOXRTI_CF_O + 2]);
+    _mm512_storeu_ps(dz, g->f[VOXRTI_CF_D + 2]);
+    for (; ended != 0; ended &= ended - 1) {
+        const uint32_t i = voxrti_ctz64(ended), by_x = g->by_x >> i & 1u;
+        const uint32_t face = (g->none >> i & 1u) != 0 ? 6 : (by_x ? 1u : 3u) - (uint32_t)on[!by_x][i];
+        if ((g->hit >> i & 1u) == 0) voxrti_column_miss(s->hits, s->occluded, g->id[i]);
+        else voxrti_column_close(s, g->id[i], x[i], y[i], lo[i], hi[i], ka[i], face, t[i], oz[i], dz[i], g->t_in[i],
+                                 g->per_t[i]);
+    }
+}
+
+VOXRTI_TARGET_AVX512 VOXRTI_INLINE void voxrti_column_fill16(voxrti_column_stream *s, const voxrti_column_const16 *k,
+                                                             voxrti_column_lanes16 *g, uint32_t empty, int any) {
+    voxrti_column_ready *r = &s->ready;
+    const __m512 behind = _mm512_set1_ps(0.00390625f);
+    uint32_t f, a, m, next = r->next, many;
+    __mmask16 mask, load;
+    while (voxrti_popcount64(empty) > r->count - next) empty &= ~(1u << (31u - voxrti_clz32(empty)));
+    if (empty == 0) return;
+    many = (uint32_t)voxrti_popcount64(empty);
+    mask = (__mmask16)empty;
+    load = (__mmask16)(0xffffu >> (16 - many));
+    for (f = 0; f < r->fields; f++)
+        g->f[f] = _mm512_mask_expand_ps(g->f[f], mask, _mm512_maskz_loadu_ps(load, &r->f[f][next]));
+    for (m = empty; m != 0; m &= m - 1, next++) {
+        const uint32_t i = voxrti_ctz64(m);
+        g->id[i] = r->id[next];
+        if (any) continue;
+        g->t_in[i] = r->t_in[next];
+        g->per_t[i] = r->per_t[next];
+    }
+    r->next = next;
+    g->held |= empty;
+    for (a = 0; a < 2; a++) {
+        const __m512 d = g->f[VOXRTI_CF_D + a];
+        g->back[a] = _mm512_srai_epi32(_mm512_castps_si512(d), 31);
+        g->on[a] = _mm512_add_epi32(g->back[a], _mm512_set1_epi32(1));
+        g->behind[a] = _mm512_sub_ps(g->f[VOXRTI_CF_O + a],
+                                     _mm512_or_ps(_mm512_and_ps(d, _mm512_set1_ps(-0.0f)), behind));
+    }
+    g->x = _mm512_mask_cvttps_epi32(g->x, mask, g->f[VOXRTI_CF_O]);
+    g->y = _mm512_mask_cvttps_epi32(g->y, mask, g->f[VOXRTI_CF_O + 1]);
+    g->k = _mm512_mask_cvttps_epi32(g->k, mask, g->f[VOXRTI_CF_O + 2]);
+    g->level = _mm512_mask_mov_epi32(g->level, mask, k->level);
+    g->t = _mm512_mask_mov_ps(g->t, mask, _mm512_setzero_ps());
+    g->none |= empty;
+    g->hit &= ~empty;
+    g->alive |= empty;
+    voxrti_column_aim16(k, g);
+}
+
+#define VOXRTI_COLUMN_GROUPS16 2 /* three or four are no faster */
+#define VOXRTI_COLUMN_IDLE16 4
+
+VOXRTI_TARGET_AVX512 VOXRTI_INLINE void voxrti_column_stream16(const voxrti_column_trace *t, const voxrt_ray *rays,
+                                                               uint32_t count, voxrt_column_hit *hits,
+                                                               uint8_t *occluded, int any_hit) {
+    voxrti_column_stream s;
+    voxrti_column_const16 k;
+    voxrti_column_lanes16 g[VOXRTI_COLUMN_GROUPS16];
+    uint32_t i, groups = count / 32, live[VOXRTI_COLUMN_GROUPS16], any, idle;
+    groups = groups < 1 ? 1 : groups > VOXRTI_COLUMN_GROUPS16 ? VOXRTI_COLUMN_GROUPS16 : groups;
+    voxrti_column_stream_open(&s, t, rays, count, hits, occluded);
+    voxrti_column_const16_open(t, &k);
+    memset(g, 0, groups * sizeof g[0]);
+    memset(live, 0, sizeof live);
+    for (;;) {
+        any = 0;
+        for (i = 0; i < groups; i++) {
+            const uint32_t ended = g[i].held & ~live[i];
+            any |= live[i];
+            if (live[i] != 0 && voxrti_popcount64(live[i]) > 16 - VOXRTI_COLUMN_IDLE16) continue;
+            if (s.ready.count - s.ready.next < 16 && s.done < s.count) voxrti_column_more(&s);
+            if (live[i] != 0 && s.ready.count == s.ready.next) continue;
+            if (ended != 0) voxrti_column_ended16(&s, &g[i], ended, any_hit);
+            g[i].held &= ~ended;
+            voxrti_column_fill16(&s, &k, &g[i], ~g[i].held & 0xffffu, any_hit);
+            live[i] = g[i].held;
+            any |= live[i];
+        }
+        if (any == 0) break;
+        do {
+            idle = any = 0;
+            for (i = 0; i < groups; i++) {
+                if (live[i] != 0) live[i] = voxrti_column_step16(&k, &g[i], any_hit, t->stats);
+                idle |= (uint32_t)(voxrti_popcount64(live[i]) <= 16 - VOXRTI_COLUMN_IDLE16);
+                any |= live[i];
+            }
+        } while (s.done == s.count && s.ready.next == s.ready.count ? any != 0 : !idle);
+    }
+}
+VOXRTI_TARGET_AVX512 static VOXRTI_NOINLINE void voxrti_column_hits_avx512(const voxrti_column_trace *t,
+                                                                           const voxrt_ray *rays, uint32_t count,
+                                                                           voxrt_column_hit *hits) {
+    voxrti_column_stream16(t, rays, count, hits, NULL, 0);
+}
+VOXRTI_TARGET_AVX512 static VOXRTI_NOINLINE void voxrti_column_any_avx512(const voxrti_column_trace *t,
+                                                                          const voxrt_ray *rays, uint32_t count,
+                                                                          uint8_t *occluded) {
+    voxrti_column_stream16(t, rays, count, NULL, occluded, 1);
 }
 #endif
 #endif
@@ -18036,7 +18386,8 @@ static voxrt_result voxrti_column_trace_open(const voxrt_columns *c, const voxrt
     memset(t, 0, sizeof *t);
     t->isa = (int)voxrt_isa_best();
 #if VOXRTI_AVX2 && defined(__GNUC__)
-    if (t->isa == VOXRT_ISA_AVX2 && __builtin_cpu_supports("avx512vl")) t->isa = VOXRT_ISA_AVX512;
+    if (t->isa == VOXRT_ISA_AVX2 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") &&
+        __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq")) t->isa = VOXRT_ISA_AVX512;
 #endif
     if (desc != NULL && desc->isa != VOXRT_ISA_AUTO && (int)desc->isa < t->isa) t->isa = (int)desc->isa;
     t->columns = c;

@@ -969,6 +969,18 @@ TEST(rays_in_all_ways_the_same) { /* instruction sets, start levels, any hit, gr
                     wrong += dark[i] != (a[i].t < INFINITY);
                 }
             }
+        for (isa = VOXRT_ISA_AVX2; isa <= VOXRT_ISA_AVX512; isa++) { /* few at a time: 1 to 70 of them */
+            uint32_t n = 1;
+            d.isa = (voxrt_isa)isa;
+            d.stats = NULL;
+            for (i = 0; i + n <= N / 2; i += n, n = n % 70 + 1) {
+                d.normals = k > 0 ? normal[i] : NULL;
+                d.end_normals = k > 1 ? end[i] : NULL;
+                CHECK(voxrt_columns_trace(c, &d, ray + i, b, n) == VOXRT_OK && voxrt_columns_occluded(c, &d, ray + i, dark, n) == VOXRT_OK);
+                wrong += memcmp(&a[i], b, n * sizeof a[0]) != 0;
+                for (level = 0; level < n; level++) wrong += dark[level] != (a[i + level].t < INFINITY);
+            }
+        }
     }
     CHECK_MSG(wrong == 0, "%u differ", wrong);
     voxrt_columns_destroy(c);
