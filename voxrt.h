@@ -18028,7 +18028,11 @@ VOXRTI_TARGET_AVX2 static VOXRTI_NOINLINE void voxrti_column_any_avx2(const voxr
    at once, as many as there is room for instructions: twice the lanes are no more instructions. */
 
 #if defined(__GNUC__)
-#  define VOXRTI_COLUMN_AVX512 1
+#  if !defined(__clang__) /* g++ finds a variable in the intrinsics that is set to itself */
+#    pragma GCC diagnostic push
+#    pragma GCC diagnostic ignored "-Wuninitialized"
+#    pragma GCC diagnostic ignored "-Wmaybe-uninitialized"
+#  endif
 /* nothing is contracted here, either: same bits */
 #  define VOXRTI_TARGET_AVX512 \
        __attribute__((target("avx2,avx512f,avx512vl,avx512bw,avx512dq,bmi,bmi2,lzcnt,popcnt")))
@@ -18376,6 +18380,9 @@ VOXRTI_TARGET_AVX512 static VOXRTI_NOINLINE void voxrti_column_any_avx512(const 
                                                                           uint8_t *occluded) {
     voxrti_column_stream16(t, rays, count, NULL, occluded, 1);
 }
+#  if !defined(__clang__)
+#    pragma GCC diagnostic pop
+#  endif
 #endif
 #endif
 
