@@ -1360,8 +1360,9 @@ TETCAST_DEF tetcast_result tetcast_unpack(const uint8_t *data, size_t size, uint
 
 /* A field as a sum: f(x) = base(x) + sum over i of weight_i * phi(d_i), where d_i is the distance of x from centre_i
    and base a coarse grid of nodes with trilinear interpolation between them, or one constant. Distances are measured in
-   kernel space: world coordinates divided axis by axis by a metric. There are up to four components, each with a weight
-   of its own; they share centres and widths. Defined everywhere, meant for its box.
+   kernel space: world coordinates divided axis by axis by a metric. Functions are round there, or ellipsoids: stretched
+   along an axis of their own, d_i^2 = |v|^2 + (1 / stretch^2 - 1) (axis . v)^2. There are up to four components, each
+   with a weight of its own; they share centres, widths and shapes. Defined everywhere, meant for its box.
    GAUSS          (exp(-d^2 / 2 w^2) - e) / (1 - e) up to the radius cut * w, where it is 0: no jump there; e is what
                   the Gaussian is there. The default, and what the encoder fits
    GAUSS_CUT      the thesis' truncated Gaussian: exp(-d^2 / 2 w^2) where |weight| times that is above epsilon, else 0
@@ -1386,6 +1387,8 @@ typedef struct tetcast_rbf_function {
     double centre[3];   /* world */
     double width;       /* in kernel space, > 0 */
     float weight[TETCAST_RBF_MAX_COMPONENTS];
+    double axis[3];     /* kernel space, any length */
+    double stretch;     /* along the axis the width is so many times that; 0, 1: round; 1/64 .. 64 */
 } tetcast_rbf_function;
 
 /* field           zero means
@@ -1419,6 +1422,7 @@ typedef struct tetcast_rbf tetcast_rbf;
 
 typedef struct tetcast_rbf_info {
     uint32_t components, function_count;
+    uint32_t ellipsoids;       /* functions that are not round */
     uint32_t base_dims[3];
     tetcast_kernel kernel;
     float cut, epsilon;
@@ -1531,6 +1535,8 @@ typedef enum tetcast_rbf_method {
    between        errors are kept at the points. 1: in the middles of the cells of a grid, of tets as well, where the
                   value is the mean of the corners: two points instead of one (tetrahedra: six), and as much time more.
                   For data with jumps, where functions otherwise ripple between the points
+   round          off. 1: no ellipsoids. Those are plates 0.4 times as thick as wide, across one of 13 directions. There
+                  are none with `between`, where they gain nothing
    sweeps         3 rounds in which functions are fitted again, one after the other, and dropped where they are not
                   needed; 0xffffffff: none
    max_functions  2^26
@@ -1546,6 +1552,7 @@ typedef struct tetcast_rbf_fit_desc {
     double metric[3];
     uint32_t base_dims[3];
     uint32_t between;
+    uint32_t round;
     uint32_t sweeps;
     uint32_t max_functions;
     uint32_t compare;
@@ -1559,7 +1566,7 @@ typedef struct tetcast_rbf_report {
     uint64_t rejected;           /* not finite */
     uint64_t duplicates;         /* at the place of another one: their mean was fitted */
     double range;                /* of the values: what errors are shares of */
-    uint32_t functions, base_dims[3];
+    uint32_t functions, ellipsoids, base_dims[3];
     uint32_t rounds, inserted, dropped;
     double max_error, mean_error, rms_error, p999_error; /* at the points */
     uint64_t between_count;      /* random places in cells (of the grid, in tets) */
@@ -18406,6 +18413,8 @@ TETCAST_DEF tetcast_result tetcast_unpack(const uint8_t *data, size_t size, uint
 #define TETCASTI_RBF_DEPTH 10u      /* of the octree */
 #define TETCASTI_RBF_LEAF 16u       /* functions in a leaf that is not split */
 #define TETCASTI_RBF_MAGIC 12582912.0f /* 1.5 * 2^23: adding it rounds to an integer */
+#define TETCASTI_RBF_PLATE 0.4f     /* stretch of fitted ellipsoids */
+#define TETCASTI_RBF_SHAPE_BITS 4u  /* of the number of their direction */
 
 /* One function as it is evaluated. With s = 1 + a d^2 (compact kernels) or g = 2^(a d^2) (Gaussians):
    GAUSS max(g - e, 0), GAUSS_CUT g where g > e, POWER max(s, 0)^8. w holds the weights times what the kernel is divided
@@ -18414,6 +18423,7 @@ typedef struct tetcasti_rbf_record {
     float c[3], a, e, radius;
     float w[TETCAST_RBF_MAX_COMPONENTS];
     float most, reach2;             /* largest |w|; Gaussians: squared distance from which on there is nothing */
+    float m[3], k;                  /* d^2 = |x|^2 + k (m . x)^2; round: k is 0 */
 } tetcasti_rbf_record;
 
 typedef struct tetcasti_rbf_node {
@@ -18442,6 +18452,8 @@ struct tetcast_rbf {
     float (*centre)[3];             /* [count]: what is stored; Morton order */
     float *width;
     float *weight;                  /* [count][components] */
+    float (*axis)[4];               /* [count]: unit axis and stretch; NULL: all are round */
+    uint32_t ellipsoids;
     tetcasti_rbf_record *record;    /* [count] */
     tetcasti_rbf_node *tree;        /* [0] is the root: the cube [0, 1]^3 */
     uint32_t *index;
@@ -18529,7 +18541,17 @@ TETCASTI_INLINE float tetcasti_rbf_phi(const tetcast_kernel kernel, const tetcas
     }
 }
 
-/* Kernel, centre, width, weights -> record. */
+/* Squared distance of a function. */
+TETCASTI_INLINE float tetcasti_rbf_d2(const tetcasti_rbf_record *f, float dx, float dy, float dz) {
+    const float s = (f->m[0] * dx + f->m[1] * dy) + f->m[2] * dz;
+    return ((dx * dx + dy * dy) + dz * dz) + f->k * (s * s);
+}
+static void tetcasti_rbf_shape(const float axis[4], tetcasti_rbf_record *f) {
+    memcpy(f->m, axis, sizeof f->m);
+    f->k = 1.0f / (axis[3] * axis[3]) - 1.0f;
+}
+
+/* Kernel, centre, width, weights, shape -> record. */
 static void tetcasti_rbf_prepare(const tetcast_rbf *m, uint32_t i, tetcasti_rbf_record *f) {
     const double w = (double)m->width[i], k = 0.72134752044448170368 / (w * w); /* log2(e) / 2 */
     double divide = 1.0;
@@ -18566,6 +18588,10 @@ static void tetcasti_rbf_prepare(const tetcast_rbf *m, uint32_t i, tetcasti_rbf_
         f->reach2 = f->radius * f->radius;
         if (f->reach2 * f->a < -118.0f) f->reach2 = -118.0f / f->a; /* 2^-118 of the height */
         if (m->kernel == TETCAST_KERNEL_GAUSS) f->e = tetcasti_gauss_fused(f->a, f->reach2);
+    }
+    if (m->axis != NULL) {
+        tetcasti_rbf_shape(m->axis[i], f);
+        if (m->axis[i][3] > 1.0f) f->radius *= m->axis[i][3];
     }
     f->radius *= 1.00001f; /* lists are made by it: rounding shall leave nobody out */
 }
@@ -18660,13 +18686,15 @@ static void tetcasti_rbf_node_scale(tetcast_rbf *m) {
         m->node_scale[a] = m->dims[a] > 1 && m->size[a] > 0.0f ? (float)(m->dims[a] - 1) / m->size[a] : 0.0f;
 }
 
-static int tetcasti_rbf_alloc(tetcast_rbf *m) { /* what count, dims and components say; 0: no memory */
+static int tetcasti_rbf_alloc(tetcast_rbf *m) { /* what count, dims, components, ellipsoids say; 0: no memory */
     size_t nodes = (size_t)m->dims[0] * m->dims[1] * m->dims[2];
     m->centre = (float (*)[3])tetcasti_alloc_zero(&m->mem, m->count + 1u, sizeof *m->centre);
     m->width = (float *)tetcasti_alloc_zero(&m->mem, m->count + 1u, sizeof *m->width);
     m->weight = (float *)tetcasti_alloc_zero(&m->mem, ((size_t)m->count + 1u) * m->components, sizeof *m->weight);
     if (nodes != 0) m->node = (float *)tetcasti_alloc_zero(&m->mem, nodes * m->components, sizeof *m->node);
-    return m->centre != NULL && m->width != NULL && m->weight != NULL && (nodes == 0 || m->node != NULL);
+    if (m->ellipsoids != 0) m->axis = (float (*)[4])tetcasti_alloc_zero(&m->mem, m->count + 1u, sizeof *m->axis);
+    return m->centre != NULL && m->width != NULL && m->weight != NULL && (nodes == 0 || m->node != NULL) &&
+           (m->ellipsoids == 0 || m->axis != NULL);
 }
 
 TETCAST_DEF void tetcast_rbf_destroy(tetcast_rbf *rbf) {
@@ -18676,6 +18704,7 @@ TETCAST_DEF void tetcast_rbf_destroy(tetcast_rbf *rbf) {
     tetcasti_free(&mem, rbf->centre);
     tetcasti_free(&mem, rbf->width);
     tetcasti_free(&mem, rbf->weight);
+    tetcasti_free(&mem, rbf->axis);
     tetcasti_free(&mem, rbf->node);
     tetcasti_free(&mem, rbf->record);
     tetcasti_free(&mem, rbf->tree);
@@ -18827,7 +18856,10 @@ static int tetcasti_rbf_order(tetcast_rbf *m) {
     float (*centre)[3] = (float (*)[3])tetcasti_alloc_array(&m->mem, m->count + 1u, sizeof *centre);
     float *width = (float *)tetcasti_alloc_array(&m->mem, m->count + 1u, sizeof *width);
     float *weight = (float *)tetcasti_alloc_array(&m->mem, ((size_t)m->count + 1u) * m->components, sizeof *weight);
-    const int ok = key != NULL && centre != NULL && width != NULL && weight != NULL;
+    float (*axis)[4] = m->axis == NULL ? NULL : (float (*)[4])tetcasti_alloc_array(&m->mem, m->count + 1u,
+                                                                                   sizeof *axis);
+    const int ok = key != NULL && centre != NULL && width != NULL && weight != NULL &&
+                   (m->axis == NULL || axis != NULL);
     uint32_t i, a;
     for (i = 0; ok && i < m->count; i++) {
         uint32_t p[3];
@@ -18843,17 +18875,20 @@ static int tetcasti_rbf_order(tetcast_rbf *m) {
         for (i = 0; i < m->count; i++) {
             memcpy(centre[i], m->centre[key[i].i], sizeof *centre);
             width[i] = m->width[key[i].i];
+            if (axis != NULL) memcpy(axis[i], m->axis[key[i].i], sizeof *axis);
             memcpy(weight + (size_t)i * m->components, m->weight + (size_t)key[i].i * m->components,
                    m->components * sizeof *weight);
         }
         memcpy(m->centre, centre, m->count * sizeof *centre);
         memcpy(m->width, width, m->count * sizeof *width);
+        if (axis != NULL) memcpy(m->axis, axis, m->count * sizeof *axis);
         memcpy(m->weight, weight, (size_t)m->count * m->components * sizeof *weight);
     }
     tetcasti_free(&m->mem, key);
     tetcasti_free(&m->mem, centre);
     tetcasti_free(&m->mem, width);
     tetcasti_free(&m->mem, weight);
+    tetcasti_free(&m->mem, axis);
     return ok;
 }
 
@@ -18883,7 +18918,27 @@ static int tetcasti_rbf_function_ok(const tetcast_rbf *m, uint32_t i) {
     for (a = 0; a < 3; a++) ok = ok && tetcasti_absf(m->centre[i][a]) <= 1e6f;
     for (a = 0; a < m->components; a++)
         ok = ok && tetcasti_absf(m->weight[(size_t)i * m->components + a]) < TETCASTI_VALUE_END;
+    if (m->axis != NULL) {
+        const float *x = m->axis[i], l = (x[0] * x[0] + x[1] * x[1]) + x[2] * x[2];
+        ok = ok && l > 0.9999f && l < 1.0001f && x[3] >= 1.0f / 64.0f && x[3] <= 64.0f;
+    }
     return ok;
+}
+
+/* Shape of a function of the caller; the axis of round ones is along x. 0: there is no such shape. */
+static int tetcasti_rbf_take_shape(const tetcast_rbf_function *f, float axis[4]) {
+    double l = 0.0, most = 0.0;
+    uint32_t a;
+    axis[0] = axis[3] = 1.0f;
+    axis[1] = axis[2] = 0.0f;
+    if (f->stretch == 0.0 || f->stretch == 1.0) return 1;
+    for (a = 0; a < 3; a++) most = tetcasti_max(most, tetcasti_abs(f->axis[a]));
+    if (!(most > 0.0) || !tetcasti_finite(f->axis[0] + f->axis[1] + f->axis[2]) ||
+        !(f->stretch >= 1.0 / 64.0 && f->stretch <= 64.0)) return 0;
+    for (a = 0; a < 3; a++) l += f->axis[a] / most * (f->axis[a] / most);
+    for (a = 0; a < 3; a++) axis[a] = (float)(f->axis[a] / most / sqrt(l));
+    axis[3] = (float)f->stretch;
+    return 1;
 }
 
 TETCAST_DEF tetcast_result tetcast_rbf_create(const tetcast_rbf_desc *desc, tetcast_rbf **out) {
@@ -18920,15 +18975,19 @@ TETCAST_DEF tetcast_result tetcast_rbf_create(const tetcast_rbf_desc *desc, tetc
         tetcast_rbf_destroy(m);
         return tetcasti_fail(desc->env.error, TETCAST_ERR_INVALID_ARG, 0, "functions: the box or the metric is none");
     }
+    for (i = 0; i < m->count; i++)
+        m->ellipsoids += desc->functions[i].stretch != 0.0 && desc->functions[i].stretch != 1.0;
     if (!tetcasti_rbf_alloc(m)) r = TETCAST_ERR_NO_MEMORY;
     for (i = 0; r == TETCAST_OK && i < m->count; i++) {
         const tetcast_rbf_function *f = &desc->functions[i];
+        int shape = 1;
         tetcasti_rbf_local(m, f->centre, m->centre[i]);
         m->width[i] = (float)(f->width / m->unit);
         memcpy(m->weight + i * m->components, f->weight, m->components * sizeof *m->weight);
         for (a = 0; a < m->components; a++)
             if (tetcasti_absf(f->weight[a]) > most) most = tetcasti_absf(f->weight[a]);
-        if (!tetcasti_rbf_function_ok(m, (uint32_t)i))
+        if (m->axis != NULL) shape = tetcasti_rbf_take_shape(f, m->axis[i]);
+        if (!shape || !tetcasti_rbf_function_ok(m, (uint32_t)i))
             r = tetcasti_fail(desc->env.error, TETCAST_ERR_INVALID_ARG, i, "functions: number % is out of range");
     }
     nodes = (size_t)m->dims[0] * m->dims[1] * m->dims[2] * m->components;
@@ -18957,6 +19016,11 @@ TETCAST_DEF int tetcast_rbf_get_function(const tetcast_rbf *rbf, uint32_t index,
     for (a = 0; a < 3; a++) out->centre[a] = rbf->box_min[a] + (double)rbf->centre[index][a] * rbf->scale[a];
     out->width = (double)rbf->width[index] * rbf->unit;
     memcpy(out->weight, rbf->weight + (size_t)index * rbf->components, rbf->components * sizeof *out->weight);
+    out->stretch = 1.0;
+    if (rbf->axis != NULL) {
+        for (a = 0; a < 3; a++) out->axis[a] = (double)rbf->axis[index][a];
+        out->stretch = (double)rbf->axis[index][3];
+    }
     return 1;
 }
 
@@ -18970,10 +19034,33 @@ static const uint8_t tetcasti_rbf_magic[8] = {0x89, 0x52, 0x42, 0x46, 0x0d, 0x0a
 static void tetcasti_rbf_sizes(const tetcast_rbf *m, uint64_t *nodes, uint64_t *functions) {
     const tetcasti_rbf_bits *b = &m->bits;
     const uint64_t n = (uint64_t)m->dims[0] * m->dims[1] * m->dims[2] * m->components;
-    const uint32_t each = b->position[0] == 0 ? 32u * (4u + m->components)
-        : b->position[0] + b->position[1] + b->position[2] + b->width + b->weight * m->components;
-    *nodes = (n * (b->position[0] == 0 ? 32u : b->node) + 7u) / 8u;
-    *functions = ((uint64_t)m->count * each + 7u) / 8u;
+    const uint32_t raw = b->position[0] == 0, shaped = m->ellipsoids != 0;
+    const uint32_t each = raw ? 32u * (4u + m->components + 4u * shaped)
+        : b->position[0] + b->position[1] + b->position[2] + b->width + b->weight * m->components + shaped;
+    *nodes = (n * (raw ? 32u : b->node) + 7u) / 8u;
+    *functions = (uint64_t)m->count * each + (raw ? 0u : (uint64_t)m->ellipsoids * TETCASTI_RBF_SHAPE_BITS);
+    *functions = (*functions + 7u) / 8u;
+}
+
+/* The 13 directions of fitted plates: from the middle of 3^3 places to one of each two that are opposite. */
+static void tetcasti_rbf_plate(uint32_t code, float axis[4]) {
+    uint32_t d = code + 14, a;
+    float l = 0.0f;
+    for (a = 0; a < 3; a++, d /= 3) {
+        axis[a] = (float)(d % 3) - 1.0f;
+        l += axis[a] * axis[a];
+    }
+    for (a = 0; a < 3; a++) axis[a] = axis[a] / sqrtf(l);
+    axis[3] = TETCASTI_RBF_PLATE;
+}
+static uint32_t tetcasti_rbf_plate_code(const float axis[4]) { /* of one of them */
+    uint32_t c;
+    float plate[4];
+    for (c = 0; c < 12; c++) {
+        tetcasti_rbf_plate(c, plate);
+        if (plate[0] == axis[0] && plate[1] == axis[1] && plate[2] == axis[2]) break;
+    }
+    return c;
 }
 
 typedef struct tetcasti_bits { uint8_t *p; const uint8_t *from; uint64_t at; } tetcasti_bits; /* lowest bits first */
@@ -19054,6 +19141,7 @@ static void tetcasti_rbf_write_header(const tetcast_rbf *m, uint8_t *p, uint64_t
         tetcasti_store_f64(p + 136 + 8 * a, m->box_max[a]);
         tetcasti_store_f64(p + 160 + 8 * a, m->metric[a]);
     }
+    tetcasti_store_u32(p + 184, m->ellipsoids);
     for (a = 0; a < TETCAST_RBF_MAX_COMPONENTS; a++)
         tetcasti_store_u32(p + 96 + 4 * a, tetcasti_float_bits(m->offset[a]));
 }
@@ -19099,6 +19187,13 @@ TETCAST_DEF tetcast_result tetcast_rbf_save_memory(const tetcast_rbf *rbf, void 
             else tetcasti_bits_put(&b, m->bits.weight, (uint32_t)tetcasti_rbf_code(
                 (double)w, (double)m->bits.weight_step, m->bits.weight));
         }
+        if (m->axis == NULL) continue;
+        if (m->bits.position[0] == 0) {
+            for (a = 0; a < 4; a++) tetcasti_bits_put(&b, 32, tetcasti_float_bits(m->axis[i][a]));
+            continue;
+        }
+        tetcasti_bits_put(&b, 1, m->axis[i][3] != 1.0f);
+        if (m->axis[i][3] != 1.0f) tetcasti_bits_put(&b, TETCASTI_RBF_SHAPE_BITS, tetcasti_rbf_plate_code(m->axis[i]));
     }
     tetcasti_store_u64(p + 24, tetcasti_rbf_checksum(p, (size_t)size));
     return TETCAST_OK;
@@ -19126,6 +19221,7 @@ static tetcast_result tetcasti_rbf_read_header(const uint8_t *p, size_t size, te
     m->kernel = (tetcast_kernel)p[14];
     m->components = p[15];
     m->count = tetcasti_load_u32(p + 32);
+    m->ellipsoids = tetcasti_load_u32(p + 184);
     *at = 14;
     if (p[14] >= TETCAST_KERNEL_COUNT || m->components < 1 || m->components > TETCAST_RBF_MAX_COMPONENTS)
         return TETCAST_ERR_FORMAT;
@@ -19156,6 +19252,8 @@ static tetcast_result tetcasti_rbf_read_header(const uint8_t *p, size_t size, te
     }
     *at = 32;
     if (m->count > TETCAST_RBF_MAX_FUNCTIONS || !tetcasti_rbf_dims_ok(m->dims)) return TETCAST_ERR_FORMAT;
+    *at = 184;
+    if (m->ellipsoids > m->count) return TETCAST_ERR_FORMAT;
     *at = 48;
     if (!(m->cut >= 1.0f && m->cut <= 8.0f) || !(m->epsilon >= 0.0f && m->epsilon < 1e30f)) return TETCAST_ERR_FORMAT;
     for (a = 5; a < 9; a++) if (!tetcasti_finite_f(f[a])) return TETCAST_ERR_FORMAT;
@@ -19173,7 +19271,7 @@ static tetcast_result tetcasti_rbf_read_header(const uint8_t *p, size_t size, te
             return TETCAST_ERR_FORMAT;
     }
     for (a = 62; a < 64; a++) if (p[a] != 0) return TETCAST_ERR_FORMAT;
-    for (a = 184; a < TETCASTI_RBF_HEADER; a++) if (p[a] != 0) return TETCAST_ERR_FORMAT;
+    for (a = 188; a < TETCASTI_RBF_HEADER; a++) if (p[a] != 0) return TETCAST_ERR_FORMAT;
     *at = 112;
     if (!tetcasti_rbf_place(m)) return TETCAST_ERR_FORMAT;
     tetcasti_rbf_sizes(m, &nodes, &functions);
@@ -19181,12 +19279,31 @@ static tetcast_result tetcasti_rbf_read_header(const uint8_t *p, size_t size, te
     return TETCASTI_RBF_HEADER + nodes + functions == size ? TETCAST_OK : TETCAST_ERR_FORMAT;
 }
 
+/* left: ellipsoids that are still to come. 0: there is no such shape, or one too many. */
+static int tetcasti_rbf_read_shape(tetcasti_bits *b, uint32_t raw, float axis[4], uint32_t *left) {
+    uint32_t a;
+    if (raw) for (a = 0; a < 4; a++) axis[a] = tetcasti_bits_float(tetcasti_bits_get(b, 32));
+    else if (tetcasti_bits_get(b, 1) == 0) {
+        axis[0] = axis[3] = 1.0f;
+        axis[1] = axis[2] = 0.0f;
+    } else {
+        if (*left == 0) return 0;
+        a = tetcasti_bits_get(b, TETCASTI_RBF_SHAPE_BITS);
+        if (a > 12) return 0;
+        tetcasti_rbf_plate(a, axis);
+    }
+    if (axis[3] == 1.0f) return 1;
+    if (*left == 0) return 0;
+    --*left;
+    return 1;
+}
+
 static tetcast_result tetcasti_rbf_read(const uint8_t *p, size_t size, tetcast_rbf *m, uint64_t *at) {
     tetcast_result r = tetcasti_rbf_read_header(p, size, m, at);
     uint64_t nodes, functions;
     tetcasti_bits b;
     size_t i, count;
-    uint32_t a, raw;
+    uint32_t a, raw, left = m->ellipsoids;
     if (r != TETCAST_OK) return r;
     *at = 0;
     if (!tetcasti_rbf_alloc(m)) return TETCAST_ERR_NO_MEMORY;
@@ -19217,8 +19334,12 @@ static tetcast_result tetcasti_rbf_read(const uint8_t *p, size_t size, tetcast_r
                 (float)((double)tetcasti_bits_signed(&b, m->bits.weight) * (double)m->bits.weight_step);
         }
         *at = TETCASTI_RBF_HEADER + nodes + (b.at >> 3);
+        if (m->axis != NULL) {
+            if (!tetcasti_rbf_read_shape(&b, raw, m->axis[i], &left)) return TETCAST_ERR_FORMAT;
+        }
         if (!tetcasti_rbf_function_ok(m, (uint32_t)i)) return TETCAST_ERR_FORMAT;
     }
+    if (left != 0) return TETCAST_ERR_FORMAT;
     *at = 0;
     return tetcasti_rbf_finish(m);
 }
@@ -19347,17 +19468,19 @@ TETCASTI_INLINE float tetcasti_rbf_phi_fused(const tetcast_kernel kernel, const 
     return tetcasti_rbf_phi(kernel, f, d2, slope);
 }
 
-#define TETCASTI_RBF_ONE(kernel, want) do { \
+#define TETCASTI_RBF_ONE(kernel, want, shaped) do { \
     float sl, phi; \
     const float dx = v->p[0][l] - f->c[0], dy = v->p[1][l] - f->c[1], dz = v->p[2][l] - f->c[2]; \
-    const float d2 = fmaf(dz, dz, fmaf(dy, dy, dx * dx)); \
+    const float along = (shaped) ? fmaf(f->m[2], dz, fmaf(f->m[1], dy, f->m[0] * dx)) : 0.0f, ka = f->k * along; \
+    float d2 = fmaf(dz, dz, fmaf(dy, dy, dx * dx)); \
+    if (shaped) d2 = fmaf(ka, along, d2); \
     phi = tetcasti_rbf_phi_fused(kernel, f, d2, (want) ? &sl : NULL); \
     for (c = 0; c < n; c++) v->sum[c][l] = fmaf(f->w[c], phi, v->sum[c][l]); \
     if (want) for (c = 0; c < n; c++) { \
         const float s = f->w[c] * sl; \
-        v->slope[c][0][l] = fmaf(s, dx, v->slope[c][0][l]); \
-        v->slope[c][1][l] = fmaf(s, dy, v->slope[c][1][l]); \
-        v->slope[c][2][l] = fmaf(s, dz, v->slope[c][2][l]); \
+        v->slope[c][0][l] = fmaf(s, (shaped) ? fmaf(ka, f->m[0], dx) : dx, v->slope[c][0][l]); \
+        v->slope[c][1][l] = fmaf(s, (shaped) ? fmaf(ka, f->m[1], dy) : dy, v->slope[c][1][l]); \
+        v->slope[c][2][l] = fmaf(s, (shaped) ? fmaf(ka, f->m[2], dz) : dz, v->slope[c][2][l]); \
     } } while (0)
 
 TETCASTI_INLINE void tetcasti_rbf_add_kind(const tetcast_kernel kernel, const tetcast_rbf *m, const uint32_t *list,
@@ -19366,8 +19489,9 @@ TETCASTI_INLINE void tetcasti_rbf_add_kind(const tetcast_kernel kernel, const te
     uint32_t i, l, c;
     for (i = 0; i < count; i++) {
         const tetcasti_rbf_record *f = &m->record[list != NULL ? list[i] : i];
-        if (want) for (l = 0; l < 8; l++) TETCASTI_RBF_ONE(kernel, 1);
-        else for (l = 0; l < 8; l++) TETCASTI_RBF_ONE(kernel, 0);
+        if (m->axis != NULL) for (l = 0; l < 8; l++) TETCASTI_RBF_ONE(kernel, want, 1);
+        else if (want) for (l = 0; l < 8; l++) TETCASTI_RBF_ONE(kernel, 1, 0);
+        else for (l = 0; l < 8; l++) TETCASTI_RBF_ONE(kernel, 0, 0);
     }
 }
 #define TETCASTI_RBF_ADD(name, target) \
@@ -19471,7 +19595,8 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE __m256 tetcasti_rbf_phi_fused8(const tetcas
 }
 
 TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_rbf_add8_kind(const tetcast_kernel kernel, const uint32_t n,
-        const int want, const tetcast_rbf *m, const uint32_t *list, uint32_t count, tetcasti_rbf_packet *v) {
+        const int want, const int shaped, const tetcast_rbf *m, const uint32_t *list, uint32_t count,
+        tetcasti_rbf_packet *v) {
     const __m256 px = _mm256_loadu_ps(v->p[0]), py = _mm256_loadu_ps(v->p[1]), pz = _mm256_loadu_ps(v->p[2]);
     __m256 sum[TETCAST_RBF_MAX_COMPONENTS], slope[TETCAST_RBF_MAX_COMPONENTS][3];
     uint32_t i, c, a;
@@ -19483,15 +19608,26 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_rbf_add8_kind(const tetcast_k
         const tetcasti_rbf_record *f = &m->record[list != NULL ? list[i] : i];
         const __m256 dx = _mm256_sub_ps(px, _mm256_set1_ps(f->c[0])), dy = _mm256_sub_ps(py, _mm256_set1_ps(f->c[1]));
         const __m256 dz = _mm256_sub_ps(pz, _mm256_set1_ps(f->c[2]));
-        const __m256 d2 = _mm256_fmadd_ps(dz, dz, _mm256_fmadd_ps(dy, dy, _mm256_mul_ps(dx, dx)));
-        __m256 sl = _mm256_setzero_ps();
-        const __m256 phi = tetcasti_rbf_phi_fused8(kernel, f, d2, want, &sl);
+        __m256 d2 = _mm256_fmadd_ps(dz, dz, _mm256_fmadd_ps(dy, dy, _mm256_mul_ps(dx, dx)));
+        __m256 sl = _mm256_setzero_ps(), phi, ka = sl, ex = dx, ey = dy, ez = dz;
+        if (shaped) {
+            const __m256 mx = _mm256_set1_ps(f->m[0]), my = _mm256_set1_ps(f->m[1]), mz = _mm256_set1_ps(f->m[2]);
+            const __m256 along = _mm256_fmadd_ps(mz, dz, _mm256_fmadd_ps(my, dy, _mm256_mul_ps(mx, dx)));
+            ka = _mm256_mul_ps(_mm256_set1_ps(f->k), along);
+            d2 = _mm256_fmadd_ps(ka, along, d2);
+            if (want) {
+                ex = _mm256_fmadd_ps(ka, mx, dx);
+                ey = _mm256_fmadd_ps(ka, my, dy);
+                ez = _mm256_fmadd_ps(ka, mz, dz);
+            }
+        }
+        phi = tetcasti_rbf_phi_fused8(kernel, f, d2, want, &sl);
         for (c = 0; c < n; c++) sum[c] = _mm256_fmadd_ps(_mm256_set1_ps(f->w[c]), phi, sum[c]);
         if (want) for (c = 0; c < n; c++) {
             const __m256 s = _mm256_mul_ps(_mm256_set1_ps(f->w[c]), sl);
-            slope[c][0] = _mm256_fmadd_ps(s, dx, slope[c][0]);
-            slope[c][1] = _mm256_fmadd_ps(s, dy, slope[c][1]);
-            slope[c][2] = _mm256_fmadd_ps(s, dz, slope[c][2]);
+            slope[c][0] = _mm256_fmadd_ps(s, ex, slope[c][0]);
+            slope[c][1] = _mm256_fmadd_ps(s, ey, slope[c][1]);
+            slope[c][2] = _mm256_fmadd_ps(s, ez, slope[c][2]);
         }
     }
     for (c = 0; c < n; c++) {
@@ -19503,12 +19639,15 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_rbf_add8_kind(const tetcast_k
 #define TETCASTI_RBF_ADD8(name, kernel) \
     TETCASTI_TARGET_WALK static void name(const tetcast_rbf *m, const uint32_t *list, uint32_t count, int want, \
                                           tetcasti_rbf_packet *v) { \
-        if (m->components == 1 && !want) tetcasti_rbf_add8_kind(kernel, 1, 0, m, list, count, v); \
-        else if (m->components == 1) tetcasti_rbf_add8_kind(kernel, 1, 1, m, list, count, v); \
-        else if (m->components == 3 && want) tetcasti_rbf_add8_kind(kernel, 3, 1, m, list, count, v); \
-        else if (m->components == 3) tetcasti_rbf_add8_kind(kernel, 3, 0, m, list, count, v); \
-        else if (want) tetcasti_rbf_add8_kind(kernel, m->components, 1, m, list, count, v); \
-        else tetcasti_rbf_add8_kind(kernel, m->components, 0, m, list, count, v); \
+        if (m->axis != NULL && m->components == 1 && !want) \
+            tetcasti_rbf_add8_kind(kernel, 1, 0, 1, m, list, count, v); \
+        else if (m->axis != NULL) tetcasti_rbf_add8_kind(kernel, m->components, want, 1, m, list, count, v); \
+        else if (m->components == 1 && !want) tetcasti_rbf_add8_kind(kernel, 1, 0, 0, m, list, count, v); \
+        else if (m->components == 1) tetcasti_rbf_add8_kind(kernel, 1, 1, 0, m, list, count, v); \
+        else if (m->components == 3 && want) tetcasti_rbf_add8_kind(kernel, 3, 1, 0, m, list, count, v); \
+        else if (m->components == 3) tetcasti_rbf_add8_kind(kernel, 3, 0, 0, m, list, count, v); \
+        else if (want) tetcasti_rbf_add8_kind(kernel, m->components, 1, 0, m, list, count, v); \
+        else tetcasti_rbf_add8_kind(kernel, m->components, 0, 0, m, list, count, v); \
     }
 TETCASTI_RBF_ADD8(tetcasti_rbf_add8_gauss, TETCAST_KERNEL_GAUSS)
 TETCASTI_RBF_ADD8(tetcasti_rbf_add8_cut, TETCAST_KERNEL_GAUSS_CUT)
@@ -19723,6 +19862,7 @@ TETCAST_DEF void tetcast_rbf_get_info(const tetcast_rbf *rbf, tetcast_rbf_info *
     if (m == NULL) return;
     info->components = m->components;
     info->function_count = m->count;
+    info->ellipsoids = m->ellipsoids;
     memcpy(info->base_dims, m->dims, sizeof m->dims);
     info->kernel = m->kernel;
     info->cut = m->cut;
@@ -19733,9 +19873,9 @@ TETCAST_DEF void tetcast_rbf_get_info(const tetcast_rbf *rbf, tetcast_rbf_info *
         info->metric[a] = m->metric[a];
     }
     for (i = 0; i < m->count; i++) {
-        const double w = (double)m->width[i] * m->unit;
-        if (i == 0 || w < info->smallest_width) info->smallest_width = w;
-        if (w > info->largest_width) info->largest_width = w;
+        const double w = (double)m->width[i] * m->unit, along = m->axis != NULL ? w * (double)m->axis[i][3] : w;
+        if (i == 0 || tetcasti_min(w, along) < info->smallest_width) info->smallest_width = tetcasti_min(w, along);
+        if (tetcasti_max(w, along) > info->largest_width) info->largest_width = tetcasti_max(w, along);
         for (a = 0; a < m->components; a++) {
             const float x = tetcasti_absf(m->weight[(size_t)i * m->components + a]);
             if (x > info->largest_weight) info->largest_weight = x;
@@ -19837,12 +19977,15 @@ TETCAST_DEF tetcast_result tetcast_rbf_bounds(const tetcast_rbf *rbf, uint32_t c
             if (d > 0.0f) least += d * d;
             most += e * e;
         }
+        if (f->k < 0.0f) least *= 1.0f + f->k; /* between the shortest and the longest axis */
+        else most *= 1.0f + f->k;
         near_phi = tetcasti_rbf_phi(m->kernel, f, least * 0.999998f, NULL);
         far_phi = tetcasti_rbf_phi(m->kernel, f, most * 1.000002f, NULL);
         range[w > 0.0 ? 1 : 0] += w * (double)near_phi;
         range[w > 0.0 ? 0 : 1] += w * (double)far_phi;
         rounding += 2e-6 * tetcasti_abs(w);
-        slope += tetcasti_abs(w) * tetcasti_kernel_slope(m) / ((double)m->width[i] * least_scale);
+        slope += tetcasti_abs(w) * tetcasti_kernel_slope(m) / ((double)m->width[i] * least_scale) *
+                 (f->k > 0.0f ? sqrt(1.0 + (double)f->k) : 1.0);
     }
     if (lo != NULL) *lo = (float)(range[0] - rounding);
     if (hi != NULL) *hi = (float)(range[1] + rounding);
@@ -19924,7 +20067,7 @@ TETCAST_DEF void tetcast_flow_features(const float velocity[3], const float jaco
    2  the coarse grid is the least-squares fit of its nodes (normal equations with 27 entries a row, conjugate
       gradients),
    3  greedy: where the error is largest goes a function, of the width out of a ladder that takes most off the sum of
-      squares in its reach, then five Gauss-Newton steps move and widen it,
+      squares in its reach; if a plate takes more it is one; then five Gauss-Newton steps move and widen it,
    4  sweeps: each function in turn is taken out, left out if nothing exceeds the tolerance without it, else fitted
       again with weights that grow with the error, so that the largest errors sink,
    3 and 4 alternate while the threshold sinks to the tolerance. All parameters are rounded to what is stored before the
@@ -19936,11 +20079,12 @@ TETCAST_DEF void tetcast_flow_features(const float velocity[3], const float jaco
 #define TETCASTI_FIT_BIN 8u          /* points in a bin, about */
 #define TETCASTI_FIT_SPLIT 8         /* positions are stored in this part of the spacing */
 #define TETCASTI_FIT_LADDER 32u
+#define TETCASTI_FIT_TRIES 3u        /* directions of plates */
 #define TETCASTI_FIT_LEFT 0.8        /* of the squared error where a function is put, at most: so the loop ends */
 
 typedef struct tetcasti_fit_function {
     float c[3], width, w[TETCAST_RBF_MAX_COMPONENTS];
-    uint32_t dead;
+    uint32_t dead, shape;            /* shape: 0 round, else 1 + number of a plate's direction */
 } tetcasti_fit_function;
 
 typedef struct tetcasti_fit_block {
@@ -19969,7 +20113,8 @@ typedef struct tetcasti_fit {
     float reach, e;                  /* radius / width; what the kernel is shifted by */
     float widest;
     float tolerance, threshold, heed_scale;
-    uint32_t sharp, polish;          /* heed errors; move and widen */
+    uint32_t sharp, polish, round;   /* heed errors; move and widen; no plates */
+    float plate[13][4];
     size_t cap;                      /* functions of all blocks, trials end there */
     tetcasti_fit_block *block;
     uint32_t blocks[3], color;
@@ -19991,6 +20136,7 @@ static void tetcasti_fit_record(const tetcasti_fit *t, const tetcasti_fit_functi
         r->e = divide;
     } else r->a = (float)(-1.0 / ((double)t->reach * (double)t->reach * w * w));
     r->radius = t->reach * f->width * 1.00001f;
+    if (f->shape != 0) tetcasti_rbf_shape(t->plate[f->shape - 1], r);
     for (c = 0; c < t->n; c++) r->w[c] = (float)((double)f->w[c] / (1.0 - (double)divide));
 }
 
@@ -20019,7 +20165,7 @@ TETCASTI_INLINE void tetcasti_fit_row_sums(const tetcast_kernel kernel, const te
     for (i = from; i < to; i++) {
         const uint32_t l = (i - from) & 7u;
         const float dx = t->x[i] - r->c[0], dy = t->y[i] - r->c[1], dz = t->z[i] - r->c[2];
-        const float phi = tetcasti_rbf_phi(kernel, r, (dx * dx + dy * dy) + dz * dz, NULL), h = phi * t->heed[i];
+        const float phi = tetcasti_rbf_phi(kernel, r, tetcasti_rbf_d2(r, dx, dy, dz), NULL), h = phi * t->heed[i];
         s->gg[l] += h * phi;
         for (c = 0; c < t->n; c++) s->g[c][l] += h * t->res[c][i];
     }
@@ -20029,11 +20175,21 @@ TETCASTI_INLINE void tetcasti_fit_row_apply(const tetcast_kernel kernel, const t
     uint32_t i, c;
     for (i = from; i < to; i++) {
         const float dx = t->x[i] - r->c[0], dy = t->y[i] - r->c[1], dz = t->z[i] - r->c[2];
-        const float phi = tetcasti_rbf_phi(kernel, r, (dx * dx + dy * dy) + dz * dz, NULL);
+        const float phi = tetcasti_rbf_phi(kernel, r, tetcasti_rbf_d2(r, dx, dy, dz), NULL);
         for (c = 0; c < t->n; c++) t->res[c][i] -= r->w[c] * phi;
     }
 }
 #if TETCASTI_AVX2
+TETCASTI_TARGET_AVX2 TETCASTI_INLINE __m256 tetcasti_rbf_d2_8(const tetcasti_rbf_record *r, __m256 dx, __m256 dy,
+                                                              __m256 dz) { /* round ones: what is left out is 0 */
+    const __m256 d2 = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(dx, dx), _mm256_mul_ps(dy, dy)), _mm256_mul_ps(dz, dz));
+    __m256 s;
+    if (!(r->k != 0.0f)) return d2;
+    s = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(_mm256_set1_ps(r->m[0]), dx),
+                                    _mm256_mul_ps(_mm256_set1_ps(r->m[1]), dy)),
+                      _mm256_mul_ps(_mm256_set1_ps(r->m[2]), dz));
+    return _mm256_add_ps(d2, _mm256_mul_ps(_mm256_set1_ps(r->k), _mm256_mul_ps(s, s)));
+}
 TETCASTI_TARGET_AVX2 TETCASTI_INLINE void tetcasti_fit_row_sums8(const tetcast_kernel kernel, const tetcasti_fit *t,
         const tetcasti_rbf_record *r, uint32_t from, uint32_t to, tetcasti_fit_sums *s) {
     const __m256 cx = _mm256_set1_ps(r->c[0]), cy = _mm256_set1_ps(r->c[1]), cz = _mm256_set1_ps(r->c[2]);
@@ -20045,8 +20201,7 @@ TETCASTI_TARGET_AVX2 TETCASTI_INLINE void tetcasti_fit_row_sums8(const tetcast_k
         const __m256 dx = _mm256_sub_ps(_mm256_maskload_ps(t->x + i, k), cx);
         const __m256 dy = _mm256_sub_ps(_mm256_maskload_ps(t->y + i, k), cy);
         const __m256 dz = _mm256_sub_ps(_mm256_maskload_ps(t->z + i, k), cz);
-        const __m256 d2 = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(dx, dx), _mm256_mul_ps(dy, dy)),
-                                        _mm256_mul_ps(dz, dz));
+        const __m256 d2 = tetcasti_rbf_d2_8(r, dx, dy, dz);
         const __m256 phi = tetcasti_rbf_phi8(kernel, r, d2, 0, NULL);
         const __m256 h = _mm256_mul_ps(phi, _mm256_maskload_ps(t->heed + i, k));
         gg = _mm256_add_ps(gg, _mm256_mul_ps(h, phi));
@@ -20066,8 +20221,7 @@ TETCASTI_TARGET_AVX2 TETCASTI_INLINE void tetcasti_fit_row_apply8(const tetcast_
         const __m256 dx = _mm256_sub_ps(_mm256_maskload_ps(t->x + i, k), cx);
         const __m256 dy = _mm256_sub_ps(_mm256_maskload_ps(t->y + i, k), cy);
         const __m256 dz = _mm256_sub_ps(_mm256_maskload_ps(t->z + i, k), cz);
-        const __m256 d2 = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(dx, dx), _mm256_mul_ps(dy, dy)),
-                                        _mm256_mul_ps(dz, dz));
+        const __m256 d2 = tetcasti_rbf_d2_8(r, dx, dy, dz);
         const __m256 phi = tetcasti_rbf_phi8(kernel, r, d2, 0, NULL);
         for (c = 0; c < t->n; c++)
             _mm256_maskstore_ps(t->res[c] + i, k, _mm256_sub_ps(_mm256_maskload_ps(t->res[c] + i, k),
@@ -20254,14 +20408,15 @@ static void tetcasti_fit_normal(const tetcasti_fit *t, const tetcasti_fit_functi
             const size_t row = ((size_t)k * t->bins[1] + j) * t->bins[0];
             for (i = t->start[row + rows.lo[0]]; i < t->start[row + rows.hi[0] + 1]; i++) {
                 const float dx = t->x[i] - r.c[0], dy = t->y[i] - r.c[1], dz = t->z[i] - r.c[2];
-                const float d2 = (dx * dx + dy * dy) + dz * dz;
+                const float d2 = tetcasti_rbf_d2(&r, dx, dy, dz);
+                const float ka = r.k * ((r.m[0] * dx + r.m[1] * dy) + r.m[2] * dz);
                 float slope, phi;
                 double u[5], e = 0.0;
                 if (d2 >= r.radius * r.radius) continue;
                 phi = tetcasti_rbf_phi(t->m->kernel, &r, d2, &slope);
-                u[0] = (double)(-slope * dx);
-                u[1] = (double)(-slope * dy);
-                u[2] = (double)(-slope * dz);
+                u[0] = (double)(-slope * (dx + ka * r.m[0]));
+                u[1] = (double)(-slope * (dy + ka * r.m[1]));
+                u[2] = (double)(-slope * (dz + ka * r.m[2]));
                 u[3] = (double)(-slope * d2);
                 u[4] = (double)phi;
                 for (c = 0; c < t->n; c++) e += (double)(r.w[c] * (t->res[c][i] - r.w[c] * phi));
@@ -20304,7 +20459,7 @@ static int tetcasti_fit_solve(double a[5][5], double b[5]) {
    Narrow ones stay on their points: between them nothing would hold them. */
 static void tetcasti_fit_polish(const tetcasti_fit *t, const tetcasti_fit_block *block, uint32_t steps,
                                 tetcasti_fit_function *f, double *gain) {
-    const double narrow = 0.7 * t->spacing;
+    const double narrow = (f->shape != 0 ? 0.7 / (double)TETCASTI_RBF_PLATE : 0.7) * t->spacing;
     uint32_t s, p;
     for (s = 0; s < steps && (double)f->width >= narrow; s++) {
         double a[5][5], b[5], c[3], w[4], square, step = 0.0, longest, got;
@@ -20325,6 +20480,71 @@ static void tetcasti_fit_polish(const tetcasti_fit *t, const tetcasti_fit_block 
         if (!(got > *gain * 1.001)) return;
         *gain = got;
         *f = g;
+    }
+}
+
+/* How the sum of squares goes down when a function is flattened: 2 n . (T n) for the normal n of a plate, with T the
+   sum of error * slope * (distance by distance). */
+static void tetcasti_fit_flatten(const tetcasti_fit *t, const tetcasti_fit_function *f, double gain[13]) {
+    tetcasti_rbf_record r;
+    tetcasti_fit_rows rows;
+    double m[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
+    uint32_t i, j, k, c;
+    tetcasti_fit_record(t, f, &r);
+    tetcasti_fit_reach(t, &r, &rows);
+    for (k = rows.lo[2]; k <= rows.hi[2]; k++)
+        for (j = rows.lo[1]; j <= rows.hi[1]; j++) {
+            const size_t row = ((size_t)k * t->bins[1] + j) * t->bins[0];
+            for (i = t->start[row + rows.lo[0]]; i < t->start[row + rows.hi[0] + 1]; i++) {
+                const float dx = t->x[i] - r.c[0], dy = t->y[i] - r.c[1], dz = t->z[i] - r.c[2];
+                const float d2 = tetcasti_rbf_d2(&r, dx, dy, dz);
+                float slope, phi, e = 0.0f;
+                if (d2 >= r.radius * r.radius) continue;
+                phi = tetcasti_rbf_phi(t->m->kernel, &r, d2, &slope);
+                for (c = 0; c < t->n; c++) e += r.w[c] * (t->res[c][i] - r.w[c] * phi);
+                e *= slope * t->heed[i];
+                m[0] += (double)(e * dx * dx);
+                m[1] += (double)(e * dy * dy);
+                m[2] += (double)(e * dz * dz);
+                m[3] += (double)(e * dx * dy);
+                m[4] += (double)(e * dx * dz);
+                m[5] += (double)(e * dy * dz);
+            }
+        }
+    for (k = 0; k < 13; k++) {
+        const double x = (double)t->plate[k][0], y = (double)t->plate[k][1], z = (double)t->plate[k][2];
+        gain[k] = (x * x * m[0] + y * y * m[1] + z * z * m[2]) + 2.0 * (x * y * m[3] + x * z * m[4] + y * z * m[5]);
+    }
+}
+
+/* Try a round function as plates in the directions that promise most. *gain: what it lessens the sum by so far. */
+static void tetcasti_fit_plates(const tetcasti_fit *t, const tetcasti_fit_block *block, tetcasti_fit_function *f,
+                                double *gain) {
+    static const double widths[3] = {1.0, 1.357, 1.842}; /* the second one has the volume of the round one */
+    const tetcasti_fit_function first = *f;
+    double promise[13], c[3], w[4], square;
+    uint32_t k, a, tries;
+    if (t->round || f->shape != 0) return;
+    tetcasti_fit_flatten(t, f, promise);
+    for (a = 0; a < 3; a++) c[a] = (double)first.c[a];
+    for (tries = 0; tries < TETCASTI_FIT_TRIES; tries++) {
+        uint32_t best = 0;
+        for (k = 1; k < 13; k++) if (promise[k] > promise[best]) best = k;
+        if (!(promise[best] > 0.0)) return;
+        promise[best] = -1.0;
+        for (k = 0; k < 3; k++) {
+            const double width = (double)first.width * widths[k];
+            tetcasti_fit_function g = first;
+            double got;
+            if (width * (double)TETCASTI_RBF_PLATE < 0.5 * t->spacing) continue; /* else it ripples between points */
+            g.shape = 1 + best;
+            tetcasti_fit_round_place(t, block, c, width, &g);
+            (void)tetcasti_fit_weigh(t, &g, w, &square);
+            got = tetcasti_fit_round_weights(t, w, square, &g);
+            if (!(got > *gain * 1.05)) continue; /* it takes bits */
+            *gain = got;
+            *f = g;
+        }
     }
 }
 
@@ -20371,7 +20591,7 @@ static double tetcasti_fit_left(const tetcasti_fit *t, const tetcasti_fit_functi
     dx = t->x[i] - r.c[0];
     dy = t->y[i] - r.c[1];
     dz = t->z[i] - r.c[2];
-    phi = tetcasti_rbf_phi(t->m->kernel, &r, (dx * dx + dy * dy) + dz * dz, NULL);
+    phi = tetcasti_rbf_phi(t->m->kernel, &r, tetcasti_rbf_d2(&r, dx, dy, dz), NULL);
     for (c = 0; c < t->n; c++) {
         const double e = (double)t->res[c][i], g = e - (double)r.w[c] * (double)phi;
         before += e * e;
@@ -20404,9 +20624,11 @@ static int tetcasti_fit_insert(tetcasti_fit *t, tetcasti_fit_block *b, uint32_t 
     (void)tetcasti_fit_weigh(t, &best, w, &square);
     gain = tetcasti_fit_round_weights(t, w, square, &best);
     f = best;
+    if (t->polish && gain > 0.0) tetcasti_fit_plates(t, b, &best, &gain);
     if (t->polish && gain > 0.0) tetcasti_fit_polish(t, b, 5, &best, &gain);
     if (tetcasti_fit_left(t, &best, i) > TETCASTI_FIT_LEFT) best = f;
     if (!(gain > 0.0) || tetcasti_fit_left(t, &best, i) > TETCASTI_FIT_LEFT) { /* neighbours want it otherwise: alone */
+        best.shape = 0;
         tetcasti_fit_round_place(t, b, c, alone, &best);
         for (a = 0; a < t->n; a++) w[a] = (double)t->res[a][i];
         (void)tetcasti_fit_round_weights(t, w, 1.0, &best);
@@ -21040,6 +21262,7 @@ static tetcast_result tetcasti_fit_model(tetcasti_fit *t) {
     size_t i, j, k = 0;
     uint32_t c, widest = 0;
     double most = 0.0;
+    tetcasti_free(&m->mem, m->axis);
     tetcasti_free(&m->mem, m->centre);
     tetcasti_free(&m->mem, m->width);
     tetcasti_free(&m->mem, m->weight);
@@ -21047,6 +21270,7 @@ static tetcast_result tetcasti_fit_model(tetcasti_fit *t) {
     tetcasti_free(&m->mem, m->tree);
     tetcasti_free(&m->mem, m->index);
     m->centre = NULL;
+    m->axis = NULL;
     m->width = m->weight = NULL;
     m->record = NULL;
     m->tree = NULL;
@@ -21056,7 +21280,11 @@ static tetcast_result tetcasti_fit_model(tetcasti_fit *t) {
     m->centre = (float (*)[3])tetcasti_alloc_zero(&m->mem, m->count + 1u, sizeof *m->centre);
     m->width = (float *)tetcasti_alloc_zero(&m->mem, m->count + 1u, sizeof *m->width);
     m->weight = (float *)tetcasti_alloc_zero(&m->mem, ((size_t)m->count + 1u) * t->n, sizeof *m->weight);
-    if (m->centre == NULL || m->width == NULL || m->weight == NULL) return TETCAST_ERR_NO_MEMORY;
+    for (i = m->ellipsoids = 0; i < blocks; i++)
+        for (j = 0; j < t->block[i].count; j++) m->ellipsoids += t->block[i].f[j].shape != 0;
+    if (m->ellipsoids != 0) m->axis = (float (*)[4])tetcasti_alloc_zero(&m->mem, m->count + 1u, sizeof *m->axis);
+    if (m->centre == NULL || m->width == NULL || m->weight == NULL || (m->ellipsoids != 0 && m->axis == NULL))
+        return TETCAST_ERR_NO_MEMORY;
     m->bits.width = 8;
     for (i = 0; i < blocks; i++)
         for (j = 0; j < t->block[i].count; j++, k++) {
@@ -21064,6 +21292,10 @@ static tetcast_result tetcasti_fit_model(tetcasti_fit *t) {
             const uint32_t w = tetcasti_rbf_width_code(m, (double)f->width);
             memcpy(m->centre[k], f->c, sizeof f->c);
             m->width[k] = f->width;
+            if (m->axis != NULL) {
+                m->axis[k][0] = m->axis[k][3] = 1.0f;
+                if (f->shape != 0) memcpy(m->axis[k], t->plate[f->shape - 1], sizeof m->axis[k]);
+            }
             widest = w > widest ? w : widest;
             for (c = 0; c < t->n; c++) {
                 m->weight[k * t->n + c] = f->w[c];
@@ -21371,6 +21603,7 @@ static void tetcasti_fit_report(const tetcasti_fit *t, tetcast_rbf_report *repor
     size_t i;
     tetcast_rbf_get_info(t->m, &info);
     report->functions = info.function_count;
+    report->ellipsoids = info.ellipsoids;
     memcpy(report->base_dims, info.base_dims, sizeof info.base_dims);
     report->bytes = info.file_bytes;
     report->largest_weight = t->range > 0.0 ? (double)info.largest_weight / t->range : 0.0;
@@ -21412,6 +21645,7 @@ TETCAST_DEF tetcast_result tetcast_rbf_fit(const tetcast_rbf_fit_desc *desc, con
     tetcasti_fit t;
     tetcast_rbf *m;
     tetcast_result r;
+    uint32_t k;
     if (report != NULL) memset(report, 0, sizeof *report);
     else report = &own;
     memset(report, 0, sizeof *report);
@@ -21437,6 +21671,8 @@ TETCAST_DEF tetcast_result tetcast_rbf_fit(const tetcast_rbf_fit_desc *desc, con
     t.m = m;
     t.isa = tetcasti_rbf_isa(d.isa);
     t.n = points->components;
+    t.round = d.round != 0 || d.between != 0;
+    for (k = 0; k < 13; k++) tetcasti_rbf_plate(k, t.plate[k]);
     t.reach = d.kernel == TETCAST_KERNEL_GAUSS ? d.cut : tetcasti_kernel_reach(d.kernel);
     if (d.kernel == TETCAST_KERNEL_GAUSS)
         t.e = (float)tetcasti_exp2(-0.72134752044448170368 * (double)d.cut * (double)d.cut);
@@ -21482,14 +21718,69 @@ typedef struct tetcasti_rbf_group {   /* eight rays; lanes without a ray are cop
 } tetcasti_rbf_group;
 
 /* where a function is on the rays; decay: 2^(2 a h^2), as exact as can be: its error grows with the square of the
-   steps */
-typedef struct tetcasti_rbf_reach { float tc[8], d2[8]; int32_t first, last, middle; float decay; } tetcasti_rbf_reach;
+   steps; grow: of ellipsoids: d^2 = d2 + grow u^2 */
+typedef struct tetcasti_rbf_reach {
+    float tc[8], d2[8], grow[8];
+    int32_t first, last, middle;
+    float decay;
+} tetcasti_rbf_reach;
+
+/* 2^x for -1/2 < x <= 0 as 1 + x p(x): the error is that of rounding 1 + .., where the other polynomial's is half of a
+   unit of 1 everywhere; below -1/2 that one. */
+TETCASTI_INLINE float tetcasti_exp2_decay(float x) {
+    float p = fmaf(0.00015403530393f, x, 0.0013333558146f);
+    if (!(x > -0.5f)) return tetcasti_exp2_fused(x);
+    p = fmaf(p, x, 0.0096181291076f);
+    p = fmaf(p, x, 0.0555041086648f);
+    p = fmaf(p, x, 0.2402265069591f);
+    p = fmaf(p, x, 0.6931471805599f);
+    return fmaf(p, x, 1.0f);
+}
+
+/* Range of samples from the range of middles and half of the way through. 0: none. */
+TETCASTI_INLINE int tetcasti_rbf_meet_range(const tetcasti_rbf_group *g, float lo, float hi, float half,
+                                            tetcasti_rbf_reach *r) {
+    lo = (lo - half) * g->per;
+    hi = (hi + half) * g->per;
+    if (!(hi >= 0.0f) || !(lo <= (float)(g->n - 1))) return 0;
+    r->first = lo > 0.0f ? (int32_t)lo : 0;
+    r->last = hi < (float)(g->n - 1) ? (int32_t)hi : g->n - 1;
+    half = 0.5f * (lo + hi);
+    r->middle = half <= (float)r->first ? r->first : half >= (float)r->last ? r->last : (int32_t)(half + 0.5f);
+    return 1;
+}
+
+/* An ellipsoid: q = v - u d has d^2 = |q|^2 + k (m . q)^2, a parabola of u; its least at tc. */
+static int tetcasti_rbf_meet_ellipsoid(const tetcasti_rbf_group *g, const tetcasti_rbf_record *f,
+                                       tetcasti_rbf_reach *r) {
+    const float longest = f->k < 0.0f ? 1.0f + f->k : 1.0f, radius2 = f->radius * f->radius * longest;
+    float least = 1e30f, lo = 1e30f, hi = -1e30f, slow = 1e30f, half;
+    uint32_t l;
+    for (l = 0; l < 8; l++) {
+        const float dx = g->d[0][l], dy = g->d[1][l], dz = g->d[2][l];
+        const float vx = f->c[0] - g->o[0][l], vy = f->c[1] - g->o[1][l], vz = f->c[2] - g->o[2][l];
+        const float md = (f->m[0] * dx + f->m[1] * dy) + f->m[2] * dz;
+        const float mv = (f->m[0] * vx + f->m[1] * vy) + f->m[2] * vz;
+        const float grow = ((dx * dx + dy * dy) + dz * dz) + f->k * (md * md);
+        const float tc = (((vx * dx + vy * dy) + vz * dz) + f->k * (mv * md)) / grow;
+        r->tc[l] = tc;
+        r->grow[l] = grow;
+        r->d2[l] = tetcasti_rbf_d2(f, vx - tc * dx, vy - tc * dy, vz - tc * dz);
+        least = r->d2[l] < least ? r->d2[l] : least;
+        slow = grow < slow ? grow : slow;
+        lo = tc < lo ? tc : lo;
+        hi = tc > hi ? tc : hi;
+    }
+    half = radius2 - least;
+    if (!(half > 0.0f)) return 0;
+    return tetcasti_rbf_meet_range(g, lo, hi, sqrtf(half / slow), r);
+}
 
 /* Where a function is on the rays; 0: on none of the samples. */
 static int tetcasti_rbf_meet(const tetcasti_rbf_group *g, const tetcasti_rbf_record *f, tetcasti_rbf_reach *r) {
     float least = 1e30f, lo = 1e30f, hi = -1e30f, half;
-    const float scale = g->per;
     uint32_t l;
+    if (f->k != 0.0f) return tetcasti_rbf_meet_ellipsoid(g, f, r);
     for (l = 0; l < 8; l++) {
         const float mx = f->c[0] - g->o[0][l], my = f->c[1] - g->o[1][l], mz = f->c[2] - g->o[2][l];
         const float tc = (mx * g->d[0][l] + my * g->d[1][l]) + mz * g->d[2][l];
@@ -21503,36 +21794,34 @@ static int tetcasti_rbf_meet(const tetcasti_rbf_group *g, const tetcasti_rbf_rec
     half = f->radius * f->radius - least;
     if (!(half > 0.0f)) return 0;
     half = sqrtf(half);
-    lo = (lo - half) * scale;
-    hi = (hi + half) * scale;
-    if (!(hi >= 0.0f) || !(lo <= (float)(g->n - 1))) return 0;
-    r->first = lo > 0.0f ? (int32_t)lo : 0;
-    r->last = hi < (float)(g->n - 1) ? (int32_t)hi : g->n - 1;
-    half = 0.5f * (lo + hi);
-    r->middle = half <= (float)r->first ? r->first : half >= (float)r->last ? r->last : (int32_t)(half + 0.5f);
-    return 1;
+    return tetcasti_rbf_meet_range(g, lo, hi, half, r);
 }
 
 /* Add a function to rows[component][sample][lane]; `stride` floats from one component to the next. */
 TETCASTI_INLINE void tetcasti_rbf_run_kind(const tetcast_kernel kernel, const uint32_t n, const tetcasti_rbf_group *g,
                                            const tetcasti_rbf_record *f, const tetcasti_rbf_reach *r, float *rows,
                                            size_t stride) {
-    const float h = g->h, c2 = r->decay;
+    const float h = g->h;
+    const int shaped = f->k != 0.0f;
     uint32_t l, c;
     int32_t j, k, way;
     for (l = 0; l < 8; l++) {
+        const float a = shaped ? f->a * r->grow[l] : f->a, c2 = shaped ? tetcasti_exp2_decay((2.0f * h) * (a * h))
+                                                                        : r->decay;
         if (kernel != TETCAST_KERNEL_GAUSS && kernel != TETCAST_KERNEL_GAUSS_CUT) {
             for (j = r->first; j <= r->last; j++) {
-                const float u = (float)j * h - r->tc[l], phi = tetcasti_rbf_phi(kernel, f, r->d2[l] + u * u, NULL);
+                const float u = (float)j * h - r->tc[l], v = shaped ? r->grow[l] * u : u;
+                const float phi = tetcasti_rbf_phi(kernel, f, r->d2[l] + v * u, NULL);
                 for (c = 0; c < n; c++)
                     rows[c * stride + (size_t)j * 8 + l] = fmaf(f->w[c], phi, rows[c * stride + (size_t)j * 8 + l]);
             }
             continue;
         }
         {
-            const float u0 = (float)r->middle * h - r->tc[l], v0 = tetcasti_exp2_fused(f->a * fmaf(u0, u0, r->d2[l]));
+            const float u0 = (float)r->middle * h - r->tc[l], g0 = shaped ? r->grow[l] * u0 : u0;
+            const float v0 = tetcasti_exp2_fused(f->a * fmaf(g0, u0, r->d2[l]));
             for (way = 1; way >= -1; way -= 2) {
-                float u = u0, v = v0, q = tetcasti_exp2_fused((f->a * h) * fmaf(way > 0 ? 2.0f : -2.0f, u, h));
+                float u = u0, v = v0, q = tetcasti_exp2_fused((a * h) * fmaf(way > 0 ? 2.0f : -2.0f, u, h));
                 int32_t left, all = way > 0 ? r->last - r->middle + 1 : r->middle - r->first;
                 if (way < 0) { /* the middle itself is done */
                     v = v * q;
@@ -21551,8 +21840,8 @@ TETCASTI_INLINE void tetcasti_rbf_run_kind(const tetcast_kernel kernel, const ui
                     }
                     if (all == left) break;
                     u = (float)j * h - r->tc[l];
-                    v = tetcasti_exp2_fused(f->a * fmaf(u, u, r->d2[l]));
-                    q = tetcasti_exp2_fused((f->a * h) * fmaf(way > 0 ? 2.0f : -2.0f, u, h));
+                    v = tetcasti_exp2_fused(f->a * fmaf(shaped ? r->grow[l] * u : u, u, r->d2[l]));
+                    q = tetcasti_exp2_fused((a * h) * fmaf(way > 0 ? 2.0f : -2.0f, u, h));
                 }
             }
         }
@@ -21572,6 +21861,54 @@ TETCASTI_TARGET_FMA static void tetcasti_rbf_run_fma(tetcast_kernel kernel, uint
 }
 
 #if TETCASTI_AVX2
+TETCASTI_TARGET_AVX2 TETCASTI_INLINE __m256 tetcasti_dot8(__m256 ax, __m256 ay, __m256 az, __m256 bx, __m256 by,
+                                                          __m256 bz) {
+    return _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(ax, bx), _mm256_mul_ps(ay, by)), _mm256_mul_ps(az, bz));
+}
+TETCASTI_TARGET_WALK TETCASTI_INLINE __m256 tetcasti_exp2_decay8(__m256 x) {
+    __m256 p = _mm256_fmadd_ps(_mm256_set1_ps(0.00015403530393f), x, _mm256_set1_ps(0.0013333558146f));
+    p = _mm256_fmadd_ps(p, x, _mm256_set1_ps(0.0096181291076f));
+    p = _mm256_fmadd_ps(p, x, _mm256_set1_ps(0.0555041086648f));
+    p = _mm256_fmadd_ps(p, x, _mm256_set1_ps(0.2402265069591f));
+    p = _mm256_fmadd_ps(p, x, _mm256_set1_ps(0.6931471805599f));
+    p = _mm256_fmadd_ps(p, x, _mm256_set1_ps(1.0f));
+    return _mm256_blendv_ps(tetcasti_exp2_fused8(x), p, _mm256_cmp_ps(x, _mm256_set1_ps(-0.5f), _CMP_GT_OQ));
+}
+TETCASTI_TARGET_AVX2 static int tetcasti_rbf_meet_ellipsoid8(const tetcasti_rbf_group *g,
+                                                             const tetcasti_rbf_record *f, tetcasti_rbf_reach *r) {
+    const float longest = f->k < 0.0f ? 1.0f + f->k : 1.0f, radius2 = f->radius * f->radius * longest;
+    const __m256 mx = _mm256_set1_ps(f->m[0]), my = _mm256_set1_ps(f->m[1]), mz = _mm256_set1_ps(f->m[2]);
+    const __m256 dx = _mm256_loadu_ps(g->d[0]), dy = _mm256_loadu_ps(g->d[1]), dz = _mm256_loadu_ps(g->d[2]);
+    const __m256 vx = _mm256_sub_ps(_mm256_set1_ps(f->c[0]), _mm256_loadu_ps(g->o[0])), k = _mm256_set1_ps(f->k);
+    const __m256 vy = _mm256_sub_ps(_mm256_set1_ps(f->c[1]), _mm256_loadu_ps(g->o[1]));
+    const __m256 vz = _mm256_sub_ps(_mm256_set1_ps(f->c[2]), _mm256_loadu_ps(g->o[2]));
+    const __m256 md = tetcasti_dot8(mx, my, mz, dx, dy, dz), mv = tetcasti_dot8(mx, my, mz, vx, vy, vz);
+    const __m256 grow = _mm256_add_ps(tetcasti_dot8(dx, dy, dz, dx, dy, dz), _mm256_mul_ps(k, _mm256_mul_ps(md, md)));
+    const __m256 tc = _mm256_div_ps(_mm256_add_ps(tetcasti_dot8(vx, vy, vz, dx, dy, dz),
+                                                  _mm256_mul_ps(k, _mm256_mul_ps(mv, md))), grow);
+    const __m256 qx = _mm256_sub_ps(vx, _mm256_mul_ps(tc, dx)), qy = _mm256_sub_ps(vy, _mm256_mul_ps(tc, dy));
+    const __m256 qz = _mm256_sub_ps(vz, _mm256_mul_ps(tc, dz)), mq = tetcasti_dot8(mx, my, mz, qx, qy, qz);
+    const __m256 d2 = _mm256_add_ps(tetcasti_dot8(qx, qy, qz, qx, qy, qz), _mm256_mul_ps(k, _mm256_mul_ps(mq, mq)));
+    float least, lo, hi, slow, half;
+    uint32_t l;
+    _mm256_storeu_ps(r->d2, d2);
+    _mm256_storeu_ps(r->tc, tc);
+    _mm256_storeu_ps(r->grow, grow);
+    if (_mm256_movemask_ps(_mm256_cmp_ps(d2, _mm256_set1_ps(radius2), _CMP_LT_OQ)) == 0) return 0;
+    least = r->d2[0];
+    lo = hi = r->tc[0];
+    slow = r->grow[0];
+    for (l = 1; l < 8; l++) {
+        least = r->d2[l] < least ? r->d2[l] : least;
+        slow = r->grow[l] < slow ? r->grow[l] : slow;
+        lo = r->tc[l] < lo ? r->tc[l] : lo;
+        hi = r->tc[l] > hi ? r->tc[l] : hi;
+    }
+    half = radius2 - least;
+    if (!(half > 0.0f)) return 0;
+    return tetcasti_rbf_meet_range(g, lo, hi, sqrtf(half / slow), r);
+}
+
 TETCASTI_TARGET_AVX2 static int tetcasti_rbf_meet8(const tetcasti_rbf_group *g, const tetcasti_rbf_record *f,
                                                    tetcasti_rbf_reach *r) {
     const __m256 gx = _mm256_loadu_ps(g->d[0]), gy = _mm256_loadu_ps(g->d[1]), gz = _mm256_loadu_ps(g->d[2]);
@@ -21584,7 +21921,6 @@ TETCASTI_TARGET_AVX2 static int tetcasti_rbf_meet8(const tetcasti_rbf_group *g, 
     const __m256 d2 = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(vx, vx), _mm256_mul_ps(vy, vy)), _mm256_mul_ps(vz, vz));
     const float radius2 = f->radius * f->radius;
     __m128 a, b, e;
-    const float scale = g->per;
     float least, lo, hi, half;
     if (_mm256_movemask_ps(_mm256_cmp_ps(d2, _mm256_set1_ps(radius2), _CMP_LT_OQ)) == 0) return 0;
     _mm256_storeu_ps(r->tc, tc);
@@ -21601,14 +21937,7 @@ TETCASTI_TARGET_AVX2 static int tetcasti_rbf_meet8(const tetcasti_rbf_group *g, 
     half = radius2 - least;
     if (!(half > 0.0f)) return 0;
     half = sqrtf(half);
-    lo = (lo - half) * scale;
-    hi = (hi + half) * scale;
-    if (!(hi >= 0.0f) || !(lo <= (float)(g->n - 1))) return 0;
-    r->first = lo > 0.0f ? (int32_t)lo : 0;
-    r->last = hi < (float)(g->n - 1) ? (int32_t)hi : g->n - 1;
-    half = 0.5f * (lo + hi);
-    r->middle = half <= (float)r->first ? r->first : half >= (float)r->last ? r->last : (int32_t)(half + 0.5f);
-    return 1;
+    return tetcasti_rbf_meet_range(g, lo, hi, half, r);
 }
 
 /* One sample, `step` floats before the next one; the rest of one way, which begins anew every TETCASTI_RBF_RUN. */
@@ -21627,15 +21956,17 @@ TETCASTI_TARGET_AVX2 static int tetcasti_rbf_meet8(const tetcasti_rbf_group *g, 
                                                                      : TETCASTI_RBF_RUN - k % TETCASTI_RBF_RUN; \
         if (k % TETCASTI_RBF_RUN == 0 && k != 0) { \
             u = _mm256_sub_ps(_mm256_set1_ps((float)j * h), tc); \
-            v = tetcasti_exp2_fused8(_mm256_mul_ps(a, _mm256_fmadd_ps(u, u, d2))); \
+            v = shaped ? _mm256_mul_ps(grow, u) : u; \
+            v = tetcasti_exp2_fused8(_mm256_mul_ps(a, _mm256_fmadd_ps(v, u, d2))); \
             q = tetcasti_exp2_fused8(_mm256_mul_ps(ah, _mm256_fmadd_ps(_mm256_set1_ps(2.0f * (float)(way)), u, h8))); \
         } \
         for (i = 0; i < some; i++) TETCASTI_RBF_STEP8(v, q, to, 8 * (way)); \
     }
 TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_rbf_run8_kind(const tetcast_kernel kernel, const uint32_t n,
-        const tetcasti_rbf_group *g, const tetcasti_rbf_record *f, const tetcasti_rbf_reach *r, float *rows,
-        size_t stride) {
+        const int shaped, const tetcasti_rbf_group *g, const tetcasti_rbf_record *f, const tetcasti_rbf_reach *r,
+        float *rows, size_t stride) {
     const __m256 tc = _mm256_loadu_ps(r->tc), d2 = _mm256_loadu_ps(r->d2), zero = _mm256_setzero_ps();
+    const __m256 grow = shaped ? _mm256_loadu_ps(r->grow) : zero;
     const float h = g->h;
     __m256 w[TETCAST_RBF_MAX_COMPONENTS];
     uint32_t c;
@@ -21644,7 +21975,8 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_rbf_run8_kind(const tetcast_k
     if (kernel != TETCAST_KERNEL_GAUSS && kernel != TETCAST_KERNEL_GAUSS_CUT) {
         for (j = r->first; j <= r->last; j++) {
             const __m256 u = _mm256_sub_ps(_mm256_set1_ps((float)j * h), tc);
-            const __m256 phi = tetcasti_rbf_phi8(kernel, f, _mm256_add_ps(d2, _mm256_mul_ps(u, u)), 0, NULL);
+            const __m256 v = shaped ? _mm256_mul_ps(grow, u) : u;
+            const __m256 phi = tetcasti_rbf_phi8(kernel, f, _mm256_add_ps(d2, _mm256_mul_ps(v, u)), 0, NULL);
             for (c = 0; c < n; c++) {
                 float *at = rows + c * stride + (size_t)j * 8;
                 _mm256_storeu_ps(at, _mm256_fmadd_ps(w[c], phi, _mm256_loadu_ps(at)));
@@ -21653,14 +21985,17 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_rbf_run8_kind(const tetcast_k
         return;
     }
     {
-        const __m256 c2 = _mm256_set1_ps(r->decay), e = _mm256_set1_ps(f->e), h8 = _mm256_set1_ps(h);
-        const __m256 a = _mm256_set1_ps(f->a), ah = _mm256_set1_ps(f->a * h), two = _mm256_set1_ps(2.0f);
+        const __m256 e = _mm256_set1_ps(f->e), h8 = _mm256_set1_ps(h), two = _mm256_set1_ps(2.0f);
+        const __m256 a = _mm256_set1_ps(f->a), ah = shaped ? _mm256_mul_ps(_mm256_mul_ps(a, grow), h8)
+                                                           : _mm256_set1_ps(f->a * h);
+        const __m256 c2 = shaped ? tetcasti_exp2_decay8(_mm256_mul_ps(_mm256_set1_ps(2.0f * h), ah))
+                                 : _mm256_set1_ps(r->decay);
         __m256 u = _mm256_sub_ps(_mm256_set1_ps((float)r->middle * h), tc), up, down, q, p;
         const int32_t above = r->last - r->middle + 1, below = r->middle - r->first;
         const int32_t both = above < below ? above : below, left = both < TETCASTI_RBF_RUN ? both : TETCASTI_RBF_RUN;
         float *higher = rows + (size_t)r->middle * 8, *lower = higher - 8;
         int32_t some, i;
-        up = tetcasti_exp2_fused8(_mm256_mul_ps(a, _mm256_fmadd_ps(u, u, d2)));
+        up = tetcasti_exp2_fused8(_mm256_mul_ps(a, _mm256_fmadd_ps(shaped ? _mm256_mul_ps(grow, u) : u, u, d2)));
         q = tetcasti_exp2_fused8(_mm256_mul_ps(ah, _mm256_fmadd_ps(two, u, h8)));
         p = tetcasti_exp2_fused8(_mm256_mul_ps(ah, _mm256_fnmadd_ps(two, u, h8)));
         down = _mm256_mul_ps(up, p);
@@ -21677,18 +22012,22 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_rbf_run8_kind(const tetcast_k
 #undef TETCASTI_RBF_STEP8
 TETCASTI_TARGET_WALK static void tetcasti_rbf_run8(tetcast_kernel kernel, uint32_t n, const tetcasti_rbf_group *g,
         const tetcasti_rbf_record *f, const tetcasti_rbf_reach *r, float *rows, size_t stride) {
-    if (kernel == TETCAST_KERNEL_GAUSS && n == 1)
-        tetcasti_rbf_run8_kind(TETCAST_KERNEL_GAUSS, 1, g, f, r, rows, stride);
-    else if (kernel == TETCAST_KERNEL_GAUSS && n == 3)
-        tetcasti_rbf_run8_kind(TETCAST_KERNEL_GAUSS, 3, g, f, r, rows, stride);
-    else if (kernel == TETCAST_KERNEL_GAUSS) tetcasti_rbf_run8_kind(TETCAST_KERNEL_GAUSS, n, g, f, r, rows, stride);
+    const int shaped = f->k != 0.0f;
+    if (kernel == TETCAST_KERNEL_GAUSS && n == 1 && !shaped)
+        tetcasti_rbf_run8_kind(TETCAST_KERNEL_GAUSS, 1, 0, g, f, r, rows, stride);
+    else if (kernel == TETCAST_KERNEL_GAUSS && n == 3 && !shaped)
+        tetcasti_rbf_run8_kind(TETCAST_KERNEL_GAUSS, 3, 0, g, f, r, rows, stride);
+    else if (kernel == TETCAST_KERNEL_GAUSS && shaped)
+        tetcasti_rbf_run8_kind(TETCAST_KERNEL_GAUSS, n, 1, g, f, r, rows, stride);
+    else if (kernel == TETCAST_KERNEL_GAUSS)
+        tetcasti_rbf_run8_kind(TETCAST_KERNEL_GAUSS, n, 0, g, f, r, rows, stride);
     else if (kernel == TETCAST_KERNEL_GAUSS_CUT)
-        tetcasti_rbf_run8_kind(TETCAST_KERNEL_GAUSS_CUT, n, g, f, r, rows, stride);
+        tetcasti_rbf_run8_kind(TETCAST_KERNEL_GAUSS_CUT, n, shaped, g, f, r, rows, stride);
     else if (kernel == TETCAST_KERNEL_WENDLAND2)
-        tetcasti_rbf_run8_kind(TETCAST_KERNEL_WENDLAND2, n, g, f, r, rows, stride);
+        tetcasti_rbf_run8_kind(TETCAST_KERNEL_WENDLAND2, n, shaped, g, f, r, rows, stride);
     else if (kernel == TETCAST_KERNEL_WENDLAND4)
-        tetcasti_rbf_run8_kind(TETCAST_KERNEL_WENDLAND4, n, g, f, r, rows, stride);
-    else tetcasti_rbf_run8_kind(TETCAST_KERNEL_POWER, n, g, f, r, rows, stride);
+        tetcasti_rbf_run8_kind(TETCAST_KERNEL_WENDLAND4, n, shaped, g, f, r, rows, stride);
+    else tetcasti_rbf_run8_kind(TETCAST_KERNEL_POWER, n, shaped, g, f, r, rows, stride);
 }
 
 /* Base at a row of samples, as tetcasti_rbf_base. */
@@ -21911,7 +22250,9 @@ static void tetcasti_rbf_group_values(tetcasti_rbf_picture *t, const tetcasti_rb
             const tetcasti_rbf_record *f = &m->record[t->list[i]];
             list[met] = t->list[i];
 #if TETCASTI_AVX2
-            if (t->isa >= TETCAST_ISA_AVX2) met += (uint32_t)tetcasti_rbf_meet8(g, f, &r[met]);
+            if (t->isa >= TETCAST_ISA_AVX2)
+                met += (uint32_t)(f->k != 0.0f ? tetcasti_rbf_meet_ellipsoid8(g, f, &r[met])
+                                               : tetcasti_rbf_meet8(g, f, &r[met]));
             else
 #endif
             met += (uint32_t)tetcasti_rbf_meet(g, f, &r[met]);
@@ -22502,7 +22843,8 @@ static double tetcasti_rbf_step(const tetcasti_rbf_picture *t) {
     for (a = 0; a < 3; a++) diagonal += (double)m->size[a] * (double)m->size[a];
     diagonal = sqrt(diagonal);
     for (i = 0; i < m->count; i++) {
-        const double k = 4.0 * (tetcasti_log2((double)m->width[i]) + 24.0);
+        const double thin = m->axis != NULL && m->axis[i][3] < 1.0f ? (double)m->axis[i][3] : 1.0;
+        const double k = 4.0 * (tetcasti_log2((double)m->width[i] * thin) + 24.0);
         histogram[k < 0.0 ? 0 : k > 127.0 ? 127 : (uint32_t)k]++;
     }
     for (i = 0; i < 128; i++) {

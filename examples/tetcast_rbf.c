@@ -19,7 +19,7 @@ enum { LOOK = 40 }; /* a grid of so many places a side tells what values there a
 typedef struct options {
     sup_common common;
     const char *in, *out, *field, *tf, *slice, *inside;
-    int command, method, kernel, model, channel, gather, stepper, has_model, euler, between, storage;
+    int command, method, kernel, model, channel, gather, stepper, has_model, euler, between, storage, round;
     int64_t detail, sweeps, component, samples, seeds, steps, base, longest, longest_end;
     double max_error, mean_error, cut, scale, iso, opacity, dt, ortho, epsilon, step;
     int has_iso, has_cut, shader;
@@ -53,6 +53,7 @@ static int parse(int argc, char **argv, options *o) {
     t[n++] = sup_opt_choice("method", &o->method, "hybrid|pure", "fit: with a coarse grid, or functions only");
     t[n++] = sup_opt_int("base", &o->base, 2, 512, "N", "fit: nodes of the coarse grid along each side (by trial)");
     t[n++] = sup_opt_flag("between", &o->between, "fit: keep the error in the middles of cells as well");
+    t[n++] = sup_opt_flag("round", &o->round, "fit: no ellipsoids");
     t[n++] = sup_opt_choice("kernel", &o->kernel, "gauss|cut|wendland2|wendland4|power", "fit: the kernel");
     t[n++] = sup_opt_real("cut", &o->cut, 1.0, 8.0, "K", "fit: where Gaussians end, in widths (3.5)");
     t[n++] = sup_opt_int("sweeps", &o->sweeps, 0, 100, "N", "fit: how often functions are fitted again (3)");
@@ -144,8 +145,8 @@ static void print_fit(const options *o, const sup_field *field, const tetcast_rb
     sup_json_string(stdout, field->name);
     printf(",\"components\":%u,\"points\":%llu,\"rejected\":%llu,\"duplicates\":%llu,\"range\":%.9g,\"method\":\"%s\"", field->components,
            (unsigned long long)r->points, (unsigned long long)r->rejected, (unsigned long long)r->duplicates, r->range, methods[o->method]);
-    printf(",\"functions\":%u,\"base\":[%u,%u,%u],\"inserted\":%u,\"dropped\":%u,\"rounds\":%u", r->functions, r->base_dims[0],
-           r->base_dims[1], r->base_dims[2], r->inserted, r->dropped, r->rounds);
+    printf(",\"functions\":%u,\"ellipsoids\":%u,\"base\":[%u,%u,%u],\"inserted\":%u,\"dropped\":%u,\"rounds\":%u", r->functions,
+           r->ellipsoids, r->base_dims[0], r->base_dims[1], r->base_dims[2], r->inserted, r->dropped, r->rounds);
     printf(",\"tolerance\":%.6g,\"max_error\":%.6g,\"mean_error\":%.6g,\"rms_error\":%.6g,\"p999_error\":%.6g", o->max_error,
            r->max_error, r->mean_error, r->rms_error, r->p999_error);
     printf(",\"between\":%llu,\"between_max\":%.6g,\"between_mean\":%.6g,\"overshoot\":%.6g,\"largest_weight\":%.6g",
@@ -265,6 +266,7 @@ static int fit(const options *o, tetcast_env *env, sup_error *err) {
     for (int k = 0; k < 3; k++) d.base_dims[k] = (uint32_t)o->base;
     d.compare = 1;
     d.between = (uint32_t)o->between;
+    d.round = (uint32_t)o->round;
     start = sup_now();
     result = tetcast_rbf_fit(&d, &p, &report, &rbf);
     start = sup_now() - start;
@@ -281,8 +283,8 @@ static int fit(const options *o, tetcast_env *env, sup_error *err) {
     }
     if (!failed && o->common.stats) print_fit(o, field, &report, start);
     else if (!failed && !o->common.quiet) {
-        fprintf(stderr, "%u functions and a base of %u x %u x %u: %llu bytes, error %.3g at most and %.3g on average at the points",
-                report.functions, report.base_dims[0], report.base_dims[1], report.base_dims[2], (unsigned long long)report.bytes,
+        fprintf(stderr, "%u functions (%u ellipsoids) and a base of %u x %u x %u: %llu bytes, error %.3g at most and %.3g on average at the points",
+                report.functions, report.ellipsoids, report.base_dims[0], report.base_dims[1], report.base_dims[2], (unsigned long long)report.bytes,
                 report.max_error, report.mean_error);
         if (report.between_count) fprintf(stderr, ", %.3g and %.3g between them", report.between_max, report.between_mean);
         if (!report.functions_win)

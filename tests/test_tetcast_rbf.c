@@ -32,10 +32,16 @@ static double value_oracle(const tetcast_rbf_desc *d, const double p[3], uint32_
         for (a = 0; a < d->components; a++) most_weight = fmax(most_weight, fabs((double)d->functions[i].weight[a]));
     for (i = 0; i < d->function_count; i++) {
         const tetcast_rbf_function *f = &d->functions[i];
-        double d2 = 0.0, most = 0.0, v;
+        double d2 = 0.0, most = 0.0, along = 0.0, length = 0.0, v;
         for (a = 0; a < 3; a++) {
             const double x = (p[a] - f->centre[a]) / (d->metric[a] != 0.0 ? d->metric[a] : 1.0);
             d2 += x * x;
+            along += x * f->axis[a];
+            length += f->axis[a] * f->axis[a];
+        }
+        if (f->stretch != 0.0) { /* what is along the axis counts 1 / stretch of it */
+            along = along * along / length;
+            d2 = d2 - along + along / (f->stretch * f->stretch);
         }
         for (a = 0; a < d->components; a++) most = fmax(most, fabs((double)f->weight[a]));
         v = (double)f->weight[c] * kernel_oracle(d->kernel, cut, d->epsilon > 0.0f ? (double)d->epsilon : 1e-3 * most_weight, most,
@@ -55,6 +61,7 @@ static tetcast_rbf_desc random_desc(uint64_t seed, uint32_t count, uint32_t comp
         for (a = 0; a < 3; a++) g_f[i].centre[a] = shift + test_rng_double(&r) * 2.0;
         g_f[i].width = narrow * pow(wide / narrow, test_rng_double(&r));
         for (a = 0; a < 4; a++) g_f[i].weight[a] = test_rng_range(&r, -1.0f, 1.0f);
+        g_f[i].axis[0] = g_f[i].axis[1] = g_f[i].axis[2] = g_f[i].stretch = 0.0;
     }
     for (a = 0; a < 3; a++) {
         d.box_min[a] = shift;
@@ -65,6 +72,20 @@ static tetcast_rbf_desc random_desc(uint64_t seed, uint32_t count, uint32_t comp
     d.functions = g_f;
     d.function_count = count;
     return d;
+}
+
+/* Every second function of g_f becomes an ellipsoid. */
+static void bend(const tetcast_rbf_desc *d, double most) {
+    test_rng r = test_rng_make(4711);
+    size_t i;
+    uint32_t a;
+    for (i = 0; i < d->function_count; i++)
+        for (a = 0; a < 4; a++) {
+            const double x = test_rng_double(&r) * 2.0 - 1.0;
+            if (i % 2 == 0) continue;
+            if (a < 3) g_f[i].axis[a] = 3.0 * x;
+            else g_f[i].stretch = pow(most, x);
+        }
 }
 
 static tetcast_rbf *make(const tetcast_rbf_desc *d) {
@@ -131,6 +152,7 @@ TEST(sums) {
                 d.metric[0] = 0.5;
                 d.metric[1] = d.metric[2] = 2.0;
             }
+            if (n == 3 || kernel + n == 5 || kernel + n == 2) bend(&d, 4.0);
             m = make(&d);
             REQUIRE(m != NULL);
             random_points(p, count, &d, 5 + n);
@@ -166,6 +188,7 @@ TEST(derivatives) {
         d.kernel = (tetcast_kernel)kernel;
         d.metric[1] = 2.0;
         d.metric[0] = d.metric[2] = 1.0;
+        bend(&d, 1.5);
         m = make(&d);
         REQUIRE(m != NULL);
         random_points(p, N, &d, 3);
@@ -239,6 +262,7 @@ TEST(bounds_hold) {
         d.base = node;
         d.metric[0] = 0.5;
         d.metric[1] = d.metric[2] = 1.0;
+        bend(&d, 3.0);
         m = make(&d);
         REQUIRE(m != NULL);
         for (t = 0; t < 60; t++) {
@@ -363,6 +387,8 @@ TEST(files) {
     test_rng r = test_rng_make(3);
     tornado(10, data);
     CHECK(tetcast_rbf_fit(NULL, &p, NULL, &m[0]) == TETCAST_OK);
+    CHECK(m[0] != NULL && m[0]->ellipsoids > 0 && m[0]->ellipsoids < m[0]->count);
+    bend(&d, 4.0);
     m[1] = make(&d);
     for (k = 0; k < 2; k++) {
         size_t size, size2, n;
@@ -508,6 +534,15 @@ TEST(promise) {
                            scattered, (double)asked[t], report.functions, (unsigned long long)report.bytes, report.max_error,
                            report.mean_error, report.between_max, report.between_mean);
                 if (!scattered && field < 2) CHECK(report.between_mean < 3.0 * report.mean_error + 0.003);
+                if (field == 1 && t == 0 && !scattered) { /* plates are for sheets */
+                    tetcast_rbf_report round;
+                    tetcast_rbf *other = NULL;
+                    d.round = 1;
+                    CHECK(tetcast_rbf_fit(&d, &p, &round, &other) == TETCAST_OK);
+                    CHECK(report.ellipsoids > report.functions / 10 && report.ellipsoids == m->ellipsoids && round.ellipsoids == 0);
+                    CHECK_MSG(report.bytes < round.bytes, "%u and %u bytes", (unsigned)report.bytes, (unsigned)round.bytes);
+                    tetcast_rbf_destroy(other);
+                }
                 tetcast_rbf_destroy(m);
             }
 }
@@ -949,6 +984,7 @@ TEST(pictures) {
             d.metric[1] = 1.5;
             d.metric[2] = 0.7;
         }
+        if (kernel != 2) bend(&d, 2.0);
         m = make(&d);
         REQUIRE(m != NULL);
         for (k = 0; k < 4; k++) {
@@ -1248,6 +1284,14 @@ TEST(recurrence) {
         f.a = (float)(-0.72134752044448170368 / ((double)width * (double)width));
         f.radius = 3.5f * width;
         f.w[0] = 1.0f;
+        if (t % 2 != 0) { /* an ellipsoid */
+            const double stretch = pow(3.0, (double)test_rng_range(&r, -1.0f, 1.0f)), turn = (double)test_rng_range(&r, 0.0f, 6.0f);
+            f.m[0] = (float)(0.8 * cos(turn));
+            f.m[1] = 0.6f;
+            f.m[2] = (float)(0.8 * sin(turn));
+            f.k = (float)(1.0 / (stretch * stretch) - 1.0);
+            if (stretch > 1.0) f.radius *= (float)stretch;
+        }
         f.c[2] = test_rng_range(&r, -0.3f, 1.0f);
         for (l = 0; l < 8; l++) {
             g.o[0][l] = test_rng_range(&r, -0.2f, 0.2f);
@@ -1262,7 +1306,8 @@ TEST(recurrence) {
 #if TETCASTI_AVX2
         if (tetcast_isa_best() >= TETCAST_ISA_AVX2) {
             tetcasti_rbf_reach again = reach;
-            CHECK(tetcasti_rbf_meet8(&g, &f, &again) && memcmp(&again, &reach, sizeof reach) == 0);
+            CHECK(t % 2 != 0 ? tetcasti_rbf_meet_ellipsoid8(&g, &f, &again) : tetcasti_rbf_meet8(&g, &f, &again));
+            CHECK(memcmp(&again, &reach, sizeof reach) == 0);
             tetcasti_rbf_run8(TETCAST_KERNEL_GAUSS, 1, &g, &f, &reach, rows[1], 0);
             CHECK(memcmp(rows[0], rows[1], sizeof rows[0]) == 0);
         }
@@ -1271,7 +1316,8 @@ TEST(recurrence) {
             for (l = 0; l < 8; l++) {
                 const double x = (double)g.o[0][l] + (double)j * (double)g.h * (double)g.d[0][l];
                 const double z = (double)j * (double)g.h * (double)g.d[2][l] - (double)f.c[2];
-                const double v = exp(-0.5 * (x * x + z * z) / ((double)width * (double)width)) - (double)f.e;
+                const double s = x * (double)f.m[0] + z * (double)f.m[2], d2 = x * x + z * z + (double)f.k * s * s;
+                const double v = exp(-0.5 * d2 / ((double)width * (double)width)) - (double)f.e;
                 const double e = fabs((double)rows[0][j * 8 + l] - (v > 0.0 ? v : 0.0));
                 if (!(e <= worst)) worst = e;
             }
