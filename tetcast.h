@@ -17396,11 +17396,14 @@ TETCAST_DEF tetcast_result tetcast_render_shaded(const tetcast_shade_desc *desc,
 /* One ray. t: world length along it; lattice coordinates o + t d. */
 typedef struct tetcasti_brick_ray {
     double o[3], d[3], inv[3], world_o[3], world_d[3], t, end;
+    double exit[3], never[3];         /* where the cube of slots ends along each axis; 1e300 where it never does */
     double span[TETCAST_CLIP_SPANS][2];
     uint32_t spans, at;
-    int32_t slot[3];
+    int32_t slot[3], way[3], up[3];   /* way: to the next slot along each axis, 1 or -1; up: 1 or 0 */
+    ptrdiff_t index, move[3];         /* number of the slot, and how it changes with `way` */
     uint32_t axis, in_span, last, front; /* axis: through whose border the slot ends; front: its front value is known */
-    uint32_t pixel, log;              /* log: of the cube of slots that is walked through at once */
+    uint32_t log, known;              /* log: of the cube of slots that is walked through at once; known: it is 0, and
+                                         exit[] is right but for `axis` */
 } tetcasti_brick_ray;
 
 typedef struct tetcasti_octet {
@@ -17433,7 +17436,7 @@ typedef struct tetcasti_brick_frame {
                                         TETCASTI_SEEN: it is seen, and log of the cube of one coarse brick around it
                                         that is as well */
     double step;                     /* world, of level 0 */
-    float begin_t;
+    double steps[16], per[16], part[16]; /* of each level: step, 1 / step, 2^-level */
     uint32_t wide, tiles_x, tiles, next, done, failed, cancelled;
     uint32_t tally[6][2];
 } tetcasti_brick_frame;
@@ -17443,12 +17446,10 @@ static void tetcasti_lane_slot(const tetcasti_brick_frame *c, tetcasti_octet *l,
     const tetcast_cut *cut = c->cut;
     const tetcast_bricks *b = cut->bricks;
     tetcasti_brick_ray *r = &l->ray[i];
-    const uint32_t word =
-        cut->slot[(size_t)r->slot[0] + (size_t)b->slots[0] * ((size_t)r->slot[1] + (size_t)b->slots[1] *
-                                                                                 (size_t)r->slot[2])];
+    const uint32_t word = cut->slot[r->index];
     const uint32_t k = word >> TETCASTI_LEVEL_SHIFT & 15u, bit = 1u << i;
-    const double part = 1.0 / (double)(1u << k), step = c->desc->fixed_step ? c->step : c->step * (double)(1u << k);
-    const double whole = step > 0.0 && r->t / step < 4e15 ? (double)tetcasti_floor(r->t / step) : 0.0;
+    const double part = c->part[k], step = c->steps[k], number = r->t * c->per[k];
+    const double whole = number < 4e15 && number > 0.0 ? (double)(int64_t)number : 0.0;
     uint32_t a, type;
     l->block[i] = tetcasti_slot_block(cut, word, &type);
     l->adapted = word & TETCASTI_ADAPTED ? l->adapted | bit : l->adapted & ~bit;
@@ -17486,24 +17487,11 @@ static void tetcasti_lane_slot(const tetcasti_brick_frame *c, tetcasti_octet *l,
     }
 }
 
-/* Where the cube of 2^log slots at r->slot ends on the ray. */
-TETCASTI_INLINE double tetcasti_brick_exit(const tetcast_bricks *b, const tetcasti_brick_ray *r, uint32_t log,
-                                           uint32_t *axis) {
-    double best = 1e300;
-    uint32_t a;
-    *axis = 3;
-    for (a = 0; a < 3; a++) {
-        const int32_t first = r->slot[a] >> log << log;
-        double at;
-        if (r->d[a] > 0.0) at = ((double)((int64_t)(first + ((int32_t)1 << log)) << b->log) - r->o[a]) * r->inv[a];
-        else if (r->d[a] < 0.0) at = ((double)((int64_t)first << b->log) - r->o[a]) * r->inv[a];
-        else continue;
-        if (at < best) {
-            best = at;
-            *axis = a;
-        }
-    }
-    return best;
+/* Where 2^log slots at r->slot end on the ray along an axis. */
+TETCASTI_INLINE double tetcasti_brick_exit(const tetcast_bricks *b, const tetcasti_brick_ray *r, uint32_t a,
+                                           uint32_t log) {
+    const int64_t border = (((int64_t)r->slot[a] >> log) + r->up[a]) * ((int64_t)1 << (log + b->log));
+    return ((double)border - r->o[a]) * r->inv[a] + r->never[a];
 }
 
 /* The slot of the point at r->t, between lo and hi. On a border it is the one that the ray goes into. */
@@ -17515,29 +17503,47 @@ TETCASTI_INLINE void tetcasti_brick_find(const tetcast_bricks *b, tetcasti_brick
     r->slot[a] = s < lo ? lo : s > hi ? hi : (int32_t)s;
 }
 
-/* Leave the slot (or enter the first one): to the next one that shows something. 0: the ray is through. */
+/* Through the border of a cube of 2^log slots. 0: out of the lattice. */
+static int tetcasti_brick_leave(const tetcast_bricks *b, tetcasti_brick_ray *r, uint32_t log) {
+    const int32_t first = r->slot[r->axis] >> log << log;
+    const int32_t to = r->d[r->axis] > 0.0 ? first + ((int32_t)1 << log) : first - 1;
+    uint32_t a;
+    if (to < 0 || to >= (int32_t)b->slots[r->axis]) return 0;
+    for (a = 0; a < 3; a++) {
+        const int32_t lo = r->slot[a] >> log << log, hi = lo + ((int32_t)1 << log) - 1;
+        if (a != r->axis)
+            tetcasti_brick_find(b, r, a, lo, hi < (int32_t)b->slots[a] ? hi : (int32_t)b->slots[a] - 1);
+    }
+    r->slot[r->axis] = to;
+    return 1;
+}
+
+TETCASTI_INLINE void tetcasti_brick_number(const tetcast_bricks *b, tetcasti_brick_ray *r) {
+    r->index = r->slot[0] + (ptrdiff_t)b->slots[0] * (r->slot[1] + (ptrdiff_t)b->slots[1] * r->slot[2]);
+}
+
+/* Leave the slot (or enter the first one): to the next one that shows something. 0: the ray is through. From slot to
+   slot it is a third of a picture's time: no divisions, and one border anew for each step. */
 static int tetcasti_lane_next(const tetcasti_brick_frame *c, tetcasti_octet *l, uint32_t i) {
     const tetcast_bricks *b = c->cut->bricks;
     tetcasti_brick_ray *r = &l->ray[i];
-    uint32_t a, log = r->log;
-    int leave = r->in_span != 0;
+    uint32_t a, leave = r->in_span;
     for (;;) {
-        uint32_t skip;
+        uint32_t skip, log, k, m;
+        double least;
         if (leave) {
             r->t = r->end;
             if (r->last) {
                 r->at++;
                 r->in_span = 0;
-            } else { /* through the border across r->axis */
-                const int32_t first = r->slot[r->axis] >> log << log;
-                const int32_t to = r->d[r->axis] > 0.0 ? first + ((int32_t)1 << log) : first - 1;
-                if (to < 0 || to >= (int32_t)b->slots[r->axis]) return 0;
-                for (a = 0; a < 3 && log != 0; a++) {
-                    const int32_t lo = r->slot[a] >> log << log, hi = lo + ((int32_t)1 << log) - 1;
-                    if (a != r->axis) tetcasti_brick_find(b, r, a, lo, hi < (int32_t)b->slots[a] ? hi :
-                                                          (int32_t)b->slots[a] - 1);
-                }
-                r->slot[r->axis] = to;
+            } else if (r->log == 0) {
+                a = r->axis;
+                r->slot[a] += r->way[a];
+                if ((uint32_t)r->slot[a] >= b->slots[a]) return 0;
+                r->index += r->move[a];
+            } else {
+                if (!tetcasti_brick_leave(b, r, r->log)) return 0;
+                tetcasti_brick_number(b, r);
             }
         }
         leave = 1;
@@ -17545,22 +17551,29 @@ static int tetcasti_lane_next(const tetcasti_brick_frame *c, tetcasti_octet *l, 
             if (r->at >= r->spans) return 0;
             r->t = r->span[r->at][0];
             r->in_span = 1;
-            r->front = 0;
+            r->front = r->known = 0;
             if (c->optics != NULL) tetcasti_lane_gap(c->optics, &l->sum, i);
             for (a = 0; a < 3; a++) tetcasti_brick_find(b, r, a, 0, (int32_t)b->slots[a] - 1);
+            tetcasti_brick_number(b, r);
         }
-        skip = c->skip[(size_t)r->slot[0] + (size_t)b->slots[0] * ((size_t)r->slot[1] + (size_t)b->slots[1] *
-                                                                    (size_t)r->slot[2])];
+        skip = c->skip[r->index];
         log = skip & TETCASTI_SEEN ? skip & 127u : skip - 1;
-        r->end = tetcasti_brick_exit(b, r, log, &r->axis);
-        r->last = r->axis == 3 || !(r->end < r->span[r->at][1]);
-        if (r->last) r->end = r->span[r->at][1];
+        if ((log | !r->known) == 0) r->exit[r->axis] = tetcasti_brick_exit(b, r, r->axis, 0);
+        else for (a = 0; a < 3; a++) r->exit[a] = tetcasti_brick_exit(b, r, a, log);
+        r->known = log == 0;
+        r->log = log;
+        k = (uint32_t)(r->exit[1] < r->exit[0]); /* without branches: nobody could foretell them */
+        least = tetcasti_min(r->exit[0], r->exit[1]);
+        m = (uint32_t)(r->exit[2] < least);
+        least = tetcasti_min(least, r->exit[2]);
+        r->axis = 2 * m + (k & ~m);
+        r->last = !(least < r->span[r->at][1]);
+        r->end = r->last ? r->span[r->at][1] : least;
         if (!(r->end > r->t)) {
             r->end = r->t;
             continue;
         }
         if (skip & TETCASTI_SEEN) {
-            r->log = log;
             tetcasti_lane_slot(c, l, i);
             return 1;
         }
@@ -17827,6 +17840,10 @@ static uint32_t tetcasti_brick_ray_open(const tetcasti_brick_frame *c, uint32_t 
         r->d[a] = r->world_d[a] / b->lattice.spacing[a];
         if (tetcasti_abs(r->world_d[a]) < 1e-30) r->d[a] = 0.0;
         r->inv[a] = r->d[a] != 0.0 ? 1.0 / r->d[a] : 0.0;
+        r->way[a] = r->d[a] > 0.0 ? 1 : -1;
+        r->up[a] = r->d[a] > 0.0;
+        r->never[a] = r->d[a] != 0.0 ? 0.0 : 1e300;
+        r->move[a] = a == 0 ? r->way[0] : (ptrdiff_t)b->slots[0] * (a == 2 ? (ptrdiff_t)b->slots[1] : 1) * r->way[a];
         if (r->d[a] == 0.0) {
             if (!(r->o[a] >= -thin && r->o[a] <= end + thin)) return 0;
             continue;
@@ -17836,8 +17853,7 @@ static uint32_t tetcasti_brick_ray_open(const tetcasti_brick_frame *c, uint32_t 
         lo = tetcasti_max(lo, tetcasti_min(t0, t1));
         hi = tetcasti_min(hi, tetcasti_max(t0, t1));
     }
-    r->at = r->in_span = r->front = r->last = r->log = 0;
-    r->axis = 3;
+    r->at = r->in_span = r->front = r->last = r->log = r->known = r->axis = 0;
     r->spans = 0;
     if (!(lo < hi) || !tetcasti_finite(lo)) return 0;
     r->span[0][0] = lo;
@@ -17999,6 +18015,11 @@ static tetcast_result tetcasti_brick_frame_open(tetcasti_brick_frame *c, tetcast
         if (b->lattice.dims[a] > 1) least = tetcasti_min(least, b->lattice.spacing[a]);
     }
     c->step = (least < 1e300 ? least : b->lattice.spacing[0]) * (d->step > 0.0f ? (double)d->step : 1.0);
+    for (a = 0; a < 16; a++) {
+        c->steps[a] = d->fixed_step ? c->step : c->step * (double)(1u << a);
+        c->per[a] = c->steps[a] > 0.0 ? 1.0 / c->steps[a] : 0.0;
+        c->part[a] = 1.0 / (double)(1u << a);
+    }
     if (d->camera.eye[0] == d->camera.at[0] && d->camera.eye[1] == d->camera.at[1] &&
         d->camera.eye[2] == d->camera.at[2])
         r = tetcast_camera_fit(&d->camera, lo, hi, NULL, width, height);

@@ -301,6 +301,8 @@ static void bm42(void) {
         bench_num("byte_share", (double)info.bytes / (double)info.full_bytes);
         bench_num("sample_share", info.samples);
         bench_num("samples", (double)f.stats.steps);
+        bench_num("slots", (double)f.stats.walks);
+        bench_num("lane_share", f.stats.lanes != 0 ? (double)f.stats.steps / (double)f.stats.lanes : 1.0);
         bench_num("threads", 1);
         bench_end();
         if (i == 1) table_set("bricks-half", "%.0f", 1e3 * frame_s);
