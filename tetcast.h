@@ -14648,7 +14648,8 @@ TETCASTI_TARGET_AVX2 static inline __m256 tetcasti_mix8(__m256 a, __m256 b, __m2
 }
 
 /* A row of cells: nodes x and x + 1 of each lane. Loads of pairs and shuffles: gathers take twice the time on Zen 4. */
-TETCASTI_TARGET_AVX2 static inline __m256 tetcasti_nodes8_f32(const uint8_t *const p[8], size_t offset, __m256 fx) {
+TETCASTI_TARGET_AVX2 static inline void tetcasti_ends8_f32(const uint8_t *const p[8], size_t offset, __m256 *lo,
+                                                           __m256 *hi) {
     __m128 v[4];
     __m256 a, b;
     uint32_t i;
@@ -14658,7 +14659,8 @@ TETCASTI_TARGET_AVX2 static inline __m256 tetcasti_nodes8_f32(const uint8_t *con
     }
     a = _mm256_insertf128_ps(_mm256_castps128_ps256(v[0]), v[2], 1);
     b = _mm256_insertf128_ps(_mm256_castps128_ps256(v[1]), v[3], 1);
-    return tetcasti_mix8(_mm256_shuffle_ps(a, b, 0x88), _mm256_shuffle_ps(a, b, 0xdd), fx);
+    *lo = _mm256_shuffle_ps(a, b, 0x88);
+    *hi = _mm256_shuffle_ps(a, b, 0xdd);
 }
 TETCASTI_TARGET_AVX2 static inline __m256i tetcasti_pairs8(const uint8_t *const p[8], size_t offset) {
     int32_t q[8];
@@ -14672,20 +14674,31 @@ TETCASTI_TARGET_AVX2 static inline __m256 tetcasti_half8(__m256i h) { /* 16 bits
                                    _mm256_set1_ps(5.192296858534828e33f));
     return _mm256_or_ps(v, _mm256_castsi256_ps(_mm256_slli_epi32(_mm256_and_si256(h, _mm256_set1_epi32(0x8000)), 16)));
 }
+TETCASTI_TARGET_AVX2 static inline void tetcasti_ends8(const uint32_t type, const uint8_t *const p[8], size_t node,
+                                                       __m256 *lo, __m256 *hi) { /* integers as they are */
+    __m256i q, a, b;
+    if (type == TETCAST_TYPE_F32) {
+        tetcasti_ends8_f32(p, 4 * node, lo, hi);
+        return;
+    }
+    if (type == TETCAST_TYPE_U8) {
+        const __m256i low = _mm256_set1_epi32(255);
+        q = tetcasti_pairs8(p, node);
+        *lo = _mm256_cvtepi32_ps(_mm256_and_si256(q, low));
+        *hi = _mm256_cvtepi32_ps(_mm256_and_si256(_mm256_srli_epi32(q, 8), low));
+        return;
+    }
+    q = tetcasti_pairs8(p, 2 * node);
+    a = _mm256_and_si256(q, _mm256_set1_epi32(0xffff));
+    b = _mm256_srli_epi32(q, 16);
+    *lo = type == TETCAST_TYPE_F16 ? tetcasti_half8(a) : _mm256_cvtepi32_ps(a);
+    *hi = type == TETCAST_TYPE_F16 ? tetcasti_half8(b) : _mm256_cvtepi32_ps(b);
+}
 TETCASTI_TARGET_AVX2 static inline __m256 tetcasti_nodes8(const uint32_t type, const uint8_t *const p[8], size_t node,
                                                         __m256 fx) {
-    if (type == TETCAST_TYPE_F32) return tetcasti_nodes8_f32(p, 4 * node, fx);
-    if (type == TETCAST_TYPE_U8) {
-        const __m256i q = tetcasti_pairs8(p, node), low = _mm256_set1_epi32(255);
-        return tetcasti_mix8(_mm256_cvtepi32_ps(_mm256_and_si256(q, low)),
-                              _mm256_cvtepi32_ps(_mm256_and_si256(_mm256_srli_epi32(q, 8), low)), fx);
-    }
-    {
-        const __m256i q = tetcasti_pairs8(p, 2 * node), a = _mm256_and_si256(q, _mm256_set1_epi32(0xffff)),
-            b = _mm256_srli_epi32(q, 16);
-        if (type == TETCAST_TYPE_F16) return tetcasti_mix8(tetcasti_half8(a), tetcasti_half8(b), fx);
-        return tetcasti_mix8(_mm256_cvtepi32_ps(a), _mm256_cvtepi32_ps(b), fx);
-    }
+    __m256 a, b;
+    tetcasti_ends8(type, p, node, &a, &b);
+    return tetcasti_mix8(a, b, fx);
 }
 TETCASTI_TARGET_AVX2 static inline __m256 tetcasti_place8(const uint32_t type, const tetcast_bricks *b,
                                                          const uint8_t *const p[8], const __m256 f[3]) {
@@ -17066,6 +17079,32 @@ TETCASTI_INLINE float tetcasti_shade_over(const float rgba[4], float *t, float c
     return alpha;
 }
 
+#if TETCASTI_AVX2
+/* Eight lanes of it, the same bits. depth: where something is seen first. Returns lanes that have ended. */
+TETCASTI_TARGET_AVX2 static uint32_t tetcasti_shade_over8(float rgba[4][8], uint32_t lanes, const float at[8],
+                                                          float t[8], float c[3][8], float depth[8]) {
+    const __m256i bit = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
+    const __m256 live = _mm256_castsi256_ps(_mm256_cmpeq_epi32(_mm256_and_si256(_mm256_set1_epi32((int32_t)lanes), bit),
+                                                               bit));
+    const __m256 zero = _mm256_setzero_ps(), left = _mm256_loadu_ps(t), most = _mm256_set1_ps(3.402823466e38f);
+    const __m256 alpha = _mm256_min_ps(_mm256_max_ps(_mm256_loadu_ps(rgba[3]), zero), _mm256_set1_ps(1.0f));
+    const __m256 after = _mm256_sub_ps(left, _mm256_mul_ps(left, alpha)), first = _mm256_loadu_ps(depth);
+    const __m256 seen = _mm256_and_ps(_mm256_cmp_ps(alpha, zero, _CMP_GT_OQ),
+                                      _mm256_cmp_ps(first, _mm256_set1_ps(TETCASTI_INF), _CMP_EQ_OQ));
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        const __m256 v = _mm256_loadu_ps(rgba[a]), sum = _mm256_loadu_ps(c[a]);
+        const __m256 good = _mm256_cmp_ps(_mm256_andnot_ps(_mm256_set1_ps(-0.0f), v), most, _CMP_LE_OQ);
+        _mm256_storeu_ps(c[a], _mm256_blendv_ps(sum, _mm256_add_ps(sum, _mm256_mul_ps(left, v)),
+                                                _mm256_and_ps(good, live)));
+    }
+    _mm256_storeu_ps(t, _mm256_blendv_ps(left, after, live));
+    _mm256_storeu_ps(depth, _mm256_blendv_ps(first, _mm256_loadu_ps(at), _mm256_and_ps(seen, live)));
+    return lanes & ~(uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(after, _mm256_set1_ps(TETCASTI_SHADE_STOP),
+                                                               _CMP_GT_OQ));
+}
+#endif
+
 typedef struct tetcasti_shade_frame {
     const tetcast_shade_desc *desc;
     const tetcast_mesh *mesh;
@@ -17437,6 +17476,7 @@ typedef struct tetcasti_brick_frame {
                                         that is as well */
     double step;                     /* world, of level 0 */
     double steps[16], per[16], part[16]; /* of each level: step, 1 / step, 2^-level */
+    float slope[16][3];                  /* of each level: 1 / spacing */
     uint32_t wide, tiles_x, tiles, next, done, failed, cancelled;
     uint32_t tally[6][2];
 } tetcasti_brick_frame;
@@ -17672,8 +17712,19 @@ TETCASTI_TARGET_AVX2 static uint32_t tetcasti_octet_step8(const tetcast_bricks *
 typedef struct tetcasti_lane_point {
     const tetcast_bricks *b;
     const tetcasti_octet *l;
+    const float (*per)[3];   /* 1 over the spacing of each level */
     uint32_t lane;
 } tetcasti_lane_point;
+
+/* Slopes of the trilinear function along x, y, z, a cell wide. */
+TETCASTI_INLINE void tetcasti_trilinear_slope(const float v[8], const float f[3], float g[3]) {
+    const float x0 = v[1] - v[0], x1 = v[3] - v[2], x2 = v[5] - v[4], x3 = v[7] - v[6];
+    const float a = v[0] + f[0] * x0, b = v[2] + f[0] * x1, c = v[4] + f[0] * x2, d = v[6] + f[0] * x3;
+    const float y0 = b - a, y1 = d - c, p = x0 + f[1] * (x1 - x0), q = x2 + f[1] * (x3 - x2);
+    g[0] = p + f[2] * (q - p);
+    g[1] = y0 + f[2] * (y1 - y0);
+    g[2] = (c + f[1] * y1) - (a + f[1] * y0);
+}
 
 /* Gradient per world unit at that fraction of the lane's last segment. */
 static void tetcasti_lane_gradient(void *user, float fraction, float normal[3]) {
@@ -17682,7 +17733,7 @@ static void tetcasti_lane_gradient(void *user, float fraction, float normal[3]) 
     const tetcasti_octet *l = q->l;
     const uint32_t i = q->lane, type = l->adapted >> i & 1u ? (uint32_t)TETCAST_TYPE_F32 : (uint32_t)b->type;
     const float cells = (float)(1u << b->log), at = l->tau[i] - (1.0f - fraction) * l->seg.length[i];
-    float f[3], v[8];
+    float f[3], v[8], g[3];
     size_t n = 0;
     uint32_t a;
     for (a = 3; a-- > 0;) {
@@ -17698,16 +17749,65 @@ static void tetcasti_lane_gradient(void *user, float fraction, float normal[3]) 
     for (a = 0; a < 8; a++)
         v[a] = tetcasti_block_get(b, l->block[i], type,
                                   n + (a & 1u) + b->side * ((a >> 1 & 1u) + (size_t)b->side * (a >> 2)));
-    for (a = 0; a < 3; a++) {
-        float lo[3], hi[3];
-        memcpy(lo, f, sizeof lo);
-        memcpy(hi, f, sizeof hi);
-        lo[a] = 0.0f;
-        hi[a] = 1.0f;
-        normal[a] = (float)((double)(tetcasti_trilinear(v, hi) - tetcasti_trilinear(v, lo)) /
-                            (b->lattice.spacing[a] * (double)(1u << l->level[i])));
-    }
+    tetcasti_trilinear_slope(v, f, g);
+    for (a = 0; a < 3; a++) normal[a] = g[a] * q->per[l->level[i]][a];
 }
+
+#if TETCASTI_AVX2
+/* In the middle of the segments of all lanes, the same bits. 0: blocks of two kinds, one by one then. */
+TETCASTI_TARGET_AVX2 static int tetcasti_octet_gradient8(const tetcasti_brick_frame *c, const tetcasti_octet *l,
+                                                         float out[3][8]) {
+    const tetcast_bricks *b = c->cut->bricks;
+    const uint32_t type = l->adapted == 255u ? (uint32_t)TETCAST_TYPE_F32 : (uint32_t)b->type;
+    const size_t side = b->side, rows[4] = {0, side, side * side, side * side + side};
+    const size_t bytes = type == TETCAST_TYPE_F32 ? 4u : b->bytes;
+    const __m256 cells = _mm256_set1_ps((float)(1u << b->log)), zero = _mm256_setzero_ps();
+    const __m256i top = _mm256_set1_epi32((1 << b->log) - 1), wide = _mm256_set1_epi32((int32_t)b->side);
+    const __m256 at = _mm256_sub_ps(_mm256_loadu_ps(l->tau),
+                                    _mm256_mul_ps(_mm256_set1_ps(0.5f), _mm256_loadu_ps(l->seg.length)));
+    __m256 f[3], lo[4], x[4], g[3], p, q, y[2];
+    __m256i node = _mm256_setzero_si256();
+    const uint8_t *place[8];
+    int32_t number[8];
+    uint32_t a, i;
+    if (l->adapted != 0 && l->adapted != 255u && b->type != TETCAST_TYPE_F32) return 0;
+    for (a = 3; a-- > 0;) {
+        __m256 u = _mm256_add_ps(_mm256_loadu_ps(l->l0[a]), _mm256_mul_ps(at, _mm256_loadu_ps(l->dl[a])));
+        __m256i m;
+        u = _mm256_min_ps(_mm256_max_ps(u, zero), cells);
+        m = _mm256_min_epi32(_mm256_cvttps_epi32(u), top);
+        f[a] = _mm256_sub_ps(u, _mm256_cvtepi32_ps(m));
+        node = _mm256_add_epi32(_mm256_mullo_epi32(node, wide), m);
+    }
+    _mm256_storeu_si256((__m256i *)(void *)number, node);
+    for (i = 0; i < 8; i++) place[i] = l->block[i] + (size_t)(uint32_t)number[i] * bytes;
+    for (i = 0; i < 4; i++) {
+        __m256 v, w;
+        if (type == TETCAST_TYPE_F32) tetcasti_ends8(TETCAST_TYPE_F32, place, rows[i], &v, &w);
+        else tetcasti_ends8(type, place, rows[i], &v, &w);
+        if (type == TETCAST_TYPE_U8 || type == TETCAST_TYPE_U16) {
+            v = _mm256_add_ps(_mm256_set1_ps(b->bias), _mm256_mul_ps(_mm256_set1_ps(b->step), v));
+            w = _mm256_add_ps(_mm256_set1_ps(b->bias), _mm256_mul_ps(_mm256_set1_ps(b->step), w));
+        }
+        x[i] = _mm256_sub_ps(w, v);
+        lo[i] = _mm256_add_ps(v, _mm256_mul_ps(f[0], x[i]));
+    }
+    y[0] = _mm256_sub_ps(lo[1], lo[0]);
+    y[1] = _mm256_sub_ps(lo[3], lo[2]);
+    p = tetcasti_mix8(x[0], x[1], f[1]);
+    q = tetcasti_mix8(x[2], x[3], f[1]);
+    g[0] = tetcasti_mix8(p, q, f[2]);
+    g[1] = tetcasti_mix8(y[0], y[1], f[2]);
+    g[2] = _mm256_sub_ps(_mm256_add_ps(lo[2], _mm256_mul_ps(f[1], y[1])),
+                         _mm256_add_ps(lo[0], _mm256_mul_ps(f[1], y[0])));
+    for (a = 0; a < 3; a++) {
+        float per[8];
+        for (i = 0; i < 8; i++) per[i] = c->slope[l->level[i]][a];
+        _mm256_storeu_ps(out[a], _mm256_mul_ps(g[a], _mm256_loadu_ps(per)));
+    }
+    return 1;
+}
+#endif
 
 /* Lanes that have ended. */
 static uint32_t tetcasti_octet_shade(const tetcasti_brick_frame *c, tetcasti_octet *l) {
@@ -17715,9 +17815,12 @@ static uint32_t tetcasti_octet_shade(const tetcasti_brick_frame *c, tetcasti_oct
     const tetcast_shader *s = c->desc->shader;
     tetcast_packet *p = &l->packet;
     float rgba[4][8];
-    uint32_t i, a, ended = 0;
+    uint32_t i, a, ended = 0, need = s->needs & TETCAST_NEED_GRADIENT;
     p->mask = l->live;
     memset(rgba, 0, sizeof rgba);
+#if TETCASTI_AVX2
+    if (need != 0 && c->wide && tetcasti_octet_gradient8(c, l, p->gradient)) need = 0;
+#endif
     memcpy(p->front, l->seg.front, sizeof p->front);
     memcpy(p->back, l->seg.back, sizeof p->back);
     memcpy(p->length, l->seg.length, sizeof p->length);
@@ -17726,11 +17829,12 @@ static uint32_t tetcasti_octet_shade(const tetcasti_brick_frame *c, tetcasti_oct
     for (i = 0; i < 8 && s->needs != 0; i++) {
         const tetcasti_brick_ray *r = &l->ray[i];
         if (!(l->live >> i & 1u)) continue;
-        if (s->needs & TETCAST_NEED_GRADIENT) {
+        if (need != 0) {
             tetcasti_lane_point q;
             float g[3];
             q.b = b;
             q.l = l;
+            q.per = (const float (*)[3])c->slope;
             q.lane = i;
             tetcasti_lane_gradient(&q, 0.5f, g);
             for (a = 0; a < 3; a++) p->gradient[a][i] = g[a];
@@ -17743,6 +17847,9 @@ static uint32_t tetcasti_octet_shade(const tetcasti_brick_frame *c, tetcasti_oct
         }
     }
     s->shade_fn(s->user, p, rgba);
+#if TETCASTI_AVX2
+    if (c->wide) return tetcasti_shade_over8(rgba, l->live, p->depth, l->sum.t, l->sum.c, l->depth);
+#endif
     for (i = 0; i < 8; i++) {
         float one[4], color[3];
         if (!(l->live >> i & 1u)) continue;
@@ -17768,6 +17875,7 @@ static uint32_t tetcasti_octet_integrate(const tetcasti_brick_frame *c, tetcasti
         if (!(hit >> i & 1u)) continue;
         q.b = c->cut->bricks;
         q.l = l;
+        q.per = (const float (*)[3])c->slope;
         q.lane = i;
         for (a = 0; a < 3; a++) view[a] = (float)l->ray[i].world_d[a];
         tetcasti_lane_segment_iso(o, i, &l->seg, tetcasti_lane_gradient, &q, view, &l->sum);
@@ -18008,7 +18116,7 @@ static tetcast_result tetcasti_brick_frame_open(tetcasti_brick_frame *c, tetcast
     const uint32_t width = d->frame[0] != 0 ? d->frame[0] : image->width;
     const uint32_t height = d->frame[0] != 0 ? d->frame[1] : image->height;
     tetcast_result r = TETCAST_OK;
-    uint32_t a;
+    uint32_t a, k;
     for (a = 0; a < 3; a++) {
         lo[a] = b->lattice.origin[a];
         hi[a] = lo[a] + (double)(b->lattice.dims[a] - 1) * b->lattice.spacing[a];
@@ -18019,6 +18127,7 @@ static tetcast_result tetcasti_brick_frame_open(tetcasti_brick_frame *c, tetcast
         c->steps[a] = d->fixed_step ? c->step : c->step * (double)(1u << a);
         c->per[a] = c->steps[a] > 0.0 ? 1.0 / c->steps[a] : 0.0;
         c->part[a] = 1.0 / (double)(1u << a);
+        for (k = 0; k < 3; k++) c->slope[a][k] = (float)(c->part[a] / b->lattice.spacing[k]);
     }
     if (d->camera.eye[0] == d->camera.at[0] && d->camera.eye[1] == d->camera.at[1] &&
         d->camera.eye[2] == d->camera.at[2])
@@ -22567,6 +22676,9 @@ static uint32_t tetcasti_rbf_shade(const tetcasti_rbf_picture *t, const tetcasti
         }
     }
     s->shade_fn(s->user, &p, rgba);
+#if TETCASTI_AVX2
+    if (t->isa >= TETCAST_ISA_AVX2) return tetcasti_shade_over8(rgba, lanes, from, sum->t, sum->c, depth);
+#endif
     for (l = 0; l < 8; l++) {
         float one[4], color[3];
         if (!(lanes >> l & 1u)) continue;

@@ -1514,6 +1514,65 @@ TEST(shaders) {
     free(v);
 }
 
+/* Gradients as colours, of every third lane none that is a number. */
+static void gradient_shade(void *user, const tetcast_packet *in, float rgba[4][8]) {
+    uint32_t i, a;
+    for (i = 0; i < 8; i++) {
+        if (!(in->mask >> i & 1u)) continue;
+        for (a = 0; a < 3; a++) rgba[a][i] = i % 3 == 2 ? (float)(a == 0 ? NAN : INFINITY) : in->gradient[a][i] * in->length[i];
+        rgba[3][i] = i == 5 ? (float)NAN : i == 6 ? -1.0f : 0.02f * in->length[i];
+    }
+    (void)user;
+}
+
+/* Eight lanes and one by one: the same bits for all kinds of storage, with levels that differ. */
+TEST(shaders_same_bits) {
+    enum { W = 44, H = 33 };
+    static const tetcast_type types[4] = {TETCAST_TYPE_F32, TETCAST_TYPE_F16, TETCAST_TYPE_U16, TETCAST_TYPE_U8};
+    static float a[2][W * H * 4], depth[2][W * H];
+    const tetcast_lattice l = cube_lattice(40, 33, 26);
+    float *v = (float *)malloc(node_count(&l) * 4);
+    test_rng r = test_rng_make(12);
+    size_t i;
+    int t, k, adapted;
+    REQUIRE(v != NULL);
+    for (i = 0; i < node_count(&l); i++) v[i] = test_rng_float(&r);
+    for (t = 0; t < 4; t++)
+        for (adapted = 0; adapted < 2; adapted++) {
+            tetcast_bricks *b = make_bricks(&l, v, types[t], 3, 0);
+            tetcast_cut_desc cd;
+            tetcast_cut *c = NULL;
+            tetcast_brick_render_desc d;
+            tetcast_shader s;
+            uint8_t levels[5 * 4 * 4];
+            for (i = 0; i < sizeof levels; i++) levels[i] = (uint8_t)(adapted ? test_rng_below(&r, 3) : 0);
+            memset(&cd, 0, sizeof cd);
+            memset(&s, 0, sizeof s);
+            cd.levels = levels;
+            REQUIRE(tetcast_cut_create(&cd, b, &c) == TETCAST_OK);
+            box_view(&d, &l, 1);
+            s.needs = TETCAST_NEED_GRADIENT;
+            s.shade_fn = gradient_shade;
+            d.shader = &s;
+            for (k = 0; k < 2; k++) {
+                tetcast_image image;
+                memset(&image, 0, sizeof image);
+                image.width = W;
+                image.height = H;
+                image.rgba = a[k];
+                image.depth = depth[k];
+                d.isa = k ? TETCAST_ISA_AUTO : TETCAST_ISA_SCALAR;
+                CHECK_EQ_U64(tetcast_render_bricks(&d, c, NULL, &image, NULL), TETCAST_OK);
+            }
+            CHECK_MSG(memcmp(a[0], a[1], sizeof a[0]) == 0 && memcmp(depth[0], depth[1], sizeof depth[0]) == 0, "%d %d", t, adapted);
+            for (i = 0; i < W * H * 4; i++) CHECK(isfinite(a[0][i]));
+            CHECK(a[0][4 * (H / 2 * W + W / 2) + 3] > 0.0f);
+            tetcast_cut_destroy(c);
+            tetcast_bricks_destroy(b);
+        }
+    free(v);
+}
+
 /* Where a ray is inside of a tetrahedron. */
 static int ray_in_tet(const tets *m, size_t cell, const tetcast_ray *ray, double ends[2]) {
     int i, a;
@@ -2156,6 +2215,7 @@ int main(int argc, char **argv) {
     RUN(bricks_look_like_tetrahedra);
     RUN(clip_spans);
     RUN(shaders);
+    RUN(shaders_same_bits);
     RUN(shaded_tetrahedra);
     RUN(refined_grids);
     RUN(refined_grids_as_bricks);
