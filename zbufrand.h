@@ -24,6 +24,7 @@
    @theory         sample counts, success probabilities, the law of a pixel
    @shade          numbers of samples that are seen -> surfaces -> colours
    @render         cameras
+   @costs          what raster and samples take on this machine
    @query          what a picture would be made of: the cut as a list, samples as a stream
    @points         any number of random points of a surface, in random order
    @edit           nodes are added, removed and moved in a scene that is built
@@ -1039,6 +1040,12 @@ typedef struct zbufrand_costs {
    seed            0 is a seed like any other
    spread          1: frames that will be averaged: the stored points are shared out among that many frames in a row,
                    so that their mean converges, and centres of pixels move; a power of two
+   oversample      1. K: the picture is drawn K times as wide and high, and each pixel is the mean of its K x K parts;
+                   K up to 16. Edges are antialiased as a mean of frames cannot do it, in each of which the nearest
+                   wins however little of a pixel it covers. `tolerance` and what is reported are about pixels of which
+                   no part is right, so that each part needs fewer samples. Depth and node are those of the nearest
+                   part; what else is counted in pixels (stats, density, reconstruct, surface.pixel) is about the
+                   larger picture. 24 bytes more for each part. Only for zbufrand_render
    reconstruct     one pixel per sample; no fill; see there. Its `repair` is screen-space mending; for rays see
                    no_repair
    hybrid          by cost
@@ -1071,6 +1078,7 @@ typedef struct zbufrand_render_desc {
     double noise;
     uint32_t max_frames;
     uint32_t frame, seed, spread;
+    uint32_t oversample;
     zbufrand_reconstruct reconstruct;
     zbufrand_hybrid hybrid;
     double hybrid_radius;
@@ -1163,6 +1171,17 @@ typedef struct zbufrand_frame_desc {
 /* Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY. */
 ZBUFRAND_DEF zbufrand_result zbufrand_frame_create(const zbufrand_frame_desc *desc, zbufrand_frame **out_frame);
 ZBUFRAND_DEF void zbufrand_frame_destroy(zbufrand_frame *frame); /* NULL is fine */
+
+/* Measure the costs on this machine, by pictures of a plane of 64,800 triangles: what zbufrand_render_desc.costs takes.
+   Store them and hand over the same ones wherever pictures have to be equal. The defaults are good where the machine is
+   like the one they were measured on, whatever its speed: only ratios count.
+   desc       in, of the frames that will draw; NULL: defaults. One thread is used
+   clock_fn   seconds, monotonic; needed
+   out_costs  out, all above 0; all 0 on failure. ray and listed, which depend more on scenes than on machines, are the
+              defaults times what stored samples take here, over what they take by default
+   About 0.2 s and 20 MB. Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY. */
+ZBUFRAND_DEF zbufrand_result zbufrand_measure_costs(const zbufrand_frame_desc *desc, double (*clock_fn)(void *user),
+                                                    void *clock_user, zbufrand_costs *out_costs);
 
 /* Draw.
    frame   one picture at a time
@@ -14322,12 +14341,15 @@ struct zbufrand_frame {
     uint8_t *directional;
     void *pyramid_memory;
     float *color;                      /* rgba of the picture, before filters or several frames are done with */
+    float *large, *large_depth;        /* of a picture that is drawn larger than it was asked for */
+    uint32_t *large_node;
     zbufrand_accumulator *accumulator;
     uint32_t accumulator_width, accumulator_height;
     size_t front_capacity, sorted_capacity, draw_capacity, bounds_capacity, local_capacity, block_capacity,
         batch_capacity, aux_capacity;
     size_t ray_capacity, hit_capacity, suspect_capacity, depth_capacity, mask_capacity, light_capacity,
-        directional_capacity, pyramid_capacity, color_capacity;
+        directional_capacity, pyramid_capacity, color_capacity, large_capacity, large_depth_capacity,
+        large_node_capacity;
     size_t front_count, draw_count, local_count, block_count, batch_count, aux_count, aux_written, ray_count,
         suspect_count;
     zbufrandi_picture *picture;        /* the one at work */
@@ -14357,6 +14379,7 @@ struct zbufrandi_picture {
     uint64_t since_refresh;            /* samples since the pyramid was made */
     double clock;
     int keep;                          /* colours go to f->color and not to the caller: one of several frames */
+    uint32_t parts;                    /* oversampling: so many of its pixels make one; else 1 */
     float jitter[2];                   /* of the centres of pixels, for what is rasterised and for rays */
     zbufrandi_camera raster_camera;    /* shifted by that */
 };
@@ -14419,6 +14442,9 @@ ZBUFRAND_DEF void zbufrand_frame_destroy(zbufrand_frame *frame) {
     zbufrandi_free(&frame->mem, frame->directional);
     zbufrandi_free(&frame->mem, frame->pyramid_memory);
     zbufrandi_free(&frame->mem, frame->color);
+    zbufrandi_free(&frame->mem, frame->large);
+    zbufrandi_free(&frame->mem, frame->large_depth);
+    zbufrandi_free(&frame->mem, frame->large_node);
     mem = frame->mem;
     zbufrandi_free(&mem, frame);
 }
@@ -15106,6 +15132,14 @@ static double zbufrandi_incomplete(double pixels, double q) {
     return zbufrandi_min(1.0, pixels * q2 * q2 * q * (70.0 + 56.0 * q));
 }
 
+/* The same when all of the parts of a pixel have to be wrong: that many blocks of which none overlaps another. 1
+   without parts. */
+static double zbufrandi_parts_incomplete(const zbufrandi_picture *p, double covered, double q) {
+    const double parts = (double)p->parts, block = (double)p->f->recon.o.block;
+    if (p->parts <= 1) return 1.0;
+    return zbufrandi_min(1.0, covered / parts * zbufrandi_pow(q, zbufrandi_max(parts / (block * block), 1.0)));
+}
+
 /* What lies among rastered pixels alone is right as it is. Is there a pixel that shows a sample in the tile around this
    one and the eight tiles around it? tile: 0 not looked at yet, 1 no, 2 yes. */
 static int zbufrandi_near_samples(const zbufrandi_picture *p, uint8_t *tile, uint32_t pixel) {
@@ -15265,7 +15299,9 @@ static zbufrand_result zbufrandi_repair(zbufrandi_picture *p, double density, ui
     q = zbufrandi_exp2(-1.4426950408889634 * density * block * block);
     failed = (double)inside - 4.0 * sqrt((double)inside);
     q = zbufrandi_max(q, failed / (zbufrandi_max((double)covered, 1.0) * (1.0 - zbufrandi_min(8.0 * q, 0.5))));
-    p->stats.incomplete = zbufrandi_incomplete((double)covered, zbufrandi_pow(zbufrandi_min(q, 1.0), (double)frames));
+    q = zbufrandi_min(q, 1.0);
+    p->stats.incomplete = zbufrandi_min(zbufrandi_incomplete((double)covered, zbufrandi_pow(q, (double)frames)),
+                                        zbufrandi_parts_incomplete(p, (double)covered, q));
     zbufrandi_lap(p, ZBUFRAND_STAGE_REPAIR);
     return ZBUFRAND_OK;
 }
@@ -15455,6 +15491,9 @@ static void zbufrandi_output_task(void *ctx, uint32_t y) {
 
 /* ---- opening a picture ---- */
 
+/* ns on the machine that this was written on, by least squares over the clusters of five scenes */
+static const zbufrand_costs zbufrandi_default_costs = {4.0f, 1.5f, 1.5f, 5.5f, 6.5f, 60.0f, 3.5f, 2000.0f, 200.0f};
+
 static float zbufrandi_cost(float v, float otherwise) { return v > 0.0f ? v : otherwise; }
 
 static zbufrand_result zbufrandi_open_lights(zbufrandi_picture *p) {
@@ -15524,14 +15563,20 @@ static double zbufrandi_tolerance(const zbufrand_render_desc *d) {
 
 static double zbufrandi_choose_density(const zbufrandi_picture *p) {
     const zbufrand_render_desc *d = p->d;
-    double block = d->reconstruct.block != 0 ? (double)d->reconstruct.block : 1.0;
-    double pixels = (double)p->image->width * (double)p->image->height;
-    double tolerance = zbufrandi_tolerance(d);
+    const double block = d->reconstruct.block != 0 ? (double)d->reconstruct.block : 1.0, parts = (double)p->parts;
+    const double pixels = (double)p->image->width * (double)p->image->height;
+    const double tolerance = zbufrandi_tolerance(d);
+    double density;
     if (d->density > 0.0) return d->density;
-    if (d->no_repair) return zbufrand_density(pixels, block, 1.0 - tolerance);
-    if (zbufrandi_shares_samples(d)) return (double)ZBUFRANDI_MEAN_DENSITY / (block * block);
+    if (d->no_repair) density = zbufrand_density(pixels, block, 1.0 - tolerance);
+    else if (zbufrandi_shares_samples(d)) density = (double)ZBUFRANDI_MEAN_DENSITY / (block * block);
     /* zbufrandi_incomplete is at most the tolerance then: 70 + 56 q is below 80 */
-    return zbufrandi_max(0.2 * 0.6931471805599453 * zbufrandi_log2(80.0 * pixels / tolerance), 2.0) / (block * block);
+    else density = zbufrandi_max(0.2 * 0.6931471805599453 * zbufrandi_log2(80.0 * pixels / tolerance), 2.0) /
+            (block * block);
+    if (p->parts > 1) /* one of the parts of a pixel that is right is enough; fewer samples than that look no better */
+        density = zbufrandi_min(density, zbufrandi_max(zbufrand_density(pixels / parts, 1.0, 1.0 - tolerance) / parts,
+                                                       1.0 / (block * block)));
+    return density;
 }
 
 static void zbufrandi_set_density(zbufrandi_picture *p) {
@@ -15539,16 +15584,17 @@ static void zbufrandi_set_density(zbufrandi_picture *p) {
     /* stratified samples leave a share of about exp(-1.6 density) of the pixels to the rays */
     double block = (double)p->f->recon.o.block,
         rays = zbufrandi_exp2(-2.3 * zbufrandi_min(p->cut.density * block * block, 100.0)) / p->cut.density;
-    float ray = p->d->no_repair ? 0.0f : zbufrandi_cost(c->ray, 2000.0f) * (float)rays;
+    const zbufrand_costs *o = &zbufrandi_default_costs;
+    const float ray = p->d->no_repair ? 0.0f : zbufrandi_cost(c->ray, o->ray) * (float)rays;
     p->cut.density_f2 = (float)(p->cut.density * p->cut.camera.focal * p->cut.camera.focal);
-    p->cut.triangle = zbufrandi_cost(c->triangle, 4.0f);
-    p->cut.edge = zbufrandi_cost(c->edge, 1.5f);
-    p->cut.pixel = zbufrandi_cost(c->pixel, 1.5f) / (float)p->cut.density;
-    p->cut.cluster = zbufrandi_cost(c->cluster, 5.5f);
-    p->cut.sample = zbufrandi_cost(c->sample, 6.5f) + ray;
-    p->cut.set_cost = zbufrandi_cost(c->set, 60.0f);
-    p->cut.stored_cost = zbufrandi_cost(c->stored, 3.5f) + ray;
-    p->cut.list_sample = zbufrandi_cost(c->listed, 200.0f) + ray;
+    p->cut.triangle = zbufrandi_cost(c->triangle, o->triangle);
+    p->cut.edge = zbufrandi_cost(c->edge, o->edge);
+    p->cut.pixel = zbufrandi_cost(c->pixel, o->pixel) / (float)p->cut.density;
+    p->cut.cluster = zbufrandi_cost(c->cluster, o->cluster);
+    p->cut.sample = zbufrandi_cost(c->sample, o->sample) + ray;
+    p->cut.set_cost = zbufrandi_cost(c->set, o->set);
+    p->cut.stored_cost = zbufrandi_cost(c->stored, o->stored) + ray;
+    p->cut.list_sample = zbufrandi_cost(c->listed, o->listed) + ray;
 }
 
 static zbufrand_result zbufrandi_open_picture(zbufrandi_picture *p) {
@@ -15687,7 +15733,8 @@ static zbufrand_result zbufrandi_draw_picture(zbufrandi_picture *p) {
         if (r->slope_x != NULL || r->back != NULL || r->tint != NULL)
             zbufrandi_parallel_for(&p->f->env, zbufrandi_slope_task, p, r->canvas.height);
         zbufrandi_recon_keys(r);
-        p->stats.incomplete = 1.0 - zbufrand_success_bound(density, pixels, block);
+        p->stats.incomplete = zbufrandi_min(1.0 - zbufrand_success_bound(density, pixels, block),
+            zbufrandi_parts_incomplete(p, pixels, zbufrandi_exp2(-1.4426950408889634 * density * block * block)));
         if (p->stats.draws[0] + p->stats.draws[1] == 0) p->stats.incomplete = 0.0;
         if (d->no_repair || p->scene == NULL || p->stats.draws[0] + p->stats.draws[1] == 0) break;
         /* a pixel covered with a margin expects 27 or more: with so few there is none, nearly all is rastered */
@@ -15805,25 +15852,17 @@ static zbufrand_result zbufrandi_render_frames(zbufrandi_picture *p, zbufrand_re
     return ZBUFRAND_OK;
 }
 
-ZBUFRAND_DEF zbufrand_result zbufrand_render(zbufrand_frame *frame, const zbufrand_render_desc *desc,
-                                             const zbufrand_scene *scene, const zbufrand_image *image,
-                                             zbufrand_stats *stats) {
-    zbufrand_render_desc d;
-    zbufrandi_picture *p;
+static zbufrand_result zbufrandi_render(zbufrand_frame *frame, zbufrand_render_desc *d, const zbufrand_scene *scene,
+                                        const zbufrand_image *image, uint32_t parts, zbufrand_stats *stats) {
+    zbufrandi_picture *p = frame->picture;
     zbufrand_result r;
-    if (stats != NULL) memset(stats, 0, sizeof *stats);
-    if (frame == NULL || image == NULL) return ZBUFRAND_ERR_INVALID_ARG;
-    memset(&d, 0, sizeof d);
-    if (desc != NULL) d = *desc;
-    if (d._begin_zero != 0 || d._end_zero != 0) return ZBUFRAND_ERR_UNINIT_DESC;
-    if (image->width == 0 || image->height == 0) return ZBUFRAND_OK;
-    p = frame->picture;
     memset(p, 0, sizeof *p);
     p->f = frame;
-    p->d = &d;
+    p->d = d;
+    p->parts = parts;
     p->scene = scene;
     p->image = image;
-    r = zbufrandi_render_frames(p, &d);
+    r = zbufrandi_render_frames(p, d);
     p->stats.triangles = scene != NULL ? scene->info.triangles : 0;
     p->stats.accepted = zbufrandi_tally(p->accepted);
     p->stats.samples[0] = zbufrandi_tally(p->stored);
@@ -15844,6 +15883,268 @@ ZBUFRAND_DEF zbufrand_result zbufrand_render(zbufrand_frame *frame, const zbufra
     if (r != ZBUFRAND_OK)
         return zbufrandi_fail(frame->env.error, r, 0, "render: bad camera, light or option, or no memory");
     return ZBUFRAND_OK;
+}
+
+/* ---- oversampling ---- */
+
+enum { ZBUFRANDI_OVERSAMPLE_MAX = 16 };
+
+typedef struct zbufrandi_shrink {
+    const zbufrandi_srgb *srgb;
+    const zbufrand_image *from, *to;   /* from: rows lie close together */
+    uint32_t k;
+} zbufrandi_shrink;
+
+static void zbufrandi_shrink_task(void *ctx, uint32_t y) {
+    const zbufrandi_shrink *s = (const zbufrandi_shrink *)ctx;
+    const zbufrand_image *to = s->to;
+    const size_t wide = s->from->width;
+    const float share = 1.0f / (float)(int32_t)(s->k * s->k);
+    uint8_t *raw = to->rgba != NULL ? zbufrandi_row(to->rgba, to->rgba_stride, 16, to->width, y) : NULL,
+        *bytes = to->rgba8 != NULL ? zbufrandi_row(to->rgba8, to->rgba8_stride, 4, to->width, y) : NULL,
+        *depth = to->depth != NULL ? zbufrandi_row(to->depth, to->depth_stride, 4, to->width, y) : NULL,
+        *nodes = to->node != NULL ? zbufrandi_row(to->node, to->node_stride, 4, to->width, y) : NULL;
+    uint32_t x, i, j, a;
+    for (x = 0; x < to->width; x++) {
+        const size_t corner = (size_t)y * s->k * wide + (size_t)x * s->k;
+        float sum[4] = {0.0f, 0.0f, 0.0f, 0.0f}, nearest = INFINITY;
+        uint32_t node = 0;
+        for (j = 0; j < s->k; j++) {
+            const size_t row = corner + j * wide;
+            for (i = 0; i < s->k; i++) {
+                if (s->from->rgba != NULL) for (a = 0; a < 4; a++) sum[a] += s->from->rgba[4 * (row + i) + a];
+                if (s->from->depth == NULL || !(s->from->depth[row + i] < nearest)) continue;
+                nearest = s->from->depth[row + i];
+                if (s->from->node != NULL) node = s->from->node[row + i];
+            }
+        }
+        for (a = 0; a < 4; a++) sum[a] *= share;
+        if (raw != NULL) memcpy(raw + 16 * (size_t)x, sum, 16);
+        if (bytes != NULL) zbufrandi_color_bytes(s->srgb, sum, bytes + 4 * (size_t)x);
+        if (depth != NULL) memcpy(depth + 4 * (size_t)x, &nearest, 4);
+        if (nodes != NULL) memcpy(nodes + 4 * (size_t)x, &node, 4);
+    }
+}
+
+/* The picture oversample times as large, then each pixel from its part of it. */
+static zbufrand_result zbufrandi_render_larger(zbufrand_frame *f, zbufrand_render_desc *d, const zbufrand_scene *scene,
+                                               const zbufrand_image *image, zbufrand_stats *stats) {
+    zbufrandi_shrink s;
+    zbufrand_image from;
+    zbufrand_result r;
+    double start = 0.0;
+    size_t pixels;
+    const int nodes = image->node != NULL, depths = nodes || image->depth != NULL;
+    const int colors = image->rgba != NULL || image->rgba8 != NULL;
+    if (d->oversample > ZBUFRANDI_OVERSAMPLE_MAX)
+        return zbufrandi_fail(f->env.error, ZBUFRAND_ERR_INVALID_ARG, 0, "render: oversample is above 16");
+    if (image->width > ZBUFRANDI_RASTER_MAX_SIZE / d->oversample ||
+        image->height > ZBUFRANDI_RASTER_MAX_SIZE / d->oversample)
+        return zbufrandi_fail(f->env.error, ZBUFRAND_ERR_RANGE, 0, "render: the picture is too large for oversample");
+    memset(&from, 0, sizeof from);
+    s.k = d->oversample;
+    from.width = image->width * s.k;
+    from.height = image->height * s.k;
+    pixels = (size_t)from.width * from.height;
+    if ((colors && !zbufrandi_grow(&f->mem, (void **)&f->large, &f->large_capacity, 0, 4 * pixels, sizeof *f->large)) ||
+        (depths && !zbufrandi_grow(&f->mem, (void **)&f->large_depth, &f->large_depth_capacity, 0, pixels,
+                                   sizeof *f->large_depth)) ||
+        (nodes && !zbufrandi_grow(&f->mem, (void **)&f->large_node, &f->large_node_capacity, 0, pixels,
+                                  sizeof *f->large_node)))
+        return zbufrandi_fail(f->env.error, ZBUFRAND_ERR_NO_MEMORY, 0, "render: no memory for the larger picture");
+    if (colors) from.rgba = f->large;
+    if (depths) from.depth = f->large_depth;
+    if (nodes) from.node = f->large_node;
+    r = zbufrandi_render(f, d, scene, &from, s.k * s.k, stats);
+    if (r != ZBUFRAND_OK) return r;
+    if (d->clock_fn != NULL) start = d->clock_fn(d->clock_user);
+    s.srgb = &f->srgb;
+    s.from = &from;
+    s.to = image;
+    zbufrandi_parallel_for(&f->env, zbufrandi_shrink_task, &s, image->height);
+    if (d->clock_fn != NULL && stats != NULL)
+        stats->seconds[ZBUFRAND_STAGE_SHADE] += d->clock_fn(d->clock_user) - start;
+    return ZBUFRAND_OK;
+}
+
+ZBUFRAND_DEF zbufrand_result zbufrand_render(zbufrand_frame *frame, const zbufrand_render_desc *desc,
+                                             const zbufrand_scene *scene, const zbufrand_image *image,
+                                             zbufrand_stats *stats) {
+    zbufrand_render_desc d;
+    if (stats != NULL) memset(stats, 0, sizeof *stats);
+    if (frame == NULL || image == NULL) return ZBUFRAND_ERR_INVALID_ARG;
+    memset(&d, 0, sizeof d);
+    if (desc != NULL) d = *desc;
+    if (d._begin_zero != 0 || d._end_zero != 0) return ZBUFRAND_ERR_UNINIT_DESC;
+    if (image->width == 0 || image->height == 0) return ZBUFRAND_OK;
+    if (d.oversample > 1) return zbufrandi_render_larger(frame, &d, scene, image, stats);
+    return zbufrandi_render(frame, &d, scene, image, 1, stats);
+}
+
+/* ---------------------------------------------------------------------------
+   costs: what raster and samples take on this machine.                          // >>costs
+
+   The model of zbufrandi_pick_child, solved for its constants: times of drawing a plane across the view in several
+   sizes and densities, each in one way only.
+   --------------------------------------------------------------------------- */
+
+enum { ZBUFRANDI_MEASURE_SIDE = 180, ZBUFRANDI_MEASURE_SIZE = 400, ZBUFRANDI_MEASURE_ROUNDS = 9 };
+
+typedef struct zbufrandi_measure {
+    zbufrand_scene *scene;
+    zbufrand_frame *frame;
+    zbufrand_render_desc d;
+    zbufrand_stats stats;      /* of the last picture */
+    zbufrand_result result;    /* the first failure */
+} zbufrandi_measure;
+
+/* A plane of 2 x 2, a little rough, towards +z. */
+static void zbufrandi_measure_plane(float *position, uint32_t *index) {
+    const uint32_t n = ZBUFRANDI_MEASURE_SIDE;
+    uint32_t i, j, k = 0;
+    for (j = 0; j <= n; j++) {
+        for (i = 0; i <= n; i++) {
+            float *p = position + 3 * ((size_t)j * (n + 1) + i);
+            const uint32_t h = zbufrandi_hash32(j * 1009u + i);
+            p[0] = ((float)(int32_t)i + 0.3f * zbufrandi_unit24(h)) * (2.0f / 180.0f) - 1.0f;
+            p[1] = ((float)(int32_t)j + 0.3f * zbufrandi_unit24(zbufrandi_hash32(h))) * (2.0f / 180.0f) - 1.0f;
+            p[2] = 0.001f * zbufrandi_unit24(h * 3u);
+        }
+    }
+    for (j = 0; j < n; j++) {
+        for (i = 0; i < n; i++) {
+            const uint32_t a = j * (n + 1) + i, b = a + n + 1;
+            index[k++] = a;
+            index[k++] = a + 1;
+            index[k++] = b + 1;
+            index[k++] = a;
+            index[k++] = b + 1;
+            index[k++] = b;
+        }
+    }
+}
+
+static zbufrand_result zbufrandi_measure_open(zbufrandi_measure *m, const zbufrand_frame_desc *desc) {
+    const size_t n = ZBUFRANDI_MEASURE_SIDE;
+    zbufrand_frame_desc fd;
+    zbufrand_scene_desc sd;
+    zbufrandi_mem mem;
+    zbufrand_mesh mesh;
+    float *position;
+    uint32_t *index;
+    memset(&fd, 0, sizeof fd);
+    memset(&sd, 0, sizeof sd);
+    memset(&mesh, 0, sizeof mesh);
+    if (desc != NULL) fd = *desc;
+    fd.env.thread_count = 1;
+    fd.env.parallel.for_fn = NULL;
+    fd.env.progress_fn = NULL;
+    m->result = zbufrand_frame_create(&fd, &m->frame);
+    if (m->result != ZBUFRAND_OK) return m->result;
+    sd.env = fd.env;
+    m->result = zbufrand_scene_create(&sd, &m->scene);
+    if (m->result != ZBUFRAND_OK) return m->result;
+    (void)zbufrandi_env_open(&fd.env, &mem);
+    position = (float *)zbufrandi_alloc(&mem, 3 * (n + 1) * (n + 1) * sizeof *position);
+    index = (uint32_t *)zbufrandi_alloc(&mem, 6 * n * n * sizeof *index);
+    m->result = ZBUFRAND_ERR_NO_MEMORY;
+    if (position != NULL && index != NULL) {
+        zbufrandi_measure_plane(position, index);
+        mesh.positions = position;
+        mesh.vertex_count = (n + 1) * (n + 1);
+        mesh.indices = index;
+        mesh.triangle_count = 2 * n * n;
+        m->result = zbufrand_add_mesh(m->scene, ZBUFRAND_ROOT, NULL, 0, &mesh, NULL);
+        if (m->result == ZBUFRAND_OK) m->result = zbufrand_scene_build(m->scene, NULL, NULL);
+    }
+    zbufrandi_free(&mem, position);
+    zbufrandi_free(&mem, index);
+    return m->result;
+}
+
+/* Nanoseconds for drawing the plane with `cell` pixels for an edge of its squares: the least of some rounds. */
+static double zbufrandi_measure_draw(zbufrandi_measure *m, double cell, double density, zbufrand_hybrid hybrid,
+                                     float no_sets, float no_clusters) {
+    zbufrand_image image;
+    double least = 1e30;
+    uint32_t i;
+    memset(&image, 0, sizeof image);
+    image.width = image.height = ZBUFRANDI_MEASURE_SIZE; /* keys stay in the caches, as those of a cluster do */
+    m->d.camera.eye[2] = 0.001 + 2.7474774194546221 * ZBUFRANDI_MEASURE_SIZE / (cell * ZBUFRANDI_MEASURE_SIDE);
+    m->d.density = density;
+    m->d.hybrid = hybrid;
+    m->d.costs.set = no_sets;
+    m->d.costs.cluster = m->d.costs.sample = no_clusters;
+    for (i = 0; i < ZBUFRANDI_MEASURE_ROUNDS && m->result == ZBUFRAND_OK; i++) {
+        m->result = zbufrand_render(m->frame, &m->d, m->scene, &image, &m->stats);
+        if (i > 0) least = zbufrandi_min(least, m->stats.seconds[ZBUFRAND_STAGE_DRAW]);
+    }
+    return 1e9 * zbufrandi_max(least, 1e-9);
+}
+
+/* Two costs from two times: t = n0 x + n1 y. Times are noisy: neither gets less than a twentieth of its share by
+   default. */
+static void zbufrandi_measure_two(const double t[2], const double n[2][2], double x0, double y0, float *x, float *y) {
+    const double det = n[0][0] * n[1][1] - n[0][1] * n[1][0], all = t[0] + t[1];
+    const double scale = all / ((n[0][0] + n[1][0]) * x0 + (n[0][1] + n[1][1]) * y0);
+    double a = zbufrandi_abs(det) > 0.0 ? (t[0] * n[1][1] - t[1] * n[0][1]) / det : 0.0;
+    a = zbufrandi_min(zbufrandi_max(a, 0.05 * scale * x0), 0.95 * all / zbufrandi_max(n[0][0] + n[1][0], 1.0));
+    *x = (float)a;
+    *y = (float)zbufrandi_max((all - a * (n[0][0] + n[1][0])) / zbufrandi_max(n[0][1] + n[1][1], 1.0),
+                              0.05 * scale * y0);
+}
+
+ZBUFRAND_DEF zbufrand_result zbufrand_measure_costs(const zbufrand_frame_desc *desc, double (*clock_fn)(void *user),
+                                                    void *clock_user, zbufrand_costs *out_costs) {
+    static const double cell[3] = {0.4, 2.2, 7.0};
+    const zbufrand_costs *o = &zbufrandi_default_costs;
+    zbufrandi_measure m;
+    zbufrand_costs c;
+    double t[3], n[3][2];
+    uint32_t i;
+    if (out_costs == NULL) return ZBUFRAND_ERR_INVALID_ARG;
+    memset(out_costs, 0, sizeof *out_costs);
+    if (clock_fn == NULL) return ZBUFRAND_ERR_INVALID_ARG;
+    memset(&m, 0, sizeof m);
+    memset(&c, 0, sizeof c);
+    if (zbufrandi_measure_open(&m, desc) == ZBUFRAND_OK) {
+        m.d.no_occlusion = m.d.no_repair = 1;
+        m.d.clock_fn = clock_fn;
+        m.d.clock_user = clock_user;
+        for (i = 0; i < 3; i++) { /* rastered: triangles, their longest edges, pixels */
+            t[i] = zbufrandi_measure_draw(&m, cell[i], 1.0, ZBUFRAND_HYBRID_ALL, 0.0f, 0.0f);
+            n[i][0] = (double)m.stats.rastered;
+            n[i][1] = m.stats.projected_area;
+        }
+        { /* tiny ones cost what a triangle costs; what is left of the others is edges and pixels */
+            double rest[2], of[2][2];
+            c.triangle = (float)zbufrandi_max(t[0] / zbufrandi_max(n[0][0], 1.0) - 1.5 * cell[0] * 1.5, 0.1);
+            for (i = 0; i < 2; i++) {
+                rest[i] = zbufrandi_max(t[i + 1] - n[i + 1][0] * (double)c.triangle, 1.0);
+                of[i][0] = n[i + 1][0] * zbufrandi_min(1.5 * cell[i + 1], 12.0);
+                of[i][1] = n[i + 1][1];
+            }
+            zbufrandi_measure_two(rest, (const double (*)[2])of, (double)o->edge, (double)o->pixel, &c.edge, &c.pixel);
+        }
+        for (i = 0; i < 2; i++) { /* clusters sampled: triangles, samples */
+            t[i] = zbufrandi_measure_draw(&m, 2.2, i == 0 ? 0.5 : 6.0, ZBUFRAND_HYBRID_OFF, 1e9f, 1e-3f);
+            n[i][0] = zbufrandi_max((double)(2 * ZBUFRANDI_MEASURE_SIDE * ZBUFRANDI_MEASURE_SIDE), 1.0);
+            n[i][1] = (double)m.stats.samples[1];
+        }
+        zbufrandi_measure_two(t, (const double (*)[2])n, (double)o->cluster, (double)o->sample, &c.cluster, &c.sample);
+        for (i = 0; i < 2; i++) { /* stored points, 9 and 50 of each cluster: sets, samples */
+            t[i] = zbufrandi_measure_draw(&m, 0.4, i == 0 ? 0.9 : 5.0, ZBUFRAND_HYBRID_OFF, 1e-3f, 1e9f);
+            n[i][0] = (double)m.stats.draws[0];
+            n[i][1] = (double)m.stats.samples[0];
+        }
+        zbufrandi_measure_two(t, (const double (*)[2])n, (double)o->set, (double)o->stored, &c.set, &c.stored);
+        c.ray = o->ray * (c.stored / o->stored);
+        c.listed = o->listed * (c.stored / o->stored);
+    }
+    zbufrand_frame_destroy(m.frame);
+    zbufrand_scene_destroy(m.scene);
+    if (m.result == ZBUFRAND_OK) *out_costs = c;
+    return m.result;
 }
 
 /* ---------------------------------------------------------------------------

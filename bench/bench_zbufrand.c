@@ -458,37 +458,44 @@ static void way_independent(const char *kase, const world *w, const truth *t) {
     picture_free(&p);
 }
 
-/* The thesis' program, with its own tree. The world has that tree meanwhile. */
-static void way_thesis(const char *kase, const world *w, const truth *t) {
+/* The thesis' program, with its own tree, which the world has meanwhile. */
+static void way_thesis(const char *kase, world *w, const truth *t) {
     picture_job p;
     wrong out;
-    int i;
-    for (i = 0; i < SHARED_COUNT && g_shared[i] != w; i++) { }
-    if (i == SHARED_COUNT || w->info.stored_triangles > 1000000) return; /* it would have to be built twice */
-    world_structure(g_shared[i], ZBUFRAND_STRUCTURE_FAIR_SPLIT, 0);
+    if (w->info.stored_triangles > 1000000) return; /* it would have to be built twice */
+    world_structure(w, ZBUFRAND_STRUCTURE_FAIR_SPLIT, 0);
     p = way_open(w, t->width, t->height);
     zbufrand_preset_thesis(NULL, &p.desc);
     (void)way_line(kase, "the thesis' program", "d = 2", &p, t, 0, &out);
     picture_free(&p);
-    world_structure(g_shared[i], ZBUFRAND_STRUCTURE_DEFAULT, 0);
+    world_structure(w, ZBUFRAND_STRUCTURE_DEFAULT, 0);
 }
 
-static void way_samples(const char *kase, const world *w, const truth *t, curve *means) {
-    static const uint32_t blocks[3] = {2, 3, 5}, frames[4] = {1, 4, 16, 64};
+/* ours: the fastest that one gets to an error with: one frame, larger pictures averaged until the error `target` is reached. */
+static void way_samples(const char *kase, const world *w, const truth *t, int all, double target,
+                        curve *ours) {
+    static const uint32_t blocks[3] = {2, 3, 5}, frames[4] = {1, 4, 16, 64}, larger[4] = {2, 4, 6, 8};
     static const double densities[4] = {1.0, 2.0, 4.0, 8.0};
     picture_job p = way_open(w, t->width, t->height);
     wrong out;
     char name[32];
+    double seconds;
     int i;
-    for (i = 0; i < (g_opt.full ? 4 : 3); i++) { /* the default, and means of it */
-        double seconds;
+    for (i = 0; i < (g_opt.full ? 4 : all ? 2 : 1); i++) { /* the default, and means of it */
         p.mean = frames[i];
         snprintf(name, sizeof name, "mean of %u", frames[i]);
-        seconds = way_line(kase, "default, means of frames", name, &p, t, i == 0 ? 3 : i == 1 ? 1 : 0, &out);
-        curve_add(means, seconds, out.rmse);
+        seconds = way_line(kase, "default, means of frames", name, &p, t, i == 0 ? 3 : 0, &out);
+        if (i == 0) curve_add(ours, seconds, out.rmse);
     }
     p.mean = 0;
-    for (i = 0; i < 3; i++) {
+    for (i = 0; i < 4 && (ours->count == 0 || ours->error[ours->count - 1] > target); i++) {
+        p.desc.oversample = larger[i];
+        snprintf(name, sizeof name, "%u x %u", larger[i], larger[i]);
+        seconds = way_line(kase, "default, larger and averaged", name, &p, t, g_opt.full && i < 2 ? 3 : 0, &out);
+        curve_add(ours, seconds, out.rmse);
+    }
+    p.desc.oversample = 0;
+    for (i = 0; i < 3 && (all || g_opt.full); i++) {
         if (!g_opt.full && i == 1) continue;
         p.desc.reconstruct.block = blocks[i];
         snprintf(name, sizeof name, "d=%u", blocks[i]);
@@ -496,14 +503,14 @@ static void way_samples(const char *kase, const world *w, const truth *t, curve 
     }
     p.desc.reconstruct.block = 0;
     p.desc.no_repair = 1;
-    for (i = 0; i < 4; i++) {
+    for (i = 0; i < 4 && (all || g_opt.full); i++) {
         if (!g_opt.full && (i & 1) != 0) continue;
         p.desc.density = densities[i];
         snprintf(name, sizeof name, "%g per pixel", densities[i]);
         (void)way_line(kase, "samples without rays", name, &p, t, g_opt.full ? 3 : 1, &out);
     }
     p.desc.hybrid = ZBUFRAND_HYBRID_OFF;
-    for (i = 0; i < 4 && (g_opt.full || strcmp(kase, "forest-1") != 0); i++) { /* that one rasters nothing anyway */
+    for (i = 0; i < 4 && (g_opt.full || (all && strcmp(kase, "forest-1") != 0)); i++) { /* that one rasters nothing anyway */
         if (!g_opt.full && (i & 1) != 0) continue;
         p.desc.density = densities[i];
         snprintf(name, sizeof name, "%g per pixel", densities[i]);
@@ -566,44 +573,45 @@ static void way_raster(const char *kase, const world *w, const truth *t, int pla
     picture_free(&p);
 }
 
-/* raster: 0 never (too many triangles in view), 1 only with culling, 2 both ways. */
-static double error_scene(const world *w, size_t view, const char *kase, uint32_t width, uint32_t height, int raster,
-                          int independent) {
-    picture_job p = way_open(w, width, height);
-    const truth *t = shared_truth(w, view, &p);
-    curve means, rays;
-    double factor = 1.0;
-    int i, n = 0;
-    memset(&means, 0, sizeof means);
+enum { WAY_RASTER = 1, WAY_RASTER_ALL = 2, WAY_INDEPENDENT = 4, WAY_THESIS = 8, WAY_ALL = 16 };
+
+/* Writes how many times as fast as rays ours is, at the errors of 1, 4, 16 and (--full) 64 rays a pixel; "-": the error is
+   not reached by any that was measured. */
+static void error_scene(world *w, const truth *t, const char *kase, int ways, char *out, size_t size) {
+    curve ours, rays;
+    size_t at = 0;
+    int i;
+    memset(&ours, 0, sizeof ours);
     memset(&rays, 0, sizeof rays);
-    picture_free(&p);
-    way_samples(kase, w, t, &means);
     way_rays(kase, w, t, &rays);
-    if (raster > 0) way_raster(kase, w, t, raster > 1);
-    if (independent) way_independent(kase, w, t);
-    if (g_opt.full || independent) way_thesis(kase, w, t); /* through instances it takes many seconds */
-    for (i = 0; i < rays.count; i++) { /* at the errors of the rays that the means of frames reach as well */
-        const double ours = curve_time(&means, rays.error[i]);
-        if (!(ours > 0.0) || (i > 0 && rays.error[i] >= rays.error[i - 1])) continue;
-        factor = n == 0 ? rays.time[i] / ours : factor * (rays.time[i] / ours);
-        n++;
-        bench_line("zbufrand.equal_error", kase, "times_faster_than_rays", rays.time[i] / ours, "");
+    way_samples(kase, w, t, ways & WAY_ALL, rays.error[g_opt.full ? 3 : 2], &ours);
+    if (ways & WAY_RASTER) way_raster(kase, w, t, ways & WAY_RASTER_ALL);
+    if (ways & WAY_INDEPENDENT) way_independent(kase, w, t);
+    if (ways & WAY_THESIS) way_thesis(kase, w, t);
+    out[0] = 0;
+    for (i = 0; i < (g_opt.full ? rays.count : 3); i++) {
+        const double time = curve_time(&ours, rays.error[i]);
+        bench_line("zbufrand.equal_error", kase, "times_faster_than_rays", time > 0.0 ? rays.time[i] / time : 0.0, "");
         bench_num("error", rays.error[i]);
         bench_text("error_unit", "RMSE to 256 samples");
+        bench_num("rays", (double)((uint32_t)1 << 2 * i));
+        bench_num("reached", time > 0.0);
         bench_end();
+        if (time > 0.0) at += (size_t)snprintf(out + at, size - at, "%s%.2f", i > 0 ? " " : "", rays.time[i] / time);
+        else at += (size_t)snprintf(out + at, size - at, "%s-", i > 0 ? " " : "");
+        if (at >= size) return;
     }
-    return n > 0 ? pow(factor, 1.0 / (double)n) : 0.0;
 }
 
 static void bm6(void) {
-    double factor[3];
+    char faster[4][32];
     world *w = shared_world(SHARED_BLOB, 0);
-    picture_job p;
+    picture_job p = picture_open(w, 1024, 768, 1);
+    truth *t;
     wrong blob[2];
     double blob_ms[2];
     size_t i;
-    (void)error_scene(w, 0, w->name, 1024, 768, 2, 1);
-    p = picture_open(w, 1024, 768, 1);
+    error_scene(w, shared_truth(w, 0, &p), w->name, WAY_RASTER | WAY_RASTER_ALL | WAY_INDEPENDENT | WAY_ALL, faster[0], sizeof faster[0]);
     for (i = 0; i < 2; i++) { /* one sample a pixel shows no more than one ray; its neighbours know more */
         if (i == 1) {
             p.desc.reconstruct.fill = ZBUFRAND_FILL_GAUSS;
@@ -616,14 +624,29 @@ static void bm6(void) {
     table_set("blob-8M", "%.1f; %.3f %%; %.1f dB (plain: %.1f; %.1f dB)", blob_ms[1], 100.0 * blob[1].holes, blob[1].psnr,
               blob_ms[0], blob[0].psnr);
     picture_free(&p);
-    for (i = 0; i < (g_opt.full ? 3u : 1u); i++) {
-        w = shared_world(SHARED_FOREST, i);
-        factor[i] = error_scene(w, i, w->name, 640, 480, 0, 0);
+    for (i = 0; i < 4; i++) { /* of the forest's pictures one has the thesis' program beside it, which takes ten seconds */
+        w = i < 3 ? shared_world(SHARED_FOREST, i) : world_trees(0);
+        p = way_open(w, 640, 480);
+        t = i < 3 ? NULL : truth_make(&p, g_opt.full ? 8 : 96);
+        error_scene(w, i < 3 ? shared_truth(w, i, &p) : t, w->name, (i == 0 || g_opt.full ? WAY_ALL | WAY_THESIS : 0) |
+                    (i == 3 ? WAY_RASTER | WAY_RASTER_ALL : 0), faster[i], sizeof faster[i]);
+        picture_free(&p);
+        if (t != NULL) truth_free(t);
+        if (i == 3) world_free(w);
     }
-    if (g_opt.full) table_set("rays", "%.2f / %.2f / %.2f", factor[0], factor[1], factor[2]);
-    else table_set("rays", "%.2f", factor[0]);
+    table_set("rays", "%s / %s / %s / %s", faster[0], faster[1], faster[2], faster[3]);
     w = shared_world(SHARED_CITY, 1);
-    (void)error_scene(w, 1, w->name, 640, 480, 2, g_opt.full);
+    p = way_open(w, 640, 480);
+    error_scene(w, shared_truth(w, 1, &p), w->name, WAY_RASTER | WAY_RASTER_ALL | WAY_THESIS | WAY_ALL | (g_opt.full ? WAY_INDEPENDENT : 0),
+                faster[0], sizeof faster[0]);
+    picture_free(&p);
+    w = world_blob(256); /* the thesis' program on one mesh */
+    p = way_open(w, 640, 480);
+    t = truth_make(&p, g_opt.full ? 8 : 48);
+    error_scene(w, t, w->name, WAY_RASTER | WAY_RASTER_ALL | WAY_INDEPENDENT | WAY_THESIS | WAY_ALL, faster[0], sizeof faster[0]);
+    truth_free(t);
+    picture_free(&p);
+    world_free(w);
 }
 
 /* ---- BM7: radius of a disc, hidden layers ---- */

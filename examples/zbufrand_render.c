@@ -12,11 +12,12 @@ typedef struct options {
     sup_common common;
     const char *scene, *hybrid, *opacity;
     int64_t block, mean, view, frame, frames, scatter, max_frames, classes;
-    int64_t grid, leaf;
-    double noise, density, gauss, epsilon, smooth, contrast, depth_tolerance, color_tolerance, angle_ratio, clip, zone;
+    int64_t grid, leaf, aa, points, buckets, reach, memory;
+    double noise, density, gauss, epsilon, smooth, contrast, depth_tolerance, color_tolerance, projected_tolerance, angle_ratio, clip, zone,
+        leaf_ratio;
     float material[16]; /* opacities */
     int mode, has_mode, has_block, occlusion, has_occlusion, has_noise, has_gauss, no_repair, no_occlusion, independent, structure, has_structure,
-        comb, corners, has_contrast, average, drop_back, thesis;
+        comb, corners, has_contrast, average, drop_back, thesis, block_planes, mend, strict, paint_triangles, measure_costs;
 } options;
 
 typedef struct pictures {
@@ -48,8 +49,15 @@ static int check_options(const char *program, const options *o) {
         return sup_bad_usage(program, "--mode layers is one picture by the default tree, without --depth");
     if ((o->depth_tolerance > 0.0 || o->color_tolerance > 0.0 || o->drop_back) && o->mode < MODE_GAUSS)
         return sup_bad_usage(program, "--depth-tolerance, --color-tolerance, --drop-back: for --mode gauss, voronoi, nodepth, pullpush, regions, layers");
-    if ((o->angle_ratio > 0.0 || o->clip > 0.0 || o->leaf > 0 || o->corners) && !o->thesis && o->structure == 0)
-        return sup_bad_usage(program, "--angle-ratio, --clip, --leaf and --corners go with one of the thesis' trees");
+    if (o->projected_tolerance > 0.0 && o->mode < MODE_GAUSS)
+        return sup_bad_usage(program, "--projected-tolerance: for --mode gauss, voronoi, nodepth, pullpush, regions");
+    if (o->reach > 0 && o->mode < MODE_GAUSS) return sup_bad_usage(program, "--reach: for --mode gauss, voronoi, nodepth, pullpush, regions");
+    if (o->aa > 1 && (o->mode == MODE_LAYERS || o->points > 0)) return sup_bad_usage(program, "--aa goes without --mode layers and --points");
+    if (o->points > 0 && (o->mode == MODE_LAYERS || o->mean > 0 || o->has_noise || o->frames > 0 || o->opacity || o->paint_triangles))
+        return sup_bad_usage(program, "--points is one picture, without layers, materials and triangles");
+    if (o->buckets > 0 && o->points == 0) return sup_bad_usage(program, "--buckets goes with --points");
+    if ((o->angle_ratio > 0.0 || o->clip > 0.0 || o->leaf > 0 || o->leaf_ratio > 0.0 || o->corners) && !o->thesis && o->structure == 0)
+        return sup_bad_usage(program, "--angle-ratio, --clip, --leaf, --leaf-ratio and --corners go with one of the thesis' trees");
     if (o->grid > 0 && o->structure != (int)ZBUFRAND_STRUCTURE_CLASSES) return sup_bad_usage(program, "--normal-grid goes with --structure classes");
     if (o->zone > 0.0 && o->structure != (int)ZBUFRAND_STRUCTURE_OCTREE && o->structure != (int)ZBUFRAND_STRUCTURE_NORMALS)
         return sup_bad_usage(program, "--zone goes with --structure octree or normals");
@@ -58,8 +66,20 @@ static int check_options(const char *program, const options *o) {
     return -1;
 }
 
+/* --paint-triangles */
+static void paint_triangles(void *user, const zbufrand_surface *s, size_t count, float *rgba) {
+    (void)user;
+    for (size_t i = 0; i < count; i++) {
+        uint32_t h = (s[i].node * 0x9e3779b9u ^ s[i].triangle) * 0x85ebca6bu;
+        h = (h ^ h >> 13) * 0xc2b2ae35u;
+        for (uint32_t k = 0; k < 3; k++)
+            rgba[4 * i + k] = s[i].triangle == ~0u ? 0.2f : 0.05f + 0.9f * (float)(h >> 8 * k & 255u) / 255.0f;
+        rgba[4 * i + 3] = 1.0f;
+    }
+}
+
 static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, zbufrand_build_desc *build) {
-    sup_option table[SUP_COMMON_OPTIONS + 37];
+    sup_option table[SUP_COMMON_OPTIONS + 50];
     double radius = 0.0;
     size_t n;
     int status;
@@ -101,6 +121,20 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     table[n++] = sup_opt_real("depth-tolerance", &o->depth_tolerance, 0.0, 100.0, "T", "modes without depth buffer: samples that much deeper stay, too");
     table[n++] = sup_opt_real("color-tolerance", &o->color_tolerance, 0.0, 10.0, "T", "... and those whose colour differs from the nearest by at most that");
     table[n++] = sup_opt_flag("drop-back", &o->drop_back, "... but none that are seen from behind");
+    table[n++] = sup_opt_real("projected-tolerance", &o->projected_tolerance, 0.0, 1e6, "T",
+                              "... and those deeper by that on f z / (f + z), f the focal length in pixels");
+    table[n++] = sup_opt_int("reach", &o->reach, 1, 65535, "R", "fills: no further than that from a sample (2 D)");
+    table[n++] = sup_opt_flag("block-planes", &o->block_planes, "blocks follow the plane of their surface, so that parallel ones do not bleed");
+    table[n++] = sup_opt_flag("mend", &o->mend, "empty and suspicious pixels from their neighbours instead of by rays");
+    table[n++] = sup_opt_int("aa", &o->aa, 1, 16, "K", "draw it K times as wide and high; pixels are means of K x K");
+    table[n++] = sup_opt_int("points", &o->points, 1, 100000000, "N", "N random points of the surface, as a point cloud, instead of the scene");
+    table[n++] = sup_opt_int("buckets", &o->buckets, 1, 22, "B", "... whose depths are as good as equal within 2^-B of the depth");
+    table[n++] = sup_opt_flag("paint-triangles", &o->paint_triangles, "each triangle in a colour of its own, stored points grey");
+    table[n++] = sup_opt_flag("strict", &o->strict, "degenerate triangles are an error");
+    table[n++] = sup_opt_int("memory", &o->memory, 1, 1 << 20, "MB", "most memory of the scene, and of drawing it");
+    table[n++] = sup_opt_real("leaf-ratio", &o->leaf_ratio, 1.0, 1e6, "R", "thesis' trees: how much wider than its largest object a leaf may be");
+    table[n++] = sup_opt_flag("measure-costs", &o->measure_costs,
+                              "what raster and samples cost on this machine decides; pictures differ between machines then");
     table[n++] = sup_opt_real("angle-ratio", &o->angle_ratio, 1.001, 1000.0, "E", "thesis' trees: how unequal angles they draw as one");
     table[n++] = sup_opt_real("clip", &o->clip, 1e-3, 1000.0, "C", "thesis' trees: divide what sticks out and is wider than C times its depth");
     table[n++] = sup_opt_int("normal-grid", &o->grid, 1, 64, "K", "classes of normals: a grid of K x 2K");
@@ -127,11 +161,20 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     build->normal_grid = (uint32_t)o->grid;
     if (o->leaf > 0) build->leaf_objects = (uint32_t)o->leaf;
     build->tolerance_zone = (float)o->zone;
+    build->leaf_ratio = (float)o->leaf_ratio;
+    build->strict = (uint32_t)o->strict;
+    build->ids = (uint32_t)o->paint_triangles;
     desc->angle_ratio = o->angle_ratio;
     desc->clip_ratio = o->clip;
     desc->reconstruct.tolerance = (float)o->depth_tolerance;
     desc->reconstruct.tolerance_color = (float)o->color_tolerance;
     desc->reconstruct.drop_back = (uint32_t)o->drop_back;
+    desc->reconstruct.tolerance_projected = (float)o->projected_tolerance; /* focal: with the camera */
+    desc->reconstruct.reach = (uint32_t)o->reach;
+    desc->reconstruct.plane_depth = (uint32_t)o->block_planes;
+    desc->reconstruct.repair = (uint32_t)o->mend;
+    desc->oversample = (uint32_t)o->aa;
+    if (o->paint_triangles) desc->shade_fn = paint_triangles;
     if (o->epsilon > 0.0) desc->depth_ratio = o->epsilon;
     desc->tolerance = o->common.has_tolerance ? o->common.tolerance : 0.0; /* 0: the library chooses */
     desc->density = o->density;
@@ -139,7 +182,7 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     desc->max_frames = (uint32_t)o->max_frames;
     desc->frame = (uint32_t)o->frame;
     desc->seed = (uint32_t)o->common.seed;
-    desc->no_repair |= (uint32_t)o->no_repair;
+    desc->no_repair |= (uint32_t)(o->no_repair || o->mend);
     desc->no_occlusion |= (uint32_t)o->no_occlusion;
     desc->independent |= (uint32_t)o->independent;
     desc->unlit = (uint32_t)o->common.unlit;
@@ -300,6 +343,32 @@ static void put_behind(zbufrand_image *image, const float background[4]) {
     }
 }
 
+/* What several pictures took together, and what is true of each of them. */
+static void add_stats(zbufrand_stats *sum, const zbufrand_stats *one, int64_t before) {
+    const double n = (double)before;
+    sum->triangles = one->triangles;
+    sum->nodes += one->nodes;
+    sum->tested += one->tested;
+    sum->outside += one->outside;
+    sum->facing_away += one->facing_away;
+    sum->hidden += one->hidden;
+    sum->instances += one->instances;
+    for (int k = 0; k < 3; k++) sum->draws[k] += one->draws[k];
+    for (int k = 0; k < 2; k++) sum->samples[k] += one->samples[k];
+    sum->accepted += one->accepted;
+    sum->rastered += one->rastered;
+    sum->holes += one->holes;
+    sum->wrong += one->wrong;
+    sum->repaired += one->repaired;
+    sum->density = one->density > sum->density ? one->density : sum->density;
+    sum->projected_area = (n * sum->projected_area + one->projected_area) / (n + 1.0);
+    sum->covered = one->covered > sum->covered ? one->covered : sum->covered;
+    /* that no frame is right somewhere is at most as likely as that one of them is not */
+    sum->incomplete = before == 0 || one->incomplete < sum->incomplete ? one->incomplete : sum->incomplete;
+    for (int k = 0; k < ZBUFRAND_STAGE_COUNT; k++) sum->seconds[k] += one->seconds[k];
+    sum->bytes = one->bytes;
+}
+
 /* --mean N: N frames with other random numbers each, averaged in linear light. */
 static zbufrand_result draw_mean(const options *o, zbufrand_frame *frame, zbufrand_render_desc *desc,
                                  const zbufrand_scene *scene, zbufrand_image *image, zbufrand_stats *stats) {
@@ -311,6 +380,10 @@ static zbufrand_result draw_mean(const options *o, zbufrand_frame *frame, zbufra
     zbufrand_result result;
     float background[4];
     uint32_t spread = 1;
+    zbufrand_stats each;
+    zbufrand_noise noise;
+    memset(stats, 0, sizeof *stats);
+    memset(&noise, 0, sizeof noise);
     memcpy(background, desc->background, sizeof background);
     if (o->has_contrast) memset(desc->background, 0, sizeof desc->background); /* empty pixels count as empty */
     memset(&ad, 0, sizeof ad);
@@ -326,9 +399,11 @@ static zbufrand_result draw_mean(const options *o, zbufrand_frame *frame, zbufra
         desc->frame = (uint32_t)(o->frame + k);
         desc->spread = o->average == 0 ? spread : 1;
         one.depth = k == 0 || o->average != 0 ? depth : NULL; /* depth is that of the first frame, or of the last */
-        result = zbufrand_render(frame, desc, scene, &one, stats);
+        result = zbufrand_render(frame, desc, scene, &one, &each);
+        add_stats(stats, &each, k);
         if (result == ZBUFRAND_OK) result = zbufrand_accumulator_add(sum, image->rgba, o->average != 0 ? depth : NULL, o->average != 0 ? &view : NULL);
     }
+    if (result == ZBUFRAND_OK && o->mean > 1) result = zbufrand_accumulator_noise(sum, 0.0, &noise);
     if (result == ZBUFRAND_OK) result = zbufrand_accumulator_get(sum, (float)o->contrast, image->rgba);
     zbufrand_accumulator_destroy(sum);
     if (depth != image->depth) SUP_FREE(depth);
@@ -336,6 +411,7 @@ static zbufrand_result draw_mean(const options *o, zbufrand_frame *frame, zbufra
     if (o->has_contrast) put_behind(image, background);
     make_bytes(image);
     stats->frames = (uint32_t)o->mean;
+    stats->rmse = o->mean > 1 ? noise.rmse : 0.0;
     return ZBUFRAND_OK;
 }
 
@@ -369,12 +445,95 @@ static zbufrand_result draw_layers(const options *o, zbufrand_frame *frame, cons
     return result;
 }
 
+/* --points: a point cloud that is random points of the surface, lit from the eye. */
+static zbufrand_result draw_points(const options *o, const zbufrand_render_desc *desc, const zbufrand_scene *scene,
+                                   zbufrand_image *image, zbufrand_stats *stats) {
+    const size_t count = (size_t)o->points;
+    float *position = (float *)sup_alloc(3 * count, sizeof(float)), *normal = (float *)sup_alloc(3 * count, sizeof(float));
+    uint8_t *rgb = (uint8_t *)sup_alloc(3 * count, 1);
+    zbufrand_sample *sample = (zbufrand_sample *)sup_alloc(count, sizeof *sample);
+    zbufrand_surface_points_desc pd;
+    zbufrand_canvas_desc cd;
+    zbufrand_canvas *canvas = NULL;
+    zbufrand_points points;
+    zbufrand_view view;
+    zbufrand_source source = {zbufrand_samples_shade, zbufrand_samples_surface, NULL};
+    zbufrand_picture picture;
+    zbufrand_submit_stats submitted = {0, 0, 0};
+    zbufrand_resolve_stats resolved;
+    zbufrand_result result = position && normal && rgb && sample ? ZBUFRAND_OK : ZBUFRAND_ERR_NO_MEMORY;
+    memset(&pd, 0, sizeof pd);
+    memset(&cd, 0, sizeof cd);
+    memset(&points, 0, sizeof points);
+    memset(&picture, 0, sizeof picture);
+    pd.seed = desc->seed;
+    pd.first = (uint64_t)desc->frame * count;
+    pd.independent = desc->independent;
+    pd.vertex_normals = 1;
+    cd.env.thread_count = (uint32_t)o->common.threads;
+    cd.isa = (zbufrand_isa)o->common.isa;
+    cd.width = image->width;
+    cd.height = image->height;
+    cd.reconstruct = desc->reconstruct;
+    cd.bucket_bits = (uint32_t)o->buckets;
+    points.positions = position;
+    points.normals = normal;
+    points.rgb = rgb;
+    points.count = count;
+    picture.rgba = image->rgba;
+    picture.depth = image->depth;
+    source.user = sample;
+    if (result == ZBUFRAND_OK) result = zbufrand_surface_points(scene, &pd, count, position, normal, rgb, NULL);
+    if (result == ZBUFRAND_OK) result = zbufrand_camera_view(&desc->camera, scene, image->width, image->height, &view);
+    if (result == ZBUFRAND_OK) result = zbufrand_project(&view, &points, 0, count, sample);
+    if (result == ZBUFRAND_OK) result = zbufrand_canvas_create(&cd, &canvas);
+    for (size_t i = 0; i < count && result == ZBUFRAND_OK && !desc->unlit; i++) {
+        double toward = 0.0, length = 0.0;
+        for (size_t k = 0; k < 3; k++) {
+            const double v = desc->camera.eye[k] - (double)position[3 * i + k];
+            toward += v * (double)normal[3 * i + k];
+            length += v * v;
+        }
+        for (size_t k = 0; k < 3 && length > 0.0; k++) sample[i].rgb[k] *= 0.1f + 0.9f * (float)(fabs(toward) / sqrt(length));
+    }
+    if (result == ZBUFRAND_OK) result = zbufrand_canvas_submit(canvas, sample, count, 0, &submitted);
+    if (result == ZBUFRAND_OK) result = zbufrand_canvas_resolve(canvas, &source, &picture, &resolved);
+    zbufrand_canvas_destroy(canvas);
+    SUP_FREE(position);
+    SUP_FREE(normal);
+    SUP_FREE(rgb);
+    SUP_FREE(sample);
+    if (result != ZBUFRAND_OK) return result;
+    stats->points = count;
+    stats->accepted = submitted.accepted;
+    stats->covered = resolved.covered;
+    stats->holes = resolved.holes;
+    stats->wrong = resolved.wrong;
+    put_behind(image, desc->background);
+    make_bytes(image);
+    return result;
+}
+
 static int write_pictures(const options *o, zbufrand_image *image, sup_error *err) {
     return sup_out_write(&o->common, image->rgba8, image->rgba, image->depth, image->width, image->height, err);
 }
 
+static void print_theory(const options *o, const zbufrand_stats *s) {
+    static const char *const bounds[8] = {"union", "direct", "lemma2", "lemma3", "theorem1", "theorem2", "lemma4", "theorem5"};
+    const double wanted = 1.0 - (o->common.has_tolerance ? o->common.tolerance : 0.05), seen = (double)s->covered, area = s->projected_area;
+    const double samples = s->density * area;
+    printf(",\"theory\":{");
+    for (int k = 0; k < 8; k++) printf("\"%s\":%.6g,", bounds[k], zbufrand_samples((zbufrand_bound)k, area, seen, 1.0, wanted));
+    printf("\"density\":%.6g,\"one_percent_empty\":%.6g,\"ten_empty\":%.6g,\"ten_empty_lemma2\":%.6g,", zbufrand_density(seen, 1.0, wanted),
+           zbufrand_samples_for_share(area, 1.0, 0.01), seen > 10.0 ? zbufrand_samples_tolerant(area, seen, 10.0, wanted) : 0.0,
+           seen > 10.0 ? zbufrand_samples_lemma2(seen, 10.0, wanted) : 0.0);
+    printf("\"success\":%.6g,\"success_bound\":%.6g,\"empty\":%.6g,\"empty_deviation\":%.6g,\"empty_off_by_100\":%.6g,\"hit_twice\":%.6g}",
+           zbufrand_success(s->density, seen, 1.0), zbufrand_success_bound(s->density, seen, 1.0), zbufrand_expected_holes(s->density, seen, 1.0),
+           sqrt(zbufrand_holes_variance(samples, area)), zbufrand_holes_tail(samples, area, 100.0), zbufrand_multi_hit(samples, area));
+}
+
 static void print_stats(const options *o, const zbufrand_scene_info *info, const zbufrand_camera *camera,
-                        const pictures *p) {
+                        const zbufrand_costs *costs, const pictures *p) {
     static const char *const stages[ZBUFRAND_STAGE_COUNT] = {"select", "draw", "occlusion", "repair", "shade"};
     const zbufrand_stats *s = &p->stats;
     printf("{\"program\":\"zbufrand_render\",\"in\":");
@@ -395,17 +554,15 @@ static void print_stats(const options *o, const zbufrand_scene_info *info, const
            (unsigned long long)s->hidden, (unsigned long long)s->covered);
     printf(",\"holes\":%llu,\"wrong\":%llu,\"repaired\":%llu", (unsigned long long)s->holes, (unsigned long long)s->wrong,
            (unsigned long long)s->repaired);
-    if (o->mode == MODE_LAYERS) printf(",\"incomplete\":null,\"probability\":null"); /* nothing is promised of counts */
+    if (o->aa > 1) printf(",\"aa\":%d", (int)o->aa);
+    if (o->points > 0) printf(",\"points\":%llu", (unsigned long long)s->points);
+    if (o->measure_costs)
+        printf(",\"costs\":{\"triangle\":%.4g,\"edge\":%.4g,\"pixel\":%.4g,\"cluster\":%.4g,\"sample\":%.4g,\"set\":%.4g,\"stored\":%.4g,\"ray\":%.4g}",
+               (double)costs->triangle, (double)costs->edge, (double)costs->pixel, (double)costs->cluster, (double)costs->sample,
+               (double)costs->set, (double)costs->stored, (double)costs->ray);
+    if (o->mode == MODE_LAYERS || o->points > 0) printf(",\"incomplete\":null,\"probability\":null"); /* nothing is promised of counts */
     else printf(",\"incomplete\":%.6g,\"probability\":%.9g", s->incomplete, 1.0 - s->incomplete);
-    if (s->covered > 0 && s->projected_area >= (double)s->covered) { /* what the theorems ask for, of independent samples, and leave empty */
-        static const char *const bounds[8] = {"union", "direct", "lemma2", "lemma3", "theorem1", "theorem2", "lemma4", "theorem5"};
-        const double wanted = 1.0 - (o->common.has_tolerance ? o->common.tolerance : 0.05), seen = (double)s->covered;
-        printf(",\"theory\":{");
-        for (int k = 0; k < 8; k++)
-            printf("\"%s\":%.6g,", bounds[k], zbufrand_samples((zbufrand_bound)k, s->projected_area, seen, 1.0, wanted));
-        printf("\"one_percent_empty\":%.6g,\"success\":%.6g,\"empty\":%.6g}", zbufrand_samples_for_share(s->projected_area, 1.0, 0.01),
-               zbufrand_success(s->density, seen, 1.0), zbufrand_expected_holes(s->density, seen, 1.0));
-    }
+    if (s->covered > 0 && s->projected_area >= (double)s->covered) print_theory(o, s); /* what it asks for, and leaves empty */
     printf(",\"frames\":%u,\"rmse\":%.6g,\"stages\":{", s->frames, s->rmse);
     for (int k = 0; k < ZBUFRAND_STAGE_COUNT; k++) printf("%s\"%s\":%.6f", k ? "," : "", stages[k], s->seconds[k]);
     printf("},\"eye\":[%.9g,%.9g,%.9g],\"at\":[%.9g,%.9g,%.9g]", camera->eye[0], camera->eye[1], camera->eye[2],
@@ -481,13 +638,16 @@ static zbufrand_result draw_frames(options *o, zbufrand_frame *frame, zbufrand_r
     char path[4096];
     movement m;
     zbufrand_result result = make_movement(&m, world, &desc->camera) ? ZBUFRAND_ERR_NO_MEMORY : ZBUFRAND_OK;
+    zbufrand_stats each;
     *written = 0;
+    memset(&p->stats, 0, sizeof p->stats);
     for (int64_t k = 0; k < o->frames && result == ZBUFRAND_OK; k++) {
         const double start = sup_now();
         result = move(&m, world->scene, k, o->frames);
         m.edit_seconds += sup_now() - start;
-        if (result == ZBUFRAND_OK) result = zbufrand_render(frame, desc, world->scene, &p->image, &p->stats);
+        if (result == ZBUFRAND_OK) result = zbufrand_render(frame, desc, world->scene, &p->image, &each);
         if (result != ZBUFRAND_OK) break;
+        add_stats(&p->stats, &each, k);
         frame_name(path, sizeof path, name, k);
         o->common.out = path;
         *written = write_pictures(o, &p->image, err);
@@ -497,6 +657,7 @@ static zbufrand_result draw_frames(options *o, zbufrand_frame *frame, zbufrand_r
     if (!o->common.quiet)
         fprintf(stderr, "%lld pictures, edits took %.3f ms each\n", (long long)o->frames,
                 1e3 * m.edit_seconds / (double)o->frames);
+    p->stats.frames = (uint32_t)o->frames;
     return result;
 }
 
@@ -534,6 +695,7 @@ int main(int argc, char **argv) {
     sup_progress_begin(&progress, "drawing", o.common.quiet);
     scene_desc.env.thread_count = (uint32_t)o.common.threads;
     scene_desc.env.error = &error;
+    scene_desc.env.memory_limit = (size_t)o.memory << 20;
     frame_desc.env = scene_desc.env;
     frame_desc.isa = (zbufrand_isa)o.common.isa;
     build_desc.seed = (uint32_t)o.common.seed;
@@ -551,12 +713,17 @@ int main(int argc, char **argv) {
     }
     set_camera(&o, &world, &info, &desc.camera);
     set_morning(&o, &desc);
+    if (o.projected_tolerance > 0.0) /* pixels; the library has it in any unit, but its depths are ours */
+        desc.reconstruct.focal = 0.5f * (float)o.common.size[1] / tanf(0.5f * 0.01745329f * (float)desc.camera.fov_y);
+    if (o.measure_costs) result = zbufrand_measure_costs(&frame_desc, clock_now, NULL, &desc.costs);
     if (!make_image(&o, &p.image)) result = zbufrand_frame_create(&frame_desc, &frame);
-    if (result == ZBUFRAND_OK && o.common.stats && o.mode != MODE_LAYERS) /* the first frame of a size also takes its memory: not measured */
+    if (result == ZBUFRAND_OK && o.common.stats && o.mode != MODE_LAYERS && o.points == 0) /* the first frame of a size also takes its memory: not measured */
         result = zbufrand_render(frame, &desc, world.scene, &p.image, &p.stats);
     start = sup_now();
     if (result == ZBUFRAND_OK) {
-        result = o.mode == MODE_LAYERS ? draw_layers(&o, frame, &desc, world.scene, &p.image, &p.stats)
+        memset(&p.stats, 0, sizeof p.stats);
+        result = o.points > 0 ? draw_points(&o, &desc, world.scene, &p.image, &p.stats)
+               : o.mode == MODE_LAYERS ? draw_layers(&o, frame, &desc, world.scene, &p.image, &p.stats)
                : o.frames > 0 ? draw_frames(&o, frame, &desc, &world, &p, &err, &status)
                : o.mean > 0 ? draw_mean(&o, frame, &desc, world.scene, &p.image, &p.stats)
                             : zbufrand_render(frame, &desc, world.scene, &p.image, &p.stats);
@@ -569,7 +736,7 @@ int main(int argc, char **argv) {
     } else if (o.frames > 0 ? status : write_pictures(&o, &p.image, &err)) {
         status = sup_bad_input(argv[0], err.text);
     } else if (o.common.stats) {
-        print_stats(&o, &info, &desc.camera, &p);
+        print_stats(&o, &info, &desc.camera, &desc.costs, &p);
     }
     SUP_FREE(p.image.rgba8);
     SUP_FREE(p.image.rgba);
