@@ -7,7 +7,7 @@
    (BM3: see BM2)                            BM8 resolution                        BM13 worst cases
    BM4 hybrid: radius, costs, never slower   BM9 build                             BM14 threads
    BM5 the thesis' scenes, reconstructions   BM10 edits                            BM15 shading, attributes
-   BM16 probability of a complete picture
+   BM16 probability of a complete picture    BM17 surfaces close behind one another, partial coverage
    One JSON object a line on stdout; the acceptance table on stderr and, after a run of all, in bench/table_zbufrand.md
    beside the program. */
 #include "bench.h"
@@ -149,10 +149,10 @@ static void bm1_huge(void) {
 
 /* ---- BM2, BM3: the thesis' selection ---- */
 
-/* The thesis' program with other values of its two parameters: epsilon, and levels of halving the normals. Returns the
-   time of the best cell. few: they take seconds, so only one but with --full. fits[0]: exponent of samples, fits[1]: of boxes,
-   over epsilon and sqrt(epsilon) - 1. */
-static double sweep_cells(world *w, uint32_t block, const truth *t, int few, double fits[2]) {
+/* The thesis' program with other values of its two parameters: epsilon, and levels of halving the normals; same: our
+   program, of which only trees and cut are the thesis'. Returns the time of the best cell. few: they take seconds, so only
+   one but with --full. fits[0]: exponent of samples, fits[1]: of boxes, over epsilon and sqrt(epsilon) - 1. */
+static double sweep_cells(world *w, uint32_t block, const truth *t, int few, int same, double fits[2]) {
     static const double ratios[12] = {1.05, 1.1, 1.2, 1.3, 1.5, 1.7, 2.0, 2.828, 4.0, 5.656, 8.0, 16.0};
     double best = 1e300, x[12], y[12], z[12];
     uint32_t depth;
@@ -164,12 +164,13 @@ static double sweep_cells(world *w, uint32_t block, const truth *t, int few, dou
             picture_job p;
             bench_job b;
             char name[48];
-            if (!g_opt.full && (few ? i != 2 || depth != 0 : i != 1 && i != 4)) continue;
+            if (same ? i != 1 && i != 4 && (few || i != 8) && (!g_opt.full || i > 8)
+                     : !g_opt.full && (few ? i != 2 || depth != 0 : i != 1 && i != 4)) continue;
             p = picture_open(w, 640, 480, 1);
-            zbufrand_preset_thesis(NULL, &p.desc);
+            if (!same) zbufrand_preset_thesis(NULL, &p.desc);
             p.desc.reconstruct.block = block;
             p.desc.depth_ratio = ratios[i];
-            snprintf(name, sizeof name, "thesis, %u levels of classes", (unsigned)depth);
+            snprintf(name, sizeof name, "%s, %u levels of classes", same ? "only the cut" : "thesis", (unsigned)depth);
             b = picture_time(&p, name, g_opt.full ? 3 : 0);
             bench_line("zbufrand.cells", w->name, "frame_time", 1e3 * bench_seconds(&b), "ms");
             {
@@ -215,64 +216,79 @@ static double sweep_cells(world *w, uint32_t block, const truth *t, int few, dou
     return best;
 }
 
-/* The sweeps of the thesis against the cut without parameters on the same scene and camera. */
-static double sweep(world *w, uint32_t block, int few) {
+/* The sweeps of the thesis against the cut without parameters on the same scene and camera. ratio: its time over that of
+   the best cell, of the thesis' program and of ours with the thesis' cut. */
+static void sweep(world *w, uint32_t block, int few, double ratio[2]) {
     picture_job p = picture_open(w, 640, 480, 1);
-    truth *t = truth_make(&p, g_opt.full ? 8 : 32);
-    double best, fits[2];
+    truth *t = truth_make(&p, g_opt.full ? 8 : 128);
+    double fits[2];
     bench_job b;
+    int same;
     p.desc.reconstruct.block = block;
     b = picture_time(&p, "error-driven cut", 5);
     (void)picture_line("zbufrand.sweep", w->name, "error-driven cut", &p, &b, t, 1);
-    best = sweep_cells(w, block, t, few, fits);
-    bench_line("zbufrand.sweep", w->name, "times_of_best_cell", bench_seconds(&b) / best, "");
-    if (g_opt.full) {
-        bench_num("samples_exponent", fits[0]); /* over epsilon; the thesis: 1/2 */
-        bench_num("boxes_exponent", fits[1]);   /* over sqrt(epsilon) - 1; the thesis: -3, its table: -1.6 */
+    for (same = 0; same < 2; same++) {
+        ratio[same] = bench_seconds(&b) / sweep_cells(w, block, t, few, same, fits);
+        bench_line("zbufrand.sweep", w->name, same ? "times_of_best_cell_of_the_cut_alone" : "times_of_best_cell", ratio[same], "");
+        if (g_opt.full) {
+            bench_num("samples_exponent", fits[0]); /* over epsilon; the thesis: 1/2 */
+            bench_num("boxes_exponent", fits[1]);   /* over sqrt(epsilon) - 1; the thesis: -3, its table: -1.6 */
+        }
+        bench_num("threads", 1);
+        bench_end();
     }
-    bench_num("threads", 1);
-    bench_end();
     truth_free(t);
     picture_free(&p);
-    return bench_seconds(&b) / best;
 }
 
 static void bm2(void) {
-    double worst = 0.0;
-    int i;
+    double worst[2] = {0.0, 0.0}, ratio[2];
+    int i, k;
     for (i = 0; i < 3; i++) {
         world *w = i < 2 ? world_trees(i) : world_named("city-low", 3);
-        const double ratio = sweep(w, i < 2 ? 2 : 1, i < 2);
-        worst = ratio > worst ? ratio : worst;
+        sweep(w, i < 2 ? 2 : 1, i < 2, ratio);
+        for (k = 0; k < 2; k++) worst[k] = ratio[k] > worst[k] ? ratio[k] : worst[k];
         world_free(w);
     }
-    table_set("sweep", "%.2f", worst);
+    table_set("sweep", "%.2f / %.2f", worst[0], worst[1]);
 }
 
 /* ---- BM4: hybrid ---- */
 
-/* Default against all triangles by our own rasteriser, with and without culling what is hidden, in turn. */
-static double against_raster(const char *bench, world *w, uint32_t width, uint32_t height, int plain) {
-    static const char *const names[3] = {"by cost", "all rastered, hidden ones culled", "all rastered"};
-    picture_job p[3];
-    bench_job b[3];
+static world *world_sheets(int sheets, int turned);
+
+/* Default against all triangles by our own rasteriser, with and without culling what is hidden, and against the default with
+   costs measured on this machine (n: 4), in turn; the faster they are the more often. */
+static double against_raster(const char *bench, world *w, uint32_t width, uint32_t height, const zbufrand_costs *measured, int n) {
+    static const char *const names[4] = {"by cost", "all rastered, hidden ones culled", "all rastered", "by measured costs"};
+    picture_job p[4];
+    bench_job b[4];
     truth *t;
-    double worst;
-    const int n = plain ? 3 : 2;
-    int i;
+    double worst, all = 0.0;
+    int i, rounds;
     memset(b, 0, sizeof b);
     for (i = 0; i < n; i++) {
+        const double start = bench_cpu();
         p[i] = picture_open(w, width, height, 1);
-        if (i > 0) picture_raster(&p[i], i == 1);
+        if (i == 1 || i == 2) picture_raster(&p[i], i == 1);
+        if (i == 3) p[i].desc.costs = *measured;
         b[i].name = names[i];
         b[i].run = picture_run;
         b[i].ctx = &p[i];
+        picture_run(&p[i]);
+        all += bench_cpu() - start;
     }
-    t = truth_make(&p[0], g_opt.full ? 8 : 96);
-    bench_interleave(b, n, g_opt.full ? 7 : 3);
+    rounds = (int)((g_opt.full ? 4.0 : 0.6) / all);
+    rounds = rounds < 5 ? 5 : rounds > 31 ? 31 : rounds;
+    t = truth_make(&p[0], g_opt.full ? 8 : 384);
+    bench_interleave(b, n, rounds);
     for (i = 0; i < n; i++) (void)picture_line(bench, w->name, names[i], &p[i], &b[i], t, 1);
     worst = 1.0 / bench_ratio(&b[1], &b[0]);
-    if (n == 3 && 1.0 / bench_ratio(&b[2], &b[0]) > worst) worst = 1.0 / bench_ratio(&b[2], &b[0]);
+    if (1.0 / bench_ratio(&b[2], &b[0]) > worst) worst = 1.0 / bench_ratio(&b[2], &b[0]);
+    bench_line(bench, w->name, "times_of_faster_raster", worst, "");
+    bench_num("rounds", rounds);
+    if (n == 4) bench_num("times_of_measured_costs", 1.0 / bench_ratio(&b[3], &b[0]));
+    bench_end();
     truth_free(t);
     for (i = 0; i < n; i++) picture_free(&p[i]);
     return worst;
@@ -300,21 +316,51 @@ static void radius_sweep(void) {
     world_free(w);
 }
 
+/* The k-th scene of BM4; NULL: there are no more, or it is only for --full. */
+static world *raster_world(int k) {
+    static const struct { const char *name; size_t view; } named[4] = {{"landscape", 0}, {"chess", 0}, {"city-low", 3}, {"city-small", 2}};
+    world *w;
+    if (k < 4) {
+        if (k == 3 && !g_opt.full) return NULL;
+        w = world_named(named[k].name, named[k].view);
+        snprintf(w->name, sizeof w->name, "%s-%u", named[k].name, (unsigned)named[k].view + 1);
+        return w;
+    }
+    switch (k) {
+    case 4: return shared_world(SHARED_CITY, 1);
+    case 5: return world_blob(512);
+    case 6: return world_hall(512);
+    case 7: return shared_world(SHARED_BLOB, 0);
+    case 8: return world_trees(0);
+    case 9: return world_trees(1);
+    case 10: return world_layers(1, 200);
+    case 11: return world_layers(25, 200);
+    case 12: return world_sheets(1000, 1);
+    case 13: return world_chess(4, 1, 0); /* 32 triangles */
+    default: return world_blob(3);
+    }
+}
+
 static void bm4(void) {
-    static const struct { const char *name; size_t view; uint32_t width, height; } worlds[5] = {
-        {"landscape", 0, 640, 480}, {"chess", 0, 640, 480}, {"city-low", 3, 640, 480}, {"city-small", 2, 640, 480},
-        {"city-small", 1, 640, 480}
-    };
     double worst = 0.0, r;
     char most[64] = "";
-    size_t i;
-    for (i = 0; i < 8; i++) {
-        world *w;
-        if (!g_opt.full && i == 3) continue;
-        w = i == 4 ? shared_world(SHARED_CITY, 1) : i < 5 ? world_named(worlds[i].name, worlds[i].view) :
-            i == 5 ? world_blob(512) : i == 6 ? world_hall(512) : shared_world(SHARED_BLOB, 0);
-        if (i < 5) snprintf(w->name, sizeof w->name, "%s-%u", worlds[i].name, (unsigned)worlds[i].view + 1);
-        r = against_raster("zbufrand.raster", w, i < 5 ? worlds[i].width : 1024, i < 5 ? worlds[i].height : 768, 1);
+    zbufrand_costs costs;
+    int i;
+    must(zbufrand_measure_costs(NULL, cpu_clock, NULL, &costs), "costs");
+    bench_line("zbufrand.costs", "this machine", "stored_sample", (double)costs.stored, "ns");
+    bench_num("triangle", (double)costs.triangle);
+    bench_num("edge", (double)costs.edge);
+    bench_num("pixel", (double)costs.pixel);
+    bench_num("cluster", (double)costs.cluster);
+    bench_num("sample", (double)costs.sample);
+    bench_num("set", (double)costs.set);
+    bench_end();
+    for (i = 0; i < 15; i++) {
+        world *w = raster_world(i);
+        const int large = i > 4 && i < 8;
+        if (w == NULL) continue;
+        r = against_raster("zbufrand.raster", w, large ? 1024 : 640, large ? 768 : 480, &costs,
+                           g_opt.full || i == 1 || i == 9 ? 4 : 3);
         if (r > worst) {
             worst = r;
             snprintf(most, sizeof most, "%.40s", w->name);
@@ -327,15 +373,63 @@ static void bm4(void) {
 
 /* ---- BM5: the thesis' scenes ---- */
 
+static int layers_take(void *user, const zbufrand_sample *samples, const uint32_t *numbers, size_t count) {
+    (void)numbers;
+    return zbufrand_layers_submit((zbufrand_layers *)user, samples, count) != ZBUFRAND_OK;
+}
+
+/* Layered coverage. Its colours are not lit, so only what it covers is judged: hidden surfaces and holes have no depth. */
+static void layers_line(const char *kase, const picture_job *of, const truth *t) {
+    picture_job p = *of;
+    zbufrand_layers_desc ld;
+    zbufrand_layers *layers = NULL;
+    double cpu = bench_cpu(), off = 0.0, pixels = (double)t->tile_count * TILE * TILE;
+    uint32_t tile, k, i;
+    memset(&ld, 0, sizeof ld);
+    p.desc.lights = &p.light;
+    ld.env.thread_count = 1;
+    ld.width = p.image.width;
+    ld.height = p.image.height;
+    ld.density = 8.0f;
+    ld.dispersion = 0.4f;
+    ld.tolerance = 0.02f;
+    memset(&p.desc.reconstruct, 0, sizeof p.desc.reconstruct);
+    p.desc.hybrid = ZBUFRAND_HYBRID_OFF;
+    p.desc.density = 8.0;
+    must(zbufrand_layers_create(&ld, &layers), "layers");
+    do {
+        must(zbufrand_sample_scene(p.frame, &p.desc, p.scene, ld.width, ld.height, layers_take, layers, &p.stats), "samples");
+    } while (zbufrand_layers_next(layers));
+    must(zbufrand_layers_resolve(layers, p.image.rgba, NULL), "layers");
+    cpu = bench_cpu() - cpu;
+    zbufrand_layers_destroy(layers);
+    for (tile = 0; tile < t->tile_count; tile++) {
+        for (k = 0; k < TILE * TILE; k++) {
+            const size_t at = (size_t)tile * TILE * TILE + k, pixel = (size_t)t->tile[tile] + (size_t)(k / TILE) * t->width + k % TILE;
+            double covered = 0.0;
+            for (i = 0; i < SPP; i++) covered += t->depth[SPP * at + i] < INFINITY ? 1.0 / SPP : 0.0;
+            covered -= (double)p.image.rgba[4 * pixel + 3];
+            off += covered * covered / pixels;
+        }
+    }
+    bench_line("zbufrand.scenes", kase, "frame_time", 1e3 * cpu, "ms");
+    bench_num("error", sqrt(off));
+    bench_text("error_unit", "RMSE of the share of a pixel that is covered");
+    bench_text("method", "layers of depth, 8 per pixel");
+    bench_num("samples", (double)(p.stats.samples[0] + p.stats.samples[1]));
+    bench_num("threads", 1);
+    bench_end();
+}
+
 static void bm5(void) {
     static const struct { const char *name; size_t view; uint32_t block; const char *row; } scenes[8] = {
         {"forest", 0, 2, "overview"}, {"forest", 1, 2, NULL}, {"forest", 2, 2, NULL}, {"forest", 3, 2, NULL}, {"city", 0, 2, NULL},
         {"city", 1, 2, NULL}, {"chess", 0, 1, NULL}, {"landscape", 0, 2, NULL}
     };
     static const uint32_t blocks[5] = {1, 2, 3, 5, 10};
-    static const struct { const char *name; zbufrand_fill fill; } fills[4] = {
+    static const struct { const char *name; zbufrand_fill fill; } fills[5] = {
         {"Gauss, d=2", ZBUFRAND_FILL_GAUSS}, {"Voronoi, d=2", ZBUFRAND_FILL_VORONOI}, {"Voronoi L1, d=2", ZBUFRAND_FILL_VORONOI_L1},
-        {"regions, d=2", ZBUFRAND_FILL_REGIONS}
+        {"regions, d=2", ZBUFRAND_FILL_REGIONS}, {"pull-push, d=2", ZBUFRAND_FILL_PULL_PUSH}
     };
     world *w;
     size_t i;
@@ -345,7 +439,7 @@ static void bm5(void) {
         picture_job p;
         truth *own = NULL;
         const truth *t;
-        if (!g_opt.full && i > 1 && i != 5) continue;
+        if (!g_opt.full && i > 1 && i != 5 && i != 7) continue;
         w = forest ? shared_world(SHARED_FOREST, scenes[i].view) : world_named(scenes[i].name, scenes[i].view);
         snprintf(w->name, sizeof w->name, "%s-%u", scenes[i].name, (unsigned)scenes[i].view + 1);
         p = picture_open(w, 640, 480, 1);
@@ -362,7 +456,16 @@ static void bm5(void) {
             if (scenes[i].row != NULL && blocks[k] == scenes[i].block)
                 table_set(scenes[i].row, "%.1f", 1e3 * bench_seconds(&b));
         }
-        for (k = 0; k < 4 && g_opt.full; k++) {
+        for (k = 0; k < 1 && (i == 5 || g_opt.full); k++) { /* blocks along the plane of their surface */
+            bench_job b;
+            p.desc.reconstruct.block = 2;
+            p.desc.reconstruct.plane_depth = 1;
+            b = picture_time(&p, "blocks with planes, d=2", 3);
+            (void)picture_line("zbufrand.scenes", w->name, "blocks with planes, d=2", &p, &b, t, 1);
+            p.desc.reconstruct.plane_depth = 0;
+        }
+        if (i == 7) layers_line(w->name, &p, t); /* where many layers are hidden it takes a minute */
+        for (k = 0; k < 5 && (i == 7 || g_opt.full); k++) {
             bench_job b;
             p.desc.reconstruct.block = 2;
             p.desc.reconstruct.fill = fills[k].fill;
@@ -635,11 +738,15 @@ static void bm6(void) {
         if (i == 3) world_free(w);
     }
     table_set("rays", "%s / %s / %s / %s", faster[0], faster[1], faster[2], faster[3]);
-    w = shared_world(SHARED_CITY, 1);
+    w = world_named("city-low", 3);
+    snprintf(w->name, sizeof w->name, "city-low-4");
     p = way_open(w, 640, 480);
-    error_scene(w, shared_truth(w, 1, &p), w->name, WAY_RASTER | WAY_RASTER_ALL | WAY_THESIS | WAY_ALL | (g_opt.full ? WAY_INDEPENDENT : 0),
+    t = truth_make(&p, g_opt.full ? 8 : 64);
+    error_scene(w, t, w->name, WAY_RASTER | WAY_RASTER_ALL | WAY_THESIS | WAY_ALL | (g_opt.full ? WAY_INDEPENDENT : 0),
                 faster[0], sizeof faster[0]);
+    truth_free(t);
     picture_free(&p);
+    world_free(w);
     w = world_blob(256); /* the thesis' program on one mesh */
     p = way_open(w, 640, 480);
     t = truth_make(&p, g_opt.full ? 8 : 48);
@@ -652,12 +759,10 @@ static void bm6(void) {
 /* ---- BM7: radius of a disc, hidden layers ---- */
 
 static void bm7(void) {
-    double radius;
-    int layers;
-    for (radius = 10.0; radius <= (g_opt.full ? 1000.0 : 300.0); radius *= g_opt.full ? 2.15443469 : 5.47722558) {
-        const double n = 3.0 * radius * radius;
-        world *w = world_disc(radius, (size_t)n);
-        (void)simple_time("zbufrand.disc", w, "samples", 640, 480, 0, 48, 3, NULL);
+    int layers, levels;
+    for (levels = 0; levels <= 5; levels += g_opt.full ? 1 : 2 + (levels == 2)) { /* 10, 10^3, 10^6 */
+        world *w = world_ground(levels);
+        (void)simple_time("zbufrand.disc", w, "samples", 640, 480, 0, g_opt.full ? 48 : 384, g_opt.full ? 3 : 1, NULL);
         world_free(w);
     }
     for (layers = 1; layers <= 25; layers *= 5) {
@@ -688,7 +793,7 @@ static void bm8(void) {
     for (i = 0; i < (g_opt.full ? 6 : 4); i++) {
         picture_job p = picture_open(w, sizes[i][0], sizes[i][1], 1);
         truth *t = g_opt.full ? truth_make(&p, 16u << i) : NULL;
-        bench_job b = picture_time(&p, "samples", 3);
+        bench_job b = picture_time(&p, "samples", i < 3 ? 3 : 1);
         char kase[48];
         snprintf(kase, sizeof kase, "forest-1, %u x %u", sizes[i][0], sizes[i][1]);
         (void)picture_line("zbufrand.resolution", kase, "samples", &p, &b, t, 1);
@@ -1015,13 +1120,18 @@ static void rates(const world *w, const char *kase, uint32_t width, uint32_t hei
     picture_job p = picture_open(w, width, height, 1);
     const truth *t = shared_truth(w, 0, &p);
     bench_job b;
-    double drawn, draw;
+    double drawn, draw, draws[5];
     wrong out;
+    int k;
     if (off) p.desc.hybrid = ZBUFRAND_HYBRID_OFF;
     b = picture_time(&p, "samples", 5);
     out = judge(t, p.image.rgba, NULL, p.image.depth, NULL);
     drawn = (double)(p.stats.samples[0] + p.stats.samples[1]);
-    draw = p.stats.seconds[ZBUFRAND_STAGE_DRAW];
+    for (k = 0; k < 5; k++) {
+        picture_run(&p);
+        draws[k] = p.stats.seconds[ZBUFRAND_STAGE_DRAW];
+    }
+    draw = bench_median(draws, 5);
     bench_line("zbufrand.rates", kase, "accepted_per_second", bench_rate(&b, (double)p.stats.accepted), "1/s");
     bench_num("error", out.rmse);
     bench_text("error_unit", "RMSE to 256 samples");
@@ -1039,10 +1149,53 @@ static void rates(const world *w, const char *kase, uint32_t width, uint32_t hei
     picture_free(&p);
 }
 
+/* A cloud of the caller's points; the cut alone. */
+static void cloud_bench(const world *w) {
+    picture_job p = picture_open(w, 1024, 768, 1);
+    bench_job b;
+    zbufrand_points cloud;
+    float *position = (float *)must_alloc(3 << 21, sizeof *position);
+    uint8_t *rgb = (uint8_t *)must_alloc(3 << 21, 1);
+    double cpu[5];
+    size_t groups = 0;
+    int k;
+    memset(&cloud, 0, sizeof cloud);
+    p.desc.lights = &p.light;
+    cloud.positions = position;
+    cloud.rgb = rgb;
+    cloud.count = (size_t)1 << 21;
+    for (k = 0; k < 5; k++) {
+        const double start = bench_cpu();
+        must(zbufrand_select(p.frame, &p.desc, p.scene, 1024, 768, NULL, 0, &groups, &p.stats), "select");
+        cpu[k] = bench_cpu() - start;
+    }
+    bench_line("zbufrand.select", w->name, "children_per_second", (double)p.stats.tested / bench_median(cpu, 5), "1/s");
+    bench_num("error", 0);
+    bench_num("groups", (double)groups);
+    bench_num("nodes", (double)p.stats.nodes);
+    bench_num("ms", 1e3 * bench_median(cpu, 5));
+    bench_num("threads", 1);
+    bench_end();
+    must(zbufrand_surface_points(p.scene, NULL, cloud.count, position, NULL, rgb, NULL), "points");
+    p.scene = NULL;
+    p.desc.points = &cloud;
+    p.desc.points_count = 1;
+    b = picture_time(&p, "own points", 5);
+    bench_line("zbufrand.cloud", w->name, "points_per_second", bench_rate(&b, (double)cloud.count), "1/s");
+    bench_num("error", 0);
+    bench_num("threads", 1);
+    picture_nums(&p, &b);
+    bench_end();
+    free(position);
+    free(rgb);
+    picture_free(&p);
+}
+
 static void bm11(void) {
     world *w = world_blob(512);
     points_bench(w);
     zbuffer_bench(w, 0);
+    cloud_bench(w);
     world_free(w);
     if (g_opt.full) {
         w = world_blob(51);
@@ -1058,6 +1211,59 @@ static void bm11(void) {
 }
 
 /* ---- BM12: noise from frame to frame ---- */
+
+/* Error of what an accumulator shows after some frames, of a camera that stands still or moves half a pixel a frame. */
+static void temporal(const world *w) {
+    static const char *const names[3] = {"mean", "smooth", "adaptive"};
+    const uint32_t width = 320, height = 240, frames = g_opt.full ? 64 : 16;
+    int way, moving;
+    for (moving = 0; moving < 2; moving++) {
+        picture_job last = picture_open(w, width, height, 1);
+        truth *t;
+        last.desc.camera.at[0] += moving ? 0.03 * (double)(frames - 1) : 0.0;
+        t = truth_make(&last, g_opt.full ? 4 : 24);
+        for (way = moving; way < 3; way++) {
+            picture_job p = picture_open(w, width, height, 1);
+            zbufrand_accumulator_desc ad;
+            zbufrand_accumulator *sum = NULL;
+            float *rgba = (float *)must_alloc((size_t)width * height, 16);
+            uint32_t k;
+            memset(&ad, 0, sizeof ad);
+            ad.env.thread_count = 1;
+            ad.width = width;
+            ad.height = height;
+            ad.mode = (zbufrand_accumulation)way;
+            ad.blur = moving ? 2.0f : 0.0f;
+            p.desc.spread = moving ? 0 : 16;
+            must(zbufrand_accumulator_create(&ad, &sum), "accumulator");
+            for (k = 0; k < frames; k++) {
+                zbufrand_view view;
+                p.desc.frame = k;
+                p.desc.camera.at[0] = w->camera.at[0] + (moving ? 0.03 * (double)k : 0.0);
+                picture_run(&p);
+                must(zbufrand_camera_view(&p.desc.camera, p.scene, width, height, &view), "view");
+                must(zbufrand_accumulator_add(sum, p.image.rgba, p.image.depth, &view), "frame");
+                if ((k & (k + 1)) != 0 || (moving && k + 1 < frames)) continue; /* after 1, 2, 4, ... */
+                must(zbufrand_accumulator_get(sum, 0.0f, rgba), "mean");
+                {
+                    const wrong out = judge(t, rgba, NULL, NULL, NULL);
+                    bench_line("zbufrand.temporal", moving ? "moving" : "still", "rmse", out.rmse, "");
+                    bench_num("error", out.rmse);
+                    bench_num("error_of_one_frame", judge(t, p.image.rgba, NULL, NULL, NULL).rmse);
+                    bench_text("error_unit", "RMSE to 256 samples");
+                    bench_text("method", names[way]);
+                    bench_num("frames", k + 1);
+                    bench_end();
+                }
+            }
+            zbufrand_accumulator_destroy(sum);
+            free(rgba);
+            picture_free(&p);
+        }
+        truth_free(t);
+        picture_free(&last);
+    }
+}
 
 static void bm12(void) {
     world *w = world_trees(0);
@@ -1104,6 +1310,7 @@ static void bm12(void) {
     }
     free(sum);
     free(square);
+    temporal(w);
     world_free(w);
 }
 
@@ -1155,6 +1362,33 @@ static world *world_overlap(int copies) {
     return w;
 }
 
+/* many: that many large triangles nearly edge-on. Else one huge triangle below `micro` tiny ones. */
+static world *world_large(int many, int micro) {
+    supi_make make;
+    char name[48];
+    bench_rng rng = {8};
+    world *w;
+    int i;
+    memset(&make, 0, sizeof make);
+    for (i = 0; i < many + (micro > 0) + micro; i++) {
+        const float s = i < many ? 3.0f : i == many && micro > 0 ? 1000.0f : 0.002f;
+        const float x = i < many || s > 1.0f ? 0.0f : 4.0f * bench_random(&rng) - 2.0f, z = i < many || s > 1.0f ? 0.0f : 4.0f * bench_random(&rng) - 2.0f;
+        const float y = i < many ? 0.002f * (float)i : s > 1.0f ? 0.0f : 0.05f * bench_random(&rng), tilt = i < many ? 0.003f * bench_random(&rng) : 0.0f;
+        const uint32_t first = supi_make_point(&make, x - s, y, z + s);
+        supi_make_colour(&make, 80 + i * 37 % 170, 80 + i * 11 % 170, 90);
+        (void)supi_make_point(&make, x + s, y, z + s);
+        (void)supi_make_point(&make, x, y + tilt, z - s);
+        supi_make_triangle(&make, first, first + 1, first + 2);
+    }
+    if (many > 0) snprintf(name, sizeof name, "%d large triangles nearly edge-on", many);
+    else snprintf(name, sizeof name, "one huge triangle, %.0e tiny ones", (double)micro);
+    w = world_open(name, (uint32_t)g_opt.threads);
+    (void)supi_world_mesh(&w->w, &make, ZBUFRAND_ROOT, 1, 0, 0);
+    world_build(w);
+    world_view(w, 0, many > 0 ? 0.002 * many + 0.05 : 1.5, 4.0, 0, 0, 0, 45);
+    return w;
+}
+
 static void bm13(void) {
     int i, most = g_opt.full ? 1000000 : 1000;
     for (i = 100; i <= most; i *= 10) {
@@ -1174,6 +1408,11 @@ static void bm13(void) {
             picture_free(&p);
             world_free(w);
         }
+    }
+    for (i = 0; i < 2; i++) {
+        world *w = i == 0 ? world_large(1000, 0) : world_large(0, g_opt.full ? 10000000 : 200000);
+        (void)simple_time("zbufrand.worst", w, "by cost", 640, 480, 0, g_opt.full ? 64 : 192, 3, NULL);
+        world_free(w);
     }
     for (i = 1; i <= 64; i *= 8) {
         world *w = world_overlap(i);
@@ -1203,11 +1442,11 @@ static void bm14(void) {
     double one = 0.0;
     int threads;
     for (threads = 1; threads <= g_opt.threads; threads *= 2) {
-        picture_job p = picture_open(w, 1280, 960, (uint32_t)threads);
+        picture_job p = picture_open(w, g_opt.full ? 1280 : 640, g_opt.full ? 960 : 480, (uint32_t)threads);
         bench_job b = picture_time(&p, "samples", 3);
         if (threads == 1) hash = picture_hash(&p);
         if (threads == 1) one = bench_median(b.wall, b.rounds);
-        bench_line("zbufrand.threads", "forest-1, 1280 x 960", "wall_time", 1e3 * bench_median(b.wall, b.rounds), "ms");
+        bench_line("zbufrand.threads", g_opt.full ? "forest-1, 1280 x 960" : "forest-1, 640 x 480", "wall_time", 1e3 * bench_median(b.wall, b.rounds), "ms");
         bench_num("error", (double)(picture_hash(&p) != hash));
         bench_text("error_unit", "pictures that differ");
         bench_num("threads", threads);
@@ -1353,36 +1592,161 @@ static void complete_way(const world *w, const char *method, int independent, do
     picture_free(&exact);
 }
 
+/* Upper bound of a probability of which `failed` of n were seen, 95 % sure (Clopper and Pearson), by halving. */
+static double at_most(uint32_t failed, uint32_t n) {
+    double lo = 0.0, hi = 1.0;
+    int i;
+    for (i = 0; i < 50; i++) {
+        const double p = 0.5 * (lo + hi);
+        double term = pow(1.0 - p, (double)n), sum = 0.0;
+        uint32_t k;
+        for (k = 0; k <= failed; k++) {
+            sum += term;
+            term *= (double)(n - k) / (double)(k + 1) * p / (1.0 - p);
+        }
+        if (sum > 0.05) lo = p;
+        else hi = p;
+    }
+    return hi;
+}
+
 static void bm16(void) {
-    static const double independent[3] = {0.05, 0.5, 0.95}, stratified[4] = {4.0, 5.0, 6.0, 7.0};
-    const uint32_t pictures = g_opt.full ? 400 : 40;
+    static const double independent[3] = {0.05, 0.5, 0.95}, stratified[6] = {5.0, 6.0, 6.5, 7.0, 7.5, 8.0};
+    const uint32_t pictures = g_opt.full ? 400 : 20, most = 400;
     world *w = world_blob(512);
-    double density = 0.0, rays = 0.0, promised = 0.0, failed, least = 0.0;
+    double density = 0.0, rays = 0.0, promised = 0.0, failed, least = 0.0, alone = 0.0;
     int i;
     world_view(w, 0.3, 0.2, 1.9, 0, 0, 0, 30);
     for (i = g_opt.full ? 0 : 2; i < 3; i++) {
         char name[64];
         snprintf(name, sizeof name, "independent, for probability %g", independent[i]);
-        density = zbufrand_samples(ZBUFRAND_BOUND_DIRECT, 1.0, 320.0 * 240.0, 1.0, independent[i]);
         density = -log(-expm1(log(independent[i]) / (320.0 * 240.0)));
         complete_way(w, name, 1, density, 0, pictures, NULL, NULL, NULL, &failed);
     }
-    for (i = 0; i < 4; i++) {
+    for (i = 0; i < 6; i++) { /* the fewest samples that are complete as often as was asked for, without rays */
         char name[64];
-        if (!g_opt.full && i != 2) continue;
+        if (!g_opt.full && i != 4) continue;
         snprintf(name, sizeof name, "stratified, %g per pixel", stratified[i]);
-        complete_way(w, name, 0, stratified[i], 0, pictures, NULL, NULL, NULL, &failed);
-        if (failed <= 0.05 && least == 0.0) least = stratified[i];
+        complete_way(w, name, 0, stratified[i], 0, g_opt.full ? pictures : 100, NULL, NULL, NULL, &failed);
+        if (failed <= 0.05 && least == 0.0) {
+            least = stratified[i];
+            alone = failed;
+        }
     }
-    complete_way(w, "default: probability 0.95, with rays", 0, 0.0, 1, pictures, &density, &rays, &promised, &failed);
-    table_set("complete", "%.1f (%.1f); %.1f %% failed, %.1f %% reported", density, 1e3 * rays, 100.0 * failed, 100.0 * promised);
+    complete_way(w, "default: probability 0.95, with rays", 0, 0.0, 1, most, &density, &rays, &promised, &failed);
+    table_set("complete", "%.1f (%.1f), %.0f of %u failed: at most %.1f %%, %.1f %% reported; alone %.1f: %.1f %%", density, 1e3 * rays,
+              failed * (double)most, (unsigned)most, 100.0 * at_most((uint32_t)(failed * (double)most + 0.5), most), 100.0 * promised, least,
+              100.0 * alone);
+    { /* the same probability by the letter of the thesis, and by ours: what each draws */
+        static const char *const names[3] = {"the thesis' program, blocks of 2", "independent samples, nothing culled", "default"};
+        for (i = 0; i < 3; i++) {
+            picture_job p = picture_open(w, 320, 240, 1);
+            bench_job b;
+            if (i == 0) world_structure(w, ZBUFRAND_STRUCTURE_FAIR_SPLIT, 0);
+            if (i == 0) zbufrand_preset_thesis(NULL, &p.desc);
+            if (i == 1) {
+                p.desc.independent = p.desc.no_repair = p.desc.no_occlusion = 1;
+                p.desc.density = -log(-expm1(log(0.95) / (320.0 * 240.0)));
+            }
+            p.desc.hybrid = ZBUFRAND_HYBRID_OFF;
+            b = picture_time(&p, names[i], i == 0 ? 1 : 5);
+            (void)picture_line("zbufrand.equal_probability", "320 x 240, filled, probability 0.95", names[i], &p, &b, NULL, 1);
+            if (i == 0) world_structure(w, ZBUFRAND_STRUCTURE_DEFAULT, 0);
+            picture_free(&p);
+        }
+    }
     world_free(w);
+}
+
+/* ---- BM17: parallel surfaces, partial coverage ---- */
+
+/* Two coloured planes `gap` apart behind one another across the view, turned by 30 degrees; or stripes of `share` before a ground. */
+static world *world_planes(double gap, double share) {
+    supi_make make;
+    char name[48];
+    world *w;
+    int i, k, n = 256;
+    memset(&make, 0, sizeof make);
+    for (k = 0; k < 2; k++) {
+        supi_make_colour(&make, k == 0 ? 255 : 0, k == 0 ? 255 : 0, k == 0 ? 255 : 0);
+        for (i = 0; i < n; i++) {
+            const float width = k == 0 && share < 1.0 ? (float)share : 1.0f, z = (float)(-gap * k);
+            const float y0 = -2.0f + 4.0f * (float)i / (float)n, y1 = y0 + 4.0f / (float)n * width;
+            const float a[3] = {-2.0f, y0, z}, b[3] = {2.0f, y0, z}, c[3] = {2.0f, y1, z}, d[3] = {-2.0f, y1, z};
+            supi_make_patch(&make, a, b, c, d);
+        }
+    }
+    snprintf(name, sizeof name, share < 1.0 ? "stripes of %.2f" : "planes %.0e apart", share < 1.0 ? share : gap);
+    w = world_open(name, (uint32_t)g_opt.threads);
+    (void)supi_world_mesh(&w->w, &make, ZBUFRAND_ROOT, 0, 0, 0);
+    world_build(w);
+    world_view(w, 1.0, 0.0, 1.75, 0, 0, 0, 40);
+    return w;
+}
+
+/* Mean of red over the picture, unlit: white is the front, black what is behind. */
+static double shown_share(picture_job *p) {
+    double sum = 0.0;
+    uint32_t i, k;
+    const uint32_t n = p->image.width * p->image.height;
+    p->desc.unlit = 1;
+    p->desc.hybrid = ZBUFRAND_HYBRID_OFF;
+    for (k = 0; k < 2; k++) {
+        p->desc.frame = k;
+        picture_run(p);
+        for (i = 0; i < n; i++) sum += (double)p->image.rgba[4 * (size_t)i] / (2.0 * (double)n);
+    }
+    return sum;
+}
+
+static void law_line(const char *bench, const world *w, const char *method, double share, double expected, double predicted) {
+    bench_line(bench, w->name, "share", share, "");
+    bench_num("error", fabs(share - expected));
+    bench_text("error_unit", "of the share that is visible");
+    bench_num("predicted", predicted);
+    bench_text("method", method);
+    bench_end();
+}
+
+static void bm17(void) {
+    static const double gaps[4] = {1e-1, 1e-2, 1e-3, 1e-5}, shares[4] = {0.1, 0.25, 0.5, 0.9};
+    int i, k;
+    for (i = 0; i < 4; i++) { /* how much of what is close behind bleeds through */
+        world *w = world_planes(gaps[i], 1.0);
+        for (k = 0; k < 2; k++) {
+            picture_job p = picture_open(w, 160, 120, 1);
+            double range;
+            p.desc.density = 4.0;
+            p.desc.no_repair = 1;
+            p.desc.no_plane_depth = k == 0;
+            range = 2.0155644 * tan(0.349066) / 60.0 * 0.5; /* what a pixel spans in depth at the middle, by the slope of the planes */
+            law_line("zbufrand.bleed", w, k == 0 ? "depth of the sample" : "depth of the plane at the centre", 1.0 - shown_share(&p), 0.0,
+                     k == 0 ? zbufrand_bleed(4.0, gaps[i] * 0.868, range, 1.0) : 0.0);
+            picture_free(&p);
+        }
+        world_free(w);
+    }
+    for (i = 0; i < 4; i++) { /* a front that covers part of each pixel: nearest wins, larger pictures, layers */
+        world *w = world_planes(0.05, shares[i]);
+        for (k = 0; k < (g_opt.full ? 4 : 3); k++) {
+            picture_job p = picture_open(w, 160, 120, 1);
+            char name[48];
+            const uint32_t over = 1u << k;
+            p.desc.density = 4.0;
+            p.desc.no_repair = 1;
+            p.desc.oversample = over;
+            snprintf(name, sizeof name, "%u x %u parts", over, over);
+            law_line("zbufrand.dominance", w, name, shown_share(&p), shares[i], k == 0 ? zbufrand_front_share(shares[i], 4.0) : shares[i]);
+            picture_free(&p);
+        }
+        world_free(w);
+    }
 }
 
 int main(int argc, char **argv) {
     static const struct { int number; void (*run)(void); } all[] = {
         {1, bm1}, {1, bm1_huge}, {2, bm2}, {4, bm4}, {5, bm5}, {6, bm6}, {7, bm7}, {8, bm8}, {9, bm9}, {10, bm10}, {11, bm11}, {12, bm12},
-        {13, bm13}, {14, bm14}, {15, bm15}, {16, bm16}
+        {13, bm13}, {14, bm14}, {15, bm15}, {16, bm16}, {17, bm17}
     };
     size_t i;
     int status = bench_parse(argc, argv, &g_opt);
