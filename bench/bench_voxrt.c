@@ -6,7 +6,7 @@
    BM2 resolution                                   BM7 ways through the octree       BM12 is bench/peers/embree_voxrt.cpp
    BM3 stages of a picture, threads                 BM8 converter                     BM13 tolerance against error
    BM4 start grid of the octree                     BM9 loading                       BM14 editing, BM15 planes
-   BM5 memory and files                             BM10 normals (setup, compose: BM3)
+   BM5 memory and files                             BM10 normals (setup, compose: BM3) BM16 many objects
    One JSON object a line on stdout; the acceptance table on stderr and, after a run of all, in bench/table.md beside the
    program. */
 #include "bench.h"
@@ -1926,9 +1926,100 @@ static void bm15(void) {
     free(exact);
 }
 
+/* ---- BM16: many objects ---- */
+
+static double place_noise(uint64_t x) {
+    x = (x + 1) * 0x9e3779b97f4a7c15u;
+    x = (x ^ x >> 30) * 0xbf58476d1ce4e5b9u;
+    x = (x ^ x >> 27) * 0x94d049bb133111ebu;
+    return (double)((x ^ x >> 31) >> 11) / 9007199254740992.0;
+}
+
+/* Copies of one tree, turned and scaled, in a square; a camera that stands among them: what the hierarchy costs to make
+   (for each frame when they move), to hold and to trace. The rays of the smallest scene one object after the other. */
+static void bm16(void) {
+    const voxrt_tree *tree = get_tree(MODEL_BLOB, 512, KIND_DEFAULT);
+    const size_t most = g_opt.full ? 10000000 : 1000000;
+    double lo[3], hi[3], wide, first = 0.0;
+    size_t n, i;
+    voxrt_tree_bounds(tree, lo, hi);
+    wide = sqrt((hi[0] - lo[0]) * (hi[0] - lo[0]) + (hi[2] - lo[2]) * (hi[2] - lo[2]));
+    for (n = 100; n <= most; n *= 10) {
+        const size_t side = (size_t)ceil(sqrt((double)n));
+        voxrt_instance *instance = (voxrt_instance *)must_alloc(n, sizeof *instance);
+        voxrt_geometry *all = (voxrt_geometry *)must_alloc(n, sizeof *all), together;
+        voxrt_group *group = NULL;
+        frame_job f = make_frame(tree);
+        bench_job b;
+        char kase[64];
+        double start = bench_wall(), places, build = 1e30;
+        size_t wrong = 0;
+        int k;
+        for (i = 0; i < n; i++) {
+            voxrt_instance *p = &instance[i];
+            const double turn = 6.283185307179586 * place_noise(4 * i), size = 0.7 + 0.6 * place_noise(4 * i + 1);
+            const double c = size * cos(turn), d = size * sin(turn);
+            memset(p, 0, sizeof *p);
+            voxrt_tree_geometry(tree, &p->geometry);
+            p->to_world[0] = p->to_world[10] = c;
+            p->to_world[2] = d;
+            p->to_world[8] = -d;
+            p->to_world[5] = size;
+            p->to_world[3] = ((double)(i % side) - 0.5 * (double)side + 0.4 * place_noise(4 * i + 2)) * wide;
+            p->to_world[11] = (0.5 * (double)side - (double)(i / side) + 0.4 * place_noise(4 * i + 3)) * wide;
+            must(voxrt_instance_geometry(p, &all[i]), "instance");
+        }
+        places = bench_wall() - start;
+        for (k = 0; k < 3; k++) {
+            voxrt_group_destroy(group);
+            start = bench_wall();
+            must(voxrt_group_create(NULL, all, n, &group), "group");
+            if (bench_wall() - start < build) build = bench_wall() - start;
+        }
+        voxrt_group_geometry(group, &together);
+        f.tree = NULL;
+        f.desc.geometry = &together;
+        f.desc.geometry_count = 1;
+        f.desc.tolerance = 1.0f;
+        memset(&f.desc.camera, 0, sizeof f.desc.camera);
+        f.desc.camera.eye[1] = (float)(3.0 * wide);
+        f.desc.camera.eye[2] = (float)(4.0 * wide);
+        f.desc.camera.fov_y = 45.0f;
+        memset(&b, 0, sizeof b);
+        b.name = "group";
+        b.run = run_frame;
+        b.ctx = &f;
+        bench_interleave(&b, 1, 3);
+        if (n == 100) { /* without the hierarchy */
+            frame_job one = f;
+            one.desc.geometry = all;
+            one.desc.geometry_count = n;
+            one.image.rgba8 = (uint8_t *)must_alloc((size_t)WIDTH * HEIGHT, 4);
+            run_frame(&one);
+            for (i = 0; i < (size_t)WIDTH * HEIGHT; i++)
+                wrong += memcmp(one.image.rgba8 + 4 * i, f.image.rgba8 + 4 * i, 4) != 0;
+            free(one.image.rgba8);
+            first = bench_seconds(&b);
+        }
+        snprintf(kase, sizeof kase, "blob-512 %zu times", n);
+        frame_line("voxrt.objects", kase, &f, &b);
+        bench_num("differ_from_each", (double)wrong);
+        bench_num("times_hundred", bench_seconds(&b) / first);
+        bench_num("places_ms", 1e3 * places);
+        bench_num("group_ms", 1e3 * build);
+        bench_num("bytes_each", (double)(sizeof *instance + 136));
+        bench_end();
+        free(f.image.rgba8);
+        voxrt_group_destroy(group);
+        free(instance);
+        free(all);
+    }
+}
+
 int main(int argc, char **argv) {
     static const struct { int number; void (*run)(void); } all[] = {
-        {1, bm1}, {2, bm2}, {3, bm3}, {4, bm4}, {7, bm7}, {10, bm10}, {13, bm13}, {11, bm11}, {9, bm9}, {5, bm5}, {6, bm6}, {14, bm14}, {15, bm15}, {8, bm8}
+        {1, bm1}, {2, bm2}, {3, bm3}, {4, bm4}, {7, bm7}, {10, bm10}, {13, bm13}, {11, bm11}, {9, bm9}, {5, bm5}, {6, bm6}, {14, bm14},
+        {15, bm15}, {16, bm16}, {8, bm8}
     };
     size_t i;
     int status = bench_parse(argc, argv, &g_opt);

@@ -80,6 +80,9 @@ $(G)/voxrt_planes.png $(G)/voxrt_planes_off.png: $(VOX)/torus-planes.vox
 $(G)/voxrt_planes.png: options = --shadows --aa 8 $(SKY) --size 656x640 --eye 1.1,1.3,1.9 --at 0.35,-0.05,0.25 --fov 38
 $(G)/voxrt_planes_off.png: options = --cubes --shadows --aa 8 $(SKY) --size 656x640 --eye 1.1,1.3,1.9 --at 0.35,-0.05,0.25 --fov 38
 
+$(G)/voxrt_million.png: $(VOX)/planet.vox
+$(G)/voxrt_million.png: options = --scatter 1000000 --shadows --aa 1 $(SKY) --eye 0,14,40 --at 0,-1,-20 --fov 42 --light dir:0.5,0.8,0.6
+
 $(G)/voxrt_torus_2009.png: $(VOX)/torus-2009.vox
 $(G)/voxrt_torus_2009.png: options = --path thesis --compose thesis --shadows --lod off $(SKY) \
 	--eye 484,475,740 --at 256,245,256 --fov 46
@@ -94,7 +97,7 @@ $(G)/voxrt_aa64.png: $(VOX)/menger.vox
 $(G)/voxrt_aa64.png: options = --size 328x160 --aa 64 --shadows $(SKY) --eye 3,2.5,4 --at 0,0,0 --fov 40
 
 VOXRT_PICTURES := $(addprefix $(G)/voxrt_,sphere.png gyroid.png terrain.png terrain_heat.png terrain_lod.png \
-	terrain_split.png menger.png cornell.png pillars.png blob.png blob_cubes.png torus_2009.png torus.png planet.png planes.png planes_off.png aa1.png aa64.png)
+	terrain_split.png menger.png cornell.png pillars.png blob.png blob_cubes.png torus_2009.png torus.png planet.png planes.png planes_off.png million.png aa1.png aa64.png)
 
 $(VOXRT_PICTURES): $(B)/voxrt_render
 	@mkdir -p $(@D); echo "$@"; $(B)/voxrt_render $(filter %.vox,$^) --out $@ --quiet $(options)
