@@ -894,6 +894,51 @@ TEST(trees_stay_good) {
     shape_free(&box);
 }
 
+/* 10^5 moves, removals and returns of references, in updates of a thousand: all sums are those of a scene that is built from
+   what is left. */
+TEST(hundred_thousand_edits) {
+    enum { N = 3000 };
+    static zbufrand_transform at[N];
+    static uint8_t drawn[N];
+    zbufrand_scene *s = open_scene(1, NULL), *anew = open_scene(1, NULL);
+    zbufrand_scene_info info[2];
+    test_rng r = test_rng_make(9);
+    shape box;
+    zbufrand_mesh m;
+    zbufrand_node proto, node;
+    uint32_t i, k, a;
+    memset(&box, 0, sizeof box);
+    shape_box(&box, 0, 0, 0, 0.3, 0.2, 0.1);
+    m = mesh_of(&box);
+    for (i = 0; i < N; i++) {
+        at[i] = move_scale(40 * test_rng_double(&r), 2 * test_rng_double(&r), 40 * test_rng_double(&r), 1);
+        drawn[i] = 1;
+    }
+    CHECK_EQ_U64(zbufrand_add_mesh(s, ZBUFRAND_ROOT, NULL, ZBUFRAND_HIDDEN, &m, &proto), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_add_references(s, ZBUFRAND_ROOT, at, N, proto, &node), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_scene_build(s, NULL, NULL), ZBUFRAND_OK);
+    for (k = 0; k < (test_quick() ? 5000u : 100000u); k++) {
+        i = test_rng_below(&r, N);
+        drawn[i] = test_rng_below(&r, 4) != 0;
+        at[i] = move_scale(40 * test_rng_double(&r), 2 * test_rng_double(&r), 40 * test_rng_double(&r), exp2(2 * test_rng_double(&r) - 1));
+        CHECK_EQ_U64(zbufrand_set_reference(s, node, i, drawn[i] ? &at[i] : NULL), ZBUFRAND_OK);
+        if (k % 1000 == 999) CHECK_EQ_U64(zbufrand_scene_update(s, &info[0]), ZBUFRAND_OK);
+    }
+    check_scene(s);
+    CHECK_EQ_U64(zbufrand_add_mesh(anew, ZBUFRAND_ROOT, NULL, ZBUFRAND_HIDDEN, &m, &proto), ZBUFRAND_OK);
+    for (i = 0; i < N; i++) if (drawn[i]) CHECK_EQ_U64(zbufrand_add_reference(anew, ZBUFRAND_ROOT, &at[i], proto, NULL), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_scene_build(anew, NULL, &info[1]), ZBUFRAND_OK);
+    CHECK_EQ_U64(info[0].triangles, info[1].triangles);
+    CHECK_NEAR(info[0].area / info[1].area, 1, 1e-6); /* floats of nodes, in another order */
+    for (a = 0; a < 3; a++) {
+        CHECK_NEAR(info[0].box_min[a], info[1].box_min[a], 1e-5);
+        CHECK_NEAR(info[0].box_max[a], info[1].box_max[a], 1e-5);
+    }
+    zbufrand_scene_destroy(s);
+    zbufrand_scene_destroy(anew);
+    shape_free(&box);
+}
+
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(any_sequence_of_edits);
@@ -905,6 +950,7 @@ int main(int argc, char **argv) {
     RUN(levels);
     RUN(memory_runs_out);
     RUN(trees_stay_good);
+    RUN(hundred_thousand_edits);
     zbufrand_frame_destroy(g_frame);
     return test_end();
 }

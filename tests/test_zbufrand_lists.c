@@ -548,54 +548,149 @@ TEST(draws_by_area) {
     }
 }
 
-/* Twelve decades of areas in one run: an integer share is right however small it is. */
+/* Twelve decades of areas in one run of a million: an integer share is right however small it is. */
 TEST(unequal_areas) {
-    enum { N = 1000 };
-    static uint64_t sum[N + 1];
-    double want[N], seen[N], chi = 0;
+    const uint32_t n = test_quick() ? 100000 : 1000000, draws = 2 * n;
+    uint64_t *sum = (uint64_t *)malloc((n + 1) * sizeof *sum);
+    uint32_t *seen = (uint32_t *)calloc(n, sizeof *seen);
+    double chi = 0, rare_seen[12], rare_want[12];
     test_rng r = test_rng_make(3);
-    const uint32_t draws = test_quick() ? 200000 : 1000000;
     uint32_t i, k, cells = 0;
     zbufrand_scene_desc sd;
     zbufrandi_list_build b;
     zbufrandi_lists l;
     zbufrandi_mem mem;
+    REQUIRE(sum != NULL && seen != NULL);
     memset(&sd, 0, sizeof sd);
     memset(&b, 0, sizeof b);
     memset(&l, 0, sizeof l);
+    memset(rare_seen, 0, sizeof rare_seen);
+    memset(rare_want, 0, sizeof rare_want);
     CHECK_EQ_U64(zbufrandi_env_open(&sd.env, &mem), ZBUFRAND_OK);
-    for (i = 0; i < N; i++) {
-        sum[i + 1] = sum[i] + (uint64_t)(pow(10, 12 * test_rng_double(&r)) + 1);
-        seen[i] = 0;
-    }
+    sum[0] = 0;
+    for (i = 0; i < n; i++) sum[i + 1] = sum[i] + (uint64_t)(pow(10, 12 * test_rng_double(&r)) + 1);
     l.sum = sum;
-    l.object_count = N;
+    l.object_count = n;
     b.mem = &mem;
     b.l = &l;
     REQUIRE(zbufrandi_list_guide(&b));
     for (k = 0; k < draws; k++) {
-        const uint64_t y = zbufrandi_mul_high(test_rng_u64(&r), sum[N]);
-        const uint32_t at = zbufrandi_list_search(&l, 0, N, y);
+        const uint64_t y = zbufrandi_mul_high(test_rng_u64(&r), sum[n]);
+        const uint32_t at = zbufrandi_list_search(&l, 0, n, y);
         CHECK(sum[at] <= y && y < sum[at + 1]);
         seen[at]++;
     }
-    for (i = 0; i < N; i++) {
-        want[i] = draws * ((double)(sum[i + 1] - sum[i]) / (double)sum[N]);
-        if (want[i] < 5) continue;
-        chi += (seen[i] - want[i]) * (seen[i] - want[i]) / want[i];
+    for (i = 0; i < n; i++) { /* small ones by decades */
+        const double want = draws * ((double)(sum[i + 1] - sum[i]) / (double)sum[n]);
+        if (want < 5) {
+            const uint32_t decade = (uint32_t)log10((double)(sum[i + 1] - sum[i]));
+            rare_seen[decade < 11 ? decade : 11] += seen[i];
+            rare_want[decade < 11 ? decade : 11] += want;
+            continue;
+        }
+        chi += (seen[i] - want) * (seen[i] - want) / want;
         cells++;
     }
-    CHECK(cells > 100);
-    CHECK_MSG(chi2_p(chi, cells) > 1e-5, "chi square %g of %u", chi, cells);
-    for (i = 0; i < N; i++) { /* first and last place of each, in runs of any length */
-        CHECK_EQ_U64(zbufrandi_list_search(&l, 0, N, sum[i]), i);
-        CHECK_EQ_U64(zbufrandi_list_search(&l, i / 2, N, sum[i + 1] - 1), i);
+    for (i = 0; i < 12; i++) {
+        if (rare_want[i] < 5) continue;
+        chi += (rare_seen[i] - rare_want[i]) * (rare_seen[i] - rare_want[i]) / rare_want[i];
+        cells++;
+    }
+    CHECK(cells > n / 20);
+    CHECK_MSG(chi2_p(chi, cells) > 1e-5 && chi2_p(chi, cells) < 1 - 1e-5, "chi square %g of %u", chi, cells);
+    for (i = 0; i < n; i += 97) { /* first and last place of each, in runs of any length */
+        CHECK_EQ_U64(zbufrandi_list_search(&l, 0, n, sum[i]), i);
+        CHECK_EQ_U64(zbufrandi_list_search(&l, i / 2, n, sum[i + 1] - 1), i);
         CHECK_EQ_U64(zbufrandi_list_search(&l, i, i + 1, sum[i]), i);
         CHECK_EQ_U64(zbufrandi_list_search(&l, 0, i + 1, sum[i + 1] - 1), i);
     }
+    free(sum);
+    free(seen);
     zbufrandi_free(&mem, l.guide);
     CHECK_EQ_U64(zbufrandi_mul_high(~(uint64_t)0, ~(uint64_t)0), ~(uint64_t)0 - 1);
     CHECK_EQ_U64(zbufrandi_mul_high((uint64_t)1 << 63, 6), 3);
+}
+
+/* Independent draws from eight equal triangles: triangle and place on it are uniform together (chi-square of 8 x 16 equal parts),
+   a weight has the distribution function 1 - (1 - u)^2 (Kolmogorov and Smirnov), and draws know nothing of those before them
+   (correlations of triangles and weights at lags 1 to 8). p below 1e-5 each. */
+TEST(draws_are_independent) {
+    enum { N = 8, PARTS = 16 };
+    const uint32_t n = test_quick() ? 20000 : 200000;
+    float *weight = (float *)malloc(n * sizeof *weight);
+    uint8_t *which = (uint8_t *)malloc(n);
+    double cell[N * PARTS], chi = 0, worst = 0;
+    uint32_t bin[1024];
+    zbufrand_scene *scene = NULL;
+    zbufrand_build_desc bd = kind_of(0);
+    const zbufrandi_lists *l;
+    zbufrandi_local local;
+    zbufrandi_draw d;
+    shape s;
+    zbufrand_mesh m;
+    uint32_t i, k, lag, at;
+    REQUIRE(weight != NULL && which != NULL);
+    memset(&s, 0, sizeof s);
+    memset(&local, 0, sizeof local);
+    memset(&d, 0, sizeof d);
+    memset(cell, 0, sizeof cell);
+    memset(bin, 0, sizeof bin);
+    for (i = 0; i < N; i++) {
+        const uint32_t v = shape_vertex(&s, 2.0 * i, 0, 0);
+        (void)shape_vertex(&s, 2.0 * i + 1, 0, 0);
+        (void)shape_vertex(&s, 2.0 * i, 1, 0);
+        shape_triangle(&s, v, v + 1, v + 2);
+    }
+    m = mesh_of(&s);
+    CHECK_EQ_U64(zbufrand_scene_create(NULL, &scene), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_add_mesh(scene, 1, NULL, 0, &m, NULL), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_scene_build(scene, &bd, NULL), ZBUFRAND_OK);
+    l = scene->structure[0].lists;
+    REQUIRE(l != NULL && l->object_count == N);
+    zbufrandi_m34_identity(local.to_camera);
+    local.scale = 1;
+    d.item = (uint32_t)ZBUFRANDI_DRAW_LISTED << ZBUFRANDI_DRAW_SHIFT;
+    d.aux = N | ZBUFRANDI_LISTED_INDEPENDENT;
+    d.count = n;
+    d.hash = zbufrandi_hash32(99);
+    for (i = 0; i < n; i++) {
+        zbufrandi_list_spot spot;
+        double u, v;
+        uint32_t a, b, id;
+        zbufrandi_list_find(scene, &local, &d, i, &spot);
+        for (k = 0; k < N && l->object[k] != spot.item; k++) { }
+        REQUIRE(k < N);
+        which[i] = (uint8_t)k;
+        weight[i] = spot.u;
+        u = 4 * (double)spot.u;
+        v = 4 * (double)spot.v;
+        a = (uint32_t)u;
+        b = (uint32_t)v;
+        for (id = 0, at = 0; at < a; at++) id += 2 * (4 - at) - 1; /* 10 parts upright, 6 upside down */
+        id += 2 * b + (u - a + v - b < 1 ? 0 : 1);
+        if (id < PARTS) cell[k * PARTS + id]++;
+        u = 1 - (1 - (double)spot.u) * (1 - (double)spot.u);
+        bin[u < 1 ? (uint32_t)(1024 * u) : 1023]++;
+    }
+    for (i = 0; i < N * PARTS; i++) chi += (cell[i] - n / (double)(N * PARTS)) * (cell[i] - n / (double)(N * PARTS)) / (n / (double)(N * PARTS));
+    CHECK_MSG(chi2_p(chi, N * PARTS - 1) > 1e-5 && chi2_p(chi, N * PARTS - 1) < 1 - 1e-5, "chi square %g", chi);
+    for (i = 0, at = 0; i < 1024; i++) {
+        at += bin[i];
+        worst = fmax(worst, fabs((double)at / n - (i + 1) / 1024.0));
+    }
+    CHECK_MSG(worst < 2.47 / sqrt(n), "distribution function off by %g", worst);
+    for (lag = 1; lag <= 8; lag++) {
+        double t = 0, u = 0;
+        for (i = lag; i < n; i++) {
+            t += (which[i] - 3.5) * (which[i - lag] - 3.5) / (63.0 / 12); /* variance of 0..7 */
+            u += ((double)weight[i] - 1.0 / 3) * ((double)weight[i - lag] - 1.0 / 3) * 18;
+        }
+        CHECK_MSG(fabs(t) < 4.5 * sqrt(n) && fabs(u) < 4.5 * sqrt(n), "lag %u: correlations %g and %g", lag, t / n, u / n);
+    }
+    free(weight);
+    free(which);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s);
 }
 
 TEST(angles) {
@@ -676,6 +771,30 @@ static void open_cut(zbufrandi_cut *cut, const zbufrand_scene *scene, const zbuf
     cut->far_z = (float)fmin(cut->camera.far_z, 1e37);
     CHECK(zbufrandi_list_rules(d, scene, cut));
     cut->level = 1;
+}
+
+/* Why bounds are not the printed ones: with the thesis' relative diameter of a box, sqrt(3 epsilon) - 1, factors differ by more
+   than epsilon, with the right one, sqrt(3) (sqrt(epsilon) - 1), they do not; and its angle of a cell of longitude and
+   colatitude, arccos(cos dl cos df), is too small for cells across the equator. */
+TEST(printed_bounds_fail) {
+    static const double epsilons[4] = {1.05, 1.5, 2, 4};
+    uint32_t i, j, low = 0, cells = 0;
+    for (i = 0; i < 4; i++) { /* a cube at distance 1, from its nearest to its farthest face: a side is the diameter over sqrt(3) */
+        const double e = epsilons[i], printed = 1 + (sqrt(3 * e) - 1) / sqrt(3.0), right = 1 + sqrt(3.0) * (sqrt(e) - 1) / sqrt(3.0);
+        CHECK(printed * printed > e * (e < 1.6 ? 1.001 : 0));
+        CHECK_NEAR(right * right, e, 1e-12);
+    }
+    for (i = 1; i <= 20; i++) {
+        for (j = 0; j < 20; j++) { /* half an extent, and how far the middle is from the equator */
+            const double half = 0.0196 * i, middle = half * (j / 20.0), f = middle + half;
+            const double printed = acos(cos(half) * cos(half));
+            const double is = acos(sin(middle) * sin(f - 2 * half) + cos(middle) * cos(f - 2 * half) * cos(half)); /* to the other corner */
+            const double other = acos(sin(middle) * sin(f) + cos(middle) * cos(f) * cos(half));
+            low += fmax(is, other) > printed * (1 + 1e-9);
+            cells++;
+        }
+    }
+    CHECK_MSG(low > cells / 2, "too small in %u of %u cells", low, cells);
 }
 
 /* The bounds of a node hold for every point below it, down through all dummies. */
@@ -832,7 +951,7 @@ static void look(void *user, const zbufrandi_structure *s, uint32_t item, const 
    plane is rasterised. */
 TEST(covers_everything_once) {
     const zbufrand_hybrid modes[4] = {ZBUFRAND_HYBRID_AUTO, ZBUFRAND_HYBRID_OFF, ZBUFRAND_HYBRID_LARGE, ZBUFRAND_HYBRID_CUBE};
-    const uint32_t cameras = test_quick() ? 4 : 16;
+    const uint32_t cameras = test_quick() ? 4 : 12;
     uint32_t k, c, i, j, visible = 0, runs = 0, singles = 0, rastered = 0, refined = 0;
     zbufrand_frame *frame = NULL;
     keys drawn;
@@ -963,7 +1082,7 @@ TEST(exact_density) {
     zbufrand_scene *scene = mixed_scene(&r, s);
     zbufrand_render_desc d;
     double want[CELLS], got[CELLS], strata[CELLS], total[2];
-    const uint32_t frames = test_quick() ? 2 : 3;
+    const uint32_t frames = 2;
     memset(&d, 0, sizeof d);
     d.camera.eye[0] = 1.5;
     d.camera.eye[1] = 2;
@@ -998,6 +1117,71 @@ TEST(exact_density) {
     }
     zbufrand_scene_destroy(scene);
     free_shapes(s);
+}
+
+/* Normals at the poles of longitude and colatitude, on both sides of the seam and on axes: all kinds of classes show what faces
+   the eye, from wherever it looks. */
+TEST(poles_and_seam) {
+    static const double eps[3] = {0, 1e-7, 1e-3};
+    uint32_t k, i, e, view;
+    shape s;
+    memset(&s, 0, sizeof s);
+    for (i = 0; i < 26; i++) { /* a polygonal ball of patches with those normals, each a little turned, too */
+        double n[3], a[3], b[3], l;
+        uint32_t x;
+        for (x = 0; x < 3; x++) n[x] = (double)((i + (i >= 13)) / (x == 0 ? 1 : x == 1 ? 3 : 9) % 3) - 1; /* not 0, 0, 0 */
+        l = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+        for (x = 0; x < 3; x++) n[x] /= l;
+        for (e = 0; e < 12; e++) {
+            const double t = eps[e / 4] * (e & 1 ? 1 : -1), u = eps[e / 4] * (e & 2 ? 1 : -1), c = 0.1 * (e % 4);
+            const int pole = fabs(n[1]) > 0.9;
+            double p[3];
+            uint32_t v[3];
+            a[0] = pole ? 1 : n[2]; /* at right angles to n, as is b */
+            a[1] = 0;
+            a[2] = pole ? 0 : -n[0];
+            l = sqrt(a[0] * a[0] + a[2] * a[2]);
+            for (x = 0; x < 3; x++) a[x] /= l;
+            zbufrandi_cross3(n, a, b);
+            for (v[0] = 0, x = 0; x < 3; x++) {
+                const double at = c + (x == 1 ? 0.08 : 0), up = 0.1 * (e / 4) + (x == 2 ? 0.08 : 0), out = 3 + t * (x == 1) + u * (x == 2);
+                uint32_t y;
+                for (y = 0; y < 3; y++) p[y] = out * n[y] + at * a[y] + up * b[y];
+                v[x] = shape_vertex(&s, p[0], p[1], p[2]);
+            }
+            shape_triangle(&s, v[0], v[1], v[2]);
+        }
+    }
+    for (k = 0; k < KINDS; k++) {
+        zbufrand_scene *scene = NULL;
+        zbufrand_build_desc bd = kind_of(k);
+        zbufrand_mesh m = mesh_of(&s);
+        CHECK_EQ_U64(zbufrand_scene_create(NULL, &scene), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_mesh(scene, 1, NULL, 0, &m, NULL), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_scene_build(scene, &bd, NULL), ZBUFRAND_OK);
+        check_lists(scene, &bd, k == 3 ? 4 : 1);
+        for (view = 0; view < 14; view++) {
+            static const double eye[7][3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}, {1, 1, 1}, {1, -1e-4, -1}, {-1, 0, 1e-9}, {0.01, 1, 0}};
+            double cell[2][CELLS], total[2] = {0, 0};
+            zbufrand_render_desc d;
+            uint32_t way;
+            memset(&d, 0, sizeof d);
+            for (i = 0; i < 3; i++) d.camera.eye[i] = 12 * eye[view % 7][i] * (view < 7 ? 1 : -1);
+            d.camera.fov_y = 50;
+            d.density = 40;
+            d.hybrid = ZBUFRAND_HYBRID_OFF;
+            d.angle_ratio = view & 1 ? 1.3 : 0;
+            for (way = 0; way < 2; way++) {
+                d.no_lists = way;
+                count_samples(scene, d, 1, cell[way], NULL);
+                for (i = 0; i < CELLS; i++) total[way] += cell[way][i];
+            }
+            CHECK_MSG(total[1] > 300 && fabs(total[0] - total[1]) < 4.5 * sqrt(total[0] + total[1]), "kind %u, view %u: %g samples, %g by the default",
+                      k, view, total[0], total[1]);
+        }
+        zbufrand_scene_destroy(scene);
+    }
+    shape_free(&s);
 }
 
 /* References, mirrored and scaled and nested, are as good as the meshes they stand for. */
@@ -1370,7 +1554,7 @@ TEST(same_as_the_z_buffer) {
                 wrong += !ok;
                 differ += node[0][i] != node[1][i] || !(depth[0][i] <= 1.02f * depth[1][i]); /* something hidden */
             }
-            CHECK_MSG(wrong < WIDTH * HEIGHT / 50 && differ < WIDTH * HEIGHT / 12, "kind %u, camera %u: %u pixels are wrong, %u differ",
+            CHECK_MSG(wrong < WIDTH * HEIGHT / 60 && differ < WIDTH * HEIGHT / 13, "kind %u, camera %u: %u pixels are wrong, %u differ",
                       k, c, wrong, differ);
         }
         zbufrand_scene_destroy(scene);
@@ -1503,7 +1687,10 @@ TEST(visits_grow_slowly) {
                 if (i == 1) nodes[k] = st.nodes;
             }
             CHECK(boxes[0] > boxes[1] && boxes[1] > boxes[2]);
-            CHECK_MSG((double)boxes[0] < (double)boxes[1] * pow((sqrt(1.5) - 1) / (sqrt(1.1) - 1), 3), "%u boxes, %u", (unsigned)boxes[0], (unsigned)boxes[1]);
+            { /* boxes as a power of sqrt(epsilon) - 1: -3 for what fills space, less for a disc; the thesis' numbers: -1.6 */
+                const double power = log((double)boxes[0] / (double)boxes[1]) / log((sqrt(1.1) - 1) / (sqrt(1.5) - 1));
+                CHECK_MSG(power > -2.5 && power < -0.8, "kind %u, %u levels: %u and %u boxes, power %g", kind, k, (unsigned)boxes[0], (unsigned)boxes[1], power);
+            }
             zbufrand_scene_destroy(scene);
             shape_free(&s);
         }
@@ -1578,8 +1765,8 @@ TEST(many_and_far_away) {
                 sum[l] += 1.0 / (double)depth[l][i];
             }
         }
-        CHECK_NEAR(covered[0], covered[1], 0.03 * covered[1]);
-        CHECK_NEAR(sum[0], sum[1], 0.03 * sum[1]);
+        CHECK_NEAR(covered[0], covered[1], 0.02 * covered[1]); /* through dummies strata are less even */
+        CHECK_NEAR(sum[0], sum[1], 0.02 * sum[1]);
         CHECK(covered[0] > 2000);
         zbufrand_scene_destroy(scene);
         shape_free(&s);
@@ -1726,6 +1913,9 @@ int main(int argc, char **argv) {
     RUN(same_for_any_order);
     RUN(draws_by_area);
     RUN(unequal_areas);
+    RUN(draws_are_independent);
+    RUN(printed_bounds_fail);
+    RUN(poles_and_seam);
     RUN(never_too_few);
     RUN(covers_everything_once);
     RUN(exact_density);

@@ -723,12 +723,12 @@ TEST(planes_do_not_bleed) { /* with the depth of the plane at the pixel's centre
 }
 
 TEST(z_dominance_table) {
-    static const double alpha[3] = {0.10, 0.25, 0.50}, mu[4] = {0.1, 1, 3, 7};
+    static const double alpha[3] = {0.10, 0.25, 0.50}, mu[5] = {0.1, 1, 3, 7, 13};
     test_rng r = test_rng_make(11);
-    uint32_t side = test_quick() ? 60 : 150;
+    uint32_t side = test_quick() ? 40 : 100;
     int i, j, bucket;
     for (i = 0; i < 3; i++) {
-        for (j = 0; j < 4; j++) {
+        for (j = 0; j < 5; j++) {
             for (bucket = 0; bucket < 2; bucket++) { /* a stripe in front of a ground, 0.1 % apart; bucketed depths */
                 zbufrand_canvas_desc d = defaults(side, side, 1);
                 double want = bucket ? alpha[i] : zbufrand_front_share(alpha[i], mu[j]), got, hits = 0.0, front = 0.0;
@@ -957,49 +957,27 @@ TEST(share_of_wrong_pixels) { /* a pixel that shows what is nowhere visible in i
     }
 }
 
-TEST(multiple_hits_of_a_sparse_picture) {
-    test_rng r = test_rng_make(14);
-    uint32_t side = 160;
-    double share[3] = {0.1, 0.5, 1.0};
-    int i, t;
-    for (i = 0; i < 3; i++) {
-        double two = 0.0, want = zbufrand_multi_hit(share[i] * side * side, (double)side * side);
-        for (t = 0; t < 8; t++) {
-            static uint8_t count[160 * 160];
-            uint32_t k;
-            memset(count, 0, sizeof count);
-            for (k = 0; k < (uint32_t)(share[i] * side * side); k++) {
-                uint8_t *c = &count[test_rng_below(&r, side * side)];
-                *c = (uint8_t)(*c + (*c < 2));
-            }
-            for (k = 0; k < side * side; k++) two += count[k] >= 2;
-        }
-        two /= 8.0 * side * side;
-        CHECK_MSG(fabs(two - want) < 4.2 * sqrt(want / (8.0 * side * side)), "%g is not %g", two, want);
-    }
-}
-
 TEST(wrong_pixels_of_the_practical_rule) { /* "cells as large as blocks" leaves about d^2 ln 2 wrong pixels at s = 1/2 */
     static const int ds[3] = {2, 3, 5};
     static const double want[3] = {2.83, 6.15, 17.5};
     test_rng r = test_rng_make(15);
-    int i, t, trials = test_quick() ? 8 : 40;
+    int i, t, trials = test_quick() ? 60 : 700; /* of any size of picture it is the same number */
     for (i = 0; i < 3; i++) {
-        zbufrand_canvas_desc d = defaults(320, 240, (uint32_t)ds[i]);
-        double v_px = 76800.0, cells = v_px / (ds[i] * ds[i]), m = zbufrand_samples(ZBUFRAND_BOUND_LEMMA3, cells, cells, 1.0, 0.5), wrong = 0.0;
-        double guard = ds[i] / 2, all = (320.0 + 2.0 * guard) * (240.0 + 2.0 * guard);
+        zbufrand_canvas_desc d = defaults(80, 60, (uint32_t)ds[i]);
+        double v_px = 4800.0, cells = v_px / (ds[i] * ds[i]), m = zbufrand_samples(ZBUFRAND_BOUND_LEMMA3, cells, cells, 1.0, 0.5), wrong = 0.0;
+        double guard = ds[i] / 2, all = (80.0 + 2.0 * guard) * (60.0 + 2.0 * guard);
         for (t = 0; t < trials; t++) {
             list l = {NULL, 0, 0};
             view v;
             uint32_t k = 0, n = (uint32_t)(m * all / v_px + sqrt(m) * (test_rng_double(&r) + test_rng_double(&r) + test_rng_double(&r) - 1.5) * 2.0);
-            for (k = 0; k < n; k++) add(&l, test_rng_double(&r) * (320.0 + 2.0 * guard) - guard, test_rng_double(&r) * (240.0 + 2.0 * guard) - guard, 1.0);
+            for (k = 0; k < n; k++) add(&l, test_rng_double(&r) * (80.0 + 2.0 * guard) - guard, test_rng_double(&r) * (60.0 + 2.0 * guard) - guard, 1.0);
             v = render(&d, &l);
             wrong += v_px - (double)v.stats.covered;
             view_free(&v);
             drop(&l);
         }
         wrong /= trials;
-        CHECK_MSG(fabs(wrong / want[i] - 1.0) < (test_quick() ? 0.6 : 0.3), "d %d: %g wrong pixels, %g expected", ds[i], wrong, want[i]);
+        CHECK_MSG(fabs(wrong / want[i] - 1.0) < (test_quick() ? 0.6 : 0.1), "d %d: %g wrong pixels, %g expected", ds[i], wrong, want[i]);
     }
 }
 
@@ -1051,6 +1029,8 @@ TEST(silhouettes) { /* a front half plane x < edge before a ground: how far outs
     }
     if (getenv("SHOW")) printf("grown by %g (blocks), %g (Voronoi), %g (planes)\n", grown[0], grown[1], grown[2]);
     CHECK_MSG(grown[0] > 2.7 && grown[0] < 3.3, "blocks grow by %g pixels", grown[0]);
+    /* planes keep surfaces apart in depth, they do not cut blocks at the edge of a surface */
+    CHECK_MSG(fabs(grown[2] - grown[0]) < 0.2, "blocks with planes grow by %g pixels, blocks by %g", grown[2], grown[0]);
     CHECK_MSG(grown[1] < 0.75 * grown[0], "Voronoi regions grow by %g pixels, blocks by %g", grown[1], grown[0]);
 }
 
@@ -1599,6 +1579,15 @@ static double scene_depth(int scene, double x, double y, double *second) {
             return 4.0;
         }
         return 8.0 + 0.005 * y;
+    case 4: /* a jalousie: slats of 8 pixels, each turned so that its lower edge is nearer by a sixth, a wall behind */
+        *second = 12.0;
+        return 6.0 / (1.0 + 0.02 * fmod(y, 8.0));
+    case 5: /* a decal a two-thousandth before a wall: what bleeds through is no pixel to mend */
+        if (fabs(dx) < 40.0 && fabs(dy) < 30.0) {
+            *second = 5.0;
+            return 5.0 * (1.0 - 1.0 / 2000.0);
+        }
+        return 5.0;
     default: /* corner of a room: two walls and a floor, seen from within; a valley everywhere */
         return 1.0 / fmax(fmax(0.1 + 0.0008 * x, 0.26 - 0.0008 * x), 0.0022 * y);
     }
@@ -1676,10 +1665,10 @@ static found detect(int scene, double mu, uint64_t seed) {
 }
 
 TEST(suspects) {
-    int scene, t, trials = test_quick() ? 1 : 6;
+    int scene, t, trials = test_quick() ? 1 : 4;
     static const double mu[3] = {2.0, 3.0, 4.6};
     int m;
-    for (scene = 0; scene < 4; scene++) {
+    for (scene = 0; scene < 6; scene++) {
         for (m = 0; m < 3; m++) {
             double holes = 0, wrong = 0, found_holes = 0, found_wrong = 0, false_holes = 0, false_wrong = 0;
             for (t = 0; t < trials; t++) {
@@ -2181,7 +2170,6 @@ int main(int argc, char **argv) {
     RUN(equal_depths_give_the_mean_image);
     RUN(case_of_a_partial_front);
     RUN(share_of_wrong_pixels);
-    RUN(multiple_hits_of_a_sparse_picture);
     RUN(wrong_pixels_of_the_practical_rule);
     RUN(silhouettes);
     RUN(gauss_against_the_sum);

@@ -1595,6 +1595,93 @@ TEST(oversampled) {
     shape_free(&s[1]);
 }
 
+/* ---- quality ---- */
+
+/* How near a picture is to the mean of 8 x 8 exact ones for each pixel: PSNR and SSIM (7 x 7 windows, green, sRGB) of one frame, of
+   2 x 2 parts, of blocks of 2. Thresholds are a little below what is reached today: what makes pictures worse is seen here. */
+static void similarity(const float *rgba, const float *want, uint32_t w, uint32_t h, double *psnr, double *ssim) {
+    double sum = 0, windows = 0;
+    uint32_t x, y, i, j;
+    *ssim = 0;
+    for (i = 0; i < w * h; i++) {
+        for (j = 0; j < 3; j++) {
+            const double e = zbufrandi_linear_to_srgb((double)rgba[4 * i + j]) - zbufrandi_linear_to_srgb((double)want[4 * i + j]);
+            sum += e * e / (3.0 * w * h);
+        }
+    }
+    *psnr = -10 * log10(sum);
+    for (y = 0; y + 7 <= h; y += 4) {
+        for (x = 0; x + 7 <= w; x += 4) {
+            double a = 0, b = 0, aa = 0, bb = 0, ab = 0;
+            for (i = 0; i < 49; i++) {
+                const uint32_t at = (y + i / 7) * w + x + i % 7;
+                const double p = zbufrandi_linear_to_srgb((double)rgba[4 * at + 1]), q = zbufrandi_linear_to_srgb((double)want[4 * at + 1]);
+                a += p / 49;
+                b += q / 49;
+                aa += p * p / 49;
+                bb += q * q / 49;
+                ab += p * q / 49;
+            }
+            *ssim += (2 * a * b + 1e-4) * (2 * (ab - a * b) + 9e-4) / ((a * a + b * b + 1e-4) * (aa - a * a + bb - b * b + 9e-4));
+            windows++;
+        }
+    }
+    *ssim /= windows;
+}
+
+TEST(pictures_stay_as_good) {
+    enum { W = 120, H = 90 };
+    static const struct { double psnr, ssim; } least[3][3] = {
+        {{32.0, 0.97}, {39.0, 0.99}, {26.9, 0.93}}, {{20.6, 0.77}, {25.9, 0.88}, {19.3, 0.72}}, {{20.0, 0.62}, {25.6, 0.83}, {18.6, 0.57}}
+    };
+    uint32_t world, way;
+    for (world = 0; world < 3; world++) {
+        zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
+        test_rng r = test_rng_make(3);
+        shape s[2];
+        zbufrand_mesh m;
+        zbufrand_scene *scene;
+        buffers want, b;
+        memset(s, 0, sizeof s);
+        buffers_open(&want, W, H);
+        buffers_open(&b, W, H);
+        if (world == 0) three_balls(&s[0], 60);
+        if (world == 1) soup(&s[0], &r, 20000, 0.02, 1);
+        m = mesh_of(&s[0]);
+        m.two_sided = world == 1;
+        scene = world == 2 ? forest(s, 400) : scene_of(&m, 1);
+        for (way = 0; way < 4; way++) {
+            zbufrand_render_desc d;
+            double psnr, ssim;
+            memset(&d, 0, sizeof d);
+            d.background[1] = d.background[2] = 0.3f;
+            d.background[3] = 1;
+            d.camera.eye[0] = world == 2 ? 40 : 2;
+            d.camera.eye[1] = world == 2 ? 12 : 1.5;
+            d.camera.eye[2] = world == 2 ? 40 : world == 1 ? 3 : 9;
+            if (world == 1) d.camera.at[0] = d.camera.at[1] = d.camera.at[2] = 0.5;
+            if (way == 0) {
+                d.hybrid = ZBUFRAND_HYBRID_ALL;
+                d.oversample = 8;
+            } else {
+                d.hybrid = ZBUFRAND_HYBRID_OFF;
+            }
+            if (way == 2) d.oversample = 2;
+            if (way == 3) d.reconstruct.block = 2;
+            CHECK_EQ_U64(zbufrand_render(frame, &d, scene, way == 0 ? &want.image : &b.image, NULL), ZBUFRAND_OK);
+            if (way == 0) continue;
+            similarity(b.rgba, want.rgba, W, H, &psnr, &ssim);
+            CHECK_MSG(psnr > least[world][way - 1].psnr && ssim > least[world][way - 1].ssim, "world %u, way %u: %.2f dB, SSIM %.4f", world, way, psnr, ssim);
+        }
+        zbufrand_scene_destroy(scene);
+        shape_free(&s[0]);
+        shape_free(&s[1]);
+        buffers_close(&want);
+        buffers_close(&b);
+        zbufrand_frame_destroy(frame);
+    }
+}
+
 /* ---- golden pictures ---- */
 
 static void put_u32(uint8_t *out, uint32_t v) {
@@ -1823,6 +1910,7 @@ int main(int argc, char **argv) {
     RUN(far_from_home);
     RUN(thirteen_decades);
     RUN(oversampled);
+    RUN(pictures_stay_as_good);
     RUN(golden_pictures);
     RUN(costs_are_measured);
     RUN(memory_limit);

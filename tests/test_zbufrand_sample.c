@@ -99,7 +99,7 @@ static void check_density(uint32_t mesh, double tilt, double fov, double density
     counts c;
     static struct { double tilt, fov, sign, cover[GRID][GRID]; } known; /* of the last view: meshes differ more often */
     double (*cover)[GRID] = known.cover, chi = 0, expected, sum = 0, seen = 0, scale, sign = flags & 4 ? -1 : 1;
-    uint32_t seed, seeds = test_quick() ? 2 : 6, used = 0;
+    uint32_t seed, seeds = test_quick() ? 2 : 4, used = 0;
     int x, y;
     memset(&s, 0, sizeof s);
     memset(&c, 0, sizeof c);
@@ -330,6 +330,165 @@ TEST(instances_and_copies) {
         shape_free(&one);
         shape_free(&all);
     }
+}
+
+/* ---- even and uneven ---- */
+
+typedef struct pixels { uint32_t w, h; uint16_t *count; uint64_t total; } pixels;
+
+static int count_pixels(void *user, const zbufrand_sample *s, const uint32_t *numbers, size_t n) {
+    pixels *p = (pixels *)user;
+    size_t i;
+    (void)numbers;
+    for (i = 0; i < n; i++) p->count[(uint32_t)s[i].y * p->w + (uint32_t)s[i].x]++;
+    p->total += n;
+    return 0;
+}
+
+/* A wall of triangles of a quarter of a pixel, turned in its plane, before all of the view; by each way of drawing from
+   clusters. Numbers of samples in pixels vary as chance has it, less by strata, least by a comb, which all have the same mean.
+   Of independent ones as many pixels get none, and two and more, as the laws say; of stratified ones no more stay empty than
+   in a simulation of one sample in each stratum of tiny triangles along a Hilbert curve. */
+TEST(pixels_hit) {
+    static const double densities[6] = {1, 2, 3, 4, 0.1, 0.5}, simulated[4] = {1, 0.0627, 0.0143, 0.0037};
+    const uint32_t w = 160, h = 120;
+    pixels p;
+    shape s;
+    zbufrand_mesh m;
+    zbufrand_scene *scene;
+    zbufrand_frame *frame = NULL;
+    double dispersion[3] = {0, 0, 0};
+    uint32_t way, k, i, seed;
+    memset(&s, 0, sizeof s);
+    memset(&p, 0, sizeof p);
+    p.w = w;
+    p.h = h;
+    p.count = (uint16_t *)malloc(w * h * sizeof *p.count);
+    REQUIRE(p.count != NULL);
+    plane(&s, 360, 1);
+    for (i = 0; i < s.vertices; i++) { /* 0.3 rad */
+        const float x = s.p[3 * i], y = s.p[3 * i + 1];
+        s.p[3 * i] = 0.955336f * x - 0.295520f * y;
+        s.p[3 * i + 1] = 0.295520f * x + 0.955336f * y;
+    }
+    m = mesh_of(&s);
+    scene = scene_of(&m, 0);
+    CHECK_EQ_U64(zbufrand_frame_create(NULL, &frame), ZBUFRAND_OK);
+    for (way = 0; way < 3; way++) { /* independent, strata, comb */
+        for (k = 0; k < 6; k++) {
+            zbufrand_render_desc d;
+            double empty = 0, twice = 0, sum = 0, square = 0, n = 0;
+            const double mu = densities[k];
+            if (way > 0 && k > 3) continue;
+            memset(&d, 0, sizeof d);
+            d.camera.eye[2] = 1.2;
+            d.camera.fov_y = 36;
+            d.density = mu;
+            d.hybrid = ZBUFRAND_HYBRID_OFF;
+            d.independent = way == 0;
+            d.comb = way == 2;
+            d.costs.set = 1e6f; /* from clusters */
+            for (seed = 0; seed < (test_quick() ? 1u : 3u); seed++) {
+                d.seed = seed;
+                memset(p.count, 0, w * h * sizeof *p.count);
+                CHECK_EQ_U64(zbufrand_sample_scene(frame, &d, scene, w, h, count_pixels, &p, NULL), ZBUFRAND_OK);
+                for (i = 0; i < w * h; i++) {
+                    empty += p.count[i] == 0;
+                    twice += p.count[i] > 1;
+                    sum += p.count[i];
+                    square += (double)p.count[i] * p.count[i];
+                    n++;
+                }
+            }
+            CHECK_MSG(fabs(sum / n - mu) < 4.5 * sqrt(mu / n) + 1e-3 * mu, "way %u: %g samples a pixel, not %g", way, sum / n, mu);
+            if (k == 3) dispersion[way] = (square / n - sum / n * sum / n) / (sum / n);
+            if (way == 0) {
+                const double none = exp(-mu), two = zbufrand_multi_hit(mu * w * h, w * h);
+                CHECK_MSG(fabs(empty / n - none) < 4.5 * sqrt(none / n), "density %g: %g stay empty, not %g", mu, empty / n, none);
+                CHECK_MSG(fabs(twice / n - two) < 4.5 * sqrt(two / n), "density %g: %g are hit twice, not %g", mu, twice / n, two);
+            } else if (way == 1) {
+                CHECK_MSG(empty / n < simulated[k] + 4.5 * sqrt(simulated[k] / n), "density %g: %g stay empty, %g are expected", mu, empty / n, simulated[k]);
+            }
+        }
+    }
+    CHECK_MSG(fabs(dispersion[0] - 1) < 0.05 && dispersion[1] < 0.6 && dispersion[2] < dispersion[1], "variance over mean: %g, %g, %g",
+              dispersion[0], dispersion[1], dispersion[2]);
+    free(p.count);
+    zbufrand_frame_destroy(frame);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s);
+}
+
+/* Four levels of references, scaled by 10^-3 to 10^3, turned and mirrored, some in one place: as many samples in each part of the
+   picture as of the meshes they stand for, and the same area. */
+TEST(four_levels) {
+    static const double scales[4] = {1e-3, 1e3, 30, 1.0 / 30};
+    test_rng r = test_rng_make(32);
+    zbufrand_scene *scene[2] = {NULL, NULL};
+    zbufrand_transform all[81], next[81];
+    zbufrand_node lib, node, list;
+    zbufrand_frame *frame = NULL;
+    zbufrand_render_desc d;
+    zbufrand_mesh m;
+    counts c[2];
+    shape s;
+    double chi = 0, size = 1;
+    uint32_t l, i, k, count = 1, seed, used = 0, x, y;
+    memset(&s, 0, sizeof s);
+    memset(&d, 0, sizeof d);
+    memset(c, 0, sizeof c);
+    shape_torus(&s, 0, 0, 0, 1, 0.4, 30, 15);
+    m = mesh_of(&s);
+    all[0] = move_scale(0, 0, 0, 1);
+    for (i = 0; i < 2; i++) CHECK_EQ_U64(zbufrand_scene_create(NULL, &scene[i]), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_add_list(scene[0], 1, NULL, ZBUFRAND_HIDDEN, &lib), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_add_mesh(scene[0], lib, NULL, 0, &m, &node), ZBUFRAND_OK);
+    for (l = 0; l < 4; l++) {
+        CHECK_EQ_U64(zbufrand_add_list(scene[0], l == 3 ? 1 : lib, NULL, 0, &list), ZBUFRAND_OK);
+        for (k = 0; k < 3; k++) {
+            zbufrand_transform t;
+            random_transform(&r, scales[l] * (0.5 + 0.5 * test_rng_double(&r)), (int)(k == 1), &t);
+            for (i = 0; i < 3; i++) t.m[i][3] *= size * scales[l];
+            if (k == 2) t.m[0][3] = t.m[1][3] = t.m[2][3] = 0;
+            CHECK_EQ_U64(zbufrand_add_reference(scene[0], list, &t, node, NULL), ZBUFRAND_OK);
+            for (i = 0; i < count; i++) zbufrandi_m34_mul(ZBUFRANDI_M34(t.m), ZBUFRANDI_M34(all[i].m), next[3 * i + k].m);
+        }
+        count *= 3;
+        size *= scales[l] * 2;
+        node = list;
+        memcpy(all, next, count * sizeof *all);
+    }
+    CHECK_EQ_U64(count, 81);
+    for (i = 0; i < count; i++) CHECK_EQ_U64(zbufrand_add_mesh(scene[1], 1, &all[i], 0, &m, NULL), ZBUFRAND_OK);
+    for (i = 0; i < 2; i++) CHECK_EQ_U64(zbufrand_scene_build(scene[i], NULL, NULL), ZBUFRAND_OK);
+    CHECK_EQ_U64(scene[0]->info.levels, 4);
+    CHECK_EQ_U64(scene[0]->info.triangles, scene[1]->info.triangles);
+    CHECK_NEAR(scene[0]->info.area / scene[1]->info.area, 1, 1e-5);
+    CHECK_EQ_U64(zbufrand_frame_create(NULL, &frame), ZBUFRAND_OK);
+    d.camera.near_z = 1e-6;
+    d.hybrid = ZBUFRAND_HYBRID_OFF;
+    d.density = 1;
+    for (seed = 0; seed < 2; seed++) {
+        for (i = 0; i < 2; i++) {
+            d.seed = 100 * i + seed;
+            CHECK_EQ_U64(zbufrand_camera_fit_scene(&d.camera, scene[1], NULL, WIDTH, HEIGHT), ZBUFRAND_OK);
+            CHECK_EQ_U64(zbufrand_sample_scene(frame, &d, scene[i], WIDTH, HEIGHT, count_sample, &c[i], NULL), ZBUFRAND_OK);
+        }
+    }
+    for (y = 0; y < GRID; y++) {
+        for (x = 0; x < GRID; x++) {
+            const double a = c[0].cell[y][x], b = c[1].cell[y][x];
+            if (a + b < 20) continue;
+            chi += (a - b) * (a - b) / (a + b);
+            used++;
+        }
+    }
+    CHECK_MSG(used > 40 && chi < chi_limit(used), "chi-square %g of %u cells", chi, used);
+    CHECK_MSG(c[0].total > 5000 && fabs((double)c[0].total - (double)c[1].total) < 4.5 * sqrt((double)(c[0].total + c[1].total)), "%llu and %llu samples",
+              (unsigned long long)c[0].total, (unsigned long long)c[1].total);
+    zbufrand_frame_destroy(frame);
+    for (i = 0; i < 2; i++) zbufrand_scene_destroy(scene[i]);
+    shape_free(&s);
 }
 
 /* ---- weights of triangles ---- */
@@ -1042,6 +1201,8 @@ int main(int argc, char **argv) {
     RUN(from_behind);
     RUN(facing_away);
     RUN(instances_and_copies);
+    RUN(pixels_hit);
+    RUN(four_levels);
     RUN(points_for_directions);
     RUN(twelve_decades_in_a_cluster);
     RUN(combs_of_clusters);

@@ -204,7 +204,9 @@ static uint32_t empty_after(test_rng *r, uint32_t n, uint64_t m) {
 TEST(lemma_2_success_rate) {
     static const double s[3] = {0.05, 0.5, 0.95};
     test_rng r = test_rng_make(2);
-    uint32_t n = 4096, trials = test_quick() ? 150 : 1200, t;
+    /* TEST_FULL=1: all pixels of 320 x 240 */
+    const int full = getenv("TEST_FULL") != NULL;
+    uint32_t n = full ? 76800 : 4096, trials = test_quick() ? 150 : full ? 3000 : 1200, t;
     int j;
     for (j = 0; j < 3; j++) {
         double m = zbufrand_samples_lemma2((double)n, 0.0, s[j]), se = sqrt(s[j] * (1.0 - s[j]) / (double)trials);
