@@ -1689,7 +1689,8 @@ TEST(visits_grow_slowly) {
             CHECK(boxes[0] > boxes[1] && boxes[1] > boxes[2]);
             { /* boxes as a power of sqrt(epsilon) - 1: -3 for what fills space, less for a disc; the thesis' numbers: -1.6 */
                 const double power = log((double)boxes[0] / (double)boxes[1]) / log((sqrt(1.1) - 1) / (sqrt(1.5) - 1));
-                CHECK_MSG(power > -2.5 && power < -0.8, "kind %u, %u levels: %u and %u boxes, power %g", kind, k, (unsigned)boxes[0], (unsigned)boxes[1], power);
+                CHECK_MSG(power > -2.5 && power < -0.8, "kind %u, %u levels: %u and %u boxes, power %g", kind, k, (unsigned)boxes[0],
+                          (unsigned)boxes[1], power);
             }
             zbufrand_scene_destroy(scene);
             shape_free(&s);
