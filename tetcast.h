@@ -1198,17 +1198,16 @@ typedef struct tetcast_clip_desc {
     uint32_t _end_zero;
 } tetcast_clip_desc;
 
-#define TETCAST_CLIP_SPANS 32 /* parts of one ray; what is behind them is not seen */
-
 typedef struct tetcast_clip tetcast_clip; /* immutable */
 
 /* Errors: INVALID_ARG (index out of range, no number), NO_MEMORY. Cost: O(n log n). */
 TETCAST_DEF tetcast_result tetcast_clip_create(const tetcast_clip_desc *desc, tetcast_clip **out);
 TETCAST_DEF void tetcast_clip_destroy(tetcast_clip *clip); /* NULL is allowed */
-/* The parts of a ray that are kept, in order: distances in world units. Returns how many. Signs of areas decide, from
-   both sides of an edge the same: a ray between two triangles hits just one of them. */
-TETCAST_DEF uint32_t tetcast_clip_spans(const tetcast_clip *clip, const tetcast_ray *ray,
-                                        double spans[TETCAST_CLIP_SPANS][2]);
+/* The parts of a ray that are kept, in order: distances in world units. Returns how many there are, of which spans gets
+   the first `room`; TETCAST_NONE where memory ran out. Signs of areas decide, from both sides of an edge the same: a
+   ray between two triangles hits just one of them. Any thread. Allocates, and frees it. */
+TETCAST_DEF uint32_t tetcast_clip_spans(const tetcast_clip *clip, const tetcast_ray *ray, double (*spans)[2],
+                                        uint32_t room);
 
 /* ---- shaders: what a stretch of a ray looks like, as a function of the caller ---- */
 
@@ -16818,6 +16817,31 @@ static int tetcasti_solid_open(tetcasti_mem *mem, const tetcast_clip_body *body,
     return 1;
 }
 
+/* What is left of a ray, in order; how many parts there may be is not limited. One per lane, kept from ray to ray. */
+typedef struct tetcasti_spans {
+    double (*span)[2];
+    double (*next)[2];             /* where cutting writes */
+    double *hit;
+    size_t span_room, next_room, hit_room;
+    uint32_t count, failed;        /* failed: no memory */
+} tetcasti_spans;
+
+static void tetcasti_spans_free(tetcasti_mem *mem, tetcasti_spans *s) {
+    tetcasti_free(mem, s->span);
+    tetcasti_free(mem, s->next);
+    tetcasti_free(mem, s->hit);
+}
+static void tetcasti_spans_begin(tetcasti_mem *mem, tetcasti_spans *s, double from, double to) { /* one part */
+    s->count = 0;
+    if (!tetcasti_grow(mem, (void **)&s->span, &s->span_room, 0, 1, sizeof *s->span)) {
+        s->failed = 1;
+        return;
+    }
+    s->span[0][0] = from;
+    s->span[0][1] = to;
+    s->count = 1;
+}
+
 /* A ray as bodies see it. */
 typedef struct tetcasti_shear {
     double o[3], d[3], sx, sy, inv;
@@ -16847,8 +16871,9 @@ TETCASTI_INLINE double tetcasti_shear_edge(const double p[2], const double q[2],
     return (a < b) == (e >= 0.0) ? 1.0 : -1.0;
 }
 
-/* Hits of a ray with a body, any order; at most room. */
-static uint32_t tetcasti_solid_hits(const tetcasti_solid *s, const tetcasti_shear *r, double *hit, uint32_t room) {
+/* Hits of a ray with a body, any order. */
+static uint32_t tetcasti_solid_hits(tetcasti_mem *mem, const tetcasti_solid *s, const tetcasti_shear *r,
+                                    tetcasti_spans *out) {
     uint64_t todo[8 * 16];
     uint32_t top = 0, n = 0, a;
     if (s->count == 0) return 0;
@@ -16892,87 +16917,114 @@ static uint32_t tetcasti_solid_hits(const tetcasti_solid *s, const tetcasti_shea
             u = tetcasti_abs(p[1][0] * p[2][1] - p[1][1] * p[2][0]);
             v = tetcasti_abs(p[2][0] * p[0][1] - p[2][1] * p[0][0]);
             w = tetcasti_abs(p[0][0] * p[1][1] - p[0][1] * p[1][0]);
-            if (n == room) return n;
-            hit[n++] = (u + v) + w > 0.0 ? ((u * z[0] + v * z[1]) + w * z[2]) / ((u + v) + w) * r->inv : z[0] * r->inv;
+            if (!tetcasti_grow(mem, (void **)&out->hit, &out->hit_room, n, (size_t)n + 1, sizeof *out->hit)) {
+                out->failed = 1;
+                return 0;
+            }
+            out->hit[n++] = (u + v) + w > 0.0 ? ((u * z[0] + v * z[1]) + w * z[2]) / ((u + v) + w) * r->inv : z[0] * r->inv;
         }
     }
     return n;
 }
 
 /* spans := the part of them inside of (or outside of) pairs of hits. */
-static uint32_t tetcasti_spans_cut(double (*span)[2], uint32_t n, double *hit, uint32_t hits, uint32_t outside) {
-    double out[TETCAST_CLIP_SPANS][2];
-    uint32_t i, j, m = 0;
-    for (i = 1; i < hits; i++) { /* in order: insertion, they are few */
+static void tetcasti_spans_cut(tetcasti_mem *mem, tetcasti_spans *s, uint32_t hits, uint32_t outside) {
+    double *hit = s->hit, (*swap)[2];
+    uint32_t i, j, k, m = 0;
+    size_t room;
+    for (i = 1; i < hits; i++) { /* in order: insertion, they are few as a rule */
         const double x = hit[i];
         for (j = i; j > 0 && hit[j - 1] > x; j--) hit[j] = hit[j - 1];
         hit[j] = x;
     }
     hits &= ~(uint32_t)1;
-    for (i = 0; i < n; i++) {
-        double at = span[i][0];
-        for (j = 0; j < hits && m < TETCAST_CLIP_SPANS; j += 2) {
-            double lo = outside ? at : tetcasti_max(at, hit[j]), hi = outside ? tetcasti_min(hit[j], span[i][1])
-                                                                             : tetcasti_min(hit[j + 1], span[i][1]);
+    /* each pair can make one part more */
+    if (!tetcasti_grow(mem, (void **)&s->next, &s->next_room, 0, (size_t)s->count + hits / 2 + 1, sizeof *s->next)) {
+        s->failed = 1;
+        s->count = 0;
+        return;
+    }
+    for (i = j = 0; i < s->count; i++) {
+        double at = s->span[i][0];
+        const double end = s->span[i][1];
+        while (j < hits && hit[j + 1] <= at) j += 2; /* pairs before this part are before the next ones as well */
+        for (k = j; k < hits && hit[k] < end; k += 2) {
+            const double lo = outside ? at : tetcasti_max(at, hit[k]);
+            const double hi = tetcasti_min(hit[outside ? k : k + 1], end);
             if (lo < hi) {
-                out[m][0] = lo;
-                out[m++][1] = hi;
+                s->next[m][0] = lo;
+                s->next[m++][1] = hi;
             }
-            if (outside) at = tetcasti_max(at, hit[j + 1]);
+            if (outside) at = tetcasti_max(at, hit[k + 1]);
         }
-        if (outside && at < span[i][1] && m < TETCAST_CLIP_SPANS) {
-            out[m][0] = at;
-            out[m++][1] = span[i][1];
+        if (outside && at < end) {
+            s->next[m][0] = at;
+            s->next[m++][1] = end;
         }
     }
-    memcpy(span, out, m * sizeof *out);
-    return m;
+    s->count = m;
+    swap = s->span;
+    s->span = s->next;
+    s->next = swap;
+    room = s->span_room;
+    s->span_room = s->next_room;
+    s->next_room = room;
 }
 
-#define TETCASTI_CLIP_HITS 128
-
-static uint32_t tetcasti_solid_spans(const tetcasti_solid *s, const double o[3], const double d[3], double (*span)[2],
-                                     uint32_t n) {
-    double hit[TETCASTI_CLIP_HITS];
+static void tetcasti_solid_spans(tetcasti_mem *mem, const tetcasti_solid *s, const double o[3], const double d[3],
+                                 tetcasti_spans *out) {
     tetcasti_shear r;
-    if (n == 0 || !tetcasti_shear_open(o, d, &r)) return 0;
-    return tetcasti_spans_cut(span, n, hit, tetcasti_solid_hits(s, &r, hit, TETCASTI_CLIP_HITS), s->outside);
+    if (out->count == 0 || !tetcasti_shear_open(o, d, &r)) out->count = 0;
+    else tetcasti_spans_cut(mem, out, tetcasti_solid_hits(mem, s, &r, out), s->outside);
+    if (out->failed) out->count = 0;
 }
 
 /* d: unit vector, world. */
-static uint32_t tetcasti_clip_run(const tetcast_clip *clip, const double o[3], const double d[3], double (*span)[2],
-                                  uint32_t n) {
+static void tetcasti_clip_run(tetcasti_mem *mem, const tetcast_clip *clip, const double o[3], const double d[3],
+                              tetcasti_spans *out) {
     size_t i;
     for (i = 0; i < clip->plane_count; i++) {
         const tetcast_clip_plane *p = &clip->plane[i];
         const double along = p->normal[0] * d[0] + p->normal[1] * d[1] + p->normal[2] * d[2];
         const double height = p->normal[0] * o[0] + p->normal[1] * o[1] + p->normal[2] * o[2] - p->offset;
         uint32_t j, m = 0;
-        for (j = 0; j < n; j++) {
-            double lo = span[j][0], hi = span[j][1];
+        for (j = 0; j < out->count; j++) {
+            double lo = out->span[j][0], hi = out->span[j][1];
             if (along > 0.0) lo = tetcasti_max(lo, -height / along);
             else if (along < 0.0) hi = tetcasti_min(hi, -height / along);
             else if (height < 0.0) continue;
             if (!(lo < hi)) continue;
-            span[m][0] = lo;
-            span[m++][1] = hi;
+            out->span[m][0] = lo;
+            out->span[m++][1] = hi;
         }
-        n = m;
+        out->count = m;
     }
-    for (i = 0; i < clip->solid_count; i++) n = tetcasti_solid_spans(&clip->solid[i], o, d, span, n);
-    return n;
+    for (i = 0; i < clip->solid_count; i++) tetcasti_solid_spans(mem, &clip->solid[i], o, d, out);
 }
 
-TETCAST_DEF uint32_t tetcast_clip_spans(const tetcast_clip *clip, const tetcast_ray *ray,
-                                        double spans[TETCAST_CLIP_SPANS][2]) {
-    double d[3];
-    uint32_t a;
-    if (clip == NULL || ray == NULL) return 0;
+TETCAST_DEF uint32_t tetcast_clip_spans(const tetcast_clip *clip, const tetcast_ray *ray, double (*spans)[2],
+                                        uint32_t room) {
+    tetcasti_spans s;
+    tetcasti_mem mem;
+    double d[3], end;
+    uint32_t a, count;
+    if (clip == NULL || ray == NULL || (spans == NULL && room != 0)) return 0;
     for (a = 0; a < 3; a++) d[a] = ray->dir[a];
     if (!tetcasti_unit(d) || !tetcasti_finite(ray->org[0] + ray->org[1] + ray->org[2])) return 0;
-    spans[0][0] = ray->t_min;
-    spans[0][1] = ray->t_min == 0.0 && ray->t_max == 0.0 ? 1e300 : ray->t_max;
-    return spans[0][0] < spans[0][1] ? tetcasti_clip_run(clip, ray->org, d, spans, 1) : 0;
+    end = ray->t_min == 0.0 && ray->t_max == 0.0 ? 1e300 : ray->t_max;
+    if (!(ray->t_min < end)) return 0;
+    memset(&s, 0, sizeof s);
+    memset(&mem, 0, sizeof mem);
+    mem.allocator = clip->mem.allocator;
+    tetcasti_spans_begin(&mem, &s, ray->t_min, end);
+    if (s.count != 0) tetcasti_clip_run(&mem, clip, ray->org, d, &s);
+    count = s.failed ? TETCAST_NONE : s.count;
+    for (a = 0; a < s.count && a < room; a++) {
+        spans[a][0] = s.span[a][0];
+        spans[a][1] = s.span[a][1];
+    }
+    tetcasti_spans_free(&mem, &s);
+    return count;
 }
 
 TETCAST_DEF void tetcast_clip_destroy(tetcast_clip *clip) {
@@ -17122,8 +17174,9 @@ typedef struct tetcasti_shade_frame {
 typedef struct tetcasti_shade_ray {
     const tetcasti_shade_frame *c;
     tetcast_ray ray;                 /* unit direction */
-    double span[TETCAST_CLIP_SPANS][2], last;
-    uint32_t spans, at, steps, n, ended;
+    tetcasti_spans *spans;
+    double last;
+    uint32_t at, steps, n, ended;
     uint32_t cell[8];
     float color[3], t, depth, length;
     tetcasti_ray_sum sum;
@@ -17216,10 +17269,11 @@ static int tetcasti_shade_crossing(void *user, const tetcast_crossing *x) {
     const double way = x->t_back - x->t_front;
     uint32_t s;
     r->steps++;
-    while (r->at < r->spans && r->span[r->at][1] <= x->t_front) r->at++;
-    if (r->at == r->spans) return 1;
-    for (s = r->at; s < r->spans && r->span[s][0] < x->t_back && !r->ended; s++) {
-        const double from = tetcasti_max(x->t_front, r->span[s][0]), to = tetcasti_min(x->t_back, r->span[s][1]);
+    while (r->at < r->spans->count && r->spans->span[r->at][1] <= x->t_front) r->at++;
+    if (r->at == r->spans->count) return 1;
+    for (s = r->at; s < r->spans->count && r->spans->span[s][0] < x->t_back && !r->ended; s++) {
+        const double *span = r->spans->span[s];
+        const double from = tetcasti_max(x->t_front, span[0]), to = tetcasti_min(x->t_back, span[1]);
         const float rise = x->back - x->front;
         const float front = from > x->t_front ? x->front + rise * (float)((from - x->t_front) / way) : x->front;
         const float back = to < x->t_back ? x->front + rise * (float)((to - x->t_front) / way) : x->back;
@@ -17243,12 +17297,14 @@ static int tetcasti_shade_crossing(void *user, const tetcast_crossing *x) {
 }
 
 /* The ray of a pixel of the image and its spans. 0: nothing of it is kept. */
-static int tetcasti_shade_open(const tetcasti_shade_frame *c, uint32_t x, uint32_t y, tetcasti_shade_ray *r) {
+static int tetcasti_shade_open(tetcasti_shade_frame *c, uint32_t x, uint32_t y, tetcasti_spans *spans,
+                               tetcasti_shade_ray *r) {
     const tetcast_shade_desc *d = c->desc;
-    double way;
+    double way, from, to;
     uint32_t a;
     memset(r, 0, sizeof *r);
     r->c = c;
+    r->spans = spans;
     r->t = 1.0f;
     r->depth = TETCASTI_INF;
     r->last = -1e300;
@@ -17257,14 +17313,14 @@ static int tetcasti_shade_open(const tetcasti_shade_frame *c, uint32_t x, uint32
                        r->ray.dir);
     way = sqrt(r->ray.dir[0] * r->ray.dir[0] + r->ray.dir[1] * r->ray.dir[1] + r->ray.dir[2] * r->ray.dir[2]);
     for (a = 0; a < 3; a++) r->ray.dir[a] /= way;
-    r->span[0][0] = (double)d->clip_near * way;
-    r->span[0][1] = d->clip_far > 0.0f ? (double)d->clip_far * way : 1e300;
+    from = (double)d->clip_near * way;
+    to = d->clip_far > 0.0f ? (double)d->clip_far * way : 1e300;
     if (d->limit != NULL && d->limit[x + (size_t)c->image->width * y] >= 0.0f)
-        r->span[0][1] = tetcasti_min(r->span[0][1], (double)d->limit[x + (size_t)c->image->width * y] * way);
-    if (!(r->span[0][0] < r->span[0][1])) return 0;
-    r->spans = 1;
-    if (d->clip != NULL) r->spans = tetcasti_clip_run(d->clip, r->ray.org, r->ray.dir, r->span, 1);
-    return r->spans != 0;
+        to = tetcasti_min(to, (double)d->limit[x + (size_t)c->image->width * y] * way);
+    if (!(from < to)) return 0;
+    tetcasti_spans_begin(&c->mem, spans, from, to);
+    if (d->clip != NULL) tetcasti_clip_run(&c->mem, d->clip, r->ray.org, r->ray.dir, spans);
+    return spans->count != 0;
 }
 
 /* A pixel of any picture that is made ray by ray: over the background, into the buffers that there are. */
@@ -17297,8 +17353,10 @@ static void tetcasti_task_shade(void *ctx, uint32_t strand) {
     tetcasti_shade_frame *c = (tetcasti_shade_frame *)ctx;
     const tetcast_image *m = c->image;
     tetcasti_batch *b = tetcasti_batch_open(&c->mem);
+    tetcasti_spans spans;
     uint64_t n[4] = {0, 0, 0, 0};
     uint32_t i;
+    memset(&spans, 0, sizeof spans);
     if (b == NULL) {
         tetcasti_atomic_store(&c->failed, 1u);
         return;
@@ -17314,15 +17372,16 @@ static void tetcasti_task_shade(void *ctx, uint32_t strand) {
                 tetcasti_shade_ray r;
                 double o[3], dir[3], ends[2];
                 float rgba[4];
-                if (tetcasti_shade_open(c, x, y, &r)) {
+                if (tetcasti_shade_open(c, x, y, &spans, &r)) {
                     tetcast_ray ray = r.ray;
-                    ray.t_min = r.span[0][0];
-                    ray.t_max = r.span[r.spans - 1][1];
+                    ray.t_min = spans.span[0][0];
+                    ray.t_max = spans.span[spans.count - 1][1];
                     if (tetcasti_ray_local(c->mesh, &ray, o, dir, ends))
                         (void)tetcasti_probe_run(&c->scene, b, o, dir, ends, tetcasti_shade_crossing, &r);
                     if (b->failed) tetcasti_atomic_store(&c->failed, 1u);
                     tetcasti_shade_flush(&r);
                 }
+                if (spans.failed) tetcasti_atomic_store(&c->failed, 1u);
                 if (c->optics != NULL) tetcasti_ray_finish(c->optics, &r.sum, rgba);
                 else {
                     memcpy(rgba, r.color, sizeof r.color);
@@ -17343,6 +17402,7 @@ static void tetcasti_task_shade(void *ctx, uint32_t strand) {
                 tetcasti_atomic_store(&c->cancelled, 1u);
     }
     for (i = 0; i < 4; i++) tetcasti_tally_add(c->tally[i], n[i]);
+    tetcasti_spans_free(&c->mem, &spans);
     tetcasti_batch_close(b);
 }
 
@@ -17436,8 +17496,8 @@ TETCAST_DEF tetcast_result tetcast_render_shaded(const tetcast_shade_desc *desc,
 typedef struct tetcasti_brick_ray {
     double o[3], d[3], inv[3], world_o[3], world_d[3], t, end;
     double exit[3], never[3];         /* where the cube of slots ends along each axis; 1e300 where it never does */
-    double span[TETCAST_CLIP_SPANS][2];
-    uint32_t spans, at;
+    tetcasti_spans spans;
+    uint32_t at;
     int32_t slot[3], way[3], up[3];   /* way: to the next slot along each axis, 1 or -1; up: 1 or 0 */
     ptrdiff_t index, move[3];         /* number of the slot, and how it changes with `way` */
     uint32_t axis, in_span, last, front; /* axis: through whose border the slot ends; front: its front value is known */
@@ -17588,8 +17648,8 @@ static int tetcasti_lane_next(const tetcasti_brick_frame *c, tetcasti_octet *l, 
         }
         leave = 1;
         if (!r->in_span) { /* a new span: nothing is known about what was before */
-            if (r->at >= r->spans) return 0;
-            r->t = r->span[r->at][0];
+            if (r->at >= r->spans.count) return 0;
+            r->t = r->spans.span[r->at][0];
             r->in_span = 1;
             r->front = r->known = 0;
             if (c->optics != NULL) tetcasti_lane_gap(c->optics, &l->sum, i);
@@ -17607,8 +17667,8 @@ static int tetcasti_lane_next(const tetcasti_brick_frame *c, tetcasti_octet *l, 
         m = (uint32_t)(r->exit[2] < least);
         least = tetcasti_min(least, r->exit[2]);
         r->axis = 2 * m + (k & ~m);
-        r->last = !(least < r->span[r->at][1]);
-        r->end = r->last ? r->span[r->at][1] : least;
+        r->last = !(least < r->spans.span[r->at][1]);
+        r->end = tetcasti_min(r->spans.span[r->at][1], least);
         if (!(r->end > r->t)) {
             r->end = r->t;
             continue;
@@ -17928,7 +17988,7 @@ static void tetcasti_octet_run(const tetcasti_brick_frame *c, tetcasti_octet *l)
 }
 
 /* The ray of a pixel: spans inside of the lattice, between the ends of the view, not clipped away, in the hull. */
-static uint32_t tetcasti_brick_ray_open(const tetcasti_brick_frame *c, uint32_t x, uint32_t y, double limit,
+static uint32_t tetcasti_brick_ray_open(tetcasti_brick_frame *c, uint32_t x, uint32_t y, double limit,
                                         tetcasti_brick_ray *r) {
     const tetcast_brick_render_desc *d = c->desc;
     const tetcast_bricks *b = c->cut->bricks;
@@ -17962,14 +18022,13 @@ static uint32_t tetcasti_brick_ray_open(const tetcasti_brick_frame *c, uint32_t 
         hi = tetcasti_min(hi, tetcasti_max(t0, t1));
     }
     r->at = r->in_span = r->front = r->last = r->log = r->known = r->axis = 0;
-    r->spans = 0;
+    r->spans.count = 0;
     if (!(lo < hi) || !tetcasti_finite(lo)) return 0;
-    r->span[0][0] = lo;
-    r->span[0][1] = hi;
-    r->spans = 1;
-    if (d->clip != NULL) r->spans = tetcasti_clip_run(d->clip, r->world_o, r->world_d, r->span, r->spans);
-    if (c->hull.count != 0) r->spans = tetcasti_solid_spans(&c->hull, r->world_o, r->world_d, r->span, r->spans);
-    return r->spans;
+    tetcasti_spans_begin(&c->mem, &r->spans, lo, hi);
+    if (d->clip != NULL) tetcasti_clip_run(&c->mem, d->clip, r->world_o, r->world_d, &r->spans);
+    if (c->hull.count != 0) tetcasti_solid_spans(&c->mem, &c->hull, r->world_o, r->world_d, &r->spans);
+    if (r->spans.failed) tetcasti_atomic_store(&c->failed, 1u);
+    return r->spans.count;
 }
 
 static void tetcasti_brick_pixel(const tetcasti_brick_frame *c, tetcasti_octet *l, uint32_t i, uint32_t x, uint32_t y) {
@@ -18019,7 +18078,7 @@ static void tetcasti_task_bricks(void *ctx, uint32_t strand) {
     for (;;) {
         const uint32_t tile = tetcasti_atomic_add(&c->next, 1u) - 1u;
         uint32_t x0, y0, x, y, i;
-        if (tile >= c->tiles || tetcasti_atomic_load(&c->cancelled)) break;
+        if (tile >= c->tiles || tetcasti_atomic_load(&c->cancelled) || tetcasti_atomic_load(&c->failed)) break;
         x0 = tile % c->tiles_x * TETCASTI_TILE;
         y0 = tile / c->tiles_x * TETCASTI_TILE;
         for (y = y0; y < y0 + TETCASTI_TILE && y < m->height; y += 2)
@@ -18052,6 +18111,7 @@ static void tetcasti_task_bricks(void *ctx, uint32_t strand) {
                 tetcasti_atomic_store(&c->cancelled, 1u);
     }
     for (strand = 0; strand < 6; strand++) tetcasti_tally_add(c->tally[strand], n[strand]);
+    for (strand = 0; strand < 8; strand++) tetcasti_spans_free(&c->mem, &l->ray[strand].spans);
     tetcasti_free(&c->mem, l);
 }
 
@@ -22336,6 +22396,7 @@ static float tetcasti_rbf_scalar(const tetcasti_rbf_picture *t, const float *v, 
         for (c = 0; c < m->components; c++) s += v[c] * v[c];
         return sqrtf(s);
     }
+    memset(&flow, 0, sizeof flow);
     for (c = 0; c < 9; c++) jacobian[c] = (float)((double)slope[c] / m->scale[c % 3]);
     tetcast_flow_features(v, jacobian, &flow);
     if (t->channel == TETCAST_RBF_CHANNEL_LAMBDA2) return -flow.lambda2;
@@ -22534,34 +22595,37 @@ TETCASTI_TARGET_AVX2 static uint32_t tetcasti_rbf_cut8(const tetcasti_rbf_pictur
 
 /* What clipping leaves of the rays of a group: ways as those of segments. */
 typedef struct tetcasti_rbf_spans {
-    float from[8][TETCAST_CLIP_SPANS], to[8][TETCAST_CLIP_SPANS];
-    uint32_t count[8], at[8];
+    tetcasti_spans lane[8];
+    uint32_t at[8];
 } tetcasti_rbf_spans;
 
-static void tetcasti_rbf_spans_open(const tetcasti_rbf_picture *t, const tetcasti_rbf_group *g, uint32_t x, uint32_t y,
+static void tetcasti_rbf_spans_open(tetcasti_rbf_picture *t, const tetcasti_rbf_group *g, uint32_t x, uint32_t y,
                                     tetcasti_rbf_spans *out) {
     const tetcast_rbf_render_desc *d = t->desc;
     uint32_t l, i, a;
     for (l = 0; l < 8; l++) {
-        double span[TETCAST_CLIP_SPANS][2], o[3], dir[3], way;
+        tetcasti_spans *s = &out->lane[l];
+        double o[3], dir[3], way, from, to;
         const uint32_t px = x + (l & 3u), py = y + (l >> 2);
-        out->count[l] = out->at[l] = 0;
+        s->count = out->at[l] = 0;
         if (!(g->lanes >> l & 1u)) continue;
         tetcasti_frame_ray(&t->frame, (double)px + 0.5, (double)py + 0.5, o, dir);
         way = sqrt(dir[0] * dir[0] + dir[1] * dir[1] + dir[2] * dir[2]);
         for (a = 0; a < 3; a++) dir[a] /= way;
-        span[0][0] = (double)d->clip_near * way;
-        span[0][1] = d->clip_far > 0.0f ? (double)d->clip_far * way : 1e300;
+        from = (double)d->clip_near * way;
+        to = d->clip_far > 0.0f ? (double)d->clip_far * way : 1e300;
         if (d->limit != NULL && px - d->part[0] < t->image->width && py - d->part[1] < t->image->height) {
             const float limit = d->limit[px - d->part[0] + (size_t)t->image->width * (py - d->part[1])];
-            if (limit >= 0.0f) span[0][1] = tetcasti_min(span[0][1], (double)limit * way);
+            if (limit >= 0.0f) to = tetcasti_min(to, (double)limit * way);
         }
-        if (!(span[0][0] < span[0][1])) continue;
-        out->count[l] = d->clip != NULL ? tetcasti_clip_run(d->clip, o, dir, span, 1) : 1u;
-        for (i = 0; i < out->count[l]; i++) {
+        if (!(from < to)) continue;
+        tetcasti_spans_begin(&t->mem, s, from, to);
+        if (d->clip != NULL) tetcasti_clip_run(&t->mem, d->clip, o, dir, s);
+        if (s->failed) tetcasti_atomic_store(&t->failed, 1u);
+        for (i = 0; i < s->count; i++) { /* world -> local, from sample 0 */
             const double scale = (double)g->world[l], start = (double)g->start[l];
-            out->from[l][i] = (float)((span[i][0] - start) / scale);
-            out->to[l][i] = (float)(tetcasti_min(span[i][1] - start, 1e30 * scale) / scale);
+            s->span[i][0] = (double)(float)((s->span[i][0] - start) / scale);
+            s->span[i][1] = (double)(float)(tetcasti_min(s->span[i][1] - start, 1e30 * scale) / scale);
         }
     }
 }
@@ -22573,14 +22637,16 @@ static uint32_t tetcasti_rbf_spans_cut(tetcasti_rbf_spans *s, const tetcasti_rbf
                                        tetcasti_seg8 *seg, float from[8], float to[8]) {
     uint32_t l, out = 0;
     for (l = 0; l < 8; l++) {
-        float rise, way;
+        float rise, way, lo, hi;
         uint32_t i;
         if (!(lanes >> l & 1u)) continue;
-        while (s->at[l] < s->count[l] && s->to[l][s->at[l]] <= a[l]) s->at[l]++;
+        while (s->at[l] < s->lane[l].count && (float)s->lane[l].span[s->at[l]][1] <= a[l]) s->at[l]++;
         i = s->at[l] + part;
-        if (i >= s->count[l] || !(s->from[l][i] < b[l])) continue;
-        from[l] = a[l] > s->from[l][i] ? a[l] : s->from[l][i];
-        to[l] = b[l] < s->to[l][i] ? b[l] : s->to[l][i];
+        if (i >= s->lane[l].count || !((float)s->lane[l].span[i][0] < b[l])) continue;
+        lo = (float)s->lane[l].span[i][0];
+        hi = (float)s->lane[l].span[i][1];
+        from[l] = a[l] > lo ? a[l] : lo;
+        to[l] = b[l] < hi ? b[l] : hi;
         if (!(to[l] > from[l])) continue;
         rise = whole->back[l] - whole->front[l];
         way = b[l] - a[l];
@@ -22747,7 +22813,7 @@ static void tetcasti_rbf_march(const tetcasti_rbf_picture *t, const tetcasti_rbf
                                        : tetcasti_rbf_shade(t, g, &seg, lanes, from, to, sum, depth);
             continue;
         }
-        for (part = 0; part < TETCAST_CLIP_SPANS; part++) {
+        for (part = 0;; part++) {
             tetcasti_seg8 some = seg;
             float a[8], b[8];
             const uint32_t left = tetcasti_rbf_spans_cut(spans, g, part, lanes & ~ended, &seg, from, to, &some, a, b);
@@ -22793,7 +22859,7 @@ static void tetcasti_rbf_pixel(const tetcasti_rbf_picture *t, uint32_t x, uint32
 }
 
 static void tetcasti_rbf_group_draw(tetcasti_rbf_picture *t, uint32_t tile, uint32_t x, uint32_t y, float *rows,
-                                    size_t stride, uint64_t count[5]) {
+                                    size_t stride, tetcasti_rbf_spans *spans, uint64_t count[5]) {
     static const float nothing[4] = {0.0f, 0.0f, 0.0f, 0.0f};
     tetcasti_rbf_group g;
     tetcasti_ray_sum8 sum;
@@ -22803,9 +22869,8 @@ static void tetcasti_rbf_group_draw(tetcasti_rbf_picture *t, uint32_t tile, uint
     if (met) {
         tetcasti_rbf_group_values(t, &g, tile, rows, stride, count + 2);
         if (t->desc->clip != NULL || t->desc->limit != NULL || t->desc->clip_near > 0.0f || t->desc->clip_far > 0.0f) {
-            tetcasti_rbf_spans spans;
-            tetcasti_rbf_spans_open(t, &g, x, y, &spans);
-            tetcasti_rbf_march(t, &g, rows, &spans, &sum, depth);
+            tetcasti_rbf_spans_open(t, &g, x, y, spans);
+            tetcasti_rbf_march(t, &g, rows, spans, &sum, depth);
         } else tetcasti_rbf_march(t, &g, rows, NULL, &sum, depth);
     } else g.lanes = 0;
     for (l = 0; l < 8; l++) {
@@ -22838,8 +22903,10 @@ static void tetcasti_task_rbf_tiles(void *ctx, uint32_t strand) {
     tetcasti_rbf_picture *t = (tetcasti_rbf_picture *)ctx;
     const size_t stride = 8 * (size_t)t->rows;
     float *rows = (float *)tetcasti_alloc_array(&t->mem, stride * t->m->components, sizeof(float));
+    tetcasti_rbf_spans spans;
     uint64_t count[5] = {0, 0, 0, 0, 0};
     uint32_t i;
+    memset(&spans, 0, sizeof spans);
     if (rows == NULL) tetcasti_atomic_store(&t->failed, 1u);
     while (rows != NULL) {
         const uint32_t tile = tetcasti_atomic_add(&t->next, 1u) - 1u;
@@ -22849,13 +22916,14 @@ static void tetcasti_task_rbf_tiles(void *ctx, uint32_t strand) {
         y0 = t->base[1] + tile / t->tiles_x * TETCASTI_RBF_TILE;
         for (y = y0; y < y0 + TETCASTI_RBF_TILE && y < t->desc->part[1] + t->image->height; y += 2)
             for (x = x0; x < x0 + TETCASTI_RBF_TILE && x < t->desc->part[0] + t->image->width; x += 4)
-                tetcasti_rbf_group_draw(t, tile, x, y, rows, stride, count);
+                tetcasti_rbf_group_draw(t, tile, x, y, rows, stride, &spans, count);
         i = tetcasti_atomic_add(&t->done, 1u);
         if (strand == 0 && t->desc->env.progress_fn != NULL &&
             t->desc->env.progress_fn(t->desc->env.progress_user, i, t->tiles) != 0)
                 tetcasti_atomic_store(&t->cancelled, 1u);
     }
     for (i = 0; i < 5; i++) tetcasti_tally_add(t->tally[i], count[i]);
+    for (i = 0; i < 8; i++) tetcasti_spans_free(&t->mem, &spans.lane[i]);
     tetcasti_free(&t->mem, rows);
 }
 

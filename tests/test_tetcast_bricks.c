@@ -1382,7 +1382,7 @@ TEST(clip_spans) {
     REQUIRE(tetcast_clip_create(&d, &c) == TETCAST_OK);
     for (n = 0; n < 3000; n++) {
         tetcast_ray ray;
-        double spans[TETCAST_CLIP_SPANS][2], t, want = 0, got = 0;
+        double spans[8][2], t, want = 0, got = 0;
         uint32_t count, j;
         int k;
         memset(&ray, 0, sizeof ray);
@@ -1392,7 +1392,8 @@ TEST(clip_spans) {
         }
         ray.t_min = -20;
         ray.t_max = 20;
-        count = tetcast_clip_spans(c, &ray, spans);
+        count = tetcast_clip_spans(c, &ray, spans, 8);
+        REQUIRE(count <= 8);
         for (j = 0; j < count; j++) {
             CHECK(spans[j][0] < spans[j][1] && (j == 0 || spans[j][0] >= spans[j - 1][1]));
             got += spans[j][1] - spans[j][0];
@@ -1510,6 +1511,93 @@ TEST(shaders) {
     CHECK_MSG(worst < 1e-4, "%g", worst);
     tetcast_cut_destroy(c);
     tetcast_bricks_destroy(k);
+    tetcast_optics_destroy(o);
+    free(v);
+}
+
+/* A body of 100 boxes: each ray has as many parts, in bricks, tetrahedra and functions; how many is not limited. */
+TEST(many_parts) {
+    enum { BOXES = 100, SIDE = 8 };
+    static double p[BOXES * 8][3], spans[BOXES][2];
+    static uint32_t t[BOXES * 36];
+    const tetcast_lattice l = cube_lattice(105, 9, 9);
+    float *v = (float *)calloc(node_count(&l), 4), length[SIDE * SIDE];
+    tetcast_clip_body body;
+    tetcast_clip_desc d;
+    tetcast_clip *c = NULL;
+    tetcast_bricks *b;
+    tetcast_cut *cut;
+    tetcast_optics *o = flat_optics(1e-3f, TETCAST_MODEL_VOLUME);
+    tetcast_brick_render_desc bd;
+    tetcast_rbf_render_desc fd;
+    tetcast_rbf_desc rd;
+    tetcast_rbf *f = NULL;
+    tetcast_image image;
+    tetcast_ray ray;
+    float rgba[SIDE * SIDE * 4];
+    int i, k, outside;
+    REQUIRE(v != NULL);
+    for (i = 0; i < BOXES * 8; i++) { /* from 1/4 to 1/2 behind each whole number */
+        const double side = i >> 1 & 1 ? 20.0 : -20.0, up = i >> 2 & 1 ? 20.0 : -20.0;
+        p[i][0] = i / 8 + (i & 1 ? 0.5 : 0.25);
+        p[i][1] = side;
+        p[i][2] = up;
+    }
+    for (i = 0; i < BOXES; i++) for (k = 0; k < 36; k++) t[36 * i + k] = g_cube[k] + 8 * (uint32_t)i;
+    b = make_bricks(&l, v, TETCAST_TYPE_F32, 3, 0);
+    cut = make_cut(b, NULL, 0);
+    memset(&rd, 0, sizeof rd);
+    rd.box_max[0] = 104.0;
+    rd.box_max[1] = rd.box_max[2] = 8.0;
+    REQUIRE(tetcast_rbf_create(&rd, &f) == TETCAST_OK);
+    for (outside = 0; outside < 2; outside++) {
+        memset(&body, 0, sizeof body);
+        memset(&d, 0, sizeof d);
+        memset(&ray, 0, sizeof ray);
+        body.points = (const double (*)[3])p;
+        body.point_count = BOXES * 8;
+        body.indices = t;
+        body.triangle_count = BOXES * 12;
+        body.outside = (uint32_t)outside;
+        d.bodies = &body;
+        d.body_count = 1;
+        REQUIRE(tetcast_clip_create(&d, &c) == TETCAST_OK);
+        ray.org[0] = -5.0;
+        ray.org[1] = 0.3;
+        ray.dir[0] = 2.0;
+        ray.t_max = 1e6;
+        CHECK_EQ_U64(tetcast_clip_spans(c, &ray, spans, BOXES), BOXES + (uint32_t)outside);
+        for (i = 0; i < BOXES; i++) {
+            CHECK_NEAR(spans[i][0], outside ? (i ? 4.5 + i : 0.0) : 5.25 + i, 1e-12);
+            CHECK_NEAR(spans[i][1], outside ? 5.25 + i : 5.5 + i, 1e-12);
+        }
+        spans[3][0] = -1.0;
+        CHECK_EQ_U64(tetcast_clip_spans(c, &ray, spans, 3), BOXES + (uint32_t)outside); /* no more than there is room for */
+        CHECK(spans[3][0] < 0.0);
+        memset(&bd, 0, sizeof bd);
+        memset(&fd, 0, sizeof fd);
+        memset(&image, 0, sizeof image);
+        bd.camera.eye[0] = -20.0;
+        bd.camera.eye[1] = bd.camera.eye[2] = bd.camera.at[1] = bd.camera.at[2] = 4.0;
+        bd.camera.up[1] = 1.0;
+        bd.camera.ortho_height = 6.0f;
+        bd.clip = fd.clip = c;
+        fd.camera = bd.camera;
+        fd.step = 0.4f;
+        image.width = image.height = SIDE;
+        image.rgba = rgba;
+        image.length = length;
+        CHECK_EQ_U64(tetcast_render_bricks(&bd, cut, o, &image, NULL), TETCAST_OK);
+        for (i = 0; i < SIDE * SIDE; i++) CHECK_NEAR(length[i], outside ? 79.0 : 25.0, 1e-3);
+        for (i = 0; i < SIDE * SIDE; i++) CHECK_NEAR(rgba[4 * i + 3], 1.0 - exp(outside ? -0.079 : -0.025), 1e-5);
+        image.length = NULL;
+        CHECK_EQ_U64(tetcast_rbf_render(&fd, f, o, &image, NULL), TETCAST_OK);
+        for (i = 0; i < SIDE * SIDE; i++) CHECK_NEAR(rgba[4 * i + 3], 1.0 - exp(outside ? -0.079 : -0.025), 1e-5);
+        tetcast_clip_destroy(c);
+    }
+    tetcast_rbf_destroy(f);
+    tetcast_cut_destroy(cut);
+    tetcast_bricks_destroy(b);
     tetcast_optics_destroy(o);
     free(v);
 }
@@ -1695,10 +1783,11 @@ TEST(shaded_tetrahedra) {
     worst = worst_length = 0;
     for (i = 0; i < W * H; i++) { /* the mesh is convex */
         tetcast_ray ray;
-        double span[TETCAST_CLIP_SPANS][2], want = 0, ends[2] = {0, 0}, enter = 1e300, leave = 0;
+        double span[8][2], want = 0, ends[2] = {0, 0}, enter = 1e300, leave = 0;
         uint32_t n, q;
         CHECK_EQ_U64(tetcast_camera_ray(&d.camera, W, H, i % W + 0.5, i / W + 0.5, &ray), TETCAST_OK);
-        n = tetcast_clip_spans(clip, &ray, span);
+        n = tetcast_clip_spans(clip, &ray, span, 8);
+        REQUIRE(n <= 8);
         for (q = 0; q < m.nt; q++) { /* where the ray is in any tetrahedron */
             if (!ray_in_tet(&m, q, &ray, ends)) continue;
             enter = fmin(enter, ends[0]);
@@ -2214,6 +2303,7 @@ int main(int argc, char **argv) {
     RUN(brick_pictures_same_bits);
     RUN(bricks_look_like_tetrahedra);
     RUN(clip_spans);
+    RUN(many_parts);
     RUN(shaders);
     RUN(shaders_same_bits);
     RUN(shaded_tetrahedra);
