@@ -479,13 +479,15 @@ typedef struct voxrt_stats {
    max_level      no limit; k: octree level k is the finest (k+1 is given, so 1 = root only)
    cubes          voxels with planes end rays at these: what lies behind is solid, a ray that stays before it goes on.
                   1: they end rays at their faces, as if there were none. Larger cells, and voxels more than 2^24 voxels
-                  away from the origin of a ray, are cubes */
+                  away from the origin of a ray, are cubes
+   blend          for what is drawn: a cell has its own colour and normal. 1: mixed with those of the next larger one, all
+                  of them when that is about to be accepted: nothing jumps where a ray changes levels */
 typedef struct voxrt_trace_desc {
     uint32_t _begin_zero;
     voxrt_isa isa;
     float cone_width, cone_spread;
     uint32_t max_level_plus_1;
-    uint32_t cubes;
+    uint32_t cubes, blend;
     voxrt_stats *stats; /* NULL: not counted, which is faster */
     uint32_t _end_zero;
 } voxrt_trace_desc;
@@ -875,6 +877,7 @@ typedef struct voxrt_render_desc {
     uint32_t shadows;
     uint32_t face_normals;    /* 1: shade by the faces of the cubes */
     uint32_t cubes;           /* 1: voxels with planes are drawn as cubes */
+    uint32_t blend;           /* 1: with tolerance: colours and normals go over from level to level (trees only) */
     uint32_t one_sided;       /* 1: surfaces seen from behind stay dark instead of turning their normal */
     uint32_t thesis_compose;  /* 1: bytes * brightness, cut at 255, as in 2009; default: linear light, then sRGB */
     uint32_t thesis_shadows;  /* 1: shadow rays start at the hit itself, with stripes; for comparison */
@@ -13664,6 +13667,38 @@ static void voxrti_heat(const voxrti_render *c, const voxrt_ray *ray, float valu
    gives the same bits. Nothing is allocated; a run lives on the stack (14 KB).
    --------------------------------------------------------------------------- */
 
+/* Index of the attributes of the cell around that of a hit, whose level is not 0. */
+static uint64_t voxrti_parent_attr(const voxrt_tree *t, const voxrt_hit *hit) {
+    const uint32_t v = (uint32_t)hit->level + 2 * t->wide - t->depth - 1;
+    if (t->code != NULL) return voxrti_shared_attr(t, v, hit->cell[0] >> 1, hit->cell[1] >> 1, hit->cell[2] >> 1);
+    if ((v & 1u) != 0) return voxrti_attr_index(t, v, hit->node, hit->slot & 56u); /* the octant around a cell */
+    return t->attr_first[v] + hit->node - (v / 2 + 1 < t->wide ? t->level_first[v / 2] : 0); /* the node itself */
+}
+
+/* Towards colour and normal of the cell around: not at all where the footprint is as wide as the cell, all the way where
+   it is twice as wide, which is where that one is accepted. Squares of bytes are about linear in light. */
+static void voxrti_surface_blend(const voxrt_tree *t, const voxrt_trace_desc *td, const voxrt_hit *hit,
+                                 voxrt_surface *s) {
+    float more = (td->cone_width + td->cone_spread * hit->t) / s->edge - 1.0f;
+    uint8_t rgb[3];
+    uint64_t attr;
+    uint32_t a;
+    if (!(more > 0.0f) || hit->level == 0) return;
+    if (more > 1.0f) more = 1.0f;
+    attr = voxrti_parent_attr(t, hit);
+    voxrti_attr_color(t, attr, rgb);
+    for (a = 0; a < 3; a++) {
+        const float x = (float)((uint32_t)s->rgb[a] * s->rgb[a]), y = (float)((uint32_t)rgb[a] * rgb[a]);
+        s->rgb[a] = (uint8_t)(sqrtf(x + more * (y - x)) + 0.5f);
+    }
+    if (t->normal != NULL) {
+        float n[3];
+        voxrti_normal_decode(t->spherical, t->normal[attr], n);
+        for (a = 0; a < 3; a++) n[a] = s->normal[a] + more * (n[a] - s->normal[a]);
+        if (voxrti_normalize(n)) memcpy(s->normal, n, sizeof n);
+    }
+}
+
 /* Trace through the tree and fill in what the rays met. */
 static void voxrti_tree_trace(const voxrt_tree *tree, const voxrt_trace_desc *td, uint32_t bare, const voxrt_ray *ray,
                               voxrt_surface *surface, voxrt_hit *hit, uint32_t n) {
@@ -13683,6 +13718,7 @@ static void voxrti_tree_trace(const voxrt_tree *tree, const voxrt_trace_desc *td
         if (bare) continue;
         voxrti_attr_color(tree, attr[i], s->rgb);
         if (tree->normal != NULL) voxrti_normal_decode(tree->spherical, tree->normal[attr[i]], s->normal);
+        if (td->blend) voxrti_surface_blend(tree, td, &hit[i], s);
     }
 }
 
@@ -14320,6 +14356,7 @@ static voxrt_result voxrti_render_open(const voxrt_render_desc *d, voxrti_render
     if (d->lights == NULL) voxrti_default_lights(c);
     c->trace.isa = d->isa;
     c->trace.cubes = d->cubes;
+    c->trace.blend = d->blend;
     c->trace.max_level_plus_1 = d->max_level_plus_1;
     if (d->object_lod && c->tree != NULL) {
         level = voxrti_object_level(c, d->tolerance > 0.0f ? (double)d->tolerance : 1.0) + 1;

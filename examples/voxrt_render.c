@@ -11,7 +11,7 @@ enum { PATH_FAST, PATH_THESIS };
 typedef struct render_options {
     sup_common common;
     const char *in, *light, *lod;
-    int shadows, path, heat, has_heat, split, face_normals, cubes, thesis_compose, one_sided, progressive, has_background;
+    int shadows, path, heat, has_heat, split, face_normals, cubes, thesis_compose, one_sided, progressive, blend, has_background;
     int64_t samples, lod_split, scatter;
     double blur, heat_max;
     int has_blur, smooth, has_material, panorama;
@@ -69,7 +69,7 @@ static int collect_lights(int argc, char **argv, render_options *o) {
 }
 
 static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *desc) {
-    sup_option table[SUP_COMMON_OPTIONS + 26];
+    sup_option table[SUP_COMMON_OPTIONS + 27];
     size_t n;
     int status, compose = 0, normals = 0, has_heat_max = 0;
     memset(o, 0, sizeof *o);
@@ -106,6 +106,7 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
     table[n++] =
         sup_opt_choice("normals", &normals, "stored|face", "shade by stored normals or by the faces of the cubes");
     table[n++] = sup_opt_int("scatter", &o->scatter, 0, 100000000, "N", "N copies of it, turned and of different sizes, on the ground");
+    table[n++] = sup_opt_flag("blend", &o->blend, "colours and normals go over from one level of detail to the next: no popping in motion");
     table[n++] = sup_opt_flag("cubes", &o->cubes, "voxels with planes (voxrt_convert --planes) as cubes");
     table[n++] = sup_opt_flag("one-sided", &o->one_sided, "surfaces seen from behind stay dark instead of turning their normals");
     table[n++] = sup_opt_choice("compose", &compose, "linear|thesis", "linear light, or bytes times brightness");
@@ -141,6 +142,7 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
     desc->tolerance = (float)o->common.tolerance;
     desc->face_normals = normals == 1;
     desc->cubes = (uint32_t)o->cubes;
+    desc->blend = (uint32_t)o->blend;
     desc->one_sided = (uint32_t)o->one_sided;
     desc->thesis_compose = compose == 1;
     desc->heat_max = (float)o->heat_max;

@@ -1258,7 +1258,7 @@ TEST(buffers_of_every_size) {
         d.encoding = (voxrt_encoding)encoding;
         p = save(t, encoding, &size);
         REQUIRE(p != NULL);
-        for (k = 0; k <= size + 1; k += test_quick() && k > 300 && k + 300 < size ? 17 : 1) {
+        for (k = 0; k <= size + 1; k += k > 300 && k + 300 < size ? 13 : 1) {
             q = (uint8_t *)malloc(k != 0 ? k : 1);
             REQUIRE(q != NULL);
             memset(q, 0xa5, k != 0 ? k : 1);

@@ -995,7 +995,7 @@ static void set_path(voxrt_octree_trace_desc *d, int path) {
 
 /* Every result must be one that a ray 0.002 cells beside the real one could have, and nearly all exactly right. */
 TEST(rays_against_brute_force) {
-    int kind, k, n = test_quick() ? 3000 : 12000, path, right[3] = {0, 0, 0}, all[3] = {0, 0, 0};
+    int kind, k, n = test_quick() ? 3000 : 6000, path, right[3] = {0, 0, 0}, all[3] = {0, 0, 0};
     uint32_t level;
     voxrt_octree *t = make_shell(5, 0.4, 60, 11);
     voxrt_ray *rays = (voxrt_ray *)malloc((size_t)n * sizeof *rays);

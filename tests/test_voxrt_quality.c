@@ -150,7 +150,7 @@ static double ssim(const double *a, const double *b, uint32_t size) {
    better than with faces, and the blur that knows the size of voxels makes that better again. */
 TEST(stairs_close_up) {
     static const struct { uint32_t depth; double pixels; } list[6] = {{8, 1}, {8, 2}, {7, 5}, {7, 10}, {6, 20}, {6, 50}};
-    enum { SIZE = 144 };
+    enum { SIZE = 96 };
     static double exact[SIZE * SIZE], cover[SIZE * SIZE], got[SIZE * SIZE];
     uint32_t i;
     for (i = 0; i < 6; i++) {
@@ -347,7 +347,7 @@ TEST(levels_do_not_oscillate) {
    full detail; one level for all is chosen for what is near, and so does nothing for what is far. */
 TEST(level_of_detail_flickers_less) {
     enum { SIZE = 80, FRAMES = 8 };
-    static double frame[3][2][SIZE * SIZE * 3], ref[2][SIZE * SIZE * 3];
+    static double frame[5][2][SIZE * SIZE * 3], ref[2][SIZE * SIZE * 3];
     const uint32_t n = 512;
     const float pixel = 2 * tanf(25 * 0.0174532925f) / SIZE;
     voxrt_voxel *v = (voxrt_voxel *)calloc((size_t)n * n, sizeof *v);
@@ -356,7 +356,7 @@ TEST(level_of_detail_flickers_less) {
     test_rng r = test_rng_make(12);
     shot s = make_shot(SIZE);
     static uint8_t is_far[2][SIZE * SIZE];
-    double flicker[3] = {0, 0, 0}, count = 0;
+    double flicker[5] = {0, 0, 0, 0, 0}, count = 0;
     uint32_t i, k, f, a;
     if (v == NULL) exit(1);
     for (i = 0; i < n * n; i++) {
@@ -370,9 +370,9 @@ TEST(level_of_detail_flickers_less) {
     CHECK(voxrt_tree_from_voxels(&b, v, (size_t)n * n, 9, &t) == VOXRT_OK);
     free(v);
     for (f = 0; f < FRAMES; f++) {
-        for (k = 0; k < 4; k++) { /* 0: full detail, 1: one level, 2: a level each pixel, 3: many rays */
+        for (k = 0; k < 5; k++) { /* 0: full detail, 1: one level, 2: a level each pixel, 3: many rays, 4: as 2, blended */
             voxrt_render_desc d;
-            double *out = k < 3 ? frame[k][f & 1] : ref[f & 1];
+            double *out = k != 3 ? frame[k][f & 1] : ref[f & 1];
             memset(&d, 0, sizeof d);
             d.camera.eye[0] = d.camera.at[0] = 256;
             d.camera.eye[1] = 12;
@@ -381,7 +381,8 @@ TEST(level_of_detail_flickers_less) {
             d.camera.fov_y = 50;
             d.view = VOXRT_VIEW_UNLIT;
             d.object_lod = k == 1;
-            d.tolerance = k == 1 || k == 2 ? 1.0f : 0.0f;
+            d.tolerance = k == 1 || k == 2 || k == 4 ? 1.0f : 0.0f;
+            d.blend = k == 4;
             d.samples = k == 3 ? 64 : 1;
             CHECK(voxrt_render(&d, t, &s.m, NULL) == VOXRT_OK);
             for (i = 0; i < SIZE * SIZE; i++) {
@@ -392,17 +393,79 @@ TEST(level_of_detail_flickers_less) {
         for (i = 0; i < SIZE * SIZE * 3 && f > 0; i++) {
             if (!is_far[0][i / 3] || !is_far[1][i / 3]) continue;
             count++;
-            for (k = 0; k < 3; k++)
+            for (k = 0; k < 5; k++)
                 flicker[k] += fabs((frame[k][f & 1][i] - frame[k][~f & 1][i]) - (ref[f & 1][i] - ref[~f & 1][i]));
         }
     }
     CHECK(count > 3000);
-    for (k = 0; k < 3; k++) flicker[k] /= count;
+    for (k = 0; k < 5; k++) flicker[k] /= count;
     if (test_g.verbose)
-        printf("     flicker: full detail %.4f, one level %.4f, a level each pixel %.4f\n", flicker[0], flicker[1], flicker[2]);
-    CHECK(flicker[2] < 0.75 * flicker[1] && flicker[2] < 0.75 * flicker[0]);
+        printf("     flicker: full detail %.4f, one level %.4f, a level each pixel %.4f, blended %.4f\n", flicker[0],
+               flicker[1], flicker[2], flicker[4]);
+    CHECK(flicker[2] < 0.75 * flicker[1] && flicker[2] < 0.75 * flicker[0] && flicker[4] < 0.65 * flicker[2]);
     voxrt_tree_destroy(t);
     free_shot(&s);
+}
+
+/* Towards a grainy ball, from where it is small to where it fills the picture: the change from frame to
+   frame against that of many rays a pixel. Where a pixel changes levels nothing jumps. */
+TEST(a_dolly_does_not_pop) {
+    enum { SIZE = 96, FRAMES = 8 };
+    static double frame[2][SIZE * SIZE], last[2][SIZE * SIZE], ref[SIZE * SIZE], before[SIZE * SIZE];
+    static float rgba[SIZE * SIZE * 4];
+    const int depth = 9;
+    double pop[2] = {0, 0}, jump[2] = {0, 0}, count = 0;
+    voxrt_build_desc b;
+    voxrt_tree *t;
+    voxrt_image m;
+    cells c;
+    uint32_t f, k, i;
+    memset(&c, 0, sizeof c);
+    memset(&b, 0, sizeof b);
+    memset(&m, 0, sizeof m);
+    m.width = m.height = SIZE;
+    m.rgba = rgba;
+    b.box_size = 2;
+    cells_sphere(&c, 1u << depth, (1u << depth) / 2.0 * 0.95);
+    for (i = 0; i < c.n; i++) {
+        voxrt_voxel *v = &c.v[i];
+        const uint32_t grain = ((v->x >> 1) * 73856093u ^ (v->y >> 1) * 19349663u ^ (v->z >> 1) * 83492791u) * 2654435761u;
+        v->rgb[0] = v->rgb[1] = v->rgb[2] = (uint8_t)(90 + (grain >> 24) / 3);
+    }
+    t = cells_tree(&c, &b, (uint32_t)depth);
+    for (f = 0; f < FRAMES; f++) {
+        for (k = 0; k < 3; k++) {
+            voxrt_render_desc d;
+            memset(&d, 0, sizeof d);
+            d.camera.at[0] = d.camera.at[1] = d.camera.at[2] = 1;
+            d.camera.eye[0] = d.camera.eye[1] = 1;
+            d.camera.eye[2] = (float)(1 + 9 * pow(0.985, f));
+            d.camera.fov_y = 18;
+            d.tolerance = k < 2 ? 1.0f : 0.0f;
+            d.blend = k == 1;
+            d.samples = k < 2 ? 4 : 64;
+            CHECK(voxrt_render(&d, t, &m, NULL) == VOXRT_OK);
+            for (i = 0; i < SIZE * SIZE; i++) (k < 2 ? frame[k] : ref)[i] = (double)rgba[4 * i];
+        }
+        for (i = 0; i < SIZE * SIZE; i++) {
+            const uint32_t x = i % SIZE - SIZE / 2, y = i / SIZE - SIZE / 2;
+            if (f > 0 && x * x + y * y < 24 * 24) {
+                count++;
+                for (k = 0; k < 2; k++) {
+                    const double e = fabs((frame[k][i] - last[k][i]) - (ref[i] - before[i]));
+                    pop[k] += e;
+                    jump[k] = e > jump[k] ? e : jump[k];
+                }
+            }
+            for (k = 0; k < 2; k++) last[k][i] = frame[k][i];
+            before[i] = ref[i];
+        }
+    }
+    for (k = 0; k < 2; k++) pop[k] /= count;
+    if (test_g.verbose)
+        printf("     dolly: levels %.4f, at most %.3f; blended %.4f, at most %.3f\n", pop[0], jump[0], pop[1], jump[1]);
+    CHECK(pop[1] < 0.01 && pop[1] < 0.8 * pop[0]);
+    voxrt_tree_destroy(t);
 }
 
 /* ---- meshes that are finer than voxels --------------------------------------------------------------------- */
@@ -528,6 +591,7 @@ int main(int argc, char **argv) {
     RUN(normal_codes_in_the_picture);
     RUN(levels_do_not_oscillate);
     RUN(level_of_detail_flickers_less);
+    RUN(a_dolly_does_not_pop);
     RUN(fine_meshes_are_averaged_by_area);
     return test_end();
 }
