@@ -480,8 +480,8 @@ typedef struct voxrt_stats {
    cubes          voxels with planes end rays at these: what lies behind is solid, a ray that stays before it goes on.
                   1: they end rays at their faces, as if there were none. Larger cells, and voxels more than 2^24 voxels
                   away from the origin of a ray, are cubes
-   blend          for what is drawn: a cell has its own colour and normal. 1: mixed with those of the next larger one, all
-                  of them when that is about to be accepted: nothing jumps where a ray changes levels */
+   blend          for what is drawn: a cell has its own colour and normal. 1: mixed with those of the next larger one,
+                  all of them when that is about to be accepted: nothing jumps where a ray changes levels */
 typedef struct voxrt_trace_desc {
     uint32_t _begin_zero;
     voxrt_isa isa;
@@ -13675,8 +13675,8 @@ static uint64_t voxrti_parent_attr(const voxrt_tree *t, const voxrt_hit *hit) {
     return t->attr_first[v] + hit->node - (v / 2 + 1 < t->wide ? t->level_first[v / 2] : 0); /* the node itself */
 }
 
-/* Towards colour and normal of the cell around: not at all where the footprint is as wide as the cell, all the way where
-   it is twice as wide, which is where that one is accepted. Squares of bytes are about linear in light. */
+/* Towards colour and normal of the cell around: not at all where the footprint is as wide as the cell, all the way
+   where it is twice as wide, which is where that one is accepted. Squares of bytes are about linear in light. */
 static void voxrti_surface_blend(const voxrt_tree *t, const voxrt_trace_desc *td, const voxrt_hit *hit,
                                  voxrt_surface *s) {
     float more = (td->cone_width + td->cone_spread * hit->t) / s->edge - 1.0f;
