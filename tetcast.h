@@ -1050,6 +1050,10 @@ typedef struct tetcast_patch {
             corner, where values are means over the cells around; what touches coarser cells takes the values that those
             have there. Continuous, and at centres the value of the cell. Wang, Wald, Wu, Usher, Johnson: CPU isosurface
             ray tracing of adaptive mesh refinement data. IEEE TVCG 25(1), 2019; how corners get their values: ours
+   GTI      generalised trilinear: as OCTANT, but a corner where levels meet is a point in the hexahedron of the
+            centres of the eight cells around it, corners of which may coincide, and its value is the trilinear one
+            there: no mean of finer cells takes part. Wang, Marshak, Usher, Burstedde, Knoll, Heister, Johnson: CPU ray
+            tracing of tree-based adaptive mesh refinement data. CGF 39(3), 2020 (neighbours differ by one level there)
    BASIS    mean of the cells around, weighted by tents two cells of their own level wide: continuous, smoother, not the
             value of the cell at centres near borders. Wald, Zellmann, Usher, Morrical, Lang, Pascucci: Ray tracing
             structured AMR data using ExaBricks. IEEE TVCG 27(2), 2021 */
@@ -1058,6 +1062,7 @@ typedef enum tetcast_amr_method {
     TETCAST_AMR_BASIS = 1,
     TETCAST_AMR_CURRENT = 2,
     TETCAST_AMR_NEAREST = 3,
+    TETCAST_AMR_GTI = 4,
     TETCAST_AMR_METHOD_FORCE_32BIT = 0x7fffffff
 } tetcast_amr_method;
 
@@ -1067,13 +1072,14 @@ typedef enum tetcast_amr_method {
    origin       corner of the domain: of cell 0 0 0 of each level
    spacing      1: of the cells of level 0
    cells        of level 0, along each side: the domain; has to be given
-   ratio_log    1: a cell has 2^ratio_log cells of the next level along each side */
+   ratio_log    1: a cell has 2^ratio_log cells of the next level along each side
+   ratio_logs   ratio_log; else for each level its own, to the next finer one */
 typedef struct tetcast_amr_desc {
     uint32_t _begin_zero;
     tetcast_env env;
     double origin[3], spacing[3];
     uint32_t cells[3];
-    uint32_t ratio_log;
+    uint32_t ratio_log, ratio_logs[TETCAST_AMR_LEVELS];
     const tetcast_patch *patches;
     size_t patch_count;
     uint32_t _end_zero;
@@ -16221,7 +16227,8 @@ typedef struct tetcasti_amr_level {
 struct tetcast_amr {
     tetcasti_mem mem;
     double origin[3], spacing[3]; /* of finest cells */
-    uint32_t levels, ratio_log, patch_count;
+    uint32_t levels, patch_count;
+    uint32_t shift[TETCAST_AMR_LEVELS]; /* log of the width of a cell, in finest cells */
     tetcast_patch *patch;
     float *value;
     tetcasti_amr_level level[TETCAST_AMR_LEVELS];
@@ -16243,7 +16250,7 @@ TETCAST_DEF void tetcast_amr_destroy(tetcast_amr *amr) {
 
 /* Half the width of a cell, in halves of finest cells. */
 TETCASTI_INLINE int32_t tetcasti_amr_unit(const tetcast_amr *m, uint32_t level) {
-    return (int32_t)1 << (m->ratio_log * (m->levels - 1 - level));
+    return (int32_t)1 << m->shift[level];
 }
 
 /* The value that a patch of this level has for a cell. 0: there is none. */
@@ -16278,11 +16285,12 @@ static float tetcasti_amr_value(const tetcast_amr *m, uint32_t level, const int3
     }
     if (tetcasti_amr_find(m, level, c, &v)) return v;
     for (k = level; k-- > 0;) { /* a coarser one */
-        for (a = 0; a < 3; a++) d[a] = c[a] >> (m->ratio_log * (level - k));
+        for (a = 0; a < 3; a++) d[a] = c[a] >> (m->shift[k] - m->shift[level]);
         if (tetcasti_amr_find(m, k, d, &v)) break;
     }
     if (level + 1 < m->levels) { /* finer ones, if all are there or nothing else is: level 0 is full in the end */
-        const int32_t n = (int32_t)1 << m->ratio_log;
+        const uint32_t log = m->shift[level] - m->shift[level + 1];
+        const int32_t n = (int32_t)1 << log;
         int32_t x, y, z;
         double sum = 0.0;
         float one;
@@ -16290,9 +16298,9 @@ static float tetcasti_amr_value(const tetcast_amr *m, uint32_t level, const int3
         for (z = 0; z < n; z++)
             for (y = 0; y < n; y++)
                 for (x = 0; x < n; x++) {
-                    d[0] = (c[0] << m->ratio_log) + x;
-                    d[1] = (c[1] << m->ratio_log) + y;
-                    d[2] = (c[2] << m->ratio_log) + z;
+                    d[0] = (c[0] << log) + x;
+                    d[1] = (c[1] << log) + y;
+                    d[2] = (c[2] << log) + z;
                     if (!tetcasti_amr_find(m, level + 1, d, &one)) {
                         if (k != (uint32_t)-1) continue; /* a coarser value will do */
                         one = tetcasti_amr_value(m, level + 1, d);
@@ -16311,31 +16319,100 @@ static uint32_t tetcasti_amr_leaf(const tetcast_amr *m, const int32_t finest[3])
     for (k = m->levels; k-- > 1;) {
         int32_t c[3];
         float v;
-        for (a = 0; a < 3; a++) c[a] = finest[a] >> (m->ratio_log * (m->levels - 1 - k));
+        for (a = 0; a < 3; a++) c[a] = finest[a] >> m->shift[k];
         if (tetcasti_amr_find(m, k, c, &v)) return k;
     }
     return 0;
 }
 
-static float tetcasti_amr_octant(const tetcast_amr *m, uint32_t level, const int32_t cell[3], const double p[3]);
+static float tetcasti_amr_octant(const tetcast_amr *m, uint32_t level, const int32_t cell[3], const double p[3],
+                                 int gti);
+
+/* Weights of the corners of a hexahedron at q, and the point there. */
+static void tetcasti_amr_hexahedron(const double x[8][3], const double q[3], double w[8], double at[3]) {
+    uint32_t i, a;
+    at[0] = at[1] = at[2] = 0.0;
+    for (i = 0; i < 8; i++) {
+        w[i] = ((i & 1u) != 0 ? q[0] : 1.0 - q[0]) * ((i >> 1 & 1u) != 0 ? q[1] : 1.0 - q[1]) *
+               (i >> 2 != 0 ? q[2] : 1.0 - q[2]);
+        for (a = 0; a < 3; a++) at[a] += w[i] * x[i][a];
+    }
+}
+
+/* The value at p between the centres of the cells at finest[], of these levels: Gauss-Newton for its place q in their
+   hexahedron. Where corners coincide the place is not the only one, but the weights of cells are as good: they have p
+   as their mean, so linear fields come out as they are. At the border of the domain p may lie outside: the nearest. */
+static float tetcasti_amr_stitch(const tetcast_amr *m, const int32_t p[3], int32_t finest[8][3],
+                                 const uint32_t level[8]) {
+    double x[8][3], q[3] = {0.5, 0.5, 0.5}, w[8], at[3], largest = 0.0, sum = 0.0;
+    uint32_t i, a, b, c, round;
+    for (i = 0; i < 8; i++) {
+        const double unit = (double)tetcasti_amr_unit(m, level[i]);
+        largest = tetcasti_max(largest, unit);
+        for (a = 0; a < 3; a++) {
+            finest[i][a] >>= m->shift[level[i]]; /* the cell */
+            x[i][a] = (2.0 * (double)finest[i][a] + 1.0) * unit - (double)p[a];
+        }
+    }
+    for (round = 0; round < 40; round++) {
+        double j[3][3], n[3][3], e[3], step = 0.0;
+        tetcasti_amr_hexahedron((const double (*)[3])x, q, w, at);
+        for (b = 0; b < 3; b++) { /* along axis b of the hexahedron */
+            double lo[3], hi[3], r[3];
+            memcpy(r, q, sizeof r);
+            r[b] = 0.0;
+            tetcasti_amr_hexahedron((const double (*)[3])x, r, w, lo);
+            r[b] = 1.0;
+            tetcasti_amr_hexahedron((const double (*)[3])x, r, w, hi);
+            for (a = 0; a < 3; a++) j[a][b] = hi[a] - lo[a];
+        }
+        for (a = 0; a < 3; a++) {
+            e[a] = -(j[0][a] * at[0] + j[1][a] * at[1] + j[2][a] * at[2]);
+            for (b = 0; b < 3; b++) n[a][b] = j[0][a] * j[0][b] + j[1][a] * j[1][b] + j[2][a] * j[2][b];
+            n[a][a] += 1e-10 * largest * largest; /* directions in which all corners coincide */
+        }
+        for (a = 0; a < 3; a++) /* elimination; the matrix is positive */
+            for (b = a + 1; b < 3; b++) {
+                const double f = n[b][a] / n[a][a];
+                for (c = a; c < 3; c++) n[b][c] -= f * n[a][c];
+                e[b] -= f * e[a];
+            }
+        for (a = 3; a-- > 0;) {
+            double old = q[a];
+            for (b = a + 1; b < 3; b++) e[a] -= n[a][b] * e[b];
+            e[a] /= n[a][a];
+            q[a] = q[a] + e[a];
+            q[a] = q[a] > 0.0 ? q[a] < 1.0 ? q[a] : 1.0 : 0.0;
+            step += tetcasti_abs(q[a] - old);
+        }
+        if (step < 1e-13) break;
+    }
+    tetcasti_amr_hexahedron((const double (*)[3])x, q, w, at);
+    for (i = 0; i < 8; i++)
+        if (w[i] != 0.0) sum += w[i] * (double)tetcasti_amr_value(m, level[i], finest[i]);
+    return (float)sum;
+}
 
 /* The value at a corner of an eighth. */
-static float tetcasti_amr_corner(const tetcast_amr *m, const int32_t p[3]) {
+static float tetcasti_amr_corner(const tetcast_amr *m, const int32_t p[3], int gti) {
     const uint32_t last = m->levels - 1;
-    uint32_t coarsest = m->levels, i, a, n = 0;
-    int32_t touch[3] = {0, 0, 0}, unit, c[2][3];
+    uint32_t coarsest = m->levels, i, a, n = 0, level[8], finer = 0;
+    int32_t touch[3] = {0, 0, 0}, unit, c[2][3], around[8][3];
     double sum = 0.0;
     for (i = 0; i < 8; i++) {
-        int32_t f[3];
-        uint32_t k;
+        int32_t *f = around[i];
+        uint32_t in = 1;
         for (a = 0; a < 3; a++) { /* the finest cell on that side of p; p itself may lie in the middle of one */
+            const int32_t end = m->level[last].cells[a];
             f[a] = i >> a & 1u ? p[a] >> 1 : ((p[a] + 1) >> 1) - 1;
-            if (f[a] < 0 || f[a] >= m->level[last].cells[a]) break;
+            if (f[a] < 0 || f[a] >= end) in = 0;
+            f[a] = f[a] < 0 ? 0 : f[a] < end ? f[a] : end - 1; /* beyond the border: the one at it */
         }
-        if (a < 3) continue;
-        k = tetcasti_amr_leaf(m, f);
-        if (k < coarsest) {
-            coarsest = k;
+        if (!in && !gti) continue;
+        level[i] = tetcasti_amr_leaf(m, f);
+        finer |= coarsest != m->levels && level[i] != coarsest;
+        if (in && level[i] < coarsest) {
+            coarsest = level[i];
             memcpy(touch, f, sizeof touch);
         }
     }
@@ -16344,14 +16421,15 @@ static float tetcasti_amr_corner(const tetcast_amr *m, const int32_t p[3]) {
         if (p[a] & (unit - 1)) { /* between the corners that a coarser cell has */
             double q[3];
             for (i = 0; i < 3; i++) {
-                touch[i] >>= m->ratio_log * (last - coarsest);
+                touch[i] >>= m->shift[coarsest];
                 q[i] = (double)p[i];
             }
-            return tetcasti_amr_octant(m, coarsest, touch, q);
+            return tetcasti_amr_octant(m, coarsest, touch, q, gti);
         }
         c[0][a] = (p[a] / unit - 1) >> 1;
         c[1][a] = p[a] / unit >> 1;
     }
+    if (gti && finer) return tetcasti_amr_stitch(m, p, around, level);
     for (i = 0; i < 8; i++) {
         int32_t d[3];
         for (a = 0; a < 3; a++) {
@@ -16366,7 +16444,8 @@ static float tetcasti_amr_corner(const tetcast_amr *m, const int32_t p[3]) {
 }
 
 /* The eighth of a cell in which p lies. */
-static float tetcasti_amr_octant(const tetcast_amr *m, uint32_t level, const int32_t cell[3], const double p[3]) {
+static float tetcasti_amr_octant(const tetcast_amr *m, uint32_t level, const int32_t cell[3], const double p[3],
+                                 int gti) {
     const int32_t unit = tetcasti_amr_unit(m, level);
     int32_t lo[3];
     double f[3], v[8];
@@ -16383,7 +16462,7 @@ static float tetcasti_amr_octant(const tetcast_amr *m, uint32_t level, const int
             q[a] = lo[a] + (i >> a & 1u ? unit : 0);
             w *= i >> a & 1u ? f[a] : 1.0 - f[a];
         }
-        v[i] = w != 0.0 ? w * (double)tetcasti_amr_corner(m, q) : 0.0;
+        v[i] = w != 0.0 ? w * (double)tetcasti_amr_corner(m, q, gti) : 0.0;
     }
     return (float)(((v[0] + v[1]) + (v[2] + v[3])) + ((v[4] + v[5]) + (v[6] + v[7])));
 }
@@ -16469,17 +16548,17 @@ static float tetcasti_amr_at(const tetcast_amr *m, tetcast_amr_method method, co
     uint32_t level, a;
     tetcasti_amr_place(m, point, p, c);
     level = tetcasti_amr_leaf(m, c);
-    for (a = 0; a < 3; a++) c[a] >>= m->ratio_log * (m->levels - 1 - level);
+    for (a = 0; a < 3; a++) c[a] >>= m->shift[level];
     if (method == TETCAST_AMR_NEAREST) return tetcasti_amr_value(m, level, c);
     if (method == TETCAST_AMR_CURRENT) return tetcasti_amr_current(m, level, p);
     if (method == TETCAST_AMR_BASIS) return tetcasti_amr_basis(m, p);
-    return tetcasti_amr_octant(m, level, c, p);
+    return tetcasti_amr_octant(m, level, c, p, method == TETCAST_AMR_GTI);
 }
 
 TETCAST_DEF tetcast_result tetcast_amr_sample(const tetcast_amr *amr, tetcast_amr_method method,
                                               const double (*points)[3], size_t count, float *out) {
     size_t i;
-    if (amr == NULL || (uint32_t)method > TETCAST_AMR_NEAREST || (count != 0 && (points == NULL || out == NULL)))
+    if (amr == NULL || (uint32_t)method > TETCAST_AMR_GTI || (count != 0 && (points == NULL || out == NULL)))
         return TETCAST_ERR_INVALID_ARG;
     for (i = 0; i < count; i++)
         out[i] = tetcasti_finite(points[i][0] + points[i][1] + points[i][2]) ? tetcasti_amr_at(amr, method, points[i])
@@ -16532,11 +16611,11 @@ static int tetcasti_amr_bin(tetcast_amr *m, uint32_t level) {
 
 /* Is the domain full? Every finest block of level 0 has a value at last. */
 static int tetcasti_amr_full(const tetcast_amr *m, uint32_t level, const int32_t c[3]) {
-    const int32_t n = (int32_t)1 << m->ratio_log;
-    int32_t d[3], x, y, z;
+    int32_t d[3], x, y, z, n;
     float v;
     if (tetcasti_amr_find(m, level, c, &v)) return 1;
     if (level + 1 >= m->levels) return 0;
+    n = (int32_t)1 << (m->shift[level] - m->shift[level + 1]);
     for (z = 0; z < n; z++)
         for (y = 0; y < n; y++)
             for (x = 0; x < n; x++) {
@@ -16552,7 +16631,6 @@ static int tetcasti_amr_full(const tetcast_amr *m, uint32_t level, const int32_t
 static tetcast_result tetcasti_amr_open(tetcast_amr *m, const tetcast_amr_desc *d, size_t *where) {
     size_t i, total = 0, at = 0, n;
     uint32_t a, k;
-    m->ratio_log = d->ratio_log != 0 ? d->ratio_log : 1;
     m->levels = 1;
     m->patch_count = (uint32_t)d->patch_count;
     for (i = 0; i < d->patch_count; i++) {
@@ -16565,11 +16643,15 @@ static tetcast_result tetcasti_amr_open(tetcast_amr *m, const tetcast_amr_desc *
             n > TETCASTI_AMR_CELLS - total) return TETCAST_ERR_RANGE;
         total += n;
     }
-    if (m->ratio_log > 4 || m->ratio_log * (m->levels - 1) > 20) return TETCAST_ERR_RANGE;
+    for (k = m->levels - 1; k-- > 0;) {
+        const uint32_t log = d->ratio_logs[k] != 0 ? d->ratio_logs[k] : d->ratio_log != 0 ? d->ratio_log : 1;
+        if (log > 4 || m->shift[k + 1] + log > 20) return TETCAST_ERR_RANGE;
+        m->shift[k] = m->shift[k + 1] + log;
+    }
     for (k = 0; k < m->levels; k++) {
         size_t blocks = 1;
         for (a = 0; a < 3; a++) {
-            const uint64_t cells = (uint64_t)d->cells[a] << (m->ratio_log * k);
+            const uint64_t cells = (uint64_t)d->cells[a] << (m->shift[0] - m->shift[k]);
             if (cells == 0) return TETCAST_ERR_INVALID_ARG;
             if (cells > TETCASTI_LATTICE_END - 1) return TETCAST_ERR_RANGE;
             m->level[k].cells[a] = (int32_t)cells;
@@ -16638,7 +16720,7 @@ TETCAST_DEF tetcast_result tetcast_amr_create(const tetcast_amr_desc *desc, tetc
     for (a = 0; a < 3; a++) {
         m->origin[a] = desc->origin[a];
         m->spacing[a] = (desc->spacing[a] > 0.0 ? desc->spacing[a] : 1.0) /
-                        (double)((uint64_t)1 << (m->ratio_log * (m->levels - 1)));
+                        (double)((uint64_t)1 << m->shift[0]);
     }
     *out = m;
     return TETCAST_OK;
@@ -16676,7 +16758,7 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_amr(const tetcast_bricks_desc *
     size_t n;
     uint32_t a;
     if (r != TETCAST_OK) return r;
-    if (amr == NULL || (uint32_t)method > TETCAST_AMR_NEAREST)
+    if (amr == NULL || (uint32_t)method > TETCAST_AMR_GTI)
         return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, 0, "bricks: no cells, or no such method");
     r = tetcasti_env_open(&d.env, &mem);
     if (r != TETCAST_OK) return r;
@@ -16921,7 +17003,8 @@ static uint32_t tetcasti_solid_hits(tetcasti_mem *mem, const tetcasti_solid *s, 
                 out->failed = 1;
                 return 0;
             }
-            out->hit[n++] = (u + v) + w > 0.0 ? ((u * z[0] + v * z[1]) + w * z[2]) / ((u + v) + w) * r->inv : z[0] * r->inv;
+            out->hit[n++] = (u + v) + w > 0.0 ? ((u * z[0] + v * z[1]) + w * z[2]) / ((u + v) + w) * r->inv
+                                              : z[0] * r->inv;
         }
     }
     return n;

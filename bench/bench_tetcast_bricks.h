@@ -320,7 +320,7 @@ static void bm42(void) {
 /* ---- cells of locally refined grids ---- */
 
 static void bm44(void) {
-    static const char *const names[4] = {"octant", "basis", "current", "nearest"};
+    static const char *const names[5] = {"octant", "basis", "current", "nearest", "gti"};
     enum { POINTS = 20000, PAIRS = 20000 };
     tetcast_amr_desc d;
     tetcast_amr *amr = NULL;
@@ -338,7 +338,7 @@ static void bm44(void) {
         d.spacing[a] = 1.0 / 16.0;
     }
     must(tetcast_amr_create(&d, &amr), "amr");
-    for (method = 0; method < 4; method++) {
+    for (method = 0; method < 5; method++) {
         double start, s = 1e30, jump = 0, off = 0;
         int k;
         test_rng r = test_rng_make(4);

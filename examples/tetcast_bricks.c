@@ -299,7 +299,7 @@ static size_t input_options(options *o, sup_option *table) {
     table[n++] = sup_opt_given(sup_opt_vec3("dims", o->dims, "x,y,z: IN is so many numbers of 1 or 2 bytes"), &o->has_dims);
     table[n++] = sup_opt_vec3("spacing", o->spacing, "x,y,z between them (1)");
     table[n++] = sup_opt_choice("storage", &o->storage, "f16|f32|u16|u8", "how values are stored (f16)");
-    table[n++] = sup_opt_choice("between", &o->between, "octant|basis|current|nearest",
+    table[n++] = sup_opt_choice("between", &o->between, "octant|basis|current|nearest|gti",
                                 "AMReX plotfiles, --scene blast: grids refined locally: what lies between the centres of cells (octant)");
     table[n++] = sup_opt_int("brick", &o->cells, 8, 32, "N", "cells along a brick: 8, 16, 32 (16)");
     return n;

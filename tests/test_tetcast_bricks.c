@@ -1878,11 +1878,11 @@ static void amr_random(amr_case *c, uint64_t seed, int kind, uint32_t ratio_log)
 }
 
 TEST(refined_grids) {
-    static const double limit[4] = {2e-5, 2e-5, 0, 0}, control[4] = {0, 0, 0.1, 0.1};
+    static const double limit[5] = {2e-5, 2e-5, 0, 0, 2e-5}, control[5] = {0, 0, 0.1, 0.1, 0};
     static amr_case c;
     test_rng r = test_rng_make(8);
     uint32_t seed, method, i, a, ratio;
-    double jump[4] = {0, 0, 0, 0};
+    double jump[5] = {0, 0, 0, 0, 0}, differ = 0;
     for (seed = 0; seed < (test_quick() ? 3u : 12u); seed++) {
         tetcast_amr *m = NULL;
         ratio = 1 + seed % 2;
@@ -1892,16 +1892,18 @@ TEST(refined_grids) {
             const double finest = 1.0 / (double)(1u << (ratio * (ratio == 1 ? 3 : 2)));
             const uint32_t axis = test_rng_below(&r, 3);
             double p[2][3];
-            float v[2];
+            float v[2], octant = 0.0f;
             for (a = 0; a < 3; a++) p[0][a] = 4.0 * test_rng_double(&r);
             if (i % 3 == 0) p[0][(axis + 1) % 3] = (double)test_rng_below(&r, 8) * 0.5; /* on edges */
             p[0][axis] = (double)test_rng_below(&r, (uint32_t)(8.0 / finest)) * 0.5 * finest;
             memcpy(p[1], p[0], sizeof p[0]);
             p[0][axis] -= 1e-7;
             p[1][axis] += 1e-7;
-            for (method = 0; method < 4; method++) {
+            for (method = 0; method < 5; method++) {
                 REQUIRE(tetcast_amr_sample(m, (tetcast_amr_method)method, (const double (*)[3])p, 2, v) == TETCAST_OK);
                 jump[method] = fmax(jump[method], fabs((double)v[0] - (double)v[1]));
+                if (method == TETCAST_AMR_OCTANT) octant = v[0];
+                if (method == TETCAST_AMR_GTI) differ = fmax(differ, fabs((double)v[0] - (double)octant));
             }
         }
         for (i = 0; i < 40; i++) { /* centres of cells that no finer patch covers */
@@ -1923,7 +1925,7 @@ TEST(refined_grids) {
                 if (at[0] < q->dims[0] && at[1] < q->dims[1] && at[2] < q->dims[2])
                     want = (double)q->values[at[0] + q->dims[0] * (at[1] + q->dims[1] * at[2])];
             }
-            for (method = 0; method < 4; method++) {
+            for (method = 0; method < 5; method++) {
                 if (method == TETCAST_AMR_BASIS) continue;
                 REQUIRE(tetcast_amr_sample(m, (tetcast_amr_method)method, (const double (*)[3])x, 1, &v) == TETCAST_OK);
                 CHECK_NEAR((double)v, want, 1e-6);
@@ -1938,13 +1940,80 @@ TEST(refined_grids) {
             for (a = 0; a < 3; a++) p[0][a] = 0.5 + 3.0 * test_rng_double(&r);
             REQUIRE(tetcast_amr_sample(m, TETCAST_AMR_OCTANT, (const double (*)[3])p, 1, &v) == TETCAST_OK);
             CHECK_NEAR((double)v, linear_at(p[0]), 2e-6);
+            REQUIRE(tetcast_amr_sample(m, TETCAST_AMR_GTI, (const double (*)[3])p, 1, &v) == TETCAST_OK);
+            CHECK_NEAR((double)v, linear_at(p[0]), 2e-6);
         }
         tetcast_amr_destroy(m);
     }
-    for (method = 0; method < 4; method++) {
+    CHECK_MSG(differ > 0.05, "%g", differ);
+    for (method = 0; method < 5; method++) {
         if (limit[method] > 0) CHECK_MSG(jump[method] < limit[method], "method %u jumps by %g", method, jump[method]);
         if (control[method] > 0) CHECK_MSG(jump[method] > control[method], "method %u: %g", method, jump[method]);
     }
+}
+
+/* A ratio of its own for each level: 2, then 4, then 2; a linear field. Where a side of a coarse cell meets a finer one the
+   value at its middle is known: a third of the coarse cell, two thirds of the four fine ones. */
+TEST(refinement_ratios) {
+    enum { MOST = 16 * 16 * 16 };
+    static float value[4][MOST];
+    tetcast_patch patch[4];
+    tetcast_amr_desc d;
+    tetcast_amr *m = NULL;
+    double p[2][3] = {{2.0, 2.5, 2.5}, {2.0, 2.5, 2.5}};
+    static const uint32_t dims[4] = {4, 4, 8, 4}, scale[4] = {1, 2, 8, 16};
+    static const int32_t lo[4] = {0, 4, 16, 40};
+    test_rng r = test_rng_make(5);
+    uint32_t i, k, a;
+    float v[2];
+    memset(patch, 0, sizeof patch);
+    memset(&d, 0, sizeof d);
+    for (k = 0; k < 4; k++) {
+        patch[k].level = k;
+        patch[k].values = value[k];
+        for (a = 0; a < 3; a++) {
+            patch[k].lo[a] = lo[k];
+            patch[k].dims[a] = dims[k];
+            d.cells[a] = 4;
+        }
+        for (i = 0; i < dims[k] * dims[k] * dims[k]; i++) {
+            double x[3];
+            x[0] = (lo[k] + i % dims[k] + 0.5) / scale[k];
+            x[1] = (lo[k] + i / dims[k] % dims[k] + 0.5) / scale[k];
+            x[2] = (lo[k] + i / dims[k] / dims[k] + 0.5) / scale[k];
+            value[k][i] = (float)linear_at(x);
+        }
+    }
+    d.patches = patch;
+    d.patch_count = 4;
+    d.ratio_logs[0] = 1;
+    d.ratio_logs[1] = 2; /* the last one by ratio_log */
+    REQUIRE(tetcast_amr_create(&d, &m) == TETCAST_OK);
+    for (i = 0; i < 1000; i++) {
+        uint32_t want = 0;
+        for (a = 0; a < 3; a++) p[1][a] = 0.5 + 3.0 * test_rng_double(&r);
+        for (k = 1; k < 4; k++)
+            if (p[1][0] * scale[k] >= lo[k] && p[1][0] * scale[k] < lo[k] + (int)dims[k] && p[1][1] * scale[k] >= lo[k] &&
+                p[1][1] * scale[k] < lo[k] + (int)dims[k] && p[1][2] * scale[k] >= lo[k] && p[1][2] * scale[k] < lo[k] + (int)dims[k])
+                want = k;
+        CHECK_EQ_U64(tetcast_amr_level(m, p[1]), want);
+        for (k = 0; k < 5; k += 4) {
+            CHECK_EQ_U64(tetcast_amr_sample(m, (tetcast_amr_method)k, (const double (*)[3])(p + 1), 1, v), TETCAST_OK);
+            CHECK_NEAR((double)v[0], linear_at(p[1]), 1e-5);
+        }
+    }
+    tetcast_amr_destroy(m);
+    patch[0].dims[2] = 4; /* two levels: the middle of a side */
+    d.patch_count = 2;
+    for (i = 0; i < 64; i++) value[0][i] = value[1][i] = 0.0f;
+    value[0][1 + 4 * (2 + 4 * 2)] = 3.0f;                    /* cell (1, 2, 2): its side at x = 2 */
+    for (i = 0; i < 4; i++) value[1][0 + 4 * (i % 2 + 4 * (i / 2))] = 6.0f;
+    REQUIRE(tetcast_amr_create(&d, &m) == TETCAST_OK);
+    CHECK_EQ_U64(tetcast_amr_sample(m, TETCAST_AMR_GTI, (const double (*)[3])p, 1, v), TETCAST_OK);
+    CHECK_NEAR((double)v[0], 5.0, 1e-6);
+    tetcast_amr_destroy(m);
+    d.ratio_logs[0] = 5;
+    CHECK_EQ_U64(tetcast_amr_create(&d, &m), TETCAST_ERR_RANGE);
 }
 
 TEST(refined_grids_as_bricks) {
@@ -2075,7 +2144,7 @@ TEST(plotfiles) {
     CHECK(sup_amr_is(folder) && !sup_amr_is("/tmp/nothing/here"));
     for (k = 0; k < 2; k++) {
         CHECK_MSG(sup_amr_read(folder, k ? "second" : NULL, &amr, &err) == 0, "%s", err.text);
-        CHECK(amr.count == 3 && amr.levels == 2 && amr.ratio_log == 1 && amr.cells[2] == 8 && amr.spacing[1] == 0.125);
+        CHECK(amr.count == 3 && amr.levels == 2 && amr.ratio_log[0] == 1 && amr.cells[2] == 8 && amr.spacing[1] == 0.125);
         CHECK(strcmp(amr.field, k ? "second" : "first one") == 0);
         sup_amr_desc(&amr, &d);
         REQUIRE(tetcast_amr_create(&d, &m) == TETCAST_OK);
@@ -2308,6 +2377,7 @@ int main(int argc, char **argv) {
     RUN(shaders_same_bits);
     RUN(shaded_tetrahedra);
     RUN(refined_grids);
+    RUN(refinement_ratios);
     RUN(refined_grids_as_bricks);
 #if !defined(_WIN32)
     RUN(plotfiles);

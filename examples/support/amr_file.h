@@ -6,7 +6,7 @@
        sup_amr_free(&amr);
 
    A plotfile is a folder: `Header` (text: fields, domain, levels), and per level a text file with the boxes and where
-   the values of each lie in binary files beside it. Three dimensions, Cartesian, the same ratio of refinement (2, 4, 8
+   the values of each lie in binary files beside it. Three dimensions, Cartesian, ratios of refinement (2, 4, 8
    or 16) on all levels, 4- or 8-byte floats in either order of bytes. Include it after tetcast.h. */
 #ifndef SUP_AMR_FILE_H
 #define SUP_AMR_FILE_H
@@ -23,7 +23,7 @@ typedef struct sup_amr {
     tetcast_patch *patches;
     size_t count;
     float *values;              /* of all patches, one after the other */
-    uint32_t cells[3], ratio_log, levels;
+    uint32_t cells[3], ratio_log[TETCAST_AMR_LEVELS], levels;
     double origin[3], spacing[3];
     char field[64];
 } sup_amr;
@@ -166,7 +166,7 @@ typedef struct supi_amr_level { int64_t lo[3], hi[3]; char file[256]; } supi_amr
 SUP_FN int supi_amr_header(const char *folder, const char *field, supi_scan *s, sup_amr *amr, supi_amr_level level[TETCAST_AMR_LEVELS],
                            int64_t *component, sup_error *err) {
     char text[256];
-    int64_t fields, ratio = 0, grids;
+    int64_t fields, grids;
     double lo[3], hi[3];
     supi_scan_text(s, 0, text, sizeof text);
     fields = supi_scan_int(s, 1, 100000);
@@ -184,12 +184,11 @@ SUP_FN int supi_amr_header(const char *folder, const char *field, supi_scan *s, 
     amr->levels = (uint32_t)supi_scan_int(s, 0, TETCAST_AMR_LEVELS - 1) + 1;
     for (int a = 0; a < 3; a++) lo[a] = supi_scan_number(s);
     for (int a = 0; a < 3; a++) hi[a] = supi_scan_number(s);
-    amr->ratio_log = 1;
+    memset(amr->ratio_log, 0, sizeof amr->ratio_log);
     for (uint32_t k = 1; k < amr->levels && !s->failed; k++) {
         const int64_t r = supi_scan_int(s, 2, 16);
-        if ((k > 1 && r != ratio) || (r & (r - 1)) != 0) return sup_fail(err, "%s: ratios of refinement differ, or are no powers of two", folder);
-        ratio = r;
-        for (amr->ratio_log = 1; (int64_t)1 << amr->ratio_log < r;) amr->ratio_log++;
+        if ((r & (r - 1)) != 0) return sup_fail(err, "%s: a ratio of refinement is no power of two", folder);
+        for (amr->ratio_log[k - 1] = 1; (int64_t)1 << amr->ratio_log[k - 1] < r;) amr->ratio_log[k - 1]++;
     }
     for (uint32_t k = 0; k < amr->levels; k++) supi_scan_box(s, level[k].lo, level[k].hi);
     for (uint32_t k = 0; k < amr->levels; k++) (void)supi_scan_int(s, 0, INT32_MAX);       /* steps */
@@ -328,7 +327,7 @@ SUP_FN void sup_amr_desc(const sup_amr *amr, tetcast_amr_desc *desc) {
     memset(desc, 0, sizeof *desc);
     desc->patches = amr->patches;
     desc->patch_count = amr->count;
-    desc->ratio_log = amr->ratio_log;
+    memcpy(desc->ratio_logs, amr->ratio_log, sizeof desc->ratio_logs);
     for (int a = 0; a < 3; a++) {
         desc->cells[a] = amr->cells[a];
         desc->origin[a] = amr->origin[a];
