@@ -18065,14 +18065,12 @@ VOXRTI_TARGET_AVX2 static VOXRTI_NOINLINE void voxrti_column_any_avx2(const voxr
    at once, as many as there is room for instructions: twice the lanes are no more instructions. */
 
 #if defined(__GNUC__)
-#  if !defined(__clang__) /* g++ finds a variable in the intrinsics that is set to itself */
-#    pragma GCC diagnostic push
-#    pragma GCC diagnostic ignored "-Wuninitialized"
-#    pragma GCC diagnostic ignored "-Wmaybe-uninitialized"
-#  endif
 /* nothing is contracted here, either: same bits */
 #  define VOXRTI_TARGET_AVX512 \
        __attribute__((target("avx2,avx512f,avx512vl,avx512bw,avx512dq,bmi,bmi2,lzcnt,popcnt")))
+
+/* Intrinsics by their form with a mask, which is full: the others begin with a variable that g++ says nobody set. */
+#  define VOXRTI_Z(name, ...) _mm512_maskz_##name((uint16_t)0xffff, __VA_ARGS__)
 
 /* As voxrti_column_lanes; masks have a bit for each lane. none: no step yet. */
 typedef struct voxrti_column_lanes16 {
@@ -18119,62 +18117,66 @@ VOXRTI_TARGET_AVX512 static void voxrti_column_const16_open(const voxrti_column_
 
 VOXRTI_TARGET_AVX512 VOXRTI_INLINE void voxrti_column_planes16(const voxrti_column_const16 *k, const __m512 *f,
                                                                __m512i x, __m512i y, __m512i *lo, __m512i *hi) {
-    const __m512 dx = _mm512_add_ps(_mm512_cvtepi32_ps(x), f[VOXRTI_CP_C]);
-    const __m512 dy = _mm512_add_ps(_mm512_cvtepi32_ps(y), f[VOXRTI_CP_C + 1]);
+    const __m512 dx = _mm512_add_ps(VOXRTI_Z(cvtepi32_ps, x), f[VOXRTI_CP_C]);
+    const __m512 dy = _mm512_add_ps(VOXRTI_Z(cvtepi32_ps, y), f[VOXRTI_CP_C + 1]);
     const __m512 mid = _mm512_sub_ps(f[VOXRTI_CP_BASE], _mm512_add_ps(_mm512_mul_ps(f[VOXRTI_CP_SLOPE], dx),
                                                                       _mm512_mul_ps(f[VOXRTI_CP_SLOPE + 1], dy)));
     const __mmask16 in = _mm512_cmp_ps_mask(_mm512_abs_ps(dx), k->reach[0], _CMP_LE_OQ) &
         _mm512_cmp_ps_mask(_mm512_abs_ps(dy), k->reach[1], _CMP_LE_OQ);
-    __m512 low = _mm512_max_ps(_mm512_sub_ps(mid, f[VOXRTI_CP_HALF]), f[VOXRTI_CP_LO]);
-    __m512 high = _mm512_min_ps(_mm512_add_ps(mid, f[VOXRTI_CP_HALF]), f[VOXRTI_CP_HI]);
-    low = _mm512_min_ps(low, _mm512_set1_ps(512.0f));
-    high = _mm512_max_ps(high, _mm512_set1_ps(-1.0f));
-    *lo = _mm512_cvtps_epi32(_mm512_ceil_ps(low));
-    *hi = _mm512_mask_mov_epi32(_mm512_set1_epi32(-1), in, _mm512_cvtps_epi32(_mm512_floor_ps(high)));
+    __m512 low = VOXRTI_Z(max_ps, _mm512_sub_ps(mid, f[VOXRTI_CP_HALF]), f[VOXRTI_CP_LO]);
+    __m512 high = VOXRTI_Z(min_ps, _mm512_add_ps(mid, f[VOXRTI_CP_HALF]), f[VOXRTI_CP_HI]);
+    low = VOXRTI_Z(min_ps, low, _mm512_set1_ps(512.0f));
+    high = VOXRTI_Z(max_ps, high, _mm512_set1_ps(-1.0f));
+    *lo = VOXRTI_Z(cvtps_epi32, _mm512_ceil_ps(low));
+    *hi = _mm512_mask_mov_epi32(_mm512_set1_epi32(-1), in, VOXRTI_Z(cvtps_epi32, _mm512_floor_ps(high)));
 }
 
 VOXRTI_TARGET_AVX512 VOXRTI_INLINE void voxrti_column_aim16(const voxrti_column_const16 *k, voxrti_column_lanes16 *g) {
-    const __m512i cx = _mm512_srav_epi32(g->x, g->level), cy = _mm512_srav_epi32(g->y, g->level);
-    const __m512i rows = _mm512_permutexvar_epi32(g->level, k->row);
-    const __m512i column = _mm512_add_epi32(_mm512_permutexvar_epi32(g->level, k->start),
-            _mm512_sll_epi32(_mm512_add_epi32(_mm512_sllv_epi32(cy, rows), cx), k->word_log));
+    const __m512i cx = VOXRTI_Z(srav_epi32, g->x, g->level), cy = VOXRTI_Z(srav_epi32, g->y, g->level);
+    const __m512i rows = VOXRTI_Z(permutexvar_epi32, g->level, k->row);
+    const __m512i column = _mm512_add_epi32(VOXRTI_Z(permutexvar_epi32, g->level, k->start),
+            VOXRTI_Z(sll_epi32, _mm512_add_epi32(VOXRTI_Z(sllv_epi32, cy, rows), cx), k->word_log));
     uint32_t i;
     _mm512_storeu_si512((void *)g->column, _mm512_maskz_mov_epi32((__mmask16)g->alive, column));
     for (i = 0; i < 16 && k->large; i++) VOXRTI_PREFETCH(k->bits + g->column[i]);
+}
+
+/* Four words of each column, from `first` on: not 0 where any of the cells lo - 1 .. hi - 1 is set. */
+VOXRTI_TARGET_AVX512 VOXRTI_INLINE __m512i voxrti_column_words16(const int *p, const int32_t column[16], __m512i lo,
+                                                                 __m512i hi, uint32_t first) {
+#define VOXRTI_ONE(u) _mm_loadu_si128((const __m128i *)(const void *)(p + column[u]))
+#define VOXRTI_FOUR(u) VOXRTI_Z(inserti32x4, VOXRTI_Z(inserti32x4, VOXRTI_Z(inserti32x4,  \
+        _mm512_castsi128_si512(VOXRTI_ONE(u)), VOXRTI_ONE(u + 4), 1), VOXRTI_ONE(u + 8), 2), VOXRTI_ONE(u + 12), 3)
+    const __m512i r0 = VOXRTI_FOUR(0), r1 = VOXRTI_FOUR(1), r2 = VOXRTI_FOUR(2), r3 = VOXRTI_FOUR(3);
+#undef VOXRTI_FOUR
+#undef VOXRTI_ONE
+    const __m512i a = VOXRTI_Z(unpacklo_epi32, r0, r1), b = VOXRTI_Z(unpackhi_epi32, r0, r1);
+    const __m512i c = VOXRTI_Z(unpacklo_epi32, r2, r3), d = VOXRTI_Z(unpackhi_epi32, r2, r3);
+    __m512i any = _mm512_setzero_si512(), word[4];
+    uint32_t i;
+    word[0] = _mm512_maskz_unpacklo_epi64(255, a, c);
+    word[1] = _mm512_maskz_unpackhi_epi64(255, a, c);
+    word[2] = _mm512_maskz_unpacklo_epi64(255, b, d);
+    word[3] = _mm512_maskz_unpackhi_epi64(255, b, d);
+    for (i = 0; i < 4; i++) {
+        const int base = (int)(32 * (first + i));
+        const __m512i below = _mm512_subs_epu16(lo, _mm512_set1_epi32(base + 1));
+        const __m512i above = _mm512_subs_epu16(_mm512_set1_epi32(base + 32), hi);
+        any = _mm512_or_si512(any, VOXRTI_Z(sllv_epi32, VOXRTI_Z(srlv_epi32, word[i], below),
+                                                     _mm512_add_epi32(below, above)));
+    }
+    return any;
 }
 
 /* Lanes in which any of the cells lo .. hi is set. */
 VOXRTI_TARGET_AVX512 VOXRTI_INLINE uint32_t voxrti_column_any16(const voxrti_column_const16 *k,
                                                                 const int32_t column[16], __m512i lo, __m512i hi) {
     const __m512i one = _mm512_set1_epi32(1);
-    __m512i any = _mm512_setzero_si512(), word[4], a, b, c, d;
-    uint32_t i, first;
+    __m512i any;
     lo = _mm512_add_epi32(lo, one);
     hi = _mm512_add_epi32(hi, one);
-    for (first = 0; first < k->words; first += 4) {
-        const int *p = k->bits + first;
-#define VOXRTI_ONE(u) _mm_loadu_si128((const __m128i *)(const void *)(p + column[u]))
-#define VOXRTI_FOUR(u) _mm512_inserti32x4(_mm512_inserti32x4(_mm512_inserti32x4( \
-        _mm512_castsi128_si512(VOXRTI_ONE(u)), VOXRTI_ONE(u + 4), 1), VOXRTI_ONE(u + 8), 2), VOXRTI_ONE(u + 12), 3)
-        const __m512i r0 = VOXRTI_FOUR(0), r1 = VOXRTI_FOUR(1), r2 = VOXRTI_FOUR(2), r3 = VOXRTI_FOUR(3);
-#undef VOXRTI_FOUR
-#undef VOXRTI_ONE
-        a = _mm512_unpacklo_epi32(r0, r1);
-        b = _mm512_unpackhi_epi32(r0, r1);
-        c = _mm512_unpacklo_epi32(r2, r3);
-        d = _mm512_unpackhi_epi32(r2, r3);
-        word[0] = _mm512_unpacklo_epi64(a, c);
-        word[1] = _mm512_unpackhi_epi64(a, c);
-        word[2] = _mm512_unpacklo_epi64(b, d);
-        word[3] = _mm512_unpackhi_epi64(b, d);
-        for (i = 0; i < 4; i++) {
-            const int base = (int)(32 * (first + i));
-            const __m512i below = _mm512_subs_epu16(lo, _mm512_set1_epi32(base + 1));
-            const __m512i above = _mm512_subs_epu16(_mm512_set1_epi32(base + 32), hi);
-            any = _mm512_or_si512(any, _mm512_sllv_epi32(_mm512_srlv_epi32(word[i], below),
-                                                         _mm512_add_epi32(below, above)));
-        }
-    }
+    any = voxrti_column_words16(k->bits, column, lo, hi, 0); /* no loop: it would keep the addresses on the stack */
+    if (k->words > 4) any = _mm512_or_si512(any, voxrti_column_words16(k->bits + 4, column, lo, hi, 4));
     return (uint32_t)_mm512_test_epi32_mask(any, any);
 }
 
@@ -18195,8 +18197,8 @@ VOXRTI_TARGET_AVX512 VOXRTI_INLINE void voxrti_column_cut16(const voxrti_column_
         above = _mm512_cmpgt_epi32_mask(from, *lo);
         below = _mm512_cmpgt_epi32_mask(*hi, to);
         apart |= (uint32_t)above & (uint32_t)below & ~(uint32_t)_mm512_cmpgt_epi32_mask(from, to);
-        *lo = _mm512_mask_mov_epi32(_mm512_max_epi32(*lo, _mm512_add_epi32(to, one)), above, *lo);
-        *hi = _mm512_mask_mov_epi32(_mm512_min_epi32(*hi, _mm512_sub_epi32(from, one)), below, *hi);
+        *lo = _mm512_mask_mov_epi32(VOXRTI_Z(max_epi32, *lo, _mm512_add_epi32(to, one)), above, *lo);
+        *hi = _mm512_mask_mov_epi32(VOXRTI_Z(min_epi32, *hi, _mm512_sub_epi32(from, one)), below, *hi);
     }
     if ((apart & g->alive) != 0) {
         int32_t part[4][16], gone8[4][8], ka[16], first[16], last[16];
@@ -18225,17 +18227,17 @@ VOXRTI_TARGET_AVX512 VOXRTI_INLINE uint32_t voxrti_column_step16(const voxrti_co
     const __m512i one = _mm512_set1_epi32(1), zero = _mm512_setzero_si512();
     const __m512i x = g->x, y = g->y, level = g->level, ka = g->k;
     const __m512 ox = g->f[VOXRTI_CF_O], oy = g->f[VOXRTI_CF_O + 1], t = g->t, dz = g->f[VOXRTI_CF_D + 2];
-    const __m512i cx = _mm512_srav_epi32(x, level), cy = _mm512_srav_epi32(y, level);
-    const __m512i ex = _mm512_sllv_epi32(_mm512_add_epi32(cx, g->on[0]), level);
-    const __m512i ey = _mm512_sllv_epi32(_mm512_add_epi32(cy, g->on[1]), level);
-    const __m512 tx = _mm512_mul_ps(_mm512_sub_ps(_mm512_cvtepi32_ps(ex), ox), g->f[VOXRTI_CF_INV]);
-    const __m512 ty = _mm512_mul_ps(_mm512_sub_ps(_mm512_cvtepi32_ps(ey), oy), g->f[VOXRTI_CF_INV + 1]);
-    const __m512 te = _mm512_max_ps(_mm512_min_ps(_mm512_min_ps(tx, ty), g->f[VOXRTI_CF_T_MAX]), t);
-    const __m512i kb = _mm512_min_epi32(_mm512_max_epi32(_mm512_cvttps_epi32(_mm512_add_ps(g->f[VOXRTI_CF_O + 2],
-            _mm512_mul_ps(te, dz))), zero), k->last_k);
+    const __m512i cx = VOXRTI_Z(srav_epi32, x, level), cy = VOXRTI_Z(srav_epi32, y, level);
+    const __m512i ex = VOXRTI_Z(sllv_epi32, _mm512_add_epi32(cx, g->on[0]), level);
+    const __m512i ey = VOXRTI_Z(sllv_epi32, _mm512_add_epi32(cy, g->on[1]), level);
+    const __m512 tx = _mm512_mul_ps(_mm512_sub_ps(VOXRTI_Z(cvtepi32_ps, ex), ox), g->f[VOXRTI_CF_INV]);
+    const __m512 ty = _mm512_mul_ps(_mm512_sub_ps(VOXRTI_Z(cvtepi32_ps, ey), oy), g->f[VOXRTI_CF_INV + 1]);
+    const __m512 te = VOXRTI_Z(max_ps, VOXRTI_Z(min_ps, VOXRTI_Z(min_ps, tx, ty), g->f[VOXRTI_CF_T_MAX]), t);
+    const __m512i kc = VOXRTI_Z(cvttps_epi32, _mm512_add_ps(g->f[VOXRTI_CF_O + 2], _mm512_mul_ps(te, dz)));
+    const __m512i kb = VOXRTI_Z(min_epi32, VOXRTI_Z(max_epi32, kc, zero), k->last_k);
     const __mmask16 ground = _mm512_cmpeq_epi32_mask(level, zero), by_x = _mm512_cmp_ps_mask(tx, ty, _CMP_LT_OQ);
     const uint32_t alive = g->alive;
-    __m512i lo = _mm512_min_epi32(ka, kb), hi = _mm512_max_epi32(ka, kb);
+    __m512i lo = VOXRTI_Z(min_epi32, ka, kb), hi = VOXRTI_Z(max_epi32, ka, kb);
     uint32_t found, step, hit, end;
     if (k->planes != 0 && ((uint32_t)ground & alive) != 0) voxrti_column_cut16(k, g, ground, &lo, &hi);
     found = voxrti_column_any16(k, g->column, lo, hi);
@@ -18247,18 +18249,18 @@ VOXRTI_TARGET_AVX512 VOXRTI_INLINE uint32_t voxrti_column_step16(const voxrti_co
 #define VOXRTI_OTHER_I(of_x, of_y) _mm512_mask_blend_epi32(by_x, of_x, of_y)
         const __m512i from = VOXRTI_OTHER_I(x, y), on = VOXRTI_OTHER_I(g->on[0], g->on[1]);
         const __m512i back = VOXRTI_OTHER_I(g->back[0], g->back[1]);
-        const __m512i wide = _mm512_sub_epi32(_mm512_sllv_epi32(one, level), one);
-        const __m512i most = _mm512_add_epi32(_mm512_sllv_epi32(VOXRTI_OTHER_I(cx, cy), level),
-                                              _mm512_andnot_si512(back, wide));
+        const __m512i wide = _mm512_sub_epi32(VOXRTI_Z(sllv_epi32, one, level), one);
+        const __m512i most = _mm512_add_epi32(VOXRTI_Z(sllv_epi32, VOXRTI_OTHER_I(cx, cy), level),
+                                              VOXRTI_Z(andnot_epi32, back, wide));
         const __m512i te_tie = _mm512_mask_add_epi32(_mm512_castps_si512(te), by_x, _mm512_castps_si512(te), one);
-        __m512i at = _mm512_cvttps_epi32(_mm512_add_ps(VOXRTI_OTHER(g->behind[0], g->behind[1]),
+        __m512i at = VOXRTI_Z(cvttps_epi32, _mm512_add_ps(VOXRTI_OTHER(g->behind[0], g->behind[1]),
                 _mm512_mul_ps(te, VOXRTI_OTHER(g->f[VOXRTI_CF_D], g->f[VOXRTI_CF_D + 1]))));
         __m512i next_x = _mm512_add_epi32(ex, g->back[0]), next_y = _mm512_add_epi32(ey, g->back[1]), out, crossed;
         __m512 ahead;
         __mmask16 over;
-        at = _mm512_max_epi32(at, _mm512_min_epi32(from, most));
-        at = _mm512_min_epi32(at, _mm512_max_epi32(from, most));
-        ahead = _mm512_mul_ps(_mm512_sub_ps(_mm512_cvtepi32_ps(_mm512_add_epi32(at, on)), VOXRTI_OTHER(ox, oy)),
+        at = VOXRTI_Z(max_epi32, at, VOXRTI_Z(min_epi32, from, most));
+        at = VOXRTI_Z(min_epi32, at, VOXRTI_Z(max_epi32, from, most));
+        ahead = _mm512_mul_ps(_mm512_sub_ps(VOXRTI_Z(cvtepi32_ps, _mm512_add_epi32(at, on)), VOXRTI_OTHER(ox, oy)),
                               VOXRTI_OTHER(g->f[VOXRTI_CF_INV], g->f[VOXRTI_CF_INV + 1]));
 #undef VOXRTI_OTHER
 #undef VOXRTI_OTHER_I
@@ -18267,11 +18269,11 @@ VOXRTI_TARGET_AVX512 VOXRTI_INLINE uint32_t voxrti_column_step16(const voxrti_co
         at = _mm512_mask_add_epi32(at, over, at, _mm512_add_epi32(on, back));
         next_x = _mm512_mask_mov_epi32(at, by_x, next_x);
         next_y = _mm512_mask_mov_epi32(next_y, by_x, at);
-        out = _mm512_or_si512(_mm512_sra_epi32(next_x, k->log_x), _mm512_sra_epi32(next_y, k->log_y));
+        out = _mm512_or_si512(VOXRTI_Z(sra_epi32, next_x, k->log_x), VOXRTI_Z(sra_epi32, next_y, k->log_y));
         end = step & ((uint32_t)_mm512_test_epi32_mask(out, out) |
                       (uint32_t)_mm512_cmp_ps_mask(te, g->f[VOXRTI_CF_T_MAX], _CMP_GE_OQ));
-        crossed = _mm512_srlv_epi32(_mm512_or_si512(_mm512_xor_si512(x, next_x), _mm512_xor_si512(y, next_y)),
-                                    _mm512_permutexvar_epi32(level, k->up));
+        crossed = VOXRTI_Z(srlv_epi32, _mm512_or_si512(_mm512_xor_si512(x, next_x), _mm512_xor_si512(y, next_y)),
+                                    VOXRTI_Z(permutexvar_epi32, level, k->up));
         g->level = _mm512_mask_sub_epi32(level, (__mmask16)(alive & found), level, one);
         g->level = _mm512_mask_add_epi32(g->level, _mm512_mask_cmpgt_epi32_mask((__mmask16)step, crossed, zero), level,
                                          one);
@@ -18351,7 +18353,7 @@ VOXRTI_TARGET_AVX512 VOXRTI_INLINE void voxrti_column_fill16(voxrti_column_strea
     g->held |= empty;
     for (a = 0; a < 2; a++) {
         const __m512 d = g->f[VOXRTI_CF_D + a];
-        g->back[a] = _mm512_srai_epi32(_mm512_castps_si512(d), 31);
+        g->back[a] = VOXRTI_Z(srai_epi32, _mm512_castps_si512(d), 31);
         g->on[a] = _mm512_add_epi32(g->back[a], _mm512_set1_epi32(1));
         g->behind[a] = _mm512_sub_ps(g->f[VOXRTI_CF_O + a],
                                      _mm512_or_ps(_mm512_and_ps(d, _mm512_set1_ps(-0.0f)), behind));
@@ -18417,9 +18419,7 @@ VOXRTI_TARGET_AVX512 static VOXRTI_NOINLINE void voxrti_column_any_avx512(const 
                                                                           uint8_t *occluded) {
     voxrti_column_stream16(t, rays, count, NULL, occluded, 1);
 }
-#  if !defined(__clang__)
-#    pragma GCC diagnostic pop
-#  endif
+#  undef VOXRTI_Z
 #endif
 #endif
 

@@ -924,19 +924,20 @@ TEST(planes_may_leave_two_intervals) { /* seldom: then the first cell on the way
 }
 #endif
 
-TEST(rays_in_all_ways_the_same) { /* instruction sets, start levels, any hit, groups of rays */
+static void rays_in_all_ways(uint32_t depth) {
     enum { N = 5000 };
     static voxrt_ray ray[N];
     static voxrt_column_hit a[N], b[N];
     static uint8_t dark[N];
     static float normal[N][3], end[N][3];
-    voxrt_columns *c = make(128, 64, 128);
+    voxrt_columns *c = make(128, 64, depth);
     voxrt_columns_trace_desc d;
     voxrt_stats sa, sb;
+    const uint32_t many = depth == 128 ? N : N / 5;
     uint32_t i, k, isa, level, wrong = 0;
     rng_state = 31;
     hall(c, 0.002);
-    for (i = 0; i < N; i++) {
+    for (i = 0; i < many; i++) {
         ray[i] = random_ray(c, i % 12);
         if (i % 97 == 0) ray[i].dir[0] = NAN;
         if (i % 89 == 0) ray[i].t_min = 5.0f;
@@ -953,18 +954,18 @@ TEST(rays_in_all_ways_the_same) { /* instruction sets, start levels, any hit, gr
         d.end_normals = k > 1 ? end[0] : NULL;
         d.isa = VOXRT_ISA_SCALAR;
         d.stats = &sa;
-        CHECK(voxrt_columns_trace(c, &d, ray, a, N) == VOXRT_OK);
-        CHECK(sa.rays == N && sa.hits > N / 4 && sa.bad_rays >= N / 97 && sa.steps > sa.hits);
+        CHECK(voxrt_columns_trace(c, &d, ray, a, many) == VOXRT_OK);
+        CHECK(sa.rays == many && sa.hits > many / 4 && sa.bad_rays >= many / 97 && sa.steps > sa.hits);
         for (isa = VOXRT_ISA_SCALAR; isa <= VOXRT_ISA_AVX512; isa++)
             for (level = 0; level < 9; level += 2) {
                 memset(&sb, 0, sizeof sb);
                 d.isa = (voxrt_isa)isa;
                 d.start_level_plus_1 = level;
                 d.stats = &sb;
-                CHECK(voxrt_columns_trace(c, &d, ray, b, N) == VOXRT_OK);
-                CHECK(voxrt_columns_occluded(c, &d, ray, dark, N) == VOXRT_OK);
+                CHECK(voxrt_columns_trace(c, &d, ray, b, many) == VOXRT_OK);
+                CHECK(voxrt_columns_occluded(c, &d, ray, dark, many) == VOXRT_OK);
                 CHECK(sb.rays == 2 * sa.rays && sb.hits == 2 * sa.hits && sb.bad_rays == 2 * sa.bad_rays);
-                for (i = 0; i < N; i++) {
+                for (i = 0; i < many; i++) {
                     wrong += memcmp(&a[i], &b[i], sizeof a[i]) != 0;
                     wrong += dark[i] != (a[i].t < INFINITY);
                 }
@@ -973,7 +974,7 @@ TEST(rays_in_all_ways_the_same) { /* instruction sets, start levels, any hit, gr
             uint32_t n = 1;
             d.isa = (voxrt_isa)isa;
             d.stats = NULL;
-            for (i = 0; i + n <= N / 2; i += n, n = n % 70 + 1) {
+            for (i = 0; i + n <= many / 2; i += n, n = n % 70 + 1) {
                 d.normals = k > 0 ? normal[i] : NULL;
                 d.end_normals = k > 1 ? end[i] : NULL;
                 CHECK(voxrt_columns_trace(c, &d, ray + i, b, n) == VOXRT_OK && voxrt_columns_occluded(c, &d, ray + i, dark, n) == VOXRT_OK);
@@ -984,6 +985,11 @@ TEST(rays_in_all_ways_the_same) { /* instruction sets, start levels, any hit, gr
     }
     CHECK_MSG(wrong == 0, "%u differ", wrong);
     voxrt_columns_destroy(c);
+}
+
+TEST(rays_in_all_ways_the_same) { /* instruction sets, start levels, any hit, groups of rays; columns of 2, 4 and 8 words */
+    uint32_t depth;
+    for (depth = 64; depth <= 256; depth *= 2) rays_in_all_ways(depth);
 }
 
 TEST(rays_explained) { /* what a ray looks at follows on each other, is what the columns hold, and ends at its hit */
