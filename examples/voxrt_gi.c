@@ -281,7 +281,7 @@ static int read_mesh(world *w, const sup_gi_thing *t, int frame, sup_mesh *mesh,
         }
         return sup_scene_make(name, (int)detail, mesh) ? sup_fail(err, "%s: no such scene, or out of memory", t->file) : 0;
     }
-    if (t->has_frames ? sup_gi_frame_name(t->file, frame, path, sizeof path) : (size_t)snprintf(path, sizeof path, "%s", t->file) >= sizeof path)
+    if (t->has_frames ? sup_frame_name(t->file, frame, path, sizeof path) : (size_t)snprintf(path, sizeof path, "%s", t->file) >= sizeof path)
         return sup_fail(err, "%s: needs one %%d or %%03d for the number of the frame, or is too long", t->file);
     if (path[0] != '/' && slash != NULL) { /* beside the scene */
         char whole[4096];
@@ -981,12 +981,6 @@ static int write_depth(const gi_options *o, const world *w, buffers *b, uint32_t
     return sup_pfm_write(path, b->indirect, width, height, 1, err);
 }
 
-/* The name of a frame. Without a %d all frames would go to one file. */
-static int frame_path(const char *pattern, int64_t frame, int64_t frames, char *out, size_t size) {
-    if (strchr(pattern, '%') == NULL) return frames > 1 || (size_t)snprintf(out, size, "%s", pattern) >= size;
-    return sup_gi_frame_name(pattern, frame, out, size);
-}
-
 static void print_stats(const gi_options *o, const world *w, uint32_t side, const timing *spent) {
     const double n = (double)((o->frames - o->first) * o->still);
     voxrt_columns_info info;
@@ -1014,7 +1008,7 @@ int main(int argc, char **argv) {
     int draws, status = parse(argc, argv, &o);
     if (status >= 0) return status;
     while ((int64_t)side * side < o.aa) side++;
-    if (o.common.out != NULL && frame_path(o.common.out, 0, o.frames - o.first, path, sizeof path))
+    if (o.common.out != NULL && sup_frame_path(o.common.out, 0, o.frames - o.first, path, sizeof path))
         return sup_bad_usage(argv[0], "--out: \"%s\" needs one %%d or %%03d for the number of the frame", o.common.out);
     memset(&w, 0, sizeof w);
     memset(&b, 0, sizeof b);
@@ -1028,7 +1022,7 @@ int main(int argc, char **argv) {
         for (int64_t k = 0; k < o.still && !status; k++)
             status = draw(&w, &o, &b, w.scene.seconds * (double)f / (double)o.frames, f == o.first && k == 0, &spent, &err);
         if (status || o.common.out == NULL) continue;
-        (void)frame_path(o.common.out, f, o.frames - o.first, path, sizeof path);
+        (void)sup_frame_path(o.common.out, f, o.frames - o.first, path, sizeof path);
         status = write_frame(&o, &b, side, path, &err);
         if (!status && o.common.depth != NULL && f + 1 == o.frames) status = write_depth(&o, &w, &b, side, o.common.depth, &err);
     }

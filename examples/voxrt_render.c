@@ -12,8 +12,8 @@ typedef struct render_options {
     sup_common common;
     const char *in, *light, *lod;
     int shadows, path, heat, has_heat, split, face_normals, cubes, thesis_compose, one_sided, progressive, blend, has_background;
-    int64_t samples, lod_split, scatter;
-    double blur, heat_max;
+    int64_t samples, lod_split, scatter, frames;
+    double blur, heat_max, budget;
     int has_blur, smooth, has_material, panorama;
     double diffuse, specular, shininess;
     float background[3];
@@ -69,11 +69,12 @@ static int collect_lights(int argc, char **argv, render_options *o) {
 }
 
 static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *desc) {
-    sup_option table[SUP_COMMON_OPTIONS + 27];
+    sup_option table[SUP_COMMON_OPTIONS + 29];
     size_t n;
     int status, compose = 0, normals = 0, has_heat_max = 0;
     memset(o, 0, sizeof *o);
     o->samples = 1;
+    o->frames = 1;
     o->blur = 4.0;
     o->heat_max = 64.0;
     o->lod_split = -1;
@@ -106,6 +107,8 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
     table[n++] =
         sup_opt_choice("normals", &normals, "stored|face", "shade by stored normals or by the faces of the cubes");
     table[n++] = sup_opt_int("scatter", &o->scatter, 0, 100000000, "N", "N copies of it, turned and of different sizes, on the ground");
+    table[n++] = sup_opt_int("frames", &o->frames, 1, 1000000, "N", "N pictures, once around --at; FILE of --out has a %d for the number");
+    table[n++] = sup_opt_real("budget", &o->budget, 0.0, 1e6, "MS", "time for each of --frames: detail is lowered first where it shows least");
     table[n++] = sup_opt_flag("blend", &o->blend, "colours and normals go over from one level of detail to the next: no popping in motion");
     table[n++] = sup_opt_flag("cubes", &o->cubes, "voxels with planes (voxrt_convert --planes) as cubes");
     table[n++] = sup_opt_flag("one-sided", &o->one_sided, "surfaces seen from behind stay dark instead of turning their normals");
@@ -124,6 +127,8 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
     if (o->panorama && !o->common.has_eye) return sup_bad_usage(argv[0], "--panorama goes with --eye");
     if (has_heat_max && !o->has_heat) return sup_bad_usage(argv[0], "--heat-max goes with --heat");
     if (o->smooth && o->path == PATH_THESIS) return sup_bad_usage(argv[0], "--smooth goes with --path fast");
+    if (o->budget > 0.0 && (o->frames < 2 || o->path == PATH_THESIS || o->has_blur))
+        return sup_bad_usage(argv[0], "--budget goes with --frames, and neither with --path thesis nor with --blur");
     if (o->scatter != 0 && (o->path == PATH_THESIS || o->smooth))
         return sup_bad_usage(argv[0], "--scatter goes neither with --path thesis nor with --smooth");
     if (o->smooth && !o->has_blur) return sup_bad_usage(argv[0], "--smooth goes with --blur");
@@ -303,8 +308,28 @@ static int blur(const render_options *o, const voxrt_render_desc *desc, const sc
     return voxrt_blur(&b, image) != VOXRT_OK;
 }
 
-static void print_stats(const render_options *o, const scene *s, const voxrt_camera *camera, const voxrt_image *image,
-                        const voxrt_render_stats *stats, double seconds) {
+typedef struct timing { double last, sum, most; int64_t over; } timing; /* of pictures; seconds, and how many took too long */
+
+static void add_time(timing *t, double seconds, double budget_ms) {
+    t->last = seconds;
+    t->sum += seconds;
+    t->most = seconds > t->most ? seconds : t->most;
+    t->over += 1e3 * seconds > budget_ms;
+}
+
+/* The eye on its way around what it looks at, about a vertical axis. */
+static void turn_camera(const float from[3], const float at[3], double angle, float eye[3]) {
+    const double x = (double)from[0] - (double)at[0], z = (double)from[2] - (double)at[2];
+    eye[0] = angle == 0.0 ? from[0] : (float)((double)at[0] + cos(angle) * x + sin(angle) * z);
+    eye[1] = from[1];
+    eye[2] = angle == 0.0 ? from[2] : (float)((double)at[2] - sin(angle) * x + cos(angle) * z);
+}
+
+/* Counts of the first picture; times of all. */
+static void print_stats(const render_options *o, const scene *s, const voxrt_render_desc *desc, const voxrt_image *image,
+                        const voxrt_render_stats *stats, const timing *spent) {
+    const voxrt_camera *camera = &desc->camera;
+    const double seconds = spent->sum / (double)o->frames;
     const voxrt_isa best = voxrt_isa_best(), wanted = (voxrt_isa)o->common.isa;
     const uint64_t rays = stats->primary.rays + stats->shadow.rays;
     voxrt_tree_info info;
@@ -320,6 +345,11 @@ static void print_stats(const render_options *o, const scene *s, const voxrt_cam
            (unsigned long long)stats->primary.steps, (unsigned long long)stats->primary.descents);
     printf(",\"eye\":[%.9g,%.9g,%.9g],\"at\":[%.9g,%.9g,%.9g]", (double)camera->eye[0], (double)camera->eye[1],
            (double)camera->eye[2], (double)camera->at[0], (double)camera->at[1], (double)camera->at[2]);
+    if (o->frames > 1)
+        printf(",\"frames\":%d,\"most_seconds\":%.6f", (int)o->frames, spent->most);
+    if (o->budget > 0.0)
+        printf(",\"budget_ms\":%.9g,\"over_budget\":%d,\"tolerance\":%.6g,\"pixel_step\":%u", o->budget, (int)spent->over,
+               (double)desc->tolerance, desc->pixel_step < 1 ? 1 : desc->pixel_step);
     printf(",\"seconds\":%.6f,\"mrays_per_second\":%.3f,\"isa\":\"%s\",\"threads\":%d}\n", seconds,
            seconds > 0.0 ? 1e-6 * (double)rays / seconds : 0.0,
            voxrt_isa_name(wanted == VOXRT_ISA_AUTO || wanted > best ? best : wanted), sup_threads(o->common.threads));
@@ -371,9 +401,20 @@ int main(int argc, char **argv) {
     sup_error err;
     scene s = {0};
     const voxrt_tree *drawn;
-    double start, seconds;
+    timing spent = {0};
+    voxrt_budget budget = {0};
+    float start_eye[3];
+    char path[1024];
+    const char *pattern;
+    double start;
     int status = parse(argc, argv, &o, &desc);
     if (status >= 0) return status;
+    pattern = o.common.out;
+    if (pattern != NULL) {
+        if (sup_frame_path(pattern, 0, o.frames, path, sizeof path))
+            return sup_bad_usage(argv[0], "--out: with --frames the name needs one %%d for the number, and less than 1024 letters");
+        o.common.out = path;
+    }
     status = load(argv[0], &o, &s);
     if (!status && o.scatter != 0 && scatter(&o, &s, &desc, &error)) status = sup_bad_input(argv[0], error.text);
     if (status || make_image(&o, &image)) {
@@ -381,6 +422,7 @@ int main(int argc, char **argv) {
         return status ? status : sup_bad_input(argv[0], "out of memory for the picture");
     }
     set_camera(&o, &s, &desc.camera);
+    memcpy(start_eye, desc.camera.eye, sizeof start_eye);
     if (o.panorama) set_panorama(&s, &desc, &image);
     if (o.path == PATH_THESIS) use_octree(&s, &desc, image.height);
     if (o.has_material) {
@@ -398,21 +440,28 @@ int main(int argc, char **argv) {
     }
     desc.env.error = &error;
     status = 0;
-    if (o.common.stats)
-        status = voxrt_render(&desc, drawn, &image, &stats) != VOXRT_OK; /* counting costs time: not measured */
-    start = sup_now();
-    if (!status) status = voxrt_render(&desc, drawn, &image, NULL) != VOXRT_OK;
-    seconds = sup_now() - start;
-    sup_progress_end(&progress);
-    if (!status && o.has_blur) status = blur(&o, &desc, &s, &image, &error);
-    if (status) {
-        (void)sup_fail(&err, "%s: %s", o.in, error.text[0] ? error.text : "cannot be drawn");
-        (void)sup_bad_input(argv[0], err.text);
-    } else {
-        status = sup_out_write(&o.common, image.rgba8, image.rgba, image.depth, image.width, image.height, &err);
-        if (status) (void)sup_bad_input(argv[0], err.text);
-        else if (o.common.stats) print_stats(&o, &s, &desc.camera, &image, &stats, seconds);
+    for (int64_t f = 0; f < o.frames && !status; f++) {
+        turn_camera(start_eye, desc.camera.at, 6.283185307179586 * (double)f / (double)o.frames, desc.camera.eye);
+        if (o.common.stats && f == 0) /* counting costs time: not measured */
+            status = voxrt_render(&desc, drawn, &image, &stats) != VOXRT_OK;
+        start = sup_now();
+        if (!status) status = voxrt_render(&desc, drawn, &image, NULL) != VOXRT_OK;
+        add_time(&spent, sup_now() - start, o.budget);
+        if (!status && o.has_blur) status = blur(&o, &desc, &s, &image, &error);
+        if (status) {
+            (void)sup_fail(&err, "%s: %s", o.in, error.text[0] ? error.text : "cannot be drawn");
+        } else {
+            if (o.common.out != NULL) (void)sup_frame_path(pattern, f, o.frames, path, sizeof path);
+            status = sup_out_write(&o.common, image.rgba8, image.rgba, image.depth, image.width, image.height, &err);
+        }
+        if (o.budget > 0.0) {
+            desc.tolerance = voxrt_budget_update(&budget, (float)(1e3 * spent.last), (float)o.budget, (float)o.common.tolerance);
+            desc.pixel_step = budget.pixel_step;
+        }
     }
+    sup_progress_end(&progress);
+    if (status) (void)sup_bad_input(argv[0], err.text);
+    else if (o.common.stats) print_stats(&o, &s, &desc, &image, &stats, &spent);
     free_image(&image);
     free_scene(&s);
     return status;

@@ -426,6 +426,8 @@ EXITS="
 0 voxrt_convert --help
 0 voxrt_convert --scene sphere @/s.vox --res 32 --quiet
 0 voxrt_render @/s.vox --out @/s.png --size 32x32 --quiet
+0 voxrt_render @/s.vox --out @/s%d.png --size 32x32 --quiet --frames 3 --budget 5 --blend --cubes
+0 voxrt_render @/s.vox --out @/many.png --size 32x32 --quiet --scatter 20 --shadows
 0 voxrt_gi --scene cornell --save @/c.txt --export @/e.txt
 0 voxrt_gi --scene @/e.txt --out @/e.png --size 32x32 --res 32 --grid 32 --voxels samples --quiet
 0 voxrt_convert @/s.vox @/t.vox --share --raw
@@ -484,6 +486,9 @@ EXITS="
 2 voxrt_render @/s.vox
 2 voxrt_render @/s.vox --out @/bad.jpg
 2 voxrt_render @/s.vox --out @/bad.png --smooth
+2 voxrt_render @/s.vox --out @/bad.png --frames 2
+2 voxrt_render @/s.vox --out @/bad.png --budget 5
+2 voxrt_render @/s.vox --out @/bad.png --scatter 3 --path thesis
 2 voxrt_render @/s.vox --out @/bad.png --heat outer --split
 2 voxrt_render @/s.vox --out @/bad.png --heat-max 9
 2 voxrt_render @/s.vox --out @/bad.png --panorama

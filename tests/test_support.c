@@ -2083,9 +2083,9 @@ TEST(gi_scenes) {
     CHECK(q[0] == 0 && q[1] == 4 && q[2] == 2);
     CHECK(sup_gi_frame(&s.things[2], 0) == 3 && sup_gi_frame(&s.things[2], 1.5) == 6 && sup_gi_frame(&s.things[2], 2.1) == 3);
     CHECK(sup_gi_frame(&s.things[2], 1e25) >= 3 && sup_gi_frame(&s.things[2], 1e25) <= 6);
-    CHECK(sup_gi_frame_name("b%03d.obj", 7, name, sizeof name) == 0);
+    CHECK(sup_frame_name("b%03d.obj", 7, name, sizeof name) == 0);
     CHECK_STR(name, "b007.obj");
-    CHECK(sup_gi_frame_name("b.obj", 7, name, sizeof name) && sup_gi_frame_name("%s", 7, name, sizeof name) && sup_gi_frame_name("%d%d", 7, name, sizeof name));
+    CHECK(sup_frame_name("b.obj", 7, name, sizeof name) && sup_frame_name("%s", 7, name, sizeof name) && sup_frame_name("%d%d", 7, name, sizeof name));
     sup_gi_scene_free(&s);
     CHECK(g_memory.live == 0);
 }

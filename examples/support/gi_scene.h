@@ -551,17 +551,6 @@ SUP_FN int sup_gi_frame(const sup_gi_thing *o, double time) {
     return (int)(o->frames[0] + (f < 0.0 ? f + n : f));
 }
 
-/* The name of a frame: its number in place of %d, %3d or %03d. Returns 1 when there is none, or `out` is too short. */
-SUP_FN int sup_gi_frame_name(const char *pattern, int64_t frame, char *out, size_t size) {
-    const char *at = strchr(pattern, '%'), *end = at;
-    int digits = 0;
-    if (at == NULL) return 1;
-    end++;
-    while (*end >= '0' && *end <= '9' && digits < 100) digits = 10 * digits + (*end++ - '0');
-    if (*end != 'd' || digits > 20 || strchr(end, '%') != NULL) return 1;
-    return (size_t)snprintf(out, size, "%.*s%0*d%s", (int)(at - pattern), pattern, digits, (int)frame, end + 1) >= size;
-}
-
 /* ---- for other renderers -------------------------------------------------------------------------------------- */
 
 /* A scene as it is at a time, for any renderer: `path`, a scene in which nothing moves, with one PLY file for each object

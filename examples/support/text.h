@@ -214,4 +214,21 @@ SUP_FN uint8_t sup_unit_to_byte(double value) {
     return value >= 1.0 ? (uint8_t)255 : (uint8_t)(value * 255.0 + 0.5);
 }
 
+/* The name of a frame: its number in place of %d, %3d or %03d. Returns 1 when there is none, or `out` is too short. */
+SUP_FN int sup_frame_name(const char *pattern, int64_t frame, char *out, size_t size) {
+    const char *at = strchr(pattern, '%'), *end = at;
+    int digits = 0;
+    if (at == NULL) return 1;
+    end++;
+    while (*end >= '0' && *end <= '9' && digits < 100) digits = 10 * digits + (*end++ - '0');
+    if (*end != 'd' || digits > 20 || strchr(end, '%') != NULL) return 1;
+    return (size_t)snprintf(out, size, "%.*s%0*d%s", (int)(at - pattern), pattern, digits, (int)frame, end + 1) >= size;
+}
+
+/* The name of the picture of a frame: without a %d all of several would go to one file, which is an error. */
+SUP_FN int sup_frame_path(const char *pattern, int64_t frame, int64_t frames, char *out, size_t size) {
+    if (strchr(pattern, '%') == NULL) return frames > 1 || (size_t)snprintf(out, size, "%s", pattern) >= size;
+    return sup_frame_name(pattern, frame, out, size);
+}
+
 #endif

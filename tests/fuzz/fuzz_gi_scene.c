@@ -60,7 +60,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
             for (a = 0; a < 12; a++) must(!(m[a] != m[a]));
             if (!o->has_frames) continue;
             must((double)sup_gi_frame(o, t) >= floor(o->frames[0]) && (double)sup_gi_frame(o, t) <= o->frames[1]);
-            (void)sup_gi_frame_name(o->file, sup_gi_frame(o, t), name, sizeof name);
+            (void)sup_frame_name(o->file, sup_gi_frame(o, t), name, sizeof name);
         }
         for (i = 0; i < s.lamp_count; i++) {
             float p[3];
