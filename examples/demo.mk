@@ -58,7 +58,7 @@ $(G)/voxrt_menger.png: $(VOX)/menger.vox
 $(G)/voxrt_menger.png: options = --shadows --aa 8 --one-sided $(SKY) --eye 0.15,0.1,0.95 --at -0.1,-0.15,-1 --fov 75
 
 $(G)/voxrt_cornell.png: $(VOX)/cornell.vox
-$(G)/voxrt_cornell.png: options = --size 640x640 --shadows --aa 4 --one-sided --eye 2.78,2.73,8 --at 2.78,2.73,-2.8 --fov 37.7 \
+$(G)/voxrt_cornell.png: options = --size 480x480 --shadows --aa 4 --one-sided --eye 2.78,2.73,8 --at 2.78,2.73,-2.8 --fov 37.7 \
 	--light 2.78,2.73,8:0.1,0.1,0.1 $(foreach x,2.3 2.62 2.94 3.26,\
 	$(foreach z,-2.4 -2.8 -3.2,--light $x,5.2,$z:0.065,0.06,0.053))
 
@@ -174,7 +174,7 @@ $(RBF)/ball.rbf: detail = --detail 24
 $(RBF)/tornado.rbf: detail = --between
 
 $(G)/tetcast_rbf_tornado.png: $(RBF)/tornado.rbf
-	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf render $< --out $@ --quiet --channel vorticity --samples 60
+	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf render $< --out $@ --quiet --channel vorticity --samples 60 --size 480x480
 $(G)/tetcast_rbf_traces.png: $(RBF)/tornado.rbf
 	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf trace $< --out $@ --quiet --seeds 110
 $(G)/tetcast_rbf_ball.png: $(RBF)/ball.rbf
