@@ -6759,7 +6759,7 @@ static uint64_t voxrti_shared_hash(const voxrt_tree *t, uint32_t v, int what, ui
             count = octants;
         }
         for (; count > 0; count--, at++)
-            h = voxrti_hash_mix(h, what == 1 ? voxrti_colors_get(&t->colors, at) :
+            h = voxrti_hash_mix(h, what == 1 ? voxrti_color_index(t, at) :
                                    what == 2 ? (uint64_t)t->plane[at] : (uint64_t)t->normal[at]);
     }
     return h;
@@ -6789,14 +6789,14 @@ VOXRT_DEF uint64_t voxrt_tree_hash(const voxrt_tree *t) {
     if (t->spherical) h = voxrti_hash_mix(h, 1);
     if (t->code != NULL) {
         for (a = 2 * t->wide + 1; t->normal != NULL && a-- > 0;) h = voxrti_shared_hash(t, a, 0, h);
-        for (a = 2 * t->wide + 1; t->colors.block != NULL && a-- > 0;) h = voxrti_shared_hash(t, a, 1, h);
+        for (a = 2 * t->wide + 1; t->palette_count > 1 && a-- > 0;) h = voxrti_shared_hash(t, a, 1, h);
         if (t->plane != NULL) h = voxrti_shared_hash(t, 2 * t->wide, 2, h);
         return h;
     }
     if (t->normal != NULL)
         for (i = 0; i < t->attr_count; i++) h = voxrti_hash_mix(h, t->normal[i]);
-    if (t->colors.block != NULL)
-        for (i = 0; i < t->attr_count; i++) h = voxrti_hash_mix(h, voxrti_colors_get(&t->colors, i));
+    if (t->palette_count > 1) /* whether or not a tree keeps that all cells have entry 0 */
+        for (i = 0; i < t->attr_count; i++) h = voxrti_hash_mix(h, voxrti_color_index(t, i));
     for (i = 0; t->plane != NULL && i < t->voxel_count; i++) h = voxrti_hash_mix(h, t->plane[i]);
     return h;
 }
@@ -10906,7 +10906,8 @@ VOXRTI_INLINE int voxrti_plane_meet(const voxrt_tree *t, const voxrt_ray *ray, d
     if (!(slope < 0)) return 0;
     at = -base / slope;
     for (a = 0; a < 3; a++) most = voxrti_max(most, voxrti_abs(o[a] + at * d[a]));
-    if (!(most <= 0.5 + VOXRTI_PLANE_SLACK && at < voxrti_below(ray->t_max))) return 0;
+    if (!(most <= 0.5 + VOXRTI_PLANE_SLACK && at < voxrti_min(voxrti_below(ray->t_max), 3.4028234663852886e38)))
+        return 0;
     if (at > (double)hit->t) hit->t = (float)at;
     return 1;
 }

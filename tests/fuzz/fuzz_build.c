@@ -31,7 +31,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
         voxrt_build_desc d = {0};
         voxrt_mesh m = {p[k], 3 * n, 0, NULL, n, NULL, 0, NULL, 0, data[7] % 4 == 1 ? rgb[k] : NULL};
         d.resolution = 1 + data[0] % 64, d.separating = (voxrt_separating)(data[1] % 3), d.palette_size = data[2] % 8 * 5;
-        d.fill = data[3] & 1, d.fill_depth = data[3] >> 6, d.disable_normals = data[4] & 1, d.box_size = data[5] & 1 ? 16 : 0;
+        d.fill = data[3] & 1, d.fill_depth = data[3] >> 6, d.disable_normals = data[4] & 1, d.planes = (data[4] & 3) == 2, d.box_size = data[5] & 1 ? 16 : 0;
         d.lod_method = (voxrt_lod_method)(data[6] & 1), d.env.memory_limit = (size_t)1 << 26, d.env.thread_count = k == 0 ? 1 : 2;
         if ((voxrt_tree_build(&d, &m, NULL, k ? &again : &t) == VOXRT_OK) != ((k ? again : t) != NULL)) abort();
     }

@@ -52,6 +52,8 @@ static void draw(const voxrt_tree *t, const voxrt_geometry *g) {
     d.thesis_compose = g_turn >> 6 & 1;
     d.pixel_step = g_turn >> 7 & 3;
     d.samples = 1 + (g_turn >> 9 & 1);
+    d.blend = g_turn >> 10 & 1;
+    d.cubes = (g_turn >> 11 & 3) == 3;
     g_turn = g_turn * 1664525u + 1013904223u;
     r = voxrt_render(&d, t, &m, &stats);
     if (r == VOXRT_ERR_INVALID_ARG) return; /* so far out that no camera frames it in floats */
