@@ -109,15 +109,16 @@ GALLERY += $(VOXRT_PICTURES) $(G)/voxrt_minimal.png
 
 # --- zbufrand: scenes of up to 6.8 * 10^11 triangles ---------------------------------------------------------------
 
-$(G)/zbufrand_forest_1.png: options = --scene forest --eye 0,42,7950 --at 0,13,7850 --fov 45 --mean 4
-$(G)/zbufrand_forest_2.png: options = --scene forest --view 2 --mean 4
-$(G)/zbufrand_forest_3.png: options = --scene forest --view 3 --mean 8
-$(G)/zbufrand_forest_4.png: options = --scene forest --view 4 --mean 8
-$(G)/zbufrand_city.png: options = --scene city --view 2 --mean 4
-$(G)/zbufrand_chess.png: options = --scene chess --eye 0,0.016,0.995 --at 0,-0.004,0.9 --mean 8
+$(G)/zbufrand_forest_1.png: options = --scene forest --view 1 --aa 3
+$(G)/zbufrand_forest_0.png: options = --scene forest --eye 0,42,7950 --at 0,13,7850 --fov 45 --aa 3
+$(G)/zbufrand_forest_2.png: options = --scene forest --view 2 --aa 3
+$(G)/zbufrand_forest_3.png: options = --scene forest --view 3 --aa 3
+$(G)/zbufrand_forest_4.png: options = --scene forest --view 4 --aa 3
+$(G)/zbufrand_city.png: options = --scene city --view 2 --aa 3
+$(G)/zbufrand_chess.png: options = --scene chess --eye 0,0.016,0.995 --at 0,-0.004,0.9 --aa 4
 $(G)/zbufrand_landscape.png: options = --scene landscape --view 3
 
-ZBUFRAND_PICTURES := $(addprefix $(G)/zbufrand_,forest_1.png forest_2.png forest_3.png forest_4.png city.png chess.png \
+ZBUFRAND_PICTURES := $(addprefix $(G)/zbufrand_,forest_0.png forest_1.png forest_2.png forest_3.png forest_4.png city.png chess.png \
 	landscape.png)
 
 $(ZBUFRAND_PICTURES): $(B)/zbufrand_render

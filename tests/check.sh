@@ -550,6 +550,9 @@ exit_statuses() {
     ls "$d" | grep -F bad. && { echo "was written after an error"; bad=1; }
     return $bad
 }
+fuzz_bounds() { # 10^8 points of surfaces below the bounds that decide how many samples there are
+    cmd make --no-print-directory build/tests/test_zbufrand_select && TEST_FULL=1 cmd timeout 300 build/tests/test_zbufrand_select -v never_too_few
+}
 group_programs() {
     local f name
     for f in $(ls examples/*.c tests/test_*.c tests/fuzz/*.c bench/*.c 2>/dev/null); do
@@ -565,6 +568,7 @@ group_programs() {
     done
     solo "programs make all" make -j"$JOBS" all
     solo "programs exit statuses" exit_statuses
+    [ -f zbufrand.h ] && item "programs 10^8 points" fuzz_bounds
     solo "programs make demo" timeout 400 make -j"$JOBS" demo
 }
 

@@ -420,7 +420,7 @@ TEST(fills_without_asking) {
 
 TEST(same_bits) {
     shape s[2];
-    zbufrand_scene *scene = forest(s, getenv("TEST_FULL") != NULL ? 1000 : test_quick() ? 200 : 400); /* 400: several rounds, all kinds of draws */
+    zbufrand_scene *scene = forest(s, getenv("TEST_FULL") != NULL ? 1000 : test_quick() ? 60 : 400); /* 400: several rounds, all kinds of draws */
     uint32_t mode, k;
     for (mode = 0; mode < 12; mode++) {
         static const float half = 0.5f;
@@ -490,7 +490,7 @@ TEST(same_bits) {
 /* Other seeds and frames are other pictures; hidden things make no difference that is seen. */
 TEST(seeds_and_occlusion) {
     shape s[2];
-    zbufrand_scene *scene = forest(s, 2000);
+    zbufrand_scene *scene = forest(s, test_quick() ? 300 : 2000);
     zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
     zbufrand_render_desc d;
     zbufrand_stats st[2];
@@ -612,7 +612,7 @@ TEST(reported_share_is_incomplete) {
     b.image.rgba8 = NULL; /* depths are all that is asked for: no colours are made */
     b.image.rgba = NULL;
     b.image.node = NULL;
-    for (world = 0; world < 4; world++) {
+    for (world = 0; world < 4; world += test_quick() ? 3 : 1) {
         const uint32_t wall = world == 3;
         shape s;
         zbufrand_mesh mesh;
@@ -1531,6 +1531,79 @@ TEST(thirteen_decades) {
     shape_free(&s);
 }
 
+/* Tiles of posts in many colours, nested, seen from far away: all parts of the picture have the colours of an exact picture,
+   though each tile is drawn from few stored points. There are no points for directions of view of what is made of instances: they
+   are too few for it, and all of a part of the picture would have the colour of some of them. */
+TEST(far_away_as_colourful) {
+    enum { W = 160, H = 90, PARTS = 8 };
+    zbufrand_scene *scene = NULL;
+    zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
+    zbufrand_node lib, node, tile, list, post[8];
+    zbufrand_mesh m;
+    zbufrand_transform t;
+    buffers b;
+    double mean[2][PARTS][3];
+    test_rng r = test_rng_make(12);
+    static uint8_t rgb[8][36];
+    shape s[8];
+    uint32_t i, k, l, way;
+    memset(mean, 0, sizeof mean);
+    CHECK_EQ_U64(zbufrand_scene_create(NULL, &scene), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_add_list(scene, 1, NULL, ZBUFRAND_HIDDEN, &lib), ZBUFRAND_OK);
+    for (i = 0; i < 8; i++) {
+        memset(&s[i], 0, sizeof s[i]);
+        shape_box(&s[i], -0.5, 0, -0.5, 0.5, 1 + 0.2 * i, 0.5);
+        m = mesh_of(&s[i]);
+        for (k = 0; k < 36; k++) rgb[i][k] = (uint8_t)(i >> k % 3 & 1 ? 230 : 20);
+        m.triangle_rgb = rgb[i];
+        CHECK_EQ_U64(zbufrand_add_mesh(scene, lib, NULL, 0, &m, &post[i]), ZBUFRAND_OK);
+    }
+    CHECK_EQ_U64(zbufrand_add_list(scene, lib, NULL, 0, &tile), ZBUFRAND_OK);
+    for (i = 0; i < 100; i++) {
+        t = move_scale(i % 10 + 0.5, 0, i / 10 + 0.5, 0.9);
+        CHECK_EQ_U64(zbufrand_add_reference(scene, tile, &t, post[test_rng_below(&r, 8)], NULL), ZBUFRAND_OK);
+    }
+    for (l = 0, node = tile; l < 2; l++) { /* 8 x 8, and that 4 x 4 times */
+        const uint32_t n = l == 0 ? 8 : 4;
+        CHECK_EQ_U64(zbufrand_add_list(scene, l == 1 ? 1 : lib, NULL, 0, &list), ZBUFRAND_OK);
+        for (i = 0; i < n * n; i++) {
+            t = move_scale((l == 0 ? 10.0 : 80.0) * (i % n), 0, (l == 0 ? 10.0 : 80.0) * (i / n), 1);
+            CHECK_EQ_U64(zbufrand_add_reference(scene, list, &t, node, NULL), ZBUFRAND_OK);
+        }
+        node = list;
+    }
+    CHECK_EQ_U64(zbufrand_scene_build(scene, NULL, NULL), ZBUFRAND_OK);
+    for (i = 0; i < scene->structure_count; i++) CHECK(scene->structure[i].instance_count == 0 || scene->structure[i].first_view == 0);
+    buffers_open(&b, W, H);
+    for (way = 0; way < 2; way++) {
+        zbufrand_render_desc d;
+        memset(&d, 0, sizeof d);
+        d.camera.eye[0] = d.camera.at[0] = 160;
+        d.camera.eye[1] = 300;
+        d.camera.eye[2] = 1200;
+        d.camera.at[2] = 160;
+        d.camera.fov_y = 10;
+        d.density = 2;
+        d.unlit = 1;
+        d.oversample = 2;
+        d.hybrid = way ? ZBUFRAND_HYBRID_OFF : ZBUFRAND_HYBRID_ALL;
+        CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, NULL), ZBUFRAND_OK);
+        for (i = 0; i < W * H; i++) {
+            const uint32_t part = i / W * 2 / H * 4 + i % W * 4 / W;
+            for (k = 0; k < 3; k++) mean[way][part][k] += (double)b.rgba[4 * i + k] / (W * H / PARTS);
+        }
+    }
+    for (i = 0; i < PARTS; i++) {
+        for (k = 0; k < 3; k++) {
+            CHECK_MSG(fabs(mean[1][i][k] / mean[0][i][k] - 1) < 0.06, "part %u, channel %u: %g, not %g", i, k, mean[1][i][k], mean[0][i][k]);
+        }
+    }
+    buffers_close(&b);
+    zbufrand_frame_destroy(frame);
+    zbufrand_scene_destroy(scene);
+    for (i = 0; i < 8; i++) shape_free(&s[i]);
+}
+
 /* ---- larger pictures, averaged ---- */
 
 /* Each pixel is the mean of its parts in the larger picture, bit for bit; its depth and mesh those of the nearest. */
@@ -1909,6 +1982,7 @@ int main(int argc, char **argv) {
     RUN(clouds);
     RUN(far_from_home);
     RUN(thirteen_decades);
+    RUN(far_away_as_colourful);
     RUN(oversampled);
     RUN(pictures_stay_as_good);
     RUN(golden_pictures);
