@@ -4603,8 +4603,8 @@ static int zbufrandi_scene_views(zbufrand_scene *scene) {
     for (i = 0; ok && i < scene->structure_count; i++) {
         b.s = &scene->structure[i];
         b.index = i;
-        /* What is made of instances has some thousand different things in it, of which 256 points are no fair sample: all
-           that is far away in one direction would have the colour of the few of them that hide the others. */
+        /* What is made of instances has thousands of different things in it, of which 256 points are no fair sample:
+           all that is far away in one direction would have the colour of the few of them that hide the others. */
         if (uses[i] < ZBUFRANDI_VIEW_INSTANCES || b.s->node_count == 0 || b.s->instance_count != 0) continue;
         if (j == NULL) j = (zbufrandi_view_job *)zbufrandi_alloc(&scene->mem, sizeof *j);
         ok = j != NULL;
