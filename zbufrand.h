@@ -105,7 +105,7 @@
    - Scenes are graphs of meshes, lists and references with similarity transforms; references may nest, so that some
      megabytes stand for 10^13 triangles.
    - Says with which probability the picture is complete, and keeps it: `tolerance`. Averages frames until the noise is
-     below a given error: `noise`.
+     below a given error: `noise`. Draws pictures larger and averages their pixels: `oversample`.
    - Rasterises exactly what is cheaper to rasterise, culls what lies behind, repairs empty and wrong pixels by rays.
    - Reconstructs pictures from points as the thesis that it comes from does: pixels, colour blocks of any size,
      Gaussian, Voronoi regions, without depth buffer; and by pull-push, layered coverage, buckets against bleeding.
@@ -16072,7 +16072,8 @@ static double zbufrandi_measure_draw(zbufrandi_measure *m, double cell, double d
     uint32_t i;
     memset(&image, 0, sizeof image);
     image.width = image.height = ZBUFRANDI_MEASURE_SIZE; /* keys stay in the caches, as those of a cluster do */
-    m->d.camera.eye[2] = 0.001 + 2.7474774194546221 * ZBUFRANDI_MEASURE_SIZE / (cell * ZBUFRANDI_MEASURE_SIDE);
+    m->d.camera.eye[2] = 0.001 + 2.7474774194546221 * (double)ZBUFRANDI_MEASURE_SIZE /
+        (cell * (double)ZBUFRANDI_MEASURE_SIDE);
     m->d.density = density;
     m->d.hybrid = hybrid;
     m->d.costs.set = no_sets;
