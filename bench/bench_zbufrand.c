@@ -164,7 +164,7 @@ static double sweep_cells(world *w, uint32_t block, const truth *t, int few, int
             picture_job p;
             bench_job b;
             char name[48];
-            if (same ? i != 1 && i != 4 && (few || i != 8) && (!g_opt.full || i > 8)
+            if (same ? (few && depth != 0 && !g_opt.full) || (i != 1 && i != 4 && (few || i != 8) && (!g_opt.full || i > 8))
                      : !g_opt.full && (few ? i != 2 || depth != 0 : i != 1 && i != 4)) continue;
             p = picture_open(w, 640, 480, 1);
             if (!same) zbufrand_preset_thesis(NULL, &p.desc);
@@ -1215,7 +1215,7 @@ static void bm11(void) {
 /* Error of what an accumulator shows after some frames, of a camera that stands still or moves half a pixel a frame. */
 static void temporal(const world *w) {
     static const char *const names[3] = {"mean", "smooth", "adaptive"};
-    const uint32_t width = 320, height = 240, frames = g_opt.full ? 64 : 16;
+    const uint32_t width = 320, height = 240, frames = g_opt.full ? 64 : 8;
     int way, moving;
     for (moving = 0; moving < 2; moving++) {
         picture_job last = picture_open(w, width, height, 1);
@@ -1234,7 +1234,7 @@ static void temporal(const world *w) {
             ad.height = height;
             ad.mode = (zbufrand_accumulation)way;
             ad.blur = moving ? 2.0f : 0.0f;
-            p.desc.spread = moving ? 0 : 16;
+            p.desc.spread = moving ? 0 : frames;
             must(zbufrand_accumulator_create(&ad, &sum), "accumulator");
             for (k = 0; k < frames; k++) {
                 zbufrand_view view;

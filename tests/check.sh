@@ -553,6 +553,20 @@ exit_statuses() {
 fuzz_bounds() { # 10^8 points of surfaces below the bounds that decide how many samples there are
     cmd make --no-print-directory build/tests/test_zbufrand_select && TEST_FULL=1 cmd timeout 300 build/tests/test_zbufrand_select -v never_too_few
 }
+stats_keys() { # what zbufrand_render --stats says, for one picture, a mean, layers: one JSON object with these keys, no NaN in it
+    local how k bad=0
+    for how in "" "--mean 3" "--mode layers" "--aa 2" "--points 5000" "--thesis"; do
+        build/zbufrand_render --scene landscape --out "$OUT/obj/stats.png" --size 64x48 --stats --quiet $how > "$OUT/obj/stats" || return 1
+        [ "$(wc -l < "$OUT/obj/stats")" = 1 ] && grep -q '^{.*}$' "$OUT/obj/stats" || { echo "$how: not one object"; bad=1; }
+        grep -qE ':(-?nan|-?inf)' "$OUT/obj/stats" && { echo "$how: not finite"; bad=1; }
+        for k in in width height triangles stored_triangles bytes samples accepted rastered density projected_area nodes draws hidden covered \
+                 holes wrong repaired incomplete probability frames rmse stages select draw occlusion repair shade eye at seconds isa threads; do
+            grep -q "\"$k\":" "$OUT/obj/stats" || { echo "$how: no $k"; bad=1; }
+        done
+        have python3 && { python3 -c 'import json,sys; json.load(sys.stdin)' < "$OUT/obj/stats" || { echo "$how: no JSON"; bad=1; }; }
+    done
+    return $bad
+}
 group_programs() {
     local f name
     for f in $(ls examples/*.c tests/test_*.c tests/fuzz/*.c bench/*.c 2>/dev/null); do
@@ -568,7 +582,7 @@ group_programs() {
     done
     solo "programs make all" make -j"$JOBS" all
     solo "programs exit statuses" exit_statuses
-    [ -f zbufrand.h ] && item "programs 10^8 points" fuzz_bounds
+    [ -f zbufrand.h ] && { item "programs 10^8 points" fuzz_bounds; item "programs stats keys" stats_keys; }
     solo "programs make demo" timeout 400 make -j"$JOBS" demo
 }
 
