@@ -14375,6 +14375,7 @@ struct zbufrandi_picture {
     uint32_t first_block;
     uint32_t done_draws;               /* drawn already */
     uint32_t accepted[2], sampled[2], stored[2], points[2]; /* tallies */
+    uint32_t seen[2];                  /* tally: pixels that show something before rays do */
     uint32_t area[2][2];               /* tallies of the first pass: samples with hidden ones, pixels rastered */
     uint32_t pass;
     double first_density;
@@ -14942,16 +14943,47 @@ enum { ZBUFRANDI_REPAIR_RAYS = 64, ZBUFRANDI_REPAIR_WRONG = 5, ZBUFRANDI_REPAIR_
        /* in the mask of suspects: their kind, another one's ray may speak for it, a ray of its own that may do so */
        ZBUFRANDI_REPAIR_KIND = 63, ZBUFRANDI_REPAIR_SPOKEN = 64, ZBUFRANDI_REPAIR_SPEAKS = 128 };
 
+#if ZBUFRANDI_AVX2
+ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_key_depths_avx2(const uint64_t *keys, uint32_t n, uint8_t *out) {
+    const __m256i none = _mm256_set1_epi32(0x7f800000);
+    uint32_t x, covered = 0;
+    for (x = 0; x + 8 <= n; x += 8) {
+        const __m256 a = _mm256_castsi256_ps(_mm256_loadu_si256((const __m256i *)(const void *)(keys + x)));
+        const __m256 b = _mm256_castsi256_ps(_mm256_loadu_si256((const __m256i *)(const void *)(keys + x + 4)));
+        const __m256i high = _mm256_permute4x64_epi64(_mm256_castps_si256(_mm256_shuffle_ps(a, b, 0xdd)), 0xd8);
+        const __m256i z = _mm256_min_epu32(high, none);
+        const int empty = _mm256_movemask_ps(_mm256_castsi256_ps(_mm256_cmpeq_epi32(z, none)));
+        covered += 8 - zbufrandi_popcount64((uint64_t)(uint32_t)empty);
+        _mm256_storeu_si256((__m256i *)(void *)(out + 4 * (size_t)x), z);
+    }
+    return covered;
+}
+#endif
+
+/* Depths of keys, INFINITY where there is none. Returns how many there are. */
+static uint32_t zbufrandi_key_depths(int level, const uint64_t *keys, uint32_t n, uint8_t *out) {
+    uint32_t x = 0, covered = 0;
+    (void)level;
+#if ZBUFRANDI_AVX2
+    if (level >= 3) {
+        covered = zbufrandi_key_depths_avx2(keys, n, out);
+        x = n & ~7u;
+    }
+#endif
+    for (; x < n; x++) {
+        const uint32_t bits = (uint32_t)(keys[x] >> 32) < 0x7f800000u ? (uint32_t)(keys[x] >> 32) : 0x7f800000u;
+        memcpy(out + 4 * (size_t)x, &bits, sizeof bits);
+        covered += bits < 0x7f800000u;
+    }
+    return covered;
+}
+
 static void zbufrandi_depth_task(void *ctx, uint32_t y) { /* depths of the picture from its keys */
     zbufrandi_picture *p = (zbufrandi_picture *)ctx;
     const zbufrandi_recon *r = &p->f->recon;
     const uint64_t *keys = r->result + (size_t)(y + r->result_guard) * r->result_width + r->result_guard;
-    float *out = p->f->depth + (size_t)y * r->width;
-    uint32_t x;
-    for (x = 0; x < r->width; x++) {
-        const uint32_t bits = (uint32_t)(keys[x] >> 32) < 0x7f800000u ? (uint32_t)(keys[x] >> 32) : 0x7f800000u;
-        memcpy(&out[x], &bits, sizeof bits);
-    }
+    zbufrandi_tally_add(p->seen, zbufrandi_key_depths(p->f->level, keys, r->width,
+                                                      (uint8_t *)(p->f->depth + (size_t)y * r->width)));
 }
 
 /* Suspects within a block of a pixel that the ray through it speaks for: holes if it is empty itself, else others.
@@ -15281,7 +15313,7 @@ static zbufrand_result zbufrandi_repair(zbufrandi_picture *p, double density, ui
     zbufrand_frame *f = p->f;
     const zbufrandi_recon *r = &f->recon;
     const double block = (double)r->o.block;
-    size_t n = (size_t)r->width * r->height, at;
+    const size_t n = (size_t)r->width * r->height;
     uint64_t covered = p->stats.repaired;
     uint32_t inside = 0;
     double failed, q;
@@ -15289,13 +15321,13 @@ static zbufrand_result zbufrandi_repair(zbufrandi_picture *p, double density, ui
     if (!zbufrandi_grow(&f->mem, (void **)&f->depth, &f->depth_capacity, 0, n, sizeof *f->depth))
         return ZBUFRAND_ERR_NO_MEMORY;
     f->suspect_count = 0;
+    p->seen[0] = p->seen[1] = 0;
     zbufrandi_parallel_for(&f->env, zbufrandi_depth_task, p, r->height);
     result = zbufrandi_find_suspects(p);
     if (result != ZBUFRAND_OK) return result;
     result = zbufrandi_repair_suspects(p, &inside);
     if (result != ZBUFRAND_OK) return result;
-    covered = p->stats.repaired - covered; /* holes are among them */
-    for (at = 0; at < n; at++) covered += f->depth[at] < INFINITY;
+    covered = p->stats.repaired - covered + zbufrandi_tally(p->seen); /* holes are among the first */
     /* What the density promises, or more if more had failed than that: four standard deviations more of those whose
        neighbours show that they lie within a surface. Others were changed because it covers a part of them. */
     q = zbufrandi_exp2(-1.4426950408889634 * density * block * block);
@@ -15444,14 +15476,11 @@ static uint64_t zbufrandi_write_keys(const zbufrandi_picture *p, uint32_t y, con
     uint64_t covered = 0;
     uint32_t x;
     uint8_t *out = m->depth != NULL ? zbufrandi_row(m->depth, m->depth_stride, 4, m->width, y) : NULL;
-    for (x = 0; x < m->width; x++) covered += keys[x] != ZBUFRANDI_EMPTY;
+    if (out != NULL) covered = zbufrandi_key_depths(p->f->level, keys, m->width, out);
+    for (x = 0; x < m->width && out == NULL; x++) covered += keys[x] != ZBUFRANDI_EMPTY;
     for (x = 0; x < m->width && m->node != NULL; x++) {
         if (keys[x] == ZBUFRANDI_EMPTY)
             memset(zbufrandi_row(m->node, m->node_stride, 4, m->width, y) + 4 * (size_t)x, 0, 4);
-    }
-    for (x = 0; x < m->width && out != NULL; x++) {
-        const uint32_t bits = (uint32_t)(keys[x] >> 32) < 0x7f800000u ? (uint32_t)(keys[x] >> 32) : 0x7f800000u;
-        memcpy(out + 4 * (size_t)x, &bits, 4);
     }
     return covered;
 }
