@@ -577,7 +577,7 @@ static void way_thesis(const char *kase, world *w, const truth *t) {
 /* ours: the fastest that one gets to an error with: one frame, larger pictures averaged until the error `target` is reached. */
 static void way_samples(const char *kase, const world *w, const truth *t, int all, double target,
                         curve *ours) {
-    static const uint32_t blocks[3] = {2, 3, 5}, frames[4] = {1, 4, 16, 64}, larger[4] = {2, 4, 6, 8};
+    static const uint32_t blocks[3] = {2, 3, 5}, frames[4] = {1, 4, 16, 64}, larger[4] = {2, 4, 5, 8};
     static const double densities[4] = {1.0, 2.0, 4.0, 8.0};
     picture_job p = way_open(w, t->width, t->height);
     wrong out;
@@ -591,7 +591,7 @@ static void way_samples(const char *kase, const world *w, const truth *t, int al
         if (i == 0) curve_add(ours, seconds, out.rmse);
     }
     p.mean = 0;
-    for (i = 0; i < 4 && (ours->count == 0 || ours->error[ours->count - 1] > target); i++) {
+    for (i = 0; i < (g_opt.full ? 4 : 3) && (ours->count == 0 || ours->error[ours->count - 1] > target); i++) {
         p.desc.oversample = larger[i];
         snprintf(name, sizeof name, "%u x %u", larger[i], larger[i]);
         seconds = way_line(kase, "default, larger and averaged", name, &p, t, g_opt.full && i < 2 ? 3 : 0, &out);
