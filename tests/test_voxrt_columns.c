@@ -925,7 +925,7 @@ TEST(planes_may_leave_two_intervals) { /* seldom: then the first cell on the way
 #endif
 
 static void rays_in_all_ways(uint32_t depth) {
-    enum { N = 5000 };
+    enum { N = 4000 };
     static voxrt_ray ray[N];
     static voxrt_column_hit a[N], b[N];
     static uint8_t dark[N];
