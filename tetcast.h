@@ -1671,6 +1671,7 @@ TETCAST_DEF tetcast_result tetcast_rbf_render(const tetcast_rbf_render_desc *des
 typedef enum tetcast_stepper {
     TETCAST_STEPPER_RK4 = 0,
     TETCAST_STEPPER_EULER = 1, /* as the thesis does */
+    TETCAST_STEPPER_DOPRI5 = 2, /* as many steps within dt as `tolerance` asks for (Dormand and Prince 1980) */
     TETCAST_STEPPER_FORCE_32BIT = 0x7fffffff
 } tetcast_stepper;
 
@@ -1679,13 +1680,15 @@ typedef enum tetcast_trace_end {
     TETCAST_TRACE_LEFT = 1,    /* left the box */
     TETCAST_TRACE_SLOW = 2,    /* slower than min_speed */
     TETCAST_TRACE_BAD = 3,     /* began at no place in the box */
+    TETCAST_TRACE_STUCK = 4,   /* DOPRI5: more than 1000 steps within dt */
     TETCAST_TRACE_FORCE_32BIT = 0x7fffffff
 } tetcast_trace_end;
 
 /* field        zero means
    dt           time of a step; has to be given; < 0: backwards
    steps        has to be given
-   min_speed    particles go on however slow they are */
+   min_speed    particles go on however slow they are
+   tolerance    DOPRI5: largest error of a step within dt, a length; 0: 1e-6 of the diagonal of the box */
 typedef struct tetcast_rbf_trace_desc {
     uint32_t _begin_zero;
     tetcast_env env;
@@ -1694,6 +1697,7 @@ typedef struct tetcast_rbf_trace_desc {
     double dt;
     uint32_t steps;
     float min_speed;
+    double tolerance;
     uint32_t _end_zero;
 } tetcast_rbf_trace_desc;
 
@@ -19974,6 +19978,7 @@ static void tetcasti_rbf_sum(const tetcast_rbf *m, tetcasti_rbf_add_fn *add, uin
             if (want) for (a = 0; a < 3; a++) v->slope[c][a][l] = v->slope[c][a][0];
         }
     }
+    if (m->count == 0) return;
     if (leaf == TETCAST_NONE) add(m, NULL, m->count, want, v);
     else if (lanes > 2) add(m, m->index + m->tree[leaf].first, m->tree[leaf].count, want, v);
     else { /* one point or two: those that do not reach them would add exactly 0 */
@@ -23261,6 +23266,7 @@ typedef struct tetcasti_rbf_traces {
     const tetcast_rbf_trace_desc *d;
     const tetcast_rbf *m;
     tetcasti_rbf_add_fn *add;
+    double tolerance;
     const double *seeds;
     size_t count;
     double *paths;
@@ -23284,13 +23290,78 @@ static int tetcasti_rbf_inside(const tetcast_rbf *m, const double p[3]) {
     return in;
 }
 
+enum { TETCASTI_DOPRI_MOST = 1000 };
+
+/* Up to eight particles through the time dt, each with steps of its own; h: their last ones. ok: 0 for those that took
+   too many. The seventh stage is the first one of the next step. */
+static void tetcasti_rbf_dopri(const tetcasti_rbf_traces *t, double (*p)[3], uint32_t n, double *h, uint8_t *ok) {
+    static const double a[6][6] = {
+        {1.0 / 5, 0, 0, 0, 0, 0}, {3.0 / 40, 9.0 / 40, 0, 0, 0, 0}, {44.0 / 45, -56.0 / 15, 32.0 / 9, 0, 0, 0},
+        {19372.0 / 6561, -25360.0 / 2187, 64448.0 / 6561, -212.0 / 729, 0, 0},
+        {9017.0 / 3168, -355.0 / 33, 46732.0 / 5247, 49.0 / 176, -5103.0 / 18656, 0},
+        {35.0 / 384, 0, 500.0 / 1113, 125.0 / 192, -2187.0 / 6784, 11.0 / 84}};
+    static const double e[7] = {71.0 / 57600, 0, -71.0 / 16695, 71.0 / 1920, -17253.0 / 339200, 22.0 / 525, -1.0 / 40};
+    const double dt = t->d->dt;
+    double k[7][8][3], q[8][3], left[8], step[8];
+    uint32_t i, j, c, stage, m = n, who[8], count[8];
+    for (i = 0; i < n; i++) {
+        who[i] = i;
+        left[i] = tetcasti_abs(dt);
+        count[i] = 0;
+        ok[i] = 1;
+    }
+    tetcasti_rbf_velocity(t, (const double (*)[3])p, n, k[0]);
+    while (m != 0) { /* of those that are not through yet; all arrays but k are by particle */
+        uint32_t rest = 0;
+        for (i = 0; i < m; i++) step[i] = tetcasti_min(h[who[i]], left[who[i]]) * (dt > 0.0 ? 1.0 : -1.0);
+        for (stage = 0; stage < 6; stage++) {
+            for (i = 0; i < m; i++)
+                for (c = 0; c < 3; c++) {
+                    double sum = 0.0;
+                    for (j = 0; j <= stage; j++) sum += a[stage][j] * k[j][i][c];
+                    q[i][c] = p[who[i]][c] + step[i] * sum;
+                }
+            tetcasti_rbf_velocity(t, (const double (*)[3])q, m, k[stage + 1]);
+        }
+        for (i = 0; i < m; i++) {
+            const uint32_t w = who[i];
+            double error = 0.0, grow, sum;
+            uint32_t next = 0;
+            for (c = 0; c < 3; c++) {
+                for (j = 0, sum = 0.0; j < 7; j++) sum += e[j] * k[j][i][c];
+                error += step[i] * sum * (step[i] * sum);
+            }
+            error = sqrt(error) / t->tolerance;
+            /* the fifth root of 1 / error, between a fifth and five */
+            grow = error > 1e-30 ? 0.9 * tetcasti_exp2(-0.2 * tetcasti_log2(error)) : 5.0;
+            grow = grow < 0.2 ? 0.2 : grow < 5.0 ? grow : 5.0;
+            if (error <= 1.0) {
+                left[w] -= tetcasti_abs(step[i]);
+                if (!(left[w] > 1e-12 * tetcasti_abs(dt))) left[w] = 0.0;
+                memcpy(p[w], q[i], sizeof q[i]);
+                next = 6;
+            }
+            if (!(error <= 1.0) || tetcasti_abs(step[i]) >= h[w]) h[w] = tetcasti_abs(step[i]) * grow;
+            if (left[w] == 0.0) continue;
+            if (++count[w] >= TETCASTI_DOPRI_MOST || !(h[w] > 0.0)) {
+                ok[w] = 0;
+                continue;
+            }
+            memcpy(k[0][rest], k[next][i], sizeof k[0][rest]);
+            who[rest++] = w;
+        }
+        m = rest;
+    }
+}
+
 /* Eight particles at a time. */
 static void tetcasti_task_rbf_trace(void *ctx, uint32_t task) {
     const tetcasti_rbf_traces *t = (const tetcasti_rbf_traces *)ctx;
     const size_t first = (size_t)task * 8, row = 3 * ((size_t)t->d->steps + 1);
     const double dt = t->d->dt;
-    double p[8][3], q[8][3], k[4][8][3];
+    double p[8][3], q[8][3], k[4][8][3], h[8];
     uint32_t number[8], length[8], end[8], n = 0, i, a, s, stage;
+    uint8_t ok[8];
     const uint32_t some = t->count - first < 8 ? (uint32_t)(t->count - first) : 8u;
     for (i = 0; i < some; i++) {
         const double *seed = t->seeds + 3 * (first + i);
@@ -23299,6 +23370,7 @@ static void tetcasti_task_rbf_trace(void *ctx, uint32_t task) {
         end[i] = TETCAST_TRACE_STEPS;
         if (tetcasti_rbf_inside(t->m, seed)) {
             memcpy(p[n], seed, sizeof p[n]);
+            h[n] = 0.1 * tetcasti_abs(dt);
             number[n++] = i;
         } else end[i] = TETCAST_TRACE_BAD;
     }
@@ -23310,6 +23382,8 @@ static void tetcasti_task_rbf_trace(void *ctx, uint32_t task) {
             for (i = 0; i < n; i++) for (a = 0; a < 3; a++) q[i][a] = p[i][a] + part * k[stage - 1][i][a];
             tetcasti_rbf_velocity(t, (const double (*)[3])q, n, k[stage]);
         }
+        memcpy(q, p, sizeof q);
+        if (t->d->stepper == TETCAST_STEPPER_DOPRI5) tetcasti_rbf_dopri(t, q, n, h, ok);
         for (i = 0; i < n; i++) {
             const uint32_t who = number[i];
             const double *v = k[0][i];
@@ -23318,7 +23392,13 @@ static void tetcasti_task_rbf_trace(void *ctx, uint32_t task) {
                 end[who] = TETCAST_TRACE_SLOW;
                 continue;
             }
-            for (a = 0; a < 3; a++)
+            if (t->d->stepper == TETCAST_STEPPER_DOPRI5) {
+                if (!ok[i]) {
+                    end[who] = TETCAST_TRACE_STUCK;
+                    continue;
+                }
+                memcpy(p[i], q[i], sizeof p[i]);
+            } else for (a = 0; a < 3; a++)
                 p[i][a] += t->d->stepper == TETCAST_STEPPER_EULER ? dt * v[a]
                     : dt / 6.0 * ((k[0][i][a] + k[3][i][a]) + 2.0 * (k[1][i][a] + k[2][i][a]));
             memcpy(t->paths + (first + who) * row + 3 * ((size_t)s + 1), p[i], sizeof p[i]);
@@ -23328,6 +23408,7 @@ static void tetcasti_task_rbf_trace(void *ctx, uint32_t task) {
                 continue;
             }
             if (left != i) memcpy(p[left], p[i], sizeof p[i]);
+            h[left] = h[i];
             number[left++] = who;
         }
         n = left;
@@ -23345,17 +23426,25 @@ TETCAST_DEF tetcast_result tetcast_rbf_trace(const tetcast_rbf_trace_desc *desc,
     tetcasti_mem mem;
     tetcast_result r;
     size_t size;
+    uint32_t a;
     if (desc == NULL || rbf == NULL || (count != 0 && (seeds == NULL || paths == NULL))) return TETCAST_ERR_INVALID_ARG;
     if (desc->_begin_zero != 0 || desc->_end_zero != 0) return TETCAST_ERR_UNINIT_DESC;
     r = tetcasti_env_open(&desc->env, &mem);
     if (r != TETCAST_OK) return r;
     if (rbf->components != 3 || desc->dt == 0.0 || !tetcasti_finite(desc->dt) || desc->steps == 0 ||
-        desc->steps > 0x7fffffffu || !(desc->min_speed >= 0.0f) || (uint32_t)desc->stepper > TETCAST_STEPPER_EULER)
+        desc->steps > 0x7fffffffu || !(desc->min_speed >= 0.0f) || (uint32_t)desc->stepper > TETCAST_STEPPER_DOPRI5 ||
+        !(desc->tolerance >= 0.0) || !tetcasti_finite(desc->tolerance))
         return tetcasti_fail(desc->env.error, TETCAST_ERR_INVALID_ARG, 0, "trace: a number or an enum is out of range");
     if (!tetcasti_mul_size(count, 24, &size) || !tetcasti_mul_size(size, (size_t)desc->steps + 1, &size) ||
         count / 8 >= 0x7fffffffu) return TETCAST_ERR_RANGE;
     t.d = desc;
     t.m = rbf;
+    t.tolerance = desc->tolerance;
+    for (a = 0; a < 3 && desc->tolerance == 0.0; a++) {
+        const double side = rbf->box_max[a] - rbf->box_min[a];
+        t.tolerance += side * side;
+    }
+    if (desc->tolerance == 0.0) t.tolerance = 1e-6 * sqrt(t.tolerance) + 1e-300;
     t.add = tetcasti_rbf_add_pick(rbf, tetcasti_rbf_isa(desc->isa));
     t.seeds = seeds;
     t.count = count;

@@ -295,7 +295,7 @@ static void rbf_encoder(void) {
         d.mean_error = 0.0182 * range;
         d.leaf = n > 12 ? 2048 : 0;
         d.overlap = 0.15;
-        d.rounds = 12;
+        d.rounds = 40;
         d.cut = 4.0;
         (void)snprintf(kase, sizeof kase, "tornado-%u-0.0682", n);
         s = bench_cpu();

@@ -918,6 +918,25 @@ TEST(traces) {
         error[k] = hypot(path[3 * t.steps] - 0.5, path[3 * t.steps + 1]);
     }
     CHECK_NEAR(log2(error[0] / error[1]), 4.0, 0.2);
+    for (k = 0; k < 2; k++) { /* two long steps around; the error goes with the tolerance, in company or alone, backwards too */
+        double alone[3 * 401];
+        t.stepper = TETCAST_STEPPER_DOPRI5;
+        t.steps = 2;
+        t.dt = (k ? -1.0 : 1.0) * 3.141592653589793;
+        t.tolerance = k ? 1e-9 : 1e-4;
+        CHECK(tetcast_rbf_trace(&t, m, seed, 2, path, length, end) == TETCAST_OK);
+        CHECK(length[0] == 3 && end[0] == TETCAST_TRACE_STEPS && end[1] == TETCAST_TRACE_BAD);
+        error[k] = hypot(path[6] - 0.5, path[7]);
+        CHECK_MSG(error[k] < (k ? 3e-6 : 2e-3), "%g", error[k]); /* velocities are floats */
+        CHECK_NEAR(path[3], -0.5, k ? 3e-6 : 2e-3);
+        CHECK(tetcast_rbf_trace(&t, m, seed, 1, alone, length, end) == TETCAST_OK && memcmp(alone, path, 9 * sizeof *path) == 0);
+    }
+    CHECK(error[1] < 0.1 * error[0]);
+    t.tolerance = 1e-300; /* floats cannot */
+    CHECK(tetcast_rbf_trace(&t, m, seed, 1, path, length, end) == TETCAST_OK && end[0] == TETCAST_TRACE_STUCK && length[0] == 1);
+    t.tolerance = -1.0;
+    CHECK(tetcast_rbf_trace(&t, m, seed, 1, path, length, end) == TETCAST_ERR_INVALID_ARG);
+    t.tolerance = 0.0;
     t.stepper = TETCAST_STEPPER_EULER;
     t.steps = 400;
     t.dt = 0.1;

@@ -1,13 +1,13 @@
 /* rbf_steps.h - the thesis' encoder of radial basis functions, to be compared with - MIT OR Unlicense, see LICENSE
 
-   Rounds of four steps, each on what the rounds before left over:
+   Rounds of four steps; 1 and 2 on what the rounds before left over:
    1  centres  a: the values are smoothed over the 25 nearest points by a Gaussian that narrows by 40 % a stage; points
                   where that has an extremum among its 25 become centres, until it is as narrow as the points lie close
                b: what a rough fit of those leaves is cut into clusters: the worst one across its principal axis, until
-                  none is worse than the tolerance or there are enough
+                  none is worse than the tolerance or there is one for 32 points: the next round goes on
    2  widths   half the way to the next centre; clusters: the width that explains 25 clusters around best. Then bounded
                Gauss-Newton steps, with the weights held
-   3  weights and offset: least squares by conjugate gradients, never by a matrix
+   3  weights and offset of all functions so far: least squares by conjugate gradients, not by a pseudo-inverse
    4  error at the points; another round unless it is small enough
    Domains: a kd-tree over the points; its leaves overlap, points in overlaps belong to all of them, and weights that sum
    to one share their values out. The functions of all leaves add up.
@@ -91,7 +91,7 @@ static double steps_phi(const steps_cell *s, const steps_function *f, uint32_t c
 }
 
 /* Which points each function reaches, once for steps 2 and 3: lists one after the other. Reach: that of the widest. */
-typedef struct steps_lists { size_t *first; uint32_t *point; size_t room; } steps_lists;
+typedef struct steps_lists { size_t *first; uint32_t *point; double *phi; size_t room; } steps_lists;
 
 static int steps_reach(const steps_cell *s, const steps_function *f, size_t count, double wider, steps_lists *l) {
     size_t i, j, n = 0;
@@ -105,8 +105,10 @@ static int steps_reach(const steps_cell *s, const steps_function *f, size_t coun
             if (steps_way2(f[i].c, s->p[j]) >= w * w) continue;
             if (n == l->room) {
                 uint32_t *grown = (uint32_t *)realloc(l->point, (l->room = 2 * l->room + 4096) * sizeof *grown);
-                if (grown == NULL) return 0;
-                l->point = grown;
+                double *phi = (double *)realloc(l->phi, l->room * sizeof *phi);
+                if (phi != NULL) l->phi = phi;
+                if (grown != NULL) l->point = grown;
+                if (grown == NULL || phi == NULL) return 0;
             }
             l->point[n++] = (uint32_t)j;
         }
@@ -123,6 +125,8 @@ static void steps_weights(const steps_cell *s, steps_function *f, size_t count, 
     size_t i, k, step;
     memcpy(r, res, s->n * sizeof *r);
     memset(x, 0, (count + 1) * sizeof *x);
+    for (i = 0; i < count; i++) /* values of functions at the points that they reach: the matrix, as far as it is not 0 */
+        for (k = l->first[i]; k < l->first[i + 1]; k++) l->phi[k] = steps_phi(s, &f[i], c, s->p[l->point[k]]);
     for (step = 0; step < 200; step++) {
         double old = gg, energy = 0.0, alpha;
         gg = 0.0;
@@ -130,7 +134,7 @@ static void steps_weights(const steps_cell *s, steps_function *f, size_t count, 
             double sum = 0.0;
             if (i == count) {
                 if (offset != NULL) for (k = 0; k < s->n; k++) sum += r[k];
-            } else for (k = l->first[i]; k < l->first[i + 1]; k++) sum += steps_phi(s, &f[i], c, s->p[l->point[k]]) * r[l->point[k]];
+            } else for (k = l->first[i]; k < l->first[i + 1]; k++) sum += l->phi[k] * r[l->point[k]];
             g[i] = sum - 1e-6 * x[i];
             gg += g[i] * g[i];
         }
@@ -140,7 +144,7 @@ static void steps_weights(const steps_cell *s, steps_function *f, size_t count, 
         for (i = 0; i <= count; i++) d[i] = g[i] + (step != 0 ? gg / old * d[i] : 0.0);
         for (k = 0; k < s->n; k++) ap[k] = offset != NULL ? d[count] : 0.0;
         for (i = 0; i < count; i++)
-            for (k = l->first[i]; k < l->first[i + 1]; k++) ap[l->point[k]] += d[i] * steps_phi(s, &f[i], c, s->p[l->point[k]]);
+            for (k = l->first[i]; k < l->first[i + 1]; k++) ap[l->point[k]] += d[i] * l->phi[k];
         for (k = 0; k < s->n; k++) energy += ap[k] * ap[k];
         for (i = 0; i <= count; i++) energy += 1e-6 * d[i] * d[i];
         if (!(energy > 0.0)) break;
@@ -343,36 +347,43 @@ static int steps_keep(steps_model *m, const steps_function *f, size_t count) {
     return 1;
 }
 
-/* Widths (two ladders), weights, residual of a set of centres. order: which are clusters, for their first widths. */
-static int steps_fit(steps_cell *s, steps_function *f, size_t count, steps_lists *l, double *work, double *offset) {
-    double *copy = work + 2 * s->n + 3 * (count + 1);
+/* Widths of the last `count` functions, then weights of all `all`, and what they leave of y. 0: no memory. */
+static int steps_fit(steps_cell *s, steps_function *f, size_t all, size_t count, double *const *y, steps_lists *l, double *work,
+                     double *offset) {
+    double *copy = work + 2 * s->n + 3 * (all + 1);
     uint32_t c;
-    l->first = (size_t *)realloc(l->first, (count + 2) * sizeof *l->first);
-    if (l->first == NULL || !steps_reach(s, f, count, 1.5, l)) return 0;
+    l->first = (size_t *)realloc(l->first, (all + 2) * sizeof *l->first);
+    if (l->first == NULL || !steps_reach(s, f + all - count, count, 1.5, l)) return 0;
     for (c = 0; c < s->components; c++) {
         memcpy(copy, s->res[c], s->n * sizeof *copy); /* the weights that widths are fitted with: values at the centres */
-        steps_widths(s, f, count, l, c, copy);
+        steps_widths(s, f + all - count, count, l, c, copy);
     }
-    if (!steps_reach(s, f, count, 1.0, l)) return 0;
+    if (!steps_reach(s, f, all, 1.0, l)) return 0;
     for (c = 0; c < s->components; c++) {
-        steps_weights(s, f, count, l, c, s->res[c], offset != NULL ? &offset[c] : NULL, work);
-        steps_subtract(s, f, count, l, c, offset != NULL ? offset[c] : 0.0, s->res[c]);
+        memcpy(s->res[c], y[c], s->n * sizeof *copy);
+        steps_weights(s, f, all, l, c, y[c], offset != NULL ? &offset[c] : NULL, work);
+        steps_subtract(s, f, all, l, c, offset != NULL ? offset[c] : 0.0, s->res[c]);
     }
     return 1;
 }
 
 /* All rounds of one domain; its functions are added to the model. 0: no memory. */
 static int steps_encode(steps_cell *s, const steps_desc *d, steps_model *m, double *offset) {
-    const size_t n = s->n;
+    const size_t n = s->n, end = 2 * n + 1; /* functions */
     uint8_t *mark = (uint8_t *)malloc(n + 1);
     uint32_t *order = (uint32_t *)malloc((n + 1) * sizeof *order);
     steps_cluster *k = (steps_cluster *)malloc((n + 1) * sizeof *k);
-    steps_function *f = (steps_function *)malloc((n + 1) * sizeof *f);
-    double *work = (double *)malloc((6 * n + 16) * sizeof *work), mean, most;
+    steps_function *f = (steps_function *)malloc(end * sizeof *f);
+    double *work = (double *)malloc((3 * n + 3 * end + 16) * sizeof *work), *y[STEPS_MOST] = {NULL, NULL, NULL, NULL}, mean, most;
     steps_lists l;
+    size_t have = 0;
     uint32_t round, c;
     int ok = mark != NULL && order != NULL && k != NULL && f != NULL && work != NULL;
     memset(&l, 0, sizeof l);
+    for (c = 0; c < s->components; c++) {
+        ok = (y[c] = (double *)malloc((n + 1) * sizeof(double))) != NULL && ok;
+        if (ok) memcpy(y[c], s->res[c], n * sizeof(double));
+    }
     for (round = 0; ok && round < d->rounds; round++) {
         size_t i, count = 0, clusters;
         most = steps_most(s, &mean);
@@ -387,21 +398,27 @@ static int steps_encode(steps_cell *s, const steps_desc *d, steps_model *m, doub
                     count++;
                 }
             steps_half_way(s, f, count);
-            ok = steps_fit(s, f, count, &l, work, offset) && steps_keep(m, f, count);
+            ok = steps_fit(s, f, count, count, y, &l, work, offset);
+            have = count;
             if (!ok) break;
         }
-        clusters = steps_clusters(s, d->max_error, n / 8 + 1, order, k);
+        clusters = steps_clusters(s, d->max_error, n / 32 + 1, order, k);
+        if (clusters > end - have) break;
         for (i = 0; i < clusters; i++) {
-            memcpy(f[i].c, k[i].centre, sizeof f[i].c);
+            memcpy(f[have + i].c, k[i].centre, sizeof f[i].c);
             for (c = 0; c < s->components; c++) {
-                f[i].weight[c] = k[i].weight[c];
-                f[i].width[c] = k[i].width;
+                f[have + i].weight[c] = k[i].weight[c];
+                f[have + i].width[c] = k[i].width;
             }
         }
-        ok = steps_fit(s, f, clusters, &l, work, NULL) && steps_keep(m, f, clusters);
+        have += clusters;
+        ok = steps_fit(s, f, have, clusters, y, &l, work, offset);
     }
+    ok = ok && steps_keep(m, f, have);
+    for (c = 0; c < s->components; c++) free(y[c]);
     free(l.first);
     free(l.point);
+    free(l.phi);
     free(mark);
     free(order);
     free(k);
