@@ -21677,7 +21677,7 @@ static void tetcasti_fit_measure(tetcasti_fit *t, tetcast_rbf_report *report) {
 
 /* Random places in cells, against linear interpolation of the data. */
 static void tetcasti_fit_between(tetcasti_fit *t, const tetcast_rbf_points *in, tetcast_rbf_report *report) {
-    const size_t want = in->positions.data == NULL || in->tets != NULL ? 65536 : 0;
+    const size_t cells = tetcasti_fit_middles(in), want = cells < 1024 ? 64 * cells : 65536;
     double sum = 0.0;
     size_t i;
     uint32_t h = 1, a, c, k;
