@@ -1349,6 +1349,10 @@ TETCAST_DEF void tetcast_over(float *front, const float *back, size_t pixels);
 TETCAST_DEF size_t tetcast_ccc_size(uint32_t width, uint32_t height, int alpha); /* 0: too large */
 TETCAST_DEF void tetcast_ccc_encode(const uint8_t *rgba, uint32_t width, uint32_t height, size_t stride, int alpha,
                                     uint8_t *out);
+/* The same format, better colours: the mask is the best of the split by brightness and up to four rounds of 2-means in
+   r g b after it. For cells that brightness does not tell apart, red beside green. Cost: about 25 ns a pixel. */
+TETCAST_DEF void tetcast_ccc_encode_fitted(const uint8_t *rgba, uint32_t width, uint32_t height, size_t stride,
+                                           int alpha, uint8_t *out);
 TETCAST_DEF void tetcast_ccc_decode(const uint8_t *data, uint32_t width, uint32_t height, size_t stride, int alpha,
                                     uint8_t *rgba);
 
@@ -18411,26 +18415,36 @@ static void tetcasti_ccc_open(tetcasti_ccc *k, uint32_t width, uint32_t height, 
     k->alpha = alpha;
 }
 
-/* Brightness 38 r + 75 g + 15 b, 128 times; brighter than the mean of the cell: one colour, the others: the other. */
-static void tetcasti_ccc_encode_cell(const tetcasti_ccc *k, const uint8_t *rgba, uint32_t x, uint32_t y, uint8_t *out) {
-    const size_t c = x + (size_t)k->cx * y;
-    uint32_t light[16], sum = 0, mask = 0, n = 0, p[16], i;
-    uint64_t all = 0, bright = 0;
+/* The 16 pixels of a cell. */
+static void tetcasti_ccc_pixels(const tetcasti_ccc *k, const uint8_t *rgba, uint32_t x, uint32_t y, uint32_t p[16]) {
+    uint32_t i;
     for (i = 0; i < 16; i++) {
         uint32_t px = 4 * x + (i & 3u), py = 4 * y + (i >> 2);
         px = px < k->width ? px : k->width - 1;
         py = py < k->height ? py : k->height - 1;
         p[i] = tetcasti_load_u32(rgba + (size_t)py * k->stride + (size_t)px * 4);
-        light[i] = 38u * (p[i] & 255u) + 75u * (p[i] >> 8 & 255u) + 15u * (p[i] >> 16 & 255u);
-        sum += light[i];
     }
+}
+TETCASTI_INLINE uint32_t tetcasti_ccc_light(uint32_t p) {
+    return 38u * (p & 255u) + 75u * (p >> 8 & 255u) + 15u * (p >> 16 & 255u);
+}
+/* Brightness 38 r + 75 g + 15 b, 128 times; brighter than the mean of the cell: one colour, the others: the other. */
+static uint32_t tetcasti_ccc_split(const uint32_t p[16]) {
+    uint32_t i, sum = 0, mask = 0;
+    for (i = 0; i < 16; i++) sum += tetcasti_ccc_light(p[i]);
+    for (i = 0; i < 16; i++) mask |= (uint32_t)(16 * tetcasti_ccc_light(p[i]) > sum) << i;
+    return mask;
+}
+
+/* Mask and pixels -> what is stored. */
+static void tetcasti_ccc_put(const tetcasti_ccc *k, const uint32_t p[16], uint32_t mask, size_t c, uint8_t *out) {
+    const uint32_t n = tetcasti_popcount64(mask);
+    uint64_t all = 0, bright = 0;
+    uint32_t i;
     for (i = 0; i < 16; i++) {
-        const uint32_t bit = 16 * light[i] > sum;
         const uint64_t v = tetcasti_ccc_spread(p[i]);
-        mask |= bit << i;
-        n += bit;
         all += v;
-        bright += v & ((uint64_t)0 - bit);
+        bright += v & ((uint64_t)0 - (uint64_t)(mask >> i & 1u));
     }
     tetcasti_store_u16(out + 2 * c, mask);
     tetcasti_store_u16(out + 2 * (k->cells + c), tetcasti_ccc_565(n != 0 ? bright : all, n != 0 ? n : 16));
@@ -18439,6 +18453,80 @@ static void tetcasti_ccc_encode_cell(const tetcasti_ccc *k, const uint8_t *rgba,
         out[6 * k->cells + c] = (uint8_t)tetcasti_ccc_mean(n != 0 ? bright : all, 3, n != 0 ? n : 16);
         out[7 * k->cells + c] = (uint8_t)tetcasti_ccc_mean(all - bright, 3, 16 - n);
     }
+}
+static void tetcasti_ccc_encode_cell(const tetcasti_ccc *k, const uint8_t *rgba, uint32_t x, uint32_t y, uint8_t *out) {
+    uint32_t p[16];
+    tetcasti_ccc_pixels(k, rgba, x, y, p);
+    tetcasti_ccc_put(k, p, tetcasti_ccc_split(p), x + (size_t)k->cx * y, out);
+}
+
+/* Means of both halves of a mask, rounded, and the sum of squared distances to them. 0: a half is empty. */
+static int tetcasti_ccc_judge(const uint32_t p[16], uint32_t mask, int32_t mean[2][3], uint32_t *square) {
+    const uint32_t n[2] = {16 - tetcasti_popcount64(mask), tetcasti_popcount64(mask)};
+    uint64_t sum[2] = {0, 0};
+    uint32_t i, a;
+    *square = 0;
+    for (i = 0; i < 16; i++) sum[mask >> i & 1u] += tetcasti_ccc_spread(p[i]);
+    for (i = 0; i < 2; i++)
+        for (a = 0; a < 3; a++) mean[i][a] = n[i] != 0 ? (int32_t)tetcasti_ccc_mean(sum[i], a, n[i]) : 0;
+    for (i = 0; i < 16; i++)
+        for (a = 0; a < 3; a++) {
+            const int32_t d = (int32_t)(p[i] >> 8 * a & 255u) - mean[mask >> i & 1u][a];
+            *square += (uint32_t)(d * d);
+        }
+    return n[0] != 0 && n[1] != 0;
+}
+
+static void tetcasti_ccc_encode_cell_fitted(const tetcasti_ccc *k, const uint8_t *rgba, uint32_t x, uint32_t y,
+                                            uint8_t *out) {
+    uint32_t p[16], mask, best, least, square, i, a, round, most = 0, wide = 0;
+    int32_t mean[2][3];
+    tetcasti_ccc_pixels(k, rgba, x, y, p);
+    best = mask = tetcasti_ccc_split(p);
+    if (!tetcasti_ccc_judge(p, mask, mean, &least)) { /* equally bright: the channel with the largest range splits */
+        for (a = 0; a < 3; a++) {
+            uint32_t lo = 255, hi = 0;
+            for (i = 0; i < 16; i++) {
+                const uint32_t v = p[i] >> 8 * a & 255u;
+                lo = v < lo ? v : lo;
+                hi = v > hi ? v : hi;
+            }
+            if (hi - lo > most) {
+                most = hi - lo;
+                wide = a;
+            }
+        }
+        for (i = 0; i < 16; i++) mask |= (uint32_t)((int32_t)(p[i] >> 8 * wide & 255u) > mean[0][wide]) << i;
+    }
+    for (round = 0; round < 5; round++) {
+        uint32_t next = 0;
+        const int some = tetcasti_ccc_judge(p, mask, mean, &square);
+        if (square < least) {
+            least = square;
+            best = mask;
+        }
+        if (!some || round == 4) break;
+        for (i = 0; i < 16; i++) {
+            int32_t way[2] = {0, 0};
+            for (a = 0; a < 3; a++) {
+                const int32_t v = (int32_t)(p[i] >> 8 * a & 255u), d = v - mean[0][a], e = v - mean[1][a];
+                way[0] += d * d;
+                way[1] += e * e;
+            }
+            next |= (uint32_t)(way[1] < way[0]) << i;
+        }
+        if (next == mask) break;
+        mask = next;
+    }
+    (void)tetcasti_ccc_judge(p, best, mean, &square);
+    if (best != 0 && best != 0xffffu) { /* 1 is the brighter colour */
+        uint32_t light[2];
+        for (i = 0; i < 2; i++)
+            light[i] = 38u * (uint32_t)mean[i][0] + 75u * (uint32_t)mean[i][1] + 15u * (uint32_t)mean[i][2];
+        if (light[0] > light[1]) best ^= 0xffffu;
+    }
+    if (best == 0xffffu) best = 0;
+    tetcasti_ccc_put(k, p, best, x + (size_t)k->cx * y, out);
 }
 
 TETCASTI_INLINE uint32_t tetcasti_ccc_color(const uint8_t *p) {
@@ -18590,6 +18678,15 @@ TETCAST_DEF void tetcast_ccc_encode(const uint8_t *rgba, uint32_t width, uint32_
 #endif
         for (; x < k.cx; x++) tetcasti_ccc_encode_cell(&k, rgba, x, y, out);
     }
+}
+
+TETCAST_DEF void tetcast_ccc_encode_fitted(const uint8_t *rgba, uint32_t width, uint32_t height, size_t stride,
+                                           int alpha, uint8_t *out) {
+    tetcasti_ccc k;
+    uint32_t x, y;
+    tetcasti_ccc_open(&k, width, height, stride, alpha);
+    for (y = 0; y < k.cy; y++)
+        for (x = 0; x < k.cx; x++) tetcasti_ccc_encode_cell_fitted(&k, rgba, x, y, out);
 }
 
 TETCAST_DEF void tetcast_ccc_decode(const uint8_t *data, uint32_t width, uint32_t height, size_t stride, int alpha,

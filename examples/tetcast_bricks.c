@@ -420,7 +420,7 @@ static int parse_render(int argc, char **argv, options *o, tetcast_brick_render_
     table[n++] = sup_opt_text("functions", &o->functions, "FILE.rbf", "and these beside both, inside of the mesh");
     table[n++] = sup_opt_real("seconds", &o->seconds, 1e-6, 1e6, "T", "levels such that a picture takes no longer than that: draws some");
     table[n++] = sup_opt_text("coded", &o->coded, "FILE.tile", "also write the picture as --codec codes it");
-    table[n++] = sup_opt_choice("codec", &o->codec, SUP_TILE_CODECS, "colour cells (6 bytes for 16 pixels), with alpha (8), or without loss");
+    table[n++] = sup_opt_choice("codec", &o->codec, SUP_TILE_CODECS, "colour cells (6 bytes for 16 pixels), with alpha (8), without loss, better cells");
     table[n++] = sup_opt_flag("tiles", &o->tile, "draw in four parts, as several machines would");
     table[n++] = sup_opt_given(sup_opt_vec3("background", o->background, "linear r,g,b instead of transparent"),
                                &o->has_background);

@@ -2228,6 +2228,26 @@ TEST(tiles_in_files) {
     }
 }
 
+/* Red beside green, equally bright: one colour by brightness, both when fitted. */
+TEST(codecs_fitted) {
+    enum { N = 32 };
+    static const uint8_t color[2][3] = {{148, 0, 33}, {0, 73, 49}}; /* 6119 and 6210 of brightness / 128 */
+    uint8_t p[N * N * 4], q[2][N * N * 4], code[6 * N * N / 16];
+    uint32_t i, a;
+    double off[2] = {0, 0};
+    for (i = 0; i < N * N; i++) {
+        for (a = 0; a < 3; a++) p[4 * i + a] = i % 5 == 0 ? (uint8_t)(color[i & 1u][a] + 3) : color[i & 1u][a];
+        p[4 * i + 3] = 255;
+    }
+    tetcast_ccc_encode(p, N, N, 0, 0, code);
+    tetcast_ccc_decode(code, N, N, 0, 0, q[0]);
+    tetcast_ccc_encode_fitted(p, N, N, 0, 0, code);
+    tetcast_ccc_decode(code, N, N, 0, 0, q[1]);
+    for (i = 0; i < N * N * 4; i++)
+        for (a = 0; a < 2; a++) off[a] = fmax(off[a], fabs((double)q[a][i] - (double)p[i]));
+    CHECK_MSG(off[0] > 30 && off[1] <= 8, "%g %g", off[0], off[1]);
+}
+
 TEST(codecs) {
     static const uint32_t sizes[5][2] = {{64, 64}, {1, 1}, {5, 7}, {33, 2}, {16, 130}};
     test_rng r = test_rng_make(6);
@@ -2267,6 +2287,23 @@ TEST(codecs) {
                 CHECK(memcmp(back, q, (size_t)w * h * 4) == 0);
                 free(cell);
                 free(back);
+            }
+            { /* fitted: what two colours can do exactly is exact, nothing is worse but for rounding to 16 bits */
+                double worse = 0, plain = 0, d;
+                uint8_t *fitted = (uint8_t *)malloc((size_t)w * h * 4);
+                tetcast_ccc_encode_fitted(p, w, h, 0, 1, code);
+                tetcast_ccc_decode(code, w, h, 0, 1, fitted);
+                for (i = 0; i < (size_t)w * h * 4; i++) {
+                    if (i % 4 == 3) continue;
+                    d = (double)fitted[i] - (double)p[i];
+                    worse += d * d;
+                    d = (double)q[i] - (double)p[i];
+                    plain += d * d;
+                }
+                if (kind < 2) CHECK(memcmp(p, fitted, (size_t)w * h * 4) == 0);
+                CHECK_MSG(worse <= plain + 4.0 * w * h, "%d %d: %g %g", n, kind, worse, plain);
+                if (kind == 2 && n == 0) CHECK(worse < 0.95 * plain);
+                free(fitted);
             }
             size = tetcast_pack(p, w, h, 0, pack);
             CHECK(size <= tetcast_pack_bound(w, h));
@@ -2384,6 +2421,7 @@ int main(int argc, char **argv) {
 #endif
     RUN(tiles_in_files);
     RUN(codecs);
+    RUN(codecs_fitted);
     RUN(depth_ranges_and_memory);
     return test_end();
 }

@@ -13,8 +13,8 @@
 
 #include "base.h"
 
-#define SUP_TILE_CODECS "cells|alpha|lossless"
-enum { SUP_TILE_CELLS, SUP_TILE_ALPHA, SUP_TILE_LOSSLESS, SUP_TILE_HEAD = 24, SUP_TILE_SIDE = 65536 };
+#define SUP_TILE_CODECS "cells|alpha|lossless|fitted" /* fitted: colour cells with better colours, the same in a file */
+enum { SUP_TILE_CELLS, SUP_TILE_ALPHA, SUP_TILE_LOSSLESS, SUP_TILE_FITTED, SUP_TILE_HEAD = 24, SUP_TILE_SIDE = 65536 };
 
 SUP_FN void supi_tile_put(uint8_t *p, size_t v) {
     for (int i = 0; i < 4; i++) p[i] = (uint8_t)(v >> (8 * i));
@@ -32,9 +32,10 @@ SUP_FN int sup_tile_encode(int codec, const uint8_t *rgba, uint32_t width, uint3
     if (!*data) return 1;
     *size = room;
     if (codec == SUP_TILE_LOSSLESS) *size = tetcast_pack(rgba, width, height, 0, *data + SUP_TILE_HEAD);
+    else if (codec == SUP_TILE_FITTED) tetcast_ccc_encode_fitted(rgba, width, height, 0, 0, *data + SUP_TILE_HEAD);
     else tetcast_ccc_encode(rgba, width, height, 0, codec == SUP_TILE_ALPHA, *data + SUP_TILE_HEAD);
     memcpy(*data, magic, 8);
-    supi_tile_put(*data + 8, (size_t)codec);
+    supi_tile_put(*data + 8, codec == SUP_TILE_FITTED ? 0 : (size_t)codec);
     supi_tile_put(*data + 12, width);
     supi_tile_put(*data + 16, height);
     supi_tile_put(*data + 20, *size);
