@@ -171,7 +171,7 @@ static double sweep_cells(world *w, uint32_t block, const truth *t, int few, int
             p.desc.reconstruct.block = block;
             p.desc.depth_ratio = ratios[i];
             snprintf(name, sizeof name, "%s, %u levels of classes", same ? "only the cut" : "thesis", (unsigned)depth);
-            b = picture_time(&p, name, g_opt.full ? 3 : 0);
+            b = picture_time(&p, name, same && !few ? 7 : g_opt.full ? 3 : 0);
             bench_line("zbufrand.cells", w->name, "frame_time", 1e3 * bench_seconds(&b), "ms");
             {
                 const wrong out = judge(t, p.image.rgba, NULL, p.image.depth, NULL);
@@ -225,7 +225,7 @@ static void sweep(world *w, uint32_t block, int few, double ratio[2]) {
     bench_job b;
     int same;
     p.desc.reconstruct.block = block;
-    b = picture_time(&p, "error-driven cut", 5);
+    b = picture_time(&p, "error-driven cut", 7);
     (void)picture_line("zbufrand.sweep", w->name, "error-driven cut", &p, &b, t, 1);
     for (same = 0; same < 2; same++) {
         ratio[same] = bench_seconds(&b) / sweep_cells(w, block, t, few, same, fits);
