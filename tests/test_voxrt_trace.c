@@ -288,7 +288,7 @@ TEST(general_rays) {
     memset(&sum, 0, sizeof sum);
     for (k = 0; k < sizeof list / sizeof list[0]; k++) {
         scene s;
-        size_t want = list[k].share * (test_quick() ? 50u : 130u), done = 0;
+        size_t want = list[k].share * (test_quick() ? 50u : 80u), done = 0;
         test_rng r = test_rng_make(k);
         if (test_quick() && list[k].depth > 7) continue;
         scene_make(&s, list[k].depth, list[k].kind);
@@ -458,7 +458,7 @@ TEST(nasty_rays) {
         {4, WALLS}, {4, FULL}, {5, RANDOM}, {5, SOLID}, {5, CORNERS}, {6, RANDOM}, {6, SHELL}, {6, FEW}, {6, NOISE}, {7, WALLS}, {7, SHELL}};
     static voxrt_ray rays[BATCH];
     static uint8_t wild[BATCH];
-    size_t k, batch, i, most = test_quick() ? 1 : 17;
+    size_t k, batch, i, most = test_quick() ? 1 : 9;
     tally sum;
     memset(&sum, 0, sizeof sum);
     for (k = 0; k < sizeof list / sizeof list[0]; k++) {
@@ -567,7 +567,7 @@ TEST(runs_of_one_origin) {
         {7, SHELL}, {7, WALLS}, {8, NOISE}, {9, FEW}};
     static voxrt_ray rays[BATCH];
     static voxrt_hit ref[BATCH];
-    size_t k, batch, i, most = test_quick() ? 1 : 8;
+    size_t k, batch, i, most = test_quick() ? 1 : 5;
     tally sum;
     memset(&sum, 0, sizeof sum);
     for (k = 0; k < sizeof list / sizeof list[0]; k++) {
@@ -724,7 +724,7 @@ TEST(deep_planes_do_not_leak) {
     static const uint32_t depths[] = {9, 10, 12, 13, 16, 19, 20, 20, 20};
     static voxrt_ray rays[BATCH];
     static voxrt_hit ref[BATCH];
-    size_t k, batch, i, most = test_quick() ? 1 : 4;
+    size_t k, batch, i, most = test_quick() ? 1 : 2;
     uint64_t most_steps = 0;
     tally sum;
     memset(&sum, 0, sizeof sum);
