@@ -19249,13 +19249,13 @@ static int tetcasti_rbf_order(tetcast_rbf *m) {
         for (i = 0; i < m->count; i++) {
             memcpy(centre[i], m->centre[key[i].i], sizeof *centre);
             width[i] = m->width[key[i].i];
-            if (axis != NULL) memcpy(axis[i], m->axis[key[i].i], sizeof *axis);
+            if (axis != NULL && m->axis != NULL) memcpy(axis[i], m->axis[key[i].i], sizeof *axis);
             memcpy(weight + (size_t)i * m->components, m->weight + (size_t)key[i].i * m->components,
                    m->components * sizeof *weight);
         }
         memcpy(m->centre, centre, m->count * sizeof *centre);
         memcpy(m->width, width, m->count * sizeof *width);
-        if (axis != NULL) memcpy(m->axis, axis, m->count * sizeof *axis);
+        if (axis != NULL && m->axis != NULL) memcpy(m->axis, axis, m->count * sizeof *axis);
         memcpy(m->weight, weight, (size_t)m->count * m->components * sizeof *weight);
     }
     tetcasti_free(&m->mem, key);
@@ -19983,11 +19983,11 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_rbf_add8_kind(const tetcast_k
         const __m256 dx = _mm256_sub_ps(px, _mm256_set1_ps(f->c[0])), dy = _mm256_sub_ps(py, _mm256_set1_ps(f->c[1]));
         const __m256 dz = _mm256_sub_ps(pz, _mm256_set1_ps(f->c[2]));
         __m256 d2 = _mm256_fmadd_ps(dz, dz, _mm256_fmadd_ps(dy, dy, _mm256_mul_ps(dx, dx)));
-        __m256 sl = _mm256_setzero_ps(), phi, ka = sl, ex = dx, ey = dy, ez = dz;
+        __m256 sl = _mm256_setzero_ps(), phi, ex = dx, ey = dy, ez = dz;
         if (shaped) {
             const __m256 mx = _mm256_set1_ps(f->m[0]), my = _mm256_set1_ps(f->m[1]), mz = _mm256_set1_ps(f->m[2]);
             const __m256 along = _mm256_fmadd_ps(mz, dz, _mm256_fmadd_ps(my, dy, _mm256_mul_ps(mx, dx)));
-            ka = _mm256_mul_ps(_mm256_set1_ps(f->k), along);
+            const __m256 ka = _mm256_mul_ps(_mm256_set1_ps(f->k), along);
             d2 = _mm256_fmadd_ps(ka, along, d2);
             if (want) {
                 ex = _mm256_fmadd_ps(ka, mx, dx);
