@@ -83,8 +83,10 @@ demo: $(EXAMPLES) $(GALLERY)
 
 # --- tests ---------------------------------------------------------------------------------------
 
+# long tests are shorter here; make test TEST_QUICK=0, or the group `long` of make check: all of them
+TEST_QUICK ?= 1
 test: $(TESTS)
-	@sh tests/run.sh $(TESTS)
+	@TEST_QUICK=$(TEST_QUICK) sh tests/run.sh $(TESTS)
 
 # CHECKS: groups of tests/check.sh, empty: all
 CHECKS ?=

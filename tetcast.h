@@ -5769,7 +5769,7 @@ static void tetcasti_batch_hit(tetcasti_batch *b, uint32_t ray, float at, uint32
 /* Hits in the order of rays, those of a ray in the order of distance (then of faces, so that touching parts of a mesh,
    where distances are equal, come in an order that is always the same). */
 static void tetcasti_batch_sort(tetcasti_batch *b) {
-    uint32_t i, sum = 0;
+    uint32_t i;
     size_t k;
     if (b->hit_count > b->sorted_room &&
         !tetcasti_grow(b->mem, (void **)&b->sorted, &b->sorted_room, 0, b->hit_count, sizeof *b->sorted)) {
@@ -5784,8 +5784,9 @@ static void tetcasti_batch_sort(tetcasti_batch *b) {
     b->hit_start[0] = 0;
     for (i = 0; i < b->count; i++) {
         uint32_t n = b->hit_start[i + 1] - b->hit_start[i], gap, j, m;
-        tetcasti_hit *h = b->sorted + b->hit_start[i], x;
+        tetcasti_hit *h, x;
         if (n < 2) continue;
+        h = b->sorted + b->hit_start[i];
         for (gap = 1; gap < n / 3; gap = 3 * gap + 1) { }
         for (; gap > 0; gap /= 3)
             for (j = gap; j < n; j++) {
@@ -5795,9 +5796,7 @@ static void tetcasti_batch_sort(tetcasti_batch *b) {
                     h[m] = h[m - gap];
                 h[m] = x;
             }
-        sum += n;
     }
-    (void)sum;
 }
 
 static tetcasti_start tetcasti_hit_start(const tetcasti_scene *scene, const tetcasti_batch *b, const tetcasti_hit *h) {

@@ -11,7 +11,7 @@ unset MAKEFLAGS MFLAGS MAKELEVEL MAKEOVERRIDES # each make that is started here 
 
 # --- what may be edited ------------------------------------------------------------------------------------------
 
-GROUPS_ALL="text options matrix targets link symbols hygiene programs readme install modes sanitize fuzz emulate analyze"
+GROUPS_ALL="text options matrix targets link symbols hygiene programs readme install long modes sanitize fuzz emulate analyze"
 JOBS=${JOBS:-$(nproc)}
 OUT=${OUT:-build/check}
 FUZZ_SECONDS=${FUZZ_SECONDS:-60}
@@ -658,6 +658,13 @@ one_test() { # PROGRAM [COMMAND BEFORE...]
     TEST_QUICK=1 cmd timeout $((4 * ITEM_TIMEOUT)) "$@" "$p" -v; rc=$?
     [ $rc -ne 124 ] && [ $rc -ne 137 ] && [ $rc -ne 152 ] || echo "took more than $ITEM_TIMEOUT s"
     return $rc
+}
+long_test() { TEST_QUICK=0 cmd timeout 400 "$1"; }
+group_long() { # what `make test` runs, at its full length
+    local t
+    solo "long build" make -k -j"$JOBS" --no-print-directory tests
+    for t in tests/test_*.c; do t=${t##*/}; t=${t%.c}; item "long $t" long_test "build/tests/$t"; done
+    barrier
 }
 build_and_test() { # GROUP NAME COMPILER FLAGS LDFLAGS [COMMAND BEFORE...]
     local group=$1 name=$2 cc=$3 flags=$4 ld=$5 t; shift 5

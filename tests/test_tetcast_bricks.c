@@ -1978,9 +1978,9 @@ TEST(refinement_ratios) {
         }
         for (i = 0; i < dims[k] * dims[k] * dims[k]; i++) {
             double x[3];
-            x[0] = (lo[k] + i % dims[k] + 0.5) / scale[k];
-            x[1] = (lo[k] + i / dims[k] % dims[k] + 0.5) / scale[k];
-            x[2] = (lo[k] + i / dims[k] / dims[k] + 0.5) / scale[k];
+            x[0] = (lo[k] + (double)(i % dims[k]) + 0.5) / scale[k];
+            x[1] = (lo[k] + (double)(i / dims[k] % dims[k]) + 0.5) / scale[k];
+            x[2] = (lo[k] + (double)(i / dims[k] / dims[k]) + 0.5) / scale[k];
             value[k][i] = (float)linear_at(x);
         }
     }
