@@ -110,7 +110,7 @@ GALLERY += $(VOXRT_PICTURES) $(G)/voxrt_minimal.png
 # --- zbufrand: scenes of up to 6.8 * 10^11 triangles ---------------------------------------------------------------
 
 $(G)/zbufrand_forest_1.png: options = --scene forest --view 1 --aa 3
-$(G)/zbufrand_forest_0.png: options = --scene forest --eye 0,42,7950 --at 0,13,7850 --fov 45 --aa 3
+$(G)/zbufrand_forest_0.png: options = --scene forest --eye 0,42,7950 --at 0,13,7850 --fov 45 --aa 2 --size 640x480
 $(G)/zbufrand_forest_2.png: options = --scene forest --view 2 --aa 3
 $(G)/zbufrand_forest_3.png: options = --scene forest --view 3 --aa 3
 $(G)/zbufrand_forest_4.png: options = --scene forest --view 4 --aa 3
@@ -130,10 +130,10 @@ $(G)/zbufrand_minimal.png: $(B)/minimal_zbufrand
 # --- voxrt: light that bounces -------------------------------------------------------------------------------------
 
 $(G)/voxrt_gi_cornell.png: options = --scene cornell --size 480x480 --res 512
-$(G)/voxrt_gi_atrium.png: options = --scene atrium --size 576x384 --res 1024
-$(G)/voxrt_gi_openness.png: options = --scene atrium --size 576x384 --res 1024 --method ao --radius 3
+$(G)/voxrt_gi_atrium.png: options = --scene atrium --size 432x288 --res 1024
+$(G)/voxrt_gi_openness.png: options = --scene atrium --size 432x288 --res 1024 --method ao --radius 3
 
-$(G)/voxrt_gi_still_life.png: options = --scene examples/still_life.txt --size 480x320 --grid 128 --shadow-filter 2
+$(G)/voxrt_gi_still_life.png: options = --scene examples/still_life.txt --size 360x240 --grid 128 --shadow-filter 2
 $(G)/voxrt_gi_cubes.png: options = --scene cornell --size 360x360 --res 256 --grid 64 --depth-cells 64 --aa 1 --view cubes
 $(G)/voxrt_gi_virtual_lights.png: options = --scene cornell --size 360x360 --res 256 --grid 128 --aa 1 --view lights
 $(G)/voxrt_gi_steps.png: options = --scene cornell --size 360x360 --res 64 --grid 64 --depth-cells 64 --aa 1 --view steps --pixel 135,225
