@@ -2387,7 +2387,7 @@ VOXRTI_INLINE uint32_t voxrti_normal_encode(uint32_t spherical, const float n[3]
 #define VOXRTI_PLANE_SLACK 0.03125 /* voxels: a plane is at most so far from where its neighbours' go on */
 
 VOXRTI_INLINE uint64_t voxrti_plane_count(const voxrt_tree *t) {
-    return t->code != NULL ? t->attr_count : t->voxel_count;
+    return t->mask_count != 0 ? t->attr_count : t->voxel_count;
 }
 
 /* ---------------------------------------------------------------------------
@@ -9490,7 +9490,7 @@ static uint64_t voxrti_v5_count(const voxrt_tree *t, uint32_t id) {
     case VOXRTI_V5_RANKS: return voxrti_rank_count(t);
     case VOXRTI_V5_GEOMETRY: return (uint64_t)t->node_count + t->level_nodes[t->wide - 1];
     case VOXRTI_V5_NORMALS: return t->attr_count;
-    case VOXRTI_V5_PLANES: return t->mask_count != 0 ? t->attr_count : t->voxel_count;
+    case VOXRTI_V5_PLANES: return voxrti_plane_count(t);
     case VOXRTI_V5_BLOCKS: return (t->attr_count + 63) / 64;
     default: return t->colors.data_bytes;
     }

@@ -1928,13 +1928,6 @@ static void bm15(void) {
 
 /* ---- BM16: many objects ---- */
 
-static double place_noise(uint64_t x) {
-    x = (x + 1) * 0x9e3779b97f4a7c15u;
-    x = (x ^ x >> 30) * 0xbf58476d1ce4e5b9u;
-    x = (x ^ x >> 27) * 0x94d049bb133111ebu;
-    return (double)((x ^ x >> 31) >> 11) / 9007199254740992.0;
-}
-
 /* Copies of one tree, turned and scaled, in a square; a camera that stands among them: what the hierarchy costs to make
    (for each frame when they move), to hold and to trace. The rays of the smallest scene one object after the other. */
 static void bm16(void) {
@@ -1954,10 +1947,12 @@ static void bm16(void) {
         char kase[64];
         double start = bench_wall(), places, build = 1e30;
         size_t wrong = 0;
+        bench_rng r;
         int k;
+        r.state = 16;
         for (i = 0; i < n; i++) {
             voxrt_instance *p = &instance[i];
-            const double turn = 6.283185307179586 * place_noise(4 * i), size = 0.7 + 0.6 * place_noise(4 * i + 1);
+            const double turn = 6.283185307179586 * (double)bench_random(&r), size = 0.7 + 0.6 * (double)bench_random(&r);
             const double c = size * cos(turn), d = size * sin(turn);
             memset(p, 0, sizeof *p);
             voxrt_tree_geometry(tree, &p->geometry);
@@ -1965,8 +1960,8 @@ static void bm16(void) {
             p->to_world[2] = d;
             p->to_world[8] = -d;
             p->to_world[5] = size;
-            p->to_world[3] = ((double)(i % side) - 0.5 * (double)side + 0.4 * place_noise(4 * i + 2)) * wide;
-            p->to_world[11] = (0.5 * (double)side - (double)(i / side) + 0.4 * place_noise(4 * i + 3)) * wide;
+            p->to_world[3] = ((double)(i % side) - 0.5 * (double)side + 0.4 * (double)bench_random(&r)) * wide;
+            p->to_world[11] = (0.5 * (double)side - (double)(i / side) + 0.4 * (double)bench_random(&r)) * wide;
             must(voxrt_instance_geometry(p, &all[i]), "instance");
         }
         places = bench_wall() - start;
