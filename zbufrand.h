@@ -669,7 +669,8 @@ ZBUFRAND_DEF uint32_t zbufrand_canvas_guard(const zbufrand_canvas *canvas);
 /* Take samples[0..count) with the numbers first_number + i (modulo 2^32; give each sample its own).
    stats  may be NULL
    Any number of threads at once; the picture does not depend on the order. Runs on the calling thread, allocates
-   nothing. Errors: INVALID_ARG. */
+   nothing. Errors: INVALID_ARG (also while a picture is being made: callbacks of zbufrand_canvas_resolve cannot submit
+   to their own canvas). */
 ZBUFRAND_DEF zbufrand_result zbufrand_canvas_submit(zbufrand_canvas *canvas, const zbufrand_sample *samples,
                                                     size_t count, uint32_t first_number,
                                                     zbufrand_submit_stats *stats);
@@ -684,7 +685,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_canvas_submit_points(zbufrand_canvas *canv
            plane_depth of blocks larger than 1; may be NULL if nothing of that is asked for
    stats   out, may be NULL
    The same bits for any number of threads and any isa. Needs the canvas for itself; allocates only for a repair.
-   Errors: INVALID_ARG, NO_MEMORY. */
+   Errors: INVALID_ARG (also while another call makes a picture of this canvas), NO_MEMORY. */
 ZBUFRAND_DEF zbufrand_result zbufrand_canvas_resolve(zbufrand_canvas *canvas, const zbufrand_source *source,
                                                      const zbufrand_picture *picture, zbufrand_resolve_stats *stats);
 
@@ -795,14 +796,13 @@ typedef enum zbufrand_accumulation {
    mode          plain mean
    epsilon       0.1: weight of a new frame (smooth), its least weight while the camera moves (adaptive); at most 1
    blur          no limit. b: with views given epsilon is raised so that the trail is at most b pixels long (smooth)
-   depth_match   0.02: share by which depths may differ for history to be kept (adaptive)
-   change        4.5: standard deviations beyond which the picture counts as changed (adaptive) */
+   Adaptive history is kept while depths differ by at most 2 % and colours by at most 4.5 standard deviations. */
 typedef struct zbufrand_accumulator_desc {
     uint32_t _begin_zero;
     zbufrand_env env;
     uint32_t width, height;
     zbufrand_accumulation mode;
-    float epsilon, blur, depth_match, change;
+    float epsilon, blur;
     uint32_t _end_zero;
 } zbufrand_accumulator_desc;
 
@@ -12077,6 +12077,7 @@ struct zbufrand_canvas {
     uint32_t salt;              /* numbers are xor-ed with it before they are hashed: other ties in another frame */
     uint32_t bucket, jitter;    /* mask of the random depth bits, shift of the borders */
     uint32_t bucket_bits;
+    uint32_t resolving;         /* atomic: 1 while a picture is made */
 };
 
 ZBUFRAND_DEF zbufrand_result zbufrand_canvas_create(const zbufrand_canvas_desc *desc, zbufrand_canvas **out_canvas) {
@@ -12136,6 +12137,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_canvas_submit(zbufrand_canvas *canvas, con
     size_t i;
     int plane;
     if (canvas == NULL || (samples == NULL && count != 0)) return ZBUFRAND_ERR_INVALID_ARG;
+    if (zbufrandi_atomic_load(&canvas->resolving)) return ZBUFRAND_ERR_INVALID_ARG;
     memset(&n, 0, sizeof n);
     x_min = -(float)canvas->recon.guard;
     x_max = (float)(canvas->recon.width + canvas->recon.guard);
@@ -12339,8 +12341,8 @@ static zbufrand_result zbufrandi_canvas_repair(zbufrand_canvas *c, float *rgba, 
     return r;
 }
 
-ZBUFRAND_DEF zbufrand_result zbufrand_canvas_resolve(zbufrand_canvas *canvas, const zbufrand_source *source,
-                                                     const zbufrand_picture *picture, zbufrand_resolve_stats *stats) {
+static zbufrand_result zbufrandi_canvas_resolve(zbufrand_canvas *canvas, const zbufrand_source *source,
+                                                const zbufrand_picture *picture, zbufrand_resolve_stats *stats) {
     zbufrandi_shade s;
     zbufrandi_recon *r;
     zbufrand_resolve_stats n;
@@ -12349,8 +12351,6 @@ ZBUFRAND_DEF zbufrand_result zbufrand_canvas_resolve(zbufrand_canvas *canvas, co
     uint32_t tasks;
     size_t i, pixels;
     memset(&n, 0, sizeof n);
-    if (stats != NULL) *stats = n;
-    if (canvas == NULL || picture == NULL) return ZBUFRAND_ERR_INVALID_ARG;
     if ((picture->rgba != NULL || canvas->recon.tint != NULL) && (source == NULL || source->shade_fn == NULL))
         return ZBUFRAND_ERR_INVALID_ARG;
     r = &canvas->recon;
@@ -12394,6 +12394,19 @@ ZBUFRAND_DEF zbufrand_result zbufrand_canvas_resolve(zbufrand_canvas *canvas, co
     if (result == ZBUFRAND_OK && r->o.repair) result = zbufrandi_canvas_repair(canvas, picture->rgba, depth, &n);
     if (depth != picture->depth) zbufrandi_free(&canvas->mem, depth);
     if (stats != NULL) *stats = n;
+    return result;
+}
+
+ZBUFRAND_DEF zbufrand_result zbufrand_canvas_resolve(zbufrand_canvas *canvas, const zbufrand_source *source,
+                                                     const zbufrand_picture *picture, zbufrand_resolve_stats *stats) {
+    zbufrand_result result;
+    uint32_t idle = 0;
+    if (stats != NULL) memset(stats, 0, sizeof *stats);
+    if (canvas == NULL || picture == NULL) return ZBUFRAND_ERR_INVALID_ARG;
+    if (zbufrandi_atomic_load(&canvas->resolving) || !zbufrandi_atomic_max_step(&canvas->resolving, &idle, 1u))
+        return ZBUFRAND_ERR_INVALID_ARG;
+    result = zbufrandi_canvas_resolve(canvas, source, picture, stats);
+    zbufrandi_atomic_store(&canvas->resolving, 0u);
     return result;
 }
 
@@ -12638,7 +12651,7 @@ struct zbufrand_accumulator {
     zbufrand_env env;
     uint32_t width, height;
     zbufrand_accumulation mode;
-    float epsilon, blur, depth_match, change;
+    float epsilon, blur;
     zbufrandi_history now, then;    /* then: adaptive only */
     zbufrand_view view;             /* of the last frame */
     int have_view;
@@ -12682,8 +12695,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_accumulator_create(const zbufrand_accumula
     r = zbufrandi_env_open(&desc->env, &mem);
     if (r == ZBUFRAND_OK) r = zbufrandi_size_check(desc->env.error, desc->width, desc->height);
     if (r != ZBUFRAND_OK) return r;
-    ok = desc->epsilon >= 0.0f && desc->epsilon <= 1.0f && desc->blur >= 0.0f && desc->depth_match >= 0.0f &&
-         desc->depth_match < 1.0f && desc->change >= 0.0f && (uint32_t)desc->mode <= ZBUFRAND_ACCUMULATE_ADAPTIVE;
+    ok = desc->epsilon >= 0.0f && desc->epsilon <= 1.0f && desc->blur >= 0.0f &&
+         (uint32_t)desc->mode <= ZBUFRAND_ACCUMULATE_ADAPTIVE;
     if (!ok) return zbufrandi_fail(desc->env.error, ZBUFRAND_ERR_INVALID_ARG, 0, "a field is out of its range");
     a = (zbufrand_accumulator *)zbufrandi_alloc_zero(&mem, 1, sizeof *a);
     if (a == NULL) return zbufrandi_fail(desc->env.error, ZBUFRAND_ERR_NO_MEMORY, 0, "out of memory");
@@ -12702,8 +12715,6 @@ ZBUFRAND_DEF zbufrand_result zbufrand_accumulator_create(const zbufrand_accumula
     a->mode = desc->mode;
     a->epsilon = desc->epsilon > 0.0f ? desc->epsilon : 0.1f;
     a->blur = desc->blur;
-    a->depth_match = desc->depth_match > 0.0f ? desc->depth_match : 0.02f;
-    a->change = desc->change > 0.0f ? desc->change : 4.5f;
     a->mem = mem;
     if (!ok) {
         zbufrand_accumulator_destroy(a);
@@ -12801,6 +12812,9 @@ static int zbufrandi_moved_from(const zbufrandi_accumulate *c, double x, double 
     return 1;
 }
 
+#define ZBUFRANDI_SAME_DEPTH 0.02f /* share by which depths may differ for history to be kept */
+#define ZBUFRANDI_CHANGED 4.5f     /* standard deviations beyond which the picture counts as changed */
+
 static int zbufrandi_same_depth(float a, float b, float match) { /* within the share `match`, or both infinite */
     return a == b || (a >= b * (1.0f - match) && b >= a * (1.0f - match) && a < (float)INFINITY);
 }
@@ -12827,7 +12841,7 @@ static void zbufrandi_reproject_task(void *ctx, uint32_t task) {
                     size_t p = (size_t)j * a->width + (size_t)i;
                     if (i < 0 || j < 0 || i >= (int32_t)a->width || j >= (int32_t)a->height) continue;
                     if (!(a->then.square[4 * p + 3] > 0.0f && weight > 0.0f)) continue;
-                    if (!zbufrandi_same_depth(a->then.depth[p], (float)w, a->depth_match)) continue;
+                    if (!zbufrandi_same_depth(a->then.depth[p], (float)w, ZBUFRANDI_SAME_DEPTH)) continue;
                     scale = zbufrandi_f4_all(weight);
                     p *= 4;
                     mean = zbufrandi_f4_add(mean, zbufrandi_f4_mul(scale, zbufrandi_f4_load(a->then.mean + p)));
@@ -12915,7 +12929,7 @@ static void zbufrandi_adaptive_task(void *ctx, uint32_t task) { /* then: history
     zbufrand_accumulator *a = c->a;
     zbufrandi_change ring[3][ZBUFRANDI_CHANGE_COLUMNS + 2], column[ZBUFRANDI_CHANGE_COLUMNS + 2], sum;
     uint32_t y0 = task * 16, end = y0 + 16 < a->height ? y0 + 16 : a->height, x0, y, n, i;
-    float limit = a->change * a->change;
+    float limit = ZBUFRANDI_CHANGED * ZBUFRANDI_CHANGED;
     for (x0 = 0; x0 < a->width; x0 += ZBUFRANDI_CHANGE_COLUMNS) {
         n = a->width - x0 < ZBUFRANDI_CHANGE_COLUMNS ? a->width - x0 : (uint32_t)ZBUFRANDI_CHANGE_COLUMNS;
         for (i = 0; i < n + 2; i++) {

@@ -1954,6 +1954,76 @@ TEST(depth_at_the_centre) {
 
 /* ---- errors and memory ------------------------------------------------------------------------------------------- */
 
+/* A shading callback that hands samples to its own canvas, or asks for its picture. */
+typedef struct meddler {
+    zbufrand_canvas *canvas;
+    zbufrand_result submitted, points_submitted, resolved;
+    uint32_t calls;
+} meddler;
+
+static void shade_and_meddle(void *user, const uint32_t *numbers, size_t count, float *rgba) {
+    meddler *m = (meddler *)user;
+    static const float at[3] = {0, 0, 1};
+    zbufrand_sample s;
+    zbufrand_points points;
+    zbufrand_view view;
+    zbufrand_picture none;
+    memset(&s, 0, sizeof s);
+    memset(&points, 0, sizeof points);
+    memset(&none, 0, sizeof none);
+    s.x = s.y = 3.5f;
+    s.z = 0.5f; /* nearer than what is being drawn */
+    points.positions = at;
+    points.count = 1;
+    memset(&view, 0, sizeof view);
+    view.world_to_camera[0][0] = view.world_to_camera[1][1] = view.world_to_camera[2][2] = 1.0;
+    view.focal = 4.0;
+    view.center_x = view.center_y = 4.0;
+    view.near_z = 0.1;
+    m->calls++;
+    m->submitted = zbufrand_canvas_submit(m->canvas, &s, 1, 99, NULL);
+    m->points_submitted = zbufrand_canvas_submit_points(m->canvas, &view, &points, 99, NULL);
+    m->resolved = zbufrand_canvas_resolve(m->canvas, NULL, &none, NULL);
+    (void)numbers;
+    for (size_t i = 0; i < 4 * count; i++) rgba[i] = 1.0f;
+}
+
+TEST(nothing_comes_in_while_a_picture_is_made) {
+    zbufrand_canvas_desc d = defaults(8, 8, 1);
+    zbufrand_source source;
+    zbufrand_picture p;
+    zbufrand_sample s;
+    uint32_t number[64];
+    float rgba[64 * 4];
+    meddler m;
+    memset(&source, 0, sizeof source);
+    memset(&p, 0, sizeof p);
+    memset(&m, 0, sizeof m);
+    memset(&s, 0, sizeof s);
+    d.env.thread_count = 1;
+    CHECK_EQ_U64(zbufrand_canvas_create(&d, &m.canvas), ZBUFRAND_OK);
+    s.x = s.y = 3.5f;
+    s.z = 1.0f;
+    CHECK_EQ_U64(zbufrand_canvas_submit(m.canvas, &s, 1, 7, NULL), ZBUFRAND_OK);
+    source.shade_fn = shade_and_meddle;
+    source.user = &m;
+    p.rgba = rgba;
+    p.number = number;
+    for (int twice = 0; twice < 2; twice++) { /* afterwards all is as it was: nothing came in, and the canvas works */
+        CHECK_EQ_U64(zbufrand_canvas_resolve(m.canvas, &source, &p, NULL), ZBUFRAND_OK);
+        CHECK(m.calls > 0);
+        CHECK_EQ_U64(m.submitted, ZBUFRAND_ERR_INVALID_ARG);
+        CHECK_EQ_U64(m.points_submitted, ZBUFRAND_ERR_INVALID_ARG);
+        CHECK_EQ_U64(m.resolved, ZBUFRAND_ERR_INVALID_ARG);
+        CHECK_EQ_U64(number[3 * 8 + 3], 7);
+    }
+    s.z = 0.5f;
+    CHECK_EQ_U64(zbufrand_canvas_submit(m.canvas, &s, 1, 8, NULL), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_canvas_resolve(m.canvas, &source, &p, NULL), ZBUFRAND_OK);
+    CHECK_EQ_U64(number[3 * 8 + 3], 8);
+    zbufrand_canvas_destroy(m.canvas);
+}
+
 TEST(errors) {
     zbufrand_canvas_desc d = defaults(8, 8, 1), e;
     zbufrand_canvas *c = NULL;
@@ -2186,6 +2256,7 @@ int main(int argc, char **argv) {
     RUN(suspects_same_bits);
     RUN(projection);
     RUN(depth_at_the_centre);
+    RUN(nothing_comes_in_while_a_picture_is_made);
     RUN(errors);
     RUN(memory_runs_out);
     RUN(large_blocks_small_pictures);
