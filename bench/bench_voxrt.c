@@ -15,6 +15,7 @@
 #define VOXRT_IMPLEMENTATION
 #include "../voxrt.h"
 #include "../tests/oracle.h"
+#include "../tests/ball.h"
 #include "baseline/neighbour.h"
 #include "bench_models.h"
 
@@ -1806,48 +1807,13 @@ static void bm14(void) {
 
 /* ---- BM15: voxels with planes ---- */
 
-/* The unit ball in sRGB bytes: 256 samples a pixel where its outline is, 16 elsewhere. */
-static void ball_picture(const voxrt_camera *camera, const double l[3], float *out) {
-    voxrt_ray c[3];
-    int x, y, i, a, pass;
-    for (i = 0; i < 3; i++)
-        must(voxrt_camera_ray(camera, WIDTH, HEIGHT, i == 1 ? WIDTH : 0, i == 2 ? HEIGHT : 0, &c[i]), "ray");
-    for (y = 0; y < HEIGHT; y++)
-        for (x = 0; x < WIDTH; x++)
-            for (pass = 0; pass < 2; pass++) {
-                const int n = pass ? 16 : 4;
-                int hits = 0;
-                double sum = 0.0;
-                for (i = 0; i < n * n; i++) {
-                    const double u = (x + (i % n + 0.5) / n) / WIDTH, v = (y + (i / n + 0.5) / n) / HEIGHT;
-                    double o[3], d[3], od = 0.0, oo = 0.0, dd = 0.0, disc, t, shine = 0.0;
-                    for (a = 0; a < 3; a++) {
-                        o[a] = (double)c[0].org[a];
-                        d[a] = (double)c[0].dir[a] + u * ((double)c[1].dir[a] - (double)c[0].dir[a]) +
-                               v * ((double)c[2].dir[a] - (double)c[0].dir[a]);
-                        od += o[a] * d[a];
-                        oo += o[a] * o[a];
-                        dd += d[a] * d[a];
-                    }
-                    disc = od * od - dd * (oo - 1.0);
-                    if (disc <= 0.0) continue;
-                    t = (-od - sqrt(disc)) / dd;
-                    hits++;
-                    for (a = 0; a < 3; a++) shine += (o[a] + t * d[a]) * l[a];
-                    sum += 0.05 + (shine > 0.0 ? 0.9 * shine : 0.0);
-                }
-                sum /= n * n;
-                out[y * WIDTH + x] = (float)(255.0 * (sum <= 0.0031308 ? 12.92 * sum : 1.055 * pow(sum, 1.0 / 2.4) - 0.055));
-                if (hits == 0 || hits == n * n) break;
-            }
-}
-
 /* Close up, and a voxel a pixel: cubes as they are by default, the voxels that planes need as cubes, and planes. */
 static void bm15(void) {
     static const char *const names[3] = {"cubes", "cubes, 26-separating", "planes"};
     static const struct { const char *kase; uint32_t resolution; float at; double pixels; } views[2] = {
         {"ball-256, voxels of 10 px", 256, 0.72f, 10.0}, {"ball-512, voxels of 1 px", 512, 0.0f, 1.0}};
-    float *exact = (float *)must_alloc((size_t)WIDTH * HEIGHT, sizeof *exact);
+    double *exact = (double *)must_alloc((size_t)WIDTH * HEIGHT, sizeof *exact);
+    double *got = (double *)must_alloc((size_t)WIDTH * HEIGHT, sizeof *got);
     sup_mesh mesh;
     int k, i, shadows;
     memset(&mesh, 0, sizeof mesh);
@@ -1856,16 +1822,15 @@ static void bm15(void) {
         voxrt_tree *tree[2];
         voxrt_tree_info info;
         voxrt_light light;
-        const double l[3] = {0.6 / sqrt(1.1), 0.7 / sqrt(1.1), 0.5 / sqrt(1.1)};
         frame_job f[3];
         bench_job b[3];
         double size;
         memset(&light, 0, sizeof light);
         light.directional = 1;
-        for (i = 0; i < 3; i++) {
-            light.position[i] = (float)l[i];
-            light.color[i] = 0.9f;
-        }
+        light.position[0] = 0.6f;
+        light.position[1] = 0.7f;
+        light.position[2] = 0.5f;
+        light.color[0] = light.color[1] = light.color[2] = 0.9f;
         for (i = 0; i < 2; i++) {
             voxrt_mesh m = mesh_view(&mesh);
             voxrt_build_desc d;
@@ -1893,27 +1858,23 @@ static void bm15(void) {
             b[i].run = run_frame;
             b[i].ctx = &f[i];
         }
-        ball_picture(&f[0].desc.camera, l, exact);
+        if (!ball_picture(&f[0].desc.camera, WIDTH, HEIGHT, 0.0, 1.0, light.position, exact, NULL)) exit(1);
+        ball_bytes(exact, (size_t)WIDTH * HEIGHT);
         for (shadows = 0; shadows < 2; shadows++) {
             for (i = 0; i < 3; i++) f[i].desc.shadows = (uint32_t)shadows;
             bench_interleave(b, 3, ROUNDS);
             for (i = 0; i < 3; i++) {
                 frame_job many = f[i];
-                double e = 0.0;
                 int p;
                 many.desc.samples = 16;
                 many.image.rgba8 = NULL;
                 many.image.rgba = (float *)must_alloc((size_t)WIDTH * HEIGHT, 16);
                 run_frame(&many);
-                for (p = 0; p < WIDTH * HEIGHT; p++) {
-                    const double v = (double)many.image.rgba[4 * p];
-                    const double byte = 255.0 * (v <= 0.0031308 ? 12.92 * v : 1.055 * pow(v, 1.0 / 2.4) - 0.055);
-                    e += (byte - (double)exact[p]) * (byte - (double)exact[p]);
-                }
+                for (p = 0; p < WIDTH * HEIGHT; p++) got[p] = ball_srgb((double)many.image.rgba[4 * p]);
                 free(many.image.rgba);
                 frame_line("voxrt.planes", views[k].kase, &f[i], &b[i]);
                 bench_num("shadows", (double)shadows);
-                bench_num("psnr_db", 10.0 * log10(65025.0 * WIDTH * HEIGHT / e));
+                bench_num("psnr_db", ball_psnr(got, exact, (size_t)WIDTH * HEIGHT));
                 bench_num("times_cubes", bench_seconds(&b[i]) / bench_seconds(&b[0]));
                 bench_num("bytes", i == 2 ? (double)info.plane_bytes : 0.0);
                 bench_end();
@@ -1924,6 +1885,7 @@ static void bm15(void) {
     }
     sup_mesh_free(&mesh);
     free(exact);
+    free(got);
 }
 
 /* ---- BM16: many objects ---- */

@@ -5,9 +5,8 @@
 #include "shapes.h"
 #define VOXRT_IMPLEMENTATION
 #include "../voxrt.h"
+#include "ball.h"
 #include "voxel_list.h"
-
-static double srgb_of(double c) { return c <= 0.0031308 ? c * 12.92 : 1.055 * pow(c, 1.0 / 2.4) - 0.055; }
 
 /* The sphere of radius `part` around (1, 1, 1) in the cube [0,2)^3, as the thinnest closed shell of 2^depth voxels. */
 static voxrt_tree *make_sphere(uint32_t depth, double part) {
@@ -63,61 +62,10 @@ static void draw(shot *s, const voxrt_tree *t, uint32_t samples, int faces) {
     CHECK(voxrt_render(&d, t, &s->m, NULL) == VOXRT_OK);
 }
 
-/* The sphere itself, n x n rays a pixel: linear light and coverage. */
-static void exact_picture(const shot *s, double radius, uint32_t n, double *light, double *cover) {
-    uint32_t x, y, i, a;
-    double l[3], length = 0;
-    voxrt_ray corner[3]; /* directions are linear in the place on the picture */
-    CHECK(voxrt_camera_ray(&s->camera, s->size, s->size, 0, 0, &corner[0]) == VOXRT_OK);
-    CHECK(voxrt_camera_ray(&s->camera, s->size, s->size, s->size, 0, &corner[1]) == VOXRT_OK);
-    CHECK(voxrt_camera_ray(&s->camera, s->size, s->size, 0, s->size, &corner[2]) == VOXRT_OK);
-    for (a = 0; a < 3; a++) length += (double)s->light.position[a] * (double)s->light.position[a];
-    for (a = 0; a < 3; a++) l[a] = (double)s->light.position[a] / sqrt(length);
-    for (y = 0; y < s->size; y++)
-        for (x = 0; x < s->size; x++) {
-            double sum = 0;
-            uint32_t hits = 0;
-            for (i = 0; i < n * n; i++) {
-                const double u = (x + (i % n + 0.5) / n) / s->size, v = (y + (i / n + 0.5) / n) / s->size;
-                double o[3], d[3], od = 0, oo = 0, dd = 0, disc, t, shine = 0;
-                for (a = 0; a < 3; a++) {
-                    o[a] = (double)corner[0].org[a] - 1;
-                    d[a] = (double)corner[0].dir[a];
-                    d[a] += u * ((double)corner[1].dir[a] - (double)corner[0].dir[a]) +
-                            v * ((double)corner[2].dir[a] - (double)corner[0].dir[a]);
-                    od += o[a] * d[a];
-                    oo += o[a] * o[a];
-                    dd += d[a] * d[a];
-                }
-                disc = od * od - dd * (oo - radius * radius);
-                if (disc <= 0) continue;
-                t = (-od - sqrt(disc)) / dd;
-                if (t <= 0) continue;
-                hits++;
-                for (a = 0; a < 3; a++) shine += (o[a] + t * d[a]) / radius * l[a];
-                sum += 0.05 + (shine > 0 ? 0.9 * shine : 0);
-            }
-            cover[y * s->size + x] = (double)hits / (n * n);
-            light[y * s->size + x] = sum / (n * n);
-        }
-}
-
-static void to_bytes(double *v, size_t n) { /* linear -> sRGB, 0..255 */
-    size_t i;
-    for (i = 0; i < n; i++) v[i] = 255 * srgb_of(v[i] > 1 ? 1 : v[i]);
-}
-
 static void picture_bytes(const shot *s, double *out) { /* on black */
     size_t i;
     for (i = 0; i < (size_t)s->size * s->size; i++) out[i] = (double)s->m.rgba[4 * i];
-    to_bytes(out, (size_t)s->size * s->size);
-}
-
-static double psnr(const double *a, const double *b, size_t n) {
-    double sum = 0;
-    size_t i;
-    for (i = 0; i < n; i++) sum += (a[i] - b[i]) * (a[i] - b[i]);
-    return 10 * log10(255.0 * 255.0 * (double)n / (sum + 1e-9));
+    ball_bytes(out, (size_t)s->size * s->size);
 }
 
 /* Mean structural similarity (Wang et al. 2004) of 8x8 windows, every 4 pixels. */
@@ -151,7 +99,7 @@ static double ssim(const double *a, const double *b, uint32_t size) {
 TEST(stairs_close_up) {
     static const struct { uint32_t depth; double pixels; } list[6] = {{8, 1}, {8, 2}, {7, 5}, {7, 10}, {6, 20}, {6, 50}};
     enum { SIZE = 96 };
-    static double exact[SIZE * SIZE], cover[SIZE * SIZE], got[SIZE * SIZE];
+    static double exact[SIZE * SIZE], got[SIZE * SIZE];
     uint32_t i;
     for (i = 0; i < 6; i++) {
         voxrt_tree *t = make_sphere(list[i].depth, 0.95);
@@ -166,15 +114,15 @@ TEST(stairs_close_up) {
         memcpy(s.camera.eye, s.camera.at, sizeof s.camera.eye);
         s.camera.eye[2] = 21;
         s.camera.fov_y = (float)(2 * atan(0.5 * wide / 20) * 57.29577951308232);
-        exact_picture(&s, 0.95, 16, exact, cover); /* 256 rays a pixel */
-        to_bytes(exact, SIZE * SIZE);
+        CHECK(ball_picture(&s.camera, SIZE, SIZE, 1, 0.95, s.light.position, exact, NULL));
+        ball_bytes(exact, SIZE * SIZE);
         draw(&s, t, 16, 1);
         picture_bytes(&s, got);
-        p[0] = psnr(got, exact, SIZE * SIZE);
+        p[0] = ball_psnr(got, exact, SIZE * SIZE);
         q[0] = ssim(got, exact, SIZE);
         draw(&s, t, 16, 0);
         picture_bytes(&s, got);
-        p[1] = psnr(got, exact, SIZE * SIZE);
+        p[1] = ball_psnr(got, exact, SIZE * SIZE);
         q[1] = ssim(got, exact, SIZE);
         b.radius = 32;
         b.footprint = (float)(wide / 20 / SIZE);
@@ -182,7 +130,7 @@ TEST(stairs_close_up) {
         b.depth = list[i].depth;
         CHECK(voxrt_blur(&b, &s.m) == VOXRT_OK);
         picture_bytes(&s, got);
-        p[2] = psnr(got, exact, SIZE * SIZE);
+        p[2] = ball_psnr(got, exact, SIZE * SIZE);
         q[2] = ssim(got, exact, SIZE);
         if (test_g.verbose)
             printf("     voxels of %g pixels: faces %.1f dB %.3f, normals %.1f dB %.3f, and blur %.1f dB %.3f\n",
@@ -257,13 +205,13 @@ TEST(normal_codes_in_the_picture) {
             normal[1] = (float)v;
             normal[2] = (float)sqrt(w);
             exact = l[0] * u + l[1] * v + l[2] * sqrt(w);
-            exact = 255 * srgb_of(0.05 + (exact > 0 ? 0.9 * exact : 0));
+            exact = ball_srgb(0.05 + (exact > 0 ? 0.9 * exact : 0));
             n++;
             for (k = 0; k < 2; k++) {
                 double e;
                 voxrti_normal_decode(k, voxrti_normal_encode(k, normal), got);
                 e = l[0] * (double)got[0] + l[1] * (double)got[1] + l[2] * (double)got[2];
-                e = fabs(255 * srgb_of(0.05 + (e > 0 ? 0.9 * e : 0)) - exact);
+                e = fabs(ball_srgb(0.05 + (e > 0 ? 0.9 * e : 0)) - exact);
                 sum[k] += e * e;
                 most[k] = e > most[k] ? e : most[k];
             }
