@@ -2384,7 +2384,6 @@ VOXRTI_INLINE uint32_t voxrti_normal_encode(uint32_t spherical, const float n[3]
    shared ones that of the attribute, and larger cells have 0. */
 
 #define VOXRTI_PLANE_STEP 0.006820
-#define VOXRTI_PLANE_SLACK 0.03125 /* voxels: a plane is at most so far from where its neighbours' go on */
 
 VOXRTI_INLINE uint64_t voxrti_plane_count(const voxrt_tree *t) {
     return t->mask_count != 0 ? t->attr_count : t->voxel_count;
@@ -10886,7 +10885,7 @@ static VOXRTI_UNUSED int voxrti_trace_scalar(const voxrt_tree *t, const voxrti_r
 
 /* Does a ray that meets a voxel meet its plane n.x = offset (x in voxels from the centre), or is it behind it? Sets t
    and `plane` of the hit. What is behind is solid, so whatever two planes beside each other leave open is closed by the
-   faces; planes reach a little beyond their voxels. */
+   faces. */
 VOXRTI_INLINE int voxrti_plane_meet(const voxrt_tree *t, const voxrt_ray *ray, double scale, const float n[3],
                                     double offset, voxrt_hit *hit) {
     double base = -offset, slope = 0, at, o[3], d[3], most = 0, far_off = 0;
@@ -10906,7 +10905,7 @@ VOXRTI_INLINE int voxrti_plane_meet(const voxrt_tree *t, const voxrt_ray *ray, d
     if (!(slope < 0)) return 0;
     at = -base / slope;
     for (a = 0; a < 3; a++) most = voxrti_max(most, voxrti_abs(o[a] + at * d[a]));
-    if (!(most <= 0.5 + VOXRTI_PLANE_SLACK && at < voxrti_min(voxrti_below(ray->t_max), 3.4028234663852886e38)))
+    if (!(most <= 0.5 && at < voxrti_min(voxrti_below(ray->t_max), 3.4028234663852886e38)))
         return 0;
     if (at > (double)hit->t) hit->t = (float)at;
     return 1;

@@ -189,8 +189,8 @@ static double slow_trace(const slow_list *l, const voxrt_ray *q, const slow_voxe
                     const double o = fabs(p - 0.5);
                     over = o > over ? o : over;
                 }
-                if (fabs(over - 0.5 - VOXRTI_PLANE_SLACK) < 1e-5 || fabs(at - (double)q->t_max) < 1e-6) *close = 1;
-                if (over > 0.5 + VOXRTI_PLANE_SLACK || at >= (double)q->t_max) continue;
+                if (fabs(over - 0.5) < 1e-5 || fabs(at - (double)q->t_max) < 1e-6) *close = 1;
+                if (over > 0.5 || at >= (double)q->t_max) continue;
             }
         }
         if (at < in) at = in;
