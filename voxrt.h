@@ -10811,19 +10811,19 @@ VOXRTI_INLINE int voxrti_trace_walk(const voxrt_tree *t, const voxrti_rayx *r, c
             slot = voxrti_slot_of(c, sh) ^ r->flip;
             if ((mask >> slot & 1u) == 0) {
                 ls = sh + ((mask >> (slot & 56u) & 255u) == 0);
-                if (!cone->on || ls != sh || voxrti_footprint(cone, time) < (double)(2u << sh)) break;
-                if (voxrti_footprint(cone, voxrti_entry(r, c, sh + 1, &x)) < (double)(2u << sh)) break;
+                if (!cone->on || ls != sh || voxrti_footprint(cone, time + r->base) < (double)(2u << sh)) break;
+                if (voxrti_footprint(cone, voxrti_entry(r, c, sh + 1, &x) + r->base) < (double)(2u << sh)) break;
                 voxrti_hit_fill(t, r, c, sh + 1, node, slot & 56u, hit);
                 found = 1;
                 break;
             }
-            if (cone->on && voxrti_footprint(cone, time) >= (double)(1u << sh)) {
-                if (voxrti_footprint(cone, voxrti_entry(r, c, sh + 1, &x)) >= (double)(2u << sh)) {
+            if (cone->on && voxrti_footprint(cone, time + r->base) >= (double)(1u << sh)) {
+                if (voxrti_footprint(cone, voxrti_entry(r, c, sh + 1, &x) + r->base) >= (double)(2u << sh)) {
                     voxrti_hit_fill(t, r, c, sh + 1, node, slot & 56u, hit);
                     found = 1;
                     break;
                 }
-                if (voxrti_footprint(cone, voxrti_entry(r, c, sh, &x)) >= (double)(1u << sh)) {
+                if (voxrti_footprint(cone, voxrti_entry(r, c, sh, &x) + r->base) >= (double)(1u << sh)) {
                     voxrti_hit_fill(t, r, c, sh, node, slot, hit);
                     found = 1;
                     break;
@@ -10911,8 +10911,8 @@ VOXRTI_INLINE int voxrti_plane_meet(const voxrt_tree *t, const voxrt_ray *ray, d
     return 1;
 }
 
-/* From a voxel to the next one that is filled; 0: there is none. Mostly it is in the same leaf node. The same cells in
-   the same order as voxrti_trace_walk. */
+/* From a voxel to the next cell that a ray ends at; 0: there is none. Mostly it is a voxel in the same leaf node. The
+   same cells in the same order as voxrti_trace_walk, which goes on where larger ones count. */
 VOXRTI_INLINE int voxrti_plane_step(const voxrt_tree *t, const voxrti_cone *cone, voxrti_rayx *r, voxrt_hit *hit,
                                     voxrt_stats *stats) {
     const uint32_t full = ((uint32_t)1 << (2 * t->wide)) - 1u, node = hit->node;
@@ -10932,7 +10932,8 @@ VOXRTI_INLINE int voxrti_plane_step(const voxrt_tree *t, const voxrti_cone *cone
             return 0;
         }
         r->c[k]++;
-        if ((r->c[k] & 3u) == 0) return voxrti_trace_walk(t, r, cone, hit, stats);
+        if ((r->c[k] & 3u) == 0 || (cone->on && voxrti_footprint(cone, r->t + r->base) >= 2.0))
+            return voxrti_trace_walk(t, r, cone, hit, stats);
         slot = voxrti_slot_of(r->c, 0) ^ r->flip;
         if (mask >> slot & 1u) break;
         e[k] = ((double)(r->c[k] + 1) - r->o[k]) * r->inv[k];
