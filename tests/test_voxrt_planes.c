@@ -351,6 +351,96 @@ TEST(rays_end_where_slow_ones_do) {
     voxrt_tree_destroy(t);
 }
 
+/* A roof whose two sides meet at an angle: on the ridge a plane stands for both if it is wide, none does if it is sharp. */
+TEST(sharp_ridges_are_cubes) {
+    static const double half[2] = {0.3490658504, 0.6981317008}; /* 40 and 80 degrees between the sides */
+    uint32_t k, side, n = 0;
+    for (k = 0; k < 2; k++) {
+        const double across = 0.5 * sin(half[k]), down = 0.5 * cos(half[k]);
+        voxrt_tree *t;
+        voxrt_voxel v;
+        shape s;
+        slow_list l;
+        size_t i;
+        memset(&s, 0, sizeof s);
+        memset(&l, 0, sizeof l);
+        for (side = 0; side < 2; side++) { /* the ridge goes through the middle of voxels */
+            const double x = 65.0 / 64, z = 97.0 / 64, foot = x + (side ? across : -across);
+            const uint32_t a = shape_vertex(&s, x, 0.3, z), b = shape_vertex(&s, x, 1.7, z);
+            const uint32_t c = shape_vertex(&s, foot, 0.3, z - down), e = shape_vertex(&s, foot, 1.7, z - down);
+            shape_triangle(&s, a, side ? c : b, side ? b : c);
+            shape_triangle(&s, b, side ? c : e, side ? e : c);
+        }
+        free(s.normal);
+        s.normal = NULL;
+        t = make(&s, 64, 1, 0);
+        l = slow_open(t);
+        for (i = 0, n = 0; i < l.n; i++) {
+            if (l.v[i].level != t->depth || l.v[i].c[0] != 32 || l.v[i].c[2] != 48 || l.v[i].c[1] < 12 || l.v[i].c[1] > 52) continue;
+            CHECK(l.v[i].cube == (k == 0));
+            n++;
+        }
+        CHECK(n == 41 && voxrt_tree_get(t, 6, 32, 30, 48, &v));
+        free(l.v);
+        voxrt_tree_destroy(t);
+    }
+}
+
+TEST(same_voxels_and_planes_by_all_ways) {
+    static const voxrt_separating as[3] = {VOXRT_SEPARATING_26, VOXRT_SEPARATING_26, VOXRT_SEPARATING_THESIS};
+    voxrt_build_desc d;
+    voxrt_mesh m;
+    voxrt_tree *t[3] = {NULL, NULL, NULL};
+    uint64_t i, none = 0;
+    uint32_t k;
+    shape s;
+    memset(&s, 0, sizeof s);
+    memset(&d, 0, sizeof d);
+    shape_sphere(&s, 1, 1, 1, 0.9, 60);
+    m = mesh_of(&s);
+    d.resolution = 64;
+    d.box_size = 2;
+    for (k = 0; k < 3; k++) { /* what a voxel is does not depend on planes, but that 6 is 26 */
+        d.planes = 1;
+        d.separating = (voxrt_separating)k;
+        REQUIRE(voxrt_tree_build(&d, &m, NULL, &t[0]) == VOXRT_OK);
+        d.planes = 0;
+        d.separating = as[k];
+        REQUIRE(voxrt_tree_build(&d, &m, NULL, &t[1]) == VOXRT_OK);
+        CHECK(t[0]->plane != NULL && t[1]->plane == NULL && t[0]->voxel_count == t[1]->voxel_count);
+        CHECK(memcmp(t[0]->leaf, t[1]->leaf, 8 * (size_t)t[0]->level_nodes[2]) == 0);
+        CHECK(memcmp(t[0]->normal, t[1]->normal, 2 * t[0]->attr_count) == 0);
+        voxrt_tree_destroy(t[0]);
+        voxrt_tree_destroy(t[1]);
+    }
+    d.planes = 1;
+    d.separating = VOXRT_SEPARATING_6;
+    for (k = 0; k < 3; k++) {
+        d.env.thread_count = k == 1 ? 4 : 1;
+        d.fill_depth = k == 2 ? 2 : 0; /* the shell's planes, and cubes below it */
+        d.fill = k == 2;
+        REQUIRE(voxrt_tree_build(&d, &m, NULL, &t[k]) == VOXRT_OK);
+    }
+    CHECK(voxrt_tree_hash(t[0]) == voxrt_tree_hash(t[1]));
+    for (i = 0; i < t[2]->voxel_count; i++) none += t[2]->plane[i] == 0;
+    CHECK(none > 0 && none == t[2]->voxel_count - t[0]->voxel_count);
+    {
+        slow_list shell = slow_open(t[0]), thick = slow_open(t[2]);
+        size_t at = 0;
+        for (i = 0; i < thick.n; i++) {
+            const slow_cell *c = &thick.v[i];
+            if (c->level != t[0]->depth || c->cube) continue;
+            while (at < shell.n && (shell.v[at].level != c->level || memcmp(shell.v[at].c, c->c, sizeof c->c) != 0)) at++;
+            REQUIRE(at < shell.n);
+            CHECK(shell.v[at].offset == c->offset);
+        }
+        free(shell.v);
+        free(thick.v);
+    }
+    for (k = 0; k < 3; k++) voxrt_tree_destroy(t[k]);
+    shape_free(&s);
+}
+
 /* Whatever the planes leave open between them, no ray gets through a closed shell, from outside or inside. */
 TEST(closed_shells_keep_all_rays) {
     const uint32_t rays = test_quick() ? 20000 : 200000;
@@ -403,81 +493,179 @@ TEST(closed_shells_keep_all_rays) {
 
 /* ---- files, shared trees, failures ---- */
 
-TEST(files_and_shared_trees_keep_planes) {
-    voxrt_tree *t = make_mixed(96), *cubes = make_ball(16, 0, 20), *other[4];
+/* A version 5 file without one of its sections and its flag. Returns the size. */
+static size_t cut_section(const uint8_t *from, uint8_t *to, uint32_t id, uint32_t flag) {
+    const uint32_t n = from[14];
+    uint32_t i, left = 0;
+    size_t at = 64 + 40 * (size_t)(n - 1);
+    memcpy(to, from, 64);
+    memset(to + 64, 0, at - 64);
+    for (i = 0; i < n; i++) {
+        const uint8_t *e = from + 64 + 40 * i;
+        uint8_t *out = to + 64 + 40 * left;
+        const size_t begin = (size_t)voxrti_v5_align(at), size = (size_t)voxrti_load_u64(e + 16);
+        if (e[0] == id) continue;
+        memset(to + at, 0, begin - at);
+        memcpy(to + begin, from + (size_t)voxrti_load_u64(e + 8), size);
+        memcpy(out, e, 40);
+        voxrti_store_u64(out + 8, begin);
+        at = begin + size;
+        left++;
+    }
+    to[14] = (uint8_t)left;
+    to[32] = (uint8_t)(to[32] & ~flag);
+    voxrti_store_u64(to + 16, at);
+    voxrti_v5_seal(to, at);
+    return at;
+}
+
+static voxrt_result try_file(uint8_t *file, size_t size, voxrt_tree **tree) {
+    voxrti_v5_seal(file, size);
+    return voxrt_tree_load_memory(NULL, file, size, tree);
+}
+
+/* Files of all four kinds, as they are and as they must not be. */
+static void check_file(const voxrt_tree *t, const voxrt_tree *from, int raw, const voxrt_ray *ray, const voxrt_hit *hit, size_t n) {
     voxrt_save_desc sd;
-    voxrt_ray ray[512];
-    voxrt_hit hit[512], again[512];
-    test_rng r = test_rng_make(3);
-    uint8_t *file[3];
-    size_t size[3], i;
-    uint32_t k, a;
+    voxrt_tree *back = NULL;
+    voxrt_hit again[512];
+    uint8_t *memory, *file, *other, *e;
+    size_t size, less, i, k;
     memset(&sd, 0, sizeof sd);
-    memset(file, 0, sizeof file);
-    memset(other, 0, sizeof other);
-    for (i = 0; i < 512; i++) {
-        memset(&ray[i], 0, sizeof ray[i]);
+    sd.encoding = raw ? VOXRT_ENCODING_RAW : VOXRT_ENCODING_COMPACT;
+    CHECK(voxrt_tree_save_memory(from, &sd, NULL, 0, &size) == VOXRT_OK);
+    memory = (uint8_t *)malloc(2 * size + 192);
+    REQUIRE(memory != NULL && n <= 512);
+    file = memory + (64 - ((uintptr_t)memory & 63u));
+    other = file + size + 64 - (size & 63u);
+    CHECK(voxrt_tree_save_memory(from, &sd, file, size, &size) == VOXRT_OK);
+    for (k = 0; k < (raw ? 2u : 1u); k++) {
+        CHECK((k == 0 ? voxrt_tree_load_memory(NULL, file, size, &back) : voxrt_tree_map_memory(NULL, file, size, &back)) == VOXRT_OK);
+        REQUIRE(back != NULL);
+        CHECK(voxrt_tree_hash(back) == voxrt_tree_hash(t));
+        CHECK(voxrt_trace(back, NULL, ray, again, n) == VOXRT_OK);
+        for (i = 0; i < n; i++) CHECK(again[i].t == hit[i].t && again[i].plane == hit[i].plane);
+        voxrt_tree_destroy(back);
+    }
+    for (e = file + 64; e[0] != 13; e += 40) REQUIRE(e < file + 64 + 40 * (size_t)file[14]);
+    for (k = 0; k < 6; k++) { /* wrong counts, sizes, flag; twice the section before; unknown, coded */
+        uint8_t old[40];
+        const uint8_t flag = file[32];
+        memcpy(old, e, 40);
+        if (k < 2) voxrti_store_u64(e + 24, voxrti_load_u64(e + 24) + (k == 0 ? 1 : (uint64_t)-1));
+        if (k == 2) file[32] ^= 32;
+        if (k == 3) e[0] = e[-40];
+        if (k == 4) e[0] = 14;
+        if (k == 5) e[4] = 1;
+        CHECK_MSG(try_file(file, size, &back) == (k < 4 ? VOXRT_ERR_FORMAT : VOXRT_ERR_VERSION) && back == NULL, "%u", (unsigned)k);
+        memcpy(e, old, 40);
+        file[32] = flag;
+    }
+    less = cut_section(file, other, 7, 2); /* planes without normals */
+    CHECK(try_file(other, less, &back) == VOXRT_ERR_FORMAT && back == NULL);
+    less = cut_section(file, other, 13, 32);
+    CHECK(try_file(other, less, &back) == VOXRT_OK && back != NULL && back->plane == NULL);
+    voxrt_tree_destroy(back);
+    sd.disable_normals = 1; /* no planes either */
+    CHECK(voxrt_tree_save_memory(from, &sd, other, size, &less) == VOXRT_OK && less < size);
+    CHECK(try_file(other, less, &back) == VOXRT_OK && back != NULL && back->plane == NULL && back->normal == NULL);
+    voxrt_tree_destroy(back);
+    file[32] |= 8; /* normals that mean something else, and any bytes for planes: rays still end somewhere */
+    for (i = 0; i < voxrti_load_u64(e + 16); i++) file[voxrti_load_u64(e + 8) + i] = (uint8_t)(i * 2654435761u >> 13);
+    CHECK(try_file(file, size, &back) == VOXRT_OK);
+    REQUIRE(back != NULL);
+    CHECK(voxrt_trace(back, NULL, ray, again, n) == VOXRT_OK);
+    for (i = 0, k = 0; i < n; i++) {
+        CHECK((again[i].node == VOXRT_NO_NODE) == (again[i].t == INFINITY) && again[i].t >= 0);
+        k += again[i].t < INFINITY && again[i].t != hit[i].t;
+    }
+    CHECK(k > n / 10);
+    voxrt_tree_destroy(back);
+    free(memory);
+}
+
+TEST(files_and_shared_trees_keep_planes) {
+    enum { RAYS = 512 };
+    voxrt_tree *t = make_mixed(96), *other[2] = {NULL, NULL};
+    voxrt_tree_info info;
+    voxrt_ray ray[RAYS];
+    voxrt_hit hit[RAYS], again[RAYS];
+    test_rng r = test_rng_make(3);
+    uint32_t i, k, a;
+    for (i = 0; i < RAYS; i++) {
+        ray[i].t_min = 0;
         ray[i].t_max = INFINITY;
         for (a = 0; a < 3; a++) {
             ray[i].org[a] = test_rng_range(&r, -1.0f, 3.0f);
             ray[i].dir[a] = test_rng_range(&r, 0.3f, 1.7f) - ray[i].org[a];
         }
     }
-    CHECK(voxrt_trace(t, NULL, ray, hit, 512) == VOXRT_OK);
+    CHECK(voxrt_trace(t, NULL, ray, hit, RAYS) == VOXRT_OK);
     CHECK(voxrt_tree_share(t, NULL, &other[0]) == VOXRT_OK);
     CHECK(voxrt_tree_unshare(other[0], NULL, &other[1]) == VOXRT_OK);
     REQUIRE(other[0] != NULL && other[1] != NULL);
     CHECK(memcmp(other[1]->plane, t->plane, t->voxel_count) == 0);
-    for (k = 0; k < 3; k++) { /* coded, raw, shared and raw */
-        const voxrt_tree *from = k == 2 ? other[0] : t;
-        voxrt_tree *back = NULL;
-        voxrt_load_desc ld;
-        uint64_t at;
-        memset(&ld, 0, sizeof ld);
-        sd.encoding = k == 0 ? VOXRT_ENCODING_COMPACT : VOXRT_ENCODING_RAW;
-        CHECK(voxrt_tree_save_memory(from, &sd, NULL, 0, &size[k]) == VOXRT_OK);
-        file[k] = (uint8_t *)malloc(size[k] + 64);
-        REQUIRE(file[k] != NULL);
-        CHECK(voxrt_tree_save_memory(from, &sd, file[k], size[k], &size[k]) == VOXRT_OK);
-        CHECK(voxrt_tree_load_memory(&ld, file[k], size[k], &back) == VOXRT_OK);
-        REQUIRE(back != NULL);
-        CHECK(voxrt_tree_hash(back) == voxrt_tree_hash(t));
-        CHECK(voxrt_trace(back, NULL, ray, again, 512) == VOXRT_OK);
-        for (i = 0; i < 512; i++) CHECK(again[i].t == hit[i].t && again[i].plane == hit[i].plane);
-        voxrt_tree_destroy(back);
-        if (k == 0) { /* without normals there are none, and a file that says so is none */
-            sd.disable_normals = 1;
-            CHECK(voxrt_tree_save_memory(t, &sd, NULL, 0, &size[0]) == VOXRT_OK && size[0] < size[k] + 1);
-            file[0] = (uint8_t *)realloc(file[0], size[0] + 64);
-            REQUIRE(file[0] != NULL);
-            CHECK(voxrt_tree_save_memory(t, &sd, file[0], size[0], &size[0]) == VOXRT_OK);
-            CHECK(voxrt_tree_load_memory(&ld, file[0], size[0], &back) == VOXRT_OK);
-            REQUIRE(back != NULL);
-            CHECK(back->plane == NULL && back->normal == NULL);
-            voxrt_tree_destroy(back);
-            sd.disable_normals = 0;
-            continue;
-        }
-        for (at = 64; at < 64 + 40 * (uint64_t)file[k][14]; at += 40) /* planes of a wrong number; normals cut out */
-            if (file[k][at] == 13) {
-                file[k][at + 24] ^= 1;
-                voxrti_v5_seal(file[k], size[k]);
-                CHECK(voxrt_tree_load_memory(&ld, file[k], size[k], &back) == VOXRT_ERR_FORMAT && back == NULL);
-                file[k][at + 24] ^= 1;
-                file[k][32] ^= 32; /* the flag */
-                voxrti_v5_seal(file[k], size[k]);
-                CHECK(voxrt_tree_load_memory(&ld, file[k], size[k], &back) == VOXRT_ERR_FORMAT && back == NULL);
-                break;
-            }
-        CHECK(at < 64 + 40 * (uint64_t)file[k][14]);
+    for (k = 0; k < 2; k++) {
+        CHECK(voxrt_trace(other[k], NULL, ray, again, RAYS) == VOXRT_OK);
+        for (i = 0; i < RAYS; i++) CHECK(again[i].t == hit[i].t && again[i].plane == hit[i].plane);
+        voxrt_tree_get_info(other[k], &info);
+        CHECK(info.plane_bytes == (k == 0 ? other[0]->attr_count : t->voxel_count) && info.has_planes == 1);
+        CHECK(info.total_bytes == info.geometry_bytes + info.color_bytes + info.normal_bytes + info.plane_bytes + sizeof *t);
+        check_file(t, t, (int)k, ray, hit, RAYS);
+        check_file(t, other[0], (int)k, ray, hit, RAYS);
     }
     CHECK(voxrt_tree_hash(other[0]) == voxrt_tree_hash(t) && voxrt_tree_hash(other[1]) == voxrt_tree_hash(t));
     t->plane[t->voxel_count / 2] ^= 1;
     CHECK(voxrt_tree_hash(other[0]) != voxrt_tree_hash(t));
-    CHECK(cubes->plane == NULL);
-    for (k = 0; k < 3; k++) free(file[k]);
     for (k = 0; k < 2; k++) voxrt_tree_destroy(other[k]);
-    voxrt_tree_destroy(cubes);
+    voxrt_tree_destroy(t);
+}
+
+/* Octrees and models keep the voxels of a tree with planes, as cubes; pictures can be asked to do so, too. */
+TEST(what_keeps_no_planes) {
+    enum { W = 64 };
+    static voxrt_hit hits[2][W * W], octree_hits[W * W];
+    voxrt_tree *t = make_ball(32, 1, 60), *back[2] = {NULL, NULL};
+    voxrt_octree *octree = NULL;
+    voxrt_model *model = NULL;
+    voxrt_render_desc d;
+    voxrt_image m;
+    static voxrt_ray ray[W * W];
+    uint32_t i, k, planes[2] = {0, 0}, n = 0;
+    CHECK(voxrt_octree_from_tree(NULL, t, &octree) == VOXRT_OK);
+    REQUIRE(octree != NULL && voxrt_tree_from_octree(NULL, octree, &back[0]) == VOXRT_OK);
+    REQUIRE(voxrt_model_from_tree(NULL, t, &model) == VOXRT_OK && voxrt_tree_from_model(NULL, model, &back[1]) == VOXRT_OK);
+    for (k = 0; k < 2; k++) {
+        CHECK(back[k]->plane == NULL && back[k]->voxel_count == t->voxel_count && back[k]->normal != NULL);
+        CHECK(memcmp(back[k]->leaf, t->leaf, 8 * (size_t)t->level_nodes[t->wide - 1]) == 0);
+    }
+    memset(&d, 0, sizeof d);
+    memset(&m, 0, sizeof m);
+    m.width = m.height = W;
+    d.camera.eye[0] = d.camera.eye[1] = 3;
+    d.camera.eye[2] = 4;
+    d.camera.at[0] = d.camera.at[1] = d.camera.at[2] = 1;
+    for (d.cubes = 0; d.cubes < 2; d.cubes++) {
+        m.hit = hits[d.cubes];
+        CHECK(voxrt_render(&d, t, &m, NULL) == VOXRT_OK);
+        for (i = 0; i < W * W; i++) planes[d.cubes] += m.hit[i].plane;
+    }
+    CHECK(planes[0] > W * W / 10 && planes[1] == 0);
+    m.hit = hits[0];
+    CHECK(voxrt_render(&d, back[1], &m, NULL) == VOXRT_OK);
+    for (i = 0; i < W * W; i++) {
+        CHECK(hits[0][i].t == hits[1][i].t && memcmp(hits[0][i].cell, hits[1][i].cell, 12) == 0);
+        CHECK(voxrt_camera_ray(&d.camera, W, W, i % W + 0.5, i / W + 0.5, &ray[i]) == VOXRT_OK);
+    }
+    CHECK(voxrt_octree_trace(octree, NULL, ray, octree_hits, W * W) == VOXRT_OK);
+    for (i = 0; i < W * W; i++) {
+        CHECK(octree_hits[i].plane == 0);
+        n += octree_hits[i].node != VOXRT_NO_NODE;
+    }
+    CHECK(n > W * W / 10);
+    voxrt_model_destroy(model);
+    voxrt_octree_destroy(octree);
+    for (k = 0; k < 2; k++) voxrt_tree_destroy(back[k]);
     voxrt_tree_destroy(t);
 }
 
@@ -638,8 +826,11 @@ int main(int argc, char **argv) {
     RUN(planes_are_where_triangles_are);
     RUN(sheets_and_insides_stay_cubes);
     RUN(rays_end_where_slow_ones_do);
+    RUN(sharp_ridges_are_cubes);
+    RUN(same_voxels_and_planes_by_all_ways);
     RUN(closed_shells_keep_all_rays);
     RUN(files_and_shared_trees_keep_planes);
+    RUN(what_keeps_no_planes);
     RUN(arguments_and_failures);
     RUN(outlines_close_up);
     RUN(no_false_shadows);
