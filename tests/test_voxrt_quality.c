@@ -416,6 +416,97 @@ TEST(a_dolly_does_not_pop) {
     voxrt_tree_destroy(t);
 }
 
+/* What a cell is blended with is the cell around it, at any level of any tree, in proportion to how far the footprint has
+   grown from the one to the other. */
+TEST(colours_go_over_to_the_next_level) {
+    static const float width[5] = {1, 1.25f, 1.5f, 1.9999f, 1e6f}; /* of footprints, in voxels */
+    enum { RAYS = 64 };
+    test_rng r = test_rng_make(21);
+    uint32_t depth, k, i, a, w, level, judged = 0;
+    for (depth = 1; depth <= 6; depth++) {
+        voxrt_tree *tree[2] = {NULL, NULL};
+        voxrt_build_desc b;
+        voxrt_ray ray[RAYS];
+        cells c;
+        const uint32_t n = 1u << depth;
+        memset(&c, 0, sizeof c);
+        memset(&b, 0, sizeof b);
+        b.lod_method = VOXRT_LOD_MEAN;
+        for (i = 0; i < n * n * n; i++) {
+            if (i != 0 && test_rng_float(&r) > 0.5f) continue;
+            cells_add(&c, i % n, i / n % n, i / n / n, (uint32_t)(test_rng_float(&r) * 16777215));
+            cells_normal(&c, (double)test_rng_range(&r, -1, 1), (double)test_rng_range(&r, -1, 1), 1.1);
+        }
+        for (i = 0; i < RAYS; i++)
+            for (a = 0; a < 3; a++) {
+                ray[i].org[a] = -1.0f;
+                ray[i].dir[a] = test_rng_range(&r, 0, (float)n) + 1.0f;
+                ray[i].t_min = 0;
+                ray[i].t_max = INFINITY;
+            }
+        tree[0] = cells_tree(&c, &b, depth);
+        CHECK(voxrt_tree_share(tree[0], NULL, &tree[1]) == VOXRT_OK);
+        REQUIRE(tree[1] != NULL);
+        for (k = 0; k < 2; k++) {
+            voxrt_geometry g;
+            voxrt_trace_desc d;
+            voxrt_hit hit[RAYS];
+            voxrt_surface own[RAYS], mixed[RAYS];
+            memset(&d, 0, sizeof d);
+            for (level = 1; level <= depth; level++) {
+                d.max_level_plus_1 = level + 1;
+                CHECK(voxrt_trace(tree[k], &d, ray, hit, RAYS) == VOXRT_OK);
+                for (i = 0; i < RAYS; i++) {
+                    voxrt_voxel up;
+                    uint8_t rgb[3];
+                    uint64_t attr;
+                    float normal[3];
+                    if (hit[i].node == VOXRT_NO_NODE) continue;
+                    attr = voxrti_parent_attr(tree[k], &hit[i]);
+                    REQUIRE(attr < tree[k]->attr_count && hit[i].level == level);
+                    CHECK(voxrt_tree_get(tree[k], level - 1, hit[i].cell[0] >> 1, hit[i].cell[1] >> 1, hit[i].cell[2] >> 1, &up));
+                    voxrti_attr_color(tree[k], attr, rgb);
+                    voxrti_normal_decode(tree[k]->spherical, tree[k]->normal[attr], normal);
+                    CHECK_MSG(memcmp(rgb, up.rgb, 3) == 0 && memcmp(normal, up.normal, 12) == 0, "depth %u, level %u, tree %u", depth, level, k);
+                    judged++;
+                }
+            }
+            voxrt_tree_geometry(tree[k], &g);
+            memset(&d, 0, sizeof d);
+            for (w = 0; w < 5; w++) {
+                const double more = width[w] < 2 ? (double)width[w] - 1 : 1;
+                d.cone_width = width[w];
+                d.blend = 0;
+                CHECK(voxrt_trace(tree[k], &d, ray, hit, RAYS) == VOXRT_OK);
+                g.trace_fn(g.user, &d, ray, own, RAYS);
+                d.blend = 1;
+                g.trace_fn(g.user, &d, ray, mixed, RAYS);
+                for (i = 0; i < RAYS; i++) {
+                    voxrt_voxel up;
+                    double m[3], length = 0;
+                    if (hit[i].node == VOXRT_NO_NODE || hit[i].level == 0 || w == 0) {
+                        CHECK(memcmp(&own[i], &mixed[i], sizeof own[i]) == 0);
+                        continue;
+                    }
+                    CHECK(hit[i].level == (w < 4 ? depth : 1) && own[i].t == mixed[i].t && own[i].edge == mixed[i].edge);
+                    CHECK(voxrt_tree_get(tree[k], hit[i].level - 1u, hit[i].cell[0] >> 1, hit[i].cell[1] >> 1, hit[i].cell[2] >> 1, &up));
+                    for (a = 0; a < 3; a++) {
+                        const double x = own[i].rgb[a], y = up.rgb[a];
+                        CHECK(fabs(sqrt(x * x + more * (y * y - x * x)) - (double)mixed[i].rgb[a]) < 0.51);
+                        m[a] = (double)own[i].normal[a] + more * ((double)up.normal[a] - (double)own[i].normal[a]);
+                        length += m[a] * m[a];
+                    }
+                    for (a = 0; a < 3; a++) CHECK(fabs(m[a] / sqrt(length) - (double)mixed[i].normal[a]) < 1e-5);
+                    judged++;
+                }
+            }
+        }
+        voxrt_tree_destroy(tree[0]);
+        voxrt_tree_destroy(tree[1]);
+    }
+    CHECK(judged > 3000);
+}
+
 /* ---- meshes that are finer than voxels --------------------------------------------------------------------- */
 
 static double linear_of(double c) { return c <= 0.04045 ? c / 12.92 : pow((c + 0.055) / 1.055, 2.4); }
@@ -540,6 +631,7 @@ int main(int argc, char **argv) {
     RUN(levels_do_not_oscillate);
     RUN(level_of_detail_flickers_less);
     RUN(a_dolly_does_not_pop);
+    RUN(colours_go_over_to_the_next_level);
     RUN(fine_meshes_are_averaged_by_area);
     return test_end();
 }
