@@ -572,7 +572,7 @@ VOXRT_DEF voxrt_result voxrt_octree_create(const voxrt_octree_desc *desc, uint32
 
 /* Convert. Same cells, same palette (index = entry + 1; more than 32767 entries: RANGE), same levels of detail, same
    placement. Octahedral normals become spherical codes, each rounded to the nearest: up to 0.79 degrees off; those of a
-   tree that came from an octree stay as they are. Blocks stand in pre-order.
+   tree that came from an octree stay as they are. Planes of voxels are not kept. Blocks stand in pre-order.
    O(voxels), 64 bytes a node. Errors: INVALID_ARG, UNINIT_DESC, RANGE, NO_MEMORY. */
 VOXRT_DEF voxrt_result voxrt_octree_from_tree(const voxrt_octree_desc *desc, const voxrt_tree *tree,
                                               voxrt_octree **out_octree);
@@ -983,7 +983,7 @@ typedef struct voxrt_model_info {
    Calls are independent. */
 VOXRT_DEF voxrt_result voxrt_model_create(const voxrt_model_desc *desc, voxrt_model **out_model);
 
-/* A model of what is in a tree, of either kind; depth, place and normals are the tree's. env may be NULL.
+/* A model of what is in a tree, but for planes; depth, place and normals are the tree's. env may be NULL.
    O(voxels); holds 6 bytes a voxel and 16 a leaf node beside both. Errors: INVALID_ARG, RANGE (as above), NO_MEMORY. */
 VOXRT_DEF voxrt_result voxrt_model_from_tree(const voxrt_env *env, const voxrt_tree *tree, voxrt_model **out_model);
 
