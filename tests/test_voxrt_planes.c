@@ -103,6 +103,24 @@ TEST(planes_are_where_triangles_are) {
     }
 }
 
+/* The nearest code, for distances of up to half of the diagonal; none where normals are at odds. */
+TEST(codes_of_planes) {
+    int32_t i;
+    for (i = -140; i <= 140; i++) {
+        uint32_t k;
+        for (k = 0; k < 3; k++) {
+            const double d = (i + (k == 0 ? -0.45 : k == 1 ? 0.0 : 0.45)) * VOXRTI_PLANE_STEP;
+            voxrti_fragsum s;
+            memset(&s, 0, sizeof s);
+            s.s[VOXRTI_SUM_X] = 1000 * (32768 + 8000);
+            s.s[VOXRTI_SUM_Y] = 1000 * (32768 - (k == 1 ? 1700 : 1800));
+            s.s[VOXRTI_SUM_Z] = 1000 * 32768;
+            s.s[VOXRTI_SUM_PLANE] = (uint64_t)(1000 * (32768 + 16384 * d));
+            CHECK(voxrti_fragsum_plane(&s, 1e-3) == (k == 1 ? 0 : 128 + (i < -127 ? -127 : i > 127 ? 127 : i)));
+        }
+    }
+}
+
 TEST(sheets_and_insides_stay_cubes) {
     voxrt_tree *t, *shell;
     shape s;
@@ -824,6 +842,7 @@ TEST(no_false_shadows) {
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(planes_are_where_triangles_are);
+    RUN(codes_of_planes);
     RUN(sheets_and_insides_stay_cubes);
     RUN(rays_end_where_slow_ones_do);
     RUN(sharp_ridges_are_cubes);
