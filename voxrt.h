@@ -13673,7 +13673,7 @@ static uint64_t voxrti_parent_attr(const voxrt_tree *t, const voxrt_hit *hit) {
     const uint32_t v = (uint32_t)hit->level + 2 * t->wide - t->depth - 1;
     if (t->code != NULL) return voxrti_shared_attr(t, v, hit->cell[0] >> 1, hit->cell[1] >> 1, hit->cell[2] >> 1);
     if ((v & 1u) != 0) return voxrti_attr_index(t, v, hit->node, hit->slot & 56u); /* the octant around a cell */
-    return t->attr_first[v] + hit->node - (v / 2 + 1 < t->wide ? t->level_first[v / 2] : 0); /* the node itself */
+    return t->attr_first[v] + hit->node - t->level_first[v / 2]; /* the node itself */
 }
 
 /* Towards colour and normal of the cell around: not at all where the footprint is as wide as the cell, all the way
