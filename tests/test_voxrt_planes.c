@@ -687,6 +687,62 @@ TEST(what_keeps_no_planes) {
     voxrt_tree_destroy(t);
 }
 
+/* Copies of a tree, twice as large, in a group: what rays meet is the same. */
+TEST(instances_have_planes) {
+    enum { RAYS = 64 };
+    voxrt_tree *t = make_ball(32, 1, 60);
+    voxrt_instance copy[2];
+    voxrt_geometry own, all[2], together;
+    voxrt_group *group = NULL;
+    voxrt_trace_desc d;
+    voxrt_ray ray[RAYS], far_ray[RAYS];
+    voxrt_surface want[RAYS], got[RAYS];
+    test_rng r = test_rng_make(8);
+    uint32_t i, a, k, planes = 0;
+    voxrt_tree_geometry(t, &own);
+    memset(copy, 0, sizeof copy);
+    memset(&d, 0, sizeof d);
+    for (k = 0; k < 2; k++) {
+        copy[k].geometry = own;
+        for (a = 0; a < 3; a++) copy[k].to_world[5 * a] = 2;
+        copy[k].to_world[3] = 16.0 * k;
+        REQUIRE(voxrt_instance_geometry(&copy[k], &all[k]) == VOXRT_OK);
+    }
+    REQUIRE(voxrt_group_create(NULL, all, 2, &group) == VOXRT_OK);
+    voxrt_group_geometry(group, &together);
+    for (i = 0; i < RAYS; i++) {
+        ray[i].t_min = 0;
+        ray[i].t_max = INFINITY;
+        for (a = 0; a < 3; a++) { /* numbers that stay as they are when they are moved */
+            ray[i].org[a] = floorf(test_rng_range(&r, -3, 5) * 4096) / 4096;
+            ray[i].dir[a] = test_rng_range(&r, 0.3f, 1.7f) - ray[i].org[a];
+        }
+    }
+    for (k = 0; k < 2; k++) {
+        for (i = 0; i < RAYS; i++) {
+            far_ray[i] = ray[i];
+            for (a = 0; a < 3; a++) {
+                far_ray[i].org[a] = 2 * ray[i].org[a] + (a == 0 ? 16.0f * (float)k : 0.0f);
+                far_ray[i].dir[a] = 2 * ray[i].dir[a];
+            }
+            far_ray[i].t_max = ray[i].t_max = 1.5f; /* not as far as the other one */
+        }
+        own.trace_fn(own.user, &d, ray, want, RAYS);
+        for (i = 0; i < RAYS; i++) got[i].t = INFINITY;
+        together.trace_fn(together.user, &d, far_ray, got, RAYS);
+        for (i = 0; i < RAYS; i++) {
+            CHECK(got[i].t == want[i].t);
+            if (!(want[i].t < INFINITY)) continue;
+            planes += want[i].plane;
+            CHECK(got[i].plane == want[i].plane && got[i].edge == 2 * want[i].edge);
+            for (a = 0; a < 3; a++) CHECK(fabsf(got[i].normal[a] - want[i].normal[a]) < 1e-6f);
+        }
+    }
+    CHECK(planes > RAYS / 2);
+    voxrt_group_destroy(group);
+    voxrt_tree_destroy(t);
+}
+
 TEST(arguments_and_failures) {
     voxrt_build_desc d;
     voxrt_mesh m;
@@ -850,6 +906,7 @@ int main(int argc, char **argv) {
     RUN(closed_shells_keep_all_rays);
     RUN(files_and_shared_trees_keep_planes);
     RUN(what_keeps_no_planes);
+    RUN(instances_have_planes);
     RUN(arguments_and_failures);
     RUN(outlines_close_up);
     RUN(no_false_shadows);
