@@ -287,7 +287,7 @@ static voxrt_ray slow_ray(test_rng *r, uint32_t i) {
 TEST(rays_end_where_slow_ones_do) {
     static const voxrt_isa isa[3] = {VOXRT_ISA_SCALAR, VOXRT_ISA_SSE, VOXRT_ISA_AVX2};
     static const float cone[4][2] = {{0, 0}, {0, 0.13f}, {0.06f, 0.25f}, {0, 0}}; /* a voxel is 0.0625 wide */
-    enum { RAYS = 3000 };
+    enum { RAYS = 2000 };
     const uint32_t n = test_quick() ? RAYS / 3 : RAYS;
     voxrt_tree *t = make_mixed(32);
     slow_list l = slow_open(t);
