@@ -5737,7 +5737,8 @@ typedef struct tetcasti_batch {
     uint32_t hit_start[TETCASTI_BATCH + 1];
     uint16_t queue[TETCASTI_BATCH];       /* the order in which lanes take rays */
     uint32_t together;                    /* neighbours in the queue are neighbours in space: see lanes_next */
-    tetcasti_start start[TETCASTI_BATCH]; /* of rays that begin inside of a cell */
+    tetcasti_start start[TETCASTI_BATCH]; /* of rays that begin inside of a cell; cell NONE: it does not */
+    uint32_t inside;                      /* start[] is in use */
     uint64_t hull_tests, lanes, ended_count;
 } tetcasti_batch;
 
@@ -5914,6 +5915,15 @@ static void tetcasti_batch_segment(const tetcasti_scene *scene, tetcasti_batch *
         b->depth[i] = depth;
 }
 
+/* A walk from a face of the hull comes to another one, since it can be walked back. One that begins inside of tangled
+   cells may go around in a ring instead: it comes back to where it began, and the ray has seen all of the ring then. It
+   gets there by a step that shows nothing, so only those are looked at, and all of them when there are many (a ring may
+   be flat). */
+#define TETCASTI_LONG_WALK 4096u
+TETCASTI_INLINE int tetcasti_back_at(const tetcasti_start *start, uint32_t cell, uint32_t prev) {
+    return cell == start->cell && prev == start->prev;
+}
+
 /* All walks of ray i. */
 TETCASTI_INLINE void tetcasti_batch_walk_ray(const tetcasti_scene *scene, uint32_t kind, uint32_t sink,
                                              tetcasti_batch *b,
@@ -5924,7 +5934,7 @@ TETCASTI_INLINE void tetcasti_batch_walk_ray(const tetcasti_scene *scene, uint32
     tetcasti_ray r = tetcasti_batch_ray(b, i);
     float last = b->last[i], cursor = b->cursor[i];
     uint32_t steps = 0;
-    int over = 0;
+    int over = 0, inside = b->inside != 0, back_at;
     for (; h < h_end && !over && h->at < last; h++) {
         tetcasti_start start = tetcasti_hit_start(scene, b, h);
         tetcasti_walk w, before;
@@ -5941,6 +5951,8 @@ TETCASTI_INLINE void tetcasti_batch_walk_ray(const tetcasti_scene *scene, uint32
             if (sink == TETCASTI_SINK_ANY) before = w;
             tetcasti_walk_step(scene->cells, kind, &r, scene->vertex, &w, &at, &s);
             steps++;
+            back_at = inside && (!(at >= cursor) || steps >= TETCASTI_LONG_WALK) &&
+                      tetcasti_back_at(&b->start[i], w.cell, w.prev);
             if (at >= cursor) { /* else it is before the near end, or seen already */
                 float front = w.s_face, back = s, end = at, length;
                 if (w.at_face < cursor) front += (s - w.s_face) * ((cursor - w.at_face) / (at - w.at_face));
@@ -5964,6 +5976,7 @@ TETCASTI_INLINE void tetcasti_batch_walk_ray(const tetcasti_scene *scene, uint32
             }
             w.at_face = at;
             w.s_face = s;
+            if (TETCASTI_UNLIKELY(back_at)) break;
         }
     }
     b->steps[i] += steps;
@@ -7176,6 +7189,20 @@ TETCASTI_TARGET_WALK static uint32_t tetcasti_lanes_any(const tetcasti_scene *sc
     return ended;
 }
 
+/* Lanes that went around in a ring, see tetcasti_back_at. */
+TETCASTI_TARGET_WALK static uint32_t tetcasti_lanes_back(const tetcasti_batch *b, const tetcasti_lanes *l,
+                                                         uint32_t emit) {
+    uint32_t todo, i, back = 0;
+    const __m256i steps = _mm256_loadu_si256((const __m256i *)(const void *)l->steps);
+    const __m256i many = _mm256_cmpgt_epi32(steps, _mm256_set1_epi32((int)TETCASTI_LONG_WALK - 1));
+    todo = (~emit | (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(many))) & l->live;
+    for (; todo != 0; todo &= todo - 1) {
+        i = tetcasti_ctz64(todo);
+        back |= (uint32_t)tetcasti_back_at(&b->start[l->ray[i]], l->cell[i], l->prev[i]) << i;
+    }
+    return back;
+}
+
 TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_batch_walk8_kind(const tetcasti_scene *scene, const uint32_t kind,
                                                                     const uint32_t sink, tetcasti_batch *b) {
     tetcasti_lanes lanes[TETCASTI_PACKETS];
@@ -7204,6 +7231,7 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_batch_walk8_kind(const tetcas
                                      _mm256_set1_epi32(1)));
             if (sink == TETCASTI_SINK_ANY) ended[k] = tetcasti_lanes_any(scene, b, l, &seg[k], emit[k], &before);
             if (scene->stop != NULL) through[k] |= tetcasti_stops8(scene->stop, scene->stop_log, l->cell) & l->live;
+            if (b->inside) through[k] |= tetcasti_lanes_back(b, l, emit[k]);
         }
         if (sink == TETCASTI_SINK_VOLUME) { /* one after the other: a twentieth faster than in turns with the steps */
             for (k = 0; k < TETCASTI_PACKETS; k++)
@@ -12509,6 +12537,7 @@ static void tetcasti_inside_hit(const tetcasti_scene *scene, tetcasti_batch *b, 
     const uint32_t *v = in->start.v;
     tetcasti_node node;
     uint32_t d, f;
+    b->start[i].cell = TETCASTI_NONE;
     if (r.group == TETCASTI_NO_RAY) return;
     d = tetcasti_enter(scene->cells, scene->cells->kind, in->start.cell, in->start.prev, v[0], v[1], v[2], &node);
     for (f = 0; f < 4; f++) { /* the known face, and those with d in place of one of its vertices, turned over */
@@ -12530,6 +12559,7 @@ static void tetcasti_inside_hit(const tetcasti_scene *scene, tetcasti_batch *b, 
         tetcasti_batch_hit(b, i, at, TETCASTI_STARTS | i);
         return;
     }
+    b->start[i].cell = TETCASTI_NONE;
     tetcasti_line_hits(scene, b, i);
 }
 
@@ -12757,6 +12787,7 @@ static void tetcasti_task_tiles(void *ctx, uint32_t strand) {
     }
     /* rays that end at surfaces end at any depth: waiting for each other would cost more than it brings */
     tetcasti_batch_blocks(b, c->scene.optics == NULL || c->scene.optics->model != TETCAST_MODEL_ISOSURFACE);
+    b->inside = c->inside.known;
     for (;;) {
         uint32_t tile = tetcasti_atomic_add(&c->next, 1u) - 1u, x0, y0, i;
         tetcasti_pixels m;

@@ -394,6 +394,42 @@ TEST(eye_inside) { /* in cells, on faces, edges, vertices, on the hull and a hai
     }
 }
 
+TEST(eye_in_tangled_cells) { /* rays begin in rings of cells that no ray from outside enters: they end all the same, equally */
+    uint32_t k, i, a;
+    for (k = 0; k < (test_quick() ? 60u : 200u); k++) {
+        scene s;
+        test_rng rng = test_rng_make(k);
+        tetcast_render_desc d = defaults();
+        double eye[3], at[3];
+        memset(&s, 0, sizeof s);
+        if (k % 4 == 3) { /* few places, so that cells are flat, too */
+            for (i = 0; i < 40; i++)
+                tets_vertex(&s.t, test_rng_below(&rng, 4), test_rng_below(&rng, 4), test_rng_below(&rng, 1 + k % 3), test_rng_double(&rng));
+            for (i = 0; i < 120; i++)
+                tets_tet(&s.t, test_rng_below(&rng, 40), test_rng_below(&rng, 40), test_rng_below(&rng, 40), test_rng_below(&rng, 40));
+        } else {
+            tets_lattice(&s.t, 7, 7, 7, k & 1 ? 5 : 6, NULL);
+            tets_jitter(&s.t, 7, 7, 7, 2.5, k);
+        }
+        s.mesh = tets_build(&s.t, TETCAST_CELLS_TET16, NULL);
+        REQUIRE(s.mesh != NULL);
+        scene_optics(&s, k & 2 ? TETCAST_MODEL_ISOSURFACE : TETCAST_MODEL_VOLUME, k & 2 ? 0.5f : -1, -1);
+        for (a = 0; a < 3; a++) {
+            eye[a] = k % 4 == 3 ? test_rng_below(&rng, 4) : 1 + 4 * test_rng_double(&rng);
+            at[a] = 6 * test_rng_double(&rng) + 0.1;
+        }
+        look(&d, eye[0], eye[1], eye[2], at[0], at[1], at[2]);
+        d.camera.fov_y = 90;
+        d.method = TETCAST_METHOD_WALK;
+        d.isa = TETCAST_ISA_SCALAR;
+        CHECK_EQ_U64(draw(&d, &s, W, H, 1, &pic[0], NULL), TETCAST_OK);
+        d.isa = TETCAST_ISA_AUTO;
+        CHECK_EQ_U64(draw(&d, &s, W, H, 1, &pic[1], NULL), TETCAST_OK);
+        CHECK_MSG(memcmp(&pic[0], &pic[1], sizeof pic[0]) == 0, "mesh %u: other bits with another instruction set", k);
+        scene_free(&s);
+    }
+}
+
 TEST(wide_angles) { /* 170 degrees: rays of one tile look along different axes */
     scene s;
     tetcast_render_desc d = defaults();
@@ -1260,6 +1296,7 @@ int main(int argc, char **argv) {
     RUN(million_rays);
     RUN(symmetric_views);
     RUN(eye_inside);
+    RUN(eye_in_tangled_cells);
     RUN(wide_angles);
     RUN(sizes);
     RUN(background_and_bytes);
