@@ -8798,7 +8798,8 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_start8_of(const int form, con
         s->k = _mm256_and_ps(s->k, _mm256_cmp_ps(s->length, _mm256_setzero_ps(), _CMP_GT_OQ));
     }
     if (form == TETCASTI_TF_ANY || found) {
-        guess = _mm256_and_si256(_mm256_loadu_si256((const __m256i *)(const void *)sum->at), _mm256_castps_si256(on));
+        guess = _mm256_loadu_si256((const __m256i *)(const void *)sum->at);
+        if (!found) guess = _mm256_and_si256(guess, _mm256_castps_si256(on)); /* else it is that of 0 where off */
     }
     s->acc.at = found ? guess : tetcasti_find8(form, &o->tf, s->front, guess);
     tetcasti_fetch_bounds8(form, &o->tf, s->acc.at, &s->c);

@@ -580,6 +580,59 @@ TEST(surfaces_by_lane) { /* a lane of eight gives the bits of the single ray */
     tetcast_optics_destroy(o);
 }
 
+TEST(lanes_that_are_off) { /* nothing is added to them, and nothing else in the others, wherever 0 lies among the knots */
+    static tetcast_control_point p[40];
+    static const int counts[3] = {4, 12, 40}, models[4] = {TETCAST_MODEL_VOLUME, TETCAST_MODEL_EMISSION, TETCAST_MODEL_ABSORPTION,
+                                                           TETCAST_MODEL_MAXIMUM};
+    test_rng r = test_rng_make(12);
+    int m, n, independent, rep, i;
+    uint32_t k, c;
+    for (m = 0; m < 4; m++)
+        for (n = 0; n < 3; n++)
+            for (independent = 0; independent < 2; independent++) {
+                tetcast_optics_desc d = desc_of((tetcast_model)models[m]);
+                tetcast_optics *o;
+                memset(p, 0, sizeof p);
+                for (i = 0; i < counts[n]; i++) {
+                    p[i].value = -1.0f + 1.5f * ((float)i + 0.8f * test_rng_float(&r)) / (float)counts[n];
+                    for (c = 0; c < 3; c++) p[i].rgb[c] = test_rng_float(&r);
+                    p[i].extinction = 3.0f * test_rng_float(&r);
+                }
+                o = make(p, (size_t)counts[n], independent, NULL, 0, &d);
+                for (rep = 0; rep < 200; rep++) {
+                    const uint32_t on = 1 + test_rng_below(&r, 255);
+                    tetcasti_ray_sum one[8];
+                    tetcasti_ray_sum8 sum;
+                    tetcasti_seg8 seg;
+                    int step;
+                    for (k = 0; k < 8; k++) {
+                        tetcasti_ray_begin(o, &one[k]);
+                        tetcasti_lane_begin(o, &sum, k);
+                    }
+                    for (step = 0; step < 3; step++) {
+                        for (k = 0; k < 8; k++) {
+                            seg.front[k] = 2.0f * test_rng_float(&r) - 1.25f;
+                            seg.back[k] = 2.0f * test_rng_float(&r) - 1.25f;
+                            seg.length[k] = (rep & 1 ? 3.0f : 0.1f) * test_rng_float(&r);
+                            seg.depth[k] = 0.0f;
+                            if (step == 1 && (on >> k & 1u) == 0) continue;
+                            o->segment(o, seg.front[k], seg.back[k], seg.length[k], 0.0f, &one[k]);
+                        }
+                        (void)o->segment8(o, &seg, step == 1 ? on : 255u, &sum);
+                    }
+                    for (k = 0; k < 8; k++) {
+                        float a[4], b[4];
+                        tetcasti_ray_finish(o, &one[k], a);
+                        tetcasti_lane_finish(o, &sum, k, b);
+                        CHECK_MSG(memcmp(a, b, sizeof a) == 0, "model %d, %d knots, lanes %x, lane %u: %g %g %g %g, alone %g %g %g %g",
+                                  models[m], counts[n], on, k, (double)b[0], (double)b[1], (double)b[2], (double)b[3], (double)a[0],
+                                  (double)a[1], (double)a[2], (double)a[3]);
+                    }
+                }
+                tetcast_optics_destroy(o);
+            }
+}
+
 /* ---- error control ---- */
 
 TEST(tolerance_holds) { /* the promised bound against the double reference, for functions of many knots */
@@ -837,6 +890,7 @@ int main(int argc, char **argv) {
     RUN(shading);
     RUN(opaque_surface_ends_the_ray);
     RUN(surfaces_by_lane);
+    RUN(lanes_that_are_off);
     RUN(cue_of_a_surface);
     RUN(tolerance_holds);
     RUN(tolerance_of_long_rays);
