@@ -630,7 +630,8 @@ typedef struct tetcast_light {
    t_min           1/512: rays end when less light than this is left; < 0: never
    tolerance       0: exact; else the largest colour error in units of 1/255 that all shortcuts together may make; what
                    rounding does, about 0.005, is not less for smaller ones. With few knots only t_min depends on it
-   path_length     longest way of a ray through the mesh, which tolerance needs; 0: tolerance only sets t_min
+   path_length     longest way of a ray through the mesh, which tolerance needs; 0: tolerance only sets t_min, and with
+                   independent colours, which can go on behind anything, nothing
    light_count     one light from the eye
    cue             no depth cueing */
 typedef struct tetcast_optics_desc {
@@ -664,7 +665,8 @@ typedef struct tetcast_optics_info {
     float t_min;                   /* < 0: rays never end early */
     uint32_t knot_count;           /* knots of the function that is integrated, after simplification */
     float bound;                   /* largest colour error in units of 1/255: the sum of the next three;
-                                      < 0: nobody knows (sampling and tables) */
+                                      < 0: nobody knows (sampling and tables; rays of independent colours that
+                                      end early, path_length 0). For backgrounds of at most white */
     float bound_integral;          /* the integral itself and the rounding of values and positions: an estimate */
     float bound_end, bound_knots;  /* ending early, knots left out: guaranteed */
     size_t table_bytes;
@@ -780,7 +782,7 @@ typedef struct tetcast_image {
     /* along the viewing axis, of the first cell that is not empty; INFINITY where there is none */
     float *depth;
     float *length;         /* way inside of the mesh, world units */
-    uint32_t *steps;       /* tetrahedra passed */
+    uint32_t *steps;       /* tetrahedra passed; a walk counts those before the near end, too, a projection does not */
     size_t rgba8_stride, rgba_stride, depth_stride, length_stride, steps_stride;
 } tetcast_image;
 
@@ -10000,18 +10002,22 @@ static double tetcasti_rounding(const tetcast_optics *o, double path, double mos
 static void tetcasti_optics_bounds(tetcast_optics *o, const tetcast_optics_desc *d) {
     const double path = (double)d->path_length, most = tetcasti_brightest(o, path > 0.0 ? path : 1.0);
     const int volume = o->model == TETCAST_MODEL_VOLUME || o->model == TETCAST_MODEL_MIXED;
+    /* emission that goes on for nobody knows how long */
+    const int unknown = volume && o->tf.independent && o->tf.max_color > 0.0f && !(path > 0.0);
     double t_min = 1.0 / 512.0, room;
     o->info.bound_integral = (float)(tetcasti_rounding(o, path > 0.0 ? path : 1.0, most) * 255.0);
     room = (double)d->tolerance - (double)o->info.bound_integral - (double)o->info.bound_knots;
     if (d->t_min != 0.0f) t_min = (double)d->t_min;
-    else if (d->tolerance > 0.0f) t_min = room > 0.0 ? tetcasti_min(room / 255.0 / most, 0.5) : -1.0;
+    else if (d->tolerance > 0.0f)
+        t_min = room > 0.0 && !unknown ? tetcasti_min(room / 255.0 / most, 0.5) : -1.0;
     if (!volume && o->model != TETCAST_MODEL_ISOSURFACE) t_min = -1.0;
     o->t_stop = t_min < 0.0 ? -INFINITY : (float)t_min;
     o->info.t_min = t_min < 0.0 ? -1.0f : (float)t_min;
     o->info.bound_end = t_min < 0.0 ? 0.0f : (float)(t_min * most * 255.0);
+    if (unknown && t_min >= 0.0) o->info.bound_end = -1.0f;
     if (volume && o->integrator != TETCAST_INTEGRATOR_EXACT) o->info.bound_integral = -1.0f;
-    o->info.bound = o->info.bound_integral < 0.0f ? -1.0f : o->info.bound_integral + o->info.bound_end +
-        o->info.bound_knots;
+    o->info.bound = o->info.bound_integral < 0.0f || o->info.bound_end < 0.0f ? -1.0f
+        : o->info.bound_integral + o->info.bound_end + o->info.bound_knots;
 }
 
 static tetcast_result tetcasti_optics_tables(tetcast_optics *o, const tetcast_optics *old,

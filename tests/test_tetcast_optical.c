@@ -738,6 +738,43 @@ TEST(tolerance_of_long_rays) {
         }
 }
 
+TEST(bound_without_a_length) { /* what emits behind something dark adds up as long as the ray goes on */
+    static tetcast_segment s[1000];
+    tetcast_control_point p[2];
+    float tolerance;
+    int i;
+    memset(p, 0, sizeof p);
+    memset(s, 0, sizeof s);
+    p[1].value = 1.0f;
+    p[0].extinction = 0.5f;
+    for (i = 0; i < 3; i++) p[0].rgb[i] = p[1].rgb[i] = 1.0f;
+    for (i = 0; i < 1000; i++) {
+        s[i].front = s[i].back = i < 14 ? 0.0f : 1.0f;
+        s[i].length = 1.0f;
+    }
+    for (tolerance = 0.0f; tolerance < 9.0f; tolerance += 2.0f) {
+        tetcast_optics_desc d;
+        tetcast_optics_info info;
+        tetcast_optics *o, *whole;
+        float a[4], b[4];
+        memset(&d, 0, sizeof d);
+        d.tolerance = tolerance;
+        o = make(p, 2, 1, NULL, 0, &d);
+        d.t_min = -1.0f;
+        whole = make(p, 2, 1, NULL, 0, &d);
+        tetcast_optics_get_info(o, &info);
+        CHECK(tetcast_optics_ray(o, s, 1000, a, NULL) == TETCAST_OK);
+        CHECK(tetcast_optics_ray(whole, s, 1000, b, NULL) == TETCAST_OK);
+        CHECK(b[0] > 2.8f);
+        if (tolerance > 0.0f) CHECK(info.bound >= 0.0f && info.bound <= tolerance);
+        else CHECK(info.bound < 0.0f && info.bound_end < 0.0f);
+        if (info.bound >= 0.0f) CHECK_MSG(255.0f * fabsf(a[0] - b[0]) <= info.bound, "bound %g, error %g", (double)info.bound,
+                                          255.0 * fabs((double)a[0] - (double)b[0]));
+        tetcast_optics_destroy(o);
+        tetcast_optics_destroy(whole);
+    }
+}
+
 /* Single scattering by a shader that casts rays to the light: in a cube of one density what a ray brings is
        tau int_0^D (ambient + (1 - ambient) exp(-tau way to the light)) exp(-tau x) dx */
 TEST(single_scattering) {
@@ -894,6 +931,7 @@ int main(int argc, char **argv) {
     RUN(cue_of_a_surface);
     RUN(tolerance_holds);
     RUN(tolerance_of_long_rays);
+    RUN(bound_without_a_length);
     RUN(single_scattering);
     RUN(bad_descs);
     return test_end();
