@@ -964,6 +964,22 @@ TEST(bad_values) { /* NaN hides the cells around, with per-vertex and per-cell v
         for (i = 0; i < m->vertex_count; i++) wrong |= !(m->vertex[i].s == m->vertex[i].s);
         CHECK(!wrong);
         tetcast_mesh_destroy(m);
+        { /* masked cells stay masked */
+            uint8_t masks[512];
+            REQUIRE(t.nt <= sizeof masks);
+            for (i = 0; i < t.nt; i++) masks[i] = i % 3 == 0;
+            in.masks = masks;
+            CHECK_EQ_U64(tetcast_mesh_create(&d, &in, &r, &m), TETCAST_OK);
+            REQUIRE(m != NULL && m->hidden != NULL);
+            CHECK(r.masked > 0 && r.bad_values == 3);
+            for (hidden = 0, i = 0; i < m->cell_count; i++) {
+                wrong |= masks[m->source_cell[i]] != 0 && !tetcasti_bit(m->hidden, i);
+                hidden += (uint32_t)tetcasti_bit(m->hidden, i);
+            }
+            CHECK(!wrong && hidden > r.masked);
+            tetcast_mesh_destroy(m);
+            in.masks = NULL;
+        }
         d.strict = 1;
         CHECK_EQ_U64(tetcast_mesh_create(&d, &in, &r, &m), TETCAST_ERR_FORMAT);
         tets_free(&t);
