@@ -10097,8 +10097,8 @@ static tetcast_result tetcasti_optics_make(const tetcast_optics *old, const tetc
         tetcast_optics_destroy(o);
         return r;
     }
-    tetcasti_optics_bounds(o, &d);
     o->cue = d.cue != 0;
+    tetcasti_optics_bounds(o, &d);
     o->piece = tetcasti_exact_pick(o);
     o->piece8 = tetcasti_exact8_pick(o, tetcast_isa_best());
     o->segment = tetcasti_segment_pick(o);
