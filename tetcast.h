@@ -9552,10 +9552,10 @@ static TETCASTI_UNUSED void tetcasti_ray_gap(const tetcast_optics *o, tetcasti_r
 }
 
 static TETCASTI_UNUSED void tetcasti_ray_finish(const tetcast_optics *o, tetcasti_ray_sum *sum, float rgba[4]) {
+    uint32_t k;
     tetcasti_ray_gap(o, sum);
-    rgba[0] = sum->c[0];
-    rgba[1] = sum->c[1];
-    rgba[2] = sum->c[2];
+    for (k = 0; k < 3; k++) /* sums of extinctions near 1e18 overflow, and differences of integrals fall below 0 */
+        rgba[k] = sum->c[k] > 0.0f ? sum->c[k] < 3.40282347e38f ? sum->c[k] : 3.40282347e38f : 0.0f;
     switch (o->model) {
     case TETCAST_MODEL_ABSORPTION: /* one exponential per ray, of the summed depth */
         rgba[3] = (float)(1.0 - (sum->t > -700.0f ? tetcasti_exp2((double)sum->t * 1.44269504088896340736) : 0.0));
@@ -10073,7 +10073,7 @@ static tetcast_result tetcasti_optics_make(const tetcast_optics *old, const tetc
     if (r == TETCAST_OK) r = tetcasti_env_open(&d.env, &mem);
     if (r != TETCAST_OK) return tetcasti_fail(d.env.error, r, 0, "optics: a number or an enum is out of range");
     o = (tetcast_optics *)tetcasti_alloc_zero(&mem, 1, sizeof *o);
-    if (o == NULL) return TETCAST_ERR_NO_MEMORY;
+    if (o == NULL) return tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "optics: out of memory");
     o->mem = mem;
     tetcasti_optics_plain(o, &d);
     if (transfer->iso_count != 0 && (d.model == TETCAST_MODEL_ISOSURFACE || d.model == TETCAST_MODEL_MIXED)) {
@@ -10095,7 +10095,7 @@ static tetcast_result tetcasti_optics_make(const tetcast_optics *old, const tetc
     }
     if (r != TETCAST_OK) {
         tetcast_optics_destroy(o);
-        return r;
+        return r == TETCAST_ERR_NO_MEMORY ? tetcasti_fail(d.env.error, r, 0, "optics: out of memory") : r;
     }
     o->cue = d.cue != 0;
     tetcasti_optics_bounds(o, &d);

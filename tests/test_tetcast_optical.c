@@ -633,6 +633,70 @@ TEST(lanes_that_are_off) { /* nothing is added to them, and nothing else in the 
             }
 }
 
+TEST(numbers_at_the_ends_of_what_is_allowed) { /* extinctions of 1e18, knots from 1e-40 to 1e30: finite, not negative, one sum */
+    static const int models[4] = {TETCAST_MODEL_VOLUME, TETCAST_MODEL_EMISSION, TETCAST_MODEL_ABSORPTION, TETCAST_MODEL_MAXIMUM};
+    test_rng r = test_rng_make(61);
+    int rep, i;
+    uint32_t k, c, large = 0;
+    for (rep = 0; rep < 1600; rep++) {
+        const int count = 1 + (int)test_rng_below(&r, 12);
+        tetcast_optics_desc d = desc_of((tetcast_model)models[rep & 3]);
+        tetcast_control_point p[12];
+        tetcast_segment s[64];
+        float rgba[64][4];
+        tetcast_optics *o;
+        memset(p, 0, sizeof p);
+        memset(s, 0, sizeof s);
+        for (i = 0; i < count; i++) {
+            p[i].value = (float)i / 12.0f + (test_rng_below(&r, 4) ? test_rng_float(&r) / 12.0f : (float)ldexp(1.0, -(int)test_rng_below(&r, 130)));
+            if (i == count - 1 && test_rng_below(&r, 3) == 0) p[i].value = 1e30f * (1.0f + test_rng_float(&r));
+            if (i && p[i].value < p[i - 1].value) p[i].value = p[i - 1].value;
+            if (i > 1 && p[i].value <= p[i - 2].value) p[i].value = p[i - 2].value + 0.25f;
+            for (c = 0; c < 3; c++) p[i].rgb[c] = c == 1 ? (float)test_rng_below(&r, 2) : test_rng_float(&r);
+            p[i].extinction = test_rng_below(&r, 5) == 0 ? 1e18f * test_rng_float(&r) : 10.0f * test_rng_float(&r);
+        }
+        o = make(p, (size_t)count, rep / 4 & 1, NULL, 0, &d);
+        if (o == NULL) continue;
+        for (k = 0; k < 64; k++) {
+            s[k].front = test_rng_below(&r, 2) ? p[test_rng_below(&r, (uint32_t)count)].value : test_rng_float(&r);
+            s[k].back = test_rng_below(&r, 2) ? p[test_rng_below(&r, (uint32_t)count)].value : test_rng_float(&r);
+            s[k].length = (float)ldexp((double)test_rng_float(&r), (int)test_rng_below(&r, 10) - 6);
+        }
+        CHECK(tetcast_optics_segments(o, s, 64, TETCAST_ISA_AUTO, rgba) == TETCAST_OK);
+        for (k = 0; k < 64; k++) {
+            float alone[4];
+            tetcast_optics_ray(o, &s[k], 1, alone, NULL);
+            for (c = 0; c < 4; c++) CHECK_MSG(isfinite(alone[c]) && alone[c] >= 0.0f, "%d %u: %g", rep, k, (double)alone[c]);
+            CHECK_MSG(memcmp(alone, rgba[k], sizeof alone) == 0, "%d %u: %g %g", rep, k, (double)alone[0], (double)rgba[k][0]);
+            large += alone[0] > 1e17f;
+        }
+        tetcast_optics_destroy(o);
+    }
+    CHECK(large > 100);
+}
+
+TEST(light_through_dark_fog) { /* what is left after n segments is right in all its digits, not only beside 1 */
+    static const tetcast_control_point p[] = {{0.0f, {0, 0, 0}, 2.0f}, {0.5f, {0, 0, 0}, 2.0f}, {0.5f, {1, 1, 1}, 1e6f}, {1.0f, {1, 1, 1}, 1e6f}};
+    tetcast_optics_desc d = desc_of(TETCAST_MODEL_VOLUME);
+    tetcast_optics *o = make(p, 4, 0, NULL, 0, &d);
+    tetcast_segment s[1025];
+    float rgba[4];
+    int n, i;
+    memset(s, 0, sizeof s);
+    for (n = 1; n <= 1024; n *= 2) { /* 2 * 6.93 = 13.86 = 20 ln 2 in all */
+        for (i = 0; i < n; i++) {
+            s[i].front = 0.1f;
+            s[i].back = 0.4f;
+            s[i].length = 6.931471805599453f / (float)n;
+        }
+        s[n].front = s[n].back = 0.75f;
+        s[n].length = 1.0f;
+        tetcast_optics_ray(o, s, (size_t)n + 1, rgba, NULL);
+        CHECK_MSG(fabs((double)rgba[0] * 1048576.0 - 1.0) < 4e-6 + 1.2e-7 * n, "%d: %.9g", n, (double)rgba[0] * 1048576.0);
+    }
+    tetcast_optics_destroy(o);
+}
+
 /* ---- error control ---- */
 
 TEST(tolerance_holds) { /* the promised bound against the double reference, for functions of many knots */
@@ -925,6 +989,15 @@ TEST(bad_descs) {
         d.light_count = 1;
         CHECK(tetcast_optics_create(t, &d, &o) == TETCAST_ERR_INVALID_ARG); /* no direction */
     }
+    for (i = 100; i < 2000; i += 300) { /* bytes: at first nothing, then part of it */
+        tetcast_error err;
+        memset(&err, 0, sizeof err);
+        memset(&d, 0, sizeof d);
+        d.env.memory_limit = (size_t)i;
+        d.env.error = &err;
+        CHECK(tetcast_optics_create(t, &d, &o) == TETCAST_ERR_NO_MEMORY);
+        CHECK(o == NULL && err.code == TETCAST_ERR_NO_MEMORY && err.text[0] != 0);
+    }
     tetcast_optics_destroy(NULL);
     tetcast_optics_get_info(NULL, &info);
     CHECK(info.table_bytes == 0);
@@ -975,6 +1048,8 @@ int main(int argc, char **argv) {
     RUN(opaque_surface_ends_the_ray);
     RUN(surfaces_by_lane);
     RUN(lanes_that_are_off);
+    RUN(numbers_at_the_ends_of_what_is_allowed);
+    RUN(light_through_dark_fog);
     RUN(cue_of_a_surface);
     RUN(tolerance_holds);
     RUN(tolerance_of_long_rays);
