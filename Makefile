@@ -150,6 +150,7 @@ help:
 	@echo "test-asan test-tsan test-msan   tests under one sanitizer"
 	@echo "coverage    lines of the headers that the tests reach; $(B)/cov/NAME.uncovered lists the others"
 	@echo "bench       short measurements and plots into $(B)/bench/; bench-full: all of them"
+	@echo "bench-peers the same work by Embree, OpenVDB, llvmpipe and VTK where they are installed, one table (docs/peers.md)"
 	@echo "install     headers and pkg-config files below PREFIX=$(PREFIX) (DESTDIR= for packagers); uninstall"
 	@echo "clean       remove $(B)/"
 	@echo "CC=$(CC) CFLAGS=$(CFLAGS) B=$(B)"
