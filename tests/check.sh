@@ -224,7 +224,7 @@ group_text() {
         [ ${#other[@]} -gt 0 ] && item "text $n common sections equal ${other[0]}" text_common ${other[0]} $n
         other+=($n)
     done
-    mapfile -t files < <(find examples tests bench -name '*.[ch]' ! -path '*/corpus/*' | sort)
+    mapfile -t files < <(find examples tests bench \( -name '*.[ch]' -o -name '*.cpp' \) ! -path '*/corpus/*' | sort)
     item "text programs plain" text_plain $PROGRAM_LINE_LIMIT "${files[@]}"
 }
 
@@ -569,7 +569,7 @@ stats_keys() { # what zbufrand_render --stats says, for one picture, a mean, lay
 }
 group_programs() {
     local f name
-    for f in $(ls examples/*.c tests/test_*.c tests/fuzz/*.c bench/*.c 2>/dev/null); do
+    for f in $(ls examples/*.c tests/test_*.c tests/fuzz/*.c bench/*.c bench/peers/*.c 2>/dev/null); do
         item "programs gcc $f" c gcc -std=c99 -fsyntax-only "$f"
         item "programs clang $f" c clang -std=c99 -fsyntax-only "$f"
     done
@@ -580,6 +580,8 @@ group_programs() {
         printf '#include "%s"\n#include "%s"\n' "$f" "$f" > "$name"
         item "programs include $f" c gcc -std=c99 -fsyntax-only -Wno-unused-function "$name"
     done
+    # those whose system is installed
+    solo "programs peers" make -j"$JOBS" B="$OUT/peers" PEER_CXXFLAGS="-std=c++17 -fsyntax-only -Wall -Wextra -Werror -march=native" peers
     solo "programs make all" make -j"$JOBS" all
     solo "programs exit statuses" exit_statuses
     [ -f zbufrand.h ] && { item "programs 10^8 points" fuzz_bounds; item "programs stats keys" stats_keys; }
