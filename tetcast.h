@@ -10090,6 +10090,7 @@ static tetcast_result tetcasti_optics_make(const tetcast_optics *old, const tetc
         o->max_scale = o->tf.max_emission > 0.0f ? 1.0f / o->tf.max_emission : 0.0f;
         o->t_stop = -INFINITY; /* while tables are built */
         o->cue = 0;
+        o->piece = o->segment = tetcasti_exact_pick(o); /* what piece8 calls without AVX2 */
         o->piece8 = tetcasti_exact8_pick(o, tetcast_isa_best());
         r = tetcasti_optics_tables(o, old, &d);
     }

@@ -456,7 +456,7 @@ TEST(bad_input) {
     d.color_mode = (tetcast_color_mode)7;
     CHECK(tetcast_transfer_create(&d, &t) == TETCAST_ERR_INVALID_ARG);
     d.color_mode = TETCAST_COLOR_ASSOCIATED;
-    d.table_count = (size_t)1 << 40;
+    d.table_count = (size_t)-1 / 2;
     CHECK(tetcast_transfer_create(&d, &t) == TETCAST_ERR_RANGE);
 }
 
