@@ -5477,6 +5477,24 @@ static tetcast_result tetcasti_cells_build_more(tetcasti_mem *mem, const tetcast
    Simulation of Simplicity. ACM TOG 9(1), 1990 (ties).
    --------------------------------------------------------------------------- */
 
+/* MinGW's fmaf rounds twice. Here the sum of the exact product and c, in double, is rounded to odd, so that its
+   conversion rounds as the exact sum would (S. Boldo, G. Melquiond: Emulation of a FMA and Correctly Rounded Sums:
+   Proved Algorithms Using Rounding to Odd. IEEE Trans. Computers 57(4), 2008). */
+#if defined(__MINGW32__)
+TETCASTI_INLINE float tetcasti_fmaf(float a, float b, float c) {
+    const double p = (double)a * (double)b, s = p + (double)c, t = s - p, e = (p - (s - t)) + ((double)c - t);
+    double odd = s;
+    uint64_t bits;
+    memcpy(&bits, &s, sizeof bits);
+    if ((bits & 1u) == 0 && (e < 0.0 || e > 0.0)) { /* not exact, and no NaN */
+        bits = (e < 0.0) == (s < 0.0) ? bits + 1 : bits - 1;
+        memcpy(&odd, &bits, sizeof odd);
+    }
+    return (float)odd;
+}
+#  define fmaf tetcasti_fmaf /* to the end of the implementation */
+#endif
+
 #if TETCASTI_X64 && !(defined(_MSC_VER) && !defined(__clang__))
 #  define TETCASTI_TARGET_FMA __attribute__((target("fma")))
 #else
@@ -23779,6 +23797,9 @@ TETCAST_DEF tetcast_isa tetcast_isa_best(void) {
     return level >= 2 ? TETCAST_ISA_SSE : TETCAST_ISA_SCALAR;
 }
 
+#if defined(__MINGW32__)
+#  undef fmaf
+#endif
 #ifdef __cplusplus
 }
 #endif
