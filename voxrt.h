@@ -2867,7 +2867,8 @@ static voxrt_result voxrti_pal_count(voxrti_mem *mem, const voxrt_env *env, uint
     return VOXRT_OK;
 }
 
-/* ---- lanes: four floats or integers at once; SSE2, or plain C that gives the same bits ----
+/* ---- lanes: four floats or integers at once; SSE2, NEON and WebAssembly through the compiler's vectors, or plain C;
+   all give the same bits ----
 
    A comparison gives all ones or 0 in each lane. */
 
@@ -2901,6 +2902,51 @@ VOXRTI_INLINE voxrti_i4 voxrti_i4_choose(voxrti_i4 m, voxrti_i4 a, voxrti_i4 b) 
     return _mm_or_si128(_mm_and_si128(m, a), _mm_andnot_si128(m, b));
 }
 VOXRTI_INLINE uint32_t voxrti_i4_signs(voxrti_i4 a) { return (uint32_t)_mm_movemask_ps(_mm_castsi128_ps(a)); }
+#elif !defined(VOXRT_NO_SIMD) && (defined(__aarch64__) || defined(__wasm_simd128__)) && \
+    (defined(__clang__) || (defined(__GNUC__) && __GNUC__ >= 9))
+typedef float voxrti_f4 __attribute__((vector_size(16)));
+typedef int32_t voxrti_i4 __attribute__((vector_size(16)));
+typedef uint32_t voxrti_u4 __attribute__((vector_size(16)));
+VOXRTI_INLINE voxrti_i4 voxrti_i4_set(int32_t a, int32_t b, int32_t c, int32_t d) {
+    const voxrti_i4 r = {a, b, c, d};
+    return r;
+}
+VOXRTI_INLINE voxrti_i4 voxrti_i4_all(int32_t x) { return voxrti_i4_set(x, x, x, x); }
+VOXRTI_INLINE voxrti_i4 voxrti_i4_load(const int32_t *p) { return voxrti_i4_set(p[0], p[1], p[2], p[3]); }
+VOXRTI_INLINE void voxrti_i4_store(int32_t *p, voxrti_i4 a) { memcpy(p, &a, sizeof a); }
+VOXRTI_INLINE voxrti_i4 voxrti_i4_add(voxrti_i4 a, voxrti_i4 b) { return (voxrti_i4)((voxrti_u4)a + (voxrti_u4)b); }
+VOXRTI_INLINE voxrti_i4 voxrti_i4_less(voxrti_i4 a, voxrti_i4 b) { return (voxrti_i4)(a < b); }
+VOXRTI_INLINE voxrti_i4 voxrti_i4_and(voxrti_i4 a, voxrti_i4 b) { return a & b; }
+VOXRTI_INLINE voxrti_i4 voxrti_i4_or(voxrti_i4 a, voxrti_i4 b) { return a | b; }
+VOXRTI_INLINE voxrti_i4 voxrti_i4_choose(voxrti_i4 m, voxrti_i4 a, voxrti_i4 b) { return (m & a) | (~m & b); }
+VOXRTI_INLINE voxrti_f4 voxrti_i4_bits(voxrti_i4 a) { return (voxrti_f4)a; }
+VOXRTI_INLINE voxrti_f4 voxrti_i4_float(voxrti_i4 a) { return __builtin_convertvector(a, voxrti_f4); }
+VOXRTI_INLINE uint32_t voxrti_i4_signs(voxrti_i4 a) {
+    return (uint32_t)((a[0] < 0) | (a[1] < 0) << 1 | (a[2] < 0) << 2 | (a[3] < 0) << 3);
+}
+VOXRTI_INLINE voxrti_f4 voxrti_f4_load(const float *p) {
+    const voxrti_f4 r = {p[0], p[1], p[2], p[3]};
+    return r;
+}
+VOXRTI_INLINE voxrti_f4 voxrti_f4_all(float x) {
+    const voxrti_f4 r = {x, x, x, x};
+    return r;
+}
+VOXRTI_INLINE void voxrti_f4_store(float *p, voxrti_f4 a) { memcpy(p, &a, sizeof a); }
+VOXRTI_INLINE voxrti_f4 voxrti_f4_add(voxrti_f4 a, voxrti_f4 b) { return a + b; }
+VOXRTI_INLINE voxrti_f4 voxrti_f4_sub(voxrti_f4 a, voxrti_f4 b) { return a - b; }
+VOXRTI_INLINE voxrti_f4 voxrti_f4_mul(voxrti_f4 a, voxrti_f4 b) { return a * b; }
+VOXRTI_INLINE voxrti_f4 voxrti_f4_div(voxrti_f4 a, voxrti_f4 b) { return a / b; }
+VOXRTI_INLINE voxrti_i4 voxrti_f4_less(voxrti_f4 a, voxrti_f4 b) { return (voxrti_i4)(a < b); }
+VOXRTI_INLINE voxrti_i4 voxrti_f4_equal(voxrti_f4 a, voxrti_f4 b) { return (voxrti_i4)(a == b); }
+VOXRTI_INLINE voxrti_i4 voxrti_f4_int(voxrti_f4 a) { return __builtin_convertvector(a, voxrti_i4); }
+VOXRTI_INLINE voxrti_i4 voxrti_f4_bits(voxrti_f4 a) { return (voxrti_i4)a; }
+VOXRTI_INLINE voxrti_f4 voxrti_f4_min(voxrti_f4 a, voxrti_f4 b) {
+    return (voxrti_f4)voxrti_i4_choose(voxrti_f4_less(a, b), (voxrti_i4)a, (voxrti_i4)b);
+}
+VOXRTI_INLINE voxrti_f4 voxrti_f4_max(voxrti_f4 a, voxrti_f4 b) {
+    return (voxrti_f4)voxrti_i4_choose(voxrti_f4_less(b, a), (voxrti_i4)a, (voxrti_i4)b);
+}
 #else
 typedef struct voxrti_f4 { float v[4]; } voxrti_f4;
 typedef struct voxrti_i4 { int32_t v[4]; } voxrti_i4;
@@ -4571,10 +4617,13 @@ VOXRTI_INLINE void voxrti_fragsum_add(voxrti_fragsum *sum, voxrti_i4 a, voxrti_i
     s[2] = _mm_add_epi64(s[2], _mm_mul_epu32(b, w));
     s[3] = _mm_add_epi64(s[3], _mm_mul_epu32(_mm_srli_epi64(b, 32), w));
 #else
+    int32_t v[8];
     uint32_t i;
+    voxrti_i4_store(v, a);
+    voxrti_i4_store(v + 4, b);
     for (i = 0; i < 4; i++) {
-        sum->s[i / 2 + i % 2 * 2] += (uint64_t)(uint32_t)a.v[i] * weight;
-        sum->s[4 + i / 2 + i % 2 * 2] += (uint64_t)(uint32_t)b.v[i] * weight;
+        sum->s[i / 2 + i % 2 * 2] += (uint64_t)(uint32_t)v[i] * weight;
+        sum->s[4 + i / 2 + i % 2 * 2] += (uint64_t)(uint32_t)v[4 + i] * weight;
     }
 #endif
 }

@@ -11163,7 +11163,7 @@ static int32_t zbufrandi_gauss_weights(float radius, float support, float *weigh
     return k;
 }
 
-/* ---- four floats: a colour. The two forms do the same operations ---- */
+/* ---- four floats: a colour. The forms do the same operations; the second is NEON and WebAssembly ---- */
 
 #if ZBUFRANDI_X64
 typedef __m128 zbufrandi_f4;
@@ -11174,6 +11174,22 @@ ZBUFRANDI_INLINE zbufrandi_f4 zbufrandi_f4_add(zbufrandi_f4 a, zbufrandi_f4 b) {
 ZBUFRANDI_INLINE zbufrandi_f4 zbufrandi_f4_sub(zbufrandi_f4 a, zbufrandi_f4 b) { return _mm_sub_ps(a, b); }
 ZBUFRANDI_INLINE zbufrandi_f4 zbufrandi_f4_mul(zbufrandi_f4 a, zbufrandi_f4 b) { return _mm_mul_ps(a, b); }
 ZBUFRANDI_INLINE float zbufrandi_f4_last(zbufrandi_f4 a) { return _mm_cvtss_f32(_mm_shuffle_ps(a, a, 0xff)); }
+#elif !defined(ZBUFRAND_NO_SIMD) && (defined(__aarch64__) || defined(__wasm_simd128__)) && \
+    (defined(__clang__) || (defined(__GNUC__) && __GNUC__ >= 9))
+typedef float zbufrandi_f4 __attribute__((vector_size(16)));
+ZBUFRANDI_INLINE zbufrandi_f4 zbufrandi_f4_load(const float *p) {
+    const zbufrandi_f4 r = {p[0], p[1], p[2], p[3]};
+    return r;
+}
+ZBUFRANDI_INLINE zbufrandi_f4 zbufrandi_f4_all(float x) {
+    const zbufrandi_f4 r = {x, x, x, x};
+    return r;
+}
+ZBUFRANDI_INLINE void zbufrandi_f4_store(float *p, zbufrandi_f4 a) { memcpy(p, &a, sizeof a); }
+ZBUFRANDI_INLINE zbufrandi_f4 zbufrandi_f4_add(zbufrandi_f4 a, zbufrandi_f4 b) { return a + b; }
+ZBUFRANDI_INLINE zbufrandi_f4 zbufrandi_f4_sub(zbufrandi_f4 a, zbufrandi_f4 b) { return a - b; }
+ZBUFRANDI_INLINE zbufrandi_f4 zbufrandi_f4_mul(zbufrandi_f4 a, zbufrandi_f4 b) { return a * b; }
+ZBUFRANDI_INLINE float zbufrandi_f4_last(zbufrandi_f4 a) { return a[3]; }
 #else
 typedef struct zbufrandi_f4 { float v[4]; } zbufrandi_f4;
 ZBUFRANDI_INLINE zbufrandi_f4 zbufrandi_f4_load(const float *p) {
