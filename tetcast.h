@@ -147,7 +147,8 @@
    THREADS
    A call uses env.thread_count threads (0: one per core; 1: never more than the caller's), started and joined within
    the call, with stacks of 512 KB. env.parallel hands the work to the host's job system instead. Meshes, transfer
-   functions and optics may be read by any number of threads at once. There is no global state.
+   functions and optics may be read by any number of threads at once. There is no global state. WebAssembly
+   has threads with -pthread only.
 
    DETERMINISM
    The same input gives the same bits: for any number of threads, any instruction set, any form of the cells; with gcc
@@ -1774,7 +1775,7 @@ TETCAST_DEF tetcast_isa tetcast_isa_best(void); /* what TETCAST_ISA_AUTO picks o
 #if defined(__FAST_MATH__) && !defined(TETCAST_ALLOW_FAST_MATH)
 #  error "tetcast.h needs NaN and infinity; build without -ffast-math or define TETCAST_ALLOW_FAST_MATH"
 #endif
-#if defined(__wasm__) && !defined(TETCAST_NO_THREADS)
+#if defined(__wasm__) && !defined(_REENTRANT) && !defined(TETCAST_NO_THREADS) /* -pthread defines it */
 #  define TETCAST_NO_THREADS
 #endif
 #ifndef TETCAST_NO_THREADS
@@ -2047,6 +2048,8 @@ static TETCASTI_UNUSED uint32_t tetcasti_thread_count(const tetcast_env *env) {
         long cores = sysconf(_SC_NPROCESSORS_ONLN);
         n = cores > 0 ? (uint32_t)cores : 1u;
     }
+#  elif defined(__MINGW32__)
+    if (n == 0) n = (uint32_t)pthread_num_processors_np();
 #  endif
 #endif
     if (n == 0) n = 1;

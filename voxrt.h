@@ -139,6 +139,7 @@
    the call, with stacks of 512 KB. env.parallel hands the work to the host's job system instead. voxrt_trace and
    voxrt_occluded always run on the calling thread. Trees and octrees may be read by any number of threads at once;
    changing or destroying one needs it for itself. There is no global state, nothing has to be initialised.
+   WebAssembly has threads with -pthread only.
 
    DETERMINISM
    The same input gives the same bits: for any number of threads, any instruction set, any order of triangles, any
@@ -1561,7 +1562,7 @@ VOXRT_DEF voxrt_isa voxrt_isa_best(void); /* what VOXRT_ISA_AUTO picks on this m
 #if defined(__FAST_MATH__) && !defined(VOXRT_ALLOW_FAST_MATH)
 #  error "voxrt.h needs NaN and infinity; build without -ffast-math or define VOXRT_ALLOW_FAST_MATH"
 #endif
-#if defined(__wasm__) && !defined(VOXRT_NO_THREADS)
+#if defined(__wasm__) && !defined(_REENTRANT) && !defined(VOXRT_NO_THREADS) /* -pthread defines it */
 #  define VOXRT_NO_THREADS
 #endif
 #ifndef VOXRT_NO_THREADS
@@ -1834,6 +1835,8 @@ static VOXRTI_UNUSED uint32_t voxrti_thread_count(const voxrt_env *env) {
         long cores = sysconf(_SC_NPROCESSORS_ONLN);
         n = cores > 0 ? (uint32_t)cores : 1u;
     }
+#  elif defined(__MINGW32__)
+    if (n == 0) n = (uint32_t)pthread_num_processors_np();
 #  endif
 #endif
     if (n == 0) n = 1;

@@ -149,7 +149,8 @@
    THREADS
    A call uses env.thread_count threads (0: one per core; 1: never more than the caller's), started and joined within
    the call, with stacks of 512 KB. env.parallel hands the work to the host's job system instead. A built scene may
-   be drawn by any number of threads at once, each with a frame of its own. There is no global state.
+   be drawn by any number of threads at once, each with a frame of its own. There is no global state. WebAssembly
+   has threads with -pthread only.
 
    DETERMINISM
    The same input gives the same bits: for any number of threads, any instruction set; with gcc or clang at any
@@ -1301,7 +1302,7 @@ ZBUFRAND_DEF zbufrand_isa zbufrand_isa_best(void); /* what ZBUFRAND_ISA_AUTO pic
 #if defined(__FAST_MATH__) && !defined(ZBUFRAND_ALLOW_FAST_MATH)
 #  error "zbufrand.h needs NaN and infinity; build without -ffast-math or define ZBUFRAND_ALLOW_FAST_MATH"
 #endif
-#if defined(__wasm__) && !defined(ZBUFRAND_NO_THREADS)
+#if defined(__wasm__) && !defined(_REENTRANT) && !defined(ZBUFRAND_NO_THREADS) /* -pthread defines it */
 #  define ZBUFRAND_NO_THREADS
 #endif
 #ifndef ZBUFRAND_NO_THREADS
@@ -1574,6 +1575,8 @@ static ZBUFRANDI_UNUSED uint32_t zbufrandi_thread_count(const zbufrand_env *env)
         long cores = sysconf(_SC_NPROCESSORS_ONLN);
         n = cores > 0 ? (uint32_t)cores : 1u;
     }
+#  elif defined(__MINGW32__)
+    if (n == 0) n = (uint32_t)pthread_num_processors_np();
 #  endif
 #endif
     if (n == 0) n = 1;

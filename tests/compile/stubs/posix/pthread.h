@@ -12,6 +12,9 @@ typedef struct { long a; } pthread_mutexattr_t;
 typedef struct { long a; } pthread_condattr_t;
 int pthread_create(pthread_t *, const pthread_attr_t *, void *(*)(void *), void *);
 int pthread_join(pthread_t, void **);
+#if defined(__MINGW32__)
+int pthread_num_processors_np(void);
+#endif
 int pthread_attr_init(pthread_attr_t *);
 int pthread_attr_destroy(pthread_attr_t *);
 int pthread_attr_setstacksize(pthread_attr_t *, size_t);
