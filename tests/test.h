@@ -83,6 +83,31 @@
 #  define TEST_PRINTF(a, b)
 #endif
 
+#if defined(_WIN32) /* aligned blocks for free(), as POSIX has them: the few of them are listed. Of one thread */
+static void *test_aligned[256][2]; /* what the program has, what malloc gave */
+TEST_FN int posix_memalign(void **block, size_t align, size_t size) {
+    int i;
+    for (i = 0; i < 256; i++) {
+        if (test_aligned[i][0] != NULL) continue;
+        test_aligned[i][1] = malloc(size + align);
+        if (test_aligned[i][1] == NULL) return 1;
+        *block = test_aligned[i][0] = (char *)test_aligned[i][1] + (align - ((uintptr_t)test_aligned[i][1] & (align - 1)));
+        return 0;
+    }
+    return 1;
+}
+TEST_FN void test_free(void *p) {
+    int i;
+    for (i = 0; i < 256 && (p == NULL || test_aligned[i][0] != p); i++) {}
+    if (i < 256) {
+        p = test_aligned[i][1];
+        test_aligned[i][0] = NULL;
+    }
+    free(p);
+}
+#  define free(p) test_free(p)
+#endif
+
 /* ---- running ---------------------------------------------------------------------------------------------- */
 
 #define TEST(name) static void test_fn_##name(void)
@@ -410,6 +435,7 @@ TEST_FN const char *test_temp_path(const char *suffix) {
     static unsigned next;
     unsigned n = next++;
     const char *dir = getenv("TMPDIR");
+    if (dir == NULL || dir[0] == 0) dir = getenv("TEMP"); /* Windows */
     if (dir == NULL || dir[0] == 0) dir = "/tmp";
     snprintf(paths[n % 8u], sizeof paths[0], "%s/test_%ld_%u%s", dir, (long)getpid(), n, suffix);
     return paths[n % 8u];

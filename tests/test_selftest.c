@@ -8,7 +8,11 @@ TEST(alloc_counts) {
     p = test_alloc_fn(100, &a);
     q = test_alloc_fn(0, &a);
     REQUIRE(p != NULL && q != NULL);
+#if defined(__EMSCRIPTEN__) /* what its malloc of 2022 gives */
+    CHECK(((size_t)p & 7u) == 0);
+#else
     CHECK(((size_t)p & 15u) == 0);
+#endif
     CHECK_EQ_I64(a.live_blocks, 2);
     CHECK_EQ_U64(a.live_bytes, 100);
     test_free_fn(p, 100, &a);

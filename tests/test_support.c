@@ -1033,7 +1033,10 @@ TEST(materials_from_files) {
     CHECK(!sup_mesh_read(obj, &mesh, &err));
     CHECK(strstr(err.text, "cannot be read") != NULL && mesh.triangle_count == 1);
     sup_mesh_free(&mesh);
-    CHECK(sup_is_plain_file(path) && !sup_is_plain_file("/dev/zero") && !sup_is_plain_file("."));
+    CHECK(sup_is_plain_file(path));
+#if !defined(_WIN32) /* there a folder cannot be opened, and devices have other names */
+    CHECK(!sup_is_plain_file("/dev/zero") && !sup_is_plain_file("."));
+#endif
     remove(obj);
     remove(path);
 }
@@ -1599,6 +1602,7 @@ TEST(files_appear_whole) {
     free(data);
     remove(path);
     CHECK_EQ_I64(g_memory.live, 0);
+#if !defined(_WIN32)
     data = test_read_file("/dev/full", &size); /* a device without room, where there is one */
     free(data);
     if (data == NULL) return;
@@ -1618,6 +1622,7 @@ TEST(files_appear_whole) {
     sup_file_abort(&file);
     CHECK(sup_is_special_file("/dev/null"));
     CHECK_EQ_I64(g_memory.live, 0);
+#endif
 }
 
 TEST(colours) {
