@@ -78,7 +78,7 @@ $(B)/.flags: FORCE
 
 # --- pictures: the rules are in examples/demo.mk -------------------------------------------------
 
--include examples/demo.mk bench/peers/peers.mk
+-include examples/demo.mk bench/peers/peers.mk examples/web/web.mk
 demo: $(EXAMPLES) $(GALLERY)
 	@echo "pictures are in $(G)/"
 
@@ -151,6 +151,7 @@ help:
 	@echo "coverage    lines of the headers that the tests reach; $(B)/cov/NAME.uncovered lists the others"
 	@echo "bench       short measurements and plots into $(B)/bench/; bench-full: all of them"
 	@echo "bench-peers the same work by Embree, OpenVDB, llvmpipe and VTK where they are installed, one table (docs/peers.md)"
+	@echo "web         a page with the three libraries in $(B)/web/ (needs emcc); web-test: the same page in Chromium"
 	@echo "install     headers and pkg-config files below PREFIX=$(PREFIX) (DESTDIR= for packagers); uninstall"
 	@echo "clean       remove $(B)/"
 	@echo "CC=$(CC) CFLAGS=$(CFLAGS) B=$(B)"
