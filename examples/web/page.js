@@ -7,13 +7,13 @@
 (function () {
     const $ = id => document.getElementById(id);
     const demos = [
-        { home: { yaw: 0.55, pitch: 0.35, distance: 3 }, at: [0, -0.02, 0], near: 1.25, far: 12, low: -1.45, samples: 32,
+        { home: { yaw: 0.55, pitch: 0.35, distance: 3 }, at: [0, -0.02, 0], near: 1.25, far: 12, low: -1.45, whole: true, samples: 32,
           knob: 'Voxels may look as wide as', values: [0, 0.5, 1, 2, 4, 8], start: 2, text: v => v ? v + ' px' : 'any size',
           moving: '1 ray a pixel, to cells of the width above', still: '32 rays a pixel, to the voxels' },
         { home: { yaw: 0.07, pitch: 0.34, distance: 42 }, at: [0, 3, 0], near: 9, far: 6000, low: 0.05, samples: 32,
           knob: 'Chance of a flaw', values: [0.001, 0.05, 0.5, 0.9, 0.999], start: 3, text: v => 'up to ' + 100 * v + ' %',
           moving: 'one random sampling of the surfaces', still: 'the mean of 32, each with another point of the pixel' },
-        { home: { yaw: 0.6, pitch: 0.62, distance: 74 }, at: [0, 0, 0], near: 24, far: 320, low: -1.45, samples: 16,
+        { home: { yaw: 0.6, pitch: 0.62, distance: 74 }, at: [0, 0, 0], near: 24, far: 320, low: -1.45, whole: true, samples: 16,
           knob: 'Colours may be off by', values: [0, 0.25, 1, 4, 16, 64], start: 2, text: v => v ? v + '/255' : 'rounding only',
           moving: '1 ray a pixel, which may end early', still: '16 rays a pixel, each to its end' }
     ];
@@ -47,8 +47,9 @@
         return [Math.max(16, Math.round(box.width * scale)), Math.max(16, Math.round(box.height * scale))];
     }
     function eyeAt() {
-        const s = state[demo], a = demos[demo].at, c = Math.cos(s.pitch);
-        return [a[0] + s.distance * c * Math.sin(s.yaw), a[1] + s.distance * Math.sin(s.pitch), a[2] + s.distance * c * Math.cos(s.yaw), a[0], a[1], a[2]];
+        const s = state[demo], d = demos[demo], a = d.at, c = Math.cos(s.pitch), box = stage.getBoundingClientRect();
+        const far = s.distance * (d.whole ? Math.max(1, box.height / box.width) : 1); // all of it in upright pictures, too
+        return [a[0] + far * c * Math.sin(s.yaw), a[1] + far * Math.sin(s.pitch), a[2] + far * c * Math.cos(s.yaw), a[0], a[1], a[2]];
     }
     function ask() {
         if (busy || failed || !ready) return;

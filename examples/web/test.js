@@ -164,6 +164,6 @@ async function run() {
     isolated.close();
     plain.close();
     console.log(passed + ' passed, ' + failed + ' failed; pictures are in ' + pictures);
-    process.exit(failed !== 0);
+    process.exit(failed ? 1 : 0);
 }
 run().catch(e => { console.log('FAIL  ' + e.message); process.exit(1); });

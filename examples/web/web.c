@@ -129,7 +129,7 @@ typedef struct scenes {
 static scenes all;
 
 static const char *open_voxrt(void) {
-    static const float low[3] = {228.0f, 140.0f, 92.0f}, high[3] = {64.0f, 150.0f, 178.0f};
+    static const float low[3] = {255.0f, 186.0f, 128.0f}, high[3] = {120.0f, 205.0f, 228.0f};
     voxrt_build_desc desc;
     voxrt_mesh mesh;
     voxrt_tree_info info;
@@ -352,7 +352,7 @@ static const char *draw_zbufrand(uint32_t width, uint32_t height, double toleran
     memcpy(d.camera.eye, pic.v.eye, sizeof d.camera.eye);
     memcpy(d.camera.at, pic.v.at, sizeof d.camera.at);
     memcpy(d.background, sky[DEMO_ZBUFRAND], sizeof d.background);
-    for (int k = 0; k < 3; k++) d.ambient[k] = 0.3f * sky[DEMO_ZBUFRAND][k];
+    for (int k = 0; k < 3; k++) d.ambient[k] = 0.5f * sky[DEMO_ZBUFRAND][k];
     d.tolerance = tolerance;
     image.width = width;
     image.height = height;
