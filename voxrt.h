@@ -9,6 +9,7 @@
    @math          small vectors, polynomials instead of libm, Morton codes, octahedral normals, sRGB, hashes
    @core          the bytes of a tree
    @normals       the thesis' codes of normals; which code a tree has
+   @finish        what surfaces are beside their colours: shiny, mirrors, glass, lamps
    @palette       colours become indices
    @voxelize      triangles -> filled leaves with mean colours and normals
    @fill          the inside of closed hulls
@@ -20,6 +21,7 @@
    @trace         rays through the tree: scalar, SSE and AVX2; common starts of tiles; voxels with planes
    @trace_octree  rays through the octree of the thesis: single, and packets of four
    @shade         surfaces -> colours; lights and shadows
+   @bounce        mirrors and glass: rays that go on
    @render        camera -> rays -> tiles -> buffers
    @post          work on finished pictures: encode, blur, keep to a frame time
    @scene         geometry in other places, many geometries as one
@@ -288,6 +290,30 @@ typedef struct voxrt_env {
 
 /* ---- building ---- */
 
+/* What surfaces are beside their colour. What light does at one, in shares of it: `transparency` goes on, of the rest
+   `mirror` is mirrored, and what is left is scattered and makes highlights, as voxrt_material says. All but emission,
+   absorption, specular and shininess are from 0 to 1; nothing is above 1e12. */
+typedef struct voxrt_finish {
+    float diffuse;         /* times the colour; 1: as surfaces without a finish */
+    float specular[3];     /* highlights: specular * cos^shininess */
+    float shininess;
+    float mirror[3];
+    float transparency[3];
+    float refraction;      /* index of the body that the surface encloses, 1/16 to 16: its mirror rays take their share by
+                              Fresnel; 0 or 1: light goes straight on, as through a thin pane */
+    float absorption[3];   /* light in the body fades by exp(-absorption * length), length in world units */
+    float emission[3];     /* light that the surface shows by itself; it does not light others */
+} voxrt_finish;
+
+/* A point of a triangle, where it is in a voxel. */
+typedef struct voxrt_sample {
+    size_t triangle;
+    float weight[3];  /* of the triangle's corners, in the order of the mesh; their sum is 1 */
+    float footprint;  /* edge of a voxel, in units of the positions */
+    float color[3];   /* linear, 0 to 1: what the mesh says, or white. Out: what the voxel shall have */
+    float normal[3];  /* unit length, or 0 without normals. Out: any length */
+} voxrt_sample;
+
 /* Triangles to voxelise. Borrowed for the call. */
 typedef struct voxrt_mesh {
     const float *positions;        /* xyz per vertex, any unit */
@@ -300,6 +326,12 @@ typedef struct voxrt_mesh {
     const uint8_t *vertex_rgb;     /* sRGB bytes per vertex, interpolated in linear light; or NULL */
     size_t vertex_rgb_stride;      /* bytes, 0: 3 */
     const uint8_t *triangle_rgb;   /* sRGB bytes, 3 per triangle, wins over vertex_rgb; or NULL */
+    const uint8_t *triangle_finish; /* per triangle: 0 plain, k: voxrt_build_desc.finishes[k - 1]; or NULL */
+    /* Textures: changes color and normal of a sample to what the triangle has there. Called by many threads at once, a
+       few times for each voxel of a triangle; what it gives must depend on the sample alone. NULL: colours and normals
+       are those of the corners */
+    void (*sample_fn)(void *user, voxrt_sample *sample);
+    void *sample_user;
 } voxrt_mesh;
 
 /* One filled cell. */
@@ -336,6 +368,10 @@ typedef enum voxrt_lod_method {
    planes          voxels are cubes. 1: each also keeps a plane, the mean of the triangles in it. Rays meet that, so
                    outlines, depth and shadows are smooth close up. One byte a voxel; voxels are 26-separating unless
                    they are the thesis'; needs normals. A voxel in which triangles of opposite sides meet stays a cube
+   finishes        all surfaces are plain. At most 255, borrowed; voxrt_mesh.triangle_finish says which has which, for
+                   voxrt_tree_from_voxels voxel_finish (a byte for each, 0 plain). A voxel has that of the triangle
+                   with the largest part in it, larger cells that of most voxels. A palette entry has a colour and a
+                   finish: there may be palette_size of them for each finish
    margin          half a voxel kept free on each side (thesis: the same); a fixed box: set box_size > 0 */
 typedef struct voxrt_build_desc {
     uint32_t _begin_zero;
@@ -351,6 +387,9 @@ typedef struct voxrt_build_desc {
     uint32_t fill_depth;      /* with fill: only this many voxels deep, 0: all */
     uint32_t planes;
     uint32_t strict;          /* 1: bad triangles are an error (FORMAT) instead of being skipped and counted */
+    const voxrt_finish *finishes;
+    size_t finish_count;
+    const uint8_t *voxel_finish;
     double box_min[3];        /* with box_size > 0: the world cube that maps to the whole grid; up to 1e300 */
     double box_size;
     uint32_t _end_zero;
@@ -383,6 +422,7 @@ typedef struct voxrt_tree_info {
     uint64_t color_bytes, normal_bytes, plane_bytes, total_bytes;
     uint32_t shared;         /* 1: equal parts are stored once (voxrt_tree_share) */
     uint32_t has_planes;     /* 1: voxels have planes (voxrt_build_desc.planes) */
+    uint32_t finish_count;   /* finishes that palette entries have; 0: all is plain */
 } voxrt_tree_info;
 
 /* Voxelise a mesh and build the tree with colours, normals and all levels of detail.
@@ -391,8 +431,8 @@ typedef struct voxrt_tree_info {
    stats  out, may be NULL
    The result depends on the triangles as a set, not on their order nor on threads. Cost: O(triangles + voxels);
    holds 8 to 18 bytes a voxel at its peak, most with many colours (stats->peak_bytes tells).
-   Errors: INVALID_ARG, UNINIT_DESC, RANGE, EMPTY, NO_MEMORY, CANCELLED; with strict FORMAT, error->where is the first
-   bad triangle. Thread safety: calls are independent. Source: Laine 2013 (6), Schwarz & Seidel 2010 (26), thesis 3.1.3
+   Errors: INVALID_ARG (a bad finish, or one that is not there: error->where), UNINIT_DESC, RANGE, EMPTY, NO_MEMORY,
+   CANCELLED; with strict FORMAT, error->where is the first bad triangle. Thread safety: calls are independent. Source: Laine 2013 (6), Schwarz & Seidel 2010 (26), thesis 3.1.3
    and 3.1.4. */
 VOXRT_DEF voxrt_result voxrt_tree_build(const voxrt_build_desc *desc, const voxrt_mesh *mesh, voxrt_build_stats *stats,
                                         voxrt_tree **out_tree);
@@ -420,6 +460,9 @@ VOXRT_DEF int voxrt_tree_each(const voxrt_tree *tree, uint32_t level,
 
 /* The palette: 3 sRGB bytes an entry. Owned by the tree. */
 VOXRT_DEF const uint8_t *voxrt_tree_palette(const voxrt_tree *tree, uint32_t *out_count);
+
+/* Finish of a palette entry, owned by the tree; NULL: plain, or there is no such entry. Any thread. O(1). */
+VOXRT_DEF const voxrt_finish *voxrt_tree_finish(const voxrt_tree *tree, uint32_t palette_index);
 
 /* 64-bit hash of occupancy, attributes and placement: equal trees have equal hashes on every machine, shared or not. */
 VOXRT_DEF uint64_t voxrt_tree_hash(const voxrt_tree *tree);
@@ -516,6 +559,7 @@ VOXRT_DEF int voxrt_trace1(const voxrt_tree *tree, const voxrt_ray *ray, voxrt_h
    has no normals. hit must be a hit of this tree. Any thread. */
 VOXRT_DEF void voxrt_hit_color(const voxrt_tree *tree, const voxrt_hit *hit, uint8_t rgb[3]);
 VOXRT_DEF void voxrt_hit_normal(const voxrt_tree *tree, const voxrt_hit *hit, float normal[3]);
+VOXRT_DEF const voxrt_finish *voxrt_hit_finish(const voxrt_tree *tree, const voxrt_hit *hit); /* NULL: plain */
 
 /* ---- the octree of the thesis ---- */
 
@@ -785,6 +829,7 @@ typedef struct voxrt_surface {
     uint8_t rgb[3];       /* sRGB */
     uint8_t face;         /* as voxrt_hit.face */
     uint32_t plane;       /* as voxrt_hit.plane: shadow rays need hardly be lifted */
+    const voxrt_finish *finish; /* NULL: plain. Valid as long as the geometry */
 } voxrt_surface;
 
 /* Anything a ray can hit: octrees, other trees, polygons. The nearest surface wins, all of them cast shadows.
@@ -797,6 +842,7 @@ typedef struct voxrt_geometry {
                         size_t count);
     void *user;
     double box_min[3], box_max[3]; /* world; frames the default camera */
+    uint32_t glass;                /* 1: surfaces may have finishes that are transparent: shadow rays ask what they met */
 } voxrt_geometry;
 
 typedef enum voxrt_view {
@@ -837,7 +883,7 @@ typedef struct voxrt_image {
              camera, which still sets the default lights and the widths of level of detail: t should be depth
    shade_fn  gets 1..64 rays with what they met and its unit normals, as they were turned for shading. colors: in, what
              the library would show; out, what is shown: linear, premultiplied, 0 where nothing is; with thesis_compose
-             in units of 255
+             in units of 255. What mirrors and glass show comes on top; it is asked for what they show, too
    tile_fn   gets the pixels [x0, x1) x [y0, y1) when all of them are written
    frame_fn  the same for the picture, on the calling thread, behind all tiles */
 typedef struct voxrt_states {
@@ -861,6 +907,9 @@ typedef struct voxrt_states {
                      pixels wide
    max_level_plus_1  no limit. k+1: octree level k is the finest
    pixel_step        1: a ray for each pixel. k, up to 8: one for each block of k x k pixels, for fast previews
+   bounces_plus_1    8 bounces in mirrors and glass; k+1: k of them, up to 32. 1: none, mirrors and glass are opaque.
+                     Surfaces without a finish send no rays on; nor do thesis_compose and views that are not shaded.
+                     What is behind more bounces, or less than 1/512 of a pixel, is black
    lod_split         off. k+1: left half of the picture at most octree level k, for comparison
    background        transparent; linear RGBA, premultiplied */
 typedef struct voxrt_render_desc {
@@ -887,6 +936,7 @@ typedef struct voxrt_render_desc {
     uint32_t object_lod;
     uint32_t max_level_plus_1;
     uint32_t pixel_step;
+    uint32_t bounces_plus_1;
     uint32_t lod_split;
     float background[4];
     float heat_max;           /* cells that are fully red; 0: 64 */
@@ -896,7 +946,7 @@ typedef struct voxrt_render_desc {
 } voxrt_render_desc;
 
 typedef struct voxrt_render_stats { /* added to */
-    voxrt_stats primary, shadow;
+    voxrt_stats primary, shadow, bounce;
 } voxrt_render_stats;
 
 /* The ray through point (x, y) of the picture plane, in pixels from its upper left corner: (i+0.5, j+0.5) is the
@@ -2231,6 +2281,9 @@ struct voxrt_tree {
     voxrti_colors colors;                     /* block = NULL: one colour */
     uint8_t *palette;                         /* [3*palette_count], at least one entry */
     uint32_t palette_count;
+    voxrt_finish *finish;                     /* [finish_count] or NULL */
+    uint8_t *entry_finish;                    /* [palette_count] 0 plain, k: finish[k - 1]; NULL: all are plain */
+    uint32_t finish_count;                    /* at most 255 */
     const void *borrowed;                     /* the memory image the arrays point into, or NULL: owned */
 };
 
@@ -2248,7 +2301,7 @@ VOXRTI_INLINE uint32_t voxrti_leaf_at(const voxrt_tree *t, uint32_t i) {
 typedef struct voxrti_leafset {
     uint64_t *key;    /* [block_count] Morton code of the block (voxel coordinates / 4) */
     uint64_t *mask;   /* [block_count] never 0 */
-    uint32_t *rgb;    /* [voxel_count] 0x00BBGGRR, sRGB; NULL: no colours */
+    uint32_t *rgb;    /* [voxel_count] 0xFFBBGGRR, FF a finish or 0, sRGB; NULL: no colours */
     uint16_t *normal; /* [voxel_count] codes; NULL: no normals */
     uint8_t *plane;   /* [voxel_count] codes; NULL: no planes */
     const struct voxrti_sum *sums; /* [voxel_count] borrowed: what is in each voxel; NULL: itself alone */
@@ -2390,6 +2443,144 @@ VOXRTI_INLINE uint32_t voxrti_normal_encode(uint32_t spherical, const float n[3]
 
 VOXRTI_INLINE uint64_t voxrti_plane_count(const voxrt_tree *t) {
     return t->mask_count != 0 ? t->attr_count : t->voxel_count;
+}
+
+/* ---------------------------------------------------------------------------
+   finish: what surfaces are beside their colours.                               // >>finish
+   On its way into a tree a colour has the number of its finish in bits 24 to 31; the palette of the tree has an entry
+   for each pair that occurs. So cells cost the same with finishes and without, and trees without have none of this.
+   --------------------------------------------------------------------------- */
+
+#define VOXRTI_FINISH_FLOATS 18u
+
+VOXRTI_INLINE void voxrti_finish_floats(const voxrt_finish *f, float v[VOXRTI_FINISH_FLOATS]) {
+    memcpy(v, f, VOXRTI_FINISH_FLOATS * sizeof *v);
+}
+
+static VOXRTI_UNUSED int voxrti_finish_ok(const voxrt_finish *f) {
+    float v[VOXRTI_FINISH_FLOATS];
+    uint32_t i;
+    int ok = 1;
+    voxrti_finish_floats(f, v);
+    for (i = 0; i < VOXRTI_FINISH_FLOATS; i++) ok = ok && v[i] >= 0.0f && v[i] <= 1e12f;
+    ok = ok && f->diffuse <= 1.0f && (f->refraction == 0.0f || (f->refraction >= 0.0625f && f->refraction <= 16.0f));
+    for (i = 0; i < 3; i++) ok = ok && f->mirror[i] <= 1.0f && f->transparency[i] <= 1.0f;
+    return ok;
+}
+
+/* What a desc says about finishes; used: numbers of `count` triangles or voxels, or NULL. */
+static VOXRTI_UNUSED voxrt_result voxrti_finish_check(const voxrt_build_desc *d, const uint8_t *used, size_t count) {
+    size_t i;
+    if (d->finish_count > 255)
+        return voxrti_fail(d->env.error, VOXRT_ERR_RANGE, d->finish_count, "% finishes are too many");
+    if (d->finish_count != 0 && d->finishes == NULL)
+        return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "finishes is NULL");
+    for (i = 0; i < d->finish_count; i++)
+        if (!voxrti_finish_ok(&d->finishes[i]))
+            return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, i, "finish %: a number is out of range");
+    for (i = 0; used != NULL && i < count; i++)
+        if (used[i] > d->finish_count)
+            return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, i, "triangle or voxel %: no such finish");
+    return VOXRT_OK;
+}
+
+/* The one with the largest weight; ties: the lower number. */
+static VOXRTI_UNUSED uint32_t voxrti_finish_vote(const uint32_t *number, const uint32_t *weight, uint32_t n) {
+    uint32_t best = number[0], i, k;
+    uint64_t most = 0;
+    for (i = 0; i < n; i++) {
+        uint64_t sum = 0;
+        for (k = 0; k < n; k++) sum += number[k] == number[i] ? weight[k] : 0u;
+        if (sum > most || (sum == most && number[i] < best)) {
+            most = sum;
+            best = number[i];
+        }
+    }
+    return best;
+}
+
+/* Numbers of the finishes of n colours, which lose them; NULL: memory is short. */
+static VOXRTI_UNUSED uint8_t *voxrti_finish_split(voxrti_mem *mem, uint32_t *value, size_t n) {
+    uint8_t *number = (uint8_t *)voxrti_alloc_array(mem, n, 1);
+    size_t i;
+    for (i = 0; number != NULL && i < n; i++) {
+        number[i] = (uint8_t)(value[i] >> 24);
+        value[i] &= 0xffffffu;
+    }
+    return number;
+}
+
+/* Palette entries for the pairs of the colours value[i] (indices) and number[i] that occur, in the order of the numbers;
+   value[i] becomes the pair's. Finishes that nothing has are left out. */
+static VOXRTI_UNUSED voxrt_result voxrti_finish_join(voxrti_mem *mem, const voxrt_build_desc *d, voxrt_tree *t,
+                                                     uint32_t *value, const uint8_t *number, size_t n) {
+    const uint64_t colors = t->palette_count, words = (colors * (d->finish_count + 1) + 31) / 32;
+    uint32_t *bits = NULL, *rank = NULL, count = 0, used = 0, map[256], k;
+    uint8_t *palette = NULL;
+    uint64_t pair, w;
+    size_t i;
+    voxrt_result r = VOXRT_ERR_NO_MEMORY;
+    memset(map, 0, sizeof map);
+    for (i = 0; i < n; i++) map[number[i]] = 1;
+    for (k = 1; k <= d->finish_count; k++)
+        if (map[k] != 0) map[k] = ++used;
+    if (used == 0) return VOXRT_OK;
+    if (words < (size_t)-1) {
+        bits = (uint32_t *)voxrti_alloc_zero(mem, (size_t)words, sizeof *bits);
+        rank = (uint32_t *)voxrti_alloc_array(mem, (size_t)words, sizeof *rank);
+    }
+    if (bits != NULL && rank != NULL) {
+        for (i = 0; i < n; i++) {
+            pair = number[i] * colors + value[i];
+            bits[(size_t)(pair >> 5)] |= 1u << (pair & 31u);
+        }
+        for (w = 0; w < words; w++) {
+            rank[(size_t)w] = count;
+            count += voxrti_popcount64(bits[(size_t)w]);
+        }
+        palette = (uint8_t *)voxrti_alloc_array(mem, count, 3);
+        t->entry_finish = (uint8_t *)voxrti_alloc_array(mem, count, 1);
+        t->finish = (voxrt_finish *)voxrti_alloc_array(mem, used, sizeof *t->finish);
+    }
+    if (palette != NULL && t->entry_finish != NULL && t->finish != NULL) {
+        for (i = 0; i < n; i++) {
+            pair = number[i] * colors + value[i];
+            w = pair >> 5;
+            k = rank[(size_t)w] + voxrti_popcount64(bits[(size_t)w] & ((1u << (pair & 31u)) - 1u));
+            memcpy(palette + (size_t)3 * k, t->palette + (size_t)3 * value[i], 3);
+            t->entry_finish[k] = (uint8_t)(number[i] != 0 ? map[number[i]] : 0u);
+            value[i] = k;
+        }
+        for (k = 1; k <= d->finish_count; k++)
+            if (map[k] != 0) t->finish[map[k] - 1] = d->finishes[k - 1];
+        voxrti_free(mem, t->palette);
+        t->palette = palette;
+        palette = NULL;
+        t->palette_count = count;
+        t->finish_count = used;
+        r = count <= 1u << 24 ? VOXRT_OK : VOXRT_ERR_RANGE;
+    }
+    voxrti_free(mem, palette);
+    voxrti_free(mem, bits);
+    voxrti_free(mem, rank);
+    return r;
+}
+
+/* t gets the finishes of s. */
+static VOXRTI_UNUSED voxrt_result voxrti_finish_copy(voxrti_mem *mem, const voxrt_tree *s, voxrt_tree *t) {
+    if (s->entry_finish == NULL) return VOXRT_OK;
+    t->finish = (voxrt_finish *)voxrti_alloc_array(mem, s->finish_count, sizeof *t->finish);
+    t->entry_finish = (uint8_t *)voxrti_alloc_array(mem, s->palette_count, 1);
+    if (t->finish == NULL || t->entry_finish == NULL) return VOXRT_ERR_NO_MEMORY;
+    memcpy(t->finish, s->finish, s->finish_count * sizeof *t->finish);
+    memcpy(t->entry_finish, s->entry_finish, s->palette_count);
+    t->finish_count = s->finish_count;
+    return VOXRT_OK;
+}
+
+/* Of a palette entry; NULL: plain. */
+VOXRTI_INLINE const voxrt_finish *voxrti_finish_of(const voxrt_tree *t, uint32_t entry) {
+    return t->entry_finish != NULL && t->entry_finish[entry] != 0 ? &t->finish[t->entry_finish[entry] - 1] : NULL;
 }
 
 /* ---------------------------------------------------------------------------
@@ -4105,7 +4296,10 @@ typedef struct voxrti_vox {
     const voxrt_mesh *mesh;
     const voxrti_grid *grid;
     uint32_t sub, brick_bits;
-    int has_rgb, has_normal, has_plane;
+    int has_rgb, has_normal, has_plane, has_finish;
+    int white;                 /* has_rgb, but the mesh has no colours */
+    int special;               /* has_plane, has_finish or sample_fn: fragments take more than adding */
+    uint32_t sampled;          /* sample_fn: channels 3 and 7 are the weights of corners 1 and 2 */
     voxrt_separating separating;
     uint64_t *ref;             /* brick << 32 | triangle, sorted */
     size_t ref_count;
@@ -4132,7 +4326,10 @@ typedef struct voxrti_brick {
     uint32_t *slot;            /* [size^3] 1 + index of the voxel's sum; 0: none */
     voxrti_fragsum *sum;
     uint32_t *cell;            /* [sum_capacity] voxel of a sum */
-    size_t sum_count, sum_capacity, cell_capacity;
+    uint64_t *vote;            /* has_finish: of each sum the largest weight << 8 | finish */
+    size_t sum_count, sum_capacity, cell_capacity, vote_capacity;
+    size_t triangle;           /* in work */
+    uint32_t finish;           /* of it */
     uint32_t *tiny;            /* voxels touched by triangles that caught no target */
     size_t tiny_count, tiny_capacity;
     uint64_t fragments;
@@ -4231,7 +4428,7 @@ static VOXRTI_UNUSED voxrt_result voxrti_grid_from_mesh(const voxrt_build_desc *
 
 /* Corners of a triangle in voxels, the lowest one first, so that it does not matter where the triangle begins.
    0: not usable. */
-static int voxrti_tri_corners(const voxrti_vox *v, size_t i, double p[3][3], size_t vertex[3]) {
+static int voxrti_tri_corners(const voxrti_vox *v, size_t i, double p[3][3], size_t vertex[3], uint32_t *turn) {
     double scale = 1.0 / v->grid->voxel_size;
     uint32_t k, a, first = 0;
     for (k = 0; k < 3; k++) {
@@ -4244,6 +4441,7 @@ static int voxrti_tri_corners(const voxrti_vox *v, size_t i, double p[3][3], siz
         for (a = 0; a < 3 && p[k][a] == p[first][a]; a++) { }
         if (a < 3 ? p[k][a] < p[first][a] : vertex[k] < vertex[first]) first = k;
     }
+    *turn = first;
     for (; first > 0; first--) {
         double q[3];
         size_t x = vertex[0];
@@ -4274,13 +4472,19 @@ static void voxrti_tri_finish(const voxrti_vox *v, voxrti_tri *t) {
 }
 
 /* Attributes of a triangle's corners. */
-static void voxrti_tri_attributes(const voxrti_vox *v, size_t i, const size_t vertex[3], const double p[3][3],
-                                  voxrti_tri *t) {
+static void voxrti_tri_attributes(const voxrti_vox *v, size_t i, const size_t vertex[3], uint32_t turn,
+                                  const double p[3][3], voxrti_tri *t) {
     const voxrt_mesh *m = v->mesh;
     uint32_t k, a, faces = 0;
     float f[3];
     memset(t->attr, 0, sizeof t->attr);
-    for (k = 0; v->has_rgb && k < 3; k++) {
+    if (v->sampled) { /* weights of the corners of the mesh */
+        t->attr[(4 - turn) % 3][3] = 1.0f;
+        t->attr[(5 - turn) % 3][7] = 1.0f;
+    }
+    for (k = 0; v->white && k < 3; k++)
+        for (a = 0; a < 3; a++) t->attr[k][VOXRTI_RGB + a] = 65535.0f;
+    for (k = 0; v->has_rgb && !v->white && k < 3; k++) {
         const uint8_t *c = m->triangle_rgb != NULL ? m->triangle_rgb + 3 * i :
             m->vertex_rgb + vertex[k] * (m->vertex_rgb_stride != 0 ? m->vertex_rgb_stride : 3);
         for (a = 0; a < 3; a++) t->attr[k][VOXRTI_RGB + a] = (float)v->srgb[c[a]];
@@ -4342,10 +4546,10 @@ static int voxrti_tri_each(const voxrti_vox *v, size_t i, int attributes,
     double p[3][3], s = (double)((uint32_t)1 << v->sub), end = (double)v->grid->resolution + 1.0;
     size_t vertex[3];
     voxrti_tri t;
-    uint32_t k, a, inside = 1, n;
+    uint32_t k, a, inside = 1, n, turn = 0;
     memset(vertex, 0, sizeof vertex);
-    if (!voxrti_tri_corners(v, i, p, vertex)) return 0;
-    if (attributes) voxrti_tri_attributes(v, i, vertex, (const double (*)[3])p, &t);
+    if (!voxrti_tri_corners(v, i, p, vertex, &turn)) return 0;
+    if (attributes) voxrti_tri_attributes(v, i, vertex, turn, (const double (*)[3])p, &t);
     for (k = 0; k < 3; k++)
         for (a = 0; a < 3; a++) inside &= p[k][a] >= -1.0 && p[k][a] <= end;
     if (inside) {
@@ -4547,7 +4751,8 @@ static voxrt_result voxrti_bin_all(voxrti_vox *v, voxrt_build_stats *stats) {
     if (stats->rejected != 0 && v->d->strict) {
         double p[3][3];
         size_t vertex[3], k;
-        for (k = 0; k < v->mesh->triangle_count && voxrti_tri_corners(v, k, p, vertex); k++) { }
+        uint32_t turn;
+        for (k = 0; k < v->mesh->triangle_count && voxrti_tri_corners(v, k, p, vertex, &turn); k++) { }
         return voxrti_fail(v->d->env.error, VOXRT_ERR_FORMAT, k, "triangle % has a bad vertex");
     }
     return voxrti_bin_sort(v);
@@ -4595,7 +4800,9 @@ VOXRTI_INLINE voxrti_fragsum *voxrti_brick_sum(voxrti_brick *b, uint32_t cell) {
     uint32_t i = b->slot[cell];
     if (i == 0) {
         if (b->sum_count == b->sum_capacity || b->sum_count == b->cell_capacity) {
-            if (!voxrti_grow(b->v->mem, (void **)&b->sum, &b->sum_capacity, b->sum_count, b->sum_count + 4096,
+            if ((b->v->has_finish && !voxrti_grow(b->v->mem, (void **)&b->vote, &b->vote_capacity, b->sum_count,
+                                                  b->sum_count + 4096, sizeof *b->vote)) ||
+                !voxrti_grow(b->v->mem, (void **)&b->sum, &b->sum_capacity, b->sum_count, b->sum_count + 4096,
                              sizeof *b->sum) ||
                 !voxrti_grow(b->v->mem, (void **)&b->cell, &b->cell_capacity, b->sum_count, b->sum_count + 4096,
                              sizeof *b->cell)) {
@@ -4604,6 +4811,7 @@ VOXRTI_INLINE voxrti_fragsum *voxrti_brick_sum(voxrti_brick *b, uint32_t cell) {
             }
         }
         memset(&b->sum[b->sum_count], 0, sizeof *b->sum);
+        if (b->v->has_finish) b->vote[b->sum_count] = 0;
         b->cell[b->sum_count++] = cell;
         b->slot[cell] = i = (uint32_t)b->sum_count;
     }
@@ -4631,13 +4839,48 @@ VOXRTI_INLINE void voxrti_fragsum_add(voxrti_fragsum *sum, voxrti_i4 a, voxrti_i
 #endif
 }
 
-static const float voxrti_fragment_scale[2][4] = {{1.0f, 1.0f, 1.0f, 0.0f}, {16384.0f, 16384.0f, 16384.0f, 0.0f}};
-static const float voxrti_fragment_shift[2][4] = {{0.5f, 0.5f, 0.5f, 1.0f}, {32768.5f, 32768.5f, 32768.5f, 0.0f}};
+/* by voxrti_vox.sampled: then the fourth number is the weight of a corner, until the sample is taken */
+static const float voxrti_fragment_scale[2][2][4] = {
+    {{1.0f, 1.0f, 1.0f, 0.0f}, {16384.0f, 16384.0f, 16384.0f, 0.0f}},
+    {{1.0f, 1.0f, 1.0f, 1.0f}, {16384.0f, 16384.0f, 16384.0f, 1.0f}}};
+static const float voxrti_fragment_shift[2][2][4] = {
+    {{0.5f, 0.5f, 0.5f, 1.0f}, {32768.5f, 32768.5f, 32768.5f, 0.0f}},
+    {{0.5f, 0.5f, 0.5f, 0.0f}, {32768.5f, 32768.5f, 32768.5f, 0.0f}}};
 
 /* Four channels of attributes as the integers that are summed, plus what is cut off. */
-VOXRTI_INLINE voxrti_f4 voxrti_fragment_scaled(const float *f, uint32_t half) {
-    return voxrti_f4_add(voxrti_f4_mul(voxrti_f4_load(f + 4 * half), voxrti_f4_load(voxrti_fragment_scale[half])),
-                         voxrti_f4_load(voxrti_fragment_shift[half]));
+VOXRTI_INLINE voxrti_f4 voxrti_fragment_scaled(const voxrti_vox *v, const float *f, uint32_t half) {
+    const uint32_t k = v->sampled;
+    return voxrti_f4_add(voxrti_f4_mul(voxrti_f4_load(f + 4 * half), voxrti_f4_load(voxrti_fragment_scale[k][half])),
+                         voxrti_f4_load(voxrti_fragment_shift[k][half]));
+}
+
+/* Let the caller's function change a fragment. */
+static VOXRTI_NOINLINE void voxrti_fragment_sample(const voxrti_brick *b, voxrti_f4 *rgb, voxrti_f4 *normal) {
+    float c[4], n[4];
+    voxrt_sample s;
+    uint32_t a;
+    voxrti_f4_store(c, *rgb);
+    voxrti_f4_store(n, *normal);
+    s.triangle = b->triangle;
+    s.weight[1] = c[3];
+    s.weight[2] = voxrti_absf(n[3]);
+    if (s.weight[1] + s.weight[2] > 1.0f) s.weight[2] = voxrti_absf(1.0f - s.weight[1]);
+    s.weight[0] = voxrti_absf(1.0f - s.weight[1] - s.weight[2]);
+    s.footprint = (float)b->v->grid->voxel_size;
+    for (a = 0; a < 3; a++) {
+        s.color[a] = (c[a] - 0.5f) * (1.0f / 65535.0f);
+        s.normal[a] = b->v->has_normal ? (n[a] - 32768.5f) * (1.0f / 16384.0f) : 0.0f;
+    }
+    if (!voxrti_normalize(s.normal)) s.normal[0] = s.normal[1] = s.normal[2] = 0.0f;
+    b->v->mesh->sample_fn(b->v->mesh->sample_user, &s);
+    for (a = 0; a < 3; a++) c[a] = (s.color[a] > 0.0f ? s.color[a] < 1.0f ? s.color[a] : 1.0f : 0.0f) * 65535.0f + 0.5f;
+    if (b->v->has_normal && voxrti_finite_f(s.normal[0]) && voxrti_finite_f(s.normal[1]) &&
+        voxrti_finite_f(s.normal[2]) && voxrti_normalize(s.normal))
+        for (a = 0; a < 3; a++) n[a] = s.normal[a] * 16384.0f + 32768.5f;
+    c[3] = 1.0f;
+    n[3] = 0.0f;
+    *rgb = voxrti_f4_load(c);
+    *normal = voxrti_f4_load(n);
 }
 
 /* The distance of the triangle's plane from the voxel's centre, along a normal on the side of the fragment's. */
@@ -4655,20 +4898,32 @@ static VOXRTI_NOINLINE void voxrti_fragment_plane(const voxrti_brick *b, voxrti_
     s->s[VOXRTI_SUM_PLANE] += (uint64_t)weight * (uint32_t)(d * 16384.0f + 32768.5f);
 }
 
+/* A fragment that takes more than adding. Its normal says where its plane is before the caller's function changes it. */
+static VOXRTI_NOINLINE void voxrti_fragment_special(voxrti_brick *b, voxrti_fragsum *s, uint32_t cell, uint32_t weight,
+                                                    voxrti_f4 rgb, voxrti_f4 normal) {
+    if (b->v->has_plane) voxrti_fragment_plane(b, s, cell, weight, normal);
+    if (b->v->sampled) voxrti_fragment_sample(b, &rgb, &normal);
+    if (b->v->has_finish) {
+        uint64_t *vote = &b->vote[s - b->sum], own = (uint64_t)weight << 8 | b->finish;
+        if (own > *vote) *vote = own;
+    }
+    voxrti_fragsum_add(s, voxrti_f4_int(rgb), voxrti_f4_int(normal), weight);
+}
+
 VOXRTI_INLINE void voxrti_fragment(voxrti_brick *b, uint32_t cell, uint32_t weight, voxrti_f4 rgb, voxrti_f4 normal) {
     voxrti_fragsum *s = voxrti_brick_sum(b, cell);
     if (s == NULL) return;
     b->fragments++;
-    voxrti_fragsum_add(s, voxrti_f4_int(rgb), voxrti_f4_int(normal), weight);
-    if (b->v->has_plane) voxrti_fragment_plane(b, s, cell, weight, normal);
+    if (b->v->special) voxrti_fragment_special(b, s, cell, weight, rgb, normal);
+    else voxrti_fragsum_add(s, voxrti_f4_int(rgb), voxrti_f4_int(normal), weight);
 }
 
 /* The same for attributes that may have been rounded out of their range. */
 static void voxrti_fragment_attr(voxrti_brick *b, uint32_t cell, uint32_t weight, const float f[VOXRTI_CHANNELS]) {
     voxrti_f4 least = voxrti_f4_all(0.0f), most = voxrti_f4_all(65535.0f);
     voxrti_fragment(b, cell, weight,
-                    voxrti_f4_min(voxrti_f4_max(voxrti_fragment_scaled(f, 0), least), most),
-                    voxrti_f4_min(voxrti_f4_max(voxrti_fragment_scaled(f, 1), least), most));
+                    voxrti_f4_min(voxrti_f4_max(voxrti_fragment_scaled(b->v, f, 0), least), most),
+                    voxrti_f4_min(voxrti_f4_max(voxrti_fragment_scaled(b->v, f, 1), least), most));
 }
 
 /* Columns i of row k in [i0, i1] for which e + i * step >= 0. */
@@ -4796,8 +5051,8 @@ static uint64_t voxrti_raster_short(voxrti_brick *b, const voxrti_tri *t, int ti
     uint32_t a, e, any = 0;
     *cut = 0;
     for (e = 0; e < 3; e++) {
-        rgb[e] = voxrti_fragment_scaled(t->attr[e], 0);
-        normal[e] = voxrti_fragment_scaled(t->attr[e], 1);
+        rgb[e] = voxrti_fragment_scaled(v, t->attr[e], 0);
+        normal[e] = voxrti_fragment_scaled(v, t->attr[e], 1);
     }
     rgb_lo = voxrti_f4_min(voxrti_f4_min(rgb[0], rgb[1]), rgb[2]);
     rgb_hi = voxrti_f4_max(voxrti_f4_max(rgb[0], rgb[1]), rgb[2]);
@@ -5178,8 +5433,9 @@ static void voxrti_brick_tri(void *ctx, const voxrti_tri *t, size_t i) {
     uint64_t found = 0;
     uint32_t a;
     int cut = 1, tiny;
-    (void)i;
     if (b->failed) return;
+    b->triangle = i;
+    b->finish = b->v->has_finish ? b->v->mesh->triangle_finish[i] : 0;
     if (b->v->has_plane) {
         const double inv = t->length > 0 ? 1.0 / t->length : 0.0, unit = 1.0 / (double)((uint32_t)1 << b->v->sub);
         double d = 0;
@@ -5279,6 +5535,7 @@ static int voxrti_brick_emit(voxrti_brick *b, uint64_t brick, voxrti_leafset *ou
             const voxrti_fragsum *s = &b->sum[b->slot[i * 64 + voxrti_ctz64(m)] - 1];
             double inv = 1.0 / (double)(int64_t)s->s[VOXRTI_SUM_WEIGHT];
             if (v->has_rgb) out->rgb[out->voxel_count] = voxrti_fragsum_rgb(v, s, inv);
+            if (v->has_finish) out->rgb[out->voxel_count] |= (uint32_t)(b->vote[s - b->sum] & 255u) << 24;
             if (v->has_normal) out->normal[out->voxel_count] = voxrti_fragsum_normal(s, inv);
             if (v->has_plane) out->plane[out->voxel_count] = voxrti_fragsum_plane(s, inv);
             out->voxel_count++;
@@ -5322,6 +5579,7 @@ static void voxrti_brick_task(void *ctx, uint32_t index) {
     voxrti_free(v->mem, b.slot);
     voxrti_free(v->mem, b.sum);
     voxrti_free(v->mem, b.cell);
+    voxrti_free(v->mem, b.vote);
     voxrti_free(v->mem, b.tiny);
     voxrti_tally_add(v->fragments, b.fragments);
     if (!ok) voxrti_atomic_store(&v->failed, 1u);
@@ -5416,9 +5674,14 @@ static VOXRTI_UNUSED voxrt_result voxrti_voxelize(voxrti_mem *mem, const voxrt_b
     v.grid = grid;
     v.sub = 20 - grid->depth < 8 ? 20 - grid->depth : 8;
     v.brick_bits = grid->depth > 15 ? 6 : 5;
-    v.has_rgb = !d->disable_colors && (mesh->triangle_rgb != NULL || mesh->vertex_rgb != NULL);
+    v.has_finish = d->finish_count != 0 && mesh->triangle_finish != NULL;
+    v.white = d->disable_colors || (mesh->triangle_rgb == NULL && mesh->vertex_rgb == NULL);
+    v.has_rgb = !v.white || v.has_finish || (mesh->sample_fn != NULL && !d->disable_colors);
+    v.white = v.white && v.has_rgb;
     v.has_normal = !d->disable_normals;
     v.has_plane = v.has_normal && d->planes;
+    v.sampled = mesh->sample_fn != NULL && (v.has_normal || !d->disable_colors);
+    v.special = v.has_plane || v.has_finish || v.sampled;
     v.separating = v.has_plane && d->separating == VOXRT_SEPARATING_6 ? VOXRT_SEPARATING_26 : d->separating;
     voxrti_srgb_table(v.srgb);
     v.to_srgb = (uint8_t *)voxrti_alloc(mem, 65537);
@@ -5473,6 +5736,7 @@ static VOXRTI_UNUSED voxrt_result voxrti_leafset_from_voxels(voxrti_mem *mem, co
     voxrti_keyed *a = NULL, *tmp = NULL;
     uint32_t srgb[256], any_normal = 0, limit = (uint32_t)1 << depth;
     size_t i, k, blocks = 0, voxels = 0;
+    const int finished = d->finish_count != 0 && d->voxel_finish != NULL, has_rgb = !d->disable_colors || finished;
     int ok;
     memset(out, 0, sizeof *out);
     if (n >= 0xffffffffu) return voxrti_fail(d->env.error, VOXRT_ERR_RANGE, n, "% voxels are too many");
@@ -5499,9 +5763,9 @@ static VOXRTI_UNUSED voxrt_result voxrti_leafset_from_voxels(voxrti_mem *mem, co
     if (ok) {
         out->key = (uint64_t *)voxrti_alloc_array(mem, blocks + 1, 8);
         out->mask = (uint64_t *)voxrti_alloc_array(mem, blocks + 1, 8);
-        if (!d->disable_colors) out->rgb = (uint32_t *)voxrti_alloc_array(mem, voxels + 1, 4);
+        if (has_rgb) out->rgb = (uint32_t *)voxrti_alloc_array(mem, voxels + 1, 4);
         if (!d->disable_normals && any_normal) out->normal = (uint16_t *)voxrti_alloc_array(mem, voxels + 1, 2);
-        ok = out->key != NULL && out->mask != NULL && (d->disable_colors || out->rgb != NULL) &&
+        ok = out->key != NULL && out->mask != NULL && (!has_rgb || out->rgb != NULL) &&
              (d->disable_normals || !any_normal || out->normal != NULL);
     }
     voxrti_srgb_table(srgb);
@@ -5527,6 +5791,11 @@ static VOXRTI_UNUSED voxrt_result voxrti_leafset_from_voxels(voxrti_mem *mem, co
             out->rgb[out->voxel_count] = voxrti_srgb_find(srgb, (uint32_t)((sum[0] + c / 2) / c)) |
                                          voxrti_srgb_find(srgb, (uint32_t)((sum[1] + c / 2) / c)) << 8 |
                                          voxrti_srgb_find(srgb, (uint32_t)((sum[2] + c / 2) / c)) << 16;
+        if (d->disable_colors && has_rgb) out->rgb[out->voxel_count] = 0xffffffu;
+        for (x = 0; finished && x < k - i; x++) { /* the highest number, so that the order does not matter */
+            const uint32_t number = d->voxel_finish[a[i + x].index], old = out->rgb[out->voxel_count] >> 24;
+            out->rgb[out->voxel_count] = (out->rgb[out->voxel_count] & 0xffffffu) | (number > old ? number : old) << 24;
+        }
         if (out->normal != NULL) {
             float f[3];
             for (x = 0; x < 3; x++)
@@ -5913,6 +6182,8 @@ static void voxrti_tree_free(voxrti_mem *mem, voxrt_tree *t) {
         voxrti_free(mem, t->colors.block);
         voxrti_free(mem, t->colors.data);
         voxrti_free(mem, t->palette);
+        voxrti_free(mem, t->finish);
+        voxrti_free(mem, t->entry_finish);
     }
     voxrti_free(mem, t);
 }
@@ -6145,6 +6416,7 @@ typedef struct voxrti_lod {
     voxrt_lod_method method;
     uint32_t w;                 /* the level in work */
     uint32_t *value;            /* [attr_count] colours (mean) or palette indices (majority), or NULL */
+    uint32_t finishes;          /* 1: colours have finishes */
     const voxrti_sum *children; /* sums of the nodes of level w+1; NULL on the leaf level */
     const voxrti_sum *leaves;   /* sums of the voxels, or NULL */
     voxrti_sum *sums;           /* sums of the nodes of level w */
@@ -6232,7 +6504,7 @@ static uint32_t voxrti_majority(const uint32_t *index, const uint32_t *weight, u
 static void voxrti_lod_node(voxrti_lod *l, uint32_t i, uint64_t cell, uint64_t oct_attr) {
     voxrt_tree *t = l->t;
     uint32_t w = l->w, o, leaf = w + 1 == t->wide, thesis = l->method == VOXRT_LOD_MAJORITY;
-    uint32_t majority = thesis && l->value != NULL, best = 0;
+    uint32_t majority = thesis && l->value != NULL, finishes = l->finishes && !majority, best = 0;
     uint64_t mask = leaf ? t->leaf[i] : t->node[t->level_first[w] + i].mask;
     uint64_t node_attr = t->attr_first[2 * w] + i, first = t->attr_first[2 * w + 2];
     uint32_t vote[8], vote_weight[8], octants = 0;
@@ -6254,8 +6526,8 @@ static void voxrti_lod_node(voxrti_lod *l, uint32_t i, uint64_t cell, uint64_t o
                 }
                 s.count += c->count;
             }
-            if (majority) {
-                index[n] = l->value[cell];
+            if (majority || finishes) {
+                index[n] = majority ? l->value[cell] : l->value[cell] >> 24;
                 weight[n] = leaf ? 1u : (uint32_t)l->children[cell - first].count;
             }
         }
@@ -6265,6 +6537,11 @@ static void voxrti_lod_node(voxrti_lod *l, uint32_t i, uint64_t cell, uint64_t o
             vote_weight[octants] = (uint32_t)s.count;
         } else if (l->value != NULL) {
             l->value[oct_attr] = voxrti_sum_color(l, &s);
+        }
+        if (finishes) {
+            vote[octants] = voxrti_finish_vote(index, weight, n);
+            vote_weight[octants] = (uint32_t)s.count;
+            l->value[oct_attr] |= vote[octants] << 24;
         }
         if (t->normal != NULL)
             t->normal[oct_attr] = (uint16_t)(thesis ? voxrti_children_normal(t, cell - n, n, best) :
@@ -6283,6 +6560,7 @@ static void voxrti_lod_node(voxrti_lod *l, uint32_t i, uint64_t cell, uint64_t o
         l->value[node_attr] = vote[best];
     } else if (l->value != NULL) {
         l->value[node_attr] = voxrti_sum_color(l, &node_sum);
+        if (finishes) l->value[node_attr] |= voxrti_finish_vote(vote, vote_weight, octants) << 24;
     }
     if (t->normal != NULL)
         t->normal[node_attr] = (uint16_t)(thesis ? voxrti_children_normal(t, oct_attr, octants, best) :
@@ -6306,7 +6584,7 @@ static void voxrti_lod_task(void *ctx, uint32_t task) {
 }
 
 /* Attributes of all levels above the leaves, bottom up. */
-static voxrt_result voxrti_tree_lod(voxrti_mem *mem, const voxrt_env *env, voxrt_tree *t, voxrt_lod_method method,
+static voxrt_result voxrti_tree_lod(voxrti_mem *mem, const voxrt_build_desc *d, voxrt_tree *t, voxrt_lod_method method,
                                     uint32_t *value, const voxrti_sum *leaves) {
     voxrti_lod l;
     voxrti_sum *below = NULL;
@@ -6316,6 +6594,7 @@ static voxrt_result voxrti_tree_lod(voxrti_mem *mem, const voxrt_env *env, voxrt
     l.t = t;
     l.method = method;
     l.value = value;
+    l.finishes = d->finish_count != 0;
     l.leaves = leaves;
     voxrti_srgb_table(l.srgb);
     for (w = t->wide; w-- > 0;) {
@@ -6326,7 +6605,7 @@ static voxrt_result voxrti_tree_lod(voxrti_mem *mem, const voxrt_env *env, voxrt
         }
         l.w = w;
         l.children = below;
-        voxrti_parallel_for(env, voxrti_lod_task, &l, (t->level_nodes[w] + VOXRTI_LOD_CHUNK - 1) / VOXRTI_LOD_CHUNK);
+        voxrti_parallel_for(&d->env, voxrti_lod_task, &l, (t->level_nodes[w] + VOXRTI_LOD_CHUNK - 1) / VOXRTI_LOD_CHUNK);
         voxrti_free(mem, below);
         below = l.sums;
     }
@@ -6397,19 +6676,27 @@ static voxrt_result voxrti_tree_colors(voxrti_mem *mem, const voxrt_build_desc *
                                        const uint8_t *palette, uint32_t palette_count, int complete,
                                        const voxrti_sum *sums, uint64_t *colors_in) {
     voxrt_result r = VOXRT_OK;
-    size_t leaves = (size_t)t->voxel_count, all = (size_t)t->attr_count;
+    size_t leaves = (size_t)t->voxel_count, all = (size_t)t->attr_count, count;
     voxrt_lod_method lod = palette != NULL ? VOXRT_LOD_MAJORITY : d->lod_method;
-    if (palette == NULL && lod == VOXRT_LOD_MEAN) r = voxrti_tree_lod(mem, &d->env, t, lod, value, sums);
+    uint8_t *number = NULL;
+    if (palette == NULL && lod == VOXRT_LOD_MEAN) r = voxrti_tree_lod(mem, d, t, lod, value, sums);
+    count = lod == VOXRT_LOD_MEAN ? all : leaves;
+    if (r == VOXRT_OK && palette == NULL && d->finish_count != 0) {
+        number = voxrti_finish_split(mem, value, count);
+        if (number == NULL) r = VOXRT_ERR_NO_MEMORY;
+    }
     if (r == VOXRT_OK && palette == NULL)
-        r = voxrti_palette_build(mem, &d->env, value, lod == VOXRT_LOD_MEAN ? all : leaves, leaves,
-                                 d->palette_size, d->palette_method, &t->palette, &t->palette_count, colors_in);
+        r = voxrti_palette_build(mem, &d->env, value, count, leaves, d->palette_size, d->palette_method, &t->palette,
+                                 &t->palette_count, colors_in);
+    if (r == VOXRT_OK && number != NULL) r = voxrti_finish_join(mem, d, t, value, number, count);
+    voxrti_free(mem, number);
     if (r == VOXRT_OK && palette != NULL) {
         t->palette = (uint8_t *)voxrti_alloc_array(mem, palette_count, 3);
         t->palette_count = palette_count;
         if (t->palette == NULL) return VOXRT_ERR_NO_MEMORY;
         memcpy(t->palette, palette, (size_t)3 * palette_count);
     }
-    if (r == VOXRT_OK && lod == VOXRT_LOD_MAJORITY && !complete) r = voxrti_tree_lod(mem, &d->env, t, lod, value, sums);
+    if (r == VOXRT_OK && lod == VOXRT_LOD_MAJORITY && !complete) r = voxrti_tree_lod(mem, d, t, lod, value, sums);
     if (r == VOXRT_OK) r = voxrti_colors_encode(mem, &d->env, value, all, &t->colors);
     return r;
 }
@@ -6470,7 +6757,7 @@ static VOXRTI_UNUSED voxrt_result voxrti_tree_from_leafset_palette(
         if (r == VOXRT_OK)
             r = voxrti_tree_colors(mem, d, t, value, palette, palette_count, complete, set->sums, &colors_in);
     } else if (r == VOXRT_OK && !complete) {
-        r = voxrti_tree_lod(mem, &d->env, t, d->lod_method, NULL, set->sums); /* of the normals */
+        r = voxrti_tree_lod(mem, d, t, d->lod_method, NULL, set->sums); /* of the normals */
     }
     if (r == VOXRT_OK && t->palette == NULL) {
         t->palette = (uint8_t *)voxrti_alloc(mem, 3);
@@ -6549,6 +6836,8 @@ VOXRT_DEF voxrt_result voxrt_tree_build(const voxrt_build_desc *desc, const voxr
     if (r != VOXRT_OK) return r;
     if (mesh == NULL || (mesh->triangle_count != 0 && mesh->positions == NULL))
         return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no mesh");
+    r = voxrti_finish_check(&d, mesh->triangle_finish, mesh->triangle_count);
+    if (r != VOXRT_OK) return r;
     memset(&set, 0, sizeof set);
     r = voxrti_grid_from_mesh(&d, mesh, &grid);
     if (r != VOXRT_OK) return r;
@@ -6577,6 +6866,8 @@ VOXRT_DEF voxrt_result voxrt_tree_from_voxels(const voxrt_build_desc *desc, cons
     if (voxels == NULL && count != 0) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no voxels");
     if (depth < 1 || depth > VOXRT_MAX_DEPTH)
         return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, depth, "depth % is out of range");
+    r = voxrti_finish_check(&d, d.voxel_finish, count);
+    if (r != VOXRT_OK) return r;
     memset(&set, 0, sizeof set);
     memset(&grid, 0, sizeof grid);
     grid.depth = depth;
@@ -6630,6 +6921,8 @@ VOXRT_DEF void voxrt_tree_get_info(const voxrt_tree *t, voxrt_tree_info *info) {
     info->shared = t->code != NULL;
     info->color_bytes =
         t->colors.block_count * sizeof(uint32_t) + t->colors.data_bytes + (uint64_t)3 * t->palette_count;
+    info->finish_count = t->finish_count;
+    if (t->entry_finish != NULL) info->color_bytes += t->finish_count * sizeof *t->finish + t->palette_count;
     info->normal_bytes = t->normal != NULL ? t->attr_count * sizeof(uint16_t) : 0;
     info->plane_bytes = t->plane != NULL ? voxrti_plane_count(t) : 0;
     info->has_planes = t->plane != NULL;
@@ -6640,6 +6933,10 @@ VOXRT_DEF void voxrt_tree_get_info(const voxrt_tree *t, voxrt_tree_info *info) {
 VOXRT_DEF const uint8_t *voxrt_tree_palette(const voxrt_tree *tree, uint32_t *out_count) {
     if (out_count != NULL) *out_count = tree != NULL ? tree->palette_count : 0;
     return tree != NULL ? tree->palette : NULL;
+}
+
+VOXRT_DEF const voxrt_finish *voxrt_tree_finish(const voxrt_tree *tree, uint32_t palette_index) {
+    return tree != NULL && palette_index < tree->palette_count ? voxrti_finish_of(tree, palette_index) : NULL;
 }
 
 VOXRT_DEF int voxrt_tree_get(const voxrt_tree *t, uint32_t level, uint32_t x, uint32_t y, uint32_t z,
@@ -6838,6 +7135,16 @@ VOXRT_DEF uint64_t voxrt_tree_hash(const voxrt_tree *t) {
     for (i = 0; i < t->level_nodes[t->wide - 1] && t->code == NULL; i++) h = voxrti_hash_mix(h, t->leaf[i]);
     h = voxrti_hash_bytes(h, t->palette, (size_t)3 * t->palette_count);
     if (t->spherical) h = voxrti_hash_mix(h, 1);
+    for (i = 0; i < t->finish_count; i++) {
+        float f[VOXRTI_FINISH_FLOATS];
+        uint32_t word;
+        voxrti_finish_floats(&t->finish[i], f);
+        for (a = 0; a < VOXRTI_FINISH_FLOATS; a++) {
+            memcpy(&word, &f[a], sizeof word);
+            h = voxrti_hash_mix(h, word);
+        }
+    }
+    if (t->entry_finish != NULL) h = voxrti_hash_bytes(h, t->entry_finish, t->palette_count);
     if (t->code != NULL) {
         for (a = 2 * t->wide + 1; t->normal != NULL && a-- > 0;) h = voxrti_shared_hash(t, a, 0, h);
         for (a = 2 * t->wide + 1; t->palette_count > 1 && a-- > 0;) h = voxrti_shared_hash(t, a, 1, h);
@@ -7415,6 +7722,8 @@ static voxrt_result voxrti_share_attributes(voxrti_mem *mem, const voxrt_env *en
     t->palette = (uint8_t *)voxrti_alloc_array(mem, s->palette_count, 3);
     if (t->palette == NULL) return VOXRT_ERR_NO_MEMORY;
     memcpy(t->palette, s->palette, (size_t)3 * s->palette_count);
+    r = voxrti_finish_copy(mem, s, t);
+    if (r != VOXRT_OK) return r;
     if (s->normal != NULL) {
         t->normal = (uint16_t *)voxrti_alloc_array(mem, n, sizeof(uint16_t));
         if (t->normal == NULL) return VOXRT_ERR_NO_MEMORY;
@@ -8474,6 +8783,7 @@ VOXRT_DEF voxrt_result voxrt_octree_load_file(const voxrt_octree_desc *desc, con
 #define VOXRTI_V5_ENTRY 40u
 #define VOXRTI_V5_PLACE 144u
 #define VOXRTI_V5_SHARING_HEAD 48u
+#define VOXRTI_V5_FINISH (4u * VOXRTI_FINISH_FLOATS)
 #define VOXRTI_V5_MAX_SECTIONS 64u
 #define VOXRTI_V5_OPTIONAL 0x80000000u /* flag in an id: readers that do not know it skip the section */
 
@@ -8481,11 +8791,11 @@ enum { /* ids */
     VOXRTI_V5_PLACEMENT = 1, VOXRTI_V5_PALETTE = 2, VOXRTI_V5_NODES = 3, VOXRTI_V5_LEAVES = 4, VOXRTI_V5_RANKS = 5,
     VOXRTI_V5_GEOMETRY = 6, VOXRTI_V5_NORMALS = 7, VOXRTI_V5_BLOCKS = 8, VOXRTI_V5_COLORS = 9,
     VOXRTI_V5_SHARING = 10, VOXRTI_V5_CODES = 11, VOXRTI_V5_EXTRA = 12, VOXRTI_V5_PLANES = 13,
-    VOXRTI_V5_IDS = 14
+    VOXRTI_V5_FINISHES = 14, VOXRTI_V5_IDS = 15
 };
 enum { /* flags of the header */
     VOXRTI_V5_RAW_FILE = 1, VOXRTI_V5_HAS_NORMALS = 2, VOXRTI_V5_HAS_COLORS = 4, VOXRTI_V5_SPHERICAL = 8,
-    VOXRTI_V5_SHARED = 16, VOXRTI_V5_HAS_PLANES = 32
+    VOXRTI_V5_SHARED = 16, VOXRTI_V5_HAS_PLANES = 32, VOXRTI_V5_HAS_FINISHES = 64
 };
 
 static const uint8_t voxrti_v5_magic[8] = {0x89, 0x56, 0x4f, 0x58, 0x0d, 0x0a, 0x1a, 0x0a}; /* 89 V O X CR LF ^Z LF */
@@ -9523,7 +9833,7 @@ static uint64_t voxrti_v5_raw_size(uint32_t id, uint64_t count) {
     case VOXRTI_V5_LEAVES: return 8 * (count + 8);
     case VOXRTI_V5_NORMALS: return 2 * count;
     case VOXRTI_V5_COLORS: return count + 8;
-    case VOXRTI_V5_SHARING: case VOXRTI_V5_PLANES: return count;
+    case VOXRTI_V5_SHARING: case VOXRTI_V5_PLANES: case VOXRTI_V5_FINISHES: return count;
     case VOXRTI_V5_CODES: return 2 * count;
     default: return 4 * count; /* ranks, colour blocks, extra */
     }
@@ -9542,6 +9852,7 @@ static uint64_t voxrti_v5_count(const voxrt_tree *t, uint32_t id) {
     case VOXRTI_V5_GEOMETRY: return (uint64_t)t->node_count + t->level_nodes[t->wide - 1];
     case VOXRTI_V5_NORMALS: return t->attr_count;
     case VOXRTI_V5_PLANES: return voxrti_plane_count(t);
+    case VOXRTI_V5_FINISHES: return (uint64_t)t->finish_count * VOXRTI_V5_FINISH + t->palette_count;
     case VOXRTI_V5_BLOCKS: return (t->attr_count + 63) / 64;
     default: return t->colors.data_bytes;
     }
@@ -9576,6 +9887,19 @@ static void voxrti_v5_write_placement(const voxrt_tree *t, uint8_t *p) {
     }
 }
 
+static void voxrti_v5_write_finishes(const voxrt_tree *t, uint8_t *p) {
+    float v[VOXRTI_FINISH_FLOATS];
+    uint32_t i, k, word;
+    for (i = 0; i < t->finish_count; i++) {
+        voxrti_finish_floats(&t->finish[i], v);
+        for (k = 0; k < VOXRTI_FINISH_FLOATS; k++, p += 4) {
+            memcpy(&word, &v[k], sizeof word);
+            voxrti_store_u32(p, word);
+        }
+    }
+    memcpy(p, t->entry_finish, t->palette_count);
+}
+
 static void voxrti_v5_write_section(const voxrt_tree *t, const voxrti_v5_file *f, const voxrti_v5_section *s,
                                     uint8_t *p) {
     size_t i, n = (size_t)s->count;
@@ -9604,6 +9928,7 @@ static void voxrti_v5_write_section(const voxrt_tree *t, const voxrti_v5_file *f
     case VOXRTI_V5_CODES: for (i = 0; i < n; i++) voxrti_store_u16(p + 2 * i, t->code[i]); break;
     case VOXRTI_V5_EXTRA: for (i = 0; i < n; i++) voxrti_store_u32(p + 4 * i, t->extra[i]); break;
     case VOXRTI_V5_PLANES: memcpy(p, t->plane, n); break;
+    case VOXRTI_V5_FINISHES: voxrti_v5_write_finishes(t, p); break;
     default: /* colours */
         if (n != 0) memcpy(p, t->colors.data, n);
         memset(p + n, 0, 8);
@@ -9628,6 +9953,7 @@ static voxrt_result voxrti_v5_plan(voxrti_mem *mem, const voxrt_save_desc *d, co
         if ((id == VOXRTI_V5_CODES || id == VOXRTI_V5_EXTRA) && !(shared && raw)) continue;
         if (id == VOXRTI_V5_NORMALS && (t->normal == NULL || d->disable_normals != 0)) continue;
         if (id == VOXRTI_V5_PLANES && (t->plane == NULL || d->disable_normals != 0)) continue;
+        if (id == VOXRTI_V5_FINISHES && t->entry_finish == NULL) continue;
         if ((id == VOXRTI_V5_BLOCKS || id == VOXRTI_V5_COLORS) && t->colors.block == NULL) continue;
         s->id = id;
         s->count = voxrti_v5_count(t, id);
@@ -9693,6 +10019,7 @@ static void voxrti_v5_write(const voxrt_tree *t, const voxrti_v5_file *f, uint8_
         if (s->id == VOXRTI_V5_BLOCKS) flags |= VOXRTI_V5_HAS_COLORS;
         if (s->id == VOXRTI_V5_SHARING) flags |= VOXRTI_V5_SHARED;
         if (s->id == VOXRTI_V5_PLANES) flags |= VOXRTI_V5_HAS_PLANES;
+        if (s->id == VOXRTI_V5_FINISHES) flags |= VOXRTI_V5_HAS_FINISHES;
     }
     for (i = 0; i < t->wide; i++) nodes += voxrti_level_cells(t, 2 * i);
     memcpy(out, voxrti_v5_magic, 8);
@@ -9829,6 +10156,7 @@ static voxrt_result voxrti_v5_read_placement(voxrti_v5_reader *r, voxrt_tree *t)
     if (s[VOXRTI_V5_NORMALS].id != 0) flags |= VOXRTI_V5_HAS_NORMALS | (voxrti_load_u32(h + 32) & VOXRTI_V5_SPHERICAL);
     if (s[VOXRTI_V5_BLOCKS].id != 0) flags |= VOXRTI_V5_HAS_COLORS;
     if (s[VOXRTI_V5_PLANES].id != 0) flags |= VOXRTI_V5_HAS_PLANES;
+    if (s[VOXRTI_V5_FINISHES].id != 0) flags |= VOXRTI_V5_HAS_FINISHES;
     r->flags = flags;
     if (voxrti_load_u32(h + 32) != flags || voxrti_load_u32(h + 44) != 0 || s[VOXRTI_V5_PLACEMENT].id == 0 ||
         s[VOXRTI_V5_PLACEMENT].size != VOXRTI_V5_PLACE || s[VOXRTI_V5_PALETTE].id == 0 ||
@@ -9899,6 +10227,10 @@ static voxrt_result voxrti_v5_read_placement(voxrti_v5_reader *r, voxrt_tree *t)
         } else if (i == VOXRTI_V5_COLORS) {
             ok = s[i].size >= 8 && s[i].count == s[i].size - 8;
             t->colors.data_bytes = ok ? (size_t)s[i].count : 0;
+        } else if (i == VOXRTI_V5_FINISHES) { /* so many finishes as there is room for before the entries */
+            const uint64_t room = s[i].count > t->palette_count ? s[i].count - t->palette_count : 0;
+            ok = s[i].size == s[i].count && room != 0 && room % VOXRTI_V5_FINISH == 0 && room / VOXRTI_V5_FINISH <= 255;
+            t->finish_count = ok ? (uint32_t)(room / VOXRTI_V5_FINISH) : 0;
         } else { /* counts are below 2^35 here: no overflow */
             ok = s[i].count == voxrti_v5_count(t, i) &&
                  (s[i].encoding == 1 || s[i].size == voxrti_v5_raw_size(i, s[i].count));
@@ -9952,6 +10284,34 @@ static voxrt_result voxrti_v5_read_raw(voxrti_v5_reader *r, voxrt_tree *t) {
     return VOXRT_OK;
 }
 
+static voxrt_result voxrti_v5_read_finishes(voxrti_v5_reader *r, voxrt_tree *t) {
+    const uint8_t *p = voxrti_v5_at(r, VOXRTI_V5_FINISHES), *entries = p + (size_t)t->finish_count * VOXRTI_V5_FINISH;
+    float v[VOXRTI_FINISH_FLOATS];
+    uint32_t i, k, word;
+    if (r->map) {
+        memcpy(&t->finish, &p, sizeof p);
+        memcpy(&t->entry_finish, &entries, sizeof entries);
+    } else {
+        t->finish = (voxrt_finish *)voxrti_alloc_array(&r->mem, t->finish_count, sizeof *t->finish);
+        t->entry_finish = (uint8_t *)voxrti_alloc_array(&r->mem, t->palette_count, 1);
+        if (t->finish == NULL || t->entry_finish == NULL) return VOXRT_ERR_NO_MEMORY;
+        for (i = 0; i < t->finish_count; i++) {
+            for (k = 0; k < VOXRTI_FINISH_FLOATS; k++, p += 4) {
+                word = voxrti_load_u32(p);
+                memcpy(&v[k], &word, sizeof word);
+            }
+            memcpy(&t->finish[i], v, sizeof v);
+        }
+        memcpy(t->entry_finish, entries, t->palette_count);
+    }
+    if (r->desc.trust_input) return VOXRT_OK;
+    for (i = 0; i < t->finish_count; i++)
+        if (!voxrti_finish_ok(&t->finish[i])) return VOXRT_ERR_FORMAT;
+    for (i = 0; i < t->palette_count; i++)
+        if (t->entry_finish[i] > t->finish_count) return VOXRT_ERR_FORMAT;
+    return VOXRT_OK;
+}
+
 /* Palette, normals, colours. */
 static voxrt_result voxrti_v5_read_attributes(voxrti_v5_reader *r, voxrt_tree *t) {
     size_t i;
@@ -9959,6 +10319,10 @@ static voxrt_result voxrti_v5_read_attributes(voxrti_v5_reader *r, voxrt_tree *t
     t->palette = (uint8_t *)voxrti_v5_array(r, VOXRTI_V5_PALETTE);
     if (t->palette == NULL) return VOXRT_ERR_NO_MEMORY;
     if (!r->map) memcpy(t->palette, voxrti_v5_at(r, VOXRTI_V5_PALETTE), (size_t)3 * t->palette_count);
+    if ((r->flags & VOXRTI_V5_HAS_FINISHES) != 0) {
+        const voxrt_result result = voxrti_v5_read_finishes(r, t);
+        if (result != VOXRT_OK) return result;
+    }
     if ((r->flags & VOXRTI_V5_HAS_NORMALS) != 0) {
         const voxrti_v5_section *s = &r->f.section[VOXRTI_V5_NORMALS];
         p = voxrti_v5_at(r, VOXRTI_V5_NORMALS);
@@ -13438,6 +13802,11 @@ VOXRT_DEF void voxrt_hit_normal(const voxrt_tree *tree, const voxrt_hit *hit, fl
     }
 }
 
+VOXRT_DEF const voxrt_finish *voxrt_hit_finish(const voxrt_tree *tree, const voxrt_hit *hit) {
+    if (tree->entry_finish == NULL) return NULL;
+    return voxrti_finish_of(tree, voxrti_color_index(tree, voxrti_hit_attr(tree, hit)));
+}
+
 /* ---------------------------------------------------------------------------
    shade: surfaces -> colours.                                                   // >>shade
    Rays come in runs of up to 64. Colours of one run: 64 values of red, green, blue, coverage; linear and premultiplied,
@@ -13474,8 +13843,9 @@ typedef struct voxrti_render {
     voxrti_frame frame;
     voxrt_trace_desc trace, coarse; /* coarse: left half of a split picture */
     uint32_t samples, step, tile, tiles_x, first_tile, count, transparent;
+    uint32_t bounces, glass;        /* glass: something may let light through */
     float background[4];            /* in the units of the colours of a run */
-    uint32_t sum[2][5][2];          /* sums of all threads: counts of the primary and the shadow rays */
+    uint32_t sum[3][5][2];          /* sums of all threads: counts of the primary, shadow and bounce rays */
     voxrti_srgb srgb;
 } voxrti_render;
 
@@ -13550,13 +13920,33 @@ VOXRTI_INLINE void voxrti_shadow_origin(const voxrt_render_desc *d, const voxrt_
     for (a = 0; a < 3; a++) org[a] = p[a] + normal[a] * lift + to_light[a] * ahead;
 }
 
+/* What of a light gets through glass to those of m shadow rays that met something; the bounce section has it. */
+static void voxrti_run_through(const voxrti_render *c, const voxrt_trace_desc *td, const voxrt_ray *shadow,
+                               const uint8_t *dark, uint32_t m, float (*through)[3]);
+
+/* cos^shininess of the angle between the mirrored light and the view: a highlight. */
+static float voxrti_highlight(const float dir[3], const float normal[3], const float to[3], float cosine,
+                              float shininess) {
+    float v[3], along;
+    uint32_t a;
+    for (a = 0; a < 3; a++) v[a] = -dir[a];
+    (void)voxrti_normalize(v);
+    along = 2.0f * cosine * voxrti_dot3(normal, v) - voxrti_dot3(to, v);
+    if (along > 0.0f) {
+        /* of 2; below -149: no float */
+        double power = (double)shininess * voxrti_log2((double)along);
+        if (power > -149.0) return (float)voxrti_exp2(voxrti_min(power, 0.0));
+    }
+    return 0.0f;
+}
+
 /* Add one light to the brightness of a run. bright, shine: diffuse and specular sums, 3 floats a ray. */
 static VOXRTI_NOINLINE void voxrti_run_light(const voxrti_render *c, const voxrt_trace_desc *td,
                                              const voxrt_light *light, const voxrt_ray *ray,
                                              const voxrt_surface *surface, const float (*normal)[3], uint32_t n,
                                              float (*bright)[3], float (*shine)[3]) {
     voxrt_ray shadow[VOXRTI_RUN];
-    float diffuse[VOXRTI_RUN], specular[VOXRTI_RUN];
+    float diffuse[VOXRTI_RUN], specular[VOXRTI_RUN], through[VOXRTI_RUN][3];
     uint8_t index[VOXRTI_RUN], dark[VOXRTI_RUN];
     uint32_t i, k, a, m = 0;
     float unit[3];
@@ -13576,17 +13966,11 @@ static VOXRTI_NOINLINE void voxrti_run_light(const voxrti_render *c, const voxrt
         if (!(cosine > 0.0f && cosine < 2.0f)) continue; /* above 1: no float is as long as the way to the light */
         diffuse[m] = cosine * c->material.diffuse;
         specular[m] = 0.0f;
-        if (c->material.specular > 0.0f) {
-            float v[3], along;
-            for (a = 0; a < 3; a++) v[a] = -ray[i].dir[a];
-            (void)voxrti_normalize(v);
-            along = 2.0f * cosine * voxrti_dot3(normal[i], v) - voxrti_dot3(to, v);
-            if (along > 0.0f) {
-                /* of 2; below -149: no float */
-                double power = (double)c->material.shininess * voxrti_log2((double)along);
-                if (power > -149.0) specular[m] = c->material.specular * (float)voxrti_exp2(voxrti_min(power, 0.0));
-            }
-        }
+        if (surface[i].finish != NULL)
+            specular[m] = voxrti_highlight(ray[i].dir, normal[i], to, cosine, surface[i].finish->shininess);
+        else if (c->material.specular > 0.0f)
+            specular[m] = c->material.specular *
+                          voxrti_highlight(ray[i].dir, normal[i], to, cosine, c->material.shininess);
         index[m] = (uint8_t)i;
         dark[m] = 0;
         if (shadows) {
@@ -13598,12 +13982,15 @@ static VOXRTI_NOINLINE void voxrti_run_light(const voxrti_render *c, const voxrt
         m++;
     }
     if (shadows && m != 0) voxrti_run_occluded(c, td, shadow, dark, m);
+    if (shadows && c->glass) voxrti_run_through(c, td, shadow, dark, m, through);
     for (k = 0; k < m; k++) {
-        if (dark[k]) continue;
-        i = index[k];
+        const voxrt_finish *f = surface[i = index[k]].finish;
+        if (dark[k] && !c->glass) continue;
         for (a = 0; a < 3; a++) {
-            bright[i][a] += diffuse[k] * light->color[a];
-            shine[i][a] += specular[k] * light->color[a];
+            float color = light->color[a];
+            if (shadows && c->glass) color *= through[k][a];
+            bright[i][a] += diffuse[k] * color;
+            shine[i][a] += f != NULL ? specular[k] * f->specular[a] * color : specular[k] * color;
         }
     }
 }
@@ -13615,17 +14002,27 @@ VOXRTI_INLINE voxrt_view voxrti_view_at(const voxrti_render *c, uint32_t x) {
     return third == 0 ? VOXRT_VIEW_UNLIT : third == 1 ? VOXRT_VIEW_SHADED : VOXRT_VIEW_LIGHT;
 }
 
-/* Unit normals of a run, turned round where the back of a surface is seen. That a normal faces away does not tell: the
+/* Is the back of a surface seen? That a normal faces away does not tell: the
    mean of what is in a voxel does so on ridges, too, and at silhouettes. The face through which the ray came helps: the
    back of a surface shows faces that are against its normal, a ridge those that are with it. On a scan, as it is and
    turned inside out, 0.07 and 0.26 % of the pixels are taken for the other side at 256 voxels along an axis, 0.004 and
    0.1 % at 1024. Planes are met from behind only there, or by rays that graze an outline. */
+VOXRTI_INLINE int voxrti_surface_behind(const voxrt_surface *s, const float dir[3]) {
+    const float *v = s->normal;
+    float along = voxrti_dot3(v, dir), away, with = 0.0f;
+    uint32_t f = s->face;
+    if (!(along > 0.0f)) return 0;
+    away = along / sqrtf(voxrti_dot3(dir, dir));
+    if (s->plane == 0 && f < 6) with = (f & 1u) ? v[f >> 1] : -v[f >> 1];
+    return away - with > 0.2f;
+}
+
+/* Unit normals of a run, turned round where the back of a surface is seen. */
 static void voxrti_run_normals(const voxrti_render *c, const voxrt_ray *ray, const voxrt_surface *surface, uint32_t n,
                                float (*normal)[3]) {
     uint32_t i, a;
     for (i = 0; i < n; i++) {
         const float *dir = ray[i].dir, *v = surface[i].normal;
-        float along;
         int turn;
         normal[i][0] = normal[i][1] = normal[i][2] = 0.0f;
         if (!(surface[i].t < INFINITY)) continue;
@@ -13639,31 +14036,32 @@ static void voxrti_run_normals(const voxrti_render *c, const voxrt_ray *ray, con
             }
             continue;
         }
-        along = voxrti_dot3(v, dir);
-        turn = !c->d->one_sided && along > 0.0f;
-        if (turn) {
-            float away = along / sqrtf(voxrti_dot3(dir, dir)), with = 0.0f;
-            uint32_t f = surface[i].face;
-            if (surface[i].plane == 0 && f < 6) with = (f & 1u) ? v[f >> 1] : -v[f >> 1];
-            turn = away - with > 0.2f;
-        }
+        turn = !c->d->one_sided && voxrti_surface_behind(&surface[i], dir);
         for (a = 0; a < 3; a++) normal[i][a] = turn ? -v[a] : v[a];
     }
 }
 
-/* Colours of a run. */
+/* What a finish makes of the light that is scattered (bright, with the colour) and of highlights. */
+static float voxrti_finish_shade(const voxrti_render *c, const voxrt_finish *f, uint32_t a, float bright, float shine,
+                                 float full) {
+    float v = bright * f->diffuse + full * shine;
+    if (c->bounces != 0) v *= (1.0f - f->transparency[a]) * (1.0f - f->mirror[a]);
+    return v + full * f->emission[a];
+}
+
+/* Colours of n rays. area: their pixels; NULL: rays that bounced. */
 static void voxrti_run_shade(const voxrti_render *c, const voxrt_trace_desc *td, const voxrt_ray *ray,
                              const voxrt_surface *surface, const float (*normal)[3], const voxrti_area *area,
-                             float (*value)[4]) {
+                             uint32_t n, float (*value)[4]) {
     float bright[VOXRTI_RUN][3], shine[VOXRTI_RUN][3], full = c->d->thesis_compose ? 255.0f : 1.0f;
-    uint32_t i, a, l, lit = 0, hits = 0, n = area->count;
+    uint32_t i, a, l, lit = 0, hits = 0;
     for (i = 0; i < n; i++) hits += surface[i].t < INFINITY;
     if (hits == 0) {
         memset(value, 0, n * sizeof *value);
         return;
     }
     for (i = 0; i < n; i++) {
-        voxrt_view view = voxrti_view_at(c, voxrti_area_x(area, i));
+        voxrt_view view = area != NULL ? voxrti_view_at(c, voxrti_area_x(area, i)) : VOXRT_VIEW_SHADED;
         lit |= (view == VOXRT_VIEW_SHADED || view == VOXRT_VIEW_LIGHT) && surface[i].t < INFINITY;
         for (a = 0; a < 3; a++) {
             bright[i][a] = c->material.ambient[a];
@@ -13673,7 +14071,8 @@ static void voxrti_run_shade(const voxrti_render *c, const voxrt_trace_desc *td,
     for (l = 0; lit && l < c->light_count; l++)
         voxrti_run_light(c, td, &c->lights[l], ray, surface, normal, n, bright, shine);
     for (i = 0; i < n; i++) {
-        voxrt_view view = voxrti_view_at(c, voxrti_area_x(area, i));
+        voxrt_view view = area != NULL ? voxrti_view_at(c, voxrti_area_x(area, i)) : VOXRT_VIEW_SHADED;
+        const voxrt_finish *f = view == VOXRT_VIEW_SHADED ? surface[i].finish : NULL;
         float *v = value[i];
         v[0] = v[1] = v[2] = v[3] = 0.0f;
         if (!(surface[i].t < INFINITY)) continue;
@@ -13683,6 +14082,7 @@ static void voxrti_run_shade(const voxrti_render *c, const voxrt_trace_desc *td,
                           c->d->thesis_compose ? (float)surface[i].rgb[a] : c->srgb.linear[surface[i].rgb[a]];
             if (view == VOXRT_VIEW_NORMALS) v[a] = (normal[i][a] + 1.0f) * 0.5f * full;
             else if (view == VOXRT_VIEW_UNLIT || c->d->stage == VOXRT_STAGE_TRACE) v[a] = color;
+            else if (f != NULL) v[a] = voxrti_finish_shade(c, f, a, color * bright[i][a], shine[i][a], full);
             else v[a] = color * bright[i][a] + full * shine[i][a];
             if (c->d->thesis_compose && v[a] > 255.0f) v[a] = 255.0f;
         }
@@ -13711,6 +14111,300 @@ static void voxrti_heat(const voxrti_render *c, const voxrt_ray *ray, float valu
     }
     while (k < 4 && stats.descents <= limit[k]) k++;
     for (a = 0; a < 3; a++) value[a] = full * paint[k][a];
+}
+
+/* ---------------------------------------------------------------------------
+   bounce: mirrors and glass: rays that go on.                                   // >>bounce
+
+   What a ray met sends on up to two rays: a mirrored one and one that goes through. They wait in a small heap, the last
+   ones are traced and shaded first, up to 16 at a time, and what they show is added to their pixel by their weight. A
+   ray that goes on keeps its t, as if the eye stood behind the mirror: its origin is set back, and t_min is behind the
+   surface. So the width of a cone (level of detail) goes on growing, and in a plane mirror is what would be seen from
+   the mirrored eye.
+
+   Surfaces are staircases of cubes around the real ones. A ray leaves one as high above it as shadow rays do, measured
+   along the normal; it stays on its line unless that would take it far. What is nearer than that is not seen. Bodies of
+   glass are hulls, a few voxels thick, with nothing inside. Behind the first voxel of a hull a ray may meet others: it
+   knows whether it is in a body, and passes those that do not go with that. Leaving a body leads into air.
+   --------------------------------------------------------------------------- */
+
+enum { VOXRTI_BOUNCES = 32, VOXRTI_BATCH = 16, VOXRTI_HEAP = 6 * VOXRTI_BATCH + VOXRTI_BOUNCES,
+       VOXRTI_PASSES = 8 };
+
+#define VOXRTI_HULL 1.75f /* voxels: how thick a staircase is at most */
+#define VOXRTI_CUTOFF (1.0f / 512.0f)
+
+typedef struct voxrti_path {
+    float org[3], dir[3];     /* dir: as long as that of the first ray */
+    float t_min, t_from;      /* behind the surface where it began, and at it */
+    float weight[3];
+    uint8_t pixel, depth;     /* number in the run; bounces so far */
+    uint8_t passes;           /* voxels of a hull passed by */
+    uint8_t clear;            /* 1: only went through things so far */
+    const voxrt_finish *body; /* what it is in; NULL: air */
+} voxrti_path;
+
+enum { VOXRTI_FRONT = 0, VOXRTI_BACK = 1, VOXRTI_PASS = 2 };
+
+VOXRTI_INLINE int voxrti_any3(const float v[3]) { return v[0] > 0.0f || v[1] > 0.0f || v[2] > 0.0f; }
+VOXRTI_INLINE int voxrti_worth(const float v[3]) {
+    return v[0] >= VOXRTI_CUTOFF || v[1] >= VOXRTI_CUTOFF || v[2] >= VOXRTI_CUTOFF;
+}
+VOXRTI_INLINE int voxrti_bends(const voxrt_finish *f) {
+    return f->refraction != 0.0f && f->refraction != 1.0f && voxrti_any3(f->transparency);
+}
+VOXRTI_INLINE int voxrti_stored(const voxrti_render *c, const voxrt_surface *s) {
+    return !c->d->face_normals && (s->normal[0] != 0.0f || s->normal[1] != 0.0f || s->normal[2] != 0.0f);
+}
+
+/* From which side a ray comes to what it met; PASS: that is no more than another voxel of a hull it went through. */
+static uint32_t voxrti_path_side(const voxrti_render *c, const voxrt_surface *s, const float dir[3],
+                                 const voxrti_path *from) {
+    uint32_t inside = from->body != NULL, behind;
+    if (!voxrti_stored(c, s)) return s->finish != NULL && voxrti_bends(s->finish) && inside;
+    behind = (uint32_t)voxrti_surface_behind(s, dir);
+    if (s->finish == NULL || !voxrti_bends(s->finish) || from->depth == 0 || behind == inside) return behind;
+    return VOXRTI_PASS;
+}
+
+/* Light on its way through a body. */
+static void voxrti_path_fade(const voxrt_finish *body, float length, float weight[3]) {
+    uint32_t a;
+    for (a = 0; body != NULL && a < 3; a++) {
+        if (body->absorption[a] > 0.0f)
+            weight[a] *= (float)voxrti_exp2(
+                voxrti_max(-1.4426950408889634 * (double)body->absorption[a] * (double)length, -1000.0));
+    }
+}
+
+/* A path along the unit vector u from the point p at t, and away from a surface: u.n > 0. high: how far above it. */
+static void voxrti_path_start(voxrti_path *o, const float p[3], float t, const float u[3], float length,
+                              const float n[3], float high) {
+    float up = voxrti_dot3(u, n), far_off = high / (up > 0.25f ? up : 0.25f), rest = high - up * far_off;
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        o->dir[a] = u[a] * length;
+        o->org[a] = p[a] + n[a] * (rest > 0.0f ? rest : 0.0f) - o->dir[a] * t;
+    }
+    o->t_from = t;
+    o->t_min = t + far_off / length;
+}
+
+/* The paths that go on from a surface; returns how many, up to 2. side: FRONT or BACK. */
+static uint32_t voxrti_path_split(const voxrti_render *c, const voxrt_ray *ray, const voxrt_surface *s,
+                                  const voxrti_path *from, uint32_t side, voxrti_path *out) {
+    const voxrt_finish *f = s->finish;
+    float length = sqrtf(voxrti_dot3(ray->dir, ray->dir)), n[3], d[3], p[3], u[3], cosine, along, share = 0.0f, high;
+    uint32_t a, count = 0, bends = (uint32_t)voxrti_bends(f), stored = (uint32_t)voxrti_stored(c, s);
+    float mirror[3], through[3];
+    if (from->depth >= c->bounces || !(length > 0.0f && length < 1e18f)) return 0;
+    if (!voxrti_any3(f->mirror) && !voxrti_any3(f->transparency)) return 0;
+    for (a = 0; a < 3; a++) {
+        d[a] = ray->dir[a] / length;
+        p[a] = ray->org[a] + ray->dir[a] * s->t;
+        n[a] = !stored ? 0.0f : side == VOXRTI_BACK ? -s->normal[a] : s->normal[a];
+    }
+    if (!stored) {
+        for (a = 0; a < 3 && s->face >= 6; a++) n[a] = -d[a];
+        if (s->face < 6) n[s->face >> 1] = (s->face & 1u) ? 1.0f : -1.0f;
+    }
+    cosine = -voxrti_dot3(d, n);
+    if (!(cosine > 1e-4f)) { /* a ridge: the ray grazes it */
+        for (a = 0; a < 3; a++) n[a] -= (1e-4f - cosine) * d[a];
+        if (!voxrti_normalize(n)) return 0;
+        cosine = -voxrti_dot3(d, n);
+    }
+    along = 1.0f;
+    if (bends) { /* Snell; Fresnel, without polarisation */
+        const float eta = side == VOXRTI_BACK ? f->refraction : 1.0f / f->refraction;
+        const float square = 1.0f - eta * eta * (1.0f - cosine * cosine);
+        share = 1.0f;
+        if (square > 0.0f) {
+            float other = sqrtf(square), x = (eta * cosine - other) / (eta * cosine + other);
+            float y = (cosine - eta * other) / (cosine + eta * other);
+            share = 0.5f * (x * x + y * y);
+            if (share > 1.0f) share = 1.0f;
+            for (a = 0; a < 3; a++) u[a] = eta * d[a] + (eta * cosine - other) * n[a];
+        } else {
+            along = 0.0f; /* total reflection */
+        }
+    } else {
+        for (a = 0; a < 3; a++) u[a] = d[a];
+    }
+    for (a = 0; a < 3; a++) {
+        mirror[a] = from->weight[a] * ((1.0f - f->transparency[a]) * f->mirror[a] + f->transparency[a] * share);
+        through[a] = from->weight[a] * f->transparency[a] * (1.0f - share);
+    }
+    if (along > 0.0f && voxrti_worth(through) && voxrti_normalize(u)) {
+        float back[3];
+        for (a = 0; a < 3; a++) back[a] = -n[a];
+        out[count] = *from;
+        voxrti_path_start(&out[count], p, s->t, u, length, back, VOXRTI_HULL * s->edge);
+        memcpy(out[count].weight, through, sizeof through);
+        if (bends) out[count].body = side == VOXRTI_BACK ? NULL : f;
+        count++;
+    }
+    if (voxrti_worth(mirror)) {
+        for (a = 0; a < 3; a++) u[a] = d[a] + 2.0f * cosine * n[a];
+        high = !stored ? 0.01f : s->plane != 0 ? VOXRTI_PLANE_LIFT : 1.5f;
+        if (bends && side == VOXRTI_BACK) high = VOXRTI_HULL;
+        if (voxrti_normalize(u)) {
+            out[count] = *from;
+            voxrti_path_start(&out[count], p, s->t, u, length, n, high * s->edge);
+            memcpy(out[count].weight, mirror, sizeof mirror);
+            out[count].clear = 0;
+            count++;
+        }
+    }
+    for (a = 0; a < count; a++) {
+        out[a].depth++;
+        out[a].passes = 0;
+    }
+    return count;
+}
+
+/* On past a voxel of a hull. */
+static int voxrti_path_pass(const voxrt_surface *s, voxrti_path *path) {
+    float length = sqrtf(voxrti_dot3(path->dir, path->dir));
+    path->t_min = s->t + s->edge / length;
+    return ++path->passes <= VOXRTI_PASSES;
+}
+
+/* What m paths met. color: what the surfaces show by themselves. Adds to the pixels; what goes on to the heap. */
+static void voxrti_paths_add(const voxrti_render *c, voxrti_path *path, const voxrt_ray *ray, const voxrt_surface *met,
+                             const float (*color)[4], uint32_t m, voxrti_path *heap, uint32_t *count,
+                             float (*value)[4]) {
+    uint32_t i, a, side;
+    for (i = 0; i < m; i++) {
+        float *v = value[path[i].pixel], *w = path[i].weight;
+        if (!(met[i].t < INFINITY)) {
+            for (a = 0; a < 3; a++) v[a] += w[a] * c->background[a];
+            if (c->transparent && path[i].clear) v[3] -= (w[0] + w[1] + w[2]) * (1.0f / 3.0f);
+            if (v[3] < 0.0f) v[3] = 0.0f;
+            continue;
+        }
+        side = voxrti_path_side(c, &met[i], ray[i].dir, &path[i]);
+        if (side == VOXRTI_PASS) {
+            if (voxrti_path_pass(&met[i], &path[i])) heap[(*count)++] = path[i];
+            continue;
+        }
+        if (path[i].body != NULL)
+            voxrti_path_fade(path[i].body, (met[i].t - path[i].t_from) * sqrtf(voxrti_dot3(ray[i].dir, ray[i].dir)), w);
+        for (a = 0; a < 3; a++) v[a] += w[a] * color[i][a];
+        if (met[i].finish != NULL) *count += voxrti_path_split(c, &ray[i], &met[i], &path[i], side, heap + *count);
+    }
+}
+
+/* The paths from what ray i of a run met. */
+static uint32_t voxrti_run_split(const voxrti_render *c, const voxrt_ray *ray, const voxrt_surface *surface, uint32_t i,
+                                 voxrti_path *out) {
+    voxrti_path eye;
+    uint32_t side, a;
+    if (!(surface->t < INFINITY) || surface->finish == NULL) return 0;
+    memset(&eye, 0, sizeof eye);
+    for (a = 0; a < 3; a++) eye.weight[a] = 1.0f;
+    eye.pixel = (uint8_t)i;
+    eye.clear = 1;
+    side = voxrti_path_side(c, surface, ray->dir, &eye);
+    if (side == VOXRTI_BACK && voxrti_bends(surface->finish)) { /* the eye is in it */
+        eye.body = surface->finish;
+        voxrti_path_fade(eye.body, surface->t * sqrtf(voxrti_dot3(ray->dir, ray->dir)), eye.weight);
+    }
+    return voxrti_path_split(c, ray, surface, &eye, side, out);
+}
+
+/* Add what mirrors and glass show to the n colours of a run. Of the paths in the heap those on top are taken, so many
+   that there is room for what comes of them: single ones at the end, of which each bounce leaves at most one more. */
+static VOXRTI_NOINLINE void voxrti_run_bounce(const voxrti_render *c, const voxrt_trace_desc *td,
+                                              const voxrt_trace_desc *shadow, const voxrt_ray *ray,
+                                              const voxrt_surface *surface, const voxrti_area *area, uint32_t n,
+                                              float (*value)[4]) {
+    const voxrt_states *own = c->d->states;
+    voxrti_path heap[VOXRTI_HEAP], path[VOXRTI_BATCH];
+    voxrt_ray rays[VOXRTI_BATCH];
+    voxrt_surface met[VOXRTI_BATCH];
+    float normal[VOXRTI_BATCH][3], color[VOXRTI_BATCH][4];
+    voxrt_trace_desc dark = *shadow;
+    uint32_t count = 0, next = 0, i, m;
+    for (;;) {
+        for (; next < n && count < VOXRTI_BATCH; next++) {
+            if (voxrti_view_at(c, voxrti_area_x(area, next)) != VOXRT_VIEW_SHADED) continue;
+            count += voxrti_run_split(c, &ray[next], &surface[next], next, heap + count);
+        }
+        if (count == 0) return;
+        m = count < VOXRTI_BATCH ? count : (uint32_t)VOXRTI_BATCH;
+        i = (uint32_t)(VOXRTI_HEAP - VOXRTI_BOUNCES);
+        if (count + m > i) m = count < i ? i - count : 1u;
+        count -= m;
+        memcpy(path, heap + count, m * sizeof *path);
+        for (i = 0; i < m; i++) {
+            memcpy(rays[i].org, path[i].org, sizeof path[i].org);
+            memcpy(rays[i].dir, path[i].dir, sizeof path[i].dir);
+            rays[i].t_min = path[i].t_min;
+            rays[i].t_max = INFINITY;
+        }
+        voxrti_run_trace(c, td, rays, met, NULL, m);
+        dark.cone_width = INFINITY;
+        for (i = 0; i < m; i++) dark.cone_width = met[i].t < dark.cone_width ? met[i].t : dark.cone_width;
+        dark.cone_width = dark.cone_width < INFINITY ? dark.cone_width * td->cone_spread : 0.0f;
+        voxrti_run_normals(c, rays, met, m, normal);
+        voxrti_run_shade(c, &dark, rays, met, (const float (*)[3])normal, NULL, m, color);
+        if (own != NULL && own->shade_fn != NULL)
+            own->shade_fn(own->user, rays, met, (const float (*)[3])normal, color, m);
+        voxrti_paths_add(c, path, rays, met, (const float (*)[4])color, m, heap, &count, value);
+        VOXRT_ASSERT(count <= VOXRTI_HEAP);
+    }
+}
+
+/* Light goes straight through glass on its way to a surface: it is not bent, and nothing is taken away by Fresnel. */
+static void voxrti_run_through(const voxrti_render *c, const voxrt_trace_desc *td, const voxrt_ray *shadow,
+                               const uint8_t *dark, uint32_t m, float (*through)[3]) {
+    voxrt_ray ray[VOXRTI_BATCH];
+    voxrt_surface met[VOXRTI_BATCH];
+    voxrti_path path[VOXRTI_BATCH];
+    uint32_t next = 0, count = 0, kept, i, a;
+    memset(path, 0, sizeof path);
+    for (;;) {
+        for (; next < m && count < VOXRTI_BATCH; next++) {
+            for (a = 0; a < 3; a++) through[next][a] = dark[next] ? 0.0f : 1.0f;
+            if (!dark[next]) continue;
+            ray[count] = shadow[next];
+            memset(&path[count], 0, sizeof path[count]);
+            path[count].weight[0] = path[count].weight[1] = path[count].weight[2] = 1.0f;
+            path[count++].pixel = (uint8_t)next;
+        }
+        if (count == 0) return;
+        voxrti_run_trace(c, td, ray, met, NULL, count);
+        for (i = kept = 0; i < count; i++) {
+            const voxrt_finish *f = met[i].finish;
+            voxrti_path *o = &path[i];
+            uint32_t side = met[i].t < INFINITY ? voxrti_path_side(c, &met[i], ray[i].dir, o) : 0u;
+            float length = sqrtf(voxrti_dot3(ray[i].dir, ray[i].dir)), slope = 1.0f;
+            if (!(met[i].t < INFINITY)) memcpy(through[o->pixel], o->weight, sizeof o->weight);
+            if (!(met[i].t < INFINITY) || f == NULL || !voxrti_any3(f->transparency)) continue;
+            if (o->depth == 0 && side == VOXRTI_BACK) o->body = f;
+            if (side != VOXRTI_PASS) {
+                voxrti_path_fade(o->body, (met[i].t - o->t_from) * length, o->weight);
+                for (a = 0; a < 3; a++) o->weight[a] *= f->transparency[a];
+                if (voxrti_bends(f)) o->body = side == VOXRTI_BACK ? NULL : f;
+                o->t_from = met[i].t;
+                o->depth++;
+                if (voxrti_stored(c, &met[i])) slope = voxrti_absf(voxrti_dot3(ray[i].dir, met[i].normal)) / length;
+                slope = VOXRTI_HULL / (slope > 0.25f ? slope : 0.25f);
+            } else {
+                o->passes++;
+            }
+            ray[i].t_min = met[i].t + slope * met[i].edge / length;
+            if (!voxrti_worth(o->weight) || o->depth > c->bounces || o->passes > VOXRTI_PASSES) continue;
+            if (!(ray[i].t_min < ray[i].t_max)) {
+                memcpy(through[o->pixel], o->weight, sizeof o->weight);
+                continue;
+            }
+            ray[kept] = ray[i];
+            path[kept++] = *o;
+        }
+        count = kept;
+    }
 }
 
 /* ---------------------------------------------------------------------------
@@ -13770,6 +14464,7 @@ static void voxrti_tree_trace(const voxrt_tree *tree, const voxrt_trace_desc *td
         s->edge = (float)(tree->voxel_size * (double)((uint32_t)1 << (tree->depth - hit[i].level)));
         if (bare) continue;
         voxrti_attr_color(tree, attr[i], s->rgb);
+        if (tree->entry_finish != NULL) s->finish = voxrti_finish_of(tree, voxrti_color_index(tree, attr[i]));
         if (tree->normal != NULL) voxrti_normal_decode(tree->spherical, tree->normal[attr[i]], s->normal);
         if (td->blend) voxrti_surface_blend(tree, td, &hit[i], s);
     }
@@ -13881,7 +14576,9 @@ static void voxrti_run(const voxrti_render *c, voxrt_render_stats *stats, const 
     double step = (double)area->step;
     const voxrt_states *own = c->d->states;
     voxrt_trace_desc td = c->d->lod_split != 0 && area->x0 < m->width / 2 ? c->coarse : c->trace, shadow = td;
+    voxrt_trace_desc bounce = td;
     td.stats = stats != NULL ? &stats->primary : NULL;
+    bounce.stats = stats != NULL ? &stats->bounce : NULL;
     shadow.stats = stats != NULL ? &stats->shadow : NULL;
     memset(total, 0, sizeof total);
     for (i = 0; m->sum != NULL && c->d->first_sample != 0 && i < n; i++)
@@ -13908,9 +14605,11 @@ static void voxrti_run(const voxrti_render *c, voxrt_render_stats *stats, const 
             shadow.cone_width = depth < INFINITY ? depth * td.cone_spread : 0.0f;
             shadow.cone_spread = 0.0f;
             voxrti_run_normals(c, ray, surface, n, normal);
-            voxrti_run_shade(c, &shadow, ray, surface, (const float (*)[3])normal, area, value);
+            voxrti_run_shade(c, &shadow, ray, surface, (const float (*)[3])normal, area, n, value);
             if (own != NULL && own->shade_fn != NULL)
                 own->shade_fn(own->user, ray, surface, (const float (*)[3])normal, value, n);
+            for (i = 0; c->bounces != 0 && i < n && surface[i].finish == NULL; i++) { }
+            if (c->bounces != 0 && i < n) voxrti_run_bounce(c, &bounce, &shadow, ray, surface, area, n, value);
         }
         for (i = 0; i < n; i++) {
             for (a = 0; a < 4; a++) total[i][a] += value[i][a];
@@ -13969,6 +14668,7 @@ static void voxrti_render_tile(void *ctx, uint32_t task) {
     if (c->count) {
         voxrti_stats_sum(c->sum[0], &stats.primary);
         voxrti_stats_sum(c->sum[1], &stats.shadow);
+        voxrti_stats_sum(c->sum[2], &stats.bounce);
     }
 }
 
@@ -14179,6 +14879,13 @@ VOXRT_DEF voxrt_result voxrt_camera_fit_tree(voxrt_camera *camera, const voxrt_t
 
 /* ---- geometry ---- */
 
+static uint32_t voxrti_tree_glass(const voxrt_tree *t) {
+    uint32_t i;
+    for (i = 0; i < t->finish_count; i++)
+        if (voxrti_any3(t->finish[i].transparency)) return 1;
+    return 0;
+}
+
 VOXRT_DEF void voxrt_tree_bounds(const voxrt_tree *tree, double box_min[3], double box_max[3]) {
     uint32_t a;
     for (a = 0; a < 3; a++) {
@@ -14201,6 +14908,7 @@ static void voxrti_geometry_occluded(void *user, const voxrt_trace_desc *desc, c
 VOXRT_DEF void voxrt_tree_geometry(const voxrt_tree *tree, voxrt_geometry *out_geometry) {
     out_geometry->trace_fn = voxrti_geometry_trace;
     out_geometry->occluded_fn = voxrti_geometry_occluded;
+    out_geometry->glass = voxrti_tree_glass(tree);
     memcpy(&out_geometry->user, &tree, sizeof tree); /* const goes away; the tree is only read */
     voxrt_tree_bounds(tree, out_geometry->box_min, out_geometry->box_max);
 }
@@ -14262,6 +14970,7 @@ VOXRT_DEF void voxrt_octree_geometry(const voxrt_octree *octree, voxrt_geometry 
     uint32_t a;
     out_geometry->trace_fn = voxrti_octree_trace;
     out_geometry->occluded_fn = voxrti_octree_occluded;
+    out_geometry->glass = 0;
     memcpy(&out_geometry->user, &octree, sizeof octree);
     for (a = 0; a < 3; a++) {
         out_geometry->box_min[a] = octree->origin[a];
@@ -14347,6 +15056,7 @@ static const char *voxrti_render_bad(const voxrt_render_desc *d, const voxrti_re
     if (!(d->tolerance >= 0.0f) || !voxrti_finite_f(d->tolerance)) return "render: bad tolerance";
     if (d->first_sample > 0xff000000u || d->samples > 0x00ffffffu || d->pixel_step > 8)
         return "render: first_sample, samples or pixel_step is too large";
+    if (d->bounces_plus_1 > VOXRTI_BOUNCES + 1) return "render: more than 32 bounces";
     if (c->tree == NULL && d->geometry == NULL) return "render: nothing to draw: no tree and no geometry";
     if (d->geometry == NULL && d->geometry_count != 0) return "render: geometry is NULL";
     for (i = 0; i < d->geometry_count; i++)
@@ -14374,6 +15084,7 @@ static voxrt_result voxrti_render_open(const voxrt_render_desc *d, voxrti_render
     voxrt_camera camera = d->camera;
     double lo[3], hi[3];
     uint32_t l, level;
+    size_t g;
     voxrt_result r;
     *what = voxrti_render_bad(d, c);
     if (*what != NULL) return VOXRT_ERR_INVALID_ARG;
@@ -14420,6 +15131,12 @@ static voxrt_result voxrti_render_open(const voxrt_render_desc *d, voxrti_render
     c->coarse = c->trace;
     if (d->lod_split != 0 && (c->trace.max_level_plus_1 == 0 || d->lod_split < c->trace.max_level_plus_1))
         c->coarse.max_level_plus_1 = d->lod_split;
+    c->bounces = d->bounces_plus_1 != 0 ? d->bounces_plus_1 - 1 : 8;
+    if (d->thesis_compose || d->stage != VOXRT_STAGE_FULL) c->bounces = 0;
+    if (c->bounces != 0) {
+        c->glass = c->tree != NULL && voxrti_tree_glass(c->tree);
+        for (g = 0; g < d->geometry_count; g++) c->glass |= d->geometry[g].glass;
+    }
     voxrti_srgb_open(&c->srgb);
     return VOXRT_OK;
 }
@@ -14463,6 +15180,7 @@ VOXRT_DEF voxrt_result voxrt_render(const voxrt_render_desc *desc, const voxrt_t
     if (stats != NULL) {
         voxrti_stats_add(&stats->primary, c.sum[0]);
         voxrti_stats_add(&stats->shadow, c.sum[1]);
+        voxrti_stats_add(&stats->bounce, c.sum[2]);
     }
     return VOXRT_OK;
 }
@@ -14776,6 +15494,7 @@ VOXRT_DEF voxrt_result voxrt_instance_geometry(voxrt_instance *instance, voxrt_g
     }
     out_geometry->trace_fn = voxrti_instance_trace;
     out_geometry->occluded_fn = voxrti_instance_occluded;
+    out_geometry->glass = instance->geometry.glass;
     out_geometry->user = instance;
     for (a = 0; a < 3; a++) { /* each coordinate of the box is a sum of extremes */
         double lo = instance->to_world[4 * a + 3], hi = lo;
@@ -14806,6 +15525,7 @@ struct voxrt_group {
     voxrti_box *box;          /* [2 count - 1] */
     size_t count;
     double lo[3], hi[3];
+    uint32_t glass;           /* as voxrt_geometry.glass, of any */
 };
 
 static void voxrti_heap_sort(uint64_t *a, size_t n) {
@@ -14897,6 +15617,7 @@ VOXRT_DEF voxrt_result voxrt_group_create(const voxrt_env *env, const voxrt_geom
     }
     memcpy(g->geometry, geometry, count * sizeof *geometry);
     g->count = count;
+    for (i = 0; i < count; i++) g->glass |= geometry[i].glass;
     for (a = 0; a < 3; a++) {
         g->lo[a] = VOXRTI_INF;
         g->hi[a] = -VOXRTI_INF;
@@ -15140,6 +15861,7 @@ static void voxrti_group_occluded(void *user, const voxrt_trace_desc *desc, cons
 VOXRT_DEF void voxrt_group_geometry(const voxrt_group *group, voxrt_geometry *out_geometry) {
     out_geometry->trace_fn = voxrti_group_trace;
     out_geometry->occluded_fn = voxrti_group_occluded;
+    out_geometry->glass = group->glass;
     memcpy(&out_geometry->user, &group, sizeof group);
     memcpy(out_geometry->box_min, group->lo, sizeof group->lo);
     memcpy(out_geometry->box_max, group->hi, sizeof group->hi);
@@ -15288,6 +16010,7 @@ static voxrt_result voxrti_model_index(voxrti_mem *mem, const voxrt_env *env, vo
         m->part[i].tree = m->block[i]->tree;
         g[i].trace_fn = voxrti_block_trace;
         g[i].occluded_fn = voxrti_block_occluded;
+        g[i].glass = 0;
         g[i].user = &m->part[i];
         voxrt_tree_bounds(m->part[i].tree, g[i].box_min, g[i].box_max);
     }
