@@ -2,6 +2,7 @@
    SPDX-License-Identifier: MIT OR Unlicense */
 #include "support/camera.h"
 #include "support/cli.h"
+#include "support/displace.h"
 #include "support/mesh.h"
 #include "support/picture.h"
 #include "support/scenes.h"
@@ -13,7 +14,7 @@ typedef struct convert_options {
     const char *first, *second; /* positional arguments */
     const char *in, *out, *scene, *edit;
     int64_t resolution, palette, threads, detail, fill_depth;
-    int separating, palette_method, lod, format, normals, fill, planes, no_colors, raw, share, keep_inside_out, stats, quiet;
+    int separating, palette_method, lod, format, normals, fill, planes, no_colors, no_materials, raw, share, keep_inside_out, stats, quiet;
     int voxels, flip_y, flip_z, swap_angles; /* voxels: `in` is a voxel file; how to turn it */
 } convert_options;
 
@@ -21,7 +22,7 @@ enum { NORMALS_SMOOTH, NORMALS_FLAT, NORMALS_NONE };
 enum { FORMAT_V5, FORMAT_V4 };
 
 static int parse(int argc, char **argv, convert_options *o) {
-    sup_option table[27];
+    sup_option table[28];
     size_t n = 0, mesh_options, k;
     int status, for_meshes = 0, has_lod = 0;
     memset(o, 0, sizeof *o);
@@ -45,6 +46,8 @@ static int parse(int argc, char **argv, convert_options *o) {
     table[n++] = sup_opt_flag("planes", &o->planes, "a plane in each voxel: smooth outlines and shadows close up; one byte "
                               "a voxel, and --separating 26");
     table[n++] = sup_opt_flag("no-colors", &o->no_colors, "one colour for all");
+    table[n++] = sup_opt_flag("no-materials", &o->no_materials, "nothing but the colours of the materials of an OBJ file: no pictures on "
+                              "it, no displacement, no mirrors, no glass");
     table[n++] = sup_opt_flag("keep-inside-out", &o->keep_inside_out,
                               "do not turn the normals of a mesh that encloses a negative volume");
     table[n++] = sup_opt_flag("fill", &o->fill, "fill closed hulls");
@@ -128,6 +131,11 @@ static int turn_outwards(sup_mesh *m) {
         const uint32_t swap = m->indices[3 * t + 1];
         m->indices[3 * t + 1] = m->indices[3 * t + 2];
         m->indices[3 * t + 2] = swap;
+        for (int k = 0; m->texcoords != NULL && k < 2; k++) {
+            float *uv = m->texcoords + 6 * t, other = uv[2 + k];
+            uv[2 + k] = uv[4 + k];
+            uv[4 + k] = other;
+        }
     }
     return 1;
 }
@@ -217,6 +225,123 @@ static size_t file_size(const char *path) {
     return size > 0 ? (size_t)size : 0;
 }
 
+enum { MAX_FINISHES = 255 };
+
+/* What a mesh has beside places and colours. */
+typedef struct dressing {
+    sup_textured textured;
+    sup_mesh displaced; /* in place of the mesh if it has triangles */
+    voxrt_finish finishes[MAX_FINISHES];
+    size_t finish_count;
+    uint8_t *of_triangle;
+    uint8_t *of_material;
+} dressing;
+
+static void free_dressing(dressing *d) {
+    sup_textured_free(&d->textured);
+    sup_mesh_free(&d->displaced);
+    SUP_FREE(d->of_triangle);
+    SUP_FREE(d->of_material);
+}
+
+/* The illumination models of MTL files: 3, 5 and 8 mirror by Ks; 4, 6, 7 and 9 are glass, bent by Ni; d below 1 alone is a
+   thin pane. What is transparent shows its colour (Tf, else none) in what goes through. Returns 0 for a plain one. */
+static int finish_of(const sup_material *m, voxrt_finish *f) {
+    const int mirror = m->illum == 3 || m->illum == 5 || m->illum == 8;
+    const int glass = m->illum == 4 || m->illum == 6 || m->illum == 7 || m->illum == 9;
+    int any = 0;
+    memset(f, 0, sizeof *f);
+    f->diffuse = 1.0f;
+    f->shininess = m->shininess;
+    f->refraction = glass ? m->ni >= 0.0625f ? m->ni : 0.0f : 0.0f;
+    for (int a = 0; a < 3; a++) {
+        const float through = m->has_opacity || !glass ? 1.0f - m->opacity : m->has_transmit ? 1.0f : 0.0f;
+        f->specular[a] = m->illum == 0 || m->illum == 1 ? 0.0f : m->specular[a];
+        f->mirror[a] = mirror ? m->specular[a] < 1.0f ? m->specular[a] : 1.0f : 0.0f;
+        f->transparency[a] = through * m->transmit[a];
+        f->emission[a] = m->emission[a];
+        any |= f->specular[a] > 0.0f || f->mirror[a] > 0.0f || f->transparency[a] > 0.0f || f->emission[a] > 0.0f;
+    }
+    return any;
+}
+
+/* Finishes of materials, each once. Returns 1 when memory is short. More than there is room for are plain: *left. */
+static int make_finishes(const sup_mesh *mesh, dressing *d, size_t *left) {
+    d->of_material = (uint8_t *)sup_alloc(mesh->material_count, 1);
+    if (d->of_material == NULL) return 1;
+    for (size_t i = 0; i < mesh->material_count; i++) {
+        voxrt_finish f;
+        size_t k = 0;
+        d->of_material[i] = 0;
+        if (!finish_of(mesh->materials + i, &f)) continue;
+        while (k < d->finish_count && memcmp(&d->finishes[k], &f, sizeof f) != 0) k++;
+        if (k == MAX_FINISHES) {
+            ++*left;
+            continue;
+        }
+        if (k == d->finish_count) d->finishes[d->finish_count++] = f;
+        d->of_material[i] = (uint8_t)(k + 1);
+    }
+    return 0;
+}
+
+static void sample_textures(void *user, voxrt_sample *sample) {
+    sup_textured_sample((const sup_textured *)user, sample->triangle, sample->weight, sample->footprint, sample->color, sample->normal);
+}
+
+static size_t triangles_that_fit(void) {
+    const size_t memory = sup_memory_limit();
+    return memory / 256; /* with all that is made of a triangle */
+}
+
+/* Textures, displacement and finishes of a mesh. Returns 0, or the exit status. */
+static int dress(const char *program, const convert_options *o, sup_mesh *mesh, dressing *d, voxrt_build_desc *desc, voxrt_mesh *in) {
+    const sup_mesh *m = mesh;
+    sup_error err;
+    float lo[3], hi[3];
+    double longest = 0.0;
+    size_t left = 0, i;
+    char *user = NULL;
+    int displaces = 0, failed;
+    if (mesh->material_count == 0 || mesh->triangle_material == NULL || o->no_materials) return 0;
+    if (o->scene == NULL) { /* the user pointer of a callback is not const */
+        user = (char *)sup_alloc(strlen(o->in) + 1, 1);
+        if (user == NULL) return sup_bad_input(program, "out of memory");
+        memcpy(user, o->in, strlen(o->in) + 1);
+    }
+    failed = sup_textured_open(mesh, o->scene != NULL ? sup_scene_open : supi_open_beside, user, &d->textured, &err);
+    SUP_FREE(user);
+    if (failed) return sup_bad_input(program, err.text);
+    if (!o->quiet) sup_warn(program, err.text);
+    for (i = 0; i < mesh->triangle_count && !displaces; i++) displaces = supi_displaced(&d->textured, i) != 0;
+    if (displaces && !sup_mesh_bounds(mesh, lo, hi)) {
+        for (int a = 0; a < 3; a++) longest = fmax(longest, (double)hi[a] - (double)lo[a]);
+        if (sup_mesh_displace(&d->textured, longest / (double)o->resolution, triangles_that_fit(), &d->displaced, &err))
+            return sup_bad_input(program, err.text);
+        d->displaced.materials = mesh->materials; /* handed over, with their names */
+        d->displaced.material_count = mesh->material_count;
+        mesh->materials = NULL;
+        mesh->material_count = 0;
+        d->textured.mesh = m = &d->displaced;
+    }
+    if (make_finishes(m, d, &left)) return sup_bad_input(program, "out of memory");
+    if (left != 0 && !o->quiet) sup_warn(program, "more than 255 kinds of materials: the last ones have only their colours");
+    if (d->finish_count != 0) {
+        d->of_triangle = (uint8_t *)sup_alloc(m->triangle_count, 1);
+        if (d->of_triangle == NULL) return sup_bad_input(program, "out of memory");
+        for (i = 0; i < m->triangle_count; i++)
+            d->of_triangle[i] = m->triangle_material[i] != 0 ? d->of_material[m->triangle_material[i] - 1] : 0;
+        desc->finishes = d->finishes;
+        desc->finish_count = d->finish_count;
+        in->triangle_finish = d->of_triangle;
+    }
+    if (sup_textured_any(&d->textured)) {
+        in->sample_fn = sample_textures;
+        in->sample_user = &d->textured;
+    }
+    return 0;
+}
+
 typedef struct converted {
     voxrt_tree *tree;
     voxrt_build_stats stats;
@@ -235,9 +360,9 @@ static void print_stats(const convert_options *o, const converted *c) {
     printf(",\"triangles\":%llu,\"rejected\":%llu,\"degenerate\":%llu,\"fragments\":%llu",
            (unsigned long long)s->triangles, (unsigned long long)s->rejected, (unsigned long long)s->degenerate,
            (unsigned long long)s->fragments);
-    printf(",\"turned\":%d,\"resolution\":%u,\"depth\":%u,\"voxels\":%llu,\"colors_in\":%llu,\"palette\":%u", c->turned,
+    printf(",\"turned\":%d,\"resolution\":%u,\"depth\":%u,\"voxels\":%llu,\"colors_in\":%llu,\"palette\":%u,\"finishes\":%u", c->turned,
            info.resolution, info.depth, (unsigned long long)info.voxel_count, (unsigned long long)s->colors_in,
-           info.palette_count);
+           info.palette_count, info.finish_count);
     printf(",\"geometry_bytes\":%llu,\"color_bytes\":%llu,\"normal_bytes\":%llu,\"bytes\":%llu,\"file_bytes\":%llu,"
            "\"peak_bytes\":%llu",
            (unsigned long long)info.geometry_bytes, (unsigned long long)info.color_bytes,
@@ -264,22 +389,31 @@ static int build(const char *program, const convert_options *o, const voxrt_env 
     voxrt_mesh in = {0};
     voxrt_result result;
     sup_mesh mesh = {0};
+    const sup_mesh *m = &mesh;
+    dressing *d = (dressing *)sup_alloc(1, sizeof *d);
     sup_error err;
     sup_progress progress;
     double start = sup_now();
-    const int status = read_mesh(program, o, &mesh, &c->turned);
+    int status;
+    if (d == NULL) return sup_bad_input(program, "out of memory");
+    memset(d, 0, sizeof *d);
+    status = read_mesh(program, o, &mesh, &c->turned);
+    if (!status) status = dress(program, o, &mesh, d, &desc, &in);
     if (status) {
+        free_dressing(d);
+        SUP_FREE(d);
         sup_mesh_free(&mesh);
         return status;
     }
+    if (d->displaced.triangle_count != 0) m = &d->displaced;
     c->read_seconds = sup_now() - start;
-    in.positions = mesh.positions;
-    in.vertex_count = mesh.vertex_count;
-    in.indices = mesh.indices;
-    in.triangle_count = mesh.triangle_count;
-    in.normals = mesh.normals;
-    in.vertex_rgb = mesh.vertex_rgb;
-    in.triangle_rgb = mesh.triangle_rgb;
+    in.positions = m->positions;
+    in.vertex_count = m->vertex_count;
+    in.indices = m->indices;
+    in.triangle_count = m->triangle_count;
+    in.normals = o->normals == NORMALS_SMOOTH ? m->normals : NULL;
+    in.vertex_rgb = m->vertex_rgb;
+    in.triangle_rgb = m->triangle_rgb;
     desc.env = *env;
     sup_progress_begin(&progress, "voxelising", o->quiet);
     if (!progress.quiet) {
@@ -300,6 +434,8 @@ static int build(const char *program, const convert_options *o, const voxrt_env 
     result = voxrt_tree_build(&desc, &in, &c->stats, &c->tree);
     c->build_seconds = sup_now() - start;
     sup_progress_end(&progress);
+    free_dressing(d);
+    SUP_FREE(d);
     sup_mesh_free(&mesh);
     if (result != VOXRT_OK) return bad_result(program, o, result, env->error);
     if (c->stats.rejected != 0 && !o->quiet) {

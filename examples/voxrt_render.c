@@ -12,7 +12,7 @@ typedef struct render_options {
     sup_common common;
     const char *in, *light, *lod;
     int shadows, path, heat, has_heat, split, face_normals, cubes, thesis_compose, one_sided, progressive, blend, has_background;
-    int64_t samples, lod_split, scatter, frames;
+    int64_t samples, lod_split, scatter, frames, bounces;
     double blur, heat_max, budget;
     int has_blur, smooth, has_material, panorama;
     double diffuse, specular, shininess;
@@ -69,12 +69,13 @@ static int collect_lights(int argc, char **argv, render_options *o) {
 }
 
 static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *desc) {
-    sup_option table[SUP_COMMON_OPTIONS + 29];
+    sup_option table[SUP_COMMON_OPTIONS + 30];
     size_t n;
     int status, compose = 0, normals = 0, has_heat_max = 0;
     memset(o, 0, sizeof *o);
     o->samples = 1;
     o->frames = 1;
+    o->bounces = 8;
     o->blur = 4.0;
     o->heat_max = 64.0;
     o->lod_split = -1;
@@ -91,6 +92,7 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
                                &o->has_material);
     table[n++] = sup_opt_given(sup_opt_real("shininess", &o->shininess, 1.0, 1e6, "N", "how small they are (32)"),
                                &o->has_material);
+    table[n++] = sup_opt_int("bounces", &o->bounces, 0, 32, "N", "how often a ray goes on in mirrors and glass (8); 0: these are opaque");
     table[n++] = sup_opt_flag("panorama", &o->panorama, "all directions from the eye, 360 by 180 degrees");
     table[n++] = sup_opt_int("aa", &o->samples, 1, 65536, "N", "rays per pixel (1)");
     table[n++] = sup_opt_text("lod", &o->lod, "off|object|LEVEL",
@@ -144,6 +146,7 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
     desc->light_count = o->light_count;
     desc->shadows = (uint32_t)o->shadows;
     desc->samples = (uint32_t)o->samples;
+    desc->bounces_plus_1 = (uint32_t)o->bounces + 1;
     desc->tolerance = (float)o->common.tolerance;
     desc->face_normals = normals == 1;
     desc->cubes = (uint32_t)o->cubes;
@@ -331,7 +334,7 @@ static void print_stats(const render_options *o, const scene *s, const voxrt_ren
     const voxrt_camera *camera = &desc->camera;
     const double seconds = spent->sum / (double)o->frames;
     const voxrt_isa best = voxrt_isa_best(), wanted = (voxrt_isa)o->common.isa;
-    const uint64_t rays = stats->primary.rays + stats->shadow.rays;
+    const uint64_t rays = stats->primary.rays + stats->shadow.rays + stats->bounce.rays;
     voxrt_tree_info info;
     voxrt_tree_get_info(s->tree, &info);
     printf("{\"program\":\"voxrt_render\",\"in\":");
@@ -343,6 +346,8 @@ static void print_stats(const render_options *o, const scene *s, const voxrt_ren
            (unsigned long long)stats->primary.rays, (unsigned long long)stats->primary.hits,
            (unsigned long long)stats->shadow.rays, (unsigned long long)stats->shadow.hits,
            (unsigned long long)stats->primary.steps, (unsigned long long)stats->primary.descents);
+    if (stats->bounce.rays != 0)
+        printf(",\"bounce_rays\":%llu,\"bounce_hits\":%llu", (unsigned long long)stats->bounce.rays, (unsigned long long)stats->bounce.hits);
     printf(",\"eye\":[%.9g,%.9g,%.9g],\"at\":[%.9g,%.9g,%.9g]", (double)camera->eye[0], (double)camera->eye[1],
            (double)camera->eye[2], (double)camera->at[0], (double)camera->at[1], (double)camera->at[2]);
     if (o->frames > 1)

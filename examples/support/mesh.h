@@ -19,6 +19,25 @@
 #include "base.h"
 #include "text.h"
 
+/* A picture that a material names, and how it lies on triangles: it is looked up at scale * (u, v) + offset. */
+typedef struct sup_map {
+    char *name;        /* as in the file; NULL: no picture */
+    float scale[2], offset[2];
+    float strength;    /* of bumps and displacement, in units of positions for a height of 1 */
+    float base;        /* height of black: heights are base + strength * value */
+    int clamp;         /* 1: it does not repeat */
+    int is_normal;     /* 1: a normal map, not heights */
+} sup_map;
+
+/* A material of an MTL file; what it does not say is 0, but for transmit (1), ni (1), opacity (1). */
+typedef struct sup_material {
+    float specular[3], emission[3], transmit[3]; /* Ks, Ke, Tf */
+    float shininess, ni, opacity;                /* Ns, Ni, d */
+    int illum;                                   /* -1: not given */
+    int has_opacity, has_transmit;
+    sup_map color_map, bump_map, displace_map;
+} sup_material;
+
 /* A triangle mesh. Arrays come from SUP_MALLOC and belong to the mesh; NULL where the file has no such data. */
 typedef struct sup_mesh {
     float *positions;      /* 3 per vertex */
@@ -26,7 +45,10 @@ typedef struct sup_mesh {
     uint8_t *vertex_rgb;   /* 3 per vertex, sRGB, or NULL */
     uint32_t *indices;     /* 3 per triangle, counter-clockwise seen from outside if the file is well made */
     uint8_t *triangle_rgb; /* 3 per triangle, sRGB, or NULL; white where the file gives none */
-    size_t vertex_count, triangle_count;
+    float *texcoords;      /* u, v of each corner: 6 per triangle; NULL: no material has a picture */
+    uint32_t *triangle_material; /* per triangle 1 + number of a material, 0: none; NULL: materials are colours only */
+    sup_material *materials;
+    size_t vertex_count, triangle_count, material_count;
     size_t skipped_faces; /* faces with fewer than three corners */
 } sup_mesh;
 
@@ -44,6 +66,15 @@ typedef int (*sup_open_fn)(void *user, const char *name, char **data, size_t *si
 
 /* Free the arrays of `mesh` and clear it; a cleared mesh may be freed again. */
 SUP_FN void sup_mesh_free(sup_mesh *mesh) {
+    size_t i;
+    for (i = 0; i < mesh->material_count; i++) {
+        SUP_FREE(mesh->materials[i].color_map.name);
+        SUP_FREE(mesh->materials[i].bump_map.name);
+        SUP_FREE(mesh->materials[i].displace_map.name);
+    }
+    SUP_FREE(mesh->materials);
+    SUP_FREE(mesh->triangle_material);
+    SUP_FREE(mesh->texcoords);
     SUP_FREE(mesh->positions);
     SUP_FREE(mesh->normals);
     SUP_FREE(mesh->vertex_rgb);
@@ -60,7 +91,9 @@ enum { SUPI_CLIP_WORK = 1 << 29 }; /* tests of corners in all polygons of a file
 typedef struct supi_faces {
     uint32_t *indices; /* 3 per triangle */
     uint8_t *rgb;      /* 3 per triangle, NULL until a face has a colour */
-    size_t count, index_capacity, rgb_capacity;
+    uint32_t *place;   /* which corners of their polygon triangles have, 3 per triangle; only with keep_places */
+    int keep_places;
+    size_t count, index_capacity, rgb_capacity, place_capacity;
     size_t skipped;
     double *plane;  /* scratch: 2 per corner */
     uint32_t *ring; /* scratch: previous and next corner */
@@ -71,6 +104,7 @@ typedef struct supi_faces {
 SUP_FN void supi_faces_free(supi_faces *faces) {
     SUP_FREE(faces->indices);
     SUP_FREE(faces->rgb);
+    SUP_FREE(faces->place);
     SUP_FREE(faces->plane);
     SUP_FREE(faces->ring);
     memset(faces, 0, sizeof *faces);
@@ -80,11 +114,19 @@ SUP_FN double supi_turn(const double *a, const double *b, const double *c) {
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
 }
 
-SUP_FN void supi_emit(supi_faces *faces, uint32_t a, uint32_t b, uint32_t c) {
-    uint32_t *t = faces->indices + 3 * faces->count++;
-    t[0] = a;
-    t[1] = b;
-    t[2] = c;
+/* Corners a, b, c of a polygon. */
+SUP_FN void supi_emit(supi_faces *faces, const uint32_t *corner, size_t a, size_t b, size_t c) {
+    uint32_t *t = faces->indices + 3 * faces->count;
+    t[0] = corner[a];
+    t[1] = corner[b];
+    t[2] = corner[c];
+    if (faces->keep_places) {
+        t = faces->place + 3 * faces->count;
+        t[0] = (uint32_t)a;
+        t[1] = (uint32_t)b;
+        t[2] = (uint32_t)c;
+    }
+    faces->count++;
 }
 
 /* Project the corners along the larger axis of the polygon's normal (Newell's method) so that the area is positive.
@@ -146,7 +188,7 @@ SUP_FN void supi_clip_ears(supi_faces *faces, const uint32_t *corner, size_t n, 
     }
     while (left > 3 && stalled < left) {
         if (supi_is_ear(plane, prev, next, at, &budget)) {
-            supi_emit(faces, corner[prev[at]], corner[at], corner[next[at]]);
+            supi_emit(faces, corner, prev[at], at, next[at]);
             next[prev[at]] = next[at];
             prev[next[at]] = prev[at];
             left--;
@@ -156,7 +198,7 @@ SUP_FN void supi_clip_ears(supi_faces *faces, const uint32_t *corner, size_t n, 
         }
         at = next[at];
     }
-    for (i = next[at]; left > 2; left--, i = next[i]) supi_emit(faces, corner[at], corner[i], corner[next[i]]);
+    for (i = next[at]; left > 2; left--, i = next[i]) supi_emit(faces, corner, at, i, next[i]);
     faces->work += most - budget;
 }
 
@@ -177,6 +219,11 @@ SUP_FN int supi_add_polygon(supi_faces *faces, const float *positions, const uin
         if (!grown) return 1;
         faces->indices = (uint32_t *)grown;
     }
+    if (faces->keep_places) {
+        grown = sup_grow(faces->place, &faces->place_capacity, needed, sizeof(uint32_t));
+        if (!grown) return 1;
+        faces->place = (uint32_t *)grown;
+    }
     if (n > 3 && n <= (size_t)SUPI_CLIP_MAX && faces->work < (size_t)SUPI_CLIP_WORK) {
         grown = sup_grow(faces->plane, &faces->plane_capacity, 2 * n, sizeof(double));
         if (!grown) return 1;
@@ -195,7 +242,7 @@ SUP_FN int supi_add_polygon(supi_faces *faces, const float *positions, const uin
         faces->ring = (uint32_t *)grown;
         supi_clip_ears(faces, corner, n, faces->plane, faces->ring);
     } else {
-        for (i = 1; i + 1 < n; i++) supi_emit(faces, corner[0], corner[i], corner[i + 1]);
+        for (i = 1; i + 1 < n; i++) supi_emit(faces, corner, 0, i, i + 1);
     }
     if (faces->rgb) {
         grown = sup_grow(faces->rgb, &faces->rgb_capacity, 3 * faces->count, 1);

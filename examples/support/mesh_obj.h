@@ -1,4 +1,4 @@
-/* mesh_obj.h - Wavefront OBJ reader with the diffuse colours of its MTL files; included by mesh.h
+/* mesh_obj.h - Wavefront OBJ reader with the materials of its MTL files; included by mesh.h
    SPDX-License-Identifier: MIT OR Unlicense */
 #ifndef SUP_MESH_OBJ_H
 #define SUP_MESH_OBJ_H
@@ -10,6 +10,7 @@
 typedef struct supi_obj_corner {
     uint32_t vertex; /* from 0 */
     uint32_t normal; /* from 1; 0: none */
+    uint32_t texcoord; /* from 1; 0: none */
 } supi_obj_corner;
 
 typedef struct supi_obj_face {
@@ -22,19 +23,21 @@ typedef struct supi_obj_name { /* a piece of the text */
     const char *at;
     size_t length;
     uint64_t hash;
-    uint8_t rgb[3], has_rgb;
+    uint8_t rgb[3], has_rgb, rich; /* rich: more than a colour */
+    sup_material material;
 } supi_obj_name;
 
 typedef struct supi_obj {
     sup_text text;
     const char *name;
     sup_error *err;
-    float *positions, *normals;
+    float *positions, *normals, *texcoords;
     uint8_t *rgb; /* 3 per vertex once a vertex has a colour */
     supi_obj_corner *corners;
     supi_obj_face *faces;
     supi_obj_name *materials, *libraries;
     size_t position_count, position_capacity, normal_count, normal_capacity, rgb_capacity;
+    size_t texcoord_count, texcoord_capacity;
     size_t corner_count, corner_capacity, face_count, face_capacity;
     size_t material_count, material_capacity, library_count, library_capacity;
     size_t skipped;
@@ -152,6 +155,27 @@ SUP_FN int supi_obj_normal(supi_obj *obj) {
     return 0;
 }
 
+/* u v w: one number is enough. */
+SUP_FN int supi_obj_texcoord(supi_obj *obj) {
+    float value[2] = {0.0f, 0.0f};
+    size_t k;
+    void *grown;
+    for (k = 0; k < 2; k++) {
+        supi_obj_blank(&obj->text);
+        if (k == 1 && supi_obj_line_ends(&obj->text)) break;
+        if (sup_parse_float(&obj->text.at, obj->text.end, value + k))
+            return supi_obj_fail(obj, obj->text.at, "texture coordinates need a number or more");
+    }
+    if (obj->texcoord_count >= 0xfffffffeu)
+        return sup_fail(obj->err, "%s: more texture coordinates than 32-bit indices can name", obj->name);
+    grown = sup_grow(obj->texcoords, &obj->texcoord_capacity, 2 * obj->texcoord_count + 2, sizeof(float));
+    if (!grown) return supi_obj_memory(obj);
+    obj->texcoords = (float *)grown;
+    memcpy(obj->texcoords + 2 * obj->texcoord_count, value, sizeof value);
+    obj->texcoord_count++;
+    return 0;
+}
+
 /* An index of the file, from 1, or from the end when negative, as an index from 0. Upper bounds are checked when all
    vertices are known. */
 SUP_FN int supi_obj_index(const supi_obj *obj, const char *at, int64_t index, size_t count, uint32_t *out) {
@@ -176,14 +200,18 @@ SUP_FN int supi_obj_add_face(supi_obj *obj, const char *line) {
     supi_obj_face *face;
     void *grown;
     for (supi_obj_blank(text); !supi_obj_line_ends(text); supi_obj_blank(text)) {
-        supi_obj_corner corner = {0, 0};
+        supi_obj_corner corner = {0, 0, 0};
         int64_t index = 0;
         int failed = sup_parse_int(&text->at, text->end, &index) ||
                      supi_obj_index(obj, line, index, obj->position_count, &corner.vertex);
         if (failed && index != 0) return 1; /* the message names the index */
         if (!failed && text->at < text->end && *text->at == '/') {
             text->at++;
-            if (supi_obj_is_index(text)) failed = sup_parse_int(&text->at, text->end, &index);
+            if (supi_obj_is_index(text)) {
+                failed = sup_parse_int(&text->at, text->end, &index);
+                if (index < 0) index += (int64_t)obj->texcoord_count + 1;
+                if (!failed && index > 0 && index < INT64_C(0xffffffff)) corner.texcoord = (uint32_t)index; /* else none */
+            }
             if (!failed && text->at < text->end && *text->at == '/') {
                 text->at++;
                 if (supi_obj_is_index(text)) {
@@ -219,6 +247,18 @@ SUP_FN int supi_obj_add_face(supi_obj *obj, const char *line) {
     return 0;
 }
 
+/* A material of which nothing is known. */
+SUP_FN void supi_mtl_begin(supi_obj_name *name) {
+    sup_material *m = &name->material;
+    SUP_FREE(m->color_map.name); /* defined before, in this file or in another one: the last one counts */
+    SUP_FREE(m->bump_map.name);
+    SUP_FREE(m->displace_map.name);
+    memset(m, 0, sizeof *m);
+    m->transmit[0] = m->transmit[1] = m->transmit[2] = m->ni = m->opacity = 1.0f;
+    m->illum = -1;
+    name->has_rgb = name->rich = 0;
+}
+
 SUP_FN int supi_obj_use_material(supi_obj *obj) {
     const supi_obj_name name = supi_obj_rest(&obj->text);
     size_t i = obj->material_count;
@@ -230,6 +270,7 @@ SUP_FN int supi_obj_use_material(supi_obj *obj) {
         obj->materials = (supi_obj_name *)grown;
         obj->materials[obj->material_count++] = name;
         i = obj->material_count;
+        supi_mtl_begin(obj->materials + i - 1);
     }
     obj->material = (uint32_t)i;
     return 0;
@@ -252,6 +293,9 @@ SUP_FN int supi_obj_parse(supi_obj *obj) {
         } else if (sup_text_is_word(line, text->end, "vn")) {
             text->at += 2;
             failed = supi_obj_normal(obj);
+        } else if (sup_text_is_word(line, text->end, "vt")) {
+            text->at += 2;
+            failed = supi_obj_texcoord(obj);
         } else if (sup_text_is_word(line, text->end, "usemtl")) {
             text->at += 6;
             failed = supi_obj_use_material(obj);
@@ -270,8 +314,140 @@ SUP_FN int supi_obj_parse(supi_obj *obj) {
     }
 }
 
-/* Diffuse colours of the materials that faces use. A Kd in another form than three numbers is passed over. */
-SUP_FN void supi_obj_parse_materials(supi_obj *obj, const char *data, size_t size) {
+/* Three numbers, or one for all three, from 0 to 1e6; returns 1 for another form, and `out` is unchanged. */
+SUP_FN int supi_mtl_color(sup_text *text, float out[3]) {
+    double value[3];
+    size_t k;
+    for (k = 0; k < 3; k++) {
+        supi_obj_blank(text);
+        if (sup_parse_double(&text->at, text->end, value + k)) break;
+    }
+    if (k == 1) value[1] = value[2] = value[0];
+    if (k != 1 && k != 3) return 1;
+    for (k = 0; k < 3; k++) out[k] = value[k] > 0.0 ? (float)(value[k] < 1e6 ? value[k] : 1e6) : 0.0f;
+    return 0;
+}
+
+/* A number within least and most; returns 1 when there is none, and `out` is unchanged. */
+SUP_FN int supi_mtl_number(sup_text *text, double least, double most, float *out) {
+    double value;
+    supi_obj_blank(text);
+    if (sup_parse_double(&text->at, text->end, &value)) return 1;
+    *out = (float)(value > least ? value < most ? value : most : least); /* not a number: least */
+    return 0;
+}
+
+/* 1 and past it when the next word is this. */
+SUP_FN int supi_mtl_option(sup_text *text, const char *word) {
+    supi_obj_blank(text);
+    if (!sup_text_is_word(text->at, text->end, word)) return 0;
+    text->at += strlen(word);
+    return 1;
+}
+
+SUP_FN void supi_mtl_skip_word(sup_text *text) {
+    supi_obj_blank(text);
+    while (text->at < text->end && !supi_is_space(*text->at)) text->at++;
+}
+
+/* The options of a map, then its name: the rest of the line. Returns 1 when memory is short. */
+SUP_FN int supi_mtl_map(sup_text *text, sup_map *map) {
+    supi_obj_name name;
+    float pair[3];
+    size_t k;
+    const int is_normal = map->is_normal;
+    SUP_FREE(map->name);
+    memset(map, 0, sizeof *map);
+    map->is_normal = is_normal;
+    map->scale[0] = map->scale[1] = map->strength = 1.0f;
+    for (;;) {
+        const int scale = supi_mtl_option(text, "-s"), offset = !scale && supi_mtl_option(text, "-o");
+        if (scale || offset || supi_mtl_option(text, "-t")) {
+            for (k = 0; k < 3 && !supi_mtl_number(text, -1e6, 1e6, pair + k); k++) {}
+            for (; k < 2; k++) pair[k] = scale ? 1.0f : 0.0f;
+            if (scale) memcpy(map->scale, pair, sizeof map->scale);
+            if (offset) memcpy(map->offset, pair, sizeof map->offset);
+        } else if (supi_mtl_option(text, "-bm")) {
+            (void)supi_mtl_number(text, -1e6, 1e6, &map->strength);
+        } else if (supi_mtl_option(text, "-mm")) {
+            float gain = 1.0f;
+            (void)supi_mtl_number(text, -1e6, 1e6, &map->base);
+            (void)supi_mtl_number(text, -1e6, 1e6, &gain);
+            map->strength *= gain;
+        } else if (supi_mtl_option(text, "-clamp")) {
+            map->clamp = supi_mtl_option(text, "on");
+            if (!map->clamp) supi_mtl_skip_word(text);
+        } else if (supi_mtl_option(text, "-blendu") || supi_mtl_option(text, "-blendv") || supi_mtl_option(text, "-cc") ||
+                   supi_mtl_option(text, "-imfchan") || supi_mtl_option(text, "-texres") || supi_mtl_option(text, "-boost") ||
+                   supi_mtl_option(text, "-type")) {
+            supi_mtl_skip_word(text);
+        } else {
+            break;
+        }
+    }
+    name = supi_obj_rest(text);
+    if (name.length == 0 || name.length > 4096) return 0;
+    map->name = (char *)sup_alloc(name.length + 1, 1);
+    if (!map->name) return 1;
+    memcpy(map->name, name.at, name.length);
+    map->name[name.length] = '\0';
+    return 0;
+}
+
+/* One statement of a material; what has another form than expected is passed over. Returns 1 when memory is short. */
+SUP_FN int supi_mtl_statement(supi_obj_name *name, sup_text *text) {
+    sup_material *m = &name->material;
+    float value[3];
+    size_t k;
+    int failed = 0;
+    if (supi_mtl_option(text, "kd")) {
+        if (supi_mtl_color(text, value)) return 0;
+        for (k = 0; k < 3; k++) name->rgb[k] = sup_unit_to_byte((double)value[k]);
+        name->has_rgb = 1;
+    } else if (supi_mtl_option(text, "ks")) {
+        if (!supi_mtl_color(text, m->specular)) name->rich |= m->specular[0] > 0.0f || m->specular[1] > 0.0f || m->specular[2] > 0.0f;
+    } else if (supi_mtl_option(text, "ke")) {
+        if (!supi_mtl_color(text, m->emission)) name->rich |= m->emission[0] > 0.0f || m->emission[1] > 0.0f || m->emission[2] > 0.0f;
+    } else if (supi_mtl_option(text, "tf")) {
+        m->has_transmit |= !supi_mtl_color(text, m->transmit);
+        for (k = 0; k < 3; k++) m->transmit[k] = m->transmit[k] < 1.0f ? m->transmit[k] : 1.0f;
+        if (m->has_transmit) name->rich = 1;
+    } else if (supi_mtl_option(text, "ns")) {
+        (void)supi_mtl_number(text, 0.0, 1e6, &m->shininess);
+    } else if (supi_mtl_option(text, "ni")) {
+        (void)supi_mtl_number(text, 0.0, 16.0, &m->ni);
+    } else if (supi_mtl_option(text, "d")) {
+        (void)supi_mtl_option(text, "-halo");
+        if (!supi_mtl_number(text, 0.0, 1.0, &m->opacity)) m->has_opacity = 1;
+        name->rich |= m->opacity < 1.0f;
+    } else if (supi_mtl_option(text, "tr")) {
+        if (!supi_mtl_number(text, 0.0, 1.0, value)) {
+            m->opacity = 1.0f - value[0];
+            m->has_opacity = 1;
+        }
+        name->rich |= m->opacity < 1.0f;
+    } else if (supi_mtl_option(text, "illum")) {
+        if (!supi_mtl_number(text, 0.0, 10.0, value)) m->illum = (int)value[0];
+    } else if (supi_mtl_option(text, "map_kd")) {
+        failed = supi_mtl_map(text, &m->color_map);
+        name->rich |= m->color_map.name != NULL;
+    } else if (supi_mtl_option(text, "map_bump") || supi_mtl_option(text, "bump")) {
+        m->bump_map.is_normal = 0;
+        failed = supi_mtl_map(text, &m->bump_map);
+        name->rich |= m->bump_map.name != NULL;
+    } else if (supi_mtl_option(text, "norm") || supi_mtl_option(text, "map_kn")) {
+        m->bump_map.is_normal = 1;
+        failed = supi_mtl_map(text, &m->bump_map);
+        name->rich |= m->bump_map.name != NULL;
+    } else if (supi_mtl_option(text, "disp") || supi_mtl_option(text, "map_disp")) {
+        failed = supi_mtl_map(text, &m->displace_map);
+        name->rich |= m->displace_map.name != NULL;
+    }
+    return failed;
+}
+
+/* Materials that faces use. Returns 1 when memory is short. */
+SUP_FN int supi_obj_parse_materials(supi_obj *obj, const char *data, size_t size) {
     supi_obj_name *material = NULL;
     sup_text text;
     text.begin = text.at = data;
@@ -286,20 +462,12 @@ SUP_FN void supi_obj_parse_materials(supi_obj *obj, const char *data, size_t siz
             for (i = 0; i < obj->material_count; i++) {
                 if (supi_obj_same(&name, obj->materials + i)) material = obj->materials + i;
             }
-        } else if (sup_text_is_word(text.at, text.end, "kd") && material) {
-            double value[3];
-            size_t k;
-            text.at += 2;
-            for (k = 0; k < 3; k++) {
-                supi_obj_blank(&text);
-                if (sup_parse_double(&text.at, text.end, value + k)) break;
-            }
-            if (k == 1) value[1] = value[2] = value[0];
-            if (k != 1 && k != 3) continue;
-            for (k = 0; k < 3; k++) material->rgb[k] = sup_unit_to_byte(value[k]);
-            material->has_rgb = 1;
+            if (material) supi_mtl_begin(material);
+        } else if (material && supi_mtl_statement(material, &text)) {
+            return 1;
         }
     }
+    return 0;
 }
 
 /* Open one MTL file by a name that is a piece of the text. Returns 1 when it is missing. */
@@ -311,7 +479,7 @@ SUP_FN int supi_obj_open(supi_obj *obj, const char *at, size_t length, sup_open_
     memcpy(name, at, length);
     name[length] = '\0';
     failed = open_fn(user, name, &data, &size);
-    if (!failed) supi_obj_parse_materials(obj, data, size);
+    if (!failed) failed = supi_obj_parse_materials(obj, data, size);
     SUP_FREE(data);
     SUP_FREE(name);
     return failed;
@@ -393,14 +561,59 @@ SUP_FN int supi_obj_fill_normals(supi_obj *obj, sup_mesh *out) {
     return 0;
 }
 
+/* Hand the materials over to the mesh, if any of them is more than a colour. pictures: one has a picture. */
+SUP_FN int supi_obj_keep_materials(supi_obj *obj, sup_mesh *out, int *rich, int *pictures) {
+    size_t i;
+    for (i = 0; i < obj->material_count; i++) {
+        const sup_material *m = &obj->materials[i].material;
+        *rich |= obj->materials[i].rich;
+        *pictures |= m->color_map.name || m->bump_map.name || m->displace_map.name;
+    }
+    if (!*rich) return 0;
+    out->materials = (sup_material *)sup_alloc(obj->material_count, sizeof *out->materials);
+    if (!out->materials) return 1;
+    for (i = 0; i < obj->material_count; i++) {
+        out->materials[i] = obj->materials[i].material;
+        memset(&obj->materials[i].material, 0, sizeof obj->materials[i].material); /* its names are the mesh's now */
+    }
+    out->material_count = obj->material_count;
+    return 0;
+}
+
+/* Material and texture coordinates of the triangles of a face. */
+SUP_FN int supi_obj_dress(const supi_obj *obj, const supi_obj_face *face, const supi_faces *faces, size_t first,
+                          size_t capacity[2], sup_mesh *out, int pictures) {
+    size_t t, k;
+    void *grown = sup_grow(out->triangle_material, capacity, faces->count, sizeof *out->triangle_material);
+    if (!grown) return 1;
+    out->triangle_material = (uint32_t *)grown;
+    if (pictures) {
+        if (faces->count > SIZE_MAX / 6) return 1;
+        grown = sup_grow(out->texcoords, capacity + 1, 6 * faces->count, sizeof *out->texcoords);
+        if (!grown) return 1;
+        out->texcoords = (float *)grown;
+    }
+    for (t = first; t < faces->count; t++) {
+        out->triangle_material[t] = face->material;
+        for (k = 0; pictures && k < 3; k++) {
+            const uint32_t vt = obj->corners[face->first + faces->place[3 * t + k]].texcoord;
+            float *to = out->texcoords + 6 * t + 2 * k;
+            to[0] = vt ? obj->texcoords[2 * (size_t)(vt - 1)] : 0.0f;
+            to[1] = vt ? obj->texcoords[2 * (size_t)(vt - 1) + 1] : 0.0f;
+        }
+    }
+    return 0;
+}
+
 SUP_FN int supi_obj_build(supi_obj *obj, sup_mesh *out, supi_faces *faces, uint32_t **polygon) {
-    size_t f, k, capacity = 0, missing = 0;
-    int normals = 0, colours = 0;
+    size_t f, k, capacity = 0, missing = 0, capacities[2] = {0, 0};
+    int normals = 0, colours = 0, rich = 0, pictures = 0;
     for (f = 0; f < obj->face_count; f++) {
         const supi_obj_face *face = obj->faces + f;
         for (k = face->first; k < face->first + face->count; k++) {
             const supi_obj_corner corner = obj->corners[k];
             const int bad = corner.vertex >= obj->position_count;
+            if (corner.texcoord > obj->texcoord_count) obj->corners[k].texcoord = 0; /* as if it were not there */
             if (bad || corner.normal > obj->normal_count) {
                 return sup_fail(obj->err, "%s: line %lu: face %lu: %s %lu out of range, there are %lu", obj->name,
                                 (unsigned long)sup_text_line(&obj->text, face->at), (unsigned long)f,
@@ -421,6 +634,8 @@ SUP_FN int supi_obj_build(supi_obj *obj, sup_mesh *out, supi_faces *faces, uint3
         obj->rgb = NULL;
     }
     for (k = 0; k < obj->material_count; k++) colours |= obj->materials[k].has_rgb;
+    if (supi_obj_keep_materials(obj, out, &rich, &pictures)) return supi_obj_memory(obj);
+    faces->keep_places = pictures;
     for (f = 0; f < obj->face_count; f++) {
         const supi_obj_face *face = obj->faces + f;
         const size_t before = faces->count;
@@ -432,6 +647,7 @@ SUP_FN int supi_obj_build(supi_obj *obj, sup_mesh *out, supi_faces *faces, uint3
         if (colours && face->material && obj->materials[face->material - 1].has_rgb &&
             supi_paint(faces, before, obj->materials[face->material - 1].rgb))
             return supi_obj_memory(obj);
+        if (rich && supi_obj_dress(obj, face, faces, before, capacities, out, pictures)) return supi_obj_memory(obj);
     }
     faces->skipped = obj->skipped;
     supi_faces_finish(faces, out);
@@ -443,6 +659,7 @@ SUP_FN int supi_read_obj(const sup_text *text, const char *name, sup_open_fn ope
     supi_obj obj;
     supi_faces faces;
     uint32_t *polygon = NULL;
+    size_t i;
     int failed;
     memset(&obj, 0, sizeof obj);
     memset(&faces, 0, sizeof faces);
@@ -457,9 +674,15 @@ SUP_FN int supi_read_obj(const sup_text *text, const char *name, sup_open_fn ope
     SUP_FREE(polygon);
     SUP_FREE(obj.positions);
     SUP_FREE(obj.normals);
+    SUP_FREE(obj.texcoords);
     SUP_FREE(obj.rgb);
     SUP_FREE(obj.corners);
     SUP_FREE(obj.faces);
+    for (i = 0; i < obj.material_count; i++) {
+        SUP_FREE(obj.materials[i].material.color_map.name);
+        SUP_FREE(obj.materials[i].material.bump_map.name);
+        SUP_FREE(obj.materials[i].material.displace_map.name);
+    }
     SUP_FREE(obj.materials);
     SUP_FREE(obj.libraries);
     return failed;

@@ -12,6 +12,9 @@
    | pillars | segments of a column (80)    |              115,984 | no     | per triangle |         |
    | blob    | rows (512)                   |            1,048,576 | yes    |              |         |
    | hall    | cells along an edge (512)    |            1,048,576 | no     |              |         |
+   | balls   | rows of a ball (64)          |              100,352 | no     | per triangle | yes     |
+
+   balls has materials: a mirror, glass, a lamp, and pictures that sup_scene_open gives.
 
    (blob is closed by the places of its vertices: each pole has a ring of them.)
    y is up in all of them; triangles are counter-clockwise seen from outside, of cornell and pillars from inside the
@@ -37,7 +40,9 @@
 typedef struct supi_make {
     sup_mesh mesh;
     size_t position_capacity, normal_capacity, vertex_rgb_capacity, index_capacity, triangle_rgb_capacity;
+    size_t texcoord_capacity, material_capacity;
     uint8_t colour[3]; /* of the triangles that follow, when triangle_rgb is used */
+    uint32_t material; /* of the triangles that follow; 0: there are no materials */
     int use_triangle_rgb, failed;
 } supi_make;
 
@@ -704,10 +709,190 @@ SUP_FN void supi_make_pillars(supi_make *make, int segments) {
     }
 }
 
+/* ---- a mirror, glass and a lamp on tiles -------------------------------------------------------------------- */
+
+/* A triangle with texture coordinates and the material in work. */
+SUP_FN void supi_make_textured(supi_make *make, const uint32_t v[3], const float uv[3][2]) {
+    sup_mesh *m = &make->mesh;
+    const size_t n = m->triangle_count;
+    void *p = sup_grow(m->texcoords, &make->texcoord_capacity, 6 * n + 6, sizeof(float));
+    void *q = sup_grow(m->triangle_material, &make->material_capacity, n + 1, sizeof(uint32_t));
+    if (p) m->texcoords = (float *)p;
+    if (q) m->triangle_material = (uint32_t *)q;
+    if (!p || !q) {
+        make->failed = 1;
+        return;
+    }
+    memcpy(m->texcoords + 6 * n, uv, 6 * sizeof(float));
+    m->triangle_material[n] = make->material;
+    supi_make_triangle(make, v[0], v[1], v[2]);
+}
+
+/* A ball, with a picture that goes around it once. */
+SUP_FN void supi_make_ball(supi_make *make, float cx, float cy, float cz, float r, uint32_t rows) {
+    const uint32_t columns = 2 * rows, base = (uint32_t)make->mesh.vertex_count;
+    uint32_t i, j, k;
+    for (j = 0; j <= rows; j++) {
+        for (i = 0; i <= columns; i++) {
+            const float th = SUPI_PI * (float)j / (float)rows, ph = 2.0f * SUPI_PI * (float)i / (float)columns;
+            float n[3], p[3];
+            n[0] = sinf(th) * cosf(ph);
+            n[1] = cosf(th);
+            n[2] = -sinf(th) * sinf(ph);
+            p[0] = cx + r * n[0];
+            p[1] = cy + r * n[1];
+            p[2] = cz + r * n[2];
+            (void)supi_make_vertex(make, p, n, NULL);
+        }
+    }
+    for (j = 0; j < rows; j++) {
+        for (i = 0; i < columns; i++) {
+            uint32_t v[4], t[3];
+            float uv[4][2], w[3][2];
+            for (k = 0; k < 4; k++) { /* upper left, lower left, lower right, upper right */
+                const uint32_t down = k == 1 || k == 2, right = k > 1;
+                v[k] = base + (j + down) * (columns + 1) + i + right;
+                uv[k][0] = (float)(i + right) / (float)columns;
+                uv[k][1] = 1.0f - (float)(j + down) / (float)rows;
+            }
+            for (k = 0; k < 2 && !make->failed; k++) {
+                const uint32_t second = k == 0 ? 1 : 2, third = second + 1;
+                if ((k == 0 && j + 1 == rows) || (k == 1 && j == 0)) continue; /* no area */
+                t[0] = v[0];
+                t[1] = v[second];
+                t[2] = v[third];
+                memcpy(w[0], uv[0], sizeof w[0]);
+                memcpy(w[1], uv[second], sizeof w[1]);
+                memcpy(w[2], uv[third], sizeof w[2]);
+                supi_make_textured(make, t, (const float (*)[2])w);
+            }
+        }
+    }
+}
+
+SUP_FN sup_material *supi_make_material(supi_make *make, uint32_t number, int red, int green, int blue) {
+    sup_material *m = make->mesh.materials + number;
+    m->transmit[0] = m->transmit[1] = m->transmit[2] = m->ni = m->opacity = 1.0f;
+    m->illum = 2;
+    make->material = number + 1;
+    supi_make_colour(make, red, green, blue);
+    return m;
+}
+
+SUP_FN void supi_make_picture(supi_make *make, sup_map *map, const char *name, float scale, float strength) {
+    const size_t length = strlen(name);
+    map->name = (char *)sup_alloc(length + 1, 1);
+    if (map->name) memcpy(map->name, name, length + 1);
+    else make->failed = 1;
+    map->scale[0] = map->scale[1] = scale;
+    map->strength = strength;
+}
+
+SUP_FN void supi_make_balls(supi_make *make, uint32_t rows) {
+    static const float corner[4][3] = {{-4.0f, 0.0f, 3.0f}, {4.0f, 0.0f, 3.0f}, {4.0f, 0.0f, -4.0f}, {-4.0f, 0.0f, -4.0f}};
+    static const uint32_t half[2][3] = {{0, 1, 2}, {0, 2, 3}};
+    static const float up[3] = {0.0f, 1.0f, 0.0f};
+    sup_material *m;
+    uint32_t i, k;
+    make->mesh.materials = (sup_material *)sup_alloc(7, sizeof *make->mesh.materials);
+    if (!make->mesh.materials) {
+        make->failed = 1;
+        return;
+    }
+    memset(make->mesh.materials, 0, 7 * sizeof *make->mesh.materials);
+    make->mesh.material_count = 7;
+    m = supi_make_material(make, 0, 255, 255, 255); /* floor */
+    supi_make_picture(make, &m->color_map, "tiles.ppm", 1.0f, 1.0f);
+    supi_make_picture(make, &m->bump_map, "tiles.pgm", 1.0f, 0.02f);
+    m->specular[0] = m->specular[1] = m->specular[2] = 0.06f;
+    m->illum = 3;
+    m->shininess = 60.0f;
+    for (i = 0; i < 4; i++) (void)supi_make_vertex(make, corner[i], up, NULL);
+    for (i = 0; i < 2 && !make->failed; i++) {
+        float uv[3][2];
+        for (k = 0; k < 3; k++) {
+            uv[k][0] = corner[half[i][k]][0];
+            uv[k][1] = -corner[half[i][k]][2];
+        }
+        supi_make_textured(make, half[i], (const float (*)[2])uv);
+    }
+    m = supi_make_material(make, 1, 20, 20, 20); /* mirror */
+    m->specular[0] = m->specular[1] = m->specular[2] = 0.9f;
+    m->illum = 3;
+    m->shininess = 400.0f;
+    supi_make_ball(make, -0.95f, 0.82f, -0.35f, 0.8f, rows);
+    m = supi_make_material(make, 2, 255, 255, 255); /* glass */
+    m->opacity = 0.0f;
+    m->has_opacity = m->has_transmit = 1;
+    m->transmit[0] = 0.93f;
+    m->transmit[1] = 0.98f;
+    m->transmit[2] = 0.96f;
+    m->specular[0] = m->specular[1] = m->specular[2] = 0.8f;
+    m->illum = 7;
+    m->ni = 1.5f;
+    m->shininess = 400.0f;
+    supi_make_ball(make, 0.72f, 0.67f, 0.5f, 0.65f, rows);
+    (void)supi_make_material(make, 3, 255, 240, 215); /* lamp */
+    make->mesh.materials[3].emission[0] = 1.6f;
+    make->mesh.materials[3].emission[1] = 1.4f;
+    make->mesh.materials[3].emission[2] = 1.0f;
+    supi_make_ball(make, 0.55f, 2.15f, -0.9f, 0.22f, rows);
+    m = supi_make_material(make, 4, 205, 95, 45); /* displaced */
+    supi_make_picture(make, &m->displace_map, "knobs.pgm", 1.0f, 0.07f);
+    m->displace_map.scale[0] = 12.0f;
+    m->displace_map.scale[1] = 6.0f;
+    supi_make_ball(make, 0.75f, 0.5f, -1.5f, 0.44f, rows);
+    m = supi_make_material(make, 5, 30, 70, 180); /* shiny */
+    m->specular[0] = m->specular[1] = m->specular[2] = 0.7f;
+    m->shininess = 50.0f;
+    supi_make_ball(make, -0.12f, 0.29f, 1.0f, 0.28f, rows);
+    m = supi_make_material(make, 6, 235, 170, 80); /* gold */
+    m->specular[0] = 0.85f;
+    m->specular[1] = 0.6f;
+    m->specular[2] = 0.28f;
+    m->illum = 3;
+    m->shininess = 80.0f;
+    supi_make_ball(make, -0.35f, 0.36f, -1.75f, 0.35f, rows);
+}
+
+/* The pictures of generated scenes, as a sup_open_fn: 256 x 256 pixels of tiles, with their heights, and of knobs. */
+SUP_FN int sup_scene_open(void *user, const char *name, char **data, size_t *size) {
+    enum { SIDE = 256 };
+    const int colour = strcmp(name, "tiles.ppm") == 0, tiles = colour || strcmp(name, "tiles.pgm") == 0;
+    const size_t channels = colour ? 3 : 1;
+    size_t head, c;
+    int x, y;
+    uint8_t *out;
+    (void)user;
+    if (!tiles && strcmp(name, "knobs.pgm") != 0) return 1;
+    *data = (char *)sup_alloc(SIDE * SIDE * channels + 32, 1);
+    if (!*data) return 1;
+    head = (size_t)snprintf(*data, 32, "P%d %d %d 255\n", colour ? 6 : 5, (int)SIDE, (int)SIDE);
+    *size = head + SIDE * SIDE * channels;
+    out = (uint8_t *)*data + head;
+    for (y = 0; y < SIDE; y++) {
+        for (x = 0; x < SIDE; x++) {
+            const int odd = (x >= SIDE / 2) != (y >= SIDE / 2), half = SIDE / 2, joint = SIDE / 64;
+            const int edge_x = x % half < half - x % half ? x % half : half - x % half;
+            const int edge_y = y % half < half - y % half ? y % half : half - y % half;
+            const int edge = edge_x < edge_y ? edge_x : edge_y, grain = (int)(supi_fbm((float)x * 0.06f, (float)y * 0.02f, odd ? 3.0f : 9.0f, 4) * 46.0f);
+            const float dx = (float)(x - half) / (float)half, dy = (float)(y - half) / (float)half;
+            const float r = dx * dx + dy * dy, high = r < 0.64f ? sqrtf(1.0f - r / 0.64f) : 0.0f;
+            static const int paint[3][3] = {{196, 186, 170}, {92, 44, 34}, {60, 58, 56}};
+            for (c = 0; c < channels; c++) {
+                int v = !tiles ? (int)(255.0f * high) : edge < joint ? 0 : edge < 2 * joint ? 255 * (edge - joint) / joint : 255;
+                if (colour) v = paint[edge < joint ? 2 : odd][c] + (edge < joint ? 0 : grain);
+                *out++ = (uint8_t)(v < 0 ? 0 : v > 255 ? 255 : v);
+            }
+        }
+    }
+    return 0;
+}
+
 /* ---- by name ------------------------------------------------------------------------------------------------ */
 
-#define SUP_SCENE_NAMES "sphere|torus|gyroid|terrain|menger|cornell|pillars|blob|hall"
-enum { SUP_SCENE_COUNT = 9 };
+#define SUP_SCENE_NAMES "sphere|torus|gyroid|terrain|menger|cornell|pillars|blob|hall|balls"
+enum { SUP_SCENE_COUNT = 10 };
 
 /* Make a scene by its name (one of SUP_SCENE_NAMES); the table above says what `detail` means, 0 is its default.
    The same bits everywhere but for what sinf and cosf of the C library differ in.
@@ -719,7 +904,8 @@ SUP_FN int sup_scene_make(const char *name, int detail, sup_mesh *out) {
         int usual, least, most;
     } scenes[SUP_SCENE_COUNT] = {{"sphere", 64, 2, 8192},   {"torus", 48, 3, 4096}, {"gyroid", 64, 2, 512},
                                  {"terrain", 256, 1, 8192}, {"menger", 4, 1, 6},    {"cornell", 1, 1, 1},
-                                 {"pillars", 80, 3, 4096},  {"blob", 512, 2, 8192}, {"hall", 512, 32, 8192}};
+                                 {"pillars", 80, 3, 4096},  {"blob", 512, 2, 8192}, {"hall", 512, 32, 8192},
+                                 {"balls", 64, 4, 1024}};
     supi_make make;
     int k;
     memset(out, 0, sizeof *out);
@@ -737,7 +923,8 @@ SUP_FN int sup_scene_make(const char *name, int detail, sup_mesh *out) {
     case 5: supi_make_cornell(&make); break;
     case 6: supi_make_pillars(&make, detail); break;
     case 7: supi_add_blob(&make, 0.0f, 0.0f, 0.0f, 1.0f, 2 * detail, detail, 0.6f, 2.5f, 8, 3.1f); break;
-    default: supi_make_hall(&make, detail); break;
+    case 8: supi_make_hall(&make, detail); break;
+    default: supi_make_balls(&make, (uint32_t)detail); break;
     }
     if (make.failed) {
         sup_mesh_free(&make.mesh);
