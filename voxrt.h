@@ -4299,7 +4299,7 @@ typedef struct voxrti_vox {
     int has_rgb, has_normal, has_plane, has_finish;
     int white;                 /* has_rgb, but the mesh has no colours */
     int special;               /* has_plane, has_finish or sample_fn: fragments take more than adding */
-    uint32_t sampled;          /* sample_fn: channels 3 and 7 are the weights of corners 1 and 2 */
+    int sampled;               /* there is a sample_fn */
     voxrt_separating separating;
     uint64_t *ref;             /* brick << 32 | triangle, sorted */
     size_t ref_count;
@@ -4328,7 +4328,8 @@ typedef struct voxrti_brick {
     uint32_t *cell;            /* [sum_capacity] voxel of a sum */
     uint64_t *vote;            /* has_finish: of each sum the largest weight << 8 | finish */
     size_t sum_count, sum_capacity, cell_capacity, vote_capacity;
-    size_t triangle;           /* in work */
+    size_t triangle;           /* in work; sampled: its first corner and the sides from there, in voxels */
+    double corner[3], side[2][3];
     uint32_t finish;           /* of it */
     uint32_t *tiny;            /* voxels touched by triangles that caught no target */
     size_t tiny_count, tiny_capacity;
@@ -4428,7 +4429,7 @@ static VOXRTI_UNUSED voxrt_result voxrti_grid_from_mesh(const voxrt_build_desc *
 
 /* Corners of a triangle in voxels, the lowest one first, so that it does not matter where the triangle begins.
    0: not usable. */
-static int voxrti_tri_corners(const voxrti_vox *v, size_t i, double p[3][3], size_t vertex[3], uint32_t *turn) {
+static int voxrti_tri_corners(const voxrti_vox *v, size_t i, double p[3][3], size_t vertex[3]) {
     double scale = 1.0 / v->grid->voxel_size;
     uint32_t k, a, first = 0;
     for (k = 0; k < 3; k++) {
@@ -4441,7 +4442,6 @@ static int voxrti_tri_corners(const voxrti_vox *v, size_t i, double p[3][3], siz
         for (a = 0; a < 3 && p[k][a] == p[first][a]; a++) { }
         if (a < 3 ? p[k][a] < p[first][a] : vertex[k] < vertex[first]) first = k;
     }
-    *turn = first;
     for (; first > 0; first--) {
         double q[3];
         size_t x = vertex[0];
@@ -4472,16 +4472,12 @@ static void voxrti_tri_finish(const voxrti_vox *v, voxrti_tri *t) {
 }
 
 /* Attributes of a triangle's corners. */
-static void voxrti_tri_attributes(const voxrti_vox *v, size_t i, const size_t vertex[3], uint32_t turn,
-                                  const double p[3][3], voxrti_tri *t) {
+static void voxrti_tri_attributes(const voxrti_vox *v, size_t i, const size_t vertex[3], const double p[3][3],
+                                  voxrti_tri *t) {
     const voxrt_mesh *m = v->mesh;
     uint32_t k, a, faces = 0;
     float f[3];
     memset(t->attr, 0, sizeof t->attr);
-    if (v->sampled) { /* weights of the corners of the mesh */
-        t->attr[(4 - turn) % 3][3] = 1.0f;
-        t->attr[(5 - turn) % 3][7] = 1.0f;
-    }
     for (k = 0; v->white && k < 3; k++)
         for (a = 0; a < 3; a++) t->attr[k][VOXRTI_RGB + a] = 65535.0f;
     for (k = 0; v->has_rgb && !v->white && k < 3; k++) {
@@ -4546,10 +4542,10 @@ static int voxrti_tri_each(const voxrti_vox *v, size_t i, int attributes,
     double p[3][3], s = (double)((uint32_t)1 << v->sub), end = (double)v->grid->resolution + 1.0;
     size_t vertex[3];
     voxrti_tri t;
-    uint32_t k, a, inside = 1, n, turn = 0;
+    uint32_t k, a, inside = 1, n;
     memset(vertex, 0, sizeof vertex);
-    if (!voxrti_tri_corners(v, i, p, vertex, &turn)) return 0;
-    if (attributes) voxrti_tri_attributes(v, i, vertex, turn, (const double (*)[3])p, &t);
+    if (!voxrti_tri_corners(v, i, p, vertex)) return 0;
+    if (attributes) voxrti_tri_attributes(v, i, vertex, (const double (*)[3])p, &t);
     for (k = 0; k < 3; k++)
         for (a = 0; a < 3; a++) inside &= p[k][a] >= -1.0 && p[k][a] <= end;
     if (inside) {
@@ -4751,8 +4747,7 @@ static voxrt_result voxrti_bin_all(voxrti_vox *v, voxrt_build_stats *stats) {
     if (stats->rejected != 0 && v->d->strict) {
         double p[3][3];
         size_t vertex[3], k;
-        uint32_t turn;
-        for (k = 0; k < v->mesh->triangle_count && voxrti_tri_corners(v, k, p, vertex, &turn); k++) { }
+        for (k = 0; k < v->mesh->triangle_count && voxrti_tri_corners(v, k, p, vertex); k++) { }
         return voxrti_fail(v->d->env.error, VOXRT_ERR_FORMAT, k, "triangle % has a bad vertex");
     }
     return voxrti_bin_sort(v);
@@ -4839,33 +4834,58 @@ VOXRTI_INLINE void voxrti_fragsum_add(voxrti_fragsum *sum, voxrti_i4 a, voxrti_i
 #endif
 }
 
-/* by voxrti_vox.sampled: then the fourth number is the weight of a corner, until the sample is taken */
-static const float voxrti_fragment_scale[2][2][4] = {
-    {{1.0f, 1.0f, 1.0f, 0.0f}, {16384.0f, 16384.0f, 16384.0f, 0.0f}},
-    {{1.0f, 1.0f, 1.0f, 1.0f}, {16384.0f, 16384.0f, 16384.0f, 1.0f}}};
-static const float voxrti_fragment_shift[2][2][4] = {
-    {{0.5f, 0.5f, 0.5f, 1.0f}, {32768.5f, 32768.5f, 32768.5f, 0.0f}},
-    {{0.5f, 0.5f, 0.5f, 0.0f}, {32768.5f, 32768.5f, 32768.5f, 0.0f}}};
+static const float voxrti_fragment_scale[2][4] = {{1.0f, 1.0f, 1.0f, 0.0f}, {16384.0f, 16384.0f, 16384.0f, 0.0f}};
+static const float voxrti_fragment_shift[2][4] = {{0.5f, 0.5f, 0.5f, 1.0f}, {32768.5f, 32768.5f, 32768.5f, 0.0f}};
 
 /* Four channels of attributes as the integers that are summed, plus what is cut off. */
-VOXRTI_INLINE voxrti_f4 voxrti_fragment_scaled(const voxrti_vox *v, const float *f, uint32_t half) {
-    const uint32_t k = v->sampled;
-    return voxrti_f4_add(voxrti_f4_mul(voxrti_f4_load(f + 4 * half), voxrti_f4_load(voxrti_fragment_scale[k][half])),
-                         voxrti_f4_load(voxrti_fragment_shift[k][half]));
+VOXRTI_INLINE voxrti_f4 voxrti_fragment_scaled(const float *f, uint32_t half) {
+    return voxrti_f4_add(voxrti_f4_mul(voxrti_f4_load(f + 4 * half), voxrti_f4_load(voxrti_fragment_scale[half])),
+                         voxrti_f4_load(voxrti_fragment_shift[half]));
 }
 
-/* Let the caller's function change a fragment. */
-static VOXRTI_NOINLINE void voxrti_fragment_sample(const voxrti_brick *b, voxrti_f4 *rgb, voxrti_f4 *normal) {
+static double voxrti_dot3d(const double a[3], const double b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+/* Weights of the corners q + 0, q + u, q + v for the point of the triangle that is nearest to q + p: in the triangle, or
+   on the nearest edge. Source: C. Ericson, Real-Time Collision Detection, 2005, 5.1.5. */
+static void voxrti_nearest_weights(const double u[3], const double v[3], const double p[3], double weight[3]) {
+    const double uu = voxrti_dot3d(u, u), uv = voxrti_dot3d(u, v), vv = voxrti_dot3d(v, v);
+    const double pu = voxrti_dot3d(p, u), pv = voxrti_dot3d(p, v), area = uu * vv - uv * uv;
+    const double w1 = vv * pu - uv * pv, w2 = uu * pv - uv * pu, side = uu - 2 * uv + vv;
+    double best = 1e300;
+    uint32_t e, a;
+    if (area > 0 && w1 >= 0 && w2 >= 0 && w1 + w2 <= area) {
+        weight[1] = w1 / area;
+        weight[2] = w2 / area;
+    } else {
+        for (e = 0; e < 3; e++) { /* edges: from 0 to u, from 0 to v, from u to v */
+            const double t = e == 0 ? pu : e == 1 ? pv : uu - uv - pu + pv, l = e == 0 ? uu : e == 1 ? vv : side;
+            const double k = l > 0 ? voxrti_max(0.0, voxrti_min(t / l, 1.0)) : 0.0;
+            const double x = e == 0 ? k : e == 1 ? 0.0 : 1.0 - k, y = e == 0 ? 0.0 : k;
+            double d = 0;
+            for (a = 0; a < 3; a++) d += (p[a] - x * u[a] - y * v[a]) * (p[a] - x * u[a] - y * v[a]);
+            if (!(d < best)) continue;
+            best = d;
+            weight[1] = x;
+            weight[2] = y;
+        }
+    }
+    weight[0] = voxrti_max(0.0, 1.0 - weight[1] - weight[2]);
+}
+
+/* Let the caller's function change a fragment: what the triangle has nearest to the middle of the voxel. */
+static VOXRTI_NOINLINE void voxrti_fragment_sample(const voxrti_brick *b, uint32_t cell, voxrti_f4 *rgb,
+                                                   voxrti_f4 *normal) {
+    double at[3], weight[3] = {1, 0, 0};
     float c[4], n[4];
     voxrt_sample s;
     uint32_t a;
     voxrti_f4_store(c, *rgb);
     voxrti_f4_store(n, *normal);
+    for (a = 0; a < 3; a++)
+        at[a] = (double)b->lo[a] + (double)voxrti_compact3(cell >> a) + 0.5 - b->corner[a];
+    voxrti_nearest_weights(b->side[0], b->side[1], at, weight);
     s.triangle = b->triangle;
-    s.weight[1] = c[3];
-    s.weight[2] = voxrti_absf(n[3]);
-    if (s.weight[1] + s.weight[2] > 1.0f) s.weight[2] = voxrti_absf(1.0f - s.weight[1]);
-    s.weight[0] = voxrti_absf(1.0f - s.weight[1] - s.weight[2]);
+    for (a = 0; a < 3; a++) s.weight[a] = (float)weight[a];
     s.footprint = (float)b->v->grid->voxel_size;
     for (a = 0; a < 3; a++) {
         s.color[a] = (c[a] - 0.5f) * (1.0f / 65535.0f);
@@ -4877,8 +4897,6 @@ static VOXRTI_NOINLINE void voxrti_fragment_sample(const voxrti_brick *b, voxrti
     if (b->v->has_normal && voxrti_finite_f(s.normal[0]) && voxrti_finite_f(s.normal[1]) &&
         voxrti_finite_f(s.normal[2]) && voxrti_normalize(s.normal))
         for (a = 0; a < 3; a++) n[a] = s.normal[a] * 16384.0f + 32768.5f;
-    c[3] = 1.0f;
-    n[3] = 0.0f;
     *rgb = voxrti_f4_load(c);
     *normal = voxrti_f4_load(n);
 }
@@ -4902,7 +4920,7 @@ static VOXRTI_NOINLINE void voxrti_fragment_plane(const voxrti_brick *b, voxrti_
 static VOXRTI_NOINLINE void voxrti_fragment_special(voxrti_brick *b, voxrti_fragsum *s, uint32_t cell, uint32_t weight,
                                                     voxrti_f4 rgb, voxrti_f4 normal) {
     if (b->v->has_plane) voxrti_fragment_plane(b, s, cell, weight, normal);
-    if (b->v->sampled) voxrti_fragment_sample(b, &rgb, &normal);
+    if (b->v->sampled) voxrti_fragment_sample(b, cell, &rgb, &normal);
     if (b->v->has_finish) {
         uint64_t *vote = &b->vote[s - b->sum], own = (uint64_t)weight << 8 | b->finish;
         if (own > *vote) *vote = own;
@@ -4922,8 +4940,8 @@ VOXRTI_INLINE void voxrti_fragment(voxrti_brick *b, uint32_t cell, uint32_t weig
 static void voxrti_fragment_attr(voxrti_brick *b, uint32_t cell, uint32_t weight, const float f[VOXRTI_CHANNELS]) {
     voxrti_f4 least = voxrti_f4_all(0.0f), most = voxrti_f4_all(65535.0f);
     voxrti_fragment(b, cell, weight,
-                    voxrti_f4_min(voxrti_f4_max(voxrti_fragment_scaled(b->v, f, 0), least), most),
-                    voxrti_f4_min(voxrti_f4_max(voxrti_fragment_scaled(b->v, f, 1), least), most));
+                    voxrti_f4_min(voxrti_f4_max(voxrti_fragment_scaled(f, 0), least), most),
+                    voxrti_f4_min(voxrti_f4_max(voxrti_fragment_scaled(f, 1), least), most));
 }
 
 /* Columns i of row k in [i0, i1] for which e + i * step >= 0. */
@@ -5051,8 +5069,8 @@ static uint64_t voxrti_raster_short(voxrti_brick *b, const voxrti_tri *t, int ti
     uint32_t a, e, any = 0;
     *cut = 0;
     for (e = 0; e < 3; e++) {
-        rgb[e] = voxrti_fragment_scaled(v, t->attr[e], 0);
-        normal[e] = voxrti_fragment_scaled(v, t->attr[e], 1);
+        rgb[e] = voxrti_fragment_scaled(t->attr[e], 0);
+        normal[e] = voxrti_fragment_scaled(t->attr[e], 1);
     }
     rgb_lo = voxrti_f4_min(voxrti_f4_min(rgb[0], rgb[1]), rgb[2]);
     rgb_hi = voxrti_f4_max(voxrti_f4_max(rgb[0], rgb[1]), rgb[2]);
@@ -5428,6 +5446,22 @@ static void voxrti_raster_thesis(voxrti_brick *b, const voxrti_tri *t) {
     }
 }
 
+/* Where triangle i is, for its samples. Its vertices are usable here. */
+static void voxrti_brick_corners(voxrti_brick *b, size_t i) {
+    const double scale = 1.0 / b->v->grid->voxel_size;
+    uint32_t k, a;
+    for (k = 0; k < 3; k++) {
+        float p[3];
+        size_t vertex;
+        (void)voxrti_mesh_vertex(b->v->mesh, i, k, &vertex, p);
+        for (a = 0; a < 3; a++) {
+            const double x = ((double)p[a] - b->v->grid->origin[a]) * scale;
+            if (k == 0) b->corner[a] = x;
+            else b->side[k - 1][a] = x - b->corner[a];
+        }
+    }
+}
+
 static void voxrti_brick_tri(void *ctx, const voxrti_tri *t, size_t i) {
     voxrti_brick *b = (voxrti_brick *)ctx;
     uint64_t found = 0;
@@ -5436,6 +5470,7 @@ static void voxrti_brick_tri(void *ctx, const voxrti_tri *t, size_t i) {
     if (b->failed) return;
     b->triangle = i;
     b->finish = b->v->has_finish ? b->v->mesh->triangle_finish[i] : 0;
+    if (b->v->sampled) voxrti_brick_corners(b, i);
     if (b->v->has_plane) {
         const double inv = t->length > 0 ? 1.0 / t->length : 0.0, unit = 1.0 / (double)((uint32_t)1 << b->v->sub);
         double d = 0;

@@ -1,0 +1,873 @@
+/* Finishes: what mirrors show is the mirrored scene; glass bends light by Snell, mirrors by Fresnel, and takes nothing in
+   a white furnace; light goes through panes by their transparency; pictures do not depend on threads and instruction
+   sets; files, shared trees, instances and coarser cells keep finishes; hostile files; textures by a function. */
+#include "test.h"
+#include "shapes.h"
+#define VOXRT_IMPLEMENTATION
+#include "../voxrt.h"
+
+enum { SIDE = 96, CELLS = 64, MOST = 40000 };
+
+typedef struct list { voxrt_voxel v[MOST]; uint8_t finish[MOST]; size_t n; } list;
+static list cells;
+
+static void add(uint32_t x, uint32_t y, uint32_t z, int r, int g, int b, int finish) {
+    voxrt_voxel *v = &cells.v[cells.n];
+    if (cells.n == MOST) return;
+    memset(v, 0, sizeof *v);
+    v->x = x;
+    v->y = y;
+    v->z = z;
+    v->rgb[0] = (uint8_t)r;
+    v->rgb[1] = (uint8_t)g;
+    v->rgb[2] = (uint8_t)b;
+    cells.finish[cells.n++] = (uint8_t)finish;
+}
+
+static void add_box(uint32_t x0, uint32_t x1, uint32_t y0, uint32_t y1, uint32_t z0, uint32_t z1, int r, int g, int b, int finish) {
+    uint32_t x, y, z;
+    for (x = x0; x < x1; x++)
+        for (y = y0; y < y1; y++)
+            for (z = z0; z < z1; z++) add(x, y, z, r, g, b, finish);
+}
+
+static void mirror(voxrt_finish *f, float share) {
+    memset(f, 0, sizeof *f);
+    f->diffuse = 1;
+    f->mirror[0] = f->mirror[1] = f->mirror[2] = share;
+}
+static void glass(voxrt_finish *f, float share, float index) {
+    memset(f, 0, sizeof *f);
+    f->diffuse = 1;
+    f->transparency[0] = f->transparency[1] = f->transparency[2] = share;
+    f->refraction = index;
+}
+
+static voxrt_tree *make(const voxrt_finish *finishes, size_t count) { /* of the cells: one is a unit cube */
+    voxrt_build_desc d;
+    voxrt_tree *t = NULL;
+    memset(&d, 0, sizeof d);
+    d.finishes = finishes;
+    d.finish_count = count;
+    d.voxel_finish = count != 0 ? cells.finish : NULL;
+    CHECK(voxrt_tree_from_voxels(&d, cells.v, cells.n, 6, &t) == VOXRT_OK);
+    return t;
+}
+
+/* A ball, a pane and a floor of a mesh, with normals; finish 1 mirrors, 2 is glass. */
+static voxrt_tree *make_mesh(uint32_t resolution, uint32_t planes, const voxrt_finish *finishes, size_t count, int number,
+                             const voxrt_env *env) {
+    voxrt_build_desc d;
+    voxrt_mesh m;
+    voxrt_tree *t = NULL;
+    uint8_t *of;
+    size_t i, ball;
+    shape s;
+    memset(&s, 0, sizeof s);
+    memset(&d, 0, sizeof d);
+    memset(&m, 0, sizeof m);
+    shape_sphere(&s, 1, 1, 1, 0.5, 48);
+    ball = s.triangles;
+    shape_box(&s, 0.1, 0.2, 0.1, 1.9, 0.3, 1.9);
+    of = (uint8_t *)calloc(s.triangles, 1);
+    for (i = 0; of != NULL && i < s.triangles; i++) of[i] = (uint8_t)(i < ball ? number : 0);
+    if (env != NULL) d.env = *env;
+    d.resolution = resolution;
+    d.box_size = 2;
+    d.planes = planes;
+    d.finishes = finishes;
+    d.finish_count = count;
+    m.positions = s.p;
+    m.vertex_count = s.vertices;
+    m.indices = s.t;
+    m.triangle_count = s.triangles;
+    m.normals = s.normal;
+    m.triangle_finish = of;
+    (void)voxrt_tree_build(&d, &m, NULL, &t);
+    free(of);
+    shape_free(&s);
+    return t;
+}
+
+static void look(voxrt_render_desc *d, float ex, float ey, float ez, float ax, float ay, float az) {
+    memset(d, 0, sizeof *d);
+    d->camera.eye[0] = ex;
+    d->camera.eye[1] = ey;
+    d->camera.eye[2] = ez;
+    d->camera.at[0] = ax;
+    d->camera.at[1] = ay;
+    d->camera.at[2] = az;
+}
+
+static int draw(const voxrt_render_desc *d, const voxrt_tree *t, float (*rgba)[4]) {
+    voxrt_image image;
+    memset(&image, 0, sizeof image);
+    image.width = image.height = SIDE;
+    image.rgba = rgba[0];
+    return voxrt_render(d, t, &image, NULL) == VOXRT_OK;
+}
+static float picture[2][SIDE * SIDE][4];
+
+static const voxrt_light no_light = {{0, 1, 0}, 1, {0, 0, 0}, 1};
+static const voxrt_material flat = {{1, 1, 1}, 0, 0, 0}; /* colours as they are */
+
+/* ---- mirrors ---- */
+
+TEST(mirrors_show_the_mirrored_scene) {
+    voxrt_finish f;
+    voxrt_tree *t;
+    voxrt_render_desc d;
+    uint32_t i, k, side, other, seen = 0, seed = 1;
+    for (side = 0; side < 2; side++) {
+        cells.n = 0;
+        for (i = 0; i < 60; i++) { /* lumps before the wall; its visible face is at x = 33 */
+            uint32_t p[3];
+            for (k = 0; k < 3; k++) {
+                seed = seed * 1664525u + 1013904223u;
+                p[k] = (k == 0 ? 37 : 10) + (seed >> 16) % (k == 0 ? 10u : 44u);
+            }
+            add_box(p[0], p[0] + 2, p[1], p[1] + 2, p[2], p[2] + 2, (int)(20 + 4 * i), (int)(255 - 4 * i), (int)(i * 37 % 256), 0);
+        }
+        seed = 1;
+        other = (uint32_t)cells.n;
+        mirror(&f, 1);
+        if (side == 0) add_box(32, 33, 0, 64, 0, 64, 90, 90, 90, 1);
+        else for (i = 0; i < other; i++) add(65 - cells.v[i].x, cells.v[i].y, cells.v[i].z, cells.v[i].rgb[0], cells.v[i].rgb[1], cells.v[i].rgb[2], 0);
+        t = make(&f, 1);
+        look(&d, 60.37f, 33.1f, 31.7f, 33, 32, 32);
+        d.camera.fov_y = 50;
+        d.lights = &no_light;
+        d.light_count = 1;
+        d.material = &flat;
+        d.background[0] = 0.25f;
+        d.background[3] = 1;
+        CHECK(draw(&d, t, picture[side]));
+        voxrt_tree_destroy(t);
+    }
+    for (i = other = 0; i < SIDE * SIDE; i++) {
+        other += memcmp(picture[0][i], picture[1][i], sizeof picture[0][i]) != 0;
+        seen += picture[0][i][0] != 0.25f;
+    }
+    CHECK_MSG(seen > 2000 && other <= 40, "%u pixels differ, %u show something", other, seen); /* rounding at edges */
+}
+
+/* Three mirrors and a limit: each bounce takes its share. */
+TEST(bounces_end) {
+    voxrt_finish f;
+    voxrt_render_desc d;
+    voxrt_tree *t;
+    uint32_t k;
+    float expect = 0, weight = 1;
+    cells.n = 0;
+    mirror(&f, 0.5f);
+    f.emission[0] = 1; /* two walls that face each other: sums of 2^-k */
+    add_box(10, 11, 0, 64, 0, 64, 0, 0, 0, 1);
+    add_box(50, 51, 0, 64, 0, 64, 0, 0, 0, 1);
+    t = make(&f, 1);
+    for (k = 1; k <= 6; k++) {
+        look(&d, 30, 32, 32, 10, 32.01f, 32.02f);
+        d.camera.fov_y = 1;
+        d.lights = &no_light;
+        d.light_count = 1;
+        d.bounces_plus_1 = k;
+        CHECK(draw(&d, t, picture[0]));
+        expect += weight;
+        weight *= 0.5f;
+        CHECK_NEAR(picture[0][SIDE * SIDE / 2][0], expect, 1e-6);
+    }
+    d.bounces_plus_1 = 34;
+    CHECK(!draw(&d, t, picture[0]));
+    voxrt_tree_destroy(t);
+}
+
+/* ---- glass ---- */
+
+/* One surface, seen at an angle: directions and shares of what goes on. */
+TEST(snell_and_fresnel) {
+    static const float index[4] = {1.33f, 1.5f, 2.4f, 0.7f};
+    uint32_t i, k, side, total = 0;
+    voxrti_render c;
+    voxrt_render_desc d;
+    memset(&c, 0, sizeof c);
+    memset(&d, 0, sizeof d);
+    c.d = &d;
+    c.bounces = 8;
+    for (i = 0; i < 4; i++) {
+        for (side = 0; side < 2; side++) {
+            for (k = 0; k < 90; k++) {
+                const double angle = (double)k * 3.14159265358979 / 180, eta = side ? (double)index[i] : 1 / (double)index[i];
+                const double s = eta * sin(angle), ci = cos(angle), ct = s < 1 ? sqrt(1 - s * s) : 0;
+                const double rs = (eta * ci - ct) / (eta * ci + ct), rp = (ci - eta * ct) / (ci + eta * ct);
+                const double share = s < 1 ? 0.5 * (rs * rs + rp * rp) : 1;
+                voxrt_finish f;
+                voxrt_surface met;
+                voxrt_ray ray;
+                voxrti_path from, out[2];
+                uint32_t n, j;
+                double sum = 0;
+                glass(&f, 1, index[i]);
+                memset(&met, 0, sizeof met);
+                memset(&from, 0, sizeof from);
+                memset(&ray, 0, sizeof ray);
+                from.weight[0] = from.weight[1] = from.weight[2] = 1;
+                met.t = 3;
+                met.edge = 0.01f;
+                met.normal[1] = side ? -1.0f : 1.0f;
+                met.finish = &f;
+                ray.dir[0] = 2 * (float)sin(angle); /* of length 2 */
+                ray.dir[1] = -2 * (float)cos(angle);
+                n = voxrti_path_split(&c, &ray, &met, &from, side ? VOXRTI_BACK : VOXRTI_FRONT, out);
+                for (j = 0; j < n; j++) {
+                    const int through = out[j].dir[1] < 0;
+                    const float *v = out[j].dir;
+                    CHECK_NEAR(v[0] * v[0] + v[1] * v[1] + v[2] * v[2], 4, 1e-5);
+                    CHECK_NEAR(v[0], 2 * (through ? s : sin(angle)), 2e-6);
+                    CHECK_NEAR(out[j].weight[1], through ? 1 - share : share, 1e-5);
+                    CHECK(out[j].body == (through && !side ? &f : NULL));
+                    CHECK_NEAR(out[j].org[0] + v[0] * 3, ray.dir[0] * 3, 1e-5 + (k > 75 ? 1 : 0)); /* lifted where it grazes */
+                    CHECK(out[j].t_min > 3);
+                    sum += (double)out[j].weight[0];
+                }
+                if (s >= 1) total++;
+                CHECK(s < 1 || (n == 1 && out[0].weight[0] == 1.0f));
+                CHECK_NEAR(sum, 1, share > 0.002 && share < 0.998 ? 1e-5 : 0.0021); /* less than the cutoff may be missing */
+            }
+        }
+    }
+    CHECK_MSG(total > 90, "%u total reflections", total);
+}
+
+/* A body of glass between two sheets: behind it everything is shifted as the law says. Each cell of the wall behind has
+   a colour of its own. */
+TEST(glass_shifts_what_is_behind_it) {
+    const float index = 1.5f;
+    voxrt_finish f;
+    voxrt_render_desc d;
+    voxrt_tree *t;
+    uint32_t i, y, z, right = 0, sure = 0, plain = 0;
+    cells.n = 0;
+    glass(&f, 1, index);
+    for (y = 0; y < 64; y++)
+        for (z = 0; z < 64; z++) add(4, y, z, (int)(4 * y), (int)(4 * z), 7, 0);
+    add_box(20, 21, 0, 64, 0, 64, 255, 255, 255, 1);
+    add_box(40, 41, 0, 64, 0, 64, 255, 255, 255, 1); /* its face at x = 41 is entered, that at x = 21 left */
+    t = make(&f, 1);
+    look(&d, 75, 70, 32, 41, 40, 32);
+    d.camera.fov_y = 20;
+    d.lights = &no_light;
+    d.light_count = 1;
+    d.material = &flat;
+    CHECK(draw(&d, t, picture[0]));
+    for (i = 0; i < SIDE * SIDE; i++) {
+        voxrt_ray r;
+        double p[3], u[3], l = 0, k, at[2], straight[2];
+        int a, inner = 1;
+        CHECK(voxrt_camera_ray(&d.camera, SIDE, SIDE, (double)(i % SIDE) + 0.5, (double)(i / SIDE) + 0.5, &r) == VOXRT_OK);
+        for (a = 0; a < 3; a++) l += (double)r.dir[a] * (double)r.dir[a];
+        for (a = 0; a < 3; a++) u[a] = (double)r.dir[a] / sqrt(l);
+        k = (41 - (double)r.org[0]) / u[0];
+        for (a = 0; a < 3; a++) p[a] = (double)r.org[a] + k * u[a];
+        k = -sqrt(1 - (1 - u[0] * u[0]) / (double)(index * index)); /* x of the direction in the glass */
+        for (a = 1; a < 3; a++) {
+            straight[a - 1] = p[a] + (5 - 41) * u[a] / u[0];
+            at[a - 1] = p[a] + (21 - 41) * (u[a] / (double)index) / k + (5 - 21) * u[a] / u[0];
+            inner &= at[a - 1] > 1 && at[a - 1] < 63 && p[a] > 1 && p[a] < 63 && fabs(at[a - 1] - floor(at[a - 1]) - 0.5) < 0.49;
+        }
+        if (!inner) continue;
+        sure++;
+        /* red and green of the cell, less what is mirrored: their ratio stays */
+        {
+            const double red = voxrti_srgb_to_linear(4 * floor(at[0]) / 255), green = voxrti_srgb_to_linear(4 * floor(at[1]) / 255);
+            const double blue = voxrti_srgb_to_linear(7.0 / 255), share = (double)picture[0][i][2] / blue;
+            right += fabs((double)picture[0][i][0] - share * red) < 2e-3 && fabs((double)picture[0][i][1] - share * green) < 2e-3 && share > 0.8;
+            plain += floor(straight[0]) == floor(at[0]);
+        }
+    }
+    CHECK_MSG(sure > 1000 && right >= sure - sure / 100, "%u of %u cells are right", right, sure);
+    CHECK_MSG(plain < sure / 10, "%u cells would be the same without glass", plain);
+    voxrt_tree_destroy(t);
+}
+
+/* In a white surrounding a body that takes no light cannot be told from it; none is ever brighter. */
+TEST(furnace) {
+    uint32_t k, i, planes;
+    for (planes = 0; planes < 2; planes++) {
+        for (k = 0; k < 4; k++) {
+            voxrt_finish f;
+            voxrt_render_desc d;
+            voxrt_tree *t;
+            double least = 9, most = 0, mean = 0, hits = 0;
+            if (k == 0) mirror(&f, 1);
+            else glass(&f, 1, k == 1 ? 1.5f : k == 2 ? 2.4f : 1.0f);
+            t = make_mesh(128, planes, &f, 1, 1, NULL);
+            REQUIRE(t != NULL);
+            look(&d, 1.3f, 1.4f, 4.5f, 1, 1, 1);
+            d.camera.fov_y = 18;
+            d.lights = &no_light;
+            d.light_count = 1;
+            d.material = &flat; /* the floor is white, too */
+            d.bounces_plus_1 = 33;
+            for (i = 0; i < 4; i++) d.background[i] = 1;
+            CHECK(draw(&d, t, picture[0]));
+            for (i = 0; i < SIDE * SIDE; i++) {
+                const double v = (double)picture[0][i][1];
+                if (v == 1) continue;
+                hits++;
+                mean += v;
+                least = v < least ? v : least;
+                most = v > most ? v : most;
+            }
+            mean = hits > 0 ? mean / hits : 1;
+            if (test_g.verbose) printf("furnace: planes %u, finish %u: %.0f pixels are not 1: least %.4f, mean %.5f, most %.7f\n", planes, k, hits, least, mean, most);
+            CHECK_MSG(most <= 1 + 1e-5, "brighter than its surroundings: %.7f", most);
+            CHECK_MSG(mean > 0.985, "light is lost: mean %.5f", mean);
+            voxrt_tree_destroy(t);
+        }
+    }
+}
+
+TEST(absorption_by_length) {
+    voxrt_finish f;
+    voxrt_render_desc d;
+    voxrt_tree *t;
+    cells.n = 0;
+    glass(&f, 1, 1.0000001f); /* next to nothing is mirrored; not 1: it has an inside */
+    f.refraction = 1.0001f;
+    f.absorption[0] = 0.05f;
+    f.absorption[1] = 0.01f;
+    add_box(20, 21, 0, 64, 0, 64, 255, 255, 255, 1);
+    add_box(40, 41, 0, 64, 0, 64, 255, 255, 255, 1);
+    add_box(2, 3, 0, 64, 0, 64, 255, 255, 255, 0);
+    t = make(&f, 1);
+    look(&d, 60, 32, 32, 30, 32.01f, 32.01f);
+    d.camera.fov_y = 1;
+    d.lights = &no_light;
+    d.light_count = 1;
+    d.material = &flat;
+    CHECK(draw(&d, t, picture[0])); /* from x = 41 to x = 21 */
+    CHECK_NEAR(picture[0][100][0], exp(-0.05 * 20), 1e-4);
+    CHECK_NEAR(picture[0][100][1], exp(-0.01 * 20), 1e-4);
+    CHECK_NEAR(picture[0][100][2], 1, 1e-4);
+    voxrt_tree_destroy(t);
+}
+
+/* ---- shadows and coverage ---- */
+
+TEST(light_goes_through_panes) {
+    static const float share[3] = {0.5f, 0.25f, 1};
+    const voxrt_light sun = {{0.1f, 1, 0.05f}, 1, {1, 1, 1}, 0};
+    const voxrt_material m = {{0, 0, 0}, 1, 0, 0};
+    uint32_t panes, a, i;
+    for (panes = 0; panes < 4; panes++) { /* 3: the last is opaque */
+        voxrt_finish f[2];
+        voxrt_render_desc d;
+        voxrt_tree *t;
+        cells.n = 0;
+        glass(&f[0], 1, 0);
+        memcpy(f[0].transparency, share, sizeof share);
+        mirror(&f[1], 0.5f);
+        add_box(0, 64, 4, 5, 0, 64, 255, 255, 255, 0);
+        for (i = 0; i < panes; i++) add_box(0, 64, 40 + 8 * i, 41 + 8 * i, 0, 64, 255, 255, 255, i == 2 ? 2 : 1);
+        t = make(f, 2);
+        look(&d, 32, 30, 32, 32.1f, 4, 32.1f);
+        d.camera.fov_y = 20;
+        d.lights = &sun;
+        d.light_count = 1;
+        d.material = &m;
+        d.shadows = 1;
+        CHECK(draw(&d, t, picture[panes != 0]));
+        for (a = 0; a < 3; a++) {
+            const double expect = panes == 3 ? 0 : (double)picture[0][777][a] * pow((double)share[a], (double)panes);
+            CHECK(picture[0][777][a] > 0.9f);
+            CHECK_NEAR(picture[panes != 0][777][a], expect, 1e-5);
+        }
+        d.bounces_plus_1 = 1; /* panes are opaque then */
+        CHECK(draw(&d, t, picture[1]));
+        CHECK(picture[1][777][0] == (panes == 0 ? picture[0][777][0] : 0.0f));
+        voxrt_tree_destroy(t);
+    }
+}
+
+TEST(what_is_seen_through_glass_is_background) {
+    voxrt_finish f;
+    voxrt_render_desc d;
+    voxrt_tree *t;
+    cells.n = 0;
+    glass(&f, 0.75f, 0);
+    add_box(20, 21, 0, 64, 0, 64, 255, 255, 255, 1);
+    t = make(&f, 1);
+    look(&d, 60, 32, 32, 30, 32, 32);
+    d.camera.fov_y = 5;
+    d.lights = &no_light;
+    d.light_count = 1;
+    d.material = &flat;
+    CHECK(draw(&d, t, picture[0]));
+    CHECK_NEAR(picture[0][5][3], 0.25, 1e-6); /* no background: transparent */
+    CHECK_NEAR(picture[0][5][0], 0.25, 1e-6);
+    d.background[0] = 1;
+    d.background[1] = 0.5f;
+    d.background[3] = 1;
+    CHECK(draw(&d, t, picture[0]));
+    CHECK_NEAR(picture[0][5][3], 1, 1e-6);
+    CHECK_NEAR(picture[0][5][0], 1, 1e-6);
+    CHECK_NEAR(picture[0][5][1], 0.25 + 0.75 * 0.5, 1e-6);
+    voxrt_tree_destroy(t);
+}
+
+/* Coefficients of an entry do what those of the picture do. */
+TEST(phong_of_an_entry) {
+    voxrt_finish f;
+    voxrt_render_desc d;
+    voxrt_material m;
+    voxrt_tree *shiny, *plain;
+    memset(&f, 0, sizeof f);
+    memset(&m, 0, sizeof m);
+    f.diffuse = 1;
+    f.specular[0] = f.specular[1] = f.specular[2] = 0.5f;
+    f.shininess = 20;
+    shiny = make_mesh(64, 0, &f, 1, 1, NULL);
+    plain = make_mesh(64, 0, NULL, 0, 0, NULL);
+    REQUIRE(shiny != NULL && plain != NULL);
+    look(&d, 1.5f, 1.7f, 3.5f, 1, 1.1f, 1);
+    d.camera.fov_y = 12; /* nothing but the ball */
+    d.shadows = 1;
+    CHECK(draw(&d, shiny, picture[0]));
+    m.ambient[0] = m.ambient[1] = m.ambient[2] = 0.05f;
+    m.diffuse = 1;
+    m.specular = 0.5f;
+    m.shininess = 20;
+    d.material = &m;
+    CHECK(draw(&d, plain, picture[1]));
+    CHECK(memcmp(picture[0], picture[1], sizeof picture[0]) == 0);
+    m.shininess = 21;
+    CHECK(draw(&d, plain, picture[1]));
+    CHECK(memcmp(picture[0], picture[1], sizeof picture[0]) != 0);
+    voxrt_tree_destroy(shiny);
+    voxrt_tree_destroy(plain);
+}
+
+/* ---- the same picture in all ways ---- */
+
+TEST(same_bits_in_all_ways) {
+    voxrt_finish f[2];
+    voxrt_tree *t, *shared = NULL;
+    voxrt_render_desc d;
+    voxrt_instance instance;
+    voxrt_geometry g[3], at;
+    voxrt_group *group = NULL;
+    voxrt_render_stats stats;
+    voxrt_image image;
+    uint32_t k, i;
+    mirror(&f[0], 0.6f);
+    glass(&f[1], 0.9f, 1.5f);
+    t = make_mesh(100, 1, f, 2, 2, NULL);
+    REQUIRE(t != NULL);
+    look(&d, 1.3f, 2.2f, 4.0f, 1, 0.8f, 1);
+    d.shadows = 1;
+    d.tolerance = 0.5f;
+    d.env.thread_count = 1;
+    d.isa = VOXRT_ISA_SCALAR;
+    CHECK(draw(&d, t, picture[0]));
+    CHECK(voxrt_tree_share(t, NULL, &shared) == VOXRT_OK);
+    for (k = 0; k < 8; k++) {
+        d.isa = (voxrt_isa)(k % 4);
+        d.env.thread_count = k < 4 ? 1 : 3;
+        CHECK(draw(&d, k & 1 ? shared : t, picture[1]));
+        CHECK_MSG(memcmp(picture[0], picture[1], sizeof picture[0]) == 0, "way %u", k);
+    }
+    memset(&stats, 0, sizeof stats);
+    memset(&image, 0, sizeof image);
+    image.width = image.height = SIDE;
+    image.rgba = picture[1][0];
+    CHECK(voxrt_render(&d, t, &image, &stats) == VOXRT_OK && stats.bounce.rays > 1000 && stats.bounce.hits < stats.bounce.rays);
+    CHECK(memcmp(picture[0], picture[1], sizeof picture[0]) == 0);
+    voxrt_tree_geometry(t, &g[0]);
+    CHECK(g[0].glass == 1);
+    d.geometry = g;
+    d.geometry_count = 1;
+    CHECK(draw(&d, NULL, picture[1]));
+    CHECK(memcmp(picture[0], picture[1], sizeof picture[0]) == 0);
+    memset(&instance, 0, sizeof instance); /* where it was: also in a group */
+    instance.geometry = g[0];
+    instance.to_world[0] = instance.to_world[5] = instance.to_world[10] = 1;
+    CHECK(voxrt_instance_geometry(&instance, &g[1]) == VOXRT_OK);
+    CHECK(voxrt_group_create(NULL, g + 1, 1, &group) == VOXRT_OK);
+    voxrt_group_geometry(group, &at);
+    CHECK(at.glass == 1);
+    d.geometry = &at;
+    CHECK(draw(&d, NULL, picture[1]));
+    for (i = k = 0; i < SIDE * SIDE; i++) k += fabsf(picture[0][i][0] - picture[1][i][0]) > 1e-3f; /* normals were rounded once more */
+    CHECK_MSG(k < 20, "%u pixels differ", k);
+    voxrt_group_destroy(group);
+    voxrt_tree_destroy(shared);
+    voxrt_tree_destroy(t);
+}
+
+/* ---- what is kept ---- */
+
+TEST(coarser_cells_have_what_most_voxels_have) {
+    voxrt_finish f[2];
+    voxrt_tree *t;
+    voxrt_ray ray;
+    voxrt_hit hit;
+    voxrt_trace_desc td;
+    uint32_t lod;
+    for (lod = 0; lod < 2; lod++) {
+        voxrt_build_desc d;
+        mirror(&f[0], 1);
+        mirror(&f[1], 0.5f);
+        cells.n = 0;
+        add_box(0, 2, 0, 2, 0, 1, 9, 9, 9, 2); /* of eight: four, three, one */
+        add_box(0, 2, 0, 1, 1, 2, 9, 9, 9, 1);
+        add(0, 1, 1, 9, 9, 9, 1);
+        add(1, 1, 1, 9, 9, 9, 0);
+        add_box(8, 10, 8, 10, 8, 10, 9, 9, 9, 0);
+        memset(&d, 0, sizeof d);
+        d.finishes = f;
+        d.finish_count = 2;
+        d.voxel_finish = cells.finish;
+        d.lod_method = lod ? VOXRT_LOD_MAJORITY : VOXRT_LOD_MEAN;
+        CHECK(voxrt_tree_from_voxels(&d, cells.v, cells.n, 6, &t) == VOXRT_OK);
+        memset(&td, 0, sizeof td);
+        memset(&ray, 0, sizeof ray);
+        ray.org[0] = 0.5f;
+        ray.org[1] = 0.5f;
+        ray.org[2] = -5;
+        ray.dir[2] = 1;
+        ray.t_max = INFINITY;
+        td.max_level_plus_1 = 6; /* cells of two voxels */
+        CHECK(voxrt_trace(t, &td, &ray, &hit, 1) == VOXRT_OK && hit.level == 5);
+        CHECK(voxrt_hit_finish(t, &hit) != NULL && voxrt_hit_finish(t, &hit)->mirror[0] == 0.5f);
+        td.max_level_plus_1 = 0;
+        ray.org[1] = 1.5f;
+        ray.org[2] = 1.01f;
+        CHECK(voxrt_trace(t, &td, &ray, &hit, 1) == VOXRT_OK && voxrt_hit_finish(t, &hit)->mirror[0] == 1.0f);
+        ray.org[0] = 1.5f;
+        CHECK(voxrt_trace(t, &td, &ray, &hit, 1) == VOXRT_OK && hit.t < 10 && voxrt_hit_finish(t, &hit) == NULL);
+        voxrt_tree_destroy(t);
+    }
+}
+
+/* Finishes that nothing has are left out; entries are pairs of a colour and a finish. */
+TEST(entries_are_pairs) {
+    voxrt_finish f[3];
+    voxrt_tree *t, *u;
+    voxrt_tree_info info, plain;
+    const uint8_t *palette;
+    uint32_t i, n, seen = 0;
+    for (i = 0; i < 3; i++) mirror(&f[i], 0.25f * (float)(i + 1));
+    cells.n = 0;
+    for (i = 0; i < 64; i++) add(i, i, i, i & 1 ? 200 : 10, 5, 5, i % 4 == 0 ? 3 : i % 4 == 1 ? 1 : 0);
+    t = make(f, 3);
+    u = make(NULL, 0);
+    voxrt_tree_get_info(t, &info);
+    voxrt_tree_get_info(u, &plain);
+    CHECK_EQ_U64(info.finish_count, 2);
+    CHECK_EQ_U64(plain.finish_count, 0);
+    CHECK(voxrt_tree_hash(t) != voxrt_tree_hash(u));
+    palette = voxrt_tree_palette(t, &n);
+    for (i = 0; i < n; i++) {
+        const voxrt_finish *e = voxrt_tree_finish(t, i);
+        if (e != NULL) seen |= e->mirror[0] == 0.25f ? 1u : e->mirror[0] == 0.75f ? 2u : 8u;
+        if (e != NULL && e->mirror[0] == 0.75f && palette[3 * i] == 10) seen |= 4;
+    }
+    CHECK_EQ_U64(seen, 7);
+    CHECK(voxrt_tree_finish(t, n) == NULL && voxrt_tree_finish(NULL, 0) == NULL && voxrt_tree_finish(u, 0) == NULL);
+    voxrt_tree_destroy(u);
+    memset(cells.finish, 0, sizeof cells.finish); /* none is used: as if there were none */
+    u = make(f, 3);
+    voxrt_tree_get_info(u, &info);
+    CHECK(info.finish_count == 0 && info.total_bytes == plain.total_bytes && info.palette_count == plain.palette_count);
+    voxrt_tree_destroy(u);
+    voxrt_tree_destroy(t);
+}
+
+TEST(bad_descs) {
+    voxrt_build_desc d;
+    voxrt_finish f, bad[256];
+    voxrt_error error;
+    voxrt_tree *t;
+    voxrt_mesh m;
+    uint32_t k;
+    static const float corner[9] = {0, 0, 0, 1, 0, 0, 0, 1, 0};
+    uint8_t of = 2;
+    memset(&d, 0, sizeof d);
+    memset(&m, 0, sizeof m);
+    mirror(&f, 1);
+    m.positions = corner;
+    m.vertex_count = 3;
+    m.triangle_count = 1;
+    m.triangle_finish = &of;
+    d.env.error = &error;
+    d.finishes = &f;
+    d.finish_count = 1;
+    CHECK(voxrt_tree_build(&d, &m, NULL, &t) == VOXRT_ERR_INVALID_ARG && t == NULL && error.text[0] != 0);
+    of = 1;
+    for (k = 0; k < VOXRTI_FINISH_FLOATS + 5; k++) {
+        float v[VOXRTI_FINISH_FLOATS];
+        mirror(&bad[0], 1);
+        memcpy(v, &bad[0], sizeof v);
+        if (k < VOXRTI_FINISH_FLOATS) v[k] = k % 3 == 0 ? NAN : k % 3 == 1 ? -1e-3f : INFINITY;
+        else v[k == 18 ? 0 : k == 19 ? 5 : k == 20 ? 8 : 11] = k == 21 ? 17.0f : k == 22 ? 0.01f : 1.001f;
+        memcpy(&bad[0], v, sizeof v);
+        d.finishes = bad;
+        CHECK_MSG(voxrt_tree_build(&d, &m, NULL, &t) == VOXRT_ERR_INVALID_ARG && t == NULL, "number %u", k);
+    }
+    d.finish_count = 256;
+    CHECK(voxrt_tree_build(&d, &m, NULL, &t) == VOXRT_ERR_RANGE);
+    d.finishes = NULL;
+    d.finish_count = 1;
+    CHECK(voxrt_tree_build(&d, &m, NULL, &t) == VOXRT_ERR_INVALID_ARG);
+    d.finishes = &f;
+    CHECK(voxrt_tree_build(&d, &m, NULL, &t) == VOXRT_OK);
+    voxrt_tree_destroy(t);
+}
+
+/* 64-byte aligned, for mapping. */
+static void *aligned_block(size_t size) {
+    void *p = NULL;
+    return posix_memalign(&p, 64, size + 64) == 0 ? p : NULL;
+}
+static void free_block(void *p) { free(p); }
+
+static uint8_t *save(const voxrt_tree *t, voxrt_encoding encoding, size_t *size) {
+    voxrt_save_desc d;
+    uint8_t *p;
+    memset(&d, 0, sizeof d);
+    d.encoding = encoding;
+    if (voxrt_tree_save_memory(t, &d, NULL, 0, size) != VOXRT_OK) return NULL;
+    p = (uint8_t *)aligned_block(*size);
+    if (p != NULL && voxrt_tree_save_memory(t, &d, p, *size, size) != VOXRT_OK) *size = 0;
+    return p;
+}
+
+static voxrt_tree *small_scene(void) {
+    voxrt_finish f[2];
+    cells.n = 0;
+    mirror(&f[0], 0.5f);
+    glass(&f[1], 0.5f, 1.5f);
+    f[1].absorption[2] = 3;
+    add_box(10, 13, 10, 13, 10, 13, 50, 100, 200, 1);
+    add_box(30, 33, 10, 13, 10, 13, 50, 100, 200, 2);
+    add_box(30, 33, 30, 33, 10, 13, 50, 100, 20, 0);
+    return make(f, 2);
+}
+
+TEST(files_keep_finishes) {
+    voxrt_tree *t = small_scene(), *shared = NULL;
+    uint32_t k;
+    REQUIRE(t != NULL && voxrt_tree_share(t, NULL, &shared) == VOXRT_OK);
+    CHECK(voxrt_tree_hash(t) == voxrt_tree_hash(shared));
+    for (k = 0; k < 6; k++) {
+        size_t size = 0, again = 0;
+        uint8_t *file = save(k & 1 ? shared : t, k < 2 ? VOXRT_ENCODING_COMPACT : VOXRT_ENCODING_RAW, &size), *second;
+        voxrt_tree *u = NULL;
+        uint32_t i, n;
+        REQUIRE(file != NULL);
+        CHECK((k < 4 ? voxrt_tree_load_memory(NULL, file, size, &u) : voxrt_tree_map_memory(NULL, file, size, &u)) == VOXRT_OK);
+        REQUIRE(u != NULL);
+        CHECK(voxrt_tree_hash(u) == voxrt_tree_hash(t));
+        (void)voxrt_tree_palette(t, &n);
+        for (i = 0; i < n; i++) {
+            const voxrt_finish *a = voxrt_tree_finish(t, i), *b = voxrt_tree_finish(u, i);
+            CHECK((a == NULL) == (b == NULL) && (a == NULL || memcmp(a, b, sizeof *a) == 0));
+        }
+        second = save(u, k < 2 ? VOXRT_ENCODING_COMPACT : VOXRT_ENCODING_RAW, &again);
+        CHECK(second != NULL && again == size && memcmp(file, second, size) == 0);
+        free_block(second);
+        voxrt_tree_destroy(u);
+        free_block(file);
+    }
+    voxrt_tree_destroy(shared);
+    voxrt_tree_destroy(t);
+}
+
+/* Any byte changed, with checksums that fit: what is accepted can be drawn. Files that end early are refused. */
+TEST(hostile_files) {
+    voxrt_tree *t = small_scene();
+    uint32_t raw, accepted = 0;
+    REQUIRE(t != NULL);
+    for (raw = 0; raw < 2; raw++) {
+        size_t size = 0, i, section = 0, length = 0;
+        uint8_t *file = save(t, raw ? VOXRT_ENCODING_RAW : VOXRT_ENCODING_COMPACT, &size), *copy;
+        REQUIRE(file != NULL);
+        for (i = 0; i < voxrti_load_u16(file + 14); i++) {
+            const uint8_t *e = file + 64 + 40 * i;
+            if (voxrti_load_u32(e) != VOXRTI_V5_FINISHES) continue;
+            section = (size_t)voxrti_load_u64(e + 8);
+            length = (size_t)voxrti_load_u64(e + 16);
+        }
+        CHECK(length >= 2 * VOXRTI_V5_FINISH + 3);
+        copy = (uint8_t *)aligned_block(size);
+        REQUIRE(copy != NULL);
+        for (i = 0; i < size; i++) {
+            voxrt_tree *u = NULL;
+            voxrt_render_desc d;
+            uint32_t k;
+            if (i >= 64 + 40u * voxrti_load_u16(file + 14) && (i < section || i >= section + length)) continue;
+            for (k = 0; k < 3; k++) {
+                memcpy(copy, file, size);
+                copy[i] = (uint8_t)(k == 0 ? copy[i] ^ 0x80 : k == 1 ? 0xff : copy[i] + 1);
+                voxrti_v5_seal(copy, size);
+                if (voxrt_tree_load_memory(NULL, copy, size, &u) != VOXRT_OK) continue;
+                accepted++;
+                look(&d, 60, 32, 50, 31, 12, 12);
+                d.shadows = 1;
+                d.pixel_step = 8;
+                CHECK(draw(&d, u, picture[0]));
+                voxrt_tree_destroy(u);
+            }
+        }
+        for (i = 0; i < size; i += 7) {
+            voxrt_tree *u = NULL;
+            CHECK(voxrt_tree_load_memory(NULL, file, i, &u) != VOXRT_OK && u == NULL);
+        }
+        copy[0] = 0;
+        memcpy(copy, file, size);
+        copy[section + length - 1] = 3; /* an entry with a finish that is not there */
+        voxrti_v5_seal(copy, size);
+        {
+            voxrt_tree *u = NULL;
+            CHECK(voxrt_tree_load_memory(NULL, copy, size, &u) == VOXRT_ERR_FORMAT);
+        }
+        free_block(copy);
+        free_block(file);
+    }
+    CHECK_MSG(accepted > 50, "%u files were accepted", accepted);
+    voxrt_tree_destroy(t);
+}
+
+/* ---- textures by a function ---- */
+
+typedef struct paint { const float (*corner)[3]; const uint32_t (*triangle)[3]; uint32_t calls; } paint;
+
+static void paint_places(void *user, voxrt_sample *s) { /* colours are places */
+    const paint *p = (const paint *)user;
+    uint32_t a, k;
+    float sum = 0;
+    for (a = 0; a < 3; a++) {
+        s->color[a] = 0;
+        for (k = 0; k < 3; k++) s->color[a] += s->weight[k] * p->corner[p->triangle[s->triangle][k]][a];
+    }
+    for (k = 0; k < 3; k++) {
+        CHECK(s->weight[k] >= 0 && s->weight[k] <= 1);
+        sum += s->weight[k];
+    }
+    CHECK_NEAR(sum, 1, 1e-6);
+    CHECK_NEAR(s->footprint, 1.0 / 64, 1e-9);
+    s->normal[0] = 0.6f * 3; /* any length */
+    s->normal[1] = 0;
+    s->normal[2] = 0.8f * 3;
+}
+
+static int check_place(void *user, const voxrt_voxel *v, uint32_t entry) {
+    uint32_t *n = (uint32_t *)user, a;
+    double off = 0;
+    (void)entry;
+    for (a = 0; a < 3; a++) {
+        const double at = (double)(a == 0 ? v->x : a == 1 ? v->y : v->z) + 0.5;
+        off = fmax(off, fabs(64 * voxrti_srgb_to_linear((double)v->rgb[a] / 255) - at));
+    }
+    n[0]++;
+    n[1] += off > 1.6; /* slanted triangles, bytes of dark colours */
+    CHECK_NEAR(v->normal[0], 0.6, 0.02);
+    CHECK_NEAR(v->normal[2], 0.8, 0.02);
+    return 0;
+}
+
+TEST(samples_are_where_they_say) {
+    static const float corner[5][3] = {{0.2f, 0.25f, 0.3f}, {0.9f, 0.3f, 0.35f}, {0.4f, 0.9f, 0.8f}, {3.0f, 0.8f, 0.6f}, {0.31f, 0.3f, 0.31f}};
+    static const uint32_t triangle[6][3] = {{0, 1, 2}, {1, 2, 0}, {2, 0, 1}, {2, 1, 0}, {1, 3, 2}, {0, 4, 1}}; /* one leaves the grid */
+    static const voxrt_separating separating[3] = {VOXRT_SEPARATING_6, VOXRT_SEPARATING_26, VOXRT_SEPARATING_THESIS};
+    uint32_t k, way;
+    for (way = 0; way < 3; way++) {
+        for (k = 0; k < 6; k++) {
+            voxrt_build_desc d;
+            voxrt_mesh m;
+            voxrt_tree *t = NULL;
+            paint p;
+            uint32_t n[2] = {0, 0};
+            memset(&d, 0, sizeof d);
+            memset(&m, 0, sizeof m);
+            d.resolution = 64;
+            d.box_size = 1;
+            d.separating = separating[way];
+            m.positions = corner[0];
+            m.vertex_count = 5;
+            m.indices = triangle[k];
+            m.triangle_count = 1;
+            p.corner = corner;
+            p.triangle = (const uint32_t (*)[3])&triangle[k];
+            m.sample_fn = paint_places;
+            m.sample_user = &p;
+            REQUIRE(voxrt_tree_build(&d, &m, NULL, &t) == VOXRT_OK);
+            (void)voxrt_tree_each(t, 6, check_place, n);
+            CHECK_MSG(n[0] > 20 && n[1] <= n[0] / 20, "way %u, triangle %u: %u of %u voxels have the colour of another place", way, k, n[1], n[0]);
+            voxrt_tree_destroy(t);
+        }
+    }
+}
+
+/* ---- memory ---- */
+
+TEST(memory_runs_out) {
+    voxrt_finish f[2];
+    int64_t k;
+    int done = 0, step = test_quick() ? 7 : 1;
+    mirror(&f[0], 0.5f);
+    glass(&f[1], 0.5f, 1.5f);
+    for (k = 0; !done && k < 4000; k += step) {
+        test_alloc ta;
+        voxrt_env e;
+        voxrt_tree *t, *u = NULL, *v = NULL;
+        voxrt_load_desc ld;
+        voxrt_save_desc sd;
+        size_t size = 0;
+        uint8_t *file = NULL;
+        test_alloc_init(&ta);
+        ta.fail_at = k;
+        memset(&e, 0, sizeof e);
+        memset(&ld, 0, sizeof ld);
+        memset(&sd, 0, sizeof sd);
+        e.thread_count = 1;
+        e.allocator.alloc_fn = test_alloc_fn;
+        e.allocator.free_fn = test_free_fn;
+        e.allocator.user = &ta;
+        ld.env = sd.env = e;
+        t = make_mesh(24, 0, f, 2, 2, &e);
+        if (t != NULL && voxrt_tree_share(t, &e, &u) == VOXRT_OK &&
+            voxrt_tree_save_memory(u, &sd, NULL, 0, &size) == VOXRT_OK && (file = (uint8_t *)malloc(size)) != NULL &&
+            voxrt_tree_save_memory(u, &sd, file, size, &size) == VOXRT_OK && voxrt_tree_load_memory(&ld, file, size, &v) == VOXRT_OK) {
+            CHECK(voxrt_tree_hash(v) == voxrt_tree_hash(t));
+            done = 1;
+        }
+        voxrt_tree_destroy(t);
+        voxrt_tree_destroy(u);
+        voxrt_tree_destroy(v);
+        free(file);
+        test_alloc_check(&ta);
+    }
+    CHECK_MSG(done && k > 30, "%d after %ld", done, (long)k);
+}
+
+int main(int argc, char **argv) {
+    test_begin(argc, argv);
+    RUN(mirrors_show_the_mirrored_scene);
+    RUN(bounces_end);
+    RUN(snell_and_fresnel);
+    RUN(glass_shifts_what_is_behind_it);
+    RUN(furnace);
+    RUN(absorption_by_length);
+    RUN(light_goes_through_panes);
+    RUN(what_is_seen_through_glass_is_background);
+    RUN(phong_of_an_entry);
+    RUN(same_bits_in_all_ways);
+    RUN(coarser_cells_have_what_most_voxels_have);
+    RUN(entries_are_pairs);
+    RUN(bad_descs);
+    RUN(files_keep_finishes);
+    RUN(hostile_files);
+    RUN(samples_are_where_they_say);
+    RUN(memory_runs_out);
+    return test_end();
+}
