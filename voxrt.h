@@ -89,6 +89,7 @@
      0.1 to 3 when equal parts are stored once, 2 bytes a cell (of any level) for normals, 0 to 2 bytes for colours as
      a rule. Saves and loads it, or maps a file into memory.
    - Traces rays: closest hit, any hit, with a cone for level of detail, 1 ray or millions, any order.
+   - Keeps for each palette entry what else it is: shiny, a mirror, glass, a lamp; rays go on in mirrors and glass.
    - Draws pictures: camera, lights, shadows, anti-aliasing, progressive pictures, level of detail by pixels, heat maps,
      depth, normals, ids; of many trees, moved and repeated, mixed with other geometry through two callbacks; with steps
      of the caller's own for rays, shading, tiles and frames.
@@ -97,7 +98,7 @@
    - Has the octree, the files and the packet tracer of the thesis that it comes from, for comparison.
 
    WHAT IT DOES NOT DO
-   - No reflection or refraction; no textures (colours come per vertex or per triangle).
+   - No rough mirrors or glass, no caustics; no pictures on triangles but through a function of the caller's.
    - No animation. A tree does not change once it is built, its instances may move; the octree of the thesis can be
      edited voxel by voxel.
    - No smooth shading: a voxel is a cube, or a plane in a cube, with one normal; close up it is seen as that.
@@ -108,6 +109,7 @@
    depth of a tree            20 (VOXRT_MAX_DEPTH): 2^20 cells along an axis; of a voxelised mesh 16
    filled voxels of a tree    2^32 - 2; and 2^32 - 1 nodes
    triangles                  as many as memory holds
+   finishes of a tree         255
    colours of a palette       2^24; in the octree of the thesis 32767
    threads                    64
    lights, geometry, rays     as many as memory holds
@@ -197,6 +199,7 @@
    V. Kaempe, E. Sintorn, U. Assarsson: High Resolution Sparse Voxel DAGs. ACM TOG 32(4), 2013 (equal parts once)
    B. Dado et al.: Geometry and Attribute Compression for Voxel Scenes. Computer Graphics Forum 35(2), 2016
    J. Duda: Asymmetric numeral systems. arXiv:1311.2540, 2013 (entropy coding)
+   C. Ericson: Real-Time Collision Detection. Morgan Kaufmann, 2005 (nearest points of triangles)
    E. Eisemann, X. Decoret: Fast Scene Voxelization and Applications. I3D 2006 (bits of slabs); Single-Pass GPU Solid
        Voxelization. Graphics Interface 2008 (parity of crossings)
    V. Forest et al.: Real-Time Hierarchical Binary-Scene Voxelization. Journal of Graphics Tools 14(3), 2009
@@ -299,8 +302,8 @@ typedef struct voxrt_finish {
     float shininess;
     float mirror[3];
     float transparency[3];
-    float refraction;      /* index of the body that the surface encloses, 1/16 to 16: its mirror rays take their share by
-                              Fresnel; 0 or 1: light goes straight on, as through a thin pane */
+    float refraction;      /* index of the body that the surface encloses, 1/16 to 16, which mirrors by Fresnel, too;
+                              0 or 1: light goes straight on, as through a thin pane */
     float absorption[3];   /* light in the body fades by exp(-absorption * length), length in world units */
     float emission[3];     /* light that the surface shows by itself; it does not light others */
 } voxrt_finish;
@@ -432,8 +435,8 @@ typedef struct voxrt_tree_info {
    The result depends on the triangles as a set, not on their order nor on threads. Cost: O(triangles + voxels);
    holds 8 to 18 bytes a voxel at its peak, most with many colours (stats->peak_bytes tells).
    Errors: INVALID_ARG (a bad finish, or one that is not there: error->where), UNINIT_DESC, RANGE, EMPTY, NO_MEMORY,
-   CANCELLED; with strict FORMAT, error->where is the first bad triangle. Thread safety: calls are independent. Source: Laine 2013 (6), Schwarz & Seidel 2010 (26), thesis 3.1.3
-   and 3.1.4. */
+   CANCELLED; with strict FORMAT, error->where is the first bad triangle. Thread safety: calls are independent.
+   Source: Laine 2013 (6), Schwarz & Seidel 2010 (26), thesis 3.1.3 and 3.1.4. */
 VOXRT_DEF voxrt_result voxrt_tree_build(const voxrt_build_desc *desc, const voxrt_mesh *mesh, voxrt_build_stats *stats,
                                         voxrt_tree **out_tree);
 
@@ -842,7 +845,7 @@ typedef struct voxrt_geometry {
                         size_t count);
     void *user;
     double box_min[3], box_max[3]; /* world; frames the default camera */
-    uint32_t glass;                /* 1: surfaces may have finishes that are transparent: shadow rays ask what they met */
+    uint32_t glass;                /* 1: surfaces may be transparent: shadow rays ask what they met */
 } voxrt_geometry;
 
 typedef enum voxrt_view {
@@ -2449,6 +2452,7 @@ VOXRTI_INLINE uint64_t voxrti_plane_count(const voxrt_tree *t) {
    finish: what surfaces are beside their colours.                               // >>finish
    On its way into a tree a colour has the number of its finish in bits 24 to 31; the palette of the tree has an entry
    for each pair that occurs. So cells cost the same with finishes and without, and trees without have none of this.
+   Models (see model) and octrees keep colours only.
    --------------------------------------------------------------------------- */
 
 #define VOXRTI_FINISH_FLOATS 18u
@@ -2510,7 +2514,7 @@ static VOXRTI_UNUSED uint8_t *voxrti_finish_split(voxrti_mem *mem, uint32_t *val
     return number;
 }
 
-/* Palette entries for the pairs of the colours value[i] (indices) and number[i] that occur, in the order of the numbers;
+/* Palette entries for the pairs of the colours value[i] (indices) and number[i] that occur, in the order of numbers;
    value[i] becomes the pair's. Finishes that nothing has are left out. */
 static VOXRTI_UNUSED voxrt_result voxrti_finish_join(voxrti_mem *mem, const voxrt_build_desc *d, voxrt_tree *t,
                                                      uint32_t *value, const uint8_t *number, size_t n) {
@@ -4845,7 +4849,7 @@ VOXRTI_INLINE voxrti_f4 voxrti_fragment_scaled(const float *f, uint32_t half) {
 
 static double voxrti_dot3d(const double a[3], const double b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
-/* Weights of the corners q + 0, q + u, q + v for the point of the triangle that is nearest to q + p: in the triangle, or
+/* Weights of the corners q + 0, q + u, q + v for the point of the triangle that is nearest to q + p: in it, or
    on the nearest edge. Source: C. Ericson, Real-Time Collision Detection, 2005, 5.1.5. */
 static void voxrti_nearest_weights(const double u[3], const double v[3], const double p[3], double weight[3]) {
     const double uu = voxrti_dot3d(u, u), uv = voxrti_dot3d(u, v), vv = voxrti_dot3d(v, v);
@@ -4916,7 +4920,7 @@ static VOXRTI_NOINLINE void voxrti_fragment_plane(const voxrti_brick *b, voxrti_
     s->s[VOXRTI_SUM_PLANE] += (uint64_t)weight * (uint32_t)(d * 16384.0f + 32768.5f);
 }
 
-/* A fragment that takes more than adding. Its normal says where its plane is before the caller's function changes it. */
+/* A fragment that takes more than adding. Its normal says where its plane is before the caller's function has it. */
 static VOXRTI_NOINLINE void voxrti_fragment_special(voxrti_brick *b, voxrti_fragsum *s, uint32_t cell, uint32_t weight,
                                                     voxrti_f4 rgb, voxrti_f4 normal) {
     if (b->v->has_plane) voxrti_fragment_plane(b, s, cell, weight, normal);
@@ -5451,7 +5455,7 @@ static void voxrti_brick_corners(voxrti_brick *b, size_t i) {
     const double scale = 1.0 / b->v->grid->voxel_size;
     uint32_t k, a;
     for (k = 0; k < 3; k++) {
-        float p[3];
+        float p[3] = {0, 0, 0};
         size_t vertex;
         (void)voxrti_mesh_vertex(b->v->mesh, i, k, &vertex, p);
         for (a = 0; a < 3; a++) {
@@ -6640,7 +6644,8 @@ static voxrt_result voxrti_tree_lod(voxrti_mem *mem, const voxrt_build_desc *d, 
         }
         l.w = w;
         l.children = below;
-        voxrti_parallel_for(&d->env, voxrti_lod_task, &l, (t->level_nodes[w] + VOXRTI_LOD_CHUNK - 1) / VOXRTI_LOD_CHUNK);
+        voxrti_parallel_for(&d->env, voxrti_lod_task, &l,
+                            (t->level_nodes[w] + VOXRTI_LOD_CHUNK - 1) / VOXRTI_LOD_CHUNK);
         voxrti_free(mem, below);
         below = l.sums;
     }

@@ -4,7 +4,7 @@
 # --- voxel files: the name is the scene, `detail` how fine its mesh is -------------------------------------------
 
 VOX := $(G)/vox
-VOXRT_SCENES := $(addprefix $(VOX)/,sphere.vox gyroid.vox terrain.vox menger.vox cornell.vox pillars.vox blob.vox)
+VOXRT_SCENES := $(addprefix $(VOX)/,sphere.vox gyroid.vox terrain.vox menger.vox cornell.vox pillars.vox blob.vox balls.vox)
 
 $(VOX)/sphere.vox: detail = --detail 256
 $(VOX)/gyroid.vox: detail = --detail 128
@@ -12,6 +12,7 @@ $(VOX)/terrain.vox: detail = --detail 512
 $(VOX)/menger.vox: detail = --detail 5
 $(VOX)/menger.vox $(VOX)/cornell.vox: res = 486
 $(VOX)/pillars.vox: res = 2048
+$(VOX)/balls.vox: res = 1280
 $(VOX)/%: res = 1024
 
 $(VOXRT_SCENES): $(VOX)/%.vox: $(B)/voxrt_convert
@@ -75,6 +76,10 @@ $(G)/voxrt_blob_cubes.png: options = --shadows --aa 8 $(SKY) --lod 6 --normals f
 $(G)/voxrt_planet.png: $(VOX)/planet.vox
 $(G)/voxrt_planet.png: options = --shadows --aa 4 $(SKY) --eye 1.5,1.2,2.1 --at 0,-0.02,0 --fov 44 --light dir:0.3,0.9,0.8
 
+$(G)/voxrt_balls.png: $(VOX)/balls.vox
+$(G)/voxrt_balls.png: options = --size 656x400 --shadows --aa 8 $(SKY) --eye 0.5,1.75,4.4 --at -0.1,0.76,-0.2 --fov 36 \
+	--light 0.5,1.75,-0.8:0.6,0.5,0.36 --light dir:-1,1.2,0.6:0.5,0.5,0.5
+
 # A version 4 file has no placement: one voxel is a unit. Both see the same.
 $(G)/voxrt_planes.png $(G)/voxrt_planes_off.png: $(VOX)/torus-planes.vox
 $(G)/voxrt_planes.png: options = --shadows --aa 8 $(SKY) --size 656x640 --eye 1.1,1.3,1.9 --at 0.35,-0.05,0.25 --fov 38
@@ -97,7 +102,7 @@ $(G)/voxrt_aa64.png: $(VOX)/menger.vox
 $(G)/voxrt_aa64.png: options = --size 328x160 --aa 64 --shadows $(SKY) --eye 3,2.5,4 --at 0,0,0 --fov 40
 
 VOXRT_PICTURES := $(addprefix $(G)/voxrt_,sphere.png gyroid.png terrain.png terrain_heat.png terrain_lod.png \
-	terrain_split.png menger.png cornell.png pillars.png blob.png blob_cubes.png torus_2009.png torus.png planet.png planes.png planes_off.png million.png aa1.png aa64.png)
+	terrain_split.png menger.png cornell.png pillars.png blob.png blob_cubes.png torus_2009.png torus.png planet.png planes.png planes_off.png balls.png million.png aa1.png aa64.png)
 
 $(VOXRT_PICTURES): $(B)/voxrt_render
 	@mkdir -p $(@D); echo "$@"; $(B)/voxrt_render $(filter %.vox,$^) --out $@ --quiet $(options)

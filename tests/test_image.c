@@ -296,7 +296,8 @@ TEST(pnm) {
         CHECK_EQ_U64(got.pixels[got.width * got.height * got.channels - 1], good[i].last);
         sup_image_free(&got);
     }
-    for (i = 0; i < sizeof bad / sizeof *bad; i++) CHECK_MSG(sup_image_decode(bad[i], strlen(bad[i]), "x", &got, &err) && got.pixels == NULL && err.text[0], "%s", bad[i]);
+    for (i = 0; i < sizeof bad / sizeof *bad; i++)
+        CHECK_MSG(sup_image_decode(bad[i], strlen(bad[i]), "x", &got, &err) && got.pixels == NULL && err.text[0], "%s", bad[i]);
     CHECK_EQ_I64(g_memory.live, 0);
 }
 

@@ -318,7 +318,8 @@ TEST(furnace) {
                 most = v > most ? v : most;
             }
             mean = hits > 0 ? mean / hits : 1;
-            if (test_g.verbose) printf("furnace: planes %u, finish %u: %.0f pixels are not 1: least %.4f, mean %.5f, most %.7f\n", planes, k, hits, least, mean, most);
+            if (test_g.verbose)
+                printf("furnace: planes %u, finish %u: %.0f pixels are not 1: least %.4f, mean %.5f, most %.7f\n", planes, k, hits, least, mean, most);
             CHECK_MSG(most <= 1 + 1e-5, "brighter than its surroundings: %.7f", most);
             CHECK_MSG(mean > 0.985, "light is lost: mean %.5f", mean);
             voxrt_tree_destroy(t);
