@@ -205,6 +205,7 @@
    V. Forest et al.: Real-Time Hierarchical Binary-Scene Voxelization. Journal of Graphics Tools 14(3), 2009
    B. Burley: Practical Hash-Based Owen Scrambling. JCGT 9(4), 2020; T. Duff et al.: Building an Orthonormal Basis,
        Revisited. JCGT 6(1), 2017; F. Drago et al.: Adaptive Logarithmic Mapping. Computer Graphics Forum 22(3), 2003
+   M. Toksvig: Mipmapping Normal Maps. Journal of Graphics Tools 10(3), 2005 (highlights of coarser levels)
    M. Roberts: The Unreasonable Effectiveness of Quasirandom Sequences, 2018 (sample positions)
    docs/algorithms.md says which equation is where, and what was corrected. */
 #ifndef VOXRT_H_INCLUDED
@@ -371,6 +372,9 @@ typedef enum voxrt_lod_method {
    planes          voxels are cubes. 1: each also keeps a plane, the mean of the triangles in it. Rays meet that, so
                    outlines, depth and shadows are smooth close up. One byte a voxel; voxels are 26-separating unless
                    they are the thesis'; needs normals. A voxel in which triangles of opposite sides meet stays a cube
+   spread          larger cells have a mean normal only. 1: they also keep how much the normals in them differ, which makes
+                   highlights of coarser levels wider and weaker instead of letting them sparkle. One byte a larger
+                   cell; needs normals
    finishes        all surfaces are plain. At most 255, borrowed; voxrt_mesh.triangle_finish says which has which, for
                    voxrt_tree_from_voxels voxel_finish (a byte for each, 0 plain). A voxel has that of the triangle
                    with the largest part in it, larger cells that of most voxels. A palette entry has a colour and a
@@ -389,6 +393,7 @@ typedef struct voxrt_build_desc {
     uint32_t fill;            /* 1: fill closed hulls; cells get the attributes of the nearest surface voxel */
     uint32_t fill_depth;      /* with fill: only this many voxels deep, 0: all */
     uint32_t planes;
+    uint32_t spread;
     uint32_t strict;          /* 1: bad triangles are an error (FORMAT) instead of being skipped and counted */
     const voxrt_finish *finishes;
     size_t finish_count;
@@ -426,6 +431,7 @@ typedef struct voxrt_tree_info {
     uint32_t shared;         /* 1: equal parts are stored once (voxrt_tree_share) */
     uint32_t has_planes;     /* 1: voxels have planes (voxrt_build_desc.planes) */
     uint32_t finish_count;   /* finishes that palette entries have; 0: all is plain */
+    uint32_t has_spread;     /* 1: larger cells know how much the normals in them differ (voxrt_build_desc.spread) */
 } voxrt_tree_info;
 
 /* Voxelise a mesh and build the tree with colours, normals and all levels of detail.
@@ -833,6 +839,7 @@ typedef struct voxrt_surface {
     uint8_t face;         /* as voxrt_hit.face */
     uint32_t plane;       /* as voxrt_hit.plane: shadow rays need hardly be lifted */
     const voxrt_finish *finish; /* NULL: plain. Valid as long as the geometry */
+    float spread;         /* 0: one normal; else 1 - length of the mean of the unit normals in the cell */
 } voxrt_surface;
 
 /* Anything a ray can hit: octrees, other trees, polygons. The nearest surface wins, all of them cast shadows.
@@ -2281,6 +2288,7 @@ struct voxrt_tree {
     uint16_t *normal;                         /* [attr_count] or NULL */
     uint32_t spherical;                       /* 1: normals have the thesis' codes (see normals) */
     uint8_t *plane;                           /* [voxrti_plane_count] of voxels, or NULL; see planes */
+    uint8_t *spread;                          /* [voxrti_spread_count] of larger cells, or NULL; see spread */
     voxrti_colors colors;                     /* block = NULL: one colour */
     uint8_t *palette;                         /* [3*palette_count], at least one entry */
     uint32_t palette_count;
@@ -2443,6 +2451,19 @@ VOXRTI_INLINE uint32_t voxrti_normal_encode(uint32_t spherical, const float n[3]
    shared ones that of the attribute, and larger cells have 0. */
 
 #define VOXRTI_PLANE_STEP 0.006820
+
+/* ---- spread ----
+   A byte of a cell larger than a voxel: 255 times 1 - the length of the mean of the unit normals below. In plain trees
+   the index is that of the attribute without the voxels, which are first; in shared ones that of the attribute, and
+   voxels have 0. */
+
+VOXRTI_INLINE uint64_t voxrti_spread_count(const voxrt_tree *t) {
+    return t->mask_count != 0 ? t->attr_count : t->attr_count - t->voxel_count;
+}
+VOXRTI_INLINE float voxrti_spread_of(const voxrt_tree *t, uint64_t attr) {
+    if (t->mask_count == 0 && attr < t->voxel_count) return 0.0f;
+    return (float)t->spread[t->mask_count != 0 ? attr : attr - t->voxel_count] * (1.0f / 255.0f);
+}
 
 VOXRTI_INLINE uint64_t voxrti_plane_count(const voxrt_tree *t) {
     return t->mask_count != 0 ? t->attr_count : t->voxel_count;
@@ -6223,6 +6244,7 @@ static void voxrti_tree_free(voxrti_mem *mem, voxrt_tree *t) {
         voxrti_free(mem, t->palette);
         voxrti_free(mem, t->finish);
         voxrti_free(mem, t->entry_finish);
+        voxrti_free(mem, t->spread);
     }
     voxrti_free(mem, t);
 }
@@ -6491,6 +6513,14 @@ static uint32_t voxrti_sum_normal(const voxrti_lod *l, const voxrti_sum *s, uint
     return voxrti_normal_encode(l->t->spherical, n);
 }
 
+static void voxrti_sum_spread(const voxrti_lod *l, const voxrti_sum *s, uint64_t attr) {
+    double x = (double)s->normal[0], y = (double)s->normal[1], z = (double)s->normal[2];
+    double len = sqrt(x * x + y * y + z * z) / (16384.0 * (double)s->count);
+    /* of equal normals it is a little below 1, by what was cut off */
+    l->t->spread[attr - l->t->voxel_count] =
+        (uint8_t)voxrti_floor(255.0 * voxrti_max(0.0, 1.0 - len - 0.0002) + 0.5);
+}
+
 /* Thesis 3.1.4: the mean of the unit normals of n children, each counted once whatever is below it; that of child
    `best` if they cancel each other. */
 static uint32_t voxrti_children_normal(const voxrt_tree *t, uint64_t first, uint32_t n, uint32_t best) {
@@ -6585,6 +6615,7 @@ static void voxrti_lod_node(voxrti_lod *l, uint32_t i, uint64_t cell, uint64_t o
         if (t->normal != NULL)
             t->normal[oct_attr] = (uint16_t)(thesis ? voxrti_children_normal(t, cell - n, n, best) :
                                              voxrti_sum_normal(l, &s, t->normal[cell - n]));
+        if (t->spread != NULL) voxrti_sum_spread(l, &s, oct_attr);
         for (a = 0; a < 3; a++) {
             node_sum.rgb[a] += s.rgb[a];
             node_sum.normal[a] += s.normal[a];
@@ -6604,6 +6635,7 @@ static void voxrti_lod_node(voxrti_lod *l, uint32_t i, uint64_t cell, uint64_t o
     if (t->normal != NULL)
         t->normal[node_attr] = (uint16_t)(thesis ? voxrti_children_normal(t, oct_attr, octants, best) :
                                           voxrti_sum_normal(l, &node_sum, t->normal[oct_attr]));
+    if (t->spread != NULL) voxrti_sum_spread(l, &node_sum, node_attr);
     l->sums[i] = node_sum;
 }
 
@@ -6790,6 +6822,10 @@ static VOXRTI_UNUSED voxrt_result voxrti_tree_from_leafset_palette(
         t->plane = set->plane;
         set->plane = NULL;
     }
+    if (r == VOXRT_OK && t->normal != NULL && d->spread && !complete) {
+        t->spread = (uint8_t *)voxrti_alloc_zero(mem, (size_t)voxrti_spread_count(t), 1);
+        if (t->spread == NULL) r = VOXRT_ERR_NO_MEMORY;
+    }
     if (r == VOXRT_OK && set->rgb != NULL) {
         value = (uint32_t *)voxrti_tree_attributes(mem, t, complete, set->rgb, sizeof(uint32_t));
         if (value == NULL) r = VOXRT_ERR_NO_MEMORY;
@@ -6855,6 +6891,8 @@ static voxrt_result voxrti_build_open(const voxrt_build_desc *desc, voxrt_build_
         return voxrti_fail(d->env.error, VOXRT_ERR_RANGE, d->resolution, "resolution % is too large");
     if (d->planes && d->disable_normals)
         return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "planes need normals");
+    if (d->spread && d->disable_normals)
+        return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "spread needs normals");
     r = voxrti_box_check(d->env.error, d->box_min, d->box_size);
     if (r != VOXRT_OK) return r;
     return voxrti_env_open(&d->env, mem);
@@ -6964,6 +7002,8 @@ VOXRT_DEF void voxrt_tree_get_info(const voxrt_tree *t, voxrt_tree_info *info) {
     info->finish_count = t->finish_count;
     if (t->entry_finish != NULL) info->color_bytes += t->finish_count * sizeof *t->finish + t->palette_count;
     info->normal_bytes = t->normal != NULL ? t->attr_count * sizeof(uint16_t) : 0;
+    if (t->spread != NULL) info->normal_bytes += voxrti_spread_count(t);
+    info->has_spread = t->spread != NULL;
     info->plane_bytes = t->plane != NULL ? voxrti_plane_count(t) : 0;
     info->has_planes = t->plane != NULL;
     info->total_bytes =
@@ -7148,7 +7188,8 @@ static uint64_t voxrti_shared_hash(const voxrt_tree *t, uint32_t v, int what, ui
         }
         for (; count > 0; count--, at++)
             h = voxrti_hash_mix(h, what == 1 ? voxrti_color_index(t, at) :
-                                   what == 2 ? (uint64_t)t->plane[at] : (uint64_t)t->normal[at]);
+                                   what == 2 ? (uint64_t)t->plane[at] :
+                                   what == 3 ? (uint64_t)t->spread[at] : (uint64_t)t->normal[at]);
     }
     return h;
 }
@@ -7189,6 +7230,7 @@ VOXRT_DEF uint64_t voxrt_tree_hash(const voxrt_tree *t) {
         for (a = 2 * t->wide + 1; t->normal != NULL && a-- > 0;) h = voxrti_shared_hash(t, a, 0, h);
         for (a = 2 * t->wide + 1; t->palette_count > 1 && a-- > 0;) h = voxrti_shared_hash(t, a, 1, h);
         if (t->plane != NULL) h = voxrti_shared_hash(t, 2 * t->wide, 2, h);
+        for (a = 2 * t->wide; t->spread != NULL && a-- > 0;) h = voxrti_shared_hash(t, a, 3, h);
         return h;
     }
     if (t->normal != NULL)
@@ -7196,6 +7238,7 @@ VOXRT_DEF uint64_t voxrt_tree_hash(const voxrt_tree *t) {
     if (t->palette_count > 1) /* whether or not a tree keeps that all cells have entry 0 */
         for (i = 0; i < t->attr_count; i++) h = voxrti_hash_mix(h, voxrti_color_index(t, i));
     for (i = 0; t->plane != NULL && i < t->voxel_count; i++) h = voxrti_hash_mix(h, t->plane[i]);
+    for (i = 0; t->spread != NULL && i < voxrti_spread_count(t); i++) h = voxrti_hash_mix(h, t->spread[i]);
     return h;
 }
 
@@ -7714,9 +7757,11 @@ static VOXRTI_UNUSED voxrt_result voxrti_shared_index(voxrti_mem *mem, voxrt_tre
 }
 
 /* Attributes of all cells from the order of plain tree s to that of a shared one, or back; any array may be NULL.
-   Planes are those of voxels. */
+   Planes are those of voxels, spread that of larger cells. */
 static void voxrti_share_reorder(const voxrt_tree *s, int back, const uint16_t *normal, uint16_t *normal_to,
-                                 const uint32_t *color, uint32_t *color_to, const uint8_t *plane, uint8_t *plane_to) {
+                                 const uint32_t *color, uint32_t *color_to, const uint8_t *plane, uint8_t *plane_to,
+                                 const uint8_t *spread, uint8_t *spread_to) {
+    const uint64_t spread_from_0 = back ? 0 : s->voxel_count, spread_to_0 = back ? s->voxel_count : 0;
     struct { uint32_t node; uint64_t left, mask; } stack[VOXRTI_MAX_WIDE];
     uint64_t next[2 * VOXRTI_MAX_WIDE + 1], at = 0;
     uint32_t sp = 1, w, k;
@@ -7736,6 +7781,8 @@ static void voxrti_share_reorder(const voxrt_tree *s, int back, const uint16_t *
             for (k = 0; k < n[part] && normal != NULL; k++) normal_to[to + k] = normal[from + k];
             for (k = 0; k < n[part] && color != NULL; k++) color_to[to + k] = color[from + k];
             for (k = 0; k < n[part] && part == 2 && plane != NULL; k++) plane_to[to + k] = plane[from + k];
+            for (k = 0; k < n[part] && part != 2 && spread != NULL; k++)
+                spread_to[to + k - spread_to_0] = spread[from + k - spread_from_0];
             if (n[part] != 0) next[2 * w + part] += n[part];
             at += n[part];
         }
@@ -7772,6 +7819,10 @@ static voxrt_result voxrti_share_attributes(voxrti_mem *mem, const voxrt_env *en
         t->plane = (uint8_t *)voxrti_alloc_zero(mem, (size_t)voxrti_plane_count(t), 1);
         if (t->plane == NULL) return VOXRT_ERR_NO_MEMORY;
     }
+    if (s->spread != NULL) {
+        t->spread = (uint8_t *)voxrti_alloc_zero(mem, (size_t)voxrti_spread_count(t), 1);
+        if (t->spread == NULL) return VOXRT_ERR_NO_MEMORY;
+    }
     if (s->colors.block != NULL) {
         from = (uint32_t *)voxrti_alloc_array(mem, n, sizeof(uint32_t));
         to = (uint32_t *)voxrti_alloc_array(mem, n, sizeof(uint32_t));
@@ -7779,7 +7830,8 @@ static voxrt_result voxrti_share_attributes(voxrti_mem *mem, const voxrt_env *en
         for (i = 0; r == VOXRT_OK && i < n; i++) from[i] = voxrti_colors_get(&s->colors, i);
     }
     if (r == VOXRT_OK)
-        voxrti_share_reorder(plain, plain == t, s->normal, t->normal, from, to, s->plane, t->plane);
+        voxrti_share_reorder(plain, plain == t, s->normal, t->normal, from, to, s->plane, t->plane, s->spread,
+                             t->spread);
     voxrti_free(mem, from);
     if (r == VOXRT_OK && to != NULL) r = voxrti_colors_encode(mem, env, to, n, &t->colors);
     voxrti_free(mem, to);
@@ -8831,11 +8883,12 @@ enum { /* ids */
     VOXRTI_V5_PLACEMENT = 1, VOXRTI_V5_PALETTE = 2, VOXRTI_V5_NODES = 3, VOXRTI_V5_LEAVES = 4, VOXRTI_V5_RANKS = 5,
     VOXRTI_V5_GEOMETRY = 6, VOXRTI_V5_NORMALS = 7, VOXRTI_V5_BLOCKS = 8, VOXRTI_V5_COLORS = 9,
     VOXRTI_V5_SHARING = 10, VOXRTI_V5_CODES = 11, VOXRTI_V5_EXTRA = 12, VOXRTI_V5_PLANES = 13,
-    VOXRTI_V5_FINISHES = 14, VOXRTI_V5_IDS = 15
+    VOXRTI_V5_FINISHES = 14, VOXRTI_V5_SPREAD = 15, VOXRTI_V5_IDS = 16
 };
 enum { /* flags of the header */
     VOXRTI_V5_RAW_FILE = 1, VOXRTI_V5_HAS_NORMALS = 2, VOXRTI_V5_HAS_COLORS = 4, VOXRTI_V5_SPHERICAL = 8,
-    VOXRTI_V5_SHARED = 16, VOXRTI_V5_HAS_PLANES = 32, VOXRTI_V5_HAS_FINISHES = 64
+    VOXRTI_V5_SHARED = 16, VOXRTI_V5_HAS_PLANES = 32, VOXRTI_V5_HAS_FINISHES = 64,
+    VOXRTI_V5_HAS_SPREAD = 128
 };
 
 static const uint8_t voxrti_v5_magic[8] = {0x89, 0x56, 0x4f, 0x58, 0x0d, 0x0a, 0x1a, 0x0a}; /* 89 V O X CR LF ^Z LF */
@@ -9873,7 +9926,8 @@ static uint64_t voxrti_v5_raw_size(uint32_t id, uint64_t count) {
     case VOXRTI_V5_LEAVES: return 8 * (count + 8);
     case VOXRTI_V5_NORMALS: return 2 * count;
     case VOXRTI_V5_COLORS: return count + 8;
-    case VOXRTI_V5_SHARING: case VOXRTI_V5_PLANES: case VOXRTI_V5_FINISHES: return count;
+    case VOXRTI_V5_SHARING: case VOXRTI_V5_PLANES: case VOXRTI_V5_FINISHES:
+    case VOXRTI_V5_SPREAD: return count;
     case VOXRTI_V5_CODES: return 2 * count;
     default: return 4 * count; /* ranks, colour blocks, extra */
     }
@@ -9892,6 +9946,7 @@ static uint64_t voxrti_v5_count(const voxrt_tree *t, uint32_t id) {
     case VOXRTI_V5_GEOMETRY: return (uint64_t)t->node_count + t->level_nodes[t->wide - 1];
     case VOXRTI_V5_NORMALS: return t->attr_count;
     case VOXRTI_V5_PLANES: return voxrti_plane_count(t);
+    case VOXRTI_V5_SPREAD: return voxrti_spread_count(t);
     case VOXRTI_V5_FINISHES: return (uint64_t)t->finish_count * VOXRTI_V5_FINISH + t->palette_count;
     case VOXRTI_V5_BLOCKS: return (t->attr_count + 63) / 64;
     default: return t->colors.data_bytes;
@@ -9968,6 +10023,7 @@ static void voxrti_v5_write_section(const voxrt_tree *t, const voxrti_v5_file *f
     case VOXRTI_V5_CODES: for (i = 0; i < n; i++) voxrti_store_u16(p + 2 * i, t->code[i]); break;
     case VOXRTI_V5_EXTRA: for (i = 0; i < n; i++) voxrti_store_u32(p + 4 * i, t->extra[i]); break;
     case VOXRTI_V5_PLANES: memcpy(p, t->plane, n); break;
+    case VOXRTI_V5_SPREAD: memcpy(p, t->spread, n); break;
     case VOXRTI_V5_FINISHES: voxrti_v5_write_finishes(t, p); break;
     default: /* colours */
         if (n != 0) memcpy(p, t->colors.data, n);
@@ -9993,6 +10049,7 @@ static voxrt_result voxrti_v5_plan(voxrti_mem *mem, const voxrt_save_desc *d, co
         if ((id == VOXRTI_V5_CODES || id == VOXRTI_V5_EXTRA) && !(shared && raw)) continue;
         if (id == VOXRTI_V5_NORMALS && (t->normal == NULL || d->disable_normals != 0)) continue;
         if (id == VOXRTI_V5_PLANES && (t->plane == NULL || d->disable_normals != 0)) continue;
+        if (id == VOXRTI_V5_SPREAD && (t->spread == NULL || d->disable_normals != 0)) continue;
         if (id == VOXRTI_V5_FINISHES && t->entry_finish == NULL) continue;
         if ((id == VOXRTI_V5_BLOCKS || id == VOXRTI_V5_COLORS) && t->colors.block == NULL) continue;
         s->id = id;
@@ -10059,6 +10116,7 @@ static void voxrti_v5_write(const voxrt_tree *t, const voxrti_v5_file *f, uint8_
         if (s->id == VOXRTI_V5_BLOCKS) flags |= VOXRTI_V5_HAS_COLORS;
         if (s->id == VOXRTI_V5_SHARING) flags |= VOXRTI_V5_SHARED;
         if (s->id == VOXRTI_V5_PLANES) flags |= VOXRTI_V5_HAS_PLANES;
+        if (s->id == VOXRTI_V5_SPREAD) flags |= VOXRTI_V5_HAS_SPREAD;
         if (s->id == VOXRTI_V5_FINISHES) flags |= VOXRTI_V5_HAS_FINISHES;
     }
     for (i = 0; i < t->wide; i++) nodes += voxrti_level_cells(t, 2 * i);
@@ -10197,13 +10255,14 @@ static voxrt_result voxrti_v5_read_placement(voxrti_v5_reader *r, voxrt_tree *t)
     if (s[VOXRTI_V5_BLOCKS].id != 0) flags |= VOXRTI_V5_HAS_COLORS;
     if (s[VOXRTI_V5_PLANES].id != 0) flags |= VOXRTI_V5_HAS_PLANES;
     if (s[VOXRTI_V5_FINISHES].id != 0) flags |= VOXRTI_V5_HAS_FINISHES;
+    if (s[VOXRTI_V5_SPREAD].id != 0) flags |= VOXRTI_V5_HAS_SPREAD;
     r->flags = flags;
     if (voxrti_load_u32(h + 32) != flags || voxrti_load_u32(h + 44) != 0 || s[VOXRTI_V5_PLACEMENT].id == 0 ||
         s[VOXRTI_V5_PLACEMENT].size != VOXRTI_V5_PLACE || s[VOXRTI_V5_PALETTE].id == 0 ||
         (s[VOXRTI_V5_LEAVES].id != 0) != raw || (s[VOXRTI_V5_RANKS].id != 0) != (raw && !shared) ||
         (s[VOXRTI_V5_CODES].id != 0) != (raw && shared) || (s[VOXRTI_V5_EXTRA].id != 0) != (raw && shared) ||
         (shared && s[VOXRTI_V5_SHARING].size < VOXRTI_V5_SHARING_HEAD) ||
-        (s[VOXRTI_V5_PLANES].id != 0 && s[VOXRTI_V5_NORMALS].id == 0) ||
+        ((s[VOXRTI_V5_PLANES].id != 0 || s[VOXRTI_V5_SPREAD].id != 0) && s[VOXRTI_V5_NORMALS].id == 0) ||
         (s[VOXRTI_V5_GEOMETRY].id != 0) == raw || (s[VOXRTI_V5_BLOCKS].id != 0) != (s[VOXRTI_V5_COLORS].id != 0))
         return voxrti_v5_fail(r, VOXRT_ERR_FORMAT, 0, "sections do not belong together");
     p = voxrti_v5_at(r, VOXRTI_V5_PLACEMENT);
@@ -10381,6 +10440,11 @@ static voxrt_result voxrti_v5_read_attributes(voxrti_v5_reader *r, voxrt_tree *t
         t->plane = (uint8_t *)voxrti_v5_array(r, VOXRTI_V5_PLANES);
         if (t->plane == NULL) return VOXRT_ERR_NO_MEMORY;
         if (!r->map) memcpy(t->plane, voxrti_v5_at(r, VOXRTI_V5_PLANES), (size_t)voxrti_v5_count(t, VOXRTI_V5_PLANES));
+    }
+    if ((r->flags & VOXRTI_V5_HAS_SPREAD) != 0) {
+        t->spread = (uint8_t *)voxrti_v5_array(r, VOXRTI_V5_SPREAD);
+        if (t->spread == NULL) return VOXRT_ERR_NO_MEMORY;
+        if (!r->map) memcpy(t->spread, voxrti_v5_at(r, VOXRTI_V5_SPREAD), (size_t)voxrti_spread_count(t));
     }
     if ((r->flags & VOXRTI_V5_HAS_COLORS) != 0) {
         t->colors.block_count = (size_t)r->f.section[VOXRTI_V5_BLOCKS].count;
@@ -13964,18 +14028,25 @@ VOXRTI_INLINE void voxrti_shadow_origin(const voxrt_render_desc *d, const voxrt_
 static void voxrti_run_through(const voxrti_render *c, const voxrt_trace_desc *td, const voxrt_ray *shadow,
                                const uint8_t *dark, uint32_t m, float (*through)[3]);
 
-/* cos^shininess of the angle between the mirrored light and the view: a highlight. */
+/* cos^shininess of the angle between the mirrored light and the view: a highlight. Where normals differ it is wider and
+   as much weaker (Toksvig 2005; his normals are those of half vectors, mirrored directions turn twice as far: 4 times the
+   variance). */
 static float voxrti_highlight(const float dir[3], const float normal[3], const float to[3], float cosine,
-                              float shininess) {
-    float v[3], along;
+                              float shininess, float spread) {
+    float v[3], along, weaker = 1.0f;
     uint32_t a;
+    if (spread > 0.0f) {
+        float narrow = shininess;
+        shininess = shininess * (1.0f - spread) / (1.0f - spread + 4.0f * shininess * spread);
+        weaker = (1.0f + shininess) / (1.0f + narrow);
+    }
     for (a = 0; a < 3; a++) v[a] = -dir[a];
     (void)voxrti_normalize(v);
     along = 2.0f * cosine * voxrti_dot3(normal, v) - voxrti_dot3(to, v);
     if (along > 0.0f) {
         /* of 2; below -149: no float */
         double power = (double)shininess * voxrti_log2((double)along);
-        if (power > -149.0) return (float)voxrti_exp2(voxrti_min(power, 0.0));
+        if (power > -149.0) return weaker * (float)voxrti_exp2(voxrti_min(power, 0.0));
     }
     return 0.0f;
 }
@@ -14007,10 +14078,12 @@ static VOXRTI_NOINLINE void voxrti_run_light(const voxrti_render *c, const voxrt
         diffuse[m] = cosine * c->material.diffuse;
         specular[m] = 0.0f;
         if (surface[i].finish != NULL)
-            specular[m] = voxrti_highlight(ray[i].dir, normal[i], to, cosine, surface[i].finish->shininess);
+            specular[m] = voxrti_highlight(ray[i].dir, normal[i], to, cosine, surface[i].finish->shininess,
+                                           surface[i].spread);
         else if (c->material.specular > 0.0f)
             specular[m] = c->material.specular *
-                          voxrti_highlight(ray[i].dir, normal[i], to, cosine, c->material.shininess);
+                          voxrti_highlight(ray[i].dir, normal[i], to, cosine, c->material.shininess,
+                                           surface[i].spread);
         index[m] = (uint8_t)i;
         dark[m] = 0;
         if (shadows) {
@@ -14484,6 +14557,7 @@ static void voxrti_surface_blend(const voxrt_tree *t, const voxrt_trace_desc *td
         for (a = 0; a < 3; a++) n[a] = s->normal[a] + more * (n[a] - s->normal[a]);
         if (voxrti_normalize(n)) memcpy(s->normal, n, sizeof n);
     }
+    if (t->spread != NULL) s->spread += more * (voxrti_spread_of(t, attr) - s->spread);
 }
 
 /* Trace through the tree and fill in what the rays met. */
@@ -14506,6 +14580,7 @@ static void voxrti_tree_trace(const voxrt_tree *tree, const voxrt_trace_desc *td
         voxrti_attr_color(tree, attr[i], s->rgb);
         if (tree->entry_finish != NULL) s->finish = voxrti_finish_of(tree, voxrti_color_index(tree, attr[i]));
         if (tree->normal != NULL) voxrti_normal_decode(tree->spherical, tree->normal[attr[i]], s->normal);
+        if (tree->spread != NULL) s->spread = voxrti_spread_of(tree, attr[i]);
         if (td->blend) voxrti_surface_blend(tree, td, &hit[i], s);
     }
 }

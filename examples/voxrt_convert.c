@@ -14,7 +14,7 @@ typedef struct convert_options {
     const char *first, *second; /* positional arguments */
     const char *in, *out, *scene, *edit;
     int64_t resolution, palette, threads, detail, fill_depth;
-    int separating, palette_method, lod, format, normals, fill, planes, no_colors, no_materials, raw, share, keep_inside_out, stats, quiet;
+    int separating, palette_method, lod, format, normals, fill, planes, spread, no_colors, no_materials, raw, share, keep_inside_out, stats, quiet;
     int voxels, flip_y, flip_z, swap_angles; /* voxels: `in` is a voxel file; how to turn it */
 } convert_options;
 
@@ -22,7 +22,7 @@ enum { NORMALS_SMOOTH, NORMALS_FLAT, NORMALS_NONE };
 enum { FORMAT_V5, FORMAT_V4 };
 
 static int parse(int argc, char **argv, convert_options *o) {
-    sup_option table[28];
+    sup_option table[29];
     size_t n = 0, mesh_options, k;
     int status, for_meshes = 0, has_lod = 0;
     memset(o, 0, sizeof *o);
@@ -45,6 +45,8 @@ static int parse(int argc, char **argv, convert_options *o) {
         "faces of the cubes");
     table[n++] = sup_opt_flag("planes", &o->planes, "a plane in each voxel: smooth outlines and shadows close up; one byte "
                               "a voxel, and --separating 26");
+    table[n++] = sup_opt_flag("spread", &o->spread, "larger cells keep how much the normals in them differ: highlights of coarser levels are as "
+                              "wide as they should be; one byte a larger cell");
     table[n++] = sup_opt_flag("no-colors", &o->no_colors, "one colour for all");
     table[n++] = sup_opt_flag("no-materials", &o->no_materials, "nothing but the colours of the materials of an OBJ file: no pictures on "
                               "it, no displacement, no mirrors, no glass");
@@ -97,6 +99,7 @@ static int parse(int argc, char **argv, convert_options *o) {
         return sup_bad_usage(argv[0], "--format v4 holds at most 32767 colours");
     if (o->raw && o->format == FORMAT_V4) return sup_bad_usage(argv[0], "--raw goes with --format v5");
     if (o->share && o->format == FORMAT_V4) return sup_bad_usage(argv[0], "--share goes with --format v5");
+    if (o->spread && o->normals == NORMALS_NONE) return sup_bad_usage(argv[0], "--spread needs normals");
     if (o->planes && o->normals == NORMALS_NONE) return sup_bad_usage(argv[0], "--planes needs normals");
     if (o->fill_depth != 0 && !o->fill) return sup_bad_usage(argv[0], "--fill-depth goes with --fill");
     return -1;
@@ -427,6 +430,7 @@ static int build(const char *program, const convert_options *o, const voxrt_env 
     desc.lod_method = o->lod ? VOXRT_LOD_MAJORITY : VOXRT_LOD_MEAN;
     desc.disable_normals = o->normals == NORMALS_NONE;
     desc.planes = (uint32_t)o->planes;
+    desc.spread = (uint32_t)o->spread;
     desc.disable_colors = (uint32_t)o->no_colors;
     desc.fill = (uint32_t)o->fill;
     desc.fill_depth = (uint32_t)o->fill_depth;

@@ -398,7 +398,7 @@ TEST(textures_at_a_size) {
     sup_texture_look(&t, 0.3, 0.3, 1e9, 0, c);
     for (x = 0; x < W; x++) sum += x * 1000 / 65535.0 / W;
     CHECK_NEAR(c[0], sum, 1e-4);
-    sup_texture_look(&t, NAN, INFINITY, NAN, 0, c);
+    sup_texture_look(&t, (double)NAN, (double)INFINITY, (double)NAN, 0, c);
     CHECK(c[0] >= 0 && c[0] <= 1);
     sup_texture_free(&t);
     REQUIRE(!sup_texture_make(&image, 1, &t)); /* sRGB becomes linear before it is averaged */
@@ -518,7 +518,7 @@ TEST(bumps_and_displacement) {
     sup_mesh_free(&cut);
     CHECK(sup_mesh_displace(&t, 0.25, 1000, &cut, &err) == 1 && cut.positions == NULL && err.text[0]);
     CHECK(sup_mesh_displace(&t, 1e-300, 0, &cut, &err) == 1 && sup_mesh_displace(&t, 0, 0, &cut, &err) == 1);
-    CHECK(sup_mesh_displace(&t, NAN, 0, &cut, &err) == 1);
+    CHECK(sup_mesh_displace(&t, (double)NAN, 0, &cut, &err) == 1);
     sup_textured_free(&t);
     sup_mesh_free(&m);
 

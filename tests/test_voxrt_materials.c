@@ -809,6 +809,85 @@ TEST(samples_are_where_they_say) {
     }
 }
 
+/* ---- highlights of coarser levels ---- */
+
+/* A rough floor: normals are tilted in all directions. Brightness of the coarser levels against that of the voxels. */
+TEST(highlights_of_coarser_levels) {
+    const voxrt_light sun = {{0.5f, 1, 0}, 1, {1, 1, 1}, 1};
+    const voxrt_material shiny = {{0, 0, 0}, 0, 1, 60};
+    static double seen[2][3][36];
+    double mean[2][3], error[2][3];
+    uint32_t way, level, i, k;
+    test_rng rng = test_rng_make(5);
+    static const uint32_t cut[3] = {0, 4, 3}; /* voxels, cells of 8 and of 16 */
+    cells.n = 0;
+    for (i = 0; i < 64 * 64; i++) {
+        voxrt_voxel *v = &cells.v[cells.n];
+        add(i % 64, 20, i / 64, 0, 0, 0, 0);
+        v->has_normal = 1;
+        v->normal[1] = 1;
+        for (k = 0; k < 3; k += 2) v->normal[k] = (float)(0.5 * (test_rng_double(&rng) + test_rng_double(&rng) - 1));
+    }
+    for (way = 0; way < 2; way++) {
+        voxrt_build_desc b;
+        voxrt_tree *t = NULL, *shared = NULL, *loaded = NULL;
+        voxrt_tree_info info;
+        size_t size;
+        uint8_t *file;
+        memset(&b, 0, sizeof b);
+        b.spread = way;
+        REQUIRE(voxrt_tree_from_voxels(&b, cells.v, cells.n, 6, &t) == VOXRT_OK);
+        voxrt_tree_get_info(t, &info);
+        CHECK(info.has_spread == way);
+        for (level = 0; level < 3; level++) {
+            voxrt_render_desc d;
+            mean[way][level] = 0;
+            for (k = 0; k < 36; k++) { /* from all around where a flat floor mirrors the light to, (12, 60, 32) */
+                look(&d, 12 + 12 * ((float)(k % 6) - 2.5f), 60, 32 + 12 * ((float)(k / 6) - 2.5f), 32, 20, 32);
+                d.camera.fov_y = 20;
+                d.pixel_step = 4;
+                d.lights = &sun;
+                d.light_count = 1;
+                d.material = &shiny;
+                d.max_level_plus_1 = cut[level];
+                CHECK(draw(&d, t, picture[0]));
+                seen[way][level][k] = 0;
+                for (i = 0; i < SIDE * SIDE; i++) seen[way][level][k] += (double)picture[0][i][0] / (SIDE * SIDE);
+                mean[way][level] += seen[way][level][k] / 36;
+            }
+        }
+        CHECK(voxrt_tree_share(t, NULL, &shared) == VOXRT_OK && voxrt_tree_hash(shared) == voxrt_tree_hash(t));
+        for (k = 0; k < 4; k++) {
+            file = save(k & 1 ? shared : t, k & 2 ? VOXRT_ENCODING_RAW : VOXRT_ENCODING_COMPACT, &size);
+            REQUIRE(file != NULL && voxrt_tree_load_memory(NULL, file, size, &loaded) == VOXRT_OK);
+            CHECK(voxrt_tree_hash(loaded) == voxrt_tree_hash(t));
+            voxrt_tree_destroy(loaded);
+            CHECK(voxrt_tree_load_memory(NULL, file, size - 1, &loaded) != VOXRT_OK);
+            free_block(file);
+        }
+        CHECK(voxrt_tree_unshare(shared, NULL, &loaded) == VOXRT_OK && voxrt_tree_hash(loaded) == voxrt_tree_hash(t));
+        voxrt_tree_destroy(loaded);
+        voxrt_tree_destroy(shared);
+        voxrt_tree_destroy(t);
+    }
+    if (test_g.verbose)
+        for (way = 0; way < 2; way++)
+            printf("highlights: spread %u: %.5f, larger cells %.5f %.5f\n", way, mean[way][0], mean[way][1], mean[way][2]);
+    CHECK(mean[0][0] == mean[1][0] && mean[0][0] > 0.02);
+    for (way = 0; way < 2; way++) {
+        for (level = 0; level < 3; level++) { /* of the brightness that is seen from a place, as a share of the mean */
+            error[way][level] = 0;
+            for (k = 0; k < 36; k++) error[way][level] += pow(seen[way][level][k] - seen[0][0][k], 2) / 36;
+            error[way][level] = sqrt(error[way][level]) / mean[0][0];
+        }
+    }
+    for (level = 1; level < 3; level++) {
+        if (test_g.verbose) printf("highlights: off by %.3f with spread, %.3f without\n", error[1][level], error[0][level]);
+        CHECK_MSG(error[1][level] < 0.35 * error[0][level], "level %u: off by %.3f with spread, %.3f without", level, error[1][level], error[0][level]);
+        CHECK_NEAR(mean[1][level], mean[1][0], 0.05 * mean[1][0]); /* nothing is lost or won */
+    }
+}
+
 /* ---- memory ---- */
 
 TEST(memory_runs_out) {
@@ -869,6 +948,7 @@ int main(int argc, char **argv) {
     RUN(files_keep_finishes);
     RUN(hostile_files);
     RUN(samples_are_where_they_say);
+    RUN(highlights_of_coarser_levels);
     RUN(memory_runs_out);
     return test_end();
 }

@@ -88,7 +88,7 @@ SUP_FN int supi_huffman_make(supi_huffman *h, const uint8_t *lengths, unsigned c
         for (n = 0; n < h->count[i]; n++, k++, left++) {
             unsigned turned = 0, bit;
             for (bit = 0; bit < i; bit++) turned |= ((unsigned)left >> bit & 1u) << (i - 1 - bit);
-            for (; turned < 512; turned += 1u << i) h->quick[turned] = (uint16_t)(h->symbol[k] << 4 | i);
+            for (; turned < 512; turned += 1u << i) h->quick[turned] = (uint16_t)((unsigned)h->symbol[k] << 4 | i);
         }
     }
     return 0;
