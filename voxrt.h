@@ -372,9 +372,8 @@ typedef enum voxrt_lod_method {
    planes          voxels are cubes. 1: each also keeps a plane, the mean of the triangles in it. Rays meet that, so
                    outlines, depth and shadows are smooth close up. One byte a voxel; voxels are 26-separating unless
                    they are the thesis'; needs normals. A voxel in which triangles of opposite sides meet stays a cube
-   spread          larger cells have a mean normal only. 1: they also keep how much the normals in them differ, which makes
-                   highlights of coarser levels wider and weaker instead of letting them sparkle. One byte a larger
-                   cell; needs normals
+   spread          larger cells have a mean normal only. 1: they also keep how much the normals in them differ, which
+                   makes highlights of coarser levels wider and weaker. One byte a larger cell; needs normals
    finishes        all surfaces are plain. At most 255, borrowed; voxrt_mesh.triangle_finish says which has which, for
                    voxrt_tree_from_voxels voxel_finish (a byte for each, 0 plain). A voxel has that of the triangle
                    with the largest part in it, larger cells that of most voxels. A palette entry has a colour and a
@@ -14028,9 +14027,9 @@ VOXRTI_INLINE void voxrti_shadow_origin(const voxrt_render_desc *d, const voxrt_
 static void voxrti_run_through(const voxrti_render *c, const voxrt_trace_desc *td, const voxrt_ray *shadow,
                                const uint8_t *dark, uint32_t m, float (*through)[3]);
 
-/* cos^shininess of the angle between the mirrored light and the view: a highlight. Where normals differ it is wider and
-   as much weaker (Toksvig 2005; his normals are those of half vectors, mirrored directions turn twice as far: 4 times the
-   variance). */
+/* cos^shininess of the angle between the mirrored light and the view: a highlight. Where normals differ it is wider
+   and as much weaker (Toksvig 2005; his normals are those of half vectors, mirrored directions turn twice as far: 4
+   times the variance). */
 static float voxrti_highlight(const float dir[3], const float normal[3], const float to[3], float cosine,
                               float shininess, float spread) {
     float v[3], along, weaker = 1.0f;

@@ -235,7 +235,7 @@ typedef struct supi_png {
     sup_error *err;
     uint32_t width, height, bits, type, samples; /* samples: numbers for a pixel in the file */
     int interlaced, has_key;
-    uint32_t key[3];         /* the colour that is transparent */
+    uint32_t key[4];         /* the colour that is transparent */
     uint8_t palette[256][4]; /* RGBA */
     uint32_t palette_count;
     uint8_t *packed;         /* IDAT, all of it */
