@@ -113,7 +113,7 @@
    colours of a palette       2^24; in the octree of the thesis 32767
    threads                    64
    lights, geometry, rays     as many as memory holds
-   stack                      less than 16 KB in one function, less than 64 KB in all
+   stack                      less than 16 KB in one function, less than 96 KB in all
 
    OPTIONS
    macro                     meaning                                                  default       same in all files?
@@ -1014,7 +1014,8 @@ VOXRT_DEF void voxrt_group_geometry(const voxrt_group *group, voxrt_geometry *ou
 
 /* Voxels that change: blocks of 64^3 cells, each a small tree of its own, and a tree of the blocks above them. An edit
    makes anew the blocks it touches, with all their levels; a copy of a model has the same blocks as the model, so that
-   keeping one before an edit costs next to nothing (undo). Colours are exact, no palette is chosen. */
+   keeping one before an edit costs next to nothing (undo). Colours are exact, no palette is chosen;
+   finishes are not kept. */
 typedef struct voxrt_model voxrt_model;
 
 /* field            zero means

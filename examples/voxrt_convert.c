@@ -352,6 +352,7 @@ typedef struct converted {
     voxrt_edit_stats edits;
     int edited; /* lines of --edit */
     int turned; /* 1: the mesh faced inwards */
+    int had_finishes;
 } converted;
 
 static void print_stats(const convert_options *o, const converted *c) {
@@ -610,12 +611,19 @@ int main(int argc, char **argv) {
     env.memory_limit = sup_memory_limit();
     env.error = &error;
     status = o.voxels ? reopen(argv[0], &o, &c) : build(argv[0], &o, &env, &c);
-    if (!status) status = edit(argv[0], &o, &env, &c);
+    if (!status) {
+        voxrt_tree_info info;
+        voxrt_tree_get_info(c.tree, &info);
+        c.had_finishes = info.finish_count != 0;
+        status = edit(argv[0], &o, &env, &c);
+    }
     if (!status) status = share(argv[0], &o, &env, &c);
     if (status) {
         voxrt_tree_destroy(c.tree);
         return status;
     }
+    if (c.had_finishes && (o.edit || o.format == FORMAT_V4) && !o.quiet)
+        sup_warn(argv[0], "edited voxels and files of format 4 have colours only: mirrors, glass and other finishes are left out");
     start = sup_now();
     status = write_out(&o, &env, c.tree, &err);
     c.write_seconds = sup_now() - start;
