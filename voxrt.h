@@ -26,6 +26,7 @@
    @post          work on finished pictures: encode, blur, keep to a frame time
    @scene         geometry in other places, many geometries as one
    @model         voxels that can be edited: a tree for each block of 64^3
+   @pages         trees larger than memory: files of pages, what is loaded, rays
    @columns       a grid of bit columns for what moves: voxelising into it, hierarchy, rays
    @gi            a scene of meshes and lights in columns: what cells look like, how much light falls on them
    @gather        light from other surfaces: G-buffers -> pictures
@@ -743,6 +744,7 @@ VOXRT_DEF voxrt_result voxrt_octree_load_file(const voxrt_octree_desc *desc, con
 typedef enum voxrt_encoding {
     VOXRT_ENCODING_COMPACT = 0, /* smallest: entropy coded (default) */
     VOXRT_ENCODING_RAW = 1,     /* the arrays as they are in memory: voxrt_tree_map_memory can use the file in place */
+    VOXRT_ENCODING_PAGED = 2,   /* pages that can be loaded one by one: only for voxrt_paged_open */
     VOXRT_ENCODING_FORCE_32BIT = 0x7fffffff
 } voxrt_encoding;
 
@@ -767,8 +769,9 @@ typedef struct voxrt_load_desc {
     uint32_t _end_zero;
 } voxrt_load_desc;
 
-/* Format of a file by its first bytes (12 are enough): 5 for a tree (voxrt_tree_load_memory), 4 for an octree of the
-   thesis (voxrt_octree_load_memory), 0 for anything else. data may be NULL when size is 0. */
+/* Format of a file by its first bytes (64 are enough): 5 for a tree (voxrt_tree_load_memory), 6 for one in pages
+   (voxrt_paged_open), 4 for an octree of the thesis (voxrt_octree_load_memory), 0 for anything else. data may be NULL
+   when size is 0. */
 VOXRT_DEF uint32_t voxrt_file_kind(const void *data, size_t size);
 
 /* Write a tree as a format 5 file (docs/formats.md) to memory.
@@ -1113,6 +1116,103 @@ VOXRT_DEF voxrt_result voxrt_model_voxels(voxrt_model *model, const voxrt_edit_d
    at an edge. With it, cells larger than blocks begin at the box of a block, and cones stop at them in the room around
    the filled cells as well. O(1). */
 VOXRT_DEF void voxrt_model_geometry(const voxrt_model *model, voxrt_geometry *out_geometry);
+
+/* ---- larger than memory ---- */
+
+/* A tree in a file of pages (docs/formats.md) of which only some are in memory: those that rays asked for. A page has
+   two levels of nodes below one cell, with all their attributes: 64^3 voxels at the bottom, 1024^3 above it, and so on.
+   What is missing is seen as the solid cell that it is in, with that cell's colour and normal: never a hole, and what
+   is nearer is right. A ray whose hit is not in a missing page has met what it meets in the whole tree, bit by bit. */
+typedef struct voxrt_paged voxrt_paged;
+
+/* field         zero means
+   memory        256 MiB: bytes that it may hold, tables and all; allocated when it is opened, nothing later
+   data, size    the file in memory, for example mapped; it is copied page by page, so that it may be damaged or change:
+                 then pages are refused. Must stay there until the object is destroyed
+   read_fn       instead of data: copies `bytes` bytes from `offset` on to `to`, returns 0, or anything else when that
+                 fails; `size` is the size of the file. Never called by two threads at once
+   wait          rays are traced with what is there, and the picture gets finer by voxrt_paged_update. 1: rays wait until
+                 what they need has been read: pictures are exact at once, whatever the memory is, as long as what 1 ray
+                 needs fits (voxrt_paged_info.coarse_rays counts those for which it did not)
+   trust_input   1: checksums are left out, all else is checked */
+typedef struct voxrt_paged_desc {
+    uint32_t _begin_zero;
+    voxrt_env env;
+    size_t memory;
+    const void *data;
+    uint64_t size;
+    int (*read_fn)(void *user, uint64_t offset, void *to, size_t bytes);
+    void *read_user;
+    uint32_t wait;
+    uint32_t trust_input;
+    uint32_t _end_zero;
+} voxrt_paged_desc;
+
+typedef struct voxrt_paged_info {
+    uint32_t depth, resolution;
+    double world_origin[3], voxel_size;
+    uint32_t cell_min[3], cell_max[3];
+    uint32_t has_colors, has_normals, has_planes;
+    uint64_t voxel_count;
+    uint64_t file_bytes;              /* of all pages */
+    uint64_t memory;                  /* bytes held; loaded_bytes of them have pages in them */
+    uint64_t loaded_bytes;
+    uint32_t page_count, loaded_pages;
+    uint64_t reads, read_bytes, evictions; /* since it was opened */
+    uint64_t coarse_rays;             /* wait: rays that met something coarse all the same, since it was opened */
+    uint32_t bad_pages;               /* could not be read or are damaged: they stay coarse; */
+    voxrt_error error;                /* the first of them: CHECKSUM, FORMAT or IO, where = offset in the file */
+} voxrt_paged_info;
+
+typedef struct voxrt_paged_update_stats { /* out */
+    uint32_t wanted;  /* pages that rays met since the last update and that were not there */
+    uint32_t loaded;  /* of these; what is left over found no room, was more than was asked for, or is bad */
+    uint32_t evicted; /* pages that gave way */
+    uint64_t bytes;   /* read */
+} voxrt_paged_update_stats;
+
+/* Open a paged file: reads its tables and the coarsest page. Safe for any bytes.
+   Errors: INVALID_ARG (neither data nor read_fn), UNINIT_DESC, TRUNCATED, FORMAT, VERSION, CHECKSUM, IO, NO_MEMORY;
+   RANGE: `memory` is too small, error->where: bytes that would do. Calls are independent. */
+VOXRT_DEF voxrt_result voxrt_paged_open(const voxrt_paged_desc *desc, voxrt_paged **out_paged);
+#ifndef VOXRT_NO_STDIO
+/* The same for a file, which stays open; data, size and read_fn of desc are not used. desc may be NULL. */
+VOXRT_DEF voxrt_result voxrt_paged_open_file(const voxrt_paged_desc *desc, const char *path, voxrt_paged **out_paged);
+#endif
+VOXRT_DEF void voxrt_paged_destroy(voxrt_paged *paged); /* NULL is allowed */
+VOXRT_DEF void voxrt_paged_get_info(const voxrt_paged *paged, voxrt_paged_info *info); /* not while rays are traced */
+
+/* As voxrt_geometry, borrowed. Any number of threads may trace it, with any level of detail; pictures are those of the
+   tree but for voxrt_image.hit. Not during an update. O(1). */
+VOXRT_DEF void voxrt_paged_geometry(voxrt_paged *paged, voxrt_geometry *out_geometry);
+
+/* Read what rays met and did not find since the last update, the coarsest first, in an order that depends only on what
+   was traced, not on threads. Pages that rays hit since the last update stay; others may give way when memory is full.
+   most_bytes  0: all; else it ends behind the page that reaches so many bytes
+   stats       out, may be NULL. wanted = 0: what was drawn is exact
+   Errors: CHECKSUM, FORMAT, IO: of the first bad page, the others have been loaded; it stays coarse (and is not counted
+   in `wanted` again). Needs the object for itself. */
+VOXRT_DEF voxrt_result voxrt_paged_update(voxrt_paged *paged, uint64_t most_bytes, voxrt_paged_update_stats *stats);
+
+/* Where a file is written to: `bytes` bytes from `offset` on; returns 0, or anything else when that fails. The file grows
+   at its end, but its first 4096 bytes are written twice. */
+typedef struct voxrt_sink {
+    int (*write_fn)(void *user, uint64_t offset, const void *from, size_t bytes);
+    void *user;
+} voxrt_sink;
+
+/* Voxelise a mesh into a paged file, piece by piece: holds some 20 bytes a voxel of the largest piece (at most 1024^3
+   cells, less where there are many voxels), 8 bytes a triangle and 40 a page, not the voxels.
+   The same voxels and colours as voxrt_tree_build with palette_size = 2^24, whatever desc->palette_size is: pages have
+   palettes of their own. INVALID_ARG also for fill and VOXRT_LOD_MAJORITY; IO: write_fn failed. Else as voxrt_tree_build.
+   A tree is written with VOXRT_ENCODING_PAGED. */
+VOXRT_DEF voxrt_result voxrt_paged_build(const voxrt_build_desc *desc, const voxrt_mesh *mesh, const voxrt_sink *sink,
+                                         voxrt_build_stats *stats);
+#ifndef VOXRT_NO_STDIO
+/* To a file, as voxrt_tree_save_file writes it. */
+VOXRT_DEF voxrt_result voxrt_paged_build_file(const voxrt_build_desc *desc, const voxrt_mesh *mesh, const char *path,
+                                              voxrt_build_stats *stats);
+#endif
 
 /* Draw.
    desc    in, NULL: all defaults
@@ -4320,6 +4420,7 @@ typedef struct voxrti_vox {
     const voxrt_build_desc *d;
     const voxrt_mesh *mesh;
     const voxrti_grid *grid;
+    const uint32_t *part;      /* first and last brick along x, y, z: only these; NULL: all */
     uint32_t sub, brick_bits;
     int has_rgb, has_normal, has_plane, has_finish;
     int white;                 /* has_rgb, but the mesh has no colours */
@@ -4627,6 +4728,9 @@ static void voxrti_bin_tri(void *ctx, const voxrti_tri *t, size_t i) {
         lo[a] = lo[a] - 1 < 0 ? 0 : (lo[a] - 1) >> shift; /* -1: closed boxes touch on a brick's face */
         hi[a] = hi[a] < 0 ? -1 : hi[a] >> shift;
         if (hi[a] > end) hi[a] = end;
+        if (b->v->part == NULL) continue;
+        if (lo[a] < (int64_t)b->v->part[a]) lo[a] = (int64_t)b->v->part[a];
+        if (hi[a] > (int64_t)b->v->part[3 + a]) hi[a] = (int64_t)b->v->part[3 + a];
     }
     many = (hi[0] - lo[0] > 1) + (hi[1] - lo[1] > 1) + (hi[2] - lo[2] > 1) > 1;
     for (c[2] = lo[2]; c[2] <= hi[2]; c[2]++) {
@@ -5718,9 +5822,10 @@ static voxrt_result voxrti_voxelize_run(voxrti_vox *v, voxrt_build_stats *stats,
     return r;
 }
 
+/* part: first and last brick along x, y, z; NULL: all of the grid. Bricks do not know of each other. */
 static VOXRTI_UNUSED voxrt_result voxrti_voxelize(voxrti_mem *mem, const voxrt_build_desc *d, const voxrt_mesh *mesh,
-                                                  const voxrti_grid *grid, voxrt_build_stats *stats,
-                                                  voxrti_leafset *out) {
+                                                  const voxrti_grid *grid, const uint32_t *part,
+                                                  voxrt_build_stats *stats, voxrti_leafset *out) {
     voxrti_vox v;
     voxrt_result r = VOXRT_OK;
     uint32_t i, c;
@@ -5732,6 +5837,7 @@ static VOXRTI_UNUSED voxrt_result voxrti_voxelize(voxrti_mem *mem, const voxrt_b
     v.d = d;
     v.mesh = mesh;
     v.grid = grid;
+    v.part = part;
     v.sub = 20 - grid->depth < 8 ? 20 - grid->depth : 8;
     v.brick_bits = grid->depth > 15 ? 6 : 5;
     v.has_finish = d->finish_count != 0 && mesh->triangle_finish != NULL;
@@ -6919,7 +7025,7 @@ VOXRT_DEF voxrt_result voxrt_tree_build(const voxrt_build_desc *desc, const voxr
     memset(&set, 0, sizeof set);
     r = voxrti_grid_from_mesh(&d, mesh, &grid);
     if (r != VOXRT_OK) return r;
-    r = voxrti_voxelize(&mem, &d, mesh, &grid, stats, &set);
+    r = voxrti_voxelize(&mem, &d, mesh, &grid, NULL, stats, &set);
     if (r == VOXRT_OK && d.fill) r = voxrti_leafset_fill(&mem, &d, grid.depth, &set);
     if (r != VOXRT_OK) {
         voxrti_leafset_free(&mem, &set);
@@ -8888,7 +8994,7 @@ enum { /* ids */
 enum { /* flags of the header */
     VOXRTI_V5_RAW_FILE = 1, VOXRTI_V5_HAS_NORMALS = 2, VOXRTI_V5_HAS_COLORS = 4, VOXRTI_V5_SPHERICAL = 8,
     VOXRTI_V5_SHARED = 16, VOXRTI_V5_HAS_PLANES = 32, VOXRTI_V5_HAS_FINISHES = 64,
-    VOXRTI_V5_HAS_SPREAD = 128
+    VOXRTI_V5_HAS_SPREAD = 128, VOXRTI_V5_PAGED = 256 /* see pages */
 };
 
 static const uint8_t voxrti_v5_magic[8] = {0x89, 0x56, 0x4f, 0x58, 0x0d, 0x0a, 0x1a, 0x0a}; /* 89 V O X CR LF ^Z LF */
@@ -8896,7 +9002,8 @@ static const uint8_t voxrti_v5_magic[8] = {0x89, 0x56, 0x4f, 0x58, 0x0d, 0x0a, 0
 VOXRT_DEF uint32_t voxrt_file_kind(const void *data, size_t size) {
     const uint8_t *p = (const uint8_t *)data;
     if (p == NULL || size < 4) return 0;
-    if (size >= 12 && memcmp(p, voxrti_v5_magic, 8) == 0 && voxrti_load_u16(p + 8) == 5) return 5;
+    if (size >= 12 && memcmp(p, voxrti_v5_magic, 8) == 0 && voxrti_load_u16(p + 8) == 5)
+        return size >= 36 && (voxrti_load_u32(p + 32) & VOXRTI_V5_PAGED) != 0 ? 6 : 5;
     return p[0] == 0x4d && p[1] == 0x42 && p[2] == 4 && p[3] == 0 ? 4 : 0;
 }
 
@@ -10140,8 +10247,49 @@ static voxrt_result voxrti_save_open(const voxrt_tree *tree, const voxrt_save_de
     if (d->_begin_zero != 0 || d->_end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
     if (d->env.error != NULL) memset(d->env.error, 0, sizeof *d->env.error);
     if (tree == NULL) return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "no tree");
-    if ((uint32_t)d->encoding > 1u) return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "unknown encoding");
+    if ((uint32_t)d->encoding > 2u) return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "unknown encoding");
     return voxrti_env_open(&d->env, mem);
+}
+
+/* see pages */
+static voxrt_result voxrti_tree_save_paged(voxrti_mem *mem, const voxrt_save_desc *d, const voxrt_tree *tree,
+                                           const voxrt_sink *sink);
+#ifndef VOXRT_NO_STDIO
+static voxrt_result voxrti_tree_save_paged_file(voxrti_mem *mem, const voxrt_save_desc *d, const voxrt_tree *tree,
+                                                const char *path);
+#endif
+
+typedef struct voxrti_memory_sink {
+    uint8_t *buffer; /* NULL: only the size is found */
+    size_t capacity;
+    uint64_t size;   /* of the file so far */
+} voxrti_memory_sink;
+
+static int voxrti_memory_write(void *user, uint64_t offset, const void *from, size_t bytes) {
+    voxrti_memory_sink *s = (voxrti_memory_sink *)user;
+    if (offset + bytes > s->size) s->size = offset + bytes;
+    if (s->buffer != NULL && offset <= s->capacity && bytes <= s->capacity - (size_t)offset)
+        memcpy(s->buffer + (size_t)offset, from, bytes);
+    return 0;
+}
+
+static voxrt_result voxrti_tree_save_paged_memory(voxrti_mem *mem, const voxrt_save_desc *d, const voxrt_tree *tree,
+                                                  void *buffer, size_t capacity, size_t *size) {
+    voxrti_memory_sink memory;
+    voxrt_sink sink;
+    voxrt_result r;
+    sink.write_fn = voxrti_memory_write;
+    sink.user = &memory;
+    memset(&memory, 0, sizeof memory);
+    r = voxrti_tree_save_paged(mem, d, tree, &sink); /* the size first: a buffer that is too small stays as it is */
+    if (r == VOXRT_OK && memory.size > (size_t)-1) r = VOXRT_ERR_RANGE;
+    if (r != VOXRT_OK) return r;
+    *size = (size_t)memory.size;
+    if (buffer == NULL) return VOXRT_OK;
+    if (capacity < *size) return VOXRT_ERR_RANGE;
+    memory.buffer = (uint8_t *)buffer;
+    memory.capacity = capacity;
+    return voxrti_tree_save_paged(mem, d, tree, &sink);
 }
 
 VOXRT_DEF voxrt_result voxrt_tree_save_memory(const voxrt_tree *tree, const voxrt_save_desc *desc, void *buffer,
@@ -10155,8 +10303,14 @@ VOXRT_DEF voxrt_result voxrt_tree_save_memory(const voxrt_tree *tree, const voxr
     *out_size = 0;
     r = voxrti_save_open(tree, desc, &d, &mem);
     if (r != VOXRT_OK) return r;
-    r = voxrti_v5_plan(&mem, &d, tree, &f, &size);
-    if (r == VOXRT_OK) {
+    memset(&f, 0, sizeof f);
+    if (d.encoding == VOXRT_ENCODING_PAGED) {
+        r = voxrti_tree_save_paged_memory(&mem, &d, tree, buffer, capacity, &size);
+        *out_size = r == VOXRT_OK || r == VOXRT_ERR_RANGE ? size : 0;
+    } else {
+        r = voxrti_v5_plan(&mem, &d, tree, &f, &size);
+    }
+    if (r == VOXRT_OK && d.encoding != VOXRT_ENCODING_PAGED) {
         *out_size = size;
         if (buffer != NULL && capacity < size) r = VOXRT_ERR_RANGE;
         else if (buffer != NULL) voxrti_v5_write(tree, &f, (uint8_t *)buffer, size);
@@ -10644,6 +10798,10 @@ VOXRT_DEF voxrt_result voxrt_tree_save_file(const voxrt_tree *tree, const voxrt_
     voxrt_result r = voxrti_save_open(tree, desc, &d, &mem);
     if (r != VOXRT_OK) return r;
     if (path == NULL) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no path");
+    if (d.encoding == VOXRT_ENCODING_PAGED) {
+        r = voxrti_tree_save_paged_file(&mem, &d, tree, path);
+        return r == VOXRT_OK ? r : voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
+    }
     r = voxrti_v5_plan(&mem, &d, tree, &f, &size);
     if (r == VOXRT_OK) {
         data = (uint8_t *)voxrti_alloc(&mem, size);
@@ -17054,7 +17212,7 @@ VOXRT_DEF voxrt_result voxrt_model_mesh(voxrt_model *model, const voxrt_edit_des
     b = model->build;
     b.env = d.env;
     b.env.allocator = mem.allocator;
-    r = voxrti_voxelize(&mem, &b, mesh, &model->grid, &built, &set);
+    r = voxrti_voxelize(&mem, &b, mesh, &model->grid, NULL, &built, &set);
     if (r != VOXRT_OK) {
         voxrti_leafset_free(&mem, &set);
         return voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
@@ -17116,6 +17274,1893 @@ VOXRT_DEF void voxrt_model_geometry(const voxrt_model *model, voxrt_geometry *ou
         out_geometry->box_max[a] =
             model->grid.origin[a] + model->grid.voxel_size * (double)((uint32_t)1 << model->grid.depth);
     }
+}
+
+/* ---------------------------------------------------------------------------
+   pages: trees larger than memory: how they are written, what is loaded, rays.  // >>pages
+
+   The levels of a tree go into pages by twos: a page has the nodes of two levels below one node, its anchor, and the
+   attributes of all their cells. The last page level ends with the leaf nodes; when the number of levels is odd the first
+   page begins with a level of one node above the root. A page has one child for each node of its second level; pages
+   are numbered level by level in Morton order, so that children are consecutive and nothing but counts is stored.
+   In a file a page is masks and attributes with a palette of its own; all links are made when it is loaded.
+
+   What is loaded stands in one arena, cut into frames of 1 KB; a page takes consecutive ones. The kernels of trace go
+   through it as through any tree: `child` is a place in the arena. Nodes whose page is missing have full nodes as
+   children, one run of 64 for each level, in which every ray ends at once where it enters. So a hit is either in a
+   page or in one of these runs, and only in the second case something was missing. The hand of a clock goes through the
+   frames to find room: pages that have been hit since it passed them stay once more; those that were hit in the
+   current turn stay anyhow. A page never stays without those above it.
+   --------------------------------------------------------------------------- */
+
+#define VOXRTI_FRAME 1024u
+#define VOXRTI_NO_PAGE 0xffffffffu
+#define VOXRTI_PAGE_TIERS (VOXRTI_MAX_WIDE / 2)
+#define VOXRTI_PAGE_MOST 4194304u  /* no page has so many bytes */
+#define VOXRTI_PAGED_HEAD 320u     /* bytes of a file before the pages */
+#define VOXRTI_PAGED_PLACE 80u
+#define VOXRTI_PAGED_ENTRY 24u
+
+enum { VOXRTI_V5_PAGE_HEAD = 20, VOXRTI_V5_PAGES = 21, VOXRTI_V5_PAGE_TABLE = 22 };
+
+/* ---- writing ---- */
+
+/* Cells of a page: of the second level bits, then octants, then those of the first level. */
+typedef struct voxrti_page_cells {
+    const uint64_t *mask1, *mask2;
+    const uint32_t *rgb;    /* [count], NULL: no colours */
+    const uint16_t *normal; /* [count] or NULL */
+    const uint8_t *plane;   /* of the first `planes` cells, or NULL */
+    uint32_t n1, n2, count, planes;
+} voxrti_page_cells;
+
+static uint32_t voxrti_bits_for(uint32_t count) { /* of numbers below count */
+    uint32_t bits = 0;
+    while (bits < 31 && (uint32_t)1 << bits < count) bits++;
+    return bits;
+}
+
+/* Slot of a colour in a table of pairs (colour + 1, number). */
+static uint32_t *voxrti_page_slot(uint32_t *slot, uint32_t mask, uint32_t rgb) {
+    uint32_t i = voxrti_hash32(rgb) & mask;
+    while (slot[2 * i] != 0 && slot[2 * i] != rgb + 1) i = (i + 1) & mask;
+    return slot + 2 * i;
+}
+
+/* Palette and indices. */
+static voxrt_result voxrti_page_colors(voxrti_bytes *out, const uint32_t *rgb, uint32_t count, uint32_t *out_colors) {
+    uint32_t slots = 16, n = 0, i, bits;
+    uint32_t *slot;
+    uint64_t *list;
+    size_t bytes = 0;
+    uint8_t *p = NULL;
+    while (slots < 2 * count) slots *= 2;
+    slot = (uint32_t *)voxrti_alloc_zero(out->mem, slots, 2 * sizeof *slot);
+    list = (uint64_t *)voxrti_alloc_array(out->mem, count, sizeof *list);
+    if (slot != NULL && list != NULL) {
+        for (i = 0; i < count; i++) {
+            uint32_t *s = voxrti_page_slot(slot, slots - 1, rgb[i]);
+            if (s[0] != 0) continue;
+            s[0] = rgb[i] + 1;
+            list[n++] = rgb[i];
+        }
+        voxrti_heap_sort(list, n);
+        for (i = 0; i < n; i++) voxrti_page_slot(slot, slots - 1, (uint32_t)list[i])[1] = i;
+        bits = voxrti_bits_for(n);
+        bytes = (size_t)3 * n + ((size_t)count * bits + 7) / 8;
+        p = voxrti_bytes_more(out, bytes);
+        if (p != NULL) {
+            uint64_t held = 0;
+            uint32_t have = 0;
+            out->size += bytes;
+            for (i = 0; i < n; i++, p += 3) {
+                p[0] = (uint8_t)list[i];
+                p[1] = (uint8_t)(list[i] >> 8);
+                p[2] = (uint8_t)(list[i] >> 16);
+            }
+            for (i = 0; i < count; i++) {
+                held |= (uint64_t)voxrti_page_slot(slot, slots - 1, rgb[i])[1] << have;
+                for (have += bits; have >= 8; have -= 8, held >>= 8) *p++ = (uint8_t)held;
+            }
+            if (have != 0) *p = (uint8_t)held;
+        }
+    }
+    voxrti_free(out->mem, slot);
+    voxrti_free(out->mem, list);
+    *out_colors = n;
+    return slot != NULL && list != NULL && (bytes == 0 || out->data != NULL) && p != NULL ? VOXRT_OK :
+           VOXRT_ERR_NO_MEMORY;
+}
+
+/* The bytes of a page, behind `out`. */
+static voxrt_result voxrti_page_encode(const voxrti_page_cells *c, voxrti_bytes *out) {
+    const size_t first = out->size, head = 8 + (size_t)8 * ((size_t)c->n1 + c->n2);
+    const size_t normals = c->normal != NULL ? (size_t)2 * c->count : 0, planes = c->plane != NULL ? c->planes : 0;
+    uint8_t *p = voxrti_bytes_more(out, head + normals);
+    uint32_t i, colors = 0;
+    voxrt_result r = VOXRT_OK;
+    if (p == NULL) return VOXRT_ERR_NO_MEMORY;
+    for (i = 0; i < c->n1; i++) voxrti_store_u64(p + 8 + (size_t)8 * i, c->mask1[i]);
+    for (i = 0; i < c->n2; i++) voxrti_store_u64(p + 8 + (size_t)8 * (c->n1 + i), c->mask2[i]);
+    for (i = 0; normals != 0 && i < c->count; i++) voxrti_store_u16(p + head + (size_t)2 * i, c->normal[i]);
+    out->size += head + normals;
+    if (c->rgb != NULL) r = voxrti_page_colors(out, c->rgb, c->count, &colors);
+    if (r != VOXRT_OK) return r;
+    voxrti_store_u32(out->data + first, colors);
+    voxrti_store_u32(out->data + first + 4, colors != 0 ? voxrti_bits_for(colors) : 0);
+    if (planes != 0) {
+        p = voxrti_bytes_more(out, planes);
+        if (p == NULL) return VOXRT_ERR_NO_MEMORY;
+        memcpy(p, c->plane, planes);
+        out->size += planes;
+    }
+    return VOXRT_OK;
+}
+
+/* What a page is made of when nothing is known but its second level. */
+typedef struct voxrti_page_source {
+    const uint64_t *code, *mask; /* [n2] Morton codes of the nodes, masks */
+    const uint32_t *rgb;         /* [cells], NULL: no colours */
+    const uint16_t *normal;      /* [cells] or NULL */
+    const uint8_t *plane;        /* [cells] or NULL */
+    const voxrti_sum *sum;       /* [cells], NULL: they are voxels */
+    uint32_t n2, cells;
+} voxrti_page_source;
+
+/* What the page above gets of one: its anchor, and the cells in that, with one cell more for the anchor itself. */
+typedef struct voxrti_page_up {
+    uint64_t code, mask;
+    uint32_t n1, n2;
+    uint32_t rgb[64];
+    uint16_t normal[64];
+    voxrti_sum sum[64];
+} voxrti_page_up;
+
+/* Make a page and the cells above it. The levels of detail are made by the functions for trees, of a tree of two levels
+   whose root may be several nodes. */
+static voxrt_result voxrti_page_make(voxrti_mem *mem, const voxrti_page_source *s, voxrti_bytes *out,
+                                     voxrti_page_up *up) {
+    voxrti_page_cells c;
+    voxrt_tree t;
+    voxrti_lod *l;
+    voxrti_node *node;
+    uint64_t *mask1;
+    voxrti_sum *below = NULL;
+    uint32_t *rgb = NULL, i, o2 = 0, o1 = 0, n1 = 0, ok;
+    uint16_t *normal = NULL;
+    voxrt_result r = VOXRT_ERR_NO_MEMORY;
+    memset(&t, 0, sizeof t);
+    memset(&c, 0, sizeof c);
+    memset(up, 0, sizeof *up);
+    l = (voxrti_lod *)voxrti_alloc_zero(mem, 1, sizeof *l);
+    node = (voxrti_node *)voxrti_alloc_zero(mem, 64, sizeof *node);
+    mask1 = (uint64_t *)voxrti_alloc_zero(mem, 64, sizeof *mask1);
+    below = (voxrti_sum *)voxrti_alloc_array(mem, s->n2, sizeof *below);
+    ok = l != NULL && node != NULL && mask1 != NULL && below != NULL;
+    for (i = 0; ok && i < s->n2; i++) {
+        n1 += i == 0 || s->code[i] >> 6 != s->code[i - 1] >> 6;
+        mask1[n1 - 1] |= (uint64_t)1 << (s->code[i] & 63u);
+        node[n1 - 1].mask = mask1[n1 - 1];
+        up->mask |= (uint64_t)1 << (s->code[i] >> 6 & 63u);
+        o2 += voxrti_popcount64(voxrti_octants(s->mask[i]));
+    }
+    for (i = 0; ok && i < n1; i++) o1 += voxrti_popcount64(voxrti_octants(mask1[i]));
+    c.count = s->cells + o2 + s->n2 + o1;
+    if (ok && s->rgb != NULL) {
+        rgb = (uint32_t *)voxrti_alloc_array(mem, (size_t)c.count + n1, sizeof *rgb);
+        ok = rgb != NULL;
+        if (ok) memcpy(rgb, s->rgb, (size_t)s->cells * sizeof *rgb);
+    }
+    if (ok && s->normal != NULL) {
+        normal = (uint16_t *)voxrti_alloc_array(mem, (size_t)c.count + n1, sizeof *normal);
+        ok = normal != NULL;
+        if (ok) memcpy(normal, s->normal, (size_t)s->cells * sizeof *normal);
+    }
+    if (ok) {
+        uint64_t cell = 0, oct;
+        t.wide = 2;
+        t.node = node;
+        memcpy(&t.leaf, &s->mask, sizeof t.leaf); /* only read */
+        t.normal = normal;
+        t.attr_first[3] = s->cells;
+        t.attr_first[2] = (uint64_t)s->cells + o2;
+        t.attr_first[1] = t.attr_first[2] + s->n2;
+        t.attr_first[0] = c.count;
+        l->t = &t;
+        l->method = VOXRT_LOD_MEAN;
+        l->value = rgb;
+        l->leaves = s->sum;
+        voxrti_srgb_table(l->srgb);
+        l->w = 1;
+        l->sums = below;
+        for (i = 0, oct = t.attr_first[3]; i < s->n2; i++) {
+            voxrti_lod_node(l, i, cell, oct);
+            cell += voxrti_popcount64(s->mask[i]);
+            oct += voxrti_popcount64(voxrti_octants(s->mask[i]));
+        }
+        l->w = 0;
+        l->children = below;
+        l->leaves = NULL;
+        l->sums = up->sum;
+        for (i = 0, cell = t.attr_first[2], oct = t.attr_first[1]; i < n1; i++) {
+            voxrti_lod_node(l, i, cell, oct);
+            cell += voxrti_popcount64(mask1[i]);
+            oct += voxrti_popcount64(voxrti_octants(mask1[i]));
+        }
+        up->code = s->code[0] >> 12;
+        up->n1 = n1;
+        up->n2 = s->n2;
+        if (rgb != NULL) memcpy(up->rgb, rgb + c.count, n1 * sizeof *rgb);
+        if (normal != NULL) memcpy(up->normal, normal + c.count, n1 * sizeof *normal);
+        c.mask1 = mask1;
+        c.mask2 = s->mask;
+        c.rgb = rgb;
+        c.normal = normal;
+        c.plane = s->plane;
+        c.n1 = n1;
+        c.n2 = s->n2;
+        c.planes = s->cells;
+        r = voxrti_page_encode(&c, out);
+    }
+    voxrti_free(mem, l);
+    voxrti_free(mem, node);
+    voxrti_free(mem, mask1);
+    voxrti_free(mem, below);
+    voxrti_free(mem, rgb);
+    voxrti_free(mem, normal);
+    return r;
+}
+
+/* A level of pages on its way into a file: the page in work, and the table of those that are written. */
+typedef struct voxrti_page_tier {
+    uint64_t *code, *mask;
+    uint32_t *rgb;
+    uint16_t *normal;
+    voxrti_sum *sum;
+    size_t room[5];
+    uint32_t n2, cells;
+    voxrti_bytes table;
+} voxrti_page_tier;
+
+typedef struct voxrti_page_writer {
+    voxrti_mem *mem;
+    const voxrt_env *env;
+    const voxrt_sink *sink;
+    voxrti_grid grid;
+    uint32_t tiers, odd, flags;
+    uint64_t at;             /* end of what is written */
+    uint64_t pages, nodes, voxels;
+    uint32_t lo[3], hi[3];   /* box of the filled cells */
+    uint32_t root_rgb;
+    uint16_t root_normal;
+    voxrti_page_tier tier[VOXRTI_PAGE_TIERS];
+} voxrti_page_writer;
+
+static voxrt_result voxrti_page_store(voxrti_page_writer *w, uint64_t offset, const void *data, size_t bytes) {
+    return bytes == 0 || w->sink->write_fn(w->sink->user, offset, data, bytes) == 0 ? VOXRT_OK : VOXRT_ERR_IO;
+}
+
+static voxrt_result voxrti_page_begin(voxrti_page_writer *w, voxrti_mem *mem, const voxrt_env *env,
+                                      const voxrt_sink *sink, const voxrti_grid *grid) {
+    uint8_t zero[VOXRTI_PAGED_HEAD];
+    uint32_t i;
+    memset(w, 0, sizeof *w);
+    memset(zero, 0, sizeof zero);
+    w->mem = mem;
+    w->env = env;
+    w->sink = sink;
+    w->grid = *grid;
+    w->odd = (grid->depth + 1) / 2 & 1u;
+    w->tiers = ((grid->depth + 1) / 2 + w->odd) / 2;
+    w->at = VOXRTI_PAGED_HEAD;
+    for (i = 0; i < 3; i++) w->lo[i] = 0xffffffffu;
+    for (i = 0; i < VOXRTI_PAGE_TIERS; i++) w->tier[i].table.mem = mem;
+    return voxrti_page_store(w, 0, zero, sizeof zero);
+}
+
+static void voxrti_page_end(voxrti_page_writer *w) {
+    uint32_t i;
+    for (i = 0; i < VOXRTI_PAGE_TIERS; i++) {
+        voxrti_page_tier *t = &w->tier[i];
+        voxrti_free(w->mem, t->code);
+        voxrti_free(w->mem, t->mask);
+        voxrti_free(w->mem, t->rgb);
+        voxrti_free(w->mem, t->normal);
+        voxrti_free(w->mem, t->sum);
+        voxrti_free(w->mem, t->table.data);
+    }
+}
+
+/* A page that is complete goes into the file; pages stand behind those below them. */
+static voxrt_result voxrti_page_append(voxrti_page_writer *w, uint32_t tier, const voxrti_bytes *page, uint32_t n1,
+                                       uint32_t n2) {
+    voxrti_bytes *table = &w->tier[tier].table;
+    uint8_t *e = voxrti_bytes_more(table, VOXRTI_PAGED_ENTRY);
+    if (e == NULL) return VOXRT_ERR_NO_MEMORY;
+    voxrti_store_u64(e, w->at);
+    voxrti_store_u32(e + 8, (uint32_t)page->size);
+    voxrti_store_u32(e + 12, n1 | n2 << 8);
+    voxrti_store_u64(e + 16, voxrti_v5_checksum(page->data, page->size));
+    table->size += VOXRTI_PAGED_ENTRY;
+    w->at += page->size;
+    w->nodes += (uint64_t)n1 + n2 - (tier == 0 ? w->odd : 0);
+    if (++w->pages >= VOXRTI_NO_PAGE) return VOXRT_ERR_RANGE;
+    return voxrti_page_store(w, w->at - page->size, page->data, page->size);
+}
+
+static voxrt_result voxrti_page_up_level(voxrti_page_writer *w, uint32_t tier, const voxrti_bytes *page,
+                                         const voxrti_page_up *up);
+
+/* Make the page that is in work on a level, if there is one. */
+static voxrt_result voxrti_page_flush(voxrti_page_writer *w, uint32_t tier) {
+    voxrti_page_tier *t = &w->tier[tier];
+    voxrti_page_source s;
+    voxrti_page_up *up;
+    voxrti_bytes page;
+    voxrt_result r;
+    if (t->n2 == 0) return VOXRT_OK;
+    memset(&page, 0, sizeof page);
+    memset(&s, 0, sizeof s);
+    page.mem = w->mem;
+    up = (voxrti_page_up *)voxrti_alloc(w->mem, sizeof *up);
+    if (up == NULL) return VOXRT_ERR_NO_MEMORY;
+    s.code = t->code;
+    s.mask = t->mask;
+    s.rgb = (w->flags & VOXRTI_V5_HAS_COLORS) != 0 ? t->rgb : NULL;
+    s.normal = (w->flags & VOXRTI_V5_HAS_NORMALS) != 0 ? t->normal : NULL;
+    s.sum = t->sum;
+    s.n2 = t->n2;
+    s.cells = t->cells;
+    r = voxrti_page_make(w->mem, &s, &page, up);
+    t->n2 = t->cells = 0;
+    if (r == VOXRT_OK) r = voxrti_page_up_level(w, tier, &page, up);
+    voxrti_free(w->mem, page.data);
+    voxrti_free(w->mem, up);
+    return r;
+}
+
+/* The anchor of a page, with its cells, becomes a node of a page above it. */
+static voxrt_result voxrti_page_put(voxrti_page_writer *w, uint32_t tier, const voxrti_page_up *up) {
+    voxrti_page_tier *t = &w->tier[tier];
+    const size_t n = t->n2, cells = t->cells, more = cells + up->n1;
+    if (!voxrti_grow(w->mem, (void **)&t->code, &t->room[0], n, n + 1, sizeof *t->code) ||
+        !voxrti_grow(w->mem, (void **)&t->mask, &t->room[1], n, n + 1, sizeof *t->mask) ||
+        !voxrti_grow(w->mem, (void **)&t->rgb, &t->room[2], cells, more, sizeof *t->rgb) ||
+        !voxrti_grow(w->mem, (void **)&t->normal, &t->room[3], cells, more, sizeof *t->normal) ||
+        !voxrti_grow(w->mem, (void **)&t->sum, &t->room[4], cells, more, sizeof *t->sum))
+        return VOXRT_ERR_NO_MEMORY;
+    t->code[n] = up->code;
+    t->mask[n] = up->mask;
+    memcpy(t->rgb + cells, up->rgb, up->n1 * sizeof *t->rgb);
+    memcpy(t->normal + cells, up->normal, up->n1 * sizeof *t->normal);
+    memcpy(t->sum + cells, up->sum, up->n1 * sizeof *t->sum);
+    t->n2 = (uint32_t)n + 1;
+    t->cells = (uint32_t)more;
+    return VOXRT_OK;
+}
+
+/* A page that is made goes into the file, its anchor to the page above it; the one in work there may be another. */
+static voxrt_result voxrti_page_up_level(voxrti_page_writer *w, uint32_t tier, const voxrti_bytes *page,
+                                         const voxrti_page_up *up) {
+    voxrt_result r = VOXRT_OK;
+    if (tier != 0) {
+        const voxrti_page_tier *t = &w->tier[tier - 1];
+        if (t->n2 != 0 && t->code[t->n2 - 1] >> 12 != up->code >> 12) r = voxrti_page_flush(w, tier - 1);
+    }
+    if (r == VOXRT_OK) r = voxrti_page_append(w, tier, page, up->n1, up->n2);
+    if (r == VOXRT_OK && tier != 0) r = voxrti_page_put(w, tier - 1, up);
+    if (r == VOXRT_OK && tier == 0) {
+        w->root_rgb = (w->flags & VOXRTI_V5_HAS_COLORS) != 0 ? up->rgb[0] : 0xffffffu;
+        w->root_normal = up->normal[0];
+    }
+    return r;
+}
+
+/* Pages of leaf nodes, made by any thread, written in their order. */
+typedef struct voxrti_page_job {
+    voxrti_page_source source;
+    voxrti_page_up up;
+    voxrti_bytes page;
+    voxrt_result result;
+} voxrti_page_job;
+
+static void voxrti_page_task(void *ctx, uint32_t task) {
+    voxrti_page_job *j = (voxrti_page_job *)ctx + task;
+    j->page.size = 0;
+    j->result = voxrti_page_make(j->page.mem, &j->source, &j->page, &j->up);
+}
+
+static void voxrti_page_box(voxrti_page_writer *w, uint64_t code, uint64_t mask) {
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        const uint32_t at = voxrti_compact3(code >> a) * 4;
+        const uint32_t lo = at + voxrti_mask_lo(mask, a), hi = at + voxrti_mask_hi(mask, a);
+        if (lo < w->lo[a]) w->lo[a] = lo;
+        if (hi > w->hi[a]) w->hi[a] = hi;
+    }
+}
+
+#define VOXRTI_PAGE_JOBS 128u
+
+/* Leaf nodes behind those that came before, in Morton order; no page has some of them here and some elsewhere. */
+static voxrt_result voxrti_page_leaves(voxrti_page_writer *w, const voxrti_leafset *set) {
+    voxrti_page_job *job = (voxrti_page_job *)voxrti_alloc_zero(w->mem, VOXRTI_PAGE_JOBS, sizeof *job);
+    voxrt_result r = job != NULL ? VOXRT_OK : VOXRT_ERR_NO_MEMORY;
+    size_t i = 0, voxel = 0;
+    uint32_t k, n;
+    if (job == NULL) return r;
+    for (k = 0; k < VOXRTI_PAGE_JOBS; k++) job[k].page.mem = w->mem;
+    while (r == VOXRT_OK && i < set->block_count) {
+        for (n = 0; n < VOXRTI_PAGE_JOBS && i < set->block_count; n++) {
+            voxrti_page_source *s = &job[n].source;
+            const size_t first = i;
+            memset(s, 0, sizeof *s);
+            s->code = set->key + i;
+            s->mask = set->mask + i;
+            s->rgb = set->rgb != NULL ? set->rgb + voxel : NULL;
+            s->normal = set->normal != NULL ? set->normal + voxel : NULL;
+            s->plane = set->plane != NULL ? set->plane + voxel : NULL;
+            for (; i < set->block_count && set->key[i] >> 12 == set->key[first] >> 12; i++) {
+                s->cells += voxrti_popcount64(set->mask[i]);
+                voxrti_page_box(w, set->key[i], set->mask[i]);
+            }
+            s->n2 = (uint32_t)(i - first);
+            voxel += s->cells;
+        }
+        voxrti_parallel_for(w->env, voxrti_page_task, job, n);
+        for (k = 0; k < n && r == VOXRT_OK; k++) {
+            r = job[k].result;
+            if (r == VOXRT_OK) r = voxrti_page_up_level(w, w->tiers - 1, &job[k].page, &job[k].up);
+        }
+    }
+    w->voxels += set->voxel_count;
+    for (k = 0; k < VOXRTI_PAGE_JOBS; k++) voxrti_free(w->mem, job[k].page.data);
+    voxrti_free(w->mem, job);
+    return r;
+}
+
+/* Table and header. */
+static voxrt_result voxrti_page_finish(voxrti_page_writer *w) {
+    uint8_t head[VOXRTI_PAGED_HEAD], zero[64], *p = head + 192, *e = head + VOXRTI_V5_HEADER;
+    uint64_t bytes, at, sum, table_at;
+    voxrt_result r = VOXRT_OK;
+    uint32_t i;
+    for (i = w->tiers - 1; i-- > 0 && r == VOXRT_OK;) r = voxrti_page_flush(w, i);
+    if (r != VOXRT_OK) return r;
+    memset(zero, 0, sizeof zero);
+    memset(head, 0, sizeof head);
+    bytes = w->pages * VOXRTI_PAGED_ENTRY;
+    table_at = at = voxrti_v5_align(w->at);
+    sum = 0x243f6a8885a308d3u ^ bytes;
+    r = voxrti_page_store(w, w->at, zero, (size_t)(at - w->at));
+    for (i = 0; i < w->tiers && r == VOXRT_OK; i++) { /* entries are whole words: checksums go on */
+        sum = voxrti_hash_bytes(sum, w->tier[i].table.data, w->tier[i].table.size);
+        r = voxrti_page_store(w, at, w->tier[i].table.data, w->tier[i].table.size);
+        at += w->tier[i].table.size;
+    }
+    if (r != VOXRT_OK) return r;
+    for (i = 0; i < 3; i++) {
+        voxrti_store_f64(p + 8 * i, w->grid.origin[i]);
+        voxrti_store_u32(p + 32 + 4 * i, w->lo[i]);
+        voxrti_store_u32(p + 44 + 4 * i, w->hi[i]);
+    }
+    voxrti_store_f64(p + 24, w->grid.voxel_size);
+    voxrti_store_u32(p + 56, (uint32_t)w->pages);
+    voxrti_store_u32(p + 60, w->root_rgb);
+    voxrti_store_u32(p + 64, w->root_normal);
+    for (i = 0; i < 3; i++, e += VOXRTI_V5_ENTRY) {
+        voxrti_store_u32(e, VOXRTI_V5_PAGE_HEAD + i);
+        voxrti_store_u64(e + 8, i == 0 ? 192 : i == 1 ? VOXRTI_PAGED_HEAD : table_at);
+        voxrti_store_u64(e + 16, i == 0 ? VOXRTI_PAGED_PLACE : i == 1 ? w->at - VOXRTI_PAGED_HEAD : bytes);
+        voxrti_store_u64(e + 24, i == 0 ? 1 : w->pages);
+        voxrti_store_u64(e + 32, i == 0 ? voxrti_v5_checksum(p, VOXRTI_PAGED_PLACE) : i == 1 ? 0 : sum);
+    }
+    memcpy(head, voxrti_v5_magic, 8);
+    voxrti_store_u16(head + 8, 5);
+    voxrti_store_u16(head + 12, VOXRTI_V5_HEADER);
+    voxrti_store_u16(head + 14, 3);
+    voxrti_store_u64(head + 16, at);
+    voxrti_store_u32(head + 32, w->flags | VOXRTI_V5_PAGED);
+    voxrti_store_u32(head + 36, w->grid.depth);
+    voxrti_store_u32(head + 40, w->grid.resolution);
+    voxrti_store_u64(head + 48, w->nodes);
+    voxrti_store_u64(head + 56, w->voxels);
+    voxrti_store_u64(head + 24, voxrti_v5_head_checksum(head, 3));
+    return voxrti_page_store(w, 0, head, sizeof head);
+}
+
+/* ---- writing: a tree ---- */
+
+/* Attributes of `count` cells of a plain tree from number `first` on. */
+static void voxrti_page_copy(const voxrt_tree *t, uint64_t first, uint32_t count, uint32_t *rgb, uint16_t *normal) {
+    if (count == 0) return;
+    if (rgb != NULL) voxrti_tree_rgb(t, first, count, rgb);
+    if (normal != NULL) memcpy(normal, t->normal + (size_t)first, count * sizeof *normal);
+}
+
+/* The page below an anchor, a node of the tree, behind all pages below it. */
+static voxrt_result voxrti_page_of_tree(voxrti_page_writer *w, const voxrt_tree *t, uint32_t tier, uint32_t anchor,
+                                        voxrti_bytes *page) {
+    const uint32_t w2 = 2 * tier + 1 - w->odd, leaf = w2 + 1 == t->wide;
+    uint64_t mask1[64], *mask2, first2 = 0;
+    uint32_t n1 = 1, node1 = 0, node2 = 0, n2 = 0, v2 = 0, o2 = 0, o1 = 0, i, *rgb = NULL;
+    uint16_t *normal = NULL;
+    voxrti_page_cells c;
+    voxrt_result r = VOXRT_ERR_NO_MEMORY;
+    memset(&c, 0, sizeof c);
+    if (tier != 0) {
+        n1 = voxrti_popcount64(t->node[anchor].mask);
+        node1 = t->node[anchor].child;
+    }
+    if (w2 == 0) { /* the root alone */
+        mask1[0] = 1;
+        n2 = 1;
+    } else {
+        node2 = t->node[node1].child;
+        for (i = 0; i < n1; i++) {
+            mask1[i] = t->node[node1 + i].mask;
+            n2 += voxrti_popcount64(mask1[i]);
+        }
+    }
+    for (i = 0; i < n1; i++) o1 += voxrti_popcount64(voxrti_octants(mask1[i]));
+    for (i = 0; !leaf && i < n2; i++) {
+        const voxrt_result below = voxrti_page_of_tree(w, t, tier + 1, node2 + i, page);
+        if (below != VOXRT_OK) return below;
+    }
+    mask2 = (uint64_t *)voxrti_alloc_array(w->mem, n2, sizeof *mask2);
+    for (i = 0; mask2 != NULL && i < n2; i++) {
+        mask2[i] = leaf ? t->leaf[node2 + i] : t->node[node2 + i].mask;
+        v2 += voxrti_popcount64(mask2[i]);
+        o2 += voxrti_popcount64(voxrti_octants(mask2[i]));
+    }
+    c.count = v2 + o2 + n2 + o1;
+    if ((w->flags & VOXRTI_V5_HAS_COLORS) != 0) rgb = (uint32_t *)voxrti_alloc_array(w->mem, c.count, sizeof *rgb);
+    if ((w->flags & VOXRTI_V5_HAS_NORMALS) != 0)
+        normal = (uint16_t *)voxrti_alloc_array(w->mem, c.count, sizeof *normal);
+    if (mask2 != NULL && ((w->flags & VOXRTI_V5_HAS_COLORS) == 0 || rgb != NULL) &&
+        ((w->flags & VOXRTI_V5_HAS_NORMALS) == 0 || normal != NULL)) {
+        first2 = voxrti_attr_index(t, 2 * w2 + 2, node2, 0);
+        voxrti_page_copy(t, first2, v2, rgb, normal);
+        voxrti_page_copy(t, voxrti_attr_index(t, 2 * w2 + 1, node2, 0), o2, rgb != NULL ? rgb + v2 : NULL,
+                         normal != NULL ? normal + v2 : NULL);
+        voxrti_page_copy(t, w2 == 0 ? t->attr_first[0] : voxrti_attr_index(t, 2 * w2, node1, 0), n2,
+                         rgb != NULL ? rgb + v2 + o2 : NULL, normal != NULL ? normal + v2 + o2 : NULL);
+        voxrti_page_copy(t, w2 == 0 ? t->attr_first[0] : voxrti_attr_index(t, 2 * w2 - 1, node1, 0), o1,
+                         rgb != NULL ? rgb + v2 + o2 + n2 : NULL, normal != NULL ? normal + v2 + o2 + n2 : NULL);
+        c.mask1 = mask1;
+        c.mask2 = mask2;
+        c.rgb = rgb;
+        c.normal = normal;
+        c.n1 = n1;
+        c.n2 = n2;
+        if (leaf && (w->flags & VOXRTI_V5_HAS_PLANES) != 0) {
+            c.plane = t->plane + (size_t)first2;
+            c.planes = v2;
+        }
+        page->size = 0;
+        r = voxrti_page_encode(&c, page);
+        if (r == VOXRT_OK) r = voxrti_page_append(w, tier, page, n1, n2);
+    }
+    voxrti_free(w->mem, mask2);
+    voxrti_free(w->mem, rgb);
+    voxrti_free(w->mem, normal);
+    return r;
+}
+
+/* Called by the functions that save trees. */
+static voxrt_result voxrti_tree_save_paged(voxrti_mem *mem, const voxrt_save_desc *d, const voxrt_tree *tree,
+                                           const voxrt_sink *sink) {
+    voxrti_page_writer w;
+    voxrti_grid grid;
+    voxrti_bytes page;
+    voxrt_tree *plain = NULL;
+    const voxrt_tree *t = tree;
+    voxrt_result r = VOXRT_OK;
+    memset(&page, 0, sizeof page);
+    page.mem = mem;
+    if (tree->code != NULL) {
+        voxrt_env env = d->env;
+        env.error = NULL;
+        r = voxrt_tree_unshare(tree, &env, &plain);
+        if (r != VOXRT_OK) return r;
+        t = plain;
+    }
+    memset(&grid, 0, sizeof grid);
+    memcpy(grid.origin, t->origin, sizeof grid.origin);
+    grid.voxel_size = t->voxel_size;
+    grid.depth = t->depth;
+    grid.resolution = t->resolution;
+    r = voxrti_page_begin(&w, mem, &d->env, sink, &grid);
+    if (t->colors.block != NULL || t->palette[0] != 255 || t->palette[1] != 255 || t->palette[2] != 255)
+        w.flags |= VOXRTI_V5_HAS_COLORS;
+    if (t->normal != NULL && !d->disable_normals) w.flags |= VOXRTI_V5_HAS_NORMALS;
+    if (t->normal != NULL && !d->disable_normals && t->spherical) w.flags |= VOXRTI_V5_SPHERICAL;
+    if (t->plane != NULL && !d->disable_normals) w.flags |= VOXRTI_V5_HAS_PLANES;
+    if (r == VOXRT_OK) r = voxrti_page_of_tree(&w, t, 0, 0, &page);
+    memcpy(w.lo, t->cell_min, sizeof w.lo);
+    memcpy(w.hi, t->cell_max, sizeof w.hi);
+    w.voxels = t->voxel_count;
+    w.root_rgb = 0xffffffu;
+    if (r == VOXRT_OK && (w.flags & VOXRTI_V5_HAS_COLORS) != 0) voxrti_tree_rgb(t, t->attr_first[0], 1, &w.root_rgb);
+    if ((w.flags & VOXRTI_V5_HAS_NORMALS) != 0) w.root_normal = t->normal[(size_t)t->attr_first[0]];
+    if (r == VOXRT_OK) r = voxrti_page_finish(&w);
+    voxrti_page_end(&w);
+    voxrti_free(mem, page.data);
+    voxrt_tree_destroy(plain);
+    return r;
+}
+
+/* ---- writing: a mesh, piece by piece ---- */
+
+#define VOXRTI_PIECE_LOG 10      /* pieces have at most 2^10 cells along an axis, */
+#define VOXRTI_PIECE_AREA 6e6    /* and are cut further when triangles cover so many voxels, down to pages */
+
+typedef struct voxrti_pieces {
+    voxrti_page_writer w;
+    voxrt_build_desc d;
+    voxrti_vox v;          /* for corners of triangles */
+    voxrt_build_stats *stats;
+} voxrti_pieces;
+
+/* Box of a triangle in cells, a little larger; 0: it is not usable. area: what of it may lie in one cube, in voxels. */
+static int voxrti_piece_box(const voxrti_pieces *p, size_t i, double lo[3], double hi[3], double *area) {
+    double q[3][3], n[3];
+    size_t vertex[3];
+    uint32_t a, k;
+    if (!voxrti_tri_corners(&p->v, i, q, vertex)) return 0;
+    for (a = 0; a < 3; a++) {
+        lo[a] = hi[a] = q[0][a];
+        for (k = 1; k < 3; k++) {
+            lo[a] = voxrti_min(lo[a], q[k][a]);
+            hi[a] = voxrti_max(hi[a], q[k][a]);
+        }
+        lo[a] -= 2.0;
+        hi[a] += 2.0;
+    }
+    for (a = 0; a < 3; a++) {
+        const uint32_t b = (a + 1) % 3, c = (a + 2) % 3;
+        n[a] = (q[1][b] - q[0][b]) * (q[2][c] - q[0][c]) - (q[1][c] - q[0][c]) * (q[2][b] - q[0][b]);
+    }
+    *area = 0.5 * sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]) + 0.1; /* a small one fills less than a voxel */
+    return 1;
+}
+
+/* Voxelise what lies in a cube of 2^log cells with this Morton code. */
+static voxrt_result voxrti_piece_build(voxrti_pieces *p, const uint32_t *list, size_t count, uint64_t code,
+                                       uint32_t log) {
+    const voxrt_mesh *m = p->v.mesh;
+    voxrti_mem *mem = p->w.mem;
+    voxrt_build_desc d = p->d;
+    voxrt_build_stats stats;
+    voxrti_leafset set;
+    voxrt_mesh part = *m;
+    uint32_t *index = (uint32_t *)voxrti_alloc_array(mem, count, 3 * sizeof *index), a, box[6];
+    uint8_t *rgb = NULL;
+    const uint32_t brick = p->w.grid.depth > 15 ? 6 : 5;
+    voxrt_result r = VOXRT_OK;
+    size_t i;
+    if (m->triangle_rgb != NULL) rgb = (uint8_t *)voxrti_alloc_array(mem, count, 3);
+    if (index == NULL || (m->triangle_rgb != NULL && rgb == NULL)) r = VOXRT_ERR_NO_MEMORY;
+    for (i = 0; r == VOXRT_OK && i < count; i++) {
+        for (a = 0; a < 3; a++)
+            index[3 * i + a] = m->indices != NULL ? m->indices[(size_t)3 * list[i] + a] : 3 * list[i] + a;
+        if (rgb != NULL) memcpy(rgb + 3 * i, m->triangle_rgb + (size_t)3 * list[i], 3);
+    }
+    part.indices = index;
+    part.triangle_rgb = rgb;
+    part.triangle_count = count;
+    d.env.progress_fn = NULL;
+    memset(&stats, 0, sizeof stats);
+    memset(&set, 0, sizeof set);
+    for (a = 0; a < 3; a++) {
+        box[a] = voxrti_compact3(code >> a) << log >> brick;
+        box[3 + a] = box[a] + (log > brick ? ((uint32_t)1 << (log - brick)) - 1 : 0);
+    }
+    if (r == VOXRT_OK) r = voxrti_voxelize(mem, &d, &part, &p->w.grid, box, &stats, &set);
+    voxrti_free(mem, index);
+    voxrti_free(mem, rgb);
+    p->stats->fragments += stats.fragments;
+    if (r == VOXRT_OK && set.block_count != 0) r = voxrti_page_leaves(&p->w, &set);
+    voxrti_leafset_free(mem, &set);
+    return r;
+}
+
+/* The triangles that may touch a cube: cut it, or voxelise what is in it. */
+static voxrt_result voxrti_piece(voxrti_pieces *p, const uint32_t *list, size_t count, uint64_t code, uint32_t log) {
+    const double edge = (double)((uint32_t)1 << log);
+    voxrti_mem *mem = p->w.mem;
+    double lo[3], hi[3], at[3], area, sum = 0.0;
+    voxrt_result r = VOXRT_OK;
+    uint32_t *part, a, o;
+    uint8_t *octants;
+    size_t i, n;
+    if (count == 0) return VOXRT_OK;
+    for (a = 0; a < 3; a++) at[a] = (double)voxrti_compact3(code >> a) * edge;
+    for (i = 0; i < count && log > 6; i++) {
+        double whole = 1.0, inside = 1.0;
+        if (!voxrti_piece_box(p, list[i], lo, hi, &area)) continue;
+        for (a = 0; a < 3; a++) {
+            whole = voxrti_max(whole, hi[a] - lo[a]);
+            inside *= voxrti_max(0.0, voxrti_min(hi[a], at[a] + edge) - voxrti_max(lo[a], at[a])) / (hi[a] - lo[a]);
+        }
+        if (whole > edge) area *= sqrt(sqrt(voxrti_max(inside, 0.0))); /* a guess is enough */
+        sum += voxrti_min(area, 3.0 * edge * edge);
+    }
+    if (log <= 6 || (log <= VOXRTI_PIECE_LOG && sum <= VOXRTI_PIECE_AREA) || sum <= 0.125 * VOXRTI_PIECE_AREA)
+        return voxrti_piece_build(p, list, count, code, log);
+    part = (uint32_t *)voxrti_alloc_array(mem, count, sizeof *part);
+    octants = (uint8_t *)voxrti_alloc_zero(mem, count, 1);
+    if (part == NULL || octants == NULL) r = VOXRT_ERR_NO_MEMORY;
+    for (i = 0; r == VOXRT_OK && i < count; i++) {
+        uint32_t bits = 255;
+        if (!voxrti_piece_box(p, list[i], lo, hi, &area)) continue;
+        for (a = 0; a < 3; a++) {
+            static const uint8_t low[3] = {0x55, 0x33, 0x0f};
+            if (!(lo[a] <= at[a] + 0.5 * edge)) bits &= ~(uint32_t)low[a];
+            if (!(hi[a] >= at[a] + 0.5 * edge)) bits &= low[a];
+        }
+        octants[i] = (uint8_t)bits;
+    }
+    for (o = 0; o < 8 && r == VOXRT_OK; o++) {
+        const voxrt_env *env = &p->d.env;
+        for (i = 0, n = 0; i < count; i++)
+            if (octants[i] >> o & 1u) part[n++] = list[i];
+        r = voxrti_piece(p, part, n, code << 3 | o, log - 1);
+        if (r == VOXRT_OK && env->progress_fn != NULL && p->w.grid.depth - log <= 4) {
+            const uint32_t up = 3 * (4 - (p->w.grid.depth - log));
+            if (env->progress_fn(env->progress_user, ((code << 3 | o) + 1) << up, (uint64_t)1 << 15) != 0)
+                r = VOXRT_ERR_CANCELLED;
+        }
+    }
+    voxrti_free(mem, part);
+    voxrti_free(mem, octants);
+    return r;
+}
+
+static void voxrti_piece_count(void *ctx, const voxrti_tri *t, size_t i) {
+    voxrt_build_stats *s = (voxrt_build_stats *)ctx;
+    (void)i;
+    s->degenerate += t->n[0] == 0 && t->n[1] == 0 && t->n[2] == 0;
+}
+
+VOXRT_DEF voxrt_result voxrt_paged_build(const voxrt_build_desc *desc, const voxrt_mesh *mesh, const voxrt_sink *sink,
+                                         voxrt_build_stats *stats) {
+    voxrti_pieces *p;
+    voxrt_build_stats local;
+    voxrt_build_desc d;
+    voxrti_grid grid;
+    voxrti_mem mem;
+    uint32_t *list = NULL;
+    size_t i, n = 0, bad = 0;
+    voxrt_result r;
+    if (stats == NULL) stats = &local;
+    memset(stats, 0, sizeof *stats);
+    r = voxrti_build_open(desc, &d, &mem);
+    if (r != VOXRT_OK) return r;
+    if (mesh == NULL || (mesh->triangle_count != 0 && mesh->positions == NULL) || sink == NULL ||
+        sink->write_fn == NULL)
+        return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no mesh, or nowhere to write to");
+    if (d.fill || d.lod_method != VOXRT_LOD_MEAN)
+        return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "piece by piece nothing is filled, and no votes are taken");
+    if (mesh->triangle_count >= 0xffffffffu || (mesh->indices == NULL && mesh->triangle_count >= 0x55555555u))
+        return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, mesh->triangle_count, "% triangles are too many");
+    r = voxrti_grid_from_mesh(&d, mesh, &grid);
+    if (r != VOXRT_OK) return r;
+    stats->triangles = mesh->triangle_count;
+    p = (voxrti_pieces *)voxrti_alloc_zero(&mem, 1, sizeof *p);
+    list = (uint32_t *)voxrti_alloc_array(&mem, mesh->triangle_count, sizeof *list);
+    r = p != NULL && list != NULL ? VOXRT_OK : VOXRT_ERR_NO_MEMORY;
+    if (r == VOXRT_OK && p != NULL) {
+        p->d = d;
+        p->stats = stats;
+        p->v.mesh = mesh;
+        p->v.d = &p->d;
+        p->v.grid = &p->w.grid;
+        p->v.sub = 20 - grid.depth < 8 ? 20 - grid.depth : 8;
+        r = voxrti_page_begin(&p->w, &mem, &p->d.env, sink, &grid);
+        if (!d.disable_colors && (mesh->triangle_rgb != NULL || mesh->vertex_rgb != NULL))
+            p->w.flags |= VOXRTI_V5_HAS_COLORS;
+        if (!d.disable_normals) p->w.flags |= VOXRTI_V5_HAS_NORMALS | (d.planes ? VOXRTI_V5_HAS_PLANES : 0);
+        for (i = 0; i < mesh->triangle_count && r == VOXRT_OK; i++) {
+            if (voxrti_tri_each(&p->v, i, 0, voxrti_piece_count, stats)) list[n++] = (uint32_t)i;
+            else if (stats->rejected++ == 0) bad = i;
+        }
+        if (r == VOXRT_OK && stats->rejected != 0 && d.strict)
+            r = voxrti_fail(d.env.error, VOXRT_ERR_FORMAT, bad, "triangle % has a bad vertex");
+        if (r == VOXRT_OK) r = voxrti_piece(p, list, n, 0, grid.depth > 6 ? grid.depth : 6);
+        if (r == VOXRT_OK && p->w.voxels == 0) r = VOXRT_ERR_EMPTY;
+        if (r == VOXRT_OK) r = voxrti_page_finish(&p->w);
+        stats->voxels = p->w.voxels;
+        voxrti_page_end(&p->w);
+    }
+    voxrti_free(&mem, list);
+    voxrti_free(&mem, p);
+    stats->peak_bytes = mem.peak;
+    if (r != VOXRT_OK && d.env.error != NULL && d.env.error->code == VOXRT_OK)
+        (void)voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
+    return r;
+}
+
+#ifndef VOXRT_NO_STDIO
+
+typedef struct voxrti_file_sink {
+    FILE *file;
+    uint64_t at;
+} voxrti_file_sink;
+
+static int voxrti_file_write(void *user, uint64_t offset, const void *from, size_t bytes) {
+    voxrti_file_sink *s = (voxrti_file_sink *)user;
+    if (offset != s->at && (offset > 4096 || fseek(s->file, (long)offset, SEEK_SET) != 0)) return 1;
+    s->at = offset + bytes;
+    return fwrite(from, 1, bytes, s->file) != bytes;
+}
+
+/* Open path.part, later give it its name. */
+static voxrt_result voxrti_sink_open(voxrti_mem *mem, const char *path, voxrti_file_sink *s, char **part) {
+    const size_t n = strlen(path);
+    memset(s, 0, sizeof *s);
+    *part = (char *)voxrti_alloc(mem, n + 6);
+    if (*part == NULL) return VOXRT_ERR_NO_MEMORY;
+    memcpy(*part, path, n);
+    memcpy(*part + n, ".part", 6);
+    s->file = fopen(*part, "wb");
+    return s->file != NULL ? VOXRT_OK : VOXRT_ERR_IO;
+}
+
+static voxrt_result voxrti_sink_close(voxrti_mem *mem, const char *path, voxrti_file_sink *s, char *part,
+                                      voxrt_result r) {
+    if (s->file != NULL) {
+        if (fclose(s->file) != 0 && r == VOXRT_OK) r = VOXRT_ERR_IO;
+#ifdef _WIN32 /* rename does not replace there */
+        if (r == VOXRT_OK) (void)remove(path);
+#endif
+        if (r == VOXRT_OK && rename(part, path) != 0) r = VOXRT_ERR_IO;
+        if (r != VOXRT_OK) (void)remove(part);
+    }
+    voxrti_free(mem, part);
+    return r;
+}
+
+static voxrt_result voxrti_tree_save_paged_file(voxrti_mem *mem, const voxrt_save_desc *d, const voxrt_tree *tree,
+                                                const char *path) {
+    voxrti_file_sink file;
+    voxrt_sink sink;
+    char *part = NULL;
+    voxrt_result r = voxrti_sink_open(mem, path, &file, &part);
+    sink.write_fn = voxrti_file_write;
+    sink.user = &file;
+    if (r == VOXRT_OK) r = voxrti_tree_save_paged(mem, d, tree, &sink);
+    return voxrti_sink_close(mem, path, &file, part, r);
+}
+
+VOXRT_DEF voxrt_result voxrt_paged_build_file(const voxrt_build_desc *desc, const voxrt_mesh *mesh, const char *path,
+                                              voxrt_build_stats *stats) {
+    voxrt_build_desc d;
+    voxrti_file_sink file;
+    voxrt_sink sink;
+    voxrti_mem mem;
+    char *part = NULL;
+    voxrt_result r = voxrti_build_open(desc, &d, &mem);
+    if (stats != NULL) memset(stats, 0, sizeof *stats);
+    if (r != VOXRT_OK) return r;
+    if (path == NULL) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no path");
+    r = voxrti_sink_open(&mem, path, &file, &part);
+    sink.write_fn = voxrti_file_write;
+    sink.user = &file;
+    if (r == VOXRT_OK) r = voxrt_paged_build(desc, mesh, &sink, stats);
+    r = voxrti_sink_close(&mem, path, &file, part, r);
+    if (r != VOXRT_OK && d.env.error != NULL && d.env.error->code == VOXRT_OK)
+        (void)voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
+    return r;
+}
+#endif
+
+/* ---- what is loaded ---- */
+
+typedef struct voxrti_page { /* 56 bytes: what the table says, and what has become of it */
+    uint64_t offset, checksum;
+    uint32_t size;
+    uint16_t n1, n2;
+    uint32_t first_child, parent;
+    uint32_t place, frames; /* in the arena; place 0: it is not there */
+    uint32_t used;          /* atomic: turn in which it was hit last */
+    uint32_t passed;        /* turn in which the hand of the clock passed it */
+    uint32_t wanted;        /* atomic: 1: it was missing */
+    uint32_t bad;           /* 1: it cannot be loaded */
+} voxrti_page;
+
+typedef struct voxrti_chunk { /* 64 bytes: begin of a page in the arena; then come nodes, ranks and the rest */
+    uint32_t id, n1, n2, leaf;     /* leaf: the second level are leaf nodes */
+    uint32_t first1, first2;       /* numbers of the first nodes, as `child` says them */
+    uint32_t cells2, octants2;     /* cells of the second level: bits, octants; then n2 cells of the first level's bits */
+    uint32_t colors, bits;         /* entries of the palette, 0: white; bits of an index */
+    uint32_t rank;                 /* where these begin, in bytes: u32 bits, octants before second node 16 i; */
+    uint32_t normal, palette, index, plane; /* 0: there is none */
+    uint32_t count;                /* cells */
+} voxrti_chunk;
+
+struct voxrt_paged {
+    voxrti_mem mem;
+    voxrt_tree tree;               /* what the kernels see: the arena */
+    uint8_t *arena;
+    uint32_t *owner;               /* [frames] page of each frame, or VOXRTI_NO_PAGE */
+    uint32_t frames, first_frame;  /* all; those of the pages begin there */
+    uint32_t hand;
+    uint32_t solid[VOXRTI_MAX_WIDE + 1]; /* first of the full nodes of each wide level, as `child` says it */
+    uint32_t solid_end;            /* byte behind them */
+    voxrti_page *page;
+    uint32_t page_count, tiers, odd;
+    uint32_t leaf_first;           /* first page of leaf nodes */
+    uint8_t *buffer;               /* a page as it is in the file */
+    uint32_t flags, wait, trust;
+    const uint8_t *data;
+    uint64_t size;
+    int (*read_fn)(void *user, uint64_t offset, void *to, size_t bytes);
+    void *read_user;
+    void *file;                    /* opened by voxrt_paged_open_file */
+    uint8_t root_rgb[3];
+    uint32_t root_normal;
+    uint32_t turn;                 /* atomic */
+    uint64_t loaded_frames, file_bytes, memory;
+    uint64_t reads, read_bytes, evictions;
+    uint32_t loaded_pages, bad_pages;
+    uint32_t coarse[2];            /* a sum of all threads */
+    voxrt_error error;
+#ifndef VOXRT_NO_THREADS
+    pthread_mutex_t lock;
+    pthread_cond_t change;
+#endif
+    uint32_t readers, writer;      /* under the lock; without threads of our own writer is a lock by itself */
+};
+
+VOXRTI_INLINE voxrti_chunk *voxrti_paged_chunk(const voxrt_paged *p, uint32_t id) {
+    return (voxrti_chunk *)(void *)(p->arena + (size_t)p->page[id].place * VOXRTI_FRAME);
+}
+VOXRTI_INLINE uint64_t voxrti_chunk_mask(const voxrt_paged *p, const voxrti_chunk *c, uint32_t i) { /* second level */
+    return c->leaf ? p->tree.leaf[c->first2 + i] : p->tree.node[c->first2 + i].mask;
+}
+
+/* Cells of the second level before node i: bits, octants. */
+VOXRTI_INLINE void voxrti_chunk_rank(const voxrt_paged *p, const voxrti_chunk *c, uint32_t i, uint32_t rank[2]) {
+    const uint8_t *from = (const uint8_t *)c + c->rank + (size_t)8 * (i >> 4);
+    uint32_t k;
+    memcpy(rank, from, 8);
+    for (k = i & ~15u; k < i; k++) {
+        const uint64_t mask = voxrti_chunk_mask(p, c, k);
+        rank[0] += voxrti_popcount64(mask);
+        rank[1] += voxrti_popcount64(voxrti_octants(mask));
+    }
+}
+
+/* Which cell of a page: of node i of its first or second level the bit `slot`, or the octant that has it. */
+static uint32_t voxrti_chunk_cell(const voxrt_paged *p, const voxrti_chunk *c, uint32_t second, uint32_t i,
+                                  uint32_t slot, int octant) {
+    const uint64_t below = ((uint64_t)1 << slot) - 1;
+    const uint32_t octants = (1u << (slot >> 3)) - 1u;
+    if (second) {
+        const uint64_t mask = voxrti_chunk_mask(p, c, i);
+        uint32_t rank[2];
+        voxrti_chunk_rank(p, c, i, rank);
+        return octant ? c->cells2 + rank[1] + voxrti_popcount64(voxrti_octants(mask) & octants) :
+               rank[0] + voxrti_popcount64(mask & below);
+    } else {
+        const voxrti_node *n = &p->tree.node[c->first1 + i];
+        return c->cells2 + c->octants2 +
+               (octant ? c->n2 + n->octant + voxrti_popcount64(voxrti_octants(n->mask) & octants) :
+                n->child - c->first2 + voxrti_popcount64(n->mask & below));
+    }
+}
+
+static void voxrti_chunk_color(const voxrti_chunk *c, uint32_t cell, uint8_t rgb[3]) {
+    const uint8_t *base = (const uint8_t *)c;
+    uint32_t k = 0;
+    memset(rgb, 255, 3);
+    if (c->colors == 0) return;
+    if (c->bits != 0) {
+        const uint64_t bit = (uint64_t)cell * c->bits;
+        k = (uint32_t)(voxrti_load_u32(base + c->index + (size_t)(bit >> 3)) >> (bit & 7u)) & ((1u << c->bits) - 1u);
+    }
+    memcpy(rgb, base + c->palette + (size_t)3 * k, 3);
+}
+
+static void voxrti_chunk_normal(const voxrt_paged *p, const voxrti_chunk *c, uint32_t cell, float n[3]) {
+    if (c->normal != 0)
+        voxrti_normal_decode(p->tree.spherical, voxrti_load_u16((const uint8_t *)c + c->normal + (size_t)2 * cell), n);
+}
+
+/* Bytes from the file. */
+static voxrt_result voxrti_paged_read(voxrt_paged *p, uint64_t offset, void *to, size_t bytes) {
+    if (offset > p->size || bytes > p->size - offset) return VOXRT_ERR_TRUNCATED;
+    if (p->data != NULL) memcpy(to, p->data + (size_t)offset, bytes);
+    else if (bytes != 0 && p->read_fn(p->read_user, offset, to, bytes) != 0) return VOXRT_ERR_IO;
+    return VOXRT_OK;
+}
+
+/* The page that a node's children are in gets the place of these, or that of full nodes. */
+static void voxrti_paged_link(voxrt_paged *p, uint32_t id, uint32_t child) {
+    const uint32_t parent = p->page[id].parent;
+    const voxrti_chunk *c = voxrti_paged_chunk(p, parent);
+    voxrti_node *n = &p->tree.node[c->first2 + (id - p->page[parent].first_child)];
+    n->child = child;
+    if (parent == 0 && p->odd) p->tree.node[0] = *n; /* the root */
+}
+
+static void voxrti_paged_evict(voxrt_paged *p, uint32_t id) {
+    voxrti_page *g = &p->page[id];
+    uint32_t i, tier_end = id < p->leaf_first ? g->first_child + g->n2 : g->first_child;
+    for (i = g->first_child; i < tier_end; i++)
+        if (p->page[i].place != 0) voxrti_paged_evict(p, i);
+    for (i = 0; i < g->frames; i++) p->owner[g->place + i] = VOXRTI_NO_PAGE;
+    p->loaded_frames -= g->frames;
+    p->loaded_pages--;
+    p->evictions++;
+    g->place = 0;
+    if (id != 0) {
+        uint32_t w = 0, k = id;
+        for (; k != 0; k = p->page[k].parent) w += 2;
+        voxrti_paged_link(p, id, p->solid[w - p->odd]);
+    }
+}
+
+/* Frames for a page, one after the other; 0: too much is in use. */
+static uint32_t voxrti_paged_room(voxrt_paged *p, uint32_t frames) {
+    const uint64_t most = 3 * (uint64_t)p->frames;
+    uint64_t seen = 0;
+    uint32_t at = p->hand, f;
+    while (seen < most) {
+        uint32_t blocked = 0;
+        if (at < p->first_frame || at >= p->frames || frames > p->frames - at) {
+            if (at < p->frames) seen += p->frames - at;
+            at = p->first_frame;
+            seen++;
+            if (frames > p->frames - at) return 0;
+        }
+        for (f = at; f < at + frames && !blocked;) {
+            voxrti_page *g = p->owner[f] != VOXRTI_NO_PAGE ? &p->page[p->owner[f]] : NULL;
+            if (g == NULL) {
+                f++;
+                continue;
+            }
+            blocked = p->owner[f] == 0 || g->used == p->turn || g->used > g->passed;
+            if (g->used != p->turn) g->passed = g->used;
+            f = g->place + g->frames;
+        }
+        if (!blocked) {
+            for (f = at; f < at + frames; f++)
+                if (p->owner[f] != VOXRTI_NO_PAGE) voxrti_paged_evict(p, p->owner[f]);
+            p->hand = at + frames;
+            return at;
+        }
+        seen += f - at;
+        at = f;
+    }
+    return 0;
+}
+
+/* A page and all above it are in use. */
+static void voxrti_paged_touch(voxrt_paged *p, uint32_t id) {
+    const uint32_t turn = voxrti_atomic_load(&p->turn);
+    while (voxrti_atomic_load(&p->page[id].used) != turn) {
+        voxrti_atomic_store(&p->page[id].used, turn);
+        if (id == 0) return;
+        id = p->page[id].parent;
+    }
+}
+
+/* Sizes of what is in the buffer; 0: it is no page, at byte *where of it. */
+static int voxrti_paged_check(const voxrt_paged *p, uint32_t id, voxrti_chunk *c, uint32_t *where) {
+    const voxrti_page *g = &p->page[id];
+    const uint8_t *q = p->buffer;
+    const uint32_t head = 8 + 8 * ((uint32_t)g->n1 + g->n2), colors = (p->flags & VOXRTI_V5_HAS_COLORS) != 0;
+    uint32_t i, n2 = 0, octants1 = 0;
+    uint64_t size;
+    memset(c, 0, sizeof *c);
+    *where = 0;
+    if (g->size < head) return 0;
+    c->id = id;
+    c->n1 = g->n1;
+    c->n2 = g->n2;
+    c->leaf = id >= p->leaf_first;
+    c->colors = voxrti_load_u32(q);
+    c->bits = voxrti_load_u32(q + 4);
+    for (i = 0; i < c->n1 + c->n2; i++) {
+        const uint64_t mask = voxrti_load_u64(q + 8 + (size_t)8 * i);
+        const uint32_t octants = voxrti_popcount64(voxrti_octants(mask));
+        *where = 8 + 8 * i;
+        if (mask == 0) return 0;
+        if (i < c->n1) {
+            n2 += voxrti_popcount64(mask);
+            octants1 += octants;
+            if (id == 0 && p->odd && mask != 1) return 0;
+        } else {
+            c->cells2 += voxrti_popcount64(mask);
+            c->octants2 += octants;
+        }
+        if (id == 0 && i == p->odd && (p->tree.depth & 1u) != 0 && (mask & ~(uint64_t)0xff) != 0) return 0; /* the root */
+    }
+    *where = 8;
+    if (n2 != c->n2) return 0;
+    c->count = c->cells2 + c->octants2 + n2 + octants1;
+    *where = 0;
+    if ((c->colors != 0) != (colors != 0) || c->colors > c->count) return 0;
+    if (c->bits != (c->colors != 0 ? voxrti_bits_for(c->colors) : 0)) return 0;
+    size = head;
+    if ((p->flags & VOXRTI_V5_HAS_NORMALS) != 0) {
+        c->normal = (uint32_t)size;
+        size += (uint64_t)2 * c->count;
+    }
+    if (c->colors != 0) {
+        c->palette = (uint32_t)size;
+        c->index = (uint32_t)size + 3 * c->colors;
+        size = c->index + ((uint64_t)c->count * c->bits + 7) / 8;
+    }
+    if (c->leaf && (p->flags & VOXRTI_V5_HAS_PLANES) != 0) {
+        c->plane = (uint32_t)size;
+        size += c->cells2;
+    }
+    if (size != g->size) return 0;
+    for (i = 0; i < c->count && c->bits != 0; i++) { /* bytes of the next section are not looked at: 8 are behind */
+        const uint64_t bit = (uint64_t)i * c->bits;
+        const uint32_t k = voxrti_load_u32(q + c->index + (size_t)(bit >> 3)) >> (bit & 7u) & ((1u << c->bits) - 1u);
+        *where = c->index + (uint32_t)(bit >> 3);
+        if (k >= c->colors) return 0;
+    }
+    return 1;
+}
+
+/* Put the page in the buffer into the arena. */
+static void voxrti_paged_place(voxrt_paged *p, uint32_t id, voxrti_chunk *c, uint32_t place) {
+    voxrti_page *g = &p->page[id];
+    const uint32_t head = 8 + 8 * (c->n1 + c->n2), nodes2 = c->leaf ? 8 : 16;
+    uint8_t *base = p->arena + (size_t)place * VOXRTI_FRAME;
+    const uint32_t attr = (uint32_t)sizeof *c + 16 * c->n1 + nodes2 * c->n2 + 8 * (c->n2 / 16 + 1);
+    uint32_t i, child, octants = 0, rank[2] = {0, 0}, w = 0, k;
+    voxrti_node *n = (voxrti_node *)(void *)(base + sizeof *c);
+    for (k = id; k != 0; k = p->page[k].parent) w += 2; /* the level of the first nodes, with the one above the root */
+    c->first1 = (uint32_t)(((size_t)place * VOXRTI_FRAME + sizeof *c) / 16);
+    c->first2 = (uint32_t)(((size_t)place * VOXRTI_FRAME + sizeof *c + 16 * c->n1) / nodes2);
+    c->rank = (uint32_t)sizeof *c + 16 * c->n1 + nodes2 * c->n2;
+    child = c->first2;
+    for (i = 0; i < c->n1; i++) {
+        n[i].mask = voxrti_load_u64(p->buffer + 8 + (size_t)8 * i);
+        n[i].child = child;
+        n[i].octant = octants;
+        child += voxrti_popcount64(n[i].mask);
+        octants += voxrti_popcount64(voxrti_octants(n[i].mask));
+    }
+    for (i = 0; i < c->n2; i++) {
+        const uint64_t mask = voxrti_load_u64(p->buffer + 8 + (size_t)8 * (c->n1 + i));
+        if ((i & 15u) == 0) memcpy(base + c->rank + (size_t)8 * (i >> 4), rank, 8);
+        rank[0] += voxrti_popcount64(mask);
+        rank[1] += voxrti_popcount64(voxrti_octants(mask));
+        if (c->leaf) {
+            p->tree.leaf[c->first2 + i] = mask;
+        } else {
+            voxrti_node *m = &p->tree.node[c->first2 + i];
+            m->mask = mask;
+            m->child = p->solid[w + 2 - p->odd];
+            m->octant = 0;
+        }
+    }
+    memcpy(base + attr, p->buffer + head, g->size - head);
+    memset(base + attr + (g->size - head), 0, 8);
+    if (c->normal != 0) c->normal += attr - head;
+    if (c->palette != 0) c->palette += attr - head;
+    if (c->index != 0) c->index += attr - head;
+    if (c->plane != 0) c->plane += attr - head;
+    memcpy(base, c, sizeof *c);
+    g->place = place;
+    for (i = 0; i < g->frames; i++) p->owner[place + i] = id;
+    p->loaded_frames += g->frames;
+    p->loaded_pages++;
+    if (id != 0) {
+        voxrti_paged_link(p, id, c->first1);
+    } else if (p->tree.wide == 1) {
+        p->tree.leaf[0] = p->tree.leaf[c->first2];
+    } else {
+        p->tree.node[0] = p->tree.node[p->odd ? c->first2 : c->first1];
+    }
+}
+
+/* Load a page whose parent is there. *full: there is no room for it; else an error makes it a bad one. */
+static voxrt_result voxrti_paged_load(voxrt_paged *p, uint32_t id, int *full) {
+    voxrti_page *g = &p->page[id];
+    voxrti_chunk c;
+    uint32_t place, where = 0;
+    uint64_t bytes;
+    const char *text = "page at byte % cannot be read";
+    voxrt_result r = voxrti_paged_read(p, g->offset, p->buffer, g->size);
+    *full = 0;
+    p->reads++;
+    p->read_bytes += g->size;
+    if (r == VOXRT_OK && !p->trust && voxrti_v5_checksum(p->buffer, g->size) != g->checksum) {
+        r = VOXRT_ERR_CHECKSUM;
+        text = "page at byte % is damaged";
+    }
+    memset(p->buffer + g->size, 0, 8);
+    if (r == VOXRT_OK && !voxrti_paged_check(p, id, &c, &where)) {
+        r = VOXRT_ERR_FORMAT;
+        text = "byte % is wrong in a page";
+    }
+    if (r == VOXRT_OK && id != 0) { /* as many nodes as the anchor has children */
+        const voxrti_chunk *above = voxrti_paged_chunk(p, g->parent);
+        const uint64_t mask = voxrti_chunk_mask(p, above, id - p->page[g->parent].first_child);
+        if (voxrti_popcount64(mask) != g->n1) {
+            r = VOXRT_ERR_FORMAT;
+            text = "page at byte % does not belong below its parent";
+        }
+    }
+    if (r != VOXRT_OK) {
+        g->bad = 1;
+        if (p->bad_pages++ == 0) (void)voxrti_fail(&p->error, r, g->offset + where, text);
+        return r;
+    }
+    bytes = sizeof c + (uint64_t)16 * c.n1 + (uint64_t)(c.leaf ? 8 : 16) * c.n2 + 8 * ((uint64_t)c.n2 / 16 + 1) +
+            (g->size - 8 - 8 * ((uint64_t)c.n1 + c.n2)) + 64; /* kernels read up to 64 bytes behind leaf nodes */
+    g->frames = (uint32_t)((bytes + VOXRTI_FRAME - 1) / VOXRTI_FRAME);
+    if (id != 0) voxrti_paged_touch(p, g->parent);
+    place = voxrti_paged_room(p, g->frames);
+    if (place == 0) {
+        *full = 1;
+        return VOXRT_OK;
+    }
+    voxrti_paged_place(p, id, &c, place);
+    g->used = p->turn;
+    g->passed = 0;
+    return VOXRT_OK;
+}
+
+/* ---- opening ---- */
+
+static voxrt_result voxrti_paged_fail(const voxrt_paged_desc *d, voxrt_result code, uint64_t where, const char *text) {
+    return voxrti_fail(d->env.error, code, where, text);
+}
+
+/* Header, placement and table of sections; *table, *checksum: of the table of pages. */
+static voxrt_result voxrti_paged_head(voxrt_paged *p, const voxrt_paged_desc *d, uint64_t *table, uint64_t *checksum) {
+    uint8_t h[VOXRTI_PAGED_HEAD];
+    const uint8_t *q = h + 192, *e = h + VOXRTI_V5_HEADER;
+    const size_t have = p->size < sizeof h ? (size_t)p->size : sizeof h;
+    voxrt_tree *t = &p->tree;
+    uint64_t pages_end;
+    uint32_t i, ok;
+    voxrt_result r;
+    memset(h, 0, sizeof h);
+    r = voxrti_paged_read(p, 0, h, have);
+    if (r != VOXRT_OK) return voxrti_paged_fail(d, r, 0, "the header cannot be read");
+    if (memcmp(h, voxrti_v5_magic, have < 8 ? have : 8) != 0)
+        return voxrti_paged_fail(d, VOXRT_ERR_FORMAT, 0, "not a voxrt file of format 5");
+    if (have < sizeof h) return voxrti_paged_fail(d, VOXRT_ERR_TRUNCATED, have, "file ends in the header");
+    if (voxrti_load_u16(h + 8) != 5)
+        return voxrti_paged_fail(d, VOXRT_ERR_VERSION, voxrti_load_u16(h + 8), "format version % is unknown");
+    p->flags = voxrti_load_u32(h + 32);
+    if ((p->flags & VOXRTI_V5_PAGED) == 0) return voxrti_paged_fail(d, VOXRT_ERR_FORMAT, 32, "not a paged file");
+    if (p->size < voxrti_load_u64(h + 16)) return voxrti_paged_fail(d, VOXRT_ERR_TRUNCATED, p->size, "file ends at byte %");
+    if (p->size > voxrti_load_u64(h + 16))
+        return voxrti_paged_fail(d, VOXRT_ERR_FORMAT, 16, "size of the file is not the one in its header");
+    if (!p->trust && voxrti_load_u64(h + 24) != voxrti_v5_head_checksum(h, 3))
+        return voxrti_paged_fail(d, VOXRT_ERR_CHECKSUM, 24, "header is damaged");
+    if (!p->trust && voxrti_load_u64(e + 32) != voxrti_v5_checksum(q, VOXRTI_PAGED_PLACE))
+        return voxrti_paged_fail(d, VOXRT_ERR_CHECKSUM, 192, "section at byte % is damaged");
+    t->depth = voxrti_load_u32(h + 36);
+    t->resolution = voxrti_load_u32(h + 40);
+    t->voxel_count = voxrti_load_u64(h + 56);
+    t->voxel_size = voxrti_load_f64(q + 24);
+    t->spherical = (p->flags & VOXRTI_V5_SPHERICAL) != 0;
+    p->page_count = voxrti_load_u32(q + 56);
+    *table = voxrti_load_u64(e + 2 * VOXRTI_V5_ENTRY + 8);
+    *checksum = voxrti_load_u64(e + 2 * VOXRTI_V5_ENTRY + 32);
+    pages_end = voxrti_load_u64(e + VOXRTI_V5_ENTRY + 16);
+    ok = voxrti_load_u16(h + 12) == VOXRTI_V5_HEADER && voxrti_load_u16(h + 14) == 3 && voxrti_load_u32(h + 44) == 0;
+    ok = ok && (p->flags & ~(uint32_t)(VOXRTI_V5_PAGED | VOXRTI_V5_HAS_NORMALS | VOXRTI_V5_HAS_COLORS |
+                                       VOXRTI_V5_SPHERICAL | VOXRTI_V5_HAS_PLANES)) == 0;
+    ok = ok && ((p->flags & (VOXRTI_V5_SPHERICAL | VOXRTI_V5_HAS_PLANES)) == 0 ||
+                (p->flags & VOXRTI_V5_HAS_NORMALS) != 0);
+    ok = ok && t->depth >= 1 && t->depth <= VOXRT_MAX_DEPTH && t->resolution >= 1 && t->resolution <= 1u << t->depth;
+    ok = ok && t->voxel_size > 0 && voxrti_finite(t->voxel_size * (double)(1u << t->depth)) && t->voxel_count >= 1;
+    ok = ok && p->page_count >= 1 && p->page_count < VOXRTI_NO_PAGE;
+    for (i = 0; i < 3; i++) {
+        const uint8_t *s = e + i * VOXRTI_V5_ENTRY;
+        ok = ok && voxrti_load_u32(s) == VOXRTI_V5_PAGE_HEAD + i && voxrti_load_u32(s + 4) == 0;
+        ok = ok && voxrti_load_u64(s + 24) == (i == 0 ? 1 : p->page_count);
+        t->origin[i] = voxrti_load_f64(q + 8 * i);
+        t->cell_min[i] = voxrti_load_u32(q + 32 + 4 * i);
+        t->cell_max[i] = voxrti_load_u32(q + 44 + 4 * i);
+        ok = ok && voxrti_finite(t->origin[i]) && t->cell_min[i] < t->cell_max[i] && t->cell_max[i] <= 1u << t->depth;
+        p->root_rgb[i] = q[60 + i];
+    }
+    p->root_normal = voxrti_load_u32(q + 64);
+    ok = ok && q[63] == 0 && p->root_normal <= 0xffffu;
+    for (i = 68; i < VOXRTI_PAGED_PLACE; i++) ok = ok && q[i] == 0;
+    for (i = VOXRTI_V5_HEADER + 3 * VOXRTI_V5_ENTRY; i < 192; i++) ok = ok && h[i] == 0;
+    for (i = 192 + VOXRTI_PAGED_PLACE; i < VOXRTI_PAGED_HEAD; i++) ok = ok && h[i] == 0;
+    ok = ok && voxrti_load_u64(e + 8) == 192 && voxrti_load_u64(e + 16) == VOXRTI_PAGED_PLACE;
+    ok = ok && voxrti_load_u64(e + VOXRTI_V5_ENTRY + 8) == VOXRTI_PAGED_HEAD && voxrti_load_u64(e + VOXRTI_V5_ENTRY + 32) == 0;
+    ok = ok && pages_end <= p->size && voxrti_v5_align(pages_end + VOXRTI_PAGED_HEAD) == *table && *table <= p->size;
+    ok = ok && voxrti_load_u64(e + 2 * VOXRTI_V5_ENTRY + 16) == p->size - *table;
+    ok = ok && p->size - *table == (uint64_t)p->page_count * VOXRTI_PAGED_ENTRY;
+    if (!ok) return voxrti_paged_fail(d, VOXRT_ERR_FORMAT, 192, "bad placement section at byte %");
+    t->wide = (t->depth + 1) / 2;
+    t->cpu_level = voxrti_cpu_level();
+    p->odd = t->wide & 1u;
+    p->tiers = (t->wide + p->odd) / 2;
+    p->file_bytes = pages_end;
+    return VOXRT_OK;
+}
+
+/* The table of pages, which says who is below whom. `most`: bytes of the largest page. */
+static voxrt_result voxrti_paged_table(voxrt_paged *p, const voxrt_paged_desc *d, uint64_t table, uint64_t checksum,
+                                       uint32_t *most) {
+    uint8_t some[64 * VOXRTI_PAGED_ENTRY];
+    const uint64_t bytes = (uint64_t)p->page_count * VOXRTI_PAGED_ENTRY, end = p->file_bytes + VOXRTI_PAGED_HEAD;
+    uint64_t sum = 0x243f6a8885a308d3u ^ bytes;
+    uint32_t i, k, j, n, tier = 0, tier_end = 1, below = 0, child = 1;
+    voxrt_result r = voxrti_paged_read(p, end, some, (size_t)(table - end)); /* zeros up to the table */
+    *most = 0;
+    for (k = 0; k < (uint32_t)(table - end) && r == VOXRT_OK; k++)
+        if (some[k] != 0) return voxrti_paged_fail(d, VOXRT_ERR_FORMAT, end + k, "byte % is not zero");
+    for (i = 0; i < p->page_count && r == VOXRT_OK; i += n) {
+        n = p->page_count - i < 64 ? p->page_count - i : 64;
+        r = voxrti_paged_read(p, table + (uint64_t)i * VOXRTI_PAGED_ENTRY, some, (size_t)n * VOXRTI_PAGED_ENTRY);
+        if (r != VOXRT_OK) break;
+        sum = voxrti_hash_bytes(sum, some, (size_t)n * VOXRTI_PAGED_ENTRY);
+        for (k = 0; k < n; k++) {
+            const uint8_t *e = some + (size_t)k * VOXRTI_PAGED_ENTRY;
+            voxrti_page *g = &p->page[i + k];
+            const uint32_t counts = voxrti_load_u32(e + 12), n1 = counts & 255u, n2 = counts >> 8;
+            int ok;
+            if (i + k == tier_end) { /* the next level: one for each node of the second levels of the one before */
+                tier++;
+                tier_end += below;
+                below = 0;
+                p->leaf_first = i + k;
+            }
+            g->offset = voxrti_load_u64(e);
+            g->size = voxrti_load_u32(e + 8);
+            g->checksum = voxrti_load_u64(e + 16);
+            g->n1 = (uint16_t)n1;
+            g->n2 = (uint16_t)n2;
+            g->first_child = child;
+            ok = tier < p->tiers && n1 >= 1 && n1 <= 64 && n2 >= n1 && n2 <= 64 * n1;
+            ok = ok && (i + k != 0 || (n1 == 1 && (!p->odd || n2 == 1)));
+            ok = ok && g->size >= 8 + 8 * (n1 + n2) && g->size <= VOXRTI_PAGE_MOST;
+            ok = ok && g->offset >= VOXRTI_PAGED_HEAD && g->offset <= end && g->size <= end - g->offset;
+            if (ok && tier + 1 < p->tiers) {
+                ok = n2 <= p->page_count - child;
+                for (j = 0; ok && j < n2; j++) p->page[child + j].parent = i + k;
+                child += ok ? n2 : 0;
+                below += n2;
+            }
+            if (!ok)
+                return voxrti_paged_fail(d, VOXRT_ERR_FORMAT, table + (uint64_t)(i + k) * VOXRTI_PAGED_ENTRY,
+                                         "bad table of pages at byte %");
+            if (g->size > *most) *most = g->size;
+        }
+    }
+    if (r != VOXRT_OK) return voxrti_paged_fail(d, r, table, "the table of pages cannot be read");
+    if (!p->trust && sum != checksum)
+        return voxrti_paged_fail(d, VOXRT_ERR_CHECKSUM, table, "section at byte % is damaged");
+    if (child != p->page_count || tier + 1 != p->tiers)
+        return voxrti_paged_fail(d, VOXRT_ERR_FORMAT, table, "bad table of pages at byte %");
+    return VOXRT_OK;
+}
+
+/* Root and full nodes at the start of the arena. */
+static void voxrti_paged_solid(voxrt_paged *p) {
+    uint32_t w = p->tree.wide - 1, i, at = 640;
+    memset(p->arena, 0, (size_t)p->first_frame * VOXRTI_FRAME);
+    p->tree.node = (voxrti_node *)(void *)p->arena;
+    p->tree.leaf = (uint64_t *)(void *)p->arena;
+    p->solid[w] = 8;
+    for (i = 0; i < 64; i++) p->tree.leaf[8 + i] = ~(uint64_t)0;
+    for (; w-- > 1; at += 1024) {
+        p->solid[w] = at / 16;
+        for (i = 0; i < 64; i++) {
+            p->tree.node[at / 16 + i].mask = ~(uint64_t)0;
+            p->tree.node[at / 16 + i].child = p->solid[w + 1];
+        }
+    }
+    p->solid_end = at;
+}
+
+static voxrt_result voxrti_paged_fill(voxrt_paged *p, const voxrt_paged_desc *d) {
+    const uint64_t memory = d->memory != 0 ? d->memory : (uint64_t)256 << 20;
+    uint64_t table = 0, checksum = 0, fixed, least, frames;
+    uint32_t most = 0, full_tiers;
+    int full = 0;
+    voxrt_result r = voxrti_paged_head(p, d, &table, &checksum);
+    if (r != VOXRT_OK) return r;
+    fixed = sizeof *p + 1024 + (uint64_t)p->page_count * sizeof *p->page;
+    if (fixed > memory)
+        return voxrti_paged_fail(d, VOXRT_ERR_RANGE, fixed + fixed / 2, "the tables of this file need % bytes or more");
+    p->page = (voxrti_page *)voxrti_alloc_zero(&p->mem, p->page_count, sizeof *p->page);
+    if (p->page == NULL) return voxrti_paged_fail(d, VOXRT_ERR_NO_MEMORY, 0, voxrt_result_string(VOXRT_ERR_NO_MEMORY));
+    r = voxrti_paged_table(p, d, table, checksum, &most);
+    if (r != VOXRT_OK) return r;
+    full_tiers = p->tiers;
+    p->first_frame = 10;
+    fixed += most + 8;
+    least = p->first_frame + (uint64_t)full_tiers * ((2 * (uint64_t)most + 4096) / VOXRTI_FRAME + 1);
+    if (fixed + least * (VOXRTI_FRAME + 4) > memory)
+        return voxrti_paged_fail(d, VOXRT_ERR_RANGE, fixed + least * (VOXRTI_FRAME + 4), "this file needs % bytes of memory");
+    frames = (memory - fixed) / (VOXRTI_FRAME + 4);
+    if (frames > 0x1ffffff) frames = 0x1ffffff; /* 32 GB: leaf nodes have 32-bit numbers */
+    if (frames > least + 2 * p->file_bytes / VOXRTI_FRAME + 2 * (uint64_t)p->page_count)
+        frames = least + 2 * p->file_bytes / VOXRTI_FRAME + 2 * (uint64_t)p->page_count; /* all of it fits */
+    p->frames = (uint32_t)frames;
+    p->hand = p->first_frame;
+    p->buffer = (uint8_t *)voxrti_alloc(&p->mem, (size_t)most + 8);
+    p->owner = (uint32_t *)voxrti_alloc_array(&p->mem, (size_t)frames, sizeof *p->owner);
+    p->arena = (uint8_t *)voxrti_alloc_array(&p->mem, (size_t)frames, VOXRTI_FRAME);
+    if (p->buffer == NULL || p->owner == NULL || p->arena == NULL)
+        return voxrti_paged_fail(d, VOXRT_ERR_NO_MEMORY, 0, voxrt_result_string(VOXRT_ERR_NO_MEMORY));
+    memset(p->owner, 0xff, (size_t)frames * sizeof *p->owner);
+    voxrti_paged_solid(p);
+    p->turn = 1;
+    r = voxrti_paged_load(p, 0, &full);
+    if (r != VOXRT_OK) return voxrti_paged_fail(d, r, p->error.where, p->error.text);
+    p->memory = p->mem.used;
+    return VOXRT_OK;
+}
+
+VOXRT_DEF void voxrt_paged_destroy(voxrt_paged *paged) {
+    if (paged != NULL) {
+        voxrti_mem mem = paged->mem;
+#ifndef VOXRT_NO_STDIO
+        if (paged->file != NULL) (void)fclose((FILE *)paged->file);
+#endif
+#ifndef VOXRT_NO_THREADS
+        (void)pthread_mutex_destroy(&paged->lock);
+        (void)pthread_cond_destroy(&paged->change);
+#endif
+        voxrti_free(&mem, paged->page);
+        voxrti_free(&mem, paged->buffer);
+        voxrti_free(&mem, paged->owner);
+        voxrti_free(&mem, paged->arena);
+        voxrti_free(&mem, paged);
+    }
+}
+
+static voxrt_result voxrti_paged_desc_open(const voxrt_paged_desc *desc, voxrt_paged_desc *d) {
+    memset(d, 0, sizeof *d);
+    if (desc != NULL) *d = *desc;
+    if (d->_begin_zero != 0 || d->_end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
+    if (d->env.error != NULL) memset(d->env.error, 0, sizeof *d->env.error);
+    return VOXRT_OK;
+}
+
+static voxrt_result voxrti_paged_make(const voxrt_paged_desc *d, void *file, voxrt_paged **out) {
+    voxrti_mem mem;
+    voxrt_paged *p;
+    voxrt_result r = voxrti_env_open(&d->env, &mem);
+    if (r != VOXRT_OK) return r;
+    p = (voxrt_paged *)voxrti_alloc_zero(&mem, 1, sizeof *p);
+    if (p == NULL) return voxrti_paged_fail(d, VOXRT_ERR_NO_MEMORY, 0, voxrt_result_string(VOXRT_ERR_NO_MEMORY));
+#ifndef VOXRT_NO_THREADS
+    if (pthread_mutex_init(&p->lock, NULL) != 0 || pthread_cond_init(&p->change, NULL) != 0) {
+        voxrti_free(&mem, p);
+        return voxrti_paged_fail(d, VOXRT_ERR_NO_MEMORY, 0, "no lock");
+    }
+#endif
+    p->mem = mem;
+    p->data = (const uint8_t *)d->data;
+    p->size = d->size;
+    p->read_fn = d->read_fn;
+    p->read_user = d->read_user;
+    p->wait = d->wait;
+    p->trust = d->trust_input;
+    r = voxrti_paged_fill(p, d);
+    if (r != VOXRT_OK) {
+        voxrt_paged_destroy(p);
+        return r;
+    }
+    p->file = file;
+    p->mem.limit = 0;
+    *out = p;
+    return VOXRT_OK;
+}
+
+VOXRT_DEF voxrt_result voxrt_paged_open(const voxrt_paged_desc *desc, voxrt_paged **out_paged) {
+    voxrt_paged_desc d;
+    voxrt_result r;
+    if (out_paged == NULL) return VOXRT_ERR_INVALID_ARG;
+    *out_paged = NULL;
+    r = voxrti_paged_desc_open(desc, &d);
+    if (r != VOXRT_OK) return r;
+    if ((d.data == NULL) == (d.read_fn == NULL) || (d.data != NULL && d.size > (size_t)-1))
+        return voxrti_paged_fail(&d, VOXRT_ERR_INVALID_ARG, 0, "either data or read_fn");
+    return voxrti_paged_make(&d, NULL, out_paged);
+}
+
+#ifndef VOXRT_NO_STDIO
+
+/* Steps that a long can hold, wherever a file is longer. */
+static int voxrti_file_read(void *user, uint64_t offset, void *to, size_t bytes) {
+    FILE *file = (FILE *)user;
+    uint64_t left = offset > 0x40000000u ? offset - 0x40000000u : 0;
+    if (fseek(file, (long)(offset - left), SEEK_SET) != 0) return 1;
+    while (left != 0) {
+        const uint64_t step = left < 0x40000000u ? left : 0x40000000u;
+        if (fseek(file, (long)step, SEEK_CUR) != 0) return 1;
+        left -= step;
+    }
+    return fread(to, 1, bytes, file) != bytes;
+}
+
+VOXRT_DEF voxrt_result voxrt_paged_open_file(const voxrt_paged_desc *desc, const char *path, voxrt_paged **out_paged) {
+    voxrt_paged_desc d;
+    uint8_t head[VOXRTI_V5_HEADER];
+    FILE *file;
+    size_t have;
+    voxrt_result r;
+    if (out_paged == NULL) return VOXRT_ERR_INVALID_ARG;
+    *out_paged = NULL;
+    r = voxrti_paged_desc_open(desc, &d);
+    if (r != VOXRT_OK) return r;
+    if (path == NULL) return voxrti_paged_fail(&d, VOXRT_ERR_INVALID_ARG, 0, "no path");
+    file = fopen(path, "rb");
+    if (file == NULL) return voxrti_paged_fail(&d, VOXRT_ERR_IO, 0, "the file cannot be opened");
+    have = fread(head, 1, sizeof head, file);
+    d.data = NULL;
+    d.read_fn = voxrti_file_read;
+    d.read_user = file;
+    d.size = have;
+    if (have == sizeof head && memcmp(head, voxrti_v5_magic, 8) == 0) { /* as long as it says, if that is true */
+        const uint64_t size = voxrti_load_u64(head + 16);
+        d.size = size;
+        if (size < have || voxrti_file_read(file, size - 1, head, 1) != 0) r = VOXRT_ERR_TRUNCATED;
+        else if (fread(head, 1, 1, file) != 0) r = VOXRT_ERR_FORMAT;
+        if (r != VOXRT_OK) r = voxrti_paged_fail(&d, r, 16, "size of the file is not the one in its header");
+    }
+    if (r == VOXRT_OK) r = voxrti_paged_make(&d, file, out_paged);
+    if (r != VOXRT_OK) (void)fclose(file);
+    return r;
+}
+#endif
+
+VOXRT_DEF void voxrt_paged_get_info(const voxrt_paged *p, voxrt_paged_info *info) {
+    if (info == NULL) return;
+    memset(info, 0, sizeof *info);
+    if (p == NULL) return;
+    info->depth = p->tree.depth;
+    info->resolution = p->tree.resolution;
+    memcpy(info->world_origin, p->tree.origin, sizeof info->world_origin);
+    info->voxel_size = p->tree.voxel_size;
+    memcpy(info->cell_min, p->tree.cell_min, sizeof info->cell_min);
+    memcpy(info->cell_max, p->tree.cell_max, sizeof info->cell_max);
+    info->has_colors = (p->flags & VOXRTI_V5_HAS_COLORS) != 0;
+    info->has_normals = (p->flags & VOXRTI_V5_HAS_NORMALS) != 0;
+    info->has_planes = (p->flags & VOXRTI_V5_HAS_PLANES) != 0;
+    info->voxel_count = p->tree.voxel_count;
+    info->file_bytes = p->file_bytes;
+    info->memory = p->memory;
+    info->loaded_bytes = p->loaded_frames * VOXRTI_FRAME;
+    info->page_count = p->page_count;
+    info->loaded_pages = p->loaded_pages;
+    info->reads = p->reads;
+    info->read_bytes = p->read_bytes;
+    info->evictions = p->evictions;
+    info->coarse_rays = voxrti_tally(p->coarse);
+    info->bad_pages = p->bad_pages;
+    info->error = p->error;
+}
+
+VOXRT_DEF voxrt_result voxrt_paged_update(voxrt_paged *paged, uint64_t most_bytes, voxrt_paged_update_stats *stats) {
+    voxrt_paged *p = paged;
+    voxrt_paged_update_stats local;
+    voxrt_result r = VOXRT_OK;
+    const uint64_t read = p->read_bytes, evicted = p->evictions;
+    uint32_t i;
+    int full = 0;
+    if (stats == NULL) stats = &local;
+    memset(stats, 0, sizeof *stats);
+    for (i = 0; i < p->page_count; i++) { /* the coarsest have the lowest numbers */
+        voxrti_page *g = &p->page[i];
+        voxrt_result one;
+        if (!g->wanted) continue;
+        g->wanted = 0;
+        if (g->place != 0 || g->bad) continue;
+        stats->wanted++;
+        if (full || (most_bytes != 0 && p->read_bytes - read >= most_bytes)) continue;
+        if (p->page[g->parent].place == 0) continue; /* it gave way to others */
+        one = voxrti_paged_load(p, i, &full);
+        if (one != VOXRT_OK && r == VOXRT_OK) r = one;
+        stats->loaded += one == VOXRT_OK && !full;
+    }
+    stats->bytes = p->read_bytes - read;
+    stats->evicted = (uint32_t)(p->evictions - evicted);
+    p->turn++;
+    return r;
+}
+
+/* ---- rays ---- */
+
+/* Which page the node of a hit is in, which level of it, which node there. NULL: none, a page is missing. */
+static const voxrti_chunk *voxrti_paged_find(const voxrt_paged *p, uint32_t w, uint32_t node, uint32_t *second,
+                                             uint32_t *i) {
+    const size_t byte = (size_t)node * (w + 1 == p->tree.wide ? 8 : 16);
+    const voxrti_chunk *c;
+    *second = (w + p->odd) & 1u;
+    *i = 0;
+    if (byte < 64) return voxrti_paged_chunk(p, 0); /* the root */
+    if (byte < p->solid_end) return NULL;
+    c = voxrti_paged_chunk(p, p->owner[byte / VOXRTI_FRAME]);
+    *i = node - (*second ? c->first2 : c->first1);
+    return c;
+}
+
+/* The smallest cell around that of a hit that is there. Returns the missing page below it. */
+static uint32_t voxrti_paged_coarse(const voxrt_paged *p, uint32_t v, const uint32_t cell[3], const voxrti_chunk **out,
+                                    uint32_t *out_cell, uint32_t *out_w) {
+    uint32_t id = 0, i1 = 0, i2, w2 = 1 - p->odd, slot, sh;
+    for (;; w2 += 2) {
+        const voxrti_chunk *c = voxrti_paged_chunk(p, id);
+        uint32_t next;
+        uint64_t mask;
+        if (w2 == 0) {
+            i2 = 0;
+        } else {
+            const voxrti_node *n = &p->tree.node[c->first1 + i1];
+            sh = v - 2 * w2;
+            slot = voxrti_slot(cell[0] >> sh, cell[1] >> sh, cell[2] >> sh);
+            i2 = n->child - c->first2 + voxrti_popcount64(n->mask & (((uint64_t)1 << slot) - 1));
+        }
+        sh = v - 2 * w2 - 2;
+        slot = voxrti_slot(cell[0] >> sh, cell[1] >> sh, cell[2] >> sh);
+        mask = voxrti_chunk_mask(p, c, i2);
+        next = p->page[id].first_child + i2;
+        if (p->page[next].place == 0) {
+            *out = c;
+            *out_cell = voxrti_chunk_cell(p, c, 1, i2, slot, 0);
+            *out_w = w2;
+            return next;
+        }
+        i1 = voxrti_popcount64(mask & (((uint64_t)1 << slot) - 1));
+        id = next;
+    }
+}
+
+/* Colour and normal of a cell; c = NULL: the root's. */
+static void voxrti_paged_attr(const voxrt_paged *p, const voxrti_chunk *c, uint32_t cell, uint8_t rgb[3], float n[3]) {
+    if (c != NULL) {
+        voxrti_chunk_color(c, cell, rgb);
+        voxrti_chunk_normal(p, c, cell, n);
+    } else {
+        memcpy(rgb, p->root_rgb, 3);
+        if ((p->flags & VOXRTI_V5_HAS_NORMALS) != 0) voxrti_normal_decode(p->tree.spherical, p->root_normal, n);
+    }
+}
+
+/* As voxrti_surface_blend. */
+static void voxrti_paged_blend(const voxrt_paged *p, const voxrt_trace_desc *td, const voxrt_hit *hit, uint32_t v,
+                               const voxrti_chunk *c, uint32_t second, uint32_t i, voxrt_surface *s) {
+    float more = (td->cone_width + td->cone_spread * hit->t) / s->edge - 1.0f, n[3] = {0, 0, 0};
+    uint8_t rgb[3];
+    uint32_t a;
+    if (!(more > 0.0f) || hit->level == 0) return;
+    if (more > 1.0f) more = 1.0f;
+    if ((v & 1u) == 0) {
+        voxrti_paged_attr(p, c, voxrti_chunk_cell(p, c, second, i, hit->slot, 1), rgb, n);
+    } else if (v == 1) {
+        voxrti_paged_attr(p, NULL, 0, rgb, n);
+    } else if (second) { /* the node itself is a cell of the first level */
+        voxrti_paged_attr(p, c, c->cells2 + c->octants2 + i, rgb, n);
+    } else { /* it is one of the page above */
+        const uint32_t id = c->id, parent = p->page[id].parent;
+        uint32_t rank[2];
+        c = voxrti_paged_chunk(p, parent);
+        voxrti_chunk_rank(p, c, id - p->page[parent].first_child, rank);
+        voxrti_paged_attr(p, c, rank[0] + i, rgb, n);
+    }
+    for (a = 0; a < 3; a++) {
+        const float x = (float)((uint32_t)s->rgb[a] * s->rgb[a]), y = (float)((uint32_t)rgb[a] * rgb[a]);
+        s->rgb[a] = (uint8_t)(sqrtf(x + more * (y - x)) + 0.5f);
+    }
+    if ((p->flags & VOXRTI_V5_HAS_NORMALS) != 0) {
+        for (a = 0; a < 3; a++) n[a] = s->normal[a] + more * (n[a] - s->normal[a]);
+        if (voxrti_normalize(n)) memcpy(s->normal, n, sizeof n);
+    }
+}
+
+/* What a hit shows; surface may be NULL. Returns the page that is missing, or VOXRTI_NO_PAGE. */
+static uint32_t voxrti_paged_look(voxrt_paged *p, const voxrt_trace_desc *td, const voxrt_hit *hit, voxrt_surface *s) {
+    const uint32_t v = (uint32_t)hit->level + 2 * p->tree.wide - p->tree.depth, w = v == 0 ? 0 : (v - 1) / 2;
+    const voxrti_chunk *c = NULL;
+    uint32_t second = 0, i = 0, cell = 0, level = hit->level, missing = VOXRTI_NO_PAGE;
+    if (v != 0) {
+        c = voxrti_paged_find(p, w, hit->node, &second, &i);
+        if (c == NULL) {
+            missing = voxrti_paged_coarse(p, v, hit->cell, &c, &cell, &i);
+            level = 2 * i + 2 + p->tree.depth - 2 * p->tree.wide;
+        } else if (s != NULL) {
+            cell = voxrti_chunk_cell(p, c, second, i, hit->slot, (v & 1u) != 0);
+        }
+        voxrti_paged_touch(p, c->id);
+    }
+    if (s != NULL) {
+        s->t = hit->t;
+        s->face = hit->face;
+        s->plane = hit->plane;
+        s->edge = (float)(p->tree.voxel_size * (double)((uint32_t)1 << (p->tree.depth - level)));
+        voxrti_paged_attr(p, c, cell, s->rgb, s->normal);
+        if (td->blend && missing == VOXRTI_NO_PAGE) voxrti_paged_blend(p, td, hit, v, c, second, i, s);
+    }
+    return missing;
+}
+
+/* Voxels with planes: as voxrti_planes, ray by ray. */
+static void voxrti_paged_planes(voxrt_paged *p, const voxrti_cone *cone, const voxrt_ray *rays, voxrt_hit *hits,
+                                size_t count, voxrt_stats *stats) {
+    const double scale = 1.0 / p->tree.voxel_size;
+    size_t k;
+    for (k = 0; k < count; k++) {
+        voxrt_hit *h = &hits[k];
+        voxrti_rayx ray;
+        int first = 1;
+        while (h->node != VOXRT_NO_NODE && h->level == p->tree.depth) {
+            float normal[3] = {0, 0, 0};
+            uint32_t second, i, cell, code;
+            const voxrti_chunk *c = voxrti_paged_find(p, p->tree.wide - 1, h->node, &second, &i);
+            if (c == NULL) break;
+            cell = voxrti_chunk_cell(p, c, second, i, h->slot, 0);
+            code = ((const uint8_t *)c)[c->plane + cell];
+            voxrti_chunk_normal(p, c, cell, normal);
+            if (code == 0 ||
+                voxrti_plane_meet(&p->tree, &rays[k], scale, normal, ((double)code - 128.0) * VOXRTI_PLANE_STEP, h))
+                break;
+            if (first && voxrti_ray_setup(&p->tree, cone, &rays[k], NULL, &ray) <= 0) break;
+            first = 0;
+            if (!voxrti_plane_step(&p->tree, cone, &ray, h, stats) && stats != NULL) stats->hits--;
+        }
+    }
+}
+
+/* Rays through what is there. missing: out, [count] pages; surfaces may be NULL. Returns how many were missing. */
+static uint32_t voxrti_paged_rays(voxrt_paged *p, const voxrt_trace_desc *td, const voxrt_ray *rays, voxrt_hit *hits,
+                                  voxrt_surface *surfaces, uint32_t *missing, size_t count) {
+    voxrt_trace_desc d;
+    voxrti_cone cone;
+    uint32_t n = 0;
+    size_t i;
+    int isa;
+    if (voxrti_trace_open(&p->tree, td, &d, &cone, &isa) == VOXRT_OK) {
+        voxrti_trace_cubes(&p->tree, &cone, isa, rays, hits, count, d.stats);
+        if ((p->flags & VOXRTI_V5_HAS_PLANES) != 0 && !d.cubes) voxrti_paged_planes(p, &cone, rays, hits, count, d.stats);
+    } else {
+        memset(hits, 0xff, count * sizeof *hits);
+    }
+    for (i = 0; i < count; i++) {
+        missing[i] = VOXRTI_NO_PAGE;
+        if (surfaces != NULL) {
+            memset(&surfaces[i], 0, sizeof surfaces[i]);
+            surfaces[i].t = INFINITY;
+        }
+        if (hits[i].node == VOXRT_NO_NODE) continue;
+        missing[i] = voxrti_paged_look(p, td, &hits[i], surfaces != NULL ? &surfaces[i] : NULL);
+        n += missing[i] != VOXRTI_NO_PAGE;
+    }
+    return n;
+}
+
+/* Many rays may be on their way, or one that waits for pages. */
+static void voxrti_paged_enter(voxrt_paged *p, int alone) {
+#ifndef VOXRT_NO_THREADS
+    (void)pthread_mutex_lock(&p->lock);
+    while (p->writer || (alone && p->readers != 0)) (void)pthread_cond_wait(&p->change, &p->lock);
+    if (alone) p->writer = 1;
+    else p->readers++;
+    (void)pthread_mutex_unlock(&p->lock);
+#else /* threads of the host, if there are any: one at a time */
+    uint32_t none = 0;
+    (void)alone;
+    while (!voxrti_atomic_max_step(&p->writer, &none, 1u)) none = 0;
+#endif
+}
+
+static void voxrti_paged_leave(voxrt_paged *p, int alone) {
+#ifndef VOXRT_NO_THREADS
+    (void)pthread_mutex_lock(&p->lock);
+    if (alone) p->writer = 0;
+    else p->readers--;
+    if (p->readers == 0) (void)pthread_cond_broadcast(&p->change);
+    (void)pthread_mutex_unlock(&p->lock);
+#else
+    (void)alone;
+    voxrti_atomic_store(&p->writer, 0u);
+#endif
+}
+
+/* Load what rays miss until they miss nothing; when that does not fit for all of them, for one half after the other.
+   The caller is alone. */
+static void voxrti_paged_resolve(voxrt_paged *p, const voxrt_trace_desc *td, const voxrt_ray *rays, voxrt_hit *hits,
+                                 voxrt_surface *surfaces, uint32_t *missing, size_t count) {
+    p->turn++;
+    for (;;) {
+        uint32_t n = voxrti_paged_rays(p, td, rays, hits, surfaces, missing, count);
+        size_t i;
+        int full = 0, loaded = 0;
+        if (n == 0) return;
+        for (i = 0; i < count && !full; i++) {
+            if (missing[i] == VOXRTI_NO_PAGE || p->page[missing[i]].place != 0 || p->page[missing[i]].bad) continue;
+            if (p->page[p->page[missing[i]].parent].place == 0) continue;
+            if (voxrti_paged_load(p, missing[i], &full) == VOXRT_OK && !full) loaded = 1;
+        }
+        if (full && count > 1) {
+            const size_t half = count / 2;
+            voxrti_paged_resolve(p, td, rays, hits, surfaces, missing, half);
+            voxrti_paged_resolve(p, td, rays + half, hits + half, surfaces != NULL ? surfaces + half : NULL,
+                                 missing + half, count - half);
+            return;
+        }
+        if (!loaded) { /* bad pages, or no room even for one ray */
+            voxrti_tally_add(p->coarse, n);
+            return;
+        }
+    }
+}
+
+static void voxrti_paged_run(voxrt_paged *p, const voxrt_trace_desc *desc, const voxrt_ray *rays, voxrt_hit *hits,
+                             voxrt_surface *surfaces, size_t count) {
+    uint32_t missing[VOXRTI_RUN];
+    size_t i, n = 0;
+    VOXRT_ASSERT(count <= VOXRTI_RUN);
+    if (!p->wait) {
+        (void)voxrti_paged_rays(p, desc, rays, hits, surfaces, missing, count);
+        for (i = 0; i < count; i++)
+            if (missing[i] != VOXRTI_NO_PAGE) voxrti_atomic_store(&p->page[missing[i]].wanted, 1u);
+        return;
+    }
+    voxrti_paged_enter(p, 0);
+    n = voxrti_paged_rays(p, desc, rays, hits, surfaces, missing, count);
+    voxrti_paged_leave(p, 0);
+    if (n != 0) {
+        voxrt_ray some[VOXRTI_RUN];
+        voxrt_hit hit[VOXRTI_RUN];
+        voxrt_surface surface[VOXRTI_RUN];
+        uint8_t index[VOXRTI_RUN];
+        voxrt_trace_desc d = *desc;
+        voxrt_stats stats;
+        memset(&stats, 0, sizeof stats);
+        if (d.stats != NULL) d.stats = &stats;
+        for (i = 0, n = 0; i < count; i++) {
+            if (missing[i] == VOXRTI_NO_PAGE) continue;
+            index[n] = (uint8_t)i;
+            some[n++] = rays[i];
+        }
+        voxrti_paged_enter(p, 1);
+        voxrti_paged_resolve(p, &d, some, hit, surfaces != NULL ? surface : NULL, missing, n);
+        voxrti_paged_leave(p, 1);
+        for (i = 0; i < n; i++) {
+            hits[index[i]] = hit[i];
+            if (surfaces != NULL) surfaces[index[i]] = surface[i];
+            if (desc->stats != NULL) desc->stats->hits -= hit[i].node == VOXRT_NO_NODE;
+        }
+        if (desc->stats != NULL) {
+            desc->stats->steps += stats.steps;
+            desc->stats->descents += stats.descents;
+        }
+    }
+}
+
+static void voxrti_paged_trace(void *user, const voxrt_trace_desc *desc, const voxrt_ray *rays, voxrt_surface *surfaces,
+                               size_t count) {
+    voxrt_hit hit[VOXRTI_RUN];
+    voxrti_paged_run((voxrt_paged *)user, desc, rays, hit, surfaces, count);
+}
+
+static void voxrti_paged_occluded(void *user, const voxrt_trace_desc *desc, const voxrt_ray *rays, uint8_t *occluded,
+                                  size_t count) {
+    voxrt_hit hit[VOXRTI_RUN];
+    size_t i;
+    voxrti_paged_run((voxrt_paged *)user, desc, rays, hit, NULL, count);
+    for (i = 0; i < count; i++) occluded[i] = hit[i].node != VOXRT_NO_NODE;
+}
+
+VOXRT_DEF void voxrt_paged_geometry(voxrt_paged *paged, voxrt_geometry *out_geometry) {
+    out_geometry->trace_fn = voxrti_paged_trace;
+    out_geometry->occluded_fn = voxrti_paged_occluded;
+    out_geometry->user = paged;
+    voxrt_tree_bounds(&paged->tree, out_geometry->box_min, out_geometry->box_max);
 }
 
 /* ---------------------------------------------------------------------------
