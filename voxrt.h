@@ -17893,13 +17893,15 @@ static voxrt_result voxrti_tree_save_paged(voxrti_mem *mem, const voxrt_save_des
 /* ---- writing: a mesh, piece by piece ---- */
 
 #define VOXRTI_PIECE_LOG 10      /* pieces have at most 2^10 cells along an axis, */
-#define VOXRTI_PIECE_AREA 6e6    /* and are cut further when triangles cover so many voxels, down to pages */
+#define VOXRTI_PIECE_AREA 6e6    /* and are cut further when triangles cover so many voxels, down to pages; */
+#define VOXRTI_PIECE_BYTES 80.0  /* with a limit of memory, when a voxel may have less of it */
 
 typedef struct voxrti_pieces {
     voxrti_page_writer w;
     voxrt_build_desc d;
     voxrti_vox v;          /* for corners of triangles */
     voxrt_build_stats *stats;
+    double most;           /* voxels of a piece */
 } voxrti_pieces;
 
 /* Box of a triangle in cells, a little larger; 0: it is not usable. area: what of it may lie in one cube, in voxels. */
@@ -17986,7 +17988,7 @@ static voxrt_result voxrti_piece(voxrti_pieces *p, const uint32_t *list, size_t 
         if (whole > edge) area *= sqrt(sqrt(voxrti_max(inside, 0.0))); /* a guess is enough */
         sum += voxrti_min(area, 3.0 * edge * edge);
     }
-    if (log <= 6 || (log <= VOXRTI_PIECE_LOG && sum <= VOXRTI_PIECE_AREA) || sum <= 0.125 * VOXRTI_PIECE_AREA)
+    if (log <= 6 || (log <= VOXRTI_PIECE_LOG && sum <= p->most) || sum <= 0.125 * p->most)
         return voxrti_piece_build(p, list, count, code, log);
     part = (uint32_t *)voxrti_alloc_array(mem, count, sizeof *part);
     octants = (uint8_t *)voxrti_alloc_zero(mem, count, 1);
@@ -18053,6 +18055,8 @@ VOXRT_DEF voxrt_result voxrt_paged_build(const voxrt_build_desc *desc, const vox
     if (r == VOXRT_OK && p != NULL) {
         p->d = d;
         p->stats = stats;
+        p->most = VOXRTI_PIECE_AREA;
+        if (mem.limit != 0) p->most = voxrti_min(p->most, (double)mem.limit / VOXRTI_PIECE_BYTES);
         p->v.mesh = mesh;
         p->v.d = &p->d;
         p->v.grid = &p->w.grid;

@@ -221,8 +221,49 @@ TEST(pictures_are_those_of_the_tree) {
     hills_free(&h);
 }
 
+/* A file that is made piece by piece has the bytes of that of the tree. */
+TEST(pieces_make_the_same_file) {
+    uint32_t k;
+    for (k = 0; k < (test_quick() ? 6u : 16u); k++) {
+        static const uint32_t resolution[4] = {200, 60, 511, 7};
+        hills h = hills_make(k < 8 ? 45 : 3, (k & 1u) == 0);
+        voxrt_build_desc d;
+        voxrt_build_stats stats, whole;
+        voxrt_tree *t = NULL;
+        voxrt_sink sink;
+        file a, b = {NULL, 0, 0};
+        memset(&d, 0, sizeof d);
+        d.resolution = resolution[k & 3u];
+        d.palette_size = 1u << 24;
+        d.planes = k >> 2 & 1u;
+        d.separating = (voxrt_separating)(k % 3);
+        d.disable_normals = k == 3;
+        d.env.thread_count = 1 + (k & 3u);
+        if (k == 5) { /* part of it is outside of the grid */
+            d.box_min[0] = 0.3;
+            d.box_min[1] = 0.02;
+            d.box_size = 0.4;
+        }
+        h.index[3 * 17 + 1] = 0x7fffffffu; /* a bad triangle */
+        REQUIRE(voxrt_tree_build(&d, &h.mesh, &whole, &t) == VOXRT_OK);
+        a = file_of(t);
+        sink.write_fn = file_write;
+        sink.user = &b;
+        if ((k & 1u) == 0) d.env.memory_limit = 3u << 20; /* many pieces */
+        CHECK(voxrt_paged_build(&d, &h.mesh, &sink, &stats) == VOXRT_OK);
+        CHECK_MSG(a.size == b.size && memcmp(a.data, b.data, a.size) == 0, "file %u", k);
+        CHECK(stats.voxels == whole.voxels && stats.rejected == 1 && whole.rejected == 1);
+        CHECK(stats.fragments == whole.fragments && stats.degenerate == whole.degenerate);
+        voxrt_tree_destroy(t);
+        free(a.data);
+        free(b.data);
+        hills_free(&h);
+    }
+}
+
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(pictures_are_those_of_the_tree);
+    RUN(pieces_make_the_same_file);
     return test_end();
 }
