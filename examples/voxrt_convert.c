@@ -14,7 +14,8 @@ typedef struct convert_options {
     const char *first, *second; /* positional arguments */
     const char *in, *out, *scene, *edit;
     int64_t resolution, palette, threads, detail, fill_depth;
-    int separating, palette_method, lod, format, normals, fill, planes, spread, no_colors, no_materials, raw, share, keep_inside_out, stats, quiet;
+    int separating, palette_method, lod, format, normals, fill, planes, spread, no_colors, no_materials, raw, paged, share;
+    int keep_inside_out, stats, quiet;
     int voxels, flip_y, flip_z, swap_angles; /* voxels: `in` is a voxel file; how to turn it */
 } convert_options;
 
@@ -22,7 +23,7 @@ enum { NORMALS_SMOOTH, NORMALS_FLAT, NORMALS_NONE };
 enum { FORMAT_V5, FORMAT_V4 };
 
 static int parse(int argc, char **argv, convert_options *o) {
-    sup_option table[29];
+    sup_option table[30];
     size_t n = 0, mesh_options, k;
     int status, for_meshes = 0, has_lod = 0;
     memset(o, 0, sizeof *o);
@@ -62,6 +63,8 @@ static int parse(int argc, char **argv, convert_options *o) {
     table[n++] = sup_opt_choice("format", &o->format, "v5|v4",
                                 "v5: compact and lossless (default); v4: the thesis' octree file");
     table[n++] = sup_opt_flag("raw", &o->raw, "v5 without compression: can be mapped into memory and used in place");
+    table[n++] = sup_opt_flag("paged", &o->paged, "v5 in pages, for voxrt_render --memory: of a mesh it is made piece by piece, the voxels need not fit "
+                              "into memory, and each page has all its colours");
     table[n++] = sup_opt_flag("share", &o->share, "store equal parts once: less memory when loaded, the same picture");
     table[n++] = sup_opt_text("edit", &o->edit, "FILE", "change the voxels; lines like \"clear sphere X Y Z RADIUS\", \"set box X Y Z "
                               "X Y Z R G B\", \"paint sphere ...\", \"set mesh FILE\", \"undo\"; lengths as in IN");
@@ -98,6 +101,8 @@ static int parse(int argc, char **argv, convert_options *o) {
     if (o->format == FORMAT_V4 && o->palette > 32767)
         return sup_bad_usage(argv[0], "--format v4 holds at most 32767 colours");
     if (o->raw && o->format == FORMAT_V4) return sup_bad_usage(argv[0], "--raw goes with --format v5");
+    if (o->paged && (o->raw || o->share || o->format == FORMAT_V4))
+        return sup_bad_usage(argv[0], "--paged goes with --format v5, without --raw and --share");
     if (o->share && o->format == FORMAT_V4) return sup_bad_usage(argv[0], "--share goes with --format v5");
     if (o->spread && o->normals == NORMALS_NONE) return sup_bad_usage(argv[0], "--spread needs normals");
     if (o->planes && o->normals == NORMALS_NONE) return sup_bad_usage(argv[0], "--planes needs normals");
@@ -187,7 +192,7 @@ static voxrt_result write_voxels(const convert_options *o, const voxrt_env *env,
     } else {
         voxrt_save_desc save = {0};
         save.env = *env;
-        save.encoding = o->raw ? VOXRT_ENCODING_RAW : VOXRT_ENCODING_COMPACT;
+        save.encoding = o->raw ? VOXRT_ENCODING_RAW : o->paged ? VOXRT_ENCODING_PAGED : VOXRT_ENCODING_COMPACT;
         result = size != NULL ? voxrt_tree_save_memory(tree, &save, buffer, capacity, size) :
                                 voxrt_tree_save_file(tree, &save, o->out);
     }
@@ -355,10 +360,25 @@ typedef struct converted {
     int had_finishes;
 } converted;
 
+/* What a file in pages says of itself; bytes as they are in the file. */
+static void paged_info(const char *path, voxrt_tree_info *info) {
+    voxrt_paged_info paged = {0};
+    voxrt_paged *p = NULL;
+    sup_error err;
+    if (sup_voxels_paged(path, (uint64_t)1 << 30, 0, &p, &err)) return;
+    voxrt_paged_get_info(p, &paged);
+    voxrt_paged_destroy(p);
+    info->depth = paged.depth;
+    info->resolution = paged.resolution;
+    info->voxel_count = paged.voxel_count;
+    info->total_bytes = paged.file_bytes;
+}
+
 static void print_stats(const convert_options *o, const converted *c) {
     const voxrt_build_stats *s = &c->stats;
-    voxrt_tree_info info;
-    voxrt_tree_get_info(c->tree, &info);
+    voxrt_tree_info info = {0};
+    if (c->tree != NULL) voxrt_tree_get_info(c->tree, &info);
+    else paged_info(o->out, &info);
     printf("{\"program\":\"voxrt_convert\",\"in\":");
     sup_json_string(stdout, o->in);
     printf(",\"triangles\":%llu,\"rejected\":%llu,\"degenerate\":%llu,\"fragments\":%llu",
@@ -386,7 +406,12 @@ static int bad_result(const char *program, const convert_options *o, voxrt_resul
     return sup_bad_input(program, err.text);
 }
 
-/* Read a mesh and make the tree. Returns 0 or the exit status. */
+/* The file is made from the mesh, without a tree in memory. */
+static int is_direct(const convert_options *o) {
+    return o->paged && !o->voxels && !o->edit && !o->fill && !o->lod && !sup_is_special_file(o->out);
+}
+
+/* Read a mesh and make the tree, or the file. Returns 0 or the exit status. */
 static int build(const char *program, const convert_options *o, const voxrt_env *env, converted *c) {
     static const voxrt_separating separating[3] = {VOXRT_SEPARATING_6, VOXRT_SEPARATING_26, VOXRT_SEPARATING_THESIS};
     voxrt_build_desc desc = {0};
@@ -436,7 +461,7 @@ static int build(const char *program, const convert_options *o, const voxrt_env 
     desc.fill = (uint32_t)o->fill;
     desc.fill_depth = (uint32_t)o->fill_depth;
     start = sup_now();
-    result = voxrt_tree_build(&desc, &in, &c->stats, &c->tree);
+    result = is_direct(o) ? voxrt_paged_build_file(&desc, &in, o->out, &c->stats) : voxrt_tree_build(&desc, &in, &c->stats, &c->tree);
     c->build_seconds = sup_now() - start;
     sup_progress_end(&progress);
     free_dressing(d);
@@ -611,13 +636,13 @@ int main(int argc, char **argv) {
     env.memory_limit = sup_memory_limit();
     env.error = &error;
     status = o.voxels ? reopen(argv[0], &o, &c) : build(argv[0], &o, &env, &c);
-    if (!status) {
+    if (!status && c.tree != NULL) {
         voxrt_tree_info info;
         voxrt_tree_get_info(c.tree, &info);
         c.had_finishes = info.finish_count != 0;
-        status = edit(argv[0], &o, &env, &c);
     }
-    if (!status) status = share(argv[0], &o, &env, &c);
+    if (!status) status = edit(argv[0], &o, &env, &c);
+    if (!status && c.tree != NULL) status = share(argv[0], &o, &env, &c);
     if (status) {
         voxrt_tree_destroy(c.tree);
         return status;
@@ -625,7 +650,7 @@ int main(int argc, char **argv) {
     if (c.had_finishes && (o.edit || o.format == FORMAT_V4) && !o.quiet)
         sup_warn(argv[0], "edited voxels and files of format 4 have colours only: mirrors, glass and other finishes are left out");
     start = sup_now();
-    status = write_out(&o, &env, c.tree, &err);
+    if (c.tree != NULL) status = write_out(&o, &env, c.tree, &err);
     c.write_seconds = sup_now() - start;
     if (!status && o.stats) print_stats(&o, &c);
     voxrt_tree_destroy(c.tree);

@@ -1,6 +1,9 @@
 /* voxrt_render.c - voxel file -> picture
    SPDX-License-Identifier: MIT OR Unlicense */
 #include "support/picture.h"
+#ifndef _WIN32
+#include <sys/resource.h>
+#endif
 #define VOXRT_IMPLEMENTATION
 #include "voxrt.h"
 #include "support/voxel_file.h"
@@ -12,7 +15,8 @@ typedef struct render_options {
     sup_common common;
     const char *in, *light, *lod;
     int shadows, path, heat, has_heat, split, face_normals, cubes, thesis_compose, one_sided, progressive, blend, has_background;
-    int64_t samples, lod_split, scatter, frames, bounces;
+    int64_t samples, lod_split, scatter, frames, bounces, memory;
+    int finer;
     double blur, heat_max, budget;
     int has_blur, smooth, has_material, panorama;
     double diffuse, specular, shininess;
@@ -23,6 +27,7 @@ typedef struct render_options {
 
 typedef struct scene { /* what is to be drawn, and what the file held */
     voxrt_tree *tree;
+    voxrt_paged *paged; /* instead of it */
     voxrt_octree *octree;
     voxrt_geometry geometry;
     voxrt_instance *instances; /* --scatter: copies of the tree, and all of them as one */
@@ -69,13 +74,14 @@ static int collect_lights(int argc, char **argv, render_options *o) {
 }
 
 static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *desc) {
-    sup_option table[SUP_COMMON_OPTIONS + 30];
+    sup_option table[SUP_COMMON_OPTIONS + 32];
     size_t n;
     int status, compose = 0, normals = 0, has_heat_max = 0;
     memset(o, 0, sizeof *o);
     o->samples = 1;
     o->frames = 1;
     o->bounces = 8;
+    o->memory = 1024;
     o->blur = 4.0;
     o->heat_max = 64.0;
     o->lod_split = -1;
@@ -111,6 +117,9 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
     table[n++] = sup_opt_int("scatter", &o->scatter, 0, 100000000, "N", "N copies of it, turned and of different sizes, on the ground");
     table[n++] = sup_opt_int("frames", &o->frames, 1, 1000000, "N", "N pictures, once around --at; FILE of --out has a %d for the number");
     table[n++] = sup_opt_real("budget", &o->budget, 0.0, 1e6, "MS", "time for each of --frames: detail is lowered first where it shows least");
+    table[n++] = sup_opt_int("memory", &o->memory, 1, 1048576, "MIB", "of a file in pages (voxrt_convert --paged): for what is loaded (1024)");
+    table[n++] = sup_opt_flag("finer", &o->finer, "of a file in pages: up to --frames pictures from one place, with what is loaded so far, until "
+                              "nothing is missing");
     table[n++] = sup_opt_flag("blend", &o->blend, "colours and normals go over from one level of detail to the next: no popping in motion");
     table[n++] = sup_opt_flag("cubes", &o->cubes, "voxels with planes (voxrt_convert --planes) as cubes");
     table[n++] = sup_opt_flag("one-sided", &o->one_sided, "surfaces seen from behind stay dark instead of turning their normals");
@@ -179,6 +188,11 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
 
 static int load(const char *program, const render_options *o, scene *s) {
     sup_error err;
+    if (sup_voxels_paged(o->in, (uint64_t)o->memory << 20, !o->finer, &s->paged, &err)) return sup_bad_input(program, err.text);
+    if (s->paged && (o->path == PATH_THESIS || o->smooth || o->scatter != 0))
+        return sup_bad_usage(program, "a file in pages goes neither with --path thesis nor with --smooth nor with --scatter");
+    if (!s->paged && o->finer) return sup_bad_usage(program, "--finer goes with a file in pages");
+    if (s->paged) return 0;
     return sup_voxels_load(o->in, (uint32_t)o->common.threads, NULL, &s->tree, o->path == PATH_THESIS ? &s->octree : NULL, &err) ?
            sup_bad_input(program, err.text) : 0;
 }
@@ -236,8 +250,8 @@ static int scatter(const render_options *o, scene *s, voxrt_render_desc *desc, v
 static void set_camera(const render_options *o, scene *s, voxrt_camera *camera) {
     double box_min[3], box_max[3];
     float lo[3], hi[3];
-    voxrt_tree_bounds(s->tree, box_min, box_max);
-    if (s->group != NULL) {
+    if (s->tree != NULL) voxrt_tree_bounds(s->tree, box_min, box_max);
+    if (s->tree == NULL || s->group != NULL) {
         memcpy(box_min, s->geometry.box_min, sizeof box_min);
         memcpy(box_max, s->geometry.box_max, sizeof box_max);
     }
@@ -250,7 +264,7 @@ static void set_camera(const render_options *o, scene *s, voxrt_camera *camera) 
     memcpy(camera->at, s->camera.at, sizeof camera->at);
     memcpy(camera->up, s->camera.up, sizeof camera->up);
     camera->fov_y = s->camera.fov;
-    if (!o->common.has_eye && !o->common.has_at && s->group != NULL)
+    if (!o->common.has_eye && !o->common.has_at && (s->tree == NULL || s->group != NULL))
         (void)voxrt_camera_fit(camera, box_min, box_max, NULL, o->common.size[0], o->common.size[1]);
     else if (!o->common.has_eye && !o->common.has_at)
         (void)voxrt_camera_fit_tree(camera, s->tree, NULL, o->common.size[0], o->common.size[1]);
@@ -289,6 +303,7 @@ static void use_octree(scene *s, voxrt_render_desc *desc, uint32_t height) {
 
 static void free_scene(scene *s) {
     voxrt_tree_destroy(s->tree);
+    voxrt_paged_destroy(s->paged);
     voxrt_octree_destroy(s->octree);
     voxrt_group_destroy(s->group);
     SUP_FREE(s->instances);
@@ -311,7 +326,8 @@ static int blur(const render_options *o, const voxrt_render_desc *desc, const sc
     return voxrt_blur(&b, image) != VOXRT_OK;
 }
 
-typedef struct timing { double last, sum, most; int64_t over; } timing; /* of pictures; seconds, and how many took too long */
+/* Of pictures, in seconds, and how many took too long; of a file in pages the first one, and all with what was loaded. */
+typedef struct timing { double last, sum, most, first, exact; int64_t over; } timing;
 
 static void add_time(timing *t, double seconds, double budget_ms) {
     t->last = seconds;
@@ -328,6 +344,26 @@ static void turn_camera(const float from[3], const float at[3], double angle, fl
     eye[2] = angle == 0.0 ? from[2] : (float)((double)at[2] - sin(angle) * x + cos(angle) * z);
 }
 
+/* Bytes of memory that the program has had at most, mapped files and all; 0: not known here. */
+static double peak_memory(void) {
+#ifdef _WIN32
+    return 0.0;
+#else
+    struct rusage u;
+    return getrusage(RUSAGE_SELF, &u) == 0 ? 1024.0 * (double)u.ru_maxrss : 0.0;
+#endif
+}
+
+static void print_paged(const voxrt_paged *paged, double coarse_seconds, double exact_seconds) {
+    voxrt_paged_info info;
+    voxrt_paged_get_info(paged, &info);
+    printf(",\"pages\":%u,\"loaded_pages\":%u,\"reads\":%llu,\"read_bytes\":%llu,\"evictions\":%llu,\"memory\":%llu,\"loaded_bytes\":%llu",
+           info.page_count, info.loaded_pages, (unsigned long long)info.reads, (unsigned long long)info.read_bytes,
+           (unsigned long long)info.evictions, (unsigned long long)info.memory, (unsigned long long)info.loaded_bytes);
+    printf(",\"coarse_rays\":%llu,\"coarse_seconds\":%.6f,\"exact_seconds\":%.6f", (unsigned long long)info.coarse_rays,
+           coarse_seconds, exact_seconds);
+}
+
 /* Counts of the first picture; times of all. */
 static void print_stats(const render_options *o, const scene *s, const voxrt_render_desc *desc, const voxrt_image *image,
                         const voxrt_render_stats *stats, const timing *spent) {
@@ -335,8 +371,16 @@ static void print_stats(const render_options *o, const scene *s, const voxrt_ren
     const double seconds = spent->sum / (double)o->frames;
     const voxrt_isa best = voxrt_isa_best(), wanted = (voxrt_isa)o->common.isa;
     const uint64_t rays = stats->primary.rays + stats->shadow.rays + stats->bounce.rays;
-    voxrt_tree_info info;
-    voxrt_tree_get_info(s->tree, &info);
+    voxrt_tree_info info = {0};
+    if (s->paged != NULL) {
+        voxrt_paged_info paged;
+        voxrt_paged_get_info(s->paged, &paged);
+        info.voxel_count = paged.voxel_count;
+        info.depth = paged.depth;
+        info.total_bytes = paged.file_bytes;
+    } else {
+        voxrt_tree_get_info(s->tree, &info);
+    }
     printf("{\"program\":\"voxrt_render\",\"in\":");
     sup_json_string(stdout, o->in);
     printf(",\"path\":\"%s\",\"width\":%u,\"height\":%u,\"voxels\":%llu,\"depth\":%u,\"bytes\":%llu",
@@ -355,6 +399,8 @@ static void print_stats(const render_options *o, const scene *s, const voxrt_ren
     if (o->budget > 0.0)
         printf(",\"budget_ms\":%.9g,\"over_budget\":%d,\"tolerance\":%.6g,\"pixel_step\":%u", o->budget, (int)spent->over,
                (double)desc->tolerance, desc->pixel_step < 1 ? 1 : desc->pixel_step);
+    if (s->paged != NULL) print_paged(s->paged, spent->first, spent->exact);
+    printf(",\"peak_bytes\":%.0f", peak_memory());
     printf(",\"seconds\":%.6f,\"mrays_per_second\":%.3f,\"isa\":\"%s\",\"threads\":%d}\n", seconds,
            seconds > 0.0 ? 1e-6 * (double)rays / seconds : 0.0,
            voxrt_isa_name(wanted == VOXRT_ISA_AUTO || wanted > best ? best : wanted), sup_threads(o->common.threads));
@@ -396,6 +442,19 @@ static int make_image(const render_options *o, voxrt_image *image) {
     return 1;
 }
 
+/* Load what the picture lacked; with --finer frame f is the last one when that is nothing. Returns 1 with err->text set
+   when the file cannot be read. */
+static int next_pages(const render_options *o, voxrt_paged *paged, int64_t *frames, int64_t f, sup_error *err) {
+    voxrt_paged_update_stats stats;
+    voxrt_paged_info info;
+    if (o->finer) {
+        (void)voxrt_paged_update(paged, 0, &stats);
+        if (stats.loaded == 0) *frames = f + 1;
+    }
+    voxrt_paged_get_info(paged, &info);
+    return info.bad_pages != 0 ? sup_fail(err, "%s: %s", o->in, info.error.text) : 0;
+}
+
 int main(int argc, char **argv) {
     render_options o;
     voxrt_render_desc desc;
@@ -411,7 +470,7 @@ int main(int argc, char **argv) {
     float start_eye[3];
     char path[1024];
     const char *pattern;
-    double start;
+    double start, began;
     int status = parse(argc, argv, &o, &desc);
     if (status >= 0) return status;
     pattern = o.common.out;
@@ -426,6 +485,11 @@ int main(int argc, char **argv) {
         free_scene(&s);
         return status ? status : sup_bad_input(argv[0], "out of memory for the picture");
     }
+    if (s.paged != NULL) {
+        voxrt_paged_geometry(s.paged, &s.geometry);
+        desc.geometry = &s.geometry;
+        desc.geometry_count = 1;
+    }
     set_camera(&o, &s, &desc.camera);
     memcpy(start_eye, desc.camera.eye, sizeof start_eye);
     if (o.panorama) set_panorama(&s, &desc, &image);
@@ -438,6 +502,7 @@ int main(int argc, char **argv) {
         desc.material = &s.material;
     }
     drawn = o.path == PATH_THESIS || s.group != NULL ? NULL : s.tree;
+    began = sup_now();
     sup_progress_begin(&progress, "drawing", o.common.quiet);
     if (!progress.quiet) {
         desc.env.progress_fn = sup_progress_fn;
@@ -446,12 +511,13 @@ int main(int argc, char **argv) {
     desc.env.error = &error;
     status = 0;
     for (int64_t f = 0; f < o.frames && !status; f++) {
-        turn_camera(start_eye, desc.camera.at, 6.283185307179586 * (double)f / (double)o.frames, desc.camera.eye);
-        if (o.common.stats && f == 0) /* counting costs time: not measured */
+        if (!o.finer) turn_camera(start_eye, desc.camera.at, 6.283185307179586 * (double)f / (double)o.frames, desc.camera.eye);
+        if (o.common.stats && f == 0 && s.paged == NULL) /* counting costs time: not measured */
             status = voxrt_render(&desc, drawn, &image, &stats) != VOXRT_OK;
         start = sup_now();
-        if (!status) status = voxrt_render(&desc, drawn, &image, NULL) != VOXRT_OK;
+        if (!status) status = voxrt_render(&desc, drawn, &image, s.paged != NULL && o.common.stats && f == 0 ? &stats : NULL) != VOXRT_OK;
         add_time(&spent, sup_now() - start, o.budget);
+        if (f == 0) spent.first = sup_now() - began;
         if (!status && o.has_blur) status = blur(&o, &desc, &s, &image, &error);
         if (status) {
             (void)sup_fail(&err, "%s: %s", o.in, error.text[0] ? error.text : "cannot be drawn");
@@ -463,6 +529,8 @@ int main(int argc, char **argv) {
             desc.tolerance = voxrt_budget_update(&budget, (float)(1e3 * spent.last), (float)o.budget, (float)o.common.tolerance);
             desc.pixel_step = budget.pixel_step;
         }
+        spent.exact = sup_now() - began;
+        if (!status && s.paged != NULL) status = next_pages(&o, s.paged, &o.frames, f, &err);
     }
     sup_progress_end(&progress);
     if (status) (void)sup_bad_input(argv[0], err.text);

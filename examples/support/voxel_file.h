@@ -48,7 +48,7 @@ SUP_FN int sup_voxels_load(const char *path, uint32_t threads, const voxrt_octre
         if (result == VOXRT_OK) result = voxrt_tree_from_octree(&old, o, tree);
     } else {
         SUP_FREE(data);
-        return sup_fail(err, "%s: not a voxel file", path);
+        return sup_fail(err, kind == 6 ? "%s: a file in pages is drawn, not loaded" : "%s: not a voxel file", path);
     }
     SUP_FREE(data);
     if (result == VOXRT_OK && octree) *octree = o;
@@ -60,6 +60,30 @@ SUP_FN int sup_voxels_load(const char *path, uint32_t threads, const voxrt_octre
     if (result == VOXRT_ERR_VERSION || result == VOXRT_ERR_NO_MEMORY || strstr(text, "byte") != NULL)
         return sup_fail(err, "%s: %s", path, text);
     return sup_fail(err, "%s: byte %llu: %s", path, (unsigned long long)error.where, text);
+}
+
+/* Open a file in pages. memory: bytes for what is loaded; wait: as in voxrt_paged_desc.
+   Returns 0 and what the caller destroys, or NULL if it is no such file; or 1 with err->text set. */
+SUP_FN int sup_voxels_paged(const char *path, uint64_t memory, uint32_t wait, voxrt_paged **paged, sup_error *err) {
+    voxrt_paged_desc desc;
+    voxrt_error error;
+    voxrt_result result;
+    unsigned char head[64];
+    size_t have;
+    FILE *file = fopen(path, "rb");
+    *paged = NULL;
+    if (!file) return 0; /* whoever loads it will say why */
+    have = fread(head, 1, sizeof head, file);
+    (void)fclose(file);
+    if (voxrt_file_kind(head, have) != 6) return 0;
+    memset(&desc, 0, sizeof desc);
+    memset(&error, 0, sizeof error);
+    desc.env.error = &error;
+    desc.memory = memory < (size_t)-1 ? (size_t)memory : (size_t)-1;
+    desc.wait = wait;
+    result = voxrt_paged_open_file(&desc, path, paged);
+    if (result == VOXRT_OK) return 0;
+    return sup_fail(err, "%s: %s", path, error.text[0] ? error.text : voxrt_result_string(result));
 }
 
 #endif
