@@ -181,6 +181,28 @@ static uint32_t draw_until_exact(const voxrt_render_desc *d, voxrt_paged *p, pic
     return n;
 }
 
+/* Level of detail, mixed, of all sizes: cells of each level of pages and those around them. */
+static void same_detail(const voxrt_tree *t) {
+    file f = file_of(t);
+    voxrt_paged *p = paged_of(&f, 0, 1);
+    picture *a = picture_make(), *b = picture_make();
+    float e;
+    REQUIRE(p != NULL);
+    for (e = 0.7f; e < 300.0f; e *= 1.6f) {
+        voxrt_render_desc d;
+        view_of(t, 0, &d);
+        d.tolerance = e;
+        d.blend = 1;
+        draw(d, t, NULL, a);
+        draw(d, NULL, p, b);
+        CHECK_MSG(picture_equal(a, b), "tolerance %g", (double)e);
+    }
+    voxrt_paged_destroy(p);
+    free(a);
+    free(b);
+    free(f.data);
+}
+
 /* Trees of all depths, with all attributes: the same bits, at once and bit by bit. */
 static void same(const voxrt_tree *t, uint32_t views) {
     file f = file_of(t);
@@ -211,6 +233,7 @@ TEST(pictures_are_those_of_the_tree) {
     for (resolution = 2; resolution <= (test_quick() ? 256u : 1024u); resolution *= 2) {
         voxrt_tree *t = tree_of(&h, resolution, resolution & 0x2aa ? 1 : 0, 0), *s = NULL;
         same(t, test_quick() ? 6 : 16);
+        same_detail(t);
         if (resolution == 64) {
             CHECK(voxrt_tree_share(t, NULL, &s) == VOXRT_OK);
             same(s, 4);
@@ -261,9 +284,587 @@ TEST(pieces_make_the_same_file) {
     }
 }
 
+/* ---- room and time ---- */
+
+static voxrt_allocator counted(test_alloc *ta) {
+    voxrt_allocator a;
+    test_alloc_init(ta);
+    a.alloc_fn = test_alloc_fn;
+    a.free_fn = test_free_fn;
+    a.user = ta;
+    return a;
+}
+
+/* Whatever the room is, it is never exceeded, all of it is there from the beginning, and those who wait get exact
+   pictures, with any number of threads. */
+TEST(room_is_kept) {
+    hills h = hills_make(60, 1);
+    voxrt_tree *t = tree_of(&h, 500, 1, 0);
+    file f = file_of(t);
+    picture *exact = picture_make(), *p = picture_make();
+    voxrt_paged_desc d;
+    voxrt_error error;
+    voxrt_paged *paged = NULL;
+    size_t least, memory;
+    uint32_t k = 0;
+    memset(&d, 0, sizeof d);
+    memset(&error, 0, sizeof error);
+    d.data = f.data;
+    d.size = f.size;
+    d.env.error = &error;
+    d.memory = 1000;
+    CHECK(voxrt_paged_open(&d, &paged) == VOXRT_ERR_RANGE && paged == NULL && error.where > 1000);
+    for (d.memory = least = (size_t)error.where; voxrt_paged_open(&d, &paged) == VOXRT_ERR_RANGE; d.memory = least)
+        least = (size_t)error.where;
+    voxrt_paged_destroy(paged);
+    d.memory = least - 1;
+    CHECK(voxrt_paged_open(&d, &paged) == VOXRT_ERR_RANGE && error.where == least);
+    for (memory = least; memory < 16 * f.size; memory = memory * 3 / 2, k++) {
+        test_alloc ta;
+        voxrt_paged_info info;
+        voxrt_render_desc v;
+        int64_t count;
+        uint32_t round;
+        d.env.allocator = counted(&ta);
+        d.memory = memory;
+        d.wait = 1;
+        REQUIRE(voxrt_paged_open(&d, &paged) == VOXRT_OK);
+        count = ta.count;
+        CHECK_MSG(ta.live_bytes <= memory, "%g of %g bytes", (double)ta.live_bytes, (double)memory);
+        for (round = 0; round < 4; round++) {
+            view_of(t, round | round << 2 | (round == 3 ? 8u : 0u), &v);
+            v.env.thread_count = 1 + k % 4;
+            draw(v, t, NULL, exact);
+            draw(v, NULL, paged, p);
+            CHECK_MSG(picture_equal(exact, p), "memory %g, view %u", (double)memory, round);
+        }
+        voxrt_paged_get_info(paged, &info);
+        CHECK(info.coarse_rays == 0 && info.bad_pages == 0 && info.memory <= memory && info.loaded_bytes <= memory);
+        CHECK(ta.count == count && ta.live_bytes == info.memory);
+        if (memory == least) CHECK(info.evictions > 10 && info.reads > info.page_count / 4);
+        if (memory > 4 * f.size) CHECK(info.evictions == 0 && info.reads == info.loaded_pages);
+        CHECK(info.evictions + info.loaded_pages <= info.reads); /* some were read and found no room */
+        voxrt_paged_destroy(paged);
+        test_alloc_check(&ta);
+    }
+    voxrt_tree_destroy(t);
+    free(f.data);
+    free(exact);
+    free(p);
+    hills_free(&h);
+}
+
+/* What cells of a level look like. */
+typedef struct looks {
+    uint8_t rgb[8][3];
+    float normal[8][3];
+    uint32_t n;
+} looks;
+
+static int looks_add(void *user, const voxrt_voxel *v, uint32_t index) {
+    looks *l = (looks *)user;
+    (void)index;
+    memcpy(l->rgb[l->n], v->rgb, 3);
+    memcpy(l->normal[l->n++], v->normal, sizeof v->normal);
+    return l->n == 8;
+}
+
+/* A picture of what is there has no holes: what it shows is never behind what the whole tree shows; pixels that are
+   right stay so; and it is the same for any number of threads. A page at a time. */
+TEST(coarse_pictures_get_finer) {
+    hills h = hills_make(60, 1);
+    voxrt_tree *t = tree_of(&h, 500, 0, 0);
+    file f = file_of(t);
+    picture *exact = picture_make(), *p = picture_make(), *q = picture_make(), *before = picture_make();
+    uint32_t view;
+    for (view = 0; view < (test_quick() ? 2u : 8u); view++) {
+        voxrt_paged *one = paged_of(&f, 0, 0), *many = paged_of(&f, 0, 0);
+        voxrt_render_desc d;
+        uint32_t n = 0, first = 0, last = 0, i;
+        voxrt_paged_update_stats s, r;
+        view_of(t, view, &d);
+        d.view = VOXRT_VIEW_UNLIT; /* shadows of coarse cells come and go */
+        draw(d, t, NULL, exact);
+        do {
+            uint32_t wrong = 0;
+            d.env.thread_count = 1;
+            draw(d, NULL, one, p);
+            d.env.thread_count = 2 + n % 3;
+            draw(d, NULL, many, q);
+            CHECK(picture_equal(p, q));
+            for (i = 0; i < W * H; i++) {
+                const int same_now = p->depth[i] == exact->depth[i] && memcmp(p->rgba8 + 4 * i, exact->rgba8 + 4 * i, 4) == 0;
+                CHECK_MSG(p->depth[i] <= exact->depth[i], "pixel %u of picture %u: %g behind %g", i, n, (double)p->depth[i],
+                          (double)exact->depth[i]);
+                if (n != 0) CHECK(p->depth[i] >= before->depth[i]);
+                wrong += !same_now;
+            }
+            if (n == 0) { /* only the first page: cells of level 1 */
+                looks l;
+                first = wrong;
+                l.n = 0;
+                (void)voxrt_tree_each(t, 1, looks_add, &l);
+                CHECK(l.n == 4);
+                for (i = 0; i < W * H; i++) {
+                    uint32_t k;
+                    if (p->rgba8[4 * i + 3] == 0) continue;
+                    for (k = 0; k < l.n && memcmp(l.rgb[k], p->rgba8 + 4 * i, 3) != 0; k++) { }
+                    CHECK(k < l.n && fabsf(l.normal[k][0]) == fabsf(p->normal[3 * i])); /* it may be turned */
+                }
+            }
+            last = wrong;
+            CHECK(voxrt_paged_update(one, 1, &s) == VOXRT_OK && voxrt_paged_update(many, 1, &r) == VOXRT_OK);
+            CHECK(memcmp(&s, &r, sizeof s) == 0);
+            CHECK(s.loaded == (s.wanted != 0));
+            memcpy(before->depth, p->depth, sizeof p->depth);
+        } while (++n < 2000 && s.wanted != 0);
+        CHECK_MSG(first > W * H / 8 && last == 0 && n > 20, "%u pixels are wrong, then %u, after %u", first, last, n);
+        voxrt_paged_destroy(one);
+        voxrt_paged_destroy(many);
+    }
+    voxrt_tree_destroy(t);
+    free(f.data);
+    free(exact);
+    free(p);
+    free(q);
+    free(before);
+    hills_free(&h);
+}
+
+/* Too little room for a picture, not waiting: what was hit stays, the rest is coarse, nothing changes any more. */
+TEST(too_little_room_is_coarse) {
+    hills h = hills_make(60, 1);
+    voxrt_tree *t = tree_of(&h, 500, 0, 0);
+    file f = file_of(t);
+    picture *exact = picture_make(), *p = picture_make(), *before = picture_make();
+    voxrt_paged_desc d;
+    voxrt_paged *paged = NULL;
+    voxrt_render_desc v;
+    voxrt_paged_update_stats s;
+    uint32_t n, i;
+    memset(&d, 0, sizeof d);
+    d.data = f.data;
+    d.size = f.size;
+    d.memory = f.size / 3;
+    REQUIRE(voxrt_paged_open(&d, &paged) == VOXRT_OK);
+    view_of(t, 0, &v);
+    v.view = VOXRT_VIEW_UNLIT;
+    draw(v, t, NULL, exact);
+    for (n = 0; n < 60; n++) {
+        memcpy(before, p, sizeof *p);
+        draw(v, NULL, paged, p);
+        for (i = 0; i < W * H; i++) CHECK(p->depth[i] <= exact->depth[i]);
+        CHECK(voxrt_paged_update(paged, 0, &s) == VOXRT_OK);
+        if (s.loaded == 0) break;
+    }
+    CHECK_MSG(n < 60 && s.wanted != 0, "%u pictures, %u wanted", n, s.wanted);
+    for (n = 0, i = 0; i < W * H; i++) n += p->depth[i] < exact->depth[i];
+    CHECK_MSG(n > 0 && n < W * H / 2, "%u pixels are coarse", n);
+    voxrt_paged_destroy(paged);
+    voxrt_tree_destroy(t);
+    free(f.data);
+    free(exact);
+    free(p);
+    free(before);
+    hills_free(&h);
+}
+
+/* Single rays, any directions: surfaces and any hit as of the tree; in an instance in a group, too. */
+TEST(rays_are_those_of_the_tree) {
+    hills h = hills_make(40, 1);
+    voxrt_tree *t = tree_of(&h, 300, 1, 0);
+    file f = file_of(t);
+    voxrt_paged *p = paged_of(&f, 700000, 1);
+    test_rng r = test_rng_make(7);
+    voxrt_instance place[2];
+    voxrt_group *group[2] = {NULL, NULL};
+    voxrt_geometry g[2];
+    uint32_t k, i, a, hits = 0, rounds = test_quick() ? 100 : 1000;
+    memset(place, 0, sizeof place);
+    REQUIRE(p != NULL);
+    voxrt_tree_geometry(t, &place[0].geometry);
+    voxrt_paged_geometry(p, &place[1].geometry);
+    for (k = 0; k < 2; k++) {
+        CHECK(memcmp(place[0].geometry.box_min, place[k].geometry.box_min, sizeof place[0].geometry.box_min) == 0);
+        for (i = 0; i < 3; i++) place[k].to_world[5 * i] = 1.5;
+        place[k].to_world[1] = 0.25;
+        place[k].to_world[3] = 0.5;
+        CHECK(voxrt_instance_geometry(&place[k], &g[k]) == VOXRT_OK);
+        CHECK(voxrt_group_create(NULL, &g[k], 1, &group[k]) == VOXRT_OK);
+        voxrt_group_geometry(group[k], &g[k]);
+    }
+    for (k = 0; k < rounds; k++) {
+        const voxrt_geometry *of[2];
+        voxrt_ray ray[64];
+        voxrt_surface s[2][64];
+        uint8_t dark[2][64];
+        voxrt_stats stats[2];
+        voxrt_trace_desc d;
+        const size_t n = 1 + test_rng_below(&r, 64);
+        memset(&d, 0, sizeof d);
+        memset(stats, 0, sizeof stats);
+        for (i = 0; i < n; i++) {
+            for (a = 0; a < 3; a++) {
+                ray[i].org[a] = (float)(-0.5 + 2.5 * test_rng_double(&r));
+                ray[i].dir[a] = (float)(0.1 + 0.8 * test_rng_double(&r)) - ray[i].org[a];
+            }
+            if (test_rng_below(&r, 40) == 0) ray[i].dir[test_rng_below(&r, 3)] = 0.0f;
+            if (test_rng_below(&r, 200) == 0) ray[i].dir[1] = NAN;
+            ray[i].t_min = 0.0f;
+            ray[i].t_max = test_rng_below(&r, 3) == 0 ? (float)test_rng_double(&r) : INFINITY;
+        }
+        d.isa = (voxrt_isa)(k % 5);
+        if (k & 1) d.cone_spread = 0.02f * (float)test_rng_double(&r);
+        if (k & 2) d.cone_width = 0.02f * (float)test_rng_double(&r);
+        d.blend = k >> 2 & 1;
+        d.cubes = k >> 3 & 1;
+        d.max_level_plus_1 = (k & 48) == 48 ? 1 + test_rng_below(&r, 10) : 0;
+        for (i = 0; i < 2; i++) {
+            of[i] = k & 64 ? &g[i] : &place[i].geometry;
+            d.stats = &stats[i];
+            of[i]->trace_fn(of[i]->user, &d, ray, s[i], n);
+            d.stats = NULL;
+            of[i]->occluded_fn(of[i]->user, &d, ray, dark[i], n);
+        }
+        CHECK_MSG(memcmp(s[0], s[1], n * sizeof s[0][0]) == 0, "round %u", k);
+        CHECK(memcmp(dark[0], dark[1], n) == 0);
+        CHECK(stats[0].rays == stats[1].rays && stats[0].hits == stats[1].hits && stats[0].bad_rays == stats[1].bad_rays);
+        hits += (uint32_t)stats[0].hits;
+    }
+    CHECK_MSG(hits > 10 * rounds, "%u hits", hits);
+    for (k = 0; k < 2; k++) voxrt_group_destroy(group[k]);
+    voxrt_paged_destroy(p);
+    voxrt_tree_destroy(t);
+    free(f.data);
+    hills_free(&h);
+}
+
+/* ---- what goes wrong ---- */
+
+/* Open it, look at it from all sides. Returns what opening says, or the first bad page; the picture may be NULL. */
+static voxrt_result use(const uint8_t *data, size_t size, uint32_t trust, picture *p) {
+    voxrt_paged_desc d;
+    voxrt_paged *paged = NULL;
+    voxrt_paged_info info;
+    voxrt_render_desc v;
+    voxrt_geometry g;
+    voxrt_result r;
+    uint32_t k;
+    memset(&d, 0, sizeof d);
+    d.data = data;
+    d.size = size;
+    d.wait = 1;
+    d.trust_input = trust;
+    d.memory = 1u << 20;
+    r = voxrt_paged_open(&d, &paged);
+    CHECK((r == VOXRT_OK) == (paged != NULL));
+    if (r != VOXRT_OK) return r;
+    voxrt_paged_geometry(paged, &g);
+    memset(&v, 0, sizeof v);
+    v.geometry = &g;
+    v.geometry_count = 1;
+    v.env.thread_count = 1;
+    for (k = 0; k < 2; k++) { /* from above and from below */
+        int a;
+        for (a = 0; a < 3; a++) {
+            v.camera.at[a] = (float)(0.5 * (g.box_min[a] + g.box_max[a]));
+            v.camera.eye[a] = (float)(g.box_min[a] + (a == 1 ? (k ? -3.0 : 4.0) : 0.7) * (g.box_max[a] - g.box_min[a]));
+        }
+        v.blend = k;
+        v.tolerance = (float)k;
+        r = voxrt_render(&v, NULL, &p->m, NULL);
+        CHECK(r == VOXRT_OK || r == VOXRT_ERR_INVALID_ARG);
+    }
+    voxrt_paged_get_info(paged, &info);
+    CHECK((info.bad_pages == 0) == (info.error.code == VOXRT_OK));
+    CHECK(info.bad_pages == 0 || (info.error.where < size && info.coarse_rays > 0));
+    voxrt_paged_destroy(paged);
+    return info.error.code;
+}
+
+TEST(damaged_files_are_refused) {
+    hills h = hills_make(8, 1);
+    voxrt_tree *t = tree_of(&h, 40, 1, 0);
+    file f = file_of(t);
+    picture *p = picture_make();
+    test_rng r = test_rng_make(3);
+    uint8_t *copy;
+    size_t i;
+    uint32_t accepted = 0, k;
+    CHECK(use(f.data, f.size, 0, p) == VOXRT_OK);
+    for (i = 0; i < f.size; i += i < 400 || i + 200 > f.size ? 1 : 97) {
+        copy = (uint8_t *)malloc(i != 0 ? i : 1);
+        if (copy == NULL) abort();
+        memcpy(copy, f.data, i);
+        if (i != 0) CHECK(use(copy, i, i & 1, p) == VOXRT_ERR_TRUNCATED);
+        free(copy);
+    }
+    copy = (uint8_t *)malloc(f.size + 1);
+    if (copy == NULL) abort();
+    memcpy(copy, f.data, f.size);
+    copy[f.size] = 0;
+    CHECK(use(copy, f.size + 1, 0, p) == VOXRT_ERR_FORMAT);
+    for (i = 0; i < f.size; i += i < 400 || i + 200 > f.size ? 1 : test_quick() ? 211 : 23) { /* each change is found */
+        const uint8_t was = copy[i];
+        copy[i] = (uint8_t)(was ^ (1u << test_rng_below(&r, 8)));
+        CHECK_MSG(use(copy, f.size, 0, p) != VOXRT_OK, "byte %u", (unsigned)i);
+        copy[i] = was;
+    }
+    for (k = 0; k < (test_quick() ? 300u : 3000u); k++) { /* and without checksums all of them are harmless */
+        const uint32_t n = 1 + test_rng_below(&r, 3);
+        uint32_t m;
+        memcpy(copy, f.data, f.size);
+        for (m = 0; m < n; m++) {
+            i = test_rng_below(&r, 2) ? test_rng_below(&r, 400) : test_rng_below(&r, (uint32_t)f.size);
+            copy[i] = (uint8_t)(test_rng_below(&r, 3) == 0 ? 255u : copy[i] ^ (1u << test_rng_below(&r, 8)));
+        }
+        accepted += use(copy, f.size, 1, p) == VOXRT_OK;
+    }
+    CHECK(accepted > 20);
+    free(copy);
+    free(f.data);
+    free(p);
+    voxrt_tree_destroy(t);
+    hills_free(&h);
+}
+
+/* A file that can be read now and then, and changes meanwhile. */
+typedef struct source {
+    const file *f;
+    uint64_t broken_from, broken_to; /* reads that touch these bytes fail, */
+    int changed;                     /* or get others */
+    uint32_t reads;
+} source;
+
+static int source_read(void *user, uint64_t offset, void *to, size_t bytes) {
+    source *s = (source *)user;
+    const int touches = offset < s->broken_to && offset + bytes > s->broken_from;
+    s->reads++;
+    if (offset + bytes > s->f->size) return 1;
+    if (touches && !s->changed) return 1;
+    memcpy(to, s->f->data + offset, bytes);
+    if (touches) ((uint8_t *)to)[bytes / 2] ^= 4;
+    return 0;
+}
+
+TEST(files_change_and_fail) {
+    hills h = hills_make(30, 1);
+    voxrt_tree *t = tree_of(&h, 300, 0, 0);
+    file f = file_of(t);
+    picture *p = picture_make(), *exact = picture_make();
+    uint32_t k, i;
+    for (k = 0; k < 4; k++) {
+        source s;
+        voxrt_paged_desc d;
+        voxrt_paged *paged = NULL;
+        voxrt_paged_update_stats u;
+        voxrt_paged_info info;
+        voxrt_render_desc v;
+        voxrt_result r, bad = VOXRT_OK;
+        memset(&d, 0, sizeof d);
+        memset(&s, 0, sizeof s);
+        s.f = &f;
+        s.changed = (int)(k & 1u);
+        d.read_fn = source_read;
+        d.read_user = &s;
+        d.size = f.size;
+        d.wait = k >> 1;
+        REQUIRE(voxrt_paged_open(&d, &paged) == VOXRT_OK);
+        s.broken_from = f.size / 4; /* the file is changed while it is open */
+        s.broken_to = f.size / 2;
+        view_of(t, 0, &v);
+        v.view = VOXRT_VIEW_UNLIT;
+        draw(v, t, NULL, exact);
+        for (i = 0; i < 20; i++) {
+            draw(v, NULL, paged, p);
+            r = voxrt_paged_update(paged, 0, &u);
+            if (bad == VOXRT_OK) bad = r;
+            if (u.wanted == 0) break;
+        }
+        CHECK(i < 20);
+        voxrt_paged_get_info(paged, &info);
+        CHECK(info.bad_pages > 0 && info.error.code == (s.changed ? VOXRT_ERR_CHECKSUM : VOXRT_ERR_IO));
+        CHECK(d.wait ? bad == VOXRT_OK && info.coarse_rays > 0 : bad == info.error.code);
+        CHECK(info.error.where + 100000 > s.broken_from && info.error.where < s.broken_to);
+        CHECK(strlen(info.error.text) > 10);
+        for (i = 0; i < W * H; i++) CHECK(p->depth[i] <= exact->depth[i]);
+        s.reads = 0; /* what is bad is not asked for again */
+        draw(v, NULL, paged, p);
+        CHECK(voxrt_paged_update(paged, 0, &u) == VOXRT_OK && u.wanted == 0 && s.reads == 0);
+        voxrt_paged_destroy(paged);
+    }
+    voxrt_tree_destroy(t);
+    free(f.data);
+    free(p);
+    free(exact);
+    hills_free(&h);
+}
+
+TEST(memory_runs_out) {
+    hills h = hills_make(12, 1);
+    voxrt_tree *t = tree_of(&h, 100, 1, 0);
+    file f = file_of(t);
+    voxrt_build_desc b;
+    int64_t k;
+    int which;
+    memset(&b, 0, sizeof b);
+    b.resolution = 100;
+    b.planes = 1;
+    for (which = 0; which < 3; which++) {
+        for (k = 0; k < 100000; k += k < 60 ? 1 : 1 + k / 8) {
+            test_alloc ta;
+            voxrt_env env;
+            voxrt_result r;
+            memset(&env, 0, sizeof env);
+            env.allocator = counted(&ta);
+            env.thread_count = 1;
+            ta.fail_at = k;
+            if (which == 0) {
+                voxrt_paged_desc d;
+                voxrt_paged *p = NULL;
+                memset(&d, 0, sizeof d);
+                d.env = env;
+                d.data = f.data;
+                d.size = f.size;
+                r = voxrt_paged_open(&d, &p);
+                CHECK((p != NULL) == (r == VOXRT_OK));
+                voxrt_paged_destroy(p);
+            } else if (which == 1) {
+                voxrt_save_desc d;
+                size_t size;
+                memset(&d, 0, sizeof d);
+                d.env = env;
+                d.encoding = VOXRT_ENCODING_PAGED;
+                r = voxrt_tree_save_memory(t, &d, NULL, 0, &size);
+                CHECK(size == (r == VOXRT_OK ? f.size : 0));
+            } else {
+                file to = {NULL, 0, 0};
+                voxrt_sink sink;
+                sink.write_fn = file_write;
+                sink.user = &to;
+                b.env = env;
+                r = voxrt_paged_build(&b, &h.mesh, &sink, NULL);
+                free(to.data);
+            }
+            test_alloc_check(&ta);
+            if (ta.failed == 0) {
+                CHECK(r == VOXRT_OK && k > 3);
+                break;
+            }
+            CHECK(r == VOXRT_ERR_NO_MEMORY);
+        }
+        CHECK(k < 100000);
+    }
+    voxrt_tree_destroy(t);
+    free(f.data);
+    hills_free(&h);
+}
+
+static int full_disk(void *user, uint64_t offset, const void *from, size_t bytes) {
+    int *left = (int *)user;
+    (void)offset;
+    (void)from;
+    (void)bytes;
+    return (*left)-- <= 0;
+}
+
+TEST(files_and_arguments) {
+    hills h = hills_make(20, 1);
+    voxrt_tree *t = tree_of(&h, 150, 0, 0), *back = NULL;
+    file f = file_of(t);
+    const char *path = test_temp_path(".vox");
+    uint8_t small[100];
+    voxrt_build_desc b;
+    voxrt_save_desc save;
+    voxrt_paged_desc d;
+    voxrt_paged *p = NULL;
+    voxrt_sink sink;
+    voxrt_paged_info info;
+    voxrt_tree_info tree;
+    voxrt_error error;
+    picture *x = picture_make(), *y = picture_make();
+    voxrt_render_desc v;
+    FILE *out;
+    size_t size;
+    int writes;
+    memset(&b, 0, sizeof b);
+    memset(&save, 0, sizeof save);
+    memset(&d, 0, sizeof d);
+    memset(&error, 0, sizeof error);
+    b.resolution = 150;
+    b.palette_size = 1u << 24;
+    save.encoding = VOXRT_ENCODING_PAGED;
+    CHECK(voxrt_file_kind(f.data, 64) == 6 && voxrt_file_kind(f.data, 12) == 5);
+    CHECK(voxrt_tree_load_memory(NULL, f.data, f.size, &back) == VOXRT_ERR_VERSION && back == NULL);
+    CHECK(voxrt_tree_save_memory(t, &save, small, sizeof small, &size) == VOXRT_ERR_RANGE && size == f.size);
+    CHECK(voxrt_paged_build_file(&b, &h.mesh, path, NULL) == VOXRT_OK);
+    d.wait = 1;
+    REQUIRE(voxrt_paged_open_file(&d, path, &p) == VOXRT_OK);
+    voxrt_paged_get_info(p, &info);
+    voxrt_tree_get_info(t, &tree);
+    CHECK(info.depth == tree.depth && info.resolution == tree.resolution && info.voxel_count == tree.voxel_count);
+    CHECK(memcmp(info.world_origin, tree.world_origin, sizeof info.world_origin) == 0 && info.voxel_size == tree.voxel_size);
+    CHECK(memcmp(info.cell_min, tree.cell_min, 12) == 0 && memcmp(info.cell_max, tree.cell_max, 12) == 0);
+    CHECK(info.has_colors && info.has_normals && !info.has_planes && info.page_count > 10 && info.loaded_pages == 1);
+    view_of(t, 2, &v);
+    draw(v, t, NULL, x);
+    draw(v, NULL, p, y);
+    CHECK(picture_equal(x, y));
+    voxrt_paged_destroy(p);
+    CHECK(voxrt_tree_save_file(t, &save, path) == VOXRT_OK);
+    CHECK(voxrt_paged_open_file(NULL, path, &p) == VOXRT_OK);
+    voxrt_paged_destroy(p);
+    out = fopen(path, "ab");
+    REQUIRE(out != NULL);
+    CHECK(fputc(0, out) == 0 && fclose(out) == 0);
+    CHECK(voxrt_paged_open_file(NULL, path, &p) == VOXRT_ERR_FORMAT && p == NULL);
+    out = fopen(path, "wb");
+    REQUIRE(out != NULL);
+    CHECK(fwrite(f.data, 1, f.size - 1, out) == f.size - 1 && fclose(out) == 0);
+    CHECK(voxrt_paged_open_file(NULL, path, &p) == VOXRT_ERR_TRUNCATED && p == NULL);
+    (void)remove(path);
+    CHECK(voxrt_paged_open_file(NULL, path, &p) == VOXRT_ERR_IO && p == NULL);
+    CHECK(voxrt_paged_build_file(&b, &h.mesh, "/nowhere/at/all.vox", NULL) == VOXRT_ERR_IO);
+    CHECK(voxrt_tree_save_file(t, &save, "/nowhere/at/all.vox") == VOXRT_ERR_IO);
+    for (writes = 0; writes < 12; writes++) {
+        int left = writes;
+        sink.write_fn = full_disk;
+        sink.user = &left;
+        CHECK(voxrt_paged_build(&b, &h.mesh, &sink, NULL) == VOXRT_ERR_IO);
+    }
+    d.env.error = &error;
+    CHECK(voxrt_paged_open(&d, &p) == VOXRT_ERR_INVALID_ARG && error.text[0] != 0);
+    CHECK(voxrt_paged_open(NULL, &p) == VOXRT_ERR_INVALID_ARG && voxrt_paged_open(&d, NULL) == VOXRT_ERR_INVALID_ARG);
+    d._end_zero = 1;
+    CHECK(voxrt_paged_open(&d, &p) == VOXRT_ERR_UNINIT_DESC);
+    CHECK(voxrt_paged_build(&b, &h.mesh, NULL, NULL) == VOXRT_ERR_INVALID_ARG);
+    b.fill = 1;
+    CHECK(voxrt_paged_build(&b, &h.mesh, &sink, NULL) == VOXRT_ERR_INVALID_ARG);
+    b.fill = 0;
+    h.mesh.triangle_count = 0;
+    writes = 100;
+    sink.user = &writes;
+    CHECK(voxrt_paged_build(&b, &h.mesh, &sink, NULL) == VOXRT_ERR_EMPTY);
+    voxrt_paged_destroy(NULL);
+    voxrt_paged_get_info(NULL, &info);
+    voxrt_tree_destroy(t);
+    free(f.data);
+    free(x);
+    free(y);
+    hills_free(&h);
+}
+
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(pictures_are_those_of_the_tree);
     RUN(pieces_make_the_same_file);
+    RUN(room_is_kept);
+    RUN(coarse_pictures_get_finer);
+    RUN(too_little_room_is_coarse);
+    RUN(rays_are_those_of_the_tree);
+    RUN(damaged_files_are_refused);
+    RUN(files_change_and_fail);
+    RUN(memory_runs_out);
+    RUN(files_and_arguments);
     return test_end();
 }
