@@ -1,5 +1,5 @@
-/* fuzz_vox.c - any bytes as a voxel file, plain or shared, by every way to load one: version 5 compact, raw and mapped, version 4 as it is,
-   mirrored and with its angles swapped. What is accepted is asked everything, traced, drawn, changed, converted, and is
+/* fuzz_vox.c - any bytes as a voxel file, plain or shared, by every way to load one: version 5 compact, raw, mapped and in pages, version 4 as
+   it is, mirrored and with its angles swapped. What is accepted is asked everything, traced, drawn, changed, converted, and is
    the same after it was saved and loaded. Checksums are made right first, otherwise only they would be tested. */
 #define _POSIX_C_SOURCE 200112L
 #define VOXRT_IMPLEMENTATION
@@ -72,6 +72,60 @@ static void draw(const voxrt_tree *t, const voxrt_geometry *g) {
 
 static void use_octree(voxrt_octree *o, int may_change);
 
+/* A file in pages, drawn while pages are read, between pictures or at once; t, if there is one, has the same hits. */
+static void use_paged(const uint8_t *data, size_t size, const voxrt_tree *t) {
+    voxrt_paged_desc d;
+    voxrt_paged *p = NULL;
+    voxrt_geometry g, whole;
+    uint32_t wait, i;
+    for (wait = 0; wait < 2; wait++) {
+        memset(&d, 0, sizeof d);
+        d.data = data;
+        d.size = size;
+        d.wait = wait;
+        d.trust_input = 1;
+        d.memory = LIMIT / 8;
+        d.env.memory_limit = LIMIT;
+        if (voxrt_paged_open(&d, &p) != VOXRT_OK) {
+            must(p == NULL && t == NULL);
+            return;
+        }
+        voxrt_paged_geometry(p, &g);
+        for (i = 0; i < 3; i++) {
+            voxrt_ray ray[5];
+            voxrt_surface s[5], same[5];
+            uint8_t occluded[5];
+            voxrt_trace_desc td;
+            uint32_t k, a;
+            draw(NULL, &g);
+            memset(&td, 0, sizeof td);
+            td.isa = (voxrt_isa)(g_turn % 5);
+            td.cone_spread = g_turn & 32 ? 0.1f : 0.0f;
+            td.blend = g_turn >> 6 & 1;
+            for (k = 0; k < 5; k++) {
+                memset(&ray[k], 0, sizeof ray[k]);
+                ray[k].t_max = INFINITY;
+                for (a = 0; a < 3; a++) {
+                    const double size_a = g.box_max[a] - g.box_min[a];
+                    ray[k].org[a] = (float)(g.box_min[a] + ((k >> a & 1) != 0 ? -0.3 : 1.2) * size_a);
+                    ray[k].dir[a] = (float)(g.box_min[a] + 0.37 * (a + 1) / 2.0 * size_a) - ray[k].org[a];
+                }
+            }
+            g.trace_fn(g.user, &td, ray, s, 5);
+            g.occluded_fn(g.user, &td, ray, occluded, 5);
+            for (k = 0; k < 5; k++) must(wait || occluded[k] == (s[k].t < INFINITY)); /* reading it again may fail */
+            if (wait && t != NULL) {
+                voxrt_tree_geometry(t, &whole);
+                whole.trace_fn(whole.user, &td, ray, same, 5);
+                must(memcmp(s, same, sizeof s) == 0);
+            }
+            (void)voxrt_paged_update(p, 0, NULL);
+        }
+        voxrt_paged_destroy(p);
+        p = NULL;
+    }
+}
+
 static void use(voxrt_tree *t) {
     voxrt_tree *again = NULL;
     voxrt_octree *o = NULL;
@@ -126,6 +180,14 @@ static void use(voxrt_tree *t) {
         else must(voxrt_tree_map_memory(&l, file, size, &again) == VOXRT_OK);
         if (small) must(voxrt_tree_hash(again) == voxrt_tree_hash(t));
         voxrt_tree_destroy(again);
+        free(file);
+    }
+    if (info.voxel_count < 20000) {
+        uint8_t *file;
+        s.encoding = VOXRT_ENCODING_PAGED;
+        must(voxrt_tree_save_memory(t, &s, NULL, 0, &size) == VOXRT_OK && (file = (uint8_t *)malloc(size)) != NULL);
+        must(voxrt_tree_save_memory(t, &s, file, size, &size) == VOXRT_OK);
+        use_paged(file, size, t);
         free(file);
     }
     for (how = 0; how < 2; how++) { /* shared and back, or the other way round */
@@ -223,6 +285,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     if (voxrt_file_kind(copy, size) == 5) voxrti_v5_seal((uint8_t *)copy, size);
     if (voxrt_tree_load_memory(&d, copy, size, &t) == VOXRT_OK) use(t);
     if (voxrt_tree_map_memory(&d, copy, size, &t) == VOXRT_OK) use(t);
+    use_paged((const uint8_t *)copy, size, NULL);
     for (i = 0; i < 2; i++) {
         if (voxrt_octree_load_memory(&od, copy, size, &o) == VOXRT_OK) {
             if (voxrt_tree_from_octree(&od, o, &t) == VOXRT_OK) use(t);
