@@ -88,7 +88,7 @@
    - Keeps, if asked for, the plane of the surface in each voxel: outlines, depth and shadows of the mesh, not of cubes.
    - Keeps them as a tree of 4x4x4 nodes in which each octree level can be addressed: 5 to 8 bits a voxel for geometry,
      0.1 to 3 when equal parts are stored once, 2 bytes a cell (of any level) for normals, 0 to 2 bytes for colours as
-     a rule. Saves and loads it, or maps a file into memory.
+     a rule. Saves and loads it, or maps a file into memory; or only pages of it, those that rays need.
    - Traces rays: closest hit, any hit, with a cone for level of detail, 1 ray or millions, any order.
    - Keeps for each palette entry what else it is: shiny, a mirror, glass, a lamp; rays go on in mirrors and glass.
    - Draws pictures: camera, lights, shadows, anti-aliasing, progressive pictures, level of detail by pixels, heat maps,
@@ -104,11 +104,11 @@
      edited voxel by voxel.
    - No smooth shading: a voxel is a cube, or a plane in a cube, with one normal; close up it is seen as that.
    - No mesh files, no picture files, no window: examples/support has readers, a PNG writer and a command line.
-   - No streaming from disk, no GPU.
+   - No GPU.
 
    LIMITS
    depth of a tree            20 (VOXRT_MAX_DEPTH): 2^20 cells along an axis; of a voxelised mesh 16
-   filled voxels of a tree    2^32 - 2; and 2^32 - 1 nodes
+   filled voxels of a tree    2^32 - 2; and 2^32 - 1 nodes. In pages: 2^32 - 2 pages
    triangles                  as many as memory holds
    finishes of a tree         255
    colours of a palette       2^24; in the octree of the thesis 32767
@@ -1131,9 +1131,9 @@ typedef struct voxrt_paged voxrt_paged;
                  then pages are refused. Must stay there until the object is destroyed
    read_fn       instead of data: copies `bytes` bytes from `offset` on to `to`, returns 0, or anything else when that
                  fails; `size` is the size of the file. Never called by two threads at once
-   wait          rays are traced with what is there, and the picture gets finer by voxrt_paged_update. 1: rays wait until
-                 what they need has been read: pictures are exact at once, whatever the memory is, as long as what 1 ray
-                 needs fits (voxrt_paged_info.coarse_rays counts those for which it did not)
+   wait          rays are traced with what is there, the picture gets finer by voxrt_paged_update. 1: rays wait until
+                 what they need has been read: pictures are exact at once, whatever the memory is, as long as what one
+                 ray needs fits (voxrt_paged_info.coarse_rays counts those for which it did not)
    trust_input   1: checksums are left out, all else is checked */
 typedef struct voxrt_paged_desc {
     uint32_t _begin_zero;
@@ -1194,8 +1194,8 @@ VOXRT_DEF void voxrt_paged_geometry(voxrt_paged *paged, voxrt_geometry *out_geom
    in `wanted` again). Needs the object for itself. */
 VOXRT_DEF voxrt_result voxrt_paged_update(voxrt_paged *paged, uint64_t most_bytes, voxrt_paged_update_stats *stats);
 
-/* Where a file is written to: `bytes` bytes from `offset` on; returns 0, or anything else when that fails. The file grows
-   at its end, but its first 4096 bytes are written twice. */
+/* Where a file is written to: `bytes` bytes from `offset` on; returns 0, or anything else when that fails. The file
+   grows at its end, but its first 4096 bytes may be written twice. */
 typedef struct voxrt_sink {
     int (*write_fn)(void *user, uint64_t offset, const void *from, size_t bytes);
     void *user;
@@ -1204,8 +1204,8 @@ typedef struct voxrt_sink {
 /* Voxelise a mesh into a paged file, piece by piece: holds some 20 bytes a voxel of the largest piece (at most 1024^3
    cells, less where there are many voxels), 8 bytes a triangle and 40 a page, not the voxels.
    The same voxels and colours as voxrt_tree_build with palette_size = 2^24, whatever desc->palette_size is: pages have
-   palettes of their own. INVALID_ARG also for fill and VOXRT_LOD_MAJORITY; IO: write_fn failed. Else as voxrt_tree_build.
-   A tree is written with VOXRT_ENCODING_PAGED. */
+   palettes of their own. INVALID_ARG also for fill and VOXRT_LOD_MAJORITY; IO: write_fn failed. Else as
+   voxrt_tree_build. A tree is written with VOXRT_ENCODING_PAGED. */
 VOXRT_DEF voxrt_result voxrt_paged_build(const voxrt_build_desc *desc, const voxrt_mesh *mesh, const voxrt_sink *sink,
                                          voxrt_build_stats *stats);
 #ifndef VOXRT_NO_STDIO
@@ -17280,9 +17280,9 @@ VOXRT_DEF void voxrt_model_geometry(const voxrt_model *model, voxrt_geometry *ou
    pages: trees larger than memory: how they are written, what is loaded, rays.  // >>pages
 
    The levels of a tree go into pages by twos: a page has the nodes of two levels below one node, its anchor, and the
-   attributes of all their cells. The last page level ends with the leaf nodes; when the number of levels is odd the first
-   page begins with a level of one node above the root. A page has one child for each node of its second level; pages
-   are numbered level by level in Morton order, so that children are consecutive and nothing but counts is stored.
+   attributes of all their cells. The last page level ends with the leaf nodes; when the number of levels is odd the
+   first page begins with a level of one node above the root. A page has one child for each node of its second level;
+   pages are numbered level by level in Morton order, so that children are consecutive and nothing but counts is stored.
    In a file a page is masks and attributes with a palette of its own; all links are made when it is loaded.
 
    What is loaded stands in one arena, cut into frames of 1 KB; a page takes consecutive ones. The kernels of trace go
@@ -18043,7 +18043,7 @@ VOXRT_DEF voxrt_result voxrt_paged_build(const voxrt_build_desc *desc, const vox
         sink->write_fn == NULL)
         return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no mesh, or nowhere to write to");
     if (d.fill || d.lod_method != VOXRT_LOD_MEAN)
-        return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "piece by piece nothing is filled, and no votes are taken");
+        return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "pieces are not filled and take no votes");
     if (mesh->triangle_count >= 0xffffffffu || (mesh->indices == NULL && mesh->triangle_count >= 0x55555555u))
         return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, mesh->triangle_count, "% triangles are too many");
     r = voxrti_grid_from_mesh(&d, mesh, &grid);
@@ -18176,7 +18176,7 @@ typedef struct voxrti_page { /* 56 bytes: what the table says, and what has beco
 typedef struct voxrti_chunk { /* 64 bytes: begin of a page in the arena; then come nodes, ranks and the rest */
     uint32_t id, n1, n2, leaf;     /* leaf: the second level are leaf nodes */
     uint32_t first1, first2;       /* numbers of the first nodes, as `child` says them */
-    uint32_t cells2, octants2;     /* cells of the second level: bits, octants; then n2 cells of the first level's bits */
+    uint32_t cells2, octants2;     /* cells of the second level: bits, octants; then n2 and octants of the first */
     uint32_t colors, bits;         /* entries of the palette, 0: white; bits of an index */
     uint32_t rank;                 /* where these begin, in bytes: u32 bits, octants before second node 16 i; */
     uint32_t normal, palette, index, plane; /* 0: there is none */
@@ -18380,7 +18380,7 @@ static int voxrti_paged_check(const voxrt_paged *p, uint32_t id, voxrti_chunk *c
             c->cells2 += voxrti_popcount64(mask);
             c->octants2 += octants;
         }
-        if (id == 0 && i == p->odd && (p->tree.depth & 1u) != 0 && (mask & ~(uint64_t)0xff) != 0) return 0; /* the root */
+        if (id == 0 && i == p->odd && (p->tree.depth & 1u) != 0 && mask > 255u) return 0; /* the root */
     }
     *where = 8;
     if (n2 != c->n2) return 0;
@@ -18521,7 +18521,8 @@ static voxrt_result voxrti_paged_fail(const voxrt_paged_desc *d, voxrt_result co
 }
 
 /* Header, placement and table of sections; *table, *checksum: of the table of pages. */
-static voxrt_result voxrti_paged_head(voxrt_paged *p, const voxrt_paged_desc *d, uint64_t *table, uint64_t *checksum) {
+static voxrt_result voxrti_paged_head(voxrt_paged *p, const voxrt_paged_desc *d, uint64_t *table,
+                                      uint64_t *checksum) {
     uint8_t h[VOXRTI_PAGED_HEAD];
     const uint8_t *q = h + 192, *e = h + VOXRTI_V5_HEADER;
     const size_t have = p->size < sizeof h ? (size_t)p->size : sizeof h;
@@ -18539,7 +18540,8 @@ static voxrt_result voxrti_paged_head(voxrt_paged *p, const voxrt_paged_desc *d,
         return voxrti_paged_fail(d, VOXRT_ERR_VERSION, voxrti_load_u16(h + 8), "format version % is unknown");
     p->flags = voxrti_load_u32(h + 32);
     if ((p->flags & VOXRTI_V5_PAGED) == 0) return voxrti_paged_fail(d, VOXRT_ERR_FORMAT, 32, "not a paged file");
-    if (p->size < voxrti_load_u64(h + 16)) return voxrti_paged_fail(d, VOXRT_ERR_TRUNCATED, p->size, "file ends at byte %");
+    if (p->size < voxrti_load_u64(h + 16))
+        return voxrti_paged_fail(d, VOXRT_ERR_TRUNCATED, p->size, "file ends at byte %");
     if (p->size > voxrti_load_u64(h + 16))
         return voxrti_paged_fail(d, VOXRT_ERR_FORMAT, 16, "size of the file is not the one in its header");
     if (!p->trust && voxrti_load_u64(h + 24) != voxrti_v5_head_checksum(h, 3))
@@ -18579,7 +18581,8 @@ static voxrt_result voxrti_paged_head(voxrt_paged *p, const voxrt_paged_desc *d,
     for (i = VOXRTI_V5_HEADER + 3 * VOXRTI_V5_ENTRY; i < 192; i++) ok = ok && h[i] == 0;
     for (i = 192 + VOXRTI_PAGED_PLACE; i < VOXRTI_PAGED_HEAD; i++) ok = ok && h[i] == 0;
     ok = ok && voxrti_load_u64(e + 8) == 192 && voxrti_load_u64(e + 16) == VOXRTI_PAGED_PLACE;
-    ok = ok && voxrti_load_u64(e + VOXRTI_V5_ENTRY + 8) == VOXRTI_PAGED_HEAD && voxrti_load_u64(e + VOXRTI_V5_ENTRY + 32) == 0;
+    ok = ok && voxrti_load_u64(e + VOXRTI_V5_ENTRY + 8) == VOXRTI_PAGED_HEAD;
+    ok = ok && voxrti_load_u64(e + VOXRTI_V5_ENTRY + 32) == 0;
     ok = ok && pages_end <= p->size && voxrti_v5_align(pages_end + VOXRTI_PAGED_HEAD) == *table && *table <= p->size;
     ok = ok && voxrti_load_u64(e + 2 * VOXRTI_V5_ENTRY + 16) == p->size - *table;
     ok = ok && p->size - *table == (uint64_t)p->page_count * VOXRTI_PAGED_ENTRY;
@@ -18670,7 +18673,7 @@ static void voxrti_paged_solid(voxrt_paged *p) {
 static voxrt_result voxrti_paged_fill(voxrt_paged *p, const voxrt_paged_desc *d) {
     const uint64_t memory = d->memory != 0 ? d->memory : (uint64_t)256 << 20;
     uint64_t table = 0, checksum = 0, fixed, least, frames;
-    uint32_t most = 0, full_tiers;
+    uint32_t most = 0;
     int full = 0;
     voxrt_result r = voxrti_paged_head(p, d, &table, &checksum);
     if (r != VOXRT_OK) return r;
@@ -18681,12 +18684,12 @@ static voxrt_result voxrti_paged_fill(voxrt_paged *p, const voxrt_paged_desc *d)
     if (p->page == NULL) return voxrti_paged_fail(d, VOXRT_ERR_NO_MEMORY, 0, voxrt_result_string(VOXRT_ERR_NO_MEMORY));
     r = voxrti_paged_table(p, d, table, checksum, &most);
     if (r != VOXRT_OK) return r;
-    full_tiers = p->tiers;
     p->first_frame = 10;
     fixed += most + 8;
-    least = p->first_frame + (uint64_t)full_tiers * ((2 * (uint64_t)most + 4096) / VOXRTI_FRAME + 1);
+    least = p->first_frame + (uint64_t)p->tiers * ((2 * (uint64_t)most + 4096) / VOXRTI_FRAME + 1);
     if (fixed + least * (VOXRTI_FRAME + 4) > memory)
-        return voxrti_paged_fail(d, VOXRT_ERR_RANGE, fixed + least * (VOXRTI_FRAME + 4), "this file needs % bytes of memory");
+        return voxrti_paged_fail(d, VOXRT_ERR_RANGE, fixed + least * (VOXRTI_FRAME + 4),
+                                 "this file needs % bytes of memory");
     frames = (memory - fixed) / (VOXRTI_FRAME + 4);
     if (frames > 0x1ffffff) frames = 0x1ffffff; /* 32 GB: leaf nodes have 32-bit numbers */
     if (frames > least + 2 * p->file_bytes / VOXRTI_FRAME + 2 * (uint64_t)p->page_count)
@@ -19029,7 +19032,8 @@ static uint32_t voxrti_paged_rays(voxrt_paged *p, const voxrt_trace_desc *td, co
     int isa;
     if (voxrti_trace_open(&p->tree, td, &d, &cone, &isa) == VOXRT_OK) {
         voxrti_trace_cubes(&p->tree, &cone, isa, rays, hits, count, d.stats);
-        if ((p->flags & VOXRTI_V5_HAS_PLANES) != 0 && !d.cubes) voxrti_paged_planes(p, &cone, rays, hits, count, d.stats);
+        if ((p->flags & VOXRTI_V5_HAS_PLANES) != 0 && !d.cubes)
+            voxrti_paged_planes(p, &cone, rays, hits, count, d.stats);
     } else {
         memset(hits, 0xff, count * sizeof *hits);
     }

@@ -7,6 +7,7 @@
    BM3 stages of a picture, threads                 BM8 converter                     BM13 tolerance against error
    BM4 start grid of the octree                     BM9 loading                       BM14 editing, BM15 planes
    BM5 memory and files                             BM10 normals (setup, compose: BM3) BM16 many objects
+                                                                                       BM17 larger than memory
    One JSON object a line on stdout; the acceptance table on stderr and, after a run of all, in bench/table.md beside the
    program. */
 #include "bench.h"
@@ -1973,10 +1974,154 @@ static void bm16(void) {
     }
 }
 
+/* ---- BM17: larger than memory ---- */
+
+static voxrt_paged *open_pages(const char *path, size_t memory, uint32_t wait) {
+    voxrt_paged_desc d;
+    voxrt_paged *p = NULL;
+    memset(&d, 0, sizeof d);
+    d.memory = memory;
+    d.wait = wait;
+    must(voxrt_paged_open_file(&d, path, &p), "pages");
+    return p;
+}
+
+static void pages_line(const char *kase, const char *name, double tolerance, size_t memory, const voxrt_paged *p, double first,
+                       double all, double wall, int pictures, uint64_t hash) {
+    voxrt_paged_info info;
+    voxrt_paged_get_info(p, &info);
+    bench_line("voxrt.pages", kase, name, all, "s");
+    bench_num("tolerance", tolerance);
+    bench_num("memory_limit", (double)memory);
+    bench_num("first_picture", first);
+    bench_num("pictures", pictures);
+    bench_num("wall", wall);
+    bench_num("pages", info.page_count);
+    bench_num("loaded_pages", info.loaded_pages);
+    bench_num("reads", (double)info.reads);
+    bench_num("read_bytes", (double)info.read_bytes);
+    bench_num("loaded_bytes", (double)info.loaded_bytes);
+    bench_num("memory", (double)info.memory);
+    bench_num("coarse_rays", (double)info.coarse_rays);
+    bench_hash(hash);
+    bench_end();
+}
+
+/* A terrain as a file in pages, made piece by piece; then from coarse to exact, picture by picture, and at once; with level
+   of detail and without it, in 2 GiB and in a tenth of that. Where it fits into memory also against the tree. */
+static void bm17(void) {
+    const uint32_t resolution = g_opt.full ? 32768 : 4096;
+    const size_t room = (size_t)(g_opt.full ? 2000 : 64) << 20;
+    const char *folder = getenv("TMPDIR") != NULL ? getenv("TMPDIR") : "/tmp";
+    char path[1024], kase[32];
+    sup_mesh mesh;
+    voxrt_mesh m;
+    voxrt_build_desc d;
+    voxrt_build_stats stats;
+    frame_job f;
+    voxrt_geometry g;
+    voxrt_paged *p;
+    double start, cpu;
+    int way;
+    memset(&mesh, 0, sizeof mesh);
+    memset(&m, 0, sizeof m);
+    memset(&d, 0, sizeof d);
+    memset(&f, 0, sizeof f);
+    snprintf(path, sizeof path, "%s/bench_pages_%ld.vox", folder, (long)getpid());
+    snprintf(kase, sizeof kase, "terrain-%u", resolution);
+    if (sup_scene_make("terrain", g_opt.full ? 2000 : 500, &mesh)) run_failed("terrain", "no mesh");
+    m.positions = mesh.positions;
+    m.vertex_count = mesh.vertex_count;
+    m.indices = mesh.indices;
+    m.triangle_count = mesh.triangle_count;
+    m.normals = mesh.normals;
+    m.vertex_rgb = mesh.vertex_rgb;
+    m.triangle_rgb = mesh.triangle_rgb;
+    d.resolution = resolution;
+    d.palette_size = 16777216;
+    d.env.thread_count = (uint32_t)g_opt.threads;
+    start = bench_wall();
+    cpu = bench_cpu();
+    must(voxrt_paged_build_file(&d, &m, path, &stats), "pages");
+    cpu = bench_cpu() - cpu;
+    start = bench_wall() - start;
+    p = open_pages(path, room, 0);
+    {
+        voxrt_paged_info info;
+        voxrt_paged_get_info(p, &info);
+        bench_line("voxrt.pages", kase, "build", cpu, "s");
+        bench_num("wall", start);
+        bench_num("voxels", (double)info.voxel_count);
+        bench_num("bytes", (double)info.file_bytes);
+        bench_num("pages", info.page_count);
+        bench_num("peak_bytes", (double)stats.peak_bytes);
+        bench_end();
+    }
+    voxrt_paged_geometry(p, &g);
+    f.image.width = WIDTH;
+    f.image.height = HEIGHT;
+    f.image.rgba8 = (uint8_t *)must_alloc((size_t)WIDTH * HEIGHT, 4);
+    f.desc.env.thread_count = 1;
+    f.desc.geometry = &g;
+    f.desc.geometry_count = 1;
+    must(voxrt_camera_fit(&f.desc.camera, g.box_min, g.box_max, NULL, WIDTH, HEIGHT), "camera");
+    voxrt_paged_destroy(p);
+    for (way = 0; way < 5; way++) { /* level of detail, full: from coarse to exact, at once; full in a tenth of the memory */
+        const int wait = way == 1 || way >= 3;
+        const size_t memory = way == 4 ? room / 10 : room;
+        voxrt_paged_update_stats u;
+        double first = 0.0;
+        int pictures = 0;
+        f.desc.tolerance = way < 2 ? 1.0f : 0.0f;
+        p = open_pages(path, memory, (uint32_t)wait);
+        voxrt_paged_geometry(p, &g);
+        start = bench_wall();
+        cpu = bench_cpu();
+        do {
+            run_frame(&f);
+            if (pictures++ == 0) first = bench_cpu() - cpu;
+            must(voxrt_paged_update(p, 0, &u), "pages");
+        } while (u.loaded != 0);
+        cpu = bench_cpu() - cpu;
+        pages_line(kase, wait ? "exact_at_once" : "coarse_to_exact", (double)f.desc.tolerance, memory, p, first, cpu,
+                   bench_wall() - start, pictures, bench_hash_bytes(f.image.rgba8, (size_t)4 * WIDTH * HEIGHT));
+        voxrt_paged_destroy(p);
+    }
+    if (!g_opt.full) { /* all of it in memory: what pages cost when nothing is missing */
+        voxrt_tree *tree = NULL;
+        voxrt_geometry whole;
+        frame_job of = f;
+        bench_job b[2];
+        must(voxrt_tree_build(&d, &m, NULL, &tree), "tree");
+        p = open_pages(path, 1024u << 20, 1);
+        voxrt_paged_geometry(p, &g);
+        voxrt_tree_geometry(tree, &whole);
+        of.desc.geometry = &whole;
+        run_frame(&f);
+        memset(b, 0, sizeof b);
+        b[0].name = "tree";
+        b[0].run = run_frame;
+        b[0].ctx = &of;
+        b[1].name = "pages";
+        b[1].run = run_frame;
+        b[1].ctx = &f;
+        bench_interleave(b, 2, ROUNDS);
+        bench_line("voxrt.pages", kase, "warm", 1e3 * bench_seconds(&b[1]), "ms");
+        bench_num("tree", 1e3 * bench_seconds(&b[0]));
+        bench_num("ratio", bench_ratio(&b[0], &b[1]));
+        bench_end();
+        voxrt_tree_destroy(tree);
+        voxrt_paged_destroy(p);
+    }
+    free(f.image.rgba8);
+    (void)remove(path);
+    sup_mesh_free(&mesh);
+}
+
 int main(int argc, char **argv) {
     static const struct { int number; void (*run)(void); } all[] = {
         {1, bm1}, {2, bm2}, {3, bm3}, {4, bm4}, {7, bm7}, {10, bm10}, {13, bm13}, {11, bm11}, {9, bm9}, {5, bm5}, {6, bm6}, {14, bm14},
-        {15, bm15}, {16, bm16}, {8, bm8}
+        {15, bm15}, {16, bm16}, {17, bm17}, {8, bm8}
     };
     size_t i;
     int status = bench_parse(argc, argv, &g_opt);
