@@ -13,11 +13,11 @@
 #include <sys/ioctl.h>
 #include <termios.h>
 
-enum { STILL_SAMPLES = 16, KEY_BYTES = 256, LONGEST_CELL = 64 };
+enum { STILL_SAMPLES = 16, KEY_BYTES = 256, LONGEST_CELL = 64, PAGES_A_FRAME = 8 << 20 /* bytes read of them */ };
 
 typedef struct view_options {
     const char *in;
-    int64_t threads, frames;
+    int64_t threads, frames, memory;
     double budget, tolerance;
     uint32_t size[2];
     int has_size;
@@ -25,6 +25,8 @@ typedef struct view_options {
 
 typedef struct viewer {
     voxrt_tree *tree;
+    voxrt_paged *paged;     /* instead of it */
+    voxrt_geometry pages;
     voxrt_render_desc desc;
     voxrt_image image;        /* rgba8 and sum of this frame */
     uint8_t (*shown)[8];      /* what each character of the terminal shows: upper and lower colour; [3]: 1 if known */
@@ -167,10 +169,13 @@ static void set_camera(viewer *v) {
 static int go_home(viewer *v) {
     double box_min[3], box_max[3], d[3], length = 0.0;
     voxrt_camera *c = &v->desc.camera;
-    voxrt_tree_bounds(v->tree, box_min, box_max);
+    if (v->tree != NULL) voxrt_tree_bounds(v->tree, box_min, box_max);
+    else memcpy(box_min, v->pages.box_min, sizeof box_min);
+    if (v->tree == NULL) memcpy(box_max, v->pages.box_max, sizeof box_max);
     v->size = 0.0;
     for (int a = 0; a < 3; a++) v->size = fmax(v->size, box_max[a] - box_min[a]);
-    if (voxrt_camera_fit_tree(c, v->tree, NULL, v->image.width, v->image.height) != VOXRT_OK) return 1;
+    if ((v->tree != NULL ? voxrt_camera_fit_tree(c, v->tree, NULL, v->image.width, v->image.height) :
+         voxrt_camera_fit(c, box_min, box_max, NULL, v->image.width, v->image.height)) != VOXRT_OK) return 1;
     for (int a = 0; a < 3; a++) {
         d[a] = (double)c->at[a] - (double)c->eye[a];
         length += d[a] * d[a];
@@ -252,6 +257,11 @@ static voxrt_result draw(viewer *v, const view_options *o, int moved) {
     if (moved) {
         v->ms = (float)(1e3 * (sup_now() - start));
         v->tolerance = voxrt_budget_update(&v->budget, v->ms, (float)o->budget, (float)o->tolerance);
+    }
+    if (v->paged != NULL) { /* some of what the picture lacked; then it is drawn again */
+        voxrt_paged_update_stats pages;
+        (void)voxrt_paged_update(v->paged, PAGES_A_FRAME, &pages); /* what cannot be read stays coarse */
+        if (pages.loaded != 0) v->coarse = 1;
     }
     show(v);
     return VOXRT_OK;
@@ -384,7 +394,7 @@ static voxrt_result fly(viewer *v, const view_options *o) {
 int main(int argc, char **argv) {
     view_options o = {0};
     viewer v = {0};
-    sup_option table[8];
+    sup_option table[9];
     size_t n = 0;
     sup_error err;
     uint32_t size[2];
@@ -392,17 +402,27 @@ int main(int argc, char **argv) {
     int status;
     o.budget = 33.0;
     o.tolerance = 0.5;
+    o.memory = 1024;
     table[n++] = sup_opt_positional("IN.vox", &o.in, 1, "voxel file, format 5 or 4");
     table[n++] = sup_opt_real("budget", &o.budget, 1.0, 1e5, "MS", "time of a frame; detail gives way (33)");
     table[n++] = sup_opt_real("tolerance", &o.tolerance, 0.0, 64.0, "E", "width of a voxel in pixels at most (0.5)");
     table[n++] = sup_opt_given(sup_opt_size("size", o.size, "characters; without it all of the terminal"), &o.has_size);
     table[n++] = sup_opt_int("frames", &o.frames, 0, INT64_C(1000000000), "N", "end after so many frames");
+    table[n++] = sup_opt_int("memory", &o.memory, 1, 1048576, "MIB", "of a file in pages (voxrt_convert --paged): for what is loaded (1024)");
     table[n++] = sup_opt_int("threads", &o.threads, 0, 1024, "N", "threads, 0: one per core");
     status = sup_cli_parse(argc, argv, "Flies through a voxel file in a terminal with 24-bit colours.", table, n);
     if (status >= 0) return status;
-    if (sup_voxels_load(o.in, (uint32_t)o.threads, NULL, &v.tree, NULL, &err)) return sup_bad_input(argv[0], err.text);
+    if (sup_voxels_paged(o.in, (uint64_t)o.memory << 20, 0, &v.paged, &err) ||
+        (v.paged == NULL && sup_voxels_load(o.in, (uint32_t)o.threads, NULL, &v.tree, NULL, &err)))
+        return sup_bad_input(argv[0], err.text);
+    if (v.paged != NULL) {
+        voxrt_paged_geometry(v.paged, &v.pages);
+        v.desc.geometry = &v.pages;
+        v.desc.geometry_count = 1;
+    }
     stop_signal = 0;
     if (terminal_open()) {
+        voxrt_paged_destroy(v.paged);
         voxrt_tree_destroy(v.tree);
         return sup_bad_input(argv[0], "standard input and output have to be a terminal");
     }
@@ -417,6 +437,7 @@ int main(int argc, char **argv) {
     result = make_picture(&v, size) ? VOXRT_ERR_NO_MEMORY : go_home(&v) ? VOXRT_ERR_INVALID_ARG : fly(&v, &o);
     terminal_close();
     free_picture(&v);
+    voxrt_paged_destroy(v.paged);
     voxrt_tree_destroy(v.tree);
     return result == VOXRT_OK ? 0 : sup_bad_input(argv[0], voxrt_result_string(result));
 }
