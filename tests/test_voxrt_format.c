@@ -1289,7 +1289,7 @@ TEST(arguments) {
     d.env.error = s.env.error = &error;
     CHECK(voxrt_tree_save_memory(NULL, &s, NULL, 0, &size) == VOXRT_ERR_INVALID_ARG && size == 0);
     CHECK(voxrt_tree_save_memory(t, &s, NULL, 0, NULL) == VOXRT_ERR_INVALID_ARG);
-    s.encoding = (voxrt_encoding)2;
+    s.encoding = (voxrt_encoding)3;
     CHECK(voxrt_tree_save_memory(t, &s, NULL, 0, &size) == VOXRT_ERR_INVALID_ARG);
     s._end_zero = 1;
     CHECK(voxrt_tree_save_memory(t, &s, NULL, 0, &size) == VOXRT_ERR_UNINIT_DESC);
