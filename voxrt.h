@@ -20718,9 +20718,7 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE uint32_t voxrti_column_step8(const voxrti_colum
 #define VOXRTI_OTHER_I(of_x, of_y) _mm256_blendv_epi8(of_x, of_y, by_xi)
         const __m256i from = VOXRTI_OTHER_I(x, y), on = VOXRTI_OTHER_I(g->on[0], g->on[1]);
         const __m256i back = VOXRTI_OTHER_I(g->back[0], g->back[1]);
-        const __m256i wide = _mm256_sub_epi32(_mm256_sllv_epi32(one, level), one);
-        const __m256i most = _mm256_add_epi32(_mm256_sllv_epi32(VOXRTI_OTHER_I(cx, cy), level),
-                                              _mm256_andnot_si256(back, wide));
+        const __m256i most = _mm256_sub_epi32(VOXRTI_OTHER_I(ex, ey), on);
         const __m256i te_tie = _mm256_sub_epi32(_mm256_castps_si256(te), by_xi); /* by x: the float after it */
         __m256i at = _mm256_cvttps_epi32(_mm256_add_ps(VOXRTI_OTHER(g->behind[0], g->behind[1]),
                 _mm256_mul_ps(te, VOXRTI_OTHER(g->f[VOXRTI_CF_D], g->f[VOXRTI_CF_D + 1]))));
@@ -21077,13 +21075,14 @@ VOXRTI_TARGET_AVX512 VOXRTI_INLINE void voxrti_column_planes16(const voxrti_colu
     *hi = _mm512_mask_mov_epi32(_mm512_set1_epi32(-1), in, VOXRTI_Z(cvtps_epi32, _mm512_floor_ps(high)));
 }
 
-VOXRTI_TARGET_AVX512 VOXRTI_INLINE void voxrti_column_aim16(const voxrti_column_const16 *k, voxrti_column_lanes16 *g) {
+VOXRTI_TARGET_AVX512 VOXRTI_INLINE void voxrti_column_aim16(const voxrti_column_const16 *k, voxrti_column_lanes16 *g,
+                                                            __mmask16 alive) {
     const __m512i cx = VOXRTI_Z(srav_epi32, g->x, g->level), cy = VOXRTI_Z(srav_epi32, g->y, g->level);
     const __m512i rows = VOXRTI_Z(permutexvar_epi32, g->level, k->row);
     const __m512i column = _mm512_add_epi32(VOXRTI_Z(permutexvar_epi32, g->level, k->start),
             VOXRTI_Z(sll_epi32, _mm512_add_epi32(VOXRTI_Z(sllv_epi32, cy, rows), cx), k->word_log));
     uint32_t i;
-    _mm512_storeu_si512((void *)g->column, _mm512_maskz_mov_epi32((__mmask16)g->alive, column));
+    _mm512_storeu_si512((void *)g->column, _mm512_maskz_mov_epi32(alive, column));
     for (i = 0; i < 16 && k->large; i++) VOXRTI_PREFETCH(k->bits + g->column[i]);
 }
 
@@ -21114,16 +21113,21 @@ VOXRTI_TARGET_AVX512 VOXRTI_INLINE __m512i voxrti_column_words16(const int *p, c
     return any;
 }
 
-/* Lanes in which any of the cells lo .. hi is set. */
-VOXRTI_TARGET_AVX512 VOXRTI_INLINE uint32_t voxrti_column_any16(const voxrti_column_const16 *k,
-                                                                const int32_t column[16], __m512i lo, __m512i hi) {
+/* The others. A function of its own: else their addresses would be kept for it, in places that are needed. */
+VOXRTI_TARGET_AVX512 static VOXRTI_NOINLINE __m512i voxrti_column_more16(const int *p, const int32_t column[16],
+                                                                         __m512i lo, __m512i hi) {
+    return voxrti_column_words16(p + 4, column, lo, hi, 4);
+}
+/* Lanes in which any of the cells lo .. hi is set: not 0. */
+VOXRTI_TARGET_AVX512 VOXRTI_INLINE __m512i voxrti_column_any16(const voxrti_column_const16 *k,
+                                                               const int32_t column[16], __m512i lo, __m512i hi) {
     const __m512i one = _mm512_set1_epi32(1);
     __m512i any;
     lo = _mm512_add_epi32(lo, one);
     hi = _mm512_add_epi32(hi, one);
-    any = voxrti_column_words16(k->bits, column, lo, hi, 0); /* no loop: it would keep the addresses on the stack */
-    if (k->words > 4) any = _mm512_or_si512(any, voxrti_column_words16(k->bits + 4, column, lo, hi, 4));
-    return (uint32_t)_mm512_test_epi32_mask(any, any);
+    any = voxrti_column_words16(k->bits, column, lo, hi, 0);
+    if (k->words > 4) any = _mm512_or_si512(any, voxrti_column_more16(k->bits, column, lo, hi));
+    return any;
 }
 
 /* What planes leave of lo .. hi, for lanes at level 0. */
@@ -21182,22 +21186,21 @@ VOXRTI_TARGET_AVX512 VOXRTI_INLINE uint32_t voxrti_column_step16(const voxrti_co
     const __m512i kc = VOXRTI_Z(cvttps_epi32, _mm512_add_ps(g->f[VOXRTI_CF_O + 2], _mm512_mul_ps(te, dz)));
     const __m512i kb = VOXRTI_Z(min_epi32, VOXRTI_Z(max_epi32, kc, zero), k->last_k);
     const __mmask16 ground = _mm512_cmpeq_epi32_mask(level, zero), by_x = _mm512_cmp_ps_mask(tx, ty, _CMP_LT_OQ);
-    const uint32_t alive = g->alive;
-    __m512i lo = VOXRTI_Z(min_epi32, ka, kb), hi = VOXRTI_Z(max_epi32, ka, kb);
-    uint32_t found, step, hit, end;
-    if (k->planes != 0 && ((uint32_t)ground & alive) != 0) voxrti_column_cut16(k, g, ground, &lo, &hi);
-    found = voxrti_column_any16(k, g->column, lo, hi);
-    step = alive & ~found;
-    hit = alive & found & (uint32_t)ground;
+    const __mmask16 alive = (__mmask16)g->alive;
+    __m512i lo = VOXRTI_Z(min_epi32, ka, kb), hi = VOXRTI_Z(max_epi32, ka, kb), bits;
+    __mmask16 found, step, hit, end, left; /* never in other registers: the way there and back is long */
+    if (k->planes != 0 && ((uint32_t)ground & g->alive) != 0) voxrti_column_cut16(k, g, ground, &lo, &hi);
+    bits = voxrti_column_any16(k, g->column, lo, hi);
+    found = _mm512_mask_test_epi32_mask(alive, bits, bits);
+    step = _mm512_mask_testn_epi32_mask(alive, bits, bits);
+    hit = _kand_mask16(found, ground);
     {
         /* along the other axis: which column there */
 #define VOXRTI_OTHER(of_x, of_y) _mm512_mask_blend_ps(by_x, of_x, of_y)
 #define VOXRTI_OTHER_I(of_x, of_y) _mm512_mask_blend_epi32(by_x, of_x, of_y)
         const __m512i from = VOXRTI_OTHER_I(x, y), on = VOXRTI_OTHER_I(g->on[0], g->on[1]);
         const __m512i back = VOXRTI_OTHER_I(g->back[0], g->back[1]);
-        const __m512i wide = _mm512_sub_epi32(VOXRTI_Z(sllv_epi32, one, level), one);
-        const __m512i most = _mm512_add_epi32(VOXRTI_Z(sllv_epi32, VOXRTI_OTHER_I(cx, cy), level),
-                                              VOXRTI_Z(andnot_epi32, back, wide));
+        const __m512i most = _mm512_sub_epi32(VOXRTI_OTHER_I(ex, ey), on);
         const __m512i te_tie = _mm512_mask_add_epi32(_mm512_castps_si512(te), by_x, _mm512_castps_si512(te), one);
         __m512i at = VOXRTI_Z(cvttps_epi32, _mm512_add_ps(VOXRTI_OTHER(g->behind[0], g->behind[1]),
                 _mm512_mul_ps(te, VOXRTI_OTHER(g->f[VOXRTI_CF_D], g->f[VOXRTI_CF_D + 1]))));
@@ -21216,30 +21219,30 @@ VOXRTI_TARGET_AVX512 VOXRTI_INLINE uint32_t voxrti_column_step16(const voxrti_co
         next_x = _mm512_mask_mov_epi32(at, by_x, next_x);
         next_y = _mm512_mask_mov_epi32(next_y, by_x, at);
         out = _mm512_or_si512(VOXRTI_Z(sra_epi32, next_x, k->log_x), VOXRTI_Z(sra_epi32, next_y, k->log_y));
-        end = step & ((uint32_t)_mm512_test_epi32_mask(out, out) |
-                      (uint32_t)_mm512_cmp_ps_mask(te, g->f[VOXRTI_CF_T_MAX], _CMP_GE_OQ));
+        end = _kor_mask16(_mm512_mask_test_epi32_mask(step, out, out),
+                          _mm512_mask_cmp_ps_mask(step, te, g->f[VOXRTI_CF_T_MAX], _CMP_GE_OQ));
         crossed = VOXRTI_Z(srlv_epi32, _mm512_or_si512(_mm512_xor_si512(x, next_x), _mm512_xor_si512(y, next_y)),
                                     VOXRTI_Z(permutexvar_epi32, level, k->up));
-        g->level = _mm512_mask_sub_epi32(level, (__mmask16)(alive & found), level, one);
-        g->level = _mm512_mask_add_epi32(g->level, _mm512_mask_cmpgt_epi32_mask((__mmask16)step, crossed, zero), level,
-                                         one);
-        g->x = _mm512_mask_mov_epi32(x, (__mmask16)step, next_x);
-        g->y = _mm512_mask_mov_epi32(y, (__mmask16)step, next_y);
+        g->level = _mm512_mask_sub_epi32(level, found, level, one);
+        g->level = _mm512_mask_add_epi32(g->level, _mm512_mask_test_epi32_mask(step, crossed, crossed), level, one);
+        g->x = _mm512_mask_mov_epi32(x, step, next_x);
+        g->y = _mm512_mask_mov_epi32(y, step, next_y);
     }
-    g->t = _mm512_mask_mov_ps(t, (__mmask16)step, te);
-    g->k = _mm512_mask_mov_epi32(ka, (__mmask16)step, kb);
-    g->hit |= hit;
+    g->t = _mm512_mask_mov_ps(t, step, te);
+    g->k = _mm512_mask_mov_epi32(ka, step, kb);
+    left = _kandn_mask16(_kor_mask16(hit, end), alive);
+    voxrti_column_aim16(k, g, left);
+    g->hit |= (uint32_t)hit;
+    g->alive = (uint32_t)left;
     if (!any) {
-        g->by_x = (g->by_x & ~step) | ((uint32_t)by_x & step);
-        g->none &= ~step;
-        g->lo = _mm512_mask_mov_epi32(g->lo, (__mmask16)hit, lo);
-        g->hi = _mm512_mask_mov_epi32(g->hi, (__mmask16)hit, hi);
+        g->by_x = (g->by_x & ~(uint32_t)step) | ((uint32_t)by_x & (uint32_t)step);
+        g->none &= ~(uint32_t)step;
+        g->lo = _mm512_mask_mov_epi32(g->lo, hit, lo);
+        g->hi = _mm512_mask_mov_epi32(g->hi, hit, hi);
     }
-    g->alive = alive & ~(hit | end);
-    voxrti_column_aim16(k, g);
     if (stats != NULL) {
-        stats->steps += voxrti_popcount64(step);
-        stats->descents += voxrti_popcount64(alive & found & ~(uint32_t)ground);
+        stats->steps += voxrti_popcount64((uint32_t)step);
+        stats->descents += voxrti_popcount64((uint32_t)found & ~(uint32_t)ground);
     }
     return g->alive;
 }
@@ -21312,7 +21315,7 @@ VOXRTI_TARGET_AVX512 VOXRTI_INLINE void voxrti_column_fill16(voxrti_column_strea
     g->none |= empty;
     g->hit &= ~empty;
     g->alive |= empty;
-    voxrti_column_aim16(k, g);
+    voxrti_column_aim16(k, g, (__mmask16)g->alive);
 }
 
 #define VOXRTI_COLUMN_GROUPS16 2 /* three or four are no faster */
