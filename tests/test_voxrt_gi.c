@@ -62,9 +62,11 @@ TEST(samples_are_spread) { /* every power of two of points: one in each elementa
     }
 }
 
-TEST(both_sides_of_a_thin_plate) { /* a plate thinner than a cell: each side keeps its normal and its colour */
+TEST(both_sides_of_a_thin_plate) { /* a plate thinner than a cell: each side keeps its normal and its colour. With one
+                                      value a cell, of the last that was written, one of the sides is lost */
     static model m;
-    uint32_t round, i, k, cells = 0, wrong = 0;
+    static uint8_t writers[64][64][64]; /* bits of the sides that wrote; 4: side 1 was the last */
+    uint32_t round, i, k, cells = 0, wrong = 0, both = 0, lost = 0, wrong_of_both = 0;
     rng_state = 5;
     for (round = 0; round < 60; round++) {
         voxrt_gi *gi = make_gi(64, 64, 64, 32);
@@ -88,11 +90,19 @@ TEST(both_sides_of_a_thin_plate) { /* a plate thinner than a cell: each side kee
         o = object_of(&m, 1);
         CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
         CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
+        memset(writers, 0, sizeof writers);
+        for (i = 0; i < 2 * 280 * 280; i++) { /* samples of the one side, then of the other */
+            const double u = (i % 280) / 10.0 - 13.95, v = (i / 280 % 280) / 10.0 - 13.95, w = i < 280 * 280 ? 0.15 : -0.15;
+            uint32_t c[3];
+            for (k = 0; k < 3; k++) c[k] = (uint32_t)(w * e[0][k] + u * e[1][k] + v * e[2][k] + 32);
+            writers[c[2]][c[1]][c[0]] = (uint8_t)((writers[c[2]][c[1]][c[0]] & 3u) | (i < 280 * 280 ? 1u : 2u + 4u));
+        }
         for (i = 0; i < 400; i++) {
             voxrt_ray r;
             voxrt_column_hit h;
             voxrt_gi_surface s;
             const double u = 24 * rnd() - 12, v = 24 * rnd() - 12, side = i & 1 ? 1 : -1;
+            uint32_t bits;
             memset(&r, 0, sizeof r);
             for (k = 0; k < 3; k++) {
                 r.org[k] = (float)(u * e[1][k] + v * e[2][k] + 12 * side * e[0][k]);
@@ -102,8 +112,12 @@ TEST(both_sides_of_a_thin_plate) { /* a plate thinner than a cell: each side kee
             CHECK(voxrt_columns_trace(voxrt_gi_columns(gi), NULL, &r, &h, 1) == VOXRT_OK);
             if (!(h.t < INFINITY)) continue;
             cells++;
+            bits = writers[h.cell[2]][h.cell[1]][h.cell[0]];
+            both += (bits & 3u) == 3;
+            lost += (bits & 3u) == 3 && ((bits & 4u) != 0) == (side > 0);
             if (!voxrt_gi_get(gi, &h, r.dir, &s)) {
                 wrong++; /* a cell that only the other side was put into */
+                wrong_of_both += (bits & 3u) == 3;
                 continue;
             }
             for (k = 0; k < 3; k++) if (fabs((double)s.normal[k] - side * e[0][k]) > 0.02) wrong++;
@@ -111,8 +125,10 @@ TEST(both_sides_of_a_thin_plate) { /* a plate thinner than a cell: each side kee
         }
         voxrt_gi_destroy(gi);
     }
-    CHECK(cells > 20000);
+    CHECK(cells > 20000 && both > cells / 2);
     CHECK_MSG(wrong < cells / 6, "%u of %u", wrong, cells);
+    CHECK_MSG(wrong_of_both < both / 100, "%u of the %u that have both", wrong_of_both, both);
+    CHECK_MSG(lost > both * 2 / 5, "the last writer's: %u of %u lost", lost, both);
 }
 
 TEST(still_and_moving_objects_look_the_same) {
@@ -1228,6 +1244,78 @@ TEST(neighbours_share_a_sequence) { /* 4 samples each of 16 x 16 pixels: one of 
     CHECK(far_off == 2);
 }
 
+/* Noise over pixels that share a sequence: what varies slowly, and passes a filter, is a small part of it; that of pixels
+   with a sequence each is as strong at all frequencies. 4 rays to a sky that is brighter on one side. */
+TEST(noise_of_neighbours_is_high_in_frequency) {
+    enum { SIDE = 64, LOG = 2, TURNS = 4 };
+    static float position[SIDE * SIDE][3], normal[SIDE * SIDE][3];
+    static double error[SIDE][SIDE], re[SIDE][SIDE], im[SIDE][SIDE], wave[SIDE][2];
+    const double pi = 3.14159265358979;
+    double low[2] = {0, 0}, all[2] = {0, 0};
+    voxrti_gather w;
+    voxrt_gbuffer g;
+    uint32_t way, turn, x, y, k, s;
+    memset(&w, 0, sizeof w);
+    memset(&g, 0, sizeof g);
+    g.width = g.height = SIDE;
+    g.position = position[0];
+    g.normal = normal[0];
+    w.g = &g;
+    for (x = 0; x < SIDE; x++) {
+        wave[x][0] = cos(2 * pi * x / SIDE);
+        wave[x][1] = sin(2 * pi * x / SIDE);
+    }
+    for (way = 0; way < 2; way++) /* together, each for itself */
+        for (turn = 0; turn < TURNS; turn++) {
+            uint32_t low_count = 0;
+            double sum_low = 0, sum_all = 0, mean = 0;
+            for (y = 0; y < SIDE; y++)
+                for (x = 0; x < SIDE; x++) {
+                    const uint32_t pixel = y * SIDE + x;
+                    const float up[3] = {0, 0, 1};
+                    voxrti_points q;
+                    voxrti_gather_open(&w, &pixel, 1, way == 0 ? LOG : 32, &q);
+                    error[y][x] = 0;
+                    for (s = 0; s < 1u << LOG; s++) {
+                        uint32_t index, seed;
+                        float u[2], d[3];
+                        voxrti_point_sample(&q, 0, s + (turn << LOG), &index, &seed);
+                        voxrti_sobol2(index, seed, u);
+                        (void)voxrti_lobe_direction(up, u, 1.0f, d);
+                        error[y][x] += 1 + 0.8 * (double)d[0] + (d[1] > 0.3f ? 0.5 : 0);
+                    }
+                    mean += error[y][x] / (SIDE * SIDE);
+                }
+            for (y = 0; y < SIDE; y++) /* rows, then columns */
+                for (k = 0; k < SIDE; k++) {
+                    re[y][k] = im[y][k] = 0;
+                    for (x = 0; x < SIDE; x++) {
+                        re[y][k] += (error[y][x] - mean) * wave[k * x % SIDE][0];
+                        im[y][k] -= (error[y][x] - mean) * wave[k * x % SIDE][1];
+                    }
+                }
+            for (k = 0; k < SIDE; k++)
+                for (s = 0; s < SIDE; s++) {
+                    const double fx = k < SIDE / 2 ? k : SIDE - k, fy = s < SIDE / 2 ? s : SIDE - s;
+                    double a = 0, b = 0;
+                    for (y = 0; y < SIDE; y++) {
+                        a += re[y][k] * wave[s * y % SIDE][0] + im[y][k] * wave[s * y % SIDE][1];
+                        b += im[y][k] * wave[s * y % SIDE][0] - re[y][k] * wave[s * y % SIDE][1];
+                    }
+                    if (k == 0 && s == 0) continue;
+                    sum_all += a * a + b * b;
+                    if (fx * fx + fy * fy > 64) continue; /* waves of 8 pixels and more */
+                    sum_low += a * a + b * b;
+                    low_count++;
+                }
+            all[way] += sum_all / (SIDE * SIDE - 1) / TURNS;
+            low[way] += sum_low / low_count / TURNS;
+        }
+    CHECK_MSG(low[0] < 0.2 * all[0], "together: %.3f of the power at low frequencies", low[0] / all[0]);
+    CHECK_MSG(low[1] > 0.8 * all[1] && low[1] < 1.2 * all[1], "each for itself: %.3f", low[1] / all[1]);
+    CHECK_MSG(all[0] < 1.3 * all[1], "%g, %g of noise in all", all[0], all[1]);
+}
+
 TEST(neighbours_make_less_noise) { /* what a filter averages: against the same rays with a sequence for each pixel */
     static room r;
     static float truth[64 * 48][3], own[64 * 48][3];
@@ -2259,6 +2347,7 @@ int main(int argc, char **argv) {
     RUN(sheets_have_two_sides);
     RUN(still_scenes_come_to_rest);
     RUN(neighbours_share_a_sequence);
+    RUN(noise_of_neighbours_is_high_in_frequency);
     RUN(neighbours_make_less_noise);
     RUN(edges_keep_both_faces);
     RUN(lamps_do_not_shade_themselves);

@@ -985,7 +985,42 @@ TEST(maps_accept_what_is_lit) { /* a slanted floor up to 80 degrees from the lam
     voxrt_gi_destroy(gi);
 }
 
-TEST(errors_fall_with_rays) { /* smooth light: faster than 1 / sqrt(rays) */
+/* Mean of what comes back along `count` rays from a point: directions by plain chance, or along a sequence. */
+static double mean_light(const voxrt_gi *gi, const float p[3], const float n[3], uint32_t count, uint32_t seed, int plain) {
+    enum { BATCH = 256 };
+    static voxrt_ray ray[BATCH];
+    static voxrt_column_hit hit[BATCH];
+    static float normal[BATCH][3];
+    voxrt_columns_trace_desc d;
+    double sum = 0;
+    uint32_t i, k, m;
+    memset(&d, 0, sizeof d);
+    d.normals = normal[0];
+    for (i = 0; i < count; i += m) {
+        m = count - i < BATCH ? count - i : BATCH;
+        for (k = 0; k < m; k++) {
+            float u[2];
+            voxrti_sobol2(i + k, seed, u);
+            if (plain) {
+                u[0] = (float)(rnd() * 0.9999999);
+                u[1] = (float)(rnd() * 0.9999999);
+            }
+            (void)voxrti_lobe_direction(n, u, 1.0f, ray[k].dir);
+            memcpy(ray[k].org, p, sizeof ray[k].org);
+            memcpy(normal[k], n, sizeof normal[k]);
+            ray[k].t_min = 0;
+            ray[k].t_max = INFINITY;
+        }
+        CHECK(voxrt_columns_trace(voxrt_gi_columns(gi), &d, ray, hit, m) == VOXRT_OK);
+        for (k = 0; k < m; k++) {
+            voxrt_gi_surface s;
+            if (hit[k].t < INFINITY && voxrt_gi_get(gi, &hit[k], ray[k].dir, &s)) sum += (double)s.radiance[0];
+        }
+    }
+    return sum / count;
+}
+
+TEST(errors_fall_with_rays) { /* smooth light: by plain chance as 1 / sqrt(rays), along a sequence faster */
     static path_scene s;
     static model m;
     static picture pic;
@@ -994,8 +1029,8 @@ TEST(errors_fall_with_rays) { /* smooth light: faster than 1 / sqrt(rays) */
     const double lo[3] = {-9, -9, -9}, hi[3] = {9, 9, 9}, none[3] = {0, 0, 0}, lamp[3] = {0, 2, 0};
     voxrt_gi *gi = make_gi_at(64, 64, 64, 9.6, none);
     voxrt_gi_render_desc d;
-    double error[3], slope;
-    uint32_t i, a, k, turn;
+    double error[3], slope, mean[POINTS];
+    uint32_t i, a, k, turn, plain;
     memset(&s, 0, sizeof s);
     m.points = m.triangles = 0;
     both_box(&m, &s, lo, hi, 1, 200);
@@ -1025,6 +1060,19 @@ TEST(errors_fall_with_rays) { /* smooth light: faster than 1 / sqrt(rays) */
     }
     slope = log(error[2] / error[0]) / log(16.0);
     CHECK_MSG(slope < -0.75, "errors %.4g %.4g %.4g: slope %.3f", error[0], error[1], error[2], slope);
+    for (i = 0; i < POINTS; i++) mean[i] = mean_light(gi, pic.position[i], pic.normal[i], 8192, 5, 0);
+    for (plain = 0; plain < 2; plain++) {
+        for (k = 0; k < 3; k++) {
+            double sum = 0;
+            for (turn = 0; turn < (test_quick() ? 12u : 24u); turn++)
+                for (i = 0; i < POINTS; i++)
+                    sum += pow(mean_light(gi, pic.position[i], pic.normal[i], many[k], voxrti_hash32(turn * POINTS + i), (int)plain) - mean[i], 2);
+            error[k] = sqrt(sum);
+        }
+        slope = log(error[2] / error[0]) / log(16.0);
+        CHECK_MSG(plain ? fabs(slope + 0.5) < 0.05 : slope < -0.75, "%s: errors %.4g %.4g %.4g: slope %.3f",
+                  plain ? "by plain chance" : "along a sequence", error[0], error[1], error[2], slope);
+    }
     voxrt_gi_destroy(gi);
 }
 
