@@ -23252,6 +23252,7 @@ typedef struct voxrti_lighting {
     const voxrt_geometry *shadow;  /* NULL: the columns */
     float lift;
     uint32_t first, samples;       /* on lamps that have an area */
+    const float *spread;           /* of each point: points are cells, of this area over 2 pi; NULL: they are not */
 } voxrti_lighting;
 
 /* The light of a lamp on points: adds what falls on them to rgb, and what their lobes send along `view`, as if they
@@ -23279,6 +23280,12 @@ static VOXRTI_NOINLINE void voxrti_light_points(const voxrti_lighting *c, size_t
             if ((uint32_t)l->kind == VOXRTI_GI_EMITTERS) {
                 if (!voxrti_emitter_ray(c->gi, q->p[i], q->n[i], index, seed, &ray[m], in[m], end[m])) continue;
             } else if (!voxrti_gi_light_ray(c->gi, l, q->p[i], q->n[i], u, &ray[m], in[m], end[m])) continue;
+            /* The mean over a cell: a lamp cannot give it more than all it sends to that side, as 1 / d^2 does where it
+               is nearer than a cell is wide. Else few cells outshine all others, and what rays find is noise. */
+            if (c->spread != NULL && (l->kind == VOXRT_GI_POINT || l->kind == VOXRT_GI_SPOT)) {
+                const float d2 = voxrti_dot3(ray[m].dir, ray[m].dir), f = d2 / (d2 + c->spread[i]);
+                for (a = 0; a < 3; a++) in[m][a] *= f;
+            }
             memcpy(normal[m], q->n[i], sizeof normal[m]);
             for (a = 0; a < 3 && c->shadow != NULL; a++) { /* from a little above the surface to the light */
                 const float up = c->lift * q->n[i][a];
@@ -23319,7 +23326,7 @@ static VOXRTI_NOINLINE void voxrti_light_points(const voxrti_lighting *c, size_t
 static void voxrti_gi_fill(const voxrt_gi *gi, int isa, const voxrti_gi_side *side, uint32_t count) {
     voxrti_lighting c;
     voxrti_points q;
-    float rgb[VOXRTI_COLUMN_BATCH][3];
+    float rgb[VOXRTI_COLUMN_BATCH][3], spread[VOXRTI_COLUMN_BATCH];
     uint8_t of[VOXRTI_COLUMN_BATCH];
     uint32_t i, k, m = 0;
     size_t l;
@@ -23335,6 +23342,7 @@ static void voxrti_gi_fill(const voxrt_gi *gi, int isa, const voxrti_gi_side *si
         memset(rgb[m], 0, sizeof rgb[m]);
         q.exponent[m] = 0.0f;
         q.seed[m] = voxrti_hash32((uint32_t)s->at ^ s->layer << 31);
+        spread[m] = (float)(s->gi->columns->diagonal * s->gi->columns->diagonal * 0.0530516477); /* 1 / (6 pi) */
         of[m++] = (uint8_t)i;
     }
     if (m == 0) return;
@@ -23343,6 +23351,7 @@ static void voxrti_gi_fill(const voxrt_gi *gi, int isa, const voxrti_gi_side *si
     memset(&c, 0, sizeof c);
     c.gi = gi;
     c.isa = isa;
+    c.spread = spread;
     for (l = 0; l < voxrti_gi_lamps(gi); l++) {
         c.samples = VOXRTI_GI_AREA_SAMPLES;
         voxrti_light_points(&c, l, &q, rgb, NULL);

@@ -1132,6 +1132,38 @@ TEST(many_rays_sum_up) { /* 2^19 rays in a closed sphere of constant radiance: w
     voxrt_gi_destroy(b.gi);
 }
 
+TEST(lamps_near_cells_give_no_more_than_they_send) { /* a floor under a lamp, from 4 cells to 1/20 of a cell above it: all
+                                                         cells together get what it sends downwards */
+    static const float height[4] = {0.05f, 0.3f, 1, 4};
+    static model m;
+    const double p[4][3] = {{-30, -30, 0.3}, {30, -30, 0.3}, {30, 30, 0.3}, {-30, 30, 0.3}};
+    const float down[3] = {0, 0, -1};
+    uint32_t k, x, y;
+    m.points = m.triangles = 0;
+    quad(&m, p[0], p[1], p[2], p[3], 255);
+    for (k = 0; k < 4; k++) {
+        voxrt_gi *gi = make_gi(64, 64, 64, 32);
+        const voxrt_gi_object o = object_of(&m, 1);
+        const voxrt_gi_light lamp = point_light(0.5f, 0.5f, 0.3f + height[k], 1);
+        double sum = 0;
+        CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK && voxrt_gi_set_lights(gi, &lamp, 1) == VOXRT_OK);
+        CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
+        for (y = 0; y < 64; y++)
+            for (x = 0; x < 64; x++) {
+                voxrt_column_hit hit;
+                voxrt_gi_surface s;
+                memset(&hit, 0, sizeof hit);
+                hit.cell[0] = x;
+                hit.cell[1] = y;
+                hit.cell[2] = 32;
+                if (voxrt_gi_get(gi, &hit, down, &s)) sum += 3.14159265358979 * (double)s.radiance[0];
+            }
+        sum /= 6.28318530717959; /* 60 x 60 cells catch all but the rays that go nearly sideways */
+        CHECK_MSG(sum > 0.84 && sum < 1.1, "%g cells above: %.3f of its light", (double)height[k], sum);
+        voxrt_gi_destroy(gi);
+    }
+}
+
 TEST(sheets_have_two_sides) { /* a sheet of two triangles, lit from above: from below it is black */
     static model m;
     static float position[16][3], normal[16][3], albedo[16][3], indirect[16][3];
@@ -2344,6 +2376,7 @@ int main(int argc, char **argv) {
     RUN(filters_leave_colours);
     RUN(units_of_light_do_not_matter);
     RUN(many_rays_sum_up);
+    RUN(lamps_near_cells_give_no_more_than_they_send);
     RUN(sheets_have_two_sides);
     RUN(still_scenes_come_to_rest);
     RUN(neighbours_share_a_sequence);
