@@ -37,7 +37,7 @@ static void put(bytes *b, const void *p, size_t n) {
         b->room = 2 * (b->n + n);
         b->p = (uint8_t *)realloc(b->p, b->room);
     }
-    memcpy(b->p + b->n, p, n);
+    if (n != 0) memcpy(b->p + b->n, p, n);
     b->n += n;
 }
 static void put32(bytes *b, uint32_t v) {

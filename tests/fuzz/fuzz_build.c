@@ -14,9 +14,21 @@ static int cell(void *user, const voxrt_voxel *v, uint32_t index) {
     return s->last = key, 0;
 }
 
+static void sample(void *user, voxrt_sample *s) {
+    int k;
+    (void)user;
+    for (k = 0; k < 3; k++) {
+        if (!(s->weight[k] >= 0.0f && s->weight[k] <= 1.0f)) abort();
+        s->color[k] = s->weight[k];
+    }
+    s->normal[0] -= s->weight[1];
+}
+
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
+    static const voxrt_finish finishes[2] = {{1, {1, 0, 0}, 9, {0, 0, 0}, {0, 0, 0}, 0, {0, 0, 0}, {0, 0, 0}},
+                                             {0, {0, 0, 0}, 0, {1, 1, 1}, {0, 0, 0}, 0, {0, 0, 0}, {0, 0, 0}}};
     float p[2][9 * 64];
-    uint8_t rgb[2][3 * 64];
+    uint8_t rgb[2][3 * 64], finish[2][64];
     voxrt_tree *t = NULL, *again = NULL;
     size_t n = size < 8 ? 0 : (size - 8) / 45 < 64 ? (size - 8) / 45 : 64, i, k;
     for (i = 0; i < 9 * n; i++) {
@@ -26,12 +38,15 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
         if (b[4] % 4 == 3) p[0][i] = i < 3 ? 0.0f : p[0][i - 3 * (1 + b[0] % (i / 3))];
     }
     for (i = 0; i < n; i++) memcpy(rgb[0] + 3 * i, data + 8 + 45 * i, 3), memcpy(rgb[1] + 3 * (n - 1 - i), data + 8 + 45 * i, 3);
+    for (i = 0; i < n; i++) finish[0][i] = finish[1][n - 1 - i] = data[8 + 45 * i] % 3;
     for (i = 0; i < n; i++) memcpy(p[1] + 9 * (n - 1 - i), p[0] + 9 * i, 36);
     for (k = 0; k < 2 && n != 0; k++) {
         voxrt_build_desc d = {0};
-        voxrt_mesh m = {p[k], 3 * n, 0, NULL, n, NULL, 0, NULL, 0, data[7] % 4 == 1 ? rgb[k] : NULL};
+        voxrt_mesh m = {p[k], 3 * n, 0, NULL, n, NULL, 0, NULL, 0, data[7] % 4 == 1 ? rgb[k] : NULL,
+                        data[7] & 8 ? finish[k] : NULL, data[7] & 4 ? sample : NULL, NULL};
         d.resolution = 1 + data[0] % 64, d.separating = (voxrt_separating)(data[1] % 3), d.palette_size = data[2] % 8 * 5;
         d.fill = data[3] & 1, d.fill_depth = data[3] >> 6, d.disable_normals = data[4] & 1, d.planes = (data[4] & 3) == 2, d.box_size = data[5] & 1 ? 16 : 0;
+        d.spread = (data[4] & 5) == 4, d.finishes = finishes, d.finish_count = data[7] & 8 ? 2 : 0;
         d.lod_method = (voxrt_lod_method)(data[6] & 1), d.env.memory_limit = (size_t)1 << 26, d.env.thread_count = k == 0 ? 1 : 2;
         if ((voxrt_tree_build(&d, &m, NULL, k ? &again : &t) == VOXRT_OK) != ((k ? again : t) != NULL)) abort();
     }
