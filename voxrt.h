@@ -19168,6 +19168,7 @@ VOXRT_DEF void voxrt_paged_geometry(voxrt_paged *paged, voxrt_geometry *out_geom
     out_geometry->trace_fn = voxrti_paged_trace;
     out_geometry->occluded_fn = voxrti_paged_occluded;
     out_geometry->user = paged;
+    out_geometry->glass = 0; /* pages keep colours only */
     voxrt_tree_bounds(&paged->tree, out_geometry->box_min, out_geometry->box_max);
 }
 
