@@ -17888,7 +17888,9 @@ TETCASTI_TARGET_AVX2 static uint32_t tetcasti_octet_step8(const tetcast_bricks *
     const __m256 number = _mm256_loadu_ps(l->number), end = _mm256_loadu_ps(l->end), tau = _mm256_loadu_ps(l->tau);
     __m256 tn = _mm256_add_ps(_mm256_loadu_ps(l->first), _mm256_mul_ps(number, _mm256_loadu_ps(l->step)));
     const __m256 inner = _mm256_cmp_ps(tn, end, _CMP_LT_OQ);
-    __m256 f[3], s;
+    const __m256i bit = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
+    const __m256i live = _mm256_cmpeq_epi32(_mm256_and_si256(_mm256_set1_epi32((int32_t)l->live), bit), bit);
+    __m256 f[3], s, way;
     __m256i node = _mm256_setzero_si256();
     const uint8_t *p[8];
     int32_t at[8];
@@ -17908,7 +17910,12 @@ TETCASTI_TARGET_AVX2 static uint32_t tetcasti_octet_step8(const tetcast_bricks *
     s = tetcasti_places8(b, p, l->adapted, (const __m256 *)f);
     _mm256_storeu_ps(l->seg.front, _mm256_loadu_ps(l->front));
     _mm256_storeu_ps(l->seg.back, s);
-    _mm256_storeu_ps(l->seg.length, _mm256_sub_ps(tn, tau));
+    way = _mm256_sub_ps(tn, tau);
+    _mm256_storeu_ps(l->seg.length, way);
+    _mm256_storeu_ps(l->length, _mm256_add_ps(_mm256_loadu_ps(l->length),
+                                              _mm256_and_ps(way, _mm256_castsi256_ps(live))));
+    _mm256_storeu_si256((__m256i *)(void *)l->steps, _mm256_sub_epi32(
+        _mm256_loadu_si256((const __m256i *)(const void *)l->steps), live));
     _mm256_storeu_ps(l->seg.depth, _mm256_add_ps(_mm256_loadu_ps(l->begin), tau));
     _mm256_storeu_ps(l->tau, tn);
     _mm256_storeu_ps(l->front, s);
@@ -17919,6 +17926,8 @@ TETCASTI_TARGET_AVX2 static uint32_t tetcasti_octet_step8(const tetcast_bricks *
 
 /* ---- what is done with segments ---- */
 
+        l->steps[i]++;
+        l->length[i] += l->seg.length[i];
 typedef struct tetcasti_lane_point {
     const tetcast_bricks *b;
     const tetcasti_octet *l;
@@ -18108,31 +18117,36 @@ static uint32_t tetcasti_octet_integrate(const tetcasti_brick_frame *c, tetcasti
     return ended;
 }
 
-/* Follow the rays of a packet to their ends. */
-static void tetcasti_octet_run(const tetcasti_brick_frame *c, tetcasti_octet *l) {
+/* Follow the rays of two packets to their ends, in turn: what a packet waits for is the last thing that it did. */
+static void tetcasti_octet_run(const tetcasti_brick_frame *c, tetcasti_octet l[2]) {
     const tetcast_bricks *b = c->cut->bricks;
-    uint32_t i, start = l->live;
-    for (i = 0; i < 8; i++)
-        if ((start >> i & 1u) && !tetcasti_lane_next(c, l, i)) l->live &= ~(1u << i);
-    while (l->live != 0) {
-        uint32_t over, ended;
+    uint32_t i, k, start;
+    for (k = 0; k < 2; k++) {
+        start = l[k].live;
+        for (i = 0; i < 8; i++)
+            if ((start >> i & 1u) && !tetcasti_lane_next(c, &l[k], i)) l[k].live &= ~(1u << i);
+    }
+    while ((l[0].live | l[1].live) != 0) {
+        uint32_t over[2] = {0, 0};
+        for (k = 0; k < 2; k++) {
+            if (l[k].live == 0) continue;
 #if TETCASTI_AVX2
-        if (c->wide) over = tetcasti_octet_step8(b, l);
-        else
+            if (c->wide) over[k] = tetcasti_octet_step8(b, &l[k]);
+            else
 #endif
-        over = tetcasti_octet_step(b, l);
-        l->octets++;
-        for (i = 0; i < 8; i++) {
-            if (!(l->live >> i & 1u)) continue;
-            l->steps[i]++;
-            l->length[i] += l->seg.length[i];
+            over[k] = tetcasti_octet_step(b, &l[k]);
+            l[k].octets++;
         }
-        ended = c->optics != NULL ? tetcasti_octet_integrate(c, l) : tetcasti_octet_shade(c, l);
-        l->ended |= ended;
-        l->live &= ~ended;
-        for (over &= l->live; over != 0; over &= over - 1) {
-            i = tetcasti_ctz64(over);
-            if (!tetcasti_lane_next(c, l, i)) l->live &= ~(1u << i);
+        for (k = 0; k < 2; k++) {
+            uint32_t ended;
+            if (l[k].live == 0) continue;
+            ended = c->optics != NULL ? tetcasti_octet_integrate(c, &l[k]) : tetcasti_octet_shade(c, &l[k]);
+            l[k].ended |= ended;
+            l[k].live &= ~ended;
+            for (over[k] &= l[k].live; over[k] != 0; over[k] &= over[k] - 1) {
+                i = tetcasti_ctz64(over[k]);
+                if (!tetcasti_lane_next(c, &l[k], i)) l[k].live &= ~(1u << i);
+            }
         }
     }
 }
@@ -18217,14 +18231,14 @@ static void tetcasti_octet_begin(const tetcasti_brick_frame *c, tetcasti_octet *
 static void tetcasti_task_bricks(void *ctx, uint32_t strand) {
     tetcasti_brick_frame *c = (tetcasti_brick_frame *)ctx;
     const tetcast_image *m = c->image;
-    tetcasti_octet *l = (tetcasti_octet *)tetcasti_alloc(&c->mem, sizeof *l);
+    tetcasti_octet *l = (tetcasti_octet *)tetcasti_alloc(&c->mem, 2 * sizeof *l);
     uint64_t n[6];
     if (l == NULL) {
         tetcasti_atomic_store(&c->failed, 1u);
         return;
     }
     memset(n, 0, sizeof n);
-    memset(l, 0, sizeof *l);
+    memset(l, 0, 2 * sizeof *l);
     for (;;) {
         const uint32_t tile = tetcasti_atomic_add(&c->next, 1u) - 1u;
         uint32_t x0, y0, x, y, i;
@@ -18232,28 +18246,31 @@ static void tetcasti_task_bricks(void *ctx, uint32_t strand) {
         x0 = tile % c->tiles_x * TETCASTI_TILE;
         y0 = tile / c->tiles_x * TETCASTI_TILE;
         for (y = y0; y < y0 + TETCASTI_TILE && y < m->height; y += 2)
-            for (x = x0; x < x0 + TETCASTI_TILE && x < m->width; x += 4) {
-                tetcasti_octet_begin(c, l);
-                for (i = 0; i < 8; i++) {
-                    const uint32_t px = x + (i & 3u), py = y + (i >> 2);
+            for (x = x0; x < x0 + TETCASTI_TILE && x < m->width; x += 8) {
+                tetcasti_octet_begin(c, &l[0]);
+                tetcasti_octet_begin(c, &l[1]);
+                for (i = 0; i < 16; i++) {
+                    const uint32_t px = x + (i & 3u) + (i >> 1 & 4u), py = y + (i >> 2 & 1u);
                     double limit = 1e300;
                     if (px >= m->width || py >= m->height) continue;
                     if (c->desc->limit != NULL && c->desc->limit[px + (size_t)m->width * py] >= 0.0f)
                         limit = (double)c->desc->limit[px + (size_t)m->width * py];
-                    if (tetcasti_brick_ray_open(c, px, py, limit, &l->ray[i]) != 0) l->live |= 1u << i;
+                    if (tetcasti_brick_ray_open(c, px, py, limit, &l[i >> 3].ray[i & 7u]) != 0)
+                        l[i >> 3].live |= 1u << (i & 7u);
                 }
                 tetcasti_octet_run(c, l);
-                for (i = 0; i < 8; i++) {
-                    const uint32_t px = x + (i & 3u), py = y + (i >> 2);
+                for (i = 0; i < 16; i++) {
+                    const uint32_t px = x + (i & 3u) + (i >> 1 & 4u), py = y + (i >> 2 & 1u), lane = i & 7u;
+                    tetcasti_octet *o = &l[i >> 3];
                     if (px >= m->width || py >= m->height) continue;
-                    tetcasti_brick_pixel(c, l, i, px, py);
+                    tetcasti_brick_pixel(c, o, lane, px, py);
                     n[0]++;
-                    n[1] += l->steps[i] != 0;
-                    n[2] += l->walks[i];
-                    n[3] += l->steps[i];
-                    n[4] += l->ended >> i & 1u;
+                    n[1] += o->steps[lane] != 0;
+                    n[2] += o->walks[lane];
+                    n[3] += o->steps[lane];
+                    n[4] += o->ended >> lane & 1u;
                 }
-                n[5] += 8u * (uint64_t)l->octets;
+                n[5] += 8u * ((uint64_t)l[0].octets + l[1].octets);
             }
         i = tetcasti_atomic_add(&c->done, 1u);
         if (strand == 0 && c->desc->env.progress_fn != NULL &&
@@ -18261,7 +18278,7 @@ static void tetcasti_task_bricks(void *ctx, uint32_t strand) {
                 tetcasti_atomic_store(&c->cancelled, 1u);
     }
     for (strand = 0; strand < 6; strand++) tetcasti_tally_add(c->tally[strand], n[strand]);
-    for (strand = 0; strand < 8; strand++) tetcasti_spans_free(&c->mem, &l->ray[strand].spans);
+    for (strand = 0; strand < 16; strand++) tetcasti_spans_free(&c->mem, &l[strand >> 3].ray[strand & 7u].spans);
     tetcasti_free(&c->mem, l);
 }
 
