@@ -1227,6 +1227,8 @@ enum { /* what a shader asks for; front, back, length are always there */
     TETCAST_NEED_DEPTH = 8     /* distance of its front from the ray's origin */
 };
 
+#define TETCAST_MAX_CHANNELS 4
+
 /* Eight segments of eight rays, or of one in their order; those whose bit in mask is 0 hold nothing. Strangers in a
    packet change nothing. */
 typedef struct tetcast_packet {
@@ -1234,6 +1236,7 @@ typedef struct tetcast_packet {
     float front[8], back[8], length[8], depth[8];
     float gradient[3][8], position[3][8], direction[3][8];
     uint8_t level[8];          /* of the brick; 0 in meshes and functions */
+    float channel[TETCAST_MAX_CHANNELS][8]; /* values of the shader's channels in its middle */
 } tetcast_packet;
 
 /* Parameters by name: numbers of the caller, borrowed. */
@@ -1250,7 +1253,10 @@ typedef struct tetcast_param {
              TETCAST_OK. tetcast_params_find reports a parameter that is missing by its name
    shade_fn  colour, premultiplied, and opacity of each segment: rgba[0..2][lane], rgba[3][lane]. Called by several
              threads at once; what it does for a lane depends on that lane only
-   empty_fn  NULL, or 1 if nothing is seen of values in [lo, hi]: such bricks are skipped */
+   empty_fn  NULL, or 1 if nothing is seen of values in [lo, hi]: such bricks are skipped
+   channels  other fields, as cuts of bricks on whatever lattices, in the same world: tetcast_packet.channel has their
+             trilinear values in the middle of each segment, beyond a lattice those of its border. Whatever is drawn,
+             tetrahedra, functions or bricks. Not with TETCAST_NO_BRICKS. About 5 ns a segment each */
 typedef struct tetcast_shader {
     void *user;
     uint32_t needs;
@@ -1259,6 +1265,8 @@ typedef struct tetcast_shader {
     tetcast_result (*prepare_fn)(void *user, const tetcast_param *params, size_t count, tetcast_error *error);
     void (*shade_fn)(void *user, const tetcast_packet *in, float rgba[4][8]);
     int (*empty_fn)(void *user, float lo, float hi);
+    const struct tetcast_cut *const *channels;
+    uint32_t channel_count;    /* at most TETCAST_MAX_CHANNELS */
 } tetcast_shader;
 
 /* A parameter with at least `least` numbers; NULL: it is not there, and *error says which. */
@@ -17333,6 +17341,40 @@ typedef struct tetcasti_shade_ray {
     tetcast_packet packet;
 } tetcasti_shade_ray;
 
+/* A shader that can be asked; NULL: there is none, which is right as well. */
+static int tetcasti_shader_good(const tetcast_shader *s) {
+    uint32_t i;
+    if (s == NULL) return 1;
+    if (s->shade_fn == NULL || s->channel_count > TETCAST_MAX_CHANNELS) return 0;
+    if (s->channel_count == 0) return 1;
+#ifdef TETCAST_NO_BRICKS
+    i = 0;
+#else
+    for (i = 0; s->channels != NULL && i < s->channel_count && s->channels[i] != NULL; i++) {}
+#endif
+    return i == s->channel_count;
+}
+
+/* The channels of a packet whose positions are known. */
+static void tetcasti_shader_channels(const tetcast_shader *s, tetcast_packet *p) {
+#ifdef TETCAST_NO_BRICKS
+    (void)s;
+    (void)p;
+#else
+    uint32_t k, a, i;
+    for (k = 0; k < s->channel_count; k++) {
+        const tetcast_lattice *l = &s->channels[k]->bricks->lattice;
+        float x[3][8];
+        for (a = 0; a < 3; a++)
+            for (i = 0; i < 8; i++)
+                x[a][i] = p->mask >> i & 1u ? (float)(((double)p->position[a][i] - l->origin[a]) / l->spacing[a])
+                                            : 0.0f;
+        tetcast_cut_sample(s->channels[k], x[0], x[1], x[2], 8, TETCAST_ISA_AUTO, p->channel[k]);
+    }
+#endif
+}
+
+
 /* Gradient of the value in a cell, per world unit. */
 static void tetcasti_shade_gradient(const tetcast_mesh *mesh, uint32_t cell, float out[3]) {
     const uint32_t *t = mesh->tet[cell];
@@ -17372,6 +17414,7 @@ static void tetcasti_shade_flush(tetcasti_shade_ray *r) {
             p->position[a][i] = (float)(r->ray.org[a] + r->ray.dir[a] * (double)(p->depth[i] + 0.5f * p->length[i]));
         }
     }
+    tetcasti_shader_channels(s, p);
     s->shade_fn(s->user, p, rgba);
     for (i = 0; i < r->n && !r->ended; i++) {
         float one[4];
@@ -17562,7 +17605,7 @@ static tetcast_result tetcasti_shade_check(const tetcast_shade_desc *d, const te
     for (a = 0; a < 4; a++)
         if (!tetcasti_finite_f(d->background[a])) return TETCAST_ERR_INVALID_ARG;
     if (mesh == NULL || image == NULL || (optics == NULL && d->shader == NULL) ||
-        (d->shader != NULL && d->shader->shade_fn == NULL) ||
+        !tetcasti_shader_good(d->shader) ||
         !(d->clip_near >= 0.0f && d->clip_near < TETCASTI_INF) || !(d->clip_far >= 0.0f) ||
         (d->frame[0] != 0 && (d->frame[1] == 0 || d->part[0] > d->frame[0] || d->part[1] > d->frame[1] ||
                               image->width > d->frame[0] - d->part[0] || image->height > d->frame[1] - d->part[1])))
@@ -17877,6 +17920,8 @@ static uint32_t tetcasti_octet_step(const tetcast_bricks *b, tetcasti_octet *l) 
         l->tau[i] = tn;
         l->front[i] = s;
         l->number[i] += 1.0f;
+        l->steps[i]++;
+        l->length[i] += l->seg.length[i];
     }
     return over;
 }
@@ -17926,8 +17971,6 @@ TETCASTI_TARGET_AVX2 static uint32_t tetcasti_octet_step8(const tetcast_bricks *
 
 /* ---- what is done with segments ---- */
 
-        l->steps[i]++;
-        l->length[i] += l->seg.length[i];
 typedef struct tetcasti_lane_point {
     const tetcast_bricks *b;
     const tetcasti_octet *l;
@@ -18045,7 +18088,7 @@ static uint32_t tetcasti_octet_shade(const tetcasti_brick_frame *c, tetcasti_oct
     memcpy(p->length, l->seg.length, sizeof p->length);
     memcpy(p->depth, l->seg.depth, sizeof p->depth);
     memcpy(p->level, l->level, sizeof p->level);
-    for (i = 0; i < 8 && s->needs != 0; i++) {
+    for (i = 0; i < 8 && (s->needs | s->channel_count) != 0; i++) {
         const tetcasti_brick_ray *r = &l->ray[i];
         if (!(l->live >> i & 1u)) continue;
         if (need != 0) {
@@ -18060,11 +18103,12 @@ static uint32_t tetcasti_octet_shade(const tetcasti_brick_frame *c, tetcasti_oct
         }
         for (a = 0; a < 3; a++) {
             p->direction[a][i] = (float)r->world_d[a];
-            if (s->needs & TETCAST_NEED_POSITION)
+            if ((s->needs & TETCAST_NEED_POSITION) || s->channel_count != 0)
                 p->position[a][i] = (float)(r->world_o[a] + r->world_d[a] *
                                             (double)(p->depth[i] + 0.5f * p->length[i]));
         }
     }
+    tetcasti_shader_channels(s, p);
     s->shade_fn(s->user, p, rgba);
 #if TETCASTI_AVX2
     if (c->wide) return tetcasti_shade_over8(rgba, l->live, p->depth, l->sum.t, l->sum.c, l->depth);
@@ -18393,7 +18437,7 @@ TETCAST_DEF tetcast_result tetcast_render_bricks(const tetcast_brick_render_desc
         if (!tetcasti_finite_f(d.background[a])) r = TETCAST_ERR_INVALID_ARG;
     if (cut == NULL || image == NULL || (optics == NULL && d.shader == NULL) || (uint32_t)d.isa > TETCAST_ISA_AVX512 ||
         !(d.step >= 0.0f && d.step < 1e6f) || !(d.clip_near >= 0.0f && d.clip_near < TETCASTI_INF) ||
-        !(d.clip_far >= 0.0f) || (d.shader != NULL && d.shader->shade_fn == NULL) ||
+        !(d.clip_far >= 0.0f) || !tetcasti_shader_good(d.shader) ||
         (d.frame[0] != 0 && (d.frame[1] == 0 || d.part[0] > d.frame[0] || d.part[1] > d.frame[1] ||
                              image->width > d.frame[0] - d.part[0] || image->height > d.frame[1] - d.part[1])))
         r = TETCAST_ERR_INVALID_ARG;
@@ -23002,6 +23046,7 @@ static uint32_t tetcasti_rbf_shade(const tetcasti_rbf_picture *t, const tetcasti
                                                            (double)g->d[a][l]) * t->m->scale[a]);
         }
     }
+    tetcasti_shader_channels(s, &p);
     s->shade_fn(s->user, &p, rgba);
 #if TETCASTI_AVX2
     if (t->isa >= TETCAST_ISA_AVX2) return tetcasti_shade_over8(rgba, lanes, from, sum->t, sum->c, depth);
@@ -23371,7 +23416,7 @@ static tetcast_result tetcasti_rbf_render_check(const tetcast_rbf_render_desc *d
     if ((uint32_t)d->channel > TETCAST_RBF_CHANNEL_HELICITY || d->component >= m->components ||
         (d->channel > TETCAST_RBF_CHANNEL_LENGTH && m->components != 3) ||
         !(d->step >= 0.0f && d->step < 1e30f) || !(d->epsilon >= 0.0f && d->epsilon <= 1.0f) ||
-        (d->shader != NULL && d->shader->shade_fn == NULL) ||
+        !tetcasti_shader_good(d->shader) ||
         !(d->clip_near >= 0.0f && d->clip_near < TETCASTI_INF) || !(d->clip_far >= 0.0f) ||
         (d->frame[0] != 0 && (d->frame[1] == 0 || d->part[0] > d->frame[0] || d->part[1] > d->frame[1] ||
                               image->width > d->frame[0] - d->part[0] || image->height > d->frame[1] - d->part[1])))

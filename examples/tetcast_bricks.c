@@ -11,7 +11,7 @@
 
 typedef struct options {
     sup_common common;
-    const char *in, *out, *scene, *field, *tf, *reference, *data_type, *coded, *section, *functions;
+    const char *in, *out, *scene, *field, *tf, *reference, *data_type, *coded, *section, *functions, *paint;
     double max_error, opacity, iso, scale, step, radius, share, samples, lod_error, seconds;
     int64_t detail, longest, longest_end, cells, level, jump;
     int between;
@@ -182,14 +182,14 @@ static int make_bricks(const options *o, const tetcast_env *env, tetcast_bricks_
     return failed;
 }
 
-static int read_bricks(const options *o, const tetcast_env *env, tetcast_bricks **out, sup_error *err) {
+static int read_bricks(const char *path, const tetcast_env *env, tetcast_bricks **out, sup_error *err) {
     tetcast_result r;
     char *data;
     size_t size;
-    if (sup_read_file(o->in, &data, &size, err)) return 1;
+    if (sup_read_file(path, &data, &size, err)) return 1;
     r = tetcast_bricks_read(env, data, size, out);
     SUP_FREE(data);
-    return r == TETCAST_OK ? 0 : sup_fail_result(err, o->in, r, env->error);
+    return r == TETCAST_OK ? 0 : sup_fail_result(err, path, r, env->error);
 }
 
 /* ---- optics ------------------------------------------------------------------------------------------------- */
@@ -391,7 +391,7 @@ static int resample(int argc, char **argv) {
 /* ---- render ------------------------------------------------------------------------------------------------- */
 
 static int parse_render(int argc, char **argv, options *o, tetcast_brick_render_desc *desc) {
-    sup_option table[SUP_COMMON_OPTIONS + 32];
+    sup_option table[SUP_COMMON_OPTIONS + 36];
     size_t n;
     int status;
     set_defaults(o);
@@ -407,6 +407,7 @@ static int parse_render(int argc, char **argv, options *o, tetcast_brick_render_
     table[n++] = sup_opt_given(sup_opt_real("iso", &o->iso, -1e38, 1e38, "V", "show the surface of this value"), &o->has_iso);
     table[n++] = sup_opt_real("iso-opacity", &o->opacity, 0.0, 1.0, "A", "of it (1)");
     table[n++] = sup_opt_choice("shader", &o->shader, SUP_SHADERS, "lit: a shader of this program, lit by gradients");
+    table[n++] = sup_opt_text("paint", &o->paint, "FILE.brk", "colours from these bricks of another field, opacity from IN");
     table[n++] = sup_opt_real("step", &o->step, 0.01, 100.0, "S", "distance of samples in cells (1)");
     table[n++] = sup_opt_int("level", &o->level, 0, 5, "N", "no finer than this level");
     table[n++] = sup_opt_given(sup_opt_vec3("focus", o->focus, "finest around this point"), &o->has_focus);
@@ -429,6 +430,8 @@ static int parse_render(int argc, char **argv, options *o, tetcast_brick_render_
     if (!o->in == !o->scene) return sup_bad_usage(argv[0], "IN or --scene has to be given");
     status = sup_out_check(argv[0], &o->common);
     if (status >= 0) return status;
+    if (o->paint && (o->shader || o->model || o->has_iso || o->reference))
+        return sup_bad_usage(argv[0], "--paint goes without --shader, --model, --iso and --reference");
     if (o->functions && !o->reference) return sup_bad_usage(argv[0], "--functions needs --reference");
     if (o->has_focus && !(o->radius > 0.0)) return sup_bad_usage(argv[0], "--focus needs --radius");
     if (o->has_dims && !(o->dims[0] >= 1.0f && o->dims[1] >= 1.0f && o->dims[2] >= 1.0f))
@@ -465,6 +468,65 @@ static int make_cut(const options *o, const tetcast_env *env, const tetcast_bric
     }
     r = tetcast_cut_create(&d, bricks, cut);
     return r == TETCAST_OK ? 0 : sup_fail_result(err, "levels", r, env->error);
+}
+
+/* ---- one field seen in the colours of another ---------------------------------------------------------------- */
+
+static void rainbow(double x, uint8_t rgb[3]) {
+    for (int c = 0; c < 3; c++) { /* blue, cyan, green, yellow, red */
+        const double d = 1.5 - fabs(4.0 * (x < 0.0 ? 0.0 : x > 1.0 ? 1.0 : x) - (double)(3 - c));
+        rgb[c] = (uint8_t)(255.0 * (d < 0.0 ? 0.0 : d > 1.0 ? 1.0 : d) + 0.5);
+    }
+}
+
+/* Opacity as the transfer function says, colour from the other field. */
+typedef struct painter {
+    const tetcast_transfer *transfer;
+    tetcast_bricks *bricks;
+    tetcast_cut *cut;
+    const tetcast_cut *channel;
+    float lo, range;
+    tetcast_shader shader;
+} painter;
+
+static void paint_shade(void *user, const tetcast_packet *in, float rgba[4][8]) {
+    const painter *p = (const painter *)user;
+    for (int i = 0; i < 8; i++) {
+        float c[4], a;
+        uint8_t rgb[3];
+        if (!(in->mask >> i & 1u)) continue;
+        tetcast_transfer_eval(p->transfer, 0.5f * (in->front[i] + in->back[i]), c);
+        a = 1.0f - expf(-c[3] * in->length[i]);
+        rainbow((double)((in->channel[0][i] - p->lo) / p->range), rgb);
+        for (int k = 0; k < 3; k++) rgba[k][i] = a * powf((float)rgb[k] / 255.0f, 2.2f);
+        rgba[3][i] = a;
+    }
+}
+
+static int paint_empty(void *user, float lo, float hi) {
+    return tetcast_transfer_is_empty(((const painter *)user)->transfer, lo, hi);
+}
+
+static int paint_open(painter *p, const options *o, const tetcast_env *env, const tetcast_transfer *transfer, sup_error *err) {
+    tetcast_bricks_info info;
+    tetcast_cut_desc d;
+    tetcast_result r;
+    if (read_bricks(o->paint, env, &p->bricks, err)) return 1;
+    memset(&d, 0, sizeof d);
+    d.env = *env;
+    r = tetcast_cut_create(&d, p->bricks, &p->cut);
+    if (r != TETCAST_OK) return sup_fail_result(err, o->paint, r, env->error);
+    tetcast_bricks_get_info(p->bricks, &info);
+    p->lo = info.value_min;
+    p->range = info.value_max > info.value_min ? info.value_max - info.value_min : 1.0f;
+    p->transfer = transfer;
+    p->channel = p->cut;
+    p->shader.user = p;
+    p->shader.shade_fn = paint_shade;
+    p->shader.empty_fn = paint_empty;
+    p->shader.channels = &p->channel;
+    p->shader.channel_count = 1;
+    return 0;
 }
 
 /* In one call, or in four parts that are put side by side: the same bits. */
@@ -620,15 +682,17 @@ static int render(int argc, char **argv) {
     options o;
     look l;
     sup_lit lit;
+    painter paint;
     double start, build = 0.0, seconds = 0.0, lo[3], hi[3];
     int status = parse_render(argc, argv, &o, &desc);
     if (status >= 0) return status;
     memset(&stats, 0, sizeof stats);
     memset(&image, 0, sizeof image);
     memset(&l, 0, sizeof l);
+    memset(&paint, 0, sizeof paint);
     sup_error_clear(&err);
     desc.env.error = &error;
-    if (o.in && sup_name_ends(o.in, ".brk")) status = read_bricks(&o, &desc.env, &bricks, &err);
+    if (o.in && sup_name_ends(o.in, ".brk")) status = read_bricks(o.in, &desc.env, &bricks, &err);
     else status = make_bricks(&o, &desc.env, &report, &bricks, &err);
     if (!status) {
         start = sup_now();
@@ -646,6 +710,10 @@ static int render(int argc, char **argv) {
         }
     }
     if (!status) status = make_look(&o, &desc, &info, cut, &l, &err);
+    if (!status && o.paint) {
+        status = paint_open(&paint, &o, &desc.env, l.transfer, &err);
+        desc.shader = &paint.shader;
+    }
     if (!status) {
         const size_t n = (size_t)o.common.size[0] * o.common.size[1];
         image.width = o.common.size[0];
@@ -690,19 +758,14 @@ static int render(int argc, char **argv) {
     tetcast_clip_destroy(clip);
     tetcast_optics_destroy(l.optics);
     tetcast_transfer_destroy(l.transfer);
+    tetcast_cut_destroy(paint.cut);
+    tetcast_bricks_destroy(paint.bricks);
     tetcast_cut_destroy(cut);
     tetcast_bricks_destroy(bricks);
     return status;
 }
 
 /* ---- slice: a plane through cells or bricks ----------------------------------------------------------------- */
-
-static void rainbow(double x, uint8_t rgb[3]) {
-    for (int c = 0; c < 3; c++) { /* blue, cyan, green, yellow, red */
-        const double d = 1.5 - fabs(4.0 * (x < 0.0 ? 0.0 : x > 1.0 ? 1.0 : x) - (double)(3 - c));
-        rgb[c] = (uint8_t)(255.0 * (d < 0.0 ? 0.0 : d > 1.0 ? 1.0 : d) + 0.5);
-    }
-}
 
 /* The plane through a point at right angles to a direction, as large as the box. */
 static void plane_of(const float normal[3], const double through[3], double side, uint32_t width, uint32_t height, tetcast_plane *out) {
@@ -805,7 +868,7 @@ static int slice(int argc, char **argv) {
     env.thread_count = (uint32_t)o.common.threads;
     env.error = &error;
     if (!is_bricks) status = load_mesh(&o, o.in, &env, &mesh, &err);
-    else if (o.in && sup_name_ends(o.in, ".brk")) status = read_bricks(&o, &env, &bricks, &err);
+    else if (o.in && sup_name_ends(o.in, ".brk")) status = read_bricks(o.in, &env, &bricks, &err);
     else status = make_bricks(&o, &env, &report, &bricks, &err);
     status = status > 0;
     if (!status && is_bricks) {

@@ -1515,6 +1515,133 @@ TEST(shaders) {
     free(v);
 }
 
+/* Other fields along rays: linear ones come exact, whatever is drawn and wherever their lattices lie. */
+typedef struct channel_probe { uint32_t seen, bad, same; } channel_probe; /* same: what is drawn is linear as well */
+
+static void channel_shade(void *user, const tetcast_packet *in, float rgba[4][8]) {
+    channel_probe *p = (channel_probe *)user;
+    int i, k;
+    for (i = 0; i < 8; i++) {
+        double q[3];
+        if (!(in->mask >> i & 1u)) continue;
+        for (k = 0; k < 3; k++) q[k] = (double)in->position[k][i];
+        p->seen++;
+        if (p->same) p->bad += !(fabs(0.5 * (double)(in->front[i] + in->back[i]) - (double)in->channel[0][i]) < 5e-3);
+        else p->bad += !(fabs(linear_at(q) - (double)in->channel[0][i]) < 2e-4);
+        p->bad += !(fabs(7.0 - (double)in->channel[1][i]) < 1e-5);
+        rgba[3][i] = 0.01f;
+    }
+}
+
+static tetcast_cut *channel_of(const tetcast_lattice *l, tetcast_type type, int flat, tetcast_bricks **bricks) {
+    float *v = (float *)malloc(node_count(l) * 4);
+    size_t i;
+    for (i = 0; i < node_count(l); i++) {
+        double p[3];
+        node_at(l, i, p);
+        v[i] = flat ? 7.0f : (float)linear_at(p);
+    }
+    *bricks = make_bricks(l, v, type, 3, 0);
+    free(v);
+    return make_cut(*bricks, NULL, 0);
+}
+
+TEST(channels) {
+    enum { W = 24, H = 20 };
+    static float rgba[W * H * 4];
+    tetcast_lattice l[3];
+    tetcast_bricks *b[3] = {NULL, NULL, NULL};
+    tetcast_cut *c[3];
+    const tetcast_cut *channels[2];
+    tetcast_brick_render_desc d;
+    tetcast_shade_desc sd;
+    tetcast_rbf_render_desc rd;
+    tetcast_rbf_desc fd;
+    tetcast_rbf_function f;
+    tetcast_rbf *m = NULL;
+    tetcast_image image;
+    tetcast_shader s;
+    channel_probe probe = {0, 0, 0};
+    tets t;
+    tetcast_mesh *mesh;
+    tetcast_mesh_info info;
+    uint32_t a, way;
+    memset(&t, 0, sizeof t);
+    tets_lattice(&t, 4, 4, 4, 5, NULL);
+    make_linear(&t);
+    mesh = tets_build(&t, TETCAST_CELLS_TET16, NULL);
+    REQUIRE(mesh != NULL);
+    tetcast_mesh_get_info(mesh, &info);
+    for (a = 0; a < 3; a++) { /* what is drawn; finer and wider; coarser, uneven and wider */
+        uint32_t k;
+        for (k = 0; k < 3; k++) {
+            const double side = info.box_max[k] - info.box_min[k];
+            l[a].dims[k] = a == 0 ? 12 : a == 1 ? 37 : 9 + 2 * k;
+            l[a].origin[k] = info.box_min[k] - (a == 0 ? 0.0 : 0.25 * side);
+            l[a].spacing[k] = side * (a == 0 ? 1.0 : 1.5) / (l[a].dims[k] - 1);
+        }
+        c[a] = channel_of(&l[a], a == 1 ? TETCAST_TYPE_F32 : TETCAST_TYPE_F16, a == 2, &b[a]);
+    }
+    channels[0] = c[1];
+    channels[1] = c[2];
+    memset(&s, 0, sizeof s);
+    memset(&image, 0, sizeof image);
+    image.width = W;
+    image.height = H;
+    image.rgba = rgba;
+    s.user = &probe;
+    s.needs = TETCAST_NEED_POSITION;
+    s.shade_fn = channel_shade;
+    s.channels = channels;
+    s.channel_count = 2;
+    memset(&fd, 0, sizeof fd);
+    memset(&f, 0, sizeof f);
+    for (a = 0; a < 3; a++) {
+        fd.box_min[a] = info.box_min[a];
+        fd.box_max[a] = info.box_max[a];
+        f.centre[a] = 0.5 * (info.box_min[a] + info.box_max[a]);
+    }
+    f.width = 0.2 * (info.box_max[0] - info.box_min[0]);
+    f.weight[0] = 1.0f;
+    fd.functions = &f;
+    fd.function_count = 1;
+    CHECK_EQ_U64(tetcast_rbf_create(&fd, &m), TETCAST_OK);
+    for (way = 0; way < 4; way++) {
+        memset(&d, 0, sizeof d);
+        memset(&sd, 0, sizeof sd);
+        memset(&rd, 0, sizeof rd);
+        d.env.thread_count = sd.env.thread_count = rd.env.thread_count = 1;
+        d.isa = way == 1 ? TETCAST_ISA_SCALAR : TETCAST_ISA_AUTO;
+        d.shader = sd.shader = rd.shader = &s;
+        probe.seen = 0;
+        probe.same = way == 1 || way == 2;
+        if (way < 2) CHECK_EQ_U64(tetcast_render_bricks(&d, c[0], NULL, &image, NULL), TETCAST_OK);
+        if (way == 2) CHECK_EQ_U64(tetcast_render_shaded(&sd, mesh, NULL, &image, NULL), TETCAST_OK);
+        if (way == 3) CHECK_EQ_U64(tetcast_rbf_render(&rd, m, NULL, &image, NULL), TETCAST_OK);
+        CHECK_MSG(probe.seen > 200 && probe.bad == 0, "way %u: %u of %u", way, probe.bad, probe.seen);
+    }
+    s.needs = 0; /* bricks: positions are made for channels alone */
+    probe.bad = 0;
+    probe.same = 1;
+    CHECK_EQ_U64(tetcast_render_bricks(&d, c[0], NULL, &image, NULL), TETCAST_OK);
+    CHECK_EQ_U64(probe.bad, 0);
+    for (way = 0; way < 3; way++) {
+        s.channels = way == 0 ? NULL : channels;
+        s.channel_count = way == 1 ? TETCAST_MAX_CHANNELS + 1 : 2;
+        if (way == 2) channels[1] = NULL;
+        CHECK_EQ_U64(tetcast_render_bricks(&d, c[0], NULL, &image, NULL), TETCAST_ERR_INVALID_ARG);
+        CHECK_EQ_U64(tetcast_render_shaded(&sd, mesh, NULL, &image, NULL), TETCAST_ERR_INVALID_ARG);
+        CHECK_EQ_U64(tetcast_rbf_render(&rd, m, NULL, &image, NULL), TETCAST_ERR_INVALID_ARG);
+    }
+    for (a = 0; a < 3; a++) {
+        tetcast_cut_destroy(c[a]);
+        tetcast_bricks_destroy(b[a]);
+    }
+    tetcast_rbf_destroy(m);
+    tetcast_mesh_destroy(mesh);
+    tets_free(&t);
+}
+
 /* A body of 100 boxes: each ray has as many parts, in bricks, tetrahedra and functions; how many is not limited. */
 TEST(many_parts) {
     enum { BOXES = 100, SIDE = 8 };
@@ -2412,6 +2539,7 @@ int main(int argc, char **argv) {
     RUN(many_parts);
     RUN(shaders);
     RUN(shaders_same_bits);
+    RUN(channels);
     RUN(shaded_tetrahedra);
     RUN(refined_grids);
     RUN(refinement_ratios);
