@@ -288,7 +288,13 @@ static int fit(const options *o, tetcast_env *env, sup_error *err) {
         fprintf(stderr, "%u functions (%u ellipsoids) and a base of %u x %u x %u: %llu bytes, error %.3g at most and %.3g on average at the points",
                 report.functions, report.ellipsoids, report.base_dims[0], report.base_dims[1], report.base_dims[2], (unsigned long long)report.bytes,
                 report.max_error, report.mean_error);
-        if (report.between_count) fprintf(stderr, ", %.3g and %.3g between them", report.between_max, report.between_mean);
+        if (!report.between_count) fprintf(stderr, "; between them nothing is known");
+        else fprintf(stderr, ", %.3g and %.3g between them", report.between_max, report.between_mean);
+        if (report.between_max > 3.0 * report.max_error) /* the promise is for the points: say what it is not for */
+            fprintf(stderr, "\nbetween the points, against linear interpolation, the error is up to %.1f times as large%s",
+                    report.between_max / report.max_error,
+                    o->between ? "" : o->round ? "; --between keeps it in the middles of cells as well"
+                                               : "; --between keeps it in the middles of cells as well, --round is gentler");
         if (!report.functions_win)
             fprintf(stderr, "\nfunctions are the wrong choice: a plain grid or plain values need %llu bytes", (unsigned long long)report.grid_bytes);
         fprintf(stderr, "\n");
