@@ -1353,6 +1353,14 @@ TETCAST_DEF tetcast_result tetcast_render_bricks(const tetcast_brick_render_desc
    first. */
 TETCAST_DEF void tetcast_over(float *front, const float *back, size_t pixels);
 
+/* Fade the borders of a part whose neighbours show the same pixels (projectors side by side): `overlap` pixels on the
+   left, right, top and bottom get weights t^2 (3 - 2t) from 0 at the border to 1, so that the light of the parts adds
+   up to that of the frame.
+   rgba     in and out, width * height pixels, linear, premultiplied
+   overlap  widths, each at most width or height; left and right (top and bottom) may meet: both weights count
+   Errors: INVALID_ARG. Source: the thesis, 9.7.2, leaves this to the display; ramps: ours. */
+TETCAST_DEF tetcast_result tetcast_edge_blend(float *rgba, uint32_t width, uint32_t height, const uint32_t overlap[4]);
+
 /* Colour cells (Campbell 1986, as in the thesis): 4 x 4 pixels have two colours of 16 bits and a mask: 6 bytes, an
    eighth of three bytes a pixel; with alpha 8. Planes: masks, brighter colours, darker colours, [two alphas a cell].
    Pixels beyond the picture repeat the last row and column. rgba: 4 bytes a pixel, stride in bytes (0: rows lie close
@@ -18493,6 +18501,36 @@ TETCAST_DEF void tetcast_over(float *front, const float *back, size_t pixels) {
         front[2] += t * back[2];
         front[3] += t * back[3];
     }
+}
+
+/* Weight of pixel `at` of `count`, `first` and `last` of which are shown by the neighbours as well. */
+static float tetcasti_edge_weight(uint32_t at, uint32_t count, uint32_t first, uint32_t last) {
+    float w = 1.0f, t;
+    if (at < first) {
+        t = ((float)at + 0.5f) / (float)first;
+        w = t * t * (3.0f - 2.0f * t);
+    }
+    if (count - 1 - at < last) {
+        t = ((float)(count - 1 - at) + 0.5f) / (float)last;
+        w *= t * t * (3.0f - 2.0f * t);
+    }
+    return w;
+}
+
+TETCAST_DEF tetcast_result tetcast_edge_blend(float *rgba, uint32_t width, uint32_t height,
+                                              const uint32_t overlap[4]) {
+    uint32_t x, y, c;
+    if (overlap == NULL || overlap[0] > width || overlap[1] > width || overlap[2] > height || overlap[3] > height ||
+        (rgba == NULL && width != 0 && height != 0)) return TETCAST_ERR_INVALID_ARG;
+    for (y = 0; y < height; y++) {
+        const float row = tetcasti_edge_weight(y, height, overlap[2], overlap[3]);
+        for (x = 0; x < width; x++) {
+            const float w = row * tetcasti_edge_weight(x, width, overlap[0], overlap[1]);
+            float *p = rgba + 4 * ((size_t)y * width + x);
+            for (c = 0; c < 4; c++) p[c] *= w;
+        }
+    }
+    return TETCAST_OK;
 }
 
 TETCAST_DEF size_t tetcast_ccc_size(uint32_t width, uint32_t height, int alpha) {

@@ -13,7 +13,7 @@ typedef struct options {
     sup_common common;
     const char *in, *out, *scene, *field, *tf, *reference, *data_type, *coded, *section, *functions, *paint;
     double max_error, opacity, iso, scale, step, radius, share, samples, lod_error, seconds;
-    int64_t detail, longest, longest_end, cells, level, jump;
+    int64_t detail, longest, longest_end, cells, level, jump, overlap;
     int between;
     int storage, model, has_iso, has_focus, has_cut, has_dims, has_background, shader, weld, tile, codec, has_through;
     float focus[3], cut[3], dims[3], spacing[3], background[3], normal[3], through[3];
@@ -423,6 +423,7 @@ static int parse_render(int argc, char **argv, options *o, tetcast_brick_render_
     table[n++] = sup_opt_text("coded", &o->coded, "FILE.tile", "also write the picture as --codec codes it");
     table[n++] = sup_opt_choice("codec", &o->codec, SUP_TILE_CODECS, "colour cells (6 bytes for 16 pixels), with alpha (8), without loss, better cells");
     table[n++] = sup_opt_flag("tiles", &o->tile, "draw in four parts, as several machines would");
+    table[n++] = sup_opt_int("overlap", &o->overlap, 0, 4096, "N", "--tiles share N rows and columns, fade there, and add up");
     table[n++] = sup_opt_given(sup_opt_vec3("background", o->background, "linear r,g,b instead of transparent"),
                                &o->has_background);
     status = sup_cli_parse(argc, argv, "Draws bricks.", table, n);
@@ -432,6 +433,9 @@ static int parse_render(int argc, char **argv, options *o, tetcast_brick_render_
     if (status >= 0) return status;
     if (o->paint && (o->shader || o->model || o->has_iso || o->reference))
         return sup_bad_usage(argv[0], "--paint goes without --shader, --model, --iso and --reference");
+    if (o->overlap && (!o->tile || o->common.depth || 2 * o->overlap > (int64_t)o->common.size[0] ||
+                       2 * o->overlap > (int64_t)o->common.size[1]))
+        return sup_bad_usage(argv[0], "--overlap: at most half of the picture, with --tiles, without --depth");
     if (o->functions && !o->reference) return sup_bad_usage(argv[0], "--functions needs --reference");
     if (o->has_focus && !(o->radius > 0.0)) return sup_bad_usage(argv[0], "--focus needs --radius");
     if (o->has_dims && !(o->dims[0] >= 1.0f && o->dims[1] >= 1.0f && o->dims[2] >= 1.0f))
@@ -529,11 +533,42 @@ static int paint_open(painter *p, const options *o, const tetcast_env *env, cons
     return 0;
 }
 
+/* In four parts that share `overlap` rows and columns, as projectors side by side show them: their light adds up. */
+static tetcast_result draw_overlapping(uint32_t n, tetcast_brick_render_desc *desc, const tetcast_cut *cut,
+                                       const tetcast_optics *optics, const tetcast_image *image, tetcast_render_stats *stats) {
+    tetcast_result r = TETCAST_OK;
+    float *rgba = (float *)sup_alloc((size_t)image->width * image->height, 16);
+    if (!rgba) return TETCAST_ERR_NO_MEMORY;
+    memset(image->rgba, 0, (size_t)image->width * image->height * 16);
+    for (uint32_t i = 0; i < 4 && r == TETCAST_OK; i++) {
+        const uint32_t right = i & 1u, lower = i >> 1, middle[2] = {image->width / 2 - n / 2, image->height / 2 - n / 2};
+        const uint32_t shared[4] = {right ? n : 0, right ? 0 : n, lower ? n : 0, lower ? 0 : n};
+        tetcast_image part;
+        memset(&part, 0, sizeof part);
+        part.width = right ? image->width - middle[0] : middle[0] + n;
+        part.height = lower ? image->height - middle[1] : middle[1] + n;
+        part.rgba = rgba;
+        desc->frame[0] = image->width;
+        desc->frame[1] = image->height;
+        desc->part[0] = right ? middle[0] : 0;
+        desc->part[1] = lower ? middle[1] : 0;
+        r = tetcast_render_bricks(desc, cut, optics, &part, stats);
+        if (r == TETCAST_OK) r = tetcast_edge_blend(rgba, part.width, part.height, shared);
+        for (uint32_t y = 0; y < part.height && r == TETCAST_OK; y++)
+            for (uint32_t x = 0; x < 4 * part.width; x++)
+                image->rgba[4 * ((size_t)(desc->part[1] + y) * image->width + desc->part[0]) + x] += rgba[4 * (size_t)y * part.width + x];
+    }
+    if (r == TETCAST_OK && image->rgba8) sup_rgba8_from_linear(image->rgba, image->rgba8, (size_t)image->width * image->height);
+    SUP_FREE(rgba);
+    return r;
+}
+
 /* In one call, or in four parts that are put side by side: the same bits. */
 static tetcast_result draw(const options *o, tetcast_brick_render_desc *desc, const tetcast_cut *cut,
                            const tetcast_optics *optics, const tetcast_image *image, tetcast_render_stats *stats) {
     tetcast_result r = TETCAST_OK;
     if (!o->tile) return tetcast_render_bricks(desc, cut, optics, image, stats);
+    if (o->overlap) return draw_overlapping((uint32_t)o->overlap, desc, cut, optics, image, stats);
     for (uint32_t i = 0; i < 4 && r == TETCAST_OK; i++) {
         tetcast_image part = *image;
         const uint32_t x = (i & 1u) * (image->width / 2), y = (i >> 1) * (image->height / 2);

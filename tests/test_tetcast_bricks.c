@@ -2451,6 +2451,50 @@ TEST(codecs) {
 }
 
 /* Ranges of depth, one over the other, are the whole; memory that runs out anywhere is reported and given back. */
+/* Parts that share pixels, faded there: their light adds up to that of the frame. */
+TEST(edges_add_up) {
+    enum { W = 50, H = 40, N = 13 };
+    static float whole[W * H * 4], sum[W * H * 4], rgba[W * H * 4], one[4] = {1, 2, 3, 4};
+    static const uint32_t x0[3] = {0, 9, 28}, x1[3] = {22, 41, W}, y0[2] = {0, 15}, y1[2] = {15 + N, H};
+    const tetcast_lattice l = cube_lattice(26, 21, 23);
+    float *v = random_grid(&l, 5);
+    tetcast_bricks *b = make_bricks(&l, v, TETCAST_TYPE_F32, 3, 0);
+    tetcast_optics *o = flat_optics(0.05f, TETCAST_MODEL_VOLUME);
+    tetcast_brick_render_desc d;
+    tetcast_cut *c = make_cut(b, NULL, 0);
+    uint32_t px, py, x, y, k, bad[4] = {2, 0, 0, 0};
+    double worst = 0;
+    box_view(&d, &l, 1);
+    (void)picture(&d, c, o, W, H, whole);
+    memset(sum, 0, sizeof sum);
+    for (py = 0; py < 2; py++)
+        for (px = 0; px < 3; px++) {
+            const uint32_t w = x1[px] - x0[px], h = y1[py] - y0[py];
+            const uint32_t overlap[4] = {px ? 13u : 0u, px < 2 ? 13u : 0u, py ? N : 0u, py ? 0u : N};
+            d.frame[0] = W;
+            d.frame[1] = H;
+            d.part[0] = x0[px];
+            d.part[1] = y0[py];
+            (void)picture(&d, c, o, w, h, rgba);
+            CHECK_EQ_U64(tetcast_edge_blend(rgba, w, h, overlap), TETCAST_OK);
+            for (y = 0; y < h; y++)
+                for (x = 0; x < w; x++)
+                    for (k = 0; k < 4; k++) sum[4 * ((y0[py] + y) * W + x0[px] + x) + k] += rgba[4 * (y * w + x) + k];
+        }
+    for (k = 0; k < W * H * 4; k++) worst = fmax(worst, fabs((double)sum[k] - (double)whole[k]));
+    CHECK_MSG(worst < 2e-6, "%g", worst);
+    CHECK_EQ_U64(tetcast_edge_blend(one, 1, 1, bad), TETCAST_ERR_INVALID_ARG);
+    CHECK_EQ_U64(tetcast_edge_blend(NULL, 1, 1, bad), TETCAST_ERR_INVALID_ARG);
+    CHECK_EQ_U64(tetcast_edge_blend(one, 1, 1, NULL), TETCAST_ERR_INVALID_ARG);
+    bad[0] = 1; /* one pixel, half of it */
+    CHECK_EQ_U64(tetcast_edge_blend(one, 1, 1, bad), TETCAST_OK);
+    CHECK(one[0] == 0.5f && one[3] == 2.0f);
+    tetcast_cut_destroy(c);
+    tetcast_bricks_destroy(b);
+    tetcast_optics_destroy(o);
+    free(v);
+}
+
 TEST(depth_ranges_and_memory) {
     enum { W = 40, H = 30 };
     static float whole[W * H * 4], near_part[W * H * 4], far_part[W * H * 4];
@@ -2550,6 +2594,7 @@ int main(int argc, char **argv) {
     RUN(tiles_in_files);
     RUN(codecs);
     RUN(codecs_fitted);
+    RUN(edges_add_up);
     RUN(depth_ranges_and_memory);
     return test_end();
 }
