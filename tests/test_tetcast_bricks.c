@@ -2450,7 +2450,6 @@ TEST(codecs) {
         }
 }
 
-/* Ranges of depth, one over the other, are the whole; memory that runs out anywhere is reported and given back. */
 /* Parts that share pixels, faded there: their light adds up to that of the frame. */
 TEST(edges_add_up) {
     enum { W = 50, H = 40, N = 13 };
@@ -2495,6 +2494,7 @@ TEST(edges_add_up) {
     free(v);
 }
 
+/* Ranges of depth, one over the other, are the whole; memory that runs out anywhere is reported and given back. */
 TEST(depth_ranges_and_memory) {
     enum { W = 40, H = 30 };
     static float whole[W * H * 4], near_part[W * H * 4], far_part[W * H * 4];
