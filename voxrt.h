@@ -1204,7 +1204,8 @@ typedef struct voxrt_sink {
 /* Voxelise a mesh into a paged file, piece by piece: holds some 20 bytes a voxel of the largest piece (at most 1024^3
    cells, less where there are many voxels), 8 bytes a triangle and 40 a page, not the voxels.
    The same voxels and colours as voxrt_tree_build with palette_size = 2^24, whatever desc->palette_size is: pages have
-   palettes of their own. INVALID_ARG also for fill and VOXRT_LOD_MAJORITY; IO: write_fn failed. Else as
+   palettes of their own, and colours only: finishes and spread are left out, also of trees that are saved in pages.
+   INVALID_ARG also for fill and VOXRT_LOD_MAJORITY; IO: write_fn failed. Else as
    voxrt_tree_build. A tree is written with VOXRT_ENCODING_PAGED. */
 VOXRT_DEF voxrt_result voxrt_paged_build(const voxrt_build_desc *desc, const voxrt_mesh *mesh, const voxrt_sink *sink,
                                          voxrt_build_stats *stats);
@@ -18044,6 +18045,8 @@ VOXRT_DEF voxrt_result voxrt_paged_build(const voxrt_build_desc *desc, const vox
         return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no mesh, or nowhere to write to");
     if (d.fill || d.lod_method != VOXRT_LOD_MEAN)
         return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "pieces are not filled and take no votes");
+    d.finish_count = 0; /* pages have colours only */
+    d.spread = 0;
     if (mesh->triangle_count >= 0xffffffffu || (mesh->indices == NULL && mesh->triangle_count >= 0x55555555u))
         return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, mesh->triangle_count, "% triangles are too many");
     r = voxrti_grid_from_mesh(&d, mesh, &grid);
@@ -18062,7 +18065,7 @@ VOXRT_DEF voxrt_result voxrt_paged_build(const voxrt_build_desc *desc, const vox
         p->v.grid = &p->w.grid;
         p->v.sub = 20 - grid.depth < 8 ? 20 - grid.depth : 8;
         r = voxrti_page_begin(&p->w, &mem, &p->d.env, sink, &grid);
-        if (!d.disable_colors && (mesh->triangle_rgb != NULL || mesh->vertex_rgb != NULL))
+        if (!d.disable_colors && (mesh->triangle_rgb != NULL || mesh->vertex_rgb != NULL || mesh->sample_fn != NULL))
             p->w.flags |= VOXRTI_V5_HAS_COLORS;
         if (!d.disable_normals) p->w.flags |= VOXRTI_V5_HAS_NORMALS | (d.planes ? VOXRTI_V5_HAS_PLANES : 0);
         for (i = 0; i < mesh->triangle_count && r == VOXRT_OK; i++) {

@@ -464,6 +464,7 @@ static int build(const char *program, const convert_options *o, const voxrt_env 
     result = is_direct(o) ? voxrt_paged_build_file(&desc, &in, o->out, &c->stats) : voxrt_tree_build(&desc, &in, &c->stats, &c->tree);
     c->build_seconds = sup_now() - start;
     sup_progress_end(&progress);
+    c->had_finishes = d->finish_count != 0;
     free_dressing(d);
     SUP_FREE(d);
     sup_mesh_free(&mesh);
@@ -647,8 +648,8 @@ int main(int argc, char **argv) {
         voxrt_tree_destroy(c.tree);
         return status;
     }
-    if (c.had_finishes && (o.edit || o.format == FORMAT_V4) && !o.quiet)
-        sup_warn(argv[0], "edited voxels and files of format 4 have colours only: mirrors, glass and other finishes are left out");
+    if (c.had_finishes && (o.edit || o.paged || o.format == FORMAT_V4) && !o.quiet)
+        sup_warn(argv[0], "edited voxels, files in pages and files of format 4 have colours only: mirrors, glass and other finishes are left out");
     start = sup_now();
     if (c.tree != NULL) status = write_out(&o, &env, c.tree, &err);
     c.write_seconds = sup_now() - start;

@@ -295,6 +295,60 @@ static voxrt_allocator counted(test_alloc *ta) {
     return a;
 }
 
+static void stripes(void *user, voxrt_sample *sample) { /* a texture: red and blue by the place in the triangle */
+    (void)user;
+    sample->color[0] = sample->weight[0] > 0.5f ? 1.0f : 0.0f;
+    sample->color[1] = 0.0f;
+    sample->color[2] = 1.0f - sample->color[0];
+}
+
+/* Textures are in pages, finishes and spread are not. */
+TEST(pages_have_colours_only) {
+    static voxrt_finish mirror;
+    int textured;
+    mirror.diffuse = 0.5f;
+    mirror.mirror[0] = 0.5f;
+    for (textured = 0; textured < 2; textured++) {
+        hills h = hills_make(40, !textured);
+        file plain = {NULL, 0, 0}, finished = {NULL, 0, 0}, of_tree;
+        uint8_t *of = (uint8_t *)calloc(h.mesh.triangle_count, 1);
+        voxrt_build_desc d;
+        voxrt_sink sink;
+        voxrt_tree *t = NULL;
+        size_t i;
+        REQUIRE(of != NULL);
+        for (i = 0; i < h.mesh.triangle_count; i += 3) of[i] = 1;
+        if (textured) h.mesh.sample_fn = stripes;
+        memset(&d, 0, sizeof d);
+        d.resolution = 128;
+        d.palette_size = 1u << 24;
+        sink.write_fn = file_write;
+        sink.user = &plain;
+        CHECK(voxrt_paged_build(&d, &h.mesh, &sink, NULL) == VOXRT_OK);
+        CHECK(voxrt_tree_build(&d, &h.mesh, NULL, &t) == VOXRT_OK);
+        of_tree = file_of(t);
+        CHECK(of_tree.size == plain.size && memcmp(of_tree.data, plain.data, plain.size) == 0);
+        free(of_tree.data);
+        voxrt_tree_destroy(t);
+        d.finishes = &mirror;
+        d.finish_count = 1;
+        d.spread = 1;
+        h.mesh.triangle_finish = of;
+        sink.user = &finished;
+        CHECK(voxrt_paged_build(&d, &h.mesh, &sink, NULL) == VOXRT_OK);
+        CHECK(finished.size == plain.size && memcmp(finished.data, plain.data, plain.size) == 0);
+        CHECK(voxrt_tree_build(&d, &h.mesh, NULL, &t) == VOXRT_OK);
+        of_tree = file_of(t);
+        CHECK(of_tree.size == plain.size && memcmp(of_tree.data, plain.data, plain.size) == 0);
+        free(of_tree.data);
+        voxrt_tree_destroy(t);
+        free(plain.data);
+        free(finished.data);
+        free(of);
+        hills_free(&h);
+    }
+}
+
 /* Whatever the room is, it is never exceeded, all of it is there from the beginning, and those who wait get exact
    pictures, with any number of threads. */
 TEST(room_is_kept) {
@@ -858,6 +912,7 @@ int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(pictures_are_those_of_the_tree);
     RUN(pieces_make_the_same_file);
+    RUN(pages_have_colours_only);
     RUN(room_is_kept);
     RUN(coarse_pictures_get_finer);
     RUN(too_little_room_is_coarse);

@@ -573,7 +573,7 @@ static void check_file(const voxrt_tree *t, const voxrt_tree *from, int raw, con
         if (k < 2) voxrti_store_u64(e + 24, voxrti_load_u64(e + 24) + (k == 0 ? 1 : (uint64_t)-1));
         if (k == 2) file[32] ^= 32;
         if (k == 3) e[0] = e[-40];
-        if (k == 4) e[0] = 14;
+        if (k == 4) e[0] = 99;
         if (k == 5) e[4] = 1;
         CHECK_MSG(try_file(file, size, &back) == (k < 4 ? VOXRT_ERR_FORMAT : VOXRT_ERR_VERSION) && back == NULL, "%u", (unsigned)k);
         memcpy(e, old, 40);

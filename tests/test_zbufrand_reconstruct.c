@@ -1966,7 +1966,7 @@ static void shade_and_meddle(void *user, const uint32_t *numbers, size_t count, 
     static const float at[3] = {0, 0, 1};
     zbufrand_sample s;
     zbufrand_points points;
-    zbufrand_view view;
+    zbufrand_view from;
     zbufrand_picture none;
     memset(&s, 0, sizeof s);
     memset(&points, 0, sizeof points);
@@ -1975,14 +1975,14 @@ static void shade_and_meddle(void *user, const uint32_t *numbers, size_t count, 
     s.z = 0.5f; /* nearer than what is being drawn */
     points.positions = at;
     points.count = 1;
-    memset(&view, 0, sizeof view);
-    view.world_to_camera[0][0] = view.world_to_camera[1][1] = view.world_to_camera[2][2] = 1.0;
-    view.focal = 4.0;
-    view.center_x = view.center_y = 4.0;
-    view.near_z = 0.1;
+    memset(&from, 0, sizeof from);
+    from.world_to_camera[0][0] = from.world_to_camera[1][1] = from.world_to_camera[2][2] = 1.0;
+    from.focal = 4.0;
+    from.center_x = from.center_y = 4.0;
+    from.near_z = 0.1;
     m->calls++;
     m->submitted = zbufrand_canvas_submit(m->canvas, &s, 1, 99, NULL);
-    m->points_submitted = zbufrand_canvas_submit_points(m->canvas, &view, &points, 99, NULL);
+    m->points_submitted = zbufrand_canvas_submit_points(m->canvas, &from, &points, 99, NULL);
     m->resolved = zbufrand_canvas_resolve(m->canvas, NULL, &none, NULL);
     (void)numbers;
     for (size_t i = 0; i < 4 * count; i++) rgba[i] = 1.0f;
