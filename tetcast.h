@@ -16264,7 +16264,8 @@ TETCAST_DEF tetcast_result tetcast_bricks_read(const tetcast_env *env, const voi
     want = TETCASTI_BRK_HEADER + (uint64_t)b->count * (TETCASTI_BRK_RECORD + (uint64_t)b->nodes * b->bytes) +
            (uint64_t)b->hull_count * 24 + (uint64_t)b->face_count * 12;
     if (b->count == 0 || b->count >= TETCASTI_BRICKS_END || !tetcasti_finite_f(b->bias) || !(b->step >= 0.0f) ||
-        !tetcasti_finite_f(b->step) || !(b->value_min <= b->value_max) || !tetcasti_finite_f(b->value_min) ||
+        !tetcasti_finite_f(b->bias + b->step * 65535.0f) ||
+        !(b->value_min <= b->value_max) || !tetcasti_finite_f(b->value_min) ||
         !tetcasti_finite_f(b->value_max) || b->hull_count > TETCAST_MAX_VERTICES || b->face_count > TETCAST_MAX_CELLS ||
         tetcasti_load_u64(p + 120) != want) {
         r = TETCAST_ERR_FORMAT;
