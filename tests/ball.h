@@ -1,10 +1,11 @@
 /* ball.h - what a ball in the light looks like, exactly: pictures to compare others with, for tests and benchmarks - C99
-   and C++11 - MIT OR Unlicense, see LICENSE. Comes after voxrt.h. */
+   and C++11 - MIT OR Unlicense, see LICENSE. */
 #ifndef BALL_H_INCLUDED
 #define BALL_H_INCLUDED
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
+#include "../voxrt.h"
 
 #if defined(__GNUC__)
 #  define BALL_FN static __attribute__((unused))

@@ -185,7 +185,9 @@ static void use(voxrt_tree *t) {
     if (info.voxel_count < 20000) {
         uint8_t *file;
         s.encoding = VOXRT_ENCODING_PAGED;
-        must(voxrt_tree_save_memory(t, &s, NULL, 0, &size) == VOXRT_OK && (file = (uint8_t *)malloc(size)) != NULL);
+        must(voxrt_tree_save_memory(t, &s, NULL, 0, &size) == VOXRT_OK);
+        file = (uint8_t *)malloc(size);
+        must(file != NULL);
         must(voxrt_tree_save_memory(t, &s, file, size, &size) == VOXRT_OK);
         use_paged(file, size, t);
         free(file);
