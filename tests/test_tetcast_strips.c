@@ -124,6 +124,34 @@ TEST(statistics) {
     tets_free(&m);
 }
 
+TEST(repeated_vertices) { /* the thesis' example 3 4 5 6 3 7: cells 3 4 5 6 and 5 6 3 7, between them a window that is none; where
+                             the second one's link across 5 6 3 would be is the slot n2 under its 5 */
+    tets m;
+    tetcast_mesh *mesh;
+    const tetcasti_column *c;
+    const uint32_t *number;
+    uint32_t i, seen = 0;
+    memset(&m, 0, sizeof m);
+    tets_lattice(&m, 12, 12, 12, 5, NULL);
+    mesh = build(&m, TETCAST_CELLS_STRIPS_GENERAL, 1);
+    REQUIRE(mesh != NULL);
+    c = (const tetcasti_column *)mesh->cells.data;
+    number = (const uint32_t *)mesh->cells.side;
+    for (i = 0; i + 5 < mesh->cells.count; i++) {
+        const uint32_t from = number[i], to = number[i + 2];
+        uint32_t k;
+        if (from == TETCASTI_NONE || number[i + 1] != TETCASTI_NONE || to == TETCASTI_NONE || c[i].v != c[i + 4].v) continue;
+        for (k = 0; k < 4 && mesh->neighbour[to][k] != from; k++) { }
+        CHECK_MSG(k < 4, "columns %u: cells %u and %u are no neighbours", i, from, to);
+        CHECK_MSG((c[i + 2].n2 & ~TETCASTI_STRIP_FLAG) == i, "column %u: n2 is %x", i + 2, c[i + 2].n2);
+        CHECK_MSG((c[i + 3].n2 & TETCASTI_STRIP_FLAG) == 0, "column %u: the cell before is none", i + 3);
+        seen++;
+    }
+    CHECK_MSG(seen > 100, "%u", seen);
+    tetcast_mesh_destroy(mesh);
+    tets_free(&m);
+}
+
 TEST(same_for_all_threads) {
     tets m;
     int f;
@@ -441,6 +469,7 @@ int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(walks);
     RUN(statistics);
+    RUN(repeated_vertices);
     RUN(same_for_all_threads);
     RUN(list_of_planes);
     RUN(planes);
