@@ -1949,7 +1949,7 @@ TETCASTI_INLINE int tetcasti_mul_size(size_t a, size_t b, size_t *out) {
 #  define tetcasti_atomic_add(p, v) (*(p) += (v))
 #  define tetcasti_atomic_load(p) (*(p))
 #  define tetcasti_atomic_store(p, v) (*(p) = (v))
-#  define tetcasti_atomic_max_step(p, seen, v) (*(p) = (v), 1)
+#  define tetcasti_atomic_max_step(p, seen, v) (*(p) == *(seen) ? (*(p) = (v), 1) : (*(seen) = *(p), 0))
 #endif
 
 /* Not every machine has 64-bit atomics: what threads add to is a low and a high half. Read it after they ended. */

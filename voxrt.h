@@ -1881,7 +1881,7 @@ VOXRTI_INLINE int voxrti_mul_size(size_t a, size_t b, size_t *out) {
 #  define voxrti_atomic_add(p, v) (*(p) += (v))
 #  define voxrti_atomic_load(p) (*(p))
 #  define voxrti_atomic_store(p, v) (*(p) = (v))
-#  define voxrti_atomic_max_step(p, seen, v) (*(p) = (v), 1)
+#  define voxrti_atomic_max_step(p, seen, v) (*(p) == *(seen) ? (*(p) = (v), 1) : (*(seen) = *(p), 0))
 #endif
 
 /* Not every machine has 64-bit atomics: what threads add to is a low and a high half. Read it after they ended. */

@@ -1460,7 +1460,7 @@ ZBUFRANDI_INLINE int zbufrandi_mul_size(size_t a, size_t b, size_t *out) {
 #  define zbufrandi_atomic_add(p, v) (*(p) += (v))
 #  define zbufrandi_atomic_load(p) (*(p))
 #  define zbufrandi_atomic_store(p, v) (*(p) = (v))
-#  define zbufrandi_atomic_max_step(p, seen, v) (*(p) = (v), 1)
+#  define zbufrandi_atomic_max_step(p, seen, v) (*(p) == *(seen) ? (*(p) = (v), 1) : (*(seen) = *(p), 0))
 #endif
 
 /* Not every machine has 64-bit atomics: what threads add to is a low and a high half. Read it after they ended. */
@@ -12422,8 +12422,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_canvas_resolve(zbufrand_canvas *canvas, co
     uint32_t idle = 0;
     if (stats != NULL) memset(stats, 0, sizeof *stats);
     if (canvas == NULL || picture == NULL) return ZBUFRAND_ERR_INVALID_ARG;
-    if (zbufrandi_atomic_load(&canvas->resolving) || !zbufrandi_atomic_max_step(&canvas->resolving, &idle, 1u))
-        return ZBUFRAND_ERR_INVALID_ARG;
+    if (!zbufrandi_atomic_max_step(&canvas->resolving, &idle, 1u)) return ZBUFRAND_ERR_INVALID_ARG;
     result = zbufrandi_canvas_resolve(canvas, source, picture, stats);
     zbufrandi_atomic_store(&canvas->resolving, 0u);
     return result;
