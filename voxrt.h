@@ -2641,7 +2641,7 @@ static VOXRTI_UNUSED uint8_t *voxrti_finish_split(voxrti_mem *mem, uint32_t *val
 static VOXRTI_UNUSED voxrt_result voxrti_finish_join(voxrti_mem *mem, const voxrt_build_desc *d, voxrt_tree *t,
                                                      uint32_t *value, const uint8_t *number, size_t n) {
     const uint64_t colors = t->palette_count, words = (colors * (d->finish_count + 1) + 31) / 32;
-    uint32_t *bits = NULL, *rank = NULL, count = 0, used = 0, map[256], k;
+    uint32_t *bits, *rank, count = 0, used = 0, map[256], k;
     uint8_t *palette = NULL;
     uint64_t pair, w;
     size_t i;
@@ -2651,10 +2651,9 @@ static VOXRTI_UNUSED voxrt_result voxrti_finish_join(voxrti_mem *mem, const voxr
     for (k = 1; k <= d->finish_count; k++)
         if (map[k] != 0) map[k] = ++used;
     if (used == 0) return VOXRT_OK;
-    if (words < (size_t)-1) {
-        bits = (uint32_t *)voxrti_alloc_zero(mem, (size_t)words, sizeof *bits);
-        rank = (uint32_t *)voxrti_alloc_array(mem, (size_t)words, sizeof *rank);
-    }
+    if (words >= (size_t)-1) return VOXRT_ERR_NO_MEMORY;
+    bits = (uint32_t *)voxrti_alloc_zero(mem, (size_t)words, sizeof *bits);
+    rank = (uint32_t *)voxrti_alloc_array(mem, (size_t)words, sizeof *rank);
     if (bits != NULL && rank != NULL) {
         for (i = 0; i < n; i++) {
             pair = number[i] * colors + value[i];
@@ -2668,7 +2667,7 @@ static VOXRTI_UNUSED voxrt_result voxrti_finish_join(voxrti_mem *mem, const voxr
         t->entry_finish = (uint8_t *)voxrti_alloc_array(mem, count, 1);
         t->finish = (voxrt_finish *)voxrti_alloc_array(mem, used, sizeof *t->finish);
     }
-    if (palette != NULL && t->entry_finish != NULL && t->finish != NULL) {
+    if (palette != NULL && t->entry_finish != NULL && t->finish != NULL && bits != NULL && rank != NULL) {
         for (i = 0; i < n; i++) {
             pair = number[i] * colors + value[i];
             w = pair >> 5;
@@ -6680,7 +6679,7 @@ static uint32_t voxrti_majority(const uint32_t *index, const uint32_t *weight, u
 static void voxrti_lod_node(voxrti_lod *l, uint32_t i, uint64_t cell, uint64_t oct_attr) {
     voxrt_tree *t = l->t;
     uint32_t w = l->w, o, leaf = w + 1 == t->wide, thesis = l->method == VOXRT_LOD_MAJORITY;
-    uint32_t majority = thesis && l->value != NULL, finishes = l->finishes && !majority, best = 0;
+    uint32_t majority = thesis && l->value != NULL, finishes = l->finishes && l->value != NULL && !majority, best = 0;
     uint64_t mask = leaf ? t->leaf[i] : t->node[t->level_first[w] + i].mask;
     uint64_t node_attr = t->attr_first[2 * w] + i, first = t->attr_first[2 * w + 2];
     uint32_t vote[8], vote_weight[8], octants = 0;
@@ -14184,8 +14183,9 @@ VOXRTI_INLINE void voxrti_shadow_origin(const voxrt_render_desc *d, const voxrt_
 }
 
 /* What of a light gets through glass to those of m shadow rays that met something; the bounce section has it. */
-static void voxrti_run_through(const voxrti_render *c, const voxrt_trace_desc *td, const voxrt_ray *shadow,
-                               const uint8_t *dark, uint32_t m, float (*through)[3]);
+static VOXRTI_NOINLINE void voxrti_run_through(const voxrti_render *c, const voxrt_trace_desc *td,
+                                               const voxrt_ray *shadow,
+                                               const uint8_t *dark, uint32_t m, float (*through)[3]);
 
 /* cos^shininess of the angle between the mirrored light and the view: a highlight. Where normals differ it is wider
    and as much weaker (Toksvig 2005; his normals are those of half vectors, mirrored directions turn twice as far: 4
@@ -14629,8 +14629,9 @@ static VOXRTI_NOINLINE void voxrti_run_bounce(const voxrti_render *c, const voxr
 }
 
 /* Light goes straight through glass on its way to a surface: it is not bent, and nothing is taken away by Fresnel. */
-static void voxrti_run_through(const voxrti_render *c, const voxrt_trace_desc *td, const voxrt_ray *shadow,
-                               const uint8_t *dark, uint32_t m, float (*through)[3]) {
+static VOXRTI_NOINLINE void voxrti_run_through(const voxrti_render *c, const voxrt_trace_desc *td,
+                                               const voxrt_ray *shadow,
+                                               const uint8_t *dark, uint32_t m, float (*through)[3]) {
     voxrt_ray ray[VOXRTI_BATCH];
     voxrt_surface met[VOXRTI_BATCH];
     voxrti_path path[VOXRTI_BATCH];
@@ -17776,7 +17777,7 @@ static voxrt_result voxrti_page_finish(voxrti_page_writer *w) {
 static void voxrti_page_copy(const voxrt_tree *t, uint64_t first, uint32_t count, uint32_t *rgb, uint16_t *normal) {
     if (count == 0) return;
     if (rgb != NULL) voxrti_tree_rgb(t, first, count, rgb);
-    if (normal != NULL) memcpy(normal, t->normal + (size_t)first, count * sizeof *normal);
+    if (normal != NULL && t->normal != NULL) memcpy(normal, t->normal + (size_t)first, count * sizeof *normal);
 }
 
 /* The page below an anchor, a node of the tree, behind all pages below it. */
@@ -17793,7 +17794,7 @@ static voxrt_result voxrti_page_of_tree(voxrti_page_writer *w, const voxrt_tree 
         n1 = voxrti_popcount64(t->node[anchor].mask);
         node1 = t->node[anchor].child;
     }
-    if (w2 == 0) { /* the root alone */
+    if (tier == 0 && w->odd) { /* the root alone */
         mask1[0] = 1;
         n2 = 1;
     } else {
@@ -17863,7 +17864,7 @@ static voxrt_result voxrti_tree_save_paged(voxrti_mem *mem, const voxrt_save_des
         voxrt_env env = d->env;
         env.error = NULL;
         r = voxrt_tree_unshare(tree, &env, &plain);
-        if (r != VOXRT_OK) return r;
+        if (r != VOXRT_OK || plain == NULL) return r;
         t = plain;
     }
     memset(&grid, 0, sizeof grid);
@@ -17883,7 +17884,7 @@ static voxrt_result voxrti_tree_save_paged(voxrti_mem *mem, const voxrt_save_des
     w.voxels = t->voxel_count;
     w.root_rgb = 0xffffffu;
     if (r == VOXRT_OK && (w.flags & VOXRTI_V5_HAS_COLORS) != 0) voxrti_tree_rgb(t, t->attr_first[0], 1, &w.root_rgb);
-    if ((w.flags & VOXRTI_V5_HAS_NORMALS) != 0) w.root_normal = t->normal[(size_t)t->attr_first[0]];
+    if (t->normal != NULL && !d->disable_normals) w.root_normal = t->normal[(size_t)t->attr_first[0]];
     if (r == VOXRT_OK) r = voxrti_page_finish(&w);
     voxrti_page_end(&w);
     voxrti_free(mem, page.data);
@@ -18605,7 +18606,9 @@ static voxrt_result voxrti_paged_table(voxrt_paged *p, const voxrt_paged_desc *d
     const uint64_t bytes = (uint64_t)p->page_count * VOXRTI_PAGED_ENTRY, end = p->file_bytes + VOXRTI_PAGED_HEAD;
     uint64_t sum = 0x243f6a8885a308d3u ^ bytes;
     uint32_t i, k, j, n, tier = 0, tier_end = 1, below = 0, child = 1;
-    voxrt_result r = voxrti_paged_read(p, end, some, (size_t)(table - end)); /* zeros up to the table */
+    voxrt_result r;
+    memset(some, 0, sizeof some);
+    r = voxrti_paged_read(p, end, some, (size_t)(table - end)); /* zeros up to the table */
     *most = 0;
     for (k = 0; k < (uint32_t)(table - end) && r == VOXRT_OK; k++)
         if (some[k] != 0) return voxrti_paged_fail(d, VOXRT_ERR_FORMAT, end + k, "byte % is not zero");
