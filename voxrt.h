@@ -7553,7 +7553,7 @@ static voxrt_result voxrti_share_runs(voxrti_sharer *h) {
     uint32_t *from = NULL, *below, *place, w, i, k; /* from, below: which nodes of s the runs of a level hold */
     uint64_t total = 0, n;
     t->level_nodes[0] = 1;
-    for (w = 0; w + 1 < t->wide; w++) {
+    for (w = 0; w + 1 < s->wide; w++) {
         t->level_first[w] = (uint32_t)total;
         total += t->level_nodes[w];
         for (i = 0, n = 0; i < s->level_nodes[w]; i++)
@@ -7562,12 +7562,12 @@ static voxrt_result voxrti_share_runs(voxrti_sharer *h) {
     }
     t->node_count = (uint32_t)total;
     t->node = (voxrti_node *)voxrti_alloc_zero(h->mem, (size_t)total + 1, sizeof(voxrti_node));
-    h->code = (uint32_t *)voxrti_alloc_array(h->mem, t->level_nodes[t->wide - 1], sizeof(uint32_t));
+    h->code = (uint32_t *)voxrti_alloc_array(h->mem, t->level_nodes[s->wide - 1], sizeof(uint32_t));
     if (t->node == NULL || h->code == NULL) return VOXRT_ERR_NO_MEMORY;
-    if (t->wide == 1) h->code[0] = h->number[0][0];
-    for (w = 0; w + 1 < t->wide; w++) {
+    if (s->wide == 1) h->code[0] = h->number[0][0];
+    for (w = 0; w + 1 < s->wide; w++) {
         const voxrti_node *node = s->node + s->level_first[w];
-        const uint32_t last = w + 2 == t->wide, first = last ? 0 : s->level_first[w + 1];
+        const uint32_t last = w + 2 == s->wide, first = last ? 0 : s->level_first[w + 1];
         uint32_t at = 0;
         place = (uint32_t *)voxrti_alloc_array(h->mem, s->level_nodes[w], sizeof(uint32_t));
         below = last ? h->code : (uint32_t *)voxrti_alloc_array(h->mem, t->level_nodes[w + 1], sizeof(uint32_t));
@@ -14253,8 +14253,10 @@ static VOXRTI_NOINLINE void voxrti_run_light(const voxrti_render *c, const voxrt
         }
         m++;
     }
-    if (shadows && m != 0) voxrti_run_occluded(c, td, shadow, dark, m);
-    if (shadows && c->glass) voxrti_run_through(c, td, shadow, dark, m, through);
+    if (shadows && m != 0) {
+        voxrti_run_occluded(c, td, shadow, dark, m);
+        if (c->glass) voxrti_run_through(c, td, shadow, dark, m, through);
+    }
     for (k = 0; k < m; k++) {
         const voxrt_finish *f = surface[i = index[k]].finish;
         if (dark[k] && !c->glass) continue;

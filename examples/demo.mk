@@ -12,7 +12,7 @@ $(VOX)/terrain.vox: detail = --detail 512
 $(VOX)/menger.vox: detail = --detail 5
 $(VOX)/menger.vox $(VOX)/cornell.vox: res = 486
 $(VOX)/pillars.vox: res = 2048
-$(VOX)/balls.vox: res = 1280
+$(VOX)/balls.vox: res = 1024
 $(VOX)/%: res = 1024
 
 $(VOXRT_SCENES): $(VOX)/%.vox: $(B)/voxrt_convert
@@ -77,7 +77,7 @@ $(G)/voxrt_planet.png: $(VOX)/planet.vox
 $(G)/voxrt_planet.png: options = --shadows --aa 4 $(SKY) --eye 1.5,1.2,2.1 --at 0,-0.02,0 --fov 44 --light dir:0.3,0.9,0.8
 
 $(G)/voxrt_balls.png: $(VOX)/balls.vox
-$(G)/voxrt_balls.png: options = --size 656x400 --shadows --aa 8 $(SKY) --eye 0.5,1.75,4.4 --at -0.1,0.76,-0.2 --fov 36 \
+$(G)/voxrt_balls.png: options = --size 656x400 --shadows --aa 4 $(SKY) --eye 0.5,1.75,4.4 --at -0.1,0.76,-0.2 --fov 36 \
 	--light 0.5,1.75,-0.8:0.6,0.5,0.36 --light dir:-1,1.2,0.6:0.5,0.5,0.5
 
 # A version 4 file has no placement: one voxel is a unit. Both see the same.
@@ -114,12 +114,12 @@ GALLERY += $(VOXRT_PICTURES) $(G)/voxrt_minimal.png
 
 # --- zbufrand: scenes of up to 6.8 * 10^11 triangles ---------------------------------------------------------------
 
-$(G)/zbufrand_forest_1.png: options = --scene forest --view 1 --aa 3
+$(G)/zbufrand_forest_1.png: options = --scene forest --view 1 --aa 2
 $(G)/zbufrand_forest_0.png: options = --scene forest --eye 0,42,7950 --at 0,13,7850 --fov 45 --aa 2
-$(G)/zbufrand_forest_2.png: options = --scene forest --view 2 --aa 3
-$(G)/zbufrand_forest_3.png: options = --scene forest --view 3 --aa 3
+$(G)/zbufrand_forest_2.png: options = --scene forest --view 2 --aa 2
+$(G)/zbufrand_forest_3.png: options = --scene forest --view 3 --aa 2
 $(G)/zbufrand_forest_4.png: options = --scene forest --view 4 --aa 3
-$(G)/zbufrand_city.png: options = --scene city --view 2 --aa 3
+$(G)/zbufrand_city.png: options = --scene city --view 2 --aa 2
 $(G)/zbufrand_chess.png: options = --scene chess --eye 0,0.016,0.995 --at 0,-0.004,0.9 --aa 4
 $(G)/zbufrand_landscape.png: options = --scene landscape --view 3
 
