@@ -79,7 +79,7 @@ $(B)/.flags: FORCE
 # --- pictures: the rules are in examples/demo.mk -------------------------------------------------
 
 -include examples/demo.mk bench/peers/peers.mk examples/web/web.mk
-demo: $(EXAMPLES) $(GALLERY)
+demo: $(GALLERY)
 	@echo "pictures are in $(G)/"
 
 # --- tests ---------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ VOX := $(G)/vox
 VOXRT_SCENES := $(addprefix $(VOX)/,sphere.vox gyroid.vox terrain.vox menger.vox cornell.vox pillars.vox blob.vox balls.vox)
 
 $(VOX)/sphere.vox: detail = --detail 256
-$(VOX)/gyroid.vox: detail = --detail 128
+$(VOX)/gyroid.vox: detail = --detail 96
 $(VOX)/terrain.vox: detail = --detail 512
 $(VOX)/menger.vox: detail = --detail 5
 $(VOX)/menger.vox $(VOX)/cornell.vox: res = 486
@@ -184,23 +184,23 @@ $(G)/tetcast_rbf_tornado.png: $(RBF)/tornado.rbf
 $(G)/tetcast_rbf_traces.png: $(RBF)/tornado.rbf
 	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf trace $< --out $@ --quiet --seeds 110
 $(G)/tetcast_rbf_ball.png: $(RBF)/ball.rbf
-	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf render $< $(NIGHT) --inside ball --shader lit --tf shells --samples 500 --size 640x640 --out $@ --quiet
+	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf render $< $(NIGHT) --inside ball --shader lit --tf shells --samples 300 --size 640x640 --out $@ --quiet
 
 GALLERY += $(G)/tetcast_rbf_tornado.png $(G)/tetcast_rbf_traces.png $(G)/tetcast_rbf_ball.png
 
 # Bricks: as fine as an error of 2 % asks for; and finest at one place, coarser away from it.
 $(G)/tetcast_bricks.png: $(B)/tetcast_bricks
-	@mkdir -p $(G)/bricks; echo "$@"; $(B)/tetcast_bricks resample --scene fins $(G)/bricks/fins.brk --max-error 0.02 --longest-end 513 --quiet && \
+	@mkdir -p $(G)/bricks; echo "$@"; $(B)/tetcast_bricks resample --scene fins $(G)/bricks/fins.brk --max-error 0.02 --longest-end 257 --quiet && \
 	  $(B)/tetcast_bricks render $(G)/bricks/fins.brk $(NIGHT) --tf hot --out $@ --quiet
 $(G)/tetcast_bricks_lod.png: $(B)/tetcast_bricks
-	@mkdir -p $(G)/bricks; echo "$@"; $(B)/tetcast_bricks resample --scene ball $(G)/bricks/ball.brk --max-error 0 --longest 129 --brick 8 --quiet && \
+	@mkdir -p $(G)/bricks; echo "$@"; $(B)/tetcast_bricks resample --scene ball $(G)/bricks/ball.brk --max-error 0 --longest 97 --brick 8 --quiet && \
 	  $(B)/tetcast_bricks render $(G)/bricks/ball.brk $(NIGHT) --iso 0.2 --focus 0.6,0.3,0.6 --radius 0.5 --out $@ --quiet
 
 # The flow around a blunt body as tetrahedra, bricks and functions.
-$(RBF)/bow.rbf: detail = --detail 32 --mean-error 0.01
+$(RBF)/bow.rbf: detail = --detail 24 --mean-error 0.01
 $(G)/tetcast_three.png: $(RBF)/bow.rbf $(B)/tetcast_bricks
-	@mkdir -p $(G)/bricks; echo "$@"; $(B)/tetcast_bricks resample --scene bow --detail 32 $(G)/bricks/bow.brk --max-error 0.02 --longest-end 257 --quiet && \
-	  $(B)/tetcast_bricks render $(G)/bricks/bow.brk $(NIGHT) --detail 32 --tf hot --reference bow --functions $< --size 400x400 --out $@ --quiet
+	@mkdir -p $(G)/bricks; echo "$@"; $(B)/tetcast_bricks resample --scene bow --detail 24 $(G)/bricks/bow.brk --max-error 0.02 --longest-end 257 --quiet && \
+	  $(B)/tetcast_bricks render $(G)/bricks/bow.brk $(NIGHT) --detail 24 --tf hot --reference bow --functions $< --size 400x400 --out $@ --quiet
 GALLERY += $(G)/tetcast_three.png
 
 GALLERY += $(GI_PICTURES) $(ZBUFRAND_PICTURES) $(G)/zbufrand_minimal.png $(TETCAST_PICTURES) $(G)/tetcast_minimal.png \
