@@ -134,8 +134,8 @@ $(G)/zbufrand_minimal.png: $(B)/minimal_zbufrand
 
 # --- voxrt: light that bounces -------------------------------------------------------------------------------------
 
-$(G)/voxrt_gi_cornell.png: options = --scene cornell --size 480x480 --res 512
-$(G)/voxrt_gi_atrium.png: options = --scene atrium --size 432x288 --res 1024
+$(G)/voxrt_gi_cornell.png: options = --scene cornell --size 400x400 --res 512
+$(G)/voxrt_gi_atrium.png: options = --scene atrium --size 360x240 --res 1024
 $(G)/voxrt_gi_openness.png: options = --scene atrium --size 432x288 --res 1024 --method ao --radius 3
 
 $(G)/voxrt_gi_still_life.png: options = --scene examples/still_life.txt --size 360x240 --grid 128 --shadow-filter 2
@@ -184,13 +184,13 @@ $(G)/tetcast_rbf_tornado.png: $(RBF)/tornado.rbf
 $(G)/tetcast_rbf_traces.png: $(RBF)/tornado.rbf
 	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf trace $< --out $@ --quiet --seeds 110
 $(G)/tetcast_rbf_ball.png: $(RBF)/ball.rbf
-	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf render $< $(NIGHT) --inside ball --shader lit --tf shells --samples 300 --size 640x640 --out $@ --quiet
+	@mkdir -p $(@D); echo "$@"; $(B)/tetcast_rbf render $< $(NIGHT) --inside ball --shader lit --tf shells --samples 500 --size 640x640 --out $@ --quiet
 
 GALLERY += $(G)/tetcast_rbf_tornado.png $(G)/tetcast_rbf_traces.png $(G)/tetcast_rbf_ball.png
 
 # Bricks: as fine as an error of 2 % asks for; and finest at one place, coarser away from it.
 $(G)/tetcast_bricks.png: $(B)/tetcast_bricks
-	@mkdir -p $(G)/bricks; echo "$@"; $(B)/tetcast_bricks resample --scene fins $(G)/bricks/fins.brk --max-error 0.02 --longest-end 257 --quiet && \
+	@mkdir -p $(G)/bricks; echo "$@"; $(B)/tetcast_bricks resample --scene fins $(G)/bricks/fins.brk --max-error 0.04 --longest-end 257 --quiet && \
 	  $(B)/tetcast_bricks render $(G)/bricks/fins.brk $(NIGHT) --tf hot --out $@ --quiet
 $(G)/tetcast_bricks_lod.png: $(B)/tetcast_bricks
 	@mkdir -p $(G)/bricks; echo "$@"; $(B)/tetcast_bricks resample --scene ball $(G)/bricks/ball.brk --max-error 0 --longest 97 --brick 8 --quiet && \
