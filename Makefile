@@ -45,7 +45,7 @@ STATIC := -DVOXRT_STATIC -DZBUFRAND_STATIC -DTETCAST_STATIC
 # -O3 is worth 8 % of the ray rate of voxrt.h and 12 % of a frame of zbufrand.h with gcc, nothing in tetcast.h
 $(EXAMPLES): OPT := $(STATIC)
 $(filter $(B)/voxrt_% $(B)/zbufrand_%,$(EXAMPLES)): OPT := -O3 $(STATIC)
-$(B)/voxrt_view: OPT := $(STATIC)
+$(B)/voxrt_view $(B)/voxrt_convert: OPT := $(STATIC)
 ifeq ($(origin CFLAGS),file)
 $(filter $(B)/minimal_%,$(EXAMPLES)): OPT := -O1 $(STATIC)
 endif
