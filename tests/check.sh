@@ -662,7 +662,15 @@ install_cmake() {
         "$ROOT" "$ROOT/$OUT/tu/$n/use.c" "$ROOT/$OUT/tu/$n/impl.c" > "$d/app/CMakeLists.txt"
     cmd cmake -S "$d/app" -B "$d/build" && cmd cmake --build "$d/build" && "$d/build/app"
 }
-group_install() { item "install make" install_make; item "install cmake" install_cmake; }
+install_meson() {
+    have meson && have ninja || skip "no meson" || return
+    local d=$OUT/meson n=${HEADERS[0]}; rm -rf "$d"; mkdir -p "$d/app/subprojects"; ln -s "$ROOT" "$d/app/subprojects/$n"
+    cp "$OUT/tu/$n/use.c" "$OUT/tu/$n/impl.c" "$d/app"
+    printf '[wrap-file]\ndirectory = %s\n\n[provide]\ndependency_names = voxrt, zbufrand, tetcast\n' $n > "$d/app/subprojects/$n.wrap"
+    printf "project('app', 'c')\nexecutable('app', 'use.c', 'impl.c', dependencies: dependency('%s'))\n" $n > "$d/app/meson.build"
+    cmd meson setup "$d/build" "$d/app" && cmd meson compile -C "$d/build" && "$d/build/app"
+}
+group_install() { item "install make" install_make; item "install cmake" install_cmake; item "install meson" install_meson; }
 
 # --- modes, sanitizers, emulators: the quick tests once more -----------------------------------------------------
 
