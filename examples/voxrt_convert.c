@@ -8,6 +8,7 @@
 #include "support/scenes.h"
 #define VOXRT_IMPLEMENTATION
 #include "voxrt.h"
+#include "support/finish.h"
 #include "support/voxel_file.h"
 
 typedef struct convert_options {
@@ -252,27 +253,6 @@ static void free_dressing(dressing *d) {
     SUP_FREE(d->of_material);
 }
 
-/* The illumination models of MTL files: 3, 5 and 8 mirror by Ks; 4, 6, 7 and 9 are glass, bent by Ni; d below 1 alone is a
-   thin pane. What is transparent shows its colour (Tf, else none) in what goes through. Returns 0 for a plain one. */
-static int finish_of(const sup_material *m, voxrt_finish *f) {
-    const int mirror = m->illum == 3 || m->illum == 5 || m->illum == 8;
-    const int glass = m->illum == 4 || m->illum == 6 || m->illum == 7 || m->illum == 9;
-    int any = 0;
-    memset(f, 0, sizeof *f);
-    f->diffuse = 1.0f;
-    f->shininess = m->shininess;
-    f->refraction = glass ? m->ni >= 0.0625f ? m->ni : 0.0f : 0.0f;
-    for (int a = 0; a < 3; a++) {
-        const float through = m->has_opacity || !glass ? 1.0f - m->opacity : m->has_transmit ? 1.0f : 0.0f;
-        f->specular[a] = m->illum == 0 || m->illum == 1 ? 0.0f : m->specular[a];
-        f->mirror[a] = mirror ? m->specular[a] < 1.0f ? m->specular[a] : 1.0f : 0.0f;
-        f->transparency[a] = through * m->transmit[a];
-        f->emission[a] = m->emission[a];
-        any |= f->specular[a] > 0.0f || f->mirror[a] > 0.0f || f->transparency[a] > 0.0f || f->emission[a] > 0.0f;
-    }
-    return any;
-}
-
 /* Finishes of materials, each once. Returns 1 when memory is short. More than there is room for are plain: *left. */
 static int make_finishes(const sup_mesh *mesh, dressing *d, size_t *left) {
     d->of_material = (uint8_t *)sup_alloc(mesh->material_count, 1);
@@ -281,7 +261,7 @@ static int make_finishes(const sup_mesh *mesh, dressing *d, size_t *left) {
         voxrt_finish f;
         size_t k = 0;
         d->of_material[i] = 0;
-        if (!finish_of(mesh->materials + i, &f)) continue;
+        if (!sup_finish_of(mesh->materials + i, &f)) continue;
         while (k < d->finish_count && memcmp(&d->finishes[k], &f, sizeof f) != 0) k++;
         if (k == MAX_FINISHES) {
             ++*left;
@@ -296,6 +276,9 @@ static int make_finishes(const sup_mesh *mesh, dressing *d, size_t *left) {
 static void sample_textures(void *user, voxrt_sample *sample) {
     sup_textured_sample((const sup_textured *)user, sample->triangle, sample->weight, sample->footprint, sample->color, sample->normal);
 }
+
+/* What is made has no finishes: palettes need no entries for them. */
+static int only_colors(const convert_options *o) { return o->paged || o->format == FORMAT_V4; }
 
 static size_t triangles_that_fit(void) {
     const size_t memory = sup_memory_limit();
@@ -334,7 +317,7 @@ static int dress(const char *program, const convert_options *o, sup_mesh *mesh, 
     }
     if (make_finishes(m, d, &left)) return sup_bad_input(program, "out of memory");
     if (left != 0 && !o->quiet) sup_warn(program, "more than 255 kinds of materials: the last ones have only their colours");
-    if (d->finish_count != 0) {
+    if (d->finish_count != 0 && !only_colors(o)) {
         d->of_triangle = (uint8_t *)sup_alloc(m->triangle_count, 1);
         if (d->of_triangle == NULL) return sup_bad_input(program, "out of memory");
         for (i = 0; i < m->triangle_count; i++)
@@ -640,7 +623,7 @@ int main(int argc, char **argv) {
     if (!status && c.tree != NULL) {
         voxrt_tree_info info;
         voxrt_tree_get_info(c.tree, &info);
-        c.had_finishes = info.finish_count != 0;
+        c.had_finishes |= info.finish_count != 0;
     }
     if (!status) status = edit(argv[0], &o, &env, &c);
     if (!status && c.tree != NULL) status = share(argv[0], &o, &env, &c);
@@ -648,8 +631,8 @@ int main(int argc, char **argv) {
         voxrt_tree_destroy(c.tree);
         return status;
     }
-    if (c.had_finishes && (o.edit || o.paged || o.format == FORMAT_V4) && !o.quiet)
-        sup_warn(argv[0], "edited voxels, files in pages and files of format 4 have colours only: mirrors, glass and other finishes are left out");
+    if (c.had_finishes && only_colors(&o) && !o.quiet)
+        sup_warn(argv[0], "files in pages and files of format 4 have colours only: mirrors, glass and other finishes are left out");
     start = sup_now();
     if (c.tree != NULL) status = write_out(&o, &env, c.tree, &err);
     c.write_seconds = sup_now() - start;

@@ -25,6 +25,7 @@ static void memory_fail_at(int64_t k) {
 #define SUP_FREE(ptr) memory_release(ptr)
 
 #include "../examples/support/displace.h"
+#include "../examples/support/finish.h"
 #include "../examples/support/scenes.h"
 #include "png_read.h"
 
@@ -467,6 +468,43 @@ TEST(materials_of_obj_files) {
     CHECK(k > 20 && k < 200);
 }
 
+/* What is written for opaque things by programs that turn transparency round must not vanish. */
+TEST(finishes_of_materials) {
+    static const struct { const char *mtl; int any; float through, index, mirror; } cases[] = {
+        {"Kd 1 1 1\nillum 2\n", 0, 0, 0, 0},
+        {"Ks 0.5\nNs 20\n", 1, 0, 0, 0},
+        {"Ks 0.5\nillum 1\n", 0, 0, 0, 0},
+        {"Ks 3 0.5 0\nillum 3\n", 1, 0, 0, 1},
+        {"d 0.25\n", 1, 0.75f, 0, 0},
+        {"Tr 0.25\nillum 4\nNi 1.5\n", 1, 0.25f, 1.5f, 0},
+        {"Tf 0.5\nillum 7\nNi 1.5\n", 1, 0.5f, 1.5f, 0},
+        {"Tf 1\nillum 6\nNi 1.3\n", 1, 1, 1.3f, 0},
+        {"illum 6\nNi 1.3\n", 0, 0, 1.3f, 0},
+        {"illum 4\nKd 0.5 0.5 0.5\nKa 0 0 0\nTf 1.00 1.00 1.00\nNi 1.00\n", 0, 0, 0, 0},
+        {"illum 4\nTf 1 1 1\nNi 1.00\nKs 0.5\nNs 18\n", 1, 0, 0, 0},
+        {"Tr 1\nillum 2\nNs 0\n", 0, 0, 0, 0},
+        {"Tr 1\nTf 1 0.5 1\n", 1, 1, 0, 0}, /* a colour can be seen */
+        {"Tr 1\nKe 0 0 1\n", 1, 1, 0, 0},
+        {"d 0.5\nillum 9\nNi 0.01\n", 1, 0.5f, 0, 0},
+    };
+    static const char text[] = "mtllib a.mtl\nusemtl x\nv 0 0 0\nv 4 0 0\nv 4 4 0\nf 1 2 3\n";
+    size_t i;
+    for (i = 0; i < sizeof cases / sizeof *cases; i++) {
+        char mtl[200];
+        file files[] = {{"a.mtl", mtl, 0}, {NULL, NULL, 0}};
+        sup_mesh m;
+        sup_error err;
+        voxrt_finish f;
+        files[0].size = (size_t)snprintf(mtl, sizeof mtl, "newmtl x\nKd 1 1 1\nKe 0\nmap_Kd none\n%s", cases[i].mtl);
+        REQUIRE(!sup_mesh_read_memory(text, sizeof text - 1, SUP_FORMAT_OBJ, "x.obj", open_files, files, &m, &err) && m.material_count == 1);
+        CHECK_MSG(sup_finish_of(m.materials, &f) == cases[i].any, "material %lu", (unsigned long)i);
+        CHECK_MSG(f.transparency[0] == cases[i].through && f.refraction == cases[i].index && f.mirror[0] == cases[i].mirror, "material %lu",
+                  (unsigned long)i);
+        sup_mesh_free(&m);
+    }
+    CHECK_EQ_I64(g_memory.live, 0);
+}
+
 TEST(concave_polygons_keep_their_coordinates) {
     static const char text[] = "mtllib a.mtl\nusemtl wood\nv 0 0 0\nv 4 0 0\nv 4 4 0\nv 2 1 0\nv 0 4 0\n"
                                "vt 0 0\nvt 4 0\nvt 4 4\nvt 2 1\nvt 0 4\nf 1/1 2/2 3/3 4/4 5/5\n";
@@ -519,6 +557,11 @@ TEST(bumps_and_displacement) {
     CHECK(sup_mesh_displace(&t, 0.25, 1000, &cut, &err) == 1 && cut.positions == NULL && err.text[0]);
     CHECK(sup_mesh_displace(&t, 1e-300, 0, &cut, &err) == 1 && sup_mesh_displace(&t, 0, 0, &cut, &err) == 1);
     CHECK(sup_mesh_displace(&t, (double)NAN, 0, &cut, &err) == 1);
+    m.positions[0] = INFINITY; /* of both triangles: they stay whole */
+    REQUIRE(!sup_mesh_displace(&t, 0.25, 0, &cut, &err));
+    CHECK(cut.triangle_count == 2);
+    sup_mesh_free(&cut);
+    m.positions[0] = 0;
     sup_textured_free(&t);
     sup_mesh_free(&m);
 
@@ -564,6 +607,7 @@ int main(int argc, char **argv) {
     RUN(hostile_png);
     RUN(textures_at_a_size);
     RUN(materials_of_obj_files);
+    RUN(finishes_of_materials);
     RUN(concave_polygons_keep_their_coordinates);
     RUN(bumps_and_displacement);
     RUN(scene_of_balls);

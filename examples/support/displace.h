@@ -26,6 +26,7 @@ SUP_FN uint32_t supi_cuts(const sup_textured *t, size_t triangle, double size) {
         for (a = 0; a < 3; a++) l += ((double)p[a] - (double)q[a]) * ((double)p[a] - (double)q[a]);
         longest = l > longest ? l : longest;
     }
+    if (!(longest <= DBL_MAX)) return 1; /* a corner that is nowhere: such triangles are left out later */
     longest = sqrt(longest) / size;
     return longest > 1.0 ? longest < (double)SUPI_CUTS_MOST ? (uint32_t)ceil(longest) : (uint32_t)SUPI_CUTS_MOST : 1u;
 }
@@ -133,7 +134,7 @@ SUP_FN void supi_displaced_pieces(const sup_textured *t, size_t triangle, uint32
 }
 
 /* Cut the triangles whose material has a displacement map to edges of at most `size` (about a voxel), and move their
-   corners along their normals. Neighbours are cut in different ways, which leaves gaps much smaller than `size`; where
+   corners along their normals. Neighbours are cut in different ways, which leaves gaps narrower than `size`; where
    normals of neighbours differ (creases) a gap as wide as the displacement makes it opens.
    t     in, its mesh; all indices must be in range
    most  triangles at most; 0: 2^31

@@ -374,8 +374,8 @@ SUP_FN int supi_png_pixel(const supi_png *p, const uint8_t *row, uint32_t x, uin
 /* Read a PNG file in memory.
    name  how messages name the file
    out   out: the picture; free with sup_image_free. Cleared on error
-   Returns 0, or 1 with err->text set. What is taken is at most 8 bytes a pixel and the packed bytes, and a file of n
-   bytes has at most 1032 n pixels of 1 bit. */
+   Returns 0, or 1 with err->text set. A file of n bytes has at most 1032 n unpacked bytes, which may be eight pixels
+   each; the 2 to 8 bytes of a pixel are taken when all is unpacked and its sum is right. */
 SUP_FN int sup_png_decode(const void *data, size_t size, const char *name, sup_image *out, sup_error *err) {
     static const uint8_t signature[8] = {0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a};
     supi_png p;
@@ -412,9 +412,12 @@ SUP_FN int sup_png_decode(const void *data, size_t size, const char *name, sup_i
         out->channels = (p.type == 3 ? 3u : p.samples) + (p.has_key ? 1u : 0u);
         raw = (uint8_t *)sup_alloc(total, 1);
         state = (supi_inflate *)sup_alloc(1, sizeof *state);
-        if (!sup_mul_size((size_t)p.width * out->channels, p.height, &pixels)) out->pixels = (uint16_t *)sup_alloc(pixels, 2);
-        if (!raw || !state || !out->pixels) failed = sup_fail(err, "%s: out of memory", name);
+        if (!raw || !state) failed = sup_fail(err, "%s: out of memory", name);
         else if (supi_unzip(state, p.packed, p.packed_size, raw, total)) failed = sup_fail(err, "%s: the picture is damaged", name);
+    }
+    if (!failed) {
+        if (!sup_mul_size((size_t)p.width * out->channels, p.height, &pixels)) out->pixels = (uint16_t *)sup_alloc(pixels, 2);
+        if (!out->pixels) failed = sup_fail(err, "%s: out of memory", name);
     }
     for (k = first; k < end && !failed; k++) {
         size_t bytes;
