@@ -297,7 +297,10 @@ typedef struct voxrt_env {
 
 /* What surfaces are beside their colour. What light does at one, in shares of it: `transparency` goes on, of the rest
    `mirror` is mirrored, and what is left is scattered and makes highlights, as voxrt_material says. All but emission,
-   absorption, specular and shininess are from 0 to 1; nothing is above 1e12. */
+   absorption, specular and shininess are from 0 to 1; nothing is above 1e12.
+   Bodies of glass are hulls whose normals point out of the glass, with nothing inside (no voxrt_build_desc.fill), and
+   some voxels thick at least. They may be in one another, up to three of different finishes, and overlap: then the one
+   that was entered last counts. A voxel has one finish, so surfaces that touch need a gap, or an overlap. */
 typedef struct voxrt_finish {
     float diffuse;         /* times the colour; 1: as surfaces without a finish */
     float specular[3];     /* highlights: specular * cos^shininess */
@@ -840,8 +843,8 @@ typedef struct voxrt_surface {
     uint8_t rgb[3];       /* sRGB */
     uint8_t face;         /* as voxrt_hit.face */
     uint32_t plane;       /* as voxrt_hit.plane: shadow rays need hardly be lifted */
-    const voxrt_finish *finish; /* NULL: plain. Valid as long as the geometry */
     float spread;         /* 0: one normal; else 1 - length of the mean of the unit normals in the cell */
+    const voxrt_finish *finish; /* NULL: plain. Valid as long as the geometry */
 } voxrt_surface;
 
 /* Anything a ray can hit: octrees, other trees, polygons. The nearest surface wins, all of them cast shadows.
@@ -4982,7 +4985,7 @@ static void voxrti_nearest_weights(const double u[3], const double v[3], const d
     const double w1 = vv * pu - uv * pv, w2 = uu * pv - uv * pu, side = uu - 2 * uv + vv;
     double best = 1e300;
     uint32_t e, a;
-    if (area > 0 && w1 >= 0 && w2 >= 0 && w1 + w2 <= area) {
+    if (area > 0 && area <= 1e300 && w1 >= 0 && w2 >= 0 && w1 + w2 <= area) {
         weight[1] = w1 / area;
         weight[2] = w2 / area;
     } else {
@@ -14194,7 +14197,7 @@ static float voxrti_highlight(const float dir[3], const float normal[3], const f
                               float shininess, float spread) {
     float v[3], along, weaker = 1.0f;
     uint32_t a;
-    if (spread > 0.0f) {
+    if (spread > 0.0f && shininess > 0.0f) {
         float narrow = shininess;
         shininess = shininess * (1.0f - spread) / (1.0f - spread + 4.0f * shininess * spread);
         weaker = (1.0f + shininess) / (1.0f + narrow);
@@ -14399,11 +14402,12 @@ static void voxrti_heat(const voxrti_render *c, const voxrt_ray *ray, float valu
    Surfaces are staircases of cubes around the real ones. A ray leaves one as high above it as shadow rays do, measured
    along the normal; it stays on its line unless that would take it far. What is nearer than that is not seen. Bodies of
    glass are hulls, a few voxels thick, with nothing inside. Behind the first voxel of a hull a ray may meet others: it
-   knows whether it is in a body, and passes those that do not go with that. Leaving a body leads into air.
+   knows in which bodies it is, up to three of different finishes around each other, and passes those voxels that do not
+   go with that. Leaving the innermost one leads into the one around it, or into air.
    --------------------------------------------------------------------------- */
 
 enum { VOXRTI_BOUNCES = 32, VOXRTI_BATCH = 16, VOXRTI_HEAP = 6 * VOXRTI_BATCH + VOXRTI_BOUNCES,
-       VOXRTI_PASSES = 8 };
+       VOXRTI_PASSES = 8, VOXRTI_BODIES = 3 };
 
 #define VOXRTI_HULL 1.75f /* voxels: how thick a staircase is at most */
 #define VOXRTI_CUTOFF (1.0f / 512.0f)
@@ -14415,7 +14419,8 @@ typedef struct voxrti_path {
     uint8_t pixel, depth;     /* number in the run; bounces so far */
     uint8_t passes;           /* voxels of a hull passed by */
     uint8_t clear;            /* 1: only went through things so far */
-    const voxrt_finish *body; /* what it is in; NULL: air */
+    uint8_t caught;           /* 1: the eye is in a body, and this has not left it: it may be in it for ever */
+    const voxrt_finish *body[VOXRTI_BODIES]; /* what it is in, the innermost first; NULL: air */
 } voxrti_path;
 
 enum { VOXRTI_FRONT = 0, VOXRTI_BACK = 1, VOXRTI_PASS = 2 };
@@ -14431,14 +14436,31 @@ VOXRTI_INLINE int voxrti_stored(const voxrti_render *c, const voxrt_surface *s) 
     return !c->d->face_normals && (s->normal[0] != 0.0f || s->normal[1] != 0.0f || s->normal[2] != 0.0f);
 }
 
-/* From which side a ray comes to what it met; PASS: that is no more than another voxel of a hull it went through. */
+/* From which side a ray comes to what it met; PASS: that is no more than another voxel of a hull it went through, or a
+   body in more bodies than a path keeps. */
 static uint32_t voxrti_path_side(const voxrti_render *c, const voxrt_surface *s, const float dir[3],
                                  const voxrti_path *from) {
-    uint32_t inside = from->body != NULL, behind;
-    if (!voxrti_stored(c, s)) return s->finish != NULL && voxrti_bends(s->finish) && inside;
-    behind = (uint32_t)voxrti_surface_behind(s, dir);
-    if (s->finish == NULL || !voxrti_bends(s->finish) || from->depth == 0 || behind == inside) return behind;
-    return VOXRTI_PASS;
+    const uint32_t bends = s->finish != NULL && voxrti_bends(s->finish);
+    uint32_t inside = 0, behind, i;
+    for (i = 0; bends && i < VOXRTI_BODIES; i++) inside |= from->body[i] == s->finish;
+    behind = voxrti_stored(c, s) ? (uint32_t)voxrti_surface_behind(s, dir) : inside;
+    if (inside && !behind && s->plane != 0) behind = voxrti_dot3(s->normal, dir) > 0.0f; /* planes are where they say */
+    if (bends && from->depth != 0 && behind != inside) return VOXRTI_PASS;
+    if (bends && !behind && from->body[VOXRTI_BODIES - 1] != NULL) return VOXRTI_PASS;
+    return behind;
+}
+
+/* Into a body, or out of it. Where bodies overlap the one that was entered last counts. */
+static void voxrti_path_cross(voxrti_path *path, const voxrt_finish *body, uint32_t side) {
+    uint32_t i, k = 0;
+    if (side == VOXRTI_FRONT) {
+        for (i = VOXRTI_BODIES - 1; i > 0; i--) path->body[i] = path->body[i - 1];
+        path->body[0] = body;
+    } else {
+        for (i = 0; i < VOXRTI_BODIES; i++)
+            if (path->body[i] != body) path->body[k++] = path->body[i];
+        for (; k < VOXRTI_BODIES; k++) path->body[k] = NULL;
+    }
 }
 
 /* Light on its way through a body. */
@@ -14451,11 +14473,22 @@ static void voxrti_path_fade(const voxrt_finish *body, float length, float weigh
     }
 }
 
+/* How far behind what it met at t a ray goes on at least: surfaces of the caller's may have cells of no size. */
+VOXRTI_INLINE float voxrti_path_least(const float org[3], float t, float length) {
+    float most = t * length;
+    uint32_t a;
+    for (a = 0; a < 3; a++) most += voxrti_absf(org[a]);
+    return 1e-6f * most;
+}
+
 /* A path along the unit vector u from the point p at t, and away from a surface: u.n > 0. high: how far above it. */
 static void voxrti_path_start(voxrti_path *o, const float p[3], float t, const float u[3], float length,
                               const float n[3], float high) {
-    float up = voxrti_dot3(u, n), far_off = high / (up > 0.25f ? up : 0.25f), rest = high - up * far_off;
+    float up = voxrti_dot3(u, n), far_off, rest, least = voxrti_path_least(p, t, length);
     uint32_t a;
+    if (!(high > least)) high = least;
+    far_off = high / (up > 0.25f ? up : 0.25f);
+    rest = high - up * far_off;
     for (a = 0; a < 3; a++) {
         o->dir[a] = u[a] * length;
         o->org[a] = p[a] + n[a] * (rest > 0.0f ? rest : 0.0f) - o->dir[a] * t;
@@ -14471,6 +14504,7 @@ static uint32_t voxrti_path_split(const voxrti_render *c, const voxrt_ray *ray, 
     float length = sqrtf(voxrti_dot3(ray->dir, ray->dir)), n[3], d[3], p[3], u[3], cosine, along, share = 0.0f, high;
     uint32_t a, count = 0, bends = (uint32_t)voxrti_bends(f), stored = (uint32_t)voxrti_stored(c, s);
     float mirror[3], through[3];
+    voxrti_path on = *from;
     if (from->depth >= c->bounces || !(length > 0.0f && length < 1e18f)) return 0;
     if (!voxrti_any3(f->mirror) && !voxrti_any3(f->transparency)) return 0;
     for (a = 0; a < 3; a++) {
@@ -14490,8 +14524,11 @@ static uint32_t voxrti_path_split(const voxrti_render *c, const voxrt_ray *ray, 
     }
     along = 1.0f;
     if (bends) { /* Snell; Fresnel, without polarisation */
-        const float eta = side == VOXRTI_BACK ? f->refraction : 1.0f / f->refraction;
-        const float square = 1.0f - eta * eta * (1.0f - cosine * cosine);
+        float eta = from->body[0] != NULL ? from->body[0]->refraction : 1.0f, square;
+        voxrti_path_cross(&on, f, side);
+        on.caught = 0;
+        if (on.body[0] != NULL) eta /= on.body[0]->refraction;
+        square = 1.0f - eta * eta * (1.0f - cosine * cosine);
         share = 1.0f;
         if (square > 0.0f) {
             float other = sqrtf(square), x = (eta * cosine - other) / (eta * cosine + other);
@@ -14501,6 +14538,12 @@ static uint32_t voxrti_path_split(const voxrti_render *c, const voxrt_ray *ray, 
             for (a = 0; a < 3; a++) u[a] = eta * d[a] + (eta * cosine - other) * n[a];
         } else {
             along = 0.0f; /* total reflection */
+        }
+        /* Light that came into a body gets out of it again, after more reflections than can be followed, too. */
+        if (side == VOXRTI_BACK && from->depth + 1u == c->bounces && !from->caught) {
+            for (a = 0; a < 3 && !(square > 0.0f); a++) u[a] = d[a];
+            share = 0.0f;
+            along = 1.0f;
         }
     } else {
         for (a = 0; a < 3; a++) u[a] = d[a];
@@ -14512,10 +14555,9 @@ static uint32_t voxrti_path_split(const voxrti_render *c, const voxrt_ray *ray, 
     if (along > 0.0f && voxrti_worth(through) && voxrti_normalize(u)) {
         float back[3];
         for (a = 0; a < 3; a++) back[a] = -n[a];
-        out[count] = *from;
+        out[count] = on;
         voxrti_path_start(&out[count], p, s->t, u, length, back, VOXRTI_HULL * s->edge);
         memcpy(out[count].weight, through, sizeof through);
-        if (bends) out[count].body = side == VOXRTI_BACK ? NULL : f;
         count++;
     }
     if (voxrti_worth(mirror)) {
@@ -14539,8 +14581,8 @@ static uint32_t voxrti_path_split(const voxrti_render *c, const voxrt_ray *ray, 
 
 /* On past a voxel of a hull. */
 static int voxrti_path_pass(const voxrt_surface *s, voxrti_path *path) {
-    float length = sqrtf(voxrti_dot3(path->dir, path->dir));
-    path->t_min = s->t + s->edge / length;
+    float length = sqrtf(voxrti_dot3(path->dir, path->dir)), least = voxrti_path_least(path->org, s->t, length);
+    path->t_min = s->t + (s->edge > least ? s->edge : least) / length;
     return ++path->passes <= VOXRTI_PASSES;
 }
 
@@ -14562,16 +14604,17 @@ static void voxrti_paths_add(const voxrti_render *c, voxrti_path *path, const vo
             if (voxrti_path_pass(&met[i], &path[i])) heap[(*count)++] = path[i];
             continue;
         }
-        if (path[i].body != NULL)
-            voxrti_path_fade(path[i].body, (met[i].t - path[i].t_from) * sqrtf(voxrti_dot3(ray[i].dir, ray[i].dir)), w);
+        if (path[i].body[0] != NULL)
+            voxrti_path_fade(path[i].body[0],
+                             (met[i].t - path[i].t_from) * sqrtf(voxrti_dot3(ray[i].dir, ray[i].dir)), w);
         for (a = 0; a < 3; a++) v[a] += w[a] * color[i][a];
         if (met[i].finish != NULL) *count += voxrti_path_split(c, &ray[i], &met[i], &path[i], side, heap + *count);
     }
 }
 
-/* The paths from what ray i of a run met. */
+/* The paths from what ray i of a run met. value: its colour; an eye in a body sees that through the body, too. */
 static uint32_t voxrti_run_split(const voxrti_render *c, const voxrt_ray *ray, const voxrt_surface *surface, uint32_t i,
-                                 voxrti_path *out) {
+                                 float value[4], voxrti_path *out) {
     voxrti_path eye;
     uint32_t side, a;
     if (!(surface->t < INFINITY) || surface->finish == NULL) return 0;
@@ -14581,8 +14624,10 @@ static uint32_t voxrti_run_split(const voxrti_render *c, const voxrt_ray *ray, c
     eye.clear = 1;
     side = voxrti_path_side(c, surface, ray->dir, &eye);
     if (side == VOXRTI_BACK && voxrti_bends(surface->finish)) { /* the eye is in it */
-        eye.body = surface->finish;
-        voxrti_path_fade(eye.body, surface->t * sqrtf(voxrti_dot3(ray->dir, ray->dir)), eye.weight);
+        eye.body[0] = surface->finish;
+        eye.caught = 1;
+        voxrti_path_fade(eye.body[0], surface->t * sqrtf(voxrti_dot3(ray->dir, ray->dir)), eye.weight);
+        for (a = 0; a < 3; a++) value[a] *= eye.weight[a];
     }
     return voxrti_path_split(c, ray, surface, &eye, side, out);
 }
@@ -14603,7 +14648,7 @@ static VOXRTI_NOINLINE void voxrti_run_bounce(const voxrti_render *c, const voxr
     for (;;) {
         for (; next < n && count < VOXRTI_BATCH; next++) {
             if (voxrti_view_at(c, voxrti_area_x(area, next)) != VOXRT_VIEW_SHADED) continue;
-            count += voxrti_run_split(c, &ray[next], &surface[next], next, heap + count);
+            count += voxrti_run_split(c, &ray[next], &surface[next], next, value[next], heap + count);
         }
         if (count == 0) return;
         m = count < VOXRTI_BATCH ? count : (uint32_t)VOXRTI_BATCH;
@@ -14630,6 +14675,12 @@ static VOXRTI_NOINLINE void voxrti_run_bounce(const voxrti_render *c, const voxr
     }
 }
 
+/* A shadow ray is at its light; what it passed through last may be around that. */
+static void voxrti_through_end(const voxrt_ray *ray, float length, voxrti_path *path, float through[3]) {
+    if (ray->t_max < INFINITY) voxrti_path_fade(path->body[0], (ray->t_max - path->t_from) * length, path->weight);
+    memcpy(through, path->weight, sizeof path->weight);
+}
+
 /* Light goes straight through glass on its way to a surface: it is not bent, and nothing is taken away by Fresnel. */
 static VOXRTI_NOINLINE void voxrti_run_through(const voxrti_render *c, const voxrt_trace_desc *td,
                                                const voxrt_ray *shadow,
@@ -14652,27 +14703,35 @@ static VOXRTI_NOINLINE void voxrti_run_through(const voxrti_render *c, const vox
         voxrti_run_trace(c, td, ray, met, NULL, count);
         for (i = kept = 0; i < count; i++) {
             const voxrt_finish *f = met[i].finish;
+            const float length = sqrtf(voxrti_dot3(ray[i].dir, ray[i].dir));
             voxrti_path *o = &path[i];
-            uint32_t side = met[i].t < INFINITY ? voxrti_path_side(c, &met[i], ray[i].dir, o) : 0u;
-            float length = sqrtf(voxrti_dot3(ray[i].dir, ray[i].dir)), slope = 1.0f;
-            if (!(met[i].t < INFINITY)) memcpy(through[o->pixel], o->weight, sizeof o->weight);
-            if (!(met[i].t < INFINITY) || f == NULL || !voxrti_any3(f->transparency)) continue;
-            if (o->depth == 0 && side == VOXRTI_BACK) o->body = f;
+            uint32_t side;
+            float slope = 1.0f, on, least;
+            if (!(met[i].t < INFINITY)) {
+                voxrti_through_end(&ray[i], length, o, through[o->pixel]);
+                continue;
+            }
+            if (f == NULL || !voxrti_any3(f->transparency)) continue;
+            side = voxrti_path_side(c, &met[i], ray[i].dir, o);
             if (side != VOXRTI_PASS) {
-                voxrti_path_fade(o->body, (met[i].t - o->t_from) * length, o->weight);
+                if (o->depth == 0 && side == VOXRTI_BACK && voxrti_bends(f)) voxrti_path_cross(o, f, VOXRTI_FRONT);
+                voxrti_path_fade(o->body[0], (met[i].t - o->t_from) * length, o->weight);
                 for (a = 0; a < 3; a++) o->weight[a] *= f->transparency[a];
-                if (voxrti_bends(f)) o->body = side == VOXRTI_BACK ? NULL : f;
+                if (voxrti_bends(f)) voxrti_path_cross(o, f, side);
                 o->t_from = met[i].t;
                 o->depth++;
+                o->passes = 0;
                 if (voxrti_stored(c, &met[i])) slope = voxrti_absf(voxrti_dot3(ray[i].dir, met[i].normal)) / length;
                 slope = VOXRTI_HULL / (slope > 0.25f ? slope : 0.25f);
             } else {
                 o->passes++;
             }
-            ray[i].t_min = met[i].t + slope * met[i].edge / length;
+            on = slope * met[i].edge;
+            least = voxrti_path_least(ray[i].org, met[i].t, length);
+            ray[i].t_min = met[i].t + (on > least ? on : least) / length;
             if (!voxrti_worth(o->weight) || o->depth > c->bounces || o->passes > VOXRTI_PASSES) continue;
             if (!(ray[i].t_min < ray[i].t_max)) {
-                memcpy(through[o->pixel], o->weight, sizeof o->weight);
+                voxrti_through_end(&ray[i], length, o, through[o->pixel]);
                 continue;
             }
             ray[kept] = ray[i];
