@@ -1020,8 +1020,8 @@ VOXRT_DEF void voxrt_group_geometry(const voxrt_group *group, voxrt_geometry *ou
 
 /* Voxels that change: blocks of 64^3 cells, each a small tree of its own, and a tree of the blocks above them. An edit
    makes anew the blocks it touches, with all their levels; a copy of a model has the same blocks as the model, so that
-   keeping one before an edit costs next to nothing (undo). Colours are exact, no palette is chosen;
-   finishes are not kept. */
+   keeping one before an edit costs next to nothing (undo). Colours are exact, no palette is chosen. Finishes are those
+   of the tree that a model was made from: what an edit fills is plain, what it paints keeps its finish. */
 typedef struct voxrt_model voxrt_model;
 
 /* field            zero means
@@ -1050,13 +1050,13 @@ typedef struct voxrt_model_info {
    Calls are independent. */
 VOXRT_DEF voxrt_result voxrt_model_create(const voxrt_model_desc *desc, voxrt_model **out_model);
 
-/* A model of what is in a tree, but for planes; depth, place and normals are the tree's. env may be NULL.
+/* A model of what is in a tree, but for planes and spread; depth, place and normals are the tree's. env may be NULL.
    O(voxels); holds 6 bytes a voxel and 16 a leaf node beside both. Errors: INVALID_ARG, RANGE (as above), NO_MEMORY. */
 VOXRT_DEF voxrt_result voxrt_model_from_tree(const voxrt_env *env, const voxrt_tree *tree, voxrt_model **out_model);
 
-/* A tree of what is in a model. desc may be NULL; palette, level of detail, colours and normals count, the rest comes
-   from the model. O(voxels). Errors: UNINIT_DESC, EMPTY, RANGE, NO_MEMORY. Thread safety: any number of calls on one
-   model. */
+/* A tree of what is in a model. desc may be NULL; palette, level of detail, colours, normals and spread count, the rest
+   comes from the model. O(voxels). Errors: UNINIT_DESC, EMPTY, RANGE, NO_MEMORY. Thread safety: any number of calls on
+   one model. */
 VOXRT_DEF voxrt_result voxrt_tree_from_model(const voxrt_build_desc *desc, const voxrt_model *model,
                                              voxrt_tree **out_tree);
 
@@ -2577,7 +2577,7 @@ VOXRTI_INLINE uint64_t voxrti_plane_count(const voxrt_tree *t) {
    finish: what surfaces are beside their colours.                               // >>finish
    On its way into a tree a colour has the number of its finish in bits 24 to 31; the palette of the tree has an entry
    for each pair that occurs. So cells cost the same with finishes and without, and trees without have none of this.
-   Models (see model) and octrees keep colours only.
+   Octrees keep colours only.
    --------------------------------------------------------------------------- */
 
 #define VOXRTI_FINISH_FLOATS 18u
@@ -2703,6 +2703,24 @@ static VOXRTI_UNUSED voxrt_result voxrti_finish_copy(voxrti_mem *mem, const voxr
     memcpy(t->finish, s->finish, s->finish_count * sizeof *t->finish);
     memcpy(t->entry_finish, s->entry_finish, s->palette_count);
     t->finish_count = s->finish_count;
+    return VOXRT_OK;
+}
+
+/* Numbers of the finishes that n colours have, ascending: those of the tree that is made of them. *out: NULL if there
+   are none. */
+static VOXRTI_UNUSED voxrt_result voxrti_finish_numbers(voxrti_mem *mem, const uint32_t *rgb, size_t n, uint8_t **out) {
+    uint8_t used[256];
+    uint32_t count = 0, k;
+    size_t i;
+    memset(used, 0, sizeof used);
+    for (i = 0; i < n; i++) used[rgb[i] >> 24] = 1;
+    for (k = 1; k < 256; k++) count += used[k];
+    *out = NULL;
+    if (count == 0) return VOXRT_OK;
+    *out = (uint8_t *)voxrti_alloc_array(mem, count, 1);
+    if (*out == NULL) return VOXRT_ERR_NO_MEMORY;
+    for (k = 1, i = 0; k < 256; k++)
+        if (used[k] != 0) (*out)[i++] = (uint8_t)k;
     return VOXRT_OK;
 }
 
@@ -6706,7 +6724,8 @@ static void voxrti_lod_node(voxrti_lod *l, uint32_t i, uint64_t cell, uint64_t o
             }
             if (majority || finishes) {
                 index[n] = majority ? l->value[cell] : l->value[cell] >> 24;
-                weight[n] = leaf ? 1u : (uint32_t)l->children[cell - first].count;
+                weight[n] = leaf ? l->leaves != NULL ? (uint32_t)l->leaves[cell].count : 1u :
+                            (uint32_t)l->children[cell - first].count;
             }
         }
         if (majority) {
@@ -7128,10 +7147,9 @@ VOXRT_DEF const voxrt_finish *voxrt_tree_finish(const voxrt_tree *tree, uint32_t
     return tree != NULL && palette_index < tree->palette_count ? voxrti_finish_of(tree, palette_index) : NULL;
 }
 
-VOXRT_DEF int voxrt_tree_get(const voxrt_tree *t, uint32_t level, uint32_t x, uint32_t y, uint32_t z,
-                             voxrt_voxel *out) {
+/* Is a cell filled? attr: index of its attributes, or NULL. */
+static int voxrti_tree_find(const voxrt_tree *t, uint32_t level, uint32_t x, uint32_t y, uint32_t z, uint64_t *attr) {
     uint32_t v, w, node = 0, slot = 0;
-    if (out != NULL) memset(out, 0, sizeof *out);
     if (t == NULL || level > t->depth || (x | y | z) >> level != 0) return 0;
     v = level + 2 * t->wide - t->depth;
     for (w = 0; v != 0; w++) {
@@ -7149,14 +7167,22 @@ VOXRT_DEF int voxrt_tree_get(const voxrt_tree *t, uint32_t level, uint32_t x, ui
         node = t->node[node].child + voxrti_popcount64(mask & (((uint64_t)1 << slot) - 1));
         if (w + 2 == t->wide) node = voxrti_leaf_at(t, node);
     }
+    if (attr != NULL)
+        *attr = t->code != NULL ? voxrti_shared_attr(t, level + 2 * t->wide - t->depth, x, y, z) :
+                                  voxrti_attr_index(t, v, node, slot);
+    return 1;
+}
+
+VOXRT_DEF int voxrt_tree_get(const voxrt_tree *t, uint32_t level, uint32_t x, uint32_t y, uint32_t z,
+                             voxrt_voxel *out) {
+    uint64_t attr = 0;
+    if (out != NULL) memset(out, 0, sizeof *out);
+    if (!voxrti_tree_find(t, level, x, y, z, out != NULL ? &attr : NULL)) return 0;
     if (out != NULL) {
         out->x = x;
         out->y = y;
         out->z = z;
-        if (t->code != NULL)
-            voxrti_attr_voxel(t, voxrti_shared_attr(t, level + 2 * t->wide - t->depth, x, y, z), out);
-        else
-            voxrti_attr_voxel(t, voxrti_attr_index(t, v, node, slot), out);
+        voxrti_attr_voxel(t, attr, out);
     }
     return 1;
 }
@@ -16217,6 +16243,7 @@ VOXRT_DEF void voxrt_group_geometry(const voxrt_group *group, voxrt_geometry *ou
 typedef struct voxrti_block {
     uint32_t users;   /* models that have it; atomic */
     voxrt_tree *tree; /* its palette has each colour */
+    uint8_t *finish;  /* [tree->finish_count] the model's numbers of the tree's finishes, or NULL */
     uint64_t bytes;
     voxrti_sum sum;   /* of all its voxels */
 } voxrti_block;
@@ -16224,6 +16251,7 @@ typedef struct voxrti_block {
 typedef struct voxrti_block_ref { /* what a group's functions get */
     const voxrt_model *model;
     const voxrt_tree *tree;
+    const uint8_t *finish;
 } voxrti_block_ref;
 
 struct voxrt_model {
@@ -16235,15 +16263,18 @@ struct voxrt_model {
     uint64_t *key;          /* [count] Morton codes of the blocks, ascending */
     voxrti_block **block;   /* [count] */
     size_t count;
-    voxrti_block_ref *part;      /* [count] */
+    voxrti_block_ref *part; /* [count] */
     voxrt_group *group;     /* of the parts, or NULL: nothing is filled */
     voxrt_tree *top;        /* of the blocks, or NULL: nothing is filled, or there is one block only */
+    uint8_t *top_finish;    /* [top->finish_count] as voxrti_block.finish */
+    voxrt_finish *finish;   /* [build.finish_count] which build has, too; all surfaces point to these, or NULL */
 };
 
 static void voxrti_block_drop(voxrti_block *b) {
     if (b != NULL && voxrti_atomic_add(&b->users, (uint32_t)-1) == 0) {
         voxrti_mem mem = b->tree->mem;
         voxrt_tree_destroy(b->tree);
+        voxrti_free(&mem, b->finish);
         voxrti_free(&mem, b);
     }
 }
@@ -16257,12 +16288,20 @@ static void voxrti_block_trace(void *user, const voxrt_trace_desc *desc, const v
     voxrt_hit hit[VOXRTI_RUN];
     size_t i;
     voxrti_tree_trace(p->tree, desc, 0, rays, surfaces, hit, (uint32_t)count);
+    for (i = 0; i < count; i++) { /* one finish has one place, in whatever block it is met */
+        if (hit[i].node != VOXRT_NO_NODE && surfaces[i].finish != NULL)
+            surfaces[i].finish = &m->finish[p->finish[surfaces[i].finish - p->tree->finish] - 1];
+    }
     for (i = 0; i < count && m->top != NULL; i++) { /* cells that more than this block is in */
-        voxrt_voxel v;
+        const voxrt_tree *top = m->top;
+        uint64_t attr;
+        uint32_t k;
         if (hit[i].node == VOXRT_NO_NODE || hit[i].level + m->log >= m->grid.depth) continue;
-        if (!voxrt_tree_get(m->top, hit[i].level, hit[i].cell[0], hit[i].cell[1], hit[i].cell[2], &v)) continue;
-        memcpy(surfaces[i].rgb, v.rgb, sizeof v.rgb);
-        if (v.has_normal) memcpy(surfaces[i].normal, v.normal, sizeof v.normal);
+        if (!voxrti_tree_find(top, hit[i].level, hit[i].cell[0], hit[i].cell[1], hit[i].cell[2], &attr)) continue;
+        voxrti_attr_color(top, attr, surfaces[i].rgb);
+        if (top->normal != NULL) voxrti_normal_decode(top->spherical, top->normal[attr], surfaces[i].normal);
+        k = top->entry_finish != NULL ? top->entry_finish[voxrti_color_index(top, attr)] : 0u;
+        surfaces[i].finish = k != 0 ? &m->finish[m->top_finish[k - 1] - 1] : NULL;
     }
 }
 
@@ -16297,8 +16336,11 @@ static voxrt_result voxrti_block_make(voxrti_mem *mem, const voxrt_model *m, vox
             for (a = 0; a < 3; a++) b->sum.normal[a] += (int64_t)(n[a] * 16384.0f);
         }
     }
-    r = voxrti_tree_from_leafset(mem, &m->build, &m->grid, set, NULL, &b->tree);
+    r = set->rgb != NULL ? voxrti_finish_numbers(mem, set->rgb, set->voxel_count, &b->finish) : VOXRT_OK;
+    if (r == VOXRT_OK) r = voxrti_tree_from_leafset(mem, &m->build, &m->grid, set, NULL, &b->tree);
+    else voxrti_leafset_free(mem, set);
     if (r != VOXRT_OK || b->tree == NULL) { /* the second for analyzers, which do not see that far */
+        voxrti_free(mem, b->finish);
         voxrti_free(mem, b);
         return r;
     }
@@ -16313,7 +16355,7 @@ static voxrt_result voxrti_block_make(voxrti_mem *mem, const voxrt_model *m, vox
         b->tree->cell_max[a] = end < most ? end : most;
     }
     voxrt_tree_get_info(b->tree, &info);
-    b->bytes = info.total_bytes + sizeof *b;
+    b->bytes = info.total_bytes + sizeof *b + info.finish_count;
     b->users = 1;
     *out = b;
     return VOXRT_OK;
@@ -16333,6 +16375,7 @@ static voxrt_result voxrti_model_index(voxrti_mem *mem, const voxrt_env *env, vo
     m->part = NULL;
     m->group = NULL;
     m->top = NULL;
+    m->top_finish = NULL;
     if (m->count == 0) return VOXRT_OK;
     e.error = NULL;
     e.memory_limit = 0; /* small beside the blocks */
@@ -16344,9 +16387,10 @@ static voxrt_result voxrti_model_index(voxrti_mem *mem, const voxrt_env *env, vo
     for (i = 0; r == VOXRT_OK && i < m->count; i++) {
         m->part[i].model = m;
         m->part[i].tree = m->block[i]->tree;
+        m->part[i].finish = m->block[i]->finish;
         g[i].trace_fn = voxrti_block_trace;
         g[i].occluded_fn = voxrti_block_occluded;
-        g[i].glass = 0;
+        g[i].glass = voxrti_tree_glass(m->part[i].tree);
         g[i].user = &m->part[i];
         voxrt_tree_bounds(m->part[i].tree, g[i].box_min, g[i].box_max);
     }
@@ -16376,8 +16420,11 @@ static voxrt_result voxrti_model_index(voxrti_mem *mem, const voxrt_env *env, vo
         set.mask[set.block_count - 1] |= (uint64_t)1 << (m->key[i] & 63u);
         sums[i] = m->block[i]->sum;
         if (set.rgb != NULL) {
-            const uint8_t *p = t->palette + (size_t)3 * voxrti_color_index(t, attr);
+            const uint32_t entry = voxrti_color_index(t, attr);
+            const uint8_t *p = t->palette + (size_t)3 * entry;
+            const uint32_t k = t->entry_finish != NULL ? t->entry_finish[entry] : 0u;
             set.rgb[i] = p[0] | (uint32_t)p[1] << 8 | (uint32_t)p[2] << 16;
+            if (k != 0) set.rgb[i] |= (uint32_t)m->block[i]->finish[k - 1] << 24;
         }
         if (set.normal != NULL) set.normal[i] = t->normal[attr];
     }
@@ -16385,7 +16432,9 @@ static voxrt_result voxrti_model_index(voxrti_mem *mem, const voxrt_env *env, vo
     grid.resolution = (uint32_t)1 << grid.depth;
     grid.voxel_size *= (double)((uint32_t)1 << m->log);
     set.sums = sums;
-    r = voxrti_tree_from_leafset(mem, &d, &grid, &set, NULL, &m->top);
+    if (set.rgb != NULL) r = voxrti_finish_numbers(mem, set.rgb, set.voxel_count, &m->top_finish);
+    if (r == VOXRT_OK) r = voxrti_tree_from_leafset(mem, &d, &grid, &set, NULL, &m->top);
+    else voxrti_leafset_free(mem, &set);
     voxrti_free(mem, sums);
     return r;
 }
@@ -16394,6 +16443,7 @@ static voxrt_result voxrti_model_index(voxrti_mem *mem, const voxrt_env *env, vo
 static void voxrti_model_unindex(voxrti_mem *mem, voxrt_model *m) {
     voxrt_group_destroy(m->group);
     voxrt_tree_destroy(m->top);
+    voxrti_free(mem, m->top_finish);
     voxrti_free(mem, m->part);
 }
 
@@ -16438,6 +16488,17 @@ static voxrt_result voxrti_model_open(const voxrt_env *env, uint32_t depth, cons
     return VOXRT_OK;
 }
 
+/* m gets finishes. */
+static voxrt_result voxrti_model_dress(voxrti_mem *mem, voxrt_model *m, const voxrt_finish *finish, size_t count) {
+    if (count == 0) return VOXRT_OK;
+    m->finish = (voxrt_finish *)voxrti_alloc_array(mem, count, sizeof *finish);
+    if (m->finish == NULL) return VOXRT_ERR_NO_MEMORY;
+    memcpy(m->finish, finish, count * sizeof *finish);
+    m->build.finishes = m->finish;
+    m->build.finish_count = count;
+    return VOXRT_OK;
+}
+
 /* env of a call, with the error cleared. */
 static void voxrti_model_env(const voxrt_env *env, voxrt_env *e) {
     memset(e, 0, sizeof *e);
@@ -16478,6 +16539,7 @@ VOXRT_DEF void voxrt_model_destroy(voxrt_model *model) {
         for (i = 0; i < model->count; i++) voxrti_block_drop(model->block[i]);
         voxrti_free(&mem, model->block);
         voxrti_free(&mem, model->key);
+        voxrti_free(&mem, model->finish);
         voxrti_free(&mem, model);
     }
 }
@@ -16502,7 +16564,8 @@ VOXRT_DEF voxrt_result voxrt_model_copy(const voxrt_env *env, const voxrt_model 
     m->spherical = model->spherical;
     m->key = (uint64_t *)voxrti_alloc_array(&mem, model->count, sizeof *m->key);
     m->block = (voxrti_block **)voxrti_alloc_array(&mem, model->count, sizeof *m->block);
-    if (m->key == NULL || m->block == NULL) {
+    r = voxrti_model_dress(&mem, m, model->finish, model->build.finish_count);
+    if (m->key == NULL || m->block == NULL || r != VOXRT_OK) {
         voxrt_model_destroy(m);
         return voxrti_fail(e.error, VOXRT_ERR_NO_MEMORY, 0, "out of memory");
     }
@@ -16568,13 +16631,16 @@ static voxrt_result voxrti_tree_leaves(voxrti_mem *mem, const voxrt_tree *t, uin
     return VOXRT_OK;
 }
 
-/* Colours of `count` voxels of a plain tree from number `first` on, 0x00BBGGRR. */
-static void voxrti_tree_rgb(const voxrt_tree *t, uint64_t first, size_t count, uint32_t *rgb) {
+/* Colours of `count` voxels of a plain tree from number `first` on, 0xFFBBGGRR; FF: number[finish], or 0 without
+   numbers. */
+static void voxrti_tree_rgb(const voxrt_tree *t, uint64_t first, size_t count, const uint8_t *number, uint32_t *rgb) {
     size_t i;
     voxrti_colors_decode(&t->colors, first, count, rgb);
     for (i = 0; i < count; i++) {
         const uint8_t *p = t->palette + (size_t)3 * rgb[i];
+        const uint32_t k = number != NULL && t->entry_finish != NULL ? t->entry_finish[rgb[i]] : 0u;
         rgb[i] = p[0] | (uint32_t)p[1] << 8 | (uint32_t)p[2] << 16;
+        if (k != 0) rgb[i] |= (uint32_t)number[k - 1] << 24;
     }
 }
 
@@ -16610,12 +16676,14 @@ static void voxrti_unpack_task(void *ctx, uint32_t task) {
     const uint64_t at = voxrti_attr_index(u->tree, 2 * u->tree->wide, from, 0);
     size_t voxels = 0, i;
     voxrti_leafset set;
+    uint8_t same[255];
+    for (i = 0; i < 255; i++) same[i] = (uint8_t)(i + 1); /* the model has the tree's finishes */
     for (i = 0; i < n; i++) voxels += voxrti_popcount64(u->tree->leaf[from + i]);
     u->result[task] = VOXRT_ERR_NO_MEMORY;
     if (!voxrti_model_set(u->mem, u->m, n, voxels, &set)) return;
     memcpy(set.key, u->key + from, n * sizeof *set.key);
     memcpy(set.mask, u->tree->leaf + from, n * sizeof *set.mask);
-    if (set.rgb != NULL) voxrti_tree_rgb(u->tree, at, voxels, set.rgb);
+    if (set.rgb != NULL) voxrti_tree_rgb(u->tree, at, voxels, same, set.rgb);
     if (set.normal != NULL) memcpy(set.normal, u->tree->normal + at, voxels * sizeof *set.normal);
     u->result[task] = voxrti_block_make(u->mem, u->m, &set, &u->block[task]);
 }
@@ -16680,7 +16748,8 @@ VOXRT_DEF voxrt_result voxrt_model_from_tree(const voxrt_env *env, const voxrt_t
         m->build.disable_normals = tree->normal == NULL;
         m->spherical = tree->spherical;
         m->grid.resolution = tree->resolution;
-        r = voxrti_model_unpack(&mem, &e, tree, m);
+        r = voxrti_model_dress(&mem, m, tree->finish, tree->finish_count);
+        if (r == VOXRT_OK) r = voxrti_model_unpack(&mem, &e, tree, m);
         if (r == VOXRT_OK) r = voxrti_model_index(&mem, &e, m);
         if (r != VOXRT_OK) {
             voxrt_model_destroy(m);
@@ -16722,14 +16791,18 @@ VOXRT_DEF voxrt_result voxrt_tree_from_model(const voxrt_build_desc *desc, const
         if (r == VOXRT_OK) {
             memcpy(set.key + leaves, key, n * sizeof *key);
             memcpy(set.mask + leaves, t->leaf, n * sizeof *t->leaf);
-            if (set.rgb != NULL) voxrti_tree_rgb(t, 0, (size_t)t->voxel_count, set.rgb + voxels);
+            if (set.rgb != NULL)
+                voxrti_tree_rgb(t, 0, (size_t)t->voxel_count, m->block[i]->finish, set.rgb + voxels);
             if (set.normal != NULL) memcpy(set.normal + voxels, t->normal, (size_t)t->voxel_count * sizeof *t->normal);
             leaves += n;
             voxels += (size_t)t->voxel_count;
         }
         voxrti_free(&mem, key);
     }
-    if (d.disable_colors) {
+    d.finishes = m->finish;
+    d.finish_count = m->build.finish_count;
+    for (i = 0; r == VOXRT_OK && d.disable_colors && d.finish_count != 0 && i < voxels; i++) set.rgb[i] |= 0xffffffu;
+    if (d.disable_colors && d.finish_count == 0) {
         voxrti_free(&mem, set.rgb);
         set.rgb = NULL;
     }
@@ -16954,8 +17027,10 @@ static int voxrti_edit_leaf(const voxrti_edit *e, const voxrti_patch *p, const u
             }
             continue;
         }
-        if (set->rgb != NULL)
+        if (set->rgb != NULL) {
             set->rgb[voxel] = e->set == NULL ? e->rgb : e->set->rgb != NULL ? e->set->rgb[in] : 0xffffffu;
+            if (e->op == VOXRT_EDIT_PAINT) set->rgb[voxel] |= rgb[old] & 0xff000000u;
+        }
         if (set->normal == NULL) continue;
         if (e->op == VOXRT_EDIT_PAINT) set->normal[voxel] = normal[old];
         else if (e->set == NULL) set->normal[voxel] = voxrti_edit_normal(e, x, y, z);
@@ -16994,7 +17069,7 @@ static void voxrti_edit_task(void *ctx, uint32_t task) {
         r = VOXRT_OK;
         if (old != NULL && set.rgb != NULL) {
             rgb = (uint32_t *)voxrti_alloc_array(e->mem, (size_t)old->voxel_count, sizeof *rgb);
-            if (rgb != NULL) voxrti_tree_rgb(old, 0, (size_t)old->voxel_count, rgb);
+            if (rgb != NULL) voxrti_tree_rgb(old, 0, (size_t)old->voxel_count, m->block[found]->finish, rgb);
             else r = VOXRT_ERR_NO_MEMORY;
         }
     }
@@ -17273,6 +17348,7 @@ VOXRT_DEF voxrt_result voxrt_model_mesh(voxrt_model *model, const voxrt_edit_des
         return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, model->grid.depth, "depth % is too large for triangles");
     memset(&built, 0, sizeof built);
     b = model->build;
+    b.finish_count = 0; /* what edits fill is plain */
     b.env = d.env;
     b.env.allocator = mem.allocator;
     r = voxrti_voxelize(&mem, &b, mesh, &model->grid, NULL, &built, &set);
@@ -17837,7 +17913,7 @@ static voxrt_result voxrti_page_finish(voxrti_page_writer *w) {
 /* Attributes of `count` cells of a plain tree from number `first` on. */
 static void voxrti_page_copy(const voxrt_tree *t, uint64_t first, uint32_t count, uint32_t *rgb, uint16_t *normal) {
     if (count == 0) return;
-    if (rgb != NULL) voxrti_tree_rgb(t, first, count, rgb);
+    if (rgb != NULL) voxrti_tree_rgb(t, first, count, NULL, rgb);
     if (normal != NULL && t->normal != NULL) memcpy(normal, t->normal + (size_t)first, count * sizeof *normal);
 }
 
@@ -17944,7 +18020,8 @@ static voxrt_result voxrti_tree_save_paged(voxrti_mem *mem, const voxrt_save_des
     memcpy(w.hi, t->cell_max, sizeof w.hi);
     w.voxels = t->voxel_count;
     w.root_rgb = 0xffffffu;
-    if (r == VOXRT_OK && (w.flags & VOXRTI_V5_HAS_COLORS) != 0) voxrti_tree_rgb(t, t->attr_first[0], 1, &w.root_rgb);
+    if (r == VOXRT_OK && (w.flags & VOXRTI_V5_HAS_COLORS) != 0)
+        voxrti_tree_rgb(t, t->attr_first[0], 1, NULL, &w.root_rgb);
     if (t->normal != NULL && !d->disable_normals) w.root_normal = t->normal[(size_t)t->attr_first[0]];
     if (r == VOXRT_OK) r = voxrti_page_finish(&w);
     voxrti_page_end(&w);

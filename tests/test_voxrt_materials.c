@@ -1390,6 +1390,101 @@ TEST(hostile_files) {
     voxrt_tree_destroy(t);
 }
 
+/* ---- models ---- */
+
+/* Finish of what a ray meets; level: cells of that level. */
+static const voxrt_finish *finish_at(const voxrt_geometry *g, uint32_t level, float x, float y, float z) {
+    voxrt_trace_desc td;
+    voxrt_surface s;
+    voxrt_ray ray;
+    memset(&td, 0, sizeof td);
+    memset(&ray, 0, sizeof ray);
+    memset(&s, 0, sizeof s);
+    td.max_level_plus_1 = level + 1;
+    ray.org[0] = x;
+    ray.org[1] = y;
+    ray.org[2] = z - 100;
+    ray.dir[2] = 1;
+    ray.t_max = INFINITY;
+    s.t = INFINITY;
+    g->trace_fn(g->user, &td, &ray, &s, 1);
+    CHECK(s.t < INFINITY);
+    return s.finish;
+}
+
+/* A model of a ball of glass, a mirror and a floor that go through many blocks: pictures and trees are those of the tree
+   it was made from. Edits make plain voxels; what is painted keeps its finish. */
+TEST(models_keep_finishes) {
+    voxrt_finish f[3];
+    voxrt_tree *t, *u = NULL;
+    voxrt_model *m = NULL, *copy = NULL;
+    voxrt_geometry g;
+    voxrt_render_desc d;
+    voxrt_edit_desc e;
+    voxrt_build_desc b;
+    voxrt_tree_info info;
+    const double lo[3] = {0, 0, 0}, hi[3] = {2, 2, 2}, from[3] = {0.9, 0.2, 0}, to[3] = {1.1, 0.5, 2};
+    uint32_t number, level, x, y, different, kinds;
+    mirror(&f[0], 0.6f);
+    glass(&f[1], 0.9f, 1.5f);
+    mirror(&f[2], 0.25f);
+    for (number = 1; number < 3; number++) {
+        t = make_mesh(200, 0, f, 3, (int)number, NULL);
+        REQUIRE(t != NULL && voxrt_model_from_tree(NULL, t, &m) == VOXRT_OK && voxrt_model_copy(NULL, m, &copy) == VOXRT_OK);
+        CHECK(voxrt_tree_from_model(NULL, copy, &u) == VOXRT_OK && voxrt_tree_hash(u) == voxrt_tree_hash(t));
+        voxrt_tree_destroy(u);
+        look(&d, 1.3f, 2.2f, 4.0f, 1, 0.8f, 1);
+        d.shadows = 1;
+        CHECK(draw(&d, t, picture[0]));
+        voxrt_model_geometry(copy, &g);
+        voxrt_model_destroy(m); /* what it shared stays */
+        CHECK(g.glass == (number == 2));
+        d.geometry = &g;
+        d.geometry_count = 1;
+        CHECK(draw(&d, NULL, picture[1]));
+        CHECK(memcmp(picture[0], picture[1], sizeof picture[0]) == 0);
+        for (level = 0; level <= 8; level++) { /* also of cells larger than blocks */
+            voxrt_geometry whole;
+            voxrt_tree_geometry(t, &whole);
+            for (y = different = kinds = 0; y < 20; y++) {
+                for (x = 0; x < 20; x++) {
+                    const float px = 0.6f + 0.04f * (float)x, py = 0.22f + 0.06f * (float)y, off = (px - 1) * (px - 1) + (py - 1) * (py - 1);
+                    const voxrt_finish *one, *other;
+                    if (off > 0.24f && py > 0.28f) continue;
+                    one = finish_at(&whole, level, px, py, 0);
+                    other = finish_at(&g, level, px, py, 0);
+                    different += (one == NULL) != (other == NULL) || (one != NULL && memcmp(one, other, sizeof *one) != 0);
+                    kinds |= one == NULL ? 1u : 2u;
+                }
+            }
+            CHECK_MSG(different == 0, "level %u: %u finishes differ", level, different);
+            CHECK(level < 6 || kinds == 3);
+        }
+        memset(&e, 0, sizeof e);
+        e.op = VOXRT_EDIT_PAINT;
+        e.rgb[0] = 200;
+        CHECK(voxrt_model_box(copy, &e, lo, hi, NULL) == VOXRT_OK);
+        voxrt_model_geometry(copy, &g);
+        CHECK(finish_at(&g, 8, 1, 1, 0) != NULL && finish_at(&g, 8, 1, 1, 0)->mirror[0] == f[number - 1].mirror[0]);
+        CHECK(finish_at(&g, 8, 1, 0.25f, 0) == NULL);
+        e.op = VOXRT_EDIT_SET;
+        CHECK(voxrt_model_box(copy, &e, from, to, NULL) == VOXRT_OK);
+        voxrt_model_geometry(copy, &g);
+        CHECK(finish_at(&g, 8, 1, 1, 0) != NULL && finish_at(&g, 8, 1, 0.49f, 0) == NULL);
+        memset(&b, 0, sizeof b);
+        b.disable_colors = 1;
+        CHECK(voxrt_tree_from_model(&b, copy, &u) == VOXRT_OK);
+        voxrt_tree_get_info(u, &info);
+        CHECK(info.finish_count == 1 && info.palette_count == 2);
+        voxrt_tree_destroy(u);
+        e.op = VOXRT_EDIT_CLEAR;
+        CHECK(voxrt_model_sphere(copy, &e, hi, 9, NULL) == VOXRT_OK);
+        CHECK(voxrt_tree_from_model(NULL, copy, &u) == VOXRT_ERR_EMPTY);
+        voxrt_model_destroy(copy);
+        voxrt_tree_destroy(t);
+    }
+}
+
 /* ---- textures by a function ---- */
 
 typedef struct paint { const float (*corner)[3]; const uint32_t (*triangle)[3]; uint32_t calls; } paint;
@@ -1656,6 +1751,47 @@ TEST(memory_runs_out) {
     CHECK_MSG(done && k > 30, "%d after %ld", done, (long)k);
 }
 
+TEST(memory_of_models_runs_out) {
+    voxrt_finish f[2];
+    const double lo[3] = {0, 0, 0}, hi[3] = {1, 1, 1};
+    voxrt_tree *t;
+    int64_t k;
+    int done = 0;
+    mirror(&f[0], 0.5f);
+    glass(&f[1], 0.5f, 1.5f);
+    t = make_mesh(72, 0, f, 2, 2, NULL); /* some blocks */
+    REQUIRE(t != NULL);
+    for (k = 0; !done && k < 4000; k += test_quick() ? 7 : 1) {
+        test_alloc ta;
+        voxrt_env e;
+        voxrt_tree *u = NULL;
+        voxrt_model *model = NULL, *other = NULL;
+        voxrt_edit_desc edit;
+        voxrt_build_desc built;
+        test_alloc_init(&ta);
+        ta.fail_at = k;
+        memset(&e, 0, sizeof e);
+        memset(&edit, 0, sizeof edit);
+        memset(&built, 0, sizeof built);
+        e.thread_count = 1;
+        e.allocator.alloc_fn = test_alloc_fn;
+        e.allocator.free_fn = test_free_fn;
+        e.allocator.user = &ta;
+        edit.env = built.env = e;
+        if (voxrt_model_from_tree(&e, t, &model) == VOXRT_OK && voxrt_model_copy(&e, model, &other) == VOXRT_OK &&
+            voxrt_model_box(other, &edit, lo, hi, NULL) == VOXRT_OK && voxrt_tree_from_model(&built, model, &u) == VOXRT_OK) {
+            CHECK(voxrt_tree_hash(u) == voxrt_tree_hash(t));
+            done = 1;
+        }
+        voxrt_tree_destroy(u);
+        voxrt_model_destroy(model);
+        voxrt_model_destroy(other);
+        test_alloc_check(&ta);
+    }
+    CHECK_MSG(done && k > 100, "%d after %ld", done, (long)k);
+    voxrt_tree_destroy(t);
+}
+
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(mirrors_show_the_mirrored_scene);
@@ -1682,10 +1818,12 @@ int main(int argc, char **argv) {
     RUN(bad_descs);
     RUN(files_keep_finishes);
     RUN(hostile_files);
+    RUN(models_keep_finishes);
     RUN(samples_are_where_they_say);
     RUN(samples_of_huge_triangles);
     RUN(highlights_of_coarser_levels);
     RUN(spread_between_levels);
     RUN(memory_runs_out);
+    RUN(memory_of_models_runs_out);
     return test_end();
 }
