@@ -14288,6 +14288,14 @@ static VOXRTI_NOINLINE void voxrti_run_light(const voxrti_render *c, const voxrt
     }
     for (k = 0; k < m; k++) {
         const voxrt_finish *f = surface[i = index[k]].finish;
+        if (f == NULL && !(shadows && c->glass)) {
+            if (dark[k]) continue;
+            for (a = 0; a < 3; a++) {
+                bright[i][a] += diffuse[k] * light->color[a];
+                shine[i][a] += specular[k] * light->color[a];
+            }
+            continue;
+        }
         if (dark[k] && !c->glass) continue;
         for (a = 0; a < 3; a++) {
             float color = light->color[a];
@@ -14298,10 +14306,11 @@ static VOXRTI_NOINLINE void voxrti_run_light(const voxrti_render *c, const voxrt
     }
 }
 
-/* View of a pixel column: split pictures show three. */
-VOXRTI_INLINE voxrt_view voxrti_view_at(const voxrti_render *c, uint32_t x) {
-    uint64_t third = (uint64_t)3 * x / c->image->width;
+/* View of pixel i of a run: split pictures show three. */
+VOXRTI_INLINE voxrt_view voxrti_view_at(const voxrti_render *c, const voxrti_area *area, uint32_t i) {
+    uint64_t third;
     if (c->d->view != VOXRT_VIEW_SPLIT) return c->d->view;
+    third = (uint64_t)3 * voxrti_area_x(area, i) / c->image->width;
     return third == 0 ? VOXRT_VIEW_UNLIT : third == 1 ? VOXRT_VIEW_SHADED : VOXRT_VIEW_LIGHT;
 }
 
@@ -14357,6 +14366,8 @@ static void voxrti_run_shade(const voxrti_render *c, const voxrt_trace_desc *td,
                              const voxrt_surface *surface, const float (*normal)[3], const voxrti_area *area,
                              uint32_t n, float (*value)[4]) {
     float bright[VOXRTI_RUN][3], shine[VOXRTI_RUN][3], full = c->d->thesis_compose ? 255.0f : 1.0f;
+    const voxrt_view all = area != NULL ? c->d->view : VOXRT_VIEW_SHADED; /* or split */
+    const int plain = all == VOXRT_VIEW_SHADED && !c->d->thesis_compose && c->d->stage != VOXRT_STAGE_TRACE;
     uint32_t i, a, l, lit = 0, hits = 0;
     for (i = 0; i < n; i++) hits += surface[i].t < INFINITY;
     if (hits == 0) {
@@ -14364,7 +14375,7 @@ static void voxrti_run_shade(const voxrti_render *c, const voxrt_trace_desc *td,
         return;
     }
     for (i = 0; i < n; i++) {
-        voxrt_view view = area != NULL ? voxrti_view_at(c, voxrti_area_x(area, i)) : VOXRT_VIEW_SHADED;
+        voxrt_view view = all == VOXRT_VIEW_SPLIT ? voxrti_view_at(c, area, i) : all;
         lit |= (view == VOXRT_VIEW_SHADED || view == VOXRT_VIEW_LIGHT) && surface[i].t < INFINITY;
         for (a = 0; a < 3; a++) {
             bright[i][a] = c->material.ambient[a];
@@ -14374,12 +14385,16 @@ static void voxrti_run_shade(const voxrti_render *c, const voxrt_trace_desc *td,
     for (l = 0; lit && l < c->light_count; l++)
         voxrti_run_light(c, td, &c->lights[l], ray, surface, normal, n, bright, shine);
     for (i = 0; i < n; i++) {
-        voxrt_view view = area != NULL ? voxrti_view_at(c, voxrti_area_x(area, i)) : VOXRT_VIEW_SHADED;
+        voxrt_view view = all == VOXRT_VIEW_SPLIT ? voxrti_view_at(c, area, i) : all;
         const voxrt_finish *f = view == VOXRT_VIEW_SHADED ? surface[i].finish : NULL;
         float *v = value[i];
         v[0] = v[1] = v[2] = v[3] = 0.0f;
         if (!(surface[i].t < INFINITY)) continue;
         v[3] = full;
+        if (plain && f == NULL) {
+            for (a = 0; a < 3; a++) v[a] = c->srgb.linear[surface[i].rgb[a]] * bright[i][a] + shine[i][a];
+            continue;
+        }
         for (a = 0; a < 3; a++) {
             float color = view == VOXRT_VIEW_LIGHT || c->d->stage == VOXRT_STAGE_TRACE ? full :
                           c->d->thesis_compose ? (float)surface[i].rgb[a] : c->srgb.linear[surface[i].rgb[a]];
@@ -14673,7 +14688,7 @@ static VOXRTI_NOINLINE void voxrti_run_bounce(const voxrti_render *c, const voxr
     uint32_t count = 0, next = 0, i, m;
     for (;;) {
         for (; next < n && count < VOXRTI_BATCH; next++) {
-            if (voxrti_view_at(c, voxrti_area_x(area, next)) != VOXRT_VIEW_SHADED) continue;
+            if (voxrti_view_at(c, area, next) != VOXRT_VIEW_SHADED) continue;
             count += voxrti_run_split(c, &ray[next], &surface[next], next, value[next], heap + count);
         }
         if (count == 0) return;
@@ -14811,7 +14826,7 @@ static void voxrti_surface_blend(const voxrt_tree *t, const voxrt_trace_desc *td
 static void voxrti_tree_trace(const voxrt_tree *tree, const voxrt_trace_desc *td, uint32_t bare, const voxrt_ray *ray,
                               voxrt_surface *surface, voxrt_hit *hit, uint32_t n) {
     uint64_t attr[VOXRTI_RUN];
-    uint32_t i;
+    uint32_t i, entry;
     if (voxrt_trace(tree, td, ray, hit, n) != VOXRT_OK) memset(hit, 0xff, n * sizeof *hit);
     if (!bare) voxrti_hit_attrs(td->isa, tree, hit, n, attr);
     for (i = 0; i < n; i++) {
@@ -14824,8 +14839,9 @@ static void voxrti_tree_trace(const voxrt_tree *tree, const voxrt_trace_desc *td
         s->plane = hit[i].plane;
         s->edge = (float)(tree->voxel_size * (double)((uint32_t)1 << (tree->depth - hit[i].level)));
         if (bare) continue;
-        voxrti_attr_color(tree, attr[i], s->rgb);
-        if (tree->entry_finish != NULL) s->finish = voxrti_finish_of(tree, voxrti_color_index(tree, attr[i]));
+        entry = voxrti_color_index(tree, attr[i]);
+        memcpy(s->rgb, tree->palette + (size_t)3 * entry, 3);
+        if (tree->entry_finish != NULL) s->finish = voxrti_finish_of(tree, entry);
         if (tree->normal != NULL) voxrti_normal_decode(tree->spherical, tree->normal[attr[i]], s->normal);
         if (tree->spread != NULL) s->spread = voxrti_spread_of(tree, attr[i]);
         if (td->blend) voxrti_surface_blend(tree, td, &hit[i], s);

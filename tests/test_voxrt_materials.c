@@ -185,6 +185,38 @@ TEST(bounces_end) {
     voxrt_tree_destroy(t);
 }
 
+/* Half of the light that comes to one of `count` panes, 8 apart, is mirrored: what of it leaves, by the rules of paths. */
+static double leaves(int count, double x, int up, double weight, uint32_t depth, uint32_t bounces) {
+    int next = up ? (int)ceil(x) : (int)floor(x); /* x is between panes */
+    if (next < 0 || next >= count) return weight;
+    if (depth == bounces || 0.5 * weight < 1 / 512.0) return 0;
+    return leaves(count, next + 0.5, 1, 0.5 * weight, depth + 1, bounces) + leaves(count, next - 0.5, 0, 0.5 * weight, depth + 1, bounces);
+}
+
+/* Each bounce makes two rays of one: more than are kept at a time. */
+TEST(many_rays_wait) {
+    static const uint32_t bounces[4] = {32, 8, 5, 2};
+    voxrt_finish f;
+    voxrt_render_desc d;
+    voxrt_tree *t;
+    uint32_t i, k;
+    cells.n = 0;
+    glass(&f, 0.5f, 0);
+    f.mirror[0] = f.mirror[1] = f.mirror[2] = 1;
+    for (i = 0; i < 8; i++) add_wall(3 + 8 * i, 0, 0, 0, 1);
+    t = make(&f, 1);
+    for (k = 0; k < 4; k++) {
+        const double expect = leaves(8, 3.5, 0, 1, 0, bounces[k]);
+        look_unlit(&d, 1, 31, 32.3f, 32.4f, 3, 32.35f, 32.45f);
+        d.bounces_plus_1 = bounces[k] + 1;
+        for (i = 0; i < 4; i++) d.background[i] = 1;
+        CHECK(draw(&d, t, picture[0]));
+        CHECK((k == 3 || expect > 0) && expect < 1);
+        for (i = 0; i < SIDE * SIDE; i += 97) CHECK_NEAR(picture[0][i][1], expect, 1e-6);
+    }
+    voxrt_tree_destroy(t);
+}
+
 /* ---- glass ---- */
 
 /* One surface, seen at an angle: directions and shares of what goes on. */
@@ -1796,6 +1828,7 @@ int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(mirrors_show_the_mirrored_scene);
     RUN(bounces_end);
+    RUN(many_rays_wait);
     RUN(snell_and_fresnel);
     RUN(ridges);
     RUN(glass_shifts_what_is_behind_it);
