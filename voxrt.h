@@ -924,7 +924,8 @@ typedef struct voxrt_states {
    pixel_step        1: a ray for each pixel. k, up to 8: one for each block of k x k pixels, for fast previews
    bounces_plus_1    8 bounces in mirrors and glass; k+1: k of them, up to 32. 1: none, mirrors and glass are opaque.
                      Surfaces without a finish send no rays on; nor do thesis_compose and views that are not shaded.
-                     What is behind more bounces, or less than 1/512 of a pixel, is black
+                     What is behind more bounces, or less than 1/512 of a pixel, is black; but the last one lets out of
+                     glass what came into it
    lod_split         off. k+1: left half of the picture at most octree level k, for comparison
    background        transparent; linear RGBA, premultiplied */
 typedef struct voxrt_render_desc {
