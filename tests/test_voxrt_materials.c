@@ -1569,6 +1569,39 @@ TEST(models_keep_finishes) {
     }
 }
 
+/* One full block and three with a voxel each: the cell around them has what most voxels have, not most blocks. */
+TEST(blocks_count_by_their_voxels) {
+    voxrt_finish f[2];
+    voxrt_build_desc d;
+    voxrt_tree *t = NULL;
+    voxrt_model *m = NULL;
+    voxrt_geometry g, whole;
+    uint32_t level;
+    mirror(&f[0], 0.25f);
+    mirror(&f[1], 0.5f);
+    cells.n = 0;
+    add_box(0, 8, 0, 8, 0, 8, 255, 255, 255, 1);
+    add(64, 0, 0, 255, 255, 255, 2);
+    add(0, 64, 0, 255, 255, 255, 2);
+    add(64, 64, 0, 255, 255, 255, 2);
+    add(200, 200, 200, 255, 255, 255, 0);
+    memset(&d, 0, sizeof d);
+    d.finishes = f;
+    d.finish_count = 2;
+    d.voxel_finish = cells.finish;
+    REQUIRE(voxrt_tree_from_voxels(&d, cells.v, cells.n, 8, &t) == VOXRT_OK && voxrt_model_from_tree(NULL, t, &m) == VOXRT_OK);
+    voxrt_tree_geometry(t, &whole);
+    voxrt_model_geometry(m, &g);
+    for (level = 0; level <= 8; level++) {
+        CHECK(finish_at(&whole, level, 0.5f, 0.5f, 0)->mirror[0] == 0.25f && finish_at(&g, level, 0.5f, 0.5f, 0)->mirror[0] == 0.25f);
+        CHECK(finish_at(&whole, level, 64.5f, 0.5f, 0)->mirror[0] == (level < 2 ? 0.25f : 0.5f));
+        CHECK(finish_at(&g, level, 64.5f, 0.5f, 0)->mirror[0] == (level < 2 ? 0.25f : 0.5f));
+    }
+    CHECK(finish_at(&g, 8, 200.5f, 200.5f, 180) == NULL && finish_at(&g, 0, 0.5f, 0.5f, 0) == finish_at(&g, 8, 0.5f, 0.5f, 0)); /* one place */
+    voxrt_model_destroy(m);
+    voxrt_tree_destroy(t);
+}
+
 /* ---- textures by a function ---- */
 
 typedef struct paint { const float (*corner)[3]; const uint32_t (*triangle)[3]; uint32_t calls; } paint;
@@ -1905,6 +1938,7 @@ int main(int argc, char **argv) {
     RUN(files_keep_finishes);
     RUN(hostile_files);
     RUN(models_keep_finishes);
+    RUN(blocks_count_by_their_voxels);
     RUN(samples_are_where_they_say);
     RUN(samples_of_huge_triangles);
     RUN(highlights_of_coarser_levels);

@@ -1,6 +1,6 @@
-/* fuzz_render.c - bytes as voxels, camera, lights, material, an instance and options: a picture of finite numbers, the same
-   for every isa and number of threads, or a refusal. Bytes: voxels, 8 of options; 5 a voxel; then 16-bit numbers, odd: a
-   multiple of 1/64, even: the upper half of a float. */
+/* fuzz_render.c - bytes as voxels, camera, lights, material, an instance, finishes and options: a picture of finite numbers,
+   the same for every isa and number of threads, or a refusal. Bytes: voxels, 8 of options; 5 a voxel; then 16-bit numbers,
+   odd: a multiple of 1/64, even: the upper half of a float. */
 #define VOXRT_IMPLEMENTATION
 #include "../../voxrt.h"
 
@@ -12,6 +12,21 @@ typedef struct picture {
 } picture;
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
+
+/* Three finishes of all kinds, by a number: mostly shares that are seldom 0, ends of the ranges now and then. */
+static void make_finishes(uint32_t seed, voxrt_finish finish[3]) {
+    static const float share[8] = {0, 1, 0.5f, 1, 0.25f, 0.9f, 0, 1e-9f}, index[8] = {0, 1, 1.5f, 0.0625f, 16, 1.0001f, 0.7f, 1.33f};
+    static const float amount[8] = {0, 1, 20, 0, 1e12f, 1e-30f, 0.1f, 0};
+    uint32_t i, k;
+    for (i = 0; i < 3; i++) {
+        float v[VOXRTI_FINISH_FLOATS];
+        for (k = 0; k < VOXRTI_FINISH_FLOATS; k++) {
+            seed = seed * 1664525u + 1013904223u;
+            v[k] = k == 11 ? index[seed >> 29] : k == 0 || (k >= 5 && k < 11) ? share[seed >> 29] : amount[seed >> 29];
+        }
+        memcpy(&finish[i], v, sizeof v);
+    }
+}
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     voxrt_voxel v[64];
@@ -25,6 +40,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     voxrt_material material;
     voxrt_instance instance;
     voxrt_geometry g[2];
+    voxrt_finish finish[3];
+    uint8_t of[64];
     voxrt_tree *t = NULL;
     voxrt_result r[2];
     const uint8_t *o = data + 1, *at;
@@ -48,6 +65,12 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     b.env.thread_count = 1;
     b.disable_normals = o[0] & 1; b.box_size = o[0] & 2 ? (double)f[0] : 0;
     for (k = 0; k < 3; k++) b.box_min[k] = (double)f[1 + k];
+    if (o[6] != 0) {
+        make_finishes(o[6], finish);
+        for (i = 0; i < n; i++) of[i] = data[9 + 5 * i + 4] % 4;
+        b.finishes = finish; b.finish_count = 3; b.voxel_finish = of;
+        d.bounces_plus_1 = o[7] % 34;
+    }
     if (voxrt_tree_from_voxels(&b, v, n, 4, &t) != VOXRT_OK) return 0;
     memcpy(&d.camera, f + 4, sizeof d.camera);
     memcpy(&material, f + 14, sizeof material);
