@@ -2087,22 +2087,24 @@ typedef struct zbufrandi_structure {
 
 /* Camera coordinates (world units) of point p of the structure: m * (p - eye) + rest. Subtracting eye first is exact
    for what is near, so that nothing trembles however large the structure is. */
-typedef struct zbufrandi_local {
+typedef struct zbufrandi_local { /* 192 bytes, there are 10^5 of them: the first 64 are what colours read */
     float m[3][3];              /* rows: right, up, dir; times scale */
     float eye[3];               /* the eye in coordinates of the structure */
-    float rest[3];              /* what rounding it to float lost, in camera coordinates */
-    float eye_low[3];           /* the same in coordinates of the structure: the eye is eye + eye_low */
-    float scale;                /* world length per length of the structure */
+    float eye_low[3];           /* what rounding it to float lost: the eye is eye + eye_low */
     uint32_t structure;
+    float rest[3];              /* eye_low in camera coordinates */
+    float scale;                /* world length per length of the structure */
     uint32_t mirrored;          /* the path has an odd number of mirrors: screen orientation of triangles is reversed */
     uint32_t hash;              /* of the path, for random numbers */
     uint32_t parent, instance;  /* local this one was entered from, and by which instance; ~0: the root */
+    double to_camera[3][4];     /* the same in double: camera coordinates = to_camera * (p, 1) */
+} zbufrandi_local;
+
+typedef struct zbufrandi_sides { /* of a local: what tests of boxes take */
     float side[4][3], side_e[4][3]; /* planes left, right, top, bottom of the picture in the structure's directions:
                                    side . (p - eye) >= 0 inside; what half extents of a box add */
     float z_e[3], xy_e[2][3];   /* what half extents add to a depth, to x and y */
-    uint32_t _pad;
-    double to_camera[3][4];     /* the same in double: camera coordinates = to_camera * (p, 1) */
-} zbufrandi_local;
+} zbufrandi_sides;
 
 /* ---- colours ---- */
 
@@ -7542,6 +7544,7 @@ ZBUFRANDI_INLINE void zbufrandi_ray_child_fetch(const zbufrandi_rays *r, const z
         const uint8_t *in = (const uint8_t *)&s->instance[index];
         ZBUFRANDI_PREFETCH(in);
         ZBUFRANDI_PREFETCH(in + 64);
+        ZBUFRANDI_PREFETCH(in + sizeof *s->instance - 1);
     } else {
         ZBUFRANDI_PREFETCH(&r->box[structure][index]);
     }
@@ -8132,8 +8135,8 @@ static void zbufrandi_camera_sides(zbufrandi_camera *c) {
     }
 }
 
-/* to_camera, scale, structure and so on are there; what drawing takes follows. */
-static void zbufrandi_local_seen(zbufrandi_local *l) {
+/* to_camera, scale, structure and so on are there; the rest follows. */
+static void zbufrandi_local_finish(zbufrandi_local *l) {
     const double inverse = 1.0 / ((double)l->scale * (double)l->scale);
     int a, k;
     for (a = 0; a < 3; a++) {
@@ -8153,26 +8156,20 @@ static void zbufrandi_local_seen(zbufrandi_local *l) {
     }
 }
 
-/* And what tests of nodes take. */
-static void zbufrandi_local_sides(const zbufrandi_camera *camera, zbufrandi_local *l) {
+static void zbufrandi_sides_of(const zbufrandi_camera *camera, const zbufrandi_local *l, zbufrandi_sides *out) {
     int a, p;
     for (p = 0; p < 4; p++) { /* the sides lie along x (left, right) or y (top, bottom), and z */
         const double *side = l->to_camera[p >> 1];
         for (a = 0; a < 3; a++) {
-            l->side[p][a] = (float)(camera->side[p][0] * side[a] + camera->side[p][1] * l->to_camera[2][a]);
-            l->side_e[p][a] = zbufrandi_absf(l->side[p][a]) * 1.000001f;
+            out->side[p][a] = (float)(camera->side[p][0] * side[a] + camera->side[p][1] * l->to_camera[2][a]);
+            out->side_e[p][a] = zbufrandi_absf(out->side[p][a]) * 1.000001f;
         }
     }
     for (a = 0; a < 3; a++) {
-        l->z_e[a] = zbufrandi_absf(l->m[2][a]) * 1.000001f;
-        l->xy_e[0][a] = zbufrandi_absf(l->m[0][a]) * 1.000001f;
-        l->xy_e[1][a] = zbufrandi_absf(l->m[1][a]) * 1.000001f;
+        out->z_e[a] = zbufrandi_absf(l->m[2][a]) * 1.000001f;
+        out->xy_e[0][a] = zbufrandi_absf(l->m[0][a]) * 1.000001f;
+        out->xy_e[1][a] = zbufrandi_absf(l->m[1][a]) * 1.000001f;
     }
-}
-
-static void zbufrandi_local_finish(const zbufrandi_camera *camera, zbufrandi_local *l) {
-    zbufrandi_local_seen(l);
-    zbufrandi_local_sides(camera, l);
 }
 
 static void zbufrandi_local_root(const zbufrandi_camera *c, const zbufrandi_structure *s, uint32_t seed,
@@ -8192,14 +8189,12 @@ static void zbufrandi_local_root(const zbufrandi_camera *c, const zbufrandi_stru
     l->scale = 1.0f;
     l->hash = zbufrandi_hash32(seed);
     l->parent = l->instance = ~0u;
-    zbufrandi_local_finish(c, l);
+    zbufrandi_local_finish(l);
 }
 
-/* An instance that is drawn as a whole: nothing in it will be tested. */
-static void zbufrandi_local_whole(const zbufrandi_cut *cut, const zbufrandi_local *from, uint32_t from_index,
+static void zbufrandi_local_enter(const zbufrandi_cut *cut, const zbufrandi_local *from, uint32_t from_index,
                                   uint32_t instance, zbufrandi_local *l) {
     const zbufrandi_instance *it = &cut->scene->structure[from->structure].instance[instance];
-    memset(l, 0, sizeof *l);
     zbufrandi_m34_mul(ZBUFRANDI_M34(from->to_camera), ZBUFRANDI_M34(it->to_parent), l->to_camera);
     l->scale = (float)((double)from->scale * it->scale);
     l->structure = it->structure;
@@ -8207,13 +8202,7 @@ static void zbufrandi_local_whole(const zbufrandi_cut *cut, const zbufrandi_loca
     l->hash = zbufrandi_hash32(from->hash ^ zbufrandi_hash32(instance + 0x9e3779b9u));
     l->parent = from_index;
     l->instance = instance;
-    zbufrandi_local_seen(l);
-}
-
-static void zbufrandi_local_enter(const zbufrandi_cut *cut, const zbufrandi_local *from, uint32_t from_index,
-                                  uint32_t instance, zbufrandi_local *l) {
-    zbufrandi_local_whole(cut, from, from_index, instance, l);
-    zbufrandi_local_sides(&cut->camera, l);
+    zbufrandi_local_finish(l);
 }
 
 /* ---- the children of a node ---- */
@@ -8228,9 +8217,8 @@ typedef struct zbufrandi_tested {
 
 /* One lane; the vector form does the same operations in the same order. Rounding: `e` takes in what the sums of the box
    lose, `slack` what happens to lengths of the size of the distance. */
-static void zbufrandi_test_lane(const zbufrandi_cut *cut, const zbufrandi_local *l, const zbufrandi_node8 *n,
-                                uint32_t i,
-                                zbufrandi_tested *t) {
+static void zbufrandi_test_lane(const zbufrandi_cut *cut, const zbufrandi_local *l, const zbufrandi_sides *s,
+                                const zbufrandi_node8 *n, uint32_t i, zbufrandi_tested *t) {
     float q[3], e[3], l2, length, slack, d, z, ze, cg, sg, ct, st, front, back, front_min, back_min, h, h_min, r;
     uint32_t a, p;
     for (a = 0; a < 3; a++) {
@@ -8242,12 +8230,12 @@ static void zbufrandi_test_lane(const zbufrandi_cut *cut, const zbufrandi_local 
     length = sqrtf(l2);
     slack = length * (l->scale * 1e-6f);
     for (p = 0; p < 4; p++) {
-        d = (q[0] * l->side[p][0] + q[1] * l->side[p][1] + q[2] * l->side[p][2]) +
-            (e[0] * l->side_e[p][0] + e[1] * l->side_e[p][1] + e[2] * l->side_e[p][2]);
+        d = (q[0] * s->side[p][0] + q[1] * s->side[p][1] + q[2] * s->side[p][2]) +
+            (e[0] * s->side_e[p][0] + e[1] * s->side_e[p][1] + e[2] * s->side_e[p][2]);
         if (d < 0.0f - slack) t->outside |= 1u << i;
     }
     z = (q[0] * l->m[2][0] + q[1] * l->m[2][1] + q[2] * l->m[2][2]) + l->rest[2];
-    ze = (e[0] * l->z_e[0] + e[1] * l->z_e[1] + e[2] * l->z_e[2]) + slack;
+    ze = (e[0] * s->z_e[0] + e[1] * s->z_e[1] + e[2] * s->z_e[2]) + slack;
     t->z_min[i] = z - ze;
     t->z_max[i] = z + ze;
     if (t->z_max[i] < cut->near_z || t->z_min[i] > cut->far_z) t->outside |= 1u << i;
@@ -8255,7 +8243,7 @@ static void zbufrandi_test_lane(const zbufrandi_cut *cut, const zbufrandi_local 
     for (a = 0; a < 2; a++) {
         const float focal = a == 0 ? cut->focal : 0.0f - cut->focal, center = a == 0 ? cut->center_x : cut->center_y;
         const float c = ((q[0] * l->m[a][0] + q[1] * l->m[a][1] + q[2] * l->m[a][2]) + l->rest[a]) * focal;
-        const float reach = ((e[0] * l->xy_e[a][0] + e[1] * l->xy_e[a][1] + e[2] * l->xy_e[a][2]) + slack) * cut->focal;
+        const float reach = ((e[0] * s->xy_e[a][0] + e[1] * s->xy_e[a][1] + e[2] * s->xy_e[a][2]) + slack) * cut->focal;
         const float lo = c - reach, hi = c + reach, near_i = 1.0f / t->z_min[i], far_i = 1.0f / t->z_max[i];
         const float lo_a = lo * near_i, lo_b = lo * far_i, hi_a = hi * near_i, hi_b = hi * far_i;
         (a == 0 ? t->x0 : t->y0)[i] = (lo_a < lo_b ? lo_a : lo_b) + (center - ZBUFRANDI_PYRAMID_SLACK);
@@ -8300,7 +8288,7 @@ static void zbufrandi_test_lane(const zbufrandi_cut *cut, const zbufrandi_local 
     _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(x, _mm256_set1_ps((a)[0])), _mm256_mul_ps(y, _mm256_set1_ps((a)[1]))), \
                   _mm256_mul_ps(z, _mm256_set1_ps((a)[2])))
 ZBUFRANDI_TARGET_AVX2 static void zbufrandi_test_node_avx2(const zbufrandi_cut *cut, const zbufrandi_local *l,
-                                                           const zbufrandi_node8 *n,
+                                                           const zbufrandi_sides *s, const zbufrandi_node8 *n,
                                                            zbufrandi_tested *t) {
     const __m256 sign = _mm256_set1_ps(-0.0f), zero = _mm256_setzero_ps(), one = _mm256_set1_ps(1.0f),
         half = _mm256_set1_ps(0.5f);
@@ -8321,11 +8309,11 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_test_node_avx2(const zbufrandi_cut *
     slack = _mm256_mul_ps(length, _mm256_set1_ps(l->scale * 1e-6f));
     outside = zero;
     for (p = 0; p < 4; p++) {
-        d = _mm256_add_ps(ZBUFRANDI_DOT(l->side[p], q[0], q[1], q[2]), ZBUFRANDI_DOT(l->side_e[p], e[0], e[1], e[2]));
+        d = _mm256_add_ps(ZBUFRANDI_DOT(s->side[p], q[0], q[1], q[2]), ZBUFRANDI_DOT(s->side_e[p], e[0], e[1], e[2]));
         outside = _mm256_or_ps(outside, _mm256_cmp_ps(d, _mm256_sub_ps(zero, slack), _CMP_LT_OQ));
     }
     z = _mm256_add_ps(ZBUFRANDI_DOT(l->m[2], q[0], q[1], q[2]), _mm256_set1_ps(l->rest[2]));
-    ze = _mm256_add_ps(ZBUFRANDI_DOT(l->z_e, e[0], e[1], e[2]), slack);
+    ze = _mm256_add_ps(ZBUFRANDI_DOT(s->z_e, e[0], e[1], e[2]), slack);
     d = _mm256_add_ps(z, ze);
     z = _mm256_sub_ps(z, ze);
     _mm256_storeu_ps(t->z_min, z);
@@ -8335,7 +8323,7 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_test_node_avx2(const zbufrandi_cut *
         const __m256 focal = _mm256_set1_ps(a == 0 ? cut->focal : 0.0f - cut->focal);
         const __m256 c = _mm256_mul_ps(_mm256_add_ps(ZBUFRANDI_DOT(l->m[a], q[0], q[1], q[2]),
                                                      _mm256_set1_ps(l->rest[a])), focal);
-        const __m256 reach = _mm256_mul_ps(_mm256_add_ps(ZBUFRANDI_DOT(l->xy_e[a], e[0], e[1], e[2]), slack),
+        const __m256 reach = _mm256_mul_ps(_mm256_add_ps(ZBUFRANDI_DOT(s->xy_e[a], e[0], e[1], e[2]), slack),
                                            _mm256_set1_ps(cut->focal));
         const __m256 lo = _mm256_sub_ps(c, reach), hi = _mm256_add_ps(c, reach);
         const __m256 near_i = _mm256_div_ps(one, z), far_i = _mm256_div_ps(one, d);
@@ -8389,17 +8377,17 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_test_node_avx2(const zbufrandi_cut *
 #undef ZBUFRANDI_DOT
 #endif
 
-static void zbufrandi_test_node(const zbufrandi_cut *cut, const zbufrandi_local *l, const zbufrandi_node8 *n,
-                                zbufrandi_tested *t) {
+static void zbufrandi_test_node(const zbufrandi_cut *cut, const zbufrandi_local *l, const zbufrandi_sides *s,
+                                const zbufrandi_node8 *n, zbufrandi_tested *t) {
     uint32_t i;
 #if ZBUFRANDI_AVX2
     if (cut->level >= 3) {
-        zbufrandi_test_node_avx2(cut, l, n, t);
+        zbufrandi_test_node_avx2(cut, l, s, n, t);
         return;
     }
 #endif
     t->outside = t->away = 0;
-    for (i = 0; i < n->count; i++) zbufrandi_test_lane(cut, l, n, i, t);
+    for (i = 0; i < n->count; i++) zbufrandi_test_lane(cut, l, s, n, i, t);
 }
 
 /* ---- what is before a child ---- */
@@ -8726,7 +8714,7 @@ static void zbufrandi_pick_child(const zbufrandi_cut *cut, const zbufrandi_local
         const zbufrandi_structure *to;
         uint32_t entered = ZBUFRANDI_NEW_LOCAL + p->local_count;
         zbufrandi_local *k = &p->local[p->local_count++];
-        zbufrandi_local_whole(cut, l, local, index, k);
+        zbufrandi_local_enter(cut, l, local, index, k);
         to = &cut->scene->structure[k->structure];
         if (e < INFINITY) {
             const float z = t->z_min[i], wide = (t->x1[i] - t->x0[i] + 1.0f) * (t->y1[i] - t->y0[i] + 1.0f);
@@ -8762,7 +8750,6 @@ static void zbufrandi_pick_child(const zbufrandi_cut *cut, const zbufrandi_local
             f->node = 0;
             f->local = entered;
             f->_pad = 0;
-            zbufrandi_local_sides(&cut->camera, k);
             p->counts.entered++;
         }
     }
@@ -8772,6 +8759,8 @@ static void zbufrandi_pick_child(const zbufrandi_cut *cut, const zbufrandi_local
 static void zbufrandi_pick_run(const zbufrandi_cut *cut, zbufrandi_mem *mem, const zbufrandi_local *locals,
                                zbufrandi_pick *p,
                                uint32_t nodes) {
+    zbufrandi_sides sides;
+    uint32_t sides_of = ~0u; /* whose they are */
     while (p->stack_count > 0 && nodes-- > 0) {
         zbufrandi_open_node at = p->stack[p->stack_count - 1];
         const zbufrandi_local *l;
@@ -8782,7 +8771,9 @@ static void zbufrandi_pick_run(const zbufrandi_cut *cut, zbufrandi_mem *mem, con
         p->stack_count--;
         l = at.local >= ZBUFRANDI_NEW_LOCAL ? &p->local[at.local - ZBUFRANDI_NEW_LOCAL] : &locals[at.local];
         n = &cut->scene->structure[l->structure].node[at.node];
-        zbufrandi_test_node(cut, l, n, &t);
+        if (sides_of != at.local) zbufrandi_sides_of(&cut->camera, l, &sides);
+        sides_of = at.local;
+        zbufrandi_test_node(cut, l, &sides, n, &t);
         alive = ((1u << n->count) - 1u) & ~(t.outside | t.away);
         for (k = alive; k != 0; k &= k - 1) { /* instances are far away in memory */
             const uint32_t child = n->child[zbufrandi_ctz64(k)];
@@ -8791,6 +8782,7 @@ static void zbufrandi_pick_run(const zbufrandi_cut *cut, zbufrandi_mem *mem, con
                 const uint8_t *in = (const uint8_t *)&s->instance[ZBUFRANDI_CHILD_INDEX(child)];
                 ZBUFRANDI_PREFETCH(in);
                 ZBUFRANDI_PREFETCH(in + 64);
+                ZBUFRANDI_PREFETCH(in + sizeof *s->instance - 1);
             }
         }
         if ((cut->pyramid != NULL || cut->keys != NULL) && alive != 0) {
@@ -10385,8 +10377,8 @@ static void zbufrandi_zbuffer_flush(zbufrandi_zbuffer *z) {
 }
 
 /* Whether a box is beside the picture, behind the near plane or beyond the far one. */
-static int zbufrandi_zbuffer_outside(const zbufrandi_zbuffer *z, const zbufrandi_local *l, const zbufrandi_node8 *n,
-                                     uint32_t lane) {
+static int zbufrandi_zbuffer_outside(const zbufrandi_zbuffer *z, const zbufrandi_local *l, const zbufrandi_sides *s,
+                                     const zbufrandi_node8 *n, uint32_t lane) {
     float q[3], e[3], depth, reach, slack;
     uint32_t a, p;
     for (a = 0; a < 3; a++) {
@@ -10396,30 +10388,34 @@ static int zbufrandi_zbuffer_outside(const zbufrandi_zbuffer *z, const zbufrandi
     slack = (zbufrandi_absf(q[0]) + zbufrandi_absf(q[1]) + zbufrandi_absf(q[2]) + e[0] + e[1] + e[2]) *
             (l->scale * 1e-5f);
     for (p = 0; p < 4; p++) {
-        const float d = q[0] * l->side[p][0] + q[1] * l->side[p][1] + q[2] * l->side[p][2];
-        reach = e[0] * l->side_e[p][0] + e[1] * l->side_e[p][1] + e[2] * l->side_e[p][2];
+        const float d = q[0] * s->side[p][0] + q[1] * s->side[p][1] + q[2] * s->side[p][2];
+        reach = e[0] * s->side_e[p][0] + e[1] * s->side_e[p][1] + e[2] * s->side_e[p][2];
         if (d + reach < -slack) return 1;
     }
     depth = q[0] * l->m[2][0] + q[1] * l->m[2][1] + q[2] * l->m[2][2] + l->rest[2];
-    reach = e[0] * l->z_e[0] + e[1] * l->z_e[1] + e[2] * l->z_e[2] + slack;
+    reach = e[0] * s->z_e[0] + e[1] * s->z_e[1] + e[2] * s->z_e[2] + slack;
     return depth + reach < (float)z->cut.camera.near_z || depth - reach > (float)z->cut.camera.far_z;
 }
 
 /* stored: where l stands in z->local, and since which flush; another flush than the last: it does not stand there. */
-static void zbufrandi_zbuffer_node(zbufrandi_zbuffer *z, const zbufrandi_local *l, uint32_t node, uint32_t stored[2]) {
+static void zbufrandi_zbuffer_node(zbufrandi_zbuffer *z, const zbufrandi_local *l, const zbufrandi_sides *sides,
+                                   uint32_t node, uint32_t stored[2]) {
     const zbufrandi_structure *s = &z->structure[l->structure];
     const zbufrandi_node8 *n = &s->node[node];
     uint32_t lane;
     for (lane = 0; lane < n->count; lane++) {
         const uint32_t index = ZBUFRANDI_CHILD_INDEX(n->child[lane]);
-        if (zbufrandi_zbuffer_outside(z, l, n, lane)) continue;
+        if (zbufrandi_zbuffer_outside(z, l, sides, n, lane)) continue;
         if (ZBUFRANDI_CHILD_KIND(n->child[lane]) == ZBUFRANDI_CHILD_NODE) {
-            zbufrandi_zbuffer_node(z, l, index, stored);
+            zbufrandi_zbuffer_node(z, l, sides, index, stored);
         } else if (ZBUFRANDI_CHILD_KIND(n->child[lane]) == ZBUFRANDI_CHILD_INSTANCE) {
             zbufrandi_local inner;
             uint32_t inner_stored[2] = {0, ~0u};
+            zbufrandi_sides inner_sides;
             zbufrandi_local_enter(&z->cut, l, ~0u, index, &inner);
-            if (z->structure[inner.structure].node_count != 0) zbufrandi_zbuffer_node(z, &inner, 0, inner_stored);
+            if (z->structure[inner.structure].node_count == 0) continue;
+            zbufrandi_sides_of(&z->cut.camera, &inner, &inner_sides);
+            zbufrandi_zbuffer_node(z, &inner, &inner_sides, 0, inner_stored);
         } else {
             zbufrandi_zbuffer_item *item;
             if (z->item_count == ZBUFRANDI_ZBUFFER_ITEMS ||
@@ -10452,6 +10448,7 @@ static ZBUFRANDI_UNUSED zbufrand_result zbufrandi_zbuffer_draw(const zbufrand_sc
     const int alone = env->parallel.for_fn == NULL && zbufrandi_thread_count(env) == 1;
     zbufrandi_zbuffer z;
     zbufrandi_local root;
+    zbufrandi_sides sides;
     uint32_t stored[2] = {0, ~0u};
     memset(&z, 0, sizeof z);
     if (out_triangles != NULL) *out_triangles = 0;
@@ -10470,7 +10467,8 @@ static ZBUFRANDI_UNUSED zbufrand_result zbufrandi_zbuffer_draw(const zbufrand_sc
     }
     zbufrandi_raster_begin(&z.raster, camera, keys, alone, level);
     zbufrandi_local_root(camera, &scene->structure[0], 0, &root);
-    zbufrandi_zbuffer_node(&z, &root, 0, stored);
+    zbufrandi_sides_of(camera, &root, &sides);
+    zbufrandi_zbuffer_node(&z, &root, &sides, 0, stored);
     zbufrandi_zbuffer_flush(&z);
     zbufrandi_free(mem, z.item);
     zbufrandi_free(mem, z.local);
@@ -13797,7 +13795,7 @@ static void zbufrandi_listed_surface(const zbufrandi_drawn *s, const zbufrandi_d
     memcpy(own.to_camera, at.m, sizeof own.to_camera);
     own.scale = (float)at.scale;
     own.structure = at.structure;
-    zbufrandi_local_finish(s->camera, &own);
+    zbufrandi_local_finish(&own);
     there = *s;
     there.local = &own;
     zbufrandi_triangle_surface(&there, 0, at.item >> 7, at.item & 127u, ray, out);

@@ -269,6 +269,7 @@ static void hidden_boxes(uint32_t block) {
     scene s;
     zbufrandi_camera camera;
     zbufrandi_local local;
+    zbufrandi_sides sides;
     uint32_t i, hidden_count = 0;
     int n, k, c, many = test_quick() ? 200 : 3000;
     scene_open(&s, 200, 150, block, block == 2);
@@ -306,7 +307,8 @@ static void hidden_boxes(uint32_t block) {
         for (k = 0; k < 3; k++) eye[k] = (double)test_rng_range(&g, -5, 5);
         for (k = 0; k < 3; k++) for (c = 0; c < 3; c++) local.to_camera[k][3] -= local.to_camera[k][c] * eye[c];
         local.scale = (float)scale;
-        zbufrandi_local_finish(&camera, &local);
+        zbufrandi_local_finish(&local);
+        zbufrandi_sides_of(&camera, &local, &sides);
         for (c = 0; c < 8; c++) {
             for (k = 0; k < 3; k++) {
                 float x = (float)((double)local.eye[k] + (test_rng_double(&g) - 0.5) * 16 / scale);
@@ -319,11 +321,11 @@ static void hidden_boxes(uint32_t block) {
         cut.exact = s.exact.key;
         cut.block = block;
         cut.level = 1;
-        zbufrandi_test_node(&cut, &local, &node, &tested);
+        zbufrandi_test_node(&cut, &local, &sides, &node, &tested);
         inside = 255u & ~tested.outside;
         got = zbufrandi_hidden_children(&cut, &tested, inside);
         cut.level = zbufrandi_level(ZBUFRAND_ISA_AUTO);
-        zbufrandi_test_node(&cut, &local, &node, &tested3);
+        zbufrandi_test_node(&cut, &local, &sides, &node, &tested3);
         CHECK(tested.outside == tested3.outside && memcmp(tested.x0, tested3.x0, sizeof tested.x0) == 0);
         got3 = zbufrandi_hidden_children(&cut, &tested3, inside);
         CHECK_EQ_U64(got, got3);
