@@ -187,6 +187,139 @@ TEST(from_behind) {
     check_density(3, 40, 40, 2, 4);
 }
 
+/* Area of a polygon of n <= 3 corners within the picture, cut at its four sides one after the other. */
+static double area_in_picture(double (*p)[2], int n) {
+    double poly[2][12][2], area = 0;
+    int side, i, at = 0;
+    memcpy(poly[0], p, (size_t)n * sizeof p[0]);
+    for (side = 0; side < 4; side++) {
+        const int a = side & 1;
+        const double limit = side < 2 ? 0 : a == 0 ? WIDTH : HEIGHT, sign = side < 2 ? 1 : -1;
+        int m = 0;
+        for (i = 0; i < n; i++) {
+            const double *u = poly[at][i], *v = poly[at][(i + 1) % n];
+            const double du = sign * (u[a] - limit), dv = sign * (v[a] - limit);
+            if (du >= 0) memcpy(poly[1 - at][m++], u, sizeof poly[0][0]);
+            if ((du >= 0) != (dv >= 0)) {
+                poly[1 - at][m][a] = limit;
+                poly[1 - at][m][1 - a] = u[1 - a] + (v[1 - a] - u[1 - a]) * du / (du - dv);
+                m++;
+            }
+        }
+        n = m;
+        at = 1 - at;
+    }
+    for (i = 0; i < n; i++) {
+        const double *u = poly[at][i], *v = poly[at][(i + 1) % n];
+        area += 0.5 * (u[0] * v[1] - u[1] * v[0]);
+    }
+    return fabs(area);
+}
+
+/* Triangles anywhere before the camera: the mean of the thesis' projection factor (Definition 6) over their surface, times their
+   area, is the part of the picture that they cover, and so is the number of samples over the density. */
+TEST(areas_of_triangles) {
+    const uint32_t triangles = test_quick() ? 10 : 60, points = 20000;
+    const double density = 6;
+    test_rng r = test_rng_make(92);
+    zbufrand_frame *frame = NULL;
+    double all = 0, seen = 0;
+    uint32_t t, k, a, visible = 0;
+    CHECK_EQ_U64(zbufrand_frame_create(NULL, &frame), ZBUFRAND_OK);
+    for (t = 0; t < triangles; t++) {
+        shape s;
+        zbufrand_mesh m;
+        zbufrand_scene *scene;
+        zbufrand_render_desc d;
+        zbufrand_view view;
+        counts c;
+        double q[3][3], pixel[3][2], e[2][3], n[3], length = 0, area, sum = 0, sum2 = 0;
+        memset(&s, 0, sizeof s);
+        memset(&d, 0, sizeof d);
+        memset(&c, 0, sizeof c);
+        d.camera.at[2] = -1;
+        d.camera.fov_y = t % 3 == 0 ? 100 : 50;
+        d.camera.near_z = 0.01;
+        d.hybrid = ZBUFRAND_HYBRID_OFF;
+        d.density = density;
+        for (k = 0; k < 3; k++) { /* within 4 of depth 1 to 5, so partly beside the picture */
+            const double z = 1 + 4 * test_rng_double(&r), wide = t % 4 == 0 ? 8 : 2;
+            (void)shape_vertex(&s, wide * (test_rng_double(&r) - 0.5), wide * (test_rng_double(&r) - 0.5), -z);
+        }
+        shape_triangle(&s, 0, 1, 2);
+        m = mesh_of(&s);
+        m.two_sided = 1;
+        scene = scene_of(&m, 0);
+        CHECK_EQ_U64(zbufrand_camera_view(&d.camera, scene, WIDTH, HEIGHT, &view), ZBUFRAND_OK);
+        for (k = 0; k < 3; k++) {
+            for (a = 0; a < 3; a++) {
+                const double *row = view.world_to_camera[a];
+                const float *p = s.p + 3 * k;
+                q[k][a] = row[0] * (double)p[0] + row[1] * (double)p[1] + row[2] * (double)p[2] + row[3];
+            }
+            pixel[k][0] = view.center_x + view.focal * q[k][0] / q[k][2];
+            pixel[k][1] = view.center_y - view.focal * q[k][1] / q[k][2];
+        }
+        area = area_in_picture(pixel, 3);
+        for (a = 0; a < 3; a++) {
+            e[0][a] = q[1][a] - q[0][a];
+            e[1][a] = q[2][a] - q[0][a];
+        }
+        for (a = 0; a < 3; a++) {
+            n[a] = e[0][(a + 1) % 3] * e[1][(a + 2) % 3] - e[0][(a + 2) % 3] * e[1][(a + 1) % 3];
+            length += n[a] * n[a];
+        }
+        length = sqrt(length);
+        for (k = 0; k < points; k++) {
+            double u = test_rng_double(&r), v = test_rng_double(&r), p[3], away = 0, far = 0, prj, x, y;
+            if (u + v > 1) {
+                u = 1 - u;
+                v = 1 - v;
+            }
+            for (a = 0; a < 3; a++) {
+                p[a] = q[0][a] + u * e[0][a] + v * e[1][a];
+                far += p[a] * p[a];
+                away += p[a] * n[a] / length;
+            }
+            far = sqrt(far);
+            /* f^2 cos(beta) / (z^2 cos(alpha)) */
+            prj = view.focal * view.focal * (fabs(away) / far) / (p[2] * p[2] * (p[2] / far));
+            x = view.center_x + view.focal * p[0] / p[2];
+            y = view.center_y - view.focal * p[1] / p[2];
+            if (x < 0 || y < 0 || x >= WIDTH || y >= HEIGHT) continue;
+            prj *= 0.5 * length;
+            sum += prj / points;
+            sum2 += prj * prj / points;
+        }
+        CHECK_MSG(fabs(sum - area) < 4.5 * sqrt(fmax(sum2 - sum * sum, 0) / points) + 1e-3, "triangle %u: %g square pixels, %g by the factor",
+                  t, area, sum);
+        CHECK_EQ_U64(zbufrand_sample_scene(frame, &d, scene, WIDTH, HEIGHT, count_sample, &c, NULL), ZBUFRAND_OK);
+        CHECK_MSG(fabs((double)c.total - density * area) < 4.5 * sqrt(density * area) + 2, "triangle %u: %g samples for %g", t, (double)c.total,
+                  density * area);
+        seen += (double)c.total;
+        all += density * area;
+        visible += area > 100;
+        zbufrand_scene_destroy(scene);
+        shape_free(&s);
+    }
+    CHECK_MSG(fabs(seen - all) < 4.5 * sqrt(all), "%g samples for %g", seen, all);
+    CHECK(visible > triangles / 2);
+    { /* 1 / cos(alpha) in the corners of the picture: 1.22 for a diagonal of 70 degrees, 1.296 for 79 */
+        static const double diagonal[2] = {70, 79}, want[2] = {1.2208, 1.2960};
+        for (k = 0; k < 2; k++) {
+            zbufrand_camera camera;
+            zbufrand_view view;
+            const double half = tan(diagonal[k] * 0.5 * 0.0174532925199433), high = half * HEIGHT / sqrt(WIDTH * WIDTH + HEIGHT * HEIGHT);
+            memset(&camera, 0, sizeof camera);
+            camera.at[2] = -1;
+            camera.fov_y = 2 * atan(high) / 0.0174532925199433;
+            CHECK_EQ_U64(zbufrand_camera_view(&camera, NULL, WIDTH, HEIGHT, &view), ZBUFRAND_OK);
+            CHECK_NEAR(sqrt(1 + (0.25 * WIDTH * WIDTH + 0.25 * HEIGHT * HEIGHT) / (view.focal * view.focal)), want[k], 1e-4);
+        }
+    }
+    zbufrand_frame_destroy(frame);
+}
+
 /* Nothing is drawn of a surface that faces away. */
 TEST(facing_away) {
     shape s;
@@ -1199,6 +1332,7 @@ int main(int argc, char **argv) {
     RUN(at_least_without_thinning);
     RUN(independent_samples);
     RUN(from_behind);
+    RUN(areas_of_triangles);
     RUN(facing_away);
     RUN(instances_and_copies);
     RUN(pixels_hit);
