@@ -106,7 +106,7 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     table[n++] = sup_opt_flag("comb", &o->comb, "all samples of a draw at the same place of their strata");
     table[n++] = sup_opt_int("view", &o->view, 1, SUP_WORLD_VIEWS, "K", "one of the cameras that a scene brings along (1)");
     table[n++] = sup_opt_int("frame", &o->frame, 0, 65535, "K", "other random numbers of the same kind");
-    table[n++] = sup_opt_int("frames", &o->frames, 1, 100000, "N", "N pictures NAME_0000.png and on, in which things move");
+    table[n++] = sup_opt_int("frames", &o->frames, 1, 100000, "N", "N pictures NAME_0000.png and on: balloons fly by, a mesh turns");
     table[n++] = sup_opt_int("scatter", &o->scatter, 1, 6, "K", "10^K copies of the mesh on a plain");
     table[n++] = sup_opt_given(sup_opt_choice("structure", &o->structure, "default|fair|octree|classes|normals",
                                               "tree that is drawn from: the default, or one of the thesis"),
@@ -242,9 +242,11 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
 
 /* ---- scenes ------------------------------------------------------------------------------------------------- */
 
-/* A mesh file as it is, or 10^K copies of it scattered over a plain. */
-static int make_mesh_scene(const options *o, const zbufrand_scene_desc *desc, const zbufrand_build_desc *build,
-                           sup_world *world, zbufrand_scene_info *info, zbufrand_error *error, sup_error *err) {
+/* A mesh file as it is, or 10^K copies of it scattered over a plain. turning: the mesh if pictures of it as it turns are
+   wanted: it has a structure of its own then, so that it is never taken apart and put together to be moved. */
+static int make_mesh_scene(const options *o, const zbufrand_scene_desc *desc, const zbufrand_build_desc *build, sup_world *world,
+                           zbufrand_scene_info *info, zbufrand_node *turning, zbufrand_error *error, sup_error *err) {
+    const int turns = o->frames > 0 && !o->scatter;
     supi_make make;
     zbufrand_node node;
     float lo[3], hi[3];
@@ -258,7 +260,8 @@ static int make_mesh_scene(const options *o, const zbufrand_scene_desc *desc, co
     }
     (void)sup_mesh_bounds(&make.mesh, lo, hi);
     if (zbufrand_scene_create(desc, &world->scene) != ZBUFRAND_OK) world->failed = 1;
-    node = supi_world_mesh(world, &make, ZBUFRAND_ROOT, 1, 0, o->scatter ? ZBUFRAND_HIDDEN : 0);
+    node = supi_world_mesh(world, &make, ZBUFRAND_ROOT, 1, 0, o->scatter ? ZBUFRAND_HIDDEN : turns ? ZBUFRAND_OWN_STRUCTURE : 0);
+    if (turns) *turning = node;
     if (o->scatter && !world->failed) {
         const double wide = hi[0] - lo[0] > hi[2] - lo[2] ? (double)(hi[0] - lo[0]) : (double)(hi[2] - lo[2]);
         size_t count = 1, side = 1;
@@ -574,10 +577,12 @@ static void print_stats(const options *o, const zbufrand_scene_info *info, const
 
 /* ---- moving pictures ---------------------------------------------------------------------------------------- */
 
-enum { BALLOONS = 12, BALLOON_ROWS = 50 }; /* each of 10,000 triangles */
+enum { BALLOONS = 12, BALLOON_ROWS = 50 }; /* each of 10,000 triangles, and a basket */
 
 typedef struct movement {
     zbufrand_node balloon[BALLOONS], model;
+    zbufrand_node turning; /* a mesh that turns about its middle, once in all pictures; 0: there is none */
+    double middle[3];
     double at[3], reach;
     double edit_seconds;
 } movement;
@@ -591,6 +596,11 @@ static zbufrand_transform balloon_place(const movement *m, int i, double turn) {
 /* Balloons that fly in a ring before the camera. Every eighth picture one of them leaves and another one comes. */
 static zbufrand_result move(movement *m, zbufrand_scene *scene, int64_t frame, int64_t frames) {
     zbufrand_result result = ZBUFRAND_OK;
+    if (m->turning != 0) {
+        zbufrand_transform turn = supi_world_place(m->middle[0], 0.0, m->middle[2], 6.283185307179586 * (double)frame / (double)frames, 1.0);
+        for (int k = 0; k < 3; k++) turn.m[k][3] -= turn.m[k][0] * m->middle[0] + turn.m[k][2] * m->middle[2];
+        result = zbufrand_move(scene, m->turning, &turn);
+    }
     for (int i = 0; i < BALLOONS && result == ZBUFRAND_OK; i++) {
         const zbufrand_transform place = balloon_place(m, i, (double)frame / (double)frames);
         if (m->balloon[i] != 0 && frame % 8 == 7 && frame / 8 % BALLOONS == i) {
@@ -604,24 +614,45 @@ static zbufrand_result move(movement *m, zbufrand_scene *scene, int64_t frame, i
     return result == ZBUFRAND_OK ? zbufrand_scene_update(scene, NULL) : result;
 }
 
-static int make_movement(movement *m, sup_world *world, const zbufrand_camera *camera) {
+/* What flies: a striped balloon and its basket, put together in a list that joins the scene when all of it is there. */
+static void make_balloon(movement *m, sup_world *world) {
+    static const uint8_t stripes[2][3] = {{196, 44, 36}, {236, 226, 208}};
+    static const float basket[2][3] = {{-0.2f, -1.75f, -0.2f}, {0.2f, -1.45f, 0.2f}};
     supi_make make;
-    memset(m, 0, sizeof *m);
     memset(&make, 0, sizeof make);
-    for (int k = 0; k < 3; k++) {
-        m->at[k] = camera->at[k];
-        m->reach += (camera->at[k] - camera->eye[k]) * (camera->at[k] - camera->eye[k]);
-    }
-    m->reach = sqrt(m->reach);
+    if (!world->failed && zbufrand_add_list(world->scene, 0, NULL, ZBUFRAND_HIDDEN, &m->model) != ZBUFRAND_OK) world->failed = 2;
     supi_add_blob(&make, 0.0f, 0.0f, 0.0f, 1.0f, 2 * BALLOON_ROWS, BALLOON_ROWS, 0.0f, 1.0f, 1, 0.0f);
-    for (size_t i = 0; i < make.mesh.triangle_count && !make.failed; i++) { /* stripes */
-        static const uint8_t stripes[2][3] = {{196, 44, 36}, {236, 226, 208}};
+    for (size_t i = 0; i < make.mesh.triangle_count && !make.failed; i++) {
         make.mesh.triangle_rgb = (uint8_t *)sup_grow(make.mesh.triangle_rgb, &make.triangle_rgb_capacity, 3 * i + 3, 1);
         if (!make.mesh.triangle_rgb) make.failed = 1;
         else memcpy(make.mesh.triangle_rgb + 3 * i, stripes[i / 2 % (2 * BALLOON_ROWS) / 10 % 2], 3);
     }
     if (!make.failed) make.failed = sup_mesh_compute_normals(&make.mesh, NULL);
-    m->model = supi_world_mesh(world, &make, ZBUFRAND_ROOT, 0, 0, ZBUFRAND_HIDDEN);
+    (void)supi_world_mesh(world, &make, m->model, 0, 0, 0);
+    memset(&make, 0, sizeof make);
+    supi_make_colour(&make, 134, 92, 52);
+    supi_make_box(&make, basket[0], basket[1], 0);
+    for (int k = 0; k < 4; k++) { /* ropes */
+        const float x = k & 1 ? 0.18f : -0.18f, z = k & 2 ? 0.18f : -0.18f;
+        const float lo[3] = {x - 0.012f, -1.45f, z - 0.012f}, hi[3] = {x + 0.012f, -0.96f, z + 0.012f};
+        supi_make_box(&make, lo, hi, 0);
+    }
+    (void)supi_world_mesh(world, &make, m->model, 0, 0, 0);
+    if (!world->failed && zbufrand_list_append(world->scene, ZBUFRAND_ROOT, m->model) != ZBUFRAND_OK) world->failed = 2;
+}
+
+static int make_movement(movement *m, sup_world *world, zbufrand_node turning, const zbufrand_camera *camera) {
+    zbufrand_scene_info info;
+    memset(m, 0, sizeof *m);
+    zbufrand_scene_get_info(world->scene, &info);
+    m->turning = turning;
+    for (int k = 0; k < 3; k++) {
+        m->middle[k] = 0.5 * (info.box_min[k] + info.box_max[k]);
+        m->at[k] = camera->at[k];
+        m->reach += (camera->at[k] - camera->eye[k]) * (camera->at[k] - camera->eye[k]);
+    }
+    m->reach = sqrt(m->reach);
+    make_balloon(m, world);
     return world->failed;
 }
 
@@ -633,11 +664,11 @@ static void frame_name(char *out, size_t size, const char *name, int64_t frame) 
 }
 
 static zbufrand_result draw_frames(options *o, zbufrand_frame *frame, zbufrand_render_desc *desc, sup_world *world,
-                                   pictures *p, sup_error *err, int *written) {
+                                   zbufrand_node turning, pictures *p, sup_error *err, int *written) {
     const char *name = o->common.out;
     char path[4096];
     movement m;
-    zbufrand_result result = make_movement(&m, world, &desc->camera) ? ZBUFRAND_ERR_NO_MEMORY : ZBUFRAND_OK;
+    zbufrand_result result = make_movement(&m, world, turning, &desc->camera) ? ZBUFRAND_ERR_NO_MEMORY : ZBUFRAND_OK;
     zbufrand_stats each;
     *written = 0;
     memset(&p->stats, 0, sizeof p->stats);
@@ -680,6 +711,7 @@ int main(int argc, char **argv) {
     zbufrand_frame_desc frame_desc;
     zbufrand_frame *frame = NULL;
     zbufrand_scene_info info;
+    zbufrand_node turning = 0;
     zbufrand_error error = {ZBUFRAND_OK, 0, ""};
     zbufrand_result result = ZBUFRAND_ERR_NO_MEMORY;
     pictures p;
@@ -701,7 +733,7 @@ int main(int argc, char **argv) {
     build_desc.seed = (uint32_t)o.common.seed;
     desc.clock_fn = clock_now;
     status = is_world(o.scene) ? sup_world_make(o.scene, &scene_desc, &build_desc, &world, &info, &err)
-                               : make_mesh_scene(&o, &scene_desc, &build_desc, &world, &info, &error, &err);
+                               : make_mesh_scene(&o, &scene_desc, &build_desc, &world, &info, &turning, &error, &err);
     if (status) {
         sup_world_free(&world);
         return sup_bad_input(argv[0], err.text);
@@ -724,7 +756,7 @@ int main(int argc, char **argv) {
         memset(&p.stats, 0, sizeof p.stats);
         result = o.points > 0 ? draw_points(&o, &desc, world.scene, &p.image, &p.stats)
                : o.mode == MODE_LAYERS ? draw_layers(&o, frame, &desc, world.scene, &p.image, &p.stats)
-               : o.frames > 0 ? draw_frames(&o, frame, &desc, &world, &p, &err, &status)
+               : o.frames > 0 ? draw_frames(&o, frame, &desc, &world, turning, &p, &err, &status)
                : o.mean > 0 ? draw_mean(&o, frame, &desc, world.scene, &p.image, &p.stats)
                             : zbufrand_render(frame, &desc, world.scene, &p.image, &p.stats);
     }

@@ -466,6 +466,8 @@ EXITS="
 1 zbufrand_render --scene landscape --out @/bad.png --memory 1
 0 zbufrand_render --scene landscape --out @/zl.png --size 64x48 --points 20000 --mode gauss --buckets 8 --mend --stats --quiet
 0 zbufrand_render --scene landscape --out @/zl.png --size 64x48 --aa 2 --measure-costs --stats --quiet
+0 zbufrand_render --scene landscape --out @/zf.png --size 64x48 --frames 9 --quiet
+0 zbufrand_render --scene @/one.obj --out @/zo.png --size 64x48 --frames 3 --quiet
 1 tetcast_render @/garbage.obj --out @/bad.png
 1 tetcast_render @/nan.vtk --out @/bad.png
 1 tetcast_render @/huge.vtk --out @/bad.png
@@ -548,6 +550,7 @@ exit_statuses() {
     local d=$OUT/obj/exits want line got bad=0
     rm -rf "$d"; mkdir -p "$d"
     printf 'v 0 0 nothing\nf 1 2 3\n' > "$d/garbage.obj"; cp "$d/garbage.obj" "$d/garbage.brk"; cp "$d/garbage.obj" "$d/garbage.rbf"
+    printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' > "$d/one.obj"
     tetrahedron() { # LENGTH DATA VALUES
         printf '# vtk DataFile Version 3.0\n\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 4 float\n0 0 0 %s 0 0 0 1 0 0 0 1\n' "$1"
         printf 'CELLS 1 5\n4 0 1 2 3\nCELL_TYPES 1\n10\n%s\nSCALARS s float\nLOOKUP_TABLE default\n%s\n' "$2" "$3"
