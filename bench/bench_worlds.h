@@ -253,9 +253,10 @@ static world *world_ground(int levels) {
     return w;
 }
 
-/* `layers` height fields of 2 n^2 triangles behind one another, which fill the picture. */
+/* `layers` height fields of 2 n^2 triangles behind one another, which fill the picture; of 32 kinds. */
 static world *world_layers(int layers, int n) {
     char name[32];
+    zbufrand_node first[SUP_WORLD_MESHES] = {0};
     world *w;
     int k, i, j;
     snprintf(name, sizeof name, "%d layers", layers);
@@ -263,6 +264,10 @@ static world *world_layers(int layers, int n) {
     for (k = 0; k < layers; k++) {
         supi_make make;
         zbufrand_transform t = supi_world_place(0.0, 0.0, -0.1 * (double)k, 0.0, 1.0 + 0.04 * (double)k);
+        if (k >= SUP_WORLD_MESHES) { /* the same again, elsewhere */
+            must(zbufrand_add_reference(w->w.scene, ZBUFRAND_ROOT, &t, first[k % SUP_WORLD_MESHES], NULL), name);
+            continue;
+        }
         memset(&make, 0, sizeof make);
         for (j = 0; j <= n; j++) {
             for (i = 0; i <= n; i++) {
@@ -287,7 +292,7 @@ static world *world_layers(int layers, int n) {
             z.indices = m->indices;
             z.triangle_count = m->triangle_count;
             z.triangle_rgb = m->triangle_rgb;
-            must(zbufrand_add_mesh(w->w.scene, ZBUFRAND_ROOT, &t, 0, &z, NULL), name);
+            must(zbufrand_add_mesh(w->w.scene, ZBUFRAND_ROOT, &t, 0, &z, &first[k]), name);
         } else {
             sup_mesh_free(&make.mesh);
         }

@@ -8,6 +8,7 @@
    BM4 hybrid: radius, costs, never slower   BM9 build                             BM14 threads
    BM5 the thesis' scenes, reconstructions   BM10 edits                            BM15 shading, attributes
    BM16 probability of a complete picture    BM17 surfaces close behind one another, partial coverage
+   BM18 blocks, filters, z-buffers of samples    BM19 holes over the number of samples    BM20 small scenes
    One JSON object a line on stdout; the acceptance table on stderr and, after a run of all, in bench/table_zbufrand.md
    beside the program. */
 #include "bench.h"
@@ -765,7 +766,7 @@ static void bm7(void) {
         (void)simple_time("zbufrand.disc", w, "samples", 640, 480, 0, g_opt.full ? 48 : 384, g_opt.full ? 3 : 1, NULL);
         world_free(w);
     }
-    for (layers = 1; layers <= 25; layers *= 5) {
+    for (layers = 1; layers <= (g_opt.full ? 125 : 25); layers *= 5) {
         world *w = world_layers(layers, 200);
         picture_job p = picture_open(w, 640, 480, 1);
         truth *t = truth_make(&p, 48);
@@ -1743,10 +1744,12 @@ static void bm17(void) {
     }
 }
 
+#include "bench_zbufrand_parts.h"
+
 int main(int argc, char **argv) {
     static const struct { int number; void (*run)(void); } all[] = {
         {1, bm1}, {1, bm1_huge}, {2, bm2}, {4, bm4}, {5, bm5}, {6, bm6}, {7, bm7}, {8, bm8}, {9, bm9}, {10, bm10}, {11, bm11}, {12, bm12},
-        {13, bm13}, {14, bm14}, {15, bm15}, {16, bm16}, {17, bm17}
+        {13, bm13}, {14, bm14}, {15, bm15}, {16, bm16}, {17, bm17}, {18, bm18}, {19, bm19}, {20, bm20}
     };
     size_t i;
     int status = bench_parse(argc, argv, &g_opt);
