@@ -11381,6 +11381,7 @@ typedef struct zbufrandi_suspects {
     int sure;               /* 1: as wrong counts all that has enough nearer neighbours, whatever their depths */
     float keep;             /* 1 - tolerance */
     int level;
+    const uint8_t *area;    /* of 16 x 16 pixels: 1: look there; NULL: everywhere. Then reach is at most 8 */
 } zbufrandi_suspects;
 
 static const int8_t zbufrandi_around[8][2] = {{1, 0}, {1, 1}, {0, 1}, {-1, 1}, {-1, 0}, {-1, -1}, {0, -1}, {1, -1}};
@@ -11449,16 +11450,21 @@ ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_suspect_eight(const zbufrandi_su
 
 static void zbufrandi_suspect_task(void *ctx, uint32_t task) {
     const zbufrandi_suspects *c = (const zbufrandi_suspects *)ctx;
+    const uint8_t *area = c->area != NULL ? c->area + (size_t)task * ((c->width + 15) / 16) : NULL;
     uint32_t y = task * 16, end = y + 16 < c->height ? y + 16 : c->height, x;
     for (; y < end; y++) {
         uint8_t *mask = c->mask + (size_t)y * c->width;
         x = 0;
+        if (area != NULL) memset(mask, 0, c->width);
 #if ZBUFRANDI_AVX2
         if (c->level >= 3 && y >= c->reach && y + c->reach < c->height && c->width >= 8 + 2 * c->reach) {
             const uint32_t reach = c->reach;
-            for (; x < reach; x++) mask[x] = zbufrandi_suspect_pixel(c, x, y);
+            for (; x < reach; x++)
+                if (area == NULL || area[x / 16] == 1) mask[x] = zbufrandi_suspect_pixel(c, x, y);
             for (; x + 8 + reach <= c->width; x += 8) {
-                uint32_t empty, bits = zbufrandi_suspect_eight(c, c->depth + (size_t)y * c->width + x, &empty);
+                uint32_t empty, bits;
+                if (area != NULL && area[x / 16] != 1 && area[(x + 7) / 16] != 1) continue;
+                bits = zbufrandi_suspect_eight(c, c->depth + (size_t)y * c->width + x, &empty);
                 memset(mask + x, 0, 8);
                 for (; bits != 0; bits &= bits - 1) {
                     const uint32_t k = zbufrandi_ctz64(bits);
@@ -11468,7 +11474,8 @@ static void zbufrandi_suspect_task(void *ctx, uint32_t task) {
             }
         }
 #endif
-        for (; x < c->width; x++) mask[x] = zbufrandi_suspect_pixel(c, x, y);
+        for (; x < c->width; x++)
+            if (area == NULL || area[x / 16] == 1) mask[x] = zbufrandi_suspect_pixel(c, x, y);
     }
 }
 
@@ -14437,6 +14444,7 @@ struct zbufrandi_picture {
     double clock;
     int keep;                          /* colours go to f->color and not to the caller: one of several frames */
     uint32_t parts;                    /* oversampling: so many of its pixels make one; else 1 */
+    uint8_t *where;                    /* repair: of 16 x 16 pixels: 1 samples may be there, 2 beside that; or NULL */
     float jitter[2];                   /* of the centres of pixels, for what is rasterised and for rays */
     zbufrandi_camera raster_camera;    /* shifted by that */
 };
@@ -15036,6 +15044,17 @@ static void zbufrandi_depth_task(void *ctx, uint32_t y) { /* depths of the pictu
     zbufrandi_picture *p = (zbufrandi_picture *)ctx;
     const zbufrandi_recon *r = &p->f->recon;
     const uint64_t *keys = r->result + (size_t)(y + r->result_guard) * r->result_width + r->result_guard;
+    if (p->where != NULL) {
+        const uint8_t *area = p->where + (size_t)(y / 16) * ((r->width + 15) / 16);
+        uint32_t x, n;
+        for (x = 0; x < r->width; x += 16) {
+            n = r->width - x < 16 ? r->width - x : 16;
+            if (area[x / 16] != 0)
+                (void)zbufrandi_key_depths(p->f->level, keys + x, n,
+                                           (uint8_t *)(p->f->depth + (size_t)y * r->width + x));
+        }
+        return;
+    }
     zbufrandi_tally_add(p->seen, zbufrandi_key_depths(p->f->level, keys, r->width,
                                                       (uint8_t *)(p->f->depth + (size_t)y * r->width)));
 }
@@ -15262,16 +15281,92 @@ static int zbufrandi_near_samples(const zbufrandi_picture *p, uint8_t *tile, uin
     return 0;
 }
 
+static size_t zbufrandi_repair_tiles(const zbufrandi_recon *r) {
+    return ((size_t)r->width / ZBUFRANDI_REPAIR_TILE + 1) * ((size_t)r->height / ZBUFRANDI_REPAIR_TILE + 1);
+}
+
+/* ---- where samples are, if they are few ---- */
+
+enum { ZBUFRANDI_REPAIR_FEW = 1024 };
+
+/* The rectangle of a draw in the picture, `margin` pixels wider: areas there get a 1. */
+static void zbufrandi_area_mark(const zbufrandi_picture *p, const zbufrandi_draw *d, float margin, uint8_t *area) {
+    const zbufrandi_recon *r = &p->f->recon;
+    const zbufrandi_local *l = &p->f->local[d->local];
+    const uint32_t wide = (r->width + 15) / 16, index = d->item & ((1u << ZBUFRANDI_DRAW_SHIFT) - 1u);
+    const zbufrandi_cluster *c = d->item >> ZBUFRANDI_DRAW_SHIFT == ZBUFRANDI_DRAW_SAMPLED
+        ? &p->scene->structure[l->structure].cluster[index] : NULL;
+    float q[3], e[3], from[2], to[2];
+    uint32_t a, k, x, y, lo[2], hi[2];
+    for (a = 0; a < 3; a++) {
+        const float first = c != NULL ? c->box_lo[a] : d->lo[a];
+        const float last = c != NULL ? c->box_hi[a] : d->lo[a] + d->step[a] * (a == 0 ? 2048.0f : 1024.0f);
+        e[a] = (last - first) * 0.5f + (zbufrandi_absf(first) + zbufrandi_absf(last)) * 1.2e-7f;
+        q[a] = (first + last) * 0.5f - l->eye[a];
+    }
+    for (a = 0; a < 2; a++) {
+        const float size = (float)(int32_t)(a == 0 ? r->width : r->height) - 1.0f;
+        const float focal = a == 0 ? p->cut.focal : 0.0f - p->cut.focal;
+        const float center = (a == 0 ? p->cut.center_x : p->cut.center_y) - (float)(int32_t)r->guard;
+        const float at = (l->m[a][0] * q[0] + l->m[a][1] * q[1] + l->m[a][2] * q[2] + l->rest[a]) * focal;
+        const float reach = (zbufrandi_absf(l->m[a][0]) * e[0] + zbufrandi_absf(l->m[a][1]) * e[1] +
+                             zbufrandi_absf(l->m[a][2]) * e[2]) * p->cut.focal * 1.00001f;
+        for (k = 0; k < 2; k++) {
+            const float z = k == 0 ? d->z_lo : d->z_hi, s = (at - reach) / z, t = (at + reach) / z;
+            from[a] = k == 0 || s < from[a] ? s : from[a];
+            to[a] = k == 0 || t > to[a] ? t : to[a];
+        }
+        from[a] = from[a] + center - margin;
+        to[a] = to[a] + center + margin;
+        from[a] = from[a] > 0.0f ? from[a] : 0.0f; /* NaN: all of it */
+        to[a] = to[a] < size ? to[a] : size;
+        if (!(from[a] <= to[a])) return; /* beside the picture */
+        lo[a] = (uint32_t)(int32_t)from[a] / 16;
+        hi[a] = (uint32_t)(int32_t)to[a] / 16;
+    }
+    for (y = lo[1]; y <= hi[1]; y++)
+        for (x = lo[0]; x <= hi[0]; x++) area[(size_t)y * wide + x] = 1;
+}
+
+/* Where nearly all is rastered only pixels near samples can be wrong: p->where says where these may be, NULL if they
+   may be anywhere. Returns the number of pixels in such areas. */
+static size_t zbufrandi_repair_areas(zbufrandi_picture *p, uint8_t *area) {
+    const zbufrand_frame *f = p->f;
+    const zbufrandi_recon *r = &f->recon;
+    const uint32_t wide = (r->width + 15) / 16, high = (r->height + 15) / 16, block = r->o.block;
+    size_t i, n = 0;
+    uint32_t x, y, u, v;
+    p->where = NULL;
+    if (p->stats.draws[0] + p->stats.draws[1] > ZBUFRANDI_REPAIR_FEW || p->stats.rastered == 0 || block > 8 ||
+        p->d->points_count != 0) return (size_t)r->width * r->height;
+    memset(area, 0, (size_t)wide * high);
+    for (i = 0; i < f->draw_count; i++) {
+        const uint32_t kind = f->draw[i].item >> ZBUFRANDI_DRAW_SHIFT;
+        if (kind >= ZBUFRANDI_DRAW_POINTS) return (size_t)r->width * r->height;
+        if (kind <= ZBUFRANDI_DRAW_SAMPLED)
+            zbufrandi_area_mark(p, &f->draw[i], 8.0f + 2.0f * (float)(int32_t)block, area);
+    }
+    for (y = 0; y < high; y++) {
+        for (x = 0; x < wide; x++) {
+            if (area[(size_t)y * wide + x] != 1) continue;
+            n += 256;
+            for (v = y > 0 ? y - 1 : 0; v <= y + 1 && v < high; v++)
+                for (u = x > 0 ? x - 1 : 0; u <= x + 1 && u < wide; u++)
+                    if (area[(size_t)v * wide + u] == 0) area[(size_t)v * wide + u] = 2;
+        }
+    }
+    p->where = area;
+    return n < (size_t)r->width * r->height ? n : (size_t)r->width * r->height;
+}
+
 /* Pixels that rays are cast for, by areas of 16 x 16: rays that go the same way share packets. */
 static zbufrand_result zbufrandi_find_suspects(zbufrandi_picture *p) {
     zbufrand_frame *f = p->f;
     const zbufrandi_recon *r = &f->recon;
-    const size_t n = (size_t)r->width * r->height, tiles = ((size_t)r->width / ZBUFRANDI_REPAIR_TILE + 1) *
-        ((size_t)r->height / ZBUFRANDI_REPAIR_TILE + 1);
+    const size_t n = (size_t)r->width * r->height, tiles = zbufrandi_repair_tiles(r);
     size_t at;
     uint32_t x0, y0, y;
     zbufrandi_suspects s;
-    if (!zbufrandi_grow(&f->mem, (void **)&f->mask, &f->mask_capacity, 0, n + tiles, 1)) return ZBUFRAND_ERR_NO_MEMORY;
     memset(f->mask + n, 0, tiles);
     memset(&s, 0, sizeof s);
     s.depth = f->depth;
@@ -15284,6 +15379,7 @@ static zbufrand_result zbufrandi_find_suspects(zbufrandi_picture *p) {
     s.reach = r->o.block;
     s.sure = 1;
     s.level = f->level;
+    s.area = p->where;
     zbufrandi_parallel_for(&f->env, zbufrandi_suspect_task, &s, (s.height + 15) / 16);
     zbufrandi_suspect_round(&s, 1);
     for (y0 = 0; y0 < r->height; y0 += ZBUFRANDI_REPAIR_AREA) {
@@ -15367,21 +15463,26 @@ static zbufrand_result zbufrandi_repair(zbufrandi_picture *p, double density, ui
     zbufrand_frame *f = p->f;
     const zbufrandi_recon *r = &f->recon;
     const double block = (double)r->o.block;
-    const size_t n = (size_t)r->width * r->height;
+    const size_t n = (size_t)r->width * r->height, tiles = zbufrandi_repair_tiles(r);
+    const size_t areas = (size_t)((r->width + 15) / 16) * ((r->height + 15) / 16);
+    size_t sampled;
     uint64_t covered = p->stats.repaired;
     uint32_t inside = 0;
     double failed, q;
     zbufrand_result result = ZBUFRAND_OK;
-    if (!zbufrandi_grow(&f->mem, (void **)&f->depth, &f->depth_capacity, 0, n, sizeof *f->depth))
-        return ZBUFRAND_ERR_NO_MEMORY;
+    if (!zbufrandi_grow(&f->mem, (void **)&f->depth, &f->depth_capacity, 0, n, sizeof *f->depth) ||
+        !zbufrandi_grow(&f->mem, (void **)&f->mask, &f->mask_capacity, 0, n + tiles + areas, 1))
+            return ZBUFRAND_ERR_NO_MEMORY;
     f->suspect_count = 0;
     p->seen[0] = p->seen[1] = 0;
+    sampled = zbufrandi_repair_areas(p, f->mask + n + tiles);
     zbufrandi_parallel_for(&f->env, zbufrandi_depth_task, p, r->height);
     result = zbufrandi_find_suspects(p);
     if (result != ZBUFRAND_OK) return result;
     result = zbufrandi_repair_suspects(p, &inside);
     if (result != ZBUFRAND_OK) return result;
     covered = p->stats.repaired - covered + zbufrandi_tally(p->seen); /* holes are among the first */
+    if (p->where != NULL) covered = sampled;
     /* What the density promises, or more if more had failed than that: four standard deviations more of those whose
        neighbours show that they lie within a surface. Others were changed because it covers a part of them. */
     q = zbufrandi_exp2(-1.4426950408889634 * density * block * block);

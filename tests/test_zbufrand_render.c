@@ -780,6 +780,65 @@ TEST(reported_share_is_incomplete) {
     zbufrand_frame_destroy(frame);
 }
 
+/* Where nearly all is rastered only areas with samples are looked at for pixels to repair: they hold all samples that are shown, and
+   three pixels around them. */
+TEST(few_samples_among_rastered) {
+    enum { W = 210, H = 149 };
+    const uint32_t cameras = test_quick() ? 4 : 24;
+    test_rng r = test_rng_make(77);
+    zbufrand_frame *frame = open_frame(2, ZBUFRAND_ISA_AUTO);
+    zbufrand_scene *scene;
+    zbufrand_mesh m[2];
+    uint32_t c, found = 0, pictures = 0;
+    shape s[2];
+    buffers b;
+    buffers_open(&b, W, H);
+    three_balls(&s[0], 24);
+    memset(&s[1], 0, sizeof s[1]);
+    soup(&s[1], &r, 1200, 0.004, 1);
+    m[0] = mesh_of(&s[0]);
+    m[1] = mesh_of(&s[1]);
+    m[1].two_sided = 1;
+    scene = scene_of(m, 2);
+    for (c = 0; c < cameras; c++) {
+        const double angle = 6.2831853 * test_rng_double(&r), far = 1.5 + 4 * test_rng_double(&r);
+        const zbufrandi_picture *p;
+        const zbufrandi_recon *recon;
+        zbufrand_render_desc d;
+        uint32_t x, y;
+        memset(&d, 0, sizeof d);
+        d.camera.eye[0] = far * cos(angle);
+        d.camera.eye[1] = 2 * test_rng_double(&r);
+        d.camera.eye[2] = far * sin(angle);
+        d.reconstruct.block = 1 + c % 3;
+        d.seed = c;
+        CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, NULL), ZBUFRAND_OK);
+        p = frame->picture;
+        recon = &frame->recon;
+        if (p->where == NULL) continue; /* too many samples, or none */
+        pictures++;
+        for (y = 0; y < H; y++) {
+            for (x = 0; x < W; x++) {
+                const uint64_t key = recon->result[(size_t)(y + recon->result_guard) * recon->result_width + x + recon->result_guard];
+                uint32_t kind, u, v;
+                if (key == ZBUFRANDI_EMPTY) continue;
+                kind = frame->draw[frame->block_draw[((zbufrandi_key_number(key) >> 6) - p->first_block) & 0x3ffffffu]].item >> ZBUFRANDI_DRAW_SHIFT;
+                if (kind != ZBUFRANDI_DRAW_STORED && kind != ZBUFRANDI_DRAW_SAMPLED) continue;
+                found++;
+                for (v = y > 3 ? y - 3 : 0; v <= y + 3 && v < H; v += 3)
+                    for (u = x > 3 ? x - 3 : 0; u <= x + 3 && u < W; u += 3)
+                        CHECK_MSG(p->where[v / 16 * ((W + 15) / 16) + u / 16] == 1, "camera %u: nobody looks at %u %u, beside a sample", c, u, v);
+            }
+        }
+    }
+    CHECK_MSG(pictures >= cameras / 4 && found > 10 * pictures, "%u samples in %u pictures", found, pictures);
+    buffers_close(&b);
+    zbufrand_frame_destroy(frame);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s[0]);
+    shape_free(&s[1]);
+}
+
 /* The mean of frames comes as close as was asked for to the mean of many such means with other seeds. */
 TEST(noise_is_kept) {
     shape s[2];
@@ -2073,6 +2132,7 @@ int main(int argc, char **argv) {
     RUN(same_bits);
     RUN(seeds_and_occlusion);
     RUN(reported_share_is_incomplete);
+    RUN(few_samples_among_rastered);
     RUN(noise_is_kept);
     RUN(odd_cameras);
     RUN(far_too_large);
