@@ -18084,9 +18084,29 @@ static int voxrti_piece_box(const voxrti_pieces *p, size_t i, double lo[3], doub
     return 1;
 }
 
+/* A piece has numbers of its own for its triangles: samples have those of the mesh. */
+typedef struct voxrti_piece_of {
+    const voxrt_mesh *mesh;
+    const uint32_t *list;
+    const voxrt_env *env;
+    uint64_t first, cells; /* progress: which part of 2^15 it is */
+} voxrti_piece_of;
+
+static void voxrti_piece_sample(void *user, voxrt_sample *sample) {
+    const voxrti_piece_of *of = (const voxrti_piece_of *)user;
+    sample->triangle = of->list[sample->triangle];
+    of->mesh->sample_fn(of->mesh->sample_user, sample);
+}
+
+static int voxrti_piece_progress(void *user, uint64_t done, uint64_t total) {
+    const voxrti_piece_of *of = (const voxrti_piece_of *)user;
+    return of->env->progress_fn(of->env->progress_user, of->first + of->cells * done / total, (uint64_t)1 << 15);
+}
+
 /* Voxelise what lies in a cube of 2^log cells with this Morton code. */
 static voxrt_result voxrti_piece_build(voxrti_pieces *p, const uint32_t *list, size_t count, uint64_t code,
                                        uint32_t log) {
+    const uint32_t level = p->w.grid.depth > log ? p->w.grid.depth - log : 0;
     const voxrt_mesh *m = p->v.mesh;
     voxrti_mem *mem = p->w.mem;
     voxrt_build_desc d = p->d;
@@ -18096,8 +18116,14 @@ static voxrt_result voxrti_piece_build(voxrti_pieces *p, const uint32_t *list, s
     uint32_t *index = (uint32_t *)voxrti_alloc_array(mem, count, 3 * sizeof *index), a, box[6];
     uint8_t *rgb = NULL;
     const uint32_t brick = p->w.grid.depth > 15 ? 6 : 5;
+    voxrti_piece_of of;
     voxrt_result r = VOXRT_OK;
     size_t i;
+    of.mesh = m;
+    of.list = list;
+    of.env = &p->d.env;
+    of.first = level < 5 ? code << 3 * (5 - level) : code >> 3 * (level - 5);
+    of.cells = level < 5 ? (uint64_t)1 << 3 * (5 - level) : 1;
     if (m->triangle_rgb != NULL) rgb = (uint8_t *)voxrti_alloc_array(mem, count, 3);
     if (index == NULL || (m->triangle_rgb != NULL && rgb == NULL)) r = VOXRT_ERR_NO_MEMORY;
     for (i = 0; r == VOXRT_OK && i < count; i++) {
@@ -18161,15 +18187,9 @@ static voxrt_result voxrti_piece(voxrti_pieces *p, const uint32_t *list, size_t 
         octants[i] = (uint8_t)bits;
     }
     for (o = 0; o < 8 && r == VOXRT_OK; o++) {
-        const voxrt_env *env = &p->d.env;
         for (i = 0, n = 0; i < count; i++)
             if (octants[i] >> o & 1u) part[n++] = list[i];
         r = voxrti_piece(p, part, n, code << 3 | o, log - 1);
-        if (r == VOXRT_OK && env->progress_fn != NULL && p->w.grid.depth - log <= 4) {
-            const uint32_t up = 3 * (4 - (p->w.grid.depth - log));
-            if (env->progress_fn(env->progress_user, ((code << 3 | o) + 1) << up, (uint64_t)1 << 15) != 0)
-                r = VOXRT_ERR_CANCELLED;
-        }
     }
     voxrti_free(mem, part);
     voxrti_free(mem, octants);
@@ -18233,6 +18253,9 @@ VOXRT_DEF voxrt_result voxrt_paged_build(const voxrt_build_desc *desc, const vox
         if (r == VOXRT_OK) r = voxrti_piece(p, list, n, 0, grid.depth > 6 ? grid.depth : 6);
         if (r == VOXRT_OK && p->w.voxels == 0) r = VOXRT_ERR_EMPTY;
         if (r == VOXRT_OK) r = voxrti_page_finish(&p->w);
+        if (r == VOXRT_OK && d.env.progress_fn != NULL && /* the last pieces may be empty */
+            d.env.progress_fn(d.env.progress_user, (uint64_t)1 << 15, (uint64_t)1 << 15) != 0)
+            r = VOXRT_ERR_CANCELLED;
         stats->voxels = p->w.voxels;
         voxrti_page_end(&p->w);
     }
