@@ -8062,6 +8062,11 @@ static voxrt_result voxrti_unshare_geometry(voxrti_mem *mem, const voxrt_tree *s
     return voxrti_tree_index(t);
 }
 
+/* What a call may hold beside what it holds already. */
+static size_t voxrti_limit_left(size_t limit, size_t held) {
+    return limit == 0 ? 0 : limit > held ? limit - held : 1;
+}
+
 static voxrt_result voxrti_share_convert(const voxrt_tree *s, const voxrt_env *env, int share, voxrt_tree **out_tree) {
     voxrt_env e;
     voxrti_mem mem;
@@ -8079,6 +8084,7 @@ static voxrt_result voxrti_share_convert(const voxrt_tree *s, const voxrt_env *e
         r = voxrti_share_convert(s, &e, !share, &other);
         if (other == NULL) return r;
         s = other;
+        mem.limit = voxrti_limit_left(mem.limit, other->mem.used);
     }
     t = (voxrt_tree *)voxrti_alloc_zero(&mem, 1, sizeof *t);
     if (t == NULL) r = VOXRT_ERR_NO_MEMORY;
@@ -8662,7 +8668,9 @@ VOXRT_DEF voxrt_result voxrt_octree_from_tree(const voxrt_octree_desc *desc, con
     if (s->code != NULL) {
         voxrt_tree *plain;
         r = voxrt_tree_unshare(s, &d.env, &plain);
-        if (r == VOXRT_OK) r = voxrt_octree_from_tree(desc, plain, out_octree);
+        if (r != VOXRT_OK || plain == NULL) return r;
+        d.env.memory_limit = voxrti_limit_left(d.env.memory_limit, plain->mem.used);
+        r = voxrt_octree_from_tree(&d, plain, out_octree);
         voxrt_tree_destroy(plain);
         return r;
     }
@@ -8990,8 +8998,7 @@ VOXRT_DEF voxrt_result voxrt_octree_load_file(const voxrt_octree_desc *desc, con
     if (path == NULL) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no path");
     r = voxrti_read_file(&mem, path, &data, &size);
     if (r != VOXRT_OK) return voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
-    if (d.env.memory_limit != 0) /* what the file itself holds counts */
-        d.env.memory_limit = d.env.memory_limit > mem.used ? d.env.memory_limit - mem.used : 1;
+    d.env.memory_limit = voxrti_limit_left(d.env.memory_limit, mem.used); /* what the file itself holds counts */
     r = voxrt_octree_load_memory(&d, data, size, out_octree);
     voxrti_free(&mem, data);
     return r;
@@ -10863,8 +10870,7 @@ VOXRT_DEF voxrt_result voxrt_tree_load_file(const voxrt_load_desc *desc, const c
     if (r != VOXRT_OK) return r;
     r = voxrti_read_file(&mem, path, &data, &size);
     if (r != VOXRT_OK) return voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
-    if (d.env.memory_limit != 0) /* what the file itself holds counts */
-        d.env.memory_limit = d.env.memory_limit > mem.used ? d.env.memory_limit - mem.used : 1;
+    d.env.memory_limit = voxrti_limit_left(d.env.memory_limit, mem.used); /* what the file itself holds counts */
     r = voxrt_tree_load_memory(&d, data, size, out_tree);
     voxrti_free(&mem, data);
     return r;
@@ -16757,6 +16763,7 @@ VOXRT_DEF voxrt_result voxrt_model_from_tree(const voxrt_env *env, const voxrt_t
         r = voxrt_tree_unshare(tree, &e, &plain);
         if (r != VOXRT_OK || plain == NULL) return r;
         tree = plain;
+        e.memory_limit = voxrti_limit_left(e.memory_limit, plain->mem.used);
     }
     r = voxrti_model_open(&e, tree->depth, tree->origin, tree->voxel_size, &m);
     if (r == VOXRT_OK && m != NULL) {
@@ -18011,6 +18018,7 @@ static voxrt_result voxrti_tree_save_paged(voxrti_mem *mem, const voxrt_save_des
     voxrti_bytes page;
     voxrt_tree *plain = NULL;
     const voxrt_tree *t = tree;
+    const size_t limit = mem->limit;
     voxrt_result r = VOXRT_OK;
     memset(&page, 0, sizeof page);
     page.mem = mem;
@@ -18020,6 +18028,7 @@ static voxrt_result voxrti_tree_save_paged(voxrti_mem *mem, const voxrt_save_des
         r = voxrt_tree_unshare(tree, &env, &plain);
         if (r != VOXRT_OK || plain == NULL) return r;
         t = plain;
+        mem->limit = voxrti_limit_left(limit, plain->mem.used);
     }
     memset(&grid, 0, sizeof grid);
     memcpy(grid.origin, t->origin, sizeof grid.origin);
@@ -18044,6 +18053,7 @@ static voxrt_result voxrti_tree_save_paged(voxrti_mem *mem, const voxrt_save_des
     voxrti_page_end(&w);
     voxrti_free(mem, page.data);
     voxrt_tree_destroy(plain);
+    mem->limit = limit;
     return r;
 }
 
