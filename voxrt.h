@@ -1191,12 +1191,17 @@ VOXRT_DEF void voxrt_paged_get_info(const voxrt_paged *paged, voxrt_paged_info *
 VOXRT_DEF void voxrt_paged_geometry(voxrt_paged *paged, voxrt_geometry *out_geometry);
 
 /* Read what rays met and did not find since the last update, the coarsest first, in an order that depends only on what
-   was traced, not on threads. Pages that rays hit since the last update stay; others may give way when memory is full.
+   was traced, not on threads; what only any-hit rays (shadows) met waits until nothing else is missing. Pages that rays
+   hit since the last update stay; others may give way when memory is full.
    most_bytes  0: all; else it ends behind the page that reaches so many bytes
    stats       out, may be NULL. wanted = 0: what was drawn is exact
    Errors: CHECKSUM, FORMAT, IO: of the first bad page, the others have been loaded; it stays coarse (and is not counted
    in `wanted` again). Needs the object for itself. */
 VOXRT_DEF voxrt_result voxrt_paged_update(voxrt_paged *paged, uint64_t most_bytes, voxrt_paged_update_stats *stats);
+
+/* From now on rays wait (1) or do not (0), as voxrt_paged_desc.wait says: the last picture is exact, after those that
+   memory was too small for. Not while rays are traced. O(1). */
+VOXRT_DEF void voxrt_paged_wait(voxrt_paged *paged, uint32_t wait);
 
 /* Where a file is written to: `bytes` bytes from `offset` on; returns 0, or anything else when that fails. The file
    grows at its end, but its first 4096 bytes may be written twice. */
@@ -18361,8 +18366,9 @@ typedef struct voxrti_page { /* 56 bytes: what the table says, and what has beco
     uint32_t place, frames; /* in the arena; place 0: it is not there */
     uint32_t used;          /* atomic: turn in which it was hit last */
     uint32_t passed;        /* turn in which the hand of the clock passed it */
-    uint32_t wanted;        /* atomic: 1: it was missing */
-    uint32_t bad;           /* 1: it cannot be loaded */
+    uint8_t wanted;         /* atomic: 1: a ray met it, and it was missing, */
+    uint8_t shades;         /* atomic: or a ray that asked for any hit */
+    uint8_t bad;            /* 1: it cannot be loaded */
 } voxrti_page;
 
 typedef struct voxrti_chunk { /* 64 bytes: begin of a page in the arena; then come nodes, ranks and the rest */
@@ -19046,32 +19052,44 @@ VOXRT_DEF void voxrt_paged_get_info(const voxrt_paged *p, voxrt_paged_info *info
     info->error = p->error;
 }
 
+/* Whether a page is missing that rays asked for, or only rays for any hit; that is forgotten. */
+static int voxrti_page_asked(voxrti_page *g, uint32_t shades) {
+    const int missing = g->place == 0 && !g->bad, asked = missing && (shades ? g->shades : g->wanted);
+    if (shades || asked) g->shades = 0;
+    g->wanted = 0;
+    return asked;
+}
+
 VOXRT_DEF voxrt_result voxrt_paged_update(voxrt_paged *paged, uint64_t most_bytes, voxrt_paged_update_stats *stats) {
     voxrt_paged *p = paged;
     voxrt_paged_update_stats local;
     voxrt_result r = VOXRT_OK;
     const uint64_t read = p->read_bytes, evicted = p->evictions;
-    uint32_t i;
+    uint32_t i, shades;
     int full = 0;
     if (stats == NULL) stats = &local;
     memset(stats, 0, sizeof *stats);
-    for (i = 0; i < p->page_count; i++) { /* the coarsest have the lowest numbers */
-        voxrti_page *g = &p->page[i];
-        voxrt_result one;
-        if (!g->wanted) continue;
-        g->wanted = 0;
-        if (g->place != 0 || g->bad) continue;
-        stats->wanted++;
-        if (full || (most_bytes != 0 && p->read_bytes - read >= most_bytes)) continue;
-        if (p->page[g->parent].place == 0) continue; /* it gave way to others */
-        one = voxrti_paged_load(p, i, &full);
-        if (one != VOXRT_OK && r == VOXRT_OK) r = one;
-        stats->loaded += one == VOXRT_OK && !full;
+    for (shades = 0; shades < 2; shades++) { /* shadows of coarse cells would ask for pages that nobody needs */
+        const int later = shades && stats->wanted != 0;
+        for (i = 0; i < p->page_count; i++) { /* the coarsest have the lowest numbers */
+            voxrt_result one;
+            if (!voxrti_page_asked(&p->page[i], shades)) continue;
+            stats->wanted++;
+            if (full || later || (most_bytes != 0 && p->read_bytes - read >= most_bytes)) continue;
+            if (p->page[p->page[i].parent].place == 0) continue; /* it gave way to others */
+            one = voxrti_paged_load(p, i, &full);
+            if (one != VOXRT_OK && r == VOXRT_OK) r = one;
+            stats->loaded += one == VOXRT_OK && !full;
+        }
     }
     stats->bytes = p->read_bytes - read;
     stats->evicted = (uint32_t)(p->evictions - evicted);
     p->turn++;
     return r;
+}
+
+VOXRT_DEF void voxrt_paged_wait(voxrt_paged *paged, uint32_t wait) {
+    if (paged != NULL) paged->wait = wait;
 }
 
 /* ---- rays ---- */
@@ -19308,8 +19326,11 @@ static void voxrti_paged_run(voxrt_paged *p, const voxrt_trace_desc *desc, const
     VOXRT_ASSERT(count <= VOXRTI_RUN);
     if (!p->wait) {
         (void)voxrti_paged_rays(p, desc, rays, hits, surfaces, missing, count);
-        for (i = 0; i < count; i++)
-            if (missing[i] != VOXRTI_NO_PAGE) voxrti_atomic_store(&p->page[missing[i]].wanted, 1u);
+        for (i = 0; i < count; i++) {
+            if (missing[i] == VOXRTI_NO_PAGE) continue;
+            if (surfaces != NULL) voxrti_atomic_store(&p->page[missing[i]].wanted, (uint8_t)1);
+            else voxrti_atomic_store(&p->page[missing[i]].shades, (uint8_t)1);
+        }
         return;
     }
     voxrti_paged_enter(p, 0);

@@ -119,7 +119,7 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
     table[n++] = sup_opt_real("budget", &o->budget, 0.0, 1e6, "MS", "time for each of --frames: detail is lowered first where it shows least");
     table[n++] = sup_opt_int("memory", &o->memory, 1, 1048576, "MIB", "of a file in pages (voxrt_convert --paged): for what is loaded (1024)");
     table[n++] = sup_opt_flag("finer", &o->finer, "of a file in pages: up to --frames pictures from one place, with what is loaded so far, until "
-                              "nothing is missing");
+                              "nothing is missing; when it does not fit, the last one waits for each ray's part");
     table[n++] = sup_opt_flag("blend", &o->blend, "colours and normals go over from one level of detail to the next: no popping in motion");
     table[n++] = sup_opt_flag("cubes", &o->cubes, "voxels with planes (voxrt_convert --planes) as cubes");
     table[n++] = sup_opt_flag("one-sided", &o->one_sided, "surfaces seen from behind stay dark instead of turning their normals");
@@ -442,16 +442,22 @@ static int make_image(const render_options *o, voxrt_image *image) {
     return 1;
 }
 
-/* Load what the picture lacked; with --finer frame f is the last one when that is nothing. Returns 1 with err->text set
-   when the file cannot be read. */
-static int next_pages(const render_options *o, voxrt_paged *paged, int64_t *frames, int64_t f, sup_error *err) {
-    voxrt_paged_update_stats stats;
+/* Load what picture f lacked. With --finer it is the last one when that is nothing; when there is no room for it the next one,
+   which waits, is the last. Returns 1 with err->text set when the file cannot be read. */
+static int next_pages(const render_options *o, voxrt_paged *paged, int64_t *frames, int64_t f, int *exact, sup_error *err) {
+    voxrt_paged_update_stats stats = {0};
     voxrt_paged_info info;
     if (o->finer) {
         (void)voxrt_paged_update(paged, 0, &stats);
-        if (stats.loaded == 0) *frames = f + 1;
+        if (stats.wanted == 0) {
+            *frames = f + 1;
+        } else if (stats.loaded == 0 && f + 2 < *frames) {
+            voxrt_paged_wait(paged, 1);
+            *frames = f + 2;
+        }
     }
     voxrt_paged_get_info(paged, &info);
+    *exact = stats.wanted == 0 && info.coarse_rays == 0;
     return info.bad_pages != 0 ? sup_fail(err, "%s: %s", o->in, info.error.text) : 0;
 }
 
@@ -471,6 +477,7 @@ int main(int argc, char **argv) {
     char path[1024];
     const char *pattern;
     double start, began;
+    int exact = 1;
     int status = parse(argc, argv, &o, &desc);
     if (status >= 0) return status;
     pattern = o.common.out;
@@ -530,9 +537,12 @@ int main(int argc, char **argv) {
             desc.pixel_step = budget.pixel_step;
         }
         spent.exact = sup_now() - began;
-        if (!status && s.paged != NULL) status = next_pages(&o, s.paged, &o.frames, f, &err);
+        if (!status && s.paged != NULL) status = next_pages(&o, s.paged, &o.frames, f, &exact, &err);
     }
     sup_progress_end(&progress);
+    if (!status && !exact && !o.common.quiet)
+        sup_warn(argv[0], o.finer ? "the last picture is not exact yet: more --frames would be finer" :
+                                    "there is not enough --memory for some rays: they met cells that are too coarse");
     if (status) (void)sup_bad_input(argv[0], err.text);
     else if (o.common.stats) print_stats(&o, &s, &desc, &image, &stats, &spent);
     free_image(&image);
