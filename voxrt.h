@@ -17464,7 +17464,8 @@ VOXRT_DEF void voxrt_model_geometry(const voxrt_model *model, voxrt_geometry *ou
 #define VOXRTI_FRAME 1024u
 #define VOXRTI_NO_PAGE 0xffffffffu
 #define VOXRTI_PAGE_TIERS (VOXRTI_MAX_WIDE / 2)
-#define VOXRTI_PAGE_MOST 4194304u  /* no page has so many bytes */
+#define VOXRTI_PAGE_MOST 4194304u  /* no page has more bytes */
+#define VOXRTI_PAGED_FIRST 10u     /* frames with the root and full nodes */
 #define VOXRTI_PAGED_HEAD 320u     /* bytes of a file before the pages */
 #define VOXRTI_PAGED_PLACE 80u
 #define VOXRTI_PAGED_ENTRY 24u
@@ -18149,7 +18150,14 @@ static voxrt_result voxrti_piece_build(voxrti_pieces *p, const uint32_t *list, s
     part.indices = index;
     part.triangle_rgb = rgb;
     part.triangle_count = count;
-    d.env.progress_fn = NULL;
+    if (m->sample_fn != NULL) {
+        part.sample_fn = voxrti_piece_sample;
+        part.sample_user = &of;
+    }
+    if (d.env.progress_fn != NULL) {
+        d.env.progress_fn = voxrti_piece_progress;
+        d.env.progress_user = &of;
+    }
     memset(&stats, 0, sizeof stats);
     memset(&set, 0, sizeof set);
     for (a = 0; a < 3; a++) {
@@ -18358,7 +18366,7 @@ VOXRT_DEF voxrt_result voxrt_paged_build_file(const voxrt_build_desc *desc, cons
 
 /* ---- what is loaded ---- */
 
-typedef struct voxrti_page { /* 56 bytes: what the table says, and what has become of it */
+typedef struct voxrti_page { /* what the table says, and what has become of it */
     uint64_t offset, checksum;
     uint32_t size;
     uint16_t n1, n2;
@@ -18523,7 +18531,7 @@ static uint32_t voxrti_paged_room(voxrt_paged *p, uint32_t frames) {
                 f++;
                 continue;
             }
-            blocked = p->owner[f] == 0 || g->used == p->turn || g->used > g->passed;
+            blocked = p->owner[f] == 0 || g->used == p->turn || g->used != g->passed;
             if (g->used != p->turn) g->passed = g->used;
             f = g->place + g->frames;
         }
@@ -18852,6 +18860,36 @@ static voxrt_result voxrti_paged_table(voxrt_paged *p, const voxrt_paged_desc *d
     return VOXRT_OK;
 }
 
+/* Bytes beside the frames when the largest page has `most`, and the fewest frames that will do: two pages a level. */
+static uint64_t voxrti_paged_fixed(const voxrt_paged *p, uint32_t most) {
+    return sizeof *p + 1024 + (uint64_t)p->page_count * sizeof *p->page + most + 8;
+}
+static uint64_t voxrti_paged_least(const voxrt_paged *p, uint32_t most) {
+    return VOXRTI_PAGED_FIRST + (uint64_t)p->tiers * ((2 * (uint64_t)most + 4096) / VOXRTI_FRAME + 1);
+}
+
+/* There is not enough memory: how much would do. */
+static voxrt_result voxrti_paged_short(const voxrt_paged *p, const voxrt_paged_desc *d, uint32_t most) {
+    return voxrti_paged_fail(d, VOXRT_ERR_RANGE,
+                             voxrti_paged_fixed(p, most) + voxrti_paged_least(p, most) * (VOXRTI_FRAME + 4),
+                             "this file needs % bytes of memory");
+}
+
+/* Bytes of the largest page, for those who have no room for the table. */
+static voxrt_result voxrti_paged_most(voxrt_paged *p, const voxrt_paged_desc *d, uint64_t table, uint32_t *most) {
+    uint8_t size[4];
+    uint32_t i;
+    *most = 0;
+    for (i = 0; i < p->page_count; i++) {
+        const voxrt_result r =
+            voxrti_paged_read(p, table + (uint64_t)i * VOXRTI_PAGED_ENTRY + 8, size, sizeof size);
+        if (r != VOXRT_OK) return voxrti_paged_fail(d, r, table, "the table of pages cannot be read");
+        if (voxrti_load_u32(size) > *most) *most = voxrti_load_u32(size);
+    }
+    if (*most > VOXRTI_PAGE_MOST) *most = VOXRTI_PAGE_MOST;
+    return VOXRT_OK;
+}
+
 /* Root and full nodes at the start of the arena. */
 static void voxrti_paged_solid(voxrt_paged *p) {
     uint32_t w = p->tree.wide - 1, i, at = 640;
@@ -18872,30 +18910,27 @@ static void voxrti_paged_solid(voxrt_paged *p) {
 
 static voxrt_result voxrti_paged_fill(voxrt_paged *p, const voxrt_paged_desc *d) {
     const uint64_t memory = d->memory != 0 ? d->memory : (uint64_t)256 << 20;
-    uint64_t table = 0, checksum = 0, fixed, least, frames;
+    uint64_t table = 0, checksum = 0, frames, least, all;
     uint32_t most = 0;
     int full = 0;
     voxrt_result r = voxrti_paged_head(p, d, &table, &checksum);
     if (r != VOXRT_OK) return r;
-    fixed = sizeof *p + 1024 + (uint64_t)p->page_count * sizeof *p->page;
-    if (fixed > memory)
-        return voxrti_paged_fail(d, VOXRT_ERR_RANGE, fixed + fixed / 2, "the tables of this file need % bytes or more");
+    if (voxrti_paged_fixed(p, 0) > memory) {
+        r = voxrti_paged_most(p, d, table, &most);
+        return r != VOXRT_OK ? r : voxrti_paged_short(p, d, most);
+    }
     p->page = (voxrti_page *)voxrti_alloc_zero(&p->mem, p->page_count, sizeof *p->page);
     if (p->page == NULL) return voxrti_paged_fail(d, VOXRT_ERR_NO_MEMORY, 0, voxrt_result_string(VOXRT_ERR_NO_MEMORY));
     r = voxrti_paged_table(p, d, table, checksum, &most);
     if (r != VOXRT_OK) return r;
-    p->first_frame = 10;
-    fixed += most + 8;
-    least = p->first_frame + (uint64_t)p->tiers * ((2 * (uint64_t)most + 4096) / VOXRTI_FRAME + 1);
-    if (fixed + least * (VOXRTI_FRAME + 4) > memory)
-        return voxrti_paged_fail(d, VOXRT_ERR_RANGE, fixed + least * (VOXRTI_FRAME + 4),
-                                 "this file needs % bytes of memory");
-    frames = (memory - fixed) / (VOXRTI_FRAME + 4);
+    least = voxrti_paged_least(p, most);
+    if (voxrti_paged_fixed(p, most) + least * (VOXRTI_FRAME + 4) > memory) return voxrti_paged_short(p, d, most);
+    frames = (memory - voxrti_paged_fixed(p, most)) / (VOXRTI_FRAME + 4);
     if (frames > 0x1ffffff) frames = 0x1ffffff; /* 32 GB: leaf nodes have 32-bit numbers */
-    if (frames > least + 2 * p->file_bytes / VOXRTI_FRAME + 2 * (uint64_t)p->page_count)
-        frames = least + 2 * p->file_bytes / VOXRTI_FRAME + 2 * (uint64_t)p->page_count; /* all of it fits */
+    all = least + p->file_bytes / (VOXRTI_FRAME / 2) + 2 * (uint64_t)p->page_count; /* all of it fits */
+    if (frames > all) frames = all;
     p->frames = (uint32_t)frames;
-    p->hand = p->first_frame;
+    p->first_frame = p->hand = VOXRTI_PAGED_FIRST;
     p->buffer = (uint8_t *)voxrti_alloc(&p->mem, (size_t)most + 8);
     p->owner = (uint32_t *)voxrti_alloc_array(&p->mem, (size_t)frames, sizeof *p->owner);
     p->arena = (uint8_t *)voxrti_alloc_array(&p->mem, (size_t)frames, VOXRTI_FRAME);
@@ -18944,7 +18979,12 @@ static voxrt_result voxrti_paged_make(const voxrt_paged_desc *d, void *file, vox
     p = (voxrt_paged *)voxrti_alloc_zero(&mem, 1, sizeof *p);
     if (p == NULL) return voxrti_paged_fail(d, VOXRT_ERR_NO_MEMORY, 0, voxrt_result_string(VOXRT_ERR_NO_MEMORY));
 #ifndef VOXRT_NO_THREADS
-    if (pthread_mutex_init(&p->lock, NULL) != 0 || pthread_cond_init(&p->change, NULL) != 0) {
+    if (pthread_mutex_init(&p->lock, NULL) != 0) {
+        voxrti_free(&mem, p);
+        return voxrti_paged_fail(d, VOXRT_ERR_NO_MEMORY, 0, "no lock");
+    }
+    if (pthread_cond_init(&p->change, NULL) != 0) {
+        (void)pthread_mutex_destroy(&p->lock);
         voxrti_free(&mem, p);
         return voxrti_paged_fail(d, VOXRT_ERR_NO_MEMORY, 0, "no lock");
     }
@@ -18981,13 +19021,14 @@ VOXRT_DEF voxrt_result voxrt_paged_open(const voxrt_paged_desc *desc, voxrt_page
 
 #ifndef VOXRT_NO_STDIO
 
-/* Steps that a long can hold, wherever a file is longer. */
+/* In steps that a long can hold; where it has 64 bits that is one. */
 static int voxrti_file_read(void *user, uint64_t offset, void *to, size_t bytes) {
+    const uint64_t most = (unsigned long)-1 >> 1;
     FILE *file = (FILE *)user;
-    uint64_t left = offset > 0x40000000u ? offset - 0x40000000u : 0;
+    uint64_t left = offset > most ? offset - most : 0;
     if (fseek(file, (long)(offset - left), SEEK_SET) != 0) return 1;
     while (left != 0) {
-        const uint64_t step = left < 0x40000000u ? left : 0x40000000u;
+        const uint64_t step = left < most ? left : most;
         if (fseek(file, (long)step, SEEK_CUR) != 0) return 1;
         left -= step;
     }
@@ -19008,15 +19049,20 @@ VOXRT_DEF voxrt_result voxrt_paged_open_file(const voxrt_paged_desc *desc, const
     file = fopen(path, "rb");
     if (file == NULL) return voxrti_paged_fail(&d, VOXRT_ERR_IO, 0, "the file cannot be opened");
     have = fread(head, 1, sizeof head, file);
+    if (have == 0 && ferror(file)) r = voxrti_paged_fail(&d, VOXRT_ERR_IO, 0, "the file cannot be read");
     d.data = NULL;
     d.read_fn = voxrti_file_read;
     d.read_user = file;
     d.size = have;
     if (have == sizeof head && memcmp(head, voxrti_v5_magic, 8) == 0) { /* as long as it says, if that is true */
         const uint64_t size = voxrti_load_u64(head + 16);
+        uint64_t at;
         d.size = size;
-        if (size < have || voxrti_file_read(file, size - 1, head, 1) != 0) r = VOXRT_ERR_TRUNCATED;
-        else if (fread(head, 1, 1, file) != 0) r = VOXRT_ERR_FORMAT;
+        if (size < have) r = VOXRT_ERR_TRUNCATED;
+        for (at = (uint64_t)1 << 30; r == VOXRT_OK && at < size / 2; at *= 2) /* not many steps beyond the end */
+            if (voxrti_file_read(file, at, head, 1) != 0) r = VOXRT_ERR_TRUNCATED;
+        if (r == VOXRT_OK && voxrti_file_read(file, size - 1, head, 1) != 0) r = VOXRT_ERR_TRUNCATED;
+        if (r == VOXRT_OK && fread(head, 1, 1, file) != 0) r = VOXRT_ERR_FORMAT;
         if (r != VOXRT_OK) r = voxrti_paged_fail(&d, r, 16, "size of the file is not the one in its header");
     }
     if (r == VOXRT_OK) r = voxrti_paged_make(&d, file, out_paged);
