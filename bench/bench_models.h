@@ -2,6 +2,7 @@
    see LICENSE. Include it after bench.h, the support headers and voxrt.h. */
 #ifndef BENCH_MODELS_H_INCLUDED
 #define BENCH_MODELS_H_INCLUDED
+#include "../examples/support/voxel_mesh.h"
 
 /* ---- meshes ---- */
 
@@ -82,19 +83,6 @@ static const model *get_model(int id) {
     return m->state == 1 ? m : NULL;
 }
 
-static voxrt_mesh mesh_view(const sup_mesh *s) {
-    voxrt_mesh m;
-    memset(&m, 0, sizeof m);
-    m.positions = s->positions;
-    m.vertex_count = s->vertex_count;
-    m.indices = s->indices;
-    m.triangle_count = s->triangle_count;
-    m.normals = s->normals;
-    m.vertex_rgb = s->vertex_rgb;
-    m.triangle_rgb = s->triangle_rgb;
-    return m;
-}
-
 /* ---- trees: kept until drop_trees ---- */
 
 enum { KIND_DEFAULT, KIND_PEER }; /* PEER: every voxel that is touched, in the cube that the peers' voxeliser uses */
@@ -134,7 +122,7 @@ static const voxrt_tree *get_tree(int id, uint32_t resolution, int kind) {
     memset(&d, 0, sizeof d);
     d.env.thread_count = (uint32_t)g_opt.threads;
     d.resolution = resolution;
-    mesh = mesh_view(&m->mesh);
+    mesh = sup_voxel_mesh(&m->mesh);
     if (kind == KIND_PEER) {
         d.separating = VOXRT_SEPARATING_26;
         peer_box(&m->mesh, &d);

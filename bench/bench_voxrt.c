@@ -405,7 +405,7 @@ static void adversarial(size_t count) {
         bd.disable_normals = 1;
         if (k == 0) {
             const model *m = get_model(MODEL_BLOB);
-            voxrt_mesh mesh = mesh_view(&m->mesh);
+            voxrt_mesh mesh = sup_voxel_mesh(&m->mesh);
             bd.resolution = SIZE;
             must(voxrt_tree_build(&bd, &mesh, NULL, &tree), "build");
         } else {
@@ -440,7 +440,7 @@ static void leaks(size_t count) {
     static const char *const kinds[3] = {"vertices", "edge midpoints", "random"};
     const model *m = get_model(MODEL_BLOB);
     const size_t corners = 3 * m->mesh.triangle_count;
-    voxrt_mesh mesh = mesh_view(&m->mesh);
+    voxrt_mesh mesh = sup_voxel_mesh(&m->mesh);
     voxrt_build_desc bd;
     voxrt_tree *tree;
     float *middle = (float *)must_alloc(corners, 12);
@@ -842,7 +842,7 @@ static void bytes_of_model(int id, uint32_t resolution) {
     size_line(kase, "file, compact, normals", (double)file_bytes(tree, VOXRT_ENCODING_COMPACT), &info);
     size_line(kase, "file, raw, normals", (double)file_bytes(tree, VOXRT_ENCODING_RAW), &info);
     size_line(kase, "uniform grid, 4 bytes a cell", 4.0 * pow((double)(1u << info.depth), 3.0), &info);
-    mesh = mesh_view(&get_model(id)->mesh);
+    mesh = sup_voxel_mesh(&get_model(id)->mesh);
     memset(&bd, 0, sizeof bd);
     bd.env.thread_count = (uint32_t)g_opt.threads;
     bd.resolution = resolution;
@@ -883,7 +883,7 @@ static void bytes_of_model(int id, uint32_t resolution) {
 /* The voxels that the peers' bytes are quoted for. */
 static void bytes_of_peer_voxels(void) {
     const model *m = get_model(MODEL_BLOB);
-    voxrt_mesh mesh = mesh_view(&m->mesh);
+    voxrt_mesh mesh = sup_voxel_mesh(&m->mesh);
     voxrt_build_desc d;
     voxrt_tree_info info;
     voxrt_tree *tree;
@@ -965,7 +965,7 @@ static void bytes_shared(int regular, double bits[2]) {
     bits[0] = bits[1] = 0.0;
     if (!regular && m == NULL) return;
     if (regular && sup_scene_make("pillars", 0, &made)) run_failed("pillars", "no mesh");
-    mesh = mesh_view(regular ? &made : &m->mesh);
+    mesh = sup_voxel_mesh(regular ? &made : &m->mesh);
     snprintf(kase, sizeof kase, "%s-%u", regular ? "pillars" : m->name, resolution);
     memset(&d, 0, sizeof d);
     d.env.thread_count = (uint32_t)g_opt.threads;
@@ -1230,7 +1230,7 @@ static void convert_file(void) {
         if (!g_opt.full && i == 3) break;
         memset(&c, 0, sizeof c);
         memset(&b, 0, sizeof b);
-        c.mesh = mesh_view(&mesh);
+        c.mesh = sup_voxel_mesh(&mesh);
         c.resolution = 1024;
         c.threads = i < 2 ? 1u : (uint32_t)g_opt.threads;
         c.kind = i % 2 == 0 ? KIND_DEFAULT : KIND_PEER;
@@ -1268,7 +1268,7 @@ static void convert_colors(void) {
     memset(b, 0, sizeof b);
     memset(c, 0, sizeof c);
     for (i = 0; i < n; i++) {
-        c[i].mesh = mesh_view(&mesh);
+        c[i].mesh = sup_voxel_mesh(&mesh);
         if (i == 1) c[i].mesh.triangle_rgb = bands;
         if (i >= 2) c[i].mesh.vertex_rgb = smooth;
         c[i].thesis_palette = i == 3;
@@ -1306,7 +1306,7 @@ static void convert_build(uint32_t resolution, int rounds) {
         double rate;
         memset(&c, 0, sizeof c);
         memset(&b, 0, sizeof b);
-        c.mesh = mesh_view(&m->mesh);
+        c.mesh = sup_voxel_mesh(&m->mesh);
         c.resolution = resolution;
         c.threads = k == 0 ? 1u : (uint32_t)g_opt.threads;
         b.run = run_convert;
@@ -1833,7 +1833,7 @@ static void bm15(void) {
         light.position[2] = 0.5f;
         light.color[0] = light.color[1] = light.color[2] = 0.9f;
         for (i = 0; i < 2; i++) {
-            voxrt_mesh m = mesh_view(&mesh);
+            voxrt_mesh m = sup_voxel_mesh(&mesh);
             voxrt_build_desc d;
             memset(&d, 0, sizeof d);
             d.resolution = views[k].resolution;
@@ -2024,19 +2024,12 @@ static void bm17(void) {
     double start, cpu;
     int way;
     memset(&mesh, 0, sizeof mesh);
-    memset(&m, 0, sizeof m);
     memset(&d, 0, sizeof d);
     memset(&f, 0, sizeof f);
     snprintf(path, sizeof path, "%s/bench_pages_%ld.vox", folder, (long)getpid());
     snprintf(kase, sizeof kase, "terrain-%u", resolution);
     if (sup_scene_make("terrain", g_opt.full ? 2000 : 500, &mesh)) run_failed("terrain", "no mesh");
-    m.positions = mesh.positions;
-    m.vertex_count = mesh.vertex_count;
-    m.indices = mesh.indices;
-    m.triangle_count = mesh.triangle_count;
-    m.normals = mesh.normals;
-    m.vertex_rgb = mesh.vertex_rgb;
-    m.triangle_rgb = mesh.triangle_rgb;
+    m = sup_voxel_mesh(&mesh);
     d.resolution = resolution;
     d.palette_size = 16777216;
     d.env.thread_count = (uint32_t)g_opt.threads;

@@ -13,6 +13,7 @@
 #include "../examples/support/scenes.h"
 #define VOXRT_IMPLEMENTATION
 #include "../voxrt.h"
+#include "../examples/support/voxel_mesh.h"
 #include "baseline/columns.h"
 
 enum { ROUNDS = 5, GRID = 256, DEPTH = 128 };
@@ -377,15 +378,9 @@ typedef struct world {
     float *direct, *indirect;
 } world;
 
-static voxrt_mesh mesh_of(const sup_mesh *m) {
-    voxrt_mesh out;
-    memset(&out, 0, sizeof out);
-    out.positions = m->positions;
-    out.vertex_count = m->vertex_count;
-    out.indices = m->indices;
-    out.triangle_count = m->triangle_count;
-    out.vertex_rgb = m->vertex_rgb;
-    out.triangle_rgb = m->triangle_rgb;
+static voxrt_mesh mesh_of(const sup_mesh *m) { /* with the normals of its triangles */
+    voxrt_mesh out = sup_voxel_mesh(m);
+    out.normals = NULL;
     return out;
 }
 

@@ -10,6 +10,7 @@
 #include "voxrt.h"
 #include "support/finish.h"
 #include "support/voxel_file.h"
+#include "support/voxel_mesh.h"
 
 typedef struct convert_options {
     const char *first, *second; /* positional arguments */
@@ -285,7 +286,7 @@ static size_t triangles_that_fit(void) {
     return memory / 256; /* with all that is made of a triangle */
 }
 
-/* Textures, displacement and finishes of a mesh. Returns 0, or the exit status. */
+/* *in: the mesh with textures, displacement and finishes. Returns 0, or the exit status. */
 static int dress(const char *program, const convert_options *o, sup_mesh *mesh, dressing *d, voxrt_build_desc *desc, voxrt_mesh *in) {
     const sup_mesh *m = mesh;
     sup_error err;
@@ -294,6 +295,7 @@ static int dress(const char *program, const convert_options *o, sup_mesh *mesh, 
     size_t left = 0, i;
     char *user = NULL;
     int displaces = 0, failed;
+    *in = sup_voxel_mesh(mesh);
     if (mesh->material_count == 0 || mesh->triangle_material == NULL || o->no_materials) return 0;
     if (o->scene == NULL) { /* the user pointer of a callback is not const */
         user = (char *)sup_alloc(strlen(o->in) + 1, 1);
@@ -314,6 +316,7 @@ static int dress(const char *program, const convert_options *o, sup_mesh *mesh, 
         mesh->materials = NULL;
         mesh->material_count = 0;
         d->textured.mesh = m = &d->displaced;
+        *in = sup_voxel_mesh(m);
     }
     if (make_finishes(m, d, &left)) return sup_bad_input(program, "out of memory");
     if (left != 0 && !o->quiet) sup_warn(program, "more than 255 kinds of materials: the last ones have only their colours");
@@ -398,10 +401,9 @@ static int is_direct(const convert_options *o) {
 static int build(const char *program, const convert_options *o, const voxrt_env *env, converted *c) {
     static const voxrt_separating separating[3] = {VOXRT_SEPARATING_6, VOXRT_SEPARATING_26, VOXRT_SEPARATING_THESIS};
     voxrt_build_desc desc = {0};
-    voxrt_mesh in = {0};
+    voxrt_mesh in;
     voxrt_result result;
     sup_mesh mesh = {0};
-    const sup_mesh *m = &mesh;
     dressing *d = (dressing *)sup_alloc(1, sizeof *d);
     sup_error err;
     sup_progress progress;
@@ -417,15 +419,8 @@ static int build(const char *program, const convert_options *o, const voxrt_env 
         sup_mesh_free(&mesh);
         return status;
     }
-    if (d->displaced.triangle_count != 0) m = &d->displaced;
     c->read_seconds = sup_now() - start;
-    in.positions = m->positions;
-    in.vertex_count = m->vertex_count;
-    in.indices = m->indices;
-    in.triangle_count = m->triangle_count;
-    in.normals = o->normals == NORMALS_SMOOTH ? m->normals : NULL;
-    in.vertex_rgb = m->vertex_rgb;
-    in.triangle_rgb = m->triangle_rgb;
+    if (o->normals != NORMALS_SMOOTH) in.normals = NULL;
     desc.env = *env;
     sup_progress_begin(&progress, "voxelising", o->quiet);
     if (!progress.quiet) {
@@ -504,19 +499,13 @@ static const char *edit_line(const char *line, const voxrt_env *env, voxrt_model
     if (strcmp(shape, "mesh") == 0) {
         sup_mesh mesh = {0};
         sup_error err;
-        voxrt_mesh in = {0};
+        voxrt_mesh in;
         if (line[used] == '\0') return "the name of a mesh was expected";
         if (sup_mesh_read(line + used, &mesh, &err)) {
             (void)snprintf(reason, sizeof err.text, "%s", err.text);
             return reason;
         }
-        in.positions = mesh.positions;
-        in.vertex_count = mesh.vertex_count;
-        in.indices = mesh.indices;
-        in.triangle_count = mesh.triangle_count;
-        in.normals = mesh.normals;
-        in.vertex_rgb = mesh.vertex_rgb;
-        in.triangle_rgb = mesh.triangle_rgb;
+        in = sup_voxel_mesh(&mesh);
         result = voxrt_model_mesh(*model, &desc, &in, stats);
         sup_mesh_free(&mesh);
         return result == VOXRT_OK ? NULL : voxrt_result_string(result);

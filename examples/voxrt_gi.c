@@ -10,6 +10,7 @@
 #include "support/scenes.h"
 #define VOXRT_IMPLEMENTATION
 #include "voxrt.h"
+#include "support/voxel_mesh.h"
 
 enum { METHOD_DEFAULT, METHOD_GATHER, METHOD_PATH, METHOD_VPL, METHOD_AO, METHOD_NONE };
 enum { VIEW_PICTURE, VIEW_DIRECT, VIEW_INDIRECT, VIEW_VOXELS, VIEW_CUBES, VIEW_LIGHTS, VIEW_LOOKUP, VIEW_STEPS };
@@ -334,14 +335,7 @@ static int load_piece(world *w, const gi_options *o, size_t i, int frame, sup_er
     }
     memset(&build, 0, sizeof build);
     memset(&error, 0, sizeof error);
-    memset(m, 0, sizeof *m);
-    m->positions = mesh.positions;
-    m->vertex_count = mesh.vertex_count;
-    m->indices = mesh.indices;
-    m->triangle_count = mesh.triangle_count;
-    m->normals = mesh.normals;
-    m->vertex_rgb = mesh.vertex_rgb;
-    m->triangle_rgb = mesh.triangle_rgb;
+    *m = sup_voxel_mesh(&mesh);
     build.resolution = o->res != 0 ? (uint32_t)o->res : t->moving ? 512 : strcmp(t->file, "scene:pillars") == 0 ? 4096 : 1024;
     build.env.thread_count = (uint32_t)o->common.threads;
     build.env.error = &error;

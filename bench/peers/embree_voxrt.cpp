@@ -201,7 +201,7 @@ static void moving(RTCDevice device, const sup_mesh &m) {
     voxrt_columns_insert_desc d;
     voxrt_columns_info info;
     voxrt_build_desc box;
-    const voxrt_mesh mesh = mesh_view(&m);
+    const voxrt_mesh mesh = sup_voxel_mesh(&m);
     memset(&cd, 0, sizeof cd);
     memset(&d, 0, sizeof d);
     memset(&box, 0, sizeof box);

@@ -224,7 +224,7 @@ static openvdb::FloatGrid::Ptr convert(const model *m, const voxrt_tree *tree, u
     if (sup_scene_make(m->name, 0, &coloured) || sup_mesh_compute_normals(&coloured, &err)) run_failed(m->name, "cannot be made");
     std::vector<uint8_t> rgb(3 * coloured.vertex_count);
     for (size_t i = 0; i < rgb.size(); i++) rgb[i] = (uint8_t)(128.0f + 100.0f * coloured.normals[i]);
-    voxrt_mesh mesh = mesh_view(&coloured);
+    voxrt_mesh mesh = sup_voxel_mesh(&coloured);
     mesh.vertex_rgb = rgb.data();
     voxrt_tree_get_info(tree, &info);
     for (size_t i = 0; i < m->mesh.vertex_count; i++) {

@@ -14,6 +14,7 @@
 #define TETCAST_IMPLEMENTATION
 #include "../../tetcast.h"
 #include "../support/scenes.h"
+#include "../support/voxel_mesh.h"
 #include "../support/worlds.h"
 #if defined(_REENTRANT)
 #include <pthread.h>
@@ -144,16 +145,9 @@ static const char *open_voxrt(void) {
             made.vertex_rgb[3 * i + (size_t)k] = (uint8_t)(low[k] + (high[k] - low[k]) * t);
         }
     memset(&desc, 0, sizeof desc);
-    memset(&mesh, 0, sizeof mesh);
     SET_ENV(desc.env);
     desc.resolution = VOXELS;
-    mesh.positions = made.positions;
-    mesh.vertex_count = made.vertex_count;
-    mesh.normals = made.normals;
-    mesh.vertex_rgb = made.vertex_rgb;
-    mesh.triangle_rgb = made.triangle_rgb;
-    mesh.indices = made.indices;
-    mesh.triangle_count = made.triangle_count;
+    mesh = sup_voxel_mesh(&made);
     r = voxrt_tree_build(&desc, &mesh, NULL, &all.tree);
     if (r == VOXRT_OK) {
         voxrt_tree_get_info(all.tree, &info);
