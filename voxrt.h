@@ -1210,12 +1210,13 @@ typedef struct voxrt_sink {
     void *user;
 } voxrt_sink;
 
-/* Voxelise a mesh into a paged file, piece by piece: holds some 20 bytes a voxel of the largest piece (at most 1024^3
-   cells, less where there are many voxels), 8 bytes a triangle and 40 a page, not the voxels.
-   The same voxels and colours as voxrt_tree_build with palette_size = 2^24, whatever desc->palette_size is: pages have
-   palettes of their own, and colours only: finishes and spread are left out, also of trees that are saved in pages.
-   INVALID_ARG also for fill and VOXRT_LOD_MAJORITY; IO: write_fn failed. Else as
-   voxrt_tree_build. A tree is written with VOXRT_ENCODING_PAGED. */
+/* Voxelise a mesh into a paged file, piece by piece: holds some 20 bytes a voxel and 40 a triangle of the largest piece
+   (at most 1024^3 cells, less where there is much in them), 10 to 15 bytes a triangle of the mesh and 40 a page, not the
+   voxels.
+   The same voxels, colours and so on as voxrt_tree_build with palette_size = 2^24, whatever desc->palette_size is:
+   pages have palettes of their own. Finishes are kept as they are given, also those that no voxel has.
+   INVALID_ARG also for fill and VOXRT_LOD_MAJORITY; IO: write_fn failed. Else as voxrt_tree_build. A tree is written
+   with VOXRT_ENCODING_PAGED. */
 VOXRT_DEF voxrt_result voxrt_paged_build(const voxrt_build_desc *desc, const voxrt_mesh *mesh, const voxrt_sink *sink,
                                          voxrt_build_stats *stats);
 #ifndef VOXRT_NO_STDIO
@@ -18096,7 +18097,7 @@ static int voxrti_piece_box(const voxrti_pieces *p, size_t i, double lo[3], doub
         const uint32_t b = (a + 1) % 3, c = (a + 2) % 3;
         n[a] = (q[1][b] - q[0][b]) * (q[2][c] - q[0][c]) - (q[1][c] - q[0][c]) * (q[2][b] - q[0][b]);
     }
-    *area = 0.5 * sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]) + 0.1; /* a small one fills less than a voxel */
+    *area = 0.5 * sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]) + 1.0; /* a triangle costs as much as a voxel or two */
     return 1;
 }
 
