@@ -19337,10 +19337,19 @@ static void voxrti_paged_leave(voxrt_paged *p, int alone) {
 #endif
 }
 
-/* Load what rays miss until they miss nothing; when that does not fit for all of them, for one half after the other.
-   The caller is alone. */
+/* Nothing is loaded but the first page. */
+static void voxrti_paged_clear(voxrt_paged *p) {
+    uint32_t i;
+    for (i = 1; i < p->page_count && p->page[i].parent == 0; i++)
+        if (p->page[i].place != 0) voxrti_paged_evict(p, i);
+    p->hand = p->first_frame;
+}
+
+/* Load what rays miss until they miss nothing; when that does not fit for all of them, for one half after the other;
+   when it does not for one, from the beginning, without gaps. The caller is alone. */
 static void voxrti_paged_resolve(voxrt_paged *p, const voxrt_trace_desc *td, const voxrt_ray *rays, voxrt_hit *hits,
                                  voxrt_surface *surfaces, uint32_t *missing, size_t count) {
+    int cleared = 0;
     p->turn++;
     for (;;) {
         uint32_t n = voxrti_paged_rays(p, td, rays, hits, surfaces, missing, count);
@@ -19359,7 +19368,11 @@ static void voxrti_paged_resolve(voxrt_paged *p, const voxrt_trace_desc *td, con
                                  missing + half, count - half);
             return;
         }
-        if (!loaded) { /* bad pages, or no room even for one ray */
+        if (full && !cleared) {
+            voxrti_paged_clear(p);
+            p->turn++;
+            cleared = 1;
+        } else if (!loaded) { /* bad pages, or no room even for one ray */
             voxrti_tally_add(p->coarse, n);
             return;
         }
