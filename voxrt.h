@@ -1156,7 +1156,7 @@ typedef struct voxrt_paged_info {
     uint32_t depth, resolution;
     double world_origin[3], voxel_size;
     uint32_t cell_min[3], cell_max[3];
-    uint32_t has_colors, has_normals, has_planes;
+    uint32_t has_colors, has_normals, has_planes, has_spread, finish_count;
     uint64_t voxel_count;
     uint64_t file_bytes;              /* of all pages */
     uint64_t memory;                  /* bytes held; loaded_bytes of them have pages in them */
@@ -6731,8 +6731,8 @@ static void voxrti_lod_node(voxrti_lod *l, uint32_t i, uint64_t cell, uint64_t o
             }
             if (majority || finishes) {
                 index[n] = majority ? l->value[cell] : l->value[cell] >> 24;
-                weight[n] = leaf ? l->leaves != NULL ? (uint32_t)l->leaves[cell].count : 1u :
-                            (uint32_t)l->children[cell - first].count;
+                weight[n] = !leaf ? (uint32_t)l->children[cell - first].count :
+                            finishes && l->leaves != NULL ? (uint32_t)l->leaves[cell].count : 1u;
             }
         }
         if (majority) {
@@ -10132,16 +10132,19 @@ static void voxrti_v5_write_placement(const voxrt_tree *t, uint8_t *p) {
     }
 }
 
-static void voxrti_v5_write_finishes(const voxrt_tree *t, uint8_t *p) {
+static void voxrti_store_finish(uint8_t *p, const voxrt_finish *finish) {
     float v[VOXRTI_FINISH_FLOATS];
-    uint32_t i, k, word;
-    for (i = 0; i < t->finish_count; i++) {
-        voxrti_finish_floats(&t->finish[i], v);
-        for (k = 0; k < VOXRTI_FINISH_FLOATS; k++, p += 4) {
-            memcpy(&word, &v[k], sizeof word);
-            voxrti_store_u32(p, word);
-        }
+    uint32_t k, word;
+    voxrti_finish_floats(finish, v);
+    for (k = 0; k < VOXRTI_FINISH_FLOATS; k++) {
+        memcpy(&word, &v[k], sizeof word);
+        voxrti_store_u32(p + 4 * k, word);
     }
+}
+
+static void voxrti_v5_write_finishes(const voxrt_tree *t, uint8_t *p) {
+    uint32_t i;
+    for (i = 0; i < t->finish_count; i++, p += VOXRTI_V5_FINISH) voxrti_store_finish(p, &t->finish[i]);
     memcpy(p, t->entry_finish, t->palette_count);
 }
 
@@ -10580,10 +10583,19 @@ static voxrt_result voxrti_v5_read_raw(voxrti_v5_reader *r, voxrt_tree *t) {
     return VOXRT_OK;
 }
 
+static void voxrti_load_finish(const uint8_t *p, voxrt_finish *finish) {
+    float v[VOXRTI_FINISH_FLOATS];
+    uint32_t k, word;
+    for (k = 0; k < VOXRTI_FINISH_FLOATS; k++) {
+        word = voxrti_load_u32(p + 4 * k);
+        memcpy(&v[k], &word, sizeof word);
+    }
+    memcpy(finish, v, sizeof v);
+}
+
 static voxrt_result voxrti_v5_read_finishes(voxrti_v5_reader *r, voxrt_tree *t) {
     const uint8_t *p = voxrti_v5_at(r, VOXRTI_V5_FINISHES), *entries = p + (size_t)t->finish_count * VOXRTI_V5_FINISH;
-    float v[VOXRTI_FINISH_FLOATS];
-    uint32_t i, k, word;
+    uint32_t i;
     if (r->map) {
         memcpy(&t->finish, &p, sizeof p);
         memcpy(&t->entry_finish, &entries, sizeof entries);
@@ -10591,13 +10603,7 @@ static voxrt_result voxrti_v5_read_finishes(voxrti_v5_reader *r, voxrt_tree *t) 
         t->finish = (voxrt_finish *)voxrti_alloc_array(&r->mem, t->finish_count, sizeof *t->finish);
         t->entry_finish = (uint8_t *)voxrti_alloc_array(&r->mem, t->palette_count, 1);
         if (t->finish == NULL || t->entry_finish == NULL) return VOXRT_ERR_NO_MEMORY;
-        for (i = 0; i < t->finish_count; i++) {
-            for (k = 0; k < VOXRTI_FINISH_FLOATS; k++, p += 4) {
-                word = voxrti_load_u32(p);
-                memcpy(&v[k], &word, sizeof word);
-            }
-            memcpy(&t->finish[i], v, sizeof v);
-        }
+        for (i = 0; i < t->finish_count; i++, p += VOXRTI_V5_FINISH) voxrti_load_finish(p, &t->finish[i]);
         memcpy(t->entry_finish, entries, t->palette_count);
     }
     if (r->desc.trust_input) return VOXRT_OK;
@@ -17478,10 +17484,11 @@ enum { VOXRTI_V5_PAGE_HEAD = 20, VOXRTI_V5_PAGES = 21, VOXRTI_V5_PAGE_TABLE = 22
 /* Cells of a page: of the second level bits, then octants, then those of the first level. */
 typedef struct voxrti_page_cells {
     const uint64_t *mask1, *mask2;
-    const uint32_t *rgb;    /* [count], NULL: no colours */
+    const uint32_t *rgb;    /* [count] with finishes in their high bytes, NULL: no colours */
     const uint16_t *normal; /* [count] or NULL */
-    const uint8_t *plane;   /* of the first `planes` cells, or NULL */
-    uint32_t n1, n2, count, planes;
+    const uint8_t *plane;   /* of the first `voxels` cells, or NULL */
+    const uint8_t *spread;  /* of the others, or NULL */
+    uint32_t n1, n2, count, voxels, finishes;
 } voxrti_page_cells;
 
 static uint32_t voxrti_bits_for(uint32_t count) { /* of numbers below count */
@@ -17490,15 +17497,20 @@ static uint32_t voxrti_bits_for(uint32_t count) { /* of numbers below count */
     return bits;
 }
 
-/* Slot of a colour in a table of pairs (colour + 1, number). */
+static uint32_t voxrti_page_entry(uint32_t flags) { /* bytes of an entry of the palette of a page */
+    return (flags & VOXRTI_V5_HAS_FINISHES) != 0 ? 4 : 3;
+}
+
+/* Slot of a colour in a table of pairs (colour, number + 1). */
 static uint32_t *voxrti_page_slot(uint32_t *slot, uint32_t mask, uint32_t rgb) {
     uint32_t i = voxrti_hash32(rgb) & mask;
-    while (slot[2 * i] != 0 && slot[2 * i] != rgb + 1) i = (i + 1) & mask;
+    while (slot[2 * i + 1] != 0 && slot[2 * i] != rgb) i = (i + 1) & mask;
     return slot + 2 * i;
 }
 
-/* Palette and indices. */
-static voxrt_result voxrti_page_colors(voxrti_bytes *out, const uint32_t *rgb, uint32_t count, uint32_t *out_colors) {
+/* Palette, with entries of 3 bytes or 4, and indices. */
+static voxrt_result voxrti_page_colors(voxrti_bytes *out, const uint32_t *rgb, uint32_t count, uint32_t entry,
+                                       uint32_t *out_colors) {
     uint32_t slots = 16, n = 0, i, bits;
     uint32_t *slot;
     uint64_t *list;
@@ -17510,26 +17522,28 @@ static voxrt_result voxrti_page_colors(voxrti_bytes *out, const uint32_t *rgb, u
     if (slot != NULL && list != NULL) {
         for (i = 0; i < count; i++) {
             uint32_t *s = voxrti_page_slot(slot, slots - 1, rgb[i]);
-            if (s[0] != 0) continue;
-            s[0] = rgb[i] + 1;
+            if (s[1] != 0) continue;
+            s[0] = rgb[i];
+            s[1] = 1;
             list[n++] = rgb[i];
         }
         voxrti_heap_sort(list, n);
-        for (i = 0; i < n; i++) voxrti_page_slot(slot, slots - 1, (uint32_t)list[i])[1] = i;
+        for (i = 0; i < n; i++) voxrti_page_slot(slot, slots - 1, (uint32_t)list[i])[1] = i + 1;
         bits = voxrti_bits_for(n);
-        bytes = (size_t)3 * n + ((size_t)count * bits + 7) / 8;
+        bytes = (size_t)entry * n + ((size_t)count * bits + 7) / 8;
         p = voxrti_bytes_more(out, bytes);
         if (p != NULL) {
             uint64_t held = 0;
             uint32_t have = 0;
             out->size += bytes;
-            for (i = 0; i < n; i++, p += 3) {
+            for (i = 0; i < n; i++, p += entry) {
                 p[0] = (uint8_t)list[i];
                 p[1] = (uint8_t)(list[i] >> 8);
                 p[2] = (uint8_t)(list[i] >> 16);
+                if (entry == 4) p[3] = (uint8_t)(list[i] >> 24);
             }
             for (i = 0; i < count; i++) {
-                held |= (uint64_t)voxrti_page_slot(slot, slots - 1, rgb[i])[1] << have;
+                held |= (uint64_t)(voxrti_page_slot(slot, slots - 1, rgb[i])[1] - 1) << have;
                 for (have += bits; have >= 8; have -= 8, held >>= 8) *p++ = (uint8_t)held;
             }
             if (have != 0) *p = (uint8_t)held;
@@ -17545,7 +17559,8 @@ static voxrt_result voxrti_page_colors(voxrti_bytes *out, const uint32_t *rgb, u
 /* The bytes of a page, behind `out`. */
 static voxrt_result voxrti_page_encode(const voxrti_page_cells *c, voxrti_bytes *out) {
     const size_t first = out->size, head = 8 + (size_t)8 * ((size_t)c->n1 + c->n2);
-    const size_t normals = c->normal != NULL ? (size_t)2 * c->count : 0, planes = c->plane != NULL ? c->planes : 0;
+    const size_t normals = c->normal != NULL ? (size_t)2 * c->count : 0, planes = c->plane != NULL ? c->voxels : 0;
+    const size_t spreads = c->spread != NULL ? c->count - c->voxels : 0;
     uint8_t *p = voxrti_bytes_more(out, head + normals);
     uint32_t i, colors = 0;
     voxrt_result r = VOXRT_OK;
@@ -17554,7 +17569,7 @@ static voxrt_result voxrti_page_encode(const voxrti_page_cells *c, voxrti_bytes 
     for (i = 0; i < c->n2; i++) voxrti_store_u64(p + 8 + (size_t)8 * (c->n1 + i), c->mask2[i]);
     for (i = 0; normals != 0 && i < c->count; i++) voxrti_store_u16(p + head + (size_t)2 * i, c->normal[i]);
     out->size += head + normals;
-    if (c->rgb != NULL) r = voxrti_page_colors(out, c->rgb, c->count, &colors);
+    if (c->rgb != NULL) r = voxrti_page_colors(out, c->rgb, c->count, c->finishes ? 4 : 3, &colors);
     if (r != VOXRT_OK) return r;
     voxrti_store_u32(out->data + first, colors);
     voxrti_store_u32(out->data + first + 4, colors != 0 ? voxrti_bits_for(colors) : 0);
@@ -17563,6 +17578,12 @@ static voxrt_result voxrti_page_encode(const voxrti_page_cells *c, voxrti_bytes 
         if (p == NULL) return VOXRT_ERR_NO_MEMORY;
         memcpy(p, c->plane, planes);
         out->size += planes;
+    }
+    if (spreads != 0) {
+        p = voxrti_bytes_more(out, spreads);
+        if (p == NULL) return VOXRT_ERR_NO_MEMORY;
+        memcpy(p, c->spread, spreads);
+        out->size += spreads;
     }
     return VOXRT_OK;
 }
@@ -17573,8 +17594,10 @@ typedef struct voxrti_page_source {
     const uint32_t *rgb;         /* [cells], NULL: no colours */
     const uint16_t *normal;      /* [cells] or NULL */
     const uint8_t *plane;        /* [cells] or NULL */
+    const uint8_t *spread;       /* [cells] or NULL; of voxels it is 0 */
     const voxrti_sum *sum;       /* [cells], NULL: they are voxels */
     uint32_t n2, cells;
+    uint32_t flags;              /* as in the header: finishes, spread */
 } voxrti_page_source;
 
 /* What the page above gets of one: its anchor, and the cells in that, with one cell more for the anchor itself. */
@@ -17583,6 +17606,7 @@ typedef struct voxrti_page_up {
     uint32_t n1, n2;
     uint32_t rgb[64];
     uint16_t normal[64];
+    uint8_t spread[64];
     voxrti_sum sum[64];
 } voxrti_page_up;
 
@@ -17598,6 +17622,7 @@ static voxrt_result voxrti_page_make(voxrti_mem *mem, const voxrti_page_source *
     voxrti_sum *below = NULL;
     uint32_t *rgb = NULL, i, o2 = 0, o1 = 0, n1 = 0, ok;
     uint16_t *normal = NULL;
+    uint8_t *spread = NULL;
     voxrt_result r = VOXRT_ERR_NO_MEMORY;
     memset(&t, 0, sizeof t);
     memset(&c, 0, sizeof c);
@@ -17626,12 +17651,18 @@ static voxrt_result voxrti_page_make(voxrti_mem *mem, const voxrti_page_source *
         ok = normal != NULL;
         if (ok) memcpy(normal, s->normal, (size_t)s->cells * sizeof *normal);
     }
+    if (ok && (s->flags & VOXRTI_V5_HAS_SPREAD) != 0) {
+        spread = (uint8_t *)voxrti_alloc_zero(mem, (size_t)c.count + n1, 1);
+        ok = spread != NULL;
+        if (ok && s->spread != NULL) memcpy(spread, s->spread, s->cells);
+    }
     if (ok) {
         uint64_t cell = 0, oct;
         t.wide = 2;
         t.node = node;
         memcpy(&t.leaf, &s->mask, sizeof t.leaf); /* only read */
         t.normal = normal;
+        t.spread = spread;
         t.attr_first[3] = s->cells;
         t.attr_first[2] = (uint64_t)s->cells + o2;
         t.attr_first[1] = t.attr_first[2] + s->n2;
@@ -17639,6 +17670,7 @@ static voxrt_result voxrti_page_make(voxrti_mem *mem, const voxrti_page_source *
         l->t = &t;
         l->method = VOXRT_LOD_MEAN;
         l->value = rgb;
+        l->finishes = (s->flags & VOXRTI_V5_HAS_FINISHES) != 0;
         l->leaves = s->sum;
         voxrti_srgb_table(l->srgb);
         l->w = 1;
@@ -17662,6 +17694,7 @@ static voxrt_result voxrti_page_make(voxrti_mem *mem, const voxrti_page_source *
         up->n2 = s->n2;
         if (rgb != NULL) memcpy(up->rgb, rgb + c.count, n1 * sizeof *rgb);
         if (normal != NULL) memcpy(up->normal, normal + c.count, n1 * sizeof *normal);
+        if (spread != NULL) memcpy(up->spread, spread + c.count, n1);
         c.mask1 = mask1;
         c.mask2 = s->mask;
         c.rgb = rgb;
@@ -17669,7 +17702,9 @@ static voxrt_result voxrti_page_make(voxrti_mem *mem, const voxrti_page_source *
         c.plane = s->plane;
         c.n1 = n1;
         c.n2 = s->n2;
-        c.planes = s->cells;
+        c.voxels = s->sum == NULL ? s->cells : 0;
+        c.spread = spread != NULL ? spread + c.voxels : NULL;
+        c.finishes = l->finishes;
         r = voxrti_page_encode(&c, out);
     }
     voxrti_free(mem, l);
@@ -17678,6 +17713,7 @@ static voxrt_result voxrti_page_make(voxrti_mem *mem, const voxrti_page_source *
     voxrti_free(mem, below);
     voxrti_free(mem, rgb);
     voxrti_free(mem, normal);
+    voxrti_free(mem, spread);
     return r;
 }
 
@@ -17686,8 +17722,9 @@ typedef struct voxrti_page_tier {
     uint64_t *code, *mask;
     uint32_t *rgb;
     uint16_t *normal;
+    uint8_t *spread;
     voxrti_sum *sum;
-    size_t room[5];
+    size_t room[6];
     uint32_t n2, cells;
     voxrti_bytes table;
 } voxrti_page_tier;
@@ -17698,11 +17735,14 @@ typedef struct voxrti_page_writer {
     const voxrt_sink *sink;
     voxrti_grid grid;
     uint32_t tiers, odd, flags;
+    const voxrt_finish *finish; /* [finish_count] with HAS_FINISHES */
+    uint32_t finish_count;
     uint64_t at;             /* end of what is written */
     uint64_t pages, nodes, voxels;
     uint32_t lo[3], hi[3];   /* box of the filled cells */
-    uint32_t root_rgb;
+    uint32_t root_rgb;       /* with its finish */
     uint16_t root_normal;
+    uint8_t root_spread;
     voxrti_page_tier tier[VOXRTI_PAGE_TIERS];
 } voxrti_page_writer;
 
@@ -17736,6 +17776,7 @@ static void voxrti_page_end(voxrti_page_writer *w) {
         voxrti_free(w->mem, t->mask);
         voxrti_free(w->mem, t->rgb);
         voxrti_free(w->mem, t->normal);
+        voxrti_free(w->mem, t->spread);
         voxrti_free(w->mem, t->sum);
         voxrti_free(w->mem, t->table.data);
     }
@@ -17778,9 +17819,11 @@ static voxrt_result voxrti_page_flush(voxrti_page_writer *w, uint32_t tier) {
     s.mask = t->mask;
     s.rgb = (w->flags & VOXRTI_V5_HAS_COLORS) != 0 ? t->rgb : NULL;
     s.normal = (w->flags & VOXRTI_V5_HAS_NORMALS) != 0 ? t->normal : NULL;
+    s.spread = t->spread;
     s.sum = t->sum;
     s.n2 = t->n2;
     s.cells = t->cells;
+    s.flags = w->flags;
     r = voxrti_page_make(w->mem, &s, &page, up);
     t->n2 = t->cells = 0;
     if (r == VOXRT_OK) r = voxrti_page_up_level(w, tier, &page, up);
@@ -17797,13 +17840,15 @@ static voxrt_result voxrti_page_put(voxrti_page_writer *w, uint32_t tier, const 
         !voxrti_grow(w->mem, (void **)&t->mask, &t->room[1], n, n + 1, sizeof *t->mask) ||
         !voxrti_grow(w->mem, (void **)&t->rgb, &t->room[2], cells, more, sizeof *t->rgb) ||
         !voxrti_grow(w->mem, (void **)&t->normal, &t->room[3], cells, more, sizeof *t->normal) ||
-        !voxrti_grow(w->mem, (void **)&t->sum, &t->room[4], cells, more, sizeof *t->sum))
+        !voxrti_grow(w->mem, (void **)&t->sum, &t->room[4], cells, more, sizeof *t->sum) ||
+        !voxrti_grow(w->mem, (void **)&t->spread, &t->room[5], cells, more, 1))
         return VOXRT_ERR_NO_MEMORY;
     t->code[n] = up->code;
     t->mask[n] = up->mask;
     memcpy(t->rgb + cells, up->rgb, up->n1 * sizeof *t->rgb);
     memcpy(t->normal + cells, up->normal, up->n1 * sizeof *t->normal);
     memcpy(t->sum + cells, up->sum, up->n1 * sizeof *t->sum);
+    memcpy(t->spread + cells, up->spread, up->n1);
     t->n2 = (uint32_t)n + 1;
     t->cells = (uint32_t)more;
     return VOXRT_OK;
@@ -17822,6 +17867,7 @@ static voxrt_result voxrti_page_up_level(voxrti_page_writer *w, uint32_t tier, c
     if (r == VOXRT_OK && tier == 0) {
         w->root_rgb = (w->flags & VOXRTI_V5_HAS_COLORS) != 0 ? up->rgb[0] : 0xffffffu;
         w->root_normal = up->normal[0];
+        w->root_spread = up->spread[0];
     }
     return r;
 }
@@ -17870,6 +17916,7 @@ static voxrt_result voxrti_page_leaves(voxrti_page_writer *w, const voxrti_leafs
             s->rgb = set->rgb != NULL ? set->rgb + voxel : NULL;
             s->normal = set->normal != NULL ? set->normal + voxel : NULL;
             s->plane = set->plane != NULL ? set->plane + voxel : NULL;
+            s->flags = w->flags;
             for (; i < set->block_count && set->key[i] >> 12 == set->key[first] >> 12; i++) {
                 s->cells += voxrti_popcount64(set->mask[i]);
                 voxrti_page_box(w, set->key[i], set->mask[i]);
@@ -17891,7 +17938,7 @@ static voxrt_result voxrti_page_leaves(voxrti_page_writer *w, const voxrti_leafs
 
 /* Table and header. */
 static voxrt_result voxrti_page_finish(voxrti_page_writer *w) {
-    uint8_t head[VOXRTI_PAGED_HEAD], zero[64], *p = head + 192, *e = head + VOXRTI_V5_HEADER;
+    uint8_t head[VOXRTI_PAGED_HEAD], zero[64], finish[VOXRTI_V5_FINISH], *p = head + 192, *e = head + VOXRTI_V5_HEADER;
     uint64_t bytes, at, sum, table_at;
     voxrt_result r = VOXRT_OK;
     uint32_t i;
@@ -17899,7 +17946,7 @@ static voxrt_result voxrti_page_finish(voxrti_page_writer *w) {
     if (r != VOXRT_OK) return r;
     memset(zero, 0, sizeof zero);
     memset(head, 0, sizeof head);
-    bytes = w->pages * VOXRTI_PAGED_ENTRY;
+    bytes = w->pages * VOXRTI_PAGED_ENTRY + w->finish_count * VOXRTI_V5_FINISH;
     table_at = at = voxrti_v5_align(w->at);
     sum = 0x243f6a8885a308d3u ^ bytes;
     r = voxrti_page_store(w, w->at, zero, (size_t)(at - w->at));
@@ -17907,6 +17954,11 @@ static voxrt_result voxrti_page_finish(voxrti_page_writer *w) {
         sum = voxrti_hash_bytes(sum, w->tier[i].table.data, w->tier[i].table.size);
         r = voxrti_page_store(w, at, w->tier[i].table.data, w->tier[i].table.size);
         at += w->tier[i].table.size;
+    }
+    for (i = 0; i < w->finish_count && r == VOXRT_OK; i++, at += sizeof finish) {
+        voxrti_store_finish(finish, &w->finish[i]);
+        sum = voxrti_hash_bytes(sum, finish, sizeof finish);
+        r = voxrti_page_store(w, at, finish, sizeof finish);
     }
     if (r != VOXRT_OK) return r;
     for (i = 0; i < 3; i++) {
@@ -17918,6 +17970,7 @@ static voxrt_result voxrti_page_finish(voxrti_page_writer *w) {
     voxrti_store_u32(p + 56, (uint32_t)w->pages);
     voxrti_store_u32(p + 60, w->root_rgb);
     voxrti_store_u32(p + 64, w->root_normal);
+    p[68] = w->root_spread;
     for (i = 0; i < 3; i++, e += VOXRTI_V5_ENTRY) {
         voxrti_store_u32(e, VOXRTI_V5_PAGE_HEAD + i);
         voxrti_store_u64(e + 8, i == 0 ? 192 : i == 1 ? VOXRTI_PAGED_HEAD : table_at);
@@ -17941,20 +17994,32 @@ static voxrt_result voxrti_page_finish(voxrti_page_writer *w) {
 
 /* ---- writing: a tree ---- */
 
-/* Attributes of `count` cells of a plain tree from number `first` on. */
-static void voxrti_page_copy(const voxrt_tree *t, uint64_t first, uint32_t count, uint32_t *rgb, uint16_t *normal) {
+/* Attributes of `count` cells of a plain tree from number `first` on; each may be NULL. */
+static void voxrti_page_copy(const voxrt_tree *t, uint64_t first, uint32_t count, uint32_t *rgb, uint16_t *normal,
+                             uint8_t *spread) {
+    uint32_t i;
     if (count == 0) return;
-    if (rgb != NULL) voxrti_tree_rgb(t, first, count, NULL, rgb);
+    if (rgb != NULL) {
+        voxrti_colors_decode(&t->colors, first, count, rgb);
+        for (i = 0; i < count; i++) {
+            const uint8_t *p = t->palette + (size_t)3 * rgb[i];
+            const uint32_t finish = t->entry_finish != NULL ? t->entry_finish[rgb[i]] : 0;
+            rgb[i] = p[0] | (uint32_t)p[1] << 8 | (uint32_t)p[2] << 16 | finish << 24;
+        }
+    }
     if (normal != NULL && t->normal != NULL) memcpy(normal, t->normal + (size_t)first, count * sizeof *normal);
+    if (spread != NULL && first < t->voxel_count) memset(spread, 0, count);
+    else if (spread != NULL) memcpy(spread, t->spread + (size_t)(first - t->voxel_count), count);
 }
 
 /* The page below an anchor, a node of the tree, behind all pages below it. */
 static voxrt_result voxrti_page_of_tree(voxrti_page_writer *w, const voxrt_tree *t, uint32_t tier, uint32_t anchor,
                                         voxrti_bytes *page) {
     const uint32_t w2 = 2 * tier + 1 - w->odd, leaf = w2 + 1 == t->wide;
-    uint64_t mask1[64], *mask2, first2 = 0;
-    uint32_t n1 = 1, node1 = 0, node2 = 0, n2 = 0, v2 = 0, o2 = 0, o1 = 0, i, *rgb = NULL;
+    uint64_t mask1[64], *mask2, first[4];
+    uint32_t n1 = 1, node1 = 0, node2 = 0, n2 = 0, o2 = 0, o1 = 0, v2 = 0, i, *rgb = NULL;
     uint16_t *normal = NULL;
+    uint8_t *spread = NULL;
     voxrti_page_cells c;
     voxrt_result r = VOXRT_ERR_NO_MEMORY;
     memset(&c, 0, sizeof c);
@@ -17987,26 +18052,29 @@ static voxrt_result voxrti_page_of_tree(voxrti_page_writer *w, const voxrt_tree 
     if ((w->flags & VOXRTI_V5_HAS_COLORS) != 0) rgb = (uint32_t *)voxrti_alloc_array(w->mem, c.count, sizeof *rgb);
     if ((w->flags & VOXRTI_V5_HAS_NORMALS) != 0)
         normal = (uint16_t *)voxrti_alloc_array(w->mem, c.count, sizeof *normal);
+    if ((w->flags & VOXRTI_V5_HAS_SPREAD) != 0) spread = (uint8_t *)voxrti_alloc_array(w->mem, c.count, 1);
     if (mask2 != NULL && ((w->flags & VOXRTI_V5_HAS_COLORS) == 0 || rgb != NULL) &&
-        ((w->flags & VOXRTI_V5_HAS_NORMALS) == 0 || normal != NULL)) {
-        first2 = voxrti_attr_index(t, 2 * w2 + 2, node2, 0);
-        voxrti_page_copy(t, first2, v2, rgb, normal);
-        voxrti_page_copy(t, voxrti_attr_index(t, 2 * w2 + 1, node2, 0), o2, rgb != NULL ? rgb + v2 : NULL,
-                         normal != NULL ? normal + v2 : NULL);
-        voxrti_page_copy(t, w2 == 0 ? t->attr_first[0] : voxrti_attr_index(t, 2 * w2, node1, 0), n2,
-                         rgb != NULL ? rgb + v2 + o2 : NULL, normal != NULL ? normal + v2 + o2 : NULL);
-        voxrti_page_copy(t, w2 == 0 ? t->attr_first[0] : voxrti_attr_index(t, 2 * w2 - 1, node1, 0), o1,
-                         rgb != NULL ? rgb + v2 + o2 + n2 : NULL, normal != NULL ? normal + v2 + o2 + n2 : NULL);
+        ((w->flags & VOXRTI_V5_HAS_NORMALS) == 0 || normal != NULL) &&
+        ((w->flags & VOXRTI_V5_HAS_SPREAD) == 0 || spread != NULL)) {
+        const uint32_t part[4] = {v2, o2, n2, o1};
+        uint32_t at = 0;
+        first[0] = voxrti_attr_index(t, 2 * w2 + 2, node2, 0);
+        first[1] = voxrti_attr_index(t, 2 * w2 + 1, node2, 0);
+        first[2] = w2 == 0 ? t->attr_first[0] : voxrti_attr_index(t, 2 * w2, node1, 0);
+        first[3] = w2 == 0 ? t->attr_first[0] : voxrti_attr_index(t, 2 * w2 - 1, node1, 0);
+        for (i = 0; i < 4; at += part[i++])
+            voxrti_page_copy(t, first[i], part[i], rgb != NULL ? rgb + at : NULL, normal != NULL ? normal + at : NULL,
+                             spread != NULL ? spread + at : NULL);
         c.mask1 = mask1;
         c.mask2 = mask2;
         c.rgb = rgb;
         c.normal = normal;
         c.n1 = n1;
         c.n2 = n2;
-        if (leaf && (w->flags & VOXRTI_V5_HAS_PLANES) != 0) {
-            c.plane = t->plane + (size_t)first2;
-            c.planes = v2;
-        }
+        c.voxels = leaf ? v2 : 0;
+        c.finishes = (w->flags & VOXRTI_V5_HAS_FINISHES) != 0;
+        if (leaf && (w->flags & VOXRTI_V5_HAS_PLANES) != 0) c.plane = t->plane + (size_t)first[0];
+        if (spread != NULL) c.spread = spread + c.voxels;
         page->size = 0;
         r = voxrti_page_encode(&c, page);
         if (r == VOXRT_OK) r = voxrti_page_append(w, tier, page, n1, n2);
@@ -18014,6 +18082,7 @@ static voxrt_result voxrti_page_of_tree(voxrti_page_writer *w, const voxrt_tree 
     voxrti_free(w->mem, mask2);
     voxrti_free(w->mem, rgb);
     voxrti_free(w->mem, normal);
+    voxrti_free(w->mem, spread);
     return r;
 }
 
@@ -18048,14 +18117,20 @@ static voxrt_result voxrti_tree_save_paged(voxrti_mem *mem, const voxrt_save_des
     if (t->normal != NULL && !d->disable_normals) w.flags |= VOXRTI_V5_HAS_NORMALS;
     if (t->normal != NULL && !d->disable_normals && t->spherical) w.flags |= VOXRTI_V5_SPHERICAL;
     if (t->plane != NULL && !d->disable_normals) w.flags |= VOXRTI_V5_HAS_PLANES;
+    if (t->spread != NULL && !d->disable_normals) w.flags |= VOXRTI_V5_HAS_SPREAD;
+    if (t->entry_finish != NULL) {
+        w.flags |= VOXRTI_V5_HAS_FINISHES | VOXRTI_V5_HAS_COLORS;
+        w.finish = t->finish;
+        w.finish_count = t->finish_count;
+    }
     if (r == VOXRT_OK) r = voxrti_page_of_tree(&w, t, 0, 0, &page);
     memcpy(w.lo, t->cell_min, sizeof w.lo);
     memcpy(w.hi, t->cell_max, sizeof w.hi);
     w.voxels = t->voxel_count;
     w.root_rgb = 0xffffffu;
-    if (r == VOXRT_OK && (w.flags & VOXRTI_V5_HAS_COLORS) != 0)
-        voxrti_tree_rgb(t, t->attr_first[0], 1, NULL, &w.root_rgb);
-    if (t->normal != NULL && !d->disable_normals) w.root_normal = t->normal[(size_t)t->attr_first[0]];
+    voxrti_page_copy(t, t->attr_first[0], 1, (w.flags & VOXRTI_V5_HAS_COLORS) != 0 ? &w.root_rgb : NULL,
+                     (w.flags & VOXRTI_V5_HAS_NORMALS) != 0 ? &w.root_normal : NULL,
+                     (w.flags & VOXRTI_V5_HAS_SPREAD) != 0 ? &w.root_spread : NULL);
     if (r == VOXRT_OK) r = voxrti_page_finish(&w);
     voxrti_page_end(&w);
     voxrti_free(mem, page.data);
@@ -18131,7 +18206,7 @@ static voxrt_result voxrti_piece_build(voxrti_pieces *p, const uint32_t *list, s
     voxrti_leafset set;
     voxrt_mesh part = *m;
     uint32_t *index = (uint32_t *)voxrti_alloc_array(mem, count, 3 * sizeof *index), a, box[6];
-    uint8_t *rgb = NULL;
+    uint8_t *rgb = NULL, *finish = NULL;
     const uint32_t brick = p->w.grid.depth > 15 ? 6 : 5;
     voxrti_piece_of of;
     voxrt_result r = VOXRT_OK;
@@ -18142,14 +18217,18 @@ static voxrt_result voxrti_piece_build(voxrti_pieces *p, const uint32_t *list, s
     of.first = level < 5 ? code << 3 * (5 - level) : code >> 3 * (level - 5);
     of.cells = level < 5 ? (uint64_t)1 << 3 * (5 - level) : 1;
     if (m->triangle_rgb != NULL) rgb = (uint8_t *)voxrti_alloc_array(mem, count, 3);
-    if (index == NULL || (m->triangle_rgb != NULL && rgb == NULL)) r = VOXRT_ERR_NO_MEMORY;
+    if (p->w.finish_count != 0) finish = (uint8_t *)voxrti_alloc_array(mem, count, 1);
+    if (index == NULL || (m->triangle_rgb != NULL && rgb == NULL) || (p->w.finish_count != 0 && finish == NULL))
+        r = VOXRT_ERR_NO_MEMORY;
     for (i = 0; r == VOXRT_OK && i < count; i++) {
         for (a = 0; a < 3; a++)
             index[3 * i + a] = m->indices != NULL ? m->indices[(size_t)3 * list[i] + a] : 3 * list[i] + a;
         if (rgb != NULL) memcpy(rgb + 3 * i, m->triangle_rgb + (size_t)3 * list[i], 3);
+        if (finish != NULL) finish[i] = m->triangle_finish[list[i]];
     }
     part.indices = index;
     part.triangle_rgb = rgb;
+    part.triangle_finish = finish;
     part.triangle_count = count;
     if (m->sample_fn != NULL) {
         part.sample_fn = voxrti_piece_sample;
@@ -18168,6 +18247,7 @@ static voxrt_result voxrti_piece_build(voxrti_pieces *p, const uint32_t *list, s
     if (r == VOXRT_OK) r = voxrti_voxelize(mem, &d, &part, &p->w.grid, box, &stats, &set);
     voxrti_free(mem, index);
     voxrti_free(mem, rgb);
+    voxrti_free(mem, finish);
     p->stats->fragments += stats.fragments;
     if (r == VOXRT_OK && set.block_count != 0) r = voxrti_page_leaves(&p->w, &set);
     voxrti_leafset_free(mem, &set);
@@ -18245,8 +18325,9 @@ VOXRT_DEF voxrt_result voxrt_paged_build(const voxrt_build_desc *desc, const vox
         return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no mesh, or nowhere to write to");
     if (d.fill || d.lod_method != VOXRT_LOD_MEAN)
         return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "pieces are not filled and take no votes");
-    d.finish_count = 0; /* pages have colours only */
-    d.spread = 0;
+    r = voxrti_finish_check(&d, mesh->triangle_finish, mesh->triangle_count);
+    if (r != VOXRT_OK) return r;
+    if (mesh->triangle_finish == NULL) d.finish_count = 0;
     if (mesh->triangle_count >= 0xffffffffu || (mesh->indices == NULL && mesh->triangle_count >= 0x55555555u))
         return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, mesh->triangle_count, "% triangles are too many");
     r = voxrti_grid_from_mesh(&d, mesh, &grid);
@@ -18268,6 +18349,12 @@ VOXRT_DEF voxrt_result voxrt_paged_build(const voxrt_build_desc *desc, const vox
         if (!d.disable_colors && (mesh->triangle_rgb != NULL || mesh->vertex_rgb != NULL || mesh->sample_fn != NULL))
             p->w.flags |= VOXRTI_V5_HAS_COLORS;
         if (!d.disable_normals) p->w.flags |= VOXRTI_V5_HAS_NORMALS | (d.planes ? VOXRTI_V5_HAS_PLANES : 0);
+        if (d.spread) p->w.flags |= VOXRTI_V5_HAS_SPREAD;
+        if (d.finish_count != 0) {
+            p->w.flags |= VOXRTI_V5_HAS_FINISHES | VOXRTI_V5_HAS_COLORS;
+            p->w.finish = d.finishes;
+            p->w.finish_count = (uint32_t)d.finish_count;
+        }
         for (i = 0; i < mesh->triangle_count && r == VOXRT_OK; i++) {
             if (voxrti_tri_each(&p->v, i, 0, voxrti_piece_count, stats)) list[n++] = (uint32_t)i;
             else if (stats->rejected++ == 0) bad = i;
@@ -18386,8 +18473,7 @@ typedef struct voxrti_chunk { /* 64 bytes: begin of a page in the arena; then co
     uint32_t cells2, octants2;     /* cells of the second level: bits, octants; then n2 and octants of the first */
     uint32_t colors, bits;         /* entries of the palette, 0: white; bits of an index */
     uint32_t rank;                 /* where these begin, in bytes: u32 bits, octants before second node 16 i; */
-    uint32_t normal, palette, index, plane; /* 0: there is none */
-    uint32_t count;                /* cells */
+    uint32_t normal, palette, index, plane, spread; /* 0: there is none; spread: not of voxels */
 } voxrti_chunk;
 
 struct voxrt_paged {
@@ -18409,7 +18495,7 @@ struct voxrt_paged {
     int (*read_fn)(void *user, uint64_t offset, void *to, size_t bytes);
     void *read_user;
     void *file;                    /* opened by voxrt_paged_open_file */
-    uint8_t root_rgb[3];
+    uint8_t root_rgb[3], root_finish, root_spread;
     uint32_t root_normal;
     uint32_t turn;                 /* atomic */
     uint64_t loaded_frames, file_bytes, memory;
@@ -18462,16 +18548,18 @@ static uint32_t voxrti_chunk_cell(const voxrt_paged *p, const voxrti_chunk *c, u
     }
 }
 
-static void voxrti_chunk_color(const voxrti_chunk *c, uint32_t cell, uint8_t rgb[3]) {
+/* Colour of a cell; returns the number of its finish. */
+static uint32_t voxrti_chunk_color(const voxrt_paged *p, const voxrti_chunk *c, uint32_t cell, uint8_t rgb[3]) {
     const uint8_t *base = (const uint8_t *)c;
     uint32_t k = 0;
     memset(rgb, 255, 3);
-    if (c->colors == 0) return;
+    if (c->colors == 0) return 0;
     if (c->bits != 0) {
         const uint64_t bit = (uint64_t)cell * c->bits;
         k = (uint32_t)(voxrti_load_u32(base + c->index + (size_t)(bit >> 3)) >> (bit & 7u)) & ((1u << c->bits) - 1u);
     }
-    memcpy(rgb, base + c->palette + (size_t)3 * k, 3);
+    memcpy(rgb, base + c->palette + (size_t)voxrti_page_entry(p->flags) * k, 3);
+    return p->tree.finish_count != 0 ? base[c->palette + (size_t)4 * k + 3] : 0;
 }
 
 static void voxrti_chunk_normal(const voxrt_paged *p, const voxrti_chunk *c, uint32_t cell, float n[3]) {
@@ -18563,7 +18651,8 @@ static int voxrti_paged_check(const voxrt_paged *p, uint32_t id, voxrti_chunk *c
     const voxrti_page *g = &p->page[id];
     const uint8_t *q = p->buffer;
     const uint32_t head = 8 + 8 * ((uint32_t)g->n1 + g->n2), colors = (p->flags & VOXRTI_V5_HAS_COLORS) != 0;
-    uint32_t i, n2 = 0, octants1 = 0;
+    const uint32_t entry = voxrti_page_entry(p->flags);
+    uint32_t i, n2 = 0, octants1 = 0, count;
     uint64_t size;
     memset(c, 0, sizeof *c);
     *where = 0;
@@ -18591,26 +18680,34 @@ static int voxrti_paged_check(const voxrt_paged *p, uint32_t id, voxrti_chunk *c
     }
     *where = 8;
     if (n2 != c->n2) return 0;
-    c->count = c->cells2 + c->octants2 + n2 + octants1;
+    count = c->cells2 + c->octants2 + n2 + octants1;
     *where = 0;
-    if ((c->colors != 0) != (colors != 0) || c->colors > c->count) return 0;
+    if ((c->colors != 0) != (colors != 0) || c->colors > count) return 0;
     if (c->bits != (c->colors != 0 ? voxrti_bits_for(c->colors) : 0)) return 0;
     size = head;
     if ((p->flags & VOXRTI_V5_HAS_NORMALS) != 0) {
         c->normal = (uint32_t)size;
-        size += (uint64_t)2 * c->count;
+        size += (uint64_t)2 * count;
     }
     if (c->colors != 0) {
         c->palette = (uint32_t)size;
-        c->index = (uint32_t)size + 3 * c->colors;
-        size = c->index + ((uint64_t)c->count * c->bits + 7) / 8;
+        c->index = (uint32_t)size + entry * c->colors;
+        size = c->index + ((uint64_t)count * c->bits + 7) / 8;
     }
     if (c->leaf && (p->flags & VOXRTI_V5_HAS_PLANES) != 0) {
         c->plane = (uint32_t)size;
         size += c->cells2;
     }
+    if ((p->flags & VOXRTI_V5_HAS_SPREAD) != 0) {
+        c->spread = (uint32_t)size;
+        size += count - (c->leaf ? c->cells2 : 0);
+    }
     if (size != g->size) return 0;
-    for (i = 0; i < c->count && c->bits != 0; i++) { /* bytes of the next section are not looked at: 8 are behind */
+    for (i = 0; i < c->colors && entry == 4; i++) {
+        *where = c->palette + 4 * i + 3;
+        if (q[*where] > p->tree.finish_count) return 0;
+    }
+    for (i = 0; i < count && c->bits != 0; i++) { /* bytes of the next section are not looked at: 8 are behind */
         const uint64_t bit = (uint64_t)i * c->bits;
         const uint32_t k = voxrti_load_u32(q + c->index + (size_t)(bit >> 3)) >> (bit & 7u) & ((1u << c->bits) - 1u);
         *where = c->index + (uint32_t)(bit >> 3);
@@ -18659,6 +18756,7 @@ static void voxrti_paged_place(voxrt_paged *p, uint32_t id, voxrti_chunk *c, uin
     if (c->palette != 0) c->palette += attr - head;
     if (c->index != 0) c->index += attr - head;
     if (c->plane != 0) c->plane += attr - head;
+    if (c->spread != 0) c->spread += attr - head;
     memcpy(base, c, sizeof *c);
     g->place = place;
     for (i = 0; i < g->frames; i++) p->owner[place + i] = id;
@@ -18766,9 +18864,11 @@ static voxrt_result voxrti_paged_head(voxrt_paged *p, const voxrt_paged_desc *d,
     pages_end = voxrti_load_u64(e + VOXRTI_V5_ENTRY + 16);
     ok = voxrti_load_u16(h + 12) == VOXRTI_V5_HEADER && voxrti_load_u16(h + 14) == 3 && voxrti_load_u32(h + 44) == 0;
     ok = ok && (p->flags & ~(uint32_t)(VOXRTI_V5_PAGED | VOXRTI_V5_HAS_NORMALS | VOXRTI_V5_HAS_COLORS |
-                                       VOXRTI_V5_SPHERICAL | VOXRTI_V5_HAS_PLANES)) == 0;
-    ok = ok && ((p->flags & (VOXRTI_V5_SPHERICAL | VOXRTI_V5_HAS_PLANES)) == 0 ||
+                                       VOXRTI_V5_SPHERICAL | VOXRTI_V5_HAS_PLANES | VOXRTI_V5_HAS_FINISHES |
+                                       VOXRTI_V5_HAS_SPREAD)) == 0;
+    ok = ok && ((p->flags & (VOXRTI_V5_SPHERICAL | VOXRTI_V5_HAS_PLANES | VOXRTI_V5_HAS_SPREAD)) == 0 ||
                 (p->flags & VOXRTI_V5_HAS_NORMALS) != 0);
+    ok = ok && ((p->flags & VOXRTI_V5_HAS_FINISHES) == 0 || (p->flags & VOXRTI_V5_HAS_COLORS) != 0);
     ok = ok && t->depth >= 1 && t->depth <= VOXRT_MAX_DEPTH && t->resolution >= 1 && t->resolution <= 1u << t->depth;
     ok = ok && t->voxel_size > 0 && voxrti_finite(t->voxel_size * (double)(1u << t->depth)) && t->voxel_count >= 1;
     ok = ok && p->page_count >= 1 && p->page_count < VOXRTI_NO_PAGE;
@@ -18783,8 +18883,10 @@ static voxrt_result voxrti_paged_head(voxrt_paged *p, const voxrt_paged_desc *d,
         p->root_rgb[i] = q[60 + i];
     }
     p->root_normal = voxrti_load_u32(q + 64);
-    ok = ok && q[63] == 0 && p->root_normal <= 0xffffu;
-    for (i = 68; i < VOXRTI_PAGED_PLACE; i++) ok = ok && q[i] == 0;
+    p->root_finish = q[63];
+    p->root_spread = q[68];
+    ok = ok && p->root_normal <= 0xffffu && ((p->flags & VOXRTI_V5_HAS_SPREAD) != 0 || p->root_spread == 0);
+    for (i = 69; i < VOXRTI_PAGED_PLACE; i++) ok = ok && q[i] == 0;
     for (i = VOXRTI_V5_HEADER + 3 * VOXRTI_V5_ENTRY; i < 192; i++) ok = ok && h[i] == 0;
     for (i = 192 + VOXRTI_PAGED_PLACE; i < VOXRTI_PAGED_HEAD; i++) ok = ok && h[i] == 0;
     ok = ok && voxrti_load_u64(e + 8) == 192 && voxrti_load_u64(e + 16) == VOXRTI_PAGED_PLACE;
@@ -18792,7 +18894,14 @@ static voxrt_result voxrti_paged_head(voxrt_paged *p, const voxrt_paged_desc *d,
     ok = ok && voxrti_load_u64(e + VOXRTI_V5_ENTRY + 32) == 0;
     ok = ok && pages_end <= p->size && voxrti_v5_align(pages_end + VOXRTI_PAGED_HEAD) == *table && *table <= p->size;
     ok = ok && voxrti_load_u64(e + 2 * VOXRTI_V5_ENTRY + 16) == p->size - *table;
-    ok = ok && p->size - *table == (uint64_t)p->page_count * VOXRTI_PAGED_ENTRY;
+    ok = ok && p->size - *table >= (uint64_t)p->page_count * VOXRTI_PAGED_ENTRY;
+    if (ok) { /* finishes, behind the table */
+        const uint64_t room = p->size - *table - (uint64_t)p->page_count * VOXRTI_PAGED_ENTRY;
+        ok = room % VOXRTI_V5_FINISH == 0 && room / VOXRTI_V5_FINISH <= 255;
+        ok = ok && (room != 0) == ((p->flags & VOXRTI_V5_HAS_FINISHES) != 0);
+        if (ok) t->finish_count = (uint32_t)(room / VOXRTI_V5_FINISH);
+        ok = ok && p->root_finish <= t->finish_count;
+    }
     if (!ok) return voxrti_paged_fail(d, VOXRT_ERR_FORMAT, 192, "bad placement section at byte %");
     t->wide = (t->depth + 1) / 2;
     t->cpu_level = voxrti_cpu_level();
@@ -18807,7 +18916,7 @@ static voxrt_result voxrti_paged_table(voxrt_paged *p, const voxrt_paged_desc *d
                                        uint32_t *most) {
     uint8_t some[64 * VOXRTI_PAGED_ENTRY];
     const uint64_t bytes = (uint64_t)p->page_count * VOXRTI_PAGED_ENTRY, end = p->file_bytes + VOXRTI_PAGED_HEAD;
-    uint64_t sum = 0x243f6a8885a308d3u ^ bytes;
+    uint64_t sum = 0x243f6a8885a308d3u ^ (p->size - table);
     uint32_t i, k, j, n, tier = 0, tier_end = 1, below = 0, child = 1;
     voxrt_result r;
     memset(some, 0, sizeof some);
@@ -18853,6 +18962,15 @@ static voxrt_result voxrti_paged_table(voxrt_paged *p, const voxrt_paged_desc *d
             if (g->size > *most) *most = g->size;
         }
     }
+    for (i = 0; i < p->tree.finish_count && r == VOXRT_OK; i++) {
+        const uint64_t at = table + bytes + (uint64_t)i * VOXRTI_V5_FINISH;
+        r = voxrti_paged_read(p, at, some, VOXRTI_V5_FINISH);
+        if (r != VOXRT_OK) break;
+        sum = voxrti_hash_bytes(sum, some, VOXRTI_V5_FINISH);
+        voxrti_load_finish(some, &p->tree.finish[i]);
+        if (!voxrti_finish_ok(&p->tree.finish[i]))
+            return voxrti_paged_fail(d, VOXRT_ERR_FORMAT, at, "bad finish at byte %");
+    }
     if (r != VOXRT_OK) return voxrti_paged_fail(d, r, table, "the table of pages cannot be read");
     if (!p->trust && sum != checksum)
         return voxrti_paged_fail(d, VOXRT_ERR_CHECKSUM, table, "section at byte % is damaged");
@@ -18863,7 +18981,8 @@ static voxrt_result voxrti_paged_table(voxrt_paged *p, const voxrt_paged_desc *d
 
 /* Bytes beside the frames when the largest page has `most`, and the fewest frames that will do: two pages a level. */
 static uint64_t voxrti_paged_fixed(const voxrt_paged *p, uint32_t most) {
-    return sizeof *p + 1024 + (uint64_t)p->page_count * sizeof *p->page + most + 8;
+    return sizeof *p + 1024 + (uint64_t)p->page_count * sizeof *p->page +
+           (uint64_t)p->tree.finish_count * sizeof *p->tree.finish + most + 8;
 }
 static uint64_t voxrti_paged_least(const voxrt_paged *p, uint32_t most) {
     return VOXRTI_PAGED_FIRST + (uint64_t)p->tiers * ((2 * (uint64_t)most + 4096) / VOXRTI_FRAME + 1);
@@ -18921,7 +19040,11 @@ static voxrt_result voxrti_paged_fill(voxrt_paged *p, const voxrt_paged_desc *d)
         return r != VOXRT_OK ? r : voxrti_paged_short(p, d, most);
     }
     p->page = (voxrti_page *)voxrti_alloc_zero(&p->mem, p->page_count, sizeof *p->page);
-    if (p->page == NULL) return voxrti_paged_fail(d, VOXRT_ERR_NO_MEMORY, 0, voxrt_result_string(VOXRT_ERR_NO_MEMORY));
+    if (p->tree.finish_count != 0)
+        p->tree.finish =
+            (voxrt_finish *)voxrti_alloc_array(&p->mem, p->tree.finish_count, sizeof *p->tree.finish);
+    if (p->page == NULL || (p->tree.finish_count != 0 && p->tree.finish == NULL))
+        return voxrti_paged_fail(d, VOXRT_ERR_NO_MEMORY, 0, voxrt_result_string(VOXRT_ERR_NO_MEMORY));
     r = voxrti_paged_table(p, d, table, checksum, &most);
     if (r != VOXRT_OK) return r;
     least = voxrti_paged_least(p, most);
@@ -18957,6 +19080,7 @@ VOXRT_DEF void voxrt_paged_destroy(voxrt_paged *paged) {
         (void)pthread_cond_destroy(&paged->change);
 #endif
         voxrti_free(&mem, paged->page);
+        voxrti_free(&mem, paged->tree.finish);
         voxrti_free(&mem, paged->buffer);
         voxrti_free(&mem, paged->owner);
         voxrti_free(&mem, paged->arena);
@@ -19085,6 +19209,8 @@ VOXRT_DEF void voxrt_paged_get_info(const voxrt_paged *p, voxrt_paged_info *info
     info->has_colors = (p->flags & VOXRTI_V5_HAS_COLORS) != 0;
     info->has_normals = (p->flags & VOXRTI_V5_HAS_NORMALS) != 0;
     info->has_planes = (p->flags & VOXRTI_V5_HAS_PLANES) != 0;
+    info->has_spread = (p->flags & VOXRTI_V5_HAS_SPREAD) != 0;
+    info->finish_count = p->tree.finish_count;
     info->voxel_count = p->tree.voxel_count;
     info->file_bytes = p->file_bytes;
     info->memory = p->memory;
@@ -19186,44 +19312,52 @@ static uint32_t voxrti_paged_coarse(const voxrt_paged *p, uint32_t v, const uint
     }
 }
 
-/* Colour and normal of a cell; c = NULL: the root's. */
-static void voxrti_paged_attr(const voxrt_paged *p, const voxrti_chunk *c, uint32_t cell, uint8_t rgb[3], float n[3]) {
+/* Colour, normal, finish and spread of a cell; c = NULL: the root's. */
+static void voxrti_paged_attr(const voxrt_paged *p, const voxrti_chunk *c, uint32_t cell, voxrt_surface *s) {
+    const uint32_t voxels = c != NULL && c->leaf ? c->cells2 : 0;
+    uint32_t finish = p->root_finish, spread = p->root_spread;
     if (c != NULL) {
-        voxrti_chunk_color(c, cell, rgb);
-        voxrti_chunk_normal(p, c, cell, n);
+        finish = voxrti_chunk_color(p, c, cell, s->rgb);
+        voxrti_chunk_normal(p, c, cell, s->normal);
+        spread = c->spread != 0 && cell >= voxels ? ((const uint8_t *)c)[c->spread + cell - voxels] : 0;
     } else {
-        memcpy(rgb, p->root_rgb, 3);
-        if ((p->flags & VOXRTI_V5_HAS_NORMALS) != 0) voxrti_normal_decode(p->tree.spherical, p->root_normal, n);
+        memcpy(s->rgb, p->root_rgb, 3);
+        if ((p->flags & VOXRTI_V5_HAS_NORMALS) != 0)
+            voxrti_normal_decode(p->tree.spherical, p->root_normal, s->normal);
     }
+    s->finish = finish != 0 ? &p->tree.finish[finish - 1] : NULL;
+    s->spread = (float)spread * (1.0f / 255.0f);
 }
 
 /* As voxrti_surface_blend. */
 static void voxrti_paged_blend(const voxrt_paged *p, const voxrt_trace_desc *td, const voxrt_hit *hit, uint32_t v,
                                const voxrti_chunk *c, uint32_t second, uint32_t i, voxrt_surface *s) {
-    float more = (td->cone_width + td->cone_spread * hit->t) / s->edge - 1.0f, n[3] = {0, 0, 0};
-    uint8_t rgb[3];
+    float more = (td->cone_width + td->cone_spread * hit->t) / s->edge - 1.0f, n[3];
+    voxrt_surface up;
     uint32_t a;
     if (!(more > 0.0f) || hit->level == 0) return;
     if (more > 1.0f) more = 1.0f;
+    memset(&up, 0, sizeof up);
     if ((v & 1u) == 0) {
-        voxrti_paged_attr(p, c, voxrti_chunk_cell(p, c, second, i, hit->slot, 1), rgb, n);
+        voxrti_paged_attr(p, c, voxrti_chunk_cell(p, c, second, i, hit->slot, 1), &up);
     } else if (v == 1) {
-        voxrti_paged_attr(p, NULL, 0, rgb, n);
+        voxrti_paged_attr(p, NULL, 0, &up);
     } else if (second) { /* the node itself is a cell of the first level */
-        voxrti_paged_attr(p, c, c->cells2 + c->octants2 + i, rgb, n);
+        voxrti_paged_attr(p, c, c->cells2 + c->octants2 + i, &up);
     } else { /* it is one of the page above */
         const uint32_t id = c->id, parent = p->page[id].parent;
         uint32_t rank[2];
         c = voxrti_paged_chunk(p, parent);
         voxrti_chunk_rank(p, c, id - p->page[parent].first_child, rank);
-        voxrti_paged_attr(p, c, rank[0] + i, rgb, n);
+        voxrti_paged_attr(p, c, rank[0] + i, &up);
     }
+    s->spread += more * (up.spread - s->spread);
     for (a = 0; a < 3; a++) {
-        const float x = (float)((uint32_t)s->rgb[a] * s->rgb[a]), y = (float)((uint32_t)rgb[a] * rgb[a]);
+        const float x = (float)((uint32_t)s->rgb[a] * s->rgb[a]), y = (float)((uint32_t)up.rgb[a] * up.rgb[a]);
         s->rgb[a] = (uint8_t)(sqrtf(x + more * (y - x)) + 0.5f);
     }
     if ((p->flags & VOXRTI_V5_HAS_NORMALS) != 0) {
-        for (a = 0; a < 3; a++) n[a] = s->normal[a] + more * (n[a] - s->normal[a]);
+        for (a = 0; a < 3; a++) n[a] = s->normal[a] + more * (up.normal[a] - s->normal[a]);
         if (voxrti_normalize(n)) memcpy(s->normal, n, sizeof n);
     }
 }
@@ -19248,7 +19382,7 @@ static uint32_t voxrti_paged_look(voxrt_paged *p, const voxrt_trace_desc *td, co
         s->face = hit->face;
         s->plane = hit->plane;
         s->edge = (float)(p->tree.voxel_size * (double)((uint32_t)1 << (p->tree.depth - level)));
-        voxrti_paged_attr(p, c, cell, s->rgb, s->normal);
+        voxrti_paged_attr(p, c, cell, s);
         if (td->blend && missing == VOXRTI_NO_PAGE) voxrti_paged_blend(p, td, hit, v, c, second, i, s);
     }
     return missing;
@@ -19443,7 +19577,7 @@ VOXRT_DEF void voxrt_paged_geometry(voxrt_paged *paged, voxrt_geometry *out_geom
     out_geometry->trace_fn = voxrti_paged_trace;
     out_geometry->occluded_fn = voxrti_paged_occluded;
     out_geometry->user = paged;
-    out_geometry->glass = 0; /* pages keep colours only */
+    out_geometry->glass = voxrti_tree_glass(&paged->tree);
     voxrt_tree_bounds(&paged->tree, out_geometry->box_min, out_geometry->box_max);
 }
 

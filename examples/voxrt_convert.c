@@ -279,8 +279,6 @@ static void sample_textures(void *user, voxrt_sample *sample) {
 }
 
 /* What is made has no finishes: palettes need no entries for them. */
-static int only_colors(const convert_options *o) { return o->paged || o->format == FORMAT_V4; }
-
 static size_t triangles_that_fit(void) {
     const size_t memory = sup_memory_limit();
     return memory / 256; /* with all that is made of a triangle */
@@ -320,7 +318,7 @@ static int dress(const char *program, const convert_options *o, sup_mesh *mesh, 
     }
     if (make_finishes(m, d, &left)) return sup_bad_input(program, "out of memory");
     if (left != 0 && !o->quiet) sup_warn(program, "more than 255 kinds of materials: the last ones have only their colours");
-    if (d->finish_count != 0 && !only_colors(o)) {
+    if (d->finish_count != 0 && o->format != FORMAT_V4) {
         d->of_triangle = (uint8_t *)sup_alloc(m->triangle_count, 1);
         if (d->of_triangle == NULL) return sup_bad_input(program, "out of memory");
         for (i = 0; i < m->triangle_count; i++)
@@ -358,6 +356,7 @@ static void paged_info(const char *path, voxrt_tree_info *info) {
     info->resolution = paged.resolution;
     info->voxel_count = paged.voxel_count;
     info->total_bytes = paged.file_bytes;
+    info->finish_count = paged.finish_count;
 }
 
 static void print_stats(const convert_options *o, const converted *c) {
@@ -620,8 +619,8 @@ int main(int argc, char **argv) {
         voxrt_tree_destroy(c.tree);
         return status;
     }
-    if (c.had_finishes && only_colors(&o) && !o.quiet)
-        sup_warn(argv[0], "files in pages and files of format 4 have colours only: mirrors, glass and other finishes are left out");
+    if (c.had_finishes && o.format == FORMAT_V4 && !o.quiet)
+        sup_warn(argv[0], "files of format 4 have colours only: mirrors, glass and other finishes are left out");
     start = sup_now();
     if (c.tree != NULL) status = write_out(&o, &env, c.tree, &err);
     c.write_seconds = sup_now() - start;

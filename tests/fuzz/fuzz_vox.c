@@ -117,9 +117,10 @@ static void use_paged(const uint8_t *data, size_t size, const voxrt_tree *t) {
             if (wait && t != NULL) {
                 voxrt_tree_geometry(t, &whole);
                 whole.trace_fn(whole.user, &td, ray, same, 5);
-                for (k = 0; k < 5; k++) { /* pages have colours only */
-                    same[k].finish = NULL;
-                    same[k].spread = 0.0f;
+                for (k = 0; k < 5; k++) { /* each has finishes of its own */
+                    must((s[k].finish != NULL) == (same[k].finish != NULL));
+                    if (s[k].finish != NULL) must(memcmp(s[k].finish, same[k].finish, sizeof *s[k].finish) == 0);
+                    s[k].finish = same[k].finish = NULL;
                 }
                 must(memcmp(s, same, sizeof s) == 0);
             }
