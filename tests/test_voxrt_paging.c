@@ -137,6 +137,32 @@ static voxrt_tree *tree_of(const hills *h, uint32_t resolution, uint32_t planes,
     return t;
 }
 
+/* Hills, their tree, its file, and room for two pictures. */
+typedef struct fixture {
+    hills h;
+    voxrt_tree *t;
+    file f;
+    picture *exact, *p;
+} fixture;
+
+static fixture fixture_make(uint32_t squares, uint32_t resolution, uint32_t planes) {
+    fixture x;
+    x.h = hills_make(squares, 1);
+    x.t = tree_of(&x.h, resolution, planes, 0);
+    x.f = file_of(x.t);
+    x.exact = picture_make();
+    x.p = picture_make();
+    return x;
+}
+
+static void fixture_free(fixture *x) {
+    voxrt_tree_destroy(x->t);
+    free(x->f.data);
+    free(x->exact);
+    free(x->p);
+    hills_free(&x->h);
+}
+
 /* A view, as a number says it: from above, across, close by, from inside; level of detail, shadows, ... */
 static void view_of(const voxrt_tree *t, uint32_t k, voxrt_render_desc *d) {
     double lo[3], hi[3];
@@ -175,7 +201,7 @@ static uint32_t draw_until_exact(const voxrt_render_desc *d, voxrt_paged *p, pic
     do {
         draw(*d, NULL, p, out);
         CHECK(voxrt_paged_update(p, 0, &s) == VOXRT_OK);
-        CHECK(s.loaded == s.wanted);
+        CHECK((s.loaded != 0) == (s.wanted != 0));
         n++;
     } while (s.wanted != 0 && n < 100);
     return n;
@@ -295,67 +321,240 @@ static voxrt_allocator counted(test_alloc *ta) {
     return a;
 }
 
-static void stripes(void *user, voxrt_sample *sample) { /* a texture: red and blue by the place in the triangle */
+static void stripes(void *user, voxrt_sample *sample) { /* a texture: by the triangle and the place in it */
     (void)user;
     sample->color[0] = sample->weight[0] > 0.5f ? 1.0f : 0.0f;
-    sample->color[1] = 0.0f;
+    sample->color[1] = (float)(sample->triangle % 7) / 7.0f;
     sample->color[2] = 1.0f - sample->color[0];
 }
 
-/* Textures are in pages, finishes and spread are not. */
-TEST(pages_have_colours_only) {
-    static voxrt_finish mirror;
-    int textured;
-    mirror.diffuse = 0.5f;
-    mirror.mirror[0] = 0.5f;
-    for (textured = 0; textured < 2; textured++) {
-        hills h = hills_make(40, !textured);
-        file plain = {NULL, 0, 0}, finished = {NULL, 0, 0}, of_tree;
-        uint8_t *of = (uint8_t *)calloc(h.mesh.triangle_count, 1);
+/* Textures, whose triangles have the numbers of the mesh in any piece. */
+TEST(pieces_have_textures) {
+    hills h = hills_make(40, 0);
+    voxrt_build_desc d;
+    uint32_t k;
+    memset(&d, 0, sizeof d);
+    d.resolution = 300;
+    d.palette_size = 1u << 24;
+    h.index[3 * 5] = 0x7fffffffu; /* a bad triangle has a number, too */
+    h.mesh.sample_fn = stripes;
+    for (k = 0; k < 3; k++) {
+        file pages = {NULL, 0, 0}, of_tree;
+        voxrt_sink sink;
+        voxrt_tree *t = NULL;
+        d.disable_normals = k == 2;
+        d.env.memory_limit = 0;
+        REQUIRE(voxrt_tree_build(&d, &h.mesh, NULL, &t) == VOXRT_OK);
+        of_tree = file_of(t);
+        sink.write_fn = file_write;
+        sink.user = &pages;
+        if (k != 0) d.env.memory_limit = 3u << 20; /* many pieces */
+        CHECK(voxrt_paged_build(&d, &h.mesh, &sink, NULL) == VOXRT_OK);
+        CHECK_MSG(of_tree.size == pages.size && memcmp(of_tree.data, pages.data, pages.size) == 0, "file %u", k);
+        voxrt_tree_destroy(t);
+        free(of_tree.data);
+        free(pages.data);
+    }
+    hills_free(&h);
+}
+
+/* Mirrors, glass, lamps and the spread of normals: files and pictures as of the tree, with any of them left out. */
+TEST(pages_have_finishes_and_spread) {
+    static const uint32_t resolution[6] = {2, 7, 30, 60, 200, 300};
+    voxrt_finish finish[3];
+    picture *a = picture_make(), *b = picture_make();
+    uint32_t k, differs = 0;
+    memset(finish, 0, sizeof finish);
+    finish[0].diffuse = 0.5f;
+    finish[0].mirror[0] = finish[0].mirror[1] = 0.5f;
+    finish[0].specular[1] = 0.7f;
+    finish[0].shininess = 30.0f;
+    finish[1].diffuse = 0.3f;
+    finish[1].transparency[0] = finish[1].transparency[2] = 0.6f;
+    finish[2].diffuse = 1.0f;
+    finish[2].emission[1] = 0.5f;
+    for (k = 0; k < 12; k++) {
+        hills h = hills_make(40, (k & 1u) == 0);
+        file pages = {NULL, 0, 0}, of_tree;
+        uint8_t *number = (uint8_t *)calloc(h.mesh.triangle_count, 1);
         voxrt_build_desc d;
         voxrt_sink sink;
         voxrt_tree *t = NULL;
+        voxrt_tree_info tree;
+        voxrt_paged_info info;
+        voxrt_paged *wait, *slow;
+        voxrt_geometry g, whole;
         size_t i;
-        REQUIRE(of != NULL);
-        for (i = 0; i < h.mesh.triangle_count; i += 3) of[i] = 1;
-        if (textured) h.mesh.sample_fn = stripes;
+        uint32_t view;
+        REQUIRE(number != NULL);
+        for (i = 0; i < h.mesh.triangle_count; i++) number[i] = (uint8_t)(i / 25 % (k == 7 ? 2 : 4));
         memset(&d, 0, sizeof d);
-        d.resolution = 128;
+        d.resolution = resolution[k % 6];
         d.palette_size = 1u << 24;
+        d.planes = k >> 1 & 1u;
+        d.spread = k != 5;
+        d.finishes = k % 4 != 3 || k == 7 ? finish : NULL;
+        d.finish_count = d.finishes == NULL ? 0 : k == 7 ? 1 : 3;
+        d.disable_normals = k == 5;
+        if (d.disable_normals) d.planes = 0;
+        if (d.finish_count != 0) h.mesh.triangle_finish = number;
+        if (k == 8) h.mesh.sample_fn = stripes;
+        REQUIRE(voxrt_tree_build(&d, &h.mesh, NULL, &t) == VOXRT_OK);
+        voxrt_tree_get_info(t, &tree);
+        of_tree = file_of(t);
         sink.write_fn = file_write;
-        sink.user = &plain;
+        sink.user = &pages;
+        if (k > 5) d.env.memory_limit = 4u << 20;
         CHECK(voxrt_paged_build(&d, &h.mesh, &sink, NULL) == VOXRT_OK);
-        CHECK(voxrt_tree_build(&d, &h.mesh, NULL, &t) == VOXRT_OK);
-        of_tree = file_of(t);
-        CHECK(of_tree.size == plain.size && memcmp(of_tree.data, plain.data, plain.size) == 0);
-        free(of_tree.data);
+        if (tree.finish_count == d.finish_count) /* a tree has those that occur */
+            CHECK_MSG(of_tree.size == pages.size && memcmp(of_tree.data, pages.data, pages.size) == 0, "file %u", k);
+        wait = paged_of(&pages, 0, 1);
+        slow = paged_of(&of_tree, 0, 0);
+        REQUIRE(wait != NULL && slow != NULL);
+        voxrt_paged_get_info(slow, &info);
+        CHECK(info.finish_count == tree.finish_count && info.has_spread == tree.has_spread);
+        CHECK(info.has_colors == (d.finish_count != 0 || (k & 1u) == 0 || k == 8));
+        voxrt_paged_geometry(wait, &g);
+        voxrt_tree_geometry(t, &whole);
+        CHECK(g.glass == whole.glass && (tree.finish_count < 3 || g.glass == 1));
+        for (view = 0; view < 4; view++) {
+            voxrt_render_desc v;
+            view_of(t, view | (view == 2 ? 0u : 4u) | (view == 3 ? 8u + 32u : 0u), &v);
+            draw(v, t, NULL, a);
+            draw(v, NULL, wait, b);
+            CHECK_MSG(picture_equal(a, b), "case %u, view %u at once", k, view);
+            (void)draw_until_exact(&v, slow, b);
+            CHECK_MSG(picture_equal(a, b), "case %u, view %u later", k, view);
+            v.bounces_plus_1 = 1;
+            draw(v, t, NULL, b);
+            differs += !picture_equal(a, b);
+        }
+        if (k % 3 == 0) same_detail(t);
+        voxrt_paged_destroy(wait);
+        voxrt_paged_destroy(slow);
         voxrt_tree_destroy(t);
-        d.finishes = &mirror;
-        d.finish_count = 1;
-        d.spread = 1;
-        h.mesh.triangle_finish = of;
-        sink.user = &finished;
-        CHECK(voxrt_paged_build(&d, &h.mesh, &sink, NULL) == VOXRT_OK);
-        CHECK(finished.size == plain.size && memcmp(finished.data, plain.data, plain.size) == 0);
-        CHECK(voxrt_tree_build(&d, &h.mesh, NULL, &t) == VOXRT_OK);
-        of_tree = file_of(t);
-        CHECK(of_tree.size == plain.size && memcmp(of_tree.data, plain.data, plain.size) == 0);
         free(of_tree.data);
-        voxrt_tree_destroy(t);
-        free(plain.data);
-        free(finished.data);
-        free(of);
+        free(pages.data);
+        free(number);
         hills_free(&h);
     }
+    CHECK_MSG(differs > 8, "light bounces in %u pictures", differs);
+    free(a);
+    free(b);
+}
+
+/* What building says of its progress, and that it may be stopped anywhere, also when all is one piece. */
+typedef struct watch {
+    uint64_t last, total, stop_at;
+    uint32_t calls, back;
+} watch;
+
+static int watch_fn(void *user, uint64_t done, uint64_t total) {
+    watch *w = (watch *)user;
+    w->back += done < w->last || done > total || (w->calls != 0 && total != w->total);
+    w->last = done;
+    w->total = total;
+    return ++w->calls == w->stop_at;
+}
+
+TEST(building_can_be_watched_and_stopped) {
+    hills h = hills_make(60, 1);
+    uint32_t k;
+    for (k = 0; k < 3; k++) { /* one piece, many, and more than the levels that progress tells apart */
+        voxrt_build_desc d;
+        voxrt_sink sink;
+        watch w;
+        uint64_t calls, stop;
+        file to = {NULL, 0, 0};
+        memset(&d, 0, sizeof d);
+        memset(&w, 0, sizeof w);
+        d.resolution = k == 2 ? 4096 : k == 1 ? 600 : 40;
+        if (k != 0) d.env.memory_limit = 4u << 20;
+        if (k == 2) { /* a small part of the grid, which is cut often */
+            d.box_min[0] = d.box_min[1] = d.box_min[2] = -9.5;
+            d.box_size = 20.0;
+        }
+        d.env.progress_fn = watch_fn;
+        d.env.progress_user = &w;
+        sink.write_fn = file_write;
+        sink.user = &to;
+        CHECK(voxrt_paged_build(&d, &h.mesh, &sink, NULL) == VOXRT_OK);
+        CHECK_MSG(w.calls != 0 && w.back == 0 && w.last == w.total, "case %u: %u calls, %u went back, %g of %g", k, w.calls,
+                  w.back, (double)w.last, (double)w.total);
+        calls = w.calls;
+        for (stop = 1; stop <= calls; stop += 1 + calls / 5) {
+            memset(&w, 0, sizeof w);
+            w.stop_at = stop;
+            to.size = 0;
+            CHECK(voxrt_paged_build(&d, &h.mesh, &sink, NULL) == VOXRT_ERR_CANCELLED && w.calls == stop);
+        }
+        free(to.data);
+    }
+    hills_free(&h);
+}
+
+/* A limit of memory holds for what is made on the way, too: plain copies of shared trees. */
+TEST(limits_hold_for_shared_trees) {
+    hills h = hills_make(60, 1);
+    voxrt_tree *plain = NULL, *shared = NULL;
+    voxrt_build_desc build;
+    uint32_t what;
+    memset(&build, 0, sizeof build);
+    build.resolution = 300;
+    build.palette_size = 1000;
+    CHECK(voxrt_tree_build(&build, &h.mesh, NULL, &plain) == VOXRT_OK);
+    CHECK(voxrt_tree_share(plain, NULL, &shared) == VOXRT_OK);
+    for (what = 0; what < 4; what++) {
+        size_t limit;
+        int refused = 0;
+        for (limit = 200000; limit < 64u << 20; limit += limit / 4) {
+            test_alloc ta;
+            voxrt_env env;
+            voxrt_result r;
+            memset(&env, 0, sizeof env);
+            env.allocator = counted(&ta);
+            env.memory_limit = limit;
+            env.thread_count = 1;
+            if (what == 0) {
+                voxrt_save_desc d;
+                size_t size;
+                memset(&d, 0, sizeof d);
+                d.env = env;
+                d.encoding = VOXRT_ENCODING_PAGED;
+                r = voxrt_tree_save_memory(shared, &d, NULL, 0, &size);
+            } else if (what == 1) {
+                voxrt_model *m = NULL;
+                r = voxrt_model_from_tree(&env, shared, &m);
+                voxrt_model_destroy(m);
+            } else if (what == 2) {
+                voxrt_octree_desc d;
+                voxrt_octree *o = NULL;
+                memset(&d, 0, sizeof d);
+                d.env = env;
+                r = voxrt_octree_from_tree(&d, shared, &o);
+                voxrt_octree_destroy(o);
+            } else {
+                voxrt_tree *t = NULL;
+                r = voxrt_tree_share(shared, &env, &t);
+                voxrt_tree_destroy(t);
+            }
+            test_alloc_check(&ta);
+            CHECK_MSG(ta.peak_bytes <= limit, "%u: %g bytes of %g", what, (double)ta.peak_bytes, (double)limit);
+            CHECK(r == VOXRT_OK || r == VOXRT_ERR_NO_MEMORY);
+            refused += r != VOXRT_OK;
+            if (r == VOXRT_OK) break;
+        }
+        CHECK_MSG(limit < 64u << 20 && refused > 1, "%u: %d refused", what, refused);
+    }
+    voxrt_tree_destroy(shared);
+    voxrt_tree_destroy(plain);
+    hills_free(&h);
 }
 
 /* Whatever the room is, it is never exceeded, all of it is there from the beginning, and those who wait get exact
    pictures, with any number of threads. */
 TEST(room_is_kept) {
-    hills h = hills_make(60, 1);
-    voxrt_tree *t = tree_of(&h, 500, 1, 0);
-    file f = file_of(t);
-    picture *exact = picture_make(), *p = picture_make();
+    fixture x = fixture_make(60, 500, 1);
     voxrt_paged_desc d;
     voxrt_error error;
     voxrt_paged *paged = NULL;
@@ -363,17 +562,17 @@ TEST(room_is_kept) {
     uint32_t k = 0;
     memset(&d, 0, sizeof d);
     memset(&error, 0, sizeof error);
-    d.data = f.data;
-    d.size = f.size;
+    d.data = x.f.data;
+    d.size = x.f.size;
     d.env.error = &error;
     d.memory = 1000;
     CHECK(voxrt_paged_open(&d, &paged) == VOXRT_ERR_RANGE && paged == NULL && error.where > 1000);
-    for (d.memory = least = (size_t)error.where; voxrt_paged_open(&d, &paged) == VOXRT_ERR_RANGE; d.memory = least)
-        least = (size_t)error.where;
+    d.memory = least = (size_t)error.where; /* what would do, at the first try */
+    REQUIRE(voxrt_paged_open(&d, &paged) == VOXRT_OK);
     voxrt_paged_destroy(paged);
     d.memory = least - 1;
     CHECK(voxrt_paged_open(&d, &paged) == VOXRT_ERR_RANGE && error.where == least);
-    for (memory = least; memory < 16 * f.size; memory = memory * 3 / 2, k++) {
+    for (memory = least; memory < 16 * x.f.size; memory = memory * 3 / 2, k++) {
         test_alloc ta;
         voxrt_paged_info info;
         voxrt_render_desc v;
@@ -386,26 +585,22 @@ TEST(room_is_kept) {
         count = ta.count;
         CHECK_MSG(ta.live_bytes <= memory, "%g of %g bytes", (double)ta.live_bytes, (double)memory);
         for (round = 0; round < 4; round++) {
-            view_of(t, round | round << 2 | (round == 3 ? 8u : 0u), &v);
+            view_of(x.t, round | round << 2 | (round == 3 ? 8u : 0u), &v);
             v.env.thread_count = 1 + k % 4;
-            draw(v, t, NULL, exact);
-            draw(v, NULL, paged, p);
-            CHECK_MSG(picture_equal(exact, p), "memory %g, view %u", (double)memory, round);
+            draw(v, x.t, NULL, x.exact);
+            draw(v, NULL, paged, x.p);
+            CHECK_MSG(picture_equal(x.exact, x.p), "memory %g, view %u", (double)memory, round);
         }
         voxrt_paged_get_info(paged, &info);
         CHECK(info.coarse_rays == 0 && info.bad_pages == 0 && info.memory <= memory && info.loaded_bytes <= memory);
         CHECK(ta.count == count && ta.live_bytes == info.memory);
         if (memory == least) CHECK(info.evictions > 10 && info.reads > info.page_count / 4);
-        if (memory > 4 * f.size) CHECK(info.evictions == 0 && info.reads == info.loaded_pages);
+        if (memory > 4 * x.f.size) CHECK(info.evictions == 0 && info.reads == info.loaded_pages);
         CHECK(info.evictions + info.loaded_pages <= info.reads); /* some were read and found no room */
         voxrt_paged_destroy(paged);
         test_alloc_check(&ta);
     }
-    voxrt_tree_destroy(t);
-    free(f.data);
-    free(exact);
-    free(p);
-    hills_free(&h);
+    fixture_free(&x);
 }
 
 /* What cells of a level look like. */
@@ -426,19 +621,17 @@ static int looks_add(void *user, const voxrt_voxel *v, uint32_t index) {
 /* A picture of what is there has no holes: what it shows is never behind what the whole tree shows; pixels that are
    right stay so; and it is the same for any number of threads. A page at a time. */
 TEST(coarse_pictures_get_finer) {
-    hills h = hills_make(60, 1);
-    voxrt_tree *t = tree_of(&h, 500, 0, 0);
-    file f = file_of(t);
-    picture *exact = picture_make(), *p = picture_make(), *q = picture_make(), *before = picture_make();
+    fixture x = fixture_make(60, 500, 0);
+    picture *p = x.p, *q = picture_make(), *before = picture_make();
     uint32_t view;
     for (view = 0; view < (test_quick() ? 2u : 8u); view++) {
-        voxrt_paged *one = paged_of(&f, 0, 0), *many = paged_of(&f, 0, 0);
+        voxrt_paged *one = paged_of(&x.f, 0, 0), *many = paged_of(&x.f, 0, 0);
         voxrt_render_desc d;
         uint32_t n = 0, first = 0, last = 0, i;
         voxrt_paged_update_stats s, r;
-        view_of(t, view, &d);
+        view_of(x.t, view, &d);
         d.view = VOXRT_VIEW_UNLIT; /* shadows of coarse cells come and go */
-        draw(d, t, NULL, exact);
+        draw(d, x.t, NULL, x.exact);
         do {
             uint32_t wrong = 0;
             d.env.thread_count = 1;
@@ -447,9 +640,9 @@ TEST(coarse_pictures_get_finer) {
             draw(d, NULL, many, q);
             CHECK(picture_equal(p, q));
             for (i = 0; i < W * H; i++) {
-                const int same_now = p->depth[i] == exact->depth[i] && memcmp(p->rgba8 + 4 * i, exact->rgba8 + 4 * i, 4) == 0;
-                CHECK_MSG(p->depth[i] <= exact->depth[i], "pixel %u of picture %u: %g behind %g", i, n, (double)p->depth[i],
-                          (double)exact->depth[i]);
+                const int same_now = p->depth[i] == x.exact->depth[i] && memcmp(p->rgba8 + 4 * i, x.exact->rgba8 + 4 * i, 4) == 0;
+                CHECK_MSG(p->depth[i] <= x.exact->depth[i], "pixel %u of picture %u: %g behind %g", i, n, (double)p->depth[i],
+                          (double)x.exact->depth[i]);
                 if (n != 0) CHECK(p->depth[i] >= before->depth[i]);
                 wrong += !same_now;
             }
@@ -457,7 +650,7 @@ TEST(coarse_pictures_get_finer) {
                 looks l;
                 first = wrong;
                 l.n = 0;
-                (void)voxrt_tree_each(t, 1, looks_add, &l);
+                (void)voxrt_tree_each(x.t, 1, looks_add, &l);
                 CHECK(l.n >= 4);
                 for (i = 0; i < W * H; i++) {
                     uint32_t k;
@@ -476,59 +669,91 @@ TEST(coarse_pictures_get_finer) {
         voxrt_paged_destroy(one);
         voxrt_paged_destroy(many);
     }
-    voxrt_tree_destroy(t);
-    free(f.data);
-    free(exact);
-    free(p);
     free(q);
     free(before);
-    hills_free(&h);
+    fixture_free(&x);
+}
+
+/* With shadows little more is read on the way to the exact picture than that needs, and the order does not depend on
+   threads. */
+TEST(shadows_of_coarse_cells_ask_for_nothing) {
+    fixture x = fixture_make(60, 500, 0);
+    uint32_t view;
+    for (view = 0; view < 4; view++) {
+        voxrt_paged *wait = paged_of(&x.f, 0, 1), *one = paged_of(&x.f, 0, 0), *many = paged_of(&x.f, 0, 0);
+        voxrt_paged_info needs, has;
+        voxrt_paged_update_stats s, r;
+        voxrt_render_desc d;
+        uint32_t n;
+        REQUIRE(wait != NULL && one != NULL && many != NULL);
+        view_of(x.t, view | 4u, &d);
+        draw(d, x.t, NULL, x.exact);
+        draw(d, NULL, wait, x.p);
+        voxrt_paged_get_info(wait, &needs);
+        for (n = 0; n < 200; n++) {
+            d.env.thread_count = 1;
+            draw(d, NULL, one, x.p);
+            CHECK(voxrt_paged_update(one, 300000, &s) == VOXRT_OK);
+            d.env.thread_count = 3;
+            draw(d, NULL, many, x.p);
+            CHECK(voxrt_paged_update(many, 300000, &r) == VOXRT_OK && memcmp(&s, &r, sizeof s) == 0);
+            if (s.wanted == 0) break;
+            CHECK(s.loaded != 0);
+        }
+        CHECK(n < 200 && picture_equal(x.p, x.exact));
+        voxrt_paged_get_info(one, &has);
+        CHECK_MSG(has.loaded_pages >= needs.loaded_pages - needs.loaded_pages / 50 &&
+                  has.reads <= needs.reads + needs.reads / 50, "view %u: %g pages of %g", view, (double)has.reads,
+                  (double)needs.reads);
+        voxrt_paged_destroy(wait);
+        voxrt_paged_destroy(one);
+        voxrt_paged_destroy(many);
+    }
+    fixture_free(&x);
 }
 
 /* Too little room for a picture, not waiting: what was hit stays, the rest is coarse, nothing changes any more. */
 TEST(too_little_room_is_coarse) {
-    hills h = hills_make(60, 1);
-    voxrt_tree *t = tree_of(&h, 500, 0, 0);
-    file f = file_of(t);
-    picture *exact = picture_make(), *p = picture_make(), *before = picture_make();
+    fixture x = fixture_make(60, 500, 0);
+    picture *p = x.p;
     voxrt_paged_desc d;
     voxrt_paged *paged = NULL;
     voxrt_render_desc v;
     voxrt_paged_update_stats s;
+    voxrt_paged_info info;
     uint32_t n, i;
     memset(&d, 0, sizeof d);
-    d.data = f.data;
-    d.size = f.size;
-    d.memory = f.size / 3;
+    d.data = x.f.data;
+    d.size = x.f.size;
+    d.memory = x.f.size / 3;
     REQUIRE(voxrt_paged_open(&d, &paged) == VOXRT_OK);
-    view_of(t, 0, &v);
+    view_of(x.t, 0, &v);
     v.view = VOXRT_VIEW_UNLIT;
-    draw(v, t, NULL, exact);
+    draw(v, x.t, NULL, x.exact);
     for (n = 0; n < 60; n++) {
-        memcpy(before, p, sizeof *p);
         draw(v, NULL, paged, p);
-        for (i = 0; i < W * H; i++) CHECK(p->depth[i] <= exact->depth[i]);
+        for (i = 0; i < W * H; i++) CHECK(p->depth[i] <= x.exact->depth[i]);
         CHECK(voxrt_paged_update(paged, 0, &s) == VOXRT_OK);
         if (s.loaded == 0) break;
     }
     CHECK_MSG(n < 60 && s.wanted != 0, "%u pictures, %u wanted", n, s.wanted);
-    for (n = 0, i = 0; i < W * H; i++) n += p->depth[i] < exact->depth[i];
+    for (n = 0, i = 0; i < W * H; i++) n += p->depth[i] < x.exact->depth[i];
     CHECK_MSG(n > 0 && n < W * H / 2, "%u pixels are coarse", n);
+    voxrt_paged_wait(paged, 1); /* now the next picture is exact all the same */
+    draw(v, NULL, paged, p);
+    CHECK(picture_equal(p, x.exact));
+    voxrt_paged_wait(paged, 0);
+    CHECK(voxrt_paged_update(paged, 0, &s) == VOXRT_OK && s.wanted == 0);
+    voxrt_paged_get_info(paged, &info);
+    CHECK(info.coarse_rays == 0 && info.memory <= d.memory);
     voxrt_paged_destroy(paged);
-    voxrt_tree_destroy(t);
-    free(f.data);
-    free(exact);
-    free(p);
-    free(before);
-    hills_free(&h);
+    fixture_free(&x);
 }
 
 /* Single rays, any directions: surfaces and any hit as of the tree; in an instance in a group, too. */
 TEST(rays_are_those_of_the_tree) {
-    hills h = hills_make(40, 1);
-    voxrt_tree *t = tree_of(&h, 300, 1, 0);
-    file f = file_of(t);
-    voxrt_paged *p = paged_of(&f, 700000, 1);
+    fixture x = fixture_make(40, 300, 1);
+    voxrt_paged *p = paged_of(&x.f, 700000, 1);
     test_rng r = test_rng_make(7);
     voxrt_instance place[2];
     voxrt_group *group[2] = {NULL, NULL};
@@ -536,7 +761,7 @@ TEST(rays_are_those_of_the_tree) {
     uint32_t k, i, a, hits = 0, rounds = test_quick() ? 100 : 1000;
     memset(place, 0, sizeof place);
     REQUIRE(p != NULL);
-    voxrt_tree_geometry(t, &place[0].geometry);
+    voxrt_tree_geometry(x.t, &place[0].geometry);
     voxrt_paged_geometry(p, &place[1].geometry);
     for (k = 0; k < 2; k++) {
         CHECK(memcmp(place[0].geometry.box_min, place[k].geometry.box_min, sizeof place[0].geometry.box_min) == 0);
@@ -588,9 +813,59 @@ TEST(rays_are_those_of_the_tree) {
     CHECK_MSG(hits > 10 * rounds, "%u hits", hits);
     for (k = 0; k < 2; k++) voxrt_group_destroy(group[k]);
     voxrt_paged_destroy(p);
-    voxrt_tree_destroy(t);
-    free(f.data);
-    hills_free(&h);
+    fixture_free(&x);
+}
+
+/* A ray that waits has what it needs whenever that fits, whatever has been loaded before. */
+TEST(what_fits_is_loaded) {
+    fixture x = fixture_make(60, 500, 0);
+    const voxrt_trace_desc td = {0};
+    test_rng r = test_rng_make(11);
+    voxrt_paged *big = paged_of(&x.f, 0, 1);
+    voxrt_geometry g, small;
+    uint32_t round, i, tight = 0, too_much = 0;
+    REQUIRE(big != NULL);
+    voxrt_paged_geometry(big, &g);
+    for (round = 0; round < 30; round++) {
+        voxrt_paged *p = paged_of(&x.f, 0, 1);
+        uint64_t room;
+        REQUIRE(p != NULL);
+        p->frames = p->first_frame + 70 + 5 * round; /* less than it may have when it is opened */
+        room = ((uint64_t)p->frames - p->first_frame) * VOXRTI_FRAME;
+        voxrt_paged_geometry(p, &small);
+        for (i = 0; i < (test_quick() ? 150u : 600u); i++) {
+            voxrt_paged_info before, after, needs;
+            voxrt_surface s[2];
+            voxrt_ray ray;
+            uint32_t a;
+            for (a = 0; a < 3; a++) { /* flat, over the hills */
+                const double size = g.box_max[a] - g.box_min[a];
+                ray.org[a] = (float)(g.box_min[a] + size * (a == 1 ? 0.5 + 0.3 * test_rng_double(&r) : -0.1));
+                ray.dir[a] = (float)(g.box_min[a] + size * (a == 1 ? 0.3 + 0.4 * test_rng_double(&r) : 0.8 + 0.2 * test_rng_double(&r))) -
+                             ray.org[a];
+            }
+            ray.t_min = 0.0f;
+            ray.t_max = INFINITY;
+            voxrti_paged_clear(big);
+            g.trace_fn(g.user, &td, &ray, &s[0], 1);
+            voxrt_paged_get_info(big, &needs);
+            voxrt_paged_get_info(p, &before);
+            small.trace_fn(small.user, &td, &ray, &s[1], 1);
+            voxrt_paged_get_info(p, &after);
+            if (needs.loaded_bytes > room) {
+                too_much++;
+                CHECK(after.coarse_rays == before.coarse_rays + 1);
+            } else {
+                tight += needs.loaded_bytes > room / 2;
+                CHECK_MSG(after.coarse_rays == before.coarse_rays && memcmp(&s[0], &s[1], sizeof s[0]) == 0,
+                          "ray %u: %g bytes in %g", i, (double)needs.loaded_bytes, (double)room);
+            }
+        }
+        voxrt_paged_destroy(p);
+    }
+    CHECK_MSG(tight > 100 && too_much > 10, "%u rays need most of the room, %u more", tight, too_much);
+    voxrt_paged_destroy(big);
+    fixture_free(&x);
 }
 
 /* ---- what goes wrong ---- */
@@ -637,10 +912,9 @@ static voxrt_result use(const uint8_t *data, size_t size, uint32_t trust, pictur
 }
 
 TEST(damaged_files_are_refused) {
-    hills h = hills_make(8, 1);
-    voxrt_tree *t = tree_of(&h, 40, 1, 0);
-    file f = file_of(t);
-    picture *p = picture_make();
+    fixture x = fixture_make(8, 40, 1);
+    const file f = x.f;
+    picture *p = x.p;
     test_rng r = test_rng_make(3);
     uint8_t *copy;
     size_t i;
@@ -676,10 +950,7 @@ TEST(damaged_files_are_refused) {
     }
     CHECK(accepted > 20);
     free(copy);
-    free(f.data);
-    free(p);
-    voxrt_tree_destroy(t);
-    hills_free(&h);
+    fixture_free(&x);
 }
 
 /* A file that can be read now and then, and changes meanwhile. */
@@ -702,10 +973,9 @@ static int source_read(void *user, uint64_t offset, void *to, size_t bytes) {
 }
 
 TEST(files_change_and_fail) {
-    hills h = hills_make(30, 1);
-    voxrt_tree *t = tree_of(&h, 300, 0, 0);
-    file f = file_of(t);
-    picture *p = picture_make(), *exact = picture_make();
+    fixture x = fixture_make(30, 300, 0);
+    const file f = x.f;
+    picture *p = x.p, *exact = x.exact;
     uint32_t k, i;
     for (k = 0; k < 4; k++) {
         source s;
@@ -726,9 +996,9 @@ TEST(files_change_and_fail) {
         REQUIRE(voxrt_paged_open(&d, &paged) == VOXRT_OK);
         s.broken_from = f.size / 4; /* the file is changed while it is open */
         s.broken_to = f.size / 2;
-        view_of(t, 0, &v);
+        view_of(x.t, 0, &v);
         v.view = VOXRT_VIEW_UNLIT;
-        draw(v, t, NULL, exact);
+        draw(v, x.t, NULL, exact);
         for (i = 0; i < 20; i++) {
             draw(v, NULL, paged, p);
             r = voxrt_paged_update(paged, 0, &u);
@@ -747,17 +1017,11 @@ TEST(files_change_and_fail) {
         CHECK(voxrt_paged_update(paged, 0, &u) == VOXRT_OK && u.wanted == 0 && s.reads == 0);
         voxrt_paged_destroy(paged);
     }
-    voxrt_tree_destroy(t);
-    free(f.data);
-    free(p);
-    free(exact);
-    hills_free(&h);
+    fixture_free(&x);
 }
 
 TEST(memory_runs_out) {
-    hills h = hills_make(12, 1);
-    voxrt_tree *t = tree_of(&h, 100, 1, 0);
-    file f = file_of(t);
+    fixture x = fixture_make(12, 100, 1);
     voxrt_build_desc b;
     int64_t k;
     int which;
@@ -778,8 +1042,8 @@ TEST(memory_runs_out) {
                 voxrt_paged *p = NULL;
                 memset(&d, 0, sizeof d);
                 d.env = env;
-                d.data = f.data;
-                d.size = f.size;
+                d.data = x.f.data;
+                d.size = x.f.size;
                 r = voxrt_paged_open(&d, &p);
                 CHECK((p != NULL) == (r == VOXRT_OK));
                 voxrt_paged_destroy(p);
@@ -789,15 +1053,15 @@ TEST(memory_runs_out) {
                 memset(&d, 0, sizeof d);
                 d.env = env;
                 d.encoding = VOXRT_ENCODING_PAGED;
-                r = voxrt_tree_save_memory(t, &d, NULL, 0, &size);
-                CHECK(size == (r == VOXRT_OK ? f.size : 0));
+                r = voxrt_tree_save_memory(x.t, &d, NULL, 0, &size);
+                CHECK(size == (r == VOXRT_OK ? x.f.size : 0));
             } else {
                 file to = {NULL, 0, 0};
                 voxrt_sink sink;
                 sink.write_fn = file_write;
                 sink.user = &to;
                 b.env = env;
-                r = voxrt_paged_build(&b, &h.mesh, &sink, NULL);
+                r = voxrt_paged_build(&b, &x.h.mesh, &sink, NULL);
                 free(to.data);
             }
             test_alloc_check(&ta);
@@ -809,9 +1073,7 @@ TEST(memory_runs_out) {
         }
         CHECK(k < 100000);
     }
-    voxrt_tree_destroy(t);
-    free(f.data);
-    hills_free(&h);
+    fixture_free(&x);
 }
 
 static int full_disk(void *user, uint64_t offset, const void *from, size_t bytes) {
@@ -823,9 +1085,10 @@ static int full_disk(void *user, uint64_t offset, const void *from, size_t bytes
 }
 
 TEST(files_and_arguments) {
-    hills h = hills_make(20, 1);
-    voxrt_tree *t = tree_of(&h, 150, 0, 0), *back = NULL;
-    file f = file_of(t);
+    fixture of = fixture_make(20, 150, 0);
+    hills *h = &of.h;
+    voxrt_tree *t = of.t, *back = NULL;
+    const file f = of.f;
     const char *path = test_temp_path(".vox");
     uint8_t small[100];
     voxrt_build_desc b;
@@ -836,11 +1099,11 @@ TEST(files_and_arguments) {
     voxrt_paged_info info;
     voxrt_tree_info tree;
     voxrt_error error;
-    picture *x = picture_make(), *y = picture_make();
+    picture *x = of.exact, *y = of.p;
     voxrt_render_desc v;
     FILE *out;
     size_t size;
-    int writes;
+    int writes, k;
     memset(&b, 0, sizeof b);
     memset(&save, 0, sizeof save);
     memset(&d, 0, sizeof d);
@@ -851,7 +1114,7 @@ TEST(files_and_arguments) {
     CHECK(voxrt_file_kind(f.data, 64) == 6 && voxrt_file_kind(f.data, 12) == 5);
     CHECK(voxrt_tree_load_memory(NULL, f.data, f.size, &back) == VOXRT_ERR_VERSION && back == NULL);
     CHECK(voxrt_tree_save_memory(t, &save, small, sizeof small, &size) == VOXRT_ERR_RANGE && size == f.size);
-    CHECK(voxrt_paged_build_file(&b, &h.mesh, path, NULL) == VOXRT_OK);
+    CHECK(voxrt_paged_build_file(&b, &h->mesh, path, NULL) == VOXRT_OK);
     d.wait = 1;
     REQUIRE(voxrt_paged_open_file(&d, path, &p) == VOXRT_OK);
     voxrt_paged_get_info(p, &info);
@@ -876,47 +1139,59 @@ TEST(files_and_arguments) {
     REQUIRE(out != NULL);
     CHECK(fwrite(f.data, 1, f.size - 1, out) == f.size - 1 && fclose(out) == 0);
     CHECK(voxrt_paged_open_file(NULL, path, &p) == VOXRT_ERR_TRUNCATED && p == NULL);
+    for (k = 0; k < 3; k++) { /* sizes that no file has are not looked for */
+        static const uint64_t claim[3] = {(uint64_t)0 - 1, (uint64_t)1 << 63, (uint64_t)5 << 40};
+        uint8_t head[64];
+        memcpy(head, f.data, sizeof head);
+        for (writes = 0; writes < 8; writes++) head[16 + writes] = (uint8_t)(claim[k] >> (8 * writes));
+        out = fopen(path, "r+b");
+        REQUIRE(out != NULL);
+        CHECK(fwrite(head, 1, sizeof head, out) == sizeof head && fclose(out) == 0);
+        CHECK(voxrt_paged_open_file(NULL, path, &p) == VOXRT_ERR_TRUNCATED && p == NULL);
+    }
     (void)remove(path);
     CHECK(voxrt_paged_open_file(NULL, path, &p) == VOXRT_ERR_IO && p == NULL);
-    CHECK(voxrt_paged_build_file(&b, &h.mesh, "/nowhere/at/all.vox", NULL) == VOXRT_ERR_IO);
+    CHECK(voxrt_paged_open_file(NULL, ".", &p) == VOXRT_ERR_IO && p == NULL); /* a folder */
+    CHECK(voxrt_paged_build_file(&b, &h->mesh, "/nowhere/at/all.vox", NULL) == VOXRT_ERR_IO);
     CHECK(voxrt_tree_save_file(t, &save, "/nowhere/at/all.vox") == VOXRT_ERR_IO);
     for (writes = 0; writes < 12; writes++) {
         int left = writes;
         sink.write_fn = full_disk;
         sink.user = &left;
-        CHECK(voxrt_paged_build(&b, &h.mesh, &sink, NULL) == VOXRT_ERR_IO);
+        CHECK(voxrt_paged_build(&b, &h->mesh, &sink, NULL) == VOXRT_ERR_IO);
     }
     d.env.error = &error;
     CHECK(voxrt_paged_open(&d, &p) == VOXRT_ERR_INVALID_ARG && error.text[0] != 0);
     CHECK(voxrt_paged_open(NULL, &p) == VOXRT_ERR_INVALID_ARG && voxrt_paged_open(&d, NULL) == VOXRT_ERR_INVALID_ARG);
     d._end_zero = 1;
     CHECK(voxrt_paged_open(&d, &p) == VOXRT_ERR_UNINIT_DESC);
-    CHECK(voxrt_paged_build(&b, &h.mesh, NULL, NULL) == VOXRT_ERR_INVALID_ARG);
+    CHECK(voxrt_paged_build(&b, &h->mesh, NULL, NULL) == VOXRT_ERR_INVALID_ARG);
     b.fill = 1;
-    CHECK(voxrt_paged_build(&b, &h.mesh, &sink, NULL) == VOXRT_ERR_INVALID_ARG);
+    CHECK(voxrt_paged_build(&b, &h->mesh, &sink, NULL) == VOXRT_ERR_INVALID_ARG);
     b.fill = 0;
-    h.mesh.triangle_count = 0;
+    h->mesh.triangle_count = 0;
     writes = 100;
     sink.user = &writes;
-    CHECK(voxrt_paged_build(&b, &h.mesh, &sink, NULL) == VOXRT_ERR_EMPTY);
+    CHECK(voxrt_paged_build(&b, &h->mesh, &sink, NULL) == VOXRT_ERR_EMPTY);
     voxrt_paged_destroy(NULL);
     voxrt_paged_get_info(NULL, &info);
-    voxrt_tree_destroy(t);
-    free(f.data);
-    free(x);
-    free(y);
-    hills_free(&h);
+    fixture_free(&of);
 }
 
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(pictures_are_those_of_the_tree);
     RUN(pieces_make_the_same_file);
-    RUN(pages_have_colours_only);
+    RUN(pieces_have_textures);
+    RUN(pages_have_finishes_and_spread);
+    RUN(building_can_be_watched_and_stopped);
+    RUN(limits_hold_for_shared_trees);
     RUN(room_is_kept);
     RUN(coarse_pictures_get_finer);
+    RUN(shadows_of_coarse_cells_ask_for_nothing);
     RUN(too_little_room_is_coarse);
     RUN(rays_are_those_of_the_tree);
+    RUN(what_fits_is_loaded);
     RUN(damaged_files_are_refused);
     RUN(files_change_and_fail);
     RUN(memory_runs_out);
