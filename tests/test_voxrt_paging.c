@@ -721,24 +721,35 @@ TEST(too_little_room_is_coarse) {
     voxrt_render_desc v;
     voxrt_paged_update_stats s;
     voxrt_paged_info info;
+    uint8_t *hit;
     uint32_t n, i;
     memset(&d, 0, sizeof d);
     d.data = x.f.data;
     d.size = x.f.size;
     d.memory = x.f.size / 3;
     REQUIRE(voxrt_paged_open(&d, &paged) == VOXRT_OK);
+    hit = (uint8_t *)malloc(paged->page_count);
+    REQUIRE(hit != NULL);
+    view_of(x.t, 1, &v); /* what it loads has been hit when other views come */
+    for (n = 0; n < 3; n++) {
+        draw(v, NULL, paged, p);
+        CHECK(voxrt_paged_update(paged, 0, NULL) == VOXRT_OK);
+    }
     view_of(x.t, 0, &v);
     v.view = VOXRT_VIEW_UNLIT;
     draw(v, x.t, NULL, x.exact);
     for (n = 0; n < 60; n++) {
         draw(v, NULL, paged, p);
         for (i = 0; i < W * H; i++) CHECK(p->depth[i] <= x.exact->depth[i]);
+        for (i = 0; i < paged->page_count; i++) hit[i] = paged->page[i].place != 0 && paged->page[i].used == paged->turn;
         CHECK(voxrt_paged_update(paged, 0, &s) == VOXRT_OK);
+        for (i = 0; i < paged->page_count; i++) CHECK_MSG(!hit[i] || paged->page[i].place != 0, "page %u was hit and is gone", i);
         if (s.loaded == 0) break;
     }
     CHECK_MSG(n < 60 && s.wanted != 0, "%u pictures, %u wanted", n, s.wanted);
     for (n = 0, i = 0; i < W * H; i++) n += p->depth[i] < x.exact->depth[i];
     CHECK_MSG(n > 0 && n < W * H / 2, "%u pixels are coarse", n);
+    free(hit);
     voxrt_paged_wait(paged, 1); /* now the next picture is exact all the same */
     draw(v, NULL, paged, p);
     CHECK(picture_equal(p, x.exact));
@@ -951,6 +962,134 @@ TEST(damaged_files_are_refused) {
     CHECK(accepted > 20);
     free(copy);
     fixture_free(&x);
+}
+
+/* One wrong number in a page whose size and all else are right. A file without attributes has masks only. */
+static void store8(uint8_t *p, uint64_t v) {
+    int k;
+    for (k = 0; k < 8; k++) p[k] = (uint8_t)(v >> (8 * k));
+}
+
+TEST(pages_are_checked) {
+    static const uint32_t resolution[4] = {40, 100, 7, 200}; /* levels: 3, 4, 2 wide, 4 */
+    uint32_t k;
+    for (k = 0; k < 8; k++) {
+        hills h = hills_make(20, k >= 4);
+        voxrt_finish finish;
+        uint8_t *number = (uint8_t *)calloc(h.mesh.triangle_count, 1);
+        voxrt_build_desc b;
+        voxrt_tree *t = NULL;
+        voxrt_paged_desc d;
+        voxrt_paged *p = NULL;
+        voxrt_error error;
+        file f;
+        uint32_t id, wrong = 0;
+        REQUIRE(number != NULL);
+        number[0] = 1;
+        memset(&finish, 0, sizeof finish);
+        finish.diffuse = 0.5f;
+        memset(&b, 0, sizeof b);
+        b.resolution = resolution[k & 3u];
+        b.palette_size = 1u << 24;
+        b.disable_normals = k < 4;
+        b.spread = b.planes = k >= 4;
+        if (k >= 4) {
+            h.mesh.triangle_finish = number;
+            b.finishes = &finish;
+            b.finish_count = 1;
+        }
+        CHECK(voxrt_tree_build(&b, &h.mesh, NULL, &t) == VOXRT_OK);
+        f = file_of(t);
+        memset(&d, 0, sizeof d);
+        memset(&error, 0, sizeof error);
+        d.data = f.data;
+        d.size = f.size;
+        d.trust_input = 1;
+        d.env.error = &error;
+        REQUIRE(voxrt_paged_open(&d, &p) == VOXRT_OK);
+        for (id = 0; id < p->page_count; id++) {
+            voxrti_chunk c;
+            uint32_t where, i, head = 8 + 8 * ((uint32_t)p->page[id].n1 + p->page[id].n2);
+            int full;
+            memcpy(p->buffer, f.data + p->page[id].offset, p->page[id].size);
+            memset(p->buffer + p->page[id].size, 0, 8);
+            CHECK(voxrti_paged_check(p, id, &c, &where));
+            if (k < 4) {
+                for (i = 8; i < head; i += 8) { /* no mask is 0 */
+                    const uint64_t was = voxrti_load_u64(p->buffer + i);
+                    store8(p->buffer + i, 0);
+                    CHECK(!voxrti_paged_check(p, id, &c, &where) && (where == i || where == 8));
+                    store8(p->buffer + i, was);
+                }
+                if (id == 0 && p->odd) { /* the level above the root has it alone, as its first */
+                    store8(p->buffer + 8, 2);
+                    CHECK(!voxrti_paged_check(p, id, &c, &where));
+                    store8(p->buffer + 8, 1);
+                }
+                if (id == 0 && (p->tree.depth & 1u) != 0) { /* the root of an odd depth is an octant */
+                    const uint32_t at = 8 + 8 * p->odd, low = (uint32_t)voxrti_load_u64(p->buffer + at);
+                    store8(p->buffer + at, (uint64_t)low << 8);
+                    CHECK(!voxrti_paged_check(p, id, &c, &where));
+                    store8(p->buffer + at, low);
+                }
+                if (id != 0) { /* its anchor has another number of children */
+                    voxrti_page *up = &p->page[p->page[id].parent];
+                    uint8_t *mask = f.data + up->offset + 8 + 8 * ((size_t)up->n1 + (id - up->first_child));
+                    const uint64_t was = voxrti_load_u64(mask);
+                    const voxrti_chunk *above;
+                    voxrt_result r;
+                    if (up->place == 0) CHECK(voxrti_paged_load(p, p->page[id].parent, &full) == VOXRT_OK && !full);
+                    above = voxrti_paged_chunk(p, p->page[id].parent);
+                    REQUIRE(!above->leaf);
+                    p->tree.node[above->first2 + (id - up->first_child)].mask = was & (was - 1);
+                    r = voxrti_paged_load(p, id, &full);
+                    CHECK(r == VOXRT_ERR_FORMAT && p->page[id].bad && p->page[id].place == 0);
+                    p->tree.node[above->first2 + (id - up->first_child)].mask = was;
+                    p->page[id].bad = 0;
+                }
+            } else {
+                const uint32_t colors = c.colors;
+                if (c.bits != 0 && (colors & (colors - 1)) != 0) { /* an index that is not in the palette */
+                    const uint32_t most = (1u << c.bits) - 1, last = (p->buffer[c.index] & ~most) | colors;
+                    if (c.bits <= 8) {
+                        const uint8_t was = p->buffer[c.index];
+                        p->buffer[c.index] = (uint8_t)last;
+                        CHECK(!voxrti_paged_check(p, id, &c, &where) && where == c.index);
+                        p->buffer[c.index] = was;
+                        wrong++;
+                    }
+                }
+                p->buffer[c.palette + 4 * (colors - 1) + 3] = 2; /* a finish that is not there */
+                CHECK(!voxrti_paged_check(p, id, &c, &where) && where == c.palette + 4 * (colors - 1) + 3);
+            }
+        }
+        CHECK(k < 4 || wrong != 0 || p->page_count < 3);
+        voxrt_paged_destroy(p);
+        if (k >= 4) { /* finishes in the header and behind the table */
+            const size_t at = f.size - 72;
+            uint8_t was[4];
+            f.data[192 + 63] = 2;
+            CHECK(voxrt_paged_open(&d, &p) == VOXRT_ERR_FORMAT && p == NULL);
+            f.data[192 + 63] = 1;
+            memcpy(was, f.data + at, 4);
+            memset(f.data + at, 0xff, 4); /* not a number */
+            CHECK(voxrt_paged_open(&d, &p) == VOXRT_ERR_FORMAT && p == NULL && error.where == at);
+            memcpy(f.data + at, was, 4);
+            f.data[32] ^= 64; /* finishes without their flag, */
+            CHECK(voxrt_paged_open(&d, &p) == VOXRT_ERR_FORMAT);
+            f.data[32] ^= 64 ^ 4; /* without colours, */
+            CHECK(voxrt_paged_open(&d, &p) == VOXRT_ERR_FORMAT);
+            f.data[32] ^= 4 ^ 2; /* spread without normals */
+            CHECK(voxrt_paged_open(&d, &p) == VOXRT_ERR_FORMAT);
+            f.data[32] ^= 2;
+            REQUIRE(voxrt_paged_open(&d, &p) == VOXRT_OK);
+            voxrt_paged_destroy(p);
+        }
+        voxrt_tree_destroy(t);
+        free(f.data);
+        free(number);
+        hills_free(&h);
+    }
 }
 
 /* A file that can be read now and then, and changes meanwhile. */
@@ -1193,6 +1332,7 @@ int main(int argc, char **argv) {
     RUN(rays_are_those_of_the_tree);
     RUN(what_fits_is_loaded);
     RUN(damaged_files_are_refused);
+    RUN(pages_are_checked);
     RUN(files_change_and_fail);
     RUN(memory_runs_out);
     RUN(files_and_arguments);
