@@ -1170,7 +1170,9 @@ typedef struct voxrt_paged_info {
 
 typedef struct voxrt_paged_update_stats { /* out */
     uint32_t wanted;  /* pages that rays met since the last update and that were not there */
-    uint32_t loaded;  /* of these; what is left over found no room, was more than was asked for, or is bad */
+    uint32_t loaded;  /* of these; what is left over found no room, was more than was asked for, is only for any-hit rays
+                         while others miss something, or is bad */
+    uint32_t no_room; /* of what is left over: pages that found none, or came behind one that did not */
     uint32_t evicted; /* pages that gave way */
     uint64_t bytes;   /* read */
 } voxrt_paged_update_stats;
@@ -19248,11 +19250,13 @@ VOXRT_DEF voxrt_result voxrt_paged_update(voxrt_paged *paged, uint64_t most_byte
             voxrt_result one;
             if (!voxrti_page_asked(&p->page[i], shades)) continue;
             stats->wanted++;
+            stats->no_room += (uint32_t)full;
             if (full || later || (most_bytes != 0 && p->read_bytes - read >= most_bytes)) continue;
             if (p->page[p->page[i].parent].place == 0) continue; /* it gave way to others */
             one = voxrti_paged_load(p, i, &full);
             if (one != VOXRT_OK && r == VOXRT_OK) r = one;
             stats->loaded += one == VOXRT_OK && !full;
+            stats->no_room += (uint32_t)full;
         }
     }
     stats->bytes = p->read_bytes - read;

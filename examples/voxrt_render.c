@@ -119,7 +119,7 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
     table[n++] = sup_opt_real("budget", &o->budget, 0.0, 1e6, "MS", "time for each of --frames: detail is lowered first where it shows least");
     table[n++] = sup_opt_int("memory", &o->memory, 1, 1048576, "MIB", "of a file in pages (voxrt_convert --paged): for what is loaded (1024)");
     table[n++] = sup_opt_flag("finer", &o->finer, "of a file in pages: up to --frames pictures from one place, with what is loaded so far, until "
-                              "nothing is missing; when it does not fit, the last one waits for each ray's part");
+                              "nothing is missing; the last one waits for what is");
     table[n++] = sup_opt_flag("blend", &o->blend, "colours and normals go over from one level of detail to the next: no popping in motion");
     table[n++] = sup_opt_flag("cubes", &o->cubes, "voxels with planes (voxrt_convert --planes) as cubes");
     table[n++] = sup_opt_flag("one-sided", &o->one_sided, "surfaces seen from behind stay dark instead of turning their normals");
@@ -442,8 +442,8 @@ static int make_image(const render_options *o, voxrt_image *image) {
     return 1;
 }
 
-/* Load what picture f lacked. With --finer it is the last one when that is nothing; when there is no room for it the next one,
-   which waits, is the last. Returns 1 with err->text set when the file cannot be read. */
+/* Load what picture f lacked. With --finer it is the last one when that is nothing; when there is no room for all of it the next
+   one is, which waits, as the last of --frames does. Returns 1 with err->text set when the file cannot be read. */
 static int next_pages(const render_options *o, voxrt_paged *paged, int64_t *frames, int64_t f, int *exact, sup_error *err) {
     voxrt_paged_update_stats stats = {0};
     voxrt_paged_info info;
@@ -451,7 +451,7 @@ static int next_pages(const render_options *o, voxrt_paged *paged, int64_t *fram
         (void)voxrt_paged_update(paged, 0, &stats);
         if (stats.wanted == 0) {
             *frames = f + 1;
-        } else if (stats.loaded == 0 && f + 2 < *frames) {
+        } else if (f + 2 == *frames || (f + 2 < *frames && stats.no_room != 0)) {
             voxrt_paged_wait(paged, 1);
             *frames = f + 2;
         }
@@ -541,7 +541,7 @@ int main(int argc, char **argv) {
     }
     sup_progress_end(&progress);
     if (!status && !exact && !o.common.quiet)
-        sup_warn(argv[0], o.finer ? "the last picture is not exact yet: more --frames would be finer" :
+        sup_warn(argv[0], o.finer ? "the picture is not exact: it takes more --frames, the last of which waits" :
                                     "there is not enough --memory for some rays: they met cells that are too coarse");
     if (status) (void)sup_bad_input(argv[0], err.text);
     else if (o.common.stats) print_stats(&o, &s, &desc, &image, &stats, &spent);
