@@ -270,6 +270,29 @@ TEST(pictures_are_those_of_the_tree) {
     hills_free(&h);
 }
 
+/* Triangles whose backs are others' faces leave cubes among voxels with planes. */
+TEST(cubes_stand_among_planes) {
+    hills h = hills_make(20, 1);
+    const size_t n = h.mesh.triangle_count;
+    uint32_t *both = (uint32_t *)malloc(2 * 3 * n * sizeof *both);
+    voxrt_tree *t;
+    size_t i, count = 0;
+    int k;
+    REQUIRE(both != NULL);
+    memcpy(both, h.index, 3 * n * sizeof *both);
+    for (i = 0; i < n / 2; i++)
+        for (k = 0; k < 3; k++) both[3 * (n + i) + (size_t)k] = h.index[3 * i + (size_t)(2 - k)];
+    h.mesh.indices = both;
+    h.mesh.triangle_count = n + n / 2;
+    t = tree_of(&h, 90, 1, 0);
+    for (i = 0; i < (size_t)t->voxel_count; i++) count += t->plane[i] == 0;
+    CHECK_MSG(count > 100 && count < (size_t)t->voxel_count, "%u cubes", (unsigned)count);
+    same(t, 6);
+    voxrt_tree_destroy(t);
+    free(both);
+    hills_free(&h);
+}
+
 /* A file that is made piece by piece has the bytes of that of the tree. */
 TEST(pieces_make_the_same_file) {
     uint32_t k;
@@ -647,7 +670,16 @@ TEST(coarse_pictures_get_finer) {
                 wrong += !same_now;
             }
             if (n == 0) { /* only the first page: cells of level 1 */
+                const voxrt_trace_desc td = {0};
+                voxrt_geometry g;
+                voxrt_surface s1;
+                voxrt_ray ray = {{0.0f, 9.0f, 0.0f}, 0.0f, {0.0f, -1.0f, 0.0f}, INFINITY};
                 looks l;
+                voxrt_paged_geometry(one, &g);
+                ray.org[0] = (float)(0.3 * g.box_min[0] + 0.7 * g.box_max[0]);
+                ray.org[2] = (float)(0.6 * g.box_min[2] + 0.4 * g.box_max[2]);
+                g.trace_fn(g.user, &td, &ray, &s1, 1);
+                CHECK(s1.t < INFINITY && s1.edge == (float)(one->tree.voxel_size * (double)(1u << (one->tree.depth - 1))));
                 first = wrong;
                 l.n = 0;
                 (void)voxrt_tree_each(x.t, 1, looks_add, &l);
@@ -674,8 +706,7 @@ TEST(coarse_pictures_get_finer) {
     fixture_free(&x);
 }
 
-/* With shadows little more is read on the way to the exact picture than that needs, and the order does not depend on
-   threads. */
+/* With shadows no more is read on the way to the exact picture than that needs, and the order does not depend on threads. */
 TEST(shadows_of_coarse_cells_ask_for_nothing) {
     fixture x = fixture_make(60, 500, 0);
     uint32_t view;
@@ -698,17 +729,60 @@ TEST(shadows_of_coarse_cells_ask_for_nothing) {
             draw(d, NULL, many, x.p);
             CHECK(voxrt_paged_update(many, 300000, &r) == VOXRT_OK && memcmp(&s, &r, sizeof s) == 0);
             if (s.wanted == 0) break;
-            CHECK(s.loaded != 0);
+            CHECK(s.loaded != 0 && s.no_room == 0);
         }
         CHECK(n < 200 && picture_equal(x.p, x.exact));
         voxrt_paged_get_info(one, &has);
-        CHECK_MSG(has.loaded_pages >= needs.loaded_pages - needs.loaded_pages / 50 &&
-                  has.reads <= needs.reads + needs.reads / 50, "view %u: %g pages of %g", view, (double)has.reads,
-                  (double)needs.reads);
+        CHECK_MSG(has.reads <= needs.reads, "view %u: %g pages, not %g", view, (double)has.reads, (double)needs.reads);
         voxrt_paged_destroy(wait);
         voxrt_paged_destroy(one);
         voxrt_paged_destroy(many);
     }
+    fixture_free(&x);
+}
+
+/* Views that follow each other have room for one of them: what the last one loaded gives way. */
+static void corner_view(const voxrt_tree *t, uint32_t k, voxrt_render_desc *d) {
+    double lo[3], hi[3];
+    int a;
+    view_of(t, 4, d);
+    voxrt_tree_bounds(t, lo, hi);
+    for (a = 0; a < 3; a++) {
+        const double size = hi[a] - lo[a], side = a == 0 ? k & 1u : k >> 1 & 1u;
+        d->camera.eye[a] = (float)(lo[a] + size * (a == 1 ? 2.0 : 0.2 + 0.6 * side));
+        d->camera.at[a] = (float)(lo[a] + size * (a == 1 ? 0.0 : 0.21 + 0.58 * side));
+    }
+}
+
+TEST(views_follow_each_other) {
+    fixture x = fixture_make(60, 500, 0);
+    voxrt_paged_info info;
+    voxrt_paged *p = paged_of(&x.f, 0, 1);
+    size_t most = 0, sum = 0;
+    uint32_t k;
+    REQUIRE(p != NULL);
+    for (k = 0; k < 4; k++) {
+        voxrt_render_desc d;
+        corner_view(x.t, k, &d);
+        voxrti_paged_clear(p);
+        draw(d, NULL, p, x.p);
+        voxrt_paged_get_info(p, &info);
+        if ((size_t)info.loaded_bytes > most) most = (size_t)info.loaded_bytes;
+        sum += (size_t)info.loaded_bytes;
+    }
+    voxrt_paged_destroy(p);
+    CHECK(most + most / 8 < sum / 2);
+    p = paged_of(&x.f, most + most / 8 + 65536, 0);
+    REQUIRE(p != NULL);
+    for (k = 0; k < 12; k++) {
+        voxrt_render_desc d;
+        corner_view(x.t, k % 4, &d);
+        draw(d, x.t, NULL, x.exact);
+        CHECK_MSG(draw_until_exact(&d, p, x.p) < 20 && picture_equal(x.p, x.exact), "view %u", k);
+    }
+    voxrt_paged_get_info(p, &info);
+    CHECK(info.evictions > 20);
+    voxrt_paged_destroy(p);
     fixture_free(&x);
 }
 
@@ -744,6 +818,7 @@ TEST(too_little_room_is_coarse) {
         for (i = 0; i < paged->page_count; i++) hit[i] = paged->page[i].place != 0 && paged->page[i].used == paged->turn;
         CHECK(voxrt_paged_update(paged, 0, &s) == VOXRT_OK);
         for (i = 0; i < paged->page_count; i++) CHECK_MSG(!hit[i] || paged->page[i].place != 0, "page %u was hit and is gone", i);
+        CHECK(s.no_room == s.wanted - s.loaded);
         if (s.loaded == 0) break;
     }
     CHECK_MSG(n < 60 && s.wanted != 0, "%u pictures, %u wanted", n, s.wanted);
@@ -1229,7 +1304,7 @@ TEST(files_and_arguments) {
     voxrt_tree *t = of.t, *back = NULL;
     const file f = of.f;
     const char *path = test_temp_path(".vox");
-    uint8_t small[100];
+    uint8_t small[100], *raw;
     voxrt_build_desc b;
     voxrt_save_desc save;
     voxrt_paged_desc d;
@@ -1253,6 +1328,33 @@ TEST(files_and_arguments) {
     CHECK(voxrt_file_kind(f.data, 64) == 6 && voxrt_file_kind(f.data, 12) == 5);
     CHECK(voxrt_tree_load_memory(NULL, f.data, f.size, &back) == VOXRT_ERR_VERSION && back == NULL);
     CHECK(voxrt_tree_save_memory(t, &save, small, sizeof small, &size) == VOXRT_ERR_RANGE && size == f.size);
+    save.encoding = VOXRT_ENCODING_RAW;
+    CHECK(voxrt_tree_save_memory(t, &save, NULL, 0, &size) == VOXRT_OK);
+    raw = (uint8_t *)malloc(size);
+    REQUIRE(raw != NULL);
+    CHECK(voxrt_tree_save_memory(t, &save, raw, size, &size) == VOXRT_OK);
+    CHECK(memcmp(raw + 36, f.data + 36, 28) == 0); /* depth, resolution, nodes, voxels */
+    free(raw);
+    save.encoding = VOXRT_ENCODING_PAGED;
+    memset(&d, 0, sizeof d);
+    d.data = f.data;
+    d.size = f.size;
+    d.trust_input = 1;
+    for (k = 0; k < 3; k++) { /* the table: pages beyond its end, and pages in the header and in the table */
+        const size_t at = (size_t)voxrti_load_u64(f.data + 64 + 2 * 40 + 8);
+        uint8_t *e = f.data + at, was[24];
+        uint64_t n2;
+        CHECK(voxrt_paged_open(&d, &p) == VOXRT_OK);
+        if (k == 0) e += 24 * (p->leaf_first - 1);
+        voxrt_paged_destroy(p);
+        memcpy(was, e, sizeof was);
+        n2 = (uint64_t)voxrti_load_u32(e + 12) + 256;
+        if (k == 0) voxrti_store_u32(e + 12, (uint32_t)n2);
+        else voxrti_store_u64(e, k == 1 ? 0 : at);
+        CHECK(voxrt_paged_open(&d, &p) == VOXRT_ERR_FORMAT && p == NULL);
+        memcpy(e, was, sizeof was);
+    }
+    memset(&d, 0, sizeof d);
     CHECK(voxrt_paged_build_file(&b, &h->mesh, path, NULL) == VOXRT_OK);
     d.wait = 1;
     REQUIRE(voxrt_paged_open_file(&d, path, &p) == VOXRT_OK);
@@ -1320,6 +1422,7 @@ TEST(files_and_arguments) {
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(pictures_are_those_of_the_tree);
+    RUN(cubes_stand_among_planes);
     RUN(pieces_make_the_same_file);
     RUN(pieces_have_textures);
     RUN(pages_have_finishes_and_spread);
@@ -1328,6 +1431,7 @@ int main(int argc, char **argv) {
     RUN(room_is_kept);
     RUN(coarse_pictures_get_finer);
     RUN(shadows_of_coarse_cells_ask_for_nothing);
+    RUN(views_follow_each_other);
     RUN(too_little_room_is_coarse);
     RUN(rays_are_those_of_the_tree);
     RUN(what_fits_is_loaded);
