@@ -1170,8 +1170,8 @@ typedef struct voxrt_paged_info {
 
 typedef struct voxrt_paged_update_stats { /* out */
     uint32_t wanted;  /* pages that rays met since the last update and that were not there */
-    uint32_t loaded;  /* of these; what is left over found no room, was more than was asked for, is only for any-hit rays
-                         while others miss something, or is bad */
+    uint32_t loaded;  /* of these; what is left over found no room, was more than was asked for, is only for any-hit
+                         rays while others miss something, or is bad */
     uint32_t no_room; /* of what is left over: pages that found none, or came behind one that did not */
     uint32_t evicted; /* pages that gave way */
     uint64_t bytes;   /* read */
@@ -1213,8 +1213,8 @@ typedef struct voxrt_sink {
 } voxrt_sink;
 
 /* Voxelise a mesh into a paged file, piece by piece: holds some 20 bytes a voxel and 40 a triangle of the largest piece
-   (at most 1024^3 cells, less where there is much in them), 10 to 15 bytes a triangle of the mesh and 40 a page, not the
-   voxels.
+   (at most 1024^3 cells, less where there is much in them), 10 to 15 bytes a triangle of the mesh and 40 a page, not
+   the voxels.
    The same voxels, colours and so on as voxrt_tree_build with palette_size = 2^24, whatever desc->palette_size is:
    pages have palettes of their own. Finishes are kept as they are given, also those that no voxel has.
    INVALID_ARG also for fill and VOXRT_LOD_MAJORITY; IO: write_fn failed. Else as voxrt_tree_build. A tree is written
