@@ -815,7 +815,10 @@ TEST(too_little_room_is_coarse) {
     for (n = 0; n < 60; n++) {
         draw(v, NULL, paged, p);
         for (i = 0; i < W * H; i++) CHECK(p->depth[i] <= x.exact->depth[i]);
-        for (i = 0; i < paged->page_count; i++) hit[i] = paged->page[i].place != 0 && paged->page[i].used == paged->turn;
+        for (i = 0; i < paged->page_count; i++) {
+            hit[i] = paged->page[i].place != 0 && paged->page[i].used == paged->turn;
+            CHECK(!hit[i] || paged->page[paged->page[i].parent].used == paged->turn); /* with those above it */
+        }
         CHECK(voxrt_paged_update(paged, 0, &s) == VOXRT_OK);
         for (i = 0; i < paged->page_count; i++) CHECK_MSG(!hit[i] || paged->page[i].place != 0, "page %u was hit and is gone", i);
         CHECK(s.no_room == s.wanted - s.loaded);
