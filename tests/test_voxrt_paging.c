@@ -708,6 +708,7 @@ TEST(coarse_pictures_get_finer) {
 
 /* With shadows no more is read on the way to the exact picture than that needs, and the order does not depend on threads. */
 TEST(shadows_of_coarse_cells_ask_for_nothing) {
+    static const voxrt_light low = {{0.9f, 0.15f, 0.4f}, 1, {1.0f, 1.0f, 1.0f}, 0}; /* long shadows */
     fixture x = fixture_make(60, 500, 0);
     uint32_t view;
     for (view = 0; view < 4; view++) {
@@ -718,6 +719,8 @@ TEST(shadows_of_coarse_cells_ask_for_nothing) {
         uint32_t n;
         REQUIRE(wait != NULL && one != NULL && many != NULL);
         view_of(x.t, view | 4u, &d);
+        d.lights = &low;
+        d.light_count = 1;
         draw(d, x.t, NULL, x.exact);
         draw(d, NULL, wait, x.p);
         voxrt_paged_get_info(wait, &needs);
