@@ -278,7 +278,6 @@ static void sample_textures(void *user, voxrt_sample *sample) {
     sup_textured_sample((const sup_textured *)user, sample->triangle, sample->weight, sample->footprint, sample->color, sample->normal);
 }
 
-/* What is made has no finishes: palettes need no entries for them. */
 static size_t triangles_that_fit(void) {
     const size_t memory = sup_memory_limit();
     return memory / 256; /* with all that is made of a triangle */
