@@ -261,7 +261,8 @@ typedef struct tetcast_env {
 
 typedef enum tetcast_isa {
     TETCAST_ISA_AUTO = 0,
-    TETCAST_ISA_SCALAR = 1,
+    TETCAST_ISA_SCALAR = 1, /* plain C; fma is an instruction where the processor has it, else a call of libm */
+    /* for x64 without that instruction: fused multiply-adds exactly in doubles, in the walk two at a time */
     TETCAST_ISA_SSE = 2,
     TETCAST_ISA_AVX2 = 3,
     TETCAST_ISA_AVX512 = 4,
@@ -5496,12 +5497,15 @@ static tetcast_result tetcasti_cells_build_more(tetcasti_mem *mem, const tetcast
    Simulation of Simplicity. ACM TOG 9(1), 1990 (ties).
    --------------------------------------------------------------------------- */
 
-/* MinGW's fmaf rounds twice. Here the sum of the exact product and c, in double, is rounded to odd, so that its
-   conversion rounds as the exact sum would (S. Boldo, G. Melquiond: Emulation of a FMA and Correctly Rounded Sums:
-   Proved Algorithms Using Rounding to Odd. IEEE Trans. Computers 57(4), 2008). */
-#if defined(__MINGW32__)
-TETCASTI_INLINE float tetcasti_fmaf(float a, float b, float c) {
-    const double p = (double)a * (double)b, s = p + (double)c, t = s - p, e = (p - (s - t)) + ((double)c - t);
+/* fma without the instruction. The product of two floats is exact in double; the sum with c, in double, is rounded to
+   odd, so that its conversion to float rounds as the exact sum would (S. Boldo, G. Melquiond: Emulation of a FMA and
+   Correctly Rounded Sums: Proved Algorithms Using Rounding to Odd. IEEE Trans. Computers 57(4), 2008). That matters
+   only where the nearest double lies in the middle between two floats, which its low 29 bits show; below 2^-126, where
+   floats are farther apart, all are rounded that way. */
+#if TETCASTI_X64 || defined(__MINGW32__)
+#  define TETCASTI_SOFT_FMA 1
+TETCASTI_UNUSED TETCASTI_NOINLINE static double tetcasti_sum_to_odd(double p, double c) {
+    const double s = p + c, t = s - p, e = (p - (s - t)) + (c - t);
     double odd = s;
     uint64_t bits;
     memcpy(&bits, &s, sizeof bits);
@@ -5509,10 +5513,31 @@ TETCASTI_INLINE float tetcasti_fmaf(float a, float b, float c) {
         bits = (e < 0.0) == (s < 0.0) ? bits + 1 : bits - 1;
         memcpy(&odd, &bits, sizeof odd);
     }
-    return (float)odd;
+    return odd;
 }
+TETCASTI_INLINE float tetcasti_fmaf(float a, float b, float c) {
+    const double p = (double)a * (double)b, s = p + (double)c;
+    uint64_t bits;
+    memcpy(&bits, &s, sizeof bits);
+    if (TETCASTI_UNLIKELY((bits & 0x1fffffffu) == 0x10000000u || bits << 1 < 0x7020000000000000u))
+        return (float)tetcasti_sum_to_odd(p, (double)c);
+    return (float)s;
+}
+#else
+#  define TETCASTI_SOFT_FMA 0
+#endif
+#if defined(__MINGW32__) /* its fmaf rounds twice */
 #  define fmaf tetcasti_fmaf /* to the end of the implementation */
 #endif
+
+/* soft is a constant: 1 in code for x64 processors without the instruction, where it would be a call of libm. */
+TETCASTI_INLINE float tetcasti_fma(const int soft, float a, float b, float c) {
+#if TETCASTI_SOFT_FMA
+    if (soft) return tetcasti_fmaf(a, b, c);
+#endif
+    (void)soft;
+    return fmaf(a, b, c);
+}
 
 #if TETCASTI_X64 && !(defined(_MSC_VER) && !defined(__clang__))
 #  define TETCASTI_TARGET_FMA __attribute__((target("fma")))
@@ -5548,7 +5573,35 @@ typedef struct tetcasti_point { float x, y, z, s; } tetcasti_point; /* a vertex 
 /* The axes of a group, chosen so that a face of the hull through which rays enter is counter-clockwise. */
 static const uint8_t tetcasti_axes[6][3] = {{2, 1, 0}, {1, 2, 0}, {0, 2, 1}, {2, 0, 1}, {1, 0, 2}, {0, 1, 2}};
 
-TETCASTI_INLINE tetcasti_point tetcasti_project(const tetcasti_ray *r, const tetcasti_vertex *v) {
+#if TETCASTI_X64
+/* Two sums of an exact product and a float, for the conversion to floats: see tetcasti_fmaf. */
+TETCASTI_UNUSED TETCASTI_NOINLINE static __m128d tetcasti_sum_to_odd2(__m128d p, __m128d c) {
+    double a[2], b[2];
+    _mm_storeu_pd(a, p);
+    _mm_storeu_pd(b, c);
+    return _mm_set_pd(tetcasti_sum_to_odd(a[1], b[1]), tetcasti_sum_to_odd(a[0], b[0]));
+}
+TETCASTI_INLINE __m128d tetcasti_sum2(__m128d p, __m128d c) {
+    const __m128d s = _mm_add_pd(p, c);
+    const __m128i keep = _mm_set_epi32(0x7fffffff, 0x1fffffff, 0x7fffffff, 0x1fffffff);
+    const __m128i bits = _mm_and_si128(_mm_castpd_si128(s), keep);
+    const __m128i middle = _mm_cmpeq_epi32(bits, _mm_set_epi32(-1, 0x10000000, -1, 0x10000000));
+    const __m128i small = _mm_cmplt_epi32(bits, _mm_set_epi32(0x38100000, -1, 0x38100000, -1));
+    if (TETCASTI_UNLIKELY(_mm_movemask_epi8(_mm_or_si128(middle, small)) != 0)) return tetcasti_sum_to_odd2(p, c);
+    return s;
+}
+/* a * b + c of floats in double */
+TETCASTI_INLINE __m128 tetcasti_fma2(__m128d a, __m128d b, __m128d c) {
+    return _mm_cvtpd_ps(tetcasti_sum2(_mm_mul_pd(a, b), c));
+}
+TETCASTI_INLINE __m128 tetcasti_point_load(const tetcasti_point *p) {
+    return _mm_loadu_ps((const float *)(const void *)p);
+}
+TETCASTI_INLINE __m128d tetcasti_high2(__m128 v) { return _mm_cvtps_pd(_mm_movehl_ps(v, v)); }
+#endif
+
+/* soft: see tetcasti_fma */
+TETCASTI_INLINE tetcasti_point tetcasti_project(const int soft, const tetcasti_ray *r, const tetcasti_vertex *v) {
     const uint8_t *axes = tetcasti_axes[r->group];
     float p[3], dx, dy, dz;
     tetcasti_point q;
@@ -5558,17 +5611,60 @@ TETCASTI_INLINE tetcasti_point tetcasti_project(const tetcasti_ray *r, const tet
     dx = p[axes[0]] - r->ox;
     dy = p[axes[1]] - r->oy;
     dz = p[axes[2]] - r->oz;
-    q.x = fmaf(-r->sx, dz, dx);
-    q.y = fmaf(-r->sy, dz, dy);
+#if TETCASTI_X64
+    if (soft) { /* x and y side by side */
+        const __m128 xy = tetcasti_fma2(_mm_set_pd(-(double)r->sy, -(double)r->sx), _mm_set1_pd((double)dz),
+                                        _mm_set_pd((double)dy, (double)dx));
+        const __m128 zs = _mm_unpacklo_ps(_mm_set_ss(dz * r->iz), _mm_load_ss(&v->s));
+        _mm_storeu_ps((float *)(void *)&q, _mm_movelh_ps(xy, zs));
+        return q;
+    }
+#endif
+    q.x = tetcasti_fma(soft, -r->sx, dz, dx);
+    q.y = tetcasti_fma(soft, -r->sy, dz, dy);
     q.z = dz * r->iz;
     q.s = v->s;
     return q;
 }
 
 /* a.x*b.y - a.y*b.x: sign and zero are exact, else at most 1.5 units in the last place off. */
-TETCASTI_INLINE float tetcasti_det(const tetcasti_point *a, const tetcasti_point *b) {
-    float w = a->y * b->x, e = fmaf(-a->y, b->x, w), f = fmaf(a->x, b->y, -w);
+TETCASTI_INLINE float tetcasti_det(const int soft, const tetcasti_point *a, const tetcasti_point *b) {
+    float w = a->y * b->x, e, f;
+    e = tetcasti_fma(soft, -a->y, b->x, w);
+    f = tetcasti_fma(soft, a->x, b->y, -w);
     return f + e;
+}
+
+#if TETCASTI_X64
+/* The determinants of a and b with d, from (x, y) of a and b times (y, x) of d, which are exact in double. So is what w
+   lacks. */
+TETCASTI_INLINE __m128 tetcasti_det2(__m128d a, __m128d b) {
+    const __m128d p = _mm_unpacklo_pd(a, b), q = _mm_unpackhi_pd(a, b), w = _mm_cvtps_pd(_mm_cvtpd_ps(q));
+    const __m128 f = _mm_cvtpd_ps(tetcasti_sum2(p, _mm_xor_pd(w, _mm_set1_pd(-0.0))));
+    return _mm_add_ps(f, _mm_cvtpd_ps(_mm_sub_pd(w, q)));
+}
+#endif
+
+/* out[k]: determinant of p[k] and d. */
+TETCASTI_INLINE void tetcasti_det3(const int soft, const tetcasti_point *const p[3], const tetcasti_point *d,
+                                   float out[3]) {
+#if TETCASTI_X64
+    if (soft) {
+        const __m128 v = tetcasti_point_load(d);
+        const __m128d yx = _mm_cvtps_pd(_mm_shuffle_ps(v, v, 0x01));
+        const __m128d a = _mm_mul_pd(_mm_cvtps_pd(tetcasti_point_load(p[0])), yx);
+        const __m128d b = _mm_mul_pd(_mm_cvtps_pd(tetcasti_point_load(p[1])), yx);
+        const __m128d c = _mm_mul_pd(_mm_cvtps_pd(tetcasti_point_load(p[2])), yx);
+        const __m128 ab = tetcasti_det2(a, b);
+        out[0] = _mm_cvtss_f32(ab);
+        out[1] = _mm_cvtss_f32(_mm_shuffle_ps(ab, ab, 0x55));
+        out[2] = _mm_cvtss_f32(tetcasti_det2(c, c));
+        return;
+    }
+#endif
+    out[0] = tetcasti_det(soft, p[0], d);
+    out[1] = tetcasti_det(soft, p[1], d);
+    out[2] = tetcasti_det(soft, p[2], d);
 }
 
 /* Is the determinant, value v, positive when the ray is moved by (eps, eps^2)? Antisymmetric in a and b. */
@@ -5626,33 +5722,48 @@ TETCASTI_INLINE double tetcasti_ray_make(const tetcasti_box *box, const double o
 /* ---- faces that a ray enters ---- */
 
 /* Does the ray pass through (a, b, c) so that it sees it counter-clockwise? Then *at is the distance. */
-TETCASTI_INLINE int tetcasti_face_hit(const tetcasti_ray *r, const tetcasti_vertex *vertex, const uint32_t v[3],
-                                      float *at) {
-    tetcasti_point a = tetcasti_project(r, &vertex[v[0]]), b = tetcasti_project(r, &vertex[v[1]]), c;
-    float ab = tetcasti_det(&a, &b), bc, ca;
+TETCASTI_INLINE int tetcasti_face_hit(const int soft, const tetcasti_ray *r, const tetcasti_vertex *vertex,
+                                      const uint32_t v[3], float *at) {
+    tetcasti_point a = tetcasti_project(soft, r, &vertex[v[0]]), b = tetcasti_project(soft, r, &vertex[v[1]]), c;
+    float ab = tetcasti_det(soft, &a, &b), bc, ca;
     if (!tetcasti_positive(ab, &a, &b, v[0], v[1])) return 0;
-    c = tetcasti_project(r, &vertex[v[2]]);
-    bc = tetcasti_det(&b, &c);
+    c = tetcasti_project(soft, r, &vertex[v[2]]);
+    bc = tetcasti_det(soft, &b, &c);
     if (!tetcasti_positive(bc, &b, &c, v[1], v[2])) return 0;
-    ca = tetcasti_det(&c, &a);
+    ca = tetcasti_det(soft, &c, &a);
     if (!tetcasti_positive(ca, &c, &a, v[2], v[0])) return 0;
-    *at = fmaf(bc, a.z, fmaf(ca, b.z, ab * c.z)) * (1.0f / ((ab + bc) + ca));
+    *at = tetcasti_fma(soft, bc, a.z, tetcasti_fma(soft, ca, b.z, ab * c.z)) * (1.0f / ((ab + bc) + ca));
     return 1;
 }
 
 /* ---- walking ---- */
 
-/* Value where the ray passes a face, from its weights. Rounding does not take it out of the range of the three values:
-   so a face whose vertices have the isovalue has it, too, and faces above and below stay on their sides. */
-TETCASTI_INLINE float tetcasti_face_value(const tetcasti_point *a, const tetcasti_point *b, const tetcasti_point *c,
-                                          float ab,
-                                          float bc, float ca, float inv) {
-    float s = fmaf(bc, a->s, fmaf(ca, b->s, ab * c->s)) * inv;
-    float lo = a->s < b->s ? a->s : b->s, hi = a->s > b->s ? a->s : b->s;
+/* Distance and value where the ray passes a face, from its weights. Rounding does not take the value out of the range
+   of the three values: so a face whose vertices have the isovalue has it, too, and faces above and below stay on their
+   sides. */
+TETCASTI_INLINE void tetcasti_face_point(const int soft, const tetcasti_point *a, const tetcasti_point *b,
+                                         const tetcasti_point *c, float ab, float bc, float ca, float *at,
+                                         float *value) {
+    const float inv = 1.0f / ((ab + bc) + ca);
+    float s, lo = a->s < b->s ? a->s : b->s, hi = a->s > b->s ? a->s : b->s;
+#if TETCASTI_X64
+    if (soft) { /* distance and value side by side */
+        const __m128 v = tetcasti_point_load(c);
+        __m128 sum = _mm_mul_ps(_mm_set1_ps(ab), _mm_movehl_ps(v, v));
+        sum = tetcasti_fma2(_mm_set1_pd((double)ca), tetcasti_high2(tetcasti_point_load(b)), _mm_cvtps_pd(sum));
+        sum = tetcasti_fma2(_mm_set1_pd((double)bc), tetcasti_high2(tetcasti_point_load(a)), _mm_cvtps_pd(sum));
+        *at = _mm_cvtss_f32(sum) * inv;
+        s = _mm_cvtss_f32(_mm_shuffle_ps(sum, sum, 0x55)) * inv;
+    } else
+#endif
+    {
+        *at = tetcasti_fma(soft, bc, a->z, tetcasti_fma(soft, ca, b->z, ab * c->z)) * inv;
+        s = tetcasti_fma(soft, bc, a->s, tetcasti_fma(soft, ca, b->s, ab * c->s)) * inv;
+    }
     lo = lo < c->s ? lo : c->s;
     hi = hi > c->s ? hi : c->s;
     s = s > lo ? s : lo;
-    return s < hi ? s : hi;
+    *value = s < hi ? s : hi;
 }
 
 /* enter cell through v, coming from prev */
@@ -5668,34 +5779,37 @@ typedef struct tetcasti_walk {
     uint32_t dropped;       /* and the one that is not in the face of the way out */
 } tetcasti_walk;
 
-TETCASTI_INLINE void tetcasti_walk_begin(const tetcasti_ray *r, const tetcasti_vertex *vertex,
-                                         const tetcasti_start *start,
-                                         tetcasti_walk *w) {
-    float inv;
+TETCASTI_INLINE void tetcasti_walk_begin(const int soft, const tetcasti_ray *r, const tetcasti_vertex *vertex,
+                                         const tetcasti_start *start, tetcasti_walk *w) {
     w->a = start->v[0];
     w->b = start->v[1];
     w->c = start->v[2];
     w->cell = start->cell;
     w->prev = start->prev;
-    w->pa = tetcasti_project(r, &vertex[w->a]);
-    w->pb = tetcasti_project(r, &vertex[w->b]);
-    w->pc = tetcasti_project(r, &vertex[w->c]);
-    w->ab = tetcasti_det(&w->pa, &w->pb);
-    w->bc = tetcasti_det(&w->pb, &w->pc);
-    w->ca = tetcasti_det(&w->pc, &w->pa);
-    inv = 1.0f / ((w->ab + w->bc) + w->ca);
-    w->at_face = fmaf(w->bc, w->pa.z, fmaf(w->ca, w->pb.z, w->ab * w->pc.z)) * inv;
-    w->s_face = tetcasti_face_value(&w->pa, &w->pb, &w->pc, w->ab, w->bc, w->ca, inv);
+    w->pa = tetcasti_project(soft, r, &vertex[w->a]);
+    w->pb = tetcasti_project(soft, r, &vertex[w->b]);
+    w->pc = tetcasti_project(soft, r, &vertex[w->c]);
+    w->ab = tetcasti_det(soft, &w->pa, &w->pb);
+    w->bc = tetcasti_det(soft, &w->pb, &w->pc);
+    w->ca = tetcasti_det(soft, &w->pc, &w->pa);
+    tetcasti_face_point(soft, &w->pa, &w->pb, &w->pc, w->ab, w->bc, w->ca, &w->at_face, &w->s_face);
 }
 
 /* Pass through the cell. *at, *s: where the ray leaves it; the walk's own at_face and s_face are left to the caller. */
-TETCASTI_INLINE void tetcasti_walk_step(const tetcasti_cells *cells, uint32_t kind, const tetcasti_ray *r,
-                                        const tetcasti_vertex *vertex, tetcasti_walk *w, float *at, float *s) {
+TETCASTI_INLINE void tetcasti_walk_step(const int soft, const tetcasti_cells *cells, uint32_t kind,
+                                        const tetcasti_ray *r, const tetcasti_vertex *vertex, tetcasti_walk *w,
+                                        float *at, float *s) {
     tetcasti_node node;
     uint32_t d = tetcasti_enter(cells, kind, w->cell, w->prev, w->a, w->b, w->c, &node), x, next;
-    tetcasti_point pd = tetcasti_project(r, &vertex[d]);
-    float da = tetcasti_det(&w->pa, &pd), db = tetcasti_det(&w->pb, &pd), dc = tetcasti_det(&w->pc, &pd), inv;
-    int pa = tetcasti_positive(da, &w->pa, &pd, w->a, d);
+    tetcasti_point pd = tetcasti_project(soft, r, &vertex[d]);
+    const tetcasti_point *const face[3] = {&w->pa, &w->pb, &w->pc};
+    float det[3], da, db, dc;
+    int pa;
+    tetcasti_det3(soft, face, &pd, det);
+    da = det[0];
+    db = det[1];
+    dc = det[2];
+    pa = tetcasti_positive(da, &w->pa, &pd, w->a, d);
     if (!pa && tetcasti_positive(db, &w->pb, &pd, w->b, d)) { /* out through (a, b, d) */
         x = w->c;
         next = tetcasti_leave(cells, kind, &node, w->cell, w->prev, w->a, w->b, w->c, d, x);
@@ -5718,9 +5832,7 @@ TETCASTI_INLINE void tetcasti_walk_step(const tetcasti_cells *cells, uint32_t ki
         w->ab = -db;
         w->ca = dc;
     }
-    inv = 1.0f / ((w->ab + w->bc) + w->ca);
-    *at = fmaf(w->bc, w->pa.z, fmaf(w->ca, w->pb.z, w->ab * w->pc.z)) * inv;
-    *s = tetcasti_face_value(&w->pa, &w->pb, &w->pc, w->ab, w->bc, w->ca, inv);
+    tetcasti_face_point(soft, &w->pa, &w->pb, &w->pc, w->ab, w->bc, w->ca, at, s);
     w->prev = w->cell;
     w->cell = next;
     w->d = d;
@@ -5729,7 +5841,7 @@ TETCASTI_INLINE void tetcasti_walk_step(const tetcasti_cells *cells, uint32_t ki
 
 static void tetcasti_walk_step_any(const tetcasti_cells *cells, const tetcasti_ray *r, const tetcasti_vertex *vertex,
                                    tetcasti_walk *w, float *at, float *s) {
-    tetcasti_walk_step(cells, cells->kind, r, vertex, w, at, s);
+    tetcasti_walk_step(1, cells, cells->kind, r, vertex, w, at, s);
 }
 
 /* ---- batches of rays ---- */
@@ -5752,6 +5864,7 @@ typedef struct tetcasti_scene {
     tetcast_isa isa;                /* never AUTO */
     uint32_t any;                   /* more than a volume of one value per vertex: isosurfaces, hidden cells, depths */
     float begin_t;                  /* transmittance of a sum that has seen nothing */
+    tetcasti_segment_fn *segment;   /* that of the optics, or the same without the instruction for fma */
     tetcasti_segment8_fn *segment8; /* that of the optics, or the same code for AVX-512 */
 } tetcasti_scene;
 
@@ -5947,7 +6060,7 @@ static void tetcasti_batch_segment(const tetcasti_scene *scene, tetcasti_batch *
         tetcasti_segment_iso(o, front, back, way, depth, tetcasti_normal, &x, view, sum);
         if (o->model == TETCAST_MODEL_ISOSURFACE && x.first < 1.0f) depth += x.first * way;
     } else {
-        o->segment(o, front, back, way, depth, sum);
+        scene->segment(o, front, back, way, depth, sum);
     }
     if (b->depth[i] == TETCASTI_INF && (sum->t != scene->begin_t || sum->c[0] != 0.0f || sum->c[1] != 0.0f ||
                                         sum->c[2] != 0.0f))
@@ -5964,9 +6077,8 @@ TETCASTI_INLINE int tetcasti_back_at(const tetcasti_start *start, uint32_t cell,
 }
 
 /* All walks of ray i. */
-TETCASTI_INLINE void tetcasti_batch_walk_ray(const tetcasti_scene *scene, uint32_t kind, uint32_t sink,
-                                             tetcasti_batch *b,
-                                             uint32_t i) {
+TETCASTI_INLINE void tetcasti_batch_walk_ray(const int soft, const tetcasti_scene *scene, uint32_t kind, uint32_t sink,
+                                             tetcasti_batch *b, uint32_t i) {
     const tetcast_optics *o = scene->optics;
     const tetcasti_hit *h = b->sorted + b->hit_start[i], *h_end = b->sorted + b->hit_start[i + 1];
     const uint32_t *stop = scene->stop;
@@ -5977,7 +6089,7 @@ TETCASTI_INLINE void tetcasti_batch_walk_ray(const tetcasti_scene *scene, uint32
     for (; h < h_end && !over && h->at < last; h++) {
         tetcasti_start start = tetcasti_hit_start(scene, b, h);
         tetcasti_walk w, before;
-        tetcasti_walk_begin(&r, scene->vertex, &start, &w);
+        tetcasti_walk_begin(soft, &r, scene->vertex, &start, &w);
         before = w;
         b->walks[i]++;
         if (w.at_face > cursor) {
@@ -5988,7 +6100,7 @@ TETCASTI_INLINE void tetcasti_batch_walk_ray(const tetcasti_scene *scene, uint32
             float at, s;
             if (stop != NULL && tetcasti_bit(stop, w.cell >> scene->stop_log)) break;
             if (sink == TETCASTI_SINK_ANY) before = w;
-            tetcasti_walk_step(scene->cells, kind, &r, scene->vertex, &w, &at, &s);
+            tetcasti_walk_step(soft, scene->cells, kind, &r, scene->vertex, &w, &at, &s);
             steps++;
             back_at = inside && (!(at >= cursor) || steps >= TETCASTI_LONG_WALK) &&
                       tetcasti_back_at(&b->start[i], w.cell, w.prev);
@@ -6003,7 +6115,8 @@ TETCASTI_INLINE void tetcasti_batch_walk_ray(const tetcasti_scene *scene, uint32
                 length = end - cursor;
                 b->length[i] += length;
                 if (sink == TETCASTI_SINK_VOLUME) {
-                    o->segment(o, front, back, length * scene->unit, (b->offset[i] + cursor) * scene->unit, &b->sum[i]);
+                    scene->segment(o, front, back, length * scene->unit, (b->offset[i] + cursor) * scene->unit,
+                                   &b->sum[i]);
                 } else if (sink == TETCASTI_SINK_ANY) {
                     tetcasti_batch_segment(scene, b, i, &r, &before, &w, at, front, back, cursor, length);
                 }
@@ -6022,37 +6135,51 @@ TETCASTI_INLINE void tetcasti_batch_walk_ray(const tetcasti_scene *scene, uint32
     b->lanes += steps;
 }
 
-#define TETCASTI_WALK_LOOP(kind, sink) for (i = 0; i < b->count; i++) tetcasti_batch_walk_ray(scene, kind, sink, b, i)
-#define TETCASTI_WALK_KINDS(sink) \
+#define TETCASTI_WALK_LOOP(soft, kind, sink) \
+    for (i = 0; i < b->count; i++) tetcasti_batch_walk_ray(soft, scene, kind, sink, b, i)
+#define TETCASTI_WALK_KINDS(soft, sink) \
     switch (scene->cells->kind) { \
-    case TETCAST_CELLS_TET8: TETCASTI_WALK_LOOP(TETCAST_CELLS_TET8, sink); break; \
-    case TETCAST_CELLS_TET20: TETCASTI_WALK_LOOP(TETCAST_CELLS_TET20, sink); break; \
-    case TETCAST_CELLS_TET32: TETCASTI_WALK_LOOP(TETCAST_CELLS_TET32, sink); break; \
-    case TETCAST_CELLS_LIST160: TETCASTI_WALK_LOOP(TETCAST_CELLS_LIST160, sink); break; \
-    case TETCAST_CELLS_STRIPS: case TETCAST_CELLS_STRIPS_GENERAL: TETCASTI_WALK_LOOP(TETCAST_CELLS_STRIPS, sink); \
-    break; \
-    default: TETCASTI_WALK_LOOP(TETCAST_CELLS_TET16, sink); break; \
+    case TETCAST_CELLS_TET8: TETCASTI_WALK_LOOP(soft, TETCAST_CELLS_TET8, sink); break; \
+    case TETCAST_CELLS_TET20: TETCASTI_WALK_LOOP(soft, TETCAST_CELLS_TET20, sink); break; \
+    case TETCAST_CELLS_TET32: TETCASTI_WALK_LOOP(soft, TETCAST_CELLS_TET32, sink); break; \
+    case TETCAST_CELLS_LIST160: TETCASTI_WALK_LOOP(soft, TETCAST_CELLS_LIST160, sink); break; \
+    case TETCAST_CELLS_STRIPS: case TETCAST_CELLS_STRIPS_GENERAL: \
+        TETCASTI_WALK_LOOP(soft, TETCAST_CELLS_STRIPS, sink); \
+        break; \
+    default: TETCASTI_WALK_LOOP(soft, TETCAST_CELLS_TET16, sink); break; \
+    }
+#define TETCASTI_WALK_ALL(soft) \
+    uint32_t i; \
+    if (scene->optics == NULL) { \
+        TETCASTI_WALK_KINDS(soft, TETCASTI_SINK_NONE) \
+    } else if (scene->any) { \
+        TETCASTI_WALK_KINDS(soft, TETCASTI_SINK_ANY) \
+    } else { \
+        TETCASTI_WALK_KINDS(soft, TETCASTI_SINK_VOLUME) \
     }
 
-/* The same code twice: where the machine has fma as an instruction it is one, elsewhere libm has it. Same bits. */
+/* The same code three times, with the same bits: with fma as an instruction; with exact products in double; with fmaf,
+   where neither is to be had or the reference is asked for. */
 TETCASTI_TARGET_FMA static void tetcasti_batch_walk_fma(const tetcasti_scene *scene, tetcasti_batch *b) {
-    uint32_t i;
-    if (scene->optics == NULL) {
-        TETCASTI_WALK_KINDS(TETCASTI_SINK_NONE)
-    } else if (scene->any) {
-        TETCASTI_WALK_KINDS(TETCASTI_SINK_ANY)
-    } else {
-        TETCASTI_WALK_KINDS(TETCASTI_SINK_VOLUME)
-    }
+    TETCASTI_WALK_ALL(0)
 }
+#if TETCASTI_X64
+static void tetcasti_batch_walk_sse(const tetcasti_scene *scene, tetcasti_batch *b) { TETCASTI_WALK_ALL(1) }
+#endif
 /* the call of fmaf takes most of it */
 static void tetcasti_batch_walk_plain(const tetcasti_scene *scene, tetcasti_batch *b) {
     uint32_t i, sink = scene->optics == NULL ? TETCASTI_SINK_NONE : scene->any
         ? TETCASTI_SINK_ANY : TETCASTI_SINK_VOLUME;
-    TETCASTI_WALK_LOOP(scene->cells->kind, sink);
+    TETCASTI_WALK_LOOP(0, scene->cells->kind, sink);
 }
 
 static void tetcasti_batch_walk(const tetcasti_scene *scene, tetcasti_batch *b) {
+#if TETCASTI_X64
+    if (scene->isa == TETCAST_ISA_SSE) {
+        tetcasti_batch_walk_sse(scene, b);
+        return;
+    }
+#endif
     if (scene->fma) tetcasti_batch_walk_fma(scene, b);
     else tetcasti_batch_walk_plain(scene, b);
 }
@@ -6209,7 +6336,7 @@ static uint32_t tetcasti_faces_all(const tetcasti_scene *scene, const tetcasti_b
 typedef void tetcasti_rect_fn(const tetcasti_scene *scene, tetcasti_batch *b, uint32_t group, uint32_t face,
                               const uint32_t rect[4]);
 
-#define TETCASTI_RECT_BODY \
+#define TETCASTI_RECT_BODY(soft) \
     const uint32_t *v = scene->hull->face[face].v; \
     uint32_t x, y; \
     float at; \
@@ -6220,12 +6347,12 @@ typedef void tetcasti_rect_fn(const tetcasti_scene *scene, tetcasti_batch *b, ui
             if (b->group[i] != group) continue; \
             r = tetcasti_batch_ray(b, i); \
             b->hull_tests++; \
-            if (tetcasti_face_hit(&r, scene->vertex, v, &at)) tetcasti_batch_hit(b, i, at, face); \
+            if (tetcasti_face_hit(soft, &r, scene->vertex, v, &at)) tetcasti_batch_hit(b, i, at, face); \
         }
 TETCASTI_TARGET_FMA static void tetcasti_rect_fma(const tetcasti_scene *scene, tetcasti_batch *b, uint32_t group,
-                                                  uint32_t face, const uint32_t rect[4]) { TETCASTI_RECT_BODY }
+                                                  uint32_t face, const uint32_t rect[4]) { TETCASTI_RECT_BODY(0) }
 static void tetcasti_rect_plain(const tetcasti_scene *scene, tetcasti_batch *b, uint32_t group, uint32_t face,
-                                const uint32_t rect[4]) { TETCASTI_RECT_BODY }
+                                const uint32_t rect[4]) { TETCASTI_RECT_BODY(1) }
 
 /* Visit the groups of faces [from, to) that the beam can meet. Boxes to look at are on a stack: level << 32 |
    number. */
@@ -6279,7 +6406,7 @@ static void tetcasti_tile_hits(const tetcasti_scene *scene, tetcasti_batch *b, c
 }
 
 /* Hits of the whole line of ray i, also behind its origin. */
-#define TETCASTI_LINE_BODY \
+#define TETCASTI_LINE_BODY(soft) \
     tetcasti_ray r = tetcasti_batch_ray(b, i); \
     tetcasti_beam beam; \
     float at; \
@@ -6289,12 +6416,15 @@ static void tetcasti_tile_hits(const tetcasti_scene *scene, tetcasti_batch *b, c
     TETCASTI_HULL_VISIT(scene->hull, &beam, \
         for (j = from; j < to; j++) { \
             b->hull_tests++; \
-            if (tetcasti_face_hit(&r, scene->vertex, scene->hull->face[j].v, &at)) tetcasti_batch_hit(b, i, at, j); \
+            if (tetcasti_face_hit(soft, &r, scene->vertex, scene->hull->face[j].v, &at)) \
+                tetcasti_batch_hit(b, i, at, j); \
         })
 TETCASTI_TARGET_FMA static void tetcasti_line_fma(const tetcasti_scene *scene, tetcasti_batch *b, uint32_t i) {
-    TETCASTI_LINE_BODY
+    TETCASTI_LINE_BODY(0)
 }
-static void tetcasti_line_plain(const tetcasti_scene *scene, tetcasti_batch *b, uint32_t i) { TETCASTI_LINE_BODY }
+static void tetcasti_line_plain(const tetcasti_scene *scene, tetcasti_batch *b, uint32_t i) {
+    TETCASTI_LINE_BODY(1)
+}
 static void tetcasti_line_hits(const tetcasti_scene *scene, tetcasti_batch *b, uint32_t i) {
     if (scene->fma) tetcasti_line_fma(scene, b, i);
     else tetcasti_line_plain(scene, b, i);
@@ -8290,11 +8420,11 @@ typedef struct tetcasti_weights {
 } tetcasti_weights;
 
 /* One piece with m <= 1: what it adds. um: u in the middle, ds: value at the back - at the front. */
-TETCASTI_INLINE void tetcasti_weigh(const int kind, float t, float m, float g, float um, float ds, float d,
-                                    tetcasti_weights *w) {
+TETCASTI_INLINE void tetcasti_weigh(const int soft, const int kind, float t, float m, float g, float um, float ds,
+                                    float d, tetcasti_weights *w) {
     if (kind == TETCASTI_KIND_EMISSION) {
         w->w0 = m;
-        w->w1 = fmaf(m, um, (g * 0.0833333333f) * ds);
+        w->w1 = tetcasti_fma(soft, m, um, (g * 0.0833333333f) * ds);
         w->drop = 0.0f;
     } else if (kind == TETCASTI_KIND_EMISSION_INDEPENDENT) {
         w->w0 = d;
@@ -8305,35 +8435,36 @@ TETCASTI_INLINE void tetcasti_weigh(const int kind, float t, float m, float g, f
         w->drop = m;
     } else {
         const float q = m * m;
-        const float even = fmaf(q, fmaf(q, TETCASTI_Q4, TETCASTI_Q2), TETCASTI_Q0);
-        const float odd = fmaf(q, fmaf(q, TETCASTI_Q5, TETCASTI_Q3), TETCASTI_Q1);
-        const float qm = fmaf(m, odd, even);
-        const float b = fmaf(q, fmaf(q, TETCASTI_B2, TETCASTI_B1), TETCASTI_B0);
-        const float k = fmaf(q, fmaf(g, TETCASTI_K4, TETCASTI_K3), fmaf(g, fmaf(g, TETCASTI_K2, TETCASTI_K1),
-                                                                        TETCASTI_K0));
-        const float alpha = m * qm, delta = qm * fmaf(q - g, b, -((g * g) * k));
+        const float even = tetcasti_fma(soft, q, tetcasti_fma(soft, q, TETCASTI_Q4, TETCASTI_Q2), TETCASTI_Q0);
+        const float odd = tetcasti_fma(soft, q, tetcasti_fma(soft, q, TETCASTI_Q5, TETCASTI_Q3), TETCASTI_Q1);
+        const float qm = tetcasti_fma(soft, m, odd, even);
+        const float b = tetcasti_fma(soft, q, tetcasti_fma(soft, q, TETCASTI_B2, TETCASTI_B1), TETCASTI_B0);
+        const float k = tetcasti_fma(soft, q, tetcasti_fma(soft, g, TETCASTI_K4, TETCASTI_K3),
+                                     tetcasti_fma(soft, g, tetcasti_fma(soft, g, TETCASTI_K2, TETCASTI_K1),
+                                                  TETCASTI_K0));
+        const float alpha = m * qm, delta = qm * tetcasti_fma(soft, q - g, b, -((g * g) * k));
         w->drop = t * alpha;
         if (kind == TETCASTI_KIND_ASSOCIATED) {
             w->w0 = w->drop;
-            w->w1 = fmaf(w->w0, um, -((t * delta) * ds));
+            w->w1 = tetcasti_fma(soft, w->w0, um, -((t * delta) * ds));
         } else {
             const float td = t * d;
-            w->w0 = td * (fmaf(-0.5f, alpha, 1.0f) - delta);
-            w->w1 = fmaf(w->w0, um, -((td * (alpha * fmaf(g, k, b))) * ds));
+            w->w0 = td * (tetcasti_fma(soft, -0.5f, alpha, 1.0f) - delta);
+            w->w1 = tetcasti_fma(soft, w->w0, um, -((td * (alpha * tetcasti_fma(soft, g, k, b))) * ds));
         }
     }
 }
 
-TETCASTI_INLINE void tetcasti_add(const int kind, const int cue, const tetcast_optics *o, float k, const float *c,
-                                  const tetcasti_weights *w, tetcasti_ray_sum *sum) {
+TETCASTI_INLINE void tetcasti_add(const int soft, const int kind, const int cue, const tetcast_optics *o, float k,
+                                  const float *c, const tetcasti_weights *w, tetcasti_ray_sum *sum) {
     if (kind != TETCASTI_KIND_ABSORPTION) {
         const float w0 = cue ? k * w->w0 : w->w0, w1 = cue ? k * w->w1 : w->w1;
         const int fog = cue && kind <= TETCASTI_KIND_INDEPENDENT;
         const float wf = fog ? (1.0f - k) * w->drop : 0.0f;
         uint32_t i;
         for (i = 0; i < 3; i++) {
-            float v = sum->c[i] + fmaf(w0, c[2 + 2 * i], w1 * c[3 + 2 * i]);
-            if (fog) v = fmaf(wf, o->fog[i], v);
+            float v = sum->c[i] + tetcasti_fma(soft, w0, c[2 + 2 * i], w1 * c[3 + 2 * i]);
+            if (fog) v = tetcasti_fma(soft, wf, o->fog[i], v);
             sum->c[i] = v;
         }
     }
@@ -8364,10 +8495,10 @@ TETCASTI_INLINE void tetcasti_piece_maximum(const int kind, float k, const float
 }
 
 /* A piece of interval coefficients c, from u = uf to uf + ds over the length d. */
-TETCASTI_INLINE void tetcasti_piece(const int kind, const int cue, const tetcast_optics *o, float k, const float *c,
-                                    float uf, float ds, float d, tetcasti_ray_sum *sum) {
+TETCASTI_INLINE void tetcasti_piece(const int soft, const int kind, const int cue, const tetcast_optics *o, float k,
+                                    const float *c, float uf, float ds, float d, tetcasti_ray_sum *sum) {
     tetcasti_weights w;
-    float um = fmaf(0.5f, ds, uf), tau = fmaf(c[1], um, c[0]), m, g;
+    float um = tetcasti_fma(soft, 0.5f, ds, uf), tau = tetcasti_fma(soft, c[1], um, c[0]), m, g;
     if (kind >= TETCASTI_KIND_MAXIMUM) {
         tetcasti_piece_maximum(kind, k, c, uf, ds, sum->c);
         return;
@@ -8381,33 +8512,33 @@ TETCASTI_INLINE void tetcasti_piece(const int kind, const int cue, const tetcast
             float a, root, x, part_s, part_d;
             const int deep = m > 1.0f;
             if (m > 1e15f) d = d * (1e15f / m);
-            a = fmaf(c[1], uf, c[0]) * d;
+            a = tetcasti_fma(soft, c[1], uf, c[0]) * d;
             a = a > 0.0f ? a : 0.0f;
-            root = fmaf(a, a, TETCASTI_CUT_DEPTH * ((c[1] * ds) * d));
+            root = tetcasti_fma(soft, a, a, TETCASTI_CUT_DEPTH * ((c[1] * ds) * d));
             x = TETCASTI_CUT_DEPTH / (a + sqrtf(root > 0.0f ? root : 0.0f));
             x = deep && x < 1.0f ? x : 1.0f;
             part_s = ds * x;
             part_d = d * x;
-            um = fmaf(0.5f, part_s, uf);
-            tau = fmaf(c[1], um, c[0]);
+            um = tetcasti_fma(soft, 0.5f, part_s, uf);
+            tau = tetcasti_fma(soft, c[1], um, c[0]);
             tau = tau > 0.0f ? tau : 0.0f;
             m = tau * part_d;
             m = m < 1.0f ? m : 1.0f;
             g = (c[1] * part_s) * part_d;
-            tetcasti_weigh(kind, sum->t, m, g, um, part_s, part_d, &w);
-            tetcasti_add(kind, cue, o, k, c, &w, sum);
+            tetcasti_weigh(soft, kind, sum->t, m, g, um, part_s, part_d, &w);
+            tetcasti_add(soft, kind, cue, o, k, c, &w, sum);
             if (x == 1.0f) return;
             uf = uf + part_s;
             ds = ds - part_s;
             d = d - part_d;
-            tau = fmaf(c[1], fmaf(0.5f, ds, uf), c[0]);
+            tau = tetcasti_fma(soft, c[1], tetcasti_fma(soft, 0.5f, ds, uf), c[0]);
             m = (tau > 0.0f ? tau : 0.0f) * d;
         }
         sum->t = 0.0f;
         return;
     }
-    tetcasti_weigh(kind, sum->t, m, g, um, ds, d, &w);
-    tetcasti_add(kind, cue, o, k, c, &w, sum);
+    tetcasti_weigh(soft, kind, sum->t, m, g, um, ds, d, &w);
+    tetcasti_add(soft, kind, cue, o, k, c, &w, sum);
 }
 
 TETCASTI_INLINE float tetcasti_cue(const tetcast_optics *o, float depth, float length) {
@@ -8418,8 +8549,8 @@ TETCASTI_INLINE float tetcasti_cue(const tetcast_optics *o, float depth, float l
 
 /* Split at the knots between front and back, in the order of the ray. A piece that begins in the knot above or below it
    has no length and adds nothing, so one rule for both directions is enough. */
-TETCASTI_INLINE void tetcasti_exact(const int kind, const int cue, const tetcast_optics *o, float front, float back,
-                                    float length, float depth, tetcasti_ray_sum *sum) {
+TETCASTI_INLINE void tetcasti_exact(const int soft, const int kind, const int cue, const tetcast_optics *o,
+                                    float front, float back, float length, float depth, tetcasti_ray_sum *sum) {
     const tetcasti_tf *tf = &o->tf;
     const float *c;
     uint32_t at;
@@ -8438,7 +8569,7 @@ TETCASTI_INLINE void tetcasti_exact(const int kind, const int cue, const tetcast
         k = k * o->max_scale;
     }
     if (TETCASTI_LIKELY(!(back < c[TETCASTI_LOWER] || back > c[TETCASTI_UPPER]))) {
-        tetcasti_piece(kind, cue, o, k, c, front - c[TETCASTI_BASE], back - front, length, sum);
+        tetcasti_piece(soft, kind, cue, o, k, c, front - c[TETCASTI_BASE], back - front, length, sum);
         return;
     }
     per = length / (back - front);
@@ -8447,7 +8578,7 @@ TETCASTI_INLINE void tetcasti_exact(const int kind, const int cue, const tetcast
     for (;;) {
         const float lo = c[TETCASTI_LOWER], hi = c[TETCASTI_UPPER], end = back < lo ? lo : back > hi ? hi : back;
         const float ds = end - front;
-        tetcasti_piece(kind, cue, o, k, c, front - c[TETCASTI_BASE], ds, ds * per, sum);
+        tetcasti_piece(soft, kind, cue, o, k, c, front - c[TETCASTI_BASE], ds, ds * per, sum);
         if (end == back) break;
         at = back > end ? at + 1 : at - 1;
         front = end;
@@ -8459,11 +8590,11 @@ TETCASTI_INLINE void tetcasti_exact(const int kind, const int cue, const tetcast
 #define TETCASTI_EXACT_FN(name, kind, cue) \
     static void name(const tetcast_optics *o, float front, float back, float length, float depth, \
                      tetcasti_ray_sum *sum) { \
-        tetcasti_exact(kind, cue, o, front, back, length, depth, sum); \
+        tetcasti_exact(1, kind, cue, o, front, back, length, depth, sum); \
     } \
     TETCASTI_TARGET_FMA static void name##_fma(const tetcast_optics *o, float front, float back, float length, \
                                                float depth, tetcasti_ray_sum *sum) { \
-        tetcasti_exact(kind, cue, o, front, back, length, depth, sum); \
+        tetcasti_exact(0, kind, cue, o, front, back, length, depth, sum); \
     }
 TETCASTI_EXACT_FN(tetcasti_exact_associated, TETCASTI_KIND_ASSOCIATED, 0)
 TETCASTI_EXACT_FN(tetcasti_exact_independent, TETCASTI_KIND_INDEPENDENT, 0)
@@ -9065,8 +9196,8 @@ static void tetcasti_segment_trapezoid(const tetcast_optics *o, float front, flo
 }
 
 /* Colour and extinction linear between two ends: v[0] extinction, v[1..3] colour. Exact. */
-TETCASTI_INLINE void tetcasti_segment_linear(const tetcast_optics *o, const float front[4], const float back[4],
-                                             float length, float depth, tetcasti_ray_sum *sum) {
+TETCASTI_INLINE void tetcasti_segment_linear(const int soft, const tetcast_optics *o, const float front[4],
+                                             const float back[4], float length, float depth, tetcasti_ray_sum *sum) {
     float c[8], k = 1.0f;
     uint32_t i;
     if (!(sum->t > o->t_stop)) return;
@@ -9075,23 +9206,23 @@ TETCASTI_INLINE void tetcasti_segment_linear(const tetcast_optics *o, const floa
         c[2 * i + 1] = back[i] - front[i];
     }
     if (o->cue) k = tetcasti_cue(o, depth, length);
-    if (o->tf.independent) tetcasti_piece(TETCASTI_KIND_INDEPENDENT, 1, o, k, c, 0.0f, 1.0f, length, sum);
-    else tetcasti_piece(TETCASTI_KIND_ASSOCIATED, 1, o, k, c, 0.0f, 1.0f, length, sum);
+    if (o->tf.independent) tetcasti_piece(soft, TETCASTI_KIND_INDEPENDENT, 1, o, k, c, 0.0f, 1.0f, length, sum);
+    else tetcasti_piece(soft, TETCASTI_KIND_ASSOCIATED, 1, o, k, c, 0.0f, 1.0f, length, sum);
 }
-TETCASTI_INLINE void tetcasti_pre(const tetcast_optics *o, float front, float back, float length, float depth,
-                                  tetcasti_ray_sum *sum) {
+TETCASTI_INLINE void tetcasti_pre(const int soft, const tetcast_optics *o, float front, float back, float length,
+                                  float depth, tetcasti_ray_sum *sum) {
     float a[4], b[4];
     tetcasti_tf_at(&o->tf, front, a);
     tetcasti_tf_at(&o->tf, back, b);
-    tetcasti_segment_linear(o, a, b, length, depth, sum);
+    tetcasti_segment_linear(soft, o, a, b, length, depth, sum);
 }
 static void tetcasti_segment_pre(const tetcast_optics *o, float front, float back, float length, float depth,
                                  tetcasti_ray_sum *sum) {
-    tetcasti_pre(o, front, back, length, depth, sum);
+    tetcasti_pre(1, o, front, back, length, depth, sum);
 }
 TETCASTI_TARGET_FMA static void tetcasti_segment_pre_fma(const tetcast_optics *o, float front, float back,
                                                          float length, float depth, tetcasti_ray_sum *sum) {
-    tetcasti_pre(o, front, back, length, depth, sum);
+    tetcasti_pre(0, o, front, back, length, depth, sum);
 }
 
 /* ---- prefix integrals: self-attenuation neglected (Engel et al., 2001) ---- */
@@ -9155,7 +9286,7 @@ static void tetcasti_psi_row(void *ctx, uint32_t i) {
         c[1] = (float)((double)j / (last - (double)j)) - c[0];
         c[2] = 1.0f;
         c[3] = -1.0f;
-        tetcasti_piece(TETCASTI_KIND_ASSOCIATED, 0, NULL, 1.0f, c, 0.0f, 1.0f, 1.0f, &sum);
+        tetcasti_piece(1, TETCASTI_KIND_ASSOCIATED, 0, NULL, 1.0f, c, 0.0f, 1.0f, 1.0f, &sum);
         psi[j] = 1.0f - sum.c[0];
     }
 }
@@ -9770,8 +9901,8 @@ static TETCASTI_UNUSED void tetcasti_lane_segment_iso(const tetcast_optics *o, u
 
 /* ---- choosing the functions ---- */
 
-static tetcasti_segment_fn *tetcasti_exact_pick(const tetcast_optics *o) {
-    const int cue = o->cue != 0, fma = tetcasti_has_fma();
+static tetcasti_segment_fn *tetcasti_exact_pick(const tetcast_optics *o, const int fma) {
+    const int cue = o->cue != 0;
 #define TETCASTI_PICK(name) return fma ? name##_fma : name
     switch (o->model) {
     case TETCAST_MODEL_EMISSION:
@@ -9795,15 +9926,16 @@ static tetcasti_segment_fn *tetcasti_exact_pick(const tetcast_optics *o) {
 #undef TETCASTI_PICK
 }
 
-/* What integrates a whole segment: the exact form, or one of the others where a volume is asked for. */
-static tetcasti_segment_fn *tetcasti_segment_pick(const tetcast_optics *o) {
-    if (o->model != TETCAST_MODEL_VOLUME && o->model != TETCAST_MODEL_MIXED) return tetcasti_exact_pick(o);
+/* What integrates a whole segment: the exact form, or one of the others where a volume is asked for. fma: with the
+   instruction; the bits are the same. */
+static tetcasti_segment_fn *tetcasti_segment_pick(const tetcast_optics *o, const int fma) {
+    if (o->model != TETCAST_MODEL_VOLUME && o->model != TETCAST_MODEL_MIXED) return tetcasti_exact_pick(o, fma);
     switch (o->integrator) {
     case TETCAST_INTEGRATOR_PSI_TABLE: return tetcasti_segment_psi;
     case TETCAST_INTEGRATOR_RIEMANN: return tetcasti_segment_riemann;
     case TETCAST_INTEGRATOR_TRAPEZOID: return tetcasti_segment_trapezoid;
     case TETCAST_INTEGRATOR_MIDPOINT: return tetcasti_segment_midpoint;
-    case TETCAST_INTEGRATOR_PRE: return tetcasti_has_fma() ? tetcasti_segment_pre_fma : tetcasti_segment_pre;
+    case TETCAST_INTEGRATOR_PRE: return fma ? tetcasti_segment_pre_fma : tetcasti_segment_pre;
     case TETCAST_INTEGRATOR_PREFIX: return tetcasti_segment_prefix;
     case TETCAST_INTEGRATOR_TABLE_2D: return tetcasti_segment_steps;
     case TETCAST_INTEGRATOR_TABLE_3D:
@@ -9814,7 +9946,7 @@ static tetcasti_segment_fn *tetcasti_segment_pick(const tetcast_optics *o) {
     case TETCAST_INTEGRATOR_COUNT:
     case TETCAST_INTEGRATOR_FORCE_32BIT: break;
     }
-    return tetcasti_exact_pick(o);
+    return tetcasti_exact_pick(o, fma);
 }
 
 static tetcasti_segment8_fn *tetcasti_exact8_pick(const tetcast_optics *o, tetcast_isa isa) {
@@ -10127,7 +10259,7 @@ static tetcast_result tetcasti_optics_make(const tetcast_optics *old, const tetc
         o->max_scale = o->tf.max_emission > 0.0f ? 1.0f / o->tf.max_emission : 0.0f;
         o->t_stop = -INFINITY; /* while tables are built */
         o->cue = 0;
-        o->piece = o->segment = tetcasti_exact_pick(o); /* what piece8 calls without AVX2 */
+        o->piece = o->segment = tetcasti_exact_pick(o, tetcasti_has_fma()); /* what piece8 calls without AVX2 */
         o->piece8 = tetcasti_exact8_pick(o, tetcast_isa_best());
         r = tetcasti_optics_tables(o, old, &d);
     }
@@ -10137,9 +10269,9 @@ static tetcast_result tetcasti_optics_make(const tetcast_optics *old, const tetc
     }
     o->cue = d.cue != 0;
     tetcasti_optics_bounds(o, &d);
-    o->piece = tetcasti_exact_pick(o);
+    o->piece = tetcasti_exact_pick(o, tetcasti_has_fma());
     o->piece8 = tetcasti_exact8_pick(o, tetcast_isa_best());
-    o->segment = tetcasti_segment_pick(o);
+    o->segment = tetcasti_segment_pick(o, tetcasti_has_fma());
     o->segment8 = tetcasti_segment8_pick(o, tetcast_isa_best());
     o->info.model = o->model;
     o->info.integrator = o->integrator;
@@ -10207,11 +10339,13 @@ TETCAST_DEF tetcast_result tetcast_optics_ray(const tetcast_optics *optics, cons
 TETCAST_DEF tetcast_result tetcast_optics_segments(const tetcast_optics *optics, const tetcast_segment *segments,
                                                    size_t count, tetcast_isa isa, float (*rgba)[4]) {
     tetcasti_segment8_fn *fn;
+    tetcasti_segment_fn *one = NULL;
     size_t i;
     uint32_t k, n;
     if (optics == NULL || (count != 0 && (segments == NULL || rgba == NULL))) return TETCAST_ERR_INVALID_ARG;
     for (i = 0; i < count; i++) if (!tetcasti_segment_ok(&segments[i])) return TETCAST_ERR_INVALID_ARG;
     fn = tetcasti_segment8_pick(optics, isa == TETCAST_ISA_AUTO || isa > tetcast_isa_best() ? tetcast_isa_best() : isa);
+    if (isa == TETCAST_ISA_SSE) one = tetcasti_segment_pick(optics, 0);
     for (i = 0; i < count; i += 8) {
         tetcasti_seg8 seg;
         tetcasti_ray_sum8 sum;
@@ -10228,7 +10362,8 @@ TETCAST_DEF tetcast_result tetcast_optics_segments(const tetcast_optics *optics,
             seg.depth[k] = s->depth;
             tetcasti_lane_begin(optics, &sum, k);
         }
-        (void)fn(optics, &seg, (1u << n) - 1u, &sum);
+        if (one != NULL) (void)tetcasti_lanes_by_one(one, optics, &seg, (1u << n) - 1u, &sum);
+        else (void)fn(optics, &seg, (1u << n) - 1u, &sum);
         for (k = 0; k < n; k++) tetcasti_lane_finish(optics, &sum, k, rgba[i + k]);
     }
     return TETCAST_OK;
@@ -11186,10 +11321,10 @@ TETCASTI_INLINE int tetcasti_cell_meet(const tetcasti_ray *r, const tetcasti_ver
     float det[4][4];
     uint8_t left[4][4];
     uint32_t i, j, found = 0;
-    for (i = 0; i < 4; i++) p[i] = tetcasti_project(r, &vertex[tet[i]]);
+    for (i = 0; i < 4; i++) p[i] = tetcasti_project(1, r, &vertex[tet[i]]);
     for (i = 0; i < 4; i++)
         for (j = i + 1; j < 4; j++) {
-            det[i][j] = tetcasti_det(&p[i], &p[j]);
+            det[i][j] = tetcasti_det(1, &p[i], &p[j]);
             det[j][i] = -det[i][j];
             left[i][j] = (uint8_t)tetcasti_positive(det[i][j], &p[i], &p[j], tet[i], tet[j]);
             left[j][i] = (uint8_t)!left[i][j];
@@ -11197,16 +11332,14 @@ TETCASTI_INLINE int tetcasti_cell_meet(const tetcasti_ray *r, const tetcasti_ver
     for (i = 0; i < 4; i++) {
         const uint8_t *f = tetcasti_face_of[i];
         uint32_t side = left[f[0]][f[1]], way = side ? 0 : 1;
-        float inv, *w = out->weight[way];
+        float *w = out->weight[way];
         if (left[f[1]][f[2]] != side || left[f[2]][f[0]] != side) continue;
         w[0] = det[f[1]][f[2]];
         w[1] = det[f[2]][f[0]];
         w[2] = det[f[0]][f[1]];
-        inv = 1.0f / ((w[2] + w[0]) + w[1]);
         out->face[way] = i;
         for (j = 0; j < 3; j++) out->v[way][j] = f[j];
-        out->at[way] = fmaf(w[0], p[f[0]].z, fmaf(w[1], p[f[1]].z, w[2] * p[f[2]].z)) * inv;
-        out->s[way] = tetcasti_face_value(&p[f[0]], &p[f[1]], &p[f[2]], w[2], w[0], w[1], inv);
+        tetcasti_face_point(1, &p[f[0]], &p[f[1]], &p[f[2]], w[2], w[0], w[1], &out->at[way], &out->s[way]);
         found |= 1u << way;
     }
     return found == 3;
@@ -12523,7 +12656,11 @@ static tetcast_result tetcasti_scene_open(const tetcast_render_desc *d, const te
 #endif
     if (s->isa >= TETCAST_ISA_AVX2 && !s->fma) s->isa = TETCAST_ISA_SSE;
     if (d->isa != TETCAST_ISA_AUTO && d->isa < s->isa) s->isa = d->isa;
-    if (optics != NULL) s->segment8 = optics->segment8;
+    if (s->isa == TETCAST_ISA_SSE) s->fma = 0;
+    if (optics != NULL) {
+        s->segment8 = optics->segment8;
+        s->segment = s->isa == TETCAST_ISA_SSE ? tetcasti_segment_pick(optics, 0) : optics->segment;
+    }
 #if TETCASTI_AVX2 && defined(__GNUC__)
     if (s->isa >= TETCAST_ISA_AVX512 && s->segment8 == tetcasti_exact8_associated_8) s->segment8 = tetcasti_exact8_vl_8;
     if (s->isa >= TETCAST_ISA_AVX512 && s->segment8 == tetcasti_exact8_associated_16)
@@ -12559,7 +12696,7 @@ static void tetcasti_locate(const tetcasti_scene *scene, tetcasti_batch *b, cons
         tetcasti_ray r = tetcasti_batch_ray(b, 0);
         tetcasti_walk w;
         float at, s;
-        tetcasti_walk_begin(&r, scene->vertex, &start, &w);
+        tetcasti_walk_begin(1, &r, scene->vertex, &start, &w);
         while (w.cell != TETCASTI_NONE) {
             out->start.v[0] = w.a;
             out->start.v[1] = w.b;
@@ -12596,7 +12733,7 @@ static void tetcasti_inside_hit(const tetcasti_scene *scene, tetcasti_batch *b, 
             s->v[p] = s->v[q];
             s->v[q] = swap;
         }
-        if (!tetcasti_face_hit(&r, scene->vertex, s->v, &at)) continue;
+        if (!tetcasti_face_hit(1, &r, scene->vertex, s->v, &at)) continue;
         if (f != 0)
             s->prev = tetcasti_leave(scene->cells, scene->cells->kind, &node, in->start.cell, in->start.prev, v[0],
                                      v[1],
@@ -12937,7 +13074,7 @@ static void tetcasti_stats_add(tetcast_render_stats *stats, uint32_t tally[7][2]
     stats->hull_tests += tetcasti_tally(tally[4]);
     stats->ended += tetcasti_tally(tally[5]);
     stats->lanes += tetcasti_tally(tally[6]);
-    stats->isa = scene->isa >= TETCAST_ISA_AVX2 ? scene->isa : TETCAST_ISA_SCALAR;
+    stats->isa = scene->isa;
 }
 
 static tetcast_result tetcasti_desc_open(const tetcast_render_desc *desc, tetcast_render_desc *d, tetcasti_mem *mem) {
@@ -13158,7 +13295,7 @@ static uint64_t tetcasti_probe_run(const tetcasti_scene *scene, tetcasti_batch *
         tetcasti_start start = tetcasti_hit_start(scene, b, &b->sorted[k]);
         tetcasti_walk w;
         TETCAST_ASSERT(r.group < 6); /* what meets the hull has one */
-        tetcasti_walk_begin(&r, scene->vertex, &start, &w);
+        tetcasti_walk_begin(1, &r, scene->vertex, &start, &w);
         if (w.at_face > cursor) cursor = w.at_face;
         while (!over && w.cell != TETCASTI_NONE) {
             float at, s;

@@ -1311,7 +1311,6 @@ static void bm12(void) {
         for (threads = 1; threads <= (isa == (int)tetcast_isa_best() ? g_opt.threads : 1); threads *= 2) {
             frame *f;
             bench_job b;
-            if (isa == TETCAST_ISA_SSE) continue;
             f = new_frame(mesh, o, SIZE);
             f->d.isa = (tetcast_isa)isa;
             f->d.env.thread_count = (uint32_t)threads;

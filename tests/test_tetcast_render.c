@@ -162,7 +162,7 @@ static int keep_odd(uint32_t x, uint32_t y, uint32_t z) { return (x * 5 + y * 3 
 TEST(forms) { /* values per cell, masks, holes, clipping, leaping, isosurfaces: the picture of one form is that of all */
     uint32_t k, i, kind, isa, n, cases = test_quick() ? 8 : 16;
     for (k = 0; k < cases; k++) {
-        static const tetcast_isa isas[3] = {TETCAST_ISA_SCALAR, TETCAST_ISA_AVX2, TETCAST_ISA_AVX512};
+        static const tetcast_isa isas[4] = {TETCAST_ISA_SCALAR, TETCAST_ISA_SSE, TETCAST_ISA_AVX2, TETCAST_ISA_AVX512};
         scene s;
         tetcast_input in;
         tetcast_field f[2];
@@ -207,7 +207,7 @@ TEST(forms) { /* values per cell, masks, holes, clipping, leaping, isosurfaces: 
             CHECK_EQ_U64(tetcast_mesh_create(&md, &in, NULL, &s.mesh), TETCAST_OK);
             REQUIRE(s.mesh != NULL);
             if (k % 2 == 1) CHECK_EQ_U64(tetcast_mesh_set_field(s.mesh, 1), TETCAST_OK);
-            for (isa = 0; isa < 3; isa++) {
+            for (isa = 0; isa < 4; isa++) {
                 d.isa = isas[isa];
                 memset(&stats, 0, sizeof stats);
                 CHECK_EQ_U64(draw(&d, &s, W, H, k % 8 < 4, &pic[kind != 0 || isa != 0], &stats), TETCAST_OK);
@@ -377,7 +377,7 @@ TEST(eye_inside) { /* in cells, on faces, edges, vertices, on the hull and a hai
         if (k % 5 == 2) eye[k % 3] = k & 4 ? 0 : n - 1;                 /* on the hull */
         if (k % 5 == 3) eye[k % 3] = (k & 4 ? 0 : n - 1) + (k & 8 ? 1e-7 : -1e-7) * (k & 4 ? 1 : -1);
         if (k == 35) eye[0] = eye[1] = eye[2] = 0;
-        for (isa = 1; isa <= 3; isa += 2) {
+        for (isa = 1; isa <= 3; isa++) {
             tetcast_render_desc d = defaults();
             look(&d, eye[0], eye[1], eye[2], at[0], at[1], at[2]);
             d.camera.fov_y = 90;

@@ -138,7 +138,7 @@ TEST(psi_and_its_table) {
         c[1] = (float)(b - a);
         c[2] = 1.0f;
         c[3] = -1.0f;
-        tetcasti_piece(TETCASTI_KIND_ASSOCIATED, 0, NULL, 1.0f, c, 0.0f, 1.0f, 1.0f, &sum);
+        tetcasti_piece(1, TETCASTI_KIND_ASSOCIATED, 0, NULL, 1.0f, c, 0.0f, 1.0f, 1.0f, &sum);
         exact = fmax(exact, fabs(1.0 - (double)sum.c[0] - psi_of(a, b)));
     }
     CHECK_MSG(exact < 1e-6, "psi: %.3g", exact);

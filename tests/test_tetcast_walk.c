@@ -38,8 +38,8 @@
 #include "tetcast.h"
 #include "tets.h"
 
-enum { ISAS = 3 };
-static const tetcast_isa all_isas[ISAS] = {TETCAST_ISA_SCALAR, TETCAST_ISA_AVX2, TETCAST_ISA_AVX512}; /* as far as the machine has them */
+enum { ISAS = 4 };
+static const tetcast_isa all_isas[ISAS] = {TETCAST_ISA_SCALAR, TETCAST_ISA_SSE, TETCAST_ISA_AVX2, TETCAST_ISA_AVX512}; /* as far as the machine has them */
 
 static void cast_all(const tetcast_mesh *m, const tetcast_optics *o, tetcast_isa isa, const tetcast_ray *rays, size_t n,
                      tetcast_ray_result *out) {
@@ -141,7 +141,7 @@ TEST(determinant) { /* against products in double precision, which are exact for
         exact = (double)p[0].x * (double)p[1].y - (double)p[0].y * (double)p[1].x;
         {
             double a = (double)p[0].x * (double)p[1].y, b = (double)p[0].y * (double)p[1].x;
-            v = tetcasti_det(&p[0], &p[1]);
+            v = tetcasti_det(0, &p[0], &p[1]);
             wrong += sign_of((double)v) != (a > b) - (a < b);
             zeros += v == 0;
             if (fabs(exact) > 1e-30) wrong += fabs((double)v - exact) > 2.5e-7 * fabs(exact) && exact == exact && fabs(a) < 1e30 &&
@@ -150,6 +150,114 @@ TEST(determinant) { /* against products in double precision, which are exact for
     }
     CHECK_EQ_U64(wrong, 0);
     CHECK(zeros > n / 16);
+}
+
+/* ---- fused multiply-adds without the instruction ---- */
+
+#if TETCASTI_SOFT_FMA && !defined(__MINGW32__) /* there fmaf itself is not right */
+static int same_float(float a, float b) { return memcmp(&a, &b, sizeof a) == 0 || (a != a && b != b); }
+
+static float scaled(test_rng *rng, int low, int high) { /* 24 random bits, or few; 2^low to 2^high */
+    float x = 1.0f + ldexpf((float)(test_rng_u32(rng) >> 9 >> (test_rng_u32(rng) & 1 ? test_rng_below(rng, 23) : 0)), -23);
+    x = x < 2.0f ? x : 1.0f;
+    x = ldexpf(x, low + (int)test_rng_below(rng, (uint32_t)(high - low + 1)));
+    return test_rng_u32(rng) & 1 ? -x : x;
+}
+
+/* a * b + c in places where roundings go wrong: ties, cancellation, denormals, overflow, anything. */
+static void fma_triple(test_rng *rng, uint32_t kind, float v[3]) {
+    const float tiny = ldexpf(1.0f, -23);
+    switch (kind) {
+    case 0: /* any bits: NaN, infinities, -0 */
+        v[0] = test_rng_bits(rng);
+        v[1] = test_rng_bits(rng);
+        v[2] = test_rng_bits(rng);
+        break;
+    case 1: /* next to the middle between two floats, by less than a double can tell */
+        v[2] = scaled(rng, -60, 60);
+        v[0] = ldexpf(1.0f + tiny * (float)test_rng_below(rng, 4), ilogbf(v[2]) - 24 - (int)test_rng_below(rng, 2));
+        v[1] = 1.0f - tiny * (float)test_rng_below(rng, 4);
+        if (test_rng_u32(rng) & 1) v[1] = -v[1];
+        break;
+    case 2: /* all but nothing is left */
+        v[0] = scaled(rng, -20, 20);
+        v[1] = scaled(rng, -20, 20);
+        v[2] = -(v[0] * v[1]);
+        if (test_rng_u32(rng) & 1) v[2] = nextafterf(v[2], v[2] + scaled(rng, 20, 40));
+        break;
+    case 3: /* denormals */
+        v[0] = scaled(rng, -80, -60);
+        v[1] = scaled(rng, -90, -60);
+        v[2] = ldexpf((float)(int32_t)(test_rng_u32(rng) >> 6) - 33554432.0f, -149 - (int)test_rng_below(rng, 3));
+        break;
+    case 4: /* near the largest */
+        v[0] = scaled(rng, 60, 66);
+        v[1] = scaled(rng, 58, 66);
+        v[2] = scaled(rng, 100, 127);
+        break;
+    case 5: { /* zeros and infinities of both signs, ones */
+        static const float some[8] = {0.0f, -0.0f, 1.0f, -1.0f, INFINITY, -INFINITY, 1e-45f, 3.4028235e38f};
+        uint32_t k;
+        for (k = 0; k < 3; k++) v[k] = some[test_rng_below(rng, 8)];
+        break;
+    }
+    default: /* what meshes have */
+        v[0] = scaled(rng, -24, 0);
+        v[1] = scaled(rng, -24, 1);
+        v[2] = scaled(rng, -24, 1);
+    }
+}
+#endif
+
+TEST(fma_in_doubles) { /* one by one and two side by side, against libm; and what the walk makes of them */
+#if TETCASTI_SOFT_FMA && !defined(__MINGW32__)
+    test_rng rng = test_rng_make(77);
+    const uint32_t n = test_quick() ? 400000 : 12000000;
+    uint32_t i, k, wrong = 0, twice = 0;
+    for (i = 0; i < n; i += 2) {
+        float v[2][3], want[2];
+        for (k = 0; k < 2; k++) {
+            fma_triple(&rng, (i / 2 + k) % 7, v[k]);
+            want[k] = fmaf(v[k][0], v[k][1], v[k][2]);
+            wrong += !same_float(tetcasti_fmaf(v[k][0], v[k][1], v[k][2]), want[k]);
+            twice += !same_float((float)((double)v[k][0] * (double)v[k][1] + (double)v[k][2]), want[k]);
+        }
+#  if TETCASTI_X64
+        {
+            float got[4];
+            _mm_storeu_ps(got, tetcasti_fma2(_mm_set_pd((double)v[1][0], (double)v[0][0]), _mm_set_pd((double)v[1][1], (double)v[0][1]),
+                                             _mm_set_pd((double)v[1][2], (double)v[0][2])));
+            for (k = 0; k < 2; k++) wrong += !same_float(got[k], want[k]);
+        }
+#  endif
+    }
+    CHECK_EQ_U64(wrong, 0);
+    CHECK_MSG(twice > n / 1000, "%u triples would be rounded twice", twice); /* or this would show nothing */
+    for (i = 0; i < n / 8; i++) {
+        tetcasti_point p[4];
+        const tetcasti_point *const face[3] = {&p[0], &p[1], &p[2]};
+        float det[2][3], at[2], s[2], w[3];
+        const int low = i & 1 ? -20 : -1, high = i & 1 ? 4 : 0;
+        for (k = 0; k < 4; k++) {
+            p[k].x = scaled(&rng, low, high);
+            p[k].y = scaled(&rng, low, high);
+            p[k].z = scaled(&rng, low, high);
+            p[k].s = scaled(&rng, -30, 1);
+        }
+        if (i % 3 == 0) p[3].x = p[0].x, p[3].y = p[0].y; /* nothing */
+        if (i % 5 == 0) p[3].x = 2.0f * p[1].x, p[3].y = 2.0f * p[1].y;
+        if (i % 5 == 1) p[3].x = nextafterf(p[2].x, 9.0f), p[3].y = p[2].y;
+        for (k = 0; k < 3; k++) w[k] = fabsf(scaled(&rng, -20, 1));
+        for (k = 0; k < 2; k++) {
+            tetcasti_det3((int)k, face, &p[3], det[k]);
+            tetcasti_face_point((int)k, &p[0], &p[1], &p[2], w[0], w[1], w[2], &at[k], &s[k]);
+        }
+        wrong += memcmp(det[0], det[1], sizeof det[0]) != 0 || at[0] != at[1] || s[0] != s[1];
+    }
+    CHECK_EQ_U64(wrong, 0);
+#else
+    SKIP("fma is an instruction, or libm's");
+#endif
 }
 
 /* ---- the rule for ties, exhaustively ---- */
@@ -188,8 +296,8 @@ TEST(ties) { /* every cell with corners on a small grid around the ray, also in 
             g[0] = f[1];
             g[1] = f[0];
             g[2] = f[2];
-            one = tetcasti_face_hit(&ray, v, f, &at);
-            two = tetcasti_face_hit(&ray, v, g, &at);
+            one = tetcasti_face_hit(0, &ray, v, f, &at);
+            two = tetcasti_face_hit(0, &ray, v, g, &at);
             wrong += one && two;
             if (one || two) {
                 tetcasti_start s;
@@ -198,8 +306,8 @@ TEST(ties) { /* every cell with corners on a small grid around the ray, also in 
                 memcpy(s.v, one ? f : g, sizeof s.v);
                 s.cell = 0;
                 s.prev = j;
-                tetcasti_walk_begin(&ray, v, &s, &w);
-                tetcasti_walk_step(&cells, TETCAST_CELLS_TET16, &ray, v, &w, &at, &s_out);
+                tetcasti_walk_begin(0, &ray, v, &s, &w);
+                tetcasti_walk_step(0, &cells, TETCAST_CELLS_TET16, &ray, v, &w, &at, &s_out);
                 face[faces++] = j;
                 orders += w.cell * 4 + j; /* the neighbour's number is that of the vertex opposite the way out */
                 wrong += w.cell != w.dropped || w.dropped == j || w.d != j || !(at == at);
@@ -209,7 +317,7 @@ TEST(ties) { /* every cell with corners on a small grid around the ray, also in 
                     out[0] = w.a;
                     out[1] = w.b;
                     out[2] = w.c;
-                    wrong += !tetcasti_face_hit(&ray, v, out, &again);
+                    wrong += !tetcasti_face_hit(0, &ray, v, out, &again);
                     wrong += !(w.ab >= 0 && w.bc >= 0 && w.ca >= 0 && w.ab + w.bc + w.ca > 0);
                 }
                 if (faces == 2) { /* the step led from the first one to this one, and back */
@@ -518,7 +626,7 @@ TEST(pairs) { /* every face of the hull that a line enters is joined with one th
                 turned[0] = m->face[f].v[1];
                 turned[1] = m->face[f].v[0];
                 turned[2] = m->face[f].v[2];
-                if (tetcasti_face_hit(&r, m->vertex, m->face[f].v, &at)) {
+                if (tetcasti_face_hit(0, &r, m->vertex, m->face[f].v, &at)) {
                     tetcasti_start s;
                     tetcasti_walk w;
                     uint32_t g;
@@ -527,7 +635,7 @@ TEST(pairs) { /* every face of the hull that a line enters is joined with one th
                     memcpy(s.v, m->face[f].v, sizeof s.v);
                     s.cell = m->cells.first != NULL ? m->cells.first[f] : m->face[f].cell;
                     s.prev = TETCASTI_NONE;
-                    tetcasti_walk_begin(&r, m->vertex, &s, &w);
+                    tetcasti_walk_begin(0, &r, m->vertex, &s, &w);
                     while (w.cell != TETCASTI_NONE && steps++ < 100 * m->cell_count)
                         tetcasti_walk_step_any(&m->cells, &r, m->vertex, &w, &at, &value);
                     wrong += w.cell != TETCASTI_NONE;
@@ -538,7 +646,7 @@ TEST(pairs) { /* every face of the hull that a line enters is joined with one th
                     }
                     wrong += g == m->face_count || used[g];
                     if (g < m->face_count) used[g] = 1;
-                } else if (tetcasti_face_hit(&r, m->vertex, turned, &at)) {
+                } else if (tetcasti_face_hit(0, &r, m->vertex, turned, &at)) {
                     out++;
                     left[f] = 1;
                 }
@@ -1134,6 +1242,7 @@ TEST(bad_rays) {
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(determinant);
+    RUN(fma_in_doubles);
     RUN(ties);
     RUN(frames);
     RUN(lattices);

@@ -213,7 +213,7 @@ static uint32_t strips_planes_enter(const strips_planes *s, const tetcast_mesh *
     if (r.group == TETCASTI_NO_RAY) return found;
     for (f = 0; f < s->faces; f++) {
         float z;
-        if (!tetcasti_face_hit(&r, m->vertex, m->face[f].v, &z) || !((float)((t + (double)z) * m->unit) < *at)) continue;
+        if (!tetcasti_face_hit(0, &r, m->vertex, m->face[f].v, &z) || !((float)((t + (double)z) * m->unit) < *at)) continue;
         *at = (float)((t + (double)z) * m->unit);
         found = s->first[f];
     }
