@@ -762,6 +762,7 @@ TEST(camera) {
                     r[a] = side.org[a] - mid.org[a];
                     u[a] = above.org[a] - mid.org[a];
                 }
+                CHECK(z > 0); /* in front of the eye */
                 z = 1;
             } else {
                 double s = 0, t = 0;

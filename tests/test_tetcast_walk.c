@@ -955,6 +955,13 @@ TEST(single_cell) { /* both silhouettes, from anywhere: entry, exit and values *
             CHECK_NEAR(got.x.t_back, hi, 1e-6 / n);
             CHECK_NEAR(got.x.front, s0 + big * lo, 2e-6 / n);
             CHECK_NEAR(got.x.back, s0 + big * hi, 2e-6 / n);
+            r.t_min = 0.75 * lo + 0.25 * hi; /* cut on both sides */
+            r.t_max = 0.25 * lo + 0.75 * hi;
+            CHECK_EQ_U64(tetcast_probe(m, &r, keep_crossing, &got), 1);
+            CHECK_NEAR(got.x.t_front, r.t_min, 1e-6 / n);
+            CHECK_NEAR(got.x.t_back, r.t_max, 1e-6 / n);
+            CHECK_NEAR(got.x.front, s0 + big * r.t_min, 2e-6 / n);
+            CHECK_NEAR(got.x.back, s0 + big * r.t_max, 2e-6 / n);
         }
     }
     CHECK(met > rays / 2);
