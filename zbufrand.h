@@ -8781,10 +8781,10 @@ static void zbufrandi_pick_child(const zbufrandi_cut *cut, const zbufrandi_local
 
 /* Walk from the entries of p->stack, nearest first, until `nodes` are opened; the rest stays there. */
 static void zbufrandi_pick_run(const zbufrandi_cut *cut, zbufrandi_mem *mem, const zbufrandi_local *locals,
-                               zbufrandi_pick *p,
-                               uint32_t nodes) {
+                               zbufrandi_pick *p, uint32_t nodes) {
     zbufrandi_sides sides;
     uint32_t sides_of = ~0u; /* whose they are */
+    memset(&sides, 0, sizeof sides);
     while (p->stack_count > 0 && nodes-- > 0) {
         zbufrandi_open_node at = p->stack[p->stack_count - 1];
         const zbufrandi_local *l;
