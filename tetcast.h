@@ -5586,8 +5586,8 @@ TETCASTI_INLINE __m128d tetcasti_sum2(__m128d p, __m128d c) {
     const __m128i keep = _mm_set_epi32(0x7fffffff, 0x1fffffff, 0x7fffffff, 0x1fffffff);
     const __m128i bits = _mm_and_si128(_mm_castpd_si128(s), keep);
     const __m128i middle = _mm_cmpeq_epi32(bits, _mm_set_epi32(-1, 0x10000000, -1, 0x10000000));
-    const __m128i small = _mm_cmplt_epi32(bits, _mm_set_epi32(0x38100000, -1, 0x38100000, -1));
-    if (TETCASTI_UNLIKELY(_mm_movemask_epi8(_mm_or_si128(middle, small)) != 0)) return tetcasti_sum_to_odd2(p, c);
+    const __m128i below = _mm_cmplt_epi32(bits, _mm_set_epi32(0x38100000, -1, 0x38100000, -1));
+    if (TETCASTI_UNLIKELY(_mm_movemask_epi8(_mm_or_si128(middle, below)) != 0)) return tetcasti_sum_to_odd2(p, c);
     return s;
 }
 /* a * b + c of floats in double */
