@@ -7921,6 +7921,7 @@ static void zbufrandi_ray_structure8(zbufrandi_ray_bundle *b, uint32_t mask, uin
     zbufrandi_ray_pending stack[ZBUFRANDI_RAY_STACK];
     uint32_t rays, i, a, count = 1, same = 1, lead = 8;
     if (s->node_count == 0) return;
+    memset(p.l, 0, sizeof p.l);
     for (rays = mask; rays != 0; rays &= rays - 1) {
         i = zbufrandi_ctz64(rays);
         if (!zbufrandi_ray_enter(&p.l[i], s, o[i], d[i], b->walk[i].t_min, b->walk[i].best)) {
@@ -15296,7 +15297,7 @@ static void zbufrandi_area_mark(const zbufrandi_picture *p, const zbufrandi_draw
     const uint32_t wide = (r->width + 15) / 16, index = d->item & ((1u << ZBUFRANDI_DRAW_SHIFT) - 1u);
     const zbufrandi_cluster *c = d->item >> ZBUFRANDI_DRAW_SHIFT == ZBUFRANDI_DRAW_SAMPLED
         ? &p->scene->structure[l->structure].cluster[index] : NULL;
-    float q[3], e[3], from[2], to[2];
+    float q[3], e[3], from[2] = {0, 0}, to[2] = {0, 0};
     uint32_t a, k, x, y, lo[2], hi[2];
     for (a = 0; a < 3; a++) {
         const float first = c != NULL ? c->box_lo[a] : d->lo[a];
