@@ -10291,6 +10291,7 @@ static void voxrti_v5_write(const voxrt_tree *t, const voxrti_v5_file *f, uint8_
 static voxrt_result voxrti_save_open(const voxrt_tree *tree, const voxrt_save_desc *desc, voxrt_save_desc *d,
                                      voxrti_mem *mem) {
     memset(d, 0, sizeof *d);
+    memset(mem, 0, sizeof *mem);
     if (desc != NULL) *d = *desc;
     if (d->_begin_zero != 0 || d->_end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
     if (d->env.error != NULL) memset(d->env.error, 0, sizeof *d->env.error);
@@ -18011,7 +18012,7 @@ static void voxrti_page_copy(const voxrt_tree *t, uint64_t first, uint32_t count
     }
     if (normal != NULL && t->normal != NULL) memcpy(normal, t->normal + (size_t)first, count * sizeof *normal);
     if (spread != NULL && first < t->voxel_count) memset(spread, 0, count);
-    else if (spread != NULL) memcpy(spread, t->spread + (size_t)(first - t->voxel_count), count);
+    else if (spread != NULL && t->spread != NULL) memcpy(spread, t->spread + (size_t)(first - t->voxel_count), count);
 }
 
 /* The page below an anchor, a node of the tree, behind all pages below it. */
