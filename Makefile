@@ -32,7 +32,7 @@ endif
 
 # --- build ---------------------------------------------------------------------------------------
 
-.PHONY: all examples tests benches demo test check fuzz bench bench-full report install uninstall clean help \
+.PHONY: all examples tests benches demo test check fuzz fuzz-long soak bench bench-full report install uninstall clean help \
         test-asan test-tsan test-msan coverage FORCE
 
 all: $(PROGRAMS)
@@ -96,6 +96,12 @@ check:
 
 fuzz:
 	@bash tests/check.sh fuzz
+
+# an hour for each fuzzer; an hour of random use of all libraries whose memory must not grow
+fuzz-long:
+	@FUZZ_EACH=3600 bash tests/check.sh fuzz
+soak:
+	@SOAK_SECONDS=3600 bash tests/check.sh soak
 
 SAN = -std=c99 -g -O1 -ffp-contract=off -fno-omit-frame-pointer -Wall -Wextra
 test-asan:

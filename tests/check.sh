@@ -2,7 +2,7 @@
 # Everything that `make check` checks.
 #   bash tests/check.sh [group...]     groups: see GROUPS_ALL; without one all of them run
 #   V=1                                names and times of the checks that passed, too
-#   JOBS=2 FUZZ_SECONDS=60 FUZZ_FIXED= OUT=build/check
+#   JOBS=2 FUZZ_SECONDS=60 FUZZ_EACH= FUZZ_FIXED= SOAK_SECONDS=60 OUT=build/check
 # Works on those of the three headers that exist. Each check is one line in the sum `N passed, N failed, N skipped`;
 # all names, results and seconds are in $OUT/results. A check that cannot run here (no tool) is skipped.
 cd "$(dirname "$0")/.." || exit 1
@@ -11,11 +11,13 @@ unset MAKEFLAGS MFLAGS MAKELEVEL MAKEOVERRIDES # each make that is started here 
 
 # --- what may be edited ------------------------------------------------------------------------------------------
 
-GROUPS_ALL="text options matrix targets link symbols hygiene programs readme install long modes sanitize fuzz emulate windows wasm analyze"
+GROUPS_ALL="text options matrix targets link symbols hygiene programs readme install long modes sanitize fuzz soak emulate windows wasm analyze"
 JOBS=${JOBS:-$(nproc)}
 OUT=${OUT:-build/check}
 FUZZ_SECONDS=${FUZZ_SECONDS:-60}
 FUZZ_FIXED=${FUZZ_FIXED:-}
+FUZZ_EACH=${FUZZ_EACH:-}           # seconds for each target instead of FUZZ_SECONDS for all
+SOAK_SECONDS=${SOAK_SECONDS:-60}
 
 STD_C="c99 c11 c17 gnu17"
 STD_CXX="c++11 c++17 c++20"
@@ -789,7 +791,7 @@ group_wasm() {
 fuzz_standalone() { # NAME -seconds=N|-iterations=N
     local p=$OUT/fuzz/$1.standalone
     cmd gcc $SAN_FLAGS $STATIC -fsanitize=address,undefined -fno-sanitize-recover=all -I. -o "$p" tests/fuzz/$1.c tests/fuzz/standalone.c -lm -lpthread &&
-    cmd timeout 600 "$p" $2 -crash="$OUT/fuzz/$1.crash" $( [ -d tests/fuzz/corpus/${1#fuzz_} ] && echo tests/fuzz/corpus/${1#fuzz_} )
+    cmd timeout $((600 + FUZZ_EACH + SOAK_SECONDS)) "$p" $2 -crash="$OUT/fuzz/$1.crash" $( [ -d tests/fuzz/corpus/${1#fuzz_} ] && echo tests/fuzz/corpus/${1#fuzz_} )
 }
 fuzz_libfuzzer() { # NAME SECONDS
     local p=$OUT/fuzz/$1.libfuzzer dict= seeds=
@@ -797,7 +799,7 @@ fuzz_libfuzzer() { # NAME SECONDS
     [ -d tests/fuzz/corpus/${1#fuzz_} ] && seeds=tests/fuzz/corpus/${1#fuzz_}
     mkdir -p "$OUT/fuzz/$1.found"
     cmd clang $SAN_FLAGS $STATIC -fsanitize=fuzzer,address,undefined -fno-sanitize-recover=all -I. -o "$p" tests/fuzz/$1.c -lm -lpthread &&
-    cmd timeout 600 "$p" -max_total_time=$2 -timeout=10 -rss_limit_mb=3000 -seed=1 -error_exitcode=1 -timeout_exitcode=1 -print_final_stats=1 \
+    cmd timeout $((600 + FUZZ_EACH)) "$p" -max_total_time=$2 -timeout=10 -rss_limit_mb=3000 -seed=1 -error_exitcode=1 -timeout_exitcode=1 -print_final_stats=1 \
         -artifact_prefix="$OUT/fuzz/$1." $dict "$OUT/fuzz/$1.found" $seeds
 }
 group_fuzz() {
@@ -810,6 +812,7 @@ group_fuzz() {
     clang -fsanitize=fuzzer,address,undefined -o "$OUT/tu/fuzz_nothing" "$OUT/tu/fuzz_nothing.c" 2>/dev/null && libfuzzer=1
     each=$((FUZZ_SECONDS * JOBS / ${#names[@]})); [ $each -ge 2 ] || each=2
     [ $each -le "$FUZZ_SECONDS" ] || each=$FUZZ_SECONDS
+    [ -z "$FUZZ_EACH" ] || each=$FUZZ_EACH
     for f in "${names[@]}"; do
         if [ -n "$FUZZ_FIXED" ]; then
             item "fuzz $f $FUZZ_FIXED changes" fuzz_standalone $f "-iterations=$FUZZ_FIXED -seconds=10"
@@ -820,6 +823,16 @@ group_fuzz() {
             item "fuzz $f standalone $each s" fuzz_standalone $f -seconds=$each
         fi
     done
+}
+
+# --- soak: random use of the functions of each library for long; memory that is in use must not grow --------------
+
+group_soak() {
+    local names="fuzz_build fuzz_trace fuzz_render fuzz_gi fuzz_scene fuzz_bricks fuzz_rbf" f
+    local each=$((SOAK_SECONDS / 7)); [ $each -ge 2 ] || each=2
+    mkdir -p "$OUT/fuzz"
+    export ASAN_OPTIONS=allocator_may_return_null=1
+    for f in $names; do [ -f tests/fuzz/$f.c ] && item "soak $f $each s" fuzz_standalone $f "-seconds=$each -seed=77"; done
 }
 
 # --- analyze: clang's and cppcheck's findings --------------------------------------------------------------------

@@ -4,7 +4,8 @@
 
    Runs every file, then changes them: bit and byte flips, interesting numbers, truncation, insertion, deletion, copies
    within and splices between files. The same seed gives the same inputs. Before each input runs it is kept in memory;
-   when the process is stopped by a signal, or a sanitizer calls abort, it is written to the file of -crash. */
+   when the process is stopped by a signal, or a sanitizer calls abort, it is written to the file of -crash. Under the
+   address sanitizer the heap must be as large at the end as it was after the files. */
 #define _POSIX_C_SOURCE 200809L
 #include <dirent.h>
 #include <fcntl.h>
@@ -22,7 +23,12 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
 #if defined(__SANITIZE_ADDRESS__)
 void __sanitizer_set_death_callback(void (*callback)(void));
+size_t __sanitizer_get_current_allocated_bytes(void);
+#define HEAP_BYTES() __sanitizer_get_current_allocated_bytes()
+#else
+#define HEAP_BYTES() ((size_t)0)
 #endif
+#define HEAP_SLACK 65536 /* what libc keeps for threads that have ended */
 
 typedef struct input { uint8_t *data; size_t size; } input;
 
@@ -188,7 +194,7 @@ static size_t mutate(uint8_t *p, size_t size, size_t most) {
 int main(int argc, char **argv) {
     double seconds = 0, start;
     unsigned long long iterations = 0, done = 0;
-    size_t most = (size_t)1 << 20, i, k;
+    size_t most = (size_t)1 << 20, i, k, heap;
     uint8_t *work;
     int a;
     g_random = 1;
@@ -232,6 +238,7 @@ int main(int argc, char **argv) {
     work = (uint8_t *)malloc(most);
     if (work == NULL || g_file_count == 0) return 1;
     start = now();
+    heap = HEAP_BYTES();
     while (iterations != 0 || seconds > 0) {
         const input *from = &g_files[random_below(g_file_count)];
         size_t size = from->size < most ? from->size : most;
@@ -242,8 +249,11 @@ int main(int argc, char **argv) {
         done++;
     }
     printf("%llu changed inputs in %.1f s\n", done, now() - start);
+    printf("heap: %llu bytes before, %llu after\n", (unsigned long long)heap, (unsigned long long)HEAP_BYTES());
+    a = HEAP_BYTES() > heap + HEAP_SLACK;
+    if (a != 0) fprintf(stderr, "the heap grew\n");
     for (i = 0; i < g_file_count; i++) free(g_files[i].data);
     free(g_files);
     free(work);
-    return 0;
+    return a;
 }
