@@ -709,6 +709,89 @@ TEST(tolerance_in_pixels) {
     free_picture(&full);
 }
 
+/* Balls, slabs and loose cells at random in 2^depth cells, the whole 2 wide. */
+static voxrt_tree *make_random(test_rng *r, uint32_t depth) {
+    const uint32_t n = 1u << depth, parts = 1 + test_rng_below(r, 6);
+    cells c;
+    uint32_t part, i;
+    memset(&c, 0, sizeof c);
+    for (part = 0; part < parts; part++) {
+        const uint32_t kind = test_rng_below(r, 3), count = kind == 0 ? n * n / 2 : n * 4;
+        uint32_t a, from[3], to[3];
+        double radius = 0.45 * n * test_rng_double(r);
+        for (a = 0; a < 3; a++) {
+            from[a] = test_rng_below(r, n);
+            to[a] = from[a] + 1 + test_rng_below(r, n / 4);
+            to[a] = to[a] < n ? to[a] : n;
+        }
+        if (kind == 1) add_box(&c, from[0], from[1], from[2], to[0], to[1], to[2]);
+        for (i = 0; i < count && kind != 1; i++) {
+            double p[3], length = 0;
+            for (a = 0; a < 3; a++) {
+                p[a] = kind == 0 ? test_rng_double(r) - 0.5 : n * test_rng_double(r);
+                length += p[a] * p[a];
+            }
+            for (a = 0; a < 3 && kind == 0; a++) p[a] = from[a] + radius * p[a] / sqrt(length + 1e-9);
+            for (a = 0; a < 3 && p[a] >= 0 && p[a] < n; a++) {}
+            if (a == 3) (void)add(&c, (uint32_t)p[0], (uint32_t)p[1], (uint32_t)p[2], 255, (int)(i % 256), 0);
+        }
+    }
+    (void)add(&c, n / 2, n / 3, n / 4, 0, 0, 255);
+    return make_tree(&c, depth, 2.0, 0);
+}
+
+/* The same of 200 random scenes, cameras (a few of them among the voxels) and tolerances. */
+TEST(tolerance_of_random_scenes) {
+    enum { W = 72, H = 54 };
+    const uint32_t count = test_quick() ? 40 : 240;
+    picture p = make_picture(W, H, 0, 0), full = make_picture(W, H, 0, 0);
+    uint32_t k, x, y, hits = 0, levels = 0, outlines = 0;
+    for (k = 0; k < count; k++) {
+        test_rng r = test_rng_make(9000 + k);
+        voxrt_tree *t = make_random(&r, 4 + k % 4);
+        const double distance = k % 6 == 5 ? 0.7 : 1.5 * pow(40, test_rng_double(&r)), angle = 6.2831853 * test_rng_double(&r);
+        const double high = 2 * test_rng_double(&r) - 1, tolerance = (double)(float)(0.3 * pow(30, test_rng_double(&r)));
+        uint32_t wide = 0, fine = 0, lost = 0, behind = 0, stray = 0;
+        double pixel;
+        voxrt_tree_info info;
+        voxrt_render_desc d;
+        REQUIRE(t != NULL);
+        voxrt_tree_get_info(t, &info);
+        memset(&d, 0, sizeof d);
+        d.camera = look(1 + distance * cos(angle), 1 + distance * high, 1 + distance * sin(angle), 1, 1, 1,
+                        (float)(distance < 3 ? 40 + 20 * test_rng_double(&r) : 150 / distance));
+        pixel = 2 * tan((double)d.camera.fov_y * 0.00872664626) / H;
+        CHECK(voxrt_render(&d, t, &full.m, NULL) == VOXRT_OK);
+        d.tolerance = (float)tolerance;
+        CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+        for (y = 0; y < H; y++)
+            for (x = 0; x < W; x++) {
+                const voxrt_hit *h = hit_at(&p, x, y), *f = hit_at(&full, x, y);
+                const int here = h->node != VOXRT_NO_NODE, there = f->node != VOXRT_NO_NODE;
+                if (here) {
+                    const double edge = info.voxel_size * (double)(1u << (info.depth - h->level));
+                    wide += h->level < info.depth && edge > tolerance * pixel * (double)h->t * 1.0001;
+                    fine += 2 * edge < tolerance * pixel * ((double)h->t - 2 * 1.7321 * edge) * 0.9999;
+                    levels += h->level < info.depth;
+                    hits++;
+                }
+                lost += there && !here;
+                behind += there && here && (double)h->t > (double)f->t * 1.00001 + 1e-6;
+                if (here == there || there) continue;
+                /* beside the outline: a cell that holds a voxel, no further from it than the cell is wide */
+                stray += !voxrt_tree_get(t, h->level, h->cell[0], h->cell[1], h->cell[2], NULL);
+                outlines++;
+            }
+        CHECK_MSG(wide == 0 && fine == 0 && lost == 0 && behind == 0 && stray == 0, "scene %u, tolerance %g: %u wide, %u fine, %u lost, %u behind, %u stray",
+                  k, tolerance, wide, fine, lost, behind, stray);
+        voxrt_tree_destroy(t);
+    }
+    if (test_g.verbose) printf("%u hits, %u on larger cells, %u beside\n", hits, levels, outlines);
+    CHECK(hits > 100 * count && levels > hits / 4 && outlines > 10 * count);
+    free_picture(&p);
+    free_picture(&full);
+}
+
 TEST(object_level) { /* the coarsest level with size / 2^level <= q e, e: width of a pixel at the box's nearest point */
     voxrt_tree *t = make_sphere(6, 0.9);
     voxrt_tree_info info;
@@ -1654,6 +1737,7 @@ int main(int argc, char **argv) {
     RUN(self_shadow);
     RUN(forced_level);
     RUN(tolerance_in_pixels);
+    RUN(tolerance_of_random_scenes);
     RUN(object_level);
     RUN(threads_tiles_isa);
     RUN(single_rays);
