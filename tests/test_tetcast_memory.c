@@ -1,0 +1,668 @@
+/* test_tetcast_memory.c - every function that asks for memory, with each request refused once and with all from one on:
+   NO_MEMORY, nothing leaks, what the caller had is as before; and outputs that no other test asks for.
+   SPDX-License-Identifier: MIT OR Unlicense */
+#include "test.h"
+#define TETCAST_IMPLEMENTATION
+#include "tetcast.h"
+#include "tets.h"
+
+enum { SIDE = 24, POINTS = 20, GRID = 5, FILE_ROOM = 1 << 16 };
+
+/* What the calls work on, made before with memory enough. */
+typedef struct world {
+    tets t;
+    tetcast_mesh *mesh;
+    tetcast_transfer *transfer, *other;
+    tetcast_optics *optics, *table, *surface;
+    tetcast_lattice lattice;
+    tetcast_bricks *bricks, *hull_bricks;
+    tetcast_cut *cut;
+    tetcast_amr *amr;
+    tetcast_rbf *rbf;
+    float grid[GRID * GRID * GRID], patch[64], out[4 * SIDE * SIDE * SIDE];
+    double points[POINTS][3];
+    uint8_t rgba8[SIDE * SIDE * 4], file[FILE_ROOM];
+    float rgba[SIDE * SIDE * 4], depth[SIDE * SIDE], length[SIDE * SIDE], limit[SIDE * SIDE];
+    uint32_t steps[SIDE * SIDE];
+    tetcast_image image;
+} world;
+
+static void colours(tetcast_control_point p[3], float extinction) {
+    int i;
+    memset(p, 0, 3 * sizeof *p);
+    for (i = 0; i < 3; i++) {
+        p[i].value = 0.5f * (float)i;
+        p[i].rgb[i] = 1.0f;
+        p[i].extinction = (float)i * extinction;
+    }
+}
+
+static tetcast_rbf_desc functions_desc(tetcast_rbf_function f[40], uint32_t components) {
+    tetcast_rbf_desc d;
+    test_rng r = test_rng_make(5);
+    int i, a;
+    memset(&d, 0, sizeof d);
+    memset(f, 0, 40 * sizeof *f);
+    for (i = 0; i < 40; i++) {
+        for (a = 0; a < 3; a++) {
+            f[i].centre[a] = test_rng_double(&r);
+            f[i].weight[a] = test_rng_float(&r) - 0.3f;
+            f[i].axis[a] = i % 3 == 0 ? test_rng_double(&r) + 0.1 : 0;
+        }
+        f[i].width = 0.05 + 0.1 * test_rng_double(&r);
+        f[i].stretch = i % 3 == 0 ? 0.5 : 0;
+    }
+    for (a = 0; a < 3; a++) d.box_max[a] = 1;
+    d.components = components;
+    d.offset[0] = 0.2f;
+    d.functions = f;
+    d.function_count = 40;
+    return d;
+}
+
+static tetcast_amr_desc amr_desc(world *w, tetcast_patch patch[2]) {
+    tetcast_amr_desc d;
+    int a;
+    memset(&d, 0, sizeof d);
+    memset(patch, 0, 2 * sizeof *patch);
+    for (a = 0; a < 3; a++) {
+        d.cells[a] = 4;
+        patch[0].dims[a] = 4;
+        patch[1].dims[a] = 2;
+        patch[1].lo[a] = 2;
+    }
+    patch[1].level = 1;
+    patch[0].values = patch[1].values = w->patch;
+    d.patches = patch;
+    d.patch_count = 2;
+    return d;
+}
+
+static void world_open(world *w) {
+    tetcast_transfer_desc td;
+    tetcast_optics_desc od;
+    tetcast_bricks_desc bd;
+    tetcast_isovalue iso;
+    tetcast_array values;
+    tetcast_control_point p[3];
+    tetcast_rbf_function f[40];
+    tetcast_rbf_desc rd;
+    tetcast_amr_desc ad;
+    tetcast_patch patch[2];
+    test_rng r = test_rng_make(77);
+    size_t i;
+    int a;
+    memset(w, 0, sizeof *w);
+    memset(&td, 0, sizeof td);
+    memset(&od, 0, sizeof od);
+    memset(&bd, 0, sizeof bd);
+    memset(&iso, 0, sizeof iso);
+    memset(&values, 0, sizeof values);
+    tets_lattice(&w->t, 4, 4, 4, 6, NULL);
+    tets_jitter(&w->t, 3, 3, 3, 0.2, 3);
+    for (i = 0; i < w->t.nv; i++) w->t.s[i] = test_rng_float(&r);
+    for (i = 0; i < GRID * GRID * GRID; i++) w->grid[i] = test_rng_float(&r);
+    for (i = 0; i < 64; i++) w->patch[i] = test_rng_float(&r);
+    for (i = 0; i < POINTS; i++)
+        for (a = 0; a < 3; a++) w->points[i][a] = 0.1 + 0.8 * test_rng_double(&r);
+    for (i = 0; i < SIDE * SIDE; i++) w->limit[i] = INFINITY;
+    w->mesh = tets_build(&w->t, TETCAST_CELLS_TET16, NULL);
+    colours(p, 2.0f);
+    td.points = p;
+    td.point_count = 3;
+    CHECK_EQ_U64(tetcast_transfer_create(&td, &w->transfer), TETCAST_OK);
+    CHECK_EQ_U64(tetcast_optics_create(w->transfer, NULL, &w->optics), TETCAST_OK);
+    od.integrator = TETCAST_INTEGRATOR_TABLE_3D;
+    od.table_values = 16;
+    od.table_lengths = 8;
+    od.longest = 2;
+    CHECK_EQ_U64(tetcast_optics_create(w->transfer, &od, &w->table), TETCAST_OK);
+    p[1].extinction = 1.5f;
+    iso.value = 0.5f;
+    iso.opacity = 0.5f;
+    td.isovalues = &iso;
+    td.isovalue_count = 1;
+    CHECK_EQ_U64(tetcast_transfer_create(&td, &w->other), TETCAST_OK);
+    memset(&od, 0, sizeof od);
+    od.model = TETCAST_MODEL_ISOSURFACE;
+    CHECK_EQ_U64(tetcast_optics_create(w->other, &od, &w->surface), TETCAST_OK);
+    for (a = 0; a < 3; a++) {
+        w->lattice.dims[a] = GRID;
+        w->lattice.spacing[a] = 1;
+    }
+    values.data = w->grid;
+    bd.log_cells = 3;
+    CHECK_EQ_U64(tetcast_bricks_create_grid(&bd, &w->lattice, &values, NULL, &w->bricks), TETCAST_OK);
+    CHECK_EQ_U64(tetcast_cut_create(NULL, w->bricks, &w->cut), TETCAST_OK);
+    bd.longest = 9;
+    CHECK_EQ_U64(tetcast_bricks_create_mesh(&bd, w->mesh, NULL, &w->hull_bricks), TETCAST_OK);
+    ad = amr_desc(w, patch);
+    CHECK_EQ_U64(tetcast_amr_create(&ad, &w->amr), TETCAST_OK);
+    rd = functions_desc(f, 1);
+    CHECK_EQ_U64(tetcast_rbf_create(&rd, &w->rbf), TETCAST_OK);
+    w->image.width = w->image.height = SIDE;
+    w->image.rgba8 = w->rgba8;
+    w->image.rgba = w->rgba;
+    w->image.depth = w->depth;
+    w->image.length = w->length;
+    w->image.steps = w->steps;
+}
+
+static void world_close(world *w) {
+    tetcast_rbf_destroy(w->rbf);
+    tetcast_amr_destroy(w->amr);
+    tetcast_cut_destroy(w->cut);
+    tetcast_bricks_destroy(w->bricks);
+    tetcast_bricks_destroy(w->hull_bricks);
+    tetcast_optics_destroy(w->optics);
+    tetcast_optics_destroy(w->table);
+    tetcast_optics_destroy(w->surface);
+    tetcast_transfer_destroy(w->transfer);
+    tetcast_transfer_destroy(w->other);
+    tetcast_mesh_destroy(w->mesh);
+    tets_free(&w->t);
+}
+
+/* ---- the calls ---- */
+
+static tetcast_result grid_mesh(world *w, const tetcast_env *env) {
+    tetcast_mesh_desc d;
+    tetcast_grid g;
+    tetcast_field f[2];
+    tetcast_mesh *m = NULL;
+    tetcast_result r;
+    int a;
+    memset(&d, 0, sizeof d);
+    memset(&g, 0, sizeof g);
+    memset(f, 0, sizeof f);
+    d.env = *env;
+    for (a = 0; a < 3; a++) g.dims[a] = 4;
+    f[0].values.data = w->grid;
+    f[1].values.data = w->grid + 4;
+    g.fields = f;
+    g.field_count = 2;
+    r = tetcast_mesh_create_grid(&d, &g, NULL, &m);
+    CHECK((r == TETCAST_OK) == (m != NULL));
+    if (m == NULL) return r;
+    r = tetcast_mesh_make_gradients(m, env);
+    if (r == TETCAST_OK) {
+        r = tetcast_mesh_set_field(m, 1);
+        if (r == TETCAST_OK) { /* gradients are of the field before: made again */
+            tetcast_check check;
+            r = tetcast_mesh_make_gradients(m, env);
+            if (r == TETCAST_OK) r = tetcast_mesh_check(m, env, &check);
+            if (r == TETCAST_OK) CHECK(check.components == 1 && fabs(check.volume - 27) < 1e-9);
+        }
+    }
+    tetcast_mesh_destroy(m);
+    return r;
+}
+
+static tetcast_result update(world *w, const tetcast_env *env) {
+    tetcast_transfer_desc td;
+    tetcast_optics_desc d;
+    tetcast_transfer *t = NULL;
+    tetcast_optics *o = NULL;
+    tetcast_control_point p[3];
+    tetcast_result r;
+    memset(&td, 0, sizeof td);
+    memset(&d, 0, sizeof d);
+    colours(p, 1.0f);
+    td.env = d.env = *env;
+    td.points = p;
+    td.point_count = 3;
+    r = tetcast_transfer_create(&td, &t);
+    if (r == TETCAST_OK) {
+        d.integrator = TETCAST_INTEGRATOR_TABLE_3D;
+        d.table_values = 16;
+        d.table_lengths = 8;
+        d.longest = 2;
+        r = tetcast_optics_update(w->table, t, &d, &o);
+        CHECK((r == TETCAST_OK) == (o != NULL));
+    } else CHECK(t == NULL);
+    tetcast_optics_destroy(o);
+    tetcast_transfer_destroy(t);
+    return r;
+}
+
+static tetcast_result surface(world *w, const tetcast_env *env) {
+    tetcast_surface_desc d;
+    tetcast_surface s;
+    tetcast_result r;
+    memset(&d, 0, sizeof d);
+    d.env = *env;
+    d.isovalue = 0.5f;
+    d.normals = d.cells = 1;
+    r = tetcast_isosurface(&d, w->mesh, &s);
+    CHECK(r == TETCAST_OK ? s.triangle_count > 100 && s.normals != NULL && s.cells != NULL : s.positions == NULL && s.indices == NULL);
+    tetcast_surface_free(&s);
+    return r;
+}
+
+static tetcast_result resampled(world *w, const tetcast_env *env) {
+    tetcast_resample_desc d;
+    tetcast_lattice l;
+    memset(&d, 0, sizeof d);
+    d.env = *env;
+    d.extend = 1;
+    CHECK_EQ_U64(tetcast_lattice_fit(w->mesh, 9, &l), TETCAST_OK);
+    return tetcast_resample(&d, w->mesh, &l, w->out, NULL);
+}
+
+static tetcast_plane middle_plane(void) {
+    tetcast_plane p;
+    memset(&p, 0, sizeof p);
+    p.origin[2] = 1.37;
+    p.u[0] = p.v[1] = 3;
+    p.u[2] = 0.2;
+    return p;
+}
+
+static tetcast_result plane_values(world *w, const tetcast_env *env) {
+    const tetcast_plane p = middle_plane();
+    return tetcast_plane_sample(env, w->mesh, &p, SIDE, SIDE, w->out);
+}
+
+static tetcast_result section(world *w, const tetcast_env *env) {
+    const tetcast_plane p = middle_plane();
+    tetcast_section s;
+    const tetcast_result r = tetcast_plane_section(env, w->mesh, &p, &s);
+    CHECK(r == TETCAST_OK ? s.polygon_count > 20 : s.points == NULL && s.polygon_count == 0);
+    tetcast_section_free(&s);
+    return r;
+}
+
+static tetcast_result bricks(world *w, const tetcast_env *env, int of) {
+    tetcast_bricks_desc d;
+    tetcast_array a;
+    tetcast_bricks *b = NULL;
+    tetcast_result r;
+    memset(&d, 0, sizeof d);
+    memset(&a, 0, sizeof a);
+    d.env = *env;
+    d.log_cells = 3;
+    d.max_error = of == 0 ? 0.05f : 0.4f;
+    d.longest_end = 17;
+    d.checks = 50;
+    a.data = w->grid;
+    r = of == 0 ? tetcast_bricks_create_grid(&d, &w->lattice, &a, NULL, &b) :
+        of == 1 ? tetcast_bricks_create_mesh(&d, w->mesh, NULL, &b) :
+        of == 2 ? tetcast_bricks_create_amr(&d, w->amr, TETCAST_AMR_OCTANT, NULL, &b) :
+                  tetcast_bricks_create_rbf(&d, w->rbf, TETCAST_RBF_CHANNEL_AUTO, 0, NULL, &b);
+    CHECK((r == TETCAST_OK) == (b != NULL));
+    tetcast_bricks_destroy(b);
+    return r;
+}
+static tetcast_result bricks_of_grid(world *w, const tetcast_env *env) { return bricks(w, env, 0); }
+static tetcast_result bricks_of_mesh(world *w, const tetcast_env *env) { return bricks(w, env, 1); }
+static tetcast_result bricks_of_amr(world *w, const tetcast_env *env) { return bricks(w, env, 2); }
+static tetcast_result bricks_of_rbf(world *w, const tetcast_env *env) { return bricks(w, env, 3); }
+
+static tetcast_result amr(world *w, const tetcast_env *env) {
+    tetcast_patch patch[2];
+    tetcast_amr_desc d = amr_desc(w, patch);
+    tetcast_amr *m = NULL;
+    tetcast_result r;
+    d.env = *env;
+    r = tetcast_amr_create(&d, &m);
+    CHECK((r == TETCAST_OK) == (m != NULL));
+    tetcast_amr_destroy(m);
+    return r;
+}
+
+static tetcast_result read_bricks(world *w, const tetcast_env *env) {
+    const size_t size = tetcast_bricks_file_size(w->hull_bricks);
+    tetcast_bricks *b = NULL;
+    tetcast_result r;
+    CHECK(size <= FILE_ROOM);
+    if (size > FILE_ROOM) return TETCAST_OK;
+    CHECK_EQ_U64(tetcast_bricks_write(w->hull_bricks, w->file, size), TETCAST_OK);
+    r = tetcast_bricks_read(env, w->file, size, &b);
+    CHECK((r == TETCAST_OK) == (b != NULL));
+    tetcast_bricks_destroy(b);
+    return r;
+}
+
+static tetcast_result cut(world *w, const tetcast_env *env) {
+    tetcast_cut_desc d;
+    tetcast_cut *c = NULL;
+    tetcast_result r;
+    memset(&d, 0, sizeof d);
+    d.env = *env;
+    d.byte_budget = 1 << 20;
+    d.max_jump = 1;
+    d.optics = w->optics;
+    r = tetcast_cut_create(&d, w->hull_bricks, &c);
+    CHECK((r == TETCAST_OK) == (c != NULL));
+    tetcast_cut_destroy(c);
+    return r;
+}
+
+/* A plane and a closed body, made with env's memory; NULL where there is none. */
+static tetcast_clip *make_clip(const tetcast_env *env, tetcast_result *r) {
+    static const double corner[4][3] = {{0.5, 0.5, 0.5}, {4, 0.5, 0.5}, {0.5, 4, 0.5}, {0.5, 0.5, 4}};
+    static const uint32_t index[12] = {0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3};
+    const tetcast_clip_plane plane = {{1, 0, 0}, 0.7};
+    tetcast_clip_body body;
+    tetcast_clip_desc d;
+    tetcast_clip *c = NULL;
+    memset(&d, 0, sizeof d);
+    memset(&body, 0, sizeof body);
+    body.points = corner;
+    body.point_count = 4;
+    body.indices = index;
+    body.triangle_count = 4;
+    d.env = *env;
+    d.planes = &plane;
+    d.plane_count = d.body_count = 1;
+    d.bodies = &body;
+    *r = tetcast_clip_create(&d, &c);
+    CHECK((*r == TETCAST_OK) == (c != NULL));
+    return c;
+}
+
+static tetcast_result clip(world *w, const tetcast_env *env) {
+    tetcast_result r;
+    tetcast_clip *c = make_clip(env, &r);
+    (void)w;
+    if (c != NULL) {
+        tetcast_ray ray;
+        double span[4][2];
+        uint32_t n;
+        memset(&ray, 0, sizeof ray);
+        ray.org[1] = ray.org[2] = 1.0;
+        ray.dir[0] = 1;
+        ray.t_max = 1e9;
+        n = tetcast_clip_spans(c, &ray, span, 4);
+        if (n == TETCAST_NONE) r = TETCAST_ERR_NO_MEMORY;
+        else CHECK(n == 1 && fabs(span[0][0] - 0.7) < 1e-9 && fabs(span[0][1] - 3) < 1e-9);
+    }
+    tetcast_clip_destroy(c);
+    return r;
+}
+
+static void shade(void *user, const tetcast_packet *in, float rgba[4][8]) {
+    int i, c;
+    (void)user;
+    for (i = 0; i < 8; i++) {
+        const float a = in->mask >> i & 1u ? 0.3f * in->length[i] / (1 + in->length[i]) : 0;
+        for (c = 0; c < 3; c++) rgba[c][i] = a * 0.5f;
+        rgba[3][i] = a;
+    }
+}
+
+static tetcast_result shaded_picture(world *w, const tetcast_env *env, int of) {
+    tetcast_shader s;
+    tetcast_result r;
+    tetcast_clip *c = make_clip(env, &r);
+    memset(&s, 0, sizeof s);
+    s.needs = TETCAST_NEED_GRADIENT | TETCAST_NEED_POSITION;
+    s.shade_fn = shade;
+    if (c == NULL) return r;
+    if (of == 0) {
+        tetcast_shade_desc d;
+        memset(&d, 0, sizeof d);
+        d.env = *env;
+        d.clip = c;
+        d.shader = &s;
+        r = tetcast_render_shaded(&d, w->mesh, NULL, &w->image, NULL);
+    } else {
+        tetcast_brick_render_desc d;
+        memset(&d, 0, sizeof d);
+        d.env = *env;
+        d.clip = c;
+        d.shader = of == 1 ? &s : NULL;
+        r = tetcast_render_bricks(&d, w->cut, w->optics, &w->image, NULL);
+    }
+    tetcast_clip_destroy(c);
+    return r;
+}
+static tetcast_result shaded_mesh(world *w, const tetcast_env *env) { return shaded_picture(w, env, 0); }
+static tetcast_result shaded_bricks(world *w, const tetcast_env *env) { return shaded_picture(w, env, 1); }
+static tetcast_result brick_picture(world *w, const tetcast_env *env) { return shaded_picture(w, env, 2); }
+
+static tetcast_result picture(world *w, const tetcast_env *env, tetcast_method method, int rays) {
+    tetcast_render_desc d;
+    memset(&d, 0, sizeof d);
+    d.env = *env;
+    d.method = method;
+    if (rays) {
+        static tetcast_ray_result result[SIDE];
+        tetcast_ray ray[SIDE];
+        tetcast_camera camera;
+        double box[2][3] = {{0, 0, 0}, {3, 3, 3}};
+        uint32_t i;
+        memset(&camera, 0, sizeof camera);
+        memset(ray, 0, sizeof ray);
+        CHECK_EQ_U64(tetcast_camera_fit(&camera, box[0], box[1], NULL, SIDE, SIDE), TETCAST_OK);
+        for (i = 0; i < SIDE; i++) CHECK_EQ_U64(tetcast_camera_ray(&camera, SIDE, SIDE, i + 0.5, SIDE / 2, &ray[i]), TETCAST_OK);
+        return tetcast_cast(&d, w->mesh, w->optics, ray, SIDE, result, NULL);
+    }
+    return tetcast_render(&d, w->mesh, w->optics, &w->image, NULL);
+}
+static tetcast_result walked(world *w, const tetcast_env *env) { return picture(w, env, TETCAST_METHOD_WALK, 0); }
+static tetcast_result projected(world *w, const tetcast_env *env) { return picture(w, env, TETCAST_METHOD_PROJECT, 0); }
+static tetcast_result rays(world *w, const tetcast_env *env) { return picture(w, env, TETCAST_METHOD_WALK, 1); }
+
+static tetcast_result rbf(world *w, const tetcast_env *env) {
+    tetcast_rbf_function f[40];
+    tetcast_rbf_desc d = functions_desc(f, 1);
+    tetcast_rbf_eval_desc e;
+    tetcast_rbf *m = NULL;
+    tetcast_result r;
+    float slope[POINTS * 3];
+    static const uint32_t dims[3] = {3, 4, 5};
+    memset(&e, 0, sizeof e);
+    d.env = e.env = *env;
+    r = tetcast_rbf_create(&d, &m);
+    CHECK((r == TETCAST_OK) == (m != NULL));
+    if (r == TETCAST_OK) r = tetcast_rbf_eval(&e, m, w->points[0], POINTS, w->out, slope);
+    if (r == TETCAST_OK) r = tetcast_rbf_grid(&e, m, dims, w->out);
+    tetcast_rbf_destroy(m);
+    return r;
+}
+
+static tetcast_result rbf_picture(world *w, const tetcast_env *env) {
+    tetcast_rbf_render_desc d;
+    memset(&d, 0, sizeof d);
+    d.env = *env;
+    return tetcast_rbf_render(&d, w->rbf, w->optics, &w->image, NULL);
+}
+
+/* ---- all of them ---- */
+
+static const struct call { const char *name; tetcast_result (*run)(world *w, const tetcast_env *env); uint32_t least; } call[] = {
+    {"mesh of a grid", grid_mesh, 10}, {"optics", update, 3}, {"isosurface", surface, 3}, {"resample", resampled, 1}, {"plane", plane_values, 1},
+    {"section", section, 3}, {"bricks of a grid", bricks_of_grid, 3}, {"bricks of a mesh", bricks_of_mesh, 5}, {"bricks of refined cells", bricks_of_amr, 3},
+    {"bricks of functions", bricks_of_rbf, 3}, {"refined cells", amr, 3}, {"file of bricks", read_bricks, 3}, {"cut", cut, 3}, {"clip", clip, 2},
+    {"shaded mesh", shaded_mesh, 2}, {"shaded bricks", shaded_bricks, 2}, {"picture of bricks", brick_picture, 2}, {"picture by walking", walked, 1},
+    {"picture by projecting", projected, 3}, {"rays", rays, 1}, {"functions", rbf, 3}, {"picture of functions", rbf_picture, 1}
+};
+
+TEST(every_request_refused) {
+    enum { CALLS = sizeof call / sizeof call[0] };
+    static world w;
+    uint32_t i, threads;
+    world_open(&w);
+    for (i = 0; i < CALLS; i++)
+        for (threads = 1; threads <= 2; threads++) {
+            int64_t k, refused = 0;
+            int all, done = 0;
+            for (k = 0; !done && k < 3000; k++)
+                for (all = 0; all < 2 && !done; all++) {
+                    test_alloc ta;
+                    tetcast_env env;
+                    tetcast_error error;
+                    tetcast_result r;
+                    test_alloc_init(&ta);
+                    memset(&env, 0, sizeof env);
+                    memset(&error, 0, sizeof error);
+                    ta.fail_at = k;
+                    ta.fail_after = all;
+                    env.allocator.alloc_fn = test_alloc_fn;
+                    env.allocator.free_fn = test_free_fn;
+                    env.allocator.user = &ta;
+                    env.thread_count = threads;
+                    env.error = &error;
+                    r = call[i].run(&w, &env);
+                    /* some do with less: a thread fewer, no shortcut */
+                    CHECK_MSG(r == TETCAST_OK || (r == TETCAST_ERR_NO_MEMORY && ta.failed > 0), "%s, request %d: %s, %d refused", call[i].name, (int)k,
+                              tetcast_result_string(r), (int)ta.failed);
+                    refused += r != TETCAST_OK;
+                    done = ta.failed == 0;
+                    CHECK(!done || r == TETCAST_OK);
+                    CHECK_MSG(ta.live_blocks == 0 && ta.errors == 0, "%s, request %d: %d blocks left", call[i].name, (int)k, (int)ta.live_blocks);
+                }
+            if (test_g.verbose) printf("%s, %u threads: %d requests\n", call[i].name, threads, (int)k - 1);
+            CHECK_MSG(done && refused >= (int64_t)call[i].least, "%s: %d refused", call[i].name, (int)refused);
+        }
+    world_close(&w);
+}
+
+/* ---- outputs ---- */
+
+TEST(functions_come_back) { /* values on a grid are those at its nodes; functions are those that were given, in another order */
+    static const uint32_t dims[2][3] = {{5, 4, 7}, {1, 3, 2}};
+    tetcast_rbf_function f[40], got;
+    int seen[40];
+    uint32_t components, g, i, j, k, n;
+    for (components = 1; components <= 3; components += 2) {
+        tetcast_rbf_desc d = functions_desc(f, components);
+        tetcast_rbf *m = NULL;
+        CHECK_EQ_U64(tetcast_rbf_create(&d, &m), TETCAST_OK);
+        REQUIRE(m != NULL);
+        for (g = 0; g < 2; g++) {
+            float grid[5 * 4 * 7 * 3], one[3];
+            CHECK_EQ_U64(tetcast_rbf_grid(NULL, m, dims[g], grid), TETCAST_OK);
+            for (n = k = 0; k < dims[g][2]; k++)
+                for (j = 0; j < dims[g][1]; j++)
+                    for (i = 0; i < dims[g][0]; i++, n += components) {
+                        const uint32_t at[3] = {i, j, k};
+                        double p[3];
+                        int a;
+                        for (a = 0; a < 3; a++) p[a] = dims[g][a] > 1 ? at[a] / (dims[g][a] - 1.0) : 0.5;
+                        CHECK_EQ_U64(tetcast_rbf_eval(NULL, m, p, 1, one, NULL), TETCAST_OK);
+                        for (a = 0; a < (int)components; a++) CHECK_NEAR(grid[n + (uint32_t)a], one[a], 1e-5);
+                    }
+        }
+        memset(seen, 0, sizeof seen);
+        for (i = 0; i < 40; i++) {
+            CHECK(tetcast_rbf_get_function(m, i, &got));
+            for (j = 0; j < 40; j++) {
+                double off = fabs(got.width - f[j].width);
+                int a;
+                for (a = 0; a < 3; a++) off += fabs(got.centre[a] - f[j].centre[a]);
+                if (off > 1e-5) continue;
+                seen[j]++;
+                for (a = 0; a < (int)components; a++) CHECK(got.weight[a] == f[j].weight[a]);
+                CHECK_NEAR(got.stretch, f[j].stretch > 0 ? f[j].stretch : 1, 1e-6);
+                if (f[j].stretch > 0) { /* the same line */
+                    double dot = 0, u = 0, v = 0;
+                    for (a = 0; a < 3; a++) {
+                        dot += got.axis[a] * f[j].axis[a];
+                        u += got.axis[a] * got.axis[a];
+                        v += f[j].axis[a] * f[j].axis[a];
+                    }
+                    CHECK_NEAR(dot * dot, u * v, 1e-5 * u * v);
+                }
+            }
+        }
+        for (j = 0; j < 40; j++) CHECK(seen[j] == 1);
+        CHECK(!tetcast_rbf_get_function(m, 40, &got) && !tetcast_rbf_get_function(NULL, 0, &got) && !tetcast_rbf_get_function(m, 0, NULL));
+        tetcast_rbf_destroy(m);
+    }
+}
+
+/* Every buffer of a picture against its floats, what is counted against the picture, and limits at which nothing or all is seen. */
+TEST(pictures_in_all_buffers) {
+    static world w;
+    uint32_t way, i;
+    world_open(&w);
+    for (way = 0; way < 4; way++) { /* bricks, functions, tetrahedra by a shader, by optics that are a surface */
+        uint32_t pass;
+        static uint8_t all8[SIDE * SIDE * 4];
+        static float all[SIDE * SIDE * 4];
+        for (pass = 0; pass < 3; pass++) { /* no limit; one behind everything; one before it */
+            tetcast_render_stats stats;
+            uint64_t hits = 0, steps = 0, sum = 0;
+            for (i = 0; i < SIDE * SIDE; i++) w.limit[i] = pass == 2 ? 1e-3f : 1e6f;
+            memset(&stats, 0, sizeof stats);
+            memset(w.rgba8, 1, sizeof w.rgba8);
+            if (way == 0) {
+                tetcast_brick_render_desc d;
+                memset(&d, 0, sizeof d);
+                d.limit = pass > 0 ? w.limit : NULL;
+                CHECK_EQ_U64(tetcast_render_bricks(&d, w.cut, w.optics, &w.image, &stats), TETCAST_OK);
+            } else if (way == 1) {
+                tetcast_rbf_render_desc d;
+                tetcast_rbf_render_stats rs;
+                if (pass > 0) break;
+                memset(&d, 0, sizeof d);
+                memset(&rs, 0, sizeof rs);
+                CHECK_EQ_U64(tetcast_rbf_render(&d, w.rbf, w.optics, &w.image, &rs), TETCAST_OK);
+                stats.rays = rs.rays;
+                stats.hit_rays = rs.hit_rays;
+                CHECK(rs.samples > 0 && rs.evaluations > 0 && rs.step > 0);
+            } else {
+                tetcast_shade_desc d;
+                memset(&d, 0, sizeof d);
+                d.limit = pass > 0 ? w.limit : NULL;
+                CHECK_EQ_U64(tetcast_render_shaded(&d, w.mesh, way == 2 ? w.optics : w.surface, &w.image, &stats), TETCAST_OK);
+            }
+            for (i = 0; i < SIDE * SIDE; i++) {
+                const float *c = w.rgba + 4 * i;
+                const uint8_t *b = w.rgba8 + 4 * i;
+                int a;
+                hits += w.steps[i] != 0;
+                steps += w.steps[i];
+                CHECK(c[3] >= 0 && c[3] <= 1.00001f && (w.depth[i] < INFINITY) == (c[3] > 0));
+                CHECK(fabs((double)b[3] - 255 * (double)c[3]) < 0.51);
+                for (a = 0; a < 3 && c[3] > 0; a++) { /* sRGB of the colour without its opacity */
+                    const double x = fmin(1, (double)c[a] / (double)c[3]);
+                    const double want = 255 * (x <= 0.0031308 ? 12.92 * x : 1.055 * pow(x, 1 / 2.4) - 0.055);
+                    CHECK_MSG(fabs((double)b[a] - want) < 0.6, "way %u pass %u: byte %u for %g", way, pass, b[a], want);
+                }
+                sum += b[3];
+            }
+            CHECK_EQ_U64(stats.rays, SIDE * SIDE);
+            if (way != 1) CHECK_EQ_U64(stats.steps, steps);
+            if (pass < 2) CHECK_MSG(stats.hit_rays > SIDE * SIDE / 8 && (way == 1 || hits <= stats.hit_rays) && sum > 1000, "way %u: %u rays, sum %u", way,
+                                    (uint32_t)stats.hit_rays, (uint32_t)sum);
+            if (pass == 0) {
+                memcpy(all8, w.rgba8, sizeof all8);
+                memcpy(all, w.rgba, sizeof all);
+            } else if (pass == 1) CHECK(memcmp(all8, w.rgba8, sizeof all8) == 0 && memcmp(all, w.rgba, sizeof all) == 0);
+            else CHECK_EQ_U64(sum, 0);
+        }
+    }
+    world_close(&w);
+}
+
+TEST(names) {
+    tetcast_report report;
+    static world w;
+    int i, k;
+#define NAME(id, value, text) CHECK(strcmp(tetcast_result_string((tetcast_result)value), text) == 0);
+    TETCAST_RESULT_LIST(NAME)
+#undef NAME
+    CHECK(strcmp(tetcast_result_string((tetcast_result)1234), "unknown result") == 0);
+    for (i = 0; i <= TETCAST_ISA_AVX512; i++)
+        for (k = 0; k < i; k++) CHECK(strcmp(tetcast_isa_name((tetcast_isa)i), tetcast_isa_name((tetcast_isa)k)) != 0);
+    CHECK(strcmp(tetcast_isa_name((tetcast_isa)99), "unknown") == 0);
+    CHECK_EQ_U64(tetcast_version(), TETCAST_VERSION);
+    world_open(&w);
+    tetcast_mesh_get_report(w.mesh, &report);
+    CHECK(report.hull_faces == 6 * 9 * 2 && report.first_bad_index == TETCAST_NONE);
+    tetcast_mesh_get_report(NULL, &report);
+    CHECK(report.hull_faces == 0 && report.first_bad_index == TETCAST_NONE);
+    world_close(&w);
+}
+
+int main(int argc, char **argv) {
+    test_begin(argc, argv);
+    RUN(every_request_refused);
+    RUN(functions_come_back);
+    RUN(pictures_in_all_buffers);
+    RUN(names);
+    return test_end();
+}
