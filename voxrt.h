@@ -849,7 +849,7 @@ typedef struct voxrt_surface {
 
 /* Anything a ray can hit: octrees, other trees, polygons. The nearest surface wins, all of them cast shadows.
    trace_fn and occluded_fn get 1..64 rays and are called by many threads at once; they add to desc->stats if it is
-   not NULL, and may ignore the other fields. */
+   not NULL, and may ignore the other fields. surfaces come as misses: those of rays that meet nothing may stay so. */
 typedef struct voxrt_geometry {
     void (*trace_fn)(void *user, const voxrt_trace_desc *desc, const voxrt_ray *rays, voxrt_surface *surfaces,
                      size_t count);
@@ -25507,6 +25507,7 @@ static void voxrti_task_gbuffer(void *ctx, uint32_t tile) {
     size_t pixel[VOXRTI_COLUMN_BATCH];
     uint32_t x, y, i, a, n = 0;
     memset(hit, 0, sizeof hit);
+    memset(ray, 0, sizeof ray);
     for (y = y0; y < y0 + 8 && y < g->height; y++)
         for (x = x0; x < x0 + 8 && x < g->width; x++) {
             const double px = (double)x + 0.5 - 0.5 * (double)g->width, py = 0.5 * (double)g->height - (double)y - 0.5;
@@ -25521,6 +25522,8 @@ static void voxrti_task_gbuffer(void *ctx, uint32_t tile) {
     if (w->geometry != NULL) {
         voxrt_trace_desc d;
         memset(&d, 0, sizeof d);
+        memset(surface, 0, sizeof surface);
+        for (i = 0; i < n; i++) surface[i].t = INFINITY;
         w->geometry->trace_fn(w->geometry->user, &d, ray, surface, n);
     } else {
         voxrti_gi_trace(w->gi, (int)voxrt_isa_best(), NULL, NULL, ray, n, hit, where, NULL, NULL);

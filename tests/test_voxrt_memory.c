@@ -1,0 +1,345 @@
+/* test_voxrt_memory.c - files, pages and volumes with each request for memory refused once and with all from one on:
+   NO_MEMORY, nothing leaks, no file is left half written; buffers for global illumination from geometry; names.
+   SPDX-License-Identifier: MIT OR Unlicense */
+#include "test.h"
+#define VOXRT_IMPLEMENTATION
+#include "../voxrt.h"
+#include "shapes.h"
+
+enum { SIDE = 40 };
+
+typedef struct world {
+    shape s;
+    voxrt_mesh mesh;
+    voxrt_tree *tree;
+    voxrt_octree *octree;
+    const char *tree_file, *octree_file, *paged_file, *fresh;
+} world;
+
+static voxrt_camera camera_at(double x, double y, double z) {
+    voxrt_camera c;
+    memset(&c, 0, sizeof c);
+    c.eye[0] = (float)x;
+    c.eye[1] = (float)y;
+    c.eye[2] = (float)z;
+    c.fov_y = 40;
+    return c;
+}
+
+static void world_open(world *w) {
+    voxrt_build_desc d;
+    voxrt_save_desc s;
+    memset(w, 0, sizeof *w);
+    memset(&d, 0, sizeof d);
+    memset(&s, 0, sizeof s);
+    shape_sphere(&w->s, 0, 0, 0, 1, 24);
+    w->mesh.positions = w->s.p;
+    w->mesh.vertex_count = w->s.vertices;
+    w->mesh.indices = w->s.t;
+    w->mesh.triangle_count = w->s.triangles;
+    w->mesh.normals = w->s.normal;
+    d.resolution = 64;
+    d.env.thread_count = 1;
+    CHECK(voxrt_tree_build(&d, &w->mesh, NULL, &w->tree) == VOXRT_OK);
+    CHECK(voxrt_octree_from_tree(NULL, w->tree, &w->octree) == VOXRT_OK);
+    w->tree_file = test_temp_path(".vox");
+    w->octree_file = test_temp_path(".vox");
+    w->paged_file = test_temp_path(".vox");
+    w->fresh = test_temp_path(".vox");
+    CHECK(voxrt_tree_save_file(w->tree, NULL, w->tree_file) == VOXRT_OK);
+    CHECK(voxrt_octree_save_file(w->octree, NULL, w->octree_file) == VOXRT_OK);
+    s.encoding = VOXRT_ENCODING_PAGED;
+    CHECK(voxrt_tree_save_file(w->tree, &s, w->paged_file) == VOXRT_OK);
+}
+
+static void world_close(world *w) {
+    voxrt_tree_destroy(w->tree);
+    voxrt_octree_destroy(w->octree);
+    shape_free(&w->s);
+    (void)remove(w->tree_file);
+    (void)remove(w->octree_file);
+    (void)remove(w->paged_file);
+    (void)remove(w->fresh);
+}
+
+/* A file is there as a whole or not at all. */
+static voxrt_result written(const world *w, voxrt_result r, const char *like) {
+    size_t size = 0, want = 0;
+    uint8_t *p = test_read_file(w->fresh, &size), *q = like != NULL ? test_read_file(like, &want) : NULL;
+    CHECK((r == VOXRT_OK) == (p != NULL));
+    if (p != NULL && q != NULL) CHECK(size == want && memcmp(p, q, size) == 0);
+    free(p);
+    free(q);
+    (void)remove(w->fresh);
+    return r;
+}
+
+static voxrt_result save_tree(world *w, const voxrt_env *env) {
+    voxrt_save_desc d;
+    memset(&d, 0, sizeof d);
+    d.env = *env;
+    return written(w, voxrt_tree_save_file(w->tree, &d, w->fresh), w->tree_file);
+}
+
+static voxrt_result load_tree(world *w, const voxrt_env *env) {
+    voxrt_load_desc d;
+    voxrt_tree *t = NULL;
+    voxrt_result r;
+    memset(&d, 0, sizeof d);
+    d.env = *env;
+    r = voxrt_tree_load_file(&d, w->tree_file, &t);
+    CHECK((r == VOXRT_OK) == (t != NULL));
+    voxrt_tree_destroy(t);
+    return r;
+}
+
+static voxrt_result save_octree(world *w, const voxrt_env *env) {
+    return written(w, voxrt_octree_save_file(w->octree, env, w->fresh), w->octree_file);
+}
+
+static voxrt_result load_octree(world *w, const voxrt_env *env) {
+    voxrt_octree_desc d;
+    voxrt_octree *t = NULL;
+    voxrt_result r;
+    memset(&d, 0, sizeof d);
+    d.env = *env;
+    r = voxrt_octree_load_file(&d, w->octree_file, &t);
+    CHECK((r == VOXRT_OK) == (t != NULL));
+    voxrt_octree_destroy(t);
+    return r;
+}
+
+static voxrt_result save_pages(world *w, const voxrt_env *env) {
+    voxrt_save_desc d;
+    memset(&d, 0, sizeof d);
+    d.env = *env;
+    d.encoding = VOXRT_ENCODING_PAGED;
+    return written(w, voxrt_tree_save_file(w->tree, &d, w->fresh), w->paged_file);
+}
+
+static voxrt_result build_pages(world *w, const voxrt_env *env) {
+    voxrt_build_desc d;
+    memset(&d, 0, sizeof d);
+    d.env = *env;
+    d.resolution = 64;
+    return written(w, voxrt_paged_build_file(&d, &w->mesh, w->fresh, NULL), NULL);
+}
+
+static voxrt_result draw_pages(world *w, const voxrt_env *env) {
+    static float depth[SIDE * SIDE], exact[SIDE * SIDE];
+    voxrt_paged_desc d;
+    voxrt_render_desc rd;
+    voxrt_geometry g;
+    voxrt_image image;
+    voxrt_paged *p = NULL;
+    voxrt_result r;
+    int i;
+    memset(&d, 0, sizeof d);
+    memset(&rd, 0, sizeof rd);
+    memset(&image, 0, sizeof image);
+    d.env = *env;
+    r = voxrt_paged_open_file(&d, w->paged_file, &p);
+    CHECK((r == VOXRT_OK) == (p != NULL));
+    if (p == NULL) return r;
+    voxrt_paged_geometry(p, &g);
+    rd.env.thread_count = 1;
+    rd.camera = camera_at(3, 2, 4);
+    image.width = image.height = SIDE;
+    image.depth = exact;
+    CHECK(voxrt_render(&rd, w->tree, &image, NULL) == VOXRT_OK);
+    rd.geometry = &g;
+    rd.geometry_count = 1;
+    for (i = 0; i < 20 && r == VOXRT_OK; i++) {
+        voxrt_paged_update_stats u;
+        image.depth = depth;
+        CHECK(voxrt_render(&rd, NULL, &image, NULL) == VOXRT_OK);
+        r = voxrt_paged_update(p, 0, &u);
+        if (r == VOXRT_OK && u.wanted == 0) break;
+    }
+    CHECK(i < 20);
+    for (i = 0; i < SIDE * SIDE && r == VOXRT_OK; i++) CHECK(depth[i] <= exact[i] * 1.00001f);
+    if (r == VOXRT_OK) CHECK(memcmp(depth, exact, sizeof depth) == 0);
+    voxrt_paged_destroy(p);
+    return r;
+}
+
+/* Points and meshes in columns, a scene, its light. */
+static voxrt_result points(world *w, const voxrt_env *env) {
+    voxrt_columns_desc d;
+    voxrt_columns_insert_desc in;
+    voxrt_columns *c = NULL;
+    voxrt_result r;
+    int a;
+    memset(&d, 0, sizeof d);
+    memset(&in, 0, sizeof in);
+    d.env = *env;
+    in.env.thread_count = env->thread_count;
+    d.size_x = d.size_y = d.size_z = 64;
+    for (a = 0; a < 3; a++) {
+        d.box_min[a] = -1.2;
+        d.box_max[a] = 1.2;
+    }
+    r = voxrt_columns_create(&d, &c);
+    if (r == VOXRT_OK) r = voxrt_columns_insert_points(c, &in, w->s.p, 12, w->s.vertices, NULL);
+    if (r == VOXRT_OK) r = voxrt_columns_insert(c, &in, &w->mesh, NULL);
+    if (r == VOXRT_OK) voxrt_columns_update(c);
+    voxrt_columns_destroy(c);
+    return r;
+}
+
+static voxrt_result scene_of(world *w, const voxrt_env *env, voxrt_gi **out) {
+    voxrt_gi_desc d;
+    voxrt_gi_object o;
+    voxrt_gi_light l;
+    double centre[3] = {0.3, 0, 0};
+    voxrt_result r;
+    int a;
+    memset(&d, 0, sizeof d);
+    memset(&o, 0, sizeof o);
+    memset(&l, 0, sizeof l);
+    d.env = *env;
+    d.columns.size_x = d.columns.size_y = d.columns.size_z = 64;
+    for (a = 0; a < 3; a++) {
+        d.columns.box_min[a] = -1.3;
+        d.columns.box_max[a] = 1.3;
+        o.material.albedo[a] = 0.5f;
+        l.color[a] = 1;
+    }
+    d.nested = 2;
+    o.mesh = w->mesh;
+    l.position[1] = 1.2f;
+    l.position[2] = 1.2f;
+    r = voxrt_gi_create(&d, out);
+    if (r == VOXRT_OK) r = voxrt_gi_add(*out, &o, NULL);
+    if (r == VOXRT_OK) r = voxrt_gi_set_lights(*out, &l, 1);
+    if (r == VOXRT_OK) r = voxrt_gi_update(*out, NULL);
+    if (r == VOXRT_OK) r = voxrt_gi_follow(*out, centre, NULL);
+    if (r == VOXRT_OK) r = voxrt_gi_update(*out, NULL);
+    return r;
+}
+
+static voxrt_result scene(world *w, const voxrt_env *env) {
+    voxrt_gi *gi = NULL;
+    voxrt_result r = scene_of(w, env, &gi);
+    voxrt_gi_destroy(gi);
+    return r;
+}
+
+static const struct call { const char *name; voxrt_result (*run)(world *w, const voxrt_env *env); uint32_t least; } call[] = {
+    {"save a tree", save_tree, 3}, {"load a tree", load_tree, 3}, {"save an octree", save_octree, 1}, {"load an octree", load_octree, 2},
+    {"save pages", save_pages, 3}, {"build pages", build_pages, 5}, {"draw pages", draw_pages, 3}, {"points", points, 3}, {"scene", scene, 5}
+};
+
+TEST(every_request_refused) {
+    world w;
+    uint32_t i, threads;
+    world_open(&w);
+    for (i = 0; i < sizeof call / sizeof call[0]; i++)
+        for (threads = 1; threads <= 2; threads++) {
+            int64_t k, refused = 0;
+            int all, done = 0;
+            for (k = 0; !done && k < 100000; k += k < 100 ? 1 : 1 + k / 8)
+                for (all = 0; all < 2 && !done; all++) {
+                    test_alloc ta;
+                    voxrt_env env;
+                    voxrt_result r;
+                    test_alloc_init(&ta);
+                    memset(&env, 0, sizeof env);
+                    ta.fail_at = k;
+                    ta.fail_after = all;
+                    env.allocator.alloc_fn = test_alloc_fn;
+                    env.allocator.free_fn = test_free_fn;
+                    env.allocator.user = &ta;
+                    env.thread_count = threads;
+                    r = call[i].run(&w, &env);
+                    CHECK_MSG(r == VOXRT_OK || (r == VOXRT_ERR_NO_MEMORY && ta.failed > 0), "%s, request %d: %s, %d refused", call[i].name, (int)k,
+                              voxrt_result_string(r), (int)ta.failed);
+                    refused += r != VOXRT_OK;
+                    done = ta.failed == 0;
+                    CHECK(!done || r == VOXRT_OK);
+                    CHECK_MSG(ta.live_blocks == 0 && ta.errors == 0, "%s, request %d: %d blocks left", call[i].name, (int)k, (int)ta.live_blocks);
+                }
+            if (test_g.verbose) printf("%s, %u threads: %d requests\n", call[i].name, threads, (int)k - 1);
+            CHECK_MSG(done && refused >= (int64_t)call[i].least, "%s: %d refused", call[i].name, (int)refused);
+        }
+    world_close(&w);
+}
+
+/* What a tree or an octree gives to global illumination: places on the sphere, its normals, its colour. */
+TEST(buffers_from_geometry) {
+    static float position[SIDE * SIDE][3], normal[SIDE * SIDE][3], albedo[SIDE * SIDE][3], specular[SIDE * SIDE][4], emission[SIDE * SIDE][3],
+        before[SIDE * SIDE][3];
+    const voxrt_camera c = camera_at(2, 1.5, 3);
+    voxrt_gbuffer g;
+    world w;
+    voxrt_gi *gi = NULL;
+    voxrt_env env;
+    int way;
+    memset(&g, 0, sizeof g);
+    memset(&env, 0, sizeof env);
+    g.width = g.height = SIDE;
+    g.position = position[0];
+    g.normal = normal[0];
+    g.albedo = albedo[0];
+    g.specular = specular[0];
+    g.emission = emission[0];
+    g.before = before[0];
+    world_open(&w);
+    CHECK(scene_of(&w, &env, &gi) == VOXRT_OK);
+    for (way = 0; way < 3; way++) {
+        voxrt_geometry from;
+        double worst = 0, off = 0;
+        int i, a, hits = 0;
+        memset(specular, 1, sizeof specular);
+        memset(emission, 1, sizeof emission);
+        if (way == 0) voxrt_tree_geometry(w.tree, &from);
+        if (way == 1) voxrt_octree_geometry(w.octree, &from);
+        CHECK((way < 2 ? voxrt_gbuffer_from_geometry(NULL, &c, &from, &g) : voxrt_gbuffer_from_gi(NULL, &c, gi, &g)) == VOXRT_OK);
+        for (i = 0; i < SIDE * SIDE; i++) {
+            double n = 0, radius = 0, dot = 0;
+            float rest = 0;
+            for (a = 0; a < 3; a++) {
+                n += (double)normal[i][a] * (double)normal[i][a];
+                radius += (double)position[i][a] * (double)position[i][a];
+                dot += (double)position[i][a] * (double)normal[i][a];
+                rest += fabsf(specular[i][a]) + fabsf(emission[i][a]) + fabsf(before[i][a] - position[i][a]);
+            }
+            CHECK(rest <= 0);
+            if (n < 0.5) {
+                CHECK(radius <= 0);
+                continue;
+            }
+            CHECK_NEAR(n, 1, 1e-4);
+            worst = fmax(worst, fabs(sqrt(radius) - 1));
+            off += 1 - dot / sqrt(radius);
+            hits++;
+        }
+        CHECK_MSG(hits > SIDE * SIDE / 4 && worst < (way < 2 ? 2 * 0.0554 : 2 * 0.141), "way %d: %d hits, %g off", way, hits, worst);
+        CHECK_MSG(off < 0.02 * hits, "way %d: normals %g off", way, off / hits);
+    }
+    CHECK(voxrt_gbuffer_from_geometry(NULL, &c, NULL, &g) == VOXRT_ERR_INVALID_ARG);
+    g.albedo = NULL;
+    CHECK(voxrt_gbuffer_from_gi(NULL, &c, gi, &g) == VOXRT_ERR_INVALID_ARG);
+    voxrt_gi_destroy(gi);
+    world_close(&w);
+}
+
+TEST(names) {
+    int i, k;
+#define NAME(id, value, text) CHECK(strcmp(voxrt_result_string((voxrt_result)value), text) == 0);
+    VOXRT_RESULT_LIST(NAME)
+#undef NAME
+    CHECK(strcmp(voxrt_result_string((voxrt_result)1234), "unknown result") == 0);
+    for (i = 0; i <= VOXRT_ISA_AVX512; i++)
+        for (k = 0; k < i; k++) CHECK(strcmp(voxrt_isa_name((voxrt_isa)i), voxrt_isa_name((voxrt_isa)k)) != 0);
+    CHECK(strcmp(voxrt_isa_name((voxrt_isa)99), "unknown") == 0);
+    CHECK(voxrt_version() == VOXRT_VERSION);
+}
+
+int main(int argc, char **argv) {
+    test_begin(argc, argv);
+    RUN(every_request_refused);
+    RUN(buffers_from_geometry);
+    RUN(names);
+    return test_end();
+}
