@@ -2104,6 +2104,7 @@ TEST(gi_scenes_that_are_none) { /* every mistake has its line; any cut and any l
         {"voxrt_gi 1\nmaterial m albedo 2 0 0\n", "line 2"}, {"voxrt_gi 1\nknot 1 1 1 1\n", "line 2"},
         {"voxrt_gi 1\npath a\nknot 1 0 0 0\nknot 1 0 0 0\n", "line 4"},
         {"voxrt_gi 1\nobject \"a\n", "quote"}, {"voxrt_gi 1\nobject a scale 0\n", "line 2"}, {"voxrt_gi 1\nobject a frames 3 2 1\n", "line 2"},
+        {"voxrt_gi 1\nobject a frames 0 1.5 1\n", "whole numbers"},
         {"voxrt_gi 1\nobject a color 1e31 0 0\n", "line 2"}, {"voxrt_gi 1\nobject a blue\n", "blue"}, {"voxrt_gi 1\nbox 0 0 0 1 1 0\n", "line 2"},
         {"voxrt_gi 1\nobject a voxels thick\n", "thick"}, {"voxrt_gi 1\nobject a voxels\n", "voxels"}, {"voxrt_gi 1\nobject a spacing 0.001\n", "spacing"},
         {"voxrt_gi 1\ncamera a\nobject b\npath p\n", "knots"}, {"voxrt_gi 1\ncamera a eye 1 2 nan\n", "line 2"},

@@ -259,8 +259,9 @@ SUP_FN int supi_gi_thing_line(sup_gi_scene *s, supi_gi_line *l) {
     if (o->path >= 0 || o->spin[0] != 0.0 || o->spin[1] != 0.0 || o->spin[2] != 0.0) o->moving = 1;
     if (!(o->scale > 0.0)) return supi_gi_fail(l, "scale is not above 0", SUP_GI_WORDS);
     if (o->spacing != 0.0 && !(o->spacing >= 0.015625 && o->spacing <= 64.0)) return supi_gi_fail(l, "spacing is not from 1/64 to 64", SUP_GI_WORDS);
-    if (o->has_frames && !(o->frames[0] >= 0.0 && o->frames[1] >= o->frames[0] && o->frames[1] < 1e6 && o->frames[2] > 0.0))
-        return supi_gi_fail(l, "frames: first, last (not before it) and how many a second", SUP_GI_WORDS);
+    if (o->has_frames && !(o->frames[0] >= 0.0 && o->frames[1] >= o->frames[0] && o->frames[1] < 1e6 && o->frames[2] > 0.0 &&
+                           floor(o->frames[0]) == o->frames[0] && floor(o->frames[1]) == o->frames[1]))
+        return supi_gi_fail(l, "frames: first, last (not before it; whole numbers) and how many a second", SUP_GI_WORDS);
     return 0;
 }
 
