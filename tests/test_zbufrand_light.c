@@ -1,0 +1,275 @@
+/* test_zbufrand_light.c - lights of the caller, normals of clouds, and requests for memory of what works without pictures
+   SPDX-License-Identifier: MIT OR Unlicense */
+#include "test.h"
+#define ZBUFRAND_IMPLEMENTATION
+#include "zbufrand.h"
+#include "zbufrand_shapes.h"
+
+enum { W = 120, H = 90, LIGHTS = 6 };
+
+static zbufrand_scene *scene_of(const zbufrand_env *env, const zbufrand_mesh *m, zbufrand_result *r) {
+    zbufrand_scene *s = NULL;
+    zbufrand_scene_desc d;
+    memset(&d, 0, sizeof d);
+    if (env != NULL) d.env = *env;
+    *r = zbufrand_scene_create(&d, &s);
+    if (*r == ZBUFRAND_OK) *r = zbufrand_add_mesh(s, 1, NULL, 0, m, NULL);
+    if (*r == ZBUFRAND_OK) *r = zbufrand_scene_build(s, NULL, NULL);
+    return s;
+}
+
+/* Lambert in doubles: what a white point with this unit normal shows. */
+static void shaded(const zbufrand_render_desc *d, const double p[3], const double n[3], double rgb[3]) {
+    size_t i;
+    int a;
+    for (a = 0; a < 3; a++) rgb[a] = (double)d->ambient[a];
+    for (i = 0; i < d->light_count; i++) {
+        const zbufrand_light *l = &d->lights[i];
+        double to[3], length = 0, c = 0;
+        for (a = 0; a < 3; a++) {
+            to[a] = l->position[a] - (l->directional ? 0 : p[a]);
+            length += to[a] * to[a];
+            c += to[a] * n[a];
+        }
+        for (a = 0; a < 3 && c > 0; a++) rgb[a] += (double)l->color[a] * c / sqrt(length);
+    }
+}
+
+/* A smooth sphere far from the origin, and its points as a cloud with normals: every pixel against Lambert's law, near lights and
+   far ones, from all sides, inside of nothing. */
+TEST(lights) {
+    static float rgba[W * H * 4], depth[W * H], normals[60000 * 3], positions[60000 * 3];
+    static const double away[3] = {100, -50, 20};
+    zbufrand_frame *frame = NULL;
+    zbufrand_frame_desc fd;
+    zbufrand_scene *scene;
+    zbufrand_image image;
+    zbufrand_surface_points_desc pd;
+    zbufrand_result r;
+    zbufrand_mesh m;
+    shape s;
+    test_rng rng = test_rng_make(8);
+    uint32_t way, i, a, k;
+    memset(&s, 0, sizeof s);
+    memset(&fd, 0, sizeof fd);
+    memset(&image, 0, sizeof image);
+    memset(&pd, 0, sizeof pd);
+    shape_sphere(&s, away[0], away[1], away[2], 1, 80);
+    m = mesh_of(&s);
+    m.normals = s.normal;
+    scene = scene_of(NULL, &m, &r);
+    CHECK_EQ_U64(r, ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_frame_create(&fd, &frame), ZBUFRAND_OK);
+    REQUIRE(frame != NULL);
+    pd.vertex_normals = 1;
+    CHECK_EQ_U64(zbufrand_surface_points(scene, &pd, 60000, positions, normals, NULL, NULL), ZBUFRAND_OK);
+    image.width = W;
+    image.height = H;
+    image.rgba = rgba;
+    image.depth = depth;
+    for (way = 0; way < 12; way++) { /* rastered, sampled, a cloud */
+        zbufrand_light light[LIGHTS];
+        zbufrand_render_desc d;
+        zbufrand_points cloud;
+        zbufrandi_camera c;
+        double sum = 0, worst = 0, bright = 0;
+        uint32_t seen = 0;
+        memset(light, 0, sizeof light);
+        memset(&d, 0, sizeof d);
+        memset(&cloud, 0, sizeof cloud);
+        for (i = 0; i < LIGHTS; i++) {
+            light[i].directional = i % 2;
+            for (a = 0; a < 3; a++) {
+                light[i].position[a] = (i % 2 ? 0 : away[a]) + 6 * (test_rng_double(&rng) - 0.5);
+                light[i].color[a] = 0.5f * test_rng_float(&rng);
+            }
+        }
+        light[0].position[0] = away[0] + 1.7;
+        d.lights = light;
+        d.light_count = way == 4 ? 0 : way % 5 + 1;
+        for (a = 0; a < 3; a++) {
+            d.ambient[a] = 0.02f * (float)(a + 1);
+            d.camera.at[a] = away[a];
+            d.camera.eye[a] = away[a] + (a == way % 3 ? 4.0 : 1.0);
+        }
+        d.hybrid = way % 3 == 1 ? ZBUFRAND_HYBRID_OFF : ZBUFRAND_HYBRID_AUTO;
+        if (way % 3 == 2) {
+            cloud.positions = positions;
+            cloud.normals = normals;
+            cloud.count = 60000;
+            d.points = &cloud;
+            d.points_count = 1;
+        }
+        CHECK_EQ_U64(zbufrand_render(frame, &d, way % 3 == 2 ? NULL : scene, &image, NULL), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrandi_camera_open(&d.camera, scene, W, H, 0, &c), ZBUFRAND_OK);
+        for (i = 0; i < W * H; i++) {
+            const double x = ((double)(i % W) + 0.5 - c.center_x) / c.focal, y = (c.center_y - (double)(i / W) - 0.5) / c.focal;
+            double p[3], n[3], want[3], length = 0, facing = 0;
+            if (!(rgba[4 * i + 3] > 0)) continue;
+            for (a = 0; a < 3; a++) {
+                p[a] = c.eye[a] + (double)depth[i] * (c.dir[a] + x * c.right[a] + y * c.up[a]);
+                n[a] = p[a] - away[a];
+                length += n[a] * n[a];
+            }
+            for (a = 0; a < 3; a++) {
+                n[a] /= sqrt(length);
+                facing += n[a] * (c.eye[a] - p[a]) / 3.5;
+            }
+            if (facing < 0.4) continue; /* at the rim a pixel shows a wide stretch, and through gaps of the cloud its far side */
+            shaded(&d, p, n, want);
+            for (a = 0; a < 3; a++) {
+                const double off = fabs((double)rgba[4 * i + a] - want[a]);
+                sum += off;
+                worst = fmax(worst, off);
+                bright = fmax(bright, want[a]);
+            }
+            seen++;
+        }
+        for (k = 0; k < 3; k++) CHECK(d.light_count > 0 || bright < 0.07);
+        CHECK_MSG(seen > 1000 && sum < 0.01 * 3 * seen && worst < 0.12 * (1 + bright), "way %u: %u pixels, %g off, %g at most", way, seen,
+                  sum / (3.0 * seen), worst);
+        light[0].position[1] = (double)NAN;
+        CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &image, NULL), d.light_count > 0 ? ZBUFRAND_ERR_INVALID_ARG : ZBUFRAND_OK);
+    }
+    zbufrand_frame_destroy(frame);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s);
+}
+
+/* ---- memory ---- */
+
+typedef struct world { zbufrand_mesh mesh, coloured; uint8_t rgb[3000]; shape s; } world;
+
+static zbufrand_result points_of_scene(const world *w, const zbufrand_env *env) {
+    static float position[3 * 500], normal[3 * 500];
+    static uint8_t rgb[3 * 500];
+    zbufrand_surface_points_desc d;
+    zbufrand_result r;
+    zbufrand_scene *s = scene_of(env, &w->mesh, &r);
+    memset(&d, 0, sizeof d);
+    if (r == ZBUFRAND_OK) r = zbufrand_surface_points(s, &d, 500, position, normal, rgb, NULL);
+    d.independent = 1;
+    if (r == ZBUFRAND_OK) r = zbufrand_surface_points(s, &d, 500, position, normal, NULL, NULL);
+    zbufrand_scene_destroy(s);
+    return r;
+}
+
+static zbufrand_result whole_page(const world *w, const zbufrand_env *env) { /* a million points: written page by page where that is faster */
+    float *p = (float *)malloc(12 * (size_t)(1 << 20));
+    zbufrand_result r;
+    zbufrand_scene *s = scene_of(env, &w->mesh, &r);
+    if (p == NULL) abort();
+    if (r == ZBUFRAND_OK) r = zbufrand_surface_points(s, NULL, 1 << 20, p, NULL, NULL, NULL);
+    zbufrand_scene_destroy(s);
+    free(p);
+    return r;
+}
+
+static int each_sample(void *user, const zbufrand_sample *sample, const uint32_t *numbers, size_t count) {
+    (void)sample;
+    (void)numbers;
+    *(size_t *)user += count;
+    return 0;
+}
+
+static zbufrand_result choices(const world *w, const zbufrand_env *env) {
+    zbufrand_frame_desc fd;
+    zbufrand_render_desc d;
+    zbufrand_frame *f = NULL;
+    zbufrand_result r;
+    size_t n = 0, samples = 0;
+    zbufrand_scene *s = scene_of(env, &w->mesh, &r);
+    memset(&fd, 0, sizeof fd);
+    memset(&d, 0, sizeof d);
+    fd.env = *env;
+    d.camera.eye[2] = 5;
+    if (r == ZBUFRAND_OK) r = zbufrand_frame_create(&fd, &f);
+    if (r == ZBUFRAND_OK) r = zbufrand_select(f, &d, s, W, H, NULL, 0, &n, NULL);
+    d.hybrid = ZBUFRAND_HYBRID_OFF;
+    if (r == ZBUFRAND_OK) r = zbufrand_sample_scene(f, &d, s, W, H, each_sample, &samples, NULL);
+    CHECK(r != ZBUFRAND_OK || (n > 0 && samples > 1000));
+    zbufrand_frame_destroy(f);
+    zbufrand_scene_destroy(s);
+    return r;
+}
+
+static zbufrand_result edited(const world *w, const zbufrand_env *env) { /* the first mesh with colours and normals comes when all is built */
+    zbufrand_transform t;
+    zbufrand_node node;
+    zbufrand_result r;
+    zbufrand_scene *s = scene_of(env, &w->mesh, &r);
+    memset(&t, 0, sizeof t);
+    t.m[0][0] = t.m[1][1] = t.m[2][2] = 1;
+    t.m[0][3] = 3;
+    if (r == ZBUFRAND_OK) r = zbufrand_add_mesh(s, 1, &t, 1, &w->coloured, &node);
+    if (r == ZBUFRAND_OK) r = zbufrand_scene_update(s, NULL);
+    if (r == ZBUFRAND_OK) r = zbufrand_move(s, node, &t);
+    if (r == ZBUFRAND_OK) r = zbufrand_scene_update(s, NULL);
+    if (r == ZBUFRAND_OK) r = zbufrand_remove(s, node);
+    if (r == ZBUFRAND_OK) r = zbufrand_scene_update(s, NULL);
+    zbufrand_scene_destroy(s);
+    return r;
+}
+
+static const struct call { const char *name; zbufrand_result (*run)(const world *w, const zbufrand_env *env); uint32_t least; } call[] = {
+    {"points", points_of_scene, 5}, {"page of points", whole_page, 5}, {"choices", choices, 5}, {"edits", edited, 5}
+};
+
+TEST(every_request_refused) {
+    static world w;
+    uint32_t i;
+    memset(&w, 0, sizeof w);
+    shape_sphere(&w.s, 0, 0, 0, 1, 12);
+    REQUIRE(w.s.vertices * 3 <= sizeof w.rgb);
+    w.mesh = w.coloured = mesh_of(&w.s);
+    w.coloured.normals = w.s.normal;
+    w.coloured.vertex_rgb = w.rgb;
+    for (i = 0; i < sizeof call / sizeof call[0]; i++) {
+        int64_t k, refused = 0;
+        int all, done = 0;
+        for (k = 0; !done && k < 3000; k += i == 1 && k < 20 ? 7 : 1)
+            for (all = 0; all < 2 && !done; all++) {
+                test_alloc ta;
+                zbufrand_env env;
+                zbufrand_result r;
+                test_alloc_init(&ta);
+                memset(&env, 0, sizeof env);
+                ta.fail_at = k;
+                ta.fail_after = all;
+                env.allocator.alloc_fn = test_alloc_fn;
+                env.allocator.free_fn = test_free_fn;
+                env.allocator.user = &ta;
+                env.thread_count = 1;
+                r = call[i].run(&w, &env);
+                CHECK_MSG(r == ZBUFRAND_OK || (r == ZBUFRAND_ERR_NO_MEMORY && ta.failed > 0), "%s, request %d: %s, %d refused", call[i].name, (int)k,
+                          zbufrand_result_string(r), (int)ta.failed);
+                refused += r != ZBUFRAND_OK;
+                done = ta.failed == 0;
+                CHECK_MSG(ta.live_blocks == 0 && ta.errors == 0, "%s, request %d: %d blocks left", call[i].name, (int)k, (int)ta.live_blocks);
+            }
+        if (test_g.verbose) printf("%s: %d requests\n", call[i].name, (int)k - 1);
+        CHECK_MSG(done && refused >= (int64_t)call[i].least, "%s: %d refused", call[i].name, (int)refused);
+    }
+    shape_free(&w.s);
+}
+
+TEST(names) {
+    int i, k;
+#define NAME(id, value, text) CHECK(strcmp(zbufrand_result_string((zbufrand_result)value), text) == 0);
+    ZBUFRAND_RESULT_LIST(NAME)
+#undef NAME
+    CHECK(strcmp(zbufrand_result_string((zbufrand_result)1234), "unknown result") == 0);
+    for (i = 0; i <= ZBUFRAND_ISA_AVX512; i++)
+        for (k = 0; k < i; k++) CHECK(strcmp(zbufrand_isa_name((zbufrand_isa)i), zbufrand_isa_name((zbufrand_isa)k)) != 0);
+    CHECK(strcmp(zbufrand_isa_name((zbufrand_isa)99), "unknown") == 0);
+    CHECK_EQ_U64(zbufrand_version(), ZBUFRAND_VERSION);
+    CHECK(zbufrand_isa_best() <= ZBUFRAND_ISA_AVX512 && zbufrand_isa_best() >= ZBUFRAND_ISA_SCALAR);
+}
+
+int main(int argc, char **argv) {
+    test_begin(argc, argv);
+    RUN(lights);
+    RUN(every_request_refused);
+    RUN(names);
+    return test_end();
+}
