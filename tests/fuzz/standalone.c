@@ -6,7 +6,7 @@
    within and splices between files. The same seed gives the same inputs. Before each input runs it is kept in memory;
    when the process is stopped by a signal, or a sanitizer calls abort, it is written to the file of -crash. Under the
    address sanitizer the heap must be as large at the end as it was after the files. */
-#define _POSIX_C_SOURCE 200809L
+#define _XOPEN_SOURCE 700
 #include <dirent.h>
 #include <fcntl.h>
 #include <signal.h>
@@ -16,6 +16,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <sys/time.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -74,6 +75,13 @@ static void on_signal(int sig) {
     raise(sig);
 }
 
+static void time_limit(time_t seconds) { /* of the processor: the machine may be busy */
+    struct itimerval t;
+    memset(&t, 0, sizeof t);
+    t.it_value.tv_sec = seconds;
+    (void)setitimer(ITIMER_PROF, &t, NULL);
+}
+
 static void run(const uint8_t *data, size_t size) {
     /* a copy of exactly this size, so that a sanitizer sees a read behind the end */
     uint8_t *copy = (uint8_t *)malloc(size != 0 ? size : 1);
@@ -81,9 +89,9 @@ static void run(const uint8_t *data, size_t size) {
     if (size != 0) memcpy(copy, data, size);
     g_now = data;
     g_now_size = size;
-    alarm(20);
+    time_limit(20);
     LLVMFuzzerTestOneInput(copy, size);
-    alarm(0);
+    time_limit(0);
     free(copy);
 }
 
@@ -194,7 +202,7 @@ static size_t mutate(uint8_t *p, size_t size, size_t most) {
 int main(int argc, char **argv) {
     double seconds = 0, start;
     unsigned long long iterations = 0, done = 0;
-    size_t most = (size_t)1 << 20, i, k, heap;
+    size_t most = (size_t)1 << 20, i, k, heap, after;
     uint8_t *work;
     int a;
     g_random = 1;
@@ -220,7 +228,7 @@ int main(int argc, char **argv) {
     signal(SIGILL, on_signal);
 #endif
     signal(SIGABRT, on_signal);
-    signal(SIGALRM, on_signal);
+    signal(SIGPROF, on_signal);
     run((const uint8_t *)"", 0);
     for (i = 0; i < g_file_count; i++) {
         run(g_files[i].data, g_files[i].size);
@@ -249,8 +257,9 @@ int main(int argc, char **argv) {
         done++;
     }
     printf("%llu changed inputs in %.1f s\n", done, now() - start);
-    printf("heap: %llu bytes before, %llu after\n", (unsigned long long)heap, (unsigned long long)HEAP_BYTES());
-    a = HEAP_BYTES() > heap + HEAP_SLACK;
+    after = HEAP_BYTES();
+    printf("heap: %llu bytes before, %llu after\n", (unsigned long long)heap, (unsigned long long)after);
+    a = after > heap + HEAP_SLACK;
     if (a != 0) fprintf(stderr, "the heap grew\n");
     for (i = 0; i < g_file_count; i++) free(g_files[i].data);
     free(g_files);
