@@ -11727,17 +11727,6 @@ VOXRTI_TARGET_AVX2 static void voxrti_planes_popcnt(const voxrt_tree *t, const v
     voxrti_planes_each(t, cone, rays, hits, count, stats); /* ranks by an instruction */
 }
 #endif
-static VOXRTI_UNUSED void voxrti_planes(const voxrt_tree *t, const voxrti_cone *cone, int isa, const voxrt_ray *rays,
-                                        voxrt_hit *hits, size_t count, voxrt_stats *stats) {
-#if VOXRTI_AVX2
-    if (isa == VOXRT_ISA_AVX2) {
-        voxrti_planes_popcnt(t, cone, rays, hits, count, stats);
-        return;
-    }
-#endif
-    (void)isa;
-    voxrti_planes_each(t, cone, rays, hits, count, stats);
-}
 
 static void voxrti_trace_one(const voxrt_tree *t, const voxrti_cone *cone, const voxrti_beam *beam,
                              const voxrt_ray *ray, voxrt_hit *hit, voxrt_stats *stats) {
@@ -11843,6 +11832,391 @@ VOXRTI_TARGET_AVX2 static inline void voxrti_hits4(const voxrt_tree *t, const vo
 }
 
 #endif
+
+/* ---- AVX2: voxels with planes ----
+   Up to 64 rays that have met voxels, four at a time and with the operations of voxrti_plane_meet and
+   voxrti_plane_step: the same bits. What goes on moves up, so that the next round has four rays at a time again. */
+
+#if VOXRTI_AVX2
+
+typedef struct voxrti_plane_lanes {
+    __m256i align;
+    double o[3][64], d[3][64];      /* grid units, not mirrored */
+    double om[3][64], inv[3][64];   /* as o and inv of voxrti_rayx */
+    double t_max[64], t_end[64], time[64];
+    uint64_t mask[64], attr[64];    /* of its leaf node; of its voxel */
+    uint32_t c[3][64], node[64], rank[64], slot[64], face[64], index[64]; /* c: not mirrored; rank: of the leaf node */
+    float t[64], t_min[64];         /* when the voxel is entered; start of the ray (face 6: in the first round) */
+} voxrti_plane_lanes;
+
+/* Voxel of the ray at i, as its hit says. */
+VOXRTI_TARGET_AVX2 static inline void voxrti_plane_lane(const voxrt_tree *t, voxrti_plane_lanes *g, uint32_t i,
+                                                        const voxrt_hit *hit) {
+    uint32_t a;
+    for (a = 0; a < 3; a++) g->c[a][i] = hit->cell[a];
+    g->node[i] = hit->node;
+    g->slot[i] = hit->slot;
+    g->face[i] = hit->face;
+    g->t[i] = hit->t;
+    g->mask[i] = t->leaf[hit->node];
+    g->rank[i] = t->code != NULL ? 0 : i != 0 && g->node[i - 1] == hit->node ? g->rank[i - 1] :
+                 voxrti_leaf_rank(t, hit->node);
+}
+
+/* As voxrti_ray_setup. 0: one is so far away that it has to be computed with more digits. */
+VOXRTI_TARGET_AVX2 static inline int voxrti_plane_open4(const voxrt_tree *t, const voxrti_cone *cone,
+                                                        const voxrt_ray *rays, voxrti_plane_lanes *g, uint32_t i) {
+    const __m256d scale = _mm256_set1_pd(1.0 / t->voxel_size), sign = _mm256_set1_pd(-0.0);
+    const __m256d limit = _mm256_set1_pd(8388608.0), inf = _mm256_set1_pd(VOXRTI_INF);
+    const double full = (double)((uint32_t)1 << (2 * t->wide));
+    __m256d t_out = inf, wrong = _mm256_setzero_pd(), last;
+    __m256 v[4];
+    uint32_t a;
+    voxrti_rays4(rays + g->index[i], rays + g->index[i + 1], rays + g->index[i + 2], rays + g->index[i + 3], v);
+    for (a = 0; a < 3; a++) {
+        __m256d o = _mm256_cvtps_pd(_mm256_castps256_ps128(v[a])), inv, back, still, hi;
+        __m256d d = _mm256_mul_pd(_mm256_cvtps_pd(_mm256_extractf128_ps(v[a], 1)), scale);
+        o = _mm256_mul_pd(_mm256_sub_pd(o, _mm256_set1_pd(t->origin[a])), scale);
+        wrong = _mm256_or_pd(wrong, _mm256_cmp_pd(_mm256_andnot_pd(sign, o), limit, _CMP_NLT_UQ));
+        _mm256_storeu_pd(g->o[a] + i, o);
+        _mm256_storeu_pd(g->d[a] + i, d);
+        back = _mm256_cmp_pd(d, _mm256_setzero_pd(), _CMP_LT_OQ);
+        o = _mm256_blendv_pd(o, _mm256_sub_pd(_mm256_set1_pd(full), o), back);
+        inv = _mm256_div_pd(_mm256_set1_pd(1.0), _mm256_andnot_pd(sign, d));
+        still = _mm256_cmp_pd(inv, inf, _CMP_EQ_OQ);
+        hi = _mm256_blendv_pd(_mm256_set1_pd((double)cone->hi[a]), _mm256_set1_pd(full - (double)cone->lo[a]), back);
+        hi = _mm256_mul_pd(_mm256_sub_pd(hi, o), inv);
+        t_out = _mm256_blendv_pd(_mm256_min_pd(t_out, hi), t_out, still);
+        hi = _mm256_round_pd(o, _MM_FROUND_TO_ZERO | _MM_FROUND_NO_EXC);
+        _mm256_storeu_pd(g->om[a] + i, _mm256_blendv_pd(o, _mm256_add_pd(hi, _mm256_set1_pd(0.5)), still));
+        _mm256_storeu_pd(g->inv[a] + i, inv);
+    }
+    _mm_storeu_ps(g->t_min + i, _mm256_castps256_ps128(v[3]));
+    last = voxrti_below4(_mm256_extractf128_ps(v[3], 1));
+    last = _mm256_min_pd(last, _mm256_set1_pd(3.4028234663852886e38));
+    _mm256_storeu_pd(g->t_max + i, last);
+    _mm256_storeu_pd(g->t_end + i, _mm256_min_pd(t_out, last));
+    return _mm256_movemask_pd(wrong) == 0;
+}
+
+/* voxrti_oct_decode of four codes */
+VOXRTI_TARGET_AVX2 static inline void voxrti_oct_decode4(__m128i code, __m128 n[3]) {
+    const __m128 sign = _mm_set1_ps(-0.0f), one = _mm_set1_ps(1.0f), step = _mm_set1_ps(2.0f / 255.0f);
+    __m128 x = _mm_cvtepi32_ps(_mm_and_si128(code, _mm_set1_epi32(255))), y = _mm_cvtepi32_ps(_mm_srli_epi32(code, 8));
+    __m128 ax, ay, z, fx, fy, l;
+    x = _mm_sub_ps(_mm_mul_ps(x, step), one);
+    y = _mm_sub_ps(_mm_mul_ps(y, step), one);
+    ax = _mm_andnot_ps(sign, x);
+    ay = _mm_andnot_ps(sign, y);
+    z = _mm_sub_ps(_mm_sub_ps(one, ax), ay);
+    fx = _mm_mul_ps(_mm_sub_ps(one, ay), _mm_or_ps(one, _mm_and_ps(sign, x)));
+    fy = _mm_mul_ps(_mm_sub_ps(one, ax), _mm_or_ps(one, _mm_and_ps(sign, y)));
+    x = _mm_blendv_ps(x, fx, z);
+    y = _mm_blendv_ps(y, fy, z);
+    l = _mm_add_ps(_mm_add_ps(_mm_mul_ps(x, x), _mm_mul_ps(y, y)), _mm_mul_ps(z, z));
+    l = _mm_div_ps(one, _mm_sqrt_ps(l));
+    n[0] = _mm_mul_ps(x, l);
+    n[1] = _mm_mul_ps(y, l);
+    n[2] = _mm_mul_ps(z, l);
+}
+
+/* voxrti_plane_meet of four rays, but for those whose voxels are cubes. *time: where, if that is later than g->t. */
+VOXRTI_TARGET_AVX2 static inline uint32_t voxrti_plane_meet4(const voxrti_plane_lanes *g, uint32_t i, __m128i code,
+                                                             const __m128 normal[3], __m128 *time) {
+    const __m256d half = _mm256_set1_pd(0.5), sign = _mm256_set1_pd(-0.0), zero = _mm256_setzero_pd();
+    const __m128i face = VOXRTI_LOAD4(g->face + i), axis = _mm_srli_epi32(face, 1), none = _mm_set1_epi32(6);
+    __m256d base = _mm256_sub_pd(_mm256_cvtepi32_pd(code), _mm256_set1_pd(128.0)), slope = zero, o[3], d[3], at;
+    __m256d side = zero, along = zero, most = zero, behind, inside, late;
+    uint32_t a;
+    base = _mm256_xor_pd(sign, _mm256_mul_pd(base, _mm256_set1_pd(VOXRTI_PLANE_STEP)));
+    for (a = 0; a < 3; a++) {
+        const __m256d n = _mm256_cvtps_pd(normal[a]);
+        const __m256d on = _mm256_castsi256_pd(_mm256_cvtepi32_epi64(_mm_cmpeq_epi32(axis, _mm_set1_epi32((int)a))));
+        o[a] = _mm256_add_pd(_mm256_cvtepi32_pd(VOXRTI_LOAD4(g->c[a] + i)), half);
+        o[a] = _mm256_sub_pd(_mm256_loadu_pd(g->o[a] + i), o[a]);
+        d[a] = _mm256_loadu_pd(g->d[a] + i);
+        base = _mm256_add_pd(base, _mm256_mul_pd(n, o[a]));
+        slope = _mm256_add_pd(slope, _mm256_mul_pd(n, d[a]));
+        side = _mm256_blendv_pd(side, o[a], on);
+        along = _mm256_blendv_pd(along, d[a], on);
+    }
+    at = _mm256_castsi256_pd(_mm256_cvtepi32_epi64(_mm_slli_epi32(face, 31))); /* odd faces are on the upper side */
+    at = _mm256_or_pd(half, _mm256_andnot_pd(at, sign));
+    at = _mm256_div_pd(_mm256_sub_pd(at, side), along);
+    late = _mm256_castsi256_pd(_mm256_cvtepi32_epi64(_mm_cmpeq_epi32(face, none)));
+    at = _mm256_blendv_pd(at, _mm256_cvtps_pd(_mm_loadu_ps(g->t_min + i)), late);
+    behind = _mm256_cmp_pd(_mm256_add_pd(base, _mm256_mul_pd(slope, at)), zero, _CMP_LE_OQ);
+    inside = _mm256_cmp_pd(slope, zero, _CMP_LT_OQ);
+    at = _mm256_div_pd(_mm256_xor_pd(sign, base), slope);
+    for (a = 0; a < 3; a++)
+        most = _mm256_max_pd(most, _mm256_andnot_pd(sign, _mm256_add_pd(o[a], _mm256_mul_pd(at, d[a]))));
+    inside = _mm256_and_pd(inside, _mm256_cmp_pd(most, half, _CMP_LE_OQ));
+    inside = _mm256_and_pd(inside, _mm256_cmp_pd(at, _mm256_loadu_pd(g->t_max + i), _CMP_LT_OQ));
+    late = _mm256_cmp_pd(at, _mm256_cvtps_pd(_mm_loadu_ps(g->t + i)), _CMP_GT_OQ);
+    late = _mm256_andnot_pd(behind, _mm256_and_pd(inside, late));
+    *time = _mm_blendv_ps(_mm_loadu_ps(g->t + i), _mm256_cvtpd_ps(at), _mm_castsi128_ps(voxrti_narrow4(late)));
+    return (uint32_t)_mm256_movemask_pd(_mm256_or_pd(behind, inside));
+}
+
+/* voxrti_plane_step of those of four rays that are in `lanes`, up to the edge of their leaf nodes: *left have gone
+   beyond. Returns those that are over. */
+VOXRTI_TARGET_AVX2 static inline uint32_t voxrti_plane_step4(const voxrt_tree *t, const voxrti_cone *cone,
+                                                             voxrti_plane_lanes *g, uint32_t i, uint32_t lanes,
+                                                             uint32_t *left) {
+    const __m256d zero = _mm256_setzero_pd(), one = _mm256_set1_pd(1.0), t_end = _mm256_loadu_pd(g->t_end + i);
+    const __m256d full = _mm256_set1_pd((double)((uint32_t)1 << (2 * t->wide)));
+    const __m256i mask = VOXRTI_LOADI(g->mask + i);
+    __m256d c[3], back[3], e[3], move[3], time = zero, m = zero, is0, is2, foot;
+    __m128i from[3], cell[3], slot, face = _mm_setzero_si128(), x, k;
+    uint32_t a, over = 0, out = 0, found, todo = lanes;
+    slot = face;
+    for (a = 0; a < 3; a++) {
+        back[a] = _mm256_cmp_pd(_mm256_loadu_pd(g->d[a] + i), zero, _CMP_LT_OQ);
+        cell[a] = from[a] = VOXRTI_LOAD4(g->c[a] + i);
+        c[a] = _mm256_cvtepi32_pd(cell[a]);
+        move[a] = _mm256_blendv_pd(one, _mm256_set1_pd(-1.0), back[a]);
+    }
+    while (todo != 0) {
+        __m256d live = _mm256_castsi256_pd(_mm256_cmpeq_epi64(
+            _mm256_and_si256(_mm256_set1_epi64x((long long)todo), _mm256_setr_epi64x(1, 2, 4, 8)),
+            _mm256_setr_epi64x(1, 2, 4, 8)));
+        for (a = 0; a < 3; a++) {
+            e[a] = _mm256_blendv_pd(_mm256_add_pd(c[a], one), _mm256_sub_pd(full, c[a]), back[a]);
+            e[a] = _mm256_mul_pd(_mm256_sub_pd(e[a], _mm256_loadu_pd(g->om[a] + i)), _mm256_loadu_pd(g->inv[a] + i));
+        }
+        is0 = _mm256_cmp_pd(e[0], e[1], _CMP_LE_OQ);
+        m = _mm256_blendv_pd(e[1], e[0], is0);
+        is2 = _mm256_cmp_pd(m, e[2], _CMP_NLE_UQ);
+        m = _mm256_blendv_pd(m, e[2], is2);
+        time = _mm256_blendv_pd(time, m, live);
+        is0 = _mm256_andnot_pd(is2, is0);
+        c[0] = _mm256_add_pd(c[0], _mm256_and_pd(_mm256_and_pd(is0, live), move[0]));
+        c[1] = _mm256_add_pd(c[1], _mm256_and_pd(_mm256_andnot_pd(_mm256_or_pd(is0, is2), live), move[1]));
+        c[2] = _mm256_add_pd(c[2], _mm256_and_pd(_mm256_and_pd(is2, live), move[2]));
+        x = slot = _mm_setzero_si128();
+        for (a = 0; a < 3; a++) {
+            cell[a] = _mm256_cvtpd_epi32(c[a]);
+            x = _mm_or_si128(x, _mm_xor_si128(cell[a], from[a]));
+            k = _mm_and_si128(cell[a], _mm_set1_epi32(3));
+            k = _mm_and_si128(_mm_or_si128(k, _mm_slli_epi32(k, 2)), _mm_set1_epi32(9));
+            slot = _mm_or_si128(slot, _mm_sll_epi32(k, _mm_cvtsi32_si128((int)a)));
+        }
+        over |= todo & ~(uint32_t)_mm256_movemask_pd(_mm256_cmp_pd(time, t_end, _CMP_LT_OQ));
+        out |= todo & (uint32_t)_mm_movemask_ps(_mm_castsi128_ps(_mm_cmpgt_epi32(x, _mm_set1_epi32(3))));
+        if (cone->on) {
+            foot = _mm256_add_pd(_mm256_set1_pd(cone->width), _mm256_mul_pd(_mm256_set1_pd(cone->spread), time));
+            foot = _mm256_max_pd(_mm256_set1_pd(cone->floor_), foot);
+            out |= todo & (uint32_t)_mm256_movemask_pd(_mm256_cmp_pd(foot, _mm256_set1_pd(2.0), _CMP_GE_OQ));
+        }
+        found = (uint32_t)_mm256_movemask_pd(_mm256_castsi256_pd(
+            _mm256_sllv_epi64(mask, _mm256_sub_epi64(_mm256_set1_epi64x(63), _mm256_cvtepi32_epi64(slot)))));
+        todo &= ~(over | out | found);
+    }
+    for (a = 0; a < 3; a++) { /* as voxrti_entry: ties are of the axis that stepped last */
+        e[a] = _mm256_blendv_pd(c[a], _mm256_sub_pd(_mm256_sub_pd(full, one), c[a]), back[a]);
+        e[a] = _mm256_mul_pd(_mm256_sub_pd(e[a], _mm256_loadu_pd(g->om[a] + i)), _mm256_loadu_pd(g->inv[a] + i));
+        m = a == 0 ? e[0] : _mm256_max_pd(m, e[a]);
+        k = _mm_sub_epi32(_mm_set1_epi32((int)(2 * a)), voxrti_narrow4(back[a]));
+        face = a == 0 ? k : _mm_blendv_epi8(face, k, voxrti_narrow4(_mm256_cmp_pd(e[a], m, _CMP_GE_OQ)));
+        VOXRTI_STORE4(g->c[a] + i, cell[a]);
+    }
+    VOXRTI_STORE4(g->slot + i, slot);
+    VOXRTI_STORE4(g->face + i, face);
+    _mm_storeu_ps(g->t + i, _mm256_cvtpd_ps(m));
+    _mm256_storeu_pd(g->time + i, time);
+    *left = out & ~over;
+    return over;
+}
+
+/* Those of the rays i .. i + 3 that are in `keep` move to m, m + 1, ... <= i, with what voxrti_plane_step4 needs. */
+VOXRTI_TARGET_AVX2 static inline void voxrti_plane_move4(voxrti_plane_lanes *g, uint32_t i, uint32_t m, uint32_t keep) {
+    static const uint32_t order[16][4] = {
+        {0, 0, 0, 0}, {0, 0, 0, 0}, {1, 0, 0, 0}, {0, 1, 0, 0}, {2, 0, 0, 0}, {0, 2, 0, 0}, {1, 2, 0, 0}, {0, 1, 2, 0},
+        {3, 0, 0, 0}, {0, 3, 0, 0}, {1, 3, 0, 0}, {0, 1, 3, 0}, {2, 3, 0, 0}, {0, 2, 3, 0}, {1, 2, 3, 0}, {0, 1, 2, 3}};
+    const __m128i x = VOXRTI_LOAD4(order[keep]);
+    __m256i y = _mm256_slli_epi64(_mm256_cvtepu32_epi64(x), 1);
+    uint32_t a;
+    y = _mm256_or_si256(y, _mm256_slli_epi64(_mm256_add_epi64(y, _mm256_set1_epi64x(1)), 32));
+#define VOXRTI_MOVE8(p) VOXRTI_STOREI((p) + m, _mm256_permutevar8x32_epi32(VOXRTI_LOADI((p) + i), y))
+#define VOXRTI_MOVE4(p) \
+    VOXRTI_STORE4((p) + m, _mm_castps_si128(_mm_permutevar_ps(_mm_castsi128_ps(VOXRTI_LOAD4((p) + i)), x)))
+    for (a = 0; a < 3; a++) {
+        VOXRTI_MOVE8(g->o[a]);
+        VOXRTI_MOVE8(g->d[a]);
+        VOXRTI_MOVE8(g->om[a]);
+        VOXRTI_MOVE8(g->inv[a]);
+        VOXRTI_MOVE4(g->c[a]);
+    }
+    VOXRTI_MOVE8(g->t_max);
+    VOXRTI_MOVE8(g->t_end);
+    VOXRTI_MOVE8(g->mask);
+    VOXRTI_MOVE4(g->node);
+    VOXRTI_MOVE4(g->rank);
+    VOXRTI_MOVE4(g->index);
+#undef VOXRTI_MOVE8
+#undef VOXRTI_MOVE4
+}
+
+/* The ray at i has left its leaf node: on as voxrti_trace_walk does it. 0: it is over. */
+VOXRTI_TARGET_AVX2 static inline int voxrti_plane_walk(const voxrt_tree *t, const voxrti_cone *cone,
+                                                       const voxrt_ray *rays, voxrti_plane_lanes *g, uint32_t i,
+                                                       voxrt_hit *hits) {
+    const uint32_t full = ((uint32_t)1 << (2 * t->wide)) - 1u;
+    voxrt_hit *hit = &hits[g->index[i]];
+    voxrti_rayx r;
+    uint32_t a;
+    r.flip = 0;
+    r.base = 0;
+    r.t = g->time[i];
+    r.t_end = g->t_end[i];
+    r.t_min = (double)rays[g->index[i]].t_min;
+    for (a = 0; a < 3; a++) {
+        const uint32_t back = g->d[a][i] < 0;
+        r.o[a] = g->om[a][i];
+        r.inv[a] = g->inv[a][i];
+        r.d[a] = r.inv[a] == VOXRTI_INF ? 0.0 : voxrti_abs(g->d[a][i]);
+        r.c[a] = back ? full - g->c[a][i] : g->c[a][i];
+        r.flip |= back * (9u << a);
+    }
+    if (!voxrti_trace_walk(t, &r, cone, hit, NULL) || hit->level != t->depth) return 0;
+    voxrti_plane_lane(t, g, i, hit);
+    return 1;
+}
+
+/* Four rays and their planes: what they meet is written, until something else is. Returns those that go on. */
+VOXRTI_TARGET_AVX2 static inline uint32_t voxrti_plane_look4(const voxrt_tree *t, const voxrti_plane_lanes *g,
+                                                             uint32_t i, uint32_t n, voxrt_hit *hits) {
+    const uint64_t *p = g->attr + i;
+    const __m128i code = _mm_setr_epi32(t->plane[p[0]], t->plane[p[1]], t->plane[p[2]], t->plane[p[3]]);
+    const __m128i cube = _mm_cmpeq_epi32(code, _mm_setzero_si128()), node = VOXRTI_LOAD4(g->node + i);
+    const __m128i c[3] = {VOXRTI_LOAD4(g->c[0] + i), VOXRTI_LOAD4(g->c[1] + i), VOXRTI_LOAD4(g->c[2] + i)};
+    __m128i info, low, high, x;
+    __m128 normal[3], time;
+    uint32_t over;
+    voxrti_oct_decode4(_mm_setr_epi32(t->normal[p[0]], t->normal[p[1]], t->normal[p[2]], t->normal[p[3]]), normal);
+    over = voxrti_plane_meet4(g, i, code, normal, &time) | (uint32_t)_mm_movemask_ps(_mm_castsi128_ps(cube));
+    x = _mm_castps_si128(_mm_blendv_ps(time, _mm_loadu_ps(g->t + i), _mm_castsi128_ps(cube)));
+    info = _mm_or_si128(VOXRTI_LOAD4(g->slot + i), _mm_slli_epi32(VOXRTI_LOAD4(g->face + i), 16));
+    info = _mm_or_si128(info, _mm_andnot_si128(cube, _mm_set1_epi32(1 << 24)));
+    info = _mm_or_si128(info, _mm_set1_epi32((int)(t->depth << 8)));
+    low = _mm_unpacklo_epi32(node, info);
+    high = _mm_unpackhi_epi32(node, info);
+    info = _mm_unpacklo_epi32(x, c[0]);
+    x = _mm_unpackhi_epi32(x, c[0]);
+    voxrti_hit_store(&hits[g->index[i]],
+                     _mm_castsi128_ps(_mm_unpacklo_epi64(info, _mm_unpacklo_epi32(c[1], c[2]))), low);
+    if (n > 1)
+        voxrti_hit_store(&hits[g->index[i + 1]],
+                         _mm_castsi128_ps(_mm_unpackhi_epi64(info, _mm_unpacklo_epi32(c[1], c[2]))),
+                         _mm_unpackhi_epi64(low, low));
+    if (n > 2)
+        voxrti_hit_store(&hits[g->index[i + 2]],
+                         _mm_castsi128_ps(_mm_unpacklo_epi64(x, _mm_unpackhi_epi32(c[1], c[2]))), high);
+    if (n > 3)
+        voxrti_hit_store(&hits[g->index[i + 3]],
+                         _mm_castsi128_ps(_mm_unpackhi_epi64(x, _mm_unpackhi_epi32(c[1], c[2]))),
+                         _mm_unpackhi_epi64(high, high));
+    return ~over & (n > 3 ? 15u : (1u << n) - 1u);
+}
+
+/* The ray at i takes the place of that at k. */
+static inline void voxrti_plane_swap(voxrti_plane_lanes *g, uint32_t i, uint32_t k) {
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        g->o[a][k] = g->o[a][i];
+        g->d[a][k] = g->d[a][i];
+        g->om[a][k] = g->om[a][i];
+        g->inv[a][k] = g->inv[a][i];
+        g->c[a][k] = g->c[a][i];
+    }
+    g->t_max[k] = g->t_max[i];
+    g->t_end[k] = g->t_end[i];
+    g->mask[k] = g->mask[i];
+    g->node[k] = g->node[i];
+    g->rank[k] = g->rank[i];
+    g->slot[k] = g->slot[i];
+    g->face[k] = g->face[i];
+    g->index[k] = g->index[i];
+    g->t[k] = g->t[i];
+}
+
+/* One round: each of n rays is over, or has come to its next voxel. Returns how many those are. */
+VOXRTI_TARGET_AVX2 static inline uint32_t voxrti_plane_round(const voxrt_tree *t, const voxrti_cone *cone,
+                                                             const voxrt_ray *rays, voxrti_plane_lanes *g, uint32_t n,
+                                                             voxrt_hit *hits) {
+    const uint32_t v = 2 * t->wide;
+    uint64_t over = 0, left = 0, done;
+    uint32_t i, k, m = 0;
+    for (i = 0; i < n; i++) {
+        g->attr[i] = t->code != NULL ? voxrti_shared_attr(t, v, g->c[0][i], g->c[1][i], g->c[2][i]) :
+                     t->attr_first[v] + g->rank[i] +
+                     voxrti_popcount64(g->mask[i] & (((uint64_t)1 << g->slot[i]) - 1));
+        VOXRTI_PREFETCH(t->plane + g->attr[i]);
+        VOXRTI_PREFETCH(t->normal + g->attr[i]);
+    }
+    for (; (i & 3u) != 0; i++) g->attr[i] = g->attr[0];
+    for (i = 0; i < n; i += 4) {
+        const uint32_t on = voxrti_plane_look4(t, g, i, n - i, hits);
+        voxrti_plane_move4(g, i, m, on);
+        m += voxrti_popcount64(on);
+    }
+    for (i = 0; i < m; i += 4) {
+        uint32_t gone, out;
+        gone = voxrti_plane_step4(t, cone, g, i, m - i > 3 ? 15u : (1u << (m - i)) - 1u, &out);
+        over |= (uint64_t)gone << i;
+        left |= (uint64_t)out << i;
+    }
+    for (done = over; done != 0; done &= done - 1) voxrti_miss(&hits[g->index[voxrti_ctz64(done)]]);
+    for (; left != 0; left &= left - 1) {
+        k = voxrti_ctz64(left);
+        if (!voxrti_plane_walk(t, cone, rays, g, k, hits)) over |= (uint64_t)1 << k;
+    }
+    for (; over != 0; over &= over - 1) { /* the last one that is not over takes its place */
+        k = voxrti_ctz64(over);
+        while (--m > k && (over >> m & 1u) != 0) over &= ~((uint64_t)1 << m);
+        if (m > k) voxrti_plane_swap(g, m, k);
+    }
+    return m;
+}
+
+/* Hits of rays with cubes become those with planes. */
+VOXRTI_TARGET_AVX2 static void voxrti_planes_avx2(const voxrt_tree *t, const voxrti_cone *cone, const voxrt_ray *rays,
+                                                  voxrt_hit *hits, size_t count) {
+    voxrti_plane_lanes lanes, *g = &lanes;
+    while (count != 0) {
+        const uint32_t some = count < 64 ? (uint32_t)count : 64u;
+        uint32_t n = 0, i, fit = 1;
+        for (i = 0; i < some; i++) {
+            if (hits[i].node == VOXRT_NO_NODE || hits[i].level != t->depth) continue;
+            g->index[n] = i;
+            voxrti_plane_lane(t, g, n++, &hits[i]);
+        }
+        for (i = n; (i & 3u) != 0; i++) {
+            g->index[i] = g->index[0];
+            voxrti_plane_lane(t, g, i, &hits[g->index[0]]);
+        }
+        for (i = 0; i < n; i += 4) fit &= (uint32_t)voxrti_plane_open4(t, cone, rays, g, i);
+        if (!fit) voxrti_planes_popcnt(t, cone, rays, hits, some, NULL);
+        for (; fit && n != 0;) n = voxrti_plane_round(t, cone, rays, g, n, hits);
+        rays += some;
+        hits += some;
+        count -= some;
+    }
+}
+#endif
+
+static VOXRTI_UNUSED void voxrti_planes(const voxrt_tree *t, const voxrti_cone *cone, int isa, const voxrt_ray *rays,
+                                        voxrt_hit *hits, size_t count, voxrt_stats *stats) {
+#if VOXRTI_AVX2
+    if (isa == VOXRT_ISA_AVX2) {
+        if (stats == NULL && !t->spherical) voxrti_planes_avx2(t, cone, rays, hits, count);
+        else voxrti_planes_popcnt(t, cone, rays, hits, count, stats);
+        return;
+    }
+#endif
+    (void)isa;
+    voxrti_planes_each(t, cone, rays, hits, count, stats);
+}
 
 /* ---- AVX2: tiles of rays with one origin ----
    Such a beam of up to 64 rays is walked slab by slab. For a slab of leaf nodes (four planes of voxels) the masks of

@@ -369,6 +369,64 @@ TEST(rays_end_where_slow_ones_do) {
     voxrt_tree_destroy(t);
 }
 
+/* Four at a time with AVX2: the same bits, for plain and shared trees, runs of any length, with rays that are far away
+   among them and without. */
+TEST(many_rays_are_as_single_ones) {
+    static const float cone[3][2] = {{0, 0}, {0, 0.13f}, {0.06f, 0.25f}}; /* a voxel is 0.0625 wide */
+    enum { RAYS = 3000 };
+    static voxrt_ray ray[2][RAYS];
+    static voxrt_hit hit[2][RAYS];
+    static float was[RAYS];
+    voxrt_tree *t[2] = {make_mixed(32), NULL};
+    uint32_t n[2] = {0, 0}, i, k, m, from, far_off = 0;
+    test_rng r = test_rng_make(6);
+    REQUIRE(voxrt_tree_share(t[0], NULL, &t[1]) == VOXRT_OK);
+    for (i = 64; n[0] < RAYS; i++) {
+        voxrt_ray q = slow_ray(&r, i);
+        uint32_t a;
+        int close;
+        for (a = 0; i % 5 == 1 && a < 3; a++) { /* through edges and corners of voxels */
+            q.org[a] = floorf(test_rng_range(&r, -8.0f, 40.0f)) / 16;
+            q.dir[a] = q.org[a] > 1.9f ? -1.0f : q.org[a] < 0.1f ? 1.0f : (float)test_rng_below(&r, 3) - 1;
+        }
+        close = !slow_bad(&q);
+        for (a = 0; a < 3; a++) close &= fabsf(q.org[a]) < 1000.0f;
+        far_off += !close;
+        ray[0][n[0]++] = q;
+        if (close) ray[1][n[1]++] = q;
+    }
+    CHECK(far_off > RAYS / 50);
+    for (k = 0; k < 2; k++) { /* the tree */
+        for (m = 0; m < 7; m++) {
+            const uint32_t near_by = m >= 3, all = n[near_by];
+            voxrt_ray *q = ray[near_by];
+            voxrt_trace_desc d;
+            uint32_t count, planes = 0;
+            memset(&d, 0, sizeof d);
+            d.cone_width = cone[m % 3][0];
+            d.cone_spread = cone[m % 3][1];
+            d.isa = VOXRT_ISA_SCALAR;
+            CHECK(voxrt_trace(t[k], &d, q, hit[0], all) == VOXRT_OK);
+            if (m == 6) { /* they end where they met something, after they have entered its voxel */
+                for (i = 0; i < all; i++) was[i] = q[i].t_max;
+                for (i = 0; i < all; i++) q[i].t_max = hit[0][i].t;
+                CHECK(voxrt_trace(t[k], &d, q, hit[0], all) == VOXRT_OK);
+            }
+            d.isa = VOXRT_ISA_AUTO;
+            memset(hit[1], 255, sizeof hit[1]);
+            for (from = 0, count = 1; from < all; from += count, count = count % 191 + 1) {
+                if (count > all - from) count = all - from;
+                CHECK(voxrt_trace(t[k], &d, q + from, hit[1] + from, count) == VOXRT_OK);
+            }
+            CHECK(memcmp(hit[0], hit[1], all * sizeof hit[0][0]) == 0);
+            for (i = 0; i < all; i++) planes += hit[0][i].plane;
+            CHECK(m == 6 || planes > all / 20);
+            for (i = 0; m == 6 && i < all; i++) q[i].t_max = was[i];
+        }
+    }
+    for (k = 0; k < 2; k++) voxrt_tree_destroy(t[k]);
+}
+
 /* A roof whose two sides meet at an angle: on the ridge a plane stands for both if it is wide, none does if it is sharp. */
 TEST(sharp_ridges_are_cubes) {
     static const double half[2] = {0.3490658504, 0.6981317008}; /* 40 and 80 degrees between the sides */
@@ -901,6 +959,7 @@ int main(int argc, char **argv) {
     RUN(codes_of_planes);
     RUN(sheets_and_insides_stay_cubes);
     RUN(rays_end_where_slow_ones_do);
+    RUN(many_rays_are_as_single_ones);
     RUN(sharp_ridges_are_cubes);
     RUN(same_voxels_and_planes_by_all_ways);
     RUN(closed_shells_keep_all_rays);
