@@ -6388,19 +6388,39 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_raster_box8(__m256i lo, __
 #define ZBUFRANDI_RASTER_MIN3(a, b, c) _mm256_min_epi32(_mm256_min_epi32(a, b), c)
 #define ZBUFRANDI_RASTER_MAX3(a, b, c) _mm256_max_epi32(_mm256_max_epi32(a, b), c)
 
-/* Eight triangles that are not large: one centre after the other of all their boxes. ids: their numbers within the
-   cluster, of which `count` are meant. */
+/* Covered pixels on their way to the keys. They are listed without a branch and then put there in one loop: whether a
+   centre is inside, and how many of eight are, cannot be predicted. */
+enum { ZBUFRANDI_RASTER_FOUND = 768, ZBUFRANDI_RASTER_FOUND_EIGHT = 8 * 64 }; /* more than eight triangles have */
+typedef struct zbufrandi_raster_found {
+    uint32_t low[ZBUFRANDI_RASTER_FOUND], z[ZBUFRANDI_RASTER_FOUND], at[ZBUFRANDI_RASTER_FOUND];
+    uint32_t count;
+} zbufrandi_raster_found;
+
+static void zbufrandi_raster_put_found(const zbufrandi_raster *r, zbufrandi_raster_found *f) {
+    uint32_t i;
+    for (i = 0; i < f->count; i++) {
+        const uint64_t key = (uint64_t)f->z[i] << 32 | f->low[i];
+        uint64_t *to = &r->key[f->at[i]];
+        if (!r->exclusive) zbufrandi_key_min(to, key);
+        else *to = key < *to ? key : *to;
+    }
+    f->count = 0;
+}
+
+/* Eight triangles that are not large: one centre after the other of all their boxes, what is covered goes to `found`,
+   which has room for it and eight more. ids: their numbers within the cluster, of which `count` are meant. */
 ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_raster_eight(const zbufrandi_raster *r,
                                                              const zbufrandi_raster_vertex *vertex,
                                                              const uint8_t *triangle, const uint8_t *ids,
-                                                             uint32_t count, uint32_t first_number) {
+                                                             uint32_t count, uint32_t first_number,
+                                                             zbufrandi_raster_found *found) {
     const __m256i lane = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
     const uint8_t *t[8];
     zbufrandi_raster_corner8 a, b, c;
     __m256i area, swap, i0, i1, j0, j1, px, py, wa, wb, wc, bias_a, bias_b, bias_c, low, at, rows, dxa, dxb, dxc, dya,
         dyb, dyc;
     __m256 area_f;
-    uint32_t k, covered = 0, row, column;
+    uint32_t k, n = found->count, row, column;
     for (k = 0; k < 8; k++) t[k] = triangle + 3 * (size_t)ids[k];
     a = zbufrandi_raster_fetch(vertex, t, 0);
     b = zbufrandi_raster_fetch(vertex, t, 1);
@@ -6459,27 +6479,20 @@ ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_raster_eight(const zbufrandi_ras
             const __m256i u = _mm256_or_si256(
                 _mm256_or_si256(_mm256_add_epi32(ua, bias_a), _mm256_add_epi32(ub, bias_b)),
                 _mm256_add_epi32(uc, bias_c));
-            uint32_t hit = (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(_mm256_andnot_si256(u, columns)));
-            if (hit != 0) {
-                const __m256 sum = _mm256_add_ps(_mm256_mul_ps(_mm256_cvtepi32_ps(ua), a.iz),
-                                                 _mm256_mul_ps(_mm256_cvtepi32_ps(ub), b.iz));
-                const __m256 z = _mm256_div_ps(area_f, _mm256_add_ps(sum, _mm256_mul_ps(_mm256_cvtepi32_ps(uc), c.iz)));
-                uint64_t key[8]; /* of lanes 0 1 4 5 2 3 6 7 */
-                uint32_t pixels[8];
-                hit &= (uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(z, _mm256_set1_ps(r->far_z), _CMP_LE_OQ));
-                covered += (uint32_t)__builtin_popcount(hit);
-                _mm256_storeu_si256((__m256i *)(void *)key, _mm256_unpacklo_epi32(low, _mm256_castps_si256(z)));
-                _mm256_storeu_si256((__m256i *)(void *)(key + 4), _mm256_unpackhi_epi32(low, _mm256_castps_si256(z)));
-                _mm256_storeu_si256((__m256i *)(void *)pixels,
-                                    _mm256_add_epi32(at, _mm256_set1_epi32((int32_t)(row * r->width + column))));
-                for (; hit != 0; hit &= hit - 1) {
-                    const uint32_t l = zbufrandi_ctz64(hit);
-                    const uint64_t k64 = key[(l & 1) | (l >> 1 & 2) | (l << 1 & 4)];
-                    uint64_t *to = &r->key[pixels[l]];
-                    if (!r->exclusive) zbufrandi_key_min(to, k64);
-                    else *to = k64 < *to ? k64 : *to; /* nobody can predict it */
-                }
-            }
+            const __m256 sum = _mm256_add_ps(_mm256_mul_ps(_mm256_cvtepi32_ps(ua), a.iz),
+                                             _mm256_mul_ps(_mm256_cvtepi32_ps(ub), b.iz));
+            const __m256 z = _mm256_div_ps(area_f, _mm256_add_ps(sum, _mm256_mul_ps(_mm256_cvtepi32_ps(uc), c.iz)));
+            const __m256 seen = _mm256_cmp_ps(z, _mm256_set1_ps(r->far_z), _CMP_LE_OQ);
+            const uint32_t hit = (uint32_t)_mm256_movemask_ps(_mm256_and_ps(
+                _mm256_castsi256_ps(_mm256_andnot_si256(u, columns)), seen));
+            const uint64_t lanes = _pext_u64(0x0706050403020100u, _pdep_u64(hit, 0x0101010101010101u) * 255u);
+            const __m256i to = _mm256_cvtepu8_epi32(_mm_cvtsi64_si128((int64_t)lanes));
+            const __m256i pixels = _mm256_add_epi32(at, _mm256_set1_epi32((int32_t)(row * r->width + column)));
+            _mm256_storeu_si256((__m256i *)(void *)(found->low + n), _mm256_permutevar8x32_epi32(low, to));
+            _mm256_storeu_si256((__m256i *)(void *)(found->z + n),
+                                _mm256_permutevar8x32_epi32(_mm256_castps_si256(z), to));
+            _mm256_storeu_si256((__m256i *)(void *)(found->at + n), _mm256_permutevar8x32_epi32(pixels, to));
+            n += (uint32_t)__builtin_popcount(hit);
             columns = _mm256_and_si256(columns, _mm256_cmpgt_epi32(i1, _mm256_set1_epi32((int32_t)column)));
             ua = _mm256_add_epi32(ua, dxa);
             ub = _mm256_add_epi32(ub, dxb);
@@ -6490,7 +6503,9 @@ ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_raster_eight(const zbufrandi_ras
         wb = _mm256_add_epi32(wb, dyb);
         wc = _mm256_add_epi32(wc, dyc);
     }
-    return covered;
+    k = n - found->count;
+    found->count = n;
+    return k;
 }
 
 /* Append the numbers base + lane of the lanes of a mask; 8 bytes are written. */
@@ -6512,6 +6527,8 @@ ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_raster_cluster_avx2(const zbufra
                                       : _mm256_set1_epi32(-1); /* what an area is xored with to be positive in front */
     uint8_t list[3][256 + 16]; /* boxes of at most 2 x 2 pixels, other small ones, large ones */
     uint32_t in_list[3] = {0, 0, 0}, i, k, n, covered = 0;
+    zbufrandi_raster_found found;
+    found.count = 0;
     for (i = 0; i < triangle_count; i += 8) {
         const uint8_t *t[8];
         zbufrandi_raster_corner8 a, b, c;
@@ -6564,10 +6581,13 @@ ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_raster_cluster_avx2(const zbufra
     for (n = 0; n < 2; n++) {
         for (i = 0; i < in_list[n]; i += 8) {
             for (k = in_list[n]; k < i + 8; k++) list[n][k] = list[n][i];
+            if (found.count + ZBUFRANDI_RASTER_FOUND_EIGHT + 8 > ZBUFRANDI_RASTER_FOUND)
+                zbufrandi_raster_put_found(r, &found);
             covered += zbufrandi_raster_eight(r, vertex, triangle, list[n] + i, in_list[n] - i < 8 ? in_list[n] - i : 8,
-                                              first_number);
+                                              first_number, &found);
         }
     }
+    zbufrandi_raster_put_found(r, &found);
     for (i = 0; i < in_list[2]; i++) {
         const uint8_t *t = triangle + 3 * (size_t)list[2][i];
         covered += zbufrandi_raster_triangle(r, &vertex[t[0]], &vertex[t[1]], &vertex[t[2]], two_sided,
@@ -15288,7 +15308,8 @@ static size_t zbufrandi_repair_tiles(const zbufrandi_recon *r) {
 
 /* ---- where samples are, if they are few ---- */
 
-enum { ZBUFRANDI_REPAIR_FEW = 1024 };
+/* So many draws of samples are few: 1024, or one for so many pixels. To mark one takes as long as to look at ten. */
+enum { ZBUFRANDI_REPAIR_FEW = 1024, ZBUFRANDI_REPAIR_FEW_PIXELS = 64 };
 
 /* The rectangle of a draw in the picture, `margin` pixels wider: areas there get a 1. */
 static void zbufrandi_area_mark(const zbufrandi_picture *p, const zbufrandi_draw *d, float margin, uint8_t *area) {
@@ -15335,11 +15356,12 @@ static size_t zbufrandi_repair_areas(zbufrandi_picture *p, uint8_t *area) {
     const zbufrand_frame *f = p->f;
     const zbufrandi_recon *r = &f->recon;
     const uint32_t wide = (r->width + 15) / 16, high = (r->height + 15) / 16, block = r->o.block;
+    const size_t few = (size_t)r->width * r->height / ZBUFRANDI_REPAIR_FEW_PIXELS;
     size_t i, n = 0;
     uint32_t x, y, u, v;
     p->where = NULL;
-    if (p->stats.draws[0] + p->stats.draws[1] > ZBUFRANDI_REPAIR_FEW || p->stats.rastered == 0 || block > 8 ||
-        p->d->points_count != 0) return (size_t)r->width * r->height;
+    if (p->stats.draws[0] + p->stats.draws[1] > (few > ZBUFRANDI_REPAIR_FEW ? few : (size_t)ZBUFRANDI_REPAIR_FEW) ||
+        p->stats.rastered == 0 || block > 8 || p->d->points_count != 0) return (size_t)r->width * r->height;
     memset(area, 0, (size_t)wide * high);
     for (i = 0; i < f->draw_count; i++) {
         const uint32_t kind = f->draw[i].item >> ZBUFRANDI_DRAW_SHIFT;
