@@ -15,7 +15,7 @@ typedef struct options {
     double max_error, opacity, iso, scale, step, radius, share, samples, lod_error, seconds;
     int64_t detail, longest, longest_end, cells, level, jump, overlap;
     int between;
-    int storage, model, has_iso, has_focus, has_cut, has_dims, has_background, shader, weld, tile, codec, has_through;
+    int storage, model, has_iso, has_focus, has_cut, has_dims, has_background, shader, weld, tile, codec, has_through, average, view;
     float focus[3], cut[3], dims[3], spacing[3], background[3], normal[3], through[3];
 } options;
 
@@ -146,10 +146,15 @@ static int make_bricks(const options *o, const tetcast_env *env, tetcast_bricks_
     d.log_cells = o->cells == 8 ? 3 : o->cells == 32 ? 5 : 4;
     d.longest = (uint32_t)o->longest;
     d.longest_end = (uint32_t)o->longest_end;
+    d.average = (uint32_t)o->average;
+    if (o->has_focus) {
+        d.focus_radius = o->radius;
+        for (int k = 0; k < 3; k++) d.focus[k] = (double)o->focus[k];
+    }
     if (o->in ? sup_amr_is(o->in) : strcmp(o->scene, "blast") == 0) return make_amr_bricks(o, &d, report, out, err);
     if (load_volume(o, o->in, &v, err)) return 1;
     failed = sup_choose_field(&v, o->field, o->in ? o->in : o->scene, &field, &made, label, sizeof label, err);
-    if (!failed && v.dims[0] && !v.points && !v.axes[0] && !v.blanks && !field.per_cell) {
+    if (!failed && v.dims[0] && !v.points && !v.axes[0] && !v.blanks && !field.per_cell && !d.average && !(d.focus_radius > 0.0)) {
         tetcast_lattice l;
         float lo = INFINITY, hi = -INFINITY;
         memset(&l, 0, sizeof l);
@@ -320,7 +325,7 @@ static void print_bricks(const char *command, const options *o, const tetcast_br
 }
 
 static int resample(int argc, char **argv) {
-    sup_option table[24];
+    sup_option table[28];
     tetcast_env env;
     tetcast_error error = {TETCAST_OK, 0, ""};
     tetcast_bricks_report report;
@@ -341,6 +346,9 @@ static int resample(int argc, char **argv) {
     table[n++] = sup_opt_real("max-error", &o.max_error, 0.0, 1.0, "E", "largest error, as a share of the data range (0.01)");
     table[n++] = sup_opt_int("longest", &o.longest, 2, 16385, "N", "nodes along the longest side (what the error needs)");
     table[n++] = sup_opt_int("longest-end", &o.longest_end, 2, 16385, "N", "no more than that (4097)");
+    table[n++] = sup_opt_flag("average", &o.average, "with --longest: means over boxes around nodes instead of values at nodes");
+    table[n++] = sup_opt_given(sup_opt_vec3("focus", o.focus, "on demand: fine bricks are made around this point only"), &o.has_focus);
+    table[n++] = sup_opt_real("radius", &o.radius, 1e-30, 1e30, "R", "of the finest level around --focus; one coarser for each more");
     table[n++] = sup_opt_flag("weld", &o.weld, "points at the same place become one");
     table[n++] = sup_opt_int("threads", &threads, 0, 64, "N", "0: one per core");
     table[n++] = sup_opt_flag("stats", &stats, "one JSON object on stdout");
@@ -351,6 +359,9 @@ static int resample(int argc, char **argv) {
     o.out = o.scene ? first : second;
     if (!o.out || (o.scene && second)) return sup_bad_usage(argv[0], "IN (or --scene) and OUT.brk have to be given");
     if (o.cells != 8 && o.cells != 16 && o.cells != 32) return sup_bad_usage(argv[0], "--brick: 8, 16 or 32");
+    if (o.average && !o.longest) return sup_bad_usage(argv[0], "--average needs --longest");
+    if (o.has_focus != (o.radius > 0.0) || (o.has_focus && o.average))
+        return sup_bad_usage(argv[0], "--focus and --radius go together, and without --average");
     memset(&env, 0, sizeof env);
     memset(&report, 0, sizeof report);
     env.thread_count = (uint32_t)threads;
@@ -371,7 +382,7 @@ static int resample(int argc, char **argv) {
         tetcast_bricks_get_info(bricks, &info);
         range = (double)info.value_max - (double)info.value_min;
         range = range > 0.0 ? range : 1.0;
-        if (report.above && !quiet)
+        if (report.above && !quiet && !o.average)
             fprintf(stderr, "warning: %s: %llu of %llu points are farther off than %g of the range, the worst %g; --longest-end "
                     "allows more nodes\n", o.out, (unsigned long long)report.above, (unsigned long long)report.checks,
                     o.max_error, report.error / range);
@@ -834,8 +845,26 @@ static int write_section(const char *path, const tetcast_section *s, sup_error *
     return sup_file_commit(&file, err);
 }
 
-static int slice_bricks(const options *o, const tetcast_env *env, const tetcast_bricks *bricks, const tetcast_plane *plane, uint32_t width,
-                        uint32_t height, float *out, sup_error *err) {
+/* Where the ray of a pixel meets a plane; not in front of the eye: 0. */
+static int view_point(const tetcast_camera *camera, const tetcast_plane *plane, uint32_t width, uint32_t height, uint32_t i, uint32_t j,
+                      double p[3]) {
+    tetcast_ray ray;
+    double up = 0.0, along = 0.0;
+    if (tetcast_camera_ray(camera, width, height, (double)i + 0.5, (double)j + 0.5, &ray) != TETCAST_OK) return 0;
+    for (int k = 0; k < 3; k++) {
+        const int a = (k + 1) % 3, b = (k + 2) % 3;
+        const double n = plane->u[a] * plane->v[b] - plane->u[b] * plane->v[a];
+        up += n * (plane->origin[k] - ray.org[k]);
+        along += n * ray.dir[k];
+    }
+    if (!(up * along > 0.0)) return 0;
+    for (int k = 0; k < 3; k++) p[k] = ray.org[k] + up / along * ray.dir[k];
+    return 1;
+}
+
+/* camera: NULL, or it sees the plane. */
+static int slice_bricks(const options *o, const tetcast_env *env, const tetcast_bricks *bricks, const tetcast_plane *plane,
+                        const tetcast_camera *camera, uint32_t width, uint32_t height, float *out, sup_error *err) {
     tetcast_bricks_info info;
     tetcast_cut *cut = NULL;
     float *x = (float *)sup_alloc(width, 4), *y = (float *)sup_alloc(width, 4), *z = (float *)sup_alloc(width, 4), *row[3];
@@ -845,11 +874,14 @@ static int slice_bricks(const options *o, const tetcast_env *env, const tetcast_
     row[1] = y;
     row[2] = z;
     for (uint32_t j = 0; j < height && !failed; j++) {
-        for (uint32_t i = 0; i < width; i++)
+        for (uint32_t i = 0; i < width; i++) {
+            double p[3];
+            const int met = camera && view_point(camera, plane, width, height, i, j, p);
             for (int k = 0; k < 3; k++) {
-                const double at = plane->origin[k] + ((double)i + 0.5) / width * plane->u[k] + ((double)j + 0.5) / height * plane->v[k];
-                row[k][i] = (float)((at - info.lattice.origin[k]) / info.lattice.spacing[k]);
+                const double at = met ? p[k] : plane->origin[k] + ((double)i + 0.5) / width * plane->u[k] + ((double)j + 0.5) / height * plane->v[k];
+                row[k][i] = camera && !met ? -1.0f : (float)((at - info.lattice.origin[k]) / info.lattice.spacing[k]);
             }
+        }
         tetcast_cut_sample(cut, x, y, z, width, TETCAST_ISA_AUTO, out + (size_t)j * width);
         for (uint32_t i = 0; i < width; i++)
             for (int k = 0; k < 3; k++)
@@ -863,7 +895,7 @@ static int slice_bricks(const options *o, const tetcast_env *env, const tetcast_
 }
 
 static int slice(int argc, char **argv) {
-    sup_option table[SUP_COMMON_OPTIONS + 16];
+    sup_option table[SUP_COMMON_OPTIONS + 20];
     tetcast_error error = {TETCAST_OK, 0, ""};
     tetcast_env env;
     tetcast_bricks *bricks = NULL;
@@ -871,6 +903,7 @@ static int slice(int argc, char **argv) {
     tetcast_mesh *mesh = NULL;
     tetcast_section section;
     tetcast_plane plane;
+    tetcast_camera camera;
     tetcast_result r = TETCAST_OK;
     sup_error err;
     options o;
@@ -883,6 +916,7 @@ static int slice(int argc, char **argv) {
     sup_error_clear(&err);
     memset(&env, 0, sizeof env);
     memset(&section, 0, sizeof section);
+    memset(&camera, 0, sizeof camera);
     n = sup_common_options(&o.common, table);
     o.common.size[0] = 1024;
     o.common.size[1] = 768;
@@ -892,6 +926,7 @@ static int slice(int argc, char **argv) {
     table[n++] = sup_opt_vec3("normal", o.normal, "x,y,z: direction at right angles to the plane (0,0,1)");
     table[n++] = sup_opt_given(sup_opt_vec3("through", o.through, "x,y,z: a point of it (the middle)"), &o.has_through);
     table[n++] = sup_opt_text("section", &o.section, "FILE.obj", "of meshes: the polygons in which it cuts the cells; a value after each x y z");
+    table[n++] = sup_opt_flag("view", &o.view, "the plane as --eye, --at, --fov see it, in perspective");
     table[n++] = sup_opt_int("level", &o.level, 0, 5, "N", "of bricks: no finer than this level");
     status = sup_cli_parse(argc, argv, "Values on a plane through cells or bricks.", table, n);
     if (status >= 0) return status;
@@ -928,7 +963,9 @@ static int slice(int argc, char **argv) {
         side = 1.1 * sup_box_diagonal(lo, hi) / sqrt(2.0);
         for (int k = 0; k < 3; k++) through[k] = o.has_through ? (double)o.through[k] : 0.5 * (lo[k] + hi[k]);
         plane_of(o.normal, through, side, o.common.size[0], o.common.size[1], &plane);
-        if (is_bricks) status = slice_bricks(&o, &env, bricks, &plane, o.common.size[0], o.common.size[1], values, &err);
+        if (o.view) (void)sup_volume_camera(&o.common, lo, hi, 0.0, &camera);
+        if (is_bricks) status = slice_bricks(&o, &env, bricks, &plane, o.view ? &camera : NULL, o.common.size[0], o.common.size[1], values, &err);
+        else if (o.view) r = tetcast_plane_view(&env, mesh, &plane, &camera, o.common.size[0], o.common.size[1], values, NULL);
         else r = tetcast_plane_sample(&env, mesh, &plane, o.common.size[0], o.common.size[1], values);
         if (r == TETCAST_OK && o.section) r = tetcast_plane_section(&env, mesh, &plane, &section);
         if (r != TETCAST_OK) status = sup_fail_result(&err, o.in ? o.in : o.scene, r, &error);

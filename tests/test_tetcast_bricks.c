@@ -386,6 +386,96 @@ TEST(resample_keeps_the_integral) {
     tets_free(&m);
 }
 
+/* The library's means over boxes: box by box those of the oracle, least and most at corners of the cut cells, the integral;
+   boxes that are larger and smaller than cells, lattices that hold only a part, any number of threads. */
+TEST(means_of_boxes) {
+    static const double spacings[4] = {0.21, 0.47, 1.3, 6.0};
+    int round;
+    for (round = 0; round < 4; round++) {
+        tets m;
+        tetcast_mesh *mesh;
+        tetcast_lattice l;
+        tetcast_means out;
+        tetcast_env env;
+        size_t i, n, c, wrong = 0, empty = 0;
+        double whole = 0, sum = 0, off = 0, rough = 0;
+        float *v, *w;
+        uint32_t k;
+        memset(&m, 0, sizeof m);
+        memset(&l, 0, sizeof l);
+        memset(&env, 0, sizeof env);
+        tets_lattice(&m, 4, 3, 4, 6, NULL);
+        tets_jitter(&m, 4, 3, 4, 0.6, (uint64_t)round + 40);
+        for (i = 0; i < m.nv; i++) m.s[i] = (float)sin(3.0 * (double)i);
+        mesh = tets_build(&m, TETCAST_CELLS_TET16, NULL);
+        REQUIRE(mesh != NULL);
+        for (k = 0; k < 3; k++) {
+            l.spacing[k] = spacings[round] * (1.0 + 0.1 * k);
+            l.dims[k] = round == 3 ? 1 : (uint32_t)(5.0 / l.spacing[k]) + 1;
+            l.origin[k] = round == 1 ? 0.9 : round == 3 ? 1.7 : -0.37; /* 1: the mesh goes on beyond the lattice */
+        }
+        n = node_count(&l);
+        v = (float *)malloc(8 * n * sizeof *v);
+        REQUIRE(v != NULL);
+        w = v + 4 * n;
+        memset(v, 0, 8 * n * sizeof *v);
+        for (k = 0; k < 2; k++) {
+            float *to = k == 0 ? v : w;
+            out.mean = to;
+            out.least = to + n;
+            out.most = to + 2 * n;
+            out.share = to + 3 * n;
+            env.thread_count = k == 0 ? 1 : 3;
+            CHECK_EQ_U64(tetcast_resample_mean(&env, mesh, &l, &out), TETCAST_OK);
+        }
+        CHECK_MSG(memcmp(v, w, 4 * n * sizeof *v) == 0, "threads change bits");
+        for (i = 0; i < n; i++) {
+            double p[3], lo[3], hi[3], filled = 0, integral = 0;
+            float least = 1e9f, most = -1e9f;
+            node_at(&l, i, p);
+            for (k = 0; k < 3; k++) {
+                lo[k] = p[k] - 0.5 * l.spacing[k];
+                hi[k] = p[k] + 0.5 * l.spacing[k];
+            }
+            for (c = 0; c < m.nt; c++) {
+                part t;
+                double had = filled;
+                uint32_t q;
+                for (q = 0; q < 4; q++) {
+                    memcpy(t.p[q], m.p + 3 * (size_t)m.t[4 * c + q], sizeof t.p[q]);
+                    t.s[q] = (double)m.s[m.t[4 * c + q]];
+                }
+                integral += part_integral(&t, lo, hi, 0, &filled);
+                for (q = 0; q < 4 && filled > had; q++) { /* no more than the cells have */
+                    least = (float)t.s[q] < least ? (float)t.s[q] : least;
+                    most = (float)t.s[q] > most ? (float)t.s[q] : most;
+                }
+            }
+            whole += integral;
+            filled /= l.spacing[0] * l.spacing[1] * l.spacing[2];
+            if (v[i] == v[i]) sum += (double)v[i] * (double)v[3 * n + i] * l.spacing[0] * l.spacing[1] * l.spacing[2];
+            off = fmax(off, fabs(filled - (double)v[3 * n + i]));
+            if (!(filled > 1e-9)) {
+                empty += filled == 0.0;
+                continue;
+            }
+            wrong += !(v[i] == v[i]) || !(v[n + i] <= v[i] && v[i] <= v[2 * n + i]) || !(v[n + i] >= least && v[2 * n + i] <= most);
+            rough = fmax(rough, fabs(integral / (filled * l.spacing[0] * l.spacing[1] * l.spacing[2]) - (double)v[i]));
+        }
+        CHECK_EQ_U64(wrong, 0);
+        CHECK_MSG(off < 1e-6, "share off by %g", off);
+        CHECK_MSG(rough < 1e-5, "mean off by %g", rough);
+        CHECK_NEAR(sum, whole, 1e-6 * (fabs(whole) + 1.0));
+        if (round == 0) CHECK(empty > 0);
+        if (round == 3) CHECK_NEAR((double)v[3], 18.0 / (6.0 * 6.6 * 7.2), 1e-6); /* one box around everything */
+        out.mean = NULL;
+        CHECK_EQ_U64(tetcast_resample_mean(&env, mesh, &l, &out), TETCAST_ERR_INVALID_ARG);
+        free(v);
+        tetcast_mesh_destroy(mesh);
+        tets_free(&m);
+    }
+}
+
 TEST(resample_bad_cells) { /* slivers, flat and turned cells, repeated vertices, a hole, a value that is no number */
     tets m;
     tetcast_mesh *mesh;
@@ -569,6 +659,89 @@ TEST(planes_and_sections) {
     tets_free(&m);
 }
 
+
+/* A plane as a camera sees it: each pixel is what a ray finds in the cells where it meets the plane; and how deep. */
+TEST(planes_in_perspective) {
+    enum { W = 40, H = 30 };
+    static float out[W * H], depth[W * H];
+    tets m;
+    tetcast_mesh *mesh;
+    test_rng r = test_rng_make(31);
+    int round;
+    memset(&m, 0, sizeof m);
+    tets_lattice(&m, 4, 4, 4, 5, NULL);
+    tets_jitter(&m, 4, 4, 4, 0.7, 8);
+    make_linear(&m);
+    mesh = tets_build(&m, TETCAST_CELLS_TET16, NULL);
+    REQUIRE(mesh != NULL);
+    for (round = 0; round < 12; round++) {
+        tetcast_plane plane;
+        tetcast_camera cam;
+        size_t i, c, wrong = 0, seen = 0;
+        double off = 0, deep = 0, n[3], forward[3], length = 0;
+        int k;
+        memset(&cam, 0, sizeof cam);
+        for (k = 0; k < 3; k++) {
+            plane.u[k] = 4 * (test_rng_double(&r) - 0.5);
+            plane.v[k] = 4 * (test_rng_double(&r) - 0.5);
+            plane.origin[k] = 2.0 + 0.3 * test_rng_double(&r);
+            cam.eye[k] = round % 3 == 0 ? 1.7 + test_rng_double(&r) : 12 * (test_rng_double(&r) - 0.5); /* 0, 3, ..: inside */
+            cam.at[k] = 2.0 + test_rng_double(&r);
+        }
+        cam.fov_y = round % 2 ? 100.0f : 40.0f;
+        if (round % 4 == 2) cam.ortho_height = 5.0f;
+        CHECK_EQ_U64(tetcast_plane_view(NULL, mesh, &plane, &cam, W, H, out, depth), TETCAST_OK);
+        for (k = 0; k < 3; k++) {
+            n[k] = plane.u[(k + 1) % 3] * plane.v[(k + 2) % 3] - plane.u[(k + 2) % 3] * plane.v[(k + 1) % 3];
+            forward[k] = cam.at[k] - cam.eye[k];
+            length += forward[k] * forward[k];
+        }
+        for (i = 0; i < W * H; i++) {
+            tetcast_ray ray;
+            double p[3], v, least = -1e9, t, up = 0, along = 0, z = 0;
+            REQUIRE(tetcast_camera_ray(&cam, W, H, (double)(i % W) + 0.5, (double)(i / W) + 0.5, &ray) == TETCAST_OK);
+            for (k = 0; k < 3; k++) {
+                up += n[k] * (plane.origin[k] - ray.org[k]);
+                along += n[k] * ray.dir[k];
+                z += ray.dir[k] * forward[k] / sqrt(length);
+            }
+            t = up / along;
+            for (k = 0; k < 3; k++) p[k] = ray.org[k] + t * ray.dir[k];
+            for (c = 0; c < m.nt && (t > 0 || cam.ortho_height > 0); c++) {
+                const double at = inside(&m, c, p, &v);
+                least = at > least ? at : least;
+            }
+            if (least > -1e-6 && least < 1e-9) continue;
+            wrong += (least >= -1e-9) != (out[i] == out[i]) || (out[i] == out[i]) != (depth[i] < 1e30f);
+            if (!(out[i] == out[i])) continue;
+            seen++;
+            off = fmax(off, fabs((double)out[i] - linear_at(p)));
+            deep = fmax(deep, fabs((double)depth[i] - t * z));
+        }
+        CHECK_MSG(wrong == 0, "round %d: %lu wrong", round, (unsigned long)wrong);
+        CHECK_MSG(off < 3e-5 && deep < 3e-5, "round %d: %g %g", round, off, deep);
+        if (round % 3 == 1) CHECK_MSG(seen > 0, "round %d", round);
+    }
+    { /* along the plane nothing is seen; bad arguments */
+        tetcast_plane plane;
+        tetcast_camera cam;
+        size_t i, seen = 0;
+        memset(&plane, 0, sizeof plane);
+        memset(&cam, 0, sizeof cam);
+        plane.u[0] = plane.v[1] = 1;
+        plane.origin[2] = 1;
+        cam.eye[2] = 1;
+        cam.eye[0] = -3;
+        cam.at[0] = cam.at[2] = 1;
+        CHECK_EQ_U64(tetcast_plane_view(NULL, mesh, &plane, &cam, W, H, out, NULL), TETCAST_OK);
+        for (i = 0; i < W * H; i++) seen += out[i] == out[i];
+        CHECK_EQ_U64(seen, 0);
+        cam.fov_y = 190;
+        CHECK_EQ_U64(tetcast_plane_view(NULL, mesh, &plane, &cam, W, H, out, NULL), TETCAST_ERR_INVALID_ARG);
+    }
+    tetcast_mesh_destroy(mesh);
+    tets_free(&m);
+}
 
 /* ---- bricks -------------------------------------------------------------------------------------------------- */
 
@@ -832,6 +1005,142 @@ TEST(borders_agree) {
 
 /* A linear field is the same on all levels; a constant one too; the filter keeps both up to the sides of the lattice. */
 /* What a slot may show is what it can show: no more, or empty space is walked through; no less, or something is left out. */
+/* Largest jump of the gradient at borders of slots, as a share of what it changes by in a cell of the coarser level there,
+   corner to corner; only where levels differ, or do not. *count: how many were seen. */
+static double gradient_jump(const tetcast_bricks *b, const uint8_t *levels, double bend, int differ, size_t *count) {
+    tetcast_cut *cut = make_cut(b, levels, 0);
+    const uint8_t *shown = tetcast_cut_levels(cut);
+    test_rng r = test_rng_make(77);
+    double worst = 0;
+    int i;
+    for (i = 0; i < 6000; i++) {
+        const uint32_t a = test_rng_u32(&r) % 3, slot[3] = {test_rng_u32(&r) % 7, test_rng_u32(&r) % 7, test_rng_u32(&r) % 7};
+        float x[3], got[2], g[2][3];
+        uint32_t k, level[2], size;
+        for (k = 0; k < 3; k++) x[k] = (float)(8 * slot[k]) + 0.3f + 7.4f * test_rng_float(&r);
+        for (k = 0; k < 2; k++) {
+            uint32_t at[3] = {slot[0], slot[1], slot[2]};
+            at[a] += k;
+            x[a] = (float)(8 * slot[a] + 8) + (k == 0 ? -1e-3f : 1e-3f);
+            level[k] = shown[at[0] + 8 * (at[1] + 8 * at[2])];
+            tetcast_cut_gradient(cut, x, x + 1, x + 2, 1, &got[k], &g[k]);
+        }
+        if ((level[0] != level[1]) != differ) continue;
+        size = 1u << (level[0] > level[1] ? level[0] : level[1]);
+        for (k = 0; k < 3; k++) worst = fmax(worst, fabs((double)g[0][k] - (double)g[1][k]) / (bend * size));
+        ++*count;
+    }
+    tetcast_cut_destroy(cut);
+    return worst;
+}
+
+/* Gradients jump where levels meet, since one layer of nodes moved: by no more than they change in a cell of the coarser
+   level where all levels lie on the field; where coarser levels are smoothed what that takes away comes on top, three halves. */
+TEST(gradients_at_borders) {
+    const tetcast_lattice l = cube_lattice(65, 65, 65);
+    float *v = (float *)malloc(node_count(&l) * sizeof *v);
+    const double bend = 0.11 * 0.11 + 0.11 * 0.09; /* second derivatives in x and xy; those in z are smaller */
+    uint8_t levels[512], same[512];
+    size_t i;
+    uint32_t nearest;
+    REQUIRE(v != NULL);
+    for (i = 0; i < node_count(&l); i++) {
+        const double x = (double)(i % 65), y = (double)(i / 65 % 65), z = (double)(i / 65 / 65);
+        v[i] = (float)(sin(0.11 * x) * cos(0.09 * y) + sin(0.13 * z));
+    }
+    for (i = 0; i < 512; i++) {
+        levels[i] = (uint8_t)((i & 1) != 0 ? 0 : (i >> 4 & 1) != 0 ? 2 : 1);
+        same[i] = 1;
+    }
+    for (nearest = 0; nearest < 2; nearest++) {
+        tetcast_bricks_desc d;
+        tetcast_bricks *b = NULL;
+        tetcast_array a;
+        tetcast_lattice unit = l;
+        size_t count[2] = {0, 0};
+        double inner, border;
+        uint32_t k;
+        memset(&d, 0, sizeof d);
+        memset(&a, 0, sizeof a);
+        for (k = 0; k < 3; k++) unit.spacing[k] = 1;
+        a.data = v;
+        d.storage = TETCAST_TYPE_F32;
+        d.log_cells = 3;
+        d.nearest = nearest;
+        CHECK_EQ_U64(tetcast_bricks_create_grid(&d, &unit, &a, NULL, &b), TETCAST_OK);
+        REQUIRE(b != NULL);
+        inner = gradient_jump(b, same, bend, 0, &count[0]);
+        border = gradient_jump(b, levels, bend, 1, &count[1]);
+        CHECK(count[0] == 6000 && count[1] > 1500);
+        CHECK_MSG(inner > 0.1 && inner <= 1.0, "inside of a level %g", inner);
+        CHECK_MSG(border > inner && border <= (nearest ? 1.0 : 1.5), "at borders %g, inside of a level %g", border, inner);
+        tetcast_bricks_destroy(b);
+    }
+    free(v);
+}
+
+/* A moving focus, frame after frame: nothing leaks, and a cut is what it would be without the frames before. */
+TEST(moving_focus) {
+    const int frames = test_quick() ? 2000 : 100000;
+    const tetcast_lattice l = cube_lattice(33, 25, 17);
+    float *v = random_grid(&l, 5);
+    tetcast_bricks *b;
+    tetcast_bricks_info info;
+    test_alloc ta;
+    test_rng r = test_rng_make(8);
+    uint64_t bits[16] = {0}, jumps = 0;
+    int frame;
+    test_alloc_init(&ta);
+    b = make_bricks(&l, v, TETCAST_TYPE_U8, 3, 0);
+    tetcast_bricks_get_info(b, &info);
+    for (frame = 0; frame < frames; frame++) {
+        enum { P = 24 };
+        tetcast_cut_desc d;
+        tetcast_cut *cut = NULL;
+        float x[P], y[P], z[P], out[P];
+        const uint32_t place = test_rng_u32(&r) % 16;
+        size_t i;
+        uint32_t k;
+        uint64_t sum;
+        memset(&d, 0, sizeof d);
+        d.env.allocator.alloc_fn = test_alloc_fn;
+        d.env.allocator.free_fn = test_free_fn;
+        d.env.allocator.user = &ta;
+        d.env.thread_count = 1;
+        for (k = 0; k < 3; k++) d.focus[k] = l.spacing[k] * (double)((place * (3 + 4 * k)) % 16) / 15.0 * (double)(l.dims[k] - 1);
+        d.focus_radius = 4 + place % 5;
+        d.max_jump = place % 2;
+        CHECK_EQ_U64(tetcast_cut_create(&d, b, &cut), TETCAST_OK);
+        REQUIRE(cut != NULL);
+        for (i = 0; i < P; i += 2) { /* both sides of borders of slots, the same places each time */
+            const uint32_t a = (uint32_t)(i / 2) % 3;
+            x[i] = 1.7f + 1.1f * (float)i;
+            y[i] = 2.3f + 0.8f * (float)i;
+            z[i] = 0.9f + 0.6f * (float)i;
+            (a == 0 ? x : a == 1 ? y : z)[i] = 8.0f;
+            x[i + 1] = x[i];
+            y[i + 1] = y[i];
+            z[i + 1] = z[i];
+            (a == 0 ? x : a == 1 ? y : z)[i] -= 1e-5f;
+        }
+        tetcast_cut_sample(cut, x, y, z, P, TETCAST_ISA_AUTO, out);
+        for (i = 0; i < P; i += 2) jumps += fabs((double)out[i] - (double)out[i + 1]) > 1e-4;
+        sum = test_fnv1a(out, sizeof out, test_fnv1a(tetcast_cut_levels(cut), (size_t)info.slots[0] * info.slots[1] * info.slots[2], 0));
+        if (bits[place] == 0) bits[place] = sum;
+        if (bits[place] != sum) {
+            CHECK_MSG(0, "frame %d differs from the first at place %u", frame, place);
+            tetcast_cut_destroy(cut);
+            break;
+        }
+        tetcast_cut_destroy(cut);
+    }
+    CHECK_EQ_U64(jumps, 0);
+    CHECK(bits[0] != bits[1]);
+    test_alloc_check(&ta);
+    tetcast_bricks_destroy(b);
+    free(v);
+}
+
 TEST(ranges_of_slots) {
     enum { SIDE = 65 };
     static const tetcast_type types[3] = {TETCAST_TYPE_F32, TETCAST_TYPE_F16, TETCAST_TYPE_U8};
@@ -1056,6 +1365,104 @@ TEST(bricks_of_a_mesh) {
     }
     tetcast_bricks_destroy(two);
     tetcast_bricks_destroy(b);
+    tetcast_mesh_destroy(mesh);
+    tets_free(&m);
+}
+
+/* Bricks on demand: fine only around a point, there as good as bricks that are fine everywhere; means instead of values. */
+TEST(bricks_on_demand) {
+    enum { N = 4000 };
+    static const double points[2][3] = {{1.0, 1.2, 1.1}, {3.1, 2.9, 3.0}};
+    tets m;
+    tetcast_mesh *mesh;
+    tetcast_bricks_desc d;
+    tetcast_bricks_report report;
+    tetcast_bricks *all = NULL;
+    tetcast_bricks_info whole;
+    size_t i;
+    int round, k;
+    memset(&m, 0, sizeof m);
+    memset(&d, 0, sizeof d);
+    tets_lattice(&m, 5, 5, 5, 6, NULL);
+    tets_jitter(&m, 5, 5, 5, 0.4, 12);
+    for (i = 0; i < m.nv; i++) m.s[i] = (float)sin(1.7 * (double)(i % 11) + 0.1 * (double)i);
+    mesh = tets_build(&m, TETCAST_CELLS_TET16, NULL);
+    REQUIRE(mesh != NULL);
+    d.storage = TETCAST_TYPE_F32;
+    d.log_cells = 3;
+    d.longest = 129;
+    d.max_error = 0.01f;
+    d.checks = 4000;
+    CHECK_EQ_U64(tetcast_bricks_create_mesh(&d, mesh, &report, &all), TETCAST_OK);
+    REQUIRE(all != NULL);
+    tetcast_bricks_get_info(all, &whole);
+    for (round = 0; round < 2; round++) {
+        tetcast_bricks *b = NULL, *again = NULL;
+        tetcast_bricks_info info;
+        tetcast_cut_desc cd;
+        tetcast_cut *cut = NULL;
+        test_rng r = test_rng_make((uint64_t)round + 5);
+        double worst = 0, beyond = 0;
+        memset(&cd, 0, sizeof cd);
+        d.focus_radius = cd.focus_radius = 0.4;
+        for (k = 0; k < 3; k++) d.focus[k] = cd.focus[k] = points[round][k];
+        CHECK_EQ_U64(tetcast_bricks_create_mesh(&d, mesh, &report, &b), TETCAST_OK);
+        d.env.thread_count = 3;
+        CHECK_EQ_U64(tetcast_bricks_create_mesh(&d, mesh, &report, &again), TETCAST_OK);
+        d.env.thread_count = 0;
+        REQUIRE(b != NULL && again != NULL);
+        tetcast_bricks_get_info(b, &info);
+        CHECK_MSG(info.bricks * 2 < whole.bricks, "%lu of %lu", (unsigned long)info.bricks, (unsigned long)whole.bricks);
+        CHECK(info.level_bricks[0] > 0);
+        CHECK_EQ_U64(tetcast_bricks_file_size(b), tetcast_bricks_file_size(again));
+        CHECK_MSG(report.checks > 0 && report.checks < 4000 + m.nv, "%lu of %lu", (unsigned long)report.checks, 4000 + (unsigned long)m.nv);
+        CHECK_EQ_U64(tetcast_cut_create(&cd, b, &cut), TETCAST_OK);
+        REQUIRE(cut != NULL);
+        for (i = 0; i < N; i++) { /* as far as the finest level reaches, less a brick's diagonal: right; elsewhere not */
+            const size_t cell = test_rng_u32(&r) % m.nt;
+            double w[4], p[3] = {0, 0, 0}, v = 0, sum = 0, way = 0;
+            float x[3], got;
+            for (k = 0; k < 4; k++) sum += w[k] = -log(test_rng_double(&r) + 1e-9);
+            for (k = 0; k < 4; k++) {
+                int a;
+                for (a = 0; a < 3; a++) p[a] += w[k] / sum * m.p[3 * (size_t)m.t[4 * cell + (size_t)k] + (size_t)a];
+                v += w[k] / sum * (double)m.s[m.t[4 * cell + (size_t)k]];
+            }
+            for (k = 0; k < 3; k++) {
+                x[k] = (float)((p[k] - info.lattice.origin[k]) / info.lattice.spacing[k]);
+                way += (p[k] - points[round][k]) * (p[k] - points[round][k]);
+            }
+            tetcast_cut_sample(cut, x, x + 1, x + 2, 1, TETCAST_ISA_SCALAR, &got);
+            if (sqrt(way) < 0.4 - 0.22) worst = fmax(worst, fabs((double)got - v));
+            else if (sqrt(way) > 1.6) beyond = fmax(beyond, fabs((double)got - v));
+        }
+        CHECK_MSG(worst < 0.06, "near the point off by %g", worst); /* what 1/128 of the side can do; all: 0.05 */
+        CHECK_MSG(beyond > 0.1, "far from it only %g", beyond);
+        tetcast_cut_destroy(cut);
+        tetcast_bricks_destroy(b);
+        tetcast_bricks_destroy(again);
+    }
+    { /* means: a lattice of 9 nodes a side, boxes of half a cell; a constant stays one */
+        tetcast_bricks *b = NULL;
+        tetcast_bricks_info info;
+        d.focus_radius = 0;
+        d.average = 1;
+        d.longest = 9;
+        d.max_error = 0;
+        CHECK_EQ_U64(tetcast_bricks_create_mesh(&d, mesh, &report, &b), TETCAST_OK);
+        REQUIRE(b != NULL);
+        tetcast_bricks_get_info(b, &info);
+        CHECK(info.value_min > whole.value_min && info.value_max < whole.value_max); /* peaks are smoothed */
+        CHECK(info.hull_triangles > 0 && report.checks > 0);
+        tetcast_bricks_destroy(b);
+        b = NULL;
+        d.focus_radius = 1;
+        CHECK_EQ_U64(tetcast_bricks_create_mesh(&d, mesh, &report, &b), TETCAST_ERR_INVALID_ARG);
+        d.focus_radius = 0;
+        d.longest = 0;
+        CHECK_EQ_U64(tetcast_bricks_create_mesh(&d, mesh, &report, &b), TETCAST_ERR_INVALID_ARG);
+    }
+    tetcast_bricks_destroy(all);
     tetcast_mesh_destroy(mesh);
     tets_free(&m);
 }
@@ -2563,18 +2970,23 @@ int main(int argc, char **argv) {
     RUN(resample_same_bits);
     RUN(resample_extends);
     RUN(resample_keeps_the_integral);
+    RUN(means_of_boxes);
     RUN(resample_bad_cells);
     RUN(slice_by_slice);
     RUN(slices_of_levels);
     RUN(planes_and_sections);
+    RUN(planes_in_perspective);
     RUN(bricks_sample_the_grid);
     RUN(bricks_are_continuous);
     RUN(borders_agree);
+    RUN(gradients_at_borders);
+    RUN(moving_focus);
     RUN(ranges_of_slots);
     RUN(pace);
     RUN(levels_keep_linear_fields);
     RUN(errors_are_bounds);
     RUN(bricks_of_a_mesh);
+    RUN(bricks_on_demand);
     RUN(brick_files);
     RUN(constant_medium);
     RUN(brick_pictures_same_bits);
