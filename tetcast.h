@@ -13618,24 +13618,36 @@ static void tetcasti_scan_paint(tetcasti_scan *c, const tetcasti_scan_cell *t) {
 }
 
 #if TETCASTI_AVX2
-/* Eight nodes at a time where they lie side by side; the same numbers as above. */
+/* Up to eight nodes at a time where they lie side by side; the same numbers as above. The last ones overlap those before,
+   with the same values, instead of a masked store: that is some 20 operations on AMD's processors. */
 TETCASTI_TARGET_AVX2 static inline void tetcasti_scan_fill8(const tetcasti_scan *c, const tetcasti_scan_cell *t,
                                                             float start, int32_t from, int32_t to, float *row) {
     const __m256 step = _mm256_set1_ps((float)t->s[3]), first = _mm256_set1_ps(start);
     const __m256 least = _mm256_set1_ps(t->least), most = _mm256_set1_ps(t->most);
-    const __m256i iota = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
+    const __m256 iota = _mm256_setr_ps(0.0f, 1.0f, 2.0f, 3.0f, 4.0f, 5.0f, 6.0f, 7.0f);
     const int32_t base = t->lo[0] + from, low = c->lo[0] - base, high = c->hi[0] - base;
     int32_t k = low > 0 ? low : 0, n = to - from + 1;
-    float *p;
+    float *p = row + (base - c->lo[0]);
+    __m256 v;
+#define TETCASTI_FILL_AT(k) _mm256_min_ps(_mm256_max_ps(_mm256_add_ps(first, _mm256_mul_ps(_mm256_add_ps( \
+    _mm256_set1_ps((float)(k)), iota), step)), least), most)
     if (n > high) n = high;
-    p = row + (base - c->lo[0]) + k;
-    for (; k < n; k += 8, p += 8) {
-        const __m256i place = _mm256_add_epi32(_mm256_set1_epi32(k), iota);
-        __m256 v = _mm256_add_ps(first, _mm256_mul_ps(_mm256_cvtepi32_ps(place), step));
-        v = _mm256_min_ps(_mm256_max_ps(v, least), most);
-        if (k + 8 <= n) _mm256_storeu_ps(p, v);
-        else _mm256_maskstore_ps(p, _mm256_cmpgt_epi32(_mm256_set1_epi32(n), place), v);
+    if (n - k >= 8) {
+        for (; k + 8 < n; k += 8) _mm256_storeu_ps(p + k, TETCASTI_FILL_AT(k));
+        _mm256_storeu_ps(p + n - 8, TETCASTI_FILL_AT(n - 8));
+        return;
     }
+    v = TETCASTI_FILL_AT(k);
+    if (n - k >= 4) {
+        _mm_storeu_ps(p + k, _mm256_castps256_ps128(v));
+        _mm_storeu_ps(p + n - 4, _mm256_castps256_ps128(TETCASTI_FILL_AT(n - 4)));
+    } else if (n - k >= 2) {
+        _mm_storel_pi((__m64 *)(void *)(p + k), _mm256_castps256_ps128(v));
+        _mm_storel_pi((__m64 *)(void *)(p + n - 2), _mm256_castps256_ps128(TETCASTI_FILL_AT(n - 2)));
+    } else if (n > k) {
+        _mm_store_ss(p + k, _mm256_castps256_ps128(v));
+    }
+#undef TETCASTI_FILL_AT
 }
 
 TETCASTI_TARGET_AVX2 static void tetcasti_scan_paint4(tetcasti_scan *c, const tetcasti_scan_cell *t) {
@@ -13643,6 +13655,7 @@ TETCASTI_TARGET_AVX2 static void tetcasti_scan_paint4(tetcasti_scan *c, const te
     const __m256d zero = _mm256_setzero_pd(), most = _mm256_set1_pd((double)(t->size[axis] - 1));
     const __m256d slope = _mm256_set1_pd(t->s[1]), along = _mm256_set1_pd(t->s[3]);
     int32_t x0, x1, y0, y1, x, y, from[4], to[4];
+    uint64_t hit_rows = 0, writes = 0; /* here: the compiler cannot know that no node is one of the counters */
     float start[4];
     tetcasti_scan_rows(c, t, t->first, &x0, &x1);
     tetcasti_scan_rows(c, t, t->second, &y0, &y1);
@@ -13680,13 +13693,15 @@ TETCASTI_TARGET_AVX2 static void tetcasti_scan_paint4(tetcasti_scan *c, const te
             for (; live != 0; live &= live - 1) {
                 const uint32_t k = tetcasti_ctz64(live);
                 float *p = row + c->stride[t->first] * (ptrdiff_t)(t->lo[t->first] + x + (int32_t)k - c->lo[t->first]);
-                c->hit_rows++;
-                c->writes += (uint64_t)(to[k] - from[k] + 1);
+                hit_rows++;
+                writes += (uint64_t)(to[k] - from[k] + 1);
                 if (axis == 0) tetcasti_scan_fill8(c, t, start[k], from[k], to[k], p);
                 else tetcasti_scan_fill(c, t, x + (int32_t)k, y, from[k], to[k], p);
             }
         }
     }
+    c->hit_rows += hit_rows;
+    c->writes += writes;
     c->rows += (uint64_t)(x1 - x0) * (uint64_t)(y1 - y0);
 }
 #endif
