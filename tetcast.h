@@ -946,13 +946,13 @@ typedef struct tetcast_means {
     float *share;      /* filled part of the box: 0 .. 1, more where cells overlap */
 } tetcast_means;
 
-/* The active field averaged over the boxes around the nodes of a lattice, one spacing wide: for lattices that are coarser
-   than the cells, where values at the nodes miss what lies between them.
+/* The active field averaged over the boxes around the nodes of a lattice, one spacing wide: for lattices that are
+   coarser than the cells, where values at the nodes miss what lies between them.
    env     NULL: all defaults
    mesh    needs its tets
    Cells are cut exactly where boxes meet, so sums of mean * share over the boxes are the integral of the field over the
-   cells in them, to rounding. The same bits for any number of threads. Cost: about 0.2 us a cell and 0.5 us for each box that
-   it meets; 16 bytes a node of a few layers for each thread. Errors: INVALID_ARG, RANGE, NO_MEMORY.
+   cells in them, to rounding. The same bits for any number of threads. Cost: about 0.2 us a cell and 0.5 us for each
+   box that it meets; 16 bytes a node of a few layers for each thread. Errors: INVALID_ARG, RANGE, NO_MEMORY.
    Thread safety: any number of calls on one mesh. Source: as first-order moments in Powell, Abel: An exact general
    remeshing scheme. J. Comput. Phys. 297, 2015; here boxes are cut in halves until a piece lies in one. */
 TETCAST_DEF tetcast_result tetcast_resample_mean(const tetcast_env *env, const tetcast_mesh *mesh,
@@ -971,11 +971,11 @@ TETCAST_DEF tetcast_result tetcast_plane_sample(const tetcast_env *env, const te
                                                 const tetcast_plane *plane, uint32_t width, uint32_t height,
                                                 float *out);
 
-/* The active field on a plane as a camera sees it: out[j*width + i] is the value where the ray of pixel (i, j) meets the
-   plane, in perspective exact for each pixel; NaN where it does not, or outside of the mesh. The plane has no border: u and
-   v only say how it lies.
-   depth   NULL, or width * height floats: how far along the viewing axis that point is, INFINITY where there is none: the
-           `limit` of a picture in which this plane is opaque
+/* The active field on a plane as a camera sees it: out[j*width + i] is the value where the ray of pixel (i, j) meets
+   the plane, in perspective exact for each pixel; NaN where it does not, or outside of the mesh. The plane has no
+   border: u and v only say how it lies.
+   depth   NULL, or width * height floats: how far along the viewing axis that point is, INFINITY where there is none:
+           the `limit` of a picture in which this plane is opaque
    Rules, errors, cost as tetcast_plane_sample; all NaN where the camera looks along the plane. */
 TETCAST_DEF tetcast_result tetcast_plane_view(const tetcast_env *env, const tetcast_mesh *mesh,
                                               const tetcast_plane *plane, const tetcast_camera *camera, uint32_t width,
@@ -1311,6 +1311,29 @@ typedef struct tetcast_shader {
 /* A parameter with at least `least` numbers; NULL: it is not there, and *error says which. */
 TETCAST_DEF const float *tetcast_params_find(const tetcast_param *params, size_t count, const char *name, size_t least,
                                              tetcast_error *error);
+
+/* Parameters that remember what changed: what several machines have to agree on, and which tables are old. Numbers of
+   the caller under names; nothing is forgotten but by destroy. One thread at a time. */
+typedef struct tetcast_params tetcast_params;
+
+TETCAST_DEF tetcast_result tetcast_params_create(const tetcast_env *env, tetcast_params **out);
+TETCAST_DEF void tetcast_params_destroy(tetcast_params *params); /* NULL is allowed */
+/* Copy `count` numbers (1 .. 2^24) under a name (1 .. 255 bytes). The same bits as before are no change.
+   Errors: INVALID_ARG, RANGE (more than 65535 names), NO_MEMORY: nothing has changed then. */
+TETCAST_DEF tetcast_result tetcast_params_set(tetcast_params *params, const char *name, const float *values,
+                                              size_t count);
+/* All of them, for tetcast_shader.params or tetcast_params_find; valid until the next set or apply. */
+TETCAST_DEF const tetcast_param *tetcast_params_list(const tetcast_params *params, size_t *count);
+/* Changes have numbers 1, 2, ...: that of the last one of a parameter (0: there is none), or, name NULL, of any. A
+   table is old when its parameter's number is greater than it was when the table was made. */
+TETCAST_DEF uint64_t tetcast_params_changed(const tetcast_params *params, const char *name);
+/* What changed after change number `since` (0: everything), as bytes for another set of parameters: each parameter
+   once, with its last values. Returns how many bytes that are; they are written if there is room. */
+TETCAST_DEF size_t tetcast_params_changes(const tetcast_params *params, uint64_t since, void *data, size_t room);
+/* Take such bytes over: each parameter is set, what is equal is no change. Checked completely first.
+   Errors: TRUNCATED, FORMAT, CHECKSUM (nothing has changed), NO_MEMORY (some may have).
+   Source: the thesis, 9.7.1: change lists of a scene graph; here for parameters by name. */
+TETCAST_DEF tetcast_result tetcast_params_apply(tetcast_params *params, const void *data, size_t size);
 
 /* ---- pictures of tetrahedra by shaders, of parts of them ---- */
 
@@ -13618,8 +13641,8 @@ static void tetcasti_scan_paint(tetcasti_scan *c, const tetcasti_scan_cell *t) {
 }
 
 #if TETCASTI_AVX2
-/* Up to eight nodes at a time where they lie side by side; the same numbers as above. The last ones overlap those before,
-   with the same values, instead of a masked store: that is some 20 operations on AMD's processors. */
+/* Up to eight nodes at a time where they lie side by side; the same numbers as above. The last ones overlap those
+   before, with the same values, instead of a masked store: that is some 20 operations on AMD's processors. */
 TETCASTI_TARGET_AVX2 static inline void tetcasti_scan_fill8(const tetcasti_scan *c, const tetcasti_scan_cell *t,
                                                             float start, int32_t from, int32_t to, float *row) {
     const __m256 step = _mm256_set1_ps((float)t->s[3]), first = _mm256_set1_ps(start);
@@ -14121,7 +14144,7 @@ TETCAST_DEF tetcast_result tetcast_resample_mean(const tetcast_env *env, const t
     if (r != TETCAST_OK) return r;
     if (mesh == NULL || lattice == NULL || out == NULL || out->mean == NULL || mesh->tet == NULL ||
         !tetcasti_lattice_good(lattice))
-        return tetcasti_fail(env->error, TETCAST_ERR_INVALID_ARG, 0, "means: needs tets, a lattice and somewhere to write");
+        return tetcasti_fail(env->error, TETCAST_ERR_INVALID_ARG, 0, "means: needs tets, a lattice, room");
     if (!tetcasti_mul_size(lattice->dims[0], lattice->dims[1], &layer) ||
         !tetcasti_mul_size(layer, lattice->dims[2], &nodes) || nodes > (size_t)-1 / 16)
         return tetcasti_fail(env->error, TETCAST_ERR_RANGE, 0, "means: the lattice is too large");
@@ -14176,14 +14199,16 @@ TETCASTI_INLINE double tetcasti_plane_height(const tetcasti_plane *f, const tetc
            f->normal[2] * ((double)v->z - f->origin[2]);
 }
 
-/* Pixels to places on the plane: (map[0] . (x, y, 1), map[1] . (x, y, 1)) / map[2] . (x, y, 1); depth: scale over the same. */
+/* Pixels to places on the plane: (map[0] . (x, y, 1), map[1] . (x, y, 1)) / map[2] . (x, y, 1); depth: scale over the
+   same. */
 typedef struct tetcasti_plane_map {
     double map[3][3], scale;
     float *depth;
 } tetcasti_plane_map;
 
 /* A section is a polygon with a linear function: each of its triangles is painted like a cell, one dimension lower.
-   p: in pixels. q: where the function is linear, p or, in perspective, places on the plane; m says where pixels lie there. */
+   p: in pixels. q: where the function is linear: p or, in perspective, places on the plane; m says where pixels lie
+   there. */
 static void tetcasti_plane_paint(const double (*p)[2], const double (*q)[2], const double *s, uint32_t n,
                                  const tetcasti_plane_map *m, uint32_t width, uint32_t height, float *out) {
     double lo[2], hi[2], g[2] = {0.0, 0.0}, best = 0.0, least = s[0], most = s[0];
@@ -14349,7 +14374,8 @@ TETCAST_DEF tetcast_result tetcast_plane_sample(const tetcast_env *env, const te
             place[k][0] *= (double)width;
             place[k][1] *= (double)height;
         }
-        tetcasti_plane_paint((const double (*)[2])place, (const double (*)[2])place, s, count, NULL, width, height, out);
+        tetcasti_plane_paint((const double (*)[2])place, (const double (*)[2])place, s, count, NULL, width, height,
+                             out);
     }
     tetcasti_free(&mem, heights);
     return TETCAST_OK;
@@ -14381,8 +14407,9 @@ static int tetcasti_plane_map_open(const tetcast_mesh *mesh, const tetcasti_plan
         for (a = 0; a < 3; a++) dot[i][a] = (d[i][0] * row[a][0] + d[i][1] * row[a][1]) + d[i][2] * row[a][2];
     }
     height = dot[3][0];
-    /* A pixel (x, y): s = (x + half0, y - half1) of right and down. In perspective the direction is forward + s, met after
-       height / normal . direction; parallel rays begin at eye + s and are met after (height - normal . s) / normal . forward. */
+    /* A pixel (x, y): s = (x + half0, y - half1) of right and down. In perspective the direction is forward + s, met
+       after height / normal . direction; parallel rays begin at eye + s and are met after (height - normal . s) /
+       normal . forward. */
     for (a = 0; a < 2; a++) {
         double *q = m->map[a];
         for (i = 0; i < 2; i++)
@@ -14490,7 +14517,8 @@ TETCAST_DEF tetcast_result tetcast_plane_view(const tetcast_env *env, const tetc
                 place[k][a] = (m.map[a][0] * pixel[k][0] + m.map[a][1] * pixel[k][1] + m.map[a][2]) * q;
         }
         if (count != 0)
-            tetcasti_plane_paint((const double (*)[2])pixel, (const double (*)[2])place, s, count, &m, width, height, out);
+            tetcasti_plane_paint((const double (*)[2])pixel, (const double (*)[2])place, s, count, &m, width, height,
+                                 out);
     }
     if (c.parallel && depth != NULL) { /* it changes linearly there */
         double slope[3], x, y;
@@ -16660,7 +16688,7 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_mesh(const tetcast_bricks_desc 
         !(d.focus_radius >= 0.0) || !tetcasti_finite(d.focus_radius) ||
         !tetcasti_finite((d.focus[0] + d.focus[1]) + d.focus[2]) || (d.average && d.focus_radius > 0.0))
         return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, 0,
-                             "bricks: needs tets, and max_error or longest; average needs longest and goes without focus");
+                             "bricks: needs tets, and max_error or longest; average needs longest, no focus");
     r = tetcasti_env_open(&d.env, &mem);
     if (r == TETCAST_OK && d.average) {
         r = tetcasti_bricks_average(&d, mesh, report, out);
@@ -17934,6 +17962,209 @@ TETCAST_DEF const float *tetcast_params_find(const tetcast_param *params, size_t
     for (k = sizeof text - 1, i = 0; name[i] != 0 && k + 1 < sizeof error->text; i++) error->text[k++] = name[i];
     error->text[k] = 0;
     return NULL;
+}
+
+/* ---- parameters that remember what changed ---- */
+
+struct tetcast_params {
+    tetcasti_mem mem;
+    tetcast_param *list;     /* names and values are ours, one allocation each */
+    uint64_t *changed;
+    size_t count, room;
+    uint64_t last;
+};
+
+#define TETCASTI_PARAMS_HEAD 16u     /* "TPAR", number of parameters, bytes, checksum */
+#define TETCASTI_PARAMS_NAMES 65535u
+#define TETCASTI_PARAMS_VALUES ((size_t)1 << 24)
+
+static size_t tetcasti_params_index(const tetcast_params *p, const char *name, size_t length) {
+    size_t i;
+    for (i = 0; i < p->count; i++)
+        if (strlen(p->list[i].name) == length && memcmp(p->list[i].name, name, length) == 0) break;
+    return i;
+}
+
+TETCAST_DEF tetcast_result tetcast_params_create(const tetcast_env *env, tetcast_params **out) {
+    tetcast_env none;
+    tetcasti_mem mem;
+    tetcast_result r;
+    memset(&none, 0, sizeof none);
+    if (env == NULL) env = &none;
+    if (out == NULL) return TETCAST_ERR_INVALID_ARG;
+    *out = NULL;
+    r = tetcasti_env_open(env, &mem);
+    if (r != TETCAST_OK) return r;
+    *out = (tetcast_params *)tetcasti_alloc_zero(&mem, 1, sizeof **out);
+    if (*out == NULL) return tetcasti_fail(env->error, TETCAST_ERR_NO_MEMORY, 0, "params: out of memory");
+    (*out)->mem = mem;
+    return TETCAST_OK;
+}
+
+TETCAST_DEF void tetcast_params_destroy(tetcast_params *p) {
+    tetcasti_mem mem;
+    size_t i;
+    if (p == NULL) return;
+    mem = p->mem;
+    for (i = 0; i < p->count; i++) {
+        tetcasti_free(&mem, (void *)(uintptr_t)p->list[i].name);
+        tetcasti_free(&mem, (void *)(uintptr_t)p->list[i].values);
+    }
+    tetcasti_free(&mem, p->list);
+    tetcasti_free(&mem, p->changed);
+    tetcasti_free(&mem, p);
+}
+
+/* values: `count` floats, little-endian bytes where `coded` is 1. */
+static tetcast_result tetcasti_params_put(tetcast_params *p, const char *name, size_t length, const void *values,
+                                          size_t count, int coded) {
+    const size_t i = tetcasti_params_index(p, name, length);
+    float *v = (float *)tetcasti_alloc_array(&p->mem, count, sizeof *v);
+    char *own = NULL;
+    size_t k;
+    if (v == NULL) return TETCAST_ERR_NO_MEMORY;
+    if (!coded) memcpy(v, values, count * sizeof *v);
+    for (k = 0; k < count && coded; k++) {
+        const uint32_t bits = tetcasti_load_u32((const uint8_t *)values + 4 * k);
+        memcpy(v + k, &bits, sizeof bits);
+    }
+    if (i < p->count) {
+        if (p->list[i].count == count && memcmp(p->list[i].values, v, count * sizeof *v) == 0) {
+            tetcasti_free(&p->mem, v);
+            return TETCAST_OK;
+        }
+        tetcasti_free(&p->mem, (void *)(uintptr_t)p->list[i].values);
+    } else {
+        int ok = p->count < TETCASTI_PARAMS_NAMES;
+        const tetcast_result full = ok ? TETCAST_ERR_NO_MEMORY : TETCAST_ERR_RANGE;
+        if (ok && p->count == p->room) {
+            const size_t room = p->room != 0 ? 2 * p->room : 16;
+            tetcast_param *list = (tetcast_param *)tetcasti_alloc_array(&p->mem, room, sizeof *list);
+            uint64_t *changed = (uint64_t *)tetcasti_alloc_array(&p->mem, room, sizeof *changed);
+            ok = list != NULL && changed != NULL;
+            if (ok) {
+                if (p->count != 0) memcpy(list, p->list, p->count * sizeof *list);
+                if (p->count != 0) memcpy(changed, p->changed, p->count * sizeof *changed);
+                tetcasti_free(&p->mem, p->list);
+                tetcasti_free(&p->mem, p->changed);
+                p->list = list;
+                p->changed = changed;
+                p->room = room;
+            } else {
+                tetcasti_free(&p->mem, list);
+                tetcasti_free(&p->mem, changed);
+            }
+        }
+        if (ok) own = (char *)tetcasti_alloc(&p->mem, length + 1);
+        if (own == NULL) {
+            tetcasti_free(&p->mem, v);
+            return full;
+        }
+        memcpy(own, name, length);
+        own[length] = 0;
+        p->list[i].name = own;
+        p->count++;
+    }
+    p->list[i].values = v;
+    p->list[i].count = count;
+    p->changed[i] = ++p->last;
+    return TETCAST_OK;
+}
+
+TETCAST_DEF tetcast_result tetcast_params_set(tetcast_params *params, const char *name, const float *values,
+                                              size_t count) {
+    size_t length = 0;
+    if (params == NULL || name == NULL || values == NULL || count == 0 || count > TETCASTI_PARAMS_VALUES)
+        return TETCAST_ERR_INVALID_ARG;
+    while (length < 256 && name[length] != 0) length++;
+    if (length == 0 || length > 255) return TETCAST_ERR_INVALID_ARG;
+    return tetcasti_params_put(params, name, length, values, count, 0);
+}
+
+TETCAST_DEF const tetcast_param *tetcast_params_list(const tetcast_params *params, size_t *count) {
+    if (count != NULL) *count = params != NULL ? params->count : 0;
+    return params != NULL ? params->list : NULL;
+}
+
+TETCAST_DEF uint64_t tetcast_params_changed(const tetcast_params *params, const char *name) {
+    size_t i;
+    if (params == NULL) return 0;
+    if (name == NULL) return params->last;
+    i = tetcasti_params_index(params, name, strlen(name));
+    return i < params->count ? params->changed[i] : 0;
+}
+
+static uint32_t tetcasti_params_sum(const uint8_t *p, size_t n) {
+    uint64_t h = n;
+    size_t i;
+    for (i = 0; i < n; i++) h = tetcasti_hash_mix(h, p[i]);
+    return (uint32_t)(h >> 32);
+}
+
+TETCAST_DEF size_t tetcast_params_changes(const tetcast_params *params, uint64_t since, void *data, size_t room) {
+    uint8_t *out = (uint8_t *)data;
+    size_t i, k, n = TETCASTI_PARAMS_HEAD;
+    uint32_t count = 0;
+    if (params == NULL) return 0;
+    for (i = 0; i < params->count; i++)
+        if (params->changed[i] > since) n += 5 + strlen(params->list[i].name) + 4 * params->list[i].count;
+    if (out == NULL || room < n) return n;
+    k = TETCASTI_PARAMS_HEAD;
+    for (i = 0; i < params->count; i++) {
+        const tetcast_param *q = &params->list[i];
+        const size_t length = strlen(q->name);
+        size_t j;
+        if (params->changed[i] <= since) continue;
+        count++;
+        out[k++] = (uint8_t)length;
+        tetcasti_store_u32(out + k, (uint32_t)q->count);
+        memcpy(out + k + 4, q->name, length);
+        k += 4 + length;
+        for (j = 0; j < q->count; j++, k += 4) {
+            uint32_t bits;
+            memcpy(&bits, q->values + j, sizeof bits);
+            tetcasti_store_u32(out + k, bits);
+        }
+    }
+    memcpy(out, "TPAR", 4);
+    tetcasti_store_u32(out + 4, count);
+    tetcasti_store_u32(out + 8, (uint32_t)(n & 0xffffffffu));
+    tetcasti_store_u32(out + 12, tetcasti_params_sum(out + TETCASTI_PARAMS_HEAD, n - TETCASTI_PARAMS_HEAD));
+    return n;
+}
+
+TETCAST_DEF tetcast_result tetcast_params_apply(tetcast_params *params, const void *data, size_t size) {
+    const uint8_t *p = (const uint8_t *)data;
+    uint32_t count, i, pass;
+    if (params == NULL || p == NULL) return TETCAST_ERR_INVALID_ARG;
+    if (size < TETCASTI_PARAMS_HEAD) return TETCAST_ERR_TRUNCATED;
+    if (memcmp(p, "TPAR", 4) != 0) return TETCAST_ERR_FORMAT;
+    count = tetcasti_load_u32(p + 4);
+    if (tetcasti_load_u32(p + 8) != (size & 0xffffffffu))
+        return tetcasti_load_u32(p + 8) > (size & 0xffffffffu) ? TETCAST_ERR_TRUNCATED : TETCAST_ERR_FORMAT;
+    if (tetcasti_load_u32(p + 12) != tetcasti_params_sum(p + TETCASTI_PARAMS_HEAD, size - TETCASTI_PARAMS_HEAD))
+        return TETCAST_ERR_CHECKSUM;
+    for (pass = 0; pass < 2; pass++) {
+        size_t k = TETCASTI_PARAMS_HEAD;
+        for (i = 0; i < count; i++) {
+            size_t length, values;
+            if (size - k < 5) return TETCAST_ERR_FORMAT;
+            length = p[k];
+            values = tetcasti_load_u32(p + k + 1);
+            k += 5;
+            if (length == 0 || values == 0 || values > TETCASTI_PARAMS_VALUES || size - k < length ||
+                (size - k - length) / 4 < values || memchr(p + k, 0, length) != NULL)
+                return TETCAST_ERR_FORMAT;
+            if (pass == 1) {
+                const tetcast_result r = tetcasti_params_put(params, (const char *)p + k, length, p + k + length,
+                                                             values, 1);
+                if (r != TETCAST_OK) return r;
+            }
+            k += length + 4 * values;
+        }
+        if (k != size) return TETCAST_ERR_FORMAT;
+    }
+    return TETCAST_OK;
 }
 
 /* One lane of what a shader gave, behind what there is: light left and colours. Returns the opacity that counted. */

@@ -1925,6 +1925,77 @@ TEST(shaders) {
 /* Other fields along rays: linear ones come exact, whatever is drawn and wherever their lattices lie. */
 typedef struct channel_probe { uint32_t seen, bad, same; } channel_probe; /* same: what is drawn is linear as well */
 
+/* Two machines: one sets parameters and sends what changed, the other rebuilds what is old, and nothing else. */
+TEST(parameters) {
+    test_alloc ta;
+    tetcast_env env;
+    tetcast_params *a = NULL, *b = NULL;
+    uint8_t data[4096], bad[4096];
+    float eye[3] = {1, 2, 3}, table[256], nan_bits = (float)NAN;
+    uint64_t sent = 0, built = 0;
+    uint32_t rebuilt = 0;
+    size_t n, i, count;
+    int frame;
+    memset(&env, 0, sizeof env);
+    test_alloc_init(&ta);
+    env.allocator.alloc_fn = test_alloc_fn;
+    env.allocator.free_fn = test_free_fn;
+    env.allocator.user = &ta;
+    for (i = 0; i < 256; i++) table[i] = (float)i;
+    CHECK_EQ_U64(tetcast_params_create(&env, &a), TETCAST_OK);
+    CHECK_EQ_U64(tetcast_params_create(&env, &b), TETCAST_OK);
+    REQUIRE(a != NULL && b != NULL);
+    CHECK_EQ_U64(tetcast_params_changed(a, NULL), 0);
+    for (frame = 0; frame < 20; frame++) {
+        eye[0] = (float)frame;
+        if (frame == 7 || frame == 15) table[3] += 0.5f;
+        CHECK_EQ_U64(tetcast_params_set(a, "eye", eye, 3), TETCAST_OK);
+        CHECK_EQ_U64(tetcast_params_set(a, "table", table, 256), TETCAST_OK); /* the same as a rule: no change */
+        n = tetcast_params_changes(a, sent, data, sizeof data);
+        CHECK(n <= sizeof data);
+        CHECK_EQ_U64(n, 16 + (5 + 3 + 12) + (frame == 0 || frame == 7 || frame == 15 ? 5 + 5 + 1024 : 0));
+        sent = tetcast_params_changed(a, NULL);
+        CHECK_EQ_U64(tetcast_params_apply(b, data, n), TETCAST_OK);
+        if (tetcast_params_changed(b, "table") > built) {
+            rebuilt++;
+            built = tetcast_params_changed(b, "table");
+        }
+        CHECK(memcmp(tetcast_params_find(tetcast_params_list(b, NULL), 2, "eye", 3, NULL), eye, sizeof eye) == 0);
+        CHECK(memcmp(tetcast_params_find(tetcast_params_list(b, NULL), 2, "table", 256, NULL), table, sizeof table) == 0);
+    }
+    CHECK_EQ_U64(rebuilt, 3);
+    CHECK_EQ_U64(tetcast_params_changed(b, "nothing"), 0);
+    CHECK_EQ_U64(tetcast_params_changes(a, sent, NULL, 0), 16); /* nothing is new */
+    n = tetcast_params_changes(a, 0, data, sizeof data);
+    built = tetcast_params_changed(b, NULL);
+    CHECK_EQ_U64(tetcast_params_apply(b, data, n), TETCAST_OK);
+    CHECK_EQ_U64(tetcast_params_changed(b, NULL), built); /* all of it was known */
+    for (i = 0; i < n; i++) { /* cut short, a bit turned: refused, and nothing is taken over */
+        CHECK(tetcast_params_apply(b, data, i) != TETCAST_OK);
+        memcpy(bad, data, n);
+        bad[i] ^= (uint8_t)(1u << i % 8);
+        CHECK(tetcast_params_apply(b, bad, n) != TETCAST_OK);
+    }
+    CHECK_EQ_U64(tetcast_params_changed(b, NULL), built);
+    (void)tetcast_params_list(b, &count);
+    CHECK_EQ_U64(count, 2);
+    CHECK_EQ_U64(tetcast_params_set(a, "x", &nan_bits, 1), TETCAST_OK);
+    CHECK_EQ_U64(tetcast_params_changed(a, "x"), sent + 1);
+    CHECK_EQ_U64(tetcast_params_set(a, "x", &nan_bits, 1), TETCAST_OK); /* bits are compared, not numbers */
+    CHECK_EQ_U64(tetcast_params_changed(a, "x"), sent + 1);
+    for (i = 0; i < 40; i++) {
+        char name[8];
+        snprintf(name, sizeof name, "n%d", (int)i);
+        CHECK_EQ_U64(tetcast_params_set(a, name, eye, 1 + i % 3), TETCAST_OK);
+    }
+    CHECK_EQ_U64(tetcast_params_set(a, "", eye, 1), TETCAST_ERR_INVALID_ARG);
+    CHECK_EQ_U64(tetcast_params_set(a, "x", eye, 0), TETCAST_ERR_INVALID_ARG);
+    tetcast_params_destroy(a);
+    tetcast_params_destroy(b);
+    tetcast_params_destroy(NULL);
+    test_alloc_check(&ta);
+}
+
 static void channel_shade(void *user, const tetcast_packet *in, float rgba[4][8]) {
     channel_probe *p = (channel_probe *)user;
     int i, k;
@@ -2995,6 +3066,7 @@ int main(int argc, char **argv) {
     RUN(many_parts);
     RUN(shaders);
     RUN(shaders_same_bits);
+    RUN(parameters);
     RUN(channels);
     RUN(shaded_tetrahedra);
     RUN(refined_grids);
