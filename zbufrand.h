@@ -9276,6 +9276,8 @@ typedef struct zbufrandi_flat { /* a cluster in the picture */
     uint8_t triangle[ZBUFRANDI_FLAT_CHUNK + 32];     /* of the samples at work */
     float unit;                                      /* twice the area in pixels is sum / unit */
     uint32_t total;
+    float step;                                      /* strata for each unit of sum */
+    uint32_t hash, each;                             /* place of sample j in its stratum: of hash + each * j */
 } zbufrandi_flat;
 
 typedef struct zbufrandi_flatten { /* constants of a draw */
@@ -9353,8 +9355,15 @@ static uint32_t zbufrandi_flat_count(const zbufrandi_target *g, const zbufrandi_
     return k > d->count ? d->count : k;
 }
 
-ZBUFRANDI_INLINE float zbufrandi_jitter(uint32_t hash, uint32_t j) { /* place of sample j in its stratum */
-    return zbufrandi_unit24(zbufrandi_hash32(hash + j * 0x9e3779b1u + 0x7f4a7c15u));
+/* The strata of k samples, before one of them is looked at. */
+static void zbufrandi_flat_begin(const zbufrandi_draw *d, uint32_t k, int comb, zbufrandi_flat *f) {
+    f->step = (float)(int32_t)k / (float)(int32_t)(f->total > 0 ? f->total : 1u);
+    f->hash = d->hash + 0x7f4a7c15u;
+    f->each = comb ? 0u : 0x9e3779b1u;
+}
+
+ZBUFRANDI_INLINE float zbufrandi_jitter(const zbufrandi_flat *f, uint32_t j) { /* place of sample j in its stratum */
+    return zbufrandi_unit24(zbufrandi_hash32(f->hash + j * f->each));
 }
 
 /* Triangles of the samples begin <= j < end of k independent ones. */
@@ -9376,21 +9385,19 @@ static void zbufrandi_flat_independent(const zbufrandi_draw *d, zbufrandi_flat *
 
 /* The same for stratified ones. Samples before the end of a triangle: the whole strata, and that of the stratum in
    which it ends if it lies before the end. */
-static void zbufrandi_flat_strata(const zbufrandi_draw *d, zbufrandi_flat *f, uint32_t triangles, uint32_t k,
-                                  int comb, uint32_t begin, uint32_t end) {
-    const float step = (float)(int32_t)k / (float)(int32_t)f->total;
+static void zbufrandi_flat_strata(zbufrandi_flat *f, uint32_t triangles, uint32_t k, uint32_t begin, uint32_t end) {
     uint32_t t, j, before = 0;
     for (t = 0; t < triangles; t++) {
-        const float at = (float)(int32_t)f->sum[t] * step;
+        const float at = (float)(int32_t)f->sum[t] * f->step;
         const uint32_t whole = (uint32_t)(int32_t)at;
-        uint32_t after = whole + (zbufrandi_jitter(d->hash, comb ? 0u : whole) < at - (float)(int32_t)whole ? 1u : 0u);
+        uint32_t after = whole + (zbufrandi_jitter(f, whole) < at - (float)(int32_t)whole ? 1u : 0u);
         if (f->sum[t] == f->total || after > k) after = k;
         for (j = before > begin ? before : begin; j < after && j < end; j++) f->triangle[j - begin] = (uint8_t)t;
         before = after;
     }
 }
 
-/* Place on its triangle of sample j: weights of the corners in the picture. */
+/* Place on its triangle of sample j of a page of points: weights of its corners. */
 ZBUFRANDI_INLINE void zbufrandi_flat_weights(uint32_t at_u, uint32_t at_v, uint32_t j, int independent, float *u,
                                              float *v) {
     uint32_t a, b;
@@ -9406,13 +9413,32 @@ ZBUFRANDI_INLINE void zbufrandi_flat_weights(uint32_t at_u, uint32_t at_v, uint3
     zbufrandi_square_to_triangle(u, v);
 }
 
+/* The same in the picture for sample j of triangle t of a cluster. Stratified: how far along the triangle's area the
+   sample is says how far from its third corner, a golden sequence where between the other two: all that fall on a
+   triangle, few or many, are spread as those of a lattice are, and go on where those before the triangle ended. */
+ZBUFRANDI_INLINE void zbufrandi_flat_place(const zbufrandi_flat *f, uint32_t at_u, uint32_t at_v, uint32_t j,
+                                           uint32_t t, int independent, float *u, float *v) {
+    float lo, hi, r;
+    if (independent) {
+        zbufrandi_flat_weights(at_u, at_v, j, 1, u, v);
+        return;
+    }
+    lo = t > 0 ? (float)(int32_t)f->sum[t - 1] * f->step : 0.0f;
+    hi = (float)(int32_t)f->sum[t] * f->step;
+    r = (((float)(int32_t)j + zbufrandi_jitter(f, j)) - lo) / (hi - lo);
+    r = r > 0.0f ? r : 0.0f; /* NaN, too */
+    r = sqrtf(r < 1.0f ? r : 1.0f);
+    *u = r * zbufrandi_unit24(at_v + j * 2654435769u);
+    *v = 1.0f - r;
+}
+
 /* Sample j of triangle t. 0: not in the picture. */
 ZBUFRANDI_INLINE int zbufrandi_flat_sample(const zbufrandi_target *g, const zbufrandi_flat *f, const uint8_t *tri,
                                            uint32_t at_u,
                                            uint32_t at_v, uint32_t j, uint32_t t, zbufrandi_spot *out) {
     const float *a = f->v[tri[3 * t]], *b = f->v[tri[3 * t + 1]], *c = f->v[tri[3 * t + 2]];
     float u, v, w, iz;
-    zbufrandi_flat_weights(at_u, at_v, j, g->cut->independent, &u, &v);
+    zbufrandi_flat_place(f, at_u, at_v, j, t, g->cut->independent, &u, &v);
     w = 1.0f - u - v;
     out->x = a[0] * w + b[0] * u + c[0] * v;
     out->y = a[1] * w + b[1] * u + c[1] * v;
@@ -9522,18 +9548,16 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_flatten_cluster_avx2(const zbufrandi
     f->total = sum;
 }
 
-ZBUFRANDI_TARGET_AVX2 static void zbufrandi_flat_strata_avx2(const zbufrandi_draw *d, zbufrandi_flat *f,
-                                                             uint32_t triangles, uint32_t k, int comb) {
-    const __m256i each = _mm256_set1_epi32(comb ? 0 : (int)0x9e3779b1u);
-    const __m256 step = _mm256_set1_ps((float)(int32_t)k / (float)(int32_t)f->total);
+ZBUFRANDI_TARGET_AVX2 static void zbufrandi_flat_strata_avx2(zbufrandi_flat *f, uint32_t triangles, uint32_t k) {
+    const __m256i each = _mm256_set1_epi32((int)f->each);
+    const __m256 step = _mm256_set1_ps(f->step);
     const __m256i most = _mm256_set1_epi32((int)k), total = _mm256_set1_epi32((int)f->total);
     uint32_t after[ZBUFRANDI_CLUSTER_TRIANGLES], t, before = 0;
     for (t = 0; t < triangles; t += 8) {
         const __m256i sum = _mm256_loadu_si256((const __m256i *)(const void *)(f->sum + t));
         const __m256 at = _mm256_mul_ps(_mm256_cvtepi32_ps(sum), step);
         const __m256i whole = _mm256_cvttps_epi32(at);
-        __m256i h = _mm256_add_epi32(_mm256_mullo_epi32(whole, each),
-                                     _mm256_set1_epi32((int)(d->hash + 0x7f4a7c15u)));
+        __m256i h = _mm256_add_epi32(_mm256_mullo_epi32(whole, each), _mm256_set1_epi32((int)f->hash));
         __m256 u = _mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_srli_epi32(zbufrandi_mix8(h), 8)),
                                  _mm256_set1_ps(1.0f / 16777216.0f));
         u = _mm256_cmp_ps(u, _mm256_sub_ps(at, _mm256_cvtepi32_ps(whole)), _CMP_LT_OQ);
@@ -9557,14 +9581,19 @@ ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_flat_put_avx2(const zbufrandi_ta
                                                                   uint32_t begin, uint32_t end,
                                                               zbufrandi_waiting *wait) {
     const __m256 zero = _mm256_setzero_ps(), one = _mm256_set1_ps(1.0f), half = _mm256_set1_ps(0.5f);
+    const __m256 unit = _mm256_set1_ps(1.0f / 16777216.0f);
     const __m256i lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
     uint32_t j, i, mask, accepted = 0;
     for (j = begin; j < end; j += 8) {
         const __m256i number = _mm256_add_epi32(lanes, _mm256_set1_epi32((int)j));
         __m256 ax, ay, az, bx, by, bz, cx, cy, cz, u, v, w, x, y, iz, less, ok;
         __m256i a, b, ix, iy;
-        uint32_t t[8];
-        for (i = 0; i < 8; i++) t[i] = f->triangle[(j + i < end ? j + i : end - 1) - begin];
+        uint32_t t[8], before[8], after[8];
+        for (i = 0; i < 8; i++) {
+            t[i] = f->triangle[(j + i < end ? j + i : end - 1) - begin];
+            before[i] = t[i] > 0 ? f->sum[t[i] - 1] : 0;
+            after[i] = f->sum[t[i]];
+        }
         zbufrandi_flat_fetch((const float (*)[4])f->v, tri, t, 0, &ax, &ay, &az);
         zbufrandi_flat_fetch((const float (*)[4])f->v, tri, t, 1, &bx, &by, &bz);
         zbufrandi_flat_fetch((const float (*)[4])f->v, tri, t, 2, &cx, &cy, &cz);
@@ -9572,20 +9601,29 @@ ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_flat_put_avx2(const zbufrandi_ta
             a = zbufrandi_mix8(_mm256_add_epi32(_mm256_set1_epi32((int)at_u),
                                                 _mm256_mullo_epi32(number, _mm256_set1_epi32((int)0x9e3779b1u))));
             b = zbufrandi_mix8(_mm256_add_epi32(a, _mm256_set1_epi32((int)0x85ebca6bu)));
-        } else {
-            a = _mm256_add_epi32(_mm256_set1_epi32((int)at_u),
-                                 _mm256_mullo_epi32(number, _mm256_set1_epi32((int)3242174889u)));
+            u = _mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_srli_epi32(a, 8)), unit);
+            v = _mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_srli_epi32(b, 8)), unit);
+            less = _mm256_cmp_ps(v, u, _CMP_GT_OQ); /* square to triangle */
+            x = _mm256_mul_ps(u, half);
+            y = _mm256_mul_ps(v, half);
+            w = _mm256_blendv_ps(_mm256_sub_ps(u, y), x, less);
+            v = _mm256_blendv_ps(y, _mm256_sub_ps(v, x), less);
+            u = w;
+        } else { /* zbufrandi_flat_place */
+            a = zbufrandi_mix8(_mm256_add_epi32(_mm256_set1_epi32((int)f->hash),
+                                                _mm256_mullo_epi32(number, _mm256_set1_epi32((int)f->each))));
             b = _mm256_add_epi32(_mm256_set1_epi32((int)at_v),
-                                 _mm256_mullo_epi32(number, _mm256_set1_epi32((int)2447445414u)));
+                                 _mm256_mullo_epi32(number, _mm256_set1_epi32((int)2654435769u)));
+            x = _mm256_cvtepi32_ps(_mm256_loadu_si256((const __m256i *)(const void *)before));
+            y = _mm256_cvtepi32_ps(_mm256_loadu_si256((const __m256i *)(const void *)after));
+            x = _mm256_mul_ps(x, _mm256_set1_ps(f->step));
+            y = _mm256_sub_ps(_mm256_mul_ps(y, _mm256_set1_ps(f->step)), x);
+            w = _mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_srli_epi32(a, 8)), unit);
+            w = _mm256_div_ps(_mm256_sub_ps(_mm256_add_ps(_mm256_cvtepi32_ps(number), w), x), y);
+            w = _mm256_sqrt_ps(_mm256_min_ps(_mm256_max_ps(w, zero), one));
+            u = _mm256_mul_ps(w, _mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_srli_epi32(b, 8)), unit));
+            v = _mm256_sub_ps(one, w);
         }
-        u = _mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_srli_epi32(a, 8)), _mm256_set1_ps(1.0f / 16777216.0f));
-        v = _mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_srli_epi32(b, 8)), _mm256_set1_ps(1.0f / 16777216.0f));
-        less = _mm256_cmp_ps(v, u, _CMP_GT_OQ); /* square to triangle */
-        x = _mm256_mul_ps(u, half);
-        y = _mm256_mul_ps(v, half);
-        w = _mm256_blendv_ps(_mm256_sub_ps(u, y), x, less);
-        v = _mm256_blendv_ps(y, _mm256_sub_ps(v, x), less);
-        u = w;
         w = _mm256_sub_ps(_mm256_sub_ps(one, u), v);
         x = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(ax, w), _mm256_mul_ps(bx, u)), _mm256_mul_ps(cx, v));
         y = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(ay, w), _mm256_mul_ps(by, u)), _mm256_mul_ps(cy, v));
@@ -9651,14 +9689,14 @@ static uint32_t zbufrandi_draw_sampled(const zbufrandi_target *g, const zbufrand
 #endif
         zbufrandi_flatten_cluster(g, &constants, s, c, &f);
     *samples = k = zbufrandi_flat_count(g, d, &f);
+    zbufrandi_flat_begin(d, k, g->cut->comb, &f);
     for (begin = 0; begin < k; begin = end) {
         end = k - begin > ZBUFRANDI_FLAT_CHUNK ? begin + ZBUFRANDI_FLAT_CHUNK : k;
         if (g->cut->independent) zbufrandi_flat_independent(d, &f, c->triangle_count, begin, end);
 #if ZBUFRANDI_AVX2
-        else if (g->level >= 3 && k <= ZBUFRANDI_FLAT_CHUNK) zbufrandi_flat_strata_avx2(d, &f, c->triangle_count, k,
-                                                                                            g->cut->comb);
+        else if (g->level >= 3 && k <= ZBUFRANDI_FLAT_CHUNK) zbufrandi_flat_strata_avx2(&f, c->triangle_count, k);
 #endif
-        else zbufrandi_flat_strata(d, &f, c->triangle_count, k, g->cut->comb, begin, end);
+        else zbufrandi_flat_strata(&f, c->triangle_count, k, begin, end);
         memcpy(aux + begin, f.triangle, end - begin);
 #if ZBUFRANDI_AVX2
         if (g->level >= 3) {
@@ -16551,10 +16589,11 @@ static void zbufrandi_stream_draw(zbufrandi_stream *s, const zbufrandi_draw *dra
         zbufrandi_flatten_begin(&p->target, draw, l, &constants, &f);
         zbufrandi_flatten_cluster(&p->target, &constants, structure, cluster, &f);
         k = zbufrandi_flat_count(&p->target, draw, &f);
+        zbufrandi_flat_begin(draw, k, p->cut.comb, &f);
         for (begin = 0; begin < k; begin = end) {
             end = k - begin > ZBUFRANDI_FLAT_CHUNK ? begin + ZBUFRANDI_FLAT_CHUNK : k;
             if (p->cut.independent) zbufrandi_flat_independent(draw, &f, cluster->triangle_count, begin, end);
-            else zbufrandi_flat_strata(draw, &f, cluster->triangle_count, k, p->cut.comb, begin, end);
+            else zbufrandi_flat_strata(&f, cluster->triangle_count, k, begin, end);
             memcpy(p->f->aux + (size_t)draw->aux * ZBUFRANDI_SET + begin, f.triangle, end - begin);
             for (j = begin; j < end; j++) {
                 if (zbufrandi_flat_sample(&p->target, &f, tri, at_u, at_v, j, f.triangle[j - begin], &spot)) {

@@ -1626,7 +1626,7 @@ static void bm16(void) {
     }
     for (i = 0; i < 6; i++) { /* the fewest samples that are complete as often as was asked for, without rays */
         char name[64];
-        if (!g_opt.full && i != 3 && i != 4) continue;
+        if (!g_opt.full && i != 1 && i != 2) continue;
         snprintf(name, sizeof name, "stratified, %g per pixel", stratified[i]);
         complete_way(w, name, 0, stratified[i], 0, g_opt.full ? pictures : 200, NULL, NULL, NULL, &failed);
         if (failed <= 0.05 && least == 0.0) {
