@@ -1022,7 +1022,7 @@ VOXRT_DEF void voxrt_group_geometry(const voxrt_group *group, voxrt_geometry *ou
 /* Voxels that change: blocks of 64^3 cells, each a small tree of its own, and a tree of the blocks above them. An edit
    makes anew the blocks it touches, with all their levels; a copy of a model has the same blocks as the model, so that
    keeping one before an edit costs next to nothing (undo). Colours are exact, no palette is chosen. Finishes are those
-   of the tree that a model was made from: what an edit fills is plain, what it paints keeps its finish. */
+   of the tree that a model was made from, and those that edits give. */
 typedef struct voxrt_model voxrt_model;
 
 /* field            zero means
@@ -1082,12 +1082,15 @@ typedef enum voxrt_edit_op {
 
 /* field    zero means
    op       VOXRT_EDIT_SET
-   rgb      black; sRGB. Boxes and spheres; triangles and lists have colours of their own */
+   rgb      black; sRGB. Boxes and spheres; triangles and lists have colours of their own
+   finish   what SET fills is plain, what PAINT paints keeps its finish. Else all shapes give this one; borrowed. A model
+            has at most 255 different ones, those that no voxel has any more among them; it must have colours */
 typedef struct voxrt_edit_desc {
     uint32_t _begin_zero;
     voxrt_env env;
     voxrt_edit_op op;
     uint8_t rgb[3];
+    const voxrt_finish *finish;
     uint32_t _end_zero;
 } voxrt_edit_desc;
 
@@ -17242,6 +17245,7 @@ typedef struct voxrti_edit {
     const voxrt_model *m;
     voxrt_edit_op op;
     uint32_t rgb, sphere;
+    uint32_t finish;             /* number + 1 of the model's finish in the highest byte, 0: none is given */
     uint32_t lo[3], hi[3];       /* voxels of the shape lie in here, hi exclusive */
     double centre[3], radius2;   /* sphere: in voxels, those with a centre nearer than that */
     double deep2;                /* nearer than that no face of a voxel shows */
@@ -17442,7 +17446,7 @@ static int voxrti_edit_leaf(const voxrti_edit *e, const voxrti_patch *p, const u
         }
         if (set->rgb != NULL) {
             set->rgb[voxel] = e->set == NULL ? e->rgb : e->set->rgb != NULL ? e->set->rgb[in] : 0xffffffu;
-            if (e->op == VOXRT_EDIT_PAINT) set->rgb[voxel] |= rgb[old] & 0xff000000u;
+            set->rgb[voxel] |= e->finish != 0 ? e->finish : e->op == VOXRT_EDIT_PAINT ? rgb[old] & 0xff000000u : 0u;
         }
         if (set->normal == NULL) continue;
         if (e->op == VOXRT_EDIT_PAINT) set->normal[voxel] = normal[old];
@@ -17644,6 +17648,34 @@ static voxrt_result voxrti_edit_run(voxrti_edit *e, const voxrt_env *env, voxrt_
     return r == VOXRT_OK ? r : voxrti_fail(env->error, r, 0, voxrt_result_string(r));
 }
 
+/* The finish of an edit gets a number in the model. */
+static voxrt_result voxrti_edit_finish(voxrt_model *m, const voxrt_edit_desc *d, voxrti_mem *mem, voxrti_edit *e) {
+    const size_t n = m->build.finish_count;
+    float want[VOXRTI_FINISH_FLOATS], have[VOXRTI_FINISH_FLOATS];
+    voxrt_finish *more;
+    size_t i;
+    if (m->build.disable_colors || !voxrti_finish_ok(d->finish))
+        return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "a finish that is out of range, or no colours");
+    voxrti_finish_floats(d->finish, want);
+    for (i = 0; i < n; i++) {
+        voxrti_finish_floats(&m->finish[i], have);
+        if (memcmp(want, have, sizeof want) == 0) break;
+    }
+    if (i == 255) return voxrti_fail(d->env.error, VOXRT_ERR_RANGE, i, "more than % finishes");
+    if (i == n) {
+        more = (voxrt_finish *)voxrti_alloc_array(mem, n + 1, sizeof *more);
+        if (more == NULL) return voxrti_fail(d->env.error, VOXRT_ERR_NO_MEMORY, 0, "out of memory");
+        if (n != 0) memcpy(more, m->finish, n * sizeof *more);
+        more[n] = *d->finish;
+        voxrti_free(mem, m->finish);
+        m->finish = more;
+        m->build.finishes = more;
+        m->build.finish_count = n + 1;
+    }
+    e->finish = (uint32_t)(i + 1) << 24;
+    return VOXRT_OK;
+}
+
 /* What all edits begin with. */
 static voxrt_result voxrti_edit_open(voxrt_model *m, const voxrt_edit_desc *desc, voxrt_edit_stats *stats,
                                      voxrt_edit_desc *d, voxrti_mem *mem, voxrti_edit *e) {
@@ -17665,7 +17697,7 @@ static voxrt_result voxrti_edit_open(voxrt_model *m, const voxrt_edit_desc *desc
     e->op = d->op;
     e->rgb = d->rgb[0] | (uint32_t)d->rgb[1] << 8 | (uint32_t)d->rgb[2] << 16;
     e->up = (uint16_t)voxrti_normal_encode(m->spherical, up);
-    return VOXRT_OK;
+    return d->finish != NULL && d->op != VOXRT_EDIT_CLEAR ? voxrti_edit_finish(m, d, mem, e) : VOXRT_OK;
 }
 
 /* Voxels whose centres lie in [min, max). 0: none. */
@@ -17761,7 +17793,7 @@ VOXRT_DEF voxrt_result voxrt_model_mesh(voxrt_model *model, const voxrt_edit_des
         return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, model->grid.depth, "depth % is too large for triangles");
     memset(&built, 0, sizeof built);
     b = model->build;
-    b.finish_count = 0; /* what edits fill is plain */
+    b.finish_count = 0; /* the edit says which finish there is */
     b.env = d.env;
     b.env.allocator = mem.allocator;
     r = voxrti_voxelize(&mem, &b, mesh, &model->grid, NULL, &built, &set);

@@ -1589,6 +1589,92 @@ TEST(models_keep_finishes) {
     }
 }
 
+/* Edits give finishes: to boxes, balls, triangles and lists, filled or painted; copies from before know nothing of it. */
+TEST(edits_give_finishes) {
+    static const float corner[3][3] = {{10, 10, 150.5f}, {60, 10, 150.5f}, {10, 60, 150.5f}};
+    static const uint32_t triangle[3] = {0, 1, 2};
+    voxrt_model_desc md;
+    voxrt_edit_desc e;
+    voxrt_finish f[2], many;
+    voxrt_model *m = NULL, *copy = NULL;
+    voxrt_geometry g;
+    voxrt_tree *t = NULL;
+    voxrt_tree_info info;
+    voxrt_mesh mesh;
+    voxrt_voxel v;
+    const double lo[3] = {0, 0, 0}, hi[3] = {100, 100, 10}, mid[3] = {50, 50, 10}, all[3] = {256, 256, 256};
+    uint32_t i, level;
+    mirror(&f[0], 0.75f);
+    mirror(&f[1], 0.25f);
+    memset(&md, 0, sizeof md);
+    md.depth = 8;
+    REQUIRE(voxrt_model_create(&md, &m) == VOXRT_OK);
+    memset(&e, 0, sizeof e);
+    e.rgb[1] = 99;
+    e.finish = &f[0];
+    CHECK(voxrt_model_box(m, &e, lo, hi, NULL) == VOXRT_OK);
+    REQUIRE(voxrt_model_copy(NULL, m, &copy) == VOXRT_OK);
+    e.op = VOXRT_EDIT_PAINT;
+    e.finish = &f[1];
+    CHECK(voxrt_model_sphere(m, &e, mid, 20, NULL) == VOXRT_OK);
+    voxrt_model_geometry(m, &g);
+    for (level = 7; level <= 8; level++) {
+        CHECK(finish_at(&g, level, 1.5f, 1.5f, 0) != NULL && finish_at(&g, level, 1.5f, 1.5f, 0)->mirror[0] == 0.75f);
+        CHECK(finish_at(&g, level, 50.5f, 50.5f, 0) != NULL && finish_at(&g, level, 50.5f, 50.5f, 9.2f)->mirror[0] == 0.25f);
+    }
+    voxrt_model_geometry(copy, &g);
+    CHECK(finish_at(&g, 8, 50.5f, 50.5f, 0) != NULL && finish_at(&g, 8, 50.5f, 50.5f, 0)->mirror[0] == 0.75f);
+    e.finish = NULL; /* keeps it */
+    CHECK(voxrt_model_box(m, &e, lo, all, NULL) == VOXRT_OK);
+    memset(&mesh, 0, sizeof mesh);
+    mesh.positions = corner[0];
+    mesh.vertex_count = 3;
+    mesh.indices = triangle;
+    mesh.triangle_count = 1;
+    memset(&v, 0, sizeof v);
+    v.x = v.y = 200;
+    v.z = 150;
+    v.normal[2] = 1;
+    e.op = VOXRT_EDIT_SET;
+    e.finish = &f[1];
+    CHECK(voxrt_model_mesh(m, &e, &mesh, NULL) == VOXRT_OK && voxrt_model_voxels(m, &e, &v, 1, NULL) == VOXRT_OK);
+    voxrt_model_geometry(m, &g);
+    CHECK(finish_at(&g, 8, 1.5f, 1.5f, 0) != NULL && finish_at(&g, 8, 1.5f, 1.5f, 0)->mirror[0] == 0.75f);
+    CHECK(finish_at(&g, 8, 20.5f, 20.5f, 140) != NULL && finish_at(&g, 8, 20.5f, 20.5f, 140)->mirror[0] == 0.25f);
+    CHECK(finish_at(&g, 8, 200.5f, 200.5f, 140) != NULL && finish_at(&g, 8, 200.5f, 200.5f, 140)->mirror[0] == 0.25f);
+    CHECK(voxrt_tree_from_model(NULL, m, &t) == VOXRT_OK);
+    voxrt_tree_get_info(t, &info);
+    CHECK(info.finish_count == 2);
+    voxrt_tree_destroy(t);
+    e.finish = NULL; /* plain again */
+    CHECK(voxrt_model_voxels(m, &e, &v, 1, NULL) == VOXRT_OK);
+    voxrt_model_geometry(m, &g);
+    CHECK(finish_at(&g, 8, 200.5f, 200.5f, 140) == NULL);
+    for (i = 0; i < 260; i++) { /* the same one counts once; the last ones find no room */
+        mirror(&many, 0.001f * (float)(i / 2 * 2 + 1));
+        if (i < 200) mirror(&many, 0.75f);
+        else many.emission[0] = (float)i;
+        e.finish = &many;
+        CHECK(voxrt_model_voxels(m, &e, &v, 1, NULL) == VOXRT_OK);
+    }
+    for (i = 260; i < 500; i++) {
+        mirror(&many, 0.5f);
+        many.emission[0] = (float)i;
+        CHECK(voxrt_model_voxels(m, &e, &v, 1, NULL) == (i < 200 + 253 ? VOXRT_OK : VOXRT_ERR_RANGE));
+    }
+    mirror(&many, 1.5f);
+    CHECK(voxrt_model_voxels(m, &e, &v, 1, NULL) == VOXRT_ERR_INVALID_ARG);
+    voxrt_model_destroy(m);
+    voxrt_model_destroy(copy);
+    md.disable_colors = 1;
+    REQUIRE(voxrt_model_create(&md, &m) == VOXRT_OK);
+    e.finish = &f[0];
+    CHECK(voxrt_model_box(m, &e, lo, hi, NULL) == VOXRT_ERR_INVALID_ARG);
+    e.op = VOXRT_EDIT_CLEAR; /* what is cleared has none */
+    CHECK(voxrt_model_box(m, &e, lo, hi, NULL) == VOXRT_OK);
+    voxrt_model_destroy(m);
+}
+
 /* One full block and three with a voxel each: the cell around them has what most voxels have, not most blocks. */
 TEST(blocks_count_by_their_voxels) {
     voxrt_finish f[3];
@@ -1906,6 +1992,7 @@ TEST(memory_of_models_runs_out) {
         voxrt_tree *u = NULL;
         voxrt_model *model = NULL, *other = NULL;
         voxrt_edit_desc edit;
+        voxrt_finish give;
         voxrt_build_desc built;
         test_alloc_init(&ta);
         ta.fail_at = k;
@@ -1916,6 +2003,8 @@ TEST(memory_of_models_runs_out) {
         e.allocator.alloc_fn = test_alloc_fn;
         e.allocator.free_fn = test_free_fn;
         e.allocator.user = &ta;
+        mirror(&give, 0.125f);
+        edit.finish = &give;
         edit.env = built.env = e;
         if (voxrt_model_from_tree(&e, t, &model) == VOXRT_OK && voxrt_model_copy(&e, model, &other) == VOXRT_OK &&
             voxrt_model_box(other, &edit, lo, hi, NULL) == VOXRT_OK && voxrt_tree_from_model(&built, model, &u) == VOXRT_OK) {
@@ -1960,6 +2049,7 @@ int main(int argc, char **argv) {
     RUN(files_keep_finishes);
     RUN(hostile_files);
     RUN(models_keep_finishes);
+    RUN(edits_give_finishes);
     RUN(blocks_count_by_their_voxels);
     RUN(samples_are_where_they_say);
     RUN(samples_of_huge_triangles);
