@@ -24221,6 +24221,11 @@ VOXRT_DEF int voxrt_gi_get(const voxrt_gi *gi, const voxrt_column_hit *hit, cons
    gather: light that comes from other surfaces; pictures from G-buffers.       // >>gather
    --------------------------------------------------------------------------- */
 
+#define VOXRTI_GI_SPOTS 4
+typedef struct voxrti_spot {
+    float p[3], r, power;          /* a ball around a lamp and what it lights beside it */
+} voxrti_spot;
+
 typedef struct voxrti_gather {
     const voxrt_gi_render_desc *d;
     const voxrt_gi *gi;            /* the innermost volume */
@@ -24238,6 +24243,8 @@ typedef struct voxrti_gather {
     uint32_t share, direct_share;  /* of voxrti_gather_open: indirect, direct light */
     float radius;
     int isa;
+    voxrti_spot spot[VOXRTI_GI_SPOTS];
+    uint32_t spots;                /* voxrti_gi_find_spots */
     voxrti_frame frame;
     uint32_t sum[3][2]; /* tallies: rays, hits, steps */
     uint32_t want_stats, from;     /* from: first run of the list that is worked on */
@@ -24279,6 +24286,93 @@ static int voxrti_gather_goes_on(const voxrt_gi *gi, size_t i, uint32_t layer, c
     return 0;
 }
 
+/* Lamps closer to a surface than three diagonals of a cell: half of what such a lamp sends goes out again from a few
+   cells, which few of the rays over a hemisphere meet, so what they bring would be dots. The strongest, by colour. */
+#define VOXRTI_GI_SPOT_NEAR 3.0
+static void voxrti_gi_find_spots(const voxrt_gi *gi, voxrti_gather *w) {
+    size_t l;
+    w->spots = 0;
+    for (l = 0; l < gi->light_count; l++) {
+        const voxrt_gi_light *light = &gi->light[l];
+        const float power = light->color[0] + light->color[1] + light->color[2];
+        const voxrt_gi *g = gi;
+        const voxrt_columns *c;
+        uint32_t lo[3] = {0, 0, 0}, hi[3] = {0, 0, 0}, cell[3], a, side, layer, at;
+        float best = INFINITY, diagonal;
+        int out = 0;
+        if (light->kind != VOXRT_GI_POINT && light->kind != VOXRT_GI_SPOT) continue;
+        if (!(power > 0.0f) || (w->spots == VOXRTI_GI_SPOTS && !(power > w->spot[w->spots - 1].power))) continue;
+        while (g->outer != NULL && !(light->position[0] >= g->lo[0] && light->position[0] <= g->hi[0] &&
+                                     light->position[1] >= g->lo[1] && light->position[1] <= g->hi[1] &&
+                                     light->position[2] >= g->lo[2] && light->position[2] <= g->hi[2])) g = g->outer;
+        c = g->columns;
+        diagonal = (float)c->diagonal;
+        for (a = 0; a < 3; a++) {
+            const double reach = VOXRTI_GI_SPOT_NEAR * c->diagonal;
+            const double from = ((double)light->position[c->axis[a]] - reach - c->origin[a]) / c->cell[a];
+            const double to = ((double)light->position[c->axis[a]] + reach - c->origin[a]) / c->cell[a];
+            if (!(to >= 0.0 && from < (double)c->size[a])) { out = 1; break; }
+            lo[a] = from > 0.0 ? (uint32_t)from : 0;
+            hi[a] = to < (double)(c->size[a] - 1) ? (uint32_t)to : c->size[a] - 1;
+        }
+        if (out) continue;
+        for (cell[1] = lo[1]; cell[1] <= hi[1]; cell[1]++)
+            for (cell[0] = lo[0]; cell[0] <= hi[0]; cell[0]++)
+                for (cell[2] = lo[2]; cell[2] <= hi[2]; cell[2]++) {
+                    const size_t i = voxrti_gi_find(g, cell[0], cell[1], cell[2], &layer);
+                    for (side = 0; side < 2 && i != (size_t)-1; side++) {
+                        const voxrti_gi_record *r = &g->layer[layer].record[i];
+                        float p[3], n[3], d[3], up;
+                        if (r->area[side] == 0) continue;
+                        voxrti_gi_side_place(g, r, side, cell, p, n);
+                        for (a = 0; a < 3; a++) d[a] = light->position[a] - p[a];
+                        up = voxrti_dot3(d, n);
+                        if (!(up > 0.0f && up < best) || voxrti_dot3(d, d) - up * up > diagonal * diagonal) continue;
+                        best = up;
+                    }
+                }
+        if (!(best < (float)VOXRTI_GI_SPOT_NEAR * diagonal)) continue;
+        if (w->spots < VOXRTI_GI_SPOTS) w->spots++;
+        for (at = w->spots - 1; at > 0 && power > w->spot[at - 1].power; at--) w->spot[at] = w->spot[at - 1];
+        memcpy(w->spot[at].p, light->position, sizeof w->spot[at].p);
+        w->spot[at].r = 2.0f * best + diagonal;
+        w->spot[at].power = power;
+    }
+}
+
+/* A quarter of the rays of a point go to the balls of w->spot that lie above its horizon and not beside it. Any ray
+   counts by the density of both kinds (Veach & Guibas 1995), so the mean is what it was. Changes dir; what the ray
+   counts, 0 below the horizon. */
+#define VOXRTI_GI_SPOT_SHARE 0.25f
+static float voxrti_gather_spot(const voxrti_gather *w, const float p[3], const float n[3], uint32_t index,
+                                uint32_t seed, float dir[3]) {
+    float axis[VOXRTI_GI_SPOTS][3], width[VOXRTI_GI_SPOTS], u[2], density = 0.0f, cosine; /* width: 1 - cos */
+    uint32_t i, a, m = 0, which;
+    memset(axis, 0, sizeof axis);
+    memset(width, 0, sizeof width);
+    for (i = 0; i < w->spots; i++) {
+        const voxrti_spot *s = &w->spot[i];
+        float d2, f;
+        for (a = 0; a < 3; a++) axis[m][a] = s->p[a] - p[a];
+        d2 = voxrti_dot3(axis[m], axis[m]);
+        if (!(d2 > 2.0f * s->r * s->r) || !(voxrti_dot3(axis[m], n) > 0.0f) || !voxrti_normalize(axis[m])) continue;
+        f = s->r * s->r / d2;
+        width[m++] = f / (1.0f + sqrtf(1.0f - f));
+    }
+    if (m == 0) return 1.0f;
+    voxrti_sobol2(index, voxrti_hash32(seed ^ 0x510e527fu), u);
+    u[0] *= (float)(int32_t)m / VOXRTI_GI_SPOT_SHARE;
+    which = (uint32_t)u[0];
+    if (which < m) voxrti_around(axis[which], u[0] - (float)(int32_t)which, 1.0f - u[1] * width[which], dir);
+    cosine = voxrti_dot3(dir, n);
+    if (!(cosine > 0.0f)) return 0.0f;
+    for (i = 0; i < m; i++)
+        if (i == which || 1.0f - voxrti_dot3(dir, axis[i]) < width[i]) density += 1.0f / width[i];
+    cosine *= 2.0f * (1.0f - VOXRTI_GI_SPOT_SHARE); /* both times 2 pi */
+    return cosine / (1.0f - VOXRTI_GI_SPOT_SHARE) /
+        (cosine + density * (VOXRTI_GI_SPOT_SHARE / (float)(int32_t)m));
+}
+
 /* Sample `number` of each point: a ray over its hemisphere with density cos, or, where it has a lobe, in that: what it
    meets. weight: what its light counts for the mean. t of a miss is INFINITY; a hit that shows no side has at =
    -1. */
@@ -24309,6 +24403,9 @@ static void voxrti_gather_rays(const voxrti_gather *w, const voxrti_points *q, u
             cosine = voxrti_dot3(ray[i].dir, q->n[i]);
             weight[i] = cosine > 0.0f ? cosine * (q->exponent[i] + 2.0f) / (q->exponent[i] + 1.0f) : 0.0f;
             if (!(cosine > 0.0f)) ray[i].t_max = -1.0f;
+        } else if (w->spots != 0) {
+            weight[i] = voxrti_gather_spot(w, q->p[i], q->n[i], index[i], seed[i], ray[i].dir);
+            if (!(weight[i] > 0.0f)) ray[i].t_max = -1.0f;
         }
         for (a = 0; a < 3; a++) ray[i].org[a] = q->p[i][a];
     }
@@ -24445,7 +24542,7 @@ static VOXRTI_NOINLINE void voxrti_gather_run(const voxrti_gather *w, const voxr
         for (b = 0; b < w->bounces && at.count != 0; b++) {
             voxrti_gather_rays(w, &at, w->first + r, ray, t, side, weight, stats);
             for (i = 0; i < at.count && b == 0 && apart != NULL; i++)
-                if (t[i] < INFINITY) apart[i] += 1.0f / (t[i] + 1e-20f);
+                if (t[i] < INFINITY) apart[i] += weight[i] * (1.0f / (t[i] + 1e-20f));
             if (w->d->method == VOXRT_GI_AO) {
                 for (i = 0; i < at.count; i++)
                     for (a = 0; a < 3 && !(t[i] < INFINITY); a++) sum[i][a] += weight[i];
@@ -25709,6 +25806,7 @@ VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_g
         w.first += d.history->turns * d.rays;
     }
     if (r == VOXRT_OK) r = voxrti_gi_prepare(&d, gi, w.isa);
+    if (d.method == VOXRT_GI_GATHER || d.method == VOXRT_GI_PATH) voxrti_gi_find_spots(gi, &w);
     if (r == VOXRT_OK && direct != NULL)
         voxrti_parallel_for(&d.env, voxrti_task_direct, &w, ((gbuffer->width + 7) / 8) * ((gbuffer->height + 7) / 8));
     if (r == VOXRT_OK && value[0] != NULL) {
@@ -25861,6 +25959,7 @@ VOXRT_DEF voxrt_result voxrt_gi_bounce(voxrt_gi *gi, const voxrt_env *env, uint3
     b.seed = voxrti_hash32(seed);
     b.gather.d = &b.desc;
     b.gather.gi = gi;
+    voxrti_gi_find_spots(gi, &b.gather);
     b.gather.rays = rays != 0 ? rays : 16;
     b.gather.bounces = 1;
     b.gather.radius = voxrti_gi_reach(gi);

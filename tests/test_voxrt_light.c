@@ -242,6 +242,52 @@ TEST(closed_sphere_to_a_percent) {
     voxrt_gi_destroy(gi);
 }
 
+/* Light that left a closed sphere's wall once is the same everywhere, wherever the lamp is. Beside the wall it comes from few cells, which
+   few of the rays over a hemisphere meet: pixels by 64 rays were dots. */
+TEST(lamps_beside_walls_make_no_dots) {
+    static model m;
+    static picture pic;
+    const double none[3] = {0, 0, 0}, r = 9, q = voxrti_srgb_to_linear(188 / 255.0);
+    const double h = 20.0 / 128.0; /* a cell */
+    const double depth[3] = {2.5, 1.5, 1.0}; /* of the lamp, in cells */
+    voxrt_gi *gi = make_gi_at(128, 128, 128, 10, none);
+    uint32_t i, a, k;
+    rng_state = 31;
+    sphere(&m, r, 80, 188, 1);
+    add_model(gi, &m);
+    open_picture(&pic);
+    for (i = 0; i < POINTS; i++) {
+        double v[3], l = 0;
+        for (a = 0; a < 3; a++) {
+            v[a] = 2 * rnd() - 1;
+            l += v[a] * v[a];
+        }
+        if (v[0] > 0.5 * sqrt(l)) v[0] = -v[0]; /* not where the lamp is */
+        for (a = 0; a < 3; a++) {
+            pic.normal[i][a] = (float)(-v[a] / sqrt(l));
+            pic.position[i][a] = (float)(v[a] / sqrt(l) * r);
+            pic.albedo[i][a] = 1.0f;
+        }
+    }
+    for (k = 0; k < 6; k++) {
+        const double lamp[3] = {r - depth[k / 2] * h, 0, 0};
+        double sum = 0, square = 0;
+        voxrt_gi_render_desc d;
+        set_lamp(gi, lamp, r * r);
+        memset(&d, 0, sizeof d);
+        d.rays = 64;
+        d.method = k % 2 == 0 ? VOXRT_GI_GATHER : VOXRT_GI_PATH;
+        CHECK(voxrt_gi_render(&d, gi, &pic.g, NULL, pic.indirect[0], NULL) == VOXRT_OK);
+        for (i = 0; i < POINTS; i++) {
+            const double e = 3.14159265358979 * (double)pic.indirect[i][0] / q;
+            sum += e / POINTS;
+            square += e * e / POINTS;
+        }
+        CHECK_MSG(fabs(sum - 1) < 0.07 && sqrt(square - sum * sum) < 0.3, "%.1f cells: %.3f +- %.3f", depth[k / 2], sum, sqrt(square - sum * sum));
+    }
+    voxrt_gi_destroy(gi);
+}
+
 /* ---- ways of rays ---- */
 
 static voxrt_columns *hall(uint32_t n, uint32_t depth) {
@@ -1081,6 +1127,7 @@ int main(int argc, char **argv) {
     RUN(paths_through_triangles_are_right);
     RUN(a_room_as_paths_through_its_triangles_have_it);
     RUN(closed_sphere_to_a_percent);
+    RUN(lamps_beside_walls_make_no_dots);
     RUN(ways_of_rays);
     RUN(offsets_lose_what_planes_keep);
     RUN(points_go_where_sums_say);
