@@ -68,7 +68,7 @@ TEST(both_sides_of_a_thin_plate) { /* a plate thinner than a cell: each side kee
     static uint8_t writers[64][64][64]; /* bits of the sides that wrote; 4: side 1 was the last */
     uint32_t round, i, k, cells = 0, wrong = 0, both = 0, lost = 0, wrong_of_both = 0;
     rng_state = 5;
-    for (round = 0; round < 60; round++) {
+    for (round = 0; round < (test_quick() ? 60u : 100u); round++) {
         voxrt_gi *gi = make_gi(64, 64, 64, 32);
         double e[3][3], p[8][3];
         voxrt_gi_object o;
