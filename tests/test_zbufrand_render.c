@@ -232,7 +232,7 @@ TEST(like_a_z_buffer) {
         three_balls(&s, rings);
         m = mesh_of(&s);
         scene = scene_of(&m, 1);
-        exact_open(&e, 200, 150, 3);
+        exact_open(&e, 200, 150, 9); /* slivers between outlines are seen, too */
         buffers_open(&b, 200, 150);
         for (k = 0; k < 3; k++) {
             zbufrand_render_desc d;
@@ -244,7 +244,7 @@ TEST(like_a_z_buffer) {
             d.camera.eye[2] = 9;
             d.camera.at[2] = -1;
             d.hybrid = modes[k];
-            d.seed = 2; /* of 400 pictures of the coarse balls one in five shows a surface that meets none of the nine places */
+            d.no_plane_depth = 1; /* the plane of a steep triangle may leave it before the centre of the pixel */
             CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, &st), ZBUFRAND_OK);
             if (k == 0) {
                 CHECK_EQ_U64(zbufrandi_camera_open(&d.camera, scene, 200, 150, 0, &camera), ZBUFRAND_OK);
