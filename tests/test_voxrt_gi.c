@@ -281,6 +281,42 @@ static double ball_light(ball *b, voxrt_gi_render_desc *d) { /* mean irradiance 
     return sum;
 }
 
+/* The same with the lamp near the wall: what comes back once from everywhere is the same everywhere, q i / r^2, but half of
+   it from a spot as wide as the lamp is far. By 64 rays, without any for that spot, points differ by all there is. */
+TEST(lamps_near_surfaces_leave_no_dots) {
+    static ball b;
+    const double r = 9.0;
+    voxrt_gi_render_desc d;
+    uint32_t i, k;
+    ball_open(&b, r, NULL);
+    memset(&d, 0, sizeof d);
+    d.rays = 64;
+    for (k = 0; k < 6; k++) { /* points and spots; near the wall, nearer; gathered, by paths */
+        const double h = k & 1 ? 0.4 : 0.8;
+        voxrt_gi_light light = point_light((float)(h - r), 0, 0, (float)(r * r));
+        double want = b.q, mean = 0, error = 0;
+        if (k >= 4) { /* less than half of the light, to the wall */
+            light.kind = VOXRT_GI_SPOT;
+            light.direction[0] = -1.0f;
+            light.angle = 80.0f;
+            want *= 0.5 * (1 - cos(80 * 3.14159265358979 / 180));
+        }
+        d.method = k == 2 || k == 3 ? VOXRT_GI_PATH : VOXRT_GI_GATHER;
+        d.bounces = 1;
+        CHECK(voxrt_gi_set_lights(b.gi, &light, 1) == VOXRT_OK);
+        CHECK(voxrt_gi_update(b.gi, NULL) == VOXRT_OK);
+        CHECK(voxrt_gi_render(&d, b.gi, &b.g, b.direct[0], b.indirect[0], NULL) == VOXRT_OK);
+        for (i = 0; i < 32; i++) {
+            const double it = 3.14159265358979 * (double)b.indirect[i][0] / want;
+            mean += it / 32;
+            error += (it - 1) * (it - 1) / 32 * want * want / (b.q * b.q);
+        }
+        CHECK_MSG(fabs(mean - 1) < 0.04, "%u: %.4f of the light", k, mean);
+        CHECK_MSG(sqrt(error) < 0.2, "%u: %.4f of error", k, sqrt(error)); /* 0.55 and 1.5 without */
+    }
+    voxrt_gi_destroy(b.gi);
+}
+
 TEST(ways_to_look_up_light) { /* q i / r^2 for one bounce; maps may lose or leak a little */
     static ball b;
     uint32_t way;
@@ -2354,6 +2390,7 @@ int main(int argc, char **argv) {
     RUN(both_sides_of_a_thin_plate);
     RUN(still_and_moving_objects_look_the_same);
     RUN(closed_sphere);
+    RUN(lamps_near_surfaces_leave_no_dots);
     RUN(ways_to_look_up_light);
     RUN(virtual_lights);
     RUN(spot_lights_become_virtual_ones);
