@@ -1405,7 +1405,7 @@ static void bm14(void) {
             /* the reference: all that is asked for, anew, with many rays; as pictures are drawn: one that lets it follow */
             for (uint32_t more = 1; more < ways[i].bounces; more++) {
                 if (ways[i].history && f > 0 && more > 1) break;
-                must(voxrt_gi_bounce(w.gi, NULL, 16, ways[i].history && f > 0 ? 0.25f : 1.0f, more), "bounce");
+                must(voxrt_gi_bounce(w.gi, NULL, ways[i].history ? 16 : 64, ways[i].history && f > 0 ? 0.25f : 1.0f, more), "bounce");
             }
             d.filter = ways[i].filter;
             d.history = history;
@@ -1433,7 +1433,10 @@ static void bm14(void) {
         for (f = 0; f < 3; f++) free(last[f]);
         voxrt_gi_history_destroy(history);
     }
-    table_set("flicker", "%.2f (with history %.2f)", flicker[1] / flicker[0], flicker[2] / flicker[0]);
+    if (g_opt.full)
+        table_set("flicker", "%.2f (with history %.2f, and bounces on cells %.2f)", flicker[1] / flicker[0], flicker[2] / flicker[0],
+                  flicker[4] / flicker[3]);
+    else table_set("flicker", "%.2f (with history %.2f)", flicker[1] / flicker[0], flicker[2] / flicker[0]);
     for (f = 0; f < FRAMES; f++) free(want[f]);
     free_world(&w);
 }
