@@ -1083,8 +1083,8 @@ typedef enum voxrt_edit_op {
 /* field    zero means
    op       VOXRT_EDIT_SET
    rgb      black; sRGB. Boxes and spheres; triangles and lists have colours of their own
-   finish   what SET fills is plain, what PAINT paints keeps its finish. Else all shapes give this one; borrowed. A model
-            has at most 255 different ones, those that no voxel has any more among them; it must have colours */
+   finish   what SET fills is plain, what PAINT paints keeps its finish. Else all shapes give this one; borrowed. A
+            model has at most 255 different ones, those that no voxel has any more among them; it must have colours */
 typedef struct voxrt_edit_desc {
     uint32_t _begin_zero;
     voxrt_env env;
