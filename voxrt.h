@@ -22341,6 +22341,11 @@ struct voxrti_gi_map {
     float tangent;          /* of half its angle */
 };
 
+/* The surface that a point light or a spot stands in front of. */
+typedef struct voxrti_gi_up {
+    float n[3], height, diagonal; /* height: INFINITY if there is none; diagonal: of its cells */
+} voxrti_gi_up;
+
 struct voxrt_gi {
     voxrti_mem mem;
     voxrt_env env;
@@ -22353,6 +22358,7 @@ struct voxrt_gi {
     size_t emitter_count, emitter_capacity;
     voxrt_gi_light emit;      /* of kind VOXRTI_GI_EMITTERS */
     struct voxrti_gi_map *map; /* for each light, or NULL */
+    struct voxrti_gi_up *light_up; /* for each light */
     struct voxrti_vpl *vpl;   /* of the last picture */
     size_t vpl_count, vpl_capacity;
     voxrti_gi_layer layer[2]; /* still, moving */
@@ -23086,6 +23092,7 @@ static voxrt_result voxrti_gi_update_one(voxrt_gi *gi) {
 
 static void voxrti_gi_darken(voxrt_gi *gi);
 static void voxrti_gi_unit(voxrt_gi *gi);
+static void voxrti_gi_find_ups(voxrt_gi *gi);
 
 VOXRT_DEF voxrt_result voxrt_gi_update(voxrt_gi *gi, voxrt_gi_update_stats *stats) {
     voxrt_gi *g;
@@ -23109,6 +23116,7 @@ VOXRT_DEF voxrt_result voxrt_gi_update(voxrt_gi *gi, voxrt_gi_update_stats *stat
             r = voxrti_gi_find_emitters(gi);
             if (r != VOXRT_OK) gi->changed = 1;
         }
+        voxrti_gi_find_ups(gi);
         voxrti_gi_unit(gi);
     }
     if (r != VOXRT_OK) return voxrti_fail(gi->env.error, r, 0, "no memory for the attributes of cells");
@@ -23241,14 +23249,74 @@ static void voxrti_gi_darken(voxrt_gi *gi) {
             if (gi->layer[l].count != 0) memset(gi->layer[l].direct, 255, gi->layer[l].count * 8);
 }
 
+/* Which lights stand in front of a surface, by less than VOXRTI_GI_UP_NEAR diagonals of a cell? The nearest one of the
+   innermost volume around each. */
+#define VOXRTI_GI_UP_NEAR 3.0
+static void voxrti_gi_find_ups(voxrt_gi *gi) {
+    size_t l;
+    for (l = 0; l < gi->light_count; l++) {
+        const voxrt_gi_light *light = &gi->light[l];
+        voxrti_gi_up *up = &gi->light_up[l];
+        const voxrt_gi *g = gi;
+        const voxrt_columns *c;
+        uint32_t lo[3] = {0, 0, 0}, hi[3] = {0, 0, 0}, cell[3], a, side, layer;
+        float diagonal;
+        int out = 0;
+        memset(up, 0, sizeof *up);
+        up->height = INFINITY;
+        if (light->kind != VOXRT_GI_POINT && light->kind != VOXRT_GI_SPOT) continue;
+        for (; g->outer != NULL; g = g->outer) {
+            int in = 1;
+            for (a = 0; a < 3; a++) in &= light->position[a] >= g->lo[a] && light->position[a] <= g->hi[a];
+            if (in) break;
+        }
+        c = g->columns;
+        up->diagonal = diagonal = (float)c->diagonal;
+        for (a = 0; a < 3 && !out; a++) {
+            const double at = (double)light->position[c->axis[a]] - c->origin[a];
+            const double reach = VOXRTI_GI_UP_NEAR * c->diagonal;
+            const double from = (at - reach) / c->cell[a], to = (at + reach) / c->cell[a];
+            out = !(to >= 0.0 && from < (double)c->size[a]);
+            if (out) break;
+            lo[a] = from > 0.0 ? (uint32_t)from : 0;
+            hi[a] = to < (double)(c->size[a] - 1) ? (uint32_t)to : c->size[a] - 1;
+        }
+        if (out) continue;
+        for (cell[1] = lo[1]; cell[1] <= hi[1]; cell[1]++)
+            for (cell[0] = lo[0]; cell[0] <= hi[0]; cell[0]++)
+                for (cell[2] = lo[2]; cell[2] <= hi[2]; cell[2]++) {
+                    const size_t i = voxrti_gi_find(g, cell[0], cell[1], cell[2], &layer);
+                    for (side = 0; side < 2 && i != (size_t)-1; side++) {
+                        const voxrti_gi_record *r = &g->layer[layer].record[i];
+                        float p[3], n[3], d[3], height;
+                        if (r->area[side] == 0) continue;
+                        voxrti_gi_side_place(g, r, side, cell, p, n);
+                        for (a = 0; a < 3; a++) d[a] = light->position[a] - p[a];
+                        height = voxrti_dot3(d, n);
+                        if (!(height > 0.0f && height < up->height) ||
+                            voxrti_dot3(d, d) - height * height > diagonal * diagonal) continue;
+                        up->height = height;
+                        memcpy(up->n, n, sizeof up->n);
+                    }
+                }
+        if (!(up->height < (float)VOXRTI_GI_UP_NEAR * diagonal)) up->height = INFINITY;
+    }
+}
+
 VOXRT_DEF voxrt_result voxrt_gi_set_lights(voxrt_gi *gi, const voxrt_gi_light *lights, size_t count) {
     voxrt_gi_light *copy = NULL;
+    voxrti_gi_up *up = NULL;
     size_t i;
     uint32_t a;
     if (gi == NULL || (lights == NULL && count != 0)) return VOXRT_ERR_INVALID_ARG;
     if (count != 0) {
         copy = (voxrt_gi_light *)voxrti_alloc_array(&gi->mem, count, sizeof *copy);
         if (copy == NULL) return voxrti_fail(gi->env.error, VOXRT_ERR_NO_MEMORY, count, "no memory for % lights");
+        up = (voxrti_gi_up *)voxrti_alloc_array(&gi->mem, count, sizeof *up);
+        if (up == NULL) {
+            voxrti_free(&gi->mem, copy);
+            return voxrti_fail(gi->env.error, VOXRT_ERR_NO_MEMORY, count, "no memory for % lights");
+        }
     }
     for (i = 0; i < count; i++) {
         voxrt_gi_light *s = &copy[i];
@@ -23268,17 +23336,22 @@ VOXRT_DEF voxrt_result voxrt_gi_set_lights(voxrt_gi *gi, const voxrt_gi_light *l
         }
         if (!ok || (uint32_t)s->kind > VOXRT_GI_AREA) {
             voxrti_free(&gi->mem, copy);
+            voxrti_free(&gi->mem, up);
             return voxrti_fail(gi->env.error, VOXRT_ERR_INVALID_ARG, i, "light % is none");
         }
     }
     if (count == gi->light_count && (count == 0 || memcmp(copy, gi->light, count * sizeof *copy) == 0)) {
         voxrti_free(&gi->mem, copy); /* the same ones */
+        voxrti_free(&gi->mem, up);
         return VOXRT_OK;
     }
     voxrti_gi_darken(gi);
     voxrti_free(&gi->mem, gi->light);
+    voxrti_free(&gi->mem, gi->light_up);
     gi->light = copy;
+    gi->light_up = up;
     gi->light_count = count;
+    voxrti_gi_find_ups(gi);
     voxrti_gi_unit(gi);
     return VOXRT_OK;
 }
@@ -23399,6 +23472,7 @@ VOXRT_DEF void voxrt_gi_destroy(voxrt_gi *gi) {
         voxrt_columns_destroy(gi->columns);
         voxrti_free(&gi->mem, gi->entry);
         voxrti_free(&gi->mem, gi->light);
+        voxrti_free(&gi->mem, gi->light_up);
         voxrti_free(&gi->mem, gi->emitter);
         voxrti_free(&gi->mem, gi->vpl);
         voxrti_free(&gi->mem, gi->own);
@@ -24083,7 +24157,10 @@ static VOXRTI_NOINLINE void voxrti_light_points(const voxrti_lighting *c, size_t
     const voxrt_gi_light *l = lamp < c->gi->light_count ? &c->gi->light[lamp] : &c->gi->emit;
     voxrt_ray ray[VOXRTI_COLUMN_BATCH];
     float in[VOXRTI_COLUMN_BATCH][3], normal[VOXRTI_COLUMN_BATCH][3], end[VOXRTI_COLUMN_BATCH][3];
-    const float *const ends = (uint32_t)l->kind == VOXRTI_GI_EMITTERS ? end[0] : NULL;
+    /* a lamp above a surface, by part of a cell: the cells of that are not between it and what lies in front of them */
+    const voxrti_gi_up *const wall = lamp < c->gi->light_count && c->gi->light_up[lamp].height <
+        1.5f * c->gi->light_up[lamp].diagonal && c->shadow == NULL ? &c->gi->light_up[lamp] : NULL;
+    const float *const ends = (uint32_t)l->kind == VOXRTI_GI_EMITTERS || wall != NULL ? end[0] : NULL;
     uint8_t of[VOXRTI_COLUMN_BATCH], dark[VOXRTI_COLUMN_BATCH];
     const int wide = l->kind == VOXRT_GI_AREA || (uint32_t)l->kind == VOXRTI_GI_EMITTERS;
     const int map = c->maps && (l->kind == VOXRT_GI_POINT || l->kind == VOXRT_GI_SPOT);
@@ -24108,6 +24185,10 @@ static VOXRTI_NOINLINE void voxrti_light_points(const voxrti_lighting *c, size_t
                 for (a = 0; a < 3; a++) in[m][a] *= f;
             }
             memcpy(normal[m], q->n[i], sizeof normal[m]);
+            if (wall != NULL) {
+                if (voxrti_dot3(ray[m].dir, wall->n) < 0.0f) memcpy(end[m], wall->n, sizeof end[m]);
+                else memset(end[m], 0, sizeof end[m]);
+            }
             for (a = 0; a < 3 && c->shadow != NULL; a++) { /* from a little above the surface to the light */
                 const float up = c->lift * q->n[i][a];
                 ray[m].org[a] += up;
@@ -24288,54 +24369,20 @@ static int voxrti_gather_goes_on(const voxrt_gi *gi, size_t i, uint32_t layer, c
 
 /* Lamps closer to a surface than three diagonals of a cell: half of what such a lamp sends goes out again from a few
    cells, which few of the rays over a hemisphere meet, so what they bring would be dots. The strongest, by colour. */
-#define VOXRTI_GI_SPOT_NEAR 3.0
 static void voxrti_gi_find_spots(const voxrt_gi *gi, voxrti_gather *w) {
     size_t l;
     w->spots = 0;
     for (l = 0; l < gi->light_count; l++) {
         const voxrt_gi_light *light = &gi->light[l];
         const float power = light->color[0] + light->color[1] + light->color[2];
-        const voxrt_gi *g = gi;
-        const voxrt_columns *c;
-        uint32_t lo[3] = {0, 0, 0}, hi[3] = {0, 0, 0}, cell[3], a, side, layer, at;
-        float best = INFINITY, diagonal;
-        int out = 0;
-        if (light->kind != VOXRT_GI_POINT && light->kind != VOXRT_GI_SPOT) continue;
-        if (!(power > 0.0f) || (w->spots == VOXRTI_GI_SPOTS && !(power > w->spot[w->spots - 1].power))) continue;
-        while (g->outer != NULL && !(light->position[0] >= g->lo[0] && light->position[0] <= g->hi[0] &&
-                                     light->position[1] >= g->lo[1] && light->position[1] <= g->hi[1] &&
-                                     light->position[2] >= g->lo[2] && light->position[2] <= g->hi[2])) g = g->outer;
-        c = g->columns;
-        diagonal = (float)c->diagonal;
-        for (a = 0; a < 3; a++) {
-            const double reach = VOXRTI_GI_SPOT_NEAR * c->diagonal;
-            const double from = ((double)light->position[c->axis[a]] - reach - c->origin[a]) / c->cell[a];
-            const double to = ((double)light->position[c->axis[a]] + reach - c->origin[a]) / c->cell[a];
-            if (!(to >= 0.0 && from < (double)c->size[a])) { out = 1; break; }
-            lo[a] = from > 0.0 ? (uint32_t)from : 0;
-            hi[a] = to < (double)(c->size[a] - 1) ? (uint32_t)to : c->size[a] - 1;
-        }
-        if (out) continue;
-        for (cell[1] = lo[1]; cell[1] <= hi[1]; cell[1]++)
-            for (cell[0] = lo[0]; cell[0] <= hi[0]; cell[0]++)
-                for (cell[2] = lo[2]; cell[2] <= hi[2]; cell[2]++) {
-                    const size_t i = voxrti_gi_find(g, cell[0], cell[1], cell[2], &layer);
-                    for (side = 0; side < 2 && i != (size_t)-1; side++) {
-                        const voxrti_gi_record *r = &g->layer[layer].record[i];
-                        float p[3], n[3], d[3], up;
-                        if (r->area[side] == 0) continue;
-                        voxrti_gi_side_place(g, r, side, cell, p, n);
-                        for (a = 0; a < 3; a++) d[a] = light->position[a] - p[a];
-                        up = voxrti_dot3(d, n);
-                        if (!(up > 0.0f && up < best) || voxrti_dot3(d, d) - up * up > diagonal * diagonal) continue;
-                        best = up;
-                    }
-                }
-        if (!(best < (float)VOXRTI_GI_SPOT_NEAR * diagonal)) continue;
+        const float near_by = gi->light_up[l].height, diagonal = gi->light_up[l].diagonal;
+        uint32_t at;
+        if (!(near_by < INFINITY)) continue;
+        if (w->spots == VOXRTI_GI_SPOTS && !(power > w->spot[w->spots - 1].power)) continue;
         if (w->spots < VOXRTI_GI_SPOTS) w->spots++;
         for (at = w->spots - 1; at > 0 && power > w->spot[at - 1].power; at--) w->spot[at] = w->spot[at - 1];
         memcpy(w->spot[at].p, light->position, sizeof w->spot[at].p);
-        w->spot[at].r = 2.0f * best + diagonal;
+        w->spot[at].r = 2.0f * near_by + diagonal;
         w->spot[at].power = power;
     }
 }
