@@ -1506,6 +1506,21 @@ TEST(hostile_files) {
         {
             voxrt_tree *u = NULL;
             CHECK(voxrt_tree_load_memory(NULL, copy, size, &u) == VOXRT_ERR_FORMAT);
+            memcpy(copy, file, size);
+            memset(copy + section + VOXRTI_V5_FINISH, 255, 4); /* the second one is bad */
+            voxrti_v5_seal(copy, size);
+            CHECK(voxrt_tree_load_memory(NULL, copy, size, &u) == VOXRT_ERR_FORMAT);
+            memcpy(copy, file, size);
+            memset(copy + section + VOXRTI_V5_FINISH, 0, length - VOXRTI_V5_FINISH); /* one, all is plain, but a byte is missing */
+            for (i = 0; i < voxrti_load_u16(file + 14); i++) {
+                uint8_t *e = copy + 64 + 40 * i;
+                if (voxrti_load_u32(e) != VOXRTI_V5_FINISHES) continue;
+                CHECK(voxrti_load_u64(e + 16) == length && voxrti_load_u64(e + 24) == length);
+                voxrti_store_u64(e + 16, length - 1);
+                voxrti_store_u64(e + 24, length - 1);
+            }
+            voxrti_v5_seal(copy, size);
+            CHECK(voxrt_tree_load_memory(NULL, copy, size, &u) == VOXRT_ERR_FORMAT);
         }
         free_block(copy);
         free_block(file);
@@ -1892,6 +1907,25 @@ TEST(highlights_of_coarser_levels) {
     }
 }
 
+/* Along any axis. */
+TEST(equal_normals_have_no_spread) {
+    uint32_t a, k;
+    for (a = 0; a < 3; a++) {
+        voxrt_voxel v[2];
+        voxrt_build_desc b;
+        voxrt_tree *t = NULL;
+        memset(v, 0, sizeof v);
+        memset(&b, 0, sizeof b);
+        v[1].x = v[1].y = v[1].z = 1;
+        v[0].normal[a] = v[1].normal[a] = 1;
+        v[0].has_normal = v[1].has_normal = 1;
+        b.spread = 1;
+        REQUIRE(voxrt_tree_from_voxels(&b, v, 2, 4, &t) == VOXRT_OK && t->spread != NULL);
+        for (k = 0; k < voxrti_spread_count(t); k++) CHECK(t->spread[k] <= 1);
+        voxrt_tree_destroy(t);
+    }
+}
+
 /* Between two levels of detail there is so much of each, also of what normals differ by. */
 TEST(spread_between_levels) {
     voxrt_build_desc b;
@@ -2054,6 +2088,7 @@ int main(int argc, char **argv) {
     RUN(samples_are_where_they_say);
     RUN(samples_of_huge_triangles);
     RUN(highlights_of_coarser_levels);
+    RUN(equal_normals_have_no_spread);
     RUN(spread_between_levels);
     RUN(memory_runs_out);
     RUN(memory_of_models_runs_out);
