@@ -263,6 +263,44 @@ static tetcast_result plane_values(world *w, const tetcast_env *env) {
     return tetcast_plane_sample(env, w->mesh, &p, SIDE, SIDE, w->out);
 }
 
+static tetcast_result plane_seen(world *w, const tetcast_env *env) {
+    const tetcast_plane p = middle_plane();
+    tetcast_camera c;
+    memset(&c, 0, sizeof c);
+    c.eye[2] = 6;
+    return tetcast_plane_view(env, w->mesh, &p, &c, SIDE, SIDE, w->out, w->depth);
+}
+
+static tetcast_result means(world *w, const tetcast_env *env) {
+    tetcast_means m;
+    memset(&m, 0, sizeof m);
+    m.mean = w->out;
+    return tetcast_resample_mean(env, w->mesh, &w->lattice, &m);
+}
+
+/* Two sets; the second takes over what changed in the first. */
+static tetcast_result parameters(world *w, const tetcast_env *env) {
+    tetcast_params *a = NULL, *b = NULL;
+    tetcast_result r = tetcast_params_create(env, &a);
+    char name[8];
+    int i;
+    if (r == TETCAST_OK) r = tetcast_params_create(env, &b);
+    for (i = 0; i < 20 && r == TETCAST_OK; i++) {
+        const uint64_t before = tetcast_params_changed(a, NULL);
+        snprintf(name, sizeof name, "n%d", i % 18);
+        r = tetcast_params_set(a, name, w->grid + i, 1 + (size_t)i);
+        CHECK_EQ_U64(tetcast_params_changed(a, NULL), before + (r == TETCAST_OK));
+    }
+    if (r == TETCAST_OK) {
+        const size_t size = tetcast_params_changes(a, 0, w->file, sizeof w->file);
+        CHECK(size <= sizeof w->file);
+        r = tetcast_params_apply(b, w->file, size);
+    }
+    tetcast_params_destroy(a);
+    tetcast_params_destroy(b);
+    return r;
+}
+
 static tetcast_result section(world *w, const tetcast_env *env) {
     const tetcast_plane p = middle_plane();
     tetcast_section s;
@@ -284,9 +322,12 @@ static tetcast_result bricks(world *w, const tetcast_env *env, int of) {
     d.max_error = of == 0 ? 0.05f : 0.4f;
     d.longest_end = 17;
     d.checks = 50;
+    if (of >= 4) d.longest = 9;
+    d.average = of == 4;
+    if (of == 5) d.focus_radius = 0.5;
     a.data = w->grid;
     r = of == 0 ? tetcast_bricks_create_grid(&d, &w->lattice, &a, NULL, &b) :
-        of == 1 ? tetcast_bricks_create_mesh(&d, w->mesh, NULL, &b) :
+        of == 1 || of >= 4 ? tetcast_bricks_create_mesh(&d, w->mesh, NULL, &b) :
         of == 2 ? tetcast_bricks_create_amr(&d, w->amr, TETCAST_AMR_OCTANT, NULL, &b) :
                   tetcast_bricks_create_rbf(&d, w->rbf, TETCAST_RBF_CHANNEL_AUTO, 0, NULL, &b);
     CHECK((r == TETCAST_OK) == (b != NULL));
@@ -297,6 +338,8 @@ static tetcast_result bricks_of_grid(world *w, const tetcast_env *env) { return 
 static tetcast_result bricks_of_mesh(world *w, const tetcast_env *env) { return bricks(w, env, 1); }
 static tetcast_result bricks_of_amr(world *w, const tetcast_env *env) { return bricks(w, env, 2); }
 static tetcast_result bricks_of_rbf(world *w, const tetcast_env *env) { return bricks(w, env, 3); }
+static tetcast_result bricks_of_means(world *w, const tetcast_env *env) { return bricks(w, env, 4); }
+static tetcast_result bricks_on_demand(world *w, const tetcast_env *env) { return bricks(w, env, 5); }
 
 static tetcast_result amr(world *w, const tetcast_env *env) {
     tetcast_patch patch[2];
@@ -473,7 +516,8 @@ static tetcast_result rbf_picture(world *w, const tetcast_env *env) {
 
 static const struct call { const char *name; tetcast_result (*run)(world *w, const tetcast_env *env); uint32_t least; } call[] = {
     {"mesh of a grid", grid_mesh, 10}, {"optics", update, 3}, {"isosurface", surface, 3}, {"resample", resampled, 1}, {"plane", plane_values, 1},
-    {"section", section, 3}, {"bricks of a grid", bricks_of_grid, 3}, {"bricks of a mesh", bricks_of_mesh, 5}, {"bricks of refined cells", bricks_of_amr, 3},
+    {"plane in perspective", plane_seen, 1}, {"means", means, 3}, {"parameters", parameters, 30}, {"bricks of means", bricks_of_means, 5},
+    {"bricks on demand", bricks_on_demand, 5}, {"section", section, 3}, {"bricks of a grid", bricks_of_grid, 3}, {"bricks of a mesh", bricks_of_mesh, 5}, {"bricks of refined cells", bricks_of_amr, 3},
     {"bricks of functions", bricks_of_rbf, 3}, {"refined cells", amr, 3}, {"file of bricks", read_bricks, 3}, {"cut", cut, 3}, {"clip", clip, 2},
     {"shaded mesh", shaded_mesh, 2}, {"shaded bricks", shaded_bricks, 2}, {"picture of bricks", brick_picture, 2}, {"picture by walking", walked, 1},
     {"picture by projecting", projected, 3}, {"rays", rays, 1}, {"functions", rbf, 3}, {"picture of functions", rbf_picture, 1}
