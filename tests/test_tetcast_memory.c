@@ -517,7 +517,9 @@ static tetcast_result rbf_picture(world *w, const tetcast_env *env) {
 static const struct call { const char *name; tetcast_result (*run)(world *w, const tetcast_env *env); uint32_t least; } call[] = {
     {"mesh of a grid", grid_mesh, 10}, {"optics", update, 3}, {"isosurface", surface, 3}, {"resample", resampled, 1}, {"plane", plane_values, 1},
     {"plane in perspective", plane_seen, 1}, {"means", means, 3}, {"parameters", parameters, 30}, {"bricks of means", bricks_of_means, 5},
-    {"bricks on demand", bricks_on_demand, 5}, {"section", section, 3}, {"bricks of a grid", bricks_of_grid, 3}, {"bricks of a mesh", bricks_of_mesh, 5}, {"bricks of refined cells", bricks_of_amr, 3},
+    {"bricks on demand", bricks_on_demand, 5}, {"section", section, 3},
+    {"bricks of a grid", bricks_of_grid, 3}, {"bricks of a mesh", bricks_of_mesh, 5},
+    {"bricks of refined cells", bricks_of_amr, 3},
     {"bricks of functions", bricks_of_rbf, 3}, {"refined cells", amr, 3}, {"file of bricks", read_bricks, 3}, {"cut", cut, 3}, {"clip", clip, 2},
     {"shaded mesh", shaded_mesh, 2}, {"shaded bricks", shaded_bricks, 2}, {"picture of bricks", brick_picture, 2}, {"picture by walking", walked, 1},
     {"picture by projecting", projected, 3}, {"rays", rays, 1}, {"functions", rbf, 3}, {"picture of functions", rbf_picture, 1}
