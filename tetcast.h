@@ -13642,7 +13642,7 @@ static void tetcasti_scan_paint(tetcasti_scan *c, const tetcasti_scan_cell *t) {
 
 #if TETCASTI_AVX2
 /* Up to eight nodes at a time where they lie side by side; the same numbers as above. The last ones overlap those
-   before, with the same values, instead of a masked store: that is some 20 operations on AMD's processors. */
+   before, with the same values, instead of a masked store, which is slow on AMD's processors. */
 TETCASTI_TARGET_AVX2 static inline void tetcasti_scan_fill8(const tetcasti_scan *c, const tetcasti_scan_cell *t,
                                                             float start, int32_t from, int32_t to, float *row) {
     const __m256 step = _mm256_set1_ps((float)t->s[3]), first = _mm256_set1_ps(start);
