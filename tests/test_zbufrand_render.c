@@ -289,9 +289,9 @@ static void note_triangles(void *user, const zbufrand_surface *s, size_t count, 
 }
 
 /* A correct picture (Definition 3): what a pixel shows is visible somewhere in it. Bodies before one another, far enough apart that
-   samples tell them apart; by 16 x 16 places in each pixel, which miss what is smaller. */
+   samples tell them apart; by 32 x 32 places in each pixel, which miss what is smaller. */
 TEST(shows_what_is_visible) {
-    enum { W = 96, H = 72, K = 16 };
+    enum { W = 72, H = 54, K = 32 };
     static uint32_t shown[W * H];
     const zbufrand_hybrid ways[3] = {ZBUFRAND_HYBRID_OFF, ZBUFRAND_HYBRID_AUTO, ZBUFRAND_HYBRID_ALL};
     zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
