@@ -291,7 +291,8 @@ SUP_FN int supi_gi_knot_line(sup_gi_scene *s, supi_gi_line *l) {
         k->has_tangent = 1;
     }
     /* tangents are differences of places over those of times: both stay numbers */
-    if (p->count && !(k->t - s->knots[p->first + p->count - 1].t >= 1e-6)) return supi_gi_fail(l, "times of knots ascend by a microsecond at least", SUP_GI_WORDS);
+    if (p->count && !(k->t - s->knots[p->first + p->count - 1].t >= 1e-6))
+        return supi_gi_fail(l, "times of knots ascend by a microsecond at least", SUP_GI_WORDS);
     p->count++;
     return 0;
 }
