@@ -14,7 +14,7 @@ enum { PATH_FAST, PATH_THESIS };
 typedef struct render_options {
     sup_common common;
     const char *in, *light, *lod;
-    int shadows, path, heat, has_heat, split, face_normals, cubes, thesis_compose, one_sided, progressive, blend, has_background;
+    int shadows, path, heat, has_heat, has_heat_max, split, normals, cubes, compose, one_sided, blend, has_background;
     int64_t samples, lod_split, scatter, frames, bounces, memory;
     int finer;
     double blur, heat_max, budget;
@@ -73,11 +73,9 @@ static int collect_lights(int argc, char **argv, render_options *o) {
     return -1;
 }
 
-static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *desc) {
-    sup_option table[SUP_COMMON_OPTIONS + 32];
-    size_t n;
-    int status, compose = 0, normals = 0, has_heat_max = 0;
-    memset(o, 0, sizeof *o);
+/* Writes the options into a table of room for all, and what they are if nobody says so; returns how many there are. */
+static size_t option_table(render_options *o, sup_option *table) {
+    size_t n = sup_common_options(&o->common, table);
     o->samples = 1;
     o->frames = 1;
     o->bounces = 8;
@@ -87,7 +85,6 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
     o->lod_split = -1;
     o->diffuse = 1.0;
     o->shininess = 32.0;
-    n = sup_common_options(&o->common, table);
     table[n++] = sup_opt_positional("IN.vox", &o->in, 1, "voxel file, format 5 or 4");
     table[n++] = sup_opt_text("light", &o->light, "[dir:]x,y,z[:r,g,b]",
                               "a point light, or the direction towards a distant one; may be repeated");
@@ -110,10 +107,10 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
     table[n++] = sup_opt_given(sup_opt_choice("heat", &o->heat, "outer|inner", "cells left, or nodes entered, per ray"),
                                &o->has_heat);
     table[n++] = sup_opt_given(sup_opt_real("heat-max", &o->heat_max, 1.0, 1e6, "N", "cells that are fully red (64)"),
-                               &has_heat_max);
+                               &o->has_heat_max);
     table[n++] = sup_opt_flag("split", &o->split, "left third colours, middle the picture, right third brightness");
     table[n++] =
-        sup_opt_choice("normals", &normals, "stored|face", "shade by stored normals or by the faces of the cubes");
+        sup_opt_choice("normals", &o->normals, "stored|face", "shade by stored normals or by the faces of the cubes");
     table[n++] = sup_opt_int("scatter", &o->scatter, 0, 100000000, "N", "N copies of it, turned and of different sizes, on the ground");
     table[n++] = sup_opt_int("frames", &o->frames, 1, 1000000, "N", "N pictures, once around --at; FILE of --out has a %d for the number");
     table[n++] = sup_opt_real("budget", &o->budget, 0.0, 1e6, "MS", "time for each of --frames: detail is lowered first where it shows least");
@@ -123,7 +120,7 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
     table[n++] = sup_opt_flag("blend", &o->blend, "colours and normals go over from one level of detail to the next: no popping in motion");
     table[n++] = sup_opt_flag("cubes", &o->cubes, "voxels with planes (voxrt_convert --planes) as cubes");
     table[n++] = sup_opt_flag("one-sided", &o->one_sided, "surfaces seen from behind stay dark instead of turning their normals");
-    table[n++] = sup_opt_choice("compose", &compose, "linear|thesis", "linear light, or bytes times brightness");
+    table[n++] = sup_opt_choice("compose", &o->compose, "linear|thesis", "linear light, or bytes times brightness");
     table[n++] = sup_opt_given(sup_opt_vec3("background", o->background, "linear r,g,b instead of transparent"),
                                &o->has_background);
     table[n++] = sup_opt_given(
@@ -131,23 +128,26 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
         &o->has_blur);
     table[n++] =
         sup_opt_flag("smooth", &o->smooth, "with --blur: only where voxels are larger than pixels, not over edges");
-    status = sup_cli_parse(argc, argv, "Draws a voxel file.", table, n);
-    if (status >= 0) return status;
-    if (o->common.unlit + o->split + o->has_heat > 1)
-        return sup_bad_usage(argv[0], "--unlit, --split and --heat are three different pictures");
-    if (o->panorama && !o->common.has_eye) return sup_bad_usage(argv[0], "--panorama goes with --eye");
-    if (has_heat_max && !o->has_heat) return sup_bad_usage(argv[0], "--heat-max goes with --heat");
-    if (o->smooth && o->path == PATH_THESIS) return sup_bad_usage(argv[0], "--smooth goes with --path fast");
-    if (o->budget > 0.0 && (o->frames < 2 || o->path == PATH_THESIS || o->has_blur))
-        return sup_bad_usage(argv[0], "--budget goes with --frames, and neither with --path thesis nor with --blur");
-    if (o->scatter != 0 && (o->path == PATH_THESIS || o->smooth))
-        return sup_bad_usage(argv[0], "--scatter goes neither with --path thesis nor with --smooth");
-    if (o->smooth && !o->has_blur) return sup_bad_usage(argv[0], "--smooth goes with --blur");
-    status = sup_out_check(argv[0], &o->common);
-    if (status >= 0) return status;
-    status = collect_lights(argc, argv, o);
-    if (status >= 0) return status;
+    return n;
+}
 
+/* Options that are nothing without another one, or exclude each other. Returns what parse returns. */
+static int check_options(const char *program, const render_options *o) {
+    if (o->common.unlit + o->split + o->has_heat > 1)
+        return sup_bad_usage(program, "--unlit, --split and --heat are three different pictures");
+    if (o->panorama && !o->common.has_eye) return sup_bad_usage(program, "--panorama goes with --eye");
+    if (o->has_heat_max && !o->has_heat) return sup_bad_usage(program, "--heat-max goes with --heat");
+    if (o->smooth && o->path == PATH_THESIS) return sup_bad_usage(program, "--smooth goes with --path fast");
+    if (o->budget > 0.0 && (o->frames < 2 || o->path == PATH_THESIS || o->has_blur))
+        return sup_bad_usage(program, "--budget goes with --frames, and neither with --path thesis nor with --blur");
+    if (o->scatter != 0 && (o->path == PATH_THESIS || o->smooth))
+        return sup_bad_usage(program, "--scatter goes neither with --path thesis nor with --smooth");
+    if (o->smooth && !o->has_blur) return sup_bad_usage(program, "--smooth goes with --blur");
+    return -1;
+}
+
+/* What the options say, into desc; --lod is still to come. */
+static void describe(const render_options *o, voxrt_render_desc *desc) {
     memset(desc, 0, sizeof *desc);
     desc->isa = (voxrt_isa)o->common.isa;
     desc->env.thread_count = (uint32_t)o->common.threads;
@@ -157,11 +157,11 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
     desc->samples = (uint32_t)o->samples;
     desc->bounces_plus_1 = (uint32_t)o->bounces + 1;
     desc->tolerance = (float)o->common.tolerance;
-    desc->face_normals = normals == 1;
+    desc->face_normals = o->normals == 1;
     desc->cubes = (uint32_t)o->cubes;
     desc->blend = (uint32_t)o->blend;
     desc->one_sided = (uint32_t)o->one_sided;
-    desc->thesis_compose = compose == 1;
+    desc->thesis_compose = o->compose == 1;
     desc->heat_max = (float)o->heat_max;
     desc->lod_split = (uint32_t)(o->lod_split + 1);
     if (o->has_background) {
@@ -171,19 +171,35 @@ static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *de
     if (o->common.unlit) desc->view = VOXRT_VIEW_UNLIT;
     if (o->split) desc->view = VOXRT_VIEW_SPLIT;
     if (o->has_heat) desc->view = o->heat == 0 ? VOXRT_VIEW_HEAT_OUTER : VOXRT_VIEW_HEAT_INNER;
-    if (o->lod != NULL) {
-        const char *at = o->lod, *end = at + strlen(at);
-        int64_t level;
-        desc->tolerance = o->common.has_tolerance ? desc->tolerance : 0.0f;
-        if (strcmp(o->lod, "object") == 0) desc->object_lod = 1;
-        else if (strcmp(o->lod, "off") == 0) desc->tolerance = 0.0f;
-        else if (!sup_parse_int(&at, end, &level) && at == end && level >= 0 && level <= VOXRT_MAX_DEPTH)
-            desc->max_level_plus_1 = (uint32_t)level + 1;
-        else
-            return sup_bad_usage(argv[0], "--lod: \"%s\" is not off, object or a level from 0 to %d", o->lod,
-                                 VOXRT_MAX_DEPTH);
-    }
+}
+
+/* --lod off|object|LEVEL. Returns what parse returns. */
+static int set_lod(const char *program, const render_options *o, voxrt_render_desc *desc) {
+    const char *at = o->lod, *end = at + strlen(at);
+    int64_t level;
+    desc->tolerance = o->common.has_tolerance ? desc->tolerance : 0.0f;
+    if (strcmp(o->lod, "object") == 0) desc->object_lod = 1;
+    else if (strcmp(o->lod, "off") == 0) desc->tolerance = 0.0f;
+    else if (!sup_parse_int(&at, end, &level) && at == end && level >= 0 && level <= VOXRT_MAX_DEPTH)
+        desc->max_level_plus_1 = (uint32_t)level + 1;
+    else
+        return sup_bad_usage(program, "--lod: \"%s\" is not off, object or a level from 0 to %d", o->lod, VOXRT_MAX_DEPTH);
     return -1;
+}
+
+/* Reads the command line. Returns -1 to go on, or the exit status. */
+static int parse(int argc, char **argv, render_options *o, voxrt_render_desc *desc) {
+    sup_option table[SUP_COMMON_OPTIONS + 32];
+    int status;
+    memset(o, 0, sizeof *o);
+    status = sup_cli_parse(argc, argv, "Draws a voxel file.", table, option_table(o, table));
+    if (status >= 0) return status;
+    status = check_options(argv[0], o);
+    if (status < 0) status = sup_out_check(argv[0], &o->common);
+    if (status < 0) status = collect_lights(argc, argv, o);
+    if (status >= 0) return status;
+    describe(o, desc);
+    return o->lod != NULL ? set_lod(argv[0], o, desc) : -1;
 }
 
 static int load(const char *program, const render_options *o, scene *s) {

@@ -63,6 +63,10 @@ static int check_options(const char *program, const options *o) {
         return sup_bad_usage(program, "--zone goes with --structure octree or normals");
     if (o->classes > 0 && o->structure < (int)ZBUFRAND_STRUCTURE_CLASSES)
         return sup_bad_usage(program, "--angle-depth goes with --structure classes or normals");
+    if (o->frames && (!o->common.out || o->common.depth || o->mean))
+        return sup_bad_usage(program, "--frames needs --out, and goes without --depth and --mean");
+    if (o->common.has_tolerance && !(o->common.tolerance > 0.0 && o->common.tolerance < 1.0))
+        return sup_bad_usage(program, "--tolerance is a probability: between 0 and 1");
     return -1;
 }
 
@@ -78,13 +82,9 @@ static void paint_triangles(void *user, const zbufrand_surface *s, size_t count,
     }
 }
 
-static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, zbufrand_build_desc *build) {
-    sup_option table[SUP_COMMON_OPTIONS + 50];
-    double radius = 0.0;
-    size_t n;
-    int status;
-    memset(o, 0, sizeof *o);
-    n = sup_common_options(&o->common, table);
+/* Writes the options into a table of room for OPTIONS; returns how many there are. */
+static size_t option_table(options *o, sup_option *table) {
+    size_t n = sup_common_options(&o->common, table);
     table[n++] = sup_opt_text("scene", &o->scene, "forest|city|chess|landscape|FILE", "what to draw; FILE is a mesh");
     table[n++] = sup_opt_given(sup_opt_choice("mode", &o->mode, "pixel|blocks|gauss|voronoi|nodepth|pullpush|regions|layers",
                                               "from samples to pixels (pixel)"), &o->has_mode);
@@ -142,17 +142,11 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     table[n++] = sup_opt_real("zone", &o->zone, 1.0, 2.0, "C", "octree: a cell takes what lies within it enlarged by that (1.5)");
     table[n++] = sup_opt_flag("corners", &o->corners, "thesis' trees: corners of triangles below half a pixel instead of points in them");
     table[n++] = sup_opt_flag("thesis", &o->thesis, "as the thesis' program did; other options change parts of that");
-    status = sup_cli_parse(argc, argv, "Draws a scene from random points of its surface.", table, n);
-    if (status >= 0) return status;
-    if (!o->scene) return sup_bad_usage(argv[0], "--scene is missing");
-    status = sup_out_check(argv[0], &o->common);
-    if (status >= 0) return status;
-    status = check_options(argv[0], o);
-    if (status >= 0) return status;
-    if (o->frames && (!o->common.out || o->common.depth || o->mean))
-        return sup_bad_usage(argv[0], "--frames needs --out, and goes without --depth and --mean");
-    if (o->common.has_tolerance && !(o->common.tolerance > 0.0 && o->common.tolerance < 1.0))
-        return sup_bad_usage(argv[0], "--tolerance is a probability: between 0 and 1");
+    return n;
+}
+
+/* What the options without words or lists of their own say, into desc and build. */
+static void describe(const options *o, zbufrand_render_desc *desc, zbufrand_build_desc *build) {
     memset(desc, 0, sizeof *desc);
     memset(build, 0, sizeof *build);
     if (o->thesis) zbufrand_preset_thesis(build, desc);
@@ -191,8 +185,12 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
     if (o->has_block || !o->thesis || o->has_mode)
         desc->reconstruct.block = o->has_block ? (uint32_t)o->block : o->mode == MODE_PIXEL ? 1u : 2u;
     if (o->has_gauss) desc->reconstruct.gauss_radius = (float)o->gauss;
+}
+
+/* --mode and --occlusion. Returns what parse returns. */
+static int set_mode(const char *program, const options *o, zbufrand_render_desc *desc) {
     if (o->mode == MODE_PIXEL && desc->reconstruct.block > 1 && o->has_mode)
-        return sup_bad_usage(argv[0], "--mode pixel has no blocks: use --mode blocks");
+        return sup_bad_usage(program, "--mode pixel has no blocks: use --mode blocks");
     switch (o->mode) {
     case MODE_GAUSS: desc->reconstruct.fill = ZBUFRAND_FILL_GAUSS; break;
     case MODE_VORONOI: desc->reconstruct.fill = ZBUFRAND_FILL_VORONOI; break;
@@ -210,34 +208,60 @@ static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, 
         desc->reconstruct.occlusion = ZBUFRAND_OCCLUSION_SQUARES;
     }
     if (o->has_occlusion) desc->reconstruct.occlusion = (zbufrand_occlusion)o->occlusion;
-    if (o->opacity) {
-        const char *at = o->opacity, *end = at + strlen(at);
-        double a;
-        for (;;) {
-            if (desc->opacity_count == sizeof o->material / sizeof o->material[0] || sup_parse_double(&at, end, &a) || !(a >= 0.0 && a <= 1.0))
-                return sup_bad_usage(argv[0], "--opacity: \"%s\" is no list of up to 16 numbers from 0 to 1", o->opacity);
-            o->material[desc->opacity_count++] = (float)a;
-            if (at == end) break;
-            if (*at++ != ',') at = end; /* a number is missing there */
-        }
-        desc->opacity = o->material;
-    }
-    if (o->hybrid && strcmp(o->hybrid, "off") == 0) {
-        desc->hybrid = ZBUFRAND_HYBRID_OFF;
-    } else if (o->hybrid && strcmp(o->hybrid, "auto") == 0) {
-        desc->hybrid = ZBUFRAND_HYBRID_AUTO;
-    } else if (o->hybrid && strcmp(o->hybrid, "large") == 0) {
-        desc->hybrid = ZBUFRAND_HYBRID_LARGE;
-    } else if (o->hybrid && strcmp(o->hybrid, "all") == 0) {
-        desc->hybrid = ZBUFRAND_HYBRID_ALL;
-    } else if (o->hybrid) {
-        const char *at = o->hybrid, *end = at + strlen(at);
-        if (sup_parse_double(&at, end, &radius) || at != end || !(radius >= 0.0))
-            return sup_bad_usage(argv[0], "--hybrid: \"%s\" is not auto, off, large, all or a radius", o->hybrid);
-        desc->hybrid = ZBUFRAND_HYBRID_CUBE;
-        desc->hybrid_radius = radius;
-    }
     return -1;
+}
+
+/* --opacity A[,A...]. Returns what parse returns. */
+static int set_opacity(const char *program, options *o, zbufrand_render_desc *desc) {
+    const char *at = o->opacity, *end = at + strlen(at);
+    double a;
+    for (;;) {
+        if (desc->opacity_count == sizeof o->material / sizeof o->material[0] || sup_parse_double(&at, end, &a) || !(a >= 0.0 && a <= 1.0))
+            return sup_bad_usage(program, "--opacity: \"%s\" is no list of up to 16 numbers from 0 to 1", o->opacity);
+        o->material[desc->opacity_count++] = (float)a;
+        if (at == end) break;
+        if (*at++ != ',') at = end; /* a number is missing there */
+    }
+    desc->opacity = o->material;
+    return -1;
+}
+
+/* --hybrid auto|off|large|all|RADIUS. Returns what parse returns. */
+static int set_hybrid(const char *program, const char *text, zbufrand_render_desc *desc) {
+    static const struct { const char *name; zbufrand_hybrid hybrid; } words[] = {
+        {"auto", ZBUFRAND_HYBRID_AUTO}, {"off", ZBUFRAND_HYBRID_OFF}, {"large", ZBUFRAND_HYBRID_LARGE}, {"all", ZBUFRAND_HYBRID_ALL}};
+    const char *at = text, *end = at + strlen(at);
+    double radius = 0.0;
+    for (size_t i = 0; i < sizeof words / sizeof words[0]; i++)
+        if (strcmp(text, words[i].name) == 0) {
+            desc->hybrid = words[i].hybrid;
+            return -1;
+        }
+    if (sup_parse_double(&at, end, &radius) || at != end || !(radius >= 0.0))
+        return sup_bad_usage(program, "--hybrid: \"%s\" is not auto, off, large, all or a radius", text);
+    desc->hybrid = ZBUFRAND_HYBRID_CUBE;
+    desc->hybrid_radius = radius;
+    return -1;
+}
+
+/* Reads the command line. Returns -1 to go on, or the exit status. */
+static int parse(int argc, char **argv, options *o, zbufrand_render_desc *desc, zbufrand_build_desc *build) {
+    sup_option table[SUP_COMMON_OPTIONS + 50];
+    int status;
+    memset(o, 0, sizeof *o);
+    status = sup_cli_parse(argc, argv, "Draws a scene from random points of its surface.", table, option_table(o, table));
+    if (status >= 0) return status;
+    if (!o->scene) return sup_bad_usage(argv[0], "--scene is missing");
+    status = sup_out_check(argv[0], &o->common);
+    if (status >= 0) return status;
+    status = check_options(argv[0], o);
+    if (status >= 0) return status;
+    describe(o, desc, build);
+    status = set_mode(argv[0], o, desc);
+    if (status >= 0 || o->mode == MODE_LAYERS) return status;
+    if (o->opacity) status = set_opacity(argv[0], o, desc);
+    if (status < 0 && o->hybrid) status = set_hybrid(argv[0], o->hybrid, desc);
+    return status;
 }
 
 /* ---- scenes ------------------------------------------------------------------------------------------------- */
