@@ -413,6 +413,31 @@ TEST_FN void test_alloc_check_at(const test_alloc *a, const char *file, int line
 
 /* ---- files ------------------------------------------------------------------------------------------------ */
 
+/* Runs call(user, allocator, threads) with request 0, 1, 2, ... for memory refused, each once alone and once with all after it,
+   until a run asks for no more. It returns 0, or no_memory, and that only where a request was refused (it may do with less),
+   and leaves nothing. After the first 100 requests, steps grow by 1/sparse of the request's number (0: every request). */
+TEST_FN void test_refuse_requests(const char *name, int (*call)(void *user, test_alloc *, unsigned threads), void *user, unsigned threads,
+                                  int no_memory, uint32_t least, int sparse) {
+    int64_t k, refused = 0;
+    int all, done = 0;
+    for (k = 0; !done && k < 100000; k += sparse == 0 || k < 100 ? 1 : 1 + k / sparse)
+        for (all = 0; all < 2 && !done; all++) {
+            test_alloc ta;
+            int r;
+            test_alloc_init(&ta);
+            ta.fail_at = k;
+            ta.fail_after = all;
+            r = call(user, &ta, threads);
+            CHECK_MSG(r == 0 || (r == no_memory && ta.failed > 0), "%s, request %d: result %d, %d refused", name, (int)k, r, (int)ta.failed);
+            refused += r != 0;
+            done = ta.failed == 0;
+            CHECK(!done || r == 0);
+            CHECK_MSG(ta.live_blocks == 0 && ta.errors == 0, "%s, request %d: %d blocks left", name, (int)k, (int)ta.live_blocks);
+        }
+    if (test_g.verbose) printf("%s, %u threads: %d requests\n", name, threads, (int)k - 1);
+    CHECK_MSG(done && refused >= (int64_t)least, "%s: %d refused", name, (int)refused);
+}
+
 /* Path of a file of the test data, or NULL when it is not there: `if (!p) SKIP("no data");`. Valid until the
    eighth later call. */
 TEST_FN const char *test_data_path(const char *name) {

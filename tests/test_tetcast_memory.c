@@ -525,43 +525,31 @@ static const struct call { const char *name; tetcast_result (*run)(world *w, con
     {"picture by projecting", projected, 3}, {"rays", rays, 1}, {"functions", rbf, 3}, {"picture of functions", rbf_picture, 1}
 };
 
+typedef struct one_call { world *w; uint32_t which; } one_call;
+
+static int run_call(void *user, test_alloc *ta, unsigned threads) {
+    const one_call *c = (const one_call *)user;
+    tetcast_env env;
+    tetcast_error error;
+    memset(&env, 0, sizeof env);
+    memset(&error, 0, sizeof error);
+    env.allocator.alloc_fn = test_alloc_fn;
+    env.allocator.free_fn = test_free_fn;
+    env.allocator.user = ta;
+    env.thread_count = threads;
+    env.error = &error;
+    return (int)call[c->which].run(c->w, &env);
+}
+
 TEST(every_request_refused) {
-    enum { CALLS = sizeof call / sizeof call[0] };
     static world w;
-    uint32_t i, threads;
+    one_call c;
+    unsigned threads;
     world_open(&w);
-    for (i = 0; i < CALLS; i++)
-        for (threads = 1; threads <= 2; threads++) {
-            int64_t k, refused = 0;
-            int all, done = 0;
-            for (k = 0; !done && k < 3000; k++)
-                for (all = 0; all < 2 && !done; all++) {
-                    test_alloc ta;
-                    tetcast_env env;
-                    tetcast_error error;
-                    tetcast_result r;
-                    test_alloc_init(&ta);
-                    memset(&env, 0, sizeof env);
-                    memset(&error, 0, sizeof error);
-                    ta.fail_at = k;
-                    ta.fail_after = all;
-                    env.allocator.alloc_fn = test_alloc_fn;
-                    env.allocator.free_fn = test_free_fn;
-                    env.allocator.user = &ta;
-                    env.thread_count = threads;
-                    env.error = &error;
-                    r = call[i].run(&w, &env);
-                    /* some do with less: a thread fewer, no shortcut */
-                    CHECK_MSG(r == TETCAST_OK || (r == TETCAST_ERR_NO_MEMORY && ta.failed > 0), "%s, request %d: %s, %d refused", call[i].name, (int)k,
-                              tetcast_result_string(r), (int)ta.failed);
-                    refused += r != TETCAST_OK;
-                    done = ta.failed == 0;
-                    CHECK(!done || r == TETCAST_OK);
-                    CHECK_MSG(ta.live_blocks == 0 && ta.errors == 0, "%s, request %d: %d blocks left", call[i].name, (int)k, (int)ta.live_blocks);
-                }
-            if (test_g.verbose) printf("%s, %u threads: %d requests\n", call[i].name, threads, (int)k - 1);
-            CHECK_MSG(done && refused >= (int64_t)call[i].least, "%s: %d refused", call[i].name, (int)refused);
-        }
+    c.w = &w;
+    for (c.which = 0; c.which < sizeof call / sizeof call[0]; c.which++)
+        for (threads = 1; threads <= 2; threads++)
+            test_refuse_requests(call[c.which].name, run_call, &c, threads, (int)TETCAST_ERR_NO_MEMORY, call[c.which].least, 0);
     world_close(&w);
 }
 

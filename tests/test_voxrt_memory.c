@@ -230,38 +230,28 @@ static const struct call { const char *name; voxrt_result (*run)(world *w, const
     {"save pages", save_pages, 3}, {"build pages", build_pages, 5}, {"draw pages", draw_pages, 3}, {"points", points, 3}, {"scene", scene, 5}
 };
 
+typedef struct one_call { world *w; uint32_t which; } one_call;
+
+static int run_call(void *user, test_alloc *ta, unsigned threads) {
+    const one_call *c = (const one_call *)user;
+    voxrt_env env;
+    memset(&env, 0, sizeof env);
+    env.allocator.alloc_fn = test_alloc_fn;
+    env.allocator.free_fn = test_free_fn;
+    env.allocator.user = ta;
+    env.thread_count = threads;
+    return (int)call[c->which].run(c->w, &env);
+}
+
 TEST(every_request_refused) {
     world w;
-    uint32_t i, threads;
+    one_call c;
+    unsigned threads;
     world_open(&w);
-    for (i = 0; i < sizeof call / sizeof call[0]; i++)
-        for (threads = 1; threads <= 2; threads++) {
-            int64_t k, refused = 0;
-            int all, done = 0;
-            for (k = 0; !done && k < 100000; k += k < 100 ? 1 : 1 + k / 8)
-                for (all = 0; all < 2 && !done; all++) {
-                    test_alloc ta;
-                    voxrt_env env;
-                    voxrt_result r;
-                    test_alloc_init(&ta);
-                    memset(&env, 0, sizeof env);
-                    ta.fail_at = k;
-                    ta.fail_after = all;
-                    env.allocator.alloc_fn = test_alloc_fn;
-                    env.allocator.free_fn = test_free_fn;
-                    env.allocator.user = &ta;
-                    env.thread_count = threads;
-                    r = call[i].run(&w, &env);
-                    CHECK_MSG(r == VOXRT_OK || (r == VOXRT_ERR_NO_MEMORY && ta.failed > 0), "%s, request %d: %s, %d refused", call[i].name, (int)k,
-                              voxrt_result_string(r), (int)ta.failed);
-                    refused += r != VOXRT_OK;
-                    done = ta.failed == 0;
-                    CHECK(!done || r == VOXRT_OK);
-                    CHECK_MSG(ta.live_blocks == 0 && ta.errors == 0, "%s, request %d: %d blocks left", call[i].name, (int)k, (int)ta.live_blocks);
-                }
-            if (test_g.verbose) printf("%s, %u threads: %d requests\n", call[i].name, threads, (int)k - 1);
-            CHECK_MSG(done && refused >= (int64_t)call[i].least, "%s: %d refused", call[i].name, (int)refused);
-        }
+    c.w = &w;
+    for (c.which = 0; c.which < sizeof call / sizeof call[0]; c.which++)
+        for (threads = 1; threads <= 2; threads++)
+            test_refuse_requests(call[c.which].name, run_call, &c, threads, (int)VOXRT_ERR_NO_MEMORY, call[c.which].least, 8);
     world_close(&w);
 }
 

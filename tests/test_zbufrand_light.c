@@ -215,41 +215,31 @@ static const struct call { const char *name; zbufrand_result (*run)(const world 
     {"points", points_of_scene, 5}, {"page of points", whole_page, 5}, {"choices", choices, 5}, {"edits", edited, 5}
 };
 
+typedef struct one_call { world *w; uint32_t which; } one_call;
+
+static int run_call(void *user, test_alloc *ta, unsigned threads) {
+    const one_call *c = (const one_call *)user;
+    zbufrand_env env;
+    memset(&env, 0, sizeof env);
+    env.allocator.alloc_fn = test_alloc_fn;
+    env.allocator.free_fn = test_free_fn;
+    env.allocator.user = ta;
+    env.thread_count = threads;
+    return (int)call[c->which].run(c->w, &env);
+}
+
 TEST(every_request_refused) {
     static world w;
-    uint32_t i;
+    one_call c;
     memset(&w, 0, sizeof w);
     shape_sphere(&w.s, 0, 0, 0, 1, 12);
     REQUIRE(w.s.vertices * 3 <= sizeof w.rgb);
     w.mesh = w.coloured = mesh_of(&w.s);
     w.coloured.normals = w.s.normal;
     w.coloured.vertex_rgb = w.rgb;
-    for (i = 0; i < sizeof call / sizeof call[0]; i++) {
-        int64_t k, refused = 0;
-        int all, done = 0;
-        for (k = 0; !done && k < 3000; k += i == 1 && k < 20 ? 7 : 1)
-            for (all = 0; all < 2 && !done; all++) {
-                test_alloc ta;
-                zbufrand_env env;
-                zbufrand_result r;
-                test_alloc_init(&ta);
-                memset(&env, 0, sizeof env);
-                ta.fail_at = k;
-                ta.fail_after = all;
-                env.allocator.alloc_fn = test_alloc_fn;
-                env.allocator.free_fn = test_free_fn;
-                env.allocator.user = &ta;
-                env.thread_count = 1;
-                r = call[i].run(&w, &env);
-                CHECK_MSG(r == ZBUFRAND_OK || (r == ZBUFRAND_ERR_NO_MEMORY && ta.failed > 0), "%s, request %d: %s, %d refused", call[i].name, (int)k,
-                          zbufrand_result_string(r), (int)ta.failed);
-                refused += r != ZBUFRAND_OK;
-                done = ta.failed == 0;
-                CHECK_MSG(ta.live_blocks == 0 && ta.errors == 0, "%s, request %d: %d blocks left", call[i].name, (int)k, (int)ta.live_blocks);
-            }
-        if (test_g.verbose) printf("%s: %d requests\n", call[i].name, (int)k - 1);
-        CHECK_MSG(done && refused >= (int64_t)call[i].least, "%s: %d refused", call[i].name, (int)refused);
-    }
+    c.w = &w;
+    for (c.which = 0; c.which < sizeof call / sizeof call[0]; c.which++)
+        test_refuse_requests(call[c.which].name, run_call, &c, 1, (int)ZBUFRAND_ERR_NO_MEMORY, call[c.which].least, 0);
     shape_free(&w.s);
 }
 
