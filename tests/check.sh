@@ -587,6 +587,8 @@ stats_keys() { # what zbufrand_render --stats says, for one picture, a mean, lay
     done
     return $bad
 }
+help_same() { bash tests/help_blocks.sh docs/programs.md build | diff docs/programs.md - && return 0
+    echo "bash tests/help_blocks.sh docs/programs.md build > new; mv new docs/programs.md"; return 1; }
 group_programs() {
     local f name
     for f in $(ls examples/*.c examples/web/*.c tests/test_*.c tests/fuzz/*.c bench/*.c bench/peers/*.c 2>/dev/null); do
@@ -604,6 +606,7 @@ group_programs() {
     solo "programs peers" make -j"$JOBS" B="$OUT/peers" PEER_CXXFLAGS="-std=c++17 -fsyntax-only -Wall -Wextra -Werror -march=native" peers
     solo "programs make all" make -j"$JOBS" all
     solo "programs exit statuses" exit_statuses
+    item "programs docs/programs.md says what --help says" help_same
     [ -f zbufrand.h ] && { item "programs 10^8 points" fuzz_bounds; item "programs stats keys" stats_keys; }
     solo "programs make demo" timeout 400 make -j"$JOBS" demo
 }
@@ -630,6 +633,18 @@ minimal_same() { # NAME: the example, from its first # line, stands in the heade
     done
     echo "$1.h does not quote $f"; return 1
 }
+links() { # FILE: what it links to in this tree is there, headings too
+    local bad=0 at file head
+    while IFS= read -r at; do
+        case $at in http*:* | mailto:*) continue ;; esac
+        file=${at%%#*}; head=; [ "$at" = "$file" ] || head=${at#*#}
+        if [ -z "$file" ]; then file=$1; else file=$(dirname "$1")/$file; fi
+        [ -e "$file" ] || { echo "$1: no $at"; bad=1; continue; }
+        [ -z "$head" ] || sed -n 's/^##* *//p' "$file" | tr 'A-Z ' 'a-z-' | tr -cd 'a-z0-9_\n-' | grep -qxF -- "$head" ||
+            { echo "$1: no heading $at"; bad=1; }
+    done < <(grep -o '](\([^)]*\))' "$1" | sed 's/^](//; s/)$//; s/ .*//')
+    return $bad
+}
 group_readme() {
     local n f lang k=0 d=$OUT/tu/readme
     rm -rf "$d"; mkdir -p "$d"
@@ -640,6 +655,7 @@ group_readme() {
             /^```/ { if (on && text ~ /int main *\(/) { name = d "/" base "_line" at "." lang; printf "%s", text > name; close(name) } on = 0; next }
             on { text = text $0 "\n" }' "$f"
     done
+    for f in *.md docs/*.md; do item "readme links of $f" links "$f"; done
     for f in "$d"/*; do
         [ -f "$f" ] || continue
         lang=${f##*.}; k=$((k + 1)); item "readme $(basename "$f")" readme_block "$f" $lang
