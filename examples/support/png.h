@@ -99,6 +99,23 @@ SUP_FN unsigned supi_distance_symbol(const supi_deflate *d, uint32_t distance) {
     return distance < 256 ? d->near_symbol[distance] : d->far_symbol[distance >> 7];
 }
 
+/* Heap of symbols, the most frequent first, of two alike the later one: makes the part below `at` one again. */
+SUP_FN void supi_sift(uint16_t *symbol, size_t at, size_t count, const uint32_t *freq) {
+    for (;;) {
+        size_t child = 2 * at + 1;
+        uint16_t t;
+        if (child >= count) return;
+        if (child + 1 < count && (freq[symbol[child]] < freq[symbol[child + 1]] ||
+                                  (freq[symbol[child]] == freq[symbol[child + 1]] && symbol[child] < symbol[child + 1])))
+            child++;
+        if (freq[symbol[at]] > freq[symbol[child]] || (freq[symbol[at]] == freq[symbol[child]] && symbol[at] > symbol[child])) return;
+        t = symbol[at];
+        symbol[at] = symbol[child];
+        symbol[child] = t;
+        at = child;
+    }
+}
+
 /* Code lengths of at most `limit` bits from frequencies. The tree is built from two queues over the sorted symbols;
    what grows too deep is cut at the limit and paid for by lengthening the deepest codes that are shorter.
    At least two symbols get a code: some decoders want a complete one. */
@@ -118,45 +135,12 @@ SUP_FN void supi_code_lengths(uint32_t *freq, size_t count, unsigned limit, uint
     for (i = 0, k = 0; i < count; i++) {
         if (freq[i]) sorted[k++] = (uint16_t)i;
     }
-    for (i = used / 2; i-- > 0;) { /* heap sort by frequency, then symbol */
-        size_t at = i;
-        for (;;) {
-            size_t child = 2 * at + 1;
-            uint16_t t;
-            if (child >= used) break;
-            if (child + 1 < used &&
-                (freq[sorted[child]] < freq[sorted[child + 1]] ||
-                 (freq[sorted[child]] == freq[sorted[child + 1]] && sorted[child] < sorted[child + 1])))
-                child++;
-            if (freq[sorted[at]] > freq[sorted[child]] ||
-                (freq[sorted[at]] == freq[sorted[child]] && sorted[at] > sorted[child]))
-                break;
-            t = sorted[at];
-            sorted[at] = sorted[child];
-            sorted[child] = t;
-            at = child;
-        }
-    }
+    for (i = used / 2; i-- > 0;) supi_sift(sorted, i, used, freq); /* heap sort by frequency, then symbol */
     for (k = used; k-- > 1;) {
-        size_t at = 0;
         uint16_t t = sorted[0];
         sorted[0] = sorted[k];
         sorted[k] = t;
-        for (;;) {
-            size_t child = 2 * at + 1;
-            if (child >= k) break;
-            if (child + 1 < k &&
-                (freq[sorted[child]] < freq[sorted[child + 1]] ||
-                 (freq[sorted[child]] == freq[sorted[child + 1]] && sorted[child] < sorted[child + 1])))
-                child++;
-            if (freq[sorted[at]] > freq[sorted[child]] ||
-                (freq[sorted[at]] == freq[sorted[child]] && sorted[at] > sorted[child]))
-                break;
-            t = sorted[at];
-            sorted[at] = sorted[child];
-            sorted[child] = t;
-            at = child;
-        }
+        supi_sift(sorted, 0, k, freq);
     }
     for (i = 0; i < used; i++) weight[i] = freq[sorted[i]];
     leaf = 0;
