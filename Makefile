@@ -56,6 +56,7 @@ ifeq ($(origin CFLAGS),file)
 TEST_OPT += -O1
 endif
 $(TESTS): OPT := $(TEST_OPT)
+$(B)/tests/test_image: OPT := $(filter-out $(STATIC),$(TEST_OPT)) # declarations alone
 
 COMPILE = @mkdir -p $(@D); echo "$(CC) $<"; \
 	$(CC) $(CFLAGS) $(OPT) $(CPPFLAGS) -I. -MMD -MP -MF $@.d -MT $@ $(LDFLAGS) -o $@ $< $(LDLIBS)
