@@ -467,7 +467,9 @@ TEST(colours_go_over_to_the_next_level) {
                     CHECK(voxrt_tree_get(tree[k], level - 1, hit[i].cell[0] >> 1, hit[i].cell[1] >> 1, hit[i].cell[2] >> 1, &up));
                     voxrti_attr_color(tree[k], attr, rgb);
                     voxrti_normal_decode(tree[k]->spherical, tree[k]->normal[attr], normal);
-                    CHECK_MSG(memcmp(rgb, up.rgb, 3) == 0 && memcmp(normal, up.normal, 12) == 0, "depth %u, level %u, tree %u", depth, level, k);
+                    CHECK_MSG(memcmp(rgb, up.rgb, 3) == 0, "depth %u, level %u, tree %u", depth, level, k);
+                    for (a = 0; a < 3; a++) /* one code, decoded in two places: with fused products the last bit may differ */
+                        CHECK_MSG(fabsf(normal[a] - up.normal[a]) < 5e-7f, "depth %u, level %u, tree %u", depth, level, k);
                     judged++;
                 }
             }
