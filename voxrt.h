@@ -14533,7 +14533,7 @@ typedef struct voxrti_render {
     voxrti_frame frame;
     voxrt_trace_desc trace, coarse; /* coarse: left half of a split picture */
     uint32_t samples, step, tile, tiles_x, first_tile, count, transparent;
-    uint32_t bounces, glass;        /* glass: something may let light through */
+    uint32_t bounces, glass, plain; /* glass: something may let light through; plain: there are no finishes */
     float background[4];            /* in the units of the colours of a run */
     uint32_t sum[3][5][2];          /* sums of all threads: counts of the primary, shadow and bounce rays */
     voxrti_srgb srgb;
@@ -14639,10 +14639,9 @@ static float voxrti_highlight(const float dir[3], const float normal[3], const f
 }
 
 /* Add one light to the brightness of a run. bright, shine: diffuse and specular sums, 3 floats a ray. */
-static VOXRTI_NOINLINE void voxrti_run_light(const voxrti_render *c, const voxrt_trace_desc *td,
-                                             const voxrt_light *light, const voxrt_ray *ray,
-                                             const voxrt_surface *surface, const float (*normal)[3], uint32_t n,
-                                             float (*bright)[3], float (*shine)[3]) {
+VOXRTI_INLINE void voxrti_run_light_as(const voxrti_render *c, const voxrt_trace_desc *td, const voxrt_light *light,
+                                       const voxrt_ray *ray, const voxrt_surface *surface, const float (*normal)[3],
+                                       uint32_t n, float (*bright)[3], float (*shine)[3], int plain) {
     voxrt_ray shadow[VOXRTI_RUN];
     float diffuse[VOXRTI_RUN], specular[VOXRTI_RUN], through[VOXRTI_RUN][3];
     uint8_t index[VOXRTI_RUN], dark[VOXRTI_RUN];
@@ -14664,7 +14663,7 @@ static VOXRTI_NOINLINE void voxrti_run_light(const voxrti_render *c, const voxrt
         if (!(cosine > 0.0f && cosine < 2.0f)) continue; /* above 1: no float is as long as the way to the light */
         diffuse[m] = cosine * c->material.diffuse;
         specular[m] = 0.0f;
-        if (surface[i].finish != NULL)
+        if (!plain && surface[i].finish != NULL)
             specular[m] = voxrti_highlight(ray[i].dir, normal[i], to, cosine, surface[i].finish->shininess,
                                            surface[i].spread);
         else if (c->material.specular > 0.0f)
@@ -14683,11 +14682,12 @@ static VOXRTI_NOINLINE void voxrti_run_light(const voxrti_render *c, const voxrt
     }
     if (shadows && m != 0) {
         voxrti_run_occluded(c, td, shadow, dark, m);
-        if (c->glass) voxrti_run_through(c, td, shadow, dark, m, through);
+        if (!plain && c->glass) voxrti_run_through(c, td, shadow, dark, m, through);
     }
     for (k = 0; k < m; k++) {
-        const voxrt_finish *f = surface[i = index[k]].finish;
-        if (f == NULL && !(shadows && c->glass)) {
+        const voxrt_finish *f = plain ? NULL : surface[index[k]].finish;
+        i = index[k];
+        if (plain || (f == NULL && !(shadows && c->glass))) {
             if (dark[k]) continue;
             for (a = 0; a < 3; a++) {
                 bright[i][a] += diffuse[k] * light->color[a];
@@ -14703,6 +14703,13 @@ static VOXRTI_NOINLINE void voxrti_run_light(const voxrti_render *c, const voxrt
             shine[i][a] += f != NULL ? specular[k] * f->specular[a] * color : specular[k] * color;
         }
     }
+}
+static VOXRTI_NOINLINE void voxrti_run_light(const voxrti_render *c, const voxrt_trace_desc *td,
+                                             const voxrt_light *light, const voxrt_ray *ray,
+                                             const voxrt_surface *surface, const float (*normal)[3], uint32_t n,
+                                             float (*bright)[3], float (*shine)[3]) {
+    if (c->plain) voxrti_run_light_as(c, td, light, ray, surface, normal, n, bright, shine, 1);
+    else voxrti_run_light_as(c, td, light, ray, surface, normal, n, bright, shine, 0);
 }
 
 /* View of pixel i of a run: split pictures show three. */
@@ -14790,7 +14797,7 @@ static void voxrti_run_shade(const voxrti_render *c, const voxrt_trace_desc *td,
         v[0] = v[1] = v[2] = v[3] = 0.0f;
         if (!(surface[i].t < INFINITY)) continue;
         v[3] = full;
-        if (plain && f == NULL) {
+        if (plain && (c->plain || f == NULL)) {
             for (a = 0; a < 3; a++) v[a] = c->srgb.linear[surface[i].rgb[a]] * bright[i][a] + shine[i][a];
             continue;
         }
@@ -15225,6 +15232,7 @@ static void voxrti_surface_blend(const voxrt_tree *t, const voxrt_trace_desc *td
 static void voxrti_tree_trace(const voxrt_tree *tree, const voxrt_trace_desc *td, uint32_t bare, const voxrt_ray *ray,
                               voxrt_surface *surface, voxrt_hit *hit, uint32_t n) {
     uint64_t attr[VOXRTI_RUN];
+    const int extra = tree->entry_finish != NULL || tree->spread != NULL;
     uint32_t i, entry;
     if (voxrt_trace(tree, td, ray, hit, n) != VOXRT_OK) memset(hit, 0xff, n * sizeof *hit);
     if (!bare) voxrti_hit_attrs(td->isa, tree, hit, n, attr);
@@ -15240,9 +15248,9 @@ static void voxrti_tree_trace(const voxrt_tree *tree, const voxrt_trace_desc *td
         if (bare) continue;
         entry = voxrti_color_index(tree, attr[i]);
         memcpy(s->rgb, tree->palette + (size_t)3 * entry, 3);
-        if (tree->entry_finish != NULL) s->finish = voxrti_finish_of(tree, entry);
+        if (extra && tree->entry_finish != NULL) s->finish = voxrti_finish_of(tree, entry);
         if (tree->normal != NULL) voxrti_normal_decode(tree->spherical, tree->normal[attr[i]], s->normal);
-        if (tree->spread != NULL) s->spread = voxrti_spread_of(tree, attr[i]);
+        if (extra && tree->spread != NULL) s->spread = voxrti_spread_of(tree, attr[i]);
         if (td->blend) voxrti_surface_blend(tree, td, &hit[i], s);
     }
 }
@@ -15385,8 +15393,9 @@ static void voxrti_run(const voxrti_render *c, voxrt_render_stats *stats, const 
             voxrti_run_shade(c, &shadow, ray, surface, (const float (*)[3])normal, area, n, value);
             if (own != NULL && own->shade_fn != NULL)
                 own->shade_fn(own->user, ray, surface, (const float (*)[3])normal, value, n);
-            for (i = 0; c->bounces != 0 && i < n && surface[i].finish == NULL; i++) { }
-            if (c->bounces != 0 && i < n) voxrti_run_bounce(c, &bounce, &shadow, ray, surface, area, n, value);
+            if (c->plain || c->bounces == 0) i = n;
+            else for (i = 0; i < n && surface[i].finish == NULL; i++) { }
+            if (i < n) voxrti_run_bounce(c, &bounce, &shadow, ray, surface, area, n, value);
         }
         for (i = 0; i < n; i++) {
             for (a = 0; a < 4; a++) total[i][a] += value[i][a];
@@ -15914,6 +15923,7 @@ static voxrt_result voxrti_render_open(const voxrt_render_desc *d, voxrti_render
         c->glass = c->tree != NULL && voxrti_tree_glass(c->tree);
         for (g = 0; g < d->geometry_count; g++) c->glass |= d->geometry[g].glass;
     }
+    c->plain = d->geometry_count == 0 && (c->tree == NULL || c->tree->entry_finish == NULL);
     voxrti_srgb_open(&c->srgb);
     return VOXRT_OK;
 }
