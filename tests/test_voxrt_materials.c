@@ -708,6 +708,41 @@ TEST(eye_in_a_body) {
     voxrt_tree_destroy(t);
 }
 
+/* Where rays end light gets out of a body, but for bodies that the eye is in: such light may never have come in. Who has
+   left the body of the eye is in no such body any more. */
+TEST(light_gets_out_at_the_end) {
+    static const int wall[4] = {40, 20, 14, 6};
+    uint32_t k;
+    for (k = 0; k < 2; k++) { /* the last wall is that of another body; of the eye's */
+        voxrt_finish f[2];
+        voxrt_render_desc d;
+        voxrt_tree *t;
+        size_t i;
+        cells.n = 0;
+        glass(&f[0], 1, 1.0001f); /* mirrors next to nothing */
+        glass(&f[1], 1, 2);
+        if (k == 0) {
+            for (i = 0; i < 4; i++) add_wall((uint32_t)wall[i], 255, 255, 255, i < 2 ? 1 : 2);
+        } else {
+            add_wall(6, 255, 255, 255, 2);
+        }
+        for (i = 0; i < cells.n; i++) {
+            const uint32_t x = cells.v[i].x;
+            cells.v[i].has_normal = 1;
+            cells.v[i].normal[0] = x == 40 || x == 14 ? 1.0f : x == 20 ? -1.0f : -0.5f;
+            if (x == 6) cells.v[i].normal[1] = 0.8660254f; /* mirrors all of it, down */
+        }
+        add_box(1, 3, 16, 29, 0, 64, 0, 0, 0, 0); /* black: what is mirrored goes there */
+        t = make(f, 2);
+        look_unlit(&d, 1, 30.5f, 32, 32, 20, 32.01f, 32.01f);
+        d.bounces_plus_1 = k == 0 ? 4 : 2;
+        for (i = 0; i < 4; i++) d.background[i] = 1;
+        CHECK(draw(&d, t, picture[0]));
+        CHECK_NEAR(picture[0][100][0], k == 0 ? 8.0 / 9.0 : 0, 1e-3); /* a ninth is mirrored where the second body begins */
+        voxrt_tree_destroy(t);
+    }
+}
+
 TEST(absorption_by_length) {
     voxrt_finish f;
     voxrt_render_desc d;
@@ -1505,6 +1540,10 @@ TEST(hostile_files) {
         voxrti_v5_seal(copy, size);
         {
             voxrt_tree *u = NULL;
+            voxrt_load_desc load;
+            voxrt_error error;
+            memset(&load, 0, sizeof load);
+            load.env.error = &error;
             CHECK(voxrt_tree_load_memory(NULL, copy, size, &u) == VOXRT_ERR_FORMAT);
             memcpy(copy, file, size);
             memset(copy + section + VOXRTI_V5_FINISH, 255, 4); /* the second one is bad */
@@ -1519,8 +1558,12 @@ TEST(hostile_files) {
                 voxrti_store_u64(e + 16, length - 1);
                 voxrti_store_u64(e + 24, length - 1);
             }
-            voxrti_v5_seal(copy, size);
-            CHECK(voxrt_tree_load_memory(NULL, copy, size, &u) == VOXRT_ERR_FORMAT);
+            CHECK(section + length == size && voxrti_load_u64(copy + 16) == size);
+            voxrti_store_u64(copy + 16, size - 1);
+            voxrti_v5_seal(copy, size - 1);
+            memset(&error, 0, sizeof error);
+            CHECK(voxrt_tree_load_memory(&load, copy, size - 1, &u) == VOXRT_ERR_FORMAT);
+            CHECK_MSG(error.where == section && strstr(error.text, "has a wrong size") != NULL, "%s", error.text);
         }
         free_block(copy);
         free_block(file);
@@ -2066,6 +2109,7 @@ int main(int argc, char **argv) {
     RUN(bodies_against_an_exact_tracer);
     RUN(absorption_of_bodies_in_bodies);
     RUN(eye_in_a_body);
+    RUN(light_gets_out_at_the_end);
     RUN(absorption_by_length);
     RUN(light_goes_through_panes);
     RUN(light_goes_through_bodies);

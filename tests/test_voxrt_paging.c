@@ -345,6 +345,47 @@ TEST(pieces_make_the_same_file) {
     }
 }
 
+/* Triangles whose corners come to lie in the next piece when they are rounded: walls just below its first cell. */
+TEST(pieces_have_what_is_rounded_into_them) {
+    uint32_t k, i, a;
+    for (k = 0; k < 6; k++) {
+        float position[12];
+        const uint32_t index[6] = {0, 1, 2, 2, 1, 3};
+        voxrt_build_desc d;
+        voxrt_mesh mesh;
+        voxrt_tree *t = NULL;
+        voxrt_tree_info info;
+        voxrt_sink sink;
+        file f, b = {NULL, 0, 0};
+        memset(&d, 0, sizeof d);
+        memset(&mesh, 0, sizeof mesh);
+        d.resolution = 4096;
+        d.box_size = 4096.0; /* cells are units */
+        d.separating = VOXRT_SEPARATING_26;
+        d.palette_size = 1u << 24;
+        for (i = 0; i < 4; i++) {
+            for (a = 0; a < 3; a++) position[3 * i + a] = 40.0f + (float)(a == (k + 1) % 3 ? i & 1u : i >> 1) * 100.0f;
+            position[3 * i + k % 3] = k < 3 ? 2047.99951f : 2048.00049f; /* rounded to 1/256: to 2048 */
+        }
+        mesh.positions = position;
+        mesh.vertex_count = 4;
+        mesh.indices = index;
+        mesh.triangle_count = 2;
+        REQUIRE(voxrt_tree_build(&d, &mesh, NULL, &t) == VOXRT_OK);
+        voxrt_tree_get_info(t, &info);
+        CHECK(info.cell_min[k % 3] == 2047 && info.cell_max[k % 3] == 2049); /* both sides of the border */
+        f = file_of(t);
+        sink.write_fn = file_write;
+        sink.user = &b;
+        d.env.memory_limit = 1u << 20; /* many pieces */
+        CHECK(voxrt_paged_build(&d, &mesh, &sink, NULL) == VOXRT_OK);
+        CHECK_MSG(f.size == b.size && memcmp(f.data, b.data, f.size) == 0, "wall %u", k);
+        voxrt_tree_destroy(t);
+        free(f.data);
+        free(b.data);
+    }
+}
+
 /* ---- room and time ---- */
 
 static voxrt_allocator counted(test_alloc *ta) {
@@ -799,6 +840,161 @@ TEST(views_follow_each_other) {
     CHECK(info.evictions > 20);
     voxrt_paged_destroy(p);
     fixture_free(&x);
+}
+
+/* What is loaded, looked at from inside: who owns which frames, nothing without what is above it, sums. */
+static void check_arena(const voxrt_paged *p) {
+    uint32_t i, f, loaded = 0;
+    uint64_t frames = 0;
+    for (i = 0; i < p->page_count; i++) {
+        const voxrti_page *g = &p->page[i];
+        if (g->place == 0) continue;
+        loaded++;
+        frames += g->frames;
+        CHECK(g->place >= p->first_frame && g->place + g->frames <= p->frames);
+        for (f = 0; f < g->frames; f++) CHECK(p->owner[g->place + f] == i);
+        CHECK_MSG(p->page[g->parent].place != 0, "page %u is there without the one above", i);
+    }
+    for (f = 0; f < p->frames; f++) {
+        if (p->owner[f] == VOXRTI_NO_PAGE) continue;
+        CHECK(p->page[p->owner[f]].place <= f && f < p->page[p->owner[f]].place + p->page[p->owner[f]].frames);
+    }
+    CHECK(loaded == p->loaded_pages && frames == p->loaded_frames);
+}
+
+/* 16 patches of voxels far from each other: each has a page of its own below the first one, and some below that. */
+static voxrt_tree *patches(float place[16][2]) {
+    test_rng r = test_rng_make(3);
+    voxrt_voxel *v = (voxrt_voxel *)calloc(16 * 1600, sizeof *v);
+    voxrt_tree *t = NULL;
+    uint32_t i, k, n = 0;
+    if (v == NULL) abort();
+    for (k = 0; k < 16; k++) {
+        const uint32_t x = 1024 * (k & 3u) + 100 + test_rng_below(&r, 800), z = 1024 * (k >> 2) + 100 + test_rng_below(&r, 800);
+        place[k][0] = (float)x;
+        place[k][1] = (float)z;
+        for (i = 0; i < 1600; i++, n++) {
+            v[n].x = x + i % 40;
+            v[n].y = 7;
+            v[n].z = z + i / 40;
+            v[n].rgb[0] = (uint8_t)(16 * k);
+        }
+    }
+    CHECK(voxrt_tree_from_voxels(NULL, v, n, 12, &t) == VOXRT_OK);
+    free(v);
+    return t;
+}
+
+/* The hand of the clock: what was hit since it came by stays once more; what it came by while it was in use counts as
+   hit after that; what was hit in this turn stays anyhow, also in the turn after 2^32 - 1. */
+TEST(the_hand_of_the_clock) {
+    float place[16][2];
+    voxrt_tree *t = patches(place);
+    file f;
+    uint32_t way;
+    REQUIRE(t != NULL);
+    f = file_of(t);
+    for (way = 0; way < 4; way++) {
+        voxrt_paged *p = paged_of(&f, 0, 0);
+        uint32_t k;
+        int full;
+        REQUIRE(p != NULL && p->page_count > 17);
+        if (way == 3) p->turn = 0xffffffffu - 1;
+        for (k = 1; k <= 3; k++) CHECK(p->page[k].parent == 0 && voxrti_paged_load(p, k, &full) == VOXRT_OK && !full);
+        p->frames = p->page[3].place + p->page[3].frames; /* no more room than that */
+        p->hand = p->page[1].place;
+        p->turn++;
+        check_arena(p);
+        if (way == 0) { /* the first one has been hit since the hand came by, the second one has not */
+            p->page[2].passed = p->page[2].used;
+            CHECK(voxrti_paged_room(p, 1) != 0);
+            CHECK(p->page[1].place != 0 && p->page[2].place == 0 && p->page[3].place != 0);
+            p->hand = p->page[1].place; /* it comes by again */
+            CHECK(voxrti_paged_room(p, 1) != 0);
+            CHECK(p->page[1].place == 0 && p->page[3].place != 0);
+        } else if (way == 1) { /* all of them are in use while it comes by: no room. Later they stay for a round. */
+            for (k = 1; k <= 3; k++) voxrti_paged_touch(p, k);
+            CHECK(voxrti_paged_room(p, 1) == 0);
+            p->turn++;
+            p->page[3].passed = p->page[3].used;
+            p->hand = p->page[1].place;
+            CHECK(voxrti_paged_room(p, 1) != 0);
+            CHECK(p->page[1].place != 0 && p->page[2].place != 0 && p->page[3].place == 0);
+        } else if (way == 2) { /* hit once, some turns ago: it comes round, and the first one goes */
+            CHECK(voxrti_paged_room(p, 1) != 0);
+            CHECK(p->page[1].place == 0 && p->page[2].place != 0 && p->page[3].place != 0);
+        } else { /* turns are counted from 0 on again */
+            CHECK(p->turn == 0xffffffffu && voxrt_paged_update(p, 0, NULL) == VOXRT_OK && p->turn == 0);
+            for (k = 1; k <= 3; k++) voxrti_paged_touch(p, k);
+            for (k = 1; k <= 3; k++) CHECK(p->page[k].passed == 0 && p->page[k].used == 0);
+            CHECK(voxrti_paged_room(p, 1) == 0);
+            for (k = 1; k <= 3; k++) CHECK(p->page[k].place != 0);
+        }
+        check_arena(p);
+        voxrt_paged_destroy(p);
+    }
+    free(f.data);
+    voxrt_tree_destroy(t);
+}
+
+/* Pages that rays asked for, and much else was loaded before they are: those above them may have given way, and what
+   makes room for them is never what is above them. */
+TEST(what_was_asked_for_long_ago) {
+    float place[16][2];
+    const voxrt_trace_desc td = {0};
+    voxrt_tree *t = patches(place);
+    test_rng r = test_rng_make(5);
+    voxrt_geometry g, whole;
+    uint32_t round, gone = 0, loaded = 0, old = 0;
+    file f;
+    REQUIRE(t != NULL);
+    f = file_of(t);
+    voxrt_tree_geometry(t, &whole);
+    for (round = 0; round < 30; round++) {
+        voxrt_paged *p = paged_of(&f, 0, 0);
+        uint32_t k, i, later;
+        REQUIRE(p != NULL);
+        p->frames = p->first_frame + 8 + round; /* less than it may have when it is opened */
+        voxrt_paged_geometry(p, &g);
+        for (k = 0; k < 40; k++) {
+            for (later = 0; later < 2; later++) { /* some ask, others do not wait until that is there */
+                voxrt_ray ray[8];
+                voxrt_surface surface[2][8];
+                uint32_t patch = 0;
+                voxrt_paged_wait(p, later);
+                for (i = 0; i < 8; i++) {
+                    memset(&ray[i], 0, sizeof ray[i]);
+                    if ((i & 3u) == 0) patch = test_rng_below(&r, 16);
+                    ray[i].org[0] = place[patch][0] + 39.0f * (float)test_rng_double(&r);
+                    ray[i].org[1] = 100.0f;
+                    ray[i].org[2] = place[patch][1] + 39.0f * (float)test_rng_double(&r);
+                    ray[i].dir[1] = -1.0f;
+                    ray[i].t_max = INFINITY;
+                }
+                g.trace_fn(g.user, &td, ray, surface[0], 8);
+                whole.trace_fn(whole.user, &td, ray, surface[1], 8);
+                if (!later) continue;
+                CHECK(voxrti_tally(p->coarse) == 0 && memcmp(surface[0], surface[1], sizeof surface[0]) == 0);
+            }
+            voxrt_paged_wait(p, 0);
+            for (i = 1; i < p->page_count; i++) {
+                const voxrti_page *one = &p->page[i];
+                if (one->place != 0 || !one->wanted) continue;
+                gone += p->page[one->parent].place == 0;
+                old += p->page[one->parent].place != 0 && p->page[one->parent].used != p->turn;
+            }
+            {
+                voxrt_paged_update_stats s;
+                CHECK(voxrt_paged_update(p, 0, &s) == VOXRT_OK);
+                loaded += s.loaded;
+            }
+            check_arena(p);
+        }
+        voxrt_paged_destroy(p);
+    }
+    CHECK_MSG(gone > 20 && old > 20 && loaded > 20, "%u without, %u with one from before, %u loaded", gone, old, loaded);
+    free(f.data);
+    voxrt_tree_destroy(t);
 }
 
 /* Too little room for a picture, not waiting: what was hit stays, the rest is coarse, nothing changes any more. */
@@ -1434,6 +1630,7 @@ int main(int argc, char **argv) {
     RUN(pictures_are_those_of_the_tree);
     RUN(cubes_stand_among_planes);
     RUN(pieces_make_the_same_file);
+    RUN(pieces_have_what_is_rounded_into_them);
     RUN(pieces_have_textures);
     RUN(pages_have_finishes_and_spread);
     RUN(building_can_be_watched_and_stopped);
@@ -1442,6 +1639,8 @@ int main(int argc, char **argv) {
     RUN(coarse_pictures_get_finer);
     RUN(shadows_of_coarse_cells_ask_for_nothing);
     RUN(views_follow_each_other);
+    RUN(the_hand_of_the_clock);
+    RUN(what_was_asked_for_long_ago);
     RUN(too_little_room_is_coarse);
     RUN(rays_are_those_of_the_tree);
     RUN(what_fits_is_loaded);
