@@ -69,7 +69,9 @@ static int parse(int argc, char **argv, convert_options *o) {
                               "into memory, and each page has all its colours");
     table[n++] = sup_opt_flag("share", &o->share, "store equal parts once: less memory when loaded, the same picture");
     table[n++] = sup_opt_text("edit", &o->edit, "FILE", "change the voxels; lines like \"clear sphere X Y Z RADIUS\", \"set box X Y Z "
-                              "X Y Z R G B\", \"paint sphere ...\", \"set mesh FILE\", \"undo\"; lengths as in IN");
+                              "X Y Z R G B\", \"paint sphere ...\", \"set mesh FILE\", \"undo\"; lengths as in IN; \"finish mirror 0.8\", "
+                              "\"finish transparency 1 refraction 1.5 absorption 0 1 2\" are for what is set or painted after them, "
+                              "until \"finish plain\"");
     table[n++] = sup_opt_flag("flip-y", &o->flip_y, "of files of format 4 from elsewhere: y runs the other way");
     table[n++] = sup_opt_flag("flip-z", &o->flip_z, "the same for z");
     table[n++] = sup_opt_flag("swap-angles", &o->swap_angles, "their normals have the angles in the other order");
@@ -468,10 +470,55 @@ static int reopen(const char *program, const convert_options *o, converted *c) {
 
 /* ---- edits ---------------------------------------------------------------------------------------------------- */
 
-/* One line of --edit, without blanks at its ends, done to *model; a copy of what was goes to *before. Returns NULL, or
-   what is wrong; reason: room for that, as much as sup_error has. */
-static const char *edit_line(const char *line, const voxrt_env *env, voxrt_model **model, voxrt_model **before,
-                             voxrt_edit_stats *stats, char *reason) {
+/* The finish of what is set and painted from a line on: words, each with one number, or with three where there are red,
+   green and blue; what is not named is 0, diffuse is 1. `plain`: none. Returns NULL, or what is wrong. */
+static const char *edit_finish(const char *at, voxrt_finish *finish, int *has_finish) {
+    static const struct { const char *name; size_t offset; int most; double largest; } words[] = {
+        {"diffuse", offsetof(voxrt_finish, diffuse), 1, 1.0}, {"specular", offsetof(voxrt_finish, specular), 3, 1e12},
+        {"shininess", offsetof(voxrt_finish, shininess), 1, 1e12}, {"mirror", offsetof(voxrt_finish, mirror), 3, 1.0},
+        {"transparency", offsetof(voxrt_finish, transparency), 3, 1.0}, {"refraction", offsetof(voxrt_finish, refraction), 1, 16.0},
+        {"absorption", offsetof(voxrt_finish, absorption), 3, 1e12}, {"emission", offsetof(voxrt_finish, emission), 3, 1e12}
+    };
+    static const char numbers[] = "one number or three, from 0 on, was expected";
+    const char *end = at + strlen(at);
+    int count = 0;
+    memset(finish, 0, sizeof *finish);
+    finish->diffuse = 1.0f;
+    *has_finish = strcmp(at, "plain") != 0;
+    if (!*has_finish) return NULL;
+    for (; *at != '\0'; count++) {
+        const size_t length = strcspn(at, " \t");
+        float v[3] = {0.0f};
+        size_t k = 0;
+        int n = 0;
+        while (k < sizeof words / sizeof *words && (strlen(words[k].name) != length || strncmp(at, words[k].name, length) != 0)) k++;
+        if (k == sizeof words / sizeof *words)
+            return "plain, diffuse, specular, shininess, mirror, transparency, refraction, absorption or emission was expected";
+        at += length;
+        for (; n < 4; n++) {
+            double x = 0.0;
+            while (supi_is_blank(*at)) at++;
+            if (*at == '\0' || (*at >= 'a' && *at <= 'z')) break;
+            if (n == 3 || sup_parse_double(&at, end, &x) || !(x >= 0.0)) return numbers;
+            if (!(x <= words[k].largest)) return "the number is too large";
+            v[n] = (float)x;
+        }
+        if (n != 1 && n != words[k].most) return words[k].most == 1 ? "one number was expected" : numbers;
+        if (n == 1) v[1] = v[2] = v[0];
+        memcpy((char *)finish + words[k].offset, v, (size_t)words[k].most * sizeof *v);
+    }
+    return count != 0 ? NULL : "what the finish is was expected";
+}
+
+typedef struct editing {
+    voxrt_model *model, *before; /* before: as it was before the last line, or NULL */
+    voxrt_finish finish;
+    int has_finish;
+} editing;
+
+/* One line of --edit, without blanks at its ends, done to e->model. Returns NULL, or what is wrong; reason: room for that,
+   as much as sup_error has. */
+static const char *edit_line(const char *line, const voxrt_env *env, editing *e, voxrt_edit_stats *stats, char *reason) {
     static const char *const ops[3] = {"set", "clear", "paint"};
     voxrt_edit_desc desc = {0};
     voxrt_result result = VOXRT_OK;
@@ -481,19 +528,24 @@ static const char *edit_line(const char *line, const voxrt_env *env, voxrt_model
     int used = 0, n = 0, k, count;
     if (sscanf(line, "%15s %15s %n", op, shape, &used) < 1) return NULL;
     if (strcmp(op, "undo") == 0 && shape[0] == '\0') {
-        if (!*before) return "there is nothing to undo";
-        voxrt_model_destroy(*model);
-        *model = *before;
-        *before = NULL;
+        if (!e->before) return "there is nothing to undo";
+        voxrt_model_destroy(e->model);
+        e->model = e->before;
+        e->before = NULL;
         return NULL;
     }
+    if (strcmp(op, "finish") == 0) {
+        for (at = line + strlen(op); supi_is_blank(*at);) at++;
+        return edit_finish(at, &e->finish, &e->has_finish);
+    }
     for (k = 0; k < 3 && strcmp(op, ops[k]) != 0;) k++;
-    if (k == 3) return "set, clear, paint or undo was expected";
+    if (k == 3) return "set, clear, paint, finish or undo was expected";
     desc.env = *env;
     desc.op = (voxrt_edit_op)k;
-    voxrt_model_destroy(*before);
-    *before = NULL;
-    if (voxrt_model_copy(env, *model, before) != VOXRT_OK) return "out of memory";
+    if (e->has_finish && desc.op != VOXRT_EDIT_CLEAR) desc.finish = &e->finish;
+    voxrt_model_destroy(e->before);
+    e->before = NULL;
+    if (voxrt_model_copy(env, e->model, &e->before) != VOXRT_OK) return "out of memory";
     if (strcmp(shape, "mesh") == 0) {
         sup_mesh mesh = {0};
         sup_error err;
@@ -504,7 +556,7 @@ static const char *edit_line(const char *line, const voxrt_env *env, voxrt_model
             return reason;
         }
         in = sup_voxel_mesh(&mesh);
-        result = voxrt_model_mesh(*model, &desc, &in, stats);
+        result = voxrt_model_mesh(e->model, &desc, &in, stats);
         sup_mesh_free(&mesh);
         return result == VOXRT_OK ? NULL : voxrt_result_string(result);
     }
@@ -522,14 +574,14 @@ static const char *edit_line(const char *line, const voxrt_env *env, voxrt_model
         if (desc.op != VOXRT_EDIT_CLEAR && !(c >= 0.0 && c <= 255.0)) return "colours are 0 to 255";
         desc.rgb[k] = (uint8_t)(desc.op == VOXRT_EDIT_CLEAR ? 0.0 : c);
     }
-    result = shape[0] == 'b' ? voxrt_model_box(*model, &desc, v, v + 3, stats) : voxrt_model_sphere(*model, &desc, v, v[3], stats);
+    result = shape[0] == 'b' ? voxrt_model_box(e->model, &desc, v, v + 3, stats) : voxrt_model_sphere(e->model, &desc, v, v[3], stats);
     return result == VOXRT_OK ? NULL : voxrt_result_string(result);
 }
 
 /* What --edit says. Returns 0 or the exit status. */
 static int edit(const char *program, const convert_options *o, const voxrt_env *env, converted *c) {
     const double start = sup_now();
-    voxrt_model *model = NULL, *before = NULL;
+    editing e = {0};
     voxrt_build_desc desc = {0};
     voxrt_result result;
     char *text = NULL, *line, *next;
@@ -540,7 +592,7 @@ static int edit(const char *program, const convert_options *o, const voxrt_env *
     sup_error err;
     if (!o->edit) return 0;
     if (sup_read_file(o->edit, &text, &size, &err)) return sup_bad_input(program, err.text);
-    result = voxrt_model_from_tree(env, c->tree, &model);
+    result = voxrt_model_from_tree(env, c->tree, &e.model);
     if (memchr(text, '\0', size)) what = "the file is not text";
     for (line = text; result == VOXRT_OK && !what && line < text + size; line = next) {
         voxrt_edit_stats stats = {0};
@@ -555,7 +607,7 @@ static int edit(const char *program, const convert_options *o, const voxrt_env *
         for (length = strlen(line); length > 0 && supi_is_blank(line[length - 1]);) line[--length] = '\0';
         if (length == 0) continue;
         if (length > 4000) what = "the line is too long";
-        else what = edit_line(line, env, &model, &before, &stats, reason);
+        else what = edit_line(line, env, &e, &stats, reason);
         c->edited++;
         c->edits.filled += stats.filled;
         c->edits.cleared += stats.cleared;
@@ -572,10 +624,10 @@ static int edit(const char *program, const convert_options *o, const voxrt_env *
         desc.env = *env;
         desc.palette_size = (uint32_t)o->palette;
         desc.lod_method = o->lod ? VOXRT_LOD_MAJORITY : VOXRT_LOD_MEAN;
-        result = voxrt_tree_from_model(&desc, model, &c->tree);
+        result = voxrt_tree_from_model(&desc, e.model, &c->tree);
     }
-    voxrt_model_destroy(model);
-    voxrt_model_destroy(before);
+    voxrt_model_destroy(e.model);
+    voxrt_model_destroy(e.before);
     if (what) return sup_bad_input(program, err.text);
     return result == VOXRT_OK ? 0 : bad_result(program, o, result, env->error);
 }
@@ -607,12 +659,12 @@ int main(int argc, char **argv) {
     env.memory_limit = sup_memory_limit();
     env.error = &error;
     status = o.voxels ? reopen(argv[0], &o, &c) : build(argv[0], &o, &env, &c);
+    if (!status) status = edit(argv[0], &o, &env, &c);
     if (!status && c.tree != NULL) {
         voxrt_tree_info info;
         voxrt_tree_get_info(c.tree, &info);
         c.had_finishes |= info.finish_count != 0;
     }
-    if (!status) status = edit(argv[0], &o, &env, &c);
     if (!status && c.tree != NULL) status = share(argv[0], &o, &env, &c);
     if (status) {
         voxrt_tree_destroy(c.tree);

@@ -589,6 +589,26 @@ stats_keys() { # what zbufrand_render --stats says, for one picture, a mean, lay
 }
 help_same() { bash tests/help_blocks.sh docs/programs.md build | diff docs/programs.md - && return 0
     echo "bash tests/help_blocks.sh docs/programs.md build > new; mv new docs/programs.md"; return 1; }
+edit_finishes() { # --edit of voxrt_convert: what lines with finishes leave in the file, and what is wrong in one
+    local d=$OUT/obj/edits text want got bad=0
+    mkdir -p "$d"
+    edited() { printf "$1" > "$d/e.txt"; build/voxrt_convert --scene sphere "$d/e.vox" --res 32 --quiet --stats --edit "$d/e.txt" 2> "$d/err"; }
+    while read -r want text; do
+        got=$(edited "$text" | grep -o '"finishes":[0-9]*'); got=${got#*:}
+        [ "$got" = "$want" ] || { echo "$text: $got finishes, not $want"; cat "$d/err"; bad=1; }
+    done <<'EOF'
+0 finish mirror 0.8\nfinish plain\nset box 0 0 0 2 2 2 9 9 9\n
+1 finish mirror 0.8 0.7 0.6 diffuse 0.5\r\nset box 0 0 0 2 2 2 9 9 9\r\nfinish plain\r\nset sphere 0 0 0 0.5 0 0 0
+2 finish transparency 1 refraction 1.5 absorption 0 1 2 # glass\nset box 0 0 0 2 2 2 9 9 9\nfinish emission 2\npaint sphere -1 0 0 0.5 0 0 0
+0 finish specular 1 shininess 20\npaint sphere 1 0 0 0.5 0 0 0\nundo\nclear sphere 1 0 0 0.5
+EOF
+    for text in finish 'finish mirror' 'finish mirror 1 1' 'finish mirror 1 1 1 1' 'finish mirror x' 'finish mirror 1.1' 'finish mirror -1' \
+                'finish refraction 2 2 2' 'finish brass 1' 'finish plain 1' 'finish mirror nan' 'finish refraction 0.01\nset box 0 0 0 1 1 1 0 0 0'; do
+        edited "$text\n"; got=$?
+        [ $got = 1 ] && [ "$(wc -l < "$d/err")" = 1 ] || { echo "$text: status $got"; cat "$d/err"; bad=1; }
+    done
+    return $bad
+}
 group_programs() {
     local f name
     for f in $(ls examples/*.c examples/web/*.c tests/test_*.c tests/fuzz/*.c bench/*.c bench/peers/*.c 2>/dev/null); do
@@ -608,6 +628,7 @@ group_programs() {
     solo "programs exit statuses" exit_statuses
     item "programs docs/programs.md says what --help says" help_same
     [ -f zbufrand.h ] && { item "programs 10^8 points" fuzz_bounds; item "programs stats keys" stats_keys; }
+    [ -f voxrt.h ] && item "programs edits give finishes" edit_finishes
     solo "programs make demo" timeout 400 make -j"$JOBS" demo
 }
 
