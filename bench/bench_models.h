@@ -495,6 +495,8 @@ static bench_row g_rows[] = {
     {"leaks", "rays that escape a closed shell: blob 1024, all vertices, edge midpoints, random", "rays", "0", "0", ""},
     {"load-compact", "load a compact file, wall with --threads (1 core, CPU)", "M voxels/s", "100", "", ""},
     {"load-raw", "load a raw file, wall with --threads (1 core, CPU)", "M voxels/s", "100", "", ""},
+    {"pages", "terrain 4096 in pages (--full: 32768), full detail, loaded: pictures that are not exact, or took more memory than they may", "pictures",
+     "0", "0", ""},
     {"normals", "error of normals, mean / most", "degrees", "0.315 / 0.64", "", ""}
 };
 
