@@ -842,7 +842,7 @@ typedef struct voxrt_surface {
     float edge;           /* world edge of the cell that was hit; lifts the origins of shadow rays */
     uint8_t rgb[3];       /* sRGB */
     uint8_t face;         /* as voxrt_hit.face */
-    uint32_t plane;       /* as voxrt_hit.plane: shadow rays need hardly be lifted */
+    uint32_t plane;       /* as voxrt_hit.plane: rays that go on need be lifted less */
     float spread;         /* 0: one normal; else 1 - length of the mean of the unit normals in the cell */
     const voxrt_finish *finish; /* NULL: plain. Valid as long as the geometry */
 } voxrt_surface;
@@ -14591,20 +14591,21 @@ static void voxrti_run_occluded(const voxrti_render *c, const voxrt_trace_desc *
     }
 }
 
-#define VOXRTI_PLANE_LIFT 1.0f
+#define VOXRTI_PLANE_LIFT 1.0f /* of rays that are mirrored */
 
 /* Where a shadow ray starts. A voxel surface is a staircase around the real one: its corners stand up to half a voxel
    diagonal above it. Lifting the origin by 1.5 voxels along the normal and a little towards the light clears the
-   stairs at any resolution; what is nearer than that throws no shadow. From planes one voxel is enough (a quarter is,
-   but then rays pass by twice as many voxels, and voxels so near to others hold the mean of both surfaces), unless they
-   are seen from behind, where the voxel is solid. */
+   stairs at any resolution; what is nearer than that throws no shadow. From planes a quarter of a voxel is enough, but
+   then rays pass by other voxels of the surface that they come from. Voxels that a plane goes through end |n|_1 above it
+   (1 along the axes, at most 1.73): from there a flat surface is not met again. Planes that are seen from behind are
+   as cubes: the voxel is solid. */
 VOXRTI_INLINE void voxrti_shadow_origin(const voxrt_render_desc *d, const voxrt_surface *s, const float p[3],
                                         const float normal[3], const float to_light[3], float org[3]) {
     uint32_t a;
     float lift = d->thesis_shadows ? 0.0f : 1.5f * s->edge;
     float ahead = d->thesis_shadows ? 0.01f * s->edge : 0.5f * s->edge;
     if (s->plane != 0 && !d->thesis_shadows && voxrti_dot3(normal, s->normal) > 0.0f) {
-        lift = VOXRTI_PLANE_LIFT * s->edge;
+        lift = (voxrti_absf(normal[0]) + voxrti_absf(normal[1]) + voxrti_absf(normal[2])) * s->edge;
         ahead = 0.0f;
     }
     for (a = 0; a < 3; a++) org[a] = p[a] + normal[a] * lift + to_light[a] * ahead;
