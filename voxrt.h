@@ -14596,9 +14596,9 @@ static void voxrti_run_occluded(const voxrti_render *c, const voxrt_trace_desc *
 /* Where a shadow ray starts. A voxel surface is a staircase around the real one: its corners stand up to half a voxel
    diagonal above it. Lifting the origin by 1.5 voxels along the normal and a little towards the light clears the
    stairs at any resolution; what is nearer than that throws no shadow. From planes a quarter of a voxel is enough, but
-   then rays pass by other voxels of the surface that they come from. Voxels that a plane goes through end |n|_1 above it
-   (1 along the axes, at most 1.73): from there a flat surface is not met again. Planes that are seen from behind are
-   as cubes: the voxel is solid. */
+   then rays pass by other voxels of the surface that they come from. Voxels that a plane goes through end |n|_1 above
+   it (1 along the axes, at most 1.73): from there a flat surface is not met again. Planes that are seen from behind
+   are as cubes: the voxel is solid. */
 VOXRTI_INLINE void voxrti_shadow_origin(const voxrt_render_desc *d, const voxrt_surface *s, const float p[3],
                                         const float normal[3], const float to_light[3], float org[3]) {
     uint32_t a;
@@ -14737,8 +14737,8 @@ VOXRTI_INLINE int voxrti_surface_behind(const voxrt_surface *s, const float dir[
 }
 
 /* Unit normals of a run, turned round where the back of a surface is seen. */
-static void voxrti_run_normals(const voxrti_render *c, const voxrt_ray *ray, const voxrt_surface *surface, uint32_t n,
-                               float (*normal)[3]) {
+VOXRTI_INLINE void voxrti_run_normals(const voxrti_render *c, const voxrt_ray *ray, const voxrt_surface *surface,
+                                      uint32_t n, float (*normal)[3]) {
     uint32_t i, a;
     for (i = 0; i < n; i++) {
         const float *dir = ray[i].dir, *v = surface[i].normal;
@@ -14769,9 +14769,9 @@ static float voxrti_finish_shade(const voxrti_render *c, const voxrt_finish *f, 
 }
 
 /* Colours of n rays. area: their pixels; NULL: rays that bounced. */
-static void voxrti_run_shade(const voxrti_render *c, const voxrt_trace_desc *td, const voxrt_ray *ray,
-                             const voxrt_surface *surface, const float (*normal)[3], const voxrti_area *area,
-                             uint32_t n, float (*value)[4]) {
+VOXRTI_INLINE void voxrti_run_shade(const voxrti_render *c, const voxrt_trace_desc *td, const voxrt_ray *ray,
+                                    const voxrt_surface *surface, const float (*normal)[3], const voxrti_area *area,
+                                    uint32_t n, float (*value)[4]) {
     float bright[VOXRTI_RUN][3], shine[VOXRTI_RUN][3], full = c->d->thesis_compose ? 255.0f : 1.0f;
     const voxrt_view all = area != NULL ? c->d->view : VOXRT_VIEW_SHADED; /* or split */
     const int plain = all == VOXRT_VIEW_SHADED && !c->d->thesis_compose && c->d->stage != VOXRT_STAGE_TRACE;
@@ -15080,6 +15080,14 @@ static uint32_t voxrti_run_split(const voxrti_render *c, const voxrt_ray *ray, c
     return voxrti_path_split(c, ray, surface, &eye, side, out);
 }
 
+/* Normals and colours of what m rays met that bounced. */
+static VOXRTI_NOINLINE void voxrti_bounce_shade(const voxrti_render *c, const voxrt_trace_desc *td,
+                                                const voxrt_ray *ray, const voxrt_surface *met, uint32_t m,
+                                                float (*normal)[3], float (*color)[4]) {
+    voxrti_run_normals(c, ray, met, m, normal);
+    voxrti_run_shade(c, td, ray, met, (const float (*)[3])normal, NULL, m, color);
+}
+
 /* Add what mirrors and glass show to the n colours of a run. Of the paths in the heap those on top are taken, so many
    that there is room for what comes of them: single ones at the end, of which each bounce leaves at most one more. */
 static VOXRTI_NOINLINE void voxrti_run_bounce(const voxrti_render *c, const voxrt_trace_desc *td,
@@ -15114,8 +15122,7 @@ static VOXRTI_NOINLINE void voxrti_run_bounce(const voxrti_render *c, const voxr
         dark.cone_width = INFINITY;
         for (i = 0; i < m; i++) dark.cone_width = met[i].t < dark.cone_width ? met[i].t : dark.cone_width;
         dark.cone_width = dark.cone_width < INFINITY ? dark.cone_width * td->cone_spread : 0.0f;
-        voxrti_run_normals(c, rays, met, m, normal);
-        voxrti_run_shade(c, &dark, rays, met, (const float (*)[3])normal, NULL, m, color);
+        voxrti_bounce_shade(c, &dark, rays, met, m, normal, color);
         if (own != NULL && own->shade_fn != NULL)
             own->shade_fn(own->user, rays, met, (const float (*)[3])normal, color, m);
         voxrti_paths_add(c, path, rays, met, (const float (*)[4])color, m, heap, &count, value);
