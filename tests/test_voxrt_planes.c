@@ -953,6 +953,83 @@ TEST(no_false_shadows) {
     CHECK(leaks[2] == 0);
 }
 
+/* Shadow rays of flat surfaces start above all voxels of these, not much higher than that: cubes are not met again. */
+TEST(shadow_rays_leave_their_surface) {
+    test_rng r = test_rng_make(21);
+    uint32_t k, i, a, met = 0, low = 0, all = 0;
+    for (k = 0; k < 40; k++) {
+        static const uint32_t index[3] = {0, 1, 2};
+        float position[9];
+        double n[3], u[3], v[3], size = 0, l1;
+        voxrt_build_desc d;
+        voxrt_render_desc how;
+        voxrt_mesh m;
+        voxrt_tree *t = NULL;
+        memset(&d, 0, sizeof d);
+        memset(&m, 0, sizeof m);
+        memset(&how, 0, sizeof how);
+        for (a = 0; a < 3; a++) n[a] = k < 3 ? (a == k ? 1.0 : 0.0) : 2 * test_rng_double(&r) - 1;
+        for (a = 0; a < 3; a++) size += n[a] * n[a];
+        for (a = 0; a < 3; a++) n[a] /= sqrt(size);
+        l1 = fabs(n[0]) + fabs(n[1]) + fabs(n[2]);
+        a = fabs(n[0]) < 0.6 ? 0u : 1u; /* two directions in the plane */
+        for (i = 0; i < 3; i++) u[i] = (i == a ? 1.0 : 0.0) - n[a] * n[i];
+        for (i = 0; i < 3; i++) v[i] = n[(i + 1) % 3] * u[(i + 2) % 3] - n[(i + 2) % 3] * u[(i + 1) % 3];
+        for (a = 0; a < 3; a++) {
+            position[a] = (float)(1.003 - 0.5 * u[a] - 0.4 * v[a]);
+            position[3 + a] = (float)(1.003 + 0.5 * u[a] - 0.4 * v[a]);
+            position[6 + a] = (float)(1.003 + 0.7 * v[a]);
+        }
+        d.resolution = 128;
+        d.box_size = 2;
+        d.planes = 1;
+        m.positions = position;
+        m.vertex_count = 3;
+        m.indices = index;
+        m.triangle_count = 1;
+        REQUIRE(voxrt_tree_build(&d, &m, NULL, &t) == VOXRT_OK);
+        for (i = 0; i < 200; i++) {
+            const double x = 0.3 * (test_rng_double(&r) - 0.5), y = 0.3 * (test_rng_double(&r) - 0.5);
+            voxrt_trace_desc td;
+            voxrt_hit hit;
+            voxrt_surface s;
+            voxrt_ray ray, shadow;
+            float normal[3], to[3], p[3], up = 0;
+            uint8_t dark = 0;
+            memset(&td, 0, sizeof td);
+            memset(&s, 0, sizeof s);
+            for (a = 0; a < 3; a++) {
+                ray.org[a] = (float)(1.003 + x * u[a] + y * v[a] + 0.8 * n[a]);
+                ray.dir[a] = (float)(-n[a]);
+                normal[a] = s.normal[a] = (float)n[a];
+                to[a] = (float)(n[a] + 4 * (test_rng_double(&r) - 0.5));
+                up += to[a] * normal[a];
+            }
+            ray.t_min = 0;
+            ray.t_max = INFINITY;
+            if (up < 0.05f || voxrt_trace(t, &td, &ray, &hit, 1) != VOXRT_OK || hit.plane == 0) continue;
+            s.t = hit.t;
+            s.plane = hit.plane;
+            s.edge = 2.0f / 128;
+            for (a = 0; a < 3; a++) p[a] = ray.org[a] + ray.dir[a] * hit.t;
+            voxrti_shadow_origin(&how, &s, p, normal, to, shadow.org);
+            for (a = 0; a < 3; a++) shadow.dir[a] = to[a];
+            shadow.t_min = 0;
+            shadow.t_max = INFINITY;
+            td.cubes = 1;
+            CHECK(voxrt_occluded(t, &td, &shadow, &dark, 1) == VOXRT_OK);
+            met += dark;
+            for (a = 0; a < 3; a++) shadow.org[a] = p[a] + 0.7f * (float)l1 * s.edge * normal[a];
+            CHECK(voxrt_occluded(t, &td, &shadow, &dark, 1) == VOXRT_OK);
+            low += dark;
+            all++;
+        }
+        voxrt_tree_destroy(t);
+    }
+    CHECK_MSG(all > 2000 && met * 200 < all && low * 20 > all, "%u of %u meet their surface, %u from lower", met, all, low);
+    if (test_g.verbose) printf("     %u of %u meet their surface, %u from 0.7 of that height\n", met, all, low);
+}
+
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(planes_are_where_triangles_are);
@@ -968,6 +1045,7 @@ int main(int argc, char **argv) {
     RUN(instances_have_planes);
     RUN(arguments_and_failures);
     RUN(outlines_close_up);
+    RUN(shadow_rays_leave_their_surface);
     RUN(no_false_shadows);
     return test_end();
 }
