@@ -22384,6 +22384,7 @@ struct voxrt_gi {
     voxrti_gi_layer left;     /* the still layer that a new one replaces, until that is made */
     uint32_t *own, *own_before; /* level 0 of the moving layer */
     uint32_t *left_bits;      /* of the layer that is left */
+    uint32_t *ways[3];        /* which ways surfaces face in blocks of cells: of the layers; of both, around */
     float lo[3], hi[3];       /* world box */
     uint32_t still_changed, changed; /* since the last update */
     uint32_t turned;          /* `before` is that of the last update, but there is no new one yet */
@@ -22416,7 +22417,34 @@ typedef struct voxrti_splat {
     int32_t normal[3];    /* world, times 1024 */
     voxrti_pair moment[5]; /* of that, times 128 */
     uint32_t rgb[3], object, votes;
+    uint32_t *ways, way;  /* of blocks; of the triangle */
 } voxrti_splat;
+
+/* Which ways surfaces face, by blocks of 8^3 cells: a bit for each of 13 lines, along axes and between them. */
+#define VOXRTI_GI_BLOCK_LOG 3
+VOXRTI_INLINE void voxrti_gi_blocks(const voxrt_columns *c, size_t n[3]) {
+    n[0] = (c->size[0] + 7) >> VOXRTI_GI_BLOCK_LOG;
+    n[1] = (c->size[1] + 7) >> VOXRTI_GI_BLOCK_LOG;
+    n[2] = (c->size[2] + 7) >> VOXRTI_GI_BLOCK_LOG;
+}
+VOXRTI_INLINE size_t voxrti_gi_block(const voxrt_columns *c, uint32_t x, uint32_t y, uint32_t k) {
+    size_t n[3];
+    voxrti_gi_blocks(c, n);
+    return ((size_t)(y >> VOXRTI_GI_BLOCK_LOG) * n[0] + (x >> VOXRTI_GI_BLOCK_LOG)) * n[2] + (k >> VOXRTI_GI_BLOCK_LOG);
+}
+VOXRTI_INLINE uint32_t voxrti_gi_way(const float n[3]) { /* n: unit length */
+    int a, at = 0;
+    for (a = 0; a < 3; a++) at = 3 * at + (n[a] > 0.38f) - (n[a] < -0.38f);
+    return 1u << (at < 0 ? 0 - at : at);
+}
+/* Lines at right angles to that of n. */
+VOXRTI_INLINE uint32_t voxrti_gi_across(const float n[3]) {
+    static const uint16_t across[14] = {
+        0x0000, 0x1248, 0x2230, 0x0702, 0x0a84, 0x1404, 0x3802,
+        0x1110, 0x2488, 0x001e, 0x0928, 0x0450, 0x00e2, 0x0144
+    };
+    return across[voxrti_ctz64(voxrti_gi_way(n))];
+}
 
 /* ---- colours: three floats in a word: 9 bits each and a common exponent (Ward 1991; here as in OpenGL) ---- */
 
@@ -22515,7 +22543,9 @@ static void voxrti_splat_add(const voxrti_splat *f, uint32_t x, uint32_t y, uint
     voxrti_gi_sides *s = &sum->u.sides;
     uint32_t a, side;
     if (f->votes) {
+        uint32_t *way = &f->ways[voxrti_gi_block(f->columns, x, y, k)];
         for (a = 0; a < 5; a++) voxrti_pair_add(&sum->u.moment[a], &f->moment[a]);
+        voxrti_or_shared(way, f->way);
         return;
     }
     side = f->normal[0] * sum->split[0] + f->normal[1] * sum->split[1] + f->normal[2] * sum->split[2] < sum->split[3];
@@ -22572,6 +22602,7 @@ static int voxrti_splat_open(voxrti_splat *f, const voxrt_mesh *mesh, const voxr
         m[a] = (int32_t)voxrti_floor((double)nf[a] * 128.0 + 0.5);
         rgb[a] = 1.0;
     }
+    f->way = voxrti_gi_way(nf);
     if (f->votes) {
         f->moment[0] = voxrti_pair_make(m[0] * m[0], m[1] * m[1]);
         f->moment[1] = voxrti_pair_make(m[2] * m[2], m[0] * m[1]);
@@ -22604,6 +22635,7 @@ typedef struct voxrti_gi_build {
     voxrt_gi *gi;
     voxrti_gi_layer *layer;
     voxrti_gi_sum *sum;
+    uint32_t *ways;
     voxrti_insert in;      /* of one object */
     uint32_t id, votes;
     float srgb[256];
@@ -22619,6 +22651,7 @@ static void voxrti_task_gi_fragments(void *ctx, uint32_t index) {
     memset(&f, 0, sizeof f);
     f.columns = b->gi->columns;
     f.layer = b->layer;
+    f.ways = b->ways;
     f.sum = b->sum;
     f.object = b->id;
     f.votes = b->votes;
@@ -22774,11 +22807,14 @@ static voxrt_result voxrti_gi_layer_build(voxrt_gi *gi, uint32_t which) {
     voxrti_gi_layer *l = &gi->layer[which];
     voxrti_gi_build b;
     voxrt_result r;
-    size_t i;
+    size_t i, blocks[3];
     uint32_t pass;
     memset(&b, 0, sizeof b);
     b.gi = gi;
     b.layer = l;
+    b.ways = gi->ways[which];
+    voxrti_gi_blocks(gi->columns, blocks);
+    memset(b.ways, 0, blocks[0] * blocks[1] * blocks[2] * 4);
     for (i = 0; i < 256; i++) b.srgb[i] = (float)voxrti_srgb_to_linear((double)i / 255.0);
     for (pass = 0; pass < 3; pass++) { /* cells, then how their normals vary, then the sums of both sides */
         if (pass == 1) {
@@ -23049,6 +23085,36 @@ static void voxrti_gi_left_free(voxrt_gi *gi) {
 
 /* Voxelise the layers of one volume that changed, keep what bounced. If memory runs out the next call goes on with what
    the last one that ended well has left. */
+/* ways[2]: of both layers, of each block and those around it, so of all cells within 8 of any cell. */
+static void voxrti_gi_find_ways(voxrt_gi *gi) {
+    size_t n[3], x, y, k, i, across;
+    uint32_t *to = gi->ways[2];
+    voxrti_gi_blocks(gi->columns, n);
+    across = n[0] * n[2];
+    for (y = 0; y < n[1]; y++) /* along k and x in one row */
+        for (x = 0; x < n[0]; x++)
+            for (k = 0; k < n[2]; k++) {
+                const size_t x0 = x > 0 ? x - 1 : 0, x1 = x + 1 < n[0] ? x + 1 : x;
+                const size_t k0 = k > 0 ? k - 1 : 0, k1 = k + 1 < n[2] ? k + 1 : k;
+                uint32_t all = 0;
+                size_t u, v;
+                for (u = x0; u <= x1; u++)
+                    for (v = k0; v <= k1; v++) {
+                        i = (y * n[0] + u) * n[2] + v;
+                        all |= gi->ways[0][i] | gi->ways[1][i];
+                    }
+                to[(y * n[0] + x) * n[2] + k] = all;
+            }
+    for (i = 0; i < across; i++) { /* and across rows */
+        uint32_t last = 0;
+        for (y = 0; y < n[1]; y++) {
+            const uint32_t own = to[y * across + i], next = y + 1 < n[1] ? to[(y + 1) * across + i] : 0;
+            to[y * across + i] = last | own | next;
+            last = own;
+        }
+    }
+}
+
 static voxrt_result voxrti_gi_update_one(voxrt_gi *gi) {
     voxrt_columns *c = gi->columns;
     const size_t words = (size_t)c->size[0] * c->size[1] * c->words;
@@ -23104,6 +23170,7 @@ static voxrt_result voxrti_gi_update_one(voxrt_gi *gi) {
         gi->turned = 0;
         voxrti_gi_placed(gi);
     }
+    voxrti_gi_find_ways(gi);
     voxrt_columns_update(c);
     return r;
 }
@@ -23415,6 +23482,7 @@ static voxrt_result voxrti_gi_open(const voxrt_gi_desc *desc, const voxrt_column
     voxrti_mem mem;
     voxrt_columns_desc d;
     voxrt_gi *gi;
+    size_t blocks[3];
     uint32_t a;
     voxrt_result r = voxrti_env_open(&desc->env, &mem);
     *out_gi = NULL;
@@ -23438,7 +23506,12 @@ static voxrt_result voxrti_gi_open(const voxrt_gi_desc *desc, const voxrt_column
         gi->own = (uint32_t *)voxrti_alloc_zero(&gi->mem, n, 4);
         gi->own_before = (uint32_t *)voxrti_alloc_zero(&gi->mem, n, 4);
         gi->columns->still = (uint32_t *)voxrti_alloc_zero(&gi->columns->mem, n, 4);
-        if (gi->own == NULL || gi->own_before == NULL || gi->columns->still == NULL)
+        voxrti_gi_blocks(gi->columns, blocks);
+        for (a = 0; a < 3; a++) {
+            gi->ways[a] = (uint32_t *)voxrti_alloc_zero(&gi->mem, blocks[0] * blocks[1] * blocks[2], 4);
+            if (gi->ways[a] == NULL) r = VOXRT_ERR_NO_MEMORY;
+        }
+        if (r != VOXRT_OK || gi->own == NULL || gi->own_before == NULL || gi->columns->still == NULL)
             r = voxrti_fail(desc->env.error, VOXRT_ERR_NO_MEMORY, n, "no memory for layers of % words");
     }
     if (r == VOXRT_OK) *out_gi = gi;
@@ -23495,6 +23568,7 @@ VOXRT_DEF void voxrt_gi_destroy(voxrt_gi *gi) {
         voxrti_free(&gi->mem, gi->vpl);
         voxrti_free(&gi->mem, gi->own);
         voxrti_free(&gi->mem, gi->own_before);
+        for (l = 0; l < 3; l++) voxrti_free(&gi->mem, gi->ways[l]);
         mem = gi->mem;
         voxrti_free(&mem, gi);
         gi = outer;
@@ -23659,12 +23733,117 @@ static float voxrti_gi_exit(const voxrt_gi *gi, const voxrt_ray *r, float t) {
     return end > t ? end : t;
 }
 
+/* The foot of a wall. Rays do not see the cells that the plane of the surface at their end cuts, and floor and wall
+   have some of these in common: low rays would pass through a wall there. It stands above that plane, though. So while
+   a ray is among those cells: is the first one above them a cell of another surface that faces the ray, which starts
+   in front of it? Taken down to the ray, is that met before t_max? For the cell where the ray starts also those behind
+   it if a wall may lean over it. */
+typedef struct voxrti_gi_low {
+    const voxrt_gi *gi;
+    float p[3], n[3], dir[3];  /* where the ray starts, the normal there; world */
+    float o[3], d[3];          /* the ray in cells */
+    uint32_t top;              /* axis of the grid that is most along n */
+} voxrti_gi_low;
+#define VOXRTI_GI_FOOT_STEPS 24
+
+/* Is `cell`, which stands above the ray, met by it before t_max? Returns where, or 0. */
+static VOXRTI_NOINLINE float voxrti_gi_foot_meet(const voxrti_gi_low *w, const uint32_t cell[3], float t_max) {
+    uint32_t layer, side, a;
+    const size_t i = voxrti_gi_find(w->gi, cell[0], cell[1], cell[2], &layer);
+    for (side = 0; side < 2 && i != (size_t)-1; side++) {
+        const voxrti_gi_record *r = &w->gi->layer[layer].record[i];
+        float q[3], n[3], facing, lean, wide, t;
+        int in = 1;
+        if (r->area[side] == 0) continue;
+        voxrti_gi_side_place(w->gi, r, side, cell, q, n);
+        facing = voxrti_dot3(n, w->dir);
+        lean = voxrti_absf(voxrti_dot3(n, w->n));
+        if (!(facing < 0.0f && lean < 0.7f)) continue;
+        for (a = 0; a < 3; a++) q[a] -= w->p[a];
+        t = voxrti_dot3(q, n) / facing;
+        if (!(t > 0.0f && t < t_max)) continue;
+        wide = 0.52f + 1.5f * lean / sqrtf(1.0f - lean * lean); /* so far it may lie from there, taken down */
+        for (a = 0; a < 3; a++) {
+            const float off = w->o[a] + t * w->d[a] - ((float)(int32_t)cell[a] + 0.5f);
+            in &= a == w->top || voxrti_absf(off) <= wide;
+        }
+        if (in) return t;
+    }
+    return 0.0f;
+}
+
+/* p, n: where a ray starts, on what surface. lean: walls may. Returns t at which it meets the foot of one, above: the
+   cell over it; 0: it does not before t_max. */
+static float voxrti_gi_foot(const voxrt_gi *gi, const float p[3], const float n[3], const float dir[3], float t_max,
+                            int lean, uint32_t above[3]) {
+    const voxrt_columns *c = gi->columns;
+    voxrti_gi_low w;
+    float m[3], next[3], turn[3], height = 0.0f, half = 0.0f, inv;
+    int at[3], by[3];
+    uint32_t a, step, more;
+    if (!(voxrti_dot3(n, dir) > 0.0f)) return 0.0f;
+    w.gi = gi;
+    w.top = 0;
+    for (a = 0; a < 3; a++) {
+        const uint32_t x = c->axis[a];
+        w.p[a] = p[a];
+        w.n[a] = n[a];
+        w.dir[a] = dir[a];
+        w.o[a] = (float)(((double)p[x] - c->origin[a]) * c->per_cell[a]);
+        w.d[a] = (float)((double)dir[x] * c->per_cell[a]);
+        m[a] = (float)((double)n[x] * c->cell[a]);
+        if (!(w.o[a] >= 0.0f && w.o[a] < (float)c->size[a])) return 0.0f;
+        at[a] = (int)w.o[a];
+        by[a] = w.d[a] >= 0.0f ? 1 : -1;
+        turn[a] = w.d[a] != 0.0f ? voxrti_absf(1.0f / w.d[a]) : INFINITY;
+        next[a] = w.d[a] > 0.0f ? (float)(at[a] + 1) - w.o[a] : w.o[a] - (float)at[a];
+        next[a] = w.d[a] != 0.0f ? next[a] * turn[a] : INFINITY;
+        height += m[a] * ((float)at[a] + 0.5f - w.o[a]); /* of the cell's centre, along n */
+        half += 0.5f * voxrti_absf(m[a]);
+        if (voxrti_absf(m[a]) > voxrti_absf(m[w.top])) w.top = a;
+    }
+    half *= (float)VOXRTI_COLUMN_WIDER;
+    inv = 1.0f / voxrti_absf(m[w.top]);
+    for (step = 0; step < VOXRTI_GI_FOOT_STEPS && height <= half; step++) {
+        for (more = 0; more < (lean && step == 0 ? 3u : 1u); more++) {
+            uint32_t cell[3];
+            float tall = height, t;
+            size_t at_word;
+            int up;
+            for (a = 0; a < 3; a++) cell[a] = (uint32_t)at[a];
+            if (more != 0) { /* behind */
+                a = (w.top + more) % 3;
+                cell[a] -= (uint32_t)by[a];
+                tall -= (float)by[a] * m[a];
+                if (cell[a] >= c->size[a] || tall > half) continue;
+            }
+            up = 1 + (int)((half - tall) * inv);
+            cell[w.top] += (uint32_t)(m[w.top] > 0.0f ? up : 0 - up);
+            if (cell[w.top] >= c->size[w.top]) continue;
+            at_word = voxrti_column(c, 0, cell[0], cell[1]) + (cell[2] >> 5);
+            if ((c->bits[at_word] >> (cell[2] & 31u) & 1u) == 0) continue;
+            t = voxrti_gi_foot_meet(&w, cell, t_max);
+            if (!(t > 0.0f)) continue;
+            memcpy(above, cell, sizeof cell);
+            return t;
+        }
+        a = next[0] < next[1] ? 0 : 1;
+        a = next[a] < next[2] ? a : 2;
+        if (!(next[a] < t_max)) break;
+        next[a] += turn[a];
+        at[a] += by[a];
+        if (at[a] < 0 || at[a] >= (int)c->size[a]) break;
+        height += (float)by[a] * m[a];
+    }
+    return 0.0f;
+}
+
 /* Up to VOXRTI_COLUMN_BATCH rays through the innermost volume that holds their origin, and on through those around it:
    hits, and in which volume; or, with hit NULL, whether there is any. normals, ends: xyz for each ray, at its origin
    and its end, or NULL. */
-static void voxrti_gi_trace(const voxrt_gi *gi, int isa, const float *normals, const float *ends, const voxrt_ray *ray,
-                            uint32_t count, voxrt_column_hit *hit, const voxrt_gi **where, uint8_t *dark,
-                            voxrt_stats *stats) {
+static void voxrti_gi_trace_cells(const voxrt_gi *gi, int isa, const float *normals, const float *ends,
+                                  const voxrt_ray *ray, uint32_t count, voxrt_column_hit *hit, const voxrt_gi **where,
+                                  uint8_t *dark, voxrt_stats *stats) {
     voxrt_columns_trace_desc d;
     voxrt_ray part[VOXRTI_COLUMN_BATCH];
     voxrt_column_hit found[VOXRTI_COLUMN_BATCH];
@@ -23728,6 +23907,52 @@ static void voxrti_gi_trace(const voxrt_gi *gi, int isa, const float *normals, c
                 from[i] = next[j];
             }
         }
+    }
+}
+
+/* Could there be the foot of a wall near p with normal n? Not if all surfaces nearby face the same way: 0. 1: of walls
+   at right angles, by the lines they are told by, 2: of any. */
+VOXRTI_INLINE uint32_t voxrti_gi_feet(const voxrt_gi *gi, const float p[3], const float n[3]) {
+    const voxrt_columns *c;
+    uint32_t at[3], a, ways;
+    for (; gi->outer != NULL; gi = gi->outer) {
+        int in = 1;
+        for (a = 0; a < 3; a++) in &= p[a] >= gi->lo[a] && p[a] <= gi->hi[a];
+        if (in) break;
+    }
+    c = gi->columns;
+    for (a = 0; a < 3; a++) {
+        const double o = ((double)p[c->axis[a]] - c->origin[a]) * c->per_cell[a];
+        if (!(o >= 0.0 && o < (double)c->size[a])) return 0;
+        at[a] = (uint32_t)o;
+    }
+    ways = gi->ways[2][voxrti_gi_block(c, at[0], at[1], at[2])] & ~voxrti_gi_way(n);
+    return ways == 0 ? 0u : (ways & ~voxrti_gi_across(n)) == 0 ? 1u : 2u;
+}
+
+/* The same, and feet of walls at the origin, of rays whose t_min is 0. feet: by voxrti_gi_feet, or NULL. */
+static void voxrti_gi_trace(const voxrt_gi *gi, int isa, const float *normals, const float *ends, const uint8_t *feet,
+                            const voxrt_ray *ray, uint32_t count, voxrt_column_hit *hit, const voxrt_gi **where,
+                            uint8_t *dark, voxrt_stats *stats) {
+    uint32_t i, foot;
+    voxrti_gi_trace_cells(gi, isa, normals, ends, ray, count, hit, where, dark, stats);
+    for (i = 0; i < count && normals != NULL; i++) {
+        const voxrt_gi *g = gi;
+        uint32_t cell[3];
+        float t = ray[i].t_max;
+        if (ray[i].t_min != 0.0f || !(t > 0.0f) || (dark != NULL && dark[i] != 0)) continue;
+        foot = feet != NULL ? feet[i] : voxrti_gi_feet(gi, ray[i].org, normals + 3 * i);
+        if (foot == 0) continue;
+        if (hit != NULL && hit[i].t < t) t = hit[i].t;
+        while (g->outer != NULL && voxrti_gi_exit(g, &ray[i], 0.0f) < 0.0f) g = g->outer;
+        t = voxrti_gi_foot(g, ray[i].org, normals + 3 * i, ray[i].dir, t, foot > 1, cell);
+        if (!(t > 0.0f)) continue;
+        if (dark != NULL) dark[i] = 1;
+        if (hit == NULL) continue;
+        if (stats != NULL && !(hit[i].t < INFINITY)) stats->hits++;
+        hit[i].t = t;
+        memcpy(hit[i].cell, cell, sizeof cell);
+        if (where != NULL) where[i] = g;
     }
 }
 
@@ -24091,7 +24316,7 @@ static void voxrti_task_gi_map(void *ctx, uint32_t row) {
             ray[x].t_min = 0.0f;
             ray[x].t_max = INFINITY;
         }
-        voxrti_gi_trace(w->gi, w->isa, NULL, NULL, ray, n, hit, where, NULL, NULL);
+        voxrti_gi_trace_cells(w->gi, w->isa, NULL, NULL, ray, n, hit, where, NULL, NULL);
         for (x = 0; x < n; x++) {
             float *texel = m->texel + 6 * ((size_t)row * m->side + x0 + x), t;
             voxrti_gi_side s;
@@ -24147,6 +24372,7 @@ typedef struct voxrti_points {
     float view[VOXRTI_COLUMN_BATCH][3], exponent[VOXRTI_COLUMN_BATCH]; /* unit, towards p; of a Phong lobe, or 0 */
     uint32_t seed[VOXRTI_COLUMN_BATCH], place[VOXRTI_COLUMN_BATCH], count; /* which samples are theirs */
     uint32_t share; /* log2 of how many a place has */
+    uint8_t feet[VOXRTI_COLUMN_BATCH]; /* voxrti_gi_feet, for those that gather */
 } voxrti_points;
 
 /* Sample number s of a point: which point of which sequence. Points with one seed are places of one sequence, each has
@@ -24226,7 +24452,7 @@ static VOXRTI_NOINLINE void voxrti_light_points(const voxrti_lighting *c, size_t
             memset(dark, 0, sizeof dark);
             c->shadow->occluded_fn(c->shadow->user, &d, ray, dark, m);
         } else {
-            voxrti_gi_trace(c->gi, c->isa, normal[0], ends, ray, m, NULL, NULL, dark, NULL);
+            voxrti_gi_trace(c->gi, c->isa, normal[0], ends, NULL, ray, m, NULL, NULL, dark, NULL);
         }
         for (i = 0; i < m; i++) {
             const uint32_t k = of[i];
@@ -24357,7 +24583,8 @@ typedef struct voxrti_gather {
    A cell may show it no side, for the surface faces away. If the ray begins in front of that surface it goes away from
    it, and cannot meet it: the cell only sticks out. It may be of the surface where the ray starts, which curves away
    from its tangent plane or ends at an edge, or of a wall beside it. If it begins behind it, by more than a cell's
-   diagonal, it is within a body, and what it sees is dark.
+   diagonal, or goes through it in that cell, it is within a body, and what it sees is dark. If it begins between the
+   two sides of a thin wall's cell, by less than a diagonal, and goes away from the one it is in front of, it goes on.
 
    A ray that begins beside a wall meets cells of it too early, where it goes up steeply by many cells. So where the
    start is near the plane of what it sees, and the ray meets that plane beyond the cell, it looks at the next one.
@@ -24372,6 +24599,15 @@ static int voxrti_gather_goes_on(const voxrt_gi *gi, size_t i, uint32_t layer, c
     if (voxrti_gi_side_see(gi, i, layer, hit->cell, ray->dir, s)) {
         for (a = 0; a < 3; a++) d[a] = ray->org[a] - s->position[a];
         away = voxrti_dot3(d, s->normal);
+        if (away < 0.0f && away > 0.0f - diagonal) { /* behind it, but in front of the other side of a thin wall */
+            const voxrti_gi_record *r = &gi->layer[layer].record[i];
+            const uint32_t other = (uint32_t)(~s->at & 1u);
+            float at[3], n[3];
+            if (r->area[other] == 0) return 0;
+            voxrti_gi_side_place(gi, r, other, hit->cell, at, n);
+            for (a = 0; a < 3; a++) d[a] = ray->org[a] - at[a];
+            return voxrti_dot3(d, n) > 0.0f && voxrti_dot3(n, ray->dir) > 0.0f;
+        }
         return away > 0.0f && away < 1.5f * diagonal &&
             away > (hit->t + diagonal) * (0.0f - voxrti_dot3(ray->dir, s->normal));
     }
@@ -24380,7 +24616,12 @@ static int voxrti_gather_goes_on(const voxrt_gi *gi, size_t i, uint32_t layer, c
         if (gi->layer[layer].record[i].area[side] == 0) continue;
         voxrti_gi_side_place(gi, &gi->layer[layer].record[i], side, hit->cell, at, n);
         for (a = 0; a < 3; a++) d[a] = ray->org[a] - at[a];
-        if (voxrti_dot3(d, n) > 0.0f - diagonal) return 1;
+        away = voxrti_dot3(d, n);
+        if (away < 0.0f) { /* through it from behind, here: the far side of a thin wall */
+            const float cross = 0.0f - away, speed = voxrti_dot3(n, ray->dir);
+            if (cross > 0.75f * hit->t * speed && cross < (hit->t + 1.5f * diagonal) * speed) return 0;
+        }
+        if (away > 0.0f - diagonal) return 1;
     }
     return 0;
 }
@@ -24474,7 +24715,7 @@ static void voxrti_gather_rays(const voxrti_gather *w, const voxrti_points *q, u
         }
         for (a = 0; a < 3; a++) ray[i].org[a] = q->p[i][a];
     }
-    voxrti_gi_trace(w->gi, w->isa, q->n[0], NULL, ray, q->count, hit, where, NULL, stats);
+    voxrti_gi_trace(w->gi, w->isa, q->n[0], NULL, q->feet, ray, q->count, hit, where, NULL, stats);
     voxrti_gi_find_all(w->isa, where, hit, q->count, of, layer);
     for (i = 0; i < q->count; i++) {
         t[i] = hit[i].t;
@@ -24487,7 +24728,7 @@ static void voxrti_gather_rays(const voxrti_gather *w, const voxrti_points *q, u
         from[more++] = (uint8_t)i;
     }
     for (turn = 0; turn < VOXRTI_GATHER_TURNS && more != 0; turn++) {
-        voxrti_gi_trace(w->gi, w->isa, normal[0], NULL, again, more, hit, where, NULL, stats);
+        voxrti_gi_trace_cells(w->gi, w->isa, normal[0], NULL, again, more, hit, where, NULL, stats);
         voxrti_gi_find_all(w->isa, where, hit, more, of, layer);
         for (j = still = 0; j < more; j++) {
             i = from[j];
@@ -24585,7 +24826,9 @@ static VOXRTI_NOINLINE void voxrti_gather_run(const voxrti_gather *w, const voxr
     float sum[VOXRTI_COLUMN_BATCH][3]; /* of up to 1024 rays: floats forget small parts of large sums */
     uint8_t of[VOXRTI_COLUMN_BATCH];
     voxrti_points at;
+    uint8_t feet[VOXRTI_COLUMN_BATCH];
     uint32_t r, b, i, a, m;
+    memset(feet, 0, sizeof feet);
     memset(of, 0, sizeof of);
     memset(sum, 0, sizeof sum);
     memset(part, 0, sizeof part);
@@ -24598,8 +24841,10 @@ static VOXRTI_NOINLINE void voxrti_gather_run(const voxrti_gather *w, const voxr
     memset(t, 0, sizeof t);
     memset(weight, 0, sizeof weight);
     memset(rgb, 0, sizeof rgb);
+    for (i = 0; i < q->count; i++) feet[i] = (uint8_t)voxrti_gi_feet(w->gi, q->p[i], q->n[i]);
     for (r = 0; r < w->rays; r++) {
         at = *q;
+        memcpy(at.feet, feet, sizeof feet);
         for (i = 0; i < at.count; i++) {
             of[i] = (uint8_t)i;
             part[i][0] = part[i][1] = part[i][2] = 1.0f;
@@ -24628,6 +24873,7 @@ static VOXRTI_NOINLINE void voxrti_gather_run(const voxrti_gather *w, const voxr
                 memcpy(part[m], now, sizeof now);
                 memcpy(at.p[m], side[i].position, sizeof at.p[m]);
                 memcpy(at.n[m], side[i].normal, sizeof at.n[m]);
+                at.feet[m] = b + 1 < w->bounces ? (uint8_t)voxrti_gi_feet(w->gi, at.p[m], at.n[m]) : 0;
                 of[m++] = of[i];
             }
             at.count = m;
@@ -24777,7 +25023,7 @@ static void voxrti_task_vpl(void *ctx, uint32_t batch) {
             if (!(flux[i][0] + flux[i][1] + flux[i][2] > 0.0f)) ray[i].t_max = -1.0f;
         }
     }
-    voxrti_gi_trace(w->gi, w->isa, normal[0], NULL, ray, n, hit, where, NULL, NULL);
+    voxrti_gi_trace(w->gi, w->isa, normal[0], NULL, NULL, ray, n, hit, where, NULL, NULL);
     for (i = 0; i < n; i++) {
         voxrti_vpl *to = &w->gi->vpl[v->first + first + i];
         voxrti_gi_side s;
@@ -24877,7 +25123,7 @@ static VOXRTI_NOINLINE void voxrti_vpl_run(const voxrti_gather *w, const voxrti_
                 of[m++] = (uint8_t)i;
             }
             if (m == 0) continue;
-            voxrti_gi_trace(gi, w->isa, normal[0], end[0], ray, m, NULL, NULL, dark, stats);
+            voxrti_gi_trace(gi, w->isa, normal[0], end[0], NULL, ray, m, NULL, NULL, dark, stats);
             for (i = 0; i < m; i++) {
                 const uint32_t k = of[i];
                 float to[3] = {0, 0, 0}, from[3], shine = 0.0f;
@@ -24920,7 +25166,10 @@ static VOXRTI_NOINLINE void voxrti_vpl_compensate(const voxrti_gather *w, const 
     memset(rgb, 0, sizeof rgb);
     near_by.radius = h < w->radius ? h : w->radius;
     for (at.share = at.share < 32 ? 0 : 32; at.share < 32 && rays > 1u << at.share; at.share++) { }
-    for (i = 0; i < at.count; i++) at.exponent[i] = 0.0f;
+    for (i = 0; i < at.count; i++) {
+        at.exponent[i] = 0.0f;
+        at.feet[i] = (uint8_t)voxrti_gi_feet(w->gi, at.p[i], at.n[i]);
+    }
     for (r = 0; r < rays; r++) {
         voxrti_gather_rays(&near_by, &at, w->first + r, ray, t, side, weight, stats);
         voxrti_hit_light(&near_by, side, ray, t, at.count, w->bounces > 1, rgb);
@@ -26096,7 +26345,7 @@ static void voxrti_task_gbuffer(void *ctx, uint32_t tile) {
         for (i = 0; i < n; i++) surface[i].t = INFINITY;
         w->geometry->trace_fn(w->geometry->user, &d, ray, surface, n);
     } else {
-        voxrti_gi_trace(w->gi, (int)voxrt_isa_best(), NULL, NULL, ray, n, hit, where, NULL, NULL);
+        voxrti_gi_trace_cells(w->gi, (int)voxrt_isa_best(), NULL, NULL, ray, n, hit, where, NULL, NULL);
     }
     for (i = 0; i < n; i++) {
         const size_t at = 3 * pixel[i];

@@ -904,6 +904,128 @@ TEST(nothing_leaks_through_a_thin_wall) { /* a room of single triangles, a wall 
     voxrt_gi_destroy(gi);
 }
 
+/* A room of +-9, its floor wherever in its cell, a wall of 0.1 cells that may lean: light behind it, at its foot. axis:
+   which one is up. Returns the worst share of the light before it that is within five cells behind it, direct and indirect. */
+static double light_at_feet(uint32_t axis, double within, double wall_x, double lean, uint32_t quality) {
+    enum { BEFORE = 64, BEHIND = 192 };
+    static model m;
+    static float position[256][3], normal[256][3], albedo[256][3], direct[256][3], indirect[256][3];
+    const double cell = 20.0 / 64, low = (3.0 + within) * cell - 10.0;
+    const uint32_t side = (axis + 1) % 3, along = (axis + 2) % 3;
+    voxrt_gi *gi = make_gi(64, 64, 64, 10);
+    voxrt_gi_light light = point_light(0, 0, 0, 100.0f);
+    voxrt_gbuffer g;
+    voxrt_gi_render_desc d;
+    voxrt_gi_object o;
+    double sum[2] = {0, 0};
+    uint32_t i, k, wall;
+    light.position[side] = -5.0f;
+    m.points = m.triangles = 0;
+    for (k = 0; k < 3; k++)
+        for (wall = 0; wall < 2; wall++) {
+            double p[4][3];
+            for (i = 0; i < 4; i++) {
+                p[i][k] = wall ? 9.0 : -9.0;
+                p[i][(k + 1) % 3] = (i + 1) % 4 < 2 ? -9.0 : 9.0;
+                p[i][(k + 2) % 3] = i < 2 ? -9.0 : 9.0;
+                if (p[i][axis] < 0.0) p[i][axis] = low;
+            }
+            quad(&m, p[wall ? 3 : 0], p[wall ? 2 : 1], p[wall ? 1 : 2], p[wall ? 0 : 3], 180);
+        }
+    for (wall = 0; wall < 2; wall++) {
+        double p[4][3];
+        for (i = 0; i < 4; i++) {
+            p[i][axis] = (i + 1) % 4 < 2 ? low : 9.0;
+            p[i][along] = i < 2 ? -9.0 : 9.0;
+            p[i][side] = wall_x + (wall ? 0.1 * cell : 0.0) + lean * (p[i][axis] - low);
+        }
+        quad(&m, p[0], p[wall ? 1 : 3], p[2], p[wall ? 3 : 1], 180);
+    }
+    o = object_of(&m, 1);
+    CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
+    CHECK(voxrt_gi_set_lights(gi, &light, 1) == VOXRT_OK);
+    CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
+    CHECK(voxrt_gi_bounce(gi, NULL, 16, 0.0f, 1) == VOXRT_OK);
+    memset(&d, 0, sizeof d);
+    g = gbuffer_of(256, 1, position, normal, albedo);
+    for (i = 0; i < BEFORE + BEHIND; i++) {
+        const double off = i < BEFORE ? -0.4 - 7.6 * i / BEFORE : cell * (0.6 + 4.4 * (i - BEFORE) / BEHIND);
+        position[i][axis] = (float)low;
+        position[i][side] = (float)(wall_x + off);
+        position[i][along] = (float)(16.0 * fmod(i * 0.6180339887, 1.0) - 8.0);
+        normal[i][0] = normal[i][1] = normal[i][2] = 0.0f;
+        normal[i][axis] = 1.0f;
+        albedo[i][0] = albedo[i][1] = albedo[i][2] = 1.0f;
+    }
+    d.rays = quality;
+    CHECK(voxrt_gi_render(&d, gi, &g, direct[0], indirect[0], NULL) == VOXRT_OK);
+    for (i = 0; i < BEFORE + BEHIND; i++)
+        sum[i >= BEFORE] += ((double)direct[i][0] + (double)indirect[i][0]) / (i < BEFORE ? BEFORE : BEHIND);
+    CHECK(sum[0] > 0.1);
+    voxrt_gi_destroy(gi);
+    return sum[1] / sum[0];
+}
+
+TEST(feet_of_walls_let_nothing_through) { /* wherever floor and wall lie in their cells */
+    static const double leans[4] = {0.0, 0.3, -0.3, 0.7}, within[8] = {0.02, 0.14, 0.27, 0.4, 0.53, 0.66, 0.8, 0.93};
+    uint32_t axis, place, way;
+    for (axis = 0; axis < 3; axis++)
+        for (place = 0; place < 8; place++)
+            for (way = 0; way < (test_quick() ? 1u : 4u); way++) {
+                const double lean = leans[test_quick() ? (axis + place) % 4 : way], x = lean < 0.5 ? 0.04 * ((3 * place) % 8) + 0.013 : 0.025;
+                const double leak = light_at_feet(axis, within[place], x, lean, test_quick() ? 64 : 256);
+                CHECK_MSG(leak < (lean < 0.5 ? 0.002 : 0.01), "axis %u, floor at %.2f of its cell, lean %.1f: %.5f of the light", axis,
+                          within[place], lean, leak);
+            }
+}
+
+TEST(feet_end_where_walls_end) { /* a wall that ends at z = 0 hides half as much there as an endless one; a sheet on the floor hides nothing */
+    static model m;
+    static float position[64][3], normal[64][3], albedo[64][3], open[64][3];
+    const double h = 25.0, cell = 1.0;
+    uint32_t i, place, what;
+    for (place = 0; place < 4; place++)
+        for (what = 0; what < 2; what++) {
+            const double floor_y = -20.0 + 0.3 * place, wall_x = 10.4, sheet_y = floor_y + 0.3 * cell;
+            const double f[4][3] = {{-500, floor_y, 500}, {500, floor_y, 500}, {500, floor_y, -500}, {-500, floor_y, -500}};
+            const double w[4][3] = {{wall_x, floor_y, -500}, {wall_x, floor_y, 0}, {wall_x, floor_y + h, 0}, {wall_x, floor_y + h, -500}};
+            const double s[4][3] = {{wall_x, sheet_y, 500}, {500, sheet_y, 500}, {500, sheet_y, -500}, {wall_x, sheet_y, -500}};
+            const double e[4][3] = {{wall_x, floor_y, -500}, {wall_x, floor_y, 500}, {wall_x, sheet_y, 500}, {wall_x, sheet_y, -500}};
+            double sum[2] = {0, 0};
+            voxrt_gi *gi = make_gi(128, 128, 128, 64);
+            voxrt_gbuffer g;
+            voxrt_gi_render_desc d;
+            voxrt_gi_object o;
+            m.points = m.triangles = 0;
+            quad(&m, f[0], f[1], f[2], f[3], 255);
+            if (what == 0) quad(&m, w[0], w[1], w[2], w[3], 255);
+            else {
+                quad(&m, s[0], s[1], s[2], s[3], 255);
+                quad(&m, e[0], e[1], e[2], e[3], 255);
+            }
+            o = object_of(&m, 1);
+            CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
+            CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
+            memset(&d, 0, sizeof d);
+            g = gbuffer_of(64, 1, position, normal, albedo);
+            for (i = 0; i < 64; i++) {
+                const double a = 1.2 + 0.25 * (i / 4);
+                position[i][0] = (float)(wall_x - a);
+                position[i][1] = (float)floor_y;
+                position[i][2] = 0.25f * (float)(i % 4) - 0.375f;
+                normal[i][0] = normal[i][2] = 0.0f;
+                normal[i][1] = 1.0f;
+                sum[1] += what == 0 ? 0.25 * (1 - a / sqrt(a * a + h * h)) / 64 : 0.0;
+            }
+            d.method = VOXRT_GI_AO;
+            d.rays = 1024;
+            CHECK(voxrt_gi_render(&d, gi, &g, NULL, open[0], NULL) == VOXRT_OK);
+            for (i = 0; i < 64; i++) sum[0] += (1 - (double)open[i][0]) / 64;
+            CHECK_MSG(fabs(sum[0] - sum[1]) < 0.015, "%s, floor %u: %.4f, not %.4f", what ? "sheet" : "wall", place, sum[0], sum[1]);
+            voxrt_gi_destroy(gi);
+        }
+}
+
 TEST(openness_is_a_form_factor) { /* a wall of height h at distance a hides 1/2 (1 - a / sqrt(a^2 + h^2)) */
     static model m;
     static float position[16][3], normal[16][3], albedo[16][3], open[16][3];
@@ -2406,6 +2528,8 @@ int main(int argc, char **argv) {
     RUN(bounced_light_moves_with_objects);
     RUN(time_budget);
     RUN(nothing_leaks_through_a_thin_wall);
+    RUN(feet_of_walls_let_nothing_through);
+    RUN(feet_end_where_walls_end);
     RUN(openness_is_a_form_factor);
     RUN(threads_and_instruction_sets);
     RUN(threads_and_instruction_sets_in_all_methods);
