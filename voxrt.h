@@ -24280,6 +24280,19 @@ static int voxrti_emitter_ray(const voxrt_gi *gi, const float p[3], const float 
     return 1;
 }
 
+/* A lamp above a surface by less than so many diagonals of a cell: the cells of that are not between it and what lies in
+   front of them. NULL: it is not. Rays from a lamp ask for half a diagonal, farther off they start in no cell; where the
+   surface is hollow they miss what rises into the plane through the lamp. */
+VOXRTI_INLINE const voxrti_gi_up *voxrti_gi_wall(const voxrt_gi *gi, size_t lamp, float most) {
+    if (lamp >= gi->light_count || !(gi->light_up[lamp].height < most * gi->light_up[lamp].diagonal)) return NULL;
+    return &gi->light_up[lamp];
+}
+/* The normal at the lamp's end of a ray from it: of its wall if the ray goes away from that, or 0. */
+VOXRTI_INLINE void voxrti_gi_wall_normal(const voxrti_gi_up *wall, const float dir[3], float normal[3]) {
+    memset(normal, 0, 12);
+    if (wall != NULL && voxrti_dot3(dir, wall->n) > 0.0f) memcpy(normal, wall->n, 12);
+}
+
 /* ---- maps of what lamps see ---- */
 
 static void voxrti_gi_map_axes(const voxrt_gi_light *l, uint32_t face, float f[3], float u[3], float v[3]) {
@@ -24301,7 +24314,8 @@ static void voxrti_task_gi_map(void *ctx, uint32_t row) {
     voxrt_ray ray[VOXRTI_COLUMN_BATCH];
     voxrt_column_hit hit[VOXRTI_COLUMN_BATCH];
     const voxrt_gi *where[VOXRTI_COLUMN_BATCH];
-    float f[3], u[3], v[3];
+    const voxrti_gi_up *const wall = voxrti_gi_wall(w->gi, w->light, 0.5f);
+    float f[3], u[3], v[3], normal[VOXRTI_COLUMN_BATCH][3];
     const float y = ((float)(int32_t)(row % m->side) + 0.5f) * 2.0f / (float)(int32_t)m->side - 1.0f;
     uint32_t x0, x, a;
     voxrti_gi_map_axes(l, row / m->side, f, u, v);
@@ -24315,8 +24329,9 @@ static void voxrti_task_gi_map(void *ctx, uint32_t row) {
             }
             ray[x].t_min = 0.0f;
             ray[x].t_max = INFINITY;
+            voxrti_gi_wall_normal(wall, ray[x].dir, normal[x]);
         }
-        voxrti_gi_trace_cells(w->gi, w->isa, NULL, NULL, ray, n, hit, where, NULL, NULL);
+        voxrti_gi_trace_cells(w->gi, w->isa, wall != NULL ? normal[0] : NULL, NULL, ray, n, hit, where, NULL, NULL);
         for (x = 0; x < n; x++) {
             float *texel = m->texel + 6 * ((size_t)row * m->side + x0 + x), t;
             voxrti_gi_side s;
@@ -24401,9 +24416,7 @@ static VOXRTI_NOINLINE void voxrti_light_points(const voxrti_lighting *c, size_t
     const voxrt_gi_light *l = lamp < c->gi->light_count ? &c->gi->light[lamp] : &c->gi->emit;
     voxrt_ray ray[VOXRTI_COLUMN_BATCH];
     float in[VOXRTI_COLUMN_BATCH][3], normal[VOXRTI_COLUMN_BATCH][3], end[VOXRTI_COLUMN_BATCH][3];
-    /* a lamp above a surface, by part of a cell: the cells of that are not between it and what lies in front of them */
-    const voxrti_gi_up *const wall = lamp < c->gi->light_count && c->gi->light_up[lamp].height <
-        1.5f * c->gi->light_up[lamp].diagonal && c->shadow == NULL ? &c->gi->light_up[lamp] : NULL;
+    const voxrti_gi_up *const wall = c->shadow == NULL ? voxrti_gi_wall(c->gi, lamp, 1.5f) : NULL;
     const float *const ends = (uint32_t)l->kind == VOXRTI_GI_EMITTERS || wall != NULL ? end[0] : NULL;
     uint8_t of[VOXRTI_COLUMN_BATCH], dark[VOXRTI_COLUMN_BATCH];
     const int wide = l->kind == VOXRT_GI_AREA || (uint32_t)l->kind == VOXRTI_GI_EMITTERS;
@@ -24430,8 +24443,9 @@ static VOXRTI_NOINLINE void voxrti_light_points(const voxrti_lighting *c, size_t
             }
             memcpy(normal[m], q->n[i], sizeof normal[m]);
             if (wall != NULL) {
-                if (voxrti_dot3(ray[m].dir, wall->n) < 0.0f) memcpy(end[m], wall->n, sizeof end[m]);
-                else memset(end[m], 0, sizeof end[m]);
+                float back[3];
+                for (a = 0; a < 3; a++) back[a] = 0.0f - ray[m].dir[a];
+                voxrti_gi_wall_normal(wall, back, end[m]);
             }
             for (a = 0; a < 3 && c->shadow != NULL; a++) { /* from a little above the surface to the light */
                 const float up = c->lift * q->n[i][a];
@@ -24977,6 +24991,7 @@ static void voxrti_vpl_start(const voxrti_vpl_work *v, uint32_t i, voxrt_ray *ra
         for (a = 0; a < 3; a++) flux[a] = voxrti_bounded(flux[a] * (e->rgb[a] / e->share));
         memcpy(normal, e->n, 12);
     }
+    if (lamp < gi->light_count) voxrti_gi_wall_normal(voxrti_gi_wall(gi, lamp, 0.5f), ray->dir, normal);
 }
 
 static void voxrti_task_vpl(void *ctx, uint32_t batch) {
