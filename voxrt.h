@@ -24280,9 +24280,9 @@ static int voxrti_emitter_ray(const voxrt_gi *gi, const float p[3], const float 
     return 1;
 }
 
-/* A lamp above a surface by less than so many diagonals of a cell: the cells of that are not between it and what lies in
-   front of them. NULL: it is not. Rays from a lamp ask for half a diagonal, farther off they start in no cell; where the
-   surface is hollow they miss what rises into the plane through the lamp. */
+/* A lamp above a surface by less than so many diagonals of a cell: the cells of that are not between it and what lies
+   in front of them. NULL: it is not. Rays from a lamp ask for half a diagonal, farther off they start in no cell;
+   where the surface is hollow they miss what rises into the plane through the lamp. */
 VOXRTI_INLINE const voxrti_gi_up *voxrti_gi_wall(const voxrt_gi *gi, size_t lamp, float most) {
     if (lamp >= gi->light_count || !(gi->light_up[lamp].height < most * gi->light_up[lamp].diagonal)) return NULL;
     return &gi->light_up[lamp];
