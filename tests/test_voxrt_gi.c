@@ -1354,7 +1354,8 @@ TEST(sheets_have_two_sides) { /* a sheet of two triangles, lit from above: from 
 
 TEST(still_scenes_come_to_rest) { /* frames as they are drawn of what moves, but nothing does: each differs from the one
                                      before by less than 0.2 %, and they do not drift */
-    enum { N = 32 * 20, FRAMES = 36 };
+    enum { N = 32 * 20 };
+    const uint32_t frames = test_quick() ? 36 : 120;
     static room r;
     static float last[N][3], truth[N][3];
     voxrt_gi_history *h = NULL;
@@ -1366,7 +1367,7 @@ TEST(still_scenes_come_to_rest) { /* frames as they are drawn of what moves, but
     memset(&d, 0, sizeof d);
     d.camera = r.camera;
     d.filter = 3;
-    for (f = 0; f < FRAMES; f++) {
+    for (f = 0; f < frames; f++) {
         d.history = h;
         d.rays = 16;
         CHECK(voxrt_gi_set_lights(r.gi, &r.light, 1) == VOXRT_OK && voxrt_gi_update(r.gi, NULL) == VOXRT_OK); /* the same */
@@ -1890,7 +1891,8 @@ TEST(every_edit_begins_anew) { /* progressive pictures: after any change nothing
 /* ---- what moves ---- */
 
 TEST(things_that_turn_do_not_pop) { /* a block that turns by 0.2 degrees a frame: cells come and go, light stays smooth */
-    enum { FRAMES = 7, N = 64 * 40 };
+    enum { N = 64 * 40 };
+    const uint32_t frames = test_quick() ? 7 : 120;
     static room r;
     static float last[3][N][3];
     static double second[N];
@@ -1903,7 +1905,7 @@ TEST(things_that_turn_do_not_pop) { /* a block that turns by 0.2 degrees a frame
     d.filter = 3;
     d.camera = r.camera;
     memset(second, 0, sizeof second);
-    for (f = 0; f < FRAMES; f++) {
+    for (f = 0; f < frames; f++) {
         const double a = 0.4 + f * 0.2 * 3.14159265358979 / 180;
         r.object.to_world[0] = r.object.to_world[10] = cos(a);
         r.object.to_world[2] = sin(a);
@@ -1912,7 +1914,7 @@ TEST(things_that_turn_do_not_pop) { /* a block that turns by 0.2 degrees a frame
         memmove(last[0], last[1], 2 * sizeof last[0]);
         CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, last[2][0], NULL) == VOXRT_OK);
         for (i = 0; i < N && f >= 2; i++)
-            second[i] += fabs((double)last[2][i][1] - 2 * (double)last[1][i][1] + (double)last[0][i][1]) / (FRAMES - 2);
+            second[i] += fabs((double)last[2][i][1] - 2 * (double)last[1][i][1] + (double)last[0][i][1]) / (frames - 2);
     }
     for (i = 0; i < N; i++) {
         mean += (double)last[2][i][1] / N;
@@ -1926,7 +1928,8 @@ TEST(things_that_turn_do_not_pop) { /* a block that turns by 0.2 degrees a frame
 }
 
 TEST(deforming_meshes) { /* a ball whose surface swells in waves: each frame as if made anew, and no flicker but the light's own */
-    enum { FRAMES = 6, N = 48 * 32 };
+    enum { N = 48 * 32 };
+    const uint32_t frames = test_quick() ? 6 : 120;
     static room r;
     static model still, wave;
     static float last[2][3][N][3], fresh[N][3];
@@ -1939,7 +1942,7 @@ TEST(deforming_meshes) { /* a ball whose surface swells in waves: each frame as 
     wave = still;
     o = object_of(&wave, 0);
     CHECK(voxrt_gi_add(r.gi, &o, &id) == VOXRT_OK);
-    for (f = 0; f < FRAMES; f++) {
+    for (f = 0; f < frames; f++) {
         for (i = 0; i < still.points; i++)
             for (k = 0; k < 3; k++) wave.p[i][k] = still.p[i][k] * (1.0f + 0.2f * (float)sin((double)still.p[i][1] * 2 + 0.15 * f));
         CHECK(voxrt_gi_set(r.gi, id, &o) == VOXRT_OK && voxrt_gi_update(r.gi, NULL) == VOXRT_OK);
@@ -2093,6 +2096,7 @@ TEST(objects_by_samples_and_solid) {
 TEST(a_camera_that_pans) { /* with history there is less error than without, and nothing old where the picture shows what
                               was not in it before */
     enum { W = 64, H = 40, N = W * H };
+    const uint32_t frames = test_quick() ? 8 : 120;
     static room r;
     static float truth[N][3], alone[N][3];
     voxrt_gi_history *h = NULL;
@@ -2103,8 +2107,8 @@ TEST(a_camera_that_pans) { /* with history there is less error than without, and
     r.g.before = NULL;
     REQUIRE(voxrt_gi_history_create(NULL, &h) == VOXRT_OK);
     memset(&d, 0, sizeof d);
-    for (f = 0; f < 8; f++) {
-        r.camera.at[0] = 0.35f * (float)f;
+    for (f = 0; f < frames; f++) {
+        r.camera.at[0] = 0.35f * ((float)f - (float)(frames - 8));
         CHECK(voxrt_gbuffer_from_gi(NULL, &r.camera, r.gi, &r.g) == VOXRT_OK);
         d.camera = r.camera;
         d.rays = 4;
