@@ -22420,12 +22420,12 @@ typedef struct voxrti_splat {
     uint32_t *ways, way;  /* of blocks; of the triangle */
 } voxrti_splat;
 
-/* Which ways surfaces face, by blocks of 8^3 cells: a bit for each of 13 lines, along axes and between them. */
-#define VOXRTI_GI_BLOCK_LOG 3
+/* Which ways surfaces face, by blocks of 4^3 cells: a bit for each of 13 lines, along axes and between them. */
+#define VOXRTI_GI_BLOCK_LOG 2
 VOXRTI_INLINE void voxrti_gi_blocks(const voxrt_columns *c, size_t n[3]) {
-    n[0] = (c->size[0] + 7) >> VOXRTI_GI_BLOCK_LOG;
-    n[1] = (c->size[1] + 7) >> VOXRTI_GI_BLOCK_LOG;
-    n[2] = (c->size[2] + 7) >> VOXRTI_GI_BLOCK_LOG;
+    n[0] = (c->size[0] + 3) >> VOXRTI_GI_BLOCK_LOG;
+    n[1] = (c->size[1] + 3) >> VOXRTI_GI_BLOCK_LOG;
+    n[2] = (c->size[2] + 3) >> VOXRTI_GI_BLOCK_LOG;
 }
 VOXRTI_INLINE size_t voxrti_gi_block(const voxrt_columns *c, uint32_t x, uint32_t y, uint32_t k) {
     size_t n[3];
@@ -23085,33 +23085,33 @@ static void voxrti_gi_left_free(voxrt_gi *gi) {
 
 /* Voxelise the layers of one volume that changed, keep what bounced. If memory runs out the next call goes on with what
    the last one that ended well has left. */
-/* ways[2]: of both layers, of each block and those around it, so of all cells within 8 of any cell. */
+/* ways[2]: of both layers, of each block and those around it, so of all cells within 4 of any cell. */
 static void voxrti_gi_find_ways(voxrt_gi *gi) {
-    size_t n[3], x, y, k, i, across;
-    uint32_t *to = gi->ways[2];
+    size_t n[3], step[3], all, i, j, k;
+    uint32_t *const to = gi->ways[2];
+    uint32_t axis;
     voxrti_gi_blocks(gi->columns, n);
-    across = n[0] * n[2];
-    for (y = 0; y < n[1]; y++) /* along k and x in one row */
-        for (x = 0; x < n[0]; x++)
-            for (k = 0; k < n[2]; k++) {
-                const size_t x0 = x > 0 ? x - 1 : 0, x1 = x + 1 < n[0] ? x + 1 : x;
-                const size_t k0 = k > 0 ? k - 1 : 0, k1 = k + 1 < n[2] ? k + 1 : k;
-                uint32_t all = 0;
-                size_t u, v;
-                for (u = x0; u <= x1; u++)
-                    for (v = k0; v <= k1; v++) {
-                        i = (y * n[0] + u) * n[2] + v;
-                        all |= gi->ways[0][i] | gi->ways[1][i];
+    all = n[0] * n[1] * n[2];
+    step[0] = n[2];
+    step[1] = n[0] * n[2];
+    step[2] = 1;
+    for (i = 0; i < all; i++) to[i] = gi->ways[0][i] | gi->ways[1][i];
+    for (axis = 0; axis < 3; axis++) { /* along lines, side by side in memory where they can be */
+        const size_t count = n[axis], by = step[axis], wide = axis == 2 ? 1 : n[2];
+        const size_t stride = count * by;
+        for (i = 0; i < all; i += stride)
+            for (j = 0; j < by; j += wide) {
+                uint32_t *row = to + i + j;
+                for (k = 0; k < wide; k++) {
+                    uint32_t last = 0;
+                    size_t at;
+                    for (at = 0; at < count; at++) {
+                        const uint32_t own = row[at * by + k], next = at + 1 < count ? row[(at + 1) * by + k] : 0;
+                        row[at * by + k] = last | own | next;
+                        last = own;
                     }
-                to[(y * n[0] + x) * n[2] + k] = all;
+                }
             }
-    for (i = 0; i < across; i++) { /* and across rows */
-        uint32_t last = 0;
-        for (y = 0; y < n[1]; y++) {
-            const uint32_t own = to[y * across + i], next = y + 1 < n[1] ? to[(y + 1) * across + i] : 0;
-            to[y * across + i] = last | own | next;
-            last = own;
-        }
     }
 }
 
