@@ -2001,13 +2001,18 @@ ZBUFRANDI_INLINE void zbufrandi_key_min(uint64_t *at, uint64_t key) { if (key < 
              0.
    views     what many instances share is mostly seen from afar, where half of its area and more faces away: four more
              sets for each of 96 directions of view v, in which a point with normal n is as likely as
-             min(1, n . v + reach) makes it (seen from both sides: |n . v|). Sets of direction i: first_view + 4 i. */
+             min(1, n . v + reach) makes it (seen from both sides: |n . v|). Sets of direction i: first_view + 4 i.
+   more      what is made of instances and drawn many times shows the same 64 points wherever it is far away; 64 sets of
+             the whole, first_more + v, and 8 of each child i of node 0, first_more + 64 + 8 i + v, of which each
+             instance takes one, make the mean colour there right. */
 
 #define ZBUFRANDI_CLUSTER_TRIANGLES 128
 #define ZBUFRANDI_CLUSTER_VERTICES 256
 #define ZBUFRANDI_SET 64
 #define ZBUFRANDI_VIEWS 96       /* directions: 4 x 4 cells on each side of a cube */
 #define ZBUFRANDI_VIEW_SETS 4
+#define ZBUFRANDI_MORE_SETS 64   /* powers of two */
+#define ZBUFRANDI_MORE_PARTS 8
 
 enum { ZBUFRANDI_CHILD_NODE = 0, ZBUFRANDI_CHILD_CLUSTER = 1, ZBUFRANDI_CHILD_INSTANCE = 2, ZBUFRANDI_CHILD_NONE = 3 };
 #define ZBUFRANDI_CHILD(kind, index) ((uint32_t)(kind) << 30 | (uint32_t)(index))
@@ -2074,6 +2079,7 @@ typedef struct zbufrandi_structure {
     uint32_t *set_material;         /* NULL: all as `material` */
     uint32_t vertex_count, triangle_count, cluster_count, node_count, instance_count;
     uint32_t first_view;            /* set of the first direction of view; 0: there are none, or an edit spoilt them */
+    uint32_t first_more;            /* first of more sets of the whole, then of the children of node 0; 0: as above */
     uint32_t material;
     float box_lo[3], box_hi[3];     /* of everything, rounded outwards */
     float radius;                   /* of a ball around the middle of that box that holds it all, stored points, too */
@@ -4005,56 +4011,126 @@ static void zbufrandi_instance_rotate(const zbufrandi_instance *it, float v[3]) 
     for (a = 0; a < 3; a++) v[a] = (float)r[a];
 }
 
+typedef struct zbufrandi_deep_point { /* a stored point of a cluster, seen from a structure above it */
+    double p[3];
+    float normal[3], shading[3];   /* unit; of the triangle and for shading */
+    uint32_t rgb, material, two_sided;
+} zbufrandi_deep_point;
+
+/* The point of a structure, of what its instances show too, at which a share y of the area, 0 to 1, comes before it in
+   the order of the trees: as likely as its area makes it, of all points of all clusters. What is shared by many would
+   else hand the same 64 points up, level by level, and whatever is far away would have the colour of the few of them
+   that hide the others. */
+static void zbufrandi_deep(const zbufrand_scene *scene, const zbufrandi_structure *s, double y,
+                           zbufrandi_deep_point *out) {
+    const zbufrandi_node8 *n = &s->node[0];
+    double m[3][4];
+    float lo[3], hi[3];
+    const uint32_t *word;
+    uint32_t i, a, k, child, stratum;
+    size_t at;
+    int moved = 0;
+    zbufrandi_m34_identity(m);
+    for (;;) {
+        double sum = 0.0, before = 0.0, area;
+        for (i = 0; i < n->count; i++) sum += (double)n->area[i];
+        y *= sum;
+        for (i = 0; i + 1 < n->count && before + (double)n->area[i] <= y; i++) before += (double)n->area[i];
+        while (i > 0 && !(n->area[i] > 0.0f)) i--; /* rounding */
+        area = (double)n->area[i];
+        y = area > 0.0 ? (y - before) / area : 0.0;
+        y = y > 0.0 ? (y < 1.0 ? y : 1.0) : 0.0;
+        child = n->child[i];
+        if (ZBUFRANDI_CHILD_KIND(child) == ZBUFRANDI_CHILD_CLUSTER) break;
+        if (ZBUFRANDI_CHILD_KIND(child) == ZBUFRANDI_CHILD_INSTANCE) {
+            const zbufrandi_instance *it = &s->instance[ZBUFRANDI_CHILD_INDEX(child)];
+            zbufrandi_m34_mul(ZBUFRANDI_M34(m), ZBUFRANDI_M34(it->to_parent), m);
+            s = &scene->structure[it->structure];
+            n = &s->node[0];
+            moved = 1;
+        } else {
+            n = &s->node[ZBUFRANDI_CHILD_INDEX(child)];
+        }
+    }
+    stratum = y * ZBUFRANDI_SET >= 63.0 ? 63u : (uint32_t)(y * ZBUFRANDI_SET);
+    at = (size_t)ZBUFRANDI_CHILD_INDEX(child) * ZBUFRANDI_SET + zbufrandi_reverse6(stratum);
+    word = s->set + zbufrandi_set_at(at);
+    for (a = 0; a < 3; a++) {
+        lo[a] = n->lo[a][i];
+        hi[a] = n->hi[a][i];
+    }
+    zbufrandi_set_decode(word[0], lo, hi, out->p);
+    zbufrandi_oct32_decode(word[8], out->normal);
+    if (s->set_normal != NULL) zbufrandi_oct_decode(s->set_normal[at], out->shading);
+    else memcpy(out->shading, out->normal, sizeof out->shading);
+    out->two_sided = word[0] >> 31;
+    out->rgb = s->set_rgb != NULL ? s->set_rgb[at] : 0xffffffu;
+    out->material = s->set_material != NULL ? s->set_material[at] : s->material;
+    if (!moved) return;
+    zbufrandi_m34_point(ZBUFRANDI_M34(m), out->p, out->p);
+    for (k = 0; k < 2; k++) {
+        float *v = k == 0 ? out->normal : out->shading;
+        double r[3], length = 0.0;
+        for (a = 0; a < 3; a++) {
+            r[a] = m[a][0] * (double)v[0] + m[a][1] * (double)v[1] + m[a][2] * (double)v[2];
+            length += r[a] * r[a];
+        }
+        length = length > 0.0 ? 1.0 / sqrt(length) : 0.0;
+        for (a = 0; a < 3; a++) v[a] = (float)(r[a] * length);
+    }
+}
+
+/* ... as point `to` of a set of the box lo, hi. */
+static void zbufrandi_deep_put(zbufrandi_structure *s, const zbufrandi_deep_point *d, const float lo[3],
+                               const float hi[3], size_t to) {
+    s->set[zbufrandi_set_at(to)] = zbufrandi_set_encode(d->p, lo, hi, (int)d->two_sided);
+    s->set[zbufrandi_set_at(to) + 8] = zbufrandi_oct32_encode(d->normal);
+    if (s->set_rgb != NULL) s->set_rgb[to] = d->rgb;
+    if (s->set_material != NULL) s->set_material[to] = d->material;
+    if (s->set_normal != NULL) s->set_normal[to] = (uint16_t)zbufrandi_oct_encode(d->shading);
+}
+
+/* A point of stratum j, of 64, of instance `it`, appended as point `to` of a set of the structure that it is in. */
+static void zbufrandi_set_deep(zbufrandi_build *b, const zbufrandi_instance *it, uint32_t j, const float lo[3],
+                               const float hi[3], size_t to) {
+    const uint32_t h = zbufrandi_hash32(b->scene->seed ^ zbufrandi_hash32(b->index ^
+                                                                       zbufrandi_hash32((uint32_t)to + 0x3c6ef372u)));
+    zbufrandi_deep_point d;
+    zbufrandi_deep(b->scene, &b->scene->structure[it->structure],
+                   ((double)zbufrandi_reverse6(j) + (double)zbufrandi_unit24(h)) / ZBUFRANDI_SET, &d);
+    zbufrandi_m34_point(ZBUFRANDI_M34(it->to_parent), d.p, d.p);
+    zbufrandi_instance_rotate(it, d.normal);
+    zbufrandi_instance_rotate(it, d.shading);
+    zbufrandi_deep_put(b->s, &d, lo, hi, to);
+}
+
 /* Stored point j of the set of child `i` of a node, appended as point `to` of another set of the same structure. */
 static void zbufrandi_set_copy(zbufrandi_build *b, const zbufrandi_node8 *n, uint32_t i, uint32_t j, const float lo[3],
                                const float hi[3], size_t to) {
     zbufrandi_structure *s = b->s;
-    const zbufrandi_structure *from = s;
-    const zbufrandi_instance *it = NULL;
-    uint32_t kind = ZBUFRANDI_CHILD_KIND(n->child[i]), index = ZBUFRANDI_CHILD_INDEX(n->child[i]), a, code, material;
-    float child_lo[3], child_hi[3], v[3];
+    const uint32_t kind = ZBUFRANDI_CHILD_KIND(n->child[i]);
+    uint32_t index = ZBUFRANDI_CHILD_INDEX(n->child[i]), a;
+    float child_lo[3], child_hi[3];
     double p[3];
     size_t at;
     const uint32_t *word;
+    if (kind == ZBUFRANDI_CHILD_INSTANCE) {
+        zbufrandi_set_deep(b, &s->instance[index], j, lo, hi, to);
+        return;
+    }
     for (a = 0; a < 3; a++) {
         child_lo[a] = n->lo[a][i];
         child_hi[a] = n->hi[a][i];
     }
     if (kind == ZBUFRANDI_CHILD_NODE) index += s->cluster_count;
-    if (kind == ZBUFRANDI_CHILD_INSTANCE) {
-        it = &s->instance[index];
-        from = &b->scene->structure[it->structure];
-        index = from->cluster_count;
-        memcpy(child_lo, from->box_lo, sizeof child_lo);
-        memcpy(child_hi, from->box_hi, sizeof child_hi);
-    }
     at = (size_t)index * ZBUFRANDI_SET + j;
-    word = from->set + zbufrandi_set_at(at);
+    word = s->set + zbufrandi_set_at(at);
     zbufrandi_set_decode(word[0], child_lo, child_hi, p);
-    code = word[8];
-    if (it != NULL) {
-        zbufrandi_m34_point(ZBUFRANDI_M34(it->to_parent), p, p);
-        zbufrandi_oct32_decode(code, v);
-        zbufrandi_instance_rotate(it, v);
-        code = zbufrandi_oct32_encode(v);
-    }
     s->set[zbufrandi_set_at(to)] = zbufrandi_set_encode(p, lo, hi, (int)(word[0] >> 31));
-    s->set[zbufrandi_set_at(to) + 8] = code;
-    if (s->set_rgb != NULL) s->set_rgb[to] = from->set_rgb != NULL ? from->set_rgb[at] : 0xffffffu;
-    if (s->set_material != NULL) {
-        material = from->set_material != NULL ? from->set_material[at] : from->material;
-        s->set_material[to] = material;
-    }
-    if (s->set_normal != NULL) {
-        if (from->set_normal != NULL && it == NULL) {
-            s->set_normal[to] = from->set_normal[at];
-        } else {
-            if (from->set_normal != NULL) zbufrandi_oct_decode(from->set_normal[at], v);
-            else zbufrandi_oct32_decode(word[8], v);
-            if (it != NULL) zbufrandi_instance_rotate(it, v);
-            s->set_normal[to] = (uint16_t)zbufrandi_oct_encode(v);
-        }
-    }
+    s->set[zbufrandi_set_at(to) + 8] = word[8];
+    if (s->set_rgb != NULL) s->set_rgb[to] = s->set_rgb[at];
+    if (s->set_material != NULL) s->set_material[to] = s->set_material[at];
+    if (s->set_normal != NULL) s->set_normal[to] = s->set_normal[at];
 }
 
 /* The lanes of a node that stand for nodes and instances, then the node's own stored points: children get their share
@@ -4533,30 +4609,22 @@ static void zbufrandi_view_normals(zbufrandi_view_job *j) {
     const zbufrandi_structure *s = j->b->s;
     uint32_t i, k;
     for (i = 0; i < j->count; i++) {
-        const uint32_t child = s->node[j->from[i].node].child[j->from[i].lane], kind = ZBUFRANDI_CHILD_KIND(child);
-        const zbufrandi_instance *it = NULL;
-        const zbufrandi_structure *of = s;
+        const uint32_t child = s->node[j->from[i].node].child[j->from[i].lane]; /* no instance: there are none */
         size_t set = ZBUFRANDI_CHILD_INDEX(child);
-        if (kind == ZBUFRANDI_CHILD_NODE) set += s->cluster_count;
-        if (kind == ZBUFRANDI_CHILD_INSTANCE) {
-            it = &s->instance[set];
-            of = &j->b->scene->structure[it->structure];
-            set = of->cluster_count;
-        }
+        if (ZBUFRANDI_CHILD_KIND(child) == ZBUFRANDI_CHILD_NODE) set += s->cluster_count;
         for (k = 0; k < ZBUFRANDI_SET; k++) {
-            const uint32_t *word = of->set + zbufrandi_set_at(set * ZBUFRANDI_SET + zbufrandi_reverse6(k));
+            const uint32_t *word = s->set + zbufrandi_set_at(set * ZBUFRANDI_SET + zbufrandi_reverse6(k));
             float *n = j->normal[i * ZBUFRANDI_SET + k];
             zbufrandi_oct32_decode(word[8], n);
-            if (it != NULL) zbufrandi_instance_rotate(it, n);
             n[3] = word[0] >> 31 != 0 ? 1.0f : 0.0f;
         }
     }
 }
 
-/* Room for the sets of views behind the others. 0: no memory. */
-static int zbufrandi_view_room(zbufrandi_mem *mem, zbufrandi_structure *s) {
+/* Room for `sets` more behind those of clusters and nodes. 0: no memory. */
+static int zbufrandi_more_room(zbufrandi_mem *mem, zbufrandi_structure *s, uint32_t sets) {
     const size_t used = ((size_t)s->cluster_count + s->node_count) * ZBUFRANDI_SET,
-                 need = used + (size_t)ZBUFRANDI_VIEWS * ZBUFRANDI_VIEW_SETS * ZBUFRANDI_SET;
+                 need = used + (size_t)sets * ZBUFRANDI_SET;
     return zbufrandi_reserve(mem, (void **)&s->set, used, need, 2 * sizeof *s->set, 0) &&
         (s->set_rgb == NULL || zbufrandi_reserve(mem, (void **)&s->set_rgb, used, need, sizeof *s->set_rgb, 0)) &&
         (s->set_normal == NULL ||
@@ -4593,23 +4661,71 @@ static void zbufrandi_view_make(zbufrandi_view_job *j, uint32_t cell) {
     }
 }
 
-/* Views for structures with many instances. 0: no memory. */
+/* More sets for what is made of instances and drawn many times: of the whole, and of each node below the first. Deeper
+   nodes are so many that they share out the points already. 0: no memory. */
+static int zbufrandi_more_make(zbufrandi_build *b) {
+    zbufrandi_structure *s = b->s;
+    const zbufrandi_node8 *root = &s->node[0];
+    const uint32_t first = s->cluster_count + s->node_count;
+    uint32_t i, v, k, a;
+    if (!zbufrandi_more_room(&b->scene->mem, s, ZBUFRANDI_MORE_SETS + 8 * ZBUFRANDI_MORE_PARTS)) return 0;
+    for (i = 0; i <= root->count; i++) { /* the whole last: its points are drawn from nothing that is written here */
+        const int whole = i == root->count;
+        const uint32_t sets = whole ? ZBUFRANDI_MORE_SETS : ZBUFRANDI_MORE_PARTS,
+                       to = first + (whole ? 0u : ZBUFRANDI_MORE_SETS + ZBUFRANDI_MORE_PARTS * i);
+        double before = 0.0, sum = 0.0;
+        float lo[3], hi[3];
+        for (k = 0; k < root->count; k++) {
+            if (k < i) before += (double)root->area[k];
+            sum += (double)root->area[k];
+        }
+        for (a = 0; a < 3; a++) {
+            lo[a] = whole ? s->box_lo[a] : root->lo[a][i];
+            hi[a] = whole ? s->box_hi[a] : root->hi[a][i];
+        }
+        for (v = 0; v < sets; v++) {
+            for (k = 0; k < ZBUFRANDI_SET; k++) {
+                const size_t at = ((size_t)to + v) * ZBUFRANDI_SET + zbufrandi_reverse6(k);
+                const uint32_t h = zbufrandi_hash32(b->scene->seed ^
+                                                    zbufrandi_hash32(b->index ^ zbufrandi_hash32((uint32_t)at)));
+                double y = ((double)k + (double)zbufrandi_unit24(h)) / ZBUFRANDI_SET;
+                zbufrandi_deep_point d;
+                if (!whole) y = sum > 0.0 ? (before + y * (double)root->area[i]) / sum : 0.0;
+                zbufrandi_deep(b->scene, s, y, &d);
+                zbufrandi_deep_put(s, &d, lo, hi, at);
+            }
+        }
+    }
+    s->first_more = first;
+    return 1;
+}
+
+/* More sets for structures with many instances. 0: no memory. */
 static int zbufrandi_scene_views(zbufrand_scene *scene) {
+    uint64_t *drawn = (uint64_t *)zbufrandi_alloc_zero(&scene->mem, scene->structure_count, sizeof *drawn);
     uint32_t *uses = (uint32_t *)zbufrandi_alloc_zero(&scene->mem, scene->structure_count, sizeof *uses), i, k;
     zbufrandi_view_job *j = NULL;
     zbufrandi_build b;
-    int ok = uses != NULL;
+    int ok = uses != NULL && drawn != NULL;
     memset(&b, 0, sizeof b);
     b.scene = scene;
-    for (i = 0; ok && i < scene->structure_count; i++) {
+    if (ok && scene->structure_count != 0) drawn[0] = 1;
+    for (i = 0; ok && i < scene->structure_count; i++) { /* prototypes come after what they are in */
         const zbufrandi_structure *s = &scene->structure[i];
-        for (k = 0; k < s->instance_count; k++) uses[s->instance[k].structure]++;
+        for (k = 0; k < s->instance_count; k++) {
+            uint64_t *d = &drawn[s->instance[k].structure];
+            uses[s->instance[k].structure]++;
+            *d = drawn[i] > UINT64_MAX - *d ? UINT64_MAX : *d + drawn[i];
+        }
     }
     for (i = 0; ok && i < scene->structure_count; i++) {
         b.s = &scene->structure[i];
         b.index = i;
-        /* What is made of instances has thousands of different things in it, of which 256 points are no fair sample:
-           all that is far away in one direction would have the colour of the few of them that hide the others. */
+        /* What is made of instances has thousands of different things in it, of which the 256 points of a view are no
+           fair sample: all that is far away in one direction would have the colour of the few that hide the others. */
+        if (drawn[i] >= ZBUFRANDI_VIEW_INSTANCES && b.s->node_count != 0 && b.s->instance_count != 0)
+            ok = zbufrandi_more_make(&b);
+        if (!ok) break;
         if (uses[i] < ZBUFRANDI_VIEW_INSTANCES || b.s->node_count == 0 || b.s->instance_count != 0) continue;
         if (j == NULL) j = (zbufrandi_view_job *)zbufrandi_alloc(&scene->mem, sizeof *j);
         ok = j != NULL;
@@ -4618,7 +4734,7 @@ static int zbufrandi_scene_views(zbufrand_scene *scene) {
         zbufrandi_view_lanes(j);
         if (j->count < ZBUFRANDI_VIEW_LANES_LEAST) continue;
         b.s->view = (zbufrandi_view *)zbufrandi_alloc_zero(&scene->mem, ZBUFRANDI_VIEWS, sizeof *b.s->view);
-        ok = b.s->view != NULL && zbufrandi_view_room(&scene->mem, b.s);
+        ok = b.s->view != NULL && zbufrandi_more_room(&scene->mem, b.s, ZBUFRANDI_VIEWS * ZBUFRANDI_VIEW_SETS);
         if (!ok) break;
         zbufrandi_view_normals(j);
         for (k = 0; k < ZBUFRANDI_VIEWS; k++) zbufrandi_view_make(j, k);
@@ -4626,6 +4742,7 @@ static int zbufrandi_scene_views(zbufrand_scene *scene) {
     }
     zbufrandi_free(&scene->mem, j);
     zbufrandi_free(&scene->mem, uses);
+    zbufrandi_free(&scene->mem, drawn);
     return ok;
 }
 
@@ -8613,6 +8730,11 @@ ZBUFRANDI_INLINE uint32_t zbufrandi_child_hash(const zbufrandi_local *l, uint32_
     return zbufrandi_hash32(l->hash ^ child * 0x9e3779b1u);
 }
 
+/* Which of several sets: any; of frames that will be averaged the same one at the same place. */
+ZBUFRANDI_INLINE uint32_t zbufrandi_more_of(const zbufrandi_cut *cut, const zbufrandi_local *l, uint32_t hash) {
+    return zbufrandi_hash32(cut->runs == 1 ? hash + 0x6a09e667u : l->instance * 0x9e3779b1u + 0x6a09e667u);
+}
+
 static void zbufrandi_emit_stored(const zbufrandi_cut *cut, zbufrandi_pick *p, const zbufrandi_local *l,
                                   uint32_t local, uint32_t hash, uint32_t set,
                                   const float lo[3], const float hi[3], const zbufrandi_node8 *n,
@@ -8746,7 +8868,11 @@ static void zbufrandi_pick_child(const zbufrandi_cut *cut, const zbufrandi_local
         }
     } else if (kind == ZBUFRANDI_CHILD_NODE) {
         if (stored) {
-            zbufrandi_emit_stored(cut, p, l, local, hash, s->cluster_count + index, lo, hi, n, t, i);
+            uint32_t set = s->cluster_count + index;
+            if (s->first_more != 0 && n == &s->node[0])
+                set = s->first_more + ZBUFRANDI_MORE_SETS + ZBUFRANDI_MORE_PARTS * i +
+                    zbufrandi_more_of(cut, l, hash) % ZBUFRANDI_MORE_PARTS;
+            zbufrandi_emit_stored(cut, p, l, local, hash, set, lo, hi, n, t, i);
         } else {
             zbufrandi_open_node *f = &p->stack[p->stack_count++];
             f->z = t->z_min[i];
@@ -8786,7 +8912,9 @@ static void zbufrandi_pick_child(const zbufrandi_cut *cut, const zbufrandi_local
             const uint32_t draws = p->draw_count;
             if (zbufrandi_emit_view(cut, p, k, entered, hash, n, t, i, expected)) stored = 1;
             else if (stored)
-                zbufrandi_emit_stored(cut, p, k, entered, hash, to->cluster_count, to->box_lo, to->box_hi, n, t, i);
+                zbufrandi_emit_stored(cut, p, k, entered, hash, to->first_more == 0 ? to->cluster_count
+                                      : to->first_more + zbufrandi_more_of(cut, k, hash) % ZBUFRANDI_MORE_SETS,
+                                      to->box_lo, to->box_hi, n, t, i);
             if (stored && p->draw_count == draws) p->local_count--; /* nobody needs it */
         }
         if (!stored) {
@@ -17695,7 +17823,7 @@ static int zbufrandi_edit_reserve(zbufrand_scene *scene, uint32_t index, size_t 
     need = (size_t)s->node_count + nodes;
     if (need > l->node_capacity) {
         need += need / 4 + 8;
-        s->first_view = 0;
+        s->first_view = s->first_more = 0;
         used = s->set != NULL ? ((size_t)s->cluster_count + s->node_count) * ZBUFRANDI_SET : 0;
         if (need >= 1u << 28 || !zbufrandi_reserve(mem, (void **)&s->node, s->node_count, need, sizeof *s->node, 0) ||
             !zbufrandi_reserve(mem, (void **)&l->health, s->node_count, need, sizeof *l->health, 0) ||
@@ -17730,7 +17858,7 @@ static int zbufrandi_edit_attributes(zbufrand_scene *scene, uint32_t index, cons
     zbufrandi_use use;
     size_t i;
     if (!rgb && !normal && !material) return 1;
-    s->first_view = 0;
+    s->first_view = s->first_more = 0;
     if (rgb) {
         if (!zbufrandi_reserve(mem, (void **)&s->set_rgb, 0, count, sizeof *s->set_rgb, 0)) return 0;
         for (i = 0; i < used; i++) s->set_rgb[i] = 0xffffffu;
@@ -17817,7 +17945,7 @@ static int zbufrandi_edit_ready(zbufrand_scene *scene, uint32_t index, uint32_t 
 
 static void zbufrandi_edit_touch(zbufrand_scene *scene, uint32_t index) {
     zbufrandi_live *live = scene->live;
-    scene->structure[index].first_view = 0; /* made by builds only */
+    scene->structure[index].first_view = scene->structure[index].first_more = 0; /* made by builds only */
     if (live->s[index].touched) return;
     live->s[index].touched = 1;
     live->touched[live->touched_count++] = index;
