@@ -1673,6 +1673,59 @@ TEST(thirteen_decades) {
     shape_free(&s);
 }
 
+/* Draws more when the rays show that more pixels were wrong than the density promises. No scene does that as long as bounds hold, so
+   the areas of all nodes are made too small by hand, and with them the numbers of samples. */
+TEST(draws_more_if_too_little) {
+    enum { W = 120, H = 120, N = 240 };
+    shape s;
+    zbufrand_mesh m;
+    zbufrand_scene *scene;
+    zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
+    buffers a, b;
+    zbufrand_stats st[3];
+    uint32_t i, k, way, differ;
+    memset(&s, 0, sizeof s);
+    memset(st, 0, sizeof st);
+    for (i = 0; i <= N; i++) for (k = 0; k <= N; k++) (void)shape_vertex(&s, 4.0 * i / N - 2, 4.0 * k / N - 2, 0.1 * sin(0.1 * i) * cos(0.07 * k));
+    for (i = 0; i < N; i++) {
+        for (k = 0; k < N; k++) {
+            const uint32_t at = i * (N + 1) + k, next = at + N + 1;
+            shape_triangle(&s, at, next, next + 1);
+            shape_triangle(&s, at, next + 1, at + 1);
+        }
+    }
+    m = mesh_of(&s);
+    m.two_sided = 1;
+    scene = scene_of(&m, 1);
+    buffers_open(&a, W, H);
+    buffers_open(&b, W, H);
+    for (way = 0; way < 3; way++) { /* rastered, right areas, areas too small */
+        zbufrand_render_desc d;
+        memset(&d, 0, sizeof d);
+        d.camera.eye[0] = 0.5;
+        d.camera.eye[2] = 9;
+        d.tolerance = 0.001;
+        d.hybrid = way == 0 ? ZBUFRAND_HYBRID_ALL : ZBUFRAND_HYBRID_OFF;
+        for (i = 0; way == 2 && i < scene->structure[0].node_count; i++)
+            for (k = 0; k < scene->structure[0].node[i].count; k++) scene->structure[0].node[i].area[k] *= 0.5f;
+        CHECK_EQ_U64(zbufrand_render(frame, &d, scene, way == 0 ? &a.image : &b.image, &st[way]), ZBUFRAND_OK);
+        if (way == 0) continue;
+        CHECK(st[way].samples[0] > st[way].samples[1] && st[way].covered > 2000);
+        CHECK_MSG(st[way].incomplete <= 0.001, "way %u: %g", way, st[way].incomplete);
+        for (i = 0, differ = 0; i < W * H; i++)
+            differ += a.depth[i] < INFINITY && !(fabsf(b.depth[i] / a.depth[i] - 1) < 0.01f);
+        CHECK_MSG(differ < 200, "way %u: %u pixels differ", way, differ); /* at the outline */
+    }
+    CHECK_MSG(st[2].density > 1.2 * st[1].density, "density %g and %g", st[2].density, st[1].density);
+    CHECK(2 * st[2].samples[0] > st[1].samples[0] + st[1].samples[0] / 10); /* half of them and more */
+    CHECK_MSG(st[2].repaired > 50, "%llu repaired", (unsigned long long)st[2].repaired);
+    buffers_close(&a);
+    buffers_close(&b);
+    zbufrand_scene_destroy(scene);
+    zbufrand_frame_destroy(frame);
+    shape_free(&s);
+}
+
 /* Tiles of posts in many colours, nested, seen from far away: all parts of the picture have the colours of an exact picture,
    though each tile is drawn from few stored points. There are no points for directions of view of what is made of instances: they
    are too few for it, and all of a part of the picture would have the colour of some of them. */
@@ -2239,6 +2292,7 @@ int main(int argc, char **argv) {
     RUN(clouds);
     RUN(far_from_home);
     RUN(thirteen_decades);
+    RUN(draws_more_if_too_little);
     RUN(far_away_as_colourful);
     RUN(any_seed_as_colourful);
     RUN(oversampled);
