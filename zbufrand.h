@@ -4023,7 +4023,7 @@ typedef struct zbufrandi_deep_point { /* a stored point of a cluster, seen from 
    that hide the others. */
 static void zbufrandi_deep(const zbufrand_scene *scene, const zbufrandi_structure *s, double y,
                            zbufrandi_deep_point *out) {
-    const zbufrandi_node8 *n = &s->node[0];
+    const zbufrandi_node8 *n = s->node;
     double m[3][4];
     float lo[3], hi[3];
     const uint32_t *word;
@@ -4031,8 +4031,11 @@ static void zbufrandi_deep(const zbufrand_scene *scene, const zbufrandi_structur
     size_t at;
     int moved = 0;
     zbufrandi_m34_identity(m);
+    memset(out, 0, sizeof *out);
+    out->normal[2] = out->shading[2] = 1.0f;
     for (;;) {
         double sum = 0.0, before = 0.0, area;
+        if (s->node_count == 0 || n->count == 0) return; /* edits may leave nothing; then no area leads here */
         for (i = 0; i < n->count; i++) sum += (double)n->area[i];
         y *= sum;
         for (i = 0; i + 1 < n->count && before + (double)n->area[i] <= y; i++) before += (double)n->area[i];
@@ -4046,7 +4049,7 @@ static void zbufrandi_deep(const zbufrand_scene *scene, const zbufrandi_structur
             const zbufrandi_instance *it = &s->instance[ZBUFRANDI_CHILD_INDEX(child)];
             zbufrandi_m34_mul(ZBUFRANDI_M34(m), ZBUFRANDI_M34(it->to_parent), m);
             s = &scene->structure[it->structure];
-            n = &s->node[0];
+            n = s->node;
             moved = 1;
         } else {
             n = &s->node[ZBUFRANDI_CHILD_INDEX(child)];
