@@ -13950,6 +13950,9 @@ TETCAST_DEF tetcast_result tetcast_resample(const tetcast_resample_desc *desc, c
 
 typedef struct tetcasti_mean_part { double p[4][3], s[4]; } tetcasti_mean_part;
 
+/* A piece is cut at most at six sides of the slab and 20 times in halves along each axis; five more then wait. */
+#define TETCASTI_MEAN_TODO (5u * 66u + 1u)
+
 typedef struct tetcasti_meaner {
     tetcasti_resample bins;   /* cells of each slab of layers */
     tetcasti_mem *mem;
@@ -13962,6 +13965,7 @@ typedef struct tetcasti_mean_slab {
     double (*sum)[2];         /* volume, integral; the first box of the slab first */
     const tetcast_means *out;
     size_t first;             /* its number in `out` */
+    tetcasti_mean_part *todo; /* pieces to be cut, the next one last; not on the stack, which may be small */
 } tetcasti_mean_slab;
 
 static void tetcasti_mean_add(tetcasti_mean_slab *m, const tetcasti_mean_part *t, const int32_t at[3]) {
@@ -13994,13 +13998,11 @@ static void tetcasti_mean_add(tetcasti_mean_slab *m, const tetcasti_mean_part *t
     }
 }
 
-static void tetcasti_mean_piece(tetcasti_mean_slab *m, const tetcasti_mean_part *t);
-
-/* Both sides of the plane axis = at: up to six pieces. */
-static void tetcasti_mean_split(tetcasti_mean_slab *m, const tetcasti_mean_part *t, uint32_t axis, double at) {
-    uint32_t side[2][4] = {{0, 0, 0, 0}, {0, 0, 0, 0}}, n[2] = {0, 0}, i, j, k, a, which;
+/* Both sides of the plane axis = at, which lies between corners: four or six pieces, the first one last. New corners
+   stay between the two they come from, so pieces are never larger than what they are cut from. */
+static uint32_t tetcasti_mean_split(const tetcasti_mean_part *t, uint32_t axis, double at, tetcasti_mean_part *out) {
+    uint32_t side[2][4] = {{0, 0, 0, 0}, {0, 0, 0, 0}}, n[2] = {0, 0}, i, j, k, a, which, total, left;
     double c[4][4]; /* points on the plane and their values */
-    tetcasti_mean_part q;
     for (i = 0; i < 4; i++) {
         const uint32_t above = t->p[i][axis] > at;
         side[above][n[above]++] = i;
@@ -14010,21 +14012,26 @@ static void tetcasti_mean_split(tetcasti_mean_slab *m, const tetcasti_mean_part 
             const uint32_t b = side[0][i], e = side[1][j];
             const double x = (at - t->p[b][axis]) / (t->p[e][axis] - t->p[b][axis]);
             k = i * n[1] + j;
-            for (a = 0; a < 3; a++) c[k][a] = a == axis ? at : t->p[b][a] + (t->p[e][a] - t->p[b][a]) * x;
+            for (a = 0; a < 3; a++) {
+                const double u = t->p[b][a], v = t->p[e][a];
+                c[k][a] = a == axis ? at :
+                    tetcasti_min(tetcasti_max(u + (v - u) * x, tetcasti_min(u, v)), tetcasti_max(u, v));
+            }
             c[k][3] = t->s[b] + (t->s[e] - t->s[b]) * x;
         }
+    left = total = (n[0] == 1 ? 1u : 3u) + (n[1] == 1 ? 1u : 3u);
     for (which = 0; which < 2; which++) {
         const uint32_t count = n[which];
         const double *one[3], *two[3]; /* a prism between two triangles, value last */
         double from[3][4];
         if (count == 1) { /* a corner */
-            q = *t;
+            tetcasti_mean_part *q = &out[--left];
+            *q = *t;
             for (k = 0; k < 3; k++) {
                 const uint32_t v = side[1 - which][k];
-                memcpy(q.p[v], c[k], sizeof q.p[v]);
-                q.s[v] = c[k][3];
+                memcpy(q->p[v], c[k], sizeof q->p[v]);
+                q->s[v] = c[k][3];
             }
-            tetcasti_mean_piece(m, &q);
             continue;
         }
         for (k = 0; k < 3; k++) {
@@ -14046,18 +14053,19 @@ static void tetcasti_mean_split(tetcasti_mean_slab *m, const tetcasti_mean_part 
             }
         }
         for (j = 0; j < 3; j++) {
+            tetcasti_mean_part *q = &out[--left];
             for (k = 0; k < 4; k++) {
                 const double *v = k <= j ? one[k] : two[k - 1];
-                memcpy(q.p[k], v, sizeof q.p[k]);
-                q.s[k] = v[3];
+                memcpy(q->p[k], v, sizeof q->p[k]);
+                q->s[k] = v[3];
             }
-            tetcasti_mean_piece(m, &q);
         }
     }
+    return total;
 }
 
-/* At most as deep as the boxes can be halved: three times 20, and six sides. */
-static void tetcasti_mean_piece(tetcasti_mean_slab *m, const tetcasti_mean_part *t) {
+/* Add a piece that lies in one box (or leave out one that lies in none), and return 0; or say where to cut it. */
+static int tetcasti_mean_where(tetcasti_mean_slab *m, const tetcasti_mean_part *t, uint32_t *cut, double *place) {
     int32_t at[3] = {0, 0, 0}, most_span = 0;
     uint32_t a, axis = 3;
     double where = 0.0;
@@ -14065,14 +14073,15 @@ static void tetcasti_mean_piece(tetcasti_mean_slab *m, const tetcasti_mean_part 
         const double lo = tetcasti_min(tetcasti_min(t->p[0][a], t->p[1][a]), tetcasti_min(t->p[2][a], t->p[3][a]));
         const double hi = tetcasti_max(tetcasti_max(t->p[0][a], t->p[1][a]), tetcasti_max(t->p[2][a], t->p[3][a]));
         int32_t first, end;
-        if (hi <= (double)m->lo[a] || lo >= (double)m->hi[a]) return;
+        if (hi <= (double)m->lo[a] || lo >= (double)m->hi[a]) return 0;
         first = lo > (double)m->lo[a] ? (int32_t)lo : m->lo[a];
         end = hi < (double)m->hi[a] ? (int32_t)hi + ((double)(int32_t)hi < hi) : m->hi[a];
         if (end <= first) end = first + 1;
         at[a] = first;
         if (lo < (double)m->lo[a] || hi > (double)m->hi[a]) { /* what lies beyond goes first */
-            tetcasti_mean_split(m, t, a, lo < (double)m->lo[a] ? (double)m->lo[a] : (double)m->hi[a]);
-            return;
+            *cut = a;
+            *place = lo < (double)m->lo[a] ? (double)m->lo[a] : (double)m->hi[a];
+            return 1;
         }
         if (end - first > 1 && end - first > most_span) {
             most_span = end - first;
@@ -14080,8 +14089,23 @@ static void tetcasti_mean_piece(tetcasti_mean_slab *m, const tetcasti_mean_part 
             where = (double)(first + most_span / 2);
         }
     }
-    if (axis == 3) tetcasti_mean_add(m, t, at);
-    else tetcasti_mean_split(m, t, axis, where);
+    if (axis == 3) {
+        tetcasti_mean_add(m, t, at);
+        return 0;
+    }
+    *cut = axis;
+    *place = where;
+    return 1;
+}
+
+/* The piece at the beginning of m->todo, and what it is cut into. */
+static void tetcasti_mean_cell(tetcasti_mean_slab *m) {
+    uint32_t left = 1, axis = 0;
+    double at = 0.0;
+    while (left > 0) {
+        const tetcasti_mean_part t = m->todo[--left];
+        if (tetcasti_mean_where(m, &t, &axis, &at)) left += tetcasti_mean_split(&t, axis, at, &m->todo[left]);
+    }
 }
 
 static void tetcasti_task_mean(void *ctx, uint32_t slab) {
@@ -14100,7 +14124,10 @@ static void tetcasti_task_mean(void *ctx, uint32_t slab) {
     m.first = layer * (size_t)m.lo[2];
     n = layer * (size_t)(m.hi[2] - m.lo[2]);
     m.sum = (double (*)[2])tetcasti_alloc_zero(g->mem, n, sizeof *m.sum);
-    if (m.sum == NULL) {
+    m.todo = (tetcasti_mean_part *)tetcasti_alloc_array(g->mem, TETCASTI_MEAN_TODO, sizeof *m.todo);
+    if (m.sum == NULL || m.todo == NULL) {
+        tetcasti_free(g->mem, m.sum);
+        tetcasti_free(g->mem, m.todo);
         tetcasti_atomic_store(&g->failed, 1u);
         return;
     }
@@ -14120,12 +14147,15 @@ static void tetcasti_task_mean(void *ctx, uint32_t slab) {
             for (a = 0; a < 3; a++) good &= tetcasti_finite(t.p[k][a]);
             good &= tetcasti_finite(t.s[k]);
         }
-        if (good) tetcasti_mean_piece(&m, &t);
+        if (!good) continue;
+        m.todo[0] = t;
+        tetcasti_mean_cell(&m);
     }
     for (i = 0; i < n; i++) {
         m.out->mean[m.first + i] = m.sum[i][0] > 0.0 ? (float)(m.sum[i][1] / m.sum[i][0]) : (float)NAN;
         if (m.out->share != NULL) m.out->share[m.first + i] = (float)m.sum[i][0];
     }
+    tetcasti_free(g->mem, m.todo);
     tetcasti_free(g->mem, m.sum);
 }
 
