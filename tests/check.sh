@@ -494,6 +494,10 @@ EXITS="
 0 tetcast_bricks slice @/ball.brk --normal 1,1,0 --out @/slice2.png --size 16x16
 1 tetcast_bricks slice @/garbage.brk --out @/bad.png
 2 tetcast_bricks slice --scene ball --out @/bad.png --normal 0,0,0
+2 tetcast_bricks resample --scene ball @/bad.brk --average
+2 tetcast_bricks resample --scene ball @/bad.brk --focus 0,0,0
+2 tetcast_bricks resample --scene ball @/bad.brk --longest 9 --average --focus 0,0,0 --radius 1
+2 tetcast_bricks render @/ball.brk --out @/bad.png --focus 0,0,0
 2 voxrt_convert
 2 voxrt_convert --scene nothing @/bad.vox
 2 voxrt_convert @/garbage.obj @/bad.vox --detail 3
@@ -570,6 +574,38 @@ exit_statuses() {
     ls "$d" | grep -F bad. && { echo "was written after an error"; bad=1; }
     return $bad
 }
+bricks_options() { # --average, --focus, --view of tetcast_bricks against what they have to be the same as, or differ from
+    local d=$OUT/obj/bricks b=build/tetcast_bricks i n bad=0
+    local r="resample --scene ball --detail 8 --longest 65 --quiet" s="--normal 0,0,1 --at 0,0,0 --size 32x32" p="--size 32x32 --quiet"
+    rm -rf "$d"; mkdir -p "$d"
+    $b $r "$d/all.brk" && $b $r "$d/wide.brk" --focus 0,0,0 --radius 1000 && $b $r "$d/near.brk" --focus 1,0,0 --radius 0.1 &&
+        $b $r "$d/mean1.brk" --average --threads 1 && $b $r "$d/mean3.brk" --average --threads 3 || return 1
+    cmp "$d/all.brk" "$d/wide.brk" || { echo "--focus: all that is near is not all"; bad=1; }
+    [ "$(wc -c < "$d/near.brk")" -lt "$(($(wc -c < "$d/all.brk") * 3 / 4))" ] || { echo "--focus: no fewer bricks"; bad=1; }
+    cmp "$d/mean1.brk" "$d/mean3.brk" || { echo "--average: threads"; bad=1; }
+    cmp -s "$d/mean1.brk" "$d/all.brk" && { echo "--average: the values at nodes"; bad=1; }
+    for i in scalar auto; do # a plane seen straight on: twice as far away at half the tangent is the same picture
+        $b slice "$d/all.brk" $s --view --eye 0,0,2 --fov 90 --isa $i --out "$d/2$i.png" &&
+            $b slice "$d/all.brk" $s --view --eye 0,0,4 --fov 53.13010235415598 --isa $i --out "$d/4$i.png" || return 1
+        cmp "$d/2$i.png" "$d/4$i.png" || { echo "--view, $i: distance and angle"; bad=1; }
+    done
+    cmp "$d/2scalar.png" "$d/2auto.png" || { echo "--view: instructions"; bad=1; }
+    $b slice "$d/all.brk" $s --view --eye 0,0,3 --fov 90 --out "$d/3.png" || return 1
+    cmp -s "$d/2auto.png" "$d/3.png" && { echo "--view: from farther away the same"; bad=1; }
+    $b render "$d/all.brk" $p --out "$d/r.png" && $b render "$d/all.brk" $p --focus 0,0,0 --radius 1000 --out "$d/rw.png" &&
+        $b render "$d/all.brk" $p --focus 9,9,9 --radius 0.1 --out "$d/rf.png" || return 1
+    cmp "$d/r.png" "$d/rw.png" || { echo "render --focus: all that is near is not all"; bad=1; }
+    cmp -s "$d/r.png" "$d/rf.png" && { echo "render --focus: from far away the same"; bad=1; }
+    have mpicc && have mpirun || return $bad # several frames by one process and by three
+    cmd mpicc -std=c99 -O1 -ffp-contract=off -I. -Iexamples -o "$d/mpi" examples/mpi/tetcast_mpi.c -lm -lpthread || return 1
+    for n in 1 3; do
+        OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1 timeout 60 mpirun --oversubscribe -n $n "$d/mpi" "$d/all.brk" "$d/n$n.png" 32x32 lossless 3 \
+            > "$d/mpi.out" 2>&1 || { cat "$d/mpi.out"; return 1; }
+    done
+    for i in "" -2 -3; do cmp "$d/n1$i.png" "$d/n3$i.png" || { echo "MPI, frame ${i#-}: processes"; bad=1; }; done
+    cmp -s "$d/n1.png" "$d/n1-2.png" && { echo "MPI: the second frame is the first"; bad=1; }
+    return $bad
+}
 fuzz_bounds() { # 10^8 points of surfaces below the bounds that decide how many samples there are
     cmd make --no-print-directory build/tests/test_zbufrand_select && TEST_FULL=1 cmd timeout 300 build/tests/test_zbufrand_select -v never_too_few
 }
@@ -626,6 +662,7 @@ group_programs() {
     solo "programs peers" make -j"$JOBS" B="$OUT/peers" PEER_CXXFLAGS="-std=c++17 -fsyntax-only -Wall -Wextra -Werror -march=native" peers
     solo "programs make all" make -j"$JOBS" all
     solo "programs exit statuses" exit_statuses
+    [ -f tetcast.h ] && item "programs bricks' options" bricks_options
     item "programs docs/programs.md says what --help says" help_same
     [ -f zbufrand.h ] && { item "programs 10^8 points" fuzz_bounds; item "programs stats keys" stats_keys; }
     [ -f voxrt.h ] && item "programs edits give finishes" edit_finishes
