@@ -22435,7 +22435,7 @@ VOXRTI_INLINE size_t voxrti_gi_block(const voxrt_columns *c, uint32_t x, uint32_
 VOXRTI_INLINE uint32_t voxrti_gi_way(const float n[3]) { /* n: unit length */
     int a, at = 0;
     for (a = 0; a < 3; a++) at = 3 * at + (n[a] > 0.38f) - (n[a] < -0.38f);
-    return 1u << (at < 0 ? 0 - at : at);
+    return 1u << ((uint32_t)(at < 0 ? -at : at) & 15u); /* 0 to 13 */
 }
 /* Lines at right angles to that of n. */
 VOXRTI_INLINE uint32_t voxrti_gi_across(const float n[3]) {

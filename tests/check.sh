@@ -395,6 +395,16 @@ symbols() { # NAME exported|static "ALLOWED" COMPILER FLAGS...
     fi
     rm -f "$o.o" "$o.su"; return $bad
 }
+# gcc 12 takes (double)(float)x for x where it turns two of them side by side into vectors: no place where that could be.
+roundings_kept() { # NAME
+    local d=$OUT/tu/$1/slp.$BASHPID rc
+    cmd gcc -std=c99 -O3 -ffp-contract=off -I. -fdump-tree-slp2="$d" -c -o /dev/null "$OUT/tu/$1/impl.c" || return 1
+    awk '/^;; Function/ { name = $3; delete short }
+        $2 == "=" && /= \(vector\([0-9]+\) float\) / { short[$1] = 1 }
+        $2 == "=" && /= \(vector\([0-9]+\) double\) / { from = $5; sub(/;$/, "", from); if (from in short) { print "lost in " name ": " $0; bad = 1 } }
+        END { exit bad }' "$d"
+    rc=$?; rm -f "$d"; return $rc
+}
 group_symbols() {
     local n P libm all
     for n in "${HEADERS[@]}"; do
@@ -406,6 +416,7 @@ group_symbols() {
         item "symbols $n STATIC" symbols $n static "$all" gcc -std=c99 -O0 -D${P}_STATIC
         item "symbols $n NO_STDIO" symbols $n exported "$ALLOW_LIBC $ALLOW_FORMAT $libm $ALLOW_THREADS" gcc -std=c99 -O0 -D${P}_NO_STDIO
         item "symbols $n NO_THREADS" symbols $n exported "$ALLOW_LIBC $ALLOW_FORMAT $ALLOW_STDIO $libm" gcc -std=c99 -O0 -D${P}_NO_THREADS
+        item "symbols $n roundings to float are kept" roundings_kept $n
         item "symbols $n NO_SIMD -O2" symbols $n exported "$all" gcc -std=c99 -O2 -D${P}_NO_SIMD
     done
 }

@@ -15,6 +15,12 @@
 
 #define SUP_VOLUME_SCENES "lattice|ball|ring|fins|bow"
 
+/* gcc 12 -O2 leaves out a rounding to float and back of two doubles side by side: hence volatile. */
+SUP_FN double supi_float_of(double x) {
+    volatile float f = (float)x;
+    return (double)f;
+}
+
 /* Points of a grid from p(u, v, w) with u, v, w in 0..1, and a field from the place. */
 typedef void supi_place_fn(double u, double v, double w, double p[3]);
 typedef double supi_scalar_fn(const double p[3]);
@@ -37,7 +43,7 @@ SUP_FN int supi_volume_grid(sup_volume *out, uint32_t nx, uint32_t ny, uint32_t 
                 double *p = out->points + 3 * n;
                 size_t c;
                 place((double)i / (double)(nx - 1), (double)j / (double)(ny - 1), (double)k / (double)(nz - 1), p);
-                for (c = 0; c < 3; c++) p[c] = (double)(float)p[c];
+                for (c = 0; c < 3; c++) p[c] = supi_float_of(p[c]);
                 values[n] = (float)scalar(p);
             }
     return 0;
@@ -149,9 +155,9 @@ SUP_FN int supi_volume_fins(sup_volume *out, uint32_t n) {
                 for (i = 0; i < m; i++, at++) {
                     const double x = 2.0 * (double)i / (double)n - 1.0, y = 2.0 * (double)j / (double)n - 1.0;
                     double *p = out->points + 3 * at;
-                    p[0] = (double)(float)x;
-                    p[1] = (double)(float)y;
-                    p[2] = (double)(float)(2.0 * ((double)plate + 0.45 * (double)k) / PLATES - 1.0 +
+                    p[0] = supi_float_of(x);
+                    p[1] = supi_float_of(y);
+                    p[2] = supi_float_of(2.0 * ((double)plate + 0.45 * (double)k) / PLATES - 1.0 +
                                            0.06 * x * x + 0.05 * sin(3.0 * y));
                     values[at] = (float)exp(-3.0 * (x * x + y * y) - 0.5 * (p[2] + 0.4) * (p[2] + 0.4));
                 }
