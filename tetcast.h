@@ -13951,7 +13951,7 @@ TETCAST_DEF tetcast_result tetcast_resample(const tetcast_resample_desc *desc, c
 typedef struct tetcasti_mean_part { double p[4][3], s[4]; } tetcasti_mean_part;
 
 /* A piece is cut at most at six sides of the slab and 20 times in halves along each axis; five more then wait. */
-#define TETCASTI_MEAN_TODO (5u * 66u + 1u)
+#define TETCASTI_MEAN_WAITING (5u * 66u + 1u)
 
 typedef struct tetcasti_meaner {
     tetcasti_resample bins;   /* cells of each slab of layers */
@@ -13965,7 +13965,7 @@ typedef struct tetcasti_mean_slab {
     double (*sum)[2];         /* volume, integral; the first box of the slab first */
     const tetcast_means *out;
     size_t first;             /* its number in `out` */
-    tetcasti_mean_part *todo; /* pieces to be cut, the next one last; not on the stack, which may be small */
+    tetcasti_mean_part *waiting; /* pieces to be cut, the next one last; not on the stack, which may be small */
 } tetcasti_mean_slab;
 
 static void tetcasti_mean_add(tetcasti_mean_slab *m, const tetcasti_mean_part *t, const int32_t at[3]) {
@@ -14098,13 +14098,13 @@ static int tetcasti_mean_where(tetcasti_mean_slab *m, const tetcasti_mean_part *
     return 1;
 }
 
-/* The piece at the beginning of m->todo, and what it is cut into. */
+/* The piece at the beginning of m->waiting, and what it is cut into. */
 static void tetcasti_mean_cell(tetcasti_mean_slab *m) {
     uint32_t left = 1, axis = 0;
     double at = 0.0;
     while (left > 0) {
-        const tetcasti_mean_part t = m->todo[--left];
-        if (tetcasti_mean_where(m, &t, &axis, &at)) left += tetcasti_mean_split(&t, axis, at, &m->todo[left]);
+        const tetcasti_mean_part t = m->waiting[--left];
+        if (tetcasti_mean_where(m, &t, &axis, &at)) left += tetcasti_mean_split(&t, axis, at, &m->waiting[left]);
     }
 }
 
@@ -14124,10 +14124,10 @@ static void tetcasti_task_mean(void *ctx, uint32_t slab) {
     m.first = layer * (size_t)m.lo[2];
     n = layer * (size_t)(m.hi[2] - m.lo[2]);
     m.sum = (double (*)[2])tetcasti_alloc_zero(g->mem, n, sizeof *m.sum);
-    m.todo = (tetcasti_mean_part *)tetcasti_alloc_array(g->mem, TETCASTI_MEAN_TODO, sizeof *m.todo);
-    if (m.sum == NULL || m.todo == NULL) {
+    m.waiting = (tetcasti_mean_part *)tetcasti_alloc_array(g->mem, TETCASTI_MEAN_WAITING, sizeof *m.waiting);
+    if (m.sum == NULL || m.waiting == NULL) {
         tetcasti_free(g->mem, m.sum);
-        tetcasti_free(g->mem, m.todo);
+        tetcasti_free(g->mem, m.waiting);
         tetcasti_atomic_store(&g->failed, 1u);
         return;
     }
@@ -14148,14 +14148,14 @@ static void tetcasti_task_mean(void *ctx, uint32_t slab) {
             good &= tetcasti_finite(t.s[k]);
         }
         if (!good) continue;
-        m.todo[0] = t;
+        m.waiting[0] = t;
         tetcasti_mean_cell(&m);
     }
     for (i = 0; i < n; i++) {
         m.out->mean[m.first + i] = m.sum[i][0] > 0.0 ? (float)(m.sum[i][1] / m.sum[i][0]) : (float)NAN;
         if (m.out->share != NULL) m.out->share[m.first + i] = (float)m.sum[i][0];
     }
-    tetcasti_free(g->mem, m.todo);
+    tetcasti_free(g->mem, m.waiting);
     tetcasti_free(g->mem, m.sum);
 }
 

@@ -979,6 +979,15 @@ TEST(feet_of_walls_let_nothing_through) { /* wherever floor and wall lie in thei
             }
 }
 
+/* One model that does not move, in 128 x 128 x 128 cells of 1. */
+static voxrt_gi *alone(const model *m) {
+    voxrt_gi *gi = make_gi(128, 128, 128, 64);
+    const voxrt_gi_object o = object_of(m, 1);
+    CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
+    CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
+    return gi;
+}
+
 TEST(feet_end_where_walls_end) { /* a wall that ends at z = 0 hides half as much there as an endless one; a sheet on the floor hides nothing */
     static model m;
     static float position[64][3], normal[64][3], albedo[64][3], open[64][3];
@@ -992,10 +1001,9 @@ TEST(feet_end_where_walls_end) { /* a wall that ends at z = 0 hides half as much
             const double s[4][3] = {{wall_x, sheet_y, 500}, {500, sheet_y, 500}, {500, sheet_y, -500}, {wall_x, sheet_y, -500}};
             const double e[4][3] = {{wall_x, floor_y, -500}, {wall_x, floor_y, 500}, {wall_x, sheet_y, 500}, {wall_x, sheet_y, -500}};
             double sum[2] = {0, 0};
-            voxrt_gi *gi = make_gi(128, 128, 128, 64);
+            voxrt_gi *gi;
             voxrt_gbuffer g;
             voxrt_gi_render_desc d;
-            voxrt_gi_object o;
             m.points = m.triangles = 0;
             quad(&m, f[0], f[1], f[2], f[3], 255);
             if (what == 0) quad(&m, w[0], w[1], w[2], w[3], 255);
@@ -1003,9 +1011,7 @@ TEST(feet_end_where_walls_end) { /* a wall that ends at z = 0 hides half as much
                 quad(&m, s[0], s[1], s[2], s[3], 255);
                 quad(&m, e[0], e[1], e[2], e[3], 255);
             }
-            o = object_of(&m, 1);
-            CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
-            CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
+            gi = alone(&m);
             memset(&d, 0, sizeof d);
             g = gbuffer_of(64, 1, position, normal, albedo);
             for (i = 0; i < 64; i++) {
@@ -1029,10 +1035,9 @@ TEST(feet_end_where_walls_end) { /* a wall that ends at z = 0 hides half as much
 TEST(openness_is_a_form_factor) { /* a wall of height h at distance a hides 1/2 (1 - a / sqrt(a^2 + h^2)) */
     static model m;
     static float position[16][3], normal[16][3], albedo[16][3], open[16][3];
-    voxrt_gi *gi = make_gi(128, 128, 128, 64);
+    voxrt_gi *gi;
     voxrt_gbuffer g;
     voxrt_gi_render_desc d;
-    voxrt_gi_object o;
     uint32_t i;
     const double floor_y = -20.2, wall_x = 10.4, h = 25.0;
     const double f[4][3] = {{-500, floor_y, 500}, {500, floor_y, 500}, {500, floor_y, -500}, {-500, floor_y, -500}};
@@ -1040,9 +1045,7 @@ TEST(openness_is_a_form_factor) { /* a wall of height h at distance a hides 1/2 
     m.points = m.triangles = 0;
     quad(&m, f[0], f[1], f[2], f[3], 255);
     quad(&m, w[0], w[1], w[2], w[3], 255);
-    o = object_of(&m, 1);
-    CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
-    CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
+    gi = alone(&m);
     memset(&d, 0, sizeof d);
     g = gbuffer_of(16, 1, position, normal, albedo);
     for (i = 0; i < 16; i++) {
