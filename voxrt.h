@@ -18037,110 +18037,134 @@ typedef struct voxrti_page_up {
     voxrti_sum sum[64];
 } voxrti_page_up;
 
-/* Make a page and the cells above it. The levels of detail are made by the functions for trees, of a tree of two levels
-   whose root may be several nodes. */
+/* A page in work, with a tree of its two levels that the functions for levels of detail know; the root of it may be
+   several nodes. Cells stand as in a page: leaf cells, their octants, level 2, its octants; then those above. */
+typedef struct voxrti_page_work {
+    voxrti_lod *lod;
+    voxrti_node *node;
+    uint64_t *mask1;            /* of the nodes of level 1 */
+    voxrti_sum *below;          /* of level 2 */
+    uint32_t *rgb;
+    uint16_t *normal;
+    uint8_t *spread;
+    uint32_t n1, o2, count;     /* nodes of level 1; octants of level 2; cells of the page */
+} voxrti_page_work;
+
+static int voxrti_page_open(voxrti_mem *mem, const voxrti_page_source *s, voxrti_page_work *w) { /* 0: no memory */
+    uint32_t i;
+    memset(w, 0, sizeof *w);
+    w->lod = (voxrti_lod *)voxrti_alloc_zero(mem, 1, sizeof *w->lod);
+    w->node = (voxrti_node *)voxrti_alloc_zero(mem, 64, sizeof *w->node);
+    w->mask1 = (uint64_t *)voxrti_alloc_zero(mem, 64, sizeof *w->mask1);
+    w->below = (voxrti_sum *)voxrti_alloc_array(mem, s->n2, sizeof *w->below);
+    if (w->lod == NULL || w->node == NULL || w->mask1 == NULL || w->below == NULL) return 0;
+    w->count = s->cells + s->n2;
+    for (i = 0; i < s->n2; i++) {
+        w->n1 += i == 0 || s->code[i] >> 6 != s->code[i - 1] >> 6;
+        w->mask1[w->n1 - 1] |= (uint64_t)1 << (s->code[i] & 63u);
+        w->o2 += voxrti_popcount64(voxrti_octants(s->mask[i]));
+    }
+    w->count += w->o2;
+    for (i = 0; i < w->n1; i++) {
+        w->node[i].mask = w->mask1[i];
+        w->count += voxrti_popcount64(voxrti_octants(w->mask1[i]));
+    }
+    if (s->rgb != NULL) {
+        w->rgb = (uint32_t *)voxrti_alloc_array(mem, (size_t)w->count + w->n1, sizeof *w->rgb);
+        if (w->rgb == NULL) return 0;
+        memcpy(w->rgb, s->rgb, (size_t)s->cells * sizeof *w->rgb);
+    }
+    if (s->normal != NULL) {
+        w->normal = (uint16_t *)voxrti_alloc_array(mem, (size_t)w->count + w->n1, sizeof *w->normal);
+        if (w->normal == NULL) return 0;
+        memcpy(w->normal, s->normal, (size_t)s->cells * sizeof *w->normal);
+    }
+    if ((s->flags & VOXRTI_V5_HAS_SPREAD) != 0) {
+        w->spread = (uint8_t *)voxrti_alloc_zero(mem, (size_t)w->count + w->n1, 1);
+        if (w->spread == NULL) return 0;
+        if (s->spread != NULL) memcpy(w->spread, s->spread, s->cells);
+    }
+    return 1;
+}
+
+/* Level 2, level 1 and the cells above: attributes of each are means over what is below. */
+static void voxrti_page_levels(const voxrti_page_source *s, voxrti_page_work *w, voxrti_page_up *up) {
+    voxrti_lod *l = w->lod;
+    voxrt_tree t;
+    uint64_t cell = 0, oct;
+    uint32_t i;
+    memset(&t, 0, sizeof t);
+    t.wide = 2;
+    t.node = w->node;
+    memcpy(&t.leaf, &s->mask, sizeof t.leaf); /* only read */
+    t.normal = w->normal;
+    t.spread = w->spread;
+    t.attr_first[3] = s->cells;
+    t.attr_first[2] = (uint64_t)s->cells + w->o2;
+    t.attr_first[1] = t.attr_first[2] + s->n2;
+    t.attr_first[0] = w->count;
+    l->t = &t;
+    l->method = VOXRT_LOD_MEAN;
+    l->value = w->rgb;
+    l->finishes = (s->flags & VOXRTI_V5_HAS_FINISHES) != 0;
+    l->leaves = s->sum;
+    voxrti_srgb_table(l->srgb);
+    l->w = 1;
+    l->sums = w->below;
+    for (i = 0, oct = t.attr_first[3]; i < s->n2; i++) {
+        voxrti_lod_node(l, i, cell, oct);
+        cell += voxrti_popcount64(s->mask[i]);
+        oct += voxrti_popcount64(voxrti_octants(s->mask[i]));
+        up->mask |= (uint64_t)1 << (s->code[i] >> 6 & 63u);
+    }
+    l->w = 0;
+    l->children = w->below;
+    l->leaves = NULL;
+    l->sums = up->sum;
+    for (i = 0, cell = t.attr_first[2], oct = t.attr_first[1]; i < w->n1; i++) {
+        voxrti_lod_node(l, i, cell, oct);
+        cell += voxrti_popcount64(w->mask1[i]);
+        oct += voxrti_popcount64(voxrti_octants(w->mask1[i]));
+    }
+    l->t = NULL;
+    up->code = s->code[0] >> 12;
+    up->n1 = w->n1;
+    up->n2 = s->n2;
+    if (w->rgb != NULL) memcpy(up->rgb, w->rgb + w->count, w->n1 * sizeof *w->rgb);
+    if (w->normal != NULL) memcpy(up->normal, w->normal + w->count, w->n1 * sizeof *w->normal);
+    if (w->spread != NULL) memcpy(up->spread, w->spread + w->count, w->n1);
+}
+
+/* Make a page and the cells above it. */
 static voxrt_result voxrti_page_make(voxrti_mem *mem, const voxrti_page_source *s, voxrti_bytes *out,
                                      voxrti_page_up *up) {
-    voxrti_page_cells c;
-    voxrt_tree t;
-    voxrti_lod *l;
-    voxrti_node *node;
-    uint64_t *mask1;
-    voxrti_sum *below = NULL;
-    uint32_t *rgb = NULL, i, o2 = 0, o1 = 0, n1 = 0, ok;
-    uint16_t *normal = NULL;
-    uint8_t *spread = NULL;
     voxrt_result r = VOXRT_ERR_NO_MEMORY;
-    memset(&t, 0, sizeof t);
-    memset(&c, 0, sizeof c);
+    voxrti_page_work w;
     memset(up, 0, sizeof *up);
-    l = (voxrti_lod *)voxrti_alloc_zero(mem, 1, sizeof *l);
-    node = (voxrti_node *)voxrti_alloc_zero(mem, 64, sizeof *node);
-    mask1 = (uint64_t *)voxrti_alloc_zero(mem, 64, sizeof *mask1);
-    below = (voxrti_sum *)voxrti_alloc_array(mem, s->n2, sizeof *below);
-    ok = l != NULL && node != NULL && mask1 != NULL && below != NULL;
-    for (i = 0; ok && i < s->n2; i++) {
-        n1 += i == 0 || s->code[i] >> 6 != s->code[i - 1] >> 6;
-        mask1[n1 - 1] |= (uint64_t)1 << (s->code[i] & 63u);
-        node[n1 - 1].mask = mask1[n1 - 1];
-        up->mask |= (uint64_t)1 << (s->code[i] >> 6 & 63u);
-        o2 += voxrti_popcount64(voxrti_octants(s->mask[i]));
-    }
-    for (i = 0; ok && i < n1; i++) o1 += voxrti_popcount64(voxrti_octants(mask1[i]));
-    c.count = s->cells + o2 + s->n2 + o1;
-    if (ok && s->rgb != NULL) {
-        rgb = (uint32_t *)voxrti_alloc_array(mem, (size_t)c.count + n1, sizeof *rgb);
-        ok = rgb != NULL;
-        if (ok) memcpy(rgb, s->rgb, (size_t)s->cells * sizeof *rgb);
-    }
-    if (ok && s->normal != NULL) {
-        normal = (uint16_t *)voxrti_alloc_array(mem, (size_t)c.count + n1, sizeof *normal);
-        ok = normal != NULL;
-        if (ok) memcpy(normal, s->normal, (size_t)s->cells * sizeof *normal);
-    }
-    if (ok && (s->flags & VOXRTI_V5_HAS_SPREAD) != 0) {
-        spread = (uint8_t *)voxrti_alloc_zero(mem, (size_t)c.count + n1, 1);
-        ok = spread != NULL;
-        if (ok && s->spread != NULL) memcpy(spread, s->spread, s->cells);
-    }
-    if (ok) {
-        uint64_t cell = 0, oct;
-        t.wide = 2;
-        t.node = node;
-        memcpy(&t.leaf, &s->mask, sizeof t.leaf); /* only read */
-        t.normal = normal;
-        t.spread = spread;
-        t.attr_first[3] = s->cells;
-        t.attr_first[2] = (uint64_t)s->cells + o2;
-        t.attr_first[1] = t.attr_first[2] + s->n2;
-        t.attr_first[0] = c.count;
-        l->t = &t;
-        l->method = VOXRT_LOD_MEAN;
-        l->value = rgb;
-        l->finishes = (s->flags & VOXRTI_V5_HAS_FINISHES) != 0;
-        l->leaves = s->sum;
-        voxrti_srgb_table(l->srgb);
-        l->w = 1;
-        l->sums = below;
-        for (i = 0, oct = t.attr_first[3]; i < s->n2; i++) {
-            voxrti_lod_node(l, i, cell, oct);
-            cell += voxrti_popcount64(s->mask[i]);
-            oct += voxrti_popcount64(voxrti_octants(s->mask[i]));
-        }
-        l->w = 0;
-        l->children = below;
-        l->leaves = NULL;
-        l->sums = up->sum;
-        for (i = 0, cell = t.attr_first[2], oct = t.attr_first[1]; i < n1; i++) {
-            voxrti_lod_node(l, i, cell, oct);
-            cell += voxrti_popcount64(mask1[i]);
-            oct += voxrti_popcount64(voxrti_octants(mask1[i]));
-        }
-        up->code = s->code[0] >> 12;
-        up->n1 = n1;
-        up->n2 = s->n2;
-        if (rgb != NULL) memcpy(up->rgb, rgb + c.count, n1 * sizeof *rgb);
-        if (normal != NULL) memcpy(up->normal, normal + c.count, n1 * sizeof *normal);
-        if (spread != NULL) memcpy(up->spread, spread + c.count, n1);
-        c.mask1 = mask1;
+    if (voxrti_page_open(mem, s, &w)) {
+        voxrti_page_cells c;
+        voxrti_page_levels(s, &w, up);
+        memset(&c, 0, sizeof c);
+        c.count = w.count;
+        c.mask1 = w.mask1;
         c.mask2 = s->mask;
-        c.rgb = rgb;
-        c.normal = normal;
+        c.rgb = w.rgb;
+        c.normal = w.normal;
         c.plane = s->plane;
-        c.n1 = n1;
+        c.n1 = w.n1;
         c.n2 = s->n2;
         c.voxels = s->sum == NULL ? s->cells : 0;
-        c.spread = spread != NULL ? spread + c.voxels : NULL;
-        c.finishes = l->finishes;
+        c.spread = w.spread != NULL ? w.spread + c.voxels : NULL;
+        c.finishes = w.lod->finishes;
         r = voxrti_page_encode(&c, out);
     }
-    voxrti_free(mem, l);
-    voxrti_free(mem, node);
-    voxrti_free(mem, mask1);
-    voxrti_free(mem, below);
-    voxrti_free(mem, rgb);
-    voxrti_free(mem, normal);
-    voxrti_free(mem, spread);
+    voxrti_free(mem, w.lod);
+    voxrti_free(mem, w.node);
+    voxrti_free(mem, w.mask1);
+    voxrti_free(mem, w.below);
+    voxrti_free(mem, w.rgb);
+    voxrti_free(mem, w.normal);
+    voxrti_free(mem, w.spread);
     return r;
 }
 
