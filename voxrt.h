@@ -20254,6 +20254,18 @@ VOXRTI_INLINE void voxrti_insert_run(const voxrti_insert *in, uint32_t x, uint32
     if (!in->still) voxrti_insert_or(in, &c->moving[map], 1u << (x & 31u));
 }
 
+/* The same of cells that may well have been set in the same way: then nothing changes. */
+VOXRTI_INLINE void voxrti_insert_new(const voxrti_insert *in, uint32_t x, uint32_t y, uint32_t k0, uint32_t k1) {
+    const voxrt_columns *c = in->columns;
+    if (k0 >> 5 == k1 >> 5 && in->splat == NULL) {
+        const size_t at = voxrti_column(c, 0, x, y) + (k0 >> 5);
+        const uint32_t mask = 0xffffffffu << (k0 & 31u) & 0xffffffffu >> (31 - (k1 & 31u));
+        uint32_t *word = in->own != NULL ? &in->own[at] : in->still ? &c->still[at] : &c->bits[at];
+        if ((voxrti_load_shared(word) & mask) == mask) return;
+    }
+    voxrti_insert_run(in, x, y, k0, k1);
+}
+
 /* Toggle cells k .. of a column, and whether it has an odd number of crossings. */
 VOXRTI_INLINE void voxrti_insert_flip(const voxrti_insert *in, uint32_t x, uint32_t y, uint32_t k) {
     const voxrt_columns *c = in->columns;
@@ -20293,60 +20305,90 @@ static void voxrti_insert_behind(const voxrti_insert *in, uint32_t a, int32_t i,
     }
 }
 
-/* Lines along grid axis a through the centres of the cells that triangle p (in 1/256 of a cell) meets. A centre exactly
-   on an edge belongs to one of the two triangles that share it: as if it lay a little to the left of it, and a little
-   less above. Rows go along v and their runs along u. flip: toggle what lies above instead of setting the cell. */
-static void voxrti_insert_lines(const voxrti_insert *in, const int32_t p[3][3], const int64_t normal[3], uint32_t a,
-                                int flip) {
-    const uint32_t u = a == 2 ? 0 : 2, v = a == 1 ? 0 : 1;
-    const int32_t *q[3];
-    const int32_t size_u = (int32_t)in->columns->size[u], size_v = (int32_t)in->columns->size[v];
-    const int32_t size_a = (int32_t)in->columns->size[a];
-    const double area = (double)normal[a];
-    double slope_u, slope_v, lo = 1e30, hi = -1e30;
-    int32_t j, j_end, v_min, v_max;
-    uint32_t e;
-    if (normal[a] == 0) return;
-    slope_u = -((double)normal[u] / area);
-    slope_v = -((double)normal[v] / area);
-    q[0] = p[0];
-    e = (uint32_t)((int64_t)(p[1][u] - p[0][u]) * (p[2][v] - p[0][v]) < (int64_t)(p[1][v] - p[0][v]) *
-                   (p[2][u] - p[0][u]));
-    q[1] = p[1 + e];
-    q[2] = p[2 - e];
-    v_min = v_max = p[0][v];
-    for (e = 0; e < 3; e++) {
-        v_min = p[e][v] < v_min ? p[e][v] : v_min;
-        v_max = p[e][v] > v_max ? p[e][v] : v_max;
-        lo = voxrti_min(lo, (double)p[e][a]);
-        hi = voxrti_max(hi, (double)p[e][a]);
+/* A triangle in 1/256 of a cell. */
+typedef struct voxrti_snapped {
+    int32_t p[3][3];
+    int32_t first[3], last[3];  /* cells along each axis, of the grid, whose centres lie between its corners */
+    int64_t normal[3];
+} voxrti_snapped;
+
+/* Ranges of cells. 0: no line through centres meets it. */
+VOXRTI_INLINE int voxrti_snapped_open(const voxrt_columns *c, voxrti_snapped *t) {
+    uint32_t a, some = 0;
+    for (a = 0; a < 3; a++) {
+        const int32_t x = t->p[0][a], y = t->p[1][a], z = t->p[2][a];
+        const int32_t lo = x < y ? x < z ? x : z : y < z ? y : z, hi = x > y ? x > z ? x : z : y > z ? y : z;
+        t->first[a] = voxrti_floor_256(lo + 127);
+        t->last[a] = voxrti_floor_256(hi - 128);
+        if (t->first[a] < 0) t->first[a] = 0;
+        if (t->last[a] > (int32_t)c->size[a] - 1) t->last[a] = (int32_t)c->size[a] - 1;
+        some += t->first[a] <= t->last[a];
     }
-    j = voxrti_floor_256(v_min + 127);
-    j = j > 0 ? j : 0;
-    j_end = voxrti_floor_256(v_max - 128);
-    j_end = j_end < size_v - 1 ? j_end : size_v - 1;
-    for (; j <= j_end; j++) {
+    return some >= 2;
+}
+
+static void voxrti_snapped_normal(voxrti_snapped *t) {
+    int64_t d[2][3];
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        d[0][a] = t->p[1][a] - t->p[0][a];
+        d[1][a] = t->p[2][a] - t->p[0][a];
+    }
+    for (a = 0; a < 3; a++) {
+        const uint32_t b = a == 2 ? 0 : a + 1, c = a == 0 ? 2 : a - 1;
+        t->normal[a] = d[0][b] * d[1][c] - d[0][c] * d[1][b];
+    }
+}
+
+/* Cells first .. last of the row at sv whose centres, along u, are within the triangle with corners q in order. */
+VOXRTI_INLINE void voxrti_insert_row(const int32_t *const q[3], uint32_t u, uint32_t v, int64_t sv, int64_t *first,
+                                     int64_t *last) {
+    uint32_t e;
+    for (e = 0; e < 3; e++) {
+        const int32_t *s = q[e], *t = q[e == 2 ? 0 : e + 1];
+        const int64_t du = t[u] - s[u], dv = t[v] - s[v];
+        const int64_t most = du * (sv - s[v]) - dv * (128 - s[u]) - (dv > 0 || (dv == 0 && du > 0) ? 0 : 1);
+        int64_t at;
+        if (*last - *first < 4) { /* most triangles are about as large as a cell: no divisions */
+            while (dv >= 0 && *first <= *last && 256 * dv * *last > most) --*last;
+            while (dv < 0 && *first <= *last && 256 * dv * *first > most) ++*first;
+        } else if (dv > 0) { /* 256 dv i <= most */
+            at = voxrti_floor_div(most, 256 * dv);
+            if (at < *last) *last = at;
+        } else if (dv < 0) {
+            at = 0 - voxrti_floor_div(most, -256 * dv);
+            if (at > *first) *first = at;
+        } else if (most < 0) {
+            *last = *first - 1;
+        }
+    }
+}
+
+/* Lines along grid axis a through the centres of the cells that a triangle meets. A centre exactly on an edge belongs
+   to one of the two triangles that share it: as if it lay a little to the left of it, and a little less above. Rows go
+   along v and their runs along u. flip: toggle what lies above instead of setting the cell. */
+static void voxrti_insert_lines(const voxrti_insert *in, const voxrti_snapped *t, uint32_t a, int flip) {
+    const uint32_t u = a == 2 ? 0 : 2, v = a == 1 ? 0 : 1, odd = (t->normal[a] < 0) != (a == 0);
+    const int32_t *const q[3] = {t->p[0], t->p[1 + odd], t->p[2 - odd]}; /* counter-clockwise, u to the right */
+    const int32_t size_a = (int32_t)in->columns->size[a];
+    double slope_u = 0, slope_v = 0, lo = 0, hi = 0;
+    int32_t j;
+    if (t->normal[a] == 0 || t->first[u] > t->last[u]) return;
+    for (j = t->first[v]; j <= t->last[v]; j++) {
         const int64_t sv = 256 * (int64_t)j + 128;
-        int64_t first = 0, last = size_u - 1;
+        int64_t first = t->first[u], last = t->last[u];
         int32_t i, cell = 0, run = -1;
         double base;
-        for (e = 0; e < 3; e++) {
-            const int32_t *s = q[e], *t = q[e == 2 ? 0 : e + 1];
-            const int64_t du = t[u] - s[u], dv = t[v] - s[v];
-            const int64_t most = du * (sv - s[v]) - dv * (128 - s[u]) - (dv > 0 || (dv == 0 && du > 0) ? 0 : 1);
-            int64_t at;
-            if (dv > 0) { /* 256 dv i <= most */
-                at = voxrti_floor_div(most, 256 * dv);
-                if (at < last) last = at;
-            } else if (dv < 0) {
-                at = 0 - voxrti_floor_div(most, -256 * dv);
-                if (at > first) first = at;
-            } else if (most < 0) {
-                last = -1;
-            }
-        }
+        voxrti_insert_row(q, u, v, sv, &first, &last);
         if (first > last) continue;
-        base = (double)p[0][a] + slope_v * (double)(sv - p[0][v]) + slope_u * (double)(128 - p[0][u]);
+        if (lo >= hi) { /* the first row */
+            const double area = (double)t->normal[a];
+            slope_u = -((double)t->normal[u] / area);
+            slope_v = -((double)t->normal[v] / area);
+            lo = voxrti_min((double)t->p[0][a], voxrti_min((double)t->p[1][a], (double)t->p[2][a]));
+            hi = voxrti_max((double)t->p[0][a], voxrti_max((double)t->p[1][a], (double)t->p[2][a]));
+        }
+        base = (double)t->p[0][a] + slope_v * (double)(sv - t->p[0][v]) + slope_u * (double)(128 - t->p[0][u]);
         for (i = (int32_t)first; i <= (int32_t)last; i++) {
             double at = base + slope_u * (double)(256 * i);
             int32_t k;
@@ -20358,17 +20400,17 @@ static void voxrti_insert_lines(const voxrti_insert *in, const int32_t p[3][3], 
                 continue;
             }
             if (in->inside != NULL) {
-                voxrti_insert_behind(in, a, i, j, at, normal[a] > 0);
+                voxrti_insert_behind(in, a, i, j, at, t->normal[a] > 0);
                 continue;
             }
             k = (int32_t)voxrti_floor(at * (1.0 / 256.0));
             if (a == 2) {
-                if (k >= 0 && k < size_a) voxrti_insert_run(in, (uint32_t)i, (uint32_t)j, (uint32_t)k, (uint32_t)k);
+                if (k >= 0 && k < size_a) voxrti_insert_new(in, (uint32_t)i, (uint32_t)j, (uint32_t)k, (uint32_t)k);
                 continue;
             }
             if (run >= 0 && k != cell) { /* runs of cells in one column */
                 if (cell >= 0 && cell < size_a)
-                    voxrti_insert_run(in, (uint32_t)(a == 0 ? cell : j), (uint32_t)(a == 0 ? j : cell), (uint32_t)run,
+                    voxrti_insert_new(in, (uint32_t)(a == 0 ? cell : j), (uint32_t)(a == 0 ? j : cell), (uint32_t)run,
                                       (uint32_t)(i - 1));
                 run = -1;
             }
@@ -20378,7 +20420,7 @@ static void voxrti_insert_lines(const voxrti_insert *in, const int32_t p[3][3], 
             }
         }
         if (run >= 0 && cell >= 0 && cell < size_a)
-            voxrti_insert_run(in, (uint32_t)(a == 0 ? cell : j), (uint32_t)(a == 0 ? j : cell), (uint32_t)run,
+            voxrti_insert_new(in, (uint32_t)(a == 0 ? cell : j), (uint32_t)(a == 0 ? j : cell), (uint32_t)run,
                               (uint32_t)last);
     }
 }
@@ -20404,74 +20446,376 @@ static uint32_t voxrti_cut_polygon(const double (*from)[3], uint32_t n, uint32_t
     return m;
 }
 
-#define VOXRTI_FAT_MARGIN 1e-6 /* of a cell: more than rounding can move a corner */
+/* ---- every cell that is touched ----
+   By separating axes, column by column: the box of a cell meets the triangle unless they are apart along an axis, along
+   the normal, or across an edge as seen along an axis. Each of these leaves of a column an interval of depths, or none,
+   so a column gets a run of cells (Schwarz & Seidel 2010 do this with one depth axis and one-sided edges; these are
+   two-sided, for triangles without area). Boxes are larger by a margin. */
 
-/* All cells that polygon p (n <= 9) meets: cut it into rows, these into columns, and take their depths. */
-static void voxrti_insert_fat(const voxrti_insert *in, const double (*p)[3], uint32_t n) {
-    const voxrt_columns *c = in->columns;
-    double row[12][3], part[12][3], cut[12][3];
-    int64_t lo[2], hi[2], i, j, k0, k1;
+#define VOXRTI_FAT_MARGIN 1e-6 /* of a cell: more than rounding can move a corner */
+#define VOXRTI_FAT_FLAT 1e-200 /* what is not steeper than this has no depth that bounds it */
+
+typedef struct voxrti_fat {
+    double p[3][3], e[3][3];    /* corners; edges from each to the next */
+    double n[3], slack;         /* normal, as long as twice the area; what rounding can do to n.x */
     double least[3], most[3];
-    uint32_t a, m, s, e;
+    double lo[2], hi[2];        /* columns */
+} voxrti_fat;
+
+static void voxrti_fat_open(const voxrt_columns *c, const double (*p)[3], voxrti_fat *f) {
+    double len[2], reach;
+    uint32_t a, k;
+    memcpy(f->p, p, sizeof f->p);
     for (a = 0; a < 3; a++) {
-        least[a] = most[a] = p[0][a];
-        for (e = 1; e < n; e++) {
-            least[a] = voxrti_min(least[a], p[e][a]);
-            most[a] = voxrti_max(most[a], p[e][a]);
-        }
+        for (k = 0; k < 3; k++) f->e[k][a] = p[k == 2 ? 0 : k + 1][a] - p[k][a];
+        f->least[a] = voxrti_min(p[0][a], voxrti_min(p[1][a], p[2][a]));
+        f->most[a] = voxrti_max(p[0][a], voxrti_max(p[1][a], p[2][a]));
     }
+    for (a = 0; a < 3; a++) {
+        const uint32_t u = a == 2 ? 0 : a + 1, v = a == 0 ? 2 : a - 1;
+        f->n[a] = f->e[0][u] * f->e[1][v] - f->e[0][v] * f->e[1][u];
+    }
+    for (k = 0; k < 2; k++) len[k] = voxrti_abs(f->e[k][0]) + voxrti_abs(f->e[k][1]) + voxrti_abs(f->e[k][2]);
+    reach = (f->most[0] - f->least[0]) + (f->most[1] - f->least[1]) + (f->most[2] - f->least[2]) + 6.0;
+    f->slack = 1e-14 * (len[0] * len[1]) * reach;
     for (a = 0; a < 2; a++) {
-        lo[a] = voxrti_floor(voxrti_max(least[a] - VOXRTI_FAT_MARGIN, 0.0));
-        hi[a] = voxrti_floor(voxrti_min(most[a] + VOXRTI_FAT_MARGIN, (double)c->size[a] - 0.5));
+        f->lo[a] = voxrti_floor(voxrti_max(f->least[a] - VOXRTI_FAT_MARGIN, 0.0));
+        f->hi[a] = voxrti_floor(voxrti_min(f->most[a] + VOXRTI_FAT_MARGIN, (double)c->size[a] - 0.5));
     }
-    for (j = lo[1]; j <= hi[1]; j++) {
-        s = voxrti_cut_polygon(p, n, 1, (double)j - VOXRTI_FAT_MARGIN, 1.0, cut);
-        s = voxrti_cut_polygon((const double (*)[3])cut, s, 1, (double)(j + 1) + VOXRTI_FAT_MARGIN, -1.0, row);
-        for (i = lo[0]; i <= hi[0] && s != 0; i++) {
-            const double (*q)[3] = (const double (*)[3])row;
-            m = s;
-            if (lo[0] != hi[0]) {
-                m = voxrti_cut_polygon(q, s, 0, (double)i - VOXRTI_FAT_MARGIN, 1.0, cut);
-                m = voxrti_cut_polygon((const double (*)[3])cut, m, 0, (double)(i + 1) + VOXRTI_FAT_MARGIN, -1.0, part);
-                q = (const double (*)[3])part;
-            }
-            if (m == 0) continue;
-            least[2] = most[2] = q[0][2];
-            for (e = 1; e < m; e++) {
-                least[2] = voxrti_min(least[2], q[e][2]);
-                most[2] = voxrti_max(most[2], q[e][2]);
-            }
-            k0 = voxrti_floor(voxrti_max(least[2] - VOXRTI_FAT_MARGIN, 0.0));
-            k1 = voxrti_floor(voxrti_min(most[2] + VOXRTI_FAT_MARGIN, (double)c->size[2] - 0.5));
-            if (k0 <= k1) voxrti_insert_run(in, (uint32_t)i, (uint32_t)j, (uint32_t)k0, (uint32_t)k1);
+}
+
+/* Range of b (x - at) for x in the cell `at` counts from, and a margin. */
+VOXRTI_INLINE void voxrti_fat_range(double b, double cell, double at, double *lo, double *hi) {
+    const double f0 = b * (cell - VOXRTI_FAT_MARGIN - at), f1 = b * (cell + (1.0 + VOXRTI_FAT_MARGIN) - at);
+    *lo = voxrti_min(f0, f1);
+    *hi = voxrti_max(f0, f1);
+}
+
+/* Depths that edges, as seen along the other axis, leave of cells [cell, cell + 1] of axis a. */
+static void voxrti_fat_side(const voxrti_fat *f, uint32_t a, double cell, double z[2]) {
+    uint32_t k;
+    z[0] = f->least[2];
+    z[1] = f->most[2];
+    for (k = 0; k < 3; k++) { /* lo <= b (x - px) + c (z - pz) <= hi on the triangle */
+        double b = a == 0 ? f->e[k][2] : -f->e[k][2], c = a == 0 ? -f->e[k][0] : f->e[k][1], d = f->n[1 - a];
+        double lo, hi, inv;
+        if (c < 0.0) {
+            b = -b;
+            c = -c;
+            d = -d;
+        }
+        if (!(c > VOXRTI_FAT_FLAT)) continue;
+        voxrti_fat_range(b, cell, f->p[k][a], &lo, &hi);
+        inv = 1.0 / c;
+        z[0] = voxrti_max(z[0], f->p[k][2] + (voxrti_min(0.0, d) - hi) * inv);
+        z[1] = voxrti_min(z[1], f->p[k][2] + (voxrti_max(0.0, d) - lo) * inv);
+    }
+}
+
+/* What edges, as seen along the depth, and the plane leave of column (i, j). 0: nothing. */
+static int voxrti_fat_column(const voxrti_fat *f, double i, double j, double z[2]) {
+    const double d = f->n[2], sign = d < 0.0 ? -1.0 : 1.0;
+    double x[2], y[2];
+    uint32_t k;
+    for (k = 0; k < 3; k++) {
+        voxrti_fat_range(-f->e[k][1], i, f->p[k][0], &x[0], &x[1]);
+        voxrti_fat_range(f->e[k][0], j, f->p[k][1], &y[0], &y[1]);
+        if (!(x[0] + y[0] <= voxrti_max(0.0, d) && x[1] + y[1] >= voxrti_min(0.0, d))) return 0;
+    }
+    if (!(d * sign > VOXRTI_FAT_FLAT)) return 1;
+    voxrti_fat_range(f->n[0] * sign, i, f->p[0][0], &x[0], &x[1]);
+    voxrti_fat_range(f->n[1] * sign, j, f->p[0][1], &y[0], &y[1]);
+    z[0] = voxrti_max(z[0], f->p[0][2] - (x[1] + y[1] + f->slack) * (1.0 / (d * sign)));
+    z[1] = voxrti_min(z[1], f->p[0][2] - (x[0] + y[0] - f->slack) * (1.0 / (d * sign)));
+    return 1;
+}
+
+static void voxrti_insert_fat(const voxrti_insert *in, const double (*p)[3]) {
+    const double deep = (double)in->columns->size[2] - 0.5;
+    double kept[8][2], more[2], i, j;
+    voxrti_fat f;
+    uint32_t k;
+    voxrti_fat_open(in->columns, p, &f);
+    for (j = f.lo[1]; j <= f.hi[1]; j++) {
+        double row[2];
+        voxrti_fat_side(&f, 1, j, row);
+        for (i = f.lo[0], k = 0; i <= f.hi[0]; i++, k++) {
+            double *side = k < 8 ? kept[k] : more, z[2];
+            if (k >= 8 || j == f.lo[1]) voxrti_fat_side(&f, 0, i, side);
+            z[0] = voxrti_max(side[0], row[0]);
+            z[1] = voxrti_min(side[1], row[1]);
+            if (!voxrti_fat_column(&f, i, j, z)) continue;
+            z[0] = voxrti_max(z[0] - VOXRTI_FAT_MARGIN, 0.0);
+            z[1] = voxrti_min(z[1] + VOXRTI_FAT_MARGIN, deep);
+            if (!(z[0] < deep + 0.5 && z[1] >= 0.0)) continue;
+            if ((uint32_t)z[0] <= (uint32_t)z[1])
+                voxrti_insert_new(in, (uint32_t)i, (uint32_t)j, (uint32_t)z[0], (uint32_t)z[1]);
         }
     }
+}
+
+#if VOXRTI_AVX2
+/* Four triangles, up to 4 x 4 columns each: the same operations, so the same bits. */
+
+typedef struct voxrti_fat4 {
+    __m256d p[3][3], e[3][3], n[3], slack, least[3], most[3], lo[2], hi[2];
+    uint32_t count[2];          /* columns of the widest one of those that are done here */
+} voxrti_fat4;
+
+/* Those of four triangles that this can do, the others are left to voxrti_insert_one. */
+VOXRTI_TARGET_AVX2 static inline uint32_t voxrti_fat_open4(const voxrt_columns *c, const __m256d p[3][3],
+                                                           voxrti_fat4 *f) {
+    const __m256d sign = _mm256_set1_pd(-0.0), zero = _mm256_setzero_pd(), far_off = _mm256_set1_pd(1e15);
+    __m256d fit = _mm256_cmp_pd(zero, zero, _CMP_EQ_OQ), len[2], reach = zero, x;
+    uint32_t a, k;
+    for (a = 0; a < 3; a++) {
+        for (k = 0; k < 3; k++) {
+            x = _mm256_cmp_pd(_mm256_andnot_pd(sign, p[k][a]), far_off, _CMP_LT_OQ);
+            fit = _mm256_and_pd(fit, x);
+            f->p[k][a] = p[k][a];
+            f->e[k][a] = _mm256_sub_pd(p[k == 2 ? 0 : k + 1][a], p[k][a]);
+        }
+        f->least[a] = _mm256_min_pd(f->p[0][a], _mm256_min_pd(f->p[1][a], f->p[2][a]));
+        f->most[a] = _mm256_max_pd(f->p[0][a], _mm256_max_pd(f->p[1][a], f->p[2][a]));
+        fit = _mm256_and_pd(fit, _mm256_cmp_pd(f->most[a], zero, _CMP_GE_OQ));
+        fit = _mm256_and_pd(fit, _mm256_cmp_pd(f->least[a], _mm256_set1_pd((double)c->size[a]), _CMP_LE_OQ));
+    }
+    for (a = 0; a < 3; a++) {
+        const uint32_t u = a == 2 ? 0 : a + 1, v = a == 0 ? 2 : a - 1;
+        f->n[a] = _mm256_sub_pd(_mm256_mul_pd(f->e[0][u], f->e[1][v]), _mm256_mul_pd(f->e[0][v], f->e[1][u]));
+        reach = a == 0 ? _mm256_sub_pd(f->most[0], f->least[0]) :
+                _mm256_add_pd(reach, _mm256_sub_pd(f->most[a], f->least[a]));
+    }
+    for (k = 0; k < 2; k++)
+        len[k] = _mm256_add_pd(_mm256_add_pd(_mm256_andnot_pd(sign, f->e[k][0]), _mm256_andnot_pd(sign, f->e[k][1])),
+                               _mm256_andnot_pd(sign, f->e[k][2]));
+    reach = _mm256_add_pd(reach, _mm256_set1_pd(6.0));
+    f->slack = _mm256_mul_pd(_mm256_mul_pd(_mm256_set1_pd(1e-14), _mm256_mul_pd(len[0], len[1])), reach);
+    for (a = 0; a < 2; a++) {
+        const __m256d m = _mm256_set1_pd(VOXRTI_FAT_MARGIN), end = _mm256_set1_pd((double)c->size[a] - 0.5);
+        f->lo[a] = _mm256_floor_pd(_mm256_max_pd(_mm256_sub_pd(f->least[a], m), zero));
+        f->hi[a] = _mm256_floor_pd(_mm256_min_pd(_mm256_add_pd(f->most[a], m), end));
+        fit = _mm256_and_pd(fit, _mm256_cmp_pd(_mm256_sub_pd(f->hi[a], f->lo[a]), _mm256_set1_pd(3.0), _CMP_LE_OQ));
+    }
+    for (a = 0; a < 2; a++)
+        for (f->count[a] = 1; f->count[a] < 4; f->count[a]++) {
+            const __m256d more = _mm256_set1_pd((double)f->count[a] - 0.5);
+            x = _mm256_cmp_pd(_mm256_sub_pd(f->hi[a], f->lo[a]), more, _CMP_GT_OQ);
+            if (_mm256_movemask_pd(_mm256_and_pd(x, fit)) == 0) break;
+        }
+    return (uint32_t)_mm256_movemask_pd(fit);
+}
+
+VOXRTI_TARGET_AVX2 static inline void voxrti_fat_range4(__m256d b, __m256d cell, __m256d at, __m256d *lo, __m256d *hi) {
+    const __m256d m = _mm256_set1_pd(VOXRTI_FAT_MARGIN), m1 = _mm256_set1_pd(1.0 + VOXRTI_FAT_MARGIN);
+    const __m256d f0 = _mm256_mul_pd(b, _mm256_sub_pd(_mm256_sub_pd(cell, m), at));
+    const __m256d f1 = _mm256_mul_pd(b, _mm256_sub_pd(_mm256_add_pd(cell, m1), at));
+    *lo = _mm256_min_pd(f0, f1);
+    *hi = _mm256_max_pd(f0, f1);
+}
+
+/* voxrti_fat_side of the cells of axis a */
+VOXRTI_TARGET_AVX2 static inline void voxrti_fat_side4(const voxrti_fat4 *f, uint32_t a, __m256d z[4][2]) {
+    const __m256d sign = _mm256_set1_pd(-0.0), zero = _mm256_setzero_pd(), one = _mm256_set1_pd(1.0);
+    uint32_t k, s;
+    for (s = 0; s < f->count[a]; s++) {
+        z[s][0] = f->least[2];
+        z[s][1] = f->most[2];
+    }
+    for (k = 0; k < 3; k++) {
+        const __m256d down = _mm256_and_pd(sign, a == 0 ? _mm256_xor_pd(sign, f->e[k][0]) : f->e[k][1]);
+        const __m256d b = _mm256_xor_pd(down, a == 0 ? f->e[k][2] : _mm256_xor_pd(sign, f->e[k][2]));
+        const __m256d c = _mm256_andnot_pd(sign, a == 0 ? f->e[k][0] : f->e[k][1]);
+        const __m256d d = _mm256_xor_pd(down, f->n[1 - a]), inv = _mm256_div_pd(one, c);
+        const __m256d some = _mm256_cmp_pd(c, _mm256_set1_pd(VOXRTI_FAT_FLAT), _CMP_GT_OQ);
+        __m256d cell = f->lo[a];
+        for (s = 0; s < f->count[a]; s++, cell = _mm256_add_pd(cell, one)) {
+            __m256d lo, hi;
+            voxrti_fat_range4(b, cell, f->p[k][a], &lo, &hi);
+            hi = _mm256_mul_pd(_mm256_sub_pd(_mm256_min_pd(zero, d), hi), inv);
+            lo = _mm256_mul_pd(_mm256_sub_pd(_mm256_max_pd(zero, d), lo), inv);
+            hi = _mm256_max_pd(z[s][0], _mm256_add_pd(f->p[k][2], hi));
+            lo = _mm256_min_pd(z[s][1], _mm256_add_pd(f->p[k][2], lo));
+            z[s][0] = _mm256_blendv_pd(z[s][0], hi, some);
+            z[s][1] = _mm256_blendv_pd(z[s][1], lo, some);
+        }
+    }
+}
+
+/* voxrti_insert_fat of those of `lanes` */
+VOXRTI_TARGET_AVX2 static inline void voxrti_insert_fat4(const voxrti_insert *in, const voxrti_fat4 *f,
+                                                         uint32_t lanes) {
+    const __m256d sign = _mm256_set1_pd(-0.0), zero = _mm256_setzero_pd(), one = _mm256_set1_pd(1.0);
+    const __m256d m = _mm256_set1_pd(VOXRTI_FAT_MARGIN), deep = _mm256_set1_pd((double)in->columns->size[2] - 0.5);
+    const __m256d down = _mm256_and_pd(sign, f->n[2]), upper = _mm256_max_pd(zero, f->n[2]);
+    const __m256d lower = _mm256_min_pd(zero, f->n[2]), inv = _mm256_div_pd(one, _mm256_andnot_pd(sign, f->n[2]));
+    const __m256d flat = _mm256_cmp_pd(_mm256_andnot_pd(sign, f->n[2]), _mm256_set1_pd(VOXRTI_FAT_FLAT), _CMP_NGT_UQ);
+    __m256d x[4][4][2], side[4][2], row[4][2], i, j;
+    uint32_t k, s, t;
+    voxrti_fat_side4(f, 0, side);
+    voxrti_fat_side4(f, 1, row);
+    for (s = 0, i = f->lo[0]; s < f->count[0]; s++, i = _mm256_add_pd(i, one))
+        for (k = 0; k < 4; k++) /* edges, and the plane */
+            voxrti_fat_range4(k < 3 ? _mm256_xor_pd(sign, f->e[k][1]) : _mm256_xor_pd(down, f->n[0]), i,
+                              f->p[k < 3 ? k : 0][0], &x[s][k][0], &x[s][k][1]);
+    for (t = 0, j = f->lo[1]; t < f->count[1]; t++, j = _mm256_add_pd(j, one)) {
+        __m256d y[4][2];
+        for (k = 0; k < 4; k++)
+            voxrti_fat_range4(k < 3 ? f->e[k][0] : _mm256_xor_pd(down, f->n[1]), j, f->p[k < 3 ? k : 0][1], &y[k][0],
+                              &y[k][1]);
+        for (s = 0, i = f->lo[0]; s < f->count[0]; s++, i = _mm256_add_pd(i, one)) {
+            __m256d lo = _mm256_max_pd(side[s][0], row[t][0]), hi = _mm256_min_pd(side[s][1], row[t][1]), z;
+            __m256d ok = _mm256_and_pd(_mm256_cmp_pd(i, f->hi[0], _CMP_LE_OQ), _mm256_cmp_pd(j, f->hi[1], _CMP_LE_OQ));
+            uint32_t set, at[4], k0[4], k1[4];
+            for (k = 0; k < 3; k++) {
+                ok = _mm256_and_pd(ok, _mm256_cmp_pd(_mm256_add_pd(x[s][k][0], y[k][0]), upper, _CMP_LE_OQ));
+                ok = _mm256_and_pd(ok, _mm256_cmp_pd(_mm256_add_pd(x[s][k][1], y[k][1]), lower, _CMP_GE_OQ));
+            }
+            z = _mm256_mul_pd(_mm256_add_pd(_mm256_add_pd(x[s][3][1], y[3][1]), f->slack), inv);
+            lo = _mm256_blendv_pd(_mm256_max_pd(lo, _mm256_sub_pd(f->p[0][2], z)), lo, flat);
+            z = _mm256_mul_pd(_mm256_sub_pd(_mm256_add_pd(x[s][3][0], y[3][0]), f->slack), inv);
+            hi = _mm256_blendv_pd(_mm256_min_pd(hi, _mm256_sub_pd(f->p[0][2], z)), hi, flat);
+            lo = _mm256_floor_pd(_mm256_max_pd(_mm256_sub_pd(lo, m), zero));
+            hi = _mm256_floor_pd(_mm256_min_pd(_mm256_add_pd(hi, m), deep));
+            ok = _mm256_and_pd(ok, _mm256_cmp_pd(lo, deep, _CMP_LE_OQ));
+            set = (uint32_t)_mm256_movemask_pd(_mm256_and_pd(ok, _mm256_cmp_pd(lo, hi, _CMP_LE_OQ))) & lanes;
+            if (set == 0) continue;
+            VOXRTI_STORE4(k0, _mm256_cvttpd_epi32(lo));
+            VOXRTI_STORE4(k1, _mm256_cvttpd_epi32(hi));
+            VOXRTI_STORE4(at, _mm_or_si128(_mm256_cvttpd_epi32(i), _mm_slli_epi32(_mm256_cvttpd_epi32(j), 16)));
+            for (; set != 0; set &= set - 1) {
+                k = voxrti_ctz64(set);
+                voxrti_insert_new(in, at[k] & 0xffffu, at[k] >> 16, k0[k], k1[k]);
+            }
+        }
+    }
+}
+#endif
+
+static void voxrti_insert_lines_all(const voxrti_insert *in, voxrti_snapped *t) {
+    voxrti_snapped_normal(t);
+    if (in->mode == VOXRT_COLUMNS_BODY && in->inside == NULL) {
+        voxrti_insert_lines(in, t, 2, 1);
+        return;
+    }
+    voxrti_insert_lines(in, t, 2, 0);
+    if (in->mode == VOXRT_COLUMNS_SOLID) voxrti_insert_lines(in, t, 2, 1);
+    if (in->mode == VOXRT_COLUMNS_RASTER) return;
+    voxrti_insert_lines(in, t, 0, 0);
+    voxrti_insert_lines(in, t, 1, 0);
 }
 
 static void voxrti_insert_snapped(const voxrti_insert *in, const double (*p)[3]) {
-    int32_t s[3][3];
-    int64_t normal[3], d[2][3];
+    voxrti_snapped t;
     uint32_t a, e;
     for (e = 0; e < 3; e++)
-        for (a = 0; a < 3; a++) s[e][a] = (int32_t)voxrti_floor(p[e][a] * 256.0 + 0.5);
-    for (a = 0; a < 3; a++) {
-        d[0][a] = s[1][a] - s[0][a];
-        d[1][a] = s[2][a] - s[0][a];
-    }
-    for (a = 0; a < 3; a++) {
-        const uint32_t b = (a + 1) % 3, c = (a + 2) % 3;
-        normal[a] = d[0][b] * d[1][c] - d[0][c] * d[1][b];
-    }
-    if (in->mode == VOXRT_COLUMNS_BODY && in->inside == NULL) {
-        voxrti_insert_lines(in, (const int32_t (*)[3])s, normal, 2, 1);
-        return;
-    }
-    voxrti_insert_lines(in, (const int32_t (*)[3])s, normal, 2, 0);
-    if (in->mode == VOXRT_COLUMNS_SOLID) voxrti_insert_lines(in, (const int32_t (*)[3])s, normal, 2, 1);
-    if (in->mode == VOXRT_COLUMNS_RASTER) return;
-    voxrti_insert_lines(in, (const int32_t (*)[3])s, normal, 0, 0);
-    voxrti_insert_lines(in, (const int32_t (*)[3])s, normal, 1, 0);
+        for (a = 0; a < 3; a++) t.p[e][a] = (int32_t)voxrti_floor(p[e][a] * 256.0 + 0.5);
+    if (voxrti_snapped_open(in->columns, &t)) voxrti_insert_lines_all(in, &t);
 }
+
+#if VOXRTI_AVX2
+/* Four triangles, up to 4 cells along each axis: the same integers, in doubles, which are exact below 2^53. */
+typedef struct voxrti_snapped4 {
+    __m256d p[3][3], least[3], most[3], first[3], last[3], normal[3];
+    uint32_t some[3];           /* those of the triangles that have cells along an axis */
+} voxrti_snapped4;
+
+/* From corners in cells to those of the triangles that this can do; the others are left to voxrti_insert_one. */
+VOXRTI_TARGET_AVX2 static inline uint32_t voxrti_snapped_open4(const voxrt_columns *c, const __m256d p[3][3],
+                                                               voxrti_snapped4 *t) {
+    const __m256d half = _mm256_set1_pd(0.5), cell = _mm256_set1_pd(256.0), zero = _mm256_setzero_pd();
+    __m256d fit = _mm256_cmp_pd(zero, zero, _CMP_EQ_OQ);
+    uint32_t a, e;
+    for (a = 0; a < 3; a++) {
+        const __m256d size = _mm256_set1_pd((double)c->size[a]), inv = _mm256_set1_pd(1.0 / 256.0);
+        const __m256d most = _mm256_max_pd(p[0][a], _mm256_max_pd(p[1][a], p[2][a]));
+        const __m256d least = _mm256_min_pd(p[0][a], _mm256_min_pd(p[1][a], p[2][a]));
+        for (e = 0; e < 3; e++) {
+            fit = _mm256_and_pd(fit, _mm256_cmp_pd(p[e][a], p[e][a], _CMP_EQ_OQ));
+            t->p[e][a] = _mm256_floor_pd(_mm256_add_pd(_mm256_mul_pd(p[e][a], cell), half));
+        }
+        fit = _mm256_and_pd(fit, _mm256_cmp_pd(most, zero, _CMP_GE_OQ));
+        fit = _mm256_and_pd(fit, _mm256_cmp_pd(least, size, _CMP_LE_OQ));
+        fit = _mm256_and_pd(fit, _mm256_cmp_pd(most, _mm256_set1_pd(16384.0), _CMP_LE_OQ));
+        fit = _mm256_and_pd(fit, _mm256_cmp_pd(least, _mm256_set1_pd(-16384.0), _CMP_GE_OQ));
+        t->least[a] = _mm256_min_pd(t->p[0][a], _mm256_min_pd(t->p[1][a], t->p[2][a]));
+        t->most[a] = _mm256_max_pd(t->p[0][a], _mm256_max_pd(t->p[1][a], t->p[2][a]));
+        t->first[a] = _mm256_mul_pd(_mm256_add_pd(t->least[a], _mm256_set1_pd(127.0)), inv);
+        t->first[a] = _mm256_max_pd(_mm256_floor_pd(t->first[a]), zero);
+        t->last[a] = _mm256_mul_pd(_mm256_sub_pd(t->most[a], _mm256_set1_pd(128.0)), inv);
+        t->last[a] = _mm256_min_pd(_mm256_floor_pd(t->last[a]), _mm256_sub_pd(size, _mm256_set1_pd(1.0)));
+        fit = _mm256_and_pd(fit, _mm256_cmp_pd(_mm256_sub_pd(t->last[a], t->first[a]), _mm256_set1_pd(3.0),
+                                               _CMP_LE_OQ));
+        t->some[a] = (uint32_t)_mm256_movemask_pd(_mm256_cmp_pd(t->first[a], t->last[a], _CMP_LE_OQ));
+    }
+    for (a = 0; a < 3; a++) {
+        const uint32_t b = a == 2 ? 0 : a + 1, d = a == 0 ? 2 : a - 1;
+        t->normal[a] = _mm256_sub_pd(_mm256_mul_pd(_mm256_sub_pd(t->p[1][b], t->p[0][b]),
+                                                   _mm256_sub_pd(t->p[2][d], t->p[0][d])),
+                                     _mm256_mul_pd(_mm256_sub_pd(t->p[1][d], t->p[0][d]),
+                                                   _mm256_sub_pd(t->p[2][b], t->p[0][b])));
+    }
+    return (uint32_t)_mm256_movemask_pd(fit);
+}
+
+/* voxrti_insert_lines of those of `lanes` */
+VOXRTI_TARGET_AVX2 static inline void voxrti_insert_lines4(const voxrti_insert *in, const voxrti_snapped4 *t,
+                                                           uint32_t a, uint32_t lanes) {
+    const uint32_t u = a == 2 ? 0 : 2, v = a == 1 ? 0 : 1;
+    const __m256d zero = _mm256_setzero_pd(), one = _mm256_set1_pd(1.0), sign = _mm256_set1_pd(-0.0);
+    const __m256d cell = _mm256_set1_pd(256.0), half = _mm256_set1_pd(128.0), area = t->normal[a];
+    const __m256d odd = a == 0 ? _mm256_cmp_pd(area, zero, _CMP_GE_OQ) : area; /* its sign counts */
+    const __m256d size_a = _mm256_set1_pd((double)in->columns->size[a]);
+    const __m256d slope_u = _mm256_xor_pd(sign, _mm256_div_pd(t->normal[u], area));
+    const __m256d slope_v = _mm256_xor_pd(sign, _mm256_div_pd(t->normal[v], area));
+    const __m256d qu[3] = {t->p[0][u], _mm256_blendv_pd(t->p[1][u], t->p[2][u], odd),
+                           _mm256_blendv_pd(t->p[2][u], t->p[1][u], odd)};
+    const __m256d qv[3] = {t->p[0][v], _mm256_blendv_pd(t->p[1][v], t->p[2][v], odd),
+                           _mm256_blendv_pd(t->p[2][v], t->p[1][v], odd)};
+    __m256d du[3], dv[3], bias[3], live, j, i;
+    uint32_t e;
+    live = _mm256_cmp_pd(area, zero, _CMP_NEQ_OQ);
+    for (e = 0; e < 3; e++) {
+        du[e] = _mm256_sub_pd(qu[e == 2 ? 0 : e + 1], qu[e]);
+        dv[e] = _mm256_sub_pd(qv[e == 2 ? 0 : e + 1], qv[e]);
+        bias[e] = _mm256_and_pd(_mm256_cmp_pd(dv[e], zero, _CMP_EQ_OQ), _mm256_cmp_pd(du[e], zero, _CMP_GT_OQ));
+        bias[e] = _mm256_andnot_pd(_mm256_or_pd(bias[e], _mm256_cmp_pd(dv[e], zero, _CMP_GT_OQ)), one);
+    }
+    for (j = t->first[v];; j = _mm256_add_pd(j, one)) {
+        const __m256d in_rows = _mm256_and_pd(live, _mm256_cmp_pd(j, t->last[v], _CMP_LE_OQ));
+        const __m256d sv = _mm256_add_pd(_mm256_mul_pd(j, cell), half);
+        __m256d base = _mm256_add_pd(t->p[0][a], _mm256_mul_pd(slope_v, _mm256_sub_pd(sv, t->p[0][v])));
+        base = _mm256_add_pd(base, _mm256_mul_pd(slope_u, _mm256_sub_pd(half, t->p[0][u])));
+        if (((uint32_t)_mm256_movemask_pd(in_rows) & lanes) == 0) break;
+        for (i = t->first[u];; i = _mm256_add_pd(i, one)) {
+            const __m256d su = _mm256_add_pd(_mm256_mul_pd(i, cell), half);
+            __m256d ok = _mm256_and_pd(in_rows, _mm256_cmp_pd(i, t->last[u], _CMP_LE_OQ)), at;
+            uint32_t set, k, ki[4], kj[4], kk[4];
+            if (((uint32_t)_mm256_movemask_pd(ok) & lanes) == 0) break;
+            for (e = 0; e < 3; e++) {
+                const __m256d f = _mm256_sub_pd(_mm256_mul_pd(du[e], _mm256_sub_pd(sv, qv[e])),
+                                                _mm256_mul_pd(dv[e], _mm256_sub_pd(su, qu[e])));
+                ok = _mm256_and_pd(ok, _mm256_cmp_pd(f, bias[e], _CMP_GE_OQ));
+            }
+            set = (uint32_t)_mm256_movemask_pd(ok) & lanes;
+            if (set == 0) continue;
+            at = _mm256_add_pd(base, _mm256_mul_pd(slope_u, _mm256_mul_pd(i, cell)));
+            at = _mm256_min_pd(_mm256_max_pd(at, t->least[a]), t->most[a]);
+            at = _mm256_floor_pd(_mm256_mul_pd(at, _mm256_set1_pd(1.0 / 256.0)));
+            ok = _mm256_and_pd(_mm256_cmp_pd(at, zero, _CMP_GE_OQ), _mm256_cmp_pd(at, size_a, _CMP_LT_OQ));
+            VOXRTI_STORE4(ki, _mm256_cvttpd_epi32(i));
+            VOXRTI_STORE4(kj, _mm256_cvttpd_epi32(j));
+            VOXRTI_STORE4(kk, _mm256_cvttpd_epi32(at));
+            for (set &= (uint32_t)_mm256_movemask_pd(ok); set != 0; set &= set - 1) {
+                k = voxrti_ctz64(set);
+                if (a == 2) voxrti_insert_new(in, ki[k], kj[k], kk[k], kk[k]);
+                else if (a == 0) voxrti_insert_new(in, kk[k], kj[k], ki[k], ki[k]);
+                else voxrti_insert_new(in, kj[k], kk[k], ki[k], ki[k]);
+            }
+        }
+    }
+}
+#endif
 
 /* One triangle, in cells. Those that reach far outside are cut to a box around the grid first. */
 static int voxrti_insert_triangle(const voxrti_insert *in, const double (*p)[3]) {
@@ -20488,7 +20832,7 @@ static int voxrti_insert_triangle(const voxrti_insert *in, const double (*p)[3])
         if (lo < -16384.0 || hi > 16384.0) far_off = 1;
     }
     if (in->mode == VOXRT_COLUMNS_FAT) {
-        voxrti_insert_fat(in, p, 3);
+        voxrti_insert_fat(in, p);
         return 1;
     }
     if (!far_off) {
@@ -20521,16 +20865,6 @@ VOXRTI_INLINE int voxrti_insert_point(const voxrti_insert *in, const uint8_t *fr
         if (!(to[a] > -1e15 && to[a] < 1e15)) return 0;
     }
     return 1;
-}
-
-/* A point in a cell that has been set in the same way changes nothing: most do. */
-VOXRTI_INLINE void voxrti_insert_cell(const voxrti_insert *in, uint32_t x, uint32_t y, uint32_t k) {
-    const voxrt_columns *c = in->columns;
-    const size_t at = voxrti_column(c, 0, x, y) + (k >> 5);
-    const uint32_t bit = 1u << (k & 31u);
-    uint32_t *word = in->own != NULL ? &in->own[at] : in->still ? &c->still[at] : &c->bits[at];
-    if (in->splat != NULL) voxrti_splat_add(in->splat, x, y, k);
-    else if ((voxrti_load_shared(word) & bit) == 0) voxrti_insert_run(in, x, y, k, k);
 }
 
 /* Points that stay where they are on a triangle, as the texels of an atlas do. Rows lie along its longest edge; row j
@@ -20620,31 +20954,89 @@ static int voxrti_insert_samples(const voxrti_insert *in, const double (*p)[3], 
         for (k = first; k < last; k++) {
             for (a = 0; a < 3; a++) q[a] = from[a] + (double)k * by[a];
             if (q[0] >= 0.0 && q[1] >= 0.0 && q[2] >= 0.0 && q[0] < size[0] && q[1] < size[1] && q[2] < size[2])
-                voxrti_insert_cell(in, (uint32_t)q[0], (uint32_t)q[1], (uint32_t)q[2]);
+                voxrti_insert_new(in, (uint32_t)q[0], (uint32_t)q[1], (uint32_t)q[2], (uint32_t)q[2]);
         }
     }
     return 1;
 }
 
-static void voxrti_task_insert_mesh(void *ctx, uint32_t index) {
-    voxrti_insert *in = (voxrti_insert *)ctx;
+/* Triangle i; 0: it has a corner that is not there, or nowhere. */
+static int voxrti_insert_one(const voxrti_insert *in, size_t i, uint64_t *outside) {
     const voxrt_mesh *mesh = in->mesh;
     const size_t stride = mesh->position_stride != 0 ? mesh->position_stride : 12;
+    double p[3][3];
+    uint32_t e;
+    for (e = 0; e < 3; e++) {
+        const size_t at = mesh->indices != NULL ? (size_t)mesh->indices[3 * i + e] : 3 * i + e;
+        if (at >= mesh->vertex_count ||
+            !voxrti_insert_point(in, (const uint8_t *)mesh->positions + at * stride, p[e])) return 0;
+    }
+    *outside += in->mode == VOXRT_COLUMNS_SAMPLES ? !voxrti_insert_samples(in, (const double (*)[3])p, i) :
+                !voxrti_insert_triangle(in, (const double (*)[3])p);
+    return 1;
+}
+
+#if VOXRTI_AVX2
+/* Corners of triangles i .. i + 3, as voxrti_insert_point. 0: they cannot be read with 16 bytes each. */
+VOXRTI_TARGET_AVX2 static inline int voxrti_insert_corners4(const voxrti_insert *in, size_t i, __m256d p[3][3]) {
+    const voxrt_mesh *mesh = in->mesh;
+    const size_t stride = mesh->position_stride != 0 ? mesh->position_stride : 12;
+    uint32_t e, a, t;
+    for (e = 0; e < 3; e++) {
+        __m128 r[4];
+        for (t = 0; t < 4; t++) {
+            const size_t at = mesh->indices != NULL ? (size_t)mesh->indices[3 * (i + t) + e] : 3 * (i + t) + e;
+            if (at + 1 >= mesh->vertex_count) return 0;
+            r[t] = _mm_loadu_ps((const float *)(const void *)((const uint8_t *)mesh->positions + at * stride));
+        }
+        _MM_TRANSPOSE4_PS(r[0], r[1], r[2], r[3]);
+        for (a = 0; a < 3; a++) {
+            const double *m = in->m + 4 * a;
+            p[e][a] = _mm256_add_pd(_mm256_mul_pd(_mm256_set1_pd(m[0]), _mm256_cvtps_pd(r[0])),
+                                    _mm256_mul_pd(_mm256_set1_pd(m[1]), _mm256_cvtps_pd(r[1])));
+            p[e][a] = _mm256_add_pd(p[e][a], _mm256_mul_pd(_mm256_set1_pd(m[2]), _mm256_cvtps_pd(r[2])));
+            p[e][a] = _mm256_add_pd(p[e][a], _mm256_set1_pd(m[3]));
+        }
+    }
+    return 1;
+}
+
+/* FAT or THIN: triangles i .. end - 1 while there are four; returns the first that is left. */
+VOXRTI_TARGET_AVX2 static size_t voxrti_insert_mesh_avx2(const voxrti_insert *in, size_t i, size_t end,
+                                                         uint64_t *rejected, uint64_t *outside) {
+    for (; i + 4 <= end; i += 4) {
+        union { voxrti_fat4 fat; voxrti_snapped4 thin; } t;
+        __m256d p[3][3];
+        uint32_t done = 0, k, a;
+        if (!voxrti_insert_corners4(in, i, p)) {
+            done = 0;
+        } else if (in->mode == VOXRT_COLUMNS_FAT) {
+            done = voxrti_fat_open4(in->columns, (const __m256d (*)[3])p, &t.fat);
+            if (done != 0) voxrti_insert_fat4(in, &t.fat, done);
+        } else {
+            done = voxrti_snapped_open4(in->columns, (const __m256d (*)[3])p, &t.thin);
+            for (a = 0; a < 3; a++) {
+                const uint32_t some = done & t.thin.some[a == 2 ? 0 : 2] & t.thin.some[a == 1 ? 0 : 1];
+                if (some != 0) voxrti_insert_lines4(in, &t.thin, a, some);
+            }
+        }
+        for (k = 0; k < 4 && done != 15u; k++)
+            if ((done >> k & 1u) == 0) *rejected += !voxrti_insert_one(in, i + k, outside);
+    }
+    return i;
+}
+#endif
+
+static void voxrti_task_insert_mesh(void *ctx, uint32_t index) {
+    voxrti_insert *in = (voxrti_insert *)ctx;
     size_t i = (size_t)index * VOXRTI_INSERT_TASK, end = i + VOXRTI_INSERT_TASK;
     uint64_t rejected = 0, outside = 0;
     end = end < in->count ? end : in->count;
-    for (; i < end; i++) {
-        double p[3][3];
-        uint32_t e, ok = 1;
-        for (e = 0; e < 3 && ok; e++) {
-            const size_t at = mesh->indices != NULL ? (size_t)mesh->indices[3 * i + e] : 3 * i + e;
-            ok = at < mesh->vertex_count &&
-                voxrti_insert_point(in, (const uint8_t *)mesh->positions + at * stride, p[e]);
-        }
-        if (!ok) rejected++;
-        else if (in->mode == VOXRT_COLUMNS_SAMPLES ? !voxrti_insert_samples(in, (const double (*)[3])p, i) :
-                 !voxrti_insert_triangle(in, (const double (*)[3])p)) outside++;
-    }
+#if VOXRTI_AVX2
+    if ((in->mode == VOXRT_COLUMNS_FAT || in->mode == VOXRT_COLUMNS_THIN) && in->isa >= VOXRT_ISA_AVX2)
+        i = voxrti_insert_mesh_avx2(in, i, end, &rejected, &outside);
+#endif
+    for (; i < end; i++) rejected += !voxrti_insert_one(in, i, &outside);
     voxrti_tally_add(in->rejected, rejected);
     voxrti_tally_add(in->outside, outside);
 }
@@ -20658,7 +21050,7 @@ static void voxrti_insert_points_scalar(const voxrti_insert *in, size_t i, size_
         double p[3];
         if (!voxrti_insert_point(in, in->points + i * in->point_stride, p)) ++*rejected;
         else if (!(p[0] >= 0.0 && p[1] >= 0.0 && p[2] >= 0.0 && p[0] < nx && p[1] < ny && p[2] < nz)) ++*outside;
-        else voxrti_insert_cell(in, (uint32_t)p[0], (uint32_t)p[1], (uint32_t)p[2]);
+        else voxrti_insert_new(in, (uint32_t)p[0], (uint32_t)p[1], (uint32_t)p[2], (uint32_t)p[2]);
     }
 }
 

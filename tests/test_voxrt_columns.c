@@ -261,6 +261,9 @@ TEST(fat_is_what_is_touched) {
                 p[e][a] = (float)rnd_in(-4, size[a] + 4);
                 if (round % 4 == 0 && a == (round / 4) % 3) p[e][a] = (float)(round % 8); /* a plane between cells */
                 if (round % 7 == 1 && e > 0) p[e][a] = p[0][a] + (p[e][a] - p[0][a]) * 0.05f;
+                if (round % 5 == 2 && e == 0) p[e][a] = (float)(rnd() < 0.5 ? rnd_in(-1, 1) : size[a] + rnd_in(-1, 1));
+                if (round % 5 == 2 && e > 0) p[e][a] = p[0][a] + (p[e][a] - p[0][a]) * 0.1f; /* small, across borders */
+                if (round % 13 == 3 && e == 2) p[e][a] = p[0][a] * 0.7f + p[1][a] * 0.3f; /* no area, or next to none */
                 if (round % 11 == 1 && a == 2) p[e][a] = (float)rnd_in(-500, 500);
                 t[e][a] = (double)p[e][a];
             }
@@ -281,6 +284,93 @@ TEST(fat_is_what_is_touched) {
                   missing, extra, outside);
         voxrt_columns_destroy(c);
         voxrt_columns_destroy(thin);
+    }
+}
+
+/* Triangles that are done several at a time, of all sizes, some of them nowhere, against one at a time. */
+TEST(four_triangles_at_a_time) {
+    static float p[259][3];
+    static uint32_t index[512][3];
+    int round, rounds = test_quick() ? 40 : 400;
+    rng_state = 29;
+    for (round = 0; round < rounds; round++) {
+        const voxrt_columns_mode mode = round & 1 ? VOXRT_COLUMNS_FAT : VOXRT_COLUMNS_THIN;
+        const uint32_t still = (uint32_t)round >> 1 & 1;
+        const double size[3] = {32, 16, 64}, wide = round % 3 == 0 ? 1.0 : round % 3 == 1 ? 4.0 : 30.0;
+        voxrt_columns *all = make(32, 16, 64), *single = make(32, 16, 64);
+        voxrt_columns_insert_stats of_all, of_single;
+        uint32_t i, a, e, x, y, z, wrong = 0;
+        memset(&of_all, 0, sizeof of_all);
+        memset(&of_single, 0, sizeof of_single);
+        for (i = 0; i < 256; i += 4) {
+            for (a = 0; a < 3; a++) p[i][a] = (float)rnd_in(-3, size[a] + 3);
+            for (e = 1; e < 4; e++) for (a = 0; a < 3; a++) p[i + e][a] = p[i][a] + (float)rnd_in(-wide, wide);
+        }
+        for (i = 0; i < 256; i++)
+            for (a = 0; a < 3; a++) {
+                if (round % 8 == 4) p[i][a] = floorf(2 * p[i][a]) / 2; /* on centres and borders */
+                if (rnd() < 0.002) p[i][a] = rnd() < 0.5 ? NAN : (float)rnd_in(-1e6, 1e6);
+                if (rnd() < 0.002) p[i][a] = 1e30f;
+                if (round % 8 == 6 && i % 4 == 3) p[i][a] = 0.25f * p[i - 1][a] + 0.75f * p[i - 2][a]; /* hardly any area */
+            }
+        for (i = 0; i < 512; i++)
+            for (e = 0; e < 3; e++) index[i][e] = rnd() < 0.001 ? 259 + rng() % 9 : rnd() < 0.01 ? 258 : (4 * (i / 8) + rng() % 4);
+        CHECK(insert(all, mode, p[0], index[0], 512, 259, still, &of_all) == VOXRT_OK);
+        for (i = 0; i < 512; i++) CHECK(insert(single, mode, p[0], index[i], 1, 259, still, &of_single) == VOXRT_OK);
+        for (z = 0; z < 64; z++)
+            for (y = 0; y < 16; y++)
+                for (x = 0; x < 32; x++) wrong += voxrt_columns_get(all, 0, x, y, z) != voxrt_columns_get(single, 0, x, y, z);
+        CHECK_MSG(wrong == 0, "round %d: %u cells", round, wrong);
+        CHECK(of_all.items == of_single.items && of_all.rejected == of_single.rejected && of_all.outside == of_single.outside);
+        CHECK(of_all.rejected > 0 || of_all.outside > 0);
+        voxrt_columns_destroy(all);
+        voxrt_columns_destroy(single);
+    }
+}
+
+/* Turned in space, triangles whose corners lie on a line have a normal that is rounding: none of their cells is lost. */
+TEST(triangles_without_area_are_lines) {
+    int round, k;
+    rng_state = 31;
+    for (round = 0; round < 300; round++) {
+        voxrt_columns *c = make(32, 16, 64);
+        voxrt_columns_insert_desc d;
+        voxrt_mesh m;
+        float p[13][3]; /* the last one is not used: all that is used is read four at a time */
+        const double s = sin(0.1 * round), k0 = cos(0.1 * round), s1 = sin(0.37 * round), k1 = cos(0.37 * round);
+        const double size[3] = {32, 16, 64};
+        uint32_t a, e, missing = 0;
+        memset(&d, 0, sizeof d);
+        memset(&m, 0, sizeof m);
+        memset(p, 0, sizeof p);
+        for (e = 0; e < 12; e++)
+            for (a = 0; a < 3; a++)
+                p[e][a] = e < 2 ? (float)floor(rnd_in(-20, 20) * 256) / 256 : e == 2 ? 0.5f * (p[0][a] + p[1][a]) : p[e - 3][a];
+        d.to_world[0] = k0 * k1;
+        d.to_world[1] = -s;
+        d.to_world[2] = k0 * s1;
+        d.to_world[4] = s * k1;
+        d.to_world[5] = k0;
+        d.to_world[6] = s * s1;
+        d.to_world[8] = -s1;
+        d.to_world[10] = k1;
+        for (a = 0; a < 3; a++) d.to_world[4 * a + 3] = 0.5 * size[a];
+        d.mode = VOXRT_COLUMNS_FAT;
+        m.positions = p[0];
+        m.vertex_count = 13;
+        m.triangle_count = round & 1 ? 1 : 4;
+        CHECK(voxrt_columns_insert(c, &d, &m, NULL) == VOXRT_OK);
+        for (k = 0; k <= 2000; k++) {
+            const double t = k / 2000.0;
+            double q[3], w[3];
+            for (a = 0; a < 3; a++) q[a] = (double)p[0][a] * (1 - t) + (double)p[1][a] * t;
+            for (a = 0; a < 3; a++)
+                w[a] = d.to_world[4 * a] * q[0] + d.to_world[4 * a + 1] * q[1] + d.to_world[4 * a + 2] * q[2] + d.to_world[4 * a + 3];
+            if (w[0] < 0 || w[1] < 0 || w[2] < 0 || w[0] >= 32 || w[1] >= 16 || w[2] >= 64) continue;
+            missing += !get(c, (int)w[0], (int)w[1], (int)w[2]);
+        }
+        CHECK_MSG(missing == 0, "line %d: %u points", round, missing);
+        voxrt_columns_destroy(c);
     }
 }
 
@@ -1194,6 +1284,8 @@ int main(int argc, char **argv) {
     RUN(placement);
     RUN(thin_is_three_crosshairs);
     RUN(fat_is_what_is_touched);
+    RUN(four_triangles_at_a_time);
+    RUN(triangles_without_area_are_lines);
     RUN(closed_meshes_are_tight_and_fill);
     RUN(bodies_are_as_wide_as_they_are);
     RUN(open_meshes_get_no_inside);
