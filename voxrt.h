@@ -20479,8 +20479,8 @@ static void voxrti_fat_open(const voxrt_columns *c, const double (*p)[3], voxrti
     reach = (f->most[0] - f->least[0]) + (f->most[1] - f->least[1]) + (f->most[2] - f->least[2]) + 6.0;
     f->slack = 1e-14 * (len[0] * len[1]) * reach;
     for (a = 0; a < 2; a++) {
-        f->lo[a] = voxrti_floor(voxrti_max(f->least[a] - VOXRTI_FAT_MARGIN, 0.0));
-        f->hi[a] = voxrti_floor(voxrti_min(f->most[a] + VOXRTI_FAT_MARGIN, (double)c->size[a] - 0.5));
+        f->lo[a] = (double)voxrti_floor(voxrti_max(f->least[a] - VOXRTI_FAT_MARGIN, 0.0));
+        f->hi[a] = (double)voxrti_floor(voxrti_min(f->most[a] + VOXRTI_FAT_MARGIN, (double)c->size[a] - 0.5));
     }
 }
 
@@ -20532,7 +20532,7 @@ static int voxrti_fat_column(const voxrti_fat *f, double i, double j, double z[2
 
 static void voxrti_insert_fat(const voxrti_insert *in, const double (*p)[3]) {
     const double deep = (double)in->columns->size[2] - 0.5;
-    double kept[8][2], more[2], i, j;
+    double kept[8][2] = {{0, 0}}, more[2] = {0, 0}, i, j;
     voxrti_fat f;
     uint32_t k;
     voxrti_fat_open(in->columns, p, &f);
