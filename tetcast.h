@@ -3050,9 +3050,6 @@ typedef struct tetcasti_import {
     tetcast_report *chunk_report;
     tetcast_report *turn_report; /* per chunk of tetrahedra */
     double (*chunk_box)[6];
-    uint32_t (*temp_tet)[4];    /* as they come */
-    uint32_t *temp_source;
-    uint8_t *temp_flag;
     uint32_t failed;            /* atomic */
     uint32_t strict_code;       /* tetcast_result of the first cell that strict refuses */
     uint64_t strict_at;         /* its number */
@@ -3527,24 +3524,117 @@ TETCASTI_INLINE void tetcasti_canonical(const tetcasti_import *m, const uint32_t
     tet[3] = odd ? c : d;
 }
 
-static void tetcasti_task_tets(void *ctx, uint32_t chunk) {
-    tetcasti_import *m = (tetcasti_import *)ctx;
+/* Tetrahedra go into ranges of their smallest vertex, those of a chunk of cells behind those of the one before, then
+   each range is sorted by itself. They are made twice, once to be counted, so that no copy of all of them is needed. */
+typedef struct tetcasti_order {
+    tetcasti_import *m;
+    uint32_t shift, ranges;     /* a range: 1 << shift vertices; with 31 there is one, and what is in it stays */
+    uint32_t *histogram;        /* [chunk][range], then where the chunk writes */
+    uint32_t *range_start;      /* [ranges + 1] */
+} tetcasti_order;
+
+TETCASTI_INLINE void tetcasti_order_put(const tetcasti_order *o, uint32_t *h, const uint32_t *v, uint32_t cell,
+                                        int write) {
+    const tetcast_mesh *mesh = o->m->mesh;
+    uint32_t t[4], to;
+    tetcasti_canonical(o->m, v, t);
+    to = h[t[0] >> o->shift]++;
+    if (!write) return;
+    memcpy(mesh->tet[to], t, sizeof t);
+    mesh->source_cell[to] = cell;
+}
+
+TETCASTI_INLINE void tetcasti_order_chunk(const tetcasti_order *o, uint32_t chunk, int write) {
+    const tetcasti_import *m = o->m;
     tetcast_report ignored;
-    uint64_t at = m->chunk_index[chunk], to = m->chunk_out[chunk];
+    uint64_t at = m->chunk_index[chunk];
+    uint32_t *h = o->histogram + (size_t)chunk * o->ranges;
     uint32_t i = chunk * TETCASTI_CHUNK, end = tetcasti_chunk_end(chunk, m->source_count), out[6][4], n, j;
     int plain = m->grid == NULL && m->in->shapes == NULL && m->canon == NULL;
     for (; i < end; i++) {
         if (plain && tetcasti_plain_tet(m, m->in->indices + 4 * (size_t)i)) {
-            tetcasti_canonical(m, m->in->indices + 4 * (size_t)i, m->temp_tet[to]);
-            m->temp_source[to++] = i;
+            tetcasti_order_put(o, h, m->in->indices + 4 * (size_t)i, i, write);
             continue;
         }
         n = tetcasti_import_cell(m, i, &at, out, &ignored);
-        for (j = 0; j < n; j++) {
-            tetcasti_canonical(m, out[j], m->temp_tet[to]);
-            m->temp_source[to++] = i;
-        }
+        for (j = 0; j < n; j++) tetcasti_order_put(o, h, out[j], i, write);
     }
+}
+
+static void tetcasti_task_order_count(void *ctx, uint32_t chunk) {
+    const tetcasti_order *o = (const tetcasti_order *)ctx;
+    memset(o->histogram + (size_t)chunk * o->ranges, 0, o->ranges * sizeof *o->histogram);
+    tetcasti_order_chunk(o, chunk, 0);
+}
+
+static void tetcasti_task_order_write(void *ctx, uint32_t chunk) {
+    tetcasti_order_chunk((const tetcasti_order *)ctx, chunk, 1);
+}
+
+/* Stable, by counting. */
+static void tetcasti_task_order_range(void *ctx, uint32_t range) {
+    tetcasti_order *o = (tetcasti_order *)ctx;
+    tetcasti_import *m = o->m;
+    const uint32_t first = o->range_start[range], n = o->range_start[range + 1] - first, mask = (1u << o->shift) - 1u;
+    uint32_t (*tet)[4], (*copy)[4], *source, *start, *source_copy, sum = 0, i;
+    if (n == 0) return;
+    tet = m->mesh->tet + first;
+    source = m->mesh->source_cell + first;
+    copy = (uint32_t (*)[4])tetcasti_alloc_array(m->mem, n, sizeof *copy);
+    source_copy = (uint32_t *)tetcasti_alloc_array(m->mem, n, sizeof *source_copy);
+    start = (uint32_t *)tetcasti_alloc_zero(m->mem, (size_t)mask + 1, sizeof *start);
+    if (copy != NULL && source_copy != NULL && start != NULL) {
+        memcpy(copy, tet, n * sizeof *copy);
+        memcpy(source_copy, source, n * sizeof *source_copy);
+        for (i = 0; i < n; i++) start[copy[i][0] & mask]++;
+        for (i = 0; i <= mask; i++) {
+            const uint32_t c = start[i];
+            start[i] = sum;
+            sum += c;
+        }
+        for (i = 0; i < n; i++) {
+            const uint32_t to = start[copy[i][0] & mask]++;
+            memcpy(tet[to], copy[i], sizeof *copy);
+            source[to] = source_copy[i];
+        }
+    } else {
+        tetcasti_atomic_store(&m->failed, 1u);
+    }
+    tetcasti_free(m->mem, copy);
+    tetcasti_free(m->mem, source_copy);
+    tetcasti_free(m->mem, start);
+}
+
+/* Make the tetrahedra of the mesh, in order. */
+static int tetcasti_import_order(tetcasti_import *m) { /* 0: no memory */
+    const int sorted = m->desc->order != TETCAST_ORDER_INPUT;
+    tetcasti_order o;
+    uint32_t range, chunk, sum = 0, bits = 0;
+    while (bits < 31 && (m->mesh->vertex_count - 1) >> bits != 0) bits++;
+    o.m = m;
+    o.shift = !sorted ? 31 : bits > 16 ? bits - 10 : bits > 6 ? 6 : bits; /* up to 1024 ranges of 64 or more */
+    o.ranges = ((m->mesh->vertex_count - 1) >> o.shift) + 1;
+    o.histogram = (uint32_t *)tetcasti_alloc_array(m->mem, (size_t)m->cell_chunks * o.ranges, sizeof *o.histogram);
+    o.range_start = (uint32_t *)tetcasti_alloc_array(m->mem, (size_t)o.ranges + 1, sizeof *o.range_start);
+    if (o.histogram != NULL && o.range_start != NULL) {
+        tetcasti_parallel_for(&m->desc->env, tetcasti_task_order_count, &o, m->cell_chunks);
+        for (range = 0; range < o.ranges; range++) {
+            o.range_start[range] = sum;
+            for (chunk = 0; chunk < m->cell_chunks; chunk++) {
+                uint32_t *h = &o.histogram[(size_t)chunk * o.ranges + range], c = *h;
+                *h = sum;
+                sum += c;
+            }
+        }
+        o.range_start[o.ranges] = sum;
+        tetcasti_parallel_for(&m->desc->env, tetcasti_task_order_write, &o, m->cell_chunks);
+        if (sorted) tetcasti_parallel_for(&m->desc->env, tetcasti_task_order_range, &o, o.ranges);
+    } else {
+        m->failed = 1;
+    }
+    tetcasti_free(m->mem, o.histogram);
+    tetcasti_free(m->mem, o.range_start);
+    return !m->failed;
 }
 
 /* Six times the volume where rounding cannot have changed its sign, else 0. Rounding moves it by less than 1e-15 times
@@ -3584,97 +3674,6 @@ static void tetcasti_task_turn(void *ctx, uint32_t chunk) {
     }
 }
 
-/* Sort numbers [0, n) by keys below key_count, stable: order[] gets the numbers, end[k] the place behind those with
-   key k. Two steps: into ranges of keys by chunks, then each range by itself. */
-typedef struct tetcasti_sorter {
-    const uint32_t *key;        /* key[i * key_step] */
-    size_t key_step;
-    uint32_t n, key_count, shift, ranges, chunk_size, chunks;
-    uint32_t *histogram;        /* [chunk][range], then where the chunk writes */
-    uint32_t *range_start;      /* [ranges + 1] */
-    uint32_t (*pair)[2];        /* key, number */
-    uint32_t *order, *end;
-    const uint32_t (*tet)[4];   /* with to_tet: also move records */
-    uint32_t (*to_tet)[4];
-    const uint32_t *source;
-    uint32_t *to_source;
-} tetcasti_sorter;
-
-static void tetcasti_task_sort_count(void *ctx, uint32_t chunk) {
-    tetcasti_sorter *s = (tetcasti_sorter *)ctx;
-    uint32_t *h = s->histogram + (size_t)chunk * s->ranges, i = chunk * s->chunk_size, end;
-    end = s->n - i < s->chunk_size ? s->n : i + s->chunk_size;
-    memset(h, 0, s->ranges * sizeof *h);
-    for (; i < end; i++) h[s->key[i * s->key_step] >> s->shift]++;
-}
-
-static void tetcasti_task_sort_scatter(void *ctx, uint32_t chunk) {
-    tetcasti_sorter *s = (tetcasti_sorter *)ctx;
-    uint32_t *h = s->histogram + (size_t)chunk * s->ranges, i = chunk * s->chunk_size, end;
-    end = s->n - i < s->chunk_size ? s->n : i + s->chunk_size;
-    for (; i < end; i++) {
-        uint32_t key = s->key[i * s->key_step], *p = s->pair[h[key >> s->shift]++];
-        p[0] = key;
-        p[1] = i;
-    }
-}
-
-static void tetcasti_task_sort_range(void *ctx, uint32_t range) {
-    tetcasti_sorter *s = (tetcasti_sorter *)ctx;
-    uint32_t first = s->range_start[range], last = s->range_start[range + 1], i, sum = first;
-    uint32_t k = range << s->shift, k_end = (range + 1) << s->shift;
-    if (k_end > s->key_count || range + 1 == s->ranges) k_end = s->key_count;
-    for (i = k; i < k_end; i++) s->end[i] = 0;
-    for (i = first; i < last; i++) s->end[s->pair[i][0]]++;
-    for (i = k; i < k_end; i++) {
-        uint32_t c = s->end[i];
-        s->end[i] = sum;
-        sum += c;
-    }
-    for (i = first; i < last; i++) {
-        uint32_t to = s->end[s->pair[i][0]]++, from = s->pair[i][1];
-        if (s->to_tet != NULL) {
-            memcpy(s->to_tet[to], s->tet[from], sizeof s->tet[0]);
-            s->to_source[to] = s->source[from];
-        } else {
-            s->order[to] = from;
-        }
-    }
-}
-
-static int tetcasti_sort(tetcasti_mem *mem, const tetcast_env *env, tetcasti_sorter *s) { /* 0: no memory */
-    uint32_t range, chunk, sum = 0, bits = 0;
-    while (bits < 31 && (s->key_count - 1) >> bits != 0) bits++;
-    s->shift = bits > 16 ? bits - 10 : bits > 6 ? 6 : bits; /* up to 1024 ranges of 64 keys or more */
-    s->ranges = ((s->key_count - 1) >> s->shift) + 1;
-    s->chunk_size = s->n / 512 + 1 > TETCASTI_CHUNK ? s->n / 512 + 1 : TETCASTI_CHUNK;
-    s->chunks = (s->n + s->chunk_size - 1) / s->chunk_size;
-    s->histogram = (uint32_t *)tetcasti_alloc_array(mem, (size_t)s->chunks * s->ranges, sizeof *s->histogram);
-    s->range_start = (uint32_t *)tetcasti_alloc_array(mem, (size_t)s->ranges + 1, sizeof *s->range_start);
-    s->pair = (uint32_t (*)[2])tetcasti_alloc_array(mem, s->n, sizeof *s->pair);
-    if (s->histogram != NULL && s->range_start != NULL && s->pair != NULL) {
-        tetcasti_parallel_for(env, tetcasti_task_sort_count, s, s->chunks);
-        for (range = 0; range < s->ranges; range++) {
-            s->range_start[range] = sum;
-            for (chunk = 0; chunk < s->chunks; chunk++) {
-                uint32_t *h = &s->histogram[(size_t)chunk * s->ranges + range], c = *h;
-                *h = sum;
-                sum += c;
-            }
-        }
-        s->range_start[s->ranges] = sum;
-        tetcasti_parallel_for(env, tetcasti_task_sort_scatter, s, s->chunks);
-        tetcasti_parallel_for(env, tetcasti_task_sort_range, s, s->ranges);
-        range = 1;
-    } else {
-        range = 0;
-    }
-    tetcasti_free(mem, s->histogram);
-    tetcasti_free(mem, s->range_start);
-    tetcasti_free(mem, s->pair);
-    return (int)range;
-}
-
 /* ---- import, step 4: neighbours ---- */
 
 typedef struct tetcasti_matcher {
@@ -3683,8 +3682,8 @@ typedef struct tetcasti_matcher {
     uint32_t (*tet)[4];
     uint32_t (*neighbour)[4];
     uint32_t cell_count, vertex_count;
-    uint32_t *own_list, *own_end;         /* tetrahedra by v0; own_list NULL: they are in that order themselves */
-    uint32_t *foreign_list, *foreign_end; /* by v1 */
+    uint32_t *own, *foreign;    /* of each vertex: the first tetrahedron whose v0 it is, whose v1 it is */
+                                /* own NULL: they are in the order of v0 */
     uint32_t vertices_per_task;
     uint32_t failed, conflicts, duplicates, nonmanifold, first_nonmanifold; /* atomics; the last: a cell, smallest */
 } tetcasti_matcher;
@@ -3738,52 +3737,81 @@ static void tetcasti_match_face(const tetcasti_matcher *m, tetcasti_slot *table,
     s->one = TETCASTI_NONE;
 }
 
+/* The first tetrahedron in order whose v0 is v or more. */
+static uint32_t tetcasti_match_first(const tetcasti_matcher *m, uint32_t v) {
+    uint32_t lo = 0, hi = m->cell_count;
+    while (lo < hi) {
+        const uint32_t mid = lo + (hi - lo) / 2;
+        if (m->tet[mid][0] < v) lo = mid + 1;
+        else hi = mid;
+    }
+    return lo;
+}
+
+/* The tetrahedron behind `cell` with the same v0. */
+TETCASTI_INLINE uint32_t tetcasti_match_next(const tetcasti_matcher *m, uint32_t cell) {
+    if (m->own != NULL) return m->neighbour[cell][1];
+    return cell + 1 < m->cell_count && m->tet[cell + 1][0] == m->tet[cell][0] ? cell + 1 : TETCASTI_NONE;
+}
+
+/* The faces whose smallest vertex is v, in a table with room for them. */
+static void tetcasti_match_vertex(const tetcasti_matcher *m, tetcasti_slot *table, uint32_t bits, uint32_t own,
+                                  uint32_t foreign, tetcasti_found *found) {
+    uint32_t cell, next, lo, hi, i;
+    for (i = 0; i < (uint32_t)1 << bits; i++) table[i].key = ~(uint64_t)0;
+    for (cell = own; cell != TETCASTI_NONE; cell = next) {
+        const uint32_t *t = m->tet[cell];
+        uint32_t odd = t[2] > t[3];
+        next = tetcasti_match_next(m, cell);
+        lo = odd ? t[3] : t[2];
+        hi = odd ? t[2] : t[3];
+        /* the sign says on which side of the face, by its sorted vertices, the cell lies */
+        tetcasti_match_face(m, table, bits, t[1], t[2], cell, 3, 1, found);
+        tetcasti_match_face(m, table, bits, t[1], t[3], cell, 2, 0, found);
+        tetcasti_match_face(m, table, bits, lo, hi, cell, 1, 1 ^ odd, found);
+    }
+    for (cell = foreign; cell != TETCASTI_NONE; cell = next) {
+        const uint32_t *t = m->tet[cell];
+        uint32_t odd = t[2] > t[3];
+        next = m->neighbour[cell][0];
+        lo = odd ? t[3] : t[2];
+        hi = odd ? t[2] : t[3];
+        tetcasti_match_face(m, table, bits, lo, hi, cell, 0, odd, found);
+    }
+}
+
 static void tetcasti_task_match(void *ctx, uint32_t task) {
     tetcasti_matcher *m = (tetcasti_matcher *)ctx;
-    uint32_t v = task * m->vertices_per_task, end, i, most = 0, bits = 4, n, lo, hi;
-    tetcasti_slot *table;
+    uint32_t v = task * m->vertices_per_task, end, room = 0, bits, cell, next = 0;
+    tetcasti_slot *table = NULL;
     tetcasti_found found;
     end = m->vertex_count - v < m->vertices_per_task ? m->vertex_count : v + m->vertices_per_task;
     memset(&found, 0, sizeof found);
     found.first_nonmanifold = TETCASTI_NONE;
-    for (i = v; i < end; i++) {
-        uint32_t own = m->own_end[i] - (i != 0 ? m->own_end[i - 1] : 0);
-        n = 3 * own + m->foreign_end[i] - (i != 0 ? m->foreign_end[i - 1] : 0);
-        if (n > most) most = n;
-    }
-    while (bits < 31 && ((uint32_t)1 << bits) < 2 * most) bits++;
-    table = (tetcasti_slot *)tetcasti_alloc_array(m->mem, (size_t)1 << bits, sizeof *table);
-    if (table == NULL) {
-        tetcasti_atomic_store(&m->failed, 1u);
-        return;
-    }
+    if (m->own == NULL) next = tetcasti_match_first(m, v);
     for (; v < end; v++) {
-        uint32_t own = v != 0 ? m->own_end[v - 1] : 0, own_end = m->own_end[v];
-        uint32_t foreign = v != 0 ? m->foreign_end[v - 1] : 0, foreign_end = m->foreign_end[v];
-        n = 3 * (own_end - own) + (foreign_end - foreign);
+        uint32_t own = TETCASTI_NONE, n = 0;
+        if (m->own != NULL) {
+            own = m->own[v];
+            for (cell = own; cell != TETCASTI_NONE; cell = tetcasti_match_next(m, cell)) n += 3;
+        } else {
+            if (next < m->cell_count && m->tet[next][0] == v) own = next;
+            for (; next < m->cell_count && m->tet[next][0] == v; next++) n += 3;
+        }
+        for (cell = m->foreign[v]; cell != TETCASTI_NONE; cell = m->neighbour[cell][0]) n++;
         if (n == 0) continue;
         bits = 4;
         while (((uint32_t)1 << bits) < n + n / 2) bits++;
-        for (i = 0; i < (uint32_t)1 << bits; i++) table[i].key = ~(uint64_t)0;
-        for (; own < own_end; own++) {
-            uint32_t cell = m->own_list != NULL ? m->own_list[own] : own;
-            const uint32_t *t = m->tet[cell];
-            uint32_t odd = t[2] > t[3];
-            lo = odd ? t[3] : t[2];
-            hi = odd ? t[2] : t[3];
-            /* the sign says on which side of the face, by its sorted vertices, the cell lies */
-            tetcasti_match_face(m, table, bits, t[1], t[2], cell, 3, 1, &found);
-            tetcasti_match_face(m, table, bits, t[1], t[3], cell, 2, 0, &found);
-            tetcasti_match_face(m, table, bits, lo, hi, cell, 1, 1 ^ odd, &found);
+        if (bits > room) {
+            tetcasti_free(m->mem, table);
+            room = bits < 9 ? 9 : bits;
+            table = (tetcasti_slot *)tetcasti_alloc_array(m->mem, (size_t)1 << room, sizeof *table);
+            if (table == NULL) {
+                tetcasti_atomic_store(&m->failed, 1u);
+                return;
+            }
         }
-        for (; foreign < foreign_end; foreign++) {
-            uint32_t cell = m->foreign_list[foreign];
-            const uint32_t *t = m->tet[cell];
-            uint32_t odd = t[2] > t[3];
-            lo = odd ? t[3] : t[2];
-            hi = odd ? t[2] : t[3];
-            tetcasti_match_face(m, table, bits, lo, hi, cell, 0, odd, &found);
-        }
+        tetcasti_match_vertex(m, table, bits, own, m->foreign[v], &found);
     }
     tetcasti_free(m->mem, table);
     if (found.conflicts != 0) (void)tetcasti_atomic_add(&m->conflicts, found.conflicts);
@@ -3796,45 +3824,34 @@ static void tetcasti_task_match(void *ctx, uint32_t task) {
     }
 }
 
-/* Fill neighbour[] from tet[]: each written as v0 < v1 < min(v2, v3). sorted: they are in the order of v0 and own_end
-   is known; else both lists are made. */
-static int tetcasti_match(tetcasti_matcher *m, int sorted) { /* 0: no memory */
-    tetcasti_sorter s;
-    int ok = 1;
-    m->foreign_list = (uint32_t *)tetcasti_alloc_array(m->mem, m->cell_count, sizeof *m->foreign_list);
-    m->foreign_end = (uint32_t *)tetcasti_alloc_array(m->mem, m->vertex_count, sizeof *m->foreign_end);
-    ok = m->foreign_list != NULL && m->foreign_end != NULL;
-    memset(&s, 0, sizeof s);
-    s.key_step = 4;
-    s.n = m->cell_count;
-    s.key_count = m->vertex_count;
-    if (ok && !sorted) {
-        m->own_list = (uint32_t *)tetcasti_alloc_array(m->mem, m->cell_count, sizeof *m->own_list);
-        if (m->own_end == NULL)
-            m->own_end = (uint32_t *)tetcasti_alloc_array(m->mem, m->vertex_count, sizeof *m->own_end);
-        s.key = &m->tet[0][0];
-        s.order = m->own_list;
-        s.end = m->own_end;
-        ok = m->own_list != NULL && m->own_end != NULL && tetcasti_sort(m->mem, m->env, &s);
-    }
-    if (ok) {
-        s.key = &m->tet[0][1];
-        s.order = m->foreign_list;
-        s.end = m->foreign_end;
-        ok = tetcasti_sort(m->mem, m->env, &s);
-    }
-    if (ok) {
-        m->failed = m->conflicts = m->duplicates = m->nonmanifold = 0;
+/* Fill neighbour[] from tet[]: each written as v0 < v1 < min(v2, v3). The face v1 v2 v3 of a tetrahedron is looked for
+   with those of v1, the others with those of v0. Until then their places in neighbour[] hold lists by v1 and v0. */
+static int tetcasti_match(tetcasti_matcher *m) { /* 0: no memory */
+    uint32_t i, sorted = 1;
+    for (i = 1; i < m->cell_count && sorted; i++) sorted = m->tet[i - 1][0] <= m->tet[i][0];
+    m->own = sorted ? NULL : (uint32_t *)tetcasti_alloc_array(m->mem, m->vertex_count, sizeof *m->own);
+    m->foreign = (uint32_t *)tetcasti_alloc_array(m->mem, m->vertex_count, sizeof *m->foreign);
+    m->failed = (!sorted && m->own == NULL) || m->foreign == NULL;
+    if (!m->failed) {
+        if (!sorted) memset(m->own, 0xff, m->vertex_count * sizeof *m->own);
+        memset(m->foreign, 0xff, m->vertex_count * sizeof *m->foreign);
+        for (i = m->cell_count; i-- > 0;) {
+            m->neighbour[i][0] = m->foreign[m->tet[i][1]];
+            m->foreign[m->tet[i][1]] = i;
+            if (sorted) continue;
+            m->neighbour[i][1] = m->own[m->tet[i][0]];
+            m->own[m->tet[i][0]] = i;
+        }
+        m->conflicts = m->duplicates = m->nonmanifold = 0;
         m->first_nonmanifold = TETCASTI_NONE;
         m->vertices_per_task = m->vertex_count / 1024 + 64;
         tetcasti_parallel_for(m->env, tetcasti_task_match, m,
                               (m->vertex_count + m->vertices_per_task - 1) / m->vertices_per_task);
-        ok = !m->failed;
     }
-    tetcasti_free(m->mem, m->foreign_list);
-    tetcasti_free(m->mem, m->foreign_end);
-    m->foreign_list = m->foreign_end = NULL;
-    return ok;
+    tetcasti_free(m->mem, m->own);
+    tetcasti_free(m->mem, m->foreign);
+    m->own = m->foreign = NULL;
+    return !m->failed;
 }
 
 /* Take out tetrahedra that are there twice; the first one of the input stays. Rare, so it is done by one thread. */
@@ -4186,6 +4203,8 @@ static tetcast_result tetcasti_import_values(tetcasti_import *m) {
 
 static tetcast_result tetcasti_cells_build(tetcasti_mem *mem, const tetcast_env *env, tetcast_cells kind,
                                            const tetcast_mesh *mesh, tetcasti_cells *cells);
+static tetcast_result tetcasti_cells_build8(tetcasti_mem *mem, const tetcast_env *env, const tetcast_mesh *mesh,
+                                            tetcast_mesh *last, tetcasti_cells *cells);
 static tetcast_result tetcasti_mesh_finish(tetcast_mesh *mesh, const tetcast_mesh_desc *desc);
 
 static void tetcasti_import_close(tetcasti_import *m) {
@@ -4198,14 +4217,11 @@ static void tetcasti_import_close(tetcasti_import *m) {
     tetcasti_free(m->mem, m->chunk_report);
     tetcasti_free(m->mem, m->turn_report);
     tetcasti_free(m->mem, m->chunk_box);
-    tetcasti_free(m->mem, m->temp_tet);
-    tetcasti_free(m->mem, m->temp_source);
     m->state = NULL;
-    m->canon = m->rank = m->vertex_source = m->temp_source = NULL;
+    m->canon = m->rank = m->vertex_source = NULL;
     m->chunk_index = m->chunk_out = NULL;
     m->chunk_report = m->turn_report = NULL;
     m->chunk_box = NULL;
-    m->temp_tet = NULL;
 }
 
 static int tetcasti_progress(const tetcasti_import *m, uint64_t done) { /* 0: cancelled */
@@ -4255,49 +4271,29 @@ static tetcast_result tetcasti_import_scan(tetcasti_import *m, uint64_t *tets) {
     return TETCAST_OK;
 }
 
+static void tetcasti_import_drop(const tetcasti_import *m, uint32_t **numbers) {
+    tetcasti_free(m->mem, *numbers);
+    *numbers = NULL;
+}
+
 static tetcast_result tetcasti_import_tets(tetcasti_import *m, uint64_t tets) {
     tetcast_mesh *mesh = m->mesh;
     tetcasti_matcher match;
-    tetcasti_sorter s;
-    uint32_t i, n = (uint32_t)tets, again, sorted = m->desc->order != TETCAST_ORDER_INPUT;
+    uint32_t i, n = (uint32_t)tets, again;
     int ok = 1;
-    memset(&match, 0, sizeof match);
     mesh->cell_count = n;
-    m->temp_tet = (uint32_t (*)[4])tetcasti_alloc_array(m->mem, n, sizeof *m->temp_tet);
-    m->temp_source = (uint32_t *)tetcasti_alloc_array(m->mem, n, sizeof *m->temp_source);
-    if (m->temp_tet == NULL || m->temp_source == NULL) return TETCAST_ERR_NO_MEMORY;
+    mesh->tet = (uint32_t (*)[4])tetcasti_alloc_array(m->mem, n, sizeof *mesh->tet);
+    mesh->source_cell = (uint32_t *)tetcasti_alloc_array(m->mem, n, sizeof *mesh->source_cell);
     m->turn_report = (tetcast_report *)tetcasti_alloc_array(m->mem, tetcasti_chunks(n), sizeof *m->turn_report);
-    if (m->turn_report == NULL) return TETCAST_ERR_NO_MEMORY;
-    tetcasti_run(m, tetcasti_task_tets, m->source_count);
-    if (sorted) {
-        mesh->tet = (uint32_t (*)[4])tetcasti_alloc_array(m->mem, n, sizeof *mesh->tet);
-        mesh->source_cell = (uint32_t *)tetcasti_alloc_array(m->mem, n, sizeof *mesh->source_cell);
-        match.own_end = (uint32_t *)tetcasti_alloc_array(m->mem, mesh->vertex_count, sizeof *match.own_end);
-        memset(&s, 0, sizeof s);
-        s.key = &m->temp_tet[0][0];
-        s.key_step = 4;
-        s.n = n;
-        s.key_count = mesh->vertex_count;
-        s.end = match.own_end;
-        s.tet = (const uint32_t (*)[4])m->temp_tet;
-        s.to_tet = mesh->tet;
-        s.source = m->temp_source;
-        s.to_source = mesh->source_cell;
-        ok = mesh->tet != NULL && mesh->source_cell != NULL && match.own_end != NULL &&
-             tetcasti_sort(m->mem, &m->desc->env, &s);
-        tetcasti_free(m->mem, m->temp_tet);
-        tetcasti_free(m->mem, m->temp_source);
-    } else {
-        mesh->tet = m->temp_tet;
-        mesh->source_cell = m->temp_source;
-    }
-    m->temp_tet = NULL;
-    m->temp_source = NULL;
-    if (ok) {
-        tetcasti_run(m, tetcasti_task_turn, n);
-        for (i = 0; i < tetcasti_chunks(n); i++) tetcasti_report_add(m->report, &m->turn_report[i]);
-    }
-    if (ok) mesh->neighbour = (uint32_t (*)[4])tetcasti_alloc_array(m->mem, n, sizeof *mesh->neighbour);
+    if (mesh->tet == NULL || mesh->source_cell == NULL || m->turn_report == NULL) return TETCAST_ERR_NO_MEMORY;
+    if (!tetcasti_import_order(m)) return TETCAST_ERR_NO_MEMORY;
+    tetcasti_import_drop(m, &m->rank);
+    tetcasti_free(m->mem, m->state);
+    m->state = NULL;
+    tetcasti_run(m, tetcasti_task_turn, n);
+    for (i = 0; i < tetcasti_chunks(n); i++) tetcasti_report_add(m->report, &m->turn_report[i]);
+    mesh->neighbour = (uint32_t (*)[4])tetcasti_alloc_array(m->mem, n, sizeof *mesh->neighbour);
+    memset(&match, 0, sizeof match);
     match.mem = m->mem;
     match.env = &m->desc->env;
     match.tet = mesh->tet;
@@ -4305,15 +4301,10 @@ static tetcast_result tetcasti_import_tets(tetcasti_import *m, uint64_t tets) {
     match.vertex_count = mesh->vertex_count;
     for (again = 0; ok && mesh->neighbour != NULL && again < 2; again++) {
         match.cell_count = mesh->cell_count;
-        ok = tetcasti_match(&match, (int)sorted);
+        ok = tetcasti_match(&match);
         if (!ok || match.duplicates == 0 || again == 1) break;
         ok = tetcasti_drop_duplicates(m, &mesh->cell_count);
-        sorted = 0;
-        tetcasti_free(m->mem, match.own_list);
-        match.own_list = NULL;
     }
-    tetcasti_free(m->mem, match.own_list);
-    tetcasti_free(m->mem, match.own_end);
     if (!ok || mesh->neighbour == NULL) return TETCAST_ERR_NO_MEMORY;
     m->report->nonmanifold_faces = match.nonmanifold;
     if (match.nonmanifold != 0) m->report->first_nonmanifold = mesh->source_cell[match.first_nonmanifold];
@@ -4322,12 +4313,16 @@ static tetcast_result tetcasti_import_tets(tetcasti_import *m, uint64_t tets) {
     return TETCAST_OK;
 }
 
+/* What is not to be kept goes as soon as it is not needed: the most memory is in use while neighbours are found. */
 static tetcast_result tetcasti_import_run(tetcasti_import *m) {
+    const tetcast_mesh_desc *d = m->desc;
     uint64_t tets = 0;
     tetcast_result r = tetcasti_import_scan(m, &tets);
     if (r != TETCAST_OK) return r;
     if (!tetcasti_progress(m, 1)) return TETCAST_ERR_CANCELLED;
     if (!tetcasti_import_vertices(m)) return TETCAST_ERR_NO_MEMORY;
+    if (d->drop_source && (m->grid != NULL ? m->grid->field_count : m->in->field_count) == 0)
+        tetcasti_import_drop(m, &m->vertex_source);
     if (!tetcasti_progress(m, 2)) return TETCAST_ERR_CANCELLED;
     r = tetcasti_import_tets(m, tets);
     if (r != TETCAST_OK) return r;
@@ -4336,7 +4331,11 @@ static tetcast_result tetcasti_import_run(tetcasti_import *m) {
     r = tetcasti_import_values(m);
     if (r != TETCAST_OK) return r;
     if (!tetcasti_progress(m, 4)) return TETCAST_ERR_CANCELLED;
-    r = tetcasti_cells_build(m->mem, &m->desc->env, m->desc->cells, m->mesh, &m->mesh->cells);
+    if (d->drop_source) tetcasti_import_drop(m, &m->mesh->source_cell);
+    if (d->cells == TETCAST_CELLS_TET8 && d->drop_tets && d->disable_clusters && !d->keep_neighbours)
+        r = tetcasti_cells_build8(m->mem, &d->env, m->mesh, m->mesh, &m->mesh->cells);
+    else
+        r = tetcasti_cells_build(m->mem, &d->env, d->cells, m->mesh, &m->mesh->cells);
     if (r != TETCAST_OK) return r;
     if (!tetcasti_progress(m, 5)) return TETCAST_ERR_CANCELLED;
     m->mesh->source_vertex = m->vertex_source;
@@ -4458,6 +4457,7 @@ typedef struct tetcasti_pack {
     const tetcast_mesh *mesh;
     tetcasti_cells *cells;
     uint64_t *escapes;          /* per chunk: how many, then where they go */
+    int in_place;               /* records of a chunk go to where its neighbours begin */
 } tetcasti_pack;
 
 /* The record of a cell: tet is v0 < v1 < min(v2, v3). */
@@ -4504,17 +4504,21 @@ static void tetcasti_task_pack8_count(void *ctx, uint32_t chunk) {
 
 static void tetcasti_task_pack8(void *ctx, uint32_t chunk) {
     tetcasti_pack *p = (tetcasti_pack *)ctx;
-    tetcasti_tet8 *out = (tetcasti_tet8 *)p->cells->data;
     tetcasti_tet16 *side = (tetcasti_tet16 *)p->cells->side;
     uint32_t i = chunk * TETCASTI_CHUNK, end = tetcasti_chunk_end(chunk, p->cells->count);
     uint32_t to = (uint32_t)p->escapes[chunk];
-    for (; i < end; i++) {
-        if (tetcasti_pack8(p->mesh->tet[i], p->mesh->neighbour[i], i, &out[i])) continue;
-        tetcasti_pack16(p->mesh->tet[i], p->mesh->neighbour[i], &side[to]);
-        out[i].x = out[i].n[0] = 0;
-        out[i].n[1] = (uint16_t)to;
-        out[i].n[2] = (uint16_t)(to >> 16);
-        to++;
+    uint8_t *out = p->in_place ? (uint8_t *)p->mesh->neighbour[i] :
+                   (uint8_t *)p->cells->data + (size_t)i * sizeof(tetcasti_tet8);
+    for (; i < end; i++, out += sizeof(tetcasti_tet8)) {
+        tetcasti_tet8 t;
+        if (!tetcasti_pack8(p->mesh->tet[i], p->mesh->neighbour[i], i, &t)) {
+            tetcasti_pack16(p->mesh->tet[i], p->mesh->neighbour[i], &side[to]);
+            t.x = t.n[0] = 0;
+            t.n[1] = (uint16_t)to;
+            t.n[2] = (uint16_t)(to >> 16);
+            to++;
+        }
+        memcpy(out, &t, sizeof t);
     }
 }
 
@@ -4523,34 +4527,58 @@ static tetcast_result tetcasti_cells_build_more(tetcasti_mem *mem, const tetcast
 
 static void tetcasti_cells_field_changed(tetcast_mesh *mesh);
 
+/* `last`: the same mesh, which loses its tets and neighbours by this, so that no more memory is needed; or NULL. */
+static tetcast_result tetcasti_cells_build8(tetcasti_mem *mem, const tetcast_env *env, const tetcast_mesh *mesh,
+                                            tetcast_mesh *last, tetcasti_cells *cells) {
+    const uint32_t chunks = tetcasti_chunks(mesh->cell_count);
+    const size_t count = mesh->cell_count;
+    tetcasti_pack p;
+    uint64_t n;
+    uint32_t i;
+    memset(cells, 0, sizeof *cells);
+    cells->kind = TETCAST_CELLS_TET8;
+    cells->count = mesh->cell_count;
+    cells->data_bytes = count * sizeof(tetcasti_tet8);
+    p.mesh = mesh;
+    p.cells = cells;
+    p.in_place = last != NULL;
+    p.escapes = (uint64_t *)tetcasti_alloc_array(mem, chunks, sizeof *p.escapes);
+    if (p.escapes == NULL) return TETCAST_ERR_NO_MEMORY;
+    tetcasti_parallel_for(env, tetcasti_task_pack8_count, &p, chunks);
+    n = tetcasti_prefix_sum(p.escapes, chunks);
+    cells->side_bytes = (size_t)n * sizeof(tetcasti_tet16);
+    cells->side = tetcasti_alloc_array(mem, (size_t)n + 1, sizeof(tetcasti_tet16));
+    if (last == NULL) cells->data = tetcasti_alloc_array(mem, count + 1, sizeof(tetcasti_tet8));
+    if (cells->side != NULL && (last != NULL || cells->data != NULL))
+        tetcasti_parallel_for(env, tetcasti_task_pack8, &p, chunks);
+    tetcasti_free(mem, p.escapes);
+    if (last != NULL) {
+        tetcasti_free(mem, last->tet);
+        last->tet = NULL;
+        cells->data = tetcasti_alloc_array(mem, count + 1, sizeof(tetcasti_tet8));
+        for (i = 0; cells->data != NULL && cells->side != NULL && i < chunks; i++) {
+            const size_t first = (size_t)i * TETCASTI_CHUNK;
+            memcpy((tetcasti_tet8 *)cells->data + first, last->neighbour[first],
+                   (tetcasti_chunk_end(i, count) - first) * sizeof(tetcasti_tet8));
+        }
+        tetcasti_free(mem, last->neighbour);
+        last->neighbour = NULL;
+    }
+    return cells->side != NULL && cells->data != NULL ? TETCAST_OK : TETCAST_ERR_NO_MEMORY;
+}
+
 /* Make a compact form of a mesh that has its tets and neighbours. */
 static tetcast_result tetcasti_cells_build(tetcasti_mem *mem, const tetcast_env *env, tetcast_cells kind,
                                            const tetcast_mesh *mesh, tetcasti_cells *cells) {
     tetcasti_pack p;
     uint32_t chunks = tetcasti_chunks(mesh->cell_count);
-    uint64_t n;
     memset(cells, 0, sizeof *cells);
     cells->kind = (uint32_t)kind;
     cells->count = mesh->cell_count;
+    memset(&p, 0, sizeof p);
     p.mesh = mesh;
     p.cells = cells;
-    p.escapes = NULL;
-    if (kind == TETCAST_CELLS_TET8) {
-        cells->data_bytes = (size_t)cells->count * sizeof(tetcasti_tet8);
-        cells->data = tetcasti_alloc_array(mem, (size_t)cells->count + 1, sizeof(tetcasti_tet8));
-        p.escapes = (uint64_t *)tetcasti_alloc_array(mem, chunks, sizeof *p.escapes);
-        if (cells->data == NULL || p.escapes == NULL) {
-            tetcasti_free(mem, p.escapes);
-            return TETCAST_ERR_NO_MEMORY;
-        }
-        tetcasti_parallel_for(env, tetcasti_task_pack8_count, &p, chunks);
-        n = tetcasti_prefix_sum(p.escapes, chunks);
-        cells->side_bytes = (size_t)n * sizeof(tetcasti_tet16);
-        cells->side = tetcasti_alloc_array(mem, (size_t)n + 1, sizeof(tetcasti_tet16));
-        if (cells->side != NULL) tetcasti_parallel_for(env, tetcasti_task_pack8, &p, chunks);
-        tetcasti_free(mem, p.escapes);
-        return cells->side != NULL ? TETCAST_OK : TETCAST_ERR_NO_MEMORY;
-    }
+    if (kind == TETCAST_CELLS_TET8) return tetcasti_cells_build8(mem, env, mesh, NULL, cells);
     if (kind != TETCAST_CELLS_TET16) return tetcasti_cells_build_more(mem, env, kind, mesh, cells);
     cells->data_bytes = (size_t)cells->count * sizeof(tetcasti_tet16);
     cells->data = tetcasti_alloc_array(mem, (size_t)cells->count + 1, sizeof(tetcasti_tet16));
@@ -4749,7 +4777,6 @@ static TETCASTI_UNUSED tetcast_result tetcasti_mesh_neighbours(const tetcast_mes
                                                                const tetcast_env *env,
                                                                uint32_t (*out)[4]) {
     tetcasti_matcher m;
-    int ok;
     if (mesh->tet == NULL) return TETCAST_ERR_INVALID_ARG;
     if (mesh->neighbour != NULL) {
         memcpy(out, mesh->neighbour, (size_t)mesh->cell_count * sizeof *out);
@@ -4762,10 +4789,7 @@ static TETCASTI_UNUSED tetcast_result tetcasti_mesh_neighbours(const tetcast_mes
     m.neighbour = out;
     m.cell_count = mesh->cell_count;
     m.vertex_count = mesh->vertex_count;
-    ok = tetcasti_match(&m, 0);
-    tetcasti_free(mem, m.own_list);
-    tetcasti_free(mem, m.own_end);
-    return ok ? TETCAST_OK : TETCAST_ERR_NO_MEMORY;
+    return tetcasti_match(&m) ? TETCAST_OK : TETCAST_ERR_NO_MEMORY;
 }
 
 /* ---- a closer look ---- */

@@ -72,6 +72,30 @@ TEST(all_ways) {
     }
 }
 
+/* Cells alone are the same, and are made in 44 bytes each: vertices, neighbours, the number in the input, and a little. */
+static void check_lean(const tets *t, const tetcast_mesh_desc *like, const tetcast_mesh *m) {
+    tetcast_mesh_desc d = *like;
+    tetcast_mesh *lean;
+    test_alloc ta;
+    test_alloc_init(&ta);
+    d.env.allocator.alloc_fn = test_alloc_fn;
+    d.env.allocator.free_fn = test_free_fn;
+    d.env.allocator.user = &ta;
+    d.drop_tets = d.drop_source = d.disable_clusters = 1;
+    d.keep_neighbours = 0;
+    lean = tets_build_desc(t, &d, NULL);
+    REQUIRE(lean != NULL);
+    CHECK(lean->tet == NULL && lean->neighbour == NULL && lean->source_cell == NULL && lean->source_vertex == NULL);
+    CHECK(lean->cells.data_bytes == m->cells.data_bytes && lean->cells.side_bytes == m->cells.side_bytes);
+    CHECK(memcmp(lean->cells.data, m->cells.data, m->cells.data_bytes) == 0);
+    CHECK(memcmp(lean->cells.side, m->cells.side, m->cells.side_bytes) == 0);
+    if (d.order != TETCAST_ORDER_INPUT) /* there most of them are in the side table */
+        CHECK_MSG((size_t)ta.peak_bytes < 44 * (size_t)m->cell_count, "%.1f bytes a cell",
+                  (double)ta.peak_bytes / (double)m->cell_count);
+    tetcast_mesh_destroy(lean);
+    test_alloc_check(&ta);
+}
+
 TEST(escapes) { /* a mesh in no order at all: most of Tet8 is in the side table; and a large one */
     tets t;
     uint32_t pass;
@@ -93,6 +117,7 @@ TEST(escapes) { /* a mesh in no order at all: most of Tet8 is in the side table;
         else CHECK_MSG((double)info.connectivity_bytes < 10.0 * (double)info.cell_count, "%.2f bytes a cell",
                        (double)info.connectivity_bytes / (double)info.cell_count);
         check_ways(m);
+        check_lean(&t, &d, m);
         tetcast_mesh_destroy(m);
         tets_free(&t);
     }
