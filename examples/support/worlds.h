@@ -641,10 +641,11 @@ SUP_FN void supi_world_landscape(sup_world *w) {
             const uint32_t a = (uint32_t)(j * 257 + i);
             supi_make_quad(&make, a, a + 257, a + 258, a + 1);
         }
-    (void)supi_world_mesh(w, &make, ZBUFRAND_ROOT, 0, 1, 0);
-    supi_world_view(w, 0.25f, 0.34f, 1.5f, 0.0f, -0.02f, 0.0f, 45.0f);
-    supi_world_view(w, -0.5f, 0.12f, 0.9f, 0.3f, 0.02f, -0.4f, 50.0f);
-    supi_world_view(w, 0.3f, 0.48f, 0.95f, 0.02f, -0.08f, -0.1f, 45.0f); /* no border in sight */
+    (void)supi_world_mesh(w, &make, ZBUFRAND_ROOT, 1, 1, 0); /* whole from below, too */
+    /* above the land, and no near border in sight */
+    supi_world_view(w, -0.5f, 0.5f, 0.9f, 0.1f, -0.1f, -0.1f, 45.0f);
+    supi_world_view(w, 0.35f, 0.2f, 0.45f, -0.05f, 0.0f, -0.3f, 50.0f);
+    supi_world_view(w, 0.3f, 0.48f, 0.95f, 0.02f, -0.08f, -0.1f, 45.0f);
 }
 
 /* Make a world by name, one of SUP_WORLD_NAMES, and build it.
