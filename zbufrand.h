@@ -4034,14 +4034,15 @@ static void zbufrandi_deep(const zbufrand_scene *scene, const zbufrandi_structur
     memset(out, 0, sizeof *out);
     out->normal[2] = out->shading[2] = 1.0f;
     for (;;) {
-        double sum = 0.0, before = 0.0, area;
+        double sum[9], area;
         if (s->node_count == 0 || n->count == 0) return; /* edits may leave nothing; then no area leads here */
-        for (i = 0; i < n->count; i++) sum += (double)n->area[i];
-        y *= sum;
-        for (i = 0; i + 1 < n->count && before + (double)n->area[i] <= y; i++) before += (double)n->area[i];
+        sum[0] = 0.0;
+        for (i = 0; i < n->count; i++) sum[i + 1] = sum[i] + (double)n->area[i];
+        y *= sum[n->count];
+        for (i = 0, k = 1; k < n->count; k++) i += sum[k] <= y; /* no branch to guess */
         while (i > 0 && !(n->area[i] > 0.0f)) i--; /* rounding */
         area = (double)n->area[i];
-        y = area > 0.0 ? (y - before) / area : 0.0;
+        y = area > 0.0 ? (y - sum[i]) / area : 0.0;
         y = y > 0.0 ? (y < 1.0 ? y : 1.0) : 0.0;
         child = n->child[i];
         if (ZBUFRANDI_CHILD_KIND(child) == ZBUFRANDI_CHILD_CLUSTER) break;
@@ -15236,13 +15237,14 @@ static void zbufrandi_depth_task(void *ctx, uint32_t y) { /* depths of the pictu
     const uint64_t *keys = r->result + (size_t)(y + r->result_guard) * r->result_width + r->result_guard;
     if (p->where != NULL) {
         const uint8_t *area = p->where + (size_t)(y / 16) * ((r->width + 15) / 16);
-        uint32_t x, n;
+        uint32_t x, n, covered = 0;
         for (x = 0; x < r->width; x += 16) {
             n = r->width - x < 16 ? r->width - x : 16;
             if (area[x / 16] != 0)
-                (void)zbufrandi_key_depths(p->f->level, keys + x, n,
-                                           (uint8_t *)(p->f->depth + (size_t)y * r->width + x));
+                covered += zbufrandi_key_depths(p->f->level, keys + x, n,
+                                                (uint8_t *)(p->f->depth + (size_t)y * r->width + x));
         }
+        zbufrandi_tally_add(p->seen, covered);
         return;
     }
     zbufrandi_tally_add(p->seen, zbufrandi_key_depths(p->f->level, keys, r->width,
@@ -15519,8 +15521,8 @@ static void zbufrandi_area_mark(const zbufrandi_picture *p, const zbufrandi_draw
         for (x = lo[0]; x <= hi[0]; x++) area[(size_t)y * wide + x] = 1;
 }
 
-/* Where nearly all is rastered only pixels near samples can be wrong: p->where says where these may be, NULL if they
-   may be anywhere. Returns the number of pixels in such areas. */
+/* Only pixels near samples can be wrong: p->where says where these may be, if their draws are few, as where nearly all
+   is rastered or little of the picture is covered; NULL if they may be anywhere. Returns how many pixels are there. */
 static size_t zbufrandi_repair_areas(zbufrandi_picture *p, uint8_t *area) {
     const zbufrand_frame *f = p->f;
     const zbufrandi_recon *r = &f->recon;
@@ -15530,7 +15532,7 @@ static size_t zbufrandi_repair_areas(zbufrandi_picture *p, uint8_t *area) {
     uint32_t x, y, u, v;
     p->where = NULL;
     if (p->stats.draws[0] + p->stats.draws[1] > (few > ZBUFRANDI_REPAIR_FEW ? few : (size_t)ZBUFRANDI_REPAIR_FEW) ||
-        p->stats.rastered == 0 || block > 8 || p->d->points_count != 0) return (size_t)r->width * r->height;
+        block > 8 || p->d->points_count != 0) return (size_t)r->width * r->height;
     memset(area, 0, (size_t)wide * high);
     for (i = 0; i < f->draw_count; i++) {
         const uint32_t kind = f->draw[i].item >> ZBUFRANDI_DRAW_SHIFT;
@@ -15576,6 +15578,7 @@ static zbufrand_result zbufrandi_find_suspects(zbufrandi_picture *p) {
     zbufrandi_suspect_round(&s, 1);
     for (y0 = 0; y0 < r->height; y0 += ZBUFRANDI_REPAIR_AREA) {
         for (x0 = 0; x0 < r->width; x0 += ZBUFRANDI_REPAIR_AREA) {
+            if (p->where != NULL && p->where[(size_t)(y0 / 16) * ((r->width + 15) / 16) + x0 / 16] == 0) continue;
             for (y = y0; y < r->height && y < y0 + ZBUFRANDI_REPAIR_AREA; y++) {
                 const size_t row = (size_t)y * r->width,
                     end = row + (r->width - x0 < ZBUFRANDI_REPAIR_AREA ? r->width : x0 + ZBUFRANDI_REPAIR_AREA);
@@ -15674,7 +15677,7 @@ static zbufrand_result zbufrandi_repair(zbufrandi_picture *p, double density, ui
     result = zbufrandi_repair_suspects(p, &inside);
     if (result != ZBUFRAND_OK) return result;
     covered = p->stats.repaired - covered + zbufrandi_tally(p->seen); /* holes are among the first */
-    if (p->where != NULL) covered = sampled;
+    if (covered > sampled) covered = sampled;
     /* What the density promises, or more if more had failed than that: four standard deviations more of those whose
        neighbours show that they lie within a surface. Others were changed because it covers a part of them. */
     q = zbufrandi_exp2(-1.4426950408889634 * density * block * block);
