@@ -4017,22 +4017,26 @@ typedef struct zbufrandi_deep_point { /* a stored point of a cluster, seen from 
     uint32_t rgb, material, two_sided;
 } zbufrandi_deep_point;
 
+typedef struct zbufrandi_deep_at { /* where such a point is stored, and from where it is seen */
+    const zbufrandi_structure *s;
+    const zbufrandi_node8 *n;
+    double m[3][4];
+    size_t at;                     /* in the sets of s */
+    uint32_t lane;                 /* of n; 8: nowhere */
+    int moved;                     /* m is not the identity */
+} zbufrandi_deep_at;
+
 /* The point of a structure, of what its instances show too, at which a share y of the area, 0 to 1, comes before it in
    the order of the trees: as likely as its area makes it, of all points of all clusters. What is shared by many would
    else hand the same 64 points up, level by level, and whatever is far away would have the colour of the few of them
    that hide the others. */
-static void zbufrandi_deep(const zbufrand_scene *scene, const zbufrandi_structure *s, double y,
-                           zbufrandi_deep_point *out) {
+static void zbufrandi_deep_find(const zbufrand_scene *scene, const zbufrandi_structure *s, double y,
+                                zbufrandi_deep_at *out) {
     const zbufrandi_node8 *n = s->node;
-    double m[3][4];
-    float lo[3], hi[3];
-    const uint32_t *word;
-    uint32_t i, a, k, child, stratum;
-    size_t at;
-    int moved = 0;
-    zbufrandi_m34_identity(m);
+    uint32_t i, k, child, stratum;
     memset(out, 0, sizeof *out);
-    out->normal[2] = out->shading[2] = 1.0f;
+    zbufrandi_m34_identity(out->m);
+    out->lane = 8;
     for (;;) {
         double sum[9], area;
         if (s->node_count == 0 || n->count == 0) return; /* edits may leave nothing; then no area leads here */
@@ -4048,20 +4052,36 @@ static void zbufrandi_deep(const zbufrand_scene *scene, const zbufrandi_structur
         if (ZBUFRANDI_CHILD_KIND(child) == ZBUFRANDI_CHILD_CLUSTER) break;
         if (ZBUFRANDI_CHILD_KIND(child) == ZBUFRANDI_CHILD_INSTANCE) {
             const zbufrandi_instance *it = &s->instance[ZBUFRANDI_CHILD_INDEX(child)];
-            zbufrandi_m34_mul(ZBUFRANDI_M34(m), ZBUFRANDI_M34(it->to_parent), m);
+            zbufrandi_m34_mul(ZBUFRANDI_M34(out->m), ZBUFRANDI_M34(it->to_parent), out->m);
             s = &scene->structure[it->structure];
             n = s->node;
-            moved = 1;
+            out->moved = 1;
         } else {
             n = &s->node[ZBUFRANDI_CHILD_INDEX(child)];
         }
     }
     stratum = y * ZBUFRANDI_SET >= 63.0 ? 63u : (uint32_t)(y * ZBUFRANDI_SET);
-    at = (size_t)ZBUFRANDI_CHILD_INDEX(child) * ZBUFRANDI_SET + zbufrandi_reverse6(stratum);
+    out->s = s;
+    out->n = n;
+    out->lane = i;
+    out->at = (size_t)ZBUFRANDI_CHILD_INDEX(child) * ZBUFRANDI_SET + zbufrandi_reverse6(stratum);
+    ZBUFRANDI_PREFETCH(s->set + zbufrandi_set_at(out->at));
+    if (s->set_rgb != NULL) ZBUFRANDI_PREFETCH(&s->set_rgb[out->at]);
+}
+
+static void zbufrandi_deep_read(const zbufrandi_deep_at *from, zbufrandi_deep_point *out) {
+    const zbufrandi_structure *s = from->s;
+    const size_t at = from->at;
+    const uint32_t *word;
+    float lo[3], hi[3];
+    uint32_t a, k;
+    memset(out, 0, sizeof *out);
+    out->normal[2] = out->shading[2] = 1.0f;
+    if (from->lane == 8) return;
     word = s->set + zbufrandi_set_at(at);
     for (a = 0; a < 3; a++) {
-        lo[a] = n->lo[a][i];
-        hi[a] = n->hi[a][i];
+        lo[a] = from->n->lo[a][from->lane];
+        hi[a] = from->n->hi[a][from->lane];
     }
     zbufrandi_set_decode(word[0], lo, hi, out->p);
     zbufrandi_oct32_decode(word[8], out->normal);
@@ -4070,13 +4090,13 @@ static void zbufrandi_deep(const zbufrand_scene *scene, const zbufrandi_structur
     out->two_sided = word[0] >> 31;
     out->rgb = s->set_rgb != NULL ? s->set_rgb[at] : 0xffffffu;
     out->material = s->set_material != NULL ? s->set_material[at] : s->material;
-    if (!moved) return;
-    zbufrandi_m34_point(ZBUFRANDI_M34(m), out->p, out->p);
+    if (!from->moved) return;
+    zbufrandi_m34_point(ZBUFRANDI_M34(from->m), out->p, out->p);
     for (k = 0; k < 2; k++) {
         float *v = k == 0 ? out->normal : out->shading;
         double r[3], length = 0.0;
         for (a = 0; a < 3; a++) {
-            r[a] = m[a][0] * (double)v[0] + m[a][1] * (double)v[1] + m[a][2] * (double)v[2];
+            r[a] = from->m[a][0] * (double)v[0] + from->m[a][1] * (double)v[1] + from->m[a][2] * (double)v[2];
             length += r[a] * r[a];
         }
         length = length > 0.0 ? 1.0 / sqrt(length) : 0.0;
@@ -4094,21 +4114,27 @@ static void zbufrandi_deep_put(zbufrandi_structure *s, const zbufrandi_deep_poin
     if (s->set_normal != NULL) s->set_normal[to] = (uint16_t)zbufrandi_oct_encode(d->shading);
 }
 
-/* A point of stratum j, of 64, of instance `it`, appended as point `to` of a set of the structure that it is in. */
-static void zbufrandi_set_deep(zbufrandi_build *b, const zbufrandi_instance *it, uint32_t j, const float lo[3],
-                               const float hi[3], size_t to) {
+/* A point of stratum j, of 64, of instance `it`, for point `to` of a set of the structure that it is in. */
+static void zbufrandi_set_find(const zbufrandi_build *b, const zbufrandi_instance *it, uint32_t j, size_t to,
+                               zbufrandi_deep_at *out) {
     const uint32_t h = zbufrandi_hash32(b->scene->seed ^ zbufrandi_hash32(b->index ^
                                                                        zbufrandi_hash32((uint32_t)to + 0x3c6ef372u)));
+    zbufrandi_deep_find(b->scene, &b->scene->structure[it->structure],
+                        ((double)zbufrandi_reverse6(j) + (double)zbufrandi_unit24(h)) / ZBUFRANDI_SET, out);
+}
+
+static void zbufrandi_set_deep(zbufrandi_build *b, const zbufrandi_instance *it, const zbufrandi_deep_at *from,
+                               const float lo[3], const float hi[3], size_t to) {
     zbufrandi_deep_point d;
-    zbufrandi_deep(b->scene, &b->scene->structure[it->structure],
-                   ((double)zbufrandi_reverse6(j) + (double)zbufrandi_unit24(h)) / ZBUFRANDI_SET, &d);
+    zbufrandi_deep_read(from, &d);
     zbufrandi_m34_point(ZBUFRANDI_M34(it->to_parent), d.p, d.p);
     zbufrandi_instance_rotate(it, d.normal);
     zbufrandi_instance_rotate(it, d.shading);
     zbufrandi_deep_put(b->s, &d, lo, hi, to);
 }
 
-/* Stored point j of the set of child `i` of a node, appended as point `to` of another set of the same structure. */
+/* Stored point j of the set of child `i` of a node, no instance, appended as point `to` of another set of the same
+   structure. */
 static void zbufrandi_set_copy(zbufrandi_build *b, const zbufrandi_node8 *n, uint32_t i, uint32_t j, const float lo[3],
                                const float hi[3], size_t to) {
     zbufrandi_structure *s = b->s;
@@ -4118,10 +4144,6 @@ static void zbufrandi_set_copy(zbufrandi_build *b, const zbufrandi_node8 *n, uin
     double p[3];
     size_t at;
     const uint32_t *word;
-    if (kind == ZBUFRANDI_CHILD_INSTANCE) {
-        zbufrandi_set_deep(b, &s->instance[index], j, lo, hi, to);
-        return;
-    }
     for (a = 0; a < 3; a++) {
         child_lo[a] = n->lo[a][i];
         child_hi[a] = n->hi[a][i];
@@ -4144,6 +4166,9 @@ static void zbufrandi_node_finish(zbufrandi_build *b, uint32_t index) {
     zbufrandi_node8 *n = &s->node[index];
     zbufrandi_lane lane, own;
     double sum[9], y, start;
+    enum { AHEAD = 16 };
+    zbufrandi_deep_at deep[AHEAD];
+    uint32_t from[AHEAD];
     uint32_t i, k, seed = zbufrandi_hash32(b->scene->seed ^ zbufrandi_hash32(~b->index ^ zbufrandi_hash32(index)));
     size_t first = ((size_t)s->cluster_count + index) * ZBUFRANDI_SET;
     memset(sum, 0, sizeof sum);
@@ -4163,12 +4188,24 @@ static void zbufrandi_node_finish(zbufrandi_build *b, uint32_t index) {
     start = (double)zbufrandi_unit24(seed);
     for (i = 0, k = 0; k < ZBUFRANDI_SET; k++) {
         double f;
-        uint32_t stratum;
+        uint32_t stratum, at;
         y = ((double)k + start) / ZBUFRANDI_SET * sum[n->count];
         while (i + 1 < n->count && sum[i + 1] <= y) i++;
         f = (y - sum[i]) / (sum[i + 1] - sum[i]) * ZBUFRANDI_SET;
         stratum = !(f > 0.0) ? 0u : f >= 63.0 ? 63u : (uint32_t)f;
-        zbufrandi_set_copy(b, n, i, zbufrandi_reverse6(stratum), own.lo, own.hi, first + zbufrandi_reverse6(k));
+        from[k % AHEAD] = i;
+        if (ZBUFRANDI_CHILD_KIND(n->child[i]) == ZBUFRANDI_CHILD_INSTANCE)
+            zbufrandi_set_find(b, &s->instance[ZBUFRANDI_CHILD_INDEX(n->child[i])], zbufrandi_reverse6(stratum),
+                               first + zbufrandi_reverse6(k), &deep[k % AHEAD]);
+        else
+            zbufrandi_set_copy(b, n, i, zbufrandi_reverse6(stratum), own.lo, own.hi, first + zbufrandi_reverse6(k));
+        if (k % AHEAD != AHEAD - 1) continue;
+        for (at = 0; at < AHEAD; at++) { /* what instances show is far away in memory */
+            const uint32_t child = n->child[from[at]];
+            if (ZBUFRANDI_CHILD_KIND(child) == ZBUFRANDI_CHILD_INSTANCE)
+                zbufrandi_set_deep(b, &s->instance[ZBUFRANDI_CHILD_INDEX(child)], &deep[at], own.lo, own.hi,
+                                   first + zbufrandi_reverse6(k - (AHEAD - 1) + at));
+        }
     }
 }
 
@@ -4693,9 +4730,11 @@ static int zbufrandi_more_make(zbufrandi_build *b) {
                 const uint32_t h = zbufrandi_hash32(b->scene->seed ^
                                                     zbufrandi_hash32(b->index ^ zbufrandi_hash32((uint32_t)at)));
                 double y = ((double)k + (double)zbufrandi_unit24(h)) / ZBUFRANDI_SET;
+                zbufrandi_deep_at from;
                 zbufrandi_deep_point d;
                 if (!whole) y = sum > 0.0 ? (before + y * (double)root->area[i]) / sum : 0.0;
-                zbufrandi_deep(b->scene, s, y, &d);
+                zbufrandi_deep_find(b->scene, s, y, &from);
+                zbufrandi_deep_read(&from, &d);
                 zbufrandi_deep_put(s, &d, lo, hi, at);
             }
         }
