@@ -2002,9 +2002,9 @@ ZBUFRANDI_INLINE void zbufrandi_key_min(uint64_t *at, uint64_t key) { if (key < 
    views     what many instances share is mostly seen from afar, where half of its area and more faces away: four more
              sets for each of 96 directions of view v, in which a point with normal n is as likely as
              min(1, n . v + reach) makes it (seen from both sides: |n . v|). Sets of direction i: first_view + 4 i.
-   more      what is made of instances and drawn many times shows the same 64 points wherever it is far away; 64 sets of
-             the whole, first_more + v, and 8 of each child i of node 0, first_more + 64 + 8 i + v, of which each
-             instance takes one, make the mean colour there right. */
+   more      what is made of instances and drawn many times shows the same 64 points wherever it is far away; m = 64 or
+             256 sets of the whole, first_more + v, and m / 8 of each child i of node 0, first_more + m + m / 8 i + v,
+             of which each instance takes one, make the mean colour there right. */
 
 #define ZBUFRANDI_CLUSTER_TRIANGLES 128
 #define ZBUFRANDI_CLUSTER_VERTICES 256
@@ -2012,7 +2012,8 @@ ZBUFRANDI_INLINE void zbufrandi_key_min(uint64_t *at, uint64_t key) { if (key < 
 #define ZBUFRANDI_VIEWS 96       /* directions: 4 x 4 cells on each side of a cube */
 #define ZBUFRANDI_VIEW_SETS 4
 #define ZBUFRANDI_MORE_SETS 64   /* powers of two */
-#define ZBUFRANDI_MORE_PARTS 8
+#define ZBUFRANDI_MORE_SETS_MANY 256
+#define ZBUFRANDI_MORE_PARTS 8   /* as many less of each part */
 
 enum { ZBUFRANDI_CHILD_NODE = 0, ZBUFRANDI_CHILD_CLUSTER = 1, ZBUFRANDI_CHILD_INSTANCE = 2, ZBUFRANDI_CHILD_NONE = 3 };
 #define ZBUFRANDI_CHILD(kind, index) ((uint32_t)(kind) << 30 | (uint32_t)(index))
@@ -2080,6 +2081,7 @@ typedef struct zbufrandi_structure {
     uint32_t vertex_count, triangle_count, cluster_count, node_count, instance_count;
     uint32_t first_view;            /* set of the first direction of view; 0: there are none, or an edit spoilt them */
     uint32_t first_more;            /* first of more sets of the whole, then of the children of node 0; 0: as above */
+    uint32_t more;                  /* how many of the whole */
     uint32_t material;
     float box_lo[3], box_hi[3];     /* of everything, rounded outwards */
     float radius;                   /* of a ball around the middle of that box that holds it all, stored points, too */
@@ -4551,7 +4553,8 @@ static zbufrand_result zbufrandi_build_structure(zbufrandi_build *b) {
 enum {
     ZBUFRANDI_VIEW_LANES = 64,     /* children that the points of views are taken from, 64 of each */
     ZBUFRANDI_VIEW_LANES_LEAST = 8,
-    ZBUFRANDI_VIEW_INSTANCES = 32  /* fewer of them are not worth the memory */
+    ZBUFRANDI_VIEW_INSTANCES = 32, /* fewer of them are not worth the memory */
+    ZBUFRANDI_MORE_INSTANCES = 512 /* as many may fill a picture: their mean colour is seen */
 };
 /* Views are for an eye at least this many times as far away as the corners of the box from its middle; directions to it
    then differ by less than 1/16 over the structure. */
@@ -4702,18 +4705,19 @@ static void zbufrandi_view_make(zbufrandi_view_job *j, uint32_t cell) {
     }
 }
 
-/* More sets for what is made of instances and drawn many times: of the whole, and of each node below the first. Deeper
-   nodes are so many that they share out the points already. 0: no memory. */
-static int zbufrandi_more_make(zbufrandi_build *b) {
+/* `more` sets for what is made of instances and drawn many times: of the whole, and an eighth as many of each node
+   below the first. Deeper nodes are so many that they share out the points already. 0: no memory. */
+static int zbufrandi_more_make(zbufrandi_build *b, uint32_t more) {
     zbufrandi_structure *s = b->s;
     const zbufrandi_node8 *root = &s->node[0];
     const uint32_t first = s->cluster_count + s->node_count;
     uint32_t i, v, k, a;
-    if (!zbufrandi_more_room(&b->scene->mem, s, ZBUFRANDI_MORE_SETS + 8 * ZBUFRANDI_MORE_PARTS)) return 0;
+    enum { AHEAD = 16 };
+    zbufrandi_deep_at from[AHEAD];
+    if (!zbufrandi_more_room(&b->scene->mem, s, more + 8 * (more / ZBUFRANDI_MORE_PARTS))) return 0;
     for (i = 0; i <= root->count; i++) { /* the whole last: its points are drawn from nothing that is written here */
         const int whole = i == root->count;
-        const uint32_t sets = whole ? ZBUFRANDI_MORE_SETS : ZBUFRANDI_MORE_PARTS,
-                       to = first + (whole ? 0u : ZBUFRANDI_MORE_SETS + ZBUFRANDI_MORE_PARTS * i);
+        const uint32_t sets = whole ? more : more / ZBUFRANDI_MORE_PARTS, to = first + (whole ? 0u : more + sets * i);
         double before = 0.0, sum = 0.0;
         float lo[3], hi[3];
         for (k = 0; k < root->count; k++) {
@@ -4730,15 +4734,20 @@ static int zbufrandi_more_make(zbufrandi_build *b) {
                 const uint32_t h = zbufrandi_hash32(b->scene->seed ^
                                                     zbufrandi_hash32(b->index ^ zbufrandi_hash32((uint32_t)at)));
                 double y = ((double)k + (double)zbufrandi_unit24(h)) / ZBUFRANDI_SET;
-                zbufrandi_deep_at from;
-                zbufrandi_deep_point d;
+                uint32_t j;
                 if (!whole) y = sum > 0.0 ? (before + y * (double)root->area[i]) / sum : 0.0;
-                zbufrandi_deep_find(b->scene, s, y, &from);
-                zbufrandi_deep_read(&from, &d);
-                zbufrandi_deep_put(s, &d, lo, hi, at);
+                zbufrandi_deep_find(b->scene, s, y, &from[k % AHEAD]);
+                if (k % AHEAD != AHEAD - 1) continue;
+                for (j = 0; j < AHEAD; j++) { /* what instances show is far away in memory */
+                    zbufrandi_deep_point d;
+                    zbufrandi_deep_read(&from[j], &d);
+                    zbufrandi_deep_put(s, &d, lo, hi, ((size_t)to + v) * ZBUFRANDI_SET +
+                                       zbufrandi_reverse6(k - (AHEAD - 1) + j));
+                }
             }
         }
     }
+    s->more = more;
     s->first_more = first;
     return 1;
 }
@@ -4767,7 +4776,8 @@ static int zbufrandi_scene_views(zbufrand_scene *scene) {
         /* What is made of instances has thousands of different things in it, of which the 256 points of a view are no
            fair sample: all that is far away in one direction would have the colour of the few that hide the others. */
         if (drawn[i] >= ZBUFRANDI_VIEW_INSTANCES && b.s->node_count != 0 && b.s->instance_count != 0)
-            ok = zbufrandi_more_make(&b);
+            ok = zbufrandi_more_make(&b, drawn[i] < ZBUFRANDI_MORE_INSTANCES ? ZBUFRANDI_MORE_SETS
+                                                                             : ZBUFRANDI_MORE_SETS_MANY);
         if (!ok) break;
         if (uses[i] < ZBUFRANDI_VIEW_INSTANCES || b.s->node_count == 0 || b.s->instance_count != 0) continue;
         if (j == NULL) j = (zbufrandi_view_job *)zbufrandi_alloc(&scene->mem, sizeof *j);
@@ -8913,8 +8923,8 @@ static void zbufrandi_pick_child(const zbufrandi_cut *cut, const zbufrandi_local
         if (stored) {
             uint32_t set = s->cluster_count + index;
             if (s->first_more != 0 && n == &s->node[0])
-                set = s->first_more + ZBUFRANDI_MORE_SETS + ZBUFRANDI_MORE_PARTS * i +
-                    zbufrandi_more_of(cut, l, hash) % ZBUFRANDI_MORE_PARTS;
+                set = s->first_more + s->more + s->more / ZBUFRANDI_MORE_PARTS * i +
+                    zbufrandi_more_of(cut, l, hash) % (s->more / ZBUFRANDI_MORE_PARTS);
             zbufrandi_emit_stored(cut, p, l, local, hash, set, lo, hi, n, t, i);
         } else {
             zbufrandi_open_node *f = &p->stack[p->stack_count++];
@@ -8956,7 +8966,7 @@ static void zbufrandi_pick_child(const zbufrandi_cut *cut, const zbufrandi_local
             if (zbufrandi_emit_view(cut, p, k, entered, hash, n, t, i, expected)) stored = 1;
             else if (stored)
                 zbufrandi_emit_stored(cut, p, k, entered, hash, to->first_more == 0 ? to->cluster_count
-                                      : to->first_more + zbufrandi_more_of(cut, k, hash) % ZBUFRANDI_MORE_SETS,
+                                      : to->first_more + zbufrandi_more_of(cut, k, hash) % to->more,
                                       to->box_lo, to->box_hi, n, t, i);
             if (stored && p->draw_count == draws) p->local_count--; /* nobody needs it */
         }
@@ -15716,7 +15726,7 @@ static zbufrand_result zbufrandi_repair(zbufrandi_picture *p, double density, ui
     result = zbufrandi_repair_suspects(p, &inside);
     if (result != ZBUFRAND_OK) return result;
     covered = p->stats.repaired - covered + zbufrandi_tally(p->seen); /* holes are among the first */
-    if (covered > sampled) covered = sampled;
+    if (p->where != NULL && p->stats.rastered != 0) covered = sampled; /* else those that have a sample */
     /* What the density promises, or more if more had failed than that: four standard deviations more of those whose
        neighbours show that they lie within a surface. Others were changed because it covers a part of them. */
     q = zbufrandi_exp2(-1.4426950408889634 * density * block * block);

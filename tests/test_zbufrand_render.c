@@ -1801,9 +1801,9 @@ TEST(far_away_as_colourful) {
 
 /* Tiles of spikes, half of them bright, from two distances: tiles are drawn as a whole, and from the parts of their tree. Whatever the
    seed, the mean colour is that of an exact picture, at each distance: no seam between them. All tiles once showed the same 64 points:
-   the mean was off by up to 0.34. */
+   the mean was off by up to 0.34; with 64 sets of the whole and 8 of the parts by 0.041 (root of the mean square). */
 TEST(any_seed_as_colourful) {
-    enum { W = 96, H = 54, SPIKES = 2048, MODELS = 8, SEEDS = 10, FAR = 2 };
+    enum { W = 96, H = 54, SPIKES = 2048, MODELS = 8, SEEDS = 10, FAR = 2, PICTURES = 8 };
     static const double fov[FAR] = {40, 16};
     zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
     buffers b;
@@ -1811,7 +1811,7 @@ TEST(any_seed_as_colourful) {
     static uint8_t rgb[3 * 3 * SPIKES];
     double mean[FAR], square[FAR];
     test_rng r = test_rng_make(21);
-    uint32_t i, k, seed, away;
+    uint32_t i, k, seed, away, picture;
     memset(mean, 0, sizeof mean);
     memset(square, 0, sizeof square);
     memset(&s, 0, sizeof s);
@@ -1855,7 +1855,6 @@ TEST(any_seed_as_colourful) {
             zbufrand_render_desc d;
             double sum = 0, covered = 1e-9;
             memset(&d, 0, sizeof d);
-            d.seed = seed;
             d.camera.eye[2] = 1000;
             d.camera.eye[1] = 500;
             d.camera.fov_y = fov[away];
@@ -1863,20 +1862,24 @@ TEST(any_seed_as_colourful) {
             d.unlit = 1;
             d.oversample = seed == 0 ? 4 : 1;
             d.hybrid = seed == 0 ? ZBUFRAND_HYBRID_ALL : ZBUFRAND_HYBRID_OFF;
-            CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, NULL), ZBUFRAND_OK);
-            for (i = 0; i < W * H; i++) {
-                sum += (double)b.rgba[4 * i];
-                covered += (double)b.rgba[4 * i + 3];
+            for (picture = 0; picture < (seed == 0 ? 1 : PICTURES); picture++) { /* which tile takes which points is another chance */
+                d.seed = seed * PICTURES + picture;
+                CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, NULL), ZBUFRAND_OK);
+                for (i = 0; i < W * H; i++) {
+                    sum += (double)b.rgba[4 * i];
+                    covered += (double)b.rgba[4 * i + 3];
+                }
             }
             CHECK_MSG(covered > W * H / 24, "%g", covered);
             sum /= covered;
             if (seed == 0) mean[away] = sum;
-            CHECK_MSG(fabs(sum / mean[away] - 1) < 0.12, "seed %u, distance %u: %+.3f", seed, away, sum / mean[away] - 1);
+            if (test_g.verbose) printf("%+.3f ", sum / mean[away] - 1);
+            CHECK_MSG(fabs(sum / mean[away] - 1) < 0.1, "seed %u, distance %u: %+.3f", seed, away, sum / mean[away] - 1);
             square[away] += (sum / mean[away] - 1) * (sum / mean[away] - 1) / SEEDS;
         }
         zbufrand_scene_destroy(scene);
     }
-    for (away = 0; away < FAR; away++) CHECK_MSG(square[away] < 0.06 * 0.06, "distance %u: %.3f", away, sqrt(square[away]));
+    for (away = 0; away < FAR; away++) CHECK_MSG(square[away] < 0.033 * 0.033, "distance %u: %.3f", away, sqrt(square[away]));
     buffers_close(&b);
     zbufrand_frame_destroy(frame);
     shape_free(&s);
