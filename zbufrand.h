@@ -3453,6 +3453,12 @@ ZBUFRANDI_INLINE float zbufrandi_float_down(double x) {
     float f = (float)x;
     return (double)f > x ? zbufrandi_step_float(f, 0) : f;
 }
+/* x as a float holds it. (double)(float)x is x itself to gcc 12 where it makes vectors of two of them, and cones, then
+   pictures, would differ between compilers. */
+ZBUFRANDI_INLINE double zbufrandi_rounded(double x) {
+    volatile float f = (float)x;
+    return (double)f;
+}
 ZBUFRANDI_INLINE float zbufrandi_float_up(double x) {
     float f = (float)x;
     return (double)f < x ? zbufrandi_step_float(f, 1) : f;
@@ -3772,12 +3778,12 @@ static void zbufrandi_measure_cluster(const zbufrandi_structure *s, uint32_t ind
     length = sqrt(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2]);
     if (length > 1e-6 * (double)c->triangle_count) {
         for (a = 0; a < 3; a++) {
-            axis[a] /= length;
+            axis[a] = zbufrandi_rounded(axis[a] / length);
             l->axis[a] = (float)axis[a];
         }
         for (t = 0; t < c->triangle_count; t++) {
             double d = 0.0;
-            for (a = 0; a < 3; a++) d += (double)shape->sign[t] * (double)shape->normal[t][a] * (double)l->axis[a];
+            for (a = 0; a < 3; a++) d += (double)shape->sign[t] * (double)shape->normal[t][a] * axis[a];
             cosine = d < cosine ? d : cosine;
         }
     } else {
@@ -3946,8 +3952,10 @@ static void zbufrandi_node_lane(const zbufrandi_node8 *n, zbufrandi_lane *out) {
     out->area = (float)area;
     length = sqrt(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2]);
     if (length > 1e-6 * area && length > 0.0) {
-        for (a = 0; a < 3; a++) out->axis[a] = (float)(axis[a] / length);
-        for (a = 0; a < 3; a++) axis[a] = (double)out->axis[a];
+        for (a = 0; a < 3; a++) {
+            axis[a] = zbufrandi_rounded(axis[a] / length);
+            out->axis[a] = (float)axis[a];
+        }
         for (i = 0; i < n->count; i++)
             cosine = zbufrandi_min(cosine, zbufrandi_cone_reach(axis, &lane[i], sign[i]) - 1e-6);
         cosine = zbufrandi_max(cosine, -1.0);
@@ -5677,8 +5685,8 @@ static void zbufrandi_list_cone_task(void *ctx, uint32_t task) {
         length = sqrt(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2]);
         if (!(length > 1e-6 * (double)(c->last - c->first))) return; /* all directions */
         for (a = 0; a < 3; a++) {
-            c->axis[a] = (float)(axis[a] / length);
-            axis[a] = (double)c->axis[a];
+            axis[a] = zbufrandi_rounded(axis[a] / length);
+            c->axis[a] = (float)axis[a];
         }
     }
     c->cosine = zbufrandi_float_down(zbufrandi_max(cosine, -1.0));

@@ -2164,6 +2164,261 @@ TEST(golden_pictures) {
     shape_free(&s);
 }
 
+/* A quadrilateral, two triangles of one colour each (rgb: 3 bytes for each triangle of the shape). */
+static void golden_quad(shape *s, uint8_t *rgb, const double p[4][3], uint32_t color) {
+    uint32_t v[4], k, a;
+    for (k = 0; k < 4; k++) v[k] = shape_vertex(s, p[k][0], p[k][1], p[k][2]);
+    for (k = 0; k < 2; k++) {
+        const size_t at = 3 * (size_t)s->triangles;
+        shape_triangle(s, v[0], v[k + 1], v[k + 2]);
+        for (a = 0; a < 3; a++) rgb[at + a] = (uint8_t)(color >> 8 * a);
+    }
+}
+
+/* A rectangle across axis `axis` of a box of given corners: at its low side, or its high one. */
+static void golden_side(shape *s, uint8_t *rgb, const double lo[3], const double hi[3], uint32_t axis, int high, uint32_t color) {
+    const uint32_t u = (axis + 1) % 3, v = (axis + 2) % 3;
+    double p[4][3];
+    uint32_t k;
+    for (k = 0; k < 4; k++) {
+        p[k][axis] = high ? hi[axis] : lo[axis];
+        p[k][high ? u : v] = k == 1 || k == 2 ? hi[high ? u : v] : lo[high ? u : v];
+        p[k][high ? v : u] = k >= 2 ? hi[high ? v : u] : lo[high ? v : u];
+    }
+    golden_quad(s, rgb, p, color);
+}
+
+static void golden_box(shape *s, uint8_t *rgb, double x, double y, double z, double wide, double high, uint32_t color) {
+    const double lo[3] = {x, y, z}, hi[3] = {x + wide, y + high, z + wide};
+    uint32_t k;
+    for (k = 0; k < 6; k++) golden_side(s, rgb, lo, hi, k / 2, (int)(k & 1), color + 0x101010 * k);
+}
+
+enum { GOLDEN_SCENES = 10, GOLDEN_TRIANGLES = 8192 };
+static const char *const golden_name[GOLDEN_SCENES] = {
+    "chessboard", "stripes", "height field", "sphere", "roof and walls", "city", "fractal tree", "dust", "decals and slats", "corridor"
+};
+
+/* What scene k is made of, of numbers that are the same everywhere: sums, products, square roots. */
+static void golden_shape(uint32_t k, shape *s, uint8_t *rgb) {
+    test_rng r = test_rng_make(k + 70);
+    uint32_t i, j, n;
+    double p[4][3], u[4];
+    memset(s, 0, sizeof *s);
+    switch (k) {
+    case 0: /* 24 x 24 fields */
+        for (i = 0; i < 576; i++) {
+            const double lo[3] = {(double)(i % 24) - 12, 0, (double)(i / 24) - 12}, hi[3] = {lo[0] + 1, 0, lo[2] + 1};
+            golden_side(s, rgb, lo, hi, 1, 1, ((i % 24 ^ i / 24) & 1) != 0 ? 0xe0e8f0 : 0x201810);
+        }
+        break;
+    case 1: /* tilted ones before a wall */
+        for (i = 0; i < 96; i++) {
+            for (j = 0; j < 4; j++) {
+                const double x = -6 + 0.125 * i + (j == 1 || j == 2 ? 0.0625 : 0), y = j >= 2 ? 5 : -5;
+                p[j][0] = 0.8 * x - 0.6 * y;
+                p[j][1] = 0.6 * x + 0.8 * y;
+                p[j][2] = 0.25 * x;
+            }
+            golden_quad(s, rgb, (const double (*)[3])p, 0x3060c0 + i);
+        }
+        for (j = 0; j < 4; j++) {
+            p[j][0] = j == 1 || j == 2 ? 9 : -9;
+            p[j][1] = j >= 2 ? 7 : -7;
+            p[j][2] = -1.5;
+        }
+        golden_quad(s, rgb, (const double (*)[3])p, 0xd0c040);
+        break;
+    case 2: { /* coarse heights, and finer ones between them */
+        double h[33][33];
+        for (i = 0; i < 33 * 33; i++) h[i / 33][i % 33] = 0;
+        for (n = 8; n > 0; n /= 2)
+            for (i = 0; i < 33; i += n)
+                for (j = 0; j < 33; j += n) h[i][j] += (test_rng_double(&r) - 0.5) * (0.3 * n);
+        for (i = 0; i < 32 * 32; i++) {
+            for (j = 0; j < 4; j++) {
+                const uint32_t x = i % 32 + (j >= 2), z = i / 32 + (j == 1 || j == 2);
+                p[j][0] = 0.5 * x - 8;
+                p[j][1] = h[z][x];
+                p[j][2] = 0.5 * z - 8;
+            }
+            golden_quad(s, rgb, (const double (*)[3])p, 0x306030 + 2 * (i & 31));
+        }
+        break;
+    }
+    case 3: /* a cube of 6 x 16 x 16 fields, blown up */
+        for (i = 0; i < 6 * 256; i++) {
+            const uint32_t axis = i / 512, high = i / 256 & 1;
+            for (j = 0; j < 4; j++) {
+                double length = 0;
+                const double a = ((double)(i % 16) + (j == 1 || j == 2)) / 8 - 1, b = ((double)(i / 16 % 16) + (j >= 2)) / 8 - 1;
+                p[j][axis] = high != 0 ? 1 : -1;
+                p[j][(axis + (high != 0 ? 1 : 2)) % 3] = a;
+                p[j][(axis + (high != 0 ? 2 : 1)) % 3] = b;
+                for (n = 0; n < 3; n++) length += p[j][n] * p[j][n];
+                length = sqrt(length);
+                for (n = 0; n < 3; n++) p[j][n] = 5 * p[j][n] / length;
+            }
+            golden_quad(s, rgb, (const double (*)[3])p, 0xc08040);
+        }
+        break;
+    case 4: /* houses: a roof just above its walls */
+        for (i = 0; i < 64; i++) {
+            const double x = (double)(i % 8) * 2 - 8, z = (double)(i / 8) * 2 - 8;
+            golden_box(s, rgb, x, 0, z, 1.25, 1, 0x607080);
+            for (n = 0; n < 2; n++) {
+                for (j = 0; j < 4; j++) {
+                    p[j][0] = x + (n == 0 ? -0.125 : 1.375) + (j >= 2 ? (n == 0 ? 0.75 : -0.75) : 0);
+                    p[j][1] = j >= 2 ? 1.75 : 0.96875;
+                    p[j][2] = z + ((j == 1 || j == 2) == (n == 0) ? 1.375 : -0.125);
+                }
+                golden_quad(s, rgb, (const double (*)[3])p, 0x3040c0);
+            }
+        }
+        break;
+    case 5: /* a block of towers, and streets between such blocks */
+        for (i = 0; i < 16; i++)
+            golden_box(s, rgb, (double)(i % 4), 0, (double)(i / 4), 0.75, 0.5 + 3 * test_rng_double(&r), 0x506070 + 0x050301 * i);
+        break;
+    case 6: /* a branch with leaves */
+        golden_box(s, rgb, -0.0625, 0, -0.0625, 0.125, 1.25, 0x204060);
+        for (i = 0; i < 24; i++) {
+            for (n = 0; n < 4; n++) u[n] = test_rng_double(&r);
+            for (j = 0; j < 4; j++) {
+                p[j][0] = u[0] - 0.5 + (j == 1 ? 0.1875 * u[3] : 0);
+                p[j][1] = 0.25 + u[1] + (j == 2 ? 0.1875 * u[3] : 0);
+                p[j][2] = u[2] - 0.5 + (j == 3 ? 0.125 : 0);
+            }
+            golden_quad(s, rgb, (const double (*)[3])p, 0x206020 + (i << 11));
+        }
+        break;
+    case 7: /* a piece of what is mostly empty */
+        golden_box(s, rgb, -1, -1, -1, 2, 2, 0x80b0e0);
+        break;
+    case 8: /* planes 2^-10 apart, and slats before them */
+        for (i = 0; i < 24; i++) {
+            const double lo[3] = {(double)(i % 6) * 2 - 6, (double)(i / 6) * 2 - 4, i * 0.0009765625}, hi[3] = {lo[0] + 3, lo[1] + 3, lo[2]};
+            golden_side(s, rgb, lo, hi, 2, 1, 0x3050e0 + 0x080402 * i);
+        }
+        for (i = 0; i < 40; i++) {
+            const double y = 0.25 * i - 5;
+            for (j = 0; j < 4; j++) {
+                p[j][0] = j == 1 || j == 2 ? 6 : -6;
+                p[j][1] = y + (j >= 2 ? 0.15 : 0);
+                p[j][2] = 1 + (j >= 2 ? -0.2 : 0);
+            }
+            golden_quad(s, rgb, (const double (*)[3])p, 0xb0b0b0);
+        }
+        break;
+    default: /* pillars along both walls, many behind each other */
+        for (i = 0; i < 60; i++)
+            golden_box(s, rgb, (i & 1) != 0 ? 1.5 : -2.5, -2, 8 - (double)(i / 2), 0.5 + 0.5 * test_rng_double(&r), 4, 0x405060 + 0x010204 * i);
+        for (i = 0; i < 4; i++) {
+            const double lo[3] = {-3, -2, -24}, hi[3] = {3, 2, 12};
+            golden_side(s, rgb, lo, hi, i / 2, (i & 1) == 0, 0x708090);
+        }
+        break;
+    }
+}
+
+/* Ten scenes of the specification's kinds, each by cost, from samples in blocks of 2, and rastered: what is drawn is known bit by bit. */
+TEST(golden_scenes) {
+    enum { W = 93, H = 71, WAYS = 3 };
+    static const uint64_t want[GOLDEN_SCENES] = {
+        UINT64_C(0xa83c5a6f61d8b30b), UINT64_C(0x9111d9109149f881), UINT64_C(0x8c53013cc814904a),
+        UINT64_C(0xd416a749cc9ba321), UINT64_C(0xe9901375d1ceddbf), UINT64_C(0xc92498c9b66221d3),
+        UINT64_C(0xeaa1715997898788), UINT64_C(0xaaba00a5cc0696ad), UINT64_C(0x04b66c85177acf72),
+        UINT64_C(0xb04daffadcb1f2b2)
+    };
+    static const float eye[GOLDEN_SCENES][3] = {
+        {1, 2, 14}, {2, 1, 18}, {3, 6, 14}, {4, 5, 14}, {6, 5, 14}, {30, 24, 62}, {1, 3, 9}, {5, 6, 11}, {3, 1, 14}, {0.5f, 0.25f, 11}
+    };
+    static uint8_t rgb[3 * GOLDEN_TRIANGLES], bytes[4 * W * H];
+    static float rgba[4 * W * H], depth[W * H];
+    uint32_t k, way, i, a, level;
+    for (k = 0; k < GOLDEN_SCENES; k++) {
+        const uint32_t levels = k == 5 ? 1u : k == 6 ? 5u : k == 7 ? 4u : 0u, fan = k == 5 ? 100u : k == 6 ? 3u : 8u;
+        zbufrand_scene *scene = NULL;
+        zbufrand_node lib, branch, below, list;
+        zbufrand_transform t;
+        zbufrand_mesh m;
+        shape s;
+        uint64_t hash = 0;
+        golden_shape(k, &s, rgb);
+        if (s.triangles > GOLDEN_TRIANGLES) abort();
+        m = mesh_of(&s);
+        m.two_sided = k != 5;
+        m.triangle_rgb = rgb;
+        CHECK_EQ_U64(zbufrand_scene_create(NULL, &scene), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_list(scene, 1, NULL, ZBUFRAND_HIDDEN, &lib), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_mesh(scene, levels == 0 ? 1 : lib, NULL, 0, &m, &branch), ZBUFRAND_OK);
+        below = branch;
+        for (level = 0; level < levels; level++, below = list) {
+            CHECK_EQ_U64(zbufrand_add_list(scene, level + 1 == levels ? 1 : lib, NULL, 0, &list), ZBUFRAND_OK);
+            for (i = 0; i < fan + (k == 6); i++) {
+                memset(&t, 0, sizeof t);
+                for (a = 0; a < 3; a++) t.m[a][a] = k == 7 ? 0.3125 : 1;
+                if (k == 5) { /* 10 x 10 blocks */
+                    t.m[0][3] = 6.0 * (i % 10) - 27;
+                    t.m[2][3] = 6.0 * (i / 10) - 27;
+                }
+                for (a = 0; a < 3 && k == 7; a++) t.m[a][3] = (i >> a & 1u) != 0 ? 0.6875 : -0.6875; /* corners of a cube */
+                if (k == 7 && level + 1 == levels) for (a = 0; a < 12; a++) t.m[a / 4][a % 4] *= 4;
+                if (k == 6 && i < fan) { /* turned away from the branch, and around it; the last one is the branch itself */
+                    const double turn[3][2] = {{1, 0}, {-0.6, 0.8}, {-0.28, -0.96}}, c = turn[i][0], d = turn[i][1];
+                    const double q[3][3] = {{0.8 * c, -0.6 * c, d}, {0.6, 0.8, 0}, {-0.8 * d, 0.6 * d, c}};
+                    for (a = 0; a < 9; a++) t.m[a / 3][a % 3] = 0.75 * q[a / 3][a % 3];
+                    t.m[1][3] = 1.125;
+                }
+                CHECK_EQ_U64(zbufrand_add_reference(scene, list, &t, i < fan ? below : branch, NULL), ZBUFRAND_OK);
+            }
+        }
+        CHECK_EQ_U64(zbufrand_scene_build(scene, NULL, NULL), ZBUFRAND_OK);
+        for (way = 0; way < 2 * WAYS; way++) { /* the second time by other instructions, on other threads: the same picture */
+            zbufrand_frame *frame = open_frame(way < WAYS ? 1 : 3, way < WAYS ? ZBUFRAND_ISA_AUTO : ZBUFRAND_ISA_SCALAR);
+            zbufrand_render_desc d;
+            zbufrand_image image;
+            zbufrand_stats st;
+            static uint64_t first[WAYS];
+            uint64_t here;
+            memset(&d, 0, sizeof d);
+            memset(&image, 0, sizeof image);
+            image.width = W;
+            image.height = H;
+            image.rgba8 = bytes;
+            image.rgba = rgba;
+            image.depth = depth;
+            for (a = 0; a < 3; a++) d.camera.eye[a] = (double)eye[k][a];
+            if (k == 6) d.camera.at[1] = 2;
+            if (way % WAYS == 1) {
+                d.hybrid = ZBUFRAND_HYBRID_OFF;
+                d.reconstruct.block = 2;
+            }
+            if (way % WAYS == 2) d.hybrid = ZBUFRAND_HYBRID_ALL;
+            CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &image, &st), ZBUFRAND_OK);
+            CHECK_MSG(st.covered > 400, "%s: %u pixels", golden_name[k], (unsigned)st.covered);
+            here = test_fnv1a(bytes, sizeof bytes, 0);
+            for (i = 0; i < 5 * W * H; i++) { /* the bytes of floats in one order */
+                uint32_t u;
+                uint8_t b[4];
+                memcpy(&u, i < W * H ? &depth[i] : &rgba[i - W * H], 4);
+                put_u32(b, u);
+                here = test_fnv1a(b, 4, here);
+            }
+            zbufrand_frame_destroy(frame);
+            if (way < WAYS) {
+                first[way] = here;
+                hash = hash * UINT64_C(0x100000001b3) + here;
+            } else {
+                CHECK_MSG(here == first[way - WAYS], "%s, way %u: other instructions, another picture", golden_name[k], way - WAYS);
+            }
+        }
+        CHECK_MSG(hash == want[k], "%s: 0x%016llx", golden_name[k], (unsigned long long)hash);
+        zbufrand_scene_destroy(scene);
+        shape_free(&s);
+    }
+}
+
 /* ---- costs ---- */
 
 static double ticks(void *user) { /* a clock of its own: every look at it takes longer than the one before */
@@ -2301,6 +2556,7 @@ int main(int argc, char **argv) {
     RUN(oversampled);
     RUN(pictures_stay_as_good);
     RUN(golden_pictures);
+    RUN(golden_scenes);
     RUN(costs_are_measured);
     RUN(memory_limit);
     RUN(cancelled);
