@@ -24087,10 +24087,21 @@ static int voxrti_gi_side_open(const voxrt_gi *gi, uint32_t x, uint32_t y, uint3
     return voxrti_gi_side_see(gi, i, layer, cell, dir, s);
 }
 
-/* Records of the cells that rays have hit, on their way from memory when this returns. */
+/* Records of the cells that rays have hit, on their way from memory when this returns. Memory is slower than all that
+   is done with it, so what a cell needs is asked for in turns: where its record is, that, and then its light. */
 VOXRTI_INLINE void voxrti_gi_find_each(const voxrt_gi *const *where, const voxrt_column_hit *hit, uint32_t count,
                                        size_t *of, uint8_t *layer) {
     uint32_t i, l;
+    for (i = 0; i < count; i++) {
+        const uint32_t *cell = hit[i].cell;
+        const voxrt_gi *gi = where[i];
+        if (!(hit[i].t < INFINITY)) continue;
+        for (l = 0; l < 2; l++) {
+            if (gi->layer[l].count == 0) continue;
+            VOXRTI_PREFETCH(&gi->layer[l].bits[voxrti_column(gi->columns, 0, cell[0], cell[1])]);
+            VOXRTI_PREFETCH(&gi->layer[l].base[((size_t)cell[1] << gi->columns->row_log[0]) + cell[0]]);
+        }
+    }
     for (i = 0; i < count; i++) {
         const voxrt_gi *gi = where[i];
         of[i] = (size_t)-1;
@@ -24100,9 +24111,16 @@ VOXRTI_INLINE void voxrti_gi_find_each(const voxrt_gi *const *where, const voxrt
         layer[i] = (uint8_t)l;
         if (of[i] == (size_t)-1) continue;
         VOXRTI_PREFETCH(&gi->layer[l].record[of[i]]);
-        VOXRTI_PREFETCH(&gi->layer[l].direct[2 * of[i]]);
-        VOXRTI_PREFETCH(&gi->layer[l].bounce[2 * of[i]]);
+        VOXRTI_PREFETCH((const uint8_t *)(&gi->layer[l].record[of[i]] + 1) - 1); /* may be in two lines */
     }
+}
+/* The light of the side that a ray sees, and which ways surfaces face around it, on their way from memory. */
+VOXRTI_INLINE void voxrti_gi_side_coming(const voxrti_gi_side *s, const uint32_t cell[3], int bounced, int feet) {
+    const voxrti_gi_layer *l = &s->gi->layer[s->layer];
+    if (s->at == (size_t)-1) return;
+    VOXRTI_PREFETCH(&l->direct[s->at]);
+    if (bounced) VOXRTI_PREFETCH(&l->bounce[s->at]);
+    if (feet) VOXRTI_PREFETCH(&s->gi->ways[2][voxrti_gi_block(s->gi->columns, cell[0], cell[1], cell[2])]);
 }
 #if VOXRTI_AVX2
 VOXRTI_TARGET_AVX2 static void voxrti_gi_find_popcnt(const voxrt_gi *const *where, const voxrt_column_hit *hit,
@@ -24943,11 +24961,11 @@ static void voxrti_gi_fill(const voxrt_gi *gi, int isa, const voxrti_gi_side *si
 VOXRTI_INLINE void voxrti_gi_radiance(const voxrti_gi_side *s, int with_direct, int with_bounces, float rgb[3]) {
     const voxrti_gi_layer *l = &s->gi->layer[s->layer];
     const voxrti_gi_entry *e = voxrti_gi_side_entry(s);
-    const uint32_t known = l->bounce[s->at];
+    const uint32_t known = with_bounces ? l->bounce[s->at] : VOXRTI_GI_UNKNOWN;
     float direct[3] = {0.0f, 0.0f, 0.0f}, more[3] = {0.0f, 0.0f, 0.0f};
     uint32_t a;
     if (with_direct) voxrti_rgb9e5_decode(voxrti_load_shared(&l->direct[s->at]), direct);
-    if (with_bounces && known != VOXRTI_GI_UNKNOWN) voxrti_rgb9e5_decode(known, more);
+    if (known != VOXRTI_GI_UNKNOWN) voxrti_rgb9e5_decode(known, more);
     for (a = 0; a < 3; a++)
         rgb[a] = (direct[a] * s->albedo[a] + more[a] * (s->albedo[a] + e->specular[a])) * (0.318309886f * s->gi->unit);
 }
@@ -25122,6 +25140,7 @@ static void voxrti_gather_rays(const voxrti_gather *w, const voxrti_points *q, u
     voxrt_ray again[VOXRTI_COLUMN_BATCH];
     float normal[VOXRTI_COLUMN_BATCH][3];
     uint32_t i, j, a, more = 0, still, turn;
+    const int bounced = w->d->method != VOXRT_GI_PATH;
     memset(hit, 0, sizeof hit);
     memset(index, 0, sizeof index);
     memset(seed, 0, sizeof seed);
@@ -25151,7 +25170,10 @@ static void voxrti_gather_rays(const voxrti_gather *w, const voxrti_points *q, u
         t[i] = hit[i].t;
         side[i].at = (size_t)-1;
         if (!(hit[i].t < INFINITY)) continue;
-        if (!voxrti_gather_goes_on(where[i], of[i], layer[i], &ray[i], &hit[i], &side[i])) continue;
+        if (!voxrti_gather_goes_on(where[i], of[i], layer[i], &ray[i], &hit[i], &side[i])) {
+            voxrti_gi_side_coming(&side[i], hit[i].cell, bounced, w->bounces > 1);
+            continue;
+        }
         again[more] = ray[i];
         again[more].t_min = t[i] + 0.5f * (float)where[i]->columns->diagonal;
         memcpy(normal[more], q->n[i], sizeof normal[more]);
@@ -25165,7 +25187,10 @@ static void voxrti_gather_rays(const voxrti_gather *w, const voxrti_points *q, u
             t[i] = hit[j].t;
             side[i].at = (size_t)-1;
             if (!(hit[j].t < INFINITY)) continue;
-            if (!voxrti_gather_goes_on(where[j], of[j], layer[j], &again[j], &hit[j], &side[i])) continue;
+            if (!voxrti_gather_goes_on(where[j], of[j], layer[j], &again[j], &hit[j], &side[i])) {
+                voxrti_gi_side_coming(&side[i], hit[j].cell, bounced, w->bounces > 1);
+                continue;
+            }
             again[still] = again[j];
             again[still].t_min = t[i] + 0.5f * (float)where[j]->columns->diagonal;
             memcpy(normal[still], normal[j], sizeof normal[still]);
