@@ -22627,17 +22627,22 @@ VOXRTI_TARGET_AVX512 static VOXRTI_NOINLINE void voxrti_column_any_avx512(const 
 #endif
 #endif
 
+/* The instructions for rays in columns: what is asked for, but no more than there are. */
+static int voxrti_column_isa(voxrt_isa wanted) {
+    int isa = (int)voxrt_isa_best();
+#if VOXRTI_AVX2 && defined(__GNUC__)
+    if (isa == VOXRT_ISA_AVX2 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") &&
+        __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq")) isa = VOXRT_ISA_AVX512;
+#endif
+    return wanted != VOXRT_ISA_AUTO && (int)wanted < isa ? (int)wanted : isa;
+}
+
 static voxrt_result voxrti_column_trace_open(const voxrt_columns *c, const voxrt_columns_trace_desc *desc,
                                              voxrti_column_trace *t) {
     double radius;
     uint32_t a;
     memset(t, 0, sizeof *t);
-    t->isa = (int)voxrt_isa_best();
-#if VOXRTI_AVX2 && defined(__GNUC__)
-    if (t->isa == VOXRT_ISA_AVX2 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") &&
-        __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq")) t->isa = VOXRT_ISA_AVX512;
-#endif
-    if (desc != NULL && desc->isa != VOXRT_ISA_AUTO && (int)desc->isa < t->isa) t->isa = (int)desc->isa;
+    t->isa = voxrti_column_isa(desc != NULL ? desc->isa : VOXRT_ISA_AUTO);
     t->columns = c;
     t->start = 1; /* what starts on a surface looks at its columns, anyway */
     if (c == NULL) return VOXRT_ERR_INVALID_ARG;
@@ -24980,7 +24985,7 @@ VOXRT_DEF int voxrt_gi_get(const voxrt_gi *gi, const voxrt_column_hit *hit, cons
         hit->cell[1] >= gi->columns->size[1] || hit->cell[2] >= gi->columns->size[2] ||
         !voxrti_gi_side_open(gi, hit->cell[0], hit->cell[1], hit->cell[2], dir, &s))
         return 0;
-    voxrti_gi_fill(gi, (int)voxrt_isa_best(), &s, 1);
+    voxrti_gi_fill(gi, voxrti_column_isa(VOXRT_ISA_AUTO), &s, 1);
     memcpy(out_surface->position, s.position, sizeof s.position);
     memcpy(out_surface->normal, s.normal, sizeof s.normal);
     memcpy(out_surface->albedo, s.albedo, sizeof s.albedo);
@@ -26526,8 +26531,7 @@ static voxrt_result voxrti_gi_render_open(const voxrt_gi_render_desc *desc, voxr
     if (d->direct_filter == 0 && d->history != NULL) w->direct_share = 32;
     w->bounces = (d->method == VOXRT_GI_PATH || d->method == VOXRT_GI_VPL) && d->bounces != 0 ? d->bounces : 1;
     w->radius = d->radius > 0.0f ? d->radius : voxrti_gi_reach(gi);
-    w->isa = (int)voxrt_isa_best();
-    if (d->isa != VOXRT_ISA_AUTO && (int)d->isa < w->isa) w->isa = (int)d->isa;
+    w->isa = voxrti_column_isa(d->isa);
     ok = voxrti_frame_open(&d->camera, g->height, &w->frame) == VOXRT_OK;
     if (!ok && (d->history != NULL || d->relief > 0.0f))
         return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "a history, or relief, needs the camera");
@@ -26733,7 +26737,7 @@ VOXRT_DEF voxrt_result voxrt_gi_bounce(voxrt_gi *gi, const voxrt_env *env, uint3
     b.gather.rays = rays != 0 ? rays : 16;
     b.gather.bounces = 1;
     b.gather.radius = voxrti_gi_reach(gi);
-    b.gather.isa = (int)voxrt_isa_best();
+    b.gather.isa = voxrti_column_isa(VOXRT_ISA_AUTO);
     for (g = gi, k = 0; g != NULL; g = g->outer, k++)
         for (l = 0; l < 2 && r == VOXRT_OK; l++) {
             if (g->layer[l].count == 0) continue;
@@ -26801,7 +26805,7 @@ static void voxrti_task_gbuffer(void *ctx, uint32_t tile) {
         for (i = 0; i < n; i++) surface[i].t = INFINITY;
         w->geometry->trace_fn(w->geometry->user, &d, ray, surface, n);
     } else {
-        voxrti_gi_trace_cells(w->gi, (int)voxrt_isa_best(), NULL, NULL, ray, n, hit, where, NULL, NULL);
+        voxrti_gi_trace_cells(w->gi, voxrti_column_isa(VOXRT_ISA_AUTO), NULL, NULL, ray, n, hit, where, NULL, NULL);
     }
     for (i = 0; i < n; i++) {
         const size_t at = 3 * pixel[i];
