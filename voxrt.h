@@ -22050,6 +22050,8 @@ VOXRTI_TARGET_AVX2 static void voxrti_column_more(voxrti_column_stream *s) {
         __m256 v[4];
         uint32_t bad, good;
         for (i = 0; i < 4; i++) r[i] = s->rays + first + (i < many ? i : 0);
+        for (i = 0; i < 4 && s->count - first > VOXRTI_COLUMN_READY + 4; i += 2) /* two in a line; the next turn's */
+            VOXRTI_PREFETCH(r[i] + VOXRTI_COLUMN_READY);
         voxrti_rays4(r[0], r[1], r[2], r[3], v);
         good = voxrti_column_setup4(t->columns, v, g->count, g, &bad) & ((1u << many) - 1u);
         for (p = 0; p < t->planes; p++) {

@@ -1091,7 +1091,7 @@ TEST(threads_and_instruction_sets) {
     memset(&camera, 0, sizeof camera);
     camera.eye[2] = 7.0f;
     camera.fov_y = 60.0f;
-    for (way = 0; way < 4; way++) {
+    for (way = 0; way < 5; way++) {
         voxrt_gi *gi = make_gi(64, 64, 64, 10);
         voxrt_gi_object oa = object_of(&a, 1), ob = object_of(&b, 0);
         voxrt_gi_render_desc d;
@@ -1100,7 +1100,7 @@ TEST(threads_and_instruction_sets) {
         memset(&stats, 0, sizeof stats);
         gi->env.thread_count = way == 1 ? 5 : way == 0 ? 1 : 2;
         d.env.thread_count = way == 1 ? 5 : way == 0 ? 1 : 2;
-        d.isa = way == 2 ? VOXRT_ISA_SCALAR : VOXRT_ISA_AUTO;
+        d.isa = way == 2 ? VOXRT_ISA_SCALAR : way == 4 ? VOXRT_ISA_AVX2 : VOXRT_ISA_AUTO;
         CHECK(voxrt_gi_add(gi, &oa, NULL) == VOXRT_OK && voxrt_gi_add(gi, &ob, NULL) == VOXRT_OK);
         CHECK(voxrt_gi_set_lights(gi, lights, 4) == VOXRT_OK);
         CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
@@ -1152,7 +1152,7 @@ TEST(threads_and_instruction_sets_in_all_methods) { /* the same bits: virtual li
     memset(&camera, 0, sizeof camera);
     camera.eye[2] = 7.0f;
     camera.fov_y = 60.0f;
-    for (run = 0; run < 3; run++)
+    for (run = 0; run < 4; run++)
         for (way = 0; way < WAYS; way++) {
             voxrt_gi_desc gd;
             voxrt_gi *gi = NULL;
@@ -1168,7 +1168,7 @@ TEST(threads_and_instruction_sets_in_all_methods) { /* the same bits: virtual li
                 gd.columns.box_min[k] = way == 6 ? -5 : -10;
                 gd.columns.box_max[k] = way == 6 ? 5 : 10;
             }
-            d.isa = run == 2 ? VOXRT_ISA_SCALAR : VOXRT_ISA_AUTO;
+            d.isa = run == 2 ? VOXRT_ISA_SCALAR : run == 3 ? VOXRT_ISA_AVX2 : VOXRT_ISA_AUTO;
             CHECK(voxrt_gi_create(&gd, &gi) == VOXRT_OK && voxrt_gi_history_create(&d.env, &h) == VOXRT_OK);
             ob.material.specular[0] = ob.material.specular[1] = 0.4f;
             ob.material.exponent = 8;
