@@ -24176,8 +24176,8 @@ static float voxrti_gi_exit(const voxrt_gi *gi, const voxrt_ray *r, float t) {
 
 /* The foot of a wall. Rays do not see the cells that the plane of the surface at their end cuts, and floor and wall
    have some of these in common: low rays would pass through a wall there. It stands above that plane, though. So while
-   a ray is among those cells: is the first one above them a cell of another surface that faces the ray, which starts
-   in front of it? Taken down to the ray, is that met before t_max? For the cell where the ray starts also those behind
+   a ray is among those cells: is the first one above them a cell of another surface, which faces the ray or has nothing
+   else than its back there? Taken down to the ray, is that met before t_max? For the cell where the ray starts also those behind
    it if a wall may lean over it. */
 typedef struct voxrti_gi_low {
     const voxrt_gi *gi;
@@ -24191,15 +24191,20 @@ typedef struct voxrti_gi_low {
 static VOXRTI_NOINLINE float voxrti_gi_foot_meet(const voxrti_gi_low *w, const uint32_t cell[3], float t_max) {
     uint32_t layer, side, a;
     const size_t i = voxrti_gi_find(w->gi, cell[0], cell[1], cell[2], &layer);
-    for (side = 0; side < 2 && i != (size_t)-1; side++) {
+    int faces = 0;
+    for (side = 0; side < 4 && i != (size_t)-1; side++) { /* those that face the ray; if there are none, backs */
         const voxrti_gi_record *r = &w->gi->layer[layer].record[i];
+        const int back = side > 1;
         float q[3], n[3], facing, lean, wide, t;
         int in = 1;
-        if (r->area[side] == 0) continue;
-        voxrti_gi_side_place(w->gi, r, side, cell, q, n);
+        if (back && faces) break;
+        if (r->area[side & 1u] == 0) continue;
+        voxrti_gi_side_place(w->gi, r, side & 1u, cell, q, n);
         facing = voxrti_dot3(n, w->dir);
+        if ((facing > 0.0f) != back) continue;
+        faces |= !back;
         lean = voxrti_absf(voxrti_dot3(n, w->n));
-        if (!(facing < 0.0f && lean < 0.7f)) continue;
+        if (!(lean < 0.7f)) continue;
         for (a = 0; a < 3; a++) q[a] -= w->p[a];
         t = voxrti_dot3(q, n) / facing;
         if (!(t > 0.0f && t < t_max)) continue;

@@ -1032,6 +1032,54 @@ TEST(feet_end_where_walls_end) { /* a wall that ends at z = 0 hides half as much
         }
 }
 
+/* A floor and one side of a wall that ends at z = 0, in cells of 1. Light of a lamp on the floor, at p, as a share of what there would be without the wall. */
+static double past_a_foot(double floor_y, double wall_x, int turned, const double p[3], const double lamp[3]) {
+    static model m;
+    float position[1][3], normal[1][3] = {{0, 1, 0}}, albedo[1][3], direct[1][3];
+    const double f[4][3] = {{-500, floor_y, 500}, {500, floor_y, 500}, {500, floor_y, -500}, {-500, floor_y, -500}};
+    const double w[4][3] = {{wall_x, floor_y, -500}, {wall_x, floor_y, 0}, {wall_x, floor_y + 9, 0}, {wall_x, floor_y + 9, -500}};
+    const voxrt_gi_light light = point_light((float)lamp[0], (float)lamp[1], (float)lamp[2], 1.0f);
+    double to[3], far2 = 0;
+    voxrt_gbuffer g;
+    voxrt_gi_render_desc d;
+    voxrt_gi *gi;
+    uint32_t a;
+    m.points = m.triangles = 0;
+    quad(&m, f[0], f[1], f[2], f[3], 255);
+    quad(&m, w[0], w[turned ? 3 : 1], w[2], w[turned ? 1 : 3], 255);
+    gi = alone(&m);
+    CHECK(voxrt_gi_set_lights(gi, &light, 1) == VOXRT_OK);
+    CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
+    memset(&d, 0, sizeof d);
+    g = gbuffer_of(1, 1, position, normal, albedo);
+    for (a = 0; a < 3; a++) {
+        position[0][a] = (float)p[a];
+        albedo[0][a] = 1.0f;
+        to[a] = lamp[a] - p[a];
+        far2 += to[a] * to[a];
+    }
+    CHECK(voxrt_gi_render(&d, gi, &g, direct[0], NULL, NULL) == VOXRT_OK);
+    voxrt_gi_destroy(gi);
+    return (double)direct[0][0] * 3.14159265 * far2 * sqrt(far2) / to[1];
+}
+
+TEST(feet_stop_light_on_their_own_side) { /* low lamps: before the wall in the cell of its foot, past its end, behind it */
+    uint32_t place, turned;
+    for (place = 0; place < 4; place++)
+        for (turned = 0; turned < 2; turned++) {
+            const double y = -20.0 + 0.04 + 0.21 * place, x = 10.55, h = y + 0.3;
+            const double at[3] = {x - 3.4, y, -7.3}, before[3] = {x - 0.3, h, -7.2}, behind[3] = {x + 0.4, h, -7.2};
+            const double by[3] = {x - 0.3, y, -1.5}, past[3] = {x + 1.0, h, 10.0}, hidden[3] = {x + 1.0, h, 1.0};
+            double part[4];
+            part[0] = past_a_foot(y, x, (int)turned, at, before);
+            part[1] = past_a_foot(y, x, (int)turned, at, behind);
+            part[2] = past_a_foot(y, x, (int)turned, by, past);
+            part[3] = past_a_foot(y, x, (int)turned, by, hidden);
+            CHECK_MSG(fabs(part[0] - 1) < 0.01 && fabs(part[2] - 1) < 0.01 && part[1] < 1e-6 && part[3] < 1e-6,
+                      "place %u, turned %u: before %.3f, behind %.3f, past %.3f, hidden %.3f", place, turned, part[0], part[1], part[2], part[3]);
+        }
+}
+
 TEST(openness_is_a_form_factor) { /* a wall of height h at distance a hides 1/2 (1 - a / sqrt(a^2 + h^2)) */
     static model m;
     static float position[16][3], normal[16][3], albedo[16][3], open[16][3];
@@ -2537,6 +2585,7 @@ int main(int argc, char **argv) {
     RUN(nothing_leaks_through_a_thin_wall);
     RUN(feet_of_walls_let_nothing_through);
     RUN(feet_end_where_walls_end);
+    RUN(feet_stop_light_on_their_own_side);
     RUN(openness_is_a_form_factor);
     RUN(threads_and_instruction_sets);
     RUN(threads_and_instruction_sets_in_all_methods);
