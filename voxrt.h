@@ -24177,8 +24177,8 @@ static float voxrti_gi_exit(const voxrt_gi *gi, const voxrt_ray *r, float t) {
 /* The foot of a wall. Rays do not see the cells that the plane of the surface at their end cuts, and floor and wall
    have some of these in common: low rays would pass through a wall there. It stands above that plane, though. So while
    a ray is among those cells: is the first one above them a cell of another surface, which faces the ray or has nothing
-   else than its back there? Taken down to the ray, is that met before t_max? For the cell where the ray starts also those behind
-   it if a wall may lean over it. */
+   else than its back there? Taken down to the ray, is that met before t_max? For the cell where the ray starts also
+   those behind it if a wall may lean over it. */
 typedef struct voxrti_gi_low {
     const voxrt_gi *gi;
     float p[3], n[3], dir[3];  /* where the ray starts, the normal there; world */

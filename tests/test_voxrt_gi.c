@@ -905,8 +905,8 @@ TEST(nothing_leaks_through_a_thin_wall) { /* a room of single triangles, a wall 
 }
 
 /* A room of +-9, its floor wherever in its cell, a wall of 0.1 cells that may lean: light behind it, at its foot. axis:
-   which one is up. Returns the worst share of the light before it that is within five cells behind it, direct and indirect. */
-static double light_at_feet(uint32_t axis, double within, double wall_x, double lean, uint32_t quality) {
+   which one is up; turned: or down. Returns the worst share of the light before it that is within five cells behind it, direct and indirect. */
+static double light_at_feet(uint32_t axis, int turned, double within, double wall_x, double lean, uint32_t quality) {
     enum { BEFORE = 64, BEHIND = 192 };
     static model m;
     static float position[256][3], normal[256][3], albedo[256][3], direct[256][3], indirect[256][3];
@@ -941,6 +941,12 @@ static double light_at_feet(uint32_t axis, double within, double wall_x, double 
         }
         quad(&m, p[0], p[wall ? 1 : 3], p[2], p[wall ? 3 : 1], 180);
     }
+    for (i = 0; i < m.points && turned; i++) m.p[i][axis] = 0.0f - m.p[i][axis];
+    for (i = 0; i < m.triangles && turned; i++) {
+        const uint32_t v = m.index[i][1];
+        m.index[i][1] = m.index[i][2];
+        m.index[i][2] = v;
+    }
     o = object_of(&m, 1);
     CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
     CHECK(voxrt_gi_set_lights(gi, &light, 1) == VOXRT_OK);
@@ -950,11 +956,11 @@ static double light_at_feet(uint32_t axis, double within, double wall_x, double 
     g = gbuffer_of(256, 1, position, normal, albedo);
     for (i = 0; i < BEFORE + BEHIND; i++) {
         const double off = i < BEFORE ? -0.4 - 7.6 * i / BEFORE : cell * (0.6 + 4.4 * (i - BEFORE) / BEHIND);
-        position[i][axis] = (float)low;
+        position[i][axis] = (float)(turned ? -low : low);
         position[i][side] = (float)(wall_x + off);
         position[i][along] = (float)(16.0 * fmod(i * 0.6180339887, 1.0) - 8.0);
         normal[i][0] = normal[i][1] = normal[i][2] = 0.0f;
-        normal[i][axis] = 1.0f;
+        normal[i][axis] = turned ? -1.0f : 1.0f;
         albedo[i][0] = albedo[i][1] = albedo[i][2] = 1.0f;
     }
     d.rays = quality;
@@ -973,7 +979,7 @@ TEST(feet_of_walls_let_nothing_through) { /* wherever floor and wall lie in thei
         for (place = 0; place < 8; place++)
             for (way = 0; way < (test_quick() ? 1u : 4u); way++) {
                 const double lean = leans[test_quick() ? (axis + place) % 4 : way], x = lean < 0.5 ? 0.04 * ((3 * place) % 8) + 0.013 : 0.025;
-                const double leak = light_at_feet(axis, within[place], x, lean, test_quick() ? 64 : 256);
+                const double leak = light_at_feet(axis, (int)(place / 2 + way) & 1, within[place], x, lean, test_quick() ? 64 : 256);
                 CHECK_MSG(leak < (lean < 0.5 ? 0.002 : 0.01), "axis %u, floor at %.2f of its cell, lean %.1f: %.5f of the light", axis,
                           within[place], lean, leak);
             }
