@@ -1038,8 +1038,8 @@ TEST(feet_end_where_walls_end) { /* a wall that ends at z = 0 hides half as much
         }
 }
 
-/* A floor and one side of a wall that ends at z = 0, in cells of 1. Light of a lamp on the floor, at p, as a share of what there would be without the wall. */
-static double past_a_foot(double floor_y, double wall_x, int turned, const double p[3], const double lamp[3]) {
+/* A floor and one side of a wall that ends at z = 0, in cells of 1; nested: there are smaller ones elsewhere. Light of a lamp on the floor, at p, as a share of what there would be without the wall. */
+static double past_a_foot(double floor_y, double wall_x, int turned, int nested, int moving, const double p[3], const double lamp[3]) {
     static model m;
     float position[1][3], normal[1][3] = {{0, 1, 0}}, albedo[1][3], direct[1][3];
     const double f[4][3] = {{-500, floor_y, 500}, {500, floor_y, 500}, {500, floor_y, -500}, {-500, floor_y, -500}};
@@ -1048,12 +1048,22 @@ static double past_a_foot(double floor_y, double wall_x, int turned, const doubl
     double to[3], far2 = 0;
     voxrt_gbuffer g;
     voxrt_gi_render_desc d;
-    voxrt_gi *gi;
+    voxrt_gi_desc gd;
+    voxrt_gi *gi = NULL;
+    voxrt_gi_object o;
     uint32_t a;
     m.points = m.triangles = 0;
     quad(&m, f[0], f[1], f[2], f[3], 255);
     quad(&m, w[0], w[turned ? 3 : 1], w[2], w[turned ? 1 : 3], 255);
-    gi = alone(&m);
+    memset(&gd, 0, sizeof gd);
+    gd.columns.size_x = gd.columns.size_y = gd.columns.size_z = 128;
+    gd.nested = nested ? 2 : 1;
+    for (a = 0; a < 3; a++) {
+        gd.columns.box_max[a] = nested ? 32 : 64;
+        gd.columns.box_min[a] = -gd.columns.box_max[a];
+    }
+    o = object_of(&m, !moving);
+    CHECK(voxrt_gi_create(&gd, &gi) == VOXRT_OK && voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
     CHECK(voxrt_gi_set_lights(gi, &light, 1) == VOXRT_OK);
     CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
     memset(&d, 0, sizeof d);
@@ -1073,14 +1083,15 @@ TEST(feet_stop_light_on_their_own_side) { /* low lamps: before the wall in the c
     uint32_t place, turned;
     for (place = 0; place < 4; place++)
         for (turned = 0; turned < 2; turned++) {
-            const double y = -20.0 + 0.04 + 0.21 * place, x = 10.55, h = y + 0.3;
+            const int nested = place % 2 != 0, moving = place > 1;
+            const double y = -20.0 + 0.04 + 0.21 * place, x = nested ? 50.55 : 10.55, h = y + 0.3;
             const double at[3] = {x - 3.4, y, -7.3}, before[3] = {x - 0.3, h, -7.2}, behind[3] = {x + 0.4, h, -7.2};
             const double by[3] = {x - 0.3, y, -1.5}, past[3] = {x + 1.0, h, 10.0}, hidden[3] = {x + 1.0, h, 1.0};
             double part[4];
-            part[0] = past_a_foot(y, x, (int)turned, at, before);
-            part[1] = past_a_foot(y, x, (int)turned, at, behind);
-            part[2] = past_a_foot(y, x, (int)turned, by, past);
-            part[3] = past_a_foot(y, x, (int)turned, by, hidden);
+            part[0] = past_a_foot(y, x, (int)turned, nested, moving, at, before);
+            part[1] = past_a_foot(y, x, (int)turned, nested, moving, at, behind);
+            part[2] = past_a_foot(y, x, (int)turned, nested, moving, by, past);
+            part[3] = past_a_foot(y, x, (int)turned, nested, moving, by, hidden);
             CHECK_MSG(fabs(part[0] - 1) < 0.01 && fabs(part[2] - 1) < 0.01 && part[1] < 1e-6 && part[3] < 1e-6,
                       "place %u, turned %u: before %.3f, behind %.3f, past %.3f, hidden %.3f", place, turned, part[0], part[1], part[2], part[3]);
         }
