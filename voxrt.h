@@ -1051,8 +1051,9 @@ typedef struct voxrt_model_info {
    Calls are independent. */
 VOXRT_DEF voxrt_result voxrt_model_create(const voxrt_model_desc *desc, voxrt_model **out_model);
 
-/* A model of what is in a tree, but for planes and spread; depth, place and normals are the tree's. env may be NULL.
-   O(voxels); holds 6 bytes a voxel and 16 a leaf node beside both. Errors: INVALID_ARG, RANGE (as above), NO_MEMORY. */
+/* A model of what is in a tree; depth, place, normals, planes and spread are the tree's. What edits fill or uncover is
+   a cube in it, but triangles have planes where the tree has. env may be NULL.
+   O(voxels); holds 7 bytes a voxel and 16 a leaf node beside both. Errors: INVALID_ARG, RANGE (as above), NO_MEMORY. */
 VOXRT_DEF voxrt_result voxrt_model_from_tree(const voxrt_env *env, const voxrt_tree *tree, voxrt_model **out_model);
 
 /* A tree of what is in a model. desc may be NULL; palette, level of detail, colours, normals and spread count, the rest
@@ -16733,6 +16734,7 @@ static void voxrti_block_trace(void *user, const voxrt_trace_desc *desc, const v
         if (!voxrti_tree_find(top, hit[i].level, hit[i].cell[0], hit[i].cell[1], hit[i].cell[2], &attr)) continue;
         voxrti_attr_color(top, attr, surfaces[i].rgb);
         if (top->normal != NULL) voxrti_normal_decode(top->spherical, top->normal[attr], surfaces[i].normal);
+        if (top->spread != NULL) surfaces[i].spread = voxrti_spread_of(top, attr);
         k = top->entry_finish != NULL ? top->entry_finish[voxrti_color_index(top, attr)] : 0u;
         surfaces[i].finish = k != 0 ? &m->finish[m->top_finish[k - 1] - 1] : NULL;
     }
@@ -16993,6 +16995,8 @@ VOXRT_DEF voxrt_result voxrt_model_copy(const voxrt_env *env, const voxrt_model 
     mem.limit = e.memory_limit;
     m->build.disable_colors = model->build.disable_colors;
     m->build.disable_normals = model->build.disable_normals;
+    m->build.planes = model->build.planes;
+    m->build.spread = model->build.spread;
     m->grid = model->grid;
     m->spherical = model->spherical;
     m->key = (uint64_t *)voxrti_alloc_array(&mem, model->count, sizeof *m->key);
@@ -17084,11 +17088,12 @@ static int voxrti_model_set(voxrti_mem *mem, const voxrt_model *m, size_t leaves
     set->mask = (uint64_t *)voxrti_alloc_array(mem, leaves, sizeof *set->mask);
     if (!m->build.disable_colors) set->rgb = (uint32_t *)voxrti_alloc_array(mem, voxels, sizeof *set->rgb);
     if (!m->build.disable_normals) set->normal = (uint16_t *)voxrti_alloc_array(mem, voxels, sizeof *set->normal);
+    if (m->build.planes) set->plane = (uint8_t *)voxrti_alloc_array(mem, voxels, 1);
     set->spherical = m->spherical;
     set->block_count = leaves;
     set->voxel_count = voxels;
     if (set->key != NULL && set->mask != NULL && (m->build.disable_colors || set->rgb != NULL) &&
-        (m->build.disable_normals || set->normal != NULL)) return 1;
+        (m->build.disable_normals || set->normal != NULL) && (!m->build.planes || set->plane != NULL)) return 1;
     voxrti_leafset_free(mem, set);
     return 0;
 }
@@ -17118,6 +17123,7 @@ static void voxrti_unpack_task(void *ctx, uint32_t task) {
     memcpy(set.mask, u->tree->leaf + from, n * sizeof *set.mask);
     if (set.rgb != NULL) voxrti_tree_rgb(u->tree, at, voxels, same, set.rgb);
     if (set.normal != NULL) memcpy(set.normal, u->tree->normal + at, voxels * sizeof *set.normal);
+    if (set.plane != NULL) memcpy(set.plane, u->tree->plane + at, voxels);
     u->result[task] = voxrti_block_make(u->mem, u->m, &set, &u->block[task]);
 }
 
@@ -17180,6 +17186,8 @@ VOXRT_DEF voxrt_result voxrt_model_from_tree(const voxrt_env *env, const voxrt_t
         mem = m->mem;
         mem.limit = e.memory_limit;
         m->build.disable_normals = tree->normal == NULL;
+        m->build.planes = tree->plane != NULL;
+        m->build.spread = tree->spread != NULL;
         m->spherical = tree->spherical;
         m->grid.resolution = tree->resolution;
         r = voxrti_model_dress(&mem, m, tree->finish, tree->finish_count);
@@ -17228,6 +17236,7 @@ VOXRT_DEF voxrt_result voxrt_tree_from_model(const voxrt_build_desc *desc, const
             if (set.rgb != NULL)
                 voxrti_tree_rgb(t, 0, (size_t)t->voxel_count, m->block[i]->finish, set.rgb + voxels);
             if (set.normal != NULL) memcpy(set.normal + voxels, t->normal, (size_t)t->voxel_count * sizeof *t->normal);
+            if (set.plane != NULL) memcpy(set.plane + voxels, t->plane, (size_t)t->voxel_count);
             leaves += n;
             voxels += (size_t)t->voxel_count;
         }
@@ -17443,7 +17452,8 @@ static size_t voxrti_edit_leaves(const voxrti_edit *e, uint64_t key, const voxrt
 
 /* One leaf behind the edit, from voxel number `voxel` of set on. Returns 1 if a voxel that stays got another normal. */
 static int voxrti_edit_leaf(const voxrti_edit *e, const voxrti_patch *p, const uint32_t at[3], uint64_t after,
-                            const uint32_t *rgb, const uint16_t *normal, voxrti_leafset *set, size_t voxel) {
+                            const uint32_t *rgb, const voxrt_tree *was, voxrti_leafset *set, size_t voxel) {
+    const uint16_t *normal = was != NULL ? was->normal : NULL;
     const int hole = e->op == VOXRT_EDIT_CLEAR && set->normal != NULL;
     uint16_t code = 0;
     uint64_t m;
@@ -17456,9 +17466,11 @@ static int voxrti_edit_leaf(const voxrti_edit *e, const voxrti_patch *p, const u
         if ((p->shape & bit) == 0) {
             if (set->rgb != NULL) set->rgb[voxel] = rgb[old];
             if (set->normal != NULL) set->normal[voxel] = normal[old];
-            if (hole && voxrti_edit_hole(e, x, y, z, normal[old], &code)) {
-                changed |= set->normal[voxel] != code;
+            if (set->plane != NULL) set->plane[voxel] = was->plane[old];
+            if (hole && voxrti_edit_hole(e, x, y, z, normal[old], &code) && set->normal[voxel] != code) {
+                changed = 1;
                 set->normal[voxel] = code;
+                if (set->plane != NULL) set->plane[voxel] = 0; /* it was that of the other normal */
             }
             continue;
         }
@@ -17467,6 +17479,9 @@ static int voxrti_edit_leaf(const voxrti_edit *e, const voxrti_patch *p, const u
             set->rgb[voxel] |= e->finish != 0 ? e->finish : e->op == VOXRT_EDIT_PAINT ? rgb[old] & 0xff000000u : 0u;
         }
         if (set->normal == NULL) continue;
+        if (set->plane != NULL)
+            set->plane[voxel] = e->op == VOXRT_EDIT_PAINT ? was->plane[old] :
+                                e->set != NULL && e->set->plane != NULL ? e->set->plane[in] : (uint8_t)0;
         if (e->op == VOXRT_EDIT_PAINT) set->normal[voxel] = normal[old];
         else if (e->set == NULL) set->normal[voxel] = voxrti_edit_normal(e, x, y, z);
         else {
@@ -17518,7 +17533,7 @@ static void voxrti_edit_task(void *ctx, uint32_t task) {
         if (after == 0) continue;
         set.key[leaf] = code;
         set.mask[leaf++] = after;
-        if (voxrti_edit_leaf(e, p, at, after, rgb, old != NULL ? old->normal : NULL, &set, voxel)) same = 0;
+        if (voxrti_edit_leaf(e, p, at, after, rgb, old, &set, voxel)) same = 0;
         voxel += voxrti_popcount64(after);
     }
     voxrti_free(e->mem, rgb);

@@ -342,7 +342,7 @@ typedef struct converted {
     voxrt_edit_stats edits;
     int edited; /* lines of --edit */
     int turned; /* 1: the mesh faced inwards */
-    int had_finishes;
+    int had_finishes, had_planes;
 } converted;
 
 /* What a file in pages says of itself; bytes as they are in the file. */
@@ -583,6 +583,7 @@ static int edit(const char *program, const convert_options *o, const voxrt_env *
     const double start = sup_now();
     editing e = {0};
     voxrt_build_desc desc = {0};
+    voxrt_tree_info info;
     voxrt_result result;
     char *text = NULL, *line, *next;
     const char *what = NULL;
@@ -619,6 +620,8 @@ static int edit(const char *program, const convert_options *o, const voxrt_env *
     else if (what) (void)sup_fail(&err, "%s: line %d: %s", o->edit, number, what);
     c->edit_seconds = sup_now() - start;
     if (result == VOXRT_OK && !what) {
+        voxrt_tree_get_info(c->tree, &info);
+        desc.spread = info.has_spread;
         voxrt_tree_destroy(c->tree);
         c->tree = NULL;
         desc.env = *env;
@@ -664,6 +667,7 @@ int main(int argc, char **argv) {
         voxrt_tree_info info;
         voxrt_tree_get_info(c.tree, &info);
         c.had_finishes |= info.finish_count != 0;
+        c.had_planes = info.has_planes || info.has_spread;
     }
     if (!status && c.tree != NULL) status = share(argv[0], &o, &env, &c);
     if (status) {
@@ -672,6 +676,8 @@ int main(int argc, char **argv) {
     }
     if (c.had_finishes && o.format == FORMAT_V4 && !o.quiet)
         sup_warn(argv[0], "files of format 4 have colours only: mirrors, glass and other finishes are left out");
+    if (c.had_planes && o.format == FORMAT_V4 && !o.quiet)
+        sup_warn(argv[0], "files of format 4 have cubes with one normal: planes and spread are left out");
     start = sup_now();
     if (c.tree != NULL) status = write_out(&o, &env, c.tree, &err);
     c.write_seconds = sup_now() - start;

@@ -638,7 +638,7 @@ stats_keys() { # what zbufrand_render --stats says, for one picture, a mean, lay
 }
 help_same() { bash tests/help_blocks.sh docs/programs.md build | diff docs/programs.md - && return 0
     echo "bash tests/help_blocks.sh docs/programs.md build > new; mv new docs/programs.md"; return 1; }
-edit_finishes() { # --edit of voxrt_convert: what lines with finishes leave in the file, and what is wrong in one
+edit_finishes() { # --edit of voxrt_convert: what lines with finishes leave in the file, and what is wrong in one; planes and spread stay
     local d=$OUT/obj/edits text want got bad=0
     mkdir -p "$d"
     edited() { printf "$1" > "$d/e.txt"; build/voxrt_convert --scene sphere "$d/e.vox" --res 32 --quiet --stats --edit "$d/e.txt" 2> "$d/err"; }
@@ -656,6 +656,9 @@ EOF
         edited "$text\n"; got=$?
         [ $got = 1 ] && [ "$(wc -l < "$d/err")" = 1 ] || { echo "$text: status $got"; cat "$d/err"; bad=1; }
     done
+    printf 'clear box 0 0 0 2 2 2\n' > "$d/e.txt"
+    build/voxrt_convert --scene sphere "$d/e.vox" --res 32 --planes --spread --quiet --edit "$d/e.txt" 2> "$d/err" &&
+        [ $(($(od -An -tu1 -j32 -N1 "$d/e.vox") & 160)) = 160 ] || { echo "edits lose planes or spread"; cat "$d/err"; bad=1; }
     return $bad
 }
 group_programs() {

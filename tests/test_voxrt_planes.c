@@ -697,24 +697,20 @@ TEST(files_and_shared_trees_keep_planes) {
     voxrt_tree_destroy(t);
 }
 
-/* Octrees and models keep the voxels of a tree with planes, as cubes; pictures can be asked to do so, too. */
+/* Octrees keep the voxels of a tree with planes, as cubes; pictures can be asked to do so, too. */
 TEST(what_keeps_no_planes) {
     enum { W = 64 };
     static voxrt_hit hits[2][W * W], octree_hits[W * W];
-    voxrt_tree *t = make_ball(32, 1, 60), *back[2] = {NULL, NULL};
+    voxrt_tree *t = make_ball(32, 1, 60), *back = NULL;
     voxrt_octree *octree = NULL;
-    voxrt_model *model = NULL;
     voxrt_render_desc d;
     voxrt_image m;
     static voxrt_ray ray[W * W];
-    uint32_t i, k, planes[2] = {0, 0}, n = 0;
+    uint32_t i, planes[2] = {0, 0}, n = 0;
     CHECK(voxrt_octree_from_tree(NULL, t, &octree) == VOXRT_OK);
-    REQUIRE(octree != NULL && voxrt_tree_from_octree(NULL, octree, &back[0]) == VOXRT_OK);
-    REQUIRE(voxrt_model_from_tree(NULL, t, &model) == VOXRT_OK && voxrt_tree_from_model(NULL, model, &back[1]) == VOXRT_OK);
-    for (k = 0; k < 2; k++) {
-        CHECK(back[k]->plane == NULL && back[k]->voxel_count == t->voxel_count && back[k]->normal != NULL);
-        CHECK(memcmp(back[k]->leaf, t->leaf, 8 * (size_t)t->level_nodes[t->wide - 1]) == 0);
-    }
+    REQUIRE(octree != NULL && voxrt_tree_from_octree(NULL, octree, &back) == VOXRT_OK);
+    CHECK(back->plane == NULL && back->voxel_count == t->voxel_count && back->normal != NULL);
+    CHECK(memcmp(back->leaf, t->leaf, 8 * (size_t)t->level_nodes[t->wide - 1]) == 0);
     memset(&d, 0, sizeof d);
     memset(&m, 0, sizeof m);
     m.width = m.height = W;
@@ -728,7 +724,7 @@ TEST(what_keeps_no_planes) {
     }
     CHECK(planes[0] > W * W / 10 && planes[1] == 0);
     m.hit = hits[0];
-    CHECK(voxrt_render(&d, back[1], &m, NULL) == VOXRT_OK);
+    CHECK(voxrt_render(&d, back, &m, NULL) == VOXRT_OK);
     for (i = 0; i < W * W; i++) {
         CHECK(hits[0][i].t == hits[1][i].t && memcmp(hits[0][i].cell, hits[1][i].cell, 12) == 0);
         CHECK(voxrt_camera_ray(&d.camera, W, W, i % W + 0.5, i / W + 0.5, &ray[i]) == VOXRT_OK);
@@ -739,10 +735,140 @@ TEST(what_keeps_no_planes) {
         n += octree_hits[i].node != VOXRT_NO_NODE;
     }
     CHECK(n > W * W / 10);
-    voxrt_model_destroy(model);
     voxrt_octree_destroy(octree);
-    for (k = 0; k < 2; k++) voxrt_tree_destroy(back[k]);
+    voxrt_tree_destroy(back);
     voxrt_tree_destroy(t);
+}
+
+/* Normals (as they are) and planes of all voxels of a tree of 128^3 cells: 16 bytes each, zeros where nothing is. */
+static float (*all_planes(const voxrt_tree *t))[4] {
+    slow_list l = slow_open(t);
+    float (*v)[4] = (float (*)[4])calloc(128 * 128 * 128, sizeof *v);
+    size_t i;
+    uint32_t a;
+    if (v == NULL) exit(1);
+    for (i = 0; i < l.n; i++) {
+        const slow_cell *c = &l.v[i];
+        float *to = v[c->c[0] + 128 * (c->c[1] + 128 * c->c[2])];
+        if (c->level != t->depth) continue;
+        for (a = 0; a < 3; a++) to[a] = (float)c->n[a];
+        to[3] = c->cube ? -1000.0f : (float)c->offset;
+    }
+    free(l.v);
+    return v;
+}
+
+/* Models keep planes and spread: rays meet what they meet in the tree, which comes back; painting changes none, clearing
+   only those of voxels whose normals turn into the hole, boxes are cubes, and triangles have planes of their own. */
+TEST(edits_keep_planes) {
+    static const double lo[3] = {0.9, 0.9, 1.0}, hi[3] = {1.3, 1.2, 2.0}, box[3] = {0.02, 0.02, 0.02}, box_end[3] = {0.2, 0.2, 0.2};
+    static const float cone[3] = {0.0f, 0.3f, 2.5f}; /* lines, cells of 16 voxels, the root */
+    enum { RAYS = 64 };
+    voxrt_build_desc d;
+    voxrt_edit_desc e;
+    voxrt_mesh m;
+    voxrt_model *first = NULL, *model = NULL;
+    voxrt_tree *t = NULL, *back = NULL;
+    voxrt_geometry own, blocks;
+    voxrt_trace_desc td;
+    voxrt_ray ray[RAYS];
+    voxrt_surface want[RAYS], got[RAYS];
+    float (*was)[4], (*now)[4];
+    size_t i, planes = 0, spread[3] = {0, 0, 0}, cubes = 0, turned = 0, ball = 0, gone = 0;
+    uint32_t a, k;
+    test_rng r = test_rng_make(17);
+    shape s;
+    memset(&s, 0, sizeof s);
+    memset(&d, 0, sizeof d);
+    memset(&e, 0, sizeof e);
+    memset(&td, 0, sizeof td);
+    shape_sphere(&s, 1, 1, 1, 0.9, 100);
+    m = mesh_of(&s);
+    d.resolution = 128;
+    d.box_size = 2;
+    d.planes = 1;
+    d.spread = 1;
+    REQUIRE(voxrt_tree_build(&d, &m, NULL, &t) == VOXRT_OK && voxrt_model_from_tree(NULL, t, &first) == VOXRT_OK);
+    shape_free(&s);
+    REQUIRE(voxrt_model_copy(NULL, first, &model) == VOXRT_OK);
+    voxrt_model_destroy(first);
+    REQUIRE(voxrt_tree_from_model(&d, model, &back) == VOXRT_OK);
+    CHECK(voxrt_tree_hash(back) == voxrt_tree_hash(t));
+    voxrt_tree_destroy(back);
+    voxrt_tree_geometry(t, &own);
+    voxrt_model_geometry(model, &blocks);
+    for (k = 0; k < 3; k++) {
+        td.cone_width = cone[k];
+        for (i = 0; i < RAYS; i++) {
+            for (a = 0; a < 3; a++) {
+                ray[i].org[a] = test_rng_range(&r, -1.0f, 3.0f);
+                ray[i].dir[a] = test_rng_range(&r, 0.3f, 1.7f) - ray[i].org[a];
+            }
+            ray[i].t_min = 0;
+            ray[i].t_max = INFINITY;
+            want[i].t = got[i].t = INFINITY;
+        }
+        own.trace_fn(own.user, &td, ray, want, RAYS);
+        blocks.trace_fn(blocks.user, &td, ray, got, RAYS);
+        for (i = 0; i < RAYS; i++) {
+            if (k == 0) CHECK(got[i].t == want[i].t && got[i].plane == want[i].plane);
+            if (k == 0) CHECK(memcmp(got[i].normal, want[i].normal, sizeof want[i].normal) == 0);
+            planes += want[i].plane;
+            if (!(got[i].t < INFINITY) || got[i].edge != want[i].edge || (k < 2 && got[i].t != want[i].t)) continue;
+            CHECK(got[i].spread == want[i].spread);
+            spread[k] += want[i].spread > 0;
+        }
+    }
+    if (test_g.verbose) printf("     %u planes, spread of %u, %u, %u\n", (unsigned)planes, (unsigned)spread[0], (unsigned)spread[1], (unsigned)spread[2]);
+    CHECK(planes > RAYS / 2 && spread[0] == 0 && spread[1] > RAYS / 2 && spread[2] > RAYS / 2);
+    was = all_planes(t);
+    voxrt_tree_destroy(t);
+    e.op = VOXRT_EDIT_PAINT;
+    CHECK(voxrt_model_box(model, &e, box_end, hi, NULL) == VOXRT_OK);
+    e.op = VOXRT_EDIT_CLEAR;
+    CHECK(voxrt_model_box(model, &e, lo, hi, NULL) == VOXRT_OK);
+    e.op = VOXRT_EDIT_SET;
+    CHECK(voxrt_model_box(model, &e, box, box_end, NULL) == VOXRT_OK);
+    shape_sphere(&s, 1, 1, 0.6, 0.3, 60);
+    m = mesh_of(&s);
+    CHECK(voxrt_model_mesh(model, &e, &m, NULL) == VOXRT_OK);
+    shape_free(&s);
+    REQUIRE(voxrt_tree_from_model(NULL, model, &t) == VOXRT_OK && t->plane != NULL && t->spread == NULL);
+    now = all_planes(t);
+    for (i = 0; i < 128 * 128 * 128; i++) {
+        const double p[3] = {(double)(i % 128) + 0.5, (double)(i / 128 % 128) + 0.5, (double)(i / 16384) + 0.5};
+        double away = 0, foot = 0;
+        if (now[i][3] == 0 && was[i][3] == 0) continue;
+        for (a = 0; a < 3; a++) away += (p[a] / 64 - (a < 2 ? 1 : 0.6)) * (p[a] / 64 - (a < 2 ? 1 : 0.6));
+        if (fabs(sqrt(away) - 0.3) < 0.05) { /* the ball of the mesh */
+            for (a = 0; a < 3; a++) {
+                const double q = (p[a] + (double)(now[i][a] * now[i][3])) / 64 - (a < 2 ? 1 : 0.6);
+                foot += q * q;
+            }
+            CHECK(now[i][3] > -1 && fabs(sqrt(foot) - 0.3) * 64 < 0.05);
+            ball++;
+        } else if (now[i][3] == 0) {
+            gone++;
+        } else if (was[i][3] == 0) {
+            CHECK(now[i][3] < -1);
+            cubes++;
+        } else {
+            const int same = memcmp(now[i], was[i], 12) == 0;
+            CHECK(same ? now[i][3] == was[i][3] : now[i][3] < -1);
+            turned += !same;
+        }
+    }
+    CHECK(ball > 3000 && gone > 200 && turned > 50 && turned < 1000 && cubes > 1000);
+    free(was);
+    free(now);
+    voxrt_tree_destroy(t);
+    d.spread = 0;
+    d.disable_normals = 1;
+    d.planes = 0;
+    REQUIRE(voxrt_tree_from_model(&d, model, &t) == VOXRT_OK);
+    CHECK(t->plane == NULL && t->normal == NULL);
+    voxrt_tree_destroy(t);
+    voxrt_model_destroy(model);
 }
 
 /* Copies of a tree, twice as large, in a group: what rays meet is the same. */
@@ -1042,6 +1168,7 @@ int main(int argc, char **argv) {
     RUN(closed_shells_keep_all_rays);
     RUN(files_and_shared_trees_keep_planes);
     RUN(what_keeps_no_planes);
+    RUN(edits_keep_planes);
     RUN(instances_have_planes);
     RUN(arguments_and_failures);
     RUN(outlines_close_up);
