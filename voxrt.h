@@ -11455,7 +11455,7 @@ static VOXRTI_UNUSED int voxrti_ray_setup(const voxrt_tree *t, const voxrti_cone
         }
         t_out = voxrti_min(t_out, (hi[a] - r->o[a]) * r->inv[a]);
     }
-    r->t_min = (double)ray->t_min - r->base;
+    r->t_min = voxrti_max((double)ray->t_min, -3.4028234663852886e38) - r->base; /* a hit's t is finite */
     r->t = voxrti_max(t_in, r->t_min);
     if (r->t > t_in) k = 3;
     /* times beyond the largest float are misses: a hit's t is finite */
@@ -11632,7 +11632,7 @@ VOXRTI_INLINE int voxrti_plane_meet(const voxrt_tree *t, const voxrt_ray *ray, d
     }
     if (!(far_off < 16777216.0)) return 1;
     hit->plane = 1;
-    at = (double)ray->t_min;
+    at = (double)hit->t;
     if (hit->face < 6) at = (((hit->face & 1u) ? 0.5 : -0.5) - o[hit->face >> 1]) / d[hit->face >> 1];
     if (base + slope * at <= 0) return 1;
     if (!(slope < 0)) return 0;
@@ -11813,6 +11813,7 @@ VOXRTI_TARGET_AVX2 static inline void voxrti_hits4(const voxrt_tree *t, const vo
         slot = _mm_or_si128(slot, _mm_slli_epi32(x, (int)a));
     }
     t_min = _mm256_add_pd(_mm256_cvtps_pd(_mm256_castps256_ps128(v[3])), _mm256_setzero_pd()); /* -0 becomes 0 */
+    t_min = _mm256_max_pd(t_min, _mm256_set1_pd(-3.4028234663852886e38));
     m = _mm256_cmp_pd(time, t_min, _CMP_LT_OQ);
     time = _mm256_blendv_pd(time, t_min, m);
     face = _mm_blendv_epi8(face, _mm_set1_epi32(6), voxrti_narrow4(m));
@@ -11850,7 +11851,7 @@ typedef struct voxrti_plane_lanes {
     double t_max[64], t_end[64], time[64];
     uint64_t mask[64], attr[64];    /* of its leaf node; of its voxel */
     uint32_t c[3][64], node[64], rank[64], slot[64], face[64], index[64]; /* c: not mirrored; rank: of the leaf node */
-    float t[64], t_min[64];         /* when the voxel is entered; start of the ray (face 6: in the first round) */
+    float t[64];                    /* when the voxel is entered */
 } voxrti_plane_lanes;
 
 /* Voxel of the ray at i, as its hit says. */
@@ -11895,7 +11896,6 @@ VOXRTI_TARGET_AVX2 static inline int voxrti_plane_open4(const voxrt_tree *t, con
         _mm256_storeu_pd(g->om[a] + i, _mm256_blendv_pd(o, _mm256_add_pd(hi, _mm256_set1_pd(0.5)), still));
         _mm256_storeu_pd(g->inv[a] + i, inv);
     }
-    _mm_storeu_ps(g->t_min + i, _mm256_castps256_ps128(v[3]));
     last = voxrti_below4(_mm256_extractf128_ps(v[3], 1));
     last = _mm256_min_pd(last, _mm256_set1_pd(3.4028234663852886e38));
     _mm256_storeu_pd(g->t_max + i, last);
@@ -11948,7 +11948,7 @@ VOXRTI_TARGET_AVX2 static inline uint32_t voxrti_plane_meet4(const voxrti_plane_
     at = _mm256_or_pd(half, _mm256_andnot_pd(at, sign));
     at = _mm256_div_pd(_mm256_sub_pd(at, side), along);
     late = _mm256_castsi256_pd(_mm256_cvtepi32_epi64(_mm_cmpeq_epi32(face, none)));
-    at = _mm256_blendv_pd(at, _mm256_cvtps_pd(_mm_loadu_ps(g->t_min + i)), late);
+    at = _mm256_blendv_pd(at, _mm256_cvtps_pd(_mm_loadu_ps(g->t + i)), late);
     behind = _mm256_cmp_pd(_mm256_add_pd(base, _mm256_mul_pd(slope, at)), zero, _CMP_LE_OQ);
     inside = _mm256_cmp_pd(slope, zero, _CMP_LT_OQ);
     at = _mm256_div_pd(_mm256_xor_pd(sign, base), slope);
@@ -12073,7 +12073,7 @@ VOXRTI_TARGET_AVX2 static inline int voxrti_plane_walk(const voxrt_tree *t, cons
     r.base = 0;
     r.t = g->time[i];
     r.t_end = g->t_end[i];
-    r.t_min = (double)rays[g->index[i]].t_min;
+    r.t_min = voxrti_max((double)rays[g->index[i]].t_min, -3.4028234663852886e38);
     for (a = 0; a < 3; a++) {
         const uint32_t back = g->d[a][i] < 0;
         r.o[a] = g->om[a][i];
@@ -12939,6 +12939,7 @@ VOXRTI_TARGET_AVX2 static inline uint32_t voxrti_setup4(const voxrt_tree *t, con
     tmin = _mm256_cvtps_pd(_mm256_castps256_ps128(v[3]));
     tmax = _mm256_cvtps_pd(_mm256_extractf128_ps(v[3], 1));
     bad = _mm256_cmp_pd(tmin, tmax, _CMP_NLE_UQ);
+    tmin = _mm256_max_pd(tmin, _mm256_set1_pd(-3.4028234663852886e38));
     tmax = voxrti_below4(_mm256_extractf128_ps(v[3], 1));
     for (a = 0; a < 3; a++) {
         __m256d oo = _mm256_cvtps_pd(_mm256_castps256_ps128(v[a])), neg, closer;
@@ -13081,7 +13082,7 @@ static VOXRTI_NOINLINE uint32_t voxrti_octet_lod(const voxrt_tree *t, const voxr
         uint32_t node = voxrti_octet_node(t, g, lane);
         uint64_t mask = sh == 0 ? t->leaf[node] : t->node[node].mask;
         voxrti_octet_ray(g, lane, &r);
-        r.t_min = (double)rays[g->ray[lane]].t_min;
+        r.t_min = voxrti_max((double)rays[g->ray[lane]].t_min, -3.4028234663852886e38);
         slot = voxrti_slot_of(r.c, sh) ^ r.flip;
         for (ls = sh + 2; ls-- > sh;) {
             uint64_t filled = ls > sh ? mask >> (slot & 56u) & 255u : mask >> slot & 1u;

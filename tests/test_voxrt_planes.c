@@ -427,6 +427,42 @@ TEST(many_rays_are_as_single_ones) {
     for (k = 0; k < 2; k++) voxrt_tree_destroy(t[k]);
 }
 
+/* Rays without a beginning that are so slow that they entered long before any float: they start at the first one. */
+TEST(times_are_finite) {
+    enum { RAYS = 96 };
+    static const float speed[4] = {1e-38f, 4e-39f, -4e-39f, 1e-43f};
+    voxrt_tree *t = make_ball(32, 1, 60);
+    uint32_t k, i, n = 0, m;
+    for (k = 0; k < 8; k++) {
+        voxrt_ray ray[RAYS];
+        voxrt_hit hit[2][RAYS], one;
+        voxrt_trace_desc d;
+        memset(&d, 0, sizeof d);
+        d.cone_width = k < 4 ? 0.0f : 0.2f;
+        for (i = 0; i < RAYS; i++) {
+            ray[i].org[0] = 1.0f + 0.02f * (float)i;
+            ray[i].org[1] = 1.0f + (i & 1u ? 0.01f * (float)i : 0.0f);
+            ray[i].org[2] = 1.0f;
+            ray[i].dir[0] = speed[k & 3u];
+            ray[i].dir[1] = ray[i].dir[2] = 0;
+            ray[i].t_min = -INFINITY;
+            ray[i].t_max = i % 3 == 0 ? 1e37f : INFINITY;
+        }
+        for (m = 0; m < 2; m++) {
+            d.isa = m == 0 ? VOXRT_ISA_SCALAR : VOXRT_ISA_AUTO;
+            CHECK(voxrt_trace(t, &d, ray, hit[m], RAYS) == VOXRT_OK);
+        }
+        CHECK(memcmp(hit[0], hit[1], sizeof hit[0]) == 0);
+        for (i = 0; i < RAYS; i++) {
+            CHECK((hit[0][i].node == VOXRT_NO_NODE) == (hit[0][i].t == INFINITY) && hit[0][i].t >= -3.4028235e38f);
+            n += hit[0][i].t == -3.4028235e38f;
+            if (k < 4) CHECK(voxrt_trace1(t, &ray[i], &one) == (hit[0][i].t < INFINITY) && memcmp(&one, &hit[0][i], sizeof one) == 0);
+        }
+    }
+    CHECK(n > 10);
+    voxrt_tree_destroy(t);
+}
+
 /* A roof whose two sides meet at an angle: on the ridge a plane stands for both if it is wide, none does if it is sharp. */
 TEST(sharp_ridges_are_cubes) {
     static const double half[2] = {0.3490658504, 0.6981317008}; /* 40 and 80 degrees between the sides */
@@ -1163,6 +1199,7 @@ int main(int argc, char **argv) {
     RUN(sheets_and_insides_stay_cubes);
     RUN(rays_end_where_slow_ones_do);
     RUN(many_rays_are_as_single_ones);
+    RUN(times_are_finite);
     RUN(sharp_ridges_are_cubes);
     RUN(same_voxels_and_planes_by_all_ways);
     RUN(closed_shells_keep_all_rays);
