@@ -1076,7 +1076,7 @@ VOXRT_DEF int voxrt_model_get(const voxrt_model *model, uint32_t level, uint32_t
 
 typedef enum voxrt_edit_op {
     VOXRT_EDIT_SET = 0,   /* what is in the shape gets filled, with its colour and, where they can show, normals */
-    VOXRT_EDIT_CLEAR = 1, /* it gets empty; what lies beside it gets normals into the hole */
+    VOXRT_EDIT_CLEAR = 1, /* it gets empty; what lies beside it and has no plane gets normals into the hole */
     VOXRT_EDIT_PAINT = 2, /* what is filled there gets its colour */
     VOXRT_EDIT_FORCE_32BIT = 0x7fffffff
 } voxrt_edit_op;
@@ -17468,10 +17468,10 @@ static int voxrti_edit_leaf(const voxrti_edit *e, const voxrti_patch *p, const u
             if (set->rgb != NULL) set->rgb[voxel] = rgb[old];
             if (set->normal != NULL) set->normal[voxel] = normal[old];
             if (set->plane != NULL) set->plane[voxel] = was->plane[old];
-            if (hole && voxrti_edit_hole(e, x, y, z, normal[old], &code) && set->normal[voxel] != code) {
-                changed = 1;
+            if (hole && (set->plane == NULL || set->plane[voxel] == 0) &&
+                voxrti_edit_hole(e, x, y, z, normal[old], &code)) {
+                changed |= set->normal[voxel] != code;
                 set->normal[voxel] = code;
-                if (set->plane != NULL) set->plane[voxel] = 0; /* it was that of the other normal */
             }
             continue;
         }
