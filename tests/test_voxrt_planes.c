@@ -427,6 +427,149 @@ TEST(many_rays_are_as_single_ones) {
     for (k = 0; k < 2; k++) voxrt_tree_destroy(t[k]);
 }
 
+/* A tree of 2^depth cells with any planes: through centres, from end to end, any bytes; along axes, diagonals, anywhere. */
+static voxrt_tree *any_planes(test_rng *r, uint32_t depth, uint32_t style) {
+    static const float axis[7][3] = {{1, 0, 0}, {-1, 0, 0}, {0, 1, 0}, {0, -1, 0}, {0, 0, 1}, {0, 0, -1}, {1, 1, 1}};
+    enum { CELLS = 400 };
+    static voxrt_voxel v[CELLS];
+    voxrt_tree *t = NULL;
+    uint64_t k;
+    uint32_t i, a;
+    memset(v, 0, sizeof v);
+    for (i = 0; i < CELLS; i++) {
+        v[i].x = test_rng_below(r, 1u << depth);
+        v[i].y = test_rng_below(r, 1u << depth);
+        v[i].z = i & 1u ? (v[i].x + v[i].y) / 2 : test_rng_below(r, 1u << depth);
+        v[i].has_normal = 1;
+        for (a = 0; a < 3; a++) v[i].normal[a] = style < 2 ? axis[i % 7][a] : test_rng_range(r, -1.0f, 1.0f);
+    }
+    CHECK(voxrt_tree_from_voxels(NULL, v, depth == 1 ? 3 : CELLS, depth, &t) == VOXRT_OK);
+    if (t == NULL) exit(1);
+    t->plane = (uint8_t *)voxrti_alloc_array(&t->mem, (size_t)t->voxel_count, 1);
+    if (t->plane == NULL) exit(1);
+    for (k = 0; k < t->voxel_count; k++)
+        t->plane[k] = (uint8_t)(style == 0 ? 128u : style == 1 ? 1u + 254u * test_rng_below(r, 2) : test_rng_below(r, 256));
+    return t;
+}
+
+/* Whatever planes are, in trees of any size: the same bits by all instruction sets, shared and in pages; rays from within
+   voxels, in planes, along edges. */
+TEST(any_planes_by_all_ways) {
+    enum { RAYS = 640 };
+    static voxrt_ray ray[RAYS];
+    static voxrt_hit hit[3][RAYS];
+    test_rng r = test_rng_make(31);
+    uint32_t n, i, k, a, planes = 0, passed = 0, inside = 0;
+    for (n = 0; n < 18; n++) {
+        const uint32_t depth = n < 15 ? 1 + n / 3 : 6;
+        voxrt_tree *t = any_planes(&r, depth, n % 3), *shared = NULL;
+        const float size = (float)(1u << depth);
+        voxrt_trace_desc d;
+        voxrt_save_desc sd;
+        voxrt_paged_desc pd;
+        voxrt_paged *paged = NULL;
+        voxrt_geometry of[2];
+        uint8_t *file;
+        size_t bytes = 0;
+        for (i = 0; i < RAYS; i++) {
+            for (a = 0; a < 3; a++) {
+                ray[i].org[a] = test_rng_range(&r, -0.5f, 1.5f) * size;
+                if (i % 3 == 0) ray[i].org[a] = floorf(2 * ray[i].org[a]) / 2; /* centres, edges, corners */
+                ray[i].dir[a] = test_rng_range(&r, 0.0f, 1.0f) * size - ray[i].org[a];
+                if (i % 6 == 0) ray[i].dir[a] = (float)test_rng_below(&r, 3) - 1.0f;
+            }
+            ray[i].t_min = i % 7 == 0 ? test_rng_float(&r) : 0.0f;
+            ray[i].t_max = i % 11 == 0 ? test_rng_float(&r) * 2 : INFINITY;
+        }
+        REQUIRE(voxrt_tree_share(t, NULL, &shared) == VOXRT_OK);
+        memset(&d, 0, sizeof d);
+        d.cone_spread = n % 4 == 3 ? 0.5f : 0.0f;
+        d.isa = VOXRT_ISA_SCALAR;
+        CHECK(voxrt_trace(t, &d, ray, hit[0], RAYS) == VOXRT_OK);
+        d.isa = VOXRT_ISA_AUTO;
+        CHECK(voxrt_trace(t, &d, ray, hit[1], RAYS) == VOXRT_OK);
+        CHECK(memcmp(hit[0], hit[1], sizeof hit[0]) == 0);
+        CHECK(voxrt_trace(shared, &d, ray, hit[1], RAYS) == VOXRT_OK);
+        d.cubes = 1;
+        CHECK(voxrt_trace(t, &d, ray, hit[2], RAYS) == VOXRT_OK);
+        d.cubes = 0;
+        for (i = 0; i < RAYS; i++) {
+            hit[1][i].node = hit[0][i].node;
+            CHECK((hit[2][i].t < INFINITY || !(hit[0][i].t < INFINITY)) && hit[0][i].t >= hit[2][i].t);
+            planes += hit[0][i].plane;
+            passed += hit[0][i].t > hit[2][i].t;
+            inside += hit[0][i].plane != 0 && hit[0][i].face == 6;
+        }
+        CHECK(memcmp(hit[0], hit[1], sizeof hit[0]) == 0);
+        memset(&sd, 0, sizeof sd);
+        memset(&pd, 0, sizeof pd);
+        sd.encoding = VOXRT_ENCODING_PAGED;
+        REQUIRE(voxrt_tree_save_memory(t, &sd, NULL, 0, &bytes) == VOXRT_OK);
+        file = (uint8_t *)malloc(bytes);
+        REQUIRE(file != NULL && voxrt_tree_save_memory(t, &sd, file, bytes, &bytes) == VOXRT_OK);
+        pd.data = file;
+        pd.size = bytes;
+        pd.wait = 1;
+        REQUIRE(voxrt_paged_open(&pd, &paged) == VOXRT_OK);
+        voxrt_tree_geometry(t, &of[0]);
+        voxrt_paged_geometry(paged, &of[1]);
+        for (i = 0; i < RAYS; i += 64) {
+            voxrt_surface s[2][64];
+            for (k = 0; k < 2; k++) {
+                memset(s[k], 0, sizeof s[k]);
+                for (a = 0; a < 64; a++) s[k][a].t = INFINITY;
+                of[k].trace_fn(of[k].user, &d, ray + i, s[k], 64);
+            }
+            CHECK(memcmp(s[0], s[1], sizeof s[0]) == 0);
+        }
+        voxrt_paged_destroy(paged);
+        free(file);
+        voxrt_tree_destroy(shared);
+        voxrt_tree_destroy(t);
+    }
+    if (test_g.verbose) printf("     %u planes met, %u voxels passed, %u rays began in what is solid\n", planes, passed, inside);
+    CHECK(planes > 1000 && passed > 2000 && inside > 20);
+}
+
+/* A ray in a plane meets it where it comes into the voxel; one a little above it goes by; behind is solid. */
+TEST(rays_in_planes) {
+    static const struct { float z, org, t; uint32_t met, face; } go[6] = {
+        {0.5f, -2, 2, 1, 0}, {0.4999f, -2, 0, 0, 0}, {0.5001f, -2, 2, 1, 0}, {0.5f, 0.25f, 0, 1, 6}, {0.25f, 0.25f, 0, 0, 0}, {0.75f, 0.25f, 0, 1, 6}};
+    voxrt_voxel v;
+    voxrt_tree *t = NULL;
+    uint32_t i, k;
+    memset(&v, 0, sizeof v);
+    v.has_normal = 1;
+    v.normal[2] = -1; /* codes have that one exactly */
+    REQUIRE(voxrt_tree_from_voxels(NULL, &v, 1, 1, &t) == VOXRT_OK);
+    t->plane = (uint8_t *)voxrti_alloc_array(&t->mem, 1, 1);
+    REQUIRE(t->plane != NULL && t->voxel_count == 1);
+    t->plane[0] = 128;
+    for (i = 0; i < 6; i++)
+        for (k = 0; k < 2; k++) {
+            voxrt_ray ray[8];
+            voxrt_hit hit[8];
+            voxrt_trace_desc d;
+            uint32_t j;
+            memset(&d, 0, sizeof d);
+            memset(ray, 0, sizeof ray);
+            d.isa = k == 0 ? VOXRT_ISA_SCALAR : VOXRT_ISA_AUTO;
+            for (j = 0; j < 8; j++) {
+                ray[j].org[0] = go[i].org;
+                ray[j].org[1] = 0.5f;
+                ray[j].org[2] = go[i].z;
+                ray[j].dir[0] = 1;
+                ray[j].t_max = INFINITY;
+            }
+            CHECK(voxrt_trace(t, &d, ray, hit, 8) == VOXRT_OK);
+            for (j = 0; j < 8; j++)
+                CHECK_MSG((hit[j].node != VOXRT_NO_NODE) == go[i].met &&
+                          (!go[i].met || (hit[j].t == go[i].t && hit[j].plane == 1 && hit[j].face == go[i].face)),
+                          "case %u: t %.9g", i, (double)hit[j].t);
+        }
+    voxrt_tree_destroy(t);
+}
+
 /* Rays without a beginning that are so slow that they entered long before any float: they start at the first one. */
 TEST(times_are_finite) {
     enum { RAYS = 96 };
@@ -1204,6 +1347,8 @@ int main(int argc, char **argv) {
     RUN(sheets_and_insides_stay_cubes);
     RUN(rays_end_where_slow_ones_do);
     RUN(many_rays_are_as_single_ones);
+    RUN(any_planes_by_all_ways);
+    RUN(rays_in_planes);
     RUN(times_are_finite);
     RUN(sharp_ridges_are_cubes);
     RUN(same_voxels_and_planes_by_all_ways);
