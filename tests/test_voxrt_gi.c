@@ -1038,7 +1038,8 @@ TEST(feet_end_where_walls_end) { /* a wall that ends at z = 0 hides half as much
         }
 }
 
-/* A floor and one side of a wall that ends at z = 0, in cells of 1; nested: there are smaller ones elsewhere. Light of a lamp on the floor, at p, as a share of what there would be without the wall. */
+/* A floor and one side of a wall that ends at z = 0, in cells of 1; nested: there are smaller ones elsewhere. Light of a lamp on the floor, at p,
+   as a share of what there would be without the wall. */
 static double past_a_foot(double floor_y, double wall_x, int turned, int nested, int moving, const double p[3], const double lamp[3]) {
     static model m;
     float position[1][3], normal[1][3] = {{0, 1, 0}}, albedo[1][3], direct[1][3];
