@@ -2165,7 +2165,7 @@ TEST(golden_pictures) {
 }
 
 /* A quadrilateral, two triangles of one colour each (rgb: 3 bytes for each triangle of the shape). */
-static void golden_quad(shape *s, uint8_t *rgb, const double p[4][3], uint32_t color) {
+static void golden_quad(shape *s, uint8_t *rgb, double p[4][3], uint32_t color) {
     uint32_t v[4], k, a;
     for (k = 0; k < 4; k++) v[k] = shape_vertex(s, p[k][0], p[k][1], p[k][2]);
     for (k = 0; k < 2; k++) {
@@ -2220,14 +2220,14 @@ static void golden_shape(uint32_t k, shape *s, uint8_t *rgb) {
                 p[j][1] = 0.6 * x + 0.8 * y;
                 p[j][2] = 0.25 * x;
             }
-            golden_quad(s, rgb, (const double (*)[3])p, 0x3060c0 + i);
+            golden_quad(s, rgb, p, 0x3060c0 + i);
         }
         for (j = 0; j < 4; j++) {
             p[j][0] = j == 1 || j == 2 ? 9 : -9;
             p[j][1] = j >= 2 ? 7 : -7;
             p[j][2] = -1.5;
         }
-        golden_quad(s, rgb, (const double (*)[3])p, 0xd0c040);
+        golden_quad(s, rgb, p, 0xd0c040);
         break;
     case 2: { /* coarse heights, and finer ones between them */
         double h[33][33];
@@ -2242,7 +2242,7 @@ static void golden_shape(uint32_t k, shape *s, uint8_t *rgb) {
                 p[j][1] = h[z][x];
                 p[j][2] = 0.5 * z - 8;
             }
-            golden_quad(s, rgb, (const double (*)[3])p, 0x306030 + 2 * (i & 31));
+            golden_quad(s, rgb, p, 0x306030 + 2 * (i & 31));
         }
         break;
     }
@@ -2259,7 +2259,7 @@ static void golden_shape(uint32_t k, shape *s, uint8_t *rgb) {
                 length = sqrt(length);
                 for (n = 0; n < 3; n++) p[j][n] = 5 * p[j][n] / length;
             }
-            golden_quad(s, rgb, (const double (*)[3])p, 0xc08040);
+            golden_quad(s, rgb, p, 0xc08040);
         }
         break;
     case 4: /* houses: a roof just above its walls */
@@ -2272,7 +2272,7 @@ static void golden_shape(uint32_t k, shape *s, uint8_t *rgb) {
                     p[j][1] = j >= 2 ? 1.75 : 0.96875;
                     p[j][2] = z + ((j == 1 || j == 2) == (n == 0) ? 1.375 : -0.125);
                 }
-                golden_quad(s, rgb, (const double (*)[3])p, 0x3040c0);
+                golden_quad(s, rgb, p, 0x3040c0);
             }
         }
         break;
@@ -2289,7 +2289,7 @@ static void golden_shape(uint32_t k, shape *s, uint8_t *rgb) {
                 p[j][1] = 0.25 + u[1] + (j == 2 ? 0.1875 * u[3] : 0);
                 p[j][2] = u[2] - 0.5 + (j == 3 ? 0.125 : 0);
             }
-            golden_quad(s, rgb, (const double (*)[3])p, 0x206020 + (i << 11));
+            golden_quad(s, rgb, p, 0x206020 + (i << 11));
         }
         break;
     case 7: /* a piece of what is mostly empty */
@@ -2307,7 +2307,7 @@ static void golden_shape(uint32_t k, shape *s, uint8_t *rgb) {
                 p[j][1] = y + (j >= 2 ? 0.15 : 0);
                 p[j][2] = 1 + (j >= 2 ? -0.2 : 0);
             }
-            golden_quad(s, rgb, (const double (*)[3])p, 0xb0b0b0);
+            golden_quad(s, rgb, p, 0xb0b0b0);
         }
         break;
     default: /* pillars along both walls, many behind each other */
