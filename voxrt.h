@@ -17327,6 +17327,13 @@ static uint64_t voxrti_edit_mask(const voxrti_edit *e, const uint32_t at[3]) {
     return out;
 }
 
+/* x as a float holds it. (double)(float)x is x itself to gcc 12 where it makes vectors of two of them, and normals
+   would differ between compilers. */
+VOXRTI_INLINE double voxrti_rounded(double x) {
+    volatile float f = (float)x;
+    return (double)f;
+}
+
 /* The normal of a box or sphere at a voxel. */
 static uint16_t voxrti_edit_normal(const voxrti_edit *e, uint32_t x, uint32_t y, uint32_t z) {
     const uint32_t p[3] = {x, y, z};
@@ -17339,7 +17346,7 @@ static uint16_t voxrti_edit_normal(const voxrti_edit *e, uint32_t x, uint32_t y,
             for (a = 0; a < 3; a++)
                 n[a] = p[a] == 0 ? -1.0f : p[a] + 1 == (uint32_t)1 << e->m->grid.depth ? 1.0f : 0.0f;
         } else {
-            for (a = 0; a < 3; a++) n[a] = (float)d[a];
+            for (a = 0; a < 3; a++) n[a] = (float)voxrti_rounded(d[a]);
         }
         if (!voxrti_normalize(n)) return e->up;
     } else {

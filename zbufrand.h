@@ -3147,6 +3147,13 @@ static void zbufrandi_segment_task(void *ctx, uint32_t task) {
     j->vertices[task] = first_vertex;
 }
 
+/* x as a float holds it. (double)(float)x is x itself to gcc 12 where it makes vectors of two of them, and pictures
+   would differ between compilers. */
+ZBUFRANDI_INLINE double zbufrandi_rounded(double x) {
+    volatile float f = (float)x;
+    return (double)f;
+}
+
 /* Vertex normal -> code of the structure's coordinates. */
 static uint16_t zbufrandi_vertex_normal(const zbufrandi_piece_job *j, uint32_t v) {
     double n[3], r[3];
@@ -3156,7 +3163,7 @@ static uint16_t zbufrandi_vertex_normal(const zbufrandi_piece_job *j, uint32_t v
     for (a = 0; a < 3; a++) n[a] = (double)f[a];
     for (a = 0; a < 3; a++) {
         r[a] = j->piece->m[a][0] * n[0] + j->piece->m[a][1] * n[1] + j->piece->m[a][2] * n[2];
-        f[a] = (float)r[a];
+        f[a] = (float)zbufrandi_rounded(r[a]);
     }
     if (!zbufrandi_normalize(f)) f[0] = f[1] = f[2] = 0.0f;
     return (uint16_t)zbufrandi_oct_encode(f);
@@ -3452,12 +3459,6 @@ ZBUFRANDI_INLINE float zbufrandi_step_float(float f, int up) { /* the next float
 ZBUFRANDI_INLINE float zbufrandi_float_down(double x) {
     float f = (float)x;
     return (double)f > x ? zbufrandi_step_float(f, 0) : f;
-}
-/* x as a float holds it. (double)(float)x is x itself to gcc 12 where it makes vectors of two of them, and cones, then
-   pictures, would differ between compilers. */
-ZBUFRANDI_INLINE double zbufrandi_rounded(double x) {
-    volatile float f = (float)x;
-    return (double)f;
 }
 ZBUFRANDI_INLINE float zbufrandi_float_up(double x) {
     float f = (float)x;

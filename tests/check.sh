@@ -399,13 +399,16 @@ symbols() { # NAME exported|static "ALLOWED" COMPILER FLAGS...
 }
 # gcc 12 takes (double)(float)x for x where it turns two of them side by side into vectors: no place where that could be.
 roundings_kept() { # NAME
-    local d=$OUT/tu/$1/slp.$BASHPID rc
-    cmd gcc -std=c99 -O3 -ffp-contract=off -I. -fdump-tree-slp2="$d" -c -o /dev/null "$OUT/tu/$1/impl.c" || return 1
-    awk '/^;; Function/ { name = $3; delete short }
-        $2 == "=" && /= \(vector\([0-9]+\) float\) / { short[$1] = 1 }
-        $2 == "=" && /= \(vector\([0-9]+\) double\) / { from = $5; sub(/;$/, "", from); if (from in short) { print "lost in " name ": " $0; bad = 1 } }
-        END { exit bad }' "$d"
-    rc=$?; rm -f "$d"; return $rc
+    local d=$OUT/tu/$1/slp.$BASHPID opt rc=0
+    for opt in -O2 -O3; do
+        cmd gcc -std=c99 $opt -ffp-contract=off -I. -fdump-tree-slp1="$d.1" -fdump-tree-slp2="$d.2" -fdump-tree-vect="$d.3" -c -o /dev/null "$OUT/tu/$1/impl.c" || return 1
+        cat "$d".[123] | awk -v opt=$opt '/^;; Function/ { name = $3; delete short }
+            $2 == "=" && /= \(vector\([0-9]+\) float\) / { short[$1] = 1 }
+            $2 == "=" && /= \(vector\([0-9]+\) double\) / { from = $5; sub(/;$/, "", from); if (from in short) { print "lost in " name ": " $0 " " opt; bad = 1 } }
+            END { exit bad }' || rc=1
+        rm -f "$d".[123]
+    done
+    return $rc
 }
 group_symbols() {
     local n P libm all
