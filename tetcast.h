@@ -1631,6 +1631,10 @@ typedef enum tetcast_rbf_method {
                   needed; 0xffffffff: none
    max_functions  2^26
    compare        off. 1: report what plain grids need for the same error
+   start          none. An earlier fit whose functions are where this one begins, borrowed for the call: for steps of a
+                  series. The base has the size of the earlier one (unless base_dims or PURE say otherwise, or that has
+                  more than 0.3 nodes a point), its nodes are fitted anew; functions out of the box are left out.
+                  Kernel and number of components have to be the same, with Gaussians the cut as well
    isa            the best; all give the same model */
 typedef struct tetcast_rbf_fit_desc {
     uint32_t _begin_zero;
@@ -1646,6 +1650,7 @@ typedef struct tetcast_rbf_fit_desc {
     uint32_t sweeps;
     uint32_t max_functions;
     uint32_t compare;
+    const tetcast_rbf *start;
     tetcast_isa isa;
     uint32_t _end_zero;
 } tetcast_rbf_fit_desc;
@@ -1658,6 +1663,7 @@ typedef struct tetcast_rbf_report {
     double range;                /* of the values: what errors are shares of */
     uint32_t functions, ellipsoids, base_dims[3];
     uint32_t rounds, inserted, dropped;
+    uint32_t started;            /* functions that were taken from `start` */
     double max_error, mean_error, rms_error, p999_error; /* at the points */
     uint64_t between_count;      /* random places in cells (of the grid, in tets) */
     double between_max, between_mean; /* against linear interpolation there */
@@ -1679,7 +1685,9 @@ typedef struct tetcast_rbf_report {
    out     free with tetcast_rbf_destroy; NULL on failure
    Greedy: a function where the error is largest, of the width that takes most of it away, then moved and widened for
    the least sum of squares; later all are fitted again in turn, weighted so that large errors count most. Parameters
-   are rounded as they will be stored before the error is taken, so storing adds none.
+   are rounded as they will be stored before the error is taken, so storing adds none. With `start` there are functions
+   already: all are weighed anew first, what is not needed is dropped, and what is near errors of three times max_error
+   still; the greedy steps add what is missing.
    The same model for any number of threads and any isa. Errors: INVALID_ARG, EMPTY (no usable point), RANGE
    (max_functions is not enough), UNINIT_DESC, NO_MEMORY, CANCELLED.
    Source: the thesis' loop of centres, widths, weights and error; the steps are ours. */
@@ -21548,6 +21556,8 @@ TETCAST_DEF void tetcast_flow_features(const float velocity[3], const float jaco
 #define TETCASTI_FIT_SPLIT 8         /* positions are stored in this part of the spacing */
 #define TETCASTI_FIT_LADDER 32u
 #define TETCASTI_FIT_TRIES 3u        /* directions of plates */
+#define TETCASTI_FIT_STALE 3.0f      /* times the tolerance: where functions of an earlier fit are not for these data */
+#define TETCASTI_FIT_NEAR 0.25       /* sum of squared heights at points, at least, of functions of an earlier fit */
 #define TETCASTI_FIT_LEFT 0.8        /* of the squared error where a function is put, at most: so the loop ends */
 
 typedef struct tetcasti_fit_function {
@@ -21587,7 +21597,7 @@ typedef struct tetcasti_fit {
     tetcasti_fit_block *block;
     uint32_t blocks[3], color;
     uint32_t failed, full;           /* atomics */
-    uint32_t inserted;               /* atomic */
+    uint32_t inserted;               /* functions of all blocks, while the greedy step runs; atomic */
     tetcast_rbf_report *report;
     uint64_t rejected, duplicates;
 } tetcasti_fit;
@@ -22104,18 +22114,23 @@ static int tetcasti_fit_insert(tetcasti_fit *t, tetcasti_fit_block *b, uint32_t 
     return tetcasti_fit_add(t, b, &best);
 }
 
-/* Insert functions in a block until no error exceeds the threshold. */
-static void tetcasti_task_fit_greedy(void *ctx, uint32_t task) {
-    tetcasti_fit *t = (tetcasti_fit *)ctx;
-    tetcasti_fit_block *b;
-    uint32_t at[3], a, i, j, k;
-    const float limit = t->threshold * t->threshold;
-    for (a = 0; a < 3; a++) { /* blocks of one colour */
+/* Block number `task` of the colour that is worked at. */
+static tetcasti_fit_block *tetcasti_fit_task_block(const tetcasti_fit *t, uint32_t task) {
+    uint32_t at[3], a;
+    for (a = 0; a < 3; a++) {
         const uint32_t n = (t->blocks[a] + 1 - (t->color >> a & 1u)) / 2;
         at[a] = task % n * 2 + (t->color >> a & 1u);
         task /= n;
     }
-    b = &t->block[((size_t)at[2] * t->blocks[1] + at[1]) * t->blocks[0] + at[0]];
+    return &t->block[((size_t)at[2] * t->blocks[1] + at[1]) * t->blocks[0] + at[0]];
+}
+
+/* Insert functions in a block until no error exceeds the threshold. */
+static void tetcasti_task_fit_greedy(void *ctx, uint32_t task) {
+    tetcasti_fit *t = (tetcasti_fit *)ctx;
+    tetcasti_fit_block *b = tetcasti_fit_task_block(t, task);
+    uint32_t a, i, j, k;
+    const float limit = t->threshold * t->threshold;
     for (;;) {
         float most = limit;
         size_t where = (size_t)-1;
@@ -22151,16 +22166,10 @@ static void tetcasti_task_fit_greedy(void *ctx, uint32_t task) {
 /* Fit the functions of a block again, one after the other; leave out what is not needed. */
 static void tetcasti_task_fit_sweep(void *ctx, uint32_t task) {
     tetcasti_fit *t = (tetcasti_fit *)ctx;
-    tetcasti_fit_block *b;
-    uint32_t at[3], a;
+    tetcasti_fit_block *b = tetcasti_fit_task_block(t, task);
+    uint32_t a;
     const float limit = t->tolerance * t->tolerance;
     size_t i, n;
-    for (a = 0; a < 3; a++) {
-        const uint32_t k = (t->blocks[a] + 1 - (t->color >> a & 1u)) / 2;
-        at[a] = task % k * 2 + (t->color >> a & 1u);
-        task /= k;
-    }
-    b = &t->block[((size_t)at[2] * t->blocks[1] + at[1]) * t->blocks[0] + at[0]];
     for (i = 0; i < b->count; i++) {
         tetcasti_fit_function *f = &b->f[i], old = *f;
         double w[4], square, gain, before = 0.0;
@@ -22677,6 +22686,7 @@ static int tetcasti_fit_bad(tetcasti_fit *t, uint64_t done, uint64_t total) { /*
 
 static void tetcasti_fit_greedy(tetcasti_fit *t, double threshold) {
     t->threshold = (float)threshold;
+    t->inserted = (uint32_t)tetcasti_fit_count(t);
     tetcasti_fit_colors(t, tetcasti_task_fit_greedy);
 }
 
@@ -22702,7 +22712,6 @@ static int tetcasti_fit_trials(tetcasti_fit *t) {
         if (nodes > 0.3 * (double)t->count * (double)t->n || room < 1.0) break;
         if (!tetcasti_fit_base(t, dims)) return 0;
         t->cap = room < (double)cap ? (size_t)room + 1 : cap;
-        t->inserted = 0;
         tetcasti_fit_greedy(t, 2.0 * (double)t->tolerance);
         tetcasti_fit_greedy(t, (double)t->tolerance);
         if (t->failed) return 0;
@@ -22718,6 +22727,110 @@ static int tetcasti_fit_trials(tetcasti_fit *t) {
     }
     t->cap = cap;
     return tetcasti_fit_base(t, best);
+}
+
+/* ---- functions of an earlier fit ---- */
+
+static int tetcasti_fit_same_base(const tetcasti_fit *t, const tetcast_rbf *from) { /* is it to have this one's size? */
+    return from != NULL && (double)from->dims[0] * (double)from->dims[1] * (double)from->dims[2] <=
+                           0.3 * (double)t->count;
+}
+
+/* Block of a place. */
+static tetcasti_fit_block *tetcasti_fit_place_block(const tetcasti_fit *t, const double c[3]) {
+    size_t at = 0;
+    uint32_t a;
+    for (a = 3; a-- > 0;) {
+        const uint32_t bin = tetcasti_fit_bin(t, a, (float)c[a]);
+        uint32_t k = (uint32_t)((size_t)bin * t->blocks[a] / t->bins[a]);
+        while (k + 1 < t->blocks[a] && (size_t)(k + 1) * t->bins[a] / t->blocks[a] <= bin) k++;
+        at = at * t->blocks[a] + k;
+    }
+    return &t->block[at];
+}
+
+/* The plate that is nearest to an ellipsoid, as it is kept in a function. 0: round. */
+static uint32_t tetcasti_fit_shape(const tetcasti_fit *t, const float axis[4]) {
+    float most = -1.0f;
+    uint32_t best = 0, k;
+    if (t->round || !(axis[3] < 1.0f)) return 0;
+    for (k = 0; k < 13; k++) {
+        const float d = tetcasti_absf((t->plate[k][0] * axis[0] + t->plate[k][1] * axis[1]) + t->plate[k][2] * axis[2]);
+        if (d > most) {
+            most = d;
+            best = k;
+        }
+    }
+    return 1 + best;
+}
+
+/* The functions of a block out of the error. Those that no point is near are left out: nothing would hold them. */
+static void tetcasti_task_fit_take(void *ctx, uint32_t task) {
+    tetcasti_fit *t = (tetcasti_fit *)ctx;
+    tetcasti_fit_block *b = tetcasti_fit_task_block(t, task);
+    double w[4], square = 0.0;
+    size_t i, n;
+    for (i = n = 0; i < b->count; i++) {
+        (void)tetcasti_fit_weigh(t, &b->f[i], w, &square);
+        if (!(square > TETCASTI_FIT_NEAR)) continue;
+        b->f[n] = b->f[i];
+        tetcasti_fit_apply(t, &b->f[n++], 1);
+    }
+    b->count = n;
+}
+
+/* Which functions of a block have errors in reach that are too large, though all were weighed anew; then out with them.
+   Two steps, so that what goes does not take its neighbours along. */
+static void tetcasti_task_fit_mark(void *ctx, uint32_t task) {
+    tetcasti_fit *t = (tetcasti_fit *)ctx;
+    tetcasti_fit_block *b = tetcasti_fit_task_block(t, task);
+    const float limit = TETCASTI_FIT_STALE * t->tolerance;
+    size_t i;
+    for (i = 0; i < b->count; i++) b->f[i].dead = tetcasti_fit_most(t, &b->f[i], 1) > limit * limit;
+}
+static void tetcasti_task_fit_drop(void *ctx, uint32_t task) {
+    tetcasti_fit *t = (tetcasti_fit *)ctx;
+    tetcasti_fit_block *b = tetcasti_fit_task_block(t, task);
+    size_t i, n;
+    for (i = n = 0; i < b->count; i++) {
+        if (b->f[i].dead) tetcasti_fit_apply(t, &b->f[i], -1);
+        else b->f[n++] = b->f[i];
+    }
+    b->dropped += (uint32_t)(b->count - n);
+    b->count = n;
+}
+
+/* Functions of a model -> blocks, rounded to what is stored here; out of the error. 0: no memory. */
+static int tetcasti_fit_take(tetcasti_fit *t, const tetcast_rbf *from) {
+    const tetcast_rbf *m = t->m;
+    size_t taken = 0;
+    uint32_t i, a;
+    for (i = 0; i < from->count && taken < t->cap; i++) {
+        tetcasti_fit_function f;
+        tetcasti_fit_block *b;
+        const double width = (double)from->width[i] * (from->unit / m->unit);
+        double c[3], w[4] = {0.0, 0.0, 0.0, 0.0};
+        int ok = width > 1e-30, any = 0;
+        for (a = 0; a < 3; a++) {
+            c[a] = ((from->box_min[a] - m->box_min[a]) + (double)from->centre[i][a] * from->scale[a]) / m->scale[a];
+            ok = ok && c[a] >= -t->spacing && c[a] <= (double)m->size[a] + t->spacing;
+        }
+        if (!ok) continue;
+        memset(&f, 0, sizeof f);
+        if (from->axis != NULL) f.shape = tetcasti_fit_shape(t, from->axis[i]);
+        b = tetcasti_fit_place_block(t, c);
+        tetcasti_fit_round_place(t, b, c, width, &f);
+        for (a = 0; a < t->n; a++)
+            w[a] = (double)from->weight[(size_t)i * t->n + a] / (1.0 - (double)t->e);
+        (void)tetcasti_fit_round_weights(t, w, 1.0, &f);
+        for (a = 0; a < t->n; a++) any = any || f.w[a] != 0.0f;
+        if (!any) continue;
+        if (!tetcasti_grow(t->mem, (void **)&b->f, &b->room, b->count, b->count + 1, sizeof *b->f)) return 0;
+        b->f[b->count++] = f;
+        taken++;
+    }
+    tetcasti_fit_colors(t, tetcasti_task_fit_take);
+    return 1;
 }
 
 /* ---- the model, and how wrong it is ---- */
@@ -22985,6 +23098,17 @@ static tetcast_result tetcasti_fit_loop(tetcasti_fit *t, const tetcast_rbf_fit_d
     t->tolerance = (float)tolerance;
     t->heed_scale = (float)(1.0 / (tolerance * tolerance));
     t->polish = 1;
+    if (d->start != NULL) { /* weights of now, before anything is added */
+        if (!tetcasti_fit_take(t, d->start)) return TETCAST_ERR_NO_MEMORY;
+        report->started = (uint32_t)tetcasti_fit_count(t);
+        t->sharp = 1;
+        tetcasti_fit_reset_heed(t);
+        tetcasti_fit_colors(t, tetcasti_task_fit_sweep);
+        tetcasti_fit_colors(t, tetcasti_task_fit_mark);
+        tetcasti_fit_colors(t, tetcasti_task_fit_drop);
+        report->rounds++;
+        if (tetcasti_fit_bad(t, 0, sweeps + 2)) return TETCAST_ERR_NO_MEMORY;
+    }
     for (s = 0; s <= sweeps; s++) {
         const double left = (double)(sweeps - s);
         t->sharp = 0;
@@ -23054,6 +23178,7 @@ static tetcast_result tetcasti_fit_run(tetcasti_fit *t, const tetcast_rbf_fit_de
         if (!ok) return TETCAST_ERR_NO_MEMORY;
         if (d->method == TETCAST_RBF_METHOD_PURE) ok = tetcasti_fit_base(t, none);
         else if (d->base_dims[0] != 0) ok = tetcasti_fit_base(t, d->base_dims);
+        else if (tetcasti_fit_same_base(t, d->start)) ok = tetcasti_fit_base(t, d->start->dims);
         else ok = tetcasti_fit_trials(t);
         if (!ok) return TETCAST_ERR_NO_MEMORY;
         r = tetcasti_fit_loop(t, d, report);
@@ -23091,6 +23216,9 @@ static tetcast_result tetcasti_fit_check(const tetcast_rbf_fit_desc *d, const te
         (uint32_t)d->kernel >= TETCAST_KERNEL_COUNT || d->kernel == TETCAST_KERNEL_GAUSS_CUT ||
         (uint32_t)d->method > TETCAST_RBF_METHOD_PURE || !(d->cut >= 1.0f && d->cut <= 8.0f) ||
         (in->tets != NULL && in->tet_count == 0)) return TETCAST_ERR_INVALID_ARG;
+    if (d->start != NULL && (d->start->components != in->components || d->start->kernel != d->kernel ||
+                             (d->kernel == TETCAST_KERNEL_GAUSS && d->start->cut != d->cut)))
+        return TETCAST_ERR_INVALID_ARG;
     for (a = 0; a < 3; a++) if (!(d->metric[a] >= 0.0) || !tetcasti_finite(d->metric[a]))
         return TETCAST_ERR_INVALID_ARG;
     if (!tetcasti_rbf_dims_ok(d->base_dims)) return TETCAST_ERR_INVALID_ARG;
@@ -23106,7 +23234,8 @@ static tetcast_result tetcasti_fit_check(const tetcast_rbf_fit_desc *d, const te
 
 TETCAST_DEF tetcast_result tetcast_rbf_fit(const tetcast_rbf_fit_desc *desc, const tetcast_rbf_points *points,
                                            tetcast_rbf_report *report, tetcast_rbf **out) {
-    static const char *const why[] = {"", "fit: a number or an enum is out of range", "", "fit: out of memory"};
+    static const char *const why[] = {"", "fit: a number or an enum is out of range, or start is of another kind", "",
+                                      "fit: out of memory"};
     tetcast_rbf_fit_desc d;
     tetcast_rbf_report own;
     tetcasti_mem mem;

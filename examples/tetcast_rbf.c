@@ -18,7 +18,7 @@ enum { LOOK = 40 }; /* a grid of so many places a side tells what values there a
 
 typedef struct options {
     sup_common common;
-    const char *in, *out, *field, *tf, *slice, *inside;
+    const char *in, *out, *field, *tf, *slice, *inside, *first;
     int command, method, kernel, model, channel, gather, stepper, has_model, euler, between, storage, round;
     int64_t detail, sweeps, component, samples, seeds, steps, base, longest, longest_end;
     double tolerance, max_error, mean_error, cut, scale, iso, opacity, dt, ortho, epsilon, step;
@@ -57,6 +57,7 @@ static int parse(int argc, char **argv, options *o) {
     t[n++] = sup_opt_choice("kernel", &o->kernel, "gauss|cut|wendland2|wendland4|power", "fit: the kernel");
     t[n++] = sup_opt_real("cut", &o->cut, 1.0, 8.0, "K", "fit: where Gaussians end, in widths (3.5)");
     t[n++] = sup_opt_int("sweeps", &o->sweeps, 0, 100, "N", "fit: how often functions are fitted again (3)");
+    t[n++] = sup_opt_text("start", &o->first, "FILE.rbf", "fit: begin with the functions of this one, the step before in a series");
     t[n++] = sup_opt_text("tf", &o->tf, "FILE|" SUP_TRANSFER_NAMES, "transfer function (a rainbow that shows what is rare)");
     t[n++] = sup_opt_real("extinction", &o->scale, 1e-9, 1e9, "F", "multiplies all extinctions");
     t[n++] = sup_opt_given(sup_opt_choice("model", &o->model, "volume|emission|absorption|maximum|iso|mixed",
@@ -90,6 +91,7 @@ static int parse(int argc, char **argv, options *o) {
     if (o->command < 0) return sup_bad_usage(argv[0], "\"%s\" is none of fit, render, trace, decode", command);
     if ((o->command == COMMAND_FIT || o->command == COMMAND_DECODE) && !o->out)
         return sup_bad_usage(argv[0], "the file to write is missing");
+    if (o->first && o->command != COMMAND_FIT) return sup_bad_usage(argv[0], "--start is for fit");
     if (o->command == COMMAND_FIT && o->kernel == TETCAST_KERNEL_GAUSS_CUT)
         return sup_bad_usage(argv[0], "--kernel cut: that one jumps, no error could be guaranteed");
     if (o->command != COMMAND_FIT && o->command != COMMAND_DECODE) status = sup_out_check(argv[0], &o->common);
@@ -147,8 +149,8 @@ static void print_fit(const options *o, const sup_field *field, const tetcast_rb
     sup_json_string(stdout, field->name);
     printf(",\"components\":%u,\"points\":%llu,\"rejected\":%llu,\"duplicates\":%llu,\"range\":%.9g,\"method\":\"%s\"", field->components,
            (unsigned long long)r->points, (unsigned long long)r->rejected, (unsigned long long)r->duplicates, r->range, methods[o->method]);
-    printf(",\"functions\":%u,\"ellipsoids\":%u,\"base\":[%u,%u,%u],\"inserted\":%u,\"dropped\":%u,\"rounds\":%u", r->functions,
-           r->ellipsoids, r->base_dims[0], r->base_dims[1], r->base_dims[2], r->inserted, r->dropped, r->rounds);
+    printf(",\"functions\":%u,\"ellipsoids\":%u,\"base\":[%u,%u,%u],\"started\":%u,\"inserted\":%u,\"dropped\":%u,\"rounds\":%u", r->functions,
+           r->ellipsoids, r->base_dims[0], r->base_dims[1], r->base_dims[2], r->started, r->inserted, r->dropped, r->rounds);
     printf(",\"tolerance\":%.6g,\"max_error\":%.6g,\"mean_error\":%.6g,\"rms_error\":%.6g,\"p999_error\":%.6g", o->max_error,
            r->max_error, r->mean_error, r->rms_error, r->p999_error);
     printf(",\"between\":%llu,\"between_max\":%.6g,\"between_mean\":%.6g,\"overshoot\":%.6g,\"largest_weight\":%.6g",
@@ -224,11 +226,21 @@ static int fit_points(const sup_volume *v, const sup_field *field, tetcast_rbf_p
     return 0;
 }
 
+static int load(const char *path, const tetcast_env *env, tetcast_rbf **out, sup_error *err) {
+    char *data = NULL;
+    size_t size = 0;
+    tetcast_result result;
+    if (sup_read_file(path, &data, &size, err)) return 1;
+    result = tetcast_rbf_load_memory(env, data, size, out);
+    SUP_FREE(data);
+    return result != TETCAST_OK ? sup_fail_result(err, path, result, env->error) : 0;
+}
+
 static int fit(const options *o, tetcast_env *env, sup_error *err) {
     tetcast_rbf_fit_desc d;
     tetcast_rbf_points p;
     tetcast_rbf_report report;
-    tetcast_rbf *rbf = NULL;
+    tetcast_rbf *rbf = NULL, *first = NULL;
     sup_volume v;
     sup_progress progress;
     const sup_field *field = NULL;
@@ -248,7 +260,12 @@ static int fit(const options *o, tetcast_env *env, sup_error *err) {
         return failed;
     }
     memset(&d, 0, sizeof d);
+    if (o->first && load(o->first, env, &first, err)) {
+        sup_volume_free(&v);
+        return 1;
+    }
     if (fit_points(&v, field, &p, &points)) {
+        tetcast_rbf_destroy(first);
         sup_volume_free(&v);
         return sup_fail(err, "out of memory");
     }
@@ -267,6 +284,7 @@ static int fit(const options *o, tetcast_env *env, sup_error *err) {
     d.sweeps = o->sweeps ? (uint32_t)o->sweeps : 0xffffffffu;
     for (int k = 0; k < 3; k++) d.base_dims[k] = (uint32_t)o->base;
     d.compare = 1;
+    d.start = first;
     d.between = (uint32_t)o->between;
     d.round = (uint32_t)o->round;
     start = sup_now();
@@ -302,6 +320,7 @@ static int fit(const options *o, tetcast_env *env, sup_error *err) {
     SUP_FREE(bytes);
     SUP_FREE(points);
     tetcast_rbf_destroy(rbf);
+    tetcast_rbf_destroy(first);
     sup_volume_free(&v);
     return failed;
 }
@@ -351,17 +370,11 @@ static int evaluate(const options *o, const model *m, const tetcast_env *env, co
 }
 
 static int open_model(const options *o, const tetcast_env *env, model *m, sup_error *err) {
-    char *data = NULL;
-    size_t size = 0;
     double *points;
     float *sorted;
-    tetcast_result result;
     int failed;
     memset(m, 0, sizeof *m);
-    if (sup_read_file(o->in, &data, &size, err)) return 1;
-    result = tetcast_rbf_load_memory(env, data, size, &m->rbf);
-    SUP_FREE(data);
-    if (result != TETCAST_OK) return fail(o, env->error, result, err);
+    if (load(o->in, env, &m->rbf, err)) return 1;
     tetcast_rbf_get_info(m->rbf, &m->info);
     if (o->component >= m->info.components) return sup_fail(err, "%s: there are %u components", o->in, m->info.components);
     if (o->channel > TETCAST_RBF_CHANNEL_LENGTH && m->info.components != 3)

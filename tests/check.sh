@@ -499,6 +499,9 @@ EXITS="
 1 tetcast_rbf fit @/garbage.obj @/bad.rbf --max-error 0.1
 1 tetcast_rbf render @/garbage.rbf --out @/bad.png
 0 tetcast_rbf fit ball @/ball.rbf --detail 6 --max-error 0.3 --quiet
+0 tetcast_rbf fit ball @/ball2.rbf --detail 6 --max-error 0.2 --start @/ball.rbf --quiet
+1 tetcast_rbf fit ball @/bad.rbf --detail 6 --start @/garbage.rbf
+1 tetcast_rbf fit ball @/bad.rbf --detail 6 --kernel power --start @/ball.rbf
 0 tetcast_rbf render @/ball.rbf --inside ball --detail 6 --out @/ball.png --size 16x16 --quiet
 1 tetcast_rbf render @/ball.rbf --inside @/garbage.obj --out @/bad.png
 0 tetcast_rbf decode @/ball.rbf @/ball.brk --max-error 0.3 --longest-end 65 --quiet
@@ -567,6 +570,7 @@ EXITS="
 2 tetcast_rbf
 2 tetcast_rbf render @/ball.rbf --inside ball --half 1,0,0 --out @/bad.png
 2 tetcast_rbf render @/garbage.rbf
+2 tetcast_rbf decode @/ball.rbf @/bad.brk --start @/ball.rbf
 "
 exit_statuses() {
     local d=$OUT/obj/exits want line got bad=0

@@ -760,6 +760,7 @@ TEST(same_model) {
     static float value[320 * 12 * 7];
     size_t i, size[5] = {0, 0, 0, 0, 0};
     unsigned char *bytes[5] = {NULL, NULL, NULL, NULL, NULL};
+    double e[2];
     int k;
     for (k = 0; k < 5; k++) {
         /* the last two: a long bar in eight blocks */
@@ -778,6 +779,15 @@ TEST(same_model) {
         d.isa = k == 0 || k == 3 ? TETCAST_ISA_SCALAR : TETCAST_ISA_AUTO;
         CHECK(tetcast_rbf_fit(&d, &p, NULL, &m) == TETCAST_OK);
         REQUIRE(m != NULL);
+        if (k > 2) { /* from functions in all blocks */
+            tetcast_rbf_report report;
+            d.start = m;
+            for (i = 0; i < p.count; i++) value[i] *= 1.0f + 0.001f * (float)(i % 320);
+            CHECK(tetcast_rbf_fit(&d, &p, &report, &m) == TETCAST_OK && report.started > d.start->count * 9 / 10);
+            errors(m, &p, NULL, value, report.range, e);
+            CHECK_MSG(e[0] <= 0.2001 && 2 * report.inserted < report.functions, "%g, %u of %u inserted", e[0], report.inserted, report.functions);
+            tetcast_rbf_destroy((tetcast_rbf *)(uintptr_t)d.start);
+        }
         bytes[k] = save(m, &size[k]);
         tetcast_rbf_destroy(m);
     }
@@ -786,6 +796,163 @@ TEST(same_model) {
     CHECK(size[0] == size[2] && memcmp(bytes[0], bytes[2], size[0]) == 0);
     CHECK(size[3] == size[4] && memcmp(bytes[3], bytes[4], size[3]) == 0);
     for (k = 0; k < 5; k++) free(bytes[k]);
+}
+
+/* ---- steps of a series ---- */
+
+/* Sheets and a ripple that wander with the time. */
+static void wander(uint32_t n, double time, float *out) {
+    size_t i;
+    for (i = 0; i < (size_t)n * n * n; i++) {
+        const double at[3] = {(double)(i % n) / (n - 1), (double)(i / n % n) / (n - 1), (double)(i / n / n) / (n - 1)};
+        const double moved[3] = {at[0] + 0.3 * time, at[1] - 0.2 * time, at[2]};
+        out[i] = (float)(shock(moved) + 0.5 * ripple(at) + 0.2 * time * sin(3.0 * at[2]));
+    }
+}
+
+/* An earlier result as a start: the same promise, fewer functions to find, as few bytes as without; plates stay plates. */
+TEST(series) {
+    enum { N = 14, STEPS = 5 };
+    static float value[N * N * N];
+    tetcast_rbf *last = NULL, *cold = NULL, *warm = NULL;
+    uint64_t bytes[2] = {0, 0}, inserted[2] = {0, 0}, ellipsoids[2] = {0, 0};
+    uint32_t step, k;
+    for (step = 0; step < STEPS; step++) {
+        tetcast_rbf_points p = grid_points(value, N, N, N, 1);
+        tetcast_rbf_fit_desc d;
+        tetcast_rbf_report alone, with;
+        double e[2];
+        wander(N, 0.02 * step, value);
+        for (k = 0; k < 3; k++) p.spacing[k] = 1.0 / (N - 1);
+        memset(&d, 0, sizeof d);
+        d.max_error = 0.03f;
+        CHECK(tetcast_rbf_fit(&d, &p, &alone, &cold) == TETCAST_OK && alone.started == 0);
+        REQUIRE(cold != NULL);
+        if (step == 0) {
+            last = cold;
+            continue;
+        }
+        d.start = last;
+        CHECK(tetcast_rbf_fit(&d, &p, &with, &warm) == TETCAST_OK);
+        REQUIRE(warm != NULL);
+        errors(warm, &p, NULL, value, with.range, e);
+        CHECK_MSG(e[0] <= 0.03 * (1.0 + 1e-4), "step %u: %g", step, e[0]);
+        CHECK_NEAR(e[0], with.max_error, 1e-5);
+        CHECK_MSG(with.started > last->count * 9 / 10 && with.started <= last->count, "step %u: %u of %u", step, with.started, last->count);
+        CHECK(memcmp(with.base_dims, last->dims, sizeof with.base_dims) == 0 && with.functions == warm->count);
+        CHECK(with.functions == with.started + with.inserted - with.dropped);
+        bytes[0] += alone.bytes;
+        bytes[1] += with.bytes;
+        inserted[0] += alone.inserted;
+        inserted[1] += with.inserted;
+        if (getenv("TEST_PRINT") != NULL)
+            printf("step %u: %u functions, %u bytes, %u inserted; from the step before %u, %u bytes, %u kept, %u inserted, %u dropped\n", step,
+                   alone.functions, (unsigned)alone.bytes, alone.inserted, with.functions, (unsigned)with.bytes, with.started, with.inserted, with.dropped);
+        ellipsoids[0] += alone.ellipsoids;
+        ellipsoids[1] += with.ellipsoids;
+        tetcast_rbf_destroy(cold);
+        tetcast_rbf_destroy(last);
+        last = warm;
+    }
+    CHECK_MSG(2 * inserted[1] < inserted[0], "%u inserted, %u without a start", (unsigned)inserted[1], (unsigned)inserted[0]);
+    CHECK_MSG(3 * ellipsoids[1] > 2 * ellipsoids[0], "%u plates, %u without a start", (unsigned)ellipsoids[1], (unsigned)ellipsoids[0]);
+    CHECK_MSG((double)bytes[1] < 1.1 * (double)bytes[0], "%u bytes, %u without a start", (unsigned)bytes[1], (unsigned)bytes[0]);
+    tetcast_rbf_destroy(last);
+}
+
+/* A start in another box, of another kind, of functions that no point is near; the same bits however it is computed. */
+TEST(starts) {
+    enum { N = 12 };
+    static float value[N * N * N], other[N * N * N];
+    tetcast_rbf_points p = grid_points(value, N, N, N, 1);
+    tetcast_rbf_fit_desc d;
+    tetcast_rbf_report report;
+    tetcast_rbf *m = NULL, *first = NULL, *odd;
+    tetcast_rbf_desc r = random_desc(5, 300, 1, 0.01, 0.9, 3.0);
+    unsigned char *bytes[3];
+    size_t size[3], i;
+    double e[2];
+    int k;
+    for (k = 0; k < 3; k++) {
+        p.spacing[k] = 2.0 / (N - 1);
+        p.origin[k] = 3.0;
+    }
+    wander(N, 0.0, value);
+    memset(&d, 0, sizeof d);
+    CHECK(tetcast_rbf_fit(&d, &p, &report, &first) == TETCAST_OK);
+    REQUIRE(first != NULL);
+    d.start = first;
+    wander(N, 0.03, value);
+    for (k = 0; k < 3; k++) {
+        d.env.thread_count = k == 1 ? 3 : 1;
+        d.isa = k == 2 ? TETCAST_ISA_SCALAR : TETCAST_ISA_AUTO;
+        CHECK(tetcast_rbf_fit(&d, &p, &report, &m) == TETCAST_OK && report.started > 0);
+        REQUIRE(m != NULL);
+        bytes[k] = save(m, &size[k]);
+        tetcast_rbf_destroy(m);
+        REQUIRE(bytes[k] != NULL);
+        CHECK(size[k] == size[0] && memcmp(bytes[k], bytes[0], size[0]) == 0);
+    }
+    for (k = 0; k < 3; k++) free(bytes[k]);
+    for (k = 0; k < 3; k++) p.origin[k] = 4.0; /* half of each side: an eighth of the functions, about */
+    CHECK(tetcast_rbf_fit(&d, &p, &report, &m) == TETCAST_OK && report.started < first->count / 2);
+    REQUIRE(m != NULL);
+    errors(m, &p, NULL, value, report.range, e);
+    CHECK_MSG(e[0] <= 0.0501, "another box: %g", e[0]);
+    tetcast_rbf_destroy(m);
+    for (k = 0; k < 3; k++) p.origin[k] = 40.0;
+    CHECK(tetcast_rbf_fit(&d, &p, &report, &m) == TETCAST_OK && report.started == 0);
+    tetcast_rbf_destroy(m);
+    for (k = 0; k < 3; k++) p.origin[k] = 3.0;
+    { /* other data altogether: what is not for them goes, so that it costs no more than a twelfth of the bytes */
+        tetcast_rbf_report alone;
+        for (i = 0; i < p.count; i++) other[i] = value[p.count - 1 - i];
+        p.values.data = other;
+        d.start = NULL;
+        d.max_error = 0.03f;
+        CHECK(tetcast_rbf_fit(&d, &p, &alone, &m) == TETCAST_OK);
+        tetcast_rbf_destroy(m);
+        d.start = first;
+        CHECK(tetcast_rbf_fit(&d, &p, &report, &m) == TETCAST_OK && report.started > 0);
+        tetcast_rbf_destroy(m);
+        CHECK_MSG(12 * report.bytes < 13 * alone.bytes, "%u bytes, %u without a start", (unsigned)report.bytes, (unsigned)alone.bytes);
+        if (getenv("TEST_PRINT") != NULL)
+            printf("other data: %u bytes from %u, %u without a start\n", (unsigned)report.bytes, report.started, (unsigned)alone.bytes);
+        p.values.data = value;
+        d.max_error = 0.05f;
+    }
+    for (k = 0; k < 4; k++) { /* functions of anybody: all widths, ellipsoids, heavy and in between the points */
+        if (k == 1) bend(&r, 30.0);
+        for (i = 0; i < r.function_count && k == 2; i++) g_f[i].weight[0] *= 1e20f;
+        for (i = 0; i < r.function_count && k == 3; i++) g_f[i].width = 0.004;
+        odd = make(&r);
+        REQUIRE(odd != NULL);
+        d.start = odd;
+        CHECK(tetcast_rbf_fit(&d, &p, &report, &m) == TETCAST_OK);
+        REQUIRE(m != NULL);
+        errors(m, &p, NULL, value, report.range, e);
+        CHECK_MSG(e[0] <= 0.0501, "kind %d: %g", k, e[0]);
+        if (k == 3) CHECK_MSG(report.started > 20 && report.started < 120, "%u functions near points", report.started);
+        tetcast_rbf_destroy(m);
+        tetcast_rbf_destroy(odd);
+    }
+    d.start = first;
+    d.max_functions = 5;
+    CHECK(tetcast_rbf_fit(&d, &p, &report, &m) == TETCAST_ERR_RANGE && m == NULL);
+    d.max_functions = 0;
+    d.kernel = TETCAST_KERNEL_POWER;
+    CHECK(tetcast_rbf_fit(&d, &p, NULL, &m) == TETCAST_ERR_INVALID_ARG && m == NULL);
+    d.kernel = TETCAST_KERNEL_GAUSS;
+    d.cut = 3.0f;
+    CHECK(tetcast_rbf_fit(&d, &p, NULL, &m) == TETCAST_ERR_INVALID_ARG);
+    d.cut = 3.5f;
+    CHECK(tetcast_rbf_fit(&d, &p, NULL, &m) == TETCAST_OK);
+    tetcast_rbf_destroy(m);
+    p.count /= 3;
+    p.dims[2] /= 3;
+    p.components = 3;
+    CHECK(tetcast_rbf_fit(&d, &p, NULL, &m) == TETCAST_ERR_INVALID_ARG);
+    tetcast_rbf_destroy(first);
 }
 
 /* Nothing, one point, coincident, on a line, in a plane, all equal, not finite; thin and stretched grids. */
@@ -1391,11 +1558,13 @@ TEST(out_of_memory) {
     enum { W = 20 };
     static float data[4 * 4 * 4], rgba[W * W * 4];
     tetcast_rbf_points p = grid_points(data, 4, 4, 4, 1);
+    tetcast_rbf *first = NULL;
     tetcast_optics *o = make_optics(TETCAST_MODEL_VOLUME, 0.5f);
     test_rng r = test_rng_make(14);
     int64_t k;
     int done = 0, i;
     for (i = 0; i < 64; i++) data[i] = test_rng_float(&r);
+    CHECK(tetcast_rbf_fit(NULL, &p, NULL, &first) == TETCAST_OK);
     for (k = 0; !done && k < 2000; k++) {
         tetcast_rbf_fit_desc d;
         tetcast_rbf_render_desc q;
@@ -1415,6 +1584,7 @@ TEST(out_of_memory) {
         d.max_error = 0.3f;
         d.compare = 1;
         d.between = k % 3 == 0; /* the others have plates */
+        d.start = k % 2 == 0 ? first : NULL;
         result = tetcast_rbf_fit(&d, &p, NULL, &m);
         CHECK(result == TETCAST_OK || (result == TETCAST_ERR_NO_MEMORY && m == NULL));
         if (result == TETCAST_OK) {
@@ -1449,6 +1619,7 @@ TEST(out_of_memory) {
         test_alloc_check(&ta);
     }
     CHECK(done && k > 20);
+    tetcast_rbf_destroy(first);
     tetcast_optics_destroy(o);
 }
 
@@ -1467,6 +1638,8 @@ int main(int argc, char **argv) {
     RUN(thesis_steps);
     RUN(decoded);
     RUN(same_model);
+    RUN(series);
+    RUN(starts);
     RUN(odd_data);
     RUN(flows);
     RUN(traces);
