@@ -9,6 +9,7 @@
    Included by bench_tetcast.c after its other parts. */
 #ifndef BENCH_TETCAST_WAYS_H
 #define BENCH_TETCAST_WAYS_H
+#include "baseline/lipschitz_steps.h"
 #include "baseline/opacity_slices.h"
 #include "../examples/support/tile_file.h"
 
@@ -315,23 +316,31 @@ static void bm48(void) {
 
 /* ---- BM49 ---- */
 
+enum { BM49_DELTAS = 5 };
+static const double bm49_delta[BM49_DELTAS] = {0.4, 0.2, 0.1, 0.05, 0.025}; /* how much values change in a step */
+
 /* Opacity along rays in x through bricks that get coarser away from one face: by slices as the thesis counts them. */
 static void bm49(void) {
     static const char *const names[5] = {"naive", "repaired", "misprint", "exact", "ours"};
-    enum { SIDE = 129, RAYS = 64, SLOTS = 132 }; /* slots begin before the bricks, where the eye has them begin */
+    enum { SIDE = 129, RAYS = 64, SLOTS = 132, ROOM = 48 * SIDE }; /* slots begin before the bricks, where the eye has them begin */
     tetcast_bricks *b = head_bricks(SIDE, TETCAST_TYPE_F32);
     tetcast_transfer *t = NULL;
     tetcast_optics *o;
     tetcast_cut_desc cd;
     tetcast_cut *cut = NULL;
     double sum[5] = {0, 0, 0, 0, 0}, samples[5] = {0, 0, 0, 0, 0}, seconds[5] = {0, 0, 0, 0, 0}, off[5] = {0, 0, 0, 0, 0};
+    double steep_sum[2][BM49_DELTAS], steep_samples[2][BM49_DELTAS], steep_seconds[2][BM49_DELTAS];
+    float *bounds = (float *)must_alloc(5 * ROOM, sizeof *bounds);
     brick_frame f;
     const double extinction = 3.0;
     static tetcast_control_point points[2] = {{0.0f, {1, 1, 1}, 0}, {1.0f, {1, 1, 1}, 3.0f}};
     tetcast_transfer_desc td;
     float *finest;
     uint32_t i, j, k;
-    int how;
+    int how, kind;
+    memset(steep_sum, 0, sizeof steep_sum);
+    memset(steep_samples, 0, sizeof steep_samples);
+    memset(steep_seconds, 0, sizeof steep_seconds);
     memset(&td, 0, sizeof td);
     memset(&cd, 0, sizeof cd);
     memset(&f, 0, sizeof f);
@@ -382,6 +391,28 @@ static void bm49(void) {
             }
             tetcast_cut_sample(cut, x, y, z, SLOTS, TETCAST_ISA_AUTO, v);
             for (k = 0; k < SLOTS; k++) v[k] = k < 3 || k > 3 + 128 ? 0.0f : v[k];
+            for (how = 0; how < BM49_DELTAS; how++) { /* steps by slope; nodes of the bricks are x = 0 .. SIDE - 1 */
+                float *border = bounds, *at = bounds + ROOM, *ys = bounds + 2 * ROOM, *zs = bounds + 3 * ROOM, *value = bounds + 4 * ROOM;
+                double thick[2] = {0.0, 0.0};
+                size_t n, q;
+                for (kind = 0; kind < 2; kind++) { /* middles of steps; ends, with what is linear between them integrated */
+                    start = bench_cpu();
+                    n = lipschitz_steps(v + 3, SIDE, 16, bm49_delta[how], 16.0, border, ROOM);
+                    for (q = 0; q + 1 < n + (size_t)kind; q++) at[q] = kind != 0 ? border[q] : 0.5f * (border[q] + border[q + 1]);
+                    for (q = 0; q < n; q++) { /* y and z are the ray's */
+                        ys[q] = y[0];
+                        zs[q] = z[0];
+                    }
+                    tetcast_cut_sample(cut, at, ys, zs, n - 1 + (size_t)kind, TETCAST_ISA_AUTO, value);
+                    for (q = 0; q + 1 < n; q++) {
+                        const double mean = kind != 0 ? 0.5 * ((double)value[q] + (double)value[q + 1]) : (double)value[q];
+                        thick[kind] += ((double)border[q + 1] - (double)border[q]) / (SIDE - 1) * extinction * mean;
+                    }
+                    steep_seconds[kind][how] += bench_cpu() - start;
+                    steep_samples[kind][how] += (double)(n - 1 + (size_t)kind) / (RAYS * RAYS);
+                    steep_sum[kind][how] += pow((double)finest[4 * (i + RAYS * j) + 3] - (1.0 - exp(-thick[kind])), 2.0);
+                }
+            }
             for (how = 0; how < 4; how++) {
                 double thick = 0.0, slots = 0.0;
                 start = bench_cpu();
@@ -406,6 +437,17 @@ static void bm49(void) {
         bench_num("threads", 1);
         bench_end();
     }
+    for (kind = 0; kind < 2; kind++)
+        for (how = 0; how < BM49_DELTAS; how++) {
+            bench_line("tetcast.steps", kind != 0 ? "by slope, linear" : "by slope", "samples_per_ray", steep_samples[kind][how], "");
+            bench_num("error", 255.0 * sqrt(steep_sum[kind][how] / (RAYS * RAYS)));
+            bench_text("error_unit", "1/255 rms of opacity");
+            bench_num("step", bm49_delta[how]); /* of the value */
+            bench_num("seconds", steep_seconds[kind][how]);
+            bench_num("threads", 1);
+            bench_end();
+        }
+    free(bounds);
     for (how = 0; how < 5; how++) { /* step against error */
         static const float steps[5] = {0.25f, 0.5f, 1.0f, 2.0f, 4.0f};
         int fixed;
