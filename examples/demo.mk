@@ -115,7 +115,7 @@ GALLERY += $(VOXRT_PICTURES) $(G)/voxrt_minimal.png
 # --- zbufrand: scenes of up to 6.8 * 10^11 triangles ---------------------------------------------------------------
 
 $(G)/zbufrand_forest_1.png: options = --scene forest --view 1 --aa 2
-$(G)/zbufrand_forest_0.png: options = --scene forest --eye 0,42,7950 --at 0,13,7850 --fov 45 --aa 2
+$(G)/zbufrand_forest_0.png: options = --scene forest --eye 0,12,7950 --at 0,4,7925 --fov 45 --aa 2
 $(G)/zbufrand_forest_2.png: options = --scene forest --view 2 --aa 2
 $(G)/zbufrand_forest_3.png: options = --scene forest --view 3 --aa 2
 $(G)/zbufrand_forest_4.png: options = --scene forest --view 4 --aa 3
