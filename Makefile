@@ -56,6 +56,10 @@ ifeq ($(origin CFLAGS),file)
 TEST_OPT += -O1
 endif
 $(TESTS): OPT := $(TEST_OPT)
+ifeq ($(origin CFLAGS),file) # these compile for longer than they run
+$(addprefix $(B)/tests/test_,tetcast_bricks tetcast_memory tetcast_strips tetcast_walk view voxrt_memory voxrt_model \
+  zbufrand_edit zbufrand_light): OPT := $(STATIC) -O0
+endif
 $(B)/tests/test_image: OPT := $(filter-out $(STATIC),$(TEST_OPT)) # declarations alone
 
 COMPILE = @mkdir -p $(@D); echo "$(CC) $<"; \

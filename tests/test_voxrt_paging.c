@@ -270,7 +270,7 @@ TEST(pictures_are_those_of_the_tree) {
     uint32_t resolution;
     for (resolution = 2; resolution <= (test_quick() ? 256u : 1024u); resolution *= 2) {
         voxrt_tree *t = tree_of(&h, resolution, resolution & 0x2aa ? 1 : 0, 0), *s = NULL;
-        same(t, test_quick() ? 6 : 16);
+        same(t, test_quick() ? 3 : 16);
         same_detail(t);
         if (resolution == 64) {
             CHECK(voxrt_tree_share(t, NULL, &s) == VOXRT_OK);
