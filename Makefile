@@ -33,7 +33,7 @@ endif
 # --- build ---------------------------------------------------------------------------------------
 
 .PHONY: all examples tests benches demo test check fuzz fuzz-long soak bench bench-full report install uninstall clean help \
-        test-asan test-tsan test-msan coverage FORCE
+        test-asan test-tsan test-msan coverage coverage-scalar FORCE
 
 all: $(PROGRAMS)
 examples: $(EXAMPLES)
@@ -50,16 +50,12 @@ ifeq ($(origin CFLAGS),file)
 $(filter $(B)/minimal_%,$(EXAMPLES)): OPT := -O1 $(STATIC)
 endif
 $(BENCHES): OPT := -O3
-# a test compiles a whole header and runs for a second or two: -O1 is the sum's minimum
+# a test compiles a whole header and runs for a second or two: -Og is the sum's minimum (-O1: a tenth more)
 TEST_OPT := $(STATIC)
 ifeq ($(origin CFLAGS),file)
-TEST_OPT += -O1
+TEST_OPT += -Og
 endif
 $(TESTS): OPT := $(TEST_OPT)
-ifeq ($(origin CFLAGS),file) # these compile for longer than they run
-$(addprefix $(B)/tests/test_,tetcast_bricks tetcast_memory tetcast_strips tetcast_walk view voxrt_memory voxrt_model \
-  zbufrand_edit zbufrand_light): OPT := $(STATIC) -O0
-endif
 $(B)/tests/test_image: OPT := $(filter-out $(STATIC),$(TEST_OPT)) # declarations alone
 
 COMPILE = @mkdir -p $(@D); echo "$(CC) $<"; \
@@ -121,6 +117,10 @@ test-msan:
 coverage:
 	@TEST_QUICK=1 $(MAKE) --no-print-directory B=$(B)/cov CC=gcc CFLAGS='-std=c99 -g -O0 -ffp-contract=off --coverage' tests
 	@bash tests/coverage.sh $(B)/cov $(HEADERS)
+coverage-scalar: # the same without any vectors: what machines that have none run
+	@TEST_QUICK=1 $(MAKE) --no-print-directory B=$(B)/cov-scalar CC=gcc \
+	  CFLAGS='-std=c99 -g -O0 -ffp-contract=off --coverage -DVOXRT_NO_SIMD -DZBUFRAND_NO_SIMD -DTETCAST_NO_SIMD' tests
+	@bash tests/coverage.sh $(B)/cov-scalar $(HEADERS)
 
 # --- measuring: one program after the other, never in parallel -----------------------------------
 
@@ -160,6 +160,7 @@ help:
 	@echo "fuzz        fuzzing only (FUZZ_SECONDS=60)"
 	@echo "test-asan test-tsan test-msan   tests under one sanitizer"
 	@echo "coverage    lines of the headers that the tests reach; $(B)/cov/NAME.uncovered lists the others"
+	@echo "coverage-scalar  the same without vector instructions"
 	@echo "bench       short measurements and plots into $(B)/bench/; bench-full: all of them"
 	@echo "bench-peers the same work by Embree, OpenVDB, llvmpipe and VTK where they are installed, one table (docs/peers.md)"
 	@echo "web         a page with the three libraries in $(B)/web/ (needs emcc); web-test: the same page in Chromium"

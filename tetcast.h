@@ -1,4 +1,4 @@
-/* tetcast.h - v0.1.0 - volumes on tetrahedra: exact ray casting, isosurfaces - MIT OR Unlicense, see end of file
+/* tetcast.h - v0.2.0 - volumes on tetrahedra: exact ray casting, isosurfaces - MIT OR Unlicense, see end of file
    SPDX-License-Identifier: MIT OR Unlicense
 
    CONTENTS
@@ -161,6 +161,15 @@
    place (cell, vertex, control point) and a sentence. A desc has to be zeroed (memset, = {0} or = {} in C++);
    tetcast checks its first and last member. The library never prints, never exits.
 
+   CONTRACTS
+   The comment of a function says what is special about it. Where it is silent: a pointer may be NULL only if that is
+   said; arrays are borrowed for the call and do not overlap; what is handed out by pointer belongs to the object and
+   lasts until that is changed or destroyed; what a create, build, load or copy function gives is freed by the destroy
+   function of its type. Wrong arguments are INVALID_ARG, a desc that was not zeroed UNINIT_DESC; functions that return
+   no result cannot fail. An object that is const may be read by any number of threads at once, one that is not is for
+   one call at a time; calls without a common object are independent. Time is in proportion to what is read and
+   written, outputs that are not arrays of the caller are the only memory that stays. What names no source is ours.
+
    COORDINATES AND UNITS
    Right-handed world, any unit. Positions are kept relative to the middle of the mesh, in doubles where they come in.
    Row 0 of a picture is on top, pixel (i, j) has its centre at (i+0.5, j+0.5), fov_y is the vertical angle; depth is
@@ -184,7 +193,7 @@
 #include <stdint.h>
 
 #define TETCAST_VERSION_MAJOR 0
-#define TETCAST_VERSION_MINOR 1
+#define TETCAST_VERSION_MINOR 2
 #define TETCAST_VERSION_PATCH 0
 #define TETCAST_VERSION (TETCAST_VERSION_MAJOR * 1000000 + TETCAST_VERSION_MINOR * 1000 + TETCAST_VERSION_PATCH)
 
@@ -879,7 +888,8 @@ typedef struct tetcast_surface {
    A vertex counts as inside when its value is at least the isovalue, as for rays. Masked cells and cells with a value
    that is no number are left out. The same surface for any number of threads. Cost: about 10 ns a cell.
    Errors: INVALID_ARG (field per cell, isovalue not finite, tets dropped), RANGE (more than 2^32 vertices or
-   triangles), UNINIT_DESC, NO_MEMORY, CANCELLED. Thread safety: any number of calls on one mesh. */
+   triangles, a mesh larger than floats), UNINIT_DESC, NO_MEMORY, CANCELLED. Thread safety: any number of calls on one
+   mesh. */
 TETCAST_DEF tetcast_result tetcast_isosurface(const tetcast_surface_desc *desc, const tetcast_mesh *mesh,
                                               tetcast_surface *out);
 TETCAST_DEF void tetcast_surface_free(tetcast_surface *surface); /* NULL and cleared ones are allowed */
@@ -896,7 +906,8 @@ typedef struct tetcast_lattice {
 
 /* field        zero means
    isa          the best that the machine has; all give the same bits
-   axis         the rows of a cell run along the longest side of its box; 1, 2, 3: along x, y, z
+   axis         the rows of a cell run along x, or along the longest side of its box where that is more than three times
+                as long; 1, 2, 3: along x, y, z
    extend       nodes outside of the mesh are NaN. 1: those within one spacing of the mesh have the linear function of a
                 cell nearby, so that trilinear interpolation is valid up to the hull
    fill         what nodes outside are instead of NaN, where use_fill is 1 */
@@ -934,7 +945,7 @@ TETCAST_DEF tetcast_result tetcast_lattice_fit(const tetcast_mesh *mesh, uint32_
    node the last one in the mesh's order counts. The same bits for any number of threads and any isa.
    Cost: about 0.1 us a cell, 5 ns a row of a cell's box, and the nodes. Errors: INVALID_ARG (tets dropped, lattice),
    RANGE, UNINIT_DESC, NO_MEMORY. Thread safety: any number of calls on one mesh.
-   Source: the thesis, chapter 7 (scanlines along the longest side, spans from four half spaces). */
+   Source: the thesis, chapter 7 (scanlines, there along the longest side, spans from four half spaces). */
 TETCAST_DEF tetcast_result tetcast_resample(const tetcast_resample_desc *desc, const tetcast_mesh *mesh,
                                             const tetcast_lattice *lattice, float *out, tetcast_resample_stats *stats);
 
@@ -1012,7 +1023,8 @@ TETCAST_DEF void tetcast_section_free(tetcast_section *section); /* NULL and cle
                 it is nearer than this to the finest level
    nearest      coarser levels are made with the quadratic B-spline (1 4 6 4 1)/16; 1: every other node (always so with
                 max_error, and from meshes: nodes of all levels then lie on the field itself)
-   longest      from meshes: as fine as max_error asks for, up to longest_end nodes; else nodes along the longest side
+   longest      from meshes: as fine as max_error asks for, up to longest_end nodes, or as many as there can be bricks
+                for (report.above tells whether that was enough); else nodes along the longest side
    longest_end  4097
    checks       from meshes: random points at which the error is looked at, besides all vertices: 200000
    average      from meshes, with longest: nodes have the values of the field. 1: its means over the boxes around them
@@ -1040,6 +1052,7 @@ typedef struct tetcast_bricks_report {
     uint64_t bad_values;       /* of a grid: no numbers, replaced by the smallest value */
     uint64_t checks;           /* of a mesh: places at which bricks and mesh were compared: vertices, random points */
     uint64_t above;            /* of these: farther apart than max_error */
+    uint64_t above_finest;     /* of a mesh, of these: in bricks of the finest level: only more nodes help */
     double error, mean_error;  /* largest and mean difference there */
     double worst[3];           /* where the largest is, world */
     uint32_t tries;            /* lattices that were tried */
@@ -1400,7 +1413,8 @@ typedef struct tetcast_brick_render_desc {
 
 /* Cast rays through a cut. optics may be NULL where there is a shader. In the image: steps counts samples, depth is
    where something is seen first. stats: rays, hit_rays, steps (samples), walks (bricks with samples), ended, lanes.
-   The same bits for any number of threads and any isa. Errors: as tetcast_render; what a shader's prepare_fn returns.
+   The same bits for any number of threads and any isa. Errors: as tetcast_render; RANGE (a step of which the lattice's
+   diagonal has 2^20 or more); what a shader's prepare_fn returns.
    Source: the thesis, 8.2, draws slices 2^k apart and repairs the opacity of pieces that overlap or are missing at
    borders; here lengths are exact, so nothing has to be repaired. */
 TETCAST_DEF tetcast_result tetcast_render_bricks(const tetcast_brick_render_desc *desc, const tetcast_cut *cut,
@@ -1822,6 +1836,8 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_rbf(const tetcast_bricks_desc *
 
 /* ---- misc ---- */
 
+/* Texts for messages, constant and never NULL ("unknown" for what is no value of the enum); the version of the code,
+   to compare with TETCAST_VERSION of the declarations. Any thread. O(1). */
 TETCAST_DEF const char *tetcast_result_string(tetcast_result result);
 TETCAST_DEF uint32_t tetcast_version(void);
 TETCAST_DEF const char *tetcast_isa_name(tetcast_isa isa);
@@ -6173,14 +6189,13 @@ TETCASTI_INLINE int tetcasti_back_at(const tetcasti_start *start, uint32_t cell,
 TETCASTI_INLINE void tetcasti_batch_walk_ray(const int soft, const tetcasti_scene *scene, uint32_t kind, uint32_t sink,
                                              tetcasti_batch *b, uint32_t i) {
     const tetcast_optics *o = scene->optics;
-    const tetcasti_hit *h = b->sorted + b->hit_start[i], *h_end = b->sorted + b->hit_start[i + 1];
     const uint32_t *stop = scene->stop;
     tetcasti_ray r = tetcasti_batch_ray(b, i);
     float last = b->last[i], cursor = b->cursor[i];
-    uint32_t steps = 0;
+    uint32_t steps = 0, k;
     int over = 0, inside = b->inside != 0, back_at;
-    for (; h < h_end && !over && h->at < last; h++) {
-        tetcasti_start start = tetcasti_hit_start(scene, b, h);
+    for (k = b->hit_start[i]; k < b->hit_start[i + 1] && !over && b->sorted[k].at < last; k++) {
+        tetcasti_start start = tetcasti_hit_start(scene, b, &b->sorted[k]);
         tetcasti_walk w, before;
         tetcasti_walk_begin(soft, &r, scene->vertex, &start, &w);
         before = w;
@@ -10803,6 +10818,7 @@ TETCAST_DEF tetcast_result tetcast_isosurface(const tetcast_surface_desc *desc, 
     tetcasti_mem mem, keep;
     tetcasti_iso p;
     tetcast_result result;
+    uint32_t axis;
     if (out == NULL) return TETCAST_ERR_INVALID_ARG;
     memset(out, 0, sizeof *out);
     memset(&none, 0, sizeof none);
@@ -10815,6 +10831,9 @@ TETCAST_DEF tetcast_result tetcast_isosurface(const tetcast_surface_desc *desc, 
         return tetcasti_fail(desc->env.error, TETCAST_ERR_INVALID_ARG, 0, "the mesh has dropped its tetrahedra");
     if (mesh->cell_value != NULL)
         return tetcasti_fail(desc->env.error, TETCAST_ERR_INVALID_ARG, 0, "the active field is one per cell");
+    for (axis = 0; axis < 3; axis++)
+        if (!((double)mesh->box.hi[axis] * mesh->unit < 3.4e38 && (double)mesh->box.lo[axis] * mesh->unit > -3.4e38))
+            return tetcasti_fail(desc->env.error, TETCAST_ERR_RANGE, axis, "the mesh is too large for floats: axis %");
     if (mesh->field_count == 0) return TETCAST_OK;
     memset(&p, 0, sizeof p);
     p.mesh = mesh;
@@ -13439,7 +13458,8 @@ TETCAST_DEF uint64_t tetcast_probe(const tetcast_mesh *mesh, const tetcast_ray *
 
    Everything about a cell is in lattice units, relative to the lowest node of its box (which the lattice clips, but no
    task does: so the bits do not depend on how the work is cut).
-   row    the nodes of the box along one axis, the longest side: there are fewest of them then
+   row    the nodes of the box along one axis: x, whose nodes are neighbours in memory, unless the longest side is more
+          than three times as long: there are so many fewer of them then
    face   e(x) = n . (x - a) >= -eps is inside; n = (b - a) x (c - a) with a, b, c in the order of their numbers, so
           that both cells at a face have the same n but for the sign, which is exact
    span   along a row each face gives t = p . place: the row is inside between the largest t of faces that it enters
@@ -13461,10 +13481,10 @@ typedef struct tetcasti_scan {
     int32_t lo[3], hi[3];           /* the nodes that are filled, lo <= node < hi */
     float *out;                     /* of node lo */
     ptrdiff_t stride[3];
-    uint32_t axis;                  /* 0, 1, 2; 3: the longest */
+    uint32_t axis;                  /* 0, 1, 2; 3: what suits the cell's box */
     double grow;                    /* > 0: cells reach that many spacings beyond their faces, and only NaNs change */
     const uint32_t *list;           /* cells; NULL: all */
-    uint32_t count, wide;           /* wide: four rows at a time */
+    uint32_t count, wide;           /* wide: four rows at a time; 2: eight where they run along x */
     uint64_t cells, flat, rows, hit_rows, writes;
 } tetcasti_scan;
 
@@ -13532,8 +13552,8 @@ TETCASTI_INLINE int tetcasti_scan_set(const tetcasti_scan *c, uint32_t cell, con
     double g[3] = {0.0, 0.0, 0.0};
     uint32_t i, a = c->axis, first, second;
     if (a > 2) {
-        a = out->size[1] > out->size[0] ? 1 : 0;
-        if (out->size[2] > out->size[a]) a = 2;
+        a = out->size[2] > out->size[1] ? 2 : 1;
+        if (out->size[a] <= 3 * out->size[0]) a = 0;
     }
     first = a == 0 ? 1 : 0;
     second = a == 2 ? 1 : 2;
@@ -13561,6 +13581,7 @@ TETCASTI_INLINE int tetcasti_scan_set(const tetcasti_scan *c, uint32_t cell, con
             n[2] * ((double)out->lo[2] - o[2]);
         eps = ((tetcasti_abs(n[0]) * (double)(out->size[0] + 1) + tetcasti_abs(n[1]) * (double)(out->size[1] + 1)) +
                tetcasti_abs(n[2]) * (double)(out->size[2] + 1)) * TETCASTI_SCAN_EPS;
+        if (side <= 64.0 * eps) return 0; /* flat but for rounding: the side that is in would be any */
         if (c->grow > 0.0) eps += ((tetcasti_abs(n[0]) + tetcasti_abs(n[1])) + tetcasti_abs(n[2])) * c->grow;
         d += eps;
         if (i != 0) {
@@ -13759,6 +13780,87 @@ TETCASTI_TARGET_AVX2 static void tetcasti_scan_paint4(tetcasti_scan *c, const te
     c->writes += writes;
     c->rows += (uint64_t)(x1 - x0) * (uint64_t)(y1 - y0);
 }
+
+#if defined(__GNUC__)
+/* An instruction for all of 8 or 16 lanes. The plain names of these are built upon vectors that nobody set, which gcc 12
+   warns of in C++. */
+#define TETCASTI_Z8(name, ...) _mm512_maskz_##name((uint8_t)0xff, __VA_ARGS__)
+#define TETCASTI_Z16(name, ...) _mm512_maskz_##name((uint16_t)0xffff, __VA_ARGS__)
+
+/* Rows along x of a box up to 32 nodes wide, eight at a time, the same numbers: a row is one masked store, two in wide
+   boxes, and faces are masks as well, since nobody could foretell branches. */
+TETCASTI_TARGET_VL static void tetcasti_scan_paint_vl(tetcasti_scan *c, const tetcasti_scan_cell *t) {
+    const __m512 step = _mm512_set1_ps((float)t->s[3]);
+    const __m512 least = _mm512_set1_ps(t->least), most = _mm512_set1_ps(t->most);
+    const __m512 iota = _mm512_setr_ps(0.0f, 1.0f, 2.0f, 3.0f, 4.0f, 5.0f, 6.0f, 7.0f, 8.0f, 9.0f, 10.0f, 11.0f, 12.0f,
+                                       13.0f, 14.0f, 15.0f);
+    const __m512 more = _mm512_add_ps(iota, _mm512_set1_ps(16.0f));
+    const __m512d zero = _mm512_setzero_pd(), last = _mm512_set1_pd((double)(t->size[0] - 1));
+    const __m512d slope = _mm512_set1_pd(t->s[1]), along = _mm512_set1_pd(t->s[3]);
+    const uint32_t end = (uint32_t)(c->hi[0] - t->lo[0]), clip = end >= 32 ? 0xffffffffu : (1u << end) - 1u;
+    const int wide = t->size[0] > 16;
+    int32_t x0, x1, y0, y1, x, y;
+    uint64_t hit_rows = 0, writes = 0;
+    uint32_t bits[8], i;
+    float start[8], from[8];
+    __mmask8 enter[4], leave[4], beside[4];
+    for (i = 0; i < 4; i++) {
+        enter[i] = t->t[i][3] > 0.0 ? 255 : 0;
+        leave[i] = t->t[i][3] < 0.0 ? 255 : 0;
+        beside[i] = t->t[i][3] == 0.0 ? 255 : 0;
+    }
+    tetcasti_scan_rows(c, t, 1, &x0, &x1);
+    tetcasti_scan_rows(c, t, 2, &y0, &y1);
+    for (y = y0; y < y1; y++) {
+        float *row = c->out + c->stride[2] * (ptrdiff_t)(t->lo[2] + y - c->lo[2]) + (t->lo[0] - c->lo[0]);
+        __m512d place = _mm512_add_pd(_mm512_set1_pd((double)x0),
+                                      _mm512_setr_pd(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0));
+        __m512d at[4];
+        for (i = 0; i < 4; i++) at[i] = _mm512_set1_pd(t->t[i][0] + t->t[i][2] * (double)y);
+        for (x = x0; x < x1; x += 8, place = _mm512_add_pd(place, _mm512_set1_pd(8.0))) {
+            __m512d lo = zero, hi = last;
+            __m256i a, b;
+            uint32_t live = x + 8 > x1 ? (1u << (uint32_t)(x1 - x)) - 1u : 255u;
+            for (i = 0; i < 4; i++) {
+                const __m512d v = _mm512_add_pd(at[i], _mm512_mul_pd(_mm512_set1_pd(t->t[i][1]), place));
+                lo = _mm512_mask_max_pd(lo, enter[i], v, lo);
+                hi = _mm512_mask_min_pd(hi, leave[i], v, hi);
+                live &= ~(uint32_t)_mm512_mask_cmp_pd_mask(beside[i], v, zero, _CMP_LT_OQ);
+            }
+            lo = _mm512_ceil_pd(lo);
+            hi = _mm512_floor_pd(hi);
+            live &= _mm512_cmp_pd_mask(lo, hi, _CMP_LE_OQ);
+            if (live == 0) continue;
+            a = TETCASTI_Z8(cvttpd_epi32, TETCASTI_Z8(min_pd, lo, last));
+            b = TETCASTI_Z8(cvttpd_epi32, TETCASTI_Z8(max_pd, hi, zero));
+            _mm256_storeu_si256((__m256i *)(void *)bits, _mm256_sub_epi32(
+                _mm256_sllv_epi32(_mm256_set1_epi32(2), b), _mm256_sllv_epi32(_mm256_set1_epi32(1), a)));
+            _mm256_storeu_ps(from, _mm256_cvtepi32_ps(a));
+            _mm256_storeu_ps(start, TETCASTI_Z8(cvtpd_ps, _mm512_add_pd(
+                _mm512_add_pd(_mm512_add_pd(_mm512_set1_pd(t->s[0]), _mm512_mul_pd(slope, place)),
+                              _mm512_set1_pd(t->s[2] * (double)y)),
+                _mm512_mul_pd(along, TETCASTI_Z8(cvtepi32_pd, a)))));
+            hit_rows += tetcasti_popcount64(live);
+            for (; live != 0; live &= live - 1) {
+                const uint32_t k = tetcasti_ctz64(live), m = bits[k] & clip;
+                const __m512 f = _mm512_set1_ps(from[k]), v = _mm512_set1_ps(start[k]);
+                float *p = row + c->stride[1] * (ptrdiff_t)(t->lo[1] + x + (int32_t)k - c->lo[1]);
+                writes += tetcasti_popcount64(bits[k]);
+#define TETCASTI_FILL_AT(n) TETCASTI_Z16(min_ps, TETCASTI_Z16(max_ps, \
+    _mm512_add_ps(v, _mm512_mul_ps(_mm512_sub_ps(n, f), step)), least), most)
+                _mm512_mask_storeu_ps(p, (__mmask16)m, TETCASTI_FILL_AT(iota));
+                if (wide) _mm512_mask_storeu_ps(p + 16, (__mmask16)(m >> 16), TETCASTI_FILL_AT(more));
+#undef TETCASTI_FILL_AT
+            }
+        }
+    }
+    c->hit_rows += hit_rows;
+    c->writes += writes;
+    c->rows += (uint64_t)(x1 - x0) * (uint64_t)(y1 - y0);
+}
+#undef TETCASTI_Z8
+#undef TETCASTI_Z16
+#endif
 #endif
 
 /* Paint all cells of a scan. */
@@ -13777,6 +13879,12 @@ static void tetcasti_scan_run(tetcasti_scan *c) {
             continue;
         }
 #if TETCASTI_AVX2
+#if defined(__GNUC__)
+        if (c->wide > 1 && t.axis == 0 && t.size[0] <= 32 && t.lo[0] >= c->lo[0] && !(c->grow > 0.0)) {
+            tetcasti_scan_paint_vl(c, &t);
+            continue;
+        }
+#endif
         if (c->wide && !(c->grow > 0.0)) {
             tetcasti_scan_paint4(c, &t);
             continue;
@@ -13951,6 +14059,9 @@ TETCAST_DEF tetcast_result tetcast_resample(const tetcast_resample_desc *desc, c
     r.scan.out = out;
     r.scan.axis = d.axis == 0 ? 3 : d.axis - 1;
     r.scan.wide = tetcast_isa_best() >= TETCAST_ISA_AVX2 && (d.isa == TETCAST_ISA_AUTO || d.isa >= TETCAST_ISA_AVX2);
+#if TETCASTI_AVX2
+    if (r.scan.wide && d.isa != TETCAST_ISA_AVX2 && tetcasti_has_avx512()) r.scan.wide = 2;
+#endif
     r.extend = d.extend;
     r.fill = d.use_fill ? d.fill : (float)NAN;
     r.stats = stats;
@@ -14955,7 +15066,8 @@ static void tetcasti_row_halve(const float *in, ptrdiff_t stride_in, size_t n, f
                 0.25f * (tetcasti_row_at(in, stride_in, e, c - 1) + tetcasti_row_at(in, stride_in, e, c + 1)) +
                 0.375f * tetcasti_row_at(in, stride_in, e, c);
         }
-        out[(ptrdiff_t)i * stride_out] = v;
+        v = v < TETCASTI_VALUE_END ? v : TETCASTI_VALUE_END; /* what goes on beyond the ends stays a value, too */
+        out[(ptrdiff_t)i * stride_out] = v > -TETCASTI_VALUE_END ? v : -TETCASTI_VALUE_END;
     }
 }
 
@@ -15076,7 +15188,8 @@ static void tetcasti_task_errors(void *ctx, uint32_t i) {
                 below = d > below ? d : below;
             }
         }
-    p->error[k][i] = worst + below;
+    worst += below;
+    p->error[k][i] = worst < 3.402823466e38f ? worst : 3.402823466e38f; /* sums of the largest values are infinite */
 }
 
 typedef struct tetcasti_fill {
@@ -15531,8 +15644,8 @@ TETCASTI_TARGET_AVX2 static void tetcasti_cut_value8(const tetcast_cut *cut, con
                 node = _mm256_add_epi32(_mm256_mullo_epi32(node, side), n);
             }
             bytes = one & TETCASTI_ADAPTED ? 4u : b->bytes;
-            _mm256_storeu_si256((__m256i *)(void *)at, node);
-            for (j = 0; j < 8; j++) p[j] = block + (size_t)(uint32_t)at[j] * bytes;
+            _mm256_storeu_si256((__m256i *)(void *)at, _mm256_mullo_epi32(node, _mm256_set1_epi32((int32_t)bytes)));
+            for (j = 0; j < 8; j++) p[j] = block + (uint32_t)at[j];
             _mm256_storeu_ps(out + i, tetcasti_places8(b, p, one & TETCASTI_ADAPTED ? 255u : 0u, (const __m256 *)f));
             continue;
         }
@@ -16211,7 +16324,7 @@ static tetcast_result tetcasti_bricks_check(const tetcast_bricks_desc *d, const 
     cut = NULL;
     r = tetcast_cut_create(&cd, b, &cut);
     if (cut == NULL) return r;
-    report->checks = report->above = 0;
+    report->checks = report->above = report->above_finest = 0;
     report->error = 0.0;
     *helps = 0;
     for (i = 0; i < all; i++) {
@@ -16268,6 +16381,7 @@ static tetcast_result tetcasti_bricks_check(const tetcast_bricks_desc *d, const 
             const size_t slot = (sx < n[0] ? sx : n[0] - 1) + (size_t)n[0] * ((sy < n[1] ? sy : n[1] - 1) +
                                 (size_t)n[1] * (sz < n[2] ? sz : n[2] - 1));
             report->above++;
+            if (cut->level[slot] == 0) report->above_finest++;
             if (force != NULL && cut->level[slot] != 0) {
                 force[slot] = 1;
                 (*helps)++;
@@ -16630,8 +16744,10 @@ static int tetcasti_grow_finish(tetcasti_grower *g) {
             nodes[at] = g->grown[t].nodes + i * b->nodes;
         }
     for (n = 0; n < b->count; n++) tetcasti_grow_agree(b, (uint32_t)n, nodes[n], nodes);
-    b->value_min = g->mesh->field[g->mesh->active].value_min;
-    b->value_max = g->mesh->field[g->mesh->active].value_max;
+    if (g->mesh->field_count != 0) { /* else all is 0 */
+        b->value_min = g->mesh->field[g->mesh->active].value_min;
+        b->value_max = g->mesh->field[g->mesh->active].value_max;
+    }
     if (!(b->value_min <= b->value_max)) b->value_min = b->value_max = 0.0f;
     b->bias = b->value_min; /* integers clamp what lies beyond the hull */
     b->step = (b->value_max - b->value_min) / (b->type == TETCAST_TYPE_U8 ? 255.0f : 65535.0f);
@@ -16738,7 +16854,8 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_mesh(const tetcast_bricks_desc 
     tetcast_bricks_report mine;
     tetcasti_mem mem;
     tetcast_result r = tetcasti_bricks_desc_open(desc, &d, report, out);
-    uint32_t longest, end, short_of, again, helps = 0;
+    tetcast_error had;
+    uint32_t longest, end, short_of, again, before = 0, helps = 0;
     uint8_t *force = NULL;
     if (r != TETCAST_OK) return r;
     if (report == NULL) report = &mine;
@@ -16760,10 +16877,19 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_mesh(const tetcast_bricks_desc 
         }
         return r;
     }
+    memset(&had, 0, sizeof had);
+    if (d.env.error != NULL) had = *d.env.error;
     while (r == TETCAST_OK) {
         for (again = 0; again < 4 && r == TETCAST_OK; again++) { /* random points find what vertices and nodes do not */
             tetcast_bricks *b = NULL;
             r = tetcasti_bricks_try(&d, mesh, longest, force, &short_of, &b);
+            if (r == TETCAST_ERR_RANGE && *out != NULL) { /* too many bricks: twice as fine as before, or as before */
+                end = longest > 2 * before - 1 ? 2 * before - 1 : before;
+                longest = before;
+                if (d.env.error != NULL) *d.env.error = had;
+                r = TETCAST_OK;
+                break;
+            }
             report->tries++;
             if (b == NULL) break; /* r says why */
             if (force == NULL && d.max_error > 0.0f) {
@@ -16778,6 +16904,7 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_mesh(const tetcast_bricks_desc 
         tetcasti_free(&mem, force);
         force = NULL;
         if (d.longest != 0 || report->above == 0 || longest >= end) break;
+        before = longest;
         longest = 4 * longest - 3 < end ? 4 * longest - 3 : end;
     }
     if (r != TETCAST_OK) {
@@ -17003,7 +17130,7 @@ TETCAST_DEF tetcast_result tetcast_bricks_read(const tetcast_env *env, const voi
     want = TETCASTI_BRK_HEADER + (uint64_t)b->count * (TETCASTI_BRK_RECORD + (uint64_t)b->nodes * b->bytes) +
            (uint64_t)b->hull_count * 24 + (uint64_t)b->face_count * 12;
     if (b->count == 0 || b->count >= TETCASTI_BRICKS_END || !tetcasti_finite_f(b->bias) || !(b->step >= 0.0f) ||
-        !tetcasti_finite_f(b->bias + b->step * 65535.0f) ||
+        !tetcasti_finite_f(b->bias + b->step * (b->type == TETCAST_TYPE_U8 ? 255.0f : 65535.0f)) ||
         !(b->value_min <= b->value_max) || !tetcasti_finite_f(b->value_min) ||
         !tetcasti_finite_f(b->value_max) || b->hull_count > TETCAST_MAX_VERTICES || b->face_count > TETCAST_MAX_CELLS ||
         tetcasti_load_u64(p + 120) != want) {
@@ -18627,11 +18754,11 @@ TETCAST_DEF tetcast_result tetcast_render_shaded(const tetcast_shade_desc *desc,
 /* ---------------------------------------------------------------------------
    brick_render: rays through a cut, eight at a time.                            // >>brick_render
 
-   A ray has spans (lattice, clipping, hull); in a span it goes from slot to slot by integers; a slot that shows nothing
-   is passed in one step, together with as large a cube of slots around it as shows nothing either. Slots of one coarse
-   brick that are all seen are one. In the others a
-   segment ends at whole multiples of the step of its level and where the slot ends. The value there is that of both
-   slots: the field is continuous. All lanes are in slots of their own; what differs between isa is how the next eight
+   A ray has spans (lattice, what its bin of the picture may show, clipping, hull); in a span it goes from slot to slot
+   by integers; a slot that shows nothing is passed in one step, together with as large a cube of slots around it as
+   shows nothing either. Slots of one coarse brick that are all seen are one. In the others a segment ends at whole
+   multiples of the step of its level and where the slot ends. The value there is that of both slots: the field is
+   continuous. All lanes are in slots of their own; what differs between isa is how the next eight
    values are computed. Tried: lanes whose ray has ended take the next pixel of the tile. All of them are then busy, but
    no two slots end in the same step any more: a fifth slower.
    --------------------------------------------------------------------------- */
@@ -18664,6 +18791,8 @@ typedef struct tetcasti_octet {
 } tetcasti_octet;
 
 #define TETCASTI_SEEN 128u
+#define TETCASTI_BRICK_SAMPLES 1048576.0 /* on a ray, with a step that the caller gives */
+#define TETCASTI_BRICK_BIN 8u /* pixels, along both axes, of a bin */
 
 typedef struct tetcasti_brick_frame {
     const tetcast_brick_render_desc *desc;
@@ -18678,6 +18807,9 @@ typedef struct tetcasti_brick_frame {
     uint8_t *skip;                   /* per slot: 1 + log of the cube of slots that shows nothing; with the bit
                                         TETCASTI_SEEN: it is seen, and log of the cube of one coarse brick around it
                                         that is as well */
+    double (*reach)[2];              /* per bin of the picture: where along its rays something may be seen;
+                                        nowhere: 0, -1 */
+    uint32_t bins_x;
     double step;                     /* world, of level 0 */
     double steps[16], per[16], part[16]; /* of each level: step, 1 / step, 2^-level */
     float slope[16][3];                  /* of each level: 1 / spacing */
@@ -18900,9 +19032,10 @@ TETCASTI_TARGET_AVX2 static uint32_t tetcasti_octet_step8(const tetcast_bricks *
         f[a] = _mm256_sub_ps(x, _mm256_cvtepi32_ps(m));
         node = _mm256_add_epi32(_mm256_mullo_epi32(node, side), m);
     }
+    node = _mm256_mullo_epi32(node, _mm256_blendv_epi8(_mm256_set1_epi32((int32_t)b->bytes), _mm256_set1_epi32(4),
+        _mm256_cmpeq_epi32(_mm256_and_si256(_mm256_set1_epi32((int32_t)l->adapted), bit), bit)));
     _mm256_storeu_si256((__m256i *)(void *)at, node);
-    if (l->adapted == 0) for (i = 0; i < 8; i++) p[i] = l->block[i] + (size_t)(uint32_t)at[i] * b->bytes;
-    else for (i = 0; i < 8; i++) p[i] = l->block[i] + (size_t)(uint32_t)at[i] * (l->adapted >> i & 1u ? 4u : b->bytes);
+    for (i = 0; i < 8; i++) p[i] = l->block[i] + (uint32_t)at[i];
     s = tetcasti_places8(b, p, l->adapted, (const __m256 *)f);
     _mm256_storeu_ps(l->seg.front, _mm256_loadu_ps(l->front));
     _mm256_storeu_ps(l->seg.back, s);
@@ -19152,13 +19285,15 @@ static uint32_t tetcasti_brick_ray_open(tetcasti_brick_frame *c, uint32_t x, uin
     const tetcast_brick_render_desc *d = c->desc;
     const tetcast_bricks *b = c->cut->bricks;
     const double px = (double)(d->part[0] + x) + 0.5, py = (double)(d->part[1] + y) + 0.5;
+    const double *reach = c->reach[x / TETCASTI_BRICK_BIN + (size_t)c->bins_x * (y / TETCASTI_BRICK_BIN)];
     double way, lo, hi;
     uint32_t a;
+    if (!(reach[0] <= reach[1])) return 0;
     tetcasti_frame_ray(&c->frame, px, py, r->world_o, r->world_d);
     way = sqrt(r->world_d[0] * r->world_d[0] + r->world_d[1] * r->world_d[1] + r->world_d[2] * r->world_d[2]);
-    lo = (double)d->clip_near * way;
+    lo = tetcasti_max((double)d->clip_near * way, reach[0]);
     hi = d->clip_far > 0.0f ? (double)d->clip_far * way : 1e300;
-    hi = tetcasti_min(hi, limit * way);
+    hi = tetcasti_min(tetcasti_min(hi, limit * way), reach[1]);
     for (a = 0; a < 3; a++) {
         const double end = (double)(b->lattice.dims[a] - 1), thin = end > 0.0 ? 0.0 : 0.5;
         double t0, t1;
@@ -19331,10 +19466,124 @@ static int tetcasti_brick_skips(tetcasti_brick_frame *c) {
     return 1;
 }
 
+/* ---- where something may be seen ----
+   Most rays begin and end in slots that show nothing, or meet no others. So boxes of slots some of which are seen go
+   into bins of the picture: rays of a bin lie in slots that show nothing before the nearest and behind the farthest of
+   them. This leaves out slots only; what is seen keeps its segments and its bits. */
+
+#define TETCASTI_BRICK_BOXES 32768u /* at most: what is made for a frame, by one thread */
+
+/* Bins that a box between two corners (world) may be seen in, first and last along x and y, and its reach along their
+   rays. 0: not in the picture. */
+static int tetcasti_brick_place(const tetcasti_brick_frame *c, const double lo[3], const double hi[3],
+                                uint32_t bins[4], double reach[2]) {
+    const tetcasti_frame *f = &c->frame;
+    const double size_r = f->right[0] * f->right[0] + f->right[1] * f->right[1] + f->right[2] * f->right[2];
+    const double size_u = f->up[0] * f->up[0] + f->up[1] * f->up[1] + f->up[2] * f->up[2];
+    const double size[2] = {(double)c->image->width, (double)c->image->height};
+    double least[2] = {1e300, 1e300}, most[2] = {-1e300, -1e300}, near_2 = 0.0, depth[2] = {1e300, -1e300}, margin;
+    uint32_t k, a, all = 0;
+    reach[1] = 0.0;
+    for (k = 0; k < 8; k++) {
+        double at[2] = {0.0, 0.0}, z = 0.0, far_2 = 0.0, u;
+        for (a = 0; a < 3; a++) {
+            const double x = (k >> a & 1u ? hi[a] : lo[a]) - f->eye[a];
+            at[0] += x * f->right[a];
+            at[1] -= x * f->up[a];
+            z += x * f->forward[a];
+            far_2 += x * x;
+        }
+        depth[0] = tetcasti_min(depth[0], z);
+        depth[1] = tetcasti_max(depth[1], z);
+        reach[1] = tetcasti_max(reach[1], far_2);
+        all |= (uint32_t)!(z * z > 1e-6 * far_2 && z > 0.0); /* beside the eye: a corner may be anywhere */
+        for (a = 0; a < 2; a++) {
+            u = at[a] / (a == 0 ? size_r : size_u);
+            u = (f->parallel ? u : u / z) + 0.5 * (double)(a == 0 ? f->width : f->height) - (double)c->desc->part[a];
+            least[a] = tetcasti_min(least[a], u);
+            most[a] = tetcasti_max(most[a], u);
+        }
+    }
+    if (f->parallel) {
+        reach[0] = depth[0];
+        reach[1] = depth[1];
+        all = 0;
+    } else {
+        for (a = 0; a < 3; a++) {
+            const double x = tetcasti_max(tetcasti_max(lo[a] - f->eye[a], f->eye[a] - hi[a]), 0.0);
+            near_2 += x * x;
+        }
+        reach[0] = sqrt(near_2);
+        reach[1] = sqrt(reach[1]);
+    }
+    margin = 1e-6 * (tetcasti_abs(reach[0]) + tetcasti_abs(reach[1]) + (hi[0] - lo[0]) + (hi[1] - lo[1]) +
+                     (hi[2] - lo[2]));
+    reach[0] = margin < 1e100 ? reach[0] - margin : -1e300;
+    reach[1] = margin < 1e100 ? reach[1] + margin : 1e300;
+    for (a = 0; a < 2; a++) { /* a pixel more: of rounding there is far less */
+        const double first = all ? 0.0 : least[a] - 1.0, last = all ? size[a] : most[a] + 1.0;
+        if (!(first <= size[a]) || !(last >= 0.0)) return 0;
+        bins[2 * a] = (uint32_t)tetcasti_max(first, 0.0) / TETCASTI_BRICK_BIN;
+        bins[2 * a + 1] = (uint32_t)tetcasti_min(last, size[a] - 1.0) / TETCASTI_BRICK_BIN;
+    }
+    return 1;
+}
+
+/* After the skips. 0: no memory. */
+static int tetcasti_brick_reach(tetcasti_brick_frame *c) {
+    const tetcast_bricks *b = c->cut->bricks;
+    const uint32_t wide = (c->image->width - 1) / TETCASTI_BRICK_BIN + 1;
+    const uint32_t high = (c->image->height - 1) / TETCASTI_BRICK_BIN + 1;
+    uint32_t n[3], at[3], s[3], log = 0, a, x, y;
+    size_t i, count;
+    c->bins_x = wide;
+    if (!tetcasti_mul_size(wide, high, &count)) return 0;
+    c->reach = (double (*)[2])tetcasti_alloc_array(&c->mem, count, sizeof *c->reach);
+    if (c->reach == NULL) return 0;
+    for (i = 0; i < count; i++) {
+        c->reach[i][0] = 0.0;
+        c->reach[i][1] = -1.0;
+    }
+    for (;; log++) { /* boxes of 2^log slots along each axis */
+        for (a = 0; a < 3; a++) n[a] = ((b->slots[a] - 1) >> log) + 1;
+        if ((uint64_t)n[0] * n[1] <= TETCASTI_BRICK_BOXES && (uint64_t)n[0] * n[1] * n[2] <= TETCASTI_BRICK_BOXES)
+            break;
+    }
+    for (at[2] = 0; at[2] < n[2]; at[2]++)
+        for (at[1] = 0; at[1] < n[1]; at[1]++)
+            for (at[0] = 0; at[0] < n[0]; at[0]++) {
+                uint32_t first[3], end[3], bins[4], seen = 0;
+                double lo[3], hi[3], reach[2];
+                for (a = 0; a < 3; a++) {
+                    const double last = (double)(b->lattice.dims[a] - 1), thin = last > 0.0 ? 0.0 : 0.5;
+                    first[a] = at[a] << log;
+                    end[a] = first[a] + (1u << log) < b->slots[a] ? first[a] + (1u << log) : b->slots[a];
+                    lo[a] = (double)((uint64_t)first[a] << b->log) - thin;
+                    hi[a] = tetcasti_min((double)((uint64_t)end[a] << b->log), last) + thin;
+                    lo[a] = b->lattice.origin[a] + lo[a] * b->lattice.spacing[a];
+                    hi[a] = b->lattice.origin[a] + hi[a] * b->lattice.spacing[a];
+                }
+                for (s[2] = first[2]; s[2] < end[2] && !seen; s[2]++)
+                    for (s[1] = first[1]; s[1] < end[1] && !seen; s[1]++)
+                        for (s[0] = first[0]; s[0] < end[0] && !seen; s[0]++)
+                            seen = c->skip[s[0] + (size_t)b->slots[0] * (s[1] + (size_t)b->slots[1] * s[2])] &
+                                   TETCASTI_SEEN;
+                if (!seen || !tetcasti_brick_place(c, lo, hi, bins, reach)) continue;
+                for (y = bins[2]; y <= bins[3]; y++)
+                    for (x = bins[0]; x <= bins[1]; x++) {
+                        double *to = c->reach[x + (size_t)wide * y];
+                        const int none = to[1] < to[0];
+                        to[0] = none ? reach[0] : tetcasti_min(to[0], reach[0]);
+                        to[1] = none ? reach[1] : tetcasti_max(to[1], reach[1]);
+                    }
+            }
+    return 1;
+}
+
 static tetcast_result tetcasti_brick_frame_open(tetcasti_brick_frame *c, tetcast_brick_render_desc *d,
                                                 const tetcast_image *image) {
     const tetcast_bricks *b = c->cut->bricks;
-    double lo[3], hi[3], least = 1e300;
+    double lo[3], hi[3], least = 1e300, way = 0.0;
     const uint32_t width = d->frame[0] != 0 ? d->frame[0] : image->width;
     const uint32_t height = d->frame[0] != 0 ? d->frame[1] : image->height;
     tetcast_result r = TETCAST_OK;
@@ -19345,6 +19594,9 @@ static tetcast_result tetcasti_brick_frame_open(tetcasti_brick_frame *c, tetcast
         if (b->lattice.dims[a] > 1) least = tetcasti_min(least, b->lattice.spacing[a]);
     }
     c->step = (least < 1e300 ? least : b->lattice.spacing[0]) * (d->step > 0.0f ? (double)d->step : 1.0);
+    for (a = 0; a < 3; a++) way += (hi[a] - lo[a]) / c->step * ((hi[a] - lo[a]) / c->step);
+    if (d->step > 0.0f && !(way < TETCASTI_BRICK_SAMPLES * TETCASTI_BRICK_SAMPLES))
+        return tetcasti_fail(d->env.error, TETCAST_ERR_RANGE, 0, "bricks: the step is too small for the lattice");
     for (a = 0; a < 16; a++) {
         c->steps[a] = d->fixed_step ? c->step : c->step * (double)(1u << a);
         c->per[a] = c->steps[a] > 0.0 ? 1.0 / c->steps[a] : 0.0;
@@ -19408,7 +19660,7 @@ TETCAST_DEF tetcast_result tetcast_render_bricks(const tetcast_brick_render_desc
         c.segment8 = c.wide ? optics->segment8 : tetcasti_segment8_pick(optics, TETCAST_ISA_SCALAR);
     if (image->rgba8 != NULL) tetcasti_encoder_open(&c.encoder);
     r = tetcasti_brick_frame_open(&c, &d, image);
-    if (r == TETCAST_OK && !tetcasti_brick_skips(&c))
+    if (r == TETCAST_OK && !(tetcasti_brick_skips(&c) && tetcasti_brick_reach(&c)))
         r = tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
     if (r == TETCAST_OK) {
         strands = tetcasti_thread_count(&d.env);
@@ -19418,6 +19670,7 @@ TETCAST_DEF tetcast_result tetcast_render_bricks(const tetcast_brick_render_desc
     }
     tetcasti_solid_free(&c.mem, &c.hull);
     tetcasti_free(&c.mem, c.skip);
+    tetcasti_free(&c.mem, c.reach);
     if (r == TETCAST_OK && stats != NULL) {
         stats->rays += tetcasti_tally(c.tally[0]);
         stats->hit_rays += tetcasti_tally(c.tally[1]);
@@ -21176,7 +21429,7 @@ static void tetcasti_rbf_sum(const tetcast_rbf *m, tetcasti_rbf_add_fn *add, uin
             if (want) for (a = 0; a < 3; a++) v->slope[c][a][l] = v->slope[c][a][0];
         }
     }
-    if (m->count == 0) return;
+    if (m->count == 0 || (leaf != TETCAST_NONE && m->tree[leaf].count == 0)) return;
     if (leaf == TETCAST_NONE) add(m, NULL, m->count, want, v);
     else if (lanes > 2) add(m, m->index + m->tree[leaf].first, m->tree[leaf].count, want, v);
     else { /* one point or two: those that do not reach them would add exactly 0 */
@@ -21946,6 +22199,7 @@ static void tetcasti_fit_polish(const tetcasti_fit *t, const tetcasti_fit_block 
         for (p = 0; p < 5; p++) a[p][p] = a[p][p] * 1.02 + 1e-12 * a[4][4];
         if (!tetcasti_fit_solve(a, b)) return;
         for (p = 0; p < 3; p++) step += b[p] * b[p];
+        if (!(step < 1e300) || b[3] != b[3]) return; /* sums beyond what doubles hold */
         longest = 0.6 * (double)f->width;
         step = sqrt(step) > longest ? longest / sqrt(step) : 1.0;
         for (p = 0; p < 3; p++) c[p] = (double)f->c[p] + step * b[p];

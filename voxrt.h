@@ -1,4 +1,4 @@
-/* voxrt.h - v0.1.0 - sparse voxel octrees: build, file, ray traversal, pictures - MIT OR Unlicense, see end of file
+/* voxrt.h - v0.2.0 - sparse voxel octrees: build, file, ray traversal, pictures - MIT OR Unlicense, see end of file
    SPDX-License-Identifier: MIT OR Unlicense
 
    CONTENTS
@@ -158,6 +158,15 @@
    are counted. A desc has to be zeroed (memset, = {0} or = {} in C++); voxrt checks its first and last member.
    The library never prints, never exits. Loading is safe for any bytes; voxrt_load_desc.trust_input is not.
 
+   CONTRACTS
+   The comment of a function says what is special about it. Where it is silent: a pointer may be NULL only if that is
+   said; arrays are borrowed for the call and do not overlap; what is handed out by pointer belongs to the object and
+   lasts until that is changed or destroyed; what a create, build, load or copy function gives is freed by the destroy
+   function of its type. Wrong arguments are INVALID_ARG, a desc that was not zeroed UNINIT_DESC; functions that return
+   no result cannot fail. An object that is const may be read by any number of threads at once, one that is not is for
+   one call at a time; calls without a common object are independent. Time is in proportion to what is read and
+   written, outputs that are not arrays of the caller are the only memory that stays. What names no source is ours.
+
    COORDINATES AND UNITS
    Right-handed world, any unit. Grid cell (x, y, z) covers world_origin + voxel_size * [x, x+1) and so on. Cells of
    octree level l have an edge of 2^(depth-l) voxels; level 0 is the root (the thesis counts it as level 1). Face codes
@@ -215,7 +224,7 @@
 #include <stdint.h>
 
 #define VOXRT_VERSION_MAJOR 0
-#define VOXRT_VERSION_MINOR 1
+#define VOXRT_VERSION_MINOR 2
 #define VOXRT_VERSION_PATCH 0
 #define VOXRT_VERSION (VOXRT_VERSION_MAJOR * 1000000 + VOXRT_VERSION_MINOR * 1000 + VOXRT_VERSION_PATCH)
 
@@ -1700,6 +1709,8 @@ VOXRT_DEF voxrt_result voxrt_tone_map(voxrt_tone tone, float most, const float *
 
 /* ---- misc ---- */
 
+/* Texts for messages, constant and never NULL ("unknown" for what is no value of the enum); the version of the code,
+   to compare with VOXRT_VERSION of the declarations. Any thread. O(1). */
 VOXRT_DEF const char *voxrt_result_string(voxrt_result result);
 VOXRT_DEF uint32_t voxrt_version(void);
 VOXRT_DEF const char *voxrt_isa_name(voxrt_isa isa);
@@ -10908,6 +10919,7 @@ VOXRT_DEF voxrt_result voxrt_tree_load_file(const voxrt_load_desc *desc, const c
    --------------------------------------------------------------------------- */
 
 #define VOXRTI_INF ((double)INFINITY)
+#define VOXRTI_MOST 3.4028234663852886e38 /* the largest float: times of hits are finite */
 
 typedef struct voxrti_rayx {
     double o[3], d[3], inv[3]; /* grid units, mirrored, d >= 0; for d = 0: o = centre of the cell, inv = infinity */
@@ -11455,11 +11467,11 @@ static VOXRTI_UNUSED int voxrti_ray_setup(const voxrt_tree *t, const voxrti_cone
         }
         t_out = voxrti_min(t_out, (hi[a] - r->o[a]) * r->inv[a]);
     }
-    r->t_min = voxrti_max((double)ray->t_min, -3.4028234663852886e38) - r->base; /* a hit's t is finite */
+    r->t_min = voxrti_max((double)ray->t_min, -VOXRTI_MOST) - r->base; /* a hit's t is finite */
     r->t = voxrti_max(t_in, r->t_min);
     if (r->t > t_in) k = 3;
     /* times beyond the largest float are misses: a hit's t is finite */
-    r->t_end = voxrti_min(t_out, voxrti_min(voxrti_below(ray->t_max), 3.4028234663852886e38) - r->base);
+    r->t_end = voxrti_min(t_out, voxrti_min(voxrti_below(ray->t_max), VOXRTI_MOST) - r->base);
     if (beam != NULL && beam->on && big <= 16777216.0) {
         double e = (beam->z - r->o[beam->m]) * r->inv[beam->m];
         if (e > r->t) {
@@ -11638,7 +11650,7 @@ VOXRTI_INLINE int voxrti_plane_meet(const voxrt_tree *t, const voxrt_ray *ray, d
     if (!(slope < 0)) return 0;
     at = -base / slope;
     for (a = 0; a < 3; a++) most = voxrti_max(most, voxrti_abs(o[a] + at * d[a]));
-    if (!(most <= 0.5 && at < voxrti_min(voxrti_below(ray->t_max), 3.4028234663852886e38)))
+    if (!(most <= 0.5 && at < voxrti_min(voxrti_below(ray->t_max), VOXRTI_MOST)))
         return 0;
     if (at > (double)hit->t) hit->t = (float)at;
     return 1;
@@ -11813,11 +11825,11 @@ VOXRTI_TARGET_AVX2 static inline void voxrti_hits4(const voxrt_tree *t, const vo
         slot = _mm_or_si128(slot, _mm_slli_epi32(x, (int)a));
     }
     t_min = _mm256_add_pd(_mm256_cvtps_pd(_mm256_castps256_ps128(v[3])), _mm256_setzero_pd()); /* -0 becomes 0 */
-    t_min = _mm256_max_pd(t_min, _mm256_set1_pd(-3.4028234663852886e38));
+    t_min = _mm256_max_pd(t_min, _mm256_set1_pd(-VOXRTI_MOST));
     m = _mm256_cmp_pd(time, t_min, _CMP_LT_OQ);
     time = _mm256_blendv_pd(time, t_min, m);
     face = _mm_blendv_epi8(face, _mm_set1_epi32(6), voxrti_narrow4(m));
-    t_end = _mm256_min_pd(voxrti_below4(_mm256_extractf128_ps(v[3], 1)), _mm256_set1_pd(3.4028234663852886e38));
+    t_end = _mm256_min_pd(voxrti_below4(_mm256_extractf128_ps(v[3], 1)), _mm256_set1_pd(VOXRTI_MOST));
     on = voxrti_narrow4(_mm256_cmp_pd(time, t_end, _CMP_LT_OQ));
     on = _mm_andnot_si128(_mm_cmpeq_epi32(node, none), on);
     node = _mm_or_si128(node, _mm_xor_si128(on, none));
@@ -11897,7 +11909,7 @@ VOXRTI_TARGET_AVX2 static inline int voxrti_plane_open4(const voxrt_tree *t, con
         _mm256_storeu_pd(g->inv[a] + i, inv);
     }
     last = voxrti_below4(_mm256_extractf128_ps(v[3], 1));
-    last = _mm256_min_pd(last, _mm256_set1_pd(3.4028234663852886e38));
+    last = _mm256_min_pd(last, _mm256_set1_pd(VOXRTI_MOST));
     _mm256_storeu_pd(g->t_max + i, last);
     _mm256_storeu_pd(g->t_end + i, _mm256_min_pd(t_out, last));
     return _mm256_movemask_pd(wrong) == 0;
@@ -12073,7 +12085,7 @@ VOXRTI_TARGET_AVX2 static inline int voxrti_plane_walk(const voxrt_tree *t, cons
     r.base = 0;
     r.t = g->time[i];
     r.t_end = g->t_end[i];
-    r.t_min = voxrti_max((double)rays[g->index[i]].t_min, -3.4028234663852886e38);
+    r.t_min = voxrti_max((double)rays[g->index[i]].t_min, -VOXRTI_MOST);
     for (a = 0; a < 3; a++) {
         const uint32_t back = g->d[a][i] < 0;
         r.o[a] = g->om[a][i];
@@ -12650,7 +12662,7 @@ VOXRTI_TARGET_AVX2 static inline __m256d voxrti_tile_times(const voxrti_beam *b,
 VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_tile_hits(const voxrt_tree *t, const voxrti_beam *b, const voxrti_tile *k,
                                                        uint32_t first, uint32_t lanes, voxrt_hit *hits, int lod) {
     const double full = (double)((uint32_t)1 << (2 * t->wide));
-    const __m256d scale = _mm256_set1_pd(1.0 / t->voxel_size), most = _mm256_set1_pd(3.4028234663852886e38);
+    const __m256d scale = _mm256_set1_pd(1.0 / t->voxel_size), most = _mm256_set1_pd(VOXRTI_MOST);
     const __m256i side = VOXRTI_LOADI(k->side + first), is_u = _mm256_cmpeq_epi32(side, _mm256_set1_epi32(1));
     const __m256i is_v = _mm256_cmpeq_epi32(side, _mm256_set1_epi32(2)), one = _mm256_set1_epi32(1);
     const __m256i sign = _mm256_set1_epi32((int)0x80000000u), none = _mm256_set1_epi32(-1);
@@ -12939,7 +12951,7 @@ VOXRTI_TARGET_AVX2 static inline uint32_t voxrti_setup4(const voxrt_tree *t, con
     tmin = _mm256_cvtps_pd(_mm256_castps256_ps128(v[3]));
     tmax = _mm256_cvtps_pd(_mm256_extractf128_ps(v[3], 1));
     bad = _mm256_cmp_pd(tmin, tmax, _CMP_NLE_UQ);
-    tmin = _mm256_max_pd(tmin, _mm256_set1_pd(-3.4028234663852886e38));
+    tmin = _mm256_max_pd(tmin, _mm256_set1_pd(-VOXRTI_MOST));
     tmax = voxrti_below4(_mm256_extractf128_ps(v[3], 1));
     for (a = 0; a < 3; a++) {
         __m256d oo = _mm256_cvtps_pd(_mm256_castps256_ps128(v[a])), neg, closer;
@@ -12988,7 +13000,7 @@ VOXRTI_TARGET_AVX2 static inline uint32_t voxrti_setup4(const voxrt_tree *t, con
         time = _mm256_blendv_pd(time, e, late);
         for (a = 0; a < 3; a++) axis[a] = a == beam->m ? _mm256_or_pd(axis[a], late) : _mm256_andnot_pd(late, axis[a]);
     }
-    t_end = _mm256_min_pd(t_out, _mm256_min_pd(tmax, _mm256_set1_pd(3.4028234663852886e38)));
+    t_end = _mm256_min_pd(t_out, _mm256_min_pd(tmax, _mm256_set1_pd(VOXRTI_MOST)));
     out = _mm256_or_pd(out, _mm256_cmp_pd(time, t_end, _CMP_NLT_UQ));
     *rare = (uint32_t)_mm256_movemask_pd(bad) | (~(uint32_t)_mm256_movemask_pd(moving) & 15u);
     live = 15u & ~(*rare | (uint32_t)_mm256_movemask_pd(out));
@@ -13082,7 +13094,7 @@ static VOXRTI_NOINLINE uint32_t voxrti_octet_lod(const voxrt_tree *t, const voxr
         uint32_t node = voxrti_octet_node(t, g, lane);
         uint64_t mask = sh == 0 ? t->leaf[node] : t->node[node].mask;
         voxrti_octet_ray(g, lane, &r);
-        r.t_min = voxrti_max((double)rays[g->ray[lane]].t_min, -3.4028234663852886e38);
+        r.t_min = voxrti_max((double)rays[g->ray[lane]].t_min, -VOXRTI_MOST);
         slot = voxrti_slot_of(r.c, sh) ^ r.flip;
         for (ls = sh + 2; ls-- > sh;) {
             uint64_t filled = ls > sh ? mask >> (slot & 56u) & 255u : mask >> slot & 1u;
@@ -20449,7 +20461,7 @@ static void voxrti_insert_lines(const voxrti_insert *in, const voxrti_snapped *t
 }
 
 /* The part of a convex polygon with sign * point[a] >= sign * at. An edge is cut in the same place whichever way it
-   goes. */
+   goes, and whichever side is kept. */
 static uint32_t voxrti_cut_polygon(const double (*from)[3], uint32_t n, uint32_t a, double at, double sign,
                                    double (*to)[3]) {
     uint32_t i, b, m = 0;
@@ -20461,7 +20473,7 @@ static uint32_t voxrti_cut_polygon(const double (*from)[3], uint32_t n, uint32_t
             m++;
         }
         if ((dp < 0.0 && dq > 0.0) || (dp > 0.0 && dq < 0.0)) {
-            const double *lo = dp < 0.0 ? p : q, *hi = dp < 0.0 ? q : p, s = (at - lo[a]) / (hi[a] - lo[a]);
+            const double *lo = p[a] < q[a] ? p : q, *hi = p[a] < q[a] ? q : p, s = (at - lo[a]) / (hi[a] - lo[a]);
             for (b = 0; b < 3; b++) to[m][b] = b == a ? at : lo[b] + (hi[b] - lo[b]) * s;
             m++;
         }
@@ -20840,11 +20852,43 @@ VOXRTI_TARGET_AVX2 static inline void voxrti_insert_lines4(const voxrti_insert *
 }
 #endif
 
-/* One triangle, in cells. Those that reach far outside are cut to a box around the grid first. */
+/* A triangle that reaches far outside: its part in a box around the grid. above: and what lies below and above that
+   box, flattened onto its floor and its top, as it still toggles columns. */
+static void voxrti_insert_cut(const voxrti_insert *in, const double (*p)[3], int above) {
+    const voxrt_columns *c = in->columns;
+    double beside[2][12][3], poly[2][12][3], tri[3][3];
+    uint32_t a, e, n = 3, m, part;
+    memset(beside, 0, sizeof beside);
+    memcpy(beside[0], p, 3 * sizeof beside[0][0]);
+    for (a = 0; a < 2; a++) {
+        n = voxrti_cut_polygon((const double (*)[3])beside[0], n, a, -8.0, 1.0, beside[1]);
+        n = voxrti_cut_polygon((const double (*)[3])beside[1], n, a, (double)c->size[a] + 8.0, -1.0, beside[0]);
+    }
+    for (part = 0; part < 3; part++) { /* within, below, above */
+        const double lo = -8.0, hi = (double)c->size[2] + 8.0, flat = part == 1 ? lo : hi;
+        memset(poly, 0, sizeof poly);
+        if (part == 0) {
+            m = voxrti_cut_polygon((const double (*)[3])beside[0], n, 2, lo, 1.0, poly[1]);
+            m = voxrti_cut_polygon((const double (*)[3])poly[1], m, 2, hi, -1.0, poly[0]);
+        } else if (above) {
+            m = voxrti_cut_polygon((const double (*)[3])beside[0], n, 2, flat, part == 1 ? -1.0 : 1.0, poly[0]);
+            for (e = 0; e < m; e++) poly[0][e][2] = flat;
+        } else {
+            break;
+        }
+        for (e = 2; e < m; e++) {
+            memcpy(tri[0], poly[0][0], sizeof tri[0]);
+            memcpy(tri[1], poly[0][e - 1], sizeof tri[1]);
+            memcpy(tri[2], poly[0][e], sizeof tri[2]);
+            voxrti_insert_snapped(in, (const double (*)[3])tri);
+        }
+    }
+}
+
+/* One triangle, in cells. 0: it lies outside. */
 static int voxrti_insert_triangle(const voxrti_insert *in, const double (*p)[3]) {
     const voxrt_columns *c = in->columns;
-    double poly[12][3], cut[12][3], tri[3][3];
-    uint32_t a, e, n = 3, far_off = 0;
+    uint32_t a, far_off = 0;
     /* what lies below the grid toggles it all */
     const int above = in->mode == VOXRT_COLUMNS_SOLID || (in->mode == VOXRT_COLUMNS_BODY && in->inside == NULL);
     for (a = 0; a < 3; a++) {
@@ -20854,27 +20898,9 @@ static int voxrti_insert_triangle(const voxrti_insert *in, const double (*p)[3])
         if (lo > (double)c->size[a] + 1e-3 && !(above && a == 2)) return 0; /* there it still ends */
         if (lo < -16384.0 || hi > 16384.0) far_off = 1;
     }
-    if (in->mode == VOXRT_COLUMNS_FAT) {
-        voxrti_insert_fat(in, p);
-        return 1;
-    }
-    if (!far_off) {
-        voxrti_insert_snapped(in, p);
-        return 1;
-    }
-    memcpy(poly, p, 3 * sizeof poly[0]);
-    for (a = 0; a < 3; a++) {
-        if (above && a == 2) continue;
-        n = voxrti_cut_polygon((const double (*)[3])poly, n, a, -8.0, 1.0, cut);
-        n = voxrti_cut_polygon((const double (*)[3])cut, n, a, (double)c->size[a] + 8.0, -1.0, poly);
-    }
-    for (e = 0; e < n && above; e++) poly[e][2] = voxrti_max(-16384.0, voxrti_min(16384.0, poly[e][2]));
-    for (e = 2; e < n; e++) {
-        memcpy(tri[0], poly[0], sizeof tri[0]);
-        memcpy(tri[1], poly[e - 1], sizeof tri[1]);
-        memcpy(tri[2], poly[e], sizeof tri[2]);
-        voxrti_insert_snapped(in, (const double (*)[3])tri);
-    }
+    if (in->mode == VOXRT_COLUMNS_FAT) voxrti_insert_fat(in, p);
+    else if (far_off) voxrti_insert_cut(in, p, above);
+    else voxrti_insert_snapped(in, p);
     return 1;
 }
 
@@ -21404,6 +21430,7 @@ static int voxrti_column_ray_open(const voxrt_columns *c, const voxrt_ray *ray, 
     uint32_t a;
     memset(r, 0, sizeof *r);
     if (!(t0 <= t1) || !voxrti_finite(t0)) return -1;
+    t1 = voxrti_min(t1, VOXRTI_MOST); /* a hit's t is finite */
     for (a = 0; a < 3; a++) {
         const float ro = ray->org[c->axis[a]], rd = ray->dir[c->axis[a]];
         if (!voxrti_finite_f(ro) || !voxrti_finite_f(rd)) return -1;
@@ -21645,7 +21672,7 @@ typedef struct voxrti_column_trace {
 /* What one ray has found: f NULL, nothing. */
 VOXRTI_INLINE void voxrti_column_report(const voxrti_column_trace *t, const voxrt_ray *ray, double t_in, double per_t,
                                         const voxrti_column_found *f, voxrt_column_hit *hit) {
-    const float at = (float)(t_in + (double)f->t * per_t);
+    const float at = (float)voxrti_min(t_in + (double)f->t * per_t, VOXRTI_MOST);
     hit->t = at > ray->t_min ? at : ray->t_min;
     hit->cell[0] = (uint32_t)f->x;
     hit->cell[1] = (uint32_t)f->y;
@@ -21767,6 +21794,7 @@ VOXRTI_TARGET_AVX2 static uint32_t voxrti_column_setup4(const voxrt_columns *c, 
     uint32_t a, good;
     in = _mm256_cmp_pd(in, in, _CMP_EQ_OQ);
     ok = _mm256_and_pd(_mm256_cmp_pd(t0, t1, _CMP_LE_OQ), _mm256_cmp_pd(_mm256_sub_pd(t0, t0), zero, _CMP_EQ_OQ));
+    t1 = _mm256_min_pd(t1, _mm256_set1_pd(VOXRTI_MOST));
     for (a = 0; a < 3; a++) {
         const __m256 w = v[c->axis[a]];
         const __m256d ro = _mm256_cvtps_pd(_mm256_castps256_ps128(w));

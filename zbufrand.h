@@ -1,4 +1,4 @@
-/* zbufrand.h - v0.1.0 - randomized z-buffer: pictures of 1 to 10^13 triangles - MIT OR Unlicense, see end of file
+/* zbufrand.h - v0.2.0 - randomized z-buffer: pictures of 1 to 10^13 triangles - MIT OR Unlicense, see end of file
    SPDX-License-Identifier: MIT OR Unlicense
 
    CONTENTS
@@ -164,6 +164,15 @@
    be zeroed (memset, = {0} or = {} in C++); zbufrand checks its first and last member. The library never prints,
    never exits.
 
+   CONTRACTS
+   The comment of a function says what is special about it. Where it is silent: a pointer may be NULL only if that is
+   said; arrays are borrowed for the call and do not overlap; what is handed out by pointer belongs to the object and
+   lasts until that is changed or destroyed; what a create, build, load or copy function gives is freed by the destroy
+   function of its type. Wrong arguments are INVALID_ARG, a desc that was not zeroed UNINIT_DESC; functions that return
+   no result cannot fail. An object that is const may be read by any number of threads at once, one that is not is for
+   one call at a time; calls without a common object are independent. Time is in proportion to what is read and
+   written, outputs that are not arrays of the caller are the only memory that stays. What names no source is ours.
+
    COORDINATES AND UNITS
    Right-handed world, any unit, in doubles. Triangles are counter-clockwise seen from outside. Row 0 of a picture is on
    top, pixel (i, j) covers [i, i+1) x [j, j+1); fov_y is the vertical angle; depth is the distance along the viewing
@@ -183,7 +192,7 @@
 #include <stdint.h>
 
 #define ZBUFRAND_VERSION_MAJOR 0
-#define ZBUFRAND_VERSION_MINOR 1
+#define ZBUFRAND_VERSION_MINOR 2
 #define ZBUFRAND_VERSION_PATCH 0
 #define ZBUFRAND_VERSION (ZBUFRAND_VERSION_MAJOR * 1000000 + ZBUFRAND_VERSION_MINOR * 1000 + ZBUFRAND_VERSION_PATCH)
 
@@ -1263,6 +1272,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_sample_scene(zbufrand_frame *frame, const 
 
 /* ---- misc ---- */
 
+/* Texts for messages, constant and never NULL ("unknown" for what is no value of the enum); the version of the code,
+   to compare with ZBUFRAND_VERSION of the declarations. Any thread. O(1). */
 ZBUFRAND_DEF const char *zbufrand_result_string(zbufrand_result result);
 ZBUFRAND_DEF uint32_t zbufrand_version(void);
 ZBUFRAND_DEF const char *zbufrand_isa_name(zbufrand_isa isa);
@@ -6380,10 +6391,11 @@ static uint32_t zbufrandi_raster_clip_plane(const zbufrandi_raster *r, const zbu
         if (da >= 0) out[n++] = *a;
         if ((da >= 0) != (db >= 0)) {
             const zbufrandi_raster_corner *in_end = da >= 0 ? a : b, *out_end = da >= 0 ? b : a;
-            const double d_in = da >= 0 ? da : db, d_out = da >= 0 ? -db : -da; /* weights >= 0: z loses no digits */
+            const double d_in = da >= 0 ? da : db, d_out = da >= 0 ? -db : -da; /* weights: z loses no digits */
             int k;
             memset(&out[n], 0, sizeof out[n]);
             for (k = 0; k < 3; k++) out[n].q[k] = (in_end->q[k] * d_out + out_end->q[k] * d_in) / (d_in + d_out);
+            if (plane == 0) out[n].q[2] = (double)r->near_z; /* ends far before and behind would cancel */
             n++;
         }
     }
@@ -7557,12 +7569,44 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_ray_corner(const zbufrandi
 #undef ZBUFRANDI_RAY_PAIR
 }
 
+/* Edge functions of eight triangles sheared so that their rays run along z (Woop et al. 2013), and their sum: shares of
+   the corners 0, 1, 2 times det. */
+typedef struct zbufrandi_ray_edges { __m256 u, v, w, det; } zbufrandi_ray_edges;
+
+/* Lanes whose ray is inside of its triangle: no edge function is below zero, for backs none above. */
+ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE __m256 zbufrandi_ray_inside(const __m256 x[3], const __m256 y[3], int two_sided,
+                                                                   zbufrandi_ray_edges *e) {
+    const __m256 zero = _mm256_setzero_ps();
+    const __m256 u = _mm256_sub_ps(_mm256_mul_ps(x[2], y[1]), _mm256_mul_ps(y[2], x[1])),
+                 v = _mm256_sub_ps(_mm256_mul_ps(x[0], y[2]), _mm256_mul_ps(y[0], x[2])),
+                 w = _mm256_sub_ps(_mm256_mul_ps(x[1], y[0]), _mm256_mul_ps(y[1], x[0])),
+                 det = _mm256_add_ps(_mm256_add_ps(u, v), w);
+    __m256 in = _mm256_and_ps(_mm256_and_ps(_mm256_cmp_ps(u, zero, _CMP_GE_OQ), _mm256_cmp_ps(v, zero, _CMP_GE_OQ)),
+                              _mm256_and_ps(_mm256_cmp_ps(w, zero, _CMP_GE_OQ), _mm256_cmp_ps(det, zero, _CMP_GT_OQ)));
+    if (two_sided) {
+        in = _mm256_or_ps(
+            in, _mm256_and_ps(_mm256_and_ps(_mm256_cmp_ps(u, zero, _CMP_LE_OQ), _mm256_cmp_ps(v, zero, _CMP_LE_OQ)),
+                              _mm256_and_ps(_mm256_cmp_ps(w, zero, _CMP_LE_OQ), _mm256_cmp_ps(det, zero, _CMP_LT_OQ))));
+    }
+    e->u = u;
+    e->v = v;
+    e->w = w;
+    e->det = det;
+    return in;
+}
+
+ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE __m256 zbufrandi_ray_distance(const zbufrandi_ray_edges *e, const __m256 z[3]) {
+    return _mm256_div_ps(_mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(e->u, z[0]), _mm256_mul_ps(e->v, z[1])),
+                                       _mm256_mul_ps(e->w, z[2])), e->det);
+}
+
 ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_ray_triangles_avx2(const zbufrandi_ray_local *l,
                                                                          const float *position, const uint8_t *index,
                                                                          uint32_t count, int two_sided,
                                                                          zbufrandi_ray_eight *out) {
     const __m256 zero = _mm256_setzero_ps();
-    __m256 x[3], y[3], z[3], u, v, w, det, t, in;
+    __m256 x[3], y[3], z[3], t, in;
+    zbufrandi_ray_edges e;
     uint8_t tail[24];
     uint32_t k;
     if (count < 8) { /* what follows is another cluster or nothing */
@@ -7578,29 +7622,18 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_ray_triangles_avx2(const z
         y[k] = _mm256_sub_ps(q[l->ky], _mm256_mul_ps(_mm256_set1_ps(l->sy), along));
         z[k] = _mm256_mul_ps(_mm256_set1_ps(l->sz), along);
     }
-    u = _mm256_sub_ps(_mm256_mul_ps(x[2], y[1]), _mm256_mul_ps(y[2], x[1]));
-    v = _mm256_sub_ps(_mm256_mul_ps(x[0], y[2]), _mm256_mul_ps(y[0], x[2]));
-    w = _mm256_sub_ps(_mm256_mul_ps(x[1], y[0]), _mm256_mul_ps(y[1], x[0]));
-    det = _mm256_add_ps(_mm256_add_ps(u, v), w);
-    in = _mm256_and_ps(_mm256_and_ps(_mm256_cmp_ps(u, zero, _CMP_GE_OQ), _mm256_cmp_ps(v, zero, _CMP_GE_OQ)),
-                       _mm256_and_ps(_mm256_cmp_ps(w, zero, _CMP_GE_OQ), _mm256_cmp_ps(det, zero, _CMP_GT_OQ)));
-    if (two_sided) {
-        in = _mm256_or_ps(
-            in, _mm256_and_ps(_mm256_and_ps(_mm256_cmp_ps(u, zero, _CMP_LE_OQ), _mm256_cmp_ps(v, zero, _CMP_LE_OQ)),
-                              _mm256_and_ps(_mm256_cmp_ps(w, zero, _CMP_LE_OQ), _mm256_cmp_ps(det, zero, _CMP_LT_OQ))));
-    }
+    in = zbufrandi_ray_inside(x, y, two_sided, &e);
     out->mask = out->back = 0;
     if (_mm256_movemask_ps(in) == 0) return;
-    t = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(u, z[0]), _mm256_mul_ps(v, z[1])), _mm256_mul_ps(w, z[2]));
-    t = _mm256_div_ps(t, det);
+    t = zbufrandi_ray_distance(&e, z);
     in = _mm256_and_ps(in, _mm256_and_ps(_mm256_cmp_ps(t, _mm256_set1_ps(l->t_min), _CMP_GE_OQ),
                                          _mm256_cmp_ps(t, _mm256_set1_ps(l->t_max), _CMP_LE_OQ)));
     out->mask = (uint32_t)_mm256_movemask_ps(in) & ((1u << count) - 1u);
     if (out->mask == 0) return;
-    out->back = (uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(det, zero, _CMP_LT_OQ)) & out->mask;
+    out->back = (uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(e.det, zero, _CMP_LT_OQ)) & out->mask;
     _mm256_storeu_ps(out->t, t);
-    _mm256_storeu_ps(out->u, _mm256_div_ps(v, det));
-    _mm256_storeu_ps(out->v, _mm256_div_ps(w, det));
+    _mm256_storeu_ps(out->u, _mm256_div_ps(e.v, e.det));
+    _mm256_storeu_ps(out->v, _mm256_div_ps(e.w, e.det));
 }
 #endif
 
@@ -7978,7 +8011,8 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_ray_triangle8(zbufrandi_ray_bundle *
                                                           uint32_t triangle) {
     const __m256 zero = _mm256_setzero_ps();
     const uint32_t kx = p->l[0].kx, ky = p->l[0].ky, kz = p->l[0].kz;
-    __m256 x[3], y[3], z[3], u, v, w, det, t, in;
+    __m256 x[3], y[3], z[3], t, in;
+    zbufrandi_ray_edges e;
     float at[8], bu[8], bv[8];
     uint32_t k, back;
     for (k = 0; k < 3; k++) {
@@ -7993,28 +8027,17 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_ray_triangle8(zbufrandi_ray_bundle *
         y[k] = _mm256_sub_ps(y[k], _mm256_mul_ps(_mm256_loadu_ps(p->sy), along));
         z[k] = _mm256_mul_ps(_mm256_loadu_ps(p->sz), along);
     }
-    u = _mm256_sub_ps(_mm256_mul_ps(x[2], y[1]), _mm256_mul_ps(y[2], x[1]));
-    v = _mm256_sub_ps(_mm256_mul_ps(x[0], y[2]), _mm256_mul_ps(y[0], x[2]));
-    w = _mm256_sub_ps(_mm256_mul_ps(x[1], y[0]), _mm256_mul_ps(y[1], x[0]));
-    det = _mm256_add_ps(_mm256_add_ps(u, v), w);
-    in = _mm256_and_ps(_mm256_and_ps(_mm256_cmp_ps(u, zero, _CMP_GE_OQ), _mm256_cmp_ps(v, zero, _CMP_GE_OQ)),
-                       _mm256_and_ps(_mm256_cmp_ps(w, zero, _CMP_GE_OQ), _mm256_cmp_ps(det, zero, _CMP_GT_OQ)));
-    if (two_sided) {
-        in = _mm256_or_ps(
-            in, _mm256_and_ps(_mm256_and_ps(_mm256_cmp_ps(u, zero, _CMP_LE_OQ), _mm256_cmp_ps(v, zero, _CMP_LE_OQ)),
-                              _mm256_and_ps(_mm256_cmp_ps(w, zero, _CMP_LE_OQ), _mm256_cmp_ps(det, zero, _CMP_LT_OQ))));
-    }
+    in = zbufrandi_ray_inside(x, y, two_sided, &e);
     mask &= (uint32_t)_mm256_movemask_ps(in);
     if (mask == 0) return;
-    t = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(u, z[0]), _mm256_mul_ps(v, z[1])), _mm256_mul_ps(w, z[2]));
-    t = _mm256_div_ps(t, det);
+    t = zbufrandi_ray_distance(&e, z);
     mask &= (uint32_t)_mm256_movemask_ps(_mm256_and_ps(_mm256_cmp_ps(t, _mm256_loadu_ps(p->t_min), _CMP_GE_OQ),
                                                        _mm256_cmp_ps(t, _mm256_loadu_ps(p->t_max), _CMP_LE_OQ)));
     if (mask == 0) return;
-    back = (uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(det, zero, _CMP_LT_OQ));
+    back = (uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(e.det, zero, _CMP_LT_OQ));
     _mm256_storeu_ps(at, t);
-    _mm256_storeu_ps(bu, _mm256_div_ps(v, det));
-    _mm256_storeu_ps(bv, _mm256_div_ps(w, det));
+    _mm256_storeu_ps(bu, _mm256_div_ps(e.v, e.det));
+    _mm256_storeu_ps(bv, _mm256_div_ps(e.w, e.det));
     for (; mask != 0; mask &= mask - 1) {
         const uint32_t i = zbufrandi_ctz64(mask);
         zbufrandi_ray_take(&b->walk[i], &p->l[i], at[i], bu[i], bv[i], back >> i & 1u, structure, cluster, triangle);
@@ -11678,8 +11701,8 @@ static uint8_t zbufrandi_suspect_pixel(const zbufrandi_suspects *c, uint32_t x, 
 ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_suspect_eight(const zbufrandi_suspects *c, const float *p,
                                                               uint32_t *out_empty) {
     const __m256 here = _mm256_loadu_ps(p);
-    const __m256 empty = _mm256_cmp_ps(here, _mm256_set1_ps((float)INFINITY), _CMP_NLT_UQ);
-    const __m256 limit = _mm256_mul_ps(here, _mm256_set1_ps(c->keep));
+    const __m256 all = _mm256_set1_ps((float)INFINITY), empty = _mm256_cmp_ps(here, all, _CMP_NLT_UQ);
+    const __m256 limit = _mm256_blendv_ps(_mm256_mul_ps(here, _mm256_set1_ps(c->keep)), all, empty); /* also of NaN */
     __m256 least;
     __m256i n = _mm256_setzero_si256();
     const ptrdiff_t r = (ptrdiff_t)c->reach, w = r * (ptrdiff_t)c->width;
@@ -13388,7 +13411,10 @@ ZBUFRAND_DEF zbufrand_result zbufrand_accumulator_get(const zbufrand_accumulator
             continue;
         }
         if (g * m[3] > 1.0f) g = 1.0f / m[3]; /* alpha 1 at most, and the colour that belongs to it */
-        for (k = 0; k < 4; k++) rgba[k] = m[k] * g;
+        for (k = 0; k < 4; k++) { /* an alpha next to 0 makes them large, but numbers */
+            const double x = (double)m[k] * zbufrandi_min((double)g, 1e38);
+            rgba[k] = (float)zbufrandi_max(zbufrandi_min(x, 1e38), -1e38);
+        }
         if (g == 1.0f / m[3]) rgba[3] = 1.0f;
     }
     return ZBUFRAND_OK;

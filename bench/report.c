@@ -36,7 +36,7 @@ typedef struct point { double x, y; } point;
 
 /* Okabe and Ito's palette: told apart by all kinds of eyes */
 static const char *const g_colors[8] = {
-    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#999999"
+    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "currentColor", "#999999"
 };
 
 static void fail(const char *what, const char *why) {
@@ -293,10 +293,16 @@ static void put_label(FILE *f, double x, double y, const char *attributes, const
     fputs("</text>\n", f);
 }
 
+/* Light paper, or dark paper where the reader prefers that; what is black in one is white in the other. */
+static const char g_style[] =
+    "<style>svg{color:#000}text{fill:#222}.soft{fill:#555}.on{fill:#fff}.paper,.hole{fill:#fff}.grid{stroke:#ddd}.axis{stroke:#222}"
+    ".ring{stroke:#fff}@media(prefers-color-scheme:dark){svg{color:#fff}text{fill:#ddd}.soft{fill:#aaa}.paper,.hole{fill:#14181e}"
+    ".grid{stroke:#39414b}.axis{stroke:#ddd}.ring{stroke:#14181e}}</style>\n";
+
 static void svg_begin(FILE *f, int width, int height) {
     fprintf(f, "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"%d\" height=\"%d\" viewBox=\"0 0 %d %d\" "
-        "font-family=\"sans-serif\" font-size=\"12\">\n<rect width=\"100%%\" height=\"100%%\" fill=\"white\"/>\n",
-        width, height, width, height);
+        "font-family=\"sans-serif\" font-size=\"12\">\n%s<rect width=\"100%%\" height=\"100%%\" class=\"paper\"/>\n",
+        width, height, width, height, g_style);
 }
 
 /* ---- time against error ---- */
@@ -332,10 +338,10 @@ static void draw_ticks(FILE *f, const axis *a, int horizontal, double other_from
             if (unit != NULL) si(text, sizeof text, v);
             else snprintf(text, sizeof text, "%g", v);
             if (horizontal) {
-                fprintf(f, "<path d=\"M%.1f %.1fV%.1f\" stroke=\"#ddd\"/>\n", p, other_from, other_to);
+                fprintf(f, "<path d=\"M%.1f %.1fV%.1f\" class=\"grid\"/>\n", p, other_from, other_to);
                 put_label(f, p, other_from + 16, "text-anchor=\"middle\"", text, unit != NULL ? unit : "");
             } else {
-                fprintf(f, "<path d=\"M%.1f %.1fH%.1f\" stroke=\"#ddd\"/>\n", other_from, p, other_to);
+                fprintf(f, "<path d=\"M%.1f %.1fH%.1f\" class=\"grid\"/>\n", other_from, p, other_to);
                 put_label(f, other_from - 6, p + 4, "text-anchor=\"end\"", text, unit != NULL ? unit : "");
             }
         }
@@ -350,10 +356,11 @@ static int by_x(const void *a, const void *b) {
 
 /* Eight colours; the eight series after that have squares and dashed lines. */
 static void draw_mark(FILE *f, double x, double y, int series, int hollow) {
-    const char *color = g_colors[series % 8], *fill = hollow ? "white" : color;
+    const char *color = g_colors[series % 8];
     if (series < 8) fprintf(f, "<circle cx=\"%.1f\" cy=\"%.1f\" r=\"4\"", x, y);
     else fprintf(f, "<rect x=\"%.1f\" y=\"%.1f\" width=\"8\" height=\"8\"", x - 4, y - 4);
-    fprintf(f, " fill=\"%s\" stroke=\"%s\"/>\n", fill, hollow ? color : "white");
+    if (hollow) fprintf(f, " class=\"hole\" stroke=\"%s\"/>\n", color);
+    else fprintf(f, " fill=\"%s\" class=\"ring\"/>\n", color);
 }
 
 static void draw_curve(FILE *f, const axis *x, const axis *y, point *points, size_t count, int series) {
@@ -381,8 +388,8 @@ static const char *words(const char *name, char out[NAME_SIZE]) { /* frame_secon
 /* Returns 0, and writes nothing, when the group of `first` has not two different errors. */
 static int error_plot(const list *all, const record *first, const char *path) {
     double t_lo = HUGE_VAL, t_hi = 0, e_lo = HUGE_VAL, e_hi = 0, e_first = (double)NAN;
-    int differ = 0, series = 0;
-    size_t i, k, width = 760, height = 460;
+    int differ = 0, series = 0, hollow = 0;
+    size_t i, k, width = 760, height = 460, longest = 0;
     axis x, y;
     FILE *f;
     char text[NAME_SIZE];
@@ -394,6 +401,8 @@ static int error_plot(const list *all, const record *first, const char *path) {
         if (!same_group(r, first) || !(t > 0) || !(e >= 0)) continue;
         if (e_first == e_first && e != e_first) differ = 1;
         e_first = e;
+        series_name(text, sizeof text, all, r, same_group);
+        if (strlen(text) > longest) longest = strlen(text);
         if (t < t_lo) t_lo = t;
         if (t > t_hi) t_hi = t;
         if (e > 0 && e < e_lo) e_lo = e;
@@ -401,12 +410,12 @@ static int error_plot(const list *all, const record *first, const char *path) {
     }
     if (!differ) { free(points); return 0; }
     f = open_part(path);
-    svg_begin(f, (int)width, (int)height);
+    svg_begin(f, (int)(width + (longest > 26 ? 7 * (longest - 26) : 0)), (int)height);
     axis_fit(&x, t_lo, t_hi, 80, (double)width - 190);
     axis_fit(&y, e_lo, e_hi, (double)height - 60, 50);
     draw_ticks(f, &x, 1, y.from, y.to, "s");
     draw_ticks(f, &y, 0, x.from, x.to, NULL);
-    fprintf(f, "<path d=\"M%.1f %.1fV%.1fH%.1f\" fill=\"none\" stroke=\"black\"/>\n", x.from, y.to, y.from, x.to);
+    fprintf(f, "<path d=\"M%.1f %.1fV%.1fH%.1f\" fill=\"none\" class=\"axis\"/>\n", x.from, y.to, y.from, x.to);
     fprintf(f, "<text x=\"%.1f\" y=\"24\" font-size=\"15\">", x.from);
     put_text(f, get(first, "bench"));
     fputs(" - ", f);
@@ -431,6 +440,7 @@ static int error_plot(const list *all, const record *first, const char *path) {
             if (!(seconds(r) > 0) || !(number(r, "error") >= 0)) continue;
             points[count].x = seconds(r);
             points[count].y = number(r, "error");
+            hollow |= !(points[count].y > 0);
             count++;
         }
         if (seen || count == 0) continue;
@@ -439,6 +449,7 @@ static int error_plot(const list *all, const record *first, const char *path) {
         put_label(f, x.to + 28, y.to + 14 + 20 * series, "", name[0] != 0 ? name : get(first, "metric"), "");
         series++;
     }
+    if (hollow) put_label(f, x.to + 10, y.from, "class=\"soft\"", "hollow: no error", "");
     fputs("</svg>\n", f);
     close_part(f, path);
     free(points);
@@ -489,7 +500,7 @@ static void panel(FILE *f, const list *all, const record *kase, const record *me
     axis_fit(&y, e_lo, e_hi, top + high, top);
     draw_ticks(f, &x, 1, y.from, y.to, "s");
     draw_ticks(f, &y, 0, x.from, x.to, NULL);
-    fprintf(f, "<path d=\"M%.1f %.1fV%.1fH%.1f\" fill=\"none\" stroke=\"black\"/>\n", x.from, y.to, y.from, x.to);
+    fprintf(f, "<path d=\"M%.1f %.1fV%.1fH%.1f\" fill=\"none\" class=\"axis\"/>\n", x.from, y.to, y.from, x.to);
     for (m = 0; m < method_count; m++) {
         size_t n = 0;
         for (i = 0; i < all->count; i++) {
@@ -528,7 +539,7 @@ static int overview(const list *all, const record *first, const char *path) {
         draw_mark(f, x, y, i, 0);
         put_label(f, x + 10, y + 4, "", get(method[i], "method"), "");
     }
-    put_label(f, left, top + step_y * cases + 20 * ((methods + 2) / 3), "fill=\"#555\"", "hollow: no error", "");
+    put_label(f, left, top + step_y * cases + 20 * ((methods + 2) / 3), "class=\"soft\"", "hollow: no error", "");
     fputs("</svg>\n", f);
     close_part(f, path);
     return 1;
@@ -573,10 +584,10 @@ static void rate_bars(const list *all, const record *first, const char *path) {
             last_case = get(r, "case");
             put_label(f, 16, y + 4, "", last_case, "");
         }
-        put_label(f, left - 8, y + 4, "text-anchor=\"end\" fill=\"#555\"", name, "");
+        put_label(f, left - 8, y + 4, "text-anchor=\"end\" class=\"soft\"", name, "");
         fprintf(f, "<rect x=\"%.1f\" y=\"%.1f\" width=\"%.1f\" height=\"14\" fill=\"%s\"/>\n",
             left, y - 7, w, g_colors[0]);
-        if (w > 0.6 * wide) put_label(f, left + w - 6, y + 4, "text-anchor=\"end\" fill=\"white\"", label, "");
+        if (w > 0.6 * wide) put_label(f, left + w - 6, y + 4, "text-anchor=\"end\" class=\"on\"", label, "");
         else put_label(f, left + w + 6, y + 4, "", label, "");
         y += step;
     }

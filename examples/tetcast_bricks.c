@@ -383,14 +383,16 @@ static int resample(int argc, char **argv) {
         range = (double)info.value_max - (double)info.value_min;
         range = range > 0.0 ? range : 1.0;
         if (report.above && !quiet && !o.average)
-            fprintf(stderr, "warning: %s: %llu of %llu points are farther off than %g of the range, the worst %g; --longest-end "
-                    "allows more nodes\n", o.out, (unsigned long long)report.above, (unsigned long long)report.checks,
-                    o.max_error, report.error / range);
+            fprintf(stderr, "warning: %s: --max-error %g is NOT kept: %llu of %llu points are farther off, the worst, %g, at %g,%g,%g; "
+                    "%llu of them where bricks are of the finest level, nodes %g apart: --longest-end allows more nodes\n",
+                    o.out, o.max_error, (unsigned long long)report.above, (unsigned long long)report.checks, report.error / range,
+                    report.worst[0], report.worst[1], report.worst[2], (unsigned long long)report.above_finest,
+                    info.lattice.spacing[0]);
         if (stats) {
             print_bricks("resample", &o, bricks);
-            printf(",\"max_error\":%.6g,\"error\":%.6g,\"mean_error\":%.6g,\"checks\":%llu,\"above\":%llu,\"tries\":%u,"
+            printf(",\"max_error\":%.6g,\"error\":%.6g,\"mean_error\":%.6g,\"checks\":%llu,\"above\":%llu,\"above_finest\":%llu,\"tries\":%u,"
                    "\"hull_triangles\":%llu,\"seconds\":%.6f}\n", o.max_error, report.error / range, report.mean_error / range,
-                   (unsigned long long)report.checks, (unsigned long long)report.above, report.tries,
+                   (unsigned long long)report.checks, (unsigned long long)report.above, (unsigned long long)report.above_finest, report.tries,
                    (unsigned long long)info.hull_triangles, seconds);
         }
     }
@@ -428,7 +430,7 @@ static int parse_render(int argc, char **argv, options *o, tetcast_brick_render_
     table[n++] = sup_opt_real("lod-error", &o->lod_error, 0.0, 1.0, "E", "coarse where that is right to this share of the range");
     table[n++] = sup_opt_int("jump", &o->jump, 0, 5, "N", "largest difference of neighbours' levels (any)");
     table[n++] = sup_opt_given(sup_opt_vec3("cut", o->cut, "keep what lies this way from the middle"), &o->has_cut);
-    table[n++] = sup_opt_text("reference", &o->reference, "MESH", "a mesh or scene: show it beside the picture, and measure the difference");
+    table[n++] = sup_opt_text("reference", &o->reference, "MESH", "a mesh or scene: show it beside the picture, and measure the difference (1/255)");
     table[n++] = sup_opt_text("functions", &o->functions, "FILE.rbf", "and these beside both, inside of the mesh");
     table[n++] = sup_opt_real("seconds", &o->seconds, 1e-6, 1e6, "T", "levels such that a picture takes no longer than that: draws some");
     table[n++] = sup_opt_text("coded", &o->coded, "FILE.tile", "also write the picture as --codec codes it");

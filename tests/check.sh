@@ -887,7 +887,8 @@ group_wasm() {
 
 fuzz_standalone() { # NAME -seconds=N|-iterations=N
     local p=$OUT/fuzz/$1.standalone
-    cmd gcc $SAN_FLAGS $STATIC -fsanitize=address,undefined -fno-sanitize-recover=all -I. -o "$p" tests/fuzz/$1.c tests/fuzz/standalone.c -lm -lpthread &&
+    # places of variables take half of the time of compiling
+    cmd gcc $SAN_FLAGS -g1 -fno-var-tracking $STATIC -fsanitize=address,undefined -fno-sanitize-recover=all -I. -o "$p" tests/fuzz/$1.c tests/fuzz/standalone.c -lm -lpthread &&
     cmd timeout $((600 + FUZZ_EACH + SOAK_SECONDS)) "$p" $2 -crash="$OUT/fuzz/$1.crash" $( [ -d tests/fuzz/corpus/${1#fuzz_} ] && echo tests/fuzz/corpus/${1#fuzz_} )
 }
 fuzz_libfuzzer() { # NAME SECONDS
@@ -925,8 +926,8 @@ group_fuzz() {
 # --- soak: random use of the functions of each library for long; memory that is in use must not grow --------------
 
 group_soak() {
-    local names="fuzz_build fuzz_trace fuzz_render fuzz_gi fuzz_scene fuzz_bricks fuzz_rbf" f
-    local each=$((SOAK_SECONDS / 7)); [ $each -ge 2 ] || each=2
+    local names="fuzz_build fuzz_trace fuzz_render fuzz_gi fuzz_edit fuzz_scene fuzz_canvas fuzz_tets fuzz_fields fuzz_bricks fuzz_rbf" f
+    local each=$((SOAK_SECONDS / 11)); [ $each -ge 2 ] || each=2
     mkdir -p "$OUT/fuzz"
     export ASAN_OPTIONS=allocator_may_return_null=1
     for f in $names; do [ -f tests/fuzz/$f.c ] && item "soak $f $each s" fuzz_standalone $f "-seconds=$each -seed=77"; done

@@ -183,7 +183,7 @@ TEST(resample_same_bits) {
         for (axis = 0; axis < 4; axis++) {
             a = resample(mesh, &l, TETCAST_ISA_SCALAR, axis, 1, extend, NULL);
             for (threads = 1; threads < 8; threads += 3) {
-                b = resample(mesh, &l, TETCAST_ISA_AUTO, axis, threads, extend, NULL);
+                b = resample(mesh, &l, threads == 4 ? TETCAST_ISA_AVX2 : TETCAST_ISA_AUTO, axis, threads, extend, NULL);
                 CHECK(memcmp(a, b, node_count(&l) * 4) == 0);
                 free(b);
             }
@@ -199,8 +199,98 @@ TEST(resample_same_bits) {
         }
     CHECK_EQ_U64(sets, 0);
     CHECK_EQ_U64(off, 0);
+    CHECK_EQ_U64(tetcast_lattice_fit(mesh, 131, &l), TETCAST_OK);
+    for (axis = 0; axis < 2; axis++) { /* rows of cells up to 32 nodes long; of more */
+        tetcast_resample_stats want, got;
+        memset(&want, 0, sizeof want);
+        memset(&got, 0, sizeof got);
+        a = resample(mesh, &l, TETCAST_ISA_SCALAR, 0, 1, 0, &want);
+        b = resample(mesh, &l, TETCAST_ISA_AUTO, 0, 1, 0, &got);
+        CHECK(memcmp(a, b, node_count(&l) * 4) == 0);
+        CHECK(memcmp(&want, &got, sizeof want) == 0);
+        free(b);
+        b = resample(mesh, &l, TETCAST_ISA_AVX2, 0, 1, 0, NULL);
+        CHECK(memcmp(a, b, node_count(&l) * 4) == 0);
+        free(b);
+        free(a);
+        l.dims[0] = 2 * l.dims[0] - 1;
+        l.spacing[0] *= 0.5;
+    }
     tetcast_mesh_destroy(mesh);
     tets_free(&m);
+}
+
+/* One cell alone, of any shape, anywhere about the lattice: its nodes by brute force. Long rows: values stay right to the end. */
+TEST(lone_cells) {
+    const int rounds = test_quick() ? 6000 : 20000;
+    test_rng r = test_rng_make(91);
+    int round, k;
+    for (round = 0; round < rounds; round++) {
+        tets m;
+        tetcast_mesh *mesh;
+        tetcast_lattice l;
+        float *a;
+        const double size = pow(10.0, 2.0 * test_rng_double(&r) - 0.9), kind = test_rng_double(&r);
+        uint32_t v[4], i;
+        memset(&m, 0, sizeof m);
+        memset(&l, 0, sizeof l);
+        for (i = 0; i < 4; i++) {
+            double p[3];
+            for (k = 0; k < 3; k++) {
+                p[k] = 4.0 + size * (test_rng_double(&r) - 0.5);
+                if (kind < 0.3) p[k] = (double)(int)(p[k] * 2.0) / 2.0; /* rows along edges, nodes in faces */
+                if (kind > 0.8 && k == round % 3) p[k] = 4.0 + 1e-3 * (p[k] - 4.0);
+            }
+            v[i] = tets_vertex(&m, p[0], p[1], p[2], 0.0);
+        }
+        tets_tet(&m, v[0], v[1], v[2], v[3]);
+        tets_round(&m);
+        make_linear(&m);
+        mesh = tets_build(&m, TETCAST_CELLS_TET16, NULL);
+        if (mesh != NULL) { /* flat ones make none */
+            for (k = 0; k < 3; k++) {
+                l.dims[k] = (uint32_t)(9 + k);
+                l.spacing[k] = kind < 0.3 ? 0.5 * (1 + k) : 0.9 + 0.05 * k;
+                l.origin[k] = kind < 0.3 ? 0.0 : 0.1 * k;
+            }
+            a = resample(mesh, &l, TETCAST_ISA_AUTO, (uint32_t)round % 4, 1, 0, NULL);
+            if (kind <= 0.8) check_nodes(&m, &l, a, 4e-5); /* values reach 50 */
+            else
+                for (i = 0; i < node_count(&l); i++) CHECK(!(fabsf(a[i]) > 50.0f));
+            free(a);
+        }
+        tetcast_mesh_destroy(mesh);
+        tets_free(&m);
+    }
+    for (k = -6; k <= 6; k += 2) {
+        static const double corner[4][3] = {{-2000, -9, -9}, {6000, -9, -9}, {2000, 40, -9}, {2000, 0, 60}};
+        const double slope = pow(10.0, k);
+        double worst = 0.0;
+        tets m;
+        tetcast_mesh *mesh;
+        tetcast_lattice l;
+        float *a;
+        uint32_t i, seen = 0;
+        memset(&m, 0, sizeof m);
+        memset(&l, 0, sizeof l);
+        for (i = 0; i < 4; i++) (void)tets_vertex(&m, corner[i][0], corner[i][1], corner[i][2], slope * corner[i][0]);
+        tets_tet(&m, 0, 1, 2, 3);
+        mesh = tets_build(&m, TETCAST_CELLS_TET16, NULL);
+        REQUIRE(mesh != NULL);
+        l.dims[0] = 4096;
+        l.dims[1] = l.dims[2] = 2;
+        for (i = 0; i < 3; i++) l.spacing[i] = 1.0;
+        a = resample(mesh, &l, TETCAST_ISA_AUTO, 1, 1, 0, NULL);
+        for (i = 0; i < node_count(&l); i++) {
+            if (!(a[i] == a[i])) continue;
+            seen++;
+            worst = fmax(worst, fabs((double)a[i] - slope * (double)(i % 4096)) / (8000.0 * slope));
+        }
+        CHECK_MSG(seen > 12000 && worst < 1.3e-7, "slope %g: %u nodes, %g", slope, seen, worst);
+        free(a);
+        tetcast_mesh_destroy(mesh);
+        tets_free(&m);
+    }
 }
 
 /* With the band around the mesh trilinear interpolation of a linear field is right up to the hull. */
@@ -846,6 +936,50 @@ TEST(bricks_sample_the_grid) {
         }
 }
 
+/* Nodes that are no numbers are counted and become the smallest value, alone or all of them. */
+TEST(bad_grids) {
+    const tetcast_lattice l = cube_lattice(20, 11, 9);
+    float *v = random_grid(&l, 8);
+    int kind;
+    for (kind = 0; kind < 3; kind++) { /* 1: some, 2: all */
+        tetcast_bricks_desc d;
+        tetcast_bricks_report report;
+        tetcast_bricks_info info;
+        tetcast_bricks *b = NULL;
+        tetcast_cut *c;
+        tetcast_array a;
+        float least = 1e9f;
+        size_t i, bad = 0, wrong = 0;
+        memset(&d, 0, sizeof d);
+        memset(&a, 0, sizeof a);
+        d.storage = TETCAST_TYPE_F32;
+        d.log_cells = 3;
+        for (i = 0; i < node_count(&l); i++) {
+            if (kind == 2 || (kind == 1 && i % 37 == 5)) v[i] = i % 3 == 0 ? (float)NAN : i % 3 == 1 ? INFINITY : -INFINITY;
+            if (v[i] - v[i] == 0.0f) least = v[i] < least ? v[i] : least;
+            else bad++;
+        }
+        a.data = v;
+        CHECK_EQ_U64(tetcast_bricks_create_grid(&d, &l, &a, &report, &b), TETCAST_OK);
+        REQUIRE(b != NULL);
+        CHECK_EQ_U64(report.bad_values, bad);
+        CHECK(kind == 0 ? bad == 0 : bad > 50);
+        tetcast_bricks_get_info(b, &info);
+        c = make_cut(b, NULL, 0);
+        for (i = 0; i < node_count(&l); i++) {
+            const float x = (float)(i % 20), y = (float)(i / 20 % 11), z = (float)(i / 220);
+            float got;
+            tetcast_cut_sample(c, &x, &y, &z, 1, TETCAST_ISA_AUTO, &got);
+            wrong += got != (v[i] - v[i] == 0.0f ? v[i] : kind == 2 ? info.value_min : least);
+        }
+        CHECK_EQ_U64(wrong, 0);
+        CHECK(info.value_min - info.value_min == 0.0f && info.value_max >= info.value_min);
+        tetcast_cut_destroy(c);
+        tetcast_bricks_destroy(b);
+    }
+    free(v);
+}
+
 /* The largest jump over the borders between slots: values on both sides of each face, a little away from it, and on
    edges and corners. */
 static double largest_jump(const tetcast_bricks *b, const tetcast_cut *c, uint64_t seed, int count) {
@@ -1369,6 +1503,110 @@ TEST(bricks_of_a_mesh) {
     tets_free(&m);
 }
 
+/* A layer of cells thinner than any spacing: the promise cannot be kept, and the report says so. Where a lattice would have too
+   many bricks, the finest that has not is kept. */
+TEST(layers_too_thin) {
+    int round;
+    for (round = 0; round < (test_quick() ? 1 : 2); round++) {
+        tets m;
+        tetcast_mesh *mesh;
+        tetcast_bricks_desc d;
+        tetcast_bricks_report report;
+        tetcast_bricks_info info;
+        tetcast_error error;
+        tetcast_bricks *b = NULL;
+        size_t i;
+        memset(&m, 0, sizeof m);
+        memset(&d, 0, sizeof d);
+        memset(&error, 0, sizeof error);
+        tets_lattice(&m, 9, 9, 9, 6, NULL);
+        for (i = 0; i < m.nv; i++) {
+            m.s[i] = 0.0f;
+            if (m.p[3 * i] == 1.0) m.p[3 * i] = 1e-4;
+        }
+        m.s[0] = 1.0f; /* at the origin */
+        mesh = tets_build(&m, TETCAST_CELLS_TET16, NULL);
+        REQUIRE(mesh != NULL);
+        d.log_cells = 3;
+        d.max_error = 0.01f;
+        d.checks = 60000;
+        d.longest_end = round == 0 ? 65 : 0;
+        d.env.error = &error;
+        CHECK_EQ_U64(tetcast_bricks_create_mesh(&d, mesh, &report, &b), TETCAST_OK);
+        REQUIRE(b != NULL);
+        tetcast_bricks_get_info(b, &info);
+        CHECK_MSG(report.above > 0 && report.above == report.above_finest, "%lu, finest %lu", (unsigned long)report.above,
+                  (unsigned long)report.above_finest);
+        CHECK(report.error > 0.01 && report.worst[0] < 0.2 && report.worst[1] < 1.01 && report.worst[2] < 1.01);
+        CHECK_MSG(info.lattice.dims[0] == (round == 0 ? 65 : 2049), "%u", info.lattice.dims[0]); /* 4097: 2^27 slots */
+        CHECK(error.code == TETCAST_OK && error.text[0] == 0);
+        tetcast_bricks_destroy(b);
+        b = NULL;
+        m.s[0] = 0.005f; /* less than what is asked for: nothing to say */
+        tetcast_mesh_destroy(mesh);
+        mesh = tets_build(&m, TETCAST_CELLS_TET16, NULL);
+        REQUIRE(mesh != NULL);
+        d.longest_end = 65;
+        CHECK_EQ_U64(tetcast_bricks_create_mesh(&d, mesh, &report, &b), TETCAST_OK);
+        CHECK(report.above == 0 && report.above_finest == 0 && report.error <= 0.01);
+        tetcast_bricks_destroy(b);
+        tetcast_mesh_destroy(mesh);
+        tets_free(&m);
+    }
+}
+
+TEST(meshes_without_values) { /* fields may be missing: all is 0, for lattices, planes and bricks made in both ways */
+    tets m;
+    tetcast_input in;
+    tetcast_field field;
+    tetcast_mesh *mesh = NULL;
+    tetcast_lattice lattice;
+    tetcast_plane plane;
+    tetcast_section section;
+    tetcast_bricks_desc d;
+    float node[9 * 9 * 9], x[3] = {1, 4, 7}, v[3];
+    size_t i;
+    int way;
+    memset(&m, 0, sizeof m);
+    memset(&plane, 0, sizeof plane);
+    memset(&d, 0, sizeof d);
+    tets_lattice(&m, 5, 5, 5, 6, NULL);
+    tets_input(&m, &in, &field);
+    in.fields = NULL;
+    in.field_count = 0;
+    REQUIRE(tetcast_mesh_create(NULL, &in, NULL, &mesh) == TETCAST_OK);
+    REQUIRE(tetcast_lattice_fit(mesh, 9, &lattice) == TETCAST_OK && lattice.dims[0] == 9);
+    CHECK_EQ_U64(tetcast_resample(NULL, mesh, &lattice, node, NULL), TETCAST_OK);
+    for (i = 0; i < 9 * 9 * 9; i++) CHECK(node[i] == 0.0f);
+    plane.origin[2] = 1.5;
+    plane.u[0] = plane.v[1] = 4;
+    CHECK_EQ_U64(tetcast_plane_section(NULL, mesh, &plane, &section), TETCAST_OK);
+    CHECK(section.polygon_count > 16 && section.values[3] == 0.0f);
+    tetcast_section_free(&section);
+    for (way = 0; way < 3; way++) {
+        tetcast_bricks *b = NULL;
+        tetcast_bricks_info info;
+        tetcast_bricks_report report;
+        tetcast_cut *cut = NULL;
+        d.log_cells = 3;
+        d.longest = way == 0 ? 9 : 0;
+        d.max_error = 0.1f;
+        d.longest_end = 17;
+        d.storage = way == 2 ? TETCAST_TYPE_U8 : TETCAST_TYPE_F32;
+        CHECK_EQ_U64(tetcast_bricks_create_mesh(&d, mesh, &report, &b), TETCAST_OK);
+        REQUIRE(b != NULL);
+        tetcast_bricks_get_info(b, &info);
+        CHECK(info.value_min == 0.0f && info.value_max == 0.0f && report.error == 0 && report.above == 0);
+        REQUIRE(tetcast_cut_create(NULL, b, &cut) == TETCAST_OK);
+        tetcast_cut_sample(cut, x, x, x, 3, TETCAST_ISA_AUTO, v);
+        for (i = 0; i < 3; i++) CHECK(v[i] == 0.0f);
+        tetcast_cut_destroy(cut);
+        tetcast_bricks_destroy(b);
+    }
+    tetcast_mesh_destroy(mesh);
+    tets_free(&m);
+}
+
 /* Bricks on demand: fine only around a point, there as good as bricks that are fine everywhere; means instead of values. */
 TEST(bricks_on_demand) {
     enum { N = 4000 };
@@ -1565,6 +1803,42 @@ static void box_view(tetcast_brick_render_desc *d, const tetcast_lattice *l, int
 }
 
 /* In a constant medium opacity depends on the length of the way through the box only, whatever the levels are. */
+TEST(largest_values) { /* next to 1e38 coarser levels go on beyond the ends, and sums are infinite: what is written can be read all the same */
+    static const tetcast_type storage[4] = {TETCAST_TYPE_F32, TETCAST_TYPE_F16, TETCAST_TYPE_U16, TETCAST_TYPE_U8};
+    float v[7 * 5 * 4];
+    test_rng r = test_rng_make(38);
+    int k;
+    for (k = 0; k < 40; k++) {
+        tetcast_lattice l = {{7, 5, 4}, {0, 0, 0}, {1, 1, 1}};
+        tetcast_array values = {v, TETCAST_TYPE_F32, 0};
+        tetcast_bricks_desc d;
+        tetcast_bricks *b = NULL, *again = NULL;
+        tetcast_cut *cut = NULL;
+        float x[3][20], s[20];
+        uint8_t *p;
+        size_t i, size;
+        memset(&d, 0, sizeof d);
+        d.log_cells = 3 + (uint32_t)k % 2;
+        d.storage = storage[k / 2 % 4];
+        d.max_error = k % 3 == 0 ? 1e30f : 0;
+        for (i = 0; i < sizeof v / sizeof v[0]; i++) v[i] = (test_rng_below(&r, 2) ? 9.99e37f : -9.99e37f) * (k & 8 ? 1.0f : test_rng_float(&r));
+        REQUIRE(tetcast_bricks_create_grid(&d, &l, &values, NULL, &b) == TETCAST_OK);
+        size = tetcast_bricks_file_size(b);
+        p = (uint8_t *)malloc(size);
+        REQUIRE(p != NULL);
+        CHECK_EQ_U64(tetcast_bricks_write(b, p, size), TETCAST_OK);
+        CHECK_EQ_U64(tetcast_bricks_read(NULL, p, size, &again), TETCAST_OK);
+        free(p);
+        tetcast_bricks_destroy(b);
+        REQUIRE(again != NULL && tetcast_cut_create(NULL, again, &cut) == TETCAST_OK);
+        for (i = 0; i < 60; i++) x[i / 20][i % 20] = 6 * test_rng_float(&r);
+        tetcast_cut_sample(cut, x[0], x[1], x[2], 20, TETCAST_ISA_AUTO, s);
+        for (i = 0; i < 20; i++) CHECK(s[i] - s[i] == 0.0f);
+        tetcast_cut_destroy(cut);
+        tetcast_bricks_destroy(again);
+    }
+}
+
 TEST(constant_medium) {
     tetcast_lattice l = cube_lattice(33, 25, 41);
     float *v = random_grid(&l, 2);
@@ -1636,6 +1910,118 @@ static uint64_t picture(const tetcast_brick_render_desc *d, const tetcast_cut *c
     return test_fnv1a(rgba, (size_t)w * h * 16, 0);
 }
 
+/* Whatever is in a slot that is seen lies within the reach of its pixel's bin, and bins are not all of the picture: cameras
+   outside and inside, parallel, parts of a frame, flat lattices, uneven spacing, more slots than there may be boxes. */
+TEST(reach_of_bins) {
+    static const tetcast_lattice lattices[6] = {{{50, 34, 41}, {0, 0, 0}, {1, 1, 1}},
+                                                {{40, 1, 37}, {-3, 5, 1}, {0.5, 1, 0.25}},
+                                                {{20, 60, 30}, {100, 0, -7}, {1, 0.01, 3}},
+                                                {{90, 90, 90}, {0, 0, 0}, {1, 1, 1}},
+                                                {{1, 1, 70}, {0, 0, 0}, {2, 2, 0.1}},
+                                                {{401, 401, 130}, {0, 0, 0}, {1, 1, 1}}}; /* 44,217 slots */
+    test_rng rng = test_rng_make(811);
+    int round;
+    uint64_t looked = 0, seen = 0, bins = 0, empty = 0;
+    for (round = 0; round < (test_quick() ? 15 : 200); round++) {
+        const tetcast_lattice *l = &lattices[round % 100 == 99 ? 5 : round % 5];
+        const size_t nodes = node_count(l);
+        float *v = (float *)malloc(nodes * 4);
+        tetcast_control_point p[3] = {{0.5f, {1, 1, 1}, 0}, {0.6f, {1, 1, 1}, 3}, {2.0f, {1, 1, 1}, 3}};
+        tetcast_transfer_desc td;
+        tetcast_transfer *t = NULL;
+        tetcast_optics *o = NULL;
+        tetcast_bricks *b;
+        tetcast_cut *cut;
+        tetcast_brick_render_desc d;
+        tetcast_image image;
+        tetcasti_brick_frame c;
+        double blob[3], lo[3], hi[3], wide = 0;
+        uint32_t x, y, a, k;
+        size_t i;
+        REQUIRE(v != NULL);
+        for (a = 0; a < 3; a++) {
+            lo[a] = l->origin[a];
+            hi[a] = lo[a] + (l->dims[a] - 1) * l->spacing[a];
+            wide = fmax(wide, hi[a] - lo[a]);
+            blob[a] = test_rng_double(&rng) * (l->dims[a] - 1);
+        }
+        for (i = 0; i < nodes; i++) { /* a ball in nothing */
+            const double q[3] = {(double)(i % l->dims[0]) - blob[0], (double)(i / l->dims[0] % l->dims[1]) - blob[1],
+                                 (double)(i / l->dims[0] / l->dims[1]) - blob[2]};
+            v[i] = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] < 40 ? 1.0f : 0.0f;
+        }
+        b = make_bricks(l, v, TETCAST_TYPE_F32, 3, 0);
+        cut = make_cut(b, NULL, 0);
+        memset(&td, 0, sizeof td);
+        memset(&d, 0, sizeof d);
+        memset(&c, 0, sizeof c);
+        memset(&image, 0, sizeof image);
+        td.points = p;
+        td.point_count = 3;
+        REQUIRE(tetcast_transfer_create(&td, &t) == TETCAST_OK && tetcast_optics_create(t, NULL, &o) == TETCAST_OK);
+        image.width = 61;
+        image.height = 45;
+        for (a = 0; a < 3; a++) { /* every third eye may be in the lattice */
+            const double far_off = round % 3 == 0 ? 0.3 : 2.0;
+            d.camera.eye[a] = 0.5 * (lo[a] + hi[a]) + far_off * wide * (2 * test_rng_double(&rng) - 1);
+            d.camera.at[a] = lo[a] + (hi[a] - lo[a]) * test_rng_double(&rng) + 1e-3;
+        }
+        d.camera.fov_y = (float)(10 + 120 * test_rng_double(&rng));
+        if (round % 4 == 1) d.camera.ortho_height = (float)wide;
+        if (round % 7 == 2) {
+            d.frame[0] = 100;
+            d.frame[1] = 80;
+            d.part[0] = 33;
+            d.part[1] = 20;
+        }
+        c.desc = &d;
+        c.cut = cut;
+        c.optics = o;
+        c.image = &image;
+        REQUIRE(tetcasti_env_open(&d.env, &c.mem) == TETCAST_OK);
+        REQUIRE(tetcasti_brick_frame_open(&c, &d, &image) == TETCAST_OK && tetcasti_brick_skips(&c) && tetcasti_brick_reach(&c));
+        for (y = 0; y < image.height; y++)
+            for (x = 0; x < image.width; x++) {
+                const double *reach = c.reach[x / 8 + (size_t)c.bins_x * (y / 8)];
+                double from[3], way[3], length;
+                tetcasti_frame_ray(&c.frame, d.part[0] + x + 0.5, d.part[1] + y + 0.5, from, way);
+                length = sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2]);
+                for (k = 0; k < 60; k++) {
+                    const double at = test_rng_double(&rng) * 5 * wide;
+                    size_t slot = 0;
+                    int in = 1;
+                    for (a = 3; a-- > 0;) {
+                        const double q = (from[a] + at * way[a] / length - lo[a]) / l->spacing[a];
+                        const double thin = l->dims[a] > 1 ? 0 : 0.5;
+                        uint32_t s;
+                        in &= q >= -thin && q <= l->dims[a] - 1 + thin;
+                        if (!in) break;
+                        s = q > 0 ? (uint32_t)q >> b->log : 0;
+                        slot = slot * b->slots[a] + (s < b->slots[a] ? s : b->slots[a] - 1);
+                    }
+                    if (!in) continue;
+                    looked++;
+                    if (!(c.skip[slot] & TETCASTI_SEEN)) continue;
+                    seen++;
+                    CHECK_MSG(at >= reach[0] && at <= reach[1], "round %d pixel %u %u: %g not in %g to %g", round, x, y, at, reach[0], reach[1]);
+                }
+            }
+        for (i = 0; i < (size_t)8 * 6; i++) {
+            bins++;
+            empty += c.reach[i][1] < c.reach[i][0];
+        }
+        tetcasti_free(&c.mem, c.reach);
+        tetcasti_free(&c.mem, c.skip);
+        tetcast_cut_destroy(cut);
+        tetcast_bricks_destroy(b);
+        tetcast_optics_destroy(o);
+        tetcast_transfer_destroy(t);
+        free(v);
+    }
+    CHECK_MSG(looked > 10000 && seen > looked / 50, "%u of %u", (unsigned)seen, (unsigned)looked);
+    CHECK_MSG(empty > bins / 4 && empty < bins, "%u of %u bins are empty", (unsigned)empty, (unsigned)bins);
+}
+
 /* Any isa, any number of threads, any parts: the same bits. For all ways to store, with levels mixed. */
 TEST(brick_pictures_same_bits) {
     enum { W = 70, H = 50 };
@@ -1690,6 +2076,11 @@ TEST(brick_pictures_same_bits) {
             memset(&image, 0, sizeof image);
             image.width = image.height = 1;
             CHECK_EQ_U64(tetcast_render_bricks(&d, c, o, &image, NULL), TETCAST_ERR_INVALID_ARG);
+            d.part[0] = 0;
+            d.step = 1e-4f; /* 735,000 samples on the diagonal, and more than there may be */
+            CHECK_EQ_U64(tetcast_render_bricks(&d, c, o, &image, NULL), TETCAST_OK);
+            d.step = 5e-5f;
+            CHECK_EQ_U64(tetcast_render_bricks(&d, c, o, &image, NULL), TETCAST_ERR_RANGE);
         }
         tetcast_cut_destroy(c);
         tetcast_bricks_destroy(b);
@@ -1835,6 +2226,374 @@ TEST(clip_spans) {
     tetcast_clip_destroy(c);
     inner[3][1] = (double)NAN;
     CHECK_EQ_U64(tetcast_clip_create(&d, &c), TETCAST_ERR_INVALID_ARG);
+}
+
+/* All models against rays in 4000 pieces of the same field; uneven spacings, a thin slab, along the axes and not. */
+TEST(pictures_against_rays) {
+    enum { W = 32, H = 24, N = 4000 };
+    static float rgba[W * H * 4], x[3][N + 1], v[N + 1];
+    static tetcast_segment segment[N];
+    static const uint32_t dims[3][3] = {{33, 33, 33}, {17, 21, 9}, {2, 18, 25}};
+    static const tetcast_model models[5] = {TETCAST_MODEL_VOLUME, TETCAST_MODEL_EMISSION, TETCAST_MODEL_ABSORPTION,
+                                            TETCAST_MODEL_MAXIMUM, TETCAST_MODEL_ISOSURFACE};
+    int shape, model;
+    for (shape = 0; shape < 3; shape++) {
+        tetcast_lattice l = cube_lattice(dims[shape][0], dims[shape][1], dims[shape][2]);
+        float *values = (float *)malloc(node_count(&l) * 4);
+        tetcast_bricks *b;
+        tetcast_cut *c;
+        double depth = 0.0;
+        size_t i;
+        if (shape == 1) l.spacing[2] = 1000.0;
+        for (i = 0; i < node_count(&l); i++) { /* of Marschner and Lobb, three waves */
+            double p[3];
+            int k;
+            for (k = 0; k < 3; k++)
+                p[k] = 2.0 * (double)(k == 0 ? i % l.dims[0] : k == 1 ? i / l.dims[0] % l.dims[1] : i / l.dims[0] / l.dims[1]) /
+                       (double)(l.dims[k] - 1) - 1.0;
+            values[i] = (float)((1.0 - sin(1.5708 * p[2]) + 0.25 * (1.0 + cos(9.4248 * cos(1.5708 * hypot(p[0], p[1]))))) / 2.5);
+        }
+        b = make_bricks(&l, values, TETCAST_TYPE_F32, 3, 0);
+        c = make_cut(b, NULL, 0);
+        for (i = 0; i < 3; i++) depth += (l.dims[i] - 1) * (shape == 1 ? 1.0 : l.spacing[i]) / 3.0;
+        for (model = 0; model < 5; model++) {
+            const float thick = (float)(4.0 / depth);
+            const tetcast_control_point p[4] = {{0.1f, {1, 0, 0}, 0}, {0.35f, {0, 1, 0}, 0.3f * thick}, {0.5f, {0, 0.4f, 1}, 0.1f * thick},
+                                                {0.9f, {1, 1, 0}, thick}};
+            const tetcast_isovalue iso = {0.45f, {1, 1, 1}, 0.4f, 0.2f, 0};
+            tetcast_transfer_desc td;
+            tetcast_optics_desc od;
+            tetcast_transfer *t = NULL;
+            tetcast_optics *o = NULL;
+            tetcast_brick_render_desc d;
+            double sum = 0.0, most = 0.0, psnr;
+            uint32_t pixel, count = 0, seen = 0;
+            memset(&td, 0, sizeof td);
+            memset(&od, 0, sizeof od);
+            td.points = p;
+            td.point_count = 4;
+            td.isovalues = &iso;
+            td.isovalue_count = 1;
+            od.model = models[model];
+            od.t_min = -1;
+            REQUIRE(tetcast_transfer_create(&td, &t) == TETCAST_OK && tetcast_optics_create(t, &od, &o) == TETCAST_OK);
+            box_view(&d, &l, model);
+            if (shape == 1) { /* much longer than wide: a part of it, across and along */
+                static const double views[5][3] = {{1, 0, 0}, {1, 0.3, 0.2}, {0, 0, 1}, {0.003, 0.001, 1}, {1, 1, 1}};
+                int k;
+                for (k = 0; k < 3; k++) {
+                    d.camera.at[k] = 0.5 * (l.dims[k] - 1) * l.spacing[k];
+                    d.camera.eye[k] = d.camera.at[k] + 9000.0 * views[model][k];
+                    d.camera.up[k] = k == 1;
+                }
+                d.camera.ortho_height = 30.0f;
+            }
+            d.step = shape == 0 ? 1.0f : 0.125f; /* fewer nodes for the same waves */
+            (void)picture(&d, c, o, W, H, rgba);
+            for (pixel = 0; pixel < W * H; pixel += 5) {
+                tetcast_ray ray;
+                double ends[2] = {0.0, 1e30};
+                float want[4];
+                int k, j;
+                (void)tetcast_camera_ray(&d.camera, W, H, pixel % W + 0.5, pixel / W + 0.5, &ray);
+                for (k = 0; k < 3; k++) {
+                    const double near_side = (l.origin[k] - ray.org[k]) / ray.dir[k];
+                    const double far_side = (l.origin[k] + (l.dims[k] - 1) * l.spacing[k] - ray.org[k]) / ray.dir[k];
+                    if (fabs(ray.dir[k]) < 1e-12) {
+                        if (ray.org[k] < l.origin[k] || ray.org[k] > l.origin[k] + (l.dims[k] - 1) * l.spacing[k]) ends[1] = -1.0;
+                        continue;
+                    }
+                    ends[0] = fmax(ends[0], fmin(near_side, far_side));
+                    ends[1] = fmin(ends[1], fmax(near_side, far_side));
+                }
+                memset(want, 0, sizeof want);
+                if (ends[1] > ends[0]) {
+                    for (j = 0; j <= N; j++)
+                        for (k = 0; k < 3; k++)
+                            x[k][j] = (float)((ray.org[k] + ray.dir[k] * (ends[0] + (ends[1] - ends[0]) * j / N) - l.origin[k]) / l.spacing[k]);
+                    tetcast_cut_sample(c, x[0], x[1], x[2], N + 1, TETCAST_ISA_AUTO, v);
+                    for (j = 0; j < N; j++) {
+                        segment[j].front = v[j];
+                        segment[j].back = v[j + 1];
+                        segment[j].length = (float)((ends[1] - ends[0]) / N);
+                        segment[j].depth = 0.0f;
+                    }
+                    CHECK_EQ_U64(tetcast_optics_ray(o, segment, N, want, NULL), TETCAST_OK);
+                    seen++;
+                }
+                for (k = models[model] == TETCAST_MODEL_ISOSURFACE ? 3 : 0; k < 4; k++) { /* light on surfaces: test sphere */
+                    const double e = (double)rgba[4 * pixel + (uint32_t)k] - (double)want[k];
+                    sum += e * e;
+                    most = fmax(most, (double)want[k]);
+                    count++;
+                }
+            }
+            psnr = 10.0 * log10(most * most * (double)count / fmax(sum, 1e-30));
+            CHECK_MSG(seen > 8 && most > 0.05 && psnr >= 50.0, "shape %d, model %d: %g dB, most %g, %u rays", shape, model, psnr, most, seen);
+            tetcast_optics_destroy(o);
+            tetcast_transfer_destroy(t);
+        }
+        tetcast_cut_destroy(c);
+        tetcast_bricks_destroy(b);
+        free(values);
+    }
+}
+
+/* What stands before the volume hides all of it, what is behind nothing, what is within the rest: pixel by pixel. */
+TEST(depth_limits) {
+    enum { W = 40, H = 30 };
+    static float rgba[4][W * H * 4], limit[W * H];
+    const tetcast_lattice l = cube_lattice(26, 21, 23);
+    float *v = random_grid(&l, 5);
+    tetcast_bricks *b = make_bricks(&l, v, TETCAST_TYPE_F32, 3, 0);
+    tetcast_optics *o = flat_optics(0.05f, TETCAST_MODEL_VOLUME);
+    tetcast_cut *c = make_cut(b, NULL, 0);
+    tetcast_brick_render_desc d;
+    uint32_t i, cut = 0, open = 0;
+    double middle = 0.0, wrong = 0.0;
+    box_view(&d, &l, 1);
+    for (i = 0; i < 3; i++) middle += (d.camera.at[i] - d.camera.eye[i]) * (d.camera.at[i] - d.camera.eye[i]);
+    middle = sqrt(middle);
+    (void)picture(&d, c, o, W, H, rgba[0]);
+    for (i = 0; i < W * H; i++) limit[i] = i % 3 == 0 ? 1e-3f : i % 3 == 1 ? 1e9f : (float)middle;
+    d.limit = limit;
+    (void)picture(&d, c, o, W, H, rgba[1]);
+    d.limit = NULL;
+    d.clip_far = (float)middle;
+    (void)picture(&d, c, o, W, H, rgba[2]);
+    for (i = 0; i < W * H; i++) {
+        const float *got = rgba[1] + 4 * i;
+        if (i % 3 == 0) CHECK(got[0] == 0.0f && got[3] == 0.0f);
+        else if (i % 3 == 1) CHECK(memcmp(got, rgba[0] + 4 * i, 16) == 0);
+        else wrong = fmax(wrong, fabs((double)got[3] - (double)rgba[2][4 * i + 3]));
+        cut += i % 3 == 2 && got[3] > 0.0f && got[3] < 0.99f * rgba[0][4 * i + 3];
+        open += rgba[0][4 * i + 3] > 0.0f;
+    }
+    CHECK_MSG(wrong < 1e-6 && cut > open / 6, "%g, %u of %u", wrong, cut, open);
+    { /* tetrahedra, by the walk that shaders use */
+        tets m;
+        tetcast_mesh *mesh;
+        tetcast_shade_desc sd;
+        tetcast_image image;
+        static const double scale[3] = {5.0, 5.0, 4.4}, origin[3] = {0, 0, 0};
+        uint32_t k;
+        memset(&m, 0, sizeof m);
+        memset(&sd, 0, sizeof sd);
+        memset(&image, 0, sizeof image);
+        tets_lattice(&m, 6, 5, 6, 5, NULL);
+        tets_place(&m, scale, origin);
+        mesh = tets_build(&m, TETCAST_CELLS_TET16, NULL);
+        REQUIRE(mesh != NULL);
+        sd.camera = d.camera;
+        image.width = W;
+        image.height = H;
+        for (k = 0; k < 3; k++) {
+            sd.limit = k == 1 ? limit : NULL;
+            sd.clip_far = k == 2 ? (float)middle : 0.0f;
+            image.rgba = rgba[k];
+            CHECK_EQ_U64(tetcast_render_shaded(&sd, mesh, o, &image, NULL), TETCAST_OK);
+        }
+        for (i = cut = open = 0, wrong = 0.0; i < W * H; i++) {
+            const float *got = rgba[1] + 4 * i;
+            if (i % 3 == 0) CHECK(got[0] == 0.0f && got[3] == 0.0f);
+            else if (i % 3 == 1) CHECK(memcmp(got, rgba[0] + 4 * i, 16) == 0);
+            else wrong = fmax(wrong, fabs((double)got[3] - (double)rgba[2][4 * i + 3]));
+            cut += i % 3 == 2 && got[3] > 0.0f && got[3] < 0.99f * rgba[0][4 * i + 3];
+            open += rgba[0][4 * i + 3] > 0.0f;
+        }
+        CHECK_MSG(wrong < 1e-6 && cut > open / 6, "tetrahedra: %g, %u of %u", wrong, cut, open);
+        tetcast_mesh_destroy(mesh);
+        tets_free(&m);
+    }
+    tetcast_cut_destroy(c);
+    tetcast_bricks_destroy(b);
+    tetcast_optics_destroy(o);
+    free(v);
+}
+
+/* Bodies that lie in the sides of bricks, cross themselves, are open, or hold the eye: of the length that is left, or none that
+   is no number. */
+TEST(odd_clip_bodies) {
+    enum { W = 30, H = 24 };
+    static float rgba[W * H * 4], length[W * H];
+    const tetcast_lattice l = cube_lattice(25, 25, 25);
+    float *v = random_grid(&l, 5);
+    tetcast_bricks *b = make_bricks(&l, v, TETCAST_TYPE_F32, 3, 0);
+    tetcast_optics *o = flat_optics(0.05f, TETCAST_MODEL_VOLUME);
+    tetcast_cut *c = make_cut(b, NULL, 0);
+    int kind, view;
+    for (kind = 0; kind < 3; kind++) /* 0: one box of bricks; 1: two that overlap; 2: without two of its sides */
+        for (view = 0; view < 4; view++) { /* 3: the eye within */
+            double p[16][3];
+            uint32_t t[72], i;
+            tetcast_clip_body body;
+            tetcast_clip_desc cd;
+            tetcast_clip *clip = NULL;
+            tetcast_brick_render_desc d;
+            tetcast_image image;
+            double worst = 0.0;
+            int hits = 0;
+            cube_points(p, kind == 1 ? 4.0 : 8.0, kind == 1 ? 12.0 : 16.0);
+            cube_points(p + 8, 8.0, 16.0);
+            for (i = 0; i < 72; i++) t[i] = g_cube[i % 36] + (i < 36 ? 0 : 8);
+            memset(&body, 0, sizeof body);
+            memset(&cd, 0, sizeof cd);
+            memset(&image, 0, sizeof image);
+            body.points = (const double (*)[3])p;
+            body.point_count = 16;
+            body.indices = t;
+            body.triangle_count = kind == 0 ? 12 : kind == 1 ? 24 : 8;
+            cd.bodies = &body;
+            cd.body_count = 1;
+            REQUIRE(tetcast_clip_create(&cd, &clip) == TETCAST_OK);
+            box_view(&d, &l, view);
+            if (view == 3) {
+                d.camera.ortho_height = 0.0f;
+                d.camera.fov_y = 80.0f;
+                for (i = 0; i < 3; i++) d.camera.eye[i] = 9.5 + 0.1 * i;
+                d.camera.at[0] = 15.0;
+                d.camera.at[1] = d.camera.at[2] = 12.0;
+            }
+            d.clip = clip;
+            image.width = W;
+            image.height = H;
+            image.rgba = rgba;
+            image.length = length;
+            CHECK_EQ_U64(tetcast_render_bricks(&d, c, o, &image, NULL), TETCAST_OK);
+            for (i = 0; i < W * H; i++) {
+                tetcast_ray ray;
+                double ends[2][2], way = 0.0;
+                int box, k;
+                (void)tetcast_camera_ray(&d.camera, W, H, i % W + 0.5, i / W + 0.5, &ray);
+                for (box = 0; box < 2; box++) {
+                    ends[box][0] = 0.0;
+                    ends[box][1] = 1e30;
+                    for (k = 0; k < 3; k++) {
+                        const double lo = (p[8 * box][k] - ray.org[k]) / ray.dir[k], hi = (p[8 * box + 7][k] - ray.org[k]) / ray.dir[k];
+                        if (fabs(ray.dir[k]) < 1e-12) {
+                            if (ray.org[k] < p[8 * box][k] || ray.org[k] > p[8 * box + 7][k]) ends[box][1] = -1.0;
+                            continue;
+                        }
+                        ends[box][0] = fmax(ends[box][0], fmin(lo, hi));
+                        ends[box][1] = fmin(ends[box][1], fmax(lo, hi));
+                    }
+                    if (ends[box][1] > ends[box][0]) way += ends[box][1] - ends[box][0];
+                }
+                if (kind != 1) way *= 0.5; /* both are the same */
+                else way -= 2.0 * fmax(0.0, fmin(ends[0][1], ends[1][1]) - fmax(ends[0][0], ends[1][0])); /* hits 1 to 2 and 3 to 4 */
+                CHECK(length[i] >= 0.0f && length[i] < 100.0f && rgba[4 * i + 3] >= 0.0f && rgba[4 * i + 3] <= 1.0f);
+                CHECK_NEAR(rgba[4 * i + 3], 1.0 - exp(-0.05 * (double)length[i]), 1e-5);
+                worst = fmax(worst, fabs((double)length[i] - way));
+                hits += length[i] > 0.0f;
+            }
+            CHECK_MSG(hits > 0 && (kind == 2 || worst < 1e-3), "kind %d, view %d: off by %g, %d hits", kind, view, worst, hits);
+            tetcast_clip_destroy(clip);
+        }
+    tetcast_cut_destroy(c);
+    tetcast_bricks_destroy(b);
+    tetcast_optics_destroy(o);
+    free(v);
+}
+
+/* Tetrahedra, bricks and functions of one field: the more nodes, or the smaller the tolerance, the nearer. */
+TEST(nearer_with_bytes) {
+    enum { W = 48, H = 40, N = 7 };
+    static float want[W * H * 4], got[W * H * 4];
+    tets m;
+    tetcast_mesh *mesh;
+    tetcast_optics *o;
+    tetcast_transfer *t = NULL;
+    const tetcast_control_point p[3] = {{-1.0f, {1, 0, 0}, 0}, {0.2f, {0, 1, 0}, 0.2f}, {1.2f, {0, 0, 1}, 0.9f}};
+    tetcast_transfer_desc td;
+    tetcast_image image;
+    tetcast_render_desc rd;
+    double rms[2] = {1e9, 1e9}, first[2] = {0.0, 0.0};
+    uint64_t bytes[2] = {0, 0};
+    int step, kind;
+    size_t i;
+    memset(&m, 0, sizeof m);
+    memset(&td, 0, sizeof td);
+    memset(&rd, 0, sizeof rd);
+    memset(&image, 0, sizeof image);
+    tets_lattice(&m, N, N, N, 6, NULL);
+    for (i = 0; i < m.nv; i++) m.s[i] = (float)(sin(1.1 * m.p[3 * i]) * cos(0.9 * m.p[3 * i + 1]) + 0.3 * sin(0.8 * m.p[3 * i + 2]));
+    mesh = tets_build(&m, TETCAST_CELLS_TET16, NULL);
+    td.points = p;
+    td.point_count = 3;
+    REQUIRE(mesh != NULL && tetcast_transfer_create(&td, &t) == TETCAST_OK && tetcast_optics_create(t, NULL, &o) == TETCAST_OK);
+    rd.camera.eye[0] = 14.0;
+    rd.camera.eye[1] = 11.0;
+    rd.camera.eye[2] = 9.0;
+    for (i = 0; i < 3; i++) rd.camera.at[i] = 0.5 * (N - 1);
+    rd.camera.up[1] = 1.0;
+    rd.camera.fov_y = 40.0f;
+    image.width = W;
+    image.height = H;
+    image.rgba = want;
+    CHECK_EQ_U64(tetcast_render(&rd, mesh, o, &image, NULL), TETCAST_OK);
+    image.rgba = got;
+    for (step = 0; step < 4; step++)
+        for (kind = 0; kind < 2; kind++) {
+            double sum = 0.0;
+            uint64_t size;
+            if (kind == 0) {
+                tetcast_bricks_desc d;
+                tetcast_brick_render_desc q;
+                tetcast_bricks *b = NULL;
+                tetcast_cut *c;
+                memset(&d, 0, sizeof d);
+                memset(&q, 0, sizeof q);
+                d.longest = (8u << step) + 1;
+                d.log_cells = 3;
+                d.storage = TETCAST_TYPE_F32;
+                REQUIRE(tetcast_bricks_create_mesh(&d, mesh, NULL, &b) == TETCAST_OK);
+                c = make_cut(b, NULL, 0);
+                q.camera = rd.camera;
+                q.step = 0.5f;
+                CHECK_EQ_U64(tetcast_render_bricks(&q, c, o, &image, NULL), TETCAST_OK);
+                size = tetcast_bricks_file_size(b);
+                tetcast_cut_destroy(c);
+                tetcast_bricks_destroy(b);
+            } else {
+                static const float asked[4] = {0.3f, 0.1f, 0.03f, 0.01f};
+                tetcast_rbf_points points;
+                tetcast_rbf_fit_desc d;
+                tetcast_rbf_report report;
+                tetcast_rbf_render_desc q;
+                tetcast_rbf *f = NULL;
+                memset(&points, 0, sizeof points);
+                memset(&d, 0, sizeof d);
+                memset(&q, 0, sizeof q);
+                points.positions.data = m.p;
+                points.positions.type = TETCAST_TYPE_F64;
+                points.values.data = m.s;
+                points.components = 1;
+                points.count = m.nv;
+                points.tets = m.t;
+                points.tet_count = m.nt;
+                d.max_error = asked[step];
+                d.between = 1;
+                REQUIRE(tetcast_rbf_fit(&d, &points, &report, &f) == TETCAST_OK);
+                q.camera = rd.camera;
+                q.step = 0.05f;
+                CHECK_EQ_U64(tetcast_rbf_render(&q, f, o, &image, NULL), TETCAST_OK);
+                size = report.bytes;
+                tetcast_rbf_destroy(f);
+            }
+            for (i = 0; i < W * H * 4; i++) sum += ((double)got[i] - (double)want[i]) * ((double)got[i] - (double)want[i]);
+            sum = sqrt(sum / (W * H * 4));
+            if (getenv("TEST_PRINT") != NULL) printf("%s %d: %lu bytes, rms %g\n", kind ? "functions" : "bricks", step, (unsigned long)size, sum);
+            CHECK_MSG(sum < rms[kind] && size > bytes[kind], "kind %d, step %d: %g after %g, %lu bytes", kind, step, sum, rms[kind],
+                      (unsigned long)size);
+            if (step == 0) first[kind] = sum;
+            if (step == 3) CHECK_MSG(sum < first[kind] / 5.0 && sum < 0.01, "kind %d: %g at last, %g at first", kind, sum, first[kind]);
+            rms[kind] = sum;
+            bytes[kind] = size;
+        }
+    tetcast_optics_destroy(o);
+    tetcast_transfer_destroy(t);
+    tetcast_mesh_destroy(mesh);
+    tets_free(&m);
 }
 
 typedef struct probe_shader { int prepared; float density; } probe_shader;
@@ -3039,6 +3798,7 @@ int main(int argc, char **argv) {
     RUN(resample_against_brute_force);
     RUN(resample_on_vertices);
     RUN(resample_same_bits);
+    RUN(lone_cells);
     RUN(resample_extends);
     RUN(resample_keeps_the_integral);
     RUN(means_of_boxes);
@@ -3048,6 +3808,7 @@ int main(int argc, char **argv) {
     RUN(planes_and_sections);
     RUN(planes_in_perspective);
     RUN(bricks_sample_the_grid);
+    RUN(bad_grids);
     RUN(bricks_are_continuous);
     RUN(borders_agree);
     RUN(gradients_at_borders);
@@ -3057,12 +3818,20 @@ int main(int argc, char **argv) {
     RUN(levels_keep_linear_fields);
     RUN(errors_are_bounds);
     RUN(bricks_of_a_mesh);
+    RUN(layers_too_thin);
+    RUN(meshes_without_values);
     RUN(bricks_on_demand);
     RUN(brick_files);
+    RUN(largest_values);
     RUN(constant_medium);
+    RUN(reach_of_bins);
     RUN(brick_pictures_same_bits);
     RUN(bricks_look_like_tetrahedra);
     RUN(clip_spans);
+    RUN(pictures_against_rays);
+    RUN(depth_limits);
+    RUN(odd_clip_bodies);
+    RUN(nearer_with_bytes);
     RUN(many_parts);
     RUN(shaders);
     RUN(shaders_same_bits);

@@ -293,6 +293,19 @@ TEST(edges_of_values) { /* plateaus, values equal to the isovalue, out of range,
     tetcast_surface_free(&s);
     tetcast_mesh_destroy(mesh);
     tets_free(&m);
+    for (n = 0; n < 2; n++) { /* the largest mesh whose positions are floats, and a larger one */
+        size_t i;
+        make_ball(&m, 9, 5, 0.0);
+        for (i = 0; i < 3 * m.nv; i++) m.p[i] *= n ? 5e38 : 2e37;
+        mesh = tets_build(&m, TETCAST_CELLS_TET16, NULL);
+        REQUIRE(mesh != NULL);
+        CHECK_EQ_U64(run(mesh, 6.0f, 1, 0, &s), n ? TETCAST_ERR_RANGE : TETCAST_OK);
+        for (i = 0; i < 3 * (size_t)s.vertex_count; i++) CHECK(fabs((double)s.positions[i]) < 3.4e38);
+        CHECK((s.triangle_count == 0) == (n == 1));
+        tetcast_surface_free(&s);
+        tetcast_mesh_destroy(mesh);
+        tets_free(&m);
+    }
 }
 
 int main(int argc, char **argv) {

@@ -512,6 +512,45 @@ static tetcast_result rbf_picture(world *w, const tetcast_env *env) {
     return tetcast_rbf_render(&d, w->rbf, w->optics, &w->image, NULL);
 }
 
+/* A file is there as a whole or not at all; what is read from it is the model. */
+static tetcast_result rbf_files(world *w, const tetcast_env *env) {
+    const char *path = test_temp_path(".rbf");
+    tetcast_rbf *m = NULL;
+    tetcast_result r = tetcast_rbf_save_file(w->rbf, env, path);
+    size_t size = 0;
+    uint8_t *p = test_read_file(path, &size);
+    CHECK((r == TETCAST_OK) == (p != NULL));
+    free(p);
+    if (r == TETCAST_OK) r = tetcast_rbf_load_file(env, path, &m);
+    CHECK((r == TETCAST_OK) == (m != NULL));
+    if (m != NULL) {
+        tetcast_rbf_info a, b;
+        tetcast_rbf_get_info(w->rbf, &a);
+        tetcast_rbf_get_info(m, &b);
+        CHECK(a.function_count == b.function_count && a.file_bytes == b.file_bytes);
+    }
+    tetcast_rbf_destroy(m);
+    (void)remove(path);
+    return r;
+}
+
+static tetcast_result traces(world *w, const tetcast_env *env) {
+    tetcast_rbf_function f[40];
+    tetcast_rbf_desc d = functions_desc(f, 3);
+    tetcast_rbf_trace_desc td;
+    tetcast_rbf *m = NULL;
+    tetcast_result r;
+    static double paths[POINTS * 9 * 3];
+    memset(&td, 0, sizeof td);
+    d.env = td.env = *env;
+    td.dt = 0.01;
+    td.steps = 8;
+    r = tetcast_rbf_create(&d, &m);
+    if (r == TETCAST_OK) r = tetcast_rbf_trace(&td, m, w->points[0], POINTS, paths, NULL, NULL);
+    tetcast_rbf_destroy(m);
+    return r;
+}
+
 /* ---- all of them ---- */
 
 static const struct call { const char *name; tetcast_result (*run)(world *w, const tetcast_env *env); uint32_t least; } call[] = {
@@ -522,7 +561,8 @@ static const struct call { const char *name; tetcast_result (*run)(world *w, con
     {"bricks of refined cells", bricks_of_amr, 3},
     {"bricks of functions", bricks_of_rbf, 3}, {"refined cells", amr, 3}, {"file of bricks", read_bricks, 3}, {"cut", cut, 3}, {"clip", clip, 2},
     {"shaded mesh", shaded_mesh, 2}, {"shaded bricks", shaded_bricks, 2}, {"picture of bricks", brick_picture, 2}, {"picture by walking", walked, 1},
-    {"picture by projecting", projected, 3}, {"rays", rays, 1}, {"functions", rbf, 3}, {"picture of functions", rbf_picture, 1}
+    {"picture by projecting", projected, 3}, {"rays", rays, 1}, {"functions", rbf, 3}, {"picture of functions", rbf_picture, 1},
+    {"files of functions", rbf_files, 3}, {"traces", traces, 4}
 };
 
 typedef struct one_call { world *w; uint32_t which; } one_call;

@@ -286,12 +286,49 @@ TEST(bounds_hold) {
     }
 }
 
+/* Across faces of the cells that lists belong to, a little on both sides: no seam but the slope. */
+TEST(no_seams) {
+    enum { N = 400 };
+    static double p[2][3 * N];
+    static float v[2][N], j[3 * N];
+    uint32_t kernel, i;
+    for (kernel = 0; kernel < TETCAST_KERNEL_COUNT; kernel++) {
+        tetcast_rbf_desc d = random_desc(21 + kernel, 1500, 1, 0.02, 0.3, -1.0);
+        test_rng r = test_rng_make(kernel);
+        tetcast_rbf *m;
+        double worst = 0.0;
+        d.kernel = (tetcast_kernel)kernel;
+        d.epsilon = 1e-4f;
+        m = make(&d);
+        REQUIRE(m != NULL);
+        CHECK(m->tree_depth >= 2);
+        for (i = 0; i < N; i++) {
+            const uint32_t a = i % 3, cells = 1u << (1 + test_rng_below(&r, m->tree_depth));
+            uint32_t k;
+            for (k = 0; k < 3; k++) p[0][3 * i + k] = p[1][3 * i + k] = -1.0 + 2.0 * test_rng_double(&r);
+            p[0][3 * i + a] = -1.0 + 2.0 * (double)(1 + test_rng_below(&r, cells - 1)) / cells;
+            p[1][3 * i + a] = p[0][3 * i + a] + 1e-7;
+            p[0][3 * i + a] -= 1e-7;
+        }
+        CHECK(eval(m, TETCAST_ISA_AUTO, 0, 1, p[0], N, v[0], j) == TETCAST_OK);
+        CHECK(eval(m, TETCAST_ISA_AUTO, 0, 1, p[1], N, v[1], NULL) == TETCAST_OK);
+        for (i = 0; i < N; i++) {
+            double all;
+            (void)value_oracle(&d, p[0] + 3 * i, 0, &all);
+            /* rounding of places, 2^-24, moves a value as well */
+            worst = fmax(worst, (fabs((double)v[1][i] - (double)v[0][i]) - 5e-7 * fabs((double)j[3 * i + i % 3])) / (1.0 + all));
+        }
+        CHECK_MSG(worst < (kernel == TETCAST_KERNEL_GAUSS_CUT ? 1e-3 : 2e-5), "kernel %u: %g", kernel, worst);
+        tetcast_rbf_destroy(m);
+    }
+}
+
 /* Widths from far too small to far too large, weights of any size; places far from the origin. */
 TEST(extremes) {
     tetcast_rbf_desc d = random_desc(4, 200, 1, 1e-5, 1e5, 0.0);
     tetcast_rbf *m;
     double p[3 * 100];
-    float v[100], near_v[100];
+    float v[100], near_v[100], j[300], near_j[300];
     uint32_t i, k;
     test_rng r = test_rng_make(6);
     for (i = 0; i < 200; i++) g_f[i].weight[0] = (float)pow(10.0, (double)test_rng_range(&r, -30.0f, 30.0f));
@@ -307,7 +344,11 @@ TEST(extremes) {
         m = make(&d);
         REQUIRE(m != NULL);
         random_points(p, 100, &d, 2);
-        CHECK(tetcast_rbf_eval(NULL, m, p, 100, v, NULL) == TETCAST_OK);
+        CHECK(tetcast_rbf_eval(NULL, m, p, 100, v, j) == TETCAST_OK);
+        for (i = 0; i < 300; i++) { /* slopes: up to 10 each; places are 2^-22 apart at 2^30 */
+            if (k == 0) near_j[i] = j[i];
+            else CHECK_NEAR(j[i], near_j[i], k == 1 ? 1e-4 : 1e-3);
+        }
         for (i = 0; i < 100; i++) {
             if (k == 0) near_v[i] = v[i];
             else CHECK_NEAR(v[i], near_v[i], 1e-4);
@@ -1065,6 +1106,20 @@ TEST(flows) {
     CHECK_NEAR(f.lambda2, 4.0, 1e-5);
     features(none, &f);
     CHECK(f.lambda2 == 0.0f);
+    for (t = 1; t < 40; t++) { /* a vortex of Lamb and Oseen with a core of 1: lambda2 is strain^2 - spin^2, twice */
+        const double r2 = 0.05 * t * t * 0.05 * 4.0, e = exp(-r2), turn = 0.3 * t, x = sqrt(r2) * cos(turn), y = sqrt(r2) * sin(turn);
+        const double way = (1.0 - e) / r2, slope = 2.0 * (e - way) / r2; /* speed / r, and its derivative by r, over r */
+        const double spin = e, strain = 0.5 * slope * r2;
+        memset(j, 0, sizeof j); /* velocity: way * (-y, x, 0) */
+        j[0] = -y * slope * x;
+        j[1] = -way - y * slope * y;
+        j[3] = way + x * slope * x;
+        j[4] = x * slope * y;
+        features(j, &f);
+        CHECK_NEAR(f.vorticity[2], 2.0 * spin, 1e-5);
+        CHECK_MSG(fabs((double)f.lambda2 - (strain * strain - spin * spin)) < 1e-4 * (strain * strain + spin * spin), "r2 %g: %g instead of %g", r2,
+                  (double)f.lambda2, strain * strain - spin * spin);
+    }
     for (t = 0; t < 2000; t++) { /* the characteristic polynomial vanishes there and one root lies on each side; scales */
         double m[9], q, a, b, c, x, value, slope;
         int k, l;
@@ -1157,6 +1212,57 @@ TEST(traces) {
     CHECK(tetcast_rbf_trace(&t, m, seed, 1, path, length, end) == TETCAST_OK && end[0] == TETCAST_TRACE_SLOW && length[0] == 1);
     t.dt = 0.0;
     CHECK(tetcast_rbf_trace(&t, m, seed, 1, path, length, end) == TETCAST_ERR_INVALID_ARG);
+    tetcast_rbf_destroy(m);
+}
+
+/* A field that bends, of functions: Euler's steps go where they go in double, the others where far smaller ones do. */
+TEST(traces_in_functions) {
+    enum { SEEDS = 4, MOST_STEPS = 64 };
+    static const tetcast_stepper steppers[3] = {TETCAST_STEPPER_EULER, TETCAST_STEPPER_RK4, TETCAST_STEPPER_DOPRI5};
+    tetcast_rbf_desc d = random_desc(41, 30, 3, 0.4, 0.8, 2.0);
+    static double path[SEEDS * 3 * (MOST_STEPS + 1)];
+    double seed[3 * SEEDS];
+    tetcast_trace_end end[SEEDS];
+    uint32_t length[SEEDS], i, k, s, a;
+    tetcast_rbf *m = make(&d);
+    REQUIRE(m != NULL);
+    for (i = 0; i < 3 * SEEDS; i++) seed[i] = 2.8 + 0.1 * (double)(i * 7 % 5);
+    for (k = 0; k < 3; k++)
+        for (s = 0; s < 2; s++) {
+            const uint32_t steps = k == 2 ? 8 : s ? 64 : 16, fine = k == 0 ? 1 : 16;
+            tetcast_rbf_trace_desc t;
+            double worst = 0.0, moved = 0.0;
+            memset(&t, 0, sizeof t);
+            t.stepper = steppers[k];
+            t.steps = steps;
+            t.dt = 0.25 / (double)steps;
+            CHECK(tetcast_rbf_trace(&t, m, seed, SEEDS, path, length, end) == TETCAST_OK);
+            for (i = 0; i < SEEDS; i++) { /* Euler against Euler, the others against small steps of the fourth order */
+                double p[3], all;
+                uint32_t n;
+                memcpy(p, seed + 3 * i, sizeof p);
+                CHECK(length[i] == steps + 1 && end[i] == TETCAST_TRACE_STEPS);
+                for (n = 0; n < steps * fine; n++) {
+                    const double h = t.dt / fine;
+                    double slope[4][3], q[3];
+                    uint32_t stage;
+                    for (stage = 0; stage < (k == 0 ? 1u : 4u); stage++) {
+                        const double at = stage == 0 ? 0.0 : stage == 3 ? h : 0.5 * h;
+                        for (a = 0; a < 3; a++) q[a] = p[a] + (stage ? at * slope[stage - 1][a] : 0.0);
+                        for (a = 0; a < 3; a++) slope[stage][a] = value_oracle(&d, q, a, &all);
+                    }
+                    for (a = 0; a < 3; a++)
+                        p[a] += k == 0 ? h * slope[0][a]
+                                       : h / 6.0 * (slope[0][a] + 2.0 * slope[1][a] + 2.0 * slope[2][a] + slope[3][a]);
+                }
+                for (a = 0; a < 3; a++) {
+                    const double e = fabs(path[3 * ((size_t)i * (steps + 1) + steps) + a] - p[a]);
+                    worst = fmax(worst, e);
+                    moved = fmax(moved, fabs(p[a] - seed[3 * i + a]));
+                }
+            }
+            CHECK_MSG(worst < 1e-5 && moved > 0.3, "stepper %u, %u steps: off by %g of %g", k, steps, worst, moved);
+        }
     tetcast_rbf_destroy(m);
 }
 
@@ -1630,6 +1736,7 @@ int main(int argc, char **argv) {
     RUN(derivatives);
     RUN(bases);
     RUN(bounds_hold);
+    RUN(no_seams);
     RUN(extremes);
     RUN(files);
     RUN(promise);
@@ -1643,6 +1750,7 @@ int main(int argc, char **argv) {
     RUN(odd_data);
     RUN(flows);
     RUN(traces);
+    RUN(traces_in_functions);
     RUN(pictures);
     RUN(sphere);
     RUN(shaded_functions);

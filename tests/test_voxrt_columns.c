@@ -696,6 +696,60 @@ TEST(triangles_far_outside) { /* a floor of 10^6 cells, cut before it is snapped
     voxrt_columns_destroy(c);
 }
 
+/* Closed tetrahedra with corners up to 10^7 cells above and below the grid: THIN cells are part of SOLID ones, and what
+   else there is has its centre inside, by its side of the four planes. */
+TEST(solids_far_outside) {
+    static const uint32_t index[12] = {0, 2, 1, 0, 1, 3, 1, 2, 3, 2, 0, 3};
+    int round;
+    rng_state = 77;
+    for (round = 0; round < 60; round++) {
+        voxrt_columns *solid = make(32, 16, 64), *thin = make(32, 16, 64);
+        voxrt_columns_insert_stats stats;
+        const double reach = pow(10.0, rnd_in(4.5, 7.0));
+        uint32_t a, b, lost = 0, wrong = 0, within = 0;
+        int x, y, z;
+        float p[4][3];
+        memset(&stats, 0, sizeof stats);
+        for (a = 0; a < 4; a++) {
+            p[a][0] = (float)(16 + rnd_in(-12, 12));
+            p[a][1] = (float)(8 + rnd_in(-12, 12));
+            p[a][2] = (float)(32 + rnd_in(-20, 20));
+        }
+        p[round & 3][2] = (float)(round & 4 ? reach : -reach);
+        if (round & 8) p[(round + 1) & 3][2] = (float)(round & 16 ? reach : -reach);
+        if (round % 5 == 0) p[(round + 2) & 3][0] = (float)reach;
+        CHECK(insert(solid, VOXRT_COLUMNS_SOLID, p[0], index, 4, 4, 0, &stats) == VOXRT_OK);
+        CHECK(insert(thin, VOXRT_COLUMNS_THIN, p[0], index, 4, 4, 0, NULL) == VOXRT_OK);
+        CHECK_EQ_U64(stats.open_columns, 0);
+        for (z = 0; z < 64; z++)
+            for (y = 0; y < 16; y++)
+                for (x = 0; x < 32; x++) {
+                    const double q[3] = {x + 0.5, y + 0.5, z + 0.5};
+                    uint32_t plus = 0, minus = 0;
+                    lost += (uint32_t)(get(thin, x, y, z) && !get(solid, x, y, z));
+                    for (a = 0; a < 4; a++) {
+                        double u[3], v[3], w[3], n[3], side, way;
+                        for (b = 0; b < 3; b++) {
+                            u[b] = (double)p[index[3 * a + 1]][b] - (double)p[index[3 * a]][b];
+                            v[b] = (double)p[index[3 * a + 2]][b] - (double)p[index[3 * a]][b];
+                            w[b] = q[b] - (double)p[index[3 * a]][b];
+                        }
+                        for (b = 0; b < 3; b++) n[b] = u[(b + 1) % 3] * v[(b + 2) % 3] - u[(b + 2) % 3] * v[(b + 1) % 3];
+                        side = n[0] * w[0] + n[1] * w[1] + n[2] * w[2];
+                        way = 0.02 * (fabs(n[0]) + fabs(n[1]) + fabs(n[2])); /* corners are moved by up to 1/512 */
+                        plus += side > way;
+                        minus += side < 0 - way;
+                    }
+                    within += plus == 4 || minus == 4;
+                    if (plus == 4 || minus == 4) wrong += (uint32_t)!get(solid, x, y, z);
+                    if (plus > 0 && minus > 0 && !get(thin, x, y, z)) wrong += (uint32_t)(get(solid, x, y, z) != 0);
+                }
+        CHECK_MSG(lost == 0 && wrong == 0, "round %d: %u thin cells are lost, %u are wrong of %u", round, lost, wrong, within);
+        voxrt_columns_destroy(solid);
+        voxrt_columns_destroy(thin);
+    }
+}
+
 TEST(threads_and_order_do_not_matter) {
     static closed m;
     voxrt_columns *c[4];
@@ -1122,6 +1176,38 @@ TEST(rays_explained) { /* what a ray looks at follows on each other, is what the
     voxrt_columns_destroy(c);
 }
 
+TEST(times_of_hits_are_finite) { /* rays with directions next to 0 take longer than floats can say: they miss, to all that look */
+    enum { N = 64 };
+    static const voxrt_isa isa[4] = {VOXRT_ISA_SCALAR, VOXRT_ISA_SSE, VOXRT_ISA_AVX2, VOXRT_ISA_AVX512};
+    voxrt_columns *c = make(128, 64, 128);
+    voxrt_ray rays[N];
+    voxrt_column_hit hit[4][N];
+    uint8_t occluded[N];
+    uint32_t i, k, hits = 0;
+    rng_state = 61;
+    hall(c, 0.002);
+    for (i = 0; i < N; i++) {
+        rays[i] = random_ray(c, 9);
+        for (k = 0; k < 3; k++) /* towards the grid; from the longest times on */
+            rays[i].dir[k] = (float)ldexp(rnd_in(0, c->size[k]) - (double)rays[i].org[k], -122 - (int)(i % 24));
+        rays[i].t_min = 0;
+        rays[i].t_max = INFINITY;
+    }
+    for (k = 0; k < 4; k++) {
+        voxrt_columns_trace_desc d;
+        memset(&d, 0, sizeof d);
+        d.isa = isa[k];
+        CHECK(voxrt_columns_trace(c, &d, rays, hit[k], N) == VOXRT_OK && voxrt_columns_occluded(c, &d, rays, occluded, N) == VOXRT_OK);
+        for (i = 0; i < N; i++) {
+            CHECK_MSG(occluded[i] == (hit[k][i].t < INFINITY), "isa %u, ray %u: any hit %u, first at %g", k, i, occluded[i], (double)hit[k][i].t);
+            hits += hit[k][i].t < INFINITY;
+        }
+        CHECK(memcmp(hit[0], hit[k], sizeof hit[0]) == 0);
+    }
+    CHECK_MSG(hits > N / 2 && hits < 4 * N, "%u", hits);
+    voxrt_columns_destroy(c);
+}
+
 TEST(a_hit_lies_on_its_face) {
     voxrt_columns *c = make(128, 64, 128);
     uint32_t i, k, hits = 0;
@@ -1291,6 +1377,7 @@ int main(int argc, char **argv) {
     RUN(open_meshes_get_no_inside);
     RUN(samples_of_surfaces);
     RUN(triangles_far_outside);
+    RUN(solids_far_outside);
     RUN(threads_and_order_do_not_matter);
     RUN(still_and_moving);
     RUN(rays_hit_what_plain_stepping_hits);
@@ -1301,6 +1388,7 @@ int main(int argc, char **argv) {
 #endif
     RUN(rays_in_all_ways_the_same);
     RUN(rays_explained);
+    RUN(times_of_hits_are_finite);
     RUN(a_hit_lies_on_its_face);
     RUN(tangent_planes_instead_of_offsets);
     RUN(memory);

@@ -1,4 +1,4 @@
-/* test_voxrt_memory.c - files, pages and volumes with each request for memory refused once and with all from one on:
+/* test_voxrt_memory.c - files, pages, volumes and models with each request for memory refused once and with all from one on:
    NO_MEMORY, nothing leaks, no file is left half written; buffers for global illumination from geometry; names.
    SPDX-License-Identifier: MIT OR Unlicense */
 #include "test.h"
@@ -225,9 +225,69 @@ static voxrt_result scene(world *w, const voxrt_env *env) {
     return r;
 }
 
+/* A model from nothing, changed in all ways, and its tree; a blurred picture. */
+static voxrt_result model(world *w, const voxrt_env *env) {
+    static const double lo[3] = {-0.9, -0.3, -0.3}, hi[3] = {0.9, 0.4, 0.5};
+    voxrt_model_desc d;
+    voxrt_edit_desc e;
+    voxrt_build_desc b;
+    voxrt_finish mirror;
+    voxrt_voxel v[40];
+    voxrt_model *m = NULL;
+    voxrt_tree *t = NULL;
+    voxrt_result r;
+    uint32_t i;
+    memset(&d, 0, sizeof d);
+    memset(&e, 0, sizeof e);
+    memset(&b, 0, sizeof b);
+    memset(&mirror, 0, sizeof mirror);
+    memset(v, 0, sizeof v);
+    d.env = e.env = b.env = *env;
+    d.depth = 6;
+    d.box_min[0] = d.box_min[1] = d.box_min[2] = -1.2;
+    d.box_size = 2.4;
+    mirror.mirror[0] = 1;
+    for (i = 0; i < 40; i++) {
+        v[i].x = i;
+        v[i].y = 60;
+        v[i].z = i;
+        v[i].rgb[i % 3] = (uint8_t)(6 * i);
+    }
+    r = voxrt_model_create(&d, &m);
+    CHECK((r == VOXRT_OK) == (m != NULL));
+    e.finish = &mirror;
+    if (r == VOXRT_OK) r = voxrt_model_box(m, &e, lo, hi, NULL);
+    e.finish = NULL;
+    if (r == VOXRT_OK) r = voxrt_model_mesh(m, &e, &w->mesh, NULL);
+    if (r == VOXRT_OK) r = voxrt_model_voxels(m, &e, v, 40, NULL);
+    e.op = VOXRT_EDIT_PAINT;
+    if (r == VOXRT_OK) r = voxrt_model_sphere(m, &e, lo, 0.5, NULL);
+    e.op = VOXRT_EDIT_CLEAR;
+    if (r == VOXRT_OK) r = voxrt_model_mesh(m, &e, &w->mesh, NULL);
+    if (r == VOXRT_OK) r = voxrt_tree_from_model(&b, m, &t);
+    CHECK((r == VOXRT_OK) == (t != NULL));
+    voxrt_tree_destroy(t);
+    voxrt_model_destroy(m);
+    return r;
+}
+
+static voxrt_result blur(world *w, const voxrt_env *env) {
+    static float rgba[SIDE * SIDE * 4];
+    voxrt_image image;
+    voxrt_blur_desc d;
+    (void)w;
+    memset(&image, 0, sizeof image);
+    memset(&d, 0, sizeof d);
+    d.env = *env;
+    image.width = image.height = SIDE;
+    image.rgba = rgba;
+    return voxrt_blur(&d, &image);
+}
+
 static const struct call { const char *name; voxrt_result (*run)(world *w, const voxrt_env *env); uint32_t least; } call[] = {
     {"save a tree", save_tree, 3}, {"load a tree", load_tree, 3}, {"save an octree", save_octree, 1}, {"load an octree", load_octree, 2},
-    {"save pages", save_pages, 3}, {"build pages", build_pages, 5}, {"draw pages", draw_pages, 3}, {"points", points, 3}, {"scene", scene, 5}
+    {"save pages", save_pages, 3}, {"build pages", build_pages, 5}, {"draw pages", draw_pages, 3}, {"points", points, 3}, {"scene", scene, 5},
+    {"model", model, 10}, {"blur", blur, 1}
 };
 
 typedef struct one_call { world *w; uint32_t which; } one_call;

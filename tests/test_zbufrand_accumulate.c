@@ -462,6 +462,27 @@ TEST(bad_pixels_are_left_out) {
     }
 }
 
+TEST(nothing_overflows) { /* colours without the alpha that belongs to them, made as bright as floats go */
+    static const float pixel[4][4] = {{1e15f, -1e15f, 0, 1e-45f}, {1e15f, 1, 0, 0}, {0, 0, 0, 1e-45f}, {1e-3f, 0.5f, 0.25f, 0.5f}};
+    static const float want[4] = {2e-3f, 1, 0.5f, 1};
+    zbufrand_accumulator_desc d = defaults(2, 2, ZBUFRAND_ACCUMULATE_MEAN);
+    zbufrand_accumulator *a = NULL;
+    float out[4][4], contrast;
+    int i;
+    CHECK_EQ_U64(zbufrand_accumulator_create(&d, &a), ZBUFRAND_OK);
+    REQUIRE(a != NULL);
+    CHECK_EQ_U64(zbufrand_accumulator_add(a, pixel[0], NULL, NULL), ZBUFRAND_OK);
+    for (contrast = -1; contrast < 2e38f; contrast = contrast < 0 ? 2 : contrast * 1e19f) {
+        CHECK_EQ_U64(zbufrand_accumulator_get(a, contrast, out[0]), ZBUFRAND_OK);
+        for (i = 0; i < 16; i++) {
+            const double x = (double)out[i / 4][i % 4];
+            CHECK_MSG(fabs(x) < 2e38, "contrast %g: number %d is %g", (double)contrast, i, x);
+        }
+        CHECK(memcmp(out[3], want, sizeof want) == 0);
+    }
+    zbufrand_accumulator_destroy(a);
+}
+
 TEST(same_bits) {
     enum { W = 70, H = 45, N = W * H };
     static float frame[4 * N], out[4 * N], depth[N];
@@ -571,6 +592,7 @@ int main(int argc, char **argv) {
     RUN(history_follows_the_camera);
     RUN(what_comes_into_view_is_new);
     RUN(bad_pixels_are_left_out);
+    RUN(nothing_overflows);
     RUN(same_bits);
     RUN(errors);
     return test_end();

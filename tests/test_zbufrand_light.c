@@ -211,8 +211,52 @@ static zbufrand_result edited(const world *w, const zbufrand_env *env) { /* the 
     return r;
 }
 
+static zbufrand_result mended(const world *w, const zbufrand_env *env) { /* a wall with holes; a picture that is not mended stays as it was */
+    static float rgba[40 * 40 * 4], depth[40 * 40];
+    zbufrand_suspect_desc d;
+    zbufrand_suspect list[400];
+    zbufrand_result r;
+    size_t n = 0, i;
+    (void)w;
+    memset(&d, 0, sizeof d);
+    d.env = *env;
+    d.width = d.height = 40;
+    for (i = 0; i < 40 * 40; i++) {
+        depth[i] = i % 7 == 0 ? INFINITY : 1;
+        rgba[4 * i] = rgba[4 * i + 3] = i % 7 == 0 ? 0.0f : 1.0f;
+    }
+    r = zbufrand_find_suspects(&d, depth, list, 400, &n);
+    CHECK((r == ZBUFRAND_OK) == (n != 0) && n <= 400);
+    if (r == ZBUFRAND_OK) r = zbufrand_mend(&d, rgba, depth, list, n);
+    for (i = 40; i < 39 * 40; i++) {
+        const int border = i % 40 == 0 || i % 40 == 39;
+        CHECK(border || (depth[i] < INFINITY) == (i % 7 != 0 || r == ZBUFRAND_OK));
+    }
+    return r;
+}
+
+static zbufrand_result lists(const world *w, const zbufrand_env *env) { /* nodes that come into lists one by one */
+    zbufrand_scene_desc d;
+    zbufrand_scene *s = NULL;
+    zbufrand_result r;
+    zbufrand_node node[20], list;
+    int i;
+    memset(&d, 0, sizeof d);
+    d.env = *env;
+    r = zbufrand_scene_create(&d, &s);
+    if (r == ZBUFRAND_OK) r = zbufrand_add_list(s, ZBUFRAND_ROOT, NULL, 0, &list);
+    for (i = 0; i < 20 && r == ZBUFRAND_OK; i++) {
+        r = i % 2 ? zbufrand_add_reference(s, 0, NULL, node[0], &node[i]) : zbufrand_add_mesh(s, 0, NULL, 0, &w->mesh, &node[i]);
+        if (r == ZBUFRAND_OK) r = zbufrand_list_append(s, list, node[i]);
+    }
+    if (r == ZBUFRAND_OK) r = zbufrand_scene_build(s, NULL, NULL);
+    zbufrand_scene_destroy(s);
+    return r;
+}
+
 static const struct call { const char *name; zbufrand_result (*run)(const world *w, const zbufrand_env *env); uint32_t least; } call[] = {
-    {"points", points_of_scene, 5}, {"page of points", whole_page, 5}, {"choices", choices, 5}, {"edits", edited, 5}
+    {"points", points_of_scene, 5}, {"page of points", whole_page, 5}, {"choices", choices, 5}, {"edits", edited, 5},
+    {"suspects", mended, 2}, {"lists", lists, 5}
 };
 
 typedef struct one_call { world *w; uint32_t which; } one_call;

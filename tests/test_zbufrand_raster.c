@@ -337,6 +337,36 @@ TEST(ground_once) {
     }
 }
 
+/* Corners from 10^-20 to 10^30 away, before and behind, the near plane next to 0: the plain way and the vector way give
+   the same, and no depth is nearer than the near plane, or none. */
+TEST(near_and_far_at_once) {
+    static const double near_z[] = {0.0, 1e-30, 1e-6, 3.0};
+    static const uint8_t index[3] = {0, 1, 2};
+    test_rng g = test_rng_make(16);
+    uint32_t n, k, drawn = 0, behind = 0;
+    for (n = 0; n < (test_quick() ? 4000u : 100000u); n++) {
+        view v[2];
+        float p[9];
+        for (k = 0; k < 9; k++)
+            p[k] = (float)(pow(10.0, 50.0 * test_rng_double(&g) - 20.0) * (test_rng_double(&g) < 0.5 ? -1 : 1));
+        if (n & 1) for (k = 0; k < 9; k++) if (test_rng_double(&g) < 0.5) p[k] = (float)(8.0 * test_rng_double(&g) - 4.0);
+        for (k = 0; k < 2; k++) {
+            view_open(&v[k], 24, 18, 20.0, near_z[n / 2 % 4], k ? 3 : 1);
+            (void)zbufrandi_raster_cluster(&v[k].r, p, 3, index, 1, 1, 0);
+        }
+        CHECK_MSG(memcmp(v[0].keys.key, v[1].keys.key, 24 * 18 * 8) == 0, "triangle %u", n);
+        for (k = 0; k < 24 * 18; k++) {
+            const uint64_t key = v[0].keys.key[k];
+            if (key == ZBUFRANDI_EMPTY) continue;
+            drawn++;
+            behind += !(zbufrandi_key_depth(key) >= v[0].r.near_z && zbufrandi_key_depth(key) <= 1e37f);
+        }
+        for (k = 0; k < 2; k++) view_close(&v[k]);
+    }
+    CHECK(drawn > 10000);
+    CHECK_EQ_U64(behind, 0);
+}
+
 /* Triangles anywhere around the camera against rays in double; pixels within a hundredth of an edge are not judged. */
 TEST(clipped_against_rays) {
     test_rng g = test_rng_make(7);
@@ -679,6 +709,7 @@ int main(int argc, char **argv) {
     RUN(closed_surfaces);
     RUN(planes_once);
     RUN(ground_once);
+    RUN(near_and_far_at_once);
     RUN(clipped_against_rays);
     RUN(same_bits);
     RUN(same_projection);

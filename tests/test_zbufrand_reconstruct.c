@@ -1796,6 +1796,7 @@ TEST(suspects_same_bits) { /* and by definition */
         d.wrong_count = test_rng_below(&r, 2) ? 0 : 2 + test_rng_below(&r, 8);
         d.hole_rounds = test_rng_below(&r, 9);
         for (i = 0; i < w * h; i++) depth[i] = test_rng_below(&r, 3) == 0 ? INF_F : 1.0f + 0.02f * (float)test_rng_below(&r, 4) + (float)test_rng_below(&r, 2);
+        for (i = 0; i < w * h && k % 3 == 2; i += 1 + test_rng_below(&r, 20)) depth[i] = (float)NAN; /* empty, too */
         d.env.thread_count = 1;
         d.isa = ZBUFRAND_ISA_SCALAR;
         CHECK_EQ_U64(zbufrand_find_suspects(&d, depth, a, (size_t)w * h, &n), ZBUFRAND_OK);

@@ -781,6 +781,117 @@ TEST(reported_share_is_incomplete) {
     zbufrand_frame_destroy(frame);
 }
 
+/* Bodies, hills, leaves or walls, of any size and fineness; *centre: about where they are, *radius: how far they go. */
+static void random_scene(shape *s, test_rng *r, uint32_t kind, double centre[3], double *radius) {
+    uint32_t i, n;
+    size_t v;
+    memset(s, 0, sizeof *s);
+    for (i = 0; i < 3; i++) centre[i] = kind == 2 ? 0.5 : 0;
+    *radius = kind == 0 ? 2.5 : kind == 1 ? 3 : kind == 2 ? 0.9 : 2;
+    if (kind == 0) {
+        n = 2 + test_rng_below(r, 5);
+        for (i = 0; i < n; i++) {
+            const double x = 4 * test_rng_double(r) - 2, y = 4 * test_rng_double(r) - 2, z = 4 * test_rng_double(r) - 2, size = 0.3 + test_rng_double(r);
+            const uint32_t rings = 6 + test_rng_below(r, 50);
+            if (test_rng_below(r, 3) == 0) shape_torus(s, x, y, z, size, 0.4 * size, 2 * rings, rings);
+            else shape_sphere(s, x, y, z, size, rings);
+        }
+    } else if (kind == 1) hills(s, 20 + test_rng_below(r, 100));
+    else if (kind == 2) soup(s, r, 100u << test_rng_below(r, 7), 0.02 * pow(12, test_rng_double(r)), 1);
+    else walls(s, 10 + test_rng_below(r, 90));
+    if (kind == 1) {
+        const double high = 0.3 + 2 * test_rng_double(r);
+        for (v = 0; v < s->vertices; v++) s->p[3 * v + 1] = (float)((double)s->p[3 * v + 1] * high);
+    }
+}
+
+/* The same for scenes, cameras, tolerances and ways that are all drawn at random. Samples alone that are independent fail most often:
+   there the number says the most. */
+TEST(tolerance_of_random_scenes) {
+    enum { W = 64, H = 48, N = W * H, K = 3, SEEDS = 4 };
+    const uint32_t count = test_quick() ? 24 : 240;
+    zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
+    double reported[2] = {0, 0};
+    uint32_t bad[2] = {0, 0}, pictures[2] = {0, 0}, covered = 0, k, i, j, x, y;
+    static float behind[N];
+    buffers b;
+    exact e;
+    exact_open(&e, W, H, K);
+    buffers_open(&b, W, H);
+    b.image.rgba8 = NULL;
+    b.image.rgba = NULL;
+    b.image.node = NULL;
+    for (k = 0; k < count; k++) {
+        test_rng r = test_rng_make(6100 + k);
+        const uint32_t kind = k % 4;
+        const double angle = 6.2831853 * test_rng_double(&r), high = 1.8 * test_rng_double(&r) - 0.9, far_away = 1.1 + 3 * test_rng_double(&r);
+        double centre[3], radius;
+        uint32_t reach, plain;
+        zbufrand_render_desc d;
+        zbufrand_scene *scene;
+        zbufrand_mesh mesh;
+        zbufrandi_camera camera;
+        shape s;
+        random_scene(&s, &r, kind, centre, &radius);
+        mesh = mesh_of(&s);
+        mesh.two_sided = kind != 3 && test_rng_below(&r, 2);
+        scene = scene_of(&mesh, 1);
+        memset(&d, 0, sizeof d);
+        for (i = 0; i < 3; i++) d.camera.at[i] = centre[i] + 0.3 * radius * (test_rng_double(&r) - 0.5);
+        d.camera.eye[0] = centre[0] + radius * far_away * cos(angle);
+        d.camera.eye[1] = centre[1] + radius * far_away * (kind == 1 ? fabs(high) + 0.1 : high);
+        d.camera.eye[2] = centre[2] + radius * far_away * sin(angle);
+        d.camera.fov_y = 25 + 45 * test_rng_double(&r);
+        if (kind == 3) { /* straight on, so that they fill the picture */
+            for (i = 0; i < 2; i++) d.camera.eye[i] = d.camera.at[i] = test_rng_double(&r);
+            d.camera.at[2] = 0;
+            d.camera.eye[2] = 1 + 3 * test_rng_double(&r);
+            d.camera.fov_y = 25 + 15 * test_rng_double(&r);
+        }
+        d.tolerance = 0.01 * pow(90, test_rng_double(&r));
+        d.hybrid = test_rng_below(&r, 3) == 0 ? ZBUFRAND_HYBRID_AUTO : ZBUFRAND_HYBRID_OFF;
+        d.independent = test_rng_below(&r, 2);
+        d.no_repair = test_rng_below(&r, 2);
+        d.reconstruct.block = 1 + (test_rng_below(&r, 4) == 0);
+        reach = d.reconstruct.block == 1 ? 1 : 3;
+        plain = d.independent && d.no_repair && d.hybrid == ZBUFRAND_HYBRID_OFF;
+        CHECK_EQ_U64(zbufrandi_camera_open(&d.camera, scene, W, H, 0, &camera), ZBUFRAND_OK);
+        for (i = 0; i < N * K * K; i++) e.z[i] = (double)INFINITY;
+        exact_mesh(&e, &camera, &mesh);
+        for (y = 0; y < H; y++) {
+            for (x = 0; x < W; x++) {
+                const int inside = x >= reach && y >= reach && x + reach < W && y + reach < H;
+                double most = inside ? 0 : (double)INFINITY;
+                for (j = (y - reach) * K; inside && j < (y + reach + 1) * K; j++)
+                    for (i = (x - reach) * K; i < (x + reach + 1) * K; i++) most = e.z[j * (W * K) + i] > most ? e.z[j * (W * K) + i] : most;
+                behind[y * W + x] = (float)(most * 1.01);
+                covered += most < (double)INFINITY;
+            }
+        }
+        for (i = 0; i < SEEDS; i++) {
+            zbufrand_stats st;
+            d.seed = SEEDS * k + i;
+            CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, &st), ZBUFRAND_OK);
+            CHECK_MSG(st.incomplete >= 0 && st.incomplete <= d.tolerance * 1.0001, "scene %u: %g, tolerance %g", k, st.incomplete, d.tolerance);
+            reported[plain] += st.incomplete;
+            pictures[plain]++;
+            bad[plain] += (uint32_t)incomplete(behind, b.depth, N);
+        }
+        zbufrand_scene_destroy(scene);
+        shape_free(&s);
+    }
+    for (i = 0; i < 2; i++) {
+        if (test_g.verbose)
+            printf("%s: %u of %u pictures are incomplete, %.2f were reported\n", i == 0 ? "other ways" : "independent", bad[i], pictures[i], reported[i]);
+        CHECK_MSG(poisson_tail(bad[i], reported[i]) > 1e-5, "%u of %u pictures are incomplete, %g reported", bad[i], pictures[i], reported[i]);
+    }
+    CHECK(covered > 400 * count);
+    CHECK(count < 240 || (reported[0] > 50 && bad[1] > 0)); /* it does use what it is allowed */
+    buffers_close(&b);
+    free(e.z);
+    zbufrand_frame_destroy(frame);
+}
+
 /* Where nearly all is rastered only areas with samples are looked at for pixels to repair: they hold all samples that are shown, and
    three pixels around them. */
 TEST(few_samples_among_rastered) {
@@ -2536,6 +2647,7 @@ int main(int argc, char **argv) {
     RUN(same_bits);
     RUN(seeds_and_occlusion);
     RUN(reported_share_is_incomplete);
+    RUN(tolerance_of_random_scenes);
     RUN(few_samples_among_rastered);
     RUN(noise_is_kept);
     RUN(odd_cameras);
