@@ -13782,7 +13782,7 @@ TETCASTI_TARGET_AVX2 static void tetcasti_scan_paint4(tetcasti_scan *c, const te
 }
 
 #if defined(__GNUC__)
-/* An instruction for all of 8 or 16 lanes. The plain names of these are built upon vectors that nobody set, which gcc 12
+/* An instruction for all of 8 or 16 lanes. The plain names of these begin with a vector that nobody set, which gcc 12
    warns of in C++. */
 #define TETCASTI_Z8(name, ...) _mm512_maskz_##name((uint8_t)0xff, __VA_ARGS__)
 #define TETCASTI_Z16(name, ...) _mm512_maskz_##name((uint16_t)0xffff, __VA_ARGS__)
