@@ -1642,7 +1642,7 @@ typedef enum tetcast_rbf_method {
    round          off. 1: no ellipsoids. Those are plates 0.4 times as thick as wide, across one of 13 directions. There
                   are none with `between`, where they gain nothing
    sweeps         3 rounds in which functions are fitted again, one after the other, and dropped where they are not
-                  needed; 0xffffffff: none
+                  needed; 0xffffffff: none, nor are few functions fitted all at once
    max_functions  2^26
    compare        off. 1: report what plain grids need for the same error
    start          none. An earlier fit whose functions are where this one begins, borrowed for the call: for steps of a
@@ -1699,7 +1699,8 @@ typedef struct tetcast_rbf_report {
    out     free with tetcast_rbf_destroy; NULL on failure
    Greedy: a function where the error is largest, of the width that takes most of it away, then moved and widened for
    the least sum of squares; later all are fitted again in turn, weighted so that large errors count most. Parameters
-   are rounded as they will be stored before the error is taken, so storing adds none. With `start` there are functions
+   are rounded as they will be stored before the error is taken, so storing adds none. Before that it looks whether up
+   to 16 functions, fitted all at once, are enough: data that are such a sum come back. With `start` there are functions
    already: all are weighed anew first, what is not needed is dropped, and what is near errors of three times max_error
    still; the greedy steps add what is missing.
    The same model for any number of threads and any isa. Errors: INVALID_ARG, EMPTY (no usable point), RANGE
@@ -21792,6 +21793,7 @@ TETCAST_DEF void tetcast_flow_features(const float velocity[3], const float jaco
 /* ---------------------------------------------------------------------------
    rbf_fit: points -> coarse grid and functions, with a guaranteed error.        // >>rbf_fit
 
+   0  up to 16 functions and a constant are fitted all at once; where they are enough, the rest is left out,
    1  points are put into bins of about eight, a row of bins along x is one run of points,
    2  the coarse grid is the least-squares fit of its nodes (normal equations with 27 entries a row, conjugate
       gradients),
@@ -21845,6 +21847,7 @@ typedef struct tetcasti_fit {
     float widest;
     float tolerance, threshold, heed_scale;
     uint32_t sharp, polish, round;   /* heed errors; move and widen; no plates */
+    uint32_t few;                    /* the functions there are were fitted all at once and are enough */
     float plate[13][4];
     size_t cap;                      /* functions of all blocks, trials end there */
     tetcasti_fit_block *block;
@@ -22377,6 +22380,19 @@ static tetcasti_fit_block *tetcasti_fit_task_block(const tetcasti_fit *t, uint32
         task /= n;
     }
     return &t->block[((size_t)at[2] * t->blocks[1] + at[1]) * t->blocks[0] + at[0]];
+}
+
+/* Block of a place. */
+static tetcasti_fit_block *tetcasti_fit_place_block(const tetcasti_fit *t, const double c[3]) {
+    size_t at = 0;
+    uint32_t a;
+    for (a = 3; a-- > 0;) {
+        const uint32_t bin = tetcasti_fit_bin(t, a, (float)c[a]);
+        uint32_t k = (uint32_t)((size_t)bin * t->blocks[a] / t->bins[a]);
+        while (k + 1 < t->blocks[a] && (size_t)(k + 1) * t->bins[a] / t->blocks[a] <= bin) k++;
+        at = at * t->blocks[a] + k;
+    }
+    return &t->block[at];
 }
 
 /* Insert functions in a block until no error exceeds the threshold. */
@@ -22950,12 +22966,13 @@ static double tetcasti_fit_bits(const tetcasti_fit *t) {
     return (double)(b->position[0] + b->position[1] + b->position[2] + b->width) + 9.0 * (double)t->n;
 }
 
-/* Try sizes of the base with functions that are not polished: least bytes win. */
-static int tetcasti_fit_trials(tetcasti_fit *t) {
+/* Try sizes of the base with functions that are not polished: least bytes win. 0: none has less than `least`; -1: no
+   memory. */
+static int tetcasti_fit_trials(tetcasti_fit *t, double least) {
     static const uint32_t sizes[] = {0, 3, 4, 6, 8, 10, 12, 16, 20, 24, 32, 40, 48};
     uint32_t dims[3], best[3] = {0, 0, 0}, k, worse = 0;
-    double least = 1e300;
     const size_t cap = t->cap;
+    int any = 0;
     for (k = 0; k < sizeof sizes / sizeof sizes[0] && worse < 3; k++) {
         double nodes, bytes, room;
         size_t i, n, blocks = (size_t)t->blocks[0] * t->blocks[1] * t->blocks[2];
@@ -22964,11 +22981,11 @@ static int tetcasti_fit_trials(tetcasti_fit *t) {
         nodes = (double)dims[0] * (double)dims[1] * (double)dims[2] * (double)t->n;
         room = (least - nodes) * 8.0 / tetcasti_fit_bits(t);
         if (nodes > 0.3 * (double)t->count * (double)t->n || room < 1.0) break;
-        if (!tetcasti_fit_base(t, dims)) return 0;
+        if (!tetcasti_fit_base(t, dims)) return -1;
         t->cap = room < (double)cap ? (size_t)room + 1 : cap;
         tetcasti_fit_greedy(t, 2.0 * (double)t->tolerance);
         tetcasti_fit_greedy(t, (double)t->tolerance);
-        if (t->failed) return 0;
+        if (t->failed) return -1;
         n = tetcasti_fit_count(t);
         bytes = nodes + (double)n * tetcasti_fit_bits(t) / 8.0;
         for (i = 0; i < blocks; i++) t->block[i].count = t->block[i].inserted = 0;
@@ -22976,11 +22993,440 @@ static int tetcasti_fit_trials(tetcasti_fit *t) {
             least = bytes;
             memcpy(best, dims, sizeof best);
             worse = 0;
+            any = 1;
         } else worse++;
         t->full = 0;
     }
     t->cap = cap;
-    return tetcasti_fit_base(t, best);
+    if (!any && least < 1e300) return 0;
+    return tetcasti_fit_base(t, best) ? 1 : -1;
+}
+
+/* ---- few functions, all at once ----
+   Data that are a sum of a few functions: these are found again where they are fitted together. One after the other is
+   put where the error is largest, and after each all of them, with the constant below, go to the least sum of squares
+   by the method of Levenberg and Marquardt (SIAM J. Appl. Math. 11, 1963). Where that ends in a minimum that is not
+   the least, those next to the largest error are put anew. Once the error is in the tolerance, functions that the
+   others can do without are taken out, widths are rounded to a ladder that begins where they agree with it best, and
+   the rest is fitted to those. Most data are not like that: the first four functions have to take half of the squares,
+   and more have to go on at that pace. */
+
+#define TETCASTI_FEW 16u              /* functions */
+#define TETCASTI_FEW_POINTS 1024u     /* that are fitted; all are checked */
+#define TETCASTI_FEW_AGAIN 8u         /* times that functions near the largest error are put anew */
+#define TETCASTI_FEW_ANEW 4u          /* so many of them */
+#define TETCASTI_FEW_ROUNDED 4u       /* times that rounding is tried */
+#define TETCASTI_FEW_ROW (TETCAST_RBF_MAX_COMPONENTS + 4u) /* place, log2 of the width, weights */
+#define TETCASTI_FEW_SIZE (TETCAST_RBF_MAX_COMPONENTS + TETCASTI_FEW * TETCASTI_FEW_ROW)
+
+typedef struct tetcasti_few_set {
+    double offset[TETCAST_RBF_MAX_COMPONENTS];
+    double f[TETCASTI_FEW][TETCASTI_FEW_ROW];
+    uint32_t count;
+} tetcasti_few_set;
+
+typedef struct tetcasti_few {
+    tetcasti_fit *t;
+    uint32_t stride;                  /* every how many-th point is fitted */
+    uint32_t fixed;                   /* widths stay */
+    double limit, squares;            /* largest squared error and sum of squares that are enough */
+    double *a, *l, *b;                /* normal equations [SIZE][SIZE], factors, right side [SIZE] */
+    double most;                      /* largest squared error, and where, as tetcasti_few_square left them */
+    uint32_t where;
+} tetcasti_few;
+
+static void tetcasti_few_record(const tetcasti_fit *t, const double f[TETCASTI_FEW_ROW], tetcasti_rbf_record *r) {
+    tetcasti_fit_function g;
+    uint32_t a;
+    memset(&g, 0, sizeof g);
+    for (a = 0; a < 3; a++) g.c[a] = (float)f[a];
+    g.width = (float)tetcasti_exp2(f[3]);
+    tetcasti_fit_record(t, &g, r);
+}
+
+/* One row of the Jacobian that is not 0: up to 1 + 5 numbers of each function. */
+typedef struct tetcasti_few_line {
+    double v[1 + 5 * TETCASTI_FEW];
+    uint32_t at[1 + 5 * TETCASTI_FEW], count;
+} tetcasti_few_line;
+
+TETCASTI_INLINE void tetcasti_few_put(tetcasti_few_line *l, uint32_t at, double v) {
+    l->at[l->count] = at;
+    l->v[l->count++] = v;
+}
+
+/* Sum of squared errors at the points that are fitted; with `equations` the normal equations of all numbers as well:
+   offsets, then function by function. */
+static double tetcasti_few_square(tetcasti_few *k, const tetcasti_few_set *s, int equations) {
+    const tetcasti_fit *t = k->t;
+    const uint32_t n = t->n, size = n + s->count * (n + 4);
+    tetcasti_rbf_record r[TETCASTI_FEW];
+    double sum = 0.0;
+    uint32_t i, j, c, p, q;
+    for (j = 0; j < s->count; j++) tetcasti_few_record(t, s->f[j], &r[j]);
+    if (equations) {
+        memset(k->a, 0, (size_t)size * size * sizeof *k->a);
+        memset(k->b, 0, size * sizeof *k->b);
+    }
+    k->most = -1.0;
+    for (i = 0; i < t->count; i += k->stride) {
+        float phi[TETCASTI_FEW], slope[TETCASTI_FEW], d2[TETCASTI_FEW], d[TETCASTI_FEW][3];
+        double here = 0.0;
+        for (j = 0; j < s->count; j++) {
+            d[j][0] = t->x[i] - r[j].c[0];
+            d[j][1] = t->y[i] - r[j].c[1];
+            d[j][2] = t->z[i] - r[j].c[2];
+            d2[j] = tetcasti_rbf_d2(&r[j], d[j][0], d[j][1], d[j][2]);
+            phi[j] = 0.0f;
+            if (d2[j] < r[j].radius * r[j].radius) phi[j] = tetcasti_rbf_phi(t->m->kernel, &r[j], d2[j], &slope[j]);
+        }
+        for (c = 0; c < n; c++) {
+            tetcasti_few_line l;
+            double e = (double)t->value[c][i] - s->offset[c];
+            for (j = 0; j < s->count; j++) e -= s->f[j][4 + c] * (double)phi[j];
+            here += e * e;
+            t->res[c][i] = (float)e;
+            if (!equations) continue;
+            l.count = 0;
+            tetcasti_few_put(&l, c, 1.0);
+            for (j = 0; j < s->count; j++) {
+                const uint32_t at = n + j * (n + 4);
+                const double w = -s->f[j][4 + c];
+                if (!(phi[j] != 0.0f)) continue;
+                for (p = 0; p < 3; p++) tetcasti_few_put(&l, at + p, w * (double)(slope[j] * d[j][p]));
+                tetcasti_few_put(&l, at + 3, w * (double)(slope[j] * d2[j]) * 0.69314718055994530942);
+                tetcasti_few_put(&l, at + 4 + c, (double)phi[j]);
+            }
+            for (p = 0; p < l.count; p++) {
+                double *row = k->a + (size_t)l.at[p] * size;
+                const double v = l.v[p];
+                k->b[l.at[p]] += v * e;
+                for (q = 0; q <= p; q++) row[l.at[q]] += v * l.v[q];
+            }
+        }
+        sum += here;
+        if (here > k->most) {
+            k->most = here;
+            k->where = i;
+        }
+    }
+    return sum;
+}
+
+/* (A + lambda diag A) x = b by Cholesky's method, A kept. 0: not positive. */
+static int tetcasti_few_solve(tetcasti_few *k, uint32_t n, double lambda, double *x) {
+    const double *a = k->a;
+    double *l = k->l, most = 0.0;
+    uint32_t i, j, p;
+    for (i = 0; i < n; i++) most = tetcasti_max(most, a[(size_t)i * n + i]);
+    for (i = 0; i < n; i++) {
+        double *li = l + (size_t)i * n;
+        for (j = 0; j <= i; j++) {
+            const double *lj = l + (size_t)j * n;
+            double s = a[(size_t)i * n + j];
+            if (i == j) s += lambda * s + 1e-14 * most;
+            for (p = 0; p < j; p++) s -= li[p] * lj[p];
+            if (i != j) li[j] = s / lj[j];
+            else if (s > 0.0) li[i] = sqrt(s);
+            else return 0;
+        }
+    }
+    for (i = 0; i < n; i++) {
+        x[i] = k->b[i];
+        for (p = 0; p < i; p++) x[i] -= l[(size_t)i * n + p] * x[p];
+        x[i] /= l[(size_t)i * n + i];
+    }
+    for (i = n; i-- > 0;) {
+        for (p = i + 1; p < n; p++) x[i] -= l[(size_t)p * n + i] * x[p];
+        x[i] /= l[(size_t)i * n + i];
+    }
+    return 1;
+}
+
+/* A set with a step added: places stay in the box, widths between half the spacing and the box; no step is longer than
+   what the equations are good for. 0: not a number. */
+static int tetcasti_few_step(const tetcasti_few *k, const tetcasti_few_set *s, const double *x, tetcasti_few_set *to) {
+    const tetcasti_fit *t = k->t;
+    const uint32_t n = t->n;
+    uint32_t i, c;
+    *to = *s;
+    for (c = 0; c < n; c++) to->offset[c] += x[c];
+    for (i = 0; i < s->count; i++) {
+        const double *by = x + n + i * (n + 4), width = tetcasti_exp2(s->f[i][3]);
+        const double far = sqrt(by[0] * by[0] + by[1] * by[1] + by[2] * by[2]);
+        const double scale = far > 0.7 * width ? 0.7 * width / far : 1.0;
+        if (!(far < 1e300) || by[3] != by[3]) return 0;
+        for (c = 0; c < 3; c++) {
+            const double at = s->f[i][c] + scale * by[c], end = (double)t->m->size[c];
+            to->f[i][c] = at > 0.0 ? at < end ? at : end : 0.0;
+        }
+        if (!k->fixed) {
+            const double at = s->f[i][3] + (by[3] < -0.7 ? -0.7 : by[3] > 0.7 ? 0.7 : by[3]);
+            const double lo = tetcasti_log2(0.5 * t->spacing);
+            to->f[i][3] = at > lo ? at < 0.0 ? at : 0.0 : lo;
+        }
+        for (c = 0; c < n; c++) to->f[i][4 + c] += by[4 + c];
+    }
+    return 1;
+}
+
+/* To the least sum of squares, until a step takes less than `enough` of it; returns it. */
+static double tetcasti_few_descend(tetcasti_few *k, tetcasti_few_set *s, uint32_t steps, double enough) {
+    const uint32_t n = k->t->n, size = n + s->count * (n + 4);
+    double x[TETCASTI_FEW_SIZE], lambda = 1e-3, best = 0.0;
+    tetcasti_few_set next;
+    uint32_t i, j, p, stale = 0;
+    for (i = 0; i < steps && stale < 2; i++) {
+        double square = 0.0;
+        int better = 0;
+        best = tetcasti_few_square(k, s, 1);
+        for (j = 0; k->fixed && j < s->count; j++) { /* that step is 0 */
+            const uint32_t w = n + j * (n + 4) + 3;
+            for (p = 0; p < size; p++) k->a[(size_t)w * size + p] = k->a[(size_t)p * size + w] = 0.0;
+            k->a[(size_t)w * size + w] = 1.0;
+            k->b[w] = 0.0;
+        }
+        for (j = 0; j < 8 && !better; j++) {
+            if (tetcasti_few_solve(k, size, lambda, x) && tetcasti_few_step(k, s, x, &next)) {
+                square = tetcasti_few_square(k, &next, 0);
+                better = square < best;
+            }
+            lambda *= better ? 0.2 : 5.0;
+        }
+        if (!better) break;
+        stale = square > best * (1.0 - enough) ? stale + 1 : 0;
+        *s = next;
+    }
+    return tetcasti_few_square(k, s, 0);
+}
+
+/* One more function where the error is largest, of the width that takes most off the sum of squares. */
+static void tetcasti_few_add(const tetcasti_few *k, tetcasti_few_set *s) {
+    const tetcasti_fit *t = k->t;
+    double f[TETCASTI_FEW_ROW] = {0.0}, best = -1.0, width = tetcasti_log2(0.7 * t->spacing);
+    uint32_t i, c;
+    f[0] = (double)t->x[k->where];
+    f[1] = (double)t->y[k->where];
+    f[2] = (double)t->z[k->where];
+    for (; width < 0.0; width += 0.5) {
+        double gg = 0.0, g[TETCAST_RBF_MAX_COMPONENTS] = {0.0}, gain = 0.0;
+        tetcasti_rbf_record r;
+        f[3] = width;
+        tetcasti_few_record(t, f, &r);
+        for (i = 0; i < t->count; i += k->stride) {
+            const float d2 = tetcasti_rbf_d2(&r, t->x[i] - r.c[0], t->y[i] - r.c[1], t->z[i] - r.c[2]);
+            const double phi = (double)tetcasti_rbf_phi(t->m->kernel, &r, d2, NULL);
+            gg += phi * phi;
+            for (c = 0; c < t->n; c++) g[c] += phi * (double)t->res[c][i];
+        }
+        for (c = 0; c < t->n; c++) gain += g[c] * g[c] / (gg + 1e-30);
+        if (!(gain > best)) continue;
+        best = gain;
+        for (c = 0; c < t->n; c++) f[4 + c] = g[c] / (gg + 1e-30);
+        memcpy(s->f[s->count], f, sizeof f);
+    }
+    s->count++;
+}
+
+/* Sum of squares of a function, but for a factor. */
+static double tetcasti_few_energy(const tetcasti_few *k, const double f[TETCASTI_FEW_ROW]) {
+    double w = 0.0;
+    uint32_t c;
+    for (c = 0; c < k->t->n; c++) w += f[4 + c] * f[4 + c];
+    return w * tetcasti_exp2(3.0 * f[3]);
+}
+
+/* Distance of a function to where the error is largest, in its widths. */
+static double tetcasti_few_distance(const tetcasti_few *k, const double f[TETCASTI_FEW_ROW]) {
+    const double x = (double)k->t->x[k->where] - f[0], y = (double)k->t->y[k->where] - f[1];
+    const double z = (double)k->t->z[k->where] - f[2];
+    return (x * x + y * y + z * z) * tetcasti_exp2(-2.0 * f[3]);
+}
+
+/* The function that is nearest to the largest error. */
+static uint32_t tetcasti_few_nearest(const tetcasti_few *k, const tetcasti_few_set *s) {
+    uint32_t j, best = 0;
+    for (j = 1; j < s->count; j++)
+        if (tetcasti_few_distance(k, s->f[j]) < tetcasti_few_distance(k, s->f[best])) best = j;
+    return best;
+}
+
+static void tetcasti_few_remove(tetcasti_few_set *s, uint32_t i) {
+    memmove(s->f[i], s->f[i + 1], (s->count - i - 1) * sizeof s->f[0]);
+    s->count--;
+}
+
+/* Take functions out where the others are enough; those with the least squares first. */
+static void tetcasti_few_prune(tetcasti_few *k, tetcasti_few_set *s) {
+    uint32_t i, j;
+    for (i = 1; i < s->count; i++)
+        for (j = i; j > 0 && tetcasti_few_energy(k, s->f[j]) < tetcasti_few_energy(k, s->f[j - 1]); j--) {
+            double f[TETCASTI_FEW_ROW];
+            memcpy(f, s->f[j], sizeof f);
+            memcpy(s->f[j], s->f[j - 1], sizeof f);
+            memcpy(s->f[j - 1], f, sizeof f);
+        }
+    for (i = 0; i < s->count;) {
+        tetcasti_few_set next = *s;
+        tetcasti_few_remove(&next, i);
+        if (tetcasti_few_descend(k, &next, 30, 1e-3) <= k->squares && k->most <= k->limit) *s = next;
+        else i++;
+    }
+}
+
+/* The smallest width of a ladder of eighths of an octave that all widths are as near to as can be. */
+static double tetcasti_few_ladder(const tetcasti_few_set *s) {
+    double least = 1e300, best = 0.0, low = 1e300, mean = 0.0;
+    uint32_t i, p;
+    for (p = 0; p < 64; p++) {
+        double most = 0.0;
+        for (i = 0; i < s->count; i++) {
+            const double x = 8.0 * s->f[i][3] - (double)p / 64.0;
+            most = tetcasti_max(most, tetcasti_abs(x - (double)tetcasti_floor(x + 0.5)));
+        }
+        if (!(most < least)) continue;
+        least = most;
+        best = (double)p / 64.0;
+    }
+    for (i = 0; i < s->count; i++) {
+        const double x = 8.0 * s->f[i][3] - best, rung = (double)tetcasti_floor(x + 0.5);
+        mean += (x - rung) / (double)s->count;
+        low = tetcasti_min(low, rung);
+    }
+    return tetcasti_exp2((low + best + mean) / 8.0);
+}
+
+/* A set of functions as it is stored, out of the error of all points. 0: no memory. */
+typedef struct tetcasti_few_model {
+    tetcasti_rbf_bits bits;
+    float offset[TETCAST_RBF_MAX_COMPONENTS];
+    tetcasti_fit_function f[TETCASTI_FEW];
+    uint32_t count;
+} tetcasti_few_model;
+
+static int tetcasti_few_apply(tetcasti_fit *t, const tetcasti_few_model *m) {
+    const uint32_t none[3] = {0, 0, 0};
+    uint32_t i;
+    t->m->bits = m->bits;
+    memcpy(t->m->offset, m->offset, sizeof m->offset);
+    if (!tetcasti_fit_base(t, none)) return 0;
+    for (i = 0; i < m->count; i++) tetcasti_fit_apply(t, &m->f[i], 1);
+    return 1;
+}
+
+/* Round a set, fitted to its rounded widths, and look whether it is in the tolerance everywhere. */
+static int tetcasti_few_round(tetcasti_few *k, tetcasti_few_set s, double mean_error, tetcasti_few_model *out) {
+    tetcasti_fit *t = k->t;
+    tetcast_rbf *m = t->m;
+    double fine = 1.0, mean = 0.0;
+    uint32_t i, a, c;
+    for (i = 0; i < s.count; i++) fine = tetcasti_min(fine, tetcasti_exp2(s.f[i][3]));
+    fine *= 0.5 * (double)t->tolerance / t->range; /* what a place may be wrong by */
+    for (a = 0; a < 3; a++) {
+        for (c = 1; c < 20 && (double)(1u << c) < (double)m->size[a] / fine + 1.0;) c++;
+        m->bits.position[a] = c;
+    }
+    m->bits.width = 8;
+    m->bits.width_min = (float)tetcasti_few_ladder(&s);
+    memset(out, 0, sizeof *out);
+    for (i = 0; i < s.count; i++) {
+        tetcasti_fit_function *f = &out->f[i];
+        f->width = tetcasti_rbf_width(m, tetcasti_rbf_width_code(m, tetcasti_exp2(s.f[i][3])));
+        s.f[i][3] = tetcasti_log2((double)f->width);
+    }
+    k->fixed = 1;
+    (void)tetcasti_few_descend(k, &s, 50, 1e-5);
+    k->fixed = 0;
+    for (i = 0; i < s.count; i++) {
+        tetcasti_fit_function *f = &out->f[i];
+        for (a = 0; a < 3; a++)
+            f->c[a] = tetcasti_rbf_position(m, a, tetcasti_rbf_position_code(m, a, s.f[i][a]));
+        (void)tetcasti_fit_round_weights(t, s.f[i] + 4, 1.0, f);
+    }
+    for (c = 0; c < t->n; c++) out->offset[c] = (float)s.offset[c];
+    out->bits = m->bits;
+    out->count = s.count;
+    if (!tetcasti_few_apply(t, out)) return 0;
+    for (i = 0; i < t->count; i++) {
+        double e = 0.0;
+        for (c = 0; c < t->n; c++) e += (double)t->res[c][i] * (double)t->res[c][i];
+        mean += sqrt(e) / (double)t->count;
+    }
+    return tetcasti_fit_peak(t) <= (double)t->tolerance && mean <= mean_error;
+}
+
+/* Look for few functions that are enough. 1: *out has them; the model's bits and constant are as before. */
+static int tetcasti_few_search(tetcasti_few *k, double mean_error, tetcasti_few_model *out) {
+    tetcasti_fit *t = k->t;
+    const tetcasti_rbf_bits bits = t->m->bits;
+    const double count = (double)((t->count - 1) / k->stride + 1);
+    float offset[TETCAST_RBF_MAX_COMPONENTS];
+    double first, square, near;
+    int found = 0;
+    uint32_t c, again = 0, rounded = 0;
+    tetcasti_few_set s;
+    k->limit = 0.49 * (double)t->tolerance * (double)t->tolerance; /* rounding wants some, too */
+    k->squares = tetcasti_min(0.49 * mean_error * mean_error, k->limit) * count;
+    near = 0.1 * k->squares;
+    memset(&s, 0, sizeof s);
+    memcpy(offset, t->m->offset, sizeof offset);
+    for (c = 0; c < t->n; c++) s.offset[c] = (double)offset[c];
+    first = tetcasti_few_square(k, &s, 0);
+    while (!found && rounded < TETCASTI_FEW_ROUNDED && !tetcasti_fit_bad(t, 0, 1)) {
+        if (s.count == TETCASTI_FEW) { /* a minimum that is not the least: some of them anew */
+            if (again++ == TETCASTI_FEW_AGAIN) break;
+            for (c = 0; c < TETCASTI_FEW_ANEW; c++) tetcasti_few_remove(&s, tetcasti_few_nearest(k, &s));
+            (void)tetcasti_few_descend(k, &s, 20, 1e-2);
+        }
+        tetcasti_few_add(k, &s);
+        square = tetcasti_few_descend(k, &s, 20, 1e-2);
+        if (s.count % 4 == 0 && square > near && square * tetcasti_exp2((double)s.count * 0.5 - 1.0) > first) break;
+        if (square < 4.0 * near) square = tetcasti_few_descend(k, &s, 40, 1e-3);
+        if (square <= k->squares && k->most <= k->limit) {
+            tetcasti_few_set less = s;
+            rounded++;
+            tetcasti_few_prune(k, &less);
+            found = tetcasti_few_round(k, less, mean_error, out);
+            t->m->bits = bits;
+            memcpy(t->m->offset, offset, sizeof offset);
+            (void)tetcasti_few_square(k, &s, 0); /* where is the error largest? */
+        }
+    }
+    return found;
+}
+
+/* mean_error: the largest mean, in units of the values. 1: found; 0: not; -1: no memory */
+static int tetcasti_fit_few(tetcasti_fit *t, double mean_error, tetcasti_few_model *out) {
+    tetcasti_few k;
+    int r = -1;
+    memset(&k, 0, sizeof k);
+    if (t->count < 64) return 0;
+    k.t = t;
+    k.stride = (t->count - 1) / TETCASTI_FEW_POINTS + 1;
+    k.a = (double *)tetcasti_alloc_array(t->mem, TETCASTI_FEW_SIZE * TETCASTI_FEW_SIZE, sizeof *k.a);
+    k.l = (double *)tetcasti_alloc_array(t->mem, TETCASTI_FEW_SIZE * TETCASTI_FEW_SIZE, sizeof *k.l);
+    k.b = (double *)tetcasti_alloc_array(t->mem, TETCASTI_FEW_SIZE, sizeof *k.b);
+    if (k.a != NULL && k.l != NULL && k.b != NULL) r = tetcasti_few_search(&k, mean_error, out);
+    tetcasti_free(t->mem, k.a);
+    tetcasti_free(t->mem, k.l);
+    tetcasti_free(t->mem, k.b);
+    return t->failed ? -1 : r;
+}
+
+/* Go on with these functions; they are in the blocks where their places are. 0: no memory. */
+static int tetcasti_few_take(tetcasti_fit *t, const tetcasti_few_model *few) {
+    uint32_t i, a;
+    for (i = 0; i < few->count; i++) {
+        tetcasti_fit_block *b;
+        double c[3];
+        for (a = 0; a < 3; a++) c[a] = (double)few->f[i].c[a];
+        b = tetcasti_fit_place_block(t, c);
+        if (!tetcasti_grow(t->mem, (void **)&b->f, &b->room, b->count, b->count + 1, sizeof *b->f)) return 0;
+        b->f[b->count++] = few->f[i];
+        b->inserted++;
+    }
+    t->few = 1;
+    return tetcasti_few_apply(t, few);
 }
 
 /* ---- functions of an earlier fit ---- */
@@ -22988,19 +23434,6 @@ static int tetcasti_fit_trials(tetcasti_fit *t) {
 static int tetcasti_fit_same_base(const tetcasti_fit *t, const tetcast_rbf *from) { /* is it to have this one's size? */
     return from != NULL && (double)from->dims[0] * (double)from->dims[1] * (double)from->dims[2] <=
                            0.3 * (double)t->count;
-}
-
-/* Block of a place. */
-static tetcasti_fit_block *tetcasti_fit_place_block(const tetcasti_fit *t, const double c[3]) {
-    size_t at = 0;
-    uint32_t a;
-    for (a = 3; a-- > 0;) {
-        const uint32_t bin = tetcasti_fit_bin(t, a, (float)c[a]);
-        uint32_t k = (uint32_t)((size_t)bin * t->blocks[a] / t->bins[a]);
-        while (k + 1 < t->blocks[a] && (size_t)(k + 1) * t->bins[a] / t->blocks[a] <= bin) k++;
-        at = at * t->blocks[a] + k;
-    }
-    return &t->block[at];
 }
 
 /* The plate that is nearest to an ellipsoid, as it is kept in a function. 0: round. */
@@ -23344,7 +23777,7 @@ static int tetcasti_fit_compare(tetcasti_fit *t, const tetcast_rbf_points *in, d
 
 /* Greedy and sweeps until every error is in the tolerance; then the model, measured. */
 static tetcast_result tetcasti_fit_loop(tetcasti_fit *t, const tetcast_rbf_fit_desc *d, tetcast_rbf_report *report) {
-    const uint32_t sweeps = d->sweeps == 0xffffffffu ? 0 : d->sweeps != 0 ? d->sweeps : 3;
+    const uint32_t sweeps = t->few || d->sweeps == 0xffffffffu ? 0 : d->sweeps != 0 ? d->sweeps : 3;
     const double asked = (double)d->max_error * t->range;
     double tolerance = asked * (1.0 - 1e-4);
     tetcast_result r;
@@ -23403,6 +23836,30 @@ static tetcast_result tetcasti_fit_loop(tetcasti_fit *t, const tetcast_rbf_fit_d
     return TETCAST_ERR_RANGE;
 }
 
+/* What there is before functions are added one at a time: few that are enough, or the base that takes the least bytes.
+   0: no memory. */
+static int tetcasti_fit_begin(tetcasti_fit *t, const tetcast_rbf_fit_desc *d) {
+    const uint32_t none[3] = {0, 0, 0};
+    const tetcasti_rbf_bits *b;
+    tetcasti_few_model few;
+    const double mean = d->mean_error != 0.0f ? (double)d->mean_error * t->range * (1.0 - 1e-4) : 1e100;
+    const int found = d->start == NULL && d->sweeps != 0xffffffffu ? tetcasti_fit_few(t, mean, &few) : 0;
+    if (found < 0) return 0;
+    if (t->full) return 1; /* cancelled */
+    if (d->method == TETCAST_RBF_METHOD_HYBRID) {
+        double bytes = 1e300;
+        int better;
+        if (found) {
+            b = &few.bits;
+            bytes = (double)few.count * ((double)(b->position[0] + b->position[1] + b->position[2] + b->width) +
+                                         12.0 * (double)t->n) / 8.0;
+        }
+        better = tetcasti_fit_trials(t, bytes);
+        if (better != 0) return better > 0;
+    } else if (!found) return tetcasti_fit_base(t, none);
+    return tetcasti_few_take(t, &few);
+}
+
 static tetcast_result tetcasti_fit_run(tetcasti_fit *t, const tetcast_rbf_fit_desc *d, const tetcast_rbf_points *in,
                                        tetcast_rbf_report *report) {
     const uint32_t none[3] = {0, 0, 0};
@@ -23430,10 +23887,11 @@ static tetcast_result tetcasti_fit_run(tetcasti_fit *t, const tetcast_rbf_fit_de
     } else {
         if (d->compare) ok = tetcasti_fit_compare(t, in, (double)d->max_error, report);
         if (!ok) return TETCAST_ERR_NO_MEMORY;
-        if (d->method == TETCAST_RBF_METHOD_PURE) ok = tetcasti_fit_base(t, none);
+        if (d->method == TETCAST_RBF_METHOD_PURE) ok = tetcasti_fit_begin(t, d);
         else if (d->base_dims[0] != 0) ok = tetcasti_fit_base(t, d->base_dims);
         else if (tetcasti_fit_same_base(t, d->start)) ok = tetcasti_fit_base(t, d->start->dims);
-        else ok = tetcasti_fit_trials(t);
+        else ok = tetcasti_fit_begin(t, d);
+        if (t->full) return TETCAST_ERR_CANCELLED;
         if (!ok) return TETCAST_ERR_NO_MEMORY;
         r = tetcasti_fit_loop(t, d, report);
     }

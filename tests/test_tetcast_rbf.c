@@ -839,6 +839,58 @@ TEST(same_model) {
     for (k = 0; k < 5; k++) free(bytes[k]);
 }
 
+/* ---- few functions ---- */
+
+/* Data that are a sum of ten functions come back as ten functions (eleven at most), whatever the instruction set and the
+   number of threads; widths between the steps that are stored need not many more at a loose tolerance. */
+TEST(few_come_back) {
+    enum { N = 12, M = 10 };
+    static float value[N * N * N * 2];
+    const uint32_t dims[3] = {N, N, N}, first = test_quick() ? 8 : 0, end = test_quick() ? 10 : 24;
+    uint32_t k, i, a;
+    for (k = first; k < end; k++) {
+        const uint32_t components = k % 3 == 2 ? 2 : 1, between = k % 4 == 1; /* of the steps of widths */
+        tetcast_rbf_desc d = random_desc(300 + k, M, components, 0.2, 0.4, 0.0);
+        tetcast_rbf_points p = grid_points(value, N, N, N, components);
+        tetcast_rbf_fit_desc q;
+        tetcast_rbf_report report;
+        tetcast_rbf *m, *fit = NULL, *same = NULL;
+        test_rng r = test_rng_make(40 + k);
+        size_t size[2];
+        void *bytes[2];
+        double e[2];
+        for (i = 0; i < M; i++) {
+            g_f[i].width = 0.25 * exp2((between ? 8.0 * test_rng_double(&r) : (double)test_rng_below(&r, 9)) / 8.0);
+            for (a = 0; a < 4; a++) g_f[i].weight[a] += g_f[i].weight[a] < 0.0f ? -0.5f : 0.5f;
+        }
+        m = make(&d);
+        REQUIRE(m != NULL && tetcast_rbf_grid(NULL, m, dims, value) == TETCAST_OK);
+        for (a = 0; a < 3; a++) p.spacing[a] = 2.0 / (N - 1);
+        memset(&q, 0, sizeof q);
+        q.max_error = between ? 0.05f : 1e-4f;
+        q.env.thread_count = 1;
+        q.isa = TETCAST_ISA_SCALAR;
+        q.method = k % 2 == 0 ? TETCAST_RBF_METHOD_HYBRID : TETCAST_RBF_METHOD_PURE;
+        CHECK(tetcast_rbf_fit(&q, &p, &report, &fit) == TETCAST_OK);
+        REQUIRE(fit != NULL);
+        CHECK_MSG(report.functions <= (between ? 2 * M : M + 1), "case %u: %u functions, %g", k, report.functions, report.max_error);
+        errors(fit, &p, NULL, value, report.range, e);
+        CHECK_MSG(e[0] <= (double)q.max_error * 1.0001, "case %u: %g", k, e[0]);
+        q.env.thread_count = 3;
+        q.isa = TETCAST_ISA_AUTO;
+        CHECK(tetcast_rbf_fit(&q, &p, NULL, &same) == TETCAST_OK);
+        REQUIRE(same != NULL);
+        bytes[0] = save(fit, &size[0]);
+        bytes[1] = save(same, &size[1]);
+        CHECK(size[0] == size[1] && memcmp(bytes[0], bytes[1], size[0]) == 0);
+        free(bytes[0]);
+        free(bytes[1]);
+        tetcast_rbf_destroy(fit);
+        tetcast_rbf_destroy(same);
+        tetcast_rbf_destroy(m);
+    }
+}
+
 /* ---- steps of a series ---- */
 
 /* Sheets and a ripple that wander with the time. */
@@ -1745,6 +1797,7 @@ int main(int argc, char **argv) {
     RUN(thesis_steps);
     RUN(decoded);
     RUN(same_model);
+    RUN(few_come_back);
     RUN(series);
     RUN(starts);
     RUN(odd_data);
