@@ -901,7 +901,8 @@ TETCAST_DEF void tetcast_surface_free(tetcast_surface *surface); /* NULL and cle
 typedef struct tetcast_lattice {
     uint32_t dims[3];      /* nodes, at most 2^20 a side */
     double origin[3];
-    double spacing[3];     /* > 0; of bricks the largest is at most 4096 times the smallest */
+    /* > 0; of bricks the largest is at most 4096 times the smallest; of a side with one node it is the thickness */
+    double spacing[3];
 } tetcast_lattice;
 
 /* field        zero means
@@ -1229,7 +1230,7 @@ TETCAST_DEF double tetcast_cut_pace(const tetcast_cut_info *last, double seconds
    isa AUTO: eight at a time where the machine can; the same bits. Any thread. About 3 ns a point. */
 TETCAST_DEF void tetcast_cut_sample(const tetcast_cut *cut, const float *x, const float *y, const float *z,
                                     size_t count, tetcast_isa isa, float *out);
-/* The same with the gradient of the trilinear function, per world unit. */
+/* The same values, bit for bit, with the gradient of the trilinear function, per world unit. */
 TETCAST_DEF void tetcast_cut_gradient(const tetcast_cut *cut, const float *x, const float *y, const float *z,
                                       size_t count, float *out, float (*gradient)[3]);
 
@@ -2699,6 +2700,10 @@ TETCASTI_INLINE uint32_t tetcasti_leave(const tetcasti_cells *cells, uint32_t ki
    --------------------------------------------------------------------------- */
 
 #define TETCASTI_VALUE_END 1e38f /* values of knots are smaller than this */
+TETCASTI_INLINE float tetcasti_value_clamp(float v) { /* differences of two are finite */
+    v = v < TETCASTI_VALUE_END ? v : TETCASTI_VALUE_END;
+    return v > -TETCASTI_VALUE_END ? v : -TETCASTI_VALUE_END;
+}
 #define TETCASTI_EXTINCTION_END 1e18f /* and colours and extinctions at most this */
 #define TETCASTI_LOWER 8 /* places in tetcasti_tf.coef */
 #define TETCASTI_UPPER 9
@@ -14918,9 +14923,9 @@ static tetcast_bricks *tetcasti_bricks_open(const tetcast_env *env, const tetcas
     if (*r != TETCAST_OK) return NULL;
     for (a = 0; a < 3; a++) {
         if (lattice->dims[a] > 1 && lattice->spacing[a] < least) least = lattice->spacing[a];
-        if (lattice->dims[a] > 1 && lattice->spacing[a] > most) most = lattice->spacing[a];
+        if (lattice->spacing[a] > most) most = lattice->spacing[a]; /* a single layer is as thick as its spacing */
     }
-    if (most > 4096.0 * least) { /* rays take steps of the least one */
+    if (least < 1e300 && most > 4096.0 * least) { /* rays take steps of the least one */
         *r = tetcasti_fail(env->error, TETCAST_ERR_RANGE, 0, "bricks: one spacing is 4096 times another");
         return NULL;
     }
@@ -15067,8 +15072,7 @@ static void tetcasti_row_halve(const float *in, ptrdiff_t stride_in, size_t n, f
                 0.25f * (tetcasti_row_at(in, stride_in, e, c - 1) + tetcasti_row_at(in, stride_in, e, c + 1)) +
                 0.375f * tetcasti_row_at(in, stride_in, e, c);
         }
-        v = v < TETCASTI_VALUE_END ? v : TETCASTI_VALUE_END; /* what goes on beyond the ends stays a value, too */
-        out[(ptrdiff_t)i * stride_out] = v > -TETCASTI_VALUE_END ? v : -TETCASTI_VALUE_END;
+        out[(ptrdiff_t)i * stride_out] = tetcasti_value_clamp(v); /* what goes on beyond the ends stays a value, too */
     }
 }
 
@@ -15493,7 +15497,8 @@ TETCASTI_INLINE float tetcasti_cut_slope(const tetcast_cut *cut, const float x[3
         hi[a] = 1.0f;
         g[a] = tetcasti_trilinear(v, hi) - tetcasti_trilinear(v, lo);
     }
-    s = tetcasti_trilinear(v, p.f);
+    s = p.type == TETCAST_TYPE_U16 || p.type == TETCAST_TYPE_U8 ? tetcasti_cut_value(cut, x)
+                                                                : tetcasti_trilinear(v, p.f);
     for (a = 0; a < 3; a++) g[a] = g[a] * (1.0f / (float)(1u << p.level));
     return s;
 }
@@ -16473,7 +16478,7 @@ static void tetcasti_grow_nodes(const tetcasti_grower *g, uint32_t k, const uint
         tetcasti_scan_run(&c);
     }
     tetcasti_lattice_fill(&box, out);
-    for (i = 0; i < n; i++) out[i] = out[i] == out[i] ? out[i] : 0.0f;
+    for (i = 0; i < n; i++) out[i] = out[i] == out[i] ? tetcasti_value_clamp(out[i]) : 0.0f;
 }
 
 /* The largest difference of a brick of level k to the mesh: in the nodes of level k - 1 (`fine`; NULL: not there) and
@@ -16494,8 +16499,9 @@ static float tetcasti_grow_error(const tetcasti_grower *g, uint32_t k, const uin
             const float *r2 = nodes + side * (y0 + side * z1), *r3 = nodes + side * (y1 + side * z1);
             for (x = 0; x < wide; x++) {
                 const size_t x0 = x / 2, x1 = x0 + (x & 1u), n = x + wide * (y + wide * z);
-                const float m = 0.125f *
-                    (((r0[x0] + r0[x1]) + (r1[x0] + r1[x1])) + ((r2[x0] + r2[x1]) + (r3[x0] + r3[x1])));
+                /* each pair scaled by itself: no sum of more than two is beyond floats */
+                const float m = (0.125f * (r0[x0] + r0[x1]) + 0.125f * (r1[x0] + r1[x1])) +
+                    (0.125f * (r2[x0] + r2[x1]) + 0.125f * (r3[x0] + r3[x1]));
                 const float d = tetcasti_absf(m - fine[n]);
                 worst = inside[n] && d > worst ? d : worst;
             }
@@ -16520,7 +16526,7 @@ static float tetcasti_grow_error(const tetcasti_grower *g, uint32_t k, const uin
             }
             if (a != 0xffffffffu) continue;
             for (a = 0; a < 8; a++) c[a] = nodes[n + (a & 1u) + side * ((a >> 1 & 1u) + side * (a >> 2))];
-            d = tetcasti_absf(tetcasti_trilinear(c, f) - v->s);
+            d = tetcasti_absf(tetcasti_trilinear(c, f) - tetcasti_value_clamp(v->s));
             worst = d > worst ? d : worst;
         }
     return worst;
@@ -16746,8 +16752,8 @@ static int tetcasti_grow_finish(tetcasti_grower *g) {
         }
     for (n = 0; n < b->count; n++) tetcasti_grow_agree(b, (uint32_t)n, nodes[n], nodes);
     if (g->mesh->field_count != 0) { /* else all is 0 */
-        b->value_min = g->mesh->field[g->mesh->active].value_min;
-        b->value_max = g->mesh->field[g->mesh->active].value_max;
+        b->value_min = tetcasti_value_clamp(g->mesh->field[g->mesh->active].value_min);
+        b->value_max = tetcasti_value_clamp(g->mesh->field[g->mesh->active].value_max);
     }
     if (!(b->value_min <= b->value_max)) b->value_min = b->value_max = 0.0f;
     b->bias = b->value_min; /* integers clamp what lies beyond the hull */
@@ -16839,6 +16845,7 @@ static tetcast_result tetcasti_bricks_average(const tetcast_bricks_desc *d, cons
         for (i = 0; i < n; i++) some += means.mean[i] == means.mean[i];
         if (some != 0) tetcasti_lattice_fill(&l, means.mean);
         else memset(means.mean, 0, n * sizeof *means.mean);
+        for (i = 0; i < n; i++) means.mean[i] = tetcasti_value_clamp(means.mean[i]);
         r = tetcasti_bricks_build(d, &l, means.mean, NULL, out);
     }
     tetcasti_free(&mem, means.mean);
@@ -18827,6 +18834,8 @@ static void tetcasti_lane_slot(const tetcasti_brick_frame *c, tetcasti_octet *l,
     const uint32_t k = word >> TETCASTI_LEVEL_SHIFT & 15u, bit = 1u << i;
     const double part = c->part[k], step = c->steps[k], number = r->t * c->per[k];
     const double whole = number < 4e15 && number > 0.0 ? (double)(int64_t)number : 0.0;
+    /* so far from the eye that steps are less than rounding: from where the slot begins */
+    const double ahead = number < 4e15 ? (whole + 1.0) * step - r->t : step;
     uint32_t a, type;
     l->block[i] = tetcasti_slot_block(cut, word, &type);
     l->adapted = word & TETCASTI_ADAPTED ? l->adapted | bit : l->adapted & ~bit;
@@ -18837,7 +18846,7 @@ static void tetcasti_lane_slot(const tetcasti_brick_frame *c, tetcasti_octet *l,
         l->dl[a][i] = (float)(r->d[a] * part);
     }
     l->step[i] = (float)step;
-    l->first[i] = (float)((whole + 1.0) * step - r->t);
+    l->first[i] = ahead > 0.0 ? (float)ahead : 0.0f;
     l->end[i] = (float)(r->end - r->t);
     l->tau[i] = 0.0f;
     l->number[i] = 0.0f;
@@ -20378,9 +20387,19 @@ static void tetcasti_rbf_base(const tetcast_rbf *m, const float p[3], float *val
 
 /* ---- making a model ---- */
 
+/* Where no function reaches (centres are at most 1e6 off, radii 5e8) places are pulled in: squares stay finite. */
+#define TETCASTI_RBF_FAR 1e12
+
 static void tetcasti_rbf_local(const tetcast_rbf *m, const double world[3], float out[3]) {
     uint32_t a;
-    for (a = 0; a < 3; a++) out[a] = (float)((world[a] - m->box_min[a]) / m->scale[a]);
+    for (a = 0; a < 3; a++) {
+        double x = (world[a] - m->box_min[a]) / m->scale[a];
+        if (tetcasti_finite(world[a])) {
+            x = x > TETCASTI_RBF_FAR ? TETCASTI_RBF_FAR : x;
+            x = x < -TETCASTI_RBF_FAR ? -TETCASTI_RBF_FAR : x;
+        }
+        out[a] = (float)x;
+    }
 }
 
 /* Box and metric -> scale, unit, size. 0: no box. */
@@ -25577,6 +25596,7 @@ static tetcast_result tetcasti_rbf_bricks_try(const tetcast_bricks_desc *d, tetc
     tetcasti_mem mem;
     tetcast_array values;
     tetcast_result r = tetcasti_env_open(&d->env, &mem);
+    double least = 1e300;
     float side = 0.0f;
     size_t n = 1;
     uint32_t a;
@@ -25590,7 +25610,10 @@ static tetcast_result tetcasti_rbf_bricks_try(const tetcast_bricks_desc *d, tetc
         t->l.origin[a] = m->box_min[a];
         t->l.spacing[a] = cells != 0 ? (m->box_max[a] - m->box_min[a]) / (double)cells : m->scale[a];
         n *= t->l.dims[a]; /* at most 16385^3 */
+        if (cells != 0) least = tetcasti_min(least, t->l.spacing[a]);
     }
+    for (a = 0; a < 3 && least < 1e300; a++) /* a flat box: no thicker than bricks may be */
+        if (t->l.dims[a] == 1) t->l.spacing[a] = tetcasti_min(t->l.spacing[a], 4096.0 * least);
     t->out = (float *)tetcasti_alloc_array(&mem, n, sizeof *t->out);
     if (t->out == NULL) return tetcasti_fail(d->env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
     tetcasti_parallel_for(&d->env, tetcasti_task_rbf_nodes, t, t->l.dims[2]);

@@ -907,7 +907,7 @@ TEST(bricks_sample_the_grid) {
     for (shape = 0; shape < 5; shape++)
         for (type = 0; type < 4; type++) {
             enum { N = 500 };
-            static float x[N], y[N], z[N], a[N], b[N];
+            static float x[N], y[N], z[N], a[N], b[N], slope[N][3];
             const tetcast_lattice l = cube_lattice(dims[shape][0], dims[shape][1], dims[shape][2]);
             float *v = random_grid(&l, 3);
             tetcast_bricks *k = make_bricks(&l, v, g_types[type], 3, 0);
@@ -924,6 +924,8 @@ TEST(bricks_sample_the_grid) {
             }
             tetcast_cut_sample(c, x, y, z, N, TETCAST_ISA_SCALAR, a);
             tetcast_cut_sample(c, x, y, z, N, TETCAST_ISA_AUTO, b);
+            CHECK(memcmp(a, b, sizeof a) == 0);
+            tetcast_cut_gradient(c, x, y, z, N, b, slope);
             CHECK(memcmp(a, b, sizeof a) == 0);
             for (i = 0; i < N; i++) {
                 const double e = fabs((double)a[i] - grid_at(&l, v, (double)x[i], (double)y[i], (double)z[i]));
@@ -1802,7 +1804,6 @@ static void box_view(tetcast_brick_render_desc *d, const tetcast_lattice *l, int
     CHECK_EQ_U64(tetcast_camera_fit(&d->camera, lo, hi, views[kind % 4], 48, 40), TETCAST_OK);
 }
 
-/* In a constant medium opacity depends on the length of the way through the box only, whatever the levels are. */
 TEST(largest_values) { /* next to 1e38 coarser levels go on beyond the ends, and sums are infinite: what is written can be read all the same */
     static const tetcast_type storage[4] = {TETCAST_TYPE_F32, TETCAST_TYPE_F16, TETCAST_TYPE_U16, TETCAST_TYPE_U8};
     float v[7 * 5 * 4];
@@ -1839,6 +1840,45 @@ TEST(largest_values) { /* next to 1e38 coarser levels go on beyond the ends, and
     }
 }
 
+TEST(largest_values_of_meshes) { /* vertices may have any float: bricks of them end at 1e38, and their files can be read */
+    static const tetcast_type storage[4] = {TETCAST_TYPE_F32, TETCAST_TYPE_F16, TETCAST_TYPE_U16, TETCAST_TYPE_U8};
+    test_rng r = test_rng_make(39);
+    int k;
+    for (k = 0; k < 24; k++) {
+        tets m;
+        tetcast_mesh *mesh;
+        tetcast_bricks_desc d;
+        tetcast_bricks_info info;
+        tetcast_bricks *b = NULL, *again = NULL;
+        uint8_t *p;
+        size_t i, size;
+        memset(&m, 0, sizeof m);
+        memset(&d, 0, sizeof d);
+        tets_lattice(&m, 4, 3, 3, 6, NULL);
+        for (i = 0; i < m.nv; i++) m.s[i] = (test_rng_below(&r, 2) ? 3.4e38f : -3.4e38f) * (k & 8 ? test_rng_float(&r) : 1.0f);
+        mesh = tets_build(&m, TETCAST_CELLS_TET16, NULL);
+        REQUIRE(mesh != NULL);
+        d.log_cells = 3;
+        d.storage = storage[k % 4];
+        d.longest = k & 4 ? 9 : 21;
+        d.average = k >= 16;
+        d.checks = 100;
+        REQUIRE(tetcast_bricks_create_mesh(&d, mesh, NULL, &b) == TETCAST_OK);
+        tetcast_bricks_get_info(b, &info);
+        CHECK(info.value_min >= -1e38f && info.value_max <= 1e38f && info.value_min < info.value_max);
+        size = tetcast_bricks_file_size(b);
+        p = (uint8_t *)malloc(size);
+        REQUIRE(p != NULL && tetcast_bricks_write(b, p, size) == TETCAST_OK);
+        CHECK_EQ_U64(tetcast_bricks_read(NULL, p, size, &again), TETCAST_OK);
+        free(p);
+        tetcast_bricks_destroy(again);
+        tetcast_bricks_destroy(b);
+        tetcast_mesh_destroy(mesh);
+        tets_free(&m);
+    }
+}
+
+/* In a constant medium opacity depends on the length of the way through the box only, whatever the levels are. */
 TEST(constant_medium) {
     tetcast_lattice l = cube_lattice(33, 25, 41);
     float *v = random_grid(&l, 2);
@@ -1908,6 +1948,84 @@ static uint64_t picture(const tetcast_brick_render_desc *d, const tetcast_cut *c
     image.rgba = rgba;
     CHECK_EQ_U64(tetcast_render_bricks(d, c, o, &image, NULL), TETCAST_OK);
     return test_fnv1a(rgba, (size_t)w * h * 16, 0);
+}
+
+/* Eyes so far off that a step is less than the rounding of distances: pictures end, with lengths and opacities that agree. */
+TEST(far_eyes) {
+    enum { W = 12, H = 10 };
+    static float rgba[W * H * 4], length[W * H];
+    const tetcast_lattice l = cube_lattice(21, 17, 25);
+    float *v = random_grid(&l, 7);
+    tetcast_bricks *b = make_bricks(&l, v, TETCAST_TYPE_F16, 3, 0);
+    tetcast_optics *o = flat_optics(0.05f, TETCAST_MODEL_VOLUME);
+    tetcast_cut *c = make_cut(b, NULL, 0);
+    int power, isa, i, k, hits = 0;
+    for (power = 3; power <= 18; power++)
+        for (isa = 0; isa < 4; isa++) {
+            tetcast_brick_render_desc d;
+            tetcast_image image;
+            memset(&d, 0, sizeof d);
+            memset(&image, 0, sizeof image);
+            d.isa = isa & 1 ? TETCAST_ISA_AUTO : TETCAST_ISA_SCALAR;
+            d.camera.ortho_height = 20.0f;
+            if (isa & 2) d.fixed_step = 1;
+            for (k = 0; k < 3; k++) d.camera.at[k] = d.camera.eye[k] = 8.0 + k;
+            d.camera.eye[power % 2 ? 0 : 2] = pow(10.0, power) * (isa & 2 ? -1.0 : 1.0);
+            image.width = W;
+            image.height = H;
+            image.rgba = rgba;
+            image.length = length;
+            CHECK_EQ_U64(tetcast_render_bricks(&d, c, o, &image, NULL), TETCAST_OK);
+            for (i = 0; i < W * H; i++) {
+                hits += length[i] > 0.0f;
+                CHECK_MSG(length[i] >= 0.0f && (power > 12 || length[i] < 24.01f), "eye at 1e%d: length %g", power, (double)length[i]);
+                CHECK_NEAR(rgba[4 * i + 3], 1.0 - exp(-0.05 * (double)length[i]), 1e-4);
+            }
+        }
+    CHECK(hits > 1000);
+    tetcast_cut_destroy(c);
+    tetcast_bricks_destroy(b);
+    tetcast_optics_destroy(o);
+    free(v);
+}
+
+/* A single layer is as thick as its spacing, which has to be of the size of the others; files too. */
+TEST(thick_layers) {
+    static const double thick[4] = {1e-20, 4096, 4097, 1e20};
+    float v[3 * 9], rgba[6 * 4 * 4];
+    int k, axis;
+    size_t i;
+    for (i = 0; i < 27; i++) v[i] = (float)i / 27.0f;
+    for (axis = 0; axis < 3; axis++)
+        for (k = 0; k < 4; k++) {
+            tetcast_lattice l = cube_lattice(axis == 0 ? 1 : 3, axis == 1 ? 1 : 9, axis == 2 ? 1 : axis == 0 ? 3 : 9);
+            tetcast_bricks_desc d;
+            tetcast_brick_render_desc rd;
+            tetcast_array a;
+            tetcast_bricks *b = NULL;
+            tetcast_cut *c;
+            tetcast_optics *o;
+            memset(&d, 0, sizeof d);
+            memset(&rd, 0, sizeof rd);
+            memset(&a, 0, sizeof a);
+            l.spacing[axis] = thick[k];
+            a.data = v;
+            d.log_cells = 3;
+            CHECK_EQ_U64(tetcast_bricks_create_grid(&d, &l, &a, NULL, &b), k < 2 ? TETCAST_OK : TETCAST_ERR_RANGE);
+            CHECK((b != NULL) == (k < 2));
+            if (b == NULL) continue;
+            o = flat_optics(0.05f, TETCAST_MODEL_VOLUME);
+            c = make_cut(b, NULL, 0);
+            for (i = 0; i < 3; i++) rd.camera.eye[i] = rd.camera.at[i] = (double)(l.dims[i] - 1) / 2;
+            rd.camera.eye[axis] = 6e3; /* right through it */
+            rd.camera.up[(axis + 1) % 3] = 1;
+            rd.camera.ortho_height = 1.0f;
+            (void)picture(&rd, c, o, 6, 4, rgba);
+            for (i = 0; i < 24; i++) CHECK_NEAR(rgba[4 * i + 3], 1.0 - exp(-0.05 * thick[k]), 1e-5);
+            tetcast_cut_destroy(c);
+            tetcast_bricks_destroy(b);
+            tetcast_optics_destroy(o);
+        }
 }
 
 /* Whatever is in a slot that is seen lies within the reach of its pixel's bin, and bins are not all of the picture: cameras
@@ -3823,7 +3941,10 @@ int main(int argc, char **argv) {
     RUN(bricks_on_demand);
     RUN(brick_files);
     RUN(largest_values);
+    RUN(largest_values_of_meshes);
     RUN(constant_medium);
+    RUN(far_eyes);
+    RUN(thick_layers);
     RUN(reach_of_bins);
     RUN(brick_pictures_same_bits);
     RUN(bricks_look_like_tetrahedra);

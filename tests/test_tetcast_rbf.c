@@ -355,6 +355,32 @@ TEST(extremes) {
         }
         tetcast_rbf_destroy(m);
     }
+    for (k = 0; k < TETCAST_KERNEL_COUNT; k++) { /* places that are far off, but finite: the base alone, no slope */
+        float slope[2][9], value[2][3], lo, hi, steep;
+        d = random_desc(4, 60, 1, 0.05, 0.9, 0.0);
+        d.kernel = (tetcast_kernel)k;
+        bend(&d, 30.0);
+        m = make(&d);
+        REQUIRE(m != NULL);
+        for (i = 0; i < 61; i++) {
+            const double off = i == 60 ? 1.7e308 : pow(10.0, 5.0 * i + 3.0);
+            uint32_t a;
+            memset(p, 0, 9 * sizeof *p);
+            for (a = 0; a < 3; a++) p[3 * a + a] = off * (a == 1 ? -1.0 : 1.0);
+            p[7] = off;
+            CHECK(eval(m, TETCAST_ISA_AUTO, i % 2, 1, p, 3, value[0], slope[0]) == TETCAST_OK);
+            CHECK(eval(m, TETCAST_ISA_SCALAR, i % 2, 1, p, 3, value[1], slope[1]) == TETCAST_OK);
+            for (a = 0; a < 3; a++) CHECK(value[0][a] == d.offset[0] && value[1][a] == d.offset[0]);
+            for (a = 0; a < 9; a++) CHECK(slope[0][a] == 0.0f && slope[1][a] == 0.0f);
+            for (a = 0; a < 3; a++) {
+                p[a] = -off;
+                p[3 + a] = off;
+            }
+            CHECK(tetcast_rbf_bounds(m, 0, p, p + 3, &lo, &hi, &steep) == TETCAST_OK);
+            CHECK(lo <= d.offset[0] && hi >= d.offset[0] && lo > -100.0f && hi < 100.0f && steep > 0.0f);
+        }
+        tetcast_rbf_destroy(m);
+    }
     d = random_desc(4, 10, 1, 0.05, 0.2, 0.0);
     g_f[3].width = (double)NAN;
     CHECK(tetcast_rbf_create(&d, &m) == TETCAST_ERR_INVALID_ARG && m == NULL);
