@@ -1608,7 +1608,7 @@ typedef struct tetcast_flow {
     float helicity;    /* velocity . vorticity */
 } tetcast_flow;
 
-/* velocity [3], jacobian [3][3] as tetcast_rbf_eval gives them. No NaN for finite input. */
+/* velocity [3], jacobian [3][3] as tetcast_rbf_eval gives them. Finite for finite input: 3e38 at most. */
 TETCAST_DEF void tetcast_flow_features(const float velocity[3], const float jacobian[9], tetcast_flow *out);
 
 /* Data to fit: values at points, scattered or vertices of a grid. Borrowed for the call. */
@@ -21772,6 +21772,10 @@ static double tetcasti_middle_eigenvalue(const double s[6]) {
     return q - p * x + p * sqrt(3.0 * (y > 0.0 ? y : 0.0));
 }
 
+static float tetcasti_flow_number(double x) { /* sums of the largest floats stay numbers */
+    return x > 3e38 ? 3e38f : x < -3e38 ? -3e38f : (float)x;
+}
+
 TETCAST_DEF void tetcast_flow_features(const float velocity[3], const float jacobian[9], tetcast_flow *out) {
     double j[9], s[6], w[3], m[6], most = 0.0, scale;
     uint32_t i, k;
@@ -21782,9 +21786,9 @@ TETCAST_DEF void tetcast_flow_features(const float velocity[3], const float jaco
         most = tetcasti_max(most, tetcasti_abs(j[i]));
     }
     scale = most > 0.0 ? most : 1.0; /* lambda2 goes with its square */
-    out->vorticity[0] = jacobian[7] - jacobian[5];
-    out->vorticity[1] = jacobian[2] - jacobian[6];
-    out->vorticity[2] = jacobian[3] - jacobian[1];
+    out->vorticity[0] = tetcasti_flow_number(j[7] - j[5]);
+    out->vorticity[1] = tetcasti_flow_number(j[2] - j[6]);
+    out->vorticity[2] = tetcasti_flow_number(j[3] - j[1]);
     for (i = 0; i < 9; i++) j[i] /= scale;
     for (i = 0; i < 3; i++) s[i] = j[4 * i];
     s[3] = 0.5 * (j[1] + j[3]);
@@ -21801,13 +21805,13 @@ TETCAST_DEF void tetcast_flow_features(const float velocity[3], const float jaco
     m[4] = s[0] * s[4] + s[3] * s[5] + s[4] * s[2] + w[0] * w[2];
     m[5] = s[3] * s[4] + s[1] * s[5] + s[5] * s[2] + w[1] * w[2];
     scale *= scale * tetcasti_middle_eigenvalue(m);
-    out->lambda2 = scale > 3e38 ? 3e38f : scale < -3e38 ? -3e38f : (float)scale;
+    out->lambda2 = tetcasti_flow_number(scale);
     scale = 0.0;
     for (k = 0; k < 3; k++) scale += (double)velocity[k] * (double)velocity[k];
-    out->speed = (float)sqrt(scale);
+    out->speed = tetcasti_flow_number(sqrt(scale));
     scale = 0.0;
     for (k = 0; k < 3; k++) scale += (double)velocity[k] * (double)out->vorticity[k];
-    out->helicity = scale > 3e38 ? 3e38f : scale < -3e38 ? -3e38f : (float)scale;
+    out->helicity = tetcasti_flow_number(scale);
 }
 /* ---------------------------------------------------------------------------
    rbf_fit: points -> coarse grid and functions, with a guaranteed error.        // >>rbf_fit

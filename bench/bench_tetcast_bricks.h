@@ -37,7 +37,7 @@ static void run_scan(void *ctx) {
 }
 
 static void scan_of(int id, const char *row, const uint32_t dims[3], double thesis) {
-    static const char *const axis[4] = {"longest", "x", "y", "z"};
+    static const char *const axis[4] = {"default: x as a rule", "x", "y", "z"};
     const tetcast_mesh *mesh = get_mesh(id);
     tetcast_mesh_info info;
     scan_job j;

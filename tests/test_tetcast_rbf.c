@@ -216,6 +216,70 @@ TEST(derivatives) {
     }
 }
 
+/* Wide functions: values to 2e-6 of what is added up, slopes to 1e-5 of the largest by the formula, not by differences. */
+TEST(wide_functions) {
+    enum { N = 400 };
+    static double p[3 * N];
+    static float v[N], j[3 * N];
+    static const uint32_t counts[5] = {1, 10, 100, 1000, 4096};
+    uint32_t t, i, k, a;
+    for (t = 0; t < (test_quick() ? 4u : 5u); t++) {
+        tetcast_rbf_desc d = random_desc(60 + t, counts[t], 1, 0.2, 0.5, 0.0);
+        tetcast_rbf *m = make(&d);
+        double worst = 0, steep = 0, most = 0;
+        REQUIRE(m != NULL);
+        random_points(p, N, &d, t);
+        CHECK(tetcast_rbf_eval(NULL, m, p, N, v, j) == TETCAST_OK);
+        for (i = 0; i < N; i++) {
+            double all, want[3] = {0, 0, 0}, way[3], d2, near_rim = 1;
+            const double value = value_oracle(&d, p + 3 * i, 0, &all);
+            for (k = 0; k < counts[t]; k++) {
+                const double w2 = g_f[k].width * g_f[k].width, e = exp(-0.5 * 3.5 * 3.5);
+                for (a = 0, d2 = 0; a < 3; a++) {
+                    way[a] = p[3 * i + a] - g_f[k].centre[a];
+                    d2 += way[a] * way[a];
+                }
+                near_rim = fmin(near_rim, fabs(sqrt(d2 / w2) - 3.5));
+                if (d2 < 3.5 * 3.5 * w2) for (a = 0; a < 3; a++) want[a] -= (double)g_f[k].weight[0] * exp(-0.5 * d2 / w2) / (1 - e) * way[a] / w2;
+            }
+            worst = fmax(worst, fabs((double)v[i] - value) / (all + 1e-30));
+            for (a = 0; a < 3; a++) {
+                most = fmax(most, fabs(want[a]));
+                if (near_rim > 1e-5) steep = fmax(steep, fabs((double)j[3 * i + a] - want[a])); /* there it has a kink */
+            }
+        }
+        CHECK_MSG(worst < 2e-6, "%u functions: %g", counts[t], worst);
+        CHECK_MSG(steep < 1e-5 * most, "%u functions: slopes off by %g of %g", counts[t], steep, most);
+        tetcast_rbf_destroy(m);
+    }
+}
+
+/* No function is missed in the list of any leaf: the bits of the sum over all of them, for very many points, a quarter in faces of leaves. */
+TEST(no_function_missed) {
+    enum { CHUNK = 10000 };
+    static double p[3 * CHUNK];
+    static float v[2][CHUNK];
+    const uint32_t chunks = test_quick() ? 4 : 100;
+    uint32_t kernel, c, i;
+    for (kernel = 0; kernel < TETCAST_KERNEL_COUNT; kernel++) {
+        tetcast_rbf_desc d = random_desc(90 + kernel, 700, 1, 0.01, 0.3, 0.0);
+        test_rng r = test_rng_make(kernel);
+        tetcast_rbf *m;
+        size_t wrong = 0;
+        d.kernel = (tetcast_kernel)kernel;
+        bend(&d, 3.0);
+        m = make(&d);
+        REQUIRE(m != NULL);
+        for (c = kernel; c < chunks; c += TETCAST_KERNEL_COUNT) { /* all kernels together see 10^6 points */
+            for (i = 0; i < 3 * CHUNK; i++) p[i] = i % 12 < 3 && i % 3 == c % 3 ? (double)test_rng_below(&r, 257) / 128.0 : 2.0 * test_rng_double(&r);
+            CHECK(eval(m, TETCAST_ISA_AUTO, 0, 1, p, CHUNK, v[0], NULL) == TETCAST_OK && eval(m, TETCAST_ISA_AUTO, 1, 1, p, CHUNK, v[1], NULL) == TETCAST_OK);
+            for (i = 0; i < CHUNK; i++) wrong += memcmp(&v[0][i], &v[1][i], 4) != 0;
+        }
+        CHECK_EQ_U64(wrong, 0);
+        tetcast_rbf_destroy(m);
+    }
+}
+
 /* Base grids: trilinear inside, the nearest node outside, thin ones. */
 TEST(bases) {
     static const uint32_t dims[][3] = {{2, 2, 2}, {3, 4, 5}, {1, 4, 4}, {4, 1, 1}, {1, 1, 1}};
@@ -654,6 +718,52 @@ TEST(promise) {
                 }
                 tetcast_rbf_destroy(m);
             }
+}
+
+/* What is said about directions is so: angles at the points, those of short vectors count less. */
+TEST(directions) {
+    enum { N = 10 };
+    static float value[3 * N * N * N], got[3 * N * N * N];
+    static double at[3 * N * N * N];
+    tetcast_rbf_points p = grid_points(value, N, N, N, 3);
+    tetcast_rbf_fit_desc d;
+    tetcast_rbf_report report;
+    tetcast_rbf *m = NULL;
+    double sum = 0, weights = 0, worst = 0;
+    size_t i, low = 0;
+    tornado(N, value);
+    for (i = 0; i < p.count; i++) {
+        at[3 * i] = (double)(i % N);
+        at[3 * i + 1] = (double)(i / N % N);
+        at[3 * i + 2] = (double)(i / N / N);
+        if (i % 3 == 0) value[3 * i] *= 0.02f, value[3 * i + 1] *= 0.02f, value[3 * i + 2] *= 0.02f; /* short ones as well */
+    }
+    memset(value + 3 * 17, 0, 12); /* no direction at all */
+    memset(&d, 0, sizeof d);
+    d.max_error = 0.03f;
+    CHECK(tetcast_rbf_fit(&d, &p, &report, &m) == TETCAST_OK);
+    REQUIRE(m != NULL && tetcast_rbf_eval(NULL, m, at, p.count, got, NULL) == TETCAST_OK);
+    for (i = 0; i < p.count; i++) {
+        double a2 = 0, b2 = 0, ab = 0, w, angle;
+        int c;
+        for (c = 0; c < 3; c++) {
+            a2 += (double)value[3 * i + (size_t)c] * (double)value[3 * i + (size_t)c];
+            b2 += (double)got[3 * i + (size_t)c] * (double)got[3 * i + (size_t)c];
+            ab += (double)value[3 * i + (size_t)c] * (double)got[3 * i + (size_t)c];
+        }
+        w = fmin(1.0, sqrt(a2) / (0.05 * report.range));
+        if (!(a2 > 0.0 && b2 > 0.0)) continue;
+        low += w < 1.0;
+        angle = w * acos(fmax(-1.0, fmin(1.0, ab / sqrt(a2 * b2)))) * 57.29577951308232;
+        sum += angle;
+        weights += w;
+        worst = fmax(worst, angle);
+    }
+    CHECK(low > 100);
+    CHECK_NEAR(report.direction_mean, sum / weights, 0.02);
+    CHECK_NEAR(report.direction_max, worst, 0.02 * worst + 0.02);
+    CHECK_MSG(worst > 0.5 && worst < 90.0, "%g degrees", worst);
+    tetcast_rbf_destroy(m);
 }
 
 /* The middles of cells keep the error where that is asked for, and do not where it is not. */
@@ -1198,6 +1308,14 @@ TEST(flows) {
         CHECK_MSG(fabs((double)f.lambda2 - (strain * strain - spin * spin)) < 1e-4 * (strain * strain + spin * spin), "r2 %g: %g instead of %g", r2,
                   (double)f.lambda2, strain * strain - spin * spin);
     }
+    for (t = 0; t < 2000; t++) { /* the largest numbers */
+        float v[3], h[9];
+        for (i = 0; i < 9; i++) h[i] = (test_rng_below(&r, 2) ? 3.4e38f : -3.4e38f) * (test_rng_below(&r, 2) ? 1.0f : test_rng_float(&r));
+        for (i = 0; i < 3; i++) v[i] = (test_rng_below(&r, 2) ? 3.4e38f : -3.4e38f) * (float)test_rng_below(&r, 2);
+        tetcast_flow_features(v, h, &f);
+        CHECK(f.speed - f.speed == 0.0f && f.lambda2 - f.lambda2 == 0.0f && f.helicity - f.helicity == 0.0f);
+        for (i = 0; i < 3; i++) CHECK(f.vorticity[i] - f.vorticity[i] == 0.0f);
+    }
     for (t = 0; t < 2000; t++) { /* the characteristic polynomial vanishes there and one root lies on each side; scales */
         double m[9], q, a, b, c, x, value, slope;
         int k, l;
@@ -1475,6 +1593,39 @@ TEST(pictures) {
             }
         }
         CHECK_MSG(worst_oracle < 0.02, "kernel %u: off by %.3g", kernel, worst_oracle); /* steps of 0.02 with widths from 0.01 */
+        tetcast_rbf_destroy(m);
+    }
+    tetcast_optics_destroy(o);
+}
+
+/* The same model far from the origin is the same picture. */
+TEST(pictures_far_away) {
+    enum { W = 33, H = 25 };
+    static float rgba[3][W * H * 4];
+    tetcast_optics *o = make_optics(TETCAST_MODEL_MIXED, 0.5f);
+    uint32_t k, i, a;
+    for (k = 0; k < 3; k++) {
+        const double shift = k == 0 ? 0.0 : k == 1 ? 1048576.0 : 1073741824.0;
+        tetcast_rbf_desc d = random_desc(14, 80, 1, 0.1, 0.3, shift);
+        tetcast_rbf_render_desc q;
+        tetcast_image image;
+        tetcast_rbf *m = make(&d);
+        double worst = 0;
+        REQUIRE(m != NULL && o != NULL);
+        memset(&q, 0, sizeof q);
+        memset(&image, 0, sizeof image);
+        image.width = W;
+        image.height = H;
+        image.rgba = rgba[k];
+        q.step = 0.0625f;
+        q.camera.ortho_height = 2.5f;
+        for (a = 0; a < 3; a++) {
+            q.camera.at[a] = shift + 1.0;
+            q.camera.eye[a] = shift + (a == 2 ? 5.0 : 1.5 + 0.25 * a);
+        }
+        CHECK(tetcast_rbf_render(&q, m, o, &image, NULL) == TETCAST_OK);
+        for (i = 0; i < W * H * 4; i++) worst = fmax(worst, fabs((double)rgba[k][i] - (double)rgba[0][i]));
+        CHECK_MSG(worst < 1e-4 && rgba[k][4 * (H / 2 * W + W / 2) + 3] > 0.1f, "at %g: %g", shift, worst);
         tetcast_rbf_destroy(m);
     }
     tetcast_optics_destroy(o);
@@ -1812,6 +1963,8 @@ int main(int argc, char **argv) {
     RUN(exponential);
     RUN(sums);
     RUN(derivatives);
+    RUN(wide_functions);
+    RUN(no_function_missed);
     RUN(bases);
     RUN(bounds_hold);
     RUN(no_seams);
@@ -1819,6 +1972,7 @@ int main(int argc, char **argv) {
     RUN(files);
     RUN(promise);
     RUN(between_the_points);
+    RUN(directions);
     RUN(middles);
     RUN(thesis_steps);
     RUN(decoded);
@@ -1831,6 +1985,7 @@ int main(int argc, char **argv) {
     RUN(traces);
     RUN(traces_in_functions);
     RUN(pictures);
+    RUN(pictures_far_away);
     RUN(sphere);
     RUN(shaded_functions);
     RUN(recurrence);
