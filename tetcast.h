@@ -964,7 +964,7 @@ typedef struct tetcast_means {
    mesh    needs its tets
    Cells are cut exactly where boxes meet, so sums of mean * share over the boxes are the integral of the field over the
    cells in them, to rounding. The same bits for any number of threads. Cost: about 0.2 us a cell and 0.5 us for each
-   box that it meets; 16 bytes a node of a few layers for each thread. Errors: INVALID_ARG, RANGE, NO_MEMORY.
+   box that it meets; 16 bytes a node of a few layers for each thread. Errors: INVALID_ARG, RANGE, NO_MEMORY, CANCELLED.
    Thread safety: any number of calls on one mesh. Source: as first-order moments in Powell, Abel: An exact general
    remeshing scheme. J. Comput. Phys. 297, 2015; here boxes are cut in halves until a piece lies in one. */
 TETCAST_DEF tetcast_result tetcast_resample_mean(const tetcast_env *env, const tetcast_mesh *mesh,
@@ -1083,6 +1083,7 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_grid(const tetcast_bricks_desc 
 /* Bricks from the active field of a mesh. The hull goes along: pictures end where the mesh does. With max_error the
    result is compared with the mesh afterwards, at all vertices and at random points, and made on a lattice four times
    as fine as long as it fails and longest_end allows; report->above tells what is left. Needs the tets.
+   Errors: INVALID_ARG, RANGE, UNINIT_DESC, NO_MEMORY, CANCELLED (progress begins anew with each lattice).
    Source: the thesis, chapter 7 (resampling as the core of an adaptive hierarchy); refinement, check: ours. */
 TETCAST_DEF tetcast_result tetcast_bricks_create_mesh(const tetcast_bricks_desc *desc, const tetcast_mesh *mesh,
                                                       tetcast_bricks_report *report, tetcast_bricks **out);
@@ -1156,7 +1157,7 @@ TETCAST_DEF tetcast_result tetcast_amr_sample(const tetcast_amr *amr, tetcast_am
 /* Level of the finest cell at a point. */
 TETCAST_DEF uint32_t tetcast_amr_level(const tetcast_amr *amr, const double point[3]);
 /* Bricks whose finest nodes are the corners of the finest cells, coarser by max_error. Errors: as
-   tetcast_bricks_create_grid. */
+   tetcast_bricks_create_grid, CANCELLED. */
 TETCAST_DEF tetcast_result tetcast_bricks_create_amr(const tetcast_bricks_desc *desc, const tetcast_amr *amr,
                                                      tetcast_amr_method method, tetcast_bricks_report *report,
                                                      tetcast_bricks **out);
@@ -1827,7 +1828,8 @@ TETCAST_DEF tetcast_result tetcast_rbf_trace(const tetcast_rbf_trace_desc *desc,
            what lies between the finest nodes
    report  checks: random points at which bricks and model were compared; error, mean_error, above, worst as for meshes
    Spacings follow the metric. Errors: INVALID_ARG (neither longest nor max_error; flow channels need three components),
-   RANGE, UNINIT_DESC, NO_MEMORY. The same bits for any number of threads. Cost: that of tetcast_rbf_eval per node. */
+   RANGE, UNINIT_DESC, NO_MEMORY, CANCELLED. The same bits for any number of threads. Cost: that of tetcast_rbf_eval per
+   node. */
 TETCAST_DEF tetcast_result tetcast_bricks_create_rbf(const tetcast_bricks_desc *desc, const tetcast_rbf *rbf,
                                                      tetcast_rbf_channel channel, uint32_t component,
                                                      tetcast_bricks_report *report, tetcast_bricks **out);
@@ -13477,6 +13479,36 @@ TETCAST_DEF uint64_t tetcast_probe(const tetcast_mesh *mesh, const tetcast_ray *
    here. Tried: planes in float with a second look at nodes near to faces: no faster, setting up is what takes the time.
    --------------------------------------------------------------------------- */
 
+/* A parallel-for that asks progress_fn, where there is one, between portions of the tasks. */
+typedef struct tetcasti_portion {
+    tetcast_task_fn *task;
+    void *ctx;
+    uint32_t from;
+} tetcasti_portion;
+
+static void tetcasti_task_portion(void *ctx, uint32_t i) {
+    const tetcasti_portion *p = (const tetcasti_portion *)ctx;
+    p->task(p->ctx, p->from + i);
+}
+
+/* 0: cancelled, and only a part is done. */
+static int tetcasti_parallel_ask(const tetcast_env *env, tetcast_task_fn *task, void *ctx, uint32_t count) {
+    const uint32_t at_once = 4 * tetcasti_thread_count(env);
+    tetcasti_portion p;
+    p.task = task;
+    p.ctx = ctx;
+    if (env->progress_fn == NULL) {
+        tetcasti_parallel_for(env, task, ctx, count);
+        return 1;
+    }
+    for (p.from = 0; p.from < count; p.from += at_once) {
+        const uint32_t n = count - p.from < at_once ? count - p.from : at_once;
+        tetcasti_parallel_for(env, tetcasti_task_portion, &p, n);
+        if (env->progress_fn(env->progress_user, p.from + n, count) != 0) return 0;
+    }
+    return 1;
+}
+
 #define TETCASTI_LATTICE_END (1u << 20)
 #define TETCASTI_SCAN_EPS 5.7e-14   /* 2^-44 */
 
@@ -14316,6 +14348,7 @@ TETCAST_DEF tetcast_result tetcast_resample_mean(const tetcast_env *env, const t
     tetcast_result r;
     size_t nodes, layer, layers;
     uint32_t a;
+    int asked = 1;
     memset(&none, 0, sizeof none);
     memset(&g, 0, sizeof g);
     if (env == NULL) env = &none;
@@ -14335,9 +14368,10 @@ TETCAST_DEF tetcast_result tetcast_resample_mean(const tetcast_env *env, const t
     g.bins.layers = (int32_t)(layers == 0 ? 1 : layers < lattice->dims[2] ? layers : lattice->dims[2]);
     g.bins.slabs = (lattice->dims[2] + (uint32_t)g.bins.layers - 1) / (uint32_t)g.bins.layers;
     if (!tetcasti_resample_bin(&mem, &g.bins)) g.failed = 1;
-    else tetcasti_parallel_for(env, tetcasti_task_mean, &g, g.bins.slabs);
+    else asked = tetcasti_parallel_ask(env, tetcasti_task_mean, &g, g.bins.slabs);
     tetcasti_free(&mem, g.bins.first);
     tetcasti_free(&mem, g.bins.list);
+    if (!asked) return tetcasti_fail(env->error, TETCAST_ERR_CANCELLED, 0, "means: cancelled");
     return g.failed ? tetcasti_fail(env->error, TETCAST_ERR_NO_MEMORY, 0, "means: out of memory") : TETCAST_OK;
 }
 
@@ -16783,7 +16817,7 @@ static tetcast_result tetcasti_bricks_try(const tetcast_bricks_desc *d, const te
     tetcast_lattice l;
     tetcast_result r = tetcast_lattice_fit(mesh, longest, &l);
     uint32_t i, tops;
-    int ok;
+    int ok, asked = 1;
     *short_of = 0;
     if (r != TETCAST_OK) return tetcasti_fail(d->env.error, r, 0, "bricks: the mesh has no extent");
     memset(&g, 0, sizeof g);
@@ -16802,8 +16836,8 @@ static tetcast_result tetcasti_bricks_try(const tetcast_bricks_desc *d, const te
     if (ok) {
         for (i = 0; i < mesh->face_count; i++)
             g.hull[mesh->face[i].cell >> 3] |= (uint8_t)(1u << (mesh->face[i].cell & 7u));
-        tetcasti_parallel_for(&d->env, tetcasti_task_grow, &g, tops);
-        ok = !g.failed && tetcasti_grow_finish(&g) && tetcasti_bricks_hull(g.b, mesh);
+        asked = tetcasti_parallel_ask(&d->env, tetcasti_task_grow, &g, tops);
+        ok = asked && !g.failed && tetcasti_grow_finish(&g) && tetcasti_bricks_hull(g.b, mesh);
         for (i = 0; i < tops; i++) *short_of += g.grown[i].short_of;
     }
     for (i = 0; g.grown != NULL && i < tops; i++) {
@@ -16817,6 +16851,7 @@ static tetcast_result tetcasti_bricks_try(const tetcast_bricks_desc *d, const te
     tetcasti_free(&mem, g.list);
     if (!ok) {
         tetcasti_bricks_free(g.b);
+        if (!asked) return tetcasti_fail(d->env.error, TETCAST_ERR_CANCELLED, 0, "bricks: cancelled");
         return tetcasti_fail(d->env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
     }
     *out = g.b;
@@ -17733,9 +17768,10 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_amr(const tetcast_bricks_desc *
         n > (size_t)-1 / 64) return tetcasti_fail(d.env.error, TETCAST_ERR_RANGE, 0, "bricks: too many finest cells");
     t.v = (float *)tetcasti_alloc_array(&mem, n, sizeof *t.v);
     if (t.v == NULL) return tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
-    tetcasti_parallel_for(&d.env, tetcasti_task_amr, &t, t.l.dims[2]);
     values.data = t.v;
-    r = tetcast_bricks_create_grid(&d, &t.l, &values, report, out);
+    if (tetcasti_parallel_ask(&d.env, tetcasti_task_amr, &t, t.l.dims[2]))
+        r = tetcast_bricks_create_grid(&d, &t.l, &values, report, out);
+    else r = tetcasti_fail(d.env.error, TETCAST_ERR_CANCELLED, 0, "bricks: cancelled");
     tetcasti_free(&mem, t.v);
     return r;
 }
@@ -25620,10 +25656,11 @@ static tetcast_result tetcasti_rbf_bricks_try(const tetcast_bricks_desc *d, tetc
         if (t->l.dims[a] == 1) t->l.spacing[a] = tetcasti_min(t->l.spacing[a], 4096.0 * least);
     t->out = (float *)tetcasti_alloc_array(&mem, n, sizeof *t->out);
     if (t->out == NULL) return tetcasti_fail(d->env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
-    tetcasti_parallel_for(&d->env, tetcasti_task_rbf_nodes, t, t->l.dims[2]);
     half.max_error = 0.5f * d->max_error;
     values.data = t->out;
-    r = tetcast_bricks_create_grid(&half, &t->l, &values, NULL, out);
+    if (tetcasti_parallel_ask(&d->env, tetcasti_task_rbf_nodes, t, t->l.dims[2]))
+        r = tetcast_bricks_create_grid(&half, &t->l, &values, NULL, out);
+    else r = tetcasti_fail(d->env.error, TETCAST_ERR_CANCELLED, 0, "bricks: cancelled");
     tetcasti_free(&mem, t->out);
     return r;
 }

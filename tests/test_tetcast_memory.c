@@ -593,6 +593,82 @@ TEST(every_request_refused) {
     world_close(&w);
 }
 
+/* ---- cancelled ---- */
+
+typedef struct stopper { uint64_t calls, stop_at, done, total; uint32_t backwards; } stopper;
+
+static int stop(void *user, uint64_t done, uint64_t total) {
+    stopper *s = (stopper *)user;
+    s->backwards += total == s->total && done < s->done;
+    s->done = done;
+    s->total = total;
+    CHECK(done <= total);
+    return ++s->calls == s->stop_at;
+}
+
+static tetcast_result fitted(world *w, const tetcast_env *env) {
+    tetcast_rbf_fit_desc d;
+    tetcast_rbf_points p;
+    tetcast_rbf *m = NULL;
+    tetcast_result r;
+    int a;
+    memset(&d, 0, sizeof d);
+    memset(&p, 0, sizeof p);
+    d.env = *env;
+    d.max_error = 0.1f;
+    p.values.data = w->grid;
+    p.components = 1;
+    p.count = GRID * GRID * GRID;
+    for (a = 0; a < 3; a++) p.dims[a] = GRID;
+    r = tetcast_rbf_fit(&d, &p, NULL, &m);
+    CHECK((r == TETCAST_OK) == (m != NULL));
+    tetcast_rbf_destroy(m);
+    return r;
+}
+
+/* Every call that asks whether to go on is cancelled at each of its questions: that is what it says, and nothing is left. */
+TEST(cancelled) {
+    static const struct { const char *name; tetcast_result (*run)(world *, const tetcast_env *); } ask[] = {
+        {"fit", fitted}, {"means", means}, {"bricks of a mesh", bricks_of_mesh}, {"bricks of refined cells", bricks_of_amr},
+        {"bricks of functions", bricks_of_rbf}, {"shaded mesh", shaded_mesh}, {"picture of bricks", brick_picture},
+        {"picture of functions", rbf_picture}};
+    static world w;
+    size_t i;
+    unsigned threads;
+    world_open(&w);
+    for (i = 0; i < sizeof ask / sizeof ask[0]; i++)
+        for (threads = 1; threads <= 3; threads += 2) {
+            uint64_t at;
+            for (at = 0;; at++) { /* 0: never, to count the questions */
+                tetcast_env env;
+                tetcast_error error;
+                test_alloc ta;
+                stopper s;
+                tetcast_result r;
+                memset(&env, 0, sizeof env);
+                memset(&error, 0, sizeof error);
+                memset(&s, 0, sizeof s);
+                test_alloc_init(&ta);
+                env.allocator.alloc_fn = test_alloc_fn;
+                env.allocator.free_fn = test_free_fn;
+                env.allocator.user = &ta;
+                env.thread_count = threads;
+                env.error = &error;
+                env.progress_fn = stop;
+                env.progress_user = &s;
+                s.stop_at = at;
+                r = ask[i].run(&w, &env);
+                test_alloc_check(&ta);
+                if (at == 0) CHECK_MSG(r == TETCAST_OK && s.calls > 0, "%s asks %u times, result %d", ask[i].name, (unsigned)s.calls, (int)r);
+                else if (s.calls >= at)
+                    CHECK_MSG(r == TETCAST_ERR_CANCELLED && error.code == r, "%s, question %u: result %d", ask[i].name, (unsigned)at, (int)r);
+                CHECK_MSG(threads > 1 || s.backwards == 0, "%s: %u steps back", ask[i].name, s.backwards);
+                if (at != 0 && (s.calls < at || at > 60)) break;
+            }
+        }
+    world_close(&w);
+}
+
 /* ---- outputs ---- */
 
 TEST(functions_come_back) { /* values on a grid are those at its nodes; functions are those that were given, in another order */
@@ -735,6 +811,7 @@ TEST(names) {
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(every_request_refused);
+    RUN(cancelled);
     RUN(functions_come_back);
     RUN(pictures_in_all_buffers);
     RUN(names);
