@@ -2027,6 +2027,134 @@ static uint64_t picture(const tetcast_brick_render_desc *d, const tetcast_cut *c
     return test_fnv1a(rgba, (size_t)w * h * 16, 0);
 }
 
+/* Levels by a share of the samples, by an error, by what is shown: budgets are kept and used, what is hidden stays coarse, and pictures of as
+   many bytes come nearer by it. Without the hull a picture goes on to the sides of the lattice. */
+TEST(budgets) {
+    enum { W = 40, H = 32, SIDE = 65 };
+    static float full[W * H * 4], plain[W * H * 4], shown[W * H * 4];
+    const tetcast_lattice l = cube_lattice(SIDE, SIDE, SIDE);
+    float *v = (float *)malloc(node_count(&l) * 4);
+    tetcast_control_point p[3] = {{0.9f, {1, 1, 1}, 0}, {1.1f, {1, 0.5f, 0.2f}, 0.2f}, {3.0f, {0.2f, 0.5f, 1}, 0.4f}};
+    tetcast_transfer_desc td;
+    tetcast_transfer *t = NULL;
+    tetcast_optics *o = NULL;
+    tetcast_brick_render_desc rd;
+    tetcast_bricks *b;
+    tetcast_cut_desc d;
+    tetcast_cut *c = NULL;
+    tetcast_cut_info info, before;
+    double off[2] = {0, 0}, last = 2;
+    uint32_t k, slot;
+    size_t i;
+    REQUIRE(v != NULL);
+    for (i = 0; i < node_count(&l); i++) { /* waves: weak ones up to x = 32 are seen, strong ones beyond are below what is shown */
+        const double x = (double)(i % SIDE), y = (double)(i / SIDE % SIDE), z = (double)(i / SIDE / SIDE);
+        v[i] = (float)(x <= 32 ? 1.5 + 0.3 * sin(0.9 * y) * sin(0.8 * z + 0.2 * x) : -20.0 + 4.0 * sin(1.1 * x) * cos(0.9 * y + z));
+    }
+    b = make_bricks(&l, v, TETCAST_TYPE_F32, 3, 0);
+    memset(&td, 0, sizeof td);
+    td.points = p;
+    td.point_count = 3;
+    REQUIRE(tetcast_transfer_create(&td, &t) == TETCAST_OK && tetcast_optics_create(t, NULL, &o) == TETCAST_OK);
+    for (k = 0; k < 5; k++) { /* shares of the samples */
+        memset(&d, 0, sizeof d);
+        d.sample_budget = 1.0 - 0.17 * k;
+        REQUIRE(tetcast_cut_create(&d, b, &c) == TETCAST_OK);
+        tetcast_cut_get_info(c, &info);
+        CHECK_MSG(info.samples <= d.sample_budget + 1e-9 && info.samples > d.sample_budget - 0.05 && info.samples < last, "%g of %g", info.samples,
+                  d.sample_budget);
+        last = info.samples;
+        tetcast_cut_destroy(c);
+    }
+    memset(&d, 0, sizeof d);
+    memset(&before, 0, sizeof before);
+    for (k = 0; k < 4; k++) { /* errors: kept where the finest level can, with fewer bytes the larger they are */
+        d.byte_budget = UINT64_MAX;
+        d.max_error = k == 0 ? 1e-6f : k == 1 ? 0.4f : k == 2 ? 7.0f : 30.0f;
+        REQUIRE(tetcast_cut_create(&d, b, &c) == TETCAST_OK);
+        tetcast_cut_get_info(c, &info);
+        CHECK_MSG(info.error <= d.max_error && (k == 0 || info.bytes < before.bytes), "error %g: %g, %u bytes", (double)d.max_error,
+                  (double)info.error, (unsigned)info.bytes);
+        before = info;
+        tetcast_cut_destroy(c);
+    }
+    box_view(&rd, &l, 3);
+    c = make_cut(b, NULL, 0);
+    (void)picture(&rd, c, o, W, H, full);
+    tetcast_cut_destroy(c);
+    for (k = 0; k < 2; k++) { /* as many bytes without and with what is shown */
+        const uint8_t *level;
+        memset(&d, 0, sizeof d);
+        d.byte_budget = 729 * 4 * 400;
+        d.optics = k ? o : NULL;
+        REQUIRE(tetcast_cut_create(&d, b, &c) == TETCAST_OK);
+        tetcast_cut_get_info(c, &info);
+        CHECK(info.bytes <= d.byte_budget);
+        level = tetcast_cut_levels(c);
+        for (slot = 0; slot < 512 && k; slot++) if (slot % 8 > 5) CHECK(level[slot] > 0); /* cubes of two slots share a brick */
+        (void)picture(&rd, c, o, W, H, k ? shown : plain);
+        for (i = 0; i < W * H * 4; i++) off[k] += fabs((double)(k ? shown : plain)[i] - (double)full[i]) / (W * H * 4);
+        tetcast_cut_destroy(c);
+    }
+    CHECK_MSG(off[1] < 0.5 * off[0] && off[0] > 1e-4, "%g with what is shown, %g without", off[1], off[0]);
+    tetcast_bricks_destroy(b);
+    tetcast_optics_destroy(o);
+    tetcast_transfer_destroy(t);
+    free(v);
+    { /* hull: one half of a cube */
+        tets m;
+        tetcast_mesh *mesh;
+        tetcast_bricks_desc bd;
+        double way[2] = {0, 0};
+        memset(&m, 0, sizeof m);
+        tets_lattice(&m, 5, 5, 5, 6, NULL);
+        for (i = 0, k = 0; i < m.nt; i++) { /* cells with a corner in x + y + z <= 6 */
+            const uint32_t *q = m.t + 4 * i;
+            double least = 99;
+            uint32_t j;
+            for (j = 0; j < 4; j++) least = fmin(least, m.p[3 * q[j]] + m.p[3 * q[j] + 1] + m.p[3 * q[j] + 2]);
+            if (least < 6) {
+                memmove(m.t + 4 * k, q, 16);
+                k++;
+            }
+        }
+        m.nt = k;
+        mesh = tets_build(&m, TETCAST_CELLS_TET16, NULL);
+        REQUIRE(mesh != NULL);
+        memset(&bd, 0, sizeof bd);
+        bd.log_cells = 3;
+        bd.longest = 17;
+        b = NULL;
+        REQUIRE(tetcast_bricks_create_mesh(&bd, mesh, NULL, &b) == TETCAST_OK);
+        c = make_cut(b, NULL, 0);
+        o = flat_optics(0.1f, TETCAST_MODEL_VOLUME);
+        for (k = 0; k < 2; k++) {
+            tetcast_image image;
+            memset(&rd, 0, sizeof rd);
+            memset(&image, 0, sizeof image);
+            rd.no_hull = k;
+            rd.camera.ortho_height = 4.0f;
+            rd.camera.eye[0] = rd.camera.at[0] = rd.camera.eye[1] = rd.camera.at[1] = 2;
+            rd.camera.eye[2] = 20;
+            image.width = image.height = 16;
+            image.length = full;
+            CHECK_EQ_U64(tetcast_render_bricks(&rd, c, o, &image, NULL), TETCAST_OK);
+            for (i = 0; i < 256; i++) way[k] += (double)full[i] * (16.0 / 256.0);
+        }
+        CHECK_NEAR(way[1], 64.0, 1e-3); /* volumes: of the lattice, of the cells */
+        {
+            tetcast_check check;
+            CHECK_EQ_U64(tetcast_mesh_check(mesh, NULL, &check), TETCAST_OK);
+            CHECK_MSG(check.volume < 50.0 && fabs(way[0] - check.volume) < 0.02 * check.volume, "%g seen, %g there", way[0], check.volume);
+        }
+        tetcast_cut_destroy(c);
+        tetcast_bricks_destroy(b);
+        tetcast_optics_destroy(o);
+        tetcast_mesh_destroy(mesh);
+        tets_free(&m);
+    }
+}
+
 /* Eyes so far off that a step is less than the rounding of distances: pictures end, with lengths and opacities that agree. */
 TEST(far_eyes) {
     enum { W = 12, H = 10 };
@@ -4087,6 +4215,7 @@ int main(int argc, char **argv) {
     RUN(largest_values);
     RUN(largest_values_of_meshes);
     RUN(constant_medium);
+    RUN(budgets);
     RUN(far_eyes);
     RUN(rays_in_borders);
     RUN(thick_layers);

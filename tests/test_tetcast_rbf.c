@@ -1826,6 +1826,133 @@ TEST(shaded_functions) {
     tetcast_rbf_destroy(m);
 }
 
+typedef struct channel_probe { const tetcast_rbf *m; tetcast_rbf_channel channel; const tetcast_camera *camera; double off, most; uint32_t seen, bad; } channel_probe;
+
+static void channel_shade(void *user, const tetcast_packet *in, float rgba[4][8]) {
+    channel_probe *q = (channel_probe *)user;
+    int i, a;
+    for (i = 0; i < 8; i++) {
+        double p[3], want, along = 0.0;
+        float v[3], j[9];
+        tetcast_flow f;
+        rgba[0][i] = rgba[1][i] = rgba[2][i] = rgba[3][i] = 0.0f;
+        if (!(in->mask >> i & 1u)) continue;
+        for (a = 0; a < 3; a++) {
+            p[a] = (double)in->position[a][i];
+            along += (p[a] - q->camera->eye[a]) * (double)in->direction[a][i];
+        }
+        q->bad += !(fabs(along - (double)(in->depth[i] + 0.5f * in->length[i])) < 1e-4);
+        q->bad += tetcast_rbf_eval(NULL, q->m, p, 1, v, j) != TETCAST_OK;
+        tetcast_flow_features(v, j, &f);
+        want = q->channel == TETCAST_RBF_CHANNEL_COMPONENT ? (double)v[1] : q->channel == TETCAST_RBF_CHANNEL_VORTICITY
+            ? sqrt((double)f.vorticity[0] * (double)f.vorticity[0] + (double)f.vorticity[1] * (double)f.vorticity[1] +
+                   (double)f.vorticity[2] * (double)f.vorticity[2])
+            : q->channel == TETCAST_RBF_CHANNEL_LAMBDA2 ? -(double)f.lambda2 : q->channel == TETCAST_RBF_CHANNEL_HELICITY ? (double)f.helicity
+            : (double)f.speed;
+        q->off = fmax(q->off, fabs(0.5 * ((double)in->front[i] + (double)in->back[i]) - want));
+        q->most = fmax(q->most, fabs(want));
+        q->seen++;
+    }
+}
+
+/* What is seen of a flow is what its features say; the same for tiles and for samples one by one. */
+TEST(channels_of_flows) {
+    tetcast_rbf_desc d = random_desc(24, 40, 3, 0.3, 0.6, 0.0);
+    tetcast_rbf *m = make(&d);
+    uint32_t channel, gather;
+    REQUIRE(m != NULL);
+    for (channel = TETCAST_RBF_CHANNEL_AUTO; channel <= TETCAST_RBF_CHANNEL_HELICITY; channel++)
+        for (gather = 0; gather < 2; gather++) {
+            float rgba[6 * 5 * 4];
+            tetcast_rbf_render_desc q;
+            tetcast_image image;
+            tetcast_shader s;
+            channel_probe probe;
+            memset(&q, 0, sizeof q);
+            memset(&image, 0, sizeof image);
+            memset(&s, 0, sizeof s);
+            memset(&probe, 0, sizeof probe);
+            probe.m = m;
+            probe.channel = (tetcast_rbf_channel)channel;
+            probe.camera = &q.camera;
+            q.env.thread_count = 1;
+            q.channel = (tetcast_rbf_channel)channel;
+            q.component = 1;
+            q.gather = gather;
+            q.step = 0.02f;
+            q.camera.ortho_height = 1.5f;
+            q.camera.eye[0] = 4.0;
+            q.camera.eye[1] = q.camera.at[1] = q.camera.eye[2] = q.camera.at[2] = 1.0;
+            s.user = &probe;
+            s.needs = TETCAST_NEED_POSITION | TETCAST_NEED_DIRECTION | TETCAST_NEED_DEPTH;
+            s.shade_fn = channel_shade;
+            q.shader = &s;
+            image.width = 6;
+            image.height = 5;
+            image.rgba = rgba;
+            CHECK(tetcast_rbf_render(&q, m, NULL, &image, NULL) == TETCAST_OK);
+            CHECK_MSG(probe.seen > 2000 && probe.bad == 0 && probe.off < 0.02 * probe.most && probe.most > 0.1,
+                      "channel %u: %u seen, %u bad, off by %g of %g", channel, probe.seen, probe.bad, probe.off, probe.most);
+        }
+    tetcast_rbf_destroy(m);
+}
+
+/* Functions left out while moving: faster, and off by no more than all that is left out; those with weights above stay as they are. */
+TEST(left_out) {
+    enum { W = 40, H = 30 };
+    static float rgba[4][W * H * 4];
+    static const float epsilon[4] = {0.0f, 1e-6f, 0.05f, 0.3f};
+    tetcast_rbf_desc d = random_desc(33, 300, 1, 0.05, 0.2, 0.0);
+    tetcast_optics *o = make_optics(TETCAST_MODEL_VOLUME, 0.5f);
+    uint64_t work[4];
+    double off[4] = {0, 0, 0, 0};
+    tetcast_rbf *m;
+    uint32_t i, k;
+    for (i = 0; i < 300; i++) g_f[i].weight[0] = i % 3 == 0 ? 0.5f + 0.5f * fabsf(g_f[i].weight[0]) : i % 3 == 1 ? 0.02f * g_f[i].weight[0] : 0.2f * g_f[i].weight[0];
+    m = make(&d);
+    REQUIRE(m != NULL && o != NULL);
+    for (k = 0; k < 4; k++) {
+        tetcast_rbf_render_desc q;
+        tetcast_rbf_render_stats st;
+        tetcast_image image;
+        memset(&q, 0, sizeof q);
+        memset(&st, 0, sizeof st);
+        memset(&image, 0, sizeof image);
+        q.epsilon = epsilon[k];
+        q.step = 0.02f;
+        image.width = W;
+        image.height = H;
+        image.rgba = rgba[k];
+        CHECK(tetcast_rbf_render(&q, m, o, &image, &st) == TETCAST_OK);
+        work[k] = st.evaluations;
+        for (i = 0; i < W * H * 4; i++) off[k] = fmax(off[k], fabs((double)rgba[k][i] - (double)rgba[0][i]));
+    }
+    CHECK(work[1] == work[0] && off[1] == 0.0);
+    CHECK_MSG(work[2] < work[1] && work[3] < work[2], "%u %u %u evaluations", (unsigned)work[1], (unsigned)work[2], (unsigned)work[3]);
+    CHECK_MSG(off[2] > 0.0 && off[2] < 0.05 && off[3] > off[2] && off[3] < 0.5, "off by %g and %g", off[2], off[3]);
+    { /* a picture of the functions that stay */
+        tetcast_rbf_render_desc q;
+        tetcast_image image;
+        tetcast_rbf *rest;
+        float most = 0.0f;
+        for (i = 0; i < 300; i++) most = fabsf(g_f[i].weight[0]) > most ? fabsf(g_f[i].weight[0]) : most;
+        for (i = 0; i < 300; i++) if (fabsf(g_f[i].weight[0]) <= 0.05f * most) g_f[i].weight[0] = 0.0f;
+        rest = make(&d);
+        REQUIRE(rest != NULL);
+        memset(&q, 0, sizeof q);
+        memset(&image, 0, sizeof image);
+        q.step = 0.02f;
+        image.width = W;
+        image.height = H;
+        image.rgba = rgba[3];
+        CHECK(tetcast_rbf_render(&q, rest, o, &image, NULL) == TETCAST_OK);
+        CHECK(memcmp(rgba[3], rgba[2], sizeof rgba[2]) == 0);
+        tetcast_rbf_destroy(rest);
+    }
+    tetcast_rbf_destroy(m);
+    tetcast_optics_destroy(o);
+}
+
 /* The recurrence along rays against the formula: steps from far smaller to far larger than the width, starts in tails. */
 TEST(recurrence) {
     test_rng r = test_rng_make(31);
@@ -1988,6 +2115,8 @@ int main(int argc, char **argv) {
     RUN(pictures_far_away);
     RUN(sphere);
     RUN(shaded_functions);
+    RUN(channels_of_flows);
+    RUN(left_out);
     RUN(recurrence);
     RUN(out_of_memory);
     return test_end();
