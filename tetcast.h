@@ -1715,7 +1715,7 @@ TETCAST_DEF tetcast_result tetcast_rbf_fit(const tetcast_rbf_fit_desc *desc, con
 typedef enum tetcast_rbf_channel {
     TETCAST_RBF_CHANNEL_AUTO = 0,      /* the component of models with one, else LENGTH */
     TETCAST_RBF_CHANNEL_COMPONENT = 1, /* see `component` */
-    TETCAST_RBF_CHANNEL_LENGTH = 2,    /* of all components */
+    TETCAST_RBF_CHANNEL_LENGTH = 2,    /* of all components; at most 1.8e19 */
     TETCAST_RBF_CHANNEL_VORTICITY = 3, /* its length; three components */
     TETCAST_RBF_CHANNEL_LAMBDA2 = 4,   /* minus lambda2: > 0 in cores of vortices */
     TETCAST_RBF_CHANNEL_HELICITY = 5,
@@ -24564,6 +24564,10 @@ static void tetcasti_rbf_base_rows(const tetcasti_rbf_picture *t, const tetcasti
 }
 
 /* What is seen of the components and their local slopes. */
+TETCASTI_INLINE float tetcasti_rbf_length(float squares) { /* a number, however large the components are */
+    return sqrtf(squares < 3.4e38f ? squares : 3.4e38f);
+}
+
 static float tetcasti_rbf_scalar(const tetcasti_rbf_picture *t, const float *v, const float *slope) {
     const tetcast_rbf *m = t->m;
     tetcast_flow flow;
@@ -24572,15 +24576,17 @@ static float tetcasti_rbf_scalar(const tetcasti_rbf_picture *t, const float *v, 
     if (t->channel == TETCAST_RBF_CHANNEL_COMPONENT) return v[t->component];
     if (t->channel == TETCAST_RBF_CHANNEL_LENGTH) {
         for (c = 0; c < m->components; c++) s += v[c] * v[c];
-        return sqrtf(s);
+        return tetcasti_rbf_length(s);
     }
     memset(&flow, 0, sizeof flow);
     for (c = 0; c < 9; c++) jacobian[c] = (float)((double)slope[c] / m->scale[c % 3]);
     tetcast_flow_features(v, jacobian, &flow);
-    if (t->channel == TETCAST_RBF_CHANNEL_LAMBDA2) return -flow.lambda2;
-    if (t->channel == TETCAST_RBF_CHANNEL_HELICITY) return flow.helicity;
-    return (float)sqrt((double)flow.vorticity[0] * (double)flow.vorticity[0] + (double)flow.vorticity[1] *
-                       (double)flow.vorticity[1] + (double)flow.vorticity[2] * (double)flow.vorticity[2]);
+    /* differences of values are numbers, too */
+    if (t->channel == TETCAST_RBF_CHANNEL_LAMBDA2) return tetcasti_value_clamp(-flow.lambda2);
+    if (t->channel == TETCAST_RBF_CHANNEL_HELICITY) return tetcasti_value_clamp(flow.helicity);
+    return tetcasti_value_clamp(tetcasti_flow_number(sqrt((double)flow.vorticity[0] * (double)flow.vorticity[0] +
+                                                          (double)flow.vorticity[1] * (double)flow.vorticity[1] +
+                                                          (double)flow.vorticity[2] * (double)flow.vorticity[2])));
 }
 
 /* Samples one by one: rows[0] gets what is seen. */
@@ -24642,7 +24648,7 @@ static void tetcasti_rbf_group_values(tetcasti_rbf_picture *t, const tetcasti_rb
         for (i = 0; i < 8 * (size_t)g->n; i++) {
             float s = 0.0f;
             for (c = 0; c < n; c++) s += rows[c * stride + i] * rows[c * stride + i];
-            rows[i] = sqrtf(s);
+            rows[i] = tetcasti_rbf_length(s);
         }
     } else if (t->component != 0) memcpy(rows, rows + t->component * stride, 8 * (size_t)g->n * sizeof *rows);
 }
