@@ -2028,7 +2028,7 @@ static uint64_t picture(const tetcast_brick_render_desc *d, const tetcast_cut *c
 }
 
 /* Levels by a share of the samples, by an error, by what is shown: budgets are kept and used, what is hidden stays coarse, and pictures of as
-   many bytes come nearer by it. Without the hull a picture goes on to the sides of the lattice. */
+   many bytes come nearer by it. */
 TEST(budgets) {
     enum { W = 40, H = 32, SIDE = 65 };
     static float full[W * H * 4], plain[W * H * 4], shown[W * H * 4];
@@ -2101,58 +2101,67 @@ TEST(budgets) {
     tetcast_optics_destroy(o);
     tetcast_transfer_destroy(t);
     free(v);
-    { /* hull: one half of a cube */
-        tets m;
-        tetcast_mesh *mesh;
-        tetcast_bricks_desc bd;
-        double way[2] = {0, 0};
-        memset(&m, 0, sizeof m);
-        tets_lattice(&m, 5, 5, 5, 6, NULL);
-        for (i = 0, k = 0; i < m.nt; i++) { /* cells with a corner in x + y + z <= 6 */
-            const uint32_t *q = m.t + 4 * i;
-            double least = 99;
-            uint32_t j;
-            for (j = 0; j < 4; j++) least = fmin(least, m.p[3 * q[j]] + m.p[3 * q[j] + 1] + m.p[3 * q[j] + 2]);
-            if (least < 6) {
-                memmove(m.t + 4 * k, q, 16);
-                k++;
-            }
+}
+
+/* Half of a cube: the picture ends at the hull, or goes on to the sides of the lattice. */
+TEST(hull_left_out) {
+    static float full[256];
+    tetcast_brick_render_desc rd;
+    tetcast_bricks *b;
+    tetcast_cut *c;
+    tetcast_optics *o;
+    uint32_t k;
+    size_t i;
+    tets m;
+    tetcast_mesh *mesh;
+    tetcast_bricks_desc bd;
+    double way[2] = {0, 0};
+    memset(&m, 0, sizeof m);
+    tets_lattice(&m, 5, 5, 5, 6, NULL);
+    for (i = 0, k = 0; i < m.nt; i++) { /* cells with a corner in x + y + z <= 6 */
+        const uint32_t *q = m.t + 4 * i;
+        double least = 99;
+        uint32_t j;
+        for (j = 0; j < 4; j++) least = fmin(least, m.p[3 * q[j]] + m.p[3 * q[j] + 1] + m.p[3 * q[j] + 2]);
+        if (least < 6) {
+            memmove(m.t + 4 * k, q, 16);
+            k++;
         }
-        m.nt = k;
-        mesh = tets_build(&m, TETCAST_CELLS_TET16, NULL);
-        REQUIRE(mesh != NULL);
-        memset(&bd, 0, sizeof bd);
-        bd.log_cells = 3;
-        bd.longest = 17;
-        b = NULL;
-        REQUIRE(tetcast_bricks_create_mesh(&bd, mesh, NULL, &b) == TETCAST_OK);
-        c = make_cut(b, NULL, 0);
-        o = flat_optics(0.1f, TETCAST_MODEL_VOLUME);
-        for (k = 0; k < 2; k++) {
-            tetcast_image image;
-            memset(&rd, 0, sizeof rd);
-            memset(&image, 0, sizeof image);
-            rd.no_hull = k;
-            rd.camera.ortho_height = 4.0f;
-            rd.camera.eye[0] = rd.camera.at[0] = rd.camera.eye[1] = rd.camera.at[1] = 2;
-            rd.camera.eye[2] = 20;
-            image.width = image.height = 16;
-            image.length = full;
-            CHECK_EQ_U64(tetcast_render_bricks(&rd, c, o, &image, NULL), TETCAST_OK);
-            for (i = 0; i < 256; i++) way[k] += (double)full[i] * (16.0 / 256.0);
-        }
-        CHECK_NEAR(way[1], 64.0, 1e-3); /* volumes: of the lattice, of the cells */
-        {
-            tetcast_check check;
-            CHECK_EQ_U64(tetcast_mesh_check(mesh, NULL, &check), TETCAST_OK);
-            CHECK_MSG(check.volume < 50.0 && fabs(way[0] - check.volume) < 0.02 * check.volume, "%g seen, %g there", way[0], check.volume);
-        }
-        tetcast_cut_destroy(c);
-        tetcast_bricks_destroy(b);
-        tetcast_optics_destroy(o);
-        tetcast_mesh_destroy(mesh);
-        tets_free(&m);
     }
+    m.nt = k;
+    mesh = tets_build(&m, TETCAST_CELLS_TET16, NULL);
+    REQUIRE(mesh != NULL);
+    memset(&bd, 0, sizeof bd);
+    bd.log_cells = 3;
+    bd.longest = 17;
+    b = NULL;
+    REQUIRE(tetcast_bricks_create_mesh(&bd, mesh, NULL, &b) == TETCAST_OK);
+    c = make_cut(b, NULL, 0);
+    o = flat_optics(0.1f, TETCAST_MODEL_VOLUME);
+    for (k = 0; k < 2; k++) {
+        tetcast_image image;
+        memset(&rd, 0, sizeof rd);
+        memset(&image, 0, sizeof image);
+        rd.no_hull = k;
+        rd.camera.ortho_height = 4.0f;
+        rd.camera.eye[0] = rd.camera.at[0] = rd.camera.eye[1] = rd.camera.at[1] = 2;
+        rd.camera.eye[2] = 20;
+        image.width = image.height = 16;
+        image.length = full;
+        CHECK_EQ_U64(tetcast_render_bricks(&rd, c, o, &image, NULL), TETCAST_OK);
+        for (i = 0; i < 256; i++) way[k] += (double)full[i] * (16.0 / 256.0);
+    }
+    CHECK_NEAR(way[1], 64.0, 1e-3); /* volumes: of the lattice, of the cells */
+    {
+        tetcast_check check;
+        CHECK_EQ_U64(tetcast_mesh_check(mesh, NULL, &check), TETCAST_OK);
+        CHECK_MSG(check.volume < 50.0 && fabs(way[0] - check.volume) < 0.02 * check.volume, "%g seen, %g there", way[0], check.volume);
+    }
+    tetcast_cut_destroy(c);
+    tetcast_bricks_destroy(b);
+    tetcast_optics_destroy(o);
+    tetcast_mesh_destroy(mesh);
+    tets_free(&m);
 }
 
 /* Eyes so far off that a step is less than the rounding of distances: pictures end, with lengths and opacities that agree. */
@@ -4216,6 +4225,7 @@ int main(int argc, char **argv) {
     RUN(largest_values_of_meshes);
     RUN(constant_medium);
     RUN(budgets);
+    RUN(hull_left_out);
     RUN(far_eyes);
     RUN(rays_in_borders);
     RUN(thick_layers);

@@ -259,7 +259,7 @@ TEST(no_function_missed) {
     enum { CHUNK = 10000 };
     static double p[3 * CHUNK];
     static float v[2][CHUNK];
-    const uint32_t chunks = test_quick() ? 4 : 100;
+    const uint32_t chunks = test_quick() ? TETCAST_KERNEL_COUNT : 100;
     uint32_t kernel, c, i;
     for (kernel = 0; kernel < TETCAST_KERNEL_COUNT; kernel++) {
         tetcast_rbf_desc d = random_desc(90 + kernel, 700, 1, 0.01, 0.3, 0.0);
