@@ -23212,9 +23212,9 @@ static int tetcasti_few_step(const tetcasti_few *k, const tetcasti_few_set *s, c
     for (c = 0; c < n; c++) to->offset[c] += x[c];
     for (i = 0; i < s->count; i++) {
         const double *by = x + n + i * (n + 4), width = tetcasti_exp2(s->f[i][3]);
-        const double far = sqrt(by[0] * by[0] + by[1] * by[1] + by[2] * by[2]);
-        const double scale = far > 0.7 * width ? 0.7 * width / far : 1.0;
-        if (!(far < 1e300) || by[3] != by[3]) return 0;
+        const double way = sqrt(by[0] * by[0] + by[1] * by[1] + by[2] * by[2]);
+        const double scale = way > 0.7 * width ? 0.7 * width / way : 1.0;
+        if (!(way < 1e300) || by[3] != by[3]) return 0;
         for (c = 0; c < 3; c++) {
             const double at = s->f[i][c] + scale * by[c], end = (double)t->m->size[c];
             to->f[i][c] = at > 0.0 ? at < end ? at : end : 0.0;
@@ -23420,13 +23420,13 @@ static int tetcasti_few_search(tetcasti_few *k, double mean_error, tetcasti_few_
     const tetcasti_rbf_bits bits = t->m->bits;
     const double count = (double)((t->count - 1) / k->stride + 1);
     float offset[TETCAST_RBF_MAX_COMPONENTS];
-    double first, square, near;
+    double first, square, enough;
     int found = 0;
     uint32_t c, again = 0, rounded = 0;
     tetcasti_few_set s;
     k->limit = 0.49 * (double)t->tolerance * (double)t->tolerance; /* rounding wants some, too */
     k->squares = tetcasti_min(0.49 * mean_error * mean_error, k->limit) * count;
-    near = 0.1 * k->squares;
+    enough = 0.1 * k->squares;
     memset(&s, 0, sizeof s);
     memcpy(offset, t->m->offset, sizeof offset);
     for (c = 0; c < t->n; c++) s.offset[c] = (double)offset[c];
@@ -23439,8 +23439,8 @@ static int tetcasti_few_search(tetcasti_few *k, double mean_error, tetcasti_few_
         }
         tetcasti_few_add(k, &s);
         square = tetcasti_few_descend(k, &s, 20, 1e-2);
-        if (s.count % 4 == 0 && square > near && square * tetcasti_exp2((double)s.count * 0.5 - 1.0) > first) break;
-        if (square < 4.0 * near) square = tetcasti_few_descend(k, &s, 40, 1e-3);
+        if (s.count % 4 == 0 && square > enough && square * tetcasti_exp2((double)s.count * 0.5 - 1.0) > first) break;
+        if (square < 4.0 * enough) square = tetcasti_few_descend(k, &s, 40, 1e-3);
         if (square <= k->squares && k->most <= k->limit) {
             tetcasti_few_set less = s;
             rounded++;
