@@ -12750,6 +12750,16 @@ TETCASTI_TARGET_VL static uint32_t tetcasti_exact8_vl_16(const tetcast_optics *o
 }
 #endif
 
+/* The form for eight lanes of optics where there are AVX2 and, wide, AVX-512. */
+static tetcasti_segment8_fn *tetcasti_segment8_wide(const tetcast_optics *o, int wide) {
+#if TETCASTI_AVX2 && defined(__GNUC__)
+    if (wide && o->segment8 == tetcasti_exact8_associated_8) return tetcasti_exact8_vl_8;
+    if (wide && o->segment8 == tetcasti_exact8_associated_16) return tetcasti_exact8_vl_16;
+#endif
+    (void)wide;
+    return o->segment8;
+}
+
 /* What a frame needs of mesh and optics. */
 static tetcast_result tetcasti_scene_open(const tetcast_render_desc *d, const tetcast_mesh *mesh,
                                           const tetcast_optics *optics, tetcasti_scene *s) {
@@ -12778,14 +12788,9 @@ static tetcast_result tetcasti_scene_open(const tetcast_render_desc *d, const te
     if (d->isa != TETCAST_ISA_AUTO && d->isa < s->isa) s->isa = d->isa;
     if (s->isa == TETCAST_ISA_SSE) s->fma = 0;
     if (optics != NULL) {
-        s->segment8 = optics->segment8;
+        s->segment8 = tetcasti_segment8_wide(optics, s->isa >= TETCAST_ISA_AVX512);
         s->segment = s->isa == TETCAST_ISA_SSE ? tetcasti_segment_pick(optics, 0) : optics->segment;
     }
-#if TETCASTI_AVX2 && defined(__GNUC__)
-    if (s->isa >= TETCAST_ISA_AVX512 && s->segment8 == tetcasti_exact8_associated_8) s->segment8 = tetcasti_exact8_vl_8;
-    if (s->isa >= TETCAST_ISA_AVX512 && s->segment8 == tetcasti_exact8_associated_16)
-        s->segment8 = tetcasti_exact8_vl_16;
-#endif
     if ((uint32_t)d->isa > TETCAST_ISA_AVX512 || (d->smooth_normals && mesh->gradient == NULL))
         return TETCAST_ERR_INVALID_ARG;
     return TETCAST_OK;
@@ -18834,6 +18839,9 @@ typedef struct tetcasti_octet {
     tetcast_packet packet;
 } tetcasti_octet;
 
+/* The next segment of all lanes. */
+typedef uint32_t tetcasti_step8_fn(const tetcast_bricks *b, tetcasti_octet *l);
+
 #define TETCASTI_SEEN 128u
 #define TETCASTI_BRICK_SAMPLES 1048576.0 /* on a ray, with a step that the caller gives */
 #define TETCASTI_BRICK_BIN 8u /* pixels, along both axes, of a bin */
@@ -18844,6 +18852,7 @@ typedef struct tetcasti_brick_frame {
     const tetcast_optics *optics;    /* NULL: the shader */
     const tetcast_image *image;
     tetcasti_segment8_fn *segment8;
+    tetcasti_step8_fn *step8;
     tetcasti_frame frame;
     tetcasti_encoder encoder;
     tetcasti_mem mem;
@@ -19056,7 +19065,7 @@ static uint32_t tetcasti_octet_step(const tetcast_bricks *b, tetcasti_octet *l) 
 }
 
 #if TETCASTI_AVX2
-TETCASTI_TARGET_AVX2 static uint32_t tetcasti_octet_step8(const tetcast_bricks *b, tetcasti_octet *l) {
+TETCASTI_TARGET_AVX2 TETCASTI_INLINE uint32_t tetcasti_octet_step8_of(const tetcast_bricks *b, tetcasti_octet *l) {
     const __m256 cells = _mm256_set1_ps((float)(1u << b->log)), zero = _mm256_setzero_ps();
     const __m256i top = _mm256_set1_epi32((1 << b->log) - 1), side = _mm256_set1_epi32((int32_t)b->side);
     const __m256 number = _mm256_loadu_ps(l->number), end = _mm256_loadu_ps(l->end), tau = _mm256_loadu_ps(l->tau);
@@ -19097,6 +19106,15 @@ TETCASTI_TARGET_AVX2 static uint32_t tetcasti_octet_step8(const tetcast_bricks *
     _mm256_storeu_ps(l->number, _mm256_add_ps(number, _mm256_set1_ps(1.0f)));
     return ~(uint32_t)_mm256_movemask_ps(inner) & l->live;
 }
+TETCASTI_TARGET_AVX2 static uint32_t tetcasti_octet_step8(const tetcast_bricks *b, tetcasti_octet *l) {
+    return tetcasti_octet_step8_of(b, l);
+}
+#if defined(__GNUC__)
+/* with 32 registers */
+TETCASTI_TARGET_VL static uint32_t tetcasti_octet_step8_vl(const tetcast_bricks *b, tetcasti_octet *l) {
+    return tetcasti_octet_step8_of(b, l);
+}
+#endif
 #endif
 
 /* ---- what is done with segments ---- */
@@ -19305,7 +19323,7 @@ static void tetcasti_octet_run(const tetcasti_brick_frame *c, tetcasti_octet l[2
         for (k = 0; k < 2; k++) {
             if (l[k].live == 0) continue;
 #if TETCASTI_AVX2
-            if (c->wide) over[k] = tetcasti_octet_step8(b, &l[k]);
+            if (c->wide) over[k] = c->step8(b, &l[k]);
             else
 #endif
             over[k] = tetcasti_octet_step(b, &l[k]);
@@ -19698,12 +19716,22 @@ TETCAST_DEF tetcast_result tetcast_render_bricks(const tetcast_brick_render_desc
     c.optics = d.shader != NULL ? NULL : optics;
     c.image = image;
     c.wide = tetcast_isa_best() >= TETCAST_ISA_AVX2 && (d.isa == TETCAST_ISA_AUTO || d.isa >= TETCAST_ISA_AVX2);
+#if TETCASTI_AVX2
+    c.step8 = tetcasti_octet_step8;
+#  if defined(__GNUC__)
+    if (c.wide && d.isa != TETCAST_ISA_AVX2 && tetcasti_has_avx512()) {
+        c.wide = 2;
+        c.step8 = tetcasti_octet_step8_vl;
+    }
+#  endif
+#endif
     c.tiles_x = (image->width + TETCASTI_TILE - 1) / TETCASTI_TILE;
     if ((uint64_t)c.tiles_x * ((image->height + TETCASTI_TILE - 1) / TETCASTI_TILE) > 0x7fffffffu)
         return tetcasti_fail(d.env.error, TETCAST_ERR_RANGE, image->width, "bricks: the picture is too large");
     c.tiles = c.tiles_x * ((image->height + TETCASTI_TILE - 1) / TETCASTI_TILE);
     if (c.optics != NULL)
-        c.segment8 = c.wide ? optics->segment8 : tetcasti_segment8_pick(optics, TETCAST_ISA_SCALAR);
+        c.segment8 = c.wide ? tetcasti_segment8_wide(optics, c.wide == 2)
+                            : tetcasti_segment8_pick(optics, TETCAST_ISA_SCALAR);
     if (image->rgba8 != NULL) tetcasti_encoder_open(&c.encoder);
     r = tetcasti_brick_frame_open(&c, &d, image);
     if (r == TETCAST_OK && !(tetcasti_brick_skips(&c) && tetcasti_brick_reach(&c)))
