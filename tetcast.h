@@ -18814,13 +18814,9 @@ TETCAST_DEF tetcast_result tetcast_render_shaded(const tetcast_shade_desc *desc,
 
 /* One ray. t: world length along it; lattice coordinates o + t d. */
 typedef struct tetcasti_brick_ray {
-    double o[3], d[3], inv[3], world_o[3], world_d[3], t, end;
-    double exit[3], never[3];         /* where the cube of slots ends along each axis; 1e300 where it never does */
+    double world_o[3], world_d[3];
     tetcasti_spans spans;
-    uint32_t at;
-    int32_t slot[3], way[3], up[3];   /* way: to the next slot along each axis, 1 or -1; up: 1 or 0 */
-    ptrdiff_t index, move[3];         /* number of the slot, and how it changes with `way` */
-    uint32_t axis, in_span, last, front; /* axis: through whose border the slot ends; front: its front value is known */
+    uint32_t at, in_span, front;      /* at: which span; front: its front value is known */
     uint32_t log, known;              /* log: of the cube of slots that is walked through at once; known: it is 0, and
                                          exit[] is right but for `axis` */
 } tetcasti_brick_ray;
@@ -18833,6 +18829,15 @@ typedef struct tetcasti_octet {
     uint8_t level[8];
     float depth[8], length[8];
     uint32_t steps[8], walks[8], live, ended, octets;
+    /* where the rays are in the lattice: */
+    double o[3][8], d[3][8], inv[3][8];
+    double exit[3][8], never[3][8];   /* where the cube of slots ends along each axis; 1e300 where it never does */
+    double t[8], leave[8], until[8];  /* the slot begins and ends there, and the span */
+    int32_t slot[3][8], way[3][8], up[3][8]; /* way: to the next slot along each axis, 1 or -1; up: 1 or 0 */
+    int64_t index[8], move[3][8];     /* number of the slot, and how it changes with `way` */
+    int32_t axis[8];                  /* through whose border the slot ends */
+    uint32_t last;                    /* bits: the span ends before the slot does */
+    uint32_t plain;                   /* bits: one slot of the finest level that is not the last; exit[] is known */
     tetcasti_brick_ray ray[8];
     tetcasti_ray_sum8 sum;
     tetcasti_seg8 seg;
@@ -18875,27 +18880,27 @@ static void tetcasti_lane_slot(const tetcasti_brick_frame *c, tetcasti_octet *l,
     const tetcast_cut *cut = c->cut;
     const tetcast_bricks *b = cut->bricks;
     tetcasti_brick_ray *r = &l->ray[i];
-    const uint32_t word = cut->slot[r->index];
+    const uint32_t word = cut->slot[l->index[i]];
     const uint32_t k = word >> TETCASTI_LEVEL_SHIFT & 15u, bit = 1u << i;
-    const double part = c->part[k], step = c->steps[k], number = r->t * c->per[k];
+    const double part = c->part[k], step = c->steps[k], number = l->t[i] * c->per[k];
     const double whole = number < 4e15 && number > 0.0 ? (double)(int64_t)number : 0.0;
     /* so far from the eye that steps are less than rounding: from where the slot begins */
-    const double ahead = number < 4e15 ? (whole + 1.0) * step - r->t : step;
+    const double ahead = number < 4e15 ? (whole + 1.0) * step - l->t[i] : step;
     uint32_t a, type;
     l->block[i] = tetcasti_slot_block(cut, word, &type);
     l->adapted = word & TETCASTI_ADAPTED ? l->adapted | bit : l->adapted & ~bit;
     l->level[i] = (uint8_t)k;
     for (a = 0; a < 3; a++) {
-        const double origin = (double)((uint32_t)r->slot[a] >> k << k << b->log);
-        l->l0[a][i] = (float)(((r->o[a] + r->t * r->d[a]) - origin) * part);
-        l->dl[a][i] = (float)(r->d[a] * part);
+        const double origin = (double)((uint32_t)l->slot[a][i] >> k << k << b->log);
+        l->l0[a][i] = (float)(((l->o[a][i] + l->t[i] * l->d[a][i]) - origin) * part);
+        l->dl[a][i] = (float)(l->d[a][i] * part);
     }
     l->step[i] = (float)step;
     l->first[i] = ahead > 0.0 ? (float)ahead : 0.0f;
-    l->end[i] = (float)(r->end - r->t);
+    l->end[i] = (float)(l->leave[i] - l->t[i]);
     l->tau[i] = 0.0f;
     l->number[i] = 0.0f;
-    l->begin[i] = (float)r->t;
+    l->begin[i] = (float)l->t[i];
     l->walks[i]++;
     if (!r->front) {
         const float cells = (float)(1u << b->log);
@@ -18918,94 +18923,99 @@ static void tetcasti_lane_slot(const tetcasti_brick_frame *c, tetcasti_octet *l,
     }
 }
 
-/* Where 2^log slots at r->slot end on the ray along an axis. */
-TETCASTI_INLINE double tetcasti_brick_exit(const tetcast_bricks *b, const tetcasti_brick_ray *r, uint32_t a,
-                                           uint32_t log) {
-    const int64_t border = (((int64_t)r->slot[a] >> log) + r->up[a]) * ((int64_t)1 << (log + b->log));
-    return ((double)border - r->o[a]) * r->inv[a] + r->never[a];
+/* Where 2^log slots at the lane's slot end on the ray along an axis. */
+TETCASTI_INLINE double tetcasti_brick_exit(const tetcast_bricks *b, const tetcasti_octet *l, uint32_t i,
+                                           uint32_t a, uint32_t log) {
+    const int64_t border = (((int64_t)l->slot[a][i] >> log) + l->up[a][i]) * ((int64_t)1 << (log + b->log));
+    return ((double)border - l->o[a][i]) * l->inv[a][i] + l->never[a][i];
 }
 
-/* The slot of the point at r->t, between lo and hi. On a border it is the one that the ray goes into. */
-TETCASTI_INLINE void tetcasti_brick_find(const tetcast_bricks *b, tetcasti_brick_ray *r, uint32_t a, int32_t lo,
-                                         int32_t hi) {
-    const double x = (r->o[a] + r->t * r->d[a]) * (1.0 / (double)(1u << b->log));
+/* The slot of the point where the lane is, between lo and hi. On a border it is the one that the ray goes into. */
+TETCASTI_INLINE void tetcasti_brick_find(const tetcast_bricks *b, tetcasti_octet *l, uint32_t i, uint32_t a,
+                                         int32_t lo, int32_t hi) {
+    const double x = (l->o[a][i] + l->t[i] * l->d[a][i]) * (1.0 / (double)(1u << b->log));
     int64_t s = tetcasti_floor(x > -1.0 ? x < 4294967296.0 ? x : 4294967296.0 : -1.0);
-    if (r->d[a] < 0.0 && (double)s == x) s--;
-    r->slot[a] = s < lo ? lo : s > hi ? hi : (int32_t)s;
+    if (l->d[a][i] < 0.0 && (double)s == x) s--;
+    l->slot[a][i] = s < lo ? lo : s > hi ? hi : (int32_t)s;
 }
 
 /* Through the border of a cube of 2^log slots. 0: out of the lattice. */
-static int tetcasti_brick_leave(const tetcast_bricks *b, tetcasti_brick_ray *r, uint32_t log) {
-    const int32_t first = r->slot[r->axis] >> log << log;
-    const int32_t to = r->d[r->axis] > 0.0 ? first + ((int32_t)1 << log) : first - 1;
+static int tetcasti_brick_leave(const tetcast_bricks *b, tetcasti_octet *l, uint32_t i, uint32_t log) {
+    const uint32_t axis = (uint32_t)l->axis[i];
+    const int32_t first = l->slot[axis][i] >> log << log;
+    const int32_t to = l->d[axis][i] > 0.0 ? first + ((int32_t)1 << log) : first - 1;
     uint32_t a;
-    if (to < 0 || to >= (int32_t)b->slots[r->axis]) return 0;
+    if (to < 0 || to >= (int32_t)b->slots[axis]) return 0;
     for (a = 0; a < 3; a++) {
-        const int32_t lo = r->slot[a] >> log << log, hi = lo + ((int32_t)1 << log) - 1;
-        if (a != r->axis)
-            tetcasti_brick_find(b, r, a, lo, hi < (int32_t)b->slots[a] ? hi : (int32_t)b->slots[a] - 1);
+        const int32_t lo = l->slot[a][i] >> log << log, hi = lo + ((int32_t)1 << log) - 1;
+        if (a != axis)
+            tetcasti_brick_find(b, l, i, a, lo, hi < (int32_t)b->slots[a] ? hi : (int32_t)b->slots[a] - 1);
     }
-    r->slot[r->axis] = to;
+    l->slot[axis][i] = to;
     return 1;
 }
 
-TETCASTI_INLINE void tetcasti_brick_number(const tetcast_bricks *b, tetcasti_brick_ray *r) {
-    r->index = r->slot[0] + (ptrdiff_t)b->slots[0] * (r->slot[1] + (ptrdiff_t)b->slots[1] * r->slot[2]);
+TETCASTI_INLINE void tetcasti_brick_number(const tetcast_bricks *b, tetcasti_octet *l, uint32_t i) {
+    l->index[i] = l->slot[0][i] + (ptrdiff_t)b->slots[0] * (l->slot[1][i] + (ptrdiff_t)b->slots[1] * l->slot[2][i]);
 }
 
-/* Leave the slot (or enter the first one): to the next one that shows something. 0: the ray is through. From slot to
+/* To the next slot that shows something; leave: not the one that the lane is in. 0: the ray is through. From slot to
    slot it is a third of a picture's time: no divisions, and one border anew for each step. */
-static int tetcasti_lane_next(const tetcasti_brick_frame *c, tetcasti_octet *l, uint32_t i) {
+static int tetcasti_lane_next(const tetcasti_brick_frame *c, tetcasti_octet *l, uint32_t i, int leave) {
     const tetcast_bricks *b = c->cut->bricks;
+    const uint32_t bit = 1u << i;
     tetcasti_brick_ray *r = &l->ray[i];
-    uint32_t a, leave = r->in_span;
+    uint32_t a;
+    l->plain &= ~bit;
     for (;;) {
         uint32_t skip, log, k, m;
         double least;
         if (leave) {
-            r->t = r->end;
-            if (r->last) {
+            l->t[i] = l->leave[i];
+            if (l->last & bit) {
                 r->at++;
                 r->in_span = 0;
             } else if (r->log == 0) {
-                a = r->axis;
-                r->slot[a] += r->way[a];
-                if ((uint32_t)r->slot[a] >= b->slots[a]) return 0;
-                r->index += r->move[a];
+                a = (uint32_t)l->axis[i];
+                l->slot[a][i] += l->way[a][i];
+                if ((uint32_t)l->slot[a][i] >= b->slots[a]) return 0;
+                l->index[i] += l->move[a][i];
             } else {
-                if (!tetcasti_brick_leave(b, r, r->log)) return 0;
-                tetcasti_brick_number(b, r);
+                if (!tetcasti_brick_leave(b, l, i, r->log)) return 0;
+                tetcasti_brick_number(b, l, i);
             }
         }
         leave = 1;
         if (!r->in_span) { /* a new span: nothing is known about what was before */
             if (r->at >= r->spans.count) return 0;
-            r->t = r->spans.span[r->at][0];
+            l->t[i] = r->spans.span[r->at][0];
+            l->until[i] = r->spans.span[r->at][1];
             r->in_span = 1;
             r->front = r->known = 0;
             if (c->optics != NULL) tetcasti_lane_gap(c->optics, &l->sum, i);
-            for (a = 0; a < 3; a++) tetcasti_brick_find(b, r, a, 0, (int32_t)b->slots[a] - 1);
-            tetcasti_brick_number(b, r);
+            for (a = 0; a < 3; a++) tetcasti_brick_find(b, l, i, a, 0, (int32_t)b->slots[a] - 1);
+            tetcasti_brick_number(b, l, i);
         }
-        skip = c->skip[r->index];
+        skip = c->skip[l->index[i]];
         log = skip & TETCASTI_SEEN ? skip & 127u : skip - 1;
-        if ((log | !r->known) == 0) r->exit[r->axis] = tetcasti_brick_exit(b, r, r->axis, 0);
-        else for (a = 0; a < 3; a++) r->exit[a] = tetcasti_brick_exit(b, r, a, log);
+        if ((log | !r->known) == 0) l->exit[l->axis[i]][i] = tetcasti_brick_exit(b, l, i, (uint32_t)l->axis[i], 0);
+        else for (a = 0; a < 3; a++) l->exit[a][i] = tetcasti_brick_exit(b, l, i, a, log);
         r->known = log == 0;
         r->log = log;
-        k = (uint32_t)(r->exit[1] < r->exit[0]); /* without branches: nobody could foretell them */
-        least = tetcasti_min(r->exit[0], r->exit[1]);
-        m = (uint32_t)(r->exit[2] < least);
-        least = tetcasti_min(least, r->exit[2]);
-        r->axis = 2 * m + (k & ~m);
-        r->last = !(least < r->spans.span[r->at][1]);
-        r->end = tetcasti_min(r->spans.span[r->at][1], least);
-        if (!(r->end > r->t)) {
-            r->end = r->t;
+        k = (uint32_t)(l->exit[1][i] < l->exit[0][i]); /* without branches: nobody could foretell them */
+        least = tetcasti_min(l->exit[0][i], l->exit[1][i]);
+        m = (uint32_t)(l->exit[2][i] < least);
+        least = tetcasti_min(least, l->exit[2][i]);
+        l->axis[i] = (int32_t)(2 * m + (k & ~m));
+        l->last = least < l->until[i] ? l->last & ~bit : l->last | bit;
+        l->leave[i] = tetcasti_min(l->until[i], least);
+        if (!(l->leave[i] > l->t[i])) {
+            l->leave[i] = l->t[i];
             continue;
         }
         if (skip & TETCASTI_SEEN) {
             tetcasti_lane_slot(c, l, i);
+            if ((log | l->level[i]) == 0) l->plain |= bit & ~l->last;
             return 1;
         }
         if (r->front && c->optics != NULL) tetcasti_lane_gap(c->optics, &l->sum, i);
@@ -19309,6 +19319,89 @@ static uint32_t tetcasti_octet_integrate(const tetcasti_brick_frame *c, tetcasti
     return ended;
 }
 
+#if TETCASTI_AVX2 && defined(__GNUC__)
+/* An instruction for all lanes of 8 doubles. */
+#define TETCASTI_Z8(name, ...) _mm512_maskz_##name((uint8_t)0xff, __VA_ARGS__)
+
+/* tetcasti_lane_next for all lanes at once that leave a plain slot for one that is plain or may become the last: the
+   same numbers. Returns the lanes that are left to it, which have not left their slot yet. */
+TETCASTI_TARGET_VL static uint32_t tetcasti_octet_next(const tetcasti_brick_frame *c, tetcasti_octet *l,
+                                                       uint32_t over) {
+    const tetcast_cut *cut = c->cut;
+    const tetcast_bricks *b = cut->bricks;
+    const __m512d zero = _mm512_setzero_pd(), one = _mm512_set1_pd(1.0);
+    const __m256i axis = _mm256_loadu_si256((const __m256i *)(const void *)l->axis), none = _mm256_setzero_si256();
+    const __m512d t = _mm512_loadu_pd(l->leave), until = _mm512_loadu_pd(l->until);
+    __m512i index = _mm512_loadu_si512((const void *)l->index);
+    __m256i slot[3], at = none, up = none;
+    __m512d o = zero, inv = zero, never = zero, exit[3], border, least, end, number, ahead;
+    __mmask8 through[3], go, next, last;
+    uint32_t a, i, plain = 0, out = 0;
+    int64_t to[8];
+    for (a = 0; a < 3; a++) { /* through the border, and where the next one is along that axis */
+        through[a] = _mm256_cmpeq_epi32_mask(axis, _mm256_set1_epi32((int32_t)a));
+        slot[a] = _mm256_loadu_si256((const __m256i *)(const void *)l->slot[a]);
+        slot[a] = _mm256_mask_add_epi32(slot[a], through[a], slot[a],
+                                        _mm256_loadu_si256((const __m256i *)(const void *)l->way[a]));
+        out |= _mm256_mask_cmpge_epu32_mask(through[a], slot[a], _mm256_set1_epi32((int32_t)b->slots[a]));
+        index = _mm512_mask_add_epi64(index, through[a], index, _mm512_loadu_si512((const void *)l->move[a]));
+        at = _mm256_mask_mov_epi32(at, through[a], slot[a]);
+        up = _mm256_mask_mov_epi32(up, through[a], _mm256_loadu_si256((const __m256i *)(const void *)l->up[a]));
+        o = _mm512_mask_loadu_pd(o, through[a], l->o[a]);
+        inv = _mm512_mask_loadu_pd(inv, through[a], l->inv[a]);
+        never = _mm512_mask_loadu_pd(never, through[a], l->never[a]);
+    }
+    _mm512_storeu_si512((void *)to, index);
+    for (i = over & l->plain & ~out; i != 0; i &= i - 1) {
+        const uint32_t k = tetcasti_ctz64(i);
+        const uint32_t word = c->skip[to[k]] == TETCASTI_SEEN ? cut->slot[to[k]] : 15u << TETCASTI_LEVEL_SHIFT;
+        uint32_t type;
+        if ((word >> TETCASTI_LEVEL_SHIFT & 15u) != 0) continue;
+        plain |= 1u << k;
+        l->block[k] = tetcasti_slot_block(cut, word, &type);
+        l->adapted = word & TETCASTI_ADAPTED ? l->adapted | 1u << k : l->adapted & ~(1u << k);
+    }
+    border = _mm512_mul_pd(TETCASTI_Z8(cvtepi32_pd, _mm256_add_epi32(at, up)), _mm512_set1_pd((double)(1u << b->log)));
+    border = _mm512_add_pd(_mm512_mul_pd(_mm512_sub_pd(border, o), inv), never);
+    for (a = 0; a < 3; a++) exit[a] = _mm512_mask_mov_pd(_mm512_loadu_pd(l->exit[a]), through[a], border);
+    next = _mm512_cmp_pd_mask(exit[1], exit[0], _CMP_LT_OQ);
+    least = TETCASTI_Z8(min_pd, exit[0], exit[1]);
+    last = _mm512_cmp_pd_mask(exit[2], least, _CMP_LT_OQ);
+    at = _mm256_mask_mov_epi32(_mm256_maskz_mov_epi32(next, _mm256_set1_epi32(1)), last, _mm256_set1_epi32(2));
+    least = TETCASTI_Z8(min_pd, least, exit[2]);
+    last = _mm512_cmp_pd_mask(least, until, _CMP_NLT_UQ);
+    end = TETCASTI_Z8(min_pd, until, least);
+    number = _mm512_mul_pd(t, _mm512_set1_pd(c->per[0]));
+    go = (__mmask8)plain;
+    go = _mm512_mask_cmp_pd_mask(go, end, t, _CMP_GT_OQ); /* no slots of no length here, nor steps less than rounding */
+    go = _mm512_mask_cmp_pd_mask(go, number, _mm512_set1_pd(4e15), _CMP_LT_OQ);
+    ahead = TETCASTI_Z8(roundscale_pd, TETCASTI_Z8(max_pd, number, zero), 0x0b);
+    ahead = _mm512_sub_pd(_mm512_mul_pd(_mm512_add_pd(ahead, one), _mm512_set1_pd(c->steps[0])), t);
+    for (a = 0; a < 3; a++) {
+        const __m512d origin = TETCASTI_Z8(cvtepu32_pd, _mm256_slli_epi32(slot[a], (int)b->log));
+        const __m512d x = _mm512_add_pd(_mm512_loadu_pd(l->o[a]), _mm512_mul_pd(t, _mm512_loadu_pd(l->d[a])));
+        _mm256_mask_storeu_ps(l->l0[a], go, TETCASTI_Z8(cvtpd_ps, _mm512_sub_pd(x, origin)));
+        _mm256_mask_storeu_epi32(l->slot[a], go, slot[a]);
+        _mm512_mask_storeu_pd(l->exit[a], go, exit[a]);
+    }
+    _mm256_mask_storeu_epi32(l->axis, go, at);
+    _mm512_mask_storeu_epi64(l->index, go, index);
+    _mm512_mask_storeu_pd(l->t, go, t);
+    _mm512_mask_storeu_pd(l->leave, go, end);
+    _mm256_mask_storeu_ps(l->first, go, TETCASTI_Z8(cvtpd_ps, TETCASTI_Z8(max_pd, ahead, zero)));
+    _mm256_mask_storeu_ps(l->end, go, TETCASTI_Z8(cvtpd_ps, _mm512_sub_pd(end, t)));
+    _mm256_mask_storeu_ps(l->begin, go, TETCASTI_Z8(cvtpd_ps, t));
+    _mm256_mask_storeu_ps(l->tau, go, _mm256_setzero_ps());
+    _mm256_mask_storeu_ps(l->number, go, _mm256_setzero_ps());
+    up = _mm256_loadu_si256((const __m256i *)(const void *)l->walks);
+    _mm256_mask_storeu_epi32(l->walks, go, _mm256_add_epi32(up, _mm256_set1_epi32(1)));
+    l->last = (l->last & ~(uint32_t)go) | (uint32_t)(go & last);
+    l->plain &= ~(uint32_t)(go & last);
+    return over & ~(uint32_t)go;
+}
+#undef TETCASTI_Z8
+#endif
+
 /* Follow the rays of two packets to their ends, in turn: what a packet waits for is the last thing that it did. */
 static void tetcasti_octet_run(const tetcasti_brick_frame *c, tetcasti_octet l[2]) {
     const tetcast_bricks *b = c->cut->bricks;
@@ -19316,7 +19409,7 @@ static void tetcasti_octet_run(const tetcasti_brick_frame *c, tetcasti_octet l[2
     for (k = 0; k < 2; k++) {
         start = l[k].live;
         for (i = 0; i < 8; i++)
-            if ((start >> i & 1u) && !tetcasti_lane_next(c, &l[k], i)) l[k].live &= ~(1u << i);
+            if ((start >> i & 1u) && !tetcasti_lane_next(c, &l[k], i, 0)) l[k].live &= ~(1u << i);
     }
     while ((l[0].live | l[1].live) != 0) {
         uint32_t over[2] = {0, 0};
@@ -19335,9 +19428,13 @@ static void tetcasti_octet_run(const tetcasti_brick_frame *c, tetcasti_octet l[2
             ended = c->optics != NULL ? tetcasti_octet_integrate(c, &l[k]) : tetcasti_octet_shade(c, &l[k]);
             l[k].ended |= ended;
             l[k].live &= ~ended;
-            for (over[k] &= l[k].live; over[k] != 0; over[k] &= over[k] - 1) {
+            over[k] &= l[k].live;
+#if TETCASTI_AVX2 && defined(__GNUC__)
+            if (c->wide == 2 && (over[k] & l[k].plain) != 0) over[k] = tetcasti_octet_next(c, &l[k], over[k]);
+#endif
+            for (; over[k] != 0; over[k] &= over[k] - 1) {
                 i = tetcasti_ctz64(over[k]);
-                if (!tetcasti_lane_next(c, &l[k], i)) l[k].live &= ~(1u << i);
+                if (!tetcasti_lane_next(c, &l[k], i, 1)) l[k].live &= ~(1u << i);
             }
         }
     }
@@ -19345,11 +19442,12 @@ static void tetcasti_octet_run(const tetcasti_brick_frame *c, tetcasti_octet l[2
 
 /* The ray of a pixel: spans inside of the lattice, between the ends of the view, not clipped away, in the hull. */
 static uint32_t tetcasti_brick_ray_open(tetcasti_brick_frame *c, uint32_t x, uint32_t y, double limit,
-                                        tetcasti_brick_ray *r) {
+                                        tetcasti_octet *l, uint32_t i) {
     const tetcast_brick_render_desc *d = c->desc;
     const tetcast_bricks *b = c->cut->bricks;
     const double px = (double)(d->part[0] + x) + 0.5, py = (double)(d->part[1] + y) + 0.5;
     const double *reach = c->reach[x / TETCASTI_BRICK_BIN + (size_t)c->bins_x * (y / TETCASTI_BRICK_BIN)];
+    tetcasti_brick_ray *r = &l->ray[i];
     double way, lo, hi;
     uint32_t a;
     if (!(reach[0] <= reach[1])) return 0;
@@ -19362,24 +19460,27 @@ static uint32_t tetcasti_brick_ray_open(tetcasti_brick_frame *c, uint32_t x, uin
         const double end = (double)(b->lattice.dims[a] - 1), thin = end > 0.0 ? 0.0 : 0.5;
         double t0, t1;
         r->world_d[a] /= way;
-        r->o[a] = (r->world_o[a] - b->lattice.origin[a]) / b->lattice.spacing[a];
-        r->d[a] = r->world_d[a] / b->lattice.spacing[a];
-        if (tetcasti_abs(r->world_d[a]) < 1e-30) r->d[a] = 0.0;
-        r->inv[a] = r->d[a] != 0.0 ? 1.0 / r->d[a] : 0.0;
-        r->way[a] = r->d[a] > 0.0 ? 1 : -1;
-        r->up[a] = r->d[a] > 0.0;
-        r->never[a] = r->d[a] != 0.0 ? 0.0 : 1e300;
-        r->move[a] = a == 0 ? r->way[0] : (ptrdiff_t)b->slots[0] * (a == 2 ? (ptrdiff_t)b->slots[1] : 1) * r->way[a];
-        if (r->d[a] == 0.0) {
-            if (!(r->o[a] >= -thin && r->o[a] <= end + thin)) return 0;
+        l->o[a][i] = (r->world_o[a] - b->lattice.origin[a]) / b->lattice.spacing[a];
+        l->d[a][i] = r->world_d[a] / b->lattice.spacing[a];
+        if (tetcasti_abs(r->world_d[a]) < 1e-30) l->d[a][i] = 0.0;
+        l->inv[a][i] = l->d[a][i] != 0.0 ? 1.0 / l->d[a][i] : 0.0;
+        l->way[a][i] = l->d[a][i] > 0.0 ? 1 : -1;
+        l->up[a][i] = l->d[a][i] > 0.0;
+        l->never[a][i] = l->d[a][i] != 0.0 ? 0.0 : 1e300;
+        l->move[a][i] = a == 0 ? l->way[0][i]
+                               : (ptrdiff_t)b->slots[0] * (a == 2 ? (ptrdiff_t)b->slots[1] : 1) * l->way[a][i];
+        if (l->d[a][i] == 0.0) {
+            if (!(l->o[a][i] >= -thin && l->o[a][i] <= end + thin)) return 0;
             continue;
         }
-        t0 = (-thin - r->o[a]) * r->inv[a];
-        t1 = (end + thin - r->o[a]) * r->inv[a];
+        t0 = (-thin - l->o[a][i]) * l->inv[a][i];
+        t1 = (end + thin - l->o[a][i]) * l->inv[a][i];
         lo = tetcasti_max(lo, tetcasti_min(t0, t1));
         hi = tetcasti_min(hi, tetcasti_max(t0, t1));
     }
-    r->at = r->in_span = r->front = r->last = r->log = r->known = r->axis = 0;
+    r->at = r->in_span = r->front = r->log = r->known = 0;
+    l->axis[i] = 0;
+    l->last &= ~(1u << i);
     r->spans.count = 0;
     if (!(lo < hi) || !tetcasti_finite(lo)) return 0;
     tetcasti_spans_begin(&c->mem, &r->spans, lo, hi);
@@ -19449,7 +19550,7 @@ static void tetcasti_task_bricks(void *ctx, uint32_t strand) {
                     if (px >= m->width || py >= m->height) continue;
                     if (c->desc->limit != NULL && c->desc->limit[px + (size_t)m->width * py] >= 0.0f)
                         limit = (double)c->desc->limit[px + (size_t)m->width * py];
-                    if (tetcasti_brick_ray_open(c, px, py, limit, &l[i >> 3].ray[i & 7u]) != 0)
+                    if (tetcasti_brick_ray_open(c, px, py, limit, &l[i >> 3], i & 7u) != 0)
                         l[i >> 3].live |= 1u << (i & 7u);
                 }
                 tetcasti_octet_run(c, l);
