@@ -18837,7 +18837,7 @@ typedef struct tetcasti_octet {
     int64_t index[8], move[3][8];     /* number of the slot, and how it changes with `way` */
     int32_t axis[8];                  /* through whose border the slot ends */
     uint32_t last;                    /* bits: the span ends before the slot does */
-    uint32_t plain;                   /* bits: one slot of the finest level that is not the last; exit[] is known */
+    uint32_t plain;                   /* bits: in one slot of the finest level, exit[] is known */
     tetcasti_brick_ray ray[8];
     tetcasti_ray_sum8 sum;
     tetcasti_seg8 seg;
@@ -19015,7 +19015,7 @@ static int tetcasti_lane_next(const tetcasti_brick_frame *c, tetcasti_octet *l, 
         }
         if (skip & TETCASTI_SEEN) {
             tetcasti_lane_slot(c, l, i);
-            if ((log | l->level[i]) == 0) l->plain |= bit & ~l->last;
+            if ((log | l->level[i]) == 0) l->plain |= bit;
             return 1;
         }
         if (r->front && c->optics != NULL) tetcasti_lane_gap(c->optics, &l->sum, i);
@@ -19323,8 +19323,8 @@ static uint32_t tetcasti_octet_integrate(const tetcasti_brick_frame *c, tetcasti
 /* An instruction for all lanes of 8 doubles. */
 #define TETCASTI_Z8(name, ...) _mm512_maskz_##name((uint8_t)0xff, __VA_ARGS__)
 
-/* tetcasti_lane_next for all lanes at once that leave a plain slot for one that is plain or may become the last: the
-   same numbers. Returns the lanes that are left to it, which have not left their slot yet. */
+/* tetcasti_lane_next for all lanes at once that leave a plain slot for a plain one: the same numbers. Returns the lanes
+   that are left to it, which have not left their slot yet. */
 TETCASTI_TARGET_VL static uint32_t tetcasti_octet_next(const tetcasti_brick_frame *c, tetcasti_octet *l,
                                                        uint32_t over) {
     const tetcast_cut *cut = c->cut;
@@ -19396,7 +19396,6 @@ TETCASTI_TARGET_VL static uint32_t tetcasti_octet_next(const tetcasti_brick_fram
     up = _mm256_loadu_si256((const __m256i *)(const void *)l->walks);
     _mm256_mask_storeu_epi32(l->walks, go, _mm256_add_epi32(up, _mm256_set1_epi32(1)));
     l->last = (l->last & ~(uint32_t)go) | (uint32_t)(go & last);
-    l->plain &= ~(uint32_t)(go & last);
     return over & ~(uint32_t)go;
 }
 #undef TETCASTI_Z8
