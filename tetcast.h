@@ -19375,7 +19375,7 @@ TETCASTI_TARGET_VL static uint32_t tetcasti_octet_next(const tetcasti_brick_fram
     go = (__mmask8)plain;
     go = _mm512_mask_cmp_pd_mask(go, end, t, _CMP_GT_OQ); /* no slots of no length here, nor steps less than rounding */
     go = _mm512_mask_cmp_pd_mask(go, number, _mm512_set1_pd(4e15), _CMP_LT_OQ);
-    ahead = TETCASTI_Z8(roundscale_pd, TETCASTI_Z8(max_pd, number, zero), 0x0b);
+    ahead = _mm512_floor_pd(TETCASTI_Z8(max_pd, number, zero));
     ahead = _mm512_sub_pd(_mm512_mul_pd(_mm512_add_pd(ahead, one), _mm512_set1_pd(c->steps[0])), t);
     for (a = 0; a < 3; a++) {
         const __m512d origin = TETCASTI_Z8(cvtepu32_pd, _mm256_slli_epi32(slot[a], (int)b->log));
