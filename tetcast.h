@@ -19758,7 +19758,10 @@ static tetcast_result tetcasti_brick_frame_open(tetcasti_brick_frame *c, tetcast
         if (b->lattice.dims[a] > 1) least = tetcasti_min(least, b->lattice.spacing[a]);
     }
     c->step = (least < 1e300 ? least : b->lattice.spacing[0]) * (d->step > 0.0f ? (double)d->step : 1.0);
-    for (a = 0; a < 3; a++) way += (hi[a] - lo[a]) / c->step * ((hi[a] - lo[a]) / c->step);
+    for (a = 0; a < 3; a++) { /* a side with one node is a layer as thick as its spacing */
+        const double side = tetcasti_max(hi[a] - lo[a], b->lattice.spacing[a]) / c->step;
+        way += side * side;
+    }
     if (d->step > 0.0f && !(way < TETCASTI_BRICK_SAMPLES * TETCASTI_BRICK_SAMPLES))
         return tetcasti_fail(d->env.error, TETCAST_ERR_RANGE, 0, "bricks: the step is too small for the lattice");
     for (a = 0; a < 16; a++) {

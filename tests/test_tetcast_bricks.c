@@ -2489,6 +2489,46 @@ TEST(brick_pictures_same_bits) {
     free(v);
 }
 
+/* A side with one node is a layer, whose thickness counts where steps are too many. */
+TEST(steps_in_layers) {
+    static const uint32_t dims[3][3] = {{1, 1, 1}, {1, 5, 1}, {4, 1, 3}};
+    static float v[12], rgba[8 * 8 * 4];
+    tetcast_optics *o = flat_optics(2, TETCAST_MODEL_VOLUME);
+    uint32_t i, k, a;
+    for (i = 0; i < 12; i++) v[i] = 0.5f;
+    for (k = 0; k < 3; k++) {
+        tetcast_bricks_desc bd;
+        tetcast_brick_render_desc d;
+        tetcast_lattice l;
+        tetcast_array in;
+        tetcast_bricks *b = NULL;
+        tetcast_cut *c = NULL;
+        tetcast_image image;
+        memset(&bd, 0, sizeof bd);
+        memset(&l, 0, sizeof l);
+        memset(&in, 0, sizeof in);
+        memset(&image, 0, sizeof image);
+        for (a = 0; a < 3; a++) {
+            l.dims[a] = dims[k][a];
+            l.spacing[a] = 1.0;
+        }
+        in.data = v;
+        REQUIRE(tetcast_bricks_create_grid(&bd, &l, &in, NULL, &b) == TETCAST_OK && tetcast_cut_create(NULL, b, &c) == TETCAST_OK);
+        image.width = image.height = 8;
+        image.rgba = rgba;
+        memset(&d, 0, sizeof d);
+        d.step = 1e-3f;
+        CHECK_EQ_U64(tetcast_render_bricks(&d, c, o, &image, NULL), TETCAST_OK);
+        d.step = 1e-7f;
+        CHECK_EQ_U64(tetcast_render_bricks(&d, c, o, &image, NULL), TETCAST_ERR_RANGE);
+        d.step = 1e-38f;
+        CHECK_EQ_U64(tetcast_render_bricks(&d, c, o, &image, NULL), TETCAST_ERR_RANGE);
+        tetcast_cut_destroy(c);
+        tetcast_bricks_destroy(b);
+    }
+    tetcast_optics_destroy(o);
+}
+
 /* Tetrahedra and bricks of the same field: the hull is the same to the pixel, pictures come nearer with the step. */
 TEST(bricks_look_like_tetrahedra) {
     enum { W = 60, H = 60 };
@@ -4231,6 +4271,7 @@ int main(int argc, char **argv) {
     RUN(thick_layers);
     RUN(reach_of_bins);
     RUN(brick_pictures_same_bits);
+    RUN(steps_in_layers);
     RUN(bricks_look_like_tetrahedra);
     RUN(clip_spans);
     RUN(pictures_against_rays);

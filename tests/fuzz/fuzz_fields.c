@@ -117,7 +117,7 @@ static void look_at_bricks(const tetcast_bricks *b, const uint8_t *o, const floa
             d.env = env_of(1 + (k & (o[6] >> 5 & 1u)));
             d.isa = k ? TETCAST_ISA_AUTO : TETCAST_ISA_SCALAR;
             camera_of(o, f, &d.camera);
-            d.step = !(o[7] & 1) || (f[242] > 1e-4f && f[242] < 0.0625f) ? 2 : f[242]; /* small ones are refused or take long */
+            d.step = !(o[7] & 1) || (f[242] > 1e-7f && f[242] < 0.0625f) ? 2 : f[242]; /* small ones are refused or take long */
             d.fixed_step = o[7] >> 1 & 1;
             d.clip = clip;
             d.clip_near = o[7] & 4 ? f[243] : 0;
