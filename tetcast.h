@@ -633,11 +633,12 @@ typedef struct tetcast_light {
 #define TETCAST_MAX_LIGHTS 8
 
 /* field           zero means
-   samples         1 part per segment (RIEMANN, TRAPEZOID, MIDPOINT)
+   samples         1 part per segment (RIEMANN, TRAPEZOID, MIDPOINT); up to 4096
    table_values    128 samples of the value axis; up to 2048
    table_lengths   64 slices (TABLE_3D and relatives); up to 1024
-   longest         no table integrators; else the largest segment length that the table covers, longer ones are cut
-   step            length of the steps of TABLE_2D; 0: longest / 4
+   longest         no table integrators; else the largest segment length that the table covers, longer ones are cut:
+                   pictures of what is more than 65,536 times as large are refused
+   step            length of the steps of TABLE_2D; 0: longest / 4. No less than a 65,536th of what is seen
    t_min           1/512: rays end when less light than this is left; < 0: never
    tolerance       0: exact; else the largest colour error in units of 1/255 that all shortcuts together may make; what
                    rounding does, about 0.005, is not less for smaller ones. With few knots only t_min depends on it
@@ -687,7 +688,8 @@ typedef struct tetcast_optics_info {
    transfer  may be destroyed afterwards
    desc      NULL: emission and absorption, exact
    Errors: INVALID_ARG (NaN, unknown enum, a table integrator without longest), RANGE (table too large), UNINIT_DESC,
-   NO_MEMORY. Cost: microseconds; table integrators up to seconds and 16 bytes per entry. */
+   NO_MEMORY, CANCELLED. Cost: microseconds; table integrators 16 bytes and 0.01 to 1 us an entry, of which there are
+   table_values^2 * table_lengths: seconds, at most hours. */
 TETCAST_DEF tetcast_result tetcast_optics_create(const tetcast_transfer *transfer, const tetcast_optics_desc *desc,
                                                  tetcast_optics **out);
 /* The same with another transfer function, as after an edit: table entries whose value range does not touch the
@@ -708,7 +710,8 @@ typedef struct tetcast_segment { /* a stretch of a ray on which the value is lin
    rgba    out: colour (associated) without background, and opacity. Background b shows as rgb + (1 - a) * b
    used    out: number of segments read before early termination; may be NULL
    Isosurfaces are shaded as if their normals pointed to the eye.
-   Errors: INVALID_ARG. Thread safety: any number of threads. Allocates nothing. Cost: 3 to 10 ns per segment. */
+   Errors: INVALID_ARG (also a segment too long for a table: see longest). Thread safety: any number of threads.
+   Allocates nothing. Cost: 3 to 10 ns per segment. */
 TETCAST_DEF tetcast_result tetcast_optics_ray(const tetcast_optics *optics, const tetcast_segment *segments,
                                               size_t count, float rgba[4], size_t *used);
 
@@ -831,15 +834,17 @@ TETCAST_DEF tetcast_result tetcast_camera_ray(const tetcast_camera *camera, uint
    Rays walk through the mesh from cell to cell; every decision is the exact sign of a determinant of the vertices as
    the ray sees them, rounded once, so a ray can get lost nowhere: not in vertices, edges or faces, not in flat,
    inverted or tangled cells.
-   The same bits for any number of threads and any isa. Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY, CANCELLED (then the
-   picture is incomplete). Thread safety: any number of calls on one mesh. */
+   The same bits for any number of threads and any isa. Errors: INVALID_ARG, RANGE (a picture too large; a table's
+   longest or step, see tetcast_optics_desc), UNINIT_DESC, NO_MEMORY, CANCELLED (then the picture is incomplete). Thread
+   safety: any number of calls on one mesh. */
 TETCAST_DEF tetcast_result tetcast_render(const tetcast_render_desc *desc, const tetcast_mesh *mesh,
                                           const tetcast_optics *optics, const tetcast_image *image,
                                           tetcast_render_stats *stats);
 
 /* Follow single rays. desc: env, isa and smooth_normals count. optics NULL: only length, steps and walks.
-   Rays that are not finite or have no direction give zeros and no hit. Cost: O(log(hull faces)) and the cells on the
-   way. */
+   Rays that are not finite or have no direction give zeros and no hit. Errors: INVALID_ARG, RANGE (as tetcast_render;
+   2^41 rays), UNINIT_DESC, NO_MEMORY. Thread safety: any number of calls on one mesh. Cost: O(log(hull faces)) and the
+   cells on the way. */
 TETCAST_DEF tetcast_result tetcast_cast(const tetcast_render_desc *desc, const tetcast_mesh *mesh,
                                         const tetcast_optics *optics, const tetcast_ray *rays, size_t count,
                                         tetcast_ray_result *results, tetcast_render_stats *stats);
@@ -945,8 +950,8 @@ TETCAST_DEF tetcast_result tetcast_lattice_fit(const tetcast_mesh *mesh, uint32_
    box: no node between cells is lost. Both cells at a face have the same numbers for it. Of several cells that hold a
    node the last one in the mesh's order counts. The same bits for any number of threads and any isa.
    Cost: about 0.1 us a cell, 5 ns a row of a cell's box, and the nodes. Errors: INVALID_ARG (tets dropped, lattice),
-   RANGE, UNINIT_DESC, NO_MEMORY. Thread safety: any number of calls on one mesh.
-   Source: the thesis, chapter 7 (scanlines, there along the longest side, spans from four half spaces). */
+   RANGE, UNINIT_DESC, NO_MEMORY, CANCELLED (then only a part of `out` is written). Thread safety: any number of calls
+   on one mesh. Source: the thesis, chapter 7 (scanlines, there along the longest side, spans from four half spaces). */
 TETCAST_DEF tetcast_result tetcast_resample(const tetcast_resample_desc *desc, const tetcast_mesh *mesh,
                                             const tetcast_lattice *lattice, float *out, tetcast_resample_stats *stats);
 
@@ -1816,7 +1821,8 @@ typedef struct tetcast_rbf_trace_desc {
    paths   out, [count][steps + 1][3]: the seed and the places after each step, as far as it got
    lengths out, [count]: places in each path, 1 .. steps + 1; or NULL
    ends    out, [count]; or NULL
-   The same bits for any number of threads and any isa. Errors: INVALID_ARG, RANGE, UNINIT_DESC, NO_MEMORY. */
+   The same bits for any number of threads and any isa. Errors: INVALID_ARG, RANGE, UNINIT_DESC, CANCELLED (then paths,
+   lengths and ends are incomplete). Thread safety: any number of calls on one model. */
 TETCAST_DEF tetcast_result tetcast_rbf_trace(const tetcast_rbf_trace_desc *desc, const tetcast_rbf *rbf,
                                              const double *seeds, size_t count, double *paths, uint32_t *lengths,
                                              tetcast_trace_end *ends);
@@ -2696,6 +2702,62 @@ TETCASTI_INLINE uint32_t tetcasti_leave(const tetcasti_cells *cells, uint32_t ki
         return tetcasti_leave_more(cells, kind, node, cell, a, b, c, d, x);
     }
 }
+/* ---- work that can be cancelled ---- */
+
+/* Strands are as many tasks as there are threads; each takes piece after piece of the work. The first one asks
+   progress_fn, where there is one. 0: cancelled. */
+static TETCASTI_UNUSED int tetcasti_strand_asks(const tetcast_env *env, uint32_t strand, uint64_t done, uint64_t total,
+                                                uint32_t *cancelled) {
+    if (strand == 0 && env->progress_fn != NULL && env->progress_fn(env->progress_user, done, total) != 0)
+        tetcasti_atomic_store(cancelled, 1u);
+    return tetcasti_atomic_load(cancelled) == 0;
+}
+
+/* A parallel-for that asks. Its tasks are of `total`, and the first is number
+   `before` of them. */
+typedef struct tetcasti_asking {
+    const tetcast_env *env;
+    tetcast_task_fn *task;
+    void *ctx;
+    uint32_t count, next, cancelled; /* atomic: next, cancelled */
+    uint64_t before, total;
+} tetcasti_asking;
+
+static TETCASTI_UNUSED void tetcasti_task_asking(void *ctx, uint32_t strand) {
+    tetcasti_asking *k = (tetcasti_asking *)ctx;
+    for (;;) {
+        const uint32_t i = tetcasti_atomic_add(&k->next, 1u) - 1u;
+        if (i >= k->count || !tetcasti_strand_asks(k->env, strand, k->before + i, k->total, &k->cancelled)) return;
+        k->task(k->ctx, i);
+    }
+}
+
+/* 0: cancelled, and only a part is done. */
+static TETCASTI_UNUSED int tetcasti_parallel_part(const tetcast_env *env, tetcast_task_fn *task, void *ctx,
+                                                  uint32_t count, uint64_t before, uint64_t total) {
+    const uint32_t strands = tetcasti_thread_count(env);
+    tetcasti_asking k;
+    if (env->progress_fn == NULL) {
+        tetcasti_parallel_for(env, task, ctx, count);
+        return 1;
+    }
+    k.env = env;
+    k.task = task;
+    k.ctx = ctx;
+    k.count = count;
+    k.next = k.cancelled = 0;
+    k.before = before;
+    k.total = total;
+    if (count == 0) return 1;
+    tetcasti_parallel_for(env, tetcasti_task_asking, &k, strands < count ? strands : count);
+    return !k.cancelled && env->progress_fn(env->progress_user, before + count, total) == 0;
+}
+
+static TETCASTI_UNUSED int tetcasti_parallel_ask(const tetcast_env *env, tetcast_task_fn *task, void *ctx,
+                                                 uint32_t count) {
+    return tetcasti_parallel_part(env, task, ctx, count, 0, count);
+}
+
 /* ---------------------------------------------------------------------------
    optics core: compiled transfer functions, sums along a ray, and how walkers   // >>optics
    use the integrators (their code is further down).
@@ -9487,7 +9549,7 @@ static void tetcasti_table_lookup(const tetcasti_table *t, float front, float ba
 /* Longer segments than the table holds are cut into equal parts. */
 static void tetcasti_segment_parts(const tetcast_optics *o, float front, float back, float length, float depth,
                                    tetcasti_ray_sum *sum) {
-    const float parts = length / o->table.longest;
+    const float parts = length / o->table.longest; /* of pictures less than 2^16: tetcasti_optics_reaches */
     uint32_t n = parts <= 1.0f ? 1 : parts < 1e6f ? (uint32_t)parts + 1 : 1000000u, i;
     const float d = length / (float)n, step = (back - front) / (float)n;
     for (i = 0; i < n && sum->t > o->t_stop; i++) {
@@ -9773,8 +9835,10 @@ static tetcast_result tetcasti_table_alloc(tetcast_optics *o, const tetcast_opti
 /* Columns a .. b (0 .. values - 1: all). The rest of the table is already right. */
 static tetcast_result tetcasti_table_build(tetcast_optics *o, const tetcast_env *env, uint32_t a, uint32_t b) {
     tetcasti_table *t = &o->table;
+    const uint64_t rows = (uint64_t)t->lengths * t->values; /* at most 2^21 */
     tetcasti_table_job job;
     uint32_t l;
+    int asked = 1;
     job.o = o;
     job.table = t;
     job.a = a;
@@ -9783,32 +9847,40 @@ static tetcast_result tetcasti_table_build(tetcast_optics *o, const tetcast_env 
     job.work = NULL;
     switch (o->integrator) {
     case TETCAST_INTEGRATOR_TABLE_PREFIX:
-        tetcasti_parallel_for(env, tetcasti_table_prefix_row, &job, t->values);
+        asked = tetcasti_parallel_ask(env, tetcasti_table_prefix_row, &job, t->values);
         break;
     case TETCAST_INTEGRATOR_TABLE_INCREMENTAL:
-        tetcasti_parallel_for(env, tetcasti_table_exact_row, &job, t->values);
-        for (l = 1; l < t->lengths; l++) {
+        asked = tetcasti_parallel_part(env, tetcasti_table_exact_row, &job, t->values, 0, rows);
+        for (l = 1; l < t->lengths && asked; l++) {
             job.slice = l;
-            tetcasti_parallel_for(env, tetcasti_table_increment_row, &job, t->values);
+            asked = tetcasti_parallel_part(env, tetcasti_table_increment_row, &job, t->values,
+                                           (uint64_t)l * t->values, rows);
         }
         break;
     case TETCAST_INTEGRATOR_TABLE_SUBRANGE: {
         const uint32_t at_once = t->lengths < 16 ? t->lengths : 16;
         job.work = (double *)tetcasti_alloc_array(&o->mem, (size_t)at_once * 16 * t->values, sizeof *job.work);
         if (job.work == NULL) return TETCAST_ERR_NO_MEMORY;
-        for (l = 0; l < t->lengths; l += at_once) {
+        for (l = 0; l < t->lengths && asked; l += at_once) {
             const uint32_t left = t->lengths - l;
             job.slice = l;
-            tetcasti_parallel_for(env, tetcasti_table_subrange_slice, &job, left < at_once ? left : at_once);
+            asked = tetcasti_parallel_part(env, tetcasti_table_subrange_slice, &job, left < at_once ? left : at_once,
+                                           l, t->lengths);
         }
         tetcasti_free(&o->mem, job.work);
         break;
     }
     default:
-        tetcasti_parallel_for(env, tetcasti_table_exact_row, &job, t->lengths * t->values);
+        asked = tetcasti_parallel_ask(env, tetcasti_table_exact_row, &job, (uint32_t)rows);
         break;
     }
-    return TETCAST_OK;
+    return asked ? TETCAST_OK : tetcasti_fail(env->error, TETCAST_ERR_CANCELLED, 0, "optics: cancelled");
+}
+
+/* Can its table follow rays of this length (world units)? Segments are cut into parts of what the table covers: without
+   a limit there is no end of them. */
+static int tetcasti_optics_reaches(const tetcast_optics *o, double length) {
+    return o->table.entry == NULL || length <= 65536.0 * (double)o->table.longest;
 }
 /* ---------------------------------------------------------------------------
    optical: models (emission, absorption, maximum, isosurfaces, depth cueing),    // >>optical
@@ -10113,7 +10185,7 @@ static tetcast_result tetcasti_optics_check(const tetcast_optics_desc *d) {
         (uint32_t)d->integrator >= (uint32_t)TETCAST_INTEGRATOR_COUNT) return TETCAST_ERR_INVALID_ARG;
     if (!(d->tolerance >= 0.0f && d->tolerance < 1e30f) || !(d->path_length >= 0.0f && d->path_length < 1e30f) ||
         !(d->longest >= 0.0f && d->longest < 1e18f) || !(d->step >= 0.0f && d->step < 1e18f) ||
-        !tetcasti_finite_f(d->t_min) || d->t_min >= 1.0f || d->samples > 1000000u) return TETCAST_ERR_INVALID_ARG;
+        !tetcasti_finite_f(d->t_min) || d->t_min >= 1.0f || d->samples > 4096) return TETCAST_ERR_INVALID_ARG;
     v[0] = d->cue_depth;
     v[1] = d->cue_scale;
     v[2] = d->fog;
@@ -10422,8 +10494,9 @@ TETCAST_DEF void tetcast_optics_get_info(const tetcast_optics *optics, tetcast_o
     if (optics != NULL) *info = optics->info;
 }
 
-static int tetcasti_segment_ok(const tetcast_segment *s) {
-    return tetcasti_absf(s->front) < TETCASTI_VALUE_END && tetcasti_absf(s->back) < TETCASTI_VALUE_END &&
+static int tetcasti_segment_ok(const tetcast_optics *o, const tetcast_segment *s) {
+    return tetcasti_optics_reaches(o, (double)s->length) &&
+           tetcasti_absf(s->front) < TETCASTI_VALUE_END && tetcasti_absf(s->back) < TETCASTI_VALUE_END &&
            s->length >= 0.0f && s->length < 1e18f && tetcasti_finite_f(s->depth);
 }
 
@@ -10438,7 +10511,7 @@ TETCAST_DEF tetcast_result tetcast_optics_ray(const tetcast_optics *optics, cons
     tetcasti_ray_begin(optics, &sum);
     for (i = 0; i < count; i++) {
         const tetcast_segment *s = &segments[i];
-        if (!tetcasti_segment_ok(s)) return TETCAST_ERR_INVALID_ARG;
+        if (!tetcasti_segment_ok(optics, s)) return TETCAST_ERR_INVALID_ARG;
         if (tetcasti_ray_ended(optics, &sum)) break;
         if (i != 0 && s->front != s[-1].back) tetcasti_ray_gap(optics, &sum);
         if (optics->iso_count != 0) {
@@ -10459,7 +10532,7 @@ TETCAST_DEF tetcast_result tetcast_optics_segments(const tetcast_optics *optics,
     size_t i;
     uint32_t k, n;
     if (optics == NULL || (count != 0 && (segments == NULL || rgba == NULL))) return TETCAST_ERR_INVALID_ARG;
-    for (i = 0; i < count; i++) if (!tetcasti_segment_ok(&segments[i])) return TETCAST_ERR_INVALID_ARG;
+    for (i = 0; i < count; i++) if (!tetcasti_segment_ok(optics, &segments[i])) return TETCAST_ERR_INVALID_ARG;
     fn = tetcasti_segment8_pick(optics, isa == TETCAST_ISA_AUTO || isa > tetcast_isa_best() ? tetcast_isa_best() : isa);
     if (isa == TETCAST_ISA_SSE) one = tetcasti_segment_pick(optics, 0);
     for (i = 0; i < count; i += 8) {
@@ -12796,6 +12869,19 @@ static tetcast_result tetcasti_scene_open(const tetcast_render_desc *d, const te
     return TETCAST_OK;
 }
 
+static tetcast_result tetcasti_scene_reached(const tetcasti_scene *s, const tetcast_env *env) {
+    double way = 0.0;
+    uint32_t a;
+    if (s->optics == NULL) return TETCAST_OK;
+    for (a = 0; a < 3; a++) {
+        const double side = ((double)s->mesh->box.hi[a] - (double)s->mesh->box.lo[a]) * s->mesh->unit;
+        way += side * side;
+    }
+    return tetcasti_optics_reaches(s->optics, sqrt(way))
+               ? TETCAST_OK
+               : tetcasti_fail(env->error, TETCAST_ERR_RANGE, 0, "optics: longest or step too small for the mesh");
+}
+
 /* ---- the eye inside of the mesh ---- */
 
 typedef struct tetcasti_inside {
@@ -13116,9 +13202,7 @@ static void tetcasti_task_tiles(void *ctx, uint32_t strand) {
         tetcasti_tally_add(c->tally[0], (uint64_t)m.width * m.height);
         tetcasti_batch_tally(b, c->tally);
         i = tetcasti_atomic_add(&c->done, 1u);
-        if (strand == 0 && c->desc->env.progress_fn != NULL &&
-            c->desc->env.progress_fn(c->desc->env.progress_user, i, c->tiles) != 0)
-                tetcasti_atomic_store(&c->cancelled, 1u);
+        (void)tetcasti_strand_asks(&c->desc->env, strand, i, c->tiles, &c->cancelled);
     }
     tetcasti_batch_close(b);
 }
@@ -13157,9 +13241,7 @@ static void tetcasti_task_paint(void *ctx, uint32_t strand) {
         tetcasti_tally_add(c->tally[0], (uint64_t)m.width * m.height);
         tetcasti_batch_tally(b, c->tally);
         i = tetcasti_atomic_add(&c->done, 1u);
-        if (strand == 0 && c->desc->env.progress_fn != NULL &&
-            c->desc->env.progress_fn(c->desc->env.progress_user, i, c->tiles) != 0)
-                tetcasti_atomic_store(&c->cancelled, 1u);
+        (void)tetcasti_strand_asks(&c->desc->env, strand, i, c->tiles, &c->cancelled);
     }
     tetcasti_tally_add(c->tally[7], p->tests);
     tetcasti_tally_add(c->tally[8], p->exact);
@@ -13252,7 +13334,8 @@ TETCAST_DEF tetcast_result tetcast_render(const tetcast_render_desc *desc, const
     if (c.scene.optics != NULL && image->depth != NULL) c.scene.any = 1;
     if (r == TETCAST_OK) r = tetcasti_frame_open(&d.camera, image->width, image->height, &c.frame);
     if (r != TETCAST_OK) return tetcasti_fail(d.env.error, r, 0, "render: bad camera or option");
-    if (image->width == 0 || image->height == 0) return TETCAST_OK;
+    r = tetcasti_scene_reached(&c.scene, &d.env);
+    if (r != TETCAST_OK || image->width == 0 || image->height == 0) return r;
     c.tiles_x = (image->width + TETCASTI_TILE - 1) / TETCASTI_TILE;
     if ((uint64_t)c.tiles_x * ((image->height + TETCASTI_TILE - 1) / TETCASTI_TILE) > 0x7fffffffu)
         return tetcasti_fail(d.env.error, TETCAST_ERR_RANGE, image->width, "render: the picture is too large");
@@ -13384,6 +13467,8 @@ TETCAST_DEF tetcast_result tetcast_cast(const tetcast_render_desc *desc, const t
     if (count / TETCASTI_BATCH >= 0x7fffffffu) return TETCAST_ERR_RANGE;
     r = tetcasti_scene_open(&d, mesh, d.traverse_only ? NULL : optics, &c.scene);
     if (r != TETCAST_OK) return tetcasti_fail(d.env.error, r, 0, "cast: bad option");
+    r = tetcasti_scene_reached(&c.scene, &d.env);
+    if (r != TETCAST_OK) return r;
     c.rays = rays;
     c.results = results;
     c.count = count;
@@ -13483,36 +13568,6 @@ TETCAST_DEF uint64_t tetcast_probe(const tetcast_mesh *mesh, const tetcast_ray *
    there, and adds along rows and from row to row; sums drift, and three of its four divisions a row are multiplications
    here. Tried: planes in float with a second look at nodes near to faces: no faster, setting up is what takes the time.
    --------------------------------------------------------------------------- */
-
-/* A parallel-for that asks progress_fn, where there is one, between portions of the tasks. */
-typedef struct tetcasti_portion {
-    tetcast_task_fn *task;
-    void *ctx;
-    uint32_t from;
-} tetcasti_portion;
-
-static void tetcasti_task_portion(void *ctx, uint32_t i) {
-    const tetcasti_portion *p = (const tetcasti_portion *)ctx;
-    p->task(p->ctx, p->from + i);
-}
-
-/* 0: cancelled, and only a part is done. */
-static int tetcasti_parallel_ask(const tetcast_env *env, tetcast_task_fn *task, void *ctx, uint32_t count) {
-    const uint32_t at_once = 4 * tetcasti_thread_count(env);
-    tetcasti_portion p;
-    p.task = task;
-    p.ctx = ctx;
-    if (env->progress_fn == NULL) {
-        tetcasti_parallel_for(env, task, ctx, count);
-        return 1;
-    }
-    for (p.from = 0; p.from < count; p.from += at_once) {
-        const uint32_t n = count - p.from < at_once ? count - p.from : at_once;
-        tetcasti_parallel_for(env, tetcasti_task_portion, &p, n);
-        if (env->progress_fn(env->progress_user, p.from + n, count) != 0) return 0;
-    }
-    return 1;
-}
 
 #define TETCASTI_LATTICE_END (1u << 20)
 #define TETCASTI_SCAN_EPS 5.7e-14   /* 2^-44 */
@@ -14110,13 +14165,15 @@ TETCAST_DEF tetcast_result tetcast_resample(const tetcast_resample_desc *desc, c
     r.stats = stats;
     threads = tetcasti_thread_count(&d.env);
     r.slabs = threads == 1 && d.env.parallel.for_fn == NULL ? 1 : 4 * threads;
+    if (d.env.progress_fn != NULL && r.slabs < 64) r.slabs = 64; /* it is asked between slabs */
     if (r.slabs > lattice->dims[2]) r.slabs = lattice->dims[2];
     r.layers = (int32_t)((lattice->dims[2] + r.slabs - 1) / r.slabs);
     r.slabs = (lattice->dims[2] + (uint32_t)r.layers - 1) / (uint32_t)r.layers;
     if (r.extend) r.hull = tetcasti_hull_cells(&mem, mesh, &r.hull_count);
     if ((r.extend && r.hull == NULL) || (r.slabs > 1 && !tetcasti_resample_bin(&mem, &r)))
         result = tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "resample: out of memory");
-    if (result == TETCAST_OK) tetcasti_parallel_for(&d.env, tetcasti_task_resample, &r, r.slabs);
+    if (result == TETCAST_OK && !tetcasti_parallel_ask(&d.env, tetcasti_task_resample, &r, r.slabs))
+        result = tetcasti_fail(d.env.error, TETCAST_ERR_CANCELLED, 0, "resample: cancelled");
     tetcasti_free(&mem, r.first);
     tetcasti_free(&mem, r.list);
     tetcasti_free(&mem, r.hull);
@@ -14143,7 +14200,8 @@ typedef struct tetcasti_meaner {
     tetcasti_resample bins;   /* cells of each slab of layers */
     tetcasti_mem *mem;
     const tetcast_means *out;
-    uint32_t failed;
+    const tetcast_env *env;
+    uint32_t failed, next, cancelled; /* atomic */
 } tetcasti_meaner;
 
 typedef struct tetcasti_mean_slab {
@@ -14151,6 +14209,8 @@ typedef struct tetcasti_mean_slab {
     double (*sum)[2];         /* volume, integral; the first box of the slab first */
     const tetcast_means *out;
     size_t first;             /* its number in `out` */
+    tetcasti_meaner *g;
+    uint32_t strand, slab, cuts;
     tetcasti_mean_part *waiting; /* pieces to be cut, the next one last; not on the stack, which may be small */
 } tetcasti_mean_slab;
 
@@ -14290,18 +14350,23 @@ static void tetcasti_mean_cell(tetcasti_mean_slab *m) {
     double at = 0.0;
     while (left > 0) {
         const tetcasti_mean_part t = m->waiting[--left];
-        if (tetcasti_mean_where(m, &t, &axis, &at)) left += tetcasti_mean_split(&t, axis, at, &m->waiting[left]);
+        if (!tetcasti_mean_where(m, &t, &axis, &at)) continue;
+        left += tetcasti_mean_split(&t, axis, at, &m->waiting[left]);
+        if ((++m->cuts & 0xfffffu) == 0 &&
+            !tetcasti_strand_asks(m->g->env, m->strand, m->slab, m->g->bins.slabs, &m->g->cancelled)) return;
     }
 }
 
-static void tetcasti_task_mean(void *ctx, uint32_t slab) {
-    tetcasti_meaner *g = (tetcasti_meaner *)ctx;
+static void tetcasti_mean_slab_fill(tetcasti_meaner *g, uint32_t slab, uint32_t strand) {
     const tetcasti_scan *c = &g->bins.scan;
     const size_t layer = (size_t)c->dims[0] * (size_t)c->dims[1];
     tetcasti_mean_slab m;
     size_t i, n;
     uint32_t k, a;
     memset(&m, 0, sizeof m);
+    m.g = g;
+    m.strand = strand;
+    m.slab = slab;
     m.out = g->out;
     m.hi[0] = c->dims[0];
     m.hi[1] = c->dims[1];
@@ -14319,7 +14384,7 @@ static void tetcasti_task_mean(void *ctx, uint32_t slab) {
     }
     for (i = 0; i < n && m.out->least != NULL; i++) m.out->least[m.first + i] = (float)NAN;
     for (i = 0; i < n && m.out->most != NULL; i++) m.out->most[m.first + i] = (float)NAN;
-    for (i = g->bins.first[slab]; i < g->bins.first[slab + 1]; i++) {
+    for (i = g->bins.first[slab]; i < g->bins.first[slab + 1] && !tetcasti_atomic_load(&g->cancelled); i++) {
         const uint32_t cell = g->bins.list[i];
         tetcasti_mean_part t;
         int good = 1;
@@ -14345,6 +14410,15 @@ static void tetcasti_task_mean(void *ctx, uint32_t slab) {
     tetcasti_free(g->mem, m.sum);
 }
 
+static void tetcasti_task_mean(void *ctx, uint32_t strand) {
+    tetcasti_meaner *g = (tetcasti_meaner *)ctx;
+    for (;;) {
+        const uint32_t i = tetcasti_atomic_add(&g->next, 1u) - 1u;
+        if (i >= g->bins.slabs || !tetcasti_strand_asks(g->env, strand, i, g->bins.slabs, &g->cancelled)) return;
+        tetcasti_mean_slab_fill(g, i, strand);
+    }
+}
+
 TETCAST_DEF tetcast_result tetcast_resample_mean(const tetcast_env *env, const tetcast_mesh *mesh,
                                                  const tetcast_lattice *lattice, const tetcast_means *out) {
     tetcast_env none;
@@ -14352,8 +14426,7 @@ TETCAST_DEF tetcast_result tetcast_resample_mean(const tetcast_env *env, const t
     tetcasti_mem mem;
     tetcast_result r;
     size_t nodes, layer, layers;
-    uint32_t a;
-    int asked = 1;
+    uint32_t a, strands;
     memset(&none, 0, sizeof none);
     memset(&g, 0, sizeof g);
     if (env == NULL) env = &none;
@@ -14365,6 +14438,7 @@ TETCAST_DEF tetcast_result tetcast_resample_mean(const tetcast_env *env, const t
     if (!tetcasti_mul_size(lattice->dims[0], lattice->dims[1], &layer) ||
         !tetcasti_mul_size(layer, lattice->dims[2], &nodes) || nodes > (size_t)-1 / 16)
         return tetcasti_fail(env->error, TETCAST_ERR_RANGE, 0, "means: the lattice is too large");
+    g.env = env;
     g.mem = &mem;
     g.out = out;
     tetcasti_scan_open(&g.bins.scan, mesh, lattice);
@@ -14373,10 +14447,13 @@ TETCAST_DEF tetcast_result tetcast_resample_mean(const tetcast_env *env, const t
     g.bins.layers = (int32_t)(layers == 0 ? 1 : layers < lattice->dims[2] ? layers : lattice->dims[2]);
     g.bins.slabs = (lattice->dims[2] + (uint32_t)g.bins.layers - 1) / (uint32_t)g.bins.layers;
     if (!tetcasti_resample_bin(&mem, &g.bins)) g.failed = 1;
-    else asked = tetcasti_parallel_ask(env, tetcasti_task_mean, &g, g.bins.slabs);
+    else {
+        strands = tetcasti_thread_count(env);
+        tetcasti_parallel_for(env, tetcasti_task_mean, &g, strands < g.bins.slabs ? strands : g.bins.slabs);
+    }
     tetcasti_free(&mem, g.bins.first);
     tetcasti_free(&mem, g.bins.list);
-    if (!asked) return tetcasti_fail(env->error, TETCAST_ERR_CANCELLED, 0, "means: cancelled");
+    if (g.cancelled) return tetcasti_fail(env->error, TETCAST_ERR_CANCELLED, 0, "means: cancelled");
     return g.failed ? tetcasti_fail(env->error, TETCAST_ERR_NO_MEMORY, 0, "means: out of memory") : TETCAST_OK;
 }
 
@@ -16357,6 +16434,14 @@ static int tetcasti_focus_wants(const tetcast_bricks_desc *d, const tetcast_bric
     return sqrt(sum) < (double)level * d->focus_radius;
 }
 
+/* Asks progress_fn once in so many places that are looked at. 0: cancelled. */
+#define TETCASTI_CHECKS_LOG 16
+
+static int tetcasti_checks_go_on(const tetcast_env *env, uint64_t done, uint64_t total) {
+    return (done & ((1u << TETCASTI_CHECKS_LOG) - 1)) != 0 || done == 0 || env->progress_fn == NULL ||
+           env->progress_fn(env->progress_user, done, total) == 0;
+}
+
 /* How far bricks are from the mesh: at all vertices, and at random points of random cells. force: slots where it is too
    far and could be finer, *helps of them; may be NULL. */
 static tetcast_result tetcasti_bricks_check(const tetcast_bricks_desc *d, const tetcast_mesh *mesh,
@@ -16370,6 +16455,7 @@ static tetcast_result tetcasti_bricks_check(const tetcast_bricks_desc *d, const 
     uint64_t i, seed = 1;
     double sum = 0.0;
     uint32_t a, k;
+    int asked = 1;
     memset(&cd, 0, sizeof cd);
     cd.env = d->env;
     cut = NULL;
@@ -16378,7 +16464,7 @@ static tetcast_result tetcasti_bricks_check(const tetcast_bricks_desc *d, const 
     report->checks = report->above = report->above_finest = 0;
     report->error = 0.0;
     *helps = 0;
-    for (i = 0; i < all; i++) {
+    for (i = 0; i < all && (asked = tetcasti_checks_go_on(&d->env, i, all)) != 0; i++) {
         double p[3], v = 0.0, away;
         float x[3];
         if (i < mesh->vertex_count && mesh->cell_value == NULL) {
@@ -16446,7 +16532,7 @@ static tetcast_result tetcasti_bricks_check(const tetcast_bricks_desc *d, const 
     }
     report->mean_error = report->checks != 0 ? sum / (double)report->checks : 0.0;
     tetcast_cut_destroy(cut);
-    return TETCAST_OK;
+    return asked ? TETCAST_OK : tetcasti_fail(d->env.error, TETCAST_ERR_CANCELLED, 0, "bricks: cancelled");
 }
 
 /* ---- growing bricks: from the coarsest level down, where the mesh asks for it ---- */
@@ -18723,9 +18809,7 @@ static void tetcasti_task_shade(void *ctx, uint32_t strand) {
                 n[3] += r.ended;
             }
         i = tetcasti_atomic_add(&c->done, 1u);
-        if (strand == 0 && c->desc->env.progress_fn != NULL &&
-            c->desc->env.progress_fn(c->desc->env.progress_user, i, c->tiles) != 0)
-                tetcasti_atomic_store(&c->cancelled, 1u);
+        (void)tetcasti_strand_asks(&c->desc->env, strand, i, c->tiles, &c->cancelled);
     }
     for (i = 0; i < 4; i++) tetcasti_tally_add(c->tally[i], n[i]);
     tetcasti_spans_free(&c->mem, &spans);
@@ -19573,9 +19657,7 @@ static void tetcasti_task_bricks(void *ctx, uint32_t strand) {
                 n[5] += 8u * ((uint64_t)l[0].octets + l[1].octets);
             }
         i = tetcasti_atomic_add(&c->done, 1u);
-        if (strand == 0 && c->desc->env.progress_fn != NULL &&
-            c->desc->env.progress_fn(c->desc->env.progress_user, i, c->tiles) != 0)
-                tetcasti_atomic_store(&c->cancelled, 1u);
+        (void)tetcasti_strand_asks(&c->desc->env, strand, i, c->tiles, &c->cancelled);
     }
     for (strand = 0; strand < 6; strand++) tetcasti_tally_add(c->tally[strand], n[strand]);
     for (strand = 0; strand < 16; strand++) tetcasti_spans_free(&c->mem, &l[strand >> 3].ray[strand & 7u].spans);
@@ -19770,6 +19852,8 @@ static tetcast_result tetcasti_brick_frame_open(tetcasti_brick_frame *c, tetcast
     }
     if (d->step > 0.0f && !(way < TETCASTI_BRICK_SAMPLES * TETCASTI_BRICK_SAMPLES))
         return tetcasti_fail(d->env.error, TETCAST_ERR_RANGE, 0, "bricks: the step is too small for the lattice");
+    if (c->optics != NULL && !tetcasti_optics_reaches(c->optics, sqrt(way) * c->step))
+        return tetcasti_fail(d->env.error, TETCAST_ERR_RANGE, 0, "optics: longest or step too small for the lattice");
     for (a = 0; a < 16; a++) {
         c->steps[a] = d->fixed_step ? c->step : c->step * (double)(1u << a);
         c->per[a] = c->steps[a] > 0.0 ? 1.0 / c->steps[a] : 0.0;
@@ -22026,6 +22110,7 @@ typedef struct tetcasti_fit_block {
 typedef struct tetcasti_fit {
     tetcasti_mem *mem;
     const tetcast_env *env;
+    uint64_t done, total; /* as progress_fn was told last */
     tetcast_rbf *m;                  /* place, kernel, cut, components, bits */
     tetcast_isa isa;
     uint32_t n, count;
@@ -22674,10 +22759,18 @@ static void tetcasti_task_fit_sweep(void *ctx, uint32_t task) {
     b->count = n;
 }
 
+static int tetcasti_fit_bad(tetcasti_fit *t, uint64_t done, uint64_t total) { /* no memory, too many, cancelled */
+    t->done = done;
+    t->total = total;
+    if (t->env->progress_fn != NULL && t->env->progress_fn(t->env->progress_user, done, total) != 0) t->full = 2;
+    return t->failed || t->full;
+}
+
 static void tetcasti_fit_colors(tetcasti_fit *t, tetcast_task_fn *task) {
     uint32_t a;
     for (t->color = 0; t->color < 8; t->color++) {
         uint32_t n = 1;
+        if (tetcasti_fit_bad(t, t->done, t->total)) return;
         for (a = 0; a < 3; a++) n *= (t->blocks[a] + 1 - (t->color >> a & 1u)) / 2;
         tetcasti_parallel_for(t->env, task, t, n);
     }
@@ -23027,9 +23120,11 @@ static void tetcasti_base_normal(const tetcasti_fit *t, const tetcast_rbf *m, do
     }
 }
 
+#define TETCASTI_BASE_LARGE 65536u /* nodes of a base from which on each round of its solution asks */
+
 /* Conjugate gradients with the diagonal for one component; work: 4 arrays of the number of nodes. */
-static void tetcasti_base_solve(const uint32_t dims[3], const double (*matrix)[27], const double *rhs, double *x,
-                                double *work) {
+static void tetcasti_base_solve(tetcasti_fit *t, const uint32_t dims[3], const double (*matrix)[27], const double *rhs,
+                                double *x, double *work) {
     const size_t nodes = (size_t)dims[0] * dims[1] * dims[2];
     double *r = work, *z = work + nodes, *p = work + 2 * nodes, *q = work + 3 * nodes, rz = 0.0, first, alpha, beta;
     uint32_t round;
@@ -23043,6 +23138,7 @@ static void tetcasti_base_solve(const uint32_t dims[3], const double (*matrix)[2
     first = rz;
     for (round = 0; round < 200 && rz > 1e-14 * first; round++) {
         double pq = 0.0, next = 0.0;
+        if (nodes >= TETCASTI_BASE_LARGE && tetcasti_fit_bad(t, t->done, t->total)) return;
         tetcasti_base_times(dims, matrix, p, q);
         for (i = 0; i < nodes; i++) pq += p[i] * q[i];
         if (!(pq > 0.0)) return;
@@ -23104,7 +23200,7 @@ static int tetcasti_fit_base(tetcasti_fit *t, const uint32_t dims[3]) {
             tetcasti_base_normal(t, m, matrix, work);
             for (c = 0; c < t->n; c++) {
                 double *x = work + t->n * nodes;
-                tetcasti_base_solve(dims, (const double (*)[27])matrix, work + c * nodes, x, x + nodes);
+                tetcasti_base_solve(t, dims, (const double (*)[27])matrix, work + c * nodes, x, x + nodes);
                 for (i = 0; i < nodes; i++)
                     m->node[i * t->n + c] = (float)((double)m->offset[c] + (double)tetcasti_rbf_code(x[i],
                         (double)m->bits.node_step, 24) * (double)m->bits.node_step);
@@ -23145,11 +23241,6 @@ static double tetcasti_fit_peak(const tetcasti_fit *t) {
     return sqrt((double)most);
 }
 
-static int tetcasti_fit_bad(tetcasti_fit *t, uint64_t done, uint64_t total) { /* no memory, too many, cancelled */
-    if (t->env->progress_fn != NULL && t->env->progress_fn(t->env->progress_user, done, total) != 0) t->full = 2;
-    return t->failed || t->full;
-}
-
 static void tetcasti_fit_greedy(tetcasti_fit *t, double threshold) {
     t->threshold = (float)threshold;
     t->inserted = (uint32_t)tetcasti_fit_count(t);
@@ -23181,7 +23272,7 @@ static int tetcasti_fit_trials(tetcasti_fit *t, double least) {
         t->cap = room < (double)cap ? (size_t)room + 1 : cap;
         tetcasti_fit_greedy(t, 2.0 * (double)t->tolerance);
         tetcasti_fit_greedy(t, (double)t->tolerance);
-        if (t->failed) return -1;
+        if (t->failed || t->full == 2) return -1;
         n = tetcasti_fit_count(t);
         bytes = nodes + (double)n * tetcasti_fit_bits(t) / 8.0;
         for (i = 0; i < blocks; i++) t->block[i].count = t->block[i].inserted = 0;
@@ -24181,6 +24272,7 @@ TETCAST_DEF tetcast_result tetcast_rbf_fit(const tetcast_rbf_fit_desc *desc, con
     t.reach = d.kernel == TETCAST_KERNEL_GAUSS ? d.cut : tetcasti_kernel_reach(d.kernel);
     if (d.kernel == TETCAST_KERNEL_GAUSS)
         t.e = (float)tetcasti_exp2(-0.72134752044448170368 * (double)d.cut * (double)d.cut);
+    t.total = 1;
     t.cap = d.max_functions != 0 && d.max_functions < TETCAST_RBF_MAX_FUNCTIONS ? d.max_functions
                                                                                   : TETCAST_RBF_MAX_FUNCTIONS;
     r = tetcasti_fit_run(&t, &d, points, report);
@@ -25240,9 +25332,7 @@ static void tetcasti_task_rbf_tiles(void *ctx, uint32_t strand) {
             for (x = x0; x < x0 + TETCASTI_RBF_TILE && x < t->desc->part[0] + t->image->width; x += 4)
                 tetcasti_rbf_group_draw(t, tile, x, y, rows, stride, &spans, count);
         i = tetcasti_atomic_add(&t->done, 1u);
-        if (strand == 0 && t->desc->env.progress_fn != NULL &&
-            t->desc->env.progress_fn(t->desc->env.progress_user, i, t->tiles) != 0)
-                tetcasti_atomic_store(&t->cancelled, 1u);
+        (void)tetcasti_strand_asks(&t->desc->env, strand, i, t->tiles, &t->cancelled);
     }
     for (i = 0; i < 5; i++) tetcasti_tally_add(t->tally[i], count[i]);
     for (i = 0; i < 8; i++) tetcasti_spans_free(&t->mem, &spans.lane[i]);
@@ -25386,7 +25476,7 @@ static tetcast_result tetcasti_rbf_picture_open(tetcasti_rbf_picture *t, tetcast
     const tetcast_rbf *m = t->m;
     const uint32_t width = d->frame[0] != 0 ? d->frame[0] : t->image->width;
     const uint32_t height = d->frame[0] != 0 ? d->frame[1] : t->image->height;
-    double diagonal = 0.0, least = 1e300;
+    double diagonal = 0.0, way = 0.0, least = 1e300;
     tetcast_result r = TETCAST_OK;
     uint32_t a;
     if (d->frame[0] == 0) d->part[0] = d->part[1] = 0;
@@ -25401,8 +25491,10 @@ static tetcast_result tetcasti_rbf_picture_open(tetcasti_rbf_picture *t, tetcast
         t->up[a] = t->frame.up[a] / m->scale[a];
         t->forward[a] = t->frame.forward[a] / m->scale[a];
         diagonal += (double)m->size[a] * (double)m->size[a];
+        way += (m->box_max[a] - m->box_min[a]) * (m->box_max[a] - m->box_min[a]);
         least = tetcasti_min(least, m->scale[a]);
     }
+    if (t->optics != NULL && !tetcasti_optics_reaches(t->optics, sqrt(way))) return TETCAST_ERR_RANGE;
     t->isa = tetcasti_rbf_isa(d->isa);
     t->add = tetcasti_rbf_add_pick(m, t->isa);
     t->run = tetcasti_has_fma() ? tetcasti_rbf_run_fma : tetcasti_rbf_run_scalar;
@@ -25506,6 +25598,7 @@ typedef struct tetcasti_rbf_traces {
     double *paths;
     uint32_t *lengths;
     tetcast_trace_end *ends;
+    uint32_t groups, next, cancelled; /* of eight particles; atomic: next, cancelled */
 } tetcasti_rbf_traces;
 
 static void tetcasti_rbf_velocity(const tetcasti_rbf_traces *t, const double (*p)[3], uint32_t n, double (*v)[3]) {
@@ -25589,9 +25682,8 @@ static void tetcasti_rbf_dopri(const tetcasti_rbf_traces *t, double (*p)[3], uin
 }
 
 /* Eight particles at a time. */
-static void tetcasti_task_rbf_trace(void *ctx, uint32_t task) {
-    const tetcasti_rbf_traces *t = (const tetcasti_rbf_traces *)ctx;
-    const size_t first = (size_t)task * 8, row = 3 * ((size_t)t->d->steps + 1);
+static void tetcasti_rbf_trace_group(tetcasti_rbf_traces *t, uint32_t group, uint32_t strand) {
+    const size_t first = (size_t)group * 8, row = 3 * ((size_t)t->d->steps + 1);
     const double dt = t->d->dt;
     double p[8][3], q[8][3], k[4][8][3], h[8];
     uint32_t number[8], length[8], end[8], n = 0, i, a, s, stage;
@@ -25610,6 +25702,7 @@ static void tetcasti_task_rbf_trace(void *ctx, uint32_t task) {
     }
     for (s = 0; s < t->d->steps && n != 0; s++) {
         uint32_t left = 0;
+        if (s % 256 == 255 && !tetcasti_strand_asks(&t->d->env, strand, group, t->groups, &t->cancelled)) return;
         tetcasti_rbf_velocity(t, (const double (*)[3])p, n, k[0]);
         for (stage = 1; stage < 4 && t->d->stepper == TETCAST_STEPPER_RK4; stage++) {
             const double part = stage < 3 ? 0.5 * dt : dt;
@@ -25653,6 +25746,15 @@ static void tetcasti_task_rbf_trace(void *ctx, uint32_t task) {
     }
 }
 
+static void tetcasti_task_rbf_trace(void *ctx, uint32_t strand) {
+    tetcasti_rbf_traces *t = (tetcasti_rbf_traces *)ctx;
+    for (;;) {
+        const uint32_t i = tetcasti_atomic_add(&t->next, 1u) - 1u;
+        if (i >= t->groups || !tetcasti_strand_asks(&t->d->env, strand, i, t->groups, &t->cancelled)) return;
+        tetcasti_rbf_trace_group(t, i, strand);
+    }
+}
+
 TETCAST_DEF tetcast_result tetcast_rbf_trace(const tetcast_rbf_trace_desc *desc, const tetcast_rbf *rbf,
                                              const double *seeds, size_t count, double *paths, uint32_t *lengths,
                                              tetcast_trace_end *ends) {
@@ -25660,7 +25762,7 @@ TETCAST_DEF tetcast_result tetcast_rbf_trace(const tetcast_rbf_trace_desc *desc,
     tetcasti_mem mem;
     tetcast_result r;
     size_t size;
-    uint32_t a;
+    uint32_t a, strands;
     if (desc == NULL || rbf == NULL || (count != 0 && (seeds == NULL || paths == NULL))) return TETCAST_ERR_INVALID_ARG;
     if (desc->_begin_zero != 0 || desc->_end_zero != 0) return TETCAST_ERR_UNINIT_DESC;
     r = tetcasti_env_open(&desc->env, &mem);
@@ -25685,8 +25787,11 @@ TETCAST_DEF tetcast_result tetcast_rbf_trace(const tetcast_rbf_trace_desc *desc,
     t.paths = paths;
     t.lengths = lengths;
     t.ends = ends;
-    tetcasti_parallel_for(&desc->env, tetcasti_task_rbf_trace, &t, (uint32_t)((count + 7) / 8));
-    return TETCAST_OK;
+    t.groups = (uint32_t)((count + 7) / 8);
+    t.next = t.cancelled = 0;
+    strands = tetcasti_thread_count(&desc->env);
+    tetcasti_parallel_for(&desc->env, tetcasti_task_rbf_trace, &t, strands < t.groups ? strands : t.groups);
+    return t.cancelled ? tetcasti_fail(desc->env.error, TETCAST_ERR_CANCELLED, 0, "trace: cancelled") : TETCAST_OK;
 }
 /* ---- decoding to bricks ---- */
 
@@ -25736,15 +25841,16 @@ static tetcast_result tetcasti_rbf_bricks_check(const tetcast_bricks_desc *d, co
     double sum = 0.0;
     uint64_t seed = 1;
     uint32_t i, k, a, n;
+    int asked = 1;
     memset(&cd, 0, sizeof cd);
     cd.env = d->env;
     r = tetcast_cut_create(&cd, b, &cut);
     if (r != TETCAST_OK) return r;
     report->above = 0;
     report->error = 0.0;
-    for (i = 0; i < count; i += n) {
+    for (i = 0; i < count && (asked = tetcasti_checks_go_on(&d->env, i, count)) != 0; i += n) {
         float p[8][3], v[8];
-        for (n = 0; n < 8 && i + n < count; n++)
+        for (n = 0; n < 8 && n < count - i; n++)
             for (a = 0; a < 3; a++) {
                 seed = tetcasti_hash_mix(seed, 3u * (i + n) + a);
                 p[n][a] = m->size[a] * (float)((double)(uint32_t)(seed >> 32) * (1.0 / 4294967296.0));
@@ -25768,7 +25874,7 @@ static tetcast_result tetcasti_rbf_bricks_check(const tetcast_bricks_desc *d, co
     report->checks = count;
     report->mean_error = sum / (double)count;
     tetcast_cut_destroy(cut);
-    return TETCAST_OK;
+    return asked ? TETCAST_OK : tetcasti_fail(d->env.error, TETCAST_ERR_CANCELLED, 0, "bricks: cancelled");
 }
 
 /* Bricks on a lattice of `longest` nodes. */

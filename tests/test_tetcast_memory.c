@@ -626,20 +626,106 @@ static tetcast_result fitted(world *w, const tetcast_env *env) {
     return r;
 }
 
+/* Points for which several sizes of a base are tried, and a base so large that each round of its solution asks. */
+static tetcast_result fitted_points(const tetcast_env *env, uint32_t base) {
+    enum { SIDE_OF = 12, COUNT = SIDE_OF * SIDE_OF * SIDE_OF };
+    static float value[COUNT];
+    tetcast_rbf_fit_desc d;
+    tetcast_rbf_points p;
+    tetcast_rbf *m = NULL;
+    tetcast_result r;
+    int i;
+    memset(&d, 0, sizeof d);
+    memset(&p, 0, sizeof p);
+    for (i = 0; i < COUNT; i++) {
+        const double x = i % SIDE_OF / 11.0, y = i / SIDE_OF % SIDE_OF / 11.0, z = i / SIDE_OF / SIDE_OF / 11.0;
+        value[i] = (float)(exp(-20 * ((x - 0.3) * (x - 0.3) + (y - 0.4) * (y - 0.4) + (z - 0.5) * (z - 0.5))) + 0.3 * sin(9 * x * y) + z);
+    }
+    d.env = *env;
+    d.max_error = base != 0 ? 0.5f : 0.05f;
+    d.base_dims[0] = d.base_dims[1] = d.base_dims[2] = base;
+    p.values.data = value;
+    p.components = 1;
+    p.count = COUNT;
+    for (i = 0; i < 3; i++) p.dims[i] = SIDE_OF;
+    r = tetcast_rbf_fit(&d, &p, NULL, &m);
+    CHECK((r == TETCAST_OK) == (m != NULL));
+    tetcast_rbf_destroy(m);
+    return r;
+}
+static tetcast_result fit_by_trial(world *w, const tetcast_env *env) { (void)w; return fitted_points(env, 0); }
+static tetcast_result fit_large_base(world *w, const tetcast_env *env) { (void)w; return fitted_points(env, 41); }
+
+/* All tables there are: slices one after another, in parts, all rows at once. */
+static tetcast_result tables(world *w, const tetcast_env *env) {
+    uint32_t which;
+    tetcast_result r = TETCAST_OK;
+    for (which = TETCAST_INTEGRATOR_TABLE_3D; which <= TETCAST_INTEGRATOR_TABLE_PREFIX && r == TETCAST_OK; which++) {
+        tetcast_optics_desc d;
+        tetcast_optics *o = NULL;
+        memset(&d, 0, sizeof d);
+        d.env = *env;
+        d.integrator = (tetcast_integrator)which;
+        d.table_values = 4 + which; /* another total for each */
+        d.table_lengths = 3;
+        d.longest = 2;
+        r = tetcast_optics_create(w->transfer, &d, &o);
+        CHECK((r == TETCAST_OK) == (o != NULL));
+        tetcast_optics_destroy(o);
+    }
+    return r;
+}
+
+static tetcast_result long_traces(world *w, const tetcast_env *env) { /* one group asks several times */
+    tetcast_rbf_function f[40];
+    tetcast_rbf_desc d = functions_desc(f, 3);
+    tetcast_rbf_trace_desc td;
+    tetcast_rbf *m = NULL;
+    tetcast_result r;
+    static double paths[8 * 1001 * 3];
+    memset(&td, 0, sizeof td);
+    td.env = *env;
+    td.dt = 1e-9;
+    td.steps = 1000;
+    CHECK_EQ_U64(tetcast_rbf_create(&d, &m), TETCAST_OK);
+    r = tetcast_rbf_trace(&td, m, w->points[0], 8, paths, NULL, NULL);
+    tetcast_rbf_destroy(m);
+    return r;
+}
+
+static tetcast_result many_checks(world *w, const tetcast_env *env) { /* 2^16 places from question to question */
+    tetcast_bricks_desc d;
+    tetcast_bricks_report report;
+    tetcast_bricks *b = NULL;
+    tetcast_result r;
+    memset(&d, 0, sizeof d);
+    d.env = *env;
+    d.longest = 5;
+    d.checks = 150000;
+    r = tetcast_bricks_create_mesh(&d, w->mesh, &report, &b);
+    CHECK((r == TETCAST_OK) == (b != NULL));
+    tetcast_bricks_destroy(b);
+    return r;
+}
+
 /* Every call that asks whether to go on is cancelled at each of its questions: that is what it says, and nothing is left. */
 TEST(cancelled) {
-    static const struct { const char *name; tetcast_result (*run)(world *, const tetcast_env *); } ask[] = {
-        {"fit", fitted}, {"means", means}, {"bricks of a mesh", bricks_of_mesh}, {"bricks of refined cells", bricks_of_amr},
-        {"bricks of functions", bricks_of_rbf}, {"shaded mesh", shaded_mesh}, {"picture of bricks", brick_picture},
-        {"picture of functions", rbf_picture}};
+    static const struct { const char *name; tetcast_result (*run)(world *, const tetcast_env *); uint32_t least; } ask[] = {
+        {"fit", fitted, 10}, {"means", means, 1}, {"bricks of a mesh", bricks_of_mesh, 1}, {"bricks of refined cells", bricks_of_amr, 1},
+        {"bricks of functions", bricks_of_rbf, 1}, {"shaded mesh", shaded_mesh, 1}, {"picture of bricks", brick_picture, 1},
+        {"picture of functions", rbf_picture, 1}, {"resample", resampled, 1}, {"tables", tables, 30}, {"update", update, 1},
+        {"traces", traces, 1}, {"long traces", long_traces, 4}, {"mesh of a grid", grid_mesh, 5}, {"picture by walking", walked, 1},
+        {"checks", many_checks, 4}, {"picture by projecting", projected, 1}, {"fit with bases by trial", fit_by_trial, 100},
+        {"fit with a large base", fit_large_base, 60}};
     static world w;
     size_t i;
     unsigned threads;
     world_open(&w);
     for (i = 0; i < sizeof ask / sizeof ask[0]; i++)
         for (threads = 1; threads <= 3; threads += 2) {
+            const uint64_t most = ask[i].run == fit_large_base ? 1 : 100;
             uint64_t at;
-            for (at = 0;; at++) { /* 0: never, to count the questions */
+            for (at = 0;; at += at < 8 ? 1 : 1 + at / 2) { /* 0: never, to count the questions */
                 tetcast_env env;
                 tetcast_error error;
                 test_alloc ta;
@@ -659,13 +745,53 @@ TEST(cancelled) {
                 s.stop_at = at;
                 r = ask[i].run(&w, &env);
                 test_alloc_check(&ta);
-                if (at == 0) CHECK_MSG(r == TETCAST_OK && s.calls > 0, "%s asks %u times, result %d", ask[i].name, (unsigned)s.calls, (int)r);
+                if (at == 0) CHECK_MSG(r == TETCAST_OK && s.calls >= ask[i].least, "%s asks %u times, result %d", ask[i].name, (unsigned)s.calls, (int)r);
                 else if (s.calls >= at)
                     CHECK_MSG(r == TETCAST_ERR_CANCELLED && error.code == r, "%s, question %u: result %d", ask[i].name, (unsigned)at, (int)r);
                 CHECK_MSG(threads > 1 || s.backwards == 0, "%s: %u steps back", ask[i].name, s.backwards);
-                if (at != 0 && (s.calls < at || at > 60)) break;
+                if (at != 0 && (s.calls < at || at > most)) break;
             }
         }
+    world_close(&w);
+}
+
+/* A table that rays would be cut into more than 65,536 parts for is refused by all that draws with it, and for segments. */
+TEST(tables_too_short) {
+    static world w;
+    uint32_t which;
+    world_open(&w);
+    for (which = TETCAST_INTEGRATOR_TABLE_3D; which <= TETCAST_INTEGRATOR_TABLE_PREFIX; which++) {
+        static const float longest[3] = {1e-30f, 5e-5f, 1e-3f}; /* the mesh is 4 wide, boxes of bricks and functions 4 and 1 */
+        uint32_t k;
+        for (k = 0; k < 3; k++) {
+            const tetcast_ray ray = {{-1, 2, 2}, {1, 0, 0}, 0, 0};
+            const tetcast_segment segment = {0.1f, 0.9f, 7.0f, 0.0f};
+            tetcast_optics_desc d;
+            tetcast_rbf_render_desc rd;
+            tetcast_optics *o = NULL;
+            tetcast_ray_result hit;
+            tetcast_image small = w.image;
+            float rgba[4];
+            tetcast_result want = k < 2 ? TETCAST_ERR_RANGE : TETCAST_OK;
+            memset(&d, 0, sizeof d);
+            memset(&rd, 0, sizeof rd);
+            small.width = small.height = 2;
+            d.integrator = (tetcast_integrator)which;
+            d.table_values = 4;
+            d.table_lengths = 2;
+            if (which == TETCAST_INTEGRATOR_TABLE_2D) d.step = longest[k];
+            d.longest = which == TETCAST_INTEGRATOR_TABLE_2D ? 4.0f : longest[k];
+            CHECK_EQ_U64(tetcast_optics_create(w.transfer, &d, &o), TETCAST_OK);
+            REQUIRE(o != NULL);
+            CHECK_EQ_U64(tetcast_render(NULL, w.mesh, o, &small, NULL), want);
+            CHECK_EQ_U64(tetcast_cast(NULL, w.mesh, o, &ray, 1, &hit, NULL), want);
+            CHECK_EQ_U64(tetcast_render_bricks(NULL, w.cut, o, &small, NULL), want);
+            CHECK_EQ_U64(tetcast_rbf_render(&rd, w.rbf, o, &small, NULL), k == 0 ? TETCAST_ERR_RANGE : TETCAST_OK);
+            CHECK_EQ_U64(tetcast_optics_ray(o, &segment, 1, rgba, NULL), k < 2 ? TETCAST_ERR_INVALID_ARG : TETCAST_OK);
+            CHECK_EQ_U64(tetcast_optics_segments(o, &segment, 1, TETCAST_ISA_AUTO, &rgba), k < 2 ? TETCAST_ERR_INVALID_ARG : TETCAST_OK);
+            tetcast_optics_destroy(o);
+        }
+    }
     world_close(&w);
 }
 
@@ -812,6 +938,7 @@ int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(every_request_refused);
     RUN(cancelled);
+    RUN(tables_too_short);
     RUN(functions_come_back);
     RUN(pictures_in_all_buffers);
     RUN(names);

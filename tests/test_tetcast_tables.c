@@ -575,6 +575,13 @@ TEST(bad_tables) {
     d.env.memory_limit = 100000;
     CHECK(tetcast_optics_create(t, &d, &o) == TETCAST_ERR_NO_MEMORY);
     d.env.memory_limit = 0;
+    d.samples = 4097;
+    CHECK(tetcast_optics_create(t, &d, &o) == TETCAST_ERR_INVALID_ARG);
+    d.samples = 4096;
+    CHECK(tetcast_optics_create(t, &d, &o) == TETCAST_OK);
+    tetcast_optics_destroy(o);
+    o = NULL;
+    d.samples = 0;
     d.integrator = TETCAST_INTEGRATOR_COUNT;
     CHECK(tetcast_optics_create(t, &d, &o) == TETCAST_ERR_INVALID_ARG);
     CHECK(o == NULL);
