@@ -892,6 +892,68 @@ TEST(tolerance_of_random_scenes) {
     zbufrand_frame_destroy(frame);
 }
 
+/* Means of frames are as near to what they tend to as `noise` says, in the mean over scenes, cameras, errors and ways at random: against
+   the mean of many more frames with other random numbers. In pictures that small single ones are up to twice as far off. */
+TEST(noise_of_random_scenes) {
+    enum { W = 64, H = 48, N = W * H, MANY = 256 };
+    const uint32_t count = test_quick() ? 8 : 24;
+    zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
+    double ratio = 0, worst = 0, least = 1e9;
+    uint32_t k, i, c;
+    buffers b[2];
+    buffers_open(&b[0], W, H);
+    buffers_open(&b[1], W, H);
+    for (k = 0; k < count; k++) {
+        test_rng r = test_rng_make(9400 + k);
+        const uint32_t kind = k % 4;
+        const double angle = 6.2831853 * test_rng_double(&r), far_away = 1.5 + 2 * test_rng_double(&r);
+        double centre[3], radius, error = 0;
+        zbufrand_render_desc d;
+        zbufrand_stats st, many;
+        zbufrand_scene *scene;
+        zbufrand_mesh mesh;
+        shape s;
+        random_scene(&s, &r, kind, centre, &radius);
+        mesh = mesh_of(&s);
+        mesh.two_sided = 1;
+        scene = scene_of(&mesh, 1);
+        memset(&d, 0, sizeof d);
+        for (i = 0; i < 3; i++) d.camera.at[i] = centre[i];
+        d.camera.eye[0] = centre[0] + radius * far_away * cos(angle);
+        d.camera.eye[1] = centre[1] + radius * far_away * 0.6;
+        d.camera.eye[2] = centre[2] + radius * far_away * sin(angle);
+        d.camera.fov_y = 40;
+        d.hybrid = test_rng_below(&r, 3) == 0 ? ZBUFRAND_HYBRID_AUTO : ZBUFRAND_HYBRID_OFF;
+        d.reconstruct.block = 1 + (test_rng_below(&r, 4) == 0);
+        d.noise = 1e-9;
+        d.max_frames = MANY;
+        d.seed = 1000 + k;
+        CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b[1].image, &many), ZBUFRAND_OK);
+        CHECK_EQ_U64(many.frames, MANY);
+        d.noise = many.rmse * 16 / (2 + 3 * test_rng_double(&r)); /* that of 4 to 25 frames */
+        d.seed = k;
+        CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b[0].image, &st), ZBUFRAND_OK);
+        CHECK_MSG(st.rmse <= d.noise && st.frames < MANY, "scene %u: %g of %g after %u frames", k, st.rmse, d.noise, (unsigned)st.frames);
+        for (i = 0; i < N; i++)
+            for (c = 0; c < 3; c++) {
+                const double e = (double)b[0].image.rgba[4 * i + c] - (double)b[1].image.rgba[4 * i + c];
+                error += e * e;
+            }
+        error = sqrt(error / (3 * N)) / sqrt(st.rmse * st.rmse + many.rmse * many.rmse);
+        if (test_g.verbose) printf("scene %u: asked %.4f, said %.4f, is %.3f of that, %u frames\n", k, d.noise, st.rmse, error, (unsigned)st.frames);
+        ratio += error * error / count;
+        worst = error > worst ? error : worst;
+        least = error < least ? error : least;
+        zbufrand_scene_destroy(scene);
+        shape_free(&s);
+    }
+    if (test_g.verbose) printf("root of the mean square %.3f, %.3f .. %.3f\n", sqrt(ratio), least, worst);
+    CHECK_MSG(sqrt(ratio) < 1.05 && sqrt(ratio) > 0.7 && worst < 2 && least > 0.2, "%.3f, %.3f .. %.3f of what was said", sqrt(ratio), least, worst);
+    buffers_close(&b[0]);
+    buffers_close(&b[1]);
+    zbufrand_frame_destroy(frame);
+}
+
 /* Where nearly all is rastered only areas with samples are looked at for pixels to repair: they hold all samples that are shown, and
    three pixels around them. */
 TEST(few_samples_among_rastered) {
@@ -2648,6 +2710,7 @@ int main(int argc, char **argv) {
     RUN(seeds_and_occlusion);
     RUN(reported_share_is_incomplete);
     RUN(tolerance_of_random_scenes);
+    RUN(noise_of_random_scenes);
     RUN(few_samples_among_rastered);
     RUN(noise_is_kept);
     RUN(odd_cameras);
