@@ -109,7 +109,7 @@
    LIMITS
    depth of a tree            20 (VOXRT_MAX_DEPTH): 2^20 cells along an axis; of a voxelised mesh 16
    filled voxels of a tree    2^32 - 2; and 2^32 - 1 nodes. In pages: 2^32 - 2 pages
-   triangles                  as many as memory holds
+   triangles of a mesh        2^32 - 2 for trees and models; for columns as many as memory holds
    finishes of a tree         255
    colours of a palette       2^24; in the octree of the thesis 32767
    threads                    64
@@ -134,8 +134,11 @@
 
    MEMORY
    All of it comes through desc.env: its allocator, else VOXRT_MALLOC, else malloc. An object keeps its allocator until
-   it is destroyed. env.memory_limit bounds what one call and its results hold at once. Tracing and drawing allocate
-   nothing. When memory runs out a call frees what it had and returns VOXRT_ERR_NO_MEMORY.
+   it is destroyed. env.memory_limit bounds what one call and its results hold at once. Octrees and columns keep it,
+   too: later calls may make them larger up to it. voxrt_gi counts each of its volumes, and what belongs to it, for
+   itself.
+   Tracing and voxrt_render allocate nothing. When memory runs out a call frees what it had and returns
+   VOXRT_ERR_NO_MEMORY.
    Building holds 8 to 18 bytes a voxel at its peak, most with many colours (voxrt_build_stats.peak_bytes); a tree takes
    3 to 6 bytes a voxel with normals, about 1 without normals and colours.
 
@@ -153,8 +156,10 @@
    x87 code (-m32 without -mfpmath=sse), -std=c99 on s390x (without -fexcess-precision=fast) and -ffast-math break it.
 
    ERRORS
-   Functions that can fail return a voxrt_result and set their outputs to NULL or 0 first. env.error receives the place
-   (byte, triangle, voxel) and a sentence. Bad triangles are left out and counted, unless desc.strict. Bad rays miss and
+   Functions that can fail return a voxrt_result. When they fail, objects, sizes and numbers that they would have given
+   are NULL or 0 (but for a size that is too large); arrays, pictures and structs may be half written.
+   env.error receives the place (byte, triangle, voxel) and a sentence; it is not written when a desc was not zeroed or
+   what should hold the result is NULL. Bad triangles are left out and counted, unless desc.strict. Bad rays miss and
    are counted. A desc has to be zeroed (memset, = {0} or = {} in C++); voxrt checks its first and last member.
    The library never prints, never exits. Loading is safe for any bytes; voxrt_load_desc.trust_input is not.
 
@@ -271,14 +276,15 @@ typedef enum voxrt_result {
     VOXRT_RESULT_FORCE_32BIT = 0x7fffffff
 } voxrt_result;
 
-/* What went wrong and where. `where` is a byte offset, a triangle or a voxel index, as `text` says. */
+/* What went wrong and where. `where` is a byte offset, a triangle or a voxel index, as `text` says, 0 where there is no
+   such place. Of use after a failure only: calls that succeed set code to VOXRT_OK or leave all as it was. */
 typedef struct voxrt_error {
     voxrt_result code;
     uint64_t where;
     char text[200];
 } voxrt_error;
 
-typedef struct voxrt_allocator {
+typedef struct voxrt_allocator { /* both functions or none of them */
     void *(*alloc_fn)(size_t size, void *user); /* 16-byte aligned, or NULL; any thread */
     void (*free_fn)(void *ptr, size_t size, void *user);
     void *user;
@@ -297,7 +303,8 @@ typedef struct voxrt_env {
     voxrt_parallel parallel;  /* set: the host's job system runs the work, no thread is started */
     uint32_t thread_count;    /* 0: one per core; 1: never start a thread */
     size_t memory_limit;      /* bytes that one call and its results may hold at once; 0: none */
-    int (*progress_fn)(void *user, uint64_t done, uint64_t total); /* non-zero cancels; called by one thread */
+    /* non-zero cancels. Called by the functions that return CANCELLED, by the thread that called them */
+    int (*progress_fn)(void *user, uint64_t done, uint64_t total);
     void *progress_user;
     voxrt_error *error;       /* receives the place and the reason of a failure; may be NULL */
 } voxrt_env;
@@ -379,7 +386,7 @@ typedef enum voxrt_lod_method {
 } voxrt_lod_method;
 
 /* field           zero means
-   resolution      1024 cells along the longest side of the mesh
+   resolution      1024 cells along the longest side of the mesh; 1 to 65536
    separating      6-separating
    palette_size    32767 colours (15 bits); up to 16777216
    planes          voxels are cubes. 1: each also keeps a plane, the mean of the triangles in it. Rays meet that, so
@@ -391,7 +398,9 @@ typedef enum voxrt_lod_method {
                    voxrt_tree_from_voxels voxel_finish (a byte for each, 0 plain). A voxel has that of the triangle
                    with the largest part in it, larger cells that of most voxels. A palette entry has a colour and a
                    finish: there may be palette_size of them for each finish
-   margin          half a voxel kept free on each side (thesis: the same); a fixed box: set box_size > 0 */
+   fill_depth      with fill: all that is inside
+   box_min,        the box of the mesh, half a voxel kept free on each side (thesis: the same). box_size > 0: the world
+   box_size        cube that maps to the whole grid; what lies outside is cut off. 1e-300 to 1e300 */
 typedef struct voxrt_build_desc {
     uint32_t _begin_zero;
     voxrt_env env;
@@ -452,40 +461,46 @@ typedef struct voxrt_tree_info {
    stats  out, may be NULL
    The result depends on the triangles as a set, not on their order nor on threads. Cost: O(triangles + voxels);
    holds 8 to 18 bytes a voxel at its peak, most with many colours (stats->peak_bytes tells).
-   Errors: INVALID_ARG (a bad finish, or one that is not there: error->where), UNINIT_DESC, RANGE, EMPTY, NO_MEMORY,
-   CANCELLED; with strict FORMAT, error->where is the first bad triangle. Thread safety: calls are independent.
+   Errors: INVALID_ARG (a bad finish, or one that is not there: error->where; planes or spread without normals),
+   UNINIT_DESC, RANGE (a field of desc, 2^32 - 1 triangles, more voxels than a tree may have), EMPTY (no usable
+   triangle, or none in the box), NO_MEMORY, CANCELLED (only voxelising asks); with strict FORMAT, error->where is the
+   first bad triangle. Thread safety: calls are independent.
    Source: Laine 2013 (6), Schwarz & Seidel 2010 (26), thesis 3.1.3 and 3.1.4. */
 VOXRT_DEF voxrt_result voxrt_tree_build(const voxrt_build_desc *desc, const voxrt_mesh *mesh, voxrt_build_stats *stats,
                                         voxrt_tree **out_tree);
 
 /* Build a tree from a list of filled cells in any order; of cells given twice the means are kept.
-   depth in 1..VOXRT_MAX_DEPTH; coordinates below 2^depth (else RANGE, error->where = the voxel's index). One voxel
-   is a unit cube, the grid's corner is the world's origin; desc's box_min and box_size override that.
-   Otherwise as voxrt_tree_build. */
+   voxels  in, [count]; normals need not be unit. If any has one, those without, or without a direction, get +z
+   depth   1..VOXRT_MAX_DEPTH; coordinates below 2^depth (else RANGE, error->where = the voxel's index)
+   One voxel is a unit cube, the grid's corner is the world's origin; desc's box_min and box_size override that.
+   resolution, separating, planes and strict of desc are not used. O(count). Errors: INVALID_ARG, UNINIT_DESC, RANGE,
+   EMPTY (count is 0), NO_MEMORY. Otherwise as voxrt_tree_build. */
 VOXRT_DEF voxrt_result voxrt_tree_from_voxels(const voxrt_build_desc *desc, const voxrt_voxel *voxels, size_t count,
                                               uint32_t depth, voxrt_tree **out_tree);
 
 VOXRT_DEF void voxrt_tree_destroy(voxrt_tree *tree); /* NULL is allowed */
-VOXRT_DEF void voxrt_tree_get_info(const voxrt_tree *tree, voxrt_tree_info *info);
+VOXRT_DEF void voxrt_tree_get_info(const voxrt_tree *tree, voxrt_tree_info *info); /* O(1); tree NULL: all zero */
 
 /* Look up cell (x, y, z) of an octree level (0 = root, depth = leaves).
-   Returns 1 and fills `out` (may be NULL) if anything in the cell is filled, else 0. out->normal is a unit vector,
-   or zero with has_normal = 0. Any thread. O(depth). */
+   Returns 1 and fills `out` (may be NULL) if anything in the cell is filled, else, also outside of the grid, 0 with
+   `out` all zero. out->normal is a unit vector, or zero with has_normal = 0. Any thread. O(depth). */
 VOXRT_DEF int voxrt_tree_get(const voxrt_tree *tree, uint32_t level, uint32_t x, uint32_t y, uint32_t z,
                              voxrt_voxel *out);
 
-/* Call fn for every non-empty cell of an octree level in Morton order (x fastest, z slowest bit of each triple).
-   fn returns non-zero to stop; that value is returned. */
+/* Call fn for every non-empty cell of an octree level in Morton order (x fastest, z slowest bit of each triple), on the
+   calling thread. fn returns non-zero to stop; that value is returned, else 0, also for a level that is not there.
+   Any thread. O(cells). */
 VOXRT_DEF int voxrt_tree_each(const voxrt_tree *tree, uint32_t level,
                               int (*fn)(void *user, const voxrt_voxel *voxel, uint32_t palette_index), void *user);
 
-/* The palette: 3 sRGB bytes an entry. Owned by the tree. */
+/* The palette: 3 sRGB bytes an entry; one white one without colours. Owned by the tree. out_count may be NULL. */
 VOXRT_DEF const uint8_t *voxrt_tree_palette(const voxrt_tree *tree, uint32_t *out_count);
 
 /* Finish of a palette entry, owned by the tree; NULL: plain, or there is no such entry. Any thread. O(1). */
 VOXRT_DEF const voxrt_finish *voxrt_tree_finish(const voxrt_tree *tree, uint32_t palette_index);
 
-/* 64-bit hash of occupancy, attributes and placement: equal trees have equal hashes on every machine, shared or not. */
+/* 64-bit hash of occupancy, attributes and placement: equal trees have equal hashes on every machine, shared or not.
+   O(cells). */
 VOXRT_DEF uint64_t voxrt_tree_hash(const voxrt_tree *tree);
 
 /* A copy of a tree in which equal parts are stored once (a directed acyclic graph), or one without that.
@@ -511,7 +526,7 @@ typedef enum voxrt_isa {
     VOXRT_ISA_FORCE_32BIT = 0x7fffffff
 } voxrt_isa;
 
-/* 32 bytes. A hit has t_min <= t < t_max, t in units of dir's length. */
+/* 32 bytes. A hit has t_min <= t < t_max, t in units of dir's length; t_min may be below 0, t_max INFINITY. */
 typedef struct voxrt_ray {
     float org[3];
     float t_min;
@@ -541,7 +556,7 @@ typedef struct voxrt_stats {
    cone_width     a ray is a line. A cell whose edge (world) is <= cone_width + cone_spread * t counts as a leaf
    cone_spread    growth of the footprint per unit of t. Cones meet large cells only inside the box of the filled
                   leaves, and the root only in trees of odd depth
-   max_level      no limit; k: octree level k is the finest (k+1 is given, so 1 = root only)
+   max_level_plus_1  no limit; k+1: octree level k is the finest, so 1 is the root only
    cubes          voxels with planes end rays at these: what lies behind is solid, a ray that stays before it goes on.
                   1: they end rays at their faces, as if there were none. Larger cells, and voxels more than 2^24 voxels
                   away from the origin of a ray, are cubes
@@ -561,23 +576,27 @@ typedef struct voxrt_trace_desc {
    desc   in, NULL: defaults
    rays   in, [count]; world units
    hits   out, [count]; must not overlap rays
-   Rays with a NaN or infinite origin or direction, direction 0, or t_min > t_max report a miss (bad_rays counts
-   them). Runs of rays with one origin (camera tiles) are found and start together behind the empty space that all
-   of them cross. The cells visited are 6-connected and ordered by exact events: nothing slips through a surface.
-   The same bits for every isa and every grouping of rays. Errors: INVALID_ARG, UNINIT_DESC.
-   Thread safety: any number of threads on one tree. Allocates nothing. */
+   Rays with a NaN or infinite origin or direction, direction 0, a NaN t_min or t_max, or t_min > t_max report a miss
+   (bad_rays counts them). Runs of rays with one origin (camera tiles) are found and start together behind the empty
+   space that all of them cross. The cells visited are 6-connected and ordered by exact events: nothing slips through a
+   surface.
+   The same bits for every isa and every grouping of rays. Errors: INVALID_ARG (also a width or spread that is not a
+   number from 0 on), UNINIT_DESC: hits are as they were. Thread safety: any number of threads on one tree; desc->stats
+   is one thread's. Allocates nothing. Source: Amanatides & Woo 1987 (events), Laine & Karras 2010 (stack). */
 VOXRT_DEF voxrt_result voxrt_trace(const voxrt_tree *tree, const voxrt_trace_desc *desc, const voxrt_ray *rays,
                                    voxrt_hit *hits, size_t count);
 
-/* Is anything hit in [t_min, t_max)?  occluded out, [count], 0 or 1; exactly when voxrt_trace reports a hit. */
+/* Is anything hit in [t_min, t_max)?  occluded out, [count], 0 or 1; exactly when voxrt_trace reports a hit, which it
+   calls for 512 rays at a time: errors and thread safety are those. */
 VOXRT_DEF voxrt_result voxrt_occluded(const voxrt_tree *tree, const voxrt_trace_desc *desc, const voxrt_ray *rays,
                                       uint8_t *occluded, size_t count);
 
-/* One ray; returns 1 on a hit. The scalar path of voxrt_trace. */
+/* One ray without a desc; returns 1 on a hit. The scalar path of voxrt_trace: the same bits, any thread. */
 VOXRT_DEF int voxrt_trace1(const voxrt_tree *tree, const voxrt_ray *ray, voxrt_hit *hit);
 
-/* Attributes of a hit. rgb: sRGB bytes; normal: unit vector facing as stored, or the face that was hit when the tree
-   has no normals. hit must be a hit of this tree. Any thread. */
+/* Attributes of a hit. rgb: sRGB bytes; normal: unit vector facing as stored, or that of the face that was hit when the
+   tree has no normals (0 if the ray began inside). hit must be a hit of this tree, not a miss: this is not checked. Any
+   thread. O(1), in shared trees O(depth). */
 VOXRT_DEF void voxrt_hit_color(const voxrt_tree *tree, const voxrt_hit *hit, uint8_t rgb[3]);
 VOXRT_DEF void voxrt_hit_normal(const voxrt_tree *tree, const voxrt_hit *hit, float normal[3]);
 VOXRT_DEF const voxrt_finish *voxrt_hit_finish(const voxrt_tree *tree, const voxrt_hit *hit); /* NULL: plain */
@@ -595,10 +614,11 @@ typedef struct voxrt_octree_voxel {
 
 /* field             zero means
    box_min, box_size one voxel is a unit cube and the grid's corner the world's origin; box_size > 0: the world cube
-                     that the root covers. Not for from_tree, which keeps the tree's
+                     that the root covers; 1e-300 to 1e300. Not for from_tree, which keeps the tree's
    lod_majority      inner voxels get the tree's own level of detail. 1: made anew by voxrt_octree_build_lod
    disable_collapse  8 equal leaves become one when the octree is made from a tree
-   grid_level        start grid of 64 cells an axis (level 7) for trees that deep; g: 2^(g-1), 1..10
+   grid_level        start grid of 64 cells an axis (level 7), or of the deepest level; g: 2^(g-1), 1..10 (not for
+                     create)
    disable_grid      1: no start grid
    flip_y, flip_z    files whose y or z runs the other way: children and normals are mirrored
    swap_angles       1: files with phi before theta */
@@ -628,9 +648,9 @@ typedef struct voxrt_octree_info {
     uint64_t grid_bytes, total_bytes;
 } voxrt_octree_info;
 
-/* An octree of one transparent leaf.
+/* An octree of one transparent leaf, without a start grid: fill it, then build_lod, build_grid.
    desc     in, NULL: all defaults
-   depth    0..VOXRT_MAX_DEPTH
+   depth    0..VOXRT_MAX_DEPTH (else RANGE)
    palette  in, 3 sRGB bytes an entry, copied; palette_count 0..32767 (else RANGE)
    Errors: INVALID_ARG, UNINIT_DESC, RANGE, NO_MEMORY. Thread safety: calls are independent. */
 VOXRT_DEF voxrt_result voxrt_octree_create(const voxrt_octree_desc *desc, uint32_t depth, const uint8_t *palette,
@@ -655,7 +675,7 @@ VOXRT_DEF void voxrt_octree_destroy(voxrt_octree *octree); /* NULL is allowed */
 VOXRT_DEF void voxrt_octree_get_info(const voxrt_octree *octree, voxrt_octree_info *info); /* O(voxels) */
 
 /* The voxels as they are in memory: voxel 0 is the root, 1..7 are unused, then blocks of 8. A child's block has a
-   higher number than its parent's. Owned by the octree; valid until it is changed. */
+   higher number than its parent's. Owned by the octree; valid until it is changed. out_count may be NULL. */
 VOXRT_DEF const voxrt_octree_voxel *voxrt_octree_voxels(const voxrt_octree *octree, size_t *out_count);
 VOXRT_DEF const uint8_t *voxrt_octree_palette(const voxrt_octree *octree, uint32_t *out_count);
 
@@ -668,8 +688,8 @@ VOXRT_DEF voxrt_octree_voxel voxrt_octree_get(const voxrt_octree *octree, uint32
    split hands its payload to the eight. Drops the start grid; levels of detail are stale until build_lod.
    index   0: make it transparent; 1..palette_count
    normal  need not be unit length; NULL or no direction: +z
-   Errors: INVALID_ARG, RANGE (cell or index), NO_MEMORY (the octree covers the same space as before).
-   Thread safety: one thread at a time. Thesis 3.1.3. */
+   Errors: INVALID_ARG, RANGE (cell or index), NO_MEMORY (also 2^29 blocks; the octree covers the same space as before).
+   O(depth), amortised. Thread safety: one thread at a time. Thesis 3.1.3. */
 VOXRT_DEF voxrt_result voxrt_octree_insert(voxrt_octree *octree, uint32_t x, uint32_t y, uint32_t z, uint32_t index,
                                            const float normal[3]);
 
@@ -679,11 +699,13 @@ VOXRT_DEF voxrt_result voxrt_octree_insert(voxrt_octree *octree, uint32_t x, uin
 VOXRT_DEF voxrt_result voxrt_octree_build_lod(voxrt_octree *octree);
 
 /* Replace 8 leaves of equal index and normal by their parent, bottom up, and put the blocks in pre-order: equal octrees
-   have equal voxels, however they were made. Drops the start grid. Errors: as build_lod. Thesis 3.1.4. */
+   have equal voxels, however they were made. Drops the start grid. O(voxels), 64 bytes a node meanwhile. Errors: as
+   build_lod. Thesis 3.1.4. */
 VOXRT_DEF voxrt_result voxrt_octree_collapse(voxrt_octree *octree);
 
 /* Grid of (2^(level-1))^3 start voxels, level 1..10 but at most depth + 1; 0: none. All coarser grids are kept too, for
-   rays with a level limit: 4.6 bytes a cell. Errors: INVALID_ARG, RANGE, NO_MEMORY (no grid then). */
+   rays with a level limit: 4.6 bytes a cell. O(cells). Errors: INVALID_ARG, RANGE (the grid stays as it was), NO_MEMORY
+   (no grid then). */
 VOXRT_DEF voxrt_result voxrt_octree_build_grid(voxrt_octree *octree, uint32_t level);
 
 typedef struct voxrt_octree_stats { /* added to */
@@ -697,8 +719,8 @@ typedef struct voxrt_octree_stats { /* added to */
 /* field             zero means
    isa               SSE packets of four rays if the machine has SSE4.1; SCALAR: one ray at a time
    max_level_plus_1  no limit; k+1: voxels of octree level k count as leaves
-   offset            points lie 2^-24 of the grid beyond each face, doubled where a ray does not get on. Else a fixed
-                     offset in leaf edges, as in the thesis
+   offset            points lie 2^-24 of the grid beyond each face, doubled where a ray does not get on. Up to 0.5: a
+                     fixed offset in leaf edges, as in the thesis
    disable_grid      1: start at the root */
 typedef struct voxrt_octree_trace_desc {
     uint32_t _begin_zero;
@@ -714,13 +736,14 @@ typedef struct voxrt_octree_trace_desc {
    in 10^4 (512 cells an axis) to 10^3 (8192) meets a wrong voxel next to the right one; voxrt_trace is exact.
    rays, hits  as voxrt_trace. Rays 4i..4i+3 form a packet: give them neighbouring pixels
    hit->node   index in voxrt_octree_voxels, slot 0; cell, level: of the voxel, above `depth` for large leaves
-   The same bits for every isa and every grouping of rays. Errors: INVALID_ARG, UNINIT_DESC.
-   Thread safety: any number of threads on one octree. Allocates nothing. */
+   The same bits for every isa and every grouping of rays. Errors: INVALID_ARG (also offset), UNINIT_DESC.
+   Thread safety: any number of threads on one octree; desc->stats is one thread's. Allocates nothing. */
 VOXRT_DEF voxrt_result voxrt_octree_trace(const voxrt_octree *octree, const voxrt_octree_trace_desc *desc,
                                           const voxrt_ray *rays, voxrt_hit *hits, size_t count);
 
 /* Level (for max_level_plus_1 add 1) at which voxels of the point of the octree's box that is closest to the eye are at
-   most `pixels` pixels wide. spread: width of a pixel at distance 1, 2 tan(fov_y/2) / height. Thesis 4.3.1. */
+   most `pixels` pixels wide. spread: width of a pixel at distance 1, 2 tan(fov_y/2) / height. The octree's depth when
+   the eye is in the box. O(depth). Thesis 4.3.1. */
 VOXRT_DEF uint32_t voxrt_octree_lod_level(const voxrt_octree *octree, const float eye[3], float spread, float pixels);
 
 /* Attributes of a hit, as voxrt_hit_color and voxrt_hit_normal. */
@@ -733,14 +756,14 @@ VOXRT_DEF void voxrt_octree_hit_normals(const voxrt_octree *octree, const voxrt_
 /* Write a version 4 .vox file (docs/formats.md). Placement and depth are not part of it.
    env       where temporary memory and errors go, NULL: the defaults
    buffer, capacity, out_size, errors: as voxrt_tree_save_memory. A file that was read is written as it was.
-   O(voxels), 4 bytes a voxel. */
+   O(voxels), 4 bytes a voxel. Allocates nothing but for a file. */
 VOXRT_DEF voxrt_result voxrt_octree_save_memory(const voxrt_octree *octree, const voxrt_env *env, void *buffer,
                                                 size_t capacity, size_t *out_size);
 
 /* Read a version 4 .vox file, any alignment. Safe for any bytes: holds about twice the size of the file, and the start
    grid. The depth is the deepest level found. A separator other than "||" is accepted; error->text then says so.
-   Errors: INVALID_ARG, UNINIT_DESC, TRUNCATED, FORMAT, VERSION (1 to 3 were never documented), NO_MEMORY; error->where
-   is a byte offset, for VERSION the version. */
+   Errors: INVALID_ARG, UNINIT_DESC, RANGE (desc), TRUNCATED, FORMAT, VERSION (1 to 3 were never documented), NO_MEMORY;
+   error->where is a byte offset, for VERSION the version. */
 VOXRT_DEF voxrt_result voxrt_octree_load_memory(const voxrt_octree_desc *desc, const void *data, size_t size,
                                                 voxrt_octree **out_octree);
 
@@ -789,7 +812,7 @@ VOXRT_DEF uint32_t voxrt_file_kind(const void *data, size_t size);
 /* Write a tree as a format 5 file (docs/formats.md) to memory.
    desc      in, NULL: all defaults
    buffer    out, [capacity] bytes, any alignment; NULL: only the size is found (costs as much as writing)
-   out_size  out, size of the file; ERR_RANGE when capacity is less, then the buffer is untouched
+   out_size  out, size of the file, also with RANGE: capacity is less, and the buffer untouched. 0 with other errors
    The same tree gives the same bytes on every machine. O(tree); holds about the size of the file beside the buffer.
    Errors: INVALID_ARG, UNINIT_DESC, RANGE, NO_MEMORY. Thread safety: any number of calls on one tree. */
 VOXRT_DEF voxrt_result voxrt_tree_save_memory(const voxrt_tree *tree, const voxrt_save_desc *desc, void *buffer,
@@ -799,14 +822,14 @@ VOXRT_DEF voxrt_result voxrt_tree_save_memory(const voxrt_tree *tree, const voxr
    Safe for any bytes: whatever is accepted is a tree that can be traced. What a file can make this allocate is bounded
    by its size: about once the file for raw, at most about 11000 times for a hostile compact one (env.memory_limit),
    and 2 MB.
-   Errors: INVALID_ARG, UNINIT_DESC, TRUNCATED, FORMAT, VERSION, CHECKSUM, NO_MEMORY; error->where is a byte offset.
-   Thread safety: calls are independent. */
+   Errors: INVALID_ARG, UNINIT_DESC, TRUNCATED, FORMAT, VERSION (also a file in pages), CHECKSUM, NO_MEMORY;
+   error->where is a byte offset, for VERSION a number of a version or section. Thread safety: calls are independent. */
 VOXRT_DEF voxrt_result voxrt_tree_load_memory(const voxrt_load_desc *desc, const void *data, size_t size,
                                               voxrt_tree **out_tree);
 
 /* Use a raw format 5 file in place, for example a memory-mapped one: nothing is copied.
    data   in, 64-byte aligned; must stay valid and unchanged until the tree is destroyed, which does not free it
-   Allocates only the tree's header; with trust_input O(1), else every byte is read once. Checks what load checks.
+   Allocates only the tree's header; with trust_input O(1), else O(size). Checks what load checks.
    Errors: as voxrt_tree_load_memory; INVALID_ARG also for a compact file, a wrong alignment or a big-endian machine
    (load such files instead). */
 VOXRT_DEF voxrt_result voxrt_tree_map_memory(const voxrt_load_desc *desc, const void *data, size_t size,
@@ -815,7 +838,7 @@ VOXRT_DEF voxrt_result voxrt_tree_map_memory(const voxrt_load_desc *desc, const 
 #ifndef VOXRT_NO_STDIO
 /* As the memory functions; ERR_IO when the file cannot be read or written. Save writes to `path` with ".part" behind
    it and renames when all is written, so that a file is complete or not there; it takes the place of what had the name,
-   be that a link or, with the right to do so, a device. Load holds the whole file meanwhile. */
+   be that a link or, with the right to do so, a device. Both hold the whole file meanwhile, but for one in pages. */
 VOXRT_DEF voxrt_result voxrt_tree_save_file(const voxrt_tree *tree, const voxrt_save_desc *desc, const char *path);
 VOXRT_DEF voxrt_result voxrt_tree_load_file(const voxrt_load_desc *desc, const char *path, voxrt_tree **out_tree);
 #endif
@@ -4588,6 +4611,8 @@ static VOXRTI_UNUSED voxrt_result voxrti_grid_from_mesh(const voxrt_build_desc *
         }
         any = 1;
     }
+    if (!any && d->strict && mesh->triangle_count != 0)
+        return voxrti_fail(d->env.error, VOXRT_ERR_FORMAT, 0, "triangle % has a bad vertex");
     if (!any) return voxrti_fail(d->env.error, VOXRT_ERR_EMPTY, 0, "the mesh has no usable triangle");
     for (a = 0; a < 3; a++) longest = voxrti_max(longest, hi[a] - lo[a]);
     /* half a voxel stays free on both sides; one voxel for a point or a grid of one cell */
@@ -7070,7 +7095,10 @@ VOXRT_DEF voxrt_result voxrt_tree_build(const voxrt_build_desc *desc, const voxr
     if (r != VOXRT_OK) return r;
     memset(&set, 0, sizeof set);
     r = voxrti_grid_from_mesh(&d, mesh, &grid);
-    if (r != VOXRT_OK) return r;
+    if (r != VOXRT_OK) { /* none is usable */
+        stats->triangles = stats->rejected = mesh->triangle_count;
+        return r;
+    }
     r = voxrti_voxelize(&mem, &d, mesh, &grid, NULL, stats, &set);
     if (r == VOXRT_OK && d.fill) r = voxrti_leafset_fill(&mem, &d, grid.depth, &set);
     if (r != VOXRT_OK) {
@@ -15550,6 +15578,7 @@ VOXRT_DEF voxrt_result voxrt_camera_ray(const voxrt_camera *camera, uint32_t wid
     voxrti_frame f;
     voxrt_result r;
     if (camera == NULL || out_ray == NULL || height == 0) return VOXRT_ERR_INVALID_ARG;
+    if (!voxrti_finite(x) || !voxrti_finite(y)) return VOXRT_ERR_INVALID_ARG;
     r = voxrti_frame_open(camera, height, &f);
     if (r == VOXRT_OK) voxrti_frame_ray(&f, x - 0.5 * (double)width, 0.5 * (double)height - y, out_ray);
     return r;
@@ -15960,7 +15989,8 @@ VOXRT_DEF voxrt_result voxrt_render(const voxrt_render_desc *desc, const voxrt_t
     memset(&d, 0, sizeof d);
     if (desc != NULL) d = *desc;
     if (d._begin_zero != 0 || d._end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
-    if (image == NULL) return VOXRT_ERR_INVALID_ARG;
+    if (d.env.error != NULL) memset(d.env.error, 0, sizeof *d.env.error);
+    if (image == NULL) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "render: no image");
     memset(&c, 0, sizeof c);
     c.d = &d;
     c.image = image;
@@ -18817,8 +18847,11 @@ VOXRT_DEF voxrt_result voxrt_paged_build(const voxrt_build_desc *desc, const vox
     if (mesh->triangle_count >= 0xffffffffu || (mesh->indices == NULL && mesh->triangle_count >= 0x55555555u))
         return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, mesh->triangle_count, "% triangles are too many");
     r = voxrti_grid_from_mesh(&d, mesh, &grid);
-    if (r != VOXRT_OK) return r;
     stats->triangles = mesh->triangle_count;
+    if (r != VOXRT_OK) { /* none is usable */
+        stats->rejected = mesh->triangle_count;
+        return r;
+    }
     p = (voxrti_pieces *)voxrti_alloc_zero(&mem, 1, sizeof *p);
     list = (uint32_t *)voxrti_alloc_array(&mem, mesh->triangle_count, sizeof *list);
     r = p != NULL && list != NULL ? VOXRT_OK : VOXRT_ERR_NO_MEMORY;
