@@ -1060,9 +1060,9 @@ typedef struct zbufrand_costs {
 
 /* field           zero means
    camera          (eye equals at) one that frames the scene; a cube of edge 2 around the origin without a scene
-   tolerance       0.05: probability that the picture is incomplete, at most, below 1: that somewhere a pixel is empty, or more
-                   than 1 % deeper than all that is visible in it and in the pixels around it (in blocks of d x d: up
-                   to 3 d / 2 pixels away), where these are covered as a whole. Holds for surfaces that are sampled;
+   tolerance       0.05: probability that the picture is incomplete, at most, below 1: that somewhere a pixel is empty,
+                   or more than 1 % deeper than all that is visible in it and in the pixels around it (in blocks of
+                   d x d: up to 3 d / 2 pixels away), where these are covered as a whole. Holds for what is sampled;
                    rastered ones miss nothing. With `noise` and without a tolerance frames have half as many samples,
                    and what is reported is about all of them: that somewhere none is right
    density         as `tolerance` needs it. L: samples per square pixel of projected surface, visible or hidden; below
