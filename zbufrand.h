@@ -1063,8 +1063,8 @@ typedef struct zbufrand_costs {
    tolerance       0.05: probability that the picture is incomplete, at most, below 1: that somewhere a pixel is empty,
                    or more than 1 % deeper than all that is visible in it and in the pixels around it (in blocks of
                    d x d: up to 3 d / 2 pixels away), where these are covered as a whole. Holds for what is sampled;
-                   rastered ones miss nothing. With `noise` and without a tolerance frames have half as many samples,
-                   and what is reported is about all of them: that somewhere none is right
+                   what is rastered misses nothing. With `noise` and without a tolerance frames have half as many
+                   samples, and what is reported is about all of them: that somewhere none is right
    density         as `tolerance` needs it. L: samples per square pixel of projected surface, visible or hidden; below
                    10^6
    noise           one frame. E: frames are averaged until the estimated RMSE of the mean (linear light) is below E
@@ -11841,7 +11841,7 @@ static zbufrand_result zbufrandi_suspect_desc(const zbufrand_suspect_desc *desc,
     r = zbufrandi_size_check(desc->env.error, desc->width, desc->height);
     if (r != ZBUFRAND_OK) return r;
     if ((uint32_t)desc->isa > ZBUFRAND_ISA_AVX512)
-        return zbufrandi_fail(desc->env.error, ZBUFRAND_ERR_INVALID_ARG, desc->isa, "there is no isa %");
+        return zbufrandi_fail(desc->env.error, ZBUFRAND_ERR_INVALID_ARG, (uint64_t)desc->isa, "there is no isa %");
     if (!(desc->tolerance >= 0.0f && desc->tolerance < 1.0f)) {
         return zbufrandi_fail(desc->env.error, ZBUFRAND_ERR_INVALID_ARG, 0, "tolerance is not in [0, 1)");
     }
@@ -12451,7 +12451,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_canvas_create(const zbufrand_canvas_desc *
     r = zbufrandi_env_open(&desc->env, &mem);
     if (r != ZBUFRAND_OK) return r;
     if ((uint32_t)desc->isa > ZBUFRAND_ISA_AVX512)
-        return zbufrandi_fail(desc->env.error, ZBUFRAND_ERR_INVALID_ARG, desc->isa, "there is no isa %");
+        return zbufrandi_fail(desc->env.error, ZBUFRAND_ERR_INVALID_ARG, (uint64_t)desc->isa, "there is no isa %");
     if (desc->bucket_bits > 22) {
         return zbufrandi_fail(desc->env.error, ZBUFRAND_ERR_RANGE, desc->bucket_bits, "bucket_bits % is above 22");
     }
@@ -14777,7 +14777,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_frame_create(const zbufrand_frame_desc *de
     if (desc != NULL) d = *desc;
     if (d._begin_zero != 0 || d._end_zero != 0) return ZBUFRAND_ERR_UNINIT_DESC;
     if ((uint32_t)d.isa > ZBUFRAND_ISA_AVX512)
-        return zbufrandi_fail(d.env.error, ZBUFRAND_ERR_INVALID_ARG, d.isa, "there is no isa %");
+        return zbufrandi_fail(d.env.error, ZBUFRAND_ERR_INVALID_ARG, (uint64_t)d.isa, "there is no isa %");
     r = zbufrandi_env_open(&d.env, &mem);
     if (r != ZBUFRAND_OK) return zbufrandi_fail(d.env.error, r, 0, "env: only one of alloc_fn and free_fn is set");
     f = (zbufrand_frame *)zbufrandi_alloc_zero(&mem, 1, sizeof *f);
