@@ -109,7 +109,7 @@
    LIMITS
    depth of a tree            20 (VOXRT_MAX_DEPTH): 2^20 cells along an axis; of a voxelised mesh 16
    filled voxels of a tree    2^32 - 2; and 2^32 - 1 nodes. In pages: 2^32 - 2 pages
-   triangles                  as many as memory holds
+   triangles of a mesh        2^32 - 2 for trees and models; for columns as many as memory holds
    finishes of a tree         255
    colours of a palette       2^24; in the octree of the thesis 32767
    threads                    64
@@ -134,8 +134,11 @@
 
    MEMORY
    All of it comes through desc.env: its allocator, else VOXRT_MALLOC, else malloc. An object keeps its allocator until
-   it is destroyed. env.memory_limit bounds what one call and its results hold at once. Tracing and drawing allocate
-   nothing. When memory runs out a call frees what it had and returns VOXRT_ERR_NO_MEMORY.
+   it is destroyed. env.memory_limit bounds what one call and its results hold at once. Octrees and columns keep it,
+   too: later calls may make them larger up to it. voxrt_gi counts each of its volumes, and what belongs to it, for
+   itself.
+   Tracing and voxrt_render allocate nothing. When memory runs out a call frees what it had and returns
+   VOXRT_ERR_NO_MEMORY.
    Building holds 8 to 18 bytes a voxel at its peak, most with many colours (voxrt_build_stats.peak_bytes); a tree takes
    3 to 6 bytes a voxel with normals, about 1 without normals and colours.
 
@@ -153,8 +156,10 @@
    x87 code (-m32 without -mfpmath=sse), -std=c99 on s390x (without -fexcess-precision=fast) and -ffast-math break it.
 
    ERRORS
-   Functions that can fail return a voxrt_result and set their outputs to NULL or 0 first. env.error receives the place
-   (byte, triangle, voxel) and a sentence. Bad triangles are left out and counted, unless desc.strict. Bad rays miss and
+   Functions that can fail return a voxrt_result. When they fail, objects, sizes and numbers that they would have given
+   are NULL or 0 (but for a size that is too large); arrays, pictures and structs may be half written.
+   env.error receives the place (byte, triangle, voxel) and a sentence; it is not written when a desc was not zeroed or
+   what should hold the result is NULL. Bad triangles are left out and counted, unless desc.strict. Bad rays miss and
    are counted. A desc has to be zeroed (memset, = {0} or = {} in C++); voxrt checks its first and last member.
    The library never prints, never exits. Loading is safe for any bytes; voxrt_load_desc.trust_input is not.
 
@@ -210,8 +215,10 @@
    B. Dado et al.: Geometry and Attribute Compression for Voxel Scenes. Computer Graphics Forum 35(2), 2016
    J. Duda: Asymmetric numeral systems. arXiv:1311.2540, 2013 (entropy coding)
    C. Ericson: Real-Time Collision Detection. Morgan Kaufmann, 2005 (nearest points of triangles)
+   L. Zhang, W. Chen, D. Ebert, Q. Peng: Conservative Voxelization. The Visual Computer 23, 2007 (all that is touched)
    E. Eisemann, X. Decoret: Fast Scene Voxelization and Applications. I3D 2006 (bits of slabs); Single-Pass GPU Solid
        Voxelization. Graphics Interface 2008 (parity of crossings)
+   G. Ward, F. Rubinstein, R. Clear: A Ray Tracing Solution for Diffuse Interreflection. SIGGRAPH 1988 (interpolation)
    V. Forest et al.: Real-Time Hierarchical Binary-Scene Voxelization. Journal of Graphics Tools 14(3), 2009
    B. Burley: Practical Hash-Based Owen Scrambling. JCGT 9(4), 2020; T. Duff et al.: Building an Orthonormal Basis,
        Revisited. JCGT 6(1), 2017; F. Drago et al.: Adaptive Logarithmic Mapping. Computer Graphics Forum 22(3), 2003
@@ -271,14 +278,15 @@ typedef enum voxrt_result {
     VOXRT_RESULT_FORCE_32BIT = 0x7fffffff
 } voxrt_result;
 
-/* What went wrong and where. `where` is a byte offset, a triangle or a voxel index, as `text` says. */
+/* What went wrong and where. `where` is a byte offset, a triangle or a voxel index, as `text` says, 0 where there is no
+   such place. Of use after a failure only: calls that succeed set code to VOXRT_OK or leave all as it was. */
 typedef struct voxrt_error {
     voxrt_result code;
     uint64_t where;
     char text[200];
 } voxrt_error;
 
-typedef struct voxrt_allocator {
+typedef struct voxrt_allocator { /* both functions or none of them */
     void *(*alloc_fn)(size_t size, void *user); /* 16-byte aligned, or NULL; any thread */
     void (*free_fn)(void *ptr, size_t size, void *user);
     void *user;
@@ -297,7 +305,8 @@ typedef struct voxrt_env {
     voxrt_parallel parallel;  /* set: the host's job system runs the work, no thread is started */
     uint32_t thread_count;    /* 0: one per core; 1: never start a thread */
     size_t memory_limit;      /* bytes that one call and its results may hold at once; 0: none */
-    int (*progress_fn)(void *user, uint64_t done, uint64_t total); /* non-zero cancels; called by one thread */
+    /* non-zero cancels. Called by the functions that return CANCELLED, by the thread that called them */
+    int (*progress_fn)(void *user, uint64_t done, uint64_t total);
     void *progress_user;
     voxrt_error *error;       /* receives the place and the reason of a failure; may be NULL */
 } voxrt_env;
@@ -379,7 +388,7 @@ typedef enum voxrt_lod_method {
 } voxrt_lod_method;
 
 /* field           zero means
-   resolution      1024 cells along the longest side of the mesh
+   resolution      1024 cells along the longest side of the mesh; 1 to 65536
    separating      6-separating
    palette_size    32767 colours (15 bits); up to 16777216
    planes          voxels are cubes. 1: each also keeps a plane, the mean of the triangles in it. Rays meet that, so
@@ -391,7 +400,9 @@ typedef enum voxrt_lod_method {
                    voxrt_tree_from_voxels voxel_finish (a byte for each, 0 plain). A voxel has that of the triangle
                    with the largest part in it, larger cells that of most voxels. A palette entry has a colour and a
                    finish: there may be palette_size of them for each finish
-   margin          half a voxel kept free on each side (thesis: the same); a fixed box: set box_size > 0 */
+   fill_depth      with fill: all that is inside
+   box_min,        the box of the mesh, half a voxel kept free on each side (thesis: the same). box_size > 0: the world
+   box_size        cube that maps to the whole grid; what lies outside is cut off. 1e-300 to 1e300 */
 typedef struct voxrt_build_desc {
     uint32_t _begin_zero;
     voxrt_env env;
@@ -452,40 +463,46 @@ typedef struct voxrt_tree_info {
    stats  out, may be NULL
    The result depends on the triangles as a set, not on their order nor on threads. Cost: O(triangles + voxels);
    holds 8 to 18 bytes a voxel at its peak, most with many colours (stats->peak_bytes tells).
-   Errors: INVALID_ARG (a bad finish, or one that is not there: error->where), UNINIT_DESC, RANGE, EMPTY, NO_MEMORY,
-   CANCELLED; with strict FORMAT, error->where is the first bad triangle. Thread safety: calls are independent.
+   Errors: INVALID_ARG (a bad finish, or one that is not there: error->where; planes or spread without normals),
+   UNINIT_DESC, RANGE (a field of desc, 2^32 - 1 triangles, more voxels than a tree may have), EMPTY (no usable
+   triangle, or none in the box), NO_MEMORY, CANCELLED (only voxelising asks); with strict FORMAT, error->where is the
+   first bad triangle. Thread safety: calls are independent.
    Source: Laine 2013 (6), Schwarz & Seidel 2010 (26), thesis 3.1.3 and 3.1.4. */
 VOXRT_DEF voxrt_result voxrt_tree_build(const voxrt_build_desc *desc, const voxrt_mesh *mesh, voxrt_build_stats *stats,
                                         voxrt_tree **out_tree);
 
 /* Build a tree from a list of filled cells in any order; of cells given twice the means are kept.
-   depth in 1..VOXRT_MAX_DEPTH; coordinates below 2^depth (else RANGE, error->where = the voxel's index). One voxel
-   is a unit cube, the grid's corner is the world's origin; desc's box_min and box_size override that.
-   Otherwise as voxrt_tree_build. */
+   voxels  in, [count]; normals need not be unit. If any has one, those without, or without a direction, get +z
+   depth   1..VOXRT_MAX_DEPTH; coordinates below 2^depth (else RANGE, error->where = the voxel's index)
+   One voxel is a unit cube, the grid's corner is the world's origin; desc's box_min and box_size override that.
+   resolution, separating, planes and strict of desc are not used. O(count). Errors: INVALID_ARG, UNINIT_DESC, RANGE,
+   EMPTY (count is 0), NO_MEMORY. Otherwise as voxrt_tree_build. */
 VOXRT_DEF voxrt_result voxrt_tree_from_voxels(const voxrt_build_desc *desc, const voxrt_voxel *voxels, size_t count,
                                               uint32_t depth, voxrt_tree **out_tree);
 
 VOXRT_DEF void voxrt_tree_destroy(voxrt_tree *tree); /* NULL is allowed */
-VOXRT_DEF void voxrt_tree_get_info(const voxrt_tree *tree, voxrt_tree_info *info);
+VOXRT_DEF void voxrt_tree_get_info(const voxrt_tree *tree, voxrt_tree_info *info); /* O(1); tree NULL: all zero */
 
 /* Look up cell (x, y, z) of an octree level (0 = root, depth = leaves).
-   Returns 1 and fills `out` (may be NULL) if anything in the cell is filled, else 0. out->normal is a unit vector,
-   or zero with has_normal = 0. Any thread. O(depth). */
+   Returns 1 and fills `out` (may be NULL) if anything in the cell is filled, else, also outside of the grid, 0 with
+   `out` all zero. out->normal is a unit vector, or zero with has_normal = 0. Any thread. O(depth). */
 VOXRT_DEF int voxrt_tree_get(const voxrt_tree *tree, uint32_t level, uint32_t x, uint32_t y, uint32_t z,
                              voxrt_voxel *out);
 
-/* Call fn for every non-empty cell of an octree level in Morton order (x fastest, z slowest bit of each triple).
-   fn returns non-zero to stop; that value is returned. */
+/* Call fn for every non-empty cell of an octree level in Morton order (x fastest, z slowest bit of each triple), on the
+   calling thread. fn returns non-zero to stop; that value is returned, else 0, also for a level that is not there.
+   Any thread. O(cells). */
 VOXRT_DEF int voxrt_tree_each(const voxrt_tree *tree, uint32_t level,
                               int (*fn)(void *user, const voxrt_voxel *voxel, uint32_t palette_index), void *user);
 
-/* The palette: 3 sRGB bytes an entry. Owned by the tree. */
+/* The palette: 3 sRGB bytes an entry; one white one without colours. Owned by the tree. out_count may be NULL. */
 VOXRT_DEF const uint8_t *voxrt_tree_palette(const voxrt_tree *tree, uint32_t *out_count);
 
 /* Finish of a palette entry, owned by the tree; NULL: plain, or there is no such entry. Any thread. O(1). */
 VOXRT_DEF const voxrt_finish *voxrt_tree_finish(const voxrt_tree *tree, uint32_t palette_index);
 
-/* 64-bit hash of occupancy, attributes and placement: equal trees have equal hashes on every machine, shared or not. */
+/* 64-bit hash of occupancy, attributes and placement: equal trees have equal hashes on every machine, shared or not.
+   O(cells). */
 VOXRT_DEF uint64_t voxrt_tree_hash(const voxrt_tree *tree);
 
 /* A copy of a tree in which equal parts are stored once (a directed acyclic graph), or one without that.
@@ -511,7 +528,7 @@ typedef enum voxrt_isa {
     VOXRT_ISA_FORCE_32BIT = 0x7fffffff
 } voxrt_isa;
 
-/* 32 bytes. A hit has t_min <= t < t_max, t in units of dir's length. */
+/* 32 bytes. A hit has t_min <= t < t_max, t in units of dir's length; t_min may be below 0, t_max INFINITY. */
 typedef struct voxrt_ray {
     float org[3];
     float t_min;
@@ -541,7 +558,7 @@ typedef struct voxrt_stats {
    cone_width     a ray is a line. A cell whose edge (world) is <= cone_width + cone_spread * t counts as a leaf
    cone_spread    growth of the footprint per unit of t. Cones meet large cells only inside the box of the filled
                   leaves, and the root only in trees of odd depth
-   max_level      no limit; k: octree level k is the finest (k+1 is given, so 1 = root only)
+   max_level_plus_1  no limit; k+1: octree level k is the finest, so 1 is the root only
    cubes          voxels with planes end rays at these: what lies behind is solid, a ray that stays before it goes on.
                   1: they end rays at their faces, as if there were none. Larger cells, and voxels more than 2^24 voxels
                   away from the origin of a ray, are cubes
@@ -561,23 +578,27 @@ typedef struct voxrt_trace_desc {
    desc   in, NULL: defaults
    rays   in, [count]; world units
    hits   out, [count]; must not overlap rays
-   Rays with a NaN or infinite origin or direction, direction 0, or t_min > t_max report a miss (bad_rays counts
-   them). Runs of rays with one origin (camera tiles) are found and start together behind the empty space that all
-   of them cross. The cells visited are 6-connected and ordered by exact events: nothing slips through a surface.
-   The same bits for every isa and every grouping of rays. Errors: INVALID_ARG, UNINIT_DESC.
-   Thread safety: any number of threads on one tree. Allocates nothing. */
+   Rays with a NaN or infinite origin or direction, direction 0, a NaN t_min or t_max, or t_min > t_max report a miss
+   (bad_rays counts them). Runs of rays with one origin (camera tiles) are found and start together behind the empty
+   space that all of them cross. The cells visited are 6-connected and ordered by exact events: nothing slips through a
+   surface.
+   The same bits for every isa and every grouping of rays. Errors: INVALID_ARG (also a width or spread that is not a
+   number from 0 on), UNINIT_DESC: hits are as they were. Thread safety: any number of threads on one tree; desc->stats
+   is one thread's. Allocates nothing. Source: Amanatides & Woo 1987 (events), Laine & Karras 2010 (stack). */
 VOXRT_DEF voxrt_result voxrt_trace(const voxrt_tree *tree, const voxrt_trace_desc *desc, const voxrt_ray *rays,
                                    voxrt_hit *hits, size_t count);
 
-/* Is anything hit in [t_min, t_max)?  occluded out, [count], 0 or 1; exactly when voxrt_trace reports a hit. */
+/* Is anything hit in [t_min, t_max)?  occluded out, [count], 0 or 1; exactly when voxrt_trace reports a hit, which it
+   calls for 512 rays at a time: errors and thread safety are those. */
 VOXRT_DEF voxrt_result voxrt_occluded(const voxrt_tree *tree, const voxrt_trace_desc *desc, const voxrt_ray *rays,
                                       uint8_t *occluded, size_t count);
 
-/* One ray; returns 1 on a hit. The scalar path of voxrt_trace. */
+/* One ray without a desc; returns 1 on a hit. The scalar path of voxrt_trace: the same bits, any thread. */
 VOXRT_DEF int voxrt_trace1(const voxrt_tree *tree, const voxrt_ray *ray, voxrt_hit *hit);
 
-/* Attributes of a hit. rgb: sRGB bytes; normal: unit vector facing as stored, or the face that was hit when the tree
-   has no normals. hit must be a hit of this tree. Any thread. */
+/* Attributes of a hit. rgb: sRGB bytes; normal: unit vector facing as stored, or that of the face that was hit when the
+   tree has no normals (0 if the ray began inside). hit must be a hit of this tree, not a miss: this is not checked. Any
+   thread. O(1), in shared trees O(depth). */
 VOXRT_DEF void voxrt_hit_color(const voxrt_tree *tree, const voxrt_hit *hit, uint8_t rgb[3]);
 VOXRT_DEF void voxrt_hit_normal(const voxrt_tree *tree, const voxrt_hit *hit, float normal[3]);
 VOXRT_DEF const voxrt_finish *voxrt_hit_finish(const voxrt_tree *tree, const voxrt_hit *hit); /* NULL: plain */
@@ -595,10 +616,11 @@ typedef struct voxrt_octree_voxel {
 
 /* field             zero means
    box_min, box_size one voxel is a unit cube and the grid's corner the world's origin; box_size > 0: the world cube
-                     that the root covers. Not for from_tree, which keeps the tree's
+                     that the root covers; 1e-300 to 1e300. Not for from_tree, which keeps the tree's
    lod_majority      inner voxels get the tree's own level of detail. 1: made anew by voxrt_octree_build_lod
    disable_collapse  8 equal leaves become one when the octree is made from a tree
-   grid_level        start grid of 64 cells an axis (level 7) for trees that deep; g: 2^(g-1), 1..10
+   grid_level        start grid of 64 cells an axis (level 7), or of the deepest level; g: 2^(g-1), 1..10 (not for
+                     create)
    disable_grid      1: no start grid
    flip_y, flip_z    files whose y or z runs the other way: children and normals are mirrored
    swap_angles       1: files with phi before theta */
@@ -628,9 +650,9 @@ typedef struct voxrt_octree_info {
     uint64_t grid_bytes, total_bytes;
 } voxrt_octree_info;
 
-/* An octree of one transparent leaf.
+/* An octree of one transparent leaf, without a start grid: fill it, then build_lod, build_grid.
    desc     in, NULL: all defaults
-   depth    0..VOXRT_MAX_DEPTH
+   depth    0..VOXRT_MAX_DEPTH (else RANGE)
    palette  in, 3 sRGB bytes an entry, copied; palette_count 0..32767 (else RANGE)
    Errors: INVALID_ARG, UNINIT_DESC, RANGE, NO_MEMORY. Thread safety: calls are independent. */
 VOXRT_DEF voxrt_result voxrt_octree_create(const voxrt_octree_desc *desc, uint32_t depth, const uint8_t *palette,
@@ -655,7 +677,7 @@ VOXRT_DEF void voxrt_octree_destroy(voxrt_octree *octree); /* NULL is allowed */
 VOXRT_DEF void voxrt_octree_get_info(const voxrt_octree *octree, voxrt_octree_info *info); /* O(voxels) */
 
 /* The voxels as they are in memory: voxel 0 is the root, 1..7 are unused, then blocks of 8. A child's block has a
-   higher number than its parent's. Owned by the octree; valid until it is changed. */
+   higher number than its parent's. Owned by the octree; valid until it is changed. out_count may be NULL. */
 VOXRT_DEF const voxrt_octree_voxel *voxrt_octree_voxels(const voxrt_octree *octree, size_t *out_count);
 VOXRT_DEF const uint8_t *voxrt_octree_palette(const voxrt_octree *octree, uint32_t *out_count);
 
@@ -668,8 +690,8 @@ VOXRT_DEF voxrt_octree_voxel voxrt_octree_get(const voxrt_octree *octree, uint32
    split hands its payload to the eight. Drops the start grid; levels of detail are stale until build_lod.
    index   0: make it transparent; 1..palette_count
    normal  need not be unit length; NULL or no direction: +z
-   Errors: INVALID_ARG, RANGE (cell or index), NO_MEMORY (the octree covers the same space as before).
-   Thread safety: one thread at a time. Thesis 3.1.3. */
+   Errors: INVALID_ARG, RANGE (cell or index), NO_MEMORY (also 2^29 blocks; the octree covers the same space as before).
+   O(depth), amortised. Thread safety: one thread at a time. Thesis 3.1.3. */
 VOXRT_DEF voxrt_result voxrt_octree_insert(voxrt_octree *octree, uint32_t x, uint32_t y, uint32_t z, uint32_t index,
                                            const float normal[3]);
 
@@ -679,11 +701,13 @@ VOXRT_DEF voxrt_result voxrt_octree_insert(voxrt_octree *octree, uint32_t x, uin
 VOXRT_DEF voxrt_result voxrt_octree_build_lod(voxrt_octree *octree);
 
 /* Replace 8 leaves of equal index and normal by their parent, bottom up, and put the blocks in pre-order: equal octrees
-   have equal voxels, however they were made. Drops the start grid. Errors: as build_lod. Thesis 3.1.4. */
+   have equal voxels, however they were made. Drops the start grid. O(voxels), 64 bytes a node meanwhile. Errors: as
+   build_lod. Thesis 3.1.4. */
 VOXRT_DEF voxrt_result voxrt_octree_collapse(voxrt_octree *octree);
 
 /* Grid of (2^(level-1))^3 start voxels, level 1..10 but at most depth + 1; 0: none. All coarser grids are kept too, for
-   rays with a level limit: 4.6 bytes a cell. Errors: INVALID_ARG, RANGE, NO_MEMORY (no grid then). */
+   rays with a level limit: 4.6 bytes a cell. O(cells). Errors: INVALID_ARG, RANGE (the grid stays as it was), NO_MEMORY
+   (no grid then). */
 VOXRT_DEF voxrt_result voxrt_octree_build_grid(voxrt_octree *octree, uint32_t level);
 
 typedef struct voxrt_octree_stats { /* added to */
@@ -697,8 +721,8 @@ typedef struct voxrt_octree_stats { /* added to */
 /* field             zero means
    isa               SSE packets of four rays if the machine has SSE4.1; SCALAR: one ray at a time
    max_level_plus_1  no limit; k+1: voxels of octree level k count as leaves
-   offset            points lie 2^-24 of the grid beyond each face, doubled where a ray does not get on. Else a fixed
-                     offset in leaf edges, as in the thesis
+   offset            points lie 2^-24 of the grid beyond each face, doubled where a ray does not get on. Up to 0.5: a
+                     fixed offset in leaf edges, as in the thesis
    disable_grid      1: start at the root */
 typedef struct voxrt_octree_trace_desc {
     uint32_t _begin_zero;
@@ -714,13 +738,14 @@ typedef struct voxrt_octree_trace_desc {
    in 10^4 (512 cells an axis) to 10^3 (8192) meets a wrong voxel next to the right one; voxrt_trace is exact.
    rays, hits  as voxrt_trace. Rays 4i..4i+3 form a packet: give them neighbouring pixels
    hit->node   index in voxrt_octree_voxels, slot 0; cell, level: of the voxel, above `depth` for large leaves
-   The same bits for every isa and every grouping of rays. Errors: INVALID_ARG, UNINIT_DESC.
-   Thread safety: any number of threads on one octree. Allocates nothing. */
+   The same bits for every isa and every grouping of rays. Errors: INVALID_ARG (also offset), UNINIT_DESC.
+   Thread safety: any number of threads on one octree; desc->stats is one thread's. Allocates nothing. */
 VOXRT_DEF voxrt_result voxrt_octree_trace(const voxrt_octree *octree, const voxrt_octree_trace_desc *desc,
                                           const voxrt_ray *rays, voxrt_hit *hits, size_t count);
 
 /* Level (for max_level_plus_1 add 1) at which voxels of the point of the octree's box that is closest to the eye are at
-   most `pixels` pixels wide. spread: width of a pixel at distance 1, 2 tan(fov_y/2) / height. Thesis 4.3.1. */
+   most `pixels` pixels wide. spread: width of a pixel at distance 1, 2 tan(fov_y/2) / height. The octree's depth when
+   the eye is in the box. O(depth). Thesis 4.3.1. */
 VOXRT_DEF uint32_t voxrt_octree_lod_level(const voxrt_octree *octree, const float eye[3], float spread, float pixels);
 
 /* Attributes of a hit, as voxrt_hit_color and voxrt_hit_normal. */
@@ -733,14 +758,14 @@ VOXRT_DEF void voxrt_octree_hit_normals(const voxrt_octree *octree, const voxrt_
 /* Write a version 4 .vox file (docs/formats.md). Placement and depth are not part of it.
    env       where temporary memory and errors go, NULL: the defaults
    buffer, capacity, out_size, errors: as voxrt_tree_save_memory. A file that was read is written as it was.
-   O(voxels), 4 bytes a voxel. */
+   O(voxels), 4 bytes a voxel. Allocates nothing but for a file. */
 VOXRT_DEF voxrt_result voxrt_octree_save_memory(const voxrt_octree *octree, const voxrt_env *env, void *buffer,
                                                 size_t capacity, size_t *out_size);
 
 /* Read a version 4 .vox file, any alignment. Safe for any bytes: holds about twice the size of the file, and the start
    grid. The depth is the deepest level found. A separator other than "||" is accepted; error->text then says so.
-   Errors: INVALID_ARG, UNINIT_DESC, TRUNCATED, FORMAT, VERSION (1 to 3 were never documented), NO_MEMORY; error->where
-   is a byte offset, for VERSION the version. */
+   Errors: INVALID_ARG, UNINIT_DESC, RANGE (desc), TRUNCATED, FORMAT, VERSION (1 to 3 were never documented), NO_MEMORY;
+   error->where is a byte offset, for VERSION the version. */
 VOXRT_DEF voxrt_result voxrt_octree_load_memory(const voxrt_octree_desc *desc, const void *data, size_t size,
                                                 voxrt_octree **out_octree);
 
@@ -789,7 +814,7 @@ VOXRT_DEF uint32_t voxrt_file_kind(const void *data, size_t size);
 /* Write a tree as a format 5 file (docs/formats.md) to memory.
    desc      in, NULL: all defaults
    buffer    out, [capacity] bytes, any alignment; NULL: only the size is found (costs as much as writing)
-   out_size  out, size of the file; ERR_RANGE when capacity is less, then the buffer is untouched
+   out_size  out, size of the file, also with RANGE: capacity is less, and the buffer untouched. 0 with other errors
    The same tree gives the same bytes on every machine. O(tree); holds about the size of the file beside the buffer.
    Errors: INVALID_ARG, UNINIT_DESC, RANGE, NO_MEMORY. Thread safety: any number of calls on one tree. */
 VOXRT_DEF voxrt_result voxrt_tree_save_memory(const voxrt_tree *tree, const voxrt_save_desc *desc, void *buffer,
@@ -799,14 +824,14 @@ VOXRT_DEF voxrt_result voxrt_tree_save_memory(const voxrt_tree *tree, const voxr
    Safe for any bytes: whatever is accepted is a tree that can be traced. What a file can make this allocate is bounded
    by its size: about once the file for raw, at most about 11000 times for a hostile compact one (env.memory_limit),
    and 2 MB.
-   Errors: INVALID_ARG, UNINIT_DESC, TRUNCATED, FORMAT, VERSION, CHECKSUM, NO_MEMORY; error->where is a byte offset.
-   Thread safety: calls are independent. */
+   Errors: INVALID_ARG, UNINIT_DESC, TRUNCATED, FORMAT, VERSION (also a file in pages), CHECKSUM, NO_MEMORY;
+   error->where is a byte offset, for VERSION a number of a version or section. Thread safety: calls are independent. */
 VOXRT_DEF voxrt_result voxrt_tree_load_memory(const voxrt_load_desc *desc, const void *data, size_t size,
                                               voxrt_tree **out_tree);
 
 /* Use a raw format 5 file in place, for example a memory-mapped one: nothing is copied.
    data   in, 64-byte aligned; must stay valid and unchanged until the tree is destroyed, which does not free it
-   Allocates only the tree's header; with trust_input O(1), else every byte is read once. Checks what load checks.
+   Allocates only the tree's header; with trust_input O(1), else O(size). Checks what load checks.
    Errors: as voxrt_tree_load_memory; INVALID_ARG also for a compact file, a wrong alignment or a big-endian machine
    (load such files instead). */
 VOXRT_DEF voxrt_result voxrt_tree_map_memory(const voxrt_load_desc *desc, const void *data, size_t size,
@@ -815,7 +840,7 @@ VOXRT_DEF voxrt_result voxrt_tree_map_memory(const voxrt_load_desc *desc, const 
 #ifndef VOXRT_NO_STDIO
 /* As the memory functions; ERR_IO when the file cannot be read or written. Save writes to `path` with ".part" behind
    it and renames when all is written, so that a file is complete or not there; it takes the place of what had the name,
-   be that a link or, with the right to do so, a device. Load holds the whole file meanwhile. */
+   be that a link or, with the right to do so, a device. Both hold the whole file meanwhile, but for one in pages. */
 VOXRT_DEF voxrt_result voxrt_tree_save_file(const voxrt_tree *tree, const voxrt_save_desc *desc, const char *path);
 VOXRT_DEF voxrt_result voxrt_tree_load_file(const voxrt_load_desc *desc, const char *path, voxrt_tree **out_tree);
 #endif
@@ -921,12 +946,13 @@ typedef struct voxrt_states {
 
 /* field             zero means
    camera            (eye equals at) one that frames everything
-   lights            NULL: a key light from the upper left behind the camera, a weak fill light, some ambient light
-   material          NULL: ambient 0.05, diffuse 1, no specular
+   lights            NULL: a key light from the upper left behind the camera, a weak fill light. Not NULL, with a count
+                     of 0: none, ambient light only
+   material          NULL: ambient 0.05, diffuse 1, no specular. Shininess is not below 0
    samples           1 per pixel, at its centre; n: the first n points of a fixed low-discrepancy sequence that begins
-                     with the centre
-   first_sample      start of the sequence; with image->sum: how many samples the sum holds already
-   tolerance         full detail. E: a ray stops at the first cell whose edge is at most E pixels wide
+                     with the centre; below 2^24
+   first_sample      start of the sequence, up to 0xff000000; with image->sum: how many samples the sum holds already
+   tolerance         full detail. E: a ray stops at the first cell whose edge is at most E pixels wide; finite
    object_lod        off. 1: instead one level for all, chosen so that the nearest cell is at most `tolerance` (0: 1)
                      pixels wide
    max_level_plus_1  no limit. k+1: octree level k is the finest
@@ -976,17 +1002,22 @@ typedef struct voxrt_render_stats { /* added to */
 
 /* The ray through point (x, y) of the picture plane, in pixels from its upper left corner: (i+0.5, j+0.5) is the
    centre of pixel (i, j). dir has length 1 along the viewing axis, so that t is the depth. t_min 0, t_max INFINITY.
-   INVALID_ARG: eye equals at, a number is not finite, or the angle is not in (0, 180). */
+   width sets the centre only. O(1). INVALID_ARG: eye equals at, a number is not finite, the angle is not in (0, 180),
+   or height is 0. Any thread. */
 VOXRT_DEF voxrt_result voxrt_camera_ray(const voxrt_camera *camera, uint32_t width, uint32_t height, double x, double y,
                                         voxrt_ray *out_ray);
 
 /* Set eye and at so that the box fills the picture; keeps up and fov_y.
-   view  from the object towards the eye, any length; NULL: from the front, a little from above and the right
-   INVALID_ARG: the box or view is not finite, the angle is not in (0, 180), or a float cannot hold the place. */
+   camera  in and out; left as it is on failure
+   view    from the object towards the eye, any length; NULL: from the front, a little from above and the right
+   width, height  of the picture; one of them 0: as for a square
+   INVALID_ARG: the box or view is not finite, a side of the box is below 0, view is 0, the angle is not in (0, 180),
+   or a float cannot hold the place. O(1). */
 VOXRT_DEF voxrt_result voxrt_camera_fit(voxrt_camera *camera, const double box_min[3], const double box_max[3],
                                         const float view[3], uint32_t width, uint32_t height);
 
-/* The same for what is filled in the cells of octree level 6: closer than its box allows. O(4096) or so. */
+/* The same for what is filled in the cells of octree level 6: closer than its box allows. O(cells of that level), a few
+   thousand for a surface. */
 VOXRT_DEF voxrt_result voxrt_camera_fit_tree(voxrt_camera *camera, const voxrt_tree *tree, const float view[3],
                                              uint32_t width, uint32_t height);
 
@@ -1011,14 +1042,15 @@ typedef struct voxrt_instance {
 
 /* An instance as voxrt_geometry. The instance is borrowed and must stay where it is; call again after a change.
    INVALID_ARG: no functions, or to_world is not finite or has no inverse that doubles can tell: |det| of its 3x3 part
-   is at most 1e-12 times the cube of its largest element. */
+   is at most 1e-12 times the cube of its largest element. O(1). */
 VOXRT_DEF voxrt_result voxrt_instance_geometry(voxrt_instance *instance, voxrt_geometry *out_geometry);
 
 /* Many geometries as one, by a hierarchy of their boxes: a run of rays meets only those whose boxes it crosses.
    env       where memory and errors come from, NULL: the defaults
    geometry  in, [count], copied; what they stand for is borrowed until the group is destroyed. At least one, at most
              2^31 - 1, with boxes within -1e38 and 1e38; they may overlap. Among equal distances the first is seen
-   O(count log count), 136 bytes for each. Errors: INVALID_ARG, RANGE, NO_MEMORY; error->where: which one.
+   O(count log count), 144 bytes for each, 16 more meanwhile. Errors: INVALID_ARG, RANGE, NO_MEMORY; error->where:
+   which one.
    Thread safety: any number of threads may draw a group. Groups can hold instances of groups, a few deep. */
 typedef struct voxrt_group voxrt_group;
 VOXRT_DEF voxrt_result voxrt_group_create(const voxrt_env *env, const voxrt_geometry *geometry, size_t count,
@@ -1056,8 +1088,8 @@ typedef struct voxrt_model_info {
     uint64_t block_count, block_bytes; /* blocks that other models have, too, are counted for each */
 } voxrt_model_info;
 
-/* A model without voxels. Errors: INVALID_ARG, UNINIT_DESC, RANGE (also a box that is not within 1e37), NO_MEMORY.
-   Calls are independent. */
+/* A model without voxels. desc may be NULL. O(1). Errors: INVALID_ARG, UNINIT_DESC, RANGE (depth; a box that is not
+   within 1e37), NO_MEMORY. Calls are independent. */
 VOXRT_DEF voxrt_result voxrt_model_create(const voxrt_model_desc *desc, voxrt_model **out_model);
 
 /* A model of what is in a tree; depth, place, normals, planes and spread are the tree's. What edits fill or uncover is
@@ -1066,8 +1098,8 @@ VOXRT_DEF voxrt_result voxrt_model_create(const voxrt_model_desc *desc, voxrt_mo
 VOXRT_DEF voxrt_result voxrt_model_from_tree(const voxrt_env *env, const voxrt_tree *tree, voxrt_model **out_model);
 
 /* A tree of what is in a model. desc may be NULL; palette, level of detail, colours, normals and spread count, the rest
-   comes from the model. O(voxels). Errors: UNINIT_DESC, EMPTY, RANGE, NO_MEMORY. Thread safety: any number of calls on
-   one model. */
+   comes from the model. O(voxels). Errors: INVALID_ARG (also a field of desc that does not count), UNINIT_DESC, EMPTY,
+   RANGE, NO_MEMORY. Thread safety: any number of calls on one model. */
 VOXRT_DEF voxrt_result voxrt_tree_from_model(const voxrt_build_desc *desc, const voxrt_model *model,
                                              voxrt_tree **out_tree);
 
@@ -1113,12 +1145,14 @@ typedef struct voxrt_edit_stats { /* out */
    triangles touch as voxrt_tree_build finds them, or listed voxels (as voxrt_tree_from_voxels takes them; CLEAR needs
    only their places). What lies outside of the grid is left out; a listed voxel there is an error (RANGE,
    error->where = its index).
-   desc    in, NULL: all defaults
+   desc    in, NULL: all defaults. What is made comes from the allocator of the model, not from that of desc->env
    stats   out, may be NULL
-   Either all of it is done or, with an error, nothing. O(voxels of the touched blocks + blocks); threads share the
-   blocks. The result does not depend on them.
-   Errors: INVALID_ARG (also numbers that are not finite), UNINIT_DESC, RANGE, NO_MEMORY. Thread safety: nobody else may
-   use the model meanwhile; its copies are models of their own. */
+   Either all of it is done or, with an error, nothing. Boxes with a side, and spheres with a radius, that is not above
+   0 have nothing in them: that is no error. O(voxels of the touched blocks + blocks); threads share the blocks. The
+   result does not depend on them.
+   Errors: INVALID_ARG (also numbers that are not finite), UNINIT_DESC, RANGE (2^24 blocks for a box or sphere to fill,
+   triangles and a depth over 16, more than 255 finishes), NO_MEMORY, CANCELLED (triangles). Thread safety: nobody else
+   may use the model meanwhile; its copies are models of their own. */
 VOXRT_DEF voxrt_result voxrt_model_box(voxrt_model *model, const voxrt_edit_desc *desc, const double box_min[3],
                                        const double box_max[3], voxrt_edit_stats *stats);
 VOXRT_DEF voxrt_result voxrt_model_sphere(voxrt_model *model, const voxrt_edit_desc *desc, const double centre[3],
@@ -1191,11 +1225,13 @@ typedef struct voxrt_paged_update_stats { /* out */
 } voxrt_paged_update_stats;
 
 /* Open a paged file: reads its tables and the coarsest page. Safe for any bytes.
-   Errors: INVALID_ARG (neither data nor read_fn), UNINIT_DESC, TRUNCATED, FORMAT, VERSION, CHECKSUM, IO, NO_MEMORY;
-   RANGE: `memory` is too small, error->where: bytes that would do. Calls are independent. */
+   Errors: INVALID_ARG (not one of data and read_fn), UNINIT_DESC, TRUNCATED, FORMAT (also a tree that is not in pages),
+   VERSION, CHECKSUM, IO, NO_MEMORY; RANGE: `memory` is too small, error->where: bytes that would do. Calls are
+   independent. */
 VOXRT_DEF voxrt_result voxrt_paged_open(const voxrt_paged_desc *desc, voxrt_paged **out_paged);
 #ifndef VOXRT_NO_STDIO
-/* The same for a file, which stays open; data, size and read_fn of desc are not used. desc may be NULL. */
+/* The same for a file, which stays open; data, size and read_fn of desc are not used. desc may be NULL. IO also: it
+   cannot be opened. */
 VOXRT_DEF voxrt_result voxrt_paged_open_file(const voxrt_paged_desc *desc, const char *path, voxrt_paged **out_paged);
 #endif
 VOXRT_DEF void voxrt_paged_destroy(voxrt_paged *paged); /* NULL is allowed */
@@ -1211,7 +1247,7 @@ VOXRT_DEF void voxrt_paged_geometry(voxrt_paged *paged, voxrt_geometry *out_geom
    most_bytes  0: all; else it ends behind the page that reaches so many bytes
    stats       out, may be NULL. wanted = 0: what was drawn is exact
    Errors: CHECKSUM, FORMAT, IO: of the first bad page, the others have been loaded; it stays coarse (and is not counted
-   in `wanted` again). Needs the object for itself. */
+   in `wanted` again); where it is says voxrt_paged_info.error. O(pages + bytes read). Needs the object for itself. */
 VOXRT_DEF voxrt_result voxrt_paged_update(voxrt_paged *paged, uint64_t most_bytes, voxrt_paged_update_stats *stats);
 
 /* From now on rays wait (1) or do not (0), as voxrt_paged_desc.wait says: the last picture is exact, after those that
@@ -1230,8 +1266,10 @@ typedef struct voxrt_sink {
    the voxels.
    The same voxels, colours and so on as voxrt_tree_build with palette_size = 2^24, whatever desc->palette_size is:
    pages have palettes of their own. Finishes are kept as they are given, also those that no voxel has.
-   INVALID_ARG also for fill and VOXRT_LOD_MAJORITY; IO: write_fn failed. Else as voxrt_tree_build. A tree is written
-   with VOXRT_ENCODING_PAGED. */
+   stats  out, may be NULL; colors_in stays 0
+   INVALID_ARG also for fill and VOXRT_LOD_MAJORITY; IO: write_fn failed; RANGE also for 2^32 / 3 triangles without
+   indices. What was written before a failure is no file. Else as voxrt_tree_build. A tree that is there is written with
+   VOXRT_ENCODING_PAGED. */
 VOXRT_DEF voxrt_result voxrt_paged_build(const voxrt_build_desc *desc, const voxrt_mesh *mesh, const voxrt_sink *sink,
                                          voxrt_build_stats *stats);
 #ifndef VOXRT_NO_STDIO
@@ -1249,22 +1287,23 @@ VOXRT_DEF voxrt_result voxrt_paged_build_file(const voxrt_build_desc *desc, cons
    Progressive pictures: call with samples = 1, first_sample = 0, 1, 2, ... and image->sum: each call leaves the mean of
    all samples so far, the same bits as one call with that many samples.
    The same bits for any number of threads and any isa. Allocates nothing. Colours of lights, material and background
-   are within -1e12 and 1e12, so that no pixel overflows.
-   Errors: INVALID_ARG (env.error says what), UNINIT_DESC, RANGE, CANCELLED (then the picture is incomplete). Thread
-   safety: any number of calls on one tree. */
+   are within -1e12 and 1e12, so that no pixel overflows. O(pixels * samples * (1 + lights)) rays.
+   Errors: INVALID_ARG (env.error says what), UNINIT_DESC, RANGE (2^31 tiles of 32 x 32 pixels), CANCELLED (then the
+   picture is incomplete). Thread safety: any number of calls on one tree, each with an image of its own. */
 VOXRT_DEF voxrt_result voxrt_render(const voxrt_render_desc *desc, const voxrt_tree *tree, const voxrt_image *image,
                                     voxrt_render_stats *stats);
 
 /* rgba -> rgba8, for pictures that were changed after drawing. env may be NULL. INVALID_ARG: a buffer is missing.
-   Thread safety: any number of calls on different pictures. */
+   Allocates nothing. Thread safety: any number of calls on different pictures. */
 VOXRT_DEF voxrt_result voxrt_image_encode(const voxrt_env *env, const voxrt_image *image);
 
 /* field      zero means
-   radius     4 pixels: a Gauss with a standard deviation of radius / 2, cut off at radius; at most 64
+   radius     4 pixels: a Gauss with a standard deviation of radius / 2, cut off at radius; above 0, at most 64
    footprint  blur all with `radius`. Width of a pixel at depth 1 (2 tan(fov_y/2) / height): blur only where voxels are
               larger than 1.5 pixels, with a radius of the voxel's size, at most `radius`, and not across edges: needs
               depth and hit, and normal if there is one
-   voxel_size world edge of a leaf voxel; depth levels of the tree: with footprint */
+   voxel_size (no default) with footprint: world edge of a leaf voxel, above 0
+   depth      (no default) with footprint: depth of the tree */
 typedef struct voxrt_blur_desc {
     uint32_t _begin_zero;
     voxrt_env env;
@@ -1275,8 +1314,9 @@ typedef struct voxrt_blur_desc {
     uint32_t _end_zero;
 } voxrt_blur_desc;
 
-/* Blur image->rgba in place, then write rgba8 if it is there. Holds one copy of rgba.
-   Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY (picture unchanged). */
+/* Blur image->rgba in place, then write rgba8 if it is there. desc may be NULL. Holds one copy of rgba. O(pixels *
+   radius), with footprint O(pixels * radius^2) (thesis 4.2.2). Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY (picture
+   unchanged). */
 VOXRT_DEF voxrt_result voxrt_blur(const voxrt_blur_desc *desc, const voxrt_image *image);
 
 /* Keep frames within a time. When one took longer than target_ms the next gets a larger tolerance (up to 4 times
@@ -1284,7 +1324,8 @@ VOXRT_DEF voxrt_result voxrt_blur(const voxrt_blur_desc *desc, const voxrt_image
    both go back. Slow frames are those of the change itself: one or two.
    budget   zeroed before the first frame. Out: pixel_step for the next frame's desc
    finest   tolerance when there is time enough; 0: 0.25
-   Returns the tolerance for the next frame. O(1); no errors: times that are not positive numbers change nothing. */
+   Returns the tolerance for the next frame: `finest` times 1 to 4 and times pixel_step, at most 64. O(1); no errors:
+   times that are not positive numbers change nothing. */
 typedef struct voxrt_budget {
     float bias, sum;
     uint32_t pixel_step;
@@ -1292,7 +1333,6 @@ typedef struct voxrt_budget {
     float _bias, _frame_ms;
 } voxrt_budget;
 VOXRT_DEF float voxrt_budget_update(voxrt_budget *budget, float frame_ms, float target_ms, float finest);
-
 
 /* ---- bit columns: a dynamic volume for rays ---- */
 #ifndef VOXRT_NO_GI
@@ -1304,8 +1344,7 @@ typedef struct voxrt_columns voxrt_columns;
 
 typedef enum voxrt_columns_mode {
     VOXRT_COLUMNS_THIN = 0,   /* cells in which the surface meets a line through the centre along x, y or z:
-                                 6-separating,
-                                 no ray slips through (default) */
+                                 6-separating, no ray slips through (default) */
     VOXRT_COLUMNS_FAT = 1,    /* every cell that the surface touches */
     VOXRT_COLUMNS_RASTER = 2, /* lines along the depth only, as in one pass of a rasteriser: gaps in steep surfaces */
     VOXRT_COLUMNS_SOLID = 3,  /* cells with their centre inside a closed mesh, and its THIN surface */
@@ -1361,7 +1400,9 @@ typedef struct voxrt_columns_info {
     uint64_t bytes;
 } voxrt_columns_info;
 
-/* An empty volume. Errors: INVALID_ARG (box, sizes), UNINIT_DESC, NO_MEMORY. O(columns). */
+/* An empty volume: a bit a cell, a third more for the hierarchy, and maps of the columns; as much as a bit a cell for a
+   layer that is still, and while SOLID or BODY are inserted. Errors: INVALID_ARG (box, sizes), UNINIT_DESC, NO_MEMORY.
+   O(columns). */
 VOXRT_DEF voxrt_result voxrt_columns_create(const voxrt_columns_desc *desc, voxrt_columns **out_columns);
 VOXRT_DEF void voxrt_columns_destroy(voxrt_columns *columns); /* NULL is allowed */
 VOXRT_DEF void voxrt_columns_get_info(const voxrt_columns *columns, voxrt_columns_info *info); /* O(columns) */
@@ -1373,12 +1414,14 @@ VOXRT_DEF void voxrt_columns_get_info(const voxrt_columns *columns, voxrt_column
    Vertices are snapped to 1/256 of a cell, then decisions are exact (THIN, RASTER, SOLID); FAT may take cells that lie
    up to 1e-6 of a cell beside the surface. SAMPLES: rows of points along the longest edge; triangles smaller than what
    a point stands for have one now and then, so that they cost by area; those with 16383 in a row are THIN.
-   O(triangles + cells). Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY (SOLID, BODY). Thread safety: one call on a volume
-   at a time. Source: Laine 2013 (thin), Eisemann & Decoret 2006 (raster) and 2008 (solid), Zhang et al. 2007 (fat). */
+   O(triangles + cells). What is still for the first time, SOLID and BODY take memory from the allocator of the volume.
+   Errors (nothing is set then): INVALID_ARG, UNINIT_DESC, NO_MEMORY. Thread safety: one call on a volume at a time.
+   Source: Laine 2013 (thin), Eisemann & Decoret 2006 (raster) and 2008 (solid), Zhang et al. 2007 (fat). */
 VOXRT_DEF voxrt_result voxrt_columns_insert(voxrt_columns *columns, const voxrt_columns_insert_desc *desc,
                                             const voxrt_mesh *mesh, voxrt_columns_insert_stats *stats);
 
-/* Set the cells of points: samples of surfaces that move. xyz in, [count], stride in bytes (0: 12). mode is ignored.
+/* Set the cells of points: samples of surfaces that move. xyz in, [count], stride in bytes (0: 12; not below 12). mode
+   is ignored, but has to be one.
    Surfaces have no holes if the samples lie close enough, which is up to the caller. Otherwise as
    voxrt_columns_insert. */
 VOXRT_DEF voxrt_result voxrt_columns_insert_points(voxrt_columns *columns, const voxrt_columns_insert_desc *desc,
@@ -1418,9 +1461,10 @@ typedef struct voxrt_columns_trace_desc {
 } voxrt_columns_trace_desc;
 
 /* First cell that is set along each ray, in the box and in [t_min, t_max], on the calling thread. Exact stepping from
-   column to column in floats: no epsilon, no cap on steps. Bad rays miss and are counted (bad_rays). The same bits for
-   any isa. Errors: INVALID_ARG, UNINIT_DESC. Thread safety: any number of threads on a volume that does not change.
-   Allocates nothing. Source: thesis (2010) 5.2, 5.3; Forest et al. 2009; stepping and the plane rule are ours. */
+   column to column in floats: no epsilon, no cap on steps. Bad rays, as voxrt_trace has them, miss and are counted
+   (bad_rays). hits must not overlap rays. The same bits for any isa. Errors: INVALID_ARG, UNINIT_DESC. Thread safety:
+   any number of threads on a volume that does not change. Allocates nothing. Source: thesis (2010) 5.2, 5.3; Forest et
+   al. 2009; stepping and the plane rule are ours. */
 VOXRT_DEF voxrt_result voxrt_columns_trace(const voxrt_columns *columns, const voxrt_columns_trace_desc *desc,
                                            const voxrt_ray *rays, voxrt_column_hit *hits, size_t count);
 
@@ -1442,7 +1486,8 @@ typedef struct voxrt_column_step {
    desc   in, NULL: none; normals and end_normals of this ray
    steps  out, [most]: the first of them; may be NULL if most is 0
    hit    out, may be NULL: what voxrt_columns_trace gives
-   Returns how many there are, 0 if the ray misses the box or an argument is bad. Any thread. */
+   Returns how many there are, which may be more than `most`; 0 if the ray misses the box or an argument is bad. Any
+   thread. O(steps). */
 VOXRT_DEF size_t voxrt_columns_explain(const voxrt_columns *columns, const voxrt_columns_trace_desc *desc,
                                        const voxrt_ray *ray, voxrt_column_step *steps, size_t most,
                                        voxrt_column_hit *hit);
@@ -1457,9 +1502,10 @@ typedef struct voxrt_gi voxrt_gi;
 
 /* Linear values. What is diffuse is albedo / pi; the Phong lobe is specular (exponent + 2) / (2 pi) cos^exponent. */
 typedef struct voxrt_gi_material {
-    float albedo[3];             /* times the mesh's colours; all zero: 1, 1, 1 */
-    float specular[3], exponent; /* exponent 0: no lobe */
-    float emission[3];           /* radiance of its surface, on the side from which triangles are counter-clockwise */
+    float albedo[3];             /* 0 to 1, times the mesh's colours; all zero: 1, 1, 1 */
+    float specular[3], exponent; /* 0 to 1; 0 to 1e6, 0: no lobe */
+    float emission[3];           /* radiance of its surface, on the side from which triangles are counter-clockwise;
+                                    not below 0 */
 } voxrt_gi_material;
 
 /* field     zero means
@@ -1493,12 +1539,14 @@ typedef struct voxrt_gi_light {
     voxrt_gi_light_kind kind;
     float position[3];
     float direction[3];           /* of the light's travel: spot and directional; any length */
-    float angle;                  /* spot: half of its opening, degrees, below 90 */
-    float edge_u[3], edge_v[3];   /* area */
-    float color[3];
+    float angle;                  /* spot: half of its opening, degrees, above 0, below 90 */
+    float edge_u[3], edge_v[3];   /* area: not parallel */
+    float color[3];               /* not below 0 */
 } voxrt_gi_light;
 
 /* field    zero means
+   env      for all calls on the scene but those that take one: what it points to has to live as long. memory_limit is
+            for the columns of each volume, and for what belongs to each, by itself
    columns  the volume; box_min and box_max have no default, env is not used. Nothing outside the box receives or sends
             indirect light
    nested   1: that volume only. n: n - 1 more around it, at most 8, each twice as wide with as many cells: rays go on
@@ -1511,17 +1559,18 @@ typedef struct voxrt_gi_desc {
     uint32_t _end_zero;
 } voxrt_gi_desc;
 
-/* An empty scene. Errors: as voxrt_columns_create. */
+/* An empty scene. Errors: as voxrt_columns_create, INVALID_ARG also for more than 8 volumes. */
 VOXRT_DEF voxrt_result voxrt_gi_create(const voxrt_gi_desc *desc, voxrt_gi **out_gi);
 VOXRT_DEF void voxrt_gi_destroy(voxrt_gi *gi); /* NULL is allowed */
 
-/* Put an object in; at most 65535. out_id, not NULL: its number. O(1). Errors: INVALID_ARG, RANGE, NO_MEMORY. */
+/* Put an object in; at most 65535. out_id, not NULL: its number, from 0 on (0 also on failure). The struct is copied.
+   O(objects). Errors: INVALID_ARG, RANGE, NO_MEMORY. This and all else that changes the scene: alone with it. */
 VOXRT_DEF voxrt_result voxrt_gi_add(voxrt_gi *gi, const voxrt_gi_object *object, uint32_t *out_id);
 /* Change an object: another place, other positions in its mesh, another material. An object that was still and stays so
-   has all still ones voxelised again. Errors: INVALID_ARG. */
+   has all still ones voxelised again. O(1). Errors: INVALID_ARG (also: no such object). */
 VOXRT_DEF voxrt_result voxrt_gi_set(voxrt_gi *gi, uint32_t id, const voxrt_gi_object *object);
 VOXRT_DEF voxrt_result voxrt_gi_remove(voxrt_gi *gi, uint32_t id); /* its number may be given out again */
-/* All lights, copied. Errors: INVALID_ARG (error->where: which one), NO_MEMORY (they stay as they were). */
+/* All lights, copied. Errors, the old ones stay: INVALID_ARG (error->where: which one), NO_MEMORY. */
 VOXRT_DEF voxrt_result voxrt_gi_set_lights(voxrt_gi *gi, const voxrt_gi_light *lights, size_t count);
 
 typedef struct voxrt_gi_update_stats {
@@ -1539,12 +1588,13 @@ VOXRT_DEF voxrt_result voxrt_gi_update(voxrt_gi *gi, voxrt_gi_update_stats *stat
 VOXRT_DEF const voxrt_columns *voxrt_gi_columns(const voxrt_gi *gi); /* owned by gi; the innermost volume */
 
 /* Move the volumes so that `centre` is in their middle, to the next multiple of 8 cells of each. Those that moved are
-   voxelised again by the next voxrt_gi_update. out_moved, not NULL: how many. O(1). Errors: INVALID_ARG. */
+   voxelised again by the next voxrt_gi_update. out_moved, not NULL: how many. O(1). Errors: INVALID_ARG (a coordinate
+   is not within 1e12, nor 1e15 cells of the volume). */
 VOXRT_DEF voxrt_result voxrt_gi_follow(voxrt_gi *gi, const double centre[3], uint32_t *out_moved);
 
 /* Surface in a cell of voxrt_gi_columns that a ray in direction dir sees. Returns 0 where nothing faces it. radiance:
-   what it sends back along the ray: direct light, indirect light as far as it is known, emission. Thread safety: as
-   drawing (it fills the cache). */
+   what it sends back along the ray: direct light, indirect light as far as it is known, emission. All is 0 when it
+   returns 0, also for arguments that are NULL and cells outside. Thread safety: as drawing (it fills the cache). */
 typedef struct voxrt_gi_surface {
     float position[3], normal[3], albedo[3], radiance[3];
     uint32_t object;
@@ -1552,7 +1602,8 @@ typedef struct voxrt_gi_surface {
 VOXRT_DEF int voxrt_gi_get(const voxrt_gi *gi, const voxrt_column_hit *hit, const float dir[3],
                            voxrt_gi_surface *out_surface);
 
-/* What the camera sees, a value for each pixel, row 0 on top. position, normal and albedo have to be there. */
+/* What the camera sees, a value for each pixel, row 0 on top, rows close together; up to 65535 a side. position, normal
+   and albedo have to be there. */
 typedef struct voxrt_gbuffer {
     uint32_t width, height;
     float *position;  /* xyz; a pixel that sees nothing has normal 0 */
@@ -1563,8 +1614,9 @@ typedef struct voxrt_gbuffer {
     float *before;    /* xyz: where this point of the surface was in the frame before; NULL: where it is */
 } voxrt_gbuffer;
 
-/* Fill in a G-buffer from geometry (trees, octrees, instances, groups): position, normal, albedo; the others get 0.
-   Errors: INVALID_ARG. O(pixels). */
+/* Fill in a G-buffer from geometry (trees, octrees, instances, groups): position, normal, albedo; `before` gets the
+   position, the others 0, and all of them where nothing is seen. env may be NULL; its allocator is not used.
+   Errors: INVALID_ARG (also a camera as voxrt_camera_ray says). O(pixels). Allocates nothing. */
 VOXRT_DEF voxrt_result voxrt_gbuffer_from_geometry(const voxrt_env *env, const voxrt_camera *camera,
                                                    const voxrt_geometry *geometry, const voxrt_gbuffer *gbuffer);
 /* The same from the columns of a scene: shows what the rays of indirect light see. */
@@ -1572,14 +1624,14 @@ VOXRT_DEF voxrt_result voxrt_gbuffer_from_gi(const voxrt_env *env, const voxrt_c
                                              const voxrt_gbuffer *gbuffer);
 
 /* Fill in what the other two leave out, from the objects whose cells lie at the pixels: specular, emission, and from
-   the places of the objects at the last two updates `before`. Buffers that are NULL stay out. Errors: INVALID_ARG.
-   O(pixels). Thread safety: as drawing. */
+   the places of the objects at the last two updates `before`. Buffers that are NULL stay out; env may be NULL. Errors:
+   INVALID_ARG. O(pixels). Allocates nothing. Thread safety: as drawing. */
 VOXRT_DEF voxrt_result voxrt_gbuffer_materials(const voxrt_env *env, const voxrt_gi *gi, const voxrt_gbuffer *gbuffer);
 
 /* A voxel at an edge has the mean of the normals of two surfaces, and that of an outline may have one that faces away:
    dots along edges. Where the cells know two flat surfaces there, such a normal becomes that of the one which faces the
-   camera more. Objects with normals are left as they are: smooth shading is a mix, too. Errors: INVALID_ARG. O(pixels).
-   Thread safety: as drawing. */
+   camera more. Objects with normals are left as they are: smooth shading is a mix, too. env may be NULL. Errors:
+   INVALID_ARG. O(pixels). Allocates nothing. Thread safety: as drawing. */
 VOXRT_DEF voxrt_result voxrt_gbuffer_edges(const voxrt_env *env, const voxrt_camera *camera, const voxrt_gi *gi,
                                            const voxrt_gbuffer *gbuffer);
 
@@ -1618,13 +1670,14 @@ typedef struct voxrt_gi_report {
 
 /* field         zero means
    camera        needed for Phong lobes (eye), for history and relief
-   rays          16 a pixel; VPL: virtual lights a pixel and bounce
-   bounces       1; PATH and VPL: GATHER has as many as voxrt_gi_bounce was called for
+   rays          16 a pixel; VPL: virtual lights a pixel and bounce; up to 2^20
+   bounces       1; PATH and VPL: GATHER has as many as voxrt_gi_bounce was called for; up to 1024
    radius        rays are as long as the box
    first_ray     where the sequence of each pixel begins: frame * rays for progressive pictures
    shadow        direct light by shadow rays through the columns, or by maps with LOOKUP_MAPS; else rays through this
-   filter        0: as sampled. Radius in pixels, at most 64, of a filter that keeps to surfaces; 2 passes. Irradiance
-                 and what comes by Phong lobes are filtered for themselves, before colours
+   shadow_lift   with shadow: rays start on the surface
+   filter        0: as sampled. Radius in pixels, more than 64 is taken for 64, of a filter that keeps to surfaces; 2
+                 passes. Irradiance and what comes by Phong lobes are filtered for themselves, before colours
    direct_filter the same for direct light: soft edges of shadows
    coarse        1: every pixel sends rays. 2, 4, 8, 16: one in coarse x coarse pixels does; between those that lie on
                  one surface, where no other is near, light is interpolated, elsewhere the mesh is refined (Ward et al.
@@ -1634,7 +1687,7 @@ typedef struct voxrt_gi_report {
    pattern       VPL: 4 x 4 pixels share 16 sets of lights; 1 to 16
    d_min         VPL: terms cos cos / d^2 over 1 / (4 cell diagonals)^2 are cut off there, and rays as short as that
                  bring back what was cut. Above 0: the thesis' 1 / (d_min + d^2), an area
-   map_size      LOOKUP_MAPS: 256 texels along the side of a map
+   map_size      LOOKUP_MAPS: 256 texels along the side of a map; up to 4096
    tolerance     `rays` are sent. Above 0: as many as it takes for this much noise: RMS over the picture of indirect
                  light after the filter, as a share of its mean; at most `rays` (0: 1024). GATHER, PATH, AO
    history       only this picture counts; else those before, too
@@ -1671,16 +1724,20 @@ typedef struct voxrt_gi_render_desc {
 /* Light a G-buffer. direct, indirect: rgb for each pixel, linear: what the surface sends to the camera because of
    lights (with its emission), and because of other surfaces; may be NULL. Surfaces that emit light count as lights. The
    same bits for any number of threads and any isa. env.progress_fn may stop it: what is drawn then is of no use, a
-   history stays as it was. Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY, CANCELLED. Thread
-   safety: one call on a scene at a time (it fills the cache). Source: thesis (2010) 6, 7, 8.6. */
+   history stays as it was. desc may be NULL; stats, added to, may be NULL: rays, hits and steps. Errors: INVALID_ARG
+   (also: history or relief without a camera), UNINIT_DESC, NO_MEMORY, CANCELLED. Thread safety: one call on a scene at
+   a time (it fills the cache). Source: thesis (2010) 6, 7, 8.6. */
 VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_gi *gi, const voxrt_gbuffer *gbuffer,
                                        float *direct, float *indirect, voxrt_stats *stats);
 
-/* One more bounce: each side of each cell gathers the light of the others with `rays` rays (0: 16), and what it finds
-   counts from now on at hits. weight: share of the new value (0: 1); smaller ones let it follow a moving scene without
-   flicker. The more often it is called the more bounces there are. seed: another one gives other rays. With a weight
-   over 1/2, or on cells that are new, it is a change of light for a history. Errors: INVALID_ARG, NO_MEMORY (light
-   stays as it was). Thread safety: alone with the scene. O(cells times rays). */
+/* One more bounce: each side of each cell gathers the light of the others, and what it finds counts from now on at
+   hits. The more often it is called the more bounces there are.
+   env     may be NULL; memory is the scene's
+   rays    of each side, up to 2^20; 0: 16
+   weight  share of the new value, 0 to 1; 0: 1. Smaller ones let it follow a moving scene without flicker. Over 1/2, or
+           on cells that are new, it is a change of light for a history
+   seed    another one gives other rays
+   Errors: INVALID_ARG, NO_MEMORY (light stays as it was). Thread safety: alone with the scene. O(cells times rays). */
 VOXRT_DEF voxrt_result voxrt_gi_bounce(voxrt_gi *gi, const voxrt_env *env, uint32_t rays, float weight, uint32_t seed);
 
 /* Keep frames within a time. Zero it before the first frame; before each frame draw with `rays` and `coarse`, after it
@@ -1702,19 +1759,20 @@ VOXRT_DEF size_t voxrt_gi_virtual_lights(const voxrt_gi *gi, float *out, size_t 
 typedef enum voxrt_tone {
     VOXRT_TONE_LINEAR = 0, VOXRT_TONE_LOG = 1, VOXRT_TONE_DRAGO = 2, VOXRT_TONE_FORCE_32BIT = 0x7fffffff
 } voxrt_tone;
-/* rgb (linear, [pixels]) -> values in 0..1, linear, for display; `most` becomes white. In place is allowed.
-   Source: Drago et al. 2003 (bias 0.85). */
+/* rgb (linear, [pixels]) -> values in 0..1, linear, for display; `most` becomes white. In place is allowed. NaN gets 0.
+   INVALID_ARG: most is not above 0 and finite. Any thread. O(pixels). Source: Drago et al. 2003 (bias 0.85). */
 VOXRT_DEF voxrt_result voxrt_tone_map(voxrt_tone tone, float most, const float *rgb, float *out_rgb, size_t pixels);
 #endif /* VOXRT_NO_GI */
 
 /* ---- misc ---- */
 
-/* Texts for messages, constant and never NULL ("unknown" for what is no value of the enum); the version of the code,
-   to compare with VOXRT_VERSION of the declarations. Any thread. O(1). */
+/* Texts for messages, constant and never NULL ("unknown result" and "unknown" for what is no value of the enum); the
+   version of the code, to compare with VOXRT_VERSION of the declarations. Any thread. O(1). */
 VOXRT_DEF const char *voxrt_result_string(voxrt_result result);
 VOXRT_DEF uint32_t voxrt_version(void);
 VOXRT_DEF const char *voxrt_isa_name(voxrt_isa isa);
-VOXRT_DEF voxrt_isa voxrt_isa_best(void); /* what VOXRT_ISA_AUTO picks on this machine */
+/* What VOXRT_ISA_AUTO picks on this machine for trees; rays in columns take AVX512 by themselves. */
+VOXRT_DEF voxrt_isa voxrt_isa_best(void);
 
 #ifdef __cplusplus
 }
@@ -4588,6 +4646,8 @@ static VOXRTI_UNUSED voxrt_result voxrti_grid_from_mesh(const voxrt_build_desc *
         }
         any = 1;
     }
+    if (!any && d->strict && mesh->triangle_count != 0)
+        return voxrti_fail(d->env.error, VOXRT_ERR_FORMAT, 0, "triangle % has a bad vertex");
     if (!any) return voxrti_fail(d->env.error, VOXRT_ERR_EMPTY, 0, "the mesh has no usable triangle");
     for (a = 0; a < 3; a++) longest = voxrti_max(longest, hi[a] - lo[a]);
     /* half a voxel stays free on both sides; one voxel for a point or a grid of one cell */
@@ -7070,7 +7130,10 @@ VOXRT_DEF voxrt_result voxrt_tree_build(const voxrt_build_desc *desc, const voxr
     if (r != VOXRT_OK) return r;
     memset(&set, 0, sizeof set);
     r = voxrti_grid_from_mesh(&d, mesh, &grid);
-    if (r != VOXRT_OK) return r;
+    if (r != VOXRT_OK) { /* none is usable */
+        stats->triangles = stats->rejected = mesh->triangle_count;
+        return r;
+    }
     r = voxrti_voxelize(&mem, &d, mesh, &grid, NULL, stats, &set);
     if (r == VOXRT_OK && d.fill) r = voxrti_leafset_fill(&mem, &d, grid.depth, &set);
     if (r != VOXRT_OK) {
@@ -15550,6 +15613,7 @@ VOXRT_DEF voxrt_result voxrt_camera_ray(const voxrt_camera *camera, uint32_t wid
     voxrti_frame f;
     voxrt_result r;
     if (camera == NULL || out_ray == NULL || height == 0) return VOXRT_ERR_INVALID_ARG;
+    if (!voxrti_finite(x) || !voxrti_finite(y)) return VOXRT_ERR_INVALID_ARG;
     r = voxrti_frame_open(camera, height, &f);
     if (r == VOXRT_OK) voxrti_frame_ray(&f, x - 0.5 * (double)width, 0.5 * (double)height - y, out_ray);
     return r;
@@ -15960,7 +16024,8 @@ VOXRT_DEF voxrt_result voxrt_render(const voxrt_render_desc *desc, const voxrt_t
     memset(&d, 0, sizeof d);
     if (desc != NULL) d = *desc;
     if (d._begin_zero != 0 || d._end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
-    if (image == NULL) return VOXRT_ERR_INVALID_ARG;
+    if (d.env.error != NULL) memset(d.env.error, 0, sizeof *d.env.error);
+    if (image == NULL) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "render: no image");
     memset(&c, 0, sizeof c);
     c.d = &d;
     c.image = image;
@@ -18817,8 +18882,11 @@ VOXRT_DEF voxrt_result voxrt_paged_build(const voxrt_build_desc *desc, const vox
     if (mesh->triangle_count >= 0xffffffffu || (mesh->indices == NULL && mesh->triangle_count >= 0x55555555u))
         return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, mesh->triangle_count, "% triangles are too many");
     r = voxrti_grid_from_mesh(&d, mesh, &grid);
-    if (r != VOXRT_OK) return r;
     stats->triangles = mesh->triangle_count;
+    if (r != VOXRT_OK) { /* none is usable */
+        stats->rejected = mesh->triangle_count;
+        return r;
+    }
     p = (voxrti_pieces *)voxrti_alloc_zero(&mem, 1, sizeof *p);
     list = (uint32_t *)voxrti_alloc_array(&mem, mesh->triangle_count, sizeof *list);
     r = p != NULL && list != NULL ? VOXRT_OK : VOXRT_ERR_NO_MEMORY;

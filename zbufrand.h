@@ -119,10 +119,11 @@
    - Of one scanned statue or a big wall it makes what a rasteriser makes, by rasterising: samples gain nothing there.
 
    LIMITS
-   triangles of a scene       2^64 - 1 drawn; stored as many as memory holds
+   triangles of a scene       2^64 - 1 drawn; stored as many as memory holds, 2^28 in a mesh
+   nodes of a scene           2^30
    levels of references       64
    samples of a frame         2^32
-   picture                    32000 a side
+   picture                    of a scene 32000 a side; of samples 65535 a side and 2^31 pixels
    threads                    64
    stack                      less than 16 KB in one function, less than 64 KB in all
 
@@ -133,7 +134,7 @@
    ZBUFRAND_DEF                what stands before declarations                          extern/static yes
    ZBUFRAND_MALLOC(size,user)  default allocator, 16-byte aligned; both or neither      malloc        code only
    ZBUFRAND_FREE(ptr,size,user) its other half                                           free          code only
-   ZBUFRAND_ASSERT(cond)       what internal checks use                                 assert        code only
+   ZBUFRAND_ASSERT(cond)       internal checks; there are none in this version          assert        code only
    ZBUFRAND_NO_STDIO           no <stdio.h>                                             off           yes
    ZBUFRAND_NO_THREADS         never start a thread; env.parallel still works           off, wasm: on code only
    ZBUFRAND_NO_SIMD            scalar code only                                         off           code only
@@ -143,8 +144,8 @@
 
    MEMORY
    All of it comes through desc.env: its allocator, else ZBUFRAND_MALLOC, else malloc. An object keeps its allocator
-   until it is destroyed. env.memory_limit bounds what one call and its results hold at once. When memory runs out a
-   call frees what it had and returns ZBUFRAND_ERR_NO_MEMORY.
+   until it is destroyed. env.memory_limit bounds what one call and its results hold at once, that of a scene or a frame
+   all that it ever holds. When memory runs out a call frees what it had and returns ZBUFRAND_ERR_NO_MEMORY.
 
    THREADS
    A call uses env.thread_count threads (0: one per core; 1: never more than the caller's), started and joined within
@@ -159,10 +160,12 @@
    -std=c99 on s390x (without -fexcess-precision=fast) and -ffast-math break it.
 
    ERRORS
-   Functions that can fail return a zbufrand_result and set their outputs to NULL or 0 first. env.error receives the
-   place (node, triangle) and a sentence. Degenerate and non-finite triangles are left out and counted. A desc has to
-   be zeroed (memset, = {0} or = {} in C++); zbufrand checks its first and last member. The library never prints,
-   never exits.
+   Functions that can fail return a zbufrand_result. When they fail, objects, sizes and numbers that they would have
+   given are NULL or 0; arrays and pictures may be half written. env.error (of the scene, frame or canvas) receives the
+   place (node, triangle) and a sentence; it is not written when a desc was not zeroed, when a pointer is NULL, nor by
+   functions that many threads may call at once for one object. Degenerate and non-finite triangles are left out and
+   counted. A desc has to be zeroed (memset, = {0} or = {} in C++); zbufrand checks its first and last member. The
+   library never prints, never exits.
 
    CONTRACTS
    The comment of a function says what is special about it. Where it is silent: a pointer may be NULL only if that is
@@ -236,14 +239,15 @@ typedef enum zbufrand_result {
     ZBUFRAND_RESULT_FORCE_32BIT = 0x7fffffff
 } zbufrand_result;
 
-/* What went wrong and where. `where` is a byte offset, a triangle or a vertex index, as `text` says. */
+/* What went wrong and where. `where` is a node, a triangle or another number, as `text` says, 0 where there is none. Of
+   use after a failure only: calls that succeed leave it as it was. */
 typedef struct zbufrand_error {
     zbufrand_result code;
     uint64_t where;
     char text[200];
 } zbufrand_error;
 
-typedef struct zbufrand_allocator {
+typedef struct zbufrand_allocator { /* both functions or none of them */
     void *(*alloc_fn)(size_t size, void *user); /* 16-byte aligned, or NULL; any thread */
     void (*free_fn)(void *ptr, size_t size, void *user);
     void *user;
@@ -256,13 +260,14 @@ typedef struct zbufrand_parallel { /* run task(ctx, i) once for each i in [0, co
 } zbufrand_parallel;
 
 /* Where memory, threads and messages come from; part of every desc. All zero: malloc, one thread per core,
-   no limit, silent. */
+   no limit, silent. Objects that are made with it keep it: what it points to has to live as long as they do. */
 typedef struct zbufrand_env {
     zbufrand_allocator allocator;
     zbufrand_parallel parallel;  /* set: the host's job system runs the work, no thread is started */
     uint32_t thread_count;    /* 0: one per core; 1: never start a thread */
     size_t memory_limit;      /* bytes that one call and its results may hold at once; 0: none */
-    int (*progress_fn)(void *user, uint64_t done, uint64_t total); /* non-zero cancels; called by one thread */
+    /* non-zero cancels. Called by the functions that return CANCELLED, by the thread that called them */
+    int (*progress_fn)(void *user, uint64_t done, uint64_t total);
     void *progress_user;
     zbufrand_error *error;       /* receives the place and the reason of a failure; may be NULL */
 } zbufrand_env;
@@ -308,8 +313,7 @@ typedef struct zbufrand_transform {
 enum { /* flags of a node */
     ZBUFRAND_HIDDEN = 1,           /* not drawn where it stands, only through references: a prototype */
     ZBUFRAND_OWN_STRUCTURE = 2     /* a structure of its own, as if it were referenced: its coordinates keep their
-                                      precision
-                                      however large the scene is */
+                                      precision however large the scene is */
 };
 
 typedef struct zbufrand_scene zbufrand_scene;
@@ -321,9 +325,9 @@ typedef struct zbufrand_scene_desc {
 } zbufrand_scene_desc;
 
 /* An empty scene: the root list and nothing in it.
-   desc  in, NULL: all defaults
-   out   receives the scene; zbufrand_scene_destroy frees it
-   Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY. */
+   desc       in, NULL: all defaults
+   out_scene  receives the scene; zbufrand_scene_destroy frees it
+   Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY. O(1). */
 ZBUFRAND_DEF zbufrand_result zbufrand_scene_create(const zbufrand_scene_desc *desc, zbufrand_scene **out_scene);
 ZBUFRAND_DEF void zbufrand_scene_destroy(zbufrand_scene *scene); /* NULL is fine */
 
@@ -337,8 +341,11 @@ ZBUFRAND_DEF void zbufrand_scene_destroy(zbufrand_scene *scene); /* NULL is fine
    out_node   may be NULL; set to 0 on failure
    A node is in at most one list; no path of lists and references may lead back to where it started. What a node is
    added to may already have been built: the next zbufrand_scene_build takes it in.
-   Errors: INVALID_ARG (no such node, parent is not a list, no similarity, a NULL array; env.error names the node),
-   RANGE (more than 2^30 nodes), NO_MEMORY. Thread safety: one thread at a time per scene. O(1) amortised. */
+   Errors: INVALID_ARG (no such node, parent is not a list, no similarity: columns of equal length and at right angles
+   within 1e-5, numbers below 1e150; unknown flags; a NULL array, a stride below the size of its element, triangles
+   without indices and with too few vertices; env.error names the node), RANGE (more than 2^30 nodes; a mesh of more
+   than 2^28 triangles or 2^32 - 1 vertices), NO_MEMORY. O(1) amortised. Thread safety: one thread at a time per
+   scene. */
 ZBUFRAND_DEF zbufrand_result zbufrand_add_list(zbufrand_scene *scene, zbufrand_node parent,
                                                const zbufrand_transform *transform, uint32_t flags,
                                                zbufrand_node *out_node);
@@ -350,12 +357,14 @@ ZBUFRAND_DEF zbufrand_result zbufrand_add_reference(zbufrand_scene *scene, zbufr
                                                     zbufrand_node *out_node);
 
 /* One node that refers to `target` count times, with the transforms [count], which are borrowed until
-   zbufrand_scene_build has returned. The same result as count calls of zbufrand_add_reference, with less memory. */
+   zbufrand_scene_build has returned. The same result as count calls of zbufrand_add_reference, with less memory. A
+   transform that is no similarity is found by the build. Errors: as above. */
 ZBUFRAND_DEF zbufrand_result zbufrand_add_references(zbufrand_scene *scene, zbufrand_node parent,
                                                      const zbufrand_transform *transforms, size_t count,
                                                      zbufrand_node target, zbufrand_node *out_node);
 
-/* Put a node that is in no list into one. INVALID_ARG: it is in a list already (env.error names it), or is the root. */
+/* Put a node that is in no list into one. O(1). Errors: INVALID_ARG (no such list or node; it is in a list already, or
+   is the root; env.error names it), NO_MEMORY. */
 ZBUFRAND_DEF zbufrand_result zbufrand_list_append(zbufrand_scene *scene, zbufrand_node list, zbufrand_node node);
 
 /* By which tree the surface is sampled. The default is a tree of nodes of eight with cones of normals over clusters of
@@ -417,17 +426,18 @@ typedef struct zbufrand_scene_info {
    desc   in, NULL: all defaults
    info   out, may be NULL
    A scene may be built again after nodes were added. An empty scene is fine; it draws nothing.
-   Errors: UNINIT_DESC, NO_MEMORY, CANCELLED, RANGE (more than 2^64 - 1 triangles, 2^28 clusters and instances
-   in a structure, or 64 levels of instances; for the thesis' trees 2^29 objects or 2^24 clusters in a structure),
+   Errors: UNINIT_DESC, NO_MEMORY, CANCELLED (env.progress_fn is asked behind each structure), RANGE (more than
+   2^64 - 1 triangles, 2^28 clusters and instances in a structure, or 64 levels of instances; for the thesis' trees 2^29
+   objects or 2^24 clusters in a structure),
    INVALID_ARG: a field of those is wrong, or env.error names the node that closes a cycle, the reference whose target
-   is in no list, or with `strict` the bad triangle. On failure the scene is as if never built.
+   is in no list, or with `strict` the bad triangle. On failure (but UNINIT_DESC) the scene is as if never built.
    Cost: O(n log n), about 0.15 us per stored triangle and 0.5 us per instance; about 20 bytes per stored triangle. The
    thesis' trees take 0.2 us per triangle more, the tree over normals 1 us.
    Thread safety: one thread at a time per scene. The same structures for any number of threads. */
 ZBUFRAND_DEF zbufrand_result zbufrand_scene_build(zbufrand_scene *scene, const zbufrand_build_desc *desc,
                                                   zbufrand_scene_info *info);
 
-/* What the last build or update made; all zero if there was none. */
+/* What the last build or update made; all zero if there was none, or no scene. O(1). */
 ZBUFRAND_DEF void zbufrand_scene_get_info(const zbufrand_scene *scene, zbufrand_scene_info *info);
 
 /* ---- editing a scene that is built ----
@@ -453,7 +463,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_move(zbufrand_scene *scene, zbufrand_node 
    index      below the count of the node
    transform  NULL: this reference is not drawn until it gets another transform
    The array of the caller is not written to: a new zbufrand_scene_build reads it as it is then.
-   Errors: INVALID_ARG, NO_MEMORY. O(1). */
+   Errors: INVALID_ARG (also a node that is not yet built, or is one of zbufrand_add_reference), NO_MEMORY. O(1). */
 ZBUFRAND_DEF zbufrand_result zbufrand_set_reference(zbufrand_scene *scene, zbufrand_node node, size_t index,
                                                     const zbufrand_transform *transform);
 
@@ -502,13 +512,15 @@ typedef struct zbufrand_surface_points_desc {
    rgb        sRGB
    triangles  node of the mesh and index of the triangle within it, 2 numbers per point; the scene has to be built
               with ids
-   Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY, EMPTY (nothing built, or no area), RANGE (areas beyond 3e38).
+   Errors: INVALID_ARG (also triangles of a scene without ids, and first + count of 2^64), UNINIT_DESC, NO_MEMORY, EMPTY
+   (nothing built, or no area), RANGE (areas beyond 3e38).
    Cost: O(1) per point; many points at once are cheapest, 2^20 and more take about 10 ns each. Runs on the calling
    thread; any number of calls on one scene at once. The same points on any machine. */
 ZBUFRAND_DEF zbufrand_result zbufrand_surface_points(const zbufrand_scene *scene,
                                                      const zbufrand_surface_points_desc *desc, size_t count,
                                                      float *positions, float *normals, uint8_t *rgb,
                                                      uint32_t *triangles);
+
 /* ---- samples of surfaces ---- */
 
 /* A sample where it falls into the picture, 36 bytes. Samples are told apart by their number: colours are asked for by
@@ -544,7 +556,8 @@ typedef struct zbufrand_view {
 
 /* Project points[first .. first+count). What cannot be seen (depth out of range, not finite) gets z = 0.
    samples  out, [count]
-   Any thread. INVALID_ARG: a range outside the points, no positions, or a view that is not finite. */
+   Any thread. O(count). INVALID_ARG: a range outside the points, no positions, or a view that is not finite, with a
+   focal or near_z that is not above 0, or a far_z below 0. */
 ZBUFRAND_DEF zbufrand_result zbufrand_project(const zbufrand_view *view, const zbufrand_points *points, size_t first,
                                               size_t count, zbufrand_sample *samples);
 
@@ -663,24 +676,24 @@ typedef struct zbufrand_resolve_stats {
     uint64_t holes, wrong; /* pixels repaired; only with reconstruct.repair */
 } zbufrand_resolve_stats;
 
-/* desc is needed. All memory is allocated here: 8 to 60 bytes a pixel.
-   Errors: INVALID_ARG, UNINIT_DESC, RANGE, NO_MEMORY. */
+/* desc is needed. All memory is allocated here: 8 to 90 bytes a pixel of the picture and its guard band.
+   Errors: INVALID_ARG, UNINIT_DESC, RANGE (also 2^31 pixels with the guard band), NO_MEMORY. O(pixels). */
 ZBUFRAND_DEF zbufrand_result zbufrand_canvas_create(const zbufrand_canvas_desc *desc, zbufrand_canvas **out_canvas);
 ZBUFRAND_DEF void zbufrand_canvas_destroy(zbufrand_canvas *canvas); /* NULL is allowed */
 
 /* Empty it. seed: another one breaks ties differently and moves the borders of depth buckets. Needs the canvas for
-   itself. */
+   itself. O(pixels). */
 ZBUFRAND_DEF void zbufrand_canvas_clear(zbufrand_canvas *canvas, uint32_t seed);
 
 /* Pixels around the picture in which samples still count (their blocks or filters reach into it): sample the view
-   enlarged by that much on each side. */
+   enlarged by that much on each side. O(1). */
 ZBUFRAND_DEF uint32_t zbufrand_canvas_guard(const zbufrand_canvas *canvas);
 
 /* Take samples[0..count) with the numbers first_number + i (modulo 2^32; give each sample its own).
-   stats  may be NULL
+   stats  may be NULL; of one thread
    Any number of threads at once; the picture does not depend on the order. Runs on the calling thread, allocates
-   nothing. Errors: INVALID_ARG (also while a picture is being made: callbacks of zbufrand_canvas_resolve cannot submit
-   to their own canvas). */
+   nothing. O(count). Errors: INVALID_ARG (also while a picture is being made: callbacks of zbufrand_canvas_resolve
+   cannot submit to their own canvas). */
 ZBUFRAND_DEF zbufrand_result zbufrand_canvas_submit(zbufrand_canvas *canvas, const zbufrand_sample *samples,
                                                     size_t count, uint32_t first_number,
                                                     zbufrand_submit_stats *stats);
@@ -695,7 +708,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_canvas_submit_points(zbufrand_canvas *canv
            plane_depth of blocks larger than 1; may be NULL if nothing of that is asked for
    stats   out, may be NULL
    The same bits for any number of threads and any isa. Needs the canvas for itself; allocates only for a repair.
-   Errors: INVALID_ARG (also while another call makes a picture of this canvas), NO_MEMORY. */
+   O(pixels), with a Gauss or tolerances times their size. Errors: INVALID_ARG (also while another call makes a
+   picture of this canvas), NO_MEMORY. */
 ZBUFRAND_DEF zbufrand_result zbufrand_canvas_resolve(zbufrand_canvas *canvas, const zbufrand_source *source,
                                                      const zbufrand_picture *picture, zbufrand_resolve_stats *stats);
 
@@ -740,7 +754,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_find_suspects(const zbufrand_suspect_desc 
    without any stays as it is. Rays do it better.
    rgba    in and out, linear, premultiplied, may be NULL
    depth   in and out
-   Cost: O(count). Errors: INVALID_ARG, UNINIT_DESC, RANGE, NO_MEMORY (nothing is changed). */
+   O(pixels + count), holds 4 bytes a pixel and 40 a suspect. Errors (nothing is changed): INVALID_ARG (also a pixel
+   outside, or more suspects than pixels), UNINIT_DESC, RANGE, NO_MEMORY. */
 ZBUFRAND_DEF zbufrand_result zbufrand_mend(const zbufrand_suspect_desc *desc, float *rgba, float *depth,
                                            const zbufrand_suspect *suspects, size_t count);
 
@@ -755,9 +770,9 @@ ZBUFRAND_DEF zbufrand_result zbufrand_mend(const zbufrand_suspect_desc *desc, fl
 /* field         zero means
    width,height  1..65535 each
    layers        2; 1..4
-   density       samples per square pixel of projected surface; needed
+   density       (no default) samples per square pixel of projected surface, above 0
    tolerance     0.002: samples up to this share deeper than the nearest belong to its layer (with slopes given their
-                 depth at the centre of the pixel is meant)
+                 depth at the centre of the pixel is meant); below 1
    dispersion    1: variance over mean of counts, 1 for independent samples, 0.2 to 0.4 for stratified ones */
 typedef struct zbufrand_layers_desc {
     uint32_t _begin_zero;
@@ -772,23 +787,25 @@ typedef struct zbufrand_layers_desc {
 
 typedef struct zbufrand_layers zbufrand_layers;
 
-/* 32 bytes a layer for each pixel. Errors: INVALID_ARG, UNINIT_DESC, RANGE, NO_MEMORY. */
+/* desc is needed. 32 bytes a layer for each pixel. Errors: INVALID_ARG, UNINIT_DESC, RANGE, NO_MEMORY. O(pixels). */
 ZBUFRAND_DEF zbufrand_result zbufrand_layers_create(const zbufrand_layers_desc *desc, zbufrand_layers **out_layers);
 ZBUFRAND_DEF void zbufrand_layers_destroy(zbufrand_layers *layers); /* NULL is allowed */
 ZBUFRAND_DEF void zbufrand_layers_clear(zbufrand_layers *layers);   /* for the next frame */
 
 /* Any number of threads at once, any order; the same samples in each round. Colours are clamped to 0..16 (they are
-   summed in units of 2^-16). Errors: INVALID_ARG. */
+   summed in units of 2^-16). Samples outside of the picture, or with a z that is not positive and finite, are left out,
+   as are all after the last round. Allocates nothing. O(count). Errors: INVALID_ARG. */
 ZBUFRAND_DEF zbufrand_result zbufrand_layers_submit(zbufrand_layers *layers, const zbufrand_sample *samples,
                                                     size_t count);
 
-/* End a round. 1: all samples are needed once more; 0: it is done. */
+/* End a round. 1: all samples are needed once more; 0: it is done. Not while samples are submitted. O(1). */
 ZBUFRAND_DEF int zbufrand_layers_next(zbufrand_layers *layers);
 
 /* Compose. A layer's coverage is pooled over the 3 x 3 pixels where it lies at the same depth, and taken for full when
    it is within two standard deviations of that: edges softer than that are lost, walls have no holes.
    rgba      out, width * height, linear, premultiplied
-   coverage  out, `layers` per pixel, front first; may be NULL */
+   coverage  out, `layers` per pixel, front first; may be NULL
+   Behind the last round; allocates nothing. O(pixels). Errors: INVALID_ARG. */
 ZBUFRAND_DEF zbufrand_result zbufrand_layers_resolve(const zbufrand_layers *layers, float *rgba, float *coverage);
 
 /* ---- several frames ---- */
@@ -805,7 +822,8 @@ typedef enum zbufrand_accumulation {
    width,height  1..65535 each
    mode          plain mean
    epsilon       0.1: weight of a new frame (smooth), its least weight while the camera moves (adaptive); at most 1
-   blur          no limit. b: with views given epsilon is raised so that the trail is at most b pixels long (smooth)
+   blur          no limit. b: with views and depths given epsilon is raised so that the trail is at most b pixels long
+                 (smooth)
    Adaptive history is kept while depths differ by at most 2 % and colours by at most 4.5 standard deviations. */
 typedef struct zbufrand_accumulator_desc {
     uint32_t _begin_zero;
@@ -818,7 +836,7 @@ typedef struct zbufrand_accumulator_desc {
 
 typedef struct zbufrand_accumulator zbufrand_accumulator;
 
-/* 32 bytes a pixel, adaptive 72. Errors: INVALID_ARG, UNINIT_DESC, RANGE, NO_MEMORY. */
+/* desc is needed. 32 bytes a pixel, adaptive 72. Errors: INVALID_ARG, UNINIT_DESC, RANGE, NO_MEMORY. O(pixels). */
 ZBUFRAND_DEF zbufrand_result zbufrand_accumulator_create(const zbufrand_accumulator_desc *desc,
                                                          zbufrand_accumulator **out_accumulator);
 ZBUFRAND_DEF void zbufrand_accumulator_destroy(zbufrand_accumulator *accumulator); /* NULL is allowed */
@@ -826,10 +844,10 @@ ZBUFRAND_DEF void zbufrand_accumulator_clear(zbufrand_accumulator *accumulator);
 
 /* Take a frame. Pixels that are not finite, or above 1e15, are left out.
    rgba   in, width * height, linear, premultiplied
-   depth  in, INFINITY where empty; adaptive mode and `blur` need it, otherwise it may be NULL
+   depth  in, INFINITY where empty; NULL: no `blur`, and not for the adaptive mode
    view   in, as depth
-   Errors: INVALID_ARG. One thread at a time; uses env's threads inside, allocates nothing; the same bits for any
-   number of them. */
+   O(pixels). Errors: INVALID_ARG. One thread at a time; uses env's threads inside, allocates nothing; the same bits for
+   any number of them. */
 ZBUFRAND_DEF zbufrand_result zbufrand_accumulator_add(zbufrand_accumulator *accumulator, const float *rgba,
                                                       const float *depth, const zbufrand_view *view);
 
@@ -842,7 +860,8 @@ typedef struct zbufrand_noise {
 
 /* How noisy the result is, and how far from `target` (an RMSE; 0: just measure). Frames have to be independent (frames
    that share out a point set among them are quieter than estimated). Smooth mode cannot get below the noise of
-   (2 - epsilon) / epsilon frames: more_frames is INFINITY then. O(pixels) on the calling thread. */
+   (2 - epsilon) / epsilon frames: more_frames is INFINITY then. O(pixels) on the calling thread. INVALID_ARG also:
+   target is below 0 or NaN. */
 ZBUFRAND_DEF zbufrand_result zbufrand_accumulator_noise(const zbufrand_accumulator *accumulator, double target,
                                                         zbufrand_noise *out_noise);
 
@@ -850,7 +869,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_accumulator_noise(const zbufrand_accumulat
    contrast  0: as it is. g > 0: colours and alpha times g, cut at alpha 1: makes up for sparse frames, in which most
              pixels are empty (g = 1 / (1 - exp(-density)) restores the brightness). Below 0: each pixel divided by the
              share of frames that hit it, alpha 1 where any did
-   rgba      out */
+   rgba      out, width * height, linear, premultiplied; 0 where no frame had anything
+   O(pixels). Errors: INVALID_ARG (also a contrast that is NaN). */
 ZBUFRAND_DEF zbufrand_result zbufrand_accumulator_get(const zbufrand_accumulator *accumulator, float contrast,
                                                       float *rgba);
 
@@ -860,8 +880,10 @@ ZBUFRAND_DEF zbufrand_result zbufrand_accumulator_get(const zbufrand_accumulator
    is the projected area of everything, visible and hidden, in pixels; visible the part that is seen; block the edge d
    of the colour blocks (1: pixels). A pixel is right when a sample of its visible surface falls into its d x d window,
    with probability 1 - exp(-density d^2) if independent samples are drawn.
-   Pure functions of doubles, any thread. An argument that is NaN or outside the stated range gives NaN. Numbers of
-   samples are not rounded and may be far above 2^64. Relative errors are below 1e-12 unless stated. */
+   Pure functions of doubles, any thread, O(1) unless stated. An argument that is NaN or outside the stated range gives
+   NaN; what is said for one of them holds for an argument of the same name in those that follow. Areas, numbers and
+   edges are finite; a density of INFINITY gives the limit or NaN. Numbers of samples are not rounded and may be far
+   above 2^64. Relative errors are below 1e-12 unless stated. */
 
 typedef enum zbufrand_bound { /* how the number of samples for a wanted probability is found */
     ZBUFRAND_BOUND_UNION = 0,    /* (a/d^2) ln(v / (1-s)): any shapes, independent or stratified samples (default) */
@@ -897,7 +919,7 @@ ZBUFRAND_DEF double zbufrand_samples_for_share(double area, double block, double
 ZBUFRAND_DEF double zbufrand_samples_tolerant(double area, double visible, double tolerated, double probability);
 
 /* The thesis' Lemma 2 as printed: ln(1 - s^(1/(n-k))) / ln(1 - 1/n). Right for k = tolerated = 0; for more it fixes
-   which cells may stay empty and asks for far too much. cells >= 1, 0 <= tolerated < cells. */
+   which cells may stay empty and asks for far too much. cells >= 1, 0 <= tolerated < cells, 0 < probability < 1. */
 ZBUFRAND_DEF double zbufrand_samples_lemma2(double cells, double tolerated, double probability);
 
 /* Probability that no visible pixel is wrong. SUCCESS: (1 - exp(-density d^2))^v, exact for d = 1, a lower bound for
@@ -918,7 +940,7 @@ ZBUFRAND_DEF double zbufrand_holes_variance(double samples, double cells);
 ZBUFRAND_DEF double zbufrand_holes_tail(double samples, double cells, double deviation);
 
 /* Edge of the cells for blocks of edge d: THESIS floor(d/2) (0 for d = 1, and needlessly small for odd d), EXACT
-   ceil(d/2), PRACTICE d (the thesis' rule of thumb: leaves about d^2 ln(1/s) wrong pixels). block >= 1. */
+   ceil(d/2), PRACTICE d (the thesis' rule of thumb: leaves about d^2 ln(1/s) wrong pixels). 1 <= block < 1e15. */
 typedef enum zbufrand_cells {
     ZBUFRAND_CELLS_EXACT = 0,
     ZBUFRAND_CELLS_THESIS = 1,
@@ -969,7 +991,7 @@ ZBUFRAND_DEF double zbufrand_thinned_dispersion(double dispersion, double accept
 ZBUFRAND_DEF double zbufrand_smoothing_frames(double epsilon);
 
 /* The thesis' time model of painted blocks: project (a/d^2) ln(v/d^2) + paint a ln(v/d^2); seconds per sample and per
-   painted pixel. visible > block^2. */
+   painted pixel, not below 0. visible > block^2. */
 ZBUFRAND_DEF double zbufrand_block_time(double project, double paint, double area, double visible, double block);
 
 /* Harmonic number H_n, also between the integers (digamma(n + 1) + Euler's constant); n >= 0. */
@@ -1037,13 +1059,14 @@ typedef struct zbufrand_costs {
 } zbufrand_costs;
 
 /* field           zero means
-   camera          (eye equals at) one that frames the scene
-   tolerance       0.05: probability that the picture is incomplete, at most: that somewhere a pixel is empty, or more
-                   than 1 % deeper than all that is visible in it and in the pixels around it (in blocks of d x d: up
-                   to 3 d / 2 pixels away), where these are covered as a whole. Holds for surfaces that are sampled;
-                   rastered ones miss nothing. With `noise` and without a tolerance frames have half as many samples,
-                   and what is reported is about all of them: that somewhere none is right
-   density         as `tolerance` needs it. L: samples per square pixel of projected surface, visible or hidden
+   camera          (eye equals at) one that frames the scene; a cube of edge 2 around the origin without a scene
+   tolerance       0.05: probability that the picture is incomplete, at most, below 1: that somewhere a pixel is empty,
+                   or more than 1 % deeper than all that is visible in it and in the pixels around it (in blocks of
+                   d x d: up to 3 d / 2 pixels away), where these are covered as a whole. Holds for what is sampled;
+                   what is rastered misses nothing. With `noise` and without a tolerance frames have half as many
+                   samples, and what is reported is about all of them: that somewhere none is right
+   density         as `tolerance` needs it. L: samples per square pixel of projected surface, visible or hidden; below
+                   10^6
    noise           one frame. E: frames are averaged until the estimated RMSE of the mean (linear light) is below E
    max_frames      256: for `noise`
    frame           0: number of the frame: other frames use other random numbers (and with `spread` other points)
@@ -1059,6 +1082,8 @@ typedef struct zbufrand_costs {
    reconstruct     one pixel per sample; no fill; see there. Its `repair` is screen-space mending; for rays see
                    no_repair
    hybrid          by cost
+   hybrid_radius   HYBRID_CUBE: only what touches the eye; not below 0
+   costs           the defaults
    independent     0: stratified samples; 1: independent points in Poisson numbers, as the theory has it; slower, and of
                    the default tree only as far as 4 million clusters are in view (else RANGE)
    comb            0: each sample has a random place in its stratum; 1: all of a draw have the same one, a comb through
@@ -1066,7 +1091,8 @@ typedef struct zbufrand_costs {
                    has teeth whole patterns are missed. Stored samples stay as they are
    round_up        0; 1: expected numbers of samples of a run are rounded up instead of at random; with `independent`
                    the thesis' Algorithm 11. Only for scenes built with one of its trees, as the next three
-   depth_ratio     1.5: epsilon, by how much the factor 1/z^2 may vary over what is drawn as a whole; more than 1
+   depth_ratio     1.5: epsilon, by how much the factor 1/z^2 may vary over what is drawn as a whole; more than 1, as
+                   the next; below 10^6, as the next two
    angle_ratio     no rule for normals (tree over normals: as depth_ratio). e: the same for the cosine of the angle of
                    view, as far as classes are fine enough to tell
    clip_ratio      no rule. c: what is partly outside of the view and wider than c times its depth is divided
@@ -1178,7 +1204,8 @@ typedef struct zbufrand_frame_desc {
     uint32_t _end_zero;
 } zbufrand_frame_desc;
 
-/* Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY. */
+/* desc may be NULL. A frame draws one picture at a time; buffers come with the first. Errors: INVALID_ARG, UNINIT_DESC,
+   NO_MEMORY. O(1). */
 ZBUFRAND_DEF zbufrand_result zbufrand_frame_create(const zbufrand_frame_desc *desc, zbufrand_frame **out_frame);
 ZBUFRAND_DEF void zbufrand_frame_destroy(zbufrand_frame *frame); /* NULL is fine */
 
@@ -1196,12 +1223,13 @@ ZBUFRAND_DEF zbufrand_result zbufrand_measure_costs(const zbufrand_frame_desc *d
 /* Draw.
    frame   one picture at a time
    desc    in, NULL: all defaults
-   scene   in, built; NULL: only desc->points
+   scene   in; NULL, or not built: only desc->points
    image   buffers in and out; a width or height of 0 is allowed
-   stats   out, may be NULL
-   The same bits for any number of threads and any isa. Any number of frames may draw one scene at once.
+   stats   out, may be NULL; on failure of what was done until then
+   The same bits for any number of threads and any isa, but for stats->accepted. Any number of frames may draw one scene
+   at once. O(samples + pixels + nodes of the trees that are opened).
    Errors: INVALID_ARG, UNINIT_DESC, RANGE (a picture larger than 32000 a side, or more than 2^32 samples), NO_MEMORY,
-   CANCELLED (the picture is incomplete then). */
+   CANCELLED (the picture is incomplete then). Source: thesis; Wand et al. 2001; occlusion after Greene et al. 1993. */
 ZBUFRAND_DEF zbufrand_result zbufrand_render(zbufrand_frame *frame, const zbufrand_render_desc *desc,
                                              const zbufrand_scene *scene, const zbufrand_image *image,
                                              zbufrand_stats *stats);
@@ -1213,16 +1241,23 @@ ZBUFRAND_DEF zbufrand_result zbufrand_render(zbufrand_frame *frame, const zbufra
 ZBUFRAND_DEF void zbufrand_preset_thesis(zbufrand_build_desc *build, zbufrand_render_desc *render);
 
 /* Set eye and at so that the box fills the picture; keeps up and fov_y.
-   view  from the object towards the eye, any length; NULL: from the front, a little from above and the right */
+   camera  in and out; left as it is on failure
+   view    from the object towards the eye, any length; NULL: from the front, a little from above and the right
+   width, height  of the picture; one of them 0: as for a square
+   INVALID_ARG: the box or view is not finite, a side of the box is below 0, view is 0, or the angle is not in (0, 180).
+   Any thread. O(1). */
 ZBUFRAND_DEF zbufrand_result zbufrand_camera_fit(zbufrand_camera *camera, const double box_min[3],
                                                  const double box_max[3], const double view[3], uint32_t width,
                                                  uint32_t height);
 
-/* The same for a scene: closer than its box allows, as the boxes of some hundred parts of it are looked at. */
+/* The same for a scene: closer than its box allows, as the boxes of some hundred parts of it are looked at. scene may
+   be NULL, not built or empty: a cube of edge 2 around the origin. */
 ZBUFRAND_DEF zbufrand_result zbufrand_camera_fit_scene(zbufrand_camera *camera, const zbufrand_scene *scene,
                                                        const double view[3], uint32_t width, uint32_t height);
 
-/* The camera as zbufrand_project and the accumulators take it. scene gives the default near plane, may be NULL. */
+/* The camera as zbufrand_project and the accumulators take it. scene gives the default near plane, and what is framed
+   if eye equals at; it may be NULL. O(1). INVALID_ARG, out_view all 0 then: a number is not finite, the angle is not in
+   (0, 180), or near_z and far_z are below 0 or in the wrong order. */
 ZBUFRAND_DEF zbufrand_result zbufrand_camera_view(const zbufrand_camera *camera, const zbufrand_scene *scene,
                                                   uint32_t width, uint32_t height, zbufrand_view *out_view);
 
@@ -1253,9 +1288,11 @@ typedef struct zbufrand_group {
 } zbufrand_group;
 
 /* The cut for a picture, without drawing it: hidden groups are in it, as occlusion is known only while drawing.
+   width, height  of the picture, not 0
    groups     out, [capacity]; may be NULL with capacity 0
-   out_count  all there are
-   Errors: as zbufrand_render. */
+   out_count  all there are, even if more than capacity; desc->points are not among them
+   stats      out, may be NULL
+   Errors: as zbufrand_render. The frame is used as for a picture: one call at a time. */
 ZBUFRAND_DEF zbufrand_result zbufrand_select(zbufrand_frame *frame, const zbufrand_render_desc *desc,
                                              const zbufrand_scene *scene, uint32_t width, uint32_t height,
                                              zbufrand_group *groups, size_t capacity, size_t *out_count,
@@ -1263,8 +1300,9 @@ ZBUFRAND_DEF zbufrand_result zbufrand_select(zbufrand_frame *frame, const zbufra
 
 /* The samples of a picture as a stream: what zbufrand_render would put into its key buffer, hidden ones too, but for
    rastered clusters, which are not in it. sample_fn is called by one thread at a time, up to 64 samples at once, in a
-   fixed order; another result than 0 ends it. numbers tell the samples of a frame apart.
-   Errors: as zbufrand_render; CANCELLED. */
+   fixed order; another result than 0 ends it. numbers tell the samples of a frame apart. The arrays last for the call
+   of sample_fn; desc->points are not in the stream. stats out, may be NULL.
+   Errors: as zbufrand_select; CANCELLED also: sample_fn ended it. */
 typedef int zbufrand_sample_fn(void *user, const zbufrand_sample *samples, const uint32_t *numbers, size_t count);
 ZBUFRAND_DEF zbufrand_result zbufrand_sample_scene(zbufrand_frame *frame, const zbufrand_render_desc *desc,
                                                    const zbufrand_scene *scene, uint32_t width, uint32_t height,
@@ -1272,8 +1310,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_sample_scene(zbufrand_frame *frame, const 
 
 /* ---- misc ---- */
 
-/* Texts for messages, constant and never NULL ("unknown" for what is no value of the enum); the version of the code,
-   to compare with ZBUFRAND_VERSION of the declarations. Any thread. O(1). */
+/* Texts for messages, constant and never NULL ("unknown result" and "unknown" for what is no value of the enum); the
+   version of the code, to compare with ZBUFRAND_VERSION of the declarations. Any thread. O(1). */
 ZBUFRAND_DEF const char *zbufrand_result_string(zbufrand_result result);
 ZBUFRAND_DEF uint32_t zbufrand_version(void);
 ZBUFRAND_DEF const char *zbufrand_isa_name(zbufrand_isa isa);
@@ -11802,6 +11840,8 @@ static zbufrand_result zbufrandi_suspect_desc(const zbufrand_suspect_desc *desc,
     if (r != ZBUFRAND_OK) return r;
     r = zbufrandi_size_check(desc->env.error, desc->width, desc->height);
     if (r != ZBUFRAND_OK) return r;
+    if ((uint32_t)desc->isa > ZBUFRAND_ISA_AVX512)
+        return zbufrandi_fail(desc->env.error, ZBUFRAND_ERR_INVALID_ARG, (uint64_t)desc->isa, "there is no isa %");
     if (!(desc->tolerance >= 0.0f && desc->tolerance < 1.0f)) {
         return zbufrandi_fail(desc->env.error, ZBUFRAND_ERR_INVALID_ARG, 0, "tolerance is not in [0, 1)");
     }
@@ -12410,6 +12450,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_canvas_create(const zbufrand_canvas_desc *
     if (desc->_begin_zero != 0 || desc->_end_zero != 0) return ZBUFRAND_ERR_UNINIT_DESC;
     r = zbufrandi_env_open(&desc->env, &mem);
     if (r != ZBUFRAND_OK) return r;
+    if ((uint32_t)desc->isa > ZBUFRAND_ISA_AVX512)
+        return zbufrandi_fail(desc->env.error, ZBUFRAND_ERR_INVALID_ARG, (uint64_t)desc->isa, "there is no isa %");
     if (desc->bucket_bits > 22) {
         return zbufrandi_fail(desc->env.error, ZBUFRAND_ERR_RANGE, desc->bucket_bits, "bucket_bits % is above 22");
     }
@@ -14734,7 +14776,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_frame_create(const zbufrand_frame_desc *de
     memset(&d, 0, sizeof d);
     if (desc != NULL) d = *desc;
     if (d._begin_zero != 0 || d._end_zero != 0) return ZBUFRAND_ERR_UNINIT_DESC;
-    if ((uint32_t)d.isa > ZBUFRAND_ISA_AVX512) return ZBUFRAND_ERR_INVALID_ARG;
+    if ((uint32_t)d.isa > ZBUFRAND_ISA_AVX512)
+        return zbufrandi_fail(d.env.error, ZBUFRAND_ERR_INVALID_ARG, (uint64_t)d.isa, "there is no isa %");
     r = zbufrandi_env_open(&d.env, &mem);
     if (r != ZBUFRAND_OK) return zbufrandi_fail(d.env.error, r, 0, "env: only one of alloc_fn and free_fn is set");
     f = (zbufrand_frame *)zbufrandi_alloc_zero(&mem, 1, sizeof *f);
@@ -16273,16 +16316,20 @@ static zbufrand_result zbufrandi_render_frames(zbufrandi_picture *p, zbufrand_re
         return r == ZBUFRAND_OK ? zbufrandi_finish_picture(p) : r;
     }
     if (f->accumulator != NULL && (f->accumulator_width != m->width || f->accumulator_height != m->height)) {
+        if (f->mem.limit != 0) f->mem.limit += f->accumulator->mem.used;
         zbufrand_accumulator_destroy(f->accumulator);
         f->accumulator = NULL;
     }
     if (f->accumulator == NULL) {
+        const size_t limit = f->mem.limit, used = zbufrandi_atomic_load(&f->mem.used);
         memset(&ad, 0, sizeof ad);
         ad.env = f->env;
+        if (limit != 0) ad.env.memory_limit = limit > used ? limit - used : 1; /* one limit for both */
         ad.width = m->width;
         ad.height = m->height;
         r = zbufrand_accumulator_create(&ad, &f->accumulator);
         if (r != ZBUFRAND_OK) return r;
+        if (limit != 0) f->mem.limit = limit - f->accumulator->mem.used;
         f->accumulator_width = m->width;
         f->accumulator_height = m->height;
     }
@@ -16339,6 +16386,7 @@ static zbufrand_result zbufrandi_render(zbufrand_frame *frame, zbufrand_render_d
     }
     if (p->stats.frames > 1) p->stats.projected_area /= (double)p->stats.frames;
     p->stats.bytes = zbufrandi_atomic_load(&frame->mem.used);
+    if (frame->accumulator != NULL) p->stats.bytes += frame->accumulator->mem.used;
     if (stats != NULL) *stats = p->stats;
     if (r == ZBUFRAND_ERR_RANGE)
         return zbufrandi_fail(frame->env.error, r, 0, p->cut.independent && /* set after sizes are checked */
@@ -16346,7 +16394,8 @@ static zbufrand_result zbufrandi_render(zbufrand_frame *frame, zbufrand_render_d
             ? "render: independent samples of so many instances need one of the thesis' trees"
             : "render: the picture is too large, or takes more than 2^32 samples");
     if (r != ZBUFRAND_OK)
-        return zbufrandi_fail(frame->env.error, r, 0, "render: bad camera, light or option, or no memory");
+        return zbufrandi_fail(frame->env.error, r, 0, r == ZBUFRAND_ERR_INVALID_ARG
+            ? "render: a camera, light, cloud or option is wrong" : zbufrand_result_string(r));
     return ZBUFRAND_OK;
 }
 
@@ -16629,7 +16678,9 @@ static zbufrand_result zbufrandi_query_open(zbufrand_frame *frame, const zbufran
     memset(d, 0, sizeof *d);
     if (desc != NULL) *d = *desc;
     if (d->_begin_zero != 0 || d->_end_zero != 0) return ZBUFRAND_ERR_UNINIT_DESC;
-    if (frame == NULL || image->width == 0 || image->height == 0) return ZBUFRAND_ERR_INVALID_ARG;
+    if (frame == NULL) return ZBUFRAND_ERR_INVALID_ARG;
+    if (image->width == 0 || image->height == 0)
+        return zbufrandi_fail(frame->env.error, ZBUFRAND_ERR_INVALID_ARG, 0, "query: a picture without pixels");
     d->no_occlusion = 1;
     d->points_count = 0;
     d->points = NULL;
@@ -16642,7 +16693,7 @@ static zbufrand_result zbufrandi_query_open(zbufrand_frame *frame, const zbufran
     p->cut.bounds = 1;
     r = zbufrandi_open_picture(p);
     if (r == ZBUFRAND_OK) r = zbufrandi_draw_scene(p);
-    if (r != ZBUFRAND_OK) return r;
+    if (r != ZBUFRAND_OK) return zbufrandi_fail(frame->env.error, r, 0, zbufrand_result_string(r));
     p->stats.triangles = scene != NULL ? scene->info.triangles : 0;
     p->stats.density = p->cut.density;
     zbufrandi_open_drawn(p);

@@ -162,6 +162,9 @@ TEST(ray_conventions) {
     set3(c.up, 4, 3.5, 3); /* along the view: any roll, but a frame */
     CHECK(voxrt_camera_ray(&c, 640, 480, 0, 0, &r) == VOXRT_OK);
     CHECK(voxrt_camera_ray(NULL, 640, 480, 0, 0, &r) == VOXRT_ERR_INVALID_ARG);
+    CHECK(voxrt_camera_ray(&c, 640, 0, 0, 0, &r) == VOXRT_ERR_INVALID_ARG);
+    CHECK(voxrt_camera_ray(&c, 640, 480, (double)NAN, 0, &r) == VOXRT_ERR_INVALID_ARG);
+    CHECK(voxrt_camera_ray(&c, 640, 480, 0, (double)INFINITY, &r) == VOXRT_ERR_INVALID_ARG);
     c.fov_y = 180;
     CHECK(voxrt_camera_ray(&c, 640, 480, 0, 0, &r) == VOXRT_ERR_INVALID_ARG);
     c.fov_y = NAN;
@@ -1199,6 +1202,8 @@ TEST(edges) {
     memset(&d, 0, sizeof d);
     memset(&error, 0, sizeof error);
     d.env.error = &error;
+    CHECK(voxrt_render(&d, t, NULL, NULL) == VOXRT_ERR_INVALID_ARG && error.code == VOXRT_ERR_INVALID_ARG);
+    CHECK(voxrt_render(&d, t, &empty, NULL) == VOXRT_OK && error.code == VOXRT_OK); /* what was wrong is forgotten */
     d.tolerance = -1;
     CHECK(voxrt_render(&d, t, &empty, NULL) == VOXRT_ERR_INVALID_ARG);
     CHECK(error.code == VOXRT_ERR_INVALID_ARG && error.text[0] != 0);

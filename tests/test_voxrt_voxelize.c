@@ -1724,6 +1724,7 @@ TEST(nothing_to_build) {
     voxrt_build_desc d = desc_of(32, VOXRT_SEPARATING_6);
     voxrt_mesh m;
     voxrt_tree *t = (voxrt_tree *)&m;
+    voxrt_build_stats st;
     voxrt_error e;
     memset(&m, 0, sizeof m);
     d.env.error = &e;
@@ -1735,7 +1736,12 @@ TEST(nothing_to_build) {
     m.triangle_count = 1;
     CHECK_EQ_U64(voxrt_tree_build(&d, &m, NULL, &t), VOXRT_ERR_EMPTY);
     m.indices = wild;
-    CHECK_EQ_U64(voxrt_tree_build(&d, &m, NULL, &t), VOXRT_ERR_EMPTY);
+    CHECK_EQ_U64(voxrt_tree_build(&d, &m, &st, &t), VOXRT_ERR_EMPTY);
+    CHECK(st.triangles == 1 && st.rejected == 1);
+    d.strict = 1; /* the first bad triangle, though there is no good one */
+    CHECK_EQ_U64(voxrt_tree_build(&d, &m, &st, &t), VOXRT_ERR_FORMAT);
+    CHECK(e.code == VOXRT_ERR_FORMAT && e.where == 0 && st.rejected == 1);
+    d.strict = 0;
     d.box_size = 1; /* all of it is outside */
     d.box_min[0] = 100;
     {

@@ -2058,6 +2058,8 @@ TEST(errors) {
     CHECK_EQ_U64(zbufrand_canvas_create(&e, &c), ZBUFRAND_ERR_RANGE);
     e = d; e.reconstruct.fill = (zbufrand_fill)9;
     CHECK_EQ_U64(zbufrand_canvas_create(&e, &c), ZBUFRAND_ERR_INVALID_ARG);
+    e = d; e.isa = (zbufrand_isa)5;
+    CHECK_EQ_U64(zbufrand_canvas_create(&e, &c), ZBUFRAND_ERR_INVALID_ARG);
     e = d; e.reconstruct.occlusion = (zbufrand_occlusion)4;
     CHECK_EQ_U64(zbufrand_canvas_create(&e, &c), ZBUFRAND_ERR_INVALID_ARG);
     e = d; e.reconstruct.gauss_radius = -1.0f;
@@ -2094,6 +2096,9 @@ TEST(errors) {
     sd.hole_count = 9;
     CHECK_EQ_U64(zbufrand_find_suspects(&sd, depth, NULL, 0, &n), ZBUFRAND_ERR_INVALID_ARG);
     sd.hole_count = 0;
+    sd.isa = (zbufrand_isa)5;
+    CHECK_EQ_U64(zbufrand_find_suspects(&sd, depth, NULL, 0, &n), ZBUFRAND_ERR_INVALID_ARG);
+    sd.isa = ZBUFRAND_ISA_AUTO;
     s.pixel = 64;
     s.kind = ZBUFRAND_SUSPECT_HOLE;
     CHECK_EQ_U64(zbufrand_mend(&sd, NULL, depth, &s, 1), ZBUFRAND_ERR_INVALID_ARG);

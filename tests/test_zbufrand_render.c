@@ -2642,30 +2642,35 @@ TEST(memory_limit) {
     test_alloc ta;
     size_t enough = 0, limit;
     uint32_t k, failed = 0;
+    zbufrand_render_desc d;
     buffers_open(&b, 60, 40);
     memset(&fd, 0, sizeof fd);
+    memset(&d, 0, sizeof d);
+    d.max_frames = 5;
     fd.env.thread_count = 1;
     fd.env.allocator.alloc_fn = test_alloc_fn;
     fd.env.allocator.free_fn = test_free_fn;
     fd.env.allocator.user = &ta;
-    for (k = 0; k < 12; k++) { /* without a limit, then with more and more */
+    for (k = 0; k < 24; k++) { /* without a limit, then with more and more; a frame, then a mean of some */
         zbufrand_frame *frame = NULL;
         zbufrand_stats st;
         zbufrand_result r;
-        limit = k == 0 ? 0 : enough * k / 10;
+        limit = k % 12 == 0 ? 0 : enough * (k % 12) / 10;
+        d.noise = k < 12 ? 0 : 1e-9;
         test_alloc_init(&ta);
         fd.env.memory_limit = limit;
         r = zbufrand_frame_create(&fd, &frame);
-        if (r == ZBUFRAND_OK) r = zbufrand_render(frame, NULL, scene, &b.image, &st);
+        if (r == ZBUFRAND_OK) r = zbufrand_render(frame, &d, scene, &b.image, &st);
+        if (r == ZBUFRAND_OK) CHECK(st.bytes <= ta.live_bytes && st.bytes + 65536 > ta.live_bytes);
         CHECK(r == ZBUFRAND_OK || r == ZBUFRAND_ERR_NO_MEMORY);
         CHECK_MSG(limit == 0 || ta.peak_bytes <= limit, "%zu bytes of %zu", (size_t)ta.peak_bytes, limit);
         failed += r != ZBUFRAND_OK;
-        if (k == 0) enough = (size_t)ta.peak_bytes;
-        if (k == 0 || k == 11) CHECK_EQ_U64(r, ZBUFRAND_OK);
+        if (k % 12 == 0) enough = (size_t)ta.peak_bytes;
+        if (k % 12 == 0 || k % 12 == 11) CHECK_EQ_U64(r, ZBUFRAND_OK);
         zbufrand_frame_destroy(frame);
         test_alloc_check(&ta);
     }
-    CHECK(failed > 5);
+    CHECK(failed > 10);
     buffers_close(&b);
     zbufrand_scene_destroy(scene);
     shape_free(&s[0]);
