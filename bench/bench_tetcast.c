@@ -371,32 +371,34 @@ typedef struct rule {
     tetcast_integrator integrator;
     const char *name;
     uint32_t samples, values, lengths;
-    float step;
-    int full;
+    float step, tolerance; /* in units of 1/255 */
 } rule;
 static const rule g_rules[] = {
     {TETCAST_INTEGRATOR_EXACT, "exact", 0, 0, 0, 0, 0},
+    {TETCAST_INTEGRATOR_EXACT, "exact within a tolerance", 0, 0, 0, 0, 0.25f},
+    {TETCAST_INTEGRATOR_EXACT, "exact within a tolerance", 0, 0, 0, 0, 1},
+    {TETCAST_INTEGRATOR_EXACT, "exact within a tolerance", 0, 0, 0, 0, 4},
     {TETCAST_INTEGRATOR_PSI_TABLE, "psi table", 0, 0, 0, 0, 0},
     {TETCAST_INTEGRATOR_RIEMANN, "Riemann", 1, 0, 0, 0, 0},
     {TETCAST_INTEGRATOR_RIEMANN, "Riemann", 4, 0, 0, 0, 0},
-    {TETCAST_INTEGRATOR_RIEMANN, "Riemann", 16, 0, 0, 0, 1},
+    {TETCAST_INTEGRATOR_RIEMANN, "Riemann", 16, 0, 0, 0, 0},
     {TETCAST_INTEGRATOR_TRAPEZOID, "trapezoid", 1, 0, 0, 0, 0},
     {TETCAST_INTEGRATOR_TRAPEZOID, "trapezoid", 4, 0, 0, 0, 0},
-    {TETCAST_INTEGRATOR_TRAPEZOID, "trapezoid", 16, 0, 0, 0, 1},
+    {TETCAST_INTEGRATOR_TRAPEZOID, "trapezoid", 16, 0, 0, 0, 0},
     {TETCAST_INTEGRATOR_MIDPOINT, "midpoint", 1, 0, 0, 0, 0},
     {TETCAST_INTEGRATOR_MIDPOINT, "midpoint", 4, 0, 0, 0, 0},
-    {TETCAST_INTEGRATOR_MIDPOINT, "midpoint", 16, 0, 0, 0, 1},
+    {TETCAST_INTEGRATOR_MIDPOINT, "midpoint", 16, 0, 0, 0, 0},
     {TETCAST_INTEGRATOR_PRE, "pre-classified", 0, 0, 0, 0, 0},
     {TETCAST_INTEGRATOR_PREFIX, "prefix integrals", 0, 0, 0, 0, 0},
     {TETCAST_INTEGRATOR_TABLE_3D, "3D table", 0, 64, 32, 0, 0},
     {TETCAST_INTEGRATOR_TABLE_3D, "3D table", 0, 128, 64, 0, 0},
-    {TETCAST_INTEGRATOR_TABLE_3D, "3D table", 0, 256, 128, 0, 1},
+    {TETCAST_INTEGRATOR_TABLE_3D, "3D table", 0, 256, 128, 0, 0},
     {TETCAST_INTEGRATOR_TABLE_INCREMENTAL, "incremental", 0, 64, 32, 0, 0},
     {TETCAST_INTEGRATOR_TABLE_INCREMENTAL, "incremental", 0, 128, 64, 0, 0},
-    {TETCAST_INTEGRATOR_TABLE_INCREMENTAL, "incremental", 0, 256, 128, 0, 1},
+    {TETCAST_INTEGRATOR_TABLE_INCREMENTAL, "incremental", 0, 256, 128, 0, 0},
     {TETCAST_INTEGRATOR_TABLE_SUBRANGE, "sub-range", 0, 64, 32, 0, 0},
     {TETCAST_INTEGRATOR_TABLE_SUBRANGE, "sub-range", 0, 128, 64, 0, 0},
-    {TETCAST_INTEGRATOR_TABLE_SUBRANGE, "sub-range", 0, 256, 128, 0, 1},
+    {TETCAST_INTEGRATOR_TABLE_SUBRANGE, "sub-range", 0, 256, 128, 0, 0},
     {TETCAST_INTEGRATOR_TABLE_2D, "equidistant, 2D table", 0, 256, 0, 0.02f, 0},
     {TETCAST_INTEGRATOR_TABLE_2D, "equidistant, 2D table", 0, 256, 0, 0.005f, 0},
     {TETCAST_INTEGRATOR_TABLE_PREFIX, "3D table of prefixes", 0, 128, 64, 0, 0}};
@@ -464,15 +466,16 @@ static void integrators(int tf, uint32_t size) {
         const rule *u = &g_rules[i];
         tetcast_optics_desc d;
         double start;
-        if (u->full && !g_opt.full) continue;
         memset(&d, 0, sizeof d);
         d.integrator = u->integrator;
+        d.tolerance = u->tolerance;
+        d.path_length = 1.75f; /* the diagonal of the cube and a little */
         d.samples = u->samples;
         d.table_values = u->values;
         d.table_lengths = u->lengths;
         d.longest = u->integrator >= TETCAST_INTEGRATOR_TABLE_3D ? (float)check.longest_edge : 0.0f;
         d.step = u->step;
-        d.t_min = -1.0f; /* ends no ray early: the error is the integrator's */
+        d.t_min = u->tolerance > 0.0f ? 0.0f : -1.0f; /* ends no ray early: the error is the integrator's */
         d.env.thread_count = 1;
         start = bench_cpu();
         f[n] = new_frame(mesh, make_optics(tf, &d), size);
@@ -508,6 +511,7 @@ static void integrators(int tf, uint32_t size) {
         bench_num("samples", u->samples);
         bench_num("table", u->values);
         bench_num("step", (double)u->step);
+        bench_num("tolerance", (double)u->tolerance);
         bench_num("bytes", (double)info.table_bytes);
         bench_num("build_seconds", build[i]);
         bench_hash(hash_frame(f[i]));

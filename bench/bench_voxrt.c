@@ -1584,14 +1584,17 @@ static double rmse(const uint8_t *a, const uint8_t *b, size_t pixels) { /* of R,
 }
 
 static void pareto(int id, uint32_t resolution) {
-    static const struct { const char *name; float tolerance; int object, faces; } ways[8] = {
-        {"full detail", 0.0f, 0, 0}, {"per pixel", 0.5f, 0, 0}, {"per pixel", 1.0f, 0, 0}, {"per pixel", 2.0f, 0, 0},
-        {"per pixel", 4.0f, 0, 0}, {"one level", 1.0f, 1, 0}, {"one level", 2.0f, 1, 0}, {"faces", 0.0f, 0, 1}
+    enum { WAYS = 13 };
+    static const struct { const char *name; float tolerance; int object, faces; } ways[WAYS] = {
+        {"full detail", 0.0f, 0, 0}, {"per pixel", 0.5f, 0, 0}, {"per pixel", 0.71f, 0, 0}, {"per pixel", 1.0f, 0, 0},
+        {"per pixel", 1.41f, 0, 0}, {"per pixel", 2.0f, 0, 0}, {"per pixel", 4.0f, 0, 0}, {"per pixel", 8.0f, 0, 0},
+        {"one level", 1.0f, 1, 0}, {"one level", 2.0f, 1, 0}, {"one level", 4.0f, 1, 0}, {"one level", 8.0f, 1, 0},
+        {"faces", 0.0f, 0, 1}
     };
     const voxrt_tree *tree = get_tree(id, resolution, KIND_DEFAULT);
     const size_t pixels = (size_t)WIDTH * HEIGHT;
-    frame_job f[8], many;
-    bench_job b[8];
+    frame_job f[WAYS], many;
+    bench_job b[WAYS];
     char kase[64];
     int i;
     if (tree == NULL) {
@@ -1600,7 +1603,7 @@ static void pareto(int id, uint32_t resolution) {
     }
     snprintf(kase, sizeof kase, "%s-%u", g_models[id].name, resolution);
     memset(b, 0, sizeof b);
-    for (i = 0; i < 8; i++) {
+    for (i = 0; i < WAYS; i++) {
         f[i] = make_frame(tree);
         f[i].desc.tolerance = ways[i].tolerance;
         f[i].desc.object_lod = (uint32_t)ways[i].object;
@@ -1613,8 +1616,8 @@ static void pareto(int id, uint32_t resolution) {
     many.desc.samples = 16;
     many.desc.env.thread_count = (uint32_t)g_opt.threads;
     run_frame(&many);
-    bench_interleave(b, 8, ROUNDS);
-    for (i = 0; i < 8; i++) {
+    bench_interleave(b, WAYS, ROUNDS);
+    for (i = 0; i < WAYS; i++) {
         bench_line("voxrt.tolerance", kase, "frame_time", 1e3 * bench_seconds(&b[i]), "ms");
         bench_num("best", 1e3 * bench_seconds_best(&b[i]));
         bench_num("error", rmse(f[i].image.rgba8, f[0].image.rgba8, pixels));
@@ -1626,7 +1629,7 @@ static void pareto(int id, uint32_t resolution) {
         bench_hash(bench_hash_bytes(f[i].image.rgba8, 4 * pixels));
         bench_end();
     }
-    for (i = 0; i < 8; i++) free(f[i].image.rgba8);
+    for (i = 0; i < WAYS; i++) free(f[i].image.rgba8);
     free(many.image.rgba8);
 }
 

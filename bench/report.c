@@ -378,9 +378,15 @@ static void draw_curve(FILE *f, const axis *x, const axis *y, point *points, siz
     }
 }
 
-static const char *words(const char *name, char out[NAME_SIZE]) { /* frame_seconds -> frame seconds */
-    size_t i;
+/* What the time of a metric is of: frame_seconds, frame_time -> frame; rays_per_second -> rays. */
+static const char *timed(const char *name, char out[NAME_SIZE]) {
+    static const char *const ends[] = {"_seconds", "_time", "_per_second"};
+    size_t i, k;
     for (i = 0; name[i] != 0 && i + 1 < NAME_SIZE; i++) out[i] = name[i] == '_' ? ' ' : name[i];
+    for (k = 0; k < sizeof ends / sizeof ends[0]; k++) {
+        const size_t n = strlen(ends[k]);
+        if (i > n && strcmp(name + i - n, ends[k]) == 0) i -= n;
+    }
     out[i] = 0;
     return out;
 }
@@ -417,12 +423,12 @@ static int error_plot(const list *all, const record *first, const char *path) {
     draw_ticks(f, &y, 0, x.from, x.to, NULL);
     fprintf(f, "<path d=\"M%.1f %.1fV%.1fH%.1f\" fill=\"none\" class=\"axis\"/>\n", x.from, y.to, y.from, x.to);
     fprintf(f, "<text x=\"%.1f\" y=\"24\" font-size=\"15\">", x.from);
-    put_text(f, get(first, "bench"));
-    fputs(" - ", f);
     put_text(f, get(first, "case"));
-    fputs("</text>\n", f);
+    fputs(": error against time (", f);
+    put_text(f, get(first, "bench"));
+    fputs(")</text>\n", f);
     put_label(f, 0.5 * (x.from + x.to), y.from + 40, "text-anchor=\"middle\"",
-        strcmp(get(first, "unit"), "1/s") == 0 ? "time for one, from " : "time, ", words(get(first, "metric"), text));
+        strcmp(get(first, "unit"), "1/s") == 0 ? "time for one of: " : "time of a ", timed(get(first, "metric"), text));
     fprintf(f, "<g transform=\"translate(20 %.1f) rotate(-90)\">", 0.5 * (y.from + y.to));
     put_label(f, 0, 0, "text-anchor=\"middle\"", "error, ", get(first, "error_unit"));
     fputs("</g>\n", f);

@@ -1021,18 +1021,15 @@ static int tile(int argc, char **argv) {
 }
 
 int main(int argc, char **argv) {
-    if (argc > 1 && strcmp(argv[1], "resample") == 0) {
-        argv[1] = argv[0];
-        return resample(argc - 1, argv + 1);
-    }
-    if (argc > 1 && strcmp(argv[1], "render") == 0) {
-        argv[1] = argv[0];
-        return render(argc - 1, argv + 1);
-    }
-    if (argc > 1 && (strcmp(argv[1], "slice") == 0 || strcmp(argv[1], "tile") == 0)) {
-        const int is_slice = argv[1][0] == 's';
-        argv[1] = argv[0];
-        return is_slice ? slice(argc - 1, argv + 1) : tile(argc - 1, argv + 1);
+    static const struct { const char *name; int (*run)(int, char **); } commands[] = {
+        {"resample", resample}, {"render", render}, {"slice", slice}, {"tile", tile}
+    };
+    static char name[64]; /* help and messages begin with it */
+    for (size_t k = 0; argc > 1 && k < sizeof commands / sizeof commands[0]; k++) {
+        if (strcmp(argv[1], commands[k].name) != 0) continue;
+        snprintf(name, sizeof name, "tetcast_bricks %s", commands[k].name);
+        argv[1] = name;
+        return commands[k].run(argc - 1, argv + 1);
     }
     if (argc > 1 && strcmp(argv[1], "--help") == 0) {
         printf("usage: tetcast_bricks resample IN OUT.brk [--max-error E] ...\n"

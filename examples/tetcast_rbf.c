@@ -21,7 +21,7 @@ typedef struct options {
     const char *in, *out, *field, *tf, *slice, *inside, *first;
     int command, method, kernel, model, channel, gather, stepper, has_model, euler, between, storage, round;
     int64_t detail, sweeps, component, samples, seeds, steps, base, longest, longest_end;
-    double tolerance, max_error, mean_error, cut, scale, iso, opacity, dt, ortho, epsilon, step;
+    double max_error, mean_error, cut, scale, iso, opacity, dt, ortho, epsilon, step;
     int has_iso, has_cut, shader;
     float background[3], cut_way[3];
     int has_background;
@@ -84,7 +84,9 @@ static int parse(int argc, char **argv, options *o) {
     t[n++] = sup_opt_real("dt", &o->dt, -1e30, 1e30, "T", "trace: time of a step (1/200 of the box at the greatest speed)");
     t[n++] = sup_opt_choice("stepper", &o->stepper, "rk4|euler|dopri5",
                             "trace: Runge-Kutta, the thesis' way, or as many steps within dt as --tolerance asks for");
-    t[n++] = sup_opt_real("tolerance", &o->tolerance, 0.0, 1e30, "L", "trace: dopri5: error of a step, a length (1e-6 of the diagonal)");
+    for (size_t i = 0; i < n; i++)
+        if (strcmp(t[i].name, "tolerance") == 0)
+            t[i].help = "render: colour error in units of 1/255 (0); trace: of a step of dopri5, a length (1e-6 of the diagonal)";
     status = sup_cli_parse(argc, argv, "Encodes volumes as radial basis functions and looks at them.", t, n);
     if (status >= 0) return status;
     o->command = sup_parse_choice(command, COMMANDS);
@@ -830,7 +832,7 @@ static int trace(const options *o, const tetcast_env *env, const model *m, sup_e
         d.env = *env;
         d.isa = (tetcast_isa)o->common.isa;
         d.stepper = (tetcast_stepper)o->stepper;
-        d.tolerance = o->tolerance;
+        d.tolerance = o->common.has_tolerance ? o->common.tolerance : 0.0;
         d.steps = (uint32_t)o->steps;
         d.dt = o->dt != 0.0 ? o->dt : m->diagonal / 200.0 / fmax(m->hi, 1e-30);
         start = sup_now();

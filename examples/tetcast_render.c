@@ -113,7 +113,7 @@ static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
     table[n++] = sup_opt_choice("order", &o->order, "hilbert|morton|input", "order of the cells in memory (hilbert)");
     table[n++] = sup_opt_text("mask", &o->mask, "NAME", "cells whose value of this field is not 0 show nothing");
     table[n++] = sup_opt_text("surface", &o->surface, "FILE.obj", "the first --iso as triangles as well");
-    table[n++] = sup_opt_flag("check", &o->check, "with --stats: all that is wrong with the mesh");
+    table[n++] = sup_opt_flag("check", &o->check, "all that is wrong with the mesh, in --stats, which it implies");
     table[n++] = sup_opt_flag("strict", &o->strict, "an index out of range, a NaN, a cell of unknown shape is an error");
     table[n++] = sup_opt_flag("five", &o->five, "five tetrahedra for each cell of a grid instead of six");
     table[n++] = sup_opt_flag("weld", &o->weld, "points at the same place become one");
@@ -133,6 +133,7 @@ static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
     status = collect_isovalues(argc, argv, o);
     if (status >= 0) return status;
     if (!o->in == !o->scene) return sup_bad_usage(argv[0], "MESH or --scene has to be given");
+    o->common.stats |= o->check;
     status = sup_out_check(argv[0], &o->common);
     if (status >= 0) return status;
     if (!o->has_model && o->isovalue_count) o->model = o->tf ? TETCAST_MODEL_MIXED : TETCAST_MODEL_ISOSURFACE;

@@ -228,7 +228,7 @@ static int scene_of_mesh(world *w, const gi_options *o, sup_error *err) {
 
 static int read_scene(world *w, const gi_options *o, sup_error *err) {
     char text[4096], *data = NULL;
-    size_t size;
+    size_t size, at;
     int status;
     if (strcmp(o->scene, "cornell") == 0) {
         (void)snprintf(text, sizeof text, "%s%s", cornell_text, o->frames > 1 ? cornell_ball_text : "");
@@ -236,7 +236,8 @@ static int read_scene(world *w, const gi_options *o, sup_error *err) {
     }
     if (strcmp(o->scene, "atrium") == 0) return sup_gi_scene_parse(atrium_text, sizeof atrium_text - 1, o->scene, &w->scene, err);
     if (sup_read_file(o->scene, &data, &size, err)) return 1;
-    if (size >= 8 && memcmp(data, "voxrt_gi", 8) == 0) status = sup_gi_scene_parse(data, size, o->scene, &w->scene, err);
+    for (at = 0; at < size && (data[at] == ' ' || data[at] == '\t'); at++) { } /* indented as the other lines may be */
+    if (size - at >= 8 && memcmp(data + at, "voxrt_gi", 8) == 0) status = sup_gi_scene_parse(data, size, o->scene, &w->scene, err);
     else status = scene_of_mesh(w, o, err);
     SUP_FREE(data);
     return status;
