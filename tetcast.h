@@ -2702,6 +2702,15 @@ TETCASTI_INLINE uint32_t tetcasti_leave(const tetcasti_cells *cells, uint32_t ki
         return tetcasti_leave_more(cells, kind, node, cell, a, b, c, d, x);
     }
 }
+
+/* What of memory_limit a call within a call may take: *mem has the rest. */
+static TETCASTI_UNUSED tetcast_env tetcasti_env_rest(const tetcast_env *env, const tetcasti_mem *mem) {
+    tetcast_env rest = *env;
+    if (env->memory_limit != 0)
+        rest.memory_limit = mem->used < env->memory_limit ? env->memory_limit - mem->used : 1;
+    return rest;
+}
+
 /* ---- work that can be cancelled ---- */
 
 /* Strands are as many tasks as there are threads; each takes piece after piece of the work. The first one asks
@@ -2713,8 +2722,7 @@ static TETCASTI_UNUSED int tetcasti_strand_asks(const tetcast_env *env, uint32_t
     return tetcasti_atomic_load(cancelled) == 0;
 }
 
-/* A parallel-for that asks. Its tasks are of `total`, and the first is number
-   `before` of them. */
+/* A parallel-for that asks. Its tasks are of `total`, and the first is number `before` of them. */
 typedef struct tetcasti_asking {
     const tetcast_env *env;
     tetcast_task_fn *task;
@@ -4356,7 +4364,7 @@ static tetcast_result tetcasti_import_scan(tetcasti_import *m, uint64_t *tets) {
                              "mesh: no usable cell; cell % has a vertex that is not there");
     if (*tets == 0 && r->bad_positions != 0)
         return tetcasti_fail(error, TETCAST_ERR_EMPTY, r->first_bad_position,
-                             "mesh: no usable cell; cell % has a position that is no number below 1e38");
+                             "mesh: no usable cell; cell % has a position that is no number of at most 1e100");
     if (*tets == 0) return tetcasti_fail(error, TETCAST_ERR_EMPTY, m->source_count, "mesh: no usable cell among %");
     if (*tets > TETCAST_MAX_CELLS)
         return tetcasti_fail(error, TETCAST_ERR_RANGE, *tets, "mesh: % tetrahedra are too many");
@@ -4511,7 +4519,8 @@ static tetcast_result tetcasti_mesh_create(const tetcast_mesh_desc *desc, const 
     m.report = report;
     r = tetcasti_import_check(&m);
     if (r != TETCAST_OK)
-        return tetcasti_fail(d.env.error, r, 0, r == TETCAST_ERR_EMPTY ? "mesh: no cells" : "mesh: bad argument");
+        return tetcasti_fail(d.env.error, r, 0, r == TETCAST_ERR_EMPTY ? "mesh: no cells"
+                             : r == TETCAST_ERR_RANGE ? "mesh: too many vertices or cells" : "mesh: bad argument");
     if (grid != NULL) tetcasti_grid_axes(&m);
     report->input_cells = m.source_count;
     report->input_vertices = m.input_vertices;
@@ -4859,10 +4868,12 @@ TETCAST_DEF void tetcast_mesh_vertex(const tetcast_mesh *mesh, uint32_t vertex, 
 TETCAST_DEF tetcast_result tetcast_mesh_cell(const tetcast_mesh *mesh, uint32_t cell, uint32_t vertices[4],
                                              uint32_t *source_cell) {
     uint32_t i;
+    for (i = 0; vertices != NULL && i < 4; i++) vertices[i] = TETCAST_NONE;
+    if (source_cell != NULL) *source_cell = TETCAST_NONE;
     if (mesh == NULL) return TETCAST_ERR_INVALID_ARG;
     if (cell >= mesh->cell_count || mesh->tet == NULL) return TETCAST_ERR_RANGE;
     for (i = 0; vertices != NULL && i < 4; i++) vertices[i] = mesh->tet[cell][i];
-    if (source_cell != NULL) *source_cell = mesh->source_cell != NULL ? mesh->source_cell[cell] : TETCAST_NONE;
+    if (source_cell != NULL && mesh->source_cell != NULL) *source_cell = mesh->source_cell[cell];
     return TETCAST_OK;
 }
 
@@ -5023,9 +5034,10 @@ TETCAST_DEF tetcast_result tetcast_mesh_check(const tetcast_mesh *mesh, const te
     if (check == NULL) return TETCAST_ERR_INVALID_ARG;
     memset(check, 0, sizeof *check);
     check->first_hanging = check->first_coincident = TETCAST_NONE;
-    if (mesh == NULL || mesh->tet == NULL) return TETCAST_ERR_INVALID_ARG;
     memset(&none, 0, sizeof none);
     if (env == NULL) env = &none;
+    if (mesh == NULL || mesh->tet == NULL)
+        return tetcasti_fail(env->error, TETCAST_ERR_INVALID_ARG, 0, "check: no mesh, or no tets");
     r = tetcasti_env_open(env, &mem);
     if (r != TETCAST_OK) return r;
     while (bits < 31 && ((uint32_t)1 << bits) < 2 * (uint64_t)mesh->vertex_count) bits++;
@@ -8208,7 +8220,6 @@ static tetcast_result tetcasti_transfer_check(const tetcast_control_point *p, si
                                               tetcast_error *error) {
     size_t i;
     uint32_t c;
-    if (count != 0 && p == NULL) return TETCAST_ERR_INVALID_ARG;
     if (count > (1u << 20)) return tetcasti_fail(error, TETCAST_ERR_RANGE, count, "% control points are too many");
     for (i = 0; i < count; i++) {
         if (!(tetcasti_absf(p[i].value) < TETCASTI_VALUE_END)) {
@@ -8359,7 +8370,6 @@ static tetcast_result tetcasti_transfer_isovalues(const tetcast_transfer_desc *d
     size_t i, j;
     uint32_t c;
     if (d->isovalue_count == 0) return TETCAST_OK;
-    if (d->isovalues == NULL) return TETCAST_ERR_INVALID_ARG;
     if (d->isovalue_count > (1u << 16)) {
         return tetcasti_fail(d->env.error, TETCAST_ERR_RANGE, d->isovalue_count, "% isovalues are too many");
     }
@@ -8425,13 +8435,17 @@ TETCAST_DEF tetcast_result tetcast_transfer_create(const tetcast_transfer_desc *
     if (d._begin_zero != 0 || d._end_zero != 0) return TETCAST_ERR_UNINIT_DESC;
     r = tetcasti_env_open(&d.env, &mem);
     if (r != TETCAST_OK) return r;
+    if ((d.point_count != 0 && d.points == NULL) || (d.color_count != 0 && d.color_points == NULL) ||
+        (d.extinction_count != 0 && d.extinction_points == NULL) || (d.isovalue_count != 0 && d.isovalues == NULL)) {
+        return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, 0, "transfer function: a list is NULL");
+    }
     if ((d.color_mode != TETCAST_COLOR_ASSOCIATED && d.color_mode != TETCAST_COLOR_INDEPENDENT) ||
         !(d.extinction_scale >= 0.0f && d.extinction_scale <= 1e30f) || !(d.simplify >= 0.0f && d.simplify <= 1.0f)) {
         return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, 0,
                              "transfer function: color_mode, extinction_scale or simplify is out of range");
     }
     t = (tetcast_transfer *)tetcasti_alloc_zero(&mem, 1, sizeof *t);
-    if (t == NULL) return TETCAST_ERR_NO_MEMORY;
+    if (t == NULL) return tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "transfer function: out of memory");
     t->mem = mem;
     t->independent = d.color_mode == TETCAST_COLOR_INDEPENDENT;
     r = tetcasti_transfer_knots(&d, t);
@@ -8453,7 +8467,7 @@ TETCAST_DEF tetcast_result tetcast_transfer_create(const tetcast_transfer_desc *
     }
     if (r != TETCAST_OK) {
         tetcast_transfer_destroy(t);
-        return r;
+        return r == TETCAST_ERR_NO_MEMORY ? tetcasti_fail(d.env.error, r, 0, "transfer function: out of memory") : r;
     }
     tetcasti_transfer_describe(t, given);
     *out = t;
@@ -8492,9 +8506,9 @@ TETCAST_DEF void tetcast_transfer_eval(const tetcast_transfer *transfer, float v
     }
 }
 
-/* Values outside the range that knots can have are as good as the ends. */
+/* Values outside the range that knots can have are as good as its ends. */
 static int tetcasti_range_clamp(float *lo, float *hi) {
-    const float end = 0.5f * TETCASTI_VALUE_END;
+    const float end = TETCASTI_VALUE_END;
     if (!(*lo <= *hi)) return 0;
     *lo = *lo < -end ? -end : *lo > end ? end : *lo;
     *hi = *hi < -end ? -end : *hi > end ? end : *hi;
@@ -8540,7 +8554,10 @@ static void tetcasti_tf_difference(const tetcasti_tf *a, const tetcasti_tf *b, f
 
 TETCAST_DEF void tetcast_transfer_difference(const tetcast_transfer *a, const tetcast_transfer *b, float *lo,
                                              float *hi) {
-    tetcasti_tf_difference(&a->tf, &b->tf, lo, hi);
+    if (lo == NULL || hi == NULL) return;
+    *lo = -INFINITY; /* anything may differ from nothing */
+    *hi = INFINITY;
+    if (a != NULL && b != NULL) tetcasti_tf_difference(&a->tf, &b->tf, lo, hi);
 }
 /* ---------------------------------------------------------------------------
    integrate: segments of a ray -> colour and transmittance. Exact for piecewise  // >>integrate
@@ -10842,8 +10859,7 @@ static int tetcasti_iso_sums(tetcasti_iso *p, uint32_t total[3]) {
     return 1;
 }
 
-static tetcast_result tetcasti_iso_run(tetcasti_iso *p, const tetcast_surface_desc *desc, tetcasti_mem *mem,
-                                       tetcasti_mem *keep) {
+static tetcast_result tetcasti_iso_run(tetcasti_iso *p, const tetcast_surface_desc *desc, tetcasti_mem *mem) {
     const tetcast_mesh *mesh = p->mesh;
     const tetcast_env *env = &desc->env;
     tetcast_surface *out = p->out;
@@ -10877,10 +10893,10 @@ static tetcast_result tetcasti_iso_run(tetcasti_iso *p, const tetcast_surface_de
         p->unique[c] = sum;
         sum += n; /* at most all edges */
     }
-    out->positions = (float *)tetcasti_alloc_array(keep, sum, 3 * sizeof(float));
-    out->indices = (uint32_t *)tetcasti_alloc_array(keep, total[2], 3 * sizeof(uint32_t));
-    if (desc->normals) out->normals = (float *)tetcasti_alloc_array(keep, sum, 3 * sizeof(float));
-    if (desc->cells) out->cells = (uint32_t *)tetcasti_alloc_array(keep, total[2], sizeof(uint32_t));
+    out->positions = (float *)tetcasti_alloc_array(mem, sum, 3 * sizeof(float));
+    out->indices = (uint32_t *)tetcasti_alloc_array(mem, total[2], 3 * sizeof(uint32_t));
+    if (desc->normals) out->normals = (float *)tetcasti_alloc_array(mem, sum, 3 * sizeof(float));
+    if (desc->cells) out->cells = (uint32_t *)tetcasti_alloc_array(mem, total[2], sizeof(uint32_t));
     if (!out->positions || !out->indices || (desc->normals && !out->normals) || (desc->cells && !out->cells))
         return TETCAST_ERR_NO_MEMORY;
     out->vertex_count = sum;
@@ -10896,7 +10912,7 @@ static tetcast_result tetcasti_iso_run(tetcasti_iso *p, const tetcast_surface_de
 TETCAST_DEF tetcast_result tetcast_isosurface(const tetcast_surface_desc *desc, const tetcast_mesh *mesh,
                                               tetcast_surface *out) {
     tetcast_surface_desc none;
-    tetcasti_mem mem, keep;
+    tetcasti_mem mem;
     tetcasti_iso p;
     tetcast_result result;
     uint32_t axis;
@@ -10922,10 +10938,9 @@ TETCAST_DEF tetcast_result tetcast_isosurface(const tetcast_surface_desc *desc, 
     p.mem = &mem;
     p.range = (const float (*)[2])mesh->field[mesh->active].range;
     p.out = out;
-    keep = mem; /* what the caller frees later has no counter to report to */
     out->_allocator = mem.allocator;
     memcpy(out->origin, mesh->origin, sizeof out->origin);
-    result = tetcasti_iso_run(&p, desc, &mem, &keep);
+    result = tetcasti_iso_run(&p, desc, &mem);
     tetcasti_free(&mem, p.inside);
     tetcasti_free(&mem, p.first);
     tetcasti_free(&mem, p.active);
@@ -12670,8 +12685,9 @@ TETCAST_DEF tetcast_result tetcast_camera_ray(const tetcast_camera *camera, uint
                                               double y, tetcast_ray *out_ray) {
     tetcasti_frame f;
     tetcast_result r;
-    if (camera == NULL || out_ray == NULL || height == 0) return TETCAST_ERR_INVALID_ARG;
-    memset(out_ray, 0, sizeof *out_ray);
+    if (out_ray != NULL) memset(out_ray, 0, sizeof *out_ray);
+    if (camera == NULL || out_ray == NULL || height == 0 || !tetcasti_finite(x) || !tetcasti_finite(y))
+        return TETCAST_ERR_INVALID_ARG;
     r = tetcasti_frame_open(camera, width, height, &f);
     if (r != TETCAST_OK) return r;
     tetcasti_frame_ray(&f, x, y, out_ray->org, out_ray->dir);
@@ -12686,7 +12702,7 @@ TETCAST_DEF tetcast_result tetcast_camera_fit(tetcast_camera *camera, const doub
     if (camera == NULL || box_min == NULL || box_max == NULL) return TETCAST_ERR_INVALID_ARG;
     tan_y = tetcasti_camera_tangent(camera);
     tan_x = width != 0 && height != 0 ? tan_y * (double)width / (double)height : tan_y;
-    if (!(tan_y > 0.0)) return TETCAST_ERR_INVALID_ARG;
+    if (!(tan_y > 0.0) || !(camera->ortho_height >= 0.0f)) return TETCAST_ERR_INVALID_ARG;
     for (a = 0; a < 3; a++) {
         if (!tetcasti_finite(box_min[a]) || !tetcasti_finite(box_max[a]) || box_min[a] > box_max[a])
             return TETCAST_ERR_INVALID_ARG;
@@ -12869,15 +12885,17 @@ static tetcast_result tetcasti_scene_open(const tetcast_render_desc *d, const te
     return TETCAST_OK;
 }
 
-static tetcast_result tetcasti_scene_reached(const tetcasti_scene *s, const tetcast_env *env) {
+/* Does a table cover what rays through a mesh may need of it? */
+static tetcast_result tetcasti_scene_reached(const tetcast_mesh *mesh, const tetcast_optics *optics,
+                                             const tetcast_env *env) {
     double way = 0.0;
     uint32_t a;
-    if (s->optics == NULL) return TETCAST_OK;
+    if (optics == NULL) return TETCAST_OK;
     for (a = 0; a < 3; a++) {
-        const double side = ((double)s->mesh->box.hi[a] - (double)s->mesh->box.lo[a]) * s->mesh->unit;
+        const double side = ((double)mesh->box.hi[a] - (double)mesh->box.lo[a]) * mesh->unit;
         way += side * side;
     }
-    return tetcasti_optics_reaches(s->optics, sqrt(way))
+    return tetcasti_optics_reaches(optics, sqrt(way))
                ? TETCAST_OK
                : tetcasti_fail(env->error, TETCAST_ERR_RANGE, 0, "optics: longest or step too small for the mesh");
 }
@@ -13334,7 +13352,7 @@ TETCAST_DEF tetcast_result tetcast_render(const tetcast_render_desc *desc, const
     if (c.scene.optics != NULL && image->depth != NULL) c.scene.any = 1;
     if (r == TETCAST_OK) r = tetcasti_frame_open(&d.camera, image->width, image->height, &c.frame);
     if (r != TETCAST_OK) return tetcasti_fail(d.env.error, r, 0, "render: bad camera or option");
-    r = tetcasti_scene_reached(&c.scene, &d.env);
+    r = tetcasti_scene_reached(mesh, c.scene.optics, &d.env);
     if (r != TETCAST_OK || image->width == 0 || image->height == 0) return r;
     c.tiles_x = (image->width + TETCASTI_TILE - 1) / TETCASTI_TILE;
     if ((uint64_t)c.tiles_x * ((image->height + TETCASTI_TILE - 1) / TETCASTI_TILE) > 0x7fffffffu)
@@ -13467,7 +13485,7 @@ TETCAST_DEF tetcast_result tetcast_cast(const tetcast_render_desc *desc, const t
     if (count / TETCASTI_BATCH >= 0x7fffffffu) return TETCAST_ERR_RANGE;
     r = tetcasti_scene_open(&d, mesh, d.traverse_only ? NULL : optics, &c.scene);
     if (r != TETCAST_OK) return tetcasti_fail(d.env.error, r, 0, "cast: bad option");
-    r = tetcasti_scene_reached(&c.scene, &d.env);
+    r = tetcasti_scene_reached(mesh, c.scene.optics, &d.env);
     if (r != TETCAST_OK) return r;
     c.rays = rays;
     c.results = results;
@@ -15499,6 +15517,7 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_grid(const tetcast_bricks_desc 
     if (bad != 0)
         for (i = 0; i < n; i++) v[i] = v[i] == v[i] ? v[i] : least;
     if (report != NULL) report->bad_values = bad;
+    d.env = tetcasti_env_rest(&d.env, &mem);
     r = tetcasti_bricks_build(&d, lattice, v, NULL, out);
     tetcasti_free(&mem, v);
     return r;
@@ -16457,7 +16476,7 @@ static tetcast_result tetcasti_bricks_check(const tetcast_bricks_desc *d, const 
     uint32_t a, k;
     int asked = 1;
     memset(&cd, 0, sizeof cd);
-    cd.env = d->env;
+    cd.env = tetcasti_env_rest(&d->env, &b->mem);
     cut = NULL;
     r = tetcast_cut_create(&cd, b, &cut);
     if (cut == NULL) return r;
@@ -16910,7 +16929,6 @@ static tetcast_result tetcasti_bricks_try(const tetcast_bricks_desc *d, const te
                                           uint8_t *force, uint32_t *short_of, tetcast_bricks **out) {
     const uint32_t log = d->log_cells != 0 ? d->log_cells : 4, levels = d->levels != 0 ? d->levels : log + 1;
     tetcasti_grower g;
-    tetcasti_mem mem;
     tetcast_lattice l;
     tetcast_result r = tetcast_lattice_fit(mesh, longest, &l);
     uint32_t i, tops;
@@ -16920,15 +16938,14 @@ static tetcast_result tetcasti_bricks_try(const tetcast_bricks_desc *d, const te
     memset(&g, 0, sizeof g);
     g.b = tetcasti_bricks_open(&d->env, &l, log, levels, d->storage, &r);
     if (g.b == NULL) return r;
-    (void)tetcasti_env_open(&d->env, &mem);
     g.mesh = mesh;
     g.desc = d;
-    g.mem = &mem;
+    g.mem = &g.b->mem; /* one counter for what stays and what does not */
     g.max_error = d->max_error;
     g.force = force;
     tops = g.b->grid[levels - 1][0] * g.b->grid[levels - 1][1] * g.b->grid[levels - 1][2];
-    g.grown = (tetcasti_grown *)tetcasti_alloc_zero(&mem, tops, sizeof *g.grown);
-    g.hull = (uint8_t *)tetcasti_alloc_zero(&mem, (size_t)mesh->cell_count / 8 + 1, 1);
+    g.grown = (tetcasti_grown *)tetcasti_alloc_zero(g.mem, tops, sizeof *g.grown);
+    g.hull = (uint8_t *)tetcasti_alloc_zero(g.mem, (size_t)mesh->cell_count / 8 + 1, 1);
     ok = g.grown != NULL && g.hull != NULL && tetcasti_grow_bin(&g);
     if (ok) {
         for (i = 0; i < mesh->face_count; i++)
@@ -16938,14 +16955,14 @@ static tetcast_result tetcasti_bricks_try(const tetcast_bricks_desc *d, const te
         for (i = 0; i < tops; i++) *short_of += g.grown[i].short_of;
     }
     for (i = 0; g.grown != NULL && i < tops; i++) {
-        tetcasti_free(&mem, g.grown[i].brick);
-        tetcasti_free(&mem, g.grown[i].error);
-        tetcasti_free(&mem, g.grown[i].nodes);
+        tetcasti_free(g.mem, g.grown[i].brick);
+        tetcasti_free(g.mem, g.grown[i].error);
+        tetcasti_free(g.mem, g.grown[i].nodes);
     }
-    tetcasti_free(&mem, g.grown);
-    tetcasti_free(&mem, g.hull);
-    tetcasti_free(&mem, g.first);
-    tetcasti_free(&mem, g.list);
+    tetcasti_free(g.mem, g.grown);
+    tetcasti_free(g.mem, g.hull);
+    tetcasti_free(g.mem, g.first);
+    tetcasti_free(g.mem, g.list);
     if (!ok) {
         tetcasti_bricks_free(g.b);
         if (!asked) return tetcasti_fail(d->env.error, TETCAST_ERR_CANCELLED, 0, "bricks: cancelled");
@@ -16959,6 +16976,7 @@ static tetcast_result tetcasti_bricks_try(const tetcast_bricks_desc *d, const te
 static tetcast_result tetcasti_bricks_average(const tetcast_bricks_desc *d, const tetcast_mesh *mesh,
                                               tetcast_bricks_report *report, tetcast_bricks **out) {
     tetcasti_mem mem;
+    tetcast_bricks_desc one = *d;
     tetcast_lattice l;
     tetcast_means means;
     tetcast_result r = tetcasti_env_open(&d->env, &mem);
@@ -16972,13 +16990,14 @@ static tetcast_result tetcasti_bricks_average(const tetcast_bricks_desc *d, cons
         return tetcasti_fail(d->env.error, TETCAST_ERR_RANGE, 0, "bricks: the lattice is too large");
     means.mean = (float *)tetcasti_alloc_array(&mem, n, sizeof *means.mean);
     if (means.mean == NULL) return tetcasti_fail(d->env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
-    r = tetcast_resample_mean(&d->env, mesh, &l, &means);
+    one.env = tetcasti_env_rest(&d->env, &mem);
+    r = tetcast_resample_mean(&one.env, mesh, &l, &means);
     if (r == TETCAST_OK) {
         for (i = 0; i < n; i++) some += means.mean[i] == means.mean[i];
         if (some != 0) tetcasti_lattice_fill(&l, means.mean);
         else memset(means.mean, 0, n * sizeof *means.mean);
         for (i = 0; i < n; i++) means.mean[i] = tetcasti_value_clamp(means.mean[i]);
-        r = tetcasti_bricks_build(d, &l, means.mean, NULL, out);
+        r = tetcasti_bricks_build(&one, &l, means.mean, NULL, out);
     }
     tetcasti_free(&mem, means.mean);
     if (r == TETCAST_OK && !tetcasti_bricks_hull(*out, mesh))
@@ -16990,7 +17009,7 @@ static tetcast_result tetcasti_bricks_average(const tetcast_bricks_desc *d, cons
 
 TETCAST_DEF tetcast_result tetcast_bricks_create_mesh(const tetcast_bricks_desc *desc, const tetcast_mesh *mesh,
                                                       tetcast_bricks_report *report, tetcast_bricks **out) {
-    tetcast_bricks_desc d;
+    tetcast_bricks_desc d, one;
     tetcast_bricks_report mine;
     tetcasti_mem mem;
     tetcast_result r = tetcasti_bricks_desc_open(desc, &d, report, out);
@@ -17022,7 +17041,10 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_mesh(const tetcast_bricks_desc 
     while (r == TETCAST_OK) {
         for (again = 0; again < 4 && r == TETCAST_OK; again++) { /* random points find what vertices and nodes do not */
             tetcast_bricks *b = NULL;
-            r = tetcasti_bricks_try(&d, mesh, longest, force, &short_of, &b);
+            one = d;
+            one.env = tetcasti_env_rest(&d.env, &mem);
+            if (*out != NULL) one.env = tetcasti_env_rest(&one.env, &(*out)->mem);
+            r = tetcasti_bricks_try(&one, mesh, longest, force, &short_of, &b);
             if (r == TETCAST_ERR_RANGE && *out != NULL) { /* too many bricks: twice as fine as before, or as before */
                 end = longest > 2 * before - 1 ? 2 * before - 1 : before;
                 longest = before;
@@ -17036,7 +17058,7 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_mesh(const tetcast_bricks_desc 
                 force = (uint8_t *)tetcasti_alloc_zero(&mem, tetcasti_slot_count(b), 1);
                 if (force == NULL) r = tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
             }
-            if (r == TETCAST_OK) r = tetcasti_bricks_check(&d, mesh, b, force, &helps, report);
+            if (r == TETCAST_OK) r = tetcasti_bricks_check(&one, mesh, b, force, &helps, report);
             tetcasti_bricks_free(*out);
             *out = b;
             if (report->above == 0 || helps == 0 || (short_of != 0 && d.longest == 0 && longest < end)) break;
@@ -17866,6 +17888,7 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_amr(const tetcast_bricks_desc *
     t.v = (float *)tetcasti_alloc_array(&mem, n, sizeof *t.v);
     if (t.v == NULL) return tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
     values.data = t.v;
+    d.env = tetcasti_env_rest(&d.env, &mem);
     if (tetcasti_parallel_ask(&d.env, tetcasti_task_amr, &t, t.l.dims[2]))
         r = tetcast_bricks_create_grid(&d, &t.l, &values, report, out);
     else r = tetcasti_fail(d.env.error, TETCAST_ERR_CANCELLED, 0, "bricks: cancelled");
@@ -18872,6 +18895,8 @@ TETCAST_DEF tetcast_result tetcast_render_shaded(const tetcast_shade_desc *desc,
     if (r == TETCAST_OK) r = tetcasti_desc_open(NULL, &none, &unused);
     if (r == TETCAST_OK) r = tetcasti_scene_open(&none, mesh, NULL, &c.scene);
     if (r != TETCAST_OK) return tetcasti_fail(d.env.error, r, 0, "shade: bad camera");
+    r = tetcasti_scene_reached(mesh, c.optics, &d.env);
+    if (r != TETCAST_OK) return r;
     if (d.shader != NULL && d.shader->prepare_fn != NULL)
         r = d.shader->prepare_fn(d.shader->user, d.shader->params, d.shader->param_count, d.env.error);
     if (r != TETCAST_OK) return r;
@@ -19945,7 +19970,7 @@ TETCAST_DEF tetcast_result tetcast_render_bricks(const tetcast_brick_render_desc
         stats->steps += tetcasti_tally(c.tally[3]);
         stats->ended += tetcasti_tally(c.tally[4]);
         stats->lanes += tetcasti_tally(c.tally[5]);
-        stats->isa = c.wide ? TETCAST_ISA_AVX2 : TETCAST_ISA_SCALAR;
+        stats->isa = c.wide == 2 ? TETCAST_ISA_AVX512 : c.wide ? TETCAST_ISA_AVX2 : TETCAST_ISA_SCALAR;
     }
     return r;
 }
@@ -20373,6 +20398,7 @@ TETCAST_DEF tetcast_result tetcast_unpack(const uint8_t *data, size_t size, uint
     size_t at = 0, i = 0, count;
     uint32_t last = 0, x = 0, y = 0;
     if (!tetcasti_mul_size(width, height, &count)) return TETCAST_ERR_RANGE;
+    if ((data == NULL && size != 0) || (rgba == NULL && count != 0)) return TETCAST_ERR_INVALID_ARG;
     if (stride == 0) stride = (size_t)width * 4;
     while (i < count) {
         uint32_t op, n, k;
@@ -21423,8 +21449,10 @@ TETCAST_DEF tetcast_result tetcast_rbf_load_file(const tetcast_env *env, const c
             : fread(p, 1, (size_t)end, file) != (size_t)end ? TETCAST_ERR_IO : TETCAST_OK;
     } else r = TETCAST_ERR_IO;
     if (file != NULL) (void)fclose(file);
-    if (r == TETCAST_OK) r = tetcast_rbf_load_memory(env, p, (size_t)end, out);
-    else (void)tetcasti_fail(env->error, r, 0, "functions: the file cannot be read");
+    if (r == TETCAST_OK) {
+        const tetcast_env rest = tetcasti_env_rest(env, &mem);
+        r = tetcast_rbf_load_memory(&rest, p, (size_t)end, out);
+    } else (void)tetcasti_fail(env->error, r, 0, "functions: the file cannot be read");
     tetcasti_free(&mem, p);
     return r;
 }
@@ -25843,7 +25871,7 @@ static tetcast_result tetcasti_rbf_bricks_check(const tetcast_bricks_desc *d, co
     uint32_t i, k, a, n;
     int asked = 1;
     memset(&cd, 0, sizeof cd);
-    cd.env = d->env;
+    cd.env = tetcasti_env_rest(&d->env, &b->mem);
     r = tetcast_cut_create(&cd, b, &cut);
     if (r != TETCAST_OK) return r;
     report->above = 0;
@@ -25906,6 +25934,7 @@ static tetcast_result tetcasti_rbf_bricks_try(const tetcast_bricks_desc *d, tetc
     t->out = (float *)tetcasti_alloc_array(&mem, n, sizeof *t->out);
     if (t->out == NULL) return tetcasti_fail(d->env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
     half.max_error = 0.5f * d->max_error;
+    half.env = tetcasti_env_rest(&d->env, &mem);
     values.data = t->out;
     if (tetcasti_parallel_ask(&d->env, tetcasti_task_rbf_nodes, t, t->l.dims[2]))
         r = tetcast_bricks_create_grid(&half, &t->l, &values, NULL, out);
