@@ -478,7 +478,8 @@ typedef struct tetcast_mesh_info {
     uint64_t field_bytes;          /* all scalars, where there are several, and those per cell */
     uint64_t cluster_bytes;        /* what disable_clusters is about: about 10 a cell, for leaping only */
     uint64_t optional_bytes;       /* what drop_* and keep_* are about */
-    uint64_t total_bytes;          /* all of these; 128 for each block that was asked for come on top */
+    uint64_t total_bytes;          /* all of these, and 4 for each column of strips, which says what cell is there; 128
+                                      for each block that was asked for come on top */
 } tetcast_mesh_info;
 
 /* Build a mesh.
@@ -504,6 +505,7 @@ TETCAST_DEF tetcast_result tetcast_mesh_create_grid(const tetcast_mesh_desc *des
 
 TETCAST_DEF void tetcast_mesh_destroy(tetcast_mesh *mesh); /* NULL is allowed */
 TETCAST_DEF void tetcast_mesh_get_info(const tetcast_mesh *mesh, tetcast_mesh_info *info);
+/* What tetcast_mesh_create reported. */
 TETCAST_DEF void tetcast_mesh_get_report(const tetcast_mesh *mesh, tetcast_report *report);
 
 /* Look closer at a mesh: see tetcast_check. Needs the tets. Serial but for neighbours; O(n log n); holds 20 bytes a
@@ -4845,7 +4847,7 @@ static void tetcasti_cells_free(tetcasti_mem *mem, tetcasti_cells *cells) {
 
 static tetcast_result tetcasti_clusters_build(tetcast_mesh *mesh, const tetcast_env *env);
 static void tetcasti_clusters_free(tetcasti_mem *mem, struct tetcasti_clusters *c);
-static uint64_t tetcasti_clusters_bytes(const struct tetcasti_clusters *c);
+static uint64_t tetcasti_clusters_bytes(const struct tetcasti_clusters *c, uint32_t fields);
 
 static tetcast_result tetcasti_mesh_finish(tetcast_mesh *mesh, const tetcast_mesh_desc *desc) {
     uint32_t i, a;
@@ -4934,7 +4936,7 @@ TETCAST_DEF void tetcast_mesh_get_info(const tetcast_mesh *mesh, tetcast_mesh_in
         if (f->hidden != NULL) info->field_bytes += ((uint64_t)mesh->cell_count / 32 + 1) * 4;
     }
     if (mesh->mask != NULL) info->field_bytes += ((uint64_t)mesh->cell_count / 32 + 1) * 4;
-    info->cluster_bytes = tetcasti_clusters_bytes(mesh->clusters);
+    info->cluster_bytes = tetcasti_clusters_bytes(mesh->clusters, mesh->field_count);
     if (mesh->tet != NULL) info->optional_bytes += (uint64_t)mesh->cell_count * sizeof *mesh->tet;
     if (mesh->neighbour != NULL) info->optional_bytes += (uint64_t)mesh->cell_count * sizeof *mesh->neighbour;
     if (mesh->gradient != NULL) info->optional_bytes += (uint64_t)mesh->vertex_count * sizeof *mesh->gradient;
@@ -4942,6 +4944,7 @@ TETCAST_DEF void tetcast_mesh_get_info(const tetcast_mesh *mesh, tetcast_mesh_in
         info->optional_bytes += ((uint64_t)mesh->cell_count + mesh->vertex_count) * sizeof *mesh->source_cell;
     info->total_bytes = sizeof *mesh + info->connectivity_bytes + info->vertex_bytes + info->hull_bytes +
                         info->field_bytes + info->cluster_bytes + info->optional_bytes;
+    if (mesh->cells.first != NULL) info->total_bytes += (uint64_t)mesh->cells.count * sizeof(uint32_t);
 }
 
 TETCAST_DEF void tetcast_mesh_get_report(const tetcast_mesh *mesh, tetcast_report *report) {
@@ -7887,8 +7890,8 @@ static void tetcasti_clusters_free(tetcasti_mem *mem, tetcasti_clusters *c) {
     tetcasti_free(mem, c);
 }
 
-static uint64_t tetcasti_clusters_bytes(const tetcasti_clusters *c) {
-    return c != NULL ? (uint64_t)c->wall_count * sizeof *c->wall + (uint64_t)c->count * 8 : 0;
+static uint64_t tetcasti_clusters_bytes(const tetcasti_clusters *c, uint32_t fields) { /* with the ranges of fields */
+    return c != NULL ? (uint64_t)c->wall_count * sizeof *c->wall + (uint64_t)c->count * fields * 8 : 0;
 }
 
 /* ---- for one picture ---- */
