@@ -15,10 +15,10 @@
    @walk           rays, where they meet the hull, and from cell to cell
    @hull           where rays enter the mesh
    @walk_avx2      eight rays side by side, each in its own cell
-   @clusters       runs of 128 cells, which lie close together, with the ranges of their values and the
+   @clusters       runs of 128 cells that lie close together: ranges of their values, walls between them
    @transfer       control points or tables -> sorted intervals with slopes, prefix integrals, maxima
    @integrate      segments of a ray -> colour and transmittance
-   @tables         the integrators of the thesis and of its time: sampling rules, prefix integrals, the
+   @tables         the integrators of the thesis and of its time: sampling rules, prefix integrals, tables
    @optical        models (emission, absorption, maximum, isosurfaces, depth cueing), sums along rays
    @isosurface     marching tetrahedra with one vertex per edge
    @project        cells -> the pixels that they cover
@@ -111,14 +111,35 @@
    - Resamples tetrahedra onto lattices and into bricks with level of detail, which stay continuous across levels; draws
      those, grids as well, with the same optics or with shaders of the caller, clipped by planes and closed meshes.
 
+   WHAT FOR WHAT
+   a mesh of cells            tetcast_mesh_create, _create_grid; is it good: tetcast_report, tetcast_mesh_check
+   colours                    tetcast_transfer_create, then tetcast_optics_create; both anew after each change
+   another field              tetcast_mesh_set_field
+   a picture                  tetcast_render; where the camera stands: tetcast_camera_fit
+   single rays                tetcast_cast; all tetrahedra on a ray: tetcast_probe
+   isosurfaces in a picture   tetcast_transfer_desc.isovalues with TETCAST_MODEL_ISOSURFACE or _MIXED
+   isosurfaces as triangles   tetcast_isosurface
+   planes                     tetcast_plane_sample, tetcast_plane_view, tetcast_plane_section
+   values on a regular grid   tetcast_lattice_fit, tetcast_resample, tetcast_resample_mean
+   level of detail            tetcast_bricks_create_*, tetcast_cut_create, tetcast_render_bricks
+   locally refined grids      tetcast_amr_create, tetcast_bricks_create_amr
+   clipping, own shaders      tetcast_clip_create, tetcast_shader, tetcast_render_shaded
+   sums of functions          tetcast_rbf_fit or _create, then tetcast_rbf_render, _eval, _trace
+   files                      tetcast_bricks_write, _read; tetcast_rbf_save_*, _load_*
+   pictures in parts          frame, part, limit of a desc; tetcast_over, tetcast_edge_blend, tetcast_ccc_*, _pack
+
    WHAT IT DOES NOT DO
    - No curved cells. No scattering and no shadows but by shaders that cast rays (tetcast_render --shader shadow).
    - No volume files, no picture files: examples/support has readers, a PNG writer and a command line.
    - Meshes are not edited and vertices do not move; another field or transfer function at any time.
 
    LIMITS
-   tetrahedra, vertices       2^31 - 3 each
-   knots of a transfer function 2^20
+   tetrahedra, vertices       2^31 - 3 each; coordinates up to 1e100; 65,536 fields
+   transfer functions         2^20 control points, 65,536 isovalues; values below 1e38, colours, extinctions up to 1e18
+   pictures                   2^31 tiles of 32 x 32 pixels; projected: 65,536 pixels a side. 2^41 rays in a call
+   lattices, bricks           2^20 nodes a side; 2^26 bricks, 6 levels
+   refined grids              2^27 cells, 16 levels, 2^20 finest cells a side
+   functions                  2^26, 4 components, 2^27 nodes of the base; 2^16 samples on a ray
    threads                    64
    stack                      less than 16 KB in one function, less than 64 KB in all
 
@@ -133,22 +154,24 @@
    TETCAST_NO_STDIO            no <stdio.h>                                             off           yes
    TETCAST_NO_THREADS          never start a thread; env.parallel still works           off, wasm: on code only
    TETCAST_NO_SIMD             scalar code only                                         off           code only
-   TETCAST_NO_AVX2             no AVX2                                                  off           code only
+   TETCAST_NO_AVX2             no AVX2 and no AVX-512                                   off           code only
    TETCAST_NO_RBF              no radial basis functions                                off           yes
-   TETCAST_NO_BRICKS           no resampling, no bricks                                 off           yes
+   TETCAST_NO_BRICKS           no resampling, planes, bricks, refined grids             off           yes
    TETCAST_ALLOW_FAST_MATH     accept -ffast-math; nothing is promised then             #error        code only
    No macro changes a struct. The instruction set is chosen when the program runs; desc.isa can lower it.
 
    MEMORY
    All of it comes through desc.env: its allocator, else TETCAST_MALLOC, else malloc. An object keeps its allocator
    until it is destroyed. env.memory_limit bounds what one call and its results hold at once. When memory runs out a
-   call frees what it had and returns TETCAST_ERR_NO_MEMORY.
+   call frees what it had and returns TETCAST_ERR_NO_MEMORY. Objects are destroyed in any order, but a cut before its
+   bricks, on which it lies; optics have copies of what they need.
 
    THREADS
    A call uses env.thread_count threads (0: one per core; 1: never more than the caller's), started and joined within
    the call, with stacks of 512 KB. env.parallel hands the work to the host's job system instead. Meshes, transfer
    functions and optics may be read by any number of threads at once. There is no global state. WebAssembly
-   has threads with -pthread only.
+   has threads with -pthread only. Compilers other than gcc and clang need TETCAST_NO_THREADS, and an env.parallel that
+   runs one task after the other: there are no atomics for them.
 
    DETERMINISM
    The same input gives the same bits: for any number of threads, any instruction set, any form of the cells; with gcc
@@ -157,18 +180,24 @@
    -fexcess-precision=fast) and -ffast-math break it.
 
    ERRORS
-   Functions that can fail return a tetcast_result and set their outputs to NULL or 0 first. env.error receives the
-   place (cell, vertex, control point) and a sentence. A desc has to be zeroed (memset, = {0} or = {} in C++);
+   Functions that can fail return a tetcast_result; objects and structs that they give are set to NULL or 0 first,
+   arrays of the caller (pictures, nodes, points) may be incomplete. env.error receives the result, the place (cell,
+   vertex, control point) and a sentence; it is left alone where nothing fails, where a desc was not zeroed, and may be
+   where a pointer is NULL: what is returned decides. A desc has to be zeroed (memset, = {0} or = {} in C++);
    tetcast checks its first and last member. The library never prints, never exits.
 
    CONTRACTS
-   The comment of a function says what is special about it. Where it is silent: a pointer may be NULL only if that is
-   said; arrays are borrowed for the call and do not overlap; what is handed out by pointer belongs to the object and
-   lasts until that is changed or destroyed; what a create, build, load or copy function gives is freed by the destroy
-   function of its type. Wrong arguments are INVALID_ARG, a desc that was not zeroed UNINIT_DESC; functions that return
-   no result cannot fail. An object that is const may be read by any number of threads at once, one that is not is for
-   one call at a time; calls without a common object are independent. Time is in proportion to what is read and
-   written, outputs that are not arrays of the caller are the only memory that stays. What names no source is ours.
+   The comment of a function says what is special about it. Where it is silent: a desc or an env may be NULL, which is
+   all defaults (INVALID_ARG where something has to be given), as may stats and reports; another pointer may be NULL
+   only if that is said, or if it is an array without elements. Arrays are borrowed for the call and do not overlap;
+   they are aligned as their type asks for, tetcast_array and files need not be. What is handed out by pointer belongs
+   to the object and lasts until that is changed or destroyed; what a create, load, fit or read function gives is freed
+   by the destroy function of its type. Wrong arguments are INVALID_ARG, NaN in a desc as well (but as a fill), a
+   desc that was not zeroed UNINIT_DESC; functions that return no result cannot fail. An object that is const may be
+   read by any number of threads at once, one that is not is for one call at a time; calls without a common object are
+   independent. Time is in proportion to what is read and written, outputs that are not arrays of the caller are the
+   only memory that stays. An env's progress_fn is asked where a contract names CANCELLED. get_info functions give zeros
+   for NULL. What names no source is ours.
 
    COORDINATES AND UNITS
    Right-handed world, any unit. Positions are kept relative to the middle of the mesh, in doubles where they come in.
@@ -244,14 +273,15 @@ typedef struct tetcast_error {
     char text[200];
 } tetcast_error;
 
-typedef struct tetcast_allocator {
+typedef struct tetcast_allocator { /* both functions or neither */
     void *(*alloc_fn)(size_t size, void *user); /* 16-byte aligned, or NULL; any thread */
-    void (*free_fn)(void *ptr, size_t size, void *user);
+    void (*free_fn)(void *ptr, size_t size, void *user); /* size as it was asked for; ptr is never NULL; any thread */
     void *user;
 } tetcast_allocator;
 
 typedef void tetcast_task_fn(void *task_ctx, uint32_t index);
-typedef struct tetcast_parallel { /* run task(ctx, i) once for each i in [0, count), return when all are done */
+/* Run task(task_ctx, i) once for each i in [0, count), in any order, on any threads, and return when all are done. */
+typedef struct tetcast_parallel {
     void (*for_fn)(tetcast_task_fn *task, void *task_ctx, uint32_t count, void *user);
     void *user;
 } tetcast_parallel;
@@ -261,11 +291,13 @@ typedef struct tetcast_parallel { /* run task(ctx, i) once for each i in [0, cou
 typedef struct tetcast_env {
     tetcast_allocator allocator;
     tetcast_parallel parallel;  /* set: the host's job system runs the work, no thread is started */
-    uint32_t thread_count;    /* 0: one per core; 1: never start a thread */
+    uint32_t thread_count;    /* 0: one per core; 1: never start a thread; more than 64 are 64 */
     size_t memory_limit;      /* bytes that one call and its results may hold at once; 0: none */
-    int (*progress_fn)(void *user, uint64_t done, uint64_t total); /* non-zero cancels; called by one thread */
+    /* `done` of `total` steps, whatever they are in the call; non-zero cancels; by any thread of the call, one at a
+       time */
+    int (*progress_fn)(void *user, uint64_t done, uint64_t total);
     void *progress_user;
-    tetcast_error *error;       /* receives the place and the reason of a failure; may be NULL */
+    tetcast_error *error;       /* receives the place and the reason of a failure; may be NULL. One for each call */
 } tetcast_env;
 
 typedef enum tetcast_isa {
@@ -273,8 +305,8 @@ typedef enum tetcast_isa {
     TETCAST_ISA_SCALAR = 1, /* plain C; fma is an instruction where the processor has it, else a call of libm */
     /* for x64 without that instruction: fused multiply-adds exactly in doubles, in the walk two at a time */
     TETCAST_ISA_SSE = 2,
-    TETCAST_ISA_AVX2 = 3,
-    TETCAST_ISA_AVX512 = 4,
+    TETCAST_ISA_AVX2 = 3,   /* with BMI2; one that the machine has not is the best that it has */
+    TETCAST_ISA_AVX512 = 4, /* F, VL, BW, DQ; where a call has nothing for it: AVX2 */
     TETCAST_ISA_FORCE_32BIT = 0x7fffffff
 } tetcast_isa;
 
@@ -326,9 +358,9 @@ typedef struct tetcast_input {
     tetcast_array positions;   /* elements of three numbers: x y z */
     size_t vertex_count;
     const uint32_t *indices;   /* the cells' vertices one after the other */
-    size_t index_count;        /* 4 per cell when shapes is NULL */
+    size_t index_count;        /* 4 per cell when shapes is NULL; more are ignored */
     const uint8_t *shapes;     /* tetcast_shape of each cell; NULL: all are tetrahedra */
-    size_t cell_count;
+    size_t cell_count;         /* > 0, as vertex_count */
     const uint8_t *masks;      /* per cell, not 0: imaginary: rays pass through it, it shows nothing; or NULL */
     const tetcast_field *fields;
     size_t field_count;
@@ -338,10 +370,10 @@ typedef struct tetcast_input {
    all vertices), rectilinear (axes), uniform (neither: origin + spacing). axes and uniform are placed by origin and
    matrix: world = origin + matrix * (i*spacing[0], j*spacing[1], k*spacing[2]) or of (axes[0][i], ...). */
 typedef struct tetcast_grid {
-    uint32_t dims[3];
-    tetcast_array positions;
-    tetcast_array axes[3];
-    double origin[3];
+    uint32_t dims[3];          /* vertices, 2 and more along each side */
+    tetcast_array positions;   /* elements of three numbers, world; data NULL: none */
+    tetcast_array axes[3];     /* dims[0], dims[1], dims[2] numbers; data NULL: spacing instead */
+    double origin[3];          /* world; of vertex 0 where there are no axes */
     double spacing[3];         /* all 0: 1 */
     double matrix[9];          /* rows; all 0: unit matrix */
     const uint8_t *blanks;     /* per vertex, 0: cells that use it are left out (PLOT3D's iblank); or NULL */
@@ -379,8 +411,8 @@ typedef enum tetcast_order {
    keep_neighbours off. 1: keep 16 bytes a cell with the four neighbours; they are made again when something needs them
    disable_clusters keep the walls between clusters of cells that let rays leap over what the transfer function hides,
                    about 10 bytes a cell
-   strict          off. 1: an index out of range, a NaN or a cell of unknown shape is an error, not left out and
-                   counted */
+   strict          off. 1: an index out of range, a number that is none (positions, values) or a cell of unknown shape
+                   is an error (FORMAT), not left out and counted */
 typedef struct tetcast_mesh_desc {
     uint32_t _begin_zero;
     tetcast_env env;
@@ -395,14 +427,15 @@ typedef struct tetcast_mesh_desc {
     uint32_t _end_zero;
 } tetcast_mesh_desc;
 
-/* What an import found. first_* are numbers of the input, TETCAST_NONE when the count is 0. */
+/* What an import found. first_* are numbers of cells of the input, first_bad_value that of a vertex where the field is
+   one per vertex; TETCAST_NONE when the count is 0. */
 typedef struct tetcast_report {
     uint64_t input_cells, input_vertices;
     uint64_t cells;              /* tetrahedra of the mesh */
     uint64_t vertices;           /* that they use */
     uint64_t bad_indices;        /* cells with an index out of range: left out */
-    uint64_t bad_positions;      /* cells with a vertex that is NaN or infinite: left out */
-    uint64_t bad_shapes;         /* cells of unknown shape: left out (the rest of the list cannot be read) */
+    uint64_t bad_positions;      /* cells with a vertex that is NaN, infinite or beyond 1e100: left out */
+    uint64_t bad_shapes;         /* cells from the first one of unknown shape on: left out, they cannot be read */
     uint64_t repeated;           /* tetrahedra with the same vertex twice: left out */
     uint64_t duplicates;         /* tetrahedra that are there already: left out */
     uint64_t zero_volume;        /* four vertices in a plane: kept, they are in nobody's way */
@@ -423,9 +456,10 @@ typedef struct tetcast_check {
     uint64_t hanging_nodes;        /* vertices of the hull that lie on an edge of the hull without ending it */
     uint64_t coincident_vertices;  /* vertices at the place of another one */
     uint64_t components;           /* parts that share no face */
-    uint32_t first_hanging, first_coincident; /* vertex of the input */
+    /* vertex of the input (of the mesh where drop_source was set); TETCAST_NONE: there is none */
+    uint32_t first_hanging, first_coincident;
     double volume;                 /* sum of all cells, world units; inverted ones count negative */
-    double smallest, largest;      /* volume of a cell */
+    double smallest, largest;      /* volume of a cell; negative where it is inverted */
     double aspect;                 /* largest ratio of a cell's longest edge to its smallest height; infinity if flat */
     double longest_edge;           /* world units */
 } tetcast_check;
@@ -433,8 +467,8 @@ typedef struct tetcast_check {
 typedef struct tetcast_mesh tetcast_mesh;
 
 typedef struct tetcast_mesh_info {
-    uint64_t cell_count, vertex_count, hull_face_count;
-    uint32_t field_count, active_field;
+    uint64_t cell_count, vertex_count, hull_face_count; /* tetrahedra, vertices that they use, triangles */
+    uint32_t field_count, active_field; /* active_field: 0 where there is no field */
     tetcast_cells cells;
     double box_min[3], box_max[3]; /* world */
     uint64_t escapes;              /* Tet8: cells in the side table */
@@ -444,53 +478,66 @@ typedef struct tetcast_mesh_info {
     uint64_t field_bytes;          /* all scalars, where there are several, and those per cell */
     uint64_t cluster_bytes;        /* what disable_clusters is about: about 10 a cell, for leaping only */
     uint64_t optional_bytes;       /* what drop_* and keep_* are about */
-    uint64_t total_bytes;
+    uint64_t total_bytes;          /* all of these, and 4 for each column of strips, which says what cell is there; 128
+                                      for each block that was asked for come on top */
 } tetcast_mesh_info;
 
 /* Build a mesh.
    desc    NULL: all defaults
-   input   borrowed
-   report  out, may be NULL; filled as far as the import got
+   input   borrowed; without a field everything has the value 0
+   report  out, may be NULL; filled as far as the import got, when it fails as well
+   out_mesh  free with tetcast_mesh_destroy; NULL on failure
    Cells that cannot be used are left out and counted. Faces are matched by their three vertices; where that fails
    (hanging nodes, three cells at a face, blocks that do not share vertices) rays leave the mesh and enter it again.
    Larger cells are cut so that each quadrilateral face is cut at its vertex of the smallest number: neighbours agree.
    The same mesh for any number of threads. Cost: O(cells), about 0.1 s for 10^6 tetrahedra on one core; holds about
-   100 bytes a cell at its peak. Errors: INVALID_ARG, UNINIT_DESC, EMPTY, RANGE, FORMAT (strict), NO_MEMORY,
-   CANCELLED. */
+   100 bytes a cell at its peak. Errors: INVALID_ARG, UNINIT_DESC, EMPTY (no cell, or none that can be used), RANGE
+   (more cells or vertices than TETCAST_MAX_*), TRUNCATED (fewer indices than the cells need), FORMAT (strict),
+   NO_MEMORY, CANCELLED. */
 TETCAST_DEF tetcast_result tetcast_mesh_create(const tetcast_mesh_desc *desc, const tetcast_input *input,
                                                tetcast_report *report, tetcast_mesh **out_mesh);
 
 /* The same from a structured grid. A hexahedron that was cut into tetrahedra is linear in each of them, it has no
-   longer the trilinear function of the grid: the difference is of second order in the size of the cells. */
+   longer the trilinear function of the grid: the difference is of second order in the size of the cells.
+   Errors: as tetcast_mesh_create, but TRUNCATED; EMPTY also where a side has less than two vertices. */
 TETCAST_DEF tetcast_result tetcast_mesh_create_grid(const tetcast_mesh_desc *desc, const tetcast_grid *grid,
                                                     tetcast_report *report, tetcast_mesh **out_mesh);
 
 TETCAST_DEF void tetcast_mesh_destroy(tetcast_mesh *mesh); /* NULL is allowed */
 TETCAST_DEF void tetcast_mesh_get_info(const tetcast_mesh *mesh, tetcast_mesh_info *info);
+/* What tetcast_mesh_create reported. */
 TETCAST_DEF void tetcast_mesh_get_report(const tetcast_mesh *mesh, tetcast_report *report);
 
-/* Look closer at a mesh: see tetcast_check. Needs the tets. O(n log n). Errors: INVALID_ARG (tets dropped),
-   NO_MEMORY. */
+/* Look closer at a mesh: see tetcast_check. Needs the tets. Serial but for neighbours; O(n log n); holds 20 bytes a
+   cell and up to 17 a vertex meanwhile, from env. Errors: INVALID_ARG (tets dropped), NO_MEMORY. */
 TETCAST_DEF tetcast_result tetcast_mesh_check(const tetcast_mesh *mesh, const tetcast_env *env, tetcast_check *check);
 
-/* Name and range of a field; *lo > *hi when it has no value that is a number. Returns NULL when there is no such
-   field. */
+/* Name ("" where none was given) and range of a field; *lo > *hi when it has no value that is a number. lo, hi may be
+   NULL. Returns NULL when there is no such field; lo and hi are left alone then. O(1). */
 TETCAST_DEF const char *tetcast_mesh_field(const tetcast_mesh *mesh, uint32_t field, float *lo, float *hi);
-/* Number of the field of that name, or TETCAST_NONE. */
+/* Number of the first field of that name (63 bytes of it were kept), or TETCAST_NONE. */
 TETCAST_DEF uint32_t tetcast_mesh_find_field(const tetcast_mesh *mesh, const char *name);
 
-/* Choose the scalar that is seen; 0 at first. Not while another thread uses the mesh. O(vertices).
-   Errors: INVALID_ARG, RANGE (no such field). */
+/* Choose the scalar that is seen; 0 at first. Not while another thread uses the mesh. Gradients of another field are
+   dropped. O(vertices), LIST160: O(cells). Allocates nothing. Errors: INVALID_ARG, RANGE (no such field): nothing has
+   changed then. */
 TETCAST_DEF tetcast_result tetcast_mesh_set_field(tetcast_mesh *mesh, uint32_t field);
 
-/* The mesh in its own order. positions: world. Numbers of the input through source_*, or TETCAST_NONE when dropped. */
+/* The mesh in its own order, vertex < vertex_count; else zeros and TETCAST_NONE.
+   position       out, world, or NULL
+   value          out, of the active field, or NULL; 0 where that is one per cell, or no number
+   source_vertex  out, number in the input, TETCAST_NONE when dropped; or NULL. O(1) */
 TETCAST_DEF void tetcast_mesh_vertex(const tetcast_mesh *mesh, uint32_t vertex, double position[3], float *value,
                                      uint32_t *source_vertex);
-/* Needs the tets, else RANGE. source_cell: the cell of the input that it was cut from. */
+/* A tetrahedron in the mesh's own order, cell < cell_count. Needs the tets.
+   vertices     out, or NULL; numbers of the mesh's own order, (v1 - v0) x (v2 - v0) . (v3 - v0) > 0 but in cells that
+                are flat or inverted in the input
+   source_cell  out, the cell of the input that it was cut from, TETCAST_NONE when dropped; or NULL
+   Errors: INVALID_ARG, RANGE (no such cell, tets dropped): both outputs are TETCAST_NONE then. O(1). */
 TETCAST_DEF tetcast_result tetcast_mesh_cell(const tetcast_mesh *mesh, uint32_t cell, uint32_t vertices[4],
                                              uint32_t *source_cell);
-/* Face of the hull, face < hull_face_count: three vertices of the mesh's own order, counter-clockwise from outside.
-   All of them are a closed surface, such as tetcast_clip_body wants. */
+/* Face of the hull, face < hull_face_count, else TETCAST_NONE: three vertices of the mesh's own order,
+   counter-clockwise from outside. All of them are a closed surface, such as tetcast_clip_body wants. O(1). */
 TETCAST_DEF void tetcast_mesh_hull_face(const tetcast_mesh *mesh, uint32_t face, uint32_t vertices[3]);
 
 /* ---- transfer functions ---- */
@@ -499,9 +546,9 @@ TETCAST_DEF void tetcast_mesh_hull_face(const tetcast_mesh *mesh, uint32_t face,
    jump (the first is the limit from below, the last the limit from above; points between them are ignored). Outside
    the points the nearest one holds. Colours are linear light, not sRGB. Extinction is per unit of world length. */
 typedef struct tetcast_control_point {
-    float value;
-    float rgb[3];
-    float extinction;
+    float value;       /* absolute value below 1e38 */
+    float rgb[3];      /* 0 .. 1e18 */
+    float extinction;  /* 0 .. 1e18 */
 } tetcast_control_point;
 
 /* ASSOCIATED: particles of colour rgb that emit and absorb; emission per unit of length is rgb * extinction.
@@ -515,21 +562,22 @@ typedef enum tetcast_color_mode {
 /* A surface of constant value: seen by the models with isosurfaces, in any number, in the order in which a ray meets
    them. The lit colour of one light is light * (rgb * (n . l) + specular * (n . h)^shininess), two-sided. */
 typedef struct tetcast_isovalue {
-    float value;
-    float rgb[3];
+    float value;        /* absolute value below 1e38 */
+    float rgb[3];       /* 0 .. 1e30 */
     float opacity;      /* 0 invisible .. 1 opaque */
-    float specular;     /* strength of the highlight */
-    float shininess;    /* exponent of the highlight, 0: 32 */
+    float specular;     /* strength of the highlight, 0 .. 1e30 */
+    float shininess;    /* exponent of the highlight, up to 1e6; 0: 32 */
 } tetcast_isovalue;
 
 /* field           zero means
    points          no control points: nothing is emitted or absorbed (isovalues may still be seen)
    table           none; else table_count samples {r, g, b, extinction}, the first at table_value[0], the last at
-                   table_value[1], linear between them (table_steps = 1: constant, changing half way between samples)
+                   table_value[1], the larger one, linear between them (table_steps = 1: constant, changing half way
+                   between samples)
    color_points,   none; colours and extinctions may also come as two lists with knots of their own
    extinction_points
-   extinction_scale 1
-   simplify        only knots go whose removal changes less than 1e-7 of the largest value */
+   extinction_scale 1; up to 1e30
+   simplify        only knots go whose removal changes less than 1e-7 of the largest value; else a share up to 1 */
 typedef struct tetcast_transfer_desc {
     uint32_t _begin_zero;
     tetcast_env env;
@@ -559,7 +607,7 @@ typedef struct tetcast_transfer_info {
     uint32_t jump_count;
     uint32_t dropped_count;    /* knots left out: collinear, or by simplify */
     uint32_t isovalue_count;
-    float value[2];            /* first and last knot */
+    float value[2];            /* first and last knot; 0 0 where there are none */
     float largest_extinction;
     float largest_color;       /* largest component of rgb where anything is visible */
     float largest_emission;    /* largest component of rgb * extinction, or of rgb if independent */
@@ -571,26 +619,29 @@ typedef struct tetcast_transfer_info {
    desc    NULL: an empty function
    out     receives the object; free it with tetcast_transfer_destroy. NULL on failure
    Errors: INVALID_ARG (NaN, values not below 1e38, extinction or colour not in [0, 1e18], values not ascending, two
-   isovalues equal, two sources at once; error->where is the index of the point), RANGE (more than 2^20 points),
-   UNINIT_DESC, NO_MEMORY.
-   Cost: O(n log n); about 250 bytes per knot. A change of a transfer function is a new object: microseconds. */
+   isovalues equal, two sources at once; error->where is the index of the point), RANGE (more than 2^20 points or
+   samples, more than 65,536 isovalues), UNINIT_DESC, NO_MEMORY.
+   Cost: O(n log n) in points, O(n^2) in isovalues that are not ascending; about 250 bytes per knot. A change of a
+   transfer function is a new object: microseconds. */
 TETCAST_DEF tetcast_result tetcast_transfer_create(const tetcast_transfer_desc *desc, tetcast_transfer **out);
 TETCAST_DEF void tetcast_transfer_destroy(tetcast_transfer *transfer); /* NULL is allowed */
 TETCAST_DEF void tetcast_transfer_get_info(const tetcast_transfer *transfer, tetcast_transfer_info *info);
 
-/* Colour and extinction at a value; at a jump the limit from above. rgba[3] is the extinction. */
+/* Colour and extinction at a value; at a jump the limit from above. rgba[3] is the extinction. All 0 for NaN and
+   absolute values of 1e38 and more. Cost: O(log n). */
 TETCAST_DEF void tetcast_transfer_eval(const tetcast_transfer *transfer, float value, float rgba[4]);
 
 /* 1 if a ray whose values stay in [lo, hi] sees nothing of the volume there: no extinction and, with independent
-   colours, no emission. Isovalues do not count. NaN: 0. Cost: O(log n). */
+   colours, no emission. Isovalues do not count. NaN, lo > hi: 0. Infinite ends are allowed. Cost: O(log n). */
 TETCAST_DEF int tetcast_transfer_is_empty(const tetcast_transfer *transfer, float lo, float hi);
 
-/* Least upper bounds over [lo, hi]. Cost: O(log n). */
+/* Least upper bounds over [lo, hi], which may be infinite; 0 for NaN and lo > hi. Cost: O(log n). */
 TETCAST_DEF float tetcast_transfer_max_extinction(const tetcast_transfer *transfer, float lo, float hi);
 TETCAST_DEF void tetcast_transfer_max_emission(const tetcast_transfer *transfer, float lo, float hi, float rgb[3]);
 
-/* The range of values in which two functions differ: *lo > *hi if they are equal everywhere. For local updates of
-   tables and for clusters whose picture may change. */
+/* A range of values outside of which two functions are equal: *lo > *hi if they are so everywhere; ends may be infinite
+   (both where the colour modes differ). Isovalues do not count. For local updates of tables and for clusters whose
+   picture may change. Cost: O(n). */
 TETCAST_DEF void tetcast_transfer_difference(const tetcast_transfer *a, const tetcast_transfer *b, float *lo,
                                              float *hi);
 
@@ -626,20 +677,20 @@ typedef enum tetcast_integrator {
 } tetcast_integrator;
 
 typedef struct tetcast_light {
-    float direction[3]; /* towards the light, need not be unit */
-    float rgb[3];
+    float direction[3]; /* towards the light, need not be unit; not 0 */
+    float rgb[3];       /* 0 .. 1e30 */
 } tetcast_light;
 
 #define TETCAST_MAX_LIGHTS 8
 
 /* field           zero means
    samples         1 part per segment (RIEMANN, TRAPEZOID, MIDPOINT); up to 4096
-   table_values    128 samples of the value axis; up to 2048
+   table_values    128 samples of the value axis; 2 .. 2048
    table_lengths   64 slices (TABLE_3D and relatives); up to 1024
    longest         no table integrators; else the largest segment length that the table covers, longer ones are cut:
-                   pictures of what is more than 65,536 times as large are refused
+                   pictures of what is more than 65,536 times as large are refused (RANGE). Below 1e18
    step            length of the steps of TABLE_2D; 0: longest / 4. No less than a 65,536th of what is seen
-   t_min           1/512: rays end when less light than this is left; < 0: never
+   t_min           1/512: rays end when less light than this is left, below 1; < 0: never
    tolerance       0: exact; else the largest colour error in units of 1/255 that all shortcuts together may make; what
                    rounding does, about 0.005, is not less for smaller ones. With few knots only t_min depends on it
    path_length     longest way of a ray through the mesh, which tolerance needs; 0: tolerance only sets t_min, and with
@@ -659,10 +710,10 @@ typedef struct tetcast_optics_desc {
     float tolerance;
     float path_length;
     uint32_t cue;                  /* 1: depth cueing: colours times k(depth), and (1-k) of the fog colour */
-    float cue_depth[2];            /* nearest and farthest depth, world units along the ray */
+    float cue_depth[2];            /* nearest and farthest depth, world units along the ray; ascending */
     float cue_scale[2];            /* k there, in [0, 1]; linear between, clamped outside */
-    float fog[3];
-    float ambient[3];              /* isosurfaces: light from everywhere */
+    float fog[3];                  /* linear, >= 0 */
+    float ambient[3];              /* isosurfaces: light from everywhere, >= 0 */
     const tetcast_light *lights;   /* isosurfaces; up to TETCAST_MAX_LIGHTS; borrowed for the call */
     size_t light_count;
     uint32_t _end_zero;
@@ -681,42 +732,46 @@ typedef struct tetcast_optics_info {
                                       end early, path_length 0). For backgrounds of at most white */
     float bound_integral;          /* the integral itself and the rounding of values and positions: an estimate */
     float bound_end, bound_knots;  /* ending early, knots left out: guaranteed */
-    size_t table_bytes;
+    size_t table_bytes;            /* 0: there is no table */
 } tetcast_optics_info;
 
 /* Prepare.
    transfer  may be destroyed afterwards
    desc      NULL: emission and absorption, exact
-   Errors: INVALID_ARG (NaN, unknown enum, a table integrator without longest), RANGE (table too large), UNINIT_DESC,
-   NO_MEMORY, CANCELLED. Cost: microseconds; table integrators 16 bytes and 0.01 to 1 us an entry, of which there are
-   table_values^2 * table_lengths: seconds, at most hours. */
+   out       free with tetcast_optics_destroy; NULL on failure
+   Errors: INVALID_ARG (NaN, unknown enum, a number out of its range, a table integrator without longest), RANGE
+   (table_values, table_lengths), UNINIT_DESC, NO_MEMORY, CANCELLED (tables). Cost: microseconds; table integrators 16
+   bytes and 0.01 to 1 us an entry, of which there are table_values^2 * table_lengths: seconds, at most hours. */
 TETCAST_DEF tetcast_result tetcast_optics_create(const tetcast_transfer *transfer, const tetcast_optics_desc *desc,
                                                  tetcast_optics **out);
 /* The same with another transfer function, as after an edit: table entries whose value range does not touch the
    difference are copied from `old`, the others are computed as tetcast_optics_create would. Same result, bit for
-   bit. */
+   bit, and the same errors. `old` may be NULL, stays as it is, and may be in use. */
 TETCAST_DEF tetcast_result tetcast_optics_update(const tetcast_optics *old, const tetcast_transfer *transfer,
                                                  const tetcast_optics_desc *desc, tetcast_optics **out);
 TETCAST_DEF void tetcast_optics_destroy(tetcast_optics *optics); /* NULL is allowed */
 TETCAST_DEF void tetcast_optics_get_info(const tetcast_optics *optics, tetcast_optics_info *info);
 
 typedef struct tetcast_segment { /* a stretch of a ray on which the value is linear */
-    float front, back; /* values; finite */
-    float length;      /* >= 0, world units */
-    float depth;       /* of the front point along the ray (depth cueing only) */
+    float front, back; /* values; absolute below 1e38 */
+    float length;      /* >= 0, below 1e18, world units */
+    float depth;       /* of the front point along the ray (depth cueing only); finite */
 } tetcast_segment;
 
 /* Integrate one ray given as segments from front to back: what the renderer does for each pixel.
+   segments  in, [count]; one that does not begin with the value at which the last one ended lies behind a gap
    rgba    out: colour (associated) without background, and opacity. Background b shows as rgb + (1 - a) * b
    used    out: number of segments read before early termination; may be NULL
    Isosurfaces are shaded as if their normals pointed to the eye.
-   Errors: INVALID_ARG (also a segment too long for a table: see longest). Thread safety: any number of threads.
-   Allocates nothing. Cost: 3 to 10 ns per segment. */
+   Errors: INVALID_ARG (a segment out of range, too long for a table: see longest): rgba and *used are 0 then. Segments
+   behind the one at which the ray ended are not looked at. Thread safety: any number of threads. Allocates nothing.
+   Cost: 3 to 10 ns per segment. */
 TETCAST_DEF tetcast_result tetcast_optics_ray(const tetcast_optics *optics, const tetcast_segment *segments,
                                               size_t count, float rgba[4], size_t *used);
 
 /* Integrate `count` segments, each by itself: rgba[i] is colour and opacity of segments[i]. Same bits as `count` calls
-   of tetcast_optics_ray with one segment. isa AUTO: eight at a time where the processor can. */
+   of tetcast_optics_ray with one segment. isa AUTO: eight at a time where the processor can; one that it has not is
+   AUTO. Errors: INVALID_ARG (any segment out of range: nothing is written). Any thread. Allocates nothing. */
 TETCAST_DEF tetcast_result tetcast_optics_segments(const tetcast_optics *optics, const tetcast_segment *segments,
                                                    size_t count, tetcast_isa isa, float (*rgba)[4]);
 
@@ -726,7 +781,8 @@ TETCAST_DEF tetcast_result tetcast_optics_segments(const tetcast_optics *optics,
 typedef struct tetcast_ray {
     double org[3];
     double dir[3];        /* any length but 0; distances are in world units all the same */
-    double t_min, t_max;  /* only what lies between these distances is seen; both 0: from 0 to infinity */
+    double t_min, t_max;  /* only what lies between these distances is seen; both 0: from 0 to infinity. < 0: behind
+                             the origin; t_min > t_max: nothing */
 } tetcast_ray;
 
 typedef struct tetcast_ray_result {
@@ -740,17 +796,17 @@ typedef struct tetcast_ray_result {
 
 /* One tetrahedron on a ray. The value is linear from front to back. */
 typedef struct tetcast_crossing {
-    uint32_t cell;
+    uint32_t cell;                /* in the mesh's own order */
     double t_front, t_back;       /* distances from the ray's origin; t_front <= t_back */
-    float front, back;            /* values */
+    float front, back;            /* values there, of the active field */
 } tetcast_crossing;
 
 /* A pinhole, or parallel rays. Right-handed coordinates; `up` need not be at right angles to the view. */
 typedef struct tetcast_camera {
-    double eye[3], at[3];
-    double up[3];         /* all zero: +y */
+    double eye[3], at[3]; /* world; at: any point in the middle of the picture */
+    double up[3];         /* all zero: +y. Along the view: the axis farthest from it */
     float fov_y;          /* vertical angle in degrees, below 180; 0: 40 */
-    float ortho_height;   /* > 0: parallel rays instead; height of the picture in world units */
+    float ortho_height;   /* > 0: parallel rays instead; height of the picture in world units; never < 0 */
 } tetcast_camera;
 
 /* How a picture is made. Both show the same: the same cells on every ray, the same integrals; depths and values differ
@@ -767,12 +823,12 @@ typedef enum tetcast_method {
    camera           (eye equals at) one that frames everything
    method           whatever is faster. PROJECT needs the tets, and pictures of at most 65536 pixels a side
    isa              the best that the machine has; all give the same bits
-   clip_near        nothing is cut off in front of the eye; else world distance along the viewing axis
-   clip_far         nothing is cut off behind
+   clip_near        nothing is cut off in front of the eye; else world distance along the viewing axis, >= 0
+   clip_far         nothing is cut off behind; else such a distance, also infinite
    background       transparent; linear RGB, premultiplied, and alpha
    smooth_normals   isosurfaces are shaded by the gradient of each cell. 1: by the gradients of the vertices,
-                    interpolated (tetcast_mesh_make_gradients has to be called before)
-   traverse_only    off. 1: walk through all cells without integrating, for measuring
+                    interpolated (tetcast_mesh_make_gradients has to be called before, else INVALID_ARG)
+   traverse_only    off. 1: walk through all cells without integrating, for measuring; optics may be NULL
    no_leaping       leap over clusters of cells that the transfer function hides, where that pays */
 typedef struct tetcast_render_desc {
     uint32_t _begin_zero;
@@ -790,23 +846,23 @@ typedef struct tetcast_render_desc {
 
 /* Buffers of the caller, row 0 on top; any may be NULL. Strides in bytes, 0: rows lie close together. */
 typedef struct tetcast_image {
-    uint32_t width, height;
+    uint32_t width, height; /* pixels; a picture of none is no error */
     uint8_t *rgba8;        /* sRGB, not premultiplied; alpha = opacity */
     float *rgba;           /* linear, premultiplied */
-    /* along the viewing axis, of the first cell that is not empty; INFINITY where there is none */
+    /* along the viewing axis, world units, of the first cell that is not empty; INFINITY where there is none */
     float *depth;
     float *length;         /* way inside of the mesh, world units */
     uint32_t *steps;       /* tetrahedra passed; a walk counts those before the near end, too, a projection does not */
     size_t rgba8_stride, rgba_stride, depth_stride, length_stride, steps_stride;
 } tetcast_image;
 
-typedef struct tetcast_render_stats { /* added to */
+typedef struct tetcast_render_stats { /* added to by calls that succeed, but for the last three, which are set */
     uint64_t rays;         /* of the picture */
     uint64_t hit_rays;     /* that met the mesh */
     uint64_t walks;        /* times a ray entered the mesh */
     uint64_t steps;        /* tetrahedra passed */
     uint64_t hull_tests;   /* pairs of hull face and pixel that were tested */
-    uint64_t ended;        /* rays that ended early */
+    uint64_t ended;        /* rays that ended early: little light was left */
     uint64_t lanes;        /* places for a ray in all steps of the SIMD walker: steps / lanes is its occupancy */
     uint64_t leapt_faces;  /* faces of clusters that took part as hull */
     uint64_t cells;        /* projected: cells that can be in the picture */
@@ -818,43 +874,57 @@ typedef struct tetcast_render_stats { /* added to */
 } tetcast_render_stats;
 
 /* Set eye and at so that the box fills the picture; keeps up, fov_y; with ortho_height > 0 sets that as well.
-   view  from the object towards the eye, any length; NULL: from the front, a little from above and the right */
+   camera  in and out; left alone on failure
+   box_min, box_max  world; may be equal
+   view    from the object towards the eye, any length but 0; NULL: from the front, a little from above and the right
+   width, height  of the picture; 0: as if it were square
+   Errors: INVALID_ARG (fov_y, ortho_height < 0, a box or view that is none, NaN). O(1). */
 TETCAST_DEF tetcast_result tetcast_camera_fit(tetcast_camera *camera, const double box_min[3], const double box_max[3],
                                               const double view[3], uint32_t width, uint32_t height);
 
 /* The ray through point (x, y) of the picture plane, in pixels from its upper left corner: (i+0.5, j+0.5) is the
-   centre of pixel (i, j). dir is a unit vector. */
+   centre of pixel (i, j); it need not be inside. dir is a unit vector, t_min and t_max are 0.
+   Errors: INVALID_ARG (height 0, x or y not finite, a camera that is none; eye equals at): *out_ray is 0 then. O(1). */
 TETCAST_DEF tetcast_result tetcast_camera_ray(const tetcast_camera *camera, uint32_t width, uint32_t height, double x,
                                               double y, tetcast_ray *out_ray);
 
 /* Draw.
    desc    NULL: all defaults
-   optics  transfer function, model and integrator
+   optics  transfer function, model and integrator; NULL only with traverse_only: pictures are background then
+   image   out; its buffers do not overlap
    stats   may be NULL
    Rays walk through the mesh from cell to cell; every decision is the exact sign of a determinant of the vertices as
    the ray sees them, rounded once, so a ray can get lost nowhere: not in vertices, edges or faces, not in flat,
    inverted or tangled cells.
-   The same bits for any number of threads and any isa. Errors: INVALID_ARG, RANGE (a picture too large; a table's
-   longest or step, see tetcast_optics_desc), UNINIT_DESC, NO_MEMORY, CANCELLED (then the picture is incomplete). Thread
-   safety: any number of calls on one mesh. */
+   The same bits for any number of threads and any isa. Errors: INVALID_ARG (as well: projection without tets), RANGE (a
+   picture too large; a table's longest or step, see tetcast_optics_desc), UNINIT_DESC, NO_MEMORY, CANCELLED (then the
+   picture is incomplete). Thread safety: any number of calls on one mesh. Cost: docs/benchmarks.md; holds 120 KB
+   and more for each thread, projection also 16 bytes a vertex and what the cells of a tile need. */
 TETCAST_DEF tetcast_result tetcast_render(const tetcast_render_desc *desc, const tetcast_mesh *mesh,
                                           const tetcast_optics *optics, const tetcast_image *image,
                                           tetcast_render_stats *stats);
 
-/* Follow single rays. desc: env, isa and smooth_normals count. optics NULL: only length, steps and walks.
+/* Follow single rays. desc: env, isa, traverse_only, smooth_normals count. optics NULL: only length, steps and walks.
+   rays     in, [count]
+   results  out, [count]; must not overlap rays
    Rays that are not finite or have no direction give zeros and no hit. Errors: INVALID_ARG, RANGE (as tetcast_render;
-   2^41 rays), UNINIT_DESC, NO_MEMORY. Thread safety: any number of calls on one mesh. Cost: O(log(hull faces)) and the
-   cells on the way. */
+   2^41 rays), UNINIT_DESC, NO_MEMORY. Thread safety: any number of calls on one mesh. The same bits for any number of
+   threads and any isa. Cost: O(log(hull faces)) and the cells on the way. */
 TETCAST_DEF tetcast_result tetcast_cast(const tetcast_render_desc *desc, const tetcast_mesh *mesh,
                                         const tetcast_optics *optics, const tetcast_ray *rays, size_t count,
                                         tetcast_ray_result *results, tetcast_render_stats *stats);
 
-/* Call fn for every tetrahedron on a ray, front to back; fn returns non-zero to stop. Returns how many there were. */
+/* Call fn for every tetrahedron on a ray, front to back, masked ones as well; fn returns non-zero to stop. Returns how
+   many there were, the one at which it stopped included; 0 also for a ray that is none, and where memory ran out: 120
+   KB and more from the mesh's allocator, freed at the end. Any thread. Cost: as tetcast_cast. */
 TETCAST_DEF uint64_t tetcast_probe(const tetcast_mesh *mesh, const tetcast_ray *ray,
                                    int (*fn)(void *user, const tetcast_crossing *crossing), void *user);
 
-/* Gradients at the vertices for smooth_normals, of the active field: means over the cells around, weighted by volume.
-   12 bytes a vertex. Needs the tets. Not while another thread uses the mesh. */
+/* Gradients at the vertices for smooth_normals, of the active field: means over the cells around, weighted by volume;
+   masked cells count, a value that is no number counts as 0. Nothing happens where they are there already. Needs the
+   tets. Not while another thread uses the mesh. Serial, O(cells); 12 bytes a vertex that stay, 32 more meanwhile, with
+   the mesh's allocator and limit: of env only `error` counts. Errors: INVALID_ARG (tets dropped, a field of one value a
+   cell), NO_MEMORY. */
 TETCAST_DEF tetcast_result tetcast_mesh_make_gradients(tetcast_mesh *mesh, const tetcast_env *env);
 
 /* ---- isosurfaces as triangles ---- */
@@ -877,24 +947,25 @@ typedef struct tetcast_surface_desc {
 /* Triangles, counter-clockwise seen from the side of smaller values. One vertex for each edge of the mesh that crosses
    the isovalue: the surface is closed inside of the mesh, and its border lies in the hull. */
 typedef struct tetcast_surface {
-    double origin[3];           /* world position = origin + positions */
+    double origin[3];           /* world position = origin + positions; the middle of the mesh */
     float *positions;           /* xyz per vertex */
     float *normals;             /* NULL: not asked for */
     uint32_t *indices;          /* 3 per triangle */
-    uint32_t *cells;            /* 1 per triangle; NULL: not asked for */
-    uint32_t vertex_count, triangle_count;
+    uint32_t *cells;            /* 1 per triangle, in the mesh's own order; NULL: not asked for */
+    uint32_t vertex_count, triangle_count; /* 0: the arrays are NULL */
     uint32_t flat_count;        /* triangles without area, where a vertex of the mesh has just the isovalue */
     tetcast_allocator _allocator;
 } tetcast_surface;
 
 /* Marching tetrahedra over the active field, which has to be one per vertex.
-   mesh  needs its tets
+   desc  NULL: all defaults
+   mesh  needs its tets; without a field there is no surface
    out   free with tetcast_surface_free; cleared on error. No triangle at all is no error
    A vertex counts as inside when its value is at least the isovalue, as for rays. Masked cells and cells with a value
-   that is no number are left out. The same surface for any number of threads. Cost: about 10 ns a cell.
-   Errors: INVALID_ARG (field per cell, isovalue not finite, tets dropped), RANGE (more than 2^32 vertices or
-   triangles, a mesh larger than floats), UNINIT_DESC, NO_MEMORY, CANCELLED. Thread safety: any number of calls on one
-   mesh. */
+   that is no number are left out. The same surface for any number of threads. Cost: about 10 ns a cell; holds 5 bytes a
+   cell, a byte a vertex and some 30 bytes for each edge of a cell that is crossed. Errors: INVALID_ARG (field per cell,
+   isovalue not finite, tets dropped), RANGE (more than 2^32 vertices or triangles, a mesh larger than floats),
+   UNINIT_DESC, NO_MEMORY. Thread safety: any number of calls on one mesh. Source: Doi and Koide 1991. */
 TETCAST_DEF tetcast_result tetcast_isosurface(const tetcast_surface_desc *desc, const tetcast_mesh *mesh,
                                               tetcast_surface *out);
 TETCAST_DEF void tetcast_surface_free(tetcast_surface *surface); /* NULL and cleared ones are allowed */
@@ -904,8 +975,8 @@ TETCAST_DEF void tetcast_surface_free(tetcast_surface *surface); /* NULL and cle
 
 /* A regular lattice of nodes: node (i, j, k) stands at origin + (i*spacing[0], j*spacing[1], k*spacing[2]), world. */
 typedef struct tetcast_lattice {
-    uint32_t dims[3];      /* nodes, at most 2^20 a side */
-    double origin[3];
+    uint32_t dims[3];      /* nodes, 1 .. 2^20 a side */
+    double origin[3];      /* world, of node (0, 0, 0) */
     /* > 0; of bricks the largest is at most 4096 times the smallest; of a side with one node it is the thickness */
     double spacing[3];
 } tetcast_lattice;
@@ -938,7 +1009,10 @@ typedef struct tetcast_resample_stats { /* added to */
     uint64_t extended;     /* nodes outside with a value */
 } tetcast_resample_stats;
 
-/* A lattice that holds a mesh: `longest` nodes along the longest side, cubes as cells, a node on the lower corner. */
+/* A lattice that holds a mesh: `longest` nodes along the longest side, cubes as cells, a node on the lower corner.
+   longest  2 .. 2^20
+   out      0 on failure
+   Errors: INVALID_ARG (longest, a mesh that is one point). Any thread. O(1). */
 TETCAST_DEF tetcast_result tetcast_lattice_fit(const tetcast_mesh *mesh, uint32_t longest, tetcast_lattice *out);
 
 /* Evaluate the active field at the nodes of a lattice.
@@ -946,12 +1020,15 @@ TETCAST_DEF tetcast_result tetcast_lattice_fit(const tetcast_mesh *mesh, uint32_
    mesh    needs its tets
    out     dims[0] * dims[1] * dims[2] floats, x fastest
    stats   may be NULL
+   Cells that are masked or have a value that is no number are as if they were not there.
    A node is inside of a cell when it is on the inner side of its four faces, or nearer to them than 1e-13 of the cell's
    box: no node between cells is lost. Both cells at a face have the same numbers for it. Of several cells that hold a
    node the last one in the mesh's order counts. The same bits for any number of threads and any isa.
-   Cost: about 0.1 us a cell, 5 ns a row of a cell's box, and the nodes. Errors: INVALID_ARG (tets dropped, lattice),
-   RANGE, UNINIT_DESC, NO_MEMORY, CANCELLED (then only a part of `out` is written). Thread safety: any number of calls
-   on one mesh. Source: the thesis, chapter 7 (scanlines, there along the longest side, spans from four half spaces). */
+   Cost: about 0.1 us a cell, 5 ns a row of a cell's box, and the nodes; with threads or a progress_fn it holds 4 bytes
+   for each slab of nodes that a cell meets, with extend 4 more a cell of the hull. Errors: INVALID_ARG (tets dropped,
+   lattice, axis), RANGE (more nodes than can be addressed), UNINIT_DESC, NO_MEMORY, CANCELLED (then only a part of
+   `out` is written). Thread safety: any number of calls on one mesh. Source: the thesis, chapter 7 (scanlines, there
+   along the longest side, spans from four half spaces). */
 TETCAST_DEF tetcast_result tetcast_resample(const tetcast_resample_desc *desc, const tetcast_mesh *mesh,
                                             const tetcast_lattice *lattice, float *out, tetcast_resample_stats *stats);
 
@@ -967,23 +1044,28 @@ typedef struct tetcast_means {
    coarser than the cells, where values at the nodes miss what lies between them.
    env     NULL: all defaults
    mesh    needs its tets
+   out     the arrays, dims[0] * dims[1] * dims[2] floats each
    Cells are cut exactly where boxes meet, so sums of mean * share over the boxes are the integral of the field over the
    cells in them, to rounding. The same bits for any number of threads. Cost: about 0.2 us a cell and 0.5 us for each
-   box that it meets; 16 bytes a node of a few layers for each thread. Errors: INVALID_ARG, RANGE, NO_MEMORY, CANCELLED.
-   Thread safety: any number of calls on one mesh. Source: as first-order moments in Powell, Abel: An exact general
-   remeshing scheme. J. Comput. Phys. 297, 2015; here boxes are cut in halves until a piece lies in one. */
+   box that it meets; 16 bytes a node of a few layers for each thread. Errors: INVALID_ARG (tets dropped, lattice),
+   RANGE, NO_MEMORY, CANCELLED (then only a part is written). Thread safety: any number of calls on one mesh. Source: as
+   first-order moments in Powell, Abel: An exact general remeshing scheme. J. Comput. Phys. 297, 2015; here boxes are
+   cut in halves until a piece lies in one. */
 TETCAST_DEF tetcast_result tetcast_resample_mean(const tetcast_env *env, const tetcast_mesh *mesh,
                                                  const tetcast_lattice *lattice, const tetcast_means *out);
 
 /* A plane: points origin + x * u + y * v. u and v span it; they need not be at right angles nor unit. */
 typedef struct tetcast_plane {
-    double origin[3];
-    double u[3], v[3];
+    double origin[3];      /* world */
+    double u[3], v[3];     /* world; not along each other */
 } tetcast_plane;
 
 /* The active field on a plane: value of point origin + (i+0.5)/width * u + (j+0.5)/height * v in out[j*width + i]; NaN
    outside of the mesh. The same rule for points between cells as tetcast_resample. Needs the tets. Serial.
-   Cost: a distance for each vertex, then 0.1 us for each cell that the plane meets, and the points in them. */
+   out     width * height floats; width and height below 2^31
+   Errors: INVALID_ARG (a plane that is none, tets dropped), RANGE, NO_MEMORY. Thread safety: any number of calls on one
+   mesh. Cost: a distance for each vertex, 8 bytes meanwhile, then 0.1 us for each cell that the plane meets, and the
+   points in them. */
 TETCAST_DEF tetcast_result tetcast_plane_sample(const tetcast_env *env, const tetcast_mesh *mesh,
                                                 const tetcast_plane *plane, uint32_t width, uint32_t height,
                                                 float *out);
@@ -1003,15 +1085,17 @@ typedef struct tetcast_section {
     double (*points)[3];     /* world */
     float *values;           /* per point */
     uint32_t *first;         /* polygon i has the points first[i] .. first[i+1]-1, 3 or 4, in order around it */
-    uint32_t *cells;         /* per polygon */
-    uint32_t point_count, polygon_count;
-    double area;             /* sum over all polygons */
+    uint32_t *cells;         /* per polygon, in the mesh's own order */
+    uint32_t point_count, polygon_count; /* first has polygon_count + 1 elements */
+    double area;             /* sum over all polygons, world */
     tetcast_allocator _allocator;
 } tetcast_section;
 
 /* Cut: all cells through which the plane goes, in the mesh's order. A vertex in the plane counts as behind it, so two
-   cells at a face in the plane give one polygon. Field per vertex. Errors: INVALID_ARG, RANGE (2^31 points),
-   NO_MEMORY. */
+   cells at a face in the plane give one polygon. Cells that are masked or have a value that is no number are left out.
+   out  free with tetcast_section_free; cleared on failure. No polygon is no error
+   Needs the tets, and a field that is one per vertex. Serial. Thread safety: any number of calls on one mesh. Cost: as
+   tetcast_plane_sample, twice. Errors: INVALID_ARG (as well: a field per cell), RANGE (2^31 points), NO_MEMORY. */
 TETCAST_DEF tetcast_result tetcast_plane_section(const tetcast_env *env, const tetcast_mesh *mesh,
                                                  const tetcast_plane *plane, tetcast_section *out);
 TETCAST_DEF void tetcast_section_free(tetcast_section *section); /* NULL and cleared ones are allowed */
@@ -1022,7 +1106,7 @@ TETCAST_DEF void tetcast_section_free(tetcast_section *section); /* NULL and cle
 
 /* field        zero means
    log_cells    bricks of 2^4 cells a side, 17^3 nodes; 3, 4 or 5
-   levels       as many as there can be: log_cells + 1
+   levels       as many as there can be: log_cells + 1; never more
    storage      TETCAST_TYPE_F32, _F16, _U16 or _U8. Integers share one scale over the whole volume, so that neighbours
                 agree in the nodes that they share; an integer is off by at most half a step of it
    max_error    everything is kept on all levels. > 0: in units of the values; a brick has no finer ones below it where
@@ -1030,14 +1114,14 @@ TETCAST_DEF void tetcast_section_free(tetcast_section *section); /* NULL and cle
    nearest      coarser levels are made with the quadratic B-spline (1 4 6 4 1)/16; 1: every other node (always so with
                 max_error, and from meshes: nodes of all levels then lie on the field itself)
    longest      from meshes: as fine as max_error asks for, up to longest_end nodes, or as many as there can be bricks
-                for (report.above tells whether that was enough); else nodes along the longest side
-   longest_end  4097
+                for (report.above tells whether that was enough); else nodes along the longest side, 2 .. 16385
+   longest_end  4097; up to 16385
    checks       from meshes: random points at which the error is looked at, besides all vertices: 200000
    average      from meshes, with longest: nodes have the values of the field. 1: its means over the boxes around them
                 (tetcast_resample_mean), for nodes farther apart than vertices; max_error is then about these means
    focus,       from meshes: as fine as max_error asks for, everywhere. Else (focus_radius > 0) on demand: level k is
    focus_radius made only nearer to the point than k + 1 times that, as tetcast_cut_desc chooses levels; places that
-                stay coarser by it are not checked */
+                stay coarser by it are not checked. Not with average */
 typedef struct tetcast_bricks_desc {
     uint32_t _begin_zero;
     tetcast_env env;
@@ -1049,19 +1133,20 @@ typedef struct tetcast_bricks_desc {
     uint32_t longest, longest_end;
     uint32_t checks;
     uint32_t average;
-    double focus[3];
-    double focus_radius;
+    double focus[3];           /* world */
+    double focus_radius;       /* world, >= 0 */
     uint32_t _end_zero;
 } tetcast_bricks_desc;
 
 typedef struct tetcast_bricks_report {
-    uint64_t bad_values;       /* of a grid: no numbers, replaced by the smallest value */
-    uint64_t checks;           /* of a mesh: places at which bricks and mesh were compared: vertices, random points */
+    uint64_t bad_values;       /* of a grid: no numbers below 1e38, replaced by the smallest value */
+    uint64_t checks;           /* of a mesh: places at which bricks and mesh were compared: vertices, random points.
+                                  0 of grids and refined cells, as all that follows */
     uint64_t above;            /* of these: farther apart than max_error */
     uint64_t above_finest;     /* of a mesh, of these: in bricks of the finest level: only more nodes help */
     double error, mean_error;  /* largest and mean difference there */
     double worst[3];           /* where the largest is, world */
-    uint32_t tries;            /* lattices that were tried */
+    uint32_t tries;            /* lattices that were tried, the same one again included */
 } tetcast_bricks_report;
 
 typedef struct tetcast_bricks tetcast_bricks; /* immutable: any number of threads may use it */
@@ -1071,24 +1156,30 @@ typedef struct tetcast_bricks_info {
     uint32_t levels, cells;    /* cells: of a brick along a side */
     uint32_t slots[3];         /* bricks of the finest level along each side */
     tetcast_type storage;
-    float value_min, value_max;
-    float step;                /* of integers */
+    float value_min, value_max; /* of the nodes, or of the mesh's field */
+    float step;                /* of integers, in units of the values; 0: floats */
     uint64_t bricks, nodes;    /* stored, all levels */
     uint64_t leaves;           /* bricks without finer ones below */
     uint64_t level_bricks[TETCAST_BRICK_LEVELS];
-    uint64_t hull_triangles;   /* of the mesh that it was made from */
-    uint64_t bytes;
+    uint64_t hull_triangles;   /* of the mesh that it was made from; 0: of a grid or of functions */
+    uint64_t bytes;            /* of memory */
 } tetcast_bricks_info;
 
-/* Bricks from nodes of a lattice, x fastest. Errors: INVALID_ARG, RANGE, UNINIT_DESC, NO_MEMORY. Cost: about 10 ns a
-   node, one core; holds the nodes twice. */
+/* Bricks from nodes of a lattice.
+   values  in, dims[0] * dims[1] * dims[2] numbers, x fastest
+   out     free with tetcast_bricks_destroy; NULL on failure. So below
+   Errors: INVALID_ARG, RANGE (too many nodes or bricks, spacings too far apart), UNINIT_DESC, NO_MEMORY. The same bits
+   for any number of threads. Cost: about 10 ns a node, one core; holds the nodes twice. */
 TETCAST_DEF tetcast_result tetcast_bricks_create_grid(const tetcast_bricks_desc *desc, const tetcast_lattice *lattice,
                                                       const tetcast_array *values, tetcast_bricks_report *report,
                                                       tetcast_bricks **out);
 /* Bricks from the active field of a mesh. The hull goes along: pictures end where the mesh does. With max_error the
    result is compared with the mesh afterwards, at all vertices and at random points, and made on a lattice four times
    as fine as long as it fails and longest_end allows; report->above tells what is left. Needs the tets.
-   Errors: INVALID_ARG, RANGE, UNINIT_DESC, NO_MEMORY, CANCELLED (progress begins anew with each lattice).
+   desc  needs longest or max_error
+   Errors: INVALID_ARG (as well: tets dropped, a mesh that is one point), RANGE, UNINIT_DESC, NO_MEMORY, CANCELLED
+   (progress begins anew with each lattice). The same bits for any number of threads. Cost: that of tetcast_resample for
+   what is stored, and the checks.
    Source: the thesis, chapter 7 (resampling as the core of an adaptive hierarchy); refinement, check: ours. */
 TETCAST_DEF tetcast_result tetcast_bricks_create_mesh(const tetcast_bricks_desc *desc, const tetcast_mesh *mesh,
                                                       tetcast_bricks_report *report, tetcast_bricks **out);
@@ -1102,7 +1193,7 @@ typedef struct tetcast_patch {
     uint32_t level;            /* 0: coarsest */
     int32_t lo[3];             /* first cell, in cells of the level; the cell at `origin` is 0 0 0 */
     uint32_t dims[3];
-    const float *values;       /* of cells, x fastest; borrowed while the call lasts */
+    const float *values;       /* of cells, x fastest, absolute below 1e38; borrowed while the call lasts */
 } tetcast_patch;
 
 /* What lies between the centres of the cells.
@@ -1134,8 +1225,9 @@ typedef enum tetcast_amr_method {
    origin       corner of the domain: of cell 0 0 0 of each level
    spacing      1: of the cells of level 0
    cells        of level 0, along each side: the domain; has to be given
-   ratio_log    1: a cell has 2^ratio_log cells of the next level along each side
-   ratio_logs   ratio_log; else for each level its own, to the next finer one */
+   ratio_log    1: a cell has 2^ratio_log cells of the next level along each side; up to 4
+   ratio_logs   ratio_log; else for each level its own, to the next finer one
+   patches      in; patch_count of them */
 typedef struct tetcast_amr_desc {
     uint32_t _begin_zero;
     tetcast_env env;
@@ -1149,58 +1241,63 @@ typedef struct tetcast_amr_desc {
 
 typedef struct tetcast_amr tetcast_amr; /* immutable */
 
-/* Copies the values. Level 0 has to fill the domain, by itself or by finer cells; a cell with finer ones in it and no
-   value has their mean. Patches should consist of whole cells of the level before. Errors: INVALID_ARG (a patch beyond
-   the domain, a value that is no number: where says which patch), RANGE (over 2^20 finest cells along a side, 16 levels
-   or 2^27 cells), NO_MEMORY. */
+/* Refined cells from patches. Copies the values. Level 0 has to fill the domain, by itself or by finer cells; a cell
+   with finer ones in it and no value has their mean. Patches should consist of whole cells of the level before.
+   desc  has to be given
+   out   free with tetcast_amr_destroy; NULL on failure
+   Errors: INVALID_ARG (a patch beyond the domain, a value that is no number: where says which patch), EMPTY (a cell of
+   level 0 without any value: where says which, x fastest), RANGE (over 2^20 finest cells along a side, 16 levels or
+   2^27 cells; ratios), UNINIT_DESC, NO_MEMORY. Serial. Cost: O(cells); 4 bytes a cell, and lists for each 8^3. */
 TETCAST_DEF tetcast_result tetcast_amr_create(const tetcast_amr_desc *desc, tetcast_amr **out);
 TETCAST_DEF void tetcast_amr_destroy(tetcast_amr *amr); /* NULL is allowed */
-/* Values at world points; beyond the domain as on its border. Any thread. About 0.06 (NEAREST), 0.3 (CURRENT), 2 to
-   3 us a point. */
+/* Values at world points; beyond the domain as on its border, NaN where a point is not finite. Any thread. Errors:
+   INVALID_ARG. Allocates nothing. About 0.06 (NEAREST), 0.3 (CURRENT), 2 to 3 us a point. */
 TETCAST_DEF tetcast_result tetcast_amr_sample(const tetcast_amr *amr, tetcast_amr_method method,
                                               const double (*points)[3], size_t count, float *out);
-/* Level of the finest cell at a point. */
+/* Level of the finest cell at a point, world; beyond the domain as on its border, 0 where it is not finite. */
 TETCAST_DEF uint32_t tetcast_amr_level(const tetcast_amr *amr, const double point[3]);
 /* Bricks whose finest nodes are the corners of the finest cells, coarser by max_error. Errors: as
-   tetcast_bricks_create_grid, CANCELLED. */
+   tetcast_bricks_create_grid, CANCELLED. Cost: that of tetcast_amr_sample for each node; holds them three times. */
 TETCAST_DEF tetcast_result tetcast_bricks_create_amr(const tetcast_bricks_desc *desc, const tetcast_amr *amr,
                                                      tetcast_amr_method method, tetcast_bricks_report *report,
                                                      tetcast_bricks **out);
 TETCAST_DEF void tetcast_bricks_get_info(const tetcast_bricks *bricks, tetcast_bricks_info *info);
 
-/* Bytes of a .brk file, and the file. data has room for tetcast_bricks_file_size bytes. */
+/* Bytes of a .brk file (docs/formats.md), and the file. Any thread. Allocates nothing.
+   data  out, any alignment; room for tetcast_bricks_file_size bytes, of which `size` says how many there are
+   Errors: INVALID_ARG, RANGE (size too small: nothing is written). */
 TETCAST_DEF size_t tetcast_bricks_file_size(const tetcast_bricks *bricks);
 TETCAST_DEF tetcast_result tetcast_bricks_write(const tetcast_bricks *bricks, void *data, size_t size);
-/* From a file in memory, which is checked completely. Errors: TRUNCATED, FORMAT, VERSION, CHECKSUM, RANGE, NO_MEMORY;
-   error->where is the byte. */
+/* From a file in memory, which is checked completely; bytes behind it are ignored. The same bricks, bit for bit.
+   Errors: INVALID_ARG, TRUNCATED, FORMAT, VERSION, CHECKSUM, RANGE, NO_MEMORY; error->where is the byte. */
 TETCAST_DEF tetcast_result tetcast_bricks_read(const tetcast_env *env, const void *data, size_t size,
                                                tetcast_bricks **out);
 
 /* Which level is shown where, in slots: the places of the finest bricks.
    field        zero means
    level        the finest that there is; else no finer than this
-   levels       none; else one level per slot, x fastest, clamped to what there is
+   levels       none; else one level per slot, x fastest, clamped to what there is; budgets and level do not count then
    focus,       none; else (focus_radius > 0) the finest level within this distance of the point, world, and one level
-   focus_radius coarser for each further radius: the rule of the thesis
+   focus_radius coarser for each further radius: the rule of the thesis. Of all above only level counts then
    byte_budget  none; else start with the coarsest everywhere and refine where the error is largest while the bricks
                 take no more bytes than this
    sample_budget none; else the same while a ray through everything takes no more than this share of the samples that
                 the finest level takes
-   max_error    0; else stop refining where the error is no larger
-   max_jump     any. 1: neighbours differ by one level at most, as in the thesis; by refining
+   max_error    0; else stop refining where the error is no larger. With a budget or max_error level does not count
+   max_jump     any. 1: neighbours differ by one level at most, as in the thesis; by refining. k: by k
    optics       errors count as they are; else bricks whose values it does not show have none */
 typedef struct tetcast_cut_desc {
     uint32_t _begin_zero;
     tetcast_env env;
     uint32_t level;
-    const uint8_t *levels;
+    const uint8_t *levels;         /* slots[0] * slots[1] * slots[2]; borrowed for the call */
     double focus[3];
-    double focus_radius;
-    uint64_t byte_budget;
-    double sample_budget;
-    float max_error;
+    double focus_radius;           /* world, >= 0 */
+    uint64_t byte_budget;          /* bytes */
+    double sample_budget;          /* share, >= 0 */
+    float max_error;               /* in units of the values, >= 0 */
     uint32_t max_jump;
-    const tetcast_optics *optics;
+    const tetcast_optics *optics;  /* borrowed for the call */
     uint32_t _end_zero;
 } tetcast_cut_desc;
 
@@ -1219,24 +1316,30 @@ typedef struct tetcast_cut tetcast_cut;
 /* Choose levels and adapt borders: a node at which a finer brick touches a coarser one takes the value that the coarser
    one has there; all 26 neighbours, coarse before fine, so any difference of levels is continuous to rounding. The
    bricks are not changed: those with adapted nodes are copied as floats.
-   desc    NULL: the finest everywhere. Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY.
-   Cost: about 10 us for each brick that is adapted. Source: the thesis, 8.1.2, which adapts to one level coarser. */
+   desc    NULL: the finest everywhere
+   bricks  have to live as long as the cut
+   out     free with tetcast_cut_destroy; NULL on failure
+   Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY. The same bits for any number of threads. Cost: O(slots), 13 bytes each,
+   and about 10 us for each brick that is adapted. Source: the thesis, 8.1.2, which adapts to one level coarser. */
 TETCAST_DEF tetcast_result tetcast_cut_create(const tetcast_cut_desc *desc, const tetcast_bricks *bricks,
                                               tetcast_cut **out);
 TETCAST_DEF void tetcast_cut_destroy(tetcast_cut *cut); /* NULL is allowed */
 TETCAST_DEF void tetcast_cut_get_info(const tetcast_cut *cut, tetcast_cut_info *info);
-/* Level of each slot, x fastest: slots[0] * slots[1] * slots[2] bytes. */
+/* Level of each slot, x fastest: slots[0] * slots[1] * slots[2] bytes, which belong to the cut. NULL for NULL. */
 TETCAST_DEF const uint8_t *tetcast_cut_levels(const tetcast_cut *cut);
 /* Level of detail for a given time: the sample_budget of the next frame's cut, when the last one had `last` and took
    `seconds` instead of `target`. Times between 85 and 100 % of the target change nothing, so levels do not flicker.
-   The library has no clock: what it is told decides. A few frames settle, since time is nearly linear in samples. */
+   From 1/32 to 1, at most four times as much or as little as before; 1 where `last` is NULL or a time is not > 0. The
+   library has no clock: what it is told decides. A few frames settle, since time is nearly linear in samples. O(1). */
 TETCAST_DEF double tetcast_cut_pace(const tetcast_cut_info *last, double seconds, double target);
 
-/* Trilinear values at points of the finest lattice (node (i, j, k) is at x = i, y = j, z = k), clamped to it.
-   isa AUTO: eight at a time where the machine can; the same bits. Any thread. About 3 ns a point. */
+/* Trilinear values at points of the finest lattice (node (i, j, k) is at x = i, y = j, z = k), clamped to it; NaN is 0.
+   x, y, z  in, [count] each
+   out      out, [count]
+   isa AUTO: eight at a time where the machine can; the same bits. Any thread. Allocates nothing. About 3 ns a point. */
 TETCAST_DEF void tetcast_cut_sample(const tetcast_cut *cut, const float *x, const float *y, const float *z,
                                     size_t count, tetcast_isa isa, float *out);
-/* The same values, bit for bit, with the gradient of the trilinear function, per world unit. */
+/* The same values, bit for bit, with the gradient of the trilinear function, per world unit: [count] of both. */
 TETCAST_DEF void tetcast_cut_gradient(const tetcast_cut *cut, const float *x, const float *y, const float *z,
                                       size_t count, float *out, float (*gradient)[3]);
 
@@ -1244,15 +1347,16 @@ TETCAST_DEF void tetcast_cut_gradient(const tetcast_cut *cut, const float *x, co
 
 /* ---- clipping: planes and closed meshes ---- */
 
-typedef struct tetcast_clip_plane { double normal[3], offset; } tetcast_clip_plane; /* kept: normal . p >= offset */
+/* Kept: normal . p >= offset. World; the normal need not be unit; finite, as the sum of all four numbers. */
+typedef struct tetcast_clip_plane { double normal[3], offset; } tetcast_clip_plane;
 
 /* A closed triangle mesh; world. A ray is inside between its hits number 1 and 2, 3 and 4, ...; where the mesh is not
    closed and their number is odd the last one does not count. */
 typedef struct tetcast_clip_body {
-    const double (*points)[3];
-    size_t point_count;
-    const uint32_t *indices;   /* 3 per triangle */
-    size_t triangle_count;
+    const double (*points)[3]; /* absolute values below 1e150 */
+    size_t point_count;        /* at most TETCAST_MAX_VERTICES */
+    const uint32_t *indices;   /* 3 per triangle, in any orientation */
+    size_t triangle_count;     /* at most 0x15555555; 0: no inside */
     uint32_t outside;          /* 0: what is inside is kept; 1: what is outside */
 } tetcast_clip_body;
 
@@ -1268,18 +1372,23 @@ typedef struct tetcast_clip_desc {
 
 typedef struct tetcast_clip tetcast_clip; /* immutable */
 
-/* Errors: INVALID_ARG (index out of range, no number), NO_MEMORY. Cost: O(n log n). */
+/* Prepare planes and bodies: what all of them keep is kept, everything where there are none. Copies them.
+   out  free with tetcast_clip_destroy; NULL on failure
+   Errors: INVALID_ARG (index out of range, no number, too many: error->where is the plane or body), UNINIT_DESC,
+   NO_MEMORY. Cost: O(n log n). */
 TETCAST_DEF tetcast_result tetcast_clip_create(const tetcast_clip_desc *desc, tetcast_clip **out);
 TETCAST_DEF void tetcast_clip_destroy(tetcast_clip *clip); /* NULL is allowed */
-/* The parts of a ray that are kept, in order: distances in world units. Returns how many there are, of which spans gets
-   the first `room`; TETCAST_NONE where memory ran out. Signs of areas decide, from both sides of an edge the same: a
-   ray between two triangles hits just one of them. Any thread. Allocates, and frees it. */
+/* The parts of a ray that are kept, in order: distances in world units; 1e300 where they have no end. Returns how many
+   there are, of which spans gets the first `room` (NULL where that is 0); TETCAST_NONE where memory ran out; 0 for NULL
+   and for a ray that is none. Signs of areas decide, from both sides of an edge the same: a ray between two triangles
+   hits just one of them. Any thread. Allocates with the clip's allocator, and frees it. Cost: O(planes), and O(log n)
+   and the hits of each body. Source: Woop et al. 2013 (shear). */
 TETCAST_DEF uint32_t tetcast_clip_spans(const tetcast_clip *clip, const tetcast_ray *ray, double (*spans)[2],
                                         uint32_t room);
 
 /* ---- shaders: what a stretch of a ray looks like, as a function of the caller ---- */
 
-enum { /* what a shader asks for; front, back, length are always there */
+enum { /* what a shader asks for; front, back, length, level are always there */
     TETCAST_NEED_GRADIENT = 1, /* of the value, in the middle of the segment, per world unit */
     TETCAST_NEED_POSITION = 2, /* of its middle, world */
     TETCAST_NEED_DIRECTION = 4,
@@ -1291,16 +1400,16 @@ enum { /* what a shader asks for; front, back, length are always there */
 /* Eight segments of eight rays, or of one in their order; those whose bit in mask is 0 hold nothing. Strangers in a
    packet change nothing. */
 typedef struct tetcast_packet {
-    uint32_t mask;
-    float front[8], back[8], length[8], depth[8];
-    float gradient[3][8], position[3][8], direction[3][8];
+    uint32_t mask;             /* bit i: lane i */
+    float front[8], back[8], length[8], depth[8]; /* as in tetcast_segment */
+    float gradient[3][8], position[3][8], direction[3][8]; /* x, y, z; direction: of the ray, unit */
     uint8_t level[8];          /* of the brick; 0 in meshes and functions */
     float channel[TETCAST_MAX_CHANNELS][8]; /* values of the shader's channels in its middle */
 } tetcast_packet;
 
 /* Parameters by name: numbers of the caller, borrowed. */
 typedef struct tetcast_param {
-    const char *name;
+    const char *name;          /* ends with 0 */
     const float *values;
     size_t count;
 } tetcast_param;
@@ -1310,8 +1419,8 @@ typedef struct tetcast_param {
    params    for prepare_fn
    prepare_fn NULL, or called once before the picture, by one thread; what it returns ends the call if it is no
              TETCAST_OK. tetcast_params_find reports a parameter that is missing by its name
-   shade_fn  colour, premultiplied, and opacity of each segment: rgba[0..2][lane], rgba[3][lane]. Called by several
-             threads at once; what it does for a lane depends on that lane only
+   shade_fn  colour, premultiplied, and opacity of each segment: rgba[0..2][lane], rgba[3][lane]; has to be there.
+             Called by several threads at once; what it does for a lane depends on that lane only
    empty_fn  NULL, or 1 if nothing is seen of values in [lo, hi]: such bricks are skipped
    channels  other fields, as cuts of bricks on whatever lattices, in the same world: tetcast_packet.channel has their
              trilinear values in the middle of each segment, beyond a lattice those of its border. Whatever is drawn,
@@ -1328,7 +1437,9 @@ typedef struct tetcast_shader {
     uint32_t channel_count;    /* at most TETCAST_MAX_CHANNELS */
 } tetcast_shader;
 
-/* A parameter with at least `least` numbers; NULL: it is not there, and *error says which. */
+/* A parameter with at least `least` numbers; NULL: it is not there, and *error (NULL: nothing) says which.
+   params  NULL: there are none
+   O(count). Any thread. */
 TETCAST_DEF const float *tetcast_params_find(const tetcast_param *params, size_t count, const char *name, size_t least,
                                              tetcast_error *error);
 
@@ -1336,22 +1447,25 @@ TETCAST_DEF const float *tetcast_params_find(const tetcast_param *params, size_t
    the caller under names; nothing is forgotten but by destroy. One thread at a time. */
 typedef struct tetcast_params tetcast_params;
 
+/* None at first. Errors: INVALID_ARG, NO_MEMORY. env.memory_limit is for all that they ever hold at once. */
 TETCAST_DEF tetcast_result tetcast_params_create(const tetcast_env *env, tetcast_params **out);
 TETCAST_DEF void tetcast_params_destroy(tetcast_params *params); /* NULL is allowed */
 /* Copy `count` numbers (1 .. 2^24) under a name (1 .. 255 bytes). The same bits as before are no change.
-   Errors: INVALID_ARG, RANGE (more than 65535 names), NO_MEMORY: nothing has changed then. */
+   Errors: INVALID_ARG, RANGE (more than 65535 names), NO_MEMORY: nothing has changed then. O(names + count). */
 TETCAST_DEF tetcast_result tetcast_params_set(tetcast_params *params, const char *name, const float *values,
                                               size_t count);
-/* All of them, for tetcast_shader.params or tetcast_params_find; valid until the next set or apply. */
+/* All of them, for tetcast_shader.params or tetcast_params_find; valid until the next set or apply. NULL: none. count
+   may be NULL. O(1). */
 TETCAST_DEF const tetcast_param *tetcast_params_list(const tetcast_params *params, size_t *count);
 /* Changes have numbers 1, 2, ...: that of the last one of a parameter (0: there is none), or, name NULL, of any. A
-   table is old when its parameter's number is greater than it was when the table was made. */
+   table is old when its parameter's number is greater than it was when the table was made. O(names). */
 TETCAST_DEF uint64_t tetcast_params_changed(const tetcast_params *params, const char *name);
 /* What changed after change number `since` (0: everything), as bytes for another set of parameters: each parameter
-   once, with its last values. Returns how many bytes that are; they are written if there is room. */
+   once, with its last values. Returns how many bytes that are; they are written if there is room.
+   data  out, `room` bytes, any alignment; NULL: only the number */
 TETCAST_DEF size_t tetcast_params_changes(const tetcast_params *params, uint64_t since, void *data, size_t room);
 /* Take such bytes over: each parameter is set, what is equal is no change. Checked completely first.
-   Errors: TRUNCATED, FORMAT, CHECKSUM (nothing has changed), NO_MEMORY (some may have).
+   Errors: INVALID_ARG, TRUNCATED, FORMAT, CHECKSUM (nothing has changed), NO_MEMORY, RANGE (some may have).
    Source: the thesis, 9.7.1: change lists of a scene graph; here for parameters by name. */
 TETCAST_DEF tetcast_result tetcast_params_apply(tetcast_params *params, const void *data, size_t size);
 
@@ -1362,7 +1476,8 @@ TETCAST_DEF tetcast_result tetcast_params_apply(tetcast_params *params, const vo
    clip_near, clip_far, background: as in tetcast_render_desc
    clip         nothing
    shader       none: the optics. Else its functions instead, front to back, until less than 1/512 of the light is left
-   frame, part, limit: as in tetcast_brick_render_desc: parts of a frame and ranges of its depth */
+   frame, part, limit: as in tetcast_brick_render_desc: parts of a frame and ranges of its depth. All of it is borrowed
+                for the call */
 typedef struct tetcast_shade_desc {
     uint32_t _begin_zero;
     tetcast_env env;
@@ -1379,8 +1494,10 @@ typedef struct tetcast_shade_desc {
 /* Walk through the tetrahedra as tetcast_render does, ray by ray, for what that has no place for: functions of the
    caller and clipping. A packet holds up to eight segments of one ray, in their order; the gradient is that of the
    tetrahedron. optics may be NULL where there is a shader. Gradients and isosurfaces need the tets of the mesh.
-   The same bits for any number of threads. Errors: as tetcast_render; what a shader's prepare_fn returns. Cost: ten
-   times that of tetcast_render, and the shader. */
+   stats: rays, hit_rays, steps, ended, isa.
+   The same bits for any number of threads. Errors: as tetcast_render (INVALID_ARG also: a part beyond its frame, a
+   shader without shade_fn or with a channel that is NULL); what a shader's prepare_fn returns. Cost: ten times that of
+   tetcast_render, and the shader. */
 TETCAST_DEF tetcast_result tetcast_render_shaded(const tetcast_shade_desc *desc, const tetcast_mesh *mesh,
                                                  const tetcast_optics *optics, const tetcast_image *image,
                                                  tetcast_render_stats *stats);
@@ -1392,15 +1509,17 @@ TETCAST_DEF tetcast_result tetcast_render_shaded(const tetcast_shade_desc *desc,
    camera       (eye equals at) one that frames everything
    isa          the best that the machine has; all give the same bits
    clip_near, clip_far, background: as in tetcast_render_desc
-   step         distance of samples in cells of the finest level: 1. A brick of level k has 2^k times that; samples lie
-                at whole multiples of its step on every ray, and where the ray enters and leaves: lengths are exact
+   step         distance of samples in cells of the finest level, along its shortest side: 1; below 1e6. A brick of
+                level k has 2^k times that; samples lie at whole multiples of its step on every ray, and where the ray
+                enters and leaves: lengths are exact
    fixed_step   0. 1: the same step on all levels
    clip         nothing; applies before the hull of the mesh
    no_hull      0. 1: do not end at the hull that came with the bricks
    shader       none: the optics. Else its functions instead, front to back, until less than 1/512 of the light is left
    frame        the picture is everything; else the image is the part of a frame of this size whose upper left pixel is
-   part         `part`: the same bits as in the whole frame
-   limit        none; else depths along the viewing axis, one per pixel of the image: nothing is seen behind them */
+   part         `part`, and lies in it: the same bits as in the whole frame
+   limit        none; else depths along the viewing axis, world units, one per pixel of the image, rows close together:
+                nothing is seen behind them; below 0 and NaN are none */
 typedef struct tetcast_brick_render_desc {
     uint32_t _begin_zero;
     tetcast_env env;
@@ -1420,8 +1539,8 @@ typedef struct tetcast_brick_render_desc {
 
 /* Cast rays through a cut. optics may be NULL where there is a shader. In the image: steps counts samples, depth is
    where something is seen first. stats: rays, hit_rays, steps (samples), walks (bricks with samples), ended, lanes.
-   The same bits for any number of threads and any isa. Errors: as tetcast_render; RANGE (a step of which the lattice's
-   diagonal has 2^20 or more); what a shader's prepare_fn returns.
+   The same bits for any number of threads and any isa. Errors: as tetcast_render_shaded; RANGE (a step of which the
+   lattice's diagonal has 2^20 or more). Thread safety: any number of calls on one cut.
    Source: the thesis, 8.2, draws slices 2^k apart and repairs the opacity of pieces that overlap or are missing at
    borders; here lengths are exact, so nothing has to be repaired. */
 TETCAST_DEF tetcast_result tetcast_render_bricks(const tetcast_brick_render_desc *desc, const tetcast_cut *cut,
@@ -1432,8 +1551,8 @@ TETCAST_DEF tetcast_result tetcast_render_bricks(const tetcast_brick_render_desc
 
 /* ---- parts of pictures: putting them together, sending them ---- */
 
-/* front := front over back; premultiplied linear rgba, `pixels` of them: the ranges of depth of a frame, nearest
-   first. */
+/* front := front over back; premultiplied linear rgba, 4 floats a pixel, `pixels` of them: the ranges of depth of a
+   frame, nearest first. */
 TETCAST_DEF void tetcast_over(float *front, const float *back, size_t pixels);
 
 /* Fade the borders of a part whose neighbours show the same pixels (projectors side by side): `overlap` pixels on the
@@ -1446,8 +1565,11 @@ TETCAST_DEF tetcast_result tetcast_edge_blend(float *rgba, uint32_t width, uint3
 
 /* Colour cells (Campbell 1986, as in the thesis): 4 x 4 pixels have two colours of 16 bits and a mask: 6 bytes, an
    eighth of three bytes a pixel; with alpha 8. Planes: masks, brighter colours, darker colours, [two alphas a cell].
-   Pixels beyond the picture repeat the last row and column. rgba: 4 bytes a pixel, stride in bytes (0: rows lie close
-   together). Cost: about 0.5 ns a pixel to encode, 0.15 to decode. */
+   Pixels beyond the picture repeat the last row and column.
+   rgba    4 bytes a pixel; without alpha decoding makes them 255
+   stride  bytes of a row of rgba, here and below; 0: rows lie close together
+   out, data  tetcast_ccc_size bytes; any bytes are a picture, so decoding cannot fail
+   Any thread. Allocates nothing. Cost: about 0.5 ns a pixel to encode, 0.15 to decode. */
 TETCAST_DEF size_t tetcast_ccc_size(uint32_t width, uint32_t height, int alpha); /* 0: too large */
 TETCAST_DEF void tetcast_ccc_encode(const uint8_t *rgba, uint32_t width, uint32_t height, size_t stride, int alpha,
                                     uint8_t *out);
@@ -1459,10 +1581,11 @@ TETCAST_DEF void tetcast_ccc_decode(const uint8_t *data, uint32_t width, uint32_
                                     uint8_t *rgba);
 
 /* Without loss: runs of the last pixel, of the row above, and pixels as they are. Returns the bytes written, at most
-   tetcast_pack_bound. */
+   tetcast_pack_bound, for which `out` has room; the bound is 0 where it is too large. Any thread. Allocates nothing. */
 TETCAST_DEF size_t tetcast_pack_bound(uint32_t width, uint32_t height);
 TETCAST_DEF size_t tetcast_pack(const uint8_t *rgba, uint32_t width, uint32_t height, size_t stride, uint8_t *out);
-/* Errors: TRUNCATED, FORMAT (the data is for another size). */
+/* Back to pixels. Whatever the bytes are, only pixels of rgba are written; some of them when it fails.
+   Errors: INVALID_ARG, TRUNCATED, FORMAT (the data is for another size), RANGE (a size that cannot be addressed). */
 TETCAST_DEF tetcast_result tetcast_unpack(const uint8_t *data, size_t size, uint32_t width, uint32_t height,
                                           size_t stride, uint8_t *rgba);
 
@@ -1495,22 +1618,24 @@ typedef enum tetcast_kernel {
 #define TETCAST_RBF_MAX_NODES 0x8000000u     /* of the base grid, 2^27 */
 
 typedef struct tetcast_rbf_function {
-    double centre[3];   /* world */
-    double width;       /* in kernel space, > 0 */
-    float weight[TETCAST_RBF_MAX_COMPONENTS];
+    double centre[3];   /* world; no farther from the box than 1e6 times it */
+    double width;       /* in kernel space, 1e-6 .. 1e6 times the box */
+    float weight[TETCAST_RBF_MAX_COMPONENTS]; /* of each component, absolute below 1e38 */
     double axis[3];     /* kernel space, any length */
     double stretch;     /* along the axis the width is so many times that; 0, 1: round; 1/64 .. 64 */
 } tetcast_rbf_function;
 
 /* field           zero means
-   box_min, box_max  have to be given
-   metric          1 1 1: kernel space is the world
-   components      1
+   box_min, box_max  have to be given; world. A side may be 0
+   metric          1 1 1: kernel space is the world; else > 0
+   components      1; up to TETCAST_RBF_MAX_COMPONENTS
    kernel          shifted Gaussian
    cut             3.5 widths (GAUSS); 1 .. 8
    epsilon         1e-3 of the largest weight (GAUSS_CUT)
-   base_dims       no base grid: base is `offset`
-   base            nodes of the base grid, x fastest, components of a node together, in the whole box */
+   offset          0; what base is where there is no grid, a number for each component, absolute below 1e38
+   base_dims       no base grid: base is `offset`; else nodes along each side, none of them 0
+   base            nodes of the base grid, x fastest, components of a node together, in the whole box; with base_dims
+                   only */
 typedef struct tetcast_rbf_desc {
     uint32_t _begin_zero;
     tetcast_env env;
@@ -1550,20 +1675,23 @@ typedef struct tetcast_rbf_info {
 } tetcast_rbf_info;
 
 /* Make a model from functions. Those with a weight that is 0 (or, cut off, at most epsilon) are kept and add nothing.
+   desc has to be given
    out  free with tetcast_rbf_destroy; NULL on failure
    Errors: INVALID_ARG (box, metric, cut, a function or node that is not finite, a width outside of 1e-6 .. 1e6 times
-   the box; error->where is its index), RANGE, UNINIT_DESC, NO_MEMORY. Cost: O(n log n). */
+   the box; error->where is its index), RANGE (functions, base_dims), UNINIT_DESC, NO_MEMORY. Cost: O(n log n). */
 TETCAST_DEF tetcast_result tetcast_rbf_create(const tetcast_rbf_desc *desc, tetcast_rbf **out);
 TETCAST_DEF void tetcast_rbf_destroy(tetcast_rbf *rbf); /* NULL is allowed */
 TETCAST_DEF void tetcast_rbf_get_info(const tetcast_rbf *rbf, tetcast_rbf_info *info);
-/* 0: there is no such function. Functions are in the order of a Morton curve through their centres. */
+/* Function `index` as it is kept, rounded to floats; returns 1. 0: there is none (or NULL), *out is left alone.
+   Functions are in the order of a Morton curve through their centres. O(1). */
 TETCAST_DEF int tetcast_rbf_get_function(const tetcast_rbf *rbf, uint32_t index, tetcast_rbf_function *out);
 
 /* Files (docs/formats.md). Fitted models are written as they are kept: bits of positions, widths, weights and nodes by
    what the tolerance needs; others as 32-bit floats. Reading gives the same model, bit for bit.
-   save: buffer NULL: only *out_size. Errors: INVALID_ARG, RANGE (capacity too small; *out_size is what is needed).
-   load: everything is checked, whatever the bytes are. Errors: INVALID_ARG, TRUNCATED, FORMAT, VERSION, CHECKSUM,
-   RANGE, NO_MEMORY, IO; env.error has the byte. env may be NULL. */
+   save: buffer NULL: only *out_size. Errors: INVALID_ARG, RANGE (capacity too small: nothing is written, *out_size is
+   what is needed); to a file: INVALID_ARG, NO_MEMORY (the bytes are made in memory first), IO (it may be incomplete).
+   load: everything is checked, whatever the bytes are. out: free with tetcast_rbf_destroy, NULL on failure. Errors:
+   INVALID_ARG, TRUNCATED, FORMAT, VERSION, CHECKSUM, RANGE, NO_MEMORY, IO; env.error has the byte. env may be NULL. */
 TETCAST_DEF tetcast_result tetcast_rbf_save_memory(const tetcast_rbf *rbf, void *buffer, size_t capacity,
                                                    size_t *out_size);
 TETCAST_DEF tetcast_result tetcast_rbf_load_memory(const tetcast_env *env, const void *data, size_t size,
@@ -1588,33 +1716,36 @@ typedef struct tetcast_rbf_eval_desc {
    desc       NULL: all defaults
    positions  in, [count][3], world. One that is not finite gives NaN
    values     out, [count][components], or NULL
-   jacobians  out, [count][components][3]: derivative of each component along x, y, z; or NULL
-   Outside of the box the base is that of the nearest point of the box. Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY.
-   Cost: 0.3 to 0.5 ns a point and function of its cell. */
+   jacobians  out, [count][components][3]: derivative of each component along x, y, z, per world unit; or NULL
+   Outside of the box the base is that of the nearest point of the box. Errors: INVALID_ARG, UNINIT_DESC, RANGE (2^39
+   points). The same bits for any number of threads. Allocates nothing. Cost: 0.3 to 0.5 ns a point and function of its
+   cell. */
 TETCAST_DEF tetcast_result tetcast_rbf_eval(const tetcast_rbf_eval_desc *desc, const tetcast_rbf *rbf,
                                             const double *positions, size_t count, float *values, float *jacobians);
 
 /* Values on a grid over the box, [dims[2]][dims[1]][dims[0]][components]; nodes on the faces of the box, in the middle
-   where dims is 1. */
+   where dims is 1. dims: > 0. Errors, cost: as tetcast_rbf_eval. */
 TETCAST_DEF tetcast_result tetcast_rbf_grid(const tetcast_rbf_eval_desc *desc, const tetcast_rbf *rbf,
                                             const uint32_t dims[3], float *values);
 
 /* Bounds of a component in a box (world): *lo <= f <= *hi everywhere in it, and |gradient| <= *gradient, world units.
-   Any of the three may be NULL. GAUSS_CUT has no bounded gradient: that of its smooth parts is given.
-   Cost: O(functions). Errors: INVALID_ARG. */
+   Any of the three may be NULL. GAUSS_CUT has no bounded gradient: that of its smooth parts is given. Bounds, not the
+   least ones. Cost: O(functions), and the nodes of the base in the box. Errors: INVALID_ARG (as well: a box that is
+   none, no such component): nothing is written. Any thread. Allocates nothing. */
 TETCAST_DEF tetcast_result tetcast_rbf_bounds(const tetcast_rbf *rbf, uint32_t component, const double box_min[3],
                                               const double box_max[3], float *lo, float *hi, float *gradient);
 
 /* What can be seen in the Jacobian of a flow. */
 typedef struct tetcast_flow {
-    float speed;
-    float vorticity[3];
+    float speed;       /* length of the velocity */
+    float vorticity[3]; /* its curl */
     /* middle eigenvalue of S^2 + W^2 (symmetric and antisymmetric part): < 0 in the core of a vortex */
     float lambda2;
     float helicity;    /* velocity . vorticity */
 } tetcast_flow;
 
-/* velocity [3], jacobian [3][3] as tetcast_rbf_eval gives them. Finite for finite input: 3e38 at most. */
+/* velocity [3], jacobian [3][3] as tetcast_rbf_eval gives them. Finite for finite input: 3e38 at most. Any thread.
+   Source: Jeong and Hussain: On the identification of a vortex. J. Fluid Mech. 285, 1995 (lambda2). */
 TETCAST_DEF void tetcast_flow_features(const float velocity[3], const float jacobian[9], tetcast_flow *out);
 
 /* Data to fit: values at points, scattered or vertices of a grid. Borrowed for the call. */
@@ -1626,7 +1757,7 @@ typedef struct tetcast_rbf_points {
     uint32_t dims[3];          /* of the grid; count is their product */
     double origin[3], spacing[3]; /* of the grid; spacing all 0: 1 */
     const uint32_t *tets;      /* four points each: what lies between scattered points, for checking; or NULL */
-    size_t tet_count;
+    size_t tet_count;          /* > 0 with tets */
 } tetcast_rbf_points;
 
 typedef enum tetcast_rbf_method {
@@ -1637,10 +1768,10 @@ typedef enum tetcast_rbf_method {
 
 /* field          zero means
    max_error      0.05: largest error at the points, as a share of the range of the values (vectors: of the greatest
-                  length)
-   mean_error     whatever it comes to
+                  length); 1e-6 .. 1
+   mean_error     whatever it comes to; else such a share, up to 1
    kernel         shifted Gaussian; not GAUSS_CUT
-   cut            3.5
+   cut            3.5; 1 .. 8
    metric         world for scattered points, the spacing (over the smallest one) for grids
    base_dims      chosen by trial
    between        errors are kept at the points. 1: in the middles of the cells of a grid, of tets as well, where the
@@ -1682,8 +1813,8 @@ typedef struct tetcast_rbf_report {
     uint64_t rejected;           /* not finite */
     uint64_t duplicates;         /* at the place of another one: their mean was fitted */
     double range;                /* of the values: what errors are shares of */
-    uint32_t functions, ellipsoids, base_dims[3];
-    uint32_t rounds, inserted, dropped;
+    uint32_t functions, ellipsoids, base_dims[3]; /* of the model */
+    uint32_t rounds, inserted, dropped; /* passes over the functions; functions that were added, taken away */
     uint32_t started;            /* functions that were taken from `start` */
     double max_error, mean_error, rms_error, p999_error; /* at the points */
     uint64_t between_count;      /* random places in cells (of the grid, in tets) */
@@ -1692,17 +1823,16 @@ typedef struct tetcast_rbf_report {
     double overshoot;            /* how far values leave the range of the data, there and at the points */
     double largest_weight;       /* over 100: the fit is ill-conditioned */
     uint64_t bytes, raw_bytes;   /* of the file; of the values as 32-bit floats, scattered: with positions */
-    uint64_t grid_bytes;         /* compare: least bytes of a plain grid, or of the values alone, with
-                                    quantised numbers,
-                                    that keeps max_error */
-    uint32_t grid_dims[3], grid_bits;
-    double grid_max_error, grid_mean_error;
+    uint64_t grid_bytes;         /* compare: least bytes of a plain grid, or of the values alone, with quantised
+                                    numbers, that keeps max_error */
+    uint32_t grid_dims[3], grid_bits; /* compare: its nodes, bits of a number */
+    double grid_max_error, grid_mean_error; /* compare: its errors */
     uint32_t functions_win;      /* compare: 1 when bytes < grid_bytes */
 } tetcast_rbf_report;
 
 /* Encode data as a coarse grid and functions so that the error at every point is at most max_error.
    desc    NULL: all defaults
-   report  out, may be NULL
+   report  out, may be NULL; filled as far as it got, when it fails as well
    out     free with tetcast_rbf_destroy; NULL on failure
    Greedy: a function where the error is largest, of the width that takes most of it away, then moved and widened for
    the least sum of squares; later all are fitted again in turn, weighted so that large errors count most. Parameters
@@ -1711,7 +1841,8 @@ typedef struct tetcast_rbf_report {
    already: all are weighed anew first, what is not needed is dropped, and what is near errors of three times max_error
    still; the greedy steps add what is missing.
    The same model for any number of threads and any isa. Errors: INVALID_ARG, EMPTY (no usable point), RANGE
-   (max_functions is not enough), UNINIT_DESC, NO_MEMORY, CANCELLED.
+   (max_functions is not enough), UNINIT_DESC, NO_MEMORY, CANCELLED. Cost: in proportion to the
+   points in the reach of each function, once and for each sweep again.
    Source: the thesis' loop of centres, widths, weights and error; the steps are ours. */
 TETCAST_DEF tetcast_result tetcast_rbf_fit(const tetcast_rbf_fit_desc *desc, const tetcast_rbf_points *points,
                                            tetcast_rbf_report *report, tetcast_rbf **out);
@@ -1730,14 +1861,17 @@ typedef enum tetcast_rbf_channel {
 /* field        zero means
    camera       (eye equals at) one that frames the box
    isa          the best that the machine has; all give the same bits
+   channel      the component, or the length; see there
+   component    the first one
    background   transparent; linear RGB, premultiplied, and alpha
    step         distance of the samples on a ray, world units; 0: half of the width of narrow functions (of the tenth
                 part of all), and of a cell of the base, between 1/64 and 1/1024 of the diagonal of the box
-   epsilon      exact. > 0: leave out functions with weights up to this share of the largest: faster while moving
+   epsilon      exact. > 0: leave out functions with weights up to this share of the largest, up to 1: faster while
+                moving
    gather       functions come to the rays tile by tile. 1: samples go to the leaf that they are in and ask its list
    clip_near, clip_far: as in tetcast_render_desc
-   clip       nothing
-   shader     none: the optics. Else its functions instead; gradients are analytic, of flow features differences
+   clip         nothing
+   shader       none: the optics. Else its functions instead; gradients are analytic, of flow features differences
    frame, part, limit: as in tetcast_brick_render_desc: parts of a frame and ranges of its depth */
 typedef struct tetcast_rbf_render_desc {
     uint32_t _begin_zero;
@@ -1758,14 +1892,14 @@ typedef struct tetcast_rbf_render_desc {
     uint32_t _end_zero;
 } tetcast_rbf_render_desc;
 
-typedef struct tetcast_rbf_render_stats { /* added to */
+typedef struct tetcast_rbf_render_stats { /* added to by calls that succeed, but for step and isa, which are set */
     uint64_t rays, hit_rays; /* of the picture; that met the box */
     uint64_t samples;        /* values on rays */
     uint64_t evaluations;    /* pairs of sample and function that were computed */
     uint64_t pairs;          /* functions and groups of eight rays that met */
     uint64_t tests;          /* that were tested */
     float step;              /* that was used, world units */
-    tetcast_isa isa;
+    tetcast_isa isa;         /* that was used */
 } tetcast_rbf_render_stats;
 
 /* Draw a model inside its box.
@@ -1775,8 +1909,10 @@ typedef struct tetcast_rbf_render_stats { /* added to */
    Samples lie at multiples of the step from the eye, and where a ray enters and leaves the box; segments have their
    exact lengths. On a ray a Gaussian is one of a line: it is summed up with two multiplications a sample, begun at
    its middle. Isosurfaces are refined on the ray and have the analytic gradient as normal.
-   The same bits for any number of threads and any isa. Errors: INVALID_ARG, RANGE (over 2^16 samples on a ray),
-   UNINIT_DESC, NO_MEMORY, CANCELLED. */
+   The same bits for any number of threads and any isa. Errors: INVALID_ARG (as well: no such component, flow features
+   of other than three), RANGE (over 2^16 samples on a ray, a table too short, a picture too large), UNINIT_DESC,
+   NO_MEMORY, CANCELLED (then the picture is incomplete); what a shader's prepare_fn returns. Thread safety: any number
+   of calls on one model. */
 TETCAST_DEF tetcast_result tetcast_rbf_render(const tetcast_rbf_render_desc *desc, const tetcast_rbf *rbf,
                                               const tetcast_optics *optics, const tetcast_image *image,
                                               tetcast_rbf_render_stats *stats);
@@ -1801,7 +1937,7 @@ typedef enum tetcast_trace_end {
 
 /* field        zero means
    dt           time of a step; has to be given; < 0: backwards
-   steps        has to be given
+   steps        has to be given; below 2^31
    min_speed    particles go on however slow they are
    tolerance    DOPRI5: largest error of a step within dt, a length; 0: 1e-6 of the diagonal of the box */
 typedef struct tetcast_rbf_trace_desc {
@@ -1817,21 +1953,25 @@ typedef struct tetcast_rbf_trace_desc {
 } tetcast_rbf_trace_desc;
 
 /* Follow particles in a model of three components.
+   desc    has to be given
    seeds   in, [count][3], world
-   paths   out, [count][steps + 1][3]: the seed and the places after each step, as far as it got
+   paths   out, [count][steps + 1][3]: the seed and the places after each step, as far as it got; what is behind that is
+           left alone
    lengths out, [count]: places in each path, 1 .. steps + 1; or NULL
    ends    out, [count]; or NULL
-   The same bits for any number of threads and any isa. Errors: INVALID_ARG, RANGE, UNINIT_DESC, CANCELLED (then paths,
-   lengths and ends are incomplete). Thread safety: any number of calls on one model. */
+   The same bits for any number of threads and any isa. Errors: INVALID_ARG, RANGE (more than can be addressed),
+   UNINIT_DESC, CANCELLED (then paths, lengths and ends are incomplete). Thread safety: any number of calls on one
+   model. Allocates nothing. Cost: that of tetcast_rbf_eval for each place, four of them a step (RK4), one (EULER),
+   seven and more (DOPRI5). */
 TETCAST_DEF tetcast_result tetcast_rbf_trace(const tetcast_rbf_trace_desc *desc, const tetcast_rbf *rbf,
                                              const double *seeds, size_t count, double *paths, uint32_t *lengths,
                                              tetcast_trace_end *ends);
 
 #ifndef TETCAST_NO_BRICKS
 /* Decode what is seen of a model into bricks, which rays pass through ten times as fast as through many functions.
-   desc    longest: so many nodes along the longest side; 0: 33, then twice as many again until max_error is kept or
-           longest_end (0: 513) is reached. Half of max_error is for levels that are coarser where they may be, half for
-           what lies between the finest nodes
+   desc    longest: so many nodes along the longest side, 2 .. 16385; 0: 33, then twice as many again until max_error is
+           kept or longest_end (0: 513) is reached. Half of max_error is for levels that are coarser where they may be,
+           half for what lies between the finest nodes. focus and average do not count
    report  checks: random points at which bricks and model were compared; error, mean_error, above, worst as for meshes
    Spacings follow the metric. Errors: INVALID_ARG (neither longest nor max_error; flow channels need three components),
    RANGE, UNINIT_DESC, NO_MEMORY, CANCELLED. The same bits for any number of threads. Cost: that of tetcast_rbf_eval per
@@ -1846,12 +1986,14 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_rbf(const tetcast_bricks_desc *
 
 /* ---- misc ---- */
 
-/* Texts for messages, constant and never NULL ("unknown" for what is no value of the enum); the version of the code,
-   to compare with TETCAST_VERSION of the declarations. Any thread. O(1). */
+/* Texts for messages, constant and never NULL ("unknown" or "unknown result" for what is no value of the enum); the
+   version of the code, to compare with TETCAST_VERSION of the declarations. Any thread. O(1). */
 TETCAST_DEF const char *tetcast_result_string(tetcast_result result);
 TETCAST_DEF uint32_t tetcast_version(void);
 TETCAST_DEF const char *tetcast_isa_name(tetcast_isa isa);
-TETCAST_DEF tetcast_isa tetcast_isa_best(void); /* what TETCAST_ISA_AUTO picks on this machine */
+/* The best of SCALAR, SSE and AVX2 that this machine has. AUTO may pick one more in some calls, AVX512, and SSE where
+   there is no fused multiply-add: stats.isa tells. */
+TETCAST_DEF tetcast_isa tetcast_isa_best(void);
 
 #ifdef __cplusplus
 }
@@ -2702,6 +2844,15 @@ TETCASTI_INLINE uint32_t tetcasti_leave(const tetcasti_cells *cells, uint32_t ki
         return tetcasti_leave_more(cells, kind, node, cell, a, b, c, d, x);
     }
 }
+
+/* What of memory_limit a call within a call may take: *mem has the rest. */
+static TETCASTI_UNUSED tetcast_env tetcasti_env_rest(const tetcast_env *env, const tetcasti_mem *mem) {
+    tetcast_env rest = *env;
+    if (env->memory_limit != 0)
+        rest.memory_limit = mem->used < env->memory_limit ? env->memory_limit - mem->used : 1;
+    return rest;
+}
+
 /* ---- work that can be cancelled ---- */
 
 /* Strands are as many tasks as there are threads; each takes piece after piece of the work. The first one asks
@@ -2713,8 +2864,7 @@ static TETCASTI_UNUSED int tetcasti_strand_asks(const tetcast_env *env, uint32_t
     return tetcasti_atomic_load(cancelled) == 0;
 }
 
-/* A parallel-for that asks. Its tasks are of `total`, and the first is number
-   `before` of them. */
+/* A parallel-for that asks. Its tasks are of `total`, and the first is number `before` of them. */
 typedef struct tetcasti_asking {
     const tetcast_env *env;
     tetcast_task_fn *task;
@@ -3145,18 +3295,19 @@ typedef struct tetcasti_import {
     tetcast_report *turn_report; /* per chunk of tetrahedra */
     double (*chunk_box)[6];
     uint32_t failed;            /* atomic */
-    uint32_t strict_code;       /* tetcast_result of the first cell that strict refuses */
-    uint64_t strict_at;         /* its number */
 } tetcasti_import;
 
-/* Run a function over [0, count) in chunks of `size`. */
+/* What tasks need that work on more than the import: in, a .. d and n are what each of them says. */
 typedef struct tetcasti_pass {
     tetcasti_import *m;
     const void *in;
     void *a, *b, *c, *d;
     uint32_t n;
 } tetcasti_pass;
+
 static uint32_t tetcasti_chunks(uint64_t count) { return (uint32_t)((count + TETCASTI_CHUNK - 1) / TETCASTI_CHUNK); }
+
+/* Run a task over [0, count) in chunks. */
 static void tetcasti_run(tetcasti_import *m, tetcast_task_fn *task, uint64_t count) {
     tetcasti_parallel_for(&m->desc->env, task, m, tetcasti_chunks(count));
 }
@@ -3276,10 +3427,19 @@ static void tetcasti_task_state(void *ctx, uint32_t chunk) {
     }
 }
 
+/* Hash tables with linear probing for n things, 2^bits places, and where to look first for one with three keys. */
+static uint32_t tetcasti_hash_bits(uint32_t n) {
+    uint32_t bits = 4;
+    while (bits < 31 && ((uint32_t)1 << bits) < 2 * (uint64_t)n) bits++;
+    return bits;
+}
+TETCASTI_INLINE uint32_t tetcasti_hash3(uint64_t a, uint64_t b, uint64_t c, uint32_t bits) {
+    return (uint32_t)(tetcasti_hash_mix(tetcasti_hash_mix(a, b), c) * 0x9e3779b97f4a7c15u >> (64 - bits));
+}
+
 /* Vertices at the same place, as floats: the one with the smallest number stands for all. */
 static int tetcasti_weld(tetcasti_import *m) {
-    uint32_t bits = 4, v, *table;
-    while (bits < 31 && ((uint32_t)1 << bits) < 2 * (uint64_t)m->input_vertices) bits++;
+    uint32_t bits = tetcasti_hash_bits(m->input_vertices), v, *table;
     m->canon = (uint32_t *)tetcasti_alloc_array(m->mem, m->input_vertices, sizeof *m->canon);
     table = (uint32_t *)tetcasti_alloc_array(m->mem, (size_t)1 << bits, sizeof *table);
     if (m->canon == NULL || table == NULL) {
@@ -3296,8 +3456,7 @@ static int tetcasti_weld(tetcasti_import *m) {
         tetcasti_import_position(m, v, p);
         for (a = 0; a < 3; a++) f[a] = (float)p[a] + 0.0f; /* -0 is 0 */
         memcpy(key, f, sizeof key);
-        h = (uint32_t)(tetcasti_hash_mix(tetcasti_hash_mix(key[0], key[1]), key[2]) *
-                       0x9e3779b97f4a7c15u >> (64 - bits));
+        h = tetcasti_hash3(key[0], key[1], key[2], bits);
         for (;; h = (h + 1) & (((uint32_t)1 << bits) - 1u)) {
             uint32_t u = table[h];
             if (u == TETCASTI_NONE) {
@@ -3366,21 +3525,17 @@ static void tetcasti_report_open(tetcast_report *r) {
     r->first_zero_volume = r->first_inverted = r->first_nonmanifold = r->first_bad_value = TETCAST_NONE;
 }
 
-/* Add what a chunk found; chunks come in order. */
+/* Add what a chunk found; chunks come in order. What is not counted by chunks is left alone. */
 static void tetcasti_report_add(tetcast_report *to, const tetcast_report *r) {
     if (to->bad_indices == 0) to->first_bad_index = r->first_bad_index;
     if (to->bad_positions == 0) to->first_bad_position = r->first_bad_position;
     if (to->repeated == 0) to->first_repeated = r->first_repeated;
     if (r->first_zero_volume < to->first_zero_volume) to->first_zero_volume = r->first_zero_volume;
-    if (to->nonmanifold_faces == 0) to->first_nonmanifold = r->first_nonmanifold;
     to->bad_indices += r->bad_indices;
     to->bad_positions += r->bad_positions;
     to->repeated += r->repeated;
     to->zero_volume += r->zero_volume;
     to->turned += r->turned;
-    to->nonmanifold_faces += r->nonmanifold_faces;
-    to->duplicates += r->duplicates;
-    to->inverted += r->inverted;
 }
 
 TETCASTI_INLINE void tetcasti_mark_used(tetcasti_import *m, const uint32_t *v) {
@@ -3645,6 +3800,7 @@ TETCASTI_INLINE void tetcasti_order_chunk(const tetcasti_order *o, uint32_t chun
     uint32_t *h = o->histogram + (size_t)chunk * o->ranges;
     uint32_t i = chunk * TETCASTI_CHUNK, end = tetcasti_chunk_end(chunk, m->source_count), out[6][4], n, j;
     int plain = m->grid == NULL && m->in->shapes == NULL && m->canon == NULL;
+    tetcasti_report_open(&ignored);
     for (; i < end; i++) {
         if (plain && tetcasti_plain_tet(m, m->in->indices + 4 * (size_t)i)) {
             tetcasti_order_put(o, h, m->in->indices + 4 * (size_t)i, i, write);
@@ -3951,16 +4107,14 @@ static int tetcasti_match(tetcasti_matcher *m) { /* 0: no memory */
 /* Take out tetrahedra that are there twice; the first one of the input stays. Rare, so it is done by one thread. */
 static int tetcasti_drop_duplicates(tetcasti_import *m, uint32_t *count) { /* 0: no memory */
     tetcast_mesh *mesh = m->mesh;
-    uint32_t bits = 4, i, kept = 0, n = mesh->cell_count, *table;
-    while (bits < 31 && ((uint32_t)1 << bits) < 2 * (uint64_t)n) bits++;
+    uint32_t n = mesh->cell_count, bits = tetcasti_hash_bits(n), i, kept = 0, *table;
     table = (uint32_t *)tetcasti_alloc_array(m->mem, (size_t)1 << bits, sizeof *table);
     if (table == NULL) return 0;
     memset(table, 0xff, sizeof *table << bits);
     for (i = 0; i < n; i++) {
         const uint32_t *t = mesh->tet[i];
         uint32_t lo = t[2] < t[3] ? t[2] : t[3], hi = t[2] ^ t[3] ^ lo, h, twice = 0;
-        h = (uint32_t)(tetcasti_hash_mix(tetcasti_hash_mix((uint64_t)t[0] << 32 | t[1], lo), hi) *
-                       0x9e3779b97f4a7c15u >> (64 - bits));
+        h = tetcasti_hash3((uint64_t)t[0] << 32 | t[1], lo, hi, bits);
         for (;; h = (h + 1) & (((uint32_t)1 << bits) - 1u)) {
             const uint32_t *u;
             if (table[h] == TETCASTI_NONE) {
@@ -4356,7 +4510,7 @@ static tetcast_result tetcasti_import_scan(tetcasti_import *m, uint64_t *tets) {
                              "mesh: no usable cell; cell % has a vertex that is not there");
     if (*tets == 0 && r->bad_positions != 0)
         return tetcasti_fail(error, TETCAST_ERR_EMPTY, r->first_bad_position,
-                             "mesh: no usable cell; cell % has a position that is no number below 1e38");
+                             "mesh: no usable cell; cell % has a position that is no number of at most 1e100");
     if (*tets == 0) return tetcasti_fail(error, TETCAST_ERR_EMPTY, m->source_count, "mesh: no usable cell among %");
     if (*tets > TETCAST_MAX_CELLS)
         return tetcasti_fail(error, TETCAST_ERR_RANGE, *tets, "mesh: % tetrahedra are too many");
@@ -4511,7 +4665,8 @@ static tetcast_result tetcasti_mesh_create(const tetcast_mesh_desc *desc, const 
     m.report = report;
     r = tetcasti_import_check(&m);
     if (r != TETCAST_OK)
-        return tetcasti_fail(d.env.error, r, 0, r == TETCAST_ERR_EMPTY ? "mesh: no cells" : "mesh: bad argument");
+        return tetcasti_fail(d.env.error, r, 0, r == TETCAST_ERR_EMPTY ? "mesh: no cells"
+                             : r == TETCAST_ERR_RANGE ? "mesh: too many vertices or cells" : "mesh: bad argument");
     if (grid != NULL) tetcasti_grid_axes(&m);
     report->input_cells = m.source_count;
     report->input_vertices = m.input_vertices;
@@ -4692,7 +4847,7 @@ static void tetcasti_cells_free(tetcasti_mem *mem, tetcasti_cells *cells) {
 
 static tetcast_result tetcasti_clusters_build(tetcast_mesh *mesh, const tetcast_env *env);
 static void tetcasti_clusters_free(tetcasti_mem *mem, struct tetcasti_clusters *c);
-static uint64_t tetcasti_clusters_bytes(const struct tetcasti_clusters *c);
+static uint64_t tetcasti_clusters_bytes(const struct tetcasti_clusters *c, uint32_t fields);
 
 static tetcast_result tetcasti_mesh_finish(tetcast_mesh *mesh, const tetcast_mesh_desc *desc) {
     uint32_t i, a;
@@ -4781,7 +4936,7 @@ TETCAST_DEF void tetcast_mesh_get_info(const tetcast_mesh *mesh, tetcast_mesh_in
         if (f->hidden != NULL) info->field_bytes += ((uint64_t)mesh->cell_count / 32 + 1) * 4;
     }
     if (mesh->mask != NULL) info->field_bytes += ((uint64_t)mesh->cell_count / 32 + 1) * 4;
-    info->cluster_bytes = tetcasti_clusters_bytes(mesh->clusters);
+    info->cluster_bytes = tetcasti_clusters_bytes(mesh->clusters, mesh->field_count);
     if (mesh->tet != NULL) info->optional_bytes += (uint64_t)mesh->cell_count * sizeof *mesh->tet;
     if (mesh->neighbour != NULL) info->optional_bytes += (uint64_t)mesh->cell_count * sizeof *mesh->neighbour;
     if (mesh->gradient != NULL) info->optional_bytes += (uint64_t)mesh->vertex_count * sizeof *mesh->gradient;
@@ -4789,6 +4944,7 @@ TETCAST_DEF void tetcast_mesh_get_info(const tetcast_mesh *mesh, tetcast_mesh_in
         info->optional_bytes += ((uint64_t)mesh->cell_count + mesh->vertex_count) * sizeof *mesh->source_cell;
     info->total_bytes = sizeof *mesh + info->connectivity_bytes + info->vertex_bytes + info->hull_bytes +
                         info->field_bytes + info->cluster_bytes + info->optional_bytes;
+    if (mesh->cells.first != NULL) info->total_bytes += (uint64_t)mesh->cells.count * sizeof(uint32_t);
 }
 
 TETCAST_DEF void tetcast_mesh_get_report(const tetcast_mesh *mesh, tetcast_report *report) {
@@ -4859,10 +5015,12 @@ TETCAST_DEF void tetcast_mesh_vertex(const tetcast_mesh *mesh, uint32_t vertex, 
 TETCAST_DEF tetcast_result tetcast_mesh_cell(const tetcast_mesh *mesh, uint32_t cell, uint32_t vertices[4],
                                              uint32_t *source_cell) {
     uint32_t i;
+    for (i = 0; vertices != NULL && i < 4; i++) vertices[i] = TETCAST_NONE;
+    if (source_cell != NULL) *source_cell = TETCAST_NONE;
     if (mesh == NULL) return TETCAST_ERR_INVALID_ARG;
     if (cell >= mesh->cell_count || mesh->tet == NULL) return TETCAST_ERR_RANGE;
     for (i = 0; vertices != NULL && i < 4; i++) vertices[i] = mesh->tet[cell][i];
-    if (source_cell != NULL) *source_cell = mesh->source_cell != NULL ? mesh->source_cell[cell] : TETCAST_NONE;
+    if (source_cell != NULL && mesh->source_cell != NULL) *source_cell = mesh->source_cell[cell];
     return TETCAST_OK;
 }
 
@@ -4965,8 +5123,7 @@ static void tetcasti_check_coincident(const tetcast_mesh *mesh, uint32_t *table,
         f[1] = p->y + 0.0f;
         f[2] = p->z + 0.0f;
         memcpy(key, f, sizeof key);
-        h = (uint32_t)(tetcasti_hash_mix(tetcasti_hash_mix(key[0], key[1]), key[2]) *
-                       0x9e3779b97f4a7c15u >> (64 - bits));
+        h = tetcasti_hash3(key[0], key[1], key[2], bits);
         for (; table[h] != TETCASTI_NONE; h = (h + 1) & (((uint32_t)1 << bits) - 1u)) {
             const tetcasti_vertex *q = &mesh->vertex[table[h]];
             if (q->x != p->x || q->y != p->y || q->z != p->z) continue;
@@ -5018,17 +5175,18 @@ TETCAST_DEF tetcast_result tetcast_mesh_check(const tetcast_mesh *mesh, const te
     tetcast_env none;
     tetcasti_mem mem;
     tetcast_result r;
-    uint32_t (*neighbour)[4], *parent, *table, bits = 4, i, j;
+    uint32_t (*neighbour)[4], *parent, *table, bits, i, j;
     uint8_t *on_hull;
     if (check == NULL) return TETCAST_ERR_INVALID_ARG;
     memset(check, 0, sizeof *check);
     check->first_hanging = check->first_coincident = TETCAST_NONE;
-    if (mesh == NULL || mesh->tet == NULL) return TETCAST_ERR_INVALID_ARG;
     memset(&none, 0, sizeof none);
     if (env == NULL) env = &none;
+    if (mesh == NULL || mesh->tet == NULL)
+        return tetcasti_fail(env->error, TETCAST_ERR_INVALID_ARG, 0, "check: no mesh, or no tets");
     r = tetcasti_env_open(env, &mem);
     if (r != TETCAST_OK) return r;
-    while (bits < 31 && ((uint32_t)1 << bits) < 2 * (uint64_t)mesh->vertex_count) bits++;
+    bits = tetcasti_hash_bits(mesh->vertex_count);
     neighbour = (uint32_t (*)[4])tetcasti_alloc_array(&mem, mesh->cell_count, sizeof *neighbour);
     parent = (uint32_t *)tetcasti_alloc_array(&mem, mesh->cell_count, sizeof *parent);
     table = (uint32_t *)tetcasti_alloc_array(&mem, (size_t)1 << bits, sizeof *table);
@@ -7732,8 +7890,8 @@ static void tetcasti_clusters_free(tetcasti_mem *mem, tetcasti_clusters *c) {
     tetcasti_free(mem, c);
 }
 
-static uint64_t tetcasti_clusters_bytes(const tetcasti_clusters *c) {
-    return c != NULL ? (uint64_t)c->wall_count * sizeof *c->wall + (uint64_t)c->count * 8 : 0;
+static uint64_t tetcasti_clusters_bytes(const tetcasti_clusters *c, uint32_t fields) { /* with the ranges of fields */
+    return c != NULL ? (uint64_t)c->wall_count * sizeof *c->wall + (uint64_t)c->count * fields * 8 : 0;
 }
 
 /* ---- for one picture ---- */
@@ -8208,7 +8366,6 @@ static tetcast_result tetcasti_transfer_check(const tetcast_control_point *p, si
                                               tetcast_error *error) {
     size_t i;
     uint32_t c;
-    if (count != 0 && p == NULL) return TETCAST_ERR_INVALID_ARG;
     if (count > (1u << 20)) return tetcasti_fail(error, TETCAST_ERR_RANGE, count, "% control points are too many");
     for (i = 0; i < count; i++) {
         if (!(tetcasti_absf(p[i].value) < TETCASTI_VALUE_END)) {
@@ -8359,7 +8516,6 @@ static tetcast_result tetcasti_transfer_isovalues(const tetcast_transfer_desc *d
     size_t i, j;
     uint32_t c;
     if (d->isovalue_count == 0) return TETCAST_OK;
-    if (d->isovalues == NULL) return TETCAST_ERR_INVALID_ARG;
     if (d->isovalue_count > (1u << 16)) {
         return tetcasti_fail(d->env.error, TETCAST_ERR_RANGE, d->isovalue_count, "% isovalues are too many");
     }
@@ -8425,13 +8581,17 @@ TETCAST_DEF tetcast_result tetcast_transfer_create(const tetcast_transfer_desc *
     if (d._begin_zero != 0 || d._end_zero != 0) return TETCAST_ERR_UNINIT_DESC;
     r = tetcasti_env_open(&d.env, &mem);
     if (r != TETCAST_OK) return r;
+    if ((d.point_count != 0 && d.points == NULL) || (d.color_count != 0 && d.color_points == NULL) ||
+        (d.extinction_count != 0 && d.extinction_points == NULL) || (d.isovalue_count != 0 && d.isovalues == NULL)) {
+        return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, 0, "transfer function: a list is NULL");
+    }
     if ((d.color_mode != TETCAST_COLOR_ASSOCIATED && d.color_mode != TETCAST_COLOR_INDEPENDENT) ||
         !(d.extinction_scale >= 0.0f && d.extinction_scale <= 1e30f) || !(d.simplify >= 0.0f && d.simplify <= 1.0f)) {
         return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, 0,
                              "transfer function: color_mode, extinction_scale or simplify is out of range");
     }
     t = (tetcast_transfer *)tetcasti_alloc_zero(&mem, 1, sizeof *t);
-    if (t == NULL) return TETCAST_ERR_NO_MEMORY;
+    if (t == NULL) return tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "transfer function: out of memory");
     t->mem = mem;
     t->independent = d.color_mode == TETCAST_COLOR_INDEPENDENT;
     r = tetcasti_transfer_knots(&d, t);
@@ -8453,7 +8613,7 @@ TETCAST_DEF tetcast_result tetcast_transfer_create(const tetcast_transfer_desc *
     }
     if (r != TETCAST_OK) {
         tetcast_transfer_destroy(t);
-        return r;
+        return r == TETCAST_ERR_NO_MEMORY ? tetcasti_fail(d.env.error, r, 0, "transfer function: out of memory") : r;
     }
     tetcasti_transfer_describe(t, given);
     *out = t;
@@ -8492,9 +8652,9 @@ TETCAST_DEF void tetcast_transfer_eval(const tetcast_transfer *transfer, float v
     }
 }
 
-/* Values outside the range that knots can have are as good as the ends. */
+/* Values outside the range that knots can have are as good as its ends. */
 static int tetcasti_range_clamp(float *lo, float *hi) {
-    const float end = 0.5f * TETCASTI_VALUE_END;
+    const float end = TETCASTI_VALUE_END;
     if (!(*lo <= *hi)) return 0;
     *lo = *lo < -end ? -end : *lo > end ? end : *lo;
     *hi = *hi < -end ? -end : *hi > end ? end : *hi;
@@ -8540,7 +8700,10 @@ static void tetcasti_tf_difference(const tetcasti_tf *a, const tetcasti_tf *b, f
 
 TETCAST_DEF void tetcast_transfer_difference(const tetcast_transfer *a, const tetcast_transfer *b, float *lo,
                                              float *hi) {
-    tetcasti_tf_difference(&a->tf, &b->tf, lo, hi);
+    if (lo == NULL || hi == NULL) return;
+    *lo = -INFINITY; /* anything may differ from nothing */
+    *hi = INFINITY;
+    if (a != NULL && b != NULL) tetcasti_tf_difference(&a->tf, &b->tf, lo, hi);
 }
 /* ---------------------------------------------------------------------------
    integrate: segments of a ray -> colour and transmittance. Exact for piecewise  // >>integrate
@@ -9803,7 +9966,8 @@ static tetcast_result tetcasti_table_alloc(tetcast_optics *o, const tetcast_opti
         t->longest = d->step > 0.0f ? d->step : 0.25f * d->longest;
     }
     if (t->values < 2 || t->values > 2048 || t->lengths > 1024) {
-        return tetcasti_fail(d->env.error, TETCAST_ERR_RANGE, t->values, "optics: a table of % values is too large");
+        return tetcasti_fail(d->env.error, TETCAST_ERR_RANGE, t->lengths > 1024 ? t->lengths : t->values,
+                             "optics: % is no number of values or lengths that a table can have");
     }
     if (!(t->longest > 0.0f) || !tetcasti_finite_f((float)t->lengths / t->longest)) {
         return tetcasti_fail(d->env.error, TETCAST_ERR_INVALID_ARG, 0, "optics: a table needs the longest length");
@@ -10842,8 +11006,7 @@ static int tetcasti_iso_sums(tetcasti_iso *p, uint32_t total[3]) {
     return 1;
 }
 
-static tetcast_result tetcasti_iso_run(tetcasti_iso *p, const tetcast_surface_desc *desc, tetcasti_mem *mem,
-                                       tetcasti_mem *keep) {
+static tetcast_result tetcasti_iso_run(tetcasti_iso *p, const tetcast_surface_desc *desc, tetcasti_mem *mem) {
     const tetcast_mesh *mesh = p->mesh;
     const tetcast_env *env = &desc->env;
     tetcast_surface *out = p->out;
@@ -10877,10 +11040,10 @@ static tetcast_result tetcasti_iso_run(tetcasti_iso *p, const tetcast_surface_de
         p->unique[c] = sum;
         sum += n; /* at most all edges */
     }
-    out->positions = (float *)tetcasti_alloc_array(keep, sum, 3 * sizeof(float));
-    out->indices = (uint32_t *)tetcasti_alloc_array(keep, total[2], 3 * sizeof(uint32_t));
-    if (desc->normals) out->normals = (float *)tetcasti_alloc_array(keep, sum, 3 * sizeof(float));
-    if (desc->cells) out->cells = (uint32_t *)tetcasti_alloc_array(keep, total[2], sizeof(uint32_t));
+    out->positions = (float *)tetcasti_alloc_array(mem, sum, 3 * sizeof(float));
+    out->indices = (uint32_t *)tetcasti_alloc_array(mem, total[2], 3 * sizeof(uint32_t));
+    if (desc->normals) out->normals = (float *)tetcasti_alloc_array(mem, sum, 3 * sizeof(float));
+    if (desc->cells) out->cells = (uint32_t *)tetcasti_alloc_array(mem, total[2], sizeof(uint32_t));
     if (!out->positions || !out->indices || (desc->normals && !out->normals) || (desc->cells && !out->cells))
         return TETCAST_ERR_NO_MEMORY;
     out->vertex_count = sum;
@@ -10896,7 +11059,7 @@ static tetcast_result tetcasti_iso_run(tetcasti_iso *p, const tetcast_surface_de
 TETCAST_DEF tetcast_result tetcast_isosurface(const tetcast_surface_desc *desc, const tetcast_mesh *mesh,
                                               tetcast_surface *out) {
     tetcast_surface_desc none;
-    tetcasti_mem mem, keep;
+    tetcasti_mem mem;
     tetcasti_iso p;
     tetcast_result result;
     uint32_t axis;
@@ -10922,10 +11085,9 @@ TETCAST_DEF tetcast_result tetcast_isosurface(const tetcast_surface_desc *desc, 
     p.mem = &mem;
     p.range = (const float (*)[2])mesh->field[mesh->active].range;
     p.out = out;
-    keep = mem; /* what the caller frees later has no counter to report to */
     out->_allocator = mem.allocator;
     memcpy(out->origin, mesh->origin, sizeof out->origin);
-    result = tetcasti_iso_run(&p, desc, &mem, &keep);
+    result = tetcasti_iso_run(&p, desc, &mem);
     tetcasti_free(&mem, p.inside);
     tetcasti_free(&mem, p.first);
     tetcasti_free(&mem, p.active);
@@ -12670,8 +12832,9 @@ TETCAST_DEF tetcast_result tetcast_camera_ray(const tetcast_camera *camera, uint
                                               double y, tetcast_ray *out_ray) {
     tetcasti_frame f;
     tetcast_result r;
-    if (camera == NULL || out_ray == NULL || height == 0) return TETCAST_ERR_INVALID_ARG;
-    memset(out_ray, 0, sizeof *out_ray);
+    if (out_ray != NULL) memset(out_ray, 0, sizeof *out_ray);
+    if (camera == NULL || out_ray == NULL || height == 0 || !tetcasti_finite(x) || !tetcasti_finite(y))
+        return TETCAST_ERR_INVALID_ARG;
     r = tetcasti_frame_open(camera, width, height, &f);
     if (r != TETCAST_OK) return r;
     tetcasti_frame_ray(&f, x, y, out_ray->org, out_ray->dir);
@@ -12686,7 +12849,7 @@ TETCAST_DEF tetcast_result tetcast_camera_fit(tetcast_camera *camera, const doub
     if (camera == NULL || box_min == NULL || box_max == NULL) return TETCAST_ERR_INVALID_ARG;
     tan_y = tetcasti_camera_tangent(camera);
     tan_x = width != 0 && height != 0 ? tan_y * (double)width / (double)height : tan_y;
-    if (!(tan_y > 0.0)) return TETCAST_ERR_INVALID_ARG;
+    if (!(tan_y > 0.0) || !(camera->ortho_height >= 0.0f)) return TETCAST_ERR_INVALID_ARG;
     for (a = 0; a < 3; a++) {
         if (!tetcasti_finite(box_min[a]) || !tetcasti_finite(box_max[a]) || box_min[a] > box_max[a])
             return TETCAST_ERR_INVALID_ARG;
@@ -12869,15 +13032,17 @@ static tetcast_result tetcasti_scene_open(const tetcast_render_desc *d, const te
     return TETCAST_OK;
 }
 
-static tetcast_result tetcasti_scene_reached(const tetcasti_scene *s, const tetcast_env *env) {
+/* Does a table cover what rays through a mesh may need of it? */
+static tetcast_result tetcasti_scene_reached(const tetcast_mesh *mesh, const tetcast_optics *optics,
+                                             const tetcast_env *env) {
     double way = 0.0;
     uint32_t a;
-    if (s->optics == NULL) return TETCAST_OK;
+    if (optics == NULL) return TETCAST_OK;
     for (a = 0; a < 3; a++) {
-        const double side = ((double)s->mesh->box.hi[a] - (double)s->mesh->box.lo[a]) * s->mesh->unit;
+        const double side = ((double)mesh->box.hi[a] - (double)mesh->box.lo[a]) * mesh->unit;
         way += side * side;
     }
-    return tetcasti_optics_reaches(s->optics, sqrt(way))
+    return tetcasti_optics_reaches(optics, sqrt(way))
                ? TETCAST_OK
                : tetcasti_fail(env->error, TETCAST_ERR_RANGE, 0, "optics: longest or step too small for the mesh");
 }
@@ -13334,7 +13499,7 @@ TETCAST_DEF tetcast_result tetcast_render(const tetcast_render_desc *desc, const
     if (c.scene.optics != NULL && image->depth != NULL) c.scene.any = 1;
     if (r == TETCAST_OK) r = tetcasti_frame_open(&d.camera, image->width, image->height, &c.frame);
     if (r != TETCAST_OK) return tetcasti_fail(d.env.error, r, 0, "render: bad camera or option");
-    r = tetcasti_scene_reached(&c.scene, &d.env);
+    r = tetcasti_scene_reached(mesh, c.scene.optics, &d.env);
     if (r != TETCAST_OK || image->width == 0 || image->height == 0) return r;
     c.tiles_x = (image->width + TETCASTI_TILE - 1) / TETCASTI_TILE;
     if ((uint64_t)c.tiles_x * ((image->height + TETCASTI_TILE - 1) / TETCASTI_TILE) > 0x7fffffffu)
@@ -13467,7 +13632,7 @@ TETCAST_DEF tetcast_result tetcast_cast(const tetcast_render_desc *desc, const t
     if (count / TETCASTI_BATCH >= 0x7fffffffu) return TETCAST_ERR_RANGE;
     r = tetcasti_scene_open(&d, mesh, d.traverse_only ? NULL : optics, &c.scene);
     if (r != TETCAST_OK) return tetcasti_fail(d.env.error, r, 0, "cast: bad option");
-    r = tetcasti_scene_reached(&c.scene, &d.env);
+    r = tetcasti_scene_reached(mesh, c.scene.optics, &d.env);
     if (r != TETCAST_OK) return r;
     c.rays = rays;
     c.results = results;
@@ -15499,6 +15664,7 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_grid(const tetcast_bricks_desc 
     if (bad != 0)
         for (i = 0; i < n; i++) v[i] = v[i] == v[i] ? v[i] : least;
     if (report != NULL) report->bad_values = bad;
+    d.env = tetcasti_env_rest(&d.env, &mem);
     r = tetcasti_bricks_build(&d, lattice, v, NULL, out);
     tetcasti_free(&mem, v);
     return r;
@@ -16028,7 +16194,7 @@ static int tetcasti_cut_choose(tetcast_cut *cut, const tetcast_cut_desc *d) {
                     if (cut->level[i] < d->level) cut->level[i] = (uint8_t)d->level;
                 }
     tetcasti_cut_clamp(cut);
-    if (d->max_jump != 0) tetcasti_cut_relax(cut, d->max_jump);
+    if (d->max_jump != 0 && d->max_jump < TETCAST_BRICK_LEVELS) tetcasti_cut_relax(cut, d->max_jump);
     return 1;
 }
 
@@ -16457,7 +16623,7 @@ static tetcast_result tetcasti_bricks_check(const tetcast_bricks_desc *d, const 
     uint32_t a, k;
     int asked = 1;
     memset(&cd, 0, sizeof cd);
-    cd.env = d->env;
+    cd.env = tetcasti_env_rest(&d->env, &b->mem);
     cut = NULL;
     r = tetcast_cut_create(&cd, b, &cut);
     if (cut == NULL) return r;
@@ -16910,7 +17076,6 @@ static tetcast_result tetcasti_bricks_try(const tetcast_bricks_desc *d, const te
                                           uint8_t *force, uint32_t *short_of, tetcast_bricks **out) {
     const uint32_t log = d->log_cells != 0 ? d->log_cells : 4, levels = d->levels != 0 ? d->levels : log + 1;
     tetcasti_grower g;
-    tetcasti_mem mem;
     tetcast_lattice l;
     tetcast_result r = tetcast_lattice_fit(mesh, longest, &l);
     uint32_t i, tops;
@@ -16920,15 +17085,14 @@ static tetcast_result tetcasti_bricks_try(const tetcast_bricks_desc *d, const te
     memset(&g, 0, sizeof g);
     g.b = tetcasti_bricks_open(&d->env, &l, log, levels, d->storage, &r);
     if (g.b == NULL) return r;
-    (void)tetcasti_env_open(&d->env, &mem);
     g.mesh = mesh;
     g.desc = d;
-    g.mem = &mem;
+    g.mem = &g.b->mem; /* one counter for what stays and what does not */
     g.max_error = d->max_error;
     g.force = force;
     tops = g.b->grid[levels - 1][0] * g.b->grid[levels - 1][1] * g.b->grid[levels - 1][2];
-    g.grown = (tetcasti_grown *)tetcasti_alloc_zero(&mem, tops, sizeof *g.grown);
-    g.hull = (uint8_t *)tetcasti_alloc_zero(&mem, (size_t)mesh->cell_count / 8 + 1, 1);
+    g.grown = (tetcasti_grown *)tetcasti_alloc_zero(g.mem, tops, sizeof *g.grown);
+    g.hull = (uint8_t *)tetcasti_alloc_zero(g.mem, (size_t)mesh->cell_count / 8 + 1, 1);
     ok = g.grown != NULL && g.hull != NULL && tetcasti_grow_bin(&g);
     if (ok) {
         for (i = 0; i < mesh->face_count; i++)
@@ -16938,14 +17102,14 @@ static tetcast_result tetcasti_bricks_try(const tetcast_bricks_desc *d, const te
         for (i = 0; i < tops; i++) *short_of += g.grown[i].short_of;
     }
     for (i = 0; g.grown != NULL && i < tops; i++) {
-        tetcasti_free(&mem, g.grown[i].brick);
-        tetcasti_free(&mem, g.grown[i].error);
-        tetcasti_free(&mem, g.grown[i].nodes);
+        tetcasti_free(g.mem, g.grown[i].brick);
+        tetcasti_free(g.mem, g.grown[i].error);
+        tetcasti_free(g.mem, g.grown[i].nodes);
     }
-    tetcasti_free(&mem, g.grown);
-    tetcasti_free(&mem, g.hull);
-    tetcasti_free(&mem, g.first);
-    tetcasti_free(&mem, g.list);
+    tetcasti_free(g.mem, g.grown);
+    tetcasti_free(g.mem, g.hull);
+    tetcasti_free(g.mem, g.first);
+    tetcasti_free(g.mem, g.list);
     if (!ok) {
         tetcasti_bricks_free(g.b);
         if (!asked) return tetcasti_fail(d->env.error, TETCAST_ERR_CANCELLED, 0, "bricks: cancelled");
@@ -16959,6 +17123,7 @@ static tetcast_result tetcasti_bricks_try(const tetcast_bricks_desc *d, const te
 static tetcast_result tetcasti_bricks_average(const tetcast_bricks_desc *d, const tetcast_mesh *mesh,
                                               tetcast_bricks_report *report, tetcast_bricks **out) {
     tetcasti_mem mem;
+    tetcast_bricks_desc one = *d;
     tetcast_lattice l;
     tetcast_means means;
     tetcast_result r = tetcasti_env_open(&d->env, &mem);
@@ -16972,13 +17137,14 @@ static tetcast_result tetcasti_bricks_average(const tetcast_bricks_desc *d, cons
         return tetcasti_fail(d->env.error, TETCAST_ERR_RANGE, 0, "bricks: the lattice is too large");
     means.mean = (float *)tetcasti_alloc_array(&mem, n, sizeof *means.mean);
     if (means.mean == NULL) return tetcasti_fail(d->env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
-    r = tetcast_resample_mean(&d->env, mesh, &l, &means);
+    one.env = tetcasti_env_rest(&d->env, &mem);
+    r = tetcast_resample_mean(&one.env, mesh, &l, &means);
     if (r == TETCAST_OK) {
         for (i = 0; i < n; i++) some += means.mean[i] == means.mean[i];
         if (some != 0) tetcasti_lattice_fill(&l, means.mean);
         else memset(means.mean, 0, n * sizeof *means.mean);
         for (i = 0; i < n; i++) means.mean[i] = tetcasti_value_clamp(means.mean[i]);
-        r = tetcasti_bricks_build(d, &l, means.mean, NULL, out);
+        r = tetcasti_bricks_build(&one, &l, means.mean, NULL, out);
     }
     tetcasti_free(&mem, means.mean);
     if (r == TETCAST_OK && !tetcasti_bricks_hull(*out, mesh))
@@ -16990,7 +17156,7 @@ static tetcast_result tetcasti_bricks_average(const tetcast_bricks_desc *d, cons
 
 TETCAST_DEF tetcast_result tetcast_bricks_create_mesh(const tetcast_bricks_desc *desc, const tetcast_mesh *mesh,
                                                       tetcast_bricks_report *report, tetcast_bricks **out) {
-    tetcast_bricks_desc d;
+    tetcast_bricks_desc d, one;
     tetcast_bricks_report mine;
     tetcasti_mem mem;
     tetcast_result r = tetcasti_bricks_desc_open(desc, &d, report, out);
@@ -17022,7 +17188,10 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_mesh(const tetcast_bricks_desc 
     while (r == TETCAST_OK) {
         for (again = 0; again < 4 && r == TETCAST_OK; again++) { /* random points find what vertices and nodes do not */
             tetcast_bricks *b = NULL;
-            r = tetcasti_bricks_try(&d, mesh, longest, force, &short_of, &b);
+            one = d;
+            one.env = tetcasti_env_rest(&d.env, &mem);
+            if (*out != NULL) one.env = tetcasti_env_rest(&one.env, &(*out)->mem);
+            r = tetcasti_bricks_try(&one, mesh, longest, force, &short_of, &b);
             if (r == TETCAST_ERR_RANGE && *out != NULL) { /* too many bricks: twice as fine as before, or as before */
                 end = longest > 2 * before - 1 ? 2 * before - 1 : before;
                 longest = before;
@@ -17036,7 +17205,7 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_mesh(const tetcast_bricks_desc 
                 force = (uint8_t *)tetcasti_alloc_zero(&mem, tetcasti_slot_count(b), 1);
                 if (force == NULL) r = tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
             }
-            if (r == TETCAST_OK) r = tetcasti_bricks_check(&d, mesh, b, force, &helps, report);
+            if (r == TETCAST_OK) r = tetcasti_bricks_check(&one, mesh, b, force, &helps, report);
             tetcasti_bricks_free(*out);
             *out = b;
             if (report->above == 0 || helps == 0 || (short_of != 0 && d.longest == 0 && longest < end)) break;
@@ -17181,13 +17350,12 @@ static int tetcasti_brk_records(tetcast_bricks *b, const uint8_t *q, uint64_t *w
     return 1;
 }
 
-static tetcast_result tetcasti_brk_body(tetcast_bricks *b, const uint8_t *p, size_t size, uint64_t *where) {
+static tetcast_result tetcasti_brk_body(tetcast_bricks *b, const uint8_t *p, uint64_t *where) {
     const uint8_t *q = p + TETCASTI_BRK_HEADER;
     size_t i, n = (size_t)b->count * b->nodes;
     uint32_t a;
     uint64_t bytes = (uint64_t)b->count * TETCASTI_BRK_RECORD + (uint64_t)b->hull_count * 24 +
         (uint64_t)b->face_count * 12;
-    (void)size;
     *where = 128;
     if (tetcasti_load_u64(p + 128) != tetcasti_hash_bytes(1, q, (size_t)bytes) ||
         tetcasti_load_u64(p + 136) != tetcasti_hash_bytes(2, q + bytes, n * b->bytes)) return TETCAST_ERR_CHECKSUM;
@@ -17280,7 +17448,7 @@ TETCAST_DEF tetcast_result tetcast_bricks_read(const tetcast_env *env, const voi
         r = TETCAST_ERR_TRUNCATED;
         where = size;
     } else {
-        r = tetcasti_brk_body(b, p, size, &where);
+        r = tetcasti_brk_body(b, p, &where);
     }
     if (r != TETCAST_OK) {
         tetcasti_bricks_free(b);
@@ -17866,6 +18034,7 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_amr(const tetcast_bricks_desc *
     t.v = (float *)tetcasti_alloc_array(&mem, n, sizeof *t.v);
     if (t.v == NULL) return tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
     values.data = t.v;
+    d.env = tetcasti_env_rest(&d.env, &mem);
     if (tetcasti_parallel_ask(&d.env, tetcasti_task_amr, &t, t.l.dims[2]))
         r = tetcast_bricks_create_grid(&d, &t.l, &values, report, out);
     else r = tetcasti_fail(d.env.error, TETCAST_ERR_CANCELLED, 0, "bricks: cancelled");
@@ -18217,10 +18386,10 @@ static int tetcasti_body_good(const tetcast_clip_body *b) {
     size_t i;
     uint32_t a;
     if (b->triangle_count > 0x15555555u || b->point_count > TETCAST_MAX_VERTICES ||
-        (b->triangle_count != 0 && (b->points == NULL || b->indices == NULL))) return 0;
+        (b->point_count != 0 && b->points == NULL) || (b->triangle_count != 0 && b->indices == NULL)) return 0;
     for (i = 0; i < 3 * b->triangle_count; i++)
         if (b->indices[i] >= b->point_count) return 0;
-    for (i = 0; i < b->point_count && b->points != NULL; i++)
+    for (i = 0; i < b->point_count; i++)
         for (a = 0; a < 3; a++)
             if (!(tetcasti_abs(b->points[i][a]) < 1e150)) return 0;
     return 1;
@@ -18872,6 +19041,8 @@ TETCAST_DEF tetcast_result tetcast_render_shaded(const tetcast_shade_desc *desc,
     if (r == TETCAST_OK) r = tetcasti_desc_open(NULL, &none, &unused);
     if (r == TETCAST_OK) r = tetcasti_scene_open(&none, mesh, NULL, &c.scene);
     if (r != TETCAST_OK) return tetcasti_fail(d.env.error, r, 0, "shade: bad camera");
+    r = tetcasti_scene_reached(mesh, c.optics, &d.env);
+    if (r != TETCAST_OK) return r;
     if (d.shader != NULL && d.shader->prepare_fn != NULL)
         r = d.shader->prepare_fn(d.shader->user, d.shader->params, d.shader->param_count, d.env.error);
     if (r != TETCAST_OK) return r;
@@ -19945,7 +20116,7 @@ TETCAST_DEF tetcast_result tetcast_render_bricks(const tetcast_brick_render_desc
         stats->steps += tetcasti_tally(c.tally[3]);
         stats->ended += tetcasti_tally(c.tally[4]);
         stats->lanes += tetcasti_tally(c.tally[5]);
-        stats->isa = c.wide ? TETCAST_ISA_AVX2 : TETCAST_ISA_SCALAR;
+        stats->isa = c.wide == 2 ? TETCAST_ISA_AVX512 : c.wide ? TETCAST_ISA_AVX2 : TETCAST_ISA_SCALAR;
     }
     return r;
 }
@@ -20373,6 +20544,7 @@ TETCAST_DEF tetcast_result tetcast_unpack(const uint8_t *data, size_t size, uint
     size_t at = 0, i = 0, count;
     uint32_t last = 0, x = 0, y = 0;
     if (!tetcasti_mul_size(width, height, &count)) return TETCAST_ERR_RANGE;
+    if ((data == NULL && size != 0) || (rgba == NULL && count != 0)) return TETCAST_ERR_INVALID_ARG;
     if (stride == 0) stride = (size_t)width * 4;
     while (i < count) {
         uint32_t op, n, k;
@@ -21423,8 +21595,10 @@ TETCAST_DEF tetcast_result tetcast_rbf_load_file(const tetcast_env *env, const c
             : fread(p, 1, (size_t)end, file) != (size_t)end ? TETCAST_ERR_IO : TETCAST_OK;
     } else r = TETCAST_ERR_IO;
     if (file != NULL) (void)fclose(file);
-    if (r == TETCAST_OK) r = tetcast_rbf_load_memory(env, p, (size_t)end, out);
-    else (void)tetcasti_fail(env->error, r, 0, "functions: the file cannot be read");
+    if (r == TETCAST_OK) {
+        const tetcast_env rest = tetcasti_env_rest(env, &mem);
+        r = tetcast_rbf_load_memory(&rest, p, (size_t)end, out);
+    } else (void)tetcasti_fail(env->error, r, 0, "functions: the file cannot be read");
     tetcasti_free(&mem, p);
     return r;
 }
@@ -25843,7 +26017,7 @@ static tetcast_result tetcasti_rbf_bricks_check(const tetcast_bricks_desc *d, co
     uint32_t i, k, a, n;
     int asked = 1;
     memset(&cd, 0, sizeof cd);
-    cd.env = d->env;
+    cd.env = tetcasti_env_rest(&d->env, &b->mem);
     r = tetcast_cut_create(&cd, b, &cut);
     if (r != TETCAST_OK) return r;
     report->above = 0;
@@ -25906,6 +26080,7 @@ static tetcast_result tetcasti_rbf_bricks_try(const tetcast_bricks_desc *d, tetc
     t->out = (float *)tetcasti_alloc_array(&mem, n, sizeof *t->out);
     if (t->out == NULL) return tetcasti_fail(d->env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
     half.max_error = 0.5f * d->max_error;
+    half.env = tetcasti_env_rest(&d->env, &mem);
     values.data = t->out;
     if (tetcasti_parallel_ask(&d->env, tetcasti_task_rbf_nodes, t, t->l.dims[2]))
         r = tetcast_bricks_create_grid(&half, &t->l, &values, NULL, out);

@@ -2665,6 +2665,10 @@ TEST(clip_spans) {
     tetcast_clip_destroy(c);
     inner[3][1] = (double)NAN;
     CHECK_EQ_U64(tetcast_clip_create(&d, &c), TETCAST_ERR_INVALID_ARG);
+    body[0].triangle_count = 0; /* points that are not there */
+    body[0].points = NULL;
+    CHECK_EQ_U64(tetcast_clip_create(&d, &c), TETCAST_ERR_INVALID_ARG);
+    CHECK(c == NULL);
 }
 
 /* All models against rays in 4000 pieces of the same field; uneven spacings, a thin slab, along the axes and not. */
@@ -4115,6 +4119,8 @@ TEST(codecs) {
             CHECK(memcmp(p, q, (size_t)w * h * 4) == 0);
             if (kind == 3 && n == 0) CHECK(size < (size_t)w * h);
             for (i = 0; i < size; i += 1 + size / 50) CHECK(tetcast_unpack(pack, i, w, h, 0, q) != TETCAST_OK);
+            CHECK_EQ_U64(tetcast_unpack(NULL, size, w, h, 0, q), TETCAST_ERR_INVALID_ARG);
+            CHECK_EQ_U64(tetcast_unpack(pack, size, w, h, 0, NULL), TETCAST_ERR_INVALID_ARG);
             for (i = 0; i < 50; i++) {
                 pack[test_rng_below(&r, (uint32_t)size)] ^= (uint8_t)test_rng_u32(&r);
                 (void)tetcast_unpack(pack, size, w, h, 0, q);

@@ -218,6 +218,48 @@ TEST(gradients) { /* of a linear field: exact at every vertex */
     CHECK_EQ_U64(tetcast_mesh_make_gradients(NULL, NULL), TETCAST_ERR_INVALID_ARG);
 }
 
+/* total_bytes is what the allocator gave, but for 128 bytes a block and a few for what stands behind the last element. */
+TEST(total_bytes) {
+    enum { N = 9 };
+    static float v[N * N * N];
+    tetcast_field field[3];
+    size_t fields;
+    int kind, drop, i;
+    memset(field, 0, sizeof field);
+    for (i = 0; i < N * N * N; i++) v[i] = i == 7 ? NAN : (float)i;
+    for (i = 0; i < 3; i++) field[i].values.data = v;
+    field[2].per_cell = 1;
+    for (kind = 0; kind < TETCAST_CELLS_COUNT; kind++)
+        for (fields = 0; fields <= 3; fields++)
+            for (drop = 0; drop < 2; drop++) {
+                tetcast_mesh_desc d;
+                tetcast_mesh_info info;
+                tetcast_grid g;
+                tetcast_mesh *m = NULL;
+                test_alloc ta;
+                double left;
+                memset(&d, 0, sizeof d);
+                memset(&g, 0, sizeof g);
+                test_alloc_init(&ta);
+                d.env.allocator.alloc_fn = test_alloc_fn;
+                d.env.allocator.free_fn = test_free_fn;
+                d.env.allocator.user = &ta;
+                d.cells = (tetcast_cells)kind;
+                d.drop_tets = d.drop_source = d.disable_clusters = (uint32_t)drop;
+                d.keep_neighbours = (uint32_t)!drop;
+                for (i = 0; i < 3; i++) g.dims[i] = N;
+                g.fields = field;
+                g.field_count = fields;
+                CHECK_EQ_U64(tetcast_mesh_create_grid(&d, &g, NULL, &m), TETCAST_OK);
+                REQUIRE(m != NULL);
+                tetcast_mesh_get_info(m, &info);
+                left = (double)ta.live_bytes - (double)info.total_bytes - 128.0 * (double)ta.live_blocks;
+                CHECK_MSG(left >= 0 && left <= 600, "form %d, %u fields, drop %d: %g bytes are not in total_bytes", kind, (unsigned)fields, drop, left);
+                tetcast_mesh_destroy(m);
+                test_alloc_check(&ta);
+            }
+}
+
 TEST(info) { /* bytes add up; what was dropped is gone */
     tets t;
     tetcast_mesh_desc d = keep_all(0);
@@ -267,5 +309,6 @@ int main(int argc, char **argv) {
     RUN(same_trails);
     RUN(gradients);
     RUN(info);
+    RUN(total_bytes);
     return test_end();
 }

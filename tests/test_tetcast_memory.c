@@ -593,6 +593,38 @@ TEST(every_request_refused) {
     world_close(&w);
 }
 
+/* memory_limit holds for all that a call and its results have at once. Not here: what makes several objects in turn. */
+TEST(limits_hold) {
+    static world w;
+    uint32_t which;
+    world_open(&w);
+    for (which = 0; which < sizeof call / sizeof call[0]; which++) {
+        tetcast_result (*const run)(world *, const tetcast_env *) = call[which].run;
+        tetcast_result r = TETCAST_ERR_NO_MEMORY;
+        size_t limit;
+        if (run == update || run == parameters || run == grid_mesh || run == clip || run == shaded_mesh || run == shaded_bricks ||
+            run == brick_picture) continue;
+        for (limit = 1000; r != TETCAST_OK && limit < ((size_t)1 << 30); limit += limit / 16) {
+            tetcast_env env;
+            test_alloc ta;
+            memset(&env, 0, sizeof env);
+            test_alloc_init(&ta);
+            env.allocator.alloc_fn = test_alloc_fn;
+            env.allocator.free_fn = test_free_fn;
+            env.allocator.user = &ta;
+            env.thread_count = 1;
+            env.memory_limit = limit;
+            r = run(&w, &env);
+            test_alloc_check(&ta);
+            CHECK_MSG(ta.peak_bytes <= limit, "%s: %u bytes at once, limit %u", call[which].name, (unsigned)ta.peak_bytes,
+                      (unsigned)limit);
+            CHECK_MSG(r == TETCAST_OK || r == TETCAST_ERR_NO_MEMORY, "%s: result %d", call[which].name, (int)r);
+        }
+        CHECK(r == TETCAST_OK);
+    }
+    world_close(&w);
+}
+
 /* ---- cancelled ---- */
 
 typedef struct stopper { uint64_t calls, stop_at, done, total; uint32_t backwards; } stopper;
@@ -786,6 +818,7 @@ TEST(tables_too_short) {
             CHECK_EQ_U64(tetcast_render(NULL, w.mesh, o, &small, NULL), want);
             CHECK_EQ_U64(tetcast_cast(NULL, w.mesh, o, &ray, 1, &hit, NULL), want);
             CHECK_EQ_U64(tetcast_render_bricks(NULL, w.cut, o, &small, NULL), want);
+            CHECK_EQ_U64(tetcast_render_shaded(NULL, w.mesh, o, &small, NULL), want);
             CHECK_EQ_U64(tetcast_rbf_render(&rd, w.rbf, o, &small, NULL), k == 0 ? TETCAST_ERR_RANGE : TETCAST_OK);
             CHECK_EQ_U64(tetcast_optics_ray(o, &segment, 1, rgba, NULL), k < 2 ? TETCAST_ERR_INVALID_ARG : TETCAST_OK);
             CHECK_EQ_U64(tetcast_optics_segments(o, &segment, 1, TETCAST_ISA_AUTO, &rgba), k < 2 ? TETCAST_ERR_INVALID_ARG : TETCAST_OK);
@@ -937,6 +970,7 @@ TEST(names) {
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(every_request_refused);
+    RUN(limits_hold);
     RUN(cancelled);
     RUN(tables_too_short);
     RUN(functions_come_back);

@@ -235,6 +235,11 @@ TEST(source_numbers) { /* vertices and cells can be found again */
     }
     CHECK(!wrong);
     CHECK_EQ_U64(tetcast_mesh_cell(m, m->cell_count, NULL, NULL), TETCAST_ERR_RANGE);
+    {
+        uint32_t v[4] = {1, 2, 3, 4}, c = 5;
+        CHECK_EQ_U64(tetcast_mesh_cell(m, m->cell_count, v, &c), TETCAST_ERR_RANGE);
+        CHECK(v[0] == TETCAST_NONE && v[3] == TETCAST_NONE && c == TETCAST_NONE);
+    }
     tetcast_mesh_destroy(m);
     tets_free(&t);
 }

@@ -798,6 +798,18 @@ TEST(camera) {
         CHECK_EQ_U64(tetcast_camera_fit(&c, lo, hi, NULL, 10, 10), TETCAST_ERR_INVALID_ARG);
         lo[0] = 2;
         CHECK_EQ_U64(tetcast_camera_fit(&c, lo, hi, NULL, 10, 10), TETCAST_ERR_INVALID_ARG);
+        lo[0] = 0;
+        c.ortho_height = -1;
+        CHECK_EQ_U64(tetcast_camera_fit(&c, lo, hi, NULL, 10, 10), TETCAST_ERR_INVALID_ARG);
+        c.ortho_height = NAN;
+        CHECK_EQ_U64(tetcast_camera_fit(&c, lo, hi, NULL, 10, 10), TETCAST_ERR_INVALID_ARG);
+        c.ortho_height = 0;
+        CHECK_EQ_U64(tetcast_camera_fit(&c, lo, hi, NULL, 10, 10), TETCAST_OK);
+        r.dir[0] = 7;
+        CHECK_EQ_U64(tetcast_camera_ray(&c, 10, 0, 0, 0, &r), TETCAST_ERR_INVALID_ARG);
+        CHECK(r.dir[0] == 0);
+        CHECK_EQ_U64(tetcast_camera_ray(&c, 10, 10, (double)NAN, 0, &r), TETCAST_ERR_INVALID_ARG);
+        CHECK_EQ_U64(tetcast_camera_ray(&c, 10, 10, 0, (double)INFINITY, &r), TETCAST_ERR_INVALID_ARG);
     }
 }
 

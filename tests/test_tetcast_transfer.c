@@ -384,8 +384,37 @@ TEST(small_functions) { /* none, one point, one value with a jump, constant */
     CHECK(!tetcast_transfer_is_empty(NULL, 0.0f, 1.0f));
     tetcast_transfer_eval(t, NAN, v);
     CHECK(v[3] == 0.0f);
+    tetcast_transfer_difference(t, NULL, &v[0], &v[1]);
+    CHECK(v[0] == -INFINITY && v[1] == INFINITY);
     tetcast_transfer_destroy(t);
     tetcast_transfer_destroy(NULL);
+}
+
+TEST(far_values) { /* knots just below the largest that there can be */
+    tetcast_control_point p[3];
+    tetcast_transfer *t = NULL;
+    tetcast_transfer_desc d;
+    float rgb[3];
+    int i, side;
+    for (side = -1; side <= 1; side += 2) {
+        memset(&d, 0, sizeof d);
+        memset(p, 0, sizeof p);
+        for (i = 0; i < 3; i++) {
+            p[i].value = side > 0 ? (0.6f + 0.15f * (float)i) * 1e38f : -(0.9f - 0.15f * (float)i) * 1e38f;
+            p[i].extinction = (side > 0) == (i > 0) ? 2.0f : 0.0f;
+            p[i].rgb[1] = 1.0f;
+        }
+        d.points = p;
+        d.point_count = 3;
+        CHECK_EQ_U64(tetcast_transfer_create(&d, &t), TETCAST_OK);
+        REQUIRE(t != NULL);
+        CHECK(!tetcast_transfer_is_empty(t, side > 0 ? 0.7e38f : -0.85e38f, side > 0 ? 0.8e38f : -0.7e38f));
+        CHECK(tetcast_transfer_is_empty(t, side > 0 ? 0.0f : -0.55e38f, side > 0 ? 0.55e38f : 0.0f));
+        CHECK(tetcast_transfer_max_extinction(t, side > 0 ? 0.9e38f : -3e38f, side > 0 ? 3e38f : -0.9e38f) == 2.0f);
+        tetcast_transfer_max_emission(t, -INFINITY, INFINITY, rgb);
+        CHECK(rgb[0] == 0.0f && rgb[1] == 2.0f);
+        tetcast_transfer_destroy(t);
+    }
 }
 
 TEST(bad_input) {
@@ -533,6 +562,7 @@ int main(int argc, char **argv) {
     RUN(simplify_within_bound);
     RUN(difference_of_an_edit);
     RUN(small_functions);
+    RUN(far_values);
     RUN(bad_input);
     RUN(no_memory);
     RUN(steep_ramps);
