@@ -925,8 +925,8 @@ typedef struct voxrt_states {
    camera            (eye equals at) one that frames everything
    lights            NULL: a key light from the upper left behind the camera, a weak fill light, some ambient light
    material          NULL: ambient 0.05, diffuse 1, no specular
-   samples           1 per pixel, at its centre; n, up to 2^24 - 1: the first n points of a fixed low-discrepancy sequence
-                     that begins with the centre
+   samples           1 per pixel, at its centre; n, up to 2^24 - 1: the first n points of a fixed low-discrepancy
+                     sequence that begins with the centre
    first_sample      start of the sequence, up to 2^32 - 2^24; with image->sum: how many samples the sum holds already
    tolerance         full detail. E: a ray stops at the first cell whose edge is at most E pixels wide
    object_lod        off. 1: instead one level for all, chosen so that the nearest cell is at most `tolerance` (0: 1)
@@ -1068,8 +1068,8 @@ VOXRT_DEF voxrt_result voxrt_model_create(const voxrt_model_desc *desc, voxrt_mo
 VOXRT_DEF voxrt_result voxrt_model_from_tree(const voxrt_env *env, const voxrt_tree *tree, voxrt_model **out_model);
 
 /* A tree of what is in a model. desc may be NULL; palette, level of detail, colours, normals and spread count, the rest
-   comes from the model. O(voxels). Errors: UNINIT_DESC, EMPTY, RANGE, NO_MEMORY, CANCELLED. Thread safety: any number of
-   calls on one model. */
+   comes from the model. O(voxels). Errors: UNINIT_DESC, EMPTY, RANGE, NO_MEMORY, CANCELLED. Thread safety: any number
+   of calls on one model. */
 VOXRT_DEF voxrt_result voxrt_tree_from_model(const voxrt_build_desc *desc, const voxrt_model *model,
                                              voxrt_tree **out_tree);
 
@@ -1376,7 +1376,8 @@ VOXRT_DEF void voxrt_columns_get_info(const voxrt_columns *columns, voxrt_column
    up to 1e-6 of a cell beside the surface. SAMPLES: rows of points along the longest edge; triangles smaller than what
    a point stands for have one now and then, so that they cost by area; those with 16383 in a row are THIN.
    O(triangles + cells), SAMPLES O(triangles + points). Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY (SOLID, BODY),
-   CANCELLED (some cells are set). Thread safety: one call on a volume at a time. Source: Laine 2013 (thin), Eisemann & Decoret 2006 (raster) and 2008 (solid), Zhang et al. 2007 (fat). */
+   CANCELLED (some cells are set). Thread safety: one call on a volume at a time. Source: Laine 2013 (thin), Eisemann &
+   Decoret 2006 (raster) and 2008 (solid), Zhang et al. 2007 (fat). */
 VOXRT_DEF voxrt_result voxrt_columns_insert(voxrt_columns *columns, const voxrt_columns_insert_desc *desc,
                                             const voxrt_mesh *mesh, voxrt_columns_insert_stats *stats);
 
@@ -1678,11 +1679,11 @@ typedef struct voxrt_gi_render_desc {
 VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_gi *gi, const voxrt_gbuffer *gbuffer,
                                        float *direct, float *indirect, voxrt_stats *stats);
 
-/* One more bounce: each side of each cell gathers the light of the others with `rays` rays (0: 16; up to 2^20), what it finds
-   counts from now on at hits. weight: share of the new value (0: 1); smaller ones let it follow a moving scene without
-   flicker. The more often it is called the more bounces there are. seed: another one gives other rays. With a weight
-   over 1/2, or on cells that are new, it is a change of light for a history. Errors: INVALID_ARG; NO_MEMORY, CANCELLED
-   (light stays as it was). Thread safety: alone with the scene. O(cells times rays). */
+/* One more bounce: each side of each cell gathers the light of the others with `rays` rays (0: 16; at most 2^20), and
+   what it finds counts from now on at hits. weight: share of the new value (0: 1); smaller ones let it follow a moving
+   scene without flicker. The more often it is called the more bounces there are. seed: another one gives other rays.
+   With a weight over 1/2, or on cells that are new, it is a change of light for a history. Errors: INVALID_ARG;
+   NO_MEMORY, CANCELLED (light stays as it was). Thread safety: alone with the scene. O(cells times rays). */
 VOXRT_DEF voxrt_result voxrt_gi_bounce(voxrt_gi *gi, const voxrt_env *env, uint32_t rays, float weight, uint32_t seed);
 
 /* Keep frames within a time. Zero it before the first frame; before each frame draw with `rays` and `coarse`, after it
@@ -5340,6 +5341,22 @@ static uint64_t voxrti_raster_axis(voxrti_brick *b, const voxrti_tri *t, uint32_
     return found;
 }
 
+/* Columns or rows, by axis x, whose centres the box of a triangle holds. 1: some more do, outside of the brick. */
+VOXRTI_INLINE int voxrti_raster_range(const voxrti_brick *b, const voxrti_tri *t, uint32_t x, int32_t *lo,
+                                      int32_t *hi) {
+    const voxrti_vox *v = b->v;
+    const int32_t size = (int32_t)1 << v->sub, half = size >> 1, limit = (int32_t)v->grid->resolution;
+    const int32_t p0 = (int32_t)t->p[0][x], p1 = (int32_t)t->p[1][x], p2 = (int32_t)t->p[2][x];
+    int32_t least = p0 < p1 ? p0 : p1, most = p0 > p1 ? p0 : p1, first = (int32_t)b->lo[x];
+    least = ((p2 < least ? p2 : least) - half + size - 1) >> v->sub;
+    most = ((p2 > most ? p2 : most) - half) >> v->sub;
+    *lo = least < first ? first : least;
+    first += (int32_t)b->size - 1;
+    *hi = most > first ? first : most;
+    if (*hi > limit - 1) *hi = limit - 1;
+    return *lo != least || *hi != most;
+}
+
 /* The same for triangles below 2^14 units in extent, all three axes: edge functions fit into 32 bits, and columns are
    looked at four at a time. Attributes are weighted by the edge functions. Only columns of the brick. Returns 0 if none
    meets the triangle, at any depth; *cut: there may be some outside of the brick. tiny: see voxrti_tri_points. */
@@ -5372,18 +5389,8 @@ static uint64_t voxrti_raster_short(voxrti_brick *b, const voxrti_tri *t, int ti
         voxrti_i4 lane[3], step_4[3];
         uint32_t weight;
         if (na == 0) continue;
-        for (e = 0; e < 2; e++) { /* columns and rows whose centres the box of the projection holds */
-            const uint32_t x = e == 0 ? u : w;
-            const int32_t p0 = (int32_t)t->p[0][x], p1 = (int32_t)t->p[1][x], p2 = (int32_t)t->p[2][x];
-            int32_t least = p0 < p1 ? p0 : p1, most = p0 > p1 ? p0 : p1, first = (int32_t)b->lo[x];
-            least = ((p2 < least ? p2 : least) - half + size - 1) >> v->sub;
-            most = ((p2 > most ? p2 : most) - half) >> v->sub;
-            lo[e] = least < first ? first : least;
-            first += (int32_t)b->size - 1;
-            hi[e] = most > first ? first : most;
-            if (hi[e] > limit - 1) hi[e] = limit - 1;
-            *cut |= lo[e] != least || hi[e] != most;
-        }
+        *cut |= voxrti_raster_range(b, t, u, &lo[0], &hi[0]);
+        *cut |= voxrti_raster_range(b, t, w, &lo[1], &hi[1]);
         if (lo[0] > hi[0] || lo[1] > hi[1]) continue;
         for (e = 0; e < 3; e++) { /* edge functions, >= 0 inside */
             const int64_t *p = t->p[e], *q = t->p[e == 2 ? 0 : e + 1];
@@ -6346,6 +6353,26 @@ static voxrt_result voxrti_inside_spread(voxrti_mem *mem, voxrti_ask *ask, voxrt
     return !ok ? VOXRT_ERR_NO_MEMORY : ask->cancelled ? VOXRT_ERR_CANCELLED : VOXRT_OK;
 }
 
+/* Take out voxels in `left`: what the layers did not reach. */
+static void voxrti_fill_drop(voxrti_leafset *n, const uint64_t *left) {
+    size_t blocks = 0, voxels = 0, i, k;
+    for (i = 0, k = 0; i < n->block_count; i++) {
+        uint64_t m, keep = n->mask[i] & ~left[i];
+        for (m = n->mask[i]; m != 0; m &= m - 1, k++) {
+            if ((keep & m & (0u - m)) == 0) continue;
+            if (n->rgb != NULL) n->rgb[voxels] = n->rgb[k];
+            if (n->normal != NULL) n->normal[voxels] = n->normal[k];
+            if (n->plane != NULL) n->plane[voxels] = n->plane[k];
+            voxels++;
+        }
+        if (keep == 0) continue;
+        n->key[blocks] = n->key[i];
+        n->mask[blocks++] = keep;
+    }
+    n->block_count = blocks;
+    n->voxel_count = voxels;
+}
+
 /* Replace `set` by the set with the inside `inner` ([old blocks] masks; whole empty blocks where neither mixed nor
    outside) filled. */
 static voxrt_result voxrti_fill_emit(voxrti_mem *mem, voxrti_flood *f, size_t words, uint32_t layers,
@@ -6421,23 +6448,8 @@ static voxrt_result voxrti_fill_emit(voxrti_mem *mem, voxrti_flood *f, size_t wo
         s.mask = n.mask;
         r = voxrti_inside_spread(mem, &f->ask, &s, n.key, n.block_count, f->blocks, layers, &n);
     }
-    if (r == VOXRT_OK) { /* drop what the layers did not reach */
-        size_t blocks = 0, voxels = 0;
-        for (i = 0, k = 0; i < n.block_count; i++) {
-            uint64_t m, keep = n.mask[i] & ~left[i];
-            for (m = n.mask[i]; m != 0; m &= m - 1, k++) {
-                if ((keep & m & (0u - m)) == 0) continue;
-                if (n.rgb != NULL) n.rgb[voxels] = n.rgb[k];
-                if (n.normal != NULL) n.normal[voxels] = n.normal[k];
-                if (n.plane != NULL) n.plane[voxels] = n.plane[k];
-                voxels++;
-            }
-            if (keep == 0) continue;
-            n.key[blocks] = n.key[i];
-            n.mask[blocks++] = keep;
-        }
-        n.block_count = blocks;
-        n.voxel_count = voxels;
+    if (r == VOXRT_OK) {
+        voxrti_fill_drop(&n, left);
         voxrti_leafset_free(mem, set);
         *set = n;
     } else {
@@ -12676,6 +12688,39 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE voxrti_tile_view voxrti_tile_look(const voxrti_
     return a;
 }
 
+/* What eight rays of a tile have met, where `got` is set: cells in units of the slab become those of the tree; for the
+   rays in `hit` the nodes, too. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_tile_found(const voxrti_beam *b, voxrti_tile *k,
+                                                        const voxrti_tile_view *at, uint32_t first, uint32_t hit,
+                                                        const voxrti_tile_lod *lod, __m256i got, __m256i hu, __m256i hv,
+                                                        __m256i hm, __m256i hs) {
+    __m256i v;
+    uint32_t s;
+    uint32_t *cm = k->cell[0] + first, *cu = k->cell[1] + first, *cv = k->cell[2] + first, *side = k->side + first;
+    uint32_t leaf[8];
+    if (lod == NULL || lod->unit == (lod->ls & ~1u)) {
+        v = _mm256_add_epi32(_mm256_slli_epi32(_mm256_srli_epi32(hv, 2), 3), _mm256_srli_epi32(hu, 2));
+    } else { /* a pair: nodes of two units each */
+        v = _mm256_add_epi32(_mm256_slli_epi32(_mm256_srli_epi32(hm, 1), 4), _mm256_srli_epi32(hv, 1));
+        v = _mm256_add_epi32(_mm256_slli_epi32(v, 4), _mm256_srli_epi32(hu, 1));
+    }
+    VOXRTI_STOREI(leaf, v);
+    hu = _mm256_add_epi32(hu, at->u0);
+    hv = _mm256_add_epi32(hv, at->v0);
+    hm = _mm256_add_epi32(hm, at->z);
+    VOXRTI_STOREI(cu, _mm256_blendv_epi8(VOXRTI_LOADI(cu), hu, got));
+    VOXRTI_STOREI(cv, _mm256_blendv_epi8(VOXRTI_LOADI(cv), hv, got));
+    VOXRTI_STOREI(cm, _mm256_blendv_epi8(VOXRTI_LOADI(cm), hm, got));
+    VOXRTI_STOREI(side, _mm256_blendv_epi8(VOXRTI_LOADI(side), hs, got));
+    for (; hit != 0; hit &= hit - 1) {
+        s = voxrti_ctz64(hit);
+        k->node[first + s] = b->cell[k->leaf[leaf[s]]].node;
+        if (lod == NULL) continue;
+        k->ls[first + s] = lod->ls;
+        k->unit[first + s] = lod->unit;
+    }
+}
+
 /* Eight rays through the four planes of voxels (of cells if lod is not NULL) of a slab. At first all planes: which
    rays have a filled cell at a corner of the rectangle of cells in which they enter and leave? Mostly none. Then the
    cells of those that have one, in the first such plane. */
@@ -12753,31 +12798,7 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_tile_march(const voxrti_beam *b, vo
         k->later |= (uint64_t)s << first;
         hit &= ~s;
     }
-    if (hit != 0) {
-        uint32_t *cm = k->cell[0] + first, *cu = k->cell[1] + first, *cv = k->cell[2] + first, *side = k->side + first;
-        uint32_t leaf[8];
-        if (lod == NULL || lod->unit == (lod->ls & ~1u)) {
-            v = _mm256_add_epi32(_mm256_slli_epi32(_mm256_srli_epi32(hv, 2), 3), _mm256_srli_epi32(hu, 2));
-        } else { /* a pair: nodes of two units each */
-            v = _mm256_add_epi32(_mm256_slli_epi32(_mm256_srli_epi32(hm, 1), 4), _mm256_srli_epi32(hv, 1));
-            v = _mm256_add_epi32(_mm256_slli_epi32(v, 4), _mm256_srli_epi32(hu, 1));
-        }
-        VOXRTI_STOREI(leaf, v);
-        hu = _mm256_add_epi32(hu, at->u0);
-        hv = _mm256_add_epi32(hv, at->v0);
-        hm = _mm256_add_epi32(hm, at->z);
-        VOXRTI_STOREI(cu, _mm256_blendv_epi8(VOXRTI_LOADI(cu), hu, got));
-        VOXRTI_STOREI(cv, _mm256_blendv_epi8(VOXRTI_LOADI(cv), hv, got));
-        VOXRTI_STOREI(cm, _mm256_blendv_epi8(VOXRTI_LOADI(cm), hm, got));
-        VOXRTI_STOREI(side, _mm256_blendv_epi8(VOXRTI_LOADI(side), hs, got));
-        for (; hit != 0; hit &= hit - 1) {
-            s = voxrti_ctz64(hit);
-            k->node[first + s] = b->cell[k->leaf[leaf[s]]].node;
-            if (lod == NULL) continue;
-            k->ls[first + s] = lod->ls;
-            k->unit[first + s] = lod->unit;
-        }
-    }
+    if (hit != 0) voxrti_tile_found(b, k, at, first, hit, lod, got, hu, hv, hm, hs);
 }
 
 /* Times at which four rays enter their voxels; c: plane of the axis `side` (mirrored), back: it is mirrored. One
@@ -13068,6 +13089,55 @@ VOXRTI_TARGET_AVX2 static inline __m256d voxrti_close4(__m256d p) {
     return _mm256_cmp_pd(_mm256_andnot_pd(_mm256_set1_pd(-0.0), f), _mm256_set1_pd(1.52587890625e-05), _CMP_LT_OQ);
 }
 
+/* First cells of the lanes in `any`, which begin close to an event, decided exactly. Bits of lanes: doubt, of axes on
+   which they do; back, of mirrored axes; by, of the axis of the face by which they come in. */
+static VOXRTI_NOINLINE void voxrti_setup4_exact(const voxrti_cone *cone, double full, voxrti_ready *g, uint32_t first,
+                                                uint32_t any, const uint32_t doubt[3], const uint32_t back[3],
+                                                const uint32_t by[3]) {
+    for (; any != 0; any &= any - 1) {
+        voxrti_rayx r;
+        uint32_t k = 3, lane = voxrti_ctz64(any), a;
+        for (a = 0; a < 3; a++) {
+            r.o[a] = g->o[a][first + lane];
+            r.d[a] = g->d[a][first + lane];
+            r.inv[a] = g->inv[a][first + lane];
+            if (by[a] >> lane & 1u) k = a;
+        }
+        for (a = 0; a < 3; a++) {
+            uint32_t from = (back[a] >> lane & 1u) ? (uint32_t)full - cone->hi[a] : cone->lo[a];
+            uint32_t to = (back[a] >> lane & 1u) ? (uint32_t)full - cone->lo[a] : cone->hi[a];
+            if (doubt[a] >> lane & 1u)
+                g->c[a][first + lane] = voxrti_cell_at(&r, a, g->t[first + lane], k, from, to - 1);
+        }
+    }
+}
+
+/* Levels of the deepest nodes of the chain that hold the first cells of four rays. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE __m128i voxrti_setup4_start(const voxrt_tree *t, const voxrti_cone *cone,
+                                                             const voxrti_chain *chain, const voxrti_ready *g,
+                                                             uint32_t first, __m128i flip, __m256d time) {
+    const uint32_t leaf_w = t->wide - 1;
+    __m128i w = _mm_setzero_si128(), x = w;
+    __m256d foot;
+    uint32_t a, l;
+    if (chain->w == 0) return w;
+    foot = _mm256_max_pd(_mm256_set1_pd(cone->floor_), _mm256_add_pd(_mm256_set1_pd(cone->width),
+                         _mm256_mul_pd(_mm256_set1_pd(cone->spread), time)));
+    for (a = 0; a < 3; a++) {
+        __m128i neg = _mm_srai_epi32(_mm_slli_epi32(flip, 31 - (int)a), 31);
+        __m128i c = _mm_xor_si128(VOXRTI_LOAD4(g->c[a] + first), _mm_srli_epi32(neg, 32 - 2 * (int)t->wide));
+        x = _mm_or_si128(x, _mm_xor_si128(c, _mm_set1_epi32((int)chain->cell[a])));
+    }
+    for (l = 1; l <= chain->w; l++) {
+        __m128i m = _mm_cmpgt_epi32(_mm_set1_epi32(4 << 2 * (leaf_w - l)), x);
+        if (cone->on) /* level of detail must not accept the node's octants or itself */
+            m = _mm_and_si128(m, voxrti_narrow4(_mm256_cmp_pd(
+                foot, _mm256_set1_pd((double)(4 << 2 * (leaf_w - l))), _CMP_LT_OQ)));
+        w = _mm_sub_epi32(w, m);
+    }
+    return w;
+}
+
 /* Prepare the rays `first` to first + 3 of a run. Returns those that enter the box (bits). *rare: those that need the
    scalar path (bad or far away); the others miss the box. The same arithmetic as voxrti_ray_setup. */
 VOXRTI_TARGET_AVX2 static inline uint32_t voxrti_setup4(const voxrt_tree *t, const voxrti_cone *cone,
@@ -13076,12 +13146,11 @@ VOXRTI_TARGET_AVX2 static inline uint32_t voxrti_setup4(const voxrt_tree *t, con
     const __m256d zero = _mm256_setzero_pd(), inf = _mm256_set1_pd(VOXRTI_INF), sign = _mm256_set1_pd(-0.0);
     const __m256d scale = _mm256_set1_pd(1.0 / t->voxel_size), limit = _mm256_set1_pd(16777216.0);
     const double full = (double)((uint32_t)1 << (2 * t->wide));
-    const uint32_t leaf_w = t->wide - 1;
     __m256d o[3], d[3], inv[3], lo[3], hi[3], axis[3], still[3], t_in = _mm256_sub_pd(zero, inf), t_out = inf;
     __m256d bad, out = zero, moving = zero, late = zero, time, t_end, tmin, tmax, e;
     __m128i flip = _mm_setzero_si128();
     __m256 v[4];
-    uint32_t a, lane, doubt[3], any = 0, back[3], live;
+    uint32_t a, doubt[3], any = 0, back[3], by[3], live;
     voxrti_rays4(rays, rays + 1, rays + 2, rays + 3, v);
     tmin = _mm256_cvtps_pd(_mm256_castps256_ps128(v[3]));
     tmax = _mm256_cvtps_pd(_mm256_extractf128_ps(v[3], 1));
@@ -13158,44 +13227,11 @@ VOXRTI_TARGET_AVX2 static inline uint32_t voxrti_setup4(const voxrt_tree *t, con
     for (a = 0; a < 3; a++)
         VOXRTI_STORE4(g->turn[a] + first,
                       _mm_slli_epi32(_mm_and_si128(_mm_srli_epi32(flip, (int)a), _mm_set1_epi32(1)), 2));
-    for (any &= live; any != 0; any &= any - 1) { /* close to an event: decide exactly */
-        voxrti_rayx r;
-        uint32_t k = 3;
-        lane = voxrti_ctz64(any);
-        for (a = 0; a < 3; a++) {
-            r.o[a] = g->o[a][first + lane];
-            r.d[a] = g->d[a][first + lane];
-            r.inv[a] = g->inv[a][first + lane];
-            if ((uint32_t)_mm256_movemask_pd(axis[a]) >> lane & 1u) k = a;
-        }
-        for (a = 0; a < 3; a++) {
-            uint32_t from = (back[a] >> lane & 1u) ? (uint32_t)full - cone->hi[a] : cone->lo[a];
-            uint32_t to = (back[a] >> lane & 1u) ? (uint32_t)full - cone->lo[a] : cone->hi[a];
-            if (doubt[a] >> lane & 1u)
-                g->c[a][first + lane] = voxrti_cell_at(&r, a, g->t[first + lane], k, from, to - 1);
-        }
+    if ((any & live) != 0) {
+        for (a = 0; a < 3; a++) by[a] = (uint32_t)_mm256_movemask_pd(axis[a]);
+        voxrti_setup4_exact(cone, full, g, first, any & live, doubt, back, by);
     }
-    { /* start at the deepest node of the chain that holds the ray's first cell */
-        __m128i w = _mm_setzero_si128(), x = w;
-        uint32_t l;
-        if (chain->w != 0) {
-            __m256d foot = _mm256_max_pd(_mm256_set1_pd(cone->floor_), _mm256_add_pd(_mm256_set1_pd(cone->width),
-                                         _mm256_mul_pd(_mm256_set1_pd(cone->spread), time)));
-            for (a = 0; a < 3; a++) {
-                __m128i neg = _mm_srai_epi32(_mm_slli_epi32(flip, 31 - (int)a), 31);
-                __m128i c = _mm_xor_si128(VOXRTI_LOAD4(g->c[a] + first), _mm_srli_epi32(neg, 32 - 2 * (int)t->wide));
-                x = _mm_or_si128(x, _mm_xor_si128(c, _mm_set1_epi32((int)chain->cell[a])));
-            }
-            for (l = 1; l <= chain->w; l++) {
-                __m128i m = _mm_cmpgt_epi32(_mm_set1_epi32(4 << 2 * (leaf_w - l)), x);
-                if (cone->on) /* level of detail must not accept the node's octants or itself */
-                    m = _mm_and_si128(m, voxrti_narrow4(_mm256_cmp_pd(
-                        foot, _mm256_set1_pd((double)(4 << 2 * (leaf_w - l))), _CMP_LT_OQ)));
-                w = _mm_sub_epi32(w, m);
-            }
-        }
-        VOXRTI_STORE4(g->w + first, w);
-    }
+    VOXRTI_STORE4(g->w + first, voxrti_setup4_start(t, cone, chain, g, first, flip, time));
     return live;
 }
 
@@ -13367,6 +13403,70 @@ static void voxrti_octet_decode(const voxrt_tree *t, voxrti_octet *g) {
     g->coded = 0;
 }
 
+/* The first event of the three far faces, behind cells c0, c1, c2: when, and by which of the first two axes, if it is
+   not the third. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_octet_leave(const voxrti_octet_const *k, const voxrti_octet *g, __m256i c0,
+                                                         __m256i c1, __m256i c2, __m256d *t0, __m256d *t1, __m256i *k0,
+                                                         __m256i *k1) {
+    const __m256d e0 = voxrti_octet_event(_mm256_unpacklo_epi32(c0, k->two52), g->o[0], g->inv[0]);
+    const __m256d f0 = voxrti_octet_event(_mm256_unpackhi_epi32(c0, k->two52), g->o[0] + 4, g->inv[0] + 4);
+    const __m256d e1 = voxrti_octet_event(_mm256_unpacklo_epi32(c1, k->two52), g->o[1], g->inv[1]);
+    const __m256d f1 = voxrti_octet_event(_mm256_unpackhi_epi32(c1, k->two52), g->o[1] + 4, g->inv[1] + 4);
+    const __m256d e2 = voxrti_octet_event(_mm256_unpacklo_epi32(c2, k->two52), g->o[2], g->inv[2]);
+    const __m256d f2 = voxrti_octet_event(_mm256_unpackhi_epi32(c2, k->two52), g->o[2] + 4, g->inv[2] + 4);
+    *t0 = _mm256_min_pd(_mm256_min_pd(e0, e1), e2);
+    *t1 = _mm256_min_pd(_mm256_min_pd(f0, f1), f2);
+    *k0 = VOXRTI_MASK8(_mm256_cmp_pd(e0, *t0, _CMP_EQ_OQ), _mm256_cmp_pd(f0, *t1, _CMP_EQ_OQ));
+    *k1 = VOXRTI_MASK8(_mm256_cmp_pd(e1, *t0, _CMP_EQ_OQ), _mm256_cmp_pd(f1, *t1, _CMP_EQ_OQ));
+    *k1 = _mm256_andnot_si256(*k0, *k1);
+}
+
+/* The time of lanes that go on. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_octet_time(voxrti_octet *g, __m256d t0, __m256d t1, __m256i on) {
+    const __m256d e0 = _mm256_castsi256_pd(_mm256_unpacklo_epi32(on, on));
+    const __m256d e1 = _mm256_castsi256_pd(_mm256_unpackhi_epi32(on, on));
+    _mm256_storeu_pd(g->t, _mm256_blendv_pd(_mm256_loadu_pd(g->t), t0, e0));
+    _mm256_storeu_pd(g->t + 4, _mm256_blendv_pd(_mm256_loadu_pd(g->t + 4), t1, e1));
+}
+
+/* Lanes in `doubt`: their next cells exactly. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_octet_settle(const voxrti_octet *g, __m256d t0, __m256d t1, __m256i ls,
+                                                          uint32_t doubt, __m256i *q0, __m256i *q1, __m256i *q2) {
+    uint32_t q[3][8], size[8];
+    double at[8];
+    VOXRTI_STOREI(q[0], *q0);
+    VOXRTI_STOREI(q[1], *q1);
+    VOXRTI_STOREI(q[2], *q2);
+    VOXRTI_STOREI(size, ls);
+    _mm256_storeu_pd(at, t0);
+    _mm256_storeu_pd(at + 4, t1);
+    voxrti_octet_doubt(g, at, size, doubt, q);
+    *q0 = VOXRTI_LOADI(q[0]);
+    *q1 = VOXRTI_LOADI(q[1]);
+    *q2 = VOXRTI_LOADI(q[2]);
+}
+
+/* Addresses of the nodes below, numbers `first` of level w + 1, for lanes that go down. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_octet_fetch(const voxrti_octet_const *k, voxrti_octet *g, __m256i w,
+                                                         __m256i first, __m256i go) {
+    const __m256i zero = _mm256_setzero_si256(), x = _mm256_cmpeq_epi32(_mm256_add_epi32(w, k->one), k->leaf_w);
+    const __m256i y = _mm256_add_epi32(_mm256_and_si256(x, k->leaf_less), k->four); /* log2 of a node's bytes */
+    __m256i m[2];
+    uint32_t l;
+    m[0] = _mm256_sllv_epi64(_mm256_unpacklo_epi32(first, zero), _mm256_unpacklo_epi32(y, zero));
+    m[1] = _mm256_sllv_epi64(_mm256_unpackhi_epi32(first, zero), _mm256_unpackhi_epi32(y, zero));
+    m[0] = _mm256_add_epi64(m[0], _mm256_blendv_epi8(k->node, k->leaf, _mm256_unpacklo_epi32(x, x)));
+    m[1] = _mm256_add_epi64(m[1], _mm256_blendv_epi8(k->node, k->leaf, _mm256_unpackhi_epi32(x, x)));
+    VOXRTI_STOREI(g->child, m[0]);
+    VOXRTI_STOREI(g->child + 4, m[1]);
+    g->coded = k->coded & VOXRTI_SIGNS(_mm256_and_si256(go, x));
+    for (l = 0; l < 8; l++) { /* fetched while the other groups step */
+        const uint64_t at = g->child[VOXRTI_PLACE8(l)];
+        g->path[l][g->w[l] + 1] = at;
+        VOXRTI_PREFETCH((const void *)(uintptr_t)at);
+    }
+}
+
 /* One step of every live lane: over an empty cell, up to the node that holds the next one, and down when that is
    filled. Lanes that end leave g->live; those on a voxel are added to g->found. Masks count by their sign. */
 VOXRTI_TARGET_AVX2 static VOXRTI_NOINLINE void voxrti_octet_step(const voxrt_tree *t, const voxrti_cone *cone,
@@ -13378,7 +13478,7 @@ VOXRTI_TARGET_AVX2 static VOXRTI_NOINLINE void voxrti_octet_step(const voxrt_tre
     __m256i w = VOXRTI_LOADI(g->w), flip = VOXRTI_LOADI(g->flip), live = VOXRTI_LOADI(g->alive);
     __m256i sh = _mm256_slli_epi32(_mm256_sub_epi32(k->leaf_w, w), 1), m[2], r[2], first, slot, x, y, z, empty, set, on;
     __m256i ls, low, go, least, g0, g1, g2, q0, q1, q2, k0, k1, k2;
-    __m256d e0, e1, e2, f0, f1, f2, t0, t1;
+    __m256d t0, t1;
     uint32_t l, doubt;
     /* the cell, its octant, the rest of its node: is there anything to meet? */
     voxrti_octet_nodes(g, m);
@@ -13412,17 +13512,7 @@ VOXRTI_TARGET_AVX2 static VOXRTI_NOINLINE void voxrti_octet_step(const voxrt_tre
     g0 = _mm256_or_si256(c0, low); /* last cells before the faces */
     g1 = _mm256_or_si256(c1, low);
     g2 = _mm256_or_si256(c2, low);
-    e0 = voxrti_octet_event(_mm256_unpacklo_epi32(g0, k->two52), g->o[0], g->inv[0]);
-    f0 = voxrti_octet_event(_mm256_unpackhi_epi32(g0, k->two52), g->o[0] + 4, g->inv[0] + 4);
-    e1 = voxrti_octet_event(_mm256_unpacklo_epi32(g1, k->two52), g->o[1], g->inv[1]);
-    f1 = voxrti_octet_event(_mm256_unpackhi_epi32(g1, k->two52), g->o[1] + 4, g->inv[1] + 4);
-    e2 = voxrti_octet_event(_mm256_unpacklo_epi32(g2, k->two52), g->o[2], g->inv[2]);
-    f2 = voxrti_octet_event(_mm256_unpackhi_epi32(g2, k->two52), g->o[2] + 4, g->inv[2] + 4);
-    t0 = _mm256_min_pd(_mm256_min_pd(e0, e1), e2);
-    t1 = _mm256_min_pd(_mm256_min_pd(f0, f1), f2);
-    k0 = VOXRTI_MASK8(_mm256_cmp_pd(e0, t0, _CMP_EQ_OQ), _mm256_cmp_pd(f0, t1, _CMP_EQ_OQ));
-    k1 = VOXRTI_MASK8(_mm256_cmp_pd(e1, t0, _CMP_EQ_OQ), _mm256_cmp_pd(f1, t1, _CMP_EQ_OQ));
-    k1 = _mm256_andnot_si256(k0, k1);
+    voxrti_octet_leave(k, g, g0, g1, g2, &t0, &t1, &k0, &k1);
     k2 = _mm256_xor_si256(_mm256_or_si256(k0, k1), _mm256_set1_epi32(-1));
     on = VOXRTI_MASK8(_mm256_cmp_pd(t0, _mm256_loadu_pd(g->t_end), _CMP_LT_OQ),
                       _mm256_cmp_pd(t1, _mm256_loadu_pd(g->t_end + 4), _CMP_LT_OQ));
@@ -13433,26 +13523,8 @@ VOXRTI_TARGET_AVX2 static VOXRTI_NOINLINE void voxrti_octet_step(const voxrt_tre
     q1 = voxrti_octet_cells(k, t0, t1, g->o[1], g->d[1], g1, k1, &least);
     q2 = voxrti_octet_cells(k, t0, t1, g->o[2], g->d[2], g2, k2, &least);
     doubt = VOXRTI_SIGNS(_mm256_and_si256(on, _mm256_cmpeq_epi32(_mm256_srli_epi32(least, 17), zero)));
-    if (VOXRTI_UNLIKELY(doubt != 0)) {
-        uint32_t q[3][8], size[8];
-        double at[8];
-        VOXRTI_STOREI(q[0], q0);
-        VOXRTI_STOREI(q[1], q1);
-        VOXRTI_STOREI(q[2], q2);
-        VOXRTI_STOREI(size, ls);
-        _mm256_storeu_pd(at, t0);
-        _mm256_storeu_pd(at + 4, t1);
-        voxrti_octet_doubt(g, at, size, doubt, q);
-        q0 = VOXRTI_LOADI(q[0]);
-        q1 = VOXRTI_LOADI(q[1]);
-        q2 = VOXRTI_LOADI(q[2]);
-    }
-    if (cone->on) {
-        e0 = _mm256_castsi256_pd(_mm256_unpacklo_epi32(on, on));
-        e1 = _mm256_castsi256_pd(_mm256_unpackhi_epi32(on, on));
-        _mm256_storeu_pd(g->t, _mm256_blendv_pd(_mm256_loadu_pd(g->t), t0, e0));
-        _mm256_storeu_pd(g->t + 4, _mm256_blendv_pd(_mm256_loadu_pd(g->t + 4), t1, e1));
-    }
+    if (VOXRTI_UNLIKELY(doubt != 0)) voxrti_octet_settle(g, t0, t1, ls, doubt, &q0, &q1, &q2);
+    if (cone->on) voxrti_octet_time(g, t0, t1, on);
     q0 = VOXRTI_BLENDI(c0, q0, on);
     q1 = VOXRTI_BLENDI(c1, q1, on);
     q2 = VOXRTI_BLENDI(c2, q2, on);
@@ -13467,10 +13539,10 @@ VOXRTI_TARGET_AVX2 static VOXRTI_NOINLINE void voxrti_octet_step(const voxrt_tre
     VOXRTI_STOREI(g->w, w);
     /* down, when the cell is filled: it goes to the top, below it are those before it */
     first = voxrti_octet_nodes(g, m);
-    x = _mm256_and_si256(_mm256_srlv_epi32(q0, sh), k->three);
-    y = _mm256_and_si256(_mm256_srlv_epi32(q1, sh), k->three);
-    z = _mm256_and_si256(_mm256_srlv_epi32(q2, sh), k->three);
-    slot = _mm256_xor_si256(voxrti_octet_slot(k, x, y, z, flip), k->last_slot);
+    slot = voxrti_octet_slot(k, _mm256_and_si256(_mm256_srlv_epi32(q0, sh), k->three),
+                             _mm256_and_si256(_mm256_srlv_epi32(q1, sh), k->three),
+                             _mm256_and_si256(_mm256_srlv_epi32(q2, sh), k->three), flip);
+    slot = _mm256_xor_si256(slot, k->last_slot);
     m[0] = _mm256_sllv_epi64(m[0], _mm256_unpacklo_epi32(slot, zero));
     m[1] = _mm256_sllv_epi64(m[1], _mm256_unpackhi_epi32(slot, zero));
     y = _mm256_and_si256(VOXRTI_HIGH8(m[0], m[1]), on);
@@ -13490,21 +13562,7 @@ VOXRTI_TARGET_AVX2 static VOXRTI_NOINLINE void voxrti_octet_step(const voxrt_tre
     VOXRTI_STOREI(g->alive, live);
     g->live = VOXRTI_SIGNS(live);
     if (stats != NULL) stats->descents += voxrti_popcount64(VOXRTI_SIGNS(go));
-    /* addresses of the nodes below */
-    x = _mm256_cmpeq_epi32(_mm256_add_epi32(w, k->one), k->leaf_w);
-    y = _mm256_add_epi32(_mm256_and_si256(x, k->leaf_less), k->four); /* log2 of a node's bytes */
-    m[0] = _mm256_sllv_epi64(_mm256_unpacklo_epi32(first, zero), _mm256_unpacklo_epi32(y, zero));
-    m[1] = _mm256_sllv_epi64(_mm256_unpackhi_epi32(first, zero), _mm256_unpackhi_epi32(y, zero));
-    m[0] = _mm256_add_epi64(m[0], _mm256_blendv_epi8(k->node, k->leaf, _mm256_unpacklo_epi32(x, x)));
-    m[1] = _mm256_add_epi64(m[1], _mm256_blendv_epi8(k->node, k->leaf, _mm256_unpackhi_epi32(x, x)));
-    VOXRTI_STOREI(g->child, m[0]);
-    VOXRTI_STOREI(g->child + 4, m[1]);
-    g->coded = k->coded & VOXRTI_SIGNS(_mm256_and_si256(go, x));
-    for (l = 0; l < 8; l++) { /* fetched while the other groups step */
-        const uint64_t at = g->child[VOXRTI_PLACE8(l)];
-        g->path[l][g->w[l] + 1] = at;
-        VOXRTI_PREFETCH((const void *)(uintptr_t)at);
-    }
+    voxrti_octet_fetch(k, g, w, first, go);
     VOXRTI_STOREI(g->w, _mm256_sub_epi32(w, go));
 }
 
@@ -14230,6 +14288,32 @@ VOXRTI_TARGET_SSE4 VOXRTI_INLINE __m128 voxrti_exit4(__m128i j, __m128i mask, __
     return _mm_mul_ps(_mm_sub_ps(face, o), inv);
 }
 
+/* Down from start voxels of edge 2^s to what holds the cells: its number, index and mask of coordinates. inner, unless
+   NULL: added to. */
+VOXRTI_TARGET_SSE4 VOXRTI_INLINE void voxrti_octpacket_down(const voxrti_octrace *c, uint32_t s, __m128i jx, __m128i jy,
+                                                            __m128i jz, __m128i children, __m128i *vi, __m128i *filled,
+                                                            __m128i *mask, uint32_t *inner) {
+    const voxrti_voxel *voxels = c->t->voxel;
+    const __m128i zero = _mm_setzero_si128(), one = _mm_set1_epi32(1), two = _mm_set1_epi32(2);
+    uint32_t m;
+    while (s > c->leaf_log) { /* down. Lanes that are there have children = 0 and read the root's block */
+        __m128i down = _mm_cmpgt_epi32(children, zero), shift, w, words;
+        m = voxrti_lanes(down);
+        if (m == 0) break;
+        if (inner != NULL) *inner += voxrti_count4(m);
+        shift = _mm_cvtsi32_si128((int)--s);
+        w = _mm_and_si128(_mm_srl_epi32(jx, shift), one);
+        w = _mm_or_si128(w, _mm_and_si128(_mm_srl_epi32(_mm_slli_epi32(jy, 1), shift), two));
+        w = _mm_or_si128(w, _mm_and_si128(_mm_srl_epi32(_mm_slli_epi32(jz, 2), shift), _mm_set1_epi32(4)));
+        w = _mm_or_si128(w, _mm_slli_epi32(children, 3));
+        voxrti_voxel_load4(w, words, children);
+        children = _mm_and_si128(children, down);
+        *vi = _mm_blendv_epi8(*vi, w, down);
+        *filled = _mm_blendv_epi8(*filled, _mm_slli_epi32(words, 16), down); /* the low half is the index */
+        *mask = _mm_blendv_epi8(*mask, _mm_set1_epi32((int)((1u << s) - 1u)), down);
+    }
+}
+
 /* Lanes that are through go on computing the same point, so that they touch no new memory. `counted` is a constant. */
 VOXRTI_TARGET_SSE4 VOXRTI_INLINE void voxrti_octrace_four(const voxrti_octrace *c, const voxrt_ray *rays,
                                                           voxrt_hit *hits, uint32_t n, voxrt_octree_stats *stats,
@@ -14267,7 +14351,7 @@ VOXRTI_TARGET_SSE4 VOXRTI_INLINE void voxrti_octrace_four(const voxrti_octrace *
         __m128i jz = _mm_min_epu32(_mm_cvttps_epi32(pz), last);
         __m128i mask = start_mask, vi = zero, children, filled, on, edge;
         __m128 leave;
-        uint32_t m, s = top;
+        uint32_t m;
         left--;
         if (counted) outer += voxrti_count4(voxrti_lanes(trace));
         if (c->grid != NULL) {
@@ -14280,22 +14364,7 @@ VOXRTI_TARGET_SSE4 VOXRTI_INLINE void voxrti_octrace_four(const voxrti_octrace *
             children = _mm_and_si128(_mm_set1_epi32((int)voxels[0].children), trace);
             filled = _mm_set1_epi32((int)voxels[0].index);
         }
-        while (s > c->leaf_log) { /* down. Lanes that are there have children = 0 and read the root's block */
-            __m128i down = _mm_cmpgt_epi32(children, zero), shift, w, words;
-            m = voxrti_lanes(down);
-            if (m == 0) break;
-            if (counted) inner += voxrti_count4(m);
-            shift = _mm_cvtsi32_si128((int)--s);
-            w = _mm_and_si128(_mm_srl_epi32(jx, shift), one);
-            w = _mm_or_si128(w, _mm_and_si128(_mm_srl_epi32(_mm_slli_epi32(jy, 1), shift), two));
-            w = _mm_or_si128(w, _mm_and_si128(_mm_srl_epi32(_mm_slli_epi32(jz, 2), shift), _mm_set1_epi32(4)));
-            w = _mm_or_si128(w, _mm_slli_epi32(children, 3));
-            voxrti_voxel_load4(w, words, children);
-            children = _mm_and_si128(children, down);
-            vi = _mm_blendv_epi8(vi, w, down);
-            filled = _mm_blendv_epi8(filled, _mm_slli_epi32(words, 16), down); /* the low half is the index */
-            mask = _mm_blendv_epi8(mask, _mm_set1_epi32((int)((1u << s) - 1u)), down);
-        }
+        voxrti_octpacket_down(c, top, jx, jy, jz, children, &vi, &filled, &mask, counted ? &inner : NULL);
         on = _mm_andnot_si128(_mm_cmpeq_epi32(filled, zero), trace);
         m = voxrti_lanes(on);
         if (m != 0) {
@@ -16096,7 +16165,7 @@ VOXRT_DEF voxrt_result voxrt_render(const voxrt_render_desc *desc, const voxrt_t
     voxrt_render_desc d;
     voxrti_render c;
     voxrt_result r;
-    uint32_t rows, y;
+    uint32_t rows, x, y;
     const char *what;
     voxrti_ask ask;
     memset(&d, 0, sizeof d);
@@ -16123,8 +16192,11 @@ VOXRT_DEF voxrt_result voxrt_render(const voxrt_render_desc *desc, const voxrt_t
         voxrti_parallel_for(&d.env, voxrti_render_tile, &c, c.tiles_x * rows);
     } else {
         for (y = 0; y < rows; y++) {
-            c.first_tile = y * c.tiles_x;
-            voxrti_parallel_for(&d.env, voxrti_render_tile, &c, c.tiles_x);
+            const uint32_t at_once = 4096; /* of a very wide picture: tiles know late that it was cancelled */
+            for (x = 0; x < c.tiles_x && !ask.cancelled; x += at_once) {
+                c.first_tile = y * c.tiles_x + x;
+                voxrti_parallel_for(&d.env, voxrti_render_tile, &c, c.tiles_x - x < at_once ? c.tiles_x - x : at_once);
+            }
             if (!voxrti_ask_at(&ask, y + 1)) return voxrti_fail(d.env.error, VOXRT_ERR_CANCELLED, y, "cancelled");
         }
     }
@@ -22126,11 +22198,45 @@ static VOXRTI_NOINLINE void voxrti_column_apart(const voxrti_column_const *k, co
     }
 }
 
+/* What planes leave of the cells from *from_k to *to_k of columns on the ground: mostly an interval. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_column_cut8(const voxrti_column_const *k, const voxrti_column_lanes *g,
+                                                         __m256i ground, __m256i *from_k, __m256i *to_k) {
+    const __m256i one = _mm256_set1_epi32(1), zero = _mm256_setzero_si256(), all_lo = *from_k, all_hi = *to_k;
+    __m256i lo = all_lo, hi = all_hi, set, end;
+    __m256i gone[4], apart = zero;
+    uint32_t p;
+    for (p = 0; p < k->planes; p++) {
+        __m256i from, to;
+        voxrti_column_planes8(k, g->f + VOXRTI_CF_PLANE + p * VOXRTI_CP_FIELDS, g->x, g->y, &from, &to);
+        to = _mm256_or_si256(to, _mm256_xor_si256(ground, _mm256_set1_epi32(-1))); /* -1: none */
+        gone[2 * p] = from;
+        gone[2 * p + 1] = to;
+        apart = _mm256_or_si256(apart, _mm256_andnot_si256(_mm256_cmpgt_epi32(from, to), _mm256_and_si256(
+                _mm256_cmpgt_epi32(from, lo), _mm256_cmpgt_epi32(hi, to))));
+        set = _mm256_cmpgt_epi32(from, lo);
+        end = _mm256_cmpgt_epi32(hi, to);
+        lo = _mm256_blendv_epi8(_mm256_max_epi32(lo, _mm256_add_epi32(to, one)), lo, set);
+        hi = _mm256_blendv_epi8(_mm256_min_epi32(hi, _mm256_sub_epi32(from, one)), hi, end);
+    }
+    if (!_mm256_testz_si256(apart, g->alive)) {
+        int32_t part[8][8];
+        for (p = 0; p < 2 * k->planes; p++) _mm256_storeu_si256((__m256i *)(void *)part[p], gone[p]);
+        _mm256_storeu_si256((__m256i *)(void *)part[4], g->k);
+        _mm256_storeu_si256((__m256i *)(void *)part[5], all_lo);
+        _mm256_storeu_si256((__m256i *)(void *)part[6], all_hi);
+        voxrti_column_apart(k, g->column, (const int32_t (*)[8])part, part[4], part[5], part[6]);
+        lo = _mm256_loadu_si256((const __m256i *)(const void *)part[5]);
+        hi = _mm256_loadu_si256((const __m256i *)(const void *)part[6]);
+    }
+    *from_k = lo;
+    *to_k = hi;
+}
+
 /* One turn of the loop of voxrti_column_walk for the lanes that are alive. Returns those that still are. any: what they
    meet is not asked for. */
 VOXRTI_TARGET_AVX2 VOXRTI_INLINE uint32_t voxrti_column_step8(const voxrti_column_const *k, voxrti_column_lanes *g,
                                                               int any, voxrt_stats *stats) {
-    const __m256i one = _mm256_set1_epi32(1), zero = _mm256_setzero_si256();
+    const __m256i zero = _mm256_setzero_si256();
     const __m256i x = g->x, y = g->y, level = g->level, ka = g->k, alive = g->alive;
     const __m256 ox = g->f[VOXRTI_CF_O], oy = g->f[VOXRTI_CF_O + 1], t = g->t, dz = g->f[VOXRTI_CF_D + 2];
     const __m256i cx = _mm256_srav_epi32(x, level), cy = _mm256_srav_epi32(y, level);
@@ -22143,34 +22249,7 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE uint32_t voxrti_column_step8(const voxrti_colum
             _mm256_mul_ps(te, dz))), zero), k->last_k);
     const __m256i ground = _mm256_cmpeq_epi32(level, zero);
     __m256i lo = _mm256_min_epi32(ka, kb), hi = _mm256_max_epi32(ka, kb), set, step, hit, end;
-    if (k->planes != 0 && !_mm256_testz_si256(ground, alive)) { /* what planes leave: mostly an interval */
-        const __m256i all_lo = lo, all_hi = hi;
-        __m256i gone[4], apart = zero;
-        uint32_t p;
-        for (p = 0; p < k->planes; p++) {
-            __m256i from, to;
-            voxrti_column_planes8(k, g->f + VOXRTI_CF_PLANE + p * VOXRTI_CP_FIELDS, x, y, &from, &to);
-            to = _mm256_or_si256(to, _mm256_xor_si256(ground, _mm256_set1_epi32(-1))); /* -1: none */
-            gone[2 * p] = from;
-            gone[2 * p + 1] = to;
-            apart = _mm256_or_si256(apart, _mm256_andnot_si256(_mm256_cmpgt_epi32(from, to), _mm256_and_si256(
-                    _mm256_cmpgt_epi32(from, lo), _mm256_cmpgt_epi32(hi, to))));
-            set = _mm256_cmpgt_epi32(from, lo);
-            end = _mm256_cmpgt_epi32(hi, to);
-            lo = _mm256_blendv_epi8(_mm256_max_epi32(lo, _mm256_add_epi32(to, one)), lo, set);
-            hi = _mm256_blendv_epi8(_mm256_min_epi32(hi, _mm256_sub_epi32(from, one)), hi, end);
-        }
-        if (!_mm256_testz_si256(apart, alive)) {
-            int32_t part[8][8];
-            for (p = 0; p < 2 * k->planes; p++) _mm256_storeu_si256((__m256i *)(void *)part[p], gone[p]);
-            _mm256_storeu_si256((__m256i *)(void *)part[4], ka);
-            _mm256_storeu_si256((__m256i *)(void *)part[5], all_lo);
-            _mm256_storeu_si256((__m256i *)(void *)part[6], all_hi);
-            voxrti_column_apart(k, g->column, (const int32_t (*)[8])part, part[4], part[5], part[6]);
-            lo = _mm256_loadu_si256((const __m256i *)(const void *)part[5]);
-            hi = _mm256_loadu_si256((const __m256i *)(const void *)part[6]);
-        }
-    }
+    if (k->planes != 0 && !_mm256_testz_si256(ground, alive)) voxrti_column_cut8(k, g, ground, &lo, &hi);
     set = _mm256_cmpeq_epi32(voxrti_column_any8(k, g->column, lo, hi), zero);
     step = _mm256_and_si256(alive, set);
     hit = _mm256_andnot_si256(set, _mm256_and_si256(alive, ground));
@@ -25158,8 +25237,8 @@ VOXRTI_INLINE uint32_t voxrti_lamp_work(const voxrt_gi *gi) {
     return voxrti_gi_lamps(gi) < 65536 ? (uint32_t)voxrti_gi_lamps(gi) : 65536;
 }
 
-/* Make sure the direct light on these sides is known. Two threads may find it out at once: they find the same. Gives the
-   number of rays it took, about. */
+/* Make sure the direct light on these sides is known. Two threads may find it out at once: they find the same. Gives
+   the number of rays it took, about. */
 static uint32_t voxrti_gi_fill(const voxrt_gi *gi, int isa, const voxrti_gi_side *side, uint32_t count) {
     voxrti_lighting c;
     voxrti_points q;
