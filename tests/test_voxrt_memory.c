@@ -614,7 +614,7 @@ static voxrt_result sampled_scene(world *w, const voxrt_env *env) {
 }
 
 static const struct ask { const char *name; voxrt_result (*run)(world *w, const voxrt_env *env); uint32_t least; } ask[] = {
-    {"build", build_oklab, 20}, {"build with the palette of the thesis", build_thesis, 10}, {"build from a list", build_list, 3},
+    {"build", build_oklab, 20}, {"build with the palette of the thesis", build_thesis, 8}, {"build from a list", build_list, 3},
     {"a large triangle", one_large_triangle, 20}, {"build from an octree", build_octree, 2}, {"edit a box", edit_box, 4},
     {"edit a sphere", edit_sphere, 6}, {"edit by a mesh", edit_mesh, 10}, {"tree of a model", tree_of_model, 2}, {"picture", drawn, 4},
     {"blur", blur_all, 12}, {"blur by voxels", blur_voxels, 12}, {"gather", gather, 3}, {"gather until", until, 2}, {"paths", paths, 4},
