@@ -7,6 +7,7 @@
    @memory        every byte comes from here: counted, limited, aligned
    @threads       one parallel-for, error reports
    @math          small vectors, polynomials instead of libm, Morton codes, octahedral normals, sRGB, hashes
+   @asking        long work asks whether it shall go on
    @core          the bytes of a tree
    @normals       the thesis' codes of normals; which code a tree has
    @finish        what surfaces are beside their colours: shiny, mirrors, glass, lamps
@@ -305,7 +306,7 @@ typedef struct voxrt_env {
     voxrt_parallel parallel;  /* set: the host's job system runs the work, no thread is started */
     uint32_t thread_count;    /* 0: one per core; 1: never start a thread */
     size_t memory_limit;      /* bytes that one call and its results may hold at once; 0: none */
-    /* non-zero cancels. Called by the functions that return CANCELLED, by the thread that called them */
+    /* non-zero cancels. Called by the functions that return CANCELLED, by any thread of the call, never by two at once */
     int (*progress_fn)(void *user, uint64_t done, uint64_t total);
     void *progress_user;
     voxrt_error *error;       /* receives the place and the reason of a failure; may be NULL */
@@ -669,7 +670,7 @@ VOXRT_DEF voxrt_result voxrt_octree_from_tree(const voxrt_octree_desc *desc, con
    detail, and the same normals: such a tree keeps the thesis' codes, also in version 5 files. So a collapsed octree in
    pre-order comes back from its tree byte for byte. Where a filled voxel lies in a transparent one (build_lod was never
    called) the levels of detail are made by majority. Only env of desc is used.
-   EMPTY: nothing is filled. RANGE: 2^32 - 2 voxels or more. Otherwise as voxrt_octree_from_tree. */
+   EMPTY: nothing is filled. RANGE: 2^32 - 2 voxels or more. CANCELLED. Otherwise as voxrt_octree_from_tree. */
 VOXRT_DEF voxrt_result voxrt_tree_from_octree(const voxrt_octree_desc *desc, const voxrt_octree *octree,
                                               voxrt_tree **out_tree);
 
@@ -1099,7 +1100,7 @@ VOXRT_DEF voxrt_result voxrt_model_from_tree(const voxrt_env *env, const voxrt_t
 
 /* A tree of what is in a model. desc may be NULL; palette, level of detail, colours, normals and spread count, the rest
    comes from the model. O(voxels). Errors: INVALID_ARG (also a field of desc that does not count), UNINIT_DESC, EMPTY,
-   RANGE, NO_MEMORY. Thread safety: any number of calls on one model. */
+   RANGE, NO_MEMORY, CANCELLED. Thread safety: any number of calls on one model. */
 VOXRT_DEF voxrt_result voxrt_tree_from_model(const voxrt_build_desc *desc, const voxrt_model *model,
                                              voxrt_tree **out_tree);
 
@@ -1151,7 +1152,7 @@ typedef struct voxrt_edit_stats { /* out */
    0 have nothing in them: that is no error. O(voxels of the touched blocks + blocks); threads share the blocks. The
    result does not depend on them.
    Errors: INVALID_ARG (also numbers that are not finite), UNINIT_DESC, RANGE (2^24 blocks for a box or sphere to fill,
-   triangles and a depth over 16, more than 255 finishes), NO_MEMORY, CANCELLED (triangles). Thread safety: nobody else
+   triangles and a depth over 16, more than 255 finishes), NO_MEMORY, CANCELLED. Thread safety: nobody else
    may use the model meanwhile; its copies are models of their own. */
 VOXRT_DEF voxrt_result voxrt_model_box(voxrt_model *model, const voxrt_edit_desc *desc, const double box_min[3],
                                        const double box_max[3], voxrt_edit_stats *stats);
@@ -1316,7 +1317,7 @@ typedef struct voxrt_blur_desc {
 
 /* Blur image->rgba in place, then write rgba8 if it is there. desc may be NULL. Holds one copy of rgba. O(pixels *
    radius), with footprint O(pixels * radius^2) (thesis 4.2.2). Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY (picture
-   unchanged). */
+   unchanged), CANCELLED (it is of no use). */
 VOXRT_DEF voxrt_result voxrt_blur(const voxrt_blur_desc *desc, const voxrt_image *image);
 
 /* Keep frames within a time. When one took longer than target_ms the next gets a larger tolerance (up to 4 times
@@ -1376,7 +1377,7 @@ typedef struct voxrt_columns_desc {
    spacing    SAMPLES: 0.5 of the shortest side of a cell between points that are side by side; 1/64 to 64 */
 typedef struct voxrt_columns_insert_desc {
     uint32_t _begin_zero;
-    voxrt_env env; /* thread_count, parallel and error count */
+    voxrt_env env; /* thread_count, parallel, progress_fn and error count */
     voxrt_columns_mode mode;
     double to_world[12];
     uint32_t still;
@@ -1414,8 +1415,10 @@ VOXRT_DEF void voxrt_columns_get_info(const voxrt_columns *columns, voxrt_column
    Vertices are snapped to 1/256 of a cell, then decisions are exact (THIN, RASTER, SOLID); FAT may take cells that lie
    up to 1e-6 of a cell beside the surface. SAMPLES: rows of points along the longest edge; triangles smaller than what
    a point stands for have one now and then, so that they cost by area; those with 16383 in a row are THIN.
-   O(triangles + cells). What is still for the first time, SOLID and BODY take memory from the allocator of the volume.
-   Errors (nothing is set then): INVALID_ARG, UNINIT_DESC, NO_MEMORY. Thread safety: one call on a volume at a time.
+   O(triangles + cells), SAMPLES O(triangles + points). What is still for the first time, SOLID and BODY take memory
+   from the allocator of the volume.
+   Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY (nothing is set then), CANCELLED (some cells are set).
+   Thread safety: one call on a volume at a time.
    Source: Laine 2013 (thin), Eisemann & Decoret 2006 (raster) and 2008 (solid), Zhang et al. 2007 (fat). */
 VOXRT_DEF voxrt_result voxrt_columns_insert(voxrt_columns *columns, const voxrt_columns_insert_desc *desc,
                                             const voxrt_mesh *mesh, voxrt_columns_insert_stats *stats);
@@ -1581,9 +1584,9 @@ typedef struct voxrt_gi_update_stats {
 } voxrt_gi_update_stats;
 
 /* Voxelise what changed, bring the hierarchy up to date. After every change of objects or lights and before drawing.
-   The same bits for any number of threads. O(moving triangles and cells). Errors: INVALID_ARG, NO_MEMORY (there may be
-   no cells, until it is called again and has memory; light that has bounced is kept for that). Thread safety: alone
-   with the scene. */
+   The same bits for any number of threads. O(moving triangles and cells, and points of SAMPLES). It asks progress_fn of
+   voxrt_gi_desc.env. Errors: INVALID_ARG; NO_MEMORY, CANCELLED (there may be no cells, until it is called again and
+   ends well; light that has bounced is kept for that). Thread safety: alone with the scene. */
 VOXRT_DEF voxrt_result voxrt_gi_update(voxrt_gi *gi, voxrt_gi_update_stats *stats);
 VOXRT_DEF const voxrt_columns *voxrt_gi_columns(const voxrt_gi *gi); /* owned by gi; the innermost volume */
 
@@ -1737,7 +1740,7 @@ VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_g
    weight  share of the new value, 0 to 1; 0: 1. Smaller ones let it follow a moving scene without flicker. Over 1/2, or
            on cells that are new, it is a change of light for a history
    seed    another one gives other rays
-   Errors: INVALID_ARG, NO_MEMORY (light stays as it was). Thread safety: alone with the scene. O(cells times rays). */
+   Errors: INVALID_ARG; NO_MEMORY, CANCELLED (light stays as it was). Thread safety: alone with the scene. O(cells times rays). */
 VOXRT_DEF voxrt_result voxrt_gi_bounce(voxrt_gi *gi, const voxrt_env *env, uint32_t rays, float weight, uint32_t seed);
 
 /* Keep frames within a time. Zero it before the first frame; before each frame draw with `rays` and `coarse`, after it
@@ -2407,6 +2410,103 @@ static VOXRTI_UNUSED uint32_t voxrti_oct_encode(const float n[3]) {
     ix += (int)(k & 1u);
     iy += (int)(k >> 1);
     return (uint32_t)(ix > 255 ? 255 : ix) | (uint32_t)(iy > 255 ? 255 : iy) << 8;
+}
+
+/* ---------------------------------------------------------------------------
+   asking: long work asks progress_fn whether it shall go on.                    // >>asking
+   --------------------------------------------------------------------------- */
+
+typedef struct voxrti_ask {
+    const voxrt_env *env;
+    uint64_t done, total;              /* what progress_fn is told; only the calling thread changes it */
+    uint32_t work, asking, cancelled;  /* atomic; work: rays, or what takes as long, 2^16 from question to question */
+} voxrti_ask;
+
+static void voxrti_ask_open(voxrti_ask *a, const voxrt_env *env, uint64_t total) {
+    memset(a, 0, sizeof *a);
+    a->env = env;
+    a->total = total;
+}
+
+/* Within tasks, when `work` more has been done: any thread may be the one that asks, but never two at once.
+   0: cancelled. */
+static int voxrti_ask_work(voxrti_ask *a, uint32_t work) {
+    uint32_t now;
+    if (a->env->progress_fn == NULL) return 1;
+    now = voxrti_atomic_add(&a->work, work);
+    if ((now ^ (now - work)) >> 16 != 0) { /* or `work` is more than that */
+        if (voxrti_atomic_add(&a->asking, 1u) == 1 && !voxrti_atomic_load(&a->cancelled) &&
+            a->env->progress_fn(a->env->progress_user, a->done, a->total) != 0) voxrti_atomic_store(&a->cancelled, 1u);
+        (void)voxrti_atomic_add(&a->asking, (uint32_t)-1);
+    }
+    return !voxrti_atomic_load(&a->cancelled);
+}
+
+/* Between tasks: so much is done. 0: cancelled. */
+static int voxrti_ask_at(voxrti_ask *a, uint64_t done) {
+    a->done = done < a->total ? done : a->total;
+    if (!a->cancelled && a->env->progress_fn != NULL &&
+        a->env->progress_fn(a->env->progress_user, a->done, a->total) != 0) a->cancelled = 1;
+    return !a->cancelled;
+}
+
+/* A parallel-for that asks, between portions and where its tasks do; it is `share` of the whole. 0: cancelled. */
+typedef struct voxrti_portion {
+    voxrt_task_fn *task;
+    void *ctx;
+    voxrti_ask *ask;
+    uint32_t from;
+} voxrti_portion;
+
+static void voxrti_task_portion(void *ctx, uint32_t i) {
+    const voxrti_portion *p = (const voxrti_portion *)ctx;
+    if (!voxrti_atomic_load(&p->ask->cancelled)) p->task(p->ctx, p->from + i);
+}
+
+static VOXRTI_UNUSED int voxrti_ask_for(voxrti_ask *a, voxrt_task_fn *task, void *ctx, uint32_t count,
+                                        uint64_t share) {
+    const uint32_t at_once = count / 32 + 4 * voxrti_thread_count(a->env);
+    const uint64_t before = a->done;
+    voxrti_portion p;
+    if (a->env->progress_fn == NULL) {
+        voxrti_parallel_for(a->env, task, ctx, count);
+        return 1;
+    }
+    p.task = task;
+    p.ctx = ctx;
+    p.ask = a;
+    for (p.from = 0; p.from < count && !a->cancelled; p.from += at_once) {
+        const uint32_t n = count - p.from < at_once ? count - p.from : at_once;
+        voxrti_parallel_for(a->env, voxrti_task_portion, &p, n);
+        (void)voxrti_ask_at(a, before + (uint64_t)((double)share * ((double)p.from + (double)n) / (double)count));
+        if (n < at_once) break;
+    }
+    return !a->cancelled;
+}
+
+/* A part of a call that has parts of its own: its progress_fn is told about the call. */
+#define VOXRTI_STAGE_PARTS 4096u
+typedef struct voxrti_stage {
+    const voxrt_env *env;
+    uint64_t first, share, total;
+} voxrti_stage;
+
+static int voxrti_stage_progress(void *user, uint64_t done, uint64_t total) {
+    const voxrti_stage *s = (const voxrti_stage *)user;
+    return s->env->progress_fn(s->env->progress_user, s->first + s->share * done / total, s->total);
+}
+
+/* env: that of the call; of the part: out. */
+static void voxrti_stage_open(voxrti_stage *s, const voxrt_env *env, uint64_t first, uint64_t share, uint64_t total,
+                              voxrt_env *part) {
+    s->env = env;
+    s->first = first * VOXRTI_STAGE_PARTS;
+    s->share = share * VOXRTI_STAGE_PARTS;
+    s->total = total * VOXRTI_STAGE_PARTS;
+    *part = *env;
+    if (env->progress_fn == NULL) return;
+    part->progress_fn = voxrti_stage_progress;
+    part->progress_user = s;
 }
 
 /* ---------------------------------------------------------------------------
@@ -3878,6 +3978,7 @@ static uint32_t voxrti_pgroup_nearest(voxrti_pgroup *p, uint32_t i, float slack)
 /* Everything a reduction works on. */
 typedef struct voxrti_preduce {
     const voxrt_env *env;
+    voxrti_ask *ask;
     voxrti_pcell *cell;   /* [n] clusters now */
     uint32_t *label;      /* [points] cluster of each input point */
     uint32_t n, points;
@@ -3947,7 +4048,7 @@ static void voxrti_pal_merge_exact(voxrti_preduce *w, uint32_t target) {
     uint32_t alive = w->n, i, j, x;
     for (i = 0; i < w->n; i++) w->link[i] = i;
     voxrti_parallel_for(w->env, voxrti_pal_row_task, w, (w->n + 63) / 64);
-    while (alive > target) {
+    while (alive > target && voxrti_ask_work(w->ask, w->n / 8)) {
         voxrti_pcell merged;
         double best = w->key[0];
         i = 0;
@@ -4024,7 +4125,7 @@ static void voxrti_pal_sort(uint64_t *a, uint64_t *b, size_t n) {
 /* Merging in rounds for many clusters: all find their cheapest partner, the cheapest quarter merges. */
 static voxrt_result voxrti_pal_merge_rounds(voxrti_mem *mem, voxrti_preduce *w, uint32_t target) {
     w->bound = 1e28f;
-    while (w->n > target) {
+    while (w->n > target && voxrti_ask_work(w->ask, 8 * w->n)) {
         uint32_t want = w->n / 4 + 1, done = 0, i, n = 0, bucket, below = 0, count[2048];
         if (want > w->n - target) want = w->n - target;
         if (!voxrti_pgrid_build(mem, &w->grid, w->cell, w->n, w->thesis ? VOXRTI_FIND_THESIS : VOXRTI_FIND_WARD))
@@ -4098,7 +4199,7 @@ static voxrt_result voxrti_pal_kmeans(voxrti_mem *mem, voxrti_preduce *w, uint32
     uint32_t i, round;
     int k;
     if (sum == NULL) return VOXRT_ERR_NO_MEMORY;
-    for (round = 0; round < rounds; round++) {
+    for (round = 0; round < rounds && voxrti_ask_work(w->ask, 8 * w->points); round++) {
         if (!voxrti_pgrid_build(mem, &w->grid, w->cell, w->n, VOXRTI_FIND_NEAREST)) {
             voxrti_free(mem, sum);
             return VOXRT_ERR_NO_MEMORY;
@@ -4130,6 +4231,7 @@ static voxrt_result voxrti_pal_kmeans(voxrti_mem *mem, voxrti_preduce *w, uint32
 
 typedef struct voxrti_palbuild {
     const voxrt_env *env;
+    voxrti_ask ask;
     voxrti_oklab lab;
     int thesis;
     voxrti_cset all, pal;   /* colours of the cells; colours of the palette */
@@ -4254,6 +4356,7 @@ static voxrt_result voxrti_pal_reduce(voxrti_mem *mem, voxrti_palbuild *b, const
     r = voxrti_pal_bins(mem, b, VOXRTI_PAL_POINTS, &n);
     if (r != VOXRT_OK) return r;
     w->env = b->env;
+    w->ask = &b->ask;
     w->thesis = b->thesis;
     w->n = w->points = n;
     w->cell = (voxrti_pcell *)voxrti_alloc_array(mem, n, sizeof(voxrti_pcell));
@@ -4278,8 +4381,9 @@ static voxrt_result voxrti_pal_reduce(voxrti_mem *mem, voxrti_palbuild *b, const
         r = voxrti_pal_merge_rounds(mem, w, target > exact ? target : exact);
         if (r != VOXRT_OK) return r;
     }
-    if (w->n > target) voxrti_pal_merge_exact(w, target);
+    if (w->n > target && !b->ask.cancelled) voxrti_pal_merge_exact(w, target);
     if (w->point != NULL) r = voxrti_pal_kmeans(mem, w, VOXRTI_PAL_KMEANS / (target > 8192 ? 2 : 1));
+    if (r == VOXRT_OK && b->ask.cancelled) r = VOXRT_ERR_CANCELLED;
     if (r != VOXRT_OK) return r;
     for (i = 0; i < w->n; i++)
         voxrti_cset_add(&b->pal, voxrti_pal_code(b->spread, voxrti_pal_rgb(b, w->cell[i].c)));
@@ -4443,7 +4547,7 @@ static voxrt_result voxrti_pal_run(voxrti_mem *mem, voxrti_palbuild *b, uint32_t
    A colour gets its own entry if the palette has it; with the thesis' method the one it was merged into; else the
    nearest. The thesis' order of colours is that of 0x00BBGGRR. The result depends on how often each colour occurs, not
    on the order of the cells nor on threads. On failure rgb_to_index is unchanged.
-   Errors: INVALID_ARG, RANGE, NO_MEMORY. */
+   Errors: INVALID_ARG, RANGE, NO_MEMORY, CANCELLED. */
 static VOXRTI_UNUSED voxrt_result voxrti_palette_build(voxrti_mem *mem, const voxrt_env *env, uint32_t *rgb_to_index,
         size_t count, size_t census_count, uint32_t max_colors, voxrt_palette_method method, uint8_t **out_palette,
         uint32_t *out_count, uint64_t *out_colors_in) {
@@ -4466,6 +4570,7 @@ static VOXRTI_UNUSED voxrt_result voxrti_palette_build(voxrti_mem *mem, const vo
     b = (voxrti_palbuild *)voxrti_alloc_zero(mem, 1, sizeof *b);
     if (b == NULL) return VOXRT_ERR_NO_MEMORY;
     b->env = env;
+    voxrti_ask_open(&b->ask, env, 1);
     b->thesis = method == VOXRT_PALETTE_THESIS;
     voxrti_oklab_init(&b->lab);
     r = voxrti_pal_run(mem, b, rgb_to_index, count, census_count, max_colors, out_palette, out_count, out_colors_in);
@@ -4540,6 +4645,7 @@ typedef struct voxrti_vox {
     voxrti_leafset *joined;
     uint32_t first_task;
     uint32_t failed;           /* atomic */
+    voxrti_ask ask;
     uint32_t fragments[2];     /* a sum of all threads */
     uint32_t srgb[256];
     uint8_t *to_srgb;          /* [65537] linear -> byte */
@@ -4840,6 +4946,7 @@ static void voxrti_bin_tri(void *ctx, const voxrti_tri *t, size_t i) {
     many = (hi[0] - lo[0] > 1) + (hi[1] - lo[1] > 1) + (hi[2] - lo[2] > 1) > 1;
     for (c[2] = lo[2]; c[2] <= hi[2]; c[2]++) {
         for (c[1] = lo[1]; c[1] <= hi[1]; c[1]++) {
+            if (many && !voxrti_ask_work(&b->v->ask, (uint32_t)(hi[0] - lo[0]) / 8 + 1)) return;
             for (c[0] = lo[0]; c[0] <= hi[0]; c[0]++) {
                 uint64_t ref;
                 if (many) { /* does the plane miss the brick? */
@@ -4873,7 +4980,7 @@ static void voxrti_bin_task(void *ctx, uint32_t task) {
     memset(&b, 0, sizeof b);
     b.v = v;
     if (end > v->mesh->triangle_count) end = v->mesh->triangle_count;
-    for (; i < end; i++) {
+    for (; i < end && !voxrti_atomic_load(&v->ask.cancelled); i++) {
         b.last = ~(uint64_t)0;
         if (!voxrti_tri_each(v, i, 0, voxrti_bin_tri, &b)) b.rejected++;
     }
@@ -4977,6 +5084,7 @@ static voxrt_result voxrti_bin_all(voxrti_vox *v, voxrt_build_stats *stats) {
         stats->degenerate += v->bin[i].degenerate;
         stats->rejected += v->bin[i].rejected;
     }
+    if (v->ask.cancelled) return VOXRT_ERR_CANCELLED;
     if (voxrti_atomic_load(&v->failed)) return VOXRT_ERR_NO_MEMORY;
     if (stats->rejected != 0 && v->d->strict) {
         double p[3][3];
@@ -5293,6 +5401,22 @@ static uint64_t voxrti_raster_axis(voxrti_brick *b, const voxrti_tri *t, uint32_
     return found;
 }
 
+/* Columns or rows, by axis x, whose centres the box of a triangle holds. 1: some more do, outside of the brick. */
+VOXRTI_INLINE int voxrti_raster_range(const voxrti_brick *b, const voxrti_tri *t, uint32_t x, int32_t *lo,
+                                      int32_t *hi) {
+    const voxrti_vox *v = b->v;
+    const int32_t size = (int32_t)1 << v->sub, half = size >> 1, limit = (int32_t)v->grid->resolution;
+    const int32_t p0 = (int32_t)t->p[0][x], p1 = (int32_t)t->p[1][x], p2 = (int32_t)t->p[2][x];
+    int32_t least = p0 < p1 ? p0 : p1, most = p0 > p1 ? p0 : p1, first = (int32_t)b->lo[x];
+    least = ((p2 < least ? p2 : least) - half + size - 1) >> v->sub;
+    most = ((p2 > most ? p2 : most) - half) >> v->sub;
+    *lo = least < first ? first : least;
+    first += (int32_t)b->size - 1;
+    *hi = most > first ? first : most;
+    if (*hi > limit - 1) *hi = limit - 1;
+    return *lo != least || *hi != most;
+}
+
 /* The same for triangles below 2^14 units in extent, all three axes: edge functions fit into 32 bits, and columns are
    looked at four at a time. Attributes are weighted by the edge functions. Only columns of the brick. Returns 0 if none
    meets the triangle, at any depth; *cut: there may be some outside of the brick. tiny: see voxrti_tri_points. */
@@ -5325,18 +5449,8 @@ static uint64_t voxrti_raster_short(voxrti_brick *b, const voxrti_tri *t, int ti
         voxrti_i4 lane[3], step_4[3];
         uint32_t weight;
         if (na == 0) continue;
-        for (e = 0; e < 2; e++) { /* columns and rows whose centres the box of the projection holds */
-            const uint32_t x = e == 0 ? u : w;
-            const int32_t p0 = (int32_t)t->p[0][x], p1 = (int32_t)t->p[1][x], p2 = (int32_t)t->p[2][x];
-            int32_t least = p0 < p1 ? p0 : p1, most = p0 > p1 ? p0 : p1, first = (int32_t)b->lo[x];
-            least = ((p2 < least ? p2 : least) - half + size - 1) >> v->sub;
-            most = ((p2 > most ? p2 : most) - half) >> v->sub;
-            lo[e] = least < first ? first : least;
-            first += (int32_t)b->size - 1;
-            hi[e] = most > first ? first : most;
-            if (hi[e] > limit - 1) hi[e] = limit - 1;
-            *cut |= lo[e] != least || hi[e] != most;
-        }
+        *cut |= voxrti_raster_range(b, t, u, &lo[0], &hi[0]);
+        *cut |= voxrti_raster_range(b, t, w, &lo[1], &hi[1]);
         if (lo[0] > hi[0] || lo[1] > hi[1]) continue;
         for (e = 0; e < 3; e++) { /* edge functions, >= 0 inside */
             const int64_t *p = t->p[e], *q = t->p[e == 2 ? 0 : e + 1];
@@ -5893,11 +6007,16 @@ static voxrt_result voxrti_leafset_join(voxrti_vox *v, uint32_t tasks, voxrti_le
 }
 
 #define VOXRTI_VOX_BATCH 32u /* tasks between two calls of progress_fn: some ten milliseconds */
+#define VOXRTI_VOX_BINS 64u  /* of VOXRTI_VOX_ALL parts: putting triangles into bins */
+#define VOXRTI_VOX_ALL 1024u
 
 static voxrt_result voxrti_voxelize_run(voxrti_vox *v, voxrt_build_stats *stats, voxrti_leafset *out) {
     size_t i, target;
     uint32_t tasks = 0, k, batch;
-    voxrt_result r = voxrti_bin_all(v, stats);
+    voxrt_result r;
+    voxrti_ask_open(&v->ask, &v->d->env, VOXRTI_VOX_ALL);
+    r = voxrti_bin_all(v, stats);
+    if (r == VOXRT_OK && !voxrti_ask_at(&v->ask, VOXRTI_VOX_BINS)) r = VOXRT_ERR_CANCELLED;
     if (r != VOXRT_OK) return r;
     v->task_first = (size_t *)voxrti_alloc_array(v->mem, v->ref_count / 512 + 4, sizeof(size_t));
     if (v->task_first == NULL) return VOXRT_ERR_NO_MEMORY;
@@ -5916,9 +6035,8 @@ static voxrt_result voxrti_voxelize_run(voxrti_vox *v, voxrt_build_stats *stats,
         v->first_task = k;
         voxrti_parallel_for(&v->d->env, voxrti_brick_task, v, tasks - k < batch ? tasks - k : batch);
         if (voxrti_atomic_load(&v->failed)) r = VOXRT_ERR_NO_MEMORY;
-        else if (v->d->env.progress_fn != NULL &&
-                 v->d->env.progress_fn(v->d->env.progress_user, k + batch < tasks ? k + batch : tasks, tasks) != 0)
-            r = VOXRT_ERR_CANCELLED;
+        else if (!voxrti_ask_at(&v->ask, VOXRTI_VOX_BINS + (uint64_t)(VOXRTI_VOX_ALL - VOXRTI_VOX_BINS) *
+                                         (tasks - k < batch ? tasks : k + batch) / tasks)) r = VOXRT_ERR_CANCELLED;
     }
     voxrti_free(v->mem, v->ref);
     v->ref = NULL;
@@ -6105,7 +6223,8 @@ typedef struct voxrti_flood {
     uint64_t *queue;         /* block codes; bit 63: a whole word */
     size_t head, tail, capacity;
     uint32_t blocks;         /* blocks along an axis */
-    int failed;
+    int failed;              /* no memory, or cancelled */
+    voxrti_ask ask;
 } voxrti_flood;
 
 /* axis masks in a 4x4x4 mask: cells with index 0 and 3, even, and 1 */
@@ -6180,6 +6299,7 @@ static void voxrti_flood_run(voxrti_flood *f) {
         uint64_t item = f->queue[f->head++], code = item & ~((uint64_t)1 << 63), word = code >> 6, k;
         uint32_t a, up;
         int inside;
+        f->failed |= !voxrti_ask_work(&f->ask, 8);
         if (item >> 63) { /* an empty word: to the six words around it */
             for (a = 0; a < 3; a++) {
                 for (up = 0; up < 2; up++) {
@@ -6217,6 +6337,7 @@ static void voxrti_flood_border(voxrti_flood *f) {
     for (a = 0; a < 3; a++) {
         for (up = 0; up < 2; up++) {
             for (i = 0; i <= last && !f->failed; i++) {
+                f->failed |= !voxrti_ask_work(&f->ask, last);
                 for (k = 0; k <= last; k++) {
                     uint32_t c[3];
                     c[a] = up ? last : 0;
@@ -6245,8 +6366,8 @@ VOXRTI_INLINE size_t voxrti_inside_rank(const voxrti_inside *s, uint32_t block, 
 }
 
 /* Spread rgb and normal from voxels that have them, layer by layer; stops after `layers` (0: no limit). */
-static voxrt_result voxrti_inside_spread(voxrti_mem *mem, voxrti_inside *s, const uint64_t *key, size_t blocks,
-                                         uint32_t axis_blocks, uint32_t layers, voxrti_leafset *set) {
+static voxrt_result voxrti_inside_spread(voxrti_mem *mem, voxrti_ask *ask, voxrti_inside *s, const uint64_t *key,
+                                         size_t blocks, uint32_t axis_blocks, uint32_t layers, voxrti_leafset *set) {
     uint64_t *front[2] = {NULL, NULL};
     size_t count[2] = {0, 0}, capacity[2] = {0, 0}, i, k;
     uint32_t a, up, cur = 0, layer = 0;
@@ -6258,9 +6379,9 @@ static voxrt_result voxrti_inside_spread(voxrti_mem *mem, voxrti_inside *s, cons
             if (ok) front[0][count[0]++] = (uint64_t)i << 6 | voxrti_ctz64(m);
         }
     }
-    for (; ok && count[cur] != 0 && (layers == 0 || layer < layers); layer++, cur ^= 1) {
+    for (; ok && count[cur] != 0 && (layers == 0 || layer < layers) && !ask->cancelled; layer++, cur ^= 1) {
         count[cur ^ 1] = 0;
-        for (k = 0; k < count[cur] && ok; k++) {
+        for (k = 0; k < count[cur] && ok && voxrti_ask_work(ask, 2); k++) {
             uint32_t block = (uint32_t)(front[cur][k] >> 6), slot = (uint32_t)(front[cur][k] & 63u);
             uint64_t code = key[block] << 6 | slot;
             for (a = 0; a < 3; a++) {
@@ -6289,12 +6410,32 @@ static voxrt_result voxrti_inside_spread(voxrti_mem *mem, voxrti_inside *s, cons
     }
     voxrti_free(mem, front[0]);
     voxrti_free(mem, front[1]);
-    return ok ? VOXRT_OK : VOXRT_ERR_NO_MEMORY;
+    return !ok ? VOXRT_ERR_NO_MEMORY : ask->cancelled ? VOXRT_ERR_CANCELLED : VOXRT_OK;
+}
+
+/* Take out voxels in `left`: what the layers did not reach. */
+static void voxrti_fill_drop(voxrti_leafset *n, const uint64_t *left) {
+    size_t blocks = 0, voxels = 0, i, k;
+    for (i = 0, k = 0; i < n->block_count; i++) {
+        uint64_t m, keep = n->mask[i] & ~left[i];
+        for (m = n->mask[i]; m != 0; m &= m - 1, k++) {
+            if ((keep & m & (0u - m)) == 0) continue;
+            if (n->rgb != NULL) n->rgb[voxels] = n->rgb[k];
+            if (n->normal != NULL) n->normal[voxels] = n->normal[k];
+            if (n->plane != NULL) n->plane[voxels] = n->plane[k];
+            voxels++;
+        }
+        if (keep == 0) continue;
+        n->key[blocks] = n->key[i];
+        n->mask[blocks++] = keep;
+    }
+    n->block_count = blocks;
+    n->voxel_count = voxels;
 }
 
 /* Replace `set` by the set with the inside `inner` ([old blocks] masks; whole empty blocks where neither mixed nor
    outside) filled. */
-static voxrt_result voxrti_fill_emit(voxrti_mem *mem, const voxrti_flood *f, size_t words, uint32_t layers,
+static voxrt_result voxrti_fill_emit(voxrti_mem *mem, voxrti_flood *f, size_t words, uint32_t layers,
                                      voxrti_leafset *set) {
     voxrti_leafset n;
     voxrti_inside s;
@@ -6365,25 +6506,10 @@ static voxrt_result voxrti_fill_emit(voxrti_mem *mem, const voxrti_flood *f, siz
         s.left = left;
         s.first = first;
         s.mask = n.mask;
-        r = voxrti_inside_spread(mem, &s, n.key, n.block_count, f->blocks, layers, &n);
+        r = voxrti_inside_spread(mem, &f->ask, &s, n.key, n.block_count, f->blocks, layers, &n);
     }
-    if (r == VOXRT_OK) { /* drop what the layers did not reach */
-        size_t blocks = 0, voxels = 0;
-        for (i = 0, k = 0; i < n.block_count; i++) {
-            uint64_t m, keep = n.mask[i] & ~left[i];
-            for (m = n.mask[i]; m != 0; m &= m - 1, k++) {
-                if ((keep & m & (0u - m)) == 0) continue;
-                if (n.rgb != NULL) n.rgb[voxels] = n.rgb[k];
-                if (n.normal != NULL) n.normal[voxels] = n.normal[k];
-                if (n.plane != NULL) n.plane[voxels] = n.plane[k];
-                voxels++;
-            }
-            if (keep == 0) continue;
-            n.key[blocks] = n.key[i];
-            n.mask[blocks++] = keep;
-        }
-        n.block_count = blocks;
-        n.voxel_count = voxels;
+    if (r == VOXRT_OK) {
+        voxrti_fill_drop(&n, left);
         voxrti_leafset_free(mem, set);
         *set = n;
     } else {
@@ -6409,6 +6535,7 @@ static VOXRTI_UNUSED voxrt_result voxrti_leafset_fill(voxrti_mem *mem, const vox
     words = (size_t)1 << word_bits;
     memset(&f, 0, sizeof f);
     f.mem = mem;
+    voxrti_ask_open(&f.ask, &d->env, 2);
     f.blocks = depth > 4 ? 1u << (depth - 2) : 4u;
     f.filled = set->mask;
     f.mixed = (uint64_t *)voxrti_alloc_zero(mem, words, sizeof(uint64_t));
@@ -6425,7 +6552,8 @@ static VOXRTI_UNUSED voxrt_result voxrti_leafset_fill(voxrti_mem *mem, const vox
             before += voxrti_popcount64(f.mixed[i]);
         }
         voxrti_flood_border(&f);
-        r = f.failed ? VOXRT_ERR_NO_MEMORY : voxrti_fill_emit(mem, &f, words, d->fill_depth, set);
+        if (f.ask.cancelled || (!f.failed && !voxrti_ask_at(&f.ask, 1))) r = VOXRT_ERR_CANCELLED;
+        else r = f.failed ? VOXRT_ERR_NO_MEMORY : voxrti_fill_emit(mem, &f, words, d->fill_depth, set);
     }
     voxrti_free(mem, f.mixed);
     voxrti_free(mem, f.outside);
@@ -6998,14 +7126,20 @@ static void *voxrti_tree_attributes(voxrti_mem *mem, const voxrt_tree *t, int co
 /* Build a tree from filled leaves. Consumes the set (also on failure). palette != NULL: set->rgb holds indices into
    it and level of detail votes by majority, so that an octree of the thesis survives the way there and back. */
 static VOXRTI_UNUSED voxrt_result voxrti_tree_from_leafset_palette(
-        voxrti_mem *mem, const voxrt_build_desc *d, const voxrti_grid *grid, voxrti_leafset *set,
+        voxrti_mem *mem, const voxrt_build_desc *desc, const voxrti_grid *grid, voxrti_leafset *set,
         const uint8_t *palette, uint32_t palette_count, voxrt_build_stats *stats, voxrt_tree **out) {
+    voxrt_build_desc part = *desc;
+    const voxrt_build_desc *const d = &part;
+    voxrti_stage stage;
+    voxrti_ask ask;
     voxrt_tree *t;
     uint32_t *value = NULL;
     uint64_t colors_in = 1;
     int complete = 0;
     voxrt_result r = VOXRT_OK;
     *out = NULL;
+    voxrti_ask_open(&ask, &desc->env, (uint64_t)4 * VOXRTI_STAGE_PARTS);
+    voxrti_stage_open(&stage, &desc->env, 1, 2, 4, &part.env);
     if (set->block_count == 0) {
         voxrti_leafset_free(mem, set);
         return voxrti_fail(d->env.error, VOXRT_ERR_EMPTY, 0, "no voxel is filled");
@@ -7023,6 +7157,7 @@ static VOXRTI_UNUSED voxrt_result voxrti_tree_from_leafset_palette(
     }
     if (r == VOXRT_OK) r = voxrti_tree_index(t);
     if (r == VOXRT_OK) r = voxrti_tree_box(t);
+    if (r == VOXRT_OK && !voxrti_ask_at(&ask, VOXRTI_STAGE_PARTS)) r = VOXRT_ERR_CANCELLED;
     if (r == VOXRT_OK) complete = set->lod_count != 0 && set->lod_count == t->attr_count - t->voxel_count;
     if (r == VOXRT_OK && set->normal != NULL) {
         t->normal = (uint16_t *)voxrti_tree_attributes(mem, t, complete, set->normal, sizeof(uint16_t));
@@ -7055,6 +7190,7 @@ static VOXRTI_UNUSED voxrt_result voxrti_tree_from_leafset_palette(
     }
     voxrti_free(mem, value);
     voxrti_leafset_free(mem, set);
+    if (r == VOXRT_OK && !voxrti_ask_at(&ask, ask.total)) r = VOXRT_ERR_CANCELLED;
     if (r != VOXRT_OK) {
         voxrti_tree_free(mem, t);
         return voxrti_fail(d->env.error, r, 0, voxrt_result_string(r));
@@ -7117,6 +7253,8 @@ VOXRT_DEF voxrt_result voxrt_tree_build(const voxrt_build_desc *desc, const voxr
     voxrti_mem mem;
     voxrti_grid grid;
     voxrti_leafset set;
+    voxrti_stage stage;
+    voxrt_env env;
     voxrt_result r;
     if (stats == NULL) stats = &local;
     memset(stats, 0, sizeof *stats);
@@ -7134,8 +7272,12 @@ VOXRT_DEF voxrt_result voxrt_tree_build(const voxrt_build_desc *desc, const voxr
         stats->triangles = stats->rejected = mesh->triangle_count;
         return r;
     }
+    env = d.env;
+    voxrti_stage_open(&stage, &env, 0, 4, 8, &d.env);
     r = voxrti_voxelize(&mem, &d, mesh, &grid, NULL, stats, &set);
+    voxrti_stage_open(&stage, &env, 4, 2, 8, &d.env);
     if (r == VOXRT_OK && d.fill) r = voxrti_leafset_fill(&mem, &d, grid.depth, &set);
+    voxrti_stage_open(&stage, &env, 6, 2, 8, &d.env);
     if (r != VOXRT_OK) {
         voxrti_leafset_free(&mem, &set);
         if (d.env.error != NULL && d.env.error->code == VOXRT_OK)
@@ -7151,6 +7293,8 @@ VOXRT_DEF voxrt_result voxrt_tree_from_voxels(const voxrt_build_desc *desc, cons
     voxrti_mem mem;
     voxrti_grid grid;
     voxrti_leafset set;
+    voxrti_stage stage;
+    voxrt_env env;
     voxrt_result r;
     if (out_tree == NULL) return VOXRT_ERR_INVALID_ARG;
     *out_tree = NULL;
@@ -7171,7 +7315,10 @@ VOXRT_DEF voxrt_result voxrt_tree_from_voxels(const voxrt_build_desc *desc, cons
         grid.voxel_size = d.box_size / (double)grid.resolution;
     }
     r = voxrti_leafset_from_voxels(&mem, &d, voxels, count, depth, &set);
+    env = d.env;
+    voxrti_stage_open(&stage, &env, 0, 2, 4, &d.env);
     if (r == VOXRT_OK && d.fill) r = voxrti_leafset_fill(&mem, &d, depth, &set);
+    voxrti_stage_open(&stage, &env, 2, 2, 4, &d.env);
     if (r != VOXRT_OK) {
         voxrti_leafset_free(&mem, &set);
         if (d.env.error != NULL && d.env.error->code == VOXRT_OK)
@@ -12604,6 +12751,39 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE voxrti_tile_view voxrti_tile_look(const voxrti_
     return a;
 }
 
+/* What eight rays of a tile have met, where `got` is set: cells in units of the slab become those of the tree; for the
+   rays in `hit` the nodes, too. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_tile_found(const voxrti_beam *b, voxrti_tile *k,
+                                                        const voxrti_tile_view *at, uint32_t first, uint32_t hit,
+                                                        const voxrti_tile_lod *lod, __m256i got, __m256i hu, __m256i hv,
+                                                        __m256i hm, __m256i hs) {
+    __m256i v;
+    uint32_t s;
+    uint32_t *cm = k->cell[0] + first, *cu = k->cell[1] + first, *cv = k->cell[2] + first, *side = k->side + first;
+    uint32_t leaf[8];
+    if (lod == NULL || lod->unit == (lod->ls & ~1u)) {
+        v = _mm256_add_epi32(_mm256_slli_epi32(_mm256_srli_epi32(hv, 2), 3), _mm256_srli_epi32(hu, 2));
+    } else { /* a pair: nodes of two units each */
+        v = _mm256_add_epi32(_mm256_slli_epi32(_mm256_srli_epi32(hm, 1), 4), _mm256_srli_epi32(hv, 1));
+        v = _mm256_add_epi32(_mm256_slli_epi32(v, 4), _mm256_srli_epi32(hu, 1));
+    }
+    VOXRTI_STOREI(leaf, v);
+    hu = _mm256_add_epi32(hu, at->u0);
+    hv = _mm256_add_epi32(hv, at->v0);
+    hm = _mm256_add_epi32(hm, at->z);
+    VOXRTI_STOREI(cu, _mm256_blendv_epi8(VOXRTI_LOADI(cu), hu, got));
+    VOXRTI_STOREI(cv, _mm256_blendv_epi8(VOXRTI_LOADI(cv), hv, got));
+    VOXRTI_STOREI(cm, _mm256_blendv_epi8(VOXRTI_LOADI(cm), hm, got));
+    VOXRTI_STOREI(side, _mm256_blendv_epi8(VOXRTI_LOADI(side), hs, got));
+    for (; hit != 0; hit &= hit - 1) {
+        s = voxrti_ctz64(hit);
+        k->node[first + s] = b->cell[k->leaf[leaf[s]]].node;
+        if (lod == NULL) continue;
+        k->ls[first + s] = lod->ls;
+        k->unit[first + s] = lod->unit;
+    }
+}
+
 /* Eight rays through the four planes of voxels (of cells if lod is not NULL) of a slab. At first all planes: which
    rays have a filled cell at a corner of the rectangle of cells in which they enter and leave? Mostly none. Then the
    cells of those that have one, in the first such plane. */
@@ -12681,31 +12861,7 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_tile_march(const voxrti_beam *b, vo
         k->later |= (uint64_t)s << first;
         hit &= ~s;
     }
-    if (hit != 0) {
-        uint32_t *cm = k->cell[0] + first, *cu = k->cell[1] + first, *cv = k->cell[2] + first, *side = k->side + first;
-        uint32_t leaf[8];
-        if (lod == NULL || lod->unit == (lod->ls & ~1u)) {
-            v = _mm256_add_epi32(_mm256_slli_epi32(_mm256_srli_epi32(hv, 2), 3), _mm256_srli_epi32(hu, 2));
-        } else { /* a pair: nodes of two units each */
-            v = _mm256_add_epi32(_mm256_slli_epi32(_mm256_srli_epi32(hm, 1), 4), _mm256_srli_epi32(hv, 1));
-            v = _mm256_add_epi32(_mm256_slli_epi32(v, 4), _mm256_srli_epi32(hu, 1));
-        }
-        VOXRTI_STOREI(leaf, v);
-        hu = _mm256_add_epi32(hu, at->u0);
-        hv = _mm256_add_epi32(hv, at->v0);
-        hm = _mm256_add_epi32(hm, at->z);
-        VOXRTI_STOREI(cu, _mm256_blendv_epi8(VOXRTI_LOADI(cu), hu, got));
-        VOXRTI_STOREI(cv, _mm256_blendv_epi8(VOXRTI_LOADI(cv), hv, got));
-        VOXRTI_STOREI(cm, _mm256_blendv_epi8(VOXRTI_LOADI(cm), hm, got));
-        VOXRTI_STOREI(side, _mm256_blendv_epi8(VOXRTI_LOADI(side), hs, got));
-        for (; hit != 0; hit &= hit - 1) {
-            s = voxrti_ctz64(hit);
-            k->node[first + s] = b->cell[k->leaf[leaf[s]]].node;
-            if (lod == NULL) continue;
-            k->ls[first + s] = lod->ls;
-            k->unit[first + s] = lod->unit;
-        }
-    }
+    if (hit != 0) voxrti_tile_found(b, k, at, first, hit, lod, got, hu, hv, hm, hs);
 }
 
 /* Times at which four rays enter their voxels; c: plane of the axis `side` (mirrored), back: it is mirrored. One
@@ -12996,6 +13152,55 @@ VOXRTI_TARGET_AVX2 static inline __m256d voxrti_close4(__m256d p) {
     return _mm256_cmp_pd(_mm256_andnot_pd(_mm256_set1_pd(-0.0), f), _mm256_set1_pd(1.52587890625e-05), _CMP_LT_OQ);
 }
 
+/* First cells of the lanes in `any`, which begin close to an event, decided exactly. Bits of lanes: doubt, of axes on
+   which they do; back, of mirrored axes; by, of the axis of the face by which they come in. */
+static VOXRTI_NOINLINE void voxrti_setup4_exact(const voxrti_cone *cone, double full, voxrti_ready *g, uint32_t first,
+                                                uint32_t any, const uint32_t doubt[3], const uint32_t back[3],
+                                                const uint32_t by[3]) {
+    for (; any != 0; any &= any - 1) {
+        voxrti_rayx r;
+        uint32_t k = 3, lane = voxrti_ctz64(any), a;
+        for (a = 0; a < 3; a++) {
+            r.o[a] = g->o[a][first + lane];
+            r.d[a] = g->d[a][first + lane];
+            r.inv[a] = g->inv[a][first + lane];
+            if (by[a] >> lane & 1u) k = a;
+        }
+        for (a = 0; a < 3; a++) {
+            uint32_t from = (back[a] >> lane & 1u) ? (uint32_t)full - cone->hi[a] : cone->lo[a];
+            uint32_t to = (back[a] >> lane & 1u) ? (uint32_t)full - cone->lo[a] : cone->hi[a];
+            if (doubt[a] >> lane & 1u)
+                g->c[a][first + lane] = voxrti_cell_at(&r, a, g->t[first + lane], k, from, to - 1);
+        }
+    }
+}
+
+/* Levels of the deepest nodes of the chain that hold the first cells of four rays. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE __m128i voxrti_setup4_start(const voxrt_tree *t, const voxrti_cone *cone,
+                                                             const voxrti_chain *chain, const voxrti_ready *g,
+                                                             uint32_t first, __m128i flip, __m256d time) {
+    const uint32_t leaf_w = t->wide - 1;
+    __m128i w = _mm_setzero_si128(), x = w;
+    __m256d foot;
+    uint32_t a, l;
+    if (chain->w == 0) return w;
+    foot = _mm256_max_pd(_mm256_set1_pd(cone->floor_), _mm256_add_pd(_mm256_set1_pd(cone->width),
+                         _mm256_mul_pd(_mm256_set1_pd(cone->spread), time)));
+    for (a = 0; a < 3; a++) {
+        __m128i neg = _mm_srai_epi32(_mm_slli_epi32(flip, 31 - (int)a), 31);
+        __m128i c = _mm_xor_si128(VOXRTI_LOAD4(g->c[a] + first), _mm_srli_epi32(neg, 32 - 2 * (int)t->wide));
+        x = _mm_or_si128(x, _mm_xor_si128(c, _mm_set1_epi32((int)chain->cell[a])));
+    }
+    for (l = 1; l <= chain->w; l++) {
+        __m128i m = _mm_cmpgt_epi32(_mm_set1_epi32(4 << 2 * (leaf_w - l)), x);
+        if (cone->on) /* level of detail must not accept the node's octants or itself */
+            m = _mm_and_si128(m, voxrti_narrow4(_mm256_cmp_pd(
+                foot, _mm256_set1_pd((double)(4 << 2 * (leaf_w - l))), _CMP_LT_OQ)));
+        w = _mm_sub_epi32(w, m);
+    }
+    return w;
+}
+
 /* Prepare the rays `first` to first + 3 of a run. Returns those that enter the box (bits). *rare: those that need the
    scalar path (bad or far away); the others miss the box. The same arithmetic as voxrti_ray_setup. */
 VOXRTI_TARGET_AVX2 static inline uint32_t voxrti_setup4(const voxrt_tree *t, const voxrti_cone *cone,
@@ -13004,12 +13209,11 @@ VOXRTI_TARGET_AVX2 static inline uint32_t voxrti_setup4(const voxrt_tree *t, con
     const __m256d zero = _mm256_setzero_pd(), inf = _mm256_set1_pd(VOXRTI_INF), sign = _mm256_set1_pd(-0.0);
     const __m256d scale = _mm256_set1_pd(1.0 / t->voxel_size), limit = _mm256_set1_pd(16777216.0);
     const double full = (double)((uint32_t)1 << (2 * t->wide));
-    const uint32_t leaf_w = t->wide - 1;
     __m256d o[3], d[3], inv[3], lo[3], hi[3], axis[3], still[3], t_in = _mm256_sub_pd(zero, inf), t_out = inf;
     __m256d bad, out = zero, moving = zero, late = zero, time, t_end, tmin, tmax, e;
     __m128i flip = _mm_setzero_si128();
     __m256 v[4];
-    uint32_t a, lane, doubt[3], any = 0, back[3], live;
+    uint32_t a, doubt[3], any = 0, back[3], by[3], live;
     voxrti_rays4(rays, rays + 1, rays + 2, rays + 3, v);
     tmin = _mm256_cvtps_pd(_mm256_castps256_ps128(v[3]));
     tmax = _mm256_cvtps_pd(_mm256_extractf128_ps(v[3], 1));
@@ -13086,44 +13290,11 @@ VOXRTI_TARGET_AVX2 static inline uint32_t voxrti_setup4(const voxrt_tree *t, con
     for (a = 0; a < 3; a++)
         VOXRTI_STORE4(g->turn[a] + first,
                       _mm_slli_epi32(_mm_and_si128(_mm_srli_epi32(flip, (int)a), _mm_set1_epi32(1)), 2));
-    for (any &= live; any != 0; any &= any - 1) { /* close to an event: decide exactly */
-        voxrti_rayx r;
-        uint32_t k = 3;
-        lane = voxrti_ctz64(any);
-        for (a = 0; a < 3; a++) {
-            r.o[a] = g->o[a][first + lane];
-            r.d[a] = g->d[a][first + lane];
-            r.inv[a] = g->inv[a][first + lane];
-            if ((uint32_t)_mm256_movemask_pd(axis[a]) >> lane & 1u) k = a;
-        }
-        for (a = 0; a < 3; a++) {
-            uint32_t from = (back[a] >> lane & 1u) ? (uint32_t)full - cone->hi[a] : cone->lo[a];
-            uint32_t to = (back[a] >> lane & 1u) ? (uint32_t)full - cone->lo[a] : cone->hi[a];
-            if (doubt[a] >> lane & 1u)
-                g->c[a][first + lane] = voxrti_cell_at(&r, a, g->t[first + lane], k, from, to - 1);
-        }
+    if ((any & live) != 0) {
+        for (a = 0; a < 3; a++) by[a] = (uint32_t)_mm256_movemask_pd(axis[a]);
+        voxrti_setup4_exact(cone, full, g, first, any & live, doubt, back, by);
     }
-    { /* start at the deepest node of the chain that holds the ray's first cell */
-        __m128i w = _mm_setzero_si128(), x = w;
-        uint32_t l;
-        if (chain->w != 0) {
-            __m256d foot = _mm256_max_pd(_mm256_set1_pd(cone->floor_), _mm256_add_pd(_mm256_set1_pd(cone->width),
-                                         _mm256_mul_pd(_mm256_set1_pd(cone->spread), time)));
-            for (a = 0; a < 3; a++) {
-                __m128i neg = _mm_srai_epi32(_mm_slli_epi32(flip, 31 - (int)a), 31);
-                __m128i c = _mm_xor_si128(VOXRTI_LOAD4(g->c[a] + first), _mm_srli_epi32(neg, 32 - 2 * (int)t->wide));
-                x = _mm_or_si128(x, _mm_xor_si128(c, _mm_set1_epi32((int)chain->cell[a])));
-            }
-            for (l = 1; l <= chain->w; l++) {
-                __m128i m = _mm_cmpgt_epi32(_mm_set1_epi32(4 << 2 * (leaf_w - l)), x);
-                if (cone->on) /* level of detail must not accept the node's octants or itself */
-                    m = _mm_and_si128(m, voxrti_narrow4(_mm256_cmp_pd(
-                        foot, _mm256_set1_pd((double)(4 << 2 * (leaf_w - l))), _CMP_LT_OQ)));
-                w = _mm_sub_epi32(w, m);
-            }
-        }
-        VOXRTI_STORE4(g->w + first, w);
-    }
+    VOXRTI_STORE4(g->w + first, voxrti_setup4_start(t, cone, chain, g, first, flip, time));
     return live;
 }
 
@@ -13295,6 +13466,70 @@ static void voxrti_octet_decode(const voxrt_tree *t, voxrti_octet *g) {
     g->coded = 0;
 }
 
+/* The first event of the three far faces, behind cells c0, c1, c2: when, and by which of the first two axes, if it is
+   not the third. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_octet_leave(const voxrti_octet_const *k, const voxrti_octet *g, __m256i c0,
+                                                         __m256i c1, __m256i c2, __m256d *t0, __m256d *t1, __m256i *k0,
+                                                         __m256i *k1) {
+    const __m256d e0 = voxrti_octet_event(_mm256_unpacklo_epi32(c0, k->two52), g->o[0], g->inv[0]);
+    const __m256d f0 = voxrti_octet_event(_mm256_unpackhi_epi32(c0, k->two52), g->o[0] + 4, g->inv[0] + 4);
+    const __m256d e1 = voxrti_octet_event(_mm256_unpacklo_epi32(c1, k->two52), g->o[1], g->inv[1]);
+    const __m256d f1 = voxrti_octet_event(_mm256_unpackhi_epi32(c1, k->two52), g->o[1] + 4, g->inv[1] + 4);
+    const __m256d e2 = voxrti_octet_event(_mm256_unpacklo_epi32(c2, k->two52), g->o[2], g->inv[2]);
+    const __m256d f2 = voxrti_octet_event(_mm256_unpackhi_epi32(c2, k->two52), g->o[2] + 4, g->inv[2] + 4);
+    *t0 = _mm256_min_pd(_mm256_min_pd(e0, e1), e2);
+    *t1 = _mm256_min_pd(_mm256_min_pd(f0, f1), f2);
+    *k0 = VOXRTI_MASK8(_mm256_cmp_pd(e0, *t0, _CMP_EQ_OQ), _mm256_cmp_pd(f0, *t1, _CMP_EQ_OQ));
+    *k1 = VOXRTI_MASK8(_mm256_cmp_pd(e1, *t0, _CMP_EQ_OQ), _mm256_cmp_pd(f1, *t1, _CMP_EQ_OQ));
+    *k1 = _mm256_andnot_si256(*k0, *k1);
+}
+
+/* The time of lanes that go on. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_octet_time(voxrti_octet *g, __m256d t0, __m256d t1, __m256i on) {
+    const __m256d e0 = _mm256_castsi256_pd(_mm256_unpacklo_epi32(on, on));
+    const __m256d e1 = _mm256_castsi256_pd(_mm256_unpackhi_epi32(on, on));
+    _mm256_storeu_pd(g->t, _mm256_blendv_pd(_mm256_loadu_pd(g->t), t0, e0));
+    _mm256_storeu_pd(g->t + 4, _mm256_blendv_pd(_mm256_loadu_pd(g->t + 4), t1, e1));
+}
+
+/* Lanes in `doubt`: their next cells exactly. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_octet_settle(const voxrti_octet *g, __m256d t0, __m256d t1, __m256i ls,
+                                                          uint32_t doubt, __m256i *q0, __m256i *q1, __m256i *q2) {
+    uint32_t q[3][8], size[8];
+    double at[8];
+    VOXRTI_STOREI(q[0], *q0);
+    VOXRTI_STOREI(q[1], *q1);
+    VOXRTI_STOREI(q[2], *q2);
+    VOXRTI_STOREI(size, ls);
+    _mm256_storeu_pd(at, t0);
+    _mm256_storeu_pd(at + 4, t1);
+    voxrti_octet_doubt(g, at, size, doubt, q);
+    *q0 = VOXRTI_LOADI(q[0]);
+    *q1 = VOXRTI_LOADI(q[1]);
+    *q2 = VOXRTI_LOADI(q[2]);
+}
+
+/* Addresses of the nodes below, numbers `first` of level w + 1, for lanes that go down. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_octet_fetch(const voxrti_octet_const *k, voxrti_octet *g, __m256i w,
+                                                         __m256i first, __m256i go) {
+    const __m256i zero = _mm256_setzero_si256(), x = _mm256_cmpeq_epi32(_mm256_add_epi32(w, k->one), k->leaf_w);
+    const __m256i y = _mm256_add_epi32(_mm256_and_si256(x, k->leaf_less), k->four); /* log2 of a node's bytes */
+    __m256i m[2];
+    uint32_t l;
+    m[0] = _mm256_sllv_epi64(_mm256_unpacklo_epi32(first, zero), _mm256_unpacklo_epi32(y, zero));
+    m[1] = _mm256_sllv_epi64(_mm256_unpackhi_epi32(first, zero), _mm256_unpackhi_epi32(y, zero));
+    m[0] = _mm256_add_epi64(m[0], _mm256_blendv_epi8(k->node, k->leaf, _mm256_unpacklo_epi32(x, x)));
+    m[1] = _mm256_add_epi64(m[1], _mm256_blendv_epi8(k->node, k->leaf, _mm256_unpackhi_epi32(x, x)));
+    VOXRTI_STOREI(g->child, m[0]);
+    VOXRTI_STOREI(g->child + 4, m[1]);
+    g->coded = k->coded & VOXRTI_SIGNS(_mm256_and_si256(go, x));
+    for (l = 0; l < 8; l++) { /* fetched while the other groups step */
+        const uint64_t at = g->child[VOXRTI_PLACE8(l)];
+        g->path[l][g->w[l] + 1] = at;
+        VOXRTI_PREFETCH((const void *)(uintptr_t)at);
+    }
+}
+
 /* One step of every live lane: over an empty cell, up to the node that holds the next one, and down when that is
    filled. Lanes that end leave g->live; those on a voxel are added to g->found. Masks count by their sign. */
 VOXRTI_TARGET_AVX2 static VOXRTI_NOINLINE void voxrti_octet_step(const voxrt_tree *t, const voxrti_cone *cone,
@@ -13306,7 +13541,7 @@ VOXRTI_TARGET_AVX2 static VOXRTI_NOINLINE void voxrti_octet_step(const voxrt_tre
     __m256i w = VOXRTI_LOADI(g->w), flip = VOXRTI_LOADI(g->flip), live = VOXRTI_LOADI(g->alive);
     __m256i sh = _mm256_slli_epi32(_mm256_sub_epi32(k->leaf_w, w), 1), m[2], r[2], first, slot, x, y, z, empty, set, on;
     __m256i ls, low, go, least, g0, g1, g2, q0, q1, q2, k0, k1, k2;
-    __m256d e0, e1, e2, f0, f1, f2, t0, t1;
+    __m256d t0, t1;
     uint32_t l, doubt;
     /* the cell, its octant, the rest of its node: is there anything to meet? */
     voxrti_octet_nodes(g, m);
@@ -13340,17 +13575,7 @@ VOXRTI_TARGET_AVX2 static VOXRTI_NOINLINE void voxrti_octet_step(const voxrt_tre
     g0 = _mm256_or_si256(c0, low); /* last cells before the faces */
     g1 = _mm256_or_si256(c1, low);
     g2 = _mm256_or_si256(c2, low);
-    e0 = voxrti_octet_event(_mm256_unpacklo_epi32(g0, k->two52), g->o[0], g->inv[0]);
-    f0 = voxrti_octet_event(_mm256_unpackhi_epi32(g0, k->two52), g->o[0] + 4, g->inv[0] + 4);
-    e1 = voxrti_octet_event(_mm256_unpacklo_epi32(g1, k->two52), g->o[1], g->inv[1]);
-    f1 = voxrti_octet_event(_mm256_unpackhi_epi32(g1, k->two52), g->o[1] + 4, g->inv[1] + 4);
-    e2 = voxrti_octet_event(_mm256_unpacklo_epi32(g2, k->two52), g->o[2], g->inv[2]);
-    f2 = voxrti_octet_event(_mm256_unpackhi_epi32(g2, k->two52), g->o[2] + 4, g->inv[2] + 4);
-    t0 = _mm256_min_pd(_mm256_min_pd(e0, e1), e2);
-    t1 = _mm256_min_pd(_mm256_min_pd(f0, f1), f2);
-    k0 = VOXRTI_MASK8(_mm256_cmp_pd(e0, t0, _CMP_EQ_OQ), _mm256_cmp_pd(f0, t1, _CMP_EQ_OQ));
-    k1 = VOXRTI_MASK8(_mm256_cmp_pd(e1, t0, _CMP_EQ_OQ), _mm256_cmp_pd(f1, t1, _CMP_EQ_OQ));
-    k1 = _mm256_andnot_si256(k0, k1);
+    voxrti_octet_leave(k, g, g0, g1, g2, &t0, &t1, &k0, &k1);
     k2 = _mm256_xor_si256(_mm256_or_si256(k0, k1), _mm256_set1_epi32(-1));
     on = VOXRTI_MASK8(_mm256_cmp_pd(t0, _mm256_loadu_pd(g->t_end), _CMP_LT_OQ),
                       _mm256_cmp_pd(t1, _mm256_loadu_pd(g->t_end + 4), _CMP_LT_OQ));
@@ -13361,26 +13586,8 @@ VOXRTI_TARGET_AVX2 static VOXRTI_NOINLINE void voxrti_octet_step(const voxrt_tre
     q1 = voxrti_octet_cells(k, t0, t1, g->o[1], g->d[1], g1, k1, &least);
     q2 = voxrti_octet_cells(k, t0, t1, g->o[2], g->d[2], g2, k2, &least);
     doubt = VOXRTI_SIGNS(_mm256_and_si256(on, _mm256_cmpeq_epi32(_mm256_srli_epi32(least, 17), zero)));
-    if (VOXRTI_UNLIKELY(doubt != 0)) {
-        uint32_t q[3][8], size[8];
-        double at[8];
-        VOXRTI_STOREI(q[0], q0);
-        VOXRTI_STOREI(q[1], q1);
-        VOXRTI_STOREI(q[2], q2);
-        VOXRTI_STOREI(size, ls);
-        _mm256_storeu_pd(at, t0);
-        _mm256_storeu_pd(at + 4, t1);
-        voxrti_octet_doubt(g, at, size, doubt, q);
-        q0 = VOXRTI_LOADI(q[0]);
-        q1 = VOXRTI_LOADI(q[1]);
-        q2 = VOXRTI_LOADI(q[2]);
-    }
-    if (cone->on) {
-        e0 = _mm256_castsi256_pd(_mm256_unpacklo_epi32(on, on));
-        e1 = _mm256_castsi256_pd(_mm256_unpackhi_epi32(on, on));
-        _mm256_storeu_pd(g->t, _mm256_blendv_pd(_mm256_loadu_pd(g->t), t0, e0));
-        _mm256_storeu_pd(g->t + 4, _mm256_blendv_pd(_mm256_loadu_pd(g->t + 4), t1, e1));
-    }
+    if (VOXRTI_UNLIKELY(doubt != 0)) voxrti_octet_settle(g, t0, t1, ls, doubt, &q0, &q1, &q2);
+    if (cone->on) voxrti_octet_time(g, t0, t1, on);
     q0 = VOXRTI_BLENDI(c0, q0, on);
     q1 = VOXRTI_BLENDI(c1, q1, on);
     q2 = VOXRTI_BLENDI(c2, q2, on);
@@ -13395,10 +13602,10 @@ VOXRTI_TARGET_AVX2 static VOXRTI_NOINLINE void voxrti_octet_step(const voxrt_tre
     VOXRTI_STOREI(g->w, w);
     /* down, when the cell is filled: it goes to the top, below it are those before it */
     first = voxrti_octet_nodes(g, m);
-    x = _mm256_and_si256(_mm256_srlv_epi32(q0, sh), k->three);
-    y = _mm256_and_si256(_mm256_srlv_epi32(q1, sh), k->three);
-    z = _mm256_and_si256(_mm256_srlv_epi32(q2, sh), k->three);
-    slot = _mm256_xor_si256(voxrti_octet_slot(k, x, y, z, flip), k->last_slot);
+    slot = voxrti_octet_slot(k, _mm256_and_si256(_mm256_srlv_epi32(q0, sh), k->three),
+                             _mm256_and_si256(_mm256_srlv_epi32(q1, sh), k->three),
+                             _mm256_and_si256(_mm256_srlv_epi32(q2, sh), k->three), flip);
+    slot = _mm256_xor_si256(slot, k->last_slot);
     m[0] = _mm256_sllv_epi64(m[0], _mm256_unpacklo_epi32(slot, zero));
     m[1] = _mm256_sllv_epi64(m[1], _mm256_unpackhi_epi32(slot, zero));
     y = _mm256_and_si256(VOXRTI_HIGH8(m[0], m[1]), on);
@@ -13418,21 +13625,7 @@ VOXRTI_TARGET_AVX2 static VOXRTI_NOINLINE void voxrti_octet_step(const voxrt_tre
     VOXRTI_STOREI(g->alive, live);
     g->live = VOXRTI_SIGNS(live);
     if (stats != NULL) stats->descents += voxrti_popcount64(VOXRTI_SIGNS(go));
-    /* addresses of the nodes below */
-    x = _mm256_cmpeq_epi32(_mm256_add_epi32(w, k->one), k->leaf_w);
-    y = _mm256_add_epi32(_mm256_and_si256(x, k->leaf_less), k->four); /* log2 of a node's bytes */
-    m[0] = _mm256_sllv_epi64(_mm256_unpacklo_epi32(first, zero), _mm256_unpacklo_epi32(y, zero));
-    m[1] = _mm256_sllv_epi64(_mm256_unpackhi_epi32(first, zero), _mm256_unpackhi_epi32(y, zero));
-    m[0] = _mm256_add_epi64(m[0], _mm256_blendv_epi8(k->node, k->leaf, _mm256_unpacklo_epi32(x, x)));
-    m[1] = _mm256_add_epi64(m[1], _mm256_blendv_epi8(k->node, k->leaf, _mm256_unpackhi_epi32(x, x)));
-    VOXRTI_STOREI(g->child, m[0]);
-    VOXRTI_STOREI(g->child + 4, m[1]);
-    g->coded = k->coded & VOXRTI_SIGNS(_mm256_and_si256(go, x));
-    for (l = 0; l < 8; l++) { /* fetched while the other groups step */
-        const uint64_t at = g->child[VOXRTI_PLACE8(l)];
-        g->path[l][g->w[l] + 1] = at;
-        VOXRTI_PREFETCH((const void *)(uintptr_t)at);
-    }
+    voxrti_octet_fetch(k, g, w, first, go);
     VOXRTI_STOREI(g->w, _mm256_sub_epi32(w, go));
 }
 
@@ -14158,6 +14351,32 @@ VOXRTI_TARGET_SSE4 VOXRTI_INLINE __m128 voxrti_exit4(__m128i j, __m128i mask, __
     return _mm_mul_ps(_mm_sub_ps(face, o), inv);
 }
 
+/* Down from start voxels of edge 2^s to what holds the cells: its number, index and mask of coordinates. inner, unless
+   NULL: added to. */
+VOXRTI_TARGET_SSE4 VOXRTI_INLINE void voxrti_octpacket_down(const voxrti_octrace *c, uint32_t s, __m128i jx, __m128i jy,
+                                                            __m128i jz, __m128i children, __m128i *vi, __m128i *filled,
+                                                            __m128i *mask, uint32_t *inner) {
+    const voxrti_voxel *voxels = c->t->voxel;
+    const __m128i zero = _mm_setzero_si128(), one = _mm_set1_epi32(1), two = _mm_set1_epi32(2);
+    uint32_t m;
+    while (s > c->leaf_log) { /* down. Lanes that are there have children = 0 and read the root's block */
+        __m128i down = _mm_cmpgt_epi32(children, zero), shift, w, words;
+        m = voxrti_lanes(down);
+        if (m == 0) break;
+        if (inner != NULL) *inner += voxrti_count4(m);
+        shift = _mm_cvtsi32_si128((int)--s);
+        w = _mm_and_si128(_mm_srl_epi32(jx, shift), one);
+        w = _mm_or_si128(w, _mm_and_si128(_mm_srl_epi32(_mm_slli_epi32(jy, 1), shift), two));
+        w = _mm_or_si128(w, _mm_and_si128(_mm_srl_epi32(_mm_slli_epi32(jz, 2), shift), _mm_set1_epi32(4)));
+        w = _mm_or_si128(w, _mm_slli_epi32(children, 3));
+        voxrti_voxel_load4(w, words, children);
+        children = _mm_and_si128(children, down);
+        *vi = _mm_blendv_epi8(*vi, w, down);
+        *filled = _mm_blendv_epi8(*filled, _mm_slli_epi32(words, 16), down); /* the low half is the index */
+        *mask = _mm_blendv_epi8(*mask, _mm_set1_epi32((int)((1u << s) - 1u)), down);
+    }
+}
+
 /* Lanes that are through go on computing the same point, so that they touch no new memory. `counted` is a constant. */
 VOXRTI_TARGET_SSE4 VOXRTI_INLINE void voxrti_octrace_four(const voxrti_octrace *c, const voxrt_ray *rays,
                                                           voxrt_hit *hits, uint32_t n, voxrt_octree_stats *stats,
@@ -14195,7 +14414,7 @@ VOXRTI_TARGET_SSE4 VOXRTI_INLINE void voxrti_octrace_four(const voxrti_octrace *
         __m128i jz = _mm_min_epu32(_mm_cvttps_epi32(pz), last);
         __m128i mask = start_mask, vi = zero, children, filled, on, edge;
         __m128 leave;
-        uint32_t m, s = top;
+        uint32_t m;
         left--;
         if (counted) outer += voxrti_count4(voxrti_lanes(trace));
         if (c->grid != NULL) {
@@ -14208,22 +14427,7 @@ VOXRTI_TARGET_SSE4 VOXRTI_INLINE void voxrti_octrace_four(const voxrti_octrace *
             children = _mm_and_si128(_mm_set1_epi32((int)voxels[0].children), trace);
             filled = _mm_set1_epi32((int)voxels[0].index);
         }
-        while (s > c->leaf_log) { /* down. Lanes that are there have children = 0 and read the root's block */
-            __m128i down = _mm_cmpgt_epi32(children, zero), shift, w, words;
-            m = voxrti_lanes(down);
-            if (m == 0) break;
-            if (counted) inner += voxrti_count4(m);
-            shift = _mm_cvtsi32_si128((int)--s);
-            w = _mm_and_si128(_mm_srl_epi32(jx, shift), one);
-            w = _mm_or_si128(w, _mm_and_si128(_mm_srl_epi32(_mm_slli_epi32(jy, 1), shift), two));
-            w = _mm_or_si128(w, _mm_and_si128(_mm_srl_epi32(_mm_slli_epi32(jz, 2), shift), _mm_set1_epi32(4)));
-            w = _mm_or_si128(w, _mm_slli_epi32(children, 3));
-            voxrti_voxel_load4(w, words, children);
-            children = _mm_and_si128(children, down);
-            vi = _mm_blendv_epi8(vi, w, down);
-            filled = _mm_blendv_epi8(filled, _mm_slli_epi32(words, 16), down); /* the low half is the index */
-            mask = _mm_blendv_epi8(mask, _mm_set1_epi32((int)((1u << s) - 1u)), down);
-        }
+        voxrti_octpacket_down(c, top, jx, jy, jz, children, &vi, &filled, &mask, counted ? &inner : NULL);
         on = _mm_andnot_si128(_mm_cmpeq_epi32(filled, zero), trace);
         m = voxrti_lanes(on);
         if (m != 0) {
@@ -14610,9 +14814,11 @@ typedef struct voxrti_render {
     voxrti_frame frame;
     voxrt_trace_desc trace, coarse; /* coarse: left half of a split picture */
     uint32_t samples, step, tile, tiles_x, first_tile, count, transparent;
+    uint32_t work;                  /* of a ray, for voxrti_ask_work: what is sent on from it */
     uint32_t bounces, glass, plain; /* glass: something may let light through; plain: there are no finishes */
     float background[4];            /* in the units of the colours of a run */
     uint32_t sum[3][5][2];          /* sums of all threads: counts of the primary, shadow and bounce rays */
+    voxrti_ask *ask;
     voxrti_srgb srgb;
 } voxrti_render;
 
@@ -15435,8 +15641,8 @@ static void voxrti_block_write(const voxrti_render *c, const voxrti_area *area, 
     }
 }
 
-/* One run: all samples of its pixels. */
-static void voxrti_run(const voxrti_render *c, voxrt_render_stats *stats, const voxrti_area *area) {
+/* One run: all samples of its pixels. 0: cancelled. */
+static int voxrti_run(const voxrti_render *c, voxrt_render_stats *stats, const voxrti_area *area) {
     const voxrt_image *m = c->image;
     voxrt_ray ray[VOXRTI_RUN];
     voxrt_surface surface[VOXRTI_RUN];
@@ -15457,6 +15663,7 @@ static void voxrti_run(const voxrti_render *c, voxrt_render_stats *stats, const 
     for (s = 0; s < c->samples; s++) {
         double sx, sy;
         float depth = INFINITY;
+        if (!voxrti_ask_work(c->ask, n * c->work)) return 0;
         voxrti_sample_at(c->d->first_sample + s, &sx, &sy);
         for (i = 0; i < n; i++) {
             double px = (double)voxrti_area_x(area, i) + step * sx, py = (double)voxrti_area_y(area, i) + step * sy;
@@ -15496,6 +15703,7 @@ static void voxrti_run(const voxrti_render *c, voxrt_render_stats *stats, const 
             if (!c->d->no_compose) voxrti_pixel_write(c, x, y, total[i]);
         }
     }
+    return 1;
 }
 
 static void voxrti_stats_sum(uint32_t (*to)[2], const voxrt_stats *s) {
@@ -15531,7 +15739,7 @@ static void voxrti_render_tile(void *ctx, uint32_t task) {
             if (c->d->lod_split != 0 && run.x0 < half && run.x1 > half) run.x1 = half;
             run.columns = (run.x1 - run.x0 + c->step - 1) / c->step;
             run.count = run.columns * ((run.y1 - run.y0 + c->step - 1) / c->step);
-            voxrti_run(c, c->count ? &stats : NULL, &run);
+            if (!voxrti_run(c, c->count ? &stats : NULL, &run)) return;
         }
     }
     if (c->d->states != NULL && c->d->states->tile_fn != NULL)
@@ -16010,6 +16218,8 @@ static voxrt_result voxrti_render_open(const voxrt_render_desc *d, voxrti_render
         for (g = 0; g < d->geometry_count; g++) c->glass |= d->geometry[g].glass;
     }
     c->plain = d->geometry_count == 0 && (c->tree == NULL || c->tree->entry_finish == NULL);
+    c->work = 1 + (c->light_count < 65536 ? (uint32_t)c->light_count : 65536);
+    if (!c->plain) c->work *= 1 + c->bounces;
     voxrti_srgb_open(&c->srgb);
     return VOXRT_OK;
 }
@@ -16019,8 +16229,9 @@ VOXRT_DEF voxrt_result voxrt_render(const voxrt_render_desc *desc, const voxrt_t
     voxrt_render_desc d;
     voxrti_render c;
     voxrt_result r;
-    uint32_t rows, y;
+    uint32_t rows, x, y;
     const char *what;
+    voxrti_ask ask;
     memset(&d, 0, sizeof d);
     if (desc != NULL) d = *desc;
     if (d._begin_zero != 0 || d._end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
@@ -16028,6 +16239,7 @@ VOXRT_DEF voxrt_result voxrt_render(const voxrt_render_desc *desc, const voxrt_t
     if (image == NULL) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "render: no image");
     memset(&c, 0, sizeof c);
     c.d = &d;
+    c.ask = &ask;
     c.image = image;
     c.tree = tree;
     c.count = stats != NULL;
@@ -16040,14 +16252,17 @@ VOXRT_DEF voxrt_result voxrt_render(const voxrt_render_desc *desc, const voxrt_t
     rows = (image->height - 1) / c.tile + 1;
     if ((uint64_t)c.tiles_x * rows > 0x7fffffffu)
         return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, 0, "picture too large");
+    voxrti_ask_open(&ask, &d.env, rows);
     if (d.env.progress_fn == NULL) {
         voxrti_parallel_for(&d.env, voxrti_render_tile, &c, c.tiles_x * rows);
     } else {
         for (y = 0; y < rows; y++) {
-            c.first_tile = y * c.tiles_x;
-            voxrti_parallel_for(&d.env, voxrti_render_tile, &c, c.tiles_x);
-            if (d.env.progress_fn(d.env.progress_user, y + 1, rows) != 0)
-                return voxrti_fail(d.env.error, VOXRT_ERR_CANCELLED, y, "cancelled");
+            const uint32_t at_once = 4096; /* of a very wide picture: tiles know late that it was cancelled */
+            for (x = 0; x < c.tiles_x && !ask.cancelled; x += at_once) {
+                c.first_tile = y * c.tiles_x + x;
+                voxrti_parallel_for(&d.env, voxrti_render_tile, &c, c.tiles_x - x < at_once ? c.tiles_x - x : at_once);
+            }
+            if (!voxrti_ask_at(&ask, y + 1)) return voxrti_fail(d.env.error, VOXRT_ERR_CANCELLED, y, "cancelled");
         }
     }
     if (d.states != NULL && d.states->frame_fn != NULL) d.states->frame_fn(d.states->user, image);
@@ -16069,6 +16284,7 @@ typedef struct voxrti_post {
     float *copy;        /* rgba before (rows), or after the first pass (columns) */
     float weight[65];
     uint32_t radius, vertical;
+    voxrti_ask *ask;    /* blur */
     voxrti_srgb srgb;
 } voxrti_post;
 
@@ -16110,6 +16326,7 @@ static void voxrti_blur_row(void *ctx, uint32_t y) {
         int64_t at = p->vertical ? (int64_t)y : x, end = p->vertical ? h : w;
         int64_t from = at - r > 0 ? at - r : 0, to = at + r < end - 1 ? at + r : end - 1;
         float sum[4], total = 0.0f, v[4];
+        if (x % 64 == 0 && !voxrti_ask_work(p->ask, 8 * (p->radius + 1))) return;
         memset(sum, 0, sizeof sum);
         for (k = from; k <= to; k++) {
             float weight = p->weight[k < at ? at - k : k - at];
@@ -16144,6 +16361,7 @@ static void voxrti_smooth_row(void *ctx, uint32_t y) {
         if (!(pixels > 1.5f)) continue;
         if (pixels > p->d->radius) pixels = p->d->radius;
         r = (int64_t)pixels;
+        if (!voxrti_ask_work(p->ask, (uint32_t)(r * r) / 8 + 1)) return;
         memset(n, 0, sizeof n);
         if (m->normal != NULL) memcpy(n, voxrti_pixel(m->normal, m->normal_stride, 12, m->width, (uint32_t)x, y), 12);
         memset(sum, 0, sizeof sum);
@@ -16178,7 +16396,9 @@ VOXRT_DEF voxrt_result voxrt_blur(const voxrt_blur_desc *desc, const voxrt_image
     voxrt_result r;
     size_t bytes;
     uint32_t i, y;
+    int go_on;
     const char *why;
+    voxrti_ask ask;
     memset(&d, 0, sizeof d);
     if (desc != NULL) d = *desc;
     if (d._begin_zero != 0 || d._end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
@@ -16196,6 +16416,7 @@ VOXRT_DEF voxrt_result voxrt_blur(const voxrt_blur_desc *desc, const voxrt_image
     memset(&p, 0, sizeof p);
     p.image = image;
     p.d = &d;
+    p.ask = &ask;
     p.radius = (uint32_t)d.radius;
     for (i = 0; i <= p.radius; i++) {
         double q = 2.0 * (double)i / (double)d.radius; /* in standard deviations */
@@ -16203,17 +16424,19 @@ VOXRT_DEF voxrt_result voxrt_blur(const voxrt_blur_desc *desc, const voxrt_image
     }
     if (voxrti_mul_size((size_t)image->width * 16, image->height, &bytes)) p.copy = (float *)voxrti_alloc(&mem, bytes);
     if (p.copy == NULL) return voxrti_fail(d.env.error, VOXRT_ERR_NO_MEMORY, 0, "out of memory");
+    voxrti_ask_open(&ask, &d.env, (uint64_t)2 * image->height);
     if (d.footprint > 0.0f) {
         for (y = 0; y < image->height; y++)
             memcpy(p.copy + (size_t)4 * y * image->width,
                    voxrti_pixel(image->rgba, image->rgba_stride, 16, image->width, 0, y), (size_t)16 * image->width);
-        voxrti_parallel_for(&d.env, voxrti_smooth_row, &p, image->height);
+        go_on = voxrti_ask_for(&ask, voxrti_smooth_row, &p, image->height, ask.total);
     } else {
-        voxrti_parallel_for(&d.env, voxrti_blur_row, &p, image->height);
+        go_on = voxrti_ask_for(&ask, voxrti_blur_row, &p, image->height, image->height);
         p.vertical = 1;
-        voxrti_parallel_for(&d.env, voxrti_blur_row, &p, image->height);
+        go_on = go_on && voxrti_ask_for(&ask, voxrti_blur_row, &p, image->height, image->height);
     }
     voxrti_free(&mem, p.copy);
+    if (!go_on) return voxrti_fail(d.env.error, VOXRT_ERR_CANCELLED, 0, "cancelled");
     return image->rgba8 != NULL ? voxrt_image_encode(&d.env, image) : VOXRT_OK;
 }
 
@@ -16891,6 +17114,7 @@ static voxrt_result voxrti_model_index(voxrti_mem *mem, const voxrt_env *env, vo
     m->top_finish = NULL;
     if (m->count == 0) return VOXRT_OK;
     e.error = NULL;
+    e.progress_fn = NULL;
     e.memory_limit = 0; /* small beside the blocks */
     e.allocator = mem->allocator; /* what is made here lives as long as the model */
     d.env = e;
@@ -17359,6 +17583,7 @@ typedef struct voxrti_edit {
     const size_t *set_voxel;     /* [block_count] of the set: number of the first voxel of each leaf */
     const uint64_t *key;         /* [n] of the touched blocks, ascending */
     voxrti_block **made;         /* [n] what becomes of them; NULL: empty */
+    voxrti_ask ask;              /* of voxrti_edit_task */
     uint8_t *state;              /* [n] 0: stays as it is, 1: made or emptied, 2: no memory, 3: too large */
     uint64_t (*stats)[3];        /* [n] filled, cleared, painted */
 } voxrti_edit;
@@ -17579,7 +17804,7 @@ static int voxrti_edit_leaf(const voxrti_edit *e, const voxrti_patch *p, const u
 }
 
 static void voxrti_edit_task(void *ctx, uint32_t task) {
-    const voxrti_edit *e = (const voxrti_edit *)ctx;
+    voxrti_edit *e = (voxrti_edit *)ctx;
     const voxrt_model *m = e->m;
     const uint32_t n = voxrti_block_leaves(m), shift = 3 * (m->log - 2);
     const uint64_t key = e->key[task];
@@ -17593,6 +17818,10 @@ static void voxrti_edit_task(void *ctx, uint32_t task) {
     voxrt_result r = VOXRT_ERR_NO_MEMORY;
     memset(&set, 0, sizeof set);
     e->state[task] = 2;
+    if (!voxrti_ask_work(&e->ask, 16384)) { /* some milliseconds */
+        voxrti_free(e->mem, patch);
+        return;
+    }
     if (patch == NULL) return;
     voxels = voxrti_edit_leaves(e, key, old, patch, &leaves, &same, e->stats[task]);
     if ((same && !edge) || voxels == 0) {
@@ -17743,7 +17972,8 @@ static voxrt_result voxrti_edit_run(voxrti_edit *e, const voxrt_env *env, voxrt_
         if (e->made == NULL || e->state == NULL || e->stats == NULL) r = VOXRT_ERR_NO_MEMORY;
     }
     if (r == VOXRT_OK) {
-        voxrti_parallel_for(env, voxrti_edit_task, e, (uint32_t)n);
+        voxrti_ask_open(&e->ask, env, VOXRTI_STAGE_PARTS);
+        if (!voxrti_ask_for(&e->ask, voxrti_edit_task, e, (uint32_t)n, VOXRTI_STAGE_PARTS)) r = VOXRT_ERR_CANCELLED;
         for (i = 0; i < n && r == VOXRT_OK; i++) {
             if (e->state[i] >= 2) r = e->state[i] == 2 ? VOXRT_ERR_NO_MEMORY : VOXRT_ERR_RANGE;
             any |= e->state[i];
@@ -17903,6 +18133,8 @@ VOXRT_DEF voxrt_result voxrt_model_mesh(voxrt_model *model, const voxrt_edit_des
     voxrti_mem mem;
     voxrti_edit e;
     voxrti_leafset set;
+    voxrti_stage stage;
+    voxrt_env env;
     voxrt_result r = voxrti_edit_open(model, desc, stats, &d, &mem, &e);
     if (r != VOXRT_OK || e.m == NULL) return r;
     if (mesh == NULL || (mesh->triangle_count != 0 && mesh->positions == NULL))
@@ -17910,15 +18142,17 @@ VOXRT_DEF voxrt_result voxrt_model_mesh(voxrt_model *model, const voxrt_edit_des
     if (model->grid.depth > VOXRT_MAX_VOXELIZE_DEPTH)
         return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, model->grid.depth, "depth % is too large for triangles");
     memset(&built, 0, sizeof built);
+    env = d.env;
     b = model->build;
     b.finish_count = 0; /* the edit says which finish there is */
-    b.env = d.env;
+    voxrti_stage_open(&stage, &env, 0, 1, 2, &b.env);
     b.env.allocator = mem.allocator;
     r = voxrti_voxelize(&mem, &b, mesh, &model->grid, NULL, &built, &set);
     if (r != VOXRT_OK) {
         voxrti_leafset_free(&mem, &set);
         return voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
     }
+    voxrti_stage_open(&stage, &env, 1, 1, 2, &d.env);
     return voxrti_edit_set(&e, &d.env, model, &set, stats);
 }
 
@@ -18731,19 +18965,12 @@ static int voxrti_piece_box(const voxrti_pieces *p, size_t i, double lo[3], doub
 typedef struct voxrti_piece_of {
     const voxrt_mesh *mesh;
     const uint32_t *list;
-    const voxrt_env *env;
-    uint64_t first, cells; /* progress: which part of 2^15 it is */
 } voxrti_piece_of;
 
 static void voxrti_piece_sample(void *user, voxrt_sample *sample) {
     const voxrti_piece_of *of = (const voxrti_piece_of *)user;
     sample->triangle = of->list[sample->triangle];
     of->mesh->sample_fn(of->mesh->sample_user, sample);
-}
-
-static int voxrti_piece_progress(void *user, uint64_t done, uint64_t total) {
-    const voxrti_piece_of *of = (const voxrti_piece_of *)user;
-    return of->env->progress_fn(of->env->progress_user, of->first + of->cells * done / total, (uint64_t)1 << 15);
 }
 
 /* Voxelise what lies in a cube of 2^log cells with this Morton code. */
@@ -18760,13 +18987,13 @@ static voxrt_result voxrti_piece_build(voxrti_pieces *p, const uint32_t *list, s
     uint8_t *rgb = NULL, *finish = NULL;
     const uint32_t brick = p->w.grid.depth > 15 ? 6 : 5;
     voxrti_piece_of of;
+    voxrti_stage stage;
     voxrt_result r = VOXRT_OK;
     size_t i;
     of.mesh = m;
     of.list = list;
-    of.env = &p->d.env;
-    of.first = level < 5 ? code << 3 * (5 - level) : code >> 3 * (level - 5);
-    of.cells = level < 5 ? (uint64_t)1 << 3 * (5 - level) : 1;
+    voxrti_stage_open(&stage, &p->d.env, level < 5 ? code << 3 * (5 - level) : code >> 3 * (level - 5),
+                      level < 5 ? (uint64_t)1 << 3 * (5 - level) : 1, (uint64_t)1 << 15, &d.env);
     if (m->triangle_rgb != NULL) rgb = (uint8_t *)voxrti_alloc_array(mem, count, 3);
     if (p->w.finish_count != 0) finish = (uint8_t *)voxrti_alloc_array(mem, count, 1);
     if (index == NULL || (m->triangle_rgb != NULL && rgb == NULL) || (p->w.finish_count != 0 && finish == NULL))
@@ -18784,10 +19011,6 @@ static voxrt_result voxrti_piece_build(voxrti_pieces *p, const uint32_t *list, s
     if (m->sample_fn != NULL) {
         part.sample_fn = voxrti_piece_sample;
         part.sample_user = &of;
-    }
-    if (d.env.progress_fn != NULL) {
-        d.env.progress_fn = voxrti_piece_progress;
-        d.env.progress_user = &of;
     }
     memset(&stats, 0, sizeof stats);
     memset(&set, 0, sizeof set);
@@ -18919,7 +19142,8 @@ VOXRT_DEF voxrt_result voxrt_paged_build(const voxrt_build_desc *desc, const vox
         if (r == VOXRT_OK && p->w.voxels == 0) r = VOXRT_ERR_EMPTY;
         if (r == VOXRT_OK) r = voxrti_page_finish(&p->w);
         if (r == VOXRT_OK && d.env.progress_fn != NULL && /* the last pieces may be empty */
-            d.env.progress_fn(d.env.progress_user, (uint64_t)1 << 15, (uint64_t)1 << 15) != 0)
+            d.env.progress_fn(d.env.progress_user, (uint64_t)VOXRTI_STAGE_PARTS << 15,
+                              (uint64_t)VOXRTI_STAGE_PARTS << 15) != 0)
             r = VOXRT_ERR_CANCELLED;
         stats->voxels = p->w.voxels;
         voxrti_page_end(&p->w);
@@ -20306,6 +20530,7 @@ typedef struct voxrti_insert {
     uint16_t (*lattice)[2];   /* SAMPLES: of each triangle, or NULL: made when it is looked at */
     int grow;                 /* 0: lattices stay; 1: they are made anew where triangles have grown; 2: everywhere */
     double per_length;        /* points for a world unit */
+    voxrti_ask *ask;          /* triangles */
     uint32_t rejected[2], outside[2]; /* tallies */
 } voxrti_insert;
 
@@ -21056,6 +21281,7 @@ static int voxrti_insert_samples(const voxrti_insert *in, const double (*p)[3], 
         const double part = (1.0 - v) / (double)n;
         double from[3], by[3], q[3];
         uint32_t first = 0, last = n;
+        if (!voxrti_ask_work(in->ask, n / 8 + 1)) return 1;
         for (a = 0; a < 3; a++) {
             by[a] = d[0][a] * part;
             from[a] = p[side][a] + v * d[1][a] + 0.5 * by[a];
@@ -21149,11 +21375,12 @@ static void voxrti_task_insert_mesh(void *ctx, uint32_t index) {
     size_t i = (size_t)index * VOXRTI_INSERT_TASK, end = i + VOXRTI_INSERT_TASK;
     uint64_t rejected = 0, outside = 0;
     end = end < in->count ? end : in->count;
+    if (!voxrti_ask_work(in->ask, VOXRTI_INSERT_TASK)) return;
 #if VOXRTI_AVX2
     if ((in->mode == VOXRT_COLUMNS_FAT || in->mode == VOXRT_COLUMNS_THIN) && in->isa >= VOXRT_ISA_AVX2)
         i = voxrti_insert_mesh_avx2(in, i, end, &rejected, &outside);
 #endif
-    for (; i < end; i++) rejected += !voxrti_insert_one(in, i, &outside);
+    for (; i < end && !voxrti_atomic_load(&in->ask->cancelled); i++) rejected += !voxrti_insert_one(in, i, &outside);
     voxrti_tally_add(in->rejected, rejected);
     voxrti_tally_add(in->outside, outside);
 }
@@ -21349,13 +21576,14 @@ static voxrt_result voxrti_insert_mesh(voxrti_insert *in, const voxrt_env *env, 
     voxrti_free(&c->mem, in->flips);
     in->flips = NULL;
     in->inside = NULL;
-    return VOXRT_OK;
+    return in->ask->cancelled ? voxrti_fail(env->error, VOXRT_ERR_CANCELLED, 0, "cancelled") : VOXRT_OK;
 }
 
 VOXRT_DEF voxrt_result voxrt_columns_insert(voxrt_columns *columns, const voxrt_columns_insert_desc *desc,
                                             const voxrt_mesh *mesh, voxrt_columns_insert_stats *stats) {
     voxrt_columns_insert_desc d;
     voxrti_insert in;
+    voxrti_ask ask;
     uint64_t open = 0;
     voxrt_result r;
     if (mesh == NULL || (mesh->triangle_count != 0 && mesh->positions == NULL)) return VOXRT_ERR_INVALID_ARG;
@@ -21364,6 +21592,8 @@ VOXRT_DEF voxrt_result voxrt_columns_insert(voxrt_columns *columns, const voxrt_
     if (mesh->triangle_count / VOXRTI_INSERT_TASK >= 0x7fffffff)
         return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, mesh->triangle_count, "% triangles are too many");
     in.mesh = mesh;
+    in.ask = &ask;
+    voxrti_ask_open(&ask, &d.env, 1);
     r = voxrti_insert_mesh(&in, &d.env, &open);
     if (r != VOXRT_OK) return r;
     if (stats != NULL) {
@@ -22036,11 +22266,45 @@ static VOXRTI_NOINLINE void voxrti_column_apart(const voxrti_column_const *k, co
     }
 }
 
+/* What planes leave of the cells from *from_k to *to_k of columns on the ground: mostly an interval. */
+VOXRTI_TARGET_AVX2 VOXRTI_INLINE void voxrti_column_cut8(const voxrti_column_const *k, const voxrti_column_lanes *g,
+                                                         __m256i ground, __m256i *from_k, __m256i *to_k) {
+    const __m256i one = _mm256_set1_epi32(1), zero = _mm256_setzero_si256(), all_lo = *from_k, all_hi = *to_k;
+    __m256i lo = all_lo, hi = all_hi, set, end;
+    __m256i gone[4], apart = zero;
+    uint32_t p;
+    for (p = 0; p < k->planes; p++) {
+        __m256i from, to;
+        voxrti_column_planes8(k, g->f + VOXRTI_CF_PLANE + p * VOXRTI_CP_FIELDS, g->x, g->y, &from, &to);
+        to = _mm256_or_si256(to, _mm256_xor_si256(ground, _mm256_set1_epi32(-1))); /* -1: none */
+        gone[2 * p] = from;
+        gone[2 * p + 1] = to;
+        apart = _mm256_or_si256(apart, _mm256_andnot_si256(_mm256_cmpgt_epi32(from, to), _mm256_and_si256(
+                _mm256_cmpgt_epi32(from, lo), _mm256_cmpgt_epi32(hi, to))));
+        set = _mm256_cmpgt_epi32(from, lo);
+        end = _mm256_cmpgt_epi32(hi, to);
+        lo = _mm256_blendv_epi8(_mm256_max_epi32(lo, _mm256_add_epi32(to, one)), lo, set);
+        hi = _mm256_blendv_epi8(_mm256_min_epi32(hi, _mm256_sub_epi32(from, one)), hi, end);
+    }
+    if (!_mm256_testz_si256(apart, g->alive)) {
+        int32_t part[8][8];
+        for (p = 0; p < 2 * k->planes; p++) _mm256_storeu_si256((__m256i *)(void *)part[p], gone[p]);
+        _mm256_storeu_si256((__m256i *)(void *)part[4], g->k);
+        _mm256_storeu_si256((__m256i *)(void *)part[5], all_lo);
+        _mm256_storeu_si256((__m256i *)(void *)part[6], all_hi);
+        voxrti_column_apart(k, g->column, (const int32_t (*)[8])part, part[4], part[5], part[6]);
+        lo = _mm256_loadu_si256((const __m256i *)(const void *)part[5]);
+        hi = _mm256_loadu_si256((const __m256i *)(const void *)part[6]);
+    }
+    *from_k = lo;
+    *to_k = hi;
+}
+
 /* One turn of the loop of voxrti_column_walk for the lanes that are alive. Returns those that still are. any: what they
    meet is not asked for. */
 VOXRTI_TARGET_AVX2 VOXRTI_INLINE uint32_t voxrti_column_step8(const voxrti_column_const *k, voxrti_column_lanes *g,
                                                               int any, voxrt_stats *stats) {
-    const __m256i one = _mm256_set1_epi32(1), zero = _mm256_setzero_si256();
+    const __m256i zero = _mm256_setzero_si256();
     const __m256i x = g->x, y = g->y, level = g->level, ka = g->k, alive = g->alive;
     const __m256 ox = g->f[VOXRTI_CF_O], oy = g->f[VOXRTI_CF_O + 1], t = g->t, dz = g->f[VOXRTI_CF_D + 2];
     const __m256i cx = _mm256_srav_epi32(x, level), cy = _mm256_srav_epi32(y, level);
@@ -22053,34 +22317,7 @@ VOXRTI_TARGET_AVX2 VOXRTI_INLINE uint32_t voxrti_column_step8(const voxrti_colum
             _mm256_mul_ps(te, dz))), zero), k->last_k);
     const __m256i ground = _mm256_cmpeq_epi32(level, zero);
     __m256i lo = _mm256_min_epi32(ka, kb), hi = _mm256_max_epi32(ka, kb), set, step, hit, end;
-    if (k->planes != 0 && !_mm256_testz_si256(ground, alive)) { /* what planes leave: mostly an interval */
-        const __m256i all_lo = lo, all_hi = hi;
-        __m256i gone[4], apart = zero;
-        uint32_t p;
-        for (p = 0; p < k->planes; p++) {
-            __m256i from, to;
-            voxrti_column_planes8(k, g->f + VOXRTI_CF_PLANE + p * VOXRTI_CP_FIELDS, x, y, &from, &to);
-            to = _mm256_or_si256(to, _mm256_xor_si256(ground, _mm256_set1_epi32(-1))); /* -1: none */
-            gone[2 * p] = from;
-            gone[2 * p + 1] = to;
-            apart = _mm256_or_si256(apart, _mm256_andnot_si256(_mm256_cmpgt_epi32(from, to), _mm256_and_si256(
-                    _mm256_cmpgt_epi32(from, lo), _mm256_cmpgt_epi32(hi, to))));
-            set = _mm256_cmpgt_epi32(from, lo);
-            end = _mm256_cmpgt_epi32(hi, to);
-            lo = _mm256_blendv_epi8(_mm256_max_epi32(lo, _mm256_add_epi32(to, one)), lo, set);
-            hi = _mm256_blendv_epi8(_mm256_min_epi32(hi, _mm256_sub_epi32(from, one)), hi, end);
-        }
-        if (!_mm256_testz_si256(apart, alive)) {
-            int32_t part[8][8];
-            for (p = 0; p < 2 * k->planes; p++) _mm256_storeu_si256((__m256i *)(void *)part[p], gone[p]);
-            _mm256_storeu_si256((__m256i *)(void *)part[4], ka);
-            _mm256_storeu_si256((__m256i *)(void *)part[5], all_lo);
-            _mm256_storeu_si256((__m256i *)(void *)part[6], all_hi);
-            voxrti_column_apart(k, g->column, (const int32_t (*)[8])part, part[4], part[5], part[6]);
-            lo = _mm256_loadu_si256((const __m256i *)(const void *)part[5]);
-            hi = _mm256_loadu_si256((const __m256i *)(const void *)part[6]);
-        }
-    }
+    if (k->planes != 0 && !_mm256_testz_si256(ground, alive)) voxrti_column_cut8(k, g, ground, &lo, &hi);
     set = _mm256_cmpeq_epi32(voxrti_column_any8(k, g->column, lo, hi), zero);
     step = _mm256_and_si256(alive, set);
     hit = _mm256_andnot_si256(set, _mm256_and_si256(alive, ground));
@@ -22909,6 +23146,7 @@ typedef struct voxrti_gi_up {
 struct voxrt_gi {
     voxrti_mem mem;
     voxrt_env env;
+    voxrti_ask *ask;          /* of the update that runs */
     voxrt_columns *columns;
     voxrti_gi_entry *entry;
     size_t entry_count, entry_capacity;
@@ -23199,7 +23437,8 @@ static void voxrti_task_gi_fragments(void *ctx, uint32_t index) {
     f.votes = b->votes;
     in.splat = &f;
     end = end < in.count ? end : in.count;
-    for (; i < end; i++) {
+    if (!voxrti_ask_work(in.ask, VOXRTI_INSERT_TASK)) return;
+    for (; i < end && !voxrti_atomic_load(&in.ask->cancelled); i++) {
         double p[3][3];
         uint32_t e, ok = 1;
         for (e = 0; e < 3 && ok; e++) {
@@ -23384,6 +23623,7 @@ static voxrt_result voxrti_gi_layer_build(voxrt_gi *gi, uint32_t which) {
             d.still = which == 0;
             if (pass != 0 && d.mode == VOXRT_COLUMNS_SOLID) d.mode = VOXRT_COLUMNS_THIN;
             r = voxrti_insert_open(&b.in, gi->columns, &d, &open);
+            b.in.ask = gi->ask;
             b.in.mesh = &e->object.mesh;
             b.in.count = e->object.mesh.triangle_count;
             b.in.own = which == 1 ? gi->own : NULL;
@@ -23401,6 +23641,7 @@ static voxrt_result voxrti_gi_layer_build(voxrt_gi *gi, uint32_t which) {
                 if (d.mode == VOXRT_COLUMNS_BODY) r = voxrti_insert_parity(&b.in, &gi->env, 0, &leaks);
                 if (r == VOXRT_OK)
                     voxrti_parallel_for(&gi->env, voxrti_task_gi_fragments, &b, voxrti_insert_tasks(&b.in));
+                if (r == VOXRT_OK && gi->ask->cancelled) r = VOXRT_ERR_CANCELLED;
                 voxrti_free(&gi->columns->mem, b.in.flips);
             }
             if (r != VOXRT_OK) {
@@ -23723,14 +23964,21 @@ static void voxrti_gi_find_ups(voxrt_gi *gi);
 
 VOXRT_DEF voxrt_result voxrt_gi_update(voxrt_gi *gi, voxrt_gi_update_stats *stats) {
     voxrt_gi *g;
+    voxrti_ask ask;
     voxrt_result r = VOXRT_OK;
     uint32_t changed = 0;
     if (stats != NULL) memset(stats, 0, sizeof *stats);
     if (gi == NULL) return VOXRT_ERR_INVALID_ARG;
-    for (g = gi; g != NULL; g = g->outer) changed |= g->changed;
+    voxrti_ask_open(&ask, &gi->env, 0);
+    for (g = gi; g != NULL; g = g->outer) {
+        changed |= g->changed;
+        ask.total++;
+    }
     for (g = gi; g != NULL && r == VOXRT_OK; g = g->outer) {
+        g->ask = &ask;
         if (g->changed) {
             r = voxrti_gi_update_one(g);
+            if (r == VOXRT_OK && !voxrti_ask_at(&ask, ask.done + 1)) r = VOXRT_ERR_CANCELLED;
             if (r == VOXRT_OK) g->changed = 0;
         } else {
             voxrti_gi_track(g); /* what moved before stands still now */
@@ -23746,7 +23994,9 @@ VOXRT_DEF voxrt_result voxrt_gi_update(voxrt_gi *gi, voxrt_gi_update_stats *stat
         voxrti_gi_find_ups(gi);
         voxrti_gi_unit(gi);
     }
-    if (r != VOXRT_OK) return voxrti_fail(gi->env.error, r, 0, "no memory for the attributes of cells");
+    if (r != VOXRT_OK)
+        return voxrti_fail(gi->env.error, r, 0, r == VOXRT_ERR_CANCELLED ? "cancelled" :
+                                                "no memory for the attributes of cells");
     for (g = gi; g != NULL && stats != NULL; g = g->outer) {
         stats->still_cells += g->layer[0].count;
         stats->moving_cells += g->layer[1].count;
@@ -24870,7 +25120,7 @@ static void voxrti_gi_map_axes(const voxrt_gi_light *l, uint32_t face, float f[3
     voxrti_tangents(f, u, v);
 }
 
-typedef struct voxrti_gi_map_work { const voxrt_gi *gi; size_t light; int isa; } voxrti_gi_map_work;
+typedef struct voxrti_gi_map_work { const voxrt_gi *gi; voxrti_ask *ask; size_t light; int isa; } voxrti_gi_map_work;
 
 static void voxrti_task_gi_map(void *ctx, uint32_t row) {
     const voxrti_gi_map_work *w = (const voxrti_gi_map_work *)ctx;
@@ -24883,6 +25133,7 @@ static void voxrti_task_gi_map(void *ctx, uint32_t row) {
     float f[3], u[3], v[3], normal[VOXRTI_COLUMN_BATCH][3];
     const float y = ((float)(int32_t)(row % m->side) + 0.5f) * 2.0f / (float)(int32_t)m->side - 1.0f;
     uint32_t x0, x, a;
+    if (!voxrti_ask_work(w->ask, m->side)) return;
     voxrti_gi_map_axes(l, row / m->side, f, u, v);
     for (x0 = 0; x0 < m->side; x0 += VOXRTI_COLUMN_BATCH) {
         const uint32_t n = m->side - x0 < VOXRTI_COLUMN_BATCH ? m->side - x0 : VOXRTI_COLUMN_BATCH;
@@ -24971,6 +25222,7 @@ typedef struct voxrti_lighting {
     const voxrt_geometry *shadow;  /* NULL: the columns */
     float lift;
     uint32_t first, samples;       /* on lamps that have an area */
+    voxrti_ask *ask;               /* NULL: there are few samples */
     const float *spread;           /* of each point: points are cells, of this area over 2 pi; NULL: they are not */
 } voxrti_lighting;
 
@@ -24990,6 +25242,7 @@ static VOXRTI_NOINLINE void voxrti_light_points(const voxrti_lighting *c, size_t
     const float share = 1.0f / (float)(int32_t)samples;
     uint32_t i, a, s, m;
     for (s = 0; s < samples; s++) {
+        if (s % 64 == 63 && c->ask != NULL && !voxrti_ask_work(c->ask, 64 * q->count)) return;
         for (i = m = 0; i < q->count; i++) {
             float u[2] = {0.5f, 0.5f};
             uint32_t index = 0, seed = 0;
@@ -25047,8 +25300,14 @@ static VOXRTI_NOINLINE void voxrti_light_points(const voxrti_lighting *c, size_t
 
 #define VOXRTI_GI_AREA_SAMPLES 4     /* for the cache: it is looked at many times */
 
-/* Make sure the direct light on these sides is known. Two threads may find it out at once: they find the same. */
-static void voxrti_gi_fill(const voxrt_gi *gi, int isa, const voxrti_gi_side *side, uint32_t count) {
+/* Rays to all lamps from one point, for voxrti_ask_work: that of the points of a batch may not overflow. */
+VOXRTI_INLINE uint32_t voxrti_lamp_work(const voxrt_gi *gi) {
+    return voxrti_gi_lamps(gi) < 65536 ? (uint32_t)voxrti_gi_lamps(gi) : 65536;
+}
+
+/* Make sure the direct light on these sides is known. Two threads may find it out at once: they find the same. Gives
+   the number of rays it took, about. */
+static uint32_t voxrti_gi_fill(const voxrt_gi *gi, int isa, const voxrti_gi_side *side, uint32_t count) {
     voxrti_lighting c;
     voxrti_points q;
     float rgb[VOXRTI_COLUMN_BATCH][3], spread[VOXRTI_COLUMN_BATCH];
@@ -25070,7 +25329,7 @@ static void voxrti_gi_fill(const voxrt_gi *gi, int isa, const voxrti_gi_side *si
         spread[m] = (float)(s->gi->columns->diagonal * s->gi->columns->diagonal * 0.0530516477); /* 1 / (6 pi) */
         of[m++] = (uint8_t)i;
     }
-    if (m == 0) return;
+    if (m == 0) return 0;
     q.count = m;
     q.share = 32;
     memset(&c, 0, sizeof c);
@@ -25085,6 +25344,7 @@ static void voxrti_gi_fill(const voxrt_gi *gi, int isa, const voxrti_gi_side *si
         for (k = 0; k < 3; k++) rgb[i][k] *= gi->per_unit;
         voxrti_store_shared(&side[of[i]].gi->layer[side[of[i]].layer].direct[side[of[i]].at], voxrti_rgb9e5(rgb[i]));
     }
+    return VOXRTI_GI_AREA_SAMPLES * m * voxrti_lamp_work(gi);
 }
 
 /* What a side sends out by light that was there before: (direct + bounced) * albedo / pi. A Phong lobe sends bounced
@@ -25111,7 +25371,7 @@ VOXRT_DEF int voxrt_gi_get(const voxrt_gi *gi, const voxrt_column_hit *hit, cons
         hit->cell[1] >= gi->columns->size[1] || hit->cell[2] >= gi->columns->size[2] ||
         !voxrti_gi_side_open(gi, hit->cell[0], hit->cell[1], hit->cell[2], dir, &s))
         return 0;
-    voxrti_gi_fill(gi, voxrti_column_isa(VOXRT_ISA_AUTO), &s, 1);
+    (void)voxrti_gi_fill(gi, voxrti_column_isa(VOXRT_ISA_AUTO), &s, 1);
     memcpy(out_surface->position, s.position, sizeof s.position);
     memcpy(out_surface->normal, s.normal, sizeof s.normal);
     memcpy(out_surface->albedo, s.albedo, sizeof s.albedo);
@@ -25152,7 +25412,7 @@ typedef struct voxrti_gather {
     voxrti_frame frame;
     uint32_t sum[3][2]; /* tallies: rays, hits, steps */
     uint32_t want_stats, from;     /* from: first run of the list that is worked on */
-    uint64_t done, total;          /* for env.progress_fn: pixels times rays; total is the most */
+    voxrti_ask *ask;               /* of pixels times rays; the total is the most */
 } voxrti_gather;
 
 #define VOXRTI_NO_PIXEL 0xffffffffu
@@ -25341,7 +25601,8 @@ static VOXRTI_NOINLINE void voxrti_hit_light(const voxrti_gather *w, const voxrt
     uint8_t of[VOXRTI_COLUMN_BATCH];
     uint32_t i, a;
     size_t l;
-    if (cached) voxrti_gi_fill(w->gi, w->isa, side, count);
+    if (!voxrti_ask_work(w->ask, cached ? voxrti_gi_fill(w->gi, w->isa, side, count) :
+                                          count * voxrti_lamp_work(w->gi))) count = 0;
     q.count = 0;
     q.share = 32;
     for (i = 0; i < count; i++) {
@@ -25436,6 +25697,7 @@ static VOXRTI_NOINLINE void voxrti_gather_run(const voxrti_gather *w, const voxr
             part[i][0] = part[i][1] = part[i][2] = 1.0f;
         }
         for (b = 0; b < w->bounces && at.count != 0; b++) {
+            if (!voxrti_ask_work(w->ask, at.count)) return;
             voxrti_gather_rays(w, &at, w->first + r, ray, t, side, weight, stats);
             for (i = 0; i < at.count && b == 0 && apart != NULL; i++)
                 if (t[i] < INFINITY) apart[i] += weight[i] * (1.0f / (t[i] + 1e-20f));
@@ -25576,7 +25838,7 @@ static void voxrti_task_vpl(void *ctx, uint32_t batch) {
     const size_t first = (size_t)batch * VOXRTI_COLUMN_BATCH;
     const uint32_t n = (uint32_t)(v->count - first < VOXRTI_COLUMN_BATCH ? v->count - first : VOXRTI_COLUMN_BATCH);
     uint32_t i, a;
-    if (n == 0) return;
+    if (n == 0 || !voxrti_ask_work(w->ask, n)) return;
     memset(ray, 0, sizeof ray);
     memset(normal, 0, sizeof normal);
     for (i = 0; i < n; i++) {
@@ -25651,9 +25913,11 @@ static voxrt_result voxrti_vpl_make(voxrti_gather *w, voxrt_gi *gi) {
         gi->vpl_capacity = n;
     }
     v.count = each;
-    for (; v.level < w->bounces; v.level++, v.first += each)
+    for (; v.level < w->bounces; v.level++, v.first += each) {
         voxrti_parallel_for(&w->d->env, voxrti_task_vpl, &v,
                             (uint32_t)((each + VOXRTI_COLUMN_BATCH - 1) / VOXRTI_COLUMN_BATCH));
+        if (w->ask->cancelled) return voxrti_fail(w->d->env.error, VOXRT_ERR_CANCELLED, v.level, "cancelled");
+    }
     gi->vpl_count = n;
     return VOXRT_OK;
 }
@@ -25685,6 +25949,7 @@ static VOXRTI_NOINLINE void voxrti_vpl_run(const voxrti_gather *w, const voxrti_
         for (r = 0; r < w->d->rays; r++) {
             const voxrti_vpl *l = &gi->vpl[b * each + (size_t)set * w->d->rays + r];
             if (!(l->flux[0] + l->flux[1] + l->flux[2] > 0.0f)) continue;
+            if (!voxrti_ask_work(w->ask, q->count)) return;
             for (i = m = 0; i < q->count; i++) {
                 float to[3], d2, c1, c2, inv, term;
                 for (a = 0; a < 3; a++) to[a] = l->p[a] - q->p[i][a];
@@ -25758,6 +26023,7 @@ static VOXRTI_NOINLINE void voxrti_vpl_compensate(const voxrti_gather *w, const 
         at.feet[i] = (uint8_t)voxrti_gi_feet(w->gi, at.p[i], at.n[i]);
     }
     for (r = 0; r < rays; r++) {
+        if (!voxrti_ask_work(w->ask, at.count)) return;
         voxrti_gather_rays(&near_by, &at, w->first + r, ray, t, side, weight, stats);
         voxrti_hit_light(&near_by, side, ray, t, at.count, w->bounces > 1, rgb);
         for (i = 0; i < at.count; i++) {
@@ -25829,6 +26095,7 @@ static void voxrti_task_shade(void *ctx, uint32_t index) {
     float rgb[VOXRTI_COLUMN_BATCH][3], gloss[VOXRTI_COLUMN_BATCH][3], apart[VOXRTI_COLUMN_BATCH];
     float *to = w->which == 2 ? w->indirect : w->half[w->which];
     uint32_t i, a, n = 0;
+    if (voxrti_atomic_load(&w->ask->cancelled)) return;
     while (n < VOXRTI_COLUMN_BATCH && (size_t)batch * VOXRTI_COLUMN_BATCH + n < w->list_count &&
            list[n] != VOXRTI_NO_PIXEL) n++;
     if (n == 0) return;
@@ -25916,7 +26183,8 @@ static void voxrti_task_direct(void *ctx, uint32_t tile) {
     c.lift = w->d->shadow_lift;
     c.first = w->first;
     c.samples = w->rays;
-    for (l = 0; l < voxrti_gi_lamps(w->gi); l++)
+    c.ask = w->ask;
+    for (l = 0; l < voxrti_gi_lamps(w->gi) && voxrti_ask_work(w->ask, n * (w->rays < 64 ? w->rays : 1)); l++)
         voxrti_light_points(&c, l, &q, rgb, w->direct_gloss != NULL ? gloss : NULL);
     for (i = 0; i < n; i++)
         for (a = 0; a < 3; a++) {
@@ -26014,10 +26282,7 @@ static voxrt_result voxrti_shade_list(voxrti_gather *w) {
     for (w->from = 0; w->from < n; w->from += part) {
         part = n - w->from < most ? n - w->from : most;
         voxrti_parallel_for(env, voxrti_task_shade, w, part);
-        if (env->progress_fn == NULL) continue;
-        w->done += (uint64_t)part * VOXRTI_COLUMN_BATCH * w->rays;
-        if (w->done > w->total) w->done = w->total;
-        if (env->progress_fn(env->progress_user, w->done, w->total) != 0)
+        if (!voxrti_ask_at(w->ask, w->ask->done + (uint64_t)part * VOXRTI_COLUMN_BATCH * w->rays))
             return voxrti_fail(env->error, VOXRT_ERR_CANCELLED, w->from, "cancelled");
     }
     return VOXRT_OK;
@@ -26062,6 +26327,7 @@ typedef struct voxrti_gi_filter {
     int32_t radius, step_x, step_y;
     float depth_scale; /* 1 / (2 sigma^2) at one pixel's distance */
     float table[65];
+    voxrti_ask *ask;
 } voxrti_gi_filter;
 
 static void voxrti_task_gi_filter(void *ctx, uint32_t y) {
@@ -26073,6 +26339,7 @@ static void voxrti_task_gi_filter(void *ctx, uint32_t y) {
         const float *n = g->normal + at, *p = g->position + at;
         float sum[3] = {0, 0, 0}, weight = 0.0f;
         int32_t i;
+        if (x % 64 == 0 && !voxrti_ask_work(f->ask, (uint32_t)f->radius * 16)) return;
         for (i = -f->radius; i <= f->radius; i++) {
             const int64_t qx = (int64_t)x + (int64_t)i * f->step_x, qy = (int64_t)y + (int64_t)i * f->step_y;
             const int32_t far_ = i < 0 ? -i : i;
@@ -26101,8 +26368,9 @@ static void voxrti_task_gi_filter(void *ctx, uint32_t y) {
 }
 
 /* value, rgb for each pixel, in place. */
-static voxrt_result voxrti_gi_filter_run(const voxrt_env *env, const voxrt_gbuffer *g, double diagonal, uint32_t radius,
+static voxrt_result voxrti_gi_filter_run(voxrti_ask *ask, const voxrt_gbuffer *g, double diagonal, uint32_t radius,
                                          float *value, voxrti_mem *mem) {
+    const voxrt_env *env = ask->env;
     voxrti_gi_filter f;
     const size_t bytes = (size_t)g->width * g->height * 12;
     const uint32_t r = radius > 64 ? 64 : radius;
@@ -26112,6 +26380,7 @@ static voxrt_result voxrti_gi_filter_run(const voxrt_env *env, const voxrt_gbuff
     if (other == NULL) return voxrti_fail(env->error, VOXRT_ERR_NO_MEMORY, bytes, "no memory for % bytes of a filter");
     memset(&f, 0, sizeof f);
     f.g = g;
+    f.ask = ask;
     f.radius = (int32_t)r;
     f.depth_scale = (float)(1.0 / (2.0 * sigma * sigma));
     for (i = 0; i <= r; i++) f.table[i] = (float)voxrti_exp2(-1.442695041 * 2.0 * (double)(i * i) / (double)(r * r));
@@ -26123,7 +26392,7 @@ static voxrt_result voxrti_gi_filter_run(const voxrt_env *env, const voxrt_gbuff
         voxrti_parallel_for(env, voxrti_task_gi_filter, &f, g->height);
     }
     voxrti_free(mem, other);
-    return VOXRT_OK;
+    return ask->cancelled ? voxrti_fail(env->error, VOXRT_ERR_CANCELLED, 0, "cancelled") : VOXRT_OK;
 }
 
 /* ---- pictures before this one ---- */
@@ -26470,7 +26739,7 @@ static voxrt_result voxrti_gather_until(voxrti_gather *w, voxrti_mem *mem, float
             sum += (double)w->half[0][i] + (double)w->half[1][i];
             if (test != NULL) test[i] = w->half[0][i] - w->half[1][i];
         }
-        if (test != NULL) r = voxrti_gi_filter_run(&w->d->env, w->g, diagonal, w->d->filter, test, mem);
+        if (test != NULL) r = voxrti_gi_filter_run(w->ask, w->g, diagonal, w->d->filter, test, mem);
         for (i = 0; i < n && r == VOXRT_OK; i++) {
             const double d = test != NULL ? (double)test[i] : (double)w->half[0][i] - (double)w->half[1][i];
             differ += d * d;
@@ -26517,7 +26786,6 @@ static voxrt_result voxrti_gather_all(voxrti_gather *w, voxrt_gi *gi, voxrti_mem
         r = voxrti_fail(w->d->env.error, VOXRT_ERR_NO_MEMORY, n, "no memory for lists of % pixels");
     if (ok && w->d->coarse <= 1) w->list_count = voxrti_list_all(w->g, w->set, w->list);
     report->rays = w->d->rays;
-    w->total = (uint64_t)n * w->d->rays;
     if (ok && w->d->tolerance > 0.0f) {
         r = voxrti_gather_until(w, mem, &report->noise, &report->rays);
     } else if (ok) {
@@ -26549,7 +26817,12 @@ static float voxrti_gi_reach(const voxrt_gi *gi) {
     return (float)sqrt(sum);
 }
 
-typedef struct voxrti_fill_work { const voxrt_gi *gi, *root; uint32_t layer; int isa; } voxrti_fill_work;
+typedef struct voxrti_fill_work {
+    const voxrt_gi *gi, *root;
+    voxrti_ask *ask;
+    uint32_t layer;
+    int isa;
+} voxrti_fill_work;
 
 /* Both sides of the cells in a row of columns: direct light. */
 static void voxrti_task_fill(void *ctx, uint32_t y) {
@@ -26571,25 +26844,27 @@ static void voxrti_task_fill(void *ctx, uint32_t y) {
                     q[n].layer = f->layer;
                     voxrti_gi_side_place(f->gi, &l->record[rec], side, cell, q[n].position, q[n].normal);
                     if (++n < VOXRTI_COLUMN_BATCH) continue;
-                    voxrti_gi_fill(f->root, f->isa, q, n);
+                    if (!voxrti_ask_work(f->ask, voxrti_gi_fill(f->root, f->isa, q, n))) return;
                     n = 0;
                 }
         }
-    if (n != 0) voxrti_gi_fill(f->root, f->isa, q, n);
+    if (n != 0) (void)voxrti_ask_work(f->ask, voxrti_gi_fill(f->root, f->isa, q, n));
 }
 
 /* What the way of looking up light needs first. */
-static voxrt_result voxrti_gi_prepare(const voxrt_gi_render_desc *d, voxrt_gi *gi, int isa) {
+static voxrt_result voxrti_gi_prepare(const voxrt_gi_render_desc *d, voxrt_gi *gi, int isa, voxrti_ask *ask) {
     voxrti_gi_map_work m;
     voxrti_fill_work f;
     size_t l;
     f.root = gi;
     f.isa = isa;
+    f.ask = m.ask = ask;
     if (d->lookup == VOXRT_GI_LOOKUP_VOLUME) {
         for (f.gi = gi; f.gi != NULL; f.gi = f.gi->outer)
             for (f.layer = 0; f.layer < 2; f.layer++)
                 if (f.gi->layer[f.layer].count != 0)
                     voxrti_parallel_for(&d->env, voxrti_task_fill, &f, f.gi->columns->size[1]);
+        if (ask->cancelled) return voxrti_fail(d->env.error, VOXRT_ERR_CANCELLED, 0, "cancelled");
     }
     if (d->lookup != VOXRT_GI_LOOKUP_MAPS || gi->light_count == 0) return VOXRT_OK;
     if (gi->map != NULL && gi->map[0].side == d->map_size) return VOXRT_OK;
@@ -26615,6 +26890,10 @@ static voxrt_result voxrti_gi_prepare(const voxrt_gi_render_desc *d, voxrt_gi *g
         }
         m.light = l;
         voxrti_parallel_for(&d->env, voxrti_task_gi_map, &m, map->faces * map->side);
+        if (ask->cancelled) {
+            voxrti_gi_maps_free(gi);
+            return voxrti_fail(d->env.error, VOXRT_ERR_CANCELLED, l, "cancelled");
+        }
     }
     return VOXRT_OK;
 }
@@ -26671,6 +26950,7 @@ VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_g
     voxrti_gather w;
     voxrti_mem mem;
     voxrti_reuse reuse;
+    voxrti_ask ask;
     float *value[4] = {NULL, NULL, NULL, NULL};
     voxrt_result r = voxrti_gi_render_open(desc, gi, gbuffer, &d, &w);
     size_t n, i;
@@ -26682,6 +26962,8 @@ VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_g
     r = voxrti_env_open(&d.env, &mem);
     if (r != VOXRT_OK) return r;
     n = (size_t)gbuffer->width * gbuffer->height;
+    voxrti_ask_open(&ask, &d.env, (uint64_t)n * d.rays);
+    w.ask = &ask;
     value[0] = indirect;
     value[2] = direct;
     if (indirect != NULL && d.method == VOXRT_GI_NONE) {
@@ -26705,10 +26987,11 @@ VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_g
         r = voxrti_reuse_open(&w, wanted, &reuse);
         w.first += d.history->turns * d.rays;
     }
-    if (r == VOXRT_OK) r = voxrti_gi_prepare(&d, gi, w.isa);
+    if (r == VOXRT_OK) r = voxrti_gi_prepare(&d, gi, w.isa, &ask);
     if (d.method == VOXRT_GI_GATHER || d.method == VOXRT_GI_PATH) voxrti_gi_find_spots(gi, &w);
     if (r == VOXRT_OK && direct != NULL)
         voxrti_parallel_for(&d.env, voxrti_task_direct, &w, ((gbuffer->width + 7) / 8) * ((gbuffer->height + 7) / 8));
+    if (r == VOXRT_OK && ask.cancelled) r = voxrti_fail(d.env.error, VOXRT_ERR_CANCELLED, 0, "cancelled");
     if (r == VOXRT_OK && value[0] != NULL) {
         d.first_ray = w.first;
         r = voxrti_gather_all(&w, gi, &mem, &report);
@@ -26720,10 +27003,11 @@ VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_g
     } else if (d.history != NULL && opened) {
         d.history->turns = turns; /* there was no picture */
     }
+    if (d.history != NULL) d.env.progress_fn = NULL; /* which has this picture now */
     for (k = 0; k < 4 && r == VOXRT_OK; k++) {
         const uint32_t radius = k < 2 ? d.filter : d.direct_filter;
         if (value[k] != NULL && radius != 0)
-            r = voxrti_gi_filter_run(&d.env, gbuffer, gi->columns->diagonal, radius, value[k], &mem);
+            r = voxrti_gi_filter_run(&ask, gbuffer, gi->columns->diagonal, radius, value[k], &mem);
     }
     for (k = 0; k < 4 && r == VOXRT_OK; k += 2) {
         voxrti_combine c;
@@ -26824,6 +27108,7 @@ static void voxrti_task_bounce(void *ctx, uint32_t y) {
     voxrti_points q;
     size_t at[VOXRTI_COLUMN_BATCH], rec = l->base[(size_t)y << c->row_log[0]];
     uint32_t x, w, side, i;
+    if (voxrti_atomic_load(&b->gather.ask->cancelled)) return;
     memset(at, 0, sizeof at);
     q.count = 0;
     q.share = 32;
@@ -26848,6 +27133,7 @@ static void voxrti_task_bounce(void *ctx, uint32_t y) {
 
 VOXRT_DEF voxrt_result voxrt_gi_bounce(voxrt_gi *gi, const voxrt_env *env, uint32_t rays, float weight, uint32_t seed) {
     voxrti_bounce b;
+    voxrti_ask ask;
     voxrt_gi *g;
     uint32_t *next[8][2], l, k;
     voxrt_result r = VOXRT_OK;
@@ -26855,6 +27141,9 @@ VOXRT_DEF voxrt_result voxrt_gi_bounce(voxrt_gi *gi, const voxrt_env *env, uint3
     memset(&b, 0, sizeof b);
     memset(next, 0, sizeof next);
     if (env != NULL) b.desc.env = *env;
+    voxrti_ask_open(&ask, &b.desc.env, 1);
+    for (g = gi; g != NULL; g = g->outer) ask.total += (uint64_t)2 * g->columns->size[1];
+    b.gather.ask = &ask;
     b.weight = weight > 0.0f ? weight : 1.0f;
     b.seed = voxrti_hash32(seed);
     b.gather.d = &b.desc;
@@ -26879,8 +27168,11 @@ VOXRT_DEF voxrt_result voxrt_gi_bounce(voxrt_gi *gi, const voxrt_env *env, uint3
             b.gi = g;
             b.layer = l;
             b.next = next[k][l];
-            voxrti_parallel_for(&b.desc.env, voxrti_task_bounce, &b, g->columns->size[1]);
+            if (!voxrti_ask_for(&ask, voxrti_task_bounce, &b, g->columns->size[1], g->columns->size[1]))
+                r = voxrti_fail(b.desc.env.error, VOXRT_ERR_CANCELLED, k, "cancelled");
         }
+    if (r == VOXRT_OK && !voxrti_ask_at(&ask, ask.total))
+        r = voxrti_fail(b.desc.env.error, VOXRT_ERR_CANCELLED, k, "cancelled");
     for (g = gi, k = 0; g != NULL; g = g->outer, k++)
         for (l = 0; l < 2; l++) {
             if (r == VOXRT_OK && next[k][l] != NULL) memcpy(g->layer[l].bounce, next[k][l], g->layer[l].count * 8);

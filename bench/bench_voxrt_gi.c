@@ -469,6 +469,7 @@ static void run_light(void *ctx) {
     light_job *j = (light_job *)ctx;
     const voxrt_gbuffer *g = &j->w->g;
     const size_t n = 3 * (size_t)g->width * g->height;
+    voxrti_ask ask;
     size_t i;
     memset(&j->stats, 0, sizeof j->stats);
     if (j->anew) voxrti_gi_darken(j->w->gi);
@@ -477,8 +478,9 @@ static void run_light(void *ctx) {
         return;
     }
     baseline_light(j->w->gi, &j->base, g, j->out);
+    voxrti_ask_open(&ask, &j->d.env, 1);
     if (j->base_filter != 0)
-        must(voxrti_gi_filter_run(&j->d.env, g, j->w->gi->columns->diagonal, j->base_filter, j->out, &j->w->gi->mem), "filter");
+        must(voxrti_gi_filter_run(&ask, g, j->w->gi->columns->diagonal, j->base_filter, j->out, &j->w->gi->mem), "filter");
     for (i = 0; i < n; i++) j->out[i] *= g->albedo[i];
 }
 

@@ -1275,9 +1275,11 @@ TEST(filter_keeps_to_surfaces) { /* a constant stays one; nothing crosses a righ
     voxrt_gi *gi = make_gi(64, 64, 64, 10);
     voxrt_gbuffer g;
     voxrt_env none;
+    voxrti_ask ask;
     uint32_t x, y, a;
     double worst = 0;
     memset(&none, 0, sizeof none);
+    voxrti_ask_open(&ask, &none, 1);
     g = gbuffer_of(W, H, position, normal, albedo);
     for (y = 0; y < H; y++)
         for (x = 0; x < W; x++) { /* left half a floor, right half a wall */
@@ -1288,7 +1290,7 @@ TEST(filter_keeps_to_surfaces) { /* a constant stays one; nothing crosses a righ
             normal[i][x < W / 2 ? 1 : 0] = x < W / 2 ? 1.0f : -1.0f;
             for (a = 0; a < 3; a++) light[i][a] = x < W / 2 ? 3.0f : 1.0f;
         }
-    CHECK(voxrti_gi_filter_run(&none, &g, gi->columns->diagonal, 5, light[0], &gi->mem) == VOXRT_OK);
+    CHECK(voxrti_gi_filter_run(&ask, &g, gi->columns->diagonal, 5, light[0], &gi->mem) == VOXRT_OK);
     for (y = 0; y < H; y++)
         for (x = 0; x < W; x++) worst = fmax(worst, fabs((double)light[y * W + x][0] - (x < W / 2 ? 3.0 : 1.0)));
     CHECK_MSG(worst < 1e-5, "%g", worst);
@@ -1581,9 +1583,11 @@ TEST(neighbours_make_less_noise) { /* what a filter averages: against the same r
     static float truth[64 * 48][3], own[64 * 48][3];
     voxrt_gi_render_desc d;
     voxrti_mem mem;
+    voxrti_ask ask;
     double together, apart;
     room_open(&r, 64, 48, 0);
     memset(&d, 0, sizeof d);
+    voxrti_ask_open(&ask, &d.env, 1);
     d.rays = test_quick() ? 128 : 256;
     d.first_ray = 1u << 20;
     CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, truth[0], NULL) == VOXRT_OK);
@@ -1593,8 +1597,8 @@ TEST(neighbours_make_less_noise) { /* what a filter averages: against the same r
     d.filter = 4;
     CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, r.indirect[0], NULL) == VOXRT_OK);
     REQUIRE(voxrti_env_open(&d.env, &mem) == VOXRT_OK); /* colours here are near to each other */
-    CHECK(voxrti_gi_filter_run(&d.env, &r.g, r.gi->columns->diagonal, 4, own[0], &mem) == VOXRT_OK);
-    CHECK(voxrti_gi_filter_run(&d.env, &r.g, r.gi->columns->diagonal, 4, truth[0], &mem) == VOXRT_OK);
+    CHECK(voxrti_gi_filter_run(&ask, &r.g, r.gi->columns->diagonal, 4, own[0], &mem) == VOXRT_OK);
+    CHECK(voxrti_gi_filter_run(&ask, &r.g, r.gi->columns->diagonal, 4, truth[0], &mem) == VOXRT_OK);
     together = rms(r.indirect, truth, 64 * 48);
     apart = rms(own, truth, 64 * 48);
     CHECK_MSG(together < 0.7 * apart, "%.4f together, %.4f each for itself", together, apart);
@@ -1685,6 +1689,7 @@ TEST(walls_on_borders_of_cells) { /* each wall of a lit box between two layers o
         voxrt_gi_light light = point_light(0.1f, 0.2f, -0.3f, 20);
         voxrt_gi_render_desc d;
         voxrt_gi_object o;
+        voxrti_ask ask;
         uint32_t l = 0, i, dark = 0, all = 0;
         m.points = m.triangles = 0;
         box(&m, half, 180, 1);
@@ -1693,7 +1698,8 @@ TEST(walls_on_borders_of_cells) { /* each wall of a lit box between two layers o
         CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
         memset(&d, 0, sizeof d);
         d.lookup = VOXRT_GI_LOOKUP_VOLUME;
-        CHECK(voxrti_gi_prepare(&d, gi, (int)voxrt_isa_best()) == VOXRT_OK);
+        voxrti_ask_open(&ask, &d.env, 1);
+        CHECK(voxrti_gi_prepare(&d, gi, (int)voxrt_isa_best(), &ask) == VOXRT_OK);
         for (i = 0; i < 2 * gi->layer[l].count; i++) {
             float rgb[3];
             if (gi->layer[l].record[i / 2].area[i % 2] == 0) continue;

@@ -1,7 +1,9 @@
 /* test_voxrt_memory.c - files, pages, volumes and models with each request for memory refused once and with all from one on:
-   NO_MEMORY, nothing leaks, no file is left half written; buffers for global illumination from geometry; names.
+   NO_MEMORY, nothing leaks, no file is left half written; calls cancelled at each question; buffers for global illumination
+   from geometry; names.
    SPDX-License-Identifier: MIT OR Unlicense */
 #include "test.h"
+#include <pthread.h>
 #define VOXRT_IMPLEMENTATION
 #include "../voxrt.h"
 #include "shapes.h"
@@ -315,6 +317,379 @@ TEST(every_request_refused) {
     world_close(&w);
 }
 
+/* ---- calls that ask ---- */
+
+/* Triangles of many colours, filled: more colours than the palette has, for either way to choose it. */
+static voxrt_result built(world *w, const voxrt_env *env, voxrt_palette_method method, uint32_t planes) {
+    static uint8_t rgb[4096 * 3];
+    voxrt_build_desc d;
+    voxrt_mesh m = w->mesh;
+    voxrt_tree *t = NULL;
+    voxrt_result r;
+    size_t i;
+    memset(&d, 0, sizeof d);
+    CHECK(m.vertex_count <= sizeof rgb / 3);
+    for (i = 0; i < 3 * m.vertex_count && i < sizeof rgb; i++) rgb[i] = (uint8_t)(i * 2654435761u >> 13);
+    m.vertex_rgb = rgb;
+    d.env = *env;
+    d.resolution = method == VOXRT_PALETTE_THESIS ? 30 : 100;
+    d.palette_size = 200;
+    d.palette_method = method;
+    d.planes = planes;
+    d.fill = 1;
+    r = voxrt_tree_build(&d, &m, NULL, &t);
+    CHECK((r == VOXRT_OK) == (t != NULL));
+    voxrt_tree_destroy(t);
+    return r;
+}
+static voxrt_result build_oklab(world *w, const voxrt_env *env) { return built(w, env, VOXRT_PALETTE_OKLAB, 1); }
+static voxrt_result build_thesis(world *w, const voxrt_env *env) { return built(w, env, VOXRT_PALETTE_THESIS, 0); }
+
+static voxrt_result one_large_triangle(world *w, const voxrt_env *env) { /* millions of bricks are looked at, few are met */
+    static const float p[9] = {0, 0, 0, 16000, 16000, 100, 16000, 15999, 16000};
+    voxrt_build_desc d;
+    voxrt_mesh m;
+    voxrt_tree *t = NULL;
+    voxrt_result r;
+    (void)w;
+    memset(&d, 0, sizeof d);
+    memset(&m, 0, sizeof m);
+    m.positions = p;
+    m.vertex_count = 3;
+    m.triangle_count = 1;
+    d.env = *env;
+    d.env.memory_limit = 8u << 20; /* it ends soon behind that */
+    d.resolution = 16384;
+    r = voxrt_tree_build(&d, &m, NULL, &t);
+    CHECK(t == NULL && r != VOXRT_OK);
+    return r == VOXRT_ERR_NO_MEMORY ? VOXRT_OK : r;
+}
+
+static voxrt_result build_list(world *w, const voxrt_env *env) {
+    voxrt_build_desc d;
+    voxrt_voxel v[6 * 400];
+    voxrt_tree *t = NULL;
+    voxrt_result r;
+    uint32_t i;
+    (void)w;
+    memset(&d, 0, sizeof d);
+    memset(v, 0, sizeof v);
+    for (i = 0; i < 6 * 400; i++) { /* a hollow box */
+        const uint32_t face = i / 400, a = face / 2;
+        uint32_t at[3];
+        at[a] = face & 1 ? 20 : 1;
+        at[(a + 1) % 3] = 1 + i % 20;
+        at[(a + 2) % 3] = 1 + i / 20 % 20;
+        v[i].x = at[0];
+        v[i].y = at[1];
+        v[i].z = at[2];
+    }
+    d.env = *env;
+    d.fill = 1;
+    r = voxrt_tree_from_voxels(&d, v, 6 * 400, 5, &t);
+    CHECK((r == VOXRT_OK) == (t != NULL));
+    voxrt_tree_destroy(t);
+    return r;
+}
+
+static voxrt_result build_octree(world *w, const voxrt_env *env) {
+    voxrt_octree_desc d;
+    voxrt_tree *t = NULL;
+    voxrt_result r;
+    memset(&d, 0, sizeof d);
+    d.env = *env;
+    r = voxrt_tree_from_octree(&d, w->octree, &t);
+    CHECK((r == VOXRT_OK) == (t != NULL));
+    voxrt_tree_destroy(t);
+    return r;
+}
+
+/* An edit that is cancelled has done nothing. */
+static voxrt_result edited(world *w, const voxrt_env *env, int way) {
+    static const double lo[3] = {0, 0, 0}, hi[3] = {250, 250, 6}, centre[3] = {128, 128, 128};
+    voxrt_model_desc d;
+    voxrt_edit_desc e;
+    voxrt_build_desc b;
+    voxrt_edit_stats stats;
+    voxrt_model_info before, after;
+    voxrt_model *m = NULL;
+    voxrt_tree *t = NULL;
+    voxrt_result r;
+    memset(&d, 0, sizeof d);
+    memset(&e, 0, sizeof e);
+    memset(&b, 0, sizeof b);
+    d.env = *env;
+    d.env.progress_fn = NULL;
+    e.env = d.env;
+    d.depth = 8;
+    if (way == 2) {
+        d.box_min[0] = d.box_min[1] = d.box_min[2] = -1.2;
+        d.box_size = 2.4;
+    }
+    CHECK(voxrt_model_create(&d, &m) == VOXRT_OK);
+    if (way != 2) CHECK(voxrt_model_sphere(m, &e, centre, 20, NULL) == VOXRT_OK);
+    voxrt_model_get_info(m, &before);
+    e.env = b.env = *env;
+    r = way == 0 ? voxrt_model_box(m, &e, lo, hi, &stats) : way == 1 ? voxrt_model_sphere(m, &e, centre, 80, &stats) :
+        way == 2 ? voxrt_model_mesh(m, &e, &w->mesh, &stats) : VOXRT_OK;
+    voxrt_model_get_info(m, &after);
+    if (way < 3) CHECK(r == VOXRT_OK ? after.voxel_count > before.voxel_count : memcmp(&before, &after, sizeof after) == 0 && stats.filled == 0);
+    if (way == 3) {
+        r = voxrt_tree_from_model(&b, m, &t);
+        CHECK((r == VOXRT_OK) == (t != NULL));
+        voxrt_tree_destroy(t);
+    }
+    voxrt_model_destroy(m);
+    return r;
+}
+static voxrt_result edit_box(world *w, const voxrt_env *env) { return edited(w, env, 0); }
+static voxrt_result edit_sphere(world *w, const voxrt_env *env) { return edited(w, env, 1); }
+static voxrt_result edit_mesh(world *w, const voxrt_env *env) { return edited(w, env, 2); }
+static voxrt_result tree_of_model(world *w, const voxrt_env *env) { return edited(w, env, 3); }
+
+enum { TINY = 8 };
+
+/* Few pixels with many samples: nothing is between two rows of tiles. */
+static voxrt_result drawn(world *w, const voxrt_env *env) {
+    static float rgba[TINY * TINY * 4];
+    voxrt_render_desc d;
+    voxrt_image image;
+    memset(&d, 0, sizeof d);
+    memset(&image, 0, sizeof image);
+    d.env = *env;
+    d.samples = 5000;
+    d.view = VOXRT_VIEW_UNLIT;
+    image.width = image.height = TINY;
+    image.rgba = rgba;
+    return voxrt_render(&d, w->tree, &image, NULL);
+}
+
+static voxrt_result blurred(const voxrt_env *env, float footprint) {
+    enum { WIDE = 128 };
+    static float rgba[WIDE * WIDE * 4], depth[WIDE * WIDE];
+    static voxrt_hit hit[WIDE * WIDE];
+    voxrt_image image;
+    voxrt_blur_desc d;
+    int i;
+    memset(&image, 0, sizeof image);
+    memset(&d, 0, sizeof d);
+    d.env = *env;
+    d.radius = 64;
+    d.footprint = footprint;
+    d.voxel_size = 1;
+    for (i = 0; i < WIDE * WIDE; i++) depth[i] = 1;
+    image.width = image.height = WIDE;
+    image.rgba = rgba;
+    image.depth = depth;
+    image.hit = hit;
+    return voxrt_blur(&d, &image);
+}
+static voxrt_result blur_all(world *w, const voxrt_env *env) { (void)w; return blurred(env, 0); }
+static voxrt_result blur_voxels(world *w, const voxrt_env *env) { (void)w; return blurred(env, 0.06f); }
+
+/* Few pixels with many rays, each way. A bounce that is cancelled leaves light as it was. */
+static voxrt_result lit(world *w, const voxrt_env *env, voxrt_gi_method method, voxrt_gi_lookup lookup, float tolerance, int what) {
+    static float position[TINY * TINY][3], normal[TINY * TINY][3], albedo[TINY * TINY][3], out[3][TINY * TINY][3];
+    const voxrt_camera c = camera_at(1, 2.5, 1.5);
+    voxrt_env quiet = *env;
+    voxrt_gi_render_desc d;
+    voxrt_gi_light l[20];
+    voxrt_gi_object o;
+    voxrt_gbuffer g;
+    voxrt_gi *gi = NULL;
+    voxrt_result r;
+    int i;
+    memset(&d, 0, sizeof d);
+    memset(&g, 0, sizeof g);
+    memset(l, 0, sizeof l);
+    quiet.progress_fn = NULL;
+    CHECK(scene_of(w, &quiet, &gi) == VOXRT_OK);
+    memset(&o, 0, sizeof o); /* a small sphere beside the large one */
+    o.mesh = w->mesh;
+    o.to_world[0] = o.to_world[5] = o.to_world[10] = 0.3;
+    o.to_world[3] = o.to_world[7] = 0.9;
+    CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
+    l[0].position[0] = 0.3f;
+    l[0].position[1] = l[1].position[1] = 1.25f;
+    l[0].color[0] = l[1].color[1] = 1;
+    l[1].kind = VOXRT_GI_AREA;
+    l[1].edge_u[0] = l[1].edge_v[2] = 0.1f;
+    for (i = 2; i < 20; i++) l[i] = l[0];
+    CHECK(voxrt_gi_set_lights(gi, l, lookup == VOXRT_GI_LOOKUP_VOLUME ? 20 : 2) == VOXRT_OK && voxrt_gi_update(gi, NULL) == VOXRT_OK);
+    g.width = g.height = TINY;
+    g.position = position[0];
+    g.normal = normal[0];
+    g.albedo = albedo[0];
+    CHECK(voxrt_gbuffer_from_gi(&quiet, &c, gi, &g) == VOXRT_OK);
+    d.env = *env;
+    d.method = method;
+    d.lookup = lookup;
+    d.tolerance = tolerance;
+    d.bounces = method == VOXRT_GI_PATH ? 4 : 1;
+    d.pattern = 1;
+    d.map_size = 512;
+    d.rays = what == 1 || (what == 0 && method == VOXRT_GI_NONE) ? 4 : 4000;
+    if (what == 0) {
+        r = voxrt_gi_render(&d, gi, &g, method == VOXRT_GI_NONE ? out[0][0] : NULL, out[1][0], NULL);
+    } else if (what == 1) {
+        d.env = quiet;
+        CHECK(voxrt_gi_bounce(gi, &quiet, 4, 0, 1) == VOXRT_OK);
+        CHECK(voxrt_gi_render(&d, gi, &g, NULL, out[0][0], NULL) == VOXRT_OK);
+        r = voxrt_gi_bounce(gi, env, 16, 0, 2);
+        CHECK(voxrt_gi_render(&d, gi, &g, NULL, out[1][0], NULL) == VOXRT_OK);
+        CHECK((memcmp(out[0], out[1], sizeof out[0]) == 0) == (r != VOXRT_OK));
+    } else { /* light of a lamp with an area, as many rays to it */
+        r = voxrt_gi_render(&d, gi, &g, out[0][0], NULL, NULL);
+    }
+    voxrt_gi_destroy(gi);
+    return r;
+}
+static voxrt_result gather(world *w, const voxrt_env *env) { return lit(w, env, VOXRT_GI_GATHER, VOXRT_GI_LOOKUP_RAYS, 0, 0); }
+static voxrt_result until(world *w, const voxrt_env *env) { return lit(w, env, VOXRT_GI_GATHER, VOXRT_GI_LOOKUP_CACHE, 1e-6f, 0); }
+static voxrt_result paths(world *w, const voxrt_env *env) { return lit(w, env, VOXRT_GI_PATH, VOXRT_GI_LOOKUP_CACHE, 0, 0); }
+static voxrt_result occlusion(world *w, const voxrt_env *env) { return lit(w, env, VOXRT_GI_AO, VOXRT_GI_LOOKUP_CACHE, 0, 0); }
+static voxrt_result virtual_lights(world *w, const voxrt_env *env) { return lit(w, env, VOXRT_GI_VPL, VOXRT_GI_LOOKUP_CACHE, 0, 0); }
+static voxrt_result all_cells(world *w, const voxrt_env *env) { return lit(w, env, VOXRT_GI_NONE, VOXRT_GI_LOOKUP_VOLUME, 0, 0); }
+static voxrt_result maps(world *w, const voxrt_env *env) { return lit(w, env, VOXRT_GI_NONE, VOXRT_GI_LOOKUP_MAPS, 0, 0); }
+static voxrt_result bounce(world *w, const voxrt_env *env) { return lit(w, env, VOXRT_GI_GATHER, VOXRT_GI_LOOKUP_CACHE, 0, 1); }
+static voxrt_result wide_lamp(world *w, const voxrt_env *env) { return lit(w, env, VOXRT_GI_NONE, VOXRT_GI_LOOKUP_CACHE, 0, 2); }
+
+static int deaf; /* stop_fn only says that all may go on */
+
+/* Points of triangles, too many to wait for; a scene of them can be made after it was cancelled. */
+static voxrt_result sampled(world *w, const voxrt_env *env) {
+    voxrt_columns_desc d;
+    voxrt_columns_insert_desc in;
+    voxrt_columns *c = NULL;
+    voxrt_result r;
+    int a;
+    memset(&d, 0, sizeof d);
+    memset(&in, 0, sizeof in);
+    d.env = in.env = *env;
+    in.mode = VOXRT_COLUMNS_SAMPLES;
+    in.spacing = 0.05f;
+    d.size_x = d.size_y = d.size_z = 64;
+    for (a = 0; a < 3; a++) {
+        d.box_min[a] = -1.2;
+        d.box_max[a] = 1.2;
+    }
+    CHECK(voxrt_columns_create(&d, &c) == VOXRT_OK);
+    r = voxrt_columns_insert(c, &in, &w->mesh, NULL);
+    voxrt_columns_destroy(c);
+    return r;
+}
+
+static voxrt_result sampled_scene(world *w, const voxrt_env *env) {
+    voxrt_gi_desc d;
+    voxrt_gi_object o;
+    voxrt_gi_update_stats whole, again;
+    voxrt_gi *gi[2] = {NULL, NULL};
+    voxrt_result r = VOXRT_OK;
+    int a, k;
+    memset(&d, 0, sizeof d);
+    memset(&o, 0, sizeof o);
+    memset(&whole, 0, sizeof whole);
+    memset(&again, 0, sizeof again);
+    d.env = *env;
+    d.columns.size_x = d.columns.size_y = d.columns.size_z = 64;
+    for (a = 0; a < 3; a++) {
+        d.columns.box_min[a] = -1.2;
+        d.columns.box_max[a] = 1.2;
+    }
+    o.mesh = w->mesh;
+    o.mode = VOXRT_COLUMNS_SAMPLES;
+    o.spacing = 0.1f;
+    for (k = 0; k < 2; k++) {
+        if (k == 1) d.env.progress_fn = NULL;
+        CHECK(voxrt_gi_create(&d, &gi[k]) == VOXRT_OK && voxrt_gi_add(gi[k], &o, NULL) == VOXRT_OK);
+    }
+    r = voxrt_gi_update(gi[0], &again);
+    deaf = 1;
+    CHECK(voxrt_gi_update(gi[1], &whole) == VOXRT_OK);
+    if (r != VOXRT_OK) CHECK(voxrt_gi_update(gi[0], &again) == VOXRT_OK);
+    CHECK(whole.moving_cells != 0 && whole.moving_cells == again.moving_cells);
+    deaf = 0;
+    for (k = 0; k < 2; k++) voxrt_gi_destroy(gi[k]);
+    return r;
+}
+
+static const struct ask { const char *name; voxrt_result (*run)(world *w, const voxrt_env *env); uint32_t least; } ask[] = {
+    {"build", build_oklab, 20}, {"build with the palette of the thesis", build_thesis, 8}, {"build from a list", build_list, 3},
+    {"a large triangle", one_large_triangle, 20}, {"build from an octree", build_octree, 2}, {"edit a box", edit_box, 4},
+    {"edit a sphere", edit_sphere, 6}, {"edit by a mesh", edit_mesh, 10}, {"tree of a model", tree_of_model, 2}, {"picture", drawn, 4},
+    {"blur", blur_all, 12}, {"blur by voxels", blur_voxels, 12}, {"gather", gather, 3}, {"gather until", until, 2}, {"paths", paths, 4},
+    {"occlusion", occlusion, 2}, {"virtual lights", virtual_lights, 2}, {"light on all cells", all_cells, 1}, {"maps", maps, 20},
+    {"bounce", bounce, 8}, {"wide lamp", wide_lamp, 1},
+    {"samples", sampled, 4}, {"scene of samples", sampled_scene, 4}
+};
+
+typedef struct stopper {
+    pthread_mutex_t lock;
+    uint64_t calls, stop_at, done, total;
+    unsigned backwards, twice;
+} stopper;
+
+static int stop_fn(void *user, uint64_t done, uint64_t total) {
+    stopper *s = (stopper *)user;
+    int stop;
+    if (deaf) return 0;
+    if (pthread_mutex_trylock(&s->lock) != 0) { /* never two at once */
+        s->twice++;
+        return 0;
+    }
+    s->backwards += done < s->done || done > total || total == 0 || (s->calls != 0 && total != s->total);
+    s->done = done;
+    s->total = total;
+    stop = ++s->calls == s->stop_at;
+    (void)pthread_mutex_unlock(&s->lock);
+    return stop;
+}
+
+/* Every call that asks whether to go on is cancelled at each of its questions: that is what it says, it asks no more, and
+   nothing is left. */
+TEST(cancelled) {
+    world w;
+    size_t i;
+    unsigned threads;
+    world_open(&w);
+    for (i = 0; i < sizeof ask / sizeof ask[0]; i++)
+        for (threads = 1; threads <= 3; threads += 2) {
+            uint64_t at, most = 0;
+            for (at = 0; at <= most; at += at < 4 ? 1 : at) { /* 0: never, to count the questions */
+                voxrt_env env;
+                voxrt_error error;
+                test_alloc ta;
+                stopper s;
+                voxrt_result r;
+                test_alloc_init(&ta);
+                memset(&env, 0, sizeof env);
+                memset(&error, 0, sizeof error);
+                memset(&s, 0, sizeof s);
+                (void)pthread_mutex_init(&s.lock, NULL);
+                env.allocator.alloc_fn = test_alloc_fn;
+                env.allocator.free_fn = test_free_fn;
+                env.allocator.user = &ta;
+                env.thread_count = threads;
+                env.error = &error;
+                env.progress_fn = stop_fn;
+                env.progress_user = &s;
+                s.stop_at = at;
+                r = ask[i].run(&w, &env);
+                test_alloc_check(&ta);
+                (void)pthread_mutex_destroy(&s.lock);
+                if (at == 0) {
+                    CHECK_MSG(r == VOXRT_OK && s.calls >= ask[i].least, "%s asks %u times, result %d", ask[i].name, (unsigned)s.calls, (int)r);
+                    most = s.calls;
+                } else if (s.calls >= at) {
+                    CHECK_MSG(r == VOXRT_ERR_CANCELLED && error.code == r && s.calls == at, "%s, question %u of %u: result %d, %u", ask[i].name,
+                              (unsigned)at, (unsigned)most, (int)r, (unsigned)s.calls);
+                }
+                CHECK_MSG(s.backwards == 0 && s.twice == 0, "%s: %u steps back, %u at once", ask[i].name, s.backwards, s.twice);
+            }
+        }
+    world_close(&w);
+}
+
 /* What a tree or an octree gives to global illumination: places on the sphere, its normals, its colour. */
 TEST(buffers_from_geometry) {
     static float position[SIDE * SIDE][3], normal[SIDE * SIDE][3], albedo[SIDE * SIDE][3], specular[SIDE * SIDE][4], emission[SIDE * SIDE][3],
@@ -389,6 +764,7 @@ TEST(names) {
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(every_request_refused);
+    RUN(cancelled);
     RUN(buffers_from_geometry);
     RUN(names);
     return test_end();
