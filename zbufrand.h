@@ -694,8 +694,9 @@ ZBUFRAND_DEF zbufrand_result zbufrand_canvas_submit_points(zbufrand_canvas *canv
    source  shade_fn is needed if picture->rgba or tolerance_color is; surface_fn serves drop_back, tolerance_slope, and
            plane_depth of blocks larger than 1; may be NULL if nothing of that is asked for
    stats   out, may be NULL
-   The same bits for any number of threads and any isa. Needs the canvas for itself; allocates only for a repair.
-   Errors: INVALID_ARG (also while another call makes a picture of this canvas), NO_MEMORY. */
+   The same bits for any number of threads and any isa. Needs the canvas for itself; allocates only for a repair. If the
+   progress_fn of the canvas cancels, the picture is incomplete; the samples stay.
+   Errors: INVALID_ARG (also while another call makes a picture of this canvas), NO_MEMORY, CANCELLED. */
 ZBUFRAND_DEF zbufrand_result zbufrand_canvas_resolve(zbufrand_canvas *canvas, const zbufrand_source *source,
                                                      const zbufrand_picture *picture, zbufrand_resolve_stats *stats);
 
@@ -1926,6 +1927,63 @@ static ZBUFRANDI_UNUSED uint32_t zbufrandi_oct_encode(const float n[3]) {
    triangles of a rastered cluster) owns a range of numbers; colour and normal of the winners are found from the
    number afterwards, because random numbers are a function of (seed, draw, counter).
    --------------------------------------------------------------------------- */
+
+/* ---- work that can be cancelled ---- */
+
+/* Where a call is, as its progress_fn hears it: at `done` of `total`, and each parallel-for takes it `step` further. */
+typedef struct zbufrandi_asker {
+    uint64_t done, step, total;
+    uint32_t cancelled; /* atomic */
+} zbufrandi_asker;
+
+/* 0: cancelled. more: done since the step before. */
+static ZBUFRANDI_UNUSED int zbufrandi_ask(const zbufrand_env *env, zbufrandi_asker *a, uint64_t more) {
+    if (env->progress_fn != NULL && zbufrandi_atomic_load(&a->cancelled) == 0 &&
+        env->progress_fn(env->progress_user, a->done + more, a->total) != 0)
+            zbufrandi_atomic_store(&a->cancelled, 1u);
+    return zbufrandi_atomic_load(&a->cancelled) == 0;
+}
+
+/* A parallel-for that asks. Strands are as many tasks as there are threads, each takes piece after piece of the work,
+   and the first one asks. */
+typedef struct zbufrandi_asking {
+    const zbufrand_env *env;
+    zbufrandi_asker *asker;
+    zbufrand_task_fn *task;
+    void *ctx;
+    uint32_t count, next; /* atomic: next */
+} zbufrandi_asking;
+
+static ZBUFRANDI_UNUSED void zbufrandi_task_asking(void *ctx, uint32_t strand) {
+    zbufrandi_asking *k = (zbufrandi_asking *)ctx;
+    for (;;) {
+        const uint32_t i = zbufrandi_atomic_add(&k->next, 1u) - 1u;
+        if (i >= k->count || zbufrandi_atomic_load(&k->asker->cancelled) != 0) return;
+        if (strand == 0 && !zbufrandi_ask(k->env, k->asker, k->asker->step * i / k->count)) return;
+        k->task(k->ctx, i);
+    }
+}
+
+/* 0: cancelled, and only a part is done, or nothing if that was so before. asker: NULL to ask nobody. */
+static ZBUFRANDI_UNUSED int zbufrandi_parallel_ask(const zbufrand_env *env, zbufrandi_asker *asker,
+                                                   zbufrand_task_fn *task, void *ctx, uint32_t count) {
+    const uint32_t strands = zbufrandi_thread_count(env);
+    zbufrandi_asking k;
+    if (asker == NULL || env->progress_fn == NULL) {
+        zbufrandi_parallel_for(env, task, ctx, count);
+        return 1;
+    }
+    if (asker->cancelled) return 0;
+    k.env = env;
+    k.asker = asker;
+    k.task = task;
+    k.ctx = ctx;
+    k.count = count;
+    k.next = 0;
+    zbufrandi_parallel_for(env, zbufrandi_task_asking, &k, strands < count ? strands : count);
+    asker->done += asker->step;
+    return !asker->cancelled;
+}
 
 #define ZBUFRANDI_EMPTY (~(uint64_t)0)
 
@@ -8358,8 +8416,9 @@ typedef struct zbufrandi_pick { /* one task's memory, kept from frame to frame *
     zbufrandi_local *local;    /* entered in this round; numbers from ZBUFRANDI_NEW_LOCAL on */
     size_t stack_capacity, draw_capacity, bounds_capacity, local_capacity;
     uint32_t stack_count, draw_count, local_count;
+    uint64_t samples;          /* of the thesis' trees: of the draws */
     zbufrandi_counts counts;
-    int failed;                /* out of memory */
+    int failed;                /* out of memory, cancelled, or too many samples */
 } zbufrandi_pick;
 #define ZBUFRANDI_NEW_LOCAL 0x80000000u
 
@@ -9883,9 +9942,11 @@ ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_flat_put_avx2(const zbufrandi_ta
 }
 #endif
 
-/* *samples: how many were drawn. Returns how many are in the picture. */
-static uint32_t zbufrandi_draw_sampled(const zbufrandi_target *g, const zbufrandi_draw *d, const zbufrandi_local *l,
-                                       const zbufrandi_structure *s, zbufrandi_waiting *wait, uint32_t *samples) {
+/* Samples first..last-1 of a draw, if it has so many. *samples: how many were drawn. Returns how many are in the
+   picture. */
+static uint32_t zbufrandi_draw_sampled(const zbufrandi_target *g, const zbufrandi_draw *d, uint32_t first,
+                                       uint32_t last, const zbufrandi_local *l, const zbufrandi_structure *s,
+                                       zbufrandi_waiting *wait, uint32_t *samples) {
     const zbufrandi_cluster *c = &s->cluster[d->item & ((1u << ZBUFRANDI_DRAW_SHIFT) - 1u)];
     const uint8_t *tri = s->triangle + 3 * (size_t)c->first_triangle;
     const uint32_t at_u = zbufrandi_hash32(d->hash + 0x3c6ef372u), at_v = zbufrandi_hash32(at_u);
@@ -9901,10 +9962,12 @@ static uint32_t zbufrandi_draw_sampled(const zbufrandi_target *g, const zbufrand
     else
 #endif
         zbufrandi_flatten_cluster(g, &constants, s, c, &f);
-    *samples = k = zbufrandi_flat_count(g, d, &f);
+    k = zbufrandi_flat_count(g, d, &f);
+    if (last > k) last = k;
+    *samples = last > first ? last - first : 0;
     zbufrandi_flat_begin(d, k, g->cut->comb, &f);
-    for (begin = 0; begin < k; begin = end) {
-        end = k - begin > ZBUFRANDI_FLAT_CHUNK ? begin + ZBUFRANDI_FLAT_CHUNK : k;
+    for (begin = first; begin < last; begin = end) {
+        end = last - begin > ZBUFRANDI_FLAT_CHUNK ? begin + ZBUFRANDI_FLAT_CHUNK : last;
         if (g->cut->independent) zbufrandi_flat_independent(d, &f, c->triangle_count, begin, end);
 #if ZBUFRANDI_AVX2
         else if (g->level >= 3 && k <= ZBUFRANDI_FLAT_CHUNK) zbufrandi_flat_strata_avx2(&f, c->triangle_count, k);
@@ -10177,6 +10240,7 @@ static void zbufrandi_list_emit(const zbufrandi_cut *cut, const zbufrandi_local 
         if (cut->round_up) d.count = (uint32_t)expected + ((double)(uint32_t)expected < expected);
         else if (cut->independent) d.count = zbufrandi_list_poisson(expected, d.hash);
         if (d.count == 0 && !cut->bounds) return;
+        p->samples += d.count;
     }
     if (cut->bounds) {
         zbufrandi_bounds *b = &p->bounds[p->draw_count];
@@ -10245,6 +10309,9 @@ static void zbufrandi_list_single(const zbufrandi_cut *cut, const zbufrandi_loca
 
 /* ---- the walk ---- */
 
+/* Numbers of samples have 32 bits. */
+#define ZBUFRANDI_SAMPLES_MAX ((uint64_t)1 << 32)
+
 typedef struct zbufrandi_list_walk {
     const zbufrandi_cut *cut;
     zbufrandi_mem *mem;
@@ -10252,11 +10319,25 @@ typedef struct zbufrandi_list_walk {
     zbufrandi_pick *p;
     zbufrandi_list_open *stack;
     size_t capacity, count;
+    const zbufrand_env *env;
+    zbufrandi_asker *asker;
+    uint64_t asked;            /* work when it asked last */
 } zbufrandi_list_walk;
+
+/* Go on? Not if a picture cannot have as many samples, or it was cancelled. */
+static int zbufrandi_list_goes_on(zbufrandi_list_walk *w) {
+    const zbufrandi_pick *p = w->p;
+    const uint64_t work = (p->samples >> 6) + p->counts.tested + p->draw_count;
+    if (p->samples > ZBUFRANDI_SAMPLES_MAX) return 0;
+    if (work - w->asked < 4096) return 1;
+    w->asked = work;
+    return zbufrandi_ask(w->env, w->asker, 0);
+}
 
 static int zbufrandi_list_room(zbufrandi_list_walk *w, size_t n) { /* for n more of everything */
     zbufrandi_pick *p = w->p;
-    if (zbufrandi_grow(w->mem, (void **)&w->stack, &w->capacity, w->count, w->count + n, sizeof *w->stack) &&
+    if (zbufrandi_list_goes_on(w) &&
+        zbufrandi_grow(w->mem, (void **)&w->stack, &w->capacity, w->count, w->count + n, sizeof *w->stack) &&
         zbufrandi_grow(w->mem, (void **)&p->draw, &p->draw_capacity, p->draw_count, p->draw_count + n,
                        sizeof *p->draw) &&
         zbufrandi_grow(w->mem, (void **)&p->local, &p->local_capacity, p->local_count, p->local_count + n,
@@ -10418,14 +10499,17 @@ static void zbufrandi_list_step(zbufrandi_list_walk *w) {
 }
 
 /* Everything that is drawn of a scene with lists, into p->draw. */
-static void zbufrandi_list_select(const zbufrandi_cut *cut, zbufrandi_mem *mem, const zbufrandi_local *locals,
-                                  uint32_t root, zbufrandi_pick *p) {
+static void zbufrandi_list_select(const zbufrandi_cut *cut, zbufrandi_mem *mem, const zbufrand_env *env,
+                                  zbufrandi_asker *asker, const zbufrandi_local *locals, uint32_t root,
+                                  zbufrandi_pick *p) {
     const zbufrandi_lists *l = cut->scene->structure[0].lists;
     zbufrandi_list_walk w;
     uint32_t c;
     memset(&w, 0, sizeof w);
     w.cut = cut;
     w.mem = mem;
+    w.env = env;
+    w.asker = asker;
     w.locals = locals;
     w.p = p;
     if (zbufrandi_list_room(&w, l->roots)) {
@@ -10563,14 +10647,16 @@ static int zbufrandi_list_sample(const zbufrandi_target *g, const zbufrandi_draw
     return out->shown <= g->far_z && out->shown > 0.0f;
 }
 
-/* Returns how many samples are in the picture. Some are looked up at a time, so that waiting for memory overlaps. */
-static uint32_t zbufrandi_draw_listed(const zbufrandi_target *g, const zbufrandi_draw *d, const zbufrandi_local *l) {
+/* Samples first..last-1 of a draw. Returns how many are in the picture. Some are looked up at a time, so that waiting
+   for memory overlaps. */
+static uint32_t zbufrandi_draw_listed(const zbufrandi_target *g, const zbufrandi_draw *d, uint32_t first,
+                                      uint32_t last, const zbufrandi_local *l) {
     enum { RUN = 16 };
     zbufrandi_list_spot at[RUN];
     zbufrandi_spot seen;
     uint32_t j, k, n, accepted = 0;
-    for (j = 0; j < d->count; j += n) {
-        n = d->count - j < RUN ? d->count - j : (uint32_t)RUN;
+    for (j = first; j < last; j += n) {
+        n = last - j < RUN ? last - j : (uint32_t)RUN;
         for (k = 0; k < n; k++) {
             zbufrandi_list_find(g->cut->scene, l, d, j + k, &at[k]);
             ZBUFRANDI_PREFETCH(at[k].corner[0]);
@@ -11114,27 +11200,35 @@ typedef struct zbufrandi_seen {
     const uint8_t *back;
     const zbufrand_reconstruct *o;
     uint32_t width, height, offset;  /* of the canvas; cells begin at `offset`, the guard */
+    size_t piece;                    /* pixels of a task for squares */
 } zbufrandi_seen;
 
-/* Has a sample about the colour of the nearest one, which is somewhere around it? */
-static int zbufrandi_seen_alike(const zbufrandi_seen *c, size_t q, uint64_t nearest) {
+#define ZBUFRANDI_SOMEWHERE (~(size_t)0)
+
+/* Where the nearest sample is that hides this one; ZBUFRANDI_SOMEWHERE if it is not found. */
+static size_t zbufrandi_seen_find(const zbufrandi_seen *c, size_t q, uint64_t nearest) {
     const uint32_t d = c->o->block, x = (uint32_t)(q % c->width), y = (uint32_t)(q / c->width);
-    const uint32_t r = c->o->occlusion == ZBUFRAND_OCCLUSION_CELLS ? d - 1 : 2 * (d / 2);
+    const uint32_t r = 2 * (d / 2);
     const uint32_t x1 = c->width - x > r ? x + r : c->width - 1, y1 = c->height - y > r ? y + r : c->height - 1;
-    uint32_t i, j, a;
+    uint32_t i, j;
     for (j = y > r ? y - r : 0; j <= y1; j++) {
-        for (i = x > r ? x - r : 0; i <= x1; i++) {
-            const size_t p = (size_t)j * c->width + i;
-            if (c->keys[p] != nearest) continue;
-            for (a = 0; a < 3; a++)
-                if (!(zbufrandi_absf(c->tint[3 * q + a] - c->tint[3 * p + a]) <= c->o->tolerance_color)) return 0;
-            return 1;
-        }
+        const size_t row = (size_t)j * c->width;
+        for (i = x > r ? x - r : 0; i <= x1; i++) if (c->keys[row + i] == nearest) return row + i;
     }
-    return 0;
+    return ZBUFRANDI_SOMEWHERE;
 }
 
-static int zbufrandi_seen_keep(const zbufrandi_seen *c, size_t q, uint64_t nearest) {
+/* Has a sample about the colour of the nearest one, which is at p? */
+static int zbufrandi_seen_alike(const zbufrandi_seen *c, size_t q, size_t p) {
+    uint32_t a;
+    if (p == ZBUFRANDI_SOMEWHERE) return 0;
+    for (a = 0; a < 3; a++)
+        if (!(zbufrandi_absf(c->tint[3 * q + a] - c->tint[3 * p + a]) <= c->o->tolerance_color)) return 0;
+    return 1;
+}
+
+/* at: where the nearest one is, or ZBUFRANDI_SOMEWHERE: it is looked for. */
+static int zbufrandi_seen_keep(const zbufrandi_seen *c, size_t q, uint64_t nearest, size_t at) {
     const zbufrand_reconstruct *o = c->o;
     float z = zbufrandi_key_depth(c->keys[q]), z_min = zbufrandi_key_depth(nearest);
     if (c->back != NULL && c->back[q]) return 0;
@@ -11148,16 +11242,18 @@ static int zbufrandi_seen_keep(const zbufrandi_seen *c, size_t q, uint64_t neare
         float g = sqrtf(c->slope_x[q] * c->slope_x[q] + c->slope_y[q] * c->slope_y[q]) * z * z;
         if (z - z_min <= o->tolerance_slope * g * (float)o->block) return 1;
     }
-    return c->tint != NULL && zbufrandi_seen_alike(c, q, nearest);
+    if (c->tint == NULL) return 0;
+    return zbufrandi_seen_alike(c, q, at != ZBUFRANDI_SOMEWHERE ? at : zbufrandi_seen_find(c, q, nearest));
 }
 
 static void zbufrandi_squares_task(void *ctx, uint32_t task) {
     const zbufrandi_seen *c = (const zbufrandi_seen *)ctx;
-    uint32_t y = task * 16, end = y + 16 < c->height ? y + 16 : c->height;
-    size_t q = (size_t)y * c->width, stop = (size_t)end * c->width;
+    const size_t pixels = (size_t)c->width * c->height;
+    size_t q = task * c->piece, stop = pixels - q < c->piece ? pixels : q + c->piece;
     for (; q < stop; q++) {
-        uint64_t key = c->keys[q];
-        c->out[q] = key != ZBUFRANDI_EMPTY && zbufrandi_seen_keep(c, q, c->nearest[q]) ? key : ZBUFRANDI_EMPTY;
+        const uint64_t key = c->keys[q];
+        c->out[q] = key != ZBUFRANDI_EMPTY && zbufrandi_seen_keep(c, q, c->nearest[q], ZBUFRANDI_SOMEWHERE)
+            ? key : ZBUFRANDI_EMPTY;
     }
 }
 
@@ -11170,16 +11266,21 @@ static void zbufrandi_cells_task(void *ctx, uint32_t task) {
     if (y1 > c->height) y1 = c->height;
     for (x1 = lead != 0 ? lead : d; x0 < c->width; x0 = x1, x1 += d) {
         uint64_t nearest = ZBUFRANDI_EMPTY;
+        size_t at = 0;
         if (x1 > c->width) x1 = c->width;
         for (y = y0; y < y1; y++) {
-            const uint64_t *row = c->keys + (size_t)y * c->width;
-            for (x = x0; x < x1; x++) nearest = row[x] < nearest ? row[x] : nearest;
+            const size_t row = (size_t)y * c->width;
+            for (x = x0; x < x1; x++) {
+                if (!(c->keys[row + x] < nearest)) continue;
+                nearest = c->keys[row + x];
+                at = row + x;
+            }
         }
         for (y = y0; y < y1; y++) {
             size_t q = (size_t)y * c->width + x0;
             for (x = x0; x < x1; x++, q++) {
-                uint64_t key = c->keys[q];
-                c->out[q] = key != ZBUFRANDI_EMPTY && zbufrandi_seen_keep(c, q, nearest) ? key : ZBUFRANDI_EMPTY;
+                const uint64_t key = c->keys[q];
+                c->out[q] = key != ZBUFRANDI_EMPTY && zbufrandi_seen_keep(c, q, nearest, at) ? key : ZBUFRANDI_EMPTY;
             }
         }
     }
@@ -11603,8 +11704,8 @@ static void zbufrandi_push_task(void *ctx, uint32_t task) { /* at: the finer lev
 }
 
 /* In place in `rgba`. levels: memory for zbufrandi_pull_push_floats. reach: 0 without limit. */
-static void zbufrandi_pull_push_run(const zbufrand_env *env, float *rgba, uint32_t width, uint32_t height,
-                                    float *levels, uint32_t reach) {
+static void zbufrandi_pull_push_run(const zbufrand_env *env, zbufrandi_asker *asker, float *rgba, uint32_t width,
+                                    uint32_t height, float *levels, uint32_t reach) {
     zbufrandi_pull_push c;
     zbufrandi_pyramid_level *top;
     size_t i, n;
@@ -11622,7 +11723,7 @@ static void zbufrandi_pull_push_run(const zbufrand_env *env, float *rgba, uint32
         g->rgba = levels;
         levels += (size_t)g->width * g->height * 4;
         c.at = c.count - 1;
-        zbufrandi_parallel_for(env, zbufrandi_pull_task, &c, (g->height + 15) / 16);
+        if (!zbufrandi_parallel_ask(env, asker, zbufrandi_pull_task, &c, (g->height + 15) / 16)) return;
     }
     top = &c.level[c.count - 1];
     n = (size_t)top->width * top->height * 4;
@@ -11635,7 +11736,7 @@ static void zbufrandi_pull_push_run(const zbufrand_env *env, float *rgba, uint32
         top->rgba[i + 3] = 1.0f;
     }
     for (c.at = c.count - 1; c.at-- > 0;) {
-        zbufrandi_parallel_for(env, zbufrandi_push_task, &c, (c.level[c.at].height + 15) / 16);
+        (void)zbufrandi_parallel_ask(env, asker, zbufrandi_push_task, &c, (c.level[c.at].height + 15) / 16);
     }
 }
 
@@ -11962,6 +12063,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_mend(const zbufrand_suspect_desc *desc, fl
 
 typedef struct zbufrandi_recon {
     zbufrand_env env;
+    zbufrandi_asker *asker;          /* for the calls below; NULL: nobody is asked */
     zbufrand_reconstruct o;          /* defaults filled in */
     int level;
     uint32_t width, height, guard;   /* of the picture; around it */
@@ -12143,6 +12245,11 @@ static void zbufrandi_inverse_task(void *ctx, uint32_t task) {
     }
 }
 
+/* A stage of a reconstruction; nothing if it was cancelled before. */
+static void zbufrandi_recon_for(const zbufrandi_recon *r, zbufrand_task_fn *task, void *ctx, uint32_t count) {
+    (void)zbufrandi_parallel_ask(&r->env, r->asker, task, ctx, count);
+}
+
 static void zbufrandi_recon_minimum(const zbufrandi_recon *r, const uint64_t *in, uint64_t *out, int squares) {
     zbufrandi_minimum c;
     memset(&c, 0, sizeof c);
@@ -12160,7 +12267,16 @@ static void zbufrandi_recon_minimum(const zbufrandi_recon *r, const uint64_t *in
     c.scratch = r->scratch;
     c.scratch_stride = zbufrandi_minimum_stride(c.d);
     c.level = r->level;
-    zbufrandi_parallel_for(&r->env, zbufrandi_minimum_task, &c, zbufrandi_minimum_tasks(c.out_height, c.d));
+    zbufrandi_recon_for(r, zbufrandi_minimum_task, &c, zbufrandi_minimum_tasks(c.out_height, c.d));
+}
+
+/* Pieces of 16 rows, or fewer pixels if much may have to be looked at for each. */
+static void zbufrandi_recon_squares(const zbufrandi_recon *r, zbufrandi_seen *s) {
+    const uint64_t side = 4 * (uint64_t)(r->o.block / 2) + 1, most = ((uint64_t)1 << 26) / (side * side);
+    const size_t pixels = (size_t)s->width * s->height;
+    s->piece = 16 * (size_t)s->width;
+    if (s->tint != NULL && most < s->piece) s->piece = (size_t)most;
+    zbufrandi_recon_for(r, zbufrandi_squares_task, s, (uint32_t)((pixels + s->piece - 1) / s->piece));
 }
 
 /* Occlusion. Leaves the keys that are seen in r->result. */
@@ -12175,7 +12291,7 @@ static void zbufrandi_recon_occlusion(zbufrandi_recon *r) {
         if (d == 1) return;
         if (r->inverse != NULL) {
             zbufrandi_planes p;
-            zbufrandi_parallel_for(&r->env, zbufrandi_inverse_task, r, tasks);
+            zbufrandi_recon_for(r, zbufrandi_inverse_task, r, tasks);
             memset(&p, 0, sizeof p);
             p.keys = r->canvas.key;
             p.exact = r->exact;
@@ -12190,7 +12306,7 @@ static void zbufrandi_recon_occlusion(zbufrandi_recon *r) {
             p.back = d / 2;
             p.d = d;
             p.level = r->level;
-            zbufrandi_parallel_for(&r->env, zbufrandi_planes_task, &p, (r->height + 15) / 16);
+            zbufrandi_recon_for(r, zbufrandi_planes_task, &p, (r->height + 15) / 16);
         } else {
             zbufrandi_recon_minimum(r, r->canvas.key, r->pass[0], 0);
         }
@@ -12214,17 +12330,17 @@ static void zbufrandi_recon_occlusion(zbufrandi_recon *r) {
     s.offset = r->guard;
     if (r->o.occlusion == ZBUFRAND_OCCLUSION_CELLS) {
         uint32_t lead = r->guard % d;
-        zbufrandi_parallel_for(&r->env, zbufrandi_cells_task, &s, (lead != 0) + (s.height - lead + d - 1) / d);
+        zbufrandi_recon_for(r, zbufrandi_cells_task, &s, (lead != 0) + (s.height - lead + d - 1) / d);
     } else if (d == 1) { /* squares of one pixel hide nothing */
         s.nearest = r->canvas.key;
-        zbufrandi_parallel_for(&r->env, zbufrandi_squares_task, &s, tasks);
+        zbufrandi_recon_squares(r, &s);
     } else {
         zbufrandi_recon_minimum(r, r->canvas.key, r->pass[0], 1);
         if (r->o.occlusion == ZBUFRAND_OCCLUSION_SQUARES_ALL) {
-            zbufrandi_parallel_for(&r->env, zbufrandi_mask_task, &s, tasks);
+            zbufrandi_recon_for(r, zbufrandi_mask_task, &s, tasks);
             zbufrandi_recon_minimum(r, r->pass[1], r->pass[0], 1);
         }
-        zbufrandi_parallel_for(&r->env, zbufrandi_squares_task, &s, tasks);
+        zbufrandi_recon_squares(r, &s);
     }
     r->result = r->pass[1];
 }
@@ -12247,10 +12363,10 @@ ZBUFRANDI_UNUSED static void zbufrandi_recon_keys(zbufrandi_recon *r) {
         v.guard = r->result_guard;
         v.reach = r->o.reach != 0 && r->o.reach < 0x20000u ? r->o.reach : 0x20000u;
         v.euclidean = r->o.fill != ZBUFRAND_FILL_VORONOI_L1;
-        zbufrandi_parallel_for(&r->env, zbufrandi_voronoi_columns, &v,
-                               (v.pitch + ZBUFRANDI_VORONOI_COLUMNS - 1) / ZBUFRANDI_VORONOI_COLUMNS);
-        zbufrandi_parallel_for(&r->env, zbufrandi_voronoi_rows, &v,
-                               (v.height + ZBUFRANDI_VORONOI_ROWS - 1) / ZBUFRANDI_VORONOI_ROWS);
+        zbufrandi_recon_for(r, zbufrandi_voronoi_columns, &v,
+                            (v.pitch + ZBUFRANDI_VORONOI_COLUMNS - 1) / ZBUFRANDI_VORONOI_COLUMNS);
+        zbufrandi_recon_for(r, zbufrandi_voronoi_rows, &v,
+                            (v.height + ZBUFRANDI_VORONOI_ROWS - 1) / ZBUFRANDI_VORONOI_ROWS);
         r->result = v.out;
     } else if (r->color == NULL && r->result_guard != 0) { /* crop */
         uint64_t *out = r->result == r->pass[0] ? r->result : r->pass[0];
@@ -12286,11 +12402,11 @@ ZBUFRANDI_UNUSED static void zbufrandi_recon_colors(zbufrandi_recon *r, float *r
         g.taps = zbufrandi_gauss_weights(r->o.gauss_radius, r->o.gauss_support, weight);
         g.weight = weight;
         g.level = r->level;
-        zbufrandi_parallel_for(&r->env, zbufrandi_gauss_rows, &g, (g.in_height + 15) / 16);
-        zbufrandi_parallel_for(&r->env, zbufrandi_gauss_columns, &g, (g.height + 15) / 16);
+        zbufrandi_recon_for(r, zbufrandi_gauss_rows, &g, (g.in_height + 15) / 16);
+        zbufrandi_recon_for(r, zbufrandi_gauss_columns, &g, (g.height + 15) / 16);
         return;
     }
-    zbufrandi_pull_push_run(&r->env, r->color, r->result_width, r->result_height, r->between, r->o.reach);
+    zbufrandi_pull_push_run(&r->env, r->asker, r->color, r->result_width, r->result_height, r->between, r->o.reach);
     for (y = 0; y < r->height; y++) {
         size_t from = (size_t)(y + r->result_guard) * r->result_width + r->result_guard;
         memmove(rgba + (size_t)y * r->width * 4, r->color + from * 4, (size_t)r->width * 16);
@@ -12661,8 +12777,12 @@ static zbufrand_result zbufrandi_canvas_repair(zbufrand_canvas *c, float *rgba, 
     return r;
 }
 
+/* Calls of zbufrandi_recon_for there may be, with the levels of pull-push up and down, for colours and depths. */
+enum { ZBUFRANDI_RESOLVE_STAGES = 80 };
+
 static zbufrand_result zbufrandi_canvas_resolve(zbufrand_canvas *canvas, const zbufrand_source *source,
                                                 const zbufrand_picture *picture, zbufrand_resolve_stats *stats) {
+    zbufrandi_asker asker;
     zbufrandi_shade s;
     zbufrandi_recon *r;
     zbufrand_resolve_stats n;
@@ -12681,12 +12801,16 @@ static zbufrand_result zbufrandi_canvas_resolve(zbufrand_canvas *canvas, const z
         if (depth == NULL) return zbufrandi_fail(canvas->env.error, ZBUFRAND_ERR_NO_MEMORY, 0, "out of memory");
     }
     memset(&s, 0, sizeof s);
+    memset(&asker, 0, sizeof asker);
+    asker.step = 1u << 16;
+    asker.total = ZBUFRANDI_RESOLVE_STAGES * asker.step;
+    r->asker = &asker;
     s.recon = r;
     s.source = source;
     s.salt = canvas->salt;
     if (r->slope_x != NULL || r->back != NULL || r->tint != NULL) {
         tasks = (r->canvas.height + ZBUFRANDI_SHADE_ROWS - 1) / ZBUFRANDI_SHADE_ROWS;
-        zbufrandi_parallel_for(&canvas->env, zbufrandi_surface_task, &s, tasks);
+        zbufrandi_recon_for(r, zbufrandi_surface_task, &s, tasks);
     }
     zbufrandi_recon_keys(r);
     tasks = (r->result_height + ZBUFRANDI_SHADE_ROWS - 1) / ZBUFRANDI_SHADE_ROWS;
@@ -12697,13 +12821,13 @@ static zbufrand_result zbufrandi_canvas_resolve(zbufrand_canvas *canvas, const z
     } else if (picture->rgba != NULL) {
         s.rgba = r->color;
     }
-    zbufrandi_parallel_for(&canvas->env, zbufrandi_shade_task, &s, tasks);
+    zbufrandi_recon_for(r, zbufrandi_shade_task, &s, tasks);
     if (r->color != NULL) {
         if (picture->rgba != NULL) zbufrandi_recon_colors(r, picture->rgba);
-        if (depth != NULL) { /* 1/z is mixed like the colours */
-            zbufrandi_parallel_for(&canvas->env, zbufrandi_depth_color_task, r, tasks);
+        if (depth != NULL && !asker.cancelled) { /* 1/z is mixed like the colours */
+            zbufrandi_recon_for(r, zbufrandi_depth_color_task, r, tasks);
             zbufrandi_recon_colors(r, r->color);
-            for (i = 0; i < pixels; i++) {
+            for (i = 0; i < pixels && !asker.cancelled; i++) {
                 depth[i] = r->color[4 * i + 3] > 0.0f ? 1.0f / r->color[4 * i] : (float)INFINITY;
             }
         }
@@ -12711,6 +12835,8 @@ static zbufrand_result zbufrandi_canvas_resolve(zbufrand_canvas *canvas, const z
     }
     n.covered = zbufrandi_tally(s.covered);
     n.shaded = zbufrandi_tally(s.shaded);
+    r->asker = NULL;
+    if (asker.cancelled) result = zbufrandi_fail(canvas->env.error, ZBUFRAND_ERR_CANCELLED, 0, "resolve: cancelled");
     if (result == ZBUFRAND_OK && r->o.repair) result = zbufrandi_canvas_repair(canvas, picture->rgba, depth, &n);
     if (depth != picture->depth) zbufrandi_free(&canvas->mem, depth);
     if (stats != NULL) *stats = n;
@@ -14655,6 +14781,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_camera_view(const zbufrand_camera *camera,
 
 typedef struct zbufrandi_picture zbufrandi_picture;
 
+typedef struct zbufrandi_batch { uint32_t draw, sample; } zbufrandi_batch;
+
 struct zbufrand_frame {
     zbufrandi_mem mem;
     zbufrand_env env;
@@ -14668,7 +14796,8 @@ struct zbufrand_frame {
     zbufrandi_draw *draw;
     zbufrandi_bounds *bounds;          /* of the draws, for queries */
     zbufrandi_local *local;
-    uint32_t *block_draw, *batch;      /* batch: first draw of each task of drawing */
+    uint32_t *block_draw;
+    zbufrandi_batch *batch;            /* where each task of drawing begins */
     uint8_t *aux;
     zbufrandi_ray_seen *ray_seen;
     zbufrandi_ray_hit *hit;
@@ -14701,6 +14830,7 @@ struct zbufrandi_picture {
     const zbufrand_render_desc *d;
     const zbufrand_scene *scene;
     const zbufrand_image *image;
+    zbufrandi_asker asker;
     zbufrand_stats stats;
     zbufrandi_cut cut;
     zbufrandi_target target;
@@ -14717,6 +14847,7 @@ struct zbufrandi_picture {
     double first_density;
     uint64_t since_refresh;            /* samples since the pyramid was made */
     double clock;
+    int too_many;                      /* samples for numbers of 32 bits */
     int keep;                          /* colours go to f->color and not to the caller: one of several frames */
     uint32_t parts;                    /* oversampling: so many of its pixels make one; else 1 */
     uint8_t *where;                    /* repair: of 16 x 16 pixels: 1 samples may be there, 2 beside that; or NULL */
@@ -14797,6 +14928,20 @@ static void zbufrandi_lap(zbufrandi_picture *p, int stage) { /* book the time si
     p->clock = now;
 }
 
+/* What progress_fn hears is about the nodes of the tree: how many there will be nobody knows. 0: cancelled. */
+static int zbufrandi_picture_asks(zbufrandi_picture *p) {
+    p->asker.done = p->stats.nodes;
+    p->asker.total = p->stats.nodes + p->f->front_count;
+    return zbufrandi_ask(&p->f->env, &p->asker, 0);
+}
+
+/* A parallel-for of a picture. 0: cancelled. */
+static int zbufrandi_picture_for(zbufrandi_picture *p, zbufrand_task_fn *task, void *ctx, uint32_t count) {
+    p->asker.done = p->stats.nodes;
+    p->asker.total = p->stats.nodes + p->f->front_count;
+    return zbufrandi_parallel_ask(&p->f->env, &p->asker, task, ctx, count);
+}
+
 /* ---- rounds ---- */
 
 static void zbufrandi_select_task(void *ctx, uint32_t task) {
@@ -14827,7 +14972,10 @@ static int zbufrandi_number_draw(zbufrandi_picture *p, zbufrandi_draw *d, uint32
     zbufrand_frame *f = p->f;
     uint32_t blocks = (d->count + 63u) / 64u, i, kind = d->item >> ZBUFRANDI_DRAW_SHIFT;
     if (kind == ZBUFRANDI_DRAW_STORED) blocks = 1;
-    if (f->block_count + blocks > 0x3ffffffu) return 0;
+    if (f->block_count + blocks > 0x3ffffffu) {
+        p->too_many = 1;
+        return 0;
+    }
     if (!zbufrandi_grow(&f->mem, (void **)&f->block_draw, &f->block_capacity, f->block_count, f->block_count + blocks,
                         sizeof *f->block_draw)) return 0;
     d->block = (uint32_t)f->block_count;
@@ -14846,7 +14994,10 @@ static int zbufrandi_round_merge(zbufrandi_picture *p, uint32_t tasks) {
     for (t = 0; t < tasks; t++) {
         zbufrandi_pick *k = &f->pick[t];
         uint32_t shift = (uint32_t)f->local_count - ZBUFRANDI_NEW_LOCAL;
-        if (k->failed) return 0;
+        if (k->failed) {
+            p->too_many |= k->samples > ZBUFRANDI_SAMPLES_MAX;
+            return 0;
+        }
         if (f->local_count + k->local_count >= ZBUFRANDI_NEW_LOCAL ||
             !zbufrandi_grow(&f->mem, (void **)&f->local, &f->local_capacity, f->local_count,
                             f->local_count + k->local_count,
@@ -14896,6 +15047,7 @@ static int zbufrandi_round_select(zbufrandi_picture *p) {
     for (t = 0; t < tasks; t++) {
         zbufrandi_pick *k = &f->pick[t];
         k->stack_count = k->draw_count = k->local_count = 0;
+        k->samples = 0;
         memset(&k->counts, 0, sizeof k->counts);
         k->failed = !zbufrandi_grow(&f->mem, (void **)&k->stack, &k->stack_capacity, 0, 16, sizeof *k->stack);
         if (k->failed) return 0;
@@ -14959,15 +15111,18 @@ ZBUFRANDI_INLINE void zbufrandi_draw_prefetch(const zbufrandi_picture *p, const 
 static void zbufrandi_draw_task(void *ctx, uint32_t task) {
     zbufrandi_picture *p = (zbufrandi_picture *)ctx;
     const zbufrand_frame *f = p->f;
-    uint32_t i = f->batch[task], end = f->batch[task + 1], raster_local = ~0u, samples;
+    const zbufrandi_batch *b = &f->batch[task];
+    const uint32_t end = b[1].draw + (b[1].sample != 0);
+    uint32_t i, raster_local = ~0u, samples;
     uint64_t accepted = 0, sampled_seen = 0, sampled = 0, stored = 0, points = 0, covered = 0;
     zbufrandi_waiting wait;
     zbufrandi_raster r;
     wait.count = wait.inside = wait.tried = 0;
     zbufrandi_raster_begin(&r, &p->raster_camera, &p->exact, p->target.exclusive, f->level);
-    for (; i < end; i++) {
+    for (i = b->draw; i < end; i++) {
         zbufrandi_draw d = f->draw[i];
         const uint32_t kind = d.item >> ZBUFRANDI_DRAW_SHIFT;
+        const uint32_t first = i == b->draw ? b->sample : 0, last = i == b[1].draw ? b[1].sample : d.count;
         const zbufrandi_local *l;
         const zbufrandi_structure *s;
         d.block += p->first_block;
@@ -14983,11 +15138,11 @@ static void zbufrandi_draw_task(void *ctx, uint32_t task) {
             accepted += zbufrandi_draw_stored(&p->target, &d, l, s, &wait);
             stored += d.count;
         } else if (kind == ZBUFRANDI_DRAW_SAMPLED) {
-            sampled_seen += zbufrandi_draw_sampled(&p->target, &d, l, s, &wait, &samples);
+            sampled_seen += zbufrandi_draw_sampled(&p->target, &d, first, last, l, s, &wait, &samples);
             sampled += samples;
         } else if (kind == ZBUFRANDI_DRAW_LISTED) {
-            accepted += zbufrandi_draw_listed(&p->target, &d, l);
-            sampled += d.count;
+            accepted += zbufrandi_draw_listed(&p->target, &d, first, last, l);
+            sampled += last - first;
         } else if (kind == ZBUFRANDI_DRAW_LISTED_RASTER) {
             if (raster_local != d.local) zbufrandi_raster_local(&r, l);
             raster_local = d.local;
@@ -15015,26 +15170,48 @@ static void zbufrandi_draw_task(void *ctx, uint32_t task) {
     zbufrandi_tally_add(p->points, points);
 }
 
-/* Draw what was found since the last call, in tasks of about equal size. 0: no memory. */
-static int zbufrandi_round_draw(zbufrandi_picture *p) {
+/* A task of drawing begins at a sample of a draw. 0: no memory. */
+static int zbufrandi_batch_begin(zbufrand_frame *f, uint32_t draw, uint32_t sample) {
+    if (!zbufrandi_grow(&f->mem, (void **)&f->batch, &f->batch_capacity, f->batch_count, f->batch_count + 1,
+                        sizeof *f->batch)) return 0;
+    f->batch[f->batch_count].draw = draw;
+    f->batch[f->batch_count++].sample = sample;
+    return 1;
+}
+
+/* Samples of a draw that are one task: more would let nobody be asked for long. How many independent ones there are
+   takes as long as some of them, and each piece has to know. */
+enum { ZBUFRANDI_PIECE = 1 << 18, ZBUFRANDI_PIECE_INDEPENDENT = 1 << 25 };
+
+static uint32_t zbufrandi_draw_piece(const zbufrandi_picture *p, uint32_t kind) {
+    if (kind == ZBUFRANDI_DRAW_LISTED) return ZBUFRANDI_PIECE;
+    if (kind != ZBUFRANDI_DRAW_SAMPLED) return ~0u;
+    return p->cut.independent ? ZBUFRANDI_PIECE_INDEPENDENT : ZBUFRANDI_PIECE;
+}
+
+/* Draw what was found since the last call, in tasks of about equal size. */
+static zbufrand_result zbufrandi_round_draw(zbufrandi_picture *p) {
     zbufrand_frame *f = p->f;
     uint32_t i, begin = p->done_draws;
     uint64_t work = 0, total = 0;
     f->batch_count = 0;
     if (!zbufrandi_grow(&f->mem, (void **)&f->aux, &f->aux_capacity, f->aux_written, f->aux_count * ZBUFRANDI_SET + 64,
-                        1)) return 0;
+                        1)) return ZBUFRAND_ERR_NO_MEMORY;
     f->aux_written = f->aux_count * ZBUFRANDI_SET;
     for (i = begin; i <= f->draw_count; i++) {
         if (i == begin || work >= 8192 || i == f->draw_count) {
-            if (!zbufrandi_grow(&f->mem, (void **)&f->batch, &f->batch_capacity, f->batch_count, f->batch_count + 1,
-                                sizeof *f->batch)) return 0;
-            f->batch[f->batch_count++] = i;
+            if (!zbufrandi_batch_begin(f, i, 0)) return ZBUFRAND_ERR_NO_MEMORY;
             total += work;
             work = 0;
         }
         if (i < f->draw_count) {
             const zbufrandi_draw *d = &f->draw[i];
-            uint32_t kind = d->item >> ZBUFRANDI_DRAW_SHIFT;
+            const uint32_t kind = d->item >> ZBUFRANDI_DRAW_SHIFT, piece = zbufrandi_draw_piece(p, kind);
+            uint32_t at;
+            for (at = piece; at < d->count; at += piece) {
+                if (!zbufrandi_batch_begin(f, i, at)) return ZBUFRAND_ERR_NO_MEMORY;
+                if (d->count - at <= piece) break;
+            }
             if (kind <= ZBUFRANDI_DRAW_RASTERED) p->stats.draws[kind]++;
             else if (kind >= ZBUFRANDI_DRAW_LISTED) p->stats.draws[1 + (kind == ZBUFRANDI_DRAW_LISTED_RASTER)]++;
             if (kind == ZBUFRANDI_DRAW_RASTERED || kind == ZBUFRANDI_DRAW_LISTED_RASTER)
@@ -15046,8 +15223,14 @@ static int zbufrandi_round_draw(zbufrandi_picture *p) {
     p->target.aux = f->aux;
     p->since_refresh += total;
     p->done_draws = (uint32_t)f->draw_count;
-    if (f->batch_count > 1) zbufrandi_parallel_for(&f->env, zbufrandi_draw_task, p, (uint32_t)f->batch_count - 1);
-    return 1;
+    if (f->batch_count <= 1) return ZBUFRAND_OK;
+    return zbufrandi_picture_for(p, zbufrandi_draw_task, p, (uint32_t)f->batch_count - 1) ? ZBUFRAND_OK
+                                                                                        : ZBUFRAND_ERR_CANCELLED;
+}
+
+/* Why something could not be given room. */
+static zbufrand_result zbufrandi_no_room(const zbufrandi_picture *p) {
+    return p->asker.cancelled ? ZBUFRAND_ERR_CANCELLED : p->too_many ? ZBUFRAND_ERR_RANGE : ZBUFRAND_ERR_NO_MEMORY;
 }
 
 /* Draws for the caller's clouds of points. 0: no memory, or too many points. */
@@ -15078,15 +15261,14 @@ static zbufrand_result zbufrandi_draw_lists(zbufrandi_picture *p, uint32_t root)
     zbufrand_frame *f = p->f;
     zbufrandi_pick *k = &f->pick[0];
     uint32_t i;
+    zbufrand_result r;
     k->stack_count = k->draw_count = k->local_count = 0;
+    k->samples = 0;
     k->failed = 0;
     memset(&k->counts, 0, sizeof k->counts);
-    if (f->env.progress_fn != NULL && f->env.progress_fn(f->env.progress_user, 0, 1) != 0)
-        return ZBUFRAND_ERR_CANCELLED;
-    zbufrandi_list_select(&p->cut, &f->mem, f->local, root, k);
+    zbufrandi_list_select(&p->cut, &f->mem, &f->env, &p->asker, f->local, root, k);
     f->front_count = 0;
-    if (!zbufrandi_round_merge(p, 1))
-        return f->block_count > 0x3fff000u ? ZBUFRAND_ERR_RANGE : ZBUFRAND_ERR_NO_MEMORY;
+    if (!zbufrandi_round_merge(p, 1)) return zbufrandi_no_room(p);
     if (!zbufrandi_grow(&f->mem, (void **)&f->local, &f->local_capacity, f->local_count,
                         f->local_count + p->scene->structure_count, sizeof *f->local)) return ZBUFRAND_ERR_NO_MEMORY;
     p->drawn.stand_in = (uint32_t)f->local_count;
@@ -15095,9 +15277,9 @@ static zbufrand_result zbufrandi_draw_lists(zbufrandi_picture *p, uint32_t root)
         f->local[f->local_count++].structure = i;
     }
     zbufrandi_lap(p, ZBUFRAND_STAGE_SELECT);
-    if (!p->cut.bounds && !zbufrandi_round_draw(p)) return ZBUFRAND_ERR_NO_MEMORY;
+    r = p->cut.bounds ? ZBUFRAND_OK : zbufrandi_round_draw(p);
     zbufrandi_lap(p, ZBUFRAND_STAGE_DRAW);
-    return ZBUFRAND_OK;
+    return r;
 }
 
 /* Independent samples are drawn from clusters, however small: of 10^11 triangles that would take hours. */
@@ -15195,18 +15377,16 @@ static void zbufrandi_crew_open(zbufrandi_crew *c, zbufrand_env *env) {
 /* What was put into front, until it is empty. */
 static zbufrand_result zbufrandi_draw_rounds(zbufrandi_picture *p, uint64_t refresh_after) {
     zbufrand_frame *f = p->f;
+    zbufrand_result r;
     while (f->front_count > 0) {
-        if (f->env.progress_fn != NULL &&
-            f->env.progress_fn(f->env.progress_user, p->stats.nodes, p->stats.nodes + f->front_count) != 0) {
-            return ZBUFRAND_ERR_CANCELLED;
-        }
-        if (!zbufrandi_round_select(p))
-            return f->block_count > 0x3fff000u ? ZBUFRAND_ERR_RANGE : ZBUFRAND_ERR_NO_MEMORY;
+        if (!zbufrandi_picture_asks(p)) return ZBUFRAND_ERR_CANCELLED;
+        if (!zbufrandi_round_select(p)) return zbufrandi_no_room(p);
         if (p->cut.independent && f->draw_count > ZBUFRANDI_INDEPENDENT_DRAWS) return ZBUFRAND_ERR_RANGE;
         zbufrandi_lap(p, ZBUFRAND_STAGE_SELECT);
         /* drawn all at once, or not at all */
         if (p->cut.bounds || (p->d->no_occlusion && f->front_count > 0)) continue;
-        if (!zbufrandi_round_draw(p)) return ZBUFRAND_ERR_NO_MEMORY;
+        r = zbufrandi_round_draw(p);
+        if (r != ZBUFRAND_OK) return r;
         zbufrandi_lap(p, ZBUFRAND_STAGE_DRAW);
         if (!p->d->no_occlusion && f->front_count > 0 && p->since_refresh >= refresh_after) {
             zbufrandi_pyramid_refresh_all(&f->env, &p->pyramid, &f->recon.canvas,
@@ -15228,9 +15408,12 @@ static zbufrand_result zbufrandi_draw_scene(zbufrandi_picture *p) {
     const uint64_t refresh_after =
         (uint64_t)(layers * p->cut.density * (double)f->recon.width * (double)f->recon.height);
     zbufrandi_lap(p, -1);
+    if (!zbufrandi_picture_asks(p)) return ZBUFRAND_ERR_CANCELLED;
     if (f->draw_count == 0 && !p->cut.bounds) {
-        if (!zbufrandi_add_points(p) || !zbufrandi_round_draw(p))
-            return f->block_count > 0x3fff000u ? ZBUFRAND_ERR_RANGE : ZBUFRAND_ERR_NO_MEMORY;
+        zbufrand_result r;
+        if (!zbufrandi_add_points(p)) return zbufrandi_no_room(p);
+        r = zbufrandi_round_draw(p);
+        if (r != ZBUFRAND_OK) return r;
         zbufrandi_lap(p, ZBUFRAND_STAGE_DRAW);
     }
     if (p->scene == NULL || p->scene->structure_count == 0 || p->scene->structure[0].node_count == 0)
@@ -15693,8 +15876,9 @@ static zbufrand_result zbufrandi_repair_cast(zbufrandi_picture *p, uint32_t *out
         if (f->depth[f->suspect[i]] < (float)INFINITY) p->stats.wrong++;
         else p->stats.holes++;
     }
-    zbufrandi_parallel_for(&f->env, zbufrandi_repair_task, p,
-                           (uint32_t)((f->suspect_count + ZBUFRANDI_REPAIR_RAYS - 1) / ZBUFRANDI_REPAIR_RAYS));
+    if (!zbufrandi_picture_for(p, zbufrandi_repair_task, p,
+                               (uint32_t)((f->suspect_count + ZBUFRANDI_REPAIR_RAYS - 1) / ZBUFRANDI_REPAIR_RAYS)))
+        return ZBUFRAND_ERR_CANCELLED;
     return zbufrandi_repair_apply(p, out_inside);
 }
 
@@ -15781,6 +15965,7 @@ typedef struct zbufrandi_paint {
     float *rgba;                       /* of result size; NULL: not kept */
     int colors;                        /* somebody wants them */
     int last;                          /* no filter comes after: write them out at once */
+    uint32_t rows;                     /* of a task */
     uint32_t covered[2];
 } zbufrandi_paint;
 
@@ -15923,7 +16108,7 @@ static void zbufrandi_paint_task(void *ctx, uint32_t task) {
     zbufrandi_paint *c = (zbufrandi_paint *)ctx;
     const zbufrandi_picture *p = c->p;
     const zbufrandi_recon *r = &p->f->recon;
-    uint32_t y = task * ZBUFRANDI_PAINT_ROWS, end = y + ZBUFRANDI_PAINT_ROWS, x, i, w = r->result_width;
+    uint32_t y = task * c->rows, end = y + c->rows, x, i, w = r->result_width;
     uint64_t covered = 0;
     if (end > r->result_height) end = r->result_height;
     for (; y < end; y++) {
@@ -16152,6 +16337,7 @@ static zbufrand_result zbufrandi_open_picture(zbufrandi_picture *p) {
     p->exact = f->recon.canvas;
     if (f->recon.exact != NULL) p->exact.key = f->recon.exact;
     p->first_block = zbufrandi_hash32(h + 1) & 0x3ffffffu;
+    f->recon.asker = &p->asker;
     zbufrandi_recon_clear(&f->recon);
     bytes = zbufrandi_pyramid_bytes(f->recon.canvas.width, f->recon.canvas.height);
     if (!zbufrandi_grow(&f->mem, &f->pyramid_memory, &f->pyramid_capacity, 0, bytes, 1)) return ZBUFRAND_ERR_NO_MEMORY;
@@ -16196,8 +16382,9 @@ static zbufrand_result zbufrandi_draw_picture(zbufrandi_picture *p) {
         if (result != ZBUFRAND_OK) return result;
         zbufrandi_open_drawn(p);
         if (r->slope_x != NULL || r->back != NULL || r->tint != NULL)
-            zbufrandi_parallel_for(&p->f->env, zbufrandi_slope_task, p, r->canvas.height);
+            (void)zbufrandi_picture_for(p, zbufrandi_slope_task, p, r->canvas.height);
         zbufrandi_recon_keys(r);
+        if (p->asker.cancelled) return ZBUFRAND_ERR_CANCELLED; /* keys are what they were before */
         p->stats.incomplete = zbufrandi_min(1.0 - zbufrand_success_bound(density, pixels, block),
             zbufrandi_parts_incomplete(p, pixels, zbufrandi_exp2(-1.4426950408889634 * density * block * block)));
         if (p->stats.draws[0] + p->stats.draws[1] == 0) p->stats.incomplete = 0.0;
@@ -16245,10 +16432,11 @@ static zbufrand_result zbufrandi_finish_picture(zbufrandi_picture *p) {
         return ZBUFRAND_ERR_NO_MEMORY;
     }
     if (p->keep && r->color == NULL) paint.rgba = f->color; /* the result has the size of the picture then */
-    zbufrandi_parallel_for(&f->env, zbufrandi_paint_task, &paint,
-                           (r->result_height + ZBUFRANDI_PAINT_ROWS - 1) / ZBUFRANDI_PAINT_ROWS);
+    paint.rows = p->look.light_count <= 64 ? ZBUFRANDI_PAINT_ROWS : 1;
+    (void)zbufrandi_picture_for(p, zbufrandi_paint_task, &paint, (r->result_height + paint.rows - 1) / paint.rows);
+    if (paint.colors && r->color != NULL) zbufrandi_recon_colors(r, f->color);
+    if (p->asker.cancelled) return ZBUFRAND_ERR_CANCELLED;
     if (paint.colors && r->color != NULL) {
-        zbufrandi_recon_colors(r, f->color);
         if (!p->keep) zbufrandi_parallel_for(&f->env, zbufrandi_output_task, &paint, m->height);
     }
     p->stats.covered = zbufrandi_tally(paint.covered);
@@ -16345,6 +16533,7 @@ static zbufrand_result zbufrandi_render(zbufrand_frame *frame, zbufrand_render_d
                               frame->draw_count > ZBUFRANDI_INDEPENDENT_DRAWS
             ? "render: independent samples of so many instances need one of the thesis' trees"
             : "render: the picture is too large, or takes more than 2^32 samples");
+    if (r == ZBUFRAND_ERR_CANCELLED) return zbufrandi_fail(frame->env.error, r, 0, "render: cancelled");
     if (r != ZBUFRAND_OK)
         return zbufrandi_fail(frame->env.error, r, 0, "render: bad camera, light or option, or no memory");
     return ZBUFRAND_OK;
@@ -16642,6 +16831,7 @@ static zbufrand_result zbufrandi_query_open(zbufrand_frame *frame, const zbufran
     p->cut.bounds = 1;
     r = zbufrandi_open_picture(p);
     if (r == ZBUFRAND_OK) r = zbufrandi_draw_scene(p);
+    if (r == ZBUFRAND_ERR_CANCELLED) return zbufrandi_fail(frame->env.error, r, 0, "cancelled");
     if (r != ZBUFRAND_OK) return r;
     p->stats.triangles = scene != NULL ? scene->info.triangles : 0;
     p->stats.density = p->cut.density;
@@ -16731,7 +16921,15 @@ typedef struct zbufrandi_stream {
     uint32_t number[ZBUFRANDI_SHADE_RUN];
     uint32_t count;
     int stop;
+    zbufrandi_asker *asker;
+    uint32_t tried;            /* samples, seen or not */
 } zbufrandi_stream;
+
+/* Another sample, seen or not. 0: no more. */
+static int zbufrandi_stream_goes_on(zbufrandi_stream *s) {
+    if ((++s->tried & 4095u) == 0 && !zbufrandi_ask(&s->p->f->env, s->asker, 0)) s->stop = 1;
+    return !s->stop;
+}
 
 /* Colours of what waits, then hand it over. */
 static void zbufrandi_stream_flush(zbufrandi_stream *s) {
@@ -16787,14 +16985,14 @@ static void zbufrandi_stream_draw(zbufrandi_stream *s, const zbufrandi_draw *dra
         const uint32_t *set = structure->set + (size_t)index * (2 * ZBUFRANDI_SET);
         zbufrandi_stored c;
         zbufrandi_stored_begin(&p->target, draw, l, structure, &c);
-        for (k = 0; k < draw->count; k++) {
+        for (k = 0; k < draw->count && zbufrandi_stream_goes_on(s); k++) {
             uint32_t i = k ^ c.first;
             if (zbufrandi_stored_sample(&p->target, &c, set + zbufrandi_set_at(i), i, &spot))
                 zbufrandi_stream_add(s, &spot, number + i);
         }
     } else if (kind == ZBUFRANDI_DRAW_LISTED) {
         zbufrandi_list_spot at;
-        for (k = 0; k < draw->count; k++) {
+        for (k = 0; k < draw->count && zbufrandi_stream_goes_on(s); k++) {
             zbufrandi_list_find(p->scene, l, draw, k, &at);
             if (zbufrandi_list_sample(&p->target, draw, &at, &spot)) zbufrandi_stream_add(s, &spot, number + k);
         }
@@ -16808,12 +17006,12 @@ static void zbufrandi_stream_draw(zbufrandi_stream *s, const zbufrandi_draw *dra
         zbufrandi_flatten_cluster(&p->target, &constants, structure, cluster, &f);
         k = zbufrandi_flat_count(&p->target, draw, &f);
         zbufrandi_flat_begin(draw, k, p->cut.comb, &f);
-        for (begin = 0; begin < k; begin = end) {
+        for (begin = 0; begin < k && !s->stop; begin = end) {
             end = k - begin > ZBUFRANDI_FLAT_CHUNK ? begin + ZBUFRANDI_FLAT_CHUNK : k;
             if (p->cut.independent) zbufrandi_flat_independent(draw, &f, cluster->triangle_count, begin, end);
             else zbufrandi_flat_strata(&f, cluster->triangle_count, k, begin, end);
             memcpy(p->f->aux + (size_t)draw->aux * ZBUFRANDI_SET + begin, f.triangle, end - begin);
-            for (j = begin; j < end; j++) {
+            for (j = begin; j < end && zbufrandi_stream_goes_on(s); j++) {
                 if (zbufrandi_flat_sample(&p->target, &f, tri, at_u, at_v, j, f.triangle[j - begin], &spot)) {
                     zbufrandi_stream_add(s, &spot, number + j);
                 }
@@ -16845,6 +17043,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_sample_scene(zbufrand_frame *frame, const 
     p->drawn.aux = frame->aux;
     memset(&s, 0, sizeof s);
     s.p = p;
+    s.asker = &p->asker;
     s.fn = sample_fn;
     s.user = user;
     for (i = 0; i < frame->draw_count && !s.stop; i++) zbufrandi_stream_draw(&s, &frame->draw[i]);
