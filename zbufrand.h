@@ -6656,6 +6656,20 @@ static void zbufrandi_raster_put_found(const zbufrandi_raster *r, zbufrandi_rast
     f->count = 0;
 }
 
+/* Corners change places in the lanes of `swap`. */
+ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_raster_swap8(__m256i swap, zbufrandi_raster_corner8 *b,
+                                                                   zbufrandi_raster_corner8 *c) {
+    const __m256i x = _mm256_and_si256(_mm256_xor_si256(b->x, c->x), swap);
+    const __m256i y = _mm256_and_si256(_mm256_xor_si256(b->y, c->y), swap);
+    const __m256i iz = _mm256_and_si256(_mm256_xor_si256(_mm256_castps_si256(b->iz), _mm256_castps_si256(c->iz)), swap);
+    b->x = _mm256_xor_si256(b->x, x);
+    c->x = _mm256_xor_si256(c->x, x);
+    b->y = _mm256_xor_si256(b->y, y);
+    c->y = _mm256_xor_si256(c->y, y);
+    b->iz = _mm256_castsi256_ps(_mm256_xor_si256(_mm256_castps_si256(b->iz), iz));
+    c->iz = _mm256_castsi256_ps(_mm256_xor_si256(_mm256_castps_si256(c->iz), iz));
+}
+
 /* Eight triangles that are not large: one centre after the other of all their boxes, what is covered goes to `found`,
    which has room for it and eight more. ids: their numbers within the cluster, of which `count` are meant. */
 ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_raster_eight(const zbufrandi_raster *r,
@@ -6666,7 +6680,7 @@ ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_raster_eight(const zbufrandi_ras
     const __m256i lane = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
     const uint8_t *t[8];
     zbufrandi_raster_corner8 a, b, c;
-    __m256i area, swap, i0, i1, j0, j1, px, py, wa, wb, wc, bias_a, bias_b, bias_c, low, at, rows, dxa, dxb, dxc, dya,
+    __m256i area, i0, i1, j0, j1, px, py, wa, wb, wc, bias_a, bias_b, bias_c, low, at, rows, dxa, dxb, dxc, dya,
         dyb, dyc;
     __m256 area_f;
     uint32_t k, n = found->count, row, column;
@@ -6676,17 +6690,8 @@ ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_raster_eight(const zbufrandi_ras
     c = zbufrandi_raster_fetch(vertex, t, 2);
     area = zbufrandi_raster_cross(_mm256_sub_epi32(b.x, a.x), _mm256_sub_epi32(b.y, a.y), _mm256_sub_epi32(c.x, a.x),
                                   _mm256_sub_epi32(c.y, a.y));
-    swap = _mm256_srai_epi32(area, 31);
+    zbufrandi_raster_swap8(_mm256_srai_epi32(area, 31), &b, &c);
     area_f = _mm256_cvtepi32_ps(_mm256_abs_epi32(area));
-    px = _mm256_and_si256(_mm256_xor_si256(b.x, c.x), swap);
-    b.x = _mm256_xor_si256(b.x, px);
-    c.x = _mm256_xor_si256(c.x, px);
-    py = _mm256_and_si256(_mm256_xor_si256(b.y, c.y), swap);
-    b.y = _mm256_xor_si256(b.y, py);
-    c.y = _mm256_xor_si256(c.y, py);
-    at = _mm256_and_si256(_mm256_xor_si256(_mm256_castps_si256(b.iz), _mm256_castps_si256(c.iz)), swap);
-    b.iz = _mm256_castsi256_ps(_mm256_xor_si256(_mm256_castps_si256(b.iz), at));
-    c.iz = _mm256_castsi256_ps(_mm256_xor_si256(_mm256_castps_si256(c.iz), at));
     zbufrandi_raster_box8(ZBUFRANDI_RASTER_MIN3(a.x, b.x, c.x), ZBUFRANDI_RASTER_MAX3(a.x, b.x, c.x), r->x0, r->x1, &i0,
                           &i1);
     zbufrandi_raster_box8(ZBUFRANDI_RASTER_MIN3(a.y, b.y, c.y), ZBUFRANDI_RASTER_MAX3(a.y, b.y, c.y), r->y0, r->y1, &j0,
@@ -9365,6 +9370,60 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE __m256 zbufrandi_dot8(const float a[3], _
                          _mm256_mul_ps(_mm256_set1_ps(a[2]), z));
 }
 
+ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE __m256 zbufrandi_stored_inside8(const zbufrandi_target *g, __m256 x, __m256 y,
+                                                                       __m256 z) {
+    const __m256 zero = _mm256_setzero_ps();
+    __m256 ok = _mm256_and_ps(_mm256_cmp_ps(z, zero, _CMP_GT_OQ),
+                              _mm256_cmp_ps(z, _mm256_set1_ps(g->far_z), _CMP_LE_OQ));
+    ok = _mm256_and_ps(ok, _mm256_and_ps(_mm256_cmp_ps(x, zero, _CMP_GE_OQ),
+                                         _mm256_cmp_ps(x, _mm256_set1_ps(g->width), _CMP_LT_OQ)));
+    return _mm256_and_ps(ok, _mm256_and_ps(_mm256_cmp_ps(y, zero, _CMP_GE_OQ),
+                                           _mm256_cmp_ps(y, _mm256_set1_ps(g->height), _CMP_LT_OQ)));
+}
+
+/* Normals as they are stored, of any length. */
+ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_stored_normals8(__m256i w, __m256 *x, __m256 *y, __m256 *z) {
+    const __m256 sign = _mm256_set1_ps(-0.0f), one = _mm256_set1_ps(1.0f), zero = _mm256_setzero_ps();
+    __m256 vx = _mm256_cvtepi32_ps(_mm256_and_si256(w, _mm256_set1_epi32(65535)));
+    __m256 vy = _mm256_cvtepi32_ps(_mm256_srli_epi32(w, 16)), t;
+    vx = _mm256_sub_ps(_mm256_mul_ps(vx, _mm256_set1_ps(2.0f / 65535.0f)), one);
+    vy = _mm256_sub_ps(_mm256_mul_ps(vy, _mm256_set1_ps(2.0f / 65535.0f)), one);
+    *z = _mm256_sub_ps(_mm256_sub_ps(one, _mm256_andnot_ps(sign, vx)), _mm256_andnot_ps(sign, vy));
+    t = _mm256_min_ps(*z, zero); /* folded: x < 0 ? x - t : x + t */
+    *x = _mm256_add_ps(vx, _mm256_xor_ps(t, _mm256_and_ps(sign, _mm256_cmp_ps(vx, zero, _CMP_LT_OQ))));
+    *y = _mm256_add_ps(vy, _mm256_xor_ps(t, _mm256_and_ps(sign, _mm256_cmp_ps(vy, zero, _CMP_LT_OQ))));
+}
+
+/* Which of samples first..first+7 thinning keeps, all squared to be spared the root of the length of v. w: their first
+   words, z: depths, h: how much their normals v are turned to the eye. */
+ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE __m256 zbufrandi_stored_keeps8(const zbufrandi_stored *s, uint32_t first,
+                                                                      __m256i w, __m256 z, __m256 h, __m256 vx,
+                                                                      __m256 vy, __m256 vz, const int two_sided,
+                                                                      const int viewed) {
+    const __m256 zero = _mm256_setzero_ps();
+    const __m128i *table = (const __m128i *)(const void *)(zbufrandi_accept_table + first);
+    __m256 length = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(vx, vx), _mm256_mul_ps(vy, vy)), _mm256_mul_ps(vz, vz));
+    __m256i bits = _mm256_cvtepu8_epi32(_mm_loadl_epi64(table));
+    __m256 u;
+    z = _mm256_mul_ps(z, _mm256_set1_ps(s->iz_ref));
+    bits = _mm256_add_epi32(_mm256_slli_epi32(bits, 24), _mm256_set1_epi32((int)s->shift));
+    u = _mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_srli_epi32(bits, 8)), _mm256_set1_ps(1.0f / 16777216.0f));
+    u = _mm256_mul_ps(u, _mm256_mul_ps(_mm256_mul_ps(z, z), z));
+    z = _mm256_mul_ps(h, _mm256_set1_ps(s->ih_ref));
+    if (viewed) {
+        __m256 c = zbufrandi_dot8(s->view->axis, vx, vy, vz);
+        length = _mm256_sqrt_ps(length);
+        if (two_sided) {
+            c = _mm256_blendv_ps(c, _mm256_sub_ps(zero, c), _mm256_and_ps(
+                _mm256_castsi256_ps(_mm256_srai_epi32(w, 31)), _mm256_cmp_ps(c, zero, _CMP_LT_OQ)));
+        }
+        c = _mm256_add_ps(c, _mm256_mul_ps(_mm256_set1_ps(s->view->reach), length));
+        c = _mm256_min_ps(c, length);
+        length = _mm256_mul_ps(c, c);
+    }
+    return _mm256_cmp_ps(_mm256_mul_ps(_mm256_mul_ps(u, u), length), _mm256_mul_ps(z, z), _CMP_LT_OQ);
+}
+
 /* early: leave out at once what is behind its pixel; only where a sample's own depth is what is shown. */
 ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE uint32_t zbufrandi_stored_eights(const zbufrandi_target *g,
         const zbufrandi_draw *d, const zbufrandi_local *l,
@@ -9372,8 +9431,7 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE uint32_t zbufrandi_stored_eights(const zb
                                                                const uint32_t *set, zbufrandi_waiting *wait,
                                                                const int plane, const int two_sided, const int early,
                                                                const int viewed) {
-    const __m256 sign = _mm256_set1_ps(-0.0f), one = _mm256_set1_ps(1.0f), zero = _mm256_setzero_ps(),
-        half = _mm256_set1_ps(0.5f);
+    const __m256 one = _mm256_set1_ps(1.0f), zero = _mm256_setzero_ps(), half = _mm256_set1_ps(0.5f);
     const __m256i lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
     zbufrandi_stored s;
     uint32_t k, accepted = 0, inside = 0, tried = 0;
@@ -9382,7 +9440,7 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE uint32_t zbufrandi_stored_eights(const zb
         const uint32_t first = (k ^ s.first) & ~7u;
         const __m256i w0 = _mm256_loadu_si256((const __m256i *)(const void *)(set + 2 * first));
         const __m256i w1 = _mm256_loadu_si256((const __m256i *)(const void *)(set + 2 * first + 8));
-        __m256 q0, q1, q2, vx, vy, vz, t, px, py, pz, nx, ny, nz, h, iz, x, y, ok;
+        __m256 q0, q1, q2, vx, vy, vz, px, py, pz, nx, ny, nz, h, iz, x, y, ok;
         __m256i ix, iy, at;
         uint32_t mask;
         q0 = _mm256_cvtepi32_ps(_mm256_and_si256(w0, _mm256_set1_epi32(2047)));
@@ -9394,14 +9452,7 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE uint32_t zbufrandi_stored_eights(const zb
         py = _mm256_add_ps(zbufrandi_dot8(s.a[1], q0, q1, q2), _mm256_set1_ps(s.t[1]));
         x = _mm256_add_ps(_mm256_mul_ps(px, iz), _mm256_set1_ps(g->center_x));
         y = _mm256_add_ps(_mm256_mul_ps(py, iz), _mm256_set1_ps(g->center_y));
-        ok = _mm256_and_ps(_mm256_cmp_ps(pz, zero, _CMP_GT_OQ),
-                           _mm256_cmp_ps(pz, _mm256_set1_ps(g->far_z), _CMP_LE_OQ));
-        ok = _mm256_and_ps(ok,
-                _mm256_and_ps(_mm256_cmp_ps(x, zero, _CMP_GE_OQ),
-                              _mm256_cmp_ps(x, _mm256_set1_ps(g->width), _CMP_LT_OQ)));
-        ok = _mm256_and_ps(ok,
-                _mm256_and_ps(_mm256_cmp_ps(y, zero, _CMP_GE_OQ),
-                              _mm256_cmp_ps(y, _mm256_set1_ps(g->height), _CMP_LT_OQ)));
+        ok = zbufrandi_stored_inside8(g, x, y, pz);
         if (d->count - k < 8) { /* the last ones of the order, wherever they stand */
             const __m256i order = _mm256_xor_si256(lanes, _mm256_set1_epi32((int)(s.first & 7u)));
             ok = _mm256_and_ps(ok,
@@ -9422,14 +9473,7 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE uint32_t zbufrandi_stored_eights(const zb
             if (mask == 0) continue;
             tried += (uint32_t)__builtin_popcount(mask);
         }
-        vx = _mm256_cvtepi32_ps(_mm256_and_si256(w1, _mm256_set1_epi32(65535)));
-        vy = _mm256_cvtepi32_ps(_mm256_srli_epi32(w1, 16));
-        vx = _mm256_sub_ps(_mm256_mul_ps(vx, _mm256_set1_ps(2.0f / 65535.0f)), one);
-        vy = _mm256_sub_ps(_mm256_mul_ps(vy, _mm256_set1_ps(2.0f / 65535.0f)), one);
-        vz = _mm256_sub_ps(_mm256_sub_ps(one, _mm256_andnot_ps(sign, vx)), _mm256_andnot_ps(sign, vy));
-        t = _mm256_min_ps(vz, zero); /* folded: x < 0 ? x - t : x + t */
-        vx = _mm256_add_ps(vx, _mm256_xor_ps(t, _mm256_and_ps(sign, _mm256_cmp_ps(vx, zero, _CMP_LT_OQ))));
-        vy = _mm256_add_ps(vy, _mm256_xor_ps(t, _mm256_and_ps(sign, _mm256_cmp_ps(vy, zero, _CMP_LT_OQ))));
+        zbufrandi_stored_normals8(w1, &vx, &vy, &vz);
         nx = zbufrandi_dot8(s.n[0], vx, vy, vz);
         ny = zbufrandi_dot8(s.n[1], vx, vy, vz);
         nz = zbufrandi_dot8(s.n[2], vx, vy, vz);
@@ -9443,30 +9487,8 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE uint32_t zbufrandi_stored_eights(const zb
             ny = _mm256_blendv_ps(ny, _mm256_sub_ps(zero, ny), two);
         }
         ok = _mm256_and_ps(ok, _mm256_cmp_ps(h, zero, _CMP_GT_OQ));
-        if (g->thin) { /* squared, to be spared the root of the length of n */
-            __m256 length = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(vx, vx), _mm256_mul_ps(vy, vy)),
-                                          _mm256_mul_ps(vz, vz)), u, z;
-            __m256i bits = _mm256_cvtepu8_epi32(_mm_loadl_epi64(
-                    (const __m128i *)(const void *)(zbufrandi_accept_table + first)));
-            z = _mm256_mul_ps(pz, _mm256_set1_ps(s.iz_ref));
-            bits = _mm256_add_epi32(_mm256_slli_epi32(bits, 24), _mm256_set1_epi32((int)s.shift));
-            u = _mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_srli_epi32(bits, 8)), _mm256_set1_ps(1.0f / 16777216.0f));
-            u = _mm256_mul_ps(u, _mm256_mul_ps(_mm256_mul_ps(z, z), z));
-            z = _mm256_mul_ps(h, _mm256_set1_ps(s.ih_ref));
-            if (viewed) {
-                __m256 w = zbufrandi_dot8(s.view->axis, vx, vy, vz);
-                length = _mm256_sqrt_ps(length);
-                if (two_sided) {
-                    w = _mm256_blendv_ps(w, _mm256_sub_ps(zero, w), _mm256_and_ps(
-                        _mm256_castsi256_ps(_mm256_srai_epi32(w0, 31)), _mm256_cmp_ps(w, zero, _CMP_LT_OQ)));
-                }
-                w = _mm256_add_ps(w, _mm256_mul_ps(_mm256_set1_ps(s.view->reach), length));
-                w = _mm256_min_ps(w, length);
-                length = _mm256_mul_ps(w, w);
-            }
-            ok = _mm256_and_ps(ok, _mm256_cmp_ps(_mm256_mul_ps(_mm256_mul_ps(u, u), length), _mm256_mul_ps(z, z),
-                                                 _CMP_LT_OQ));
-        }
+        if (g->thin)
+            ok = _mm256_and_ps(ok, zbufrandi_stored_keeps8(&s, first, w0, pz, h, vx, vy, vz, two_sided, viewed));
         mask = (uint32_t)_mm256_movemask_ps(ok);
         if (g->cut->veil.opacity != NULL) {
             uint32_t pixel[8], lane;
@@ -16247,26 +16269,31 @@ static void zbufrandi_set_density(zbufrandi_picture *p) {
     p->cut.list_sample = zbufrandi_cost(c->listed, o->listed) + ray;
 }
 
+/* All but camera, lights, background, reconstruction and the rules of the thesis, which are checked where they are
+   taken. */
+static int zbufrandi_render_desc_ok(const zbufrand_render_desc *d) {
+    size_t i;
+    if ((uint32_t)d->hybrid > ZBUFRAND_HYBRID_LARGE || !(d->tolerance >= 0.0 && d->tolerance < 1.0) ||
+        !(d->density >= 0.0 && d->density < 1e6) || !(d->noise >= 0.0) || !(d->hybrid_radius >= 0.0) ||
+        (d->lights == NULL && d->light_count != 0) || (d->points == NULL && d->points_count != 0) ||
+        (d->opacity == NULL && d->opacity_count != 0) || (d->spread & (d->spread - 1u)) != 0) return 0;
+    for (i = 0; i < d->opacity_count; i++) if (!(d->opacity[i] >= 0.0f && d->opacity[i] <= 1.0f)) return 0;
+    for (i = 0; i < d->points_count; i++)
+        if (d->points[i].positions == NULL && d->points[i].count != 0) return 0;
+    return 1;
+}
+
 static zbufrand_result zbufrandi_open_picture(zbufrandi_picture *p) {
     const zbufrand_render_desc *d = p->d;
     zbufrand_frame *f = p->f;
     zbufrand_result r;
-    size_t bytes, i;
+    size_t bytes;
     uint32_t h = zbufrandi_hash32(d->seed ^ zbufrandi_hash32(d->frame + 0x9e3779b9u));
     double spread = d->spread != 0 ? (double)d->spread : 1.0;
     zbufrand_reconstruct o = d->reconstruct;
     int same = f->recon_open && memcmp(&f->recon_asked, &d->reconstruct, sizeof d->reconstruct) == 0 &&
                f->recon.width == p->image->width && f->recon.height == p->image->height;
-    if ((uint32_t)d->hybrid > ZBUFRAND_HYBRID_LARGE || !(d->tolerance >= 0.0 && d->tolerance < 1.0) ||
-        !(d->density >= 0.0 && d->density < 1e6) || !(d->noise >= 0.0) || !(d->hybrid_radius >= 0.0) ||
-        (d->lights == NULL && d->light_count != 0) || (d->points == NULL && d->points_count != 0) ||
-        (d->opacity == NULL && d->opacity_count != 0) ||
-        (d->spread & (d->spread - 1u)) != 0 || !zbufrandi_list_rules(d, p->scene, &p->cut))
-            return ZBUFRAND_ERR_INVALID_ARG;
-    for (i = 0; i < d->opacity_count; i++)
-        if (!(d->opacity[i] >= 0.0f && d->opacity[i] <= 1.0f)) return ZBUFRAND_ERR_INVALID_ARG;
-    for (i = 0; i < d->points_count; i++)
-        if (d->points[i].positions == NULL && d->points[i].count != 0) return ZBUFRAND_ERR_INVALID_ARG;
+    if (!zbufrandi_render_desc_ok(d) || !zbufrandi_list_rules(d, p->scene, &p->cut)) return ZBUFRAND_ERR_INVALID_ARG;
     if (p->image->width > ZBUFRANDI_RASTER_MAX_SIZE || p->image->height > ZBUFRANDI_RASTER_MAX_SIZE)
         return ZBUFRAND_ERR_RANGE;
     if (!same) {
@@ -17459,6 +17486,24 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_page_both(const float *a, 
     _mm256_storeu_ps(to, _mm256_permutevar8x32_ps(both, _mm256_setr_epi32(0, 1, 2, 4, 5, 6, 3, 7)));
 }
 
+/* First stratum after each triangle: n of them lie one after the other behind `first`, k strata for each unit of their
+   areas. */
+ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_page_after(zbufrandi_areas *m, uint32_t n, zbufrandi_at first,
+                                                                 __m256 k, uint32_t key) {
+    const __m256 unit = _mm256_set1_ps(1.0f / 16777216.0f);
+    uint32_t t;
+    for (t = 0; t < n; t += 8) {
+        const __m256 y = _mm256_add_ps(_mm256_set1_ps(first.part), _mm256_mul_ps(_mm256_loadu_ps(m->sum + t), k));
+        const __m256i whole = _mm256_cvttps_epi32(y),
+            stratum = _mm256_add_epi32(whole, _mm256_set1_epi32((int)first.whole));
+        __m256i h = _mm256_add_epi32(_mm256_mullo_epi32(stratum, _mm256_set1_epi32((int)0x9e3779b1u)),
+                                     _mm256_set1_epi32((int)key));
+        __m256 u = _mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_srli_epi32(zbufrandi_mix8(h), 8)), unit);
+        u = _mm256_cmp_ps(u, _mm256_sub_ps(y, _mm256_cvtepi32_ps(whole)), _CMP_LT_OQ);
+        _mm256_storeu_si256((__m256i *)(void *)(m->after + t), _mm256_sub_epi32(stratum, _mm256_castps_si256(u)));
+    }
+}
+
 /* Strata from..to-1, all in the cluster that covers begin..end. */
 ZBUFRANDI_TARGET_AVX2 static void zbufrandi_page_cluster(zbufrandi_points_job *j, const zbufrandi_structure *s,
                                                          uint32_t cluster,
@@ -17469,7 +17514,6 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_page_cluster(zbufrandi_points_job *j
     const uint8_t *tri = s->triangle + 3 * (size_t)c->first_triangle;
     const __m256i lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
     const __m256 one = _mm256_set1_ps(1.0f), half = _mm256_set1_ps(0.5f), unit = _mm256_set1_ps(1.0f / 16777216.0f);
-    const zbufrandi_at first = zbufrandi_at_of(begin);
     zbufrandi_areas m;
     float move[3][4], turn[3][4];
     __m256 k;
@@ -17483,16 +17527,7 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_page_cluster(zbufrandi_points_job *j
         }
     }
     if (j->normals != NULL) zbufrandi_page_turn(&m, n, (const float (*)[4])turn);
-    for (t = 0; t < n; t += 8) { /* first stratum after each triangle */
-        const __m256 y = _mm256_add_ps(_mm256_set1_ps(first.part), _mm256_mul_ps(_mm256_loadu_ps(m.sum + t), k));
-        const __m256i whole = _mm256_cvttps_epi32(y),
-            stratum = _mm256_add_epi32(whole, _mm256_set1_epi32((int)first.whole));
-        __m256i h = _mm256_add_epi32(_mm256_mullo_epi32(stratum, _mm256_set1_epi32((int)0x9e3779b1u)),
-                                     _mm256_set1_epi32((int)j->key));
-        __m256 u = _mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_srli_epi32(zbufrandi_mix8(h), 8)), unit);
-        u = _mm256_cmp_ps(u, _mm256_sub_ps(y, _mm256_cvtepi32_ps(whole)), _CMP_LT_OQ);
-        _mm256_storeu_si256((__m256i *)(void *)(m.after + t), _mm256_sub_epi32(stratum, _mm256_castps_si256(u)));
-    }
+    zbufrandi_page_after(&m, n, zbufrandi_at_of(begin), k, j->key);
     m.after[n - 1] = to;
     for (t = 0, before = from; from < to; from += size) {
         size = to - from < ZBUFRANDI_FLAT_CHUNK ? to - from : (uint32_t)ZBUFRANDI_FLAT_CHUNK;
