@@ -306,7 +306,7 @@ typedef struct voxrt_env {
     voxrt_parallel parallel;  /* set: the host's job system runs the work, no thread is started */
     uint32_t thread_count;    /* 0: one per core; 1: never start a thread */
     size_t memory_limit;      /* bytes that one call and its results may hold at once; 0: none */
-    /* non-zero cancels. Called by the functions that return CANCELLED, by any thread of the call, never by two at once */
+    /* non-zero cancels. Called by the functions that return CANCELLED; by any thread of the call, never two at once */
     int (*progress_fn)(void *user, uint64_t done, uint64_t total);
     void *progress_user;
     voxrt_error *error;       /* receives the place and the reason of a failure; may be NULL */
@@ -1740,7 +1740,8 @@ VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_g
    weight  share of the new value, 0 to 1; 0: 1. Smaller ones let it follow a moving scene without flicker. Over 1/2, or
            on cells that are new, it is a change of light for a history
    seed    another one gives other rays
-   Errors: INVALID_ARG; NO_MEMORY, CANCELLED (light stays as it was). Thread safety: alone with the scene. O(cells times rays). */
+   Errors: INVALID_ARG; NO_MEMORY, CANCELLED (light stays as it was). Thread safety: alone with the scene.
+   O(cells times rays). */
 VOXRT_DEF voxrt_result voxrt_gi_bounce(voxrt_gi *gi, const voxrt_env *env, uint32_t rays, float weight, uint32_t seed);
 
 /* Keep frames within a time. Zero it before the first frame; before each frame draw with `rays` and `coarse`, after it

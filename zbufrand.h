@@ -266,7 +266,7 @@ typedef struct zbufrand_env {
     zbufrand_parallel parallel;  /* set: the host's job system runs the work, no thread is started */
     uint32_t thread_count;    /* 0: one per core; 1: never start a thread */
     size_t memory_limit;      /* bytes that one call and its results may hold at once; 0: none */
-    /* non-zero cancels. Called by the functions that return CANCELLED, by the thread that called them */
+    /* non-zero cancels. Called by the functions that return CANCELLED; by any thread of the call, never two at once */
     int (*progress_fn)(void *user, uint64_t done, uint64_t total);
     void *progress_user;
     zbufrand_error *error;       /* receives the place and the reason of a failure; may be NULL */
@@ -707,9 +707,10 @@ ZBUFRAND_DEF zbufrand_result zbufrand_canvas_submit_points(zbufrand_canvas *canv
    source  shade_fn is needed if picture->rgba or tolerance_color is; surface_fn serves drop_back, tolerance_slope, and
            plane_depth of blocks larger than 1; may be NULL if nothing of that is asked for
    stats   out, may be NULL
-   The same bits for any number of threads and any isa. Needs the canvas for itself; allocates only for a repair.
-   O(pixels), with a Gauss or tolerances times their size. Errors: INVALID_ARG (also while another call makes a
-   picture of this canvas), NO_MEMORY. */
+   The same bits for any number of threads and any isa. Needs the canvas for itself; allocates only for a repair. If the
+   progress_fn of the canvas cancels, the picture is incomplete; the samples stay. O(pixels), with a Gauss or
+   tolerances times their size.
+   Errors: INVALID_ARG (also while another call makes a picture of this canvas), NO_MEMORY, CANCELLED. */
 ZBUFRAND_DEF zbufrand_result zbufrand_canvas_resolve(zbufrand_canvas *canvas, const zbufrand_source *source,
                                                      const zbufrand_picture *picture, zbufrand_resolve_stats *stats);
 
@@ -1964,6 +1965,63 @@ static ZBUFRANDI_UNUSED uint32_t zbufrandi_oct_encode(const float n[3]) {
    triangles of a rastered cluster) owns a range of numbers; colour and normal of the winners are found from the
    number afterwards, because random numbers are a function of (seed, draw, counter).
    --------------------------------------------------------------------------- */
+
+/* ---- work that can be cancelled ---- */
+
+/* Where a call is, as its progress_fn hears it: at `done` of `total`, and each parallel-for takes it `step` further. */
+typedef struct zbufrandi_asker {
+    uint64_t done, step, total;
+    uint32_t cancelled; /* atomic */
+} zbufrandi_asker;
+
+/* 0: cancelled. more: done since the step before. */
+static ZBUFRANDI_UNUSED int zbufrandi_ask(const zbufrand_env *env, zbufrandi_asker *a, uint64_t more) {
+    if (env->progress_fn != NULL && zbufrandi_atomic_load(&a->cancelled) == 0 &&
+        env->progress_fn(env->progress_user, a->done + more, a->total) != 0)
+            zbufrandi_atomic_store(&a->cancelled, 1u);
+    return zbufrandi_atomic_load(&a->cancelled) == 0;
+}
+
+/* A parallel-for that asks. Strands are as many tasks as there are threads, each takes piece after piece of the work,
+   and the first one asks. */
+typedef struct zbufrandi_asking {
+    const zbufrand_env *env;
+    zbufrandi_asker *asker;
+    zbufrand_task_fn *task;
+    void *ctx;
+    uint32_t count, next; /* atomic: next */
+} zbufrandi_asking;
+
+static ZBUFRANDI_UNUSED void zbufrandi_task_asking(void *ctx, uint32_t strand) {
+    zbufrandi_asking *k = (zbufrandi_asking *)ctx;
+    for (;;) {
+        const uint32_t i = zbufrandi_atomic_add(&k->next, 1u) - 1u;
+        if (i >= k->count || zbufrandi_atomic_load(&k->asker->cancelled) != 0) return;
+        if (strand == 0 && !zbufrandi_ask(k->env, k->asker, k->asker->step * i / k->count)) return;
+        k->task(k->ctx, i);
+    }
+}
+
+/* 0: cancelled, and only a part is done, or nothing if that was so before. asker: NULL to ask nobody. */
+static ZBUFRANDI_UNUSED int zbufrandi_parallel_ask(const zbufrand_env *env, zbufrandi_asker *asker,
+                                                   zbufrand_task_fn *task, void *ctx, uint32_t count) {
+    const uint32_t strands = zbufrandi_thread_count(env);
+    zbufrandi_asking k;
+    if (asker == NULL || env->progress_fn == NULL) {
+        zbufrandi_parallel_for(env, task, ctx, count);
+        return 1;
+    }
+    if (asker->cancelled) return 0;
+    k.env = env;
+    k.asker = asker;
+    k.task = task;
+    k.ctx = ctx;
+    k.count = count;
+    k.next = 0;
+    zbufrandi_parallel_for(env, zbufrandi_task_asking, &k, strands < count ? strands : count);
+    asker->done += asker->step;
+    return !asker->cancelled;
+}
 
 #define ZBUFRANDI_EMPTY (~(uint64_t)0)
 
@@ -6636,6 +6694,20 @@ static void zbufrandi_raster_put_found(const zbufrandi_raster *r, zbufrandi_rast
     f->count = 0;
 }
 
+/* Corners change places in the lanes of `swap`. */
+ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_raster_swap8(__m256i swap, zbufrandi_raster_corner8 *b,
+                                                                   zbufrandi_raster_corner8 *c) {
+    const __m256i x = _mm256_and_si256(_mm256_xor_si256(b->x, c->x), swap);
+    const __m256i y = _mm256_and_si256(_mm256_xor_si256(b->y, c->y), swap);
+    const __m256i iz = _mm256_and_si256(_mm256_xor_si256(_mm256_castps_si256(b->iz), _mm256_castps_si256(c->iz)), swap);
+    b->x = _mm256_xor_si256(b->x, x);
+    c->x = _mm256_xor_si256(c->x, x);
+    b->y = _mm256_xor_si256(b->y, y);
+    c->y = _mm256_xor_si256(c->y, y);
+    b->iz = _mm256_castsi256_ps(_mm256_xor_si256(_mm256_castps_si256(b->iz), iz));
+    c->iz = _mm256_castsi256_ps(_mm256_xor_si256(_mm256_castps_si256(c->iz), iz));
+}
+
 /* Eight triangles that are not large: one centre after the other of all their boxes, what is covered goes to `found`,
    which has room for it and eight more. ids: their numbers within the cluster, of which `count` are meant. */
 ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_raster_eight(const zbufrandi_raster *r,
@@ -6646,7 +6718,7 @@ ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_raster_eight(const zbufrandi_ras
     const __m256i lane = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
     const uint8_t *t[8];
     zbufrandi_raster_corner8 a, b, c;
-    __m256i area, swap, i0, i1, j0, j1, px, py, wa, wb, wc, bias_a, bias_b, bias_c, low, at, rows, dxa, dxb, dxc, dya,
+    __m256i area, i0, i1, j0, j1, px, py, wa, wb, wc, bias_a, bias_b, bias_c, low, at, rows, dxa, dxb, dxc, dya,
         dyb, dyc;
     __m256 area_f;
     uint32_t k, n = found->count, row, column;
@@ -6656,17 +6728,8 @@ ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_raster_eight(const zbufrandi_ras
     c = zbufrandi_raster_fetch(vertex, t, 2);
     area = zbufrandi_raster_cross(_mm256_sub_epi32(b.x, a.x), _mm256_sub_epi32(b.y, a.y), _mm256_sub_epi32(c.x, a.x),
                                   _mm256_sub_epi32(c.y, a.y));
-    swap = _mm256_srai_epi32(area, 31);
+    zbufrandi_raster_swap8(_mm256_srai_epi32(area, 31), &b, &c);
     area_f = _mm256_cvtepi32_ps(_mm256_abs_epi32(area));
-    px = _mm256_and_si256(_mm256_xor_si256(b.x, c.x), swap);
-    b.x = _mm256_xor_si256(b.x, px);
-    c.x = _mm256_xor_si256(c.x, px);
-    py = _mm256_and_si256(_mm256_xor_si256(b.y, c.y), swap);
-    b.y = _mm256_xor_si256(b.y, py);
-    c.y = _mm256_xor_si256(c.y, py);
-    at = _mm256_and_si256(_mm256_xor_si256(_mm256_castps_si256(b.iz), _mm256_castps_si256(c.iz)), swap);
-    b.iz = _mm256_castsi256_ps(_mm256_xor_si256(_mm256_castps_si256(b.iz), at));
-    c.iz = _mm256_castsi256_ps(_mm256_xor_si256(_mm256_castps_si256(c.iz), at));
     zbufrandi_raster_box8(ZBUFRANDI_RASTER_MIN3(a.x, b.x, c.x), ZBUFRANDI_RASTER_MAX3(a.x, b.x, c.x), r->x0, r->x1, &i0,
                           &i1);
     zbufrandi_raster_box8(ZBUFRANDI_RASTER_MIN3(a.y, b.y, c.y), ZBUFRANDI_RASTER_MAX3(a.y, b.y, c.y), r->y0, r->y1, &j0,
@@ -8396,8 +8459,9 @@ typedef struct zbufrandi_pick { /* one task's memory, kept from frame to frame *
     zbufrandi_local *local;    /* entered in this round; numbers from ZBUFRANDI_NEW_LOCAL on */
     size_t stack_capacity, draw_capacity, bounds_capacity, local_capacity;
     uint32_t stack_count, draw_count, local_count;
+    uint64_t samples;          /* of the thesis' trees: of the draws */
     zbufrandi_counts counts;
-    int failed;                /* out of memory */
+    int failed;                /* out of memory, cancelled, or too many samples */
 } zbufrandi_pick;
 #define ZBUFRANDI_NEW_LOCAL 0x80000000u
 
@@ -9344,6 +9408,60 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE __m256 zbufrandi_dot8(const float a[3], _
                          _mm256_mul_ps(_mm256_set1_ps(a[2]), z));
 }
 
+ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE __m256 zbufrandi_stored_inside8(const zbufrandi_target *g, __m256 x, __m256 y,
+                                                                       __m256 z) {
+    const __m256 zero = _mm256_setzero_ps();
+    __m256 ok = _mm256_and_ps(_mm256_cmp_ps(z, zero, _CMP_GT_OQ),
+                              _mm256_cmp_ps(z, _mm256_set1_ps(g->far_z), _CMP_LE_OQ));
+    ok = _mm256_and_ps(ok, _mm256_and_ps(_mm256_cmp_ps(x, zero, _CMP_GE_OQ),
+                                         _mm256_cmp_ps(x, _mm256_set1_ps(g->width), _CMP_LT_OQ)));
+    return _mm256_and_ps(ok, _mm256_and_ps(_mm256_cmp_ps(y, zero, _CMP_GE_OQ),
+                                           _mm256_cmp_ps(y, _mm256_set1_ps(g->height), _CMP_LT_OQ)));
+}
+
+/* Normals as they are stored, of any length. */
+ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_stored_normals8(__m256i w, __m256 *x, __m256 *y, __m256 *z) {
+    const __m256 sign = _mm256_set1_ps(-0.0f), one = _mm256_set1_ps(1.0f), zero = _mm256_setzero_ps();
+    __m256 vx = _mm256_cvtepi32_ps(_mm256_and_si256(w, _mm256_set1_epi32(65535)));
+    __m256 vy = _mm256_cvtepi32_ps(_mm256_srli_epi32(w, 16)), t;
+    vx = _mm256_sub_ps(_mm256_mul_ps(vx, _mm256_set1_ps(2.0f / 65535.0f)), one);
+    vy = _mm256_sub_ps(_mm256_mul_ps(vy, _mm256_set1_ps(2.0f / 65535.0f)), one);
+    *z = _mm256_sub_ps(_mm256_sub_ps(one, _mm256_andnot_ps(sign, vx)), _mm256_andnot_ps(sign, vy));
+    t = _mm256_min_ps(*z, zero); /* folded: x < 0 ? x - t : x + t */
+    *x = _mm256_add_ps(vx, _mm256_xor_ps(t, _mm256_and_ps(sign, _mm256_cmp_ps(vx, zero, _CMP_LT_OQ))));
+    *y = _mm256_add_ps(vy, _mm256_xor_ps(t, _mm256_and_ps(sign, _mm256_cmp_ps(vy, zero, _CMP_LT_OQ))));
+}
+
+/* Which of samples first..first+7 thinning keeps, all squared to be spared the root of the length of v. w: their first
+   words, z: depths, h: how much their normals v are turned to the eye. */
+ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE __m256 zbufrandi_stored_keeps8(const zbufrandi_stored *s, uint32_t first,
+                                                                      __m256i w, __m256 z, __m256 h, __m256 vx,
+                                                                      __m256 vy, __m256 vz, const int two_sided,
+                                                                      const int viewed) {
+    const __m256 zero = _mm256_setzero_ps();
+    const __m128i *table = (const __m128i *)(const void *)(zbufrandi_accept_table + first);
+    __m256 length = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(vx, vx), _mm256_mul_ps(vy, vy)), _mm256_mul_ps(vz, vz));
+    __m256i bits = _mm256_cvtepu8_epi32(_mm_loadl_epi64(table));
+    __m256 u;
+    z = _mm256_mul_ps(z, _mm256_set1_ps(s->iz_ref));
+    bits = _mm256_add_epi32(_mm256_slli_epi32(bits, 24), _mm256_set1_epi32((int)s->shift));
+    u = _mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_srli_epi32(bits, 8)), _mm256_set1_ps(1.0f / 16777216.0f));
+    u = _mm256_mul_ps(u, _mm256_mul_ps(_mm256_mul_ps(z, z), z));
+    z = _mm256_mul_ps(h, _mm256_set1_ps(s->ih_ref));
+    if (viewed) {
+        __m256 c = zbufrandi_dot8(s->view->axis, vx, vy, vz);
+        length = _mm256_sqrt_ps(length);
+        if (two_sided) {
+            c = _mm256_blendv_ps(c, _mm256_sub_ps(zero, c), _mm256_and_ps(
+                _mm256_castsi256_ps(_mm256_srai_epi32(w, 31)), _mm256_cmp_ps(c, zero, _CMP_LT_OQ)));
+        }
+        c = _mm256_add_ps(c, _mm256_mul_ps(_mm256_set1_ps(s->view->reach), length));
+        c = _mm256_min_ps(c, length);
+        length = _mm256_mul_ps(c, c);
+    }
+    return _mm256_cmp_ps(_mm256_mul_ps(_mm256_mul_ps(u, u), length), _mm256_mul_ps(z, z), _CMP_LT_OQ);
+}
+
 /* early: leave out at once what is behind its pixel; only where a sample's own depth is what is shown. */
 ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE uint32_t zbufrandi_stored_eights(const zbufrandi_target *g,
         const zbufrandi_draw *d, const zbufrandi_local *l,
@@ -9351,8 +9469,7 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE uint32_t zbufrandi_stored_eights(const zb
                                                                const uint32_t *set, zbufrandi_waiting *wait,
                                                                const int plane, const int two_sided, const int early,
                                                                const int viewed) {
-    const __m256 sign = _mm256_set1_ps(-0.0f), one = _mm256_set1_ps(1.0f), zero = _mm256_setzero_ps(),
-        half = _mm256_set1_ps(0.5f);
+    const __m256 one = _mm256_set1_ps(1.0f), zero = _mm256_setzero_ps(), half = _mm256_set1_ps(0.5f);
     const __m256i lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
     zbufrandi_stored s;
     uint32_t k, accepted = 0, inside = 0, tried = 0;
@@ -9361,7 +9478,7 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE uint32_t zbufrandi_stored_eights(const zb
         const uint32_t first = (k ^ s.first) & ~7u;
         const __m256i w0 = _mm256_loadu_si256((const __m256i *)(const void *)(set + 2 * first));
         const __m256i w1 = _mm256_loadu_si256((const __m256i *)(const void *)(set + 2 * first + 8));
-        __m256 q0, q1, q2, vx, vy, vz, t, px, py, pz, nx, ny, nz, h, iz, x, y, ok;
+        __m256 q0, q1, q2, vx, vy, vz, px, py, pz, nx, ny, nz, h, iz, x, y, ok;
         __m256i ix, iy, at;
         uint32_t mask;
         q0 = _mm256_cvtepi32_ps(_mm256_and_si256(w0, _mm256_set1_epi32(2047)));
@@ -9373,14 +9490,7 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE uint32_t zbufrandi_stored_eights(const zb
         py = _mm256_add_ps(zbufrandi_dot8(s.a[1], q0, q1, q2), _mm256_set1_ps(s.t[1]));
         x = _mm256_add_ps(_mm256_mul_ps(px, iz), _mm256_set1_ps(g->center_x));
         y = _mm256_add_ps(_mm256_mul_ps(py, iz), _mm256_set1_ps(g->center_y));
-        ok = _mm256_and_ps(_mm256_cmp_ps(pz, zero, _CMP_GT_OQ),
-                           _mm256_cmp_ps(pz, _mm256_set1_ps(g->far_z), _CMP_LE_OQ));
-        ok = _mm256_and_ps(ok,
-                _mm256_and_ps(_mm256_cmp_ps(x, zero, _CMP_GE_OQ),
-                              _mm256_cmp_ps(x, _mm256_set1_ps(g->width), _CMP_LT_OQ)));
-        ok = _mm256_and_ps(ok,
-                _mm256_and_ps(_mm256_cmp_ps(y, zero, _CMP_GE_OQ),
-                              _mm256_cmp_ps(y, _mm256_set1_ps(g->height), _CMP_LT_OQ)));
+        ok = zbufrandi_stored_inside8(g, x, y, pz);
         if (d->count - k < 8) { /* the last ones of the order, wherever they stand */
             const __m256i order = _mm256_xor_si256(lanes, _mm256_set1_epi32((int)(s.first & 7u)));
             ok = _mm256_and_ps(ok,
@@ -9401,14 +9511,7 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE uint32_t zbufrandi_stored_eights(const zb
             if (mask == 0) continue;
             tried += (uint32_t)__builtin_popcount(mask);
         }
-        vx = _mm256_cvtepi32_ps(_mm256_and_si256(w1, _mm256_set1_epi32(65535)));
-        vy = _mm256_cvtepi32_ps(_mm256_srli_epi32(w1, 16));
-        vx = _mm256_sub_ps(_mm256_mul_ps(vx, _mm256_set1_ps(2.0f / 65535.0f)), one);
-        vy = _mm256_sub_ps(_mm256_mul_ps(vy, _mm256_set1_ps(2.0f / 65535.0f)), one);
-        vz = _mm256_sub_ps(_mm256_sub_ps(one, _mm256_andnot_ps(sign, vx)), _mm256_andnot_ps(sign, vy));
-        t = _mm256_min_ps(vz, zero); /* folded: x < 0 ? x - t : x + t */
-        vx = _mm256_add_ps(vx, _mm256_xor_ps(t, _mm256_and_ps(sign, _mm256_cmp_ps(vx, zero, _CMP_LT_OQ))));
-        vy = _mm256_add_ps(vy, _mm256_xor_ps(t, _mm256_and_ps(sign, _mm256_cmp_ps(vy, zero, _CMP_LT_OQ))));
+        zbufrandi_stored_normals8(w1, &vx, &vy, &vz);
         nx = zbufrandi_dot8(s.n[0], vx, vy, vz);
         ny = zbufrandi_dot8(s.n[1], vx, vy, vz);
         nz = zbufrandi_dot8(s.n[2], vx, vy, vz);
@@ -9422,30 +9525,8 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE uint32_t zbufrandi_stored_eights(const zb
             ny = _mm256_blendv_ps(ny, _mm256_sub_ps(zero, ny), two);
         }
         ok = _mm256_and_ps(ok, _mm256_cmp_ps(h, zero, _CMP_GT_OQ));
-        if (g->thin) { /* squared, to be spared the root of the length of n */
-            __m256 length = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(vx, vx), _mm256_mul_ps(vy, vy)),
-                                          _mm256_mul_ps(vz, vz)), u, z;
-            __m256i bits = _mm256_cvtepu8_epi32(_mm_loadl_epi64(
-                    (const __m128i *)(const void *)(zbufrandi_accept_table + first)));
-            z = _mm256_mul_ps(pz, _mm256_set1_ps(s.iz_ref));
-            bits = _mm256_add_epi32(_mm256_slli_epi32(bits, 24), _mm256_set1_epi32((int)s.shift));
-            u = _mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_srli_epi32(bits, 8)), _mm256_set1_ps(1.0f / 16777216.0f));
-            u = _mm256_mul_ps(u, _mm256_mul_ps(_mm256_mul_ps(z, z), z));
-            z = _mm256_mul_ps(h, _mm256_set1_ps(s.ih_ref));
-            if (viewed) {
-                __m256 w = zbufrandi_dot8(s.view->axis, vx, vy, vz);
-                length = _mm256_sqrt_ps(length);
-                if (two_sided) {
-                    w = _mm256_blendv_ps(w, _mm256_sub_ps(zero, w), _mm256_and_ps(
-                        _mm256_castsi256_ps(_mm256_srai_epi32(w0, 31)), _mm256_cmp_ps(w, zero, _CMP_LT_OQ)));
-                }
-                w = _mm256_add_ps(w, _mm256_mul_ps(_mm256_set1_ps(s.view->reach), length));
-                w = _mm256_min_ps(w, length);
-                length = _mm256_mul_ps(w, w);
-            }
-            ok = _mm256_and_ps(ok, _mm256_cmp_ps(_mm256_mul_ps(_mm256_mul_ps(u, u), length), _mm256_mul_ps(z, z),
-                                                 _CMP_LT_OQ));
-        }
+        if (g->thin)
+            ok = _mm256_and_ps(ok, zbufrandi_stored_keeps8(&s, first, w0, pz, h, vx, vy, vz, two_sided, viewed));
         mask = (uint32_t)_mm256_movemask_ps(ok);
         if (g->cut->veil.opacity != NULL) {
             uint32_t pixel[8], lane;
@@ -9921,9 +10002,11 @@ ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_flat_put_avx2(const zbufrandi_ta
 }
 #endif
 
-/* *samples: how many were drawn. Returns how many are in the picture. */
-static uint32_t zbufrandi_draw_sampled(const zbufrandi_target *g, const zbufrandi_draw *d, const zbufrandi_local *l,
-                                       const zbufrandi_structure *s, zbufrandi_waiting *wait, uint32_t *samples) {
+/* Samples first..last-1 of a draw, if it has so many. *samples: how many were drawn. Returns how many are in the
+   picture. */
+static uint32_t zbufrandi_draw_sampled(const zbufrandi_target *g, const zbufrandi_draw *d, uint32_t first,
+                                       uint32_t last, const zbufrandi_local *l, const zbufrandi_structure *s,
+                                       zbufrandi_waiting *wait, uint32_t *samples) {
     const zbufrandi_cluster *c = &s->cluster[d->item & ((1u << ZBUFRANDI_DRAW_SHIFT) - 1u)];
     const uint8_t *tri = s->triangle + 3 * (size_t)c->first_triangle;
     const uint32_t at_u = zbufrandi_hash32(d->hash + 0x3c6ef372u), at_v = zbufrandi_hash32(at_u);
@@ -9939,10 +10022,12 @@ static uint32_t zbufrandi_draw_sampled(const zbufrandi_target *g, const zbufrand
     else
 #endif
         zbufrandi_flatten_cluster(g, &constants, s, c, &f);
-    *samples = k = zbufrandi_flat_count(g, d, &f);
+    k = zbufrandi_flat_count(g, d, &f);
+    if (last > k) last = k;
+    *samples = last > first ? last - first : 0;
     zbufrandi_flat_begin(d, k, g->cut->comb, &f);
-    for (begin = 0; begin < k; begin = end) {
-        end = k - begin > ZBUFRANDI_FLAT_CHUNK ? begin + ZBUFRANDI_FLAT_CHUNK : k;
+    for (begin = first; begin < last; begin = end) {
+        end = last - begin > ZBUFRANDI_FLAT_CHUNK ? begin + ZBUFRANDI_FLAT_CHUNK : last;
         if (g->cut->independent) zbufrandi_flat_independent(d, &f, c->triangle_count, begin, end);
 #if ZBUFRANDI_AVX2
         else if (g->level >= 3 && k <= ZBUFRANDI_FLAT_CHUNK) zbufrandi_flat_strata_avx2(&f, c->triangle_count, k);
@@ -10215,6 +10300,7 @@ static void zbufrandi_list_emit(const zbufrandi_cut *cut, const zbufrandi_local 
         if (cut->round_up) d.count = (uint32_t)expected + ((double)(uint32_t)expected < expected);
         else if (cut->independent) d.count = zbufrandi_list_poisson(expected, d.hash);
         if (d.count == 0 && !cut->bounds) return;
+        p->samples += d.count;
     }
     if (cut->bounds) {
         zbufrandi_bounds *b = &p->bounds[p->draw_count];
@@ -10283,6 +10369,9 @@ static void zbufrandi_list_single(const zbufrandi_cut *cut, const zbufrandi_loca
 
 /* ---- the walk ---- */
 
+/* Numbers of samples have 32 bits. */
+#define ZBUFRANDI_SAMPLES_MAX ((uint64_t)1 << 32)
+
 typedef struct zbufrandi_list_walk {
     const zbufrandi_cut *cut;
     zbufrandi_mem *mem;
@@ -10290,11 +10379,25 @@ typedef struct zbufrandi_list_walk {
     zbufrandi_pick *p;
     zbufrandi_list_open *stack;
     size_t capacity, count;
+    const zbufrand_env *env;
+    zbufrandi_asker *asker;
+    uint64_t asked;            /* work when it asked last */
 } zbufrandi_list_walk;
+
+/* Go on? Not if a picture cannot have as many samples, or it was cancelled. */
+static int zbufrandi_list_goes_on(zbufrandi_list_walk *w) {
+    const zbufrandi_pick *p = w->p;
+    const uint64_t work = (p->samples >> 6) + p->counts.tested + p->draw_count;
+    if (p->samples > ZBUFRANDI_SAMPLES_MAX) return 0;
+    if (work - w->asked < 4096) return 1;
+    w->asked = work;
+    return zbufrandi_ask(w->env, w->asker, 0);
+}
 
 static int zbufrandi_list_room(zbufrandi_list_walk *w, size_t n) { /* for n more of everything */
     zbufrandi_pick *p = w->p;
-    if (zbufrandi_grow(w->mem, (void **)&w->stack, &w->capacity, w->count, w->count + n, sizeof *w->stack) &&
+    if (zbufrandi_list_goes_on(w) &&
+        zbufrandi_grow(w->mem, (void **)&w->stack, &w->capacity, w->count, w->count + n, sizeof *w->stack) &&
         zbufrandi_grow(w->mem, (void **)&p->draw, &p->draw_capacity, p->draw_count, p->draw_count + n,
                        sizeof *p->draw) &&
         zbufrandi_grow(w->mem, (void **)&p->local, &p->local_capacity, p->local_count, p->local_count + n,
@@ -10456,14 +10559,17 @@ static void zbufrandi_list_step(zbufrandi_list_walk *w) {
 }
 
 /* Everything that is drawn of a scene with lists, into p->draw. */
-static void zbufrandi_list_select(const zbufrandi_cut *cut, zbufrandi_mem *mem, const zbufrandi_local *locals,
-                                  uint32_t root, zbufrandi_pick *p) {
+static void zbufrandi_list_select(const zbufrandi_cut *cut, zbufrandi_mem *mem, const zbufrand_env *env,
+                                  zbufrandi_asker *asker, const zbufrandi_local *locals, uint32_t root,
+                                  zbufrandi_pick *p) {
     const zbufrandi_lists *l = cut->scene->structure[0].lists;
     zbufrandi_list_walk w;
     uint32_t c;
     memset(&w, 0, sizeof w);
     w.cut = cut;
     w.mem = mem;
+    w.env = env;
+    w.asker = asker;
     w.locals = locals;
     w.p = p;
     if (zbufrandi_list_room(&w, l->roots)) {
@@ -10601,14 +10707,16 @@ static int zbufrandi_list_sample(const zbufrandi_target *g, const zbufrandi_draw
     return out->shown <= g->far_z && out->shown > 0.0f;
 }
 
-/* Returns how many samples are in the picture. Some are looked up at a time, so that waiting for memory overlaps. */
-static uint32_t zbufrandi_draw_listed(const zbufrandi_target *g, const zbufrandi_draw *d, const zbufrandi_local *l) {
+/* Samples first..last-1 of a draw. Returns how many are in the picture. Some are looked up at a time, so that waiting
+   for memory overlaps. */
+static uint32_t zbufrandi_draw_listed(const zbufrandi_target *g, const zbufrandi_draw *d, uint32_t first,
+                                      uint32_t last, const zbufrandi_local *l) {
     enum { RUN = 16 };
     zbufrandi_list_spot at[RUN];
     zbufrandi_spot seen;
     uint32_t j, k, n, accepted = 0;
-    for (j = 0; j < d->count; j += n) {
-        n = d->count - j < RUN ? d->count - j : (uint32_t)RUN;
+    for (j = first; j < last; j += n) {
+        n = last - j < RUN ? last - j : (uint32_t)RUN;
         for (k = 0; k < n; k++) {
             zbufrandi_list_find(g->cut->scene, l, d, j + k, &at[k]);
             ZBUFRANDI_PREFETCH(at[k].corner[0]);
@@ -11152,27 +11260,35 @@ typedef struct zbufrandi_seen {
     const uint8_t *back;
     const zbufrand_reconstruct *o;
     uint32_t width, height, offset;  /* of the canvas; cells begin at `offset`, the guard */
+    size_t piece;                    /* pixels of a task for squares */
 } zbufrandi_seen;
 
-/* Has a sample about the colour of the nearest one, which is somewhere around it? */
-static int zbufrandi_seen_alike(const zbufrandi_seen *c, size_t q, uint64_t nearest) {
+#define ZBUFRANDI_SOMEWHERE (~(size_t)0)
+
+/* Where the nearest sample is that hides this one; ZBUFRANDI_SOMEWHERE if it is not found. */
+static size_t zbufrandi_seen_find(const zbufrandi_seen *c, size_t q, uint64_t nearest) {
     const uint32_t d = c->o->block, x = (uint32_t)(q % c->width), y = (uint32_t)(q / c->width);
-    const uint32_t r = c->o->occlusion == ZBUFRAND_OCCLUSION_CELLS ? d - 1 : 2 * (d / 2);
+    const uint32_t r = 2 * (d / 2);
     const uint32_t x1 = c->width - x > r ? x + r : c->width - 1, y1 = c->height - y > r ? y + r : c->height - 1;
-    uint32_t i, j, a;
+    uint32_t i, j;
     for (j = y > r ? y - r : 0; j <= y1; j++) {
-        for (i = x > r ? x - r : 0; i <= x1; i++) {
-            const size_t p = (size_t)j * c->width + i;
-            if (c->keys[p] != nearest) continue;
-            for (a = 0; a < 3; a++)
-                if (!(zbufrandi_absf(c->tint[3 * q + a] - c->tint[3 * p + a]) <= c->o->tolerance_color)) return 0;
-            return 1;
-        }
+        const size_t row = (size_t)j * c->width;
+        for (i = x > r ? x - r : 0; i <= x1; i++) if (c->keys[row + i] == nearest) return row + i;
     }
-    return 0;
+    return ZBUFRANDI_SOMEWHERE;
 }
 
-static int zbufrandi_seen_keep(const zbufrandi_seen *c, size_t q, uint64_t nearest) {
+/* Has a sample about the colour of the nearest one, which is at p? */
+static int zbufrandi_seen_alike(const zbufrandi_seen *c, size_t q, size_t p) {
+    uint32_t a;
+    if (p == ZBUFRANDI_SOMEWHERE) return 0;
+    for (a = 0; a < 3; a++)
+        if (!(zbufrandi_absf(c->tint[3 * q + a] - c->tint[3 * p + a]) <= c->o->tolerance_color)) return 0;
+    return 1;
+}
+
+/* at: where the nearest one is, or ZBUFRANDI_SOMEWHERE: it is looked for. */
+static int zbufrandi_seen_keep(const zbufrandi_seen *c, size_t q, uint64_t nearest, size_t at) {
     const zbufrand_reconstruct *o = c->o;
     float z = zbufrandi_key_depth(c->keys[q]), z_min = zbufrandi_key_depth(nearest);
     if (c->back != NULL && c->back[q]) return 0;
@@ -11186,16 +11302,18 @@ static int zbufrandi_seen_keep(const zbufrandi_seen *c, size_t q, uint64_t neare
         float g = sqrtf(c->slope_x[q] * c->slope_x[q] + c->slope_y[q] * c->slope_y[q]) * z * z;
         if (z - z_min <= o->tolerance_slope * g * (float)o->block) return 1;
     }
-    return c->tint != NULL && zbufrandi_seen_alike(c, q, nearest);
+    if (c->tint == NULL) return 0;
+    return zbufrandi_seen_alike(c, q, at != ZBUFRANDI_SOMEWHERE ? at : zbufrandi_seen_find(c, q, nearest));
 }
 
 static void zbufrandi_squares_task(void *ctx, uint32_t task) {
     const zbufrandi_seen *c = (const zbufrandi_seen *)ctx;
-    uint32_t y = task * 16, end = y + 16 < c->height ? y + 16 : c->height;
-    size_t q = (size_t)y * c->width, stop = (size_t)end * c->width;
+    const size_t pixels = (size_t)c->width * c->height;
+    size_t q = task * c->piece, stop = pixels - q < c->piece ? pixels : q + c->piece;
     for (; q < stop; q++) {
-        uint64_t key = c->keys[q];
-        c->out[q] = key != ZBUFRANDI_EMPTY && zbufrandi_seen_keep(c, q, c->nearest[q]) ? key : ZBUFRANDI_EMPTY;
+        const uint64_t key = c->keys[q];
+        c->out[q] = key != ZBUFRANDI_EMPTY && zbufrandi_seen_keep(c, q, c->nearest[q], ZBUFRANDI_SOMEWHERE)
+            ? key : ZBUFRANDI_EMPTY;
     }
 }
 
@@ -11208,16 +11326,21 @@ static void zbufrandi_cells_task(void *ctx, uint32_t task) {
     if (y1 > c->height) y1 = c->height;
     for (x1 = lead != 0 ? lead : d; x0 < c->width; x0 = x1, x1 += d) {
         uint64_t nearest = ZBUFRANDI_EMPTY;
+        size_t at = 0;
         if (x1 > c->width) x1 = c->width;
         for (y = y0; y < y1; y++) {
-            const uint64_t *row = c->keys + (size_t)y * c->width;
-            for (x = x0; x < x1; x++) nearest = row[x] < nearest ? row[x] : nearest;
+            const size_t row = (size_t)y * c->width;
+            for (x = x0; x < x1; x++) {
+                if (!(c->keys[row + x] < nearest)) continue;
+                nearest = c->keys[row + x];
+                at = row + x;
+            }
         }
         for (y = y0; y < y1; y++) {
             size_t q = (size_t)y * c->width + x0;
             for (x = x0; x < x1; x++, q++) {
-                uint64_t key = c->keys[q];
-                c->out[q] = key != ZBUFRANDI_EMPTY && zbufrandi_seen_keep(c, q, nearest) ? key : ZBUFRANDI_EMPTY;
+                const uint64_t key = c->keys[q];
+                c->out[q] = key != ZBUFRANDI_EMPTY && zbufrandi_seen_keep(c, q, nearest, at) ? key : ZBUFRANDI_EMPTY;
             }
         }
     }
@@ -11641,8 +11764,8 @@ static void zbufrandi_push_task(void *ctx, uint32_t task) { /* at: the finer lev
 }
 
 /* In place in `rgba`. levels: memory for zbufrandi_pull_push_floats. reach: 0 without limit. */
-static void zbufrandi_pull_push_run(const zbufrand_env *env, float *rgba, uint32_t width, uint32_t height,
-                                    float *levels, uint32_t reach) {
+static void zbufrandi_pull_push_run(const zbufrand_env *env, zbufrandi_asker *asker, float *rgba, uint32_t width,
+                                    uint32_t height, float *levels, uint32_t reach) {
     zbufrandi_pull_push c;
     zbufrandi_pyramid_level *top;
     size_t i, n;
@@ -11660,7 +11783,7 @@ static void zbufrandi_pull_push_run(const zbufrand_env *env, float *rgba, uint32
         g->rgba = levels;
         levels += (size_t)g->width * g->height * 4;
         c.at = c.count - 1;
-        zbufrandi_parallel_for(env, zbufrandi_pull_task, &c, (g->height + 15) / 16);
+        if (!zbufrandi_parallel_ask(env, asker, zbufrandi_pull_task, &c, (g->height + 15) / 16)) return;
     }
     top = &c.level[c.count - 1];
     n = (size_t)top->width * top->height * 4;
@@ -11673,7 +11796,7 @@ static void zbufrandi_pull_push_run(const zbufrand_env *env, float *rgba, uint32
         top->rgba[i + 3] = 1.0f;
     }
     for (c.at = c.count - 1; c.at-- > 0;) {
-        zbufrandi_parallel_for(env, zbufrandi_push_task, &c, (c.level[c.at].height + 15) / 16);
+        (void)zbufrandi_parallel_ask(env, asker, zbufrandi_push_task, &c, (c.level[c.at].height + 15) / 16);
     }
 }
 
@@ -12002,6 +12125,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_mend(const zbufrand_suspect_desc *desc, fl
 
 typedef struct zbufrandi_recon {
     zbufrand_env env;
+    zbufrandi_asker *asker;          /* for the calls below; NULL: nobody is asked */
     zbufrand_reconstruct o;          /* defaults filled in */
     int level;
     uint32_t width, height, guard;   /* of the picture; around it */
@@ -12183,6 +12307,11 @@ static void zbufrandi_inverse_task(void *ctx, uint32_t task) {
     }
 }
 
+/* A stage of a reconstruction; nothing if it was cancelled before. */
+static void zbufrandi_recon_for(const zbufrandi_recon *r, zbufrand_task_fn *task, void *ctx, uint32_t count) {
+    (void)zbufrandi_parallel_ask(&r->env, r->asker, task, ctx, count);
+}
+
 static void zbufrandi_recon_minimum(const zbufrandi_recon *r, const uint64_t *in, uint64_t *out, int squares) {
     zbufrandi_minimum c;
     memset(&c, 0, sizeof c);
@@ -12200,7 +12329,16 @@ static void zbufrandi_recon_minimum(const zbufrandi_recon *r, const uint64_t *in
     c.scratch = r->scratch;
     c.scratch_stride = zbufrandi_minimum_stride(c.d);
     c.level = r->level;
-    zbufrandi_parallel_for(&r->env, zbufrandi_minimum_task, &c, zbufrandi_minimum_tasks(c.out_height, c.d));
+    zbufrandi_recon_for(r, zbufrandi_minimum_task, &c, zbufrandi_minimum_tasks(c.out_height, c.d));
+}
+
+/* Pieces of 16 rows, or fewer pixels if much may have to be looked at for each. */
+static void zbufrandi_recon_squares(const zbufrandi_recon *r, zbufrandi_seen *s) {
+    const uint64_t side = 4 * (uint64_t)(r->o.block / 2) + 1, most = ((uint64_t)1 << 26) / (side * side);
+    const size_t pixels = (size_t)s->width * s->height;
+    s->piece = 16 * (size_t)s->width;
+    if (s->tint != NULL && most < s->piece) s->piece = (size_t)most;
+    zbufrandi_recon_for(r, zbufrandi_squares_task, s, (uint32_t)((pixels + s->piece - 1) / s->piece));
 }
 
 /* Occlusion. Leaves the keys that are seen in r->result. */
@@ -12215,7 +12353,7 @@ static void zbufrandi_recon_occlusion(zbufrandi_recon *r) {
         if (d == 1) return;
         if (r->inverse != NULL) {
             zbufrandi_planes p;
-            zbufrandi_parallel_for(&r->env, zbufrandi_inverse_task, r, tasks);
+            zbufrandi_recon_for(r, zbufrandi_inverse_task, r, tasks);
             memset(&p, 0, sizeof p);
             p.keys = r->canvas.key;
             p.exact = r->exact;
@@ -12230,7 +12368,7 @@ static void zbufrandi_recon_occlusion(zbufrandi_recon *r) {
             p.back = d / 2;
             p.d = d;
             p.level = r->level;
-            zbufrandi_parallel_for(&r->env, zbufrandi_planes_task, &p, (r->height + 15) / 16);
+            zbufrandi_recon_for(r, zbufrandi_planes_task, &p, (r->height + 15) / 16);
         } else {
             zbufrandi_recon_minimum(r, r->canvas.key, r->pass[0], 0);
         }
@@ -12254,17 +12392,17 @@ static void zbufrandi_recon_occlusion(zbufrandi_recon *r) {
     s.offset = r->guard;
     if (r->o.occlusion == ZBUFRAND_OCCLUSION_CELLS) {
         uint32_t lead = r->guard % d;
-        zbufrandi_parallel_for(&r->env, zbufrandi_cells_task, &s, (lead != 0) + (s.height - lead + d - 1) / d);
+        zbufrandi_recon_for(r, zbufrandi_cells_task, &s, (lead != 0) + (s.height - lead + d - 1) / d);
     } else if (d == 1) { /* squares of one pixel hide nothing */
         s.nearest = r->canvas.key;
-        zbufrandi_parallel_for(&r->env, zbufrandi_squares_task, &s, tasks);
+        zbufrandi_recon_squares(r, &s);
     } else {
         zbufrandi_recon_minimum(r, r->canvas.key, r->pass[0], 1);
         if (r->o.occlusion == ZBUFRAND_OCCLUSION_SQUARES_ALL) {
-            zbufrandi_parallel_for(&r->env, zbufrandi_mask_task, &s, tasks);
+            zbufrandi_recon_for(r, zbufrandi_mask_task, &s, tasks);
             zbufrandi_recon_minimum(r, r->pass[1], r->pass[0], 1);
         }
-        zbufrandi_parallel_for(&r->env, zbufrandi_squares_task, &s, tasks);
+        zbufrandi_recon_squares(r, &s);
     }
     r->result = r->pass[1];
 }
@@ -12287,10 +12425,10 @@ ZBUFRANDI_UNUSED static void zbufrandi_recon_keys(zbufrandi_recon *r) {
         v.guard = r->result_guard;
         v.reach = r->o.reach != 0 && r->o.reach < 0x20000u ? r->o.reach : 0x20000u;
         v.euclidean = r->o.fill != ZBUFRAND_FILL_VORONOI_L1;
-        zbufrandi_parallel_for(&r->env, zbufrandi_voronoi_columns, &v,
-                               (v.pitch + ZBUFRANDI_VORONOI_COLUMNS - 1) / ZBUFRANDI_VORONOI_COLUMNS);
-        zbufrandi_parallel_for(&r->env, zbufrandi_voronoi_rows, &v,
-                               (v.height + ZBUFRANDI_VORONOI_ROWS - 1) / ZBUFRANDI_VORONOI_ROWS);
+        zbufrandi_recon_for(r, zbufrandi_voronoi_columns, &v,
+                            (v.pitch + ZBUFRANDI_VORONOI_COLUMNS - 1) / ZBUFRANDI_VORONOI_COLUMNS);
+        zbufrandi_recon_for(r, zbufrandi_voronoi_rows, &v,
+                            (v.height + ZBUFRANDI_VORONOI_ROWS - 1) / ZBUFRANDI_VORONOI_ROWS);
         r->result = v.out;
     } else if (r->color == NULL && r->result_guard != 0) { /* crop */
         uint64_t *out = r->result == r->pass[0] ? r->result : r->pass[0];
@@ -12326,11 +12464,11 @@ ZBUFRANDI_UNUSED static void zbufrandi_recon_colors(zbufrandi_recon *r, float *r
         g.taps = zbufrandi_gauss_weights(r->o.gauss_radius, r->o.gauss_support, weight);
         g.weight = weight;
         g.level = r->level;
-        zbufrandi_parallel_for(&r->env, zbufrandi_gauss_rows, &g, (g.in_height + 15) / 16);
-        zbufrandi_parallel_for(&r->env, zbufrandi_gauss_columns, &g, (g.height + 15) / 16);
+        zbufrandi_recon_for(r, zbufrandi_gauss_rows, &g, (g.in_height + 15) / 16);
+        zbufrandi_recon_for(r, zbufrandi_gauss_columns, &g, (g.height + 15) / 16);
         return;
     }
-    zbufrandi_pull_push_run(&r->env, r->color, r->result_width, r->result_height, r->between, r->o.reach);
+    zbufrandi_pull_push_run(&r->env, r->asker, r->color, r->result_width, r->result_height, r->between, r->o.reach);
     for (y = 0; y < r->height; y++) {
         size_t from = (size_t)(y + r->result_guard) * r->result_width + r->result_guard;
         memmove(rgba + (size_t)y * r->width * 4, r->color + from * 4, (size_t)r->width * 16);
@@ -12703,8 +12841,12 @@ static zbufrand_result zbufrandi_canvas_repair(zbufrand_canvas *c, float *rgba, 
     return r;
 }
 
+/* Calls of zbufrandi_recon_for there may be, with the levels of pull-push up and down, for colours and depths. */
+enum { ZBUFRANDI_RESOLVE_STAGES = 80 };
+
 static zbufrand_result zbufrandi_canvas_resolve(zbufrand_canvas *canvas, const zbufrand_source *source,
                                                 const zbufrand_picture *picture, zbufrand_resolve_stats *stats) {
+    zbufrandi_asker asker;
     zbufrandi_shade s;
     zbufrandi_recon *r;
     zbufrand_resolve_stats n;
@@ -12723,12 +12865,16 @@ static zbufrand_result zbufrandi_canvas_resolve(zbufrand_canvas *canvas, const z
         if (depth == NULL) return zbufrandi_fail(canvas->env.error, ZBUFRAND_ERR_NO_MEMORY, 0, "out of memory");
     }
     memset(&s, 0, sizeof s);
+    memset(&asker, 0, sizeof asker);
+    asker.step = 1u << 16;
+    asker.total = ZBUFRANDI_RESOLVE_STAGES * asker.step;
+    r->asker = &asker;
     s.recon = r;
     s.source = source;
     s.salt = canvas->salt;
     if (r->slope_x != NULL || r->back != NULL || r->tint != NULL) {
         tasks = (r->canvas.height + ZBUFRANDI_SHADE_ROWS - 1) / ZBUFRANDI_SHADE_ROWS;
-        zbufrandi_parallel_for(&canvas->env, zbufrandi_surface_task, &s, tasks);
+        zbufrandi_recon_for(r, zbufrandi_surface_task, &s, tasks);
     }
     zbufrandi_recon_keys(r);
     tasks = (r->result_height + ZBUFRANDI_SHADE_ROWS - 1) / ZBUFRANDI_SHADE_ROWS;
@@ -12739,13 +12885,13 @@ static zbufrand_result zbufrandi_canvas_resolve(zbufrand_canvas *canvas, const z
     } else if (picture->rgba != NULL) {
         s.rgba = r->color;
     }
-    zbufrandi_parallel_for(&canvas->env, zbufrandi_shade_task, &s, tasks);
+    zbufrandi_recon_for(r, zbufrandi_shade_task, &s, tasks);
     if (r->color != NULL) {
         if (picture->rgba != NULL) zbufrandi_recon_colors(r, picture->rgba);
-        if (depth != NULL) { /* 1/z is mixed like the colours */
-            zbufrandi_parallel_for(&canvas->env, zbufrandi_depth_color_task, r, tasks);
+        if (depth != NULL && !asker.cancelled) { /* 1/z is mixed like the colours */
+            zbufrandi_recon_for(r, zbufrandi_depth_color_task, r, tasks);
             zbufrandi_recon_colors(r, r->color);
-            for (i = 0; i < pixels; i++) {
+            for (i = 0; i < pixels && !asker.cancelled; i++) {
                 depth[i] = r->color[4 * i + 3] > 0.0f ? 1.0f / r->color[4 * i] : (float)INFINITY;
             }
         }
@@ -12753,6 +12899,8 @@ static zbufrand_result zbufrandi_canvas_resolve(zbufrand_canvas *canvas, const z
     }
     n.covered = zbufrandi_tally(s.covered);
     n.shaded = zbufrandi_tally(s.shaded);
+    r->asker = NULL;
+    if (asker.cancelled) result = zbufrandi_fail(canvas->env.error, ZBUFRAND_ERR_CANCELLED, 0, "resolve: cancelled");
     if (result == ZBUFRAND_OK && r->o.repair) result = zbufrandi_canvas_repair(canvas, picture->rgba, depth, &n);
     if (depth != picture->depth) zbufrandi_free(&canvas->mem, depth);
     if (stats != NULL) *stats = n;
@@ -14697,6 +14845,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_camera_view(const zbufrand_camera *camera,
 
 typedef struct zbufrandi_picture zbufrandi_picture;
 
+typedef struct zbufrandi_batch { uint32_t draw, sample; } zbufrandi_batch;
+
 struct zbufrand_frame {
     zbufrandi_mem mem;
     zbufrand_env env;
@@ -14710,7 +14860,8 @@ struct zbufrand_frame {
     zbufrandi_draw *draw;
     zbufrandi_bounds *bounds;          /* of the draws, for queries */
     zbufrandi_local *local;
-    uint32_t *block_draw, *batch;      /* batch: first draw of each task of drawing */
+    uint32_t *block_draw;
+    zbufrandi_batch *batch;            /* where each task of drawing begins */
     uint8_t *aux;
     zbufrandi_ray_seen *ray_seen;
     zbufrandi_ray_hit *hit;
@@ -14743,6 +14894,7 @@ struct zbufrandi_picture {
     const zbufrand_render_desc *d;
     const zbufrand_scene *scene;
     const zbufrand_image *image;
+    zbufrandi_asker asker;
     zbufrand_stats stats;
     zbufrandi_cut cut;
     zbufrandi_target target;
@@ -14759,6 +14911,7 @@ struct zbufrandi_picture {
     double first_density;
     uint64_t since_refresh;            /* samples since the pyramid was made */
     double clock;
+    int too_many;                      /* samples for numbers of 32 bits */
     int keep;                          /* colours go to f->color and not to the caller: one of several frames */
     uint32_t parts;                    /* oversampling: so many of its pixels make one; else 1 */
     uint8_t *where;                    /* repair: of 16 x 16 pixels: 1 samples may be there, 2 beside that; or NULL */
@@ -14840,6 +14993,20 @@ static void zbufrandi_lap(zbufrandi_picture *p, int stage) { /* book the time si
     p->clock = now;
 }
 
+/* What progress_fn hears is about the nodes of the tree: how many there will be nobody knows. 0: cancelled. */
+static int zbufrandi_picture_asks(zbufrandi_picture *p) {
+    p->asker.done = p->stats.nodes;
+    p->asker.total = p->stats.nodes + p->f->front_count;
+    return zbufrandi_ask(&p->f->env, &p->asker, 0);
+}
+
+/* A parallel-for of a picture. 0: cancelled. */
+static int zbufrandi_picture_for(zbufrandi_picture *p, zbufrand_task_fn *task, void *ctx, uint32_t count) {
+    p->asker.done = p->stats.nodes;
+    p->asker.total = p->stats.nodes + p->f->front_count;
+    return zbufrandi_parallel_ask(&p->f->env, &p->asker, task, ctx, count);
+}
+
 /* ---- rounds ---- */
 
 static void zbufrandi_select_task(void *ctx, uint32_t task) {
@@ -14870,7 +15037,10 @@ static int zbufrandi_number_draw(zbufrandi_picture *p, zbufrandi_draw *d, uint32
     zbufrand_frame *f = p->f;
     uint32_t blocks = (d->count + 63u) / 64u, i, kind = d->item >> ZBUFRANDI_DRAW_SHIFT;
     if (kind == ZBUFRANDI_DRAW_STORED) blocks = 1;
-    if (f->block_count + blocks > 0x3ffffffu) return 0;
+    if (f->block_count + blocks > 0x3ffffffu) {
+        p->too_many = 1;
+        return 0;
+    }
     if (!zbufrandi_grow(&f->mem, (void **)&f->block_draw, &f->block_capacity, f->block_count, f->block_count + blocks,
                         sizeof *f->block_draw)) return 0;
     d->block = (uint32_t)f->block_count;
@@ -14889,7 +15059,10 @@ static int zbufrandi_round_merge(zbufrandi_picture *p, uint32_t tasks) {
     for (t = 0; t < tasks; t++) {
         zbufrandi_pick *k = &f->pick[t];
         uint32_t shift = (uint32_t)f->local_count - ZBUFRANDI_NEW_LOCAL;
-        if (k->failed) return 0;
+        if (k->failed) {
+            p->too_many |= k->samples > ZBUFRANDI_SAMPLES_MAX;
+            return 0;
+        }
         if (f->local_count + k->local_count >= ZBUFRANDI_NEW_LOCAL ||
             !zbufrandi_grow(&f->mem, (void **)&f->local, &f->local_capacity, f->local_count,
                             f->local_count + k->local_count,
@@ -14939,6 +15112,7 @@ static int zbufrandi_round_select(zbufrandi_picture *p) {
     for (t = 0; t < tasks; t++) {
         zbufrandi_pick *k = &f->pick[t];
         k->stack_count = k->draw_count = k->local_count = 0;
+        k->samples = 0;
         memset(&k->counts, 0, sizeof k->counts);
         k->failed = !zbufrandi_grow(&f->mem, (void **)&k->stack, &k->stack_capacity, 0, 16, sizeof *k->stack);
         if (k->failed) return 0;
@@ -15002,15 +15176,18 @@ ZBUFRANDI_INLINE void zbufrandi_draw_prefetch(const zbufrandi_picture *p, const 
 static void zbufrandi_draw_task(void *ctx, uint32_t task) {
     zbufrandi_picture *p = (zbufrandi_picture *)ctx;
     const zbufrand_frame *f = p->f;
-    uint32_t i = f->batch[task], end = f->batch[task + 1], raster_local = ~0u, samples;
+    const zbufrandi_batch *b = &f->batch[task];
+    const uint32_t end = b[1].draw + (b[1].sample != 0);
+    uint32_t i, raster_local = ~0u, samples;
     uint64_t accepted = 0, sampled_seen = 0, sampled = 0, stored = 0, points = 0, covered = 0;
     zbufrandi_waiting wait;
     zbufrandi_raster r;
     wait.count = wait.inside = wait.tried = 0;
     zbufrandi_raster_begin(&r, &p->raster_camera, &p->exact, p->target.exclusive, f->level);
-    for (; i < end; i++) {
+    for (i = b->draw; i < end; i++) {
         zbufrandi_draw d = f->draw[i];
         const uint32_t kind = d.item >> ZBUFRANDI_DRAW_SHIFT;
+        const uint32_t first = i == b->draw ? b->sample : 0, last = i == b[1].draw ? b[1].sample : d.count;
         const zbufrandi_local *l;
         const zbufrandi_structure *s;
         d.block += p->first_block;
@@ -15026,11 +15203,11 @@ static void zbufrandi_draw_task(void *ctx, uint32_t task) {
             accepted += zbufrandi_draw_stored(&p->target, &d, l, s, &wait);
             stored += d.count;
         } else if (kind == ZBUFRANDI_DRAW_SAMPLED) {
-            sampled_seen += zbufrandi_draw_sampled(&p->target, &d, l, s, &wait, &samples);
+            sampled_seen += zbufrandi_draw_sampled(&p->target, &d, first, last, l, s, &wait, &samples);
             sampled += samples;
         } else if (kind == ZBUFRANDI_DRAW_LISTED) {
-            accepted += zbufrandi_draw_listed(&p->target, &d, l);
-            sampled += d.count;
+            accepted += zbufrandi_draw_listed(&p->target, &d, first, last, l);
+            sampled += last - first;
         } else if (kind == ZBUFRANDI_DRAW_LISTED_RASTER) {
             if (raster_local != d.local) zbufrandi_raster_local(&r, l);
             raster_local = d.local;
@@ -15058,26 +15235,48 @@ static void zbufrandi_draw_task(void *ctx, uint32_t task) {
     zbufrandi_tally_add(p->points, points);
 }
 
-/* Draw what was found since the last call, in tasks of about equal size. 0: no memory. */
-static int zbufrandi_round_draw(zbufrandi_picture *p) {
+/* A task of drawing begins at a sample of a draw. 0: no memory. */
+static int zbufrandi_batch_begin(zbufrand_frame *f, uint32_t draw, uint32_t sample) {
+    if (!zbufrandi_grow(&f->mem, (void **)&f->batch, &f->batch_capacity, f->batch_count, f->batch_count + 1,
+                        sizeof *f->batch)) return 0;
+    f->batch[f->batch_count].draw = draw;
+    f->batch[f->batch_count++].sample = sample;
+    return 1;
+}
+
+/* Samples of a draw that are one task: more would let nobody be asked for long. How many independent ones there are
+   takes as long as some of them, and each piece has to know. */
+enum { ZBUFRANDI_PIECE = 1 << 18, ZBUFRANDI_PIECE_INDEPENDENT = 1 << 25 };
+
+static uint32_t zbufrandi_draw_piece(const zbufrandi_picture *p, uint32_t kind) {
+    if (kind == ZBUFRANDI_DRAW_LISTED) return ZBUFRANDI_PIECE;
+    if (kind != ZBUFRANDI_DRAW_SAMPLED) return ~0u;
+    return p->cut.independent ? ZBUFRANDI_PIECE_INDEPENDENT : ZBUFRANDI_PIECE;
+}
+
+/* Draw what was found since the last call, in tasks of about equal size. */
+static zbufrand_result zbufrandi_round_draw(zbufrandi_picture *p) {
     zbufrand_frame *f = p->f;
     uint32_t i, begin = p->done_draws;
     uint64_t work = 0, total = 0;
     f->batch_count = 0;
     if (!zbufrandi_grow(&f->mem, (void **)&f->aux, &f->aux_capacity, f->aux_written, f->aux_count * ZBUFRANDI_SET + 64,
-                        1)) return 0;
+                        1)) return ZBUFRAND_ERR_NO_MEMORY;
     f->aux_written = f->aux_count * ZBUFRANDI_SET;
     for (i = begin; i <= f->draw_count; i++) {
         if (i == begin || work >= 8192 || i == f->draw_count) {
-            if (!zbufrandi_grow(&f->mem, (void **)&f->batch, &f->batch_capacity, f->batch_count, f->batch_count + 1,
-                                sizeof *f->batch)) return 0;
-            f->batch[f->batch_count++] = i;
+            if (!zbufrandi_batch_begin(f, i, 0)) return ZBUFRAND_ERR_NO_MEMORY;
             total += work;
             work = 0;
         }
         if (i < f->draw_count) {
             const zbufrandi_draw *d = &f->draw[i];
-            uint32_t kind = d->item >> ZBUFRANDI_DRAW_SHIFT;
+            const uint32_t kind = d->item >> ZBUFRANDI_DRAW_SHIFT, piece = zbufrandi_draw_piece(p, kind);
+            uint32_t at;
+            for (at = piece; at < d->count; at += piece) {
+                if (!zbufrandi_batch_begin(f, i, at)) return ZBUFRAND_ERR_NO_MEMORY;
+                if (d->count - at <= piece) break;
+            }
             if (kind <= ZBUFRANDI_DRAW_RASTERED) p->stats.draws[kind]++;
             else if (kind >= ZBUFRANDI_DRAW_LISTED) p->stats.draws[1 + (kind == ZBUFRANDI_DRAW_LISTED_RASTER)]++;
             if (kind == ZBUFRANDI_DRAW_RASTERED || kind == ZBUFRANDI_DRAW_LISTED_RASTER)
@@ -15089,8 +15288,14 @@ static int zbufrandi_round_draw(zbufrandi_picture *p) {
     p->target.aux = f->aux;
     p->since_refresh += total;
     p->done_draws = (uint32_t)f->draw_count;
-    if (f->batch_count > 1) zbufrandi_parallel_for(&f->env, zbufrandi_draw_task, p, (uint32_t)f->batch_count - 1);
-    return 1;
+    if (f->batch_count <= 1) return ZBUFRAND_OK;
+    return zbufrandi_picture_for(p, zbufrandi_draw_task, p, (uint32_t)f->batch_count - 1) ? ZBUFRAND_OK
+                                                                                        : ZBUFRAND_ERR_CANCELLED;
+}
+
+/* Why something could not be given room. */
+static zbufrand_result zbufrandi_no_room(const zbufrandi_picture *p) {
+    return p->asker.cancelled ? ZBUFRAND_ERR_CANCELLED : p->too_many ? ZBUFRAND_ERR_RANGE : ZBUFRAND_ERR_NO_MEMORY;
 }
 
 /* Draws for the caller's clouds of points. 0: no memory, or too many points. */
@@ -15121,15 +15326,14 @@ static zbufrand_result zbufrandi_draw_lists(zbufrandi_picture *p, uint32_t root)
     zbufrand_frame *f = p->f;
     zbufrandi_pick *k = &f->pick[0];
     uint32_t i;
+    zbufrand_result r;
     k->stack_count = k->draw_count = k->local_count = 0;
+    k->samples = 0;
     k->failed = 0;
     memset(&k->counts, 0, sizeof k->counts);
-    if (f->env.progress_fn != NULL && f->env.progress_fn(f->env.progress_user, 0, 1) != 0)
-        return ZBUFRAND_ERR_CANCELLED;
-    zbufrandi_list_select(&p->cut, &f->mem, f->local, root, k);
+    zbufrandi_list_select(&p->cut, &f->mem, &f->env, &p->asker, f->local, root, k);
     f->front_count = 0;
-    if (!zbufrandi_round_merge(p, 1))
-        return f->block_count > 0x3fff000u ? ZBUFRAND_ERR_RANGE : ZBUFRAND_ERR_NO_MEMORY;
+    if (!zbufrandi_round_merge(p, 1)) return zbufrandi_no_room(p);
     if (!zbufrandi_grow(&f->mem, (void **)&f->local, &f->local_capacity, f->local_count,
                         f->local_count + p->scene->structure_count, sizeof *f->local)) return ZBUFRAND_ERR_NO_MEMORY;
     p->drawn.stand_in = (uint32_t)f->local_count;
@@ -15138,9 +15342,9 @@ static zbufrand_result zbufrandi_draw_lists(zbufrandi_picture *p, uint32_t root)
         f->local[f->local_count++].structure = i;
     }
     zbufrandi_lap(p, ZBUFRAND_STAGE_SELECT);
-    if (!p->cut.bounds && !zbufrandi_round_draw(p)) return ZBUFRAND_ERR_NO_MEMORY;
+    r = p->cut.bounds ? ZBUFRAND_OK : zbufrandi_round_draw(p);
     zbufrandi_lap(p, ZBUFRAND_STAGE_DRAW);
-    return ZBUFRAND_OK;
+    return r;
 }
 
 /* Independent samples are drawn from clusters, however small: of 10^11 triangles that would take hours. */
@@ -15238,18 +15442,16 @@ static void zbufrandi_crew_open(zbufrandi_crew *c, zbufrand_env *env) {
 /* What was put into front, until it is empty. */
 static zbufrand_result zbufrandi_draw_rounds(zbufrandi_picture *p, uint64_t refresh_after) {
     zbufrand_frame *f = p->f;
+    zbufrand_result r;
     while (f->front_count > 0) {
-        if (f->env.progress_fn != NULL &&
-            f->env.progress_fn(f->env.progress_user, p->stats.nodes, p->stats.nodes + f->front_count) != 0) {
-            return ZBUFRAND_ERR_CANCELLED;
-        }
-        if (!zbufrandi_round_select(p))
-            return f->block_count > 0x3fff000u ? ZBUFRAND_ERR_RANGE : ZBUFRAND_ERR_NO_MEMORY;
+        if (!zbufrandi_picture_asks(p)) return ZBUFRAND_ERR_CANCELLED;
+        if (!zbufrandi_round_select(p)) return zbufrandi_no_room(p);
         if (p->cut.independent && f->draw_count > ZBUFRANDI_INDEPENDENT_DRAWS) return ZBUFRAND_ERR_RANGE;
         zbufrandi_lap(p, ZBUFRAND_STAGE_SELECT);
         /* drawn all at once, or not at all */
         if (p->cut.bounds || (p->d->no_occlusion && f->front_count > 0)) continue;
-        if (!zbufrandi_round_draw(p)) return ZBUFRAND_ERR_NO_MEMORY;
+        r = zbufrandi_round_draw(p);
+        if (r != ZBUFRAND_OK) return r;
         zbufrandi_lap(p, ZBUFRAND_STAGE_DRAW);
         if (!p->d->no_occlusion && f->front_count > 0 && p->since_refresh >= refresh_after) {
             zbufrandi_pyramid_refresh_all(&f->env, &p->pyramid, &f->recon.canvas,
@@ -15271,9 +15473,12 @@ static zbufrand_result zbufrandi_draw_scene(zbufrandi_picture *p) {
     const uint64_t refresh_after =
         (uint64_t)(layers * p->cut.density * (double)f->recon.width * (double)f->recon.height);
     zbufrandi_lap(p, -1);
+    if (!zbufrandi_picture_asks(p)) return ZBUFRAND_ERR_CANCELLED;
     if (f->draw_count == 0 && !p->cut.bounds) {
-        if (!zbufrandi_add_points(p) || !zbufrandi_round_draw(p))
-            return f->block_count > 0x3fff000u ? ZBUFRAND_ERR_RANGE : ZBUFRAND_ERR_NO_MEMORY;
+        zbufrand_result r;
+        if (!zbufrandi_add_points(p)) return zbufrandi_no_room(p);
+        r = zbufrandi_round_draw(p);
+        if (r != ZBUFRAND_OK) return r;
         zbufrandi_lap(p, ZBUFRAND_STAGE_DRAW);
     }
     if (p->scene == NULL || p->scene->structure_count == 0 || p->scene->structure[0].node_count == 0)
@@ -15736,8 +15941,9 @@ static zbufrand_result zbufrandi_repair_cast(zbufrandi_picture *p, uint32_t *out
         if (f->depth[f->suspect[i]] < (float)INFINITY) p->stats.wrong++;
         else p->stats.holes++;
     }
-    zbufrandi_parallel_for(&f->env, zbufrandi_repair_task, p,
-                           (uint32_t)((f->suspect_count + ZBUFRANDI_REPAIR_RAYS - 1) / ZBUFRANDI_REPAIR_RAYS));
+    if (!zbufrandi_picture_for(p, zbufrandi_repair_task, p,
+                               (uint32_t)((f->suspect_count + ZBUFRANDI_REPAIR_RAYS - 1) / ZBUFRANDI_REPAIR_RAYS)))
+        return ZBUFRAND_ERR_CANCELLED;
     return zbufrandi_repair_apply(p, out_inside);
 }
 
@@ -15824,6 +16030,7 @@ typedef struct zbufrandi_paint {
     float *rgba;                       /* of result size; NULL: not kept */
     int colors;                        /* somebody wants them */
     int last;                          /* no filter comes after: write them out at once */
+    uint32_t rows;                     /* of a task */
     uint32_t covered[2];
 } zbufrandi_paint;
 
@@ -15966,7 +16173,7 @@ static void zbufrandi_paint_task(void *ctx, uint32_t task) {
     zbufrandi_paint *c = (zbufrandi_paint *)ctx;
     const zbufrandi_picture *p = c->p;
     const zbufrandi_recon *r = &p->f->recon;
-    uint32_t y = task * ZBUFRANDI_PAINT_ROWS, end = y + ZBUFRANDI_PAINT_ROWS, x, i, w = r->result_width;
+    uint32_t y = task * c->rows, end = y + c->rows, x, i, w = r->result_width;
     uint64_t covered = 0;
     if (end > r->result_height) end = r->result_height;
     for (; y < end; y++) {
@@ -16105,26 +16312,31 @@ static void zbufrandi_set_density(zbufrandi_picture *p) {
     p->cut.list_sample = zbufrandi_cost(c->listed, o->listed) + ray;
 }
 
+/* All but camera, lights, background, reconstruction and the rules of the thesis, which are checked where they are
+   taken. */
+static int zbufrandi_render_desc_ok(const zbufrand_render_desc *d) {
+    size_t i;
+    if ((uint32_t)d->hybrid > ZBUFRAND_HYBRID_LARGE || !(d->tolerance >= 0.0 && d->tolerance < 1.0) ||
+        !(d->density >= 0.0 && d->density < 1e6) || !(d->noise >= 0.0) || !(d->hybrid_radius >= 0.0) ||
+        (d->lights == NULL && d->light_count != 0) || (d->points == NULL && d->points_count != 0) ||
+        (d->opacity == NULL && d->opacity_count != 0) || (d->spread & (d->spread - 1u)) != 0) return 0;
+    for (i = 0; i < d->opacity_count; i++) if (!(d->opacity[i] >= 0.0f && d->opacity[i] <= 1.0f)) return 0;
+    for (i = 0; i < d->points_count; i++)
+        if (d->points[i].positions == NULL && d->points[i].count != 0) return 0;
+    return 1;
+}
+
 static zbufrand_result zbufrandi_open_picture(zbufrandi_picture *p) {
     const zbufrand_render_desc *d = p->d;
     zbufrand_frame *f = p->f;
     zbufrand_result r;
-    size_t bytes, i;
+    size_t bytes;
     uint32_t h = zbufrandi_hash32(d->seed ^ zbufrandi_hash32(d->frame + 0x9e3779b9u));
     double spread = d->spread != 0 ? (double)d->spread : 1.0;
     zbufrand_reconstruct o = d->reconstruct;
     int same = f->recon_open && memcmp(&f->recon_asked, &d->reconstruct, sizeof d->reconstruct) == 0 &&
                f->recon.width == p->image->width && f->recon.height == p->image->height;
-    if ((uint32_t)d->hybrid > ZBUFRAND_HYBRID_LARGE || !(d->tolerance >= 0.0 && d->tolerance < 1.0) ||
-        !(d->density >= 0.0 && d->density < 1e6) || !(d->noise >= 0.0) || !(d->hybrid_radius >= 0.0) ||
-        (d->lights == NULL && d->light_count != 0) || (d->points == NULL && d->points_count != 0) ||
-        (d->opacity == NULL && d->opacity_count != 0) ||
-        (d->spread & (d->spread - 1u)) != 0 || !zbufrandi_list_rules(d, p->scene, &p->cut))
-            return ZBUFRAND_ERR_INVALID_ARG;
-    for (i = 0; i < d->opacity_count; i++)
-        if (!(d->opacity[i] >= 0.0f && d->opacity[i] <= 1.0f)) return ZBUFRAND_ERR_INVALID_ARG;
-    for (i = 0; i < d->points_count; i++)
-        if (d->points[i].positions == NULL && d->points[i].count != 0) return ZBUFRAND_ERR_INVALID_ARG;
+    if (!zbufrandi_render_desc_ok(d) || !zbufrandi_list_rules(d, p->scene, &p->cut)) return ZBUFRAND_ERR_INVALID_ARG;
     if (p->image->width > ZBUFRANDI_RASTER_MAX_SIZE || p->image->height > ZBUFRANDI_RASTER_MAX_SIZE)
         return ZBUFRAND_ERR_RANGE;
     if (!same) {
@@ -16195,6 +16407,7 @@ static zbufrand_result zbufrandi_open_picture(zbufrandi_picture *p) {
     p->exact = f->recon.canvas;
     if (f->recon.exact != NULL) p->exact.key = f->recon.exact;
     p->first_block = zbufrandi_hash32(h + 1) & 0x3ffffffu;
+    f->recon.asker = &p->asker;
     zbufrandi_recon_clear(&f->recon);
     bytes = zbufrandi_pyramid_bytes(f->recon.canvas.width, f->recon.canvas.height);
     if (!zbufrandi_grow(&f->mem, &f->pyramid_memory, &f->pyramid_capacity, 0, bytes, 1)) return ZBUFRAND_ERR_NO_MEMORY;
@@ -16239,8 +16452,9 @@ static zbufrand_result zbufrandi_draw_picture(zbufrandi_picture *p) {
         if (result != ZBUFRAND_OK) return result;
         zbufrandi_open_drawn(p);
         if (r->slope_x != NULL || r->back != NULL || r->tint != NULL)
-            zbufrandi_parallel_for(&p->f->env, zbufrandi_slope_task, p, r->canvas.height);
+            (void)zbufrandi_picture_for(p, zbufrandi_slope_task, p, r->canvas.height);
         zbufrandi_recon_keys(r);
+        if (p->asker.cancelled) return ZBUFRAND_ERR_CANCELLED; /* keys are what they were before */
         p->stats.incomplete = zbufrandi_min(1.0 - zbufrand_success_bound(density, pixels, block),
             zbufrandi_parts_incomplete(p, pixels, zbufrandi_exp2(-1.4426950408889634 * density * block * block)));
         if (p->stats.draws[0] + p->stats.draws[1] == 0) p->stats.incomplete = 0.0;
@@ -16288,10 +16502,11 @@ static zbufrand_result zbufrandi_finish_picture(zbufrandi_picture *p) {
         return ZBUFRAND_ERR_NO_MEMORY;
     }
     if (p->keep && r->color == NULL) paint.rgba = f->color; /* the result has the size of the picture then */
-    zbufrandi_parallel_for(&f->env, zbufrandi_paint_task, &paint,
-                           (r->result_height + ZBUFRANDI_PAINT_ROWS - 1) / ZBUFRANDI_PAINT_ROWS);
+    paint.rows = p->look.light_count <= 64 ? ZBUFRANDI_PAINT_ROWS : 1;
+    (void)zbufrandi_picture_for(p, zbufrandi_paint_task, &paint, (r->result_height + paint.rows - 1) / paint.rows);
+    if (paint.colors && r->color != NULL) zbufrandi_recon_colors(r, f->color);
+    if (p->asker.cancelled) return ZBUFRAND_ERR_CANCELLED;
     if (paint.colors && r->color != NULL) {
-        zbufrandi_recon_colors(r, f->color);
         if (!p->keep) zbufrandi_parallel_for(&f->env, zbufrandi_output_task, &paint, m->height);
     }
     p->stats.covered = zbufrandi_tally(paint.covered);
@@ -16393,6 +16608,7 @@ static zbufrand_result zbufrandi_render(zbufrand_frame *frame, zbufrand_render_d
                               frame->draw_count > ZBUFRANDI_INDEPENDENT_DRAWS
             ? "render: independent samples of so many instances need one of the thesis' trees"
             : "render: the picture is too large, or takes more than 2^32 samples");
+    if (r == ZBUFRAND_ERR_CANCELLED) return zbufrandi_fail(frame->env.error, r, 0, "render: cancelled");
     if (r != ZBUFRAND_OK)
         return zbufrandi_fail(frame->env.error, r, 0, r == ZBUFRAND_ERR_INVALID_ARG
             ? "render: a camera, light, cloud or option is wrong" : zbufrand_result_string(r));
@@ -16693,6 +16909,7 @@ static zbufrand_result zbufrandi_query_open(zbufrand_frame *frame, const zbufran
     p->cut.bounds = 1;
     r = zbufrandi_open_picture(p);
     if (r == ZBUFRAND_OK) r = zbufrandi_draw_scene(p);
+    if (r == ZBUFRAND_ERR_CANCELLED) return zbufrandi_fail(frame->env.error, r, 0, "query: cancelled");
     if (r != ZBUFRAND_OK) return zbufrandi_fail(frame->env.error, r, 0, zbufrand_result_string(r));
     p->stats.triangles = scene != NULL ? scene->info.triangles : 0;
     p->stats.density = p->cut.density;
@@ -16782,7 +16999,15 @@ typedef struct zbufrandi_stream {
     uint32_t number[ZBUFRANDI_SHADE_RUN];
     uint32_t count;
     int stop;
+    zbufrandi_asker *asker;
+    uint32_t tried;            /* samples, seen or not */
 } zbufrandi_stream;
+
+/* Another sample, seen or not. 0: no more. */
+static int zbufrandi_stream_goes_on(zbufrandi_stream *s) {
+    if ((++s->tried & 4095u) == 0 && !zbufrandi_ask(&s->p->f->env, s->asker, 0)) s->stop = 1;
+    return !s->stop;
+}
 
 /* Colours of what waits, then hand it over. */
 static void zbufrandi_stream_flush(zbufrandi_stream *s) {
@@ -16838,14 +17063,14 @@ static void zbufrandi_stream_draw(zbufrandi_stream *s, const zbufrandi_draw *dra
         const uint32_t *set = structure->set + (size_t)index * (2 * ZBUFRANDI_SET);
         zbufrandi_stored c;
         zbufrandi_stored_begin(&p->target, draw, l, structure, &c);
-        for (k = 0; k < draw->count; k++) {
+        for (k = 0; k < draw->count && zbufrandi_stream_goes_on(s); k++) {
             uint32_t i = k ^ c.first;
             if (zbufrandi_stored_sample(&p->target, &c, set + zbufrandi_set_at(i), i, &spot))
                 zbufrandi_stream_add(s, &spot, number + i);
         }
     } else if (kind == ZBUFRANDI_DRAW_LISTED) {
         zbufrandi_list_spot at;
-        for (k = 0; k < draw->count; k++) {
+        for (k = 0; k < draw->count && zbufrandi_stream_goes_on(s); k++) {
             zbufrandi_list_find(p->scene, l, draw, k, &at);
             if (zbufrandi_list_sample(&p->target, draw, &at, &spot)) zbufrandi_stream_add(s, &spot, number + k);
         }
@@ -16859,12 +17084,12 @@ static void zbufrandi_stream_draw(zbufrandi_stream *s, const zbufrandi_draw *dra
         zbufrandi_flatten_cluster(&p->target, &constants, structure, cluster, &f);
         k = zbufrandi_flat_count(&p->target, draw, &f);
         zbufrandi_flat_begin(draw, k, p->cut.comb, &f);
-        for (begin = 0; begin < k; begin = end) {
+        for (begin = 0; begin < k && !s->stop; begin = end) {
             end = k - begin > ZBUFRANDI_FLAT_CHUNK ? begin + ZBUFRANDI_FLAT_CHUNK : k;
             if (p->cut.independent) zbufrandi_flat_independent(draw, &f, cluster->triangle_count, begin, end);
             else zbufrandi_flat_strata(&f, cluster->triangle_count, k, begin, end);
             memcpy(p->f->aux + (size_t)draw->aux * ZBUFRANDI_SET + begin, f.triangle, end - begin);
-            for (j = begin; j < end; j++) {
+            for (j = begin; j < end && zbufrandi_stream_goes_on(s); j++) {
                 if (zbufrandi_flat_sample(&p->target, &f, tri, at_u, at_v, j, f.triangle[j - begin], &spot)) {
                     zbufrandi_stream_add(s, &spot, number + j);
                 }
@@ -16896,6 +17121,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_sample_scene(zbufrand_frame *frame, const 
     p->drawn.aux = frame->aux;
     memset(&s, 0, sizeof s);
     s.p = p;
+    s.asker = &p->asker;
     s.fn = sample_fn;
     s.user = user;
     for (i = 0; i < frame->draw_count && !s.stop; i++) zbufrandi_stream_draw(&s, &frame->draw[i]);
@@ -17311,6 +17537,24 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_page_both(const float *a, 
     _mm256_storeu_ps(to, _mm256_permutevar8x32_ps(both, _mm256_setr_epi32(0, 1, 2, 4, 5, 6, 3, 7)));
 }
 
+/* First stratum after each triangle: n of them lie one after the other behind `first`, k strata for each unit of their
+   areas. */
+ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_page_after(zbufrandi_areas *m, uint32_t n, zbufrandi_at first,
+                                                                 __m256 k, uint32_t key) {
+    const __m256 unit = _mm256_set1_ps(1.0f / 16777216.0f);
+    uint32_t t;
+    for (t = 0; t < n; t += 8) {
+        const __m256 y = _mm256_add_ps(_mm256_set1_ps(first.part), _mm256_mul_ps(_mm256_loadu_ps(m->sum + t), k));
+        const __m256i whole = _mm256_cvttps_epi32(y),
+            stratum = _mm256_add_epi32(whole, _mm256_set1_epi32((int)first.whole));
+        __m256i h = _mm256_add_epi32(_mm256_mullo_epi32(stratum, _mm256_set1_epi32((int)0x9e3779b1u)),
+                                     _mm256_set1_epi32((int)key));
+        __m256 u = _mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_srli_epi32(zbufrandi_mix8(h), 8)), unit);
+        u = _mm256_cmp_ps(u, _mm256_sub_ps(y, _mm256_cvtepi32_ps(whole)), _CMP_LT_OQ);
+        _mm256_storeu_si256((__m256i *)(void *)(m->after + t), _mm256_sub_epi32(stratum, _mm256_castps_si256(u)));
+    }
+}
+
 /* Strata from..to-1, all in the cluster that covers begin..end. */
 ZBUFRANDI_TARGET_AVX2 static void zbufrandi_page_cluster(zbufrandi_points_job *j, const zbufrandi_structure *s,
                                                          uint32_t cluster,
@@ -17321,7 +17565,6 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_page_cluster(zbufrandi_points_job *j
     const uint8_t *tri = s->triangle + 3 * (size_t)c->first_triangle;
     const __m256i lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
     const __m256 one = _mm256_set1_ps(1.0f), half = _mm256_set1_ps(0.5f), unit = _mm256_set1_ps(1.0f / 16777216.0f);
-    const zbufrandi_at first = zbufrandi_at_of(begin);
     zbufrandi_areas m;
     float move[3][4], turn[3][4];
     __m256 k;
@@ -17335,16 +17578,7 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_page_cluster(zbufrandi_points_job *j
         }
     }
     if (j->normals != NULL) zbufrandi_page_turn(&m, n, (const float (*)[4])turn);
-    for (t = 0; t < n; t += 8) { /* first stratum after each triangle */
-        const __m256 y = _mm256_add_ps(_mm256_set1_ps(first.part), _mm256_mul_ps(_mm256_loadu_ps(m.sum + t), k));
-        const __m256i whole = _mm256_cvttps_epi32(y),
-            stratum = _mm256_add_epi32(whole, _mm256_set1_epi32((int)first.whole));
-        __m256i h = _mm256_add_epi32(_mm256_mullo_epi32(stratum, _mm256_set1_epi32((int)0x9e3779b1u)),
-                                     _mm256_set1_epi32((int)j->key));
-        __m256 u = _mm256_mul_ps(_mm256_cvtepi32_ps(_mm256_srli_epi32(zbufrandi_mix8(h), 8)), unit);
-        u = _mm256_cmp_ps(u, _mm256_sub_ps(y, _mm256_cvtepi32_ps(whole)), _CMP_LT_OQ);
-        _mm256_storeu_si256((__m256i *)(void *)(m.after + t), _mm256_sub_epi32(stratum, _mm256_castps_si256(u)));
-    }
+    zbufrandi_page_after(&m, n, zbufrandi_at_of(begin), k, j->key);
     m.after[n - 1] = to;
     for (t = 0, before = from; from < to; from += size) {
         size = to - from < ZBUFRANDI_FLAT_CHUNK ? to - from : (uint32_t)ZBUFRANDI_FLAT_CHUNK;

@@ -1354,7 +1354,7 @@ TEST(pull_push_by_definition) { /* small pictures, level by level in double */
                 }
             }
         }
-        zbufrandi_pull_push_run(&env, rgba, w, h, levels, 0);
+        zbufrandi_pull_push_run(&env, NULL, rgba, w, h, levels, 0);
         for (x = 0; x < w * h; x++) {
             for (j = 0; j < 4; j++) {
                 double e = fabs(level[0][x][j] - (double)rgba[4 * x + j]);
@@ -2227,6 +2227,125 @@ TEST(large_blocks_small_pictures) {
     }
 }
 
+/* ---- cancelled ---- */
+
+typedef struct stopper { uint64_t calls, stop_at, done; uint32_t backwards; } stopper;
+
+static int stop(void *user, uint64_t done, uint64_t total) {
+    stopper *s = (stopper *)user;
+    s->backwards += done < s->done;
+    s->done = done;
+    CHECK(done <= total);
+    return ++s->calls == s->stop_at;
+}
+
+/* Each way of reconstruction is cancelled at each of its questions; the samples stay, the picture can be made again. */
+TEST(cancelled) {
+    enum { W = 50, H = 40 };
+    int option;
+    uint32_t threads;
+    for (option = 0; option < 4 * 6 * 2; option++) {
+        for (threads = 1; threads <= 3; threads += 2) {
+            uint64_t at, want = 0;
+            for (at = 0;; at += at < 8 ? 1 : 1 + at / 2) { /* 0: never, to count the questions */
+                static float rgba[W * H * 4], depth[W * H];
+                static uint32_t number[W * H];
+                zbufrand_canvas_desc d = defaults(W, H, option / 24 ? 70 : 4);
+                zbufrand_canvas *c = NULL;
+                zbufrand_picture p;
+                zbufrand_source source;
+                zbufrand_error error;
+                zbufrand_result r;
+                stopper q;
+                list l = {NULL, 0, 0};
+                test_rng rng = test_rng_make(5);
+                size_t i;
+                memset(&source, 0, sizeof source);
+                memset(&error, 0, sizeof error);
+                memset(&q, 0, sizeof q);
+                d.reconstruct.occlusion = (zbufrand_occlusion)(option % 4);
+                d.reconstruct.fill = (zbufrand_fill)(option / 4 % 6);
+                d.reconstruct.tolerance_color = 0.2f;
+                d.reconstruct.drop_back = 1;
+                d.reconstruct.tolerance_slope = option % 4 == 2 ? 1.0f : -1.0f;
+                d.reconstruct.plane_depth = option < 24;
+                d.reconstruct.repair = 1;
+                d.env.thread_count = threads;
+                d.env.error = &error;
+                d.env.progress_fn = stop;
+                d.env.progress_user = &q;
+                q.stop_at = at;
+                for (i = 0; i < 600; i++) {
+                    zbufrand_sample *s = add(&l, W * test_rng_double(&rng), H * test_rng_double(&rng), 1 + test_rng_double(&rng));
+                    s->rgb[1] = (float)test_rng_double(&rng);
+                }
+                CHECK_EQ_U64(zbufrand_canvas_create(&d, &c), ZBUFRAND_OK);
+                CHECK_EQ_U64(zbufrand_canvas_submit(c, l.s, l.n, 0, NULL), ZBUFRAND_OK);
+                source.shade_fn = zbufrand_samples_shade;
+                source.surface_fn = zbufrand_samples_surface;
+                source.user = l.s;
+                p.rgba = rgba;
+                p.depth = depth;
+                p.number = number;
+                r = zbufrand_canvas_resolve(c, &source, &p, NULL);
+                if (at == 0) CHECK_MSG(r == ZBUFRAND_OK && q.calls >= 4, "%d asks %u times, result %d", option, (unsigned)q.calls, (int)r);
+                else if (q.calls >= at) {
+                    CHECK_MSG(r == ZBUFRAND_ERR_CANCELLED && error.code == r, "%d, question %u: result %d", option, (unsigned)at, (int)r);
+                    if (threads == 1) CHECK_EQ_U64(q.calls, at); /* once is enough */
+                    q.stop_at = q.done = 0;
+                    CHECK_EQ_U64(zbufrand_canvas_resolve(c, &source, &p, NULL), ZBUFRAND_OK);
+                }
+                CHECK_MSG(threads > 1 || q.backwards == 0, "%d: %u steps back", option, q.backwards);
+                i = (size_t)test_fnv1a(number, sizeof number, test_fnv1a(depth, sizeof depth, test_fnv1a(rgba, sizeof rgba, 0)));
+                if (at == 0) want = i;
+                CHECK_EQ_U64(i, want);
+                zbufrand_canvas_destroy(c);
+                drop(&l);
+                if (at != 0 && (q.calls < at || at > (test_quick() ? 10 : 100))) break;
+            }
+        }
+    }
+}
+
+/* Much may have to be looked at for each pixel: then few are done from question to question. */
+TEST(asks_within_rows) {
+    enum { W = 200, H = 40 };
+    int i;
+    for (i = 0; i < 2; i++) {
+        static zbufrand_sample s[W * H];
+        static float rgba[W * H * 4];
+        zbufrand_canvas_desc d = defaults(W, H, 1024);
+        zbufrand_canvas *c = NULL;
+        zbufrand_picture p;
+        zbufrand_source source;
+        stopper q;
+        uint32_t k;
+        memset(s, 0, sizeof s);
+        memset(&p, 0, sizeof p);
+        memset(&q, 0, sizeof q);
+        memset(&source, 0, sizeof source);
+        d.reconstruct.occlusion = i == 0 ? ZBUFRAND_OCCLUSION_SQUARES : ZBUFRAND_OCCLUSION_SQUARES_ALL;
+        d.reconstruct.tolerance_color = 0.5f;
+        d.env.progress_fn = stop;
+        d.env.progress_user = &q;
+        for (k = 0; k < W * H; k++) { /* the nearest, of no other's colour, is below to the right */
+            s[k].x = (float)(k % W) + 0.5f;
+            s[k].y = (float)(k / W) + 0.5f;
+            s[k].z = 2.0f - (float)k * 1e-5f;
+            s[k].rgb[0] = k == W * H - 1;
+        }
+        CHECK_EQ_U64(zbufrand_canvas_create(&d, &c), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_canvas_submit(c, s, W * H, 0, NULL), ZBUFRAND_OK);
+        source.shade_fn = zbufrand_samples_shade;
+        source.user = s;
+        p.rgba = rgba;
+        q.stop_at = 1500; /* some hundred are those of all rows */
+        CHECK_EQ_U64(zbufrand_canvas_resolve(c, &source, &p, NULL), ZBUFRAND_ERR_CANCELLED);
+        CHECK_EQ_U64(q.calls, 1500);
+        zbufrand_canvas_destroy(c);
+    }
+}
+
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(blocks_are_painted);
@@ -2266,5 +2385,7 @@ int main(int argc, char **argv) {
     RUN(errors);
     RUN(memory_runs_out);
     RUN(large_blocks_small_pictures);
+    RUN(cancelled);
+    RUN(asks_within_rows);
     return test_end();
 }

@@ -2677,32 +2677,226 @@ TEST(memory_limit) {
     shape_free(&s[1]);
 }
 
-static int stop_at_once(void *user, uint64_t done, uint64_t total) {
-    (void)user;
-    (void)done;
-    (void)total;
-    return 1;
+/* ---- cancelled ---- */
+
+typedef struct stopper { uint64_t calls, stop_at, done; uint32_t backwards; } stopper;
+
+static int stop(void *user, uint64_t done, uint64_t total) {
+    stopper *s = (stopper *)user;
+    s->backwards += done < s->done;
+    s->done = done;
+    CHECK(done <= total);
+    return ++s->calls == s->stop_at;
 }
 
-TEST(cancelled) {
-    shape s;
+typedef enum asking { ASK_PLAIN, ASK_LIGHTS, ASK_LARGER, ASK_FRAMES, ASK_CELLS, ASK_SQUARES, ASK_POINTS, ASK_ONE_DRAW, ASK_THESIS, ASK_THESIS_DRAW,
+                      ASK_SELECT, ASK_THESIS_SELECT, ASK_STREAM, ASK_COUNT } asking;
+
+typedef struct ask_world { zbufrand_scene *forest, *thesis, *flat, *flat_thesis; zbufrand_points points; zbufrand_light light[65]; } ask_world;
+
+static int no_sample(void *user, const zbufrand_sample *samples, const uint32_t *numbers, size_t count) {
+    (void)samples;
+    (void)numbers;
+    *(uint64_t *)user += count;
+    return 0;
+}
+
+static zbufrand_result ask(asking what, ask_world *w, zbufrand_frame *frame, buffers *b) {
+    zbufrand_render_desc d;
+    const zbufrand_scene *scene = w->forest;
+    zbufrand_group group[4];
+    uint64_t samples = 0;
+    size_t n;
+    memset(&d, 0, sizeof d);
+    switch (what) {
+    case ASK_LIGHTS: /* rows one by one */
+        d.lights = w->light;
+        d.light_count = 65;
+        break;
+    case ASK_LARGER: d.oversample = 2; break;
+    case ASK_FRAMES:
+        d.noise = 1e-9;
+        d.max_frames = 5;
+        d.reconstruct.fill = ZBUFRAND_FILL_PULL_PUSH;
+        break;
+    case ASK_CELLS:
+    case ASK_SQUARES:
+        d.reconstruct.occlusion = what == ASK_CELLS ? ZBUFRAND_OCCLUSION_CELLS : ZBUFRAND_OCCLUSION_SQUARES_ALL;
+        d.reconstruct.fill = what == ASK_CELLS ? ZBUFRAND_FILL_GAUSS : ZBUFRAND_FILL_REGIONS;
+        d.reconstruct.block = 5;
+        d.reconstruct.tolerance_color = 0.05f;
+        break;
+    case ASK_POINTS:
+        scene = NULL;
+        d.points = &w->points;
+        d.points_count = 1;
+        break;
+    case ASK_ONE_DRAW: case ASK_STREAM: scene = w->flat; break;
+    case ASK_THESIS: case ASK_THESIS_SELECT: scene = w->thesis; break;
+    case ASK_THESIS_DRAW: scene = w->flat_thesis; break;
+    default: break;
+    }
+    if (scene == w->flat || scene == w->flat_thesis) { /* more than a million samples in one draw */
+        d.hybrid = ZBUFRAND_HYBRID_OFF;
+        d.no_occlusion = 1;
+        d.density = 600;
+        d.camera.eye[2] = 3;
+    }
+    if (what == ASK_SELECT || what == ASK_THESIS_SELECT) return zbufrand_select(frame, &d, scene, 60, 40, group, 4, &n, NULL);
+    if (what == ASK_STREAM) return zbufrand_sample_scene(frame, &d, scene, 60, 40, no_sample, &samples, NULL);
+    return zbufrand_render(frame, &d, scene, &b->image, NULL);
+}
+
+static zbufrand_scene *flat_scene(int thesis) { /* a triangle across the view */
+    static const float position[9] = {-1, -1, 0, 1, -1, 0, 0, 1, 0};
+    zbufrand_scene *scene = NULL;
+    zbufrand_build_desc bd;
     zbufrand_mesh m;
-    zbufrand_scene *scene;
-    zbufrand_frame_desc fd;
-    zbufrand_frame *frame = NULL;
+    memset(&bd, 0, sizeof bd);
+    memset(&m, 0, sizeof m);
+    if (thesis) zbufrand_preset_thesis(&bd, NULL);
+    m.positions = position;
+    m.vertex_count = 3;
+    m.triangle_count = 1;
+    if (zbufrand_scene_create(NULL, &scene) != ZBUFRAND_OK) abort();
+    CHECK_EQ_U64(zbufrand_add_mesh(scene, 1, NULL, 0, &m, NULL), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_scene_build(scene, &bd, NULL), ZBUFRAND_OK);
+    return scene;
+}
+
+static void ask_world_open(ask_world *w, shape s[4]) {
+    zbufrand_build_desc bd;
+    uint32_t i;
+    memset(w, 0, sizeof *w);
+    memset(&bd, 0, sizeof bd);
+    zbufrand_preset_thesis(&bd, NULL);
+    w->forest = forest(s, 60);
+    w->thesis = forest(s + 2, 400);
+    CHECK_EQ_U64(zbufrand_scene_build(w->thesis, &bd, NULL), ZBUFRAND_OK);
+    w->flat = flat_scene(0);
+    w->flat_thesis = flat_scene(1);
+    w->points.positions = s[1].p;
+    w->points.count = s[1].vertices;
+    for (i = 0; i < 65; i++) {
+        w->light[i].directional = 1;
+        w->light[i].position[i % 3] = 1;
+        w->light[i].color[i % 3] = 0.01f;
+    }
+}
+
+/* Whatever asks is cancelled at each of its questions: that is what it says, nothing is left, and the next picture of the
+   frame is the one that nobody asks about. */
+TEST(cancelled) {
+    static const uint32_t least[ASK_COUNT] = {8, 40, 13, 60, 60, 60, 2, 8, 5, 8, 2, 1, 40};
+    shape s[4];
+    ask_world w;
     buffers b;
-    three_balls(&s, 10);
-    m = mesh_of(&s);
-    scene = scene_of(&m, 1);
-    memset(&fd, 0, sizeof fd);
-    fd.env.progress_fn = stop_at_once;
-    CHECK_EQ_U64(zbufrand_frame_create(&fd, &frame), ZBUFRAND_OK);
-    buffers_open(&b, 20, 20);
-    CHECK_EQ_U64(zbufrand_render(frame, NULL, scene, &b.image, NULL), ZBUFRAND_ERR_CANCELLED);
+    uint32_t what, threads;
+    ask_world_open(&w, s);
+    buffers_open(&b, 60, 40);
+    for (what = 0; what < ASK_COUNT; what++) {
+        uint64_t want = 0;
+        for (threads = 1; threads <= 3; threads += 2) {
+            uint64_t at;
+            for (at = 0;; at += at < 8 ? 1 : 1 + at / 2) { /* 0: never, to count the questions */
+                zbufrand_frame_desc fd;
+                zbufrand_frame *frame = NULL;
+                zbufrand_error error;
+                test_alloc ta;
+                stopper q;
+                zbufrand_result r;
+                memset(&fd, 0, sizeof fd);
+                memset(&q, 0, sizeof q);
+                memset(&error, 0, sizeof error);
+                test_alloc_init(&ta);
+                fd.env.allocator.alloc_fn = test_alloc_fn;
+                fd.env.allocator.free_fn = test_free_fn;
+                fd.env.allocator.user = &ta;
+                fd.env.thread_count = threads;
+                fd.env.error = &error;
+                fd.env.progress_fn = stop;
+                fd.env.progress_user = &q;
+                q.stop_at = at;
+                CHECK_EQ_U64(zbufrand_frame_create(&fd, &frame), ZBUFRAND_OK);
+                r = ask((asking)what, &w, frame, &b);
+                if (at == 0) CHECK_MSG(r == ZBUFRAND_OK && q.calls >= least[what], "%u asks %u times, result %d", what, (unsigned)q.calls, (int)r);
+                else if (q.calls >= at) {
+                    CHECK_MSG(r == ZBUFRAND_ERR_CANCELLED, "%u, question %u: result %d", what, (unsigned)at, (int)r);
+                    if (what != ASK_STREAM) CHECK_EQ_U64(error.code, ZBUFRAND_ERR_CANCELLED);
+                    if (threads == 1) CHECK_EQ_U64(q.calls, at); /* once is enough */
+                    q.stop_at = 0;
+                    q.done = 0;
+                    CHECK_EQ_U64(ask((asking)what, &w, frame, &b), ZBUFRAND_OK);
+                }
+                CHECK_MSG(threads > 1 || q.backwards == 0, "%u: %u steps back", what, q.backwards);
+                if (what < ASK_SELECT && want == 0) want = buffers_hash(&b);
+                if (what < ASK_SELECT) CHECK_EQ_U64(buffers_hash(&b), want);
+                zbufrand_frame_destroy(frame);
+                test_alloc_check(&ta);
+                if (at != 0 && (q.calls < at || at > (test_quick() ? 20 : 200))) break;
+            }
+        }
+        if (what < ASK_SELECT) { /* nobody is asked */
+            zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
+            CHECK_EQ_U64(ask((asking)what, &w, frame, &b), ZBUFRAND_OK);
+            CHECK_EQ_U64(buffers_hash(&b), want);
+            zbufrand_frame_destroy(frame);
+        }
+    }
     buffers_close(&b);
-    zbufrand_frame_destroy(frame);
-    zbufrand_scene_destroy(scene);
-    shape_free(&s);
+    zbufrand_scene_destroy(w.forest);
+    zbufrand_scene_destroy(w.thesis);
+    zbufrand_scene_destroy(w.flat);
+    zbufrand_scene_destroy(w.flat_thesis);
+    for (what = 0; what < 4; what++) shape_free(&s[what]);
+}
+
+/* Draws of many samples are drawn in pieces: with all that a stream of them has, once. More than there are numbers for
+   are refused soon. */
+TEST(large_draws) {
+    uint32_t i;
+    for (i = 0; i < 6; i++) {
+        zbufrand_scene *scene = flat_scene(i % 2 == 1);
+        zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
+        zbufrand_render_desc d;
+        zbufrand_stats st;
+        buffers b;
+        uint64_t samples = 0;
+        memset(&d, 0, sizeof d);
+        d.hybrid = ZBUFRAND_HYBRID_OFF;
+        d.no_occlusion = d.no_thinning = d.no_repair = 1;
+        d.camera.eye[2] = 3;
+        d.density = 700;
+        d.independent = i / 2 == 1;
+        d.comb = i / 2 == 2;
+        buffers_open(&b, 60, 40);
+        CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, &st), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_sample_scene(frame, &d, scene, 60, 40, no_sample, &samples, NULL), ZBUFRAND_OK);
+        CHECK_EQ_U64(st.accepted, samples);
+        CHECK_MSG(st.samples[1] > 400000, "%u samples", (unsigned)st.samples[1]);
+        if (i == 1) { /* as dense, 2^32 of them: by hundreds of triangles, each below the most of one */
+            buffers large;
+            zbufrand_scene *ball = scene;
+            shape s;
+            zbufrand_mesh m;
+            zbufrand_build_desc bd;
+            memset(&s, 0, sizeof s);
+            memset(&bd, 0, sizeof bd);
+            zbufrand_preset_thesis(&bd, NULL);
+            shape_sphere(&s, 0, 0, 0, 1, 40);
+            m = mesh_of(&s);
+            CHECK_EQ_U64(zbufrand_add_mesh(ball, 1, NULL, 0, &m, NULL), ZBUFRAND_OK);
+            CHECK_EQ_U64(zbufrand_scene_build(ball, &bd, NULL), ZBUFRAND_OK);
+            d.density = 999999;
+            buffers_open(&large, 400, 300);
+            CHECK_EQ_U64(zbufrand_render(frame, &d, ball, &large.image, &st), ZBUFRAND_ERR_RANGE);
+            buffers_close(&large);
+            shape_free(&s);
+        }
+        buffers_close(&b);
+        zbufrand_frame_destroy(frame);
+        zbufrand_scene_destroy(scene);
+    }
 }
 
 int main(int argc, char **argv) {
@@ -2740,5 +2934,6 @@ int main(int argc, char **argv) {
     RUN(costs_are_measured);
     RUN(memory_limit);
     RUN(cancelled);
+    RUN(large_draws);
     return test_end();
 }
