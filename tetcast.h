@@ -2343,19 +2343,6 @@ static TETCASTI_UNUSED void tetcasti_parallel_for(const tetcast_env *env, tetcas
 #endif
 }
 
-/* Check a desc's env and take its allocator. */
-static TETCASTI_UNUSED tetcast_result tetcasti_env_open(const tetcast_env *env, tetcasti_mem *mem) {
-    if ((env->allocator.alloc_fn == NULL) != (env->allocator.free_fn == NULL)) return TETCAST_ERR_INVALID_ARG;
-    memset(mem, 0, sizeof *mem);
-    mem->allocator = env->allocator;
-    mem->limit = env->memory_limit;
-    if (mem->allocator.alloc_fn == NULL) {
-        mem->allocator.alloc_fn = tetcasti_default_alloc;
-        mem->allocator.free_fn = tetcasti_default_free;
-    }
-    return TETCAST_OK;
-}
-
 /* text may hold one "%": it is replaced by the number `where`. */
 static TETCASTI_UNUSED tetcast_result tetcasti_fail(tetcast_error *error, tetcast_result code, uint64_t where,
                                                        const char *text) {
@@ -2376,6 +2363,20 @@ static TETCASTI_UNUSED tetcast_result tetcasti_fail(tetcast_error *error, tetcas
         error->text[k] = 0;
     }
     return code;
+}
+
+/* Check a desc's env and take its allocator. */
+static TETCASTI_UNUSED tetcast_result tetcasti_env_open(const tetcast_env *env, tetcasti_mem *mem) {
+    if ((env->allocator.alloc_fn == NULL) != (env->allocator.free_fn == NULL))
+        return tetcasti_fail(env->error, TETCAST_ERR_INVALID_ARG, 0, "env: alloc_fn and free_fn go together");
+    memset(mem, 0, sizeof *mem);
+    mem->allocator = env->allocator;
+    mem->limit = env->memory_limit;
+    if (mem->allocator.alloc_fn == NULL) {
+        mem->allocator.alloc_fn = tetcasti_default_alloc;
+        mem->allocator.free_fn = tetcasti_default_free;
+    }
+    return TETCAST_OK;
 }
 
 /* ---------------------------------------------------------------------------
@@ -7461,19 +7462,124 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE __m256i tetcasti_leave8(const uint32_t kind
     return tetcasti_blend8i(next, n[0], _mm256_castsi256_ps(_mm256_cmpeq_epi32(x, node->v[0])));
 }
 
-/* All lanes pass through their cells. Returns the lanes that are through with their walk (or, with *ended, their
+/* Vertices of all lanes as their rays see them: x, y across the ray, z along it. */
+TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_vertex8(const tetcasti_scene *scene, const tetcasti_lanes *l,
+                                                           __m256i id, tetcasti_points8 *p) {
+    uint32_t at[8];
+    __m256 row[4], dz;
+    p->id = _mm256_and_si256(id, _mm256_loadu_si256((const __m256i *)(const void *)l->alive));
+    _mm256_storeu_si256((__m256i *)(void *)at, p->id);
+    tetcasti_load8x4(scene->vertex, 4, at, (const uint32_t (*)[8])l->turn, row);
+    dz = _mm256_sub_ps(row[2], _mm256_loadu_ps(l->oz));
+    p->x = _mm256_fnmadd_ps(_mm256_loadu_ps(l->sx), dz, _mm256_sub_ps(row[0], _mm256_loadu_ps(l->ox)));
+    p->y = _mm256_fnmadd_ps(_mm256_loadu_ps(l->sy), dz, _mm256_sub_ps(row[1], _mm256_loadu_ps(l->oy)));
+    p->z = _mm256_mul_ps(dz, _mm256_loadu_ps(l->iz));
+    p->s = row[3];
+}
+
+/* The way out of the cell a b c d: through (a, b, d) if da < 0 and db > 0, (a, d, c) if da > 0 and dc < 0, else
+   (d, b, c); by sign bits. det: da, db, dc. to_c, to_b: lanes where d takes the place of c, of b. */
+TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_way_out8(const tetcasti_points8 *a, const tetcasti_points8 *b,
+                                                            const tetcasti_points8 *c, const tetcasti_points8 *d,
+                                                            uint32_t live, __m256 det[3], __m256 *to_b, __m256 *to_c) {
+    __m256 ta = det[0] = tetcasti_det8(a, d), tb = det[1] = tetcasti_det8(b, d), tc = det[2] = tetcasti_det8(c, d);
+    const __m256 zero = _mm256_or_ps(_mm256_or_ps(_mm256_cmp_ps(ta, _mm256_setzero_ps(), _CMP_EQ_OQ),
+                                                  _mm256_cmp_ps(tb, _mm256_setzero_ps(), _CMP_EQ_OQ)),
+                                     _mm256_cmp_ps(tc, _mm256_setzero_ps(), _CMP_EQ_OQ));
+    if (TETCASTI_UNLIKELY(((uint32_t)_mm256_movemask_ps(zero) & live) != 0)) {
+        ta = tetcasti_tie8(ta, a, d);
+        tb = tetcasti_tie8(tb, b, d);
+        tc = tetcasti_tie8(tc, c, d);
+    }
+    *to_c = _mm256_andnot_ps(tb, ta);
+    *to_b = _mm256_andnot_ps(ta, tc);
+}
+
+/* What is between two faces, as far as it is between the cursor and the end of the ray. */
+typedef struct tetcasti_piece8 {
+    __m256 at_face, s_face, at, s; /* way in and way out: place on the ray, value */
+    __m256 cursor, length, way;    /* where it begins, how long it is, what the ray had of that before */
+} tetcasti_piece8;
+
+/* Pieces of the lanes `rare` that begin before the cursor, or end behind the end of the ray: these are returned. */
+TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_piece_cut8(const tetcasti_scene *scene, const uint32_t sink,
+                                                                  tetcasti_lanes *l, tetcasti_seg8 *seg,
+                                                                  const tetcasti_piece8 *piece, uint32_t rare) {
+    float at[8], at_face[8], s[8], s_face[8], cursor[8], length[8], way[8];
+    uint32_t i, over = 0;
+    _mm256_storeu_ps(at, piece->at);
+    _mm256_storeu_ps(at_face, piece->at_face);
+    _mm256_storeu_ps(s, piece->s);
+    _mm256_storeu_ps(s_face, piece->s_face);
+    _mm256_storeu_ps(cursor, piece->cursor);
+    _mm256_storeu_ps(length, piece->length);
+    _mm256_storeu_ps(way, piece->way);
+    for (i = 0; i < 8; i++) {
+        float front = s_face[i], back = s[i], len = length[i];
+        if ((rare >> i & 1u) == 0) continue;
+        if (at_face[i] < cursor[i]) front += (s[i] - s_face[i]) * ((cursor[i] - at_face[i]) / (at[i] - at_face[i]));
+        if (at[i] > l->last[i]) {
+            back = s_face[i] + (s[i] - s_face[i]) * ((l->last[i] - at_face[i]) / (at[i] - at_face[i]));
+            len = l->last[i] - cursor[i];
+            l->length[i] = way[i] + len;
+            over |= 1u << i;
+            l->cursor[i] = l->last[i];
+        }
+        if (sink != TETCASTI_SINK_NONE) {
+            seg->front[i] = front;
+            seg->back[i] = back;
+            seg->length[i] = len * scene->unit;
+        }
+    }
+    return over;
+}
+
+/* The lanes have come to a face at `at`, with the value s. *seg: the piece of the ray that they have passed, for the
+   lanes that are returned. *over: lanes that are at the end of their ray. */
+TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_lanes_reach8(const tetcasti_scene *scene, const uint32_t sink,
+                                                                    tetcasti_lanes *l, __m256 at, __m256 s,
+                                                                    tetcasti_seg8 *seg, uint32_t *over) {
+    const __m256 unit = _mm256_set1_ps(scene->unit);
+    tetcasti_piece8 p;
+    uint32_t emits, rare;
+    __m256 emit;
+    p.at = at;
+    p.s = s;
+    p.at_face = _mm256_loadu_ps(l->at_face);
+    p.s_face = _mm256_loadu_ps(l->s_face);
+    p.cursor = _mm256_loadu_ps(l->cursor);
+    p.way = _mm256_loadu_ps(l->length);
+    emit = _mm256_cmp_ps(at, p.cursor, _CMP_GE_OQ);
+    emits = (uint32_t)_mm256_movemask_ps(emit) & l->live;
+    rare = (uint32_t)_mm256_movemask_ps(_mm256_or_ps(_mm256_cmp_ps(p.at_face, p.cursor, _CMP_LT_OQ),
+                                                     _mm256_cmp_ps(at, _mm256_loadu_ps(l->last), _CMP_GT_OQ))) & emits;
+    p.length = _mm256_and_ps(_mm256_sub_ps(at, p.cursor), emit);
+    _mm256_storeu_ps(l->at_face, at);
+    _mm256_storeu_ps(l->s_face, s);
+    if (sink != TETCASTI_SINK_NONE) {
+        _mm256_storeu_ps(seg->front, p.s_face);
+        _mm256_storeu_ps(seg->back, s);
+        _mm256_storeu_ps(seg->length, _mm256_mul_ps(p.length, unit));
+        _mm256_storeu_ps(seg->depth, _mm256_mul_ps(_mm256_add_ps(_mm256_loadu_ps(l->offset), p.cursor), unit));
+    }
+    _mm256_storeu_ps(l->length, _mm256_add_ps(p.way, p.length));
+    _mm256_storeu_ps(l->cursor, _mm256_blendv_ps(p.cursor, at, emit));
+    *over = TETCASTI_UNLIKELY(rare != 0) ? tetcasti_piece_cut8(scene, sink, l, seg, &p, rare) : 0;
+    return emits;
+}
+
+/* All lanes pass through their cells. Returns the lanes that are through with their walk (or, with *over_mask, their
    ray). */
 TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_step8(const tetcasti_scene *scene, const uint32_t kind,
                                                              const uint32_t sink,
                                                              tetcasti_lanes *l, tetcasti_seg8 *seg, uint32_t *emit_mask,
                                                              uint32_t *over_mask, tetcasti_lanes_before *before) {
     const __m256 sign = _mm256_set1_ps(-0.0f);
-    __m256 row[4], da, db, dc, zero, to_c, to_b, keep_a, ab, bc, ca, inv, at, s, at_face, s_face, cursor, length, way,
-        dz, emit;
+    __m256 det[3], to_c, to_b, ab, bc, ca, inv, at, s;
     __m256i x, next, cell, prev, face[3], out[3];
     tetcasti_node8 node;
-    tetcasti_points8 a, b, c, d;
-    uint32_t id[8], i, emits, rare, over = 0;
+    tetcasti_points8 a, b, c, d, old_a;
+    uint32_t i;
     cell = _mm256_loadu_si256((const __m256i *)(const void *)l->cell);
 #define TETCASTI_LOAD_POINT(p, k) \
     p.x = _mm256_loadu_ps(l->point[k][0]); p.y = _mm256_loadu_ps(l->point[k][1]); \
@@ -7485,32 +7591,9 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_step8(const tetcasti_scen
     face[0] = a.id;
     face[1] = b.id;
     face[2] = c.id;
-    d.id = tetcasti_enter8(scene->cells, kind, l->cell, _mm256_xor_si256(_mm256_xor_si256(a.id, b.id), c.id), &node);
-    d.id = _mm256_and_si256(d.id, _mm256_loadu_si256((const __m256i *)(const void *)l->alive));
-    _mm256_storeu_si256((__m256i *)(void *)id, d.id);
-    tetcasti_load8x4(scene->vertex, 4, id, (const uint32_t (*)[8])l->turn, row);
-    dz = _mm256_sub_ps(row[2], _mm256_loadu_ps(l->oz));
-    d.x = _mm256_fnmadd_ps(_mm256_loadu_ps(l->sx), dz, _mm256_sub_ps(row[0], _mm256_loadu_ps(l->ox)));
-    d.y = _mm256_fnmadd_ps(_mm256_loadu_ps(l->sy), dz, _mm256_sub_ps(row[1], _mm256_loadu_ps(l->oy)));
-    d.z = _mm256_mul_ps(dz, _mm256_loadu_ps(l->iz));
-    d.s = row[3];
-    da = tetcasti_det8(&a, &d);
-    db = tetcasti_det8(&b, &d);
-    dc = tetcasti_det8(&c, &d);
-    /* the way out: through (a, b, d) if da < 0 and db > 0, (a, d, c) if da > 0 and dc < 0, else (d, b, c); by sign
-       bits */
-    zero = _mm256_or_ps(_mm256_or_ps(_mm256_cmp_ps(da, _mm256_setzero_ps(), _CMP_EQ_OQ),
-                                     _mm256_cmp_ps(db, _mm256_setzero_ps(), _CMP_EQ_OQ)),
-                        _mm256_cmp_ps(dc, _mm256_setzero_ps(), _CMP_EQ_OQ));
-    if (TETCASTI_LIKELY(((uint32_t)_mm256_movemask_ps(zero) & l->live) == 0)) {
-        to_c = _mm256_andnot_ps(db, da);
-        to_b = _mm256_andnot_ps(da, dc);
-    } else {
-        __m256 ta = tetcasti_tie8(da, &a, &d), tb = tetcasti_tie8(db, &b, &d), tc = tetcasti_tie8(dc, &c, &d);
-        to_c = _mm256_andnot_ps(tb, ta);
-        to_b = _mm256_andnot_ps(ta, tc);
-    }
-    keep_a = _mm256_or_ps(to_b, to_c);
+    x = tetcasti_enter8(scene->cells, kind, l->cell, _mm256_xor_si256(_mm256_xor_si256(a.id, b.id), c.id), &node);
+    tetcasti_vertex8(scene, l, x, &d);
+    tetcasti_way_out8(&a, &b, &c, &d, l->live, det, &to_b, &to_c);
     ab = _mm256_loadu_ps(l->weight[0]);
     bc = _mm256_loadu_ps(l->weight[1]);
     ca = _mm256_loadu_ps(l->weight[2]);
@@ -7521,18 +7604,16 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_step8(const tetcasti_scen
         memcpy(before->cursor, l->cursor, sizeof before->cursor);
         memcpy(before->cell, l->cell, sizeof before->cell);
     }
-    ab = _mm256_blendv_ps(_mm256_blendv_ps(_mm256_xor_ps(db, sign), da, to_b), ab, to_c);
-    bc = _mm256_blendv_ps(_mm256_blendv_ps(bc, _mm256_xor_ps(dc, sign), to_b), db, to_c);
-    ca = _mm256_blendv_ps(_mm256_blendv_ps(dc, ca, to_b), _mm256_xor_ps(da, sign), to_c);
+    ab = _mm256_blendv_ps(_mm256_blendv_ps(_mm256_xor_ps(det[1], sign), det[0], to_b), ab, to_c);
+    bc = _mm256_blendv_ps(_mm256_blendv_ps(bc, _mm256_xor_ps(det[2], sign), to_b), det[1], to_c);
+    ca = _mm256_blendv_ps(_mm256_blendv_ps(det[2], ca, to_b), _mm256_xor_ps(det[0], sign), to_c);
     x = tetcasti_blend8i(tetcasti_blend8i(a.id, b.id, to_b), c.id, to_c); /* what is not in the new face */
     prev = _mm256_loadu_si256((const __m256i *)(const void *)l->prev);
-    {
-        tetcasti_points8 old_a = a;
-        a = d;
-        tetcasti_blend8p(&a, &old_a, keep_a);
-        tetcasti_blend8p(&b, &d, to_b);
-        tetcasti_blend8p(&c, &d, to_c);
-    }
+    old_a = a;
+    a = d;
+    tetcasti_blend8p(&a, &old_a, _mm256_or_ps(to_b, to_c));
+    tetcasti_blend8p(&b, &d, to_b);
+    tetcasti_blend8p(&c, &d, to_c);
     out[0] = a.id;
     out[1] = b.id;
     out[2] = c.id;
@@ -7559,59 +7640,10 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_step8(const tetcasti_scen
         const size_t size = kind == TETCAST_CELLS_TET8 ? sizeof(tetcasti_tet8) : sizeof(tetcasti_tet16);
         for (i = 0; i < 8; i++) _mm_prefetch(records + size * l->cell[i], _MM_HINT_T0);
     }
-    /* the segment */
-    at_face = _mm256_loadu_ps(l->at_face);
-    s_face = _mm256_loadu_ps(l->s_face);
-    cursor = _mm256_loadu_ps(l->cursor);
-    emit = _mm256_cmp_ps(at, cursor, _CMP_GE_OQ);
-    emits = (uint32_t)_mm256_movemask_ps(emit) & l->live;
-    rare = (uint32_t)_mm256_movemask_ps(_mm256_or_ps(_mm256_cmp_ps(at_face, cursor, _CMP_LT_OQ),
-                                                     _mm256_cmp_ps(at, _mm256_loadu_ps(l->last), _CMP_GT_OQ))) & emits;
-    _mm256_storeu_ps(l->at_face, at);
-    _mm256_storeu_ps(l->s_face, s);
-    length = _mm256_and_ps(_mm256_sub_ps(at, cursor), emit);
     if (sink == TETCASTI_SINK_ANY) _mm256_storeu_si256((__m256i *)(void *)before->dropped, x);
-    if (sink != TETCASTI_SINK_NONE) {
-        _mm256_storeu_ps(seg->front, s_face);
-        _mm256_storeu_ps(seg->back, s);
-        _mm256_storeu_ps(seg->length, _mm256_mul_ps(length, _mm256_set1_ps(scene->unit)));
-        _mm256_storeu_ps(seg->depth, _mm256_mul_ps(_mm256_add_ps(_mm256_loadu_ps(l->offset), cursor),
-                                                   _mm256_set1_ps(scene->unit)));
-    }
-    way = _mm256_loadu_ps(l->length);
-    _mm256_storeu_ps(l->length, _mm256_add_ps(way, length));
-    _mm256_storeu_ps(l->cursor, _mm256_blendv_ps(cursor, at, emit));
-    if (TETCASTI_UNLIKELY(rare != 0)) {
-        float f_at[8], f_face[8], f_s[8], f_sface[8], f_cursor[8], f_length[8], f_way[8];
-        _mm256_storeu_ps(f_at, at);
-        _mm256_storeu_ps(f_face, at_face);
-        _mm256_storeu_ps(f_s, s);
-        _mm256_storeu_ps(f_sface, s_face);
-        _mm256_storeu_ps(f_cursor, cursor);
-        _mm256_storeu_ps(f_length, length);
-        _mm256_storeu_ps(f_way, way);
-        for (i = 0; i < 8; i++) {
-            float front = f_sface[i], back = f_s[i], len = f_length[i];
-            if ((rare >> i & 1u) == 0) continue;
-            if (f_face[i] < f_cursor[i])
-                front += (f_s[i] - f_sface[i]) * ((f_cursor[i] - f_face[i]) / (f_at[i] - f_face[i]));
-            if (f_at[i] > l->last[i]) {
-                back = f_sface[i] + (f_s[i] - f_sface[i]) * ((l->last[i] - f_face[i]) / (f_at[i] - f_face[i]));
-                len = l->last[i] - f_cursor[i];
-                l->length[i] = f_way[i] + len;
-                over |= 1u << i;
-                l->cursor[i] = l->last[i];
-            }
-            if (sink != TETCASTI_SINK_NONE) {
-                seg->front[i] = front;
-                seg->back[i] = back;
-                seg->length[i] = len * scene->unit;
-            }
-        }
-    }
-    *emit_mask = emits;
-    *over_mask = over;
-    return (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(_mm256_cmpeq_epi32(next, _mm256_set1_epi32(-1)))) & l->live;
+    *emit_mask = tetcasti_lanes_reach8(scene, sink, l, at, s, seg, over_mask);
+    next = _mm256_cmpeq_epi32(next, _mm256_set1_epi32(-1));
+    return (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(next)) & l->live;
 }
 
 /* Which cells have their bit set? Lanes whose cell is none count as well. */
@@ -13248,47 +13280,43 @@ static void tetcasti_tile_rays(const tetcasti_render *c, tetcasti_batch *b, uint
     }
 }
 
-static void tetcasti_pixel_write(const tetcasti_render *c, tetcasti_batch *b, uint32_t i, uint32_t x, uint32_t y) {
-    const tetcast_image *m = c->image;
-    const float *back = c->desc->background;
-    float rgba[4], t;
+TETCASTI_INLINE void *tetcasti_pixel_at(void *image, size_t stride, uint32_t width, size_t bytes, uint32_t x,
+                                        uint32_t y) {
+    return (uint8_t *)image + y * (stride != 0 ? stride : width * bytes) + x * bytes;
+}
+
+/* A pixel of any picture that is made ray by ray: over the background, into the buffers that there are. */
+static void tetcasti_pixel_put(const tetcast_image *m, const tetcasti_encoder *encoder, const float background[4],
+                               uint32_t x, uint32_t y, float rgba[4], float depth, float length, uint32_t steps) {
+    const float t = 1.0f - rgba[3];
     uint32_t a;
-    int ray = b->group[i] != TETCASTI_NO_RAY;
-    rgba[0] = rgba[1] = rgba[2] = rgba[3] = 0.0f;
-    if (ray && c->scene.optics != NULL) tetcasti_ray_finish(c->scene.optics, &b->sum[i], rgba);
-    t = 1.0f - rgba[3];
-    for (a = 0; a < 4; a++) rgba[a] += t * back[a];
-    if (m->rgba != NULL)
-        memcpy((uint8_t *)m->rgba + y * (m->rgba_stride != 0 ? m->rgba_stride : (size_t)m->width * 16) + x *
-               (size_t)16, rgba, 16);
+    for (a = 0; a < 4; a++) rgba[a] += t * background[a];
+    if (m->rgba != NULL) memcpy(tetcasti_pixel_at(m->rgba, m->rgba_stride, m->width, 16, x, y), rgba, 16);
     if (m->rgba8 != NULL) {
-        uint8_t *p = m->rgba8 + y * (m->rgba8_stride != 0 ? m->rgba8_stride : (size_t)m->width * 4) + x * (size_t)4;
-        float inv = rgba[3] > 0.0f ? 1.0f / rgba[3] : 0.0f;
-        for (a = 0; a < 3; a++) p[a] = tetcasti_encode(&c->encoder, rgba[a] * inv);
+        uint8_t *p = (uint8_t *)tetcasti_pixel_at(m->rgba8, m->rgba8_stride, m->width, 4, x, y);
+        const float inv = rgba[3] > 0.0f ? 1.0f / rgba[3] : 0.0f;
+        for (a = 0; a < 3; a++) p[a] = tetcasti_encode(encoder, rgba[a] * inv);
         p[3] = (uint8_t)((rgba[3] > 0.0f ? rgba[3] < 1.0f ? rgba[3] : 1.0f : 0.0f) * 255.0f + 0.5f);
     }
-    if (m->depth != NULL) {
-        float depth = TETCASTI_INF;
-        if (ray && b->depth[i] < TETCASTI_INF) {
-            float d[3];
-            tetcasti_ray r = tetcasti_batch_ray(b, i);
-            tetcasti_ray_direction(&r, d);
-            depth = b->depth[i] * (d[0] * (float)c->frame.forward[0] + d[1] * (float)c->frame.forward[1] +
-                                   d[2] * (float)c->frame.forward[2]);
-        }
-        memcpy((uint8_t *)m->depth + y * (m->depth_stride != 0 ? m->depth_stride : (size_t)m->width * 4) + x *
-               (size_t)4, &depth, 4);
+    if (m->depth != NULL) memcpy(tetcasti_pixel_at(m->depth, m->depth_stride, m->width, 4, x, y), &depth, 4);
+    if (m->length != NULL) memcpy(tetcasti_pixel_at(m->length, m->length_stride, m->width, 4, x, y), &length, 4);
+    if (m->steps != NULL) memcpy(tetcasti_pixel_at(m->steps, m->steps_stride, m->width, 4, x, y), &steps, 4);
+}
+
+/* The pixel of the ray with number i of a batch. */
+static void tetcasti_pixel_write(const tetcasti_render *c, tetcasti_batch *b, uint32_t i, uint32_t x, uint32_t y) {
+    const double *forward = c->frame.forward;
+    float rgba[4] = {0.0f, 0.0f, 0.0f, 0.0f}, depth = TETCASTI_INF;
+    const int ray = b->group[i] != TETCASTI_NO_RAY;
+    if (ray && c->scene.optics != NULL) tetcasti_ray_finish(c->scene.optics, &b->sum[i], rgba);
+    if (ray && c->image->depth != NULL && b->depth[i] < TETCASTI_INF) { /* along the viewing axis */
+        float d[3];
+        tetcasti_ray r = tetcasti_batch_ray(b, i);
+        tetcasti_ray_direction(&r, d);
+        depth = b->depth[i] * (d[0] * (float)forward[0] + d[1] * (float)forward[1] + d[2] * (float)forward[2]);
     }
-    if (m->length != NULL) {
-        float length = ray ? b->length[i] * c->scene.unit : 0.0f;
-        memcpy((uint8_t *)m->length + y * (m->length_stride != 0 ? m->length_stride : (size_t)m->width * 4) + x *
-               (size_t)4, &length, 4);
-    }
-    if (m->steps != NULL) {
-        uint32_t steps = ray ? b->steps[i] : 0;
-        memcpy((uint8_t *)m->steps + y * (m->steps_stride != 0 ? m->steps_stride : (size_t)m->width * 4) + x *
-               (size_t)4, &steps, 4);
-    }
+    tetcasti_pixel_put(c->image, &c->encoder, c->desc->background, x, y, rgba, depth,
+                       ray ? b->length[i] * c->scene.unit : 0.0f, ray ? b->steps[i] : 0);
 }
 
 /* rays, hit rays, walks, steps, hull tests, ended, lanes */
@@ -18902,32 +18930,6 @@ static int tetcasti_shade_open(tetcasti_shade_frame *c, uint32_t x, uint32_t y, 
     tetcasti_spans_begin(&c->mem, spans, from, to);
     if (d->clip != NULL) tetcasti_clip_run(&c->mem, d->clip, r->ray.org, r->ray.dir, spans);
     return spans->count != 0;
-}
-
-/* A pixel of any picture that is made ray by ray: over the background, into the buffers that there are. */
-static void tetcasti_pixel_put(const tetcast_image *m, const tetcasti_encoder *encoder, const float background[4],
-                               uint32_t x, uint32_t y, float rgba[4], float depth, float length, uint32_t steps) {
-    const float t = 1.0f - rgba[3];
-    uint32_t a;
-    for (a = 0; a < 4; a++) rgba[a] += t * background[a];
-    if (m->rgba != NULL)
-        memcpy((uint8_t *)m->rgba + y * (m->rgba_stride != 0 ? m->rgba_stride : (size_t)m->width * 16) + x * (size_t)16,
-               rgba, 16);
-    if (m->rgba8 != NULL) {
-        uint8_t *p = m->rgba8 + y * (m->rgba8_stride != 0 ? m->rgba8_stride : (size_t)m->width * 4) + x * (size_t)4;
-        const float inv = rgba[3] > 0.0f ? 1.0f / rgba[3] : 0.0f;
-        for (a = 0; a < 3; a++) p[a] = tetcasti_encode(encoder, rgba[a] * inv);
-        p[3] = (uint8_t)((rgba[3] > 0.0f ? rgba[3] < 1.0f ? rgba[3] : 1.0f : 0.0f) * 255.0f + 0.5f);
-    }
-    if (m->depth != NULL)
-        memcpy((uint8_t *)m->depth + y * (m->depth_stride != 0 ? m->depth_stride : (size_t)m->width * 4) +
-               x * (size_t)4, &depth, 4);
-    if (m->length != NULL)
-        memcpy((uint8_t *)m->length + y * (m->length_stride != 0 ? m->length_stride : (size_t)m->width * 4) +
-               x * (size_t)4, &length, 4);
-    if (m->steps != NULL)
-        memcpy((uint8_t *)m->steps + y * (m->steps_stride != 0 ? m->steps_stride : (size_t)m->width * 4) +
-               x * (size_t)4, &steps, 4);
 }
 
 static void tetcasti_task_shade(void *ctx, uint32_t strand) {

@@ -2126,19 +2126,6 @@ static VOXRTI_UNUSED void voxrti_parallel_for(const voxrt_env *env, voxrt_task_f
 #endif
 }
 
-/* Check a desc's env and take its allocator. */
-static VOXRTI_UNUSED voxrt_result voxrti_env_open(const voxrt_env *env, voxrti_mem *mem) {
-    if ((env->allocator.alloc_fn == NULL) != (env->allocator.free_fn == NULL)) return VOXRT_ERR_INVALID_ARG;
-    memset(mem, 0, sizeof *mem);
-    mem->allocator = env->allocator;
-    mem->limit = env->memory_limit;
-    if (mem->allocator.alloc_fn == NULL) {
-        mem->allocator.alloc_fn = voxrti_default_alloc;
-        mem->allocator.free_fn = voxrti_default_free;
-    }
-    return VOXRT_OK;
-}
-
 /* text may hold one "%": it is replaced by the number `where`. */
 static VOXRTI_UNUSED voxrt_result voxrti_fail(voxrt_error *error, voxrt_result code, uint64_t where,
                                                        const char *text) {
@@ -2159,6 +2146,20 @@ static VOXRTI_UNUSED voxrt_result voxrti_fail(voxrt_error *error, voxrt_result c
         error->text[k] = 0;
     }
     return code;
+}
+
+/* Check a desc's env and take its allocator. */
+static VOXRTI_UNUSED voxrt_result voxrti_env_open(const voxrt_env *env, voxrti_mem *mem) {
+    if ((env->allocator.alloc_fn == NULL) != (env->allocator.free_fn == NULL))
+        return voxrti_fail(env->error, VOXRT_ERR_INVALID_ARG, 0, "env: alloc_fn and free_fn go together");
+    memset(mem, 0, sizeof *mem);
+    mem->allocator = env->allocator;
+    mem->limit = env->memory_limit;
+    if (mem->allocator.alloc_fn == NULL) {
+        mem->allocator.alloc_fn = voxrti_default_alloc;
+        mem->allocator.free_fn = voxrti_default_free;
+    }
+    return VOXRT_OK;
 }
 
 /* ---------------------------------------------------------------------------
@@ -10663,7 +10664,8 @@ static voxrt_result voxrti_v5_read_table(voxrti_v5_reader *r) {
             return voxrti_v5_fail(r, VOXRT_ERR_CHECKSUM, s.offset, "section at byte % is damaged");
         if (s.id < VOXRTI_V5_IDS) r->f.section[s.id] = s;
         else if ((s.id & VOXRTI_V5_OPTIONAL) == 0)
-            return voxrti_v5_fail(r, VOXRT_ERR_VERSION, s.id, "section % is unknown and required");
+            return voxrti_v5_fail(r, VOXRT_ERR_VERSION, s.id, (voxrti_load_u32(p + 32) & VOXRTI_V5_PAGED) != 0
+                ? "a file in pages: voxrt_paged_open reads it" : "section % is unknown and required");
         if (s.id < VOXRTI_V5_IDS && s.encoding != (s.id == VOXRTI_V5_GEOMETRY ? 1u : 0u) &&
             !(s.id == VOXRTI_V5_NORMALS && s.encoding == 1))
             return voxrti_v5_fail(r, VOXRT_ERR_VERSION, s.id, "section % has an unknown encoding");
@@ -14718,7 +14720,8 @@ VOXRT_DEF voxrt_result voxrt_occluded(const voxrt_tree *tree, const voxrt_trace_
                                       uint8_t *occluded, size_t count) {
     voxrt_hit hit[512]; /* 12 KB */
     size_t i, k, n;
-    if (count != 0 && occluded == NULL) return VOXRT_ERR_INVALID_ARG;
+    if (count == 0) return voxrt_trace(tree, desc, rays, hit, 0); /* looks at the rest */
+    if (rays == NULL || occluded == NULL) return VOXRT_ERR_INVALID_ARG;
     for (i = 0; i < count; i += n) {
         voxrt_result r;
         n = count - i < 512 ? count - i : 512;

@@ -1666,19 +1666,6 @@ static ZBUFRANDI_UNUSED void zbufrandi_parallel_for(const zbufrand_env *env, zbu
 #endif
 }
 
-/* Check a desc's env and take its allocator. */
-static ZBUFRANDI_UNUSED zbufrand_result zbufrandi_env_open(const zbufrand_env *env, zbufrandi_mem *mem) {
-    if ((env->allocator.alloc_fn == NULL) != (env->allocator.free_fn == NULL)) return ZBUFRAND_ERR_INVALID_ARG;
-    memset(mem, 0, sizeof *mem);
-    mem->allocator = env->allocator;
-    mem->limit = env->memory_limit;
-    if (mem->allocator.alloc_fn == NULL) {
-        mem->allocator.alloc_fn = zbufrandi_default_alloc;
-        mem->allocator.free_fn = zbufrandi_default_free;
-    }
-    return ZBUFRAND_OK;
-}
-
 /* text may hold one "%": it is replaced by the number `where`. */
 static ZBUFRANDI_UNUSED zbufrand_result zbufrandi_fail(zbufrand_error *error, zbufrand_result code, uint64_t where,
                                                        const char *text) {
@@ -1699,6 +1686,20 @@ static ZBUFRANDI_UNUSED zbufrand_result zbufrandi_fail(zbufrand_error *error, zb
         error->text[k] = 0;
     }
     return code;
+}
+
+/* Check a desc's env and take its allocator. */
+static ZBUFRANDI_UNUSED zbufrand_result zbufrandi_env_open(const zbufrand_env *env, zbufrandi_mem *mem) {
+    if ((env->allocator.alloc_fn == NULL) != (env->allocator.free_fn == NULL))
+        return zbufrandi_fail(env->error, ZBUFRAND_ERR_INVALID_ARG, 0, "env: alloc_fn and free_fn go together");
+    memset(mem, 0, sizeof *mem);
+    mem->allocator = env->allocator;
+    mem->limit = env->memory_limit;
+    if (mem->allocator.alloc_fn == NULL) {
+        mem->allocator.alloc_fn = zbufrandi_default_alloc;
+        mem->allocator.free_fn = zbufrandi_default_free;
+    }
+    return ZBUFRAND_OK;
 }
 
 /* ---------------------------------------------------------------------------
@@ -16543,7 +16544,7 @@ static zbufrand_result zbufrandi_render_frames(zbufrandi_picture *p, zbufrand_re
         ad.width = m->width;
         ad.height = m->height;
         r = zbufrand_accumulator_create(&ad, &f->accumulator);
-        if (r != ZBUFRAND_OK) return r;
+        if (r != ZBUFRAND_OK || f->accumulator == NULL) return r;
         if (limit != 0) f->mem.limit = limit - f->accumulator->mem.used;
         f->accumulator_width = m->width;
         f->accumulator_height = m->height;

@@ -1305,7 +1305,7 @@ TEST(arguments) {
     CHECK(voxrt_tree_load_memory(&d, p, size, &u) == VOXRT_ERR_UNINIT_DESC);
     d._begin_zero = 0;
     d.env.allocator.alloc_fn = test_alloc_fn;
-    CHECK(voxrt_tree_load_memory(&d, p, size, &u) == VOXRT_ERR_INVALID_ARG);
+    CHECK(voxrt_tree_load_memory(&d, p, size, &u) == VOXRT_ERR_INVALID_ARG && strstr(error.text, "free_fn") != NULL);
     d.env.allocator.alloc_fn = NULL;
     q = aligned_copy(p, size, &block);
     CHECK(voxrt_tree_map_memory(&d, q, size, &u) == VOXRT_ERR_INVALID_ARG && u == NULL); /* compact */

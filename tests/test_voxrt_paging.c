@@ -1521,6 +1521,7 @@ TEST(files_and_arguments) {
     uint8_t small[100];
     voxrt_build_desc b;
     voxrt_save_desc save;
+    voxrt_load_desc load;
     voxrt_paged_desc d;
     voxrt_paged *p = NULL;
     voxrt_sink sink;
@@ -1534,13 +1535,16 @@ TEST(files_and_arguments) {
     int writes, k;
     memset(&b, 0, sizeof b);
     memset(&save, 0, sizeof save);
+    memset(&load, 0, sizeof load);
     memset(&d, 0, sizeof d);
     memset(&error, 0, sizeof error);
     b.resolution = 150;
     b.palette_size = 1u << 24;
     save.encoding = VOXRT_ENCODING_PAGED;
     CHECK(voxrt_file_kind(f.data, 64) == 6 && voxrt_file_kind(f.data, 12) == 5);
-    CHECK(voxrt_tree_load_memory(NULL, f.data, f.size, &back) == VOXRT_ERR_VERSION && back == NULL);
+    load.env.error = &error;
+    CHECK(voxrt_tree_load_memory(&load, f.data, f.size, &back) == VOXRT_ERR_VERSION && back == NULL);
+    CHECK(strstr(error.text, "voxrt_paged_open") != NULL); /* says what does read it */
     CHECK(voxrt_tree_save_memory(t, &save, small, sizeof small, &size) == VOXRT_ERR_RANGE && size == f.size);
     memset(&d, 0, sizeof d);
     d.data = f.data;

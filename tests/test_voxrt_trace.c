@@ -1203,6 +1203,8 @@ TEST(any_count_and_any_alignment) {
     }
     CHECK(voxrt_trace(s.tree, NULL, NULL, NULL, 0) == VOXRT_OK);
     CHECK(voxrt_occluded(s.tree, NULL, NULL, NULL, 0) == VOXRT_OK);
+    CHECK(voxrt_trace(NULL, NULL, NULL, NULL, 0) == VOXRT_ERR_INVALID_ARG);
+    CHECK(voxrt_occluded(NULL, NULL, NULL, NULL, 0) == VOXRT_ERR_INVALID_ARG);
     free(ray_room);
     free(hit_room);
     scene_drop(&s);
