@@ -16977,11 +16977,11 @@ ZBUFRAND_DEF zbufrand_result zbufrand_select(zbufrand_frame *frame, const zbufra
     image.width = width;
     image.height = height;
     r = zbufrandi_query_open(frame, desc, &d, scene, &image, &p);
-    if (r != ZBUFRAND_OK) return r;
+    if (r != ZBUFRAND_OK || p == NULL) return r;
     for (i = 0, n = 0; i < frame->draw_count; i++) {
         const zbufrandi_draw *draw = &frame->draw[i];
         if (draw->item >> ZBUFRANDI_DRAW_SHIFT == ZBUFRANDI_DRAW_STORED && (draw->aux & ZBUFRANDI_STORED_MORE) != 0) {
-            if (n <= capacity) groups[n - 1].count += draw->count;
+            if (n != 0 && n <= capacity) groups[n - 1].count += draw->count;
             continue;
         }
         if (n < capacity) zbufrandi_query_group(p, draw, &groups[n]);
@@ -17114,7 +17114,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_sample_scene(zbufrand_frame *frame, const 
     image.width = width;
     image.height = height;
     r = zbufrandi_query_open(frame, desc, &d, scene, &image, &p);
-    if (r != ZBUFRAND_OK) return r;
+    if (r != ZBUFRAND_OK || p == NULL) return r;
     if (!zbufrandi_grow(&frame->mem, (void **)&frame->aux, &frame->aux_capacity, 0,
                         frame->aux_count * ZBUFRANDI_SET + 64, 1)) {
         return ZBUFRAND_ERR_NO_MEMORY;
