@@ -2367,9 +2367,11 @@ static TETCASTI_UNUSED tetcast_result tetcasti_fail(tetcast_error *error, tetcas
 
 /* Check a desc's env and take its allocator. */
 static TETCASTI_UNUSED tetcast_result tetcasti_env_open(const tetcast_env *env, tetcasti_mem *mem) {
-    if ((env->allocator.alloc_fn == NULL) != (env->allocator.free_fn == NULL))
-        return tetcasti_fail(env->error, TETCAST_ERR_INVALID_ARG, 0, "env: alloc_fn and free_fn go together");
     memset(mem, 0, sizeof *mem);
+    if ((env->allocator.alloc_fn == NULL) != (env->allocator.free_fn == NULL)) {
+        (void)tetcasti_fail(env->error, TETCAST_ERR_INVALID_ARG, 0, "env: alloc_fn and free_fn go together");
+        return TETCAST_ERR_INVALID_ARG;
+    }
     mem->allocator = env->allocator;
     mem->limit = env->memory_limit;
     if (mem->allocator.alloc_fn == NULL) {

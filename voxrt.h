@@ -2150,9 +2150,11 @@ static VOXRTI_UNUSED voxrt_result voxrti_fail(voxrt_error *error, voxrt_result c
 
 /* Check a desc's env and take its allocator. */
 static VOXRTI_UNUSED voxrt_result voxrti_env_open(const voxrt_env *env, voxrti_mem *mem) {
-    if ((env->allocator.alloc_fn == NULL) != (env->allocator.free_fn == NULL))
-        return voxrti_fail(env->error, VOXRT_ERR_INVALID_ARG, 0, "env: alloc_fn and free_fn go together");
     memset(mem, 0, sizeof *mem);
+    if ((env->allocator.alloc_fn == NULL) != (env->allocator.free_fn == NULL)) {
+        (void)voxrti_fail(env->error, VOXRT_ERR_INVALID_ARG, 0, "env: alloc_fn and free_fn go together");
+        return VOXRT_ERR_INVALID_ARG;
+    }
     mem->allocator = env->allocator;
     mem->limit = env->memory_limit;
     if (mem->allocator.alloc_fn == NULL) {

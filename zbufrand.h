@@ -1690,9 +1690,11 @@ static ZBUFRANDI_UNUSED zbufrand_result zbufrandi_fail(zbufrand_error *error, zb
 
 /* Check a desc's env and take its allocator. */
 static ZBUFRANDI_UNUSED zbufrand_result zbufrandi_env_open(const zbufrand_env *env, zbufrandi_mem *mem) {
-    if ((env->allocator.alloc_fn == NULL) != (env->allocator.free_fn == NULL))
-        return zbufrandi_fail(env->error, ZBUFRAND_ERR_INVALID_ARG, 0, "env: alloc_fn and free_fn go together");
     memset(mem, 0, sizeof *mem);
+    if ((env->allocator.alloc_fn == NULL) != (env->allocator.free_fn == NULL)) {
+        (void)zbufrandi_fail(env->error, ZBUFRAND_ERR_INVALID_ARG, 0, "env: alloc_fn and free_fn go together");
+        return ZBUFRAND_ERR_INVALID_ARG;
+    }
     mem->allocator = env->allocator;
     mem->limit = env->memory_limit;
     if (mem->allocator.alloc_fn == NULL) {
