@@ -411,6 +411,17 @@ TEST_FN void test_alloc_check_at(const test_alloc *a, const char *file, int line
     if (a->errors != 0) test_fail(file, line, "%lld errors in frees", (long long)a->errors);
 }
 
+/* A progress_fn that cancels at one question, counts them and those that say less is done than before. */
+typedef struct test_stopper { uint64_t calls, stop_at, done; uint32_t backwards; } test_stopper;
+
+TEST_FN int test_stop_fn(void *user, uint64_t done, uint64_t total) {
+    test_stopper *s = (test_stopper *)user;
+    s->backwards += done < s->done;
+    s->done = done;
+    CHECK(done <= total);
+    return ++s->calls == s->stop_at;
+}
+
 /* ---- files ------------------------------------------------------------------------------------------------ */
 
 /* Runs call(user, allocator, threads) with request 0, 1, 2, ... for memory refused, each once alone and once with all after it,

@@ -2229,16 +2229,6 @@ TEST(large_blocks_small_pictures) {
 
 /* ---- cancelled ---- */
 
-typedef struct stopper { uint64_t calls, stop_at, done; uint32_t backwards; } stopper;
-
-static int stop(void *user, uint64_t done, uint64_t total) {
-    stopper *s = (stopper *)user;
-    s->backwards += done < s->done;
-    s->done = done;
-    CHECK(done <= total);
-    return ++s->calls == s->stop_at;
-}
-
 /* Each way of reconstruction is cancelled at each of its questions; the samples stay, the picture can be made again. */
 TEST(cancelled) {
     enum { W = 50, H = 40 };
@@ -2256,7 +2246,7 @@ TEST(cancelled) {
                 zbufrand_source source;
                 zbufrand_error error;
                 zbufrand_result r;
-                stopper q;
+                test_stopper q;
                 list l = {NULL, 0, 0};
                 test_rng rng = test_rng_make(5);
                 size_t i;
@@ -2272,7 +2262,7 @@ TEST(cancelled) {
                 d.reconstruct.repair = 1;
                 d.env.thread_count = threads;
                 d.env.error = &error;
-                d.env.progress_fn = stop;
+                d.env.progress_fn = test_stop_fn;
                 d.env.progress_user = &q;
                 q.stop_at = at;
                 for (i = 0; i < 600; i++) {
@@ -2318,7 +2308,7 @@ TEST(asks_within_rows) {
         zbufrand_canvas *c = NULL;
         zbufrand_picture p;
         zbufrand_source source;
-        stopper q;
+        test_stopper q;
         uint32_t k;
         memset(s, 0, sizeof s);
         memset(&p, 0, sizeof p);
@@ -2326,7 +2316,7 @@ TEST(asks_within_rows) {
         memset(&source, 0, sizeof source);
         d.reconstruct.occlusion = i == 0 ? ZBUFRAND_OCCLUSION_SQUARES : ZBUFRAND_OCCLUSION_SQUARES_ALL;
         d.reconstruct.tolerance_color = 0.5f;
-        d.env.progress_fn = stop;
+        d.env.progress_fn = test_stop_fn;
         d.env.progress_user = &q;
         for (k = 0; k < W * H; k++) { /* the nearest, of no other's colour, is below to the right */
             s[k].x = (float)(k % W) + 0.5f;

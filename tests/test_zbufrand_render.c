@@ -2679,16 +2679,6 @@ TEST(memory_limit) {
 
 /* ---- cancelled ---- */
 
-typedef struct stopper { uint64_t calls, stop_at, done; uint32_t backwards; } stopper;
-
-static int stop(void *user, uint64_t done, uint64_t total) {
-    stopper *s = (stopper *)user;
-    s->backwards += done < s->done;
-    s->done = done;
-    CHECK(done <= total);
-    return ++s->calls == s->stop_at;
-}
-
 typedef enum asking { ASK_PLAIN, ASK_LIGHTS, ASK_LARGER, ASK_FRAMES, ASK_CELLS, ASK_SQUARES, ASK_POINTS, ASK_ONE_DRAW, ASK_THESIS, ASK_THESIS_DRAW,
                       ASK_SELECT, ASK_THESIS_SELECT, ASK_STREAM, ASK_COUNT } asking;
 
@@ -2803,7 +2793,7 @@ TEST(cancelled) {
                 zbufrand_frame *frame = NULL;
                 zbufrand_error error;
                 test_alloc ta;
-                stopper q;
+                test_stopper q;
                 zbufrand_result r;
                 memset(&fd, 0, sizeof fd);
                 memset(&q, 0, sizeof q);
@@ -2814,7 +2804,7 @@ TEST(cancelled) {
                 fd.env.allocator.user = &ta;
                 fd.env.thread_count = threads;
                 fd.env.error = &error;
-                fd.env.progress_fn = stop;
+                fd.env.progress_fn = test_stop_fn;
                 fd.env.progress_user = &q;
                 q.stop_at = at;
                 CHECK_EQ_U64(zbufrand_frame_create(&fd, &frame), ZBUFRAND_OK);
