@@ -21992,7 +21992,7 @@ static tetcast_result tetcasti_rbf_eval_open(const tetcast_rbf_eval_desc *desc, 
     memset(t, 0, sizeof *t);
     if (desc != NULL) *d = *desc;
     if (d->_begin_zero != 0 || d->_end_zero != 0) return TETCAST_ERR_UNINIT_DESC;
-    if (m == NULL) return TETCAST_ERR_INVALID_ARG;
+    if (m == NULL || (uint32_t)d->isa > TETCAST_ISA_AVX512) return TETCAST_ERR_INVALID_ARG;
     t->m = m;
     t->all = d->all != 0;
     t->add = tetcasti_rbf_add_pick(m, tetcasti_rbf_isa(d->isa));
@@ -24392,7 +24392,7 @@ static tetcast_result tetcasti_fit_check(const tetcast_rbf_fit_desc *d, const te
         !(d->max_error >= 1e-6f && d->max_error <= 1.0f) || !(d->mean_error >= 0.0f && d->mean_error <= 1.0f) ||
         (uint32_t)d->kernel >= TETCAST_KERNEL_COUNT || d->kernel == TETCAST_KERNEL_GAUSS_CUT ||
         (uint32_t)d->method > TETCAST_RBF_METHOD_PURE || !(d->cut >= 1.0f && d->cut <= 8.0f) ||
-        (in->tets != NULL && in->tet_count == 0)) return TETCAST_ERR_INVALID_ARG;
+        (uint32_t)d->isa > TETCAST_ISA_AVX512 || (in->tets != NULL && in->tet_count == 0)) return TETCAST_ERR_INVALID_ARG;
     if (d->start != NULL && (d->start->components != in->components || d->start->kernel != d->kernel ||
                              (d->kernel == TETCAST_KERNEL_GAUSS && d->start->cut != d->cut)))
         return TETCAST_ERR_INVALID_ARG;
@@ -25702,7 +25702,7 @@ static tetcast_result tetcasti_rbf_render_check(const tetcast_rbf_render_desc *d
     if ((uint32_t)d->channel > TETCAST_RBF_CHANNEL_HELICITY || d->component >= m->components ||
         (d->channel > TETCAST_RBF_CHANNEL_LENGTH && m->components != 3) ||
         !(d->step >= 0.0f && d->step < 1e30f) || !(d->epsilon >= 0.0f && d->epsilon <= 1.0f) ||
-        !tetcasti_shader_good(d->shader) ||
+        !tetcasti_shader_good(d->shader) || (uint32_t)d->isa > TETCAST_ISA_AVX512 ||
         !(d->clip_near >= 0.0f && d->clip_near < TETCASTI_INF) || !(d->clip_far >= 0.0f) ||
         (d->frame[0] != 0 && (d->frame[1] == 0 || d->part[0] > d->frame[0] || d->part[1] > d->frame[1] ||
                               image->width > d->frame[0] - d->part[0] || image->height > d->frame[1] - d->part[1])))
@@ -25947,7 +25947,7 @@ TETCAST_DEF tetcast_result tetcast_rbf_trace(const tetcast_rbf_trace_desc *desc,
     if (r != TETCAST_OK) return r;
     if (rbf->components != 3 || desc->dt == 0.0 || !tetcasti_finite(desc->dt) || desc->steps == 0 ||
         desc->steps > 0x7fffffffu || !(desc->min_speed >= 0.0f) || (uint32_t)desc->stepper > TETCAST_STEPPER_DOPRI5 ||
-        !(desc->tolerance >= 0.0) || !tetcasti_finite(desc->tolerance))
+        (uint32_t)desc->isa > TETCAST_ISA_AVX512 || !(desc->tolerance >= 0.0) || !tetcasti_finite(desc->tolerance))
         return tetcasti_fail(desc->env.error, TETCAST_ERR_INVALID_ARG, 0, "trace: a number or an enum is out of range");
     if (!tetcasti_mul_size(count, 24, &size) || !tetcasti_mul_size(size, (size_t)desc->steps + 1, &size) ||
         count / 8 >= 0x7fffffffu) return TETCAST_ERR_RANGE;

@@ -461,6 +461,7 @@ TEST(extremes) {
     REQUIRE(m != NULL);
     p[0] = (double)NAN;
     CHECK(tetcast_rbf_eval(NULL, m, p, 2, v, NULL) == TETCAST_OK && v[0] != v[0] && v[1] == d.offset[0]);
+    CHECK(eval(m, (tetcast_isa)99, 0, 1, p, 2, v, NULL) == TETCAST_ERR_INVALID_ARG);
     tetcast_rbf_destroy(m);
     for (i = 0; i < 3; i++) d.box_max[i] = d.box_min[i]; /* a box that is a point */
     m = make(&d);
@@ -1175,6 +1176,9 @@ TEST(starts) {
     d.cut = 3.0f;
     CHECK(tetcast_rbf_fit(&d, &p, NULL, &m) == TETCAST_ERR_INVALID_ARG);
     d.cut = 3.5f;
+    d.isa = (tetcast_isa)99;
+    CHECK(tetcast_rbf_fit(&d, &p, NULL, &m) == TETCAST_ERR_INVALID_ARG);
+    d.isa = TETCAST_ISA_AUTO;
     CHECK(tetcast_rbf_fit(&d, &p, NULL, &m) == TETCAST_OK);
     tetcast_rbf_destroy(m);
     p.count /= 3;
@@ -1406,6 +1410,9 @@ TEST(traces) {
     }
     t.min_speed = 10.0f;
     CHECK(tetcast_rbf_trace(&t, m, seed, 1, path, length, end) == TETCAST_OK && end[0] == TETCAST_TRACE_SLOW && length[0] == 1);
+    t.isa = (tetcast_isa)99;
+    CHECK(tetcast_rbf_trace(&t, m, seed, 1, path, length, end) == TETCAST_ERR_INVALID_ARG);
+    t.isa = TETCAST_ISA_AUTO;
     t.dt = 0.0;
     CHECK(tetcast_rbf_trace(&t, m, seed, 1, path, length, end) == TETCAST_ERR_INVALID_ARG);
     tetcast_rbf_destroy(m);
@@ -1818,6 +1825,9 @@ TEST(shaded_functions) {
     tetcast_over(rgba[2], rgba[3], W * H);
     for (i = 0, worst = 0.0; i < 4 * W * H; i++) worst = fmax(worst, fabs((double)rgba[0][i] - (double)rgba[2][i]));
     CHECK_MSG(worst < 1e-5, "%g", worst);
+    q.isa = (tetcast_isa)99;
+    CHECK(tetcast_rbf_render(&q, m, o, &image, NULL) == TETCAST_ERR_INVALID_ARG);
+    q.isa = TETCAST_ISA_AUTO;
     s.shade_fn = NULL;
     q.shader = &s;
     CHECK(tetcast_rbf_render(&q, m, o, &image, NULL) == TETCAST_ERR_INVALID_ARG);

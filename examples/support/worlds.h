@@ -598,6 +598,15 @@ SUP_FN void supi_world_chess(sup_world *w, int fields, int n, int levels) {
     supi_world_view(w, 0.0f, 3.0f, 6.0f, 0.0f, 0.0f, 0.0f, 45.0f);
 }
 
+/* Ripples by a wind that comes from one side, more or less. */
+SUP_FN float supi_ripples(float x, float z) {
+    static const float wave[5][3] = {{92, 31, 0.0011f}, {61, -47, 0.001f}, {118, 74, 0.0006f}, {37, 83, 0.0008f}, {143, -12, 0.0004f}};
+    float sum = 0.0f;
+    int i;
+    for (i = 0; i < 5; i++) sum += wave[i][2] * sinf(wave[i][0] * x + wave[i][1] * z + (float)i);
+    return sum;
+}
+
 /* 256 x 256 fields: land on one grid, the water is the same grid where the land would lie lower. */
 SUP_FN void supi_world_landscape(sup_world *w) {
     supi_make make;
@@ -612,7 +621,7 @@ SUP_FN void supi_world_landscape(sup_world *w) {
                 const float x = -1.0f + ((float)i + (k == 1 ? 0.5f : 0.0f)) / 128.0f;
                 const float z = -1.0f + ((float)j + (k == 2 ? 0.5f : 0.0f)) / 128.0f;
                 const float land = 0.75f * supi_fbm(2.3f * x + 5.1f, 3.7f, 2.3f * z + 1.3f, 9);
-                const float water = -0.05f + 0.0016f * sinf(160.0f * x + 20.0f * z) + 0.0012f * sinf(130.0f * z - 40.0f * x);
+                const float water = -0.05f + supi_ripples(x, z);
                 h[k] = land > water ? land : water;
                 if (k == 0) {
                     const float snow = land > 0.16f ? 1.0f : land > 0.1f ? (land - 0.1f) / 0.06f : 0.0f;
