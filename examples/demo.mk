@@ -134,7 +134,7 @@ $(G)/zbufrand_minimal.png: $(B)/minimal_zbufrand
 
 # --- voxrt: light that bounces -------------------------------------------------------------------------------------
 
-$(G)/voxrt_gi_cornell.png: options = --scene cornell --size 400x400 --res 512
+$(G)/voxrt_gi_cornell.png: options = --scene cornell --size 400x400 --res 512 --rays 64
 $(G)/voxrt_gi_atrium.png: options = --scene atrium --size 360x240 --res 1024
 $(G)/voxrt_gi_openness.png: options = --scene atrium --size 432x288 --res 1024 --method ao --radius 3
 
@@ -147,7 +147,7 @@ $(G)/voxrt_gi_lookup.png: options = --scene atrium --size 360x240 --res 256 --gr
 GI_PICTURES := $(addprefix $(G)/voxrt_gi_,cornell.png atrium.png openness.png still_life.png cubes.png virtual_lights.png lookup.png steps.png)
 
 $(GI_PICTURES): $(B)/voxrt_gi
-	@mkdir -p $(@D); echo "$@"; $(B)/voxrt_gi $(options) --rays 16 --bounces 2 --out $@ --quiet
+	@mkdir -p $(@D); echo "$@"; $(B)/voxrt_gi --rays 16 --bounces 2 $(options) --out $@ --quiet
 
 # --- tetcast: fields on tetrahedra ---------------------------------------------------------------------------------
 
@@ -157,7 +157,8 @@ $(G)/tetcast_ball.png: options = --scene ball --tf shells
 $(G)/tetcast_ring.png: options = --scene ring
 $(G)/tetcast_bow.png: options = --scene bow
 $(G)/tetcast_fins.png: options = --scene fins --tf hot --eye 3.3,0.35,0.25 --at 0,0,-0.05 --fov 42
-$(G)/tetcast_bow_shock.png: options = --scene bow --tf hot --iso 0.6 --iso-opacity 0.4 --model mixed --smooth
+$(G)/tetcast_bow_shock.png: options = --scene bow --tf hot --iso 0.6 --iso-opacity 0.4 --model mixed --smooth \
+	--eye -3.2,1.6,1.9 --at 0,-0.1,0 --fov 40
 $(G)/tetcast_maximum.png: options = --scene ring --tf hot --model maximum
 $(G)/tetcast_xray.png: options = --scene lattice --tf xray --model absorption --background 1,1,1
 $(G)/tetcast_iso.png: options = --scene ball --iso 0.2 --smooth
@@ -200,7 +201,8 @@ $(G)/tetcast_bricks_lod.png: $(B)/tetcast_bricks
 $(RBF)/bow.rbf: detail = --detail 24 --mean-error 0.01
 $(G)/tetcast_three.png: $(RBF)/bow.rbf $(B)/tetcast_bricks
 	@mkdir -p $(G)/bricks; echo "$@"; $(B)/tetcast_bricks resample --scene bow --detail 24 $(G)/bricks/bow.brk --max-error 0.02 --longest-end 257 --quiet && \
-	  $(B)/tetcast_bricks render $(G)/bricks/bow.brk $(NIGHT) --detail 24 --tf hot --reference bow --functions $< --size 400x400 --out $@ --quiet
+	  $(B)/tetcast_bricks render $(G)/bricks/bow.brk $(NIGHT) --detail 24 --tf hot --reference bow --functions $< --size 400x400 --eye -3.2,1.6,1.9 --at 0,-0.05,0 --fov 42 \
+	  --out $@ --quiet
 GALLERY += $(G)/tetcast_three.png
 
 GALLERY += $(GI_PICTURES) $(ZBUFRAND_PICTURES) $(G)/zbufrand_minimal.png $(TETCAST_PICTURES) $(G)/tetcast_minimal.png \
