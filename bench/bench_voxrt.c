@@ -1584,12 +1584,16 @@ static double rmse(const uint8_t *a, const uint8_t *b, size_t pixels) { /* of R,
 }
 
 static void pareto(int id, uint32_t resolution) {
-    enum { WAYS = 13 };
-    static const struct { const char *name; float tolerance; int object, faces; } ways[WAYS] = {
-        {"full detail", 0.0f, 0, 0}, {"per pixel", 0.5f, 0, 0}, {"per pixel", 0.71f, 0, 0}, {"per pixel", 1.0f, 0, 0},
-        {"per pixel", 1.41f, 0, 0}, {"per pixel", 2.0f, 0, 0}, {"per pixel", 4.0f, 0, 0}, {"per pixel", 8.0f, 0, 0},
-        {"one level", 1.0f, 1, 0}, {"one level", 2.0f, 1, 0}, {"one level", 4.0f, 1, 0}, {"one level", 8.0f, 1, 0},
-        {"faces", 0.0f, 0, 1}
+    enum { WAYS = 19 };
+    static const struct { const char *name; uint32_t samples; float tolerance; int object, faces; } ways[WAYS] = {
+        {"full detail", 1, 0.0f, 0, 0}, {"full detail", 2, 0.0f, 0, 0}, {"full detail", 4, 0.0f, 0, 0}, {"full detail", 8, 0.0f, 0, 0},
+        {"tolerance, 1 ray", 1, 0.5f, 0, 0}, {"tolerance, 1 ray", 1, 1.0f, 0, 0}, {"tolerance, 1 ray", 1, 1.41f, 0, 0},
+        {"tolerance, 1 ray", 1, 2.0f, 0, 0}, {"tolerance, 1 ray", 1, 4.0f, 0, 0}, {"tolerance, 1 ray", 1, 8.0f, 0, 0},
+        {"tolerance, 4 rays", 4, 0.5f, 0, 0}, {"tolerance, 4 rays", 4, 1.0f, 0, 0}, {"tolerance, 4 rays", 4, 2.0f, 0, 0},
+        {"tolerance, 4 rays", 4, 4.0f, 0, 0},
+        {"one level, 1 ray", 1, 1.0f, 1, 0}, {"one level, 1 ray", 1, 2.0f, 1, 0}, {"one level, 1 ray", 1, 4.0f, 1, 0},
+        {"one level, 1 ray", 1, 8.0f, 1, 0},
+        {"full detail, normals of faces", 1, 0.0f, 0, 1}
     };
     const voxrt_tree *tree = get_tree(id, resolution, KIND_DEFAULT);
     const size_t pixels = (size_t)WIDTH * HEIGHT;
@@ -1605,6 +1609,7 @@ static void pareto(int id, uint32_t resolution) {
     memset(b, 0, sizeof b);
     for (i = 0; i < WAYS; i++) {
         f[i] = make_frame(tree);
+        f[i].desc.samples = ways[i].samples;
         f[i].desc.tolerance = ways[i].tolerance;
         f[i].desc.object_lod = (uint32_t)ways[i].object;
         f[i].desc.face_normals = (uint32_t)ways[i].faces;
@@ -1613,18 +1618,18 @@ static void pareto(int id, uint32_t resolution) {
         b[i].ctx = &f[i];
     }
     many = make_frame(tree); /* what a pixel should show: the mean of many rays */
-    many.desc.samples = 16;
+    many.desc.samples = 64;
     many.desc.env.thread_count = (uint32_t)g_opt.threads;
     run_frame(&many);
     bench_interleave(b, WAYS, ROUNDS);
     for (i = 0; i < WAYS; i++) {
         bench_line("voxrt.tolerance", kase, "frame_time", 1e3 * bench_seconds(&b[i]), "ms");
         bench_num("best", 1e3 * bench_seconds_best(&b[i]));
-        bench_num("error", rmse(f[i].image.rgba8, f[0].image.rgba8, pixels));
-        bench_text("error_unit", "RMSE/255");
+        bench_num("error", rmse(f[i].image.rgba8, many.image.rgba8, pixels));
+        bench_text("error_unit", "RMSE/255 to 64 rays a pixel");
         bench_text("method", ways[i].name);
         bench_num("tolerance_px", (double)ways[i].tolerance);
-        bench_num("rmse_16_samples", rmse(f[i].image.rgba8, many.image.rgba8, pixels));
+        bench_num("rmse_full_detail", rmse(f[i].image.rgba8, f[0].image.rgba8, pixels));
         bench_num("threads", 1);
         bench_hash(bench_hash_bytes(f[i].image.rgba8, 4 * pixels));
         bench_end();

@@ -536,9 +536,10 @@ static picture_job way_open(const world *w, uint32_t width, uint32_t height) { r
 /* One way with one setting: timed, judged. */
 static double way_line(const char *kase, const char *method, const char *setting, picture_job *p, const truth *t, int rounds,
                        wrong *out) {
+    const int one_frame = p->mean <= 1 && p->desc.noise == 0.0;
     bench_job b = picture_time(p, method, rounds);
-    *out = judge(t, p->image.rgba, NULL, p->mean > 1 ? NULL : p->image.depth, NULL);
-    error_lines(kase, method, setting, bench_seconds(&b), out, p->mean <= 1, p, &b);
+    *out = judge(t, p->image.rgba, NULL, one_frame ? p->image.depth : NULL, NULL);
+    error_lines(kase, method, setting, bench_seconds(&b), out, one_frame, p, &b);
     return bench_seconds(&b);
 }
 
@@ -623,6 +624,27 @@ static void way_samples(const char *kase, const world *w, const truth *t, int al
     picture_free(&p);
 }
 
+/* What is asked for, and nothing else: how probable an incomplete picture may be, how much noise there may be. */
+static void way_promises(const char *kase, const world *w, const truth *t) {
+    static const double tolerance[4] = {0.5, 0.05, 1e-3, 1e-6}, noise[3] = {0.08, 0.04, 0.02};
+    picture_job p = way_open(w, t->width, t->height);
+    wrong out;
+    char name[32];
+    int i;
+    for (i = 0; i < 4; i++) {
+        p.desc.tolerance = tolerance[i];
+        snprintf(name, sizeof name, "tolerance %g", tolerance[i]);
+        (void)way_line(kase, "default, tolerance", name, &p, t, g_opt.full ? 3 : 1, &out);
+    }
+    p.desc.tolerance = 0.0;
+    for (i = 0; i < 3; i++) {
+        p.desc.noise = noise[i];
+        snprintf(name, sizeof name, "noise %g", noise[i]);
+        (void)way_line(kase, "default, noise", name, &p, t, 0, &out);
+    }
+    picture_free(&p);
+}
+
 /* One ray a pixel and more. Colours cost what they cost in the library's own pictures. */
 static void way_rays(const char *kase, const world *w, const truth *t, curve *rays) {
     static const int spp[4] = {1, 4, 16, 64};
@@ -689,6 +711,7 @@ static void error_scene(world *w, const truth *t, const char *kase, int ways, ch
     memset(&rays, 0, sizeof rays);
     way_rays(kase, w, t, &rays);
     way_samples(kase, w, t, ways & WAY_ALL, rays.error[g_opt.full ? 3 : 2], &ours);
+    if (ways & WAY_ALL) way_promises(kase, w, t);
     if (ways & WAY_RASTER) way_raster(kase, w, t, ways & WAY_RASTER_ALL);
     if (ways & WAY_INDEPENDENT) way_independent(kase, w, t);
     if (ways & WAY_THESIS) way_thesis(kase, w, t);

@@ -209,7 +209,8 @@ static void series_name(char *out, size_t size, const list *all, const record *r
     for (k = 0; k < sizeof keys / sizeof keys[0]; k++) {
         int differs = 0;
         for (i = 0; i < all->count && !differs; i++) {
-            differs = same_set(&all->items[i], r) && !same(&all->items[i], r, keys[k]);
+            differs = same_set(&all->items[i], r) && !same(&all->items[i], r, keys[k]) &&
+                (k != 2 || get(&all->items[i], keys[k])[0] != 0); /* some lines have no isa */
         }
         if (!differs || get(r, keys[k])[0] == 0) continue;
         used += (size_t)snprintf(out + used, size - used, "%s%s%s", used != 0 ? ", " : "", get(r, keys[k]),
@@ -383,6 +384,7 @@ static const char *timed(const char *name, char out[NAME_SIZE]) {
     static const char *const ends[] = {"_seconds", "_time", "_per_second"};
     size_t i, k;
     for (i = 0; name[i] != 0 && i + 1 < NAME_SIZE; i++) out[i] = name[i] == '_' ? ' ' : name[i];
+    if (strncmp(name, "time_", 5) == 0 || strcmp(name, "time") == 0) return strcpy(out, "picture");
     for (k = 0; k < sizeof ends / sizeof ends[0]; k++) {
         const size_t n = strlen(ends[k]);
         if (i > n && strcmp(name + i - n, ends[k]) == 0) i -= n;
@@ -533,7 +535,7 @@ static int overview(const list *all, const record *first, const char *path) {
     if (metrics < 2) return 0;
     f = open_part(path);
     svg_begin(f, (int)(left + step_x * metrics), (int)(top + step_y * cases) + 24 + 20 * ((methods + 2) / 3));
-    put_label(f, left, 24, "font-size=\"16\"", "time of a picture against its error: ", get(first, "bench"));
+    put_label(f, left, 24, "font-size=\"16\"", get(first, "bench"), ": error (up) against time of a picture (across)");
     for (i = 0; i < metrics; i++) put_label(f, left + step_x * i, 48, "font-weight=\"bold\"", get(metric[i], "error_unit"), "");
     for (k = 0; k < cases; k++) {
         put_label(f, left, top + step_y * k - 8, "font-size=\"14\"", get(kase[k], "case"), "");
