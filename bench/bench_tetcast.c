@@ -150,7 +150,7 @@ static reference make_reference(const frame *f, const tets *t, int tf, uint32_t 
             oracle_ray(f->mesh, t, p, points, 0, &ray, &list, r.rgba[n]);
         }
     r.count = n;
-    free(list.cell);
+    free(list.visit);
     return r;
 }
 
@@ -1071,7 +1071,7 @@ static void hit_errors(const frame *f, const tets *t, float iso) {
             else differ += want < 1e30 || got.hit < 1e30f;
             hits += want < 1e30;
         }
-    free(list.cell);
+    free(list.visit);
     bench_num("error", most);
     bench_text("error_unit", "edge of the cube");
     bench_num("differ", (double)differ);

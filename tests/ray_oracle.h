@@ -31,17 +31,56 @@ TEST_FN void oracle_interval(const tetcast_control_point *p, size_t n, int indep
     }
 }
 
-typedef struct oracle_cells { uint32_t *cell; size_t count, room; } oracle_cells;
+typedef struct oracle_visit { double t0, t1; uint32_t tet; } oracle_visit;
+typedef struct oracle_cells { oracle_visit *visit; size_t count, room; } oracle_cells; /* keeps memory from ray to ray */
 
-TEST_FN int oracle_collect(void *user, const tetcast_crossing *c) {
-    oracle_cells *list = (oracle_cells *)user;
+TEST_FN void oracle_visit_add(oracle_cells *list, const tets *m, uint32_t tet, const tetcast_ray *ray) {
+    const uint32_t *v = m->t + 4 * (size_t)tet;
+    oracle_visit at;
+    at.tet = tet;
+    if (!ref_tet(m->p + 3 * v[0], m->p + 3 * v[1], m->p + 3 * v[2], m->p + 3 * v[3], ray->org, ray->dir, &at.t0, &at.t1)) return;
+    at.t0 = fmax(at.t0, ray->t_min);
+    if (ray->t_max > 0) at.t1 = fmin(at.t1, ray->t_max);
+    if (!(at.t1 > at.t0)) return;
     if (list->count == list->room) {
         list->room = 2 * list->room + 256;
-        list->cell = (uint32_t *)realloc(list->cell, list->room * sizeof *list->cell);
-        if (list->cell == NULL) abort();
+        list->visit = (oracle_visit *)realloc(list->visit, list->room * sizeof *list->visit);
+        if (list->visit == NULL) abort();
     }
-    list->cell[list->count++] = c->cell;
+    list->visit[list->count++] = at;
+}
+
+typedef struct oracle_asked { oracle_cells *list; const tetcast_mesh *mesh; const tets *m; const tetcast_ray *ray; } oracle_asked;
+
+TEST_FN int oracle_collect(void *user, const tetcast_crossing *c) {
+    const oracle_asked *k = (const oracle_asked *)user;
+    uint32_t own[4], source;
+    if (tetcast_mesh_cell(k->mesh, c->cell, own, &source) == TETCAST_OK) oracle_visit_add(k->list, k->m, source, k->ray);
     return 0;
+}
+
+TEST_FN int oracle_nearer(const void *a, const void *b) {
+    const oracle_visit *x = (const oracle_visit *)a, *y = (const oracle_visit *)b;
+    const double p = x->t0 + x->t1, q = y->t0 + y->t1;
+    return p < q ? -1 : p > q;
+}
+
+/* The tetrahedra that a ray with a unit direction meets, front to back. mesh: made of `m`, for many tetrahedra: it is
+   asked which ones; NULL: all are looked at. */
+TEST_FN void oracle_meet(const tetcast_mesh *mesh, const tets *m, const tetcast_ray *ray, oracle_cells *list) {
+    list->count = 0;
+    if (mesh != NULL) {
+        oracle_asked k;
+        k.list = list;
+        k.mesh = mesh;
+        k.m = m;
+        k.ray = ray;
+        (void)tetcast_probe(mesh, ray, oracle_collect, &k);
+    } else {
+        uint32_t i;
+        for (i = 0; i < m->nt; i++) oracle_visit_add(list, m, i, ray);
+        if (list->count > 0) qsort(list->visit, list->count, sizeof *list->visit, oracle_nearer);
+    }
 }
 
 /* The value at distance t in a cell: from volumes. */
@@ -61,50 +100,32 @@ TEST_FN double oracle_value(const tets *m, const uint32_t *v, const double o[3],
     return sum / whole;
 }
 
-/* Colour and opacity of a ray with a unit direction through the mesh made of `m`. Which cells it meets is asked of the
-   library, where it enters and leaves them and with what values is not. `list` keeps memory from call to call. */
+/* Colour and opacity of a ray; mesh as for oracle_meet. */
 TEST_FN void oracle_ray(const tetcast_mesh *mesh, const tets *m, const tetcast_control_point *p, size_t n,
                         int independent, const tetcast_ray *ray, oracle_cells *list, double rgba[4]) {
     double sum[4] = {0, 0, 0, 1};
     size_t i;
     int c;
-    list->count = 0;
-    (void)tetcast_probe(mesh, ray, oracle_collect, list);
+    oracle_meet(mesh, m, ray, list);
     for (i = 0; i < list->count && sum[3] > 1e-12; i++) {
-        uint32_t own[4], source;
-        const uint32_t *v;
-        double t0, t1;
-        if (tetcast_mesh_cell(mesh, list->cell[i], own, &source) != TETCAST_OK) continue;
-        v = m->t + 4 * (size_t)source;
-        if (!ref_tet(m->p + 3 * v[0], m->p + 3 * v[1], m->p + 3 * v[2], m->p + 3 * v[3], ray->org, ray->dir, &t0, &t1))
-            continue;
-        t0 = fmax(t0, ray->t_min);
-        if (ray->t_max > 0) t1 = fmin(t1, ray->t_max);
-        if (!(t1 > t0)) continue;
-        oracle_interval(p, n, independent, oracle_value(m, v, ray->org, ray->dir, t0),
-                        oracle_value(m, v, ray->org, ray->dir, t1), t1 - t0, sum);
+        const oracle_visit *at = &list->visit[i];
+        const uint32_t *v = m->t + 4 * (size_t)at->tet;
+        oracle_interval(p, n, independent, oracle_value(m, v, ray->org, ray->dir, at->t0),
+                        oracle_value(m, v, ray->org, ray->dir, at->t1), at->t1 - at->t0, sum);
     }
     for (c = 0; c < 3; c++) rgba[c] = sum[c];
     rgba[3] = 1 - sum[3];
 }
 
-/* Distance to where the value is `iso` for the first time; INFINITY: nowhere. */
+/* Distance to where the value is `iso` for the first time; INFINITY: nowhere. mesh as for oracle_meet. */
 TEST_FN double oracle_hit(const tetcast_mesh *mesh, const tets *m, double iso, const tetcast_ray *ray, oracle_cells *list) {
     size_t i;
-    list->count = 0;
-    (void)tetcast_probe(mesh, ray, oracle_collect, list);
+    oracle_meet(mesh, m, ray, list);
     for (i = 0; i < list->count; i++) {
-        uint32_t own[4], source;
-        const uint32_t *v;
-        double t0, t1, a, b;
-        if (tetcast_mesh_cell(mesh, list->cell[i], own, &source) != TETCAST_OK) continue;
-        v = m->t + 4 * (size_t)source;
-        if (!ref_tet(m->p + 3 * v[0], m->p + 3 * v[1], m->p + 3 * v[2], m->p + 3 * v[3], ray->org, ray->dir, &t0, &t1))
-            continue;
-        if (!(t1 > t0) || t1 < ray->t_min) continue;
-        a = oracle_value(m, v, ray->org, ray->dir, t0);
-        b = oracle_value(m, v, ray->org, ray->dir, t1);
-        if ((a < iso && iso <= b) || (a > iso && iso >= b)) return t0 + (t1 - t0) * ((iso - a) / (b - a));
+        const oracle_visit *at = &list->visit[i];
+        const uint32_t *v = m->t + 4 * (size_t)at->tet;
+        const double a = oracle_value(m, v, ray->org, ray->dir, at->t0), b = oracle_value(m, v, ray->org, ray->dir, at->t1);
+        if ((a < iso && iso <= b) || (a > iso && iso >= b)) return at->t0 + (at->t1 - at->t0) * ((iso - a) / (b - a));
     }
     return (double)INFINITY;
 }
