@@ -628,6 +628,53 @@ TEST(noise_is_what_was_asked_for) { /* and what is reported is the difference fr
     voxrt_gi_destroy(r.gi);
 }
 
+/* The same for lights, cameras and tolerances at random; the reference has noise, too. */
+TEST(noise_of_random_views) {
+    enum { W = 30, H = 20, N = W * H };
+    static room r;
+    static float truth[N][3];
+    const uint32_t count = test_quick() ? 8 : 128;
+    double sum = 0, worst = 0, least = 1e9;
+    uint32_t k, i, n = 0;
+    room_open(&r, W, H, 0);
+    for (k = 0; k < count; k++) {
+        test_rng rng = test_rng_make(770 + k);
+        voxrt_gi_render_desc d;
+        voxrt_gi_report report;
+        double e;
+        memset(&d, 0, sizeof d);
+        for (i = 0; i < 3; i++) {
+            const float low = i == 1 ? -4 : -7.5f; /* the block is lower */
+            r.light.position[i] = low + (7.5f - low) * test_rng_float(&rng);
+            r.camera.eye[i] = low + (7.5f - low) * test_rng_float(&rng);
+            r.camera.at[i] = 12 * test_rng_float(&rng) - 6;
+        }
+        r.camera.fov_y = 40 + 40 * test_rng_float(&rng);
+        CHECK(voxrt_gi_set_lights(r.gi, &r.light, 1) == VOXRT_OK && voxrt_gi_update(r.gi, NULL) == VOXRT_OK);
+        CHECK(voxrt_gbuffer_from_gi(&r.gi->env, &r.camera, r.gi, &r.g) == VOXRT_OK);
+        for (i = 0; i < N; i++) r.albedo[i][0] = r.albedo[i][1] = r.albedo[i][2] = 1;
+        d.rays = 768;
+        d.first_ray = 1u << 20;
+        d.report = &report;
+        CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, truth[0], NULL) == VOXRT_OK);
+        if (report.pixels < N) continue;
+        d.rays = d.first_ray = 0;
+        d.tolerance = (float)(0.05 * pow(6, test_rng_double(&rng)));
+        CHECK(voxrt_gi_render(&d, r.gi, &r.g, NULL, r.indirect[0], NULL) == VOXRT_OK);
+        e = rms(r.indirect, truth, N);
+        if (test_g.verbose) printf("%3u: asked %.3f, said %.3f, is %.3f, %u rays\n", k, (double)d.tolerance, (double)report.noise, e, report.rays);
+        CHECK_MSG(report.noise <= d.tolerance, "view %u: %g of %g", k, (double)report.noise, (double)d.tolerance);
+        e /= (double)report.noise;
+        sum += e * e;
+        worst = fmax(worst, e);
+        least = fmin(least, e);
+        n++;
+    }
+    if (test_g.verbose) printf("root of the mean square %.3f, %.3f .. %.3f of what was said, %u views\n", sqrt(sum / n), least, worst, n);
+    CHECK(3 * n > count && sqrt(sum / n) < 1.05 && sqrt(sum / n) > 0.8 && worst < 1.4);
+    voxrt_gi_destroy(r.gi);
+}
+
 TEST(history_of_a_still_scene_is_the_mean) { /* n pictures of 4 rays: one of 4 n */
     static room r;
     static float many[48 * 32][3];
@@ -2601,6 +2648,7 @@ int main(int argc, char **argv) {
     RUN(meshes_that_emit);
     RUN(coarse_meshes_of_pixels);
     RUN(noise_is_what_was_asked_for);
+    RUN(noise_of_random_views);
     RUN(history_of_a_still_scene_is_the_mean);
     RUN(history_follows_changes);
     RUN(nested_volumes);

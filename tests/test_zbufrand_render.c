@@ -808,11 +808,11 @@ static void random_scene(shape *s, test_rng *r, uint32_t kind, double centre[3],
 /* The same for scenes, cameras, tolerances and ways that are all drawn at random. Samples alone that are independent fail most often:
    there the number says the most. */
 TEST(tolerance_of_random_scenes) {
-    enum { W = 64, H = 48, N = W * H, K = 3, SEEDS = 4 };
+    enum { W = 64, H = 48, N = W * H, K = 3, SEEDS = 4, GROUPS = 16 + 3 };
     const uint32_t count = test_quick() ? 24 : 240;
     zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
-    double reported[2] = {0, 0};
-    uint32_t bad[2] = {0, 0}, pictures[2] = {0, 0}, covered = 0, k, i, j, x, y;
+    double reported[2] = {0, 0}, said[GROUPS];
+    uint32_t bad[2] = {0, 0}, pictures[2] = {0, 0}, wrong[GROUPS], covered = 0, k, i, j, x, y;
     static float behind[N];
     buffers b;
     exact e;
@@ -821,12 +821,14 @@ TEST(tolerance_of_random_scenes) {
     b.image.rgba8 = NULL;
     b.image.rgba = NULL;
     b.image.node = NULL;
+    memset(said, 0, sizeof said);
+    memset(wrong, 0, sizeof wrong);
     for (k = 0; k < count; k++) {
         test_rng r = test_rng_make(6100 + k);
         const uint32_t kind = k % 4;
         const double angle = 6.2831853 * test_rng_double(&r), high = 1.8 * test_rng_double(&r) - 0.9, far_away = 1.1 + 3 * test_rng_double(&r);
         double centre[3], radius;
-        uint32_t reach, plain;
+        uint32_t reach, plain, group[2];
         zbufrand_render_desc d;
         zbufrand_scene *scene;
         zbufrand_mesh mesh;
@@ -855,6 +857,8 @@ TEST(tolerance_of_random_scenes) {
         d.reconstruct.block = 1 + (test_rng_below(&r, 4) == 0);
         reach = d.reconstruct.block == 1 ? 1 : 3;
         plain = d.independent && d.no_repair && d.hybrid == ZBUFRAND_HYBRID_OFF;
+        group[0] = 4 * kind + 2 * d.independent + d.no_repair;
+        group[1] = 16 + (d.tolerance < 0.05 ? 0 : d.tolerance < 0.2 ? 1 : 2);
         CHECK_EQ_U64(zbufrandi_camera_open(&d.camera, scene, W, H, 0, &camera), ZBUFRAND_OK);
         for (i = 0; i < N * K * K; i++) e.z[i] = (double)INFINITY;
         exact_mesh(&e, &camera, &mesh);
@@ -875,7 +879,12 @@ TEST(tolerance_of_random_scenes) {
             CHECK_MSG(st.incomplete >= 0 && st.incomplete <= d.tolerance * 1.0001, "scene %u: %g, tolerance %g", k, st.incomplete, d.tolerance);
             reported[plain] += st.incomplete;
             pictures[plain]++;
-            bad[plain] += (uint32_t)incomplete(behind, b.depth, N);
+            j = (uint32_t)incomplete(behind, b.depth, N);
+            bad[plain] += j;
+            said[group[0]] += st.incomplete; /* of each kind of scene and way, and of small and large tolerances: none hides behind others */
+            said[group[1]] += st.incomplete;
+            wrong[group[0]] += j;
+            wrong[group[1]] += j;
         }
         zbufrand_scene_destroy(scene);
         shape_free(&s);
@@ -884,6 +893,10 @@ TEST(tolerance_of_random_scenes) {
         if (test_g.verbose)
             printf("%s: %u of %u pictures are incomplete, %.2f were reported\n", i == 0 ? "other ways" : "independent", bad[i], pictures[i], reported[i]);
         CHECK_MSG(poisson_tail(bad[i], reported[i]) > 1e-5, "%u of %u pictures are incomplete, %g reported", bad[i], pictures[i], reported[i]);
+    }
+    for (i = 0; i < GROUPS; i++) {
+        if (test_g.verbose) printf("group %u: %u are incomplete, %.2f were reported\n", i, wrong[i], said[i]);
+        CHECK_MSG(poisson_tail(wrong[i], said[i]) > 1e-6, "group %u: %u are incomplete, %g reported", i, wrong[i], said[i]);
     }
     CHECK(covered > 400 * count);
     CHECK(count < 240 || (reported[0] > 50 && bad[1] > 0)); /* it does use what it is allowed */
@@ -895,11 +908,11 @@ TEST(tolerance_of_random_scenes) {
 /* Means of frames are as near to what they tend to as `noise` says, in the mean over scenes, cameras, errors and ways at random: against
    the mean of many more frames with other random numbers. In pictures that small single ones are up to twice as far off. */
 TEST(noise_of_random_scenes) {
-    enum { W = 64, H = 48, N = W * H, MANY = 256 };
-    const uint32_t count = test_quick() ? 8 : 24;
+    enum { W = 64, H = 48, N = W * H, MANY = 128 };
+    const uint32_t count = test_quick() ? 8 : 208;
     zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
     double ratio = 0, worst = 0, least = 1e9;
-    uint32_t k, i, c;
+    uint32_t k, i, c, noisy = 0;
     buffers b[2];
     buffers_open(&b[0], W, H);
     buffers_open(&b[1], W, H);
@@ -929,8 +942,9 @@ TEST(noise_of_random_scenes) {
         d.max_frames = MANY;
         d.seed = 1000 + k;
         CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b[1].image, &many), ZBUFRAND_OK);
-        CHECK_EQ_U64(many.frames, MANY);
-        d.noise = many.rmse * 16 / (2 + 3 * test_rng_double(&r)); /* that of 4 to 25 frames */
+        CHECK(many.frames == MANY || many.rmse <= 1e-9);
+        d.noise = many.rmse * 11.3 / (2 + 3 * test_rng_double(&r)); /* that of 4 to 25 frames */
+        if (many.frames < MANY) d.noise = 1e-9; /* all of it is rastered, frames differ by roundings */
         d.seed = k;
         CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b[0].image, &st), ZBUFRAND_OK);
         CHECK_MSG(st.rmse <= d.noise && st.frames < MANY, "scene %u: %g of %g after %u frames", k, st.rmse, d.noise, (unsigned)st.frames);
@@ -939,7 +953,9 @@ TEST(noise_of_random_scenes) {
                 const double e = (double)b[0].image.rgba[4 * i + c] - (double)b[1].image.rgba[4 * i + c];
                 error += e * e;
             }
-        error = sqrt(error / (3 * N)) / sqrt(st.rmse * st.rmse + many.rmse * many.rmse);
+        if (many.frames < MANY) CHECK_MSG(sqrt(error / (3 * N)) < 1e-8, "scene %u: %g", k, sqrt(error / (3 * N))); /* roundings */
+        error = many.frames < MANY ? 1 : sqrt(error / (3 * N)) / sqrt(st.rmse * st.rmse + many.rmse * many.rmse);
+        noisy += many.frames == MANY;
         if (test_g.verbose) printf("scene %u: asked %.4f, said %.4f, is %.3f of that, %u frames\n", k, d.noise, st.rmse, error, (unsigned)st.frames);
         ratio += error * error / count;
         worst = error > worst ? error : worst;
@@ -947,6 +963,7 @@ TEST(noise_of_random_scenes) {
         zbufrand_scene_destroy(scene);
         shape_free(&s);
     }
+    CHECK(10 * noisy > 9 * count);
     if (test_g.verbose) printf("root of the mean square %.3f, %.3f .. %.3f\n", sqrt(ratio), least, worst);
     CHECK_MSG(sqrt(ratio) < 1.05 && sqrt(ratio) > 0.7 && worst < 2 && least > 0.2, "%.3f, %.3f .. %.3f of what was said", sqrt(ratio), least, worst);
     buffers_close(&b[0]);
