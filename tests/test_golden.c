@@ -918,8 +918,8 @@ TEST(zbufrand_reconstruction) {
             memset(&view, 0, sizeof view);
             view.world_to_camera[0][0] = view.world_to_camera[1][1] = view.world_to_camera[2][2] = 1;
             view.focal = 50;
-            view.center_x = ZW / 2.0;
-            view.center_y = ZH / 2.0;
+            view.center_x = (double)ZW / 2;
+            view.center_y = (double)ZH / 2;
             view.near_z = 0.125;
             REQUIRE(zbufrand_accumulator_create(&ad, &a) == ZBUFRAND_OK);
             for (frame = 0; frame < 4; frame++) {
