@@ -254,9 +254,51 @@ static zbufrand_result lists(const world *w, const zbufrand_env *env) { /* nodes
     return r;
 }
 
+/* Many places of a mesh, and another one for one of them. What is refused changes nothing. */
+static zbufrand_result places(const world *w, const zbufrand_env *env) {
+    zbufrand_scene_desc d;
+    zbufrand_scene *s = NULL;
+    zbufrand_scene_info info;
+    zbufrand_transform t[5], up;
+    zbufrand_result r;
+    zbufrand_node lib = 0, mesh = 0, many = 0;
+    int i, k;
+    memset(&d, 0, sizeof d);
+    memset(t, 0, sizeof t);
+    d.env = *env;
+    for (i = 0; i < 5; i++) {
+        for (k = 0; k < 3; k++) t[i].m[k][k] = 1;
+        t[i].m[0][3] = 3 * i;
+    }
+    up = t[2];
+    up.m[1][3] = 10;
+    r = zbufrand_scene_create(&d, &s);
+    if (r == ZBUFRAND_OK) r = zbufrand_add_list(s, ZBUFRAND_ROOT, NULL, ZBUFRAND_HIDDEN, &lib);
+    if (r == ZBUFRAND_OK) r = zbufrand_add_mesh(s, lib, NULL, 0, &w->mesh, &mesh);
+    if (r == ZBUFRAND_OK) {
+        r = zbufrand_add_references(s, ZBUFRAND_ROOT, t, 5, mesh, &many);
+        CHECK((r == ZBUFRAND_OK) == (many != 0));
+    }
+    if (r == ZBUFRAND_OK) r = zbufrand_scene_build(s, NULL, &info);
+    if (r == ZBUFRAND_OK) {
+        CHECK(info.triangles == 5 * w->mesh.triangle_count && info.box_max[1] < 2);
+        r = zbufrand_set_reference(s, many, 2, &up);
+        if (r != ZBUFRAND_OK) { /* refused: what stands is what was built */
+            const zbufrand_result again = zbufrand_scene_update(s, &info);
+            CHECK(again == ZBUFRAND_ERR_NO_MEMORY || (again == ZBUFRAND_OK && info.box_max[1] < 2));
+        }
+    }
+    if (r == ZBUFRAND_OK) {
+        r = zbufrand_scene_update(s, &info);
+        if (r == ZBUFRAND_OK) CHECK(info.triangles == 5 * w->mesh.triangle_count && info.box_max[1] > 10);
+    }
+    zbufrand_scene_destroy(s);
+    return r;
+}
+
 static const struct call { const char *name; zbufrand_result (*run)(const world *w, const zbufrand_env *env); uint32_t least; } call[] = {
     {"points", points_of_scene, 5}, {"page of points", whole_page, 5}, {"choices", choices, 5}, {"edits", edited, 5},
-    {"suspects", mended, 2}, {"lists", lists, 5}
+    {"suspects", mended, 2}, {"lists", lists, 5}, {"places", places, 8}
 };
 
 typedef struct one_call { world *w; uint32_t which; } one_call;
