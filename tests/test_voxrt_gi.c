@@ -849,6 +849,27 @@ TEST(time_budget) { /* a machine that takes 10 ms and 1 us a ray: after a few fr
                   "%g ms of %g: %u rays, coarse %u", ms, (double)target[i], b.rays, b.coarse);
         CHECK(voxrt_gi_budget_update(&b, &r, NAN, 1, 10) == 0);
     }
+    for (i = 1; i < 6; i++) { /* few rays at best: no more of them, and never none; times without end are none */
+        for (f = 0; f < 40; f++) {
+            static const float ms[4] = {1000, 1e-3f, 3, 1};
+            voxrt_gi_budget b;
+            voxrt_gi_report r;
+            uint32_t k;
+            memset(&b, 0, sizeof b);
+            memset(&r, 0, sizeof r);
+            b.most = i;
+            b.coarse = f < 20 ? 0 : 8;
+            CHECK(voxrt_gi_budget_update(&b, NULL, 0, 0, 0) == 0 && b.rays >= 1 && b.rays <= i);
+            r.shaded = r.rays = 100;
+            r.pixels = 1u << f % 20;
+            for (k = 0; k < 6; k++) {
+                (void)voxrt_gi_budget_update(&b, &r, ms[(f + k) % 4], ms[(f + k) % 4], 1);
+                CHECK_MSG(b.rays >= 1 && b.rays <= i, "%u rays, %u at best", b.rays, i);
+            }
+            CHECK(voxrt_gi_budget_update(&b, &r, 1, INFINITY, 10) == 0 && voxrt_gi_budget_update(&b, &r, 1, 1, INFINITY) == 0);
+            CHECK(b._ray_ms < INFINITY);
+        }
+    }
 }
 
 TEST(nothing_leaks_through_a_thin_wall) { /* a room of single triangles, a wall of 0.1 cells in the middle, light on one side */

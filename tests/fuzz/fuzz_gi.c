@@ -133,8 +133,9 @@ static void display(const uint8_t *o, const float *f, const voxrt_camera *camera
         voxrt_gi_report report;
         memset(&report, 0, sizeof report);
         report.rays = o[21];
+        report.shaded = o[22] * 100u;
         (void)voxrt_gi_budget_update(&budget, o[23] & 128 ? NULL : &report, f[30 + k], f[34 + k], f[38]);
-        if (budget.rays > (budget.most != 0 ? budget.most : 64u)) abort();
+        if (budget.rays == 0 || budget.rays > (budget.most != 0 ? budget.most : 64u) || budget.coarse == 0 || budget.coarse > 16) abort();
     }
 }
 

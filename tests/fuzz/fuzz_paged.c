@@ -151,7 +151,7 @@ static void by_name(const voxrt_build_desc *desc, const voxrt_mesh *m, const fil
     voxrt_paged *p = NULL;
     voxrt_build_desc b = *desc;
     voxrt_result r;
-    FILE *in;
+    FILE *in = NULL;
     uint64_t i;
     (void)snprintf(path, sizeof path, "/tmp/fuzz_paged.%ld.vox", (long)getpid());
     memset(&b.env, 0, sizeof b.env);
