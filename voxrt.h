@@ -27046,8 +27046,8 @@ VOXRT_DEF int voxrt_gi_budget_update(voxrt_gi_budget *budget, const voxrt_gi_rep
     most = budget->most != 0 ? budget->most : 64;
     coarse = budget->coarse != 0 ? budget->coarse : 1;
     if (report == NULL || !(frame_ms > 0.0f) || !(light_ms > 0.0f) || !(target_ms > 0.0f) || !(frame_ms < INFINITY) ||
-        report->shaded == 0 || report->rays == 0) {
-        if (budget->rays == 0) budget->rays = 4;
+        !(light_ms < INFINITY) || !(target_ms < INFINITY) || report->shaded == 0 || report->rays == 0) {
+        if (budget->rays == 0) budget->rays = most < 4 ? most : 4;
         if (budget->coarse == 0) budget->coarse = 1;
         return 0;
     }
@@ -27068,6 +27068,7 @@ VOXRT_DEF int voxrt_gi_budget_update(voxrt_gi_budget *budget, const voxrt_gi_rep
             coarse /= 2; /* up to four times as many pixels */
             rays /= 4;
         }
+        rays = rays > most ? most : rays != 0 ? rays : 1;
     }
     if (rays == budget->rays && coarse == budget->coarse) return 0;
     budget->rays = rays;

@@ -198,6 +198,44 @@ static tetcast_result grid_mesh(world *w, const tetcast_env *env) {
     return r;
 }
 
+static int pass_by(void *user, const tetcast_crossing *c) {
+    (void)c;
+    ++*(uint32_t *)user;
+    return 0;
+}
+
+/* All cells on a ray, with memory of the mesh: none where there is not enough. */
+static tetcast_result probed(world *w, const tetcast_env *env) {
+    tetcast_mesh_desc d;
+    tetcast_grid g;
+    tetcast_field f;
+    tetcast_mesh *m = NULL;
+    tetcast_ray ray;
+    tetcast_result r;
+    uint32_t seen = 0;
+    uint64_t n;
+    int a;
+    memset(&d, 0, sizeof d);
+    memset(&g, 0, sizeof g);
+    memset(&f, 0, sizeof f);
+    memset(&ray, 0, sizeof ray);
+    d.env = *env;
+    for (a = 0; a < 3; a++) g.dims[a] = 4;
+    f.values.data = w->grid;
+    g.fields = &f;
+    g.field_count = 1;
+    r = tetcast_mesh_create_grid(&d, &g, NULL, &m);
+    if (m == NULL) return r;
+    ray.org[0] = -1;
+    ray.org[1] = 1.3;
+    ray.org[2] = 1.6;
+    ray.dir[0] = 1;
+    n = tetcast_probe(m, &ray, pass_by, &seen);
+    CHECK(n == seen && (n == 0 || n > 5));
+    tetcast_mesh_destroy(m);
+    return n != 0 ? TETCAST_OK : TETCAST_ERR_NO_MEMORY;
+}
+
 static tetcast_result update(world *w, const tetcast_env *env) {
     tetcast_transfer_desc td;
     tetcast_optics_desc d;
@@ -554,7 +592,7 @@ static tetcast_result traces(world *w, const tetcast_env *env) {
 /* ---- all of them ---- */
 
 static const struct call { const char *name; tetcast_result (*run)(world *w, const tetcast_env *env); uint32_t least; } call[] = {
-    {"mesh of a grid", grid_mesh, 10}, {"optics", update, 3}, {"isosurface", surface, 3}, {"resample", resampled, 1}, {"plane", plane_values, 1},
+    {"mesh of a grid", grid_mesh, 10}, {"cells on a ray", probed, 10}, {"optics", update, 3}, {"isosurface", surface, 3}, {"resample", resampled, 1}, {"plane", plane_values, 1},
     {"plane in perspective", plane_seen, 1}, {"means", means, 3}, {"parameters", parameters, 30}, {"bricks of means", bricks_of_means, 5},
     {"bricks on demand", bricks_on_demand, 5}, {"section", section, 3},
     {"bricks of a grid", bricks_of_grid, 3}, {"bricks of a mesh", bricks_of_mesh, 5},

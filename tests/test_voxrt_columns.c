@@ -1325,41 +1325,54 @@ TEST(tangent_planes_instead_of_offsets) {
     }
 }
 
-TEST(memory) {
-    test_alloc ta;
+TEST(memory) { /* each request refused, of all that sets cells; nothing is set then */
     voxrt_columns_desc d;
     voxrt_columns_insert_desc in;
     static closed m;
-    uint64_t fail;
+    voxrt_mesh mesh;
+    uint32_t way, fail;
     make_sphere(&m, 32, 16, 32, 12.3, 8);
-    for (fail = 0; fail < 8; fail++) {
-        voxrt_columns *c = NULL;
-        voxrt_mesh mesh;
-        voxrt_result r;
-        test_alloc_init(&ta);
-        ta.fail_at = (long)fail;
-        memset(&d, 0, sizeof d);
-        memset(&in, 0, sizeof in);
-        memset(&mesh, 0, sizeof mesh);
-        d.env.allocator.alloc_fn = test_alloc_fn;
-        d.env.allocator.free_fn = test_free_fn;
-        d.env.allocator.user = &ta;
-        d.size_x = d.size_y = d.size_z = 64;
-        d.box_max[0] = d.box_max[1] = d.box_max[2] = 64;
-        r = voxrt_columns_create(&d, &c);
-        CHECK(r == VOXRT_OK || (r == VOXRT_ERR_NO_MEMORY && c == NULL));
-        if (c != NULL) {
-            mesh.positions = m.p[0];
-            mesh.vertex_count = m.points;
-            mesh.indices = m.index[0];
-            mesh.triangle_count = m.triangles;
-            in.still = 1;
-            in.mode = VOXRT_COLUMNS_SOLID;
-            r = voxrt_columns_insert(c, &in, &mesh, NULL);
-            CHECK(r == VOXRT_OK || r == VOXRT_ERR_NO_MEMORY);
-            voxrt_columns_destroy(c);
+    memset(&mesh, 0, sizeof mesh);
+    mesh.positions = m.p[0];
+    mesh.vertex_count = m.points;
+    mesh.indices = m.index[0];
+    mesh.triangle_count = m.triangles;
+    for (way = 0; way < 14; way++) { /* modes and points, what moves and what is still */
+        int done = 0;
+        for (fail = 0; fail < 1000 && !done; fail++) {
+            test_alloc ta;
+            voxrt_columns *c = NULL;
+            voxrt_columns_info info;
+            voxrt_result r;
+            test_alloc_init(&ta);
+            ta.fail_at = (int64_t)fail;
+            memset(&d, 0, sizeof d);
+            memset(&in, 0, sizeof in);
+            d.env.allocator.alloc_fn = test_alloc_fn;
+            d.env.allocator.free_fn = test_free_fn;
+            d.env.allocator.user = &ta;
+            d.env.thread_count = in.env.thread_count = 1;
+            d.size_x = d.size_y = d.size_z = 64;
+            d.box_max[0] = d.box_max[1] = d.box_max[2] = 64;
+            in.still = way & 1;
+            r = voxrt_columns_create(&d, &c);
+            CHECK((r == VOXRT_OK) == (c != NULL));
+            if (c != NULL) {
+                if (way / 2 == 6) r = voxrt_columns_insert_points(c, &in, m.p[0], 12, m.points, NULL);
+                else {
+                    in.mode = (voxrt_columns_mode)(way / 2);
+                    r = voxrt_columns_insert(c, &in, &mesh, NULL);
+                }
+                voxrt_columns_update(c);
+                voxrt_columns_get_info(c, &info);
+                CHECK((r == VOXRT_OK) == (info.cells > 100) && (r == VOXRT_OK || info.cells == 0));
+                voxrt_columns_destroy(c);
+            }
+            CHECK(r == (ta.failed != 0 ? VOXRT_ERR_NO_MEMORY : VOXRT_OK));
+            done = ta.failed == 0;
+            test_alloc_check(&ta);
         }
-        test_alloc_check(&ta);
+        CHECK_MSG(done && fail >= 3, "way %u: %u requests", way, fail);
     }
 }
 

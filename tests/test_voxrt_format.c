@@ -1175,8 +1175,9 @@ TEST(allocation_failures) {
             uint8_t *p, *q;
             void *block;
             int64_t k;
+            const int raw = what == 4 || (what & 1); /* only such a file can be mapped */
             REQUIRE(t != NULL);
-            p = save(t, what & 1, &size);
+            p = save(t, raw, &size);
             REQUIRE(p != NULL);
             q = aligned_copy(p, size, &block);
             for (k = 0; k < 100; k++) {
@@ -1192,23 +1193,25 @@ TEST(allocation_failures) {
                 s.env.allocator.free_fn = test_free_fn;
                 s.env.allocator.user = &ta;
                 d.env = s.env;
-                s.encoding = (voxrt_encoding)(what & 1);
+                s.encoding = raw ? VOXRT_ENCODING_RAW : VOXRT_ENCODING_COMPACT;
                 u = NULL;
                 if (what < 2) r = voxrt_tree_load_memory(&d, q, size, &u);
                 else if (what < 4) r = voxrt_tree_save_memory(t, &s, q, size, &out);
                 else r = voxrt_tree_map_memory(&d, q, size, &u);
-                if (what == 4) {
-                    CHECK(r == VOXRT_ERR_INVALID_ARG);
+                if (what == 4 && !voxrti_little_endian()) {
+                    CHECK(r == VOXRT_ERR_INVALID_ARG && u == NULL);
+                    k = 2;
                     break;
                 }
                 CHECK(r == (ta.failed ? VOXRT_ERR_NO_MEMORY : VOXRT_OK));
-                CHECK((u != NULL) == (r == VOXRT_OK && what < 2));
+                CHECK((u != NULL) == (r == VOXRT_OK && (what < 2 || what == 4)));
                 voxrt_tree_destroy(u);
                 test_alloc_check(&ta);
                 if (!ta.failed) break;
             }
             CHECK(k < 100);
             if (what < 2) CHECK(k > 5);
+            if (what == 4) CHECK(k > 0);
             free(block);
             free(p);
             voxrt_tree_destroy(t);

@@ -896,6 +896,27 @@ TEST(time_budget) { /* a machine that takes 10 ms and 1 us a ray: after a few fr
                   "%g ms of %g: %u rays, coarse %u", ms, (double)target[i], b.rays, b.coarse);
         CHECK(voxrt_gi_budget_update(&b, &r, NAN, 1, 10) == 0);
     }
+    for (i = 1; i < 6; i++) { /* few rays at best: no more of them, and never none; times without end are none */
+        for (f = 0; f < 40; f++) {
+            static const float ms[4] = {1000, 1e-3f, 3, 1};
+            voxrt_gi_budget b;
+            voxrt_gi_report r;
+            uint32_t k;
+            memset(&b, 0, sizeof b);
+            memset(&r, 0, sizeof r);
+            b.most = i;
+            b.coarse = f < 20 ? 0 : 8;
+            CHECK(voxrt_gi_budget_update(&b, NULL, 0, 0, 0) == 0 && b.rays >= 1 && b.rays <= i);
+            r.shaded = r.rays = 100;
+            r.pixels = 1u << f % 20;
+            for (k = 0; k < 6; k++) {
+                (void)voxrt_gi_budget_update(&b, &r, ms[(f + k) % 4], ms[(f + k) % 4], 1);
+                CHECK_MSG(b.rays >= 1 && b.rays <= i, "%u rays, %u at best", b.rays, i);
+            }
+            CHECK(voxrt_gi_budget_update(&b, &r, 1, INFINITY, 10) == 0 && voxrt_gi_budget_update(&b, &r, 1, 1, INFINITY) == 0);
+            CHECK(b._ray_ms < INFINITY);
+        }
+    }
 }
 
 TEST(nothing_leaks_through_a_thin_wall) { /* a room of single triangles, a wall of 0.1 cells in the middle, light on one side */
@@ -2466,84 +2487,91 @@ TEST(pixels_that_are_none) {
     voxrt_gi_destroy(r.gi);
 }
 
+/* Everything that asks for memory, request `fail` refused; the modes that objects are in, by `way`. True where it was not asked for. */
+static uint32_t scene_refused(const model *m, uint32_t way, uint32_t fail) {
+    test_alloc ta;
+    voxrt_gi_desc d;
+    voxrt_gi *gi = NULL;
+    voxrt_gi_object o = object_of(m, 1);
+    voxrt_gi_light l = point_light(0, 0, 0, 1);
+    voxrt_result r;
+    uint32_t a, done = 0;
+    test_alloc_init(&ta);
+    ta.fail_at = (int64_t)fail;
+    memset(&d, 0, sizeof d);
+    d.env.allocator.alloc_fn = test_alloc_fn;
+    d.env.allocator.free_fn = test_free_fn;
+    d.env.allocator.user = &ta;
+    d.columns.size_x = d.columns.size_y = 8;
+    d.columns.size_z = 64;
+    d.env.thread_count = 1 + way / 2;
+    d.nested = 1 + way % 2;
+    o.material.emission[1] = way >= 2 ? 2.0f : 0.0f;
+    o.mode = way == 0 ? VOXRT_COLUMNS_THIN : way == 1 ? VOXRT_COLUMNS_SAMPLES : way == 2 ? VOXRT_COLUMNS_SOLID : VOXRT_COLUMNS_BODY;
+    for (a = 0; a < 3; a++) {
+        d.columns.box_min[a] = -6;
+        d.columns.box_max[a] = 6;
+    }
+    r = voxrt_gi_create(&d, &gi);
+    CHECK(r == VOXRT_OK || (r == VOXRT_ERR_NO_MEMORY && gi == NULL));
+    if (gi != NULL) {
+        uint32_t tries;
+        for (tries = 0; tries < 3; tries++) { /* what failed once can be called again */
+            const voxrt_result r1 = voxrt_gi_add(gi, &o, NULL), r2 = voxrt_gi_set_lights(gi, &l, 1), r3 = voxrt_gi_update(gi, NULL);
+            const voxrt_result r4 = voxrt_gi_bounce(gi, NULL, 1, 0, 0);
+            voxrt_gi_render_desc rd;
+            voxrt_gbuffer g;
+            voxrt_gi_history *h = NULL;
+            float p[4 * 4][3], n[4 * 4][3], c[4 * 4][3], sp[4 * 4][4], in[2][4 * 4][3];
+            voxrt_result r5, r6;
+            uint32_t k;
+            memset(&rd, 0, sizeof rd);
+            memset(n, 0, sizeof n);
+            for (k = 0; k < 16; k++) {
+                p[k][0] = p[k][1] = 0;
+                p[k][2] = 0.1f * (float)k;
+                n[k][2] = sp[k][3] = 1;
+                c[k][0] = c[k][1] = c[k][2] = sp[k][0] = sp[k][1] = sp[k][2] = 0.5f;
+            }
+            g = gbuffer_of(4, 4, p, n, c);
+            g.specular = sp[0];
+            rd.env = d.env;
+            rd.env.thread_count = 1;
+            rd.rays = 1;
+            rd.filter = 1;
+            rd.camera.at[2] = 1;
+            rd.camera.fov_y = 40;
+            rd.coarse = 1u << tries;
+            rd.lookup = tries == 0 ? VOXRT_GI_LOOKUP_MAPS : VOXRT_GI_LOOKUP_CACHE;
+            rd.map_size = 8;
+            rd.tolerance = tries == 1 ? 1.0f : 0;
+            r5 = voxrt_gi_history_create(&d.env, &h);
+            CHECK(r5 == VOXRT_OK || (r5 == VOXRT_ERR_NO_MEMORY && h == NULL));
+            rd.history = h;
+            r5 = voxrt_gi_render(&rd, gi, &g, in[0][0], in[1][0], NULL);
+            rd.method = VOXRT_GI_VPL;
+            r6 = voxrt_gi_render(&rd, gi, &g, NULL, in[1][0], NULL);
+            CHECK((r5 == VOXRT_OK || r5 == VOXRT_ERR_NO_MEMORY) && (r6 == VOXRT_OK || r6 == VOXRT_ERR_NO_MEMORY));
+            voxrt_gi_history_destroy(h);
+            CHECK((r1 == VOXRT_OK || r1 == VOXRT_ERR_NO_MEMORY) && (r2 == VOXRT_OK || r2 == VOXRT_ERR_NO_MEMORY));
+            CHECK((r3 == VOXRT_OK || r3 == VOXRT_ERR_NO_MEMORY) && (r4 == VOXRT_OK || r4 == VOXRT_ERR_NO_MEMORY));
+            o.still = 0;
+        }
+        done = ta.failed == 0;
+        voxrt_gi_destroy(gi);
+    }
+    test_alloc_check(&ta);
+    return done;
+}
+
 TEST(memory) {
     static model m;
-    uint32_t fail, done = 0;
-    sphere(&m, 5.0, 8, 200, 0);
-    for (fail = 0; fail < 200 && !done; fail += 1 + fail / 8) { /* the first ones all, later ones some */
-        test_alloc ta;
-        voxrt_gi_desc d;
-        voxrt_gi *gi = NULL;
-        voxrt_gi_object o = object_of(&m, 1);
-        voxrt_gi_light l = point_light(0, 0, 0, 1);
-        voxrt_result r;
-        uint32_t a;
-        test_alloc_init(&ta);
-        ta.fail_at = (int64_t)fail;
-        memset(&d, 0, sizeof d);
-        d.env.allocator.alloc_fn = test_alloc_fn;
-        d.env.allocator.free_fn = test_free_fn;
-        d.env.allocator.user = &ta;
-        d.columns.size_x = d.columns.size_y = 16;
-        d.columns.size_z = 64;
-        d.nested = 1 + fail % 2;
-        o.material.emission[1] = fail % 4 == 3 ? 2.0f : 0.0f;
-        o.mode = fail % 3 == 0 ? VOXRT_COLUMNS_THIN : fail % 3 == 1 ? VOXRT_COLUMNS_SAMPLES : fail % 2 ? VOXRT_COLUMNS_SOLID : VOXRT_COLUMNS_BODY;
-        for (a = 0; a < 3; a++) {
-            d.columns.box_min[a] = -6;
-            d.columns.box_max[a] = 6;
-        }
-        r = voxrt_gi_create(&d, &gi);
-        CHECK(r == VOXRT_OK || (r == VOXRT_ERR_NO_MEMORY && gi == NULL));
-        if (gi != NULL) {
-            uint32_t tries;
-            for (tries = 0; tries < 3; tries++) { /* what failed once can be called again */
-                const voxrt_result r1 = voxrt_gi_add(gi, &o, NULL), r2 = voxrt_gi_set_lights(gi, &l, 1), r3 = voxrt_gi_update(gi, NULL);
-                const voxrt_result r4 = voxrt_gi_bounce(gi, NULL, 1, 0, 0);
-                voxrt_gi_render_desc rd;
-                voxrt_gbuffer g;
-                voxrt_gi_history *h = NULL;
-                float p[4 * 4][3], n[4 * 4][3], c[4 * 4][3], sp[4 * 4][4], in[2][4 * 4][3];
-                voxrt_result r5, r6;
-                uint32_t k;
-                memset(&rd, 0, sizeof rd);
-                memset(n, 0, sizeof n);
-                for (k = 0; k < 16; k++) {
-                    p[k][0] = p[k][1] = 0;
-                    p[k][2] = 0.1f * (float)k;
-                    n[k][2] = sp[k][3] = 1;
-                    c[k][0] = c[k][1] = c[k][2] = sp[k][0] = sp[k][1] = sp[k][2] = 0.5f;
-                }
-                g = gbuffer_of(4, 4, p, n, c);
-                g.specular = sp[0];
-                rd.env = d.env;
-                rd.env.thread_count = 1;
-                rd.rays = 1;
-                rd.filter = 1;
-                rd.camera.at[2] = 1;
-                rd.camera.fov_y = 40;
-                rd.coarse = 1u << tries;
-                rd.lookup = tries == 0 ? VOXRT_GI_LOOKUP_MAPS : VOXRT_GI_LOOKUP_CACHE;
-                rd.map_size = 8;
-                rd.tolerance = tries == 1 ? 1.0f : 0;
-                r5 = voxrt_gi_history_create(&d.env, &h);
-                CHECK(r5 == VOXRT_OK || (r5 == VOXRT_ERR_NO_MEMORY && h == NULL));
-                rd.history = h;
-                r5 = voxrt_gi_render(&rd, gi, &g, in[0][0], in[1][0], NULL);
-                rd.method = VOXRT_GI_VPL;
-                r6 = voxrt_gi_render(&rd, gi, &g, NULL, in[1][0], NULL);
-                CHECK((r5 == VOXRT_OK || r5 == VOXRT_ERR_NO_MEMORY) && (r6 == VOXRT_OK || r6 == VOXRT_ERR_NO_MEMORY));
-                voxrt_gi_history_destroy(h);
-                CHECK((r1 == VOXRT_OK || r1 == VOXRT_ERR_NO_MEMORY) && (r2 == VOXRT_OK || r2 == VOXRT_ERR_NO_MEMORY));
-                CHECK((r3 == VOXRT_OK || r3 == VOXRT_ERR_NO_MEMORY) && (r4 == VOXRT_OK || r4 == VOXRT_ERR_NO_MEMORY));
-                o.still = 0;
-            }
-            done = ta.failed == 0;
-            voxrt_gi_destroy(gi);
-        }
-        test_alloc_check(&ta);
+    uint32_t fail, way;
+    sphere(&m, 2.5, 4, 200, 0);
+    for (way = 0; way < 4; way++) {
+        for (fail = 0; fail < 1000 && !scene_refused(&m, way, fail);) fail += test_quick() ? 1 + fail / 8 : 1; /* quick: the first ones all, later ones some */
+        CHECK_MSG(fail > 50 && fail < 1000, "way %u: %u requests", way, fail);
     }
-    CHECK(done);
 }
 
 /* Memory runs out in a call: it has done nothing, or the next one ends as if nothing had been. Three nested volumes. */
@@ -2552,10 +2580,10 @@ TEST(memory_that_runs_out_loses_nothing) {
     static uint32_t want[3][2][40000];
     static size_t many[3][2];
     int64_t fail;
-    uint32_t i, l, k, lost = 0;
+    uint32_t i, l, k, lost = 0, more = 1;
     sphere(&a, 3.0, 12, 200, 1);
     sphere(&b, 1.0, 10, 160, 0);
-    for (fail = -1; fail < 40; fail += 1 + fail / 12) { /* the first time nothing fails */
+    for (fail = -1; fail < 400 && more; fail += test_quick() ? 1 + fail / 12 : 1) { /* the first time nothing fails; quick: later ones some */
         test_alloc ta;
         voxrt_gi_desc d;
         voxrt_gi *gi = NULL, *g;
@@ -2591,12 +2619,14 @@ TEST(memory_that_runs_out_loses_nothing) {
         oa.material.albedo[0] = 0.5f; /* what stands still and what moves are made anew */
         ob.to_world[3] = 1.5;
         CHECK(voxrt_gi_set(gi, ids[0], &oa) == VOXRT_OK && voxrt_gi_set(gi, ids[1], &ob) == VOXRT_OK);
+        more = fail < 3;
         ta.failed = 0;
         ta.fail_at = fail >= 0 ? ta.count + fail : -1;
         for (i = 0; i < 2; i++) { /* it fails once more, the next time */
             r = voxrt_gi_update(gi, NULL);
             CHECK(r == (ta.failed != 0 ? VOXRT_ERR_NO_MEMORY : VOXRT_OK));
             if (r == VOXRT_OK) break;
+            more = 2;
             ta.failed = 0;
             ta.fail_at = i == 0 ? ta.count + fail % 4 : -1;
         }
@@ -2615,6 +2645,7 @@ TEST(memory_that_runs_out_loses_nothing) {
         voxrt_gi_destroy(gi);
         test_alloc_check(&ta);
     }
+    CHECK_MSG(!more && fail > 10, "%d requests", (int)fail);
 }
 
 TEST(lamps_that_go_out) { /* for a picture, and come back as they were: what has bounced is the same bits */

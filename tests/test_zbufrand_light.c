@@ -254,9 +254,95 @@ static zbufrand_result lists(const world *w, const zbufrand_env *env) { /* nodes
     return r;
 }
 
+/* Many places of a mesh, and another one for one of them. What is refused changes nothing. */
+static zbufrand_result places(const world *w, const zbufrand_env *env) {
+    zbufrand_scene_desc d;
+    zbufrand_scene *s = NULL;
+    zbufrand_scene_info info;
+    zbufrand_transform t[5], up;
+    zbufrand_result r;
+    zbufrand_node lib = 0, mesh = 0, many = 0;
+    int i, k;
+    memset(&d, 0, sizeof d);
+    memset(t, 0, sizeof t);
+    d.env = *env;
+    for (i = 0; i < 5; i++) {
+        for (k = 0; k < 3; k++) t[i].m[k][k] = 1;
+        t[i].m[0][3] = 3 * i;
+    }
+    up = t[2];
+    up.m[1][3] = 10;
+    r = zbufrand_scene_create(&d, &s);
+    if (r == ZBUFRAND_OK) r = zbufrand_add_list(s, ZBUFRAND_ROOT, NULL, ZBUFRAND_HIDDEN, &lib);
+    if (r == ZBUFRAND_OK) r = zbufrand_add_mesh(s, lib, NULL, 0, &w->mesh, &mesh);
+    for (i = 0; i < 40 && r == ZBUFRAND_OK; i++) { /* the last ones are drawn */
+        r = zbufrand_add_references(s, i < 39 ? lib : ZBUFRAND_ROOT, t, i < 39 ? 1 : 5, mesh, &many);
+        CHECK((r == ZBUFRAND_OK) == (many != 0));
+    }
+    if (r == ZBUFRAND_OK) r = zbufrand_scene_build(s, NULL, &info);
+    if (r == ZBUFRAND_OK) {
+        CHECK(info.triangles == 5 * w->mesh.triangle_count && info.box_max[1] < 2);
+        r = zbufrand_set_reference(s, many, 2, &up);
+        if (r != ZBUFRAND_OK) { /* refused: what stands is what was built */
+            const zbufrand_result again = zbufrand_scene_update(s, &info);
+            CHECK(again == ZBUFRAND_ERR_NO_MEMORY || (again == ZBUFRAND_OK && info.box_max[1] < 2));
+        }
+    }
+    if (r == ZBUFRAND_OK) {
+        r = zbufrand_scene_update(s, &info);
+        if (r == ZBUFRAND_OK) CHECK(info.triangles == 5 * w->mesh.triangle_count && info.box_max[1] > 10);
+    }
+    zbufrand_scene_destroy(s);
+    return r;
+}
+
+/* Many nodes that wait for the next update, by one function: lists that are added before there is a structure, nodes that move, nodes
+   that come into a list. What is refused has not happened. */
+static zbufrand_result waiting(const world *w, const zbufrand_env *env, int what) {
+    enum { MANY = 40 };
+    zbufrand_scene_desc d;
+    zbufrand_scene *s = NULL;
+    zbufrand_scene_info info;
+    zbufrand_transform up;
+    zbufrand_result r;
+    zbufrand_node node[MANY], mesh = 0, list = 0;
+    int i, done = 0;
+    memset(&d, 0, sizeof d);
+    memset(&up, 0, sizeof up);
+    for (i = 0; i < 3; i++) up.m[i][i] = 1;
+    up.m[1][3] = 10;
+    d.env = *env;
+    r = zbufrand_scene_create(&d, &s);
+    if (r == ZBUFRAND_OK) r = zbufrand_add_mesh(s, ZBUFRAND_ROOT, NULL, 0, &w->mesh, &mesh);
+    if (r == ZBUFRAND_OK) r = zbufrand_add_list(s, ZBUFRAND_ROOT, NULL, 0, &list);
+    for (i = 0; i < MANY && r == ZBUFRAND_OK; i++) {
+        r = what == 0 ? zbufrand_add_list(s, list, NULL, 0, &node[i]) : zbufrand_add_reference(s, what == 1 ? list : 0, NULL, mesh, &node[i]);
+        CHECK((r == ZBUFRAND_OK) == (node[i] != 0));
+    }
+    if (r == ZBUFRAND_OK) r = zbufrand_scene_build(s, NULL, &info);
+    for (i = 0; i < MANY && r == ZBUFRAND_OK && what != 0; i++) {
+        r = what == 1 ? zbufrand_move(s, node[i], &up) : zbufrand_list_append(s, list, node[i]);
+        done += r == ZBUFRAND_OK;
+    }
+    if (done != 0) {
+        const zbufrand_result again = zbufrand_scene_update(s, &info);
+        if (again == ZBUFRAND_OK) {
+            CHECK_EQ_U64(info.triangles, w->mesh.triangle_count * (what == 1 ? MANY + 1u : done + 1u));
+            CHECK((info.box_max[1] > 10) == (what == 1));
+        }
+        if (r == ZBUFRAND_OK) r = again;
+    }
+    zbufrand_scene_destroy(s);
+    return r;
+}
+static zbufrand_result many_lists(const world *w, const zbufrand_env *env) { return waiting(w, env, 0); }
+static zbufrand_result many_moves(const world *w, const zbufrand_env *env) { return waiting(w, env, 1); }
+static zbufrand_result many_appended(const world *w, const zbufrand_env *env) { return waiting(w, env, 2); }
+
 static const struct call { const char *name; zbufrand_result (*run)(const world *w, const zbufrand_env *env); uint32_t least; } call[] = {
     {"points", points_of_scene, 5}, {"page of points", whole_page, 5}, {"choices", choices, 5}, {"edits", edited, 5},
-    {"suspects", mended, 2}, {"lists", lists, 5}
+    {"suspects", mended, 2}, {"lists", lists, 5}, {"places", places, 8},
+    {"many lists", many_lists, 5}, {"many moves", many_moves, 8}, {"many come into a list", many_appended, 8}
 };
 
 typedef struct one_call { world *w; uint32_t which; } one_call;

@@ -24,6 +24,48 @@ static void sample(void *user, voxrt_sample *s) {
     s->normal[0] -= s->weight[1];
 }
 
+/* A model of a tree has its voxels, and so has the tree of that, also after an edit that is undone. */
+static int in_model(void *user, const voxrt_voxel *v, uint32_t index) {
+    const voxrt_model *m = (const voxrt_model *)user;
+    voxrt_voxel got;
+    voxrt_model_info info;
+    (void)index;
+    voxrt_model_get_info(m, &info);
+    if (!voxrt_model_get(m, info.depth, v->x, v->y, v->z, &got) || memcmp(got.rgb, v->rgb, 3) != 0) abort();
+    return 0;
+}
+
+static void as_model(const voxrt_tree *t, uint8_t how) {
+    voxrt_model *m = NULL;
+    voxrt_tree *again = NULL;
+    voxrt_tree_info info, info2;
+    voxrt_model_info of;
+    voxrt_build_desc d = {0};
+    voxrt_edit_desc e = {0};
+    voxrt_env env = {0};
+    double centre[3], lo[3], hi[3];
+    int k;
+    env.memory_limit = (size_t)1 << 26;
+    if (voxrt_model_from_tree(&env, t, &m) != VOXRT_OK) return;
+    voxrt_tree_get_info(t, &info), voxrt_model_get_info(m, &of);
+    if (of.voxel_count != info.voxel_count || of.depth != info.depth) abort();
+    if (voxrt_tree_each(t, info.depth, in_model, m) != 0) abort();
+    d.env = env, d.palette_size = 1u << 20, d.env.thread_count = 1;
+    if (voxrt_tree_from_model(&d, m, &again) == VOXRT_OK) {
+        voxrt_tree_get_info(again, &info2);
+        if (info2.voxel_count != info.voxel_count || info2.depth != info.depth) abort();
+        voxrt_tree_destroy(again), again = NULL;
+    }
+    voxrt_tree_bounds(t, lo, hi);
+    for (k = 0; k < 3; k++) centre[k] = lo[k] + (hi[k] - lo[k]) * (double)(how >> (2 * k) & 3) / 3;
+    e.env = d.env, e.op = (voxrt_edit_op)(how >> 6);
+    if (voxrt_model_sphere(m, &e, centre, (hi[0] - lo[0]) / 3, NULL) == VOXRT_OK && voxrt_tree_from_model(&d, m, &again) == VOXRT_OK) {
+        voxrt_tree_get_info(again, &info2), voxrt_model_get_info(m, &of);
+        if (info2.voxel_count != of.voxel_count) abort();
+    }
+    voxrt_tree_destroy(again), voxrt_model_destroy(m);
+}
+
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     static const voxrt_finish finishes[2] = {{1, {1, 0, 0}, 9, {0, 0, 0}, {0, 0, 0}, 0, {0, 0, 0}, {0, 0, 0}},
                                              {0, {0, 0, 0}, 0, {1, 1, 1}, {0, 0, 0}, 0, {0, 0, 0}, {0, 0, 0}}};
@@ -56,5 +98,6 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
         voxrt_tree_info info;
         if (voxrt_tree_get_info(t, &info), voxrt_tree_each(t, s.level, cell, &s) != 0 || s.count != info.level_count[k]) abort();
     }
+    if (t != NULL) as_model(t, (uint8_t)(data[5] >> 1 ^ data[6] >> 1 ^ data[0] / 64 * 64));
     return voxrt_tree_destroy(t), voxrt_tree_destroy(again), 0;
 }

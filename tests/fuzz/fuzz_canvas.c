@@ -116,6 +116,56 @@ static void canvas(const uint8_t *o, const float *f, zbufrand_sample *s, float *
     memcpy(keep_depth, depth[0], sizeof depth[0]);
 }
 
+/* Points, projected on the way or before: the same picture. */
+static void points(const uint8_t *o, const float *f, const zbufrand_view *view) {
+    static const uint8_t rgb[3 * 5] = {255, 0, 0, 0, 255, 0, 0, 0, 255, 90, 80, 70, 1, 2, 3};
+    float rgba[2][PIXELS * 4], depth[2][PIXELS];
+    uint32_t number[2][PIXELS], k;
+    zbufrand_result r[2] = {ZBUFRAND_OK, ZBUFRAND_OK};
+    zbufrand_points p;
+    zbufrand_source source;
+    memset(rgba, 0, sizeof rgba);
+    memset(depth, 0, sizeof depth);
+    memset(number, 0, sizeof number);
+    memset(&p, 0, sizeof p);
+    memset(&source, 0, sizeof source);
+    p.positions = f + 20;
+    p.position_stride = o[11] & 1 ? 4 * (3 + (o[11] >> 1 & 1u)) : 0;
+    p.normals = o[0] & 16 ? f + 60 : NULL;
+    p.rgb = o[11] & 4 ? rgb : NULL;
+    p.count = p.rgb != NULL ? 5 : SAMPLES;
+    source.shade_fn = zbufrand_points_shade;
+    source.user = &p;
+    for (k = 0; k < 2; k++) {
+        zbufrand_canvas_desc d;
+        zbufrand_canvas *c = NULL;
+        zbufrand_picture picture;
+        zbufrand_submit_stats stats;
+        zbufrand_sample s[SAMPLES];
+        memset(&d, 0, sizeof d);
+        memset(&stats, 0, sizeof stats);
+        d.env = env_of(1);
+        d.isa = o[11] & 8 ? ZBUFRAND_ISA_SCALAR : ZBUFRAND_ISA_AUTO;
+        d.width = WIDE;
+        d.height = HIGH;
+        d.reconstruct.block = 1 + (o[11] >> 4 & 3u);
+        must(zbufrand_canvas_create(&d, &c) == ZBUFRAND_OK);
+        if (k == 0) r[k] = zbufrand_canvas_submit_points(c, view, &p, 0, &stats);
+        else {
+            r[k] = zbufrand_project(view, &p, 0, p.count, s);
+            if (r[k] == ZBUFRAND_OK) must(zbufrand_canvas_submit(c, s, p.count, 0, &stats) == ZBUFRAND_OK);
+        }
+        if (r[k] == ZBUFRAND_OK) must(stats.accepted + stats.outside + stats.bad == p.count);
+        picture.rgba = rgba[k];
+        picture.depth = depth[k];
+        picture.number = number[k];
+        if (r[k] == ZBUFRAND_OK) must(zbufrand_canvas_resolve(c, &source, &picture, NULL) == ZBUFRAND_OK);
+        zbufrand_canvas_destroy(c);
+    }
+    must(r[0] == r[1] && memcmp(rgba[0], rgba[1], sizeof rgba[0]) == 0 && memcmp(depth[0], depth[1], sizeof depth[0]) == 0);
+    must(memcmp(number[0], number[1], sizeof number[0]) == 0);
+}
+
 static void suspects(const uint8_t *o, const float *f, float *rgba, float *depth) {
     zbufrand_suspect_desc d;
     zbufrand_suspect list[2][PIXELS];
@@ -243,6 +293,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     for (i = 0; i < PIXELS; i++) depth[i] = (float)INFINITY;
     samples_of(data, f, s, &view);
     canvas(data, f, s, rgba, depth);
+    points(data, f, &view);
     layers(data, f, s);
     frames(data, f, rgba, depth, &view);
     suspects(data, f, rgba, depth);

@@ -86,6 +86,26 @@ static void parameters(uint8_t *p, size_t size, int right) {
         const tetcast_param *list = tetcast_params_list(a, &count), *other;
         uint8_t *text;
         if (r != TETCAST_OK && r != TETCAST_ERR_NO_MEMORY) must(count == 0);
+        if (size > 6) { /* one more, of bytes of the change: its name up to a zero, its numbers from the front */
+            float numbers[16];
+            char name[300];
+            const uint64_t before = tetcast_params_changed(a, NULL);
+            const size_t n = 1 + p[0] % 16u, length = size - 1 < sizeof name - 1 ? size - 1 : sizeof name - 1;
+            memcpy(name, p + 1, length);
+            name[length] = '\0';
+            for (i = 0; i < n; i++) {
+                uint8_t four[4];
+                for (k = 0; k < 4; k++) four[k] = p[(4 * i + k) % size];
+                memcpy(&numbers[i], four, 4);
+            }
+            if (tetcast_params_set(a, name, numbers, n) == TETCAST_OK) {
+                const float *found;
+                list = tetcast_params_list(a, &count);
+                found = tetcast_params_find(list, count, name, n, NULL);
+                must(found != NULL && memcmp(found, numbers, n * sizeof *found) == 0 && tetcast_params_find(list, count, name, n + 1, NULL) == NULL);
+                must(tetcast_params_changed(a, NULL) <= before + 1 && tetcast_params_changed(a, name) != 0);
+            } else must(name[0] == '\0' || strlen(name) > 255);
+        }
         bytes = tetcast_params_changes(a, 0, NULL, 0);
         text = (uint8_t *)malloc(bytes);
         if (text != NULL) {

@@ -237,6 +237,23 @@ static void look_at_functions(const tetcast_rbf *m, const uint8_t *o, const floa
         must(tetcast_rbf_eval(&e, m, at[0], POINTS, v[k], slope[k]) == TETCAST_OK);
     }
     must(memcmp(v[0], v[1], sizeof v[0]) == 0 && memcmp(slope[0], slope[1], sizeof slope[0]) == 0);
+    for (k = 0; k < 2; k++) { /* on a grid, too */
+        static float grid[2][4 * 60];
+        const uint32_t dims[3] = {1u + (o[20] & 3u), 1u + (o[20] >> 2 & 3u), 1u + (o[20] >> 4) % 3u};
+        e.isa = k ? TETCAST_ISA_AUTO : TETCAST_ISA_SCALAR;
+        e.all = !k;
+        must(tetcast_rbf_grid(&e, m, dims, grid[k]) == TETCAST_OK);
+        if (k) must(memcmp(grid[0], grid[1], sizeof(float) * dims[0] * dims[1] * dims[2] * info.components) == 0);
+    }
+    for (i = 0; info.components >= 3 && i < POINTS; i++) {
+        const float *u = v[0] + i * info.components, *du = slope[0] + 3 * i * info.components;
+        tetcast_flow flow;
+        int all = 1;
+        for (k = 0; k < 9; k++) all &= is_finite(du[k]) & is_finite(u[k / 3]);
+        tetcast_flow_features(u, du, &flow);
+        must(!all || (is_finite(flow.speed) && is_finite(flow.lambda2) && is_finite(flow.helicity)));
+        for (k = 0; k < 3; k++) must(!all || is_finite(flow.vorticity[k]));
+    }
     for (i = 0; i < info.components; i++)
         if (tetcast_rbf_bounds(m, i, info.box_min, info.box_max, &lo, &hi, &steep) == TETCAST_OK && (o[18] & 1) == 0)
             for (k = 0; k < POINTS; k++) must(!(v[0][k * info.components + i] < lo) && !(v[0][k * info.components + i] > hi));

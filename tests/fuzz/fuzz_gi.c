@@ -80,6 +80,65 @@ static void draw(voxrt_gi *gi, const uint8_t *o, const float *f, const voxrt_gi_
     }
 }
 
+/* A G-buffer of a few voxels, what it shows on a display, how long frames take. */
+static void display(const uint8_t *o, const float *f, const voxrt_camera *camera, const picture *light) {
+    static picture p[2];
+    voxrt_voxel v[4];
+    voxrt_build_desc bd;
+    voxrt_tree *t = NULL;
+    voxrt_geometry geometry;
+    voxrt_gi_budget budget;
+    float shown[WIDE * HIGH][3];
+    uint32_t i, k, a;
+    memset(v, 0, sizeof v);
+    memset(&bd, 0, sizeof bd);
+    memset(p, 0, sizeof p);
+    memset(&budget, 0, sizeof budget);
+    bd.env.thread_count = 1;
+    for (i = 0; i < 4; i++) {
+        v[i].x = o[21] >> (2 * i) & 3;
+        v[i].y = o[22] >> (2 * i) & 3;
+        v[i].z = o[23] >> (2 * i) & 3;
+        v[i].rgb[i % 3] = o[21];
+    }
+    if (voxrt_tree_from_voxels(&bd, v, 4, 2, &t) != VOXRT_OK) abort();
+    voxrt_tree_geometry(t, &geometry);
+    for (k = 0; k < 2; k++) {
+        voxrt_env env;
+        voxrt_gbuffer g;
+        memset(&env, 0, sizeof env);
+        memset(&g, 0, sizeof g);
+        env.thread_count = 1 + k;
+        g.width = WIDE;
+        g.height = HIGH;
+        g.position = p[k].position[0];
+        g.normal = p[k].normal[0];
+        g.albedo = p[k].albedo[0];
+        g.before = p[k].before[0];
+        if (o[20] & 4) g.specular = p[k].specular[0];
+        if (voxrt_gbuffer_from_geometry(&env, camera, &geometry, &g) != VOXRT_OK) break;
+    }
+    if (k == 2 && memcmp(&p[0], &p[1], sizeof p[0]) != 0) abort();
+    for (i = 0; k == 2 && i < WIDE * HIGH; i++)
+        for (a = 0; a < 3; a++) if (!(p[0].albedo[i][a] >= 0.0f && p[0].albedo[i][a] <= 1.0f && p[0].position[i][a] - p[0].position[i][a] == 0.0f)) abort();
+    voxrt_tree_destroy(t);
+    for (k = 0; k < 4; k++) {
+        const float *rgb = o[22] & 1 ? f : light->indirect[0];
+        if (voxrt_tone_map((voxrt_tone)k, o[22] & 2 ? f[22] : 1.0f, rgb, shown[0], o[22] & 1 ? 40 : WIDE * HIGH) != VOXRT_OK) continue;
+        for (i = 0; i < (o[22] & 1 ? 40 : WIDE * HIGH); i++)
+            for (a = 0; a < 3; a++) if (!(shown[i][a] >= 0.0f && shown[i][a] <= 1.0f)) abort();
+    }
+    budget.most = o[23] & 63;
+    for (k = 0; k < 4; k++) {
+        voxrt_gi_report report;
+        memset(&report, 0, sizeof report);
+        report.rays = o[21];
+        report.shaded = o[22] * 100u;
+        (void)voxrt_gi_budget_update(&budget, o[23] & 128 ? NULL : &report, f[30 + k], f[34 + k], f[38]);
+        if (budget.rays == 0 || budget.rays > (budget.most != 0 ? budget.most : 64u) || budget.coarse == 0 || budget.coarse > 16) abort();
+    }
+}
+
 static void set_lights(voxrt_gi *gi, const uint8_t *o, const float *f) {
     voxrt_gi_light l[LIGHTS];
     uint32_t i, a;
@@ -211,6 +270,11 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
         if (e == 0 || voxrt_gi_update(gi, NULL) != VOXRT_OK) continue;
         if (e & 32) (void)voxrt_gi_bounce(gi, NULL, 1 + (e >> 6), e & 128 ? 0.25f : 0.0f, e);
         draw(gi, o, f, &d, h, p);
+    }
+    {
+        float lights[9 * 16];
+        (void)voxrt_gi_virtual_lights(gi, lights, 16);
+        display(o, f, &d.camera, &p[0]);
     }
     for (i = 0; i < 2; i++) voxrt_gi_history_destroy(h[i]);
     voxrt_gi_destroy(gi);

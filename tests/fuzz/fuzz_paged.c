@@ -2,8 +2,10 @@
    bytes of that of the tree, whatever memory there is for the pieces; writing that fails, memory that is refused and a call that
    is cancelled are told, and nothing is left; rays see the same in the file as in the tree, and in a group of many places of it
    what they see in the nearest of them. */
+#define _POSIX_C_SOURCE 200809L
 #define VOXRT_IMPLEMENTATION
 #include "../../voxrt.h"
+#include <unistd.h>
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
 enum { OPTIONS = 12, TRIANGLES = 32, PLACES = 64, RAYS = 24 };
@@ -142,6 +144,29 @@ static void look(const file *f, const voxrt_tree *t, const uint8_t *o) {
     voxrt_paged_destroy(p);
 }
 
+/* The same by way of a file that has a name. */
+static void by_name(const voxrt_build_desc *desc, const voxrt_mesh *m, const file *f) {
+    char path[64];
+    voxrt_paged_desc d;
+    voxrt_paged *p = NULL;
+    voxrt_build_desc b = *desc;
+    voxrt_result r;
+    FILE *in = NULL;
+    uint64_t i;
+    (void)snprintf(path, sizeof path, "/tmp/fuzz_paged.%ld.vox", (long)getpid());
+    memset(&b.env, 0, sizeof b.env);
+    b.env.thread_count = 1;
+    memset(&d, 0, sizeof d);
+    r = voxrt_paged_build_file(&b, m, path, NULL);
+    if (r == VOXRT_OK) {
+        must(voxrt_paged_open_file(&d, path, &p) == VOXRT_OK && (in = fopen(path, "rb")) != NULL);
+        for (i = 0; i < f->size && fgetc(in) == f->data[i]; i++) {}
+        must(i == f->size && fgetc(in) == EOF && fclose(in) == 0);
+    } else must(r == VOXRT_ERR_IO); /* no room on the disk */
+    voxrt_paged_destroy(p);
+    (void)remove(path);
+}
+
 static size_t triangles_of(const uint8_t *data, size_t size, float *p) {
     const size_t n = (size - OPTIONS) / 45 < TRIANGLES ? (size - OPTIONS) / 45 : TRIANGLES;
     size_t i;
@@ -222,6 +247,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *o, size_t size) {
         }
         free(saved);
         look(&f, t, o);
+        if (o[9] >> 6 == 3 && o[8] >> 6 == 3) by_name(&d, &m, &f);
     }
     free(f.data);
     voxrt_tree_destroy(t);

@@ -28,6 +28,38 @@ static void make_finishes(uint32_t seed, voxrt_finish finish[3]) {
     }
 }
 
+/* Cameras that frame a box or a tree, and rays of them; colours once more. */
+static void cameras(const voxrt_tree *t, const float *f, const voxrt_camera *camera) {
+    voxrt_camera c = *camera;
+    voxrt_ray ray;
+    voxrt_budget budget;
+    double lo[3], hi[3];
+    uint32_t k;
+    for (k = 0; k < 5; k++) {
+        voxrt_result r;
+        const float *view = k & 1 ? f + 53 : NULL;
+        if (k == 1 || k == 2) r = voxrt_camera_fit_tree(&c, t, view, WIDE, k == 1 ? HIGH : 0);
+        else {
+            uint32_t a;
+            voxrt_tree_bounds(t, lo, hi);
+            for (a = 0; a < 3 && k == 4; a++) {
+                lo[a] = (double)f[54 + a];
+                hi[a] = lo[a] + (double)f[57 + a];
+            }
+            r = k == 0 ? VOXRT_OK : voxrt_camera_fit(&c, lo, hi, view, WIDE, HIGH);
+        }
+        if (r != VOXRT_OK && memcmp(&c, camera, sizeof c) != 0) abort();
+        r = voxrt_camera_ray(&c, WIDE, HIGH, (double)f[58], (double)f[59], &ray);
+        if (r == VOXRT_OK && voxrti_absf(f[58]) < 1e30f && voxrti_absf(f[59]) < 1e30f && !(ray.dir[0] - ray.dir[0] + (ray.dir[1] - ray.dir[1]) + (ray.dir[2] - ray.dir[2]) == 0.0f)) abort();
+        c = *camera;
+    }
+    memset(&budget, 0, sizeof budget);
+    for (k = 0; k < 5; k++) {
+        const float tolerance = voxrt_budget_update(&budget, f[50 + k], f[55], f[56]);
+        if (!(tolerance > 0.0f && tolerance <= 64.0f)) abort();
+    }
+}
+
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     voxrt_voxel v[64];
     float f[NUMBERS];
@@ -100,6 +132,11 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
         blur.env.thread_count = 1;
         blur.radius = f[50]; blur.footprint = o[5] & 32 ? f[51] : 0; blur.voxel_size = f[52]; blur.depth = o[5] >> 6;
         if (r[k] == VOXRT_OK && o[5] & 16) (void)voxrt_blur(&blur, &m);
+        else if (r[k] == VOXRT_OK && !d.no_compose && !d.thesis_compose) { /* nothing has changed */
+            uint8_t again[HIGH * WIDE][4];
+            m.rgba8 = again[0];
+            if (voxrt_image_encode(&d.env, &m) != VOXRT_OK || memcmp(again, p[k].rgba8, sizeof again) != 0) abort();
+        }
     }
     if (r[0] != r[1] || memcmp(&p[0], &p[1], sizeof p[0]) != 0) abort();
     for (i = 0; r[0] == VOXRT_OK && i < HIGH * WIDE; i++) {
@@ -107,6 +144,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
         for (k = 0; k < 3; k++) if (!(voxrti_absf(p[0].normal[i][k]) <= 1.001f)) abort();
         if (p[0].depth[i] != p[0].depth[i]) abort();
     }
+    cameras(t, f, &d.camera);
     voxrt_tree_destroy(t);
     return 0;
 }

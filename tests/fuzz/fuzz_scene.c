@@ -93,6 +93,33 @@ static void ask(const zbufrand_scene *scene, const zbufrand_render_desc *desc) {
     zbufrand_frame_destroy(frame);
 }
 
+/* Cameras that frame a box, the scene, or are what they are, as views. */
+static void cameras(const zbufrand_scene *scene, const zbufrand_camera *camera, const float *f) {
+    zbufrand_points points;
+    uint32_t k, a;
+    memset(&points, 0, sizeof points);
+    points.positions = f;
+    points.count = 10;
+    for (k = 0; k < 5; k++) {
+        zbufrand_camera c = *camera;
+        zbufrand_view view;
+        zbufrand_sample sample[10];
+        double way[3], lo[3], hi[3];
+        zbufrand_result r = ZBUFRAND_OK;
+        for (a = 0; a < 3; a++) {
+            way[a] = (double)f[60 + a];
+            lo[a] = (double)f[63 + a];
+            hi[a] = lo[a] + (double)f[66 + a];
+        }
+        if (k == 1 || k == 2) r = zbufrand_camera_fit(&c, lo, hi, k == 1 ? way : NULL, WIDE, k == 1 ? HIGH : 0);
+        if (k > 2) r = zbufrand_camera_fit_scene(&c, k == 3 ? scene : NULL, f[69] > 0 ? way : NULL, WIDE, HIGH);
+        if (r != ZBUFRAND_OK && memcmp(&c, camera, sizeof c) != 0) abort();
+        r = zbufrand_camera_view(&c, scene, WIDE, HIGH, &view);
+        if (r == ZBUFRAND_OK && zbufrand_project(&view, &points, 0, 10, sample) != ZBUFRAND_OK) abort();
+        if (r != ZBUFRAND_OK && view.focal != 0.0) abort();
+    }
+}
+
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     static picture p[2]; /* 6 KB */
     float f[NUMBERS], position[NODES][18];
@@ -180,14 +207,16 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     if (zbufrand_scene_build(scene, &b, NULL) == ZBUFRAND_OK) {
         draw(scene, &d, o[12] & 4, p);
         ask(scene, &d);
+        cameras(scene, &d.camera, f);
         for (i = 0; i < 3; i++) { /* edits, as many as there are bytes for */
             const zbufrand_transform t = place(o[13 + 2 * i], f + o[13 + 2 * i] % (NUMBERS - 12));
             const zbufrand_node which = node[1 + o[14 + 2 * i] % n];
+            if (o[19] & 1) (void)zbufrand_set_reference(scene, which, o[19] >> 1 & 7, o[19] & 16 ? NULL : &t);
             if (o[12] & 8) (void)zbufrand_move(scene, which, &t);
             else if (o[12] & 16) (void)zbufrand_remove(scene, which);
             else if (o[12] & 32) (void)zbufrand_add_reference(scene, ZBUFRAND_ROOT, &t, which, NULL);
         }
-        if ((o[12] & 56) != 0 && zbufrand_scene_update(scene, NULL) == ZBUFRAND_OK) draw(scene, &d, o[12] & 4, p);
+        if (((o[12] & 56) != 0 || (o[19] & 1)) && zbufrand_scene_update(scene, NULL) == ZBUFRAND_OK) draw(scene, &d, o[12] & 4, p);
     }
     zbufrand_scene_destroy(scene);
     return 0;

@@ -126,6 +126,10 @@ static void ask(tetcast_mesh *mesh, const uint8_t *o, const float *f) {
     tetcast_env env = env_of(1 + (o[5] & 1));
     uint32_t i, k, count = 0;
     tetcast_mesh_get_info(mesh, &info);
+    for (i = 0; i < info.field_count; i++) {
+        float lo, hi;
+        must(tetcast_mesh_find_field(mesh, tetcast_mesh_field(mesh, i, &lo, &hi)) <= i);
+    }
     if (tetcast_mesh_check(mesh, &env, &check) == TETCAST_OK) must(check.components >= 1 && check.components <= info.cell_count);
     for (i = 0; i < info.cell_count; i++) {
         uint32_t v[4], source;
@@ -185,6 +189,17 @@ static void ask(tetcast_mesh *mesh, const uint8_t *o, const float *f) {
         plane.v[k] = (double)f[246 + k];
     }
     (void)tetcast_plane_sample(&env, mesh, &plane, SIDE, SIDE, node);
+    {
+        tetcast_camera camera;
+        memset(&camera, 0, sizeof camera);
+        for (k = 0; k < 3; k++) {
+            camera.eye[k] = o[17] & 32 ? (double)f[90 + k] : info.box_min[k] - 2 * (k + 1.0);
+            camera.at[k] = o[17] & 32 ? (double)f[93 + k] : info.box_max[k];
+        }
+        camera.ortho_height = o[17] & 64 ? f[100] : 0;
+        if (tetcast_plane_view(&env, mesh, &plane, &camera, SIDE, SIDE, node, again) == TETCAST_OK)
+            for (i = 0; i < SIDE * SIDE; i++) must(again[i] == again[i] && (node[i] != node[i] || again[i] < INFINITY));
+    }
     if (tetcast_plane_section(&env, mesh, &plane, &section) == TETCAST_OK) {
         for (i = 0; i < section.polygon_count; i++) {
             must(section.first[i + 1] > section.first[i] + 2 && section.first[i + 1] <= section.first[i] + 4 && section.cells[i] < info.cell_count);
@@ -204,6 +219,99 @@ static void shade(void *user, const tetcast_packet *in, float rgba[4][8]) {
     }
 }
 
+/* A transfer function, asked at ends and middles of its knots: bounds hold; another one, and where the two differ. */
+static void ask_transfer(const tetcast_transfer *a, const tetcast_transfer *b, const tetcast_control_point *knot, uint32_t count) {
+    float lo, hi;
+    uint32_t i, k;
+    tetcast_transfer_difference(a, b, &lo, &hi);
+    for (i = 0; i + 1 < count; i++) {
+        const float from = knot[i].value, to = knot[i + 1].value, middle = from + 0.5f * (to - from), at[3] = {from, middle, to};
+        const float most = tetcast_transfer_max_extinction(a, from, to);
+        const int empty = tetcast_transfer_is_empty(a, from, to);
+        float emission[3], rgba[2][4];
+        tetcast_transfer_max_emission(a, from, to, emission);
+        for (k = 0; k < 3; k++) {
+            tetcast_transfer_eval(a, at[k], rgba[0]);
+            tetcast_transfer_eval(b, at[k], rgba[1]);
+            must(is_finite(rgba[0][0]) && is_finite(rgba[0][3]));
+            if (!(at[k] < 1e38f && at[k] > -1e38f)) continue;
+            must(rgba[0][3] <= most * 1.0001f || k == 2); /* at a jump eval gives what lies above */
+            must(!empty || rgba[0][3] == 0.0f || k == 2);
+            if (at[k] < lo || at[k] > hi || lo > hi) must(memcmp(rgba[0], rgba[1], sizeof rgba[0]) == 0);
+        }
+        for (k = 0; k < 3; k++) must(is_finite(emission[k]) && emission[k] >= 0.0f);
+    }
+}
+
+/* Rays given as segments; optics made anew from others are those that would be made from nothing. */
+static void ask_optics(const tetcast_optics *optics, const tetcast_transfer *other, const tetcast_optics_desc *od, const float *f) {
+    tetcast_optics *anew[2] = {NULL, NULL};
+    tetcast_segment s[16];
+    tetcast_result r[3];
+    float rgba[3][16][4], sum[4];
+    size_t used = 99;
+    uint32_t i, k;
+    for (i = 0; i < 16; i++) {
+        s[i].front = i & 1 ? s[i - 1].back : f[(3 * i + 110) % NUMBERS];
+        s[i].back = f[(3 * i + 111) % NUMBERS];
+        s[i].length = f[(3 * i + 112) % NUMBERS];
+        s[i].depth = f[i];
+        if (s[i].length < 0.0f) s[i].length = 0.0f - s[i].length;
+    }
+    memset(rgba, 0, sizeof rgba);
+    (void)tetcast_optics_ray(optics, s, 16, sum, &used);
+    must(used <= 16 && is_finite(sum[0]) && is_finite(sum[3]));
+    r[0] = tetcast_optics_segments(optics, s, 16, TETCAST_ISA_SCALAR, rgba[0]);
+    r[1] = tetcast_optics_segments(optics, s, 16, TETCAST_ISA_AUTO, rgba[1]);
+    must(r[0] == r[1] && memcmp(rgba[0], rgba[1], sizeof rgba[0]) == 0);
+    for (i = 0; i < 16 && r[0] == TETCAST_OK; i++) {
+        must(tetcast_optics_ray(optics, &s[i], 1, sum, NULL) == TETCAST_OK && memcmp(sum, rgba[0][i], sizeof sum) == 0);
+    }
+    for (k = 0; k < 2; k++) r[k] = k ? tetcast_optics_update(optics, other, od, &anew[k]) : tetcast_optics_create(other, od, &anew[k]);
+    must(r[0] == r[1]);
+    memset(rgba, 0, sizeof rgba);
+    for (k = 0; k < 2 && r[0] == TETCAST_OK; k++) r[2] = tetcast_optics_segments(anew[k], s, 16, TETCAST_ISA_AUTO, rgba[k]);
+    must(memcmp(rgba[0], rgba[1], sizeof rgba[0]) == 0);
+    tetcast_optics_destroy(anew[0]);
+    tetcast_optics_destroy(anew[1]);
+}
+
+/* Single rays, by all instruction sets and numbers of threads. */
+static void cast(const tetcast_render_desc *desc, const tetcast_mesh *mesh, const tetcast_optics *optics, const uint8_t *o, const float *f) {
+    enum { RAYS = 12 };
+    tetcast_render_desc d = *desc;
+    tetcast_ray ray[RAYS];
+    tetcast_ray_result got[2][RAYS];
+    tetcast_result r[2];
+    tetcast_mesh_info info;
+    uint32_t i, k;
+    memset(ray, 0, sizeof ray);
+    memset(got, 0, sizeof got);
+    tetcast_mesh_get_info(mesh, &info);
+    for (i = 0; i < RAYS; i++) {
+        if (i & 1) {
+            tetcast_camera c = d.camera;
+            if (tetcast_camera_fit(&c, info.box_min, info.box_max, i & 2 ? ray[i - 1].dir : NULL, RAYS, 1) != TETCAST_OK) continue;
+            (void)tetcast_camera_ray(&c, RAYS, RAYS, (double)i, 0.5 * RAYS, &ray[i]);
+            continue;
+        }
+        for (k = 0; k < 3; k++) {
+            ray[i].org[k] = (double)f[(150 + 5 * i + k) % NUMBERS];
+            ray[i].dir[k] = (double)f[(153 + 7 * i + k) % NUMBERS];
+        }
+        if (o[17] & 1) ray[i].t_min = (double)f[200 + i], ray[i].t_max = (double)f[212 + i];
+    }
+    for (k = 0; k < 2; k++) {
+        d.env = env_of(k != 0 && (o[16] & 8) ? 2 : 1);
+        d.isa = k != 0 ? TETCAST_ISA_AUTO : TETCAST_ISA_SCALAR;
+        r[k] = tetcast_cast(&d, mesh, o[17] & 2 ? NULL : optics, ray, RAYS, got[k], NULL);
+    }
+    must(r[0] == r[1]);
+    if (r[0] != TETCAST_OK) return;
+    must(memcmp(got[0], got[1], sizeof got[0]) == 0);
+    for (i = 0; i < RAYS; i++) must(is_finite(got[0][i].rgba[0]) && is_finite(got[0][i].rgba[3]) && got[0][i].length >= 0.0f);
+}
+
 /* A picture of the mesh, walked, projected or with a shader, by all instruction sets. */
 static void draw(const tetcast_mesh *mesh, const uint8_t *o, const float *f) {
     static picture p[2];
@@ -213,7 +321,7 @@ static void draw(const tetcast_mesh *mesh, const uint8_t *o, const float *f) {
     tetcast_transfer_desc td;
     tetcast_optics_desc od;
     tetcast_render_desc d;
-    tetcast_transfer *transfer = NULL;
+    tetcast_transfer *transfer = NULL, *other = NULL;
     tetcast_optics *optics = NULL;
     uint32_t i, k;
     memset(&td, 0, sizeof td); memset(&od, 0, sizeof od); memset(&d, 0, sizeof d); memset(knot, 0, sizeof knot); memset(iso, 0, sizeof iso);
@@ -256,6 +364,14 @@ static void draw(const tetcast_mesh *mesh, const uint8_t *o, const float *f) {
     od.lights = &light;
     od.light_count = o[11] >> 6 & 1;
     if (tetcast_transfer_create(&td, &transfer) != TETCAST_OK) return;
+    if (td.point_count != 0) { /* one knot is another one */
+        tetcast_control_point was = knot[o[17] >> 2 & 7];
+        knot[o[17] >> 2 & 7].extinction = 3;
+        knot[o[17] >> 2 & 7].rgb[1] = 1;
+        if (tetcast_transfer_create(&td, &other) != TETCAST_OK) other = NULL;
+        knot[o[17] >> 2 & 7] = was;
+        if (other != NULL) ask_transfer(transfer, other, knot, (uint32_t)td.point_count);
+    }
     if (tetcast_optics_create(transfer, &od, &optics) == TETCAST_OK) {
         const int every = od.cue == 0 && (o[12] & 1) == 0;
         for (k = 0; k < 3; k++) {
@@ -304,10 +420,20 @@ static void draw(const tetcast_mesh *mesh, const uint8_t *o, const float *f) {
             if (r[0] != TETCAST_OK) continue;
             must(memcmp(&p[0], &p[1], sizeof p[0]) == 0);
             for (k = 0; k < HIGH * WIDE; k++) must(is_finite(p[0].rgba[k][3]) && is_finite(p[0].rgba[k][0]) && p[0].length[k] >= 0.0f);
+            tetcast_over(p[0].rgba[0], p[1].rgba[0], WIDE * HIGH); /* in front of itself, with borders that fade */
+            {
+                const uint32_t overlap[4] = {o[18] & 15u, o[18] >> 4, o[19] & 15u, o[19] >> 4};
+                const int fits = overlap[0] <= WIDE && overlap[1] <= WIDE && overlap[2] <= HIGH && overlap[3] <= HIGH;
+                must((tetcast_edge_blend(p[1].rgba[0], WIDE, HIGH, overlap) == TETCAST_OK) == fits);
+            }
+            for (k = 0; k < HIGH * WIDE; k++) must(is_finite(p[0].rgba[k][0]) && is_finite(p[1].rgba[k][0]));
         }
+        cast(&d, mesh, optics, o, f);
+        if (other != NULL) ask_optics(optics, other, &od, f);
     }
     tetcast_optics_destroy(optics);
     tetcast_transfer_destroy(transfer);
+    tetcast_transfer_destroy(other);
 }
 
 static void bricks(const tetcast_mesh *mesh, const uint8_t *o, const float *f) {
