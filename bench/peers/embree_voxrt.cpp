@@ -345,7 +345,7 @@ static void leaks(const triangles &t, const sup_mesh &m, const voxrt_tree *tree)
 int main(int argc, char **argv) {
     const int status = peer_parse(argc, argv, &g_opt);
     if (status) return status;
-    bench_machine("peers_embree_voxrt", argv[0]);
+    peer_machine("embree_voxrt", argv[0], "voxrt.h", voxrt_version());
     RTCDevice device = embree_open(g_peer_threads);
     for (int id = MODEL_BLOB; id <= (access(g_opt.data, R_OK) == 0 ? MODEL_DRAGON : MODEL_HALL); id++) {
         const model *m = get_model(id);

@@ -302,7 +302,7 @@ static void huge(RTCDevice device, const frame_times &one) {
 int main(int argc, char **argv) {
     const int status = peer_parse(argc, argv, &g_opt);
     if (status) return status;
-    bench_machine("peers_embree_zbufrand", argv[0]);
+    peer_machine("embree_zbufrand", argv[0], "zbufrand.h", zbufrand_version());
     RTCDevice device = embree_open(g_peer_threads);
     builds(device);
     if (g_peer_threads == 1) edits(device);

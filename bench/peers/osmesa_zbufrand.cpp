@@ -319,7 +319,7 @@ int main(int argc, char **argv) {
     const int status = peer_parse(argc, argv, &g_opt);
     char threads[16];
     if (status) return status;
-    bench_machine("peers_osmesa_zbufrand", argv[0]);
+    peer_machine("osmesa_zbufrand", argv[0], "zbufrand.h", zbufrand_version());
     snprintf(threads, sizeof threads, "%d", g_peer_threads - 1);
     setenv("LP_NUM_THREADS", threads, 1);
     gl_open();

@@ -327,7 +327,7 @@ static void zero_crossing(const cells &c, const openvdb::FloatGrid::Ptr &grid, c
 int main(int argc, char **argv) {
     const int status = peer_parse(argc, argv, &g_opt);
     if (status) return status;
-    bench_machine("peers_vdb_voxrt", argv[0]);
+    peer_machine("vdb_voxrt", argv[0], "voxrt.h", voxrt_version());
     tbb::global_control threads(tbb::global_control::max_allowed_parallelism, (size_t)g_peer_threads);
     openvdb::initialize();
     for (int id = MODEL_BLOB; id <= MODEL_HALL; id++) {

@@ -607,7 +607,7 @@ static void resample(const char *kase, int mesh_id, int n) {
 int main(int argc, char **argv) {
     const int status = peer_parse(argc, argv, &g_opt);
     if (status) return status;
-    bench_machine("peers_vtk_tetcast", argv[0]);
+    peer_machine("vtk_tetcast", argv[0], "tetcast.h", tetcast_version());
     g_vtk = std::string("VTK ") + vtkVersion::GetVTKVersion();
     vtkSMPTools::Initialize(g_peer_threads);
     make_delaunay(&g_slots[MESH_D31K].t, 31000); /* the file of this name is another of the kind */
