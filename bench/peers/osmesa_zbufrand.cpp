@@ -332,29 +332,53 @@ static void fairness(void) {
     world_free(w);
 }
 
-/* How fast the error of a mean of frames falls with their number N: the exponent, 0.5 for 1/sqrt(N). Against rays that are no
-   part of the samples; all sampled, independent points, no repair by rays. */
+/* RMSE of two pictures, linear light. */
+static double difference(const std::vector<float> &a, const float *b) {
+    double sum = 0;
+    for (size_t i = 0; i < a.size(); i++) if (i % 4 != 3) sum += ((double)a[i] - (double)b[i]) * ((double)a[i] - (double)b[i]);
+    return sqrt(sum / (0.75 * (double)a.size()));
+}
+
+static void exponent_line(const char *kase, const char *error_unit, const double *error, int steps) {
+    std::string method = "zbufrand_render, independent; 1, 4, 16 ... frames: ";
+    char text[32];
+    for (int i = 0; i < steps; i++) {
+        snprintf(text, sizeof text, "%s%.4f", i > 0 ? ", " : "", error[i]);
+        method += text;
+    }
+    peer_side s = peer_ours(method.c_str(), g_isa);
+    s.value = log(error[0] / error[steps - 1]) / log((double)(1u << 2 * (steps - 1)));
+    s.error = error[steps - 1];
+    peer_lines("Z9", kase, "exponent", "", 0, error_unit, &s, 1);
+}
+
+/* How fast the error of a mean of frames falls with their number N: the exponent, 0.5 for 1/sqrt(N). Against rays, which are
+   no part of the samples, and against the mean of 256 other frames, which tells the noise alone. All sampled, independent
+   points, no repair by rays. */
 static void mean_frames(void) {
     enum { STEPS = 4 };
     supi_make make = blob_mesh(512);
     world *w = mesh_world("blob, means", &make, false);
     picture_job p = picture_open(w, WIDTH, HEIGHT, (uint32_t)g_opt.threads);
     truth *t = truth_make(&p, 16);
-    double error[STEPS];
-    char method[160];
+    std::vector<float> many(4 * WIDTH * HEIGHT);
+    double error[STEPS], noise[STEPS];
     p.desc.hybrid = ZBUFRAND_HYBRID_OFF;
     p.desc.independent = 1;
     p.desc.no_repair = 1;
+    p.desc.frame = 1000;
+    p.mean = 256;
+    picture_run(&p);
+    memcpy(many.data(), p.image.rgba, many.size() * sizeof many[0]);
+    p.desc.frame = 0;
     for (uint32_t k = 0; k < STEPS; k++) {
         p.mean = 1u << 2 * k;
         picture_run(&p);
         error[k] = judge(t, p.image.rgba, nullptr, nullptr, nullptr).rmse;
+        noise[k] = difference(many, p.image.rgba);
     }
-    snprintf(method, sizeof method, "zbufrand_render, independent; RMSE of 1, 4, 16, 64 frames %.4f, %.4f, %.4f, %.4f", error[0], error[1], error[2], error[3]);
-    peer_side s = peer_ours(method, g_isa);
-    s.value = log(error[0] / error[STEPS - 1]) / log((double)(1u << 2 * (STEPS - 1)));
-    s.error = error[STEPS - 1];
-    peer_lines("Z9", "exponent of the fall of the error of a mean of frames, 1 to 64", "exponent", "", 0, g_rmse, &s, 1);
+    exponent_line("exponent of the fall of the error of a mean of frames, 1 to 64", g_rmse, error, STEPS);
+    exponent_line("exponent of the fall of its noise, 1 to 16", "RMSE of linear light to 256 other frames", noise, STEPS - 1);
     truth_free(t);
     picture_free(&p);
     world_free(w);
