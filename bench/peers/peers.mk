@@ -1,5 +1,5 @@
 # Programs that run the same work on well-known systems. `make peers` builds those whose system is installed, `make bench-peers`
-# runs them with one and with two threads and writes $(B)/bench/peers.md and peers.jsonl: some fifteen minutes.
+# runs them with one and with two threads and writes $(B)/bench/peers.md and peers.jsonl: some twenty minutes.
 #   Debian: apt-get install libembree-dev libopenvdb-dev libnanovdb-dev libosmesa6-dev libvtk9-dev xvfb xauth
 
 PEER_CXXFLAGS ?= -std=c++17 -O3 -march=native -ffp-contract=off -Wall -Wextra
