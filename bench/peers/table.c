@@ -315,8 +315,8 @@ static void show_targets(void) {
             printf("| %s | %.*s%s%s | - | - | - | - |", t->id, (int)strcspn(t->part, "$"), t->part, t->part[0] != 0 ? ": " : "", why_not(t));
         } else {
             show(cell, sizeof cell, v.value, unit);
-            printf("| %s | %s%s%s", t->id, v.of->task, t->how == JUDGE_TIMES ? ", times the fastest of the peer" : "", v.n > 1 ? ", worst of " : "");
-            if (v.n > 1) printf("%d", v.n);
+            printf("| %s | %s%s", t->id, v.of->task, t->how == JUDGE_TIMES ? ", times the fastest of the peer" : "");
+            if (v.n > 1) printf(", worst of %d", v.n);
             if (t->how == JUDGE_PICTURE) printf("; PSNR %.1f dB, holes %.2g %%", -20.0 * log10(v.of->error), v.of->holes);
             if (t->how == JUDGE_CLEANER) printf("; error %s", v.picture ? "smaller than the peer's" : "not smaller than the peer's");
             printf(" | %d | %s |", t->threads, cell);
@@ -454,7 +454,8 @@ static void rows_of(int first) {
 
 static void show_rows(void) {
     int i, k;
-    printf("| target | task | ours | peer | ours, 1 thread | theirs | times | ours, 2 threads | theirs | times | rounds | memory | bytes each | error |\n"
+    printf("| target | task | ours | peer | ours, 1 thread | theirs | times | ours, 2 threads | theirs | times | rounds | memory | "
+           "bytes each | error |\n"
            "| --- | --- | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |\n");
     for (k = 0; k < TARGETS; k++) {
         if (k > 0 && strcmp(g_targets[k].id, g_targets[k - 1].id) == 0) continue;
@@ -483,8 +484,8 @@ int main(int argc, char **argv) {
     printf("\nErrors, ours / theirs:\n\n");
     for (i = 0; i < g_unit_count; i++) printf("- (%c) %s\n", 'a' + i, g_units[i]);
     printf("\n### Where ours is the worse one\n\n");
-    printf("%d rows have both sides. Ours is slower, or has the worse number in the columns of times, in %d of them; it needs more memory in %d, more "
-           "bytes each in %d, has the larger error in %d. These are the %d rows with one or more of these losses, ours first:\n\n",
+    printf("%d rows have both sides. Ours is slower, or has the worse number in the columns of times, in %d of them; it needs more "
+           "memory in %d, more bytes each in %d, has the larger error in %d. These are the %d rows with one or more of these losses, ours first:\n\n",
            g_rows, g_lost[LOST_VALUE], g_lost[LOST_MEMORY], g_lost[LOST_EACH], g_lost[LOST_ERROR], g_rows_lost);
     fputs(g_list, stdout);
     return ferror(stdout) || fflush(stdout) != 0;
