@@ -39,6 +39,10 @@
 #  define BENCH_FN static
 #endif
 
+#ifndef BENCH_FLAGS_FILE
+#  define BENCH_FLAGS_FILE ".flags" /* beside the program: compiler and flags, by its Makefile */
+#endif
+
 enum { BENCH_ROUNDS_MAX = 32 };
 
 /* ---- clocks ---- */
@@ -221,7 +225,7 @@ BENCH_FN void bench_machine(const char *name, const char *argv0) {
     bench_text("compiler", "gcc " __VERSION__);
 #endif
     bench_folder(folder, sizeof folder, argv0);
-    snprintf(path, sizeof path, "%s/.flags", folder);
+    snprintf(path, sizeof path, "%s/" BENCH_FLAGS_FILE, folder);
     bench_first_line(text, sizeof text, path, "");
     bench_text("flags", text[0] != 0 ? text : "unknown");
     bench_first_line(text, sizeof text, "/proc/cpuinfo", "model name");

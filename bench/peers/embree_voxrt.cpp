@@ -116,6 +116,17 @@ static void compare(const char *id, const char *kase, const triangles &t, const 
     if (also != nullptr) peer_lines(also, (std::string(kase) + ", against triangles").c_str(), "rays_per_second", "1/s", (double)s.count, g_share, p, 3);
 }
 
+static size_t g_held; /* by an allocator that counts */
+static void *counted_alloc(size_t size, void *) {
+    void *p = malloc(size);
+    if (p != nullptr) g_held += size;
+    return p;
+}
+static void counted_free(void *p, size_t size, void *) {
+    if (p != nullptr) g_held -= size;
+    free(p);
+}
+
 /* 1000 instances, turned and moved; camera rays from outside. voxrt: a group of instances of one tree. */
 static void instances(RTCDevice device, const triangles &t, const voxrt_tree *tree) {
     enum { K = 10, COUNT = K * K * K };
@@ -145,7 +156,13 @@ static void instances(RTCDevice device, const triangles &t, const voxrt_tree *tr
     rtcSetSceneFlags(scene[1], RTC_SCENE_FLAG_ROBUST);
     for (int i = 0; i < COUNT; i++) embree_instance(device, scene[1], t.robust, instance[(size_t)i].to_world);
     rtcCommitScene(scene[1]);
-    must(voxrt_group_create(nullptr, geometry.data(), geometry.size(), &group), "group");
+    voxrt_env env;
+    memset(&env, 0, sizeof env);
+    env.allocator.alloc_fn = counted_alloc;
+    env.allocator.free_fn = counted_free;
+    g_held = 0;
+    must(voxrt_group_create(&env, geometry.data(), geometry.size(), &group), "group");
+    const double group_each = (double)g_held / COUNT;
     voxrt_group_geometry(group, &whole);
 
     rayset s = make_rayset(1024 * 768);
@@ -182,7 +199,7 @@ static void instances(RTCDevice device, const triangles &t, const voxrt_tree *tr
     p[0].error = share_off(right, [&](size_t i) { return seen[i].t; }, t.box / 256.0f);
     p[1].error = share_off(right, [&](size_t i) { return e.t16(i); }, t.box / 256.0f);
     p[2].error = share_off(right, [&](size_t i) { return e.t1(i); }, t.box / 256.0f);
-    p[0].bytes_each = 136.0 + sizeof(voxrt_instance);
+    p[0].bytes_each = group_each + sizeof(voxrt_instance);
     p[0].bytes = (double)info.total_bytes + COUNT * p[0].bytes_each;
     for (int i = 1; i < 3; i++) {
         p[i].bytes_each = embree_each;
@@ -194,8 +211,25 @@ static void instances(RTCDevice device, const triangles &t, const voxrt_tree *tr
     for (RTCScene i : scene) rtcReleaseScene(i);
 }
 
+/* Camera rays through what each side made for the frame: p[0] fat cells, p[1] Embree's, p[2] thin cells. */
+static void moved_errors(peer_side *p, const triangles &t, voxrt_columns *columns, RTCScene scene) {
+    rayset s = peer_rays("blob");
+    const std::vector<float> right = exact_distances(t, s);
+    std::vector<voxrt_column_hit> hit(s.count);
+    embree_rays e(s.count, true);
+    fill(e, s);
+    e.trace16(scene);
+    p[1].error = share_off(right, [&](size_t i) { return e.t16(i); }, t.box / 256.0f);
+    for (int i = 0; i < 3; i += 2) {
+        p[i].run();
+        must(voxrt_columns_trace(columns, nullptr, s.ray, hit.data(), s.count), "rays in columns");
+        p[i].error = share_off(right, [&](size_t k) { return hit[k].t; }, t.box / 256.0f);
+    }
+    free_rayset(&s);
+}
+
 /* A mesh of a million triangles that moves in each frame: its cells in a grid of 256^3, or triangles to be found again. */
-static void moving(RTCDevice device, const sup_mesh &m) {
+static void moving(RTCDevice device, const triangles &t, const sup_mesh &m) {
     voxrt_columns_desc cd;
     voxrt_columns *columns;
     voxrt_columns_insert_desc d;
@@ -241,15 +275,16 @@ static void moving(RTCDevice device, const sup_mesh &m) {
     };
     peer_time(p, 3, ROUNDS);
     voxrt_columns_get_info(columns, &info);
+    moved_errors(p, t, columns, scene);
     for (int i = 0; i < 3; i += 2) {
-        p[i].bytes = (double)info.bytes;
-        p[i].bytes_each = (double)info.bytes / (double)m.triangle_count;
+        p[i].bytes = (double)info.bytes + 12.0 * (double)m.vertex_count + 12.0 * (double)m.triangle_count;
+        p[i].bytes_each = p[i].bytes / (double)m.triangle_count;
     }
     p[1].bytes = (double)(g_embree_bytes - before);
     p[1].bytes_each = p[1].bytes / (double)m.triangle_count;
-    peer_lines("V10", "blob, 1.05 M triangles, anew into 256^3", "frame_seconds", "s", 0, "not measured: see V1", p, 2);
+    peer_lines("V10", "blob, 1.05 M triangles, anew into 256^3", "frame_seconds", "s", 0, g_share, p, 2);
     peer_side thin[2] = {p[2], p[1]};
-    peer_lines("V10", "blob, 1.05 M triangles, anew into 256^3, thin cells", "frame_seconds", "s", 0, "not measured: see V1", thin, 2);
+    peer_lines("V10", "blob, 1.05 M triangles, anew into 256^3, thin cells", "frame_seconds", "s", 0, g_share, thin, 2);
     rtcReleaseGeometry(g);
     rtcReleaseScene(scene);
     voxrt_columns_destroy(columns);
@@ -295,7 +330,7 @@ static void light(const char *kase, const triangles &t, const voxrt_tree *tree, 
         e2.occluded16(t.scene);
         e3.occluded1(t.scene);
     };
-    peer_time(p, 2, 3);
+    peer_time(p, 2, ROUNDS);
     const std::vector<float> right = exact_distances(t, s[2]);
     size_t off[2] = {0, 0};
     for (size_t i = 0; i < right.size(); i++) {
@@ -315,7 +350,7 @@ static void light(const char *kase, const triangles &t, const voxrt_tree *tree, 
 
 /* From inside a closed mesh at its vertices and middles of edges: what gets out. */
 static void leaks(const triangles &t, const sup_mesh &m, const voxrt_tree *tree) {
-    static const char *const kases[2] = {"rays at all vertices of the closed blob", "rays at middles of its edges"};
+    static const char *const kases[2] = {"at all vertices of the closed blob", "at middles of its edges"};
     for (int k = 0; k < 2; k++) {
         std::vector<float> at;
         for (size_t i = 0; k == 0 && i < 3 * m.vertex_count; i++) at.push_back(m.positions[i]);
@@ -324,6 +359,7 @@ static void leaks(const triangles &t, const sup_mesh &m, const voxrt_tree *tree)
             if (p < q) for (size_t a = 0; a < 3; a++) at.push_back(0.5f * (m.positions[3 * p + a] + m.positions[3 * q + a]));
         }
         rayset s = inner_rays(at.data(), at.size() / 3, 7);
+        char kase[128];
         std::vector<voxrt_hit> hit(s.count);
         embree_rays e(s.count, false);
         peer_side p[3] = {peer_ours("voxrt_trace", g_isa), peer_theirs(g_embree_name, "intersect1"), peer_theirs(g_embree_name, "intersect1, robust")};
@@ -337,7 +373,8 @@ static void leaks(const triangles &t, const sup_mesh &m, const voxrt_tree *tree)
             p[i].value = (double)out;
         }
         for (peer_side &i : p) i.error = 100.0 * i.value / (double)s.count;
-        peer_lines("V12", kases[k], "escaped_rays", "rays", 0, "% of rays that get out", p, 3);
+        snprintf(kase, sizeof kase, "rays %s that get out, of %zu", kases[k], s.count);
+        peer_lines("V12", kase, "escaped_rays", "rays", 0, "% of rays that get out", p, 3);
         free_rayset(&s);
     }
 }
@@ -345,7 +382,7 @@ static void leaks(const triangles &t, const sup_mesh &m, const voxrt_tree *tree)
 int main(int argc, char **argv) {
     const int status = peer_parse(argc, argv, &g_opt);
     if (status) return status;
-    bench_machine("peers_embree_voxrt", argv[0]);
+    peer_machine("embree_voxrt", argv[0], "voxrt.h", voxrt_version());
     RTCDevice device = embree_open(g_peer_threads);
     for (int id = MODEL_BLOB; id <= (access(g_opt.data, R_OK) == 0 ? MODEL_DRAGON : MODEL_HALL); id++) {
         const model *m = get_model(id);
@@ -385,7 +422,7 @@ int main(int argc, char **argv) {
             free_rayset(&chords);
             drop_trees();
         }
-        if (id == MODEL_BLOB) moving(device, m->mesh);
+        if (id == MODEL_BLOB) moving(device, t, m->mesh);
         rtcReleaseScene(t.scene);
         rtcReleaseScene(t.robust);
     }

@@ -19,7 +19,7 @@
 #include <GL/gl.h>
 #include <GL/glext.h>
 
-enum { ROUNDS = 3, WIDTH = 1024, HEIGHT = 768 };
+enum { ROUNDS = 5, WIDTH = 1024, HEIGHT = 768 };
 static const char *const g_isa = zbufrand_isa_name(zbufrand_isa_best());
 static const char *const g_rmse = "RMSE of sRGB to 256 rays a pixel";
 static char g_mesa[64] = "llvmpipe";
@@ -172,7 +172,9 @@ static void triangles(const char *kase, bool hall, int rows) {
     }
     for (int i = 0; i < 4; i += 3) {
         const picture_job &j = i == 0 ? raster : plain;
-        p[i].error = judge(t, j.image.rgba, nullptr, nullptr, nullptr).rmse;
+        const wrong e = judge(t, j.image.rgba, nullptr, j.image.depth, nullptr);
+        p[i].error = e.rmse;
+        p[i].holes = 100.0 * e.holes;
         p[i].bytes = (double)w->info.bytes + (double)j.stats.bytes;
         p[i].bytes_each = (double)w->info.bytes / count;
         p[i].hash = picture_hash(&j);
@@ -188,8 +190,6 @@ static void triangles(const char *kase, bool hall, int rows) {
 }
 
 /* ---- points ---- */
-
-static double wall_clock(void *) { return bench_wall(); }
 
 static void points(void) {
     const size_t count = (size_t)4 << 20;
@@ -210,7 +210,6 @@ static void points(void) {
     own.desc.points = &cloud;
     own.desc.points_count = 1;
     stored.desc.hybrid = ZBUFRAND_HYBRID_OFF;
-    if (g_peer_threads > 1) stored.desc.clock_fn = wall_clock;
     peer_side p[2] = {peer_ours("zbufrand_render, own points", g_isa), peer_theirs(g_mesa, "GL_POINTS, 1 pixel")};
     p[0].run = [&] { picture_run(&own); };
     p[1].run = [&] { gl.draw(false); };
@@ -223,14 +222,12 @@ static void points(void) {
     }
     peer_lines("Z2", "4.2 M points with normals, given", "points_per_second", "1/s", (double)count, g_rmse, p, 2);
 
-    /* samples that the scene stores: the stage of drawing, for as many points */
-    p[0] = peer_ours("drawing stage of zbufrand_render, stored samples", g_isa);
-    std::vector<double> draws;
-    for (int k = 0; k < ROUNDS + 1; k++) {
-        picture_run(&stored);
-        const double samples = (double)(stored.stats.samples[0] + stored.stats.samples[1]);
-        if (k > 0) p[0].seconds.push_back(stored.stats.seconds[ZBUFRAND_STAGE_DRAW] / samples * (double)count);
-    }
+    /* samples that the scene stores: whole frames, for as many points */
+    p[0] = peer_ours("zbufrand_render, stored samples, whole frame", g_isa);
+    p[0].run = [&] { picture_run(&stored); };
+    p[1].seconds.clear();
+    peer_time(p, 2, ROUNDS);
+    for (double &k : p[0].seconds) k *= (double)count / (double)(stored.stats.samples[0] + stored.stats.samples[1]);
     p[0].error = judge(t, stored.image.rgba, nullptr, nullptr, nullptr).rmse;
     p[0].bytes = (double)w->info.bytes;
     p[0].bytes_each = (double)w->info.bytes / (double)w->info.stored_triangles;
@@ -266,52 +263,127 @@ static void points(void) {
     world_free(w);
 }
 
-/* Points on each triangle against its share of the area: chi squared in its standard deviations, of all and of the first 1/16. */
+/* ---- whether samples are fair ---- */
+
+static std::vector<double> areas(const sup_mesh *m) {
+    std::vector<double> area(m->triangle_count);
+    for (size_t i = 0; i < area.size(); i++) {
+        const uint32_t *v = m->indices + 3 * i;
+        double e[2][3], x[3];
+        for (size_t a = 0; a < 3; a++)
+            for (size_t k = 0; k < 2; k++) e[k][a] = (double)m->positions[3 * (size_t)v[k + 1] + a] - (double)m->positions[3 * (size_t)v[0] + a];
+        for (int a = 0; a < 3; a++) x[a] = e[0][(a + 1) % 3] * e[1][(a + 2) % 3] - e[0][(a + 2) % 3] * e[1][(a + 1) % 3];
+        area[i] = 0.5 * sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2]);
+    }
+    return area;
+}
+
+/* Standard deviations of chi squared that the points on each triangle are from its share of the area. */
+static double deviation(const std::vector<double> &area, const std::vector<double> &hits, double points) {
+    double all = 0, chi = 0, freedom = -1;
+    for (double a : area) all += a;
+    for (size_t i = 0; i < area.size(); i++) {
+        const double expected = area[i] / all * points;
+        if (!(expected > 0)) continue;
+        chi += (hits[i] - expected) * (hits[i] - expected) / expected;
+        freedom += 1;
+    }
+    return (chi - freedom) / sqrt(2.0 * freedom);
+}
+
+/* off: standard deviations, negative if points are more even than by chance. What is judged of independent points is how far they
+   are off either way; of stratified ones, which are more even by design, a larger chi squared alone. */
+static void fair_line(const char *kase, bool independent, double off) {
+    peer_side p = peer_ours(independent ? "zbufrand_surface_points, independent" : "zbufrand_surface_points, stratified", g_isa);
+    p.value = independent ? fabs(off) : off;
+    p.error = off;
+    peer_lines("Z9", kase, "deviations", "sigma", 0, "standard deviations of chi squared; below 0: more even than by chance", &p, 1);
+}
+
+/* Of 10^8 points and of their prefixes of 2^17, 2^18 ...: independent ones of two seeds, stratified ones of one. */
 static void fairness(void) {
-    const size_t part = (size_t)1 << 20, parts = g_opt.full ? 96 : 16;
+    enum { PART = 1 << 17, PARTS = 763 };
     supi_make make = blob_mesh(64);
     world *w = mesh_world("blob, fairness", &make, false);
-    const sup_mesh *m = &w->w.meshes[0];
+    const std::vector<double> area = areas(&w->w.meshes[0]);
     zbufrand_build_desc b;
-    std::vector<double> area(m->triangle_count), hits(m->triangle_count, 0.0);
-    std::vector<float> position(3 * part);
-    std::vector<uint32_t> triangle(2 * part);
-    double all = 0, deviation[2] = {0, 0};
+    std::vector<float> position(3 * PART);
+    std::vector<uint32_t> triangle(2 * PART);
+    double all = 0, prefix[2] = {0, -1e9}; /* the farthest off: all points, prefixes of independent and of stratified ones */
     memset(&b, 0, sizeof b);
     b.ids = 1;
     must(zbufrand_scene_build(w->w.scene, &b, nullptr), "build");
-    for (size_t i = 0; i < m->triangle_count; i++) {
-        double e[2][3], x[3];
-        for (size_t a = 0; a < 3; a++)
-            for (size_t k = 0; k < 2; k++)
-                e[k][a] = (double)m->positions[3 * (size_t)m->indices[3 * i + k + 1] + a] - (double)m->positions[3 * (size_t)m->indices[3 * i] + a];
-        for (int a = 0; a < 3; a++) x[a] = e[0][(a + 1) % 3] * e[1][(a + 2) % 3] - e[0][(a + 2) % 3] * e[1][(a + 1) % 3];
-        all += area[i] = 0.5 * sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2]);
-    }
-    for (size_t k = 0; k < parts; k++) {
-        zbufrand_surface_points_desc d;
-        memset(&d, 0, sizeof d);
-        d.independent = 1;
-        d.first = k * part;
-        must(zbufrand_surface_points(w->w.scene, &d, part, position.data(), nullptr, nullptr, triangle.data()), "points");
-        for (size_t i = 0; i < part; i++) hits[triangle[2 * i + 1]] += 1.0;
-        if (k + 1 != parts / 16 && k + 1 != parts) continue;
-        double chi = 0, freedom = -1;
-        for (size_t i = 0; i < area.size(); i++) {
-            const double expected = area[i] / all * (double)((k + 1) * part);
-            if (!(expected > 0)) continue;
-            chi += (hits[i] - expected) * (hits[i] - expected) / expected;
-            freedom += 1;
+    for (uint32_t run = 0; run < 3; run++) {
+        std::vector<double> hits(area.size(), 0.0);
+        for (uint32_t k = 0; k < PARTS; k++) {
+            zbufrand_surface_points_desc d;
+            memset(&d, 0, sizeof d);
+            d.independent = run < 2;
+            d.seed = run % 2;
+            d.first = (uint64_t)k * PART;
+            must(zbufrand_surface_points(w->w.scene, &d, PART, position.data(), nullptr, nullptr, triangle.data()), "points");
+            for (size_t i = 0; i < PART; i++) hits[triangle[2 * i + 1]] += 1.0;
+            if ((k & (k + 1)) != 0 && k + 1 != PARTS) continue;
+            const double off = deviation(area, hits, (double)(k + 1) * PART);
+            if (run < 2 && k + 1 == PARTS && fabs(off) > fabs(all)) all = off;
+            if (run < 2 ? fabs(off) > fabs(prefix[0]) : off > prefix[1]) prefix[run / 2] = off;
         }
-        deviation[k + 1 == parts] = (chi - freedom) / sqrt(2.0 * freedom);
     }
-    for (int k = 0; k < 2; k++) {
-        peer_side p = peer_ours("zbufrand_surface_points, independent", g_isa);
-        p.value = fabs(deviation[k]);
-        p.error = fabs(deviation[k]);
-        peer_lines("Z9", k == 1 ? "chi squared of points a triangle" : "chi squared of the first 1/16 of the points", "deviations", "sigma", 0,
-                   "standard deviations of chi squared", &p, 1);
+    fair_line("chi squared of 10^8 points, by triangle, worse of two seeds", true, all);
+    fair_line("the largest of every prefix of 2^17, 2^18 to 10^8, two seeds", true, prefix[0]);
+    fair_line("the largest of every prefix, stratified", false, prefix[1]);
+    world_free(w);
+}
+
+/* RMSE of two pictures, linear light. */
+static double difference(const std::vector<float> &a, const float *b) {
+    double sum = 0;
+    for (size_t i = 0; i < a.size(); i++) if (i % 4 != 3) sum += ((double)a[i] - (double)b[i]) * ((double)a[i] - (double)b[i]);
+    return sqrt(sum / (0.75 * (double)a.size()));
+}
+
+static void exponent_line(const char *kase, const char *error_unit, const double *error, int steps) {
+    std::string method = "zbufrand_render, independent; 1, 4, 16 ... frames: ";
+    char text[32];
+    for (int i = 0; i < steps; i++) {
+        snprintf(text, sizeof text, "%s%.4f", i > 0 ? ", " : "", error[i]);
+        method += text;
     }
+    peer_side s = peer_ours(method.c_str(), g_isa);
+    s.value = log(error[0] / error[steps - 1]) / log((double)(1u << 2 * (steps - 1)));
+    s.error = error[steps - 1];
+    peer_lines("Z9", kase, "exponent", "", 0, error_unit, &s, 1);
+}
+
+/* How fast the error of a mean of frames falls with their number N: the exponent, 0.5 for 1/sqrt(N). Against rays, which are
+   no part of the samples, and against the mean of 256 other frames, which tells the noise alone. All sampled, independent
+   points, no repair by rays. */
+static void mean_frames(void) {
+    enum { STEPS = 4 };
+    supi_make make = blob_mesh(512);
+    world *w = mesh_world("blob, means", &make, false);
+    picture_job p = picture_open(w, WIDTH, HEIGHT, (uint32_t)g_opt.threads);
+    truth *t = truth_make(&p, 16);
+    std::vector<float> many(4 * WIDTH * HEIGHT);
+    double error[STEPS], noise[STEPS];
+    p.desc.hybrid = ZBUFRAND_HYBRID_OFF;
+    p.desc.independent = 1;
+    p.desc.no_repair = 1;
+    p.desc.frame = 1000;
+    p.mean = 256;
+    picture_run(&p);
+    memcpy(many.data(), p.image.rgba, many.size() * sizeof many[0]);
+    p.desc.frame = 0;
+    for (uint32_t k = 0; k < STEPS; k++) {
+        p.mean = 1u << 2 * k;
+        picture_run(&p);
+        error[k] = judge(t, p.image.rgba, nullptr, nullptr, nullptr).rmse;
+        noise[k] = difference(many, p.image.rgba);
+    }
+    exponent_line("exponent of the fall of the error of a mean of frames, 1 to 64", g_rmse, error, STEPS);
+    exponent_line("exponent of the fall of its noise, 1 to 16", "RMSE of linear light to 256 other frames", noise, STEPS - 1);
+    truth_free(t);
+    picture_free(&p);
     world_free(w);
 }
 
@@ -319,7 +391,7 @@ int main(int argc, char **argv) {
     const int status = peer_parse(argc, argv, &g_opt);
     char threads[16];
     if (status) return status;
-    bench_machine("peers_osmesa_zbufrand", argv[0]);
+    peer_machine("osmesa_zbufrand", argv[0], "zbufrand.h", zbufrand_version());
     snprintf(threads, sizeof threads, "%d", g_peer_threads - 1);
     setenv("LP_NUM_THREADS", threads, 1);
     gl_open();
@@ -327,7 +399,10 @@ int main(int argc, char **argv) {
     triangles("blob, 8.4 M triangles", false, 1448);
     if (g_peer_threads == 1 || g_opt.full) triangles("hall, 8.4 M triangles", true, 1448);
     points();
-    if (g_peer_threads == 1) fairness();
+    if (g_peer_threads == 1) {
+        fairness();
+        mean_frames();
+    }
     OSMesaDestroyContext(g_context);
     return 0;
 }

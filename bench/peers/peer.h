@@ -36,6 +36,7 @@ struct peer_side {
     std::string method, isa = "native";
     std::function<void()> run;
     double bytes = NAN, bytes_each = NAN, error = NAN;
+    double holes = NAN;              /* of a picture, % of its pixels */
     uint64_t hash = 0;               /* 0: not told */
     std::vector<double> seconds;     /* out, of each round */
     double value = NAN;              /* given instead of seconds: what is not a time */
@@ -86,6 +87,7 @@ BENCH_FN void peer_lines(const char *id, const char *kase, const char *metric, c
         bench_line(bench, kase, metric, value, unit);
         bench_num("error", p.error);
         bench_text("error_unit", error_unit);
+        if (p.holes - p.holes == 0) bench_num("holes", p.holes);
         bench_num("threads", g_peer_threads);
         bench_text("isa", p.isa.c_str());
         bench_num("bytes", p.bytes);
@@ -139,6 +141,16 @@ BENCH_FN double peer_heap(void) {
 #else
     return NAN;
 #endif
+}
+
+/* The first lines of a program: the machine, and which of our headers is measured. version: major * 10^6 + minor * 10^3 + patch. */
+BENCH_FN void peer_machine(const char *name, const char *argv0, const char *header, uint32_t version) {
+    char text[64];
+    bench_machine((std::string("peers_") + name).c_str(), argv0);
+    snprintf(text, sizeof text, "%s %u.%u.%u", header, version / 1000000, version / 1000 % 1000, version % 1000);
+    printf("{\"program_of\":\"%s\"", name);
+    bench_text("header", text);
+    bench_end();
 }
 
 /* As bench_parse; sizes are made with as many threads as there are, the work is timed with --threads of them. */

@@ -1,5 +1,5 @@
 # Programs that run the same work on well-known systems. `make peers` builds those whose system is installed, `make bench-peers`
-# runs them with one and with two threads and writes $(B)/bench/peers.md and peers.jsonl: some ten minutes.
+# runs them with one and with two threads and writes $(B)/bench/peers.md and peers.jsonl: some twenty minutes.
 #   Debian: apt-get install libembree-dev libopenvdb-dev libnanovdb-dev libosmesa6-dev libvtk9-dev xvfb xauth
 
 PEER_CXXFLAGS ?= -std=c++17 -O3 -march=native -ffp-contract=off -Wall -Wextra
@@ -46,8 +46,12 @@ PEERS := $(foreach p,$(PEER_PROGRAMS),$(if $(PEER_NEEDS_$(p)),$(B)/peer_$(p)))
 peers: $(PEERS)
 	@if [ -z '$(PEERS)' ]; then echo "peers: nothing to build (see bench/peers/peers.mk for what to install)"; fi
 
-$(PEERS): $(B)/peer_%: bench/peers/%.cpp $(B)/.flags
-	@mkdir -p $(@D); echo "$(CXX) $<"; $(CXX) $(PEER_CXXFLAGS) $(PEER_FLAGS_$*) -I. -MMD -MP -MF $@.d -MT $@ -o $@ $< \
+# Rebuild the programs when their compiler or flags change; they print what is in this file.
+$(B)/.peer_flags: FORCE
+	@mkdir -p $(B); echo '$(CXX) $(PEER_CXXFLAGS)' | cmp -s - $@ || echo '$(CXX) $(PEER_CXXFLAGS)' > $@
+
+$(PEERS): $(B)/peer_%: bench/peers/%.cpp $(B)/.peer_flags
+	@mkdir -p $(@D); echo "$(CXX) $<"; $(CXX) $(PEER_CXXFLAGS) $(PEER_FLAGS_$*) -DBENCH_FLAGS_FILE='".peer_flags"' -I. -MMD -MP -MF $@.d -MT $@ -o $@ $< \
 	  $(PEER_LIBS_$*) -lm -lpthread
 
 $(B)/peer_table: bench/peers/table.c $(B)/.flags

@@ -14,6 +14,7 @@
 #include "../../tests/oracle.h"
 #include "../bench_models.h"
 #include <openvdb/openvdb.h>
+#include <openvdb/tools/Interpolation.h>
 #include <openvdb/tools/MeshToVolume.h>
 #include <openvdb/tools/RayIntersector.h>
 #include <tbb/global_control.h>
@@ -23,7 +24,8 @@
 #  include <nanovdb/util/Ray.h>
 #endif
 
-enum { ROUNDS = 5, EVERY = 16 };
+enum { ROUNDS = 5 };
+static size_t every(void) { return g_opt.full ? 1 : 16; } /* of the rays: stepped exactly */
 static const char *const g_isa = voxrt_isa_name(voxrt_isa_best());
 static const char g_openvdb[] = "OpenVDB " OPENVDB_LIBRARY_VERSION_STRING, g_nanovdb[] = "NanoVDB";
 
@@ -85,12 +87,12 @@ static oracle_ray exact_ray(const voxrt_ray *r) {
 
 struct wrong_rays { double all, hits, cells; };
 
-/* Of every 16th ray: how many are hits and should be misses or the other way round, how many end in another cell than exact
+/* Of every 16th ray, with --full of all: how many are hits and should be misses or the other way round, how many end in another cell than exact
    stepping. */
 static wrong_rays judge_rays(const cells *c, const rayset *s, const std::vector<voxrt_hit> &hit) {
     wrong_rays w = {0, 0, 0};
     if (c->grid.bits == nullptr) return wrong_rays{1, NAN, NAN};
-    for (size_t i = 0; i < s->count; i += EVERY, w.all += 1) {
+    for (size_t i = 0; i < s->count; i += every(), w.all += 1) {
         const oracle_ray r = exact_ray(&s->ray[i]);
         oracle_hit said, first;
         memset(&said, 0, sizeof said);
@@ -107,10 +109,10 @@ static wrong_rays judge_rays(const cells *c, const rayset *s, const std::vector<
     return w;
 }
 
-/* % of every 16th ray that stops more than 1/256 of the grid away from where exact stepping stops. */
+/* % of these rays that stop more than 1/256 of the grid away from where exact stepping stops. */
 static double far_off(const cells *c, const rayset *s, const std::vector<float> &t) {
     size_t wrong = 0, all = 0;
-    for (size_t i = 0; i < s->count; i += EVERY, all++) {
+    for (size_t i = 0; i < s->count; i += every(), all++) {
         const oracle_ray r = exact_ray(&s->ray[i]);
         oracle_hit first;
         memset(&first, 0, sizeof first);
@@ -130,6 +132,34 @@ static void trace_voxels(const voxrt_tree *tree, const rayset &s, voxrt_hit *hit
 static void put_sizes(peer_side *p, double bytes, const cells &c) {
     p->bytes = bytes;
     p->bytes_each = bytes / (double)c.list.size();
+}
+
+/* Rays whose hit differs in any bit from that of the scalar code, for each instruction set that the machine has. */
+static void same_bits(const char *kase, const cells &c, const rayset *const *sets, int count) {
+    size_t differ = 0, all = 0;
+    std::string names;
+    for (int k = 0; k < count; k++) {
+        const rayset &s = *sets[k];
+        std::vector<voxrt_hit> hit[2] = {std::vector<voxrt_hit>(s.count), std::vector<voxrt_hit>(s.count)};
+        for (int isa = VOXRT_ISA_SCALAR; isa <= VOXRT_ISA_AVX512; isa++) {
+            voxrt_trace_desc d;
+            if (isa > (int)voxrt_isa_best() && !(isa == VOXRT_ISA_AVX512 && __builtin_cpu_supports("avx512f"))) continue;
+            memset(&d, 0, sizeof d);
+            d.isa = (voxrt_isa)isa;
+            memset(hit[isa > VOXRT_ISA_SCALAR].data(), 0, s.count * sizeof(voxrt_hit));
+            must(voxrt_trace(c.tree, &d, s.ray, hit[isa > VOXRT_ISA_SCALAR].data(), s.count), "trace");
+            if (k == 0) names += (names.empty() ? "" : ", ") + std::string(voxrt_isa_name((voxrt_isa)isa));
+            for (size_t i = 0; i < s.count && isa > VOXRT_ISA_SCALAR; i++) differ += memcmp(&hit[0][i], &hit[1][i], sizeof(voxrt_hit)) != 0;
+        }
+        all += s.count;
+    }
+    peer_side p = peer_ours("", g_isa);
+    p.method = "voxrt_trace: " + names;
+    p.value = (double)differ;
+    p.error = 100.0 * (double)differ / (double)all;
+    char text[128];
+    snprintf(text, sizeof text, "%s, camera, diffuse, random: hits of other bits than scalar, of %zu rays", kase, all);
+    peer_lines("V12", text, "rays", "rays", 0, "% of rays whose hits differ between instruction sets", &p, 1);
 }
 
 /* ---- masks ---- */
@@ -180,8 +210,9 @@ static void first_active(const char *id, const char *kase, const cells &c, nano_
         p[i].value = w[i].cells;
         p[i].error = 100.0 * w[i].cells / w[i].all;
     }
-    peer_lines("V12", (std::string(kase) + ": wrong cells").c_str(), "wrong_rays", "rays", 0,
-               "% of rays that end in another cell than by exact stepping", p, 2);
+    char judged[128];
+    snprintf(judged, sizeof judged, "%s: wrong cells, of %.0f rays%s", kase, w[0].all, every() > 1 ? ", each 16th" : "");
+    peer_lines("V12", judged, "wrong_rays", "rays", 0, "% of rays that end in another cell than by exact stepping", p, 2);
 }
 
 static void mask_sizes(const cells &c, const nano_handle &h, const char *kase) {
@@ -207,8 +238,30 @@ static void mask_sizes(const cells &c, const nano_handle &h, const char *kase) {
 
 /* ---- distances ---- */
 
-/* Mesh to voxels: ours with colours, normals and levels of detail, into a file in memory; theirs distances alone. Once:
-   it takes them long. Leaves the distance field. */
+/* % of the vertices of a mesh whose cell is empty. */
+static double cells_missed(const voxrt_tree *tree, const sup_mesh &mesh) {
+    cells c;
+    size_t missed = 0;
+    cells_open(&c, tree);
+    for (size_t i = 0; i < mesh.vertex_count; i++) {
+        int32_t at[3];
+        for (size_t a = 0; a < 3; a++) at[a] = (int32_t)floor(((double)mesh.positions[3 * i + a] - c.from.world_origin[a]) / c.from.voxel_size);
+        missed += !oracle_get(&c.grid, at[0], at[1], at[2]);
+    }
+    cells_close(&c);
+    return 100.0 * (double)missed / (double)mesh.vertex_count;
+}
+
+/* % of points at which the field is more than half a cell away from 0. */
+static double distances_missed(const openvdb::FloatGrid &grid, const std::vector<openvdb::Vec3s> &points) {
+    openvdb::tools::GridSampler<openvdb::FloatGrid, openvdb::tools::BoxSampler> at(grid);
+    size_t missed = 0;
+    for (const openvdb::Vec3s &p : points) missed += !(fabsf(at.isSample(openvdb::Vec3R(p))) <= 0.5f);
+    return 100.0 * (double)missed / (double)points.size();
+}
+
+/* Mesh to voxels: ours with colours, normals and levels of detail, into a file in memory; theirs distances alone. Leaves the
+   distance field. */
 static openvdb::FloatGrid::Ptr convert(const model *m, const voxrt_tree *tree, uint32_t resolution) {
     voxrt_tree_info info;
     sup_mesh coloured;
@@ -218,6 +271,7 @@ static openvdb::FloatGrid::Ptr convert(const model *m, const voxrt_tree *tree, u
     std::vector<char> file;
     openvdb::FloatGrid::Ptr grid;
     voxrt_build_stats stats;
+    voxrt_tree *made = nullptr;
     size_t size = 0;
     char kase[64];
     peer_side p[2] = {peer_ours("voxrt_tree_build, voxrt_tree_save_memory", g_isa), peer_theirs(g_openvdb, "meshToLevelSet, half width 3")};
@@ -239,7 +293,8 @@ static openvdb::FloatGrid::Ptr convert(const model *m, const voxrt_tree *tree, u
     p[0].run = [&] {
         voxrt_build_desc d;
         voxrt_save_desc save;
-        voxrt_tree *made;
+        voxrt_tree_destroy(made);
+        made = nullptr;
         memset(&d, 0, sizeof d);
         memset(&save, 0, sizeof save);
         d.env.thread_count = save.env.thread_count = (uint32_t)g_peer_threads;
@@ -249,21 +304,22 @@ static openvdb::FloatGrid::Ptr convert(const model *m, const voxrt_tree *tree, u
         if (file.empty()) must(voxrt_tree_save_memory(made, &save, nullptr, 0, &size), "size of the file");
         file.resize(size);
         must(voxrt_tree_save_memory(made, &save, file.data(), file.size(), &size), "file");
-        voxrt_tree_destroy(made);
     };
     p[1].run = [&] {
         grid = openvdb::tools::meshToLevelSet<openvdb::FloatGrid>(*openvdb::math::Transform::createLinearTransform(1.0), points, faces, 3.0f);
     };
     p[0].run();
-    peer_time(p, 1, 3, false);
-    peer_time(p + 1, 1, 1, false);
+    peer_time(p, 2, ROUNDS, false);
     p[0].bytes = (double)size;
     p[0].bytes_each = (double)size / (double)stats.voxels;
     p[1].bytes = (double)grid->memUsage();
     p[1].bytes_each = p[1].bytes / (double)grid->activeVoxelCount();
-    p[0].error = (double)stats.rejected;
+    p[0].error = cells_missed(made, m->mesh);
+    p[1].error = distances_missed(*grid, points);
+    voxrt_tree_destroy(made);
     snprintf(kase, sizeof kase, "%s, 1.05 M triangles, to %u^3", m->name, resolution);
-    peer_lines("V9", kase, "build_seconds", "s", 0, "triangles left out", p, 2);
+    peer_lines("V9", kase, "build_seconds", "s", 0, "% of vertices of the mesh that lie in an empty cell, or where the field is not 0 within half a cell", p, 2);
+    p[0].error = (double)stats.rejected;
     p[0].seconds.clear();
     p[0].value = p[0].bytes_each;
     p[0].method = "compact file, a colour of its own and a normal for each vertex";
@@ -311,7 +367,7 @@ static void zero_crossing(const cells &c, const openvdb::FloatGrid::Ptr &grid, c
         });
     };
 #endif
-    peer_time(p, count, 3);
+    peer_time(p, count, ROUNDS);
     for (size_t i = 0; i < s.count; i++) t[0][i] = hit[i].node != VOXRT_NO_NODE ? hit[i].t : INFINITY;
     for (int i = 0; i < count; i++) p[i].error = far_off(&c, &s, t[i]);
     put_sizes(&p[0], (double)c.info.geometry_bytes, c);
@@ -327,7 +383,7 @@ static void zero_crossing(const cells &c, const openvdb::FloatGrid::Ptr &grid, c
 int main(int argc, char **argv) {
     const int status = peer_parse(argc, argv, &g_opt);
     if (status) return status;
-    bench_machine("peers_vdb_voxrt", argv[0]);
+    peer_machine("vdb_voxrt", argv[0], "voxrt.h", voxrt_version());
     tbb::global_control threads(tbb::global_control::max_allowed_parallelism, (size_t)g_peer_threads);
     openvdb::initialize();
     for (int id = MODEL_BLOB; id <= MODEL_HALL; id++) {
@@ -366,6 +422,10 @@ int main(int argc, char **argv) {
                 openvdb::FloatGrid::Ptr grid = convert(m, tree, r);
                 snprintf(kase, sizeof kase, "%s %u, camera rays, distances", m->name, r);
                 zero_crossing(c, grid, first, kase);
+            }
+            if (id == MODEL_BLOB && r == 512) {
+                const rayset *const sets[3] = {&first, &diffuse, &chords};
+                same_bits("blob 512", c, sets, 3);
             }
             cells_close(&c);
             free_rayset(&first);
