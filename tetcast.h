@@ -193,11 +193,11 @@
    they are aligned as their type asks for, tetcast_array and files need not be. What is handed out by pointer belongs
    to the object and lasts until that is changed or destroyed; what a create, load, fit or read function gives is freed
    by the destroy function of its type. Wrong arguments are INVALID_ARG, NaN in a desc as well (but as a fill), a
-   desc that was not zeroed UNINIT_DESC; functions that return no result cannot fail. An object that is const may be
-   read by any number of threads at once, one that is not is for one call at a time; calls without a common object are
-   independent. Time is in proportion to what is read and written, outputs that are not arrays of the caller are the
-   only memory that stays. An env's progress_fn is asked where a contract names CANCELLED. get_info functions give zeros
-   for NULL. What names no source is ours.
+   desc that was not zeroed UNINIT_DESC; functions that return no result cannot fail. A call may use an object that it
+   takes as const at the same time as any number of others; one that is not const is for one call at a time, alone.
+   Calls without a common object are independent. Time is in proportion to what is read and written, outputs that are
+   not arrays of the caller are the only memory that stays. An env's progress_fn is asked where a contract names
+   CANCELLED. get_info functions give zeros for NULL. What names no source is ours.
 
    COORDINATES AND UNITS
    Right-handed world, any unit. Positions are kept relative to the middle of the mesh, in doubles where they come in.
@@ -2177,13 +2177,13 @@ TETCASTI_INLINE int tetcasti_mul_size(size_t a, size_t b, size_t *out) {
     return 1;
 }
 
-#if defined(__GNUC__)
+#if defined(__GNUC__) || defined(__clang__)
 #  define tetcasti_atomic_add(p, v) __atomic_add_fetch(p, v, __ATOMIC_SEQ_CST)
 #  define tetcasti_atomic_load(p) __atomic_load_n(p, __ATOMIC_SEQ_CST)
 #  define tetcasti_atomic_store(p, v) __atomic_store_n(p, v, __ATOMIC_SEQ_CST)
 #  define tetcasti_atomic_max_step(p, seen, v) \
        __atomic_compare_exchange_n(p, seen, v, 0, __ATOMIC_SEQ_CST, __ATOMIC_SEQ_CST)
-#else /* no built-in threads there: the host's parallel-for has to be serial */
+#else /* no threads there, and the host's parallel-for has to be serial */
 #  define tetcasti_atomic_add(p, v) (*(p) += (v))
 #  define tetcasti_atomic_load(p) (*(p))
 #  define tetcasti_atomic_store(p, v) (*(p) = (v))
@@ -3051,7 +3051,7 @@ static void tetcasti_lane_segment_iso(const tetcast_optics *o, uint32_t lane, co
    All work is cut into tasks by ranges, each of which writes what is its own.
    --------------------------------------------------------------------------- */
 
-#if defined(__GNUC__)
+#if defined(__GNUC__) || defined(__clang__)
 #  define tetcasti_relaxed_load(p) __atomic_load_n(p, __ATOMIC_RELAXED)
 #  define tetcasti_relaxed_store(p, v) __atomic_store_n(p, v, __ATOMIC_RELAXED)
 #else

@@ -172,9 +172,10 @@
    said; arrays are borrowed for the call and do not overlap; what is handed out by pointer belongs to the object and
    lasts until that is changed or destroyed; what a create, build, load or copy function gives is freed by the destroy
    function of its type. Wrong arguments are INVALID_ARG, a desc that was not zeroed UNINIT_DESC; functions that return
-   no result cannot fail. An object that is const may be read by any number of threads at once, one that is not is for
-   one call at a time; calls without a common object are independent. Time is in proportion to what is read and
-   written, outputs that are not arrays of the caller are the only memory that stays. What names no source is ours.
+   no result cannot fail. A call may use an object that it takes as const at the same time as any number of others; one
+   that is not const is for one call at a time, alone. Calls without a common object are independent. Time is in
+   proportion to what is read and written, outputs that are not arrays of the caller are the only memory that stays.
+   What names no source is ours.
 
    COORDINATES AND UNITS
    Right-handed world, any unit, in doubles. Triangles are counter-clockwise seen from outside. Row 0 of a picture is on
@@ -1500,13 +1501,13 @@ ZBUFRANDI_INLINE int zbufrandi_mul_size(size_t a, size_t b, size_t *out) {
     return 1;
 }
 
-#if defined(__GNUC__)
+#if defined(__GNUC__) || defined(__clang__)
 #  define zbufrandi_atomic_add(p, v) __atomic_add_fetch(p, v, __ATOMIC_SEQ_CST)
 #  define zbufrandi_atomic_load(p) __atomic_load_n(p, __ATOMIC_SEQ_CST)
 #  define zbufrandi_atomic_store(p, v) __atomic_store_n(p, v, __ATOMIC_SEQ_CST)
 #  define zbufrandi_atomic_max_step(p, seen, v) \
        __atomic_compare_exchange_n(p, seen, v, 0, __ATOMIC_SEQ_CST, __ATOMIC_SEQ_CST)
-#else /* no built-in threads there: the host's parallel-for has to be serial */
+#else /* no threads there, and the host's parallel-for has to be serial */
 #  define zbufrandi_atomic_add(p, v) (*(p) += (v))
 #  define zbufrandi_atomic_load(p) (*(p))
 #  define zbufrandi_atomic_store(p, v) (*(p) = (v))
@@ -2076,7 +2077,7 @@ ZBUFRANDI_INLINE uint32_t zbufrandi_key_number(uint64_t key) { return zbufrandi_
 
 /* Smallest key wins; any number of threads. Success is rare (the n-th sample of a pixel wins once in n times), so a
    plain load and compare comes first. */
-#if defined(__GNUC__)
+#if defined(__GNUC__) || defined(__clang__)
 typedef uint64_t zbufrandi_key64 __attribute__((aligned(8))); /* key buffers are; 32-bit machines do not know */
 ZBUFRANDI_INLINE void zbufrandi_key_min(uint64_t *to, uint64_t key) {
     zbufrandi_key64 *at = (zbufrandi_key64 *)(void *)to;
