@@ -1689,7 +1689,9 @@ TETCAST_DEF int tetcast_rbf_get_function(const tetcast_rbf *rbf, uint32_t index,
 /* Files (docs/formats.md). Fitted models are written as they are kept: bits of positions, widths, weights and nodes by
    what the tolerance needs; others as 32-bit floats. Reading gives the same model, bit for bit.
    save: buffer NULL: only *out_size. Errors: INVALID_ARG, RANGE (capacity too small: nothing is written, *out_size is
-   what is needed); to a file: INVALID_ARG, NO_MEMORY (the bytes are made in memory first), IO (it may be incomplete).
+   what is needed); to a file: INVALID_ARG, NO_MEMORY (the bytes are made in memory first), IO. It is written to `path`
+   with ".part" behind it and renamed when all is written, so that a file is complete or not there; it takes the place of
+   what had the name.
    load: everything is checked, whatever the bytes are. out: free with tetcast_rbf_destroy, NULL on failure. Errors:
    INVALID_ARG, TRUNCATED, FORMAT, VERSION, CHECKSUM, RANGE, NO_MEMORY, IO; env.error has the byte. env may be NULL. */
 TETCAST_DEF tetcast_result tetcast_rbf_save_memory(const tetcast_rbf *rbf, void *buffer, size_t capacity,
@@ -21553,13 +21555,35 @@ TETCAST_DEF tetcast_result tetcast_rbf_load_memory(const tetcast_env *env, const
 }
 
 #ifndef TETCAST_NO_STDIO
+/* Write `size` bytes to path.part, then rename. */
+static tetcast_result tetcasti_write_file(tetcasti_mem *mem, const char *path, const void *data, size_t size) {
+    const size_t n = strlen(path);
+    char *part = (char *)tetcasti_alloc(mem, n + 6);
+    FILE *file;
+    int ok;
+    if (part == NULL) return TETCAST_ERR_NO_MEMORY;
+    memcpy(part, path, n);
+    memcpy(part + n, ".part", 6);
+    file = fopen(part, "wb");
+    ok = file != NULL;
+    if (ok) {
+        ok = fwrite(data, 1, size, file) == size;
+        ok = fclose(file) == 0 && ok;
+#ifdef _WIN32 /* rename does not replace there */
+        if (ok) (void)remove(path);
+#endif
+        ok = ok && rename(part, path) == 0;
+        if (!ok) (void)remove(part);
+    }
+    tetcasti_free(mem, part);
+    return ok ? TETCAST_OK : TETCAST_ERR_IO;
+}
+
 TETCAST_DEF tetcast_result tetcast_rbf_save_file(const tetcast_rbf *rbf, const tetcast_env *env, const char *path) {
     tetcast_env none;
     tetcasti_mem mem;
     size_t size;
     void *p;
-    FILE *file;
-    int ok;
     tetcast_result r;
     memset(&none, 0, sizeof none);
     if (env == NULL) env = &none;
@@ -21570,11 +21594,10 @@ TETCAST_DEF tetcast_result tetcast_rbf_save_file(const tetcast_rbf *rbf, const t
     p = tetcasti_alloc(&mem, size);
     if (p == NULL) return tetcasti_fail(env->error, TETCAST_ERR_NO_MEMORY, 0, "functions: out of memory");
     (void)tetcast_rbf_save_memory(rbf, p, size, &size);
-    file = fopen(path, "wb");
-    ok = file != NULL && fwrite(p, 1, size, file) == size;
-    if (file != NULL && fclose(file) != 0) ok = 0;
+    r = tetcasti_write_file(&mem, path, p, size);
     tetcasti_free(&mem, p);
-    return ok ? TETCAST_OK : tetcasti_fail(env->error, TETCAST_ERR_IO, 0, "functions: the file cannot be written");
+    return r == TETCAST_OK ? r : tetcasti_fail(env->error, r, 0, r == TETCAST_ERR_IO ?
+                                               "functions: the file cannot be written" : "functions: out of memory");
 }
 
 TETCAST_DEF tetcast_result tetcast_rbf_load_file(const tetcast_env *env, const char *path, tetcast_rbf **out) {
@@ -24392,7 +24415,8 @@ static tetcast_result tetcasti_fit_check(const tetcast_rbf_fit_desc *d, const te
         !(d->max_error >= 1e-6f && d->max_error <= 1.0f) || !(d->mean_error >= 0.0f && d->mean_error <= 1.0f) ||
         (uint32_t)d->kernel >= TETCAST_KERNEL_COUNT || d->kernel == TETCAST_KERNEL_GAUSS_CUT ||
         (uint32_t)d->method > TETCAST_RBF_METHOD_PURE || !(d->cut >= 1.0f && d->cut <= 8.0f) ||
-        (uint32_t)d->isa > TETCAST_ISA_AVX512 || (in->tets != NULL && in->tet_count == 0)) return TETCAST_ERR_INVALID_ARG;
+        (uint32_t)d->isa > TETCAST_ISA_AVX512 || (in->tets != NULL && in->tet_count == 0))
+        return TETCAST_ERR_INVALID_ARG;
     if (d->start != NULL && (d->start->components != in->components || d->start->kernel != d->kernel ||
                              (d->kernel == TETCAST_KERNEL_GAUSS && d->start->cut != d->cut)))
         return TETCAST_ERR_INVALID_ARG;
