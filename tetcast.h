@@ -110,6 +110,11 @@
    - Extracts isosurfaces as triangle meshes.
    - Resamples tetrahedra onto lattices and into bricks with level of detail, which stay continuous across levels; draws
      those, grids as well, with the same optics or with shaders of the caller, clipped by planes and closed meshes.
+   - Fits sums of radial basis functions to volumes of up to four components, with a largest error at all points; gives
+     their values, derivatives and flow features anywhere, draws them, and follows particles through them.
+   - Takes locally refined grids with values of cells (AMR), with five rules for what lies between the centres, makes
+     bricks of them and draws those.
+   - Draws parts of a frame, overlapping ones too, and codes them: for several machines.
 
    WHAT FOR WHAT
    a mesh of cells            tetcast_mesh_create, _create_grid; is it good: tetcast_report, tetcast_mesh_check
@@ -151,7 +156,7 @@
    TETCAST_MALLOC(size,user)   default allocator, 16-byte aligned; both or neither      malloc        code only
    TETCAST_FREE(ptr,size,user) its other half                                           free          code only
    TETCAST_ASSERT(cond)        what internal checks use                                 assert        code only
-   TETCAST_NO_STDIO            no <stdio.h>                                             off           yes
+   TETCAST_NO_STDIO            no tetcast_rbf_save_file, _load_file, no <stdio.h>       off           yes
    TETCAST_NO_THREADS          never start a thread; env.parallel still works           off, wasm: on code only
    TETCAST_NO_SIMD             scalar code only                                         off           code only
    TETCAST_NO_AVX2             no AVX2 and no AVX-512                                   off           code only
@@ -170,8 +175,9 @@
    A call uses env.thread_count threads (0: one per core; 1: never more than the caller's), started and joined within
    the call, with stacks of 512 KB. env.parallel hands the work to the host's job system instead. Meshes, transfer
    functions and optics may be read by any number of threads at once. There is no global state. WebAssembly
-   has threads with -pthread only. Compilers other than gcc and clang need TETCAST_NO_THREADS, and an env.parallel that
-   runs one task after the other: there are no atomics for them.
+   has threads with -pthread only. Where there is no <pthread.h> (MSVC's cl and clang-cl) define TETCAST_NO_THREADS.
+   clang-cl can use all cores by env.parallel. This file has no atomics for compilers that are neither gcc nor clang,
+   as cl is: with those an env.parallel has to run one task after the other.
 
    DETERMINISM
    The same input gives the same bits: for any number of threads, any instruction set, any form of the cells; with gcc
@@ -205,6 +211,25 @@
    the distance along the viewing axis. Extinction is per world length. Colours: bytes are sRGB, floats are linear; rgba
    is premultiplied, rgba8 is not.
 
+   FILE FORMAT
+   Bricks (.brk, tetcast_bricks_write) and functions (.rbf, tetcast_rbf_save_*) are little-endian and checked by
+   checksums. What is read is checked completely, whatever the bytes are, and is what was written, bit for bit.
+   docs/formats.md has every byte, also of coded pictures and of changes of parameters. The versions of the formats are
+   not the library's.
+
+   ACCURACY
+   Places       Vertices are kept as floats relative to the middle of the mesh, values as floats.
+   Rays         Which cells a ray meets, and in which order, is decided by exact signs of the vertices as the ray sees
+                them, rounded once. Where it meets a face is a float: lengths are off by some 1e-6 to 1e-5 of the mesh.
+   Light        TETCAST_INTEGRATOR_EXACT integrates a given segment to about 1e-6. Pictures differ from those made in
+                doubles by some 5e-6 to 3e-5, all of it rounding of places. With `tolerance` colours are off by at most
+                so many 1/255; tetcast_optics_info.bound says what was used. Nobody knows a bound for tables and
+                sampling rules: docs/algorithms.md has what was measured.
+   Bricks       From meshes: at most max_error off at the vertices and at random points, where it is measured;
+                tetcast_bricks_report says how many places are above it. Integers are off by half a step.
+   Functions    tetcast_rbf_fit keeps max_error at every point, as the file has them; between the points the error is
+                measured (tetcast_rbf_report.between_max), and kept only with `between`.
+
    REFERENCES
    M. Weiler: Hardware-beschleunigte Volumenvisualisierung auf adaptiven Datenstrukturen. Diss., Univ. Stuttgart, 2005
        (`the thesis': tetrahedral strips, cell projection, incremental pre-integration)
@@ -215,6 +240,16 @@
    K. Moreland, E. Angel: A Fast High Accuracy Volume Renderer for Unstructured Data. IEEE VolVis 2004 (psi)
    E. Lum, B. Wilson, K.-L. Ma: High-Quality Lighting and Efficient Pre-Integration for Volume Rendering. VisSym 2004
    A. Doi, A. Koide: An efficient method of triangulating equivalued surfaces by using tetrahedral cells. IEICE 1991
+   D. Powell, T. Abel: An exact general remeshing scheme applied to physically conservative voxelization. Journal of
+       Computational Physics 297, 2015 (means over boxes)
+   F. Wang et al.: CPU Isosurface Ray Tracing of Adaptive Mesh Refinement Data. IEEE TVCG 25(1), 2019 (octants); CPU Ray
+       Tracing of Tree-Based Adaptive Mesh Refinement Data. Computer Graphics Forum 39(3), 2020 (GTI)
+   I. Wald et al.: Ray Tracing Structured AMR Data Using ExaBricks. IEEE TVCG 27(2), 2021 (basis)
+   J. Jeong, F. Hussain: On the identification of a vortex. Journal of Fluid Mechanics 285, 1995 (lambda2)
+   J. Dormand, P. Prince: A family of embedded Runge-Kutta formulae. Journal of Computational and Applied Mathematics
+       6(1), 1980 (steps of particles)
+   G. Campbell et al.: Two Bit/Pixel Full Color Encoding. SIGGRAPH 1986 (colour cells)
+   W. Kahan: On the Cost of Floating-Point Computation Without Extra-Precise Arithmetic, 2004 (exact signs)
    docs/algorithms.md says which equation is where, and what was corrected. */
 #ifndef TETCAST_H_INCLUDED
 #define TETCAST_H_INCLUDED
@@ -1690,8 +1725,8 @@ TETCAST_DEF int tetcast_rbf_get_function(const tetcast_rbf *rbf, uint32_t index,
    what the tolerance needs; others as 32-bit floats. Reading gives the same model, bit for bit.
    save: buffer NULL: only *out_size. Errors: INVALID_ARG, RANGE (capacity too small: nothing is written, *out_size is
    what is needed); to a file: INVALID_ARG, NO_MEMORY (the bytes are made in memory first), IO. It is written to `path`
-   with ".part" behind it and renamed when all is written, so that a file is complete or not there; it takes the place of
-   what had the name.
+   with ".part" behind it and renamed when all is written, so that a file is complete or not there. It takes the place
+   of what had the name.
    load: everything is checked, whatever the bytes are. out: free with tetcast_rbf_destroy, NULL on failure. Errors:
    INVALID_ARG, TRUNCATED, FORMAT, VERSION, CHECKSUM, RANGE, NO_MEMORY, IO; env.error has the byte. env may be NULL. */
 TETCAST_DEF tetcast_result tetcast_rbf_save_memory(const tetcast_rbf *rbf, void *buffer, size_t capacity,

@@ -99,6 +99,20 @@
      between surfaces: gathering with light kept on cells, paths, ambient occlusion; G-buffers, a filter, tone mapping.
    - Has the octree, the files and the packet tracer of the thesis that it comes from, for comparison.
 
+   WHAT FOR WHAT
+   a mesh                     voxrt_tree_build; a list of voxels: voxrt_tree_from_voxels
+   a picture                  voxrt_render; where the camera stands: voxrt_camera_fit, voxrt_camera_fit_tree
+   rays                       voxrt_trace, voxrt_occluded; what was hit: voxrt_hit_color, _normal, _finish
+   what is in a cell          voxrt_tree_get, voxrt_tree_each
+   files                      voxrt_tree_save_*, _load_*, _map_memory; what a file is: voxrt_file_kind
+   less memory                voxrt_tree_share; trees larger than memory: voxrt_paged_build, voxrt_paged_open
+   several objects            voxrt_tree_geometry, voxrt_instance_geometry, voxrt_group_create
+   changes, undo              voxrt_model_from_tree, voxrt_model_box and others, voxrt_model_copy
+   frames in a given time     voxrt_render_desc.tolerance by voxrt_budget_update
+   what moves                 voxrt_columns_insert, _update, _trace; with light that bounces: voxrt_gi_*, in this order:
+                              voxrt_gi_create, _add, _set_lights, _update, voxrt_gbuffer_from_*, voxrt_gi_render
+   the thesis' octree         voxrt_octree_from_tree, voxrt_octree_trace
+
    WHAT IT DOES NOT DO
    - No rough mirrors or glass, no caustics; no pictures on triangles but through a function of the caller's.
    - No animation. A tree does not change once it is built, its instances may move; the octree of the thesis can be

@@ -112,6 +112,20 @@
    - Draws point clouds; gives random points of surfaces; has the theory of sample counts as functions.
    - Has the thesis' own trees and rules beside its own: fair-split tree, octree, classes of normals, tree over normals.
 
+   WHAT FOR WHAT
+   a scene                    zbufrand_scene_create, zbufrand_add_*; then zbufrand_scene_build
+   a picture of it            zbufrand_frame_create once, then zbufrand_render for each picture
+   no hole in the picture     zbufrand_render_desc.tolerance; what was reached: zbufrand_stats.incomplete
+   less noise, smooth edges   noise (a mean of frames), oversample
+   own colours                zbufrand_render_desc.shade_fn; transparency: opacity
+   a scene that changes       zbufrand_move, zbufrand_set_reference, zbufrand_remove; then zbufrand_scene_update
+   own samples, point clouds  zbufrand_canvas_*, zbufrand_layers_*; zbufrand_render_desc.points
+   what a picture is made of  zbufrand_select, zbufrand_sample_scene
+   means of own frames        zbufrand_accumulator_*
+   random points of surfaces  zbufrand_surface_points
+   how many samples it takes  zbufrand_samples, zbufrand_density, zbufrand_success and what follows them
+   the thesis' way to draw    zbufrand_build_desc.structure, zbufrand_preset_thesis
+
    WHAT IT DOES NOT DO
    - No refraction, no shadows, no textures: colours come per vertex, per triangle or from a callback. Transparency is
      by chance, per material and pixel: one frame is speckled, the mean of frames blends.
@@ -135,7 +149,7 @@
    ZBUFRAND_MALLOC(size,user)  default allocator, 16-byte aligned; both or neither      malloc        code only
    ZBUFRAND_FREE(ptr,size,user) its other half                                           free          code only
    ZBUFRAND_ASSERT(cond)       internal checks; there are none in this version          assert        code only
-   ZBUFRAND_NO_STDIO           no <stdio.h>                                             off           yes
+   ZBUFRAND_NO_STDIO           no <stdio.h>; there are no functions with file names     off           yes
    ZBUFRAND_NO_THREADS         never start a thread; env.parallel still works           off, wasm: on code only
    ZBUFRAND_NO_SIMD            scalar code only                                         off           code only
    ZBUFRAND_NO_AVX2            no AVX2                                                  off           code only
@@ -151,7 +165,10 @@
    A call uses env.thread_count threads (0: one per core; 1: never more than the caller's), started and joined within
    the call, with stacks of 512 KB. env.parallel hands the work to the host's job system instead. A built scene may
    be drawn by any number of threads at once, each with a frame of its own. There is no global state. WebAssembly
-   has threads with -pthread only.
+   has threads with -pthread only. Where there is no <pthread.h> (MSVC's cl and clang-cl) define ZBUFRAND_NO_THREADS.
+   clang-cl can use all cores by env.parallel. This file has no atomics for compilers that are neither gcc nor clang,
+   as cl is: with those an env.parallel has to run one task after the other, and samples of a canvas or of layers come
+   from one thread at a time.
 
    DETERMINISM
    The same input gives the same bits: for any number of threads, any instruction set; with gcc or clang at any
@@ -181,6 +198,18 @@
    Right-handed world, any unit, in doubles. Triangles are counter-clockwise seen from outside. Row 0 of a picture is on
    top, pixel (i, j) covers [i, i+1) x [j, j+1); fov_y is the vertical angle; depth is the distance along the viewing
    axis. Colours: bytes are sRGB, floats are linear; rgba is premultiplied, rgba8 is not.
+
+   ACCURACY
+   Places       Transforms are doubles. Each structure keeps its corners as floats relative to an origin of its own, so
+                that nothing is lost far away from 0; a vertex has the same three floats in all of its triangles.
+   Complete     With probability 1 - tolerance no pixel is empty, or 1 % deeper than it should be, where surfaces cover
+                it and those around it as a whole. zbufrand_stats.incomplete is the bound for what was drawn; both hold
+                for opaque surfaces, without `comb`, and while rays may repair. What is rastered misses nothing.
+   Noise        A pixel of one frame shows one surface, by chance among those that are in it. zbufrand_stats.rmse of a
+                mean of frames is an estimate, not a bound.
+   From afar    What is small in the picture is shown by stored points, which lie on a lattice of 2048 x 1024 x 1024
+                places in their box; their normals are off by less than 7e-5.
+   Theory       The functions compute in double; each says how exact its formula is.
 
    REFERENCES
    M. Wand: Das randomisierte z-Buffer-Verfahren. Diplomarbeit, Univ. Paderborn, 2000 (`the thesis')
