@@ -1915,7 +1915,11 @@ TEST(two_scenes_at_once) {
 }
 
 /* All functions that only read a scene, by several threads at once, from a cache that is empty: each gets what one alone gets. */
-typedef struct reader { const room *r; voxrt_gi_surface s[48 * 32]; float normal[48 * 32][3], specular[48 * 32][4], albedo[48 * 32][3], position[48 * 32][3]; } reader;
+typedef struct reader {
+    const room *r;
+    voxrt_gi_surface s[48 * 32];
+    float normal[48 * 32][3], specular[48 * 32][4], albedo[48 * 32][3], position[48 * 32][3];
+} reader;
 static void *read_room(void *user) {
     reader *t = (reader *)user;
     voxrt_gbuffer g;
