@@ -15337,15 +15337,19 @@ TETCASTI_INLINE float tetcasti_from_half(uint32_t h) {
     return x;
 }
 
-TETCASTI_INLINE float tetcasti_node_get(const tetcast_bricks *b, const uint8_t *block, size_t i) {
+/* Node i of a block whose nodes have a type: that of its bricks, or floats where it was adapted. */
+TETCASTI_INLINE float tetcasti_block_get(const tetcast_bricks *b, const uint8_t *block, uint32_t type, size_t i) {
     float f;
     uint16_t u;
-    switch (b->type) {
+    switch (type) {
     case TETCAST_TYPE_F32: memcpy(&f, block + 4 * i, 4); return f;
     case TETCAST_TYPE_F16: memcpy(&u, block + 2 * i, 2); return tetcasti_from_half(u);
     case TETCAST_TYPE_U16: memcpy(&u, block + 2 * i, 2); return b->bias + b->step * (float)u;
     default: return b->bias + b->step * (float)block[i];
     }
+}
+TETCASTI_INLINE float tetcasti_node_get(const tetcast_bricks *b, const uint8_t *block, size_t i) {
+    return tetcasti_block_get(b, block, (uint32_t)b->type, i);
 }
 
 TETCASTI_INLINE void tetcasti_node_put(const tetcast_bricks *b, uint8_t *block, size_t i, float v) {
@@ -15759,17 +15763,6 @@ TETCASTI_INLINE const uint8_t *tetcasti_slot_block(const tetcast_cut *cut, uint3
     return b->data + number * b->nodes * b->bytes;
 }
 
-TETCASTI_INLINE float tetcasti_block_get(const tetcast_bricks *b, const uint8_t *block, uint32_t type, size_t i) {
-    float f;
-    uint16_t u;
-    switch (type) {
-    case TETCAST_TYPE_F32: memcpy(&f, block + 4 * i, 4); return f;
-    case TETCAST_TYPE_F16: memcpy(&u, block + 2 * i, 2); return tetcasti_from_half(u);
-    case TETCAST_TYPE_U16: memcpy(&u, block + 2 * i, 2); return b->bias + b->step * (float)u;
-    default: return b->bias + b->step * (float)block[i];
-    }
-}
-
 /* x: lattice units, inside of the lattice. */
 TETCASTI_INLINE void tetcasti_place_at(const tetcast_cut *cut, const float x[3], tetcasti_place *p) {
     const tetcast_bricks *b = cut->bricks;
@@ -15798,6 +15791,22 @@ TETCASTI_INLINE void tetcasti_place_nodes(const tetcast_cut *cut, const tetcasti
     for (i = 0; i < 8; i++)
         v[i] = tetcasti_block_get(b, p->block, p->type,
                                   p->node + (i & 1u) + b->side * ((i >> 1 & 1u) + (size_t)b->side * (i >> 2)));
+}
+
+/* Which node of a brick lies below x, a place in units of its cells, and how far behind it x lies. */
+TETCASTI_INLINE size_t tetcasti_brick_node(const tetcast_bricks *b, const float x[3], float f[3]) {
+    const uint32_t cells = 1u << b->log;
+    size_t n = 0;
+    uint32_t a, m;
+    for (a = 3; a-- > 0;) {
+        float p = x[a] > 0.0f ? x[a] : 0.0f;
+        p = p < (float)cells ? p : (float)cells;
+        m = (uint32_t)(int32_t)p;
+        m = m < cells ? m : cells - 1;
+        f[a] = p - (float)(int32_t)m;
+        n = n * b->side + m;
+    }
+    return n;
 }
 
 TETCASTI_INLINE float tetcasti_trilinear(const float v[8], const float f[3]) {
@@ -16378,6 +16387,19 @@ static void tetcasti_slot_range(tetcast_cut *cut, size_t slot, const uint32_t s[
     cut->range[slot][1] = most;
 }
 
+/* Slot i of the size^3 where a brick of level k may be shown: s is its place; gives its number, -1: not shown there. */
+static size_t tetcasti_brick_slot(const tetcast_cut *cut, const tetcasti_brick *brick, size_t i, uint32_t s[3]) {
+    const tetcast_bricks *b = cut->bricks;
+    const uint32_t k = brick->level, mask = (1u << k) - 1;
+    size_t here;
+    s[0] = (brick->place[0] << k) + ((uint32_t)i & mask);
+    s[1] = (brick->place[1] << k) + ((uint32_t)i >> k & mask);
+    s[2] = (brick->place[2] << k) + (uint32_t)(i >> 2 * k);
+    if (s[0] >= b->slots[0] || s[1] >= b->slots[1] || s[2] >= b->slots[2]) return (size_t)-1;
+    here = s[0] + (size_t)b->slots[0] * (s[1] + (size_t)b->slots[1] * s[2]);
+    return cut->level[here] == k ? here : (size_t)-1;
+}
+
 /* Adapt one brick: all of its slots, all of their neighbours that are coarser. */
 static void tetcasti_task_adapt(void *ctx, uint32_t task) {
     const tetcasti_adapt *t = (const tetcasti_adapt *)ctx;
@@ -16394,13 +16416,7 @@ static void tetcasti_task_adapt(void *ctx, uint32_t task) {
     else for (i = 0; i < b->nodes; i++) to[i] = tetcasti_node_get(b, block, i);
     for (a = 0; a < 3; a++) first[a] = brick->place[a] << k << log;
     for (i = 0; i < (size_t)size * size * size; i++) {
-        size_t here;
-        s[0] = (brick->place[0] << k) + (uint32_t)i % size;
-        s[1] = (brick->place[1] << k) + (uint32_t)i / size % size;
-        s[2] = (brick->place[2] << k) + (uint32_t)i / size / size;
-        if (s[0] >= b->slots[0] || s[1] >= b->slots[1] || s[2] >= b->slots[2]) continue;
-        here = s[0] + (size_t)b->slots[0] * (s[1] + (size_t)b->slots[1] * s[2]);
-        if (cut->level[here] != k) continue;
+        if (tetcasti_brick_slot(cut, brick, i, s) == (size_t)-1) continue;
         for (n = 0; n < 27; n++) {
             const uint32_t d[3] = {n % 3, n / 3 % 3, n / 9};
             uint32_t o[3], r0[3], r1[3], start[3], ko, word;
@@ -16423,13 +16439,8 @@ static void tetcasti_task_adapt(void *ctx, uint32_t task) {
         }
     }
     for (i = 0; i < (size_t)size * size * size; i++) {
-        size_t here;
-        s[0] = (brick->place[0] << k) + (uint32_t)i % size;
-        s[1] = (brick->place[1] << k) + (uint32_t)i / size % size;
-        s[2] = (brick->place[2] << k) + (uint32_t)i / size / size;
-        if (s[0] >= b->slots[0] || s[1] >= b->slots[1] || s[2] >= b->slots[2]) continue;
-        here = s[0] + (size_t)b->slots[0] * (s[1] + (size_t)b->slots[1] * s[2]);
-        if (cut->level[here] == k) tetcasti_slot_range(cut, here, s);
+        const size_t here = tetcasti_brick_slot(cut, brick, i, s);
+        if (here != (size_t)-1) tetcasti_slot_range(cut, here, s);
     }
 }
 
@@ -19205,18 +19216,9 @@ static void tetcasti_lane_slot(const tetcasti_brick_frame *c, tetcasti_octet *l,
     l->begin[i] = (float)l->t[i];
     l->walks[i]++;
     if (!r->front) {
-        const float cells = (float)(1u << b->log);
-        float x[3], v[8], f[3];
-        size_t n = 0;
-        for (a = 3; a-- > 0;) {
-            uint32_t m;
-            x[a] = l->l0[a][i] > 0.0f ? l->l0[a][i] : 0.0f;
-            x[a] = x[a] < cells ? x[a] : cells;
-            m = (uint32_t)(int32_t)x[a];
-            m = m < (1u << b->log) ? m : (1u << b->log) - 1;
-            f[a] = x[a] - (float)(int32_t)m;
-            n = n * b->side + m;
-        }
+        const float x[3] = {l->l0[0][i], l->l0[1][i], l->l0[2][i]};
+        float v[8], f[3];
+        const size_t n = tetcasti_brick_node(b, x, f);
         for (a = 0; a < 8; a++)
             v[a] = tetcasti_block_get(b, l->block[i], type,
                                       n + (a & 1u) + b->side * ((a >> 1 & 1u) + (size_t)b->side * (a >> 2)));
@@ -19327,27 +19329,18 @@ static int tetcasti_lane_next(const tetcasti_brick_frame *c, tetcasti_octet *l, 
 
 /* The next segment of all lanes: its ends and values. Returns lanes whose slot ends with it. */
 static uint32_t tetcasti_octet_step(const tetcast_bricks *b, tetcasti_octet *l) {
-    const float cells = (float)(1u << b->log);
     uint32_t i, a, over = 0;
     for (i = 0; i < 8; i++) {
-        float tn = l->first[i] + l->number[i] * l->step[i], f[3], v[8], s;
-        size_t n = 0;
+        float tn = l->first[i] + l->number[i] * l->step[i], x[3], f[3], v[8], s;
+        size_t n;
         uint32_t type;
         if (!(l->live >> i & 1u)) continue;
         if (!(tn < l->end[i])) {
             tn = l->end[i];
             over |= 1u << i;
         }
-        for (a = 3; a-- > 0;) {
-            float x = l->l0[a][i] + tn * l->dl[a][i];
-            uint32_t m;
-            x = x > 0.0f ? x : 0.0f;
-            x = x < cells ? x : cells;
-            m = (uint32_t)(int32_t)x;
-            m = m < (1u << b->log) ? m : (1u << b->log) - 1;
-            f[a] = x - (float)(int32_t)m;
-            n = n * b->side + m;
-        }
+        for (a = 0; a < 3; a++) x[a] = l->l0[a][i] + tn * l->dl[a][i];
+        n = tetcasti_brick_node(b, x, f);
         type = l->adapted >> i & 1u ? (uint32_t)TETCAST_TYPE_F32 : (uint32_t)b->type;
         for (a = 0; a < 8; a++) {
             const size_t node = n + (a & 1u) + b->side * ((a >> 1 & 1u) + (size_t)b->side * (a >> 2));
@@ -19454,20 +19447,12 @@ static void tetcasti_lane_gradient(void *user, float fraction, float normal[3]) 
     const tetcast_bricks *b = q->b;
     const tetcasti_octet *l = q->l;
     const uint32_t i = q->lane, type = l->adapted >> i & 1u ? (uint32_t)TETCAST_TYPE_F32 : (uint32_t)b->type;
-    const float cells = (float)(1u << b->log), at = l->tau[i] - (1.0f - fraction) * l->seg.length[i];
-    float f[3], v[8], g[3];
-    size_t n = 0;
+    const float at = l->tau[i] - (1.0f - fraction) * l->seg.length[i];
+    float x[3], f[3], v[8], g[3];
+    size_t n;
     uint32_t a;
-    for (a = 3; a-- > 0;) {
-        float x = l->l0[a][i] + at * l->dl[a][i];
-        uint32_t m;
-        x = x > 0.0f ? x : 0.0f;
-        x = x < cells ? x : cells;
-        m = (uint32_t)(int32_t)x;
-        m = m < (1u << b->log) ? m : (1u << b->log) - 1;
-        f[a] = x - (float)(int32_t)m;
-        n = n * b->side + m;
-    }
+    for (a = 0; a < 3; a++) x[a] = l->l0[a][i] + at * l->dl[a][i];
+    n = tetcasti_brick_node(b, x, f);
     for (a = 0; a < 8; a++)
         v[a] = tetcasti_block_get(b, l->block[i], type,
                                   n + (a & 1u) + b->side * ((a >> 1 & 1u) + (size_t)b->side * (a >> 2)));

@@ -9833,15 +9833,16 @@ ZBUFRANDI_INLINE int zbufrandi_flat_sample(const zbufrandi_target *g, const zbuf
 }
 
 #if ZBUFRANDI_AVX2
-/* x, y, 1/z of eight vertices given by their numbers. */
-ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_flat_fetch(const float (*v)[4], const uint8_t *tri,
-                                                                 const uint32_t t[8], uint32_t corner,
-                                                                 __m256 *x, __m256 *y, __m256 *z) {
+/* The first three floats of corner k of the triangles t[0..7]: vertex v is at p + stride * v, followed by at least one
+   float more that may be read. */
+ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_fetch8(const float *p, uint32_t stride, const uint8_t *tri,
+                                                             const uint32_t t[8], uint32_t k,
+                                                             __m256 *x, __m256 *y, __m256 *z) {
     __m256 r[4], a, b;
     uint32_t i;
     for (i = 0; i < 4; i++) {
-        r[i] = _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(v[tri[3 * t[i] + corner]])),
-                                    _mm_loadu_ps(v[tri[3 * t[i + 4] + corner]]), 1);
+        r[i] = _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(p + stride * tri[3 * t[i] + k])),
+                                    _mm_loadu_ps(p + stride * tri[3 * t[i + 4] + k]), 1);
     }
     a = _mm256_unpacklo_ps(r[0], r[1]);
     b = _mm256_unpacklo_ps(r[2], r[3]);
@@ -9895,9 +9896,9 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_flatten_cluster_avx2(const zbufrandi
         __m256 ax, ay, bx, by, ex, ey, z, w;
         uint32_t t[8];
         for (j = 0; j < 8; j++) t[j] = i + j < c->triangle_count ? i + j : c->triangle_count - 1u;
-        zbufrandi_flat_fetch((const float (*)[4])f->v, tri, t, 0, &ax, &ay, &z);
-        zbufrandi_flat_fetch((const float (*)[4])f->v, tri, t, 1, &bx, &by, &z);
-        zbufrandi_flat_fetch((const float (*)[4])f->v, tri, t, 2, &ex, &ey, &z);
+        zbufrandi_fetch8(f->v[0], 4, tri, t, 0, &ax, &ay, &z);
+        zbufrandi_fetch8(f->v[0], 4, tri, t, 1, &bx, &by, &z);
+        zbufrandi_fetch8(f->v[0], 4, tri, t, 2, &ex, &ey, &z);
         w = _mm256_sub_ps(_mm256_mul_ps(_mm256_sub_ps(bx, ax), _mm256_sub_ps(ey, ay)),
                           _mm256_mul_ps(_mm256_sub_ps(by, ay), _mm256_sub_ps(ex, ax)));
         w = _mm256_and_ps(_mm256_mul_ps(w, _mm256_set1_ps(k->turn)), keep);
@@ -9959,9 +9960,9 @@ ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_flat_put_avx2(const zbufrandi_ta
             before[i] = t[i] > 0 ? f->sum[t[i] - 1] : 0;
             after[i] = f->sum[t[i]];
         }
-        zbufrandi_flat_fetch((const float (*)[4])f->v, tri, t, 0, &ax, &ay, &az);
-        zbufrandi_flat_fetch((const float (*)[4])f->v, tri, t, 1, &bx, &by, &bz);
-        zbufrandi_flat_fetch((const float (*)[4])f->v, tri, t, 2, &cx, &cy, &cz);
+        zbufrandi_fetch8(f->v[0], 4, tri, t, 0, &ax, &ay, &az);
+        zbufrandi_fetch8(f->v[0], 4, tri, t, 1, &bx, &by, &bz);
+        zbufrandi_fetch8(f->v[0], 4, tri, t, 2, &cx, &cy, &cz);
         if (g->cut->independent) {
             a = zbufrandi_mix8(_mm256_add_epi32(_mm256_set1_epi32((int)at_u),
                                                 _mm256_mullo_epi32(number, _mm256_set1_epi32((int)0x9e3779b1u))));
@@ -17305,24 +17306,6 @@ static float zbufrandi_areas_of(const zbufrandi_structure *s, const zbufrandi_cl
 }
 
 #if ZBUFRANDI_AVX2
-ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_fetch3(const float *position, const uint8_t *tri,
-                                                             const uint32_t t[8], uint32_t corner,
-                                                             __m256 *x, __m256 *y, __m256 *z) {
-    __m256 r[4], a, b;
-    uint32_t i;
-    for (i = 0; i < 4; i++) { /* four floats where three are wanted: positions are followed by some bytes */
-        r[i] = _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(position + 3 * tri[3 * t[i] + corner])),
-                                    _mm_loadu_ps(position + 3 * tri[3 * t[i + 4] + corner]), 1);
-    }
-    a = _mm256_unpacklo_ps(r[0], r[1]);
-    b = _mm256_unpacklo_ps(r[2], r[3]);
-    *x = _mm256_shuffle_ps(a, b, 0x44);
-    *y = _mm256_shuffle_ps(a, b, 0xee);
-    a = _mm256_unpackhi_ps(r[0], r[1]);
-    b = _mm256_unpackhi_ps(r[2], r[3]);
-    *z = _mm256_shuffle_ps(a, b, 0x44);
-}
-
 /* Three floats of eight lanes as rows of four. */
 ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_rows8(__m256 x, __m256 y, __m256 z, float out[8][4]) {
     const __m256 a = _mm256_unpacklo_ps(x, y), b = _mm256_unpackhi_ps(x, y), c = _mm256_unpacklo_ps(z, z),
@@ -17345,9 +17328,9 @@ ZBUFRANDI_TARGET_AVX2 static float zbufrandi_areas_avx2(const zbufrandi_structur
     for (i = 0; i < c->triangle_count; i += 8) {
         __m256 px, py, pz, ux, uy, uz, vx, vy, vz, x, y, z, length;
         for (k = 0; k < 8; k++) t[k] = i + k < c->triangle_count ? i + k : c->triangle_count - 1u;
-        zbufrandi_fetch3(position, tri, t, 0, &px, &py, &pz);
-        zbufrandi_fetch3(position, tri, t, 1, &ux, &uy, &uz);
-        zbufrandi_fetch3(position, tri, t, 2, &vx, &vy, &vz);
+        zbufrandi_fetch8(position, 3, tri, t, 0, &px, &py, &pz);
+        zbufrandi_fetch8(position, 3, tri, t, 1, &ux, &uy, &uz);
+        zbufrandi_fetch8(position, 3, tri, t, 2, &vx, &vy, &vz);
         ux = _mm256_mul_ps(_mm256_sub_ps(ux, px), unit);
         uy = _mm256_mul_ps(_mm256_sub_ps(uy, py), unit);
         uz = _mm256_mul_ps(_mm256_sub_ps(uz, pz), unit);
@@ -17634,9 +17617,9 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_page_cluster(zbufrandi_points_job *j
             float out[8][4];
             uint32_t index[8], tt[8], here;
             for (i = 0; i < 8; i++) tt[i] = m.triangle[at + i < size ? at + i : at]; /* those too many do not count */
-            zbufrandi_fetch3(position, tri, tt, 0, &ax, &ay, &az);
-            zbufrandi_fetch3(position, tri, tt, 1, &bx, &by, &bz);
-            zbufrandi_fetch3(position, tri, tt, 2, &cx, &cy, &cz);
+            zbufrandi_fetch8(position, 3, tri, tt, 0, &ax, &ay, &az);
+            zbufrandi_fetch8(position, 3, tri, tt, 1, &bx, &by, &bz);
+            zbufrandi_fetch8(position, 3, tri, tt, 2, &cx, &cy, &cz);
             u = _mm256_cvtepi32_ps(_mm256_srli_epi32(_mm256_add_epi32(_mm256_set1_epi32((int)j->at_u),
                                    _mm256_mullo_epi32(number, _mm256_set1_epi32((int)3242174889u))), 8));
             v = _mm256_cvtepi32_ps(_mm256_srli_epi32(_mm256_add_epi32(_mm256_set1_epi32((int)j->at_v),
