@@ -110,6 +110,11 @@
    - Extracts isosurfaces as triangle meshes.
    - Resamples tetrahedra onto lattices and into bricks with level of detail, which stay continuous across levels; draws
      those, grids as well, with the same optics or with shaders of the caller, clipped by planes and closed meshes.
+   - Fits sums of radial basis functions to volumes of up to four components, with a largest error at all points; gives
+     their values, derivatives and flow features anywhere, draws them, and follows particles through them.
+   - Takes locally refined grids with values of cells (AMR), with five rules for what lies between the centres, makes
+     bricks of them and draws those.
+   - Draws parts of a frame, overlapping ones too, and codes them: for several machines.
 
    WHAT FOR WHAT
    a mesh of cells            tetcast_mesh_create, _create_grid; is it good: tetcast_report, tetcast_mesh_check
@@ -151,7 +156,7 @@
    TETCAST_MALLOC(size,user)   default allocator, 16-byte aligned; both or neither      malloc        code only
    TETCAST_FREE(ptr,size,user) its other half                                           free          code only
    TETCAST_ASSERT(cond)        what internal checks use                                 assert        code only
-   TETCAST_NO_STDIO            no <stdio.h>                                             off           yes
+   TETCAST_NO_STDIO            no tetcast_rbf_save_file, _load_file, no <stdio.h>       off           yes
    TETCAST_NO_THREADS          never start a thread; env.parallel still works           off, wasm: on code only
    TETCAST_NO_SIMD             scalar code only                                         off           code only
    TETCAST_NO_AVX2             no AVX2 and no AVX-512                                   off           code only
@@ -170,8 +175,9 @@
    A call uses env.thread_count threads (0: one per core; 1: never more than the caller's), started and joined within
    the call, with stacks of 512 KB. env.parallel hands the work to the host's job system instead. Meshes, transfer
    functions and optics may be read by any number of threads at once. There is no global state. WebAssembly
-   has threads with -pthread only. Compilers other than gcc and clang need TETCAST_NO_THREADS, and an env.parallel that
-   runs one task after the other: there are no atomics for them.
+   has threads with -pthread only. Where there is no <pthread.h> (MSVC's cl and clang-cl) define TETCAST_NO_THREADS.
+   clang-cl can use all cores by env.parallel. This file has no atomics for compilers that are neither gcc nor clang,
+   as cl is: with those an env.parallel has to run one task after the other.
 
    DETERMINISM
    The same input gives the same bits: for any number of threads, any instruction set, any form of the cells; with gcc
@@ -193,17 +199,36 @@
    they are aligned as their type asks for, tetcast_array and files need not be. What is handed out by pointer belongs
    to the object and lasts until that is changed or destroyed; what a create, load, fit or read function gives is freed
    by the destroy function of its type. Wrong arguments are INVALID_ARG, NaN in a desc as well (but as a fill), a
-   desc that was not zeroed UNINIT_DESC; functions that return no result cannot fail. An object that is const may be
-   read by any number of threads at once, one that is not is for one call at a time; calls without a common object are
-   independent. Time is in proportion to what is read and written, outputs that are not arrays of the caller are the
-   only memory that stays. An env's progress_fn is asked where a contract names CANCELLED. get_info functions give zeros
-   for NULL. What names no source is ours.
+   desc that was not zeroed UNINIT_DESC; functions that return no result cannot fail. A call may use an object that it
+   takes as const at the same time as any number of others; one that is not const is for one call at a time, alone.
+   Calls without a common object are independent. Time is in proportion to what is read and written, outputs that are
+   not arrays of the caller are the only memory that stays. An env's progress_fn is asked where a contract names
+   CANCELLED. get_info functions give zeros for NULL. What names no source is ours.
 
    COORDINATES AND UNITS
    Right-handed world, any unit. Positions are kept relative to the middle of the mesh, in doubles where they come in.
    Row 0 of a picture is on top, pixel (i, j) has its centre at (i+0.5, j+0.5), fov_y is the vertical angle; depth is
    the distance along the viewing axis. Extinction is per world length. Colours: bytes are sRGB, floats are linear; rgba
    is premultiplied, rgba8 is not.
+
+   FILE FORMAT
+   Bricks (.brk, tetcast_bricks_write) and functions (.rbf, tetcast_rbf_save_*) are little-endian and checked by
+   checksums. What is read is checked completely, whatever the bytes are, and is what was written, bit for bit.
+   docs/formats.md has every byte, also of coded pictures and of changes of parameters. The versions of the formats are
+   not the library's.
+
+   ACCURACY
+   Places       Vertices are kept as floats relative to the middle of the mesh, values as floats.
+   Rays         Which cells a ray meets, and in which order, is decided by exact signs of the vertices as the ray sees
+                them, rounded once. Where it meets a face is a float: lengths are off by some 1e-6 to 1e-5 of the mesh.
+   Light        TETCAST_INTEGRATOR_EXACT integrates a given segment to about 1e-6. Pictures differ from those made in
+                doubles by some 5e-6 to 3e-5, all of it rounding of places. With `tolerance` colours are off by at most
+                so many 1/255; tetcast_optics_info.bound says what was used. Nobody knows a bound for tables and
+                sampling rules: docs/algorithms.md has what was measured.
+   Bricks       From meshes: at most max_error off at the vertices and at random points, where it is measured;
+                tetcast_bricks_report says how many places are above it. Integers are off by half a step.
+   Functions    tetcast_rbf_fit keeps max_error at every point, as the file has them; between the points the error is
+                measured (tetcast_rbf_report.between_max), and kept only with `between`.
 
    REFERENCES
    M. Weiler: Hardware-beschleunigte Volumenvisualisierung auf adaptiven Datenstrukturen. Diss., Univ. Stuttgart, 2005
@@ -215,6 +240,16 @@
    K. Moreland, E. Angel: A Fast High Accuracy Volume Renderer for Unstructured Data. IEEE VolVis 2004 (psi)
    E. Lum, B. Wilson, K.-L. Ma: High-Quality Lighting and Efficient Pre-Integration for Volume Rendering. VisSym 2004
    A. Doi, A. Koide: An efficient method of triangulating equivalued surfaces by using tetrahedral cells. IEICE 1991
+   D. Powell, T. Abel: An exact general remeshing scheme applied to physically conservative voxelization. Journal of
+       Computational Physics 297, 2015 (means over boxes)
+   F. Wang et al.: CPU Isosurface Ray Tracing of Adaptive Mesh Refinement Data. IEEE TVCG 25(1), 2019 (octants); CPU Ray
+       Tracing of Tree-Based Adaptive Mesh Refinement Data. Computer Graphics Forum 39(3), 2020 (GTI)
+   I. Wald et al.: Ray Tracing Structured AMR Data Using ExaBricks. IEEE TVCG 27(2), 2021 (basis)
+   J. Jeong, F. Hussain: On the identification of a vortex. Journal of Fluid Mechanics 285, 1995 (lambda2)
+   J. Dormand, P. Prince: A family of embedded Runge-Kutta formulae. Journal of Computational and Applied Mathematics
+       6(1), 1980 (steps of particles)
+   G. Campbell et al.: Two Bit/Pixel Full Color Encoding. SIGGRAPH 1986 (colour cells)
+   W. Kahan: On the Cost of Floating-Point Computation Without Extra-Precise Arithmetic, 2004 (exact signs)
    docs/algorithms.md says which equation is where, and what was corrected. */
 #ifndef TETCAST_H_INCLUDED
 #define TETCAST_H_INCLUDED
@@ -1689,7 +1724,9 @@ TETCAST_DEF int tetcast_rbf_get_function(const tetcast_rbf *rbf, uint32_t index,
 /* Files (docs/formats.md). Fitted models are written as they are kept: bits of positions, widths, weights and nodes by
    what the tolerance needs; others as 32-bit floats. Reading gives the same model, bit for bit.
    save: buffer NULL: only *out_size. Errors: INVALID_ARG, RANGE (capacity too small: nothing is written, *out_size is
-   what is needed); to a file: INVALID_ARG, NO_MEMORY (the bytes are made in memory first), IO (it may be incomplete).
+   what is needed); to a file: INVALID_ARG, NO_MEMORY (the bytes are made in memory first), IO. It is written to `path`
+   with ".part" behind it and renamed when all is written, so that a file is complete or not there. It takes the place
+   of what had the name.
    load: everything is checked, whatever the bytes are. out: free with tetcast_rbf_destroy, NULL on failure. Errors:
    INVALID_ARG, TRUNCATED, FORMAT, VERSION, CHECKSUM, RANGE, NO_MEMORY, IO; env.error has the byte. env may be NULL. */
 TETCAST_DEF tetcast_result tetcast_rbf_save_memory(const tetcast_rbf *rbf, void *buffer, size_t capacity,
@@ -2177,13 +2214,13 @@ TETCASTI_INLINE int tetcasti_mul_size(size_t a, size_t b, size_t *out) {
     return 1;
 }
 
-#if defined(__GNUC__)
+#if defined(__GNUC__) || defined(__clang__)
 #  define tetcasti_atomic_add(p, v) __atomic_add_fetch(p, v, __ATOMIC_SEQ_CST)
 #  define tetcasti_atomic_load(p) __atomic_load_n(p, __ATOMIC_SEQ_CST)
 #  define tetcasti_atomic_store(p, v) __atomic_store_n(p, v, __ATOMIC_SEQ_CST)
 #  define tetcasti_atomic_max_step(p, seen, v) \
        __atomic_compare_exchange_n(p, seen, v, 0, __ATOMIC_SEQ_CST, __ATOMIC_SEQ_CST)
-#else /* no built-in threads there: the host's parallel-for has to be serial */
+#else /* no threads there, and the host's parallel-for has to be serial */
 #  define tetcasti_atomic_add(p, v) (*(p) += (v))
 #  define tetcasti_atomic_load(p) (*(p))
 #  define tetcasti_atomic_store(p, v) (*(p) = (v))
@@ -3051,7 +3088,7 @@ static void tetcasti_lane_segment_iso(const tetcast_optics *o, uint32_t lane, co
    All work is cut into tasks by ranges, each of which writes what is its own.
    --------------------------------------------------------------------------- */
 
-#if defined(__GNUC__)
+#if defined(__GNUC__) || defined(__clang__)
 #  define tetcasti_relaxed_load(p) __atomic_load_n(p, __ATOMIC_RELAXED)
 #  define tetcasti_relaxed_store(p, v) __atomic_store_n(p, v, __ATOMIC_RELAXED)
 #else
@@ -15300,15 +15337,19 @@ TETCASTI_INLINE float tetcasti_from_half(uint32_t h) {
     return x;
 }
 
-TETCASTI_INLINE float tetcasti_node_get(const tetcast_bricks *b, const uint8_t *block, size_t i) {
+/* Node i of a block whose nodes have a type: that of its bricks, or floats where it was adapted. */
+TETCASTI_INLINE float tetcasti_block_get(const tetcast_bricks *b, const uint8_t *block, uint32_t type, size_t i) {
     float f;
     uint16_t u;
-    switch (b->type) {
+    switch (type) {
     case TETCAST_TYPE_F32: memcpy(&f, block + 4 * i, 4); return f;
     case TETCAST_TYPE_F16: memcpy(&u, block + 2 * i, 2); return tetcasti_from_half(u);
     case TETCAST_TYPE_U16: memcpy(&u, block + 2 * i, 2); return b->bias + b->step * (float)u;
     default: return b->bias + b->step * (float)block[i];
     }
+}
+TETCASTI_INLINE float tetcasti_node_get(const tetcast_bricks *b, const uint8_t *block, size_t i) {
+    return tetcasti_block_get(b, block, (uint32_t)b->type, i);
 }
 
 TETCASTI_INLINE void tetcasti_node_put(const tetcast_bricks *b, uint8_t *block, size_t i, float v) {
@@ -15722,17 +15763,6 @@ TETCASTI_INLINE const uint8_t *tetcasti_slot_block(const tetcast_cut *cut, uint3
     return b->data + number * b->nodes * b->bytes;
 }
 
-TETCASTI_INLINE float tetcasti_block_get(const tetcast_bricks *b, const uint8_t *block, uint32_t type, size_t i) {
-    float f;
-    uint16_t u;
-    switch (type) {
-    case TETCAST_TYPE_F32: memcpy(&f, block + 4 * i, 4); return f;
-    case TETCAST_TYPE_F16: memcpy(&u, block + 2 * i, 2); return tetcasti_from_half(u);
-    case TETCAST_TYPE_U16: memcpy(&u, block + 2 * i, 2); return b->bias + b->step * (float)u;
-    default: return b->bias + b->step * (float)block[i];
-    }
-}
-
 /* x: lattice units, inside of the lattice. */
 TETCASTI_INLINE void tetcasti_place_at(const tetcast_cut *cut, const float x[3], tetcasti_place *p) {
     const tetcast_bricks *b = cut->bricks;
@@ -15761,6 +15791,22 @@ TETCASTI_INLINE void tetcasti_place_nodes(const tetcast_cut *cut, const tetcasti
     for (i = 0; i < 8; i++)
         v[i] = tetcasti_block_get(b, p->block, p->type,
                                   p->node + (i & 1u) + b->side * ((i >> 1 & 1u) + (size_t)b->side * (i >> 2)));
+}
+
+/* Which node of a brick lies below x, a place in units of its cells, and how far behind it x lies. */
+TETCASTI_INLINE size_t tetcasti_brick_node(const tetcast_bricks *b, const float x[3], float f[3]) {
+    const uint32_t cells = 1u << b->log;
+    size_t n = 0;
+    uint32_t a, m;
+    for (a = 3; a-- > 0;) {
+        float p = x[a] > 0.0f ? x[a] : 0.0f;
+        p = p < (float)cells ? p : (float)cells;
+        m = (uint32_t)(int32_t)p;
+        m = m < cells ? m : cells - 1;
+        f[a] = p - (float)(int32_t)m;
+        n = n * b->side + m;
+    }
+    return n;
 }
 
 TETCASTI_INLINE float tetcasti_trilinear(const float v[8], const float f[3]) {
@@ -16341,6 +16387,19 @@ static void tetcasti_slot_range(tetcast_cut *cut, size_t slot, const uint32_t s[
     cut->range[slot][1] = most;
 }
 
+/* Slot i of the size^3 where a brick of level k may be shown: s is its place; gives its number, -1: not shown there. */
+static size_t tetcasti_brick_slot(const tetcast_cut *cut, const tetcasti_brick *brick, size_t i, uint32_t s[3]) {
+    const tetcast_bricks *b = cut->bricks;
+    const uint32_t k = brick->level, mask = (1u << k) - 1;
+    size_t here;
+    s[0] = (brick->place[0] << k) + ((uint32_t)i & mask);
+    s[1] = (brick->place[1] << k) + ((uint32_t)i >> k & mask);
+    s[2] = (brick->place[2] << k) + (uint32_t)(i >> 2 * k);
+    if (s[0] >= b->slots[0] || s[1] >= b->slots[1] || s[2] >= b->slots[2]) return (size_t)-1;
+    here = s[0] + (size_t)b->slots[0] * (s[1] + (size_t)b->slots[1] * s[2]);
+    return cut->level[here] == k ? here : (size_t)-1;
+}
+
 /* Adapt one brick: all of its slots, all of their neighbours that are coarser. */
 static void tetcasti_task_adapt(void *ctx, uint32_t task) {
     const tetcasti_adapt *t = (const tetcasti_adapt *)ctx;
@@ -16357,13 +16416,7 @@ static void tetcasti_task_adapt(void *ctx, uint32_t task) {
     else for (i = 0; i < b->nodes; i++) to[i] = tetcasti_node_get(b, block, i);
     for (a = 0; a < 3; a++) first[a] = brick->place[a] << k << log;
     for (i = 0; i < (size_t)size * size * size; i++) {
-        size_t here;
-        s[0] = (brick->place[0] << k) + (uint32_t)i % size;
-        s[1] = (brick->place[1] << k) + (uint32_t)i / size % size;
-        s[2] = (brick->place[2] << k) + (uint32_t)i / size / size;
-        if (s[0] >= b->slots[0] || s[1] >= b->slots[1] || s[2] >= b->slots[2]) continue;
-        here = s[0] + (size_t)b->slots[0] * (s[1] + (size_t)b->slots[1] * s[2]);
-        if (cut->level[here] != k) continue;
+        if (tetcasti_brick_slot(cut, brick, i, s) == (size_t)-1) continue;
         for (n = 0; n < 27; n++) {
             const uint32_t d[3] = {n % 3, n / 3 % 3, n / 9};
             uint32_t o[3], r0[3], r1[3], start[3], ko, word;
@@ -16386,13 +16439,8 @@ static void tetcasti_task_adapt(void *ctx, uint32_t task) {
         }
     }
     for (i = 0; i < (size_t)size * size * size; i++) {
-        size_t here;
-        s[0] = (brick->place[0] << k) + (uint32_t)i % size;
-        s[1] = (brick->place[1] << k) + (uint32_t)i / size % size;
-        s[2] = (brick->place[2] << k) + (uint32_t)i / size / size;
-        if (s[0] >= b->slots[0] || s[1] >= b->slots[1] || s[2] >= b->slots[2]) continue;
-        here = s[0] + (size_t)b->slots[0] * (s[1] + (size_t)b->slots[1] * s[2]);
-        if (cut->level[here] == k) tetcasti_slot_range(cut, here, s);
+        const size_t here = tetcasti_brick_slot(cut, brick, i, s);
+        if (here != (size_t)-1) tetcasti_slot_range(cut, here, s);
     }
 }
 
@@ -19168,18 +19216,9 @@ static void tetcasti_lane_slot(const tetcasti_brick_frame *c, tetcasti_octet *l,
     l->begin[i] = (float)l->t[i];
     l->walks[i]++;
     if (!r->front) {
-        const float cells = (float)(1u << b->log);
-        float x[3], v[8], f[3];
-        size_t n = 0;
-        for (a = 3; a-- > 0;) {
-            uint32_t m;
-            x[a] = l->l0[a][i] > 0.0f ? l->l0[a][i] : 0.0f;
-            x[a] = x[a] < cells ? x[a] : cells;
-            m = (uint32_t)(int32_t)x[a];
-            m = m < (1u << b->log) ? m : (1u << b->log) - 1;
-            f[a] = x[a] - (float)(int32_t)m;
-            n = n * b->side + m;
-        }
+        const float x[3] = {l->l0[0][i], l->l0[1][i], l->l0[2][i]};
+        float v[8], f[3];
+        const size_t n = tetcasti_brick_node(b, x, f);
         for (a = 0; a < 8; a++)
             v[a] = tetcasti_block_get(b, l->block[i], type,
                                       n + (a & 1u) + b->side * ((a >> 1 & 1u) + (size_t)b->side * (a >> 2)));
@@ -19290,27 +19329,18 @@ static int tetcasti_lane_next(const tetcasti_brick_frame *c, tetcasti_octet *l, 
 
 /* The next segment of all lanes: its ends and values. Returns lanes whose slot ends with it. */
 static uint32_t tetcasti_octet_step(const tetcast_bricks *b, tetcasti_octet *l) {
-    const float cells = (float)(1u << b->log);
     uint32_t i, a, over = 0;
     for (i = 0; i < 8; i++) {
-        float tn = l->first[i] + l->number[i] * l->step[i], f[3], v[8], s;
-        size_t n = 0;
+        float tn = l->first[i] + l->number[i] * l->step[i], x[3], f[3], v[8], s;
+        size_t n;
         uint32_t type;
         if (!(l->live >> i & 1u)) continue;
         if (!(tn < l->end[i])) {
             tn = l->end[i];
             over |= 1u << i;
         }
-        for (a = 3; a-- > 0;) {
-            float x = l->l0[a][i] + tn * l->dl[a][i];
-            uint32_t m;
-            x = x > 0.0f ? x : 0.0f;
-            x = x < cells ? x : cells;
-            m = (uint32_t)(int32_t)x;
-            m = m < (1u << b->log) ? m : (1u << b->log) - 1;
-            f[a] = x - (float)(int32_t)m;
-            n = n * b->side + m;
-        }
+        for (a = 0; a < 3; a++) x[a] = l->l0[a][i] + tn * l->dl[a][i];
+        n = tetcasti_brick_node(b, x, f);
         type = l->adapted >> i & 1u ? (uint32_t)TETCAST_TYPE_F32 : (uint32_t)b->type;
         for (a = 0; a < 8; a++) {
             const size_t node = n + (a & 1u) + b->side * ((a >> 1 & 1u) + (size_t)b->side * (a >> 2));
@@ -19417,20 +19447,12 @@ static void tetcasti_lane_gradient(void *user, float fraction, float normal[3]) 
     const tetcast_bricks *b = q->b;
     const tetcasti_octet *l = q->l;
     const uint32_t i = q->lane, type = l->adapted >> i & 1u ? (uint32_t)TETCAST_TYPE_F32 : (uint32_t)b->type;
-    const float cells = (float)(1u << b->log), at = l->tau[i] - (1.0f - fraction) * l->seg.length[i];
-    float f[3], v[8], g[3];
-    size_t n = 0;
+    const float at = l->tau[i] - (1.0f - fraction) * l->seg.length[i];
+    float x[3], f[3], v[8], g[3];
+    size_t n;
     uint32_t a;
-    for (a = 3; a-- > 0;) {
-        float x = l->l0[a][i] + at * l->dl[a][i];
-        uint32_t m;
-        x = x > 0.0f ? x : 0.0f;
-        x = x < cells ? x : cells;
-        m = (uint32_t)(int32_t)x;
-        m = m < (1u << b->log) ? m : (1u << b->log) - 1;
-        f[a] = x - (float)(int32_t)m;
-        n = n * b->side + m;
-    }
+    for (a = 0; a < 3; a++) x[a] = l->l0[a][i] + at * l->dl[a][i];
+    n = tetcasti_brick_node(b, x, f);
     for (a = 0; a < 8; a++)
         v[a] = tetcasti_block_get(b, l->block[i], type,
                                   n + (a & 1u) + b->side * ((a >> 1 & 1u) + (size_t)b->side * (a >> 2)));
@@ -21553,13 +21575,35 @@ TETCAST_DEF tetcast_result tetcast_rbf_load_memory(const tetcast_env *env, const
 }
 
 #ifndef TETCAST_NO_STDIO
+/* Write `size` bytes to path.part, then rename. */
+static tetcast_result tetcasti_write_file(tetcasti_mem *mem, const char *path, const void *data, size_t size) {
+    const size_t n = strlen(path);
+    char *part = (char *)tetcasti_alloc(mem, n + 6);
+    FILE *file;
+    int ok;
+    if (part == NULL) return TETCAST_ERR_NO_MEMORY;
+    memcpy(part, path, n);
+    memcpy(part + n, ".part", 6);
+    file = fopen(part, "wb");
+    ok = file != NULL;
+    if (ok) {
+        ok = fwrite(data, 1, size, file) == size;
+        ok = fclose(file) == 0 && ok;
+#ifdef _WIN32 /* rename does not replace there */
+        if (ok) (void)remove(path);
+#endif
+        ok = ok && rename(part, path) == 0;
+        if (!ok) (void)remove(part);
+    }
+    tetcasti_free(mem, part);
+    return ok ? TETCAST_OK : TETCAST_ERR_IO;
+}
+
 TETCAST_DEF tetcast_result tetcast_rbf_save_file(const tetcast_rbf *rbf, const tetcast_env *env, const char *path) {
     tetcast_env none;
     tetcasti_mem mem;
     size_t size;
     void *p;
-    FILE *file;
-    int ok;
     tetcast_result r;
     memset(&none, 0, sizeof none);
     if (env == NULL) env = &none;
@@ -21570,11 +21614,10 @@ TETCAST_DEF tetcast_result tetcast_rbf_save_file(const tetcast_rbf *rbf, const t
     p = tetcasti_alloc(&mem, size);
     if (p == NULL) return tetcasti_fail(env->error, TETCAST_ERR_NO_MEMORY, 0, "functions: out of memory");
     (void)tetcast_rbf_save_memory(rbf, p, size, &size);
-    file = fopen(path, "wb");
-    ok = file != NULL && fwrite(p, 1, size, file) == size;
-    if (file != NULL && fclose(file) != 0) ok = 0;
+    r = tetcasti_write_file(&mem, path, p, size);
     tetcasti_free(&mem, p);
-    return ok ? TETCAST_OK : tetcasti_fail(env->error, TETCAST_ERR_IO, 0, "functions: the file cannot be written");
+    return r == TETCAST_OK ? r : tetcasti_fail(env->error, r, 0, r == TETCAST_ERR_IO ?
+                                               "functions: the file cannot be written" : "functions: out of memory");
 }
 
 TETCAST_DEF tetcast_result tetcast_rbf_load_file(const tetcast_env *env, const char *path, tetcast_rbf **out) {
@@ -24392,7 +24435,8 @@ static tetcast_result tetcasti_fit_check(const tetcast_rbf_fit_desc *d, const te
         !(d->max_error >= 1e-6f && d->max_error <= 1.0f) || !(d->mean_error >= 0.0f && d->mean_error <= 1.0f) ||
         (uint32_t)d->kernel >= TETCAST_KERNEL_COUNT || d->kernel == TETCAST_KERNEL_GAUSS_CUT ||
         (uint32_t)d->method > TETCAST_RBF_METHOD_PURE || !(d->cut >= 1.0f && d->cut <= 8.0f) ||
-        (uint32_t)d->isa > TETCAST_ISA_AVX512 || (in->tets != NULL && in->tet_count == 0)) return TETCAST_ERR_INVALID_ARG;
+        (uint32_t)d->isa > TETCAST_ISA_AVX512 || (in->tets != NULL && in->tet_count == 0))
+        return TETCAST_ERR_INVALID_ARG;
     if (d->start != NULL && (d->start->components != in->components || d->start->kernel != d->kernel ||
                              (d->kernel == TETCAST_KERNEL_GAUSS && d->start->cut != d->cut)))
         return TETCAST_ERR_INVALID_ARG;

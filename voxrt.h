@@ -99,6 +99,20 @@
      between surfaces: gathering with light kept on cells, paths, ambient occlusion; G-buffers, a filter, tone mapping.
    - Has the octree, the files and the packet tracer of the thesis that it comes from, for comparison.
 
+   WHAT FOR WHAT
+   a mesh                     voxrt_tree_build; a list of voxels: voxrt_tree_from_voxels
+   a picture                  voxrt_render; where the camera stands: voxrt_camera_fit, voxrt_camera_fit_tree
+   rays                       voxrt_trace, voxrt_occluded; what was hit: voxrt_hit_color, _normal, _finish
+   what is in a cell          voxrt_tree_get, voxrt_tree_each
+   files                      voxrt_tree_save_*, _load_*, _map_memory; what a file is: voxrt_file_kind
+   less memory                voxrt_tree_share; trees larger than memory: voxrt_paged_build, voxrt_paged_open
+   several objects            voxrt_tree_geometry, voxrt_instance_geometry, voxrt_group_create
+   changes, undo              voxrt_model_from_tree, voxrt_model_box and others, voxrt_model_copy
+   frames in a given time     voxrt_render_desc.tolerance by voxrt_budget_update
+   what moves                 voxrt_columns_insert, _update, _trace; with light that bounces: voxrt_gi_*, in this order:
+                              voxrt_gi_create, _add, _set_lights, _update, voxrt_gbuffer_from_*, voxrt_gi_render
+   the thesis' octree         voxrt_octree_from_tree, voxrt_octree_trace
+
    WHAT IT DOES NOT DO
    - No rough mirrors or glass, no caustics; no pictures on triangles but through a function of the caller's.
    - No animation. A tree does not change once it is built, its instances may move; the octree of the thesis can be
@@ -148,7 +162,10 @@
    the call, with stacks of 512 KB. env.parallel hands the work to the host's job system instead. voxrt_trace and
    voxrt_occluded always run on the calling thread. Trees and octrees may be read by any number of threads at once;
    changing or destroying one needs it for itself. There is no global state, nothing has to be initialised.
-   WebAssembly has threads with -pthread only.
+   WebAssembly has threads with -pthread only. Where there is no <pthread.h> (MSVC's cl and clang-cl) define
+   VOXRT_NO_THREADS. clang-cl can use all cores by env.parallel. This file has no atomics for compilers that are
+   neither gcc nor clang, as cl is: with those an env.parallel has to run one task after the other, and a voxrt_gi, a
+   voxrt_paged and models that share blocks are for one thread at a time.
 
    DETERMINISM
    The same input gives the same bits: for any number of threads, any instruction set, any order of triangles, any
@@ -169,9 +186,10 @@
    said; arrays are borrowed for the call and do not overlap; what is handed out by pointer belongs to the object and
    lasts until that is changed or destroyed; what a create, build, load or copy function gives is freed by the destroy
    function of its type. Wrong arguments are INVALID_ARG, a desc that was not zeroed UNINIT_DESC; functions that return
-   no result cannot fail. An object that is const may be read by any number of threads at once, one that is not is for
-   one call at a time; calls without a common object are independent. Time is in proportion to what is read and
-   written, outputs that are not arrays of the caller are the only memory that stays. What names no source is ours.
+   no result cannot fail. A call may use an object that it takes as const at the same time as any number of others; one
+   that is not const is for one call at a time, alone. Calls without a common object are independent. Time is in
+   proportion to what is read and written, outputs that are not arrays of the caller are the only memory that stays.
+   What names no source is ours.
 
    COORDINATES AND UNITS
    Right-handed world, any unit. Grid cell (x, y, z) covers world_origin + voxel_size * [x, x+1) and so on. Cells of
@@ -466,8 +484,8 @@ typedef struct voxrt_tree_info {
    holds 8 to 18 bytes a voxel at its peak, most with many colours (stats->peak_bytes tells).
    Errors: INVALID_ARG (a bad finish, or one that is not there: error->where; planes or spread without normals),
    UNINIT_DESC, RANGE (a field of desc, 2^32 - 1 triangles, more voxels than a tree may have), EMPTY (no usable
-   triangle, or none in the box), NO_MEMORY, CANCELLED (only voxelising asks); with strict FORMAT, error->where is the
-   first bad triangle. Thread safety: calls are independent.
+   triangle, or none in the box), NO_MEMORY, CANCELLED; with strict FORMAT, error->where is the first bad triangle.
+   Thread safety: calls are independent.
    Source: Laine 2013 (6), Schwarz & Seidel 2010 (26), thesis 3.1.3 and 3.1.4. */
 VOXRT_DEF voxrt_result voxrt_tree_build(const voxrt_build_desc *desc, const voxrt_mesh *mesh, voxrt_build_stats *stats,
                                         voxrt_tree **out_tree);
@@ -477,7 +495,7 @@ VOXRT_DEF voxrt_result voxrt_tree_build(const voxrt_build_desc *desc, const voxr
    depth   1..VOXRT_MAX_DEPTH; coordinates below 2^depth (else RANGE, error->where = the voxel's index)
    One voxel is a unit cube, the grid's corner is the world's origin; desc's box_min and box_size override that.
    resolution, separating, planes and strict of desc are not used. O(count). Errors: INVALID_ARG, UNINIT_DESC, RANGE,
-   EMPTY (count is 0), NO_MEMORY. Otherwise as voxrt_tree_build. */
+   EMPTY (count is 0), NO_MEMORY, CANCELLED. Otherwise as voxrt_tree_build. */
 VOXRT_DEF voxrt_result voxrt_tree_from_voxels(const voxrt_build_desc *desc, const voxrt_voxel *voxels, size_t count,
                                               uint32_t depth, voxrt_tree **out_tree);
 
@@ -757,9 +775,9 @@ VOXRT_DEF void voxrt_octree_hit_normals(const voxrt_octree *octree, const voxrt_
                                         size_t count);
 
 /* Write a version 4 .vox file (docs/formats.md). Placement and depth are not part of it.
-   env       where temporary memory and errors go, NULL: the defaults
+   env       where errors go, NULL: nowhere
    buffer, capacity, out_size, errors: as voxrt_tree_save_memory. A file that was read is written as it was.
-   O(voxels), 4 bytes a voxel. Allocates nothing but for a file. */
+   O(voxels); the file takes 4 bytes a voxel. Allocates nothing (NO_MEMORY cannot come). */
 VOXRT_DEF voxrt_result voxrt_octree_save_memory(const voxrt_octree *octree, const voxrt_env *env, void *buffer,
                                                 size_t capacity, size_t *out_size);
 
@@ -771,7 +789,7 @@ VOXRT_DEF voxrt_result voxrt_octree_load_memory(const voxrt_octree_desc *desc, c
                                                 voxrt_octree **out_octree);
 
 #ifndef VOXRT_NO_STDIO
-/* As voxrt_tree_save_file and voxrt_tree_load_file. */
+/* As voxrt_tree_save_file and voxrt_tree_load_file; saving holds the bytes of the file. */
 VOXRT_DEF voxrt_result voxrt_octree_save_file(const voxrt_octree *octree, const voxrt_env *env, const char *path);
 VOXRT_DEF voxrt_result voxrt_octree_load_file(const voxrt_octree_desc *desc, const char *path,
                                               voxrt_octree **out_octree);
@@ -1212,8 +1230,8 @@ typedef struct voxrt_paged_info {
     uint32_t page_count, loaded_pages;
     uint64_t reads, read_bytes, evictions; /* since it was opened */
     uint64_t coarse_rays;             /* wait: rays that met something coarse all the same, since it was opened */
-    uint32_t bad_pages;               /* could not be read or are damaged: they stay coarse; */
-    voxrt_error error;                /* the first of them: CHECKSUM, FORMAT or IO, where = offset in the file */
+    uint32_t bad_pages;               /* could not be read or are damaged: they stay coarse */
+    voxrt_error error;                /* of the first bad page: CHECKSUM, FORMAT or IO; where: its offset in the file */
 } voxrt_paged_info;
 
 typedef struct voxrt_paged_update_stats { /* out */
@@ -1247,8 +1265,9 @@ VOXRT_DEF void voxrt_paged_geometry(voxrt_paged *paged, voxrt_geometry *out_geom
    hit since the last update stay; others may give way when memory is full.
    most_bytes  0: all; else it ends behind the page that reaches so many bytes
    stats       out, may be NULL. wanted = 0: what was drawn is exact
-   Errors: CHECKSUM, FORMAT, IO: of the first bad page, the others have been loaded; it stays coarse (and is not counted
-   in `wanted` again); where it is says voxrt_paged_info.error. O(pages + bytes read). Needs the object for itself. */
+   Errors: CHECKSUM, FORMAT, IO: of the first bad page; the others have been loaded. A bad page stays coarse and is not
+   counted in `wanted` again; voxrt_paged_info.error has its place in the file. O(pages + bytes read). Needs the object
+   for itself. */
 VOXRT_DEF voxrt_result voxrt_paged_update(voxrt_paged *paged, uint64_t most_bytes, voxrt_paged_update_stats *stats);
 
 /* From now on rays wait (1) or do not (0), as voxrt_paged_desc.wait says: the last picture is exact, after those that
@@ -1328,8 +1347,9 @@ VOXRT_DEF voxrt_result voxrt_blur(const voxrt_blur_desc *desc, const voxrt_image
    Returns the tolerance for the next frame: `finest` times 1 to 4 and times pixel_step, at most 64. O(1); no errors:
    times that are not positive numbers change nothing. */
 typedef struct voxrt_budget {
-    float bias, sum;
-    uint32_t pixel_step;
+    float bias;          /* the tolerance is `finest` times 2^bias, 0 to 2; for display, leave it as it is */
+    float sum;           /* the part of bias that builds up over frames: bias goes towards it; leave it as it is */
+    uint32_t pixel_step; /* blocks of so many by so many pixels, 1 to 8 */
     uint32_t _step;   /* of the frame before, with its bias and time */
     float _bias, _frame_ms;
 } voxrt_budget;
@@ -1591,13 +1611,15 @@ VOXRT_DEF voxrt_result voxrt_gi_update(voxrt_gi *gi, voxrt_gi_update_stats *stat
 VOXRT_DEF const voxrt_columns *voxrt_gi_columns(const voxrt_gi *gi); /* owned by gi; the innermost volume */
 
 /* Move the volumes so that `centre` is in their middle, to the next multiple of 8 cells of each. Those that moved are
-   voxelised again by the next voxrt_gi_update. out_moved, not NULL: how many. O(1). Errors: INVALID_ARG (a coordinate
-   is not within 1e12, nor 1e15 cells of the volume). */
+   voxelised again by the next voxrt_gi_update. out_moved, not NULL: how many. O(1). Errors: INVALID_ARG: a coordinate
+   is not finite, beyond 1e12, or more than 1e15 cells away from the volume. */
 VOXRT_DEF voxrt_result voxrt_gi_follow(voxrt_gi *gi, const double centre[3], uint32_t *out_moved);
 
 /* Surface in a cell of voxrt_gi_columns that a ray in direction dir sees. Returns 0 where nothing faces it. radiance:
    what it sends back along the ray: direct light, indirect light as far as it is known, emission. All is 0 when it
-   returns 0, also for arguments that are NULL and cells outside. Thread safety: as drawing (it fills the cache). */
+   returns 0, also for arguments that are NULL and cells outside. Sends shadow rays to all lights where the direct light
+   of the cell is not known yet, and keeps what they find. Thread safety: any number of threads at once, as for all
+   functions that take a const voxrt_gi; but not while the scene is changed, updated or drawn (voxrt_gi_render). */
 typedef struct voxrt_gi_surface {
     float position[3], normal[3], albedo[3], radiance[3];
     uint32_t object;
@@ -1619,22 +1641,24 @@ typedef struct voxrt_gbuffer {
 
 /* Fill in a G-buffer from geometry (trees, octrees, instances, groups): position, normal, albedo; `before` gets the
    position, the others 0, and all of them where nothing is seen. env may be NULL; its allocator is not used.
-   Errors: INVALID_ARG (also a camera as voxrt_camera_ray says). O(pixels). Allocates nothing. */
+   Errors: INVALID_ARG (also a camera as voxrt_camera_ray says). O(pixels). Allocates nothing. Thread safety: any number
+   of calls, each with a G-buffer of its own. */
 VOXRT_DEF voxrt_result voxrt_gbuffer_from_geometry(const voxrt_env *env, const voxrt_camera *camera,
                                                    const voxrt_geometry *geometry, const voxrt_gbuffer *gbuffer);
-/* The same from the columns of a scene: shows what the rays of indirect light see. */
+/* As voxrt_gbuffer_from_geometry, but what is seen are the cells of a scene, as its rays of indirect light see them.
+   Thread safety: as voxrt_gi_get. */
 VOXRT_DEF voxrt_result voxrt_gbuffer_from_gi(const voxrt_env *env, const voxrt_camera *camera, const voxrt_gi *gi,
                                              const voxrt_gbuffer *gbuffer);
 
 /* Fill in what the other two leave out, from the objects whose cells lie at the pixels: specular, emission, and from
    the places of the objects at the last two updates `before`. Buffers that are NULL stay out; env may be NULL. Errors:
-   INVALID_ARG. O(pixels). Allocates nothing. Thread safety: as drawing. */
+   INVALID_ARG. O(pixels). Allocates nothing. Thread safety: as voxrt_gi_get. */
 VOXRT_DEF voxrt_result voxrt_gbuffer_materials(const voxrt_env *env, const voxrt_gi *gi, const voxrt_gbuffer *gbuffer);
 
 /* A voxel at an edge has the mean of the normals of two surfaces, and that of an outline may have one that faces away:
    dots along edges. Where the cells know two flat surfaces there, such a normal becomes that of the one which faces the
    camera more. Objects with normals are left as they are: smooth shading is a mix, too. env may be NULL. Errors:
-   INVALID_ARG. O(pixels). Allocates nothing. Thread safety: as drawing. */
+   INVALID_ARG. O(pixels). Allocates nothing. Thread safety: as voxrt_gi_get. */
 VOXRT_DEF voxrt_result voxrt_gbuffer_edges(const voxrt_env *env, const voxrt_camera *camera, const voxrt_gi *gi,
                                            const voxrt_gbuffer *gbuffer);
 
@@ -1756,8 +1780,12 @@ typedef struct voxrt_gi_budget {
 VOXRT_DEF int voxrt_gi_budget_update(voxrt_gi_budget *budget, const voxrt_gi_report *report, float frame_ms,
                                      float light_ms, float target_ms);
 
-/* Virtual point lights of the last picture by VOXRT_GI_VPL: xyz, normal and rgb (flux) of each, 9 floats, up to `most`
-   of them. Returns how many there are: to show where they lie. */
+/* Virtual point lights of the last picture by VOXRT_GI_VPL, to show where they lie.
+   out   out, 9 floats for each of up to `most` lights: place (world), normal (unit length), rgb. NULL: only the number
+   Returns how many there are, which may be more than `most`: first those of the first bounce. rgb is the flux that
+   reaches the place, before its albedo takes some, in the lamps' unit (radiant intensity times solid angle). Each of
+   the pattern x pattern sets has all the flux of the lamps, shared out among `rays` lights. Those whose ray met nothing
+   are 0 in all 9. 0 for gi NULL, and before the first such picture. O(lights). Thread safety: as voxrt_gi_get. */
 VOXRT_DEF size_t voxrt_gi_virtual_lights(const voxrt_gi *gi, float *out, size_t most);
 
 typedef enum voxrt_tone {
@@ -1960,13 +1988,13 @@ VOXRTI_INLINE int voxrti_mul_size(size_t a, size_t b, size_t *out) {
     return 1;
 }
 
-#if defined(__GNUC__)
+#if defined(__GNUC__) || defined(__clang__)
 #  define voxrti_atomic_add(p, v) __atomic_add_fetch(p, v, __ATOMIC_SEQ_CST)
 #  define voxrti_atomic_load(p) __atomic_load_n(p, __ATOMIC_SEQ_CST)
 #  define voxrti_atomic_store(p, v) __atomic_store_n(p, v, __ATOMIC_SEQ_CST)
 #  define voxrti_atomic_max_step(p, seen, v) \
        __atomic_compare_exchange_n(p, seen, v, 0, __ATOMIC_SEQ_CST, __ATOMIC_SEQ_CST)
-#else /* no built-in threads there: the host's parallel-for has to be serial */
+#else /* no threads there, and the host's parallel-for has to be serial */
 #  define voxrti_atomic_add(p, v) (*(p) += (v))
 #  define voxrti_atomic_load(p) (*(p))
 #  define voxrti_atomic_store(p, v) (*(p) = (v))
@@ -20542,7 +20570,7 @@ typedef struct voxrti_insert {
 
 #define VOXRTI_INSERT_TASK 1024 /* items */
 
-#if defined(__GNUC__)
+#if defined(__GNUC__) || defined(__clang__)
 #  define voxrti_add_shared(p, v) ((void)__atomic_fetch_add(p, v, __ATOMIC_RELAXED))
 #  define voxrti_load_shared(p) __atomic_load_n(p, __ATOMIC_RELAXED)
 #  define voxrti_store_shared(p, v) __atomic_store_n(p, v, __ATOMIC_RELAXED)
@@ -20552,7 +20580,7 @@ typedef struct voxrti_insert {
 #  define voxrti_store_shared(p, v) ((void)(*(p) = (v)))
 #endif
 
-#if defined(__GNUC__)
+#if defined(__GNUC__) || defined(__clang__)
 #  define voxrti_or_shared(p, v) \
        do { if ((__atomic_load_n(p, __ATOMIC_RELAXED) & (v)) != (v)) \
             (void)__atomic_fetch_or(p, v, __ATOMIC_RELAXED); } while (0)
@@ -23347,7 +23375,7 @@ static void voxrti_splat_add(const voxrti_splat *f, uint32_t x, uint32_t y, uint
                           (int32_t)voxrti_floor(voxrti_max(-127.0, voxrti_min(127.0, d * unit)) + 0.5));
     }
     voxrti_add_shared(&s->weight[side], 1u);
-#if defined(__GNUC__)
+#if defined(__GNUC__) || defined(__clang__)
     {
         uint32_t seen = __atomic_load_n(&s->object[side], __ATOMIC_RELAXED);
         while (seen < f->object &&

@@ -112,6 +112,20 @@
    - Draws point clouds; gives random points of surfaces; has the theory of sample counts as functions.
    - Has the thesis' own trees and rules beside its own: fair-split tree, octree, classes of normals, tree over normals.
 
+   WHAT FOR WHAT
+   a scene                    zbufrand_scene_create, zbufrand_add_*; then zbufrand_scene_build
+   a picture of it            zbufrand_frame_create once, then zbufrand_render for each picture
+   no hole in the picture     zbufrand_render_desc.tolerance; what was reached: zbufrand_stats.incomplete
+   less noise, smooth edges   noise (a mean of frames), oversample
+   own colours                zbufrand_render_desc.shade_fn; transparency: opacity
+   a scene that changes       zbufrand_move, zbufrand_set_reference, zbufrand_remove; then zbufrand_scene_update
+   own samples, point clouds  zbufrand_canvas_*, zbufrand_layers_*; zbufrand_render_desc.points
+   what a picture is made of  zbufrand_select, zbufrand_sample_scene
+   means of own frames        zbufrand_accumulator_*
+   random points of surfaces  zbufrand_surface_points
+   how many samples it takes  zbufrand_samples, zbufrand_density, zbufrand_success and what follows them
+   the thesis' way to draw    zbufrand_build_desc.structure, zbufrand_preset_thesis
+
    WHAT IT DOES NOT DO
    - No refraction, no shadows, no textures: colours come per vertex, per triangle or from a callback. Transparency is
      by chance, per material and pixel: one frame is speckled, the mean of frames blends.
@@ -135,7 +149,7 @@
    ZBUFRAND_MALLOC(size,user)  default allocator, 16-byte aligned; both or neither      malloc        code only
    ZBUFRAND_FREE(ptr,size,user) its other half                                           free          code only
    ZBUFRAND_ASSERT(cond)       internal checks; there are none in this version          assert        code only
-   ZBUFRAND_NO_STDIO           no <stdio.h>                                             off           yes
+   ZBUFRAND_NO_STDIO           no <stdio.h>; there are no functions with file names     off           yes
    ZBUFRAND_NO_THREADS         never start a thread; env.parallel still works           off, wasm: on code only
    ZBUFRAND_NO_SIMD            scalar code only                                         off           code only
    ZBUFRAND_NO_AVX2            no AVX2                                                  off           code only
@@ -151,7 +165,10 @@
    A call uses env.thread_count threads (0: one per core; 1: never more than the caller's), started and joined within
    the call, with stacks of 512 KB. env.parallel hands the work to the host's job system instead. A built scene may
    be drawn by any number of threads at once, each with a frame of its own. There is no global state. WebAssembly
-   has threads with -pthread only.
+   has threads with -pthread only. Where there is no <pthread.h> (MSVC's cl and clang-cl) define ZBUFRAND_NO_THREADS.
+   clang-cl can use all cores by env.parallel. This file has no atomics for compilers that are neither gcc nor clang,
+   as cl is: with those an env.parallel has to run one task after the other, and samples of a canvas or of layers come
+   from one thread at a time.
 
    DETERMINISM
    The same input gives the same bits: for any number of threads, any instruction set; with gcc or clang at any
@@ -172,14 +189,27 @@
    said; arrays are borrowed for the call and do not overlap; what is handed out by pointer belongs to the object and
    lasts until that is changed or destroyed; what a create, build, load or copy function gives is freed by the destroy
    function of its type. Wrong arguments are INVALID_ARG, a desc that was not zeroed UNINIT_DESC; functions that return
-   no result cannot fail. An object that is const may be read by any number of threads at once, one that is not is for
-   one call at a time; calls without a common object are independent. Time is in proportion to what is read and
-   written, outputs that are not arrays of the caller are the only memory that stays. What names no source is ours.
+   no result cannot fail. A call may use an object that it takes as const at the same time as any number of others; one
+   that is not const is for one call at a time, alone. Calls without a common object are independent. Time is in
+   proportion to what is read and written, outputs that are not arrays of the caller are the only memory that stays.
+   What names no source is ours.
 
    COORDINATES AND UNITS
    Right-handed world, any unit, in doubles. Triangles are counter-clockwise seen from outside. Row 0 of a picture is on
    top, pixel (i, j) covers [i, i+1) x [j, j+1); fov_y is the vertical angle; depth is the distance along the viewing
    axis. Colours: bytes are sRGB, floats are linear; rgba is premultiplied, rgba8 is not.
+
+   ACCURACY
+   Places       Transforms are doubles. Each structure keeps its corners as floats relative to an origin of its own, so
+                that nothing is lost far away from 0; a vertex has the same three floats in all of its triangles.
+   Complete     With probability 1 - tolerance no pixel is empty, or 1 % deeper than it should be, where surfaces cover
+                it and those around it as a whole. zbufrand_stats.incomplete is the bound for what was drawn; both hold
+                for opaque surfaces, without `comb`, and while rays may repair. What is rastered misses nothing.
+   Noise        A pixel of one frame shows one surface, by chance among those that are in it. zbufrand_stats.rmse of a
+                mean of frames is an estimate, not a bound.
+   From afar    What is small in the picture is shown by stored points, which lie on a lattice of 2048 x 1024 x 1024
+                places in their box; their normals are off by less than 7e-5.
+   Theory       The functions compute in double; each says how exact its formula is.
 
    REFERENCES
    M. Wand: Das randomisierte z-Buffer-Verfahren. Diplomarbeit, Univ. Paderborn, 2000 (`the thesis')
@@ -1500,13 +1530,13 @@ ZBUFRANDI_INLINE int zbufrandi_mul_size(size_t a, size_t b, size_t *out) {
     return 1;
 }
 
-#if defined(__GNUC__)
+#if defined(__GNUC__) || defined(__clang__)
 #  define zbufrandi_atomic_add(p, v) __atomic_add_fetch(p, v, __ATOMIC_SEQ_CST)
 #  define zbufrandi_atomic_load(p) __atomic_load_n(p, __ATOMIC_SEQ_CST)
 #  define zbufrandi_atomic_store(p, v) __atomic_store_n(p, v, __ATOMIC_SEQ_CST)
 #  define zbufrandi_atomic_max_step(p, seen, v) \
        __atomic_compare_exchange_n(p, seen, v, 0, __ATOMIC_SEQ_CST, __ATOMIC_SEQ_CST)
-#else /* no built-in threads there: the host's parallel-for has to be serial */
+#else /* no threads there, and the host's parallel-for has to be serial */
 #  define zbufrandi_atomic_add(p, v) (*(p) += (v))
 #  define zbufrandi_atomic_load(p) (*(p))
 #  define zbufrandi_atomic_store(p, v) (*(p) = (v))
@@ -2076,7 +2106,7 @@ ZBUFRANDI_INLINE uint32_t zbufrandi_key_number(uint64_t key) { return zbufrandi_
 
 /* Smallest key wins; any number of threads. Success is rare (the n-th sample of a pixel wins once in n times), so a
    plain load and compare comes first. */
-#if defined(__GNUC__)
+#if defined(__GNUC__) || defined(__clang__)
 typedef uint64_t zbufrandi_key64 __attribute__((aligned(8))); /* key buffers are; 32-bit machines do not know */
 ZBUFRANDI_INLINE void zbufrandi_key_min(uint64_t *to, uint64_t key) {
     zbufrandi_key64 *at = (zbufrandi_key64 *)(void *)to;
@@ -9803,15 +9833,16 @@ ZBUFRANDI_INLINE int zbufrandi_flat_sample(const zbufrandi_target *g, const zbuf
 }
 
 #if ZBUFRANDI_AVX2
-/* x, y, 1/z of eight vertices given by their numbers. */
-ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_flat_fetch(const float (*v)[4], const uint8_t *tri,
-                                                                 const uint32_t t[8], uint32_t corner,
-                                                                 __m256 *x, __m256 *y, __m256 *z) {
+/* The first three floats of corner k of the triangles t[0..7]: vertex v is at p + stride * v, followed by at least one
+   float more that may be read. */
+ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_fetch8(const float *p, uint32_t stride, const uint8_t *tri,
+                                                             const uint32_t t[8], uint32_t k,
+                                                             __m256 *x, __m256 *y, __m256 *z) {
     __m256 r[4], a, b;
     uint32_t i;
     for (i = 0; i < 4; i++) {
-        r[i] = _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(v[tri[3 * t[i] + corner]])),
-                                    _mm_loadu_ps(v[tri[3 * t[i + 4] + corner]]), 1);
+        r[i] = _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(p + stride * tri[3 * t[i] + k])),
+                                    _mm_loadu_ps(p + stride * tri[3 * t[i + 4] + k]), 1);
     }
     a = _mm256_unpacklo_ps(r[0], r[1]);
     b = _mm256_unpacklo_ps(r[2], r[3]);
@@ -9865,9 +9896,9 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_flatten_cluster_avx2(const zbufrandi
         __m256 ax, ay, bx, by, ex, ey, z, w;
         uint32_t t[8];
         for (j = 0; j < 8; j++) t[j] = i + j < c->triangle_count ? i + j : c->triangle_count - 1u;
-        zbufrandi_flat_fetch((const float (*)[4])f->v, tri, t, 0, &ax, &ay, &z);
-        zbufrandi_flat_fetch((const float (*)[4])f->v, tri, t, 1, &bx, &by, &z);
-        zbufrandi_flat_fetch((const float (*)[4])f->v, tri, t, 2, &ex, &ey, &z);
+        zbufrandi_fetch8(f->v[0], 4, tri, t, 0, &ax, &ay, &z);
+        zbufrandi_fetch8(f->v[0], 4, tri, t, 1, &bx, &by, &z);
+        zbufrandi_fetch8(f->v[0], 4, tri, t, 2, &ex, &ey, &z);
         w = _mm256_sub_ps(_mm256_mul_ps(_mm256_sub_ps(bx, ax), _mm256_sub_ps(ey, ay)),
                           _mm256_mul_ps(_mm256_sub_ps(by, ay), _mm256_sub_ps(ex, ax)));
         w = _mm256_and_ps(_mm256_mul_ps(w, _mm256_set1_ps(k->turn)), keep);
@@ -9929,9 +9960,9 @@ ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_flat_put_avx2(const zbufrandi_ta
             before[i] = t[i] > 0 ? f->sum[t[i] - 1] : 0;
             after[i] = f->sum[t[i]];
         }
-        zbufrandi_flat_fetch((const float (*)[4])f->v, tri, t, 0, &ax, &ay, &az);
-        zbufrandi_flat_fetch((const float (*)[4])f->v, tri, t, 1, &bx, &by, &bz);
-        zbufrandi_flat_fetch((const float (*)[4])f->v, tri, t, 2, &cx, &cy, &cz);
+        zbufrandi_fetch8(f->v[0], 4, tri, t, 0, &ax, &ay, &az);
+        zbufrandi_fetch8(f->v[0], 4, tri, t, 1, &bx, &by, &bz);
+        zbufrandi_fetch8(f->v[0], 4, tri, t, 2, &cx, &cy, &cz);
         if (g->cut->independent) {
             a = zbufrandi_mix8(_mm256_add_epi32(_mm256_set1_epi32((int)at_u),
                                                 _mm256_mullo_epi32(number, _mm256_set1_epi32((int)0x9e3779b1u))));
@@ -17275,24 +17306,6 @@ static float zbufrandi_areas_of(const zbufrandi_structure *s, const zbufrandi_cl
 }
 
 #if ZBUFRANDI_AVX2
-ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_fetch3(const float *position, const uint8_t *tri,
-                                                             const uint32_t t[8], uint32_t corner,
-                                                             __m256 *x, __m256 *y, __m256 *z) {
-    __m256 r[4], a, b;
-    uint32_t i;
-    for (i = 0; i < 4; i++) { /* four floats where three are wanted: positions are followed by some bytes */
-        r[i] = _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(position + 3 * tri[3 * t[i] + corner])),
-                                    _mm_loadu_ps(position + 3 * tri[3 * t[i + 4] + corner]), 1);
-    }
-    a = _mm256_unpacklo_ps(r[0], r[1]);
-    b = _mm256_unpacklo_ps(r[2], r[3]);
-    *x = _mm256_shuffle_ps(a, b, 0x44);
-    *y = _mm256_shuffle_ps(a, b, 0xee);
-    a = _mm256_unpackhi_ps(r[0], r[1]);
-    b = _mm256_unpackhi_ps(r[2], r[3]);
-    *z = _mm256_shuffle_ps(a, b, 0x44);
-}
-
 /* Three floats of eight lanes as rows of four. */
 ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_rows8(__m256 x, __m256 y, __m256 z, float out[8][4]) {
     const __m256 a = _mm256_unpacklo_ps(x, y), b = _mm256_unpackhi_ps(x, y), c = _mm256_unpacklo_ps(z, z),
@@ -17315,9 +17328,9 @@ ZBUFRANDI_TARGET_AVX2 static float zbufrandi_areas_avx2(const zbufrandi_structur
     for (i = 0; i < c->triangle_count; i += 8) {
         __m256 px, py, pz, ux, uy, uz, vx, vy, vz, x, y, z, length;
         for (k = 0; k < 8; k++) t[k] = i + k < c->triangle_count ? i + k : c->triangle_count - 1u;
-        zbufrandi_fetch3(position, tri, t, 0, &px, &py, &pz);
-        zbufrandi_fetch3(position, tri, t, 1, &ux, &uy, &uz);
-        zbufrandi_fetch3(position, tri, t, 2, &vx, &vy, &vz);
+        zbufrandi_fetch8(position, 3, tri, t, 0, &px, &py, &pz);
+        zbufrandi_fetch8(position, 3, tri, t, 1, &ux, &uy, &uz);
+        zbufrandi_fetch8(position, 3, tri, t, 2, &vx, &vy, &vz);
         ux = _mm256_mul_ps(_mm256_sub_ps(ux, px), unit);
         uy = _mm256_mul_ps(_mm256_sub_ps(uy, py), unit);
         uz = _mm256_mul_ps(_mm256_sub_ps(uz, pz), unit);
@@ -17604,9 +17617,9 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_page_cluster(zbufrandi_points_job *j
             float out[8][4];
             uint32_t index[8], tt[8], here;
             for (i = 0; i < 8; i++) tt[i] = m.triangle[at + i < size ? at + i : at]; /* those too many do not count */
-            zbufrandi_fetch3(position, tri, tt, 0, &ax, &ay, &az);
-            zbufrandi_fetch3(position, tri, tt, 1, &bx, &by, &bz);
-            zbufrandi_fetch3(position, tri, tt, 2, &cx, &cy, &cz);
+            zbufrandi_fetch8(position, 3, tri, tt, 0, &ax, &ay, &az);
+            zbufrandi_fetch8(position, 3, tri, tt, 1, &bx, &by, &bz);
+            zbufrandi_fetch8(position, 3, tri, tt, 2, &cx, &cy, &cz);
             u = _mm256_cvtepi32_ps(_mm256_srli_epi32(_mm256_add_epi32(_mm256_set1_epi32((int)j->at_u),
                                    _mm256_mullo_epi32(number, _mm256_set1_epi32((int)3242174889u))), 8));
             v = _mm256_cvtepi32_ps(_mm256_srli_epi32(_mm256_add_epi32(_mm256_set1_epi32((int)j->at_v),

@@ -768,20 +768,40 @@ install_make() {
         if have pkg-config; then PKG_CONFIG_PATH=$d/opt/x/share/pkgconfig cmd pkg-config --cflags --libs $n || return 1; fi
     done
 }
-install_cmake() {
+version_of() { head -n 1 $1.h | sed 's/.* - v\([0-9.]*\) - .*/\1/'; }
+install_cmake() { # as a folder of another project; installed, each header by its own package
     have cmake || skip "no cmake" || return
-    local d=$OUT/cmake; rm -rf "$d"; mkdir -p "$d/app"; local n=${HEADERS[0]}
-    printf 'cmake_minimum_required(VERSION 3.12)\nproject(app C)\nadd_subdirectory(%s lib)\nadd_executable(app %s %s)\ntarget_link_libraries(app voxrt::headers m)\n' \
+    local d=$ROOT/$OUT/cmake n=${HEADERS[0]} v; rm -rf "$d"; mkdir -p "$d/app" "$d/found"
+    printf 'cmake_minimum_required(VERSION 3.14)\nproject(app C)\nadd_subdirectory(%s lib)\nadd_executable(app %s %s)\ntarget_link_libraries(app voxrt::headers)\n' \
         "$ROOT" "$ROOT/$OUT/tu/$n/use.c" "$ROOT/$OUT/tu/$n/impl.c" > "$d/app/CMakeLists.txt"
-    cmd cmake -S "$d/app" -B "$d/build" && cmd cmake --build "$d/build" && "$d/build/app"
+    cmd cmake -S "$d/app" -B "$d/build" && cmd cmake --build "$d/build" && "$d/build/app" || return 1
+    cmd cmake -S "$ROOT" -B "$d/lib" -DCMAKE_INSTALL_PREFIX="$d/prefix" && cmd cmake --install "$d/lib" || return 1
+    printf 'cmake_minimum_required(VERSION 3.14)\nproject(app C)\nfind_package(voxrt 99 QUIET)\nif(voxrt_FOUND)\nmessage(FATAL_ERROR "version 99")\nendif()\n' > "$d/found/CMakeLists.txt"
+    for n in "${HEADERS[@]}"; do
+        v=$(version_of $n)
+        printf 'find_package(%s %s REQUIRED)\nif(NOT %s_VERSION VERSION_EQUAL %s)\nmessage(FATAL_ERROR "version ${%s_VERSION}")\nendif()\n' $n ${v%.*} $n $v $n
+        printf 'add_executable(use_%s %s %s)\ntarget_link_libraries(use_%s %s::%s)\n' $n "$ROOT/$OUT/tu/$n/use.c" "$ROOT/$OUT/tu/$n/impl.c" $n $n $n
+        [ -f "$d/prefix/share/pkgconfig/$n.pc" ] && grep -qx "Version: $v" "$d/prefix/share/pkgconfig/$n.pc" || { echo "$n.pc"; return 1; }
+    done >> "$d/found/CMakeLists.txt"
+    cmd cmake -S "$d/found" -B "$d/found/build" -DCMAKE_PREFIX_PATH="$d/prefix" && cmd cmake --build "$d/found/build" || return 1
+    for n in "${HEADERS[@]}"; do "$d/found/build/use_$n" || return 1; done
 }
-install_meson() {
+install_meson() { # as a subproject, by the wrap file that is there; installed
     have meson && have ninja || skip "no meson" || return
-    local d=$OUT/meson n=${HEADERS[0]}; rm -rf "$d"; mkdir -p "$d/app/subprojects"; ln -s "$ROOT" "$d/app/subprojects/$n"
+    local d=$ROOT/$OUT/meson n=${HEADERS[0]} v; rm -rf "$d"; mkdir -p "$d/app/subprojects"; ln -s "$ROOT" "$d/app/subprojects/$n"
     cp "$OUT/tu/$n/use.c" "$OUT/tu/$n/impl.c" "$d/app"
-    printf '[wrap-file]\ndirectory = %s\n\n[provide]\ndependency_names = voxrt, zbufrand, tetcast\n' $n > "$d/app/subprojects/$n.wrap"
-    printf "project('app', 'c')\nexecutable('app', 'use.c', 'impl.c', dependencies: dependency('%s'))\n" $n > "$d/app/meson.build"
-    cmd meson setup "$d/build" "$d/app" && cmd meson compile -C "$d/build" && "$d/build/app"
+    cp voxrt.wrap "$d/app/subprojects"
+    echo "project('app', 'c')" > "$d/app/meson.build"
+    for v in "${HEADERS[@]}"; do
+        echo "assert(dependency('$v', version: '>=$(version_of $v)').version() == '$(version_of $v)')"
+        echo "assert(not dependency('$v', version: '>=99', required: false).found())"
+    done >> "$d/app/meson.build"
+    echo "executable('app', 'use.c', 'impl.c', dependencies: dependency('$n'))" >> "$d/app/meson.build"
+    cmd meson setup "$d/build" "$d/app" && cmd meson compile -C "$d/build" && "$d/build/app" || return 1
+    cmd meson setup "$d/lib" . --prefix "$d/prefix" && cmd meson install -C "$d/lib" || return 1
+    for n in "${HEADERS[@]}"; do
+        [ -f "$d/prefix/include/$n.h" ] && grep -qx "Version: $(version_of $n)" "$d/prefix/share/pkgconfig/$n.pc" || { echo "no $n.h or $n.pc"; return 1; }
+    done
 }
 group_install() { item "install make" install_make; item "install cmake" install_cmake; item "install meson" install_meson; }
 

@@ -1,29 +1,6 @@
 /* Pictures and textures of the programs: every kind of PNG against what was packed, PPM and PGM; damaged and hostile
    files; inflate against a slow one; mip maps, normal and bump maps, displacement; materials of OBJ files. */
-#include "test.h"
-
-static struct { int64_t count, fail_at, live; } g_memory;
-
-static void *memory_resize(void *old, size_t size) {
-    void *p;
-    if (g_memory.count++ == g_memory.fail_at) return NULL;
-    p = realloc(old, size);
-    if (p != NULL && old == NULL) g_memory.live++;
-    return p;
-}
-static void memory_release(void *p) {
-    if (p != NULL) g_memory.live--;
-    free(p);
-}
-static void memory_fail_at(int64_t k) {
-    g_memory.count = 0;
-    g_memory.fail_at = k;
-}
-
-#define SUP_MALLOC(size) memory_resize(NULL, size)
-#define SUP_REALLOC(ptr, size) memory_resize(ptr, size)
-#define SUP_FREE(ptr) memory_release(ptr)
-
+#include "support_memory.h"
 #include "../examples/support/displace.h"
 #include "../examples/support/finish.h"
 #include "../examples/support/scenes.h"
@@ -332,11 +309,11 @@ TEST(hostile_png) {
     }
     CHECK_MSG(taken > 100, "%u", taken); /* palettes, texts */
     for (n = 0; n < 12; n++) { /* memory runs out */
-        memory_fail_at((int64_t)n);
+        memory_reset((int64_t)n);
         if (!sup_image_decode(file.p, file.n, "x", &got, &err)) break;
         CHECK(got.pixels == NULL);
     }
-    memory_fail_at(-1);
+    memory_reset(-1);
     CHECK(n > 2 && n < 12);
     sup_image_free(&got);
     k.width = k.height = 60000; /* a small file must not ask for much */
@@ -348,7 +325,7 @@ TEST(hostile_png) {
     supi_big32(file.p + 16, 60000);
     supi_big32(file.p + 20, 60000);
     supi_big32(file.p + 29, png_crc(file.p + 12, 17));
-    memory_fail_at(-1);
+    memory_reset(-1);
     CHECK(sup_image_decode(file.p, file.n, "x", &got, &err) == 1);
     CHECK_MSG(strstr(err.text, "cut off") != NULL, "%s", err.text);
     free(file.p);
@@ -458,13 +435,13 @@ TEST(materials_of_obj_files) {
     sup_mesh_free(&m);
     for (k = 0; k < 200; k++) {
         int failed;
-        memory_fail_at(k);
+        memory_reset(k);
         failed = sup_mesh_read_memory(obj_text, sizeof obj_text - 1, SUP_FORMAT_OBJ, "x.obj", open_files, files, &m, &err);
         if (!failed) sup_mesh_free(&m); /* a library that cannot be read is a warning */
         CHECK_EQ_I64(g_memory.live, 0);
         if (g_memory.count <= k) break;
     }
-    memory_fail_at(-1);
+    memory_reset(-1);
     CHECK(k > 20 && k < 200);
 }
 
@@ -598,7 +575,7 @@ TEST(scene_of_balls) {
 }
 
 int main(int argc, char **argv) {
-    memory_fail_at(-1);
+    memory_reset(-1);
     test_begin(argc, argv);
     RUN(png_of_every_kind);
     RUN(png_round_trip);

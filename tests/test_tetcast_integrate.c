@@ -8,28 +8,13 @@
 
 /* ---- helpers ---- */
 
-static tetcast_transfer *make_transfer(const tetcast_control_point *p, size_t count, int independent) {
-    tetcast_transfer_desc d;
-    tetcast_transfer *t = NULL;
-    memset(&d, 0, sizeof d);
-    d.points = p;
-    d.point_count = count;
-    d.color_mode = independent ? TETCAST_COLOR_INDEPENDENT : TETCAST_COLOR_ASSOCIATED;
-    CHECK(tetcast_transfer_create(&d, &t) == TETCAST_OK);
-    return t;
-}
-
 static tetcast_optics *make_optics(const tetcast_control_point *p, size_t count, int independent, tetcast_model model,
                                    float t_min) {
     tetcast_optics_desc d;
-    tetcast_optics *o = NULL;
-    tetcast_transfer *t = make_transfer(p, count, independent);
     memset(&d, 0, sizeof d);
     d.model = model;
     d.t_min = t_min;
-    CHECK(tetcast_optics_create(t, &d, &o) == TETCAST_OK);
-    tetcast_transfer_destroy(t);
-    return o;
+    return oracle_optics(p, count, independent, NULL, 0, &d);
 }
 
 static tetcast_segment random_segment(test_rng *r, float longest, const tetcast_control_point *p, size_t count) {
@@ -386,7 +371,7 @@ static void same_bits(const tetcast_control_point *p, size_t count, int independ
                       float t_min, float longest) {
     tetcast_optics_desc d;
     tetcast_optics *o = NULL;
-    tetcast_transfer *t = make_transfer(p, count, independent);
+    tetcast_transfer *t = oracle_transfer(p, count, independent, NULL, 0);
     tetcasti_segment8_fn *fn;
     test_rng r = test_rng_make(77 + count);
     int rep, step;

@@ -5,29 +5,6 @@
 #include "transfer_oracle.h"
 #include "../examples/support/volume_look.h"
 
-static tetcast_transfer *make_transfer(const tetcast_control_point *p, size_t count, int independent,
-                                       const tetcast_isovalue *iso, size_t iso_count) {
-    tetcast_transfer_desc d;
-    tetcast_transfer *t = NULL;
-    memset(&d, 0, sizeof d);
-    d.points = p;
-    d.point_count = count;
-    d.isovalues = iso;
-    d.isovalue_count = iso_count;
-    d.color_mode = independent ? TETCAST_COLOR_INDEPENDENT : TETCAST_COLOR_ASSOCIATED;
-    CHECK(tetcast_transfer_create(&d, &t) == TETCAST_OK);
-    return t;
-}
-
-static tetcast_optics *make(const tetcast_control_point *p, size_t count, int independent, const tetcast_isovalue *iso,
-                            size_t iso_count, const tetcast_optics_desc *d) {
-    tetcast_transfer *t = make_transfer(p, count, independent, iso, iso_count);
-    tetcast_optics *o = NULL;
-    CHECK(tetcast_optics_create(t, d, &o) == TETCAST_OK);
-    tetcast_transfer_destroy(t);
-    return o;
-}
-
 static tetcast_optics_desc desc_of(tetcast_model model) {
     tetcast_optics_desc d;
     memset(&d, 0, sizeof d);
@@ -67,7 +44,7 @@ TEST(emission) { /* against the midpoint rule; continuous for equal ends; any or
             size_t n;
             const tetcast_control_point *p = pick(k, &n);
             tetcast_optics_desc d = desc_of(TETCAST_MODEL_EMISSION);
-            tetcast_optics *o = make(p, n, independent, NULL, 0, &d);
+            tetcast_optics *o = oracle_optics(p, n, independent, NULL, 0, &d);
             for (rep = 0; rep < 30; rep++) {
                 tetcast_segment s[20];
                 float got[4], other[4];
@@ -119,7 +96,7 @@ TEST(absorption) {
         size_t n;
         const tetcast_control_point *p = pick(k, &n);
         tetcast_optics_desc d = desc_of(TETCAST_MODEL_ABSORPTION);
-        tetcast_optics *o = make(p, n, 0, NULL, 0, &d);
+        tetcast_optics *o = oracle_optics(p, n, 0, NULL, 0, &d);
         for (rep = 0; rep < 200; rep++) {
             tetcast_segment s[50];
             float got[4], other[4];
@@ -153,7 +130,7 @@ TEST(maximum) { /* ends, knots and the tops of products of two ramps, against ma
             size_t n;
             const tetcast_control_point *p = pick(k, &n);
             tetcast_optics_desc d = desc_of(TETCAST_MODEL_MAXIMUM);
-            tetcast_optics *o = make(p, n, independent, NULL, 0, &d);
+            tetcast_optics *o = oracle_optics(p, n, independent, NULL, 0, &d);
             double scale = 0.0;
             for (j = 0; j <= 100000; j++) {
                 double v[4];
@@ -199,15 +176,15 @@ TEST(depth_cue) {
     int k, i, c;
     for (k = 0; k < 4; k++) {
         tetcast_optics_desc d = desc_of(models[k]);
-        tetcast_optics *plain = make(oracle_smooth, ORACLE_SMOOTH, 0, NULL, 0, &d), *same, *cue;
+        tetcast_optics *plain = oracle_optics(oracle_smooth, ORACLE_SMOOTH, 0, NULL, 0, &d), *same, *cue;
         d.cue = 1;
         d.cue_depth[0] = 1.0f;
         d.cue_depth[1] = 3.0f;
         d.cue_scale[0] = d.cue_scale[1] = 1.0f;
-        same = make(oracle_smooth, ORACLE_SMOOTH, 0, NULL, 0, &d);
+        same = oracle_optics(oracle_smooth, ORACLE_SMOOTH, 0, NULL, 0, &d);
         d.cue_scale[1] = 0.25f;
         if (models[k] == TETCAST_MODEL_VOLUME) d.fog[1] = 0.5f;
-        cue = make(oracle_smooth, ORACLE_SMOOTH, 0, NULL, 0, &d);
+        cue = oracle_optics(oracle_smooth, ORACLE_SMOOTH, 0, NULL, 0, &d);
         for (i = 0; i < 500; i++) {
             tetcast_segment s;
             float a[4], b[4], x[4];
@@ -254,7 +231,7 @@ TEST(depth_cue) {
             d.cue_depth[1] = 1.0f;
             d.cue_scale[0] = d.cue_scale[1] = 0.5f;
             d.fog[2] = 1.0f;
-            o = make(flat, 1, 0, NULL, 0, &d);
+            o = oracle_optics(flat, 1, 0, NULL, 0, &d);
             s.front = 0.3f;
             s.back = 0.4f;
             s.length = 0.5f;
@@ -299,7 +276,7 @@ TEST(hits_of_a_ray) { /* continuous values crossing v: one hit per crossing, one
         {{0.0f, 1.0f, 0.0f, 1.0f}, 4, 3}};
     size_t k;
     iso[0] = iso_of(0.5f, 1.0f, 0.0f, 0.25f);
-    o = make(NULL, 0, 0, iso, 1, &d);
+    o = oracle_optics(NULL, 0, 0, iso, 1, &d);
     REQUIRE(o != NULL && o->iso_count == 1);
     for (k = 0; k < sizeof rays / sizeof rays[0]; k++) {
         uint32_t hits = 0, first, lanes;
@@ -339,7 +316,7 @@ TEST(several_isovalues_in_order) { /* given unsorted; both directions; materials
     int i, rep, c;
     for (i = 0; i < 9; i++) iso[i] = iso_of((float)((i * 4) % 9) * 0.1f + 0.1f, (float)i / 8.0f,
                                             1.0f - (float)i / 8.0f, 0.1f * (float)i);
-    o = make(NULL, 0, 0, iso, 9, &d);
+    o = oracle_optics(NULL, 0, 0, iso, 9, &d);
     REQUIRE(o != NULL && o->iso_count == 9);
     for (rep = 0; rep < 2000; rep++) {
         tetcast_segment s;
@@ -382,7 +359,7 @@ TEST(mixed) { /* translucent surfaces inside a volume, in the right order */
     for (k = 0; k < 2; k++) {
         size_t n;
         const tetcast_control_point *p = pick(k, &n);
-        o = make(p, n, 0, iso, 2, &d);
+        o = oracle_optics(p, n, 0, iso, 2, &d);
         for (rep = 0; rep < 3000; rep++) {
             tetcast_segment s, part;
             float got[4];
@@ -450,7 +427,7 @@ TEST(shading) { /* ambient, diffuse and highlight of two lights; both sides; no 
     d.lights = light;
     d.light_count = 2;
     d.ambient[0] = d.ambient[1] = d.ambient[2] = 0.1f;
-    o = make(NULL, 0, 0, iso, 1, &d);
+    o = oracle_optics(NULL, 0, 0, iso, 1, &d);
     for (i = 0; i < 200; i++) {
         tetcasti_ray_sum sum;
         double n[3], want[3], len = 0.0;
@@ -517,7 +494,7 @@ TEST(opaque_surface_ends_the_ray) {
     int i;
     iso[0] = iso_of(0.5f, 1.0f, 1.0f, 1.0f);
     d.t_min = 0.0f;
-    o = make(oracle_smooth, ORACLE_SMOOTH, 0, iso, 1, &d);
+    o = oracle_optics(oracle_smooth, ORACLE_SMOOTH, 0, iso, 1, &d);
     for (i = 0; i < 3; i++) {
         s[i].front = 0.3f * (float)i;
         s[i].back = 0.3f * (float)(i + 1);
@@ -541,7 +518,7 @@ TEST(surfaces_by_lane) { /* a lane of eight gives the bits of the single ray */
     uint32_t k;
     iso[0] = iso_of(0.6f, 1.0f, 0.2f, 0.5f);
     iso[1] = iso_of(0.25f, 0.1f, 1.0f, 0.3f);
-    o = make(oracle_smooth, ORACLE_SMOOTH, 0, iso, 2, &d);
+    o = oracle_optics(oracle_smooth, ORACLE_SMOOTH, 0, iso, 2, &d);
     for (rep = 0; rep < 100; rep++) {
         tetcasti_ray_sum one[8];
         tetcasti_ray_sum8 sum;
@@ -598,7 +575,7 @@ TEST(lanes_that_are_off) { /* nothing is added to them, and nothing else in the 
                     for (c = 0; c < 3; c++) p[i].rgb[c] = test_rng_float(&r);
                     p[i].extinction = 3.0f * test_rng_float(&r);
                 }
-                o = make(p, (size_t)counts[n], independent, NULL, 0, &d);
+                o = oracle_optics(p, (size_t)counts[n], independent, NULL, 0, &d);
                 for (rep = 0; rep < 200; rep++) {
                     const uint32_t on = 1 + test_rng_below(&r, 255);
                     tetcasti_ray_sum one[8];
@@ -655,7 +632,7 @@ TEST(numbers_at_the_ends_of_what_is_allowed) { /* extinctions of 1e18, knots fro
             for (c = 0; c < 3; c++) p[i].rgb[c] = c == 1 ? (float)test_rng_below(&r, 2) : test_rng_float(&r);
             p[i].extinction = test_rng_below(&r, 5) == 0 ? 1e18f * test_rng_float(&r) : 10.0f * test_rng_float(&r);
         }
-        o = make(p, (size_t)count, rep / 4 & 1, NULL, 0, &d);
+        o = oracle_optics(p, (size_t)count, rep / 4 & 1, NULL, 0, &d);
         if (o == NULL) continue;
         for (k = 0; k < 64; k++) {
             s[k].front = test_rng_below(&r, 2) ? p[test_rng_below(&r, (uint32_t)count)].value : test_rng_float(&r);
@@ -678,7 +655,7 @@ TEST(numbers_at_the_ends_of_what_is_allowed) { /* extinctions of 1e18, knots fro
 TEST(light_through_dark_fog) { /* what is left after n segments is right in all its digits, not only beside 1 */
     static const tetcast_control_point p[] = {{0.0f, {0, 0, 0}, 2.0f}, {0.5f, {0, 0, 0}, 2.0f}, {0.5f, {1, 1, 1}, 1e6f}, {1.0f, {1, 1, 1}, 1e6f}};
     tetcast_optics_desc d = desc_of(TETCAST_MODEL_VOLUME);
-    tetcast_optics *o = make(p, 4, 0, NULL, 0, &d);
+    tetcast_optics *o = oracle_optics(p, 4, 0, NULL, 0, &d);
     tetcast_segment s[1025];
     float rgba[4];
     int n, i;
@@ -723,7 +700,7 @@ TEST(tolerance_holds) { /* the promised bound against the double reference, for 
             memset(&d, 0, sizeof d);
             d.tolerance = tolerance[k];
             d.path_length = 3.0f;
-            o = make(p, 200, independent, NULL, 0, &d);
+            o = oracle_optics(p, 200, independent, NULL, 0, &d);
             tetcast_optics_get_info(o, &info);
             CHECK(info.bound <= tolerance[k] && info.bound > 0.0f);
             CHECK(info.knot_count <= knots);
@@ -778,10 +755,10 @@ TEST(tolerance_of_long_rays) {
                 p[i].extinction = independent ? 0.0f : y;
             }
             memset(&d, 0, sizeof d);
-            plain = make(p, POINTS, independent, NULL, 0, &d);
+            plain = oracle_optics(p, POINTS, independent, NULL, 0, &d);
             d.tolerance = 8.0f;
             d.path_length = path[k];
-            o = make(p, POINTS, independent, NULL, 0, &d);
+            o = oracle_optics(p, POINTS, independent, NULL, 0, &d);
             tetcast_optics_get_info(o, &info);
             for (i = 0; i <= 1000; i++) {
                 tetcast_segment s;
@@ -823,9 +800,9 @@ TEST(bound_without_a_length) { /* what emits behind something dark adds up as lo
         float a[4], b[4];
         memset(&d, 0, sizeof d);
         d.tolerance = tolerance;
-        o = make(p, 2, 1, NULL, 0, &d);
+        o = oracle_optics(p, 2, 1, NULL, 0, &d);
         d.t_min = -1.0f;
-        whole = make(p, 2, 1, NULL, 0, &d);
+        whole = oracle_optics(p, 2, 1, NULL, 0, &d);
         tetcast_optics_get_info(o, &info);
         CHECK(tetcast_optics_ray(o, s, 100, a, NULL) == TETCAST_OK);
         CHECK(tetcast_optics_ray(whole, s, 100, b, NULL) == TETCAST_OK);
@@ -836,7 +813,7 @@ TEST(bound_without_a_length) { /* what emits behind something dark adds up as lo
             tetcast_optics *known;
             d.t_min = 0.0f;
             d.path_length = 100.0f;
-            known = make(p, 2, 1, NULL, 0, &d);
+            known = oracle_optics(p, 2, 1, NULL, 0, &d);
             tetcast_optics_get_info(known, &info);
             CHECK(tetcast_optics_ray(known, s, 100, a, NULL) == TETCAST_OK);
             CHECK_MSG(info.t_min > 0.0f && 255.0f * fabsf(a[0] - b[0]) <= info.bound, "bound %g, error %g", (double)info.bound,
@@ -870,7 +847,7 @@ TEST(bound_with_bright_fog) { /* what is behind may be brighter than white */
     d.cue_depth[1] = 4.0f;
     d.cue_scale[0] = 1.0f;
     for (i = 0; i < 3; i++) d.fog[i] = 40.0f;
-    o = make(&p, 1, 0, NULL, 0, &d);
+    o = oracle_optics(&p, 1, 0, NULL, 0, &d);
     tetcast_optics_get_info(o, &info);
     s[0].length = 0.001f - logf(info.t_min); /* just beyond where it may end */
     s[1].length = 8.0f;
@@ -879,7 +856,7 @@ TEST(bound_with_bright_fog) { /* what is behind may be brighter than white */
     tetcast_optics_destroy(o);
     d.tolerance = 0.0f;
     d.t_min = -1.0f;
-    o = make(&p, 1, 0, NULL, 0, &d);
+    o = oracle_optics(&p, 1, 0, NULL, 0, &d);
     CHECK(tetcast_optics_ray(o, s, 2, b, NULL) == TETCAST_OK);
     CHECK_MSG(255.0f * fabsf(a[0] - b[0]) <= info.bound && a[0] != b[0], "bound %g, t_min %g, %.9g not %.9g", (double)info.bound,
               (double)info.t_min, (double)a[0], (double)b[0]);
@@ -893,9 +870,9 @@ TEST(single_scattering) {
     static float value[N * N * N], rgba[W * W * 4];
     static const float light[2][3] = {{0, 1, 0}, {0, 0.6f, 0.8f}}; /* at right angles to the rays, aslant */
     const tetcast_control_point p[2] = {{0, {1, 0.5f, 0.25f}, 2}, {1, {1, 0.5f, 0.25f}, 2}};
-    tetcast_transfer *t = make_transfer(p, 2, 0, NULL, 0);
+    tetcast_transfer *t = oracle_transfer(p, 2, 0, NULL, 0);
     tetcast_optics_desc od = desc_of(TETCAST_MODEL_VOLUME);
-    tetcast_optics *o = make(p, 2, 0, NULL, 0, &od);
+    tetcast_optics *o = oracle_optics(p, 2, 0, NULL, 0, &od);
     tetcast_grid grid;
     tetcast_field field;
     tetcast_mesh *mesh = NULL;
@@ -948,7 +925,7 @@ TEST(single_scattering) {
 }
 
 TEST(bad_descs) {
-    tetcast_transfer *t = make_transfer(oracle_smooth, ORACLE_SMOOTH, 0, NULL, 0);
+    tetcast_transfer *t = oracle_transfer(oracle_smooth, ORACLE_SMOOTH, 0, NULL, 0);
     tetcast_optics_desc d;
     tetcast_optics *o = NULL;
     tetcast_optics_info info;

@@ -572,11 +572,23 @@ TEST(files) {
     }
     {
         const char *path = test_temp_path(".rbf");
+        char part[1100];
+        size_t n = 0;
+        CHECK(test_write_file(path, "old", 3)); /* is replaced */
         CHECK(tetcast_rbf_save_file(m[0], NULL, path) == TETCAST_OK);
         CHECK(tetcast_rbf_load_file(NULL, path, &again) == TETCAST_OK && again != NULL && again->count == m[0]->count);
         tetcast_rbf_destroy(again);
+        snprintf(part, sizeof part, "%s.part", path);
+        CHECK(test_read_file(part, &n) == NULL);
+        CHECK(tetcast_rbf_save_file(m[0], NULL, "/nowhere/at/all.rbf") == TETCAST_ERR_IO);
         (void)remove(path);
         CHECK(tetcast_rbf_load_file(NULL, path, &again) == TETCAST_ERR_IO && again == NULL);
+        if (strchr(path, '/') != NULL) { /* a folder has the name: nothing is left behind */
+            snprintf(part, sizeof part, "%.*s/.", (int)(strrchr(path, '/') - path), path);
+            CHECK(tetcast_rbf_save_file(m[0], NULL, part) == TETCAST_ERR_IO);
+            snprintf(part, sizeof part, "%.*s/..part", (int)(strrchr(path, '/') - path), path);
+            CHECK(test_read_file(part, &n) == NULL);
+        }
     }
     tetcast_rbf_destroy(m[0]);
     tetcast_rbf_destroy(m[1]);

@@ -8,15 +8,8 @@ static const char *const names[TETCAST_INTEGRATOR_COUNT] = {
     "exact", "psi table", "riemann", "trapezoid", "midpoint", "pre-classified", "prefix integrals", "table 3D",
     "table incremental", "table sub-range", "table 2D", "table prefix"};
 
-static tetcast_transfer *make_transfer(const tetcast_control_point *p, size_t count, int independent) {
-    tetcast_transfer_desc d;
-    tetcast_transfer *t = NULL;
-    memset(&d, 0, sizeof d);
-    d.points = p;
-    d.point_count = count;
-    d.color_mode = independent ? TETCAST_COLOR_INDEPENDENT : TETCAST_COLOR_ASSOCIATED;
-    CHECK(tetcast_transfer_create(&d, &t) == TETCAST_OK);
-    return t;
+static tetcast_optics *make(const tetcast_control_point *p, size_t count, int independent, const tetcast_optics_desc *d) {
+    return oracle_optics(p, count, independent, NULL, 0, d);
 }
 
 static tetcast_optics_desc desc_of(tetcast_integrator which, uint32_t values, uint32_t lengths, float longest) {
@@ -28,15 +21,6 @@ static tetcast_optics_desc desc_of(tetcast_integrator which, uint32_t values, ui
     d.longest = longest;
     d.t_min = -1.0f;
     return d;
-}
-
-static tetcast_optics *make(const tetcast_control_point *p, size_t count, int independent,
-                            const tetcast_optics_desc *d) {
-    tetcast_transfer *t = make_transfer(p, count, independent);
-    tetcast_optics *o = NULL;
-    CHECK(tetcast_optics_create(t, d, &o) == TETCAST_OK);
-    tetcast_transfer_destroy(t);
-    return o;
 }
 
 /* Largest and mean colour error over random segments inside the domain, d <= longest. */
@@ -428,7 +412,7 @@ TEST(local_update) { /* an edit recomputes a part; the table is that of a new bu
         if (rep % 5 == 4 && at > 0 && at < 19) q[at].value += 0.01f;
         for (k = 0; k < 5; k++) {
             tetcast_optics_desc d = desc_of(kinds[k], 47, 9, 1.0f);
-            tetcast_transfer *t = make_transfer(q, 20, 0);
+            tetcast_transfer *t = oracle_transfer(q, 20, 0, NULL, 0);
             tetcast_optics *old = make(p, 20, 0, &d), *fresh = make(q, 20, 0, &d), *update = NULL;
             CHECK(tetcast_optics_update(old, t, &d, &update) == TETCAST_OK);
             REQUIRE(update != NULL);
@@ -556,7 +540,7 @@ TEST(equidistant_steps) { /* across segments and gaps: converges to the exact ra
 }
 
 TEST(bad_tables) {
-    tetcast_transfer *t = make_transfer(oracle_smooth, ORACLE_SMOOTH, 0);
+    tetcast_transfer *t = oracle_transfer(oracle_smooth, ORACLE_SMOOTH, 0, NULL, 0);
     tetcast_optics_desc d = desc_of(TETCAST_INTEGRATOR_TABLE_3D, 0, 0, 0.0f);
     tetcast_optics *o = NULL;
     CHECK(tetcast_optics_create(t, &d, &o) == TETCAST_ERR_INVALID_ARG); /* longest */

@@ -1,30 +1,5 @@
 /* test_volume.c - volume readers, transfer functions and generated volumes of examples/support */
-#include "test.h"
-
-/* Allocations of the code under test: counted, and made to fail on demand. */
-static struct {
-    int64_t fail_at, count, live;
-    size_t largest;
-} g_memory = {-1, 0, 0, 0};
-
-static void *memory_resize(void *ptr, size_t size) {
-    void *p;
-    if (g_memory.count++ == g_memory.fail_at) return NULL;
-    p = realloc(ptr, size);
-    if (size > g_memory.largest) g_memory.largest = size;
-    if (p && !ptr) g_memory.live++;
-    return p;
-}
-
-static void memory_release(void *ptr) {
-    if (ptr) g_memory.live--;
-    free(ptr);
-}
-
-#define SUP_MALLOC(size) memory_resize(NULL, size)
-#define SUP_REALLOC(ptr, size) memory_resize(ptr, size)
-#define SUP_FREE(ptr) memory_release(ptr)
-
+#include "support_memory.h"
 #include "../examples/support/transfer.h"
 #include "../examples/support/volume_scenes.h"
 

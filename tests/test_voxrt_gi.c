@@ -1982,6 +1982,63 @@ TEST(two_scenes_at_once) {
     for (i = 0; i < 3; i++) voxrt_gi_destroy(t[i].r.gi);
 }
 
+/* All functions that only read a scene, by several threads at once, from a cache that is empty: each gets what one alone gets. */
+typedef struct reader {
+    const room *r;
+    voxrt_gi_surface s[48 * 32];
+    float normal[48 * 32][3], specular[48 * 32][4], albedo[48 * 32][3], position[48 * 32][3];
+} reader;
+static void *read_room(void *user) {
+    reader *t = (reader *)user;
+    voxrt_gbuffer g;
+    voxrt_env env;
+    uint32_t i, k;
+    memset(&env, 0, sizeof env);
+    memset(&g, 0, sizeof g);
+    env.thread_count = 1;
+    g.width = 48;
+    g.height = 32;
+    g.position = t->position[0];
+    g.normal = t->normal[0];
+    g.albedo = t->albedo[0];
+    g.specular = t->specular[0];
+    if (voxrt_gbuffer_from_gi(&env, &t->r->camera, t->r->gi, &g) != VOXRT_OK || voxrt_gbuffer_materials(&env, t->r->gi, &g) != VOXRT_OK ||
+        voxrt_gbuffer_edges(&env, &t->r->camera, t->r->gi, &g) != VOXRT_OK) return user;
+    for (i = 0; i < 48 * 32; i++) {
+        voxrt_ray ray;
+        voxrt_column_hit hit;
+        if (voxrt_camera_ray(&t->r->camera, 48, 32, i % 48 + 0.5, i / 48 + 0.5, &ray) != VOXRT_OK ||
+            voxrt_columns_trace(voxrt_gi_columns(t->r->gi), NULL, &ray, &hit, 1) != VOXRT_OK) return user;
+        memset(&t->s[i], 0, sizeof t->s[i]);
+        if (voxrt_gi_get(t->r->gi, &hit, ray.dir, &t->s[i]))
+            for (k = 0; k < 3; k++) if (!(t->s[i].radiance[k] >= 0.0f)) return user;
+    }
+    return voxrt_gi_virtual_lights(t->r->gi, NULL, 0) == 0 ? NULL : user;
+}
+
+TEST(readers_at_once) {
+    static room r[2];
+    static reader t[4]; /* the last one is alone */
+    pthread_t thread[3];
+    uint32_t i, lit = 0;
+#if defined(__wasm__) && !defined(_REENTRANT)
+    SKIP("no threads without -pthread");
+#endif
+    for (i = 0; i < 2; i++) room_open(&r[i], 48, 32, 1);
+    for (i = 0; i < 4; i++) t[i].r = &r[i / 3];
+    CHECK(read_room(&t[3]) == NULL);
+    for (i = 0; i < 48 * 32; i++) lit += t[3].s[i].radiance[0] > 0.0f;
+    CHECK_MSG(lit > 500, "%u pixels", lit);
+    for (i = 0; i < 3; i++) REQUIRE(pthread_create(&thread[i], NULL, read_room, &t[i]) == 0);
+    for (i = 0; i < 3; i++) {
+        void *bad = NULL;
+        CHECK(pthread_join(thread[i], &bad) == 0 && bad == NULL);
+        CHECK(memcmp(t[i].s, t[3].s, sizeof t[3].s) == 0 && memcmp(t[i].normal, t[3].normal, sizeof t[3].normal) == 0);
+        CHECK(memcmp(t[i].position, t[3].position, sizeof t[3].position) == 0 && memcmp(t[i].specular, t[3].specular, sizeof t[3].specular) == 0);
+    }
+    for (i = 0; i < 2; i++) voxrt_gi_destroy(r[i].gi);
+}
+
 TEST(every_edit_begins_anew) { /* progressive pictures: after any change nothing old is in the mean; light may be glaring */
     static room r;
     static float fresh[48 * 32][3];
@@ -2710,6 +2767,7 @@ int main(int argc, char **argv) {
     RUN(lists_have_every_pixel_once);
     RUN(stopped_pictures_leave_no_trace);
     RUN(two_scenes_at_once);
+    RUN(readers_at_once);
     RUN(every_edit_begins_anew);
     RUN(things_that_turn_do_not_pop);
     RUN(deforming_meshes);

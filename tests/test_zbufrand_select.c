@@ -6,39 +6,16 @@
 
 /* A torus, a two-sided soup, a flat patch with two sides, a box; as instances of many sizes, too. */
 static zbufrand_scene *mixed_scene(test_rng *r, shape *s) {
-    zbufrand_scene *scene = NULL;
     zbufrand_node lib, node[4];
     zbufrand_transform t;
-    uint32_t i, k;
-    memset(s, 0, 4 * sizeof *s);
-    shape_torus(&s[0], 0, 0, 0, 1, 0.4, 60, 30);
-    soup(&s[1], r, 1500, 0.05, 1.5);
-    for (i = 0; i < 20; i++) {
-        for (k = 0; k < 20; k++) {
-            uint32_t a = shape_vertex(&s[2], i * 0.1, k * 0.1, 0.01 * i), b = shape_vertex(&s[2], i * 0.1 + 0.1, k * 0.1, 0.01 * i + 0.01);
-            uint32_t c = shape_vertex(&s[2], i * 0.1, k * 0.1 + 0.1, 0.01 * i);
-            shape_triangle(&s[2], a, b, c);
-        }
-    }
-    shape_box(&s[3], -0.5, -0.5, -0.5, 0.5, 0.5, 0.5);
-    if (zbufrand_scene_create(NULL, &scene) != ZBUFRAND_OK) abort();
-    CHECK_EQ_U64(zbufrand_add_list(scene, 1, NULL, ZBUFRAND_HIDDEN, &lib), ZBUFRAND_OK);
-    for (i = 0; i < 4; i++) {
-        zbufrand_mesh m = mesh_of(&s[i]);
-        m.two_sided = i == 1 || i == 2;
-        CHECK_EQ_U64(zbufrand_add_mesh(scene, lib, NULL, 0, &m, &node[i]), ZBUFRAND_OK);
-        if (i != 3) CHECK_EQ_U64(zbufrand_add_mesh(scene, 1, NULL, 0, &m, NULL), ZBUFRAND_OK);
-    }
+    zbufrand_scene *scene = mixed_meshes(r, s, 60, 1500, 6, &lib, node);
+    uint32_t i;
     for (i = 0; i < 60; i++) {
         random_transform(r, pow(10, -1.5 + 2 * test_rng_double(r)), (int)(i % 3 == 0), &t);
         CHECK_EQ_U64(zbufrand_add_reference(scene, 1, &t, node[i & 3], NULL), ZBUFRAND_OK);
     }
     CHECK_EQ_U64(zbufrand_scene_build(scene, NULL, NULL), ZBUFRAND_OK);
     return scene;
-}
-static void free_shapes(shape *s) {
-    int i;
-    for (i = 0; i < 4; i++) shape_free(&s[i]);
 }
 
 static void random_camera(test_rng *r, zbufrandi_camera *c, double reach) {

@@ -29,6 +29,28 @@ static const tetcast_control_point oracle_scene[ORACLE_SCENE] = {
     {0.6f, {0.2f, 0.8f, 0.0f}, 0.2f},
     {1.0f, {1.0f, 0.0f, 0.0f}, 1.5f}};
 
+TEST_FN tetcast_transfer *oracle_transfer(const tetcast_control_point *p, size_t count, int independent, const tetcast_isovalue *iso, size_t iso_count) {
+    tetcast_transfer_desc d;
+    tetcast_transfer *t = NULL;
+    memset(&d, 0, sizeof d);
+    d.points = p;
+    d.point_count = count;
+    d.isovalues = iso;
+    d.isovalue_count = iso_count;
+    d.color_mode = independent ? TETCAST_COLOR_INDEPENDENT : TETCAST_COLOR_ASSOCIATED;
+    CHECK(tetcast_transfer_create(&d, &t) == TETCAST_OK);
+    return t;
+}
+
+TEST_FN tetcast_optics *oracle_optics(const tetcast_control_point *p, size_t count, int independent, const tetcast_isovalue *iso, size_t iso_count,
+                                      const tetcast_optics_desc *d) {
+    tetcast_transfer *t = oracle_transfer(p, count, independent, iso, iso_count);
+    tetcast_optics *o = NULL;
+    CHECK(tetcast_optics_create(t, d, &o) == TETCAST_OK);
+    tetcast_transfer_destroy(t);
+    return o;
+}
+
 TEST_FN void oracle_peak(tetcast_control_point p[5], float at, float half_width, float extinction) {
     int i;
     memset(p, 0, 5 * sizeof *p);

@@ -51,4 +51,36 @@ SHAPE_FN void random_transform(test_rng *r, double scale, int mirror, zbufrand_t
     }
 }
 
+/* A scene with four meshes: a torus, a soup, a flat patch, a box, two-sided as bits 0 to 3 of `two_sided` say; all of
+   them in a hidden list `lib`, the first three drawn where they are as well. */
+SHAPE_FN zbufrand_scene *mixed_meshes(test_rng *r, shape s[4], uint32_t around, uint32_t triangles, uint32_t two_sided, zbufrand_node *lib,
+                                      zbufrand_node node[4]) {
+    zbufrand_scene *scene = NULL;
+    uint32_t i, k;
+    memset(s, 0, 4 * sizeof *s);
+    shape_torus(&s[0], 0, 0, 0, 1, 0.4, around, around / 2);
+    soup(&s[1], r, triangles, 0.05, 1.5);
+    for (i = 0; i < 20; i++) {
+        for (k = 0; k < 20; k++) {
+            uint32_t a = shape_vertex(&s[2], i * 0.1, k * 0.1, 0.01 * i), b = shape_vertex(&s[2], i * 0.1 + 0.1, k * 0.1, 0.01 * i + 0.01);
+            uint32_t c = shape_vertex(&s[2], i * 0.1, k * 0.1 + 0.1, 0.01 * i);
+            shape_triangle(&s[2], a, b, c);
+        }
+    }
+    shape_box(&s[3], -0.5, -0.5, -0.5, 0.5, 0.5, 0.5);
+    if (zbufrand_scene_create(NULL, &scene) != ZBUFRAND_OK) abort();
+    CHECK_EQ_U64(zbufrand_add_list(scene, 1, NULL, ZBUFRAND_HIDDEN, lib), ZBUFRAND_OK);
+    for (i = 0; i < 4; i++) {
+        zbufrand_mesh m = mesh_of(&s[i]);
+        m.two_sided = two_sided >> i & 1u;
+        CHECK_EQ_U64(zbufrand_add_mesh(scene, *lib, NULL, 0, &m, &node[i]), ZBUFRAND_OK);
+        if (i != 3) CHECK_EQ_U64(zbufrand_add_mesh(scene, 1, NULL, 0, &m, NULL), ZBUFRAND_OK);
+    }
+    return scene;
+}
+SHAPE_FN void free_shapes(shape s[4]) {
+    int i;
+    for (i = 0; i < 4; i++) shape_free(&s[i]);
+}
+
 #endif
