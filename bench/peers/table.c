@@ -333,7 +333,8 @@ static void show_targets(void) {
         printf(" %s |\n", t->program != NULL ? t->others : "");
     }
     for (k = 0; k < 2; k++)
-        printf("%s met %d, missed %d, not answered %d", k == 0 ? "\nBase:" : "; goal:", count[k][SAID_YES], count[k][SAID_NO], count[k][SAID_NOTHING]);
+        printf("%s met %d, missed %d, not answered %d", k == 0 ? "\nBase:" : "; goal:", count[k][SAID_YES], count[k][SAID_NO],
+               count[k][SAID_NOTHING]);
     printf(".\n");
 }
 

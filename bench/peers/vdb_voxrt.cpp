@@ -318,7 +318,8 @@ static openvdb::FloatGrid::Ptr convert(const model *m, const voxrt_tree *tree, u
     p[1].error = distances_missed(*grid, points);
     voxrt_tree_destroy(made);
     snprintf(kase, sizeof kase, "%s, 1.05 M triangles, to %u^3", m->name, resolution);
-    peer_lines("V9", kase, "build_seconds", "s", 0, "% of vertices of the mesh that lie in an empty cell, or where the field is not 0 within half a cell", p, 2);
+    peer_lines("V9", kase, "build_seconds", "s", 0,
+               "% of vertices of the mesh that lie in an empty cell, or where the field is not 0 within half a cell", p, 2);
     p[0].error = (double)stats.rejected;
     p[0].seconds.clear();
     p[0].value = p[0].bytes_each;
