@@ -15793,20 +15793,16 @@ TETCASTI_INLINE void tetcasti_place_nodes(const tetcast_cut *cut, const tetcasti
                                   p->node + (i & 1u) + b->side * ((i >> 1 & 1u) + (size_t)b->side * (i >> 2)));
 }
 
-/* Which node of a brick lies below x, a place in units of its cells, and how far behind it x lies. */
-TETCASTI_INLINE size_t tetcasti_brick_node(const tetcast_bricks *b, const float x[3], float f[3]) {
-    const uint32_t cells = 1u << b->log;
-    size_t n = 0;
-    uint32_t a, m;
-    for (a = 3; a-- > 0;) {
-        float p = x[a] > 0.0f ? x[a] : 0.0f;
-        p = p < (float)cells ? p : (float)cells;
-        m = (uint32_t)(int32_t)p;
-        m = m < cells ? m : cells - 1;
-        f[a] = p - (float)(int32_t)m;
-        n = n * b->side + m;
-    }
-    return n;
+/* The cell of a brick, along one axis, in which x lies, and where in it. */
+TETCASTI_INLINE uint32_t tetcasti_brick_cell(const tetcast_bricks *b, float x, float *f) {
+    const float cells = (float)(1u << b->log);
+    uint32_t m;
+    x = x > 0.0f ? x : 0.0f;
+    x = x < cells ? x : cells;
+    m = (uint32_t)(int32_t)x;
+    m = m < (1u << b->log) ? m : (1u << b->log) - 1;
+    *f = x - (float)(int32_t)m;
+    return m;
 }
 
 TETCASTI_INLINE float tetcasti_trilinear(const float v[8], const float f[3]) {
@@ -19216,9 +19212,9 @@ static void tetcasti_lane_slot(const tetcasti_brick_frame *c, tetcasti_octet *l,
     l->begin[i] = (float)l->t[i];
     l->walks[i]++;
     if (!r->front) {
-        const float x[3] = {l->l0[0][i], l->l0[1][i], l->l0[2][i]};
         float v[8], f[3];
-        const size_t n = tetcasti_brick_node(b, x, f);
+        size_t n = 0;
+        for (a = 3; a-- > 0;) n = n * b->side + tetcasti_brick_cell(b, l->l0[a][i], &f[a]);
         for (a = 0; a < 8; a++)
             v[a] = tetcasti_block_get(b, l->block[i], type,
                                       n + (a & 1u) + b->side * ((a >> 1 & 1u) + (size_t)b->side * (a >> 2)));
@@ -19331,16 +19327,15 @@ static int tetcasti_lane_next(const tetcasti_brick_frame *c, tetcasti_octet *l, 
 static uint32_t tetcasti_octet_step(const tetcast_bricks *b, tetcasti_octet *l) {
     uint32_t i, a, over = 0;
     for (i = 0; i < 8; i++) {
-        float tn = l->first[i] + l->number[i] * l->step[i], x[3], f[3], v[8], s;
-        size_t n;
+        float tn = l->first[i] + l->number[i] * l->step[i], f[3], v[8], s;
+        size_t n = 0;
         uint32_t type;
         if (!(l->live >> i & 1u)) continue;
         if (!(tn < l->end[i])) {
             tn = l->end[i];
             over |= 1u << i;
         }
-        for (a = 0; a < 3; a++) x[a] = l->l0[a][i] + tn * l->dl[a][i];
-        n = tetcasti_brick_node(b, x, f);
+        for (a = 3; a-- > 0;) n = n * b->side + tetcasti_brick_cell(b, l->l0[a][i] + tn * l->dl[a][i], &f[a]);
         type = l->adapted >> i & 1u ? (uint32_t)TETCAST_TYPE_F32 : (uint32_t)b->type;
         for (a = 0; a < 8; a++) {
             const size_t node = n + (a & 1u) + b->side * ((a >> 1 & 1u) + (size_t)b->side * (a >> 2));
@@ -19448,11 +19443,10 @@ static void tetcasti_lane_gradient(void *user, float fraction, float normal[3]) 
     const tetcasti_octet *l = q->l;
     const uint32_t i = q->lane, type = l->adapted >> i & 1u ? (uint32_t)TETCAST_TYPE_F32 : (uint32_t)b->type;
     const float at = l->tau[i] - (1.0f - fraction) * l->seg.length[i];
-    float x[3], f[3], v[8], g[3];
-    size_t n;
+    float f[3], v[8], g[3];
+    size_t n = 0;
     uint32_t a;
-    for (a = 0; a < 3; a++) x[a] = l->l0[a][i] + at * l->dl[a][i];
-    n = tetcasti_brick_node(b, x, f);
+    for (a = 3; a-- > 0;) n = n * b->side + tetcasti_brick_cell(b, l->l0[a][i] + at * l->dl[a][i], &f[a]);
     for (a = 0; a < 8; a++)
         v[a] = tetcasti_block_get(b, l->block[i], type,
                                   n + (a & 1u) + b->side * ((a >> 1 & 1u) + (size_t)b->side * (a >> 2)));
