@@ -1108,6 +1108,55 @@ TEST(short_prefixes_are_even) {
     shape_free(&s);
 }
 
+/* So many independent points that drawing without putting back would show: 2 % of 2^32 places. */
+TEST(a_hundred_million_points_are_independent) {
+    enum { SIDE = 320, PART = 1 << 18 };
+    const uint32_t parts = test_quick() ? 4 : 400, cells = 2 * SIDE * SIDE * 4; /* triangles, in four parts each */
+    zbufrand_surface_points_desc d;
+    shape s;
+    zbufrand_mesh m;
+    zbufrand_scene *scene;
+    float *p = (float *)malloc(12 * (size_t)PART);
+    uint32_t *id = (uint32_t *)malloc(8 * (size_t)PART), *seen = (uint32_t *)calloc(cells, sizeof *seen), k, i;
+    double expected, chi[2] = {0, 0};
+    REQUIRE(p != NULL && id != NULL && seen != NULL);
+    memset(&s, 0, sizeof s);
+    memset(&d, 0, sizeof d);
+    plane(&s, SIDE, 1);
+    m = mesh_of(&s);
+    REQUIRE(s.triangles * 4 == cells);
+    scene = scene_of(&m, 1);
+    d.independent = 1;
+    for (k = 0; k < parts; k++, d.first += PART) {
+        CHECK_EQ_U64(zbufrand_surface_points(scene, &d, PART, p, NULL, NULL, id), ZBUFRAND_OK);
+        for (i = 0; i < PART; i++) { /* which corner it is near, or none: halves of the barycentric coordinates */
+            const uint32_t *t = s.t + 3 * id[2 * i + 1];
+            const float *a = s.p + 3 * t[0], *b = s.p + 3 * t[1], *c = s.p + 3 * t[2];
+            const double ux = (double)b[0] - (double)a[0], uy = (double)b[1] - (double)a[1], vx = (double)c[0] - (double)a[0],
+                vy = (double)c[1] - (double)a[1], x = (double)p[3 * i] - (double)a[0], y = (double)p[3 * i + 1] - (double)a[1],
+                det = ux * vy - uy * vx, u = (x * vy - y * vx) / det, v = (ux * y - uy * x) / det;
+            seen[4 * id[2 * i + 1] + (u > 0.5 ? 1 : v > 0.5 ? 2 : u + v < 0.5 ? 3 : 0)]++;
+        }
+    }
+    expected = (double)parts * PART / cells;
+    for (i = 0; i < cells; i++) {
+        const double off = (double)seen[i] - expected, whole = (double)seen[i] + (double)seen[i ^ 1] + (double)seen[i ^ 2] + (double)seen[i ^ 3] - 4 * expected;
+        chi[0] += off * off / expected;
+        if (i % 4 == 0) chi[1] += whole * whole / (4 * expected);
+    }
+    for (i = 0; i < 2; i++) {
+        const double n = (i == 0 ? cells : cells / 4) - 1;
+        chi[i] = (chi[i] - n) / sqrt(2 * n);
+        if (test_g.verbose) printf("%g points, chi squared of %g cells is %.2f deviations off\n", (double)parts * PART, n + 1, chi[i]);
+        CHECK_MSG(fabs(chi[i]) < 4, "%g points, chi squared of %g cells is %.2f deviations off", (double)parts * PART, n + 1, chi[i]);
+    }
+    free(p);
+    free(id);
+    free(seen);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s);
+}
+
 TEST(points_of_instances) {
     test_rng r = test_rng_make(43);
     shape s;
@@ -1394,6 +1443,7 @@ int main(int argc, char **argv) {
     RUN(uniform_on_a_triangle);
     RUN(points_of_a_mesh);
     RUN(short_prefixes_are_even);
+    RUN(a_hundred_million_points_are_independent);
     RUN(points_of_instances);
     RUN(attributes_of_surface_points);
     RUN(fine_places);
