@@ -91,7 +91,7 @@ NODE="node --no-experimental-fetch --stack-size=7000" # fetch: Emscripten of 202
 # No way leaves out test_golden.c, which compares results of all three libraries with hashes. Besides it:
 #   modes and emulators   of zbufrand.h its pictures alone, which every part of it has to do with;
 #                         of tetcast.h nothing, but no-simd-thread its optics, tables and transfer functions, s390x its
-#                         cells, integrals, surfaces, transfer functions and walks
+#                         cells, integrals, projection, surfaces, transfer functions and walks
 #   emulators             palettes take minutes there and have no bytes that an order could turn around; of trees and
 #                         voxelising each has one
 #   tsan, msan            of zbufrand.h its pictures, no other test of tetcast.h; asan-ubsan has all tests
@@ -99,7 +99,7 @@ NODE="node --no-experimental-fetch --stack-size=7000" # fetch: Emscripten of 202
 # SKIP_TESTS="*:view" bash tests/check.sh windows wasm runs them all.
 SKIP_TESTS=${SKIP_TESTS-"[em]*:zbufrand_[!r]* [em]*:zbufrand_r[!e]* [em]*:zbufrand_rec*
  sanitize-[tm]*:zbufrand_[!r]* sanitize-[tm]*:zbufrand_r[!e]* sanitize-[tm]*:zbufrand_rec* sanitize-tsan:tetcast_* sanitize-msan:tetcast_*
- modes-[!n]*:tetcast_* modes-n*:tetcast_[!ot]* emulate-a*:tetcast_* emulate-s*:tetcast_[bmoprs]* emulate-s*:tetcast_ta* emulate-*:view
+ modes-[!n]*:tetcast_* modes-n*:tetcast_[!ot]* emulate-a*:tetcast_* emulate-s*:tetcast_[bmors]* emulate-s*:tetcast_ta* emulate-*:view
  emulate-aarch64:support emulate-*:voxrt_palette emulate-aarch64:voxrt_tree emulate-s390x:voxrt_voxelize
  w*:view w*:zbufrand_[!r]* w*:zbufrand_r[!e]* w*:zbufrand_rec* w*:voxrt_[glp]* w*:tetcast_[bcmps]* w*:tetcast_rbf
  wasm-wasm32-*:s* wasm-wasm32-*:vol* wasm-wasm32-*:voxrt_[!rt]* wasm-wasm32-*:voxrt_trace wasm-wasm32-*:tetcast_[!r]*"}
