@@ -592,7 +592,8 @@ static tetcast_result traces(world *w, const tetcast_env *env) {
 /* ---- all of them ---- */
 
 static const struct call { const char *name; tetcast_result (*run)(world *w, const tetcast_env *env); uint32_t least; } call[] = {
-    {"mesh of a grid", grid_mesh, 10}, {"cells on a ray", probed, 10}, {"optics", update, 3}, {"isosurface", surface, 3}, {"resample", resampled, 1}, {"plane", plane_values, 1},
+    {"mesh of a grid", grid_mesh, 10}, {"cells on a ray", probed, 10}, {"optics", update, 3}, {"isosurface", surface, 3}, {"resample", resampled, 1},
+    {"plane", plane_values, 1},
     {"plane in perspective", plane_seen, 1}, {"means", means, 3}, {"parameters", parameters, 30}, {"bricks of means", bricks_of_means, 5},
     {"bricks on demand", bricks_on_demand, 5}, {"section", section, 3},
     {"bricks of a grid", bricks_of_grid, 3}, {"bricks of a mesh", bricks_of_mesh, 5},

@@ -813,7 +813,7 @@ TEST(allocation_failures) {
                 continue;
             }
             REQUIRE(p != NULL);
-            for (k = 0; k < 300; k += which == 2 ? 5 : 1) {
+            for (k = 0; k < 2000; k += which == 2 && test_quick() ? 5 : 1) {
                 test_alloc ta;
                 voxrt_env e;
                 voxrt_save_desc sd;

@@ -327,7 +327,7 @@ static zbufrand_result waiting(const world *w, const zbufrand_env *env, int what
     if (done != 0) {
         const zbufrand_result again = zbufrand_scene_update(s, &info);
         if (again == ZBUFRAND_OK) {
-            CHECK_EQ_U64(info.triangles, w->mesh.triangle_count * (what == 1 ? MANY + 1u : done + 1u));
+            CHECK_EQ_U64(info.triangles, w->mesh.triangle_count * (what == 1 ? MANY + 1u : (uint32_t)done + 1u));
             CHECK((info.box_max[1] > 10) == (what == 1));
         }
         if (r == ZBUFRAND_OK) r = again;
