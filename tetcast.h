@@ -23104,6 +23104,7 @@ static int tetcasti_fit_sort(tetcasti_fit *t, const tetcast_rbf_points *in) {
     uint32_t *number = (uint32_t *)tetcasti_alloc_array(t->mem, n, sizeof *number);
     size_t bins = (size_t)t->bins[0] * t->bins[1] * t->bins[2], i, b;
     uint32_t *start = t->start, k = 0, a, c, out = 0;
+    uint8_t bytes[12];
     const int ok = key != NULL && p != NULL && v != NULL && number != NULL;
     for (i = 0; ok && i < in->count + t->middles; i++) {
         double w[3], value[4];
@@ -23127,7 +23128,8 @@ static int tetcasti_fit_sort(tetcasti_fit *t, const tetcast_rbf_points *in) {
         }
         for (i = 0; i < n; i++) {
             const uint32_t to = start[t->source[i]]++;
-            key[to].key = tetcasti_hash_bytes(1, p[i], sizeof p[i]);
+            for (a = 0; a < 3; a++) tetcasti_store_u32(bytes + 4 * a, tetcasti_float_bits(p[i][a]));
+            key[to].key = tetcasti_hash_bytes(1, bytes, sizeof bytes); /* little-endian: one order on all machines */
             key[to].i = (uint32_t)i;
         }
         for (b = bins; b > 0; b--) start[b] = start[b - 1];
