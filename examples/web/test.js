@@ -110,6 +110,11 @@ async function click(page, id) {
     for (const type of ['mousePressed', 'mouseReleased']) await page.send('Input.dispatchMouseEvent', { type, x, y, button: 'left', clickCount: 1 });
 }
 
+async function press(page, id, key, windowsVirtualKeyCode) {
+    await page.value(`document.getElementById('${id}').focus()`);
+    for (const type of ['rawKeyDown', 'keyUp']) await page.send('Input.dispatchKeyEvent', { type, key, code: key, windowsVirtualKeyCode });
+}
+
 async function run() {
     const browser = browse();
     const isolated = await new Promise(done => serve(folder, 0, true, done)), plain = await new Promise(done => serve(folder, 0, false, done));
@@ -131,10 +136,16 @@ async function run() {
     check(/\d+ threads|one thread/.test(await page.text('machine')), await page.text('machine'));
     const cores = await page.value('navigator.hardwareConcurrency');
     check(cores < 2 || /SIMD, \d+ threads/.test(await page.text('machine')), 'threads where the server allows them and there are ' + cores + ' cores');
-    await turned(page, 'an arrow key', async () => {
-        await page.value(`document.getElementById('canvas').focus()`);
-        for (const type of ['keyDown', 'keyUp']) await page.send('Input.dispatchKeyEvent', { type, key: 'ArrowLeft', code: 'ArrowLeft', windowsVirtualKeyCode: 37 });
-    });
+    await turned(page, 'an arrow key', () => press(page, 'canvas', 'ArrowLeft', 37));
+    await turned(page, 'the key Home', () => press(page, 'canvas', 'Home', 36));
+    const exact = parseFloat(await page.text('error'));
+    const drawn = await page.number(); // the slider changes what is seen while moving, not the reference
+    await press(page, 'tolerance', 'End', 35);
+    await page.until(`Number(document.getElementById('canvas').dataset.drawn) > ${drawn}`);
+    check(await page.drawn(1) && parseFloat(await page.text('error')) > exact, 'the largest tolerance: ' + await page.text('error') + ', not ' + exact.toFixed(2));
+    await turned(page, 'the error, shown', () => click(page, 'difference'));
+    await page.shoot('error');
+    await turned(page, 'the error, hidden', () => click(page, 'difference'));
     await turned(page, 'the wheel', async () => {
         const [x, y] = await page.middle();
         await page.send('Input.dispatchMouseEvent', { type: 'mouseWheel', x, y, deltaX: 0, deltaY: 120 });
@@ -149,6 +160,12 @@ async function run() {
         const [x, y] = await page.middle();
         await page.send('Input.dispatchTouchEvent', { type: 'touchStart', touchPoints: [{ x, y }] });
         for (let i = 1; i <= 4; i++) await page.send('Input.dispatchTouchEvent', { type: 'touchMove', touchPoints: [{ x: x + 15 * i, y }] });
+        await page.send('Input.dispatchTouchEvent', { type: 'touchEnd', touchPoints: [] });
+    });
+    await turned(page, 'two fingers', async () => {
+        const [x, y] = await page.middle(), at = d => [{ x: x - d, y, id: 0 }, { x: x + d, y, id: 1 }];
+        await page.send('Input.dispatchTouchEvent', { type: 'touchStart', touchPoints: at(20) });
+        for (let i = 1; i <= 4; i++) await page.send('Input.dispatchTouchEvent', { type: 'touchMove', touchPoints: at(20 + 10 * i) });
         await page.send('Input.dispatchTouchEvent', { type: 'touchEnd', touchPoints: [] });
     });
     check(await page.value('document.documentElement.scrollWidth <= window.innerWidth'), 'nothing is wider than the phone');

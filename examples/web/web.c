@@ -56,7 +56,7 @@ static void *pool_thread(void *user) {
     pool *p = (pool *)user;
     pthread_mutex_lock(&p->lock);
     for (;;) {
-        while (p->task == NULL || p->next >= p->count) pthread_cond_wait(&p->work, &p->lock);
+        while (p->task == NULL || __atomic_load_n(&p->next, __ATOMIC_SEQ_CST) >= p->count) pthread_cond_wait(&p->work, &p->lock);
         p->busy++;
         pthread_mutex_unlock(&p->lock);
         pool_drain(p);

@@ -43,7 +43,7 @@
         const wasmBinary = await load(name + '.wasm');
         say('Starting');
         importScripts(name + '.js');
-        const initial = 1024, maximum = 16384; // pages of 64 KB
+        const initial = 1024, maximum = 16384; // 64 MB and 1 GB in pages of 64 KB, as web.mk says
         memory = name === 'demo' ? new WebAssembly.Memory({ initial, maximum }) : new WebAssembly.Memory({ initial, maximum, shared: true });
         module = await createDemo({ wasmBinary, wasmMemory: memory, mainScriptUrlOrBlob: name + '.js', poolSize: cores });
         view = module._malloc(6 * 8);
