@@ -316,162 +316,194 @@ static void bm48(void) {
 
 /* ---- BM49 ---- */
 
-enum { BM49_DELTAS = 5 };
+enum { BM49_DELTAS = 5, BM49_RULES = 5, BM49_SIDE = 129, BM49_RAYS = 64, BM49_PIXELS = BM49_RAYS * BM49_RAYS };
+enum { BM49_SLOTS = 132, BM49_ROOM = 48 * BM49_SIDE }; /* slots begin before the bricks, where the eye has them begin */
 static const double bm49_delta[BM49_DELTAS] = {0.4, 0.2, 0.1, 0.05, 0.025}; /* how much values change in a step */
+static const double bm49_extinction = 3.0;
 
-/* Opacity along rays in x through bricks that get coarser away from one face: by slices as the thesis counts them. */
-static void bm49(void) {
-    static const char *const names[5] = {"naive", "repaired", "misprint", "exact", "ours"};
-    enum { SIDE = 129, RAYS = 64, SLOTS = 132, ROOM = 48 * SIDE }; /* slots begin before the bricks, where the eye has them begin */
-    tetcast_bricks *b = head_bricks(SIDE, TETCAST_TYPE_F32);
-    tetcast_transfer *t = NULL;
-    tetcast_optics *o;
-    tetcast_cut_desc cd;
-    tetcast_cut *cut = NULL;
-    double sum[5] = {0, 0, 0, 0, 0}, samples[5] = {0, 0, 0, 0, 0}, seconds[5] = {0, 0, 0, 0, 0}, off[5] = {0, 0, 0, 0, 0};
-    double steep_sum[2][BM49_DELTAS], steep_samples[2][BM49_DELTAS], steep_seconds[2][BM49_DELTAS];
-    float *bounds = (float *)must_alloc(5 * ROOM, sizeof *bounds);
+typedef struct slice_scene {
+    tetcast_bricks *bricks;
+    tetcast_transfer *transfer;
+    tetcast_optics *optics;
+    tetcast_cut *cut;
     brick_frame f;
-    const double extinction = 3.0;
+    float *finest; /* the picture that errors are to */
+} slice_scene;
+
+typedef struct slice_ray {
+    float x[BM49_SLOTS], y[BM49_SLOTS], z[BM49_SLOTS], v[BM49_SLOTS];
+    uint8_t level[BM49_SLOTS];
+    double opacity; /* in the finest picture */
+} slice_ray;
+
+typedef struct slice_total { double sum, samples, seconds, off; } slice_total; /* sum: of squares of errors */
+
+static void ways_slices_open(slice_scene *s) {
     static tetcast_control_point points[2] = {{0.0f, {1, 1, 1}, 0}, {1.0f, {1, 1, 1}, 3.0f}};
     tetcast_transfer_desc td;
-    float *finest;
-    uint32_t i, j, k;
-    int how, kind;
-    memset(steep_sum, 0, sizeof steep_sum);
-    memset(steep_samples, 0, sizeof steep_samples);
-    memset(steep_seconds, 0, sizeof steep_seconds);
+    tetcast_cut_desc cd;
+    memset(s, 0, sizeof *s);
     memset(&td, 0, sizeof td);
     memset(&cd, 0, sizeof cd);
-    memset(&f, 0, sizeof f);
+    s->bricks = head_bricks(BM49_SIDE, TETCAST_TYPE_F32);
     td.points = points;
     td.point_count = 2;
-    must(tetcast_transfer_create(&td, &t), "transfer");
-    must(tetcast_optics_create(t, NULL, &o), "optics");
+    must(tetcast_transfer_create(&td, &s->transfer), "transfer");
+    must(tetcast_optics_create(s->transfer, NULL, &s->optics), "optics");
     cd.env.thread_count = 1;
     cd.focus[1] = cd.focus[2] = 0.5;
     cd.focus_radius = 0.3;
     cd.max_jump = 1;
-    must(tetcast_cut_create(&cd, b, &cut), "cut");
-    f.cut = cut;
-    f.optics = o;
-    f.d.env.thread_count = 1;
-    f.d.camera.ortho_height = 1.0f;
-    f.d.camera.eye[0] = -1.0;
-    f.d.camera.eye[1] = f.d.camera.eye[2] = f.d.camera.at[1] = f.d.camera.at[2] = 0.5;
-    f.d.camera.at[0] = 0.5;
-    f.d.camera.up[1] = 1.0;
-    f.image.width = f.image.height = RAYS;
-    f.image.rgba = (float *)must_alloc(RAYS * RAYS, 16);
-    f.d.step = 1.0f / 64.0f;
-    run_brick_frame(&f);
-    finest = f.image.rgba;
-    f.image.rgba = (float *)must_alloc(RAYS * RAYS, 16);
-    f.d.step = 1.0f;
-    seconds[4] = fastest(run_brick_frame, &f, 3);
-    samples[4] = (double)f.stats.steps / (RAYS * RAYS);
-    for (i = 0; i < RAYS * RAYS; i++) sum[4] += pow((double)finest[4 * i + 3] - (double)f.image.rgba[4 * i + 3], 2.0);
-    for (j = 0; j < RAYS; j++)
-        for (i = 0; i < RAYS; i++) { /* the ray of pixel (i, j): looking along x with y up, z to the right or left */
-            float x[SLOTS], y[SLOTS], z[SLOTS], v[SLOTS];
-            uint8_t level[SLOTS];
-            uint32_t ways[SLOTS];
-            tetcast_ray ray;
-            double start;
-            must(tetcast_camera_ray(&f.d.camera, RAYS, RAYS, i + 0.5, j + 0.5, &ray), "ray");
-            for (k = 0; k < SLOTS; k++) {
-                uint32_t s[3];
-                x[k] = (float)k - 3.0f;
-                y[k] = (float)(ray.org[1] * (SIDE - 1));
-                z[k] = (float)(ray.org[2] * (SIDE - 1));
-                s[0] = k < 3 ? 0 : (k - 3) >> 4 < 8 ? (k - 3) >> 4 : 7;
-                s[1] = (uint32_t)y[k] >> 4 < 8 ? (uint32_t)y[k] >> 4 : 7;
-                s[2] = (uint32_t)z[k] >> 4 < 8 ? (uint32_t)z[k] >> 4 : 7;
-                level[k] = tetcast_cut_levels(cut)[s[0] + 8 * (s[1] + 8 * s[2])];
-            }
-            tetcast_cut_sample(cut, x, y, z, SLOTS, TETCAST_ISA_AUTO, v);
-            for (k = 0; k < SLOTS; k++) v[k] = k < 3 || k > 3 + 128 ? 0.0f : v[k];
-            for (how = 0; how < BM49_DELTAS; how++) { /* steps by slope; nodes of the bricks are x = 0 .. SIDE - 1 */
-                float *border = bounds, *at = bounds + ROOM, *ys = bounds + 2 * ROOM, *zs = bounds + 3 * ROOM, *value = bounds + 4 * ROOM;
-                double thick[2] = {0.0, 0.0};
-                size_t n, q;
-                for (kind = 0; kind < 2; kind++) { /* middles of steps; ends, with what is linear between them integrated */
-                    start = bench_cpu();
-                    n = lipschitz_steps(v + 3, SIDE, 16, bm49_delta[how], 16.0, border, ROOM);
-                    for (q = 0; q + 1 < n + (size_t)kind; q++) at[q] = kind != 0 ? border[q] : 0.5f * (border[q] + border[q + 1]);
-                    for (q = 0; q < n; q++) { /* y and z are the ray's */
-                        ys[q] = y[0];
-                        zs[q] = z[0];
-                    }
-                    tetcast_cut_sample(cut, at, ys, zs, n - 1 + (size_t)kind, TETCAST_ISA_AUTO, value);
-                    for (q = 0; q + 1 < n; q++) {
-                        const double mean = kind != 0 ? 0.5 * ((double)value[q] + (double)value[q + 1]) : (double)value[q];
-                        thick[kind] += ((double)border[q + 1] - (double)border[q]) / (SIDE - 1) * extinction * mean;
-                    }
-                    steep_seconds[kind][how] += bench_cpu() - start;
-                    steep_samples[kind][how] += (double)(n - 1 + (size_t)kind) / (RAYS * RAYS);
-                    steep_sum[kind][how] += pow((double)finest[4 * (i + RAYS * j) + 3] - (1.0 - exp(-thick[kind])), 2.0);
-                }
-            }
-            for (how = 0; how < 4; how++) {
-                double thick = 0.0, slots = 0.0;
-                start = bench_cpu();
-                opacity_slots((opacity_rule)how, level, SLOTS, ways);
-                for (k = 0; k < SLOTS; k++) {
-                    ways[k] = ways[k] < SLOTS - k ? ways[k] : SLOTS - k; /* none goes on behind the last */
-                    thick += (double)ways[k] / (SIDE - 1) * extinction * (double)v[k];
-                    samples[how] += (ways[k] != 0) / (double)(RAYS * RAYS);
-                    slots += (double)ways[k];
-                }
-                off[how] += fabs(slots - SLOTS) / (double)(RAYS * RAYS);
-                seconds[how] += bench_cpu() - start;
-                sum[how] += pow((double)finest[4 * (i + RAYS * j) + 3] - (1.0 - exp(-thick)), 2.0);
-            }
-        }
-    for (how = 0; how < 5; how++) {
-        bench_line("tetcast.slices", names[how], "samples_per_ray", samples[how], "");
-        bench_num("error", 255.0 * sqrt(sum[how] / (RAYS * RAYS)));
-        bench_text("error_unit", "1/255 rms of opacity, to 64 times as many samples");
-        bench_num("way_off", off[how] / SLOTS); /* share of a ray that counts twice or not at all */
-        bench_num("seconds", seconds[how]);
-        bench_num("threads", 1);
-        bench_end();
+    must(tetcast_cut_create(&cd, s->bricks, &s->cut), "cut");
+    s->f.cut = s->cut;
+    s->f.optics = s->optics;
+    s->f.d.env.thread_count = 1;
+    s->f.d.camera.ortho_height = 1.0f;
+    s->f.d.camera.eye[0] = -1.0;
+    s->f.d.camera.eye[1] = s->f.d.camera.eye[2] = s->f.d.camera.at[1] = s->f.d.camera.at[2] = 0.5;
+    s->f.d.camera.at[0] = 0.5;
+    s->f.d.camera.up[1] = 1.0;
+    s->f.image.width = s->f.image.height = BM49_RAYS;
+    s->f.image.rgba = (float *)must_alloc(BM49_PIXELS, 16);
+    s->f.d.step = 1.0f / 64.0f;
+    run_brick_frame(&s->f);
+    s->finest = s->f.image.rgba;
+    s->f.image.rgba = (float *)must_alloc(BM49_PIXELS, 16);
+}
+
+static void ways_slices_close(slice_scene *s) {
+    free(s->finest);
+    free(s->f.image.rgba);
+    tetcast_cut_destroy(s->cut);
+    tetcast_bricks_destroy(s->bricks);
+    tetcast_optics_destroy(s->optics);
+    tetcast_transfer_destroy(s->transfer);
+}
+
+/* The picture in steps of this length: seconds, samples and squares of errors. */
+static slice_total ways_slices_frame(slice_scene *s, float step, int fixed) {
+    slice_total total = {0, 0, 0, 0};
+    uint32_t i;
+    s->f.d.step = step;
+    s->f.d.fixed_step = (uint32_t)fixed;
+    total.seconds = fastest(run_brick_frame, &s->f, 3);
+    total.samples = (double)s->f.stats.steps / BM49_PIXELS;
+    for (i = 0; i < BM49_PIXELS; i++) total.sum += pow((double)s->finest[4 * i + 3] - (double)s->f.image.rgba[4 * i + 3], 2.0);
+    return total;
+}
+
+/* The ray of pixel (i, j): looking along x with y up, z to the right or left; and the values in its slots. */
+static void ways_slices_ray(const slice_scene *s, uint32_t i, uint32_t j, slice_ray *r) {
+    tetcast_ray ray;
+    uint32_t k;
+    must(tetcast_camera_ray(&s->f.d.camera, BM49_RAYS, BM49_RAYS, i + 0.5, j + 0.5, &ray), "ray");
+    for (k = 0; k < BM49_SLOTS; k++) {
+        uint32_t at[3];
+        r->x[k] = (float)k - 3.0f;
+        r->y[k] = (float)(ray.org[1] * (BM49_SIDE - 1));
+        r->z[k] = (float)(ray.org[2] * (BM49_SIDE - 1));
+        at[0] = k < 3 ? 0 : (k - 3) >> 4 < 8 ? (k - 3) >> 4 : 7;
+        at[1] = (uint32_t)r->y[k] >> 4 < 8 ? (uint32_t)r->y[k] >> 4 : 7;
+        at[2] = (uint32_t)r->z[k] >> 4 < 8 ? (uint32_t)r->z[k] >> 4 : 7;
+        r->level[k] = tetcast_cut_levels(s->cut)[at[0] + 8 * (at[1] + 8 * at[2])];
     }
-    for (kind = 0; kind < 2; kind++)
-        for (how = 0; how < BM49_DELTAS; how++) {
-            bench_line("tetcast.steps", kind != 0 ? "by slope, linear" : "by slope", "samples_per_ray", steep_samples[kind][how], "");
-            bench_num("error", 255.0 * sqrt(steep_sum[kind][how] / (RAYS * RAYS)));
-            bench_text("error_unit", "1/255 rms of opacity");
-            bench_num("step", bm49_delta[how]); /* of the value */
-            bench_num("seconds", steep_seconds[kind][how]);
-            bench_num("threads", 1);
-            bench_end();
+    tetcast_cut_sample(s->cut, r->x, r->y, r->z, BM49_SLOTS, TETCAST_ISA_AUTO, r->v);
+    for (k = 0; k < BM49_SLOTS; k++) r->v[k] = k < 3 || k > 3 + 128 ? 0.0f : r->v[k];
+    r->opacity = (double)s->finest[4 * (i + BM49_RAYS * j) + 3];
+}
+
+/* Steps by slope; nodes of the bricks are x = 0 .. SIDE - 1. Samples in the middles of steps, or (linear) at their ends,
+   with what is linear between them integrated. bounds: room for five times BM49_ROOM. */
+static void ways_slices_by_slope(const tetcast_cut *cut, const slice_ray *r, double delta, int linear, float *bounds, slice_total *total) {
+    float *border = bounds, *at = bounds + BM49_ROOM, *ys = bounds + 2 * BM49_ROOM, *zs = bounds + 3 * BM49_ROOM;
+    float *value = bounds + 4 * BM49_ROOM;
+    double thick = 0.0;
+    const double start = bench_cpu();
+    const size_t n = lipschitz_steps(r->v + 3, BM49_SIDE, 16, delta, 16.0, border, BM49_ROOM);
+    size_t q;
+    for (q = 0; q + 1 < n + (size_t)linear; q++) at[q] = linear ? border[q] : 0.5f * (border[q] + border[q + 1]);
+    for (q = 0; q < n; q++) { /* y and z are the ray's */
+        ys[q] = r->y[0];
+        zs[q] = r->z[0];
+    }
+    tetcast_cut_sample(cut, at, ys, zs, n - 1 + (size_t)linear, TETCAST_ISA_AUTO, value);
+    for (q = 0; q + 1 < n; q++) {
+        const double mean = linear ? 0.5 * ((double)value[q] + (double)value[q + 1]) : (double)value[q];
+        thick += ((double)border[q + 1] - (double)border[q]) / (BM49_SIDE - 1) * bm49_extinction * mean;
+    }
+    total->seconds += bench_cpu() - start;
+    total->samples += (double)(n - 1 + (size_t)linear) / BM49_PIXELS;
+    total->sum += pow(r->opacity - (1.0 - exp(-thick)), 2.0);
+}
+
+static void ways_slices_by_rule(opacity_rule how, const slice_ray *r, slice_total *total) {
+    uint32_t ways[BM49_SLOTS], k;
+    double thick = 0.0, slots = 0.0;
+    const double start = bench_cpu();
+    opacity_slots(how, r->level, BM49_SLOTS, ways);
+    for (k = 0; k < BM49_SLOTS; k++) {
+        ways[k] = ways[k] < BM49_SLOTS - k ? ways[k] : BM49_SLOTS - k; /* none goes on behind the last */
+        thick += (double)ways[k] / (BM49_SIDE - 1) * bm49_extinction * (double)r->v[k];
+        total->samples += (ways[k] != 0) / (double)BM49_PIXELS;
+        slots += (double)ways[k];
+    }
+    total->off += fabs(slots - BM49_SLOTS) / (double)BM49_PIXELS;
+    total->seconds += bench_cpu() - start;
+    total->sum += pow(r->opacity - (1.0 - exp(-thick)), 2.0);
+}
+
+static void ways_slices_rule_line(const char *name, const slice_total *total) {
+    bench_line("tetcast.slices", name, "samples_per_ray", total->samples, "");
+    bench_num("error", 255.0 * sqrt(total->sum / BM49_PIXELS));
+    bench_text("error_unit", "1/255 rms of opacity, to 64 times as many samples");
+    bench_num("way_off", total->off / BM49_SLOTS); /* share of a ray that counts twice or not at all */
+    bench_num("seconds", total->seconds);
+    bench_num("threads", 1);
+    bench_end();
+}
+
+static void ways_slices_step_line(const char *kase, double step, const slice_total *total) {
+    bench_line("tetcast.steps", kase, "samples_per_ray", total->samples, "");
+    bench_num("error", 255.0 * sqrt(total->sum / BM49_PIXELS));
+    bench_text("error_unit", "1/255 rms of opacity");
+    bench_num("step", step);
+    bench_num("seconds", total->seconds);
+    bench_num("threads", 1);
+    bench_end();
+}
+
+/* Opacity along rays in x through bricks that get coarser away from one face: by slices as the thesis counts them. */
+static void bm49(void) {
+    static const char *const names[BM49_RULES] = {"naive", "repaired", "misprint", "exact", "ours"};
+    static const float steps[5] = {0.25f, 0.5f, 1.0f, 2.0f, 4.0f};
+    slice_scene s;
+    slice_total rules[BM49_RULES], slopes[2][BM49_DELTAS];
+    float *bounds = (float *)must_alloc(5 * BM49_ROOM, sizeof *bounds);
+    uint32_t i, j;
+    int how, kind;
+    memset(rules, 0, sizeof rules);
+    memset(slopes, 0, sizeof slopes);
+    ways_slices_open(&s);
+    rules[4] = ways_slices_frame(&s, 1.0f, 0);
+    for (j = 0; j < BM49_RAYS; j++)
+        for (i = 0; i < BM49_RAYS; i++) {
+            slice_ray r;
+            ways_slices_ray(&s, i, j, &r);
+            for (how = 0; how < BM49_DELTAS; how++)
+                for (kind = 0; kind < 2; kind++) ways_slices_by_slope(s.cut, &r, bm49_delta[how], kind, bounds, &slopes[kind][how]);
+            for (how = 0; how < 4; how++) ways_slices_by_rule((opacity_rule)how, &r, &rules[how]);
         }
     free(bounds);
-    for (how = 0; how < 5; how++) { /* step against error */
-        static const float steps[5] = {0.25f, 0.5f, 1.0f, 2.0f, 4.0f};
-        int fixed;
-        for (fixed = 0; fixed < 2; fixed++) {
-            double e = 0.0, s;
-            f.d.step = steps[how];
-            f.d.fixed_step = (uint32_t)fixed;
-            s = fastest(run_brick_frame, &f, 3);
-            for (i = 0; i < RAYS * RAYS; i++) e += pow((double)finest[4 * i + 3] - (double)f.image.rgba[4 * i + 3], 2.0);
-            bench_line("tetcast.steps", fixed ? "fixed" : "by level", "samples_per_ray", (double)f.stats.steps / (RAYS * RAYS), "");
-            bench_num("error", 255.0 * sqrt(e / (RAYS * RAYS)));
-            bench_text("error_unit", "1/255 rms of opacity");
-            bench_num("step", (double)steps[how]);
-            bench_num("seconds", s);
-            bench_num("threads", 1);
-            bench_end();
+    for (how = 0; how < BM49_RULES; how++) ways_slices_rule_line(names[how], &rules[how]);
+    for (kind = 0; kind < 2; kind++) /* step: of the value */
+        for (how = 0; how < BM49_DELTAS; how++)
+            ways_slices_step_line(kind != 0 ? "by slope, linear" : "by slope", bm49_delta[how], &slopes[kind][how]);
+    for (how = 0; how < 5; how++) /* step against error */
+        for (kind = 0; kind < 2; kind++) {
+            const slice_total total = ways_slices_frame(&s, steps[how], kind);
+            ways_slices_step_line(kind != 0 ? "fixed" : "by level", (double)steps[how], &total);
         }
-    }
-    free(finest);
-    free(f.image.rgba);
-    tetcast_cut_destroy(cut);
-    tetcast_bricks_destroy(b);
-    tetcast_optics_destroy(o);
-    tetcast_transfer_destroy(t);
+    ways_slices_close(&s);
 }
 
 /* ---- BM50 ---- */

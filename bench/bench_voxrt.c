@@ -2015,6 +2015,96 @@ static void pages_line(const char *kase, const char *name, double tolerance, siz
     bench_end();
 }
 
+/* The file of a mesh, and a camera that sees all of it. */
+static void build_pages(const voxrt_build_desc *d, const voxrt_mesh *m, const char *path, const char *kase, size_t memory,
+                        voxrt_camera *camera) {
+    voxrt_build_stats stats;
+    voxrt_paged_info info;
+    voxrt_geometry g;
+    voxrt_paged *p;
+    double start = bench_wall(), cpu = bench_cpu();
+    must(voxrt_paged_build_file(d, m, path, &stats), "pages");
+    cpu = bench_cpu() - cpu;
+    start = bench_wall() - start;
+    p = open_pages(path, memory, 0);
+    voxrt_paged_get_info(p, &info);
+    bench_line("voxrt.pages", kase, "build", cpu, "s");
+    bench_num("wall", start);
+    bench_num("voxels", (double)info.voxel_count);
+    bench_num("bytes", (double)info.file_bytes);
+    bench_num("pages", info.page_count);
+    bench_num("peak_bytes", (double)stats.peak_bytes);
+    bench_end();
+    voxrt_paged_geometry(p, &g);
+    must(voxrt_camera_fit(camera, g.box_min, g.box_max, NULL, WIDTH, HEIGHT), "camera");
+    voxrt_paged_destroy(p);
+}
+
+/* Pictures until nothing is missing in the last; gives its hash, and in *most the memory that pages took. */
+static uint64_t pages_until_exact(frame_job f, const char *path, const char *kase, size_t memory, int wait, size_t *most) {
+    voxrt_paged *p = open_pages(path, memory, (uint32_t)wait);
+    voxrt_paged_update_stats u;
+    voxrt_paged_info info;
+    voxrt_geometry g;
+    double start, cpu, first = 0.0;
+    uint64_t hash;
+    int pictures = 0;
+    voxrt_paged_geometry(p, &g);
+    f.desc.geometry = &g;
+    f.desc.geometry_count = 1;
+    start = bench_wall();
+    cpu = bench_cpu();
+    do {
+        run_frame(&f);
+        if (pictures++ == 0) first = bench_cpu() - cpu;
+        must(voxrt_paged_update(p, 0, &u), "pages");
+        if (u.no_room != 0) voxrt_paged_wait(p, 1); /* the last picture is exact all the same */
+    } while (u.wanted != 0);
+    cpu = bench_cpu() - cpu;
+    hash = bench_hash_bytes(f.image.rgba8, (size_t)4 * WIDTH * HEIGHT);
+    pages_line(kase, wait ? "exact_at_once" : "coarse_to_exact", (double)f.desc.tolerance, memory, p, first, cpu,
+               bench_wall() - start, pictures, hash);
+    voxrt_paged_get_info(p, &info);
+    *most = (size_t)info.memory;
+    voxrt_paged_destroy(p);
+    return hash;
+}
+
+/* All of it in memory: what pages cost when nothing is missing. Gives the hash of the tree's picture. */
+static uint64_t pages_beside_tree(frame_job f, const char *path, const char *kase, const voxrt_build_desc *d, const voxrt_mesh *m) {
+    voxrt_tree *tree = NULL;
+    voxrt_paged *p;
+    voxrt_geometry g, whole;
+    frame_job of = f;
+    bench_job b[2];
+    uint64_t exact;
+    must(voxrt_tree_build(d, m, NULL, &tree), "tree");
+    p = open_pages(path, 1024u << 20, 1);
+    voxrt_paged_geometry(p, &g);
+    voxrt_tree_geometry(tree, &whole);
+    f.desc.geometry = &g;
+    of.desc.geometry = &whole;
+    f.desc.geometry_count = of.desc.geometry_count = 1;
+    run_frame(&f);
+    memset(b, 0, sizeof b);
+    b[0].name = "tree";
+    b[0].run = run_frame;
+    b[0].ctx = &of;
+    b[1].name = "pages";
+    b[1].run = run_frame;
+    b[1].ctx = &f;
+    bench_interleave(b, 2, ROUNDS);
+    run_frame(&of);
+    exact = bench_hash_bytes(f.image.rgba8, (size_t)4 * WIDTH * HEIGHT);
+    bench_line("voxrt.pages", kase, "warm", 1e3 * bench_seconds(&b[1]), "ms");
+    bench_num("tree", 1e3 * bench_seconds(&b[0]));
+    bench_num("ratio", bench_ratio(&b[0], &b[1]));
+    bench_end();
+    voxrt_tree_destroy(tree);
+    voxrt_paged_destroy(p);
+    return exact;
+}
+
 /* A terrain as a file in pages, made piece by piece; then from coarse to exact, picture by picture, and at once; with level
    of detail and without it, in 2 GiB and in a tenth of that. Where it fits into memory also against the tree. */
 static void bm17(void) {
@@ -2025,12 +2115,8 @@ static void bm17(void) {
     sup_mesh mesh;
     voxrt_mesh m;
     voxrt_build_desc d;
-    voxrt_build_stats stats;
     frame_job f;
-    voxrt_geometry g;
-    voxrt_paged *p;
-    double start, cpu;
-    uint64_t hash[5] = {0}, exact = 0; /* of the last picture in each way; of that of the tree, or else of what was loaded at once */
+    uint64_t hash[5] = {0}, exact; /* of the last picture in each way; of that of the tree, or else of what was loaded at once */
     size_t most[5] = {0};
     int way, wrong = 0;
     memset(&mesh, 0, sizeof mesh);
@@ -2043,89 +2129,16 @@ static void bm17(void) {
     d.resolution = resolution;
     d.palette_size = 16777216;
     d.env.thread_count = (uint32_t)g_opt.threads;
-    start = bench_wall();
-    cpu = bench_cpu();
-    must(voxrt_paged_build_file(&d, &m, path, &stats), "pages");
-    cpu = bench_cpu() - cpu;
-    start = bench_wall() - start;
-    p = open_pages(path, room, 0);
-    {
-        voxrt_paged_info info;
-        voxrt_paged_get_info(p, &info);
-        bench_line("voxrt.pages", kase, "build", cpu, "s");
-        bench_num("wall", start);
-        bench_num("voxels", (double)info.voxel_count);
-        bench_num("bytes", (double)info.file_bytes);
-        bench_num("pages", info.page_count);
-        bench_num("peak_bytes", (double)stats.peak_bytes);
-        bench_end();
-    }
-    voxrt_paged_geometry(p, &g);
+    build_pages(&d, &m, path, kase, room, &f.desc.camera);
     f.image.width = WIDTH;
     f.image.height = HEIGHT;
     f.image.rgba8 = (uint8_t *)must_alloc((size_t)WIDTH * HEIGHT, 4);
     f.desc.env.thread_count = 1;
-    f.desc.geometry = &g;
-    f.desc.geometry_count = 1;
-    must(voxrt_camera_fit(&f.desc.camera, g.box_min, g.box_max, NULL, WIDTH, HEIGHT), "camera");
-    voxrt_paged_destroy(p);
     for (way = 0; way < 5; way++) { /* level of detail, full: from coarse to exact, at once; full in a tenth of the memory */
-        const int wait = way == 1 || way >= 3;
-        const size_t memory = way == 4 ? room / 10 : room;
-        voxrt_paged_update_stats u;
-        double first = 0.0;
-        int pictures = 0;
         f.desc.tolerance = way < 2 ? 1.0f : 0.0f;
-        p = open_pages(path, memory, (uint32_t)wait);
-        voxrt_paged_geometry(p, &g);
-        start = bench_wall();
-        cpu = bench_cpu();
-        do {
-            run_frame(&f);
-            if (pictures++ == 0) first = bench_cpu() - cpu;
-            must(voxrt_paged_update(p, 0, &u), "pages");
-            if (u.no_room != 0) voxrt_paged_wait(p, 1); /* the last picture is exact all the same */
-        } while (u.wanted != 0);
-        cpu = bench_cpu() - cpu;
-        hash[way] = bench_hash_bytes(f.image.rgba8, (size_t)4 * WIDTH * HEIGHT);
-        pages_line(kase, wait ? "exact_at_once" : "coarse_to_exact", (double)f.desc.tolerance, memory, p, first, cpu,
-                   bench_wall() - start, pictures, hash[way]);
-        {
-            voxrt_paged_info info;
-            voxrt_paged_get_info(p, &info);
-            most[way] = (size_t)info.memory;
-        }
-        voxrt_paged_destroy(p);
+        hash[way] = pages_until_exact(f, path, kase, way == 4 ? room / 10 : room, way == 1 || way >= 3, &most[way]);
     }
-    if (!g_opt.full) { /* all of it in memory: what pages cost when nothing is missing */
-        voxrt_tree *tree = NULL;
-        voxrt_geometry whole;
-        frame_job of = f;
-        bench_job b[2];
-        must(voxrt_tree_build(&d, &m, NULL, &tree), "tree");
-        p = open_pages(path, 1024u << 20, 1);
-        voxrt_paged_geometry(p, &g);
-        voxrt_tree_geometry(tree, &whole);
-        of.desc.geometry = &whole;
-        run_frame(&f);
-        memset(b, 0, sizeof b);
-        b[0].name = "tree";
-        b[0].run = run_frame;
-        b[0].ctx = &of;
-        b[1].name = "pages";
-        b[1].run = run_frame;
-        b[1].ctx = &f;
-        bench_interleave(b, 2, ROUNDS);
-        run_frame(&of);
-        exact = bench_hash_bytes(f.image.rgba8, (size_t)4 * WIDTH * HEIGHT);
-        bench_line("voxrt.pages", kase, "warm", 1e3 * bench_seconds(&b[1]), "ms");
-        bench_num("tree", 1e3 * bench_seconds(&b[0]));
-        bench_num("ratio", bench_ratio(&b[0], &b[1]));
-        bench_end();
-        voxrt_tree_destroy(tree);
-        voxrt_paged_destroy(p);
-    }
-    if (g_opt.full) exact = hash[3];
+    exact = g_opt.full ? hash[3] : pages_beside_tree(f, path, kase, &d, &m);
     for (way = 2; way < 5; way++) wrong += hash[way] != exact || most[way] > (way == 4 ? room / 10 : room);
     table_set("pages", "%d of 3", wrong);
     free(f.image.rgba8);

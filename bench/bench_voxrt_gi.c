@@ -263,24 +263,86 @@ static wrong compare(const ray_job *exact, const ray_job *j) {
     return w;
 }
 
+typedef struct ray_way { const char *name, *isa; int way; uint32_t steps; voxrt_isa isa_id; int any, normals; size_t group; } ray_way;
+
+static const ray_way ray_ways[] = {
+    {"cell by cell, double", "scalar", BASELINE_EXACT, 0, VOXRT_ISA_AUTO, 0, 0, 0},
+    {"thesis", "scalar", BASELINE_EPSILON, 0, VOXRT_ISA_AUTO, 0, 0, 0},
+    {"thesis, 64 steps", "scalar", BASELINE_EPSILON, 64, VOXRT_ISA_AUTO, 0, 0, 0},
+    {"90 points", "scalar", BASELINE_MARCH, 90, VOXRT_ISA_AUTO, 0, 0, 0},
+    {"90 points of 3 bits", "scalar", BASELINE_MARCH_3, 90, VOXRT_ISA_AUTO, 0, 0, 0},
+    {"512 points", "scalar", BASELINE_MARCH, 512, VOXRT_ISA_AUTO, 0, 0, 0},
+    {"columns", "scalar", -1, 0, VOXRT_ISA_SCALAR, 0, 0, 0},
+    {"columns", "auto", -1, 0, VOXRT_ISA_AUTO, 0, 0, 0},
+    {"columns, any hit", "auto", -1, 0, VOXRT_ISA_AUTO, 1, 0, 0},
+    {"columns, calls of 64 rays", "auto", -1, 0, VOXRT_ISA_AUTO, 0, 0, 64},
+    {"columns, planes of the start", "auto", -1, 0, VOXRT_ISA_AUTO, 0, 1, 0},
+    {"tree of the same cells", "auto", -2, 0, VOXRT_ISA_AUTO, 0, 0, 0},
+    {"tree of the same cells, any hit", "auto", -2, 0, VOXRT_ISA_AUTO, 1, 0, 0},
+    {"octree of the same cells", "auto", -3, 0, VOXRT_ISA_AUTO, 0, 0, 0}
+};
+enum { RAY_WAYS = sizeof ray_ways / sizeof ray_ways[0] };
+
+/* The same rays through the same cells, in each way; with room for what is found. */
+static void make_ray_jobs(ray_job *t, bench_job *b, const voxrt_columns *c, const voxrt_tree *tree, const voxrt_octree *octree,
+                          const ray_set *s) {
+    int i;
+    memset(t, 0, RAY_WAYS * sizeof *t);
+    memset(b, 0, RAY_WAYS * sizeof *b);
+    for (i = 0; i < RAY_WAYS; i++) {
+        t[i].columns = c;
+        t[i].tree = tree;
+        t[i].octree = octree;
+        t[i].rays = s;
+        t[i].way = ray_ways[i].way;
+        t[i].steps = ray_ways[i].steps;
+        t[i].isa = ray_ways[i].isa_id;
+        t[i].any = ray_ways[i].any;
+        t[i].normals = ray_ways[i].normals;
+        t[i].group = ray_ways[i].group;
+        t[i].found = (voxrti_column_found *)must_alloc(s->count, sizeof *t[i].found);
+        t[i].hit = (uint8_t *)must_alloc(s->count, 1);
+        t[i].hits = (voxrt_column_hit *)must_alloc(s->count, sizeof *t[i].hits);
+        if (ray_ways[i].way < -1) t[i].tree_hits = (voxrt_hit *)must_alloc(s->count, sizeof *t[i].tree_hits);
+        b[i].name = ray_ways[i].name;
+        b[i].isa = ray_ways[i].isa;
+        b[i].run = run_rays;
+        b[i].ctx = &t[i];
+    }
+}
+
+static void free_ray_jobs(ray_job *t) {
+    int i;
+    for (i = 0; i < RAY_WAYS; i++) {
+        free(t[i].found);
+        free(t[i].hit);
+        free(t[i].hits);
+        free(t[i].tree_hits);
+    }
+}
+
+/* Of way i, with what it finds wrong. */
+static void ray_line(const char *kase, const ray_job *t, const bench_job *b, int i, const wrong *w) {
+    const size_t count = t[i].rays->count;
+    bench_line("voxrt.columns.rays", kase, "rays_per_second", bench_rate(&b[i], (double)count), "1/s");
+    bench_num("best", bench_rate_best(&b[i], (double)count));
+    if (!t[i].normals) {
+        bench_num("error", (double)w->missed / (double)count);
+        bench_text("error_unit", "share of rays that miss what is there");
+        bench_num("false_hits", (double)w->extra / (double)count);
+        bench_num("other_cells", (double)w->other / (double)count);
+    }
+    bench_num("times_thesis", bench_ratio(&b[1], &b[i]));
+    one_thread(&b[i]);
+    bench_num("rays", (double)count);
+    if (i == 7 || t[i].normals) count_steps(&t[i]);
+    bench_hash(t[i].way < -1 && !t[i].any ? bench_hash_bytes(t[i].tree_hits, count * sizeof *t[i].tree_hits) :
+               t[i].way < 0 && !t[i].any ? bench_hash_bytes(t[i].hits, count * sizeof *t[i].hits) :
+               bench_hash_bytes(t[i].hit, count));
+    bench_end();
+}
+
 static void bm3(void) {
-    static const struct { const char *name, *isa; int way; uint32_t steps; voxrt_isa isa_id; int any, normals; size_t group; } ways[] = {
-        {"cell by cell, double", "scalar", BASELINE_EXACT, 0, VOXRT_ISA_AUTO, 0, 0, 0},
-        {"thesis", "scalar", BASELINE_EPSILON, 0, VOXRT_ISA_AUTO, 0, 0, 0},
-        {"thesis, 64 steps", "scalar", BASELINE_EPSILON, 64, VOXRT_ISA_AUTO, 0, 0, 0},
-        {"90 points", "scalar", BASELINE_MARCH, 90, VOXRT_ISA_AUTO, 0, 0, 0},
-        {"90 points of 3 bits", "scalar", BASELINE_MARCH_3, 90, VOXRT_ISA_AUTO, 0, 0, 0},
-        {"512 points", "scalar", BASELINE_MARCH, 512, VOXRT_ISA_AUTO, 0, 0, 0},
-        {"columns", "scalar", -1, 0, VOXRT_ISA_SCALAR, 0, 0, 0},
-        {"columns", "auto", -1, 0, VOXRT_ISA_AUTO, 0, 0, 0},
-        {"columns, any hit", "auto", -1, 0, VOXRT_ISA_AUTO, 1, 0, 0},
-        {"columns, calls of 64 rays", "auto", -1, 0, VOXRT_ISA_AUTO, 0, 0, 64},
-        {"columns, planes of the start", "auto", -1, 0, VOXRT_ISA_AUTO, 0, 1, 0},
-        {"tree of the same cells", "auto", -2, 0, VOXRT_ISA_AUTO, 0, 0, 0},
-        {"tree of the same cells, any hit", "auto", -2, 0, VOXRT_ISA_AUTO, 1, 0, 0},
-        {"octree of the same cells", "auto", -3, 0, VOXRT_ISA_AUTO, 0, 0, 0}
-    };
-    enum { WAYS = sizeof ways / sizeof ways[0] };
     const size_t count = g_opt.full ? 2500000 : 60000; /* 10^7 in all with --full */
     double rate[2][2], any[2][2];
     size_t missed = 0, extra = 0, other = 0;
@@ -292,51 +354,15 @@ static void bm3(void) {
         must(voxrt_octree_from_tree(NULL, tree, &octree), "octree");
         for (length = 0; length < 2; length++) {
             ray_set s = make_rays(c, count, length ? 400.0f : 32.0f);
-            ray_job t[WAYS];
-            bench_job b[WAYS];
+            ray_job t[RAY_WAYS];
+            bench_job b[RAY_WAYS];
             char kase[64];
-            memset(t, 0, sizeof t);
-            memset(b, 0, sizeof b);
             snprintf(kase, sizeof kase, "%s, %s", scene ? "open box" : "hall", length ? "whole box" : "32 cells");
-            for (i = 0; i < WAYS; i++) {
-                t[i].columns = c;
-                t[i].tree = tree;
-                t[i].octree = octree;
-                t[i].rays = &s;
-                t[i].way = ways[i].way;
-                t[i].steps = ways[i].steps;
-                t[i].isa = ways[i].isa_id;
-                t[i].any = ways[i].any;
-                t[i].normals = ways[i].normals;
-                t[i].group = ways[i].group;
-                t[i].found = (voxrti_column_found *)must_alloc(count, sizeof *t[i].found);
-                t[i].hit = (uint8_t *)must_alloc(count, 1);
-                t[i].hits = (voxrt_column_hit *)must_alloc(count, sizeof *t[i].hits);
-                if (ways[i].way < -1) t[i].tree_hits = (voxrt_hit *)must_alloc(count, sizeof *t[i].tree_hits);
-                b[i].name = ways[i].name;
-                b[i].isa = ways[i].isa;
-                b[i].run = run_rays;
-                b[i].ctx = &t[i];
-            }
-            run_jobs(b, WAYS, g_opt.full ? 1 : ROUNDS);
-            for (i = 0; i < WAYS; i++) {
+            make_ray_jobs(t, b, c, tree, octree, &s);
+            run_jobs(b, RAY_WAYS, g_opt.full ? 1 : ROUNDS);
+            for (i = 0; i < RAY_WAYS; i++) {
                 const wrong w = compare(&t[0], &t[i]);
-                bench_line("voxrt.columns.rays", kase, "rays_per_second", bench_rate(&b[i], (double)count), "1/s");
-                bench_num("best", bench_rate_best(&b[i], (double)count));
-                if (!t[i].normals) {
-                    bench_num("error", (double)w.missed / (double)count);
-                    bench_text("error_unit", "share of rays that miss what is there");
-                    bench_num("false_hits", (double)w.extra / (double)count);
-                    bench_num("other_cells", (double)w.other / (double)count);
-                }
-                bench_num("times_thesis", bench_ratio(&b[1], &b[i]));
-                one_thread(&b[i]);
-                bench_num("rays", (double)count);
-                if (i == 7 || t[i].normals) count_steps(&t[i]);
-                bench_hash(t[i].way < -1 && !t[i].any ? bench_hash_bytes(t[i].tree_hits, count * sizeof *t[i].tree_hits) :
-                           t[i].way < 0 && !t[i].any ? bench_hash_bytes(t[i].hits, count * sizeof *t[i].hits) :
-                           bench_hash_bytes(t[i].hit, count));
-                bench_end();
+                ray_line(kase, t, b, i, &w);
                 if (i == 7) {
                     missed += w.missed;
                     extra += w.extra;
@@ -345,12 +371,7 @@ static void bm3(void) {
                 }
                 if (i == 8) any[length][scene] = 1e-6 * bench_rate(&b[i], (double)count);
             }
-            for (i = 0; i < WAYS; i++) {
-                free(t[i].found);
-                free(t[i].hit);
-                free(t[i].hits);
-                free(t[i].tree_hits);
-            }
+            free_ray_jobs(t);
             free(s.ray);
             free(s.normal);
         }
@@ -991,41 +1012,39 @@ static void quality_line(const char *kase, double error, const char *unit) {
     bench_end();
 }
 
-static void bm7(void) {
-    enum { POINTS = 512 };
-    const double r = 9.0;
-    double error[3], hidden[2], at_foot[3] = {0, 0, 0}, whole = 0.0;
+enum { BM7_POINTS = 512 };
+
+static void inside_out_sphere(double r, sup_mesh *m) {
+    if (sup_scene_make("sphere", 96, m)) must(VOXRT_ERR_NO_MEMORY, "sphere");
+    for (size_t v = 0; v < m->vertex_count; v++) {
+        bench_unit(m->positions + 3 * v);
+        for (int k = 0; k < 3; k++) m->positions[3 * v + (size_t)k] *= (float)r;
+    }
+    for (size_t t = 0; t < m->triangle_count; t++) {
+        const uint32_t b = m->indices[3 * t + 1];
+        m->indices[3 * t + 1] = m->indices[3 * t + 2];
+        m->indices[3 * t + 2] = b;
+    }
+    free(m->vertex_rgb);
+    free(m->triangle_rgb);
+    m->vertex_rgb = m->triangle_rgb = NULL;
+}
+
+/* Light of one to three bounces in a closed sphere with the lamp in its middle. */
+static void light_in_sphere(voxrt_gi_render_desc d, double r, const voxrt_gbuffer *g, float *out) {
+    double error[3];
     sup_mesh m;
     voxrt_gi *gi;
-    voxrt_gi_render_desc d;
-    voxrt_gbuffer g = sphere_points(POINTS, r);
-    float *out = (float *)must_alloc(POINTS, 12);
-    int i, k;
-    if (sup_scene_make("sphere", 96, &m)) must(VOXRT_ERR_NO_MEMORY, "sphere");
-    for (size_t v = 0; v < m.vertex_count; v++) { /* to radius r, turned inside out */
-        bench_unit(m.positions + 3 * v);
-        for (k = 0; k < 3; k++) m.positions[3 * v + (size_t)k] *= (float)r;
-    }
-    for (size_t t = 0; t < m.triangle_count; t++) {
-        const uint32_t b = m.indices[3 * t + 1];
-        m.indices[3 * t + 1] = m.indices[3 * t + 2];
-        m.indices[3 * t + 2] = b;
-    }
-    free(m.vertex_rgb);
-    free(m.triangle_rgb);
-    m.vertex_rgb = m.triangle_rgb = NULL;
+    inside_out_sphere(r, &m);
     gi = closed_scene(&m, 10.0, 0.0, r * r);
-    memset(&d, 0, sizeof d);
-    d.rays = 512;
-    d.env.thread_count = 1;
-    for (k = 1; k <= 3; k++) {
+    for (int k = 1; k <= 3; k++) {
         char kase[64];
         const double q = pow(floor(sqrt(0.5) * 255.0 + 0.5) / 255.0, 2.0), want = q * (1.0 - pow(q, k)) / (1.0 - q);
         double sum = 0.0;
         d.method = k == 1 ? VOXRT_GI_GATHER : VOXRT_GI_PATH;
         d.bounces = (uint32_t)k;
-        must(voxrt_gi_render(&d, gi, &g, NULL, out, NULL), "light");
-        for (i = 0; i < POINTS; i++) sum += 3.14159265358979 * (double)out[3 * i] / POINTS;
+        must(voxrt_gi_render(&d, gi, g, NULL, out, NULL), "light");
+        for (int i = 0; i < BM7_POINTS; i++) sum += 3.14159265358979 * (double)out[3 * i] / BM7_POINTS;
         error[k - 1] = 100.0 * (sum / want - 1.0);
         snprintf(kase, sizeof kase, "closed sphere, %d bounces", k);
         quality_line(kase, error[k - 1], "%");
@@ -1033,92 +1052,110 @@ static void bm7(void) {
     table_set("sphere", "%+.2f / %+.2f / %+.2f", error[0], error[1], error[2]);
     voxrt_gi_destroy(gi);
     sup_mesh_free(&m);
-    { /* a kerb: cells as they are set, rays from a floor beside it */
-        voxrt_columns *c = make_columns(128, 128);
-        voxrti_insert in;
-        bench_rng rng = {5};
-        const float up[3] = {0, 0, 1};
-        memset(&in, 0, sizeof in);
-        in.columns = c;
-        for (uint32_t y = 0; y < 128; y++)
-            for (uint32_t x = 0; x < 128; x++) {
-                voxrti_insert_run(&in, x, y, 20, 20);
-                if (x >= 24 && x <= 30) voxrti_insert_run(&in, x, y, 20, 22);
-            }
-        voxrt_columns_update(c);
-        for (k = 0; k < 2; k++) {
-            const double a = k == 0 ? 0.7 : 1.7, want = 0.5 * (1.0 - a / sqrt(a * a + 2.7 * 2.7));
-            const int many = g_opt.full ? 1000000 : 200000;
-            double hits = 0.0;
-            voxrt_columns_trace_desc t;
-            char kase[64];
-            memset(&t, 0, sizeof t);
-            t.normals = up;
-            for (i = 0; i < many; i++) {
-                voxrt_ray ray;
-                uint8_t dark;
-                bench_cosine(&rng, up, ray.dir);
-                ray.org[0] = (float)(31.0 + a);
-                ray.org[1] = 64.0f + bench_random(&rng);
-                ray.org[2] = 20.3f;
-                ray.t_min = 0.0f;
-                ray.t_max = 40.0f;
-                must(voxrt_columns_occluded(c, &t, &ray, &dark, 1), "rays");
-                hits += dark;
-            }
-            hidden[k] = hits / many - want;
-            snprintf(kase, sizeof kase, "kerb of 2.7 cells, %.1f cells away", a);
-            quality_line(kase, hidden[k], "share of the hemisphere");
+}
+
+/* A kerb: cells as they are set, rays from a floor beside it. */
+static void dark_beside_kerb(void) {
+    voxrt_columns *c = make_columns(128, 128);
+    voxrti_insert in;
+    bench_rng rng = {5};
+    const float up[3] = {0, 0, 1};
+    double hidden[2];
+    memset(&in, 0, sizeof in);
+    in.columns = c;
+    for (uint32_t y = 0; y < 128; y++)
+        for (uint32_t x = 0; x < 128; x++) {
+            voxrti_insert_run(&in, x, y, 20, 20);
+            if (x >= 24 && x <= 30) voxrti_insert_run(&in, x, y, 20, 22);
         }
-        table_set("kerb", "%+.4f / %+.4f", hidden[0], hidden[1]);
-        voxrt_columns_destroy(c);
+    voxrt_columns_update(c);
+    for (int k = 0; k < 2; k++) {
+        const double a = k == 0 ? 0.7 : 1.7, want = 0.5 * (1.0 - a / sqrt(a * a + 2.7 * 2.7));
+        const int many = g_opt.full ? 1000000 : 200000;
+        double hits = 0.0;
+        voxrt_columns_trace_desc t;
+        char kase[64];
+        memset(&t, 0, sizeof t);
+        t.normals = up;
+        for (int i = 0; i < many; i++) {
+            voxrt_ray ray;
+            uint8_t dark;
+            bench_cosine(&rng, up, ray.dir);
+            ray.org[0] = (float)(31.0 + a);
+            ray.org[1] = 64.0f + bench_random(&rng);
+            ray.org[2] = 20.3f;
+            ray.t_min = 0.0f;
+            ray.t_max = 40.0f;
+            must(voxrt_columns_occluded(c, &t, &ray, &dark, 1), "rays");
+            hits += dark;
+        }
+        hidden[k] = hits / many - want;
+        snprintf(kase, sizeof kase, "kerb of 2.7 cells, %.1f cells away", a);
+        quality_line(kase, hidden[k], "share of the hemisphere");
     }
-    for (int place = 0; place < 3; place++) {
-        /* a room of +-9, a wall of 0.1 cells at x = 0.013, the lamp on one side of it: light on the other side. What
-           reaches its foot goes through the cells that floor and wall have in common, so it depends on where the floor
-           lies in them: at 0.8 of a cell, and at 0.4 and 0.02 */
-        static const double within[3] = {0.8, 0.4, 0.02};
-        const double cell = 20.0 / GRID, low = (12.0 + within[place]) * cell - 10.0;
-        double p[4][3], lit = 0.0, dark = 0.0, foot = 0.0;
-        char kase[96];
-        memset(&m, 0, sizeof m);
-        m.positions = (float *)must_alloc(64, 12);
-        m.indices = (uint32_t *)must_alloc(64, 12);
-        for (k = 0; k < 8; k++)
-            for (i = 0; i < 4; i++) {
-                const int axis = k < 6 ? k / 2 : 0, u = (axis + 1) % 3, v = (axis + 2) % 3, side = k & 1;
-                const int corner = k < 6 && !side ? i : 3 - i;
-                p[i][axis] = k < 6 ? (side ? 9.0 : -9.0) : 0.013 + (k == 7 ? 0.1 * cell : 0.0);
-                if (k >= 6) {
-                    p[i][u] = (k == 6 ? 3 - i : i) % 3 == 0 ? -9.0 : 9.0;
-                    p[i][v] = (k == 6 ? 3 - i : i) < 2 ? -9.0 : 9.0;
-                } else {
-                    p[i][u] = corner % 3 == 0 ? -9.0 : 9.0;
-                    p[i][v] = corner < 2 ? -9.0 : 9.0;
-                }
-                p[i][1] = p[i][1] < 0.0 ? low : p[i][1];
-                if (i == 3) add_quad(&m, (const double (*)[3])p);
+    table_set("kerb", "%+.4f / %+.4f", hidden[0], hidden[1]);
+    voxrt_columns_destroy(c);
+}
+
+/* A room of +-9 with its floor at y = low, a wall of 0.1 cells at x = 0.013. */
+static void room_with_wall(double cell, double low, sup_mesh *m) {
+    double p[4][3];
+    memset(m, 0, sizeof *m);
+    m->positions = (float *)must_alloc(64, 12);
+    m->indices = (uint32_t *)must_alloc(64, 12);
+    for (int k = 0; k < 8; k++)
+        for (int i = 0; i < 4; i++) {
+            const int axis = k < 6 ? k / 2 : 0, u = (axis + 1) % 3, v = (axis + 2) % 3, side = k & 1;
+            const int corner = k < 6 && !side ? i : 3 - i;
+            p[i][axis] = k < 6 ? (side ? 9.0 : -9.0) : 0.013 + (k == 7 ? 0.1 * cell : 0.0);
+            if (k >= 6) {
+                p[i][u] = (k == 6 ? 3 - i : i) % 3 == 0 ? -9.0 : 9.0;
+                p[i][v] = (k == 6 ? 3 - i : i) < 2 ? -9.0 : 9.0;
+            } else {
+                p[i][u] = corner % 3 == 0 ? -9.0 : 9.0;
+                p[i][v] = corner < 2 ? -9.0 : 9.0;
             }
+            p[i][1] = p[i][1] < 0.0 ? low : p[i][1];
+            if (i == 3) add_quad(m, (const double (*)[3])p);
+        }
+}
+
+/* Points of the floor on both sides of the wall, odd ones on that of no lamp; every fourth at the wall's foot there. */
+static void points_beside_wall(double cell, double low, voxrt_gbuffer *g) {
+    for (int i = 0; i < BM7_POINTS; i++) {
+        bench_rng rng = {(uint64_t)i + 1};
+        float *q = g->position + 3 * i, *n = g->normal + 3 * i;
+        q[0] = (float)(i & 1 ? 1.0 : -1.0) * (0.4f + 8.0f * bench_random(&rng));
+        if (i % 4 == 3) q[0] = 0.013f + (float)cell * (0.6f + 4.4f * bench_random(&rng));
+        q[1] = (float)low;
+        q[2] = 16.0f * bench_random(&rng) - 8.0f;
+        n[0] = n[2] = 0.0f;
+        n[1] = 1.0f;
+    }
+}
+
+/* The lamp is on one side of the wall: light on the other side. What reaches its foot goes through the cells that floor and
+   wall have in common, so it depends on where the floor lies in them: at 0.8 of a cell, and at 0.4 and 0.02. */
+static void light_through_wall(voxrt_gi_render_desc d, voxrt_gbuffer *g, float *out) {
+    static const double within[3] = {0.8, 0.4, 0.02};
+    const double cell = 20.0 / GRID;
+    double at_foot[3] = {0, 0, 0}, whole = 0.0;
+    float *direct = (float *)must_alloc(BM7_POINTS, 12);
+    d.method = VOXRT_GI_GATHER;
+    d.bounces = 3;
+    for (int place = 0; place < 3; place++) {
+        const double low = (12.0 + within[place]) * cell - 10.0;
+        double lit = 0.0, dark = 0.0, foot = 0.0;
+        char kase[96];
+        sup_mesh m;
+        voxrt_gi *gi;
+        room_with_wall(cell, low, &m);
         gi = closed_scene(&m, 10.0, -5.0, 100.0);
         must(voxrt_gi_bounce(gi, NULL, 32, 0.0f, 1), "bounce");
-        for (i = 0; i < POINTS; i++) { /* the floor on both sides */
-            bench_rng rng = {(uint64_t)i + 1};
-            float *q = g.position + 3 * i, *n = g.normal + 3 * i;
-            q[0] = (float)(i & 1 ? 1.0 : -1.0) * (0.4f + 8.0f * bench_random(&rng));
-            if (i % 4 == 3) q[0] = 0.013f + (float)cell * (0.6f + 4.4f * bench_random(&rng));
-            q[1] = (float)low;
-            q[2] = 16.0f * bench_random(&rng) - 8.0f;
-            n[0] = n[2] = 0.0f;
-            n[1] = 1.0f;
-        }
-        d.method = VOXRT_GI_GATHER;
-        {
-            float *direct = (float *)must_alloc(POINTS, 12);
-            must(voxrt_gi_render(&d, gi, &g, direct, out, NULL), "light");
-            for (i = 0; i < POINTS; i++)
-                *(i % 4 == 3 ? &foot : i & 1 ? &dark : &lit) += ((double)out[3 * i] + (double)direct[3 * i]) * (i & 1 ? 2.0 : 1.0);
-            free(direct);
-        }
+        points_beside_wall(cell, low, g);
+        must(voxrt_gi_render(&d, gi, g, direct, out, NULL), "light");
+        for (int i = 0; i < BM7_POINTS; i++)
+            *(i % 4 == 3 ? &foot : i & 1 ? &dark : &lit) += ((double)out[3 * i] + (double)direct[3 * i]) * (i & 1 ? 2.0 : 1.0);
         snprintf(kase, sizeof kase, "light through a wall of 0.1 cells, floor at %.2f of its cell", within[place]);
         quality_line(kase, 100.0 * dark / lit, "%");
         snprintf(kase, sizeof kase, "the same at its foot, floor at %.2f of its cell", within[place]);
@@ -1129,6 +1166,20 @@ static void bm7(void) {
         sup_mesh_free(&m);
     }
     table_set("leak", "%.3f (%.2f, %.2f, %.2f)", whole, at_foot[0], at_foot[1], at_foot[2]);
+    free(direct);
+}
+
+static void bm7(void) {
+    const double r = 9.0;
+    voxrt_gi_render_desc d;
+    voxrt_gbuffer g = sphere_points(BM7_POINTS, r);
+    float *out = (float *)must_alloc(BM7_POINTS, 12);
+    memset(&d, 0, sizeof d);
+    d.rays = 512;
+    d.env.thread_count = 1;
+    light_in_sphere(d, r, &g, out);
+    dark_beside_kerb();
+    light_through_wall(d, &g, out);
     free(g.position);
     free(g.normal);
     free(g.albedo);

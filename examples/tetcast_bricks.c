@@ -896,6 +896,19 @@ static int slice_bricks(const options *o, const tetcast_env *env, const tetcast_
     return failed;
 }
 
+/* Values as colours, clear where there is none; gives how many there are. */
+static double paint_values(const float *values, size_t count, float least, float most, uint8_t *pixels) {
+    double covered = 0.0;
+    for (size_t i = 0; i < count; i++) {
+        memset(pixels + 4 * i, 0, 4);
+        if (!(values[i] == values[i])) continue;
+        covered += 1.0;
+        rainbow(most > least ? ((double)values[i] - (double)least) / ((double)most - (double)least) : 0.5, pixels + 4 * i);
+        pixels[4 * i + 3] = 255;
+    }
+    return covered;
+}
+
 static int slice(int argc, char **argv) {
     sup_option table[SUP_COMMON_OPTIONS + 20];
     tetcast_error error = {TETCAST_OK, 0, ""};
@@ -973,13 +986,7 @@ static int slice(int argc, char **argv) {
         if (r != TETCAST_OK) status = sup_fail_result(&err, o.in ? o.in : o.scene, r, &error);
     }
     seconds = sup_now() - start;
-    for (size_t i = 0; i < pixel_count && !status; i++) {
-        memset(pixels + 4 * i, 0, 4);
-        if (!(values[i] == values[i])) continue;
-        covered += 1.0;
-        rainbow(most > least ? ((double)values[i] - (double)least) / ((double)most - (double)least) : 0.5, pixels + 4 * i);
-        pixels[4 * i + 3] = 255;
-    }
+    if (!status) covered = paint_values(values, pixel_count, least, most, pixels);
     if (!status && o.section) status = write_section(o.section, &section, &err);
     if (!status && o.common.out) status = sup_png_write8(o.common.out, pixels, o.common.size[0], o.common.size[1], 4, &err);
     if (!status && o.common.stats) {
