@@ -194,7 +194,7 @@ static right_picture exact_picture(const tetcast_mesh *mesh, const tets *t, doub
             oracle_ray(mesh, t, p, n, 0, &ray, &list, rgba);
             r.rgb.insert(r.rgb.end(), rgba, rgba + 3);
         }
-    free(list.cell);
+    free(list.visit);
     return r;
 }
 
@@ -546,7 +546,7 @@ static void first_hit(const char *kase, int mesh_id) { /* VTK has no ray cast of
             if (want < 1e30 && got.hit < 1e30f) most = std::max(most, fabs((double)got.hit - want));
             else if (want < 1e30 || got.hit < 1e30f) most = std::max(most, 1.0);
         }
-    free(list.cell);
+    free(list.visit);
     p[0].error = most;
     peer_lines("T7", kase, "rays_per_second", "1/s", SIZE * SIZE, "largest error of a distance, edge of the cube", p, 1);
     tetcast_optics_destroy(o);
