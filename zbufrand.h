@@ -218,6 +218,7 @@
    M. van Herk: A fast algorithm for local minimum and maximum filters. Pattern Recognition Letters 13, 1992
    P. Felzenszwalb, D. Huttenlocher: Distance Transforms of Sampled Functions. Theory of Computing 8, 2012
    R. Motwani, P. Raghavan: Randomized Algorithms. Cambridge, 1995 (occupancy)
+   G. Steele, D. Lea, C. Flood: Fast Splittable Pseudorandom Number Generators. OOPSLA 2014 (hash of 64 bits)
    docs/algorithms.md says which equation is where, and what was corrected. */
 #ifndef ZBUFRAND_H_INCLUDED
 #define ZBUFRAND_H_INCLUDED
