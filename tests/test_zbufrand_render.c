@@ -2834,7 +2834,8 @@ TEST(cancelled) {
                 q.stop_at = at;
                 CHECK_EQ_U64(zbufrand_frame_create(&fd, &frame), ZBUFRAND_OK);
                 r = ask((asking)what, &w, frame, &b);
-                if (at == 0) CHECK_MSG(r == ZBUFRAND_OK && q.calls >= least[what], "%u asks %u times, result %d", what, (unsigned)q.calls, (int)r);
+                if (at == 0) /* one of several threads asks, between the tasks that it takes: how many that are is up to the machine */
+                    CHECK_MSG(r == ZBUFRAND_OK && q.calls >= (threads == 1 ? least[what] : 1), "%u asks %u times, result %d", what, (unsigned)q.calls, (int)r);
                 else if (q.calls >= at) {
                     CHECK_MSG(r == ZBUFRAND_ERR_CANCELLED, "%u, question %u: result %d", what, (unsigned)at, (int)r);
                     if (what != ASK_STREAM) CHECK_EQ_U64(error.code, ZBUFRAND_ERR_CANCELLED);
