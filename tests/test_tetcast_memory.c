@@ -816,7 +816,9 @@ TEST(cancelled) {
                 s.stop_at = at;
                 r = ask[i].run(&w, &env);
                 test_alloc_check(&ta);
-                if (at == 0) CHECK_MSG(r == TETCAST_OK && s.calls >= (threads == 1 ? ask[i].least : 1), "%s asks %u times, result %d", ask[i].name, (unsigned)s.calls, (int)r);
+                if (at == 0)
+                    CHECK_MSG(r == TETCAST_OK && s.calls >= (threads == 1 ? ask[i].least : 1), "%s asks %u times, result %d",
+                              ask[i].name, (unsigned)s.calls, (int)r);
                 else if (s.calls >= at)
                     CHECK_MSG(r == TETCAST_ERR_CANCELLED && error.code == r, "%s, question %u: result %d", ask[i].name, (unsigned)at, (int)r);
                 CHECK_MSG(threads > 1 || s.backwards == 0, "%s: %u steps back", ask[i].name, s.backwards);

@@ -685,7 +685,8 @@ TEST(cancelled) {
                 test_alloc_check(&ta);
                 (void)pthread_mutex_destroy(&s.lock);
                 if (at == 0) {
-                    CHECK_MSG(r == VOXRT_OK && s.calls >= (threads == 1 ? ask[i].least : 1), "%s asks %u times, result %d", ask[i].name, (unsigned)s.calls, (int)r);
+                    CHECK_MSG(r == VOXRT_OK && s.calls >= (threads == 1 ? ask[i].least : 1), "%s asks %u times, result %d",
+                              ask[i].name, (unsigned)s.calls, (int)r);
                     most = s.calls;
                 } else if (s.calls >= at) {
                     CHECK_MSG(r == VOXRT_ERR_CANCELLED && error.code == r && s.calls == at, "%s, question %u of %u: result %d, %u", ask[i].name,

@@ -2278,7 +2278,8 @@ TEST(cancelled) {
                 p.depth = depth;
                 p.number = number;
                 r = zbufrand_canvas_resolve(c, &source, &p, NULL);
-                if (at == 0) CHECK_MSG(r == ZBUFRAND_OK && q.calls >= (threads == 1 ? 4u : 1u), "%d asks %u times, result %d", option, (unsigned)q.calls, (int)r);
+                if (at == 0)
+                    CHECK_MSG(r == ZBUFRAND_OK && q.calls >= (threads == 1 ? 4u : 1u), "%d asks %u times, result %d", option, (unsigned)q.calls, (int)r);
                 else if (q.calls >= at) {
                     CHECK_MSG(r == ZBUFRAND_ERR_CANCELLED && error.code == r, "%d, question %u: result %d", option, (unsigned)at, (int)r);
                     if (threads == 1) CHECK_EQ_U64(q.calls, at); /* once is enough */
