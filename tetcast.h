@@ -23778,7 +23778,8 @@ static void tetcasti_few_prune(tetcasti_few *k, tetcasti_few_set *s) {
     }
 }
 
-/* The smallest width of a ladder of eighths of an octave that all widths are as near to as can be. */
+/* The smallest width of a ladder of eighths of an octave that all widths, of which there are some, are as near to as
+   can be. */
 static double tetcasti_few_ladder(const tetcasti_few_set *s) {
     double least = 1e300, best = 0.0, low = 1e300, mean = 0.0;
     uint32_t i, p;
@@ -23831,7 +23832,7 @@ static int tetcasti_few_round(tetcasti_few *k, tetcasti_few_set s, double mean_e
         m->bits.position[a] = c;
     }
     m->bits.width = 8;
-    m->bits.width_min = (float)tetcasti_few_ladder(&s);
+    if (s.count != 0) m->bits.width_min = (float)tetcasti_few_ladder(&s);
     memset(out, 0, sizeof *out);
     for (i = 0; i < s.count; i++) {
         tetcasti_fit_function *f = &out->f[i];

@@ -364,6 +364,7 @@ static void fits(const uint8_t *o, const float *f) {
     if (m[0] != NULL) {
         size_t bytes[2] = {0, 0};
         uint8_t *file[2] = {NULL, NULL};
+        tetcast_rbf *again = NULL;
         must(!(report[0].max_error > (double)d.max_error * 1.0001) || d.max_error == 0.0f);
         for (k = 0; k < 2; k++) {
             must(tetcast_rbf_save_memory(m[k], NULL, 0, &bytes[k]) == TETCAST_OK);
@@ -371,6 +372,8 @@ static void fits(const uint8_t *o, const float *f) {
             if (file[k] != NULL) must(tetcast_rbf_save_memory(m[k], file[k], bytes[k], &bytes[k]) == TETCAST_OK);
         }
         if (file[0] != NULL && file[1] != NULL) must(bytes[0] == bytes[1] && memcmp(file[0], file[1], bytes[0]) == 0);
+        if (file[0] != NULL) must(tetcast_rbf_load_memory(NULL, file[0], bytes[0], &again) == TETCAST_OK);
+        tetcast_rbf_destroy(again);
         free(file[0]);
         free(file[1]);
         look_at_functions(m[1], o, f);
