@@ -7,7 +7,7 @@
 #include "support/volume_look.h"
 
 enum { MAX_ISOVALUES = 16 };
-enum { METHOD_AUTO, METHOD_MARCH, METHOD_STRIPS, METHOD_PROJECT };
+enum { METHOD_AUTO, METHOD_MARCH, METHOD_STRIPS, METHOD_PROJECT, METHOD_FOAM };
 
 typedef struct options {
     sup_common common;
@@ -50,6 +50,10 @@ static int contradictions(const char *program, const options *o) {
         o->cells != TETCAST_CELLS_STRIPS_GENERAL) return sup_bad_usage(program, "--method strips: --cells are others");
     if (o->method == METHOD_PROJECT && (o->shader || o->has_cut))
         return sup_bad_usage(program, "--shader and --cut walk, they do not project");
+    if (o->method == METHOD_FOAM && (o->shader || o->has_cut || o->model != TETCAST_MODEL_VOLUME || o->colors || o->cue ||
+                                     o->common.has_tolerance || o->integrator))
+        return sup_bad_usage(program, "--method foam: only --model volume with associated colours, without --shader, --cut, --cue, "
+                                      "--tolerance and --integrator");
     if (o->has_light && o->shader != SUP_SHADER_SHADOW) return sup_bad_usage(program, "--light is for --shader shadow");
     if (o->light[0] == 0.0f && o->light[1] == 0.0f && o->light[2] == 0.0f)
         return sup_bad_usage(program, "--light: 0,0,0 is no direction");
@@ -96,8 +100,9 @@ static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
                                 "emission per length themselves (associated)");
     table[n++] = sup_opt_real("extinction", &o->scale, 1e-9, 1e9, "F", "multiplies all extinctions (a named function has them so that"
                               " most of the volume is seen)");
-    table[n++] = sup_opt_choice("method", &o->method, "auto|march|strips|project", "walk from cell to cell; through "
-                                "strips; project the cells (auto: the faster of the first and the last)");
+    table[n++] = sup_opt_choice("method", &o->method, "auto|march|strips|project|foam", "walk from cell to cell; "
+                                "through strips; project the cells (auto: the faster of the first and the last); foam: all that is nearest to"
+                                " a vertex has its colour");
     table[n++] = sup_opt_real("iso", &iso, -1e38, 1e38, "V", "show the surface of this value; may be repeated");
     table[n++] = sup_opt_given(
         sup_opt_real("iso-opacity", &o->opacity, 0.0, 1.0, "A", "of the surfaces (one: 1, several: 0.6)"), &o->has_opacity);
@@ -466,7 +471,8 @@ static void print_stats(const options *o, const tetcast_env *env, const char *fi
            (unsigned long long)s->rays, (unsigned long long)s->hit_rays, (unsigned long long)s->walks,
            (unsigned long long)s->steps, (unsigned long long)s->ended);
     printf(",\"method\":\"%s\"", s->method == TETCAST_METHOD_PROJECT ? "project" :
-                                    o->method == METHOD_STRIPS ? "strips" : "march");
+                                    o->method == METHOD_STRIPS ? "strips" :
+                                    o->method == METHOD_FOAM ? "foam" : "march");
     if (s->method == TETCAST_METHOD_PROJECT)
         printf(",\"projected_cells\":%llu,\"pixel_tests\":%llu,\"exact_tests\":%llu", (unsigned long long)s->cells,
                (unsigned long long)s->pixel_tests, (unsigned long long)s->exact_tests);
@@ -569,6 +575,34 @@ static tetcast_result draw_shaded(const options *o, const tetcast_render_desc *d
     return result;
 }
 
+/* Cells of the vertices, each with one colour. start: when drawing begins. */
+static tetcast_result draw_foam(const tetcast_render_desc *desc, const tetcast_mesh *mesh, const tetcast_transfer *transfer,
+                                const tetcast_image *image, tetcast_render_stats *stats, double *start) {
+    tetcast_mesh_info info;
+    tetcast_foam_desc d;
+    tetcast_foam *foam = NULL;
+    tetcast_site *sites;
+    tetcast_result result;
+    tetcast_mesh_get_info(mesh, &info);
+    sites = (tetcast_site *)sup_alloc((size_t)info.vertex_count, sizeof *sites);
+    if (!sites) return TETCAST_ERR_NO_MEMORY;
+    for (uint64_t i = 0; i < info.vertex_count; i++) {
+        float value = 0.0f, rgba[4];
+        tetcast_mesh_vertex(mesh, (uint32_t)i, sites[i].position, &value, NULL);
+        tetcast_transfer_eval(transfer, value, rgba);
+        memcpy(sites[i].rgb, rgba, sizeof sites[i].rgb);
+        sites[i].extinction = rgba[3];
+    }
+    memset(&d, 0, sizeof d);
+    d.env = desc->env;
+    result = tetcast_foam_create(&d, sites, (size_t)info.vertex_count, &foam);
+    SUP_FREE(sites);
+    *start = sup_now();
+    if (result == TETCAST_OK) result = tetcast_foam_render(desc, foam, image, stats);
+    tetcast_foam_destroy(foam);
+    return result;
+}
+
 int main(int argc, char **argv) {
     options o;
     tetcast_render_desc desc;
@@ -603,7 +637,8 @@ int main(int argc, char **argv) {
             desc.env.progress_user = &progress;
         }
         start = sup_now();
-        if (result == TETCAST_OK && !o.shader && !o.has_cut) result = tetcast_render(&desc, mesh, optics, &image, &stats);
+        if (result == TETCAST_OK && o.method == METHOD_FOAM) result = draw_foam(&desc, mesh, transfer, &image, &stats, &start);
+        else if (result == TETCAST_OK && !o.shader && !o.has_cut) result = tetcast_render(&desc, mesh, optics, &image, &stats);
         else if (result == TETCAST_OK) result = draw_shaded(&o, &desc, mesh, transfer, optics, &image, &stats);
         seconds = sup_now() - start;
         sup_progress_end(&progress);

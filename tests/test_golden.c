@@ -68,6 +68,7 @@
     X(TETCAST_RBF_VALUES, 0x79df52efdba4d083) \
     X(TETCAST_RBF_PICTURE, 0xd34ee0383845d60a) \
     X(TETCAST_TRACES, 0x8d236ab90943693a) \
+    X(TETCAST_FOAM, 0x780ea6560b0d8c4d) \
     X(TETCAST_CODECS, 0x6fc1bc8884aee9f8)
 
 typedef enum golden_name {
@@ -1468,6 +1469,48 @@ TEST(tetcast_functions) {
     }
 }
 
+TEST(tetcast_foams) {
+    enum { SITES = 500, NEAR = 64 };
+    static tetcast_site site[SITES];
+    static tet_picture p;
+    test_rng r = test_rng_make(19);
+    way w[5];
+    uint32_t k, i, a;
+    const uint32_t n = ways((uint32_t)tetcast_isa_best(), w);
+    memset(site, 0, sizeof site);
+    for (i = 0; i < SITES; i++) { /* half of them in the corners of cubes */
+        for (a = 0; a < 3; a++) {
+            site[i].position[a] = i % 2 ? (double)test_rng_below(&r, 6) : (double)test_rng_below(&r, 10 * 128) / 256.0;
+            site[i].rgb[a] = (float)test_rng_below(&r, 256) / 256.0f;
+        }
+        site[i].extinction = (float)test_rng_below(&r, 4) / 2.0f;
+    }
+    for (k = 0; k < n; k++) {
+        tetcast_foam_desc d;
+        tetcast_foam *foam = NULL;
+        tetcast_foam_info info;
+        tetcast_render_desc rd;
+        const tetcast_image image = tet_image(&p);
+        uint64_t h = 0;
+        memset(&d, 0, sizeof d);
+        memset(&rd, 0, sizeof rd);
+        d.env.thread_count = rd.env.thread_count = w[k].threads;
+        rd.isa = (tetcast_isa)w[k].isa;
+        rd.background[3] = 1;
+        REQUIRE(tetcast_foam_create(&d, site, SITES, &foam) == TETCAST_OK);
+        tetcast_foam_get_info(foam, &info);
+        for (i = 0; i < info.cell_count; i++) {
+            uint32_t near_by[NEAR], own;
+            const uint32_t count = tetcast_foam_cell(foam, i, &own, near_by, NEAR);
+            REQUIRE(count <= NEAR);
+            h = put_u32s(put_u32s(h, &own, 1), near_by, count);
+        }
+        REQUIRE(tetcast_foam_render(&rd, foam, &image, NULL) == TETCAST_OK);
+        is_golden(GOLDEN_TETCAST_FOAM, tet_hash(&p, h), &w[k]);
+        tetcast_foam_destroy(foam);
+    }
+}
+
 TEST(tetcast_codecs) {
     enum { W = 30, H = 21 };
     static uint8_t rgba[4 * W * H], packed[8 * W * H], back[4 * W * H];
@@ -1507,6 +1550,7 @@ int main(int argc, char **argv) {
     RUN(tetcast_meshes);
     RUN(tetcast_lattices);
     RUN(tetcast_functions);
+    RUN(tetcast_foams);
     RUN(tetcast_codecs);
     RUN(all_looked_at);
     return test_end();

@@ -589,6 +589,29 @@ static tetcast_result traces(world *w, const tetcast_env *env) {
     return r;
 }
 
+static tetcast_result foam(world *w, const tetcast_env *env) {
+    enum { SITES = 150 };
+    static tetcast_site site[SITES];
+    test_rng g = test_rng_make(3);
+    tetcast_foam_desc d;
+    tetcast_render_desc rd;
+    tetcast_foam *f = NULL;
+    tetcast_result r;
+    uint32_t i, a;
+    memset(&d, 0, sizeof d);
+    memset(&rd, 0, sizeof rd);
+    d.env = rd.env = *env;
+    for (i = 0; i < SITES; i++) {
+        for (a = 0; a < 3; a++) site[i].position[a] = test_rng_double(&g);
+        site[i].extinction = site[i].rgb[i % 3] = 1;
+    }
+    r = tetcast_foam_create(&d, site, SITES, &f);
+    CHECK((r == TETCAST_OK) == (f != NULL));
+    if (r == TETCAST_OK) r = tetcast_foam_render(&rd, f, &w->image, NULL);
+    tetcast_foam_destroy(f);
+    return r;
+}
+
 /* ---- all of them ---- */
 
 static const struct call { const char *name; tetcast_result (*run)(world *w, const tetcast_env *env); uint32_t least; } call[] = {
@@ -601,7 +624,7 @@ static const struct call { const char *name; tetcast_result (*run)(world *w, con
     {"bricks of functions", bricks_of_rbf, 3}, {"refined cells", amr, 3}, {"file of bricks", read_bricks, 3}, {"cut", cut, 3}, {"clip", clip, 2},
     {"shaded mesh", shaded_mesh, 2}, {"shaded bricks", shaded_bricks, 2}, {"picture of bricks", brick_picture, 2}, {"picture by walking", walked, 1},
     {"picture by projecting", projected, 3}, {"rays", rays, 1}, {"functions", rbf, 3}, {"picture of functions", rbf_picture, 1},
-    {"files of functions", rbf_files, 3}, {"traces", traces, 4}
+    {"files of functions", rbf_files, 3}, {"traces", traces, 4}, {"foam", foam, 12}
 };
 
 typedef struct one_call { world *w; uint32_t which; } one_call;
@@ -642,7 +665,7 @@ TEST(limits_hold) {
         tetcast_result r = TETCAST_ERR_NO_MEMORY;
         size_t limit;
         if (run == update || run == parameters || run == grid_mesh || run == clip || run == shaded_mesh || run == shaded_bricks ||
-            run == brick_picture || run == probed) continue;
+            run == brick_picture || run == probed || run == foam) continue;
         for (limit = 1000; r != TETCAST_OK && limit < ((size_t)1 << 30); limit += limit / 16) {
             tetcast_env env;
             test_alloc ta;
@@ -787,7 +810,7 @@ TEST(cancelled) {
         {"picture of functions", rbf_picture, 1}, {"resample", resampled, 1}, {"tables", tables, 30}, {"update", update, 1},
         {"traces", traces, 1}, {"long traces", long_traces, 4}, {"mesh of a grid", grid_mesh, 5}, {"picture by walking", walked, 1},
         {"checks", many_checks, 4}, {"picture by projecting", projected, 1}, {"fit with bases by trial", fit_by_trial, 100},
-        {"fit with a large base", fit_large_base, 60}};
+        {"fit with a large base", fit_large_base, 60}, {"foam", foam, 2}};
     static world w;
     size_t i;
     unsigned threads;
@@ -825,6 +848,28 @@ TEST(cancelled) {
                 if (at != 0 && (s.calls < at || at > most)) break;
             }
         }
+    world_close(&w);
+}
+
+/* Sizes up to 2^32 - 1 are refused where there are too many tiles, not taken for small ones. */
+TEST(pictures_too_large) {
+    static world w;
+    static const uint32_t size[3] = {0xffffffffu, 0xffffffe1u, 0x80000000u};
+    tetcast_env env;
+    uint32_t i;
+    world_open(&w);
+    memset(&env, 0, sizeof env);
+    env.thread_count = 1;
+    for (i = 0; i < 3; i++) {
+        memset(&w.image, 0, sizeof w.image);
+        w.image.width = w.image.height = size[i];
+        CHECK_EQ_U64(walked(&w, &env), TETCAST_ERR_RANGE);
+        CHECK_EQ_U64(projected(&w, &env), TETCAST_ERR_RANGE);
+        CHECK_EQ_U64(shaded_mesh(&w, &env), TETCAST_ERR_RANGE);
+        CHECK_EQ_U64(brick_picture(&w, &env), TETCAST_ERR_RANGE);
+        CHECK_EQ_U64(rbf_picture(&w, &env), TETCAST_ERR_RANGE);
+        CHECK_EQ_U64(foam(&w, &env), TETCAST_ERR_RANGE);
+    }
     world_close(&w);
 }
 
@@ -1013,6 +1058,7 @@ int main(int argc, char **argv) {
     RUN(every_request_refused);
     RUN(limits_hold);
     RUN(cancelled);
+    RUN(pictures_too_large);
     RUN(tables_too_short);
     RUN(functions_come_back);
     RUN(pictures_in_all_buffers);
