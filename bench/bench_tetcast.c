@@ -10,7 +10,7 @@
    BM6 orders and forms of it      BM12 threads, instruction sets   BM17 tolerance against error
    BM21 to BM27: radial basis functions, see bench_tetcast_rbf.h
    BM40 to BM44: resampling, bricks, codecs, see bench_tetcast_bricks.h; BM45 to BM53: against each other,
-   bench_tetcast_ways.h
+   bench_tetcast_ways.h; BM54: foams
    One JSON object a line on stdout; the acceptance table on stderr and, after a run of all, in bench/table_tetcast.md
    beside the program. Errors of pictures are against an integrator in double that splits at every knot. */
 #include "bench.h"
@@ -20,6 +20,7 @@
 #define TETCAST_IMPLEMENTATION
 #include "../tetcast.h"
 #include "../tests/ray_oracle.h"
+#include "../tests/foam_oracle.h"
 #include "baseline/strip_planes.h"
 #include "baseline/cell_projection.h"
 #include "baseline/slices.h"
@@ -1726,7 +1727,7 @@ int main(int argc, char **argv) {
         {13, bm13}, {14, bm14}, {15, bm15}, {16, bm16}, {17, bm17},
         {21, rbf_evaluations}, {22, rbf_frames}, {24, rbf_encoder}, {27, rbf_traces},
         {40, bm40}, {41, bm41}, {42, bm42}, {43, bm43}, {44, bm44},
-        {45, bm45}, {46, bm46}, {47, bm47}, {48, bm48}, {49, bm49}, {50, bm50}, {51, bm51}, {52, bm52}, {53, bm53}
+        {45, bm45}, {46, bm46}, {47, bm47}, {48, bm48}, {49, bm49}, {50, bm50}, {51, bm51}, {52, bm52}, {53, bm53}, {54, bm54}
     };
     size_t i;
     int status = bench_parse(argc, argv, &g_opt);

@@ -443,4 +443,76 @@ static void bm43(void) {
     free(j.code);
 }
 
+/* ---- foams ---- */
+
+typedef struct foam_job {
+    tetcast_site *sites;
+    size_t count;
+    tetcast_foam *foam;
+    tetcast_render_desc d;
+    tetcast_image image;
+    tetcast_render_stats stats;
+} foam_job;
+
+static void run_foam(void *ctx) {
+    foam_job *j = (foam_job *)ctx;
+    tetcast_foam_desc d;
+    memset(&d, 0, sizeof d);
+    d.env.thread_count = 1;
+    tetcast_foam_destroy(j->foam);
+    must(tetcast_foam_create(&d, j->sites, j->count, &j->foam), "foam");
+}
+
+static void run_foam_frame(void *ctx) {
+    foam_job *j = (foam_job *)ctx;
+    memset(&j->stats, 0, sizeof j->stats);
+    must(tetcast_foam_render(&j->d, j->foam, &j->image, &j->stats), "render");
+}
+
+/* Sites are vertices: of a lattice, at random. */
+static void foam_lines(const char *kase, int mesh_id, uint32_t every) {
+    const tets *t = get_tets(mesh_id);
+    tetcast_foam_info info;
+    foam_job j;
+    double build, frame;
+    uint32_t isa;
+    memset(&j, 0, sizeof j);
+    j.sites = tet_sites(t);
+    j.count = t->nv;
+    build = fastest(run_foam, &j, 1);
+    tetcast_foam_get_info(j.foam, &info);
+    bench_line("tetcast.foam", kase, "build_seconds", build, "s");
+    bench_num("cells", (double)info.cell_count);
+    bench_num("neighbours", (double)info.neighbour_count / (double)info.cell_count);
+    bench_num("bytes", (double)info.bytes);
+    bench_num("threads", 1);
+    bench_end();
+    j.d.env.thread_count = 1;
+    must(tetcast_camera_fit(&j.d.camera, info.box_min, info.box_max, NULL, SIZE, SIZE), "camera");
+    j.image.width = j.image.height = SIZE;
+    j.image.rgba = (float *)must_alloc((size_t)SIZE * SIZE, 16);
+    for (isa = TETCAST_ISA_SCALAR; isa <= TETCAST_ISA_AVX2; isa += TETCAST_ISA_AVX2 - TETCAST_ISA_SCALAR) {
+        if (isa > (uint32_t)tetcast_isa_best()) continue;
+        j.d.isa = (tetcast_isa)isa;
+        frame = fastest(run_foam_frame, &j, 5);
+        bench_line("tetcast.foam", kase, "cells_per_second", (double)j.stats.steps / frame, "1/s");
+        bench_num("seconds", frame);
+        bench_num("steps", (double)j.stats.steps);
+        bench_num("error", foam_error(j.foam, j.sites, j.count, &j.d.camera, j.image.rgba, SIZE, every));
+        bench_text("error_unit", "largest difference of a colour from a march through all sites in doubles");
+        bench_num("threads", 1);
+        bench_text("isa", tetcast_isa_name((tetcast_isa)isa));
+        bench_end();
+    }
+    if (mesh_id == MESH_D150K) table_set("foam", "%.0f (%.2f)", 1e-6 * (double)j.stats.steps / frame, build);
+    tetcast_foam_destroy(j.foam);
+    free(j.image.rgba);
+    free(j.sites);
+}
+
+static void bm54(void) {
+    foam_lines("33^3 of a lattice", MESH_K32, 64);
+    foam_lines("150,000 at random", MESH_D150K, 128);
+}
+
 #endif

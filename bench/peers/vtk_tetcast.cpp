@@ -15,6 +15,7 @@
 #include "../../tetcast.h"
 #include "peer.h"
 #include "../../tests/ray_oracle.h"
+#include "../../tests/foam_oracle.h"
 #include "../bench_tets.h"
 #include <vtkCamera.h>
 #include <vtkCellArray.h>
@@ -552,6 +553,40 @@ static void first_hit(const char *kase, int mesh_id) { /* VTK has no ray cast of
     tetcast_optics_destroy(o);
 }
 
+/* ---- cells of constant colour around points: VTK has none ---- */
+
+static void foam(const char *kase, int mesh_id) {
+    const tets *t = get_tets(mesh_id);
+    tetcast_site *sites = tet_sites(t);
+    tetcast_foam_desc fd;
+    tetcast_foam *f = nullptr;
+    tetcast_foam_info info;
+    tetcast_render_desc d;
+    tetcast_render_stats stats;
+    tetcast_image image;
+    std::vector<float> rgba(4 * SIZE * SIZE);
+    peer_side p[1] = {peer_ours("tetcast_foam_render", g_isa)};
+    memset(&fd, 0, sizeof fd);
+    memset(&d, 0, sizeof d);
+    memset(&image, 0, sizeof image);
+    must(tetcast_foam_create(&fd, sites, t->nv, &f), "foam");
+    tetcast_foam_get_info(f, &info);
+    d.env.thread_count = (uint32_t)g_peer_threads;
+    d.camera = turned(0);
+    image.width = image.height = SIZE;
+    image.rgba = rgba.data();
+    p[0].run = [&] {
+        memset(&stats, 0, sizeof stats);
+        must(tetcast_foam_render(&d, f, &image, &stats), "render");
+    };
+    peer_time(p, 1, ROUNDS);
+    p[0].error = foam_error(f, sites, t->nv, &d.camera, rgba.data(), SIZE, 128);
+    put_bytes(&p[0], (double)info.bytes, info.cell_count);
+    peer_lines("T12", kase, "cells_per_second", "1/s", (double)stats.steps, "largest difference of a colour from a march through all points", p, 1);
+    tetcast_foam_destroy(f);
+    free(sites);
+}
+
 /* ---- samples on a grid ---- */
 
 static void resample(const char *kase, int mesh_id, int n) {
@@ -634,6 +669,7 @@ int main(int argc, char **argv) {
     empty_space("transfer function empty on 40 %, D31k", MESH_D31K);
     first_hit("first isosurface hit, K32", MESH_K32);
     first_hit("first isosurface hit, D31k", MESH_D31K);
+    foam("Voronoi cells, points of D150k", MESH_D150K);
     contour("isosurface, vertices merged, K55 (998,250)", MESH_K55);
     if (g_peer_threads == 1 || g_opt.full) contour("isosurface, vertices merged, D150k (10^6, Delaunay)", MESH_D150K);
     if (g_peer_threads == 1 || g_opt.full) resample("K32 to 128^3", MESH_K32, 128);
