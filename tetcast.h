@@ -2098,8 +2098,8 @@ TETCAST_DEF uint32_t tetcast_foam_find(const tetcast_foam *foam, const double po
 /* Draw. desc: as for tetcast_render; method, smooth_normals, traverse_only and no_leaping do not count, and the camera
    frames the box where eye equals at.
    image   length: way inside of the box, as far as the ray went. depth: of the first cell with an extinction. steps:
-           cells
-   stats   may be NULL; rays, hit_rays, steps, ended and isa
+           cells. Lengths are at most 3e38
+   stats   may be NULL; rays, hit_rays, walks (the same), steps, ended and isa
    A ray goes from cell to cell through the nearest of the planes in front of it, and never turns back: it ends after as
    many steps as there are cells at most. The integral over a cell is exact. Rays end when less than 1/512 of the light
    is left. The same bits for any number of threads and any isa. Errors: INVALID_ARG, RANGE (a picture too large),
@@ -13073,6 +13073,7 @@ TETCAST_DEF tetcast_result tetcast_camera_fit(tetcast_camera *camera, const doub
         camera->ortho_height = (float)(2.0 * distance * tan_y);
         distance += 2.0 * size;
     }
+    for (a = 0; a < 3; a++) distance = tetcasti_max(distance, 1e-12 * tetcasti_abs(centre[a])); /* the eye is not `at` */
     for (a = 0; a < 3; a++) {
         camera->at[a] = centre[a] + x * right[a] + y * above[a];
         camera->eye[a] = camera->at[a] + distance * back[a];

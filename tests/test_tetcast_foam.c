@@ -465,6 +465,13 @@ TEST(what_is_none) { /* bad sites are left out and counted, bad arguments told, 
     CHECK_EQ_U64(error.where, 1);
     d._end_zero = 1;
     CHECK_EQ_U64(tetcast_foam_create(&d, s, 6, &f), TETCAST_ERR_UNINIT_DESC);
+    memset(&d, 0, sizeof d); /* a point far away: there is a camera for it */
+    memset(s, 0, sizeof s);
+    for (a = 0; a < 3; a++) s[0].position[a] = -1.35e23;
+    CHECK_EQ_U64(tetcast_foam_create(&d, s, 1, &f), TETCAST_OK);
+    m.width = m.height = 3;
+    CHECK_EQ_U64(tetcast_foam_render(NULL, f, &m, NULL), TETCAST_OK);
+    tetcast_foam_destroy(f);
     tetcast_foam_destroy(NULL);
     tetcast_foam_get_info(NULL, &info);
     CHECK(info.cell_count == 0);
