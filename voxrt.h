@@ -21331,7 +21331,7 @@ static int voxrti_insert_samples(const voxrti_insert *in, const double (*p)[3], 
             lo = ((by[a] > 0.0 ? -1.0 : size[a] + 1.0) - from[a]) / by[a];
             hi = ((by[a] > 0.0 ? size[a] + 1.0 : -1.0) - from[a]) / by[a];
             if (lo > (double)first) first = lo < (double)n ? (uint32_t)lo : n;
-            if (hi < (double)last) last = hi > 0.0 ? (uint32_t)hi : 0;
+            if (hi < (double)last) last = hi > 0.0 ? (uint32_t)hi + 1 : 0;
         }
         for (k = first; k < last; k++) {
             for (a = 0; a < 3; a++) q[a] = from[a] + (double)k * by[a];
@@ -24313,6 +24313,19 @@ VOXRT_DEF voxrt_result voxrt_gi_set_lights(voxrt_gi *gi, const voxrt_gi_light *l
 
 static float voxrti_vpl_power(const voxrt_gi *gi, size_t lamp, float rgb[3]);
 
+/* What has bounced on a layer, in another unit. */
+static void voxrti_gi_rescale(voxrti_gi_layer *layer, float change) {
+    size_t i;
+    uint32_t a;
+    for (i = 0; i < 2 * layer->count; i++) {
+        float rgb[3];
+        if (layer->bounce[i] == VOXRTI_GI_UNKNOWN) continue;
+        voxrti_rgb9e5_decode(layer->bounce[i], rgb);
+        for (a = 0; a < 3; a++) rgb[a] *= change;
+        layer->bounce[i] = voxrti_rgb9e5(rgb);
+    }
+}
+
 /* Light in cells has 5 bits of exponent. They begin where they are of use: a unit is what all lamps bring to the box's
    surface on average, rounded to a power of two, so nothing depends on the unit that light is measured in. */
 static void voxrti_gi_unit(voxrt_gi *gi) {
@@ -24336,14 +24349,10 @@ static void voxrti_gi_unit(voxrt_gi *gi) {
     for (g = gi; g != NULL; g = g->outer) {
         g->unit = unit;
         g->per_unit = 1.0f / unit;
-        for (l = 0; l < 2 && change != 1.0f; l++)
-            for (i = 0; i < 2 * g->layer[l].count; i++) {
-                float rgb[3];
-                if (g->layer[l].bounce[i] == VOXRTI_GI_UNKNOWN) continue;
-                voxrti_rgb9e5_decode(g->layer[l].bounce[i], rgb);
-                for (a = 0; a < 3; a++) rgb[a] *= change;
-                g->layer[l].bounce[i] = voxrti_rgb9e5(rgb);
-            }
+        if (change == 1.0f) continue;
+        for (l = 0; l < 2; l++) voxrti_gi_rescale(&g->layer[l], change);
+        voxrti_gi_rescale(&g->left, change); /* what an update that did not end well has left for the next one */
+        if (g->turned) voxrti_gi_rescale(&g->before, change);
     }
 }
 

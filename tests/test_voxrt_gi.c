@@ -2721,6 +2721,60 @@ TEST(memory_that_runs_out_loses_nothing) {
     CHECK_MSG(!more && fail > 10, "%d requests", (int)fail);
 }
 
+TEST(lamps_that_change_before_the_next_try) { /* what bounced keeps its brightness when memory runs out in between */
+    static model a, b;
+    static uint32_t want[2][20000];
+    int64_t fail;
+    uint32_t k, l, some = 1, lost = 0;
+    sphere(&a, 3.0, 12, 200, 1);
+    sphere(&b, 1.0, 10, 160, 0);
+    for (fail = -1; some; fail++) { /* the first time nothing fails */
+        test_alloc ta;
+        voxrt_gi_desc d;
+        voxrt_gi *gi = NULL;
+        voxrt_gi_object o[2];
+        voxrt_gi_light light = point_light(0, 2, 0, 9);
+        test_alloc_init(&ta);
+        memset(&d, 0, sizeof d);
+        d.env.allocator.alloc_fn = test_alloc_fn;
+        d.env.allocator.free_fn = test_free_fn;
+        d.env.allocator.user = &ta;
+        d.env.thread_count = 1;
+        d.columns.size_x = d.columns.size_y = 16;
+        d.columns.size_z = 64;
+        for (k = 0; k < 3; k++) {
+            d.columns.box_min[k] = -4;
+            d.columns.box_max[k] = 4;
+        }
+        REQUIRE(voxrt_gi_create(&d, &gi) == VOXRT_OK);
+        o[0] = object_of(&a, 1);
+        o[1] = object_of(&b, 0);
+        for (k = 0; k < 2; k++) CHECK(voxrt_gi_add(gi, &o[k], NULL) == VOXRT_OK);
+        CHECK(voxrt_gi_set_lights(gi, &light, 1) == VOXRT_OK && voxrt_gi_update(gi, NULL) == VOXRT_OK);
+        CHECK(voxrt_gi_bounce(gi, NULL, 2, 0, 0) == VOXRT_OK);
+        for (k = 0; k < 2; k++) {
+            o[k].material.albedo[0] = 0.5f;
+            CHECK(voxrt_gi_set(gi, k, &o[k]) == VOXRT_OK);
+        }
+        if (fail >= 0) {
+            ta.fail_at = ta.count + fail;
+            ta.failed = 0;
+            some = voxrt_gi_update(gi, NULL) == VOXRT_ERR_NO_MEMORY;
+            ta.fail_at = -1;
+        }
+        for (k = 0; k < 3; k++) light.color[k] *= 1.0f / 64;
+        if (some) CHECK(voxrt_gi_set_lights(gi, &light, 1) == VOXRT_OK && voxrt_gi_update(gi, NULL) == VOXRT_OK);
+        for (l = 0; l < 2 && some; l++) {
+            REQUIRE(gi->layer[l].count > 100 && gi->layer[l].count <= 10000);
+            if (fail < 0) memcpy(want[l], gi->layer[l].bounce, 8 * gi->layer[l].count);
+            lost += memcmp(want[l], gi->layer[l].bounce, 8 * gi->layer[l].count) != 0;
+        }
+        voxrt_gi_destroy(gi);
+        test_alloc_check(&ta);
+    }
+    CHECK_MSG(fail > 5 && lost == 0, "%u of %d times", lost, (int)fail);
+}
+
 TEST(lamps_that_go_out) { /* for a picture, and come back as they were: what has bounced is the same bits */
     static room r;
     static uint32_t first[40000];
@@ -2896,6 +2950,7 @@ int main(int argc, char **argv) {
     RUN(memory_that_runs_out_loses_nothing);
     RUN(lamps_that_go_out);
     RUN(lamps_that_fade);
+    RUN(lamps_that_change_before_the_next_try);
     RUN(crowds_in_cells);
     RUN(lobes_beside_open_skies);
     return test_end();
