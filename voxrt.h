@@ -1472,7 +1472,7 @@ typedef struct voxrt_column_hit {
                       origin with this normal cuts do not stop it nearby, so rays start on surfaces without an offset
    end_normals        the same for the other end, at t_max; in both a normal of 0 is none
    self_radius        how far from origin and end that holds, world units: 16 cell diagonals
-   start_level_plus_1 level 1; results do not depend on it */
+   start_level_plus_1 level 1; above the highest: that. Results do not depend on it */
 typedef struct voxrt_columns_trace_desc {
     uint32_t _begin_zero;
     voxrt_isa isa;
@@ -21925,7 +21925,7 @@ static int voxrti_column_walk(const voxrt_columns *c, const voxrti_column_ray *r
     const int px = dx >= 0.0f, py = dy >= 0.0f, up = dz >= 0.0f;
     const int nx = (int)c->size[0], ny = (int)c->size[1], nz = (int)c->size[2];
     const int top = c->levels > VOXRTI_COLUMN_TOP ? VOXRTI_COLUMN_TOP : (int)c->levels - 1;
-    int level = (int)start < top ? (int)start : top, x = (int)ox, y = (int)oy, ka = (int)oz;
+    int level = start < (uint32_t)top ? (int)start : top, x = (int)ox, y = (int)oy, ka = (int)oz;
     float t = 0.0f;
     uint64_t steps = 0, descents = 0;
     uint32_t face = 6, found = 0;
@@ -26493,7 +26493,6 @@ typedef struct voxrti_past { /* what the last picture left, and the new one besi
 
 struct voxrt_gi_history {
     voxrti_mem mem;
-    voxrt_env env;
     voxrti_past past[2];
     uint32_t width, height, now, pictures, version;
     uint32_t turns;            /* pictures with other rays than the one before */
@@ -26517,7 +26516,6 @@ VOXRT_DEF voxrt_result voxrt_gi_history_create(const voxrt_env *env, voxrt_gi_hi
     h = (voxrt_gi_history *)voxrti_alloc_zero(&mem, 1, sizeof *h);
     if (h == NULL) return voxrti_fail(env->error, VOXRT_ERR_NO_MEMORY, 0, "no memory for a history");
     h->mem = mem;
-    h->env = *env;
     *out_history = h;
     return VOXRT_OK;
 }

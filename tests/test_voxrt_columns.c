@@ -1147,7 +1147,7 @@ static void rays_in_all_ways(uint32_t depth) {
             for (level = 0; level < 9; level += 2) {
                 memset(&sb, 0, sizeof sb);
                 d.isa = (voxrt_isa)isa;
-                d.start_level_plus_1 = level;
+                d.start_level_plus_1 = level < 8 ? level : 0xffffffffu;
                 d.stats = &sb;
                 CHECK(voxrt_columns_trace(c, &d, ray, b, many) == VOXRT_OK);
                 CHECK(voxrt_columns_occluded(c, &d, ray, dark, many) == VOXRT_OK);
@@ -1196,7 +1196,7 @@ TEST(rays_explained) { /* what a ray looks at follows on each other, is what the
         memset(&d, 0, sizeof d);
         memset(&stats, 0, sizeof stats);
         d.stats = &stats;
-        d.start_level_plus_1 = i % 9;
+        d.start_level_plus_1 = i % 9 < 8 ? i % 9 : 0xfffffff0u + i % 16;
         n = voxrt_columns_explain(c, &d, &ray, s, MOST, &hit);
         REQUIRE(n <= MOST);
         CHECK(voxrt_columns_explain(c, &d, &ray, NULL, 0, NULL) == n);
