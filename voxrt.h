@@ -23158,7 +23158,7 @@ typedef struct voxrti_gi_entry {
     uint16_t (*lattice)[2];   /* SAMPLES: of each triangle */
     size_t lattice_count;
     uint32_t used;
-    uint32_t placed, moved;   /* by how many updates since it came; its place is not the one of the update before */
+    uint32_t placed, moved;   /* it was there at the last update; its place is not the one of then */
     double at[12], back[12];  /* to_world at the last update; from the world of the last update to that before it */
 } voxrti_gi_entry;
 
@@ -23807,19 +23807,23 @@ static void voxrti_task_gi_carry(void *ctx, uint32_t y) {
         }
 }
 
+/* Where an object is: three rows of four. */
+static const double *voxrti_gi_where(const voxrt_gi_object *o) {
+    static const double same[12] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0};
+    uint32_t a;
+    for (a = 0; a < 12; a++) if (o->to_world[a] != 0.0) return o->to_world;
+    return same;
+}
+
 /* From where objects are now to where they were at the last update. */
 static void voxrti_gi_track(voxrt_gi *gi) {
-    static const double same[12] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0};
     size_t i;
     uint32_t a, b, k;
     for (i = 0; i < gi->entry_count; i++) {
         voxrti_gi_entry *e = &gi->entry[i];
-        const double *now = e->object.to_world;
+        const double *now = voxrti_gi_where(&e->object);
         double inverse[12];
-        int any = 0;
         if (!e->used) continue;
-        for (a = 0; a < 12; a++) any |= now[a] != 0.0;
-        if (!any) now = same;
         e->moved = e->placed != 0 && memcmp(e->at, now, sizeof e->at) != 0 && voxrti_affine_invert(now, inverse);
         for (a = 0; a < 3 && e->moved; a++)
             for (b = 0; b < 4; b++) {
@@ -23831,14 +23835,10 @@ static void voxrti_gi_track(voxrt_gi *gi) {
 
 /* The update is done. */
 static void voxrti_gi_placed(voxrt_gi *gi) {
-    static const double same[12] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0};
     size_t i;
-    uint32_t a;
     for (i = 0; i < gi->entry_count; i++) {
         voxrti_gi_entry *e = &gi->entry[i];
-        int any = 0;
-        for (a = 0; a < 12; a++) any |= e->object.to_world[a] != 0.0;
-        memcpy(e->at, any ? e->object.to_world : same, sizeof e->at);
+        memcpy(e->at, voxrti_gi_where(&e->object), sizeof e->at);
         e->placed = e->used;
     }
 }
@@ -25632,7 +25632,7 @@ static void voxrti_gather_rays(const voxrti_gather *w, const voxrti_points *q, u
             float axis[3], cosine, u[2];
             voxrti_sobol2(index[i], seed[i], u);
             voxrti_mirror(q->view[i], q->n[i], axis);
-            (void)voxrti_lobe_direction(axis, u, q->exponent[i] == 1.0f ? 1.0f : q->exponent[i], ray[i].dir);
+            (void)voxrti_lobe_direction(axis, u, q->exponent[i], ray[i].dir);
             cosine = voxrti_dot3(ray[i].dir, q->n[i]);
             weight[i] = cosine > 0.0f ? cosine * (q->exponent[i] + 2.0f) / (q->exponent[i] + 1.0f) : 0.0f;
             if (!(cosine > 0.0f)) ray[i].t_max = -1.0f;
