@@ -1265,9 +1265,9 @@ VOXRT_DEF void voxrt_paged_geometry(voxrt_paged *paged, voxrt_geometry *out_geom
    hit since the last update stay; others may give way when memory is full.
    most_bytes  0: all; else it ends behind the page that reaches so many bytes
    stats       out, may be NULL. wanted = 0: what was drawn is exact
-   Errors: INVALID_ARG; CHECKSUM, FORMAT, IO: of the first bad page; the others have been loaded. A bad page stays coarse
-   and is not counted in `wanted` again; voxrt_paged_info.error has its place in the file. O(pages + bytes read). Needs
-   the object for itself. */
+   Errors: INVALID_ARG; CHECKSUM, FORMAT, IO: of the first bad page; the others have been loaded. A bad page stays
+   coarse and is not counted in `wanted` again; voxrt_paged_info.error has its place in the file. O(pages + bytes read).
+   Needs the object for itself. */
 VOXRT_DEF voxrt_result voxrt_paged_update(voxrt_paged *paged, uint64_t most_bytes, voxrt_paged_update_stats *stats);
 
 /* From now on rays wait (1) or do not (0), as voxrt_paged_desc.wait says: the last picture is exact, after those that
@@ -1682,8 +1682,8 @@ typedef enum voxrt_gi_lookup { /* the light of lamps where a ray hits */
 
 /* What the pictures before this one know. One for each sequence of pictures of one scene and of one size; it notices
    what it may keep: while camera, scene and settings are the same it is the mean of all of them; where the camera or an
-   object moves it follows and fades; where only light changes it starts anew, with the same rays, so that noise does not
-   flicker. */
+   object moves it follows and fades; where only light changes it starts anew, with the same rays, so that noise does
+   not flicker. */
 typedef struct voxrt_gi_history voxrt_gi_history;
 VOXRT_DEF voxrt_result voxrt_gi_history_create(const voxrt_env *env, voxrt_gi_history **out_history); /* NO_MEMORY */
 VOXRT_DEF void voxrt_gi_history_destroy(voxrt_gi_history *history); /* NULL is allowed */
