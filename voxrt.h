@@ -1265,9 +1265,9 @@ VOXRT_DEF void voxrt_paged_geometry(voxrt_paged *paged, voxrt_geometry *out_geom
    hit since the last update stay; others may give way when memory is full.
    most_bytes  0: all; else it ends behind the page that reaches so many bytes
    stats       out, may be NULL. wanted = 0: what was drawn is exact
-   Errors: CHECKSUM, FORMAT, IO: of the first bad page; the others have been loaded. A bad page stays coarse and is not
-   counted in `wanted` again; voxrt_paged_info.error has its place in the file. O(pages + bytes read). Needs the object
-   for itself. */
+   Errors: INVALID_ARG; CHECKSUM, FORMAT, IO: of the first bad page; the others have been loaded. A bad page stays
+   coarse and is not counted in `wanted` again; voxrt_paged_info.error has its place in the file. O(pages + bytes read).
+   Needs the object for itself. */
 VOXRT_DEF voxrt_result voxrt_paged_update(voxrt_paged *paged, uint64_t most_bytes, voxrt_paged_update_stats *stats);
 
 /* From now on rays wait (1) or do not (0), as voxrt_paged_desc.wait says: the last picture is exact, after those that
@@ -1282,8 +1282,8 @@ typedef struct voxrt_sink {
 } voxrt_sink;
 
 /* Voxelise a mesh into a paged file, piece by piece: holds some 20 bytes a voxel and 40 a triangle of the largest piece
-   (at most 1024^3 cells, less where there is much in them), 10 to 15 bytes a triangle of the mesh and 40 a page, not
-   the voxels.
+   (1024^3 cells, less where there is much in them, more where there is little), 10 to 15 bytes a triangle of the mesh
+   and 40 a page, not the voxels.
    The same voxels, colours and so on as voxrt_tree_build with palette_size = 2^24, whatever desc->palette_size is:
    pages have palettes of their own. Finishes are kept as they are given, also those that no voxel has.
    stats  out, may be NULL; colors_in stays 0
@@ -1472,7 +1472,7 @@ typedef struct voxrt_column_hit {
                       origin with this normal cuts do not stop it nearby, so rays start on surfaces without an offset
    end_normals        the same for the other end, at t_max; in both a normal of 0 is none
    self_radius        how far from origin and end that holds, world units: 16 cell diagonals
-   start_level_plus_1 level 1; results do not depend on it */
+   start_level_plus_1 level 1; above the highest: that. Results do not depend on it */
 typedef struct voxrt_columns_trace_desc {
     uint32_t _begin_zero;
     voxrt_isa isa;
@@ -1598,7 +1598,7 @@ VOXRT_DEF voxrt_result voxrt_gi_set_lights(voxrt_gi *gi, const voxrt_gi_light *l
 
 typedef struct voxrt_gi_update_stats {
     uint64_t still_cells, moving_cells; /* that have attributes */
-    uint64_t rejected;                  /* triangles left out */
+    uint64_t rejected;                  /* triangles left out of what was voxelised last */
     uint64_t bytes;                     /* of everything */
     uint64_t open_columns;              /* SOLID, BODY: of what was voxelised this time; they got no inside */
 } voxrt_gi_update_stats;
@@ -1680,9 +1680,10 @@ typedef enum voxrt_gi_lookup { /* the light of lamps where a ray hits */
     VOXRT_GI_LOOKUP_FORCE_32BIT = 0x7fffffff
 } voxrt_gi_lookup;
 
-/* What the pictures before this one know. One for each sequence of pictures of one size; it notices what it may keep:
-   while camera, scene and settings are the same it is the mean of all of them; where the camera or an object moves it
-   follows and fades; where only light changes it starts anew, with the same rays, so that noise does not flicker. */
+/* What the pictures before this one know. One for each sequence of pictures of one scene and of one size; it notices
+   what it may keep: while camera, scene and settings are the same it is the mean of all of them; where the camera or an
+   object moves it follows and fades; where only light changes it starts anew, with the same rays, so that noise does
+   not flicker. */
 typedef struct voxrt_gi_history voxrt_gi_history;
 VOXRT_DEF voxrt_result voxrt_gi_history_create(const voxrt_env *env, voxrt_gi_history **out_history); /* NO_MEMORY */
 VOXRT_DEF void voxrt_gi_history_destroy(voxrt_gi_history *history); /* NULL is allowed */
@@ -1716,7 +1717,7 @@ typedef struct voxrt_gi_report {
                  bring back what was cut. Above 0: the thesis' 1 / (d_min + d^2), an area
    map_size      LOOKUP_MAPS: 256 texels along the side of a map; up to 4096
    tolerance     `rays` are sent. Above 0: as many as it takes for this much noise: RMS over the picture of indirect
-                 light after the filter, as a share of its mean; at most `rays` (0: 1024). GATHER, PATH, AO
+                 light after the filter, as a share of its mean; from 8 to `rays` (0: 1024). GATHER, PATH, AO
    history       only this picture counts; else those before, too
    keep          pictures that history remembers while things move: 16; at least 1
    relief        0: as it is. Up to 1: indirect light times (relief * cos + 1 - relief), cos between normal and camera:
@@ -18960,7 +18961,7 @@ static voxrt_result voxrti_tree_save_paged(voxrti_mem *mem, const voxrt_save_des
 
 /* ---- writing: a mesh, piece by piece ---- */
 
-#define VOXRTI_PIECE_LOG 10      /* pieces have at most 2^10 cells along an axis, */
+#define VOXRTI_PIECE_LOG 10      /* pieces have at most 2^10 cells along an axis, unless there is little in them, */
 #define VOXRTI_PIECE_AREA 6e6    /* and are cut further when triangles cover so many voxels, down to pages; */
 #define VOXRTI_PIECE_BYTES 80.0  /* with a limit of memory, when a voxel may have less of it */
 
@@ -20049,11 +20050,14 @@ VOXRT_DEF voxrt_result voxrt_paged_update(voxrt_paged *paged, uint64_t most_byte
     voxrt_paged *p = paged;
     voxrt_paged_update_stats local;
     voxrt_result r = VOXRT_OK;
-    const uint64_t read = p->read_bytes, evicted = p->evictions;
+    uint64_t read, evicted;
     uint32_t i, shades;
     int full = 0;
     if (stats == NULL) stats = &local;
     memset(stats, 0, sizeof *stats);
+    if (p == NULL) return VOXRT_ERR_INVALID_ARG;
+    read = p->read_bytes;
+    evicted = p->evictions;
     for (shades = 0; shades < 2; shades++) { /* shadows of coarse cells would ask for pages that nobody needs */
         const int later = shades && stats->wanted != 0;
         for (i = 0; i < p->page_count; i++) { /* the coarsest have the lowest numbers */
@@ -20595,8 +20599,9 @@ VOXRTI_INLINE void voxrti_insert_or(const voxrti_insert *in, uint32_t *p, uint32
     else *p |= v;
 }
 
-/* Set cells k0 .. k1 of a column. */
 static void voxrti_splat_add(const struct voxrti_splat *f, uint32_t x, uint32_t y, uint32_t k);
+
+/* Set cells k0 .. k1 of a column. */
 VOXRTI_INLINE void voxrti_insert_run(const voxrti_insert *in, uint32_t x, uint32_t y, uint32_t k0, uint32_t k1) {
     voxrt_columns *c = in->columns;
     const size_t at = voxrti_column(c, 0, x, y), map = (size_t)y * c->map_row[0] + (x >> 5);
@@ -21326,7 +21331,7 @@ static int voxrti_insert_samples(const voxrti_insert *in, const double (*p)[3], 
             lo = ((by[a] > 0.0 ? -1.0 : size[a] + 1.0) - from[a]) / by[a];
             hi = ((by[a] > 0.0 ? size[a] + 1.0 : -1.0) - from[a]) / by[a];
             if (lo > (double)first) first = lo < (double)n ? (uint32_t)lo : n;
-            if (hi < (double)last) last = hi > 0.0 ? (uint32_t)hi : 0;
+            if (hi < (double)last) last = hi > 0.0 ? (uint32_t)hi + 1 : 0;
         }
         for (k = first; k < last; k++) {
             for (a = 0; a < 3; a++) q[a] = from[a] + (double)k * by[a];
@@ -21509,7 +21514,7 @@ VOXRTI_INLINE int voxrti_spacing_ok(float spacing) {
     return spacing == 0.0f || (spacing >= 0.015625f && spacing <= 64.0f);
 }
 
-/* Close what all kinds of insertion open: the layer, the matrix, the threads. */
+/* What all kinds of insertion begin with: the layer, the matrix, the threads. */
 static voxrt_result voxrti_insert_open(voxrti_insert *in, voxrt_columns *c, const voxrt_columns_insert_desc *desc,
                                        voxrt_columns_insert_desc *d) {
     uint32_t a, b, any = 0;
@@ -21920,7 +21925,7 @@ static int voxrti_column_walk(const voxrt_columns *c, const voxrti_column_ray *r
     const int px = dx >= 0.0f, py = dy >= 0.0f, up = dz >= 0.0f;
     const int nx = (int)c->size[0], ny = (int)c->size[1], nz = (int)c->size[2];
     const int top = c->levels > VOXRTI_COLUMN_TOP ? VOXRTI_COLUMN_TOP : (int)c->levels - 1;
-    int level = (int)start < top ? (int)start : top, x = (int)ox, y = (int)oy, ka = (int)oz;
+    int level = start < (uint32_t)top ? (int)start : top, x = (int)ox, y = (int)oy, ka = (int)oz;
     float t = 0.0f;
     uint64_t steps = 0, descents = 0;
     uint32_t face = 6, found = 0;
@@ -23153,7 +23158,7 @@ typedef struct voxrti_gi_entry {
     uint16_t (*lattice)[2];   /* SAMPLES: of each triangle */
     size_t lattice_count;
     uint32_t used;
-    uint32_t placed, moved;   /* by how many updates since it came; its place is not the one of the update before */
+    uint32_t placed, moved;   /* it was there at the last update; its place is not the one of then */
     double at[12], back[12];  /* to_world at the last update; from the world of the last update to that before it */
 } voxrti_gi_entry;
 
@@ -23212,7 +23217,7 @@ struct voxrt_gi {
 typedef union voxrti_pair { uint64_t both; int32_t each[2]; } voxrti_pair;
 
 /* Sums while a layer is made; integers, so that threads may add in any order. First moments of normals n, two in a word
-   (xx yy, zz xy, xz yz, x y, z), then what lies on both sides of the split n . split = split[3]. */
+   (xx yy, zz xy, xz yz, x y, z 1), then what lies on both sides of the split n . split = split[3]. */
 typedef struct voxrti_gi_sides {
     int32_t normal[2][3], offset[2];
     uint32_t rgb[2][3], weight[2], object[2];
@@ -23220,7 +23225,11 @@ typedef struct voxrti_gi_sides {
 typedef struct voxrti_gi_sum {
     union { voxrti_pair moment[5]; voxrti_gi_sides sides; } u;
     int32_t split[4];
+    uint32_t crowd;   /* low bits that the sums of very many fragments leave out; VOXRTI_GI_CROWDED */
 } voxrti_gi_sum;
+
+#define VOXRTI_GI_CROWD 120000.0      /* moments of more fragments would not fit: */
+#define VOXRTI_GI_CROWDED 0xffffffffu /* such a cell is counted again, by coarser normals */
 
 /* What a triangle adds to each cell it is put into. */
 typedef struct voxrti_splat {
@@ -23229,8 +23238,8 @@ typedef struct voxrti_splat {
     voxrti_gi_sum *sum;
     double plane[4];      /* distance of a point (in cells) from its plane, along the normal, world units */
     int32_t normal[3];    /* world, times 1024 */
-    voxrti_pair moment[5]; /* of that, times 128 */
-    uint32_t rgb[3], object, votes;
+    voxrti_pair moment[5]; /* of that, times 128 >> crowd */
+    uint32_t rgb[3], object, votes, crowd;
     uint32_t *ways, way;  /* of blocks; of the triangle */
 } voxrti_splat;
 
@@ -23264,7 +23273,7 @@ VOXRTI_INLINE uint32_t voxrti_gi_across(const float n[3]) {
 
 static VOXRTI_UNUSED uint32_t voxrti_rgb9e5(const float rgb[3]) {
     float most = 0.0f, c[3];
-    uint32_t bits, out, a;
+    uint32_t bits, out = VOXRTI_GI_UNKNOWN, a;
     int e, i;
     for (a = 0; a < 3; a++) {
         c[a] = rgb[a] > 0.0f ? (rgb[a] < 65408.0f ? rgb[a] : 65408.0f) : 0.0f;
@@ -23279,9 +23288,9 @@ static VOXRTI_UNUSED uint32_t voxrti_rgb9e5(const float rgb[3]) {
         memcpy(&scale, &scale_bits, 4);
         for (a = 0; a < 3; a++) q[a] = (uint32_t)(c[a] * scale + 0.5f);
         out = q[0] | q[1] << 9 | q[2] << 18 | (uint32_t)(e + 15) << 27;
-        if (q[0] < 512 && q[1] < 512 && q[2] < 512) return out; /* else rounding made it 2^e */
+        if (q[0] < 512 && q[1] < 512 && q[2] < 512) break; /* else rounding made it 2^e */
     }
-    return 511u | 511u << 9 | 511u << 18 | 31u << 27;
+    return out != VOXRTI_GI_UNKNOWN ? out : out - 1u; /* the brightest white of all is told apart from that */
 }
 
 VOXRTI_INLINE void voxrti_rgb9e5_decode(uint32_t v, float rgb[3]) {
@@ -23352,27 +23361,35 @@ VOXRTI_INLINE void voxrti_pair_open(const voxrti_pair *p, double *a, double *b) 
 #endif
 }
 
+/* What numbers are divided by in sums that leave out `crowd` bits, if they have `room` bits less than colours. */
+VOXRTI_INLINE int32_t voxrti_crowd_scale(uint32_t crowd, uint32_t room) {
+    return crowd > room ? (int32_t)1 << (crowd - room) : 1;
+}
+
 static void voxrti_splat_add(const voxrti_splat *f, uint32_t x, uint32_t y, uint32_t k) {
     voxrti_gi_sum *sum = &f->sum[voxrti_gi_rank(f->columns, f->layer, x, y, k)];
     voxrti_gi_sides *s = &sum->u.sides;
+    const uint32_t crowd = sum->crowd;
     uint32_t a, side;
     if (f->votes) {
         uint32_t *way = &f->ways[voxrti_gi_block(f->columns, x, y, k)];
+        if (f->crowd != 0 && crowd != VOXRTI_GI_CROWDED) return;
         for (a = 0; a < 5; a++) voxrti_pair_add(&sum->u.moment[a], &f->moment[a]);
         voxrti_or_shared(way, f->way);
         return;
     }
     side = f->normal[0] * sum->split[0] + f->normal[1] * sum->split[1] + f->normal[2] * sum->split[2] < sum->split[3];
     for (a = 0; a < 3; a++) {
-        voxrti_add_shared(&s->normal[side][a], f->normal[a]);
-        voxrti_add_shared(&s->rgb[side][a], f->rgb[a]);
+        const int32_t n = f->normal[a];
+        voxrti_add_shared(&s->normal[side][a], crowd <= 4 ? n : n / voxrti_crowd_scale(crowd, 4));
+        voxrti_add_shared(&s->rgb[side][a], f->rgb[a] >> crowd);
     }
     {
         const double d = f->plane[3] - (f->plane[0] * ((double)x + 0.5) + f->plane[1] * ((double)y + 0.5) +
                                         f->plane[2] * ((double)k + 0.5));
         const double unit = 254.0 / f->columns->diagonal;
-        voxrti_add_shared(&s->offset[side],
-                          (int32_t)voxrti_floor(voxrti_max(-127.0, voxrti_min(127.0, d * unit)) + 0.5));
+        const int32_t off = (int32_t)voxrti_floor(voxrti_max(-127.0, voxrti_min(127.0, d * unit)) + 0.5);
+        voxrti_add_shared(&s->offset[side], crowd <= 8 ? off : off / voxrti_crowd_scale(crowd, 8));
     }
     voxrti_add_shared(&s->weight[side], 1u);
 #if defined(__GNUC__) || defined(__clang__)
@@ -23413,7 +23430,7 @@ static int voxrti_splat_open(voxrti_splat *f, const voxrt_mesh *mesh, const voxr
     }
     for (a = 0; a < 3; a++) {
         f->normal[a] = (int32_t)voxrti_floor((double)nf[a] * 1024.0 + 0.5);
-        m[a] = (int32_t)voxrti_floor((double)nf[a] * 128.0 + 0.5);
+        m[a] = (int32_t)voxrti_floor((double)nf[a] * (double)(128u >> f->crowd) + 0.5);
         rgb[a] = 1.0;
     }
     f->way = voxrti_gi_way(nf);
@@ -23422,7 +23439,7 @@ static int voxrti_splat_open(voxrti_splat *f, const voxrt_mesh *mesh, const voxr
         f->moment[1] = voxrti_pair_make(m[2] * m[2], m[0] * m[1]);
         f->moment[2] = voxrti_pair_make(m[0] * m[2], m[1] * m[2]);
         f->moment[3] = voxrti_pair_make(m[0], m[1]);
-        f->moment[4] = voxrti_pair_make(m[2], 0);
+        f->moment[4] = voxrti_pair_make(m[2], 1);
         return 1;
     }
     if (mesh->triangle_rgb != NULL) {
@@ -23452,6 +23469,7 @@ typedef struct voxrti_gi_build {
     uint32_t *ways;
     voxrti_insert in;      /* of one object */
     uint32_t id, votes;
+    uint32_t crowd, most;  /* voxrti_splat.crowd; atomic: fragments of the cell that has most, if they are too many */
     float srgb[256];
 } voxrti_gi_build;
 
@@ -23469,6 +23487,7 @@ static void voxrti_task_gi_fragments(void *ctx, uint32_t index) {
     f.sum = b->sum;
     f.object = b->id;
     f.votes = b->votes;
+    f.crowd = b->crowd;
     in.splat = &f;
     end = end < in.count ? end : in.count;
     if (!voxrti_ask_work(in.ask, VOXRTI_INSERT_TASK)) return;
@@ -23490,19 +23509,26 @@ static void voxrti_task_gi_fragments(void *ctx, uint32_t index) {
    cell are split if there are 37 degrees and more between them. */
 #define VOXRTI_GI_SPLIT 0.1
 
-/* Moments -> split: across the direction in which normals vary most (power iteration), at their mean. */
-static void voxrti_gi_split(voxrti_gi_sum *s) {
-    double m[3], c[3][3], v[3], w, most = 0.0, mean = 0.0, vary = 0.0, none;
+/* Moments -> split: across the direction in which normals vary most (power iteration), at their mean. unit: length of a
+   normal in them. Gives 0, or the number of fragments, if these are too many and have to be counted again. */
+static uint32_t voxrti_gi_split(voxrti_gi_sum *s, double unit) {
+    const uint32_t again = s->crowd == VOXRTI_GI_CROWDED;
+    double m[3], c[3][3], v[3], w, most = 0.0, mean = 0.0, vary = 0.0, count;
     uint32_t a, b, turn, top = 0;
     voxrti_pair_open(&s->u.moment[0], &c[0][0], &c[1][1]);
     voxrti_pair_open(&s->u.moment[1], &c[2][2], &c[0][1]);
     voxrti_pair_open(&s->u.moment[2], &c[0][2], &c[1][2]);
     voxrti_pair_open(&s->u.moment[3], &m[0], &m[1]);
-    voxrti_pair_open(&s->u.moment[4], &m[2], &none);
+    voxrti_pair_open(&s->u.moment[4], &m[2], &count);
     memset(s, 0, sizeof *s);
-    w = c[0][0] + c[1][1] + c[2][2]; /* how many, times 128^2 */
-    if (!(w > 0.0)) return;
-    for (a = 0; a < 3; a++) m[a] *= 128.0 / w;
+    if (count > VOXRTI_GI_CROWD && !again) {
+        s->crowd = VOXRTI_GI_CROWDED;
+        return (uint32_t)count;
+    }
+    while (count > 65536.0 * (double)voxrti_crowd_scale(s->crowd, 0)) s->crowd++;
+    w = c[0][0] + c[1][1] + c[2][2]; /* how many, times unit^2 */
+    if (!(w > 0.0)) return 0;
+    for (a = 0; a < 3; a++) m[a] *= unit / w;
     for (a = 0; a < 3; a++)
         for (b = a; b < 3; b++) c[a][b] = c[b][a] = c[a][b] / w - m[a] * m[b];
     for (a = 1; a < 3; a++) if (c[a][a] > c[top][top]) top = a;
@@ -23510,13 +23536,13 @@ static void voxrti_gi_split(voxrti_gi_sum *s) {
     for (turn = 0; turn < 8; turn++) {
         double n[3];
         for (most = 0.0, a = 0; a < 3; a++) most = voxrti_max(most, voxrti_abs(v[a]));
-        if (!(most > 1e-9)) return;
+        if (!(most > 1e-9)) return 0;
         for (a = 0; a < 3; a++) v[a] /= most;
         for (a = 0; a < 3; a++) n[a] = c[a][0] * v[0] + c[a][1] * v[1] + c[a][2] * v[2];
         for (a = 0; a < 3; a++) v[a] = n[a];
     }
     w = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
-    if (!(w > 1e-9)) return;
+    if (!(w > 1e-9)) return 0;
     for (top = 0, a = 1; a < 3; a++) if (voxrti_abs(v[a]) > voxrti_abs(v[top])) top = a;
     if (v[top] < 0.0) w = 0.0 - w;
     for (a = 0; a < 3; a++) v[a] /= w;
@@ -23524,16 +23550,22 @@ static void voxrti_gi_split(voxrti_gi_sum *s) {
         vary += v[a] * (c[a][0] * v[0] + c[a][1] * v[1] + c[a][2] * v[2]);
         mean += v[a] * m[a];
     }
-    if (!(vary > VOXRTI_GI_SPLIT)) return;
+    if (!(vary > VOXRTI_GI_SPLIT)) return 0;
     for (a = 0; a < 3; a++) s->split[a] = (int32_t)voxrti_floor(v[a] * 1024.0 + 0.5);
     s->split[3] = (int32_t)voxrti_floor(mean * 1048576.0 + 0.5);
+    return 0;
 }
 
 static void voxrti_task_gi_split(void *ctx, uint32_t index) {
     voxrti_gi_build *b = (voxrti_gi_build *)ctx;
     size_t i = (size_t)index * 4096, end = i + 4096;
     end = end < b->layer->count ? end : b->layer->count;
-    for (; i < end; i++) voxrti_gi_split(&b->sum[i]);
+    for (; i < end; i++) {
+        uint32_t n, most = voxrti_atomic_load(&b->most);
+        if (b->crowd != 0 && b->sum[i].crowd != VOXRTI_GI_CROWDED) continue;
+        n = voxrti_gi_split(&b->sum[i], (double)(128u >> b->crowd));
+        while (n > most && !voxrti_atomic_max_step(&b->most, &most, n)) { }
+    }
 }
 
 static void voxrti_task_gi_resolve(void *ctx, uint32_t index) {
@@ -23543,7 +23575,8 @@ static void voxrti_task_gi_resolve(void *ctx, uint32_t index) {
     for (; i < end; i++) {
         const voxrti_gi_sides *s = &b->sum[i].u.sides;
         voxrti_gi_record *r = &b->layer->record[i];
-        const uint32_t all = s->weight[0] + s->weight[1];
+        const uint32_t all = s->weight[0] + s->weight[1], crowd = b->sum[i].crowd;
+        const double all_rgb = (double)voxrti_crowd_scale(crowd, 0), all_off = (double)voxrti_crowd_scale(crowd, 8);
         uint32_t side, a;
         memset(r, 0, sizeof *r);
         for (side = 0; side < 2 && all != 0; side++) {
@@ -23552,14 +23585,15 @@ static void voxrti_task_gi_resolve(void *ctx, uint32_t index) {
             if (w == 0) continue;
             for (a = 0; a < 3; a++) {
                 n[a] = (float)s->normal[side][a];
-                r->rgb[side][a] = (uint8_t)(sqrt((double)s->rgb[side][a] / ((double)w * 65535.0)) * 255.0 + 0.5);
+                r->rgb[side][a] =
+                    (uint8_t)(sqrt((double)s->rgb[side][a] * all_rgb / ((double)w * 65535.0)) * 255.0 + 0.5);
             }
             if (!voxrti_normalize(n)) n[2] = 1.0f;
             r->normal[side] = (uint16_t)voxrti_oct_encode(n);
             r->object[side] = (uint16_t)s->object[side];
             r->area[side] = (uint8_t)(255.0 * (double)w / (double)all + 0.5);
             if (r->area[side] == 0) r->area[side] = 1;
-            r->offset[side] = (int8_t)voxrti_floor((double)s->offset[side] / (double)w + 0.5);
+            r->offset[side] = (int8_t)voxrti_floor((double)s->offset[side] * all_off / (double)w + 0.5);
         }
     }
 }
@@ -23617,6 +23651,13 @@ static int voxrti_gi_lattice(voxrt_gi *gi, voxrti_gi_entry *e) {
     return e->lattice != NULL ? 2 : -1;
 }
 
+/* What to leave out of normals so that moments of so many fragments fit: rounding may make some of them longer. */
+static uint32_t voxrti_gi_crowd(uint32_t fragments) {
+    uint32_t crowd = 1;
+    while (crowd < 6 && 1.5 * (double)fragments * (double)((128u >> crowd) * (128u >> crowd)) > 2147483647.0) crowd++;
+    return crowd;
+}
+
 /* Insert all objects of a layer; then their attributes. */
 static voxrt_result voxrti_gi_layer_build(voxrt_gi *gi, uint32_t which) {
     voxrti_gi_layer *l = &gi->layer[which];
@@ -23631,7 +23672,7 @@ static voxrt_result voxrti_gi_layer_build(voxrt_gi *gi, uint32_t which) {
     voxrti_gi_blocks(gi->columns, blocks);
     memset(b.ways, 0, blocks[0] * blocks[1] * blocks[2] * 4);
     for (i = 0; i < 256; i++) b.srgb[i] = (float)voxrti_srgb_to_linear((double)i / 255.0);
-    for (pass = 0; pass < 3; pass++) { /* cells, then how their normals vary, then the sums of both sides */
+    for (pass = 0; pass < 4; pass++) { /* cells; how their normals vary, again for crowds; the sums of both sides */
         if (pass == 1) {
             r = voxrti_gi_layer_open(gi, l);
             if (r != VOXRT_OK) return r;
@@ -23642,8 +23683,11 @@ static voxrt_result voxrti_gi_layer_build(voxrt_gi *gi, uint32_t which) {
                 return VOXRT_ERR_NO_MEMORY;
             }
         }
-        if (pass == 2) voxrti_parallel_for(&gi->env, voxrti_task_gi_split, &b, (uint32_t)((l->count + 4095) / 4096));
-        b.votes = pass == 1;
+        if (pass == 2 || b.crowd != 0)
+            voxrti_parallel_for(&gi->env, voxrti_task_gi_split, &b, (uint32_t)((l->count + 4095) / 4096));
+        if (pass == 2 && b.most == 0) continue;
+        if (pass == 2) b.crowd = voxrti_gi_crowd(b.most);
+        b.votes = pass == 1 || pass == 2;
         for (i = 0; i < gi->entry_count; i++) {
             voxrti_gi_entry *e = &gi->entry[i];
             voxrt_columns_insert_desc d, open;
@@ -23763,19 +23807,23 @@ static void voxrti_task_gi_carry(void *ctx, uint32_t y) {
         }
 }
 
+/* Where an object is: three rows of four. */
+static const double *voxrti_gi_where(const voxrt_gi_object *o) {
+    static const double same[12] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0};
+    uint32_t a;
+    for (a = 0; a < 12; a++) if (o->to_world[a] != 0.0) return o->to_world;
+    return same;
+}
+
 /* From where objects are now to where they were at the last update. */
 static void voxrti_gi_track(voxrt_gi *gi) {
-    static const double same[12] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0};
     size_t i;
     uint32_t a, b, k;
     for (i = 0; i < gi->entry_count; i++) {
         voxrti_gi_entry *e = &gi->entry[i];
-        const double *now = e->object.to_world;
+        const double *now = voxrti_gi_where(&e->object);
         double inverse[12];
-        int any = 0;
         if (!e->used) continue;
-        for (a = 0; a < 12; a++) any |= now[a] != 0.0;
-        if (!any) now = same;
         e->moved = e->placed != 0 && memcmp(e->at, now, sizeof e->at) != 0 && voxrti_affine_invert(now, inverse);
         for (a = 0; a < 3 && e->moved; a++)
             for (b = 0; b < 4; b++) {
@@ -23787,14 +23835,10 @@ static void voxrti_gi_track(voxrt_gi *gi) {
 
 /* The update is done. */
 static void voxrti_gi_placed(voxrt_gi *gi) {
-    static const double same[12] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0};
     size_t i;
-    uint32_t a;
     for (i = 0; i < gi->entry_count; i++) {
         voxrti_gi_entry *e = &gi->entry[i];
-        int any = 0;
-        for (a = 0; a < 12; a++) any |= e->object.to_world[a] != 0.0;
-        memcpy(e->at, any ? e->object.to_world : same, sizeof e->at);
+        memcpy(e->at, voxrti_gi_where(&e->object), sizeof e->at);
         e->placed = e->used;
     }
 }
@@ -23900,8 +23944,6 @@ static void voxrti_gi_left_free(voxrt_gi *gi) {
     gi->left_bits = NULL;
 }
 
-/* Voxelise the layers of one volume that changed, keep what bounced. If memory runs out the next call goes on with what
-   the last one that ended well has left. */
 /* ways[2]: of both layers, of each block and those around it, so of all cells within 4 of any cell. */
 static void voxrti_gi_find_ways(voxrt_gi *gi) {
     size_t n[3], step[3], all, i, j, k;
@@ -23932,6 +23974,8 @@ static void voxrti_gi_find_ways(voxrt_gi *gi) {
     }
 }
 
+/* Voxelise the layers of one volume that changed, keep what bounced. If memory runs out the next call goes on with what
+   the last one that ended well has left. */
 static voxrt_result voxrti_gi_update_one(voxrt_gi *gi) {
     voxrt_columns *c = gi->columns;
     const size_t words = (size_t)c->size[0] * c->size[1] * c->words;
@@ -24269,6 +24313,19 @@ VOXRT_DEF voxrt_result voxrt_gi_set_lights(voxrt_gi *gi, const voxrt_gi_light *l
 
 static float voxrti_vpl_power(const voxrt_gi *gi, size_t lamp, float rgb[3]);
 
+/* What has bounced on a layer, in another unit. */
+static void voxrti_gi_rescale(voxrti_gi_layer *layer, float change) {
+    size_t i;
+    uint32_t a;
+    for (i = 0; i < 2 * layer->count; i++) {
+        float rgb[3];
+        if (layer->bounce[i] == VOXRTI_GI_UNKNOWN) continue;
+        voxrti_rgb9e5_decode(layer->bounce[i], rgb);
+        for (a = 0; a < 3; a++) rgb[a] *= change;
+        layer->bounce[i] = voxrti_rgb9e5(rgb);
+    }
+}
+
 /* Light in cells has 5 bits of exponent. They begin where they are of use: a unit is what all lamps bring to the box's
    surface on average, rounded to a power of two, so nothing depends on the unit that light is measured in. */
 static void voxrti_gi_unit(voxrt_gi *gi) {
@@ -24292,14 +24349,10 @@ static void voxrti_gi_unit(voxrt_gi *gi) {
     for (g = gi; g != NULL; g = g->outer) {
         g->unit = unit;
         g->per_unit = 1.0f / unit;
-        for (l = 0; l < 2 && change != 1.0f; l++)
-            for (i = 0; i < 2 * g->layer[l].count; i++) {
-                float rgb[3];
-                if (g->layer[l].bounce[i] == VOXRTI_GI_UNKNOWN) continue;
-                voxrti_rgb9e5_decode(g->layer[l].bounce[i], rgb);
-                for (a = 0; a < 3; a++) rgb[a] *= change;
-                g->layer[l].bounce[i] = voxrti_rgb9e5(rgb);
-            }
+        if (change == 1.0f) continue;
+        for (l = 0; l < 2; l++) voxrti_gi_rescale(&g->layer[l], change);
+        voxrti_gi_rescale(&g->left, change); /* what an update that did not end well has left for the next one */
+        if (g->turned) voxrti_gi_rescale(&g->before, change);
     }
 }
 
@@ -24552,7 +24605,7 @@ static void voxrti_gi_find_all(int isa, const voxrt_gi *const *where, const voxr
 
 /* t at which a ray meets the plane of the side it hit at t; t itself where the plane lies far from there. */
 VOXRTI_INLINE float voxrti_gi_side_meet(const voxrti_gi_side *s, const voxrt_ray *r, float t) {
-    const float near_by = 1.0f * (float)s->gi->columns->diagonal;
+    const float near_by = (float)s->gi->columns->diagonal;
     float d[3], at;
     uint32_t a;
     for (a = 0; a < 3; a++) d[a] = s->position[a] - r->org[a];
@@ -25579,7 +25632,7 @@ static void voxrti_gather_rays(const voxrti_gather *w, const voxrti_points *q, u
             float axis[3], cosine, u[2];
             voxrti_sobol2(index[i], seed[i], u);
             voxrti_mirror(q->view[i], q->n[i], axis);
-            (void)voxrti_lobe_direction(axis, u, q->exponent[i] == 1.0f ? 1.0f : q->exponent[i], ray[i].dir);
+            (void)voxrti_lobe_direction(axis, u, q->exponent[i], ray[i].dir);
             cosine = voxrti_dot3(ray[i].dir, q->n[i]);
             weight[i] = cosine > 0.0f ? cosine * (q->exponent[i] + 2.0f) / (q->exponent[i] + 1.0f) : 0.0f;
             if (!(cosine > 0.0f)) ray[i].t_max = -1.0f;
@@ -25927,9 +25980,9 @@ static void voxrti_task_vpl(void *ctx, uint32_t batch) {
 }
 
 static voxrt_result voxrti_vpl_make(voxrti_gather *w, voxrt_gi *gi) {
-    const size_t each = (size_t)w->d->rays * w->set * w->set, n = each * w->bounces;
+    const size_t each = (size_t)w->d->rays * w->set * w->set;
     voxrti_vpl_work v;
-    size_t l;
+    size_t l, n;
     gi->vpl_count = 0;
     memset(&v, 0, sizeof v);
     v.w = w;
@@ -25938,6 +25991,8 @@ static voxrt_result voxrti_vpl_make(voxrti_gather *w, voxrt_gi *gi) {
         v.power += voxrti_vpl_power(gi, l, rgb);
     }
     if (!(v.power > 0.0f) || !voxrti_finite_f(v.power)) return VOXRT_OK;
+    if (!voxrti_mul_size(each, w->bounces, &n))
+        return voxrti_fail(w->d->env.error, VOXRT_ERR_NO_MEMORY, each, "no memory for % virtual lights a bounce");
     if (n > gi->vpl_capacity) {
         voxrti_free(&gi->mem, gi->vpl);
         gi->vpl_capacity = 0;
@@ -26438,7 +26493,6 @@ typedef struct voxrti_past { /* what the last picture left, and the new one besi
 
 struct voxrt_gi_history {
     voxrti_mem mem;
-    voxrt_env env;
     voxrti_past past[2];
     uint32_t width, height, now, pictures, version;
     uint32_t turns;            /* pictures with other rays than the one before */
@@ -26462,7 +26516,6 @@ VOXRT_DEF voxrt_result voxrt_gi_history_create(const voxrt_env *env, voxrt_gi_hi
     h = (voxrt_gi_history *)voxrti_alloc_zero(&mem, 1, sizeof *h);
     if (h == NULL) return voxrti_fail(env->error, VOXRT_ERR_NO_MEMORY, 0, "no memory for a history");
     h->mem = mem;
-    h->env = *env;
     *out_history = h;
     return VOXRT_OK;
 }
@@ -27004,8 +27057,8 @@ VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_g
         memset(indirect, 0, n * 12);
         value[0] = NULL;
     }
-    for (k = 1; k < 4 && gbuffer->specular != NULL && d.method != VOXRT_GI_AO; k += 2) {
-        if (value[k - 1] == NULL) continue;
+    for (k = 1; k < 4 && gbuffer->specular != NULL; k += 2) {
+        if (value[k - 1] == NULL || (k == 1 && d.method == VOXRT_GI_AO)) continue;
         value[k] = (float *)voxrti_alloc_array(&mem, n, 12);
         if (value[k] == NULL) r = voxrti_fail(d.env.error, VOXRT_ERR_NO_MEMORY, n, "no memory for lobes of % pixels");
     }
@@ -27518,8 +27571,12 @@ VOXRT_DEF voxrt_result voxrt_gbuffer_materials(const voxrt_env *env, const voxrt
 
 /* ---- tone mapping ---- */
 
+/* log2(1 + x), dim: of numbers so small that it is straight. */
+static double voxrti_tone_log(double x, int dim) { return dim ? x * 1.4426950408889634 : voxrti_log2(1.0 + x); }
+
 VOXRT_DEF voxrt_result voxrt_tone_map(voxrt_tone tone, float most, const float *rgb, float *out_rgb, size_t pixels) {
-    const double inv = 1.0 / (double)most, log_most = voxrti_log2(1.0 + (double)most);
+    const int dim = most < 1e-10f; /* what is above it becomes white, anyway */
+    const double inv = 1.0 / (double)most, log_most = voxrti_tone_log((double)most, dim);
     size_t i;
     if ((uint32_t)tone > VOXRT_TONE_DRAGO || !(most > 0.0f) || !voxrti_finite_f(most)) return VOXRT_ERR_INVALID_ARG;
     if (pixels != 0 && (rgb == NULL || out_rgb == NULL)) return VOXRT_ERR_INVALID_ARG;
@@ -27529,10 +27586,10 @@ VOXRT_DEF voxrt_result voxrt_tone_map(voxrt_tone tone, float most, const float *
         static const double weight[3] = {0.2126, 0.7152, 0.0722};
         for (a = 0; a < 3; a++) y += weight[a] * voxrti_max(0.0, (double)rgb[3 * i + a]);
         if (!voxrti_finite(y)) y = (double)most;
-        if (y > 0.0 && tone == VOXRT_TONE_LOG) scale = voxrti_log2(1.0 + y) / (log_most * y);
+        if (y > 0.0 && tone == VOXRT_TONE_LOG) scale = voxrti_tone_log(y, dim) / (log_most * y);
         if (y > 0.0 && tone == VOXRT_TONE_DRAGO) { /* bias 0.85: exponent ln(b) / ln(0.5) */
             const double bias = voxrti_pow(y * inv, 0.23446525363702297);
-            scale = voxrti_log2(1.0 + y) / (voxrti_log2(2.0 + 8.0 * bias) * (log_most / voxrti_log2(10.0)) * y);
+            scale = voxrti_tone_log(y, dim) / (voxrti_log2(2.0 + 8.0 * bias) * (log_most / voxrti_log2(10.0)) * y);
         }
         for (a = 0; a < 3; a++) {
             const double v = (double)rgb[3 * i + a] * scale;

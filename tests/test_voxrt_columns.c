@@ -670,6 +670,49 @@ TEST(samples_of_surfaces) {
     }
 }
 
+TEST(samples_far_apart) { /* points are the same in a box that ends and in one that goes on behind it */
+    static const uint32_t wide[3] = {64, 64, 512};
+    uint32_t round, axis, k, x, y, z, points = 0, differ = 0;
+    rng_state = 23;
+    for (round = 0; round < 60; round++) {
+        voxrt_columns *c[2] = {NULL, NULL};
+        float p[3][3];
+        axis = round & 1u;
+        for (k = 0; k < 9; k++) p[k / 3][k % 3] = (float)(60 * rnd() + 2);
+        p[1][axis] = (float)(200 + 300 * rnd()); /* from the box out of it; the longest edge begins within it */
+        p[2][axis] = (float)(100 + 50 * rnd());
+        for (k = 0; k < 2; k++) {
+            voxrt_columns_desc d;
+            voxrt_columns_insert_desc in;
+            voxrt_mesh mesh;
+            memset(&d, 0, sizeof d);
+            memset(&in, 0, sizeof in);
+            memset(&mesh, 0, sizeof mesh);
+            d.size_x = wide[k == 0 ? 0 : 2 - axis];
+            d.size_y = wide[k == 0 ? 0 : 1 + axis];
+            d.size_z = 64;
+            d.depth_axis_plus_1 = 3;
+            d.box_max[0] = d.size_x;
+            d.box_max[1] = d.size_y;
+            d.box_max[2] = 64;
+            in.mode = VOXRT_COLUMNS_SAMPLES;
+            in.spacing = (float)(0.5 + round / 3);
+            mesh.positions = p[0];
+            mesh.vertex_count = 3;
+            mesh.triangle_count = 1;
+            CHECK(voxrt_columns_create(&d, &c[k]) == VOXRT_OK && voxrt_columns_insert(c[k], &in, &mesh, NULL) == VOXRT_OK);
+        }
+        for (x = 0; x < 64; x++)
+            for (y = 0; y < 64; y++)
+                for (z = 0; z < 64; z++) {
+                    points += (uint32_t)voxrt_columns_get(c[1], 0, x, y, z);
+                    differ += voxrt_columns_get(c[0], 0, x, y, z) != voxrt_columns_get(c[1], 0, x, y, z);
+                }
+        for (k = 0; k < 2; k++) voxrt_columns_destroy(c[k]);
+    }
+    CHECK_MSG(differ == 0 && points > 1000, "%u of %u cells", differ, points);
+}
+
 TEST(triangles_far_outside) { /* a floor of 10^6 cells, cut before it is snapped; neighbours leave no gap */
     voxrt_columns *c = make(64, 32, 64);
     const float p[4][3] = {{-1e6f, -1e6f, 10.3f}, {1e6f, -1e6f, 10.3f}, {1e6f, 1e6f, 10.3f}, {-1e6f, 1e6f, 10.3f}};
@@ -1104,7 +1147,7 @@ static void rays_in_all_ways(uint32_t depth) {
             for (level = 0; level < 9; level += 2) {
                 memset(&sb, 0, sizeof sb);
                 d.isa = (voxrt_isa)isa;
-                d.start_level_plus_1 = level;
+                d.start_level_plus_1 = level < 8 ? level : 0xffffffffu;
                 d.stats = &sb;
                 CHECK(voxrt_columns_trace(c, &d, ray, b, many) == VOXRT_OK);
                 CHECK(voxrt_columns_occluded(c, &d, ray, dark, many) == VOXRT_OK);
@@ -1153,7 +1196,7 @@ TEST(rays_explained) { /* what a ray looks at follows on each other, is what the
         memset(&d, 0, sizeof d);
         memset(&stats, 0, sizeof stats);
         d.stats = &stats;
-        d.start_level_plus_1 = i % 9;
+        d.start_level_plus_1 = i % 9 < 8 ? i % 9 : 0xfffffff0u + i % 16;
         n = voxrt_columns_explain(c, &d, &ray, s, MOST, &hit);
         REQUIRE(n <= MOST);
         CHECK(voxrt_columns_explain(c, &d, &ray, NULL, 0, NULL) == n);
@@ -1389,6 +1432,7 @@ int main(int argc, char **argv) {
     RUN(bodies_are_as_wide_as_they_are);
     RUN(open_meshes_get_no_inside);
     RUN(samples_of_surfaces);
+    RUN(samples_far_apart);
     RUN(triangles_far_outside);
     RUN(solids_far_outside);
     RUN(threads_and_order_do_not_matter);

@@ -27,6 +27,13 @@ TEST(shared_exponents) {
         CHECK(d[0] == 0 && d[1] == 0 && d[2] == 0);
         CHECK(voxrti_rgb9e5(odd) != VOXRTI_GI_UNKNOWN);
     }
+    for (i = 0; i < 40; i++) { /* nor is white, however bright it is */
+        const float white[3] = {(float)exp2(i), (float)exp2(i), (float)exp2(i)};
+        float d[3];
+        CHECK(voxrti_rgb9e5(white) != VOXRTI_GI_UNKNOWN);
+        voxrti_rgb9e5_decode(voxrti_rgb9e5(white), d);
+        for (a = 0; a < 3; a++) CHECK(fabsf(d[a] - fminf(white[a], 65408.0f)) <= d[a] / 500);
+    }
 }
 
 TEST(samples_are_spread) { /* every power of two of points: one in each elementary interval; cosine density */
@@ -2408,6 +2415,15 @@ TEST(tones) {
         CHECK(voxrt_tone_map(VOXRT_TONE_DRAGO, most, in, out, 1) == VOXRT_OK);
         CHECK_MSG(fabs((double)out[0] - want) < 1e-6, "%g, not %g", (double)out[0], want);
     }
+    for (tone = 0; tone < 3; tone++) /* in any unit: `most` is white, half of it is not, or nearly (Drago) */
+        for (i = 0; i < 60; i++) {
+            const float unit = (float)pow(10, (double)i - 30);
+            in[0] = in[1] = in[2] = unit;
+            in[3] = in[4] = in[5] = 0.5f * unit;
+            CHECK(voxrt_tone_map((voxrt_tone)tone, unit, in, out, 2) == VOXRT_OK);
+            CHECK_MSG(fabsf(out[0] - 1) < 1e-5f, "tone %u: %g of %g", tone, (double)out[0], (double)unit);
+            CHECK_MSG(out[3] >= 0.49f && (out[3] < 0.999f || (tone == VOXRT_TONE_DRAGO && unit > 1)), "tone %u: %g of half of %g", tone, (double)out[3], (double)unit);
+        }
     in[0] = NAN;
     in[1] = INFINITY;
     in[2] = -1;
@@ -2705,6 +2721,60 @@ TEST(memory_that_runs_out_loses_nothing) {
     CHECK_MSG(!more && fail > 10, "%d requests", (int)fail);
 }
 
+TEST(lamps_that_change_before_the_next_try) { /* what bounced keeps its brightness when memory runs out in between */
+    static model a, b;
+    static uint32_t want[2][20000];
+    int64_t fail;
+    uint32_t k, l, some = 1, lost = 0;
+    sphere(&a, 3.0, 12, 200, 1);
+    sphere(&b, 1.0, 10, 160, 0);
+    for (fail = -1; some; fail++) { /* the first time nothing fails */
+        test_alloc ta;
+        voxrt_gi_desc d;
+        voxrt_gi *gi = NULL;
+        voxrt_gi_object o[2];
+        voxrt_gi_light light = point_light(0, 2, 0, 9);
+        test_alloc_init(&ta);
+        memset(&d, 0, sizeof d);
+        d.env.allocator.alloc_fn = test_alloc_fn;
+        d.env.allocator.free_fn = test_free_fn;
+        d.env.allocator.user = &ta;
+        d.env.thread_count = 1;
+        d.columns.size_x = d.columns.size_y = 16;
+        d.columns.size_z = 64;
+        for (k = 0; k < 3; k++) {
+            d.columns.box_min[k] = -4;
+            d.columns.box_max[k] = 4;
+        }
+        REQUIRE(voxrt_gi_create(&d, &gi) == VOXRT_OK);
+        o[0] = object_of(&a, 1);
+        o[1] = object_of(&b, 0);
+        for (k = 0; k < 2; k++) CHECK(voxrt_gi_add(gi, &o[k], NULL) == VOXRT_OK);
+        CHECK(voxrt_gi_set_lights(gi, &light, 1) == VOXRT_OK && voxrt_gi_update(gi, NULL) == VOXRT_OK);
+        CHECK(voxrt_gi_bounce(gi, NULL, 2, 0, 0) == VOXRT_OK);
+        for (k = 0; k < 2; k++) {
+            o[k].material.albedo[0] = 0.5f;
+            CHECK(voxrt_gi_set(gi, k, &o[k]) == VOXRT_OK);
+        }
+        if (fail >= 0) {
+            ta.fail_at = ta.count + fail;
+            ta.failed = 0;
+            some = voxrt_gi_update(gi, NULL) == VOXRT_ERR_NO_MEMORY;
+            ta.fail_at = -1;
+        }
+        for (k = 0; k < 3; k++) light.color[k] *= 1.0f / 64;
+        if (some) CHECK(voxrt_gi_set_lights(gi, &light, 1) == VOXRT_OK && voxrt_gi_update(gi, NULL) == VOXRT_OK);
+        for (l = 0; l < 2 && some; l++) {
+            REQUIRE(gi->layer[l].count > 100 && gi->layer[l].count <= 10000);
+            if (fail < 0) memcpy(want[l], gi->layer[l].bounce, 8 * gi->layer[l].count);
+            lost += memcmp(want[l], gi->layer[l].bounce, 8 * gi->layer[l].count) != 0;
+        }
+        voxrt_gi_destroy(gi);
+        test_alloc_check(&ta);
+    }
+    CHECK_MSG(fail > 5 && lost == 0, "%u of %d times", lost, (int)fail);
+}
+
 TEST(lamps_that_go_out) { /* for a picture, and come back as they were: what has bounced is the same bits */
     static room r;
     static uint32_t first[40000];
@@ -2717,6 +2787,105 @@ TEST(lamps_that_go_out) { /* for a picture, and come back as they were: what has
     CHECK(voxrt_gi_set_lights(r.gi, NULL, 0) == VOXRT_OK && voxrt_gi_set_lights(r.gi, &r.light, 1) == VOXRT_OK);
     CHECK(memcmp(first, r.gi->layer[0].bounce, 8 * r.gi->layer[0].count) == 0);
     voxrt_gi_destroy(r.gi);
+}
+
+TEST(lamps_that_fade) { /* what has bounced is much too bright for the new lamps: it stays as bright as cells can say */
+    static room r;
+    size_t i, lost = 0, lit = 0;
+    room_open(&r, 8, 8, 0);
+    CHECK(voxrt_gi_bounce(r.gi, NULL, 4, 0, 3) == VOXRT_OK);
+    r.light.color[0] = r.light.color[1] = r.light.color[2] = r.light.color[0] * 1e-9f;
+    CHECK(voxrt_gi_set_lights(r.gi, &r.light, 1) == VOXRT_OK);
+    for (i = 0; i < 2 * r.gi->layer[0].count; i++) {
+        lit += r.gi->layer[0].record[i / 2].area[i % 2] != 0;
+        lost += r.gi->layer[0].record[i / 2].area[i % 2] != 0 && r.gi->layer[0].bounce[i] == VOXRTI_GI_UNKNOWN;
+    }
+    CHECK_MSG(lit > 5000 && lost == 0, "%u of %u sides lost", (unsigned)lost, (unsigned)lit);
+    voxrt_gi_destroy(r.gi);
+}
+
+/* A sheet of `layers` triangles in one cell, one on the other: red from above; blue from below, a little lower. */
+static void crowd(uint32_t layers, uint32_t threads, voxrt_gi_surface s[2]) {
+    static const float p[6][3] = {{0.4f, 0.4f, 0.6f}, {0.6f, 0.4f, 0.6f}, {0.4f, 0.6f, 0.6f}, {0.4f, 0.4f, 0.4f}, {0.4f, 0.6f, 0.4f}, {0.6f, 0.4f, 0.4f}};
+    const float dir[2][3] = {{0, 0, -1}, {0, 0, 1}};
+    uint32_t (*index)[3] = (uint32_t (*)[3])malloc((size_t)layers * sizeof *index);
+    uint8_t (*rgb)[3] = (uint8_t (*)[3])calloc(layers, sizeof *rgb);
+    voxrt_gi_desc d;
+    voxrt_gi *gi = NULL;
+    voxrt_gi_object o;
+    voxrt_column_hit hit;
+    uint32_t i, k;
+    if (index == NULL || rgb == NULL) abort();
+    for (i = 0; i < layers; i++) {
+        for (k = 0; k < 3; k++) index[i][k] = k + 3 * (i & 1u);
+        rgb[i][i & 1u ? 2 : 0] = 255;
+    }
+    memset(&d, 0, sizeof d);
+    d.env.thread_count = threads;
+    d.columns.size_x = d.columns.size_y = 4;
+    d.columns.size_z = 64;
+    d.columns.depth_axis_plus_1 = 3;
+    for (k = 0; k < 3; k++) {
+        d.columns.box_min[k] = k < 2 ? -2 : -32;
+        d.columns.box_max[k] = k < 2 ? 2 : 32;
+    }
+    memset(&o, 0, sizeof o);
+    o.mesh.positions = p[0];
+    o.mesh.vertex_count = 6;
+    o.mesh.indices = index[0];
+    o.mesh.triangle_count = layers;
+    o.mesh.triangle_rgb = rgb[0];
+    o.mode = VOXRT_COLUMNS_FAT;
+    memset(&hit, 0, sizeof hit);
+    hit.cell[0] = hit.cell[1] = 2;
+    hit.cell[2] = 32;
+    CHECK(voxrt_gi_create(&d, &gi) == VOXRT_OK && voxrt_gi_add(gi, &o, NULL) == VOXRT_OK && voxrt_gi_update(gi, NULL) == VOXRT_OK);
+    for (k = 0; k < 2; k++) CHECK(voxrt_gi_get(gi, &hit, dir[k], &s[k]) != 0);
+    voxrt_gi_destroy(gi);
+    free(index);
+    free(rgb);
+}
+
+TEST(crowds_in_cells) { /* however many triangles lie in a cell, they have the colours and normals of two */
+    static const uint32_t layers[6] = {100, 65536, 131100, 140000, 400000, 1200000};
+    voxrt_gi_surface two[2], s[2];
+    uint32_t i, k, a;
+    crowd(2, 1, two);
+    for (i = 0; i < (test_quick() ? 5u : 6u); i++) {
+        crowd(layers[i], 1 + i % 2, s);
+        for (k = 0; k < 2; k++)
+            for (a = 0; a < 3; a++) {
+                CHECK_MSG(fabsf(s[k].albedo[a] - two[k].albedo[a]) < 0.01f, "%u: side %u, colour %g, not %g", layers[i], k, (double)s[k].albedo[a], (double)two[k].albedo[a]);
+                CHECK_MSG(fabsf(s[k].normal[a] - two[k].normal[a]) < 0.01f, "%u: side %u, normal %g, not %g", layers[i], k, (double)s[k].normal[a], (double)two[k].normal[a]);
+                CHECK(fabsf(s[k].position[a] - two[k].position[a]) < 0.01f);
+            }
+    }
+    CHECK(two[0].albedo[0] > 0.99f && two[0].albedo[2] < 0.01f && two[1].albedo[2] > 0.99f && two[1].normal[2] < -0.99f);
+}
+
+TEST(lobes_beside_open_skies) { /* direct light is the same whatever is asked for beside it */
+    static model m;
+    const double f[4][3] = {{-5, -5, 0}, {5, -5, 0}, {5, 5, 0}, {-5, 5, 0}};
+    const voxrt_gi_light l = point_light(0, 0, 3, 1);
+    float position[1][3] = {{0, 0, 0}}, normal[1][3] = {{0, 0, 1}}, albedo[1][3] = {{0.5f, 0.5f, 0.5f}}, specular[4] = {0.5f, 0.5f, 0.5f, 10};
+    float direct[2][3], open[3];
+    voxrt_gbuffer g = gbuffer_of(1, 1, position, normal, albedo);
+    voxrt_gi_render_desc d;
+    voxrt_gi *gi;
+    m.points = m.triangles = 0;
+    quad(&m, f[0], f[1], f[2], f[3], 255);
+    gi = alone(&m);
+    CHECK(voxrt_gi_set_lights(gi, &l, 1) == VOXRT_OK && voxrt_gi_update(gi, NULL) == VOXRT_OK);
+    memset(&d, 0, sizeof d);
+    d.camera.eye[2] = 4;
+    g.specular = specular;
+    d.method = VOXRT_GI_NONE;
+    CHECK(voxrt_gi_render(&d, gi, &g, direct[0], NULL, NULL) == VOXRT_OK);
+    d.method = VOXRT_GI_AO;
+    CHECK(voxrt_gi_render(&d, gi, &g, direct[1], open, NULL) == VOXRT_OK);
+    CHECK(direct[0][0] > 0 && memcmp(direct[0], direct[1], sizeof direct[0]) == 0);
+    CHECK(open[0] == 1);
+    voxrt_gi_destroy(gi);
 }
 
 int main(int argc, char **argv) {
@@ -2780,5 +2949,9 @@ int main(int argc, char **argv) {
     RUN(memory);
     RUN(memory_that_runs_out_loses_nothing);
     RUN(lamps_that_go_out);
+    RUN(lamps_that_fade);
+    RUN(lamps_that_change_before_the_next_try);
+    RUN(crowds_in_cells);
+    RUN(lobes_beside_open_skies);
     return test_end();
 }

@@ -1614,6 +1614,7 @@ TEST(files_and_arguments) {
     d.env.error = &error;
     CHECK(voxrt_paged_open(&d, &p) == VOXRT_ERR_INVALID_ARG && error.text[0] != 0);
     CHECK(voxrt_paged_open(NULL, &p) == VOXRT_ERR_INVALID_ARG && voxrt_paged_open(&d, NULL) == VOXRT_ERR_INVALID_ARG);
+    CHECK(voxrt_paged_update(NULL, 0, NULL) == VOXRT_ERR_INVALID_ARG);
     d._end_zero = 1;
     CHECK(voxrt_paged_open(&d, &p) == VOXRT_ERR_UNINIT_DESC);
     CHECK(voxrt_paged_build(&b, &h->mesh, NULL, NULL) == VOXRT_ERR_INVALID_ARG);
