@@ -3395,11 +3395,9 @@ static int zbufrandi_reserve(zbufrandi_mem *mem, void **array, size_t used, size
 }
 static size_t zbufrandi_next_capacity(size_t used, size_t need) { return used == 0 ? need : need + need / 2; }
 
-static int zbufrandi_reserve_triangles(zbufrandi_build *b, size_t need) {
+static int zbufrandi_resize_triangles(zbufrandi_build *b, size_t cap) {
     zbufrandi_mem *mem = &b->scene->mem;
     zbufrandi_structure *s = b->s;
-    size_t cap = zbufrandi_next_capacity(s->triangle_count, need);
-    if (need <= b->triangle_capacity) return 1;
     if (!zbufrandi_reserve(mem, (void **)&s->triangle, s->triangle_count, cap, 3, 48)) return 0;
     if (s->triangle_rgb != NULL && !zbufrandi_reserve(mem, (void **)&s->triangle_rgb, s->triangle_count, cap, 3, 16))
         return 0;
@@ -3408,11 +3406,13 @@ static int zbufrandi_reserve_triangles(zbufrandi_build *b, size_t need) {
     b->triangle_capacity = cap;
     return 1;
 }
-static int zbufrandi_reserve_vertices(zbufrandi_build *b, size_t need) {
+static int zbufrandi_reserve_triangles(zbufrandi_build *b, size_t need) {
+    return need <= b->triangle_capacity ||
+           zbufrandi_resize_triangles(b, zbufrandi_next_capacity(b->s->triangle_count, need));
+}
+static int zbufrandi_resize_vertices(zbufrandi_build *b, size_t cap) {
     zbufrandi_mem *mem = &b->scene->mem;
     zbufrandi_structure *s = b->s;
-    size_t cap = zbufrandi_next_capacity(s->vertex_count, need);
-    if (need <= b->vertex_capacity) return 1;
     if (!zbufrandi_reserve(mem, (void **)&s->position, s->vertex_count, cap, 12, 96)) return 0;
     if (s->vertex_normal != NULL && !zbufrandi_reserve(mem, (void **)&s->vertex_normal, s->vertex_count, cap, 2, 16))
         return 0;
@@ -3420,6 +3420,10 @@ static int zbufrandi_reserve_vertices(zbufrandi_build *b, size_t need) {
         return 0;
     b->vertex_capacity = cap;
     return 1;
+}
+static int zbufrandi_reserve_vertices(zbufrandi_build *b, size_t need) {
+    return need <= b->vertex_capacity ||
+           zbufrandi_resize_vertices(b, zbufrandi_next_capacity(b->s->vertex_count, need));
 }
 
 /* Attribute arrays exist once a mesh of the structure has them. */
@@ -4688,10 +4692,8 @@ static zbufrand_result zbufrandi_build_structure(zbufrandi_build *b) {
         r = zbufrandi_build_piece(b, &b->gather->piece[i]);
     if (r != ZBUFRAND_OK) return r;
     if (ok && s->triangle_count != 0) { /* give back what growing took too much */
-        ok = b->triangle_capacity == s->triangle_count ||
-            (b->triangle_capacity = 0, zbufrandi_reserve_triangles(b, s->triangle_count));
-        ok = ok && (b->vertex_capacity == s->vertex_count ||
-                    (b->vertex_capacity = 0, zbufrandi_reserve_vertices(b, s->vertex_count)));
+        ok = (b->triangle_capacity == s->triangle_count || zbufrandi_resize_triangles(b, s->triangle_count)) &&
+             (b->vertex_capacity == s->vertex_count || zbufrandi_resize_vertices(b, s->vertex_count));
     }
     if (!ok) return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_NO_MEMORY, b->index, "structure %: out of memory");
     zbufrandi_place_instances(b);

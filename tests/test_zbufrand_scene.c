@@ -377,6 +377,28 @@ static int cancel_at(void *user, uint64_t done, uint64_t total) {
     return done >= *(uint64_t *)user;
 }
 
+/* Arrays that grew from mesh to mesh end as large as one mesh of all of it would have made them. */
+TEST(many_meshes_hold_no_more) {
+    shape torus;
+    zbufrand_mesh m;
+    zbufrand_scene_info info;
+    double one = 0;
+    uint32_t n, i;
+    memset(&torus, 0, sizeof torus);
+    shape_torus(&torus, 0, 0, 0, 1, 0.4, 100, 50);
+    m = mesh_of(&torus);
+    for (n = 1; n <= 5; n++) {
+        zbufrand_scene *s = open_scene();
+        for (i = 0; i < n; i++) CHECK_EQ_U64(zbufrand_add_mesh(s, ZBUFRAND_ROOT, NULL, 0, &m, NULL), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_scene_build(s, NULL, &info), ZBUFRAND_OK);
+        CHECK_EQ_U64(info.stored_triangles, n * m.triangle_count);
+        if (n == 1) one = (double)info.bytes;
+        CHECK_MSG((double)info.bytes < 1.05 * one * n, "%u meshes hold %g times as much as one", (unsigned)n, (double)info.bytes / one);
+        zbufrand_scene_destroy(s);
+    }
+    shape_free(&torus);
+}
+
 TEST(cancelled) {
     zbufrand_scene_desc d;
     zbufrand_scene *s = NULL;
@@ -427,6 +449,7 @@ int main(int argc, char **argv) {
     RUN(far_away);
     RUN(bad_triangles);
     RUN(out_of_memory);
+    RUN(many_meshes_hold_no_more);
     RUN(cancelled);
     RUN(descs);
     return test_end();
