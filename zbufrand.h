@@ -458,8 +458,10 @@ typedef struct zbufrand_scene_info {
    info   out, may be NULL
    A scene may be built again after nodes were added. An empty scene is fine; it draws nothing.
    Errors: UNINIT_DESC, NO_MEMORY, CANCELLED (env.progress_fn is asked behind each structure), RANGE (more than
-   2^64 - 1 triangles, 2^28 clusters and instances in a structure, or 64 levels of instances; for the thesis' trees 2^29
-   objects or 2^24 clusters in a structure),
+   2^64 - 1 triangles, 2^28 clusters and instances, 2^32 - 1 triangles or vertices in a structure, or 64 levels of
+   instances; an instance further than 1e15 from the middle of what it is in, or that with all lists around it is no
+   similarity within 1e-4, or has a scale outside of 1e-150 to 1e150; for the thesis' trees 2^29 objects or 2^24
+   clusters in a structure),
    INVALID_ARG: a field of those is wrong, or env.error names the node that closes a cycle, the reference whose target
    is in no list, or with `strict` the bad triangle. On failure (but UNINIT_DESC) the scene is as if never built.
    Cost: O(n log n), about 0.15 us per stored triangle and 0.5 us per instance; about 20 bytes per stored triangle. The
@@ -2078,13 +2080,7 @@ typedef struct zbufrandi_keys {
 } zbufrandi_keys;
 
 /* Bijection of 32 bits and its inverse (lowbias32 constants). */
-ZBUFRANDI_INLINE uint32_t zbufrandi_mix(uint32_t x) {
-    x ^= x >> 16;
-    x *= 0x7feb352du;
-    x ^= x >> 15;
-    x *= 0x846ca68bu;
-    return x ^ (x >> 16);
-}
+ZBUFRANDI_INLINE uint32_t zbufrandi_mix(uint32_t x) { return zbufrandi_hash32(x); }
 ZBUFRANDI_INLINE uint32_t zbufrandi_unmix(uint32_t x) {
     x ^= x >> 16;
     x *= 0x43021123u;
@@ -2092,6 +2088,15 @@ ZBUFRANDI_INLINE uint32_t zbufrandi_unmix(uint32_t x) {
     x *= 0x1d69e2a5u;
     return x ^ (x >> 16);
 }
+#if ZBUFRANDI_AVX2
+ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE __m256i zbufrandi_mix8(__m256i x) {
+    x = _mm256_xor_si256(x, _mm256_srli_epi32(x, 16));
+    x = _mm256_mullo_epi32(x, _mm256_set1_epi32(0x7feb352d));
+    x = _mm256_xor_si256(x, _mm256_srli_epi32(x, 15));
+    x = _mm256_mullo_epi32(x, _mm256_set1_epi32((int)0x846ca68bu));
+    return _mm256_xor_si256(x, _mm256_srli_epi32(x, 16));
+}
+#endif
 ZBUFRANDI_INLINE uint64_t zbufrandi_key(float z, uint32_t number) { /* z > 0 */
     uint32_t bits;
     memcpy(&bits, &z, sizeof bits);
@@ -2296,6 +2301,7 @@ ZBUFRANDI_INLINE uint8_t zbufrandi_srgb_byte(const zbufrandi_srgb *s, float v) {
 
 enum { ZBUFRANDI_LIST = 0, ZBUFRANDI_MESH = 1, ZBUFRANDI_REFERENCES = 2, ZBUFRANDI_DEAD = 3 /* removed */ };
 enum { ZBUFRANDI_MAX_LEVELS = 64, ZBUFRANDI_MESH_TRIANGLES = 1 << 28 };
+enum { ZBUFRANDI_STRUCTURE_ITEMS = 1 << 28 }; /* clusters and instances of a structure are fewer */
 
 typedef struct zbufrandi_graph {     /* one node of the scene graph */
     double m[3][4];                  /* node to parent */
@@ -2403,9 +2409,14 @@ ZBUFRANDI_INLINE double zbufrandi_m34_det(const double m[3][4]) {
            m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0]);
 }
 
-/* Scale of a similarity; 0 if m is none: columns of equal length and at right angles within 1e-5, all finite. */
-static double zbufrandi_m34_scale(const double m[3][4]) {
-    double g[3][3], mean, scale, largest = 0.0;
+/* What columns of a similarity may differ by in their lengths, and be off right angles: those of the caller's, and what
+   these amount to when lists are in lists. */
+#define ZBUFRANDI_SIMILAR 1e-5
+#define ZBUFRANDI_SIMILAR_PRODUCT 1e-4
+
+/* Scale of a similarity; 0 if m is none: columns of equal length and at right angles within `tolerance`, all finite. */
+static double zbufrandi_m34_scale(const double m[3][4], double tolerance) {
+    double g[3][3], mean, largest = 0.0;
     int i, j, k;
     for (i = 0; i < 3; i++) {
         for (j = 0; j < 4; j++) if (!(zbufrandi_abs(m[i][j]) < 1e150)) return 0.0;
@@ -2420,10 +2431,9 @@ static double zbufrandi_m34_scale(const double m[3][4]) {
     }
     mean = (g[0][0] + g[1][1] + g[2][2]) / 3.0;
     for (i = 0; i < 3; i++) {
-        for (j = 0; j < 3; j++) if (!(zbufrandi_abs(g[i][j] - (i == j ? mean : 0.0)) <= 1e-5 * mean)) return 0.0;
+        for (j = 0; j < 3; j++) if (!(zbufrandi_abs(g[i][j] - (i == j ? mean : 0.0)) <= tolerance * mean)) return 0.0;
     }
-    scale = largest * sqrt(mean);
-    return scale;
+    return largest * sqrt(mean);
 }
 
 /* ---- the graph ---- */
@@ -2439,7 +2449,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_scene_create(const zbufrand_scene_desc *de
     if (desc != NULL) d = *desc;
     if (d._begin_zero != 0 || d._end_zero != 0) return ZBUFRAND_ERR_UNINIT_DESC;
     r = zbufrandi_env_open(&d.env, &mem);
-    if (r != ZBUFRAND_OK) return zbufrandi_fail(d.env.error, r, 0, "env: only one of alloc_fn and free_fn is set");
+    if (r != ZBUFRAND_OK) return r;
     scene = (zbufrand_scene *)zbufrandi_alloc_zero(&mem, 1, sizeof *scene);
     if (scene != NULL) {
         scene->mem = mem;
@@ -2502,7 +2512,7 @@ static uint32_t zbufrandi_node_new(zbufrand_scene *scene, uint32_t kind, uint32_
     *r = ZBUFRAND_OK;
     if (parent >= scene->graph_count || (parent != 0 && scene->graph[parent].kind != ZBUFRANDI_LIST)) {
         *r = zbufrandi_fail(e, ZBUFRAND_ERR_INVALID_ARG, parent, "parent %: not a list of this scene");
-    } else if (transform != NULL && zbufrandi_m34_scale(ZBUFRANDI_M34(transform->m)) == 0.0) {
+    } else if (transform != NULL && zbufrandi_m34_scale(ZBUFRANDI_M34(transform->m), ZBUFRANDI_SIMILAR) == 0.0) {
         *r = zbufrandi_fail(e, ZBUFRAND_ERR_INVALID_ARG, scene->graph_count, "node %: the transform is no similarity");
     } else if (flags > (ZBUFRAND_HIDDEN | ZBUFRAND_OWN_STRUCTURE)) {
         *r = zbufrandi_fail(e, ZBUFRAND_ERR_INVALID_ARG, scene->graph_count, "node %: unknown flags");
@@ -2775,20 +2785,29 @@ static void zbufrandi_gather_free(zbufrandi_mem *mem, zbufrandi_gather *a) {
     memset(a, 0, sizeof *a);
 }
 
-static int zbufrandi_gather_instance(zbufrand_scene *scene, zbufrandi_gather *a, const double m[3][4],
-                                     uint32_t structure,
-                                     uint32_t node) {
+/* An instance of a structure for `node`, at m. */
+static zbufrand_result zbufrandi_gather_instance(zbufrand_scene *scene, zbufrandi_gather *a, const double m[3][4],
+                                                 uint32_t structure, uint32_t node) {
     zbufrandi_instance *it;
+    const double scale = zbufrandi_m34_scale(m, ZBUFRANDI_SIMILAR_PRODUCT);
+    if (scale == 0.0) {
+        return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, node,
+                              "node %: with the lists around it its scale is out of range, or it is no similarity");
+    }
+    if (a->instance_count >= ZBUFRANDI_STRUCTURE_ITEMS) {
+        return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, node,
+                              "node %: more than 2^28 instances in one structure");
+    }
     if (!zbufrandi_grow(&scene->mem, (void **)&a->instance, &a->instance_capacity, a->instance_count,
-                        a->instance_count + 1, sizeof *a->instance)) return 0;
+                        a->instance_count + 1, sizeof *a->instance)) return ZBUFRAND_ERR_NO_MEMORY;
     it = &a->instance[a->instance_count++];
     memset(it, 0, sizeof *it);
     memcpy(it->to_parent, m, sizeof it->to_parent);
-    it->scale = zbufrandi_m34_scale(m);
+    it->scale = scale;
     it->structure = structure;
     it->mirrored = zbufrandi_m34_det(m) < 0.0;
     it->node = node;
-    return 1;
+    return ZBUFRAND_OK;
 }
 
 /* The references of `node`, which stands at `m`. */
@@ -2796,25 +2815,21 @@ static zbufrand_result zbufrandi_gather_references(zbufrand_scene *scene, zbufra
                                                    const double m[3][4]) {
     const zbufrandi_graph *n = &scene->graph[node];
     uint32_t structure = scene->graph[n->target].structure - 1;
+    zbufrand_result r = ZBUFRAND_OK;
     double t[3][4];
     size_t i;
-    for (i = 0; i < n->count; i++) {
+    for (i = 0; i < n->count && r == ZBUFRAND_OK; i++) {
         memcpy(t, m, sizeof t);
         if (n->transforms != NULL) {
-            if (zbufrandi_m34_scale(ZBUFRANDI_M34(n->transforms[i].m)) == 0.0) {
+            if (zbufrandi_m34_scale(ZBUFRANDI_M34(n->transforms[i].m), ZBUFRANDI_SIMILAR) == 0.0) {
                 return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_INVALID_ARG, node,
                                       "references %: a transform is no similarity");
             }
             zbufrandi_m34_mul(m, ZBUFRANDI_M34(n->transforms[i].m), t);
         }
-        if (zbufrandi_m34_scale(ZBUFRANDI_M34(t)) == 0.0) {
-            return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, node, "reference %: its scale is out of range");
-        }
-        if (!zbufrandi_gather_instance(scene, a, ZBUFRANDI_M34(t), structure, node)) {
-            return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_NO_MEMORY, node, "reference %: out of memory");
-        }
+        r = zbufrandi_gather_instance(scene, a, ZBUFRANDI_M34(t), structure, node);
     }
-    return ZBUFRAND_OK;
+    return r;
 }
 
 typedef struct zbufrandi_place {
@@ -2835,8 +2850,7 @@ static zbufrand_result zbufrandi_gather_structure(zbufrand_scene *scene, uint32_
     for (;;) {
         const zbufrandi_graph *n = &g[at.node];
         if (at.node != root && n->structure != 0) {
-            if (!zbufrandi_gather_instance(scene, a, ZBUFRANDI_M34(at.m), n->structure - 1, at.node))
-                r = ZBUFRAND_ERR_NO_MEMORY;
+            r = zbufrandi_gather_instance(scene, a, ZBUFRANDI_M34(at.m), n->structure - 1, at.node);
         } else if (n->kind == ZBUFRANDI_MESH) {
             if (!zbufrandi_grow(&scene->mem, (void **)&a->piece, &a->piece_capacity, a->piece_count, a->piece_count + 1,
                                 sizeof *a->piece)) {
@@ -3485,13 +3499,16 @@ static int zbufrandi_piece_sort(zbufrandi_piece_job *j) { /* keys of all usable 
     return 1;
 }
 
-static int zbufrandi_piece_clusters(zbufrandi_build *b, zbufrandi_piece_job *pj) { /* 0: no memory */
+/* The clusters of a mesh go to the others. RANGE: too many triangles or vertices; NO_MEMORY. */
+static zbufrand_result zbufrandi_piece_clusters(zbufrandi_build *b, zbufrandi_piece_job *pj) {
     zbufrandi_mem *mem = &b->scene->mem;
     zbufrandi_structure *s = b->s;
     uint32_t segments = (uint32_t)((pj->valid + ZBUFRANDI_SEGMENT - 1) / ZBUFRANDI_SEGMENT), i, n, clusters = 0;
-    size_t vertices = 0;
+    uint64_t vertices = 0;
     zbufrandi_cluster_job j;
+    zbufrand_result r = ZBUFRAND_OK;
     int ok;
+    if ((uint64_t)s->triangle_count + pj->valid > 0xffffffffu) return ZBUFRAND_ERR_RANGE;
     memset(&j, 0, sizeof j);
     j.piece = pj;
     j.s = s;
@@ -3499,9 +3516,9 @@ static int zbufrandi_piece_clusters(zbufrandi_build *b, zbufrandi_piece_job *pj)
     j.first_vertex = s->vertex_count;
     j.first_cluster = s->cluster_count;
     j.keep_ids = b->desc->ids != 0;
-    if (!zbufrandi_reserve_triangles(b, (size_t)s->triangle_count + pj->valid)) return 0;
+    if (!zbufrandi_reserve_triangles(b, (size_t)s->triangle_count + pj->valid)) return ZBUFRAND_ERR_NO_MEMORY;
     if (j.keep_ids && s->triangle_id == NULL &&
-        !zbufrandi_reserve(mem, (void **)&s->triangle_id, 0, b->triangle_capacity, 4, 0)) return 0;
+        !zbufrandi_reserve(mem, (void **)&s->triangle_id, 0, b->triangle_capacity, 4, 0)) return ZBUFRAND_ERR_NO_MEMORY;
     n = pj->valid < ZBUFRANDI_SEGMENT ? (uint32_t)pj->valid : (uint32_t)ZBUFRANDI_SEGMENT;
     j.id = (uint32_t *)zbufrandi_alloc_array(mem, pj->valid, 3 * sizeof *j.id);
     j.cluster = (zbufrandi_cluster *)zbufrandi_alloc_array(mem,
@@ -3520,7 +3537,8 @@ static int zbufrandi_piece_clusters(zbufrandi_build *b, zbufrandi_piece_job *pj)
             j.vertices[i] = (uint32_t)vertices;
             vertices += n;
         }
-        ok = s->vertex_count + vertices < 0xffffffffu && zbufrandi_reserve_vertices(b, s->vertex_count + vertices) &&
+        if (s->vertex_count + vertices > 0xffffffffu) r = ZBUFRAND_ERR_RANGE;
+        ok = r == ZBUFRAND_OK && zbufrandi_reserve_vertices(b, s->vertex_count + (size_t)vertices) &&
              zbufrandi_reserve_attributes(b, pj->mesh);
         if (ok && s->cluster_count + (size_t)clusters > b->cluster_capacity) {
             b->cluster_capacity = zbufrandi_next_capacity(s->cluster_count, s->cluster_count + (size_t)clusters);
@@ -3538,19 +3556,30 @@ static int zbufrandi_piece_clusters(zbufrandi_build *b, zbufrandi_piece_job *pj)
     zbufrandi_free(mem, j.cluster);
     zbufrandi_free(mem, j.clusters);
     zbufrandi_free(mem, j.vertices);
-    return ok;
+    return ok || r != ZBUFRAND_OK ? r : ZBUFRAND_ERR_NO_MEMORY;
+}
+
+/* A triangle that `strict` does not let pass. */
+static zbufrand_result zbufrandi_bad_triangle(zbufrand_error *error, uint32_t node, size_t triangle) {
+    zbufrand_error of;
+    char text[sizeof of.text + 16] = "triangle %";
+    (void)zbufrandi_fail(&of, ZBUFRAND_ERR_INVALID_ARG, node,
+                         " of mesh %: degenerate, not finite, or an index is out of range");
+    memcpy(text + strlen(text), of.text, strlen(of.text) + 1);
+    return zbufrandi_fail(error, ZBUFRAND_ERR_INVALID_ARG, triangle, text);
 }
 
 /* Melt one mesh into the structure. */
 static zbufrand_result zbufrandi_build_piece(zbufrandi_build *b, const zbufrandi_piece *piece) {
     zbufrand_scene *scene = b->scene;
     zbufrandi_mem *mem = &scene->mem;
+    zbufrand_error *e = scene->env.error;
+    const uint32_t node = scene->mesh[piece->mesh].node;
     zbufrandi_piece_job j;
     static const double unit[3][4] = {{1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, 1, 0}};
     uint32_t tasks, v[3];
     size_t t;
-    zbufrand_result r = ZBUFRAND_OK;
-    int ok = 1;
+    zbufrand_result r = ZBUFRAND_ERR_NO_MEMORY;
     memset(&j, 0, sizeof j);
     j.scene = scene;
     j.piece = piece;
@@ -3561,23 +3590,18 @@ static zbufrand_result zbufrandi_build_piece(zbufrandi_build *b, const zbufrandi
     if (j.mesh->triangle_count == 0) return ZBUFRAND_OK;
     j.vertex = (float *)zbufrandi_alloc_array(mem, j.mesh->vertex_count, 3 * sizeof *j.vertex);
     if (j.vertex != NULL) {
+        r = ZBUFRAND_OK;
         tasks = (uint32_t)((j.mesh->vertex_count + ZBUFRANDI_TASK_VERTICES - 1) / ZBUFRANDI_TASK_VERTICES);
         zbufrandi_parallel_for(&scene->env, zbufrandi_vertex_task, &j, tasks);
-        for (t = 0; b->desc->strict && t < j.mesh->triangle_count; t++) {
-            if (zbufrandi_usable(&j, t, v)) continue;
-            r = zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_INVALID_ARG, t,
-                               "triangle %: degenerate, not finite, or an index is out of range");
-            break;
-        }
-        if (r == ZBUFRAND_OK) ok = zbufrandi_piece_sort(&j);
-        if (r == ZBUFRAND_OK && ok) {
+        for (t = 0; b->desc->strict && t < j.mesh->triangle_count && r == ZBUFRAND_OK; t++)
+            if (!zbufrandi_usable(&j, t, v)) r = zbufrandi_bad_triangle(e, node, t);
+        if (r == ZBUFRAND_OK && !zbufrandi_piece_sort(&j)) r = ZBUFRAND_ERR_NO_MEMORY;
+        if (r == ZBUFRAND_OK) {
             const uint32_t first = b->s->cluster_count;
             b->skipped += j.mesh->triangle_count - j.valid;
-            if (j.valid != 0) ok = zbufrandi_piece_clusters(b, &j);
-            zbufrandi_build_home(b, scene->mesh[piece->mesh].node, first, b->s->cluster_count - first);
+            if (j.valid != 0) r = zbufrandi_piece_clusters(b, &j);
+            zbufrandi_build_home(b, node, first, b->s->cluster_count - first);
         }
-    } else {
-        ok = 0;
     }
     zbufrandi_free(mem, j.vertex);
     zbufrandi_free(mem, j.key);
@@ -3586,8 +3610,9 @@ static zbufrand_result zbufrandi_build_piece(zbufrandi_build *b, const zbufrandi
     zbufrandi_free(mem, j.task_box);
     zbufrandi_free(mem, j.task_exponent);
     zbufrandi_free(mem, j.histogram);
-    if (!ok) r = zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_NO_MEMORY, scene->mesh[piece->mesh].node,
-                                "mesh %: out of memory");
+    if (r == ZBUFRAND_ERR_NO_MEMORY) r = zbufrandi_fail(e, r, node, "mesh %: out of memory");
+    if (r == ZBUFRAND_ERR_RANGE)
+        r = zbufrandi_fail(e, r, node, "mesh %: more than 2^32 - 1 triangles or vertices in its structure");
     return r;
 }
 
@@ -4655,7 +4680,7 @@ static zbufrand_result zbufrandi_build_over(zbufrandi_build *b) {
     const size_t items = (size_t)s->cluster_count + s->instance_count;
     uint32_t count = 0;
     int ok = 1, range = 1;
-    if (items >= (1u << 28)) {
+    if (items >= ZBUFRANDI_STRUCTURE_ITEMS) {
         return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, items,
                               "% clusters and instances in one structure are too many");
     }
@@ -6792,11 +6817,7 @@ ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_raster_eight(const zbufrandi_ras
     dyc = _mm256_slli_epi32(_mm256_sub_epi32(b.x, a.x), ZBUFRANDI_RASTER_BITS);
     low = _mm256_add_epi32(_mm256_setr_epi32(ids[0], ids[1], ids[2], ids[3], ids[4], ids[5], ids[6], ids[7]),
                            _mm256_set1_epi32((int32_t)first_number));
-    low = _mm256_xor_si256(low, _mm256_srli_epi32(low, 16)); /* zbufrandi_mix */
-    low = _mm256_mullo_epi32(low, _mm256_set1_epi32(0x7feb352d));
-    low = _mm256_xor_si256(low, _mm256_srli_epi32(low, 15));
-    low = _mm256_mullo_epi32(low, _mm256_set1_epi32((int32_t)0x846ca68bu));
-    low = _mm256_xor_si256(low, _mm256_srli_epi32(low, 16));
+    low = zbufrandi_mix8(low);
     at = _mm256_add_epi32(_mm256_mullo_epi32(j0, _mm256_set1_epi32((int32_t)r->width)), i0);
     i1 = _mm256_sub_epi32(i1, i0); /* columns and rows that follow the first */
     j1 = _mm256_sub_epi32(j1, j0);
@@ -9412,14 +9433,6 @@ static void zbufrandi_waiting_put(const zbufrandi_target *g, zbufrandi_waiting *
 /* ---- eight stored samples at a time: the operations of zbufrandi_stored_sample, one for one ---- */
 
 #if ZBUFRANDI_AVX2
-ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE __m256i zbufrandi_mix8(__m256i x) {
-    x = _mm256_xor_si256(x, _mm256_srli_epi32(x, 16));
-    x = _mm256_mullo_epi32(x, _mm256_set1_epi32(0x7feb352d));
-    x = _mm256_xor_si256(x, _mm256_srli_epi32(x, 15));
-    x = _mm256_mullo_epi32(x, _mm256_set1_epi32((int)0x846ca68bu));
-    return _mm256_xor_si256(x, _mm256_srli_epi32(x, 16));
-}
-
 /* Lanes of a mask into the list. fetch: their pixels have not been looked at yet. */
 ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_put8(const zbufrandi_target *g, zbufrandi_waiting *w, __m256i at,
                                                            __m256 z,
@@ -18844,7 +18857,7 @@ static zbufrand_result zbufrandi_edit_place(zbufrand_scene *scene, uint32_t home
     int a;
     memset(it, 0, sizeof *it);
     zbufrandi_m34_mul(m, ZBUFRANDI_M34(scene->live->s[structure].base_inverse), it->to_parent);
-    it->scale = zbufrandi_m34_scale(ZBUFRANDI_M34(it->to_parent));
+    it->scale = zbufrandi_m34_scale(ZBUFRANDI_M34(it->to_parent), ZBUFRANDI_SIMILAR_PRODUCT);
     it->structure = structure;
     it->mirrored = zbufrandi_m34_det(ZBUFRANDI_M34(it->to_parent)) < 0.0;
     it->node = node;
@@ -19181,8 +19194,12 @@ static zbufrand_result zbufrandi_edit_build(zbufrandi_edit *e, uint32_t node, ui
         zbufrandi_instance *it = &gather.instance[i];
         zbufrandi_m34_mul(ZBUFRANDI_M34(it->to_parent), ZBUFRANDI_M34(scene->live->s[it->structure].base_inverse),
                           it->to_parent);
-        it->scale = zbufrandi_m34_scale(ZBUFRANDI_M34(it->to_parent));
+        it->scale = zbufrandi_m34_scale(ZBUFRANDI_M34(it->to_parent), ZBUFRANDI_SIMILAR_PRODUCT);
         it->mirrored = zbufrandi_m34_det(ZBUFRANDI_M34(it->to_parent)) < 0.0;
+        if (it->scale != 0.0) continue;
+        r = zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, it->node, "node %: its scale is out of range");
+        zbufrandi_gather_free(&scene->mem, &gather);
+        return r;
     }
     b.scene = scene;
     b.desc = &scene->built;
@@ -19226,7 +19243,7 @@ static zbufrand_result zbufrandi_edit_node_changes(zbufrandi_edit *e, uint32_t n
     for (i = 0; i < count; i++) {
         memcpy(t, m, sizeof t);
         if (many && n->transforms != NULL) {
-            if (zbufrandi_m34_scale(ZBUFRANDI_M34(n->transforms[i].m)) == 0.0) {
+            if (zbufrandi_m34_scale(ZBUFRANDI_M34(n->transforms[i].m), ZBUFRANDI_SIMILAR) == 0.0) {
                 return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_INVALID_ARG, node,
                                       "references %: a transform is no similarity");
             }
@@ -19464,7 +19481,7 @@ static zbufrand_result zbufrandi_edit_check(const zbufrand_scene *scene, uint32_
         return zbufrandi_fail(e, ZBUFRAND_ERR_INVALID_ARG, node, "node %: no such node");
     if (node == ZBUFRAND_ROOT)
         return zbufrandi_fail(e, ZBUFRAND_ERR_INVALID_ARG, node, "node %: the root stays where it is");
-    if (m != NULL && zbufrandi_m34_scale(ZBUFRANDI_M34(m->m)) == 0.0)
+    if (m != NULL && zbufrandi_m34_scale(ZBUFRANDI_M34(m->m), ZBUFRANDI_SIMILAR) == 0.0)
         return zbufrandi_fail(e, ZBUFRAND_ERR_INVALID_ARG, node, "node %: the transform is no similarity");
     return ZBUFRAND_OK;
 }
