@@ -136,10 +136,13 @@
    triangles of a scene       2^64 - 1 drawn; stored as many as memory holds, 2^28 in a mesh
    nodes of a scene           2^30
    levels of references       64
+   size                       corners up to 1e15 from the middle of their structure (see ACCURACY), others are left out;
+                              surfaces of 1e-34 to 3e38 square units, as areas are floats
    samples of a frame         2^32
    picture                    of a scene 32000 a side; of samples 65535 a side and 2^31 pixels
    threads                    64
-   stack                      less than 16 KB in one function, less than 64 KB in all
+   stack                      less than 16 KB in one function, less than 64 KB in all; 2 KB more for each level of
+                              references beyond 8
 
    OPTIONS
    macro                       meaning                                                  default       same in all files?
@@ -7231,14 +7234,19 @@ static ZBUFRANDI_UNUSED void zbufrandi_pyramid_refresh_all(const zbufrand_env *e
 
 /* ---- boxes ---- */
 
-/* Whether samples at the picture positions rect[0] <= x <= rect[2], rect[1] <= y <= rect[3] that are no nearer than
-   z_min are certainly not seen; also true when they paint no pixel of the picture. NaN is never hidden. The level is
-   the finest one at which that is 8 x 8 cells or fewer. */
-static ZBUFRANDI_UNUSED int zbufrandi_pyramid_hidden(const zbufrandi_pyramid *p, const float rect[4], float z_min) {
+typedef struct zbufrandi_pyramid_cells { /* of level l: x0 <= x <= x1, y0 <= y <= y1 */
+    uint32_t x0, y0, x1, y1, l;
+} zbufrandi_pyramid_cells;
+
+/* The cells that samples at the picture positions rect[0] <= x <= rect[2], rect[1] <= y <= rect[3] paint, of the finest
+   level at which that is 8 x 8 or fewer. 0: *hidden says whether they are certainly not seen, as they paint no pixel of
+   the picture; NaN is never hidden. */
+ZBUFRANDI_INLINE int zbufrandi_pyramid_find(const zbufrandi_pyramid *p, const float rect[4], zbufrandi_pyramid_cells *c,
+                                            int *hidden) {
     const float w = (float)p->width, h = (float)p->height, lo = (float)p->reach_lo, hi = (float)p->reach_hi;
-    uint32_t x0, y0, x1, y1, l = 0, x, y;
-    if (rect[2] < -hi || rect[3] < -hi || rect[0] >= w + lo || rect[1] >= h + lo) return 1;
-    if (!(rect[0] <= rect[2] && rect[1] <= rect[3])) return 0;
+    uint32_t x0, y0, x1, y1, l = 0;
+    *hidden = rect[2] < -hi || rect[3] < -hi || rect[0] >= w + lo || rect[1] >= h + lo;
+    if (*hidden || !(rect[0] <= rect[2] && rect[1] <= rect[3])) return 0;
     x0 = rect[0] - lo > 0.0f ? (uint32_t)(rect[0] - lo) / 8 : 0; /* below the width: converts */
     y0 = rect[1] - lo > 0.0f ? (uint32_t)(rect[1] - lo) / 8 : 0;
     x1 = rect[2] + hi < w - 1.0f ? (uint32_t)(rect[2] + hi > 0.0f ? rect[2] + hi : 0.0f) / 8 : (p->width - 1) / 8;
@@ -7246,9 +7254,23 @@ static ZBUFRANDI_UNUSED int zbufrandi_pyramid_hidden(const zbufrandi_pyramid *p,
     if (x0 > x1) x0 = x1;
     if (y0 > y1) y0 = y1;
     while ((((x1 >> l) - (x0 >> l)) | ((y1 >> l) - (y0 >> l))) > 7) l++;
-    for (y = y0 >> l; y <= y1 >> l; y++) {
-        const float *row = p->depth[l] + (size_t)y * p->columns[l];
-        for (x = x0 >> l; x <= x1 >> l; x++) {
+    c->x0 = x0 >> l;
+    c->y0 = y0 >> l;
+    c->x1 = x1 >> l;
+    c->y1 = y1 >> l;
+    c->l = l;
+    return 1;
+}
+
+/* Whether those samples are certainly not seen if they are no nearer than z_min. */
+static ZBUFRANDI_UNUSED int zbufrandi_pyramid_hidden(const zbufrandi_pyramid *p, const float rect[4], float z_min) {
+    zbufrandi_pyramid_cells c;
+    uint32_t x, y;
+    int hidden;
+    if (!zbufrandi_pyramid_find(p, rect, &c, &hidden)) return hidden;
+    for (y = c.y0; y <= c.y1; y++) {
+        const float *row = p->depth[c.l] + (size_t)y * p->columns[c.l];
+        for (x = c.x0; x <= c.x1; x++) {
             if (!(row[x] < z_min)) return 0;
         }
     }
@@ -7259,21 +7281,13 @@ static ZBUFRANDI_UNUSED int zbufrandi_pyramid_hidden(const zbufrandi_pyramid *p,
 /* The same answer, a row of cells at a time. */
 ZBUFRANDI_TARGET_AVX2 static int zbufrandi_pyramid_hidden_avx2(const zbufrandi_pyramid *p, const float rect[4],
                                                                float z_min) {
-    const float w = (float)p->width, h = (float)p->height, lo = (float)p->reach_lo, hi = (float)p->reach_hi;
-    uint32_t x0, y0, x1, y1, l = 0, y, cells;
-    if (rect[2] < -hi || rect[3] < -hi || rect[0] >= w + lo || rect[1] >= h + lo) return 1;
-    if (!(rect[0] <= rect[2] && rect[1] <= rect[3])) return 0;
-    x0 = rect[0] - lo > 0.0f ? (uint32_t)(rect[0] - lo) / 8 : 0;
-    y0 = rect[1] - lo > 0.0f ? (uint32_t)(rect[1] - lo) / 8 : 0;
-    x1 = rect[2] + hi < w - 1.0f ? (uint32_t)(rect[2] + hi > 0.0f ? rect[2] + hi : 0.0f) / 8 : (p->width - 1) / 8;
-    y1 = rect[3] + hi < h - 1.0f ? (uint32_t)(rect[3] + hi > 0.0f ? rect[3] + hi : 0.0f) / 8 : (p->height - 1) / 8;
-    if (x0 > x1) x0 = x1;
-    if (y0 > y1) y0 = y1;
-    while ((((x1 >> l) - (x0 >> l)) | ((y1 >> l) - (y0 >> l))) > 7) l++;
-    x0 >>= l;
-    cells = (1u << ((x1 >> l) - x0 + 1)) - 1u;
-    for (y = y0 >> l; y <= y1 >> l; y++) {
-        const __m256 row = _mm256_loadu_ps(p->depth[l] + (size_t)y * p->columns[l] + x0);
+    zbufrandi_pyramid_cells c;
+    uint32_t y, cells;
+    int hidden;
+    if (!zbufrandi_pyramid_find(p, rect, &c, &hidden)) return hidden;
+    cells = (1u << (c.x1 - c.x0 + 1)) - 1u;
+    for (y = c.y0; y <= c.y1; y++) {
+        const __m256 row = _mm256_loadu_ps(p->depth[c.l] + (size_t)y * p->columns[c.l] + c.x0);
         if (((uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(row, _mm256_set1_ps(z_min), _CMP_LT_OQ)) & cells) != cells)
             return 0;
     }
@@ -8090,7 +8104,10 @@ static ZBUFRANDI_UNUSED int zbufrandi_ray_cast(const zbufrandi_rays *r, const zb
 
    Rays that stay together go down the tree together, a ray per lane, so that the long chain of dependent steps of one
    ray is paid for once. What only one or two of them meet is left to the walk of a single ray, and so is a structure in
-   which they do not look along the same axes. Each ray gets the hit that it gets alone. */
+   which they do not look along the same axes, or that is many levels down: a packet takes 5 KB of the stack for each,
+   a ray 1.5 KB. Each ray gets the hit that it gets alone. */
+
+enum { ZBUFRANDI_RAY_PACKET_LEVELS = 8 };
 
 typedef struct zbufrandi_ray_packet {
     zbufrandi_ray_local l[8];
@@ -8280,7 +8297,6 @@ static void zbufrandi_ray_instance8(zbufrandi_ray_bundle *b, zbufrandi_ray_packe
                                     const double d[8][3]) {
     double q[8][3], e[8][3];
     uint32_t rays, i;
-    if (b->walk[0].levels >= ZBUFRANDI_MAX_LEVELS) return;
     for (i = 0; i < 8; i++) b->walk[i].path[b->walk[i].levels++] = index;
     for (rays = mask; rays != 0; rays &= rays - 1) {
         i = zbufrandi_ctz64(rays);
@@ -8336,18 +8352,18 @@ static void zbufrandi_ray_structure8(zbufrandi_ray_bundle *b, uint32_t mask, uin
     stack[0].mask = mask;
     while (count != 0) {
         const zbufrandi_ray_pending *e = &stack[--count];
-        const uint32_t child = e->child, index = ZBUFRANDI_CHILD_INDEX(child);
+        const uint32_t child = e->child, index = ZBUFRANDI_CHILD_INDEX(child), kind = ZBUFRANDI_CHILD_KIND(child);
         uint32_t active = 0, third;
         for (i = 0; i < 8; i++) active |= (uint32_t)(e->t[i] <= p.t_max[i]) << i;
         active &= e->mask;
         if (active == 0) continue;
         third = active & (active - 1);
         third &= third - (third != 0); /* 0: there are at most two */
-        if (third == 0 || count > ZBUFRANDI_RAY_STACK - 8) zbufrandi_ray_alone(b, &p, active, structure, child, o, d);
-        else if (ZBUFRANDI_CHILD_KIND(child) == ZBUFRANDI_CHILD_CLUSTER)
-            zbufrandi_ray_cluster8(b, &p, active, structure, index);
-        else if (ZBUFRANDI_CHILD_KIND(child) == ZBUFRANDI_CHILD_INSTANCE)
-            zbufrandi_ray_instance8(b, &p, active, s, index, o, d);
+        if (third == 0 || count > ZBUFRANDI_RAY_STACK - 8 ||
+            (kind == ZBUFRANDI_CHILD_INSTANCE && b->walk[0].levels >= ZBUFRANDI_RAY_PACKET_LEVELS))
+            zbufrandi_ray_alone(b, &p, active, structure, child, o, d);
+        else if (kind == ZBUFRANDI_CHILD_CLUSTER) zbufrandi_ray_cluster8(b, &p, active, structure, index);
+        else if (kind == ZBUFRANDI_CHILD_INSTANCE) zbufrandi_ray_instance8(b, &p, active, s, index, o, d);
         else {
             i = count;
             count = zbufrandi_ray_node8(&p, &s->node[index], active, stack, count);
