@@ -4213,10 +4213,12 @@ typedef struct zbufrandi_deep_at { /* where such a point is stored, and from whe
 /* The point of a structure, of what its instances show too, at which a share y of the area, 0 to 1, comes before it in
    the order of the trees: as likely as its area makes it, of all points of all clusters. What is shared by many would
    else hand the same 64 points up, level by level, and whatever is far away would have the colour of the few of them
-   that hide the others. */
-static void zbufrandi_deep_find(const zbufrand_scene *scene, const zbufrandi_structure *s, double y,
+   that hide the others. y is a multiple of 2^-30, and each choice between children spends of that: where little is left
+   it gets 24 bits more, of h. Of more than 2^30 things below it would else be the first one, everywhere. */
+static void zbufrandi_deep_find(const zbufrand_scene *scene, const zbufrandi_structure *s, double y, uint32_t h,
                                 zbufrandi_deep_at *out) {
     const zbufrandi_node8 *n = s->node;
+    double step = 1.0 / 1073741824.0; /* of y */
     uint32_t i, k, child, stratum;
     memset(out, 0, sizeof *out);
     zbufrandi_m34_identity(out->m);
@@ -4231,6 +4233,12 @@ static void zbufrandi_deep_find(const zbufrand_scene *scene, const zbufrandi_str
         while (i > 0 && !(n->area[i] > 0.0f)) i--; /* rounding */
         area = (double)n->area[i];
         y = area > 0.0 ? (y - sum[i]) / area : 0.0;
+        step = area > 0.0 ? step * sum[n->count] / area : step;
+        if (step > 1.0 / 65536.0) {
+            h = zbufrandi_hash32(h + 0x9e3779b9u);
+            y = step < 1.0 ? y + step * (double)zbufrandi_unit24(h) : (double)zbufrandi_unit24(h);
+            step = zbufrandi_min(step, 1.0) * (1.0 / 16777216.0);
+        }
         y = y > 0.0 ? (y < 1.0 ? y : 1.0) : 0.0;
         child = n->child[i];
         if (ZBUFRANDI_CHILD_KIND(child) == ZBUFRANDI_CHILD_CLUSTER) break;
@@ -4304,7 +4312,7 @@ static void zbufrandi_set_find(const zbufrandi_build *b, const zbufrandi_instanc
     const uint32_t h = zbufrandi_hash32(b->scene->seed ^ zbufrandi_hash32(b->index ^
                                                                        zbufrandi_hash32((uint32_t)to + 0x3c6ef372u)));
     zbufrandi_deep_find(b->scene, &b->scene->structure[it->structure],
-                        ((double)zbufrandi_reverse6(j) + (double)zbufrandi_unit24(h)) / ZBUFRANDI_SET, out);
+                        ((double)zbufrandi_reverse6(j) + (double)zbufrandi_unit24(h)) / ZBUFRANDI_SET, h, out);
 }
 
 static void zbufrandi_set_deep(zbufrandi_build *b, const zbufrandi_instance *it, const zbufrandi_deep_at *from,
@@ -4916,7 +4924,7 @@ static int zbufrandi_more_make(zbufrandi_build *b, uint32_t more) {
                 double y = ((double)k + (double)zbufrandi_unit24(h)) / ZBUFRANDI_SET;
                 uint32_t j;
                 if (!whole) y = sum > 0.0 ? (before + y * (double)root->area[i]) / sum : 0.0;
-                zbufrandi_deep_find(b->scene, s, y, &from[k % AHEAD]);
+                zbufrandi_deep_find(b->scene, s, y, h, &from[k % AHEAD]);
                 if (k % AHEAD != AHEAD - 1) continue;
                 for (j = 0; j < AHEAD; j++) { /* what instances show is far away in memory */
                     zbufrandi_deep_point d;
