@@ -4536,8 +4536,9 @@ static int zbufrandi_instance_box(const zbufrandi_instance *it, const zbufrandi_
     return ok;
 }
 
-/* Instances of structures without triangles are left out. *count: of items. 0: a place is out of range. */
-static int zbufrandi_make_items(zbufrandi_build *b, zbufrandi_item *item, uint32_t *count) {
+/* Instances of structures without triangles are left out. *count: of items. Returns the node of an instance whose place
+   is out of range; 0: there is none. */
+static uint32_t zbufrandi_make_items(zbufrandi_build *b, zbufrandi_item *item, uint32_t *count) {
     const zbufrandi_structure *s = b->s;
     uint32_t i, n = 0;
     for (i = 0; i < s->cluster_count; i++) {
@@ -4548,11 +4549,11 @@ static int zbufrandi_make_items(zbufrandi_build *b, zbufrandi_item *item, uint32
     for (i = 0; i < s->instance_count; i++) {
         const zbufrandi_structure *to = &b->scene->structure[s->instance[i].structure];
         if (to->node_count == 0 || s->instance[i].hidden) continue;
-        if (!zbufrandi_instance_box(&s->instance[i], to, item[n].lo, item[n].hi)) return 0;
+        if (!zbufrandi_instance_box(&s->instance[i], to, item[n].lo, item[n].hi)) return s->instance[i].node;
         item[n++].child = ZBUFRANDI_CHILD(ZBUFRANDI_CHILD_INSTANCE, i);
     }
     *count = n;
-    return 1;
+    return 0;
 }
 
 /* Which attributes the stored points need. 0: no memory. */
@@ -4689,8 +4690,8 @@ static zbufrand_result zbufrandi_build_over(zbufrandi_build *b) {
     zbufrandi_structure *s = b->s;
     zbufrandi_item *item = NULL;
     const size_t items = (size_t)s->cluster_count + s->instance_count;
-    uint32_t count = 0;
-    int ok = 1, range = 1;
+    uint32_t count = 0, far_off = 0;
+    int ok = 1, fits = 1;
     if (items >= ZBUFRANDI_STRUCTURE_ITEMS) {
         return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, items,
                               "% clusters and instances in one structure are too many");
@@ -4700,20 +4701,22 @@ static zbufrand_result zbufrandi_build_over(zbufrandi_build *b) {
         b->parent = (uint32_t *)zbufrandi_alloc_array(mem, items, sizeof *b->parent);
         ok = item != NULL && b->parent != NULL;
         if (ok) memset(b->parent, 0xff, items * sizeof *b->parent);
-        range = !ok || zbufrandi_make_items(b, item, &count);
+        if (ok) far_off = zbufrandi_make_items(b, item, &count);
         if (count != 0) {
-            ok = ok && range && zbufrandi_build_tree(b, item, count);
+            ok = zbufrandi_build_tree(b, item, count);
             zbufrandi_free(mem, item);
             item = NULL;
             ok = ok && zbufrandi_alloc_sets(b) && zbufrandi_finish_tree(b);
-            if (ok) range = zbufrandi_structure_totals(b);
+            if (ok) fits = zbufrandi_structure_totals(b);
         }
         zbufrandi_free(mem, item);
         zbufrandi_free(mem, b->parent);
         b->parent = NULL;
     }
-    if (!range) return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, b->index,
-                                      "structure %: a place or a count is out of range");
+    if (far_off != 0) return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, far_off,
+                                            "node %: further than 1e15 from the middle of what it is in");
+    if (!fits) return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, b->index,
+                                     "structure %: more than 2^64 - 1 triangles");
     if (!ok) return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_NO_MEMORY, b->index, "structure %: out of memory");
     return ZBUFRAND_OK;
 }

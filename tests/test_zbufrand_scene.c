@@ -342,7 +342,7 @@ TEST(far_away) {
 TEST(nearly_similar) {
     shape box;
     zbufrand_mesh m;
-    zbufrand_transform t = move_scale(0, 0, 0, 1), back = t, tiny = move_scale(0, 0, 0, 1e-100);
+    zbufrand_transform t = move_scale(0, 0, 0, 1), back = t, tiny = move_scale(0, 0, 0, 1e-100), away = move_scale(3e15, 0, 0, 1);
     zbufrand_scene_info info;
     zbufrand_node list, inner, lib, model, node;
     uint32_t kind;
@@ -383,6 +383,12 @@ TEST(nearly_similar) {
         CHECK_EQ_U64(zbufrand_scene_build(s, NULL, NULL), ZBUFRAND_ERR_RANGE);
         CHECK_EQ_U64(g_error.where, node);
         CHECK_EQ_U64(zbufrand_remove(s, list), ZBUFRAND_OK);
+        /* too far off, as more than half of the probes are in the middle */
+        CHECK_EQ_U64(zbufrand_add_mesh(s, ZBUFRAND_ROOT, &away, ZBUFRAND_OWN_STRUCTURE, &m, &node), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_scene_build(s, NULL, NULL), ZBUFRAND_ERR_RANGE);
+        CHECK_EQ_U64(g_error.where, node);
+        CHECK(strstr(g_error.text, "1e15") != NULL);
+        CHECK_EQ_U64(zbufrand_remove(s, node), ZBUFRAND_OK);
         CHECK_EQ_U64(zbufrand_scene_build(s, NULL, &info), ZBUFRAND_OK);
         CHECK_NEAR(info.area, 72, 1e-3);
         zbufrand_scene_destroy(s);
