@@ -550,8 +550,9 @@ typedef struct zbufrand_surface_points_desc {
               with ids
    Errors: INVALID_ARG (also triangles of a scene without ids, and first + count of 2^64), UNINIT_DESC, NO_MEMORY, EMPTY
    (nothing built, or no area), RANGE (areas beyond 3e38).
-   Cost: O(1) per point; many points at once are cheapest, 2^20 and more take about 10 ns each. Runs on the calling
-   thread; any number of calls on one scene at once. The same points on any machine. */
+   Cost: O(1) per point and level of references; many points at once are cheapest, 2^20 and more take about 10 ns each,
+   0.6 us where each is in another instance. Runs on the calling thread; any number of calls on one scene at once. The
+   same points on any machine. */
 ZBUFRAND_DEF zbufrand_result zbufrand_surface_points(const zbufrand_scene *scene,
                                                      const zbufrand_surface_points_desc *desc, size_t count,
                                                      float *positions, float *normals, uint8_t *rgb,
@@ -17502,6 +17503,34 @@ ZBUFRANDI_INLINE uint32_t zbufrandi_points_items(const zbufrandi_structure *s, c
     return items;
 }
 
+static void zbufrandi_points_structure(const zbufrandi_points_job *j, uint32_t structure,
+                                       const zbufrandi_place_at *place, const zbufrandi_asked *asked, uint32_t count,
+                                       double begin, double end);
+
+/* Does begin..end of the scale have too few places for what is in a structure? There are 2^24 in a stratum. */
+ZBUFRANDI_INLINE int zbufrandi_points_narrow(const zbufrandi_structure *s, double begin, double end) {
+    return (end - begin) * 1048576.0 < (s->virtual_triangles < 1048576 ? (double)s->virtual_triangles : 1048576.0);
+}
+
+/* The same of such a structure: each point gets a scale of its own, and 48 bits more for its place on it. Of more than
+   2^44 things it would else be the first one, everywhere, where a structure is in another in powers of two. */
+static void zbufrandi_points_afresh(const zbufrandi_points_job *j, uint32_t structure, const zbufrandi_place_at *place,
+                                    const zbufrandi_asked *asked, uint32_t count, double begin, double end) {
+    uint32_t i;
+    for (i = 0; i < count; i++) {
+        zbufrandi_asked a = asked[i];
+        const uint32_t h = zbufrandi_hash32(j->key ^ zbufrandi_hash32(a.counter ^ zbufrandi_hash32(
+            a.stratum ^ (uint32_t)(int32_t)(a.jitter * 16777216.0f)))), low = zbufrandi_hash32(h + 0x9e3779b9u);
+        double y = (double)zbufrandi_unit24(h) + (double)zbufrandi_unit24(low) * (1.0 / 16777216.0);
+        y = ((double)a.stratum - begin) + ((double)a.jitter + y * (1.0 / 16777216.0));
+        y = y / (end - begin) * (double)ZBUFRANDI_PAGE;
+        y = y > 0.0 ? zbufrandi_min(y, (double)ZBUFRANDI_PAGE - 1e-6) : 0.0; /* rounding */
+        a.stratum = (uint32_t)y;
+        a.jitter = (float)(y - (double)a.stratum);
+        zbufrandi_points_structure(j, structure, place, &a, 1, 0.0, (double)ZBUFRANDI_PAGE);
+    }
+}
+
 /* Points asked for of a structure that covers begin..end of the scale; ascending. */
 static void zbufrandi_points_structure(const zbufrandi_points_job *j, uint32_t structure,
                                        const zbufrandi_place_at *place,
@@ -17535,10 +17564,12 @@ static void zbufrandi_points_structure(const zbufrandi_points_job *j, uint32_t s
         } else {
             const zbufrandi_instance *it = &s->instance[item - s->cluster_count];
             zbufrandi_place_at inside;
+            const double from = begin + sum[item] * f, to = begin + sum[item + 1] * f;
             zbufrandi_m34_mul(ZBUFRANDI_M34(place->m), ZBUFRANDI_M34(it->to_parent), inside.m);
             inside.scale = place->scale * it->scale;
-            zbufrandi_points_structure(j, it->structure, &inside, asked + i, n, begin + sum[item] * f,
-                                       begin + sum[item + 1] * f);
+            if (zbufrandi_points_narrow(&j->scene->structure[it->structure], from, to))
+                zbufrandi_points_afresh(j, it->structure, &inside, asked + i, n, from, to);
+            else zbufrandi_points_structure(j, it->structure, &inside, asked + i, n, from, to);
         }
         i += n;
     }
@@ -17705,6 +17736,27 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_page_cluster(zbufrandi_points_job *j
     }
 }
 
+/* Strata from..to-1, all in a structure that covers too little of the scale. */
+static void zbufrandi_page_afresh(zbufrandi_points_job *j, uint32_t structure, const zbufrandi_place_at *place,
+                                  uint32_t from, uint32_t to, double begin, double end) {
+    zbufrandi_points_job one = *j;
+    float p[3], n[3];
+    zbufrandi_asked a;
+    one.positions = p;
+    one.normals = j->normals != NULL ? n : NULL;
+    a.index = 0;
+    for (; from < to; from++) {
+        float *out;
+        a.stratum = a.counter = from;
+        a.jitter = zbufrandi_page_jitter(j->key, from);
+        zbufrandi_points_afresh(&one, structure, place, &a, 1, begin, end);
+        if (from >> 8 != j->run) zbufrandi_page_run_avx2(j, from >> 8);
+        out = j->wait + j->chapter[from & 255u] + j->wait_floats * j->run;
+        memcpy(out, p, sizeof p);
+        if (j->normals != NULL) memcpy(out + 3, n, sizeof n);
+    }
+}
+
 /* Strata from..to-1, all in a structure that covers begin..end. */
 static void zbufrandi_page_structure(zbufrandi_points_job *j, uint32_t structure, const zbufrandi_place_at *place,
                                      uint32_t from, uint32_t to,
@@ -17725,11 +17777,13 @@ static void zbufrandi_page_structure(zbufrandi_points_job *j, uint32_t structure
                                    begin + sum[item + 1] * f);
         } else {
             const zbufrandi_instance *it = &s->instance[item - s->cluster_count];
+            const double first = begin + sum[item] * f, last = begin + sum[item + 1] * f;
             zbufrandi_place_at inside;
             zbufrandi_m34_mul(ZBUFRANDI_M34(place->m), ZBUFRANDI_M34(it->to_parent), inside.m);
             inside.scale = place->scale * it->scale;
-            zbufrandi_page_structure(j, it->structure, &inside, from, stop, begin + sum[item] * f,
-                                     begin + sum[item + 1] * f);
+            if (zbufrandi_points_narrow(&j->scene->structure[it->structure], first, last))
+                zbufrandi_page_afresh(j, it->structure, &inside, from, stop, first, last);
+            else zbufrandi_page_structure(j, it->structure, &inside, from, stop, first, last);
         }
         from = stop;
     }
