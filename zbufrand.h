@@ -8429,19 +8429,6 @@ static ZBUFRANDI_UNUSED size_t zbufrandi_ray_cast_many(const zbufrandi_rays *r, 
     return zbufrandi_ray_cast_veiled(r, ray, count, hit, NULL, NULL);
 }
 
-/* The ray through the centre of pixel (x, y); t is the depth. */
-static ZBUFRANDI_UNUSED void zbufrandi_ray_pixel(const zbufrandi_rays *r, const zbufrandi_camera *c, uint32_t x,
-                                                 uint32_t y, zbufrandi_ray *ray) {
-    const double u = ((double)x + 0.5 - c->center_x) / c->focal, v = (c->center_y - (double)y - 0.5) / c->focal;
-    uint32_t a;
-    for (a = 0; a < 3; a++) {
-        ray->o[a] = c->eye[a] - (r->structure_count != 0 ? r->structure[0].origin[a] : 0.0);
-        ray->d[a] = c->dir[a] + u * c->right[a] + v * c->up[a];
-    }
-    ray->t_min = c->near_z;
-    ray->t_max = c->far_z;
-}
-
 /* Coordinates of the structure that was hit to those of structure 0. */
 static ZBUFRANDI_UNUSED void zbufrandi_ray_matrix(const zbufrandi_rays *r, const zbufrandi_ray_hit *hit,
                                                   double out[3][4]) {
