@@ -480,7 +480,7 @@ TEST(many_meshes_hold_no_more) {
     shape torus;
     zbufrand_mesh m;
     zbufrand_scene_info info;
-    double one = 0;
+    double one = 0, bytes;
     uint32_t n, i;
     memset(&torus, 0, sizeof torus);
     shape_torus(&torus, 0, 0, 0, 1, 0.4, 100, 50);
@@ -492,6 +492,21 @@ TEST(many_meshes_hold_no_more) {
         CHECK_EQ_U64(info.stored_triangles, n * m.triangle_count);
         if (n == 1) one = (double)info.bytes;
         CHECK_MSG((double)info.bytes < 1.05 * one * n, "%u meshes hold %g times as much as one", (unsigned)n, (double)info.bytes / one);
+        zbufrand_scene_destroy(s);
+    }
+    for (n = 0; n < 2; n++) { /* and so do instances: 2^12, and some more */
+        static zbufrand_transform place[5000];
+        const uint32_t count = n == 0 ? 4096 : 5000;
+        zbufrand_scene *s = open_scene();
+        zbufrand_node node;
+        for (i = 0; i < count; i++) place[i] = move_scale(4.0 * (i % 70), 4.0 * (i / 70), 0, 1);
+        m.triangle_count = 1;
+        CHECK_EQ_U64(zbufrand_add_mesh(s, ZBUFRAND_ROOT, NULL, ZBUFRAND_HIDDEN, &m, &node), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_references(s, ZBUFRAND_ROOT, place, count, node, NULL), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_scene_build(s, NULL, &info), ZBUFRAND_OK);
+        bytes = (double)info.bytes - (double)info.tree_nodes * (sizeof(zbufrandi_node8) + 8 * ZBUFRANDI_SET);
+        if (n == 0) one = bytes / count;
+        CHECK_MSG(bytes < 1.05 * one * count, "%g bytes for each of %u instances", bytes / count, (unsigned)count);
         zbufrand_scene_destroy(s);
     }
     shape_free(&torus);
