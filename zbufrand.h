@@ -136,10 +136,13 @@
    triangles of a scene       2^64 - 1 drawn; stored as many as memory holds, 2^28 in a mesh
    nodes of a scene           2^30
    levels of references       64
+   size                       corners up to 1e15 from the middle of their structure (see ACCURACY), others are left out;
+                              surfaces of 1e-34 to 3e38 square units, as areas are floats
    samples of a frame         2^32
    picture                    of a scene 32000 a side; of samples 65535 a side and 2^31 pixels
    threads                    64
-   stack                      less than 16 KB in one function, less than 64 KB in all
+   stack                      less than 16 KB in one function, less than 64 KB in all; 2 KB more for each level of
+                              references beyond 8
 
    OPTIONS
    macro                       meaning                                                  default       same in all files?
@@ -458,12 +461,15 @@ typedef struct zbufrand_scene_info {
    info   out, may be NULL
    A scene may be built again after nodes were added. An empty scene is fine; it draws nothing.
    Errors: UNINIT_DESC, NO_MEMORY, CANCELLED (env.progress_fn is asked behind each structure), RANGE (more than
-   2^64 - 1 triangles, 2^28 clusters and instances in a structure, or 64 levels of instances; for the thesis' trees 2^29
-   objects or 2^24 clusters in a structure),
+   2^64 - 1 triangles, 2^28 clusters and instances, 2^32 - 1 triangles or vertices in a structure, or 64 levels of
+   instances; an instance further than 1e15 from the middle of what it is in, or that with all lists around it is no
+   similarity within 1e-4, or has a scale outside of 1e-150 to 1e150; for the thesis' trees 2^29 objects or 2^24
+   clusters in a structure),
    INVALID_ARG: a field of those is wrong, or env.error names the node that closes a cycle, the reference whose target
    is in no list, or with `strict` the bad triangle. On failure (but UNINIT_DESC) the scene is as if never built.
-   Cost: O(n log n), about 0.15 us per stored triangle and 0.5 us per instance; about 20 bytes per stored triangle. The
-   thesis' trees take 0.2 us per triangle more, the tree over normals 1 us.
+   Cost: O(n log n), about 0.15 us per stored triangle and 0.5 us per instance; about 20 bytes per stored triangle, 400
+   per instance, and 60 to 600 KB for what is drawn 32 times and more. The thesis' trees take 0.2 us per triangle more,
+   the tree over normals 1 us.
    Thread safety: one thread at a time per scene. The same structures for any number of threads. */
 ZBUFRAND_DEF zbufrand_result zbufrand_scene_build(zbufrand_scene *scene, const zbufrand_build_desc *desc,
                                                   zbufrand_scene_info *info);
@@ -545,8 +551,9 @@ typedef struct zbufrand_surface_points_desc {
               with ids
    Errors: INVALID_ARG (also triangles of a scene without ids, and first + count of 2^64), UNINIT_DESC, NO_MEMORY, EMPTY
    (nothing built, or no area), RANGE (areas beyond 3e38).
-   Cost: O(1) per point; many points at once are cheapest, 2^20 and more take about 10 ns each. Runs on the calling
-   thread; any number of calls on one scene at once. The same points on any machine. */
+   Cost: O(1) per point and level of references; many points at once are cheapest, 2^20 and more take about 10 ns each,
+   0.6 us where each is in another instance. Runs on the calling thread; any number of calls on one scene at once. The
+   same points on any machine. */
 ZBUFRAND_DEF zbufrand_result zbufrand_surface_points(const zbufrand_scene *scene,
                                                      const zbufrand_surface_points_desc *desc, size_t count,
                                                      float *positions, float *normals, uint8_t *rgb,
@@ -2078,13 +2085,7 @@ typedef struct zbufrandi_keys {
 } zbufrandi_keys;
 
 /* Bijection of 32 bits and its inverse (lowbias32 constants). */
-ZBUFRANDI_INLINE uint32_t zbufrandi_mix(uint32_t x) {
-    x ^= x >> 16;
-    x *= 0x7feb352du;
-    x ^= x >> 15;
-    x *= 0x846ca68bu;
-    return x ^ (x >> 16);
-}
+ZBUFRANDI_INLINE uint32_t zbufrandi_mix(uint32_t x) { return zbufrandi_hash32(x); }
 ZBUFRANDI_INLINE uint32_t zbufrandi_unmix(uint32_t x) {
     x ^= x >> 16;
     x *= 0x43021123u;
@@ -2092,6 +2093,15 @@ ZBUFRANDI_INLINE uint32_t zbufrandi_unmix(uint32_t x) {
     x *= 0x1d69e2a5u;
     return x ^ (x >> 16);
 }
+#if ZBUFRANDI_AVX2
+ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE __m256i zbufrandi_mix8(__m256i x) {
+    x = _mm256_xor_si256(x, _mm256_srli_epi32(x, 16));
+    x = _mm256_mullo_epi32(x, _mm256_set1_epi32(0x7feb352d));
+    x = _mm256_xor_si256(x, _mm256_srli_epi32(x, 15));
+    x = _mm256_mullo_epi32(x, _mm256_set1_epi32((int)0x846ca68bu));
+    return _mm256_xor_si256(x, _mm256_srli_epi32(x, 16));
+}
+#endif
 ZBUFRANDI_INLINE uint64_t zbufrandi_key(float z, uint32_t number) { /* z > 0 */
     uint32_t bits;
     memcpy(&bits, &z, sizeof bits);
@@ -2296,6 +2306,7 @@ ZBUFRANDI_INLINE uint8_t zbufrandi_srgb_byte(const zbufrandi_srgb *s, float v) {
 
 enum { ZBUFRANDI_LIST = 0, ZBUFRANDI_MESH = 1, ZBUFRANDI_REFERENCES = 2, ZBUFRANDI_DEAD = 3 /* removed */ };
 enum { ZBUFRANDI_MAX_LEVELS = 64, ZBUFRANDI_MESH_TRIANGLES = 1 << 28 };
+enum { ZBUFRANDI_STRUCTURE_ITEMS = 1 << 28 }; /* clusters and instances of a structure are fewer */
 
 typedef struct zbufrandi_graph {     /* one node of the scene graph */
     double m[3][4];                  /* node to parent */
@@ -2403,9 +2414,14 @@ ZBUFRANDI_INLINE double zbufrandi_m34_det(const double m[3][4]) {
            m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0]);
 }
 
-/* Scale of a similarity; 0 if m is none: columns of equal length and at right angles within 1e-5, all finite. */
-static double zbufrandi_m34_scale(const double m[3][4]) {
-    double g[3][3], mean, scale, largest = 0.0;
+/* What columns of a similarity may differ by in their lengths, and be off right angles: those of the caller's, and what
+   these amount to when lists are in lists. */
+#define ZBUFRANDI_SIMILAR 1e-5
+#define ZBUFRANDI_SIMILAR_PRODUCT 1e-4
+
+/* Scale of a similarity; 0 if m is none: columns of equal length and at right angles within `tolerance`, all finite. */
+static double zbufrandi_m34_scale(const double m[3][4], double tolerance) {
+    double g[3][3], mean, largest = 0.0;
     int i, j, k;
     for (i = 0; i < 3; i++) {
         for (j = 0; j < 4; j++) if (!(zbufrandi_abs(m[i][j]) < 1e150)) return 0.0;
@@ -2420,10 +2436,9 @@ static double zbufrandi_m34_scale(const double m[3][4]) {
     }
     mean = (g[0][0] + g[1][1] + g[2][2]) / 3.0;
     for (i = 0; i < 3; i++) {
-        for (j = 0; j < 3; j++) if (!(zbufrandi_abs(g[i][j] - (i == j ? mean : 0.0)) <= 1e-5 * mean)) return 0.0;
+        for (j = 0; j < 3; j++) if (!(zbufrandi_abs(g[i][j] - (i == j ? mean : 0.0)) <= tolerance * mean)) return 0.0;
     }
-    scale = largest * sqrt(mean);
-    return scale;
+    return largest * sqrt(mean);
 }
 
 /* ---- the graph ---- */
@@ -2439,7 +2454,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_scene_create(const zbufrand_scene_desc *de
     if (desc != NULL) d = *desc;
     if (d._begin_zero != 0 || d._end_zero != 0) return ZBUFRAND_ERR_UNINIT_DESC;
     r = zbufrandi_env_open(&d.env, &mem);
-    if (r != ZBUFRAND_OK) return zbufrandi_fail(d.env.error, r, 0, "env: only one of alloc_fn and free_fn is set");
+    if (r != ZBUFRAND_OK) return r;
     scene = (zbufrand_scene *)zbufrandi_alloc_zero(&mem, 1, sizeof *scene);
     if (scene != NULL) {
         scene->mem = mem;
@@ -2502,7 +2517,7 @@ static uint32_t zbufrandi_node_new(zbufrand_scene *scene, uint32_t kind, uint32_
     *r = ZBUFRAND_OK;
     if (parent >= scene->graph_count || (parent != 0 && scene->graph[parent].kind != ZBUFRANDI_LIST)) {
         *r = zbufrandi_fail(e, ZBUFRAND_ERR_INVALID_ARG, parent, "parent %: not a list of this scene");
-    } else if (transform != NULL && zbufrandi_m34_scale(ZBUFRANDI_M34(transform->m)) == 0.0) {
+    } else if (transform != NULL && zbufrandi_m34_scale(ZBUFRANDI_M34(transform->m), ZBUFRANDI_SIMILAR) == 0.0) {
         *r = zbufrandi_fail(e, ZBUFRAND_ERR_INVALID_ARG, scene->graph_count, "node %: the transform is no similarity");
     } else if (flags > (ZBUFRAND_HIDDEN | ZBUFRAND_OWN_STRUCTURE)) {
         *r = zbufrandi_fail(e, ZBUFRAND_ERR_INVALID_ARG, scene->graph_count, "node %: unknown flags");
@@ -2775,20 +2790,29 @@ static void zbufrandi_gather_free(zbufrandi_mem *mem, zbufrandi_gather *a) {
     memset(a, 0, sizeof *a);
 }
 
-static int zbufrandi_gather_instance(zbufrand_scene *scene, zbufrandi_gather *a, const double m[3][4],
-                                     uint32_t structure,
-                                     uint32_t node) {
+/* An instance of a structure for `node`, at m. */
+static zbufrand_result zbufrandi_gather_instance(zbufrand_scene *scene, zbufrandi_gather *a, const double m[3][4],
+                                                 uint32_t structure, uint32_t node) {
     zbufrandi_instance *it;
+    const double scale = zbufrandi_m34_scale(m, ZBUFRANDI_SIMILAR_PRODUCT);
+    if (scale == 0.0) {
+        return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, node,
+                              "node %: with the lists around it its scale is out of range, or it is no similarity");
+    }
+    if (a->instance_count >= ZBUFRANDI_STRUCTURE_ITEMS) {
+        return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, node,
+                              "node %: more than 2^28 instances in one structure");
+    }
     if (!zbufrandi_grow(&scene->mem, (void **)&a->instance, &a->instance_capacity, a->instance_count,
-                        a->instance_count + 1, sizeof *a->instance)) return 0;
+                        a->instance_count + 1, sizeof *a->instance)) return ZBUFRAND_ERR_NO_MEMORY;
     it = &a->instance[a->instance_count++];
     memset(it, 0, sizeof *it);
     memcpy(it->to_parent, m, sizeof it->to_parent);
-    it->scale = zbufrandi_m34_scale(m);
+    it->scale = scale;
     it->structure = structure;
     it->mirrored = zbufrandi_m34_det(m) < 0.0;
     it->node = node;
-    return 1;
+    return ZBUFRAND_OK;
 }
 
 /* The references of `node`, which stands at `m`. */
@@ -2796,25 +2820,21 @@ static zbufrand_result zbufrandi_gather_references(zbufrand_scene *scene, zbufra
                                                    const double m[3][4]) {
     const zbufrandi_graph *n = &scene->graph[node];
     uint32_t structure = scene->graph[n->target].structure - 1;
+    zbufrand_result r = ZBUFRAND_OK;
     double t[3][4];
     size_t i;
-    for (i = 0; i < n->count; i++) {
+    for (i = 0; i < n->count && r == ZBUFRAND_OK; i++) {
         memcpy(t, m, sizeof t);
         if (n->transforms != NULL) {
-            if (zbufrandi_m34_scale(ZBUFRANDI_M34(n->transforms[i].m)) == 0.0) {
+            if (zbufrandi_m34_scale(ZBUFRANDI_M34(n->transforms[i].m), ZBUFRANDI_SIMILAR) == 0.0) {
                 return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_INVALID_ARG, node,
                                       "references %: a transform is no similarity");
             }
             zbufrandi_m34_mul(m, ZBUFRANDI_M34(n->transforms[i].m), t);
         }
-        if (zbufrandi_m34_scale(ZBUFRANDI_M34(t)) == 0.0) {
-            return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, node, "reference %: its scale is out of range");
-        }
-        if (!zbufrandi_gather_instance(scene, a, ZBUFRANDI_M34(t), structure, node)) {
-            return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_NO_MEMORY, node, "reference %: out of memory");
-        }
+        r = zbufrandi_gather_instance(scene, a, ZBUFRANDI_M34(t), structure, node);
     }
-    return ZBUFRAND_OK;
+    return r;
 }
 
 typedef struct zbufrandi_place {
@@ -2835,8 +2855,7 @@ static zbufrand_result zbufrandi_gather_structure(zbufrand_scene *scene, uint32_
     for (;;) {
         const zbufrandi_graph *n = &g[at.node];
         if (at.node != root && n->structure != 0) {
-            if (!zbufrandi_gather_instance(scene, a, ZBUFRANDI_M34(at.m), n->structure - 1, at.node))
-                r = ZBUFRAND_ERR_NO_MEMORY;
+            r = zbufrandi_gather_instance(scene, a, ZBUFRANDI_M34(at.m), n->structure - 1, at.node);
         } else if (n->kind == ZBUFRANDI_MESH) {
             if (!zbufrandi_grow(&scene->mem, (void **)&a->piece, &a->piece_capacity, a->piece_count, a->piece_count + 1,
                                 sizeof *a->piece)) {
@@ -3395,11 +3414,9 @@ static int zbufrandi_reserve(zbufrandi_mem *mem, void **array, size_t used, size
 }
 static size_t zbufrandi_next_capacity(size_t used, size_t need) { return used == 0 ? need : need + need / 2; }
 
-static int zbufrandi_reserve_triangles(zbufrandi_build *b, size_t need) {
+static int zbufrandi_resize_triangles(zbufrandi_build *b, size_t cap) {
     zbufrandi_mem *mem = &b->scene->mem;
     zbufrandi_structure *s = b->s;
-    size_t cap = zbufrandi_next_capacity(s->triangle_count, need);
-    if (need <= b->triangle_capacity) return 1;
     if (!zbufrandi_reserve(mem, (void **)&s->triangle, s->triangle_count, cap, 3, 48)) return 0;
     if (s->triangle_rgb != NULL && !zbufrandi_reserve(mem, (void **)&s->triangle_rgb, s->triangle_count, cap, 3, 16))
         return 0;
@@ -3408,11 +3425,13 @@ static int zbufrandi_reserve_triangles(zbufrandi_build *b, size_t need) {
     b->triangle_capacity = cap;
     return 1;
 }
-static int zbufrandi_reserve_vertices(zbufrandi_build *b, size_t need) {
+static int zbufrandi_reserve_triangles(zbufrandi_build *b, size_t need) {
+    return need <= b->triangle_capacity ||
+           zbufrandi_resize_triangles(b, zbufrandi_next_capacity(b->s->triangle_count, need));
+}
+static int zbufrandi_resize_vertices(zbufrandi_build *b, size_t cap) {
     zbufrandi_mem *mem = &b->scene->mem;
     zbufrandi_structure *s = b->s;
-    size_t cap = zbufrandi_next_capacity(s->vertex_count, need);
-    if (need <= b->vertex_capacity) return 1;
     if (!zbufrandi_reserve(mem, (void **)&s->position, s->vertex_count, cap, 12, 96)) return 0;
     if (s->vertex_normal != NULL && !zbufrandi_reserve(mem, (void **)&s->vertex_normal, s->vertex_count, cap, 2, 16))
         return 0;
@@ -3420,6 +3439,10 @@ static int zbufrandi_reserve_vertices(zbufrandi_build *b, size_t need) {
         return 0;
     b->vertex_capacity = cap;
     return 1;
+}
+static int zbufrandi_reserve_vertices(zbufrandi_build *b, size_t need) {
+    return need <= b->vertex_capacity ||
+           zbufrandi_resize_vertices(b, zbufrandi_next_capacity(b->s->vertex_count, need));
 }
 
 /* Attribute arrays exist once a mesh of the structure has them. */
@@ -3481,13 +3504,16 @@ static int zbufrandi_piece_sort(zbufrandi_piece_job *j) { /* keys of all usable 
     return 1;
 }
 
-static int zbufrandi_piece_clusters(zbufrandi_build *b, zbufrandi_piece_job *pj) { /* 0: no memory */
+/* The clusters of a mesh go to the others. RANGE: too many triangles or vertices; NO_MEMORY. */
+static zbufrand_result zbufrandi_piece_clusters(zbufrandi_build *b, zbufrandi_piece_job *pj) {
     zbufrandi_mem *mem = &b->scene->mem;
     zbufrandi_structure *s = b->s;
     uint32_t segments = (uint32_t)((pj->valid + ZBUFRANDI_SEGMENT - 1) / ZBUFRANDI_SEGMENT), i, n, clusters = 0;
-    size_t vertices = 0;
+    uint64_t vertices = 0;
     zbufrandi_cluster_job j;
+    zbufrand_result r = ZBUFRAND_OK;
     int ok;
+    if ((uint64_t)s->triangle_count + pj->valid > 0xffffffffu) return ZBUFRAND_ERR_RANGE;
     memset(&j, 0, sizeof j);
     j.piece = pj;
     j.s = s;
@@ -3495,9 +3521,9 @@ static int zbufrandi_piece_clusters(zbufrandi_build *b, zbufrandi_piece_job *pj)
     j.first_vertex = s->vertex_count;
     j.first_cluster = s->cluster_count;
     j.keep_ids = b->desc->ids != 0;
-    if (!zbufrandi_reserve_triangles(b, (size_t)s->triangle_count + pj->valid)) return 0;
+    if (!zbufrandi_reserve_triangles(b, (size_t)s->triangle_count + pj->valid)) return ZBUFRAND_ERR_NO_MEMORY;
     if (j.keep_ids && s->triangle_id == NULL &&
-        !zbufrandi_reserve(mem, (void **)&s->triangle_id, 0, b->triangle_capacity, 4, 0)) return 0;
+        !zbufrandi_reserve(mem, (void **)&s->triangle_id, 0, b->triangle_capacity, 4, 0)) return ZBUFRAND_ERR_NO_MEMORY;
     n = pj->valid < ZBUFRANDI_SEGMENT ? (uint32_t)pj->valid : (uint32_t)ZBUFRANDI_SEGMENT;
     j.id = (uint32_t *)zbufrandi_alloc_array(mem, pj->valid, 3 * sizeof *j.id);
     j.cluster = (zbufrandi_cluster *)zbufrandi_alloc_array(mem,
@@ -3516,7 +3542,8 @@ static int zbufrandi_piece_clusters(zbufrandi_build *b, zbufrandi_piece_job *pj)
             j.vertices[i] = (uint32_t)vertices;
             vertices += n;
         }
-        ok = s->vertex_count + vertices < 0xffffffffu && zbufrandi_reserve_vertices(b, s->vertex_count + vertices) &&
+        if (s->vertex_count + vertices > 0xffffffffu) r = ZBUFRAND_ERR_RANGE;
+        ok = r == ZBUFRAND_OK && zbufrandi_reserve_vertices(b, s->vertex_count + (size_t)vertices) &&
              zbufrandi_reserve_attributes(b, pj->mesh);
         if (ok && s->cluster_count + (size_t)clusters > b->cluster_capacity) {
             b->cluster_capacity = zbufrandi_next_capacity(s->cluster_count, s->cluster_count + (size_t)clusters);
@@ -3534,19 +3561,30 @@ static int zbufrandi_piece_clusters(zbufrandi_build *b, zbufrandi_piece_job *pj)
     zbufrandi_free(mem, j.cluster);
     zbufrandi_free(mem, j.clusters);
     zbufrandi_free(mem, j.vertices);
-    return ok;
+    return ok || r != ZBUFRAND_OK ? r : ZBUFRAND_ERR_NO_MEMORY;
+}
+
+/* A triangle that `strict` does not let pass. */
+static zbufrand_result zbufrandi_bad_triangle(zbufrand_error *error, uint32_t node, size_t triangle) {
+    zbufrand_error of;
+    char text[sizeof of.text + 16] = "triangle %";
+    (void)zbufrandi_fail(&of, ZBUFRAND_ERR_INVALID_ARG, node,
+                         " of mesh %: degenerate, not finite, or an index is out of range");
+    memcpy(text + strlen(text), of.text, strlen(of.text) + 1);
+    return zbufrandi_fail(error, ZBUFRAND_ERR_INVALID_ARG, triangle, text);
 }
 
 /* Melt one mesh into the structure. */
 static zbufrand_result zbufrandi_build_piece(zbufrandi_build *b, const zbufrandi_piece *piece) {
     zbufrand_scene *scene = b->scene;
     zbufrandi_mem *mem = &scene->mem;
+    zbufrand_error *e = scene->env.error;
+    const uint32_t node = scene->mesh[piece->mesh].node;
     zbufrandi_piece_job j;
     static const double unit[3][4] = {{1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, 1, 0}};
     uint32_t tasks, v[3];
     size_t t;
-    zbufrand_result r = ZBUFRAND_OK;
-    int ok = 1;
+    zbufrand_result r = ZBUFRAND_ERR_NO_MEMORY;
     memset(&j, 0, sizeof j);
     j.scene = scene;
     j.piece = piece;
@@ -3557,23 +3595,18 @@ static zbufrand_result zbufrandi_build_piece(zbufrandi_build *b, const zbufrandi
     if (j.mesh->triangle_count == 0) return ZBUFRAND_OK;
     j.vertex = (float *)zbufrandi_alloc_array(mem, j.mesh->vertex_count, 3 * sizeof *j.vertex);
     if (j.vertex != NULL) {
+        r = ZBUFRAND_OK;
         tasks = (uint32_t)((j.mesh->vertex_count + ZBUFRANDI_TASK_VERTICES - 1) / ZBUFRANDI_TASK_VERTICES);
         zbufrandi_parallel_for(&scene->env, zbufrandi_vertex_task, &j, tasks);
-        for (t = 0; b->desc->strict && t < j.mesh->triangle_count; t++) {
-            if (zbufrandi_usable(&j, t, v)) continue;
-            r = zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_INVALID_ARG, t,
-                               "triangle %: degenerate, not finite, or an index is out of range");
-            break;
-        }
-        if (r == ZBUFRAND_OK) ok = zbufrandi_piece_sort(&j);
-        if (r == ZBUFRAND_OK && ok) {
+        for (t = 0; b->desc->strict && t < j.mesh->triangle_count && r == ZBUFRAND_OK; t++)
+            if (!zbufrandi_usable(&j, t, v)) r = zbufrandi_bad_triangle(e, node, t);
+        if (r == ZBUFRAND_OK && !zbufrandi_piece_sort(&j)) r = ZBUFRAND_ERR_NO_MEMORY;
+        if (r == ZBUFRAND_OK) {
             const uint32_t first = b->s->cluster_count;
             b->skipped += j.mesh->triangle_count - j.valid;
-            if (j.valid != 0) ok = zbufrandi_piece_clusters(b, &j);
-            zbufrandi_build_home(b, scene->mesh[piece->mesh].node, first, b->s->cluster_count - first);
+            if (j.valid != 0) r = zbufrandi_piece_clusters(b, &j);
+            zbufrandi_build_home(b, node, first, b->s->cluster_count - first);
         }
-    } else {
-        ok = 0;
     }
     zbufrandi_free(mem, j.vertex);
     zbufrandi_free(mem, j.key);
@@ -3582,8 +3615,9 @@ static zbufrand_result zbufrandi_build_piece(zbufrandi_build *b, const zbufrandi
     zbufrandi_free(mem, j.task_box);
     zbufrandi_free(mem, j.task_exponent);
     zbufrandi_free(mem, j.histogram);
-    if (!ok) r = zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_NO_MEMORY, scene->mesh[piece->mesh].node,
-                                "mesh %: out of memory");
+    if (r == ZBUFRAND_ERR_NO_MEMORY) r = zbufrandi_fail(e, r, node, "mesh %: out of memory");
+    if (r == ZBUFRAND_ERR_RANGE)
+        r = zbufrandi_fail(e, r, node, "mesh %: more than 2^32 - 1 triangles or vertices in its structure");
     return r;
 }
 
@@ -4181,10 +4215,12 @@ typedef struct zbufrandi_deep_at { /* where such a point is stored, and from whe
 /* The point of a structure, of what its instances show too, at which a share y of the area, 0 to 1, comes before it in
    the order of the trees: as likely as its area makes it, of all points of all clusters. What is shared by many would
    else hand the same 64 points up, level by level, and whatever is far away would have the colour of the few of them
-   that hide the others. */
-static void zbufrandi_deep_find(const zbufrand_scene *scene, const zbufrandi_structure *s, double y,
+   that hide the others. y is a multiple of 2^-30, and each choice between children spends of that: where little is left
+   it gets 24 bits more, of h. Of more than 2^30 things below it would else be the first one, everywhere. */
+static void zbufrandi_deep_find(const zbufrand_scene *scene, const zbufrandi_structure *s, double y, uint32_t h,
                                 zbufrandi_deep_at *out) {
     const zbufrandi_node8 *n = s->node;
+    double step = 1.0 / 1073741824.0; /* of y */
     uint32_t i, k, child, stratum;
     memset(out, 0, sizeof *out);
     zbufrandi_m34_identity(out->m);
@@ -4199,6 +4235,12 @@ static void zbufrandi_deep_find(const zbufrand_scene *scene, const zbufrandi_str
         while (i > 0 && !(n->area[i] > 0.0f)) i--; /* rounding */
         area = (double)n->area[i];
         y = area > 0.0 ? (y - sum[i]) / area : 0.0;
+        step = area > 0.0 ? step * sum[n->count] / area : step;
+        if (step > 1.0 / 65536.0) {
+            h = zbufrandi_hash32(h + 0x9e3779b9u);
+            y = step < 1.0 ? y + step * (double)zbufrandi_unit24(h) : (double)zbufrandi_unit24(h);
+            step = zbufrandi_min(step, 1.0) * (1.0 / 16777216.0);
+        }
         y = y > 0.0 ? (y < 1.0 ? y : 1.0) : 0.0;
         child = n->child[i];
         if (ZBUFRANDI_CHILD_KIND(child) == ZBUFRANDI_CHILD_CLUSTER) break;
@@ -4272,7 +4314,7 @@ static void zbufrandi_set_find(const zbufrandi_build *b, const zbufrandi_instanc
     const uint32_t h = zbufrandi_hash32(b->scene->seed ^ zbufrandi_hash32(b->index ^
                                                                        zbufrandi_hash32((uint32_t)to + 0x3c6ef372u)));
     zbufrandi_deep_find(b->scene, &b->scene->structure[it->structure],
-                        ((double)zbufrandi_reverse6(j) + (double)zbufrandi_unit24(h)) / ZBUFRANDI_SET, out);
+                        ((double)zbufrandi_reverse6(j) + (double)zbufrandi_unit24(h)) / ZBUFRANDI_SET, h, out);
 }
 
 static void zbufrandi_set_deep(zbufrandi_build *b, const zbufrandi_instance *it, const zbufrandi_deep_at *from,
@@ -4496,8 +4538,9 @@ static int zbufrandi_instance_box(const zbufrandi_instance *it, const zbufrandi_
     return ok;
 }
 
-/* Instances of structures without triangles are left out. *count: of items. 0: a place is out of range. */
-static int zbufrandi_make_items(zbufrandi_build *b, zbufrandi_item *item, uint32_t *count) {
+/* Instances of structures without triangles are left out. *count: of items. Returns the node of an instance whose place
+   is out of range; 0: there is none. */
+static uint32_t zbufrandi_make_items(zbufrandi_build *b, zbufrandi_item *item, uint32_t *count) {
     const zbufrandi_structure *s = b->s;
     uint32_t i, n = 0;
     for (i = 0; i < s->cluster_count; i++) {
@@ -4508,11 +4551,11 @@ static int zbufrandi_make_items(zbufrandi_build *b, zbufrandi_item *item, uint32
     for (i = 0; i < s->instance_count; i++) {
         const zbufrandi_structure *to = &b->scene->structure[s->instance[i].structure];
         if (to->node_count == 0 || s->instance[i].hidden) continue;
-        if (!zbufrandi_instance_box(&s->instance[i], to, item[n].lo, item[n].hi)) return 0;
+        if (!zbufrandi_instance_box(&s->instance[i], to, item[n].lo, item[n].hi)) return s->instance[i].node;
         item[n++].child = ZBUFRANDI_CHILD(ZBUFRANDI_CHILD_INSTANCE, i);
     }
     *count = n;
-    return 1;
+    return 0;
 }
 
 /* Which attributes the stored points need. 0: no memory. */
@@ -4649,9 +4692,9 @@ static zbufrand_result zbufrandi_build_over(zbufrandi_build *b) {
     zbufrandi_structure *s = b->s;
     zbufrandi_item *item = NULL;
     const size_t items = (size_t)s->cluster_count + s->instance_count;
-    uint32_t count = 0;
-    int ok = 1, range = 1;
-    if (items >= (1u << 28)) {
+    uint32_t count = 0, far_off = 0;
+    int ok = 1, fits = 1;
+    if (items >= ZBUFRANDI_STRUCTURE_ITEMS) {
         return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, items,
                               "% clusters and instances in one structure are too many");
     }
@@ -4660,26 +4703,29 @@ static zbufrand_result zbufrandi_build_over(zbufrandi_build *b) {
         b->parent = (uint32_t *)zbufrandi_alloc_array(mem, items, sizeof *b->parent);
         ok = item != NULL && b->parent != NULL;
         if (ok) memset(b->parent, 0xff, items * sizeof *b->parent);
-        range = !ok || zbufrandi_make_items(b, item, &count);
+        if (ok) far_off = zbufrandi_make_items(b, item, &count);
         if (count != 0) {
-            ok = ok && range && zbufrandi_build_tree(b, item, count);
+            ok = zbufrandi_build_tree(b, item, count);
             zbufrandi_free(mem, item);
             item = NULL;
             ok = ok && zbufrandi_alloc_sets(b) && zbufrandi_finish_tree(b);
-            if (ok) range = zbufrandi_structure_totals(b);
+            if (ok) fits = zbufrandi_structure_totals(b);
         }
         zbufrandi_free(mem, item);
         zbufrandi_free(mem, b->parent);
         b->parent = NULL;
     }
-    if (!range) return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, b->index,
-                                      "structure %: a place or a count is out of range");
+    if (far_off != 0) return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, far_off,
+                                            "node %: further than 1e15 from the middle of what it is in");
+    if (!fits) return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, b->index,
+                                     "structure %: more than 2^64 - 1 triangles");
     if (!ok) return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_NO_MEMORY, b->index, "structure %: out of memory");
     return ZBUFRAND_OK;
 }
 
 static zbufrand_result zbufrandi_build_structure(zbufrandi_build *b) {
     zbufrand_scene *scene = b->scene;
+    zbufrandi_mem *mem = &scene->mem;
     zbufrandi_structure *s = b->s;
     zbufrand_result r = ZBUFRAND_OK;
     size_t i;
@@ -4688,13 +4734,18 @@ static zbufrand_result zbufrandi_build_structure(zbufrandi_build *b) {
         r = zbufrandi_build_piece(b, &b->gather->piece[i]);
     if (r != ZBUFRAND_OK) return r;
     if (ok && s->triangle_count != 0) { /* give back what growing took too much */
-        ok = b->triangle_capacity == s->triangle_count ||
-            (b->triangle_capacity = 0, zbufrandi_reserve_triangles(b, s->triangle_count));
-        ok = ok && (b->vertex_capacity == s->vertex_count ||
-                    (b->vertex_capacity = 0, zbufrandi_reserve_vertices(b, s->vertex_count)));
+        ok = (b->triangle_capacity == s->triangle_count || zbufrandi_resize_triangles(b, s->triangle_count)) &&
+             (b->vertex_capacity == s->vertex_count || zbufrandi_resize_vertices(b, s->vertex_count)) &&
+             (b->cluster_capacity == s->cluster_count ||
+              zbufrandi_reserve(mem, (void **)&s->cluster, s->cluster_count, s->cluster_count, sizeof *s->cluster, 0));
+    }
+    if (ok) {
+        zbufrandi_place_instances(b);
+        ok = b->gather->instance_capacity == s->instance_count ||
+             zbufrandi_reserve(mem, (void **)&s->instance, s->instance_count, s->instance_count, sizeof *s->instance,
+                               0);
     }
     if (!ok) return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_NO_MEMORY, b->index, "structure %: out of memory");
-    zbufrandi_place_instances(b);
     return zbufrandi_build_over(b);
 }
 
@@ -4886,7 +4937,7 @@ static int zbufrandi_more_make(zbufrandi_build *b, uint32_t more) {
                 double y = ((double)k + (double)zbufrandi_unit24(h)) / ZBUFRANDI_SET;
                 uint32_t j;
                 if (!whole) y = sum > 0.0 ? (before + y * (double)root->area[i]) / sum : 0.0;
-                zbufrandi_deep_find(b->scene, s, y, &from[k % AHEAD]);
+                zbufrandi_deep_find(b->scene, s, y, h, &from[k % AHEAD]);
                 if (k % AHEAD != AHEAD - 1) continue;
                 for (j = 0; j < AHEAD; j++) { /* what instances show is far away in memory */
                     zbufrandi_deep_point d;
@@ -6790,11 +6841,7 @@ ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_raster_eight(const zbufrandi_ras
     dyc = _mm256_slli_epi32(_mm256_sub_epi32(b.x, a.x), ZBUFRANDI_RASTER_BITS);
     low = _mm256_add_epi32(_mm256_setr_epi32(ids[0], ids[1], ids[2], ids[3], ids[4], ids[5], ids[6], ids[7]),
                            _mm256_set1_epi32((int32_t)first_number));
-    low = _mm256_xor_si256(low, _mm256_srli_epi32(low, 16)); /* zbufrandi_mix */
-    low = _mm256_mullo_epi32(low, _mm256_set1_epi32(0x7feb352d));
-    low = _mm256_xor_si256(low, _mm256_srli_epi32(low, 15));
-    low = _mm256_mullo_epi32(low, _mm256_set1_epi32((int32_t)0x846ca68bu));
-    low = _mm256_xor_si256(low, _mm256_srli_epi32(low, 16));
+    low = zbufrandi_mix8(low);
     at = _mm256_add_epi32(_mm256_mullo_epi32(j0, _mm256_set1_epi32((int32_t)r->width)), i0);
     i1 = _mm256_sub_epi32(i1, i0); /* columns and rows that follow the first */
     j1 = _mm256_sub_epi32(j1, j0);
@@ -7208,14 +7255,19 @@ static ZBUFRANDI_UNUSED void zbufrandi_pyramid_refresh_all(const zbufrand_env *e
 
 /* ---- boxes ---- */
 
-/* Whether samples at the picture positions rect[0] <= x <= rect[2], rect[1] <= y <= rect[3] that are no nearer than
-   z_min are certainly not seen; also true when they paint no pixel of the picture. NaN is never hidden. The level is
-   the finest one at which that is 8 x 8 cells or fewer. */
-static ZBUFRANDI_UNUSED int zbufrandi_pyramid_hidden(const zbufrandi_pyramid *p, const float rect[4], float z_min) {
+typedef struct zbufrandi_pyramid_cells { /* of level l: x0 <= x <= x1, y0 <= y <= y1 */
+    uint32_t x0, y0, x1, y1, l;
+} zbufrandi_pyramid_cells;
+
+/* The cells that samples at the picture positions rect[0] <= x <= rect[2], rect[1] <= y <= rect[3] paint, of the finest
+   level at which that is 8 x 8 or fewer. 0: *hidden says whether they are certainly not seen, as they paint no pixel of
+   the picture; NaN is never hidden. */
+ZBUFRANDI_INLINE int zbufrandi_pyramid_find(const zbufrandi_pyramid *p, const float rect[4], zbufrandi_pyramid_cells *c,
+                                            int *hidden) {
     const float w = (float)p->width, h = (float)p->height, lo = (float)p->reach_lo, hi = (float)p->reach_hi;
-    uint32_t x0, y0, x1, y1, l = 0, x, y;
-    if (rect[2] < -hi || rect[3] < -hi || rect[0] >= w + lo || rect[1] >= h + lo) return 1;
-    if (!(rect[0] <= rect[2] && rect[1] <= rect[3])) return 0;
+    uint32_t x0, y0, x1, y1, l = 0;
+    *hidden = rect[2] < -hi || rect[3] < -hi || rect[0] >= w + lo || rect[1] >= h + lo;
+    if (*hidden || !(rect[0] <= rect[2] && rect[1] <= rect[3])) return 0;
     x0 = rect[0] - lo > 0.0f ? (uint32_t)(rect[0] - lo) / 8 : 0; /* below the width: converts */
     y0 = rect[1] - lo > 0.0f ? (uint32_t)(rect[1] - lo) / 8 : 0;
     x1 = rect[2] + hi < w - 1.0f ? (uint32_t)(rect[2] + hi > 0.0f ? rect[2] + hi : 0.0f) / 8 : (p->width - 1) / 8;
@@ -7223,9 +7275,23 @@ static ZBUFRANDI_UNUSED int zbufrandi_pyramid_hidden(const zbufrandi_pyramid *p,
     if (x0 > x1) x0 = x1;
     if (y0 > y1) y0 = y1;
     while ((((x1 >> l) - (x0 >> l)) | ((y1 >> l) - (y0 >> l))) > 7) l++;
-    for (y = y0 >> l; y <= y1 >> l; y++) {
-        const float *row = p->depth[l] + (size_t)y * p->columns[l];
-        for (x = x0 >> l; x <= x1 >> l; x++) {
+    c->x0 = x0 >> l;
+    c->y0 = y0 >> l;
+    c->x1 = x1 >> l;
+    c->y1 = y1 >> l;
+    c->l = l;
+    return 1;
+}
+
+/* Whether those samples are certainly not seen if they are no nearer than z_min. */
+static ZBUFRANDI_UNUSED int zbufrandi_pyramid_hidden(const zbufrandi_pyramid *p, const float rect[4], float z_min) {
+    zbufrandi_pyramid_cells c;
+    uint32_t x, y;
+    int hidden;
+    if (!zbufrandi_pyramid_find(p, rect, &c, &hidden)) return hidden;
+    for (y = c.y0; y <= c.y1; y++) {
+        const float *row = p->depth[c.l] + (size_t)y * p->columns[c.l];
+        for (x = c.x0; x <= c.x1; x++) {
             if (!(row[x] < z_min)) return 0;
         }
     }
@@ -7236,21 +7302,13 @@ static ZBUFRANDI_UNUSED int zbufrandi_pyramid_hidden(const zbufrandi_pyramid *p,
 /* The same answer, a row of cells at a time. */
 ZBUFRANDI_TARGET_AVX2 static int zbufrandi_pyramid_hidden_avx2(const zbufrandi_pyramid *p, const float rect[4],
                                                                float z_min) {
-    const float w = (float)p->width, h = (float)p->height, lo = (float)p->reach_lo, hi = (float)p->reach_hi;
-    uint32_t x0, y0, x1, y1, l = 0, y, cells;
-    if (rect[2] < -hi || rect[3] < -hi || rect[0] >= w + lo || rect[1] >= h + lo) return 1;
-    if (!(rect[0] <= rect[2] && rect[1] <= rect[3])) return 0;
-    x0 = rect[0] - lo > 0.0f ? (uint32_t)(rect[0] - lo) / 8 : 0;
-    y0 = rect[1] - lo > 0.0f ? (uint32_t)(rect[1] - lo) / 8 : 0;
-    x1 = rect[2] + hi < w - 1.0f ? (uint32_t)(rect[2] + hi > 0.0f ? rect[2] + hi : 0.0f) / 8 : (p->width - 1) / 8;
-    y1 = rect[3] + hi < h - 1.0f ? (uint32_t)(rect[3] + hi > 0.0f ? rect[3] + hi : 0.0f) / 8 : (p->height - 1) / 8;
-    if (x0 > x1) x0 = x1;
-    if (y0 > y1) y0 = y1;
-    while ((((x1 >> l) - (x0 >> l)) | ((y1 >> l) - (y0 >> l))) > 7) l++;
-    x0 >>= l;
-    cells = (1u << ((x1 >> l) - x0 + 1)) - 1u;
-    for (y = y0 >> l; y <= y1 >> l; y++) {
-        const __m256 row = _mm256_loadu_ps(p->depth[l] + (size_t)y * p->columns[l] + x0);
+    zbufrandi_pyramid_cells c;
+    uint32_t y, cells;
+    int hidden;
+    if (!zbufrandi_pyramid_find(p, rect, &c, &hidden)) return hidden;
+    cells = (1u << (c.x1 - c.x0 + 1)) - 1u;
+    for (y = c.y0; y <= c.y1; y++) {
+        const __m256 row = _mm256_loadu_ps(p->depth[c.l] + (size_t)y * p->columns[c.l] + c.x0);
         if (((uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(row, _mm256_set1_ps(z_min), _CMP_LT_OQ)) & cells) != cells)
             return 0;
     }
@@ -8067,7 +8125,10 @@ static ZBUFRANDI_UNUSED int zbufrandi_ray_cast(const zbufrandi_rays *r, const zb
 
    Rays that stay together go down the tree together, a ray per lane, so that the long chain of dependent steps of one
    ray is paid for once. What only one or two of them meet is left to the walk of a single ray, and so is a structure in
-   which they do not look along the same axes. Each ray gets the hit that it gets alone. */
+   which they do not look along the same axes, or that is many levels down: a packet takes 5 KB of the stack for each,
+   a ray 1.5 KB. Each ray gets the hit that it gets alone. */
+
+enum { ZBUFRANDI_RAY_PACKET_LEVELS = 8 };
 
 typedef struct zbufrandi_ray_packet {
     zbufrandi_ray_local l[8];
@@ -8257,7 +8318,6 @@ static void zbufrandi_ray_instance8(zbufrandi_ray_bundle *b, zbufrandi_ray_packe
                                     const double d[8][3]) {
     double q[8][3], e[8][3];
     uint32_t rays, i;
-    if (b->walk[0].levels >= ZBUFRANDI_MAX_LEVELS) return;
     for (i = 0; i < 8; i++) b->walk[i].path[b->walk[i].levels++] = index;
     for (rays = mask; rays != 0; rays &= rays - 1) {
         i = zbufrandi_ctz64(rays);
@@ -8313,18 +8373,18 @@ static void zbufrandi_ray_structure8(zbufrandi_ray_bundle *b, uint32_t mask, uin
     stack[0].mask = mask;
     while (count != 0) {
         const zbufrandi_ray_pending *e = &stack[--count];
-        const uint32_t child = e->child, index = ZBUFRANDI_CHILD_INDEX(child);
+        const uint32_t child = e->child, index = ZBUFRANDI_CHILD_INDEX(child), kind = ZBUFRANDI_CHILD_KIND(child);
         uint32_t active = 0, third;
         for (i = 0; i < 8; i++) active |= (uint32_t)(e->t[i] <= p.t_max[i]) << i;
         active &= e->mask;
         if (active == 0) continue;
         third = active & (active - 1);
         third &= third - (third != 0); /* 0: there are at most two */
-        if (third == 0 || count > ZBUFRANDI_RAY_STACK - 8) zbufrandi_ray_alone(b, &p, active, structure, child, o, d);
-        else if (ZBUFRANDI_CHILD_KIND(child) == ZBUFRANDI_CHILD_CLUSTER)
-            zbufrandi_ray_cluster8(b, &p, active, structure, index);
-        else if (ZBUFRANDI_CHILD_KIND(child) == ZBUFRANDI_CHILD_INSTANCE)
-            zbufrandi_ray_instance8(b, &p, active, s, index, o, d);
+        if (third == 0 || count > ZBUFRANDI_RAY_STACK - 8 ||
+            (kind == ZBUFRANDI_CHILD_INSTANCE && b->walk[0].levels >= ZBUFRANDI_RAY_PACKET_LEVELS))
+            zbufrandi_ray_alone(b, &p, active, structure, child, o, d);
+        else if (kind == ZBUFRANDI_CHILD_CLUSTER) zbufrandi_ray_cluster8(b, &p, active, structure, index);
+        else if (kind == ZBUFRANDI_CHILD_INSTANCE) zbufrandi_ray_instance8(b, &p, active, s, index, o, d);
         else {
             i = count;
             count = zbufrandi_ray_node8(&p, &s->node[index], active, stack, count);
@@ -8376,19 +8436,6 @@ static size_t zbufrandi_ray_cast_veiled(const zbufrandi_rays *r, const zbufrandi
 static ZBUFRANDI_UNUSED size_t zbufrandi_ray_cast_many(const zbufrandi_rays *r, const zbufrandi_ray *ray, size_t count,
                                                        zbufrandi_ray_hit *hit) {
     return zbufrandi_ray_cast_veiled(r, ray, count, hit, NULL, NULL);
-}
-
-/* The ray through the centre of pixel (x, y); t is the depth. */
-static ZBUFRANDI_UNUSED void zbufrandi_ray_pixel(const zbufrandi_rays *r, const zbufrandi_camera *c, uint32_t x,
-                                                 uint32_t y, zbufrandi_ray *ray) {
-    const double u = ((double)x + 0.5 - c->center_x) / c->focal, v = (c->center_y - (double)y - 0.5) / c->focal;
-    uint32_t a;
-    for (a = 0; a < 3; a++) {
-        ray->o[a] = c->eye[a] - (r->structure_count != 0 ? r->structure[0].origin[a] : 0.0);
-        ray->d[a] = c->dir[a] + u * c->right[a] + v * c->up[a];
-    }
-    ray->t_min = c->near_z;
-    ray->t_max = c->far_z;
 }
 
 /* Coordinates of the structure that was hit to those of structure 0. */
@@ -9410,14 +9457,6 @@ static void zbufrandi_waiting_put(const zbufrandi_target *g, zbufrandi_waiting *
 /* ---- eight stored samples at a time: the operations of zbufrandi_stored_sample, one for one ---- */
 
 #if ZBUFRANDI_AVX2
-ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE __m256i zbufrandi_mix8(__m256i x) {
-    x = _mm256_xor_si256(x, _mm256_srli_epi32(x, 16));
-    x = _mm256_mullo_epi32(x, _mm256_set1_epi32(0x7feb352d));
-    x = _mm256_xor_si256(x, _mm256_srli_epi32(x, 15));
-    x = _mm256_mullo_epi32(x, _mm256_set1_epi32((int)0x846ca68bu));
-    return _mm256_xor_si256(x, _mm256_srli_epi32(x, 16));
-}
-
 /* Lanes of a mask into the list. fetch: their pixels have not been looked at yet. */
 ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE void zbufrandi_put8(const zbufrandi_target *g, zbufrandi_waiting *w, __m256i at,
                                                            __m256 z,
@@ -17460,6 +17499,34 @@ ZBUFRANDI_INLINE uint32_t zbufrandi_points_items(const zbufrandi_structure *s, c
     return items;
 }
 
+static void zbufrandi_points_structure(const zbufrandi_points_job *j, uint32_t structure,
+                                       const zbufrandi_place_at *place, const zbufrandi_asked *asked, uint32_t count,
+                                       double begin, double end);
+
+/* Does begin..end of the scale have too few places for what is in a structure? There are 2^24 in a stratum. */
+ZBUFRANDI_INLINE int zbufrandi_points_narrow(const zbufrandi_structure *s, double begin, double end) {
+    return (end - begin) * 1048576.0 < (s->virtual_triangles < 1048576 ? (double)s->virtual_triangles : 1048576.0);
+}
+
+/* The same of such a structure: each point gets a scale of its own, and 48 bits more for its place on it. Of more than
+   2^44 things it would else be the first one, everywhere, where a structure is in another in powers of two. */
+static void zbufrandi_points_afresh(const zbufrandi_points_job *j, uint32_t structure, const zbufrandi_place_at *place,
+                                    const zbufrandi_asked *asked, uint32_t count, double begin, double end) {
+    uint32_t i;
+    for (i = 0; i < count; i++) {
+        zbufrandi_asked a = asked[i];
+        const uint32_t h = zbufrandi_hash32(j->key ^ zbufrandi_hash32(a.counter ^ zbufrandi_hash32(
+            a.stratum ^ (uint32_t)(int32_t)(a.jitter * 16777216.0f)))), low = zbufrandi_hash32(h + 0x9e3779b9u);
+        double y = (double)zbufrandi_unit24(h) + (double)zbufrandi_unit24(low) * (1.0 / 16777216.0);
+        y = ((double)a.stratum - begin) + ((double)a.jitter + y * (1.0 / 16777216.0));
+        y = y / (end - begin) * (double)ZBUFRANDI_PAGE;
+        y = y > 0.0 ? zbufrandi_min(y, (double)ZBUFRANDI_PAGE - 1e-6) : 0.0; /* rounding */
+        a.stratum = (uint32_t)y;
+        a.jitter = (float)(y - (double)a.stratum);
+        zbufrandi_points_structure(j, structure, place, &a, 1, 0.0, (double)ZBUFRANDI_PAGE);
+    }
+}
+
 /* Points asked for of a structure that covers begin..end of the scale; ascending. */
 static void zbufrandi_points_structure(const zbufrandi_points_job *j, uint32_t structure,
                                        const zbufrandi_place_at *place,
@@ -17493,10 +17560,12 @@ static void zbufrandi_points_structure(const zbufrandi_points_job *j, uint32_t s
         } else {
             const zbufrandi_instance *it = &s->instance[item - s->cluster_count];
             zbufrandi_place_at inside;
+            const double from = begin + sum[item] * f, to = begin + sum[item + 1] * f;
             zbufrandi_m34_mul(ZBUFRANDI_M34(place->m), ZBUFRANDI_M34(it->to_parent), inside.m);
             inside.scale = place->scale * it->scale;
-            zbufrandi_points_structure(j, it->structure, &inside, asked + i, n, begin + sum[item] * f,
-                                       begin + sum[item + 1] * f);
+            if (zbufrandi_points_narrow(&j->scene->structure[it->structure], from, to))
+                zbufrandi_points_afresh(j, it->structure, &inside, asked + i, n, from, to);
+            else zbufrandi_points_structure(j, it->structure, &inside, asked + i, n, from, to);
         }
         i += n;
     }
@@ -17663,6 +17732,27 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_page_cluster(zbufrandi_points_job *j
     }
 }
 
+/* Strata from..to-1, all in a structure that covers too little of the scale. */
+static void zbufrandi_page_afresh(zbufrandi_points_job *j, uint32_t structure, const zbufrandi_place_at *place,
+                                  uint32_t from, uint32_t to, double begin, double end) {
+    zbufrandi_points_job one = *j;
+    float p[3], n[3];
+    zbufrandi_asked a;
+    one.positions = p;
+    one.normals = j->normals != NULL ? n : NULL;
+    a.index = 0;
+    for (; from < to; from++) {
+        float *out;
+        a.stratum = a.counter = from;
+        a.jitter = zbufrandi_page_jitter(j->key, from);
+        zbufrandi_points_afresh(&one, structure, place, &a, 1, begin, end);
+        if (from >> 8 != j->run) zbufrandi_page_run_avx2(j, from >> 8);
+        out = j->wait + j->chapter[from & 255u] + j->wait_floats * j->run;
+        memcpy(out, p, sizeof p);
+        if (j->normals != NULL) memcpy(out + 3, n, sizeof n);
+    }
+}
+
 /* Strata from..to-1, all in a structure that covers begin..end. */
 static void zbufrandi_page_structure(zbufrandi_points_job *j, uint32_t structure, const zbufrandi_place_at *place,
                                      uint32_t from, uint32_t to,
@@ -17683,11 +17773,13 @@ static void zbufrandi_page_structure(zbufrandi_points_job *j, uint32_t structure
                                    begin + sum[item + 1] * f);
         } else {
             const zbufrandi_instance *it = &s->instance[item - s->cluster_count];
+            const double first = begin + sum[item] * f, last = begin + sum[item + 1] * f;
             zbufrandi_place_at inside;
             zbufrandi_m34_mul(ZBUFRANDI_M34(place->m), ZBUFRANDI_M34(it->to_parent), inside.m);
             inside.scale = place->scale * it->scale;
-            zbufrandi_page_structure(j, it->structure, &inside, from, stop, begin + sum[item] * f,
-                                     begin + sum[item + 1] * f);
+            if (zbufrandi_points_narrow(&j->scene->structure[it->structure], first, last))
+                zbufrandi_page_afresh(j, it->structure, &inside, from, stop, first, last);
+            else zbufrandi_page_structure(j, it->structure, &inside, from, stop, first, last);
         }
         from = stop;
     }
@@ -18842,7 +18934,7 @@ static zbufrand_result zbufrandi_edit_place(zbufrand_scene *scene, uint32_t home
     int a;
     memset(it, 0, sizeof *it);
     zbufrandi_m34_mul(m, ZBUFRANDI_M34(scene->live->s[structure].base_inverse), it->to_parent);
-    it->scale = zbufrandi_m34_scale(ZBUFRANDI_M34(it->to_parent));
+    it->scale = zbufrandi_m34_scale(ZBUFRANDI_M34(it->to_parent), ZBUFRANDI_SIMILAR_PRODUCT);
     it->structure = structure;
     it->mirrored = zbufrandi_m34_det(ZBUFRANDI_M34(it->to_parent)) < 0.0;
     it->node = node;
@@ -19179,8 +19271,12 @@ static zbufrand_result zbufrandi_edit_build(zbufrandi_edit *e, uint32_t node, ui
         zbufrandi_instance *it = &gather.instance[i];
         zbufrandi_m34_mul(ZBUFRANDI_M34(it->to_parent), ZBUFRANDI_M34(scene->live->s[it->structure].base_inverse),
                           it->to_parent);
-        it->scale = zbufrandi_m34_scale(ZBUFRANDI_M34(it->to_parent));
+        it->scale = zbufrandi_m34_scale(ZBUFRANDI_M34(it->to_parent), ZBUFRANDI_SIMILAR_PRODUCT);
         it->mirrored = zbufrandi_m34_det(ZBUFRANDI_M34(it->to_parent)) < 0.0;
+        if (it->scale != 0.0) continue;
+        r = zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, it->node, "node %: its scale is out of range");
+        zbufrandi_gather_free(&scene->mem, &gather);
+        return r;
     }
     b.scene = scene;
     b.desc = &scene->built;
@@ -19224,7 +19320,7 @@ static zbufrand_result zbufrandi_edit_node_changes(zbufrandi_edit *e, uint32_t n
     for (i = 0; i < count; i++) {
         memcpy(t, m, sizeof t);
         if (many && n->transforms != NULL) {
-            if (zbufrandi_m34_scale(ZBUFRANDI_M34(n->transforms[i].m)) == 0.0) {
+            if (zbufrandi_m34_scale(ZBUFRANDI_M34(n->transforms[i].m), ZBUFRANDI_SIMILAR) == 0.0) {
                 return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_INVALID_ARG, node,
                                       "references %: a transform is no similarity");
             }
@@ -19462,7 +19558,7 @@ static zbufrand_result zbufrandi_edit_check(const zbufrand_scene *scene, uint32_
         return zbufrandi_fail(e, ZBUFRAND_ERR_INVALID_ARG, node, "node %: no such node");
     if (node == ZBUFRAND_ROOT)
         return zbufrandi_fail(e, ZBUFRAND_ERR_INVALID_ARG, node, "node %: the root stays where it is");
-    if (m != NULL && zbufrandi_m34_scale(ZBUFRANDI_M34(m->m)) == 0.0)
+    if (m != NULL && zbufrandi_m34_scale(ZBUFRANDI_M34(m->m), ZBUFRANDI_SIMILAR) == 0.0)
         return zbufrandi_fail(e, ZBUFRAND_ERR_INVALID_ARG, node, "node %: the transform is no similarity");
     return ZBUFRAND_OK;
 }

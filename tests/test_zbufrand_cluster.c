@@ -455,6 +455,53 @@ TEST(sets_follow_areas) {
 }
 
 /* Two triangles side by side of areas 1 : 7, and every aligned run of a set: each run of 8 has 1 and 7 of them, +-1. */
+/* Four of four of four ... with four materials at the end: stored points of what is above are as likely of each, however
+   many times four there are; no number of bits is enough for all the choices on the way. */
+TEST(points_of_powers_of_two) {
+    static const float p[][3] = {{0, 0, 0}, {1, 0, 0}, {1, 1, 0}, {0, 1, 0}};
+    static const uint32_t t[][3] = {{0, 1, 2}, {0, 2, 3}};
+    static zbufrand_transform place[30][4];
+    uint32_t levels, i, k;
+    for (levels = 4; levels <= 30; levels += 13) {
+        zbufrand_scene *s = NULL;
+        const zbufrandi_structure *to;
+        zbufrand_node lib, node, list;
+        double step = 1;
+        uint64_t count[4];
+        size_t n, points;
+        CHECK_EQ_U64(zbufrand_scene_create(NULL, &s), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_list(s, ZBUFRAND_ROOT, NULL, ZBUFRAND_HIDDEN, &lib), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_list(s, lib, NULL, 0, &node), ZBUFRAND_OK);
+        for (i = 0; i < 4; i++) {
+            zbufrand_transform at = move_scale(i & 1, i >> 1, 0, 1);
+            zbufrand_mesh m;
+            memset(&m, 0, sizeof m);
+            m.positions = p[0];
+            m.vertex_count = 4;
+            m.indices = t[0];
+            m.triangle_count = 2;
+            m.material = i;
+            CHECK_EQ_U64(zbufrand_add_mesh(s, node, &at, ZBUFRAND_OWN_STRUCTURE, &m, NULL), ZBUFRAND_OK);
+        }
+        for (k = 0; k < levels; k++) {
+            step *= 2;
+            for (i = 0; i < 4; i++) place[k][i] = move_scale(step * (i & 1), step * (i >> 1), 0, 1);
+            CHECK_EQ_U64(zbufrand_add_list(s, k + 1 == levels ? ZBUFRAND_ROOT : lib, NULL, 0, &list), ZBUFRAND_OK);
+            CHECK_EQ_U64(zbufrand_add_references(s, list, place[k], 4, node, NULL), ZBUFRAND_OK);
+            node = list;
+        }
+        CHECK_EQ_U64(zbufrand_scene_build(s, NULL, NULL), ZBUFRAND_OK);
+        to = &s->structure[3]; /* there 64 times: it has more sets */
+        CHECK(to->first_more != 0 && to->set_material != NULL);
+        points = ((size_t)to->first_more + to->more + to->node[0].count * (to->more / ZBUFRANDI_MORE_PARTS)) * ZBUFRANDI_SET;
+        memset(count, 0, sizeof count);
+        for (n = 0; n < points; n++) count[to->set_material[n] & 3u]++;
+        for (i = 0; i < 4; i++)
+            CHECK_MSG(fabs((double)count[i] / (double)points - 0.25) < 0.03, "%u levels: %g of material %u", (unsigned)levels, (double)count[i] / (double)points, (unsigned)i);
+        zbufrand_scene_destroy(s);
+    }
+}
+
 TEST(runs_are_spread) {
     shape s;
     zbufrand_mesh m;
@@ -566,6 +613,7 @@ int main(int argc, char **argv) {
     RUN(one_far_point);
     RUN(all_the_same);
     RUN(sets_follow_areas);
+    RUN(points_of_powers_of_two);
     RUN(runs_are_spread);
     RUN(attributes_of_points);
     return test_end();

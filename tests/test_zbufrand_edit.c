@@ -451,7 +451,7 @@ static void compare(model *w, zbufrand_scene *s, uint32_t seed, int thorough) {
     REQUIRE(w->pieces < PIECES);
     zbufrand_scene_get_info(s, &is);
     for (i = 0; i < w->pieces; i++) {
-        const double scale = zbufrandi_m34_scale(ZBUFRANDI_M34(w->piece[i].m.m));
+        const double scale = zbufrandi_m34_scale(ZBUFRANDI_M34(w->piece[i].m.m), ZBUFRANDI_SIMILAR_PRODUCT);
         triangles += w->mesh[w->piece[i].mesh].triangles;
         area += w->area[w->piece[i].mesh] * scale * scale;
     }

@@ -551,6 +551,75 @@ TEST(many_levels) {
     }
 }
 
+typedef struct deep {
+    zbufrandi_rays r;
+    zbufrandi_ray ray[8];
+    zbufrandi_ray_hit hit[8];
+} deep;
+
+static void *cast_deep(void *arg) {
+    deep *k = (deep *)arg;
+    CHECK_EQ_U64(zbufrandi_ray_cast_many(&k->r, k->ray, 8, k->hit), 8);
+    return NULL;
+}
+
+/* Rays that stay together through all levels of instances get what they get alone, with little stack. */
+TEST(deep_packets) {
+    enum { STACK = 1 << 21 };
+    test_rng g = test_rng_make(15);
+    world w;
+    shape s;
+    zbufrand_node inner;
+    uint32_t n, a;
+    static deep k;
+    world_open(&w);
+    shape_sphere(&s, &g, 12, 9, 1.0, 0.0);
+    inner = world_mesh(&w, ZBUFRAND_ROOT, NULL, ZBUFRAND_HIDDEN, &s);
+    for (n = 0; n < 64; n++) {
+        zbufrand_node list;
+        CHECK_EQ_U64(zbufrand_add_list(w.scene, ZBUFRAND_ROOT, NULL, n == 63 ? 0 : ZBUFRAND_HIDDEN, &list), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_reference(w.scene, list, NULL, inner, NULL), ZBUFRAND_OK);
+        inner = list;
+    }
+    CHECK_EQ_U64(zbufrand_scene_build(w.scene, NULL, NULL), ZBUFRAND_OK);
+    rays_open(&w, &k.r, 0);
+    for (n = 0; n < 8; n++) {
+        for (a = 0; a < 3; a++) {
+            k.ray[n].o[a] = 0.1 * a + 0.01 * n - w.scene->structure[0].origin[a] + (a == 2 ? 5 : 0);
+            k.ray[n].d[a] = a == 2 ? -1 : 0.001 * a;
+        }
+        k.ray[n].t_min = 0;
+        k.ray[n].t_max = (double)INFINITY;
+    }
+#if defined(__linux__) && !defined(ZBUFRAND_NO_THREADS)
+    {
+        pthread_t thread;
+        pthread_attr_t attr;
+        void *stack = NULL;
+        size_t free_bytes = 0;
+        if (posix_memalign(&stack, 65536, STACK) != 0 || pthread_attr_init(&attr) != 0) abort();
+        memset(stack, 0xa5, STACK);
+        if (pthread_attr_setstack(&attr, stack, STACK) != 0 || pthread_create(&thread, &attr, cast_deep, &k) != 0) abort();
+        (void)pthread_join(thread, NULL);
+        (void)pthread_attr_destroy(&attr);
+        while (free_bytes < STACK && ((const uint8_t *)stack)[free_bytes] == 0xa5) free_bytes++;
+        CHECK_MSG(TEST_SANITIZED || STACK - free_bytes < 200 * 1024, "%lu KB of stack", (unsigned long)(STACK - free_bytes) >> 10);
+        free(stack);
+    }
+#else
+    (void)cast_deep(&k);
+#endif
+    for (n = 0; n < 8; n++) {
+        zbufrandi_ray_hit one;
+        CHECK(zbufrandi_ray_cast(&k.r, &k.ray[n], &one));
+        CHECK_EQ_U64(one.levels, 64);
+        CHECK(memcmp(&one, &k.hit[n], sizeof one) == 0);
+    }
+    rays_close(&w, &k.r);
+    world_close(&w);
+    shape_free(&s);
+}
+
 /* Scalar and AVX2 give the same bits, whatever the ray. */
 TEST(same_bits) {
     test_rng g = test_rng_make(6);
@@ -776,6 +845,18 @@ TEST(same_as_raster) {
     shape_free(&s);
 }
 
+/* The ray through the centre of pixel (x, y); t is the depth. */
+static void ray_pixel(const zbufrandi_rays *r, const zbufrandi_camera *c, uint32_t x, uint32_t y, zbufrandi_ray *ray) {
+    const double u = ((double)x + 0.5 - c->center_x) / c->focal, v = (c->center_y - (double)y - 0.5) / c->focal;
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        ray->o[a] = c->eye[a] - (r->structure_count != 0 ? r->structure[0].origin[a] : 0.0);
+        ray->d[a] = c->dir[a] + u * c->right[a] + v * c->up[a];
+    }
+    ray->t_min = c->near_z;
+    ray->t_max = c->far_z;
+}
+
 /* All of a scene through the rasteriser: the depth that rays find, the same bits for any number of threads; more
    instances and clusters than are kept at once. */
 TEST(zbuffer) {
@@ -828,7 +909,7 @@ TEST(zbuffer) {
                 const uint64_t key = keys.key[160 * j + i];
                 zbufrandi_ray ray;
                 zbufrandi_ray_hit h;
-                zbufrandi_ray_pixel(&r, &camera, i, j, &ray);
+                ray_pixel(&r, &camera, i, j, &ray);
                 if (zbufrandi_ray_cast(&r, &ray, &h) != (key != ZBUFRANDI_EMPTY)) differ++;
                 else if (key != ZBUFRANDI_EMPTY) {
                     seen++;
@@ -855,6 +936,7 @@ int main(int argc, char **argv) {
     RUN(far_away);
     RUN(large_structure);
     RUN(many_levels);
+    RUN(deep_packets);
     RUN(same_bits);
     RUN(many_at_once);
     RUN(odd_rays);

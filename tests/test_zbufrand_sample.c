@@ -1211,6 +1211,73 @@ TEST(points_of_instances) {
 }
 
 /* Smooth normals and colours between vertices. */
+/* Four of four of four ... with four meshes at the end, more things than a number has bits for: each mesh gets a quarter
+   of the points, and a whole page has the points that are given out one by one. */
+TEST(points_of_powers_of_two) {
+    enum { N = 8000, LEVELS = 30 };
+    static const float p[][3] = {{0, 0, 0}, {1, 0, 0}, {1, 1, 0}, {0, 1, 0}};
+    static const uint32_t t[][3] = {{0, 1, 2}, {0, 2, 3}};
+    static zbufrand_transform place[LEVELS][4];
+    static float position[N][3], normal[N][3];
+    static uint32_t id[N][2];
+    const size_t page = (size_t)1 << 20;
+    float *all = (float *)malloc(page * 6 * sizeof(float));
+    zbufrand_scene *s = NULL;
+    zbufrand_surface_points_desc d;
+    zbufrand_build_desc b;
+    zbufrand_node lib, node, list, mesh[4];
+    double step = 1, x = 0;
+    uint32_t i, k, mode;
+    REQUIRE(all != NULL);
+    memset(&b, 0, sizeof b);
+    b.ids = 1;
+    CHECK_EQ_U64(zbufrand_scene_create(NULL, &s), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_add_list(s, ZBUFRAND_ROOT, NULL, ZBUFRAND_HIDDEN, &lib), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_add_list(s, lib, NULL, 0, &node), ZBUFRAND_OK);
+    for (i = 0; i < 4; i++) {
+        zbufrand_transform at = move_scale(i & 1, i >> 1, 0, 1);
+        zbufrand_mesh m;
+        memset(&m, 0, sizeof m);
+        m.positions = p[0];
+        m.vertex_count = 4;
+        m.indices = t[0];
+        m.triangle_count = 2;
+        CHECK_EQ_U64(zbufrand_add_mesh(s, node, &at, ZBUFRAND_OWN_STRUCTURE, &m, &mesh[i]), ZBUFRAND_OK);
+    }
+    for (k = 0; k < LEVELS; k++) {
+        step *= 2;
+        for (i = 0; i < 4; i++) place[k][i] = move_scale(step * (i & 1), step * (i >> 1), 0, 1);
+        CHECK_EQ_U64(zbufrand_add_list(s, k + 1 == LEVELS ? ZBUFRAND_ROOT : lib, NULL, 0, &list), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_references(s, list, place[k], 4, node, NULL), ZBUFRAND_OK);
+        node = list;
+    }
+    CHECK_EQ_U64(zbufrand_scene_build(s, &b, NULL), ZBUFRAND_OK);
+    memset(&d, 0, sizeof d);
+    for (mode = 0; mode < 2; mode++) {
+        uint32_t count[4] = {0, 0, 0, 0}, first = 0;
+        d.independent = mode;
+        CHECK_EQ_U64(zbufrand_surface_points(s, &d, N, position[0], NULL, NULL, id[0]), ZBUFRAND_OK);
+        for (i = 0; i < N; i++) {
+            for (k = 0; k < 4; k++) count[k] += id[i][0] == mesh[k];
+            first += id[i][1] == 0;
+            x += (double)position[i][0] / (2 * step) / (2.0 * N);
+        }
+        for (k = 0; k < 4; k++) CHECK_MSG(fabs(count[k] / (double)N - 0.25) < 0.03, "%u of %u points on mesh %u", (unsigned)count[k], (unsigned)N, (unsigned)k);
+        CHECK_NEAR(first / (double)N, 0.5, 0.03);
+    }
+    CHECK_NEAR(x, 0.5, 0.02);
+    d.independent = 0;
+    CHECK_EQ_U64(zbufrand_surface_points(s, &d, page, all, all + 3 * page, NULL, NULL), ZBUFRAND_OK);
+    for (k = 0; k < 3; k++) {
+        d.first = 500000 * k;
+        CHECK_EQ_U64(zbufrand_surface_points(s, &d, N, position[0], normal[0], NULL, NULL), ZBUFRAND_OK);
+        CHECK(memcmp(position, all + 3 * d.first, sizeof position) == 0);
+        CHECK(memcmp(normal, all + 3 * page + 3 * d.first, sizeof normal) == 0);
+    }
+    zbufrand_scene_destroy(s);
+    free(all);
+}
+
 TEST(attributes_of_surface_points) {
     shape s;
     zbufrand_mesh m;
@@ -1445,6 +1512,7 @@ int main(int argc, char **argv) {
     RUN(short_prefixes_are_even);
     RUN(a_hundred_million_points_are_independent);
     RUN(points_of_instances);
+    RUN(points_of_powers_of_two);
     RUN(attributes_of_surface_points);
     RUN(fine_places);
     RUN(points_of_any_size);

@@ -186,6 +186,45 @@ TEST(counts_beyond_32_bits) {
     shape_free(&box);
 }
 
+/* What no test can store: a structure that is nearly full gets one mesh more. */
+TEST(full_structures) {
+    uint32_t full;
+    shape box;
+    zbufrand_mesh m;
+    memset(&box, 0, sizeof box);
+    shape_box(&box, 0, 0, 0, 1, 1, 1);
+    m = mesh_of(&box);
+    for (full = 0; full < 2; full++) {
+        zbufrand_scene *s = open_scene();
+        zbufrandi_structure to;
+        zbufrandi_piece piece;
+        zbufrandi_build b;
+        zbufrand_build_desc d;
+        zbufrand_node node;
+        CHECK_EQ_U64(zbufrand_add_mesh(s, ZBUFRAND_ROOT, NULL, 0, &m, &node), ZBUFRAND_OK);
+        memset(&to, 0, sizeof to);
+        memset(&piece, 0, sizeof piece);
+        memset(&b, 0, sizeof b);
+        memset(&d, 0, sizeof d);
+        zbufrandi_m34_identity(piece.m);
+        s->mem.limit = 1 << 20; /* room for the box, not for what is said to be there */
+        b.scene = s;
+        b.desc = &d;
+        b.s = &to;
+        if (full == 0) to.triangle_count = 0xffffffffu - 11;
+        else to.vertex_count = 0xffffffffu - 7;
+        CHECK_EQ_U64(zbufrandi_build_piece(&b, &piece), ZBUFRAND_ERR_RANGE);
+        CHECK_EQ_U64(g_error.where, node);
+        CHECK(strstr(g_error.text, "2^32") != NULL);
+        if (full == 0) to.triangle_count--;
+        else to.vertex_count--;
+        CHECK_EQ_U64(zbufrandi_build_piece(&b, &piece), ZBUFRAND_ERR_NO_MEMORY); /* it would fit */
+        zbufrandi_structure_free(&s->mem, &to);
+        zbufrand_scene_destroy(s);
+    }
+    shape_free(&box);
+}
+
 TEST(what_is_drawn) {
     zbufrand_scene *s = open_scene();
     shape box;
@@ -299,6 +338,64 @@ TEST(far_away) {
     shape_free(&ball);
 }
 
+/* Each transform is a similarity as far as is asked for; what lists in lists amount to is less of one. */
+TEST(nearly_similar) {
+    shape box;
+    zbufrand_mesh m;
+    zbufrand_transform t = move_scale(0, 0, 0, 1), back = t, tiny = move_scale(0, 0, 0, 1e-100), away = move_scale(3e15, 0, 0, 1);
+    zbufrand_scene_info info;
+    zbufrand_node list, inner, lib, model, node;
+    uint32_t kind;
+    memset(&box, 0, sizeof box);
+    shape_box(&box, -1, -1, -1, 1, 1, 1);
+    m = mesh_of(&box);
+    t.m[0][1] = 0.9e-5;
+    back.m[0][1] = -0.9e-5;
+    for (kind = 0; kind < 3; kind++) { /* a structure of its own, a reference, several */
+        zbufrand_scene *s = open_scene();
+        CHECK_EQ_U64(zbufrand_add_list(s, ZBUFRAND_ROOT, NULL, ZBUFRAND_HIDDEN, &lib), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_mesh(s, lib, NULL, 0, &m, &model), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_mesh(s, ZBUFRAND_ROOT, NULL, 0, &m, NULL), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_list(s, ZBUFRAND_ROOT, &t, 0, &list), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_list(s, list, &t, 0, &inner), ZBUFRAND_OK);
+        if (kind == 0) CHECK_EQ_U64(zbufrand_add_mesh(s, inner, &t, ZBUFRAND_OWN_STRUCTURE, &m, &node), ZBUFRAND_OK);
+        if (kind == 1) CHECK_EQ_U64(zbufrand_add_reference(s, inner, &t, model, &node), ZBUFRAND_OK);
+        if (kind == 2) CHECK_EQ_U64(zbufrand_add_references(s, inner, &t, 1, model, &node), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_scene_build(s, NULL, &info), ZBUFRAND_OK);
+        CHECK_NEAR(info.area, 48, 1e-3);
+        CHECK(info.box_max[0] > 1.00002 && info.box_max[0] < 1.0001);
+        CHECK_EQ_U64(zbufrand_move(s, inner, &back), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_scene_update(s, &info), ZBUFRAND_OK);
+        CHECK_NEAR(info.area, 48, 1e-3);
+        /* the same among what is new */
+        CHECK_EQ_U64(zbufrand_add_list(s, ZBUFRAND_ROOT, &t, 0, &list), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_list(s, list, &t, 0, &inner), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_mesh(s, inner, &t, ZBUFRAND_OWN_STRUCTURE, &m, &node), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_scene_update(s, &info), ZBUFRAND_OK);
+        CHECK_NEAR(info.area, 72, 1e-3);
+        /* too small to have a scale */
+        CHECK_EQ_U64(zbufrand_add_list(s, ZBUFRAND_ROOT, NULL, 0, &list), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_list(s, list, &tiny, 0, &inner), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_mesh(s, inner, &tiny, ZBUFRAND_OWN_STRUCTURE, &m, &node), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_scene_update(s, NULL), ZBUFRAND_ERR_RANGE);
+        zbufrand_scene_get_info(s, &info);
+        CHECK_NEAR(info.area, 72, 1e-3);
+        CHECK_EQ_U64(zbufrand_scene_build(s, NULL, NULL), ZBUFRAND_ERR_RANGE);
+        CHECK_EQ_U64(g_error.where, node);
+        CHECK_EQ_U64(zbufrand_remove(s, list), ZBUFRAND_OK);
+        /* too far off, as more than half of the probes are in the middle */
+        CHECK_EQ_U64(zbufrand_add_mesh(s, ZBUFRAND_ROOT, &away, ZBUFRAND_OWN_STRUCTURE, &m, &node), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_scene_build(s, NULL, NULL), ZBUFRAND_ERR_RANGE);
+        CHECK_EQ_U64(g_error.where, node);
+        CHECK(strstr(g_error.text, "1e15") != NULL);
+        CHECK_EQ_U64(zbufrand_remove(s, node), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_scene_build(s, NULL, &info), ZBUFRAND_OK);
+        CHECK_NEAR(info.area, 72, 1e-3);
+        zbufrand_scene_destroy(s);
+    }
+    shape_free(&box);
+}
+
 TEST(bad_triangles) {
     static const float p[][3] = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1}, {NAN, 0, 0}, {INFINITY, 1, 1}, {2, 0, 0}, {1e30f, 0, 0}};
     static const uint32_t t[][3] = {{0, 1, 2}, {0, 1, 4}, {0, 1, 5}, {0, 1, 6}, {0, 0, 1}, {0, 1, 99}, {0, 2, 3}, {0, 1, 7}, {3, 3, 3}};
@@ -320,6 +417,7 @@ TEST(bad_triangles) {
     d.strict = 1;
     CHECK_EQ_U64(zbufrand_scene_build(s, &d, &info), ZBUFRAND_ERR_INVALID_ARG);
     CHECK_EQ_U64(g_error.where, 1);
+    CHECK(strstr(g_error.text, "triangle 1 of mesh 2: degenerate") == g_error.text);
     CHECK_EQ_U64(info.triangles, 0);
     zbufrand_scene_get_info(s, &info);
     CHECK_EQ_U64(info.triangles, 0);
@@ -377,6 +475,43 @@ static int cancel_at(void *user, uint64_t done, uint64_t total) {
     return done >= *(uint64_t *)user;
 }
 
+/* Arrays that grew from mesh to mesh end as large as one mesh of all of it would have made them. */
+TEST(many_meshes_hold_no_more) {
+    shape torus;
+    zbufrand_mesh m;
+    zbufrand_scene_info info;
+    double one = 0, bytes;
+    uint32_t n, i;
+    memset(&torus, 0, sizeof torus);
+    shape_torus(&torus, 0, 0, 0, 1, 0.4, 100, 50);
+    m = mesh_of(&torus);
+    for (n = 1; n <= 5; n++) {
+        zbufrand_scene *s = open_scene();
+        for (i = 0; i < n; i++) CHECK_EQ_U64(zbufrand_add_mesh(s, ZBUFRAND_ROOT, NULL, 0, &m, NULL), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_scene_build(s, NULL, &info), ZBUFRAND_OK);
+        CHECK_EQ_U64(info.stored_triangles, n * m.triangle_count);
+        if (n == 1) one = (double)info.bytes;
+        CHECK_MSG((double)info.bytes < 1.05 * one * n, "%u meshes hold %g times as much as one", (unsigned)n, (double)info.bytes / one);
+        zbufrand_scene_destroy(s);
+    }
+    for (n = 0; n < 2; n++) { /* and so do instances: 2^12, and some more */
+        static zbufrand_transform place[5000];
+        const uint32_t count = n == 0 ? 4096 : 5000;
+        zbufrand_scene *s = open_scene();
+        zbufrand_node node;
+        for (i = 0; i < count; i++) place[i] = move_scale(4.0 * (i % 70), 4.0 * (i / 70), 0, 1);
+        m.triangle_count = 1;
+        CHECK_EQ_U64(zbufrand_add_mesh(s, ZBUFRAND_ROOT, NULL, ZBUFRAND_HIDDEN, &m, &node), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_references(s, ZBUFRAND_ROOT, place, count, node, NULL), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_scene_build(s, NULL, &info), ZBUFRAND_OK);
+        bytes = (double)info.bytes - (double)info.tree_nodes * (sizeof(zbufrandi_node8) + 8 * ZBUFRANDI_SET);
+        if (n == 0) one = bytes / count;
+        CHECK_MSG(bytes < 1.05 * one * count, "%g bytes for each of %u instances", bytes / count, (unsigned)count);
+        zbufrand_scene_destroy(s);
+    }
+    shape_free(&torus);
+}
+
 TEST(cancelled) {
     zbufrand_scene_desc d;
     zbufrand_scene *s = NULL;
@@ -422,11 +557,14 @@ int main(int argc, char **argv) {
     RUN(cycles);
     RUN(deep_lists_and_levels);
     RUN(counts_beyond_32_bits);
+    RUN(full_structures);
     RUN(what_is_drawn);
     RUN(references_at_once);
     RUN(far_away);
+    RUN(nearly_similar);
     RUN(bad_triangles);
     RUN(out_of_memory);
+    RUN(many_meshes_hold_no_more);
     RUN(cancelled);
     RUN(descs);
     return test_end();
