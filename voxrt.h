@@ -1031,7 +1031,7 @@ VOXRT_DEF voxrt_result voxrt_camera_ray(const voxrt_camera *camera, uint32_t wid
    view    from the object towards the eye, any length; NULL: from the front, a little from above and the right
    width, height  of the picture; one of them 0: as for a square
    INVALID_ARG: the box or view is not finite, a side of the box is below 0, view is 0, the angle is not in (0, 180),
-   or a float cannot hold the place. O(1). */
+   or floats cannot hold eye and at, or not apart. O(1). */
 VOXRT_DEF voxrt_result voxrt_camera_fit(voxrt_camera *camera, const double box_min[3], const double box_max[3],
                                         const float view[3], uint32_t width, uint32_t height);
 
@@ -1302,7 +1302,7 @@ VOXRT_DEF voxrt_result voxrt_paged_build_file(const voxrt_build_desc *desc, cons
    desc    in, NULL: all defaults
    tree    in, NULL: only desc->geometry
    image   buffers in and out; with more than one sample depth, normal and hit are those of sample 0, and they are
-           left alone when first_sample > 0. A width or height of 0 is allowed
+           left alone when first_sample > 0, and by views of heat. A width or height of 0 is allowed
    stats   may be NULL; counting costs a little
    Progressive pictures: call with samples = 1, first_sample = 0, 1, 2, ... and image->sum: each call leaves the mean of
    all samples so far, the same bits as one call with that many samples.
@@ -8934,9 +8934,10 @@ VOXRT_DEF voxrt_result voxrt_octree_from_tree(const voxrt_octree_desc *desc, con
         voxrt_tree *plain;
         r = voxrt_tree_unshare(s, &d.env, &plain);
         if (r != VOXRT_OK || plain == NULL) return r;
-        d.env.memory_limit = voxrti_limit_left(d.env.memory_limit, plain->mem.used);
+        d.env.memory_limit = voxrti_limit_left(mem.limit, plain->mem.used);
         r = voxrt_octree_from_tree(&d, plain, out_octree);
         voxrt_tree_destroy(plain);
+        if (*out_octree != NULL) (*out_octree)->mem.limit = mem.limit; /* that of `plain` is free again */
         return r;
     }
     top = 2 * s->wide - s->depth;
@@ -9263,9 +9264,10 @@ VOXRT_DEF voxrt_result voxrt_octree_load_file(const voxrt_octree_desc *desc, con
     if (path == NULL) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no path");
     r = voxrti_read_file(&mem, path, &data, &size);
     if (r != VOXRT_OK) return voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
-    d.env.memory_limit = voxrti_limit_left(d.env.memory_limit, mem.used); /* what the file itself holds counts */
+    d.env.memory_limit = voxrti_limit_left(mem.limit, mem.used); /* what the file itself holds counts */
     r = voxrt_octree_load_memory(&d, data, size, out_octree);
     voxrti_free(&mem, data);
+    if (*out_octree != NULL) (*out_octree)->mem.limit = mem.limit; /* no longer */
     return r;
 }
 #endif
@@ -13924,7 +13926,8 @@ VOXRTI_TARGET_SSE4 VOXRTI_INLINE uint32_t voxrti_single_visit(const voxrt_tree *
         return set;
     }
     if (stats != NULL) stats->descents += set;
-    first = (uint32_t)(node[1] & 0xffffffffu) + (uint32_t)_mm_popcnt_u64(mask & (((uint64_t)1 << slot) - 1u));
+    first = ((const voxrti_node *)(const void *)node)->child;
+    first += (uint32_t)_mm_popcnt_u64(mask & (((uint64_t)1 << slot) - 1u));
     if (w + 1 == leaf_w && set) first = voxrti_leaf_at(t, first);
     below = w + 1 == leaf_w ? (uintptr_t)t->leaf + 8 * (uintptr_t)first : (uintptr_t)t->node + 16 * (uintptr_t)first;
     below = set ? below : (uintptr_t)node;
@@ -15085,6 +15088,15 @@ static float voxrti_finish_shade(const voxrti_render *c, const voxrt_finish *f, 
     return v + full * f->emission[a];
 }
 
+/* Width of shadow rays: as fine as the nearest of n hits. Rays of the caller's own may meet what is behind their
+   origin. */
+static float voxrti_shadow_width(const voxrt_surface *surface, uint32_t n, float spread) {
+    float t = INFINITY;
+    uint32_t i;
+    for (i = 0; i < n; i++) t = surface[i].t < t ? surface[i].t : t;
+    return t > 0.0f && t < INFINITY ? t * spread : 0.0f;
+}
+
 /* Colours of n rays. area: their pixels; NULL: rays that bounced. */
 VOXRTI_INLINE void voxrti_run_shade(const voxrti_render *c, const voxrt_trace_desc *td, const voxrt_ray *ray,
                                     const voxrt_surface *surface, const float (*normal)[3], const voxrti_area *area,
@@ -15131,11 +15143,19 @@ VOXRTI_INLINE void voxrti_run_shade(const voxrti_render *c, const voxrt_trace_de
     }
 }
 
+static void voxrti_stats_join(voxrt_stats *to, const voxrt_stats *s) {
+    to->rays += s->rays;
+    to->hits += s->hits;
+    to->bad_rays += s->bad_rays;
+    to->steps += s->steps;
+    to->descents += s->descents;
+}
+
 /* Heat of one ray: how often it stepped (outer) or went down (inner). */
-static void voxrti_heat(const voxrti_render *c, const voxrt_ray *ray, float value[4]) {
+static void voxrti_heat(const voxrti_render *c, const voxrt_trace_desc *desc, const voxrt_ray *ray, float value[4]) {
     static const uint32_t limit[4] = {120, 80, 40, 15};
     static const float paint[5][3] = {{1, 0, 0}, {1, 0.25f, 0}, {1, 1, 0}, {0, 0.6f, 0}, {1, 1, 1}};
-    voxrt_trace_desc td = c->trace;
+    voxrt_trace_desc td = *desc;
     voxrt_surface surface;
     voxrt_stats stats;
     float full = c->d->thesis_compose ? 255.0f : 1.0f;
@@ -15144,6 +15164,7 @@ static void voxrti_heat(const voxrti_render *c, const voxrt_ray *ray, float valu
     td.stats = &stats;
     td.isa = VOXRT_ISA_SCALAR;
     voxrti_run_trace(c, &td, ray, &surface, NULL, 1);
+    if (desc->stats != NULL) voxrti_stats_join(desc->stats, &stats);
     value[3] = full;
     if (c->d->view == VOXRT_VIEW_HEAT_OUTER) {
         float h = (float)stats.steps / (c->d->heat_max > 0.0f ? c->d->heat_max : 64.0f);
@@ -15436,9 +15457,7 @@ static VOXRTI_NOINLINE void voxrti_run_bounce(const voxrti_render *c, const voxr
             rays[i].t_max = INFINITY;
         }
         voxrti_run_trace(c, td, rays, met, NULL, m);
-        dark.cone_width = INFINITY;
-        for (i = 0; i < m; i++) dark.cone_width = met[i].t < dark.cone_width ? met[i].t : dark.cone_width;
-        dark.cone_width = dark.cone_width < INFINITY ? dark.cone_width * td->cone_spread : 0.0f;
+        dark.cone_width = voxrti_shadow_width(met, m, td->cone_spread);
         voxrti_bounce_shade(c, &dark, rays, met, m, normal, color);
         if (own != NULL && own->shade_fn != NULL)
             own->shade_fn(own->user, rays, met, (const float (*)[3])normal, color, m);
@@ -15696,7 +15715,6 @@ static int voxrti_run(const voxrti_render *c, voxrt_render_stats *stats, const v
                                       voxrti_area_y(area, i)), 16);
     for (s = 0; s < c->samples; s++) {
         double sx, sy;
-        float depth = INFINITY;
         if (!voxrti_ask_work(c->ask, n * c->work)) return 0;
         voxrti_sample_at(c->d->first_sample + s, &sx, &sy);
         for (i = 0; i < n; i++) {
@@ -15708,12 +15726,10 @@ static int voxrti_run(const voxrti_render *c, voxrt_render_stats *stats, const v
             for (i = 0; i < n; i++) ray[i].t_max = 0.0f;
         }
         if (c->d->view >= VOXRT_VIEW_HEAT_OUTER) {
-            for (i = 0; i < n; i++) voxrti_heat(c, &ray[i], value[i]);
+            for (i = 0; i < n; i++) voxrti_heat(c, &td, &ray[i], value[i]);
         } else {
             voxrti_run_trace(c, &td, ray, surface, hit, n);
-            for (i = 0; i < n; i++) depth = surface[i].t < depth ? surface[i].t : depth;
-            /* shadow rays: as fine as the nearest pixel of the run */
-            shadow.cone_width = depth < INFINITY ? depth * td.cone_spread : 0.0f;
+            shadow.cone_width = voxrti_shadow_width(surface, n, td.cone_spread);
             shadow.cone_spread = 0.0f;
             voxrti_run_normals(c, ray, surface, n, normal);
             voxrti_run_shade(c, &shadow, ray, surface, (const float (*)[3])normal, area, n, value);
@@ -15926,13 +15942,15 @@ static voxrt_result voxrti_fit_close(const voxrti_fit *f, voxrt_camera *camera) 
         voxrti_max((f->most[0] + f->most[1]) / (2.0 * f->tan_x), (f->most[2] + f->most[3]) / (2.0 * f->tan_y));
     double x = 0.5 * (f->most[0] - f->most[1]), y = 0.5 * (f->most[2] - f->most[3]);
     double at[3], eye[3];
-    uint32_t a;
+    uint32_t a, apart = 0;
     distance = f->size > 0.0 ? 1.04 * distance + 0.01 * f->size : 1.0;
     for (a = 0; a < 3; a++) {
         at[a] = f->origin[a] + x * f->right[a] + y * f->above[a];
         eye[a] = at[a] + distance * f->back[a];
         if (!(voxrti_abs(at[a]) <= 3e38) || !(voxrti_abs(eye[a]) <= 3e38)) return VOXRT_ERR_INVALID_ARG;
+        apart |= (float)at[a] != (float)eye[a];
     }
+    if (!apart) return VOXRT_ERR_INVALID_ARG;
     for (a = 0; a < 3; a++) {
         camera->at[a] = (float)at[a];
         camera->eye[a] = (float)eye[a];
@@ -17608,6 +17626,7 @@ typedef struct voxrti_edit {
     const voxrt_model *m;
     voxrt_edit_op op;
     uint32_t rgb, sphere;
+    const voxrt_finish *give;    /* what the shape gets, or NULL; */
     uint32_t finish;             /* number + 1 of the model's finish in the highest byte, 0: none is given */
     uint32_t lo[3], hi[3];       /* voxels of the shape lie in here, hi exclusive */
     double centre[3], radius2;   /* sphere: in voxels, those with a centre nearer than that */
@@ -17993,11 +18012,40 @@ static voxrt_result voxrti_edit_blocks(const voxrti_edit *e, uint64_t **out, siz
     return key != NULL ? VOXRT_OK : VOXRT_ERR_NO_MEMORY;
 }
 
+/* The finish of an edit gets a number in the model. */
+static voxrt_result voxrti_edit_finish(voxrti_edit *e, const voxrt_env *env, voxrt_model *m) {
+    const size_t n = m->build.finish_count;
+    float want[VOXRTI_FINISH_FLOATS], have[VOXRTI_FINISH_FLOATS];
+    voxrt_finish *more;
+    size_t i;
+    voxrti_finish_floats(e->give, want);
+    for (i = 0; i < n; i++) {
+        voxrti_finish_floats(&m->finish[i], have);
+        if (memcmp(want, have, sizeof want) == 0) break;
+    }
+    if (i == 255) return voxrti_fail(env->error, VOXRT_ERR_RANGE, i, "more than % finishes");
+    if (i == n) {
+        more = (voxrt_finish *)voxrti_alloc_array(e->mem, n + 1, sizeof *more);
+        if (more == NULL) return voxrti_fail(env->error, VOXRT_ERR_NO_MEMORY, 0, "out of memory");
+        if (n != 0) memcpy(more, m->finish, n * sizeof *more);
+        more[n] = *e->give;
+        voxrti_free(e->mem, m->finish);
+        m->finish = more;
+        m->build.finishes = more;
+        m->build.finish_count = n + 1;
+    }
+    e->finish = (uint32_t)(i + 1) << 24;
+    return VOXRT_OK;
+}
+
 static voxrt_result voxrti_edit_run(voxrti_edit *e, const voxrt_env *env, voxrt_model *m, voxrt_edit_stats *stats) {
+    const size_t finishes = m->build.finish_count;
     uint64_t *key = NULL;
     size_t n = 0, i, a;
     int any = 0;
-    voxrt_result r = voxrti_edit_blocks(e, &key, &n);
+    voxrt_result r = e->give != NULL ? voxrti_edit_finish(e, env, m) : VOXRT_OK;
+    if (r != VOXRT_OK) return r;
+    r = voxrti_edit_blocks(e, &key, &n);
     if (r == VOXRT_OK) {
         e->key = key;
         e->made = (voxrti_block **)voxrti_alloc_zero(e->mem, n, sizeof *e->made);
@@ -18015,6 +18063,7 @@ static voxrt_result voxrti_edit_run(voxrti_edit *e, const voxrt_env *env, voxrt_
         if (r == VOXRT_OK && any) r = voxrti_edit_commit(e, env, n, m);
         for (i = 0; r != VOXRT_OK && i < n; i++) voxrti_block_drop(e->made[i]);
     }
+    if (r != VOXRT_OK || !any) m->build.finish_count = finishes; /* nothing has a new one */
     for (i = 0; r == VOXRT_OK && stats != NULL && i < n; i++) {
         uint64_t *to[3];
         to[0] = &stats->filled;
@@ -18028,34 +18077,6 @@ static voxrt_result voxrti_edit_run(voxrti_edit *e, const voxrt_env *env, voxrt_
     voxrti_free(e->mem, e->state);
     voxrti_free(e->mem, e->stats);
     return r == VOXRT_OK ? r : voxrti_fail(env->error, r, 0, voxrt_result_string(r));
-}
-
-/* The finish of an edit gets a number in the model. */
-static voxrt_result voxrti_edit_finish(voxrt_model *m, const voxrt_edit_desc *d, voxrti_mem *mem, voxrti_edit *e) {
-    const size_t n = m->build.finish_count;
-    float want[VOXRTI_FINISH_FLOATS], have[VOXRTI_FINISH_FLOATS];
-    voxrt_finish *more;
-    size_t i;
-    if (m->build.disable_colors || !voxrti_finish_ok(d->finish))
-        return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "a finish that is out of range, or no colours");
-    voxrti_finish_floats(d->finish, want);
-    for (i = 0; i < n; i++) {
-        voxrti_finish_floats(&m->finish[i], have);
-        if (memcmp(want, have, sizeof want) == 0) break;
-    }
-    if (i == 255) return voxrti_fail(d->env.error, VOXRT_ERR_RANGE, i, "more than % finishes");
-    if (i == n) {
-        more = (voxrt_finish *)voxrti_alloc_array(mem, n + 1, sizeof *more);
-        if (more == NULL) return voxrti_fail(d->env.error, VOXRT_ERR_NO_MEMORY, 0, "out of memory");
-        if (n != 0) memcpy(more, m->finish, n * sizeof *more);
-        more[n] = *d->finish;
-        voxrti_free(mem, m->finish);
-        m->finish = more;
-        m->build.finishes = more;
-        m->build.finish_count = n + 1;
-    }
-    e->finish = (uint32_t)(i + 1) << 24;
-    return VOXRT_OK;
 }
 
 /* What all edits begin with. */
@@ -18079,7 +18100,11 @@ static voxrt_result voxrti_edit_open(voxrt_model *m, const voxrt_edit_desc *desc
     e->op = d->op;
     e->rgb = d->rgb[0] | (uint32_t)d->rgb[1] << 8 | (uint32_t)d->rgb[2] << 16;
     e->up = (uint16_t)voxrti_normal_encode(m->spherical, up);
-    return d->finish != NULL && d->op != VOXRT_EDIT_CLEAR ? voxrti_edit_finish(m, d, mem, e) : VOXRT_OK;
+    if (d->finish == NULL || d->op == VOXRT_EDIT_CLEAR) return VOXRT_OK;
+    if (m->build.disable_colors || !voxrti_finish_ok(d->finish))
+        return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "a finish that is out of range, or no colours");
+    e->give = d->finish;
+    return VOXRT_OK;
 }
 
 /* Voxels whose centres lie in [min, max). 0: none. */

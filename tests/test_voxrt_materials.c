@@ -1733,6 +1733,50 @@ TEST(edits_give_finishes) {
     voxrt_model_destroy(m);
 }
 
+static int stop(void *user, uint64_t done, uint64_t total) {
+    (void)user;
+    (void)done;
+    (void)total;
+    return 1;
+}
+
+/* Edits that do nothing, and those that fail, leave all of the 255 finishes to others. */
+TEST(edits_in_vain) {
+    voxrt_model_desc md;
+    voxrt_edit_desc e;
+    voxrt_finish f;
+    voxrt_model *m = NULL;
+    voxrt_geometry g;
+    voxrt_voxel v;
+    const double lo[3] = {10, 10, 10}, hi[3] = {20, 20, 20}, off[3] = {-9, -9, -9}, bad[3] = {0, (double)NAN, 0};
+    uint32_t i;
+    memset(&md, 0, sizeof md);
+    memset(&e, 0, sizeof e);
+    memset(&v, 0, sizeof v);
+    md.depth = 7;
+    v.x = 128; /* outside */
+    REQUIRE(voxrt_model_create(&md, &m) == VOXRT_OK);
+    e.finish = &f;
+    for (i = 0; i < 260; i++) {
+        mirror(&f, 0.5f);
+        f.emission[0] = (float)i;
+        CHECK(voxrt_model_sphere(m, &e, off, 1, NULL) == VOXRT_OK && voxrt_model_sphere(m, &e, lo, 0, NULL) == VOXRT_OK);
+        e.op = VOXRT_EDIT_PAINT;
+        CHECK(voxrt_model_box(m, &e, lo, hi, NULL) == VOXRT_OK); /* nothing is filled */
+        e.op = VOXRT_EDIT_SET;
+        CHECK(voxrt_model_box(m, &e, lo, bad, NULL) == VOXRT_ERR_INVALID_ARG);
+        CHECK(voxrt_model_voxels(m, &e, &v, 1, NULL) == VOXRT_ERR_RANGE);
+        CHECK(voxrt_model_mesh(m, &e, NULL, NULL) == VOXRT_ERR_INVALID_ARG);
+        e.env.progress_fn = stop;
+        CHECK(voxrt_model_box(m, &e, lo, hi, NULL) == VOXRT_ERR_CANCELLED);
+        e.env.progress_fn = NULL;
+    }
+    CHECK(voxrt_model_box(m, &e, lo, hi, NULL) == VOXRT_OK);
+    voxrt_model_geometry(m, &g);
+    CHECK(finish_at(&g, 7, 15.5f, 15.5f, 0) != NULL && finish_at(&g, 7, 15.5f, 15.5f, 0)->emission[0] == 259.0f);
+    voxrt_model_destroy(m);
+}
+
 /* One full block and three with a voxel each: the cell around them has what most voxels have, not most blocks. */
 TEST(blocks_count_by_their_voxels) {
     voxrt_finish f[3];
@@ -2128,6 +2172,7 @@ int main(int argc, char **argv) {
     RUN(hostile_files);
     RUN(models_keep_finishes);
     RUN(edits_give_finishes);
+    RUN(edits_in_vain);
     RUN(blocks_count_by_their_voxels);
     RUN(samples_are_where_they_say);
     RUN(samples_of_huge_triangles);
