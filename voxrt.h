@@ -15261,7 +15261,7 @@ static void voxrti_path_fade(const voxrt_finish *body, float length, float weigh
 
 /* How far behind what it met at t a ray goes on at least: surfaces of the caller's may have cells of no size. */
 VOXRTI_INLINE float voxrti_path_least(const float org[3], float t, float length) {
-    float most = t * length;
+    float most = voxrti_absf(t) * length;
     uint32_t a;
     for (a = 0; a < 3; a++) most += voxrti_absf(org[a]);
     return 1e-6f * most;
@@ -15409,10 +15409,11 @@ static uint32_t voxrti_run_split(const voxrti_render *c, const voxrt_ray *ray, c
     eye.pixel = (uint8_t)i;
     eye.clear = 1;
     side = voxrti_path_side(c, surface, ray->dir, &eye);
-    if (side == VOXRTI_BACK && voxrti_bends(surface->finish)) { /* the eye is in it */
+    if (side == VOXRTI_BACK && voxrti_bends(surface->finish)) { /* the eye is in it; a ray may begin behind it */
+        const float way = surface->t - (ray->t_min < 0.0f ? ray->t_min : 0.0f);
         eye.body[0] = surface->finish;
         eye.caught = 1;
-        voxrti_path_fade(eye.body[0], surface->t * sqrtf(voxrti_dot3(ray->dir, ray->dir)), eye.weight);
+        voxrti_path_fade(eye.body[0], way * sqrtf(voxrti_dot3(ray->dir, ray->dir)), eye.weight);
         for (a = 0; a < 3; a++) value[a] *= eye.weight[a];
     }
     return voxrti_path_split(c, ray, surface, &eye, side, out);

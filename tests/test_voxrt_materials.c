@@ -1733,6 +1733,65 @@ TEST(edits_give_finishes) {
     voxrt_model_destroy(m);
 }
 
+/* Rays that begin behind their origin, in a body: light fades from there on, as if the origin were there. */
+static void behind_ray(void *user, double x, double y, voxrt_ray *ray) {
+    const float shift = *(const float *)user;
+    uint32_t a;
+    (void)x;
+    (void)y;
+    for (a = 0; a < 3; a++) ray->org[a] += shift * ray->dir[a];
+    ray->t_min = -shift;
+}
+
+TEST(eyes_behind_origins) {
+    voxrt_finish f;
+    voxrt_build_desc b;
+    voxrt_render_desc d;
+    voxrt_states s;
+    voxrt_tree *t = NULL;
+    double mean[2][3];
+    uint32_t x, y, z, i, k, a;
+    float shift;
+    glass(&f, 0.9f, 1.5f);
+    f.absorption[0] = 0.01f;
+    f.absorption[1] = 0.05f;
+    f.absorption[2] = 40.0f;
+    cells.n = 0;
+    for (z = 0; z < 32; z++)
+        for (y = 0; y < 32; y++)
+            for (x = 0; x < 32; x++) {
+                const double u = x - 15.5, v = y - 15.5, w = z - 15.5, r = sqrt(u * u + v * v + w * w);
+                if (r < 12 || r > 14) continue;
+                add(x, y, z, 200, 200, 200, 1);
+                cells.v[cells.n - 1].has_normal = 1;
+                cells.v[cells.n - 1].normal[0] = (float)u;
+                cells.v[cells.n - 1].normal[1] = (float)v;
+                cells.v[cells.n - 1].normal[2] = (float)w;
+            }
+    memset(&b, 0, sizeof b);
+    b.finishes = &f;
+    b.finish_count = 1;
+    b.voxel_finish = cells.finish;
+    REQUIRE(voxrt_tree_from_voxels(&b, cells.v, cells.n, 5, &t) == VOXRT_OK);
+    memset(&s, 0, sizeof s);
+    s.ray_fn = behind_ray;
+    s.user = &shift;
+    look(&d, 16, 16, 16, 20, 17, 16);
+    d.states = &s;
+    for (a = 0; a < 4; a++) d.background[a] = 1;
+    for (k = 0; k < 2; k++) {
+        shift = k == 0 ? 0.0f : 64.0f;
+        CHECK(draw(&d, t, picture[k]));
+        for (a = 0; a < 3; a++) {
+            mean[k][a] = 0;
+            for (i = 0; i < SIDE * SIDE; i++) mean[k][a] += (double)picture[k][i][a] / (SIDE * SIDE);
+        }
+    }
+    CHECK(mean[0][0] > 0.5 && mean[0][1] < 0.8 * mean[0][0] && mean[0][2] < 0.01);
+    for (a = 0; a < 3; a++) CHECK_NEAR(mean[1][a], mean[0][a], 1e-3);
+    voxrt_tree_destroy(t);
+}
+
 static int stop(void *user, uint64_t done, uint64_t total) {
     (void)user;
     (void)done;
@@ -2173,6 +2232,7 @@ int main(int argc, char **argv) {
     RUN(models_keep_finishes);
     RUN(edits_give_finishes);
     RUN(edits_in_vain);
+    RUN(eyes_behind_origins);
     RUN(blocks_count_by_their_voxels);
     RUN(samples_are_where_they_say);
     RUN(samples_of_huge_triangles);
