@@ -10111,7 +10111,7 @@ typedef struct voxrti_normal_decoder {
     voxrti_rans_table *lane_table; /* AVX2: those of contexts 0 to 12, then 128 to 163; else NULL */
 } voxrti_normal_decoder;
 
-#define VOXRTI_NORMAL_TABLES 49u
+#define VOXRTI_NORMAL_TABLES 49u /* a symbol is read with three bytes behind it: voxrti_alloc has them after the last */
 
 static void voxrti_normal_chunk(voxrti_normal_decoder *g, uint32_t chunk) {
     uint64_t i = (uint64_t)chunk * VOXRTI_CHUNK, end = i + VOXRTI_CHUNK;
@@ -10736,7 +10736,7 @@ static voxrt_result voxrti_v5_read_placement(voxrti_v5_reader *r, voxrt_tree *t)
     t->voxel_size = voxrti_load_f64(p + 24);
     t->palette_count = voxrti_load_u32(p + 56);
     if (t->depth < 1 || t->depth > VOXRT_MAX_DEPTH)
-        return voxrti_v5_fail(r, VOXRT_ERR_FORMAT, t->depth, "depth % is out of range");
+        return voxrti_v5_fail(r, VOXRT_ERR_FORMAT, 36, "depth at byte % is out of range");
     t->wide = (t->depth + 1) / 2;
     memset(count, 0, sizeof count);
     ok = voxrti_load_u32(p + 60) == 0 && t->resolution >= 1 && t->resolution <= 1u << t->depth;
@@ -10802,7 +10802,7 @@ static voxrt_result voxrti_v5_read_placement(voxrti_v5_reader *r, voxrt_tree *t)
     return VOXRT_OK;
 }
 
-/* The array of a section: in place, or room for it. `size` bytes, of which the file has the first part. */
+/* The array of a section: in place, or room for it. */
 static void *voxrti_v5_array(voxrti_v5_reader *r, uint32_t id) {
     const uint8_t *from = voxrti_v5_at(r, id);
     void *p;
@@ -14805,8 +14805,7 @@ VOXRT_DEF void voxrt_hit_normal(const voxrt_tree *tree, const voxrt_hit *hit, fl
     if (tree->normal != NULL) {
         voxrti_normal_decode(tree->spherical, tree->normal[voxrti_hit_attr(tree, hit)], normal);
     } else {
-        normal[0] = normal[1] = normal[2] = 0.0f;
-        if (hit->face < 6) normal[hit->face >> 1] = (hit->face & 1u) ? 1.0f : -1.0f;
+        voxrti_face_normal(hit, normal);
     }
 }
 
