@@ -16220,7 +16220,8 @@ static voxrt_result voxrti_render_open(const voxrt_render_desc *d, voxrti_render
     voxrt_result r;
     *what = voxrti_render_bad(d, c);
     if (*what != NULL) return VOXRT_ERR_INVALID_ARG;
-    *what = "render: the camera cannot frame what is drawn: its box is not finite, or the angle is not in (0, 180)";
+    *what = "render: the camera cannot frame what is drawn: its box is not finite or too far away, or the angle is not in "
+            "(0, 180)";
     if (camera.eye[0] == camera.at[0] && camera.eye[1] == camera.at[1] && camera.eye[2] == camera.at[2]) {
         if (!voxrti_render_box(c, lo, hi)) return VOXRT_ERR_INVALID_ARG;
         if (c->tree != NULL && d->geometry_count == 0)
@@ -17236,16 +17237,19 @@ static void voxrti_model_unindex(voxrti_mem *mem, voxrt_model *m) {
     voxrti_free(mem, m->part);
 }
 
-/* Where a block with this key is or would be. */
-static size_t voxrti_model_find(const voxrt_model *m, uint64_t key) {
-    size_t lo = 0, hi = m->count;
+/* Where in n ascending keys this one is or would be. */
+static size_t voxrti_key_find(const uint64_t *keys, size_t n, uint64_t key) {
+    size_t lo = 0, hi = n;
     while (lo < hi) {
         const size_t mid = lo + (hi - lo) / 2;
-        if (m->key[mid] < key) lo = mid + 1;
+        if (keys[mid] < key) lo = mid + 1;
         else hi = mid;
     }
     return lo;
 }
+
+/* The same for the block with this key. */
+static size_t voxrti_model_find(const voxrt_model *m, uint64_t key) { return voxrti_key_find(m->key, m->count, key); }
 
 /* ---- making and taking apart ---- */
 
@@ -17646,14 +17650,9 @@ static int voxrti_edit_has(const voxrti_edit *e, uint32_t x, uint32_t y, uint32_
     double d[3];
     if (e->set != NULL) {
         const uint64_t key = voxrti_morton(x >> 2, y >> 2, z >> 2);
-        size_t lo = 0, hi = e->set->block_count;
-        while (lo < hi) {
-            const size_t mid = lo + (hi - lo) / 2;
-            if (e->set->key[mid] < key) lo = mid + 1;
-            else hi = mid;
-        }
-        return (x | y | z) >> e->m->grid.depth == 0 && lo < e->set->block_count && e->set->key[lo] == key &&
-               (e->set->mask[lo] >> voxrti_slot(x, y, z) & 1u) != 0;
+        const size_t i = voxrti_key_find(e->set->key, e->set->block_count, key);
+        return (x | y | z) >> e->m->grid.depth == 0 && i < e->set->block_count && e->set->key[i] == key &&
+               (e->set->mask[i] >> voxrti_slot(x, y, z) & 1u) != 0;
     }
     if (x < e->lo[0] || x >= e->hi[0] || y < e->lo[1] || y >= e->hi[1] || z < e->lo[2] || z >= e->hi[2]) return 0;
     if (!e->sphere) return 1;
@@ -17781,13 +17780,8 @@ static size_t voxrti_edit_leaves(const voxrti_edit *e, uint64_t key, const voxrt
         }
     }
     if (e->set != NULL) {
-        size_t lo = 0, hi = e->set->block_count;
-        while (lo < hi) {
-            const size_t mid = lo + (hi - lo) / 2;
-            if (e->set->key[mid] >> shift < key) lo = mid + 1;
-            else hi = mid;
-        }
-        for (k = lo; k < e->set->block_count && e->set->key[k] >> shift == key; k++) {
+        k = voxrti_key_find(e->set->key, e->set->block_count, key << shift);
+        for (; k < e->set->block_count && e->set->key[k] >> shift == key; k++) {
             i = (uint32_t)e->set->key[k] & (n - 1u);
             patch[i].shape = e->set->mask[k];
             patch[i].shape_voxel = (uint32_t)e->set_voxel[k];
