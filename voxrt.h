@@ -859,7 +859,8 @@ VOXRT_DEF voxrt_result voxrt_tree_map_memory(const voxrt_load_desc *desc, const 
 #ifndef VOXRT_NO_STDIO
 /* As the memory functions; ERR_IO when the file cannot be read or written. Save writes to `path` with ".part" behind
    it and renames when all is written, so that a file is complete or not there; it takes the place of what had the name,
-   be that a link or, with the right to do so, a device. Both hold the whole file meanwhile, but for one in pages. */
+   be that a link or, with the right to do so, a device. Both hold the whole file meanwhile, but for one in pages; load
+   up to three times as much while it reads. */
 VOXRT_DEF voxrt_result voxrt_tree_save_file(const voxrt_tree *tree, const voxrt_save_desc *desc, const char *path);
 VOXRT_DEF voxrt_result voxrt_tree_load_file(const voxrt_load_desc *desc, const char *path, voxrt_tree **out_tree);
 #endif
@@ -11051,6 +11052,16 @@ VOXRT_DEF voxrt_result voxrt_tree_map_memory(const voxrt_load_desc *desc, const 
 
 #ifndef VOXRT_NO_STDIO
 
+/* A file that is whole takes the place of `path`. 0: it could not, and is gone, but for when it is all that is left. */
+static VOXRTI_UNUSED int voxrti_rename(const char *part, const char *path) {
+    if (rename(part, path) == 0) return 1;
+#ifdef _WIN32 /* rename does not replace there */
+    if (remove(path) == 0) return rename(part, path) == 0;
+#endif
+    (void)remove(part);
+    return 0;
+}
+
 /* Write `size` bytes to path.part, then rename. Shared with the other format. */
 static VOXRTI_UNUSED voxrt_result voxrti_write_file(voxrti_mem *mem, const char *path, const void *data, size_t size) {
     size_t n = strlen(path);
@@ -11065,11 +11076,8 @@ static VOXRTI_UNUSED voxrt_result voxrti_write_file(voxrti_mem *mem, const char 
     if (ok) {
         ok = fwrite(data, 1, size, file) == size;
         ok = fclose(file) == 0 && ok;
-#ifdef _WIN32 /* rename does not replace there */
-        if (ok) (void)remove(path);
-#endif
-        ok = ok && rename(part, path) == 0;
-        if (!ok) (void)remove(part);
+        if (ok) ok = voxrti_rename(part, path);
+        else (void)remove(part);
     }
     voxrti_free(mem, part);
     return ok ? VOXRT_OK : VOXRT_ERR_IO;
@@ -19239,11 +19247,8 @@ static voxrt_result voxrti_sink_close(voxrti_mem *mem, const char *path, voxrti_
                                       voxrt_result r) {
     if (s->file != NULL) {
         if (fclose(s->file) != 0 && r == VOXRT_OK) r = VOXRT_ERR_IO;
-#ifdef _WIN32 /* rename does not replace there */
-        if (r == VOXRT_OK) (void)remove(path);
-#endif
-        if (r == VOXRT_OK && rename(part, path) != 0) r = VOXRT_ERR_IO;
-        if (r != VOXRT_OK) (void)remove(part);
+        if (r == VOXRT_OK) r = voxrti_rename(part, path) ? VOXRT_OK : VOXRT_ERR_IO;
+        else (void)remove(part);
     }
     voxrti_free(mem, part);
     return r;
