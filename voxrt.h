@@ -15660,7 +15660,8 @@ static void voxrti_pixel_write(const voxrti_render *c, uint32_t x, uint32_t y, c
     float v[4], full = c->d->thesis_compose ? 255.0f : 1.0f, rest;
     float scale = 1.0f / (float)(m->sum != NULL ? c->d->first_sample + c->samples : c->samples);
     uint32_t a;
-    if (total[3] == 0.0f && c->transparent) {
+    if (total[3] == 0.0f && c->transparent && /* clear glass may shine */
+        (c->d->thesis_compose || (total[0] == 0.0f && total[1] == 0.0f && total[2] == 0.0f))) {
         if (m->rgba8 != NULL) memset(voxrti_pixel(m->rgba8, m->rgba8_stride, 4, m->width, x, y), 0, 4);
         if (m->rgba != NULL) memset(voxrti_pixel(m->rgba, m->rgba_stride, 16, m->width, x, y), 0, 16);
         return;

@@ -1733,6 +1733,45 @@ TEST(edits_give_finishes) {
     voxrt_model_destroy(m);
 }
 
+/* A pane that lets all light through and shines: no coverage, but light; as one that takes a trace of it. */
+TEST(clear_panes_shine) {
+    static const float shine[3] = {0.25f, 0.5f, 0.75f};
+    voxrt_finish f;
+    voxrt_build_desc b;
+    voxrt_render_desc d;
+    voxrt_image m;
+    static float rgba[16 * 16][4], sum[16 * 16][4];
+    uint8_t rgba8[16 * 16][4];
+    uint32_t k, a;
+    cells.n = 0;
+    add_box(0, 16, 0, 16, 8, 9, 9, 9, 9, 1);
+    memset(&b, 0, sizeof b);
+    b.finishes = &f;
+    b.finish_count = 1;
+    b.voxel_finish = cells.finish;
+    memset(&m, 0, sizeof m);
+    m.width = m.height = 16;
+    m.rgba = rgba[0];
+    m.sum = sum[0];
+    m.rgba8 = rgba8[0];
+    look(&d, 8, 8, 40, 8, 8, 0);
+    for (k = 0; k < 3; k++) {
+        voxrt_tree *t = NULL;
+        glass(&f, k == 1 ? 0.9999f : 1, 0);
+        memcpy(f.emission, shine, sizeof shine);
+        d.background[3] = k == 2 ? 1.0f : 0.0f;
+        REQUIRE(voxrt_tree_from_voxels(&b, cells.v, cells.n, 4, &t) == VOXRT_OK);
+        CHECK(voxrt_render(&d, t, &m, NULL) == VOXRT_OK);
+        for (a = 0; a < 3; a++) {
+            CHECK_NEAR(rgba[8 * 16 + 8][a], shine[a], 1e-4);
+            CHECK_NEAR(sum[8 * 16 + 8][a], shine[a], 1e-4);
+        }
+        CHECK_NEAR(rgba[8 * 16 + 8][3], k == 2 ? 1 : 0, 2e-4);
+        CHECK(rgba8[8 * 16 + 8][3] == (k == 2 ? 255 : 0) && (k == 2 || rgba[0][0] == 0.0f));
+        voxrt_tree_destroy(t);
+    }
+}
+
 /* Rays that begin behind their origin, in a body: light fades from there on, as if the origin were there. */
 static void behind_ray(void *user, double x, double y, voxrt_ray *ray) {
     const float shift = *(const float *)user;
@@ -2232,6 +2271,7 @@ int main(int argc, char **argv) {
     RUN(models_keep_finishes);
     RUN(edits_give_finishes);
     RUN(edits_in_vain);
+    RUN(clear_panes_shine);
     RUN(eyes_behind_origins);
     RUN(blocks_count_by_their_voxels);
     RUN(samples_are_where_they_say);
