@@ -16229,8 +16229,8 @@ static voxrt_result voxrti_render_open(const voxrt_render_desc *d, voxrti_render
     voxrt_result r;
     *what = voxrti_render_bad(d, c);
     if (*what != NULL) return VOXRT_ERR_INVALID_ARG;
-    *what = "render: the camera cannot frame what is drawn: its box is not finite or too far away, or the angle is not in "
-            "(0, 180)";
+    *what = "render: the camera cannot frame what is drawn: its box is not finite or too far away, or the angle is not "
+            "in (0, 180)";
     if (camera.eye[0] == camera.at[0] && camera.eye[1] == camera.at[1] && camera.eye[2] == camera.at[2]) {
         if (!voxrti_render_box(c, lo, hi)) return VOXRT_ERR_INVALID_ARG;
         if (c->tree != NULL && d->geometry_count == 0)
