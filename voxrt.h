@@ -859,7 +859,8 @@ VOXRT_DEF voxrt_result voxrt_tree_map_memory(const voxrt_load_desc *desc, const 
 #ifndef VOXRT_NO_STDIO
 /* As the memory functions; ERR_IO when the file cannot be read or written. Save writes to `path` with ".part" behind
    it and renames when all is written, so that a file is complete or not there; it takes the place of what had the name,
-   be that a link or, with the right to do so, a device. Both hold the whole file meanwhile, but for one in pages. */
+   be that a link or, with the right to do so, a device. Both hold the whole file meanwhile, but for one in pages; load
+   up to three times as much while it reads. */
 VOXRT_DEF voxrt_result voxrt_tree_save_file(const voxrt_tree *tree, const voxrt_save_desc *desc, const char *path);
 VOXRT_DEF voxrt_result voxrt_tree_load_file(const voxrt_load_desc *desc, const char *path, voxrt_tree **out_tree);
 #endif
@@ -1031,7 +1032,7 @@ VOXRT_DEF voxrt_result voxrt_camera_ray(const voxrt_camera *camera, uint32_t wid
    view    from the object towards the eye, any length; NULL: from the front, a little from above and the right
    width, height  of the picture; one of them 0: as for a square
    INVALID_ARG: the box or view is not finite, a side of the box is below 0, view is 0, the angle is not in (0, 180),
-   or a float cannot hold the place. O(1). */
+   or floats cannot hold eye and at, or not apart. O(1). */
 VOXRT_DEF voxrt_result voxrt_camera_fit(voxrt_camera *camera, const double box_min[3], const double box_max[3],
                                         const float view[3], uint32_t width, uint32_t height);
 
@@ -1302,7 +1303,7 @@ VOXRT_DEF voxrt_result voxrt_paged_build_file(const voxrt_build_desc *desc, cons
    desc    in, NULL: all defaults
    tree    in, NULL: only desc->geometry
    image   buffers in and out; with more than one sample depth, normal and hit are those of sample 0, and they are
-           left alone when first_sample > 0. A width or height of 0 is allowed
+           left alone when first_sample > 0, and by views of heat. A width or height of 0 is allowed
    stats   may be NULL; counting costs a little
    Progressive pictures: call with samples = 1, first_sample = 0, 1, 2, ... and image->sum: each call leaves the mean of
    all samples so far, the same bits as one call with that many samples.
@@ -8935,9 +8936,10 @@ VOXRT_DEF voxrt_result voxrt_octree_from_tree(const voxrt_octree_desc *desc, con
         voxrt_tree *plain;
         r = voxrt_tree_unshare(s, &d.env, &plain);
         if (r != VOXRT_OK || plain == NULL) return r;
-        d.env.memory_limit = voxrti_limit_left(d.env.memory_limit, plain->mem.used);
+        d.env.memory_limit = voxrti_limit_left(mem.limit, plain->mem.used);
         r = voxrt_octree_from_tree(&d, plain, out_octree);
         voxrt_tree_destroy(plain);
+        if (*out_octree != NULL) (*out_octree)->mem.limit = mem.limit; /* that of `plain` is free again */
         return r;
     }
     top = 2 * s->wide - s->depth;
@@ -9264,9 +9266,10 @@ VOXRT_DEF voxrt_result voxrt_octree_load_file(const voxrt_octree_desc *desc, con
     if (path == NULL) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no path");
     r = voxrti_read_file(&mem, path, &data, &size);
     if (r != VOXRT_OK) return voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
-    d.env.memory_limit = voxrti_limit_left(d.env.memory_limit, mem.used); /* what the file itself holds counts */
+    d.env.memory_limit = voxrti_limit_left(mem.limit, mem.used); /* what the file itself holds counts */
     r = voxrt_octree_load_memory(&d, data, size, out_octree);
     voxrti_free(&mem, data);
+    if (*out_octree != NULL) (*out_octree)->mem.limit = mem.limit; /* no longer */
     return r;
 }
 #endif
@@ -10110,7 +10113,7 @@ typedef struct voxrti_normal_decoder {
     voxrti_rans_table *lane_table; /* AVX2: those of contexts 0 to 12, then 128 to 163; else NULL */
 } voxrti_normal_decoder;
 
-#define VOXRTI_NORMAL_TABLES 49u
+#define VOXRTI_NORMAL_TABLES 49u /* a symbol is read with three bytes behind it: voxrti_alloc has them after the last */
 
 static void voxrti_normal_chunk(voxrti_normal_decoder *g, uint32_t chunk) {
     uint64_t i = (uint64_t)chunk * VOXRTI_CHUNK, end = i + VOXRTI_CHUNK;
@@ -10735,7 +10738,7 @@ static voxrt_result voxrti_v5_read_placement(voxrti_v5_reader *r, voxrt_tree *t)
     t->voxel_size = voxrti_load_f64(p + 24);
     t->palette_count = voxrti_load_u32(p + 56);
     if (t->depth < 1 || t->depth > VOXRT_MAX_DEPTH)
-        return voxrti_v5_fail(r, VOXRT_ERR_FORMAT, t->depth, "depth % is out of range");
+        return voxrti_v5_fail(r, VOXRT_ERR_FORMAT, 36, "depth at byte % is out of range");
     t->wide = (t->depth + 1) / 2;
     memset(count, 0, sizeof count);
     ok = voxrti_load_u32(p + 60) == 0 && t->resolution >= 1 && t->resolution <= 1u << t->depth;
@@ -10801,7 +10804,7 @@ static voxrt_result voxrti_v5_read_placement(voxrti_v5_reader *r, voxrt_tree *t)
     return VOXRT_OK;
 }
 
-/* The array of a section: in place, or room for it. `size` bytes, of which the file has the first part. */
+/* The array of a section: in place, or room for it. */
 static void *voxrti_v5_array(voxrti_v5_reader *r, uint32_t id) {
     const uint8_t *from = voxrti_v5_at(r, id);
     void *p;
@@ -11050,6 +11053,16 @@ VOXRT_DEF voxrt_result voxrt_tree_map_memory(const voxrt_load_desc *desc, const 
 
 #ifndef VOXRT_NO_STDIO
 
+/* A file that is whole takes the place of `path`. 0: it could not, and is gone, but for when it is all that is left. */
+static VOXRTI_UNUSED int voxrti_rename(const char *part, const char *path) {
+    if (rename(part, path) == 0) return 1;
+#ifdef _WIN32 /* rename does not replace there */
+    if (remove(path) == 0) return rename(part, path) == 0;
+#endif
+    (void)remove(part);
+    return 0;
+}
+
 /* Write `size` bytes to path.part, then rename. Shared with the other format. */
 static VOXRTI_UNUSED voxrt_result voxrti_write_file(voxrti_mem *mem, const char *path, const void *data, size_t size) {
     size_t n = strlen(path);
@@ -11064,11 +11077,8 @@ static VOXRTI_UNUSED voxrt_result voxrti_write_file(voxrti_mem *mem, const char 
     if (ok) {
         ok = fwrite(data, 1, size, file) == size;
         ok = fclose(file) == 0 && ok;
-#ifdef _WIN32 /* rename does not replace there */
-        if (ok) (void)remove(path);
-#endif
-        ok = ok && rename(part, path) == 0;
-        if (!ok) (void)remove(part);
+        if (ok) ok = voxrti_rename(part, path);
+        else (void)remove(part);
     }
     voxrti_free(mem, part);
     return ok ? VOXRT_OK : VOXRT_ERR_IO;
@@ -13925,7 +13935,8 @@ VOXRTI_TARGET_SSE4 VOXRTI_INLINE uint32_t voxrti_single_visit(const voxrt_tree *
         return set;
     }
     if (stats != NULL) stats->descents += set;
-    first = (uint32_t)(node[1] & 0xffffffffu) + (uint32_t)_mm_popcnt_u64(mask & (((uint64_t)1 << slot) - 1u));
+    first = ((const voxrti_node *)(const void *)node)->child;
+    first += (uint32_t)_mm_popcnt_u64(mask & (((uint64_t)1 << slot) - 1u));
     if (w + 1 == leaf_w && set) first = voxrti_leaf_at(t, first);
     below = w + 1 == leaf_w ? (uintptr_t)t->leaf + 8 * (uintptr_t)first : (uintptr_t)t->node + 16 * (uintptr_t)first;
     below = set ? below : (uintptr_t)node;
@@ -14803,8 +14814,7 @@ VOXRT_DEF void voxrt_hit_normal(const voxrt_tree *tree, const voxrt_hit *hit, fl
     if (tree->normal != NULL) {
         voxrti_normal_decode(tree->spherical, tree->normal[voxrti_hit_attr(tree, hit)], normal);
     } else {
-        normal[0] = normal[1] = normal[2] = 0.0f;
-        if (hit->face < 6) normal[hit->face >> 1] = (hit->face & 1u) ? 1.0f : -1.0f;
+        voxrti_face_normal(hit, normal);
     }
 }
 
@@ -15086,6 +15096,15 @@ static float voxrti_finish_shade(const voxrti_render *c, const voxrt_finish *f, 
     return v + full * f->emission[a];
 }
 
+/* Width of shadow rays: as fine as the nearest of n hits. Rays of the caller's own may meet what is behind their
+   origin. */
+static float voxrti_shadow_width(const voxrt_surface *surface, uint32_t n, float spread) {
+    float t = INFINITY;
+    uint32_t i;
+    for (i = 0; i < n; i++) t = surface[i].t < t ? surface[i].t : t;
+    return t > 0.0f && t < INFINITY ? t * spread : 0.0f;
+}
+
 /* Colours of n rays. area: their pixels; NULL: rays that bounced. */
 VOXRTI_INLINE void voxrti_run_shade(const voxrti_render *c, const voxrt_trace_desc *td, const voxrt_ray *ray,
                                     const voxrt_surface *surface, const float (*normal)[3], const voxrti_area *area,
@@ -15132,11 +15151,19 @@ VOXRTI_INLINE void voxrti_run_shade(const voxrti_render *c, const voxrt_trace_de
     }
 }
 
+static void voxrti_stats_join(voxrt_stats *to, const voxrt_stats *s) {
+    to->rays += s->rays;
+    to->hits += s->hits;
+    to->bad_rays += s->bad_rays;
+    to->steps += s->steps;
+    to->descents += s->descents;
+}
+
 /* Heat of one ray: how often it stepped (outer) or went down (inner). */
-static void voxrti_heat(const voxrti_render *c, const voxrt_ray *ray, float value[4]) {
+static void voxrti_heat(const voxrti_render *c, const voxrt_trace_desc *desc, const voxrt_ray *ray, float value[4]) {
     static const uint32_t limit[4] = {120, 80, 40, 15};
     static const float paint[5][3] = {{1, 0, 0}, {1, 0.25f, 0}, {1, 1, 0}, {0, 0.6f, 0}, {1, 1, 1}};
-    voxrt_trace_desc td = c->trace;
+    voxrt_trace_desc td = *desc;
     voxrt_surface surface;
     voxrt_stats stats;
     float full = c->d->thesis_compose ? 255.0f : 1.0f;
@@ -15145,6 +15172,7 @@ static void voxrti_heat(const voxrti_render *c, const voxrt_ray *ray, float valu
     td.stats = &stats;
     td.isa = VOXRT_ISA_SCALAR;
     voxrti_run_trace(c, &td, ray, &surface, NULL, 1);
+    if (desc->stats != NULL) voxrti_stats_join(desc->stats, &stats);
     value[3] = full;
     if (c->d->view == VOXRT_VIEW_HEAT_OUTER) {
         float h = (float)stats.steps / (c->d->heat_max > 0.0f ? c->d->heat_max : 64.0f);
@@ -15241,7 +15269,7 @@ static void voxrti_path_fade(const voxrt_finish *body, float length, float weigh
 
 /* How far behind what it met at t a ray goes on at least: surfaces of the caller's may have cells of no size. */
 VOXRTI_INLINE float voxrti_path_least(const float org[3], float t, float length) {
-    float most = t * length;
+    float most = voxrti_absf(t) * length;
     uint32_t a;
     for (a = 0; a < 3; a++) most += voxrti_absf(org[a]);
     return 1e-6f * most;
@@ -15389,10 +15417,11 @@ static uint32_t voxrti_run_split(const voxrti_render *c, const voxrt_ray *ray, c
     eye.pixel = (uint8_t)i;
     eye.clear = 1;
     side = voxrti_path_side(c, surface, ray->dir, &eye);
-    if (side == VOXRTI_BACK && voxrti_bends(surface->finish)) { /* the eye is in it */
+    if (side == VOXRTI_BACK && voxrti_bends(surface->finish)) { /* the eye is in it; a ray may begin behind it */
+        const float way = surface->t - (ray->t_min < 0.0f ? ray->t_min : 0.0f);
         eye.body[0] = surface->finish;
         eye.caught = 1;
-        voxrti_path_fade(eye.body[0], surface->t * sqrtf(voxrti_dot3(ray->dir, ray->dir)), eye.weight);
+        voxrti_path_fade(eye.body[0], way * sqrtf(voxrti_dot3(ray->dir, ray->dir)), eye.weight);
         for (a = 0; a < 3; a++) value[a] *= eye.weight[a];
     }
     return voxrti_path_split(c, ray, surface, &eye, side, out);
@@ -15437,9 +15466,7 @@ static VOXRTI_NOINLINE void voxrti_run_bounce(const voxrti_render *c, const voxr
             rays[i].t_max = INFINITY;
         }
         voxrti_run_trace(c, td, rays, met, NULL, m);
-        dark.cone_width = INFINITY;
-        for (i = 0; i < m; i++) dark.cone_width = met[i].t < dark.cone_width ? met[i].t : dark.cone_width;
-        dark.cone_width = dark.cone_width < INFINITY ? dark.cone_width * td->cone_spread : 0.0f;
+        dark.cone_width = voxrti_shadow_width(met, m, td->cone_spread);
         voxrti_bounce_shade(c, &dark, rays, met, m, normal, color);
         if (own != NULL && own->shade_fn != NULL)
             own->shade_fn(own->user, rays, met, (const float (*)[3])normal, color, m);
@@ -15634,7 +15661,8 @@ static void voxrti_pixel_write(const voxrti_render *c, uint32_t x, uint32_t y, c
     float v[4], full = c->d->thesis_compose ? 255.0f : 1.0f, rest;
     float scale = 1.0f / (float)(m->sum != NULL ? c->d->first_sample + c->samples : c->samples);
     uint32_t a;
-    if (total[3] == 0.0f && c->transparent) {
+    if (total[3] == 0.0f && c->transparent && /* clear glass may shine */
+        (c->d->thesis_compose || (total[0] == 0.0f && total[1] == 0.0f && total[2] == 0.0f))) {
         if (m->rgba8 != NULL) memset(voxrti_pixel(m->rgba8, m->rgba8_stride, 4, m->width, x, y), 0, 4);
         if (m->rgba != NULL) memset(voxrti_pixel(m->rgba, m->rgba_stride, 16, m->width, x, y), 0, 16);
         return;
@@ -15697,7 +15725,6 @@ static int voxrti_run(const voxrti_render *c, voxrt_render_stats *stats, const v
                                       voxrti_area_y(area, i)), 16);
     for (s = 0; s < c->samples; s++) {
         double sx, sy;
-        float depth = INFINITY;
         if (!voxrti_ask_work(c->ask, n * c->work)) return 0;
         voxrti_sample_at(c->d->first_sample + s, &sx, &sy);
         for (i = 0; i < n; i++) {
@@ -15709,12 +15736,10 @@ static int voxrti_run(const voxrti_render *c, voxrt_render_stats *stats, const v
             for (i = 0; i < n; i++) ray[i].t_max = 0.0f;
         }
         if (c->d->view >= VOXRT_VIEW_HEAT_OUTER) {
-            for (i = 0; i < n; i++) voxrti_heat(c, &ray[i], value[i]);
+            for (i = 0; i < n; i++) voxrti_heat(c, &td, &ray[i], value[i]);
         } else {
             voxrti_run_trace(c, &td, ray, surface, hit, n);
-            for (i = 0; i < n; i++) depth = surface[i].t < depth ? surface[i].t : depth;
-            /* shadow rays: as fine as the nearest pixel of the run */
-            shadow.cone_width = depth < INFINITY ? depth * td.cone_spread : 0.0f;
+            shadow.cone_width = voxrti_shadow_width(surface, n, td.cone_spread);
             shadow.cone_spread = 0.0f;
             voxrti_run_normals(c, ray, surface, n, normal);
             voxrti_run_shade(c, &shadow, ray, surface, (const float (*)[3])normal, area, n, value);
@@ -15927,13 +15952,15 @@ static voxrt_result voxrti_fit_close(const voxrti_fit *f, voxrt_camera *camera) 
         voxrti_max((f->most[0] + f->most[1]) / (2.0 * f->tan_x), (f->most[2] + f->most[3]) / (2.0 * f->tan_y));
     double x = 0.5 * (f->most[0] - f->most[1]), y = 0.5 * (f->most[2] - f->most[3]);
     double at[3], eye[3];
-    uint32_t a;
+    uint32_t a, apart = 0;
     distance = f->size > 0.0 ? 1.04 * distance + 0.01 * f->size : 1.0;
     for (a = 0; a < 3; a++) {
         at[a] = f->origin[a] + x * f->right[a] + y * f->above[a];
         eye[a] = at[a] + distance * f->back[a];
         if (!(voxrti_abs(at[a]) <= 3e38) || !(voxrti_abs(eye[a]) <= 3e38)) return VOXRT_ERR_INVALID_ARG;
+        apart |= (float)at[a] != (float)eye[a];
     }
+    if (!apart) return VOXRT_ERR_INVALID_ARG;
     for (a = 0; a < 3; a++) {
         camera->at[a] = (float)at[a];
         camera->eye[a] = (float)eye[a];
@@ -16203,7 +16230,8 @@ static voxrt_result voxrti_render_open(const voxrt_render_desc *d, voxrti_render
     voxrt_result r;
     *what = voxrti_render_bad(d, c);
     if (*what != NULL) return VOXRT_ERR_INVALID_ARG;
-    *what = "render: the camera cannot frame what is drawn: its box is not finite, or the angle is not in (0, 180)";
+    *what = "render: the camera cannot frame what is drawn: its box is not finite or too far away, or the angle is not "
+            "in (0, 180)";
     if (camera.eye[0] == camera.at[0] && camera.eye[1] == camera.at[1] && camera.eye[2] == camera.at[2]) {
         if (!voxrti_render_box(c, lo, hi)) return VOXRT_ERR_INVALID_ARG;
         if (c->tree != NULL && d->geometry_count == 0)
@@ -17219,16 +17247,19 @@ static void voxrti_model_unindex(voxrti_mem *mem, voxrt_model *m) {
     voxrti_free(mem, m->part);
 }
 
-/* Where a block with this key is or would be. */
-static size_t voxrti_model_find(const voxrt_model *m, uint64_t key) {
-    size_t lo = 0, hi = m->count;
+/* Where in n ascending keys this one is or would be. */
+static size_t voxrti_key_find(const uint64_t *keys, size_t n, uint64_t key) {
+    size_t lo = 0, hi = n;
     while (lo < hi) {
         const size_t mid = lo + (hi - lo) / 2;
-        if (m->key[mid] < key) lo = mid + 1;
+        if (keys[mid] < key) lo = mid + 1;
         else hi = mid;
     }
     return lo;
 }
+
+/* The same for the block with this key. */
+static size_t voxrti_model_find(const voxrt_model *m, uint64_t key) { return voxrti_key_find(m->key, m->count, key); }
 
 /* ---- making and taking apart ---- */
 
@@ -17609,6 +17640,7 @@ typedef struct voxrti_edit {
     const voxrt_model *m;
     voxrt_edit_op op;
     uint32_t rgb, sphere;
+    const voxrt_finish *give;    /* what the shape gets, or NULL; */
     uint32_t finish;             /* number + 1 of the model's finish in the highest byte, 0: none is given */
     uint32_t lo[3], hi[3];       /* voxels of the shape lie in here, hi exclusive */
     double centre[3], radius2;   /* sphere: in voxels, those with a centre nearer than that */
@@ -17628,14 +17660,9 @@ static int voxrti_edit_has(const voxrti_edit *e, uint32_t x, uint32_t y, uint32_
     double d[3];
     if (e->set != NULL) {
         const uint64_t key = voxrti_morton(x >> 2, y >> 2, z >> 2);
-        size_t lo = 0, hi = e->set->block_count;
-        while (lo < hi) {
-            const size_t mid = lo + (hi - lo) / 2;
-            if (e->set->key[mid] < key) lo = mid + 1;
-            else hi = mid;
-        }
-        return (x | y | z) >> e->m->grid.depth == 0 && lo < e->set->block_count && e->set->key[lo] == key &&
-               (e->set->mask[lo] >> voxrti_slot(x, y, z) & 1u) != 0;
+        const size_t i = voxrti_key_find(e->set->key, e->set->block_count, key);
+        return (x | y | z) >> e->m->grid.depth == 0 && i < e->set->block_count && e->set->key[i] == key &&
+               (e->set->mask[i] >> voxrti_slot(x, y, z) & 1u) != 0;
     }
     if (x < e->lo[0] || x >= e->hi[0] || y < e->lo[1] || y >= e->hi[1] || z < e->lo[2] || z >= e->hi[2]) return 0;
     if (!e->sphere) return 1;
@@ -17763,13 +17790,8 @@ static size_t voxrti_edit_leaves(const voxrti_edit *e, uint64_t key, const voxrt
         }
     }
     if (e->set != NULL) {
-        size_t lo = 0, hi = e->set->block_count;
-        while (lo < hi) {
-            const size_t mid = lo + (hi - lo) / 2;
-            if (e->set->key[mid] >> shift < key) lo = mid + 1;
-            else hi = mid;
-        }
-        for (k = lo; k < e->set->block_count && e->set->key[k] >> shift == key; k++) {
+        k = voxrti_key_find(e->set->key, e->set->block_count, key << shift);
+        for (; k < e->set->block_count && e->set->key[k] >> shift == key; k++) {
             i = (uint32_t)e->set->key[k] & (n - 1u);
             patch[i].shape = e->set->mask[k];
             patch[i].shape_voxel = (uint32_t)e->set_voxel[k];
@@ -17994,11 +18016,40 @@ static voxrt_result voxrti_edit_blocks(const voxrti_edit *e, uint64_t **out, siz
     return key != NULL ? VOXRT_OK : VOXRT_ERR_NO_MEMORY;
 }
 
+/* The finish of an edit gets a number in the model. */
+static voxrt_result voxrti_edit_finish(voxrti_edit *e, const voxrt_env *env, voxrt_model *m) {
+    const size_t n = m->build.finish_count;
+    float want[VOXRTI_FINISH_FLOATS], have[VOXRTI_FINISH_FLOATS];
+    voxrt_finish *more;
+    size_t i;
+    voxrti_finish_floats(e->give, want);
+    for (i = 0; i < n; i++) {
+        voxrti_finish_floats(&m->finish[i], have);
+        if (memcmp(want, have, sizeof want) == 0) break;
+    }
+    if (i == 255) return voxrti_fail(env->error, VOXRT_ERR_RANGE, i, "more than % finishes");
+    if (i == n) {
+        more = (voxrt_finish *)voxrti_alloc_array(e->mem, n + 1, sizeof *more);
+        if (more == NULL) return voxrti_fail(env->error, VOXRT_ERR_NO_MEMORY, 0, "out of memory");
+        if (n != 0) memcpy(more, m->finish, n * sizeof *more);
+        more[n] = *e->give;
+        voxrti_free(e->mem, m->finish);
+        m->finish = more;
+        m->build.finishes = more;
+        m->build.finish_count = n + 1;
+    }
+    e->finish = (uint32_t)(i + 1) << 24;
+    return VOXRT_OK;
+}
+
 static voxrt_result voxrti_edit_run(voxrti_edit *e, const voxrt_env *env, voxrt_model *m, voxrt_edit_stats *stats) {
+    const size_t finishes = m->build.finish_count;
     uint64_t *key = NULL;
     size_t n = 0, i, a;
     int any = 0;
-    voxrt_result r = voxrti_edit_blocks(e, &key, &n);
+    voxrt_result r = e->give != NULL ? voxrti_edit_finish(e, env, m) : VOXRT_OK;
+    if (r != VOXRT_OK) return r;
+    r = voxrti_edit_blocks(e, &key, &n);
     if (r == VOXRT_OK) {
         e->key = key;
         e->made = (voxrti_block **)voxrti_alloc_zero(e->mem, n, sizeof *e->made);
@@ -18016,6 +18067,7 @@ static voxrt_result voxrti_edit_run(voxrti_edit *e, const voxrt_env *env, voxrt_
         if (r == VOXRT_OK && any) r = voxrti_edit_commit(e, env, n, m);
         for (i = 0; r != VOXRT_OK && i < n; i++) voxrti_block_drop(e->made[i]);
     }
+    if (r != VOXRT_OK || !any) m->build.finish_count = finishes; /* nothing has a new one */
     for (i = 0; r == VOXRT_OK && stats != NULL && i < n; i++) {
         uint64_t *to[3];
         to[0] = &stats->filled;
@@ -18029,34 +18081,6 @@ static voxrt_result voxrti_edit_run(voxrti_edit *e, const voxrt_env *env, voxrt_
     voxrti_free(e->mem, e->state);
     voxrti_free(e->mem, e->stats);
     return r == VOXRT_OK ? r : voxrti_fail(env->error, r, 0, voxrt_result_string(r));
-}
-
-/* The finish of an edit gets a number in the model. */
-static voxrt_result voxrti_edit_finish(voxrt_model *m, const voxrt_edit_desc *d, voxrti_mem *mem, voxrti_edit *e) {
-    const size_t n = m->build.finish_count;
-    float want[VOXRTI_FINISH_FLOATS], have[VOXRTI_FINISH_FLOATS];
-    voxrt_finish *more;
-    size_t i;
-    if (m->build.disable_colors || !voxrti_finish_ok(d->finish))
-        return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "a finish that is out of range, or no colours");
-    voxrti_finish_floats(d->finish, want);
-    for (i = 0; i < n; i++) {
-        voxrti_finish_floats(&m->finish[i], have);
-        if (memcmp(want, have, sizeof want) == 0) break;
-    }
-    if (i == 255) return voxrti_fail(d->env.error, VOXRT_ERR_RANGE, i, "more than % finishes");
-    if (i == n) {
-        more = (voxrt_finish *)voxrti_alloc_array(mem, n + 1, sizeof *more);
-        if (more == NULL) return voxrti_fail(d->env.error, VOXRT_ERR_NO_MEMORY, 0, "out of memory");
-        if (n != 0) memcpy(more, m->finish, n * sizeof *more);
-        more[n] = *d->finish;
-        voxrti_free(mem, m->finish);
-        m->finish = more;
-        m->build.finishes = more;
-        m->build.finish_count = n + 1;
-    }
-    e->finish = (uint32_t)(i + 1) << 24;
-    return VOXRT_OK;
 }
 
 /* What all edits begin with. */
@@ -18080,7 +18104,11 @@ static voxrt_result voxrti_edit_open(voxrt_model *m, const voxrt_edit_desc *desc
     e->op = d->op;
     e->rgb = d->rgb[0] | (uint32_t)d->rgb[1] << 8 | (uint32_t)d->rgb[2] << 16;
     e->up = (uint16_t)voxrti_normal_encode(m->spherical, up);
-    return d->finish != NULL && d->op != VOXRT_EDIT_CLEAR ? voxrti_edit_finish(m, d, mem, e) : VOXRT_OK;
+    if (d->finish == NULL || d->op == VOXRT_EDIT_CLEAR) return VOXRT_OK;
+    if (m->build.disable_colors || !voxrti_finish_ok(d->finish))
+        return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "a finish that is out of range, or no colours");
+    e->give = d->finish;
+    return VOXRT_OK;
 }
 
 /* Voxels whose centres lie in [min, max). 0: none. */
@@ -19221,11 +19249,8 @@ static voxrt_result voxrti_sink_close(voxrti_mem *mem, const char *path, voxrti_
                                       voxrt_result r) {
     if (s->file != NULL) {
         if (fclose(s->file) != 0 && r == VOXRT_OK) r = VOXRT_ERR_IO;
-#ifdef _WIN32 /* rename does not replace there */
-        if (r == VOXRT_OK) (void)remove(path);
-#endif
-        if (r == VOXRT_OK && rename(part, path) != 0) r = VOXRT_ERR_IO;
-        if (r != VOXRT_OK) (void)remove(part);
+        if (r == VOXRT_OK) r = voxrti_rename(part, path) ? VOXRT_OK : VOXRT_ERR_IO;
+        else (void)remove(part);
     }
     voxrti_free(mem, part);
     return r;

@@ -1032,6 +1032,15 @@ TEST(wrong_values) {
             AGAIN(); put(q + place + 32 + 4 * i, 4, get(q + place + 32 + 4 * i, 4) + 1); EXPECT(VOXRT_ERR_FORMAT);
             AGAIN(); put(q + place + 32 + 4 * i, 4, get(q + place + 32 + 4 * i, 4) - 1); EXPECT(VOXRT_ERR_FORMAT);
         }
+        for (i = 0; i < 2; i++) { /* a depth that no tree has: where it stands */
+            voxrt_tree *u = NULL;
+            voxrt_load_desc d;
+            voxrt_error error;
+            memset(&d, 0, sizeof d);
+            d.env.error = &error;
+            AGAIN(); put(q + 36, 4, i == 0 ? 0 : 21); EXPECT(VOXRT_ERR_FORMAT);
+            CHECK(voxrt_tree_load_memory(&d, q, size, &u) == VOXRT_ERR_FORMAT && error.where == 36);
+        }
         AGAIN(); put(q + place + 56, 4, 0); EXPECT(VOXRT_ERR_FORMAT);
         AGAIN(); put(q + place + 60, 4, 1); EXPECT(VOXRT_ERR_FORMAT);
         for (i = 0; i < 10; i++) {

@@ -1733,6 +1733,148 @@ TEST(edits_give_finishes) {
     voxrt_model_destroy(m);
 }
 
+/* A pane that lets all light through and shines: no coverage, but light; as one that takes a trace of it. */
+TEST(clear_panes_shine) {
+    static const float shine[3] = {0.25f, 0.5f, 0.75f};
+    voxrt_finish f;
+    voxrt_build_desc b;
+    voxrt_render_desc d;
+    voxrt_image m;
+    static float rgba[16 * 16][4], sum[16 * 16][4];
+    uint8_t rgba8[16 * 16][4];
+    uint32_t k, a;
+    cells.n = 0;
+    add_box(0, 16, 0, 16, 8, 9, 9, 9, 9, 1);
+    memset(&b, 0, sizeof b);
+    b.finishes = &f;
+    b.finish_count = 1;
+    b.voxel_finish = cells.finish;
+    memset(&m, 0, sizeof m);
+    m.width = m.height = 16;
+    m.rgba = rgba[0];
+    m.sum = sum[0];
+    m.rgba8 = rgba8[0];
+    look(&d, 8, 8, 40, 8, 8, 0);
+    for (k = 0; k < 3; k++) {
+        voxrt_tree *t = NULL;
+        glass(&f, k == 1 ? 0.9999f : 1, 0);
+        memcpy(f.emission, shine, sizeof shine);
+        d.background[3] = k == 2 ? 1.0f : 0.0f;
+        REQUIRE(voxrt_tree_from_voxels(&b, cells.v, cells.n, 4, &t) == VOXRT_OK);
+        CHECK(voxrt_render(&d, t, &m, NULL) == VOXRT_OK);
+        for (a = 0; a < 3; a++) {
+            CHECK_NEAR(rgba[8 * 16 + 8][a], shine[a], 1e-4);
+            CHECK_NEAR(sum[8 * 16 + 8][a], shine[a], 1e-4);
+        }
+        CHECK_NEAR(rgba[8 * 16 + 8][3], k == 2 ? 1 : 0, 2e-4);
+        CHECK(rgba8[8 * 16 + 8][3] == (k == 2 ? 255 : 0) && (k == 2 || rgba[0][0] == 0.0f));
+        voxrt_tree_destroy(t);
+    }
+}
+
+/* Rays that begin behind their origin, in a body: light fades from there on, as if the origin were there. */
+static void behind_ray(void *user, double x, double y, voxrt_ray *ray) {
+    const float shift = *(const float *)user;
+    uint32_t a;
+    (void)x;
+    (void)y;
+    for (a = 0; a < 3; a++) ray->org[a] += shift * ray->dir[a];
+    ray->t_min = -shift;
+}
+
+TEST(eyes_behind_origins) {
+    voxrt_finish f;
+    voxrt_build_desc b;
+    voxrt_render_desc d;
+    voxrt_states s;
+    voxrt_tree *t = NULL;
+    double mean[2][3];
+    uint32_t x, y, z, i, k, a;
+    float shift;
+    glass(&f, 0.9f, 1.5f);
+    f.absorption[0] = 0.01f;
+    f.absorption[1] = 0.05f;
+    f.absorption[2] = 40.0f;
+    cells.n = 0;
+    for (z = 0; z < 32; z++)
+        for (y = 0; y < 32; y++)
+            for (x = 0; x < 32; x++) {
+                const double u = x - 15.5, v = y - 15.5, w = z - 15.5, r = sqrt(u * u + v * v + w * w);
+                if (r < 12 || r > 14) continue;
+                add(x, y, z, 200, 200, 200, 1);
+                cells.v[cells.n - 1].has_normal = 1;
+                cells.v[cells.n - 1].normal[0] = (float)u;
+                cells.v[cells.n - 1].normal[1] = (float)v;
+                cells.v[cells.n - 1].normal[2] = (float)w;
+            }
+    memset(&b, 0, sizeof b);
+    b.finishes = &f;
+    b.finish_count = 1;
+    b.voxel_finish = cells.finish;
+    REQUIRE(voxrt_tree_from_voxels(&b, cells.v, cells.n, 5, &t) == VOXRT_OK);
+    memset(&s, 0, sizeof s);
+    s.ray_fn = behind_ray;
+    s.user = &shift;
+    look(&d, 16, 16, 16, 20, 17, 16);
+    d.states = &s;
+    for (a = 0; a < 4; a++) d.background[a] = 1;
+    for (k = 0; k < 2; k++) {
+        shift = k == 0 ? 0.0f : 64.0f;
+        CHECK(draw(&d, t, picture[k]));
+        for (a = 0; a < 3; a++) {
+            mean[k][a] = 0;
+            for (i = 0; i < SIDE * SIDE; i++) mean[k][a] += (double)picture[k][i][a] / (SIDE * SIDE);
+        }
+    }
+    CHECK(mean[0][0] > 0.5 && mean[0][1] < 0.8 * mean[0][0] && mean[0][2] < 0.01);
+    for (a = 0; a < 3; a++) CHECK_NEAR(mean[1][a], mean[0][a], 1e-3);
+    voxrt_tree_destroy(t);
+}
+
+static int stop(void *user, uint64_t done, uint64_t total) {
+    (void)user;
+    (void)done;
+    (void)total;
+    return 1;
+}
+
+/* Edits that do nothing, and those that fail, leave all of the 255 finishes to others. */
+TEST(edits_in_vain) {
+    voxrt_model_desc md;
+    voxrt_edit_desc e;
+    voxrt_finish f;
+    voxrt_model *m = NULL;
+    voxrt_geometry g;
+    voxrt_voxel v;
+    const double lo[3] = {10, 10, 10}, hi[3] = {20, 20, 20}, off[3] = {-9, -9, -9}, bad[3] = {0, (double)NAN, 0};
+    uint32_t i;
+    memset(&md, 0, sizeof md);
+    memset(&e, 0, sizeof e);
+    memset(&v, 0, sizeof v);
+    md.depth = 7;
+    v.x = 128; /* outside */
+    REQUIRE(voxrt_model_create(&md, &m) == VOXRT_OK);
+    e.finish = &f;
+    for (i = 0; i < 260; i++) {
+        mirror(&f, 0.5f);
+        f.emission[0] = (float)i;
+        CHECK(voxrt_model_sphere(m, &e, off, 1, NULL) == VOXRT_OK && voxrt_model_sphere(m, &e, lo, 0, NULL) == VOXRT_OK);
+        e.op = VOXRT_EDIT_PAINT;
+        CHECK(voxrt_model_box(m, &e, lo, hi, NULL) == VOXRT_OK); /* nothing is filled */
+        e.op = VOXRT_EDIT_SET;
+        CHECK(voxrt_model_box(m, &e, lo, bad, NULL) == VOXRT_ERR_INVALID_ARG);
+        CHECK(voxrt_model_voxels(m, &e, &v, 1, NULL) == VOXRT_ERR_RANGE);
+        CHECK(voxrt_model_mesh(m, &e, NULL, NULL) == VOXRT_ERR_INVALID_ARG);
+        e.env.progress_fn = stop;
+        CHECK(voxrt_model_box(m, &e, lo, hi, NULL) == VOXRT_ERR_CANCELLED);
+        e.env.progress_fn = NULL;
+    }
+    CHECK(voxrt_model_box(m, &e, lo, hi, NULL) == VOXRT_OK);
+    voxrt_model_geometry(m, &g);
+    CHECK(finish_at(&g, 7, 15.5f, 15.5f, 0) != NULL && finish_at(&g, 7, 15.5f, 15.5f, 0)->emission[0] == 259.0f);
+    voxrt_model_destroy(m);
+}
+
 /* One full block and three with a voxel each: the cell around them has what most voxels have, not most blocks. */
 TEST(blocks_count_by_their_voxels) {
     voxrt_finish f[3];
@@ -2128,6 +2270,9 @@ int main(int argc, char **argv) {
     RUN(hostile_files);
     RUN(models_keep_finishes);
     RUN(edits_give_finishes);
+    RUN(edits_in_vain);
+    RUN(clear_panes_shine);
+    RUN(eyes_behind_origins);
     RUN(blocks_count_by_their_voxels);
     RUN(samples_are_where_they_say);
     RUN(samples_of_huge_triangles);

@@ -309,6 +309,50 @@ TEST(files_on_disk) {
 
 /* ---- structure -------------------------------------------------------------------------------------------- */
 
+/* An octree keeps the limit of the call that made it, whatever that call held besides. */
+TEST(limits_that_stay) {
+    enum { N = 128 };
+    const char *path = test_temp_path(".vox");
+    voxrt_octree_desc d;
+    voxrt_build_desc b;
+    voxrt_voxel *v = (voxrt_voxel *)calloc(N * N, sizeof *v);
+    voxrt_tree *t = NULL, *s = NULL;
+    voxrt_octree *o = NULL;
+    size_t before = 0, after = 0;
+    uint32_t how, i;
+    REQUIRE(v != NULL);
+    for (i = 0; i < N * N; i++) {
+        v[i].x = i % N;
+        v[i].y = i / N;
+        v[i].z = v[i].x * v[i].y / N;
+    }
+    memset(&b, 0, sizeof b);
+    b.disable_normals = 1;
+    REQUIRE(voxrt_tree_from_voxels(&b, v, N * N, 7, &t) == VOXRT_OK && voxrt_tree_share(t, NULL, &s) == VOXRT_OK);
+    free(v);
+    memset(&d, 0, sizeof d);
+    d.disable_grid = 1;
+    REQUIRE(voxrt_octree_from_tree(&d, t, &o) == VOXRT_OK && voxrt_octree_save_file(o, NULL, path) == VOXRT_OK);
+    (void)voxrt_octree_voxels(o, &before);
+    voxrt_octree_destroy(o);
+    d.env.memory_limit = 3 * 8 * before + 8192; /* what there is, and twice as much while it is copied */
+    for (how = 0; how < 3; how++) {
+        o = NULL;
+        if (how == 2) CHECK(voxrt_octree_load_file(&d, path, &o) == VOXRT_OK);
+        else CHECK(voxrt_octree_from_tree(&d, how == 0 ? t : s, &o) == VOXRT_OK);
+        REQUIRE(o != NULL);
+        for (i = 0; i < N * N * N; i++)
+            if (voxrt_octree_insert(o, i % N, i / N % N, i / N / N, 1, NULL) != VOXRT_OK) break;
+        CHECK(i < N * N * N);
+        (void)voxrt_octree_voxels(o, &after);
+        CHECK_MSG(after >= 2 * before, "%u: from %u to %u voxels", how, (unsigned)before, (unsigned)after);
+        voxrt_octree_destroy(o);
+    }
+    voxrt_tree_destroy(t);
+    voxrt_tree_destroy(s);
+    remove(path);
+}
+
 TEST(dense_counts) { /* thesis table 4 */
     static const uint64_t table[9][4] = {{1, 1, 0, 1}, {2, 8, 1, 9}, {3, 64, 9, 73}, {4, 512, 73, 585},
         {5, 4096, 585, 4681}, {6, 32768, 4681, 37449}, {7, 262144, 37449, 299593}, {8, 2097152, 299593, 2396745},
@@ -1408,6 +1452,7 @@ int main(int argc, char **argv) {
     RUN(hostile_files);
     RUN(file_options);
     RUN(files_on_disk);
+    RUN(limits_that_stay);
     RUN(dense_counts);
     RUN(insertion);
     RUN(order_does_not_matter);

@@ -214,9 +214,11 @@ TEST(camera_fit) {
         CHECK_MSG(most <= 1.0001 && most > 0.5, "corners reach %g of the picture", most);
     }
     {
-        static const double low[3] = {0, 0, 0}, high[3] = {1e39, 1, 1};
+        static const double low[3] = {0, 0, 0}, high[3] = {1e39, 1, 1}, off[3] = {1e12, 1e12, 1e12};
+        static const double end[3] = {1e12 + 1, 1e12 + 1, 1e12 + 1};
         voxrt_camera c = look(1, 2, 3, 4, 5, 6, 40), before = c;
         CHECK(voxrt_camera_fit(&c, low, high, NULL, 10, 10) == VOXRT_ERR_INVALID_ARG); /* too far for a float */
+        CHECK(voxrt_camera_fit(&c, off, end, NULL, 10, 10) == VOXRT_ERR_INVALID_ARG); /* floats are 65536 apart there */
         CHECK(memcmp(&c, &before, sizeof c) == 0);
     }
 }
@@ -1044,6 +1046,20 @@ TEST(heat) {
             if (band == 2) CHECK(b[0] == 1 && b[1] == 1 && b[2] == 0); /* yellow */
         }
     CHECK(seen[0] > 0);
+    for (k = 0; k < 2; k++) { /* the left half of a coarse picture; rays are counted */
+        voxrt_render_stats stats;
+        memset(&stats, 0, sizeof stats);
+        d.view = VOXRT_VIEW_HEAT_OUTER;
+        d.max_level_plus_1 = k == 0 ? 5 : 0;
+        d.lod_split = k == 0 ? 0 : 5;
+        CHECK(voxrt_render(&d, t, &p[k].m, &stats) == VOXRT_OK);
+        CHECK_EQ_U64(stats.primary.rays, 60 * 40);
+        CHECK(stats.primary.hits > 100 && stats.primary.hits < 60 * 40 && stats.primary.steps > 100);
+        CHECK_EQ_U64(stats.shadow.rays + stats.bounce.rays, 0);
+    }
+    for (y = 0; y < 40; y++) CHECK(memcmp(fpx(&p[0], 0, y), fpx(&p[1], 0, y), 30 * 16) == 0);
+    for (y = 0, k = 0; y < 40; y++) k += memcmp(fpx(&p[0], 30, y), fpx(&p[1], 30, y), 30 * 16) != 0;
+    CHECK(k > 10);
     for (k = 0; k < 2; k++) free_picture(&p[k]);
     voxrt_tree_destroy(t);
 }
@@ -1662,6 +1678,44 @@ TEST(steps_of_the_caller) {
     free_picture(&q);
 }
 
+/* Rays of the caller's own that begin behind what they meet: t below 0, and shadows all the same. */
+static void behind_ray(void *user, double x, double y, voxrt_ray *ray) {
+    const float shift = *(const float *)user;
+    uint32_t a;
+    (void)x;
+    (void)y;
+    for (a = 0; a < 3; a++) ray->org[a] += shift * ray->dir[a];
+    ray->t_min = -shift;
+}
+
+TEST(behind_the_origin) {
+    float shift = 0.0f;
+    voxrt_tree *t = make_sphere(5, 0.9);
+    picture p = make_picture(60, 60, 0, 0);
+    voxrt_render_desc d;
+    voxrt_states s;
+    voxrt_render_stats stats[2];
+    uint32_t k;
+    memset(&d, 0, sizeof d);
+    memset(&s, 0, sizeof s);
+    memset(stats, 0, sizeof stats);
+    d.camera = look(3.1, 2.3, 4.2, 1, 1.05, 0.95, 40);
+    d.shadows = 1;
+    d.tolerance = 1.0f;
+    d.states = &s;
+    s.ray_fn = behind_ray;
+    s.user = &shift;
+    for (k = 0; k < 2; k++) {
+        shift = k == 0 ? 0.0f : 64.0f;
+        CHECK(voxrt_render(&d, t, &p.m, &stats[k]) == VOXRT_OK);
+        CHECK(k == 0 ? depth_at(&p, 30, 30) > 3 : depth_at(&p, 30, 30) < -58);
+    }
+    CHECK(stats[0].shadow.rays > 500 && stats[0].primary.hits == stats[1].primary.hits);
+    CHECK_EQ_U64(stats[0].shadow.rays, stats[1].shadow.rays);
+    voxrt_tree_destroy(t);
+    free_picture(&p);
+}
+
 /* The back of a surface is told from a ridge by the face through which it is seen: a closed body looks as if it were
    one-sided, and turned inside out it looks the same. */
 TEST(fronts_and_backs) {
@@ -1758,6 +1812,7 @@ int main(int argc, char **argv) {
     RUN(frame_budget);
     RUN(blocks_of_pixels);
     RUN(steps_of_the_caller);
+    RUN(behind_the_origin);
     RUN(fronts_and_backs);
     return test_end();
 }
