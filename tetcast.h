@@ -21684,11 +21684,17 @@ static tetcast_result tetcasti_write_file(tetcasti_mem *mem, const char *path, c
     if (ok) {
         ok = fwrite(data, 1, size, file) == size;
         ok = fclose(file) == 0 && ok;
-#ifdef _WIN32 /* rename does not replace there */
-        if (ok) (void)remove(path);
-#endif
-        ok = ok && rename(part, path) == 0;
         if (!ok) (void)remove(part);
+        if (ok && rename(part, path) != 0) {
+#ifdef _WIN32 /* rename does not replace there; what is written stays where only the old file is gone */
+            if (remove(path) == 0) ok = rename(part, path) == 0;
+            else
+#endif
+            {
+                ok = 0;
+                (void)remove(part);
+            }
+        }
     }
     tetcasti_free(mem, part);
     return ok ? TETCAST_OK : TETCAST_ERR_IO;

@@ -1753,7 +1753,7 @@ typedef struct voxrt_gi_render_desc {
 /* Light a G-buffer. direct, indirect: rgb for each pixel, linear: what the surface sends to the camera because of
    lights (with its emission), and because of other surfaces; may be NULL. Surfaces that emit light count as lights. The
    same bits for any number of threads and any isa. env.progress_fn may stop it: what is drawn then is of no use, a
-   history stays as it was. desc may be NULL; stats, added to, may be NULL: rays, hits and steps. Errors: INVALID_ARG
+   history stays as it was, or is empty if its pictures were of another size or made in another way. desc may be NULL; stats, added to, may be NULL: rays, hits and steps. Errors: INVALID_ARG
    (also: history or relief without a camera), UNINIT_DESC, NO_MEMORY, CANCELLED. Thread safety: one call on a scene at
    a time (it fills the cache). Source: thesis (2010) 6, 7, 8.6. */
 VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_gi *gi, const voxrt_gbuffer *gbuffer,
@@ -17642,6 +17642,7 @@ typedef struct voxrti_edit {
     uint32_t rgb, sphere;
     const voxrt_finish *give;    /* what the shape gets, or NULL; */
     uint32_t finish;             /* number + 1 of the model's finish in the highest byte, 0: none is given */
+    voxrt_finish *finishes;      /* the model's, before the edit */
     uint32_t lo[3], hi[3];       /* voxels of the shape lie in here, hi exclusive */
     double centre[3], radius2;   /* sphere: in voxels, those with a centre nearer than that */
     double deep2;                /* nearer than that no face of a voxel shows */
@@ -18022,6 +18023,7 @@ static voxrt_result voxrti_edit_finish(voxrti_edit *e, const voxrt_env *env, vox
     float want[VOXRTI_FINISH_FLOATS], have[VOXRTI_FINISH_FLOATS];
     voxrt_finish *more;
     size_t i;
+    e->finishes = m->finish;
     voxrti_finish_floats(e->give, want);
     for (i = 0; i < n; i++) {
         voxrti_finish_floats(&m->finish[i], have);
@@ -18033,7 +18035,6 @@ static voxrt_result voxrti_edit_finish(voxrti_edit *e, const voxrt_env *env, vox
         if (more == NULL) return voxrti_fail(env->error, VOXRT_ERR_NO_MEMORY, 0, "out of memory");
         if (n != 0) memcpy(more, m->finish, n * sizeof *more);
         more[n] = *e->give;
-        voxrti_free(e->mem, m->finish);
         m->finish = more;
         m->build.finishes = more;
         m->build.finish_count = n + 1;
@@ -18067,7 +18068,14 @@ static voxrt_result voxrti_edit_run(voxrti_edit *e, const voxrt_env *env, voxrt_
         if (r == VOXRT_OK && any) r = voxrti_edit_commit(e, env, n, m);
         for (i = 0; r != VOXRT_OK && i < n; i++) voxrti_block_drop(e->made[i]);
     }
-    if (r != VOXRT_OK || !any) m->build.finish_count = finishes; /* nothing has a new one */
+    if (e->give != NULL && m->finish != e->finishes) { /* nothing has a new one, or all have it */
+        const int back = r != VOXRT_OK || !any;
+        voxrt_finish *drop = back ? m->finish : e->finishes;
+        if (back) m->build.finish_count = finishes;
+        if (back) m->finish = e->finishes;
+        m->build.finishes = m->finish;
+        voxrti_free(e->mem, drop);
+    }
     for (i = 0; r == VOXRT_OK && stats != NULL && i < n; i++) {
         uint64_t *to[3];
         to[0] = &stats->filled;
@@ -23878,7 +23886,8 @@ static voxrt_result voxrti_gi_sort_emitters(voxrt_gi *gi) {
     double sum = 0.0;
     size_t i;
     uint32_t a;
-    if (key == NULL || copy == NULL) {
+    if (key == NULL || copy == NULL) { /* in the order in which they are, they are lamps as well */
+        for (i = 0; i < n; i++) gi->emitter[i].sum = sum += gi->emitter[i].sum;
         voxrti_free(&gi->mem, key);
         voxrti_free(&gi->mem, copy);
         return VOXRT_ERR_NO_MEMORY;

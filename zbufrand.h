@@ -468,8 +468,8 @@ typedef struct zbufrand_scene_info {
    INVALID_ARG: a field of those is wrong, or env.error names the node that closes a cycle, the reference whose target
    is in no list, or with `strict` the bad triangle. On failure (but UNINIT_DESC) the scene is as if never built.
    Cost: O(n log n), about 0.15 us per stored triangle and 0.5 us per instance; about 20 bytes per stored triangle, 400
-   per instance, and 60 to 600 KB for what is drawn 32 times and more. The thesis' trees take 0.2 us per triangle more,
-   the tree over normals 1 us.
+   per instance, and 60 to 600 KB for what is drawn 32 times and more, in all at most 64 MB and what stored points
+   take. The thesis' trees take 0.2 us per triangle more, the tree over normals 1 us.
    Thread safety: one thread at a time per scene. The same structures for any number of threads. */
 ZBUFRAND_DEF zbufrand_result zbufrand_scene_build(zbufrand_scene *scene, const zbufrand_build_desc *desc,
                                                   zbufrand_scene_info *info);
@@ -2165,6 +2165,7 @@ ZBUFRANDI_INLINE void zbufrandi_key_min(uint64_t *at, uint64_t key) { if (key < 
 #define ZBUFRANDI_MORE_SETS 64   /* powers of two */
 #define ZBUFRANDI_MORE_SETS_MANY 256
 #define ZBUFRANDI_MORE_PARTS 8   /* as many less of each part */
+#define ZBUFRANDI_MORE_ALL 131072 /* in all: so many, and as many as there are without them; 64 MB and as much */
 
 enum { ZBUFRANDI_CHILD_NODE = 0, ZBUFRANDI_CHILD_CLUSTER = 1, ZBUFRANDI_CHILD_INSTANCE = 2, ZBUFRANDI_CHILD_NONE = 3 };
 #define ZBUFRANDI_CHILD(kind, index) ((uint32_t)(kind) << 30 | (uint32_t)(index))
@@ -4957,6 +4958,7 @@ static int zbufrandi_more_make(zbufrandi_build *b, uint32_t more) {
 static int zbufrandi_scene_views(zbufrand_scene *scene) {
     uint64_t *drawn = (uint64_t *)zbufrandi_alloc_zero(&scene->mem, scene->structure_count, sizeof *drawn);
     uint32_t *uses = (uint32_t *)zbufrandi_alloc_zero(&scene->mem, scene->structure_count, sizeof *uses), i, k;
+    uint64_t left = ZBUFRANDI_MORE_ALL; /* sets */
     zbufrandi_view_job *j = NULL;
     zbufrandi_build b;
     int ok = uses != NULL && drawn != NULL;
@@ -4965,6 +4967,7 @@ static int zbufrandi_scene_views(zbufrand_scene *scene) {
     if (ok && scene->structure_count != 0) drawn[0] = 1;
     for (i = 0; ok && i < scene->structure_count; i++) { /* prototypes come after what they are in */
         const zbufrandi_structure *s = &scene->structure[i];
+        left += (uint64_t)s->cluster_count + s->node_count;
         for (k = 0; k < s->instance_count; k++) {
             uint64_t *d = &drawn[s->instance[k].structure];
             uses[s->instance[k].structure]++;
@@ -4976,17 +4979,22 @@ static int zbufrandi_scene_views(zbufrand_scene *scene) {
         b.index = i;
         /* What is made of instances has thousands of different things in it, of which the 256 points of a view are no
            fair sample: all that is far away in one direction would have the colour of the few that hide the others. */
-        if (drawn[i] >= ZBUFRANDI_VIEW_INSTANCES && b.s->node_count != 0 && b.s->instance_count != 0)
-            ok = zbufrandi_more_make(&b, drawn[i] < ZBUFRANDI_MORE_INSTANCES ? ZBUFRANDI_MORE_SETS
-                                                                             : ZBUFRANDI_MORE_SETS_MANY);
+        if (drawn[i] >= ZBUFRANDI_VIEW_INSTANCES && b.s->node_count != 0 && b.s->instance_count != 0) {
+            const uint32_t more = drawn[i] < ZBUFRANDI_MORE_INSTANCES ? ZBUFRANDI_MORE_SETS : ZBUFRANDI_MORE_SETS_MANY;
+            if (left < 2 * more) continue;
+            left -= 2 * more;
+            ok = zbufrandi_more_make(&b, more);
+        }
         if (!ok) break;
         if (uses[i] < ZBUFRANDI_VIEW_INSTANCES || b.s->node_count == 0 || b.s->instance_count != 0) continue;
+        if (left < ZBUFRANDI_VIEWS * ZBUFRANDI_VIEW_SETS) continue;
         if (j == NULL) j = (zbufrandi_view_job *)zbufrandi_alloc(&scene->mem, sizeof *j);
         ok = j != NULL;
         if (!ok) break;
         j->b = &b;
         zbufrandi_view_lanes(j);
         if (j->count < ZBUFRANDI_VIEW_LANES_LEAST) continue;
+        left -= ZBUFRANDI_VIEWS * ZBUFRANDI_VIEW_SETS;
         b.s->view = (zbufrandi_view *)zbufrandi_alloc_zero(&scene->mem, ZBUFRANDI_VIEWS, sizeof *b.s->view);
         ok = b.s->view != NULL && zbufrandi_more_room(&scene->mem, b.s, ZBUFRANDI_VIEWS * ZBUFRANDI_VIEW_SETS);
         if (!ok) break;

@@ -1840,6 +1840,7 @@ static int stop(void *user, uint64_t done, uint64_t total) {
 
 /* Edits that do nothing, and those that fail, leave all of the 255 finishes to others. */
 TEST(edits_in_vain) {
+    const voxrt_finish *kept;
     voxrt_model_desc md;
     voxrt_edit_desc e;
     voxrt_finish f;
@@ -1872,6 +1873,11 @@ TEST(edits_in_vain) {
     CHECK(voxrt_model_box(m, &e, lo, hi, NULL) == VOXRT_OK);
     voxrt_model_geometry(m, &g);
     CHECK(finish_at(&g, 7, 15.5f, 15.5f, 0) != NULL && finish_at(&g, 7, 15.5f, 15.5f, 0)->emission[0] == 259.0f);
+    kept = finish_at(&g, 7, 15.5f, 15.5f, 0);
+    f.emission[0] = 300;
+    e.env.progress_fn = stop;
+    CHECK(voxrt_model_box(m, &e, lo, hi, NULL) == VOXRT_ERR_CANCELLED);
+    CHECK(finish_at(&g, 7, 15.5f, 15.5f, 0) == kept && kept->emission[0] == 259.0f); /* it is still where it was */
     voxrt_model_destroy(m);
 }
 

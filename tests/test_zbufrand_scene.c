@@ -512,6 +512,36 @@ TEST(many_meshes_hold_no_more) {
     shape_free(&torus);
 }
 
+TEST(views_are_limited) { /* what things have for being drawn many times is bounded in all, not only for each */
+    enum { THINGS = 500, TIMES = 33 };
+    shape torus;
+    zbufrand_mesh m;
+    zbufrand_scene_info info;
+    zbufrand_scene *s = open_scene();
+    zbufrand_transform place[TIMES];
+    double plain = 0;
+    uint32_t n, i, with = 0;
+    if (test_quick()) SKIP("long");
+    memset(&torus, 0, sizeof torus);
+    shape_torus(&torus, 0, 0, 0, 1, 0.4, 30, 20);
+    m = mesh_of(&torus);
+    for (n = 0; n < THINGS; n++) {
+        zbufrand_node node;
+        for (i = 0; i < TIMES; i++) place[i] = move_scale(4.0 * i, 4.0 * n, 0, 1);
+        CHECK_EQ_U64(zbufrand_add_mesh(s, ZBUFRAND_ROOT, NULL, ZBUFRAND_HIDDEN, &m, &node), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_references(s, ZBUFRAND_ROOT, place, TIMES, node, NULL), ZBUFRAND_OK);
+    }
+    CHECK_EQ_U64(zbufrand_scene_build(s, NULL, &info), ZBUFRAND_OK);
+    for (n = 0; n < s->structure_count; n++) {
+        plain += 8.0 * ZBUFRANDI_SET * ((double)s->structure[n].cluster_count + s->structure[n].node_count);
+        with += s->structure[n].view != NULL;
+    }
+    CHECK_MSG(with > 300 && with < THINGS, "%u of %u have views", (unsigned)with, (unsigned)THINGS);
+    CHECK_MSG((double)info.bytes < 3 * plain + 1.1 * 67108864.0 + 1000.0 * THINGS * TIMES, "%g bytes, points take %g", (double)info.bytes, plain);
+    zbufrand_scene_destroy(s);
+    shape_free(&torus);
+}
+
 TEST(cancelled) {
     zbufrand_scene_desc d;
     zbufrand_scene *s = NULL;
@@ -565,6 +595,7 @@ int main(int argc, char **argv) {
     RUN(bad_triangles);
     RUN(out_of_memory);
     RUN(many_meshes_hold_no_more);
+    RUN(views_are_limited);
     RUN(cancelled);
     RUN(descs);
     return test_end();
