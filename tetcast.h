@@ -1147,7 +1147,7 @@ TETCAST_DEF void tetcast_section_free(tetcast_section *section); /* NULL and cle
    max_error    everything is kept on all levels. > 0: in units of the values; a brick has no finer ones below it where
                 it is nearer than this to the finest level
    nearest      coarser levels are made with the quadratic B-spline (1 4 6 4 1)/16; 1: every other node (always so with
-                max_error, and from meshes: nodes of all levels then lie on the field itself)
+                max_error, and from meshes without average: nodes of all levels then lie on the field itself)
    longest      from meshes: as fine as max_error asks for, up to longest_end nodes, or as many as there can be bricks
                 for (report.above tells whether that was enough); else nodes along the longest side, 2 .. 16385
    longest_end  4097; up to 16385
@@ -1210,7 +1210,8 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_grid(const tetcast_bricks_desc 
                                                       tetcast_bricks **out);
 /* Bricks from the active field of a mesh. The hull goes along: pictures end where the mesh does. With max_error the
    result is compared with the mesh afterwards, at all vertices and at random points, and made on a lattice four times
-   as fine as long as it fails and longest_end allows; report->above tells what is left. Needs the tets.
+   as fine as long as it fails and longest_end allows; report->above tells what is left. Needs the tets. Cells that are
+   masked or have a value that is no number are not looked at; nodes in them have values from around.
    desc  needs longest or max_error
    Errors: INVALID_ARG (as well: tets dropped, a mesh that is one point), RANGE, UNINIT_DESC, NO_MEMORY, CANCELLED
    (progress begins anew with each lattice). The same bits for any number of threads. Cost: that of tetcast_resample for
@@ -10843,7 +10844,7 @@ typedef struct tetcasti_iso {
 } tetcasti_iso;
 
 TETCASTI_INLINE int tetcasti_iso_hidden(const tetcast_mesh *mesh, uint32_t cell) {
-    return mesh->hidden != NULL && (mesh->hidden[cell >> 5] >> (cell & 31u) & 1u);
+    return mesh->hidden != NULL && tetcasti_bit(mesh->hidden, cell);
 }
 
 static void tetcasti_task_iso_inside(void *ctx, uint32_t chunk) {
@@ -13911,7 +13912,8 @@ TETCASTI_INLINE int tetcasti_scan_set(const tetcasti_scan *c, uint32_t cell, con
             n[2] * ((double)out->lo[2] - o[2]);
         eps = ((tetcasti_abs(n[0]) * (double)(out->size[0] + 1) + tetcasti_abs(n[1]) * (double)(out->size[1] + 1)) +
                tetcasti_abs(n[2]) * (double)(out->size[2] + 1)) * TETCASTI_SCAN_EPS;
-        if (side <= 64.0 * eps) return 0; /* flat but for rounding: the side that is in would be any */
+        /* flat but for rounding: the side that is in would be any; or too large for doubles in units of the lattice */
+        if (!(side > 64.0 * eps)) return 0;
         if (c->grow > 0.0) eps += ((tetcasti_abs(n[0]) + tetcasti_abs(n[1])) + tetcasti_abs(n[2])) * c->grow;
         d += eps;
         if (i != 0) {
@@ -14193,34 +14195,47 @@ TETCASTI_TARGET_VL static void tetcasti_scan_paint_vl(tetcasti_scan *c, const te
 #endif
 #endif
 
-/* Paint all cells of a scan. */
+/* Paint a cell that is ready, as wide as can be. */
+static void tetcasti_scan_paint_any(tetcasti_scan *c, const tetcasti_scan_cell *t) {
+#if TETCASTI_AVX2
+#if defined(__GNUC__)
+    if (c->wide > 1 && t->axis == 0 && t->size[0] <= 32 && t->lo[0] >= c->lo[0] && !(c->grow > 0.0)) {
+        tetcasti_scan_paint_vl(c, t);
+        return;
+    }
+#endif
+    if (c->wide && !(c->grow > 0.0)) {
+        tetcasti_scan_paint4(c, t);
+        return;
+    }
+#endif
+    tetcasti_scan_paint(c, t);
+}
+
+/* Paint all cells of a scan. Cells, and rows along z, that several tasks meet are counted by the first of them. */
 static void tetcasti_scan_run(tetcasti_scan *c) {
     uint32_t i;
     for (i = 0; i < c->count; i++) {
         const uint32_t cell = c->list != NULL ? c->list[i] : i;
+        const uint64_t rows = c->rows, hit_rows = c->hit_rows, writes = c->writes;
         tetcasti_scan_cell t;
         double p[4][3];
         float s[4];
-        if (c->mesh->hidden != NULL && (c->mesh->hidden[cell >> 5] >> (cell & 31u) & 1u)) continue;
+        uint32_t first;
+        if (c->mesh->hidden != NULL && tetcasti_bit(c->mesh->hidden, cell)) continue;
         if (!tetcasti_scan_box(c, cell, p, s, &t)) continue;
-        c->cells++;
+        first = t.lo[2] >= c->lo[2];
+        c->cells += first;
         if (!tetcasti_scan_set(c, cell, (const double (*)[3])p, s, &t)) {
-            c->flat++;
+            c->flat += first;
             continue;
         }
-#if TETCASTI_AVX2
-#if defined(__GNUC__)
-        if (c->wide > 1 && t.axis == 0 && t.size[0] <= 32 && t.lo[0] >= c->lo[0] && !(c->grow > 0.0)) {
-            tetcasti_scan_paint_vl(c, &t);
-            continue;
+        tetcasti_scan_paint_any(c, &t);
+        if (t.axis == 2 && !first) {
+            c->rows = rows;
+            c->hit_rows = hit_rows;
+            c->writes = writes;
         }
-#endif
-        if (c->wide && !(c->grow > 0.0)) {
-            tetcasti_scan_paint4(c, &t);
-            continue;
-        }
-#endif
-        tetcasti_scan_paint(c, &t);
     }
 }
 
@@ -14620,7 +14635,7 @@ static void tetcasti_mean_slab_fill(tetcasti_meaner *g, uint32_t slab, uint32_t 
         const uint32_t cell = g->bins.list[i];
         tetcasti_mean_part t;
         int good = 1;
-        if (c->mesh->hidden != NULL && (c->mesh->hidden[cell >> 5] >> (cell & 31u) & 1u)) continue;
+        if (c->mesh->hidden != NULL && tetcasti_bit(c->mesh->hidden, cell)) continue;
         for (k = 0; k < 4; k++) {
             const tetcasti_vertex *v = &c->mesh->vertex[c->mesh->tet[cell][k]];
             t.p[k][0] = (double)v->x * c->scale[0] + c->shift[0];
@@ -14882,14 +14897,15 @@ TETCAST_DEF tetcast_result tetcast_plane_sample(const tetcast_env *env, const te
     if (mesh == NULL || plane == NULL || out == NULL || mesh->tet == NULL || width > 0x7fffffffu ||
         height > 0x7fffffffu || !tetcasti_plane_open(mesh, plane, &f))
         return tetcasti_fail(env->error, TETCAST_ERR_INVALID_ARG, 0, "plane: no plane, or no tets");
-    if (!tetcasti_mul_size(width, height, &n)) return TETCAST_ERR_RANGE;
+    if (!tetcasti_mul_size(width, height, &n))
+        return tetcasti_fail(env->error, TETCAST_ERR_RANGE, 0, "plane: too many points");
     heights = tetcasti_plane_heights(&mem, mesh, &f);
     if (heights == NULL) return tetcasti_fail(env->error, TETCAST_ERR_NO_MEMORY, 0, "plane: out of memory");
     for (i = 0; i < n; i++) out[i] = (float)NAN;
     for (i = 0; i < mesh->cell_count; i++) {
         double p[4][3], s[4], place[4][2];
         uint32_t k, a, count;
-        if (mesh->hidden != NULL && (mesh->hidden[i >> 5] >> (i & 31u) & 1u)) continue;
+        if (mesh->hidden != NULL && tetcasti_bit(mesh->hidden, (uint32_t)i)) continue;
         count = tetcasti_section_cell(mesh, (uint32_t)i, heights, p, s);
         if (count == 0) continue;
         for (k = 0; k < count; k++) {
@@ -14999,7 +15015,8 @@ TETCAST_DEF tetcast_result tetcast_plane_view(const tetcast_env *env, const tetc
         height > 0x7fffffffu || !tetcasti_plane_open(mesh, plane, &f) ||
         tetcasti_frame_open(camera, width, height, &c) != TETCAST_OK)
         return tetcasti_fail(env->error, TETCAST_ERR_INVALID_ARG, 0, "plane: no plane, no camera, or no tets");
-    if (!tetcasti_mul_size(width, height, &n)) return TETCAST_ERR_RANGE;
+    if (!tetcasti_mul_size(width, height, &n))
+        return tetcasti_fail(env->error, TETCAST_ERR_RANGE, 0, "plane: too many points");
     for (i = 0; i < n; i++) out[i] = (float)NAN;
     for (i = 0; i < n && depth != NULL; i++) depth[i] = TETCASTI_INF;
     if (n == 0 || !tetcasti_plane_map_open(mesh, &f, &c, &m)) return TETCAST_OK;
@@ -15018,7 +15035,7 @@ TETCAST_DEF tetcast_result tetcast_plane_view(const tetcast_env *env, const tetc
     for (i = 0; i < mesh->cell_count; i++) {
         double p[5][3], s[5], pixel[5][2], place[5][2];
         uint32_t count;
-        if (mesh->hidden != NULL && (mesh->hidden[i >> 5] >> (i & 31u) & 1u)) continue;
+        if (mesh->hidden != NULL && tetcasti_bit(mesh->hidden, (uint32_t)i)) continue;
         count = tetcasti_section_cell(mesh, (uint32_t)i, heights, p, s);
         if (count == 0) continue;
         for (k = 0; k < count; k++) { /* right, down in pixels, and forward */
@@ -15086,7 +15103,7 @@ static void tetcasti_section_pass(const tetcast_mesh *mesh, const double *height
     for (i = 0; i < mesh->cell_count; i++) {
         double p[4][3], s[4];
         uint32_t k, a, n;
-        if (mesh->hidden != NULL && (mesh->hidden[i >> 5] >> (i & 31u) & 1u)) continue;
+        if (mesh->hidden != NULL && tetcasti_bit(mesh->hidden, (uint32_t)i)) continue;
         n = tetcasti_section_cell(mesh, (uint32_t)i, heights, p, s);
         if (n == 0) continue;
         if (section != NULL) {
@@ -15127,7 +15144,6 @@ TETCAST_DEF tetcast_result tetcast_plane_section(const tetcast_env *env, const t
     if (mesh == NULL || plane == NULL || out == NULL || mesh->tet == NULL || mesh->cell_value != NULL ||
         !tetcasti_plane_open(mesh, plane, &f))
         return tetcasti_fail(env->error, TETCAST_ERR_INVALID_ARG, 0, "section: no plane, no tets, or a field per cell");
-    out->_allocator = mem.allocator;
     heights = tetcasti_plane_heights(&mem, mesh, &f);
     if (heights == NULL) return tetcasti_fail(env->error, TETCAST_ERR_NO_MEMORY, 0, "section: out of memory");
     tetcasti_section_pass(mesh, heights, NULL, &points, &polygons);
@@ -15135,6 +15151,7 @@ TETCAST_DEF tetcast_result tetcast_plane_section(const tetcast_env *env, const t
         tetcasti_free(&mem, heights);
         return tetcasti_fail(env->error, TETCAST_ERR_RANGE, points, "section: too many points");
     }
+    out->_allocator = mem.allocator;
     out->points = (double (*)[3])tetcasti_alloc_array(&mem, points + 1, sizeof *out->points);
     out->values = (float *)tetcasti_alloc_array(&mem, points + 1, sizeof *out->values);
     out->first = (uint32_t *)tetcasti_alloc_array(&mem, polygons + 1, sizeof *out->first);
@@ -15530,8 +15547,9 @@ static void tetcasti_task_errors(void *ctx, uint32_t i) {
             r[3] = v + coarse[0] * (y1 + coarse[1] * z1);
             for (x = lo[0]; x <= hi[0]; x++) {
                 const size_t x0 = x / 2, x1 = x0 + (x & 1u);
-                const float m = 0.125f * (((r[0][x0] + r[0][x1]) + (r[1][x0] + r[1][x1])) +
-                                          ((r[2][x0] + r[2][x1]) + (r[3][x0] + r[3][x1])));
+                /* each pair scaled by itself: no sum of more than two is beyond floats */
+                const float m = (0.125f * (r[0][x0] + r[0][x1]) + 0.125f * (r[1][x0] + r[1][x1])) +
+                    (0.125f * (r[2][x0] + r[2][x1]) + 0.125f * (r[3][x0] + r[3][x1]));
                 const float d = tetcasti_absf(m - w[x + fine[0] * (y + fine[1] * z)]);
                 if (d > worst && (p->inside == NULL || tetcasti_inside_at(p, k - 1, x, y, z))) worst = d;
             }
@@ -15585,7 +15603,8 @@ static void tetcasti_task_brick(void *ctx, uint32_t i) {
     brick->hi = hi;
 }
 
-/* Number the bricks that are kept: all, or with max_error those whose parent is not good enough. 0: no memory. */
+/* Number the bricks that are kept: all, or with max_error those whose parent is not good enough. 0: no memory, or
+   (b->count says so) too many. */
 static int tetcasti_bricks_keep(tetcast_bricks *b, const tetcasti_pyramid *p, float max_error) {
     uint32_t k, pass, n = 0;
     for (pass = 0; pass < 2; pass++) {
@@ -15618,8 +15637,8 @@ static int tetcasti_bricks_keep(tetcast_bricks *b, const tetcasti_pyramid *p, fl
                     }
         }
         if (pass == 1) break;
-        if (n >= TETCASTI_BRICKS_END) return 0;
         b->count = n;
+        if (n >= TETCASTI_BRICKS_END) return 0;
         b->brick = (tetcasti_brick *)tetcasti_alloc_zero(&b->mem, n, sizeof *b->brick);
         if (b->brick == NULL) return 0;
     }
@@ -15682,8 +15701,10 @@ static tetcast_result tetcasti_bricks_build(const tetcast_bricks_desc *d, const 
     }
     tetcasti_pyramid_free(&b->mem, &p);
     if (!ok) {
+        const int many = b->count >= TETCASTI_BRICKS_END;
         tetcasti_bricks_free(b);
-        return tetcasti_fail(d->env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
+        return many ? tetcasti_fail(d->env.error, TETCAST_ERR_RANGE, 0, "bricks: too many")
+                    : tetcasti_fail(d->env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
     }
     *out = b;
     return TETCAST_OK;
@@ -16095,7 +16116,7 @@ static void tetcasti_cut_clamp(tetcast_cut *cut) { /* to what there is */
             }
 }
 
-/* Neighbours no more than one level coarser: by refining, as far as there are finer bricks. */
+/* Neighbours no more than `jump` levels coarser: by refining, as far as there are finer bricks. */
 static void tetcasti_cut_relax(tetcast_cut *cut, uint32_t jump) {
     const tetcast_bricks *b = cut->bricks;
     int changed = 1;
@@ -16263,7 +16284,8 @@ static int tetcasti_cut_choose(tetcast_cut *cut, const tetcast_cut_desc *d) {
                     }
                     far_off = sqrt(way) / d->focus_radius;
                     cut->level[i] = (uint8_t)(far_off < (double)b->levels ? (uint32_t)far_off : b->levels - 1);
-                    if (cut->level[i] < d->level) cut->level[i] = (uint8_t)d->level;
+                    if (cut->level[i] < d->level)
+                        cut->level[i] = (uint8_t)(d->level < b->levels ? d->level : b->levels - 1);
                 }
     tetcasti_cut_clamp(cut);
     if (d->max_jump != 0 && d->max_jump < TETCAST_BRICK_LEVELS) tetcasti_cut_relax(cut, d->max_jump);
@@ -16682,6 +16704,16 @@ static int tetcasti_checks_go_on(const tetcast_env *env, uint64_t done, uint64_t
            env->progress_fn(env->progress_user, done, total) == 0;
 }
 
+/* Vertices of cells that show something, as bits: others have no value that anything could be off from. NULL: no
+   memory. */
+static uint32_t *tetcasti_vertices_seen(tetcasti_mem *mem, const tetcast_mesh *mesh) {
+    uint32_t *seen = (uint32_t *)tetcasti_alloc_zero(mem, (size_t)mesh->vertex_count / 32 + 1, sizeof *seen), i, k;
+    for (i = 0; seen != NULL && i < mesh->cell_count; i++)
+        for (k = 0; k < 4 && !tetcasti_bit(mesh->hidden, i); k++)
+            seen[mesh->tet[i][k] >> 5] |= 1u << (mesh->tet[i][k] & 31u);
+    return seen;
+}
+
 /* How far bricks are from the mesh: at all vertices, and at random points of random cells. force: slots where it is too
    far and could be finer, *helps of them; may be NULL. */
 static tetcast_result tetcasti_bricks_check(const tetcast_bricks_desc *d, const tetcast_mesh *mesh,
@@ -16690,17 +16722,27 @@ static tetcast_result tetcasti_bricks_check(const tetcast_bricks_desc *d, const 
     const uint32_t random = d->checks != 0 ? d->checks : 200000;
     const uint64_t all = (uint64_t)mesh->vertex_count + random;
     tetcast_cut_desc cd;
-    tetcast_cut *cut;
+    tetcast_cut *cut = NULL;
+    tetcasti_mem mem;
     tetcast_result r;
+    uint32_t *seen = NULL;
     uint64_t i, seed = 1;
     double sum = 0.0;
     uint32_t a, k;
     int asked = 1;
     memset(&cd, 0, sizeof cd);
     cd.env = tetcasti_env_rest(&d->env, &b->mem);
-    cut = NULL;
-    r = tetcast_cut_create(&cd, b, &cut);
-    if (cut == NULL) return r;
+    r = tetcasti_env_open(&cd.env, &mem);
+    if (r == TETCAST_OK && mesh->hidden != NULL) {
+        seen = tetcasti_vertices_seen(&mem, mesh);
+        if (seen == NULL) r = tetcasti_fail(d->env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
+        cd.env = tetcasti_env_rest(&cd.env, &mem);
+    }
+    if (r == TETCAST_OK) r = tetcast_cut_create(&cd, b, &cut);
+    if (cut == NULL) {
+        tetcasti_free(&mem, seen);
+        return r;
+    }
     report->checks = report->above = report->above_finest = 0;
     report->error = 0.0;
     *helps = 0;
@@ -16709,6 +16751,7 @@ static tetcast_result tetcasti_bricks_check(const tetcast_bricks_desc *d, const 
         float x[3];
         if (i < mesh->vertex_count && mesh->cell_value == NULL) {
             const tetcasti_vertex *q = &mesh->vertex[i];
+            if (seen != NULL && !tetcasti_bit(seen, (uint32_t)i)) continue;
             p[0] = (double)q->x;
             p[1] = (double)q->y;
             p[2] = (double)q->z;
@@ -16720,7 +16763,7 @@ static tetcast_result tetcasti_bricks_check(const tetcast_bricks_desc *d, const 
             seed = tetcasti_hash_mix(seed, i);
             cell = (uint32_t)((seed >> 32) * mesh->cell_count >> 32);
             t = mesh->tet[cell];
-            if (mesh->hidden != NULL && (mesh->hidden[cell >> 5] >> (cell & 31u) & 1u)) continue;
+            if (mesh->hidden != NULL && tetcasti_bit(mesh->hidden, cell)) continue;
             for (k = 0; k < 4; k++) { /* exponential numbers make even points of a simplex */
                 seed = tetcasti_hash_mix(seed, k);
                 w[k] = -tetcasti_log2(((double)(uint32_t)(seed >> 32) + 0.5) * (1.0 / 4294967296.0));
@@ -16772,6 +16815,7 @@ static tetcast_result tetcasti_bricks_check(const tetcast_bricks_desc *d, const 
     }
     report->mean_error = report->checks != 0 ? sum / (double)report->checks : 0.0;
     tetcast_cut_destroy(cut);
+    tetcasti_free(&mem, seen);
     return asked ? TETCAST_OK : tetcasti_fail(d->env.error, TETCAST_ERR_CANCELLED, 0, "bricks: cancelled");
 }
 
@@ -16879,7 +16923,7 @@ static float tetcasti_grow_error(const tetcasti_grower *g, uint32_t k, const uin
         }
     if (mesh->cell_value != NULL) return worst;
     for (i = 0; i < count; i++)
-        for (j = 0; j < 4; j++) {
+        for (j = 0; j < 4 && !(mesh->hidden != NULL && tetcasti_bit(mesh->hidden, list[i])); j++) {
             const tetcasti_vertex *v = &mesh->vertex[mesh->tet[list[i]][j]];
             const double p[3] = {(double)v->x, (double)v->y, (double)v->z};
             float f[3], c[8], d;
@@ -17301,6 +17345,7 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_mesh(const tetcast_bricks_desc 
 
 #define TETCASTI_BRK_HEADER 152u
 #define TETCASTI_BRK_RECORD 28u
+#define TETCASTI_BRK_END 1.0001e38f  /* values of integers: those of floats, and rounding */
 
 static const uint8_t tetcasti_brk_magic[8] = {0x89, 'B', 'R', 'K', '\r', '\n', 0x1a, '\n'};
 
@@ -17453,16 +17498,17 @@ static tetcast_result tetcasti_brk_body(tetcast_bricks *b, const uint8_t *p, uin
             b->face[i][a] = tetcasti_load_u32(q);
             if (b->face[i][a] >= b->hull_count) return TETCAST_ERR_FORMAT;
         }
-    *where = (uint64_t)(q - p);
     if (b->bytes == 1) memcpy(b->data, q, n);
     for (i = 0; i < n && b->bytes == 2; i++) {
         const uint16_t u = (uint16_t)(q[2 * i] | q[2 * i + 1] << 8);
+        *where = (uint64_t)(q - p) + 2 * i;
         if (b->type == TETCAST_TYPE_F16 && (u & 0x7c00u) == 0x7c00u) return TETCAST_ERR_FORMAT;
         memcpy(b->data + 2 * i, &u, 2);
     }
     for (i = 0; i < n && b->bytes == 4; i++) {
         const float f = tetcasti_load_f32(q + 4 * i);
-        if (!tetcasti_finite_f(f)) return TETCAST_ERR_FORMAT;
+        *where = (uint64_t)(q - p) + 4 * i;
+        if (!(tetcasti_absf(f) <= TETCASTI_VALUE_END)) return TETCAST_ERR_FORMAT; /* differences are numbers, too */
         memcpy(b->data + 4 * i, &f, 4);
     }
     return TETCAST_OK;
@@ -17477,6 +17523,7 @@ TETCAST_DEF tetcast_result tetcast_bricks_read(const tetcast_env *env, const voi
     tetcast_result r;
     uint32_t log, levels, type, a;
     uint64_t where = 0, want;
+    float last;
     if (out != NULL) *out = NULL;
     memset(&none, 0, sizeof none);
     if (env == NULL) env = &none;
@@ -17511,8 +17558,9 @@ TETCAST_DEF tetcast_result tetcast_bricks_read(const tetcast_env *env, const voi
     b->value_max = tetcasti_load_f32(p + 108);
     want = TETCASTI_BRK_HEADER + (uint64_t)b->count * (TETCASTI_BRK_RECORD + (uint64_t)b->nodes * b->bytes) +
            (uint64_t)b->hull_count * 24 + (uint64_t)b->face_count * 12;
-    if (b->count == 0 || b->count >= TETCASTI_BRICKS_END || !tetcasti_finite_f(b->bias) || !(b->step >= 0.0f) ||
-        !tetcasti_finite_f(b->bias + b->step * (b->type == TETCAST_TYPE_U8 ? 255.0f : 65535.0f)) ||
+    last = b->bias + b->step * (b->type == TETCAST_TYPE_U8 ? 255.0f : 65535.0f);
+    if (b->count == 0 || b->count >= TETCASTI_BRICKS_END || !(b->step >= 0.0f) ||
+        !(tetcasti_absf(b->bias) <= TETCASTI_BRK_END && tetcasti_absf(last) <= TETCASTI_BRK_END) ||
         !(b->value_min <= b->value_max) || !tetcasti_finite_f(b->value_min) ||
         !tetcasti_finite_f(b->value_max) || b->hull_count > TETCAST_MAX_VERTICES || b->face_count > TETCAST_MAX_CELLS ||
         tetcasti_load_u64(p + 120) != want) {
@@ -17962,6 +18010,7 @@ static int tetcasti_amr_full(const tetcast_amr *m, uint32_t level, const int32_t
 /* Sizes and copies. */
 static tetcast_result tetcasti_amr_open(tetcast_amr *m, const tetcast_amr_desc *d, size_t *where) {
     size_t i, total = 0, at = 0, n;
+    uint64_t cell;
     uint32_t a, k;
     m->levels = 1;
     m->patch_count = (uint32_t)d->patch_count;
@@ -18011,12 +18060,12 @@ static tetcast_result tetcasti_amr_open(tetcast_amr *m, const tetcast_amr_desc *
     }
     for (k = 0; k < m->levels; k++)
         if (!tetcasti_amr_bin(m, k)) return TETCAST_ERR_NO_MEMORY;
-    for (i = 0; i < (size_t)d->cells[0] * d->cells[1] * d->cells[2]; i++) {
+    for (cell = 0; cell < (uint64_t)d->cells[0] * d->cells[1] * d->cells[2]; cell++) {
         int32_t c[3];
-        c[0] = (int32_t)(i % d->cells[0]);
-        c[1] = (int32_t)(i / d->cells[0] % d->cells[1]);
-        c[2] = (int32_t)(i / d->cells[0] / d->cells[1]);
-        *where = i;
+        c[0] = (int32_t)(cell % d->cells[0]);
+        c[1] = (int32_t)(cell / d->cells[0] % d->cells[1]);
+        c[2] = (int32_t)(cell / d->cells[0] / d->cells[1]);
+        *where = (size_t)cell;
         if (!tetcasti_amr_full(m, 0, c)) return TETCAST_ERR_EMPTY;
     }
     return TETCAST_OK;
@@ -18423,17 +18472,18 @@ TETCAST_DEF uint32_t tetcast_clip_spans(const tetcast_clip *clip, const tetcast_
                                         uint32_t room) {
     tetcasti_spans s;
     tetcasti_mem mem;
-    double d[3], end;
+    double d[3], begin, end;
     uint32_t a, count;
     if (clip == NULL || ray == NULL || (spans == NULL && room != 0)) return 0;
     for (a = 0; a < 3; a++) d[a] = ray->dir[a];
     if (!tetcasti_unit(d) || !tetcasti_finite(ray->org[0] + ray->org[1] + ray->org[2])) return 0;
-    end = ray->t_min == 0.0 && ray->t_max == 0.0 ? 1e300 : ray->t_max;
-    if (!(ray->t_min < end)) return 0;
+    end = ray->t_min == 0.0 && ray->t_max == 0.0 ? 1e300 : tetcasti_min(1e300, ray->t_max);
+    begin = tetcasti_max(-1e300, ray->t_min);
+    if (!(begin < end)) return 0;
     memset(&s, 0, sizeof s);
     memset(&mem, 0, sizeof mem);
     mem.allocator = clip->mem.allocator;
-    tetcasti_spans_begin(&mem, &s, ray->t_min, end);
+    tetcasti_spans_begin(&mem, &s, begin, end);
     if (s.count != 0) tetcasti_clip_run(&mem, clip, ray->org, d, &s);
     count = s.failed ? TETCAST_NONE : s.count;
     for (a = 0; a < s.count && a < room; a++) {
@@ -20055,9 +20105,10 @@ static tetcast_result tetcasti_brick_frame_open(tetcasti_brick_frame *c, tetcast
         d->camera.eye[2] == d->camera.at[2])
         r = tetcast_camera_fit(&d->camera, lo, hi, NULL, width, height);
     if (r == TETCAST_OK) r = tetcasti_frame_open(&d->camera, width, height, &c->frame);
-    if (r == TETCAST_OK && c->optics == NULL && d->shader->prepare_fn != NULL)
-        return d->shader->prepare_fn(d->shader->user, d->shader->params, d->shader->param_count, d->env.error);
     if (r != TETCAST_OK) return tetcasti_fail(d->env.error, r, 0, "bricks: bad camera");
+    if (c->optics == NULL && d->shader->prepare_fn != NULL)
+        r = d->shader->prepare_fn(d->shader->user, d->shader->params, d->shader->param_count, d->env.error);
+    if (r != TETCAST_OK) return r;
     if (b->face_count != 0 && !d->no_hull) {
         tetcast_clip_body body;
         memset(&body, 0, sizeof body);
