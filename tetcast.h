@@ -1848,9 +1848,9 @@ typedef struct tetcast_rbf_fit_desc {
 /* Errors are shares of the range, measured with the model as it is stored. */
 typedef struct tetcast_rbf_report {
     uint64_t points;             /* used; middles of cells as well */
-    uint64_t rejected;           /* not finite */
+    uint64_t rejected;           /* with a number that is none, or not below 1e30 */
     uint64_t duplicates;         /* at the place of another one: their mean was fitted */
-    double range;                /* of the values: what errors are shares of */
+    double range;                /* of the values: what errors are shares of; up to 1e-30 they are one value: 0 */
     uint32_t functions, ellipsoids, base_dims[3]; /* of the model */
     uint32_t rounds, inserted, dropped; /* passes over the functions; functions that were added, taken away */
     uint32_t started;            /* functions that were taken from `start` */
@@ -1943,7 +1943,7 @@ typedef struct tetcast_rbf_render_stats { /* added to by calls that succeed, but
 /* Draw a model inside its box.
    optics  as for meshes, may be NULL where there is a shader; its integrator gets segments between samples on which the
            value is taken as linear
-   image   length: way inside of the box. depth: of the first sample that shows something, isosurfaces exactly
+   image   length: way inside of the box. depth: of the first sample that shows something, isosurfaces exactly. steps: 0
    Samples lie at multiples of the step from the eye, and where a ray enters and leaves the box; segments have their
    exact lengths. On a ray a Gaussian is one of a line: it is summed up with two multiplications a sample, begun at
    its middle. Isosurfaces are refined on the ray and have the analytic gradient as normal.
@@ -20887,8 +20887,9 @@ static void tetcasti_rbf_base(const tetcast_rbf *m, const float p[3], float *val
 
 /* ---- making a model ---- */
 
-/* Where no function reaches (centres are at most 1e6 off, radii 5e8) places are pulled in: squares stay finite. */
-#define TETCASTI_RBF_FAR 1e12
+/* Where no function reaches (centres are at most 1e6 off, radii 5e8) places are pulled in: squares stay finite, also in
+   the smallest widths, of which the thinnest ellipsoids are a 64th. */
+#define TETCASTI_RBF_FAR 1e10
 
 static void tetcasti_rbf_local(const tetcast_rbf *m, const double world[3], float out[3]) {
     uint32_t a;
@@ -22080,7 +22081,8 @@ static tetcast_result tetcasti_rbf_eval_open(const tetcast_rbf_eval_desc *desc, 
     memset(t, 0, sizeof *t);
     if (desc != NULL) *d = *desc;
     if (d->_begin_zero != 0 || d->_end_zero != 0) return TETCAST_ERR_UNINIT_DESC;
-    if (m == NULL || (uint32_t)d->isa > TETCAST_ISA_AVX512) return TETCAST_ERR_INVALID_ARG;
+    if (m == NULL || (uint32_t)d->isa > TETCAST_ISA_AVX512)
+        return tetcasti_fail(d->env.error, TETCAST_ERR_INVALID_ARG, 0, "functions: no model, or no such isa");
     t->m = m;
     t->all = d->all != 0;
     t->add = tetcasti_rbf_add_pick(m, tetcasti_rbf_isa(d->isa));
@@ -22088,7 +22090,8 @@ static tetcast_result tetcasti_rbf_eval_open(const tetcast_rbf_eval_desc *desc, 
 }
 
 static tetcast_result tetcasti_rbf_run(const tetcast_rbf_eval_desc *d, tetcasti_rbf_job *t) {
-    if (t->count / TETCASTI_RBF_CHUNK >= 0x7fffffffu) return TETCAST_ERR_RANGE;
+    if (t->count / TETCASTI_RBF_CHUNK >= 0x7fffffffu)
+        return tetcasti_fail(d->env.error, TETCAST_ERR_RANGE, t->count, "functions: % points are too many");
     tetcasti_parallel_for(&d->env, tetcasti_task_rbf_points, t,
                           (uint32_t)((t->count + TETCASTI_RBF_CHUNK - 1) / TETCASTI_RBF_CHUNK));
     return TETCAST_OK;
@@ -22100,7 +22103,8 @@ TETCAST_DEF tetcast_result tetcast_rbf_eval(const tetcast_rbf_eval_desc *desc, c
     tetcasti_rbf_job t;
     tetcast_result r = tetcasti_rbf_eval_open(desc, rbf, &d, &t);
     if (r != TETCAST_OK) return r;
-    if (count != 0 && positions == NULL) return TETCAST_ERR_INVALID_ARG;
+    if (count != 0 && positions == NULL)
+        return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, 0, "functions: no positions");
     t.positions = positions;
     t.count = count;
     t.values = values;
@@ -22115,9 +22119,11 @@ TETCAST_DEF tetcast_result tetcast_rbf_grid(const tetcast_rbf_eval_desc *desc, c
     tetcast_result r = tetcasti_rbf_eval_open(desc, rbf, &d, &t);
     size_t count;
     if (r != TETCAST_OK) return r;
-    if (dims == NULL || values == NULL || dims[0] == 0 || dims[1] == 0 || dims[2] == 0) return TETCAST_ERR_INVALID_ARG;
+    if (dims == NULL || values == NULL || dims[0] == 0 || dims[1] == 0 || dims[2] == 0)
+        return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, 0, "functions: a grid without nodes");
     if (!tetcasti_mul_size(dims[0], dims[1], &count) || !tetcasti_mul_size(count, dims[2], &count) ||
-        !tetcasti_mul_size(count, rbf->components * sizeof(float), &t.count)) return TETCAST_ERR_RANGE;
+        !tetcasti_mul_size(count, rbf->components * sizeof(float), &t.count))
+        return tetcasti_fail(d.env.error, TETCAST_ERR_RANGE, 0, "functions: the grid is too large");
     t.count = count;
     memcpy(t.dims, dims, sizeof t.dims);
     t.values = values;
@@ -22251,8 +22257,9 @@ TETCAST_DEF tetcast_result tetcast_rbf_bounds(const tetcast_rbf *rbf, uint32_t c
         }
         if (f->k < 0.0f) least *= 1.0f + f->k; /* between the shortest and the longest axis */
         else most *= 1.0f + f->k;
-        near_phi = tetcasti_rbf_phi(m->kernel, f, least * 0.999998f, NULL);
-        far_phi = tetcasti_rbf_phi(m->kernel, f, most * 1.000002f, NULL);
+        /* as it is evaluated: what is cut off ends at the same distance */
+        near_phi = tetcasti_rbf_phi_fused(m->kernel, f, least * 0.999998f, NULL);
+        far_phi = tetcasti_rbf_phi_fused(m->kernel, f, most * 1.000002f, NULL);
         range[w > 0.0 ? 1 : 0] += w * (double)near_phi;
         range[w > 0.0 ? 0 : 1] += w * (double)far_phi;
         rounding += 2e-6 * tetcasti_abs(w);
@@ -22353,7 +22360,7 @@ TETCAST_DEF void tetcast_flow_features(const float velocity[3], const float jaco
    so blocks of one colour share no point.
    --------------------------------------------------------------------------- */
 
-#define TETCASTI_FIT_BIN 8u          /* points in a bin, about */
+#define TETCASTI_FIT_CONSTANT 1e-30  /* range of data that are one value */
 #define TETCASTI_FIT_SPLIT 8         /* positions are stored in this part of the spacing */
 #define TETCASTI_FIT_LADDER 32u
 #define TETCASTI_FIT_TRIES 3u        /* directions of plates */
@@ -22383,13 +22390,13 @@ typedef struct tetcasti_fit {
     float *x, *y, *z;                /* local */
     float *value[TETCAST_RBF_MAX_COMPONENTS], *res[TETCAST_RBF_MAX_COMPONENTS], *heed; /* heed: weight of a point */
     size_t middles;                  /* of cells, after the points of the input */
-    uint32_t *source;                /* number in the input */
     uint32_t bins[3];
     float bin_scale[3];
     uint32_t *start;                 /* [bins + 1] */
     float *peak;                     /* [bins]: largest squared error */
     double spacing, closest;         /* local: mean; smallest distance of two points */
-    double range;
+    double unit;                     /* values are in units of this, a power of two: squares of errors are floats */
+    double range;                    /* in that unit, as tolerance, offset, nodes and weights */
     float reach, e;                  /* radius / width; what the kernel is shifted by */
     float widest;
     float tolerance, threshold, heed_scale;
@@ -23131,10 +23138,18 @@ static tetcast_result tetcasti_fit_survey(tetcasti_fit *t, const tetcast_rbf_fit
     if (used == 0) return TETCAST_ERR_EMPTY;
     if (used > 0x7ffffff0u) return TETCAST_ERR_RANGE;
     t->count = (uint32_t)used;
-    t->range = t->n == 1 ? hi - lo : sqrt(longest);
-    m->range[0] = t->n == 1 ? (float)lo : 0.0f;
-    m->range[1] = t->n == 1 ? (float)hi : (float)sqrt(longest);
-    for (c = 0; c < t->n; c++) m->offset[c] = (float)(sum[c] / (double)used);
+    longest = sqrt(longest);
+    t->range = t->n == 1 ? hi - lo : longest;
+    if (t->range > TETCASTI_FIT_CONSTANT && !(t->range > 1e-12 && t->range < 1e12)) {
+        uint64_t bits;
+        memcpy(&bits, &t->range, sizeof bits);
+        bits &= 0x7ff0000000000000u; /* the power of two below it */
+        memcpy(&t->unit, &bits, sizeof bits);
+        t->range /= t->unit;
+    }
+    m->range[0] = t->n == 1 ? (float)(lo / t->unit) : 0.0f;
+    m->range[1] = t->n == 1 ? (float)(hi / t->unit) : (float)(longest / t->unit);
+    for (c = 0; c < t->n; c++) m->offset[c] = (float)(sum[c] / (double)used / t->unit);
     if (in->positions.data == NULL && d->metric[0] == 0.0 && d->metric[1] == 0.0 && d->metric[2] == 0.0)
         for (a = 0; a < 3; a++)
             if (in->dims[a] > 1 && in->spacing[a] != 0.0 && (step == 0.0 || tetcasti_abs(in->spacing[a]) < step))
@@ -23152,25 +23167,25 @@ static int tetcasti_fit_sort(tetcasti_fit *t, const tetcast_rbf_points *in) {
     tetcasti_rbf_key *key = (tetcasti_rbf_key *)tetcasti_alloc_array(t->mem, n, sizeof *key);
     float (*p)[3] = (float (*)[3])tetcasti_alloc_array(t->mem, n, sizeof *p);
     float (*v)[4] = (float (*)[4])tetcasti_alloc_array(t->mem, n, sizeof *v);
-    uint32_t *number = (uint32_t *)tetcasti_alloc_array(t->mem, n, sizeof *number);
     size_t bins = (size_t)t->bins[0] * t->bins[1] * t->bins[2], i, b;
+    uint32_t *bin = (uint32_t *)tetcasti_alloc_array(t->mem, n, sizeof *bin);
     uint32_t *start = t->start, k = 0, a, c, out = 0;
     uint8_t bytes[12];
-    const int ok = key != NULL && p != NULL && v != NULL && number != NULL;
+    const int ok = key != NULL && p != NULL && v != NULL && bin != NULL;
     for (i = 0; ok && i < in->count + t->middles; i++) {
         double w[3], value[4];
         if (!tetcasti_fit_read(in, i, w, value)) continue;
         tetcasti_rbf_local(t->m, w, p[k]);
-        for (c = 0; c < t->n; c++) v[k][c] = (float)value[c];
-        number[k++] = (uint32_t)i;
+        for (c = 0; c < t->n; c++) v[k][c] = (float)(value[c] / t->unit);
+        k++;
     }
     if (ok) {
         memset(start, 0, (bins + 1) * sizeof *start);
         for (i = 0; i < n; i++) {
             uint32_t at[3];
             for (a = 0; a < 3; a++) at[a] = tetcasti_fit_bin(t, a, p[i][a]);
-            t->source[i] = (uint32_t)(((size_t)at[2] * t->bins[1] + at[1]) * t->bins[0] + at[0]);
-            start[t->source[i]]++;
+            bin[i] = (uint32_t)(((size_t)at[2] * t->bins[1] + at[1]) * t->bins[0] + at[0]);
+            start[bin[i]]++;
         }
         for (b = 0, k = 0; b <= bins; b++) { /* starts; then each moves to its end while the bin is filled */
             const uint32_t some = b < bins ? start[b] : 0;
@@ -23178,7 +23193,7 @@ static int tetcasti_fit_sort(tetcasti_fit *t, const tetcast_rbf_points *in) {
             k += some;
         }
         for (i = 0; i < n; i++) {
-            const uint32_t to = start[t->source[i]]++;
+            const uint32_t to = start[bin[i]]++;
             for (a = 0; a < 3; a++) tetcasti_store_u32(bytes + 4 * a, tetcasti_float_bits(p[i][a]));
             key[to].key = tetcasti_hash_bytes(1, bytes, sizeof bytes); /* little-endian: one order on all machines */
             key[to].i = (uint32_t)i;
@@ -23209,7 +23224,7 @@ static int tetcasti_fit_sort(tetcasti_fit *t, const tetcast_rbf_points *in) {
     tetcasti_free(t->mem, key);
     tetcasti_free(t->mem, p);
     tetcasti_free(t->mem, v);
-    tetcasti_free(t->mem, number);
+    tetcasti_free(t->mem, bin);
     return ok;
 }
 
@@ -23224,7 +23239,6 @@ static void tetcasti_fit_close(tetcasti_fit *t) {
         tetcasti_free(t->mem, t->res[c]);
     }
     tetcasti_free(t->mem, t->heed);
-    tetcasti_free(t->mem, t->source);
     tetcasti_free(t->mem, t->start);
     tetcasti_free(t->mem, t->peak);
     for (i = 0; t->block != NULL && i < blocks; i++) tetcasti_free(t->mem, t->block[i].f);
@@ -23290,12 +23304,11 @@ static tetcast_result tetcasti_fit_open(tetcasti_fit *t, const tetcast_rbf_fit_d
     t->y = (float *)tetcasti_alloc_array(t->mem, t->count, sizeof(float));
     t->z = (float *)tetcasti_alloc_array(t->mem, t->count, sizeof(float));
     t->heed = (float *)tetcasti_alloc_array(t->mem, t->count, sizeof(float));
-    t->source = (uint32_t *)tetcasti_alloc_array(t->mem, t->count, sizeof(uint32_t));
     t->start = (uint32_t *)tetcasti_alloc_array(t->mem, bins + 1, sizeof(uint32_t));
     t->peak = (float *)tetcasti_alloc_zero(t->mem, bins, sizeof(float));
     t->block = (tetcasti_fit_block *)tetcasti_alloc_zero(t->mem, blocks, sizeof *t->block);
-    if (t->x == NULL || t->y == NULL || t->z == NULL || t->heed == NULL || t->source == NULL || t->start == NULL ||
-        t->peak == NULL || t->block == NULL) return TETCAST_ERR_NO_MEMORY;
+    if (t->x == NULL || t->y == NULL || t->z == NULL || t->heed == NULL || t->start == NULL || t->peak == NULL ||
+        t->block == NULL) return TETCAST_ERR_NO_MEMORY;
     for (c = 0; c < t->n; c++) {
         t->value[c] = (float *)tetcasti_alloc_array(t->mem, t->count, sizeof(float));
         t->res[c] = (float *)tetcasti_alloc_array(t->mem, t->count, sizeof(float));
@@ -24063,7 +24076,7 @@ static int tetcasti_fit_take(tetcasti_fit *t, const tetcast_rbf *from) {
         b = tetcasti_fit_place_block(t, c);
         tetcasti_fit_round_place(t, b, c, width, &f);
         for (a = 0; a < t->n; a++)
-            w[a] = (double)from->weight[(size_t)i * t->n + a] / (1.0 - (double)t->e);
+            w[a] = (double)from->weight[(size_t)i * t->n + a] / t->unit / (1.0 - (double)t->e);
         (void)tetcasti_fit_round_weights(t, w, 1.0, &f);
         for (a = 0; a < t->n; a++) any = any || f.w[a] != 0.0f;
         if (!any) continue;
@@ -24268,6 +24281,7 @@ static void tetcasti_fit_between(tetcasti_fit *t, const tetcast_rbf_points *in, 
             }
         }
         if (!ok) continue;
+        for (c = 0; c < t->n; c++) v[c] /= t->unit;
         tetcasti_rbf_local(t->m, p, local[0]);
         tetcasti_rbf_points(t->m, add, 0, (const float (*)[3])local, 1, f, NULL);
         for (c = 0; c < t->n; c++) e += ((double)f[c] - v[c]) * ((double)f[c] - v[c]);
@@ -24415,6 +24429,29 @@ static int tetcasti_fit_begin(tetcasti_fit *t, const tetcast_rbf_fit_desc *d) {
     return tetcasti_few_take(t, &few);
 }
 
+/* The model in units of the data, as it is read from a file. Places and radii stay: no list changes. */
+static void tetcasti_fit_scale_back(tetcasti_fit *t) {
+    tetcast_rbf *m = t->m;
+    const float unit = (float)t->unit;
+    const double step = (double)m->bits.node_step;
+    size_t i, nodes = (size_t)m->dims[0] * m->dims[1] * m->dims[2] * t->n;
+    uint32_t k;
+    if (t->unit == 1.0) return;
+    for (i = 0; i < nodes; i++) {
+        const double offset = (double)m->offset[i % t->n];
+        const double code = (double)tetcasti_rbf_code((double)m->node[i] - offset, step, 24);
+        m->node[i] = (float)((offset + code * step) * t->unit);
+    }
+    for (i = 0; i < (size_t)m->count * t->n; i++) m->weight[i] *= unit;
+    for (k = 0; k < t->n; k++) m->offset[k] *= unit;
+    m->bits.weight_step *= unit;
+    m->bits.node_step *= unit;
+    m->range[0] *= unit;
+    m->range[1] *= unit;
+    t->range *= t->unit;
+    for (k = 0; k < m->count; k++) tetcasti_rbf_prepare(m, k, &m->record[k]);
+}
+
 static tetcast_result tetcasti_fit_run(tetcasti_fit *t, const tetcast_rbf_fit_desc *d, const tetcast_rbf_points *in,
                                        tetcast_rbf_report *report) {
     const uint32_t none[3] = {0, 0, 0};
@@ -24425,12 +24462,12 @@ static tetcast_result tetcasti_fit_run(tetcasti_fit *t, const tetcast_rbf_fit_de
     r = tetcasti_fit_survey(t, d, in);
     if (r != TETCAST_OK) return r;
     t->tolerance = (float)((double)d->max_error * t->range * (1.0 - 1e-4));
-    if (!(t->range > 1e-30)) t->range = 0.0;
+    if (!(t->range > TETCASTI_FIT_CONSTANT)) t->range = 0.0;
     r = tetcasti_fit_open(t, d, in);
     report->points = t->count;
     report->rejected = t->rejected;
     report->duplicates = t->duplicates;
-    report->range = t->range;
+    report->range = t->range * t->unit;
     report->raw_bytes = (uint64_t)(t->count < in->count ? t->count : in->count) *
                         (t->n + (in->positions.data == NULL ? 0u : 3u)) * 4u;
     if (r != TETCAST_OK) return r;
@@ -24454,6 +24491,7 @@ static tetcast_result tetcasti_fit_run(tetcasti_fit *t, const tetcast_rbf_fit_de
     tetcasti_fit_between(t, in, report);
     m->max_error = (float)report->max_error;
     m->mean_error = (float)report->mean_error;
+    tetcasti_fit_scale_back(t);
     return TETCAST_OK;
 }
 
@@ -24542,6 +24580,7 @@ TETCAST_DEF tetcast_result tetcast_rbf_fit(const tetcast_rbf_fit_desc *desc, con
     if (d.kernel == TETCAST_KERNEL_GAUSS)
         t.e = (float)tetcasti_exp2(-0.72134752044448170368 * (double)d.cut * (double)d.cut);
     t.total = 1;
+    t.unit = 1.0;
     t.cap = d.max_functions != 0 && d.max_functions < TETCAST_RBF_MAX_FUNCTIONS ? d.max_functions
                                                                                   : TETCAST_RBF_MAX_FUNCTIONS;
     r = tetcasti_fit_run(&t, &d, points, report);
@@ -24554,7 +24593,8 @@ TETCAST_DEF tetcast_result tetcast_rbf_fit(const tetcast_rbf_fit_desc *desc, con
     }
     tetcast_rbf_destroy(m);
     return tetcasti_fail(d.env.error, r, 0, r == TETCAST_ERR_EMPTY ? "fit: no usable point"
-                         : r == TETCAST_ERR_RANGE ? "fit: more functions than max_functions are needed"
+                         : r == TETCAST_ERR_RANGE
+                             ? "fit: too many points, or more functions than max_functions are needed"
                          : r == TETCAST_ERR_CANCELLED ? "fit: cancelled"
                          : r == TETCAST_ERR_NO_MEMORY ? why[3] : why[1]);
 }
@@ -25017,7 +25057,8 @@ static int tetcasti_rbf_group_open(const tetcasti_rbf_picture *t, uint32_t x, ui
         to = tetcasti_max(to, ends[l][1]);
     }
     if (g->lanes == 0) return 0;
-    at = (double)tetcasti_floor(from / h) * h;
+    /* so far from the eye that steps are less than rounding: from where the first ray enters */
+    at = from / h < 4e15 ? (double)tetcasti_floor(from / h) * h : from;
     for (l = 0; l < 8; l++) {
         const uint32_t k = (g->lanes >> l & 1u) != 0 ? l : one;
         for (a = 0; a < 3; a++) {
@@ -25312,12 +25353,13 @@ static void tetcasti_rbf_spans_open(tetcasti_rbf_picture *t, const tetcasti_rbf_
     }
 }
 
-/* Part number `part` of the segments of the lanes between from and to: lanes that have one; from, to and seg of it. */
+/* Part number `part` of the segments of the lanes between a and b: lanes that have one; from, to and seg of it. more:
+   lanes that have a span there; it may be shorter than what floats tell apart. */
 static uint32_t tetcasti_rbf_spans_cut(tetcasti_rbf_spans *s, const tetcasti_rbf_group *g, uint32_t part,
-                                       uint32_t lanes,
-                                       const tetcasti_seg8 *whole, const float a[8], const float b[8],
-                                       tetcasti_seg8 *seg, float from[8], float to[8]) {
+                                       uint32_t lanes, const tetcasti_seg8 *whole, const float a[8], const float b[8],
+                                       tetcasti_seg8 *seg, float from[8], float to[8], uint32_t *more) {
     uint32_t l, out = 0;
+    *more = 0;
     for (l = 0; l < 8; l++) {
         float rise, way, lo, hi;
         uint32_t i;
@@ -25325,6 +25367,7 @@ static uint32_t tetcasti_rbf_spans_cut(tetcasti_rbf_spans *s, const tetcasti_rbf
         while (s->at[l] < s->lane[l].count && (float)s->lane[l].span[s->at[l]][1] <= a[l]) s->at[l]++;
         i = s->at[l] + part;
         if (i >= s->lane[l].count || !((float)s->lane[l].span[i][0] < b[l])) continue;
+        *more |= 1u << l;
         lo = (float)s->lane[l].span[i][0];
         hi = (float)s->lane[l].span[i][1];
         from[l] = a[l] > lo ? a[l] : lo;
@@ -25465,17 +25508,31 @@ static uint32_t tetcasti_rbf_integrate(const tetcasti_rbf_picture *t, const tetc
     return ended;
 }
 
+/* Sums in steps of their own have to know of what lies between segments: what is clipped, or shows nothing. end: of the
+   last segment of each lane. */
+static void tetcasti_rbf_gaps(const tetcast_optics *o, uint32_t lanes, const float from[8], const float to[8],
+                              float end[8], tetcasti_ray_sum8 *sum) {
+    uint32_t l;
+    for (l = 0; l < 8; l++) {
+        if (!(lanes >> l & 1u)) continue;
+        if (from[l] > end[l]) tetcasti_lane_gap(o, sum, l);
+        end[l] = to[l];
+    }
+}
+
 /* Go through the rows of a group. depth: local way to the first sample that shows something. spans NULL: all. */
 static void tetcasti_rbf_march(const tetcasti_rbf_picture *t, const tetcasti_rbf_group *g, const float *rows,
                                tetcasti_rbf_spans *spans, tetcasti_ray_sum8 *sum, float depth[8]) {
+    const int gaps = t->optics != NULL && t->optics->integrator == TETCAST_INTEGRATOR_TABLE_2D;
     tetcasti_seg8 seg;
+    float end[8];
     uint32_t l, ended = 0;
     int32_t j;
     memset(sum, 0, sizeof *sum);
     for (l = 0; l < 8; l++) {
         if (t->optics != NULL) tetcasti_lane_begin(t->optics, sum, l);
         else sum->t[l] = 1.0f;
-        depth[l] = TETCASTI_INF;
+        depth[l] = end[l] = TETCASTI_INF;
     }
     memset(&seg, 0, sizeof seg);
     for (j = 0; j + 1 < g->n && (g->lanes & ~ended) != 0; j++) {
@@ -25492,6 +25549,7 @@ static void tetcasti_rbf_march(const tetcasti_rbf_picture *t, const tetcasti_rbf
                 lanes |= (uint32_t)tetcasti_rbf_cut(g, rows, j, l, &seg, &from[l], &to[l]) << l;
         if (lanes == 0) continue;
         if (spans == NULL) {
+            if (gaps) tetcasti_rbf_gaps(t->optics, lanes, from, to, end, sum);
             ended |= t->optics != NULL ? tetcasti_rbf_integrate(t, g, &seg, lanes, from, to, sum, depth)
                                        : tetcasti_rbf_shade(t, g, &seg, lanes, from, to, sum, depth);
             continue;
@@ -25499,10 +25557,12 @@ static void tetcasti_rbf_march(const tetcasti_rbf_picture *t, const tetcasti_rbf
         for (part = 0;; part++) {
             tetcasti_seg8 some = seg;
             float a[8], b[8];
-            const uint32_t left = tetcasti_rbf_spans_cut(spans, g, part, lanes & ~ended, &seg, from, to, &some, a, b);
-            if (left == 0) break;
-            if (t->optics != NULL && part != 0)
-                for (l = 0; l < 8; l++) if (left >> l & 1u) tetcasti_lane_gap(t->optics, sum, l);
+            uint32_t more;
+            const uint32_t left = tetcasti_rbf_spans_cut(spans, g, part, lanes & ~ended, &seg, from, to, &some, a, b,
+                                                         &more);
+            if (more == 0) break;
+            if (left == 0) continue;
+            if (gaps) tetcasti_rbf_gaps(t->optics, left, a, b, end, sum);
             ended |= t->optics != NULL ? tetcasti_rbf_integrate(t, g, &some, left, a, b, sum, depth)
                                        : tetcasti_rbf_shade(t, g, &some, left, a, b, sum, depth);
         }
@@ -25767,7 +25827,7 @@ static tetcast_result tetcasti_rbf_picture_open(tetcasti_rbf_picture *t, tetcast
     t->isa = tetcasti_rbf_isa(d->isa);
     t->add = tetcasti_rbf_add_pick(m, t->isa);
     t->run = tetcasti_has_fma() ? tetcasti_rbf_run_fma : tetcasti_rbf_run_scalar;
-    t->h = (float)(d->step > 0.0f ? (double)d->step / least : tetcasti_rbf_step(t));
+    t->h = (float)(d->step > 0.0f ? tetcasti_min((double)d->step / least, 1e20) : tetcasti_rbf_step(t));
     t->step = (float)((double)t->h * least);
     if (!(t->h > 0.0f)) t->h = 1.0f; /* a box that is a point */
     if (sqrt(diagonal) / (double)t->h > (double)(TETCASTI_RBF_SAMPLES - 4)) return TETCAST_ERR_RANGE;
@@ -26041,7 +26101,8 @@ TETCAST_DEF tetcast_result tetcast_rbf_trace(const tetcast_rbf_trace_desc *desc,
         (uint32_t)desc->isa > TETCAST_ISA_AVX512 || !(desc->tolerance >= 0.0) || !tetcasti_finite(desc->tolerance))
         return tetcasti_fail(desc->env.error, TETCAST_ERR_INVALID_ARG, 0, "trace: a number or an enum is out of range");
     if (!tetcasti_mul_size(count, 24, &size) || !tetcasti_mul_size(size, (size_t)desc->steps + 1, &size) ||
-        count / 8 >= 0x7fffffffu) return TETCAST_ERR_RANGE;
+        count / 8 >= 0x7fffffffu)
+        return tetcasti_fail(desc->env.error, TETCAST_ERR_RANGE, 0, "trace: paths are too long for memory");
     t.d = desc;
     t.m = rbf;
     t.tolerance = desc->tolerance;
@@ -26167,7 +26228,8 @@ static tetcast_result tetcasti_rbf_bricks_try(const tetcast_bricks_desc *d, tetc
         t->l.dims[a] = cells + 1;
         t->l.origin[a] = m->box_min[a];
         t->l.spacing[a] = cells != 0 ? (m->box_max[a] - m->box_min[a]) / (double)cells : m->scale[a];
-        n *= t->l.dims[a]; /* at most 16385^3 */
+        if (!tetcasti_mul_size(n, t->l.dims[a], &n))
+            return tetcasti_fail(d->env.error, TETCAST_ERR_RANGE, 0, "bricks: the lattice is too large");
         if (cells != 0) least = tetcasti_min(least, t->l.spacing[a]);
     }
     for (a = 0; a < 3 && least < 1e300; a++) /* a flat box: no thicker than bricks may be */
