@@ -1156,7 +1156,7 @@ TETCAST_DEF void tetcast_section_free(tetcast_section *section); /* NULL and cle
    max_error    everything is kept on all levels. > 0: in units of the values; a brick has no finer ones below it where
                 it is nearer than this to the finest level
    nearest      coarser levels are made with the quadratic B-spline (1 4 6 4 1)/16; 1: every other node (always so with
-                max_error, and from meshes: nodes of all levels then lie on the field itself)
+                max_error, and from meshes without average: nodes of all levels then lie on the field itself)
    longest      from meshes: as fine as max_error asks for, up to longest_end nodes, or as many as there can be bricks
                 for (report.above tells whether that was enough); else nodes along the longest side, 2 .. 16385
    longest_end  4097; up to 16385
@@ -1219,7 +1219,8 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_grid(const tetcast_bricks_desc 
                                                       tetcast_bricks **out);
 /* Bricks from the active field of a mesh. The hull goes along: pictures end where the mesh does. With max_error the
    result is compared with the mesh afterwards, at all vertices and at random points, and made on a lattice four times
-   as fine as long as it fails and longest_end allows; report->above tells what is left. Needs the tets.
+   as fine as long as it fails and longest_end allows; report->above tells what is left. Needs the tets. Cells that are
+   masked or have a value that is no number are not looked at; nodes in them have values from around.
    desc  needs longest or max_error
    Errors: INVALID_ARG (as well: tets dropped, a mesh that is one point), RANGE, UNINIT_DESC, NO_MEMORY, CANCELLED
    (progress begins anew with each lattice). The same bits for any number of threads. Cost: that of tetcast_resample for
@@ -1856,9 +1857,9 @@ typedef struct tetcast_rbf_fit_desc {
 /* Errors are shares of the range, measured with the model as it is stored. */
 typedef struct tetcast_rbf_report {
     uint64_t points;             /* used; middles of cells as well */
-    uint64_t rejected;           /* not finite */
+    uint64_t rejected;           /* with a number that is none, or not below 1e30 */
     uint64_t duplicates;         /* at the place of another one: their mean was fitted */
-    double range;                /* of the values: what errors are shares of */
+    double range;                /* of the values: what errors are shares of; up to 1e-30 they are one value: 0 */
     uint32_t functions, ellipsoids, base_dims[3]; /* of the model */
     uint32_t rounds, inserted, dropped; /* passes over the functions; functions that were added, taken away */
     uint32_t started;            /* functions that were taken from `start` */
@@ -1951,7 +1952,7 @@ typedef struct tetcast_rbf_render_stats { /* added to by calls that succeed, but
 /* Draw a model inside its box.
    optics  as for meshes, may be NULL where there is a shader; its integrator gets segments between samples on which the
            value is taken as linear
-   image   length: way inside of the box. depth: of the first sample that shows something, isosurfaces exactly
+   image   length: way inside of the box. depth: of the first sample that shows something, isosurfaces exactly. steps: 0
    Samples lie at multiples of the step from the eye, and where a ray enters and leaves the box; segments have their
    exact lengths. On a ray a Gaussian is one of a line: it is summed up with two multiplications a sample, begun at
    its middle. Isosurfaces are refined on the ray and have the analytic gradient as normal.
@@ -10949,7 +10950,7 @@ typedef struct tetcasti_iso {
 } tetcasti_iso;
 
 TETCASTI_INLINE int tetcasti_iso_hidden(const tetcast_mesh *mesh, uint32_t cell) {
-    return mesh->hidden != NULL && (mesh->hidden[cell >> 5] >> (cell & 31u) & 1u);
+    return mesh->hidden != NULL && tetcasti_bit(mesh->hidden, cell);
 }
 
 static void tetcasti_task_iso_inside(void *ctx, uint32_t chunk) {
@@ -14016,7 +14017,8 @@ TETCASTI_INLINE int tetcasti_scan_set(const tetcasti_scan *c, uint32_t cell, con
             n[2] * ((double)out->lo[2] - o[2]);
         eps = ((tetcasti_abs(n[0]) * (double)(out->size[0] + 1) + tetcasti_abs(n[1]) * (double)(out->size[1] + 1)) +
                tetcasti_abs(n[2]) * (double)(out->size[2] + 1)) * TETCASTI_SCAN_EPS;
-        if (side <= 64.0 * eps) return 0; /* flat but for rounding: the side that is in would be any */
+        /* flat but for rounding: the side that is in would be any; or too large for doubles in units of the lattice */
+        if (!(side > 64.0 * eps)) return 0;
         if (c->grow > 0.0) eps += ((tetcasti_abs(n[0]) + tetcasti_abs(n[1])) + tetcasti_abs(n[2])) * c->grow;
         d += eps;
         if (i != 0) {
@@ -14298,34 +14300,47 @@ TETCASTI_TARGET_VL static void tetcasti_scan_paint_vl(tetcasti_scan *c, const te
 #endif
 #endif
 
-/* Paint all cells of a scan. */
+/* Paint a cell that is ready, as wide as can be. */
+static void tetcasti_scan_paint_any(tetcasti_scan *c, const tetcasti_scan_cell *t) {
+#if TETCASTI_AVX2
+#if defined(__GNUC__)
+    if (c->wide > 1 && t->axis == 0 && t->size[0] <= 32 && t->lo[0] >= c->lo[0] && !(c->grow > 0.0)) {
+        tetcasti_scan_paint_vl(c, t);
+        return;
+    }
+#endif
+    if (c->wide && !(c->grow > 0.0)) {
+        tetcasti_scan_paint4(c, t);
+        return;
+    }
+#endif
+    tetcasti_scan_paint(c, t);
+}
+
+/* Paint all cells of a scan. Cells, and rows along z, that several tasks meet are counted by the first of them. */
 static void tetcasti_scan_run(tetcasti_scan *c) {
     uint32_t i;
     for (i = 0; i < c->count; i++) {
         const uint32_t cell = c->list != NULL ? c->list[i] : i;
+        const uint64_t rows = c->rows, hit_rows = c->hit_rows, writes = c->writes;
         tetcasti_scan_cell t;
         double p[4][3];
         float s[4];
-        if (c->mesh->hidden != NULL && (c->mesh->hidden[cell >> 5] >> (cell & 31u) & 1u)) continue;
+        uint32_t first;
+        if (c->mesh->hidden != NULL && tetcasti_bit(c->mesh->hidden, cell)) continue;
         if (!tetcasti_scan_box(c, cell, p, s, &t)) continue;
-        c->cells++;
+        first = t.lo[2] >= c->lo[2];
+        c->cells += first;
         if (!tetcasti_scan_set(c, cell, (const double (*)[3])p, s, &t)) {
-            c->flat++;
+            c->flat += first;
             continue;
         }
-#if TETCASTI_AVX2
-#if defined(__GNUC__)
-        if (c->wide > 1 && t.axis == 0 && t.size[0] <= 32 && t.lo[0] >= c->lo[0] && !(c->grow > 0.0)) {
-            tetcasti_scan_paint_vl(c, &t);
-            continue;
+        tetcasti_scan_paint_any(c, &t);
+        if (t.axis == 2 && !first) {
+            c->rows = rows;
+            c->hit_rows = hit_rows;
+            c->writes = writes;
         }
-#endif
-        if (c->wide && !(c->grow > 0.0)) {
-            tetcasti_scan_paint4(c, &t);
-            continue;
-        }
-#endif
-        tetcasti_scan_paint(c, &t);
     }
 }
 
@@ -14725,7 +14740,7 @@ static void tetcasti_mean_slab_fill(tetcasti_meaner *g, uint32_t slab, uint32_t 
         const uint32_t cell = g->bins.list[i];
         tetcasti_mean_part t;
         int good = 1;
-        if (c->mesh->hidden != NULL && (c->mesh->hidden[cell >> 5] >> (cell & 31u) & 1u)) continue;
+        if (c->mesh->hidden != NULL && tetcasti_bit(c->mesh->hidden, cell)) continue;
         for (k = 0; k < 4; k++) {
             const tetcasti_vertex *v = &c->mesh->vertex[c->mesh->tet[cell][k]];
             t.p[k][0] = (double)v->x * c->scale[0] + c->shift[0];
@@ -14987,14 +15002,15 @@ TETCAST_DEF tetcast_result tetcast_plane_sample(const tetcast_env *env, const te
     if (mesh == NULL || plane == NULL || out == NULL || mesh->tet == NULL || width > 0x7fffffffu ||
         height > 0x7fffffffu || !tetcasti_plane_open(mesh, plane, &f))
         return tetcasti_fail(env->error, TETCAST_ERR_INVALID_ARG, 0, "plane: no plane, or no tets");
-    if (!tetcasti_mul_size(width, height, &n)) return TETCAST_ERR_RANGE;
+    if (!tetcasti_mul_size(width, height, &n))
+        return tetcasti_fail(env->error, TETCAST_ERR_RANGE, 0, "plane: too many points");
     heights = tetcasti_plane_heights(&mem, mesh, &f);
     if (heights == NULL) return tetcasti_fail(env->error, TETCAST_ERR_NO_MEMORY, 0, "plane: out of memory");
     for (i = 0; i < n; i++) out[i] = (float)NAN;
     for (i = 0; i < mesh->cell_count; i++) {
         double p[4][3], s[4], place[4][2];
         uint32_t k, a, count;
-        if (mesh->hidden != NULL && (mesh->hidden[i >> 5] >> (i & 31u) & 1u)) continue;
+        if (mesh->hidden != NULL && tetcasti_bit(mesh->hidden, (uint32_t)i)) continue;
         count = tetcasti_section_cell(mesh, (uint32_t)i, heights, p, s);
         if (count == 0) continue;
         for (k = 0; k < count; k++) {
@@ -15104,7 +15120,8 @@ TETCAST_DEF tetcast_result tetcast_plane_view(const tetcast_env *env, const tetc
         height > 0x7fffffffu || !tetcasti_plane_open(mesh, plane, &f) ||
         tetcasti_frame_open(camera, width, height, &c) != TETCAST_OK)
         return tetcasti_fail(env->error, TETCAST_ERR_INVALID_ARG, 0, "plane: no plane, no camera, or no tets");
-    if (!tetcasti_mul_size(width, height, &n)) return TETCAST_ERR_RANGE;
+    if (!tetcasti_mul_size(width, height, &n))
+        return tetcasti_fail(env->error, TETCAST_ERR_RANGE, 0, "plane: too many points");
     for (i = 0; i < n; i++) out[i] = (float)NAN;
     for (i = 0; i < n && depth != NULL; i++) depth[i] = TETCASTI_INF;
     if (n == 0 || !tetcasti_plane_map_open(mesh, &f, &c, &m)) return TETCAST_OK;
@@ -15123,7 +15140,7 @@ TETCAST_DEF tetcast_result tetcast_plane_view(const tetcast_env *env, const tetc
     for (i = 0; i < mesh->cell_count; i++) {
         double p[5][3], s[5], pixel[5][2], place[5][2];
         uint32_t count;
-        if (mesh->hidden != NULL && (mesh->hidden[i >> 5] >> (i & 31u) & 1u)) continue;
+        if (mesh->hidden != NULL && tetcasti_bit(mesh->hidden, (uint32_t)i)) continue;
         count = tetcasti_section_cell(mesh, (uint32_t)i, heights, p, s);
         if (count == 0) continue;
         for (k = 0; k < count; k++) { /* right, down in pixels, and forward */
@@ -15191,7 +15208,7 @@ static void tetcasti_section_pass(const tetcast_mesh *mesh, const double *height
     for (i = 0; i < mesh->cell_count; i++) {
         double p[4][3], s[4];
         uint32_t k, a, n;
-        if (mesh->hidden != NULL && (mesh->hidden[i >> 5] >> (i & 31u) & 1u)) continue;
+        if (mesh->hidden != NULL && tetcasti_bit(mesh->hidden, (uint32_t)i)) continue;
         n = tetcasti_section_cell(mesh, (uint32_t)i, heights, p, s);
         if (n == 0) continue;
         if (section != NULL) {
@@ -15232,7 +15249,6 @@ TETCAST_DEF tetcast_result tetcast_plane_section(const tetcast_env *env, const t
     if (mesh == NULL || plane == NULL || out == NULL || mesh->tet == NULL || mesh->cell_value != NULL ||
         !tetcasti_plane_open(mesh, plane, &f))
         return tetcasti_fail(env->error, TETCAST_ERR_INVALID_ARG, 0, "section: no plane, no tets, or a field per cell");
-    out->_allocator = mem.allocator;
     heights = tetcasti_plane_heights(&mem, mesh, &f);
     if (heights == NULL) return tetcasti_fail(env->error, TETCAST_ERR_NO_MEMORY, 0, "section: out of memory");
     tetcasti_section_pass(mesh, heights, NULL, &points, &polygons);
@@ -15240,6 +15256,7 @@ TETCAST_DEF tetcast_result tetcast_plane_section(const tetcast_env *env, const t
         tetcasti_free(&mem, heights);
         return tetcasti_fail(env->error, TETCAST_ERR_RANGE, points, "section: too many points");
     }
+    out->_allocator = mem.allocator;
     out->points = (double (*)[3])tetcasti_alloc_array(&mem, points + 1, sizeof *out->points);
     out->values = (float *)tetcasti_alloc_array(&mem, points + 1, sizeof *out->values);
     out->first = (uint32_t *)tetcasti_alloc_array(&mem, polygons + 1, sizeof *out->first);
@@ -15635,8 +15652,9 @@ static void tetcasti_task_errors(void *ctx, uint32_t i) {
             r[3] = v + coarse[0] * (y1 + coarse[1] * z1);
             for (x = lo[0]; x <= hi[0]; x++) {
                 const size_t x0 = x / 2, x1 = x0 + (x & 1u);
-                const float m = 0.125f * (((r[0][x0] + r[0][x1]) + (r[1][x0] + r[1][x1])) +
-                                          ((r[2][x0] + r[2][x1]) + (r[3][x0] + r[3][x1])));
+                /* each pair scaled by itself: no sum of more than two is beyond floats */
+                const float m = (0.125f * (r[0][x0] + r[0][x1]) + 0.125f * (r[1][x0] + r[1][x1])) +
+                    (0.125f * (r[2][x0] + r[2][x1]) + 0.125f * (r[3][x0] + r[3][x1]));
                 const float d = tetcasti_absf(m - w[x + fine[0] * (y + fine[1] * z)]);
                 if (d > worst && (p->inside == NULL || tetcasti_inside_at(p, k - 1, x, y, z))) worst = d;
             }
@@ -15690,7 +15708,8 @@ static void tetcasti_task_brick(void *ctx, uint32_t i) {
     brick->hi = hi;
 }
 
-/* Number the bricks that are kept: all, or with max_error those whose parent is not good enough. 0: no memory. */
+/* Number the bricks that are kept: all, or with max_error those whose parent is not good enough. 0: no memory, or
+   (b->count says so) too many. */
 static int tetcasti_bricks_keep(tetcast_bricks *b, const tetcasti_pyramid *p, float max_error) {
     uint32_t k, pass, n = 0;
     for (pass = 0; pass < 2; pass++) {
@@ -15723,8 +15742,8 @@ static int tetcasti_bricks_keep(tetcast_bricks *b, const tetcasti_pyramid *p, fl
                     }
         }
         if (pass == 1) break;
-        if (n >= TETCASTI_BRICKS_END) return 0;
         b->count = n;
+        if (n >= TETCASTI_BRICKS_END) return 0;
         b->brick = (tetcasti_brick *)tetcasti_alloc_zero(&b->mem, n, sizeof *b->brick);
         if (b->brick == NULL) return 0;
     }
@@ -15787,8 +15806,10 @@ static tetcast_result tetcasti_bricks_build(const tetcast_bricks_desc *d, const 
     }
     tetcasti_pyramid_free(&b->mem, &p);
     if (!ok) {
+        const int many = b->count >= TETCASTI_BRICKS_END;
         tetcasti_bricks_free(b);
-        return tetcasti_fail(d->env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
+        return many ? tetcasti_fail(d->env.error, TETCAST_ERR_RANGE, 0, "bricks: too many")
+                    : tetcasti_fail(d->env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
     }
     *out = b;
     return TETCAST_OK;
@@ -16200,7 +16221,7 @@ static void tetcasti_cut_clamp(tetcast_cut *cut) { /* to what there is */
             }
 }
 
-/* Neighbours no more than one level coarser: by refining, as far as there are finer bricks. */
+/* Neighbours no more than `jump` levels coarser: by refining, as far as there are finer bricks. */
 static void tetcasti_cut_relax(tetcast_cut *cut, uint32_t jump) {
     const tetcast_bricks *b = cut->bricks;
     int changed = 1;
@@ -16368,7 +16389,8 @@ static int tetcasti_cut_choose(tetcast_cut *cut, const tetcast_cut_desc *d) {
                     }
                     far_off = sqrt(way) / d->focus_radius;
                     cut->level[i] = (uint8_t)(far_off < (double)b->levels ? (uint32_t)far_off : b->levels - 1);
-                    if (cut->level[i] < d->level) cut->level[i] = (uint8_t)d->level;
+                    if (cut->level[i] < d->level)
+                        cut->level[i] = (uint8_t)(d->level < b->levels ? d->level : b->levels - 1);
                 }
     tetcasti_cut_clamp(cut);
     if (d->max_jump != 0 && d->max_jump < TETCAST_BRICK_LEVELS) tetcasti_cut_relax(cut, d->max_jump);
@@ -16787,6 +16809,16 @@ static int tetcasti_checks_go_on(const tetcast_env *env, uint64_t done, uint64_t
            env->progress_fn(env->progress_user, done, total) == 0;
 }
 
+/* Vertices of cells that show something, as bits: others have no value that anything could be off from. NULL: no
+   memory. */
+static uint32_t *tetcasti_vertices_seen(tetcasti_mem *mem, const tetcast_mesh *mesh) {
+    uint32_t *seen = (uint32_t *)tetcasti_alloc_zero(mem, (size_t)mesh->vertex_count / 32 + 1, sizeof *seen), i, k;
+    for (i = 0; seen != NULL && i < mesh->cell_count; i++)
+        for (k = 0; k < 4 && !tetcasti_bit(mesh->hidden, i); k++)
+            seen[mesh->tet[i][k] >> 5] |= 1u << (mesh->tet[i][k] & 31u);
+    return seen;
+}
+
 /* How far bricks are from the mesh: at all vertices, and at random points of random cells. force: slots where it is too
    far and could be finer, *helps of them; may be NULL. */
 static tetcast_result tetcasti_bricks_check(const tetcast_bricks_desc *d, const tetcast_mesh *mesh,
@@ -16795,17 +16827,27 @@ static tetcast_result tetcasti_bricks_check(const tetcast_bricks_desc *d, const 
     const uint32_t random = d->checks != 0 ? d->checks : 200000;
     const uint64_t all = (uint64_t)mesh->vertex_count + random;
     tetcast_cut_desc cd;
-    tetcast_cut *cut;
+    tetcast_cut *cut = NULL;
+    tetcasti_mem mem;
     tetcast_result r;
+    uint32_t *seen = NULL;
     uint64_t i, seed = 1;
     double sum = 0.0;
     uint32_t a, k;
     int asked = 1;
     memset(&cd, 0, sizeof cd);
     cd.env = tetcasti_env_rest(&d->env, &b->mem);
-    cut = NULL;
-    r = tetcast_cut_create(&cd, b, &cut);
-    if (cut == NULL) return r;
+    r = tetcasti_env_open(&cd.env, &mem);
+    if (r == TETCAST_OK && mesh->hidden != NULL) {
+        seen = tetcasti_vertices_seen(&mem, mesh);
+        if (seen == NULL) r = tetcasti_fail(d->env.error, TETCAST_ERR_NO_MEMORY, 0, "bricks: out of memory");
+        cd.env = tetcasti_env_rest(&cd.env, &mem);
+    }
+    if (r == TETCAST_OK) r = tetcast_cut_create(&cd, b, &cut);
+    if (cut == NULL) {
+        tetcasti_free(&mem, seen);
+        return r;
+    }
     report->checks = report->above = report->above_finest = 0;
     report->error = 0.0;
     *helps = 0;
@@ -16814,6 +16856,7 @@ static tetcast_result tetcasti_bricks_check(const tetcast_bricks_desc *d, const 
         float x[3];
         if (i < mesh->vertex_count && mesh->cell_value == NULL) {
             const tetcasti_vertex *q = &mesh->vertex[i];
+            if (seen != NULL && !tetcasti_bit(seen, (uint32_t)i)) continue;
             p[0] = (double)q->x;
             p[1] = (double)q->y;
             p[2] = (double)q->z;
@@ -16825,7 +16868,7 @@ static tetcast_result tetcasti_bricks_check(const tetcast_bricks_desc *d, const 
             seed = tetcasti_hash_mix(seed, i);
             cell = (uint32_t)((seed >> 32) * mesh->cell_count >> 32);
             t = mesh->tet[cell];
-            if (mesh->hidden != NULL && (mesh->hidden[cell >> 5] >> (cell & 31u) & 1u)) continue;
+            if (mesh->hidden != NULL && tetcasti_bit(mesh->hidden, cell)) continue;
             for (k = 0; k < 4; k++) { /* exponential numbers make even points of a simplex */
                 seed = tetcasti_hash_mix(seed, k);
                 w[k] = -tetcasti_log2(((double)(uint32_t)(seed >> 32) + 0.5) * (1.0 / 4294967296.0));
@@ -16877,6 +16920,7 @@ static tetcast_result tetcasti_bricks_check(const tetcast_bricks_desc *d, const 
     }
     report->mean_error = report->checks != 0 ? sum / (double)report->checks : 0.0;
     tetcast_cut_destroy(cut);
+    tetcasti_free(&mem, seen);
     return asked ? TETCAST_OK : tetcasti_fail(d->env.error, TETCAST_ERR_CANCELLED, 0, "bricks: cancelled");
 }
 
@@ -16984,7 +17028,7 @@ static float tetcasti_grow_error(const tetcasti_grower *g, uint32_t k, const uin
         }
     if (mesh->cell_value != NULL) return worst;
     for (i = 0; i < count; i++)
-        for (j = 0; j < 4; j++) {
+        for (j = 0; j < 4 && !(mesh->hidden != NULL && tetcasti_bit(mesh->hidden, list[i])); j++) {
             const tetcasti_vertex *v = &mesh->vertex[mesh->tet[list[i]][j]];
             const double p[3] = {(double)v->x, (double)v->y, (double)v->z};
             float f[3], c[8], d;
@@ -17406,6 +17450,7 @@ TETCAST_DEF tetcast_result tetcast_bricks_create_mesh(const tetcast_bricks_desc 
 
 #define TETCASTI_BRK_HEADER 152u
 #define TETCASTI_BRK_RECORD 28u
+#define TETCASTI_BRK_END 1.0001e38f  /* values of integers: those of floats, and rounding */
 
 static const uint8_t tetcasti_brk_magic[8] = {0x89, 'B', 'R', 'K', '\r', '\n', 0x1a, '\n'};
 
@@ -17558,16 +17603,17 @@ static tetcast_result tetcasti_brk_body(tetcast_bricks *b, const uint8_t *p, uin
             b->face[i][a] = tetcasti_load_u32(q);
             if (b->face[i][a] >= b->hull_count) return TETCAST_ERR_FORMAT;
         }
-    *where = (uint64_t)(q - p);
     if (b->bytes == 1) memcpy(b->data, q, n);
     for (i = 0; i < n && b->bytes == 2; i++) {
         const uint16_t u = (uint16_t)(q[2 * i] | q[2 * i + 1] << 8);
+        *where = (uint64_t)(q - p) + 2 * i;
         if (b->type == TETCAST_TYPE_F16 && (u & 0x7c00u) == 0x7c00u) return TETCAST_ERR_FORMAT;
         memcpy(b->data + 2 * i, &u, 2);
     }
     for (i = 0; i < n && b->bytes == 4; i++) {
         const float f = tetcasti_load_f32(q + 4 * i);
-        if (!tetcasti_finite_f(f)) return TETCAST_ERR_FORMAT;
+        *where = (uint64_t)(q - p) + 4 * i;
+        if (!(tetcasti_absf(f) <= TETCASTI_VALUE_END)) return TETCAST_ERR_FORMAT; /* differences are numbers, too */
         memcpy(b->data + 4 * i, &f, 4);
     }
     return TETCAST_OK;
@@ -17582,6 +17628,7 @@ TETCAST_DEF tetcast_result tetcast_bricks_read(const tetcast_env *env, const voi
     tetcast_result r;
     uint32_t log, levels, type, a;
     uint64_t where = 0, want;
+    float last;
     if (out != NULL) *out = NULL;
     memset(&none, 0, sizeof none);
     if (env == NULL) env = &none;
@@ -17616,8 +17663,9 @@ TETCAST_DEF tetcast_result tetcast_bricks_read(const tetcast_env *env, const voi
     b->value_max = tetcasti_load_f32(p + 108);
     want = TETCASTI_BRK_HEADER + (uint64_t)b->count * (TETCASTI_BRK_RECORD + (uint64_t)b->nodes * b->bytes) +
            (uint64_t)b->hull_count * 24 + (uint64_t)b->face_count * 12;
-    if (b->count == 0 || b->count >= TETCASTI_BRICKS_END || !tetcasti_finite_f(b->bias) || !(b->step >= 0.0f) ||
-        !tetcasti_finite_f(b->bias + b->step * (b->type == TETCAST_TYPE_U8 ? 255.0f : 65535.0f)) ||
+    last = b->bias + b->step * (b->type == TETCAST_TYPE_U8 ? 255.0f : 65535.0f);
+    if (b->count == 0 || b->count >= TETCASTI_BRICKS_END || !(b->step >= 0.0f) ||
+        !(tetcasti_absf(b->bias) <= TETCASTI_BRK_END && tetcasti_absf(last) <= TETCASTI_BRK_END) ||
         !(b->value_min <= b->value_max) || !tetcasti_finite_f(b->value_min) ||
         !tetcasti_finite_f(b->value_max) || b->hull_count > TETCAST_MAX_VERTICES || b->face_count > TETCAST_MAX_CELLS ||
         tetcasti_load_u64(p + 120) != want) {
@@ -18067,6 +18115,7 @@ static int tetcasti_amr_full(const tetcast_amr *m, uint32_t level, const int32_t
 /* Sizes and copies. */
 static tetcast_result tetcasti_amr_open(tetcast_amr *m, const tetcast_amr_desc *d, size_t *where) {
     size_t i, total = 0, at = 0, n;
+    uint64_t cell;
     uint32_t a, k;
     m->levels = 1;
     m->patch_count = (uint32_t)d->patch_count;
@@ -18116,12 +18165,12 @@ static tetcast_result tetcasti_amr_open(tetcast_amr *m, const tetcast_amr_desc *
     }
     for (k = 0; k < m->levels; k++)
         if (!tetcasti_amr_bin(m, k)) return TETCAST_ERR_NO_MEMORY;
-    for (i = 0; i < (size_t)d->cells[0] * d->cells[1] * d->cells[2]; i++) {
+    for (cell = 0; cell < (uint64_t)d->cells[0] * d->cells[1] * d->cells[2]; cell++) {
         int32_t c[3];
-        c[0] = (int32_t)(i % d->cells[0]);
-        c[1] = (int32_t)(i / d->cells[0] % d->cells[1]);
-        c[2] = (int32_t)(i / d->cells[0] / d->cells[1]);
-        *where = i;
+        c[0] = (int32_t)(cell % d->cells[0]);
+        c[1] = (int32_t)(cell / d->cells[0] % d->cells[1]);
+        c[2] = (int32_t)(cell / d->cells[0] / d->cells[1]);
+        *where = (size_t)cell;
         if (!tetcasti_amr_full(m, 0, c)) return TETCAST_ERR_EMPTY;
     }
     return TETCAST_OK;
@@ -18528,17 +18577,18 @@ TETCAST_DEF uint32_t tetcast_clip_spans(const tetcast_clip *clip, const tetcast_
                                         uint32_t room) {
     tetcasti_spans s;
     tetcasti_mem mem;
-    double d[3], end;
+    double d[3], begin, end;
     uint32_t a, count;
     if (clip == NULL || ray == NULL || (spans == NULL && room != 0)) return 0;
     for (a = 0; a < 3; a++) d[a] = ray->dir[a];
     if (!tetcasti_unit(d) || !tetcasti_finite(ray->org[0] + ray->org[1] + ray->org[2])) return 0;
-    end = ray->t_min == 0.0 && ray->t_max == 0.0 ? 1e300 : ray->t_max;
-    if (!(ray->t_min < end)) return 0;
+    end = ray->t_min == 0.0 && ray->t_max == 0.0 ? 1e300 : tetcasti_min(1e300, ray->t_max);
+    begin = tetcasti_max(-1e300, ray->t_min);
+    if (!(begin < end)) return 0;
     memset(&s, 0, sizeof s);
     memset(&mem, 0, sizeof mem);
     mem.allocator = clip->mem.allocator;
-    tetcasti_spans_begin(&mem, &s, ray->t_min, end);
+    tetcasti_spans_begin(&mem, &s, begin, end);
     if (s.count != 0) tetcasti_clip_run(&mem, clip, ray->org, d, &s);
     count = s.failed ? TETCAST_NONE : s.count;
     for (a = 0; a < s.count && a < room; a++) {
@@ -20158,9 +20208,10 @@ static tetcast_result tetcasti_brick_frame_open(tetcasti_brick_frame *c, tetcast
         d->camera.eye[2] == d->camera.at[2])
         r = tetcast_camera_fit(&d->camera, lo, hi, NULL, width, height);
     if (r == TETCAST_OK) r = tetcasti_frame_open(&d->camera, width, height, &c->frame);
-    if (r == TETCAST_OK && c->optics == NULL && d->shader->prepare_fn != NULL)
-        return d->shader->prepare_fn(d->shader->user, d->shader->params, d->shader->param_count, d->env.error);
     if (r != TETCAST_OK) return tetcasti_fail(d->env.error, r, 0, "bricks: bad camera");
+    if (c->optics == NULL && d->shader->prepare_fn != NULL)
+        r = d->shader->prepare_fn(d->shader->user, d->shader->params, d->shader->param_count, d->env.error);
+    if (r != TETCAST_OK) return r;
     if (b->face_count != 0 && !d->no_hull) {
         tetcast_clip_body body;
         memset(&body, 0, sizeof body);
@@ -20937,8 +20988,9 @@ static void tetcasti_rbf_base(const tetcast_rbf *m, const float p[3], float *val
 
 /* ---- making a model ---- */
 
-/* Where no function reaches (centres are at most 1e6 off, radii 5e8) places are pulled in: squares stay finite. */
-#define TETCASTI_RBF_FAR 1e12
+/* Where no function reaches (centres are at most 1e6 off, radii 5e8) places are pulled in: squares stay finite, also in
+   the smallest widths, of which the thinnest ellipsoids are a 64th. */
+#define TETCASTI_RBF_FAR 1e10
 
 static void tetcasti_rbf_local(const tetcast_rbf *m, const double world[3], float out[3]) {
     uint32_t a;
@@ -22136,7 +22188,8 @@ static tetcast_result tetcasti_rbf_eval_open(const tetcast_rbf_eval_desc *desc, 
     memset(t, 0, sizeof *t);
     if (desc != NULL) *d = *desc;
     if (d->_begin_zero != 0 || d->_end_zero != 0) return TETCAST_ERR_UNINIT_DESC;
-    if (m == NULL || (uint32_t)d->isa > TETCAST_ISA_AVX512) return TETCAST_ERR_INVALID_ARG;
+    if (m == NULL || (uint32_t)d->isa > TETCAST_ISA_AVX512)
+        return tetcasti_fail(d->env.error, TETCAST_ERR_INVALID_ARG, 0, "functions: no model, or no such isa");
     t->m = m;
     t->all = d->all != 0;
     t->add = tetcasti_rbf_add_pick(m, tetcasti_rbf_isa(d->isa));
@@ -22144,7 +22197,8 @@ static tetcast_result tetcasti_rbf_eval_open(const tetcast_rbf_eval_desc *desc, 
 }
 
 static tetcast_result tetcasti_rbf_run(const tetcast_rbf_eval_desc *d, tetcasti_rbf_job *t) {
-    if (t->count / TETCASTI_RBF_CHUNK >= 0x7fffffffu) return TETCAST_ERR_RANGE;
+    if (t->count / TETCASTI_RBF_CHUNK >= 0x7fffffffu)
+        return tetcasti_fail(d->env.error, TETCAST_ERR_RANGE, t->count, "functions: % points are too many");
     tetcasti_parallel_for(&d->env, tetcasti_task_rbf_points, t,
                           (uint32_t)((t->count + TETCASTI_RBF_CHUNK - 1) / TETCASTI_RBF_CHUNK));
     return TETCAST_OK;
@@ -22156,7 +22210,8 @@ TETCAST_DEF tetcast_result tetcast_rbf_eval(const tetcast_rbf_eval_desc *desc, c
     tetcasti_rbf_job t;
     tetcast_result r = tetcasti_rbf_eval_open(desc, rbf, &d, &t);
     if (r != TETCAST_OK) return r;
-    if (count != 0 && positions == NULL) return TETCAST_ERR_INVALID_ARG;
+    if (count != 0 && positions == NULL)
+        return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, 0, "functions: no positions");
     t.positions = positions;
     t.count = count;
     t.values = values;
@@ -22171,9 +22226,11 @@ TETCAST_DEF tetcast_result tetcast_rbf_grid(const tetcast_rbf_eval_desc *desc, c
     tetcast_result r = tetcasti_rbf_eval_open(desc, rbf, &d, &t);
     size_t count;
     if (r != TETCAST_OK) return r;
-    if (dims == NULL || values == NULL || dims[0] == 0 || dims[1] == 0 || dims[2] == 0) return TETCAST_ERR_INVALID_ARG;
+    if (dims == NULL || values == NULL || dims[0] == 0 || dims[1] == 0 || dims[2] == 0)
+        return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, 0, "functions: a grid without nodes");
     if (!tetcasti_mul_size(dims[0], dims[1], &count) || !tetcasti_mul_size(count, dims[2], &count) ||
-        !tetcasti_mul_size(count, rbf->components * sizeof(float), &t.count)) return TETCAST_ERR_RANGE;
+        !tetcasti_mul_size(count, rbf->components * sizeof(float), &t.count))
+        return tetcasti_fail(d.env.error, TETCAST_ERR_RANGE, 0, "functions: the grid is too large");
     t.count = count;
     memcpy(t.dims, dims, sizeof t.dims);
     t.values = values;
@@ -22307,8 +22364,9 @@ TETCAST_DEF tetcast_result tetcast_rbf_bounds(const tetcast_rbf *rbf, uint32_t c
         }
         if (f->k < 0.0f) least *= 1.0f + f->k; /* between the shortest and the longest axis */
         else most *= 1.0f + f->k;
-        near_phi = tetcasti_rbf_phi(m->kernel, f, least * 0.999998f, NULL);
-        far_phi = tetcasti_rbf_phi(m->kernel, f, most * 1.000002f, NULL);
+        /* as it is evaluated: what is cut off ends at the same distance */
+        near_phi = tetcasti_rbf_phi_fused(m->kernel, f, least * 0.999998f, NULL);
+        far_phi = tetcasti_rbf_phi_fused(m->kernel, f, most * 1.000002f, NULL);
         range[w > 0.0 ? 1 : 0] += w * (double)near_phi;
         range[w > 0.0 ? 0 : 1] += w * (double)far_phi;
         rounding += 2e-6 * tetcasti_abs(w);
@@ -22409,7 +22467,7 @@ TETCAST_DEF void tetcast_flow_features(const float velocity[3], const float jaco
    so blocks of one colour share no point.
    --------------------------------------------------------------------------- */
 
-#define TETCASTI_FIT_BIN 8u          /* points in a bin, about */
+#define TETCASTI_FIT_CONSTANT 1e-30  /* range of data that are one value */
 #define TETCASTI_FIT_SPLIT 8         /* positions are stored in this part of the spacing */
 #define TETCASTI_FIT_LADDER 32u
 #define TETCASTI_FIT_TRIES 3u        /* directions of plates */
@@ -22439,13 +22497,13 @@ typedef struct tetcasti_fit {
     float *x, *y, *z;                /* local */
     float *value[TETCAST_RBF_MAX_COMPONENTS], *res[TETCAST_RBF_MAX_COMPONENTS], *heed; /* heed: weight of a point */
     size_t middles;                  /* of cells, after the points of the input */
-    uint32_t *source;                /* number in the input */
     uint32_t bins[3];
     float bin_scale[3];
     uint32_t *start;                 /* [bins + 1] */
     float *peak;                     /* [bins]: largest squared error */
     double spacing, closest;         /* local: mean; smallest distance of two points */
-    double range;
+    double unit;                     /* values are in units of this, a power of two: squares of errors are floats */
+    double range;                    /* in that unit, as tolerance, offset, nodes and weights */
     float reach, e;                  /* radius / width; what the kernel is shifted by */
     float widest;
     float tolerance, threshold, heed_scale;
@@ -23187,10 +23245,18 @@ static tetcast_result tetcasti_fit_survey(tetcasti_fit *t, const tetcast_rbf_fit
     if (used == 0) return TETCAST_ERR_EMPTY;
     if (used > 0x7ffffff0u) return TETCAST_ERR_RANGE;
     t->count = (uint32_t)used;
-    t->range = t->n == 1 ? hi - lo : sqrt(longest);
-    m->range[0] = t->n == 1 ? (float)lo : 0.0f;
-    m->range[1] = t->n == 1 ? (float)hi : (float)sqrt(longest);
-    for (c = 0; c < t->n; c++) m->offset[c] = (float)(sum[c] / (double)used);
+    longest = sqrt(longest);
+    t->range = t->n == 1 ? hi - lo : longest;
+    if (t->range > TETCASTI_FIT_CONSTANT && !(t->range > 1e-12 && t->range < 1e12)) {
+        uint64_t bits;
+        memcpy(&bits, &t->range, sizeof bits);
+        bits &= 0x7ff0000000000000u; /* the power of two below it */
+        memcpy(&t->unit, &bits, sizeof bits);
+        t->range /= t->unit;
+    }
+    m->range[0] = t->n == 1 ? (float)(lo / t->unit) : 0.0f;
+    m->range[1] = t->n == 1 ? (float)(hi / t->unit) : (float)(longest / t->unit);
+    for (c = 0; c < t->n; c++) m->offset[c] = (float)(sum[c] / (double)used / t->unit);
     if (in->positions.data == NULL && d->metric[0] == 0.0 && d->metric[1] == 0.0 && d->metric[2] == 0.0)
         for (a = 0; a < 3; a++)
             if (in->dims[a] > 1 && in->spacing[a] != 0.0 && (step == 0.0 || tetcasti_abs(in->spacing[a]) < step))
@@ -23208,25 +23274,25 @@ static int tetcasti_fit_sort(tetcasti_fit *t, const tetcast_rbf_points *in) {
     tetcasti_rbf_key *key = (tetcasti_rbf_key *)tetcasti_alloc_array(t->mem, n, sizeof *key);
     float (*p)[3] = (float (*)[3])tetcasti_alloc_array(t->mem, n, sizeof *p);
     float (*v)[4] = (float (*)[4])tetcasti_alloc_array(t->mem, n, sizeof *v);
-    uint32_t *number = (uint32_t *)tetcasti_alloc_array(t->mem, n, sizeof *number);
     size_t bins = (size_t)t->bins[0] * t->bins[1] * t->bins[2], i, b;
+    uint32_t *bin = (uint32_t *)tetcasti_alloc_array(t->mem, n, sizeof *bin);
     uint32_t *start = t->start, k = 0, a, c, out = 0;
     uint8_t bytes[12];
-    const int ok = key != NULL && p != NULL && v != NULL && number != NULL;
+    const int ok = key != NULL && p != NULL && v != NULL && bin != NULL;
     for (i = 0; ok && i < in->count + t->middles; i++) {
         double w[3], value[4];
         if (!tetcasti_fit_read(in, i, w, value)) continue;
         tetcasti_rbf_local(t->m, w, p[k]);
-        for (c = 0; c < t->n; c++) v[k][c] = (float)value[c];
-        number[k++] = (uint32_t)i;
+        for (c = 0; c < t->n; c++) v[k][c] = (float)(value[c] / t->unit);
+        k++;
     }
     if (ok) {
         memset(start, 0, (bins + 1) * sizeof *start);
         for (i = 0; i < n; i++) {
             uint32_t at[3];
             for (a = 0; a < 3; a++) at[a] = tetcasti_fit_bin(t, a, p[i][a]);
-            t->source[i] = (uint32_t)(((size_t)at[2] * t->bins[1] + at[1]) * t->bins[0] + at[0]);
-            start[t->source[i]]++;
+            bin[i] = (uint32_t)(((size_t)at[2] * t->bins[1] + at[1]) * t->bins[0] + at[0]);
+            start[bin[i]]++;
         }
         for (b = 0, k = 0; b <= bins; b++) { /* starts; then each moves to its end while the bin is filled */
             const uint32_t some = b < bins ? start[b] : 0;
@@ -23234,7 +23300,7 @@ static int tetcasti_fit_sort(tetcasti_fit *t, const tetcast_rbf_points *in) {
             k += some;
         }
         for (i = 0; i < n; i++) {
-            const uint32_t to = start[t->source[i]]++;
+            const uint32_t to = start[bin[i]]++;
             for (a = 0; a < 3; a++) tetcasti_store_u32(bytes + 4 * a, tetcasti_float_bits(p[i][a]));
             key[to].key = tetcasti_hash_bytes(1, bytes, sizeof bytes); /* little-endian: one order on all machines */
             key[to].i = (uint32_t)i;
@@ -23265,7 +23331,7 @@ static int tetcasti_fit_sort(tetcasti_fit *t, const tetcast_rbf_points *in) {
     tetcasti_free(t->mem, key);
     tetcasti_free(t->mem, p);
     tetcasti_free(t->mem, v);
-    tetcasti_free(t->mem, number);
+    tetcasti_free(t->mem, bin);
     return ok;
 }
 
@@ -23280,7 +23346,6 @@ static void tetcasti_fit_close(tetcasti_fit *t) {
         tetcasti_free(t->mem, t->res[c]);
     }
     tetcasti_free(t->mem, t->heed);
-    tetcasti_free(t->mem, t->source);
     tetcasti_free(t->mem, t->start);
     tetcasti_free(t->mem, t->peak);
     for (i = 0; t->block != NULL && i < blocks; i++) tetcasti_free(t->mem, t->block[i].f);
@@ -23346,12 +23411,11 @@ static tetcast_result tetcasti_fit_open(tetcasti_fit *t, const tetcast_rbf_fit_d
     t->y = (float *)tetcasti_alloc_array(t->mem, t->count, sizeof(float));
     t->z = (float *)tetcasti_alloc_array(t->mem, t->count, sizeof(float));
     t->heed = (float *)tetcasti_alloc_array(t->mem, t->count, sizeof(float));
-    t->source = (uint32_t *)tetcasti_alloc_array(t->mem, t->count, sizeof(uint32_t));
     t->start = (uint32_t *)tetcasti_alloc_array(t->mem, bins + 1, sizeof(uint32_t));
     t->peak = (float *)tetcasti_alloc_zero(t->mem, bins, sizeof(float));
     t->block = (tetcasti_fit_block *)tetcasti_alloc_zero(t->mem, blocks, sizeof *t->block);
-    if (t->x == NULL || t->y == NULL || t->z == NULL || t->heed == NULL || t->source == NULL || t->start == NULL ||
-        t->peak == NULL || t->block == NULL) return TETCAST_ERR_NO_MEMORY;
+    if (t->x == NULL || t->y == NULL || t->z == NULL || t->heed == NULL || t->start == NULL || t->peak == NULL ||
+        t->block == NULL) return TETCAST_ERR_NO_MEMORY;
     for (c = 0; c < t->n; c++) {
         t->value[c] = (float *)tetcasti_alloc_array(t->mem, t->count, sizeof(float));
         t->res[c] = (float *)tetcasti_alloc_array(t->mem, t->count, sizeof(float));
@@ -24120,7 +24184,7 @@ static int tetcasti_fit_take(tetcasti_fit *t, const tetcast_rbf *from) {
         b = tetcasti_fit_place_block(t, c);
         tetcasti_fit_round_place(t, b, c, width, &f);
         for (a = 0; a < t->n; a++)
-            w[a] = (double)from->weight[(size_t)i * t->n + a] / (1.0 - (double)t->e);
+            w[a] = (double)from->weight[(size_t)i * t->n + a] / t->unit / (1.0 - (double)t->e);
         (void)tetcasti_fit_round_weights(t, w, 1.0, &f);
         for (a = 0; a < t->n; a++) any = any || f.w[a] != 0.0f;
         if (!any) continue;
@@ -24325,6 +24389,7 @@ static void tetcasti_fit_between(tetcasti_fit *t, const tetcast_rbf_points *in, 
             }
         }
         if (!ok) continue;
+        for (c = 0; c < t->n; c++) v[c] /= t->unit;
         tetcasti_rbf_local(t->m, p, local[0]);
         tetcasti_rbf_points(t->m, add, 0, (const float (*)[3])local, 1, f, NULL);
         for (c = 0; c < t->n; c++) e += ((double)f[c] - v[c]) * ((double)f[c] - v[c]);
@@ -24472,6 +24537,29 @@ static int tetcasti_fit_begin(tetcasti_fit *t, const tetcast_rbf_fit_desc *d) {
     return tetcasti_few_take(t, &few);
 }
 
+/* The model in units of the data, as it is read from a file. Places and radii stay: no list changes. */
+static void tetcasti_fit_scale_back(tetcasti_fit *t) {
+    tetcast_rbf *m = t->m;
+    const float unit = (float)t->unit;
+    const double step = (double)m->bits.node_step;
+    size_t i, nodes = (size_t)m->dims[0] * m->dims[1] * m->dims[2] * t->n;
+    uint32_t k;
+    if (t->unit == 1.0) return;
+    for (i = 0; i < nodes; i++) {
+        const double offset = (double)m->offset[i % t->n];
+        const double code = (double)tetcasti_rbf_code((double)m->node[i] - offset, step, 24);
+        m->node[i] = (float)((offset + code * step) * t->unit);
+    }
+    for (i = 0; i < (size_t)m->count * t->n; i++) m->weight[i] *= unit;
+    for (k = 0; k < t->n; k++) m->offset[k] *= unit;
+    m->bits.weight_step *= unit;
+    m->bits.node_step *= unit;
+    m->range[0] *= unit;
+    m->range[1] *= unit;
+    t->range *= t->unit;
+    for (k = 0; k < m->count; k++) tetcasti_rbf_prepare(m, k, &m->record[k]);
+}
+
 static tetcast_result tetcasti_fit_run(tetcasti_fit *t, const tetcast_rbf_fit_desc *d, const tetcast_rbf_points *in,
                                        tetcast_rbf_report *report) {
     const uint32_t none[3] = {0, 0, 0};
@@ -24482,12 +24570,12 @@ static tetcast_result tetcasti_fit_run(tetcasti_fit *t, const tetcast_rbf_fit_de
     r = tetcasti_fit_survey(t, d, in);
     if (r != TETCAST_OK) return r;
     t->tolerance = (float)((double)d->max_error * t->range * (1.0 - 1e-4));
-    if (!(t->range > 1e-30)) t->range = 0.0;
+    if (!(t->range > TETCASTI_FIT_CONSTANT)) t->range = 0.0;
     r = tetcasti_fit_open(t, d, in);
     report->points = t->count;
     report->rejected = t->rejected;
     report->duplicates = t->duplicates;
-    report->range = t->range;
+    report->range = t->range * t->unit;
     report->raw_bytes = (uint64_t)(t->count < in->count ? t->count : in->count) *
                         (t->n + (in->positions.data == NULL ? 0u : 3u)) * 4u;
     if (r != TETCAST_OK) return r;
@@ -24511,6 +24599,7 @@ static tetcast_result tetcasti_fit_run(tetcasti_fit *t, const tetcast_rbf_fit_de
     tetcasti_fit_between(t, in, report);
     m->max_error = (float)report->max_error;
     m->mean_error = (float)report->mean_error;
+    tetcasti_fit_scale_back(t);
     return TETCAST_OK;
 }
 
@@ -24599,6 +24688,7 @@ TETCAST_DEF tetcast_result tetcast_rbf_fit(const tetcast_rbf_fit_desc *desc, con
     if (d.kernel == TETCAST_KERNEL_GAUSS)
         t.e = (float)tetcasti_exp2(-0.72134752044448170368 * (double)d.cut * (double)d.cut);
     t.total = 1;
+    t.unit = 1.0;
     t.cap = d.max_functions != 0 && d.max_functions < TETCAST_RBF_MAX_FUNCTIONS ? d.max_functions
                                                                                   : TETCAST_RBF_MAX_FUNCTIONS;
     r = tetcasti_fit_run(&t, &d, points, report);
@@ -24611,7 +24701,8 @@ TETCAST_DEF tetcast_result tetcast_rbf_fit(const tetcast_rbf_fit_desc *desc, con
     }
     tetcast_rbf_destroy(m);
     return tetcasti_fail(d.env.error, r, 0, r == TETCAST_ERR_EMPTY ? "fit: no usable point"
-                         : r == TETCAST_ERR_RANGE ? "fit: more functions than max_functions are needed"
+                         : r == TETCAST_ERR_RANGE
+                             ? "fit: too many points, or more functions than max_functions are needed"
                          : r == TETCAST_ERR_CANCELLED ? "fit: cancelled"
                          : r == TETCAST_ERR_NO_MEMORY ? why[3] : why[1]);
 }
@@ -25074,7 +25165,8 @@ static int tetcasti_rbf_group_open(const tetcasti_rbf_picture *t, uint32_t x, ui
         to = tetcasti_max(to, ends[l][1]);
     }
     if (g->lanes == 0) return 0;
-    at = (double)tetcasti_floor(from / h) * h;
+    /* so far from the eye that steps are less than rounding: from where the first ray enters */
+    at = from / h < 4e15 ? (double)tetcasti_floor(from / h) * h : from;
     for (l = 0; l < 8; l++) {
         const uint32_t k = (g->lanes >> l & 1u) != 0 ? l : one;
         for (a = 0; a < 3; a++) {
@@ -25369,12 +25461,13 @@ static void tetcasti_rbf_spans_open(tetcasti_rbf_picture *t, const tetcasti_rbf_
     }
 }
 
-/* Part number `part` of the segments of the lanes between from and to: lanes that have one; from, to and seg of it. */
+/* Part number `part` of the segments of the lanes between a and b: lanes that have one; from, to and seg of it. more:
+   lanes that have a span there; it may be shorter than what floats tell apart. */
 static uint32_t tetcasti_rbf_spans_cut(tetcasti_rbf_spans *s, const tetcasti_rbf_group *g, uint32_t part,
-                                       uint32_t lanes,
-                                       const tetcasti_seg8 *whole, const float a[8], const float b[8],
-                                       tetcasti_seg8 *seg, float from[8], float to[8]) {
+                                       uint32_t lanes, const tetcasti_seg8 *whole, const float a[8], const float b[8],
+                                       tetcasti_seg8 *seg, float from[8], float to[8], uint32_t *more) {
     uint32_t l, out = 0;
+    *more = 0;
     for (l = 0; l < 8; l++) {
         float rise, way, lo, hi;
         uint32_t i;
@@ -25382,6 +25475,7 @@ static uint32_t tetcasti_rbf_spans_cut(tetcasti_rbf_spans *s, const tetcasti_rbf
         while (s->at[l] < s->lane[l].count && (float)s->lane[l].span[s->at[l]][1] <= a[l]) s->at[l]++;
         i = s->at[l] + part;
         if (i >= s->lane[l].count || !((float)s->lane[l].span[i][0] < b[l])) continue;
+        *more |= 1u << l;
         lo = (float)s->lane[l].span[i][0];
         hi = (float)s->lane[l].span[i][1];
         from[l] = a[l] > lo ? a[l] : lo;
@@ -25522,17 +25616,31 @@ static uint32_t tetcasti_rbf_integrate(const tetcasti_rbf_picture *t, const tetc
     return ended;
 }
 
+/* Sums in steps of their own have to know of what lies between segments: what is clipped, or shows nothing. end: of the
+   last segment of each lane. */
+static void tetcasti_rbf_gaps(const tetcast_optics *o, uint32_t lanes, const float from[8], const float to[8],
+                              float end[8], tetcasti_ray_sum8 *sum) {
+    uint32_t l;
+    for (l = 0; l < 8; l++) {
+        if (!(lanes >> l & 1u)) continue;
+        if (from[l] > end[l]) tetcasti_lane_gap(o, sum, l);
+        end[l] = to[l];
+    }
+}
+
 /* Go through the rows of a group. depth: local way to the first sample that shows something. spans NULL: all. */
 static void tetcasti_rbf_march(const tetcasti_rbf_picture *t, const tetcasti_rbf_group *g, const float *rows,
                                tetcasti_rbf_spans *spans, tetcasti_ray_sum8 *sum, float depth[8]) {
+    const int gaps = t->optics != NULL && t->optics->integrator == TETCAST_INTEGRATOR_TABLE_2D;
     tetcasti_seg8 seg;
+    float end[8];
     uint32_t l, ended = 0;
     int32_t j;
     memset(sum, 0, sizeof *sum);
     for (l = 0; l < 8; l++) {
         if (t->optics != NULL) tetcasti_lane_begin(t->optics, sum, l);
         else sum->t[l] = 1.0f;
-        depth[l] = TETCASTI_INF;
+        depth[l] = end[l] = TETCASTI_INF;
     }
     memset(&seg, 0, sizeof seg);
     for (j = 0; j + 1 < g->n && (g->lanes & ~ended) != 0; j++) {
@@ -25549,6 +25657,7 @@ static void tetcasti_rbf_march(const tetcasti_rbf_picture *t, const tetcasti_rbf
                 lanes |= (uint32_t)tetcasti_rbf_cut(g, rows, j, l, &seg, &from[l], &to[l]) << l;
         if (lanes == 0) continue;
         if (spans == NULL) {
+            if (gaps) tetcasti_rbf_gaps(t->optics, lanes, from, to, end, sum);
             ended |= t->optics != NULL ? tetcasti_rbf_integrate(t, g, &seg, lanes, from, to, sum, depth)
                                        : tetcasti_rbf_shade(t, g, &seg, lanes, from, to, sum, depth);
             continue;
@@ -25556,10 +25665,12 @@ static void tetcasti_rbf_march(const tetcasti_rbf_picture *t, const tetcasti_rbf
         for (part = 0;; part++) {
             tetcasti_seg8 some = seg;
             float a[8], b[8];
-            const uint32_t left = tetcasti_rbf_spans_cut(spans, g, part, lanes & ~ended, &seg, from, to, &some, a, b);
-            if (left == 0) break;
-            if (t->optics != NULL && part != 0)
-                for (l = 0; l < 8; l++) if (left >> l & 1u) tetcasti_lane_gap(t->optics, sum, l);
+            uint32_t more;
+            const uint32_t left = tetcasti_rbf_spans_cut(spans, g, part, lanes & ~ended, &seg, from, to, &some, a, b,
+                                                         &more);
+            if (more == 0) break;
+            if (left == 0) continue;
+            if (gaps) tetcasti_rbf_gaps(t->optics, left, a, b, end, sum);
             ended |= t->optics != NULL ? tetcasti_rbf_integrate(t, g, &some, left, a, b, sum, depth)
                                        : tetcasti_rbf_shade(t, g, &some, left, a, b, sum, depth);
         }
@@ -25824,7 +25935,7 @@ static tetcast_result tetcasti_rbf_picture_open(tetcasti_rbf_picture *t, tetcast
     t->isa = tetcasti_rbf_isa(d->isa);
     t->add = tetcasti_rbf_add_pick(m, t->isa);
     t->run = tetcasti_has_fma() ? tetcasti_rbf_run_fma : tetcasti_rbf_run_scalar;
-    t->h = (float)(d->step > 0.0f ? (double)d->step / least : tetcasti_rbf_step(t));
+    t->h = (float)(d->step > 0.0f ? tetcasti_min((double)d->step / least, 1e20) : tetcasti_rbf_step(t));
     t->step = (float)((double)t->h * least);
     if (!(t->h > 0.0f)) t->h = 1.0f; /* a box that is a point */
     if (sqrt(diagonal) / (double)t->h > (double)(TETCASTI_RBF_SAMPLES - 4)) return TETCAST_ERR_RANGE;
@@ -26098,7 +26209,8 @@ TETCAST_DEF tetcast_result tetcast_rbf_trace(const tetcast_rbf_trace_desc *desc,
         (uint32_t)desc->isa > TETCAST_ISA_AVX512 || !(desc->tolerance >= 0.0) || !tetcasti_finite(desc->tolerance))
         return tetcasti_fail(desc->env.error, TETCAST_ERR_INVALID_ARG, 0, "trace: a number or an enum is out of range");
     if (!tetcasti_mul_size(count, 24, &size) || !tetcasti_mul_size(size, (size_t)desc->steps + 1, &size) ||
-        count / 8 >= 0x7fffffffu) return TETCAST_ERR_RANGE;
+        count / 8 >= 0x7fffffffu)
+        return tetcasti_fail(desc->env.error, TETCAST_ERR_RANGE, 0, "trace: paths are too long for memory");
     t.d = desc;
     t.m = rbf;
     t.tolerance = desc->tolerance;
@@ -26224,7 +26336,8 @@ static tetcast_result tetcasti_rbf_bricks_try(const tetcast_bricks_desc *d, tetc
         t->l.dims[a] = cells + 1;
         t->l.origin[a] = m->box_min[a];
         t->l.spacing[a] = cells != 0 ? (m->box_max[a] - m->box_min[a]) / (double)cells : m->scale[a];
-        n *= t->l.dims[a]; /* at most 16385^3 */
+        if (!tetcasti_mul_size(n, t->l.dims[a], &n))
+            return tetcasti_fail(d->env.error, TETCAST_ERR_RANGE, 0, "bricks: the lattice is too large");
         if (cells != 0) least = tetcasti_min(least, t->l.spacing[a]);
     }
     for (a = 0; a < 3 && least < 1e300; a++) /* a flat box: no thicker than bricks may be */

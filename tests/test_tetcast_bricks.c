@@ -247,6 +247,49 @@ TEST(resample_same_bits) {
     tets_free(&m);
 }
 
+/* What is counted is the same for any number of threads, though several tasks meet a cell. Where a cell is too large in
+   units of the lattice for doubles there is no value, not that of another cell. */
+TEST(resample_counts) {
+    tets m;
+    tetcast_mesh *mesh;
+    tetcast_lattice l;
+    tetcast_resample_stats one, more;
+    uint32_t axis, threads, k;
+    memset(&m, 0, sizeof m);
+    tets_lattice(&m, 5, 5, 5, 6, NULL);
+    tets_jitter(&m, 5, 5, 5, 0.6, 3);
+    mesh = tets_build(&m, TETCAST_CELLS_TET16, NULL);
+    REQUIRE(mesh != NULL);
+    memset(&l, 0, sizeof l);
+    for (k = 0; k < 3; k++) {
+        l.dims[k] = k == 2 ? 90 : 21;
+        l.spacing[k] = 4.0 / (l.dims[k] - 1);
+    }
+    for (axis = 0; axis < 4; axis++) {
+        free(resample(mesh, &l, TETCAST_ISA_AUTO, axis, 1, 1, &one));
+        CHECK_EQ_U64(one.cells, m.nt);
+        for (threads = 2; threads < 9; threads += 3) {
+            free(resample(mesh, &l, threads == 5 ? TETCAST_ISA_SCALAR : TETCAST_ISA_AUTO, axis, threads, 1, &more));
+            CHECK(memcmp(&one, &more, sizeof one) == 0);
+        }
+    }
+    for (k = 0; k < 3; k++) {
+        l.dims[k] = 2;
+        l.origin[k] = 1.3 + 0.1 * k;
+    }
+    for (k = 0; k < 8; k++) {
+        const float want = 0.257981f;
+        float *v;
+        l.spacing[0] = l.spacing[1] = l.spacing[2] = pow(10.0, -10.0 - 35.0 * k);
+        v = resample(mesh, &l, k % 2 ? TETCAST_ISA_SCALAR : TETCAST_ISA_AUTO, 0, 1, 0, NULL);
+        CHECK_MSG(!(v[0] == v[0]) || fabsf(v[0] - want) < 1e-5f, "%g", (double)v[0]);
+        CHECK(k > 2 || v[0] == v[0]);
+        free(v);
+    }
+    tetcast_mesh_destroy(mesh);
+    tets_free(&m);
+}
+
 /* One cell alone, of any shape, anywhere about the lattice: its nodes by brute force. Long rows: values stay right to the end. */
 TEST(lone_cells) {
     const int rounds = test_quick() ? 6000 : 20000;
@@ -769,6 +812,16 @@ TEST(planes_and_sections) {
         CHECK_EQ_U64(tetcast_plane_section(NULL, mesh, &plane, &cut), TETCAST_OK);
         CHECK_NEAR(cut.area, 1.5 * sqrt(3.0) * 4.5, 1e-5);
         tetcast_section_free(&cut);
+        {
+            tetcast_section cleared;
+            tetcast_env env;
+            memset(&cleared, 0, sizeof cleared);
+            memset(&env, 0, sizeof env);
+            for (env.memory_limit = 1; env.memory_limit < 4000; env.memory_limit += 600) { /* nothing of it is left */
+                CHECK_EQ_U64(tetcast_plane_section(&env, mesh, &plane, &cut), TETCAST_ERR_NO_MEMORY);
+                CHECK(memcmp(&cut, &cleared, sizeof cut) == 0);
+            }
+        }
         memset(plane.v, 0, sizeof plane.v);
         CHECK_EQ_U64(tetcast_plane_section(NULL, mesh, &plane, &cut), TETCAST_ERR_INVALID_ARG);
     }
@@ -1354,6 +1407,28 @@ TEST(moving_focus) {
     free(v);
 }
 
+TEST(levels_beyond) { /* no finer than a level that is not there: the coarsest, with a focus as well */
+    static const uint32_t levels[6] = {4, 5, 255, 256, 257, 0xffffff00u};
+    tetcast_lattice l = cube_lattice(65, 33, 33);
+    float *v = random_grid(&l, 4);
+    tetcast_bricks *b = make_bricks(&l, v, TETCAST_TYPE_F32, 4, 0);
+    int k;
+    for (k = 0; k < 12; k++) {
+        tetcast_cut_desc d;
+        tetcast_cut_info info;
+        tetcast_cut *cut = NULL;
+        memset(&d, 0, sizeof d);
+        d.level = levels[k / 2];
+        d.focus_radius = k % 2 ? 1e9 : 0.0;
+        REQUIRE(tetcast_cut_create(&d, b, &cut) == TETCAST_OK);
+        tetcast_cut_get_info(cut, &info);
+        CHECK_EQ_U64(info.level_slots[4], 4 * 2 * 2);
+        tetcast_cut_destroy(cut);
+    }
+    tetcast_bricks_destroy(b);
+    free(v);
+}
+
 TEST(ranges_of_slots) {
     enum { SIDE = 65 };
     static const tetcast_type types[3] = {TETCAST_TYPE_F32, TETCAST_TYPE_F16, TETCAST_TYPE_U8};
@@ -1687,6 +1762,63 @@ TEST(meshes_without_values) { /* fields may be missing: all is 0, for lattices, 
 }
 
 /* Bricks on demand: fine only around a point, there as good as bricks that are fine everywhere; means instead of values. */
+/* What shows nothing has no value to be off from: a vertex without a value, or of masked cells only. */
+TEST(bricks_around_bad_values) {
+    int k;
+    for (k = 0; k < 3; k++) {
+        tets m;
+        tetcast_mesh *mesh = NULL;
+        tetcast_mesh_desc md;
+        tetcast_input in;
+        tetcast_field field;
+        tetcast_bricks_desc d;
+        tetcast_bricks_report report;
+        tetcast_bricks_info info;
+        tetcast_bricks *b = NULL;
+        uint8_t masks[6 * 512];
+        size_t i;
+        memset(&m, 0, sizeof m);
+        memset(&md, 0, sizeof md);
+        memset(&in, 0, sizeof in);
+        memset(&field, 0, sizeof field);
+        memset(&d, 0, sizeof d);
+        memset(masks, 0, sizeof masks);
+        tets_lattice(&m, 9, 9, 9, 6, NULL);
+        for (i = 0; i < m.nv; i++) m.s[i] = 5.0f + 0.1f * (float)m.p[3 * i];
+        if (k == 1) m.s[4 * 81 + 4 * 9 + 4] = (float)NAN;
+        if (k == 2) { /* a value that no cell shows */
+            m.s[4 * 81 + 4 * 9 + 4] = 1000.0f;
+            for (i = 0; i < m.nt; i++) {
+                const uint32_t *t = m.t + 4 * i, at = 4 * 81 + 4 * 9 + 4;
+                masks[i] = t[0] == at || t[1] == at || t[2] == at || t[3] == at;
+            }
+        }
+        field.values.data = m.s;
+        in.positions.data = m.p;
+        in.positions.type = TETCAST_TYPE_F64;
+        in.vertex_count = m.nv;
+        in.indices = m.t;
+        in.index_count = 4 * m.nt;
+        in.cell_count = m.nt;
+        in.masks = masks;
+        in.fields = &field;
+        in.field_count = 1;
+        REQUIRE(m.nt == sizeof masks && tetcast_mesh_create(&md, &in, NULL, &mesh) == TETCAST_OK);
+        d.max_error = 0.05f;
+        d.longest_end = 129;
+        d.checks = 20000;
+        CHECK_EQ_U64(tetcast_bricks_create_mesh(&d, mesh, &report, &b), TETCAST_OK);
+        tetcast_bricks_get_info(b, &info);
+        CHECK_EQ_U64(report.above, 0);
+        CHECK_MSG(report.error <= 0.05, "%g", report.error);
+        CHECK_EQ_U64(report.tries, 1);
+        CHECK(info.bricks < 10);
+        tetcast_bricks_destroy(b);
+        tetcast_mesh_destroy(mesh);
+        tets_free(&m);
+    }
+}
+
 TEST(bricks_on_demand) {
     enum { N = 4000 };
     static const double points[2][3] = {{1.0, 1.2, 1.1}, {3.1, 2.9, 3.0}};
@@ -1915,6 +2047,60 @@ TEST(largest_values) { /* next to 1e38 coarser levels go on beyond the ends, and
         tetcast_cut_destroy(cut);
         tetcast_bricks_destroy(again);
     }
+}
+
+TEST(errors_of_largest_values) { /* sums of eight are beyond floats; errors are not */
+    tetcast_lattice l = cube_lattice(33, 33, 33);
+    float *v = random_grid(&l, 1);
+    int k;
+    for (k = 0; k < 2; k++) {
+        tetcast_array values = {v, TETCAST_TYPE_F32, 0};
+        tetcast_bricks_desc d;
+        tetcast_bricks_info info;
+        tetcast_bricks *b = NULL;
+        size_t i;
+        memset(&d, 0, sizeof d);
+        d.max_error = 1e30f;
+        for (i = 0; i < node_count(&l); i++) v[i] = k == 0 || i < node_count(&l) / 2 ? 9e37f : -9e37f;
+        REQUIRE(tetcast_bricks_create_grid(&d, &l, &values, NULL, &b) == TETCAST_OK);
+        tetcast_bricks_get_info(b, &info);
+        CHECK_EQ_U64(info.bricks, k == 0 ? 1 : 12);
+        for (i = 0; i < b->count; i++) CHECK(b->brick[i].level > 1 || b->brick[i].error <= 1.85e38f); /* the jump */
+        tetcast_bricks_destroy(b);
+    }
+    free(v);
+}
+
+TEST(values_beyond_in_files) { /* values whose differences are no floats are refused, whatever the checksums say */
+    tetcast_lattice l = cube_lattice(9, 9, 9);
+    float *v = random_grid(&l, 2);
+    int type, k;
+    for (type = 0; type < 4; type++)
+        for (k = 0; k < 3; k++) {
+            tetcast_bricks *b = make_bricks(&l, v, g_types[type], 3, 0), *c = NULL;
+            const size_t size = tetcast_bricks_file_size(b);
+            const uint32_t end = 152 + 28 * b->count;
+            uint8_t *p = (uint8_t *)malloc(size);
+            tetcast_error error;
+            tetcast_env env;
+            memset(&env, 0, sizeof env);
+            env.error = &error;
+            CHECK_EQ_U64(tetcast_bricks_write(b, p, size), TETCAST_OK);
+            tetcast_bricks_destroy(b);
+            if (g_types[type] == TETCAST_TYPE_F32) tetcasti_store_f32(p + end + 4 * 77, k == 0 ? 1e38f : k == 1 ? -1.1e38f : 3e38f);
+            else if (g_types[type] != TETCAST_TYPE_F16)
+                tetcasti_store_f32(p + 100, k == 0 ? 0.0f : (k == 1 ? 1.1e38f : 3e38f) / (g_types[type] == TETCAST_TYPE_U8 ? 255.0f : 65535.0f));
+            tetcasti_store_u64(p + 136, tetcasti_hash_bytes(2, p + end, size - end));
+            tetcasti_store_u64(p + 144, tetcasti_hash_bytes(3, p, 144));
+            if (k == 0 || g_types[type] == TETCAST_TYPE_F16) CHECK_EQ_U64(tetcast_bricks_read(&env, p, size, &c), TETCAST_OK);
+            else {
+                CHECK_EQ_U64(tetcast_bricks_read(&env, p, size, &c), TETCAST_ERR_FORMAT);
+                if (g_types[type] == TETCAST_TYPE_F32) CHECK_EQ_U64(error.where, end + 4 * 77);
+            }
+            tetcast_bricks_destroy(c);
+            free(p);
+        }
+    free(v);
 }
 
 TEST(largest_values_of_meshes) { /* vertices may have any float: bricks of them end at 1e38, and their files can be read */
@@ -2660,6 +2846,23 @@ TEST(clip_spans) {
         }
     }
     tetcast_clip_destroy(c);
+    d.body_count = 0; /* without an end: 1e300, however the ray says so */
+    d.plane_count = 0;
+    REQUIRE(tetcast_clip_create(&d, &c) == TETCAST_OK);
+    for (n = 0; n < 4; n++) {
+        double spans[8][2];
+        tetcast_ray ray;
+        memset(&ray, 0, sizeof ray);
+        ray.dir[1] = 1;
+        ray.t_min = n == 0 ? 0.0 : n == 3 ? (double)NAN : -(double)INFINITY;
+        ray.t_max = n == 1 ? 7.0 : n == 0 ? 0.0 : (double)INFINITY;
+        CHECK_EQ_U64(tetcast_clip_spans(c, &ray, spans, 8), n != 3);
+        if (n == 3) continue;
+        CHECK(spans[0][0] == (n == 0 ? 0.0 : -1e300) && spans[0][1] == (n == 1 ? 7.0 : 1e300));
+    }
+    tetcast_clip_destroy(c);
+    d.body_count = 2;
+    d.plane_count = 1;
     body[0].triangle_count = 11; /* open: no crash, ordered */
     REQUIRE(tetcast_clip_create(&d, &c) == TETCAST_OK);
     tetcast_clip_destroy(c);
@@ -3128,6 +3331,62 @@ TEST(shaders) {
 typedef struct channel_probe { uint32_t seen, bad, same; } channel_probe; /* same: what is drawn is linear as well */
 
 /* Two machines: one sets parameters and sends what changed, the other rebuilds what is old, and nothing else. */
+static tetcast_result prepare_nothing(void *user, const tetcast_param *params, size_t count, tetcast_error *error) {
+    (void)user;
+    (void)params;
+    (void)count;
+    (void)error;
+    return TETCAST_OK;
+}
+static void shade_length(void *user, const tetcast_packet *in, float rgba[4][8]) {
+    uint32_t i, k;
+    (void)user;
+    for (i = 0; i < 8; i++)
+        for (k = 0; k < 4; k++) rgba[k][i] = in->mask >> i & 1u ? fminf(0.1f * in->length[i], 1.0f) : 0.0f;
+}
+static int keep_corner(uint32_t x, uint32_t y, uint32_t z) { return x + y + z < 6; }
+
+TEST(shaders_end_at_the_hull) { /* with a prepare_fn as without it */
+    enum { W = 40, H = 32 };
+    static float rgba[3][W * H * 4];
+    tets m;
+    tetcast_mesh *mesh;
+    tetcast_bricks_desc bd;
+    tetcast_bricks *b = NULL;
+    tetcast_cut *cut = NULL;
+    int k;
+    memset(&m, 0, sizeof m);
+    memset(&bd, 0, sizeof bd);
+    tets_lattice(&m, 7, 7, 7, 6, keep_corner);
+    mesh = tets_build(&m, TETCAST_CELLS_TET16, NULL);
+    REQUIRE(mesh != NULL);
+    bd.longest = 17;
+    bd.checks = 1;
+    REQUIRE(tetcast_bricks_create_mesh(&bd, mesh, NULL, &b) == TETCAST_OK && tetcast_cut_create(NULL, b, &cut) == TETCAST_OK);
+    for (k = 0; k < 3; k++) {
+        tetcast_brick_render_desc d;
+        tetcast_shader s;
+        tetcast_image image;
+        memset(&d, 0, sizeof d);
+        memset(&s, 0, sizeof s);
+        memset(&image, 0, sizeof image);
+        s.shade_fn = shade_length;
+        if (k != 0) s.prepare_fn = prepare_nothing;
+        d.shader = &s;
+        d.no_hull = k == 2;
+        image.width = W;
+        image.height = H;
+        image.rgba = rgba[k];
+        CHECK_EQ_U64(tetcast_render_bricks(&d, cut, NULL, &image, NULL), TETCAST_OK);
+    }
+    CHECK(memcmp(rgba[0], rgba[1], sizeof rgba[0]) == 0);
+    CHECK(memcmp(rgba[0], rgba[2], sizeof rgba[0]) != 0);
+    tetcast_cut_destroy(cut);
+    tetcast_bricks_destroy(b);
+    tetcast_mesh_destroy(mesh);
+    tets_free(&m);
+}
+
 TEST(parameters) {
     test_alloc ta;
     tetcast_env env;
@@ -4243,6 +4502,7 @@ int main(int argc, char **argv) {
     RUN(resample_against_brute_force);
     RUN(resample_on_vertices);
     RUN(resample_same_bits);
+    RUN(resample_counts);
     RUN(lone_cells);
     RUN(resample_extends);
     RUN(resample_keeps_the_integral);
@@ -4258,6 +4518,7 @@ int main(int argc, char **argv) {
     RUN(borders_agree);
     RUN(gradients_at_borders);
     RUN(moving_focus);
+    RUN(levels_beyond);
     RUN(ranges_of_slots);
     RUN(pace);
     RUN(levels_keep_linear_fields);
@@ -4265,9 +4526,12 @@ int main(int argc, char **argv) {
     RUN(bricks_of_a_mesh);
     RUN(layers_too_thin);
     RUN(meshes_without_values);
+    RUN(bricks_around_bad_values);
     RUN(bricks_on_demand);
     RUN(brick_files);
     RUN(largest_values);
+    RUN(errors_of_largest_values);
+    RUN(values_beyond_in_files);
     RUN(largest_values_of_meshes);
     RUN(constant_medium);
     RUN(budgets);
@@ -4287,6 +4551,7 @@ int main(int argc, char **argv) {
     RUN(many_parts);
     RUN(shaders);
     RUN(shaders_same_bits);
+    RUN(shaders_end_at_the_hull);
     RUN(parameters);
     RUN(channels);
     RUN(shaded_tetrahedra);

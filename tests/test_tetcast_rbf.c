@@ -350,6 +350,60 @@ TEST(bounds_hold) {
     }
 }
 
+/* Functions that are cut off high end in a jump: bounds on both sides of it, as near as doubles go. */
+TEST(bounds_at_jumps) {
+    int k;
+    for (k = 0; k < 12; k++) {
+        tetcast_rbf_desc d = random_desc(1, 1, 1, 0.3, 0.3, 0.0);
+        const double epsilon = 1.0 - 0.5 * pow(0.3, k), reach = 0.3 * sqrt(-2.0 * log((double)(float)epsilon));
+        tetcast_rbf *m;
+        int i, wrong = 0, in = 0;
+        d.kernel = TETCAST_KERNEL_GAUSS_CUT;
+        d.epsilon = (float)epsilon;
+        d.offset[0] = 0.0f;
+        g_f[0].weight[0] = k % 2 ? 1.0f : -1.0f;
+        for (i = 0; i < 3; i++) g_f[0].centre[i] = 1.0;
+        m = make(&d);
+        REQUIRE(m != NULL);
+        for (i = -2000; i <= 2000; i++) {
+            const double p[3] = {1.0 + reach * (1.0 + 2e-7 * i), 1.0, 1.0};
+            float v, lo, hi;
+            CHECK(eval(m, TETCAST_ISA_AUTO, 0, 1, p, 1, &v, NULL) == TETCAST_OK);
+            CHECK(tetcast_rbf_bounds(m, 0, p, p, &lo, &hi, NULL) == TETCAST_OK);
+            wrong += !(lo <= v && v <= hi);
+            in += v != 0.0f;
+        }
+        CHECK_MSG(wrong == 0 && (in > 0 || k > 8), "epsilon %g: %d", epsilon, wrong);
+        tetcast_rbf_destroy(m);
+    }
+}
+
+/* The thinnest functions, seen from far away: no number is too large. */
+TEST(thinnest_functions) {
+    static const double distance[4] = {1e3, 1e9, 1e13, 1e200};
+    int kernel, k;
+    for (kernel = 0; kernel < (int)TETCAST_KERNEL_COUNT; kernel++) {
+        tetcast_rbf_desc d = random_desc(2, 2, 1, 2e-6, 2e-6, 0.0);
+        tetcast_rbf *m;
+        d.kernel = (tetcast_kernel)kernel;
+        for (k = 0; k < 2; k++) {
+            g_f[k].axis[0] = 1.0;
+            g_f[k].stretch = 1.0 / 64.0;
+        }
+        m = make(&d);
+        REQUIRE(m != NULL);
+        for (k = 0; k < 8; k++) {
+            const double p[3] = {distance[k / 2], 3.0, k % 2 ? -distance[k / 2] : 2.0};
+            float v[2], j[2][3];
+            CHECK(eval(m, TETCAST_ISA_AUTO, 0, 1, p, 1, &v[0], j[0]) == TETCAST_OK);
+            CHECK(eval(m, TETCAST_ISA_SCALAR, 1, 1, p, 1, &v[1], j[1]) == TETCAST_OK);
+            CHECK(v[0] == d.offset[0] && v[1] == v[0]);
+            CHECK(j[0][0] == 0.0f && j[0][1] == 0.0f && j[0][2] == 0.0f && j[1][0] == 0.0f && j[1][2] == 0.0f);
+        }
+        tetcast_rbf_destroy(m);
+    }
+}
+
 /* Across faces of the cells that lists belong to, a little on both sides: no seam but the slope. */
 TEST(no_seams) {
     enum { N = 400 };
@@ -1291,6 +1345,79 @@ static void features(const double j[9], tetcast_flow *f) {
     tetcast_flow_features(v, g, f);
 }
 
+/* Numbers of any size: the same functions, the same files but for the range. Reading gives the same bits, and a fit goes
+   on from another one. */
+TEST(data_of_any_size) {
+    enum { N = 8 };
+    static const double scale[9] = {1.0, 3e-30, 1e-27, 1.6e-19, 1e-15, 1e15, 1e20, 2.7e25, 1e29};
+    static float v[N * N * N][2];
+    int method, k;
+    uint32_t n;
+    for (n = 1; n < 3; n++)
+        for (method = 0; method < 2; method++) {
+            uint32_t functions = 0;
+            for (k = 0; k < 9; k += test_quick() ? 3 : 1) {
+                const float unit = ldexpf(1.0f, (int)floor(log2(scale[k]))); /* powers of two: the same digits */
+                tetcast_rbf_points in;
+                tetcast_rbf_fit_desc d;
+                tetcast_rbf_report report;
+                tetcast_rbf *m = NULL, *again = NULL, *next = NULL;
+                double positions[3 * 64], most = 0.0;
+                float got[64 * 2], read[64 * 2];
+                size_t size = 0, i;
+                uint8_t *p;
+                memset(&in, 0, sizeof in);
+                memset(&d, 0, sizeof d);
+                for (i = 0; i < N * N * N; i++) {
+                    const double x = (double)(i % N), y = (double)(i / N % N), z = (double)(i / N / N);
+                    v[i][0] = (float)(sin(0.7 * x) * cos(0.9 * y + 0.3 * z) + (x > 4 && y > 3 ? 0.7 : 0.0)) * unit;
+                    v[i][1] = (float)(0.04 * z * x) * unit;
+                }
+                in.values.data = v;
+                in.values.stride = 8;
+                in.count = N * N * N;
+                in.components = n;
+                in.dims[0] = in.dims[1] = in.dims[2] = N;
+                d.max_error = 0.03f;
+                d.method = method ? TETCAST_RBF_METHOD_PURE : TETCAST_RBF_METHOD_HYBRID;
+                d.env.thread_count = 2;
+                if (method == 0) d.base_dims[0] = d.base_dims[1] = d.base_dims[2] = 4;
+                REQUIRE(tetcast_rbf_fit(&d, &in, &report, &m) == TETCAST_OK);
+                CHECK(report.max_error <= 0.03 && report.between_count != 0 && report.between_mean < 0.2);
+                CHECK_NEAR(report.range / (double)unit, n == 1 ? 2.3 : 2.6, 0.5);
+                if (k == 0) functions = report.functions;
+                CHECK_EQ_U64(report.functions, functions);
+                for (i = 0; i < 64; i++) {
+                    const size_t at = i * 17 % (N * N * N);
+                    positions[3 * i] = (double)(at % N);
+                    positions[3 * i + 1] = (double)(at / N % N);
+                    positions[3 * i + 2] = (double)(at / N / N);
+                }
+                CHECK(tetcast_rbf_eval(NULL, m, positions, 64, got, NULL) == TETCAST_OK);
+                for (i = 0; i < 64; i++) {
+                    double e = 0.0;
+                    uint32_t c;
+                    for (c = 0; c < n; c++) e += pow(((double)got[i * n + c] - (double)v[i * 17 % (N * N * N)][c]) / report.range, 2.0);
+                    most = fmax(most, sqrt(e));
+                }
+                CHECK_MSG(most <= 0.03, "%g: %g", scale[k], most);
+                CHECK(tetcast_rbf_save_memory(m, NULL, 0, &size) == TETCAST_OK);
+                p = (uint8_t *)malloc(size);
+                CHECK(tetcast_rbf_save_memory(m, p, size, &size) == TETCAST_OK);
+                CHECK(tetcast_rbf_load_memory(NULL, p, size, &again) == TETCAST_OK);
+                free(p);
+                REQUIRE(again != NULL && tetcast_rbf_eval(NULL, again, positions, 64, read, NULL) == TETCAST_OK);
+                CHECK(memcmp(got, read, 64 * n * sizeof(float)) == 0);
+                d.start = again;
+                CHECK(tetcast_rbf_fit(&d, &in, &report, &next) == TETCAST_OK);
+                CHECK(report.max_error <= 0.03 && report.started > functions / 2);
+                tetcast_rbf_destroy(next);
+                tetcast_rbf_destroy(again);
+                tetcast_rbf_destroy(m);
+            }
+        }
+}
+
 TEST(flows) {
     const double rotation[9] = {0, -3, 0, 3, 0, 0, 0, 0, 0}, shear[9] = {0, 2, 0, 0, 0, 0, 0, 0, 0};
     const double swell[9] = {2, 0, 0, 0, 2, 0, 0, 0, 2}, none[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0};
@@ -1648,6 +1775,147 @@ TEST(pictures_far_away) {
         tetcast_rbf_destroy(m);
     }
     tetcast_optics_destroy(o);
+}
+
+/* Opacity in the middle of a picture of `m` by parallel rays along z from `eye`. */
+static float opacity_along_z(const tetcast_rbf *m, const tetcast_optics *o, const tetcast_clip *clip, double eye, float step,
+                             tetcast_isa isa) {
+    static float rgba[8 * 8 * 4];
+    tetcast_rbf_render_desc d;
+    tetcast_image image;
+    memset(&d, 0, sizeof d);
+    memset(&image, 0, sizeof image);
+    d.isa = isa;
+    d.clip = clip;
+    d.step = step;
+    d.camera.eye[0] = d.camera.at[0] = 0.52;
+    d.camera.eye[1] = d.camera.at[1] = 0.51;
+    d.camera.eye[2] = eye;
+    d.camera.up[1] = 1.0;
+    d.camera.ortho_height = 0.25f;
+    image.width = image.height = 8;
+    image.rgba = rgba;
+    CHECK(tetcast_rbf_render(&d, m, o, &image, NULL) == TETCAST_OK);
+    return rgba[4 * (8 * 4 + 4) + 3];
+}
+
+/* A clip of slabs along z, [from, to] each. */
+static tetcast_clip *slabs(const double (*z)[2], uint32_t count) {
+    static const uint32_t cube[12][3] = {{0, 2, 1}, {1, 2, 3}, {4, 5, 6}, {5, 7, 6}, {0, 1, 4}, {1, 5, 4},
+                                         {2, 6, 3}, {3, 6, 7}, {0, 4, 2}, {2, 4, 6}, {1, 3, 5}, {3, 7, 5}};
+    double p[4 * 8][3];
+    uint32_t t[4 * 12][3], i, k, c;
+    tetcast_clip_body body;
+    tetcast_clip_desc d;
+    tetcast_clip *clip = NULL;
+    memset(&body, 0, sizeof body);
+    memset(&d, 0, sizeof d);
+    for (i = 0; i < count; i++) {
+        for (k = 0; k < 8; k++) {
+            p[8 * i + k][0] = k & 1u ? 9.0 : -9.0;
+            p[8 * i + k][1] = k & 2u ? 9.0 : -9.0;
+            p[8 * i + k][2] = z[i][k >> 2];
+        }
+        for (k = 0; k < 12; k++)
+            for (c = 0; c < 3; c++) t[12 * i + k][c] = 8 * i + cube[k][c];
+    }
+    body.points = (const double (*)[3])p;
+    body.point_count = 8 * count;
+    body.indices = t[0];
+    body.triangle_count = 12 * count;
+    d.bodies = &body;
+    d.body_count = 1;
+    CHECK(tetcast_clip_create(&d, &clip) == TETCAST_OK);
+    return clip;
+}
+
+/* A slab too thin for floats takes nothing away from what is behind it; integrators with steps of their own do not go on
+   through what is clipped away; far away and with any step there is what there is. */
+TEST(clipped_functions) {
+    static const double two[2][2] = {{0.1, 0.8}, {0.9 - 1e-12, 0.9}}, apart[2][2] = {{0.05, 0.371}, {0.613, 0.97}};
+    static const float rise[2] = {0.0f, 1.0f};
+    tetcast_control_point p[8];
+    tetcast_transfer_desc td;
+    tetcast_optics_desc od;
+    tetcast_rbf_desc d;
+    tetcast_rbf *constant = NULL, *linear = NULL;
+    tetcast_transfer *t = NULL;
+    tetcast_optics *flat = NULL, *band = NULL;
+    tetcast_clip *clip;
+    int k;
+    uint32_t a;
+    memset(&d, 0, sizeof d);
+    memset(&td, 0, sizeof td);
+    memset(&od, 0, sizeof od);
+    memset(p, 0, sizeof p);
+    for (a = 0; a < 3; a++) d.box_max[a] = 1.0;
+    d.offset[0] = 0.5f;
+    constant = make(&d);
+    d.base_dims[0] = d.base_dims[1] = 1;
+    d.base_dims[2] = 2;
+    d.base = rise;
+    linear = make(&d);
+    p[0].extinction = p[1].extinction = 1.0f;
+    p[1].value = 1.0f;
+    td.points = p;
+    td.point_count = 2;
+    REQUIRE(tetcast_transfer_create(&td, &t) == TETCAST_OK && tetcast_optics_create(t, NULL, &flat) == TETCAST_OK);
+    tetcast_transfer_destroy(t);
+    for (k = 0; k < 4; k++) {
+        const tetcast_isa isa = k % 2 ? TETCAST_ISA_SCALAR : TETCAST_ISA_AUTO;
+        clip = slabs(two, k / 2 ? 2 : 1);
+        CHECK_NEAR(opacity_along_z(constant, flat, clip, 3.03, 0.5f, isa), 1.0 - exp(-0.7), 1e-5);
+        tetcast_clip_destroy(clip);
+    }
+    for (k = 0; k < 8; k++) { /* 13 powers of ten off, and more steps up to there than integers have numbers */
+        const float o = opacity_along_z(constant, flat, NULL, pow(10.0, 1 + 2 * k), k % 2 ? 0.0f : 1.0f / 36000.0f, TETCAST_ISA_AUTO);
+        CHECK_MSG(fabs((double)o - (1.0 - exp(-1.0))) < (k == 7 ? 0.1 : 1e-3), "1e%d: %g", 1 + 2 * k, (double)o);
+    }
+    CHECK_NEAR(opacity_along_z(constant, flat, NULL, 1e15, 1.0f / 36000.0f, TETCAST_ISA_AUTO), 1.0 - exp(-1.0), 0.1);
+    p[0].value = 0.1f; /* a little at both ends, much in the middle, which is clipped away */
+    p[0].extinction = p[7].extinction = 0.001f;
+    p[1].value = 0.11f;
+    p[1].extinction = 0.0f;
+    p[2].value = 0.4f;
+    p[3].value = 0.41f;
+    p[4].value = 0.5f;
+    p[3].extinction = p[4].extinction = 9.0f;
+    p[5].value = 0.51f;
+    p[6].value = 0.9f;
+    p[7].value = 0.91f;
+    td.point_count = 8;
+    od.integrator = TETCAST_INTEGRATOR_TABLE_2D;
+    od.longest = 1.0f;
+    od.step = 0.1f;
+    REQUIRE(tetcast_transfer_create(&td, &t) == TETCAST_OK && tetcast_optics_create(t, &od, &band) == TETCAST_OK);
+    tetcast_transfer_destroy(t);
+    clip = slabs(apart, 2);
+    CHECK(opacity_along_z(linear, band, NULL, 3.03, 0.03f, TETCAST_ISA_AUTO) > 0.5f);
+    for (k = 0; k < 2; k++)
+        CHECK(opacity_along_z(linear, band, clip, 3.03, 0.03f, k ? TETCAST_ISA_SCALAR : TETCAST_ISA_AUTO) < 0.001f);
+    tetcast_clip_destroy(clip);
+    tetcast_optics_destroy(band);
+    tetcast_optics_destroy(flat);
+    tetcast_rbf_destroy(linear);
+    tetcast_rbf_destroy(constant);
+    { /* a step as long as floats have it in a small box */
+        tetcast_rbf *m;
+        memset(&d, 0, sizeof d);
+        for (a = 0; a < 3; a++) d.box_max[a] = 1.0;
+        for (a = 0; a < 3; a++) d.metric[a] = 1e-15;
+        d.offset[0] = 0.5f;
+        m = make(&d);
+        td.point_count = 2;
+        p[0].value = 0.0f;
+        p[1].value = 1.0f;
+        p[0].extinction = p[1].extinction = 1.0f;
+        REQUIRE(tetcast_transfer_create(&td, &t) == TETCAST_OK && tetcast_optics_create(t, NULL, &flat) == TETCAST_OK);
+        for (k = 0; k < 2; k++)
+            CHECK_NEAR(opacity_along_z(m, flat, NULL, 3.03, k ? 9e29f : 1.0f, TETCAST_ISA_AUTO), 1.0 - exp(-1.0), 1e-5);
+        tetcast_transfer_destroy(t);
+        tetcast_optics_destroy(flat);
+        tetcast_rbf_destroy(m);
+    }
 }
 
 /* One Gaussian: its isosurface is a sphere; depth and normal by the formula. */
@@ -2129,6 +2397,8 @@ int main(int argc, char **argv) {
     RUN(no_function_missed);
     RUN(bases);
     RUN(bounds_hold);
+    RUN(bounds_at_jumps);
+    RUN(thinnest_functions);
     RUN(no_seams);
     RUN(extremes);
     RUN(files);
@@ -2143,11 +2413,13 @@ int main(int argc, char **argv) {
     RUN(series);
     RUN(starts);
     RUN(odd_data);
+    RUN(data_of_any_size);
     RUN(flows);
     RUN(traces);
     RUN(traces_in_functions);
     RUN(pictures);
     RUN(pictures_far_away);
+    RUN(clipped_functions);
     RUN(sphere);
     RUN(shaded_functions);
     RUN(channels_of_flows);
