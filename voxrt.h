@@ -4904,14 +4904,14 @@ static uint32_t voxrti_clip_plane(const voxrti_corner *in, uint32_t n, voxrti_co
     return count;
 }
 
-/* Call fn for triangle i, snapped; clipped to the grid (plus one voxel around) where it leaves it.
-   Returns 0 when it is not usable. */
+/* Call fn, if there is one, for triangle i, snapped; clipped to the grid (plus one voxel around) where it leaves it.
+   Returns 0 when it is not usable, 2 when what is left of it has no area, else 1. */
 static int voxrti_tri_each(const voxrti_vox *v, size_t i, int attributes,
                            void (*fn)(void *ctx, const voxrti_tri *t, size_t i), void *ctx) {
     double p[3][3], s = (double)((uint32_t)1 << v->sub), end = (double)v->grid->resolution + 1.0;
     size_t vertex[3];
     voxrti_tri t;
-    uint32_t k, a, inside = 1, n;
+    uint32_t k, a, inside = 1, n, pieces = 0, flat = 0;
     memset(vertex, 0, sizeof vertex);
     if (!voxrti_tri_corners(v, i, p, vertex)) return 0;
     if (attributes) voxrti_tri_attributes(v, i, vertex, (const double (*)[3])p, &t);
@@ -4921,7 +4921,9 @@ static int voxrti_tri_each(const voxrti_vox *v, size_t i, int attributes,
         for (k = 0; k < 3; k++)
             for (a = 0; a < 3; a++) t.p[k][a] = voxrti_floor(p[k][a] * s + 0.5);
         voxrti_tri_finish(v, &t);
-        fn(ctx, &t, i);
+        pieces = 1;
+        flat = t.n[0] == 0 && t.n[1] == 0 && t.n[2] == 0;
+        if (fn != NULL) fn(ctx, &t, i);
     } else {
         voxrti_corner c[2][12];
         memset(c, 0, sizeof c);
@@ -4941,10 +4943,12 @@ static int voxrti_tri_each(const voxrti_vox *v, size_t i, int attributes,
                 if (attributes) memcpy(t.attr[j], q->attr, sizeof q->attr);
             }
             voxrti_tri_finish(v, &t);
-            fn(ctx, &t, i);
+            pieces++;
+            flat += t.n[0] == 0 && t.n[1] == 0 && t.n[2] == 0;
+            if (fn != NULL) fn(ctx, &t, i);
         }
     }
-    return 1;
+    return pieces != 0 && flat == pieces ? 2 : 1;
 }
 
 /* ---- binning ---- */
@@ -4961,7 +4965,6 @@ static void voxrti_bin_tri(void *ctx, const voxrti_tri *t, size_t i) {
     uint32_t shift = b->v->brick_bits + b->v->sub, a, k, many;
     int64_t lo[3], hi[3], c[3], size = (int64_t)1 << shift,
                                 end = (((int64_t)b->v->grid->resolution - 1) >> b->v->brick_bits);
-    if (t->n[0] == 0 && t->n[1] == 0 && t->n[2] == 0) b->degenerate++;
     for (a = 0; a < 3; a++) {
         lo[a] = hi[a] = t->p[0][a];
         for (k = 1; k < 3; k++) {
@@ -5013,8 +5016,11 @@ static void voxrti_bin_task(void *ctx, uint32_t task) {
     b.v = v;
     if (end > v->mesh->triangle_count) end = v->mesh->triangle_count;
     for (; i < end && !voxrti_atomic_load(&v->ask.cancelled); i++) {
+        int usable;
         b.last = ~(uint64_t)0;
-        if (!voxrti_tri_each(v, i, 0, voxrti_bin_tri, &b)) b.rejected++;
+        usable = voxrti_tri_each(v, i, 0, voxrti_bin_tri, &b);
+        b.rejected += usable == 0;
+        b.degenerate += usable == 2;
     }
     v->bin[task] = b;
 }
@@ -5267,7 +5273,8 @@ static VOXRTI_NOINLINE void voxrti_fragment_sample(const voxrti_brick *b, uint32
     }
     if (!voxrti_normalize(s.normal)) s.normal[0] = s.normal[1] = s.normal[2] = 0.0f;
     b->v->mesh->sample_fn(b->v->mesh->sample_user, &s);
-    for (a = 0; a < 3; a++) c[a] = (s.color[a] > 0.0f ? s.color[a] < 1.0f ? s.color[a] : 1.0f : 0.0f) * 65535.0f + 0.5f;
+    for (a = 0; a < 3 && !b->v->d->disable_colors; a++)
+        c[a] = (s.color[a] > 0.0f ? s.color[a] < 1.0f ? s.color[a] : 1.0f : 0.0f) * 65535.0f + 0.5f;
     if (b->v->has_normal && voxrti_finite_f(s.normal[0]) && voxrti_finite_f(s.normal[1]) &&
         voxrti_finite_f(s.normal[2]) && voxrti_normalize(s.normal))
         for (a = 0; a < 3; a++) n[a] = s.normal[a] * 16384.0f + 32768.5f;
@@ -5579,8 +5586,9 @@ static void voxrti_tri_points(voxrti_brick *b, const voxrti_tri *t) {
         uint32_t c[3], inside = 1;
         float f[VOXRTI_CHANNELS];
         for (a = 0; a < 3; a++) {
-            int64_t x = ((4 * t->p[e][a] + t->p[e1][a] + t->p[e2][a]) / 6) >> v->sub;
-            if (x == limit) x--;
+            int64_t x = (4 * t->p[e][a] + t->p[e1][a] + t->p[e2][a]) / 6;
+            if (x == limit << v->sub) x--; /* on the far face of the grid */
+            x >>= v->sub;
             inside &= x >= (int64_t)b->lo[a] && x < (int64_t)(b->lo[a] + b->size) && x < limit;
             c[a] = (uint32_t)(x < 0 ? 0 : x);
         }
@@ -5659,8 +5667,8 @@ static void voxrti_tri_tiny(voxrti_brick *b, const voxrti_tri *t, int counted) {
         for (a = 0; a < 3; a++) {
             const int64_t *p = t->p[best], *q = t->p[(best + 1) % 3];
             int64_t x = j > to ? t->p[(best + 2) % 3][a] : p[a] + (q[a] - p[a]) * j / steps;
+            if (x == (int64_t)v->grid->resolution << v->sub) x--; /* on the far face of the grid */
             x >>= v->sub;
-            if (x == (int64_t)v->grid->resolution) x--;
             inside &= x >= (int64_t)b->lo[a] && x < (int64_t)(b->lo[a] + b->size) && x < (int64_t)v->grid->resolution;
             c[a] = (uint32_t)(x < 0 ? 0 : x);
         }
@@ -6201,11 +6209,11 @@ static VOXRTI_UNUSED voxrt_result voxrti_leafset_from_voxels(voxrti_mem *mem, co
         out->mask[out->block_count - 1] |= (uint64_t)1 << (a[i].key & 63u);
         for (k = i; k < n && a[k].key == a[i].key; k++) {
             const voxrt_voxel *e = &list[a[k].index];
-            for (x = 0; x < 3; x++) {
-                sum[x] += srgb[e->rgb[x]];
-                if (e->has_normal && voxrti_finite_f(e->normal[x])) /* integers: the order does not matter */
-                    m[x] += (double)voxrti_floor(voxrti_min(voxrti_max((double)e->normal[x], -1e6), 1e6) * 16384.0);
-            }
+            float f[3];
+            memcpy(f, e->normal, sizeof f);
+            for (x = 0; x < 3; x++) sum[x] += srgb[e->rgb[x]];
+            if (!e->has_normal || !voxrti_normalize(f)) continue;
+            for (x = 0; x < 3; x++) m[x] += (double)voxrti_floor((double)f[x] * 16384.0 + 0.5); /* in any order */
         }
         c = k - i;
         if (out->rgb != NULL)
@@ -19108,12 +19116,6 @@ static voxrt_result voxrti_piece(voxrti_pieces *p, const uint32_t *list, size_t 
     return r;
 }
 
-static void voxrti_piece_count(void *ctx, const voxrti_tri *t, size_t i) {
-    voxrt_build_stats *s = (voxrt_build_stats *)ctx;
-    (void)i;
-    s->degenerate += t->n[0] == 0 && t->n[1] == 0 && t->n[2] == 0;
-}
-
 VOXRT_DEF voxrt_result voxrt_paged_build(const voxrt_build_desc *desc, const voxrt_mesh *mesh, const voxrt_sink *sink,
                                          voxrt_build_stats *stats) {
     voxrti_pieces *p;
@@ -19167,7 +19169,9 @@ VOXRT_DEF voxrt_result voxrt_paged_build(const voxrt_build_desc *desc, const vox
             p->w.finish_count = (uint32_t)d.finish_count;
         }
         for (i = 0; i < mesh->triangle_count && r == VOXRT_OK; i++) {
-            if (voxrti_tri_each(&p->v, i, 0, voxrti_piece_count, stats)) list[n++] = (uint32_t)i;
+            const int usable = voxrti_tri_each(&p->v, i, 0, NULL, NULL);
+            stats->degenerate += usable == 2;
+            if (usable) list[n++] = (uint32_t)i;
             else if (stats->rejected++ == 0) bad = i;
         }
         if (r == VOXRT_OK && stats->rejected != 0 && d.strict)

@@ -773,6 +773,34 @@ TEST(same_voxel_twice) { /* the means are kept */
     cells_free(&l);
 }
 
+/* Normals need not be unit, also where there is more than one. */
+TEST(same_voxel_twice_with_any_normals) {
+    static const float length[6] = {1e-30f, 1e-5f, 0.5f, 3.0f, 1e7f, 1e30f};
+    voxrt_build_desc d = defaults();
+    uint32_t k, i;
+    for (k = 0; k < 36; k++) {
+        cells l;
+        voxrt_tree *t;
+        voxrt_voxel v;
+        memset(&l, 0, sizeof l);
+        for (i = 0; i < 2; i++) {
+            const float s = length[i ? k / 6 : k % 6];
+            cells_add(&l, 5, 6, 7, 0);
+            cells_normal(&l, i ? 0 : s, 0.1f * s, i ? -s : 0);
+        }
+        cells_add(&l, 5, 6, 7, 0);
+        cells_normal(&l, NAN, 1, 0); /* no direction */
+        t = make(&d, &l, 3);
+        REQUIRE(t != NULL);
+        CHECK(voxrt_tree_get(t, 3, 5, 6, 7, &v));
+        CHECK_MSG(fabsf(v.normal[0] - 0.7f) < 0.02f && fabsf(v.normal[1] - 0.14f) < 0.02f && fabsf(v.normal[2] + 0.7f) < 0.02f,
+                  "%g and %g: %g %g %g", (double)length[k % 6], (double)length[k / 6], (double)v.normal[0], (double)v.normal[1],
+                  (double)v.normal[2]);
+        voxrt_tree_destroy(t);
+        cells_free(&l);
+    }
+}
+
 /* ---- colours ----------------------------------------------------------------------------------------------------------- */
 
 TEST(palettes) {
@@ -1116,6 +1144,7 @@ int main(int argc, char **argv) {
     RUN(lod_majority);
     RUN(lod_opposite_normals);
     RUN(same_voxel_twice);
+    RUN(same_voxel_twice_with_any_normals);
     RUN(palettes);
     RUN(few_colours_for_many);
     RUN(every_allocation_fails_once);
