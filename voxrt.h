@@ -432,7 +432,8 @@ typedef struct voxrt_build_desc {
     voxrt_lod_method lod_method;
     uint32_t disable_colors;  /* 1: one colour (white) for all */
     uint32_t disable_normals; /* 1: shade by the face that was hit */
-    uint32_t fill;            /* 1: fill closed hulls; cells get the attributes of the nearest surface voxel */
+    uint32_t fill;            /* 1: fill closed hulls, up to a depth of 14 (else RANGE); cells get the attributes of the
+                                 nearest surface voxel. 20 bytes for each 16^3 cells of the grid meanwhile */
     uint32_t fill_depth;      /* with fill: only this many voxels deep, 0: all */
     uint32_t planes;
     uint32_t spread;
@@ -494,8 +495,8 @@ VOXRT_DEF voxrt_result voxrt_tree_build(const voxrt_build_desc *desc, const voxr
    voxels  in, [count]; normals need not be unit. If any has one, those without, or without a direction, get +z
    depth   1..VOXRT_MAX_DEPTH; coordinates below 2^depth (else RANGE, error->where = the voxel's index)
    One voxel is a unit cube, the grid's corner is the world's origin; desc's box_min and box_size override that.
-   resolution, separating, planes and strict of desc are not used. O(count). Errors: INVALID_ARG, UNINIT_DESC, RANGE,
-   EMPTY (count is 0), NO_MEMORY, CANCELLED. Otherwise as voxrt_tree_build. */
+   resolution, separating, planes and strict of desc are not used, but have to be allowed. O(count).
+   Errors: INVALID_ARG, UNINIT_DESC, RANGE, EMPTY (count is 0), NO_MEMORY, CANCELLED. Otherwise as voxrt_tree_build. */
 VOXRT_DEF voxrt_result voxrt_tree_from_voxels(const voxrt_build_desc *desc, const voxrt_voxel *voxels, size_t count,
                                               uint32_t depth, voxrt_tree **out_tree);
 
@@ -688,7 +689,7 @@ VOXRT_DEF voxrt_result voxrt_octree_from_tree(const voxrt_octree_desc *desc, con
    detail, and the same normals: such a tree keeps the thesis' codes, also in version 5 files. So a collapsed octree in
    pre-order comes back from its tree byte for byte. Where a filled voxel lies in a transparent one (build_lod was never
    called) the levels of detail are made by majority. Only env of desc is used.
-   EMPTY: nothing is filled. RANGE: 2^32 - 2 voxels or more. CANCELLED. Otherwise as voxrt_octree_from_tree. */
+   EMPTY: nothing is filled. RANGE: more than 2^32 - 2 voxels. CANCELLED. Otherwise as voxrt_octree_from_tree. */
 VOXRT_DEF voxrt_result voxrt_tree_from_octree(const voxrt_octree_desc *desc, const voxrt_octree *octree,
                                               voxrt_tree **out_tree);
 
@@ -2753,7 +2754,6 @@ VOXRTI_INLINE void voxrti_sph_decode(uint32_t theta, int32_t phi, float n[3]) {
     n[2] = ct;
 }
 
-
 /* Normals of a tree: `spherical` as in voxrt_tree. */
 VOXRTI_INLINE void voxrti_normal_decode(uint32_t spherical, uint32_t code, float n[3]) {
     if (spherical) voxrti_sph_decode(code & 255u, (int32_t)((code >> 8 ^ 128u) & 255u) - 128, n);
@@ -3261,7 +3261,7 @@ static void voxrti_cset_add(voxrti_cset *s, uint32_t c) {
         while ((old & bit) == 0 && !voxrti_atomic_max_step(word, &old, old | bit)) { }
     } else {
         uint32_t h = c * 0x9e3779b1u >> 7 & s->slot_mask;
-        for (;; h = (h + 1) & s->slot_mask) { /* without threads the step does not compare: look first */
+        for (;; h = (h + 1) & s->slot_mask) { /* a slot that is not empty keeps its code */
             uint32_t old = voxrti_atomic_load(&s->slot[2 * h]);
             if (old == c + 1 || (old == 0 && voxrti_atomic_max_step(&s->slot[2 * h], &old, c + 1))) return;
             if (old == c + 1) return; /* another thread was first */
@@ -6267,21 +6267,14 @@ typedef struct voxrti_flood {
     voxrti_ask ask;
 } voxrti_flood;
 
-/* axis masks in a 4x4x4 mask: cells with index 0 and 3, even, and 1 */
-static const uint64_t voxrti_first4[3] = {0x0055005500550055u, 0x0000333300003333u, 0x000000000f0f0f0fu};
-static const uint64_t voxrti_last4[3] = {0xaa00aa00aa00aa00u, 0xcccc0000cccc0000u, 0xf0f0f0f000000000u};
-static const uint64_t voxrti_even4[3] = {0x5555555555555555u, 0x3333333333333333u, 0x0f0f0f0f0f0f0f0fu};
-static const uint64_t voxrti_one4[3] = {0x00aa00aa00aa00aau, 0x0000cccc0000ccccu, 0x00000000f0f0f0f0u};
-static const uint64_t voxrti_two4[3] = {0x5500550055005500u, 0x3333000033330000u, 0x0f0f0f0f00000000u};
-
 /* The cells of m and their face neighbours inside the block. */
 static uint64_t voxrti_dilate4(uint64_t m) {
     uint64_t r = m;
     uint32_t a;
     for (a = 0; a < 3; a++) {
+        const uint64_t *l = voxrti_layer[a], even = l[0] | l[2];
         uint32_t s = 1u << a, j = 7u << a; /* even -> odd: s; 1 -> 2: 8*s - s */
-        r |= (m & voxrti_even4[a]) << s | (m & ~voxrti_even4[a]) >> s | (m & voxrti_one4[a]) << j |
-             (m & voxrti_two4[a]) >> j;
+        r |= (m & even) << s | (m & ~even) >> s | (m & l[1]) << j | (m & l[2]) >> j;
     }
     return r;
 }
@@ -6349,7 +6342,7 @@ static void voxrti_flood_run(voxrti_flood *f) {
                         voxrti_flood_block(f, w << 6, 0);
                         continue;
                     }
-                    face = up ? voxrti_first4[a] : voxrti_last4[a]; /* its blocks that touch */
+                    face = voxrti_layer[a][up ? 0 : 3]; /* its blocks that touch */
                     for (k = face; k != 0; k &= k - 1)
                         voxrti_flood_block(f, w << 6 | voxrti_ctz64(k), face);
                 }
@@ -6362,7 +6355,7 @@ static void voxrti_flood_run(voxrti_flood *f) {
             for (a = 0; a < 3; a++) {
                 uint32_t shift = 9u << a;
                 for (up = 0; up < 2; up++) {
-                    uint64_t seed = up ? (e & voxrti_last4[a]) >> shift : (e & voxrti_first4[a]) << shift;
+                    uint64_t seed = up ? (e & voxrti_layer[a][3]) >> shift : (e & voxrti_layer[a][0]) << shift;
                     uint64_t n = voxrti_step_code(code, a, (int)up, f->blocks, &inside);
                     if (inside && seed != 0) voxrti_flood_block(f, n, seed);
                 }
@@ -6383,7 +6376,7 @@ static void voxrti_flood_border(voxrti_flood *f) {
                     c[a] = up ? last : 0;
                     c[(a + 1) % 3] = i;
                     c[(a + 2) % 3] = k;
-                    voxrti_flood_block(f, voxrti_morton(c[0], c[1], c[2]), up ? voxrti_last4[a] : voxrti_first4[a]);
+                    voxrti_flood_block(f, voxrti_morton(c[0], c[1], c[2]), voxrti_layer[a][up ? 3 : 0]);
                 }
             }
             voxrti_flood_run(f);
@@ -6412,7 +6405,7 @@ static voxrt_result voxrti_inside_spread(voxrti_mem *mem, voxrti_ask *ask, voxrt
     size_t count[2] = {0, 0}, capacity[2] = {0, 0}, i, k;
     uint32_t a, up, cur = 0, layer = 0;
     int inside, ok = 1;
-    for (i = 0; i < blocks && ok; i++) { /* surface voxels next to something inside, in their own block or beyond */
+    for (i = 0; i < blocks && ok; i++) { /* all that have them; those with nothing inside beside them go at once */
         uint64_t m = s->mask[i] & ~s->left[i];
         for (; m != 0 && ok; m &= m - 1) {
             ok = voxrti_grow(mem, (void **)&front[0], &capacity[0], count[0], count[0] + 1, sizeof(uint64_t));
@@ -6687,10 +6680,10 @@ static VOXRTI_UNUSED voxrt_result voxrti_tree_index(voxrt_tree *t) {
         octants += voxrti_popcount64(voxrti_octants(t->leaf[i]));
         if (voxels > 0xfffffffeu) return VOXRT_ERR_RANGE;
     }
-    for (k = 0; k < 8; k++) t->leaf[i + k] = 0;
-    for (; (i & 15u) != 0; i++) { }
-    t->rank[2 * (i >> 4)] = (uint32_t)voxels;
-    t->rank[2 * (i >> 4) + 1] = octants;
+    for (k = 0; k < 8; k++) t->leaf[(size_t)i + k] = 0;
+    i = (i >> 4) + ((i & 15u) != 0);
+    t->rank[2 * i] = (uint32_t)voxels;
+    t->rank[2 * i + 1] = octants;
     count[2 * w] = t->level_nodes[w];
     count[2 * w + 1] = octants;
     count[2 * w + 2] = voxels;
@@ -7022,10 +7015,10 @@ static void voxrti_lod_node(voxrti_lod *l, uint32_t i, uint64_t cell, uint64_t o
 static void voxrti_lod_task(void *ctx, uint32_t task) {
     voxrti_lod *l = (voxrti_lod *)ctx;
     voxrt_tree *t = l->t;
-    uint32_t w = l->w, leaf = w + 1 == t->wide, i = task * VOXRTI_LOD_CHUNK, end = i + VOXRTI_LOD_CHUNK;
+    uint32_t w = l->w, leaf = w + 1 == t->wide, i = task * VOXRTI_LOD_CHUNK, end = t->level_nodes[w];
     uint32_t n0 = leaf ? i : t->level_first[w] + i;
     uint64_t cell = voxrti_attr_index(t, 2 * w + 2, n0, 0), oct = voxrti_attr_index(t, 2 * w + 1, n0, 0);
-    if (end > t->level_nodes[w]) end = t->level_nodes[w];
+    if (end - i > VOXRTI_LOD_CHUNK) end = i + VOXRTI_LOD_CHUNK;
     for (; i < end; i++) {
         uint64_t mask = leaf ? t->leaf[i] : t->node[t->level_first[w] + i].mask;
         voxrti_lod_node(l, i, cell, oct);
@@ -7057,7 +7050,7 @@ static voxrt_result voxrti_tree_lod(voxrti_mem *mem, const voxrt_build_desc *d, 
         l.w = w;
         l.children = below;
         voxrti_parallel_for(&d->env, voxrti_lod_task, &l,
-                            (t->level_nodes[w] + VOXRTI_LOD_CHUNK - 1) / VOXRTI_LOD_CHUNK);
+                            (t->level_nodes[w] - 1) / VOXRTI_LOD_CHUNK + 1);
         voxrti_free(mem, below);
         below = l.sums;
     }
@@ -7071,6 +7064,7 @@ static voxrt_result voxrti_tree_masks(voxrti_mem *mem, voxrt_tree *t, voxrti_lea
     uint32_t w;
     uint64_t *key[2];
     voxrti_node *level[VOXRTI_MAX_WIDE];
+    voxrt_result r = VOXRT_OK;
     int ok = 1;
     memset(level, 0, sizeof level);
     if (n > 0xfffffff0u || set->voxel_count > 0xfffffffeu) return VOXRT_ERR_RANGE;
@@ -7099,6 +7093,8 @@ static voxrt_result voxrti_tree_masks(voxrti_mem *mem, voxrt_tree *t, voxrti_lea
         t->level_nodes[w] = (uint32_t)n;
         total += n;
     }
+    if (ok && (uint64_t)total >> 32 != 0) r = VOXRT_ERR_RANGE; /* few voxels in each leaf node, far apart */
+    ok = ok && r == VOXRT_OK;
     if (ok) {
         t->node_count = (uint32_t)total;
         t->node = (voxrti_node *)voxrti_alloc_array(mem, total + 1, sizeof(voxrti_node));
@@ -7119,7 +7115,7 @@ static voxrt_result voxrti_tree_masks(voxrti_mem *mem, voxrt_tree *t, voxrti_lea
     voxrti_free(mem, set->mask);
     set->key = NULL;
     set->mask = NULL;
-    return ok ? VOXRT_OK : VOXRT_ERR_NO_MEMORY;
+    return ok || r != VOXRT_OK ? r : VOXRT_ERR_NO_MEMORY;
 }
 
 /* The colour stream: palette of the leaves' colours (or the given one, then value holds its indices). complete: value
@@ -7161,6 +7157,12 @@ static void *voxrti_tree_attributes(voxrti_mem *mem, const voxrt_tree *t, int co
     if (p != NULL) memcpy(p, from, (size_t)t->voxel_count * size);
     voxrti_free(mem, from);
     return p;
+}
+
+/* Report a failure, unless what failed has said more about it. The error was cleared when the call began. */
+static voxrt_result voxrti_fail_plain(voxrt_error *error, voxrt_result r) {
+    if (error != NULL && error->code == VOXRT_OK) (void)voxrti_fail(error, r, 0, voxrt_result_string(r));
+    return r;
 }
 
 /* Build a tree from filled leaves. Consumes the set (also on failure). palette != NULL: set->rgb holds indices into
@@ -7233,7 +7235,7 @@ static VOXRTI_UNUSED voxrt_result voxrti_tree_from_leafset_palette(
     if (r == VOXRT_OK && !voxrti_ask_at(&ask, ask.total)) r = VOXRT_ERR_CANCELLED;
     if (r != VOXRT_OK) {
         voxrti_tree_free(mem, t);
-        return voxrti_fail(d->env.error, r, 0, voxrt_result_string(r));
+        return voxrti_fail_plain(d->env.error, r);
     }
     if (stats != NULL) {
         stats->voxels = t->voxel_count;
@@ -7320,9 +7322,7 @@ VOXRT_DEF voxrt_result voxrt_tree_build(const voxrt_build_desc *desc, const voxr
     voxrti_stage_open(&stage, &env, 6, 2, 8, &d.env);
     if (r != VOXRT_OK) {
         voxrti_leafset_free(&mem, &set);
-        if (d.env.error != NULL && d.env.error->code == VOXRT_OK)
-            (void)voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
-        return r;
+        return voxrti_fail_plain(d.env.error, r);
     }
     return voxrti_tree_from_leafset(&mem, &d, &grid, &set, stats, out_tree);
 }
@@ -7361,9 +7361,7 @@ VOXRT_DEF voxrt_result voxrt_tree_from_voxels(const voxrt_build_desc *desc, cons
     voxrti_stage_open(&stage, &env, 2, 2, 4, &d.env);
     if (r != VOXRT_OK) {
         voxrti_leafset_free(&mem, &set);
-        if (d.env.error != NULL && d.env.error->code == VOXRT_OK)
-            (void)voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
-        return r;
+        return voxrti_fail_plain(d.env.error, r);
     }
     return voxrti_tree_from_leafset(&mem, &d, &grid, &set, NULL, out_tree);
 }
@@ -8377,7 +8375,7 @@ static voxrt_result voxrti_share_convert(const voxrt_tree *s, const voxrt_env *e
     voxrt_tree_destroy(other);
     if (r != VOXRT_OK) {
         voxrti_tree_free(&mem, t);
-        return voxrti_fail(e.error, r, 0, voxrt_result_string(r));
+        return voxrti_fail_plain(e.error, r);
     }
     t->mem = mem;
     t->mem.limit = 0;
@@ -8459,7 +8457,8 @@ static int voxrti_octree_reserve(voxrt_octree *t, size_t count) {
 
 /* Append a block of transparent leaves; its number, or 0 when there is no memory. */
 VOXRTI_INLINE uint32_t voxrti_octree_block(voxrt_octree *t) {
-    if (t->block_count == t->block_capacity && !voxrti_octree_reserve(t, t->block_count + 1)) return 0;
+    if ((t->block_count == t->block_capacity || t->block_count == VOXRTI_MAX_BLOCKS) &&
+        !voxrti_octree_reserve(t, t->block_count + 1)) return 0;
     memset(t->voxel + 8 * t->block_count, 0, 64);
     return (uint32_t)t->block_count++;
 }
@@ -9075,7 +9074,7 @@ VOXRT_DEF voxrt_result voxrt_tree_from_octree(const voxrt_octree_desc *desc, con
     grid.voxel_size = t->depth > 0 ? t->voxel_size : 0.5 * t->voxel_size;
     memset(&set, 0, sizeof set);
     if (!voxrti_octree_count(t, grid.depth, &cells, &set.block_count))
-        return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, 0, "2^32 - 2 voxels or more");
+        return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, 0, "more than 2^32 - 2 voxels");
     set.voxel_count = (size_t)cells.count[grid.depth];
     if (set.voxel_count == 0) return voxrti_fail(d.env.error, VOXRT_ERR_EMPTY, 0, "no voxel is filled");
     if (!cells.stale) {
@@ -19189,9 +19188,7 @@ VOXRT_DEF voxrt_result voxrt_paged_build(const voxrt_build_desc *desc, const vox
     voxrti_free(&mem, list);
     voxrti_free(&mem, p);
     stats->peak_bytes = mem.peak;
-    if (r != VOXRT_OK && d.env.error != NULL && d.env.error->code == VOXRT_OK)
-        (void)voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
-    return r;
+    return r != VOXRT_OK ? voxrti_fail_plain(d.env.error, r) : r;
 }
 
 #ifndef VOXRT_NO_STDIO
@@ -19262,9 +19259,7 @@ VOXRT_DEF voxrt_result voxrt_paged_build_file(const voxrt_build_desc *desc, cons
     sink.user = &file;
     if (r == VOXRT_OK) r = voxrt_paged_build(desc, mesh, &sink, stats);
     r = voxrti_sink_close(&mem, path, &file, part, r);
-    if (r != VOXRT_OK && d.env.error != NULL && d.env.error->code == VOXRT_OK)
-        (void)voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
-    return r;
+    return r != VOXRT_OK ? voxrti_fail_plain(d.env.error, r) : r;
 }
 #endif
 

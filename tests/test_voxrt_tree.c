@@ -1033,6 +1033,35 @@ static int on_progress(void *user, uint64_t done, uint64_t total) {
     return p->stop_at != 0 && p->calls == p->stop_at;
 }
 
+/* What failed within a call says more than its result does. */
+TEST(errors_keep_their_place) {
+    static const uint8_t palette[3] = {1, 2, 3};
+    voxrt_build_desc d = defaults();
+    voxrti_leafset set;
+    voxrti_grid grid;
+    voxrti_mem mem;
+    voxrt_error e;
+    voxrt_tree *t;
+    memset(&set, 0, sizeof set);
+    memset(&grid, 0, sizeof grid);
+    memset(&e, 0, sizeof e);
+    d.env.error = &e;
+    REQUIRE(voxrti_env_open(&d.env, &mem) == VOXRT_OK);
+    grid.depth = 2;
+    grid.resolution = 4;
+    grid.voxel_size = 1;
+    set.block_count = set.voxel_count = 1;
+    set.key = (uint64_t *)voxrti_alloc_zero(&mem, 1, 8);
+    set.mask = (uint64_t *)voxrti_alloc_zero(&mem, 1, 8);
+    set.rgb = (uint32_t *)voxrti_alloc_zero(&mem, 1, 4);
+    REQUIRE(set.key != NULL && set.mask != NULL && set.rgb != NULL);
+    set.mask[0] = 1;
+    set.rgb[0] = 0x1000005; /* no index of a palette */
+    CHECK_EQ_U64(voxrti_tree_from_leafset_palette(&mem, &d, &grid, &set, palette, 1, NULL, &t), VOXRT_ERR_RANGE);
+    CHECK(e.code == VOXRT_ERR_RANGE && strstr(e.text, "palette index") != NULL);
+    CHECK_EQ_U64(e.where, 0x1000005);
+}
+
 TEST(progress_and_cancel) {
     const uint32_t count = 300000; /* progress is told after each 256 tasks, a task has at least 1024 triangles */
     float *p9 = (float *)malloc((size_t)count * 36);
@@ -1150,6 +1179,7 @@ int main(int argc, char **argv) {
     RUN(every_allocation_fails_once);
     RUN(memory_limit);
     RUN(peak_memory_is_told);
+    RUN(errors_keep_their_place);
     RUN(progress_and_cancel);
     RUN(many_nodes);
     return test_end();
