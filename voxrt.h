@@ -4953,6 +4953,56 @@ static int voxrti_tri_each(const voxrti_vox *v, size_t i, int attributes,
 
 /* ---- binning ---- */
 
+/* Cells i of a row in [i0, i1] for which e + i * step >= 0. */
+VOXRTI_INLINE void voxrti_row_clip(int64_t e, int64_t step, double inv, int64_t *i0, int64_t *i1) {
+    int64_t i;
+    if (step == 0) {
+        if (e < 0) *i1 = *i0 - 1;
+        return;
+    }
+    if (*i0 > *i1) return;
+    i = voxrti_floor(-(double)e * inv); /* near the root; then exactly */
+    if (step > 0) {
+        while (e + i * step >= 0) i--;
+        while (e + i * step < 0) i++;
+        if (i > *i0) *i0 = i;
+    } else {
+        while (e + i * step >= 0) i++;
+        while (e + i * step < 0) i--;
+        if (i < *i1) *i1 = i;
+    }
+}
+
+/* Cubes in [i0, i1] of row (y, z), edges `size` and `pad` wider on all sides, that the closed triangle touches: separating
+   axes (Schwarz & Seidel 2010). */
+VOXRTI_INLINE void voxrti_tri_row(const voxrti_tri *t, int64_t size, int64_t pad, int64_t y, int64_t z, int64_t *i0,
+                                  int64_t *i1) {
+    const int64_t edge = size + 2 * pad, step = t->n[0] * size;
+    int64_t c[3], plane = 0, reach[2] = {0, 0};
+    uint32_t pair, a, e;
+    c[0] = -pad;
+    c[1] = y * size - pad;
+    c[2] = z * size - pad;
+    for (a = 0; a < 3; a++) { /* plane: largest value over the cube >= 0 >= smallest */
+        plane += t->n[a] * (c[a] - t->p[0][a]);
+        reach[t->n[a] > 0] += t->n[a] * edge;
+    }
+    voxrti_row_clip(plane + reach[1], step, step != 0 ? 1.0 / (double)step : 0.0, i0, i1);
+    voxrti_row_clip(-plane - reach[0], -step, step != 0 ? -1.0 / (double)step : 0.0, i0, i1);
+    for (pair = 0; pair < 3 && *i0 <= *i1; pair++) { /* projections along x, y, z */
+        uint32_t pu = (pair + 1) % 3, pw = (pair + 2) % 3;
+        int64_t sign = t->n[pair] < 0 ? -1 : 1;
+        for (e = 0; e < 3; e++) {
+            const int64_t *p = t->p[e], *q = t->p[(e + 1) % 3];
+            int64_t eu = -(q[pw] - p[pw]) * sign, ew = (q[pu] - p[pu]) * sign, at, si;
+            at = eu * (c[pu] - p[pu]) + ew * (c[pw] - p[pw]);
+            at += (eu > 0 ? eu * edge : 0) + (ew > 0 ? ew * edge : 0);
+            si = pair == 0 ? 0 : (pu == 0 ? eu : ew) * size;
+            voxrti_row_clip(at, si, si != 0 ? 1.0 / (double)si : 0.0, i0, i1);
+        }
+    }
+}
+
 typedef struct voxrti_bin {
     voxrti_vox *v;
     uint64_t *ref;          /* [count] brick << 32 | triangle */
@@ -4963,8 +5013,7 @@ typedef struct voxrti_bin {
 static void voxrti_bin_tri(void *ctx, const voxrti_tri *t, size_t i) {
     voxrti_bin *b = (voxrti_bin *)ctx;
     uint32_t shift = b->v->brick_bits + b->v->sub, a, k, many;
-    int64_t lo[3], hi[3], c[3], size = (int64_t)1 << shift,
-                                end = (((int64_t)b->v->grid->resolution - 1) >> b->v->brick_bits);
+    int64_t lo[3], hi[3], c[3], end = (((int64_t)b->v->grid->resolution - 1) >> b->v->brick_bits);
     for (a = 0; a < 3; a++) {
         lo[a] = hi[a] = t->p[0][a];
         for (k = 1; k < 3; k++) {
@@ -4981,18 +5030,11 @@ static void voxrti_bin_tri(void *ctx, const voxrti_tri *t, size_t i) {
     many = (hi[0] - lo[0] > 1) + (hi[1] - lo[1] > 1) + (hi[2] - lo[2] > 1) > 1;
     for (c[2] = lo[2]; c[2] <= hi[2]; c[2]++) {
         for (c[1] = lo[1]; c[1] <= hi[1]; c[1]++) {
-            if (many && !voxrti_ask_work(&b->v->ask, (uint32_t)(hi[0] - lo[0]) / 8 + 1)) return;
-            for (c[0] = lo[0]; c[0] <= hi[0]; c[0]++) {
-                uint64_t ref;
-                if (many) { /* does the plane miss the brick? */
-                    double d = 0, r = 0;
-                    for (a = 0; a < 3; a++) {
-                        d += (double)t->n[a] * ((double)(c[a] * size) + 0.5 * (double)size - (double)t->p[0][a]);
-                        r += voxrti_abs((double)t->n[a]);
-                    }
-                    if (voxrti_abs(d) > r * (0.5 * (double)size + 2.0) * 1.0001) continue;
-                }
-                ref = voxrti_morton((uint32_t)c[0], (uint32_t)c[1], (uint32_t)c[2]) << 32 | (uint64_t)i;
+            int64_t i0 = lo[0], i1 = hi[0];
+            if (many && !voxrti_ask_work(&b->v->ask, 1)) return;
+            if (many) voxrti_tri_row(t, (int64_t)1 << shift, 2, c[1], c[2], &i0, &i1); /* 2: what rounding moves */
+            for (c[0] = i0; c[0] <= i1; c[0]++) {
+                uint64_t ref = voxrti_morton((uint32_t)c[0], (uint32_t)c[1], (uint32_t)c[2]) << 32 | (uint64_t)i;
                 if (ref == b->last) continue; /* pieces of a clipped triangle */
                 b->last = ref;
                 if (b->count == b->capacity &&
@@ -5323,26 +5365,6 @@ static void voxrti_fragment_attr(voxrti_brick *b, uint32_t cell, uint32_t weight
     voxrti_fragment(b, cell, weight,
                     voxrti_f4_min(voxrti_f4_max(voxrti_fragment_scaled(f, 0), least), most),
                     voxrti_f4_min(voxrti_f4_max(voxrti_fragment_scaled(f, 1), least), most));
-}
-
-/* Columns i of row k in [i0, i1] for which e + i * step >= 0. */
-VOXRTI_INLINE void voxrti_row_clip(int64_t e, int64_t step, double inv, int64_t *i0, int64_t *i1) {
-    int64_t i;
-    if (step == 0) {
-        if (e < 0) *i1 = *i0 - 1;
-        return;
-    }
-    if (*i0 > *i1) return;
-    i = voxrti_floor(-(double)e * inv); /* near the root; then exactly */
-    if (step > 0) {
-        while (e + i * step >= 0) i--;
-        while (e + i * step < 0) i++;
-        if (i > *i0) *i0 = i;
-    } else {
-        while (e + i * step >= 0) i++;
-        while (e + i * step < 0) i--;
-        if (i < *i1) *i1 = i;
-    }
 }
 
 /* Crosshair targets of axis a (Laine 2013): columns whose centre line meets the triangle, edges included; the voxel is
@@ -5684,7 +5706,7 @@ static void voxrti_tri_tiny(voxrti_brick *b, const voxrti_tri *t, int counted) {
     }
 }
 
-/* All voxels of the brick that the closed triangle touches (separating axes, Schwarz & Seidel 2010), row by row. */
+/* All voxels of the brick that the closed triangle touches, row by row. */
 static void voxrti_raster_26(voxrti_brick *b, const voxrti_tri *t, uint32_t weight) {
     const voxrti_vox *v = b->v;
     int64_t size = (int64_t)1 << v->sub, lo[3], hi[3], y, z, x, limit = (int64_t)v->grid->resolution;
@@ -5709,31 +5731,8 @@ static void voxrti_raster_26(voxrti_brick *b, const voxrti_tri *t, uint32_t weig
     voxrti_ramp_make(b, t, main_axis, &ramp);
     for (z = lo[2]; z <= hi[2]; z++) {
         for (y = lo[1]; y <= hi[1]; y++) {
-            int64_t i0 = lo[0], i1 = hi[0], c[3], plane, step = t->n[0] * size, reach[2] = {0, 0};
-            uint32_t pair;
-            c[0] = 0;
-            c[1] = y * size;
-            c[2] = z * size;
-            /* plane: largest value over the cube >= 0 >= smallest */
-            plane = 0;
-            for (a = 0; a < 3; a++) {
-                plane += t->n[a] * (c[a] - t->p[0][a]);
-                reach[t->n[a] > 0] += t->n[a] * size;
-            }
-            voxrti_row_clip(plane + reach[1], step, step != 0 ? 1.0 / (double)step : 0.0, &i0, &i1);
-            voxrti_row_clip(-plane - reach[0], -step, step != 0 ? -1.0 / (double)step : 0.0, &i0, &i1);
-            for (pair = 0; pair < 3 && i0 <= i1; pair++) { /* projections along x, y, z */
-                uint32_t pu = (pair + 1) % 3, pw = (pair + 2) % 3;
-                int64_t sign = t->n[pair] < 0 ? -1 : 1;
-                for (e = 0; e < 3; e++) {
-                    const int64_t *p = t->p[e], *q = t->p[(e + 1) % 3];
-                    int64_t eu = -(q[pw] - p[pw]) * sign, ew = (q[pu] - p[pu]) * sign, at, si;
-                    at = eu * (c[pu] - p[pu]) + ew * (c[pw] - p[pw]);
-                    at += (eu > 0 ? eu * size : 0) + (ew > 0 ? ew * size : 0);
-                    si = pair == 0 ? 0 : (pu == 0 ? eu : ew) * size;
-                    voxrti_row_clip(at, si, si != 0 ? 1.0 / (double)si : 0.0, &i0, &i1);
-                }
-            }
+            int64_t i0 = lo[0], i1 = hi[0];
+            voxrti_tri_row(t, size, 0, y, z, &i0, &i1);
             for (x = i0; x <= i1; x++) {
                 uint32_t cc[3], cell;
                 float f[VOXRTI_CHANNELS], i, k;

@@ -1239,6 +1239,32 @@ TEST(clipped_lines_count_once) {
     cells_free(&c);
 }
 
+/* Long triangles without an area, or with little, cost what they touch, not what their boxes hold. */
+TEST(long_lines_are_cheap) {
+    static const float wide[4] = {0, 1e-5f, 1e-3f, 0.02f};
+    uint32_t k, mode;
+    for (k = 0; k < 4; k++)
+        for (mode = 0; mode < 3; mode++) {
+            float p[3][3] = {{0, 0, 0}, {1, 1, 1}, {0.5f, 0.5f, 0.5f}};
+            voxrt_build_desc d;
+            voxrt_build_stats stats;
+            voxrt_mesh m;
+            voxrt_tree *t = NULL;
+            memset(&d, 0, sizeof d);
+            memset(&m, 0, sizeof m);
+            p[2][0] += wide[k];
+            d.resolution = 8192;
+            d.separating = mode_of((int)mode);
+            d.env.memory_limit = (size_t)32 << 20;
+            m.positions = p[0];
+            m.vertex_count = 3;
+            m.triangle_count = 1;
+            CHECK_EQ_U64(voxrt_tree_build(&d, &m, &stats, &t), VOXRT_OK);
+            CHECK_MSG(stats.voxels >= 8192, "%u voxels", (unsigned)stats.voxels);
+            voxrt_tree_destroy(t);
+        }
+}
+
 /* ---- the thesis' converter --------------------------------------------------------------------------------------- */
 
 TEST(thesis_miss_rates) {
@@ -1999,6 +2025,7 @@ int main(int argc, char **argv) {
     RUN(clipped_triangles_count_once);
     RUN(just_outside_of_the_grid);
     RUN(clipped_lines_count_once);
+    RUN(long_lines_are_cheap);
     RUN(thesis_miss_rates);
     RUN(counts_grow_fourfold);
     RUN(one_colour_is_exact);
