@@ -432,7 +432,8 @@ typedef struct voxrt_build_desc {
     voxrt_lod_method lod_method;
     uint32_t disable_colors;  /* 1: one colour (white) for all */
     uint32_t disable_normals; /* 1: shade by the face that was hit */
-    uint32_t fill;            /* 1: fill closed hulls; cells get the attributes of the nearest surface voxel */
+    uint32_t fill;            /* 1: fill closed hulls, up to a depth of 14 (else RANGE); cells get the attributes of the
+                                 nearest surface voxel. 20 bytes for each 16^3 cells of the grid meanwhile */
     uint32_t fill_depth;      /* with fill: only this many voxels deep, 0: all */
     uint32_t planes;
     uint32_t spread;
@@ -494,8 +495,8 @@ VOXRT_DEF voxrt_result voxrt_tree_build(const voxrt_build_desc *desc, const voxr
    voxels  in, [count]; normals need not be unit. If any has one, those without, or without a direction, get +z
    depth   1..VOXRT_MAX_DEPTH; coordinates below 2^depth (else RANGE, error->where = the voxel's index)
    One voxel is a unit cube, the grid's corner is the world's origin; desc's box_min and box_size override that.
-   resolution, separating, planes and strict of desc are not used. O(count). Errors: INVALID_ARG, UNINIT_DESC, RANGE,
-   EMPTY (count is 0), NO_MEMORY, CANCELLED. Otherwise as voxrt_tree_build. */
+   resolution, separating, planes and strict of desc are not used, but have to be allowed. O(count).
+   Errors: INVALID_ARG, UNINIT_DESC, RANGE, EMPTY (count is 0), NO_MEMORY, CANCELLED. Otherwise as voxrt_tree_build. */
 VOXRT_DEF voxrt_result voxrt_tree_from_voxels(const voxrt_build_desc *desc, const voxrt_voxel *voxels, size_t count,
                                               uint32_t depth, voxrt_tree **out_tree);
 
@@ -688,7 +689,7 @@ VOXRT_DEF voxrt_result voxrt_octree_from_tree(const voxrt_octree_desc *desc, con
    detail, and the same normals: such a tree keeps the thesis' codes, also in version 5 files. So a collapsed octree in
    pre-order comes back from its tree byte for byte. Where a filled voxel lies in a transparent one (build_lod was never
    called) the levels of detail are made by majority. Only env of desc is used.
-   EMPTY: nothing is filled. RANGE: 2^32 - 2 voxels or more. CANCELLED. Otherwise as voxrt_octree_from_tree. */
+   EMPTY: nothing is filled. RANGE: more than 2^32 - 2 voxels. CANCELLED. Otherwise as voxrt_octree_from_tree. */
 VOXRT_DEF voxrt_result voxrt_tree_from_octree(const voxrt_octree_desc *desc, const voxrt_octree *octree,
                                               voxrt_tree **out_tree);
 
@@ -2755,7 +2756,6 @@ VOXRTI_INLINE void voxrti_sph_decode(uint32_t theta, int32_t phi, float n[3]) {
     n[2] = ct;
 }
 
-
 /* Normals of a tree: `spherical` as in voxrt_tree. */
 VOXRTI_INLINE void voxrti_normal_decode(uint32_t spherical, uint32_t code, float n[3]) {
     if (spherical) voxrti_sph_decode(code & 255u, (int32_t)((code >> 8 ^ 128u) & 255u) - 128, n);
@@ -3263,7 +3263,7 @@ static void voxrti_cset_add(voxrti_cset *s, uint32_t c) {
         while ((old & bit) == 0 && !voxrti_atomic_max_step(word, &old, old | bit)) { }
     } else {
         uint32_t h = c * 0x9e3779b1u >> 7 & s->slot_mask;
-        for (;; h = (h + 1) & s->slot_mask) { /* without threads the step does not compare: look first */
+        for (;; h = (h + 1) & s->slot_mask) { /* a slot that is not empty keeps its code */
             uint32_t old = voxrti_atomic_load(&s->slot[2 * h]);
             if (old == c + 1 || (old == 0 && voxrti_atomic_max_step(&s->slot[2 * h], &old, c + 1))) return;
             if (old == c + 1) return; /* another thread was first */
@@ -4906,14 +4906,14 @@ static uint32_t voxrti_clip_plane(const voxrti_corner *in, uint32_t n, voxrti_co
     return count;
 }
 
-/* Call fn for triangle i, snapped; clipped to the grid (plus one voxel around) where it leaves it.
-   Returns 0 when it is not usable. */
+/* Call fn, if there is one, for triangle i, snapped; clipped to the grid (plus one voxel around) where it leaves it.
+   Returns 0 when it is not usable, 2 when what is left of it has no area, else 1. */
 static int voxrti_tri_each(const voxrti_vox *v, size_t i, int attributes,
                            void (*fn)(void *ctx, const voxrti_tri *t, size_t i), void *ctx) {
     double p[3][3], s = (double)((uint32_t)1 << v->sub), end = (double)v->grid->resolution + 1.0;
     size_t vertex[3];
     voxrti_tri t;
-    uint32_t k, a, inside = 1, n;
+    uint32_t k, a, inside = 1, n, pieces = 0, flat = 0;
     memset(vertex, 0, sizeof vertex);
     if (!voxrti_tri_corners(v, i, p, vertex)) return 0;
     if (attributes) voxrti_tri_attributes(v, i, vertex, (const double (*)[3])p, &t);
@@ -4923,7 +4923,9 @@ static int voxrti_tri_each(const voxrti_vox *v, size_t i, int attributes,
         for (k = 0; k < 3; k++)
             for (a = 0; a < 3; a++) t.p[k][a] = voxrti_floor(p[k][a] * s + 0.5);
         voxrti_tri_finish(v, &t);
-        fn(ctx, &t, i);
+        pieces = 1;
+        flat = t.n[0] == 0 && t.n[1] == 0 && t.n[2] == 0;
+        if (fn != NULL) fn(ctx, &t, i);
     } else {
         voxrti_corner c[2][12];
         memset(c, 0, sizeof c);
@@ -4943,13 +4945,65 @@ static int voxrti_tri_each(const voxrti_vox *v, size_t i, int attributes,
                 if (attributes) memcpy(t.attr[j], q->attr, sizeof q->attr);
             }
             voxrti_tri_finish(v, &t);
-            fn(ctx, &t, i);
+            pieces++;
+            flat += t.n[0] == 0 && t.n[1] == 0 && t.n[2] == 0;
+            if (fn != NULL) fn(ctx, &t, i);
         }
     }
-    return 1;
+    return pieces != 0 && flat == pieces ? 2 : 1;
 }
 
 /* ---- binning ---- */
+
+/* Cells i of a row in [i0, i1] for which e + i * step >= 0. */
+VOXRTI_INLINE void voxrti_row_clip(int64_t e, int64_t step, double inv, int64_t *i0, int64_t *i1) {
+    int64_t i;
+    if (step == 0) {
+        if (e < 0) *i1 = *i0 - 1;
+        return;
+    }
+    if (*i0 > *i1) return;
+    i = voxrti_floor(-(double)e * inv); /* near the root; then exactly */
+    if (step > 0) {
+        while (e + i * step >= 0) i--;
+        while (e + i * step < 0) i++;
+        if (i > *i0) *i0 = i;
+    } else {
+        while (e + i * step >= 0) i++;
+        while (e + i * step < 0) i--;
+        if (i < *i1) *i1 = i;
+    }
+}
+
+/* Cubes in [i0, i1] of row (y, z), edges `size` and `pad` wider on all sides, that the closed triangle touches: separating
+   axes (Schwarz & Seidel 2010). */
+VOXRTI_INLINE void voxrti_tri_row(const voxrti_tri *t, int64_t size, int64_t pad, int64_t y, int64_t z, int64_t *i0,
+                                  int64_t *i1) {
+    const int64_t edge = size + 2 * pad, step = t->n[0] * size;
+    int64_t c[3], plane = 0, reach[2] = {0, 0};
+    uint32_t pair, a, e;
+    c[0] = -pad;
+    c[1] = y * size - pad;
+    c[2] = z * size - pad;
+    for (a = 0; a < 3; a++) { /* plane: largest value over the cube >= 0 >= smallest */
+        plane += t->n[a] * (c[a] - t->p[0][a]);
+        reach[t->n[a] > 0] += t->n[a] * edge;
+    }
+    voxrti_row_clip(plane + reach[1], step, step != 0 ? 1.0 / (double)step : 0.0, i0, i1);
+    voxrti_row_clip(-plane - reach[0], -step, step != 0 ? -1.0 / (double)step : 0.0, i0, i1);
+    for (pair = 0; pair < 3 && *i0 <= *i1; pair++) { /* projections along x, y, z */
+        uint32_t pu = (pair + 1) % 3, pw = (pair + 2) % 3;
+        int64_t sign = t->n[pair] < 0 ? -1 : 1;
+        for (e = 0; e < 3; e++) {
+            const int64_t *p = t->p[e], *q = t->p[(e + 1) % 3];
+            int64_t eu = -(q[pw] - p[pw]) * sign, ew = (q[pu] - p[pu]) * sign, at, si;
+            at = eu * (c[pu] - p[pu]) + ew * (c[pw] - p[pw]);
+            at += (eu > 0 ? eu * edge : 0) + (ew > 0 ? ew * edge : 0);
+            si = pair == 0 ? 0 : (pu == 0 ? eu : ew) * size;
+            voxrti_row_clip(at, si, si != 0 ? 1.0 / (double)si : 0.0, i0, i1);
+        }
+    }
+}
 
 typedef struct voxrti_bin {
     voxrti_vox *v;
@@ -4961,9 +5015,7 @@ typedef struct voxrti_bin {
 static void voxrti_bin_tri(void *ctx, const voxrti_tri *t, size_t i) {
     voxrti_bin *b = (voxrti_bin *)ctx;
     uint32_t shift = b->v->brick_bits + b->v->sub, a, k, many;
-    int64_t lo[3], hi[3], c[3], size = (int64_t)1 << shift,
-                                end = (((int64_t)b->v->grid->resolution - 1) >> b->v->brick_bits);
-    if (t->n[0] == 0 && t->n[1] == 0 && t->n[2] == 0) b->degenerate++;
+    int64_t lo[3], hi[3], c[3], end = (((int64_t)b->v->grid->resolution - 1) >> b->v->brick_bits);
     for (a = 0; a < 3; a++) {
         lo[a] = hi[a] = t->p[0][a];
         for (k = 1; k < 3; k++) {
@@ -4980,18 +5032,11 @@ static void voxrti_bin_tri(void *ctx, const voxrti_tri *t, size_t i) {
     many = (hi[0] - lo[0] > 1) + (hi[1] - lo[1] > 1) + (hi[2] - lo[2] > 1) > 1;
     for (c[2] = lo[2]; c[2] <= hi[2]; c[2]++) {
         for (c[1] = lo[1]; c[1] <= hi[1]; c[1]++) {
-            if (many && !voxrti_ask_work(&b->v->ask, (uint32_t)(hi[0] - lo[0]) / 8 + 1)) return;
-            for (c[0] = lo[0]; c[0] <= hi[0]; c[0]++) {
-                uint64_t ref;
-                if (many) { /* does the plane miss the brick? */
-                    double d = 0, r = 0;
-                    for (a = 0; a < 3; a++) {
-                        d += (double)t->n[a] * ((double)(c[a] * size) + 0.5 * (double)size - (double)t->p[0][a]);
-                        r += voxrti_abs((double)t->n[a]);
-                    }
-                    if (voxrti_abs(d) > r * (0.5 * (double)size + 2.0) * 1.0001) continue;
-                }
-                ref = voxrti_morton((uint32_t)c[0], (uint32_t)c[1], (uint32_t)c[2]) << 32 | (uint64_t)i;
+            int64_t i0 = lo[0], i1 = hi[0];
+            if (many && !voxrti_ask_work(&b->v->ask, 1)) return;
+            if (many) voxrti_tri_row(t, (int64_t)1 << shift, 2, c[1], c[2], &i0, &i1); /* 2: what rounding moves */
+            for (c[0] = i0; c[0] <= i1; c[0]++) {
+                uint64_t ref = voxrti_morton((uint32_t)c[0], (uint32_t)c[1], (uint32_t)c[2]) << 32 | (uint64_t)i;
                 if (ref == b->last) continue; /* pieces of a clipped triangle */
                 b->last = ref;
                 if (b->count == b->capacity &&
@@ -5015,8 +5060,11 @@ static void voxrti_bin_task(void *ctx, uint32_t task) {
     b.v = v;
     if (end > v->mesh->triangle_count) end = v->mesh->triangle_count;
     for (; i < end && !voxrti_atomic_load(&v->ask.cancelled); i++) {
+        int usable;
         b.last = ~(uint64_t)0;
-        if (!voxrti_tri_each(v, i, 0, voxrti_bin_tri, &b)) b.rejected++;
+        usable = voxrti_tri_each(v, i, 0, voxrti_bin_tri, &b);
+        b.rejected += usable == 0;
+        b.degenerate += usable == 2;
     }
     v->bin[task] = b;
 }
@@ -5269,7 +5317,8 @@ static VOXRTI_NOINLINE void voxrti_fragment_sample(const voxrti_brick *b, uint32
     }
     if (!voxrti_normalize(s.normal)) s.normal[0] = s.normal[1] = s.normal[2] = 0.0f;
     b->v->mesh->sample_fn(b->v->mesh->sample_user, &s);
-    for (a = 0; a < 3; a++) c[a] = (s.color[a] > 0.0f ? s.color[a] < 1.0f ? s.color[a] : 1.0f : 0.0f) * 65535.0f + 0.5f;
+    for (a = 0; a < 3 && !b->v->d->disable_colors; a++)
+        c[a] = (s.color[a] > 0.0f ? s.color[a] < 1.0f ? s.color[a] : 1.0f : 0.0f) * 65535.0f + 0.5f;
     if (b->v->has_normal && voxrti_finite_f(s.normal[0]) && voxrti_finite_f(s.normal[1]) &&
         voxrti_finite_f(s.normal[2]) && voxrti_normalize(s.normal))
         for (a = 0; a < 3; a++) n[a] = s.normal[a] * 16384.0f + 32768.5f;
@@ -5318,26 +5367,6 @@ static void voxrti_fragment_attr(voxrti_brick *b, uint32_t cell, uint32_t weight
     voxrti_fragment(b, cell, weight,
                     voxrti_f4_min(voxrti_f4_max(voxrti_fragment_scaled(f, 0), least), most),
                     voxrti_f4_min(voxrti_f4_max(voxrti_fragment_scaled(f, 1), least), most));
-}
-
-/* Columns i of row k in [i0, i1] for which e + i * step >= 0. */
-VOXRTI_INLINE void voxrti_row_clip(int64_t e, int64_t step, double inv, int64_t *i0, int64_t *i1) {
-    int64_t i;
-    if (step == 0) {
-        if (e < 0) *i1 = *i0 - 1;
-        return;
-    }
-    if (*i0 > *i1) return;
-    i = voxrti_floor(-(double)e * inv); /* near the root; then exactly */
-    if (step > 0) {
-        while (e + i * step >= 0) i--;
-        while (e + i * step < 0) i++;
-        if (i > *i0) *i0 = i;
-    } else {
-        while (e + i * step >= 0) i++;
-        while (e + i * step < 0) i--;
-        if (i < *i1) *i1 = i;
-    }
 }
 
 /* Crosshair targets of axis a (Laine 2013): columns whose centre line meets the triangle, edges included; the voxel is
@@ -5581,8 +5610,9 @@ static void voxrti_tri_points(voxrti_brick *b, const voxrti_tri *t) {
         uint32_t c[3], inside = 1;
         float f[VOXRTI_CHANNELS];
         for (a = 0; a < 3; a++) {
-            int64_t x = ((4 * t->p[e][a] + t->p[e1][a] + t->p[e2][a]) / 6) >> v->sub;
-            if (x == limit) x--;
+            int64_t x = (4 * t->p[e][a] + t->p[e1][a] + t->p[e2][a]) / 6;
+            if (x == limit << v->sub) x--; /* on the far face of the grid */
+            x >>= v->sub;
             inside &= x >= (int64_t)b->lo[a] && x < (int64_t)(b->lo[a] + b->size) && x < limit;
             c[a] = (uint32_t)(x < 0 ? 0 : x);
         }
@@ -5661,8 +5691,8 @@ static void voxrti_tri_tiny(voxrti_brick *b, const voxrti_tri *t, int counted) {
         for (a = 0; a < 3; a++) {
             const int64_t *p = t->p[best], *q = t->p[(best + 1) % 3];
             int64_t x = j > to ? t->p[(best + 2) % 3][a] : p[a] + (q[a] - p[a]) * j / steps;
+            if (x == (int64_t)v->grid->resolution << v->sub) x--; /* on the far face of the grid */
             x >>= v->sub;
-            if (x == (int64_t)v->grid->resolution) x--;
             inside &= x >= (int64_t)b->lo[a] && x < (int64_t)(b->lo[a] + b->size) && x < (int64_t)v->grid->resolution;
             c[a] = (uint32_t)(x < 0 ? 0 : x);
         }
@@ -5678,7 +5708,7 @@ static void voxrti_tri_tiny(voxrti_brick *b, const voxrti_tri *t, int counted) {
     }
 }
 
-/* All voxels of the brick that the closed triangle touches (separating axes, Schwarz & Seidel 2010), row by row. */
+/* All voxels of the brick that the closed triangle touches, row by row. */
 static void voxrti_raster_26(voxrti_brick *b, const voxrti_tri *t, uint32_t weight) {
     const voxrti_vox *v = b->v;
     int64_t size = (int64_t)1 << v->sub, lo[3], hi[3], y, z, x, limit = (int64_t)v->grid->resolution;
@@ -5703,31 +5733,8 @@ static void voxrti_raster_26(voxrti_brick *b, const voxrti_tri *t, uint32_t weig
     voxrti_ramp_make(b, t, main_axis, &ramp);
     for (z = lo[2]; z <= hi[2]; z++) {
         for (y = lo[1]; y <= hi[1]; y++) {
-            int64_t i0 = lo[0], i1 = hi[0], c[3], plane, step = t->n[0] * size, reach[2] = {0, 0};
-            uint32_t pair;
-            c[0] = 0;
-            c[1] = y * size;
-            c[2] = z * size;
-            /* plane: largest value over the cube >= 0 >= smallest */
-            plane = 0;
-            for (a = 0; a < 3; a++) {
-                plane += t->n[a] * (c[a] - t->p[0][a]);
-                reach[t->n[a] > 0] += t->n[a] * size;
-            }
-            voxrti_row_clip(plane + reach[1], step, step != 0 ? 1.0 / (double)step : 0.0, &i0, &i1);
-            voxrti_row_clip(-plane - reach[0], -step, step != 0 ? -1.0 / (double)step : 0.0, &i0, &i1);
-            for (pair = 0; pair < 3 && i0 <= i1; pair++) { /* projections along x, y, z */
-                uint32_t pu = (pair + 1) % 3, pw = (pair + 2) % 3;
-                int64_t sign = t->n[pair] < 0 ? -1 : 1;
-                for (e = 0; e < 3; e++) {
-                    const int64_t *p = t->p[e], *q = t->p[(e + 1) % 3];
-                    int64_t eu = -(q[pw] - p[pw]) * sign, ew = (q[pu] - p[pu]) * sign, at, si;
-                    at = eu * (c[pu] - p[pu]) + ew * (c[pw] - p[pw]);
-                    at += (eu > 0 ? eu * size : 0) + (ew > 0 ? ew * size : 0);
-                    si = pair == 0 ? 0 : (pu == 0 ? eu : ew) * size;
-                    voxrti_row_clip(at, si, si != 0 ? 1.0 / (double)si : 0.0, &i0, &i1);
-                }
-            }
+            int64_t i0 = lo[0], i1 = hi[0];
+            voxrti_tri_row(t, size, 0, y, z, &i0, &i1);
             for (x = i0; x <= i1; x++) {
                 uint32_t cc[3], cell;
                 float f[VOXRTI_CHANNELS], i, k;
@@ -6203,11 +6210,11 @@ static VOXRTI_UNUSED voxrt_result voxrti_leafset_from_voxels(voxrti_mem *mem, co
         out->mask[out->block_count - 1] |= (uint64_t)1 << (a[i].key & 63u);
         for (k = i; k < n && a[k].key == a[i].key; k++) {
             const voxrt_voxel *e = &list[a[k].index];
-            for (x = 0; x < 3; x++) {
-                sum[x] += srgb[e->rgb[x]];
-                if (e->has_normal && voxrti_finite_f(e->normal[x])) /* integers: the order does not matter */
-                    m[x] += (double)voxrti_floor(voxrti_min(voxrti_max((double)e->normal[x], -1e6), 1e6) * 16384.0);
-            }
+            float f[3];
+            memcpy(f, e->normal, sizeof f);
+            for (x = 0; x < 3; x++) sum[x] += srgb[e->rgb[x]];
+            if (!e->has_normal || !voxrti_normalize(f)) continue;
+            for (x = 0; x < 3; x++) m[x] += (double)voxrti_floor((double)f[x] * 16384.0 + 0.5); /* in any order */
         }
         c = k - i;
         if (out->rgb != NULL)
@@ -6261,21 +6268,14 @@ typedef struct voxrti_flood {
     voxrti_ask ask;
 } voxrti_flood;
 
-/* axis masks in a 4x4x4 mask: cells with index 0 and 3, even, and 1 */
-static const uint64_t voxrti_first4[3] = {0x0055005500550055u, 0x0000333300003333u, 0x000000000f0f0f0fu};
-static const uint64_t voxrti_last4[3] = {0xaa00aa00aa00aa00u, 0xcccc0000cccc0000u, 0xf0f0f0f000000000u};
-static const uint64_t voxrti_even4[3] = {0x5555555555555555u, 0x3333333333333333u, 0x0f0f0f0f0f0f0f0fu};
-static const uint64_t voxrti_one4[3] = {0x00aa00aa00aa00aau, 0x0000cccc0000ccccu, 0x00000000f0f0f0f0u};
-static const uint64_t voxrti_two4[3] = {0x5500550055005500u, 0x3333000033330000u, 0x0f0f0f0f00000000u};
-
 /* The cells of m and their face neighbours inside the block. */
 static uint64_t voxrti_dilate4(uint64_t m) {
     uint64_t r = m;
     uint32_t a;
     for (a = 0; a < 3; a++) {
+        const uint64_t *l = voxrti_layer[a], even = l[0] | l[2];
         uint32_t s = 1u << a, j = 7u << a; /* even -> odd: s; 1 -> 2: 8*s - s */
-        r |= (m & voxrti_even4[a]) << s | (m & ~voxrti_even4[a]) >> s | (m & voxrti_one4[a]) << j |
-             (m & voxrti_two4[a]) >> j;
+        r |= (m & even) << s | (m & ~even) >> s | (m & l[1]) << j | (m & l[2]) >> j;
     }
     return r;
 }
@@ -6343,7 +6343,7 @@ static void voxrti_flood_run(voxrti_flood *f) {
                         voxrti_flood_block(f, w << 6, 0);
                         continue;
                     }
-                    face = up ? voxrti_first4[a] : voxrti_last4[a]; /* its blocks that touch */
+                    face = voxrti_layer[a][up ? 0 : 3]; /* its blocks that touch */
                     for (k = face; k != 0; k &= k - 1)
                         voxrti_flood_block(f, w << 6 | voxrti_ctz64(k), face);
                 }
@@ -6356,7 +6356,7 @@ static void voxrti_flood_run(voxrti_flood *f) {
             for (a = 0; a < 3; a++) {
                 uint32_t shift = 9u << a;
                 for (up = 0; up < 2; up++) {
-                    uint64_t seed = up ? (e & voxrti_last4[a]) >> shift : (e & voxrti_first4[a]) << shift;
+                    uint64_t seed = up ? (e & voxrti_layer[a][3]) >> shift : (e & voxrti_layer[a][0]) << shift;
                     uint64_t n = voxrti_step_code(code, a, (int)up, f->blocks, &inside);
                     if (inside && seed != 0) voxrti_flood_block(f, n, seed);
                 }
@@ -6377,7 +6377,7 @@ static void voxrti_flood_border(voxrti_flood *f) {
                     c[a] = up ? last : 0;
                     c[(a + 1) % 3] = i;
                     c[(a + 2) % 3] = k;
-                    voxrti_flood_block(f, voxrti_morton(c[0], c[1], c[2]), up ? voxrti_last4[a] : voxrti_first4[a]);
+                    voxrti_flood_block(f, voxrti_morton(c[0], c[1], c[2]), voxrti_layer[a][up ? 3 : 0]);
                 }
             }
             voxrti_flood_run(f);
@@ -6406,7 +6406,7 @@ static voxrt_result voxrti_inside_spread(voxrti_mem *mem, voxrti_ask *ask, voxrt
     size_t count[2] = {0, 0}, capacity[2] = {0, 0}, i, k;
     uint32_t a, up, cur = 0, layer = 0;
     int inside, ok = 1;
-    for (i = 0; i < blocks && ok; i++) { /* surface voxels next to something inside, in their own block or beyond */
+    for (i = 0; i < blocks && ok; i++) { /* all that have them; those with nothing inside beside them go at once */
         uint64_t m = s->mask[i] & ~s->left[i];
         for (; m != 0 && ok; m &= m - 1) {
             ok = voxrti_grow(mem, (void **)&front[0], &capacity[0], count[0], count[0] + 1, sizeof(uint64_t));
@@ -6681,10 +6681,10 @@ static VOXRTI_UNUSED voxrt_result voxrti_tree_index(voxrt_tree *t) {
         octants += voxrti_popcount64(voxrti_octants(t->leaf[i]));
         if (voxels > 0xfffffffeu) return VOXRT_ERR_RANGE;
     }
-    for (k = 0; k < 8; k++) t->leaf[i + k] = 0;
-    for (; (i & 15u) != 0; i++) { }
-    t->rank[2 * (i >> 4)] = (uint32_t)voxels;
-    t->rank[2 * (i >> 4) + 1] = octants;
+    for (k = 0; k < 8; k++) t->leaf[(size_t)i + k] = 0;
+    i = (i >> 4) + ((i & 15u) != 0);
+    t->rank[2 * i] = (uint32_t)voxels;
+    t->rank[2 * i + 1] = octants;
     count[2 * w] = t->level_nodes[w];
     count[2 * w + 1] = octants;
     count[2 * w + 2] = voxels;
@@ -7016,10 +7016,10 @@ static void voxrti_lod_node(voxrti_lod *l, uint32_t i, uint64_t cell, uint64_t o
 static void voxrti_lod_task(void *ctx, uint32_t task) {
     voxrti_lod *l = (voxrti_lod *)ctx;
     voxrt_tree *t = l->t;
-    uint32_t w = l->w, leaf = w + 1 == t->wide, i = task * VOXRTI_LOD_CHUNK, end = i + VOXRTI_LOD_CHUNK;
+    uint32_t w = l->w, leaf = w + 1 == t->wide, i = task * VOXRTI_LOD_CHUNK, end = t->level_nodes[w];
     uint32_t n0 = leaf ? i : t->level_first[w] + i;
     uint64_t cell = voxrti_attr_index(t, 2 * w + 2, n0, 0), oct = voxrti_attr_index(t, 2 * w + 1, n0, 0);
-    if (end > t->level_nodes[w]) end = t->level_nodes[w];
+    if (end - i > VOXRTI_LOD_CHUNK) end = i + VOXRTI_LOD_CHUNK;
     for (; i < end; i++) {
         uint64_t mask = leaf ? t->leaf[i] : t->node[t->level_first[w] + i].mask;
         voxrti_lod_node(l, i, cell, oct);
@@ -7051,7 +7051,7 @@ static voxrt_result voxrti_tree_lod(voxrti_mem *mem, const voxrt_build_desc *d, 
         l.w = w;
         l.children = below;
         voxrti_parallel_for(&d->env, voxrti_lod_task, &l,
-                            (t->level_nodes[w] + VOXRTI_LOD_CHUNK - 1) / VOXRTI_LOD_CHUNK);
+                            (t->level_nodes[w] - 1) / VOXRTI_LOD_CHUNK + 1);
         voxrti_free(mem, below);
         below = l.sums;
     }
@@ -7065,6 +7065,7 @@ static voxrt_result voxrti_tree_masks(voxrti_mem *mem, voxrt_tree *t, voxrti_lea
     uint32_t w;
     uint64_t *key[2];
     voxrti_node *level[VOXRTI_MAX_WIDE];
+    voxrt_result r = VOXRT_OK;
     int ok = 1;
     memset(level, 0, sizeof level);
     if (n > 0xfffffff0u || set->voxel_count > 0xfffffffeu) return VOXRT_ERR_RANGE;
@@ -7093,6 +7094,8 @@ static voxrt_result voxrti_tree_masks(voxrti_mem *mem, voxrt_tree *t, voxrti_lea
         t->level_nodes[w] = (uint32_t)n;
         total += n;
     }
+    if (ok && (uint64_t)total >> 32 != 0) r = VOXRT_ERR_RANGE; /* few voxels in each leaf node, far apart */
+    ok = ok && r == VOXRT_OK;
     if (ok) {
         t->node_count = (uint32_t)total;
         t->node = (voxrti_node *)voxrti_alloc_array(mem, total + 1, sizeof(voxrti_node));
@@ -7113,7 +7116,7 @@ static voxrt_result voxrti_tree_masks(voxrti_mem *mem, voxrt_tree *t, voxrti_lea
     voxrti_free(mem, set->mask);
     set->key = NULL;
     set->mask = NULL;
-    return ok ? VOXRT_OK : VOXRT_ERR_NO_MEMORY;
+    return ok || r != VOXRT_OK ? r : VOXRT_ERR_NO_MEMORY;
 }
 
 /* The colour stream: palette of the leaves' colours (or the given one, then value holds its indices). complete: value
@@ -7155,6 +7158,12 @@ static void *voxrti_tree_attributes(voxrti_mem *mem, const voxrt_tree *t, int co
     if (p != NULL) memcpy(p, from, (size_t)t->voxel_count * size);
     voxrti_free(mem, from);
     return p;
+}
+
+/* Report a failure, unless what failed has said more about it. The error was cleared when the call began. */
+static voxrt_result voxrti_fail_plain(voxrt_error *error, voxrt_result r) {
+    if (error != NULL && error->code == VOXRT_OK) (void)voxrti_fail(error, r, 0, voxrt_result_string(r));
+    return r;
 }
 
 /* Build a tree from filled leaves. Consumes the set (also on failure). palette != NULL: set->rgb holds indices into
@@ -7227,7 +7236,7 @@ static VOXRTI_UNUSED voxrt_result voxrti_tree_from_leafset_palette(
     if (r == VOXRT_OK && !voxrti_ask_at(&ask, ask.total)) r = VOXRT_ERR_CANCELLED;
     if (r != VOXRT_OK) {
         voxrti_tree_free(mem, t);
-        return voxrti_fail(d->env.error, r, 0, voxrt_result_string(r));
+        return voxrti_fail_plain(d->env.error, r);
     }
     if (stats != NULL) {
         stats->voxels = t->voxel_count;
@@ -7314,9 +7323,7 @@ VOXRT_DEF voxrt_result voxrt_tree_build(const voxrt_build_desc *desc, const voxr
     voxrti_stage_open(&stage, &env, 6, 2, 8, &d.env);
     if (r != VOXRT_OK) {
         voxrti_leafset_free(&mem, &set);
-        if (d.env.error != NULL && d.env.error->code == VOXRT_OK)
-            (void)voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
-        return r;
+        return voxrti_fail_plain(d.env.error, r);
     }
     return voxrti_tree_from_leafset(&mem, &d, &grid, &set, stats, out_tree);
 }
@@ -7355,9 +7362,7 @@ VOXRT_DEF voxrt_result voxrt_tree_from_voxels(const voxrt_build_desc *desc, cons
     voxrti_stage_open(&stage, &env, 2, 2, 4, &d.env);
     if (r != VOXRT_OK) {
         voxrti_leafset_free(&mem, &set);
-        if (d.env.error != NULL && d.env.error->code == VOXRT_OK)
-            (void)voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
-        return r;
+        return voxrti_fail_plain(d.env.error, r);
     }
     return voxrti_tree_from_leafset(&mem, &d, &grid, &set, NULL, out_tree);
 }
@@ -8371,7 +8376,7 @@ static voxrt_result voxrti_share_convert(const voxrt_tree *s, const voxrt_env *e
     voxrt_tree_destroy(other);
     if (r != VOXRT_OK) {
         voxrti_tree_free(&mem, t);
-        return voxrti_fail(e.error, r, 0, voxrt_result_string(r));
+        return voxrti_fail_plain(e.error, r);
     }
     t->mem = mem;
     t->mem.limit = 0;
@@ -8453,7 +8458,8 @@ static int voxrti_octree_reserve(voxrt_octree *t, size_t count) {
 
 /* Append a block of transparent leaves; its number, or 0 when there is no memory. */
 VOXRTI_INLINE uint32_t voxrti_octree_block(voxrt_octree *t) {
-    if (t->block_count == t->block_capacity && !voxrti_octree_reserve(t, t->block_count + 1)) return 0;
+    if ((t->block_count == t->block_capacity || t->block_count == VOXRTI_MAX_BLOCKS) &&
+        !voxrti_octree_reserve(t, t->block_count + 1)) return 0;
     memset(t->voxel + 8 * t->block_count, 0, 64);
     return (uint32_t)t->block_count++;
 }
@@ -9070,7 +9076,7 @@ VOXRT_DEF voxrt_result voxrt_tree_from_octree(const voxrt_octree_desc *desc, con
     grid.voxel_size = t->depth > 0 ? t->voxel_size : 0.5 * t->voxel_size;
     memset(&set, 0, sizeof set);
     if (!voxrti_octree_count(t, grid.depth, &cells, &set.block_count))
-        return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, 0, "2^32 - 2 voxels or more");
+        return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, 0, "more than 2^32 - 2 voxels");
     set.voxel_count = (size_t)cells.count[grid.depth];
     if (set.voxel_count == 0) return voxrti_fail(d.env.error, VOXRT_ERR_EMPTY, 0, "no voxel is filled");
     if (!cells.stale) {
@@ -19145,12 +19151,6 @@ static voxrt_result voxrti_piece(voxrti_pieces *p, const uint32_t *list, size_t 
     return r;
 }
 
-static void voxrti_piece_count(void *ctx, const voxrti_tri *t, size_t i) {
-    voxrt_build_stats *s = (voxrt_build_stats *)ctx;
-    (void)i;
-    s->degenerate += t->n[0] == 0 && t->n[1] == 0 && t->n[2] == 0;
-}
-
 VOXRT_DEF voxrt_result voxrt_paged_build(const voxrt_build_desc *desc, const voxrt_mesh *mesh, const voxrt_sink *sink,
                                          voxrt_build_stats *stats) {
     voxrti_pieces *p;
@@ -19204,7 +19204,9 @@ VOXRT_DEF voxrt_result voxrt_paged_build(const voxrt_build_desc *desc, const vox
             p->w.finish_count = (uint32_t)d.finish_count;
         }
         for (i = 0; i < mesh->triangle_count && r == VOXRT_OK; i++) {
-            if (voxrti_tri_each(&p->v, i, 0, voxrti_piece_count, stats)) list[n++] = (uint32_t)i;
+            const int usable = voxrti_tri_each(&p->v, i, 0, NULL, NULL);
+            stats->degenerate += usable == 2;
+            if (usable) list[n++] = (uint32_t)i;
             else if (stats->rejected++ == 0) bad = i;
         }
         if (r == VOXRT_OK && stats->rejected != 0 && d.strict)
@@ -19222,9 +19224,7 @@ VOXRT_DEF voxrt_result voxrt_paged_build(const voxrt_build_desc *desc, const vox
     voxrti_free(&mem, list);
     voxrti_free(&mem, p);
     stats->peak_bytes = mem.peak;
-    if (r != VOXRT_OK && d.env.error != NULL && d.env.error->code == VOXRT_OK)
-        (void)voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
-    return r;
+    return r != VOXRT_OK ? voxrti_fail_plain(d.env.error, r) : r;
 }
 
 #ifndef VOXRT_NO_STDIO
@@ -19292,9 +19292,7 @@ VOXRT_DEF voxrt_result voxrt_paged_build_file(const voxrt_build_desc *desc, cons
     sink.user = &file;
     if (r == VOXRT_OK) r = voxrt_paged_build(desc, mesh, &sink, stats);
     r = voxrti_sink_close(&mem, path, &file, part, r);
-    if (r != VOXRT_OK && d.env.error != NULL && d.env.error->code == VOXRT_OK)
-        (void)voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
-    return r;
+    return r != VOXRT_OK ? voxrti_fail_plain(d.env.error, r) : r;
 }
 #endif
 

@@ -1987,6 +1987,51 @@ TEST(samples_are_where_they_say) {
     }
 }
 
+static void paint_red(void *user, voxrt_sample *s) {
+    (void)user;
+    s->color[0] = 1;
+    s->color[1] = s->color[2] = 0;
+}
+
+static int count_not_white(void *user, const voxrt_voxel *v, uint32_t entry) {
+    *(uint32_t *)user += v->rgb[0] != 255 || v->rgb[1] != 255 || v->rgb[2] != 255;
+    return (int)(entry & 0);
+}
+
+/* Without colours all is white, whatever the caller's function says, also if the colours have to carry finishes. */
+TEST(samples_without_colours) {
+    static const float p[3][3] = {{1, 5, 5}, {9, 5, 5}, {1, 9, 5}};
+    static const uint8_t number[1] = {1};
+    voxrt_finish finish;
+    uint32_t k;
+    memset(&finish, 0, sizeof finish);
+    finish.diffuse = 1;
+    for (k = 0; k < 4; k++) {
+        voxrt_build_desc d;
+        voxrt_mesh m;
+        voxrt_tree *t = NULL;
+        voxrt_tree_info info;
+        uint32_t coloured = 0;
+        memset(&d, 0, sizeof d);
+        memset(&m, 0, sizeof m);
+        d.resolution = 16;
+        d.disable_colors = k & 1u;
+        d.finishes = &finish;
+        d.finish_count = 1;
+        m.positions = p[0];
+        m.vertex_count = 3;
+        m.triangle_count = 1;
+        m.triangle_finish = k < 2 ? number : NULL;
+        m.sample_fn = paint_red;
+        REQUIRE(voxrt_tree_build(&d, &m, NULL, &t) == VOXRT_OK);
+        voxrt_tree_get_info(t, &info);
+        (void)voxrt_tree_each(t, info.depth, count_not_white, &coloured);
+        CHECK_EQ_U64(coloured, k & 1u ? 0 : info.voxel_count);
+        CHECK_EQ_U64(info.finish_count, k < 2);
+        voxrt_tree_destroy(t);
+    }
+}
+
 static void check_weights(void *user, voxrt_sample *s) {
     uint32_t *calls = (uint32_t *)user, k;
     __atomic_fetch_add(calls, 1u, __ATOMIC_RELAXED);
@@ -2281,6 +2326,7 @@ int main(int argc, char **argv) {
     RUN(eyes_behind_origins);
     RUN(blocks_count_by_their_voxels);
     RUN(samples_are_where_they_say);
+    RUN(samples_without_colours);
     RUN(samples_of_huge_triangles);
     RUN(highlights_of_coarser_levels);
     RUN(equal_normals_have_no_spread);

@@ -893,6 +893,15 @@ TEST(no_memory) {
     voxrt_octree_destroy(src);
 }
 
+/* The last number of a voxel stands for none, so there is a block less than numbers for blocks, whatever room there is. */
+TEST(blocks_have_numbers) {
+    voxrt_octree t;
+    memset(&t, 0, sizeof t);
+    t.block_count = VOXRTI_MAX_BLOCKS;
+    t.block_capacity = (size_t)VOXRTI_MAX_BLOCKS + 1;
+    CHECK_EQ_U64(voxrti_octree_block(&t), 0);
+}
+
 TEST(bad_arguments) {
     voxrt_octree *t = make_octree(2, NULL), *u = t;
     voxrt_octree_desc d;
@@ -1461,6 +1470,7 @@ int main(int argc, char **argv) {
     RUN(lossless_there_and_back);
     RUN(conversions);
     RUN(no_memory);
+    RUN(blocks_have_numbers);
     RUN(bad_arguments);
     RUN(rays_against_brute_force);
     RUN(packets_and_bad_rays);

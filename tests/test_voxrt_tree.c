@@ -773,6 +773,34 @@ TEST(same_voxel_twice) { /* the means are kept */
     cells_free(&l);
 }
 
+/* Normals need not be unit, also where there is more than one. */
+TEST(same_voxel_twice_with_any_normals) {
+    static const float length[6] = {1e-30f, 1e-5f, 0.5f, 3.0f, 1e7f, 1e30f};
+    voxrt_build_desc d = defaults();
+    uint32_t k, i;
+    for (k = 0; k < 36; k++) {
+        cells l;
+        voxrt_tree *t;
+        voxrt_voxel v;
+        memset(&l, 0, sizeof l);
+        for (i = 0; i < 2; i++) {
+            const float s = length[i ? k / 6 : k % 6];
+            cells_add(&l, 5, 6, 7, 0);
+            cells_normal(&l, i ? 0 : s, 0.1f * s, i ? -s : 0);
+        }
+        cells_add(&l, 5, 6, 7, 0);
+        cells_normal(&l, NAN, 1, 0); /* no direction */
+        t = make(&d, &l, 3);
+        REQUIRE(t != NULL);
+        CHECK(voxrt_tree_get(t, 3, 5, 6, 7, &v));
+        CHECK_MSG(fabsf(v.normal[0] - 0.7f) < 0.02f && fabsf(v.normal[1] - 0.14f) < 0.02f && fabsf(v.normal[2] + 0.7f) < 0.02f,
+                  "%g and %g: %g %g %g", (double)length[k % 6], (double)length[k / 6], (double)v.normal[0], (double)v.normal[1],
+                  (double)v.normal[2]);
+        voxrt_tree_destroy(t);
+        cells_free(&l);
+    }
+}
+
 /* ---- colours ----------------------------------------------------------------------------------------------------------- */
 
 TEST(palettes) {
@@ -1005,6 +1033,35 @@ static int on_progress(void *user, uint64_t done, uint64_t total) {
     return p->stop_at != 0 && p->calls == p->stop_at;
 }
 
+/* What failed within a call says more than its result does. */
+TEST(errors_keep_their_place) {
+    static const uint8_t palette[3] = {1, 2, 3};
+    voxrt_build_desc d = defaults();
+    voxrti_leafset set;
+    voxrti_grid grid;
+    voxrti_mem mem;
+    voxrt_error e;
+    voxrt_tree *t;
+    memset(&set, 0, sizeof set);
+    memset(&grid, 0, sizeof grid);
+    memset(&e, 0, sizeof e);
+    d.env.error = &e;
+    REQUIRE(voxrti_env_open(&d.env, &mem) == VOXRT_OK);
+    grid.depth = 2;
+    grid.resolution = 4;
+    grid.voxel_size = 1;
+    set.block_count = set.voxel_count = 1;
+    set.key = (uint64_t *)voxrti_alloc_zero(&mem, 1, 8);
+    set.mask = (uint64_t *)voxrti_alloc_zero(&mem, 1, 8);
+    set.rgb = (uint32_t *)voxrti_alloc_zero(&mem, 1, 4);
+    REQUIRE(set.key != NULL && set.mask != NULL && set.rgb != NULL);
+    set.mask[0] = 1;
+    set.rgb[0] = 0x1000005; /* no index of a palette */
+    CHECK_EQ_U64(voxrti_tree_from_leafset_palette(&mem, &d, &grid, &set, palette, 1, NULL, &t), VOXRT_ERR_RANGE);
+    CHECK(e.code == VOXRT_ERR_RANGE && strstr(e.text, "palette index") != NULL);
+    CHECK_EQ_U64(e.where, 0x1000005);
+}
+
 TEST(progress_and_cancel) {
     const uint32_t count = 300000; /* progress is told after each 256 tasks, a task has at least 1024 triangles */
     float *p9 = (float *)malloc((size_t)count * 36);
@@ -1116,11 +1173,13 @@ int main(int argc, char **argv) {
     RUN(lod_majority);
     RUN(lod_opposite_normals);
     RUN(same_voxel_twice);
+    RUN(same_voxel_twice_with_any_normals);
     RUN(palettes);
     RUN(few_colours_for_many);
     RUN(every_allocation_fails_once);
     RUN(memory_limit);
     RUN(peak_memory_is_told);
+    RUN(errors_keep_their_place);
     RUN(progress_and_cancel);
     RUN(many_nodes);
     return test_end();

@@ -1165,6 +1165,106 @@ TEST(clipped_triangles_count_once) {
     }
 }
 
+/* What lies beyond the far faces of the grid, less than a voxel away, is cut off as what lies before the near ones. */
+TEST(just_outside_of_the_grid) {
+    static const float small[3][3] = {{0.3f, 0.2f, 0.2f}, {0.6f, 0.3f, 0.2f}, {0.4f, 0.4f, 0.3f}};
+    static const float sliver[3][3] = {{0.3f, 0.2f, 0.2f}, {0.6f, 6.3f, 6.2f}, {0.4f, 3.2f, 3.3f}};
+    uint32_t a, k, kind, mode;
+    for (mode = 0; mode < 3; mode++)
+        for (kind = 0; kind < 2; kind++)
+            for (a = 0; a < 3; a++) {
+                voxrt_build_desc d = desc_box(100, mode_of((int)mode), 100); /* no multiple of what is worked on at once */
+                voxrt_mesh m;
+                voxrt_result r;
+                cells one, both;
+                float p[6][3];
+                static const uint8_t rgb[6] = {0, 0, 255, 255, 0, 0};
+                for (k = 0; k < 6; k++) {
+                    p[k][a] = k < 3 ? 99.5f : 100.0f + (kind ? sliver : small)[k % 3][0];
+                    p[k][(a + 1) % 3] = 50.0f + (kind ? sliver : small)[k % 3][1];
+                    p[k][(a + 2) % 3] = 50.0f + (kind ? sliver : small)[k % 3][2];
+                }
+                memset(&m, 0, sizeof m);
+                m.positions = p[3];
+                m.vertex_count = 3;
+                m.triangle_count = 1;
+                m.triangle_rgb = rgb;
+                one = build_mesh(&d, &m, 0, &r);
+                CHECK_MSG(r == VOXRT_ERR_EMPTY, "mode %u, kind %u, axis %u: %d", mode, kind, a, (int)r);
+                cells_free(&one);
+                m.positions = p[0];
+                one = build_mesh(&d, &m, 0, NULL);
+                m.vertex_count = 6;
+                m.triangle_count = 2;
+                both = build_mesh(&d, &m, WITH_RGB, NULL);
+                CHECK_EQ_U64(both.info.voxel_count, one.info.voxel_count);
+                CHECK_EQ_U64(both.info.palette_count, 1); /* and nothing of its colour is inside */
+                cells_free(&one);
+                cells_free(&both);
+                for (k = 0; k < 3; k++) p[k][a] = 100.0f; /* the face itself belongs to the grid */
+                m.triangle_count = 1;
+                one = build_mesh(&d, &m, 0, &r);
+                CHECK_MSG(mode == 2 || r == VOXRT_OK, "mode %u, kind %u, axis %u: %d", mode, kind, a, (int)r);
+                cells_free(&one);
+            }
+}
+
+static int write_nowhere(void *user, uint64_t offset, const void *from, size_t bytes) {
+    (void)user;
+    (void)offset;
+    (void)from;
+    (void)bytes;
+    return 0;
+}
+
+/* A line that leaves the grid is cut in pieces, and pieces of triangles may be lines. */
+TEST(clipped_lines_count_once) {
+    static const float p[9][3] = {{-50, 5.2f, 5.2f}, {5.6f, 5.2f, 5.2f}, {5.6f, 5.2f, 5.2f}, {-9, -9, 8}, {30, -9, 8},
+                                  {-9, 30, 8}, {-7, 3, 8}, {9, 3.5f, 8}, {-2, 3, 8}};
+    voxrt_build_desc d = desc_box(16, VOXRT_SEPARATING_6, 16);
+    voxrt_build_stats stats;
+    voxrt_sink sink;
+    voxrt_mesh m;
+    cells c;
+    memset(&m, 0, sizeof m);
+    memset(&sink, 0, sizeof sink);
+    m.positions = p[0];
+    m.vertex_count = 9;
+    m.triangle_count = 3;
+    c = build_mesh(&d, &m, 0, NULL);
+    CHECK_EQ_U64(c.stats.degenerate, 1);
+    sink.write_fn = write_nowhere;
+    CHECK(voxrt_paged_build(&d, &m, &sink, &stats) == VOXRT_OK);
+    CHECK_EQ_U64(stats.degenerate, 1);
+    cells_free(&c);
+}
+
+/* Long triangles without an area, or with little, cost what they touch, not what their boxes hold. */
+TEST(long_lines_are_cheap) {
+    static const float wide[4] = {0, 1e-5f, 1e-3f, 0.02f};
+    uint32_t k, mode;
+    for (k = 0; k < 4; k++)
+        for (mode = 0; mode < 3; mode++) {
+            float p[3][3] = {{0, 0, 0}, {1, 1, 1}, {0.5f, 0.5f, 0.5f}};
+            voxrt_build_desc d;
+            voxrt_build_stats stats;
+            voxrt_mesh m;
+            voxrt_tree *t = NULL;
+            memset(&d, 0, sizeof d);
+            memset(&m, 0, sizeof m);
+            p[2][0] += wide[k];
+            d.resolution = 8192;
+            d.separating = mode_of((int)mode);
+            d.env.memory_limit = (size_t)32 << 20;
+            m.positions = p[0];
+            m.vertex_count = 3;
+            m.triangle_count = 1;
+            CHECK_EQ_U64(voxrt_tree_build(&d, &m, &stats, &t), VOXRT_OK);
+            CHECK_MSG(stats.voxels >= 8192, "%u voxels", (unsigned)stats.voxels);
+            voxrt_tree_destroy(t);
+        }
+}
+
 /* ---- the thesis' converter --------------------------------------------------------------------------------------- */
 
 TEST(thesis_miss_rates) {
@@ -1923,6 +2023,9 @@ int main(int argc, char **argv) {
     RUN(far_from_the_origin);
     RUN(box_smaller_than_the_mesh);
     RUN(clipped_triangles_count_once);
+    RUN(just_outside_of_the_grid);
+    RUN(clipped_lines_count_once);
+    RUN(long_lines_are_cheap);
     RUN(thesis_miss_rates);
     RUN(counts_grow_fourfold);
     RUN(one_colour_is_exact);
