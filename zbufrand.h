@@ -512,7 +512,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_remove(zbufrand_scene *scene, zbufrand_nod
    Errors: EMPTY (the scene was never built), INVALID_ARG (env.error names what closes a cycle, a reference whose target
    is in no list, a bad triangle with `strict`), RANGE (levels of instances, places), NO_MEMORY. On failure the scene is
    drawn as before; the edits are kept, so that the call can be made again. Counts of triangles stop at 2^64 - 1. The
-   trees of the thesis, if there are any, are dropped: the default tree is used until the next build.
+   trees of the thesis, if there are any, are dropped, also by some of the failures: the default tree is used until the
+   next build.
    Cost: moving, removing or adding a reference: O(depth of the trees above), some 10 us; a structure used by many
    instances costs as many of them. New triangles: as in a build. The first update after a build looks at all nodes and
    instances once and holds 20 to 30 bytes for each of them from then on. Trees are made anew in parts where they got
@@ -17973,10 +17974,12 @@ typedef struct zbufrandi_live_structure {
     zbufrandi_use first;          /* of the instances of this structure */
     uint32_t dirty_count;
     uint32_t free_node, free_nodes, free_instance, free_instances; /* first, and how many */
+    uint32_t promised;            /* nodes that are kept for what is yet to be put in by this update */
     uint32_t dead_clusters, dead_triangles, dead_vertices;
     uint32_t used;                /* 0: a slot for the next structure */
     uint32_t node;                /* of the graph */
     uint32_t touched;
+    uint32_t above, walk;         /* levels above it, as found by that walk */
 } zbufrandi_live_structure;
 
 typedef struct zbufrandi_live {
@@ -17984,6 +17987,7 @@ typedef struct zbufrandi_live {
     size_t capacity;              /* of these, of scene->structure and of scene->rays->box */
     uint32_t *touched;            /* structures in which something changed */
     uint32_t touched_count, free_structures;
+    uint32_t walks;               /* number of the last one upwards */
 } zbufrandi_live;
 
 /* ---- what is known of the structures ---- */
@@ -18518,7 +18522,7 @@ static void zbufrandi_edit_instance(zbufrand_scene *scene, uint32_t index, uint3
     if (at != ZBUFRANDI_NIL) {
         zbufrandi_node8 *n = &s->node[at >> 3];
         for (a = 0; a < 3; a++) apart |= lane.lo[a] > n->hi[a][at & 7u] || lane.hi[a] < n->lo[a][at & 7u];
-        if (!apart || (l->free_nodes == 0 && s->node_count == l->node_capacity)) {
+        if (!apart || l->free_nodes + (l->node_capacity - s->node_count) <= l->promised) {
             for (a = 0; a < 3; a++) {
                 n->lo[a][at & 7u] = lane.lo[a];
                 n->hi[a][at & 7u] = lane.hi[a];
@@ -18531,6 +18535,8 @@ static void zbufrandi_edit_instance(zbufrand_scene *scene, uint32_t index, uint3
             return;
         }
         zbufrandi_edit_take(scene, index, item);
+    } else if (l->promised > 0) {
+        l->promised--;
     }
     zbufrandi_edit_put(scene, index, child, &lane);
 }
@@ -18766,7 +18772,8 @@ static void zbufrandi_edit_finish(zbufrand_scene *scene) {
             }
         }
     }
-    for (i = 0; i < live->touched_count; i++) live->s[live->touched[i]].touched = 0;
+    for (i = 0; i < live->touched_count; i++)
+        live->s[live->touched[i]].touched = live->s[live->touched[i]].promised = 0;
     live->touched_count = 0;
 }
 
@@ -18789,6 +18796,7 @@ typedef struct zbufrandi_edit {
     zbufrandi_nodes fresh;         /* nodes that become structures; what they use comes before them */
     zbufrandi_edit_step *change;
     size_t change_count, change_capacity;
+    int promoted;                  /* 1: structures changed, though not what they look like */
 } zbufrandi_edit;
 
 static int zbufrandi_nodes_add(zbufrand_scene *scene, zbufrandi_nodes *list, uint32_t node) { /* 0: no memory */
@@ -19057,18 +19065,18 @@ static void zbufrandi_edit_raise(zbufrand_scene *scene, uint32_t index, uint32_t
          use = scene->live->s[use.structure].next[use.instance]) zbufrandi_edit_raise(scene, use.structure, depth + 1);
 }
 
-/* Levels above a structure. */
-static uint32_t zbufrandi_edit_above(const zbufrand_scene *scene, uint32_t index) {
-    uint32_t most = 0, last = ZBUFRANDI_NIL;
+/* Levels above a structure. Each structure above is looked at once by a walk, however many ways lead to it. */
+static uint32_t zbufrandi_edit_above(const zbufrand_scene *scene, uint32_t index, uint32_t walk) {
+    zbufrandi_live_structure *l = &scene->live->s[index];
+    uint32_t most = 0;
     zbufrandi_use use;
-    for (use = scene->live->s[index].first; use.structure != ZBUFRANDI_NIL;
-         use = scene->live->s[use.structure].next[use.instance]) {
-        uint32_t above;
-        if (use.structure == last) continue;
-        last = use.structure;
-        above = zbufrandi_edit_above(scene, last) + 1;
+    if (l->walk == walk) return l->above;
+    for (use = l->first; use.structure != ZBUFRANDI_NIL; use = scene->live->s[use.structure].next[use.instance]) {
+        const uint32_t above = zbufrandi_edit_above(scene, use.structure, walk) + 1;
         most = above > most ? above : most;
     }
+    l->walk = walk;
+    l->above = most;
     return most;
 }
 
@@ -19093,7 +19101,8 @@ static zbufrand_result zbufrandi_edit_promote(zbufrandi_edit *e, uint32_t node) 
     b.s = &scene->structure[p];
     b.index = p;
     r = zbufrandi_promote_build(&b, home, node);
-    if (r == ZBUFRAND_OK && zbufrandi_edit_above(scene, home) + 1 + scene->structure[p].depth > ZBUFRANDI_MAX_LEVELS) {
+    if (r == ZBUFRAND_OK && zbufrandi_edit_above(scene, home, ++scene->live->walks) + 1 + scene->structure[p].depth >
+                            ZBUFRANDI_MAX_LEVELS) {
         r = zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, node, "node %: too many levels of instances");
     }
     if (r == ZBUFRAND_OK && (!zbufrandi_edit_reserve(scene, home, 1, 1) || !zbufrandi_edit_ready(scene, p, node))) {
@@ -19103,6 +19112,7 @@ static zbufrand_result zbufrandi_edit_promote(zbufrandi_edit *e, uint32_t node) 
         zbufrandi_edit_slot_free(scene, p);
         return r;
     }
+    e->promoted = 1;
     zbufrandi_edit_matrix(scene, node, 1, old);
     memcpy(scene->live->s[p].base, old, sizeof old);
     zbufrandi_m34_inverse(ZBUFRANDI_M34(old), scene->live->s[p].base_inverse);
@@ -19276,13 +19286,18 @@ static zbufrand_result zbufrandi_edit_room(zbufrandi_edit *e) {
     const size_t count = scene->structure_count;
     uint32_t *instances = (uint32_t *)zbufrandi_alloc_zero(&scene->mem, count, 3 * sizeof *instances);
     uint32_t *nodes = instances + count, *levels = nodes + count;
+    zbufrandi_live_structure *live = scene->live->s;
     zbufrandi_use use;
     size_t i, k;
     int more = 1, ok = instances != NULL, deep = 0;
     if (!ok) return zbufrandi_edit_no_memory(scene);
+    for (i = 0; i < count; i++) live[i].promised = 0;
     for (i = 0; i < e->change_count; i++) {
-        if (e->change[i].item == ZBUFRANDI_NIL) instances[e->change[i].home]++;
-        nodes[e->change[i].home]++;
+        const uint32_t home = e->change[i].home, item = e->change[i].item;
+        if (item == ZBUFRANDI_NIL) instances[home]++;
+        if (item == ZBUFRANDI_NIL || live[home].at[scene->structure[home].cluster_count + item] == ZBUFRANDI_NIL)
+            live[home].promised++;
+        nodes[home]++;
     }
     for (k = 0; more && k <= ZBUFRANDI_MAX_LEVELS; k++) { /* what is empty passes its need on to what it is in */
         more = 0;
@@ -19292,6 +19307,7 @@ static zbufrand_result zbufrandi_edit_room(zbufrandi_edit *e) {
             for (use = scene->live->s[i].first; use.structure != ZBUFRANDI_NIL;
                  use = scene->live->s[use.structure].next[use.instance]) {
                 nodes[use.structure]++;
+                live[use.structure].promised++;
                 more = 1;
             }
         }
@@ -19388,9 +19404,10 @@ static void zbufrandi_edit_undo(zbufrandi_edit *e, size_t made) {
         g[e->fresh.v[i - 1]].structure = 0;
         for (n = 0; i - 1 < made && n < scene->structure[index].instance_count; n++)
             zbufrandi_use_unlink(scene, index, n);
-        for (k = 0; k < scene->graph_count; k++) if (g[k].home == index + 1) g[k].home = 0;
         zbufrandi_edit_slot_free(scene, index);
     }
+    for (k = 0; k < scene->graph_count; k++)
+        if (g[k].home != 0 && !scene->live->s[g[k].home - 1].used) g[k].home = 0;
 }
 
 static zbufrand_result zbufrandi_edit_run(zbufrandi_edit *e) {
@@ -19401,6 +19418,13 @@ static zbufrand_result zbufrandi_edit_run(zbufrandi_edit *e) {
     int below_new;
     zbufrand_result r = zbufrandi_edit_plan(e);
     for (i = 0; i < e->melted.count && r == ZBUFRAND_OK; i++) r = zbufrandi_edit_promote(e, e->melted.v[i]);
+    /* before what is new is built: what was moved in that has its new place then, and nothing that stands for it */
+    for (i = 0; i < scene->pending_count && r == ZBUFRAND_OK; i++) {
+        const zbufrandi_pending *p = &scene->pending[i];
+        if (!p->moved || g[p->node].kind == ZBUFRANDI_DEAD || g[p->node].home == 0) continue;
+        if (zbufrandi_edit_home(scene, p->node, &below_new) == ZBUFRANDI_NIL) continue;
+        r = zbufrandi_edit_node_changes(e, p->node, 1);
+    }
     for (i = 0; i < e->fresh.count && r == ZBUFRAND_OK; i++) {
         const uint32_t slot = zbufrandi_edit_slot(scene);
         if (slot == ZBUFRANDI_NIL) r = zbufrandi_edit_no_memory(scene);
@@ -19409,12 +19433,6 @@ static zbufrand_result zbufrandi_edit_run(zbufrandi_edit *e) {
     while (made < e->fresh.count && r == ZBUFRAND_OK) {
         r = zbufrandi_edit_build(e, e->fresh.v[made], &skipped);
         if (r == ZBUFRAND_OK) made++;
-    }
-    for (i = 0; i < scene->pending_count && r == ZBUFRAND_OK; i++) {
-        const zbufrandi_pending *p = &scene->pending[i];
-        if (!p->moved || g[p->node].kind == ZBUFRANDI_DEAD || g[p->node].home == 0) continue;
-        if (zbufrandi_edit_home(scene, p->node, &below_new) == ZBUFRANDI_NIL) continue;
-        r = zbufrandi_edit_node_changes(e, p->node, 1);
     }
     for (i = 0; i < e->top.count && r == ZBUFRAND_OK; i++) r = zbufrandi_edit_node_changes(e, e->top.v[i], 0);
     for (i = 0; i < scene->set_count && r == ZBUFRAND_OK; i++) r = zbufrandi_edit_set_changes(e, &scene->set[i]);
@@ -19442,7 +19460,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_scene_update(zbufrand_scene *scene, zbufra
         e.scene = scene;
         zbufrandi_atomic_store(&scene->mem.peak, zbufrandi_atomic_load(&scene->mem.used));
         r = zbufrandi_live_open(scene) ? zbufrandi_edit_run(&e) : zbufrandi_edit_no_memory(scene);
-        if (r == ZBUFRAND_OK) zbufrandi_scene_lists_free(scene);
+        if (r == ZBUFRAND_OK || e.promoted) zbufrandi_scene_lists_free(scene); /* they know instances by their slots */
         zbufrandi_free(&scene->mem, e.stack);
         zbufrandi_free(&scene->mem, e.top.v);
         zbufrandi_free(&scene->mem, e.melted.v);
