@@ -13736,17 +13736,34 @@ static double zbufrandi_pow1m(double q, double n) { return n == 0.0 ? 1.0 : zbuf
 /* 1 - s^(1/n): about 1e-9 for millions of cells, hence never by subtraction */
 static double zbufrandi_one_minus_root(double s, double n) { return -zbufrandi_expm1(zbufrandi_log(s) / n); }
 
+#define ZBUFRANDI_HALF_LOG_2PI 0.91893853320467274178
+
+/* What Stirling's formula (x - 1/2) ln x - x + ln(2 pi)/2 lacks of ln Gamma(x), x >= 12, by his series. */
+static double zbufrandi_stirling(double x) {
+    const double y = 1.0 / (x * x);
+    return (1.0 / 12.0 - y * (1.0 / 360.0 - y * (1.0 / 1260.0 - y * (1.0 / 1680.0 - y * (1.0 / 1188.0 - y *
+           (691.0 / 360360.0 - y / 156.0)))))) / x;
+}
+
 /* ln Gamma(x), x > 0: Stirling's series from 12 on; error below 2e-14 max(1, |ln Gamma|) */
 static double zbufrandi_log_gamma(double x) {
-    double product = 1.0, y;
+    double product = 1.0;
     while (x < 12.0) {
         product *= x;
         x += 1.0;
     }
-    y = 1.0 / (x * x);
-    y = (1.0 / 12.0 - y * (1.0 / 360.0 - y * (1.0 / 1260.0 - y * (1.0 / 1680.0 - y * (1.0 / 1188.0 - y *
-        (691.0 / 360360.0 - y / 156.0)))))) / x;
-    return (x - 0.5) * zbufrandi_log(x) - x + 0.91893853320467274178 + y - zbufrandi_log(product);
+    return (x - 0.5) * zbufrandi_log(x) - x + ZBUFRANDI_HALF_LOG_2PI + zbufrandi_stirling(x) - zbufrandi_log(product);
+}
+
+/* zbufrandi_stirling for all x > 0 */
+static double zbufrandi_stirling_all(double x) {
+    if (x >= 12.0) return zbufrandi_stirling(x);
+    return zbufrandi_log_gamma(x) - ((x - 0.5) * zbufrandi_log(x) - x + ZBUFRANDI_HALF_LOG_2PI);
+}
+
+/* ln(1 + d), also as ln y where 1 + d would cancel */
+static double zbufrandi_log_near(double y, double d) {
+    return d > -0.3 && d < 0.4 ? zbufrandi_log1p(d) : zbufrandi_log(y);
 }
 
 /* Normal law: probability above x >= 0. Power series of erf up to 2.5, continued fraction beyond, evaluated from its
@@ -13817,15 +13834,18 @@ ZBUFRAND_DEF double zbufrand_samples_lemma2(double cells, double tolerated, doub
     if (!(cells >= 1.0 && tolerated >= 0.0 && tolerated < cells && zbufrandi_finite(cells))) return ZBUFRANDI_NAN;
     if (!(probability > 0.0 && probability < 1.0)) return ZBUFRANDI_NAN;
     if (cells == 1.0) return 1.0; /* the limit: one sample fills the only cell */
-    return zbufrandi_log(zbufrandi_one_minus_root(probability, cells - tolerated)) / zbufrandi_log1p(-1.0 / cells);
+    return zbufrandi_log(zbufrandi_one_minus_root(probability, cells - tolerated)) /
+           zbufrandi_log_near((cells - 1.0) / cells, -1.0 / cells);
 }
 
 /* Visible and hidden cells: the number of samples that hit visible ones is binomial, about normal. Two stages, each
    with probability sqrt(s): enough samples m_v fall on visible cells, and they fill them. exact solves
    m p - q sqrt(m p (1-p)) = m_v; Theorem 5 bounds that by (m_v + q sqrt(m_v)) / p. */
 static double zbufrandi_two_stages(double area, double visible, double probability, int exact) {
-    double s = sqrt(probability), p = visible / area, q = zbufrand_normal_quantile(s), root;
-    double m_v = -visible * zbufrandi_log(zbufrandi_one_minus_root(s, visible));
+    double s = sqrt(probability), p = visible / area, q, root;
+    double m_v = -visible * zbufrandi_log(zbufrandi_one_minus_root(probability, 2.0 * visible));
+    /* 1 - s without cancellation */
+    q = s < 0.5 ? zbufrand_normal_quantile(s) : 0.0 - zbufrand_normal_quantile((1.0 - probability) / (1.0 + s));
     if (!(m_v > 0.0)) return 0.0;
     if (!exact) return (m_v + q * sqrt(m_v)) / p;
     root = q * (1.0 - p);
@@ -13877,12 +13897,24 @@ ZBUFRAND_DEF double zbufrand_samples_for_share(double area, double block, double
 }
 
 /* P(binomial(n, p) <= k) = I_{1-p}(n-k, k+1), the incomplete beta function by its continued fraction (modified Lentz).
-   The fraction is taken on the side where it converges fast. */
+   The fraction is taken on the side where it converges fast. Where that is the side of n-k and k is small, its terms
+   would cancel if n is large: there the chances of k, k-1, ... are added up. */
 static double zbufrandi_binomial_below(double n, double p, double k) {
     double a = n - k, b = k + 1.0, x = -zbufrandi_expm1(zbufrandi_log(p)), c, d, f, i, front;
     int swap = x > (a + 1.0) / (a + b + 2.0);
-    front = a * zbufrandi_log1p(-p) + b * zbufrandi_log(p) + zbufrandi_log_gamma(a + b) - zbufrandi_log_gamma(a) -
-            zbufrandi_log_gamma(b);
+    /* ln of x^a p^b Gamma(a+b) / (Gamma(a) Gamma(b)), in which numbers as large as a ln a would cancel: by how much
+       p (a + b) is off b, and Stirling's formula for the rest */
+    d = b - p * (a + b);
+    front = a * zbufrandi_log_near(x * (a + b) / a, d / a) + b * zbufrandi_log_near(p * (a + b) / b, -d / b) +
+            0.5 * zbufrandi_log(a * (b / (a + b))) - ZBUFRANDI_HALF_LOG_2PI + zbufrandi_stirling_all(a + b) -
+            zbufrandi_stirling_all(a) - zbufrandi_stirling_all(b);
+    if (!swap && k <= 1e5) {
+        for (f = c = 1.0, i = k; i > 0.0 && c > 1e-17 * f; i -= 1.0) {
+            c *= i * x / ((n - i + 1.0) * p);
+            f += c;
+        }
+        return zbufrandi_min(1.0, zbufrandi_exp(front) / (a * p) * f);
+    }
     if (swap) {
         c = a;
         a = b;
@@ -13978,11 +14010,11 @@ ZBUFRAND_DEF double zbufrand_holes_variance(double samples, double cells) {
 }
 
 ZBUFRAND_DEF double zbufrand_holes_tail(double samples, double cells, double deviation) {
-    double mean, r;
+    double full, r; /* full: n - E */
     if (!(cells >= 1.0 && samples >= 0.0 && deviation >= 0.0 && zbufrandi_finite(cells))) return ZBUFRANDI_NAN;
-    mean = cells * zbufrandi_pow1m(1.0 / cells, samples);
-    r = cells * cells - mean * mean;
-    r = r > 0.0 ? 2.0 * zbufrandi_exp(-deviation * deviation * (cells - 0.5) / r) : deviation > 0.0 ? 0.0 : 1.0;
+    full = samples > 0.0 ? -cells * zbufrandi_expm1(samples * zbufrandi_log1p(-1.0 / cells)) : 0.0;
+    if (!(full > 0.0)) return deviation > 0.0 ? 0.0 : 1.0;
+    r = 2.0 * zbufrandi_exp(-(deviation / full) * deviation * ((cells - 0.5) / (2.0 * cells - full)));
     return r > 1.0 ? 1.0 : r;
 }
 
@@ -14005,19 +14037,21 @@ ZBUFRAND_DEF double zbufrand_pixel_law(const double *area, size_t count, double 
 
 ZBUFRAND_DEF double zbufrand_expected_pixel(const double *area, const double *value, size_t count, double density,
                                             double background, double *out_variance) {
-    double mean = 0.0, square = 0.0, sum = 0.0, open = 1.0, r;
+    double mean = 0.0, variance = 0.0, sum, open = 1.0;
     size_t i;
-    int ok = density >= 0.0;
-    for (i = 0; i < count && ok; i++) { /* moments about the background: it adds nothing then */
-        double u = area[i] > 0.0 ? density * area[i] : 0.0, p = open * -zbufrandi_expm1(-u), x = value[i] - background;
-        ok = area[i] >= 0.0;
-        mean += p * x;
-        square += p * x * x;
-        sum += u;
-        open = zbufrandi_exp(-sum);
+    int pass, ok = density >= 0.0;
+    for (pass = 0; pass < (out_variance != NULL ? 2 : 1); pass++) { /* about the background: the mean is without it */
+        for (i = 0, sum = 0.0, open = 1.0; i < count && ok; i++) {
+            double u = area[i] > 0.0 ? density * area[i] : 0.0, p = open * -zbufrandi_expm1(-u);
+            double x = value[i] - background;
+            ok = area[i] >= 0.0;
+            if (pass == 0) mean += p * x;
+            else variance += p * (x - mean) * (x - mean);
+            sum += u;
+            open = zbufrandi_exp(-sum);
+        }
     }
-    r = square - mean * mean;
-    if (out_variance != NULL) *out_variance = ok ? (r > 0.0 || r != r ? r : 0.0) : ZBUFRANDI_NAN;
+    if (out_variance != NULL) *out_variance = ok ? variance + open * mean * mean : ZBUFRANDI_NAN;
     return ok ? background + mean : ZBUFRANDI_NAN;
 }
 
@@ -14056,7 +14090,7 @@ ZBUFRAND_DEF double zbufrand_multi_hit(double samples, double pixels) {
         r = 1.0 + (samples - 4.0) * q / 5.0;
         r = 1.0 + (samples - 3.0) * q / 4.0 * r;
         r = 1.0 + (samples - 2.0) * q / 3.0 * r;
-        return 0.5 * u * (u - 1.0 / pixels) * zbufrandi_exp((samples - 2.0) * l) * r;
+        return 0.5 * u * ((samples - 1.0) / pixels) * zbufrandi_exp((samples - 2.0) * l) * r;
     }
     return -zbufrandi_expm1(samples * l) - u * zbufrandi_exp((samples - 1.0) * l);
 }
