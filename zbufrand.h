@@ -1169,7 +1169,8 @@ typedef struct zbufrand_render_desc {
     void *shade_user;
     const float *opacity;      /* of materials 0, 1, ..., 0..1; NULL: all are opaque, as others and clouds are */
     size_t opacity_count;
-    const zbufrand_light *lights;  /* NULL: a key light from the upper left behind the camera, a weak fill light */
+    /* at most 65535; NULL: a key light from the upper left behind the camera, a weak fill light */
+    const zbufrand_light *lights;
     size_t light_count;
     float ambient[3];          /* all zero: 0.05 each, of light from everywhere */
     uint32_t unlit;            /* 1: plain surface colours */
@@ -1261,8 +1262,9 @@ ZBUFRAND_DEF zbufrand_result zbufrand_measure_costs(const zbufrand_frame_desc *d
    stats   out, may be NULL; on failure of what was done until then
    The same bits for any number of threads and any isa, but for stats->accepted. Any number of frames may draw one scene
    at once. O(samples + pixels + nodes of the trees that are opened).
-   Errors: INVALID_ARG, UNINIT_DESC, RANGE (a picture larger than 32000 a side, or more than 2^32 samples), NO_MEMORY,
-   CANCELLED (the picture is incomplete then). Source: thesis; Wand et al. 2001; occlusion after Greene et al. 1993. */
+   Errors: INVALID_ARG, UNINIT_DESC, RANGE (a picture larger than 32000 a side, more than 2^32 samples or 65535 lights,
+   a block too large), NO_MEMORY, CANCELLED (the picture is incomplete then). Source: thesis; Wand et al. 2001;
+   occlusion after Greene et al. 1993. */
 ZBUFRAND_DEF zbufrand_result zbufrand_render(zbufrand_frame *frame, const zbufrand_render_desc *desc,
                                              const zbufrand_scene *scene, const zbufrand_image *image,
                                              zbufrand_stats *stats);
@@ -13641,7 +13643,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_accumulator_get(const zbufrand_accumulator
             const double x = (double)m[k] * zbufrandi_min((double)g, 1e38);
             rgba[k] = (float)zbufrandi_max(zbufrandi_min(x, 1e38), -1e38);
         }
-        if (g == 1.0f / m[3]) rgba[3] = 1.0f;
+        if (m[3] > 0.0f && g == 1.0f / m[3]) rgba[3] = 1.0f;
     }
     return ZBUFRAND_OK;
 }
@@ -14167,10 +14169,29 @@ typedef struct zbufrandi_look_at { /* a surface as it is found */
     uint32_t material, cluster, triangle, local; /* cluster ~0: a stored point */
 } zbufrandi_look_at;
 
+/* A power of two that brings the largest component of v to about 1: squares are in the range of floats then, and
+   quotients keep their bits. */
+ZBUFRANDI_INLINE float zbufrandi_tame(const float v[3]) {
+    float most = zbufrandi_absf(v[0]), unit;
+    uint32_t bits;
+    most = zbufrandi_absf(v[1]) > most ? zbufrandi_absf(v[1]) : most;
+    most = zbufrandi_absf(v[2]) > most ? zbufrandi_absf(v[2]) : most;
+    memcpy(&bits, &most, sizeof bits);
+    bits &= 0x7f800000u;
+    bits = 0x7f000000u - (bits < 0x7e800000u ? bits : 0x7e800000u);
+    memcpy(&unit, &bits, sizeof unit);
+    return unit;
+}
+
 /* Unit, of the side that is seen. The surface decides which that is: a smooth normal may look away from the eye. */
 static void zbufrandi_turn_normal(float n[3], const float face[3], const float ray[3]) {
-    float l = n[0] * n[0] + n[1] * n[1] + n[2] * n[2], d = face[0] * ray[0] + face[1] * ray[1] + face[2] * ray[2];
-    l = l > 1e-37f ? 1.0f / sqrtf(l) : 0.0f;
+    const float d = face[0] * ray[0] + face[1] * ray[1] + face[2] * ray[2], unit = zbufrandi_tame(n);
+    float l;
+    n[0] = n[0] * unit;
+    n[1] = n[1] * unit;
+    n[2] = n[2] * unit;
+    l = n[0] * n[0] + n[1] * n[1] + n[2] * n[2];
+    l = l > 0.0f ? 1.0f / sqrtf(l) : 0.0f;
     if (d > 0.0f) l = 0.0f - l;
     n[0] = n[0] * l;
     n[1] = n[1] * l;
@@ -14218,16 +14239,16 @@ static void zbufrandi_stored_surface(const zbufrandi_drawn *s, const zbufrandi_d
     out->local = d->local;
 }
 
-/* Where `ray` (camera) meets the plane of a triangle with corner b (seen from the eye) and edges e, normal n: weights
-   of its corners, moved into the triangle. */
+/* Where `ray` (camera) meets the plane of a triangle with corner b (seen from the eye) and edges e, which are
+   times unit, and normal n: weights of its corners, moved into the triangle. */
 static void zbufrandi_triangle_weights(const zbufrandi_local *l, const float ray[3], const float b[3],
-                                       const float (*e)[3],
+                                       const float (*e)[3], float unit,
                                        const float n[3], float w[3]) {
     float r[3], h[3], t, sum;
     uint32_t a;
     for (a = 0; a < 3; a++) r[a] = l->m[0][a] * ray[0] + l->m[1][a] * ray[1] + l->m[2][a] * ray[2];
     t = (n[0] * b[0] + n[1] * b[1] + n[2] * b[2]) / (n[0] * r[0] + n[1] * r[1] + n[2] * r[2]);
-    for (a = 0; a < 3; a++) h[a] = r[a] * t - b[a]; /* from corner 0 to the point on the plane */
+    for (a = 0; a < 3; a++) h[a] = (r[a] * t - b[a]) * unit; /* from corner 0 to the point on the plane */
     sum = 1.0f / (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
     /* weights of corners 1 and 2: ((h x e1) . n, (e0 x h) . n) / n . n */
     w[1] = ((h[1] * e[1][2] - h[2] * e[1][1]) * n[0] + (h[2] * e[1][0] - h[0] * e[1][2]) * n[1] +
@@ -14278,19 +14299,25 @@ static void zbufrandi_triangle_surface(const zbufrandi_drawn *s, uint32_t local,
     const zbufrandi_cluster *c = &structure->cluster[cluster];
     const uint8_t *tri = structure->triangle + 3 * ((size_t)c->first_triangle + t);
     const float *v[3];
-    float e[2][3], n[3], w[3] = {0.0f, 0.0f, 0.0f}, b[3], g[3];
+    float e[2][3], f[2][3], n[3], w[3] = {0.0f, 0.0f, 0.0f}, b[3], g[3], unit;
     uint32_t k, a;
     for (k = 0; k < 3; k++) v[k] = structure->position + 3 * ((size_t)c->first_vertex + tri[k]);
     for (a = 0; a < 3; a++) {
         e[0][a] = v[1][a] - v[0][a];
         e[1][a] = v[2][a] - v[0][a];
+        g[a] = zbufrandi_absf(e[0][a]) > zbufrandi_absf(e[1][a]) ? e[0][a] : e[1][a];
     }
-    n[0] = e[0][1] * e[1][2] - e[0][2] * e[1][1];
-    n[1] = e[0][2] * e[1][0] - e[0][0] * e[1][2];
-    n[2] = e[0][0] * e[1][1] - e[0][1] * e[1][0];
+    unit = zbufrandi_tame(g);
+    for (a = 0; a < 3; a++) {
+        f[0][a] = e[0][a] * unit;
+        f[1][a] = e[1][a] * unit;
+    }
+    n[0] = f[0][1] * f[1][2] - f[0][2] * f[1][1];
+    n[1] = f[0][2] * f[1][0] - f[0][0] * f[1][2];
+    n[2] = f[0][0] * f[1][1] - f[0][1] * f[1][0];
     if (s->need_places || (c->flags & (ZBUFRANDI_HAS_NORMALS | ZBUFRANDI_HAS_VERTEX_RGB)) != 0) {
         for (a = 0; a < 3; a++) b[a] = (v[0][a] - l->eye[a]) - l->eye_low[a];
-        zbufrandi_triangle_weights(l, ray, b, (const float (*)[3])e, n, w);
+        zbufrandi_triangle_weights(l, ray, b, (const float (*)[3])f, unit, n, w);
         if (s->need_places) {
             for (a = 0; a < 3; a++) g[a] = b[a] + e[0][a] * w[1] + e[1][a] * w[2];
             zbufrandi_camera_vector(l, g, out->p);
@@ -14405,10 +14432,17 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE __m256 zbufrandi_dot8v(__m256 ax, __m256 
     return _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(ax, bx), _mm256_mul_ps(ay, by)), _mm256_mul_ps(az, bz));
 }
 
+/* zbufrandi_tame, of the largest component. */
+ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE __m256 zbufrandi_tame8(__m256 most) {
+    const __m256i bits = _mm256_and_si256(_mm256_castps_si256(most), _mm256_set1_epi32(0x7f800000));
+    return _mm256_castsi256_ps(_mm256_sub_epi32(_mm256_set1_epi32(0x7f000000),
+                                                _mm256_min_epi32(bits, _mm256_set1_epi32(0x7e800000))));
+}
+
 /* The operations of zbufrandi_triangle_surface and what it calls, one for one. */
 ZBUFRANDI_TARGET_AVX2 static void zbufrandi_shade_eight(zbufrandi_shade8 *s) {
-    const __m256 zero = _mm256_setzero_ps(), one = _mm256_set1_ps(1.0f);
-    __m256 m[9], e0[3], e1[3], n[3], b[3], r[3], h[3], w[3], ray[3], t, sum, l;
+    const __m256 zero = _mm256_setzero_ps(), one = _mm256_set1_ps(1.0f), sign = _mm256_set1_ps(-0.0f);
+    __m256 m[9], e0[3], e1[3], f0[3], f1[3], n[3], b[3], r[3], h[3], w[3], ray[3], t, sum, l, unit = zero;
     int a;
     for (a = 0; a < 9; a++) m[a] = _mm256_loadu_ps(s->m[a]);
     for (a = 0; a < 3; a++) {
@@ -14417,21 +14451,27 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_shade_eight(zbufrandi_shade8 *s) {
         e0[a] = _mm256_sub_ps(_mm256_loadu_ps(s->v[3 + a]), v0);
         e1[a] = _mm256_sub_ps(_mm256_loadu_ps(s->v[6 + a]), v0);
         b[a] = _mm256_sub_ps(_mm256_sub_ps(v0, _mm256_loadu_ps(s->eye[a])), _mm256_loadu_ps(s->low[a]));
+        unit = _mm256_max_ps(_mm256_max_ps(_mm256_andnot_ps(sign, e0[a]), _mm256_andnot_ps(sign, e1[a])), unit);
     }
-    n[0] = _mm256_sub_ps(_mm256_mul_ps(e0[1], e1[2]), _mm256_mul_ps(e0[2], e1[1]));
-    n[1] = _mm256_sub_ps(_mm256_mul_ps(e0[2], e1[0]), _mm256_mul_ps(e0[0], e1[2]));
-    n[2] = _mm256_sub_ps(_mm256_mul_ps(e0[0], e1[1]), _mm256_mul_ps(e0[1], e1[0]));
+    unit = zbufrandi_tame8(unit);
+    for (a = 0; a < 3; a++) {
+        f0[a] = _mm256_mul_ps(e0[a], unit);
+        f1[a] = _mm256_mul_ps(e1[a], unit);
+    }
+    n[0] = _mm256_sub_ps(_mm256_mul_ps(f0[1], f1[2]), _mm256_mul_ps(f0[2], f1[1]));
+    n[1] = _mm256_sub_ps(_mm256_mul_ps(f0[2], f1[0]), _mm256_mul_ps(f0[0], f1[2]));
+    n[2] = _mm256_sub_ps(_mm256_mul_ps(f0[0], f1[1]), _mm256_mul_ps(f0[1], f1[0]));
     for (a = 0; a < 3; a++) r[a] = zbufrandi_dot8v(m[a], m[3 + a], m[6 + a], ray[0], ray[1], ray[2]);
     t = _mm256_div_ps(zbufrandi_dot8v(n[0], n[1], n[2], b[0], b[1], b[2]),
                       zbufrandi_dot8v(n[0], n[1], n[2], r[0], r[1], r[2]));
-    for (a = 0; a < 3; a++) h[a] = _mm256_sub_ps(_mm256_mul_ps(r[a], t), b[a]);
+    for (a = 0; a < 3; a++) h[a] = _mm256_mul_ps(_mm256_sub_ps(_mm256_mul_ps(r[a], t), b[a]), unit);
     sum = _mm256_div_ps(one, zbufrandi_dot8v(n[0], n[1], n[2], n[0], n[1], n[2]));
-    w[1] = zbufrandi_dot8v(_mm256_sub_ps(_mm256_mul_ps(h[1], e1[2]), _mm256_mul_ps(h[2], e1[1])),
-                           _mm256_sub_ps(_mm256_mul_ps(h[2], e1[0]), _mm256_mul_ps(h[0], e1[2])),
-                           _mm256_sub_ps(_mm256_mul_ps(h[0], e1[1]), _mm256_mul_ps(h[1], e1[0])), n[0], n[1], n[2]);
-    w[2] = zbufrandi_dot8v(_mm256_sub_ps(_mm256_mul_ps(e0[1], h[2]), _mm256_mul_ps(e0[2], h[1])),
-                           _mm256_sub_ps(_mm256_mul_ps(e0[2], h[0]), _mm256_mul_ps(e0[0], h[2])),
-                           _mm256_sub_ps(_mm256_mul_ps(e0[0], h[1]), _mm256_mul_ps(e0[1], h[0])), n[0], n[1], n[2]);
+    w[1] = zbufrandi_dot8v(_mm256_sub_ps(_mm256_mul_ps(h[1], f1[2]), _mm256_mul_ps(h[2], f1[1])),
+                           _mm256_sub_ps(_mm256_mul_ps(h[2], f1[0]), _mm256_mul_ps(h[0], f1[2])),
+                           _mm256_sub_ps(_mm256_mul_ps(h[0], f1[1]), _mm256_mul_ps(h[1], f1[0])), n[0], n[1], n[2]);
+    w[2] = zbufrandi_dot8v(_mm256_sub_ps(_mm256_mul_ps(f0[1], h[2]), _mm256_mul_ps(f0[2], h[1])),
+                           _mm256_sub_ps(_mm256_mul_ps(f0[2], h[0]), _mm256_mul_ps(f0[0], h[2])),
+                           _mm256_sub_ps(_mm256_mul_ps(f0[0], h[1]), _mm256_mul_ps(f0[1], h[0])), n[0], n[1], n[2]);
     w[1] = _mm256_mul_ps(w[1], sum);
     w[2] = _mm256_mul_ps(w[2], sum);
     w[0] = _mm256_sub_ps(_mm256_sub_ps(one, w[1]), w[2]);
@@ -14464,8 +14504,11 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_shade_eight(zbufrandi_shade8 *s) {
             r[a] = _mm256_blendv_ps(r[a], h[a], l);
         }
     }
-    l = zbufrandi_dot8v(r[0], r[1], r[2], r[0], r[1], r[2]); /* zbufrandi_turn_normal */
-    l = _mm256_and_ps(_mm256_cmp_ps(l, _mm256_set1_ps(1e-37f), _CMP_GT_OQ), _mm256_div_ps(one, _mm256_sqrt_ps(l)));
+    l = _mm256_max_ps(_mm256_andnot_ps(sign, r[1]), _mm256_andnot_ps(sign, r[0])); /* zbufrandi_turn_normal */
+    unit = zbufrandi_tame8(_mm256_max_ps(_mm256_andnot_ps(sign, r[2]), l));
+    for (a = 0; a < 3; a++) r[a] = _mm256_mul_ps(r[a], unit);
+    l = zbufrandi_dot8v(r[0], r[1], r[2], r[0], r[1], r[2]);
+    l = _mm256_and_ps(_mm256_cmp_ps(l, zero, _CMP_GT_OQ), _mm256_div_ps(one, _mm256_sqrt_ps(l)));
     l = _mm256_blendv_ps(l, _mm256_sub_ps(zero, l), _mm256_cmp_ps(t, zero, _CMP_GT_OQ));
     for (a = 0; a < 3; a++) _mm256_storeu_ps(s->normal[a], _mm256_mul_ps(r[a], l));
 }
@@ -14615,6 +14658,10 @@ static void zbufrandi_look_shade(const zbufrandi_look *look, const zbufrandi_loo
         const float *l = look->light[i];
         float to[3], c;
         for (a = 0; a < 3; a++) to[a] = l[a] - (look->directional[i] ? 0.0f : s->p[a]);
+        if (!look->directional[i]) {
+            const float unit = zbufrandi_tame(to);
+            for (a = 0; a < 3; a++) to[a] *= unit;
+        }
         c = s->normal[0] * to[0] + s->normal[1] * to[1] + s->normal[2] * to[2];
         if (!(c > 0.0f)) continue;
         if (!look->directional[i]) c = c / sqrtf(to[0] * to[0] + to[1] * to[1] + to[2] * to[2]);
@@ -14684,6 +14731,12 @@ static int zbufrandi_unit(double v[3]) { /* 0: no direction */
     l = 1.0 / sqrt(l);
     for (a = 0; a < 3; a++) v[a] *= l;
     return 1;
+}
+/* A direction of any finite length gets one that can be squared. */
+static void zbufrandi_direction(double v[3]) {
+    const double m = zbufrandi_max(zbufrandi_max(zbufrandi_abs(v[0]), zbufrandi_abs(v[1])), zbufrandi_abs(v[2]));
+    int a;
+    if ((m > 1e100 && zbufrandi_finite(m)) || (m > 0.0 && m < 1e-100)) for (a = 0; a < 3; a++) v[a] /= m;
 }
 static void zbufrandi_cross3(const double a[3], const double b[3], double out[3]) {
     out[0] = a[1] * b[2] - a[2] * b[1];
@@ -14756,6 +14809,7 @@ static int zbufrandi_fit_open(zbufrandi_fit *f, const zbufrand_camera *camera, c
         zbufrandi_cross3(up, front, side);
         for (a = 0; a < 3; a++) f->back[a] = 0.6 * side[a] + 0.42 * up[a] + front[a];
     }
+    zbufrandi_direction(f->back);
     if (!zbufrandi_unit(f->back)) return 0;
     for (a = 0; a < 3; a++) forward[a] = -f->back[a];
     zbufrandi_axes(forward, camera->up, f->right, f->above);
@@ -14982,6 +15036,7 @@ struct zbufrandi_picture {
     uint64_t since_refresh;            /* samples since the pyramid was made */
     double clock;
     int too_many;                      /* samples for numbers of 32 bits */
+    int told;                          /* env.error says already what is wrong */
     int keep;                          /* colours go to f->color and not to the caller: one of several frames */
     uint32_t parts;                    /* oversampling: so many of its pixels make one; else 1 */
     uint8_t *where;                    /* repair: of 16 x 16 pixels: 1 samples may be there, 2 beside that; or NULL */
@@ -15800,7 +15855,7 @@ static zbufrand_result zbufrandi_repair_apply(zbufrandi_picture *p, uint32_t *ou
     memset(d, 0, sizeof *d);
     d->item = (uint32_t)ZBUFRANDI_DRAW_RAYS << ZBUFRANDI_DRAW_SHIFT | first;
     d->count = (uint32_t)f->suspect_count;
-    if (!zbufrandi_number_draw(p, d, (uint32_t)f->draw_count)) return ZBUFRAND_ERR_NO_MEMORY;
+    if (!zbufrandi_number_draw(p, d, (uint32_t)f->draw_count)) return zbufrandi_no_room(p);
     for (i = 0; i < f->suspect_count; i++) {
         const zbufrandi_ray_hit *hit = &f->hit[i];
         const uint32_t x = f->suspect[i] % r->width + r->result_guard, y = f->suspect[i] / r->width + r->result_guard;
@@ -15826,6 +15881,17 @@ static zbufrand_result zbufrandi_repair_apply(zbufrandi_picture *p, uint32_t *ou
     return ZBUFRAND_OK;
 }
 
+/* 2^x and q^n where these may be too small for zbufrandi_exp2: then 0. x <= 0, q <= 1, n >= 0 */
+static double zbufrandi_share_exp2(double x) { return x > -999.0 ? zbufrandi_exp2(x) : 0.0; }
+static double zbufrandi_share_pow(double q, double n) {
+    return q > 0.0 ? zbufrandi_share_exp2(n * zbufrandi_log2(q)) : 0.0;
+}
+
+/* Probability that a block gets no sample. */
+static double zbufrandi_block_empty(double density, double block) {
+    return zbufrandi_share_exp2(-1.4426950408889634 * density * block * block);
+}
+
 /* Bound of the probability that a picture of `pixels` covered pixels is wrong somewhere although repaired, when a block
    gets no sample with probability q. */
 static double zbufrandi_incomplete(double pixels, double q) {
@@ -15838,7 +15904,8 @@ static double zbufrandi_incomplete(double pixels, double q) {
 static double zbufrandi_parts_incomplete(const zbufrandi_picture *p, double covered, double q) {
     const double parts = (double)p->parts, block = (double)p->f->recon.o.block;
     if (p->parts <= 1) return 1.0;
-    return zbufrandi_min(1.0, covered / parts * zbufrandi_pow(q, zbufrandi_max(parts / (block * block), 1.0)));
+    return zbufrandi_min(1.0, covered / parts *
+                              zbufrandi_share_pow(q, zbufrandi_max(parts / (block * block), 1.0)));
 }
 
 /* What lies among rastered pixels alone is right as it is. Is there a pixel that shows a sample in the tile around this
@@ -16083,11 +16150,11 @@ static zbufrand_result zbufrandi_repair(zbufrandi_picture *p, double density, ui
     if (p->where != NULL && p->stats.rastered != 0) covered = sampled; /* else those that have a sample */
     /* What the density promises, or more if more had failed than that: four standard deviations more of those whose
        neighbours show that they lie within a surface. Others were changed because it covers a part of them. */
-    q = zbufrandi_exp2(-1.4426950408889634 * density * block * block);
+    q = zbufrandi_block_empty(density, block);
     failed = (double)inside - 4.0 * sqrt((double)inside);
     q = zbufrandi_max(q, failed / (zbufrandi_max((double)covered, 1.0) * (1.0 - zbufrandi_min(8.0 * q, 0.5))));
     q = zbufrandi_min(q, 1.0);
-    p->stats.incomplete = zbufrandi_min(zbufrandi_incomplete((double)covered, zbufrandi_pow(q, (double)frames)),
+    p->stats.incomplete = zbufrandi_min(zbufrandi_incomplete((double)covered, zbufrandi_share_pow(q, (double)frames)),
                                         zbufrandi_parts_incomplete(p, (double)covered, q));
     zbufrandi_lap(p, ZBUFRAND_STAGE_REPAIR);
     return ZBUFRAND_OK;
@@ -16256,8 +16323,9 @@ static void zbufrandi_paint_task(void *ctx, uint32_t task) {
             if (i < n) zbufrandi_paint_run(p, keys + x, x, y, n, rgba);
             if (!c->last) continue;
             if (i == n && p->look.transparent && p->image->rgba == NULL) {
-                memset(zbufrandi_row(p->image->rgba8, p->image->rgba8_stride, 4, w, y) + 4 * (size_t)x, 0,
-                       4 * (size_t)n);
+                if (p->image->rgba8 != NULL)
+                    memset(zbufrandi_row(p->image->rgba8, p->image->rgba8_stride, 4, w, y) + 4 * (size_t)x, 0,
+                           4 * (size_t)n);
             } else {
                 zbufrandi_write_colors(p, x, y, n, rgba);
             }
@@ -16289,7 +16357,10 @@ static zbufrand_result zbufrandi_open_lights(zbufrandi_picture *p) {
     zbufrand_frame *f = p->f;
     size_t n = d->lights != NULL ? d->light_count : 2, i;
     uint32_t a;
-    if (n > 0xffff) return ZBUFRAND_ERR_RANGE;
+    if (n > 0xffff) {
+        p->told = 1;
+        return zbufrandi_fail(f->env.error, ZBUFRAND_ERR_RANGE, n, "render: % lights are more than 65535");
+    }
     if (!zbufrandi_grow(&f->mem, (void **)&f->light, &f->light_capacity, 0, n, sizeof *f->light) ||
         !zbufrandi_grow(&f->mem, (void **)&f->directional, &f->directional_capacity, 0, n, 1))
             return ZBUFRAND_ERR_NO_MEMORY;
@@ -16300,11 +16371,16 @@ static zbufrand_result zbufrandi_open_lights(zbufrandi_picture *p) {
         if (d->lights == NULL) {
             for (a = 0; a < 3; a++) v[a] = (double)place[i][a];
         } else {
+            double far_off = 0.0;
             for (a = 0; a < 3; a++) {
                 if (!zbufrandi_finite(d->lights[i].position[a]) || !zbufrandi_finite_f(d->lights[i].color[a]))
                     return ZBUFRAND_ERR_INVALID_ARG;
                 q[a] = d->lights[i].position[a] - (f->directional[i] ? 0.0 : c->eye[a]);
+                q[a] = zbufrandi_min(zbufrandi_max(q[a], -1e300), 1e300);
+                far_off = zbufrandi_max(far_off, zbufrandi_abs(q[a]));
             }
+            if (f->directional[i]) zbufrandi_direction(q);
+            else if (far_off > 1e37) for (a = 0; a < 3; a++) q[a] *= 1e37 / far_off; /* beyond all that is drawn */
             v[0] = q[0] * c->right[0] + q[1] * c->right[1] + q[2] * c->right[2];
             v[1] = q[0] * c->up[0] + q[1] * c->up[1] + q[2] * c->up[2];
             v[2] = q[0] * c->dir[0] + q[1] * c->dir[1] + q[2] * c->dir[2];
@@ -16414,6 +16490,7 @@ static zbufrand_result zbufrandi_open_picture(zbufrandi_picture *p) {
         f->recon_open = 0;
         if (o.reach == 0) o.reach = o.block != 0 ? 2 * o.block : 2u; /* or there is no background left */
         r = zbufrandi_recon_open(&f->mem, &f->env, f->isa, &o, p->image->width, p->image->height, 1, &f->recon);
+        p->told = r != ZBUFRAND_OK;
         if (r != ZBUFRAND_OK) return r;
         f->recon_open = 1;
         f->recon_asked = d->reconstruct;
@@ -16526,7 +16603,7 @@ static zbufrand_result zbufrandi_draw_picture(zbufrandi_picture *p) {
         zbufrandi_recon_keys(r);
         if (p->asker.cancelled) return ZBUFRAND_ERR_CANCELLED; /* keys are what they were before */
         p->stats.incomplete = zbufrandi_min(1.0 - zbufrand_success_bound(density, pixels, block),
-            zbufrandi_parts_incomplete(p, pixels, zbufrandi_exp2(-1.4426950408889634 * density * block * block)));
+            zbufrandi_parts_incomplete(p, pixels, zbufrandi_block_empty(density, block)));
         if (p->stats.draws[0] + p->stats.draws[1] == 0) p->stats.incomplete = 0.0;
         if (d->no_repair || p->scene == NULL || p->stats.draws[0] + p->stats.draws[1] == 0) break;
         /* a pixel covered with a margin expects 27 or more: with so few there is none, nearly all is rastered */
@@ -16673,6 +16750,7 @@ static zbufrand_result zbufrandi_render(zbufrand_frame *frame, zbufrand_render_d
     p->stats.bytes = zbufrandi_atomic_load(&frame->mem.used);
     if (frame->accumulator != NULL) p->stats.bytes += frame->accumulator->mem.used;
     if (stats != NULL) *stats = p->stats;
+    if (r != ZBUFRAND_OK && p->told) return r;
     if (r == ZBUFRAND_ERR_RANGE)
         return zbufrandi_fail(frame->env.error, r, 0, p->cut.independent && /* set after sizes are checked */
                               frame->draw_count > ZBUFRANDI_INDEPENDENT_DRAWS
@@ -16979,6 +17057,7 @@ static zbufrand_result zbufrandi_query_open(zbufrand_frame *frame, const zbufran
     p->cut.bounds = 1;
     r = zbufrandi_open_picture(p);
     if (r == ZBUFRAND_OK) r = zbufrandi_draw_scene(p);
+    if (r != ZBUFRAND_OK && p->told) return r;
     if (r == ZBUFRAND_ERR_CANCELLED) return zbufrandi_fail(frame->env.error, r, 0, "query: cancelled");
     if (r != ZBUFRAND_OK) return zbufrandi_fail(frame->env.error, r, 0, zbufrand_result_string(r));
     p->stats.triangles = scene != NULL ? scene->info.triangles : 0;
@@ -17186,7 +17265,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_sample_scene(zbufrand_frame *frame, const 
     if (r != ZBUFRAND_OK || p == NULL) return r;
     if (!zbufrandi_grow(&frame->mem, (void **)&frame->aux, &frame->aux_capacity, 0,
                         frame->aux_count * ZBUFRANDI_SET + 64, 1)) {
-        return ZBUFRAND_ERR_NO_MEMORY;
+        return zbufrandi_fail(frame->env.error, ZBUFRAND_ERR_NO_MEMORY, 0,
+                              zbufrand_result_string(ZBUFRAND_ERR_NO_MEMORY));
     }
     p->drawn.aux = frame->aux;
     memset(&s, 0, sizeof s);
@@ -17197,7 +17277,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_sample_scene(zbufrand_frame *frame, const 
     for (i = 0; i < frame->draw_count && !s.stop; i++) zbufrandi_stream_draw(&s, &frame->draw[i]);
     zbufrandi_stream_flush(&s);
     if (stats != NULL) *stats = p->stats;
-    return s.stop ? ZBUFRAND_ERR_CANCELLED : ZBUFRAND_OK;
+    return s.stop ? zbufrandi_fail(frame->env.error, ZBUFRAND_ERR_CANCELLED, 0, "query: cancelled") : ZBUFRAND_OK;
 }
 
 /* ---------------------------------------------------------------------------
