@@ -18980,7 +18980,11 @@ static zbufrand_result zbufrandi_edit_walk(zbufrandi_edit *e, uint32_t start) {
     zbufrandi_graph *g = scene->graph;
     const uint32_t on_path = 4 + 2 * scene->stamp, done = on_path + 1;
     size_t depth = 1;
-    if (g[start].state == done) return ZBUFRAND_OK;
+    if (g[start].state == done) { /* in a list that a new reference led to before: it melts there, but not here */
+        if (g[start].structure != 0 || g[start].refs != 0 || (g[start].flags & ZBUFRAND_OWN_STRUCTURE) ||
+            g[start].kind == ZBUFRANDI_REFERENCES) return ZBUFRAND_OK;
+        return zbufrandi_nodes_add(scene, &e->fresh, start) ? ZBUFRAND_OK : ZBUFRAND_ERR_NO_MEMORY;
+    }
     if (!zbufrandi_grow(&scene->mem, (void **)&e->stack, &e->stack_capacity, 0, 64, sizeof *e->stack))
         return ZBUFRAND_ERR_NO_MEMORY;
     e->stack[0].node = start;

@@ -997,6 +997,26 @@ TEST(moved_in_what_was_hidden) {
     zbufrand_scene_destroy(s);
 }
 
+/* A new reference to a list that has no structure yet, and then something new in that list: in both places. */
+TEST(new_in_what_is_referred_to) {
+    zbufrand_scene *s = open_scene(1, NULL);
+    zbufrand_scene_info info;
+    zbufrand_node list, inner;
+    list = add_list(s, ZBUFRAND_ROOT, 0);
+    (void)add_triangle(s, list, 0);
+    CHECK_EQ_U64(zbufrand_scene_build(s, NULL, &info), ZBUFRAND_OK);
+    (void)add_at(s, ZBUFRAND_ROOT, 10, 0, 0, list);
+    (void)add_triangle(s, list, 0);
+    inner = add_list(s, list, 0);
+    (void)add_triangle(s, inner, 0);
+    (void)add_triangle(s, list, ZBUFRAND_OWN_STRUCTURE);
+    CHECK_EQ_U64(zbufrand_scene_update(s, &info), ZBUFRAND_OK);
+    CHECK_EQ_U64(info.triangles, 8);
+    CHECK_NEAR(info.box_max[0], 11, 1e-4);
+    check_scene(s);
+    zbufrand_scene_destroy(s);
+}
+
 /* An update that fails after something has become a structure: the trees of the thesis do not know of it. */
 TEST(trees_of_the_thesis_after_a_failure) {
     zbufrand_scene *s = open_scene(1, NULL);
@@ -1091,6 +1111,7 @@ int main(int argc, char **argv) {
     RUN(errors);
     RUN(trees_of_the_thesis);
     RUN(moved_in_what_was_hidden);
+    RUN(new_in_what_is_referred_to);
     RUN(trees_of_the_thesis_after_a_failure);
     RUN(room_for_all_that_comes);
     RUN(many_ways_up);
