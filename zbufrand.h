@@ -18285,6 +18285,17 @@ static void zbufrandi_live_link(zbufrand_scene *scene, uint32_t index) {
     for (i = 0; i < scene->structure[index].instance_count; i++) zbufrandi_use_link(scene, index, i);
 }
 
+/* Levels of instances below a structure; those of empty ones, which builds do not count, may not stay empty. */
+static uint32_t zbufrandi_live_depth(const zbufrand_scene *scene, uint32_t index) {
+    const zbufrandi_structure *s = &scene->structure[index];
+    uint32_t depth = 0, i;
+    for (i = 0; i < s->instance_count; i++) {
+        const uint32_t below = scene->structure[s->instance[i].structure].depth + 1;
+        if (s->instance[i].scale > 0.0 && below > depth) depth = below;
+    }
+    return depth;
+}
+
 /* The first update looks at everything. 0: no memory. */
 static int zbufrandi_live_open(zbufrand_scene *scene) {
     zbufrandi_live *live;
@@ -18311,6 +18322,8 @@ static int zbufrandi_live_open(zbufrand_scene *scene) {
         return 0;
     }
     for (i = 0; i < scene->structure_count; i++) zbufrandi_live_link(scene, i);
+    for (i = scene->structure_count; i > 0; i--) /* what they have instances of comes behind them */
+        scene->structure[i - 1].depth = zbufrandi_live_depth(scene, i - 1);
     for (k = 1; k < scene->graph_count; k++) {
         if (scene->graph[k].kind != ZBUFRANDI_DEAD && scene->graph[k].structure != 0)
             live->s[scene->graph[k].structure - 1].node = (uint32_t)k;
@@ -19219,6 +19232,7 @@ static zbufrand_result zbufrandi_edit_promote(zbufrandi_edit *e, uint32_t node) 
     b.s = &scene->structure[p];
     b.index = p;
     r = zbufrandi_promote_build(&b, home, node);
+    if (r == ZBUFRAND_OK) scene->structure[p].depth = zbufrandi_live_depth(scene, p);
     if (r == ZBUFRAND_OK && zbufrandi_edit_above(scene, home, ++scene->live->walks) + 1 + scene->structure[p].depth >
                             ZBUFRANDI_MAX_LEVELS) {
         r = zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, node, "node %: too many levels of instances");
@@ -19318,6 +19332,7 @@ static zbufrand_result zbufrandi_edit_build(zbufrandi_edit *e, uint32_t node, ui
     r = zbufrandi_build_structure(&b);
     zbufrandi_gather_free(&scene->mem, &gather);
     *skipped += b.skipped;
+    if (r == ZBUFRAND_OK) scene->structure[index].depth = zbufrandi_live_depth(scene, index);
     if (r == ZBUFRAND_OK && !zbufrandi_edit_ready(scene, index, node)) r = zbufrandi_edit_no_memory(scene);
     return r;
 }

@@ -1017,6 +1017,34 @@ TEST(new_in_what_is_referred_to) {
     zbufrand_scene_destroy(s);
 }
 
+/* What has nothing but instances of empty lists comes to something by what is added below. */
+TEST(empty_levels) {
+    zbufrand_scene *s = open_scene(1, NULL);
+    zbufrand_scene_info info;
+    zbufrand_node none, some, around;
+    none = add_list(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN);
+    some = add_list(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN);
+    (void)add_at(s, some, 1, 0, 0, none);
+    (void)add_at(s, ZBUFRAND_ROOT, 0, 0, 0, some);
+    CHECK_EQ_U64(zbufrand_scene_build(s, NULL, &info), ZBUFRAND_OK);
+    (void)add_at(s, some, 2, 0, 0, none);
+    CHECK_EQ_U64(zbufrand_scene_update(s, &info), ZBUFRAND_OK);
+    around = add_list(s, ZBUFRAND_ROOT, 0);
+    (void)add_at(s, around, 100, 0, 0, some);
+    CHECK_EQ_U64(zbufrand_scene_update(s, &info), ZBUFRAND_OK);
+    CHECK_EQ_U64(info.triangles, 0);
+    (void)add_triangle(s, some, 0);
+    CHECK_EQ_U64(zbufrand_scene_update(s, &info), ZBUFRAND_OK);
+    CHECK_EQ_U64(info.triangles, 2);
+    check_scene(s);
+    (void)add_triangle(s, none, 0);
+    CHECK_EQ_U64(zbufrand_scene_update(s, &info), ZBUFRAND_OK);
+    CHECK_EQ_U64(info.triangles, 6);
+    CHECK_NEAR(info.box_max[0], 103, 1e-3);
+    check_scene(s);
+    zbufrand_scene_destroy(s);
+}
+
 /* An update that fails after something has become a structure: the trees of the thesis do not know of it. */
 TEST(trees_of_the_thesis_after_a_failure) {
     zbufrand_scene *s = open_scene(1, NULL);
@@ -1112,6 +1140,7 @@ int main(int argc, char **argv) {
     RUN(trees_of_the_thesis);
     RUN(moved_in_what_was_hidden);
     RUN(new_in_what_is_referred_to);
+    RUN(empty_levels);
     RUN(trees_of_the_thesis_after_a_failure);
     RUN(room_for_all_that_comes);
     RUN(many_ways_up);
