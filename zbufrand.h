@@ -1279,8 +1279,8 @@ ZBUFRAND_DEF void zbufrand_preset_thesis(zbufrand_build_desc *build, zbufrand_re
    camera  in and out; left as it is on failure
    view    from the object towards the eye, any length; NULL: from the front, a little from above and the right
    width, height  of the picture; one of them 0: as for a square
-   INVALID_ARG: the box or view is not finite, a side of the box is below 0, view is 0, or the angle is not in (0, 180).
-   Any thread. O(1). */
+   INVALID_ARG: the box or view is not finite, a side of the box is below 0, view is 0, or the angle is not in (0, 180),
+   or the place of the camera would not be finite. Any thread. O(1). */
 ZBUFRAND_DEF zbufrand_result zbufrand_camera_fit(zbufrand_camera *camera, const double box_min[3],
                                                  const double box_max[3], const double view[3], uint32_t width,
                                                  uint32_t height);
@@ -14830,16 +14830,20 @@ static void zbufrandi_fit_box(zbufrandi_fit *f, const double lo[3], const double
     }
 }
 
-static void zbufrandi_fit_close(const zbufrandi_fit *f, zbufrand_camera *camera) {
+static zbufrand_result zbufrandi_fit_close(const zbufrandi_fit *f, zbufrand_camera *camera) {
+    zbufrand_camera c = *camera;
     double distance = zbufrandi_max((f->most[0] + f->most[1]) / (2.0 * f->tan_x),
                                     (f->most[2] + f->most[3]) / (2.0 * f->tan_y));
     double x = 0.5 * (f->most[0] - f->most[1]), y = 0.5 * (f->most[2] - f->most[3]);
     int a;
     distance = f->size > 0.0 ? 1.04 * distance + 0.01 * f->size : 1.0;
     for (a = 0; a < 3; a++) {
-        camera->at[a] = f->origin[a] + x * f->right[a] + y * f->above[a];
-        camera->eye[a] = camera->at[a] + distance * f->back[a];
+        c.at[a] = f->origin[a] + x * f->right[a] + y * f->above[a];
+        c.eye[a] = c.at[a] + distance * f->back[a];
+        if (!zbufrandi_finite(c.eye[a])) return ZBUFRAND_ERR_INVALID_ARG;
     }
+    *camera = c;
+    return ZBUFRAND_OK;
 }
 
 ZBUFRAND_DEF zbufrand_result zbufrand_camera_fit(zbufrand_camera *camera, const double box_min[3],
@@ -14856,8 +14860,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_camera_fit(zbufrand_camera *camera, const 
     }
     if (!zbufrandi_fit_open(&f, camera, view, width, height, origin)) return ZBUFRAND_ERR_INVALID_ARG;
     zbufrandi_fit_box(&f, box_min, box_max);
-    zbufrandi_fit_close(&f, camera);
-    return ZBUFRAND_OK;
+    return zbufrandi_fit_close(&f, camera);
 }
 
 static void zbufrandi_fit_node(zbufrandi_fit *f, const zbufrandi_structure *s, uint32_t node, uint32_t depth) {
@@ -14891,8 +14894,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_camera_fit_scene(zbufrand_camera *camera, 
     for (a = 0; a < 3; a++) origin[a] = 0.5 * (scene->info.box_min[a] + scene->info.box_max[a]);
     if (!zbufrandi_fit_open(&f, camera, view, width, height, origin)) return ZBUFRAND_ERR_INVALID_ARG;
     zbufrandi_fit_node(&f, &scene->structure[0], 0, 3);
-    zbufrandi_fit_close(&f, camera);
-    return ZBUFRAND_OK;
+    return zbufrandi_fit_close(&f, camera);
 }
 
 /* guard: pixels around the picture that are drawn, too. */

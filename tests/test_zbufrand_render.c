@@ -3051,6 +3051,12 @@ TEST(lights_of_any_length) {
         static const double lo[3] = {-1, -1, -1}, hi[3] = {1, 1, 1};
         CHECK_EQ_U64(zbufrand_camera_fit(&d.camera, lo, hi, view, 64, 64), ZBUFRAND_OK);
         CHECK(d.camera.eye[2] > 2 && d.camera.eye[2] < 20);
+        { /* a box that is too large to be looked at */
+            static const double least[3] = {-1e308, -1e308, -1e308}, most[3] = {1e308, 1e308, 1e308};
+            zbufrand_camera c = d.camera;
+            CHECK_EQ_U64(zbufrand_camera_fit(&c, least, most, NULL, 64, 64), ZBUFRAND_ERR_INVALID_ARG);
+            CHECK(memcmp(&c, &d.camera, sizeof c) == 0);
+        }
     }
     buffers_close(&b);
     zbufrand_scene_destroy(scene);
