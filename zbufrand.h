@@ -518,7 +518,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_remove(zbufrand_scene *scene, zbufrand_nod
    Errors: EMPTY (the scene was never built), INVALID_ARG (env.error names what closes a cycle, a reference whose target
    is in no list, a bad triangle with `strict`), RANGE (levels of instances, places), NO_MEMORY. On failure the scene is
    drawn as before; the edits are kept, so that the call can be made again. Counts of triangles stop at 2^64 - 1. The
-   trees of the thesis, if there are any, are dropped: the default tree is used until the next build.
+   trees of the thesis, if there are any, are dropped, also by some of the failures: the default tree is used until the
+   next build.
    Cost: moving, removing or adding a reference: O(depth of the trees above), some 10 us; a structure used by many
    instances costs as many of them. New triangles: as in a build. The first update after a build looks at all nodes and
    instances once and holds 20 to 30 bytes for each of them from then on. Trees are made anew in parts where they got
@@ -1175,7 +1176,8 @@ typedef struct zbufrand_render_desc {
     void *shade_user;
     const float *opacity;      /* of materials 0, 1, ..., 0..1; NULL: all are opaque, as others and clouds are */
     size_t opacity_count;
-    const zbufrand_light *lights;  /* NULL: a key light from the upper left behind the camera, a weak fill light */
+    /* at most 65535; NULL: a key light from the upper left behind the camera, a weak fill light */
+    const zbufrand_light *lights;
     size_t light_count;
     float ambient[3];          /* all zero: 0.05 each, of light from everywhere */
     uint32_t unlit;            /* 1: plain surface colours */
@@ -1267,8 +1269,9 @@ ZBUFRAND_DEF zbufrand_result zbufrand_measure_costs(const zbufrand_frame_desc *d
    stats   out, may be NULL; on failure of what was done until then
    The same bits for any number of threads and any isa, but for stats->accepted. Any number of frames may draw one scene
    at once. O(samples + pixels + nodes of the trees that are opened).
-   Errors: INVALID_ARG, UNINIT_DESC, RANGE (a picture larger than 32000 a side, or more than 2^32 samples), NO_MEMORY,
-   CANCELLED (the picture is incomplete then). Source: thesis; Wand et al. 2001; occlusion after Greene et al. 1993. */
+   Errors: INVALID_ARG, UNINIT_DESC, RANGE (a picture larger than 32000 a side, more than 2^32 samples or 65535 lights,
+   a block too large), NO_MEMORY, CANCELLED (the picture is incomplete then). Source: thesis; Wand et al. 2001;
+   occlusion after Greene et al. 1993. */
 ZBUFRAND_DEF zbufrand_result zbufrand_render(zbufrand_frame *frame, const zbufrand_render_desc *desc,
                                              const zbufrand_scene *scene, const zbufrand_image *image,
                                              zbufrand_stats *stats);
@@ -1283,8 +1286,8 @@ ZBUFRAND_DEF void zbufrand_preset_thesis(zbufrand_build_desc *build, zbufrand_re
    camera  in and out; left as it is on failure
    view    from the object towards the eye, any length; NULL: from the front, a little from above and the right
    width, height  of the picture; one of them 0: as for a square
-   INVALID_ARG: the box or view is not finite, a side of the box is below 0, view is 0, or the angle is not in (0, 180).
-   Any thread. O(1). */
+   INVALID_ARG: the box or view is not finite, a side of the box is below 0, view is 0, or the angle is not in (0, 180),
+   or the place of the camera would not be finite. Any thread. O(1). */
 ZBUFRAND_DEF zbufrand_result zbufrand_camera_fit(zbufrand_camera *camera, const double box_min[3],
                                                  const double box_max[3], const double view[3], uint32_t width,
                                                  uint32_t height);
@@ -13687,7 +13690,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_accumulator_get(const zbufrand_accumulator
             const double x = (double)m[k] * zbufrandi_min((double)g, 1e38);
             rgba[k] = (float)zbufrandi_max(zbufrandi_min(x, 1e38), -1e38);
         }
-        if (g == 1.0f / m[3]) rgba[3] = 1.0f;
+        if (m[3] > 0.0f && g == 1.0f / m[3]) rgba[3] = 1.0f;
     }
     return ZBUFRAND_OK;
 }
@@ -13782,17 +13785,34 @@ static double zbufrandi_pow1m(double q, double n) { return n == 0.0 ? 1.0 : zbuf
 /* 1 - s^(1/n): about 1e-9 for millions of cells, hence never by subtraction */
 static double zbufrandi_one_minus_root(double s, double n) { return -zbufrandi_expm1(zbufrandi_log(s) / n); }
 
+#define ZBUFRANDI_HALF_LOG_2PI 0.91893853320467274178
+
+/* What Stirling's formula (x - 1/2) ln x - x + ln(2 pi)/2 lacks of ln Gamma(x), x >= 12, by his series. */
+static double zbufrandi_stirling(double x) {
+    const double y = 1.0 / (x * x);
+    return (1.0 / 12.0 - y * (1.0 / 360.0 - y * (1.0 / 1260.0 - y * (1.0 / 1680.0 - y * (1.0 / 1188.0 - y *
+           (691.0 / 360360.0 - y / 156.0)))))) / x;
+}
+
 /* ln Gamma(x), x > 0: Stirling's series from 12 on; error below 2e-14 max(1, |ln Gamma|) */
 static double zbufrandi_log_gamma(double x) {
-    double product = 1.0, y;
+    double product = 1.0;
     while (x < 12.0) {
         product *= x;
         x += 1.0;
     }
-    y = 1.0 / (x * x);
-    y = (1.0 / 12.0 - y * (1.0 / 360.0 - y * (1.0 / 1260.0 - y * (1.0 / 1680.0 - y * (1.0 / 1188.0 - y *
-        (691.0 / 360360.0 - y / 156.0)))))) / x;
-    return (x - 0.5) * zbufrandi_log(x) - x + 0.91893853320467274178 + y - zbufrandi_log(product);
+    return (x - 0.5) * zbufrandi_log(x) - x + ZBUFRANDI_HALF_LOG_2PI + zbufrandi_stirling(x) - zbufrandi_log(product);
+}
+
+/* zbufrandi_stirling for all x > 0 */
+static double zbufrandi_stirling_all(double x) {
+    if (x >= 12.0) return zbufrandi_stirling(x);
+    return zbufrandi_log_gamma(x) - ((x - 0.5) * zbufrandi_log(x) - x + ZBUFRANDI_HALF_LOG_2PI);
+}
+
+/* ln(1 + d), also as ln y where 1 + d would cancel */
+static double zbufrandi_log_near(double y, double d) {
+    return d > -0.3 && d < 0.4 ? zbufrandi_log1p(d) : zbufrandi_log(y);
 }
 
 /* Normal law: probability above x >= 0. Power series of erf up to 2.5, continued fraction beyond, evaluated from its
@@ -13863,15 +13883,18 @@ ZBUFRAND_DEF double zbufrand_samples_lemma2(double cells, double tolerated, doub
     if (!(cells >= 1.0 && tolerated >= 0.0 && tolerated < cells && zbufrandi_finite(cells))) return ZBUFRANDI_NAN;
     if (!(probability > 0.0 && probability < 1.0)) return ZBUFRANDI_NAN;
     if (cells == 1.0) return 1.0; /* the limit: one sample fills the only cell */
-    return zbufrandi_log(zbufrandi_one_minus_root(probability, cells - tolerated)) / zbufrandi_log1p(-1.0 / cells);
+    return zbufrandi_log(zbufrandi_one_minus_root(probability, cells - tolerated)) /
+           zbufrandi_log_near((cells - 1.0) / cells, -1.0 / cells);
 }
 
 /* Visible and hidden cells: the number of samples that hit visible ones is binomial, about normal. Two stages, each
    with probability sqrt(s): enough samples m_v fall on visible cells, and they fill them. exact solves
    m p - q sqrt(m p (1-p)) = m_v; Theorem 5 bounds that by (m_v + q sqrt(m_v)) / p. */
 static double zbufrandi_two_stages(double area, double visible, double probability, int exact) {
-    double s = sqrt(probability), p = visible / area, q = zbufrand_normal_quantile(s), root;
-    double m_v = -visible * zbufrandi_log(zbufrandi_one_minus_root(s, visible));
+    double s = sqrt(probability), p = visible / area, q, root;
+    double m_v = -visible * zbufrandi_log(zbufrandi_one_minus_root(probability, 2.0 * visible));
+    /* 1 - s without cancellation */
+    q = s < 0.5 ? zbufrand_normal_quantile(s) : 0.0 - zbufrand_normal_quantile((1.0 - probability) / (1.0 + s));
     if (!(m_v > 0.0)) return 0.0;
     if (!exact) return (m_v + q * sqrt(m_v)) / p;
     root = q * (1.0 - p);
@@ -13923,12 +13946,24 @@ ZBUFRAND_DEF double zbufrand_samples_for_share(double area, double block, double
 }
 
 /* P(binomial(n, p) <= k) = I_{1-p}(n-k, k+1), the incomplete beta function by its continued fraction (modified Lentz).
-   The fraction is taken on the side where it converges fast. */
+   The fraction is taken on the side where it converges fast. Where that is the side of n-k and k is small, its terms
+   would cancel if n is large: there the chances of k, k-1, ... are added up. */
 static double zbufrandi_binomial_below(double n, double p, double k) {
     double a = n - k, b = k + 1.0, x = -zbufrandi_expm1(zbufrandi_log(p)), c, d, f, i, front;
     int swap = x > (a + 1.0) / (a + b + 2.0);
-    front = a * zbufrandi_log1p(-p) + b * zbufrandi_log(p) + zbufrandi_log_gamma(a + b) - zbufrandi_log_gamma(a) -
-            zbufrandi_log_gamma(b);
+    /* ln of x^a p^b Gamma(a+b) / (Gamma(a) Gamma(b)), in which numbers as large as a ln a would cancel: by how much
+       p (a + b) is off b, and Stirling's formula for the rest */
+    d = b - p * (a + b);
+    front = a * zbufrandi_log_near(x * (a + b) / a, d / a) + b * zbufrandi_log_near(p * (a + b) / b, -d / b) +
+            0.5 * zbufrandi_log(a * (b / (a + b))) - ZBUFRANDI_HALF_LOG_2PI + zbufrandi_stirling_all(a + b) -
+            zbufrandi_stirling_all(a) - zbufrandi_stirling_all(b);
+    if (!swap && k <= 1e5) {
+        for (f = c = 1.0, i = k; i > 0.0 && c > 1e-17 * f; i -= 1.0) {
+            c *= i * x / ((n - i + 1.0) * p);
+            f += c;
+        }
+        return zbufrandi_min(1.0, zbufrandi_exp(front) / (a * p) * f);
+    }
     if (swap) {
         c = a;
         a = b;
@@ -14024,11 +14059,11 @@ ZBUFRAND_DEF double zbufrand_holes_variance(double samples, double cells) {
 }
 
 ZBUFRAND_DEF double zbufrand_holes_tail(double samples, double cells, double deviation) {
-    double mean, r;
+    double full, r; /* full: n - E */
     if (!(cells >= 1.0 && samples >= 0.0 && deviation >= 0.0 && zbufrandi_finite(cells))) return ZBUFRANDI_NAN;
-    mean = cells * zbufrandi_pow1m(1.0 / cells, samples);
-    r = cells * cells - mean * mean;
-    r = r > 0.0 ? 2.0 * zbufrandi_exp(-deviation * deviation * (cells - 0.5) / r) : deviation > 0.0 ? 0.0 : 1.0;
+    full = samples > 0.0 ? -cells * zbufrandi_expm1(samples * zbufrandi_log1p(-1.0 / cells)) : 0.0;
+    if (!(full > 0.0)) return deviation > 0.0 ? 0.0 : 1.0;
+    r = 2.0 * zbufrandi_exp(-(deviation / full) * deviation * ((cells - 0.5) / (2.0 * cells - full)));
     return r > 1.0 ? 1.0 : r;
 }
 
@@ -14051,19 +14086,21 @@ ZBUFRAND_DEF double zbufrand_pixel_law(const double *area, size_t count, double 
 
 ZBUFRAND_DEF double zbufrand_expected_pixel(const double *area, const double *value, size_t count, double density,
                                             double background, double *out_variance) {
-    double mean = 0.0, square = 0.0, sum = 0.0, open = 1.0, r;
+    double mean = 0.0, variance = 0.0, sum, open = 1.0;
     size_t i;
-    int ok = density >= 0.0;
-    for (i = 0; i < count && ok; i++) { /* moments about the background: it adds nothing then */
-        double u = area[i] > 0.0 ? density * area[i] : 0.0, p = open * -zbufrandi_expm1(-u), x = value[i] - background;
-        ok = area[i] >= 0.0;
-        mean += p * x;
-        square += p * x * x;
-        sum += u;
-        open = zbufrandi_exp(-sum);
+    int pass, ok = density >= 0.0;
+    for (pass = 0; pass < (out_variance != NULL ? 2 : 1); pass++) { /* about the background: the mean is without it */
+        for (i = 0, sum = 0.0, open = 1.0; i < count && ok; i++) {
+            double u = area[i] > 0.0 ? density * area[i] : 0.0, p = open * -zbufrandi_expm1(-u);
+            double x = value[i] - background;
+            ok = area[i] >= 0.0;
+            if (pass == 0) mean += p * x;
+            else variance += p * (x - mean) * (x - mean);
+            sum += u;
+            open = zbufrandi_exp(-sum);
+        }
     }
-    r = square - mean * mean;
-    if (out_variance != NULL) *out_variance = ok ? (r > 0.0 || r != r ? r : 0.0) : ZBUFRANDI_NAN;
+    if (out_variance != NULL) *out_variance = ok ? variance + open * mean * mean : ZBUFRANDI_NAN;
     return ok ? background + mean : ZBUFRANDI_NAN;
 }
 
@@ -14102,7 +14139,7 @@ ZBUFRAND_DEF double zbufrand_multi_hit(double samples, double pixels) {
         r = 1.0 + (samples - 4.0) * q / 5.0;
         r = 1.0 + (samples - 3.0) * q / 4.0 * r;
         r = 1.0 + (samples - 2.0) * q / 3.0 * r;
-        return 0.5 * u * (u - 1.0 / pixels) * zbufrandi_exp((samples - 2.0) * l) * r;
+        return 0.5 * u * ((samples - 1.0) / pixels) * zbufrandi_exp((samples - 2.0) * l) * r;
     }
     return -zbufrandi_expm1(samples * l) - u * zbufrandi_exp((samples - 1.0) * l);
 }
@@ -14179,10 +14216,29 @@ typedef struct zbufrandi_look_at { /* a surface as it is found */
     uint32_t material, cluster, triangle, local; /* cluster ~0: a stored point */
 } zbufrandi_look_at;
 
+/* A power of two that brings the largest component of v to about 1: squares are in the range of floats then, and
+   quotients keep their bits. */
+ZBUFRANDI_INLINE float zbufrandi_tame(const float v[3]) {
+    float most = zbufrandi_absf(v[0]), unit;
+    uint32_t bits;
+    most = zbufrandi_absf(v[1]) > most ? zbufrandi_absf(v[1]) : most;
+    most = zbufrandi_absf(v[2]) > most ? zbufrandi_absf(v[2]) : most;
+    memcpy(&bits, &most, sizeof bits);
+    bits &= 0x7f800000u;
+    bits = 0x7f000000u - (bits < 0x7e800000u ? bits : 0x7e800000u);
+    memcpy(&unit, &bits, sizeof unit);
+    return unit;
+}
+
 /* Unit, of the side that is seen. The surface decides which that is: a smooth normal may look away from the eye. */
 static void zbufrandi_turn_normal(float n[3], const float face[3], const float ray[3]) {
-    float l = n[0] * n[0] + n[1] * n[1] + n[2] * n[2], d = face[0] * ray[0] + face[1] * ray[1] + face[2] * ray[2];
-    l = l > 1e-37f ? 1.0f / sqrtf(l) : 0.0f;
+    const float d = face[0] * ray[0] + face[1] * ray[1] + face[2] * ray[2], unit = zbufrandi_tame(n);
+    float l;
+    n[0] = n[0] * unit;
+    n[1] = n[1] * unit;
+    n[2] = n[2] * unit;
+    l = n[0] * n[0] + n[1] * n[1] + n[2] * n[2];
+    l = l > 0.0f ? 1.0f / sqrtf(l) : 0.0f;
     if (d > 0.0f) l = 0.0f - l;
     n[0] = n[0] * l;
     n[1] = n[1] * l;
@@ -14230,16 +14286,16 @@ static void zbufrandi_stored_surface(const zbufrandi_drawn *s, const zbufrandi_d
     out->local = d->local;
 }
 
-/* Where `ray` (camera) meets the plane of a triangle with corner b (seen from the eye) and edges e, normal n: weights
-   of its corners, moved into the triangle. */
+/* Where `ray` (camera) meets the plane of a triangle with corner b (seen from the eye) and edges e, which are
+   times unit, and normal n: weights of its corners, moved into the triangle. */
 static void zbufrandi_triangle_weights(const zbufrandi_local *l, const float ray[3], const float b[3],
-                                       const float (*e)[3],
+                                       const float (*e)[3], float unit,
                                        const float n[3], float w[3]) {
     float r[3], h[3], t, sum;
     uint32_t a;
     for (a = 0; a < 3; a++) r[a] = l->m[0][a] * ray[0] + l->m[1][a] * ray[1] + l->m[2][a] * ray[2];
     t = (n[0] * b[0] + n[1] * b[1] + n[2] * b[2]) / (n[0] * r[0] + n[1] * r[1] + n[2] * r[2]);
-    for (a = 0; a < 3; a++) h[a] = r[a] * t - b[a]; /* from corner 0 to the point on the plane */
+    for (a = 0; a < 3; a++) h[a] = (r[a] * t - b[a]) * unit; /* from corner 0 to the point on the plane */
     sum = 1.0f / (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
     /* weights of corners 1 and 2: ((h x e1) . n, (e0 x h) . n) / n . n */
     w[1] = ((h[1] * e[1][2] - h[2] * e[1][1]) * n[0] + (h[2] * e[1][0] - h[0] * e[1][2]) * n[1] +
@@ -14290,19 +14346,25 @@ static void zbufrandi_triangle_surface(const zbufrandi_drawn *s, uint32_t local,
     const zbufrandi_cluster *c = &structure->cluster[cluster];
     const uint8_t *tri = structure->triangle + 3 * ((size_t)c->first_triangle + t);
     const float *v[3];
-    float e[2][3], n[3], w[3] = {0.0f, 0.0f, 0.0f}, b[3], g[3];
+    float e[2][3], f[2][3], n[3], w[3] = {0.0f, 0.0f, 0.0f}, b[3], g[3], unit;
     uint32_t k, a;
     for (k = 0; k < 3; k++) v[k] = structure->position + 3 * ((size_t)c->first_vertex + tri[k]);
     for (a = 0; a < 3; a++) {
         e[0][a] = v[1][a] - v[0][a];
         e[1][a] = v[2][a] - v[0][a];
+        g[a] = zbufrandi_absf(e[0][a]) > zbufrandi_absf(e[1][a]) ? e[0][a] : e[1][a];
     }
-    n[0] = e[0][1] * e[1][2] - e[0][2] * e[1][1];
-    n[1] = e[0][2] * e[1][0] - e[0][0] * e[1][2];
-    n[2] = e[0][0] * e[1][1] - e[0][1] * e[1][0];
+    unit = zbufrandi_tame(g);
+    for (a = 0; a < 3; a++) {
+        f[0][a] = e[0][a] * unit;
+        f[1][a] = e[1][a] * unit;
+    }
+    n[0] = f[0][1] * f[1][2] - f[0][2] * f[1][1];
+    n[1] = f[0][2] * f[1][0] - f[0][0] * f[1][2];
+    n[2] = f[0][0] * f[1][1] - f[0][1] * f[1][0];
     if (s->need_places || (c->flags & (ZBUFRANDI_HAS_NORMALS | ZBUFRANDI_HAS_VERTEX_RGB)) != 0) {
         for (a = 0; a < 3; a++) b[a] = (v[0][a] - l->eye[a]) - l->eye_low[a];
-        zbufrandi_triangle_weights(l, ray, b, (const float (*)[3])e, n, w);
+        zbufrandi_triangle_weights(l, ray, b, (const float (*)[3])f, unit, n, w);
         if (s->need_places) {
             for (a = 0; a < 3; a++) g[a] = b[a] + e[0][a] * w[1] + e[1][a] * w[2];
             zbufrandi_camera_vector(l, g, out->p);
@@ -14417,10 +14479,17 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE __m256 zbufrandi_dot8v(__m256 ax, __m256 
     return _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(ax, bx), _mm256_mul_ps(ay, by)), _mm256_mul_ps(az, bz));
 }
 
+/* zbufrandi_tame, of the largest component. */
+ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE __m256 zbufrandi_tame8(__m256 most) {
+    const __m256i bits = _mm256_and_si256(_mm256_castps_si256(most), _mm256_set1_epi32(0x7f800000));
+    return _mm256_castsi256_ps(_mm256_sub_epi32(_mm256_set1_epi32(0x7f000000),
+                                                _mm256_min_epi32(bits, _mm256_set1_epi32(0x7e800000))));
+}
+
 /* The operations of zbufrandi_triangle_surface and what it calls, one for one. */
 ZBUFRANDI_TARGET_AVX2 static void zbufrandi_shade_eight(zbufrandi_shade8 *s) {
-    const __m256 zero = _mm256_setzero_ps(), one = _mm256_set1_ps(1.0f);
-    __m256 m[9], e0[3], e1[3], n[3], b[3], r[3], h[3], w[3], ray[3], t, sum, l;
+    const __m256 zero = _mm256_setzero_ps(), one = _mm256_set1_ps(1.0f), sign = _mm256_set1_ps(-0.0f);
+    __m256 m[9], e0[3], e1[3], f0[3], f1[3], n[3], b[3], r[3], h[3], w[3], ray[3], t, sum, l, unit = zero;
     int a;
     for (a = 0; a < 9; a++) m[a] = _mm256_loadu_ps(s->m[a]);
     for (a = 0; a < 3; a++) {
@@ -14429,21 +14498,27 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_shade_eight(zbufrandi_shade8 *s) {
         e0[a] = _mm256_sub_ps(_mm256_loadu_ps(s->v[3 + a]), v0);
         e1[a] = _mm256_sub_ps(_mm256_loadu_ps(s->v[6 + a]), v0);
         b[a] = _mm256_sub_ps(_mm256_sub_ps(v0, _mm256_loadu_ps(s->eye[a])), _mm256_loadu_ps(s->low[a]));
+        unit = _mm256_max_ps(_mm256_max_ps(_mm256_andnot_ps(sign, e0[a]), _mm256_andnot_ps(sign, e1[a])), unit);
     }
-    n[0] = _mm256_sub_ps(_mm256_mul_ps(e0[1], e1[2]), _mm256_mul_ps(e0[2], e1[1]));
-    n[1] = _mm256_sub_ps(_mm256_mul_ps(e0[2], e1[0]), _mm256_mul_ps(e0[0], e1[2]));
-    n[2] = _mm256_sub_ps(_mm256_mul_ps(e0[0], e1[1]), _mm256_mul_ps(e0[1], e1[0]));
+    unit = zbufrandi_tame8(unit);
+    for (a = 0; a < 3; a++) {
+        f0[a] = _mm256_mul_ps(e0[a], unit);
+        f1[a] = _mm256_mul_ps(e1[a], unit);
+    }
+    n[0] = _mm256_sub_ps(_mm256_mul_ps(f0[1], f1[2]), _mm256_mul_ps(f0[2], f1[1]));
+    n[1] = _mm256_sub_ps(_mm256_mul_ps(f0[2], f1[0]), _mm256_mul_ps(f0[0], f1[2]));
+    n[2] = _mm256_sub_ps(_mm256_mul_ps(f0[0], f1[1]), _mm256_mul_ps(f0[1], f1[0]));
     for (a = 0; a < 3; a++) r[a] = zbufrandi_dot8v(m[a], m[3 + a], m[6 + a], ray[0], ray[1], ray[2]);
     t = _mm256_div_ps(zbufrandi_dot8v(n[0], n[1], n[2], b[0], b[1], b[2]),
                       zbufrandi_dot8v(n[0], n[1], n[2], r[0], r[1], r[2]));
-    for (a = 0; a < 3; a++) h[a] = _mm256_sub_ps(_mm256_mul_ps(r[a], t), b[a]);
+    for (a = 0; a < 3; a++) h[a] = _mm256_mul_ps(_mm256_sub_ps(_mm256_mul_ps(r[a], t), b[a]), unit);
     sum = _mm256_div_ps(one, zbufrandi_dot8v(n[0], n[1], n[2], n[0], n[1], n[2]));
-    w[1] = zbufrandi_dot8v(_mm256_sub_ps(_mm256_mul_ps(h[1], e1[2]), _mm256_mul_ps(h[2], e1[1])),
-                           _mm256_sub_ps(_mm256_mul_ps(h[2], e1[0]), _mm256_mul_ps(h[0], e1[2])),
-                           _mm256_sub_ps(_mm256_mul_ps(h[0], e1[1]), _mm256_mul_ps(h[1], e1[0])), n[0], n[1], n[2]);
-    w[2] = zbufrandi_dot8v(_mm256_sub_ps(_mm256_mul_ps(e0[1], h[2]), _mm256_mul_ps(e0[2], h[1])),
-                           _mm256_sub_ps(_mm256_mul_ps(e0[2], h[0]), _mm256_mul_ps(e0[0], h[2])),
-                           _mm256_sub_ps(_mm256_mul_ps(e0[0], h[1]), _mm256_mul_ps(e0[1], h[0])), n[0], n[1], n[2]);
+    w[1] = zbufrandi_dot8v(_mm256_sub_ps(_mm256_mul_ps(h[1], f1[2]), _mm256_mul_ps(h[2], f1[1])),
+                           _mm256_sub_ps(_mm256_mul_ps(h[2], f1[0]), _mm256_mul_ps(h[0], f1[2])),
+                           _mm256_sub_ps(_mm256_mul_ps(h[0], f1[1]), _mm256_mul_ps(h[1], f1[0])), n[0], n[1], n[2]);
+    w[2] = zbufrandi_dot8v(_mm256_sub_ps(_mm256_mul_ps(f0[1], h[2]), _mm256_mul_ps(f0[2], h[1])),
+                           _mm256_sub_ps(_mm256_mul_ps(f0[2], h[0]), _mm256_mul_ps(f0[0], h[2])),
+                           _mm256_sub_ps(_mm256_mul_ps(f0[0], h[1]), _mm256_mul_ps(f0[1], h[0])), n[0], n[1], n[2]);
     w[1] = _mm256_mul_ps(w[1], sum);
     w[2] = _mm256_mul_ps(w[2], sum);
     w[0] = _mm256_sub_ps(_mm256_sub_ps(one, w[1]), w[2]);
@@ -14476,8 +14551,11 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_shade_eight(zbufrandi_shade8 *s) {
             r[a] = _mm256_blendv_ps(r[a], h[a], l);
         }
     }
-    l = zbufrandi_dot8v(r[0], r[1], r[2], r[0], r[1], r[2]); /* zbufrandi_turn_normal */
-    l = _mm256_and_ps(_mm256_cmp_ps(l, _mm256_set1_ps(1e-37f), _CMP_GT_OQ), _mm256_div_ps(one, _mm256_sqrt_ps(l)));
+    l = _mm256_max_ps(_mm256_andnot_ps(sign, r[1]), _mm256_andnot_ps(sign, r[0])); /* zbufrandi_turn_normal */
+    unit = zbufrandi_tame8(_mm256_max_ps(_mm256_andnot_ps(sign, r[2]), l));
+    for (a = 0; a < 3; a++) r[a] = _mm256_mul_ps(r[a], unit);
+    l = zbufrandi_dot8v(r[0], r[1], r[2], r[0], r[1], r[2]);
+    l = _mm256_and_ps(_mm256_cmp_ps(l, zero, _CMP_GT_OQ), _mm256_div_ps(one, _mm256_sqrt_ps(l)));
     l = _mm256_blendv_ps(l, _mm256_sub_ps(zero, l), _mm256_cmp_ps(t, zero, _CMP_GT_OQ));
     for (a = 0; a < 3; a++) _mm256_storeu_ps(s->normal[a], _mm256_mul_ps(r[a], l));
 }
@@ -14627,6 +14705,10 @@ static void zbufrandi_look_shade(const zbufrandi_look *look, const zbufrandi_loo
         const float *l = look->light[i];
         float to[3], c;
         for (a = 0; a < 3; a++) to[a] = l[a] - (look->directional[i] ? 0.0f : s->p[a]);
+        if (!look->directional[i]) {
+            const float unit = zbufrandi_tame(to);
+            for (a = 0; a < 3; a++) to[a] *= unit;
+        }
         c = s->normal[0] * to[0] + s->normal[1] * to[1] + s->normal[2] * to[2];
         if (!(c > 0.0f)) continue;
         if (!look->directional[i]) c = c / sqrtf(to[0] * to[0] + to[1] * to[1] + to[2] * to[2]);
@@ -14696,6 +14778,12 @@ static int zbufrandi_unit(double v[3]) { /* 0: no direction */
     l = 1.0 / sqrt(l);
     for (a = 0; a < 3; a++) v[a] *= l;
     return 1;
+}
+/* A direction of any finite length gets one that can be squared. */
+static void zbufrandi_direction(double v[3]) {
+    const double m = zbufrandi_max(zbufrandi_max(zbufrandi_abs(v[0]), zbufrandi_abs(v[1])), zbufrandi_abs(v[2]));
+    int a;
+    if ((m > 1e100 && zbufrandi_finite(m)) || (m > 0.0 && m < 1e-100)) for (a = 0; a < 3; a++) v[a] /= m;
 }
 static void zbufrandi_cross3(const double a[3], const double b[3], double out[3]) {
     out[0] = a[1] * b[2] - a[2] * b[1];
@@ -14768,6 +14856,7 @@ static int zbufrandi_fit_open(zbufrandi_fit *f, const zbufrand_camera *camera, c
         zbufrandi_cross3(up, front, side);
         for (a = 0; a < 3; a++) f->back[a] = 0.6 * side[a] + 0.42 * up[a] + front[a];
     }
+    zbufrandi_direction(f->back);
     if (!zbufrandi_unit(f->back)) return 0;
     for (a = 0; a < 3; a++) forward[a] = -f->back[a];
     zbufrandi_axes(forward, camera->up, f->right, f->above);
@@ -14788,16 +14877,20 @@ static void zbufrandi_fit_box(zbufrandi_fit *f, const double lo[3], const double
     }
 }
 
-static void zbufrandi_fit_close(const zbufrandi_fit *f, zbufrand_camera *camera) {
+static zbufrand_result zbufrandi_fit_close(const zbufrandi_fit *f, zbufrand_camera *camera) {
+    zbufrand_camera c = *camera;
     double distance = zbufrandi_max((f->most[0] + f->most[1]) / (2.0 * f->tan_x),
                                     (f->most[2] + f->most[3]) / (2.0 * f->tan_y));
     double x = 0.5 * (f->most[0] - f->most[1]), y = 0.5 * (f->most[2] - f->most[3]);
     int a;
     distance = f->size > 0.0 ? 1.04 * distance + 0.01 * f->size : 1.0;
     for (a = 0; a < 3; a++) {
-        camera->at[a] = f->origin[a] + x * f->right[a] + y * f->above[a];
-        camera->eye[a] = camera->at[a] + distance * f->back[a];
+        c.at[a] = f->origin[a] + x * f->right[a] + y * f->above[a];
+        c.eye[a] = c.at[a] + distance * f->back[a];
+        if (!zbufrandi_finite(c.eye[a])) return ZBUFRAND_ERR_INVALID_ARG;
     }
+    *camera = c;
+    return ZBUFRAND_OK;
 }
 
 ZBUFRAND_DEF zbufrand_result zbufrand_camera_fit(zbufrand_camera *camera, const double box_min[3],
@@ -14814,8 +14907,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_camera_fit(zbufrand_camera *camera, const 
     }
     if (!zbufrandi_fit_open(&f, camera, view, width, height, origin)) return ZBUFRAND_ERR_INVALID_ARG;
     zbufrandi_fit_box(&f, box_min, box_max);
-    zbufrandi_fit_close(&f, camera);
-    return ZBUFRAND_OK;
+    return zbufrandi_fit_close(&f, camera);
 }
 
 static void zbufrandi_fit_node(zbufrandi_fit *f, const zbufrandi_structure *s, uint32_t node, uint32_t depth) {
@@ -14849,8 +14941,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_camera_fit_scene(zbufrand_camera *camera, 
     for (a = 0; a < 3; a++) origin[a] = 0.5 * (scene->info.box_min[a] + scene->info.box_max[a]);
     if (!zbufrandi_fit_open(&f, camera, view, width, height, origin)) return ZBUFRAND_ERR_INVALID_ARG;
     zbufrandi_fit_node(&f, &scene->structure[0], 0, 3);
-    zbufrandi_fit_close(&f, camera);
-    return ZBUFRAND_OK;
+    return zbufrandi_fit_close(&f, camera);
 }
 
 /* guard: pixels around the picture that are drawn, too. */
@@ -14994,6 +15085,7 @@ struct zbufrandi_picture {
     uint64_t since_refresh;            /* samples since the pyramid was made */
     double clock;
     int too_many;                      /* samples for numbers of 32 bits */
+    int told;                          /* env.error says already what is wrong */
     int keep;                          /* colours go to f->color and not to the caller: one of several frames */
     uint32_t parts;                    /* oversampling: so many of its pixels make one; else 1 */
     uint8_t *where;                    /* repair: of 16 x 16 pixels: 1 samples may be there, 2 beside that; or NULL */
@@ -15812,7 +15904,7 @@ static zbufrand_result zbufrandi_repair_apply(zbufrandi_picture *p, uint32_t *ou
     memset(d, 0, sizeof *d);
     d->item = (uint32_t)ZBUFRANDI_DRAW_RAYS << ZBUFRANDI_DRAW_SHIFT | first;
     d->count = (uint32_t)f->suspect_count;
-    if (!zbufrandi_number_draw(p, d, (uint32_t)f->draw_count)) return ZBUFRAND_ERR_NO_MEMORY;
+    if (!zbufrandi_number_draw(p, d, (uint32_t)f->draw_count)) return zbufrandi_no_room(p);
     for (i = 0; i < f->suspect_count; i++) {
         const zbufrandi_ray_hit *hit = &f->hit[i];
         const uint32_t x = f->suspect[i] % r->width + r->result_guard, y = f->suspect[i] / r->width + r->result_guard;
@@ -15838,6 +15930,17 @@ static zbufrand_result zbufrandi_repair_apply(zbufrandi_picture *p, uint32_t *ou
     return ZBUFRAND_OK;
 }
 
+/* 2^x and q^n where these may be too small for zbufrandi_exp2: then 0. x <= 0, q <= 1, n >= 0 */
+static double zbufrandi_share_exp2(double x) { return x > -999.0 ? zbufrandi_exp2(x) : 0.0; }
+static double zbufrandi_share_pow(double q, double n) {
+    return q > 0.0 ? zbufrandi_share_exp2(n * zbufrandi_log2(q)) : 0.0;
+}
+
+/* Probability that a block gets no sample. */
+static double zbufrandi_block_empty(double density, double block) {
+    return zbufrandi_share_exp2(-1.4426950408889634 * density * block * block);
+}
+
 /* Bound of the probability that a picture of `pixels` covered pixels is wrong somewhere although repaired, when a block
    gets no sample with probability q. */
 static double zbufrandi_incomplete(double pixels, double q) {
@@ -15850,7 +15953,8 @@ static double zbufrandi_incomplete(double pixels, double q) {
 static double zbufrandi_parts_incomplete(const zbufrandi_picture *p, double covered, double q) {
     const double parts = (double)p->parts, block = (double)p->f->recon.o.block;
     if (p->parts <= 1) return 1.0;
-    return zbufrandi_min(1.0, covered / parts * zbufrandi_pow(q, zbufrandi_max(parts / (block * block), 1.0)));
+    return zbufrandi_min(1.0, covered / parts *
+                              zbufrandi_share_pow(q, zbufrandi_max(parts / (block * block), 1.0)));
 }
 
 /* What lies among rastered pixels alone is right as it is. Is there a pixel that shows a sample in the tile around this
@@ -16095,11 +16199,11 @@ static zbufrand_result zbufrandi_repair(zbufrandi_picture *p, double density, ui
     if (p->where != NULL && p->stats.rastered != 0) covered = sampled; /* else those that have a sample */
     /* What the density promises, or more if more had failed than that: four standard deviations more of those whose
        neighbours show that they lie within a surface. Others were changed because it covers a part of them. */
-    q = zbufrandi_exp2(-1.4426950408889634 * density * block * block);
+    q = zbufrandi_block_empty(density, block);
     failed = (double)inside - 4.0 * sqrt((double)inside);
     q = zbufrandi_max(q, failed / (zbufrandi_max((double)covered, 1.0) * (1.0 - zbufrandi_min(8.0 * q, 0.5))));
     q = zbufrandi_min(q, 1.0);
-    p->stats.incomplete = zbufrandi_min(zbufrandi_incomplete((double)covered, zbufrandi_pow(q, (double)frames)),
+    p->stats.incomplete = zbufrandi_min(zbufrandi_incomplete((double)covered, zbufrandi_share_pow(q, (double)frames)),
                                         zbufrandi_parts_incomplete(p, (double)covered, q));
     zbufrandi_lap(p, ZBUFRAND_STAGE_REPAIR);
     return ZBUFRAND_OK;
@@ -16268,8 +16372,9 @@ static void zbufrandi_paint_task(void *ctx, uint32_t task) {
             if (i < n) zbufrandi_paint_run(p, keys + x, x, y, n, rgba);
             if (!c->last) continue;
             if (i == n && p->look.transparent && p->image->rgba == NULL) {
-                memset(zbufrandi_row(p->image->rgba8, p->image->rgba8_stride, 4, w, y) + 4 * (size_t)x, 0,
-                       4 * (size_t)n);
+                if (p->image->rgba8 != NULL)
+                    memset(zbufrandi_row(p->image->rgba8, p->image->rgba8_stride, 4, w, y) + 4 * (size_t)x, 0,
+                           4 * (size_t)n);
             } else {
                 zbufrandi_write_colors(p, x, y, n, rgba);
             }
@@ -16301,7 +16406,10 @@ static zbufrand_result zbufrandi_open_lights(zbufrandi_picture *p) {
     zbufrand_frame *f = p->f;
     size_t n = d->lights != NULL ? d->light_count : 2, i;
     uint32_t a;
-    if (n > 0xffff) return ZBUFRAND_ERR_RANGE;
+    if (n > 0xffff) {
+        p->told = 1;
+        return zbufrandi_fail(f->env.error, ZBUFRAND_ERR_RANGE, n, "render: % lights are more than 65535");
+    }
     if (!zbufrandi_grow(&f->mem, (void **)&f->light, &f->light_capacity, 0, n, sizeof *f->light) ||
         !zbufrandi_grow(&f->mem, (void **)&f->directional, &f->directional_capacity, 0, n, 1))
             return ZBUFRAND_ERR_NO_MEMORY;
@@ -16312,11 +16420,16 @@ static zbufrand_result zbufrandi_open_lights(zbufrandi_picture *p) {
         if (d->lights == NULL) {
             for (a = 0; a < 3; a++) v[a] = (double)place[i][a];
         } else {
+            double far_off = 0.0;
             for (a = 0; a < 3; a++) {
                 if (!zbufrandi_finite(d->lights[i].position[a]) || !zbufrandi_finite_f(d->lights[i].color[a]))
                     return ZBUFRAND_ERR_INVALID_ARG;
                 q[a] = d->lights[i].position[a] - (f->directional[i] ? 0.0 : c->eye[a]);
+                q[a] = zbufrandi_min(zbufrandi_max(q[a], -1e300), 1e300);
+                far_off = zbufrandi_max(far_off, zbufrandi_abs(q[a]));
             }
+            if (f->directional[i]) zbufrandi_direction(q);
+            else if (far_off > 1e37) for (a = 0; a < 3; a++) q[a] *= 1e37 / far_off; /* beyond all that is drawn */
             v[0] = q[0] * c->right[0] + q[1] * c->right[1] + q[2] * c->right[2];
             v[1] = q[0] * c->up[0] + q[1] * c->up[1] + q[2] * c->up[2];
             v[2] = q[0] * c->dir[0] + q[1] * c->dir[1] + q[2] * c->dir[2];
@@ -16426,6 +16539,7 @@ static zbufrand_result zbufrandi_open_picture(zbufrandi_picture *p) {
         f->recon_open = 0;
         if (o.reach == 0) o.reach = o.block != 0 ? 2 * o.block : 2u; /* or there is no background left */
         r = zbufrandi_recon_open(&f->mem, &f->env, f->isa, &o, p->image->width, p->image->height, 1, &f->recon);
+        p->told = r != ZBUFRAND_OK;
         if (r != ZBUFRAND_OK) return r;
         f->recon_open = 1;
         f->recon_asked = d->reconstruct;
@@ -16538,7 +16652,7 @@ static zbufrand_result zbufrandi_draw_picture(zbufrandi_picture *p) {
         zbufrandi_recon_keys(r);
         if (p->asker.cancelled) return ZBUFRAND_ERR_CANCELLED; /* keys are what they were before */
         p->stats.incomplete = zbufrandi_min(1.0 - zbufrand_success_bound(density, pixels, block),
-            zbufrandi_parts_incomplete(p, pixels, zbufrandi_exp2(-1.4426950408889634 * density * block * block)));
+            zbufrandi_parts_incomplete(p, pixels, zbufrandi_block_empty(density, block)));
         if (p->stats.draws[0] + p->stats.draws[1] == 0) p->stats.incomplete = 0.0;
         if (d->no_repair || p->scene == NULL || p->stats.draws[0] + p->stats.draws[1] == 0) break;
         /* a pixel covered with a margin expects 27 or more: with so few there is none, nearly all is rastered */
@@ -16685,6 +16799,7 @@ static zbufrand_result zbufrandi_render(zbufrand_frame *frame, zbufrand_render_d
     p->stats.bytes = zbufrandi_atomic_load(&frame->mem.used);
     if (frame->accumulator != NULL) p->stats.bytes += frame->accumulator->mem.used;
     if (stats != NULL) *stats = p->stats;
+    if (r != ZBUFRAND_OK && p->told) return r;
     if (r == ZBUFRAND_ERR_RANGE)
         return zbufrandi_fail(frame->env.error, r, 0, p->cut.independent && /* set after sizes are checked */
                               frame->draw_count > ZBUFRANDI_INDEPENDENT_DRAWS
@@ -16991,6 +17106,7 @@ static zbufrand_result zbufrandi_query_open(zbufrand_frame *frame, const zbufran
     p->cut.bounds = 1;
     r = zbufrandi_open_picture(p);
     if (r == ZBUFRAND_OK) r = zbufrandi_draw_scene(p);
+    if (r != ZBUFRAND_OK && p->told) return r;
     if (r == ZBUFRAND_ERR_CANCELLED) return zbufrandi_fail(frame->env.error, r, 0, "query: cancelled");
     if (r != ZBUFRAND_OK) return zbufrandi_fail(frame->env.error, r, 0, zbufrand_result_string(r));
     p->stats.triangles = scene != NULL ? scene->info.triangles : 0;
@@ -17198,7 +17314,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_sample_scene(zbufrand_frame *frame, const 
     if (r != ZBUFRAND_OK || p == NULL) return r;
     if (!zbufrandi_grow(&frame->mem, (void **)&frame->aux, &frame->aux_capacity, 0,
                         frame->aux_count * ZBUFRANDI_SET + 64, 1)) {
-        return ZBUFRAND_ERR_NO_MEMORY;
+        return zbufrandi_fail(frame->env.error, ZBUFRAND_ERR_NO_MEMORY, 0,
+                              zbufrand_result_string(ZBUFRAND_ERR_NO_MEMORY));
     }
     p->drawn.aux = frame->aux;
     memset(&s, 0, sizeof s);
@@ -17209,7 +17326,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_sample_scene(zbufrand_frame *frame, const 
     for (i = 0; i < frame->draw_count && !s.stop; i++) zbufrandi_stream_draw(&s, &frame->draw[i]);
     zbufrandi_stream_flush(&s);
     if (stats != NULL) *stats = p->stats;
-    return s.stop ? ZBUFRAND_ERR_CANCELLED : ZBUFRAND_OK;
+    return s.stop ? zbufrandi_fail(frame->env.error, ZBUFRAND_ERR_CANCELLED, 0, "query: cancelled") : ZBUFRAND_OK;
 }
 
 /* ---------------------------------------------------------------------------
@@ -18073,10 +18190,12 @@ typedef struct zbufrandi_live_structure {
     zbufrandi_use first;          /* of the instances of this structure */
     uint32_t dirty_count;
     uint32_t free_node, free_nodes, free_instance, free_instances; /* first, and how many */
+    uint32_t promised;            /* nodes that are kept for what is yet to be put in by this update */
     uint32_t dead_clusters, dead_triangles, dead_vertices;
     uint32_t used;                /* 0: a slot for the next structure */
     uint32_t node;                /* of the graph */
     uint32_t touched;
+    uint32_t above, walk;         /* levels above it, as found by that walk */
 } zbufrandi_live_structure;
 
 typedef struct zbufrandi_live {
@@ -18084,6 +18203,7 @@ typedef struct zbufrandi_live {
     size_t capacity;              /* of these, of scene->structure and of scene->rays->box */
     uint32_t *touched;            /* structures in which something changed */
     uint32_t touched_count, free_structures;
+    uint32_t walks;               /* number of the last one upwards */
 } zbufrandi_live;
 
 /* ---- what is known of the structures ---- */
@@ -18267,6 +18387,17 @@ static void zbufrandi_live_link(zbufrand_scene *scene, uint32_t index) {
     for (i = 0; i < scene->structure[index].instance_count; i++) zbufrandi_use_link(scene, index, i);
 }
 
+/* Levels of instances below a structure; those of empty ones, which builds do not count, may not stay empty. */
+static uint32_t zbufrandi_live_depth(const zbufrand_scene *scene, uint32_t index) {
+    const zbufrandi_structure *s = &scene->structure[index];
+    uint32_t depth = 0, i;
+    for (i = 0; i < s->instance_count; i++) {
+        const uint32_t below = scene->structure[s->instance[i].structure].depth + 1;
+        if (s->instance[i].scale > 0.0 && below > depth) depth = below;
+    }
+    return depth;
+}
+
 /* The first update looks at everything. 0: no memory. */
 static int zbufrandi_live_open(zbufrand_scene *scene) {
     zbufrandi_live *live;
@@ -18293,6 +18424,8 @@ static int zbufrandi_live_open(zbufrand_scene *scene) {
         return 0;
     }
     for (i = 0; i < scene->structure_count; i++) zbufrandi_live_link(scene, i);
+    for (i = scene->structure_count; i > 0; i--) /* what they have instances of comes behind them */
+        scene->structure[i - 1].depth = zbufrandi_live_depth(scene, i - 1);
     for (k = 1; k < scene->graph_count; k++) {
         if (scene->graph[k].kind != ZBUFRANDI_DEAD && scene->graph[k].structure != 0)
             live->s[scene->graph[k].structure - 1].node = (uint32_t)k;
@@ -18618,7 +18751,7 @@ static void zbufrandi_edit_instance(zbufrand_scene *scene, uint32_t index, uint3
     if (at != ZBUFRANDI_NIL) {
         zbufrandi_node8 *n = &s->node[at >> 3];
         for (a = 0; a < 3; a++) apart |= lane.lo[a] > n->hi[a][at & 7u] || lane.hi[a] < n->lo[a][at & 7u];
-        if (!apart || (l->free_nodes == 0 && s->node_count == l->node_capacity)) {
+        if (!apart || l->free_nodes + (l->node_capacity - s->node_count) <= l->promised) {
             for (a = 0; a < 3; a++) {
                 n->lo[a][at & 7u] = lane.lo[a];
                 n->hi[a][at & 7u] = lane.hi[a];
@@ -18631,6 +18764,8 @@ static void zbufrandi_edit_instance(zbufrand_scene *scene, uint32_t index, uint3
             return;
         }
         zbufrandi_edit_take(scene, index, item);
+    } else if (l->promised > 0) {
+        l->promised--;
     }
     zbufrandi_edit_put(scene, index, child, &lane);
 }
@@ -18866,7 +19001,8 @@ static void zbufrandi_edit_finish(zbufrand_scene *scene) {
             }
         }
     }
-    for (i = 0; i < live->touched_count; i++) live->s[live->touched[i]].touched = 0;
+    for (i = 0; i < live->touched_count; i++)
+        live->s[live->touched[i]].touched = live->s[live->touched[i]].promised = 0;
     live->touched_count = 0;
 }
 
@@ -18889,6 +19025,7 @@ typedef struct zbufrandi_edit {
     zbufrandi_nodes fresh;         /* nodes that become structures; what they use comes before them */
     zbufrandi_edit_step *change;
     size_t change_count, change_capacity;
+    int promoted;                  /* 1: structures changed, though not what they look like */
 } zbufrandi_edit;
 
 static int zbufrandi_nodes_add(zbufrand_scene *scene, zbufrandi_nodes *list, uint32_t node) { /* 0: no memory */
@@ -18958,7 +19095,11 @@ static zbufrand_result zbufrandi_edit_walk(zbufrandi_edit *e, uint32_t start) {
     zbufrandi_graph *g = scene->graph;
     const uint32_t on_path = 4 + 2 * scene->stamp, done = on_path + 1;
     size_t depth = 1;
-    if (g[start].state == done) return ZBUFRAND_OK;
+    if (g[start].state == done) { /* in a list that a new reference led to before: it melts there, but not here */
+        if (g[start].structure != 0 || g[start].refs != 0 || (g[start].flags & ZBUFRAND_OWN_STRUCTURE) ||
+            g[start].kind == ZBUFRANDI_REFERENCES) return ZBUFRAND_OK;
+        return zbufrandi_nodes_add(scene, &e->fresh, start) ? ZBUFRAND_OK : ZBUFRAND_ERR_NO_MEMORY;
+    }
     if (!zbufrandi_grow(&scene->mem, (void **)&e->stack, &e->stack_capacity, 0, 64, sizeof *e->stack))
         return ZBUFRAND_ERR_NO_MEMORY;
     e->stack[0].node = start;
@@ -19157,18 +19298,18 @@ static void zbufrandi_edit_raise(zbufrand_scene *scene, uint32_t index, uint32_t
          use = scene->live->s[use.structure].next[use.instance]) zbufrandi_edit_raise(scene, use.structure, depth + 1);
 }
 
-/* Levels above a structure. */
-static uint32_t zbufrandi_edit_above(const zbufrand_scene *scene, uint32_t index) {
-    uint32_t most = 0, last = ZBUFRANDI_NIL;
+/* Levels above a structure. Each structure above is looked at once by a walk, however many ways lead to it. */
+static uint32_t zbufrandi_edit_above(const zbufrand_scene *scene, uint32_t index, uint32_t walk) {
+    zbufrandi_live_structure *l = &scene->live->s[index];
+    uint32_t most = 0;
     zbufrandi_use use;
-    for (use = scene->live->s[index].first; use.structure != ZBUFRANDI_NIL;
-         use = scene->live->s[use.structure].next[use.instance]) {
-        uint32_t above;
-        if (use.structure == last) continue;
-        last = use.structure;
-        above = zbufrandi_edit_above(scene, last) + 1;
+    if (l->walk == walk) return l->above;
+    for (use = l->first; use.structure != ZBUFRANDI_NIL; use = scene->live->s[use.structure].next[use.instance]) {
+        const uint32_t above = zbufrandi_edit_above(scene, use.structure, walk) + 1;
         most = above > most ? above : most;
     }
+    l->walk = walk;
+    l->above = most;
     return most;
 }
 
@@ -19193,7 +19334,9 @@ static zbufrand_result zbufrandi_edit_promote(zbufrandi_edit *e, uint32_t node) 
     b.s = &scene->structure[p];
     b.index = p;
     r = zbufrandi_promote_build(&b, home, node);
-    if (r == ZBUFRAND_OK && zbufrandi_edit_above(scene, home) + 1 + scene->structure[p].depth > ZBUFRANDI_MAX_LEVELS) {
+    if (r == ZBUFRAND_OK) scene->structure[p].depth = zbufrandi_live_depth(scene, p);
+    if (r == ZBUFRAND_OK && zbufrandi_edit_above(scene, home, ++scene->live->walks) + 1 + scene->structure[p].depth >
+                            ZBUFRANDI_MAX_LEVELS) {
         r = zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, node, "node %: too many levels of instances");
     }
     if (r == ZBUFRAND_OK && (!zbufrandi_edit_reserve(scene, home, 1, 1) || !zbufrandi_edit_ready(scene, p, node))) {
@@ -19203,6 +19346,7 @@ static zbufrand_result zbufrandi_edit_promote(zbufrandi_edit *e, uint32_t node) 
         zbufrandi_edit_slot_free(scene, p);
         return r;
     }
+    e->promoted = 1;
     zbufrandi_edit_matrix(scene, node, 1, old);
     memcpy(scene->live->s[p].base, old, sizeof old);
     zbufrandi_m34_inverse(ZBUFRANDI_M34(old), scene->live->s[p].base_inverse);
@@ -19294,6 +19438,7 @@ static zbufrand_result zbufrandi_edit_build(zbufrandi_edit *e, uint32_t node, ui
     r = zbufrandi_build_structure(&b);
     zbufrandi_gather_free(&scene->mem, &gather);
     *skipped += b.skipped;
+    if (r == ZBUFRAND_OK) scene->structure[index].depth = zbufrandi_live_depth(scene, index);
     if (r == ZBUFRAND_OK && !zbufrandi_edit_ready(scene, index, node)) r = zbufrandi_edit_no_memory(scene);
     return r;
 }
@@ -19380,13 +19525,18 @@ static zbufrand_result zbufrandi_edit_room(zbufrandi_edit *e) {
     const size_t count = scene->structure_count;
     uint32_t *instances = (uint32_t *)zbufrandi_alloc_zero(&scene->mem, count, 3 * sizeof *instances);
     uint32_t *nodes = instances + count, *levels = nodes + count;
+    zbufrandi_live_structure *live = scene->live->s;
     zbufrandi_use use;
     size_t i, k;
     int more = 1, ok = instances != NULL, deep = 0;
     if (!ok) return zbufrandi_edit_no_memory(scene);
+    for (i = 0; i < count; i++) live[i].promised = 0;
     for (i = 0; i < e->change_count; i++) {
-        if (e->change[i].item == ZBUFRANDI_NIL) instances[e->change[i].home]++;
-        nodes[e->change[i].home]++;
+        const uint32_t home = e->change[i].home, item = e->change[i].item;
+        if (item == ZBUFRANDI_NIL) instances[home]++;
+        if (item == ZBUFRANDI_NIL || live[home].at[scene->structure[home].cluster_count + item] == ZBUFRANDI_NIL)
+            live[home].promised++;
+        nodes[home]++;
     }
     for (k = 0; more && k <= ZBUFRANDI_MAX_LEVELS; k++) { /* what is empty passes its need on to what it is in */
         more = 0;
@@ -19396,6 +19546,7 @@ static zbufrand_result zbufrandi_edit_room(zbufrandi_edit *e) {
             for (use = scene->live->s[i].first; use.structure != ZBUFRANDI_NIL;
                  use = scene->live->s[use.structure].next[use.instance]) {
                 nodes[use.structure]++;
+                live[use.structure].promised++;
                 more = 1;
             }
         }
@@ -19492,9 +19643,10 @@ static void zbufrandi_edit_undo(zbufrandi_edit *e, size_t made) {
         g[e->fresh.v[i - 1]].structure = 0;
         for (n = 0; i - 1 < made && n < scene->structure[index].instance_count; n++)
             zbufrandi_use_unlink(scene, index, n);
-        for (k = 0; k < scene->graph_count; k++) if (g[k].home == index + 1) g[k].home = 0;
         zbufrandi_edit_slot_free(scene, index);
     }
+    for (k = 0; k < scene->graph_count; k++)
+        if (g[k].home != 0 && !scene->live->s[g[k].home - 1].used) g[k].home = 0;
 }
 
 static zbufrand_result zbufrandi_edit_run(zbufrandi_edit *e) {
@@ -19505,6 +19657,13 @@ static zbufrand_result zbufrandi_edit_run(zbufrandi_edit *e) {
     int below_new;
     zbufrand_result r = zbufrandi_edit_plan(e);
     for (i = 0; i < e->melted.count && r == ZBUFRAND_OK; i++) r = zbufrandi_edit_promote(e, e->melted.v[i]);
+    /* before what is new is built: what was moved in that has its new place then, and nothing that stands for it */
+    for (i = 0; i < scene->pending_count && r == ZBUFRAND_OK; i++) {
+        const zbufrandi_pending *p = &scene->pending[i];
+        if (!p->moved || g[p->node].kind == ZBUFRANDI_DEAD || g[p->node].home == 0) continue;
+        if (zbufrandi_edit_home(scene, p->node, &below_new) == ZBUFRANDI_NIL) continue;
+        r = zbufrandi_edit_node_changes(e, p->node, 1);
+    }
     for (i = 0; i < e->fresh.count && r == ZBUFRAND_OK; i++) {
         const uint32_t slot = zbufrandi_edit_slot(scene);
         if (slot == ZBUFRANDI_NIL) r = zbufrandi_edit_no_memory(scene);
@@ -19513,12 +19672,6 @@ static zbufrand_result zbufrandi_edit_run(zbufrandi_edit *e) {
     while (made < e->fresh.count && r == ZBUFRAND_OK) {
         r = zbufrandi_edit_build(e, e->fresh.v[made], &skipped);
         if (r == ZBUFRAND_OK) made++;
-    }
-    for (i = 0; i < scene->pending_count && r == ZBUFRAND_OK; i++) {
-        const zbufrandi_pending *p = &scene->pending[i];
-        if (!p->moved || g[p->node].kind == ZBUFRANDI_DEAD || g[p->node].home == 0) continue;
-        if (zbufrandi_edit_home(scene, p->node, &below_new) == ZBUFRANDI_NIL) continue;
-        r = zbufrandi_edit_node_changes(e, p->node, 1);
     }
     for (i = 0; i < e->top.count && r == ZBUFRAND_OK; i++) r = zbufrandi_edit_node_changes(e, e->top.v[i], 0);
     for (i = 0; i < scene->set_count && r == ZBUFRAND_OK; i++) r = zbufrandi_edit_set_changes(e, &scene->set[i]);
@@ -19546,7 +19699,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_scene_update(zbufrand_scene *scene, zbufra
         e.scene = scene;
         zbufrandi_atomic_store(&scene->mem.peak, zbufrandi_atomic_load(&scene->mem.used));
         r = zbufrandi_live_open(scene) ? zbufrandi_edit_run(&e) : zbufrandi_edit_no_memory(scene);
-        if (r == ZBUFRAND_OK) zbufrandi_scene_lists_free(scene);
+        if (r == ZBUFRAND_OK || e.promoted) zbufrandi_scene_lists_free(scene); /* they know instances by their slots */
         zbufrandi_free(&scene->mem, e.stack);
         zbufrandi_free(&scene->mem, e.top.v);
         zbufrandi_free(&scene->mem, e.melted.v);

@@ -581,6 +581,24 @@ TEST(errors) {
     }
 }
 
+TEST(nothing_stays_nothing) { /* however bright it is made */
+    static const float pixel[2][4] = {{0, 0, 0, 0}, {0.25f, 0.25f, 0.25f, 0.5f}};
+    static const float want[2][4] = {{0, 0, 0, 0}, {0.5f, 0.5f, 0.5f, 1}};
+    static const float contrast[4] = {2, 1e30f, INFINITY, -1};
+    zbufrand_accumulator_desc d = defaults(2, 1, ZBUFRAND_ACCUMULATE_MEAN);
+    zbufrand_accumulator *a = NULL;
+    float out[2][4];
+    int i;
+    CHECK_EQ_U64(zbufrand_accumulator_create(&d, &a), ZBUFRAND_OK);
+    REQUIRE(a != NULL);
+    CHECK_EQ_U64(zbufrand_accumulator_add(a, pixel[0], NULL, NULL), ZBUFRAND_OK);
+    for (i = 0; i < 4; i++) {
+        CHECK_EQ_U64(zbufrand_accumulator_get(a, contrast[i], out[0]), ZBUFRAND_OK);
+        CHECK_MSG(memcmp(out, want, sizeof want) == 0, "contrast %g", (double)contrast[i]);
+    }
+    zbufrand_accumulator_destroy(a);
+}
+
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(mean_and_its_noise);
@@ -593,6 +611,7 @@ int main(int argc, char **argv) {
     RUN(what_comes_into_view_is_new);
     RUN(bad_pixels_are_left_out);
     RUN(nothing_overflows);
+    RUN(nothing_stays_nothing);
     RUN(same_bits);
     RUN(errors);
     return test_end();

@@ -939,6 +939,198 @@ TEST(hundred_thousand_edits) {
     shape_free(&box);
 }
 
+static const float g_corner[9] = {-1, -1, 0, 1, -1, 0, 0, 1, 0};
+
+static zbufrand_node add_triangle(zbufrand_scene *s, zbufrand_node parent, uint32_t flags) {
+    zbufrand_mesh m;
+    zbufrand_node node = 0;
+    memset(&m, 0, sizeof m);
+    m.positions = g_corner;
+    m.vertex_count = 3;
+    m.triangle_count = 1;
+    m.two_sided = 1;
+    CHECK_EQ_U64(zbufrand_add_mesh(s, parent, NULL, flags, &m, &node), ZBUFRAND_OK);
+    return node;
+}
+static zbufrand_node add_list(zbufrand_scene *s, zbufrand_node parent, uint32_t flags) {
+    zbufrand_node node = 0;
+    CHECK_EQ_U64(zbufrand_add_list(s, parent, NULL, flags, &node), ZBUFRAND_OK);
+    return node;
+}
+static zbufrand_node add_at(zbufrand_scene *s, zbufrand_node parent, double x, double y, double z, zbufrand_node target) {
+    const zbufrand_transform t = {{{1, 0, 0, x}, {0, 1, 0, y}, {0, 0, 1, z}}};
+    zbufrand_node node = 0;
+    CHECK_EQ_U64(zbufrand_add_reference(s, parent, &t, target, &node), ZBUFRAND_OK);
+    return node;
+}
+static void move_to(zbufrand_scene *s, zbufrand_node node, double x, double y, double z) {
+    const zbufrand_transform t = {{{1, 0, 0, x}, {0, 1, 0, y}, {0, 0, 1, z}}};
+    CHECK_EQ_U64(zbufrand_move(s, node, &t), ZBUFRAND_OK);
+}
+
+/* What was moved while nothing drew it, and is drawn from now on: at its new place. */
+TEST(moved_in_what_was_hidden) {
+    static const zbufrand_transform many[2] = {{{{1, 0, 0, 0}, {0, 1, 0, 5}, {0, 0, 1, 0}}}, {{{1, 0, 0, 0}, {0, 1, 0, 9}, {0, 0, 1, 0}}}};
+    zbufrand_scene *s = open_scene(1, NULL);
+    zbufrand_scene_info info;
+    zbufrand_node list, mesh, single, several = 0, target;
+    (void)add_triangle(s, ZBUFRAND_ROOT, 0);
+    target = add_triangle(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN);
+    list = add_list(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN);
+    mesh = add_triangle(s, list, 0);
+    single = add_at(s, list, 0, 0, 0, target);
+    CHECK_EQ_U64(zbufrand_add_references(s, list, many, 2, target, &several), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_scene_build(s, NULL, &info), ZBUFRAND_OK);
+    move_to(s, mesh, 10, 0, 0);
+    move_to(s, single, 20, 0, 0);
+    move_to(s, several, 30, 0, 0);
+    (void)add_at(s, ZBUFRAND_ROOT, 100, 0, 0, list);
+    CHECK_EQ_U64(zbufrand_scene_update(s, &info), ZBUFRAND_OK);
+    CHECK_EQ_U64(info.triangles, 5);
+    CHECK_NEAR(info.box_max[0], 131, 1e-4);
+    CHECK_NEAR(info.box_max[1], 10, 1e-4);
+    check_scene(s);
+    move_to(s, single, 70, 0, 0); /* and once more */
+    CHECK_EQ_U64(zbufrand_scene_update(s, &info), ZBUFRAND_OK);
+    CHECK_NEAR(info.box_max[0], 171, 1e-4);
+    check_scene(s);
+    zbufrand_scene_destroy(s);
+}
+
+/* A new reference to a list that has no structure yet, and then something new in that list: in both places. */
+TEST(new_in_what_is_referred_to) {
+    zbufrand_scene *s = open_scene(1, NULL);
+    zbufrand_scene_info info;
+    zbufrand_node list, inner;
+    list = add_list(s, ZBUFRAND_ROOT, 0);
+    (void)add_triangle(s, list, 0);
+    CHECK_EQ_U64(zbufrand_scene_build(s, NULL, &info), ZBUFRAND_OK);
+    (void)add_at(s, ZBUFRAND_ROOT, 10, 0, 0, list);
+    (void)add_triangle(s, list, 0);
+    inner = add_list(s, list, 0);
+    (void)add_triangle(s, inner, 0);
+    (void)add_triangle(s, list, ZBUFRAND_OWN_STRUCTURE);
+    CHECK_EQ_U64(zbufrand_scene_update(s, &info), ZBUFRAND_OK);
+    CHECK_EQ_U64(info.triangles, 8);
+    CHECK_NEAR(info.box_max[0], 11, 1e-4);
+    check_scene(s);
+    zbufrand_scene_destroy(s);
+}
+
+/* What has nothing but instances of empty lists comes to something by what is added below. */
+TEST(empty_levels) {
+    zbufrand_scene *s = open_scene(1, NULL);
+    zbufrand_scene_info info;
+    zbufrand_node none, some, around;
+    none = add_list(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN);
+    some = add_list(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN);
+    (void)add_at(s, some, 1, 0, 0, none);
+    (void)add_at(s, ZBUFRAND_ROOT, 0, 0, 0, some);
+    CHECK_EQ_U64(zbufrand_scene_build(s, NULL, &info), ZBUFRAND_OK);
+    (void)add_at(s, some, 2, 0, 0, none);
+    CHECK_EQ_U64(zbufrand_scene_update(s, &info), ZBUFRAND_OK);
+    around = add_list(s, ZBUFRAND_ROOT, 0);
+    (void)add_at(s, around, 100, 0, 0, some);
+    CHECK_EQ_U64(zbufrand_scene_update(s, &info), ZBUFRAND_OK);
+    CHECK_EQ_U64(info.triangles, 0);
+    (void)add_triangle(s, some, 0);
+    CHECK_EQ_U64(zbufrand_scene_update(s, &info), ZBUFRAND_OK);
+    CHECK_EQ_U64(info.triangles, 2);
+    check_scene(s);
+    (void)add_triangle(s, none, 0);
+    CHECK_EQ_U64(zbufrand_scene_update(s, &info), ZBUFRAND_OK);
+    CHECK_EQ_U64(info.triangles, 6);
+    CHECK_NEAR(info.box_max[0], 103, 1e-3);
+    check_scene(s);
+    zbufrand_scene_destroy(s);
+}
+
+/* An update that fails after something has become a structure: the trees of the thesis do not know of it. */
+TEST(trees_of_the_thesis_after_a_failure) {
+    zbufrand_scene *s = open_scene(1, NULL);
+    zbufrand_build_desc d;
+    zbufrand_transform bad;
+    zbufrand_scene_info info;
+    zbufrand_camera c;
+    zbufrand_node list, target, wrong = 0;
+    static float depth[64 * 64], before[64 * 64];
+    int i, off = 0;
+    memset(&d, 0, sizeof d);
+    memset(&bad, 0, sizeof bad);
+    memset(&c, 0, sizeof c);
+    d.structure = ZBUFRAND_STRUCTURE_FAIR_SPLIT;
+    target = add_triangle(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN);
+    list = add_list(s, ZBUFRAND_ROOT, 0);
+    for (i = 0; i < 4; i++) (void)add_at(s, list, 3 * i, 0, 0, target);
+    CHECK_EQ_U64(zbufrand_scene_build(s, &d, &info), ZBUFRAND_OK);
+    CHECK(info.list_objects > 0);
+    draw(s, &c, ZBUFRAND_HYBRID_AUTO, before, 64, 64);
+    move_to(s, list, 0, 3, 0);
+    CHECK_EQ_U64(zbufrand_add_references(s, ZBUFRAND_ROOT, &bad, 1, target, &wrong), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_scene_update(s, NULL), ZBUFRAND_ERR_INVALID_ARG);
+    zbufrand_scene_get_info(s, &info);
+    CHECK_EQ_U64(info.triangles, 4);
+    draw(s, &c, ZBUFRAND_HYBRID_AUTO, depth, 64, 64);
+    for (i = 0; i < 64 * 64; i++) off += (depth[i] < INFINITY) != (before[i] < INFINITY);
+    CHECK_MSG(off < 40, "%d pixels", off);
+    CHECK_EQ_U64(zbufrand_remove(s, wrong), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_scene_update(s, &info), ZBUFRAND_OK);
+    CHECK_NEAR(info.box_max[1], 4, 1e-4);
+    check_scene(s);
+    zbufrand_scene_destroy(s);
+}
+
+/* Many instances go to other places in a tree because what they show moved, and then those of something that was empty come:
+   each into a full node, so that each needs a new one. */
+TEST(room_for_all_that_comes) {
+    enum { MOVED = 64, COME = 8 };
+    zbufrand_scene *s = open_scene(1, NULL);
+    zbufrand_scene_info info;
+    zbufrand_node target, moving, inner, empty;
+    int i, k;
+    target = add_triangle(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN);
+    moving = add_list(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN);
+    inner = add_at(s, moving, 0, 0, 0, target);
+    empty = add_list(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN);
+    for (i = 0; i < 2 * MOVED + COME; i++) { /* groups of eight; in the first ones one of them will move */
+        const double x = 1000.0 * (i < MOVED ? i : i - MOVED), y = i < MOVED ? 0 : 1e6;
+        for (k = 0; k < 8; k++)
+            (void)add_at(s, ZBUFRAND_ROOT, x + 10 * (k & 1), y + 10 * (k >> 1 & 1), 10 * (k >> 2), i < MOVED && k == 7 ? moving : target);
+    }
+    for (i = 0; i < COME; i++) (void)add_at(s, ZBUFRAND_ROOT, 1000.0 * (MOVED + i) + 5, 1e6 + 5, 5, empty);
+    CHECK_EQ_U64(zbufrand_scene_build(s, NULL, &info), ZBUFRAND_OK);
+    move_to(s, inner, -5, 1e6 - 5, -5);
+    (void)add_triangle(s, empty, 0);
+    CHECK_EQ_U64(zbufrand_scene_update(s, &info), ZBUFRAND_OK);
+    CHECK_EQ_U64(info.triangles, 8 * (2 * MOVED + COME) + COME);
+    for (i = 0; i < (int)s->structure_count; i++) CHECK(s->structure[i].node_count <= s->live->s[i].node_capacity);
+    check_scene(s);
+    zbufrand_scene_destroy(s);
+}
+
+/* Two models a level, each made of both of the level below: 2^40 ways lead up from the lowest. */
+TEST(many_ways_up) {
+    zbufrand_scene *s = open_scene(1, NULL);
+    zbufrand_node low[2], next[2], mesh;
+    zbufrand_scene_info info;
+    int i, k;
+    for (k = 0; k < 2; k++) low[k] = add_list(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN);
+    mesh = add_triangle(s, low[0], 0);
+    for (k = 0; k < 2; k++) (void)add_triangle(s, low[k], 0);
+    for (i = 0; i < 40; i++) {
+        for (k = 0; k < 2; k++) next[k] = add_list(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN);
+        for (k = 0; k < 4; k++) (void)add_at(s, next[k & 1], k < 2 ? 0 : 3, 0, 0, low[(k & 1) ^ k >> 1]);
+        memcpy(low, next, sizeof low);
+    }
+    for (k = 0; k < 2; k++) (void)add_at(s, ZBUFRAND_ROOT, 0, 0, 0, low[k]);
+    CHECK_EQ_U64(zbufrand_scene_build(s, NULL, &info), ZBUFRAND_OK);
+    move_to(s, mesh, 0, 0.1, 0);
+    CHECK_EQ_U64(zbufrand_scene_update(s, &info), ZBUFRAND_OK);
+    CHECK_EQ_U64(info.levels, 42);
+    check_scene(s);
+    zbufrand_scene_destroy(s);
+}
+
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(any_sequence_of_edits);
@@ -946,6 +1138,12 @@ int main(int argc, char **argv) {
     RUN(nothing_left_and_back);
     RUN(errors);
     RUN(trees_of_the_thesis);
+    RUN(moved_in_what_was_hidden);
+    RUN(new_in_what_is_referred_to);
+    RUN(empty_levels);
+    RUN(trees_of_the_thesis_after_a_failure);
+    RUN(room_for_all_that_comes);
+    RUN(many_ways_up);
     RUN(bad_triangles_come);
     RUN(levels);
     RUN(memory_runs_out);

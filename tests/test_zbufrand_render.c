@@ -2915,6 +2915,244 @@ TEST(large_draws) {
     }
 }
 
+/* A picture of nodes alone has parts without any. */
+TEST(only_nodes) {
+    static const float corner[9] = {-1, -1, 0, 1, -1, 0, 0, 1, 0};
+    zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
+    zbufrand_scene *scene;
+    zbufrand_mesh m;
+    zbufrand_render_desc d;
+    zbufrand_stats st;
+    buffers b;
+    uint32_t i, seen, k;
+    memset(&m, 0, sizeof m);
+    m.positions = corner;
+    m.vertex_count = 3;
+    m.triangle_count = 1;
+    scene = scene_of(&m, 1);
+    buffers_open(&b, 200, 50);
+    b.image.rgba8 = NULL;
+    b.image.rgba = b.image.depth = NULL;
+    memset(&d, 0, sizeof d);
+    d.hybrid = ZBUFRAND_HYBRID_ALL;
+    for (k = 0; k < 2; k++) {
+        memset(b.node, 0x55, 4 * 200 * 50);
+        d.oversample = k == 0 ? 1 : 2;
+        CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, &st), ZBUFRAND_OK);
+        for (i = 0, seen = 0; i < 200 * 50; i++) {
+            CHECK(b.node[i] == 0 || b.node[i] == 2);
+            seen += b.node[i] != 0;
+        }
+        CHECK(seen > 200 && (k == 1 || seen == st.covered));
+    }
+    buffers_close(&b);
+    zbufrand_scene_destroy(scene);
+    zbufrand_frame_destroy(frame);
+}
+
+/* Units are anybody's: the same picture of the same square in any of them, with normals and colours of vertices, and with a
+   point light. */
+TEST(any_unit) {
+    static const uint32_t index[6] = {0, 1, 2, 0, 2, 3};
+    static const uint8_t rgb[12] = {255, 0, 0, 0, 255, 0, 0, 0, 255, 255, 255, 255};
+    float corner[12], normal[12];
+    zbufrand_mesh m;
+    zbufrand_light light;
+    int e, i, k, isa, way;
+    for (way = 0; way < 4; way++) {
+        static float first[4 * 64 * 48];
+        uint64_t hash = 0;
+        for (e = -20; e <= 14; e += e == 10 ? 4 : 5) {
+            const double size = pow(10, e);
+            memset(&m, 0, sizeof m);
+            memset(&light, 0, sizeof light);
+            for (i = 0; i < 4; i++) {
+                corner[3 * i] = (float)(size * (i == 1 || i == 2 ? 1 : -1));
+                corner[3 * i + 1] = (float)(size * (i > 1 ? 1 : -1));
+                corner[3 * i + 2] = (float)(size * 0.2 * i);
+                for (k = 0; k < 3; k++) normal[3 * i + k] = k == 2 ? 1 : 0.3f * corner[3 * i + k] / (float)size;
+            }
+            m.positions = corner;
+            m.vertex_count = 4;
+            m.indices = index;
+            m.triangle_count = 2;
+            if (way & 1) m.normals = normal;
+            if (way & 1) m.vertex_rgb = rgb;
+            for (isa = 1; isa <= 3; isa += 2) {
+                zbufrand_frame *frame = open_frame(1, isa == 1 ? ZBUFRAND_ISA_SCALAR : ZBUFRAND_ISA_AUTO);
+                zbufrand_scene *scene = scene_of(&m, 1);
+                zbufrand_render_desc d;
+                buffers b;
+                double worst = 0, bright = 0;
+                buffers_open(&b, 64, 48);
+                memset(&d, 0, sizeof d);
+                d.hybrid = way & 1 ? ZBUFRAND_HYBRID_OFF : ZBUFRAND_HYBRID_ALL;
+                d.camera.eye[2] = 4 * size;
+                light.position[0] = 2 * size;
+                light.position[2] = 3 * size;
+                for (k = 0; k < 3; k++) light.color[k] = 1;
+                if (way & 2) d.lights = &light;
+                d.light_count = way & 2 ? 1 : 0;
+                CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, NULL), ZBUFRAND_OK);
+                if (isa == 1) hash = buffers_hash(&b);
+                else CHECK_EQ_U64(buffers_hash(&b), hash);
+                if (e == -20 && isa == 1) memcpy(first, b.rgba, sizeof first);
+                for (i = 0; i < 4 * 64 * 48; i++) worst = fmax(worst, fabs((double)b.rgba[i] - (double)first[i]) * (b.rgba[i | 3] > 0 && first[i | 3] > 0));
+                CHECK_MSG(worst < 2e-3, "way %d, 10^%d: off by %g", way, e, worst);
+                for (k = 0, i = 4 * (24 * 64 + 32); k < 3; k++) bright += (double)b.rgba[i + k];
+                CHECK_MSG(bright > 0.4, "way %d, 10^%d: only %g", way, e, bright);
+                buffers_close(&b);
+                zbufrand_scene_destroy(scene);
+                zbufrand_frame_destroy(frame);
+            }
+        }
+    }
+}
+
+/* Directions of any length, and lights farther away than floats reach. */
+TEST(lights_of_any_length) {
+    static const float corner[9] = {-1, -1, 0, 1, -1, 0, 0, 1, 0};
+    static const double length[5] = {1, 1e-200, 1e200, 1e300, 1e30};
+    zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
+    zbufrand_scene *scene;
+    zbufrand_mesh m;
+    zbufrand_render_desc d;
+    zbufrand_light light;
+    buffers b;
+    float want = 0;
+    int i, k, directional;
+    memset(&m, 0, sizeof m);
+    m.positions = corner;
+    m.vertex_count = 3;
+    m.triangle_count = 1;
+    scene = scene_of(&m, 1);
+    buffers_open(&b, 64, 64);
+    for (directional = 1; directional >= 0; directional--) {
+        for (i = 0; i < 5; i++) {
+            if (!directional && length[i] <= 1) continue;
+            memset(&d, 0, sizeof d);
+            memset(&light, 0, sizeof light);
+            d.lights = &light;
+            d.light_count = 1;
+            d.hybrid = ZBUFRAND_HYBRID_ALL;
+            d.camera.eye[2] = 4;
+            light.directional = (uint32_t)directional;
+            light.position[0] = 0.6 * length[i];
+            light.position[2] = 0.8 * length[i];
+            for (k = 0; k < 3; k++) light.color[k] = 1;
+            CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, NULL), ZBUFRAND_OK);
+            if (i == 0) want = b.rgba[4 * (32 * 64 + 32)];
+            CHECK_NEAR(want, 0.85, 1e-3);
+            CHECK_NEAR(b.rgba[4 * (32 * 64 + 32)], want, 1e-5);
+        }
+    }
+    {
+        static const double view[3] = {0, 0, 1e200};
+        static const double lo[3] = {-1, -1, -1}, hi[3] = {1, 1, 1};
+        CHECK_EQ_U64(zbufrand_camera_fit(&d.camera, lo, hi, view, 64, 64), ZBUFRAND_OK);
+        CHECK(d.camera.eye[2] > 2 && d.camera.eye[2] < 20);
+        { /* a box that is too large to be looked at */
+            static const double least[3] = {-1e308, -1e308, -1e308}, most[3] = {1e308, 1e308, 1e308};
+            zbufrand_camera c = d.camera;
+            CHECK_EQ_U64(zbufrand_camera_fit(&c, least, most, NULL, 64, 64), ZBUFRAND_ERR_INVALID_ARG);
+            CHECK(memcmp(&c, &d.camera, sizeof c) == 0);
+        }
+    }
+    buffers_close(&b);
+    zbufrand_scene_destroy(scene);
+    zbufrand_frame_destroy(frame);
+}
+
+/* Probabilities below what doubles have: nothing, and no noise of bits. */
+TEST(incomplete_of_many_samples) {
+    static const double density[7] = {3, 100, 700, 1500, 2500, 3000, 9000};
+    zbufrand_frame *frame = open_frame(2, ZBUFRAND_ISA_AUTO);
+    zbufrand_scene *scene;
+    zbufrand_render_desc d;
+    zbufrand_stats st;
+    zbufrand_mesh m;
+    shape s;
+    buffers b;
+    int i;
+    memset(&s, 0, sizeof s);
+    shape_sphere(&s, 0, 0, 0, 1, 40);
+    m = mesh_of(&s);
+    scene = scene_of(&m, 1);
+    buffers_open(&b, 32, 32);
+    for (i = 0; i < 9; i++) {
+        memset(&d, 0, sizeof d);
+        d.hybrid = ZBUFRAND_HYBRID_OFF;
+        d.density = i < 7 ? density[i] : i == 7 ? 1 : 3;
+        if (i == 7) d.reconstruct.block = 50; /* 2500 samples a block */
+        if (i == 8) d.oversample = 16;        /* 256 parts of 3 */
+        CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, &st), ZBUFRAND_OK);
+        CHECK_MSG(st.incomplete >= 0 && st.incomplete <= (i == 0 ? 0.2 : 1e-30), "%d: %g", i, st.incomplete);
+    }
+    CHECK(zbufrandi_share_pow(0.135, 1500) >= 0 && zbufrandi_share_pow(0.135, 1500) < 1e-290); /* of so many frames */
+    CHECK(zbufrandi_share_pow(0.0, 2) <= 0 && zbufrandi_block_empty(0, 1) >= 1);
+    buffers_close(&b);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s);
+    zbufrand_frame_destroy(frame);
+}
+
+static int stop_at_once(void *user, const zbufrand_sample *samples, const uint32_t *numbers, size_t count) {
+    (void)user;
+    (void)samples;
+    (void)numbers;
+    return count != 0;
+}
+
+/* What env.error says is what was wrong. */
+TEST(reasons) {
+    zbufrand_error error;
+    zbufrand_frame_desc fd;
+    zbufrand_frame *frame = NULL;
+    zbufrand_scene *scene;
+    zbufrand_render_desc d;
+    zbufrand_mesh m;
+    shape s;
+    buffers b;
+    static zbufrand_light lights[65536];
+    memset(&fd, 0, sizeof fd);
+    memset(&error, 0, sizeof error);
+    fd.env.error = &error;
+    CHECK_EQ_U64(zbufrand_frame_create(&fd, &frame), ZBUFRAND_OK);
+    memset(&s, 0, sizeof s);
+    shape_sphere(&s, 0, 0, 0, 1, 20);
+    m = mesh_of(&s);
+    scene = scene_of(&m, 1);
+    buffers_open(&b, 32, 32);
+    memset(&d, 0, sizeof d);
+    d.reconstruct.block = 2000;
+    CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, NULL), ZBUFRAND_ERR_RANGE);
+    CHECK_STR(error.text, "block 2000 is above 1024");
+    d.reconstruct.block = 0;
+    d.reconstruct.tolerance = -1;
+    CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, NULL), ZBUFRAND_ERR_INVALID_ARG);
+    CHECK_STR(error.text, "a tolerance is negative or not a number");
+    d.reconstruct.tolerance = 0;
+    d.lights = lights;
+    d.light_count = 65536;
+    CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, NULL), ZBUFRAND_ERR_RANGE);
+    CHECK_STR(error.text, "render: 65536 lights are more than 65535");
+    d.lights = NULL;
+    d.light_count = 0;
+    d.density = -1;
+    CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, NULL), ZBUFRAND_ERR_INVALID_ARG);
+    CHECK_STR(error.text, "render: a camera, light, cloud or option is wrong");
+    d.density = 0;
+    d.hybrid = ZBUFRAND_HYBRID_OFF;
+    CHECK_EQ_U64(zbufrand_sample_scene(frame, &d, scene, 32, 32, stop_at_once, NULL, NULL), ZBUFRAND_ERR_CANCELLED);
+    CHECK_EQ_U64(error.code, ZBUFRAND_ERR_CANCELLED);
+    CHECK_STR(error.text, "query: cancelled");
+    CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, NULL), ZBUFRAND_OK);
+    buffers_close(&b);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s);
+    zbufrand_frame_destroy(frame);
+}
+
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(like_a_z_buffer);
@@ -2937,6 +3175,11 @@ int main(int argc, char **argv) {
     RUN(panes);
     RUN(own_shading);
     RUN(nodes_backgrounds_strides);
+    RUN(only_nodes);
+    RUN(any_unit);
+    RUN(lights_of_any_length);
+    RUN(incomplete_of_many_samples);
+    RUN(reasons);
     RUN(clouds);
     RUN(far_from_home);
     RUN(thirteen_decades);

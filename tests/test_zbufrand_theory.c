@@ -665,7 +665,46 @@ TEST(same_bits) { /* on every machine: the functions use no libm */
         p[3] = zbufrand_normal_quantile(x / 21.0);
         hash = hash_doubles(p, 4, hash);
     }
-    CHECK_EQ_U64(hash, 0x430e53d7a183347du);
+    CHECK_EQ_U64(hash, 0xd7e68db0511a5779u);
+}
+
+/* Numbers so large that the formulas as they are written would cancel; values to 30 digits from their series. */
+TEST(large_numbers) {
+    static const double probability[3] = {1e-3, 0.5, 0.99};
+    double n, k, area[2] = {23, 0}, value[2] = {1, 0}, variance, open = exp(-23.0);
+    int i;
+    for (n = 1e6; n <= 1e12; n *= 100) {
+        for (k = 1; k <= 1e4; k *= 10) {
+            for (i = 0; i < 3; i++) { /* the binomial law at what is given back, added up downwards from k */
+                double u = zbufrand_samples_tolerant(n, n, k, probability[i]) / n, p = exp(-u), x = -expm1(-u), sum = 0, term = 1, j, log_k;
+                /* ln of C(n, k) p^k x^(n-k) without large numbers */
+                for (log_k = 0, j = 0; j < k; j += 1) log_k += log1p(-j / n) - log((j + 1) / (n * p));
+                term = exp(log_k + (n - k) * log1p(-p));
+                u *= p * n * term; /* of u times the slope of the law: what a relative error of 1 would make */
+                for (j = k; j >= 0 && term > 1e-18 * sum; j -= 1) {
+                    sum += term;
+                    term *= j * x / ((n - j + 1) * p);
+                }
+                CHECK_MSG(fabs(sum - probability[i]) < 1e-9 * u, "n %g, k %g, %g: %g", n, k, probability[i], fabs(sum - probability[i]) / u);
+            }
+        }
+    }
+    CHECK(rel(zbufrand_holes_tail(100, 1e12, 14), 0.7506221976299742) < 1e-12); /* n^2 - E^2 is 2 n m but for 1e-10 */
+    CHECK(rel(zbufrand_holes_tail(1, 1e12, 3), 2 * exp(-4.5)) < 1e-11);
+    CHECK(zbufrand_holes_tail(0, 5, 1) <= 0 && zbufrand_holes_tail(0, 5, 0) >= 1 && zbufrand_holes_tail(3, 1e200, 1) >= 0);
+    (void)zbufrand_expected_pixel(area, value, 1, 1, 0, &variance); /* p (1 - p) */
+    CHECK(rel(variance, open * -expm1(-23.0)) < 1e-12);
+    value[0] = 1e6;
+    (void)zbufrand_expected_pixel(area, value, 2, 1, 1e6 + 1, &variance);
+    CHECK(rel(variance, open * -expm1(-23.0)) < 1e-9); /* the mean has errors of 1e-10 */
+    { /* 1 - s is 5e-11 + 1.25e-21 */
+        const double s = 1 - 1e-10, p = 0.5, q = -zbufrand_normal_quantile((1 - s) / (1 + sqrt(s))),
+            m = -5e5 * log(-expm1(log1p(s - 1) / 1e6));
+        CHECK(rel(zbufrand_samples(ZBUFRAND_BOUND_THEOREM5, 1e6, 5e5, 1, s), (m + q * sqrt(m)) / p) < 1e-12);
+        CHECK(zbufrand_samples(ZBUFRAND_BOUND_LEMMA4, 1e6, 5e5, 1, s) < (m + q * sqrt(m)) / p);
+    }
+    CHECK(rel(zbufrand_samples_lemma2(1 + 1e-10, 0, 0.5), log(-expm1(log(0.5) / (1 + 1e-10))) / log(1.00000008274037e-10 / (1 + 1e-10))) < 1e-12);
+    CHECK(rel(zbufrand_multi_hit(1 + 1e-9, 1e6), 0.5 * (1 + 1e-9) * 1.00000008274037e-9 * 1e-12) < 2e-6);
 }
 
 int main(int argc, char **argv) {
@@ -687,6 +726,7 @@ int main(int argc, char **argv) {
     RUN(front_share_table);
     RUN(bleeding);
     RUN(multiple_hits);
+    RUN(large_numbers);
     RUN(extremes);
     RUN(same_bits);
     return test_end();
