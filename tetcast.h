@@ -144,7 +144,8 @@
    LIMITS
    tetrahedra, vertices       2^31 - 3 each; coordinates up to 1e100; 65,536 fields
    transfer functions         2^20 control points, 65,536 isovalues; values below 1e38, colours, extinctions up to 1e18
-   pictures                   2^31 tiles of 32 x 32 pixels; projected: 65,536 pixels a side. 2^41 rays in a call
+   pictures                   2^31 tiles of 32 x 32 pixels; projected: 65,536 pixels a side. 2^41 rays in a call.
+                              Lengths on rays below 1e38: larger meshes absorb as those of that size
    lattices, bricks           2^20 nodes a side; 2^26 bricks, 6 levels
    refined grids              2^27 cells, 16 levels, 2^20 finest cells a side
    functions                  2^26, 4 components, 2^27 nodes of the base; 2^16 samples on a ray
@@ -390,7 +391,8 @@ typedef struct tetcast_array {
     size_t stride;      /* bytes from one element to the next; 0: they lie close together */
 } tetcast_array;
 
-/* One scalar per vertex (linear inside of tetrahedra) or per cell (constant inside of it). Kept as floats. */
+/* One scalar per vertex (linear inside of tetrahedra) or per cell (constant inside of it). Kept as floats, those beyond
+   1e38 as 1e38. */
 typedef struct tetcast_field {
     const char *name;   /* may be NULL; 63 bytes are kept */
     tetcast_array values;
@@ -536,8 +538,8 @@ typedef struct tetcast_mesh_info {
    Larger cells are cut so that each quadrilateral face is cut at its vertex of the smallest number: neighbours agree.
    The same mesh for any number of threads. Cost: O(cells), about 0.1 s for 10^6 tetrahedra on one core; holds about
    100 bytes a cell at its peak. Errors: INVALID_ARG, UNINIT_DESC, EMPTY (no cell, or none that can be used), RANGE
-   (more cells or vertices than TETCAST_MAX_*), TRUNCATED (fewer indices than the cells need), FORMAT (strict),
-   NO_MEMORY, CANCELLED. */
+   (more cells or vertices than TETCAST_MAX_*, 2^31 faces of the hull), TRUNCATED (fewer indices than the cells need),
+   FORMAT (strict), NO_MEMORY, CANCELLED. */
 TETCAST_DEF tetcast_result tetcast_mesh_create(const tetcast_mesh_desc *desc, const tetcast_input *input,
                                                tetcast_report *report, tetcast_mesh **out_mesh);
 
@@ -553,7 +555,7 @@ TETCAST_DEF void tetcast_mesh_get_info(const tetcast_mesh *mesh, tetcast_mesh_in
 TETCAST_DEF void tetcast_mesh_get_report(const tetcast_mesh *mesh, tetcast_report *report);
 
 /* Look closer at a mesh: see tetcast_check. Needs the tets. Serial but for neighbours; O(n log n); holds 20 bytes a
-   cell and up to 17 a vertex meanwhile, from env. Errors: INVALID_ARG (tets dropped), NO_MEMORY. */
+   cell and up to 25 a vertex meanwhile, from env. Errors: INVALID_ARG (tets dropped), NO_MEMORY. */
 TETCAST_DEF tetcast_result tetcast_mesh_check(const tetcast_mesh *mesh, const tetcast_env *env, tetcast_check *check);
 
 /* Name ("" where none was given) and range of a field; *lo > *hi when it has no value that is a number. lo, hi may be
@@ -2801,6 +2803,8 @@ static TETCASTI_UNUSED uint32_t tetcasti_oct_encode(const float n[3]) {
 #define TETCASTI_SIDE_LOG 30        /* the longest side in local units is below 2^this */
 #define TETCASTI_SNAP 25769803776.0 /* 1.5 * 2^34: adding it to a double below 2^33 rounds to multiples of 2^-18 */
 #define TETCASTI_SNAP_SLOPE 192.0   /* 1.5 * 2^7: the same for 2^-45 */
+#define TETCASTI_UNIT_END 7.9228162514264338e28 /* 2^96: times a way through the mesh that is a float */
+#define TETCASTI_MAX_FACES 0x7fffffffu /* of a hull: numbers from 2^31 on are TETCASTI_STARTS */
 #define TETCASTI_BLUR 512.0         /* positions seen along a ray are off by less than this, 2^-21 of the mesh */
 #define TETCASTI_CLUSTER_LOG 7      /* cells of a cluster: 128 that follow each other */
 #define TETCASTI_INF ((float)INFINITY)
@@ -2896,7 +2900,7 @@ struct tetcast_mesh {
     uint32_t *mask;             /* one bit a cell: imaginary; NULL: none */
     uint32_t *source_cell;      /* number of the input's cell, NULL when dropped */
     uint32_t *source_vertex;
-    float (*gradient)[3];       /* per vertex, of the active field; NULL: not made */
+    float (*gradient)[3];       /* per vertex, of the active field; world, or times a power of two; NULL: not made */
     struct tetcasti_clusters *clusters; /* NULL when there are none */
     tetcast_report report;
 };
@@ -3070,6 +3074,7 @@ TETCASTI_INLINE float tetcasti_value_clamp(float v) { /* differences of two are 
 typedef struct tetcasti_tf {
     uint32_t n;
     uint32_t independent;      /* 1: the colour is emission per length, 0: emission is colour * extinction */
+    uint32_t steep;            /* squares of slopes, as the model MAXIMUM looks at them, may be beyond floats */
     float *knot;               /* [n + 1] */
     float (*coef)[16];         /* [n]; the bounds again in 8 and 9, base in 10 */
     float *row;                /* n <= 16: the same as rows of 16: knot[k], knot[k + 1], base, coef[k][0..7]; the knots
@@ -3500,7 +3505,7 @@ static uint32_t tetcasti_import_cell(const tetcasti_import *m, uint64_t cell, ui
         size = 8;
         if (m->grid->alternate) {
             static const uint8_t five[5][4] = {{0, 1, 2, 4}, {3, 1, 2, 7}, {5, 1, 4, 7}, {6, 2, 4, 7}, {1, 2, 4, 7}};
-            for (i = 0; i < 8; i++) bad |= m->state[v[i]] & TETCASTI_BAD;
+            for (i = 0; i < 8; i++) bad |= tetcasti_relaxed_load(&m->state[v[i]]) & TETCASTI_BAD;
             for (n = 0; n < 5 && !bad; n++)
                 for (i = 0; i < 4; i++) {
                     uint32_t u = v[five[n][i] ^ odd];
@@ -3736,6 +3741,15 @@ static double tetcasti_power2(int32_t e) {
     double v;
     memcpy(&v, &bits, sizeof v);
     return v;
+}
+
+/* The power of two of a normal number x > 0: 2^e <= x < 2^(e+1). */
+static double tetcasti_power2_below(double x) {
+    uint64_t bits;
+    memcpy(&bits, &x, sizeof bits);
+    bits &= (uint64_t)2047 << 52;
+    memcpy(&x, &bits, sizeof x);
+    return x;
 }
 
 static void tetcasti_import_place(tetcasti_import *m) { /* origin and scale from the box of what is used */
@@ -4265,7 +4279,8 @@ static int tetcasti_drop_duplicates(tetcasti_import *m, uint32_t *count) { /* 0:
             }
         }
         if (twice) {
-            if (m->report->duplicates++ == 0) m->report->first_duplicate = mesh->source_cell[i];
+            if (m->report->duplicates++ == 0 || mesh->source_cell[i] < m->report->first_duplicate)
+                m->report->first_duplicate = mesh->source_cell[i];
             continue;
         }
         if (kept != i) {
@@ -4444,17 +4459,20 @@ static int tetcasti_hull_build(tetcasti_mem *mem, const tetcast_env *env, const 
     return 1;
 }
 
-static int tetcasti_import_hull(tetcasti_import *m) { /* 0: no memory */
+static tetcast_result tetcasti_import_hull(tetcasti_import *m) {
     tetcast_mesh *mesh = m->mesh;
     uint64_t n;
     tetcasti_run(m, tetcasti_task_hull_count, mesh->cell_count);
     n = tetcasti_prefix_sum(m->chunk_out, tetcasti_chunks(mesh->cell_count));
-    mesh->face_count = (uint32_t)n; /* below 2^32: at most 4 * MAX_CELLS, and checked before */
     m->report->hull_faces = n;
+    if (n > TETCASTI_MAX_FACES)
+        return tetcasti_fail(m->desc->env.error, TETCAST_ERR_RANGE, n, "mesh: % faces of the hull are too many");
+    mesh->face_count = (uint32_t)n;
     mesh->face = (tetcasti_face *)tetcasti_alloc_array(m->mem, (size_t)n + 1, sizeof *mesh->face);
-    if (mesh->face == NULL) return 0;
+    if (mesh->face == NULL) return TETCAST_ERR_NO_MEMORY;
     tetcasti_run(m, tetcasti_task_hull_fill, mesh->cell_count);
-    return tetcasti_hull_build(m->mem, &m->desc->env, mesh->vertex, mesh->face, mesh->face_count, &mesh->hull);
+    return tetcasti_hull_build(m->mem, &m->desc->env, mesh->vertex, mesh->face, mesh->face_count, &mesh->hull)
+               ? TETCAST_OK : TETCAST_ERR_NO_MEMORY;
 }
 
 /* ---- import, step 6: values ---- */
@@ -4472,7 +4490,7 @@ static void tetcasti_task_values(void *ctx, uint32_t chunk) {
     bad[chunk] = 0;
     for (; i < end; i++) {
         double d = tetcasti_array_get(&in->values, stride, source[i], 0);
-        float v = d >= -3.4028234e38 && d <= 3.4028234e38 ? (float)d : (float)NAN;
+        float v = d >= -3.4028234e38 && d <= 3.4028234e38 ? tetcasti_value_clamp((float)d) : (float)NAN;
         out->value[i] = v;
         if (tetcasti_finite_f(v)) {
             lo = v < lo ? v : lo;
@@ -4687,8 +4705,9 @@ static tetcast_result tetcasti_import_tets(tetcasti_import *m, uint64_t tets) {
     for (again = 0; ok && mesh->neighbour != NULL && again < 2; again++) {
         match.cell_count = mesh->cell_count;
         ok = tetcasti_match(&match);
-        if (!ok || match.duplicates == 0 || again == 1) break;
-        ok = tetcasti_drop_duplicates(m, &mesh->cell_count);
+        if (!ok || (match.duplicates == 0 && match.nonmanifold == 0) || again == 1) break;
+        ok = tetcasti_drop_duplicates(m, &mesh->cell_count); /* at faces of four cells and more they were not seen */
+        if (m->report->duplicates == 0) break;
     }
     if (!ok || mesh->neighbour == NULL) return TETCAST_ERR_NO_MEMORY;
     m->report->nonmanifold_faces = match.nonmanifold;
@@ -4712,7 +4731,8 @@ static tetcast_result tetcasti_import_run(tetcasti_import *m) {
     r = tetcasti_import_tets(m, tets);
     if (r != TETCAST_OK) return r;
     if (!tetcasti_progress(m, 3)) return TETCAST_ERR_CANCELLED;
-    if (!tetcasti_import_hull(m)) return TETCAST_ERR_NO_MEMORY;
+    r = tetcasti_import_hull(m);
+    if (r != TETCAST_OK) return r;
     r = tetcasti_import_values(m);
     if (r != TETCAST_OK) return r;
     if (!tetcasti_progress(m, 4)) return TETCAST_ERR_CANCELLED;
@@ -5373,7 +5393,7 @@ static void tetcasti_cell_gradient(const tetcasti_vertex *a, const tetcasti_vert
 }
 
 TETCAST_DEF tetcast_result tetcast_mesh_make_gradients(tetcast_mesh *mesh, const tetcast_env *env) {
-    double (*sum)[4], g[3], volume;
+    double (*sum)[4], g[3], volume, most = 0.0;
     uint32_t i, j, a;
     if (mesh == NULL || mesh->tet == NULL || mesh->cell_value != NULL)
         return tetcasti_fail(env != NULL ? env->error : NULL, TETCAST_ERR_INVALID_ARG, 0,
@@ -5398,8 +5418,14 @@ TETCAST_DEF tetcast_result tetcast_mesh_make_gradients(tetcast_mesh *mesh, const
     }
     for (i = 0; i < mesh->vertex_count; i++)
         for (a = 0; a < 3; a++) {
-            double v = sum[i][3] > 0.0 ? sum[i][a] / sum[i][3] / mesh->unit : 0.0; /* per world unit */
-            mesh->gradient[i][a] = v > -1e38 && v < 1e38 ? (float)v : 0.0f;
+            sum[i][a] = sum[i][3] > 0.0 ? sum[i][a] / sum[i][3] / mesh->unit : 0.0; /* per world unit */
+            if (tetcasti_finite(sum[i][a])) most = tetcasti_max(most, tetcasti_abs(sum[i][a]));
+        }
+    most = most > 1e-18 && most < 1e18 ? 1.0 : most; /* their directions count: nothing has to get lost */
+    for (i = 0; i < mesh->vertex_count; i++)
+        for (a = 0; a < 3; a++) {
+            const double v = most > 0.0 ? sum[i][a] / tetcasti_power2_below(most) : 0.0;
+            mesh->gradient[i][a] = tetcasti_finite(v) ? (float)v : 0.0f;
         }
     tetcasti_free(&mesh->mem, sum);
     return TETCAST_OK;
@@ -5898,7 +5924,8 @@ static tetcast_result tetcasti_strips_run(tetcasti_strips *s, const tetcast_env 
         s->columns[c] = sum;
         sum += n;
     }
-    if (sum >= TETCASTI_STRIP_NONE) return TETCAST_ERR_RANGE;
+    if (sum >= TETCASTI_STRIP_NONE)
+        return tetcasti_fail(env->error, TETCAST_ERR_RANGE, sum, "mesh: % columns of strips are too many");
     cells->count = (uint32_t)sum;
     cells->data_bytes = (size_t)sum * sizeof(tetcasti_column);
     cells->data = tetcasti_alloc_array(s->mem, (size_t)sum + 4, sizeof(tetcasti_column));
@@ -6222,6 +6249,17 @@ TETCASTI_INLINE int tetcasti_face_hit(const int soft, const tetcasti_ray *r, con
 
 /* ---- walking ---- */
 
+/* The value of tetcasti_face_point, below, where products of values and weights are beyond what floats hold: weights
+   are up to 2^67, so that takes values beyond TETCASTI_WIDE_FROM. */
+#define TETCASTI_WIDE 2.11758237e-22f /* 2^-72 */
+#define TETCASTI_WIDE_FROM 2.88230376e17f /* 2^58 */
+TETCASTI_NOINLINE static float tetcasti_face_value_wide(const tetcasti_point *a, const tetcasti_point *b,
+                                                        const tetcasti_point *c, float ab, float bc, float ca) {
+    const float s = tetcasti_fma(1, bc, a->s * TETCASTI_WIDE,
+                                 tetcasti_fma(1, ca, b->s * TETCASTI_WIDE, ab * (c->s * TETCASTI_WIDE)));
+    return s * (1.0f / ((ab + bc) + ca)) * (1.0f / TETCASTI_WIDE);
+}
+
 /* Distance and value where the ray passes a face, from its weights. Rounding does not take the value out of the range
    of the three values: so a face whose vertices have the isovalue has it, too, and faces above and below stay on their
    sides. */
@@ -6244,6 +6282,7 @@ TETCASTI_INLINE void tetcasti_face_point(const int soft, const tetcasti_point *a
         *at = tetcasti_fma(soft, bc, a->z, tetcasti_fma(soft, ca, b->z, ab * c->z)) * inv;
         s = tetcasti_fma(soft, bc, a->s, tetcasti_fma(soft, ca, b->s, ab * c->s)) * inv;
     }
+    if (TETCASTI_UNLIKELY(!tetcasti_finite_f(s))) s = tetcasti_face_value_wide(a, b, c, ab, bc, ca);
     lo = lo < c->s ? lo : c->s;
     hi = hi > c->s ? hi : c->s;
     s = s > lo ? s : lo;
@@ -6343,10 +6382,12 @@ typedef struct tetcasti_scene {
     const uint32_t *stop;           /* NULL, or bit (cell >> stop_log) is set where walks end */
     uint32_t stop_log;
     const tetcast_optics *optics;   /* NULL: none */
-    float unit;                     /* world length of a local one */
+    float unit;                     /* world length of a local one, but so that lengths on rays are floats */
+    float beyond;                   /* that times this is the world length: 1, but for meshes of 1e38 and more */
     uint32_t smooth_normals, fma;
     tetcast_isa isa;                /* never AUTO */
     uint32_t any;                   /* more than a volume of one value per vertex: isosurfaces, hidden cells, depths */
+    uint32_t wide;                  /* there are values that tetcasti_face_value_wide is for */
     float begin_t;                  /* transmittance of a sum that has seen nothing */
     tetcasti_segment_fn *segment;   /* that of the optics, or the same without the instruction for fma */
     tetcasti_segment8_fn *segment8; /* that of the optics, or the same code for AVX-512 */
@@ -7021,10 +7062,21 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE __m256i tetcasti_pick8(__m256i v, __m256i p
                             tetcasti_blend8i(n2, n3, _mm256_castsi256_ps(odd)), _mm256_castsi256_ps(most));
 }
 
-TETCASTI_TARGET_WALK TETCASTI_INLINE __m256 tetcasti_face_value8(__m256 a, __m256 b, __m256 c, __m256 ab, __m256 bc,
-                                                                 __m256 ca,
-                                                                 __m256 inv) {
+/* tetcasti_face_value_wide for the lanes whose s is no number. */
+TETCASTI_TARGET_WALK TETCASTI_NOINLINE static __m256 tetcasti_face_value_wide8(__m256 s, __m256 a, __m256 b, __m256 c,
+                                                                               __m256 ab, __m256 bc, __m256 ca,
+                                                                               __m256 inv) {
+    const __m256 k = _mm256_set1_ps(TETCASTI_WIDE), back = _mm256_set1_ps(1.0f / TETCASTI_WIDE);
+    const __m256 none = _mm256_cmp_ps(_mm256_sub_ps(s, s), _mm256_setzero_ps(), _CMP_NEQ_UQ);
+    __m256 v = _mm256_fmadd_ps(ca, _mm256_mul_ps(b, k), _mm256_mul_ps(ab, _mm256_mul_ps(c, k)));
+    v = _mm256_mul_ps(_mm256_mul_ps(_mm256_fmadd_ps(bc, _mm256_mul_ps(a, k), v), inv), back);
+    return _mm256_blendv_ps(s, v, none);
+}
+
+TETCASTI_TARGET_WALK TETCASTI_INLINE __m256 tetcasti_face_value8(uint32_t wide, __m256 a, __m256 b, __m256 c, __m256 ab,
+                                                                 __m256 bc, __m256 ca, __m256 inv) {
     __m256 s = _mm256_mul_ps(_mm256_fmadd_ps(bc, a, _mm256_fmadd_ps(ca, b, _mm256_mul_ps(ab, c))), inv);
+    if (TETCASTI_UNLIKELY(wide)) s = tetcasti_face_value_wide8(s, a, b, c, ab, bc, ca, inv);
     s = _mm256_max_ps(s, _mm256_min_ps(_mm256_min_ps(a, b), c));
     return _mm256_min_ps(s, _mm256_max_ps(_mm256_max_ps(a, b), c));
 }
@@ -7257,7 +7309,7 @@ TETCASTI_TARGET_WALK static void tetcasti_walk_begin8(const tetcasti_scene *scen
     _mm256_storeu_ps(l->weight[2], ca);
     _mm256_storeu_ps(l->at_face,
             _mm256_mul_ps(_mm256_fmadd_ps(bc, p[0].z, _mm256_fmadd_ps(ca, p[1].z, _mm256_mul_ps(ab, p[2].z))), inv));
-    _mm256_storeu_ps(l->s_face, tetcasti_face_value8(p[0].s, p[1].s, p[2].s, ab, bc, ca, inv));
+    _mm256_storeu_ps(l->s_face, tetcasti_face_value8(scene->wide, p[0].s, p[1].s, p[2].s, ab, bc, ca, inv));
 }
 
 /* Rays that wait for a lane: their walks have begun, eight at a time. */
@@ -7766,7 +7818,7 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_step8(const tetcasti_scen
     next = tetcasti_leave8(kind, &node, cell, prev, x, out, d.id, face);
     inv = _mm256_div_ps(_mm256_set1_ps(1.0f), _mm256_add_ps(_mm256_add_ps(ab, bc), ca));
     at = _mm256_mul_ps(_mm256_fmadd_ps(bc, a.z, _mm256_fmadd_ps(ca, b.z, _mm256_mul_ps(ab, c.z))), inv);
-    s = tetcasti_face_value8(a.s, b.s, c.s, ab, bc, ca, inv);
+    s = tetcasti_face_value8(scene->wide, a.s, b.s, c.s, ab, bc, ca, inv);
 #define TETCASTI_STORE_POINT(p, k) \
     _mm256_storeu_ps(l->point[k][0], p.x); _mm256_storeu_ps(l->point[k][1], p.y); \
     _mm256_storeu_ps(l->point[k][2], p.z); \
@@ -8048,12 +8100,17 @@ static tetcast_result tetcasti_clusters_build(tetcast_mesh *mesh, const tetcast_
     tetcasti_parallel_for(env, tetcasti_task_walls_count, &t, chunks);
     n = tetcasti_prefix_sum(t.start, chunks);
     t.c->count = (mesh->cell_count - 1) / (1u << TETCASTI_CLUSTER_LOG) + 1;
+    if (n > TETCASTI_MAX_FACES) { /* as good as disable_clusters: the order is so bad that leaping would not pay */
+        tetcasti_free(&mesh->mem, t.start);
+        tetcasti_clusters_free(&mesh->mem, mesh->clusters);
+        mesh->clusters = NULL;
+        return TETCAST_OK;
+    }
     t.c->wall_count = (uint32_t)n;
-    t.c->wall = n < 0x40000000u ? (tetcasti_wall *)tetcasti_alloc_array(&mesh->mem, (size_t)n + 1,
-                                                                        sizeof *t.c->wall) : NULL;
+    t.c->wall = (tetcasti_wall *)tetcasti_alloc_array(&mesh->mem, (size_t)n + 1, sizeof *t.c->wall);
     if (t.c->wall != NULL) tetcasti_parallel_for(env, tetcasti_task_walls, &t, chunks);
     tetcasti_free(&mesh->mem, t.start);
-    if (t.c->wall == NULL) return n < 0x40000000u ? TETCAST_ERR_NO_MEMORY : TETCAST_ERR_RANGE;
+    if (t.c->wall == NULL) return TETCAST_ERR_NO_MEMORY;
     for (i = 0; i < mesh->field_count; i++) {
         t.field = &mesh->field[i];
         t.field->range = (float (*)[2])tetcasti_alloc_array(&mesh->mem, t.c->count, sizeof *t.field->range);
@@ -8149,6 +8206,7 @@ static int tetcasti_leap_open(tetcasti_scene *scene, const tetcast_env *env, tet
     /* Entering through a wall costs as much as walking through 48 cells that show nothing (measured). A ray passes
        faces in proportion to their number: 2 a cell, and half of those passed from the hidden side are entered. */
     if (((uint64_t)hidden << TETCASTI_CLUSTER_LOG) < (uint64_t)n * 12) return 0;
+    if ((uint64_t)mesh->face_count + n > TETCASTI_MAX_FACES) return 0;
     room = (size_t)mesh->face_count + n + 1;
     n = 0;
     l->face = (tetcasti_face *)tetcasti_alloc_array(l->mem, room, sizeof *l->face);
@@ -8254,7 +8312,7 @@ static void tetcasti_tf_interval_max(const tetcasti_tf *tf, uint32_t k, float lo
             e[j] = (e[j] > 0.0f ? e[j] : 0.0f) * (tf->independent ? 1.0f : t[j]);
         }
         out[1 + i] = e[0] > e[1] ? e[0] : e[1];
-        if (!tf->independent && b * c[1] < 0.0f) {
+        if (!tf->independent && (b < 0.0f ? c[1] > 0.0f : b > 0.0f && c[1] < 0.0f)) {
             double top = -((double)a * (double)c[1] + (double)b * (double)c[0]) / (2.0 * (double)b * (double)c[1]);
             if (top > (double)u[0] && top < (double)u[1]) {
                 double v = ((double)a + (double)b * top) * ((double)c[0] + (double)c[1] * top);
@@ -8352,7 +8410,7 @@ static void tetcasti_tf_coefs(tetcasti_tf *tf, const tetcasti_knot *knot, uint32
             if (k != 0 && k < count) hi = (double)knot[k].below[i];
             if (k == 0 && count != 0) lo = hi = (double)knot[0].below[i];
             if (hi != lo) slope = (hi - lo) / ((double)knot[k].value - (double)knot[k - 1].value);
-            if (!(tetcasti_abs(slope) < 1e30)) { /* knots a few denormal numbers apart */
+            if (!(tetcasti_abs(slope) < 1e38)) { /* knots a few denormal numbers apart */
                 lo = 0.5 * (lo + hi);
                 slope = 0.0;
             }
@@ -8368,6 +8426,21 @@ static void tetcasti_tf_coefs(tetcasti_tf *tf, const tetcasti_knot *knot, uint32
         if (tf->independent) for (i = 2; i < 8; i++) seen |= c[i] != 0.0f;
         tf->visible[k] = seen ? k : tf->visible[k + 1];
     }
+}
+
+/* Has an interval a rising and a falling ramp whose product has a top that floats do not find? */
+static uint32_t tetcasti_tf_steep(const tetcasti_tf *tf) {
+    uint32_t k, i;
+    for (k = 0; k < tf->n; k++)
+        for (i = 2; i < 8; i += 2) {
+            const float *c = tf->coef[k];
+            const double bend = tetcasti_abs((double)c[i + 1] * (double)c[1]);
+            const double slope = tetcasti_abs((double)c[i] * (double)c[1]) +
+                                 tetcasti_abs((double)c[i + 1] * (double)c[0]);
+            if ((c[i + 1] < 0.0f) == (c[1] < 0.0f) || !(bend > 0.0)) continue;
+            if (!(bend > 1e-18 && bend < 1e18 && slope > 1e-18 && slope < 1e18)) return 1;
+        }
+    return 0;
 }
 
 static void tetcasti_tf_sums(tetcasti_tf *tf) {
@@ -8458,6 +8531,7 @@ static int tetcasti_tf_build(tetcasti_mem *mem, const tetcasti_knot *knot, uint3
     if (tf->row != NULL) tetcasti_tf_rows(tf);
     memset(tf->largest[0], 0, sizeof tf->largest[0]);
     tetcasti_tf_sums(tf);
+    tf->steep = tf->independent == 0 && tetcasti_tf_steep(tf);
     return 1;
 }
 
@@ -8520,11 +8594,11 @@ static uint32_t tetcasti_knots_simplify(tetcasti_knot *knot, uint32_t count, uin
         }
         from = last;
     }
-    for (j = 0; j < 2 && out > 1; j++) { /* a flat end is part of what lies outside */
-        for (;;) {
+    for (j = 0; j < 2; j++) { /* a flat end is part of what lies outside */
+        while (out > 1) {
             const tetcasti_knot *a = j ? &knot[out - 1] : &knot[0], *b = j ? &knot[out - 2] : &knot[1];
             const float *inner = j ? b->above : b->below;
-            if (out < 2 || memcmp(a->below, a->above, sizeof a->below) != 0 ||
+            if (memcmp(a->below, a->above, sizeof a->below) != 0 ||
                 memcmp(inner, a->below, sizeof a->below) != 0) break;
             out--;
             if (!j) memmove(knot, knot + 1, out * sizeof *knot);
@@ -8929,7 +9003,7 @@ enum {
 #define TETCASTI_K2 4.06699337e-06f
 #define TETCASTI_K3 -9.65771032e-05f
 #define TETCASTI_K4 -3.16675869e-06f
-#define TETCASTI_PER_MAX 3e38f /* length per value where two values are a denormal number apart */
+#define TETCASTI_PER_MAX 3e38f /* largest length per value that is multiplied with; else shares of the length are */
 
 /* ---- scalar ---- */
 
@@ -8990,15 +9064,30 @@ TETCASTI_INLINE void tetcasti_add(const int soft, const int kind, const int cue,
     sum->t = sum->t - w->drop;
 }
 
+/* Largest product of two ramps between their ends, from f to b and from g to h; 0: it is at an end. */
+static float tetcasti_ramps_top(float f, float b, float g, float h) {
+    const double df = (double)b - (double)f, dg = (double)h - (double)g, bend = df * dg;
+    const double s = (double)f * dg + (double)g * df, e = (double)b * dg + (double)h * df; /* slopes at the ends */
+    double x;
+    if (!(s > 0.0 && e < 0.0)) return 0.0f;
+    x = s / (-2.0 * bend);
+    return (float)(((double)f + df * x) * ((double)g + dg * x));
+}
+
 /* Largest emission of a piece, times k: at its ends or, where a rising and a falling ramp meet, at the top between. */
-TETCASTI_INLINE void tetcasti_piece_maximum(const int kind, float k, const float *c, float uf, float ds,
-                                            float most[3]) {
+TETCASTI_INLINE void tetcasti_piece_maximum(const int kind, uint32_t steep, float k, const float *c, float uf,
+                                            float ds, float most[3]) {
     const float ub = uf + ds, tf = c[0] + c[1] * uf, tb = c[0] + c[1] * ub;
     uint32_t i;
     for (i = 0; i < 3; i++) {
         const float c0 = c[2 + 2 * i], c1 = c[3 + 2 * i];
         float f = c0 + c1 * uf, b = c0 + c1 * ub;
-        if (kind == TETCASTI_KIND_MAXIMUM) {
+        if (kind == TETCASTI_KIND_MAXIMUM && TETCASTI_UNLIKELY(steep)) {
+            const float top = tetcasti_ramps_top(f, b, tf, tb);
+            f = f * tf;
+            b = b * tb;
+            f = f > top ? f : top;
+        } else if (kind == TETCASTI_KIND_MAXIMUM) {
             const float bend = c1 * c[1], slope = c0 * c[1] + c1 * c[0];
             const float sf = slope + (bend + bend) * uf, sb = slope + (bend + bend) * ub;
             f = f * tf;
@@ -9019,7 +9108,7 @@ TETCASTI_INLINE void tetcasti_piece(const int soft, const int kind, const int cu
     tetcasti_weights w;
     float um = tetcasti_fma(soft, 0.5f, ds, uf), tau = tetcasti_fma(soft, c[1], um, c[0]), m, g;
     if (kind >= TETCASTI_KIND_MAXIMUM) {
-        tetcasti_piece_maximum(kind, k, c, uf, ds, sum->c);
+        tetcasti_piece_maximum(kind, o->tf.steep, k, c, uf, ds, sum->c);
         return;
     }
     tau = tau > 0.0f ? tau : 0.0f;
@@ -9030,7 +9119,7 @@ TETCASTI_INLINE void tetcasti_piece(const int soft, const int kind, const int cu
         for (cuts = 0; cuts < TETCASTI_CUT_MAX; cuts++) {
             float a, root, x, part_s, part_d;
             const int deep = m > 1.0f;
-            if (m > 1e15f) d = d * (1e15f / m);
+            if (m > 1e15f) d = m < TETCASTI_INF ? d * (1e15f / m) : 1e15f / tau;
             a = tetcasti_fma(soft, c[1], uf, c[0]) * d;
             a = a > 0.0f ? a : 0.0f;
             root = tetcasti_fma(soft, a, a, TETCASTI_CUT_DEPTH * ((c[1] * ds) * d));
@@ -9073,7 +9162,8 @@ TETCASTI_INLINE void tetcasti_exact(const int soft, const int kind, const int cu
     const tetcasti_tf *tf = &o->tf;
     const float *c;
     uint32_t at;
-    float per, k = 1.0f;
+    float per, whole, k = 1.0f;
+    int steep;
     if (!(sum->t > o->t_stop)) return;
     at = (uint32_t)sum->at;
     c = tf->coef[at];
@@ -9091,13 +9181,14 @@ TETCASTI_INLINE void tetcasti_exact(const int soft, const int kind, const int cu
         tetcasti_piece(soft, kind, cue, o, k, c, front - c[TETCASTI_BASE], back - front, length, sum);
         return;
     }
-    per = length / (back - front);
-    per = per < TETCASTI_PER_MAX ? per : TETCASTI_PER_MAX;
-    per = per > -TETCASTI_PER_MAX ? per : -TETCASTI_PER_MAX;
+    whole = back - front;
+    per = length / whole;
+    steep = !(tetcasti_absf(per) < TETCASTI_PER_MAX);
     for (;;) {
         const float lo = c[TETCASTI_LOWER], hi = c[TETCASTI_UPPER], end = back < lo ? lo : back > hi ? hi : back;
         const float ds = end - front;
-        tetcasti_piece(soft, kind, cue, o, k, c, front - c[TETCASTI_BASE], ds, ds * per, sum);
+        const float d = TETCASTI_UNLIKELY(steep) ? length * (ds / whole) : ds * per;
+        tetcasti_piece(soft, kind, cue, o, k, c, front - c[TETCASTI_BASE], ds, d, sum);
         if (end == back) break;
         at = back > end ? at + 1 : at - 1;
         front = end;
@@ -9384,12 +9475,18 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE __m256 tetcasti_tau8(const tetcasti_coef8 *
     return _mm256_max_ps(TETCASTI_F(c->c[1], u, c->c[0]), _mm256_setzero_ps());
 }
 
+/* Lanes that are too steep to be multiplied with their length per value. */
+TETCASTI_TARGET_WALK TETCASTI_INLINE __m256 tetcasti_steep8(__m256 per) {
+    return _mm256_cmp_ps(_mm256_andnot_ps(TETCASTI_V(-0.0f), per), TETCASTI_V(TETCASTI_PER_MAX), _CMP_NLT_UQ);
+}
+
 /* Lanes whose segment crosses knots or has pieces deeper than 1: all lanes in step, one part of a piece at a time,
-   until the last lane is through; lanes that are done go on with length 0, which adds nothing. */
-TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_exact8_parts(const int form, const int kind, const int cue,
-                                                                const tetcast_optics *o, __m256 k, __m256 front,
-                                                                __m256 back, __m256 length, tetcasti_coef8 *c,
-                                                                tetcasti_acc8 *sum) {
+   until the last lane is through; lanes that are done go on with length 0, which adds nothing. 0: not for these lanes,
+   and nothing is done. */
+TETCASTI_TARGET_WALK TETCASTI_INLINE int tetcasti_exact8_parts(const int form, const int kind, const int cue,
+                                                               const tetcast_optics *o, __m256 k, __m256 front,
+                                                               __m256 back, __m256 length, tetcasti_coef8 *c,
+                                                               tetcasti_acc8 *sum) {
     const __m256 one = TETCASTI_V(1.0f), cut_depth = TETCASTI_V(TETCASTI_CUT_DEPTH), zero = _mm256_setzero_ps();
     const __m256i step = _mm256_or_si256(_mm256_castps_si256(_mm256_cmp_ps(back, front, _CMP_LT_OQ)),
                                          _mm256_set1_epi32(1));
@@ -9398,20 +9495,22 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_exact8_parts(const int form, 
     __m256 per = _mm256_div_ps(length, TETCASTI_S(back, front));
     __m256 uf = TETCASTI_S(front, c->base), ds, d;
     __m256i cuts = _mm256_setzero_si256(), at = sum->at;
-    per = _mm256_max_ps(_mm256_min_ps(per, TETCASTI_V(TETCASTI_PER_MAX)), TETCASTI_V(-TETCASTI_PER_MAX));
+    if (TETCASTI_UNLIKELY(_mm256_movemask_ps(_mm256_and_ps(tetcasti_steep8(per), cross)) != 0)) return 0;
     per = _mm256_and_ps(per, cross);
     end = _mm256_blendv_ps(back, end, cross);
     ds = TETCASTI_S(end, front);
     d = _mm256_blendv_ps(length, TETCASTI_M(ds, per), cross);
     for (;;) {
-        __m256 um = TETCASTI_F(TETCASTI_V(0.5f), ds, uf), m = TETCASTI_M(tetcasti_tau8(c, um), d), g, deep;
+        __m256 um = TETCASTI_F(TETCASTI_V(0.5f), ds, uf), tau = tetcasti_tau8(c, um), m = TETCASTI_M(tau, d), g, deep;
         int any;
         tetcasti_fetch_colors8(form, &o->tf, at, c);
         deep = kind <= TETCASTI_KIND_INDEPENDENT ? _mm256_cmp_ps(m, one, _CMP_GT_OQ) : zero;
         if (kind <= TETCASTI_KIND_INDEPENDENT && _mm256_movemask_ps(deep) != 0) {
             const __m256 most = TETCASTI_V(1e15f);
             __m256 a, root, x, part_s, part_d, spent;
-            d = _mm256_blendv_ps(d, TETCASTI_M(d, _mm256_div_ps(most, m)), _mm256_cmp_ps(m, most, _CMP_GT_OQ));
+            a = _mm256_blendv_ps(TETCASTI_M(d, _mm256_div_ps(most, m)), _mm256_div_ps(most, tau),
+                                 _mm256_cmp_ps(m, TETCASTI_V(TETCASTI_INF), _CMP_EQ_OQ));
+            d = _mm256_blendv_ps(d, a, _mm256_cmp_ps(m, most, _CMP_GT_OQ));
             a = _mm256_max_ps(TETCASTI_M(TETCASTI_F(c->c[1], uf, c->c[0]), d), zero);
             root = TETCASTI_F(a, a, TETCASTI_M(cut_depth, TETCASTI_M(TETCASTI_M(c->c[1], ds), d)));
             x = _mm256_div_ps(cut_depth, TETCASTI_A(a, _mm256_sqrt_ps(_mm256_max_ps(root, zero))));
@@ -9440,7 +9539,7 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_exact8_parts(const int form, 
         }
         if (any == 0) {
             sum->at = at;
-            return;
+            return 1;
         }
         { /* lanes that are through with their interval go to the next one, or to a stretch of no length */
             const __m256 go = _mm256_andnot_ps(deep, cross);
@@ -9514,7 +9613,8 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_exact8_slow(const int for
                                                                    uint32_t lanes, tetcasti_ray_sum8 *sum) {
     tetcasti_start8 s;
     tetcasti_start8_of(form, kind, cue, form != TETCASTI_TF_ANY, o, seg, lanes, sum, &s);
-    tetcasti_exact8_parts(form, kind, cue, o, s.k, s.front, s.back, s.length, &s.c, &s.acc);
+    if (!tetcasti_exact8_parts(form, kind, cue, o, s.k, s.front, s.back, s.length, &s.c, &s.acc))
+        return tetcasti_lanes_by_one(o->piece, o, seg, lanes, sum);
     return tetcasti_end8_of(form, o, lanes, &s.acc, sum);
 }
 
@@ -9555,7 +9655,6 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_exact8(const int form, co
         const __m256i at = _mm256_add_epi32(s.acc.at, step);
         __m256 per = _mm256_div_ps(d, ds), um2, m2, ds2, d2, deep;
         tetcasti_coef8 c2;
-        per = _mm256_max_ps(_mm256_min_ps(per, TETCASTI_V(TETCASTI_PER_MAX)), TETCASTI_V(-TETCASTI_PER_MAX));
         tetcasti_fetch_bounds8(form, &o->tf, at, &c2);
         ds2 = _mm256_and_ps(TETCASTI_S(s.back, end), cross);
         d2 = _mm256_and_ps(TETCASTI_M(ds2, per), cross);
@@ -9566,7 +9665,7 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_exact8(const int form, co
         m = TETCASTI_M(tetcasti_tau8(&s.c, um), d);
         m2 = TETCASTI_M(tetcasti_tau8(&c2, um2), d2);
         deep = _mm256_or_ps(_mm256_cmp_ps(s.back, c2.lo, _CMP_LT_OQ), _mm256_cmp_ps(s.back, c2.hi, _CMP_GT_OQ));
-        deep = _mm256_and_ps(deep, cross);
+        deep = _mm256_and_ps(_mm256_or_ps(deep, tetcasti_steep8(per)), cross);
         if (kind <= TETCASTI_KIND_INDEPENDENT) {
             deep = _mm256_or_ps(deep, _mm256_cmp_ps(_mm256_max_ps(m, m2), one, _CMP_GT_OQ));
         }
@@ -9837,8 +9936,8 @@ static void tetcasti_segment_psi(const tetcast_optics *o, float front, float bac
         const float u = from - c[TETCASTI_BASE], v = end - c[TETCASTI_BASE];
         float a = (c[0] + c[1] * u) * d, b = (c[0] + c[1] * v) * d, zeta, psi, color[3];
         if (!(sum->t > o->t_stop)) return;
-        a = a > 0.0f ? a : 0.0f;
-        b = b > 0.0f ? b : 0.0f;
+        a = a > 0.0f ? a < TETCASTI_PER_MAX ? a : TETCASTI_PER_MAX : 0.0f;
+        b = b > 0.0f ? b < TETCASTI_PER_MAX ? b : TETCASTI_PER_MAX : 0.0f;
         zeta = tetcasti_exp_neg(0.5f * (a + b));
         psi = tetcasti_psi_lookup(o->psi, a, b);
         for (i = 0; i < 3; i++) {
@@ -9935,7 +10034,7 @@ static void tetcasti_segment_steps(const tetcast_optics *o, float front, float b
         float e[4], s, x, y;
         uint32_t i, j;
         gone = gone + (h - sum->carry[0]);
-        s = front + (back - front) * (gone / length);
+        s = length > 0.0f ? front + (back - front) * (gone / length) : front; /* rounding: a whole step was pending */
         x = tetcasti_table_column(&o->table, sum->carry[1], &i);
         y = tetcasti_table_column(&o->table, s, &j);
         tetcasti_table_bilinear(&o->table, (size_t)i * o->table.values + j, x, y, e);
@@ -10495,6 +10594,7 @@ static tetcasti_segment8_fn *tetcasti_exact8_pick(const tetcast_optics *o, tetca
             if (o->tf.independent) {
                 return cue ? tetcasti_exact8_maximum_independent_cue : tetcasti_exact8_maximum_independent_any;
             }
+            if (o->tf.steep) break; /* one lane after the other */
             return cue ? tetcasti_exact8_maximum_cue : few ? tetcasti_exact8_maximum_16 : tetcasti_exact8_maximum_any;
         case TETCAST_MODEL_ABSORPTION: return few ? tetcasti_exact8_absorption_16 : tetcasti_exact8_absorption_any;
         default:
@@ -10769,8 +10869,9 @@ static tetcast_result tetcasti_optics_make(const tetcast_optics *old, const tetc
     else memset(&d, 0, sizeof d);
     r = tetcasti_optics_check(&d);
     if (r == TETCAST_ERR_UNINIT_DESC) return r;
-    if (r == TETCAST_OK) r = tetcasti_env_open(&d.env, &mem);
     if (r != TETCAST_OK) return tetcasti_fail(d.env.error, r, 0, "optics: a number or an enum is out of range");
+    r = tetcasti_env_open(&d.env, &mem);
+    if (r != TETCAST_OK) return r;
     o = (tetcast_optics *)tetcasti_alloc_zero(&mem, 1, sizeof *o);
     if (o == NULL) return tetcasti_fail(d.env.error, TETCAST_ERR_NO_MEMORY, 0, "optics: out of memory");
     o->mem = mem;
@@ -10787,6 +10888,7 @@ static tetcast_result tetcasti_optics_make(const tetcast_optics *old, const tetc
     if (r == TETCAST_OK) r = tetcasti_optics_knots(o, transfer, &d);
     if (r == TETCAST_OK) {
         o->max_scale = o->tf.max_emission > 0.0f ? 1.0f / o->tf.max_emission : 0.0f;
+        if (!tetcasti_finite_f(o->max_scale)) o->max_scale = 3e38f;
         o->t_stop = -INFINITY; /* while tables are built */
         o->cue = 0;
         o->piece = o->segment = tetcasti_exact_pick(o, tetcasti_has_fma()); /* what piece8 calls without AVX2 */
@@ -10853,8 +10955,8 @@ TETCAST_DEF tetcast_result tetcast_optics_ray(const tetcast_optics *optics, cons
     tetcasti_ray_begin(optics, &sum);
     for (i = 0; i < count; i++) {
         const tetcast_segment *s = &segments[i];
-        if (!tetcasti_segment_ok(optics, s)) return TETCAST_ERR_INVALID_ARG;
         if (tetcasti_ray_ended(optics, &sum)) break;
+        if (!tetcasti_segment_ok(optics, s)) return TETCAST_ERR_INVALID_ARG;
         if (i != 0 && s->front != s[-1].back) tetcasti_ray_gap(optics, &sum);
         if (optics->iso_count != 0) {
             tetcasti_segment_iso(optics, s->front, s->back, s->length, s->depth, NULL, NULL, view, &sum);
@@ -11141,7 +11243,8 @@ static void tetcasti_task_iso_triangles(void *ctx, uint32_t chunk) {
 
 /* Without gradients: normals of the triangles around, weighted by their areas. In the order of the triangles. 0:
    memory. */
-static int tetcasti_iso_flat_normals(tetcast_surface *s, tetcasti_mem *mem) {
+static int tetcasti_iso_flat_normals(tetcast_surface *s, double unit, tetcasti_mem *mem) {
+    const double scale = 1.0 / unit; /* a power of two: products of world units may not be floats */
     float *sum = (float *)tetcasti_alloc_zero(mem, s->vertex_count, 3 * sizeof(float));
     uint32_t i, k;
     if (sum == NULL) return 0;
@@ -11151,8 +11254,8 @@ static int tetcasti_iso_flat_normals(tetcast_surface *s, tetcasti_mem *mem) {
         const float *c = s->positions + 3 * (size_t)v[2];
         float p[3], q[3], n[3];
         for (k = 0; k < 3; k++) {
-            p[k] = b[k] - a[k];
-            q[k] = c[k] - a[k];
+            p[k] = (float)((double)(b[k] - a[k]) * scale);
+            q[k] = (float)((double)(c[k] - a[k]) * scale);
         }
         n[0] = p[1] * q[2] - p[2] * q[1];
         n[1] = p[2] * q[0] - p[0] * q[2];
@@ -11229,7 +11332,7 @@ static tetcast_result tetcasti_iso_run(tetcasti_iso *p, const tetcast_surface_de
     tetcasti_parallel_for(env, tetcasti_task_iso_vertices, p, p->vertex_chunks);
     tetcasti_parallel_for(env, tetcasti_task_iso_triangles, p, p->chunks);
     out->flat_count = (uint32_t)tetcasti_tally(p->flat);
-    if (out->normals != NULL && mesh->gradient == NULL && !tetcasti_iso_flat_normals(out, mem))
+    if (out->normals != NULL && mesh->gradient == NULL && !tetcasti_iso_flat_normals(out, mesh->unit, mem))
         return TETCAST_ERR_NO_MEMORY;
     return TETCAST_OK;
 }
@@ -11246,9 +11349,11 @@ TETCAST_DEF tetcast_result tetcast_isosurface(const tetcast_surface_desc *desc, 
     memset(&none, 0, sizeof none);
     if (desc == NULL) desc = &none;
     if (desc->_begin_zero != 0 || desc->_end_zero != 0) return TETCAST_ERR_UNINIT_DESC;
-    if (mesh == NULL || !tetcasti_finite_f(desc->isovalue)) return TETCAST_ERR_INVALID_ARG;
+    if (mesh == NULL) return TETCAST_ERR_INVALID_ARG;
     result = tetcasti_env_open(&desc->env, &mem);
     if (result != TETCAST_OK) return result;
+    if (!tetcasti_finite_f(desc->isovalue))
+        return tetcasti_fail(desc->env.error, TETCAST_ERR_INVALID_ARG, 0, "the isovalue is no number");
     if (mesh->tet == NULL)
         return tetcasti_fail(desc->env.error, TETCAST_ERR_INVALID_ARG, 0, "the mesh has dropped its tetrahedra");
     if (mesh->cell_value != NULL)
@@ -11319,6 +11424,7 @@ TETCAST_DEF void tetcast_surface_free(tetcast_surface *surface) {
 #define TETCASTI_WALK_SIZE 65536u  /* largest side of a picture that can be projected */
 #define TETCASTI_SAMPLES 512u      /* cells that are looked at to find out how large they are */
 #define TETCASTI_FEW_CELLS 65536u  /* with more cells, they are not large */
+#define TETCASTI_SPLAT_END 4.7223665e21f /* values from 2^72 on: their products with edge functions are not floats */
 #define TETCASTI_PROJECT_FROM 16000.0f /* pixels per cell from which on projection is the faster way (measured) */
 
 typedef struct tetcasti_seen {
@@ -11765,6 +11871,7 @@ static int tetcasti_splat_open(const tetcasti_view *v, const uint32_t tet[4], te
     s->s_lo = s->s_hi = 0.0f;
     for (i = 0; i < 4; i++) {
         const tetcasti_seen *q = p[role[i]];
+        if (!(tetcasti_absf(vertex[tet[i]].s) < TETCASTI_SPLAT_END)) return 0;
         float value = vertex[tet[role[i]]].s;
         s->w[i] = q->w;
         s->wz[i] = q->w * q->z;
@@ -12494,6 +12601,9 @@ TETCASTI_TARGET_WALK static void tetcasti_splats_open8(tetcasti_painter *p, cons
     t0 = _mm256_max_ps(value[0], value[2]);
     t1 = _mm256_max_ps(value[1], value[3]);
     TETCASTI_STORE(s->s_hi, _mm256_max_ps(t0, t1));
+    for (k = 0; k < 4; k++)
+        clear = _mm256_and_ps(clear, _mm256_cmp_ps(_mm256_andnot_ps(sign, value[k]),
+                                                   _mm256_set1_ps(TETCASTI_SPLAT_END), _CMP_LT_OQ));
     tetcasti_splats_roles8(s, fronts, x, y, z, w, value);
     k = (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(good));
     odd = (uint32_t)_mm256_movemask_ps(behind);
@@ -13186,10 +13296,15 @@ static tetcast_result tetcasti_scene_open(const tetcast_render_desc *d, const te
     s->first = mesh->cells.first;
     s->stop_log = TETCASTI_CLUSTER_LOG;
     s->optics = optics;
-    s->unit = (float)mesh->unit;
+    s->unit = (float)tetcasti_min(mesh->unit, TETCASTI_UNIT_END);
+    s->beyond = (float)tetcasti_max(tetcasti_min(mesh->unit / TETCASTI_UNIT_END, 3e38), 1.0);
     s->smooth_normals = d->smooth_normals;
     s->fma = (uint32_t)tetcasti_has_fma();
     s->any = optics != NULL && (optics->iso_count != 0 || mesh->hidden != NULL || mesh->cell_value != NULL);
+    if (mesh->field_count != 0 && mesh->cell_value == NULL) {
+        const tetcasti_field *f = &mesh->field[mesh->active];
+        s->wide = f->value_max > TETCASTI_WIDE_FROM || f->value_min < -TETCASTI_WIDE_FROM;
+    }
     if (optics != NULL) {
         tetcasti_ray_sum none;
         tetcasti_ray_begin(optics, &none);
@@ -13460,10 +13575,11 @@ static void tetcasti_pixel_write(const tetcasti_render *c, tetcasti_batch *b, ui
         float d[3];
         tetcasti_ray r = tetcasti_batch_ray(b, i);
         tetcasti_ray_direction(&r, d);
-        depth = b->depth[i] * (d[0] * (float)forward[0] + d[1] * (float)forward[1] + d[2] * (float)forward[2]);
+        depth = b->depth[i] * (d[0] * (float)forward[0] + d[1] * (float)forward[1] + d[2] * (float)forward[2]) *
+                c->scene.beyond;
     }
     tetcasti_pixel_put(c->image, &c->encoder, c->desc->background, x, y, rgba, depth,
-                       ray ? b->length[i] * c->scene.unit : 0.0f, ray ? b->steps[i] : 0);
+                       ray ? b->length[i] * c->scene.unit * c->scene.beyond : 0.0f, ray ? b->steps[i] : 0);
 }
 
 /* rays, hit rays, walks, steps, hull tests, ended, lanes */
@@ -13630,8 +13746,10 @@ static tetcast_result tetcasti_desc_open(const tetcast_render_desc *desc, tetcas
     if (desc != NULL) *d = *desc;
     if (d->_begin_zero != 0 || d->_end_zero != 0) return TETCAST_ERR_UNINIT_DESC;
     for (a = 0; a < 4; a++)
-        if (!tetcasti_finite_f(d->background[a])) return TETCAST_ERR_INVALID_ARG;
-    if (!(d->clip_near >= 0.0f && d->clip_near < TETCASTI_INF && d->clip_far >= 0.0f)) return TETCAST_ERR_INVALID_ARG;
+        if (!tetcasti_finite_f(d->background[a]))
+            return tetcasti_fail(d->env.error, TETCAST_ERR_INVALID_ARG, a, "render: number % of background is none");
+    if (!(d->clip_near >= 0.0f && d->clip_near < TETCASTI_INF && d->clip_far >= 0.0f))
+        return tetcasti_fail(d->env.error, TETCAST_ERR_INVALID_ARG, 0, "render: clip_near or clip_far is out of range");
     return tetcasti_env_open(&d->env, mem);
 }
 
@@ -13660,8 +13778,9 @@ TETCAST_DEF tetcast_result tetcast_render(const tetcast_render_desc *desc, const
     memset(&c, 0, sizeof c);
     r = tetcasti_desc_open(desc, &d, &c.mem);
     if (r != TETCAST_OK) return r;
-    if (mesh == NULL || image == NULL || (optics == NULL && !d.traverse_only) ||
-        (uint32_t)d.method > TETCAST_METHOD_PROJECT) return TETCAST_ERR_INVALID_ARG;
+    if (mesh == NULL || image == NULL || (optics == NULL && !d.traverse_only)) return TETCAST_ERR_INVALID_ARG;
+    if ((uint32_t)d.method > TETCAST_METHOD_PROJECT)
+        return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, 0, "render: no such method");
     c.desc = &d;
     c.image = image;
     r = tetcasti_scene_open(&d, mesh, d.traverse_only ? NULL : optics, &c.scene);
@@ -13779,9 +13898,9 @@ static void tetcasti_task_cast(void *ctx, uint32_t strand) {
             memset(out, 0, sizeof *out);
             out->hit = TETCASTI_INF;
             if (b->group[i] == TETCASTI_NO_RAY) continue;
-            if (b->depth[i] < TETCASTI_INF) out->hit = b->depth[i];
+            if (c->scene.optics != NULL && c->scene.optics->iso_count != 0) out->hit = b->depth[i] * c->scene.beyond;
             if (c->scene.optics != NULL) tetcasti_ray_finish(c->scene.optics, &b->sum[i], out->rgba);
-            out->length = b->length[i] * c->scene.unit;
+            out->length = b->length[i] * c->scene.unit * c->scene.beyond;
             out->steps = b->steps[i];
             out->walks = b->walks[i];
         }
@@ -13802,7 +13921,8 @@ TETCAST_DEF tetcast_result tetcast_cast(const tetcast_render_desc *desc, const t
     r = tetcasti_desc_open(desc, &d, &c.mem);
     if (r != TETCAST_OK) return r;
     if (mesh == NULL || (count != 0 && (rays == NULL || results == NULL))) return TETCAST_ERR_INVALID_ARG;
-    if (count / TETCASTI_BATCH >= 0x7fffffffu) return TETCAST_ERR_RANGE;
+    if (count / TETCASTI_BATCH >= 0x7fffffffu)
+        return tetcasti_fail(d.env.error, TETCAST_ERR_RANGE, count, "cast: % rays are too many");
     r = tetcasti_scene_open(&d, mesh, d.traverse_only ? NULL : optics, &c.scene);
     if (r != TETCAST_OK) return tetcasti_fail(d.env.error, r, 0, "cast: bad option");
     r = tetcasti_scene_reached(mesh, c.scene.optics, &d.env);
@@ -13835,6 +13955,7 @@ static uint64_t tetcasti_probe_run(const tetcasti_scene *scene, tetcasti_batch *
     tetcasti_batch_put(scene, b, 0, o, dir, ends[0], ends[1]);
     tetcasti_line_hits(scene, b, 0);
     tetcasti_batch_sort(b);
+    if (b->failed) return 0;
     r = tetcasti_batch_ray(b, 0);
     cursor = b->cursor[0];
     last = b->last[0];

@@ -308,6 +308,37 @@ TEST(edges_of_values) { /* plateaus, values equal to the isovalue, out of range,
     }
 }
 
+TEST(normals_of_any_units) { /* as of a mesh of ordinary ones; by triangles and by gradients */
+    static const int units[5][2] = {{0, 0}, {45, 0}, {-50, 0}, {90, -100}, {-90, 110}}; /* lengths, values: powers of 2 */
+    tetcast_surface s[5][2];
+    int u, k, a;
+    uint32_t i;
+    for (u = 0; u < 5; u++) {
+        const double size = ldexp(1, units[u][0]), value = ldexp(1, units[u][1]);
+        const double scale[3] = {size, size, size}, offset[3] = {0, 0, 0};
+        tets t;
+        tetcast_mesh *m;
+        memset(&t, 0, sizeof t);
+        tets_lattice(&t, 7, 7, 7, 5, NULL);
+        tets_place(&t, scale, offset);
+        for (i = 0; i < t.nv; i++) t.s[i] = (float)((double)t.s[i] * value);
+        m = tets_build(&t, TETCAST_CELLS_TET16, NULL);
+        REQUIRE(m != NULL);
+        for (k = 0; k < 2; k++) {
+            CHECK_EQ_U64(run(m, (float)(0.3 * value), 1, 1, &s[u][k]), TETCAST_OK);
+            CHECK(s[u][k].vertex_count == s[0][k].vertex_count && s[u][k].vertex_count > 50);
+            for (i = 0; i < s[0][k].vertex_count; i++)
+                for (a = 0; a < 3; a++)
+                    CHECK_NEAR(s[u][k].normals[3 * i + (uint32_t)a], s[0][k].normals[3 * i + (uint32_t)a], 1e-6);
+            CHECK_EQ_U64(tetcast_mesh_make_gradients(m, NULL), TETCAST_OK);
+        }
+        tetcast_mesh_destroy(m);
+        tets_free(&t);
+    }
+    for (u = 0; u < 5; u++)
+        for (k = 0; k < 2; k++) tetcast_surface_free(&s[u][k]);
+}
+
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(closed);
@@ -315,5 +346,6 @@ int main(int argc, char **argv) {
     RUN(same_for_all_threads);
     RUN(fan);
     RUN(edges_of_values);
+    RUN(normals_of_any_units);
     return test_end();
 }

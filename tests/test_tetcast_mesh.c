@@ -722,6 +722,36 @@ TEST(bad_cells) { /* each fault is counted, the rest is there */
     tets_free(&t);
 }
 
+TEST(duplicates_at_crowded_faces) { /* four and more cells at each of its faces: the second one is found all the same */
+    static const uint32_t face[4][3] = {{0, 1, 2}, {0, 1, 3}, {0, 2, 3}, {1, 2, 3}};
+    uint32_t order, i, k;
+    for (order = 0; order <= TETCAST_ORDER_INPUT; order++) {
+        tets t;
+        tetcast_report r;
+        tetcast_mesh_desc d = defaults();
+        tetcast_mesh *m;
+        memset(&t, 0, sizeof t);
+        d.order = (tetcast_order)order;
+        tets_vertex(&t, 0, 0, 0, 0);
+        tets_vertex(&t, 1, 0, 0, 0);
+        tets_vertex(&t, 0, 1, 0, 0);
+        tets_vertex(&t, 0, 0, 1, 0);
+        tets_tet(&t, 0, 1, 2, 3);
+        for (i = 0; i < 4; i++)
+            for (k = 0; k < 3; k++)
+                tets_tet(&t, face[i][0], face[i][1], face[i][2], tets_vertex(&t, i == 2 ? -1.0 - k : 1.0 + k, i == 1 ? -1.0 - k : 1.0 + k, i == 0 ? -1.0 - k : 1.0 + k, 0));
+        tets_tet(&t, 2, 0, 1, 3);
+        m = tets_build_desc(&t, &d, &r);
+        REQUIRE(m != NULL);
+        CHECK_EQ_U64(r.duplicates, 1);
+        CHECK_EQ_U64(r.first_duplicate, 13);
+        CHECK_EQ_U64(r.cells, 13);
+        CHECK_EQ_U64(r.nonmanifold_faces, 4);
+        tetcast_mesh_destroy(m);
+        tets_free(&t);
+    }
+}
+
 TEST(nonmanifold) { /* three cells at a face: all three have hull there */
     tets t;
     tetcast_report r;
@@ -1258,6 +1288,7 @@ int main(int argc, char **argv) {
     RUN(hexahedra_converge);
     RUN(grid_blanks);
     RUN(bad_cells);
+    RUN(duplicates_at_crowded_faces);
     RUN(nonmanifold);
     RUN(hanging_nodes);
     RUN(welded_blocks);

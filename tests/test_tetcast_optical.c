@@ -652,6 +652,76 @@ TEST(numbers_at_the_ends_of_what_is_allowed) { /* extinctions of 1e18, knots fro
     CHECK(large > 100);
 }
 
+TEST(units) { /* values and lengths of any size: the picture is that of ordinary ones */
+    static const int models[4] = {TETCAST_MODEL_VOLUME, TETCAST_MODEL_EMISSION, TETCAST_MODEL_ABSORPTION, TETCAST_MODEL_MAXIMUM};
+    static const int units[7][2] = {{0, 0}, {-60, 0}, {-100, 0}, {-118, 0}, {60, 0}, {110, 0}, {-90, 55}}; /* values, lengths: powers of 2 */
+    test_rng r = test_rng_make(62);
+    int m, u, k, c, rep, independent;
+    size_t n;
+    for (m = 0; m < 4; m++)
+        for (independent = 0; independent < 2; independent++)
+            for (k = 0; k < 3; k++) {
+                tetcast_segment s[20];
+                float want[4] = {0, 0, 0, 0};
+                tetcast_optics_desc d = desc_of((tetcast_model)models[m]);
+                const tetcast_control_point *p = pick(k & 1, &n);
+                random_ray(&r, s, 20, 0.3f);
+                for (u = 0; u < 7; u++) {
+                    const float value = (float)ldexp(1, units[u][0]), length = (float)ldexp(1, units[u][1]);
+                    tetcast_control_point q[40];
+                    tetcast_segment x[20];
+                    float rgba[20][4], alone[4], got[4];
+                    size_t count = k == 2 ? 40 : n; /* knots that are not in registers */
+                    tetcast_optics *o;
+                    for (c = 0; c < (int)count; c++) {
+                        q[c] = p[k == 2 ? (c < 38 ? c % 2 : c - 36) : c];
+                        if (k == 2) q[c].value = (float)c / 39.0f;
+                        q[c].value *= value;
+                        q[c].extinction /= length;
+                        for (rep = 0; rep < 3 && independent; rep++) q[c].rgb[rep] /= length;
+                    }
+                    for (c = 0; c < 20; c++) {
+                        x[c] = s[c];
+                        x[c].front *= value;
+                        x[c].back *= value;
+                        x[c].length *= length;
+                    }
+                    o = oracle_optics(q, count, independent, NULL, 0, &d);
+                    REQUIRE(o != NULL);
+                    CHECK(tetcast_optics_ray(o, x, 20, got, NULL) == TETCAST_OK);
+                    if (u == 0) memcpy(want, got, sizeof want);
+                    for (c = 0; c < 4; c++)
+                        CHECK_MSG(fabs((double)got[c] - (double)want[c]) < 4e-6 * (1 + fabs((double)want[c])), "model %d, %d, function %d, units %d: %g is not %g",
+                                  m, independent, k, u, (double)got[c], (double)want[c]);
+                    CHECK(tetcast_optics_segments(o, x, 20, TETCAST_ISA_AUTO, rgba) == TETCAST_OK);
+                    for (c = 0; c < 20; c++) {
+                        CHECK(tetcast_optics_ray(o, &x[c], 1, alone, NULL) == TETCAST_OK);
+                        CHECK_MSG(memcmp(alone, rgba[c], sizeof alone) == 0, "model %d, %d, function %d, units %d, segment %d: %g is not %g", m, independent, k, u, c,
+                                  (double)rgba[c][0], (double)alone[0]);
+                    }
+                    tetcast_optics_destroy(o);
+                }
+            }
+}
+
+TEST(what_ends_a_ray) { /* is not looked at: what is behind may be anything */
+    static const tetcast_control_point p[] = {{0.0f, {1, 0, 0}, 1e6f}};
+    tetcast_optics_desc d = desc_of(TETCAST_MODEL_VOLUME);
+    tetcast_segment s[2];
+    tetcast_optics *o;
+    float rgba[4];
+    size_t used = 0;
+    memset(s, 0, sizeof s);
+    s[0].length = 1.0f;
+    s[1].front = s[1].length = NAN;
+    d.t_min = 0.0f;
+    o = oracle_optics(p, 1, 0, NULL, 0, &d);
+    CHECK_EQ_U64(tetcast_optics_ray(o, s, 2, rgba, &used), TETCAST_OK);
+    CHECK(used == 1 && rgba[0] > 0.99f);
+    CHECK_EQ_U64(tetcast_optics_ray(o, s + 1, 1, rgba, &used), TETCAST_ERR_INVALID_ARG);
+    tetcast_optics_destroy(o);
+}
+
 TEST(light_through_dark_fog) { /* what is left after n segments is right in all its digits, not only beside 1 */
     static const tetcast_control_point p[] = {{0.0f, {0, 0, 0}, 2.0f}, {0.5f, {0, 0, 0}, 2.0f}, {0.5f, {1, 1, 1}, 1e6f}, {1.0f, {1, 1, 1}, 1e6f}};
     tetcast_optics_desc d = desc_of(TETCAST_MODEL_VOLUME);
@@ -1026,6 +1096,8 @@ int main(int argc, char **argv) {
     RUN(surfaces_by_lane);
     RUN(lanes_that_are_off);
     RUN(numbers_at_the_ends_of_what_is_allowed);
+    RUN(units);
+    RUN(what_ends_a_ray);
     RUN(light_through_dark_fog);
     RUN(cue_of_a_surface);
     RUN(tolerance_holds);

@@ -519,6 +519,79 @@ TEST(oracle_pictures) {
 
 /* ---- arguments, memory, sizes ---- */
 
+TEST(units) { /* lengths and values of any size: the picture is that of ordinary ones, walked and projected, by any instruction set */
+    static const int units[6][2] = {{0, 0}, {80, -90}, {-55, 70}, {0, 90}, {0, 120}, {60, -115}}; /* lengths, values: powers of 2 */
+    static picture want[2], got, other;
+    uint32_t u, k, x, y, c, isa, seen = 0;
+    for (u = 0; u < 6; u++)
+        for (k = 0; k < 2; k++) { /* a volume; with a surface that is shaded smoothly */
+            const double size = ldexp(1, units[u][0]), value = ldexp(1, units[u][1]);
+            const double scale[3] = {size, size, size}, offset[3] = {0, 0, 0};
+            tetcast_control_point p[3];
+            tetcast_transfer_desc td;
+            tetcast_optics_desc od;
+            tetcast_isovalue iso;
+            tetcast_render_desc d;
+            scene s;
+            memset(&s, 0, sizeof s);
+            memset(&td, 0, sizeof td);
+            memset(&od, 0, sizeof od);
+            memset(&iso, 0, sizeof iso);
+            memset(&d, 0, sizeof d);
+            memset(p, 0, sizeof p);
+            tets_lattice(&s.t, 8, 8, 8, 5, NULL);
+            tets_jitter(&s.t, 8, 8, 8, 0.5, 3);
+            tets_place(&s.t, scale, offset);
+            for (x = 0; x < s.t.nv; x++) s.t.s[x] = (float)((double)s.t.s[x] * value);
+            scene_build(&s);
+            for (c = 0; c < 3; c++) {
+                p[c].value = (float)(0.35 * c * value);
+                p[c].rgb[c] = 1.0f;
+                p[c].extinction = (float)(0.1 * c / size);
+            }
+            iso.value = (float)(0.4 * value);
+            iso.rgb[0] = iso.rgb[1] = iso.rgb[2] = iso.opacity = 0.5f;
+            td.points = p;
+            td.point_count = 3;
+            td.isovalues = &iso;
+            td.isovalue_count = k;
+            od.model = k ? TETCAST_MODEL_MIXED : TETCAST_MODEL_VOLUME;
+            CHECK_EQ_U64(tetcast_transfer_create(&td, &s.transfer), TETCAST_OK);
+            CHECK_EQ_U64(tetcast_optics_create(s.transfer, &od, &s.optics), TETCAST_OK);
+            if (k) CHECK_EQ_U64(tetcast_mesh_make_gradients(s.mesh, NULL), TETCAST_OK);
+            d.smooth_normals = k;
+            d.env.thread_count = 1;
+            d.no_leaping = 1;
+            d.isa = TETCAST_ISA_SCALAR;
+            g_no_depth = !k;
+            CHECK_EQ_U64(draw(&d, TETCAST_METHOD_WALK, &s, &got, NULL), TETCAST_OK);
+            if (u == 0) want[k] = got;
+            for (y = 0; y < H; y++)
+                for (x = 0; x < W; x++)
+                    for (c = 0; c < 4; c++) {
+                        seen += want[k].rgba[y][x][c] > 0.1f;
+                        CHECK_NEAR(got.rgba[y][x][c], want[k].rgba[y][x][c], 2e-5);
+                    }
+            for (isa = TETCAST_ISA_SSE; isa <= TETCAST_ISA_AVX512; isa++) {
+                d.isa = (tetcast_isa)isa;
+                CHECK_EQ_U64(draw(&d, TETCAST_METHOD_WALK, &s, &other, NULL), TETCAST_OK);
+                CHECK_MSG(memcmp(got.rgba, other.rgba, sizeof got.rgba) == 0, "units %u, model %u, instruction set %u: other bits", u, k, isa);
+            }
+            for (isa = TETCAST_ISA_SCALAR; isa <= TETCAST_ISA_AVX2; isa++) {
+                d.isa = (tetcast_isa)isa;
+                CHECK_EQ_U64(draw(&d, TETCAST_METHOD_PROJECT, &s, isa == TETCAST_ISA_SCALAR ? &got : &other, NULL), TETCAST_OK);
+                if (isa != TETCAST_ISA_SCALAR)
+                    CHECK_MSG(memcmp(got.rgba, other.rgba, sizeof got.rgba) == 0, "units %u, model %u, instruction set %u: other bits, projected", u, k, isa);
+            }
+            for (y = 0; y < H; y++)
+                for (x = 0; x < W; x++)
+                    for (c = 0; c < 4; c++) CHECK_NEAR(got.rgba[y][x][c], want[k].rgba[y][x][c], 2e-4);
+            g_no_depth = 0;
+            scene_free(&s);
+        }
+    CHECK(seen > 2000);
+}
+
 TEST(arguments) {
     scene s;
     tetcast_render_desc d;
@@ -810,6 +883,7 @@ int main(int argc, char **argv) {
     RUN(models);
     RUN(shortcuts);
     RUN(oracle_pictures);
+    RUN(units);
     RUN(arguments);
     RUN(memory);
     RUN(any_bits);

@@ -539,6 +539,28 @@ TEST(equidistant_steps) { /* across segments and gaps: converges to the exact ra
     tetcast_optics_destroy(exact);
 }
 
+TEST(pending_step) { /* lengths that add up to just a step by rounding, then a segment of no length */
+    static const tetcast_control_point p[3] = {{0.0f, {1, 0, 0}, 5.0f}, {0.5f, {0, 1, 0}, 0.0f}, {1.0f, {0, 1, 0}, 0.0f}};
+    tetcast_optics_desc d;
+    tetcast_segment s[4];
+    tetcast_optics *o;
+    float rgba[4];
+    int i;
+    memset(&d, 0, sizeof d);
+    memset(s, 0, sizeof s);
+    d.integrator = TETCAST_INTEGRATOR_TABLE_2D;
+    d.longest = 4.0f;
+    d.step = 1.0f;
+    o = oracle_optics(p, 3, 0, NULL, 0, &d);
+    for (i = 0; i < 4; i++) s[i].front = s[i].back = 1.0f; /* where nothing is */
+    s[0].length = 1.0f - 5.9604645e-8f;
+    s[1].length = 4.4703484e-8f;
+    s[3].length = 1.0f;
+    CHECK(tetcast_optics_ray(o, s, 4, rgba, NULL) == TETCAST_OK);
+    CHECK_MSG(rgba[0] == 0.0f && rgba[1] == 0.0f && rgba[3] == 0.0f, "%g %g %g", (double)rgba[0], (double)rgba[1], (double)rgba[3]);
+    tetcast_optics_destroy(o);
+}
+
 TEST(bad_tables) {
     tetcast_transfer *t = oracle_transfer(oracle_smooth, ORACLE_SMOOTH, 0, NULL, 0);
     tetcast_optics_desc d = desc_of(TETCAST_INTEGRATOR_TABLE_3D, 0, 0, 0.0f);
@@ -611,6 +633,7 @@ int main(int argc, char **argv) {
     RUN(lengths_beyond_the_table);
     RUN(values_outside);
     RUN(equidistant_steps);
+    RUN(pending_step);
     RUN(bad_tables);
     return test_end();
 }

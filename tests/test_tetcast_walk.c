@@ -1205,12 +1205,162 @@ TEST(boundary_layers) { /* cells that get a million times thinner towards a wall
     tets_free(&t);
 }
 
+TEST(large_numbers) { /* meshes whose lengths are no floats absorb all the same; values beyond 1e38 are 1e38 */
+    const double scale[3] = {1e39, 1e39, 1e39}, none[3] = {0, 0, 0};
+    tetcast_optics *o = constant_optics(0.3f, TETCAST_MODEL_VOLUME), *low;
+    tetcast_control_point p;
+    tetcast_transfer_desc td;
+    tetcast_transfer *transfer = NULL;
+    tetcast_render_desc d;
+    tetcast_ray ray;
+    tetcast_ray_result got[2];
+    tetcast_mesh *m;
+    tets t;
+    uint32_t i, isa;
+    float lo, hi, value;
+    memset(&t, 0, sizeof t);
+    memset(&d, 0, sizeof d);
+    memset(&ray, 0, sizeof ray);
+    memset(&p, 0, sizeof p);
+    memset(&td, 0, sizeof td);
+    tets_lattice(&t, 3, 3, 3, 5, NULL);
+    for (i = 0; i < t.nv; i++) t.s[i] = i % 3 == 0 ? -3e38f : 3e38f;
+    m = tets_build(&t, TETCAST_CELLS_TET16, NULL);
+    REQUIRE(m != NULL);
+    (void)tetcast_mesh_field(m, 0, &lo, &hi);
+    tetcast_mesh_vertex(m, 0, NULL, &value, NULL);
+    CHECK(lo == -1e38f && hi == 1e38f && (value == lo || value == hi));
+    p.value = -9e37f; /* one colour, everywhere: but the distance from that value is 3.9e38 */
+    p.rgb[1] = 1.0f;
+    p.extinction = 0.3f;
+    td.points = &p;
+    td.point_count = 1;
+    CHECK_EQ_U64(tetcast_transfer_create(&td, &transfer), TETCAST_OK);
+    low = NULL;
+    CHECK_EQ_U64(tetcast_optics_create(transfer, NULL, &low), TETCAST_OK);
+    ray.org[0] = 0.9;
+    ray.org[1] = 1.2;
+    ray.org[2] = -1;
+    ray.dir[2] = 1;
+    ray.t_min = 1.3;
+    ray.t_max = 2.7;
+    for (isa = TETCAST_ISA_SCALAR; isa <= TETCAST_ISA_AVX512; isa++) {
+        d.isa = (tetcast_isa)isa;
+        CHECK_EQ_U64(tetcast_cast(&d, m, low, &ray, 1, &got[0], NULL), TETCAST_OK);
+        CHECK_NEAR(got[0].rgba[1], 1 - exp(-0.42), 1e-5);
+    }
+    tetcast_mesh_destroy(m);
+    tets_place(&t, scale, none);
+    m = tets_build(&t, TETCAST_CELLS_TET16, NULL);
+    REQUIRE(m != NULL);
+    ray.org[0] *= 1e39;
+    ray.org[1] *= 1e39;
+    ray.org[2] *= 1e39;
+    ray.t_min = ray.t_max = 0;
+    for (isa = TETCAST_ISA_SCALAR; isa <= TETCAST_ISA_AVX512; isa++) {
+        d.isa = (tetcast_isa)isa;
+        CHECK_EQ_U64(tetcast_cast(&d, m, o, &ray, 1, got, NULL), TETCAST_OK);
+        CHECK_MSG(got[0].rgba[3] > 0.99f && got[0].rgba[3] <= 1 && got[0].length == INFINITY && isfinite(got[0].rgba[0]), "%g %g %g", (double)got[0].rgba[0],
+                  (double)got[0].rgba[3], (double)got[0].length);
+    }
+    tetcast_mesh_destroy(m);
+    tetcast_optics_destroy(o);
+    tetcast_optics_destroy(low);
+    tetcast_transfer_destroy(transfer);
+    tets_free(&t);
+}
+
+TEST(hits) { /* are those of isosurfaces, whatever else is seen */
+    tetcast_optics *o = constant_optics(0.3f, TETCAST_MODEL_VOLUME);
+    float value[64];
+    uint8_t mask[64];
+    tetcast_ray ray;
+    tetcast_ray_result got;
+    tetcast_input in;
+    tetcast_field f;
+    tetcast_mesh *m;
+    tets t;
+    uint32_t k;
+    memset(&t, 0, sizeof t);
+    memset(&ray, 0, sizeof ray);
+    memset(mask, 0, sizeof mask);
+    for (k = 0; k < 64; k++) value[k] = 0.5f;
+    tets_lattice(&t, 3, 3, 3, 5, NULL);
+    REQUIRE(t.nt <= 64);
+    ray.org[0] = 0.9;
+    ray.org[1] = 1.2;
+    ray.org[2] = -1;
+    ray.dir[2] = 1;
+    for (k = 0; k < 3; k++) { /* one value a vertex, one a cell, masked cells */
+        tets_input(&t, &in, &f);
+        f.per_cell = k == 1;
+        if (k == 1) f.values.data = value;
+        mask[7] = 1;
+        if (k == 2) in.masks = mask;
+        m = NULL;
+        CHECK_EQ_U64(tetcast_mesh_create(NULL, &in, NULL, &m), TETCAST_OK);
+        CHECK_EQ_U64(tetcast_cast(NULL, m, o, &ray, 1, &got, NULL), TETCAST_OK);
+        CHECK_MSG(got.rgba[3] > 0.1f && got.hit == INFINITY, "%u: %g", k, (double)got.hit);
+        tetcast_mesh_destroy(m);
+    }
+    tetcast_optics_destroy(o);
+    tets_free(&t);
+}
+
+TEST(probe_without_memory) { /* finds nothing, not a part of what there is */
+    const uint32_t n = 100;
+    tetcast_mesh_desc d;
+    test_alloc ta;
+    tetcast_mesh *m;
+    tetcast_ray ray;
+    one_crossing seen;
+    tets t;
+    uint32_t i, all, k;
+    memset(&t, 0, sizeof t);
+    memset(&d, 0, sizeof d);
+    memset(&ray, 0, sizeof ray);
+    test_alloc_init(&ta);
+    d.env.allocator.alloc_fn = test_alloc_fn;
+    d.env.allocator.free_fn = test_free_fn;
+    d.env.allocator.user = &ta;
+    d.env.thread_count = 1;
+    for (i = 0; i < n; i++) { /* cells that do not touch, one behind the other */
+        tets_vertex(&t, 0, 0, i, 0);
+        tets_vertex(&t, 1, 0, i, 0);
+        tets_vertex(&t, 0, 1, i, 0);
+        tets_vertex(&t, 0, 0, i + 0.5, 0);
+        tets_tet(&t, 4 * i, 4 * i + 1, 4 * i + 2, 4 * i + 3);
+    }
+    m = tets_build_desc(&t, &d, NULL);
+    REQUIRE(m != NULL);
+    ray.org[0] = ray.org[1] = 0.25;
+    ray.org[2] = -1;
+    ray.dir[2] = 1;
+    memset(&seen, 0, sizeof seen);
+    ta.count = 0;
+    CHECK_EQ_U64(tetcast_probe(m, &ray, keep_crossing, &seen), n);
+    all = (uint32_t)ta.count;
+    CHECK(all > 3);
+    for (k = 0; k < all; k++) {
+        memset(&seen, 0, sizeof seen);
+        ta.count = 0;
+        ta.fail_at = k;
+        CHECK_EQ_U64(tetcast_probe(m, &ray, keep_crossing, &seen), 0);
+        CHECK_EQ_U64(seen.n, 0);
+    }
+    ta.fail_at = -1;
+    tetcast_mesh_destroy(m);
+    test_alloc_check(&ta);
+    tets_free(&t);
+}
+
 TEST(bad_rays) {
     tets t;
     tetcast_mesh *m;
     tetcast_ray rays[8];
     tetcast_ray_result got[8];
     tetcast_render_desc d;
+    tetcast_error error;
     uint32_t i;
     memset(&t, 0, sizeof t);
     memset(rays, 0, sizeof rays);
@@ -1242,6 +1392,13 @@ TEST(bad_rays) {
     d._begin_zero = 1;
     CHECK_EQ_U64(tetcast_cast(&d, m, NULL, rays, 8, got, NULL), TETCAST_ERR_UNINIT_DESC);
     CHECK_EQ_U64(tetcast_probe(m, NULL, keep_crossing, NULL), 0);
+    memset(&d, 0, sizeof d);
+    memset(&error, 0, sizeof error);
+    d.env.error = &error;
+    d.background[2] = NAN;
+    CHECK_EQ_U64(tetcast_cast(&d, m, NULL, rays, 8, got, NULL), TETCAST_ERR_INVALID_ARG);
+    CHECK_EQ_U64(error.code, TETCAST_ERR_INVALID_ARG);
+    CHECK_EQ_U64(error.where, 2);
     tetcast_mesh_destroy(m);
     tets_free(&t);
 }
@@ -1267,6 +1424,9 @@ int main(int argc, char **argv) {
     RUN(imaginary);
     RUN(random_bits);
     RUN(boundary_layers);
+    RUN(large_numbers);
+    RUN(hits);
+    RUN(probe_without_memory);
     RUN(bad_rays);
     return test_end();
 }
