@@ -2225,12 +2225,17 @@ VOXRTI_INLINE int voxrti_normalize(float v[3]) { /* 0: no direction, v unchanged
     return 1;
 }
 
-/* 2^x, |x| < 1000; relative error < 1e-13 */
+/* 2^x, relative error < 1e-13; 0 below -1000 and for NaN, 2^1000 above 1000 */
 static VOXRTI_UNUSED double voxrti_exp2(double x) {
-    int64_t n = voxrti_floor(x + 0.5);
-    double f = (x - (double)n) * 0.69314718055994530942, r = 1.0, p = 1.0, scale;
-    uint64_t bits = (uint64_t)(n + 1023) << 52;
+    double f, r = 1.0, p = 1.0, scale;
+    uint64_t bits;
+    int64_t n;
     int i;
+    if (!(x >= -1000.0)) return 0.0;
+    x = x < 1000.0 ? x : 1000.0;
+    n = voxrti_floor(x + 0.5);
+    f = (x - (double)n) * 0.69314718055994530942;
+    bits = (uint64_t)(n + 1023) << 52;
     for (i = 1; i < 13; i++) {
         p = p * f / (double)i;
         r = r + p;
@@ -2267,7 +2272,7 @@ static VOXRTI_UNUSED double voxrti_pow(double x, double y) {
     return x > 0.0 ? voxrti_exp2(y * voxrti_log2(x)) : 0.0;
 }
 
-/* sin and cos of |x| < 1e5; absolute error < 1e-15 */
+/* sin and cos of |x| < 1e5; absolute error below 1e-15 up to 10, 1e-11 up to 1e5 */
 static VOXRTI_UNUSED void voxrti_sincos(double x, double *s, double *c) {
     int64_t q = voxrti_floor(x * 0.63661977236758134308 + 0.5);
     double r = (x - (double)q * 1.5707963267948965580) - (double)q * 6.1232339957367660359e-17;
@@ -2426,7 +2431,7 @@ static VOXRTI_UNUSED uint32_t voxrti_oct_encode(const float n[3]) {
     float s = ax + ay + az, x, y, m[3];
     uint32_t k;
     int ix, iy;
-    if (!(s > 0.0f)) return 0x8080u;
+    if (!(s > 1e-38f && s <= 3.402823466e38f)) return 0x8080u; /* no direction */
     s = 1.0f / s;
     m[0] = x = n[0] * s;
     m[1] = y = n[1] * s;
