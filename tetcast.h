@@ -351,7 +351,7 @@ typedef enum tetcast_isa {
     /* for x64 without that instruction: fused multiply-adds exactly in doubles, in the walk two at a time */
     TETCAST_ISA_SSE = 2,
     TETCAST_ISA_AVX2 = 3,   /* with BMI2; one that the machine has not is the best that it has */
-    TETCAST_ISA_AVX512 = 4, /* F, VL, BW, DQ; where a call has nothing for it: AVX2 */
+    TETCAST_ISA_AVX512 = 4, /* F, VL, BW, DQ; where a call has nothing for it: AVX2. Meshes with values beyond 2^58: SCALAR */
     TETCAST_ISA_FORCE_32BIT = 0x7fffffff
 } tetcast_isa;
 
@@ -6392,7 +6392,6 @@ typedef struct tetcasti_scene {
     uint32_t smooth_normals, fma;
     tetcast_isa isa;                /* never AUTO */
     uint32_t any;                   /* more than a volume of one value per vertex: isosurfaces, hidden cells, depths */
-    uint32_t wide;                  /* there are values that tetcasti_face_value_wide is for */
     float begin_t;                  /* transmittance of a sum that has seen nothing */
     tetcasti_segment_fn *segment;   /* that of the optics, or the same without the instruction for fma */
     tetcasti_segment8_fn *segment8; /* that of the optics, or the same code for AVX-512 */
@@ -7067,21 +7066,10 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE __m256i tetcasti_pick8(__m256i v, __m256i p
                             tetcasti_blend8i(n2, n3, _mm256_castsi256_ps(odd)), _mm256_castsi256_ps(most));
 }
 
-/* tetcasti_face_value_wide for the lanes whose s is no number. */
-TETCASTI_TARGET_WALK TETCASTI_NOINLINE static __m256 tetcasti_face_value_wide8(__m256 s, __m256 a, __m256 b, __m256 c,
-                                                                               __m256 ab, __m256 bc, __m256 ca,
-                                                                               __m256 inv) {
-    const __m256 k = _mm256_set1_ps(TETCASTI_WIDE), back = _mm256_set1_ps(1.0f / TETCASTI_WIDE);
-    const __m256 none = _mm256_cmp_ps(_mm256_sub_ps(s, s), _mm256_setzero_ps(), _CMP_NEQ_UQ);
-    __m256 v = _mm256_fmadd_ps(ca, _mm256_mul_ps(b, k), _mm256_mul_ps(ab, _mm256_mul_ps(c, k)));
-    v = _mm256_mul_ps(_mm256_mul_ps(_mm256_fmadd_ps(bc, _mm256_mul_ps(a, k), v), inv), back);
-    return _mm256_blendv_ps(s, v, none);
-}
-
-TETCASTI_TARGET_WALK TETCASTI_INLINE __m256 tetcasti_face_value8(uint32_t wide, __m256 a, __m256 b, __m256 c, __m256 ab,
-                                                                 __m256 bc, __m256 ca, __m256 inv) {
+/* Not for values that tetcasti_face_value_wide is for. */
+TETCASTI_TARGET_WALK TETCASTI_INLINE __m256 tetcasti_face_value8(__m256 a, __m256 b, __m256 c, __m256 ab, __m256 bc,
+                                                                 __m256 ca, __m256 inv) {
     __m256 s = _mm256_mul_ps(_mm256_fmadd_ps(bc, a, _mm256_fmadd_ps(ca, b, _mm256_mul_ps(ab, c))), inv);
-    if (TETCASTI_UNLIKELY(wide)) s = tetcasti_face_value_wide8(s, a, b, c, ab, bc, ca, inv);
     s = _mm256_max_ps(s, _mm256_min_ps(_mm256_min_ps(a, b), c));
     return _mm256_min_ps(s, _mm256_max_ps(_mm256_max_ps(a, b), c));
 }
@@ -7314,7 +7302,7 @@ TETCASTI_TARGET_WALK static void tetcasti_walk_begin8(const tetcasti_scene *scen
     _mm256_storeu_ps(l->weight[2], ca);
     _mm256_storeu_ps(l->at_face,
             _mm256_mul_ps(_mm256_fmadd_ps(bc, p[0].z, _mm256_fmadd_ps(ca, p[1].z, _mm256_mul_ps(ab, p[2].z))), inv));
-    _mm256_storeu_ps(l->s_face, tetcasti_face_value8(scene->wide, p[0].s, p[1].s, p[2].s, ab, bc, ca, inv));
+    _mm256_storeu_ps(l->s_face, tetcasti_face_value8(p[0].s, p[1].s, p[2].s, ab, bc, ca, inv));
 }
 
 /* Rays that wait for a lane: their walks have begun, eight at a time. */
@@ -7823,7 +7811,7 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE uint32_t tetcasti_step8(const tetcasti_scen
     next = tetcasti_leave8(kind, &node, cell, prev, x, out, d.id, face);
     inv = _mm256_div_ps(_mm256_set1_ps(1.0f), _mm256_add_ps(_mm256_add_ps(ab, bc), ca));
     at = _mm256_mul_ps(_mm256_fmadd_ps(bc, a.z, _mm256_fmadd_ps(ca, b.z, _mm256_mul_ps(ab, c.z))), inv);
-    s = tetcasti_face_value8(scene->wide, a.s, b.s, c.s, ab, bc, ca, inv);
+    s = tetcasti_face_value8(a.s, b.s, c.s, ab, bc, ca, inv);
 #define TETCASTI_STORE_POINT(p, k) \
     _mm256_storeu_ps(l->point[k][0], p.x); _mm256_storeu_ps(l->point[k][1], p.y); \
     _mm256_storeu_ps(l->point[k][2], p.z); \
@@ -13306,10 +13294,6 @@ static tetcast_result tetcasti_scene_open(const tetcast_render_desc *d, const te
     s->smooth_normals = d->smooth_normals;
     s->fma = (uint32_t)tetcasti_has_fma();
     s->any = optics != NULL && (optics->iso_count != 0 || mesh->hidden != NULL || mesh->cell_value != NULL);
-    if (mesh->field_count != 0 && mesh->cell_value == NULL) {
-        const tetcasti_field *f = &mesh->field[mesh->active];
-        s->wide = f->value_max > TETCASTI_WIDE_FROM || f->value_min < -TETCASTI_WIDE_FROM;
-    }
     if (optics != NULL) {
         tetcasti_ray_sum none;
         tetcasti_ray_begin(optics, &none);
@@ -13320,6 +13304,10 @@ static tetcast_result tetcasti_scene_open(const tetcast_render_desc *d, const te
     if (s->isa >= TETCAST_ISA_AVX2 && tetcasti_has_avx512()) s->isa = TETCAST_ISA_AVX512;
 #endif
     if (s->isa >= TETCAST_ISA_AVX2 && !s->fma) s->isa = TETCAST_ISA_SSE;
+    if (s->isa >= TETCAST_ISA_AVX2 && mesh->field_count != 0 && mesh->cell_value == NULL) {
+        const tetcasti_field *f = &mesh->field[mesh->active]; /* tetcasti_face_value_wide has one lane */
+        if (f->value_max > TETCASTI_WIDE_FROM || f->value_min < -TETCASTI_WIDE_FROM) s->isa = TETCAST_ISA_SCALAR;
+    }
     if (d->isa != TETCAST_ISA_AUTO && d->isa < s->isa) s->isa = d->isa;
     if (s->isa == TETCAST_ISA_SSE) s->fma = 0;
     if (optics != NULL) {
