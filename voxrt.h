@@ -1754,9 +1754,10 @@ typedef struct voxrt_gi_render_desc {
 /* Light a G-buffer. direct, indirect: rgb for each pixel, linear: what the surface sends to the camera because of
    lights (with its emission), and because of other surfaces; may be NULL. Surfaces that emit light count as lights. The
    same bits for any number of threads and any isa. env.progress_fn may stop it: what is drawn then is of no use, a
-   history stays as it was, or is empty if its pictures were of another size or made in another way. desc may be NULL; stats, added to, may be NULL: rays, hits and steps. Errors: INVALID_ARG
-   (also: history or relief without a camera), UNINIT_DESC, NO_MEMORY, CANCELLED. Thread safety: one call on a scene at
-   a time (it fills the cache). Source: thesis (2010) 6, 7, 8.6. */
+   history stays as it was, or is empty if its pictures were of another size or made in another way. desc may be NULL;
+   stats, added to, may be NULL: rays, hits and steps. Errors: INVALID_ARG (also: history or relief without a camera),
+   UNINIT_DESC, NO_MEMORY, CANCELLED. Thread safety: one call on a scene at a time (it fills the cache). Source: thesis
+   (2010) 6, 7, 8.6. */
 VOXRT_DEF voxrt_result voxrt_gi_render(const voxrt_gi_render_desc *desc, voxrt_gi *gi, const voxrt_gbuffer *gbuffer,
                                        float *direct, float *indirect, voxrt_stats *stats);
 
@@ -4980,8 +4981,8 @@ VOXRTI_INLINE void voxrti_row_clip(int64_t e, int64_t step, double inv, int64_t 
     }
 }
 
-/* Cubes in [i0, i1] of row (y, z), edges `size` and `pad` wider on all sides, that the closed triangle touches: separating
-   axes (Schwarz & Seidel 2010). */
+/* Cubes in [i0, i1] of row (y, z), edges `size` and `pad` wider on all sides, that the closed triangle touches:
+   separating axes (Schwarz & Seidel 2010). */
 VOXRTI_INLINE void voxrti_tri_row(const voxrti_tri *t, int64_t size, int64_t pad, int64_t y, int64_t z, int64_t *i0,
                                   int64_t *i1) {
     const int64_t edge = size + 2 * pad, step = t->n[0] * size;

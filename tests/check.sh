@@ -958,7 +958,7 @@ group_fuzz() {
 # --- soak: random use of the functions of each library for long; memory that is in use must not grow --------------
 
 group_soak() {
-    local names="fuzz_build fuzz_trace fuzz_render fuzz_gi fuzz_edit fuzz_scene fuzz_canvas fuzz_tets fuzz_fields fuzz_bricks fuzz_rbf fuzz_vox fuzz_paged fuzz_coded" f
+    local names="fuzz_build fuzz_trace fuzz_render fuzz_gi fuzz_edit fuzz_scene fuzz_canvas fuzz_tets fuzz_fields fuzz_bricks fuzz_rbf fuzz_vox fuzz_paged fuzz_coded fuzz_foam" f
     local each=$((SOAK_SECONDS / 14)); [ $each -ge 2 ] || each=2
     mkdir -p "$OUT/fuzz"
     export ASAN_OPTIONS=allocator_may_return_null=1

@@ -691,12 +691,14 @@ TEST(units) { /* values and lengths of any size: the picture is that of ordinary
                     CHECK(tetcast_optics_ray(o, x, 20, got, NULL) == TETCAST_OK);
                     if (u == 0) memcpy(want, got, sizeof want);
                     for (c = 0; c < 4; c++)
-                        CHECK_MSG(fabs((double)got[c] - (double)want[c]) < 4e-6 * (1 + fabs((double)want[c])), "model %d, %d, function %d, units %d: %g is not %g",
+                        CHECK_MSG(fabs((double)got[c] - (double)want[c]) < 4e-6 * (1 + fabs((double)want[c])),
+                                  "model %d, %d, function %d, units %d: %g is not %g",
                                   m, independent, k, u, (double)got[c], (double)want[c]);
                     CHECK(tetcast_optics_segments(o, x, 20, TETCAST_ISA_AUTO, rgba) == TETCAST_OK);
                     for (c = 0; c < 20; c++) {
                         CHECK(tetcast_optics_ray(o, &x[c], 1, alone, NULL) == TETCAST_OK);
-                        CHECK_MSG(memcmp(alone, rgba[c], sizeof alone) == 0, "model %d, %d, function %d, units %d, segment %d: %g is not %g", m, independent, k, u, c,
+                        CHECK_MSG(memcmp(alone, rgba[c], sizeof alone) == 0,
+                                  "model %d, %d, function %d, units %d, segment %d: %g is not %g", m, independent, k, u, c,
                                   (double)rgba[c][0], (double)alone[0]);
                     }
                     tetcast_optics_destroy(o);

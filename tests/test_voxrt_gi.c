@@ -2422,7 +2422,8 @@ TEST(tones) {
             in[3] = in[4] = in[5] = 0.5f * unit;
             CHECK(voxrt_tone_map((voxrt_tone)tone, unit, in, out, 2) == VOXRT_OK);
             CHECK_MSG(fabsf(out[0] - 1) < 1e-5f, "tone %u: %g of %g", tone, (double)out[0], (double)unit);
-            CHECK_MSG(out[3] >= 0.49f && (out[3] < 0.999f || (tone == VOXRT_TONE_DRAGO && unit > 1)), "tone %u: %g of half of %g", tone, (double)out[3], (double)unit);
+            CHECK_MSG(out[3] >= 0.49f && (out[3] < 0.999f || (tone == VOXRT_TONE_DRAGO && unit > 1)), "tone %u: %g of half of %g",
+                      tone, (double)out[3], (double)unit);
         }
     in[0] = NAN;
     in[1] = INFINITY;
@@ -2855,8 +2856,10 @@ TEST(crowds_in_cells) { /* however many triangles lie in a cell, they have the c
         crowd(layers[i], 1 + i % 2, s);
         for (k = 0; k < 2; k++)
             for (a = 0; a < 3; a++) {
-                CHECK_MSG(fabsf(s[k].albedo[a] - two[k].albedo[a]) < 0.01f, "%u: side %u, colour %g, not %g", layers[i], k, (double)s[k].albedo[a], (double)two[k].albedo[a]);
-                CHECK_MSG(fabsf(s[k].normal[a] - two[k].normal[a]) < 0.01f, "%u: side %u, normal %g, not %g", layers[i], k, (double)s[k].normal[a], (double)two[k].normal[a]);
+                CHECK_MSG(fabsf(s[k].albedo[a] - two[k].albedo[a]) < 0.01f, "%u: side %u, colour %g, not %g", layers[i], k,
+                          (double)s[k].albedo[a], (double)two[k].albedo[a]);
+                CHECK_MSG(fabsf(s[k].normal[a] - two[k].normal[a]) < 0.01f, "%u: side %u, normal %g, not %g", layers[i], k,
+                          (double)s[k].normal[a], (double)two[k].normal[a]);
                 CHECK(fabsf(s[k].position[a] - two[k].position[a]) < 0.01f);
             }
     }

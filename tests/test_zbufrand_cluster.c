@@ -497,7 +497,8 @@ TEST(points_of_powers_of_two) {
         memset(count, 0, sizeof count);
         for (n = 0; n < points; n++) count[to->set_material[n] & 3u]++;
         for (i = 0; i < 4; i++)
-            CHECK_MSG(fabs((double)count[i] / (double)points - 0.25) < 0.03, "%u levels: %g of material %u", (unsigned)levels, (double)count[i] / (double)points, (unsigned)i);
+            CHECK_MSG(fabs((double)count[i] / (double)points - 0.25) < 0.03, "%u levels: %g of material %u",
+                      (unsigned)levels, (double)count[i] / (double)points, (unsigned)i);
         zbufrand_scene_destroy(s);
     }
 }
