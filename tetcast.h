@@ -16935,6 +16935,42 @@ static uint32_t *tetcasti_vertices_seen(tetcasti_mem *mem, const tetcast_mesh *m
     return seen;
 }
 
+/* Place (local) and value number i of those that are looked at: of a vertex, then of a random point of a random cell. 0:
+   nothing is seen there. */
+static int tetcasti_check_place(const tetcast_mesh *mesh, const uint32_t *seen, uint64_t i, uint64_t *seed, double p[3],
+                                double *v) {
+    double w[4], whole = 0.0;
+    const uint32_t *t;
+    uint32_t cell, k;
+    if (i < mesh->vertex_count && mesh->cell_value == NULL) {
+        const tetcasti_vertex *q = &mesh->vertex[i];
+        p[0] = (double)q->x;
+        p[1] = (double)q->y;
+        p[2] = (double)q->z;
+        *v = (double)q->s;
+        return seen == NULL || tetcasti_bit(seen, (uint32_t)i);
+    }
+    *seed = tetcasti_hash_mix(*seed, i);
+    cell = (uint32_t)((*seed >> 32) * mesh->cell_count >> 32);
+    t = mesh->tet[cell];
+    if (mesh->hidden != NULL && tetcasti_bit(mesh->hidden, cell)) return 0;
+    for (k = 0; k < 4; k++) { /* exponential numbers make even points of a simplex */
+        *seed = tetcasti_hash_mix(*seed, k);
+        w[k] = -tetcasti_log2(((double)(uint32_t)(*seed >> 32) + 0.5) * (1.0 / 4294967296.0));
+        whole += w[k];
+    }
+    p[0] = p[1] = p[2] = *v = 0.0;
+    for (k = 0; k < 4; k++) {
+        const tetcasti_vertex *q = &mesh->vertex[t[k]];
+        p[0] += w[k] / whole * (double)q->x;
+        p[1] += w[k] / whole * (double)q->y;
+        p[2] += w[k] / whole * (double)q->z;
+        *v += w[k] / whole * (double)q->s;
+    }
+    if (mesh->cell_value != NULL) *v = (double)mesh->cell_value[cell];
+    return 1;
+}
+
 /* How far bricks are from the mesh: at all vertices, and at random points of random cells. force: slots where it is too
    far and could be finer, *helps of them; may be NULL. */
 static tetcast_result tetcasti_bricks_check(const tetcast_bricks_desc *d, const tetcast_mesh *mesh,
@@ -16949,7 +16985,7 @@ static tetcast_result tetcasti_bricks_check(const tetcast_bricks_desc *d, const 
     uint32_t *seen = NULL;
     uint64_t i, seed = 1;
     double sum = 0.0;
-    uint32_t a, k;
+    uint32_t a;
     int asked = 1;
     memset(&cd, 0, sizeof cd);
     cd.env = tetcasti_env_rest(&d->env, &b->mem);
@@ -16970,36 +17006,7 @@ static tetcast_result tetcasti_bricks_check(const tetcast_bricks_desc *d, const 
     for (i = 0; i < all && (asked = tetcasti_checks_go_on(&d->env, i, all)) != 0; i++) {
         double p[3], v = 0.0, away;
         float x[3];
-        if (i < mesh->vertex_count && mesh->cell_value == NULL) {
-            const tetcasti_vertex *q = &mesh->vertex[i];
-            if (seen != NULL && !tetcasti_bit(seen, (uint32_t)i)) continue;
-            p[0] = (double)q->x;
-            p[1] = (double)q->y;
-            p[2] = (double)q->z;
-            v = (double)q->s;
-        } else {
-            double w[4], whole = 0.0;
-            const uint32_t *t;
-            uint32_t cell;
-            seed = tetcasti_hash_mix(seed, i);
-            cell = (uint32_t)((seed >> 32) * mesh->cell_count >> 32);
-            t = mesh->tet[cell];
-            if (mesh->hidden != NULL && tetcasti_bit(mesh->hidden, cell)) continue;
-            for (k = 0; k < 4; k++) { /* exponential numbers make even points of a simplex */
-                seed = tetcasti_hash_mix(seed, k);
-                w[k] = -tetcasti_log2(((double)(uint32_t)(seed >> 32) + 0.5) * (1.0 / 4294967296.0));
-                whole += w[k];
-            }
-            p[0] = p[1] = p[2] = 0.0;
-            for (k = 0; k < 4; k++) {
-                const tetcasti_vertex *q = &mesh->vertex[t[k]];
-                p[0] += w[k] / whole * (double)q->x;
-                p[1] += w[k] / whole * (double)q->y;
-                p[2] += w[k] / whole * (double)q->z;
-                v += w[k] / whole * (double)q->s;
-            }
-            if (mesh->cell_value != NULL) v = (double)mesh->cell_value[cell];
-        }
+        if (!tetcasti_check_place(mesh, seen, i, &seed, p, &v)) continue;
         for (a = 0; a < 3; a++)
             x[a] = (float)((mesh->origin[a] + p[a] * mesh->unit - b->lattice.origin[a]) / b->lattice.spacing[a]);
         tetcasti_point_clamp(b, x[0], x[1], x[2], x);

@@ -159,12 +159,13 @@ $(G)/tetcast_bow.png: options = --scene bow
 $(G)/tetcast_fins.png: options = --scene fins --tf hot --eye 3.3,0.35,0.25 --at 0,0,-0.05 --fov 42
 $(G)/tetcast_bow_shock.png: options = --scene bow --tf hot --iso 0.6 --iso-opacity 0.4 --model mixed --smooth \
 	--eye -3.2,1.6,1.9 --at 0,-0.1,0 --fov 40
+$(G)/tetcast_foam.png: options = --scene ball --detail 16 --tf shells --extinction 4 --method foam
 $(G)/tetcast_maximum.png: options = --scene ring --tf hot --model maximum
 $(G)/tetcast_xray.png: options = --scene lattice --tf xray --model absorption --background 1,1,1
 $(G)/tetcast_iso.png: options = --scene ball --iso 0.2 --smooth
 $(G)/tetcast_mixed.png: options = --scene lattice --iso 0.75 --iso 0.25 --iso-opacity 0.7 --smooth
 
-TETCAST_PICTURES := $(addprefix $(G)/tetcast_,lattice.png ball.png ring.png bow.png bow_shock.png fins.png maximum.png xray.png iso.png \
+TETCAST_PICTURES := $(addprefix $(G)/tetcast_,lattice.png ball.png ring.png bow.png bow_shock.png fins.png foam.png maximum.png xray.png iso.png \
 	mixed.png)
 
 $(TETCAST_PICTURES): $(B)/tetcast_render

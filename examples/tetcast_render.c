@@ -387,7 +387,8 @@ static void fit_vertices(const options *o, const tetcast_mesh *mesh, tetcast_cam
 static void set_camera(const options *o, const tetcast_mesh *mesh, tetcast_camera *camera) {
     tetcast_mesh_info info;
     tetcast_mesh_get_info(mesh, &info);
-    if (sup_volume_camera(&o->common, info.box_min, info.box_max, o->ortho, camera) && !(o->ortho > 0.0))
+    if (sup_volume_camera(&o->common, info.box_min, info.box_max, o->ortho, camera) && !(o->ortho > 0.0) &&
+        o->method != METHOD_FOAM) /* its cells fill the box */
         fit_vertices(o, mesh, camera);
 }
 
