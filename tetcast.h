@@ -16935,8 +16935,8 @@ static uint32_t *tetcasti_vertices_seen(tetcasti_mem *mem, const tetcast_mesh *m
     return seen;
 }
 
-/* Place (local) and value number i of those that are looked at: of a vertex, then of a random point of a random cell. 0:
-   nothing is seen there. */
+/* Place (local) and value number i of those that are looked at: of a vertex, then of a random point of a random cell.
+   0: nothing is seen there. */
 static int tetcasti_check_place(const tetcast_mesh *mesh, const uint32_t *seen, uint64_t i, uint64_t *seed, double p[3],
                                 double *v) {
     double w[4], whole = 0.0;
@@ -27355,7 +27355,8 @@ TETCASTI_TARGET_AVX2 TETCASTI_INLINE uint32_t tetcasti_foam_leave8(const tetcast
         const __m256 t = _mm256_div_ps(_mm256_sub_ps(one, in), along);
         const __m256 better = _mm256_and_ps(_mm256_cmp_ps(along, zero, _CMP_GT_OQ), _mm256_cmp_ps(t, best, _CMP_LT_OQ));
         best = _mm256_blendv_ps(best, t, better);
-        next = _mm256_blendv_epi8(next, _mm256_load_si256((const __m256i *)k->cell), _mm256_castps_si256(better));
+        next = _mm256_blendv_epi8(next, _mm256_load_si256((const __m256i *)(const void *)k->cell),
+                                  _mm256_castps_si256(better));
     }
     least = _mm256_min_ps(best, _mm256_permute2f128_ps(best, best, 1));
     least = _mm256_min_ps(least, _mm256_shuffle_ps(least, least, 0x4e));
@@ -27420,7 +27421,8 @@ TETCASTI_TARGET_AVX2 TETCASTI_INLINE uint32_t tetcasti_foam_pass8(const tetcast_
     const __m256 t = _mm256_loadu_ps(l->t), end = _mm256_loadu_ps(l->end), extinction = _mm256_loadu_ps(l->extinction);
     const __m256 zero = _mm256_setzero_ps(), inf = _mm256_set1_ps(TETCASTI_INF), left = _mm256_loadu_ps(l->left);
     const __m256 first = _mm256_loadu_ps(l->first);
-    const __m256i steps = _mm256_add_epi32(_mm256_loadu_si256((const __m256i *)l->steps), _mm256_set1_epi32(1));
+    const __m256i steps = _mm256_add_epi32(_mm256_loadu_si256((const __m256i *)(const void *)l->steps),
+                                           _mm256_set1_epi32(1));
     const __m256i most = _mm256_set1_epi32((int32_t)f->count - 1);
     __m256 to = _mm256_max_ps(_mm256_loadu_ps(l->to), t), last, some, way, after, w, ended;
     uint32_t a;
@@ -27439,8 +27441,8 @@ TETCASTI_TARGET_AVX2 TETCASTI_INLINE uint32_t tetcasti_foam_pass8(const tetcast_
     _mm256_storeu_ps(l->way, way);
     _mm256_storeu_ps(l->left, after);
     _mm256_storeu_ps(l->t, to);
-    _mm256_storeu_si256((__m256i *)l->steps, steps);
-    _mm256_storeu_si256((__m256i *)l->ended, _mm256_srli_epi32(_mm256_castps_si256(ended), 31));
+    _mm256_storeu_si256((__m256i *)(void *)l->steps, steps);
+    _mm256_storeu_si256((__m256i *)(void *)l->ended, _mm256_srli_epi32(_mm256_castps_si256(ended), 31));
     return (uint32_t)_mm256_movemask_ps(_mm256_or_ps(last, ended));
 }
 

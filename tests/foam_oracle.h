@@ -13,12 +13,12 @@ typedef struct foam_ray { double rgb[3], left, first, length; uint32_t steps; } 
 /* A ray from site to site, each time to the one whose plane comes first of all sites. */
 TEST_FN foam_ray foam_march(const tetcast_site *s, uint32_t n, const tetcast_foam_info *info, const tetcast_ray *ray) {
     foam_ray m;
-    double from = ray->t_min, to = ray->t_max, d[3], l = foam_length(ray->dir), t, best = INFINITY;
+    double from = ray->t_min, to = ray->t_max, d[3], l = foam_length(ray->dir), t, best = (double)INFINITY;
     uint32_t i, a, at = 0;
     memset(&m, 0, sizeof m);
     m.left = 1;
-    m.first = INFINITY;
-    if (from == 0 && to == 0) to = INFINITY;
+    m.first = (double)INFINITY;
+    if (from == 0 && to == 0) to = (double)INFINITY;
     for (a = 0; a < 3; a++) {
         double t0, t1;
         d[a] = ray->dir[a] / l;
@@ -45,7 +45,7 @@ TEST_FN foam_ray foam_march(const tetcast_site *s, uint32_t n, const tetcast_foa
             }
             if (along > 1e-12 && offset / along < next) next = fmax(offset / along, t), then = i;
         }
-        if (s[at].extinction > 0.0f && m.first == INFINITY) m.first = t;
+        if (s[at].extinction > 0.0f && m.first == (double)INFINITY) m.first = t;
         w = m.left * (1.0 - exp(-(double)s[at].extinction * (next - t)));
         for (a = 0; a < 3; a++) m.rgb[a] += w * (double)s[at].rgb[a];
         m.left -= w;

@@ -206,7 +206,7 @@ TEST(rays_are_those_of_brute_force) {
                 hits += m.steps != 0;
                 CHECK_MSG(stopped || fabs(m.length - (double)got[i].length) < 1e-5, "%s: length %g instead of %g", kind_name[kind],
                           (double)got[i].length, m.length);
-                CHECK((m.first < INFINITY) == (got[i].hit < INFINITY) || m.length < 1e-5);
+                CHECK((m.first < (double)INFINITY) == (got[i].hit < INFINITY) || m.length < 1e-5);
                 CHECK(got[i].steps <= n && (got[i].walks != 0) == (got[i].steps != 0));
             }
             tetcast_foam_destroy(f);
@@ -237,7 +237,7 @@ TEST(rays_in_faces_of_a_lattice) {
     for (i = 0; i < N; i++) { /* cubes: six neighbours, fewer at the box, and none across an edge */
         uint32_t site, want = 0;
         (void)tetcast_foam_cell(f, i, &site, NULL, 0);
-        for (a = 0; a < 3; a++) want += (s[site].position[a] > 0.5) + (s[site].position[a] < SIDE - 0.5);
+        for (a = 0; a < 3; a++) want += (uint32_t)(s[site].position[a] > 0.5) + (uint32_t)(s[site].position[a] < SIDE - 0.5);
         CHECK_EQ_U64(tetcast_foam_cell(f, i, NULL, NULL, 0), want);
     }
     for (isa = TETCAST_ISA_SCALAR; isa <= TETCAST_ISA_AVX2; isa += 2)
@@ -246,14 +246,14 @@ TEST(rays_in_faces_of_a_lattice) {
                 for (k = 0; k <= 2 * SIDE; k++) {
                     tetcast_ray r;
                     tetcast_ray_result got;
-                    double way, from = -INFINITY, to = INFINITY;
+                    double way, from = -(double)INFINITY, to = (double)INFINITY;
                     memset(&r, 0, sizeof r);
                     for (a = 0; a < 3; a++) r.dir[a] = (axis + 1) >> a & 1u;
                     r.org[axis % 3] = -1;
                     r.org[(axis + 1) % 3] = 0.5 * i;
                     r.org[(axis + 2) % 3] = 0.5 * k;
                     for (a = 0; a < 3; a++) {
-                        if (r.dir[a] == 0 && (r.org[a] < 0 || r.org[a] > SIDE)) to = -INFINITY;
+                        if (r.dir[a] == 0 && (r.org[a] < 0 || r.org[a] > SIDE)) to = -(double)INFINITY;
                         if (r.dir[a] == 0) continue;
                         from = fmax(from, -r.org[a]);
                         to = fmin(to, SIDE - r.org[a]);
@@ -277,7 +277,7 @@ TEST(places_are_in_the_nearest_cell) {
         test_rng g = test_rng_make(kind);
         REQUIRE(f != NULL);
         for (k = 0; k < 200; k++) {
-            double p[3], best = INFINITY, mine = 0;
+            double p[3], best = (double)INFINITY, mine = 0;
             uint32_t site, cell;
             for (a = 0; a < 3; a++) p[a] = test_rng_double(&g);
             cell = tetcast_foam_find(f, p, k * 7u);
@@ -351,7 +351,7 @@ TEST(pictures_are_rays) { /* the same bits for any instruction set and number of
                 cosine += r.dir[a] * (d.camera.at[a] - d.camera.eye[a]);
                 l += pow(d.camera.at[a] - d.camera.eye[a], 2);
             }
-            CHECK_NEAR(depth[0][i], one.hit * cosine / sqrt(l), 1e-5);
+            CHECK_NEAR(depth[0][i], (double)one.hit * cosine / sqrt(l), 1e-5);
             seen++;
         }
     }
@@ -425,7 +425,7 @@ TEST(what_is_none) { /* bad sites are left out and counted, bad arguments told, 
         s[i].rgb[1] = 0.5f;
     }
     d.env.error = &error;
-    s[1].position[2] = NAN;
+    s[1].position[2] = (double)NAN;
     s[2].position[1] = 1e101;
     s[3].rgb[0] = -1;
     s[4].extinction = INFINITY;
@@ -437,7 +437,7 @@ TEST(what_is_none) { /* bad sites are left out and counted, bad arguments told, 
     CHECK(info.bad_sites == 4 && info.first_bad == 1 && info.cell_count == 2 && info.neighbour_count == 2 && info.most_neighbours == 1 && info.box_max[0] == 5);
     r[0].org[0] = -1; /* through an opaque cell */
     r[0].dir[0] = 1;
-    r[1].org[0] = NAN;
+    r[1].org[0] = (double)NAN;
     r[1].dir[0] = 1;
     r[3].org[1] = 2; /* beside the box */
     r[3].dir[0] = 1;

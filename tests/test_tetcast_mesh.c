@@ -723,7 +723,7 @@ TEST(bad_cells) { /* each fault is counted, the rest is there */
 }
 
 TEST(duplicates_at_crowded_faces) { /* four and more cells at each of its faces: the second one is found all the same */
-    static const uint32_t face[4][3] = {{0, 1, 2}, {0, 1, 3}, {0, 2, 3}, {1, 2, 3}};
+    static const uint32_t side[4][3] = {{0, 1, 2}, {0, 1, 3}, {0, 2, 3}, {1, 2, 3}};
     uint32_t order, i, k;
     for (order = 0; order <= TETCAST_ORDER_INPUT; order++) {
         tets t;
@@ -739,7 +739,7 @@ TEST(duplicates_at_crowded_faces) { /* four and more cells at each of its faces:
         tets_tet(&t, 0, 1, 2, 3);
         for (i = 0; i < 4; i++)
             for (k = 0; k < 3; k++)
-                tets_tet(&t, face[i][0], face[i][1], face[i][2],
+                tets_tet(&t, side[i][0], side[i][1], side[i][2],
                          tets_vertex(&t, i == 2 ? -1.0 - k : 1.0 + k, i == 1 ? -1.0 - k : 1.0 + k, i == 0 ? -1.0 - k : 1.0 + k, 0));
         tets_tet(&t, 2, 0, 1, 3);
         m = tets_build_desc(&t, &d, &r);

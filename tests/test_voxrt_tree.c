@@ -786,10 +786,10 @@ TEST(same_voxel_twice_with_any_normals) {
         for (i = 0; i < 2; i++) {
             const float s = length[i ? k / 6 : k % 6];
             cells_add(&l, 5, 6, 7, 0);
-            cells_normal(&l, i ? 0 : s, 0.1f * s, i ? -s : 0);
+            cells_normal(&l, (double)(i ? 0 : s), (double)(0.1f * s), (double)(i ? -s : 0));
         }
         cells_add(&l, 5, 6, 7, 0);
-        cells_normal(&l, NAN, 1, 0); /* no direction */
+        cells_normal(&l, (double)NAN, 1, 0); /* no direction */
         t = make(&d, &l, 3);
         REQUIRE(t != NULL);
         CHECK(voxrt_tree_get(t, 3, 5, 6, 7, &v));
