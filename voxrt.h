@@ -5039,7 +5039,7 @@ static void voxrti_bin_tri(void *ctx, const voxrti_tri *t, size_t i) {
     for (c[2] = lo[2]; c[2] <= hi[2]; c[2]++) {
         for (c[1] = lo[1]; c[1] <= hi[1]; c[1]++) {
             int64_t i0 = lo[0], i1 = hi[0];
-            if (many && !voxrti_ask_work(&b->v->ask, 8)) return; /* as much as for eight cubes */
+            if (many && !voxrti_ask_work(&b->v->ask, 16)) return; /* as much as 16 cubes */
             if (many) voxrti_tri_row(t, (int64_t)1 << shift, 2, c[1], c[2], &i0, &i1); /* 2: what rounding moves */
             for (c[0] = i0; c[0] <= i1; c[0]++) {
                 uint64_t ref = voxrti_morton((uint32_t)c[0], (uint32_t)c[1], (uint32_t)c[2]) << 32 | (uint64_t)i;
