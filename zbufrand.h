@@ -17866,7 +17866,7 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_page_cluster(zbufrandi_points_job *j
 static void zbufrandi_page_afresh(zbufrandi_points_job *j, uint32_t structure, const zbufrandi_place_at *place,
                                   uint32_t from, uint32_t to, double begin, double end) {
     zbufrandi_points_job one = *j;
-    float p[3], n[3];
+    float p[3], n[3] = {0.0f, 0.0f, 0.0f};
     zbufrandi_asked a;
     one.positions = p;
     one.normals = j->normals != NULL ? n : NULL;
