@@ -2061,7 +2061,7 @@ typedef struct tetcast_foam_info {
     uint64_t bad_sites;        /* left out: a number that is none or out of its range */
     uint64_t duplicates;       /* left out: less than some 1e-7 of the box away from one before, whose place it has */
     uint32_t first_bad, first_duplicate; /* numbers of sites; TETCAST_NONE: there is none */
-    uint64_t neighbour_count;  /* pairs of cells that share a face, each counted from both sides */
+    uint64_t neighbour_count;  /* pairs of cells that share a face, each counted from both sides but for slivers */
     uint32_t most_neighbours;  /* of one cell */
     double box_min[3], box_max[3]; /* world */
     size_t bytes;
@@ -2072,8 +2072,9 @@ typedef struct tetcast_foam_info {
    sites  borrowed
    out    free with tetcast_foam_destroy; NULL on failure
    Each cell is a convex body, cut out of the box by the planes half way to its neighbours, which are looked for from
-   the nearest one on until no other can reach it. The same foam for any number of threads. Cost: about 13 us a site,
-   more where one has many neighbours; 32 bytes a cell and 128 for each 8 of its neighbours (15.5 on average: 310),
+   the nearest one on until no other can reach it. The same foam for any number of threads. Cost: about 13 us a site;
+   more where a site has many neighbours, and where many cells meet in one point or line (sites on a sphere or a ring:
+   in proportion to all of them for each); 32 bytes a cell and 128 for each 8 of its neighbours (15.5 on average: 310),
    meanwhile some 100 more. Errors: INVALID_ARG (a box that is none), EMPTY (no usable site), RANGE (2^31 - 3 sites),
    UNINIT_DESC, NO_MEMORY, CANCELLED. Source: as in Ray, Sokolov, Lefebvre, Levy: Meshless Voronoi on the GPU. ACM TOG
    37(6), 2018; here neighbours come from a hierarchy of boxes over the sites. */
@@ -2082,9 +2083,9 @@ TETCAST_DEF tetcast_result tetcast_foam_create(const tetcast_foam_desc *desc, co
 TETCAST_DEF void tetcast_foam_destroy(tetcast_foam *foam); /* NULL is allowed */
 TETCAST_DEF void tetcast_foam_get_info(const tetcast_foam *foam, tetcast_foam_info *info);
 
-/* Other colours and extinctions for the same sites: positions do not count. Not while another thread uses the foam.
-   O(cells). Errors: INVALID_ARG (count is not that of tetcast_foam_create, a number out of its range): nothing has
-   changed then. */
+/* Other colours and extinctions for the same sites: positions do not count, nor do sites without a cell. Not while
+   another thread uses the foam. O(cells). Errors: INVALID_ARG (count is not that of tetcast_foam_create, a number out
+   of its range): nothing has changed then. */
 TETCAST_DEF tetcast_result tetcast_foam_paint(tetcast_foam *foam, const tetcast_site *sites, size_t count);
 
 /* A cell in the foam's own order (along a Hilbert curve), cell < cell_count.
@@ -26639,6 +26640,7 @@ static int tetcasti_body_begin(tetcasti_body *b, const double lo[3], const doubl
     }
     b->corners = 8;
     b->dead = 0;
+    b->cuts = 0; /* no stamp of a wall is left */
     for (i = 0; i < 6; i++) {
         memset(&b->wall[i], 0, sizeof b->wall[i]);
         b->wall[i].cell = TETCASTI_NONE;
@@ -26901,7 +26903,7 @@ static void tetcasti_task_foam(void *ctx, uint32_t strand) {
         tetcasti_foam_list *list = &w->list[chunk < w->chunks ? chunk : 0];
         uint32_t i = chunk * TETCASTI_FOAM_CHUNK, k, n;
         if (chunk >= w->chunks || tetcasti_atomic_load(&w->failed) || tetcasti_atomic_load(&w->cancelled)) break;
-        for (k = 0; k < TETCASTI_FOAM_CHUNK && i + k < w->foam->count; k++) {
+        for (k = 0; k < TETCASTI_FOAM_CHUNK && i + k < w->foam->count && !tetcasti_atomic_load(&w->cancelled); k++) {
             if (!tetcasti_foam_body(w, i + k, &body) ||
                 !tetcasti_grow(body.mem, (void **)&list->cell, &list->room, list->count, list->count + body.walls,
                                sizeof *list->cell)) {
@@ -27222,7 +27224,7 @@ static int tetcasti_foam_enter(const tetcast_foam *f, const double o[3], const d
     for (a = 0; a < 3; a++) {
         const double inv = 1.0 / d[a];
         double near_t = (f->lo[a] - o[a]) * inv, far_t = (f->hi[a] - o[a]) * inv;
-        if (d[a] == 0.0) {
+        if (!tetcasti_finite(inv)) {
             if (o[a] < f->lo[a] || o[a] > f->hi[a]) return 0;
             continue;
         }
@@ -27253,6 +27255,7 @@ TETCASTI_INLINE int tetcasti_foam_pass(const tetcast_foam *f, tetcasti_foam_ray 
     if (r->first == TETCASTI_INF && c->extinction > 0.0f && to > r->t) r->first = r->t;
     r->way += c->extinction * (to - r->t);
     left = tetcasti_exp_neg(r->way);
+    left = left < r->left ? left : r->left; /* its last bits may rise */
     w = r->left - left;
     r->rgb[0] += w * c->rgb[0];
     r->rgb[1] += w * c->rgb[1];
@@ -27264,11 +27267,40 @@ TETCASTI_INLINE int tetcasti_foam_pass(const tetcast_foam *f, tetcasti_foam_ray 
     return last | (int)r->ended;
 }
 
-/* Where a ray leaves its cell, and what is behind it: the first lane, then the first block, where several are equal. */
+#define TETCASTI_FOAM_TIE 1e-6f /* planes that are nearer to each other on a ray are told apart in doubles */
+
+/* tetcasti_foam_leave in doubles, from the places of the sites: the nearest plane, of equal ones that to the nearest
+   site. So a ray goes to sites that are farther along it and to no other. */
+static uint32_t tetcasti_foam_leave_exactly(const tetcast_foam *f, const tetcasti_foam_ray *r, float *to) {
+    const tetcasti_foam_cell *c = &f->cell[r->cell];
+    const uint32_t n = tetcast_foam_cell(f, r->cell, NULL, NULL, 0);
+    double best = (double)INFINITY, nearest = 0.0;
+    uint32_t next = r->cell, i, a;
+    for (i = 0; i < n; i++) {
+        const uint32_t other = f->block[c->first + i / 8].cell[i % 8];
+        double along = 0.0, in = 0.0, t;
+        for (a = 0; a < 3; a++) {
+            const double d = (double)f->cell[other].place[a] - (double)c->place[a];
+            along += d * (double)r->d[a];
+            in += d * (0.5 * d - ((double)r->o[a] - (double)c->place[a]));
+        }
+        if (!(along > 0.0)) continue;
+        t = in / along;
+        if (!(t < best || (t == best && along < nearest))) continue;
+        best = t;
+        nearest = along;
+        next = other;
+    }
+    *to = best < (double)r->end ? best > 0.0 ? (float)best : 0.0f : TETCASTI_INF;
+    return next;
+}
+
+/* Where a ray leaves its cell, and what is behind it. Planes that floats do not tell apart, and steps that make no way,
+   go to tetcasti_foam_leave_exactly: else a ray could pass by a cell behind the plane of a site nearby, or go round. */
 TETCASTI_INLINE uint32_t tetcasti_foam_leave(const tetcast_foam *f, const tetcasti_foam_ray *r, float *to) {
     const tetcasti_foam_cell *c = &f->cell[r->cell];
     const float x = r->o[0] - c->place[0], y = r->o[1] - c->place[1], z = r->o[2] - c->place[2];
-    float best = TETCASTI_INF;
+    float best = TETCASTI_INF, second = TETCASTI_INF;
     uint32_t next = r->cell, lane, b;
     for (lane = 0; lane < 8; lane++)
         for (b = c[0].first; b < c[1].first; b++) {
@@ -27276,10 +27308,17 @@ TETCASTI_INLINE uint32_t tetcasti_foam_leave(const tetcast_foam *f, const tetcas
             const float ex = k->e[0][lane], ey = k->e[1][lane], ez = k->e[2][lane];
             const float along = (r->d[0] * ex + r->d[1] * ey) + r->d[2] * ez;
             const float t = (1.0f - ((x * ex + y * ey) + z * ez)) / along;
-            if (!(along > 0.0f) || !(t < best)) continue;
+            if (!(along > 0.0f)) continue;
+            if (!(t < best)) {
+                second = t < second ? t : second;
+                continue;
+            }
+            second = best;
             best = t;
             next = k->cell[lane];
         }
+    if (!(best > r->t) || (best < TETCASTI_INF && second <= best + TETCASTI_FOAM_TIE))
+        return tetcasti_foam_leave_exactly(f, r, to);
     *to = best;
     return next;
 }
@@ -27334,17 +27373,18 @@ TETCAST_DEF uint32_t tetcast_foam_find(const tetcast_foam *foam, const double po
 }
 
 #if TETCASTI_AVX2
-/* Eight neighbours at once; the same bits. */
+/* Eight neighbours at once; the same bits. now: where the ray is. */
 TETCASTI_TARGET_AVX2 TETCASTI_INLINE uint32_t tetcasti_foam_leave8(const tetcast_foam *f, const tetcasti_foam_ray *r,
-                                                                   float *to) {
+                                                                   float now, float *to) {
     const tetcasti_foam_cell *c = &f->cell[r->cell];
     const __m256 x = _mm256_set1_ps(r->o[0] - c->place[0]), y = _mm256_set1_ps(r->o[1] - c->place[1]);
     const __m256 z = _mm256_set1_ps(r->o[2] - c->place[2]), one = _mm256_set1_ps(1.0f), zero = _mm256_setzero_ps();
     const __m256 dx = _mm256_broadcast_ss(&r->d[0]), dy = _mm256_broadcast_ss(&r->d[1]);
     const __m256 dz = _mm256_broadcast_ss(&r->d[2]);
-    __m256 best = _mm256_set1_ps(TETCASTI_INF), least;
+    const __m256 inf = _mm256_set1_ps(TETCASTI_INF);
+    __m256 best = inf, second = inf, least, limit;
     __m256i next = _mm256_set1_epi32((int32_t)r->cell);
-    uint32_t b, lane;
+    uint32_t b, lane, close;
     for (b = c[0].first; b < c[1].first; b++) {
         const tetcasti_foam_block *k = &f->block[b];
         const __m256 ex = _mm256_load_ps(k->e[0]), ey = _mm256_load_ps(k->e[1]), ez = _mm256_load_ps(k->e[2]);
@@ -27352,8 +27392,10 @@ TETCASTI_TARGET_AVX2 TETCASTI_INLINE uint32_t tetcasti_foam_leave8(const tetcast
                                            _mm256_mul_ps(dz, ez));
         const __m256 in = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(x, ex), _mm256_mul_ps(y, ey)),
                                         _mm256_mul_ps(z, ez));
-        const __m256 t = _mm256_div_ps(_mm256_sub_ps(one, in), along);
-        const __m256 better = _mm256_and_ps(_mm256_cmp_ps(along, zero, _CMP_GT_OQ), _mm256_cmp_ps(t, best, _CMP_LT_OQ));
+        const __m256 t = _mm256_blendv_ps(inf, _mm256_div_ps(_mm256_sub_ps(one, in), along),
+                                          _mm256_cmp_ps(along, zero, _CMP_GT_OQ));
+        const __m256 better = _mm256_cmp_ps(t, best, _CMP_LT_OQ);
+        second = _mm256_min_ps(_mm256_max_ps(t, best), second);
         best = _mm256_blendv_ps(best, t, better);
         next = _mm256_blendv_epi8(next, _mm256_load_si256((const __m256i *)(const void *)k->cell),
                                   _mm256_castps_si256(better));
@@ -27363,6 +27405,11 @@ TETCASTI_TARGET_AVX2 TETCASTI_INLINE uint32_t tetcasti_foam_leave8(const tetcast
     least = _mm256_min_ps(least, _mm256_shuffle_ps(least, least, 0xb1));
     lane = tetcasti_ctz64((uint64_t)(uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(best, least, _CMP_EQ_OQ)));
     *to = _mm256_cvtss_f32(least);
+    limit = _mm256_add_ps(least, _mm256_set1_ps(TETCASTI_FOAM_TIE));
+    close = (uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(best, limit, _CMP_LE_OQ));
+    close = (close & (close - 1u)) | (uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(second, limit, _CMP_LE_OQ));
+    if (TETCASTI_UNLIKELY(!(*to > now) || (close != 0 && *to < TETCASTI_INF)))
+        return tetcasti_foam_leave_exactly(f, r, to);
     return (uint32_t)_mm256_cvtsi256_si32(_mm256_permutevar8x32_epi32(next, _mm256_set1_epi32((int32_t)lane)));
 }
 
@@ -27432,7 +27479,7 @@ TETCASTI_TARGET_AVX2 TETCASTI_INLINE uint32_t tetcasti_foam_pass8(const tetcast_
     some = _mm256_and_ps(some, _mm256_cmp_ps(first, inf, _CMP_EQ_OQ));
     _mm256_storeu_ps(l->first, _mm256_blendv_ps(first, t, some));
     way = _mm256_add_ps(_mm256_loadu_ps(l->way), _mm256_mul_ps(extinction, _mm256_sub_ps(to, t)));
-    after = tetcasti_exp_neg8(way);
+    after = _mm256_min_ps(tetcasti_exp_neg8(way), left);
     w = _mm256_sub_ps(left, after);
     for (a = 0; a < 3; a++)
         _mm256_storeu_ps(l->rgb[a], _mm256_add_ps(_mm256_loadu_ps(l->rgb[a]),
@@ -27458,7 +27505,7 @@ TETCASTI_TARGET_AVX2 static void tetcasti_foam_run8(const tetcast_foam *f, tetca
             const tetcasti_foam_cell *c = &f->cell[ray->cell];
             l.extinction[i] = c->extinction;
             for (a = 0; a < 3; a++) l.color[a][i] = c->rgb[a];
-            ray->cell = tetcasti_foam_leave8(f, ray, &l.to[i]);
+            ray->cell = tetcasti_foam_leave8(f, ray, l.t[i], &l.to[i]);
             TETCASTI_PREFETCH(&f->cell[ray->cell]);
         }
         done = tetcasti_foam_pass8(f, &l) & ((1u << n) - 1u);
@@ -27533,7 +27580,7 @@ static int tetcasti_foam_put(const tetcasti_foam_frame *c, const double o[3], co
     return 1;
 }
 
-static float tetcasti_foam_far(double t) { return t < 3e38 ? (float)t : 3e38f; }
+static float tetcasti_foam_far(double t) { return t < 3e38 ? t > -3e38 ? (float)t : -3e38f : 3e38f; }
 
 /* A ray is done: `which` is its number in the tile or in the caller's list, start where it met the box. */
 static void tetcasti_foam_write(tetcasti_foam_frame *c, const tetcasti_foam_ray *r, double start, size_t which,

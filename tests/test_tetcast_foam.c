@@ -5,8 +5,8 @@
 #include "tetcast.h"
 #include "foam_oracle.h"
 
-enum { KINDS = 8, MOST = 2048 };
-static const char *const kind_name[KINDS] = {"uniform", "clusters", "lattice", "centre of a sphere", "plane", "line", "doubles", "two scales"};
+enum { KINDS = 10, MOST = 2048 };
+static const char *const kind_name[KINDS] = {"uniform", "clusters", "lattice", "centre of a sphere", "plane", "line", "doubles", "two scales", "pairs", "close pairs"};
 
 /* Sites of a kind in about the unit cube; colours and extinctions at random, a third of them empty. */
 static void make_sites(uint32_t kind, uint32_t n, uint64_t seed, tetcast_site *s) {
@@ -33,6 +33,8 @@ static void make_sites(uint32_t kind, uint32_t n, uint64_t seed, tetcast_site *s
         if (kind == 5) v[1] = v[2] = v[0];
         if (kind == 6 && i > n / 2)
             for (a = 0; a < 3; a++) v[a] = s[i - n / 2].position[a];
+        if (kind >= 8 && i % 2 != 0) /* nearer to each other than floats tell their planes apart */
+            for (a = 0; a < 3; a++) v[a] = s[i - 1].position[a] + (kind == 8 ? 1e-5 : 1e-6) * (v[a] - 0.5);
         for (a = 0; a < 3; a++) {
             s[i].position[a] = floor(v[a] * 8388608.0 + 0.5) / 8388608.0; /* as they are kept */
             s[i].rgb[a] = test_rng_float(&g);
@@ -117,7 +119,7 @@ static polygon face_of(const tetcast_site *s, uint32_t n, const tetcast_foam_inf
         if (k == i || k == j) continue;
         for (a = 0; a < 3; a++) e[a] = s[k].position[a] - s[i].position[a];
         l = foam_length(e);
-        if (l < 1e-6) continue; /* a double */
+        if (l < 1e-9) continue; /* a double */
         for (a = 0; a < 3; a++) {
             e[a] /= l;
             offset += e[a] * 0.5 * (s[i].position[a] + s[k].position[a]);
@@ -152,7 +154,7 @@ TEST(neighbours_are_those_of_brute_force) {
                 for (j = 0; j < n; j++) {
                     const double d[3] = {s[i].position[0] - s[j].position[0], s[i].position[1] - s[j].position[1], s[i].position[2] - s[j].position[2]};
                     polygon p;
-                    if (foam_length(d) < 1e-6 || (kind == 2 && (i >= info.cell_count || j >= info.cell_count)) || (kind == 6 && (i > n / 2 || j > n / 2)))
+                    if (foam_length(d) < 1e-9 || (kind == 2 && (i >= info.cell_count || j >= info.cell_count)) || (kind == 6 && (i > n / 2 || j > n / 2)))
                         continue; /* doubles have no cell */
                     p = face_of(s, n, &info, i, j, have[i][j] ? 1e-6 : 0.0);
                     faces += have[i][j];
@@ -190,12 +192,17 @@ TEST(rays_are_those_of_brute_force) {
             tetcast_foam *f = make_foam(kind, n, seed, s);
             test_rng g = test_rng_make(1000 * seed + kind);
             tetcast_ray ray[RAYS];
-            tetcast_ray_result got[RAYS];
+            tetcast_ray_result got[RAYS], same[RAYS];
+            tetcast_render_desc rd;
             tetcast_foam_info info;
             REQUIRE(f != NULL);
+            memset(&rd, 0, sizeof rd);
+            rd.isa = TETCAST_ISA_SCALAR;
             tetcast_foam_get_info(f, &info);
             for (i = 0; i < RAYS; i++) random_ray(&g, &ray[i]);
             CHECK_EQ_U64(tetcast_foam_cast(NULL, f, ray, RAYS, got, NULL), TETCAST_OK);
+            CHECK_EQ_U64(tetcast_foam_cast(&rd, f, ray, RAYS, same, NULL), TETCAST_OK);
+            CHECK(memcmp(got, same, sizeof got) == 0);
             for (i = 0; i < RAYS; i++) {
                 const foam_ray m = foam_march(s, n, &info, &ray[i]);
                 const int stopped = got[i].rgba[3] > 0.99f;
@@ -265,6 +272,106 @@ TEST(rays_in_faces_of_a_lattice) {
                     CHECK_NEAR(got.rgba[3], 1.0 - exp(-0.125 * way), 1e-5);
                     CHECK(got.steps <= 3 * SIDE + 3);
                 }
+    tetcast_foam_destroy(f);
+}
+
+/* Rays along the edge in which the cells of a ring meet, however it is turned: they do not go round in it but reach what is behind. */
+TEST(rays_in_edges_of_rings) {
+    enum { ROW = 60, MEMBERS = 10 };
+    tetcast_site s[MEMBERS + ROW];
+    test_rng g = test_rng_make(5);
+    uint32_t turn, lost = 0, a, i, k;
+    for (turn = 0; turn < (test_quick() ? 500u : 5000u); turn++) {
+        const uint32_t n = 3 + turn % (MEMBERS - 2);
+        double u[3], v[3], w[3], l, radius;
+        tetcast_foam *f = NULL;
+        tetcast_foam_desc d;
+        tetcast_ray r[16];
+        tetcast_ray_result got[16];
+        memset(&d, 0, sizeof d);
+        memset(s, 0, sizeof s);
+        memset(r, 0, sizeof r);
+        for (a = 0; a < 3; a++) {
+            w[a] = test_rng_double(&g) - 0.5;
+            v[a] = test_rng_double(&g) - 0.5;
+            d.box_min[a] = -1;
+            d.box_max[a] = 1;
+        }
+        l = foam_length(w);
+        for (a = 0; a < 3; a++) w[a] /= l;
+        for (a = 0; a < 3; a++) u[a] = w[(a + 1) % 3] * v[(a + 2) % 3] - w[(a + 2) % 3] * v[(a + 1) % 3];
+        l = foam_length(u);
+        for (a = 0; a < 3; a++) u[a] /= l;
+        for (a = 0; a < 3; a++) v[a] = w[(a + 1) % 3] * u[(a + 2) % 3] - w[(a + 2) % 3] * u[(a + 1) % 3];
+        radius = 0.4 * pow(10, -4 * test_rng_double(&g));
+        for (i = 0; i < n; i++) { /* a ring of empty cells in a plane across w, nearly; then a row of opaque ones along it */
+            const double turned = 6.283185307179586 * (test_rng_below(&g, 2) != 0 ? test_rng_double(&g) : (double)i / n);
+            const double off = -0.4 + (turn % 3 != 0 ? pow(10, -8 + 2 * test_rng_double(&g)) * (test_rng_double(&g) - 0.5) : 0);
+            for (a = 0; a < 3; a++) s[i].position[a] = off * w[a] + radius * (cos(turned) * u[a] + sin(turned) * v[a]);
+        }
+        for (k = 0; k < ROW; k++, i++) {
+            for (a = 0; a < 3; a++) s[i].position[a] = w[a] * 0.8 * k / ROW + 1e-3 * (test_rng_double(&g) - 0.5);
+            s[i].extinction = 50;
+        }
+        REQUIRE(tetcast_foam_create(&d, s, n + ROW, &f) == TETCAST_OK);
+        for (k = 0; k < 16; k++)
+            for (a = 0; a < 3; a++) {
+                r[k].org[a] = -2 * w[a] + (k % 4 == 0 ? 0 : 1e-8) * (test_rng_double(&g) - 0.5);
+                r[k].dir[a] = w[a] + (k < 8 ? 0 : 1e-8) * (test_rng_double(&g) - 0.5);
+            }
+        CHECK_EQ_U64(tetcast_foam_cast(NULL, f, r, 16, got, NULL), TETCAST_OK);
+        for (k = 0; k < 16; k++) lost += got[k].rgba[3] < 0.9f || got[k].steps >= n + ROW;
+        tetcast_foam_destroy(f);
+    }
+    CHECK_MSG(lost == 0, "%u of %u rays are lost", lost, 16 * turn);
+}
+
+/* Colours are not below 0 however little absorbs, and lengths have numbers however far off a ray begins. */
+TEST(ends_of_ranges) {
+    tetcast_site s[2];
+    tetcast_foam *f = NULL;
+    tetcast_foam_desc d;
+    tetcast_ray r;
+    tetcast_ray_result got;
+    uint32_t i, a;
+    memset(&d, 0, sizeof d);
+    for (a = 0; a < 3; a++) {
+        d.box_min[a] = -1;
+        d.box_max[a] = 1;
+    }
+    for (i = 0; i < 2000; i++) {
+        memset(s, 0, sizeof s);
+        memset(&r, 0, sizeof r);
+        s[0].position[0] = -0.5;
+        s[1].position[0] = 0.5;
+        s[0].extinction = i == 1 ? 0.0311629f : 0.001f + 0.0005f * (float)i; /* where the power of e rises */
+        s[1].extinction = 1e-9f;
+        s[1].rgb[0] = 1e18f;
+        r.org[0] = -2;
+        r.dir[0] = 1;
+        REQUIRE(tetcast_foam_create(&d, s, 2, &f) == TETCAST_OK);
+        CHECK_EQ_U64(tetcast_foam_cast(NULL, f, &r, 1, &got, NULL), TETCAST_OK);
+        CHECK_MSG(got.rgba[0] >= 0, "%g", (double)got.rgba[0]);
+        if (i == 0) { /* in a face of the box, all but along it */
+            r.org[1] = -1;
+            r.dir[1] = 1e-310;
+            CHECK_EQ_U64(tetcast_foam_cast(NULL, f, &r, 1, &got, NULL), TETCAST_OK);
+            CHECK_NEAR(got.length, 2.0, 1e-6);
+        }
+        tetcast_foam_destroy(f);
+    }
+    for (a = 0; a < 3; a++) {
+        d.box_min[a] = -1e90;
+        d.box_max[a] = 1e90;
+    }
+    memset(&r, 0, sizeof r);
+    r.org[2] = 1e91;
+    r.dir[2] = 1;
+    r.t_min = -1e300;
+    s[0].extinction = s[1].extinction = 1;
+    REQUIRE(tetcast_foam_create(&d, s, 2, &f) == TETCAST_OK);
+    CHECK_EQ_U64(tetcast_foam_cast(NULL, f, &r, 1, &got, NULL), TETCAST_OK);
+    CHECK(got.hit >= -3e38f && got.hit < 0);
     tetcast_foam_destroy(f);
 }
 
@@ -522,6 +629,8 @@ int main(int argc, char **argv) {
     RUN(neighbours_are_those_of_brute_force);
     RUN(rays_are_those_of_brute_force);
     RUN(rays_in_faces_of_a_lattice);
+    RUN(rays_in_edges_of_rings);
+    RUN(ends_of_ranges);
     RUN(places_are_in_the_nearest_cell);
     RUN(pictures_are_rays);
     RUN(paint);
