@@ -6,7 +6,8 @@
 #include "foam_oracle.h"
 
 enum { KINDS = 10, MOST = 2048 };
-static const char *const kind_name[KINDS] = {"uniform", "clusters", "lattice", "centre of a sphere", "plane", "line", "doubles", "two scales", "pairs", "close pairs"};
+static const char *const kind_name[KINDS] = {"uniform", "clusters", "lattice", "centre of a sphere",
+                                              "plane", "line", "doubles", "two scales", "pairs", "close pairs"};
 
 /* Sites of a kind in about the unit cube; colours and extinctions at random, a third of them empty. */
 static void make_sites(uint32_t kind, uint32_t n, uint64_t seed, tetcast_site *s) {
@@ -281,7 +282,7 @@ TEST(rays_in_edges_of_rings) {
     tetcast_site s[MEMBERS + ROW];
     test_rng g = test_rng_make(5);
     uint32_t turn, lost = 0, a, i, k;
-    for (turn = 0; turn < (test_quick() ? 500u : 5000u); turn++) {
+    for (turn = 0; turn < (test_quick() ? 500u : 12000u); turn++) {
         const uint32_t n = 3 + turn % (MEMBERS - 2);
         double u[3], v[3], w[3], l, radius;
         tetcast_foam *f = NULL;
