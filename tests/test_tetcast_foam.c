@@ -280,10 +280,13 @@ TEST(rays_in_faces_of_a_lattice) {
 TEST(rays_in_edges_of_rings) {
     enum { ROW = 60, MEMBERS = 10 };
     tetcast_site s[MEMBERS + ROW];
-    test_rng g = test_rng_make(5);
-    uint32_t turn, lost = 0, a, i, k;
-    for (turn = 0; turn < (test_quick() ? 500u : 12000u); turn++) {
+    static const uint32_t known[7] = {6459, 16477, 26805, 31602, 41526, 42396, 55782}; /* where floats alone go round */
+    const uint32_t turns = test_quick() ? 300 : 3000;
+    uint32_t step, lost = 0, a, i, k;
+    for (step = 0; step < turns + 7; step++) {
+        const uint32_t turn = step < turns ? step : known[step - turns];
         const uint32_t n = 3 + turn % (MEMBERS - 2);
+        test_rng g = test_rng_make(turn);
         double u[3], v[3], w[3], l, radius;
         tetcast_foam *f = NULL;
         tetcast_foam_desc d;
@@ -324,7 +327,7 @@ TEST(rays_in_edges_of_rings) {
         for (k = 0; k < 16; k++) lost += got[k].rgba[3] < 0.9f || got[k].steps >= n + ROW;
         tetcast_foam_destroy(f);
     }
-    CHECK_MSG(lost == 0, "%u of %u rays are lost", lost, 16 * turn);
+    CHECK_MSG(lost == 0, "%u of %u rays are lost", lost, 16 * step);
 }
 
 /* Colours are not below 0 however little absorbs, and lengths have numbers however far off a ray begins. */
