@@ -2092,8 +2092,7 @@ typedef struct zbufrandi_keys {
     uint64_t *key;                   /* width * height, row 0 on top */
 } zbufrandi_keys;
 
-/* Bijection of 32 bits and its inverse (lowbias32 constants). */
-ZBUFRANDI_INLINE uint32_t zbufrandi_mix(uint32_t x) { return zbufrandi_hash32(x); }
+/* The inverse of zbufrandi_hash32, which is a bijection (lowbias32 constants). */
 ZBUFRANDI_INLINE uint32_t zbufrandi_unmix(uint32_t x) {
     x ^= x >> 16;
     x *= 0x43021123u;
@@ -2113,7 +2112,7 @@ ZBUFRANDI_TARGET_AVX2 ZBUFRANDI_INLINE __m256i zbufrandi_mix8(__m256i x) {
 ZBUFRANDI_INLINE uint64_t zbufrandi_key(float z, uint32_t number) { /* z > 0 */
     uint32_t bits;
     memcpy(&bits, &z, sizeof bits);
-    return (uint64_t)bits << 32 | zbufrandi_mix(number);
+    return (uint64_t)bits << 32 | zbufrandi_hash32(number);
 }
 ZBUFRANDI_INLINE float zbufrandi_key_depth(uint64_t key) {
     uint32_t bits = (uint32_t)(key >> 32);
@@ -6651,7 +6650,7 @@ static uint32_t zbufrandi_raster_cluster_scalar(const zbufrandi_raster *r, const
         const uint8_t *t = triangle + 3 * i;
         const zbufrandi_raster_vertex *v[3];
         const float *p[3];
-        uint32_t low = zbufrandi_mix(first_number + i);
+        uint32_t low = zbufrandi_hash32(first_number + i);
         for (k = 0; k < 3; k++) {
             v[k] = &vertex[t[k]];
             p[k] = position + 3 * (size_t)t[k];
@@ -6980,7 +6979,7 @@ ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_raster_cluster_avx2(const zbufra
     for (i = 0; i < in_list[2]; i++) {
         const uint8_t *t = triangle + 3 * (size_t)list[2][i];
         covered += zbufrandi_raster_triangle(r, &vertex[t[0]], &vertex[t[1]], &vertex[t[2]], two_sided,
-                                             zbufrandi_mix(first_number + list[2][i]));
+                                             zbufrandi_hash32(first_number + list[2][i]));
     }
     return covered;
 }
@@ -11053,7 +11052,7 @@ ZBUFRANDI_INLINE uint64_t zbufrandi_key_bucket(float z, uint32_t number, uint32_
     uint32_t bits;
     memcpy(&bits, &z, sizeof bits);
     bits = (bits + jitter) & ~mask;
-    return (uint64_t)(bits < 0x7f7fffffu ? bits : 0x7f7fffffu) << 32 | zbufrandi_mix(number);
+    return (uint64_t)(bits < 0x7f7fffffu ? bits : 0x7f7fffffu) << 32 | zbufrandi_hash32(number);
 }
 
 /* ---- rows of keys ----

@@ -675,7 +675,7 @@ TEST(ties) {
         uint32_t n;
         for (n = 0; n < 20; n++) {
             view v;
-            uint32_t want = zbufrandi_mix(n) < zbufrandi_mix(n + 1) ? n : n + 1;
+            uint32_t want = zbufrandi_hash32(n) < zbufrandi_hash32(n + 1) ? n : n + 1;
             view_open(&v, 16, 16, 16.0, 0.1, level);
             v.r.mirrored = 1;
             zbufrandi_raster_cluster(&v.r, p, 3, index, 2, 0, n);

@@ -1275,7 +1275,7 @@ TEST(voronoi_regions) { /* distances by brute force and by the queue; ties of L1
                         uint64_t c = euclidean ? (uint64_t)(dx * dx + dy * dy) : (uint64_t)(llabs(dx) + llabs(dy));
                         uint32_t number = u.p.number[shown[i]];
                         if (number == n) got = c;
-                        if (!euclidean) c = c << 32 | zbufrandi_mix(number ^ zbufrandi_hash32(1));
+                        if (!euclidean) c = c << 32 | zbufrandi_hash32(number ^ zbufrandi_hash32(1));
                         if (c < best) {
                             best = c;
                             winner = number;
