@@ -27614,14 +27614,15 @@ static void tetcasti_task_foam_rays(void *ctx, uint32_t strand) {
     tetcasti_foam_frame *c = (tetcasti_foam_frame *)ctx;
     tetcasti_foam_ray *ray = (tetcasti_foam_ray *)tetcasti_alloc_array(&c->mem, MOST, sizeof *ray);
     double *start = (double *)tetcasti_alloc_array(&c->mem, MOST, sizeof *start);
+    const int memory = ray != NULL && start != NULL;
     tetcasti_foam_ray none;
     uint64_t n[4] = {0, 0, 0, 0};
     uint32_t i;
     memset(&none, 0, sizeof none);
     none.left = 1.0f;
     none.first = TETCASTI_INF;
-    if (ray == NULL || start == NULL) tetcasti_atomic_store(&c->failed, 1u);
-    while (!tetcasti_atomic_load(&c->failed) && !tetcasti_atomic_load(&c->cancelled)) {
+    if (!memory) tetcasti_atomic_store(&c->failed, 1u);
+    while (memory && !tetcasti_atomic_load(&c->failed) && !tetcasti_atomic_load(&c->cancelled)) {
         const uint32_t tile = tetcasti_atomic_add(&c->next, 1u) - 1u;
         const size_t base = c->image == NULL ? (size_t)tile * MOST : 0;
         uint32_t x0 = 0, y0 = 0, width = TETCASTI_TILE, height = TETCASTI_TILE, hits = 0, hint = 0;

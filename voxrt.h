@@ -8474,6 +8474,7 @@ VOXRTI_INLINE uint32_t voxrti_octree_block(voxrt_octree *t) {
 static voxrt_result voxrti_octree_open(const voxrt_octree_desc *desc, voxrt_octree_desc *d, voxrti_mem *mem) {
     voxrt_result r;
     memset(d, 0, sizeof *d);
+    memset(mem, 0, sizeof *mem);
     if (desc != NULL) *d = *desc;
     if (d->_begin_zero != 0 || d->_end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
     if (d->env.error != NULL) memset(d->env.error, 0, sizeof *d->env.error);
