@@ -3871,8 +3871,19 @@ static void tetcasti_task_vertex(void *ctx, uint32_t chunk) {
     }
 }
 
+/* The vertices in their new order. */
+static int tetcasti_import_points(tetcasti_import *m) { /* 0: no memory */
+    tetcast_mesh *mesh = m->mesh;
+    const uint32_t n = mesh->vertex_count;
+    mesh->vertex = (tetcasti_vertex *)tetcasti_alloc_array(m->mem, (size_t)n + 1, sizeof *mesh->vertex);
+    if (mesh->vertex == NULL) return 0;
+    tetcasti_run(m, tetcasti_task_vertex, n);
+    memset(&mesh->vertex[n], 0, sizeof mesh->vertex[n]);
+    return 1;
+}
+
 /* Number the used vertices and write them down in that order. */
-static int tetcasti_import_vertices(tetcasti_import *m) {
+static int tetcasti_import_vertices(tetcasti_import *m) { /* 0: no memory */
     tetcast_mesh *mesh = m->mesh;
     tetcasti_keyed *keyed = NULL, *spare = NULL;
     tetcasti_pass pass;
@@ -3883,8 +3894,7 @@ static int tetcasti_import_vertices(tetcasti_import *m) {
     m->report->unused_vertices = m->input_vertices - n - m->report->welded;
     m->rank = (uint32_t *)tetcasti_alloc_array(m->mem, m->input_vertices, sizeof *m->rank);
     m->vertex_source = (uint32_t *)tetcasti_alloc_array(m->mem, n, sizeof *m->vertex_source);
-    mesh->vertex = (tetcasti_vertex *)tetcasti_alloc_array(m->mem, (size_t)n + 1, sizeof *mesh->vertex);
-    if (m->rank == NULL || m->vertex_source == NULL || mesh->vertex == NULL) return 0;
+    if (m->rank == NULL || m->vertex_source == NULL) return 0;
     n = 0;
     for (v = 0; v < m->input_vertices; v++)
         if (m->state[v] == TETCASTI_USED) m->vertex_source[n++] = v;
@@ -3908,9 +3918,7 @@ static int tetcasti_import_vertices(tetcasti_import *m) {
         tetcasti_free(m->mem, spare);
     }
     for (i = 0; i < n; i++) m->rank[m->vertex_source[i]] = i;
-    tetcasti_run(m, tetcasti_task_vertex, n);
-    memset(&mesh->vertex[n], 0, sizeof mesh->vertex[n]);
-    return 1;
+    return tetcasti_import_points(m);
 }
 
 /* ---- import, step 3: tetrahedra, sorted by their smallest vertex ---- */
@@ -4702,6 +4710,10 @@ static tetcast_result tetcasti_import_tets(tetcasti_import *m, uint64_t tets) {
     m->state = NULL;
     tetcasti_run(m, tetcasti_task_turn, n);
     for (i = 0; i < tetcasti_chunks(n); i++) tetcasti_report_add(m->report, &m->turn_report[i]);
+    if (m->desc->drop_source) { /* made once more below: the most memory is in use while neighbours are found */
+        tetcasti_free(m->mem, mesh->vertex);
+        mesh->vertex = NULL;
+    }
     mesh->neighbour = (uint32_t (*)[4])tetcasti_alloc_array(m->mem, n, sizeof *mesh->neighbour);
     memset(&match, 0, sizeof match);
     match.mem = m->mem;
@@ -4717,6 +4729,7 @@ static tetcast_result tetcasti_import_tets(tetcasti_import *m, uint64_t tets) {
         if (m->report->duplicates == 0) break;
     }
     if (!ok || mesh->neighbour == NULL) return TETCAST_ERR_NO_MEMORY;
+    if (mesh->vertex == NULL && !tetcasti_import_points(m)) return TETCAST_ERR_NO_MEMORY;
     m->report->nonmanifold_faces = match.nonmanifold;
     if (match.nonmanifold != 0) m->report->first_nonmanifold = mesh->source_cell[match.first_nonmanifold];
     if (match.conflicts != 0 && !tetcasti_orient(m)) return TETCAST_ERR_NO_MEMORY;
@@ -4724,7 +4737,17 @@ static tetcast_result tetcasti_import_tets(tetcasti_import *m, uint64_t tets) {
     return TETCAST_OK;
 }
 
-/* What is not to be kept goes as soon as it is not needed: the most memory is in use while neighbours are found. */
+/* Free the numbers in the input that nothing asks for any more. */
+static void tetcasti_import_drop_sources(tetcasti_import *m) {
+    const tetcast_field *fields = m->grid != NULL ? m->grid->fields : m->in->fields;
+    size_t count = m->grid != NULL ? m->grid->field_count : m->in->field_count, of_cells = 0, i;
+    if (!m->desc->drop_source) return;
+    for (i = 0; i < count; i++) of_cells += fields[i].per_cell != 0;
+    if (of_cells == count) tetcasti_import_drop(m, &m->vertex_source);
+    if (of_cells == 0 && (m->grid != NULL || m->in->masks == NULL)) tetcasti_import_drop(m, &m->mesh->source_cell);
+}
+
+/* What is not to be kept goes as soon as it is not needed. */
 static tetcast_result tetcasti_import_run(tetcasti_import *m) {
     const tetcast_mesh_desc *d = m->desc;
     uint64_t tets = 0;
@@ -4732,11 +4755,10 @@ static tetcast_result tetcasti_import_run(tetcasti_import *m) {
     if (r != TETCAST_OK) return r;
     if (!tetcasti_progress(m, 1)) return TETCAST_ERR_CANCELLED;
     if (!tetcasti_import_vertices(m)) return TETCAST_ERR_NO_MEMORY;
-    if (d->drop_source && (m->grid != NULL ? m->grid->field_count : m->in->field_count) == 0)
-        tetcasti_import_drop(m, &m->vertex_source);
     if (!tetcasti_progress(m, 2)) return TETCAST_ERR_CANCELLED;
     r = tetcasti_import_tets(m, tets);
     if (r != TETCAST_OK) return r;
+    tetcasti_import_drop_sources(m);
     if (!tetcasti_progress(m, 3)) return TETCAST_ERR_CANCELLED;
     r = tetcasti_import_hull(m);
     if (r != TETCAST_OK) return r;

@@ -72,7 +72,7 @@ TEST(all_ways) {
     }
 }
 
-/* Cells alone are the same, and are made in 44 bytes each: vertices, neighbours, the number in the input, and a little. */
+/* Cells alone are the same, and are made in 41 bytes each: vertices, neighbours, the number in the input, and a little. */
 static void check_lean(const tets *t, const tetcast_mesh_desc *like, const tetcast_mesh *m) {
     tetcast_mesh_desc d = *like;
     tetcast_mesh *lean;
@@ -90,7 +90,7 @@ static void check_lean(const tets *t, const tetcast_mesh_desc *like, const tetca
     CHECK(memcmp(lean->cells.data, m->cells.data, m->cells.data_bytes) == 0);
     CHECK(memcmp(lean->cells.side, m->cells.side, m->cells.side_bytes) == 0);
     if (d.order != TETCAST_ORDER_INPUT) /* there most of them are in the side table */
-        CHECK_MSG((size_t)ta.peak_bytes < 44 * (size_t)m->cell_count, "%.1f bytes a cell",
+        CHECK_MSG((size_t)ta.peak_bytes < 41 * (size_t)m->cell_count, "%.1f bytes a cell",
                   (double)ta.peak_bytes / (double)m->cell_count);
     tetcast_mesh_destroy(lean);
     test_alloc_check(&ta);
