@@ -2386,8 +2386,7 @@ static TETCASTI_UNUSED void tetcasti_free(tetcasti_mem *mem, void *ptr) {
 
 /* Make room for `need` elements by doubling; keeps the old block when it fails. 1 on success. */
 static TETCASTI_UNUSED int tetcasti_grow(tetcasti_mem *mem, void **array, size_t *capacity, size_t count,
-                                           size_t need,
-                                     size_t size) {
+                                     size_t need, size_t size) {
     size_t cap = *capacity;
     void *p;
     if (need <= cap) return 1;
@@ -21919,13 +21918,45 @@ TETCAST_DEF tetcast_result tetcast_rbf_save_file(const tetcast_rbf *rbf, const t
                                                "functions: the file cannot be written" : "functions: out of memory");
 }
 
+/* The whole file into memory from `mem`. What it says of its size is a first guess: it may be a pipe, or grow. */
+static tetcast_result tetcasti_read_file(tetcasti_mem *mem, const char *path, void **data, size_t *size) {
+    FILE *file = fopen(path, "rb");
+    size_t capacity = 0, n = 0, got = 1;
+    tetcast_result r = TETCAST_OK;
+    *data = NULL;
+    *size = 0;
+    if (file == NULL) return TETCAST_ERR_IO;
+    if (fseek(file, 0, SEEK_END) == 0) {
+        const long end = ftell(file);
+        if (end > 0 && (size_t)end < (size_t)-1 / 2) capacity = (size_t)end + 1; /* folders say that they end there */
+        rewind(file);
+    }
+    if (capacity != 0) *data = tetcasti_alloc(mem, capacity);
+    if (capacity != 0 && *data == NULL) r = TETCAST_ERR_NO_MEMORY;
+    while (r == TETCAST_OK && got != 0) {
+        if (n == capacity && !tetcasti_grow(mem, data, &capacity, n, n < 65536 ? 65536 : n + 1, 1)) {
+            r = TETCAST_ERR_NO_MEMORY;
+            break;
+        }
+        got = fread((uint8_t *)*data + n, 1, capacity - n, file);
+        n += got;
+    }
+    if (r == TETCAST_OK && ferror(file) != 0) r = TETCAST_ERR_IO;
+    (void)fclose(file);
+    if (r != TETCAST_OK) {
+        tetcasti_free(mem, *data);
+        *data = NULL;
+    }
+    *size = n;
+    return r;
+}
+
 TETCAST_DEF tetcast_result tetcast_rbf_load_file(const tetcast_env *env, const char *path, tetcast_rbf **out) {
     tetcast_env none;
     tetcasti_mem mem;
     tetcast_result r;
-    FILE *file;
-    long end = -1;
-    uint8_t *p = NULL;
+    void *p;
+    size_t size;
     if (out == NULL) return TETCAST_ERR_INVALID_ARG;
     *out = NULL;
     if (path == NULL) return TETCAST_ERR_INVALID_ARG;
@@ -21933,18 +21964,12 @@ TETCAST_DEF tetcast_result tetcast_rbf_load_file(const tetcast_env *env, const c
     if (env == NULL) env = &none;
     r = tetcasti_env_open(env, &mem);
     if (r != TETCAST_OK) return r;
-    file = fopen(path, "rb");
-    if (file != NULL && fseek(file, 0, SEEK_END) == 0) end = ftell(file);
-    if (end >= 0 && fseek(file, 0, SEEK_SET) == 0) {
-        p = (uint8_t *)tetcasti_alloc(&mem, (size_t)end + 1);
-        r = p == NULL ? TETCAST_ERR_NO_MEMORY
-            : fread(p, 1, (size_t)end, file) != (size_t)end ? TETCAST_ERR_IO : TETCAST_OK;
-    } else r = TETCAST_ERR_IO;
-    if (file != NULL) (void)fclose(file);
+    r = tetcasti_read_file(&mem, path, &p, &size);
     if (r == TETCAST_OK) {
         const tetcast_env rest = tetcasti_env_rest(env, &mem);
-        r = tetcast_rbf_load_memory(&rest, p, (size_t)end, out);
-    } else (void)tetcasti_fail(env->error, r, 0, "functions: the file cannot be read");
+        r = tetcast_rbf_load_memory(&rest, p, size, out);
+    } else (void)tetcasti_fail(env->error, r, 0, r == TETCAST_ERR_IO ? "functions: the file cannot be read"
+                                                                      : "functions: out of memory");
     tetcasti_free(&mem, p);
     return r;
 }

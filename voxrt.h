@@ -2063,8 +2063,7 @@ static VOXRTI_UNUSED void voxrti_free(voxrti_mem *mem, void *ptr) {
 
 /* Make room for `need` elements by doubling; keeps the old block when it fails. 1 on success. */
 static VOXRTI_UNUSED int voxrti_grow(voxrti_mem *mem, void **array, size_t *capacity, size_t count,
-                                           size_t need,
-                                     size_t size) {
+                                     size_t need, size_t size) {
     size_t cap = *capacity;
     void *p;
     if (need <= cap) return 1;
@@ -11097,22 +11096,29 @@ static VOXRTI_UNUSED voxrt_result voxrti_write_file(voxrti_mem *mem, const char 
     return ok ? VOXRT_OK : VOXRT_ERR_IO;
 }
 
-/* The whole file into memory from `mem`; grows with what is really there. */
+/* The whole file into memory from `mem`. What it says of its size is a first guess: it may be a pipe, or grow. */
 static VOXRTI_UNUSED voxrt_result voxrti_read_file(voxrti_mem *mem, const char *path, void **data, size_t *size) {
     FILE *file = fopen(path, "rb");
-    size_t capacity = 0, n = 0, got;
+    size_t capacity = 0, n = 0, got = 1;
     voxrt_result r = VOXRT_OK;
     *data = NULL;
     *size = 0;
     if (file == NULL) return VOXRT_ERR_IO;
-    do {
+    if (fseek(file, 0, SEEK_END) == 0) {
+        const long end = ftell(file);
+        if (end > 0 && (size_t)end < (size_t)-1 / 2) capacity = (size_t)end + 1; /* folders say that they end there */
+        rewind(file);
+    }
+    if (capacity != 0) *data = voxrti_alloc(mem, capacity);
+    if (capacity != 0 && *data == NULL) r = VOXRT_ERR_NO_MEMORY;
+    while (r == VOXRT_OK && got != 0) {
         if (n == capacity && !voxrti_grow(mem, data, &capacity, n, n < 65536 ? 65536 : n + 1, 1)) {
             r = VOXRT_ERR_NO_MEMORY;
             break;
         }
         got = fread((uint8_t *)*data + n, 1, capacity - n, file);
         n += got;
-    } while (got != 0);
+    }
     if (r == VOXRT_OK && ferror(file) != 0) r = VOXRT_ERR_IO;
     (void)fclose(file);
     if (r != VOXRT_OK) {

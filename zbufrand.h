@@ -551,7 +551,7 @@ typedef struct zbufrand_surface_points_desc {
    triangles  node of the mesh and index of the triangle within it, 2 numbers per point; the scene has to be built
               with ids
    Errors: INVALID_ARG (also triangles of a scene without ids, and first + count of 2^64), UNINIT_DESC, NO_MEMORY, EMPTY
-   (nothing built, or no area), RANGE (areas beyond 3e38).
+   (nothing built, or no area), RANGE (areas or places beyond 3e38).
    Cost: O(1) per point and level of references; many points at once are cheapest, 2^20 and more take about 10 ns each,
    0.6 us where each is in another instance. Runs on the calling thread; any number of calls on one scene at once. The
    same points on any machine. */
@@ -1612,8 +1612,7 @@ static ZBUFRANDI_UNUSED void zbufrandi_free(zbufrandi_mem *mem, void *ptr) {
 
 /* Make room for `need` elements by doubling; keeps the old block when it fails. 1 on success. */
 static ZBUFRANDI_UNUSED int zbufrandi_grow(zbufrandi_mem *mem, void **array, size_t *capacity, size_t count,
-                                           size_t need,
-                                     size_t size) {
+                                     size_t need, size_t size) {
     size_t cap = *capacity;
     void *p;
     if (need <= cap) return 1;
@@ -18085,6 +18084,16 @@ static void zbufrandi_points_end(const zbufrand_scene *scene, zbufrandi_mem *mem
     zbufrandi_free(mem, sum);
 }
 
+/* Floats hold all places of the scene. */
+static int zbufrandi_points_fit(const zbufrandi_structure *root) {
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        const double lo = root->origin[a] + (double)root->box_lo[a], hi = root->origin[a] + (double)root->box_hi[a];
+        if (!(lo >= -3.4e38 && hi <= 3.4e38)) return 0;
+    }
+    return 1;
+}
+
 ZBUFRAND_DEF zbufrand_result zbufrand_surface_points(const zbufrand_scene *scene,
                                                      const zbufrand_surface_points_desc *desc, size_t count,
                                                      float *positions, float *normals, uint8_t *rgb,
@@ -18103,7 +18112,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_surface_points(const zbufrand_scene *scene
     if (scene == NULL || (positions == NULL && count != 0) || d.first > UINT64_MAX - count)
         return ZBUFRAND_ERR_INVALID_ARG;
     if (scene->structure_count == 0 || !(scene->structure[0].area > 0.0)) return ZBUFRAND_ERR_EMPTY;
-    if (!(scene->structure[0].area < (double)INFINITY)) return ZBUFRAND_ERR_RANGE;
+    if (!(scene->structure[0].area < (double)INFINITY) || !zbufrandi_points_fit(&scene->structure[0]))
+        return ZBUFRAND_ERR_RANGE;
     for (i = 0; i < scene->structure_count && triangles != NULL; i++) {
         if (scene->structure[i].triangle_count != 0 && scene->structure[i].triangle_id == NULL)
             return ZBUFRAND_ERR_INVALID_ARG;

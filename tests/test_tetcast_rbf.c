@@ -637,6 +637,7 @@ TEST(files) {
         CHECK(tetcast_rbf_save_file(m[0], NULL, "/nowhere/at/all.rbf") == TETCAST_ERR_IO);
         (void)remove(path);
         CHECK(tetcast_rbf_load_file(NULL, path, &again) == TETCAST_ERR_IO && again == NULL);
+        CHECK(tetcast_rbf_load_file(NULL, "/", &again) == TETCAST_ERR_IO && again == NULL);
         if (strchr(path, '/') != NULL) { /* a folder has the name: nothing is left behind */
             snprintf(part, sizeof part, "%.*s/.", (int)(strrchr(path, '/') - path), path);
             CHECK(tetcast_rbf_save_file(m[0], NULL, part) == TETCAST_ERR_IO);

@@ -1437,6 +1437,34 @@ TEST(areas_beyond_floats) {
     zbufrand_scene_destroy(scene);
 }
 
+/* A triangle twice as far away as floats go: points of it are refused; half as far they are where it is. */
+TEST(places_beyond_floats) {
+    static const float corner[9] = {0, 0, 0, 1e10f, 0, 0, 0, 1e10f, 0};
+    zbufrand_transform t;
+    zbufrand_mesh m;
+    uint32_t times, i;
+    memset(&t, 0, sizeof t);
+    memset(&m, 0, sizeof m);
+    t.m[0][0] = t.m[1][1] = t.m[2][2] = 1;
+    m.positions = corner;
+    m.vertex_count = 3;
+    m.triangle_count = 1;
+    for (times = 1; times <= 2; times++) {
+        zbufrand_scene *scene = NULL;
+        zbufrand_node node;
+        float p[10][3];
+        t.m[2][3] = -3.3e38 * times;
+        CHECK_EQ_U64(zbufrand_scene_create(NULL, &scene), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_mesh(scene, 1, &t, 0, &m, &node), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_scene_build(scene, NULL, NULL), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_surface_points(scene, NULL, 10, p[0], NULL, NULL, NULL),
+                     times == 1 ? ZBUFRAND_OK : ZBUFRAND_ERR_RANGE);
+        for (i = 0; i < 10 && times == 1; i++)
+            CHECK(p[i][0] >= 0 && p[i][1] >= 0 && p[i][0] <= 1e10f && p[i][1] <= 1e10f && p[i][2] == -3.3e38f);
+        zbufrand_scene_destroy(scene);
+    }
+}
+
 /* Corners that are closer together than floats at the distance of the eye are moved by rounding, so that triangles are larger
    in the picture than all bounds: their areas stay in order, and no more samples are drawn than there is room for. */
 TEST(corners_moved_by_rounding) {
@@ -1517,6 +1545,7 @@ int main(int argc, char **argv) {
     RUN(fine_places);
     RUN(points_of_any_size);
     RUN(areas_beyond_floats);
+    RUN(places_beyond_floats);
     RUN(corners_moved_by_rounding);
     return test_end();
 }
