@@ -14988,8 +14988,14 @@ TETCASTI_INLINE double tetcasti_plane_height(const tetcasti_plane *f, const tetc
    same. */
 typedef struct tetcasti_plane_map {
     double map[3][3], scale;
+    double depth_min, depth_max;  /* of the polygon: beside the horizon pixels can come out farther off */
     float *depth;
 } tetcasti_plane_map;
+
+static float tetcasti_plane_depth(double d, double least, double most) {
+    d = d > least ? d < most ? d : most : least;
+    return d > -3e38 ? d < 3e38 ? (float)d : 3e38f : -3e38f;
+}
 
 /* A section is a polygon with a linear function: each of its triangles is painted like a cell, one dimension lower.
    p: in pixels. q: where the function is linear: p or, in perspective, places on the plane; m says where pixels lie
@@ -15054,7 +15060,9 @@ static void tetcasti_plane_paint(const double (*p)[2], const double (*q)[2], con
                 const double u = (m->map[0][0] * at[0] + m->map[0][1] * at[1] + m->map[0][2]) * w;
                 at[1] = (m->map[1][0] * at[0] + m->map[1][1] * at[1] + m->map[1][2]) * w;
                 at[0] = u;
-                if (m->depth != NULL) m->depth[(size_t)y * width + (size_t)x] = (float)(m->scale * w);
+                if (m->depth != NULL)
+                    m->depth[(size_t)y * width + (size_t)x] = tetcasti_plane_depth(m->scale * w, m->depth_min,
+                                                                                   m->depth_max);
             }
             v = s[0] + g[0] * (at[0] - q[0][0]) + g[1] * (at[1] - q[0][1]);
             v = v > least ? v : least;
@@ -15295,6 +15303,11 @@ TETCAST_DEF tetcast_result tetcast_plane_view(const tetcast_env *env, const tetc
         }
         if (!c.parallel) count = tetcasti_view_clip(p, s, count, 1e-9 * span);
         for (k = 0; k < count; k++) {
+            const double along = p[k][2] * mesh->unit;
+            m.depth_min = k == 0 ? along : tetcasti_min(m.depth_min, along);
+            m.depth_max = k == 0 ? along : tetcasti_max(m.depth_max, along);
+        }
+        for (k = 0; k < count; k++) {
             const double w = c.parallel ? 1.0 : 1.0 / p[k][2];
             double q;
             pixel[k][0] = p[k][0] * w + 0.5 * (double)width;
@@ -15319,7 +15332,8 @@ TETCAST_DEF tetcast_result tetcast_plane_view(const tetcast_env *env, const tetc
             if (!(out[i] == out[i])) continue;
             x = (double)(i % width) + 0.5 - 0.5 * (double)width;
             y = (double)(i / width) + 0.5 - 0.5 * (double)height;
-            depth[i] = (float)((m.scale / mesh->unit - slope[0] * x - slope[1] * y) / slope[2] * mesh->unit);
+            depth[i] = tetcasti_plane_depth((m.scale / mesh->unit - slope[0] * x - slope[1] * y) / slope[2] * mesh->unit,
+                                            -1e300, 1e300);
         }
     }
     tetcasti_free(&mem, heights);

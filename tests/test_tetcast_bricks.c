@@ -892,6 +892,26 @@ TEST(planes_in_perspective) {
         CHECK_MSG(off < 3e-5 && deep < 3e-5, "round %d: %g %g", round, off, deep);
         if (round % 3 == 1) CHECK_MSG(seen > 0, "round %d", round);
     }
+    for (round = 0; round < 2000; round++) { /* just above the plane: what is seen is in the mesh, also at the horizon */
+        tetcast_plane plane;
+        tetcast_camera cam;
+        size_t i, wrong = 0;
+        uint32_t k;
+        memset(&plane, 0, sizeof plane);
+        memset(&cam, 0, sizeof cam);
+        for (k = 0; k < 3; k++) {
+            cam.at[k] = 4 * test_rng_double(&r);
+            cam.eye[k] = 4 * test_rng_double(&r);
+            plane.v[k] = test_rng_double(&r) - 0.5;
+        }
+        for (k = 0; k < 3; k++) {
+            plane.u[k] = cam.at[k] - cam.eye[k];
+            plane.origin[k] = cam.eye[k] + pow(0.1, 14 + round % 6) * (test_rng_double(&r) - 0.5);
+        }
+        CHECK_EQ_U64(tetcast_plane_view(NULL, mesh, &plane, &cam, 9, 7, out, depth), TETCAST_OK);
+        for (i = 0; i < 63; i++) wrong += (out[i] == out[i]) != (depth[i] > 0 && depth[i] < 9);
+        CHECK_MSG(wrong == 0, "round %d: %lu wrong", round, (unsigned long)wrong);
+    }
     { /* along the plane nothing is seen; bad arguments */
         tetcast_plane plane;
         tetcast_camera cam;
