@@ -15332,8 +15332,8 @@ TETCAST_DEF tetcast_result tetcast_plane_view(const tetcast_env *env, const tetc
             if (!(out[i] == out[i])) continue;
             x = (double)(i % width) + 0.5 - 0.5 * (double)width;
             y = (double)(i / width) + 0.5 - 0.5 * (double)height;
-            depth[i] = tetcasti_plane_depth((m.scale / mesh->unit - slope[0] * x - slope[1] * y) / slope[2] * mesh->unit,
-                                            -1e300, 1e300);
+            x = (m.scale / mesh->unit - slope[0] * x - slope[1] * y) / slope[2] * mesh->unit;
+            depth[i] = tetcasti_plane_depth(x, -1e300, 1e300);
         }
     }
     tetcasti_free(&mem, heights);
