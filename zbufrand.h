@@ -18217,6 +18217,7 @@ typedef struct zbufrandi_live {
     size_t capacity;              /* of these, of scene->structure and of scene->rays->box */
     uint32_t *touched;            /* structures in which something changed */
     uint32_t touched_count, free_structures;
+    uint32_t first_free;          /* structures before it are all used */
     uint32_t walks;               /* number of the last one upwards */
 } zbufrandi_live;
 
@@ -18531,7 +18532,8 @@ static uint32_t zbufrandi_edit_slot(zbufrand_scene *scene) {
     uint32_t i;
     size_t cap;
     if (live->free_structures != 0) {
-        for (i = 0; live->s[i].used; i++) { }
+        for (i = live->first_free; live->s[i].used; i++) { }
+        live->first_free = i + 1;
         live->free_structures--;
     } else {
         i = scene->structure_count;
@@ -18564,6 +18566,7 @@ static void zbufrandi_edit_slot_free(zbufrand_scene *scene, uint32_t index) {
     zbufrandi_live_close(&scene->mem, &scene->live->s[index]);
     scene->rays->box[index] = NULL;
     scene->live->free_structures++;
+    if (index < scene->live->first_free) scene->live->first_free = index;
 }
 
 /* Rays through a new structure, and what edits need to know of it. 0: no memory. */
