@@ -24750,6 +24750,7 @@ static float voxrti_gi_foot(const voxrt_gi *gi, const float p[3], const float n[
         if (voxrti_absf(m[a]) > voxrti_absf(m[w.top])) w.top = a;
     }
     half *= (float)VOXRTI_COLUMN_WIDER;
+    if (!(voxrti_absf(m[w.top]) > 1e-37f)) return 0.0f; /* cells too small for floats, or no normal */
     inv = 1.0f / voxrti_absf(m[w.top]);
     for (step = 0; step < VOXRTI_GI_FOOT_STEPS && height <= half; step++) {
         for (more = 0; more < (lean && step == 0 ? 3u : 1u); more++) {
