@@ -10358,15 +10358,26 @@ static uint32_t zbufrandi_list_poisson(double mean, uint32_t h) {
     return k;
 }
 
+/* Of a run of objects, world. */
+static double zbufrandi_run_area(const zbufrandi_local *l, const zbufrandi_structure *s, uint32_t first,
+                                 uint32_t last) {
+    return (double)(s->lists->sum[last] - s->lists->sum[first]) * s->lists->unit * (double)l->scale *
+           (double)l->scale;
+}
+
+/* Samples of that area. */
+static double zbufrandi_run_expected(const zbufrandi_cut *cut, double area, double z_min, double h) {
+    return cut->density * area * cut->camera.focal * cut->camera.focal * h / (z_min * z_min * z_min);
+}
+
 /* Draw a run of objects: samples if the bound is known, the triangles themselves with raster. */
 static void zbufrandi_list_emit(const zbufrandi_cut *cut, const zbufrandi_local *locals, zbufrandi_pick *p,
                                 uint32_t local, uint32_t first, uint32_t last, double z_min, double z_max, double h,
                                 int raster) {
     const zbufrandi_local *l = zbufrandi_list_local(locals, p, local);
     const zbufrandi_structure *s = &cut->scene->structure[l->structure];
-    const double area = (double)(s->lists->sum[last] - s->lists->sum[first]) * s->lists->unit * (double)l->scale *
-                        (double)l->scale;
-    double expected = cut->density * area * cut->camera.focal * cut->camera.focal * h / (z_min * z_min * z_min);
+    const double area = zbufrandi_run_area(l, s, first, last);
+    double expected = zbufrandi_run_expected(cut, area, z_min, h);
     zbufrandi_draw d;
     memset(&d, 0, sizeof d);
     d.hash = zbufrandi_hash32(l->hash ^ zbufrandi_hash32(first * 0x9e3779b1u + 0x2545f491u) ^ last);
@@ -10446,9 +10457,10 @@ static void zbufrandi_list_single(const zbufrandi_cut *cut, const zbufrandi_loca
     large = !(z_min >= v->near_z && z_max <= (double)cut->depth_ratio * z_min);
     if (large && (cut->hybrid != ZBUFRAND_HYBRID_OFF || !(z_min >= v->near_z))) exact = 1;
     if (!exact) { /* as is cheaper */
-        const double area = 0.5 * length * (double)l->scale;
-        const double expected = cut->density * area * v->focal * v->focal * h / (z_min * z_min * z_min);
-        exact = !(expected < (double)cut->most);
+        const double expected = zbufrandi_run_expected(cut, 0.5 * length * (double)l->scale, z_min, h);
+        /* of what has hardly any area the list may know more, or less */
+        const double listed = zbufrandi_run_area(l, s, object, object + 1);
+        exact = !(expected < (double)cut->most) || !(zbufrandi_run_expected(cut, listed, z_min, h) < (double)cut->most);
         if (cut->hybrid == ZBUFRAND_HYBRID_AUTO)
             exact |= (double)cut->triangle + expected * (double)cut->pixel < expected * (double)cut->list_sample;
     }
