@@ -27392,7 +27392,19 @@ static void tetcasti_foam_run(const tetcast_foam *f, tetcasti_foam_ray *r, uint3
         while (!tetcasti_foam_pass(f, &r[i], to, next));
 }
 
-/* The neighbour into whose cell a place reaches farthest, relative to its distance; the cell itself for one inside. */
+/* Is a place nearer to the site of `a` than to that of `b`? */
+TETCASTI_INLINE int tetcasti_foam_closer(const tetcast_foam *f, uint32_t a, uint32_t b, const float p[3]) {
+    double difference = 0.0;
+    uint32_t i;
+    for (i = 0; i < 3; i++) {
+        const double x = (double)p[i] - (double)f->cell[a].place[i], y = (double)p[i] - (double)f->cell[b].place[i];
+        difference += (x - y) * (x + y);
+    }
+    return difference < 0.0;
+}
+
+/* The neighbour into whose cell a place reaches farthest, relative to its distance; the cell itself for one inside.
+   Each is asked exactly: floats would let sites that are close together send far places round. */
 TETCASTI_INLINE uint32_t tetcasti_foam_toward(const tetcast_foam *f, uint32_t cell, const float p[3]) {
     const tetcasti_foam_cell *c = &f->cell[cell];
     const float x = p[0] - c->place[0], y = p[1] - c->place[1], z = p[2] - c->place[2];
@@ -27402,7 +27414,7 @@ TETCASTI_INLINE uint32_t tetcasti_foam_toward(const tetcast_foam *f, uint32_t ce
         for (lane = 0; lane < 8; lane++) {
             const tetcasti_foam_block *k = &f->block[b];
             const float s = (x * k->e[0][lane] + y * k->e[1][lane]) + z * k->e[2][lane];
-            if (!(s > best)) continue;
+            if (!(s > best) || !tetcasti_foam_closer(f, k->cell[lane], cell, p)) continue;
             best = s;
             next = k->cell[lane];
         }

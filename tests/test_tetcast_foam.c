@@ -406,6 +406,42 @@ TEST(places_are_in_the_nearest_cell) {
     }
 }
 
+/* Sites that are hardly apart, and places between two that are not: from any cell the nearest site is found, but for what
+   floats do not tell. */
+TEST(places_far_from_close_sites) {
+    enum { N = 5 };
+    static const double far_off = 1.83746865e19, at[N][3] = {{-1023.5, 1.64067751e12, -1024}, {1.64067751e12, -1024, 5.96875},
+        {260, -767.0625, -588}, {0, 1.83746865e19, -260}, {1.83746865e19, -260, 768.9375}};
+    tetcast_site s[N];
+    tetcast_foam_desc desc;
+    tetcast_foam *f = NULL;
+    uint32_t i, k, a, start;
+    memset(s, 0, sizeof s);
+    memset(&desc, 0, sizeof desc);
+    for (i = 0; i < N; i++)
+        for (a = 0; a < 3; a++) s[i].position[a] = at[i][a];
+    for (a = 0; a < 3; a++) {
+        desc.box_min[a] = a < 2 ? -1024 : -2e6;
+        desc.box_max[a] = a < 2 ? far_off : 772;
+    }
+    REQUIRE(tetcast_foam_create(&desc, s, N, &f) == TETCAST_OK);
+    for (k = 0; k < 1000; k++)
+        for (start = 0; start < N; start++) {
+            double p[3] = {far_off * (0.51 + 0.0004 * k), far_off * (0.51 + 0.0004 * k), -943852.8}, best = (double)INFINITY, mine = 0;
+            uint32_t site;
+            (void)tetcast_foam_cell(f, tetcast_foam_find(f, p, start), &site, NULL, 0);
+            REQUIRE(site < N);
+            for (i = 0; i < N; i++) {
+                double square = 0;
+                for (a = 0; a < 3; a++) square += pow((p[a] - s[i].position[a]) / far_off, 2);
+                best = fmin(best, square);
+                mine = i == site ? square : mine;
+            }
+            CHECK_MSG(sqrt(mine) <= sqrt(best) + 1e-5, "from %u: a site at %g, the nearest at %g", (unsigned)start, sqrt(mine), sqrt(best));
+        }
+    tetcast_foam_destroy(f);
+}
+
 /* ---- pictures ---- */
 
 enum { W = 70, H = 45 };
@@ -636,6 +672,7 @@ int main(int argc, char **argv) {
     RUN(rays_in_edges_of_rings);
     RUN(ends_of_ranges);
     RUN(places_are_in_the_nearest_cell);
+    RUN(places_far_from_close_sites);
     RUN(pictures_are_rays);
     RUN(paint);
     RUN(what_is_none);
