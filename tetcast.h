@@ -21943,10 +21943,10 @@ static tetcast_result tetcasti_read_file(tetcasti_mem *mem, const char *path, vo
     if (fseek(file, 0, SEEK_END) == 0) {
         const long end = ftell(file);
         if (end > 0 && (size_t)end < (size_t)-1 / 2) capacity = (size_t)end + 1; /* folders say that they end there */
-        rewind(file);
+        if (fseek(file, 0, SEEK_SET) != 0) r = TETCAST_ERR_IO;
     }
-    if (capacity != 0) *data = tetcasti_alloc(mem, capacity);
-    if (capacity != 0 && *data == NULL) r = TETCAST_ERR_NO_MEMORY;
+    if (r == TETCAST_OK && capacity != 0) *data = tetcasti_alloc(mem, capacity);
+    if (r == TETCAST_OK && capacity != 0 && *data == NULL) r = TETCAST_ERR_NO_MEMORY;
     while (r == TETCAST_OK && got != 0) {
         if (n == capacity && !tetcasti_grow(mem, data, &capacity, n, n < 65536 ? 65536 : n + 1, 1)) {
             r = TETCAST_ERR_NO_MEMORY;

@@ -11107,10 +11107,10 @@ static VOXRTI_UNUSED voxrt_result voxrti_read_file(voxrti_mem *mem, const char *
     if (fseek(file, 0, SEEK_END) == 0) {
         const long end = ftell(file);
         if (end > 0 && (size_t)end < (size_t)-1 / 2) capacity = (size_t)end + 1; /* folders say that they end there */
-        rewind(file);
+        if (fseek(file, 0, SEEK_SET) != 0) r = VOXRT_ERR_IO;
     }
-    if (capacity != 0) *data = voxrti_alloc(mem, capacity);
-    if (capacity != 0 && *data == NULL) r = VOXRT_ERR_NO_MEMORY;
+    if (r == VOXRT_OK && capacity != 0) *data = voxrti_alloc(mem, capacity);
+    if (r == VOXRT_OK && capacity != 0 && *data == NULL) r = VOXRT_ERR_NO_MEMORY;
     while (r == VOXRT_OK && got != 0) {
         if (n == capacity && !voxrti_grow(mem, data, &capacity, n, n < 65536 ? 65536 : n + 1, 1)) {
             r = VOXRT_ERR_NO_MEMORY;
