@@ -945,7 +945,7 @@ group_fuzz() {
     [ -z "$FUZZ_EACH" ] || each=$FUZZ_EACH
     for f in "${names[@]}"; do
         if [ -n "$FUZZ_FIXED" ]; then
-            item "fuzz $f $FUZZ_FIXED changes" fuzz_standalone $f "-iterations=$FUZZ_FIXED -seconds=10"
+            item "fuzz $f $FUZZ_FIXED changes" fuzz_standalone $f "-iterations=$FUZZ_FIXED -seconds=10 -prefixes=20"
         elif [ $libfuzzer = 1 ]; then
             item "fuzz $f libfuzzer $each s" fuzz_libfuzzer $f $each
             item "fuzz $f standalone 2 s" fuzz_standalone $f -seconds=2
@@ -962,7 +962,7 @@ group_soak() {
     local each=$((SOAK_SECONDS / 14)); [ $each -ge 2 ] || each=2
     mkdir -p "$OUT/fuzz"
     export ASAN_OPTIONS=allocator_may_return_null=1
-    for f in $names; do [ -f tests/fuzz/$f.c ] && item "soak $f $each s" fuzz_standalone $f "-seconds=$each -seed=77"; done
+    for f in $names; do [ -f tests/fuzz/$f.c ] && item "soak $f $each s" fuzz_standalone $f "-seconds=$each -seed=77 -prefixes=20"; done
 }
 
 # --- analyze: clang's and cppcheck's findings --------------------------------------------------------------------

@@ -1,11 +1,12 @@
 /* standalone.c - drives a fuzz target where libFuzzer is not installed, and repeats what it found
 
-   standalone [-seconds=N] [-iterations=N] [-seed=N] [-max=BYTES] [-crash=FILE] [file or folder]...
+   standalone [-seconds=N] [-iterations=N] [-seed=N] [-max=BYTES] [-prefixes=N] [-crash=FILE] [file or folder]...
 
-   Runs every file, then changes them: bit and byte flips, interesting numbers, truncation, insertion, deletion, copies
-   within and splices between files. The same seed gives the same inputs. Before each input runs it is kept in memory;
-   when the process is stopped by a signal, or a sanitizer calls abort, it is written to the file of -crash. Under the
-   address sanitizer the heap must be as large at the end as it was after the files. */
+   Runs every file and the beginnings of small ones, all of them or N of each, then changes files: bit and byte flips,
+   interesting numbers, truncation, insertion, deletion, copies within and splices between files. The same seed gives the
+   same inputs. Before each input runs it is kept in memory; when the process is stopped by a signal, or a sanitizer calls
+   abort, it is written to the file of -crash. Under the address sanitizer the heap must be as large at the end as it was
+   after the files. */
 #define _XOPEN_SOURCE 700
 #include <dirent.h>
 #include <fcntl.h>
@@ -202,7 +203,7 @@ static size_t mutate(uint8_t *p, size_t size, size_t most) {
 int main(int argc, char **argv) {
     double seconds = 0, start;
     unsigned long long iterations = 0, done = 0;
-    size_t most = (size_t)1 << 20, i, k, heap, after;
+    size_t most = (size_t)1 << 20, prefixes = 512, i, k, heap, after;
     uint8_t *work;
     int a;
     g_random = 1;
@@ -211,6 +212,7 @@ int main(int argc, char **argv) {
         else if (strncmp(argv[a], "-iterations=", 12) == 0) iterations = strtoull(argv[a] + 12, NULL, 10);
         else if (strncmp(argv[a], "-seed=", 6) == 0) g_random = strtoull(argv[a] + 6, NULL, 10);
         else if (strncmp(argv[a], "-max=", 5) == 0) most = (size_t)strtoull(argv[a] + 5, NULL, 10);
+        else if (strncmp(argv[a], "-prefixes=", 10) == 0) prefixes = (size_t)strtoull(argv[a] + 10, NULL, 10);
         else if (strncmp(argv[a], "-crash=", 7) == 0) g_crash_path = argv[a] + 7;
         else if (argv[a][0] == '-') {
             fprintf(stderr, "see the comment at the top of tests/fuzz/standalone.c\n");
@@ -232,7 +234,9 @@ int main(int argc, char **argv) {
     run((const uint8_t *)"", 0);
     for (i = 0; i < g_file_count; i++) {
         run(g_files[i].data, g_files[i].size);
-        if (g_files[i].size <= 512) for (k = 0; k < g_files[i].size; k++) run(g_files[i].data, k);
+        if (g_files[i].size > 512) continue;
+        for (k = 0; k < prefixes && k < g_files[i].size; k++)
+            run(g_files[i].data, prefixes < g_files[i].size ? k * g_files[i].size / prefixes : k);
     }
     printf("%llu files\n", (unsigned long long)g_file_count);
     fflush(stdout);
