@@ -10358,7 +10358,7 @@ static uint32_t zbufrandi_list_poisson(double mean, uint32_t h) {
     return k;
 }
 
-/* Of a run of objects, world. */
+/* Of a run of objects, in world units. */
 static double zbufrandi_run_area(const zbufrandi_local *l, const zbufrandi_structure *s, uint32_t first,
                                  uint32_t last) {
     return (double)(s->lists->sum[last] - s->lists->sum[first]) * s->lists->unit * (double)l->scale *
@@ -10457,10 +10457,9 @@ static void zbufrandi_list_single(const zbufrandi_cut *cut, const zbufrandi_loca
     large = !(z_min >= v->near_z && z_max <= (double)cut->depth_ratio * z_min);
     if (large && (cut->hybrid != ZBUFRAND_HYBRID_OFF || !(z_min >= v->near_z))) exact = 1;
     if (!exact) { /* as is cheaper */
-        const double expected = zbufrandi_run_expected(cut, 0.5 * length * (double)l->scale, z_min, h);
-        /* of what has hardly any area the list may know more, or less */
-        const double listed = zbufrandi_run_area(l, s, object, object + 1);
-        exact = !(expected < (double)cut->most) || !(zbufrandi_run_expected(cut, listed, z_min, h) < (double)cut->most);
+        const double area = zbufrandi_run_area(l, s, object, object + 1); /* as it will be drawn, not of the corners */
+        const double expected = zbufrandi_run_expected(cut, area, z_min, h);
+        exact = !(expected < (double)cut->most);
         if (cut->hybrid == ZBUFRAND_HYBRID_AUTO)
             exact |= (double)cut->triangle + expected * (double)cut->pixel < expected * (double)cut->list_sample;
     }
@@ -10625,9 +10624,8 @@ static void zbufrandi_list_step(zbufrandi_list_walk *w) {
     depth_ok = b.z_min >= cut->camera.near_z && b.z_max <= (double)cut->depth_ratio * b.z_min &&
                (b.inside || cut->clip_ratio <= 0.0f || b.diameter <= (double)cut->clip_ratio * b.z_min);
     if (depth_ok) {
-        const double area = (double)(lists->sum[at.last] - lists->sum[at.first]) * lists->unit;
-        expected = cut->density * area * (double)l->scale * (double)l->scale * cut->camera.focal * cut->camera.focal *
-                   b.h / (b.z_min * b.z_min * b.z_min);
+        const double area = zbufrandi_run_area(l, &cut->scene->structure[l->structure], at.first, at.last);
+        expected = zbufrandi_run_expected(cut, area, b.z_min, b.h);
         depth_ok = expected < (double)cut->most;
     }
     angle_ok = cut->angle_ratio <= 0.0f || (b.cos_lo > 0.0 && b.cos_hi <= (double)cut->angle_ratio * b.cos_lo);
