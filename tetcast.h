@@ -156,7 +156,7 @@
    OPTIONS
    macro                       meaning                                                  default       same in all files?
    TETCAST_IMPLEMENTATION      emit the code, in exactly one file                       off           no
-   TETCAST_STATIC              all functions static; only where the code is, too        off           yes
+   TETCAST_STATIC              all functions static; only where the code is             off           no
    TETCAST_DEF                 what stands before declarations                          extern/static yes
    TETCAST_MALLOC(size,user)   default allocator, 16-byte aligned; both or neither      malloc        code only
    TETCAST_FREE(ptr,size,user) its other half                                           free          code only
@@ -537,8 +537,8 @@ typedef struct tetcast_mesh_info {
    Cells that cannot be used are left out and counted. Faces are matched by their three vertices; where that fails
    (hanging nodes, three cells at a face, blocks that do not share vertices) rays leave the mesh and enter it again.
    Larger cells are cut so that each quadrilateral face is cut at its vertex of the smallest number: neighbours agree.
-   The same mesh for any number of threads. Cost: O(cells), about 0.1 s for 10^6 tetrahedra on one core; holds about
-   100 bytes a cell at its peak. Errors: INVALID_ARG, UNINIT_DESC, EMPTY (no cell, or none that can be used), RANGE
+   The same mesh for any number of threads. Cost: O(cells), about 0.1 s for 10^6 tetrahedra on one core; holds 40 (lean)
+   to 80 bytes a cell at its peak. Errors: INVALID_ARG, UNINIT_DESC, EMPTY (no cell, or none that can be used), RANGE
    (more cells or vertices than TETCAST_MAX_*, 2^31 faces of the hull), TRUNCATED (fewer indices than the cells need),
    FORMAT (strict), NO_MEMORY, CANCELLED. */
 TETCAST_DEF tetcast_result tetcast_mesh_create(const tetcast_mesh_desc *desc, const tetcast_input *input,
@@ -1156,8 +1156,8 @@ TETCAST_DEF void tetcast_section_free(tetcast_section *section); /* NULL and cle
    levels       as many as there can be: log_cells + 1; never more
    storage      TETCAST_TYPE_F32, _F16, _U16 or _U8. Integers share one scale over the whole volume, so that neighbours
                 agree in the nodes that they share; an integer is off by at most half a step of it
-   max_error    everything is kept on all levels. > 0: in units of the values; a brick has no finer ones below it where
-                it is nearer than this to the finest level
+   max_error    everything is kept on all levels (from meshes: but for what a coarser brick has exactly). > 0: in units
+                of the values; a brick has no finer ones below it where it is nearer than this to the finest level
    nearest      coarser levels are made with the quadratic B-spline (1 4 6 4 1)/16; 1: every other node (always so with
                 max_error, and from meshes without average: nodes of all levels then lie on the field itself)
    longest      from meshes: as fine as max_error asks for, up to longest_end nodes, or as many as there can be bricks
@@ -2380,8 +2380,8 @@ static TETCASTI_UNUSED void tetcasti_free(tetcasti_mem *mem, void *ptr) {
     if (p == NULL) return;
     memcpy(&skip, p - 8, sizeof skip);
     memcpy(&total, p - 16, sizeof total);
-    (void)tetcasti_atomic_add(&mem->used, (size_t)0 - total);
     mem->allocator.free_fn(p - skip, total, mem->allocator.user);
+    (void)tetcasti_atomic_add(&mem->used, (size_t)0 - total); /* only now: threads keep limits together */
 }
 
 /* Make room for `need` elements by doubling; keeps the old block when it fails. 1 on success. */

@@ -87,9 +87,9 @@
    - Triangle mesh -> sparse voxels of 2^1 to 2^16 cells along an axis, with colours and normals; no gaps: 6-separating
      or conservative. Or a list of voxels, up to 2^20 along an axis. Fills closed hulls.
    - Keeps, if asked for, the plane of the surface in each voxel: outlines, depth and shadows of the mesh, not of cubes.
-   - Keeps them as a tree of 4x4x4 nodes in which each octree level can be addressed: 5 to 8 bits a voxel for geometry,
-     0.1 to 3 when equal parts are stored once, 2 bytes a cell (of any level) for normals, 0 to 2 bytes for colours as
-     a rule. Saves and loads it, or maps a file into memory; or only pages of it, those that rays need.
+   - Keeps them as a tree of 4x4x4 nodes in which each octree level can be addressed: 4 to 8 bits a voxel for geometry,
+     0.05 to 3.4 when equal parts are stored once, 2 bytes a cell (of any level) for normals, 0 to 2 bytes for colours
+     as a rule. Saves and loads it, or maps a file into memory; or only pages of it, those that rays need.
    - Traces rays: closest hit, any hit, with a cone for level of detail, 1 ray or millions, any order.
    - Keeps for each palette entry what else it is: shiny, a mirror, glass, a lamp; rays go on in mirrors and glass.
    - Draws pictures: camera, lights, shadows, anti-aliasing, progressive pictures, level of detail by pixels, heat maps,
@@ -134,7 +134,7 @@
    OPTIONS
    macro                     meaning                                                  default       same in all files?
    VOXRT_IMPLEMENTATION      emit the code, in exactly one file                       off           no
-   VOXRT_STATIC              all functions static; only where the code is, too        off           yes
+   VOXRT_STATIC              all functions static; only where the code is             off           no
    VOXRT_DEF                 what stands before declarations                          extern/static yes
    VOXRT_MALLOC(size,user)   default allocator, 16-byte aligned; both or neither      malloc        code only
    VOXRT_FREE(ptr,size,user) its other half                                           free          code only
@@ -154,8 +154,8 @@
    itself.
    Tracing and voxrt_render allocate nothing. When memory runs out a call frees what it had and returns
    VOXRT_ERR_NO_MEMORY.
-   Building holds 8 to 18 bytes a voxel at its peak, most with many colours (voxrt_build_stats.peak_bytes); a tree takes
-   3 to 6 bytes a voxel with normals, about 1 without normals and colours.
+   Building holds 7 to 18 bytes a voxel at its peak, most with many colours, and up to some 20 a triangle
+   (voxrt_build_stats.peak_bytes); a tree takes 3 to 6 bytes a voxel with normals, about 1 without normals and colours.
 
    THREADS
    A call uses env.thread_count threads (0: one per core; 1: never more than the caller's), started and joined within
@@ -482,7 +482,7 @@ typedef struct voxrt_tree_info {
    mesh   in, borrowed; triangles with a NaN, infinite or missing vertex are skipped and counted
    stats  out, may be NULL
    The result depends on the triangles as a set, not on their order nor on threads. Cost: O(triangles + voxels);
-   holds 8 to 18 bytes a voxel at its peak, most with many colours (stats->peak_bytes tells).
+   holds 7 to 18 bytes a voxel at its peak, most with many colours, and up to some 20 a triangle (stats->peak_bytes).
    Errors: INVALID_ARG (a bad finish, or one that is not there: error->where; planes or spread without normals),
    UNINIT_DESC, RANGE (a field of desc, 2^32 - 1 triangles, more voxels than a tree may have), EMPTY (no usable
    triangle, or none in the box), NO_MEMORY, CANCELLED; with strict FORMAT, error->where is the first bad triangle.
@@ -697,7 +697,8 @@ VOXRT_DEF void voxrt_octree_destroy(voxrt_octree *octree); /* NULL is allowed */
 VOXRT_DEF void voxrt_octree_get_info(const voxrt_octree *octree, voxrt_octree_info *info); /* O(voxels) */
 
 /* The voxels as they are in memory: voxel 0 is the root, 1..7 are unused, then blocks of 8. A child's block has a
-   higher number than its parent's. Owned by the octree; valid until it is changed. out_count may be NULL. */
+   higher number than its parent's. The palette: 3 sRGB bytes for each colour. Owned by the octree; valid until it is
+   changed. out_count may be NULL. Any thread. O(1). */
 VOXRT_DEF const voxrt_octree_voxel *voxrt_octree_voxels(const voxrt_octree *octree, size_t *out_count);
 VOXRT_DEF const uint8_t *voxrt_octree_palette(const voxrt_octree *octree, uint32_t *out_count);
 
@@ -1594,7 +1595,9 @@ VOXRT_DEF voxrt_result voxrt_gi_add(voxrt_gi *gi, const voxrt_gi_object *object,
 /* Change an object: another place, other positions in its mesh, another material. An object that was still and stays so
    has all still ones voxelised again. O(1). Errors: INVALID_ARG (also: no such object). */
 VOXRT_DEF voxrt_result voxrt_gi_set(voxrt_gi *gi, uint32_t id, const voxrt_gi_object *object);
-VOXRT_DEF voxrt_result voxrt_gi_remove(voxrt_gi *gi, uint32_t id); /* its number may be given out again */
+/* Take an object out; its number may be given out again. Costs what voxrt_gi_set does. Errors: INVALID_ARG (no such
+   object). */
+VOXRT_DEF voxrt_result voxrt_gi_remove(voxrt_gi *gi, uint32_t id);
 /* All lights, copied. Errors, the old ones stay: INVALID_ARG (error->where: which one), NO_MEMORY. */
 VOXRT_DEF voxrt_result voxrt_gi_set_lights(voxrt_gi *gi, const voxrt_gi_light *lights, size_t count);
 
@@ -2057,8 +2060,8 @@ static VOXRTI_UNUSED void voxrti_free(voxrti_mem *mem, void *ptr) {
     if (p == NULL) return;
     memcpy(&skip, p - 8, sizeof skip);
     memcpy(&total, p - 16, sizeof total);
-    (void)voxrti_atomic_add(&mem->used, (size_t)0 - total);
     mem->allocator.free_fn(p - skip, total, mem->allocator.user);
+    (void)voxrti_atomic_add(&mem->used, (size_t)0 - total); /* only now: threads keep limits together */
 }
 
 /* Make room for `need` elements by doubling; keeps the old block when it fails. 1 on success. */
@@ -16754,45 +16757,25 @@ static uint32_t voxrti_group_build(voxrt_group *g, const uint64_t *order, size_t
     return end;
 }
 
-VOXRT_DEF voxrt_result voxrt_group_create(const voxrt_env *env, const voxrt_geometry *geometry, size_t count,
-                                          voxrt_group **out_group) {
-    voxrt_env e;
-    voxrti_mem mem;
-    voxrt_group *g;
-    uint64_t *order;
+/* A group of geometries that are known to be usable. */
+static voxrt_result voxrti_group_make(voxrti_mem *mem, const voxrt_geometry *geometry, size_t count,
+                                      voxrt_group **out_group) {
+    voxrt_group *g = (voxrt_group *)voxrti_alloc_zero(mem, 1, sizeof *g);
+    uint64_t *order = (uint64_t *)voxrti_alloc_array(mem, 2 * count, sizeof *order);
     size_t i;
     uint32_t a;
-    voxrt_result r;
-    if (out_group == NULL) return VOXRT_ERR_INVALID_ARG;
-    *out_group = NULL;
-    memset(&e, 0, sizeof e);
-    if (env != NULL) e = *env;
-    if (e.error != NULL) memset(e.error, 0, sizeof *e.error);
-    r = voxrti_env_open(&e, &mem);
-    if (r != VOXRT_OK) return r;
-    if (geometry == NULL || count == 0) return voxrti_fail(e.error, VOXRT_ERR_INVALID_ARG, 0, "no geometry");
-    if (count > 0x7fffffffu) return voxrti_fail(e.error, VOXRT_ERR_RANGE, count, "% geometries are too many");
-    for (i = 0; i < count; i++) {
-        int ok = geometry[i].trace_fn != NULL && geometry[i].occluded_fn != NULL;
-        for (a = 0; a < 3; a++)
-            ok = ok && voxrti_abs(geometry[i].box_min[a]) < 1e38 && voxrti_abs(geometry[i].box_max[a]) < 1e38 &&
-                 geometry[i].box_min[a] <= geometry[i].box_max[a];
-        if (!ok) return voxrti_fail(e.error, VOXRT_ERR_INVALID_ARG, i, "geometry %: no functions or no finite box");
-    }
-    g = (voxrt_group *)voxrti_alloc_zero(&mem, 1, sizeof *g);
-    order = (uint64_t *)voxrti_alloc_array(&mem, 2 * count, sizeof *order);
     if (g != NULL) {
-        g->geometry = (voxrt_geometry *)voxrti_alloc_array(&mem, count, sizeof *g->geometry);
-        g->box = (voxrti_box *)voxrti_alloc_array(&mem, 2 * count, sizeof *g->box);
+        g->geometry = (voxrt_geometry *)voxrti_alloc_array(mem, count, sizeof *g->geometry);
+        g->box = (voxrti_box *)voxrti_alloc_array(mem, 2 * count, sizeof *g->box);
     }
     if (g == NULL || order == NULL || g->geometry == NULL || g->box == NULL) {
         if (g != NULL) {
-            voxrti_free(&mem, g->geometry);
-            voxrti_free(&mem, g->box);
+            voxrti_free(mem, g->geometry);
+            voxrti_free(mem, g->box);
         }
-        voxrti_free(&mem, g);
-        voxrti_free(&mem, order);
-        return voxrti_fail(e.error, VOXRT_ERR_NO_MEMORY, 0, voxrt_result_string(VOXRT_ERR_NO_MEMORY));
+        voxrti_free(mem, g);
+        voxrti_free(mem, order);
+        return VOXRT_ERR_NO_MEMORY;
     }
     memcpy(g->geometry, geometry, count * sizeof *geometry);
     g->count = count;
@@ -16815,11 +16798,38 @@ VOXRT_DEF voxrt_result voxrt_group_create(const voxrt_env *env, const voxrt_geom
     }
     voxrti_pal_sort(order, order + count, count);
     (void)voxrti_group_build(g, order, count, 0);
-    voxrti_free(&mem, order);
-    g->mem = mem;
+    voxrti_free(mem, order);
+    g->mem = *mem;
     g->mem.limit = 0;
     *out_group = g;
     return VOXRT_OK;
+}
+
+VOXRT_DEF voxrt_result voxrt_group_create(const voxrt_env *env, const voxrt_geometry *geometry, size_t count,
+                                          voxrt_group **out_group) {
+    voxrt_env e;
+    voxrti_mem mem;
+    size_t i;
+    uint32_t a;
+    voxrt_result r;
+    if (out_group == NULL) return VOXRT_ERR_INVALID_ARG;
+    *out_group = NULL;
+    memset(&e, 0, sizeof e);
+    if (env != NULL) e = *env;
+    if (e.error != NULL) memset(e.error, 0, sizeof *e.error);
+    r = voxrti_env_open(&e, &mem);
+    if (r != VOXRT_OK) return r;
+    if (geometry == NULL || count == 0) return voxrti_fail(e.error, VOXRT_ERR_INVALID_ARG, 0, "no geometry");
+    if (count > 0x7fffffffu) return voxrti_fail(e.error, VOXRT_ERR_RANGE, count, "% geometries are too many");
+    for (i = 0; i < count; i++) {
+        int ok = geometry[i].trace_fn != NULL && geometry[i].occluded_fn != NULL;
+        for (a = 0; a < 3; a++)
+            ok = ok && voxrti_abs(geometry[i].box_min[a]) < 1e38 && voxrti_abs(geometry[i].box_max[a]) < 1e38 &&
+                 geometry[i].box_min[a] <= geometry[i].box_max[a];
+        if (!ok) return voxrti_fail(e.error, VOXRT_ERR_INVALID_ARG, i, "geometry %: no functions or no finite box");
+    }
+    r = voxrti_group_make(&mem, geometry, count, out_group);
+    return r == VOXRT_OK ? r : voxrti_fail(e.error, r, 0, voxrt_result_string(r));
 }
 
 VOXRT_DEF void voxrt_group_destroy(voxrt_group *group) {
@@ -17187,7 +17197,6 @@ static voxrt_result voxrti_model_index(voxrti_mem *mem, const voxrt_env *env, vo
     voxrti_leafset set;
     voxrti_grid grid = m->grid;
     voxrti_sum *sums;
-    voxrt_env e = *env;
     voxrt_result r = VOXRT_OK;
     size_t i;
     m->part = NULL;
@@ -17195,11 +17204,9 @@ static voxrt_result voxrti_model_index(voxrti_mem *mem, const voxrt_env *env, vo
     m->top = NULL;
     m->top_finish = NULL;
     if (m->count == 0) return VOXRT_OK;
-    e.error = NULL;
-    e.progress_fn = NULL;
-    e.memory_limit = 0; /* small beside the blocks */
-    e.allocator = mem->allocator; /* what is made here lives as long as the model */
-    d.env = e;
+    d.env = *env; /* threads; memory is that of mem */
+    d.env.error = NULL;
+    d.env.progress_fn = NULL;
     m->part = (voxrti_block_ref *)voxrti_alloc_array(mem, m->count, sizeof *m->part);
     g = (voxrt_geometry *)voxrti_alloc_array(mem, m->count, sizeof *g);
     if (m->part == NULL || g == NULL) r = VOXRT_ERR_NO_MEMORY;
@@ -17213,7 +17220,7 @@ static voxrt_result voxrti_model_index(voxrti_mem *mem, const voxrt_env *env, vo
         g[i].user = &m->part[i];
         voxrt_tree_bounds(m->part[i].tree, g[i].box_min, g[i].box_max);
     }
-    if (r == VOXRT_OK) r = voxrt_group_create(&e, g, m->count, &m->group);
+    if (r == VOXRT_OK) r = voxrti_group_make(mem, g, m->count, &m->group);
     voxrti_free(mem, g);
     if (r != VOXRT_OK || level == 0) return r;
     memset(&set, 0, sizeof set);

@@ -147,7 +147,7 @@
    OPTIONS
    macro                       meaning                                                  default       same in all files?
    ZBUFRAND_IMPLEMENTATION     emit the code, in exactly one file                       off           no
-   ZBUFRAND_STATIC             all functions static; only where the code is, too        off           yes
+   ZBUFRAND_STATIC             all functions static; only where the code is             off           no
    ZBUFRAND_DEF                what stands before declarations                          extern/static yes
    ZBUFRAND_MALLOC(size,user)  default allocator, 16-byte aligned; both or neither      malloc        code only
    ZBUFRAND_FREE(ptr,size,user) its other half                                           free          code only
@@ -1034,7 +1034,8 @@ ZBUFRAND_DEF double zbufrand_smoothing_frames(double epsilon);
    painted pixel, not below 0. visible > block^2. */
 ZBUFRAND_DEF double zbufrand_block_time(double project, double paint, double area, double visible, double block);
 
-/* Harmonic number H_n, also between the integers (digamma(n + 1) + Euler's constant); n >= 0. */
+/* Harmonic number H_n, also between the integers (digamma(n + 1) + Euler's constant); n >= 0. Below n = 1 it is the
+   absolute error that is below 1e-14. */
 ZBUFRAND_DEF double zbufrand_harmonic(double n);
 
 /* x with probability p below it under the standard normal law, 0 < p < 1; absolute error below 1e-13 (1 + |x|). */
@@ -1606,8 +1607,8 @@ static ZBUFRANDI_UNUSED void zbufrandi_free(zbufrandi_mem *mem, void *ptr) {
     if (p == NULL) return;
     memcpy(&skip, p - 8, sizeof skip);
     memcpy(&total, p - 16, sizeof total);
-    (void)zbufrandi_atomic_add(&mem->used, (size_t)0 - total);
     mem->allocator.free_fn(p - skip, total, mem->allocator.user);
+    (void)zbufrandi_atomic_add(&mem->used, (size_t)0 - total); /* only now: threads keep limits together */
 }
 
 /* Make room for `need` elements by doubling; keeps the old block when it fails. 1 on success. */

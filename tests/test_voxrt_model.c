@@ -640,6 +640,67 @@ TEST(allocation_failures) {
     CHECK(f.bytes == 0);
 }
 
+/* What calls on models hold at once stays below their limit, with as many blocks as there are voxels. */
+TEST(memory_limits) {
+    enum { N = 500 };
+    voxrt_model_desc md;
+    voxrt_edit_desc d;
+    voxrt_voxel *v = (voxrt_voxel *)calloc(N, sizeof *v);
+    voxrt_model *m = NULL;
+    voxrt_tree *t = NULL;
+    voxrt_build_desc bd;
+    uint32_t i, step, n;
+    REQUIRE(v != NULL);
+    memset(&md, 0, sizeof md);
+    memset(&d, 0, sizeof d);
+    memset(&bd, 0, sizeof bd);
+    md.depth = 12;
+    for (i = 0; i < N; i++) {
+        v[i].x = (uint16_t)(64 * (i % 64) + i % 61);
+        v[i].y = (uint16_t)(64 * (i / 64) + i % 59);
+        v[i].z = (uint16_t)(i % 4096);
+        v[i].rgb[i % 3] = 200;
+    }
+    REQUIRE(voxrt_model_create(&md, &m) == VOXRT_OK && voxrt_model_voxels(m, &d, v, N, NULL) == VOXRT_OK);
+    REQUIRE(voxrt_tree_from_model(&bd, m, &t) == VOXRT_OK);
+    for (step = 0; step < 4; step++) {
+        uint32_t refused = 0, done = 0;
+        for (n = 1; n < 100 && done < 3; n++) {
+            voxrt_env env;
+            voxrt_model *out = NULL;
+            voxrt_tree *tree = NULL;
+            voxrt_result r;
+            test_alloc ta;
+            memset(&env, 0, sizeof env);
+            test_alloc_init(&ta);
+            env.allocator.alloc_fn = test_alloc_fn;
+            env.allocator.free_fn = test_free_fn;
+            env.allocator.user = &ta;
+            env.thread_count = 1 + n % 3;
+            md.env = bd.env = d.env = env;
+            if (step == 3) REQUIRE(voxrt_model_create(&md, &out) == VOXRT_OK);
+            env.memory_limit = (size_t)n * (step == 0 ? 10000 : 100000);
+            bd.env = d.env = env;
+            if (step == 0) r = voxrt_model_copy(&env, m, &out);
+            else if (step == 1) r = voxrt_model_from_tree(&env, t, &out);
+            else if (step == 2) r = voxrt_tree_from_model(&bd, m, &tree);
+            else r = voxrt_model_voxels(out, &d, v, N, NULL);
+            refused += r == VOXRT_ERR_NO_MEMORY;
+            done += r == VOXRT_OK;
+            CHECK(r == VOXRT_OK || r == VOXRT_ERR_NO_MEMORY);
+            CHECK_MSG(ta.peak_bytes <= env.memory_limit + (step == 3 ? 4096 : 0), "%u: %lu bytes with a limit of %lu", step,
+                      (unsigned long)ta.peak_bytes, (unsigned long)env.memory_limit); /* an empty model was there before */
+            voxrt_model_destroy(out);
+            voxrt_tree_destroy(tree);
+            test_alloc_check(&ta);
+        }
+        CHECK_MSG(refused >= 1 && done == 3, "%u: %u, %u", step, refused, done);
+    }
+    voxrt_tree_destroy(t);
+    voxrt_model_destroy(m);
+    free(v);
+}
+
 TEST(arguments) {
     const double lo[3] = {0, 0, 0}, hi[3] = {1e300, 1e300, 1e300}, bad[3] = {0, (double)NAN, 0};
     voxrt_model *m = open_model(3, 0.0), *deep = open_model(20, 0.0);
@@ -700,6 +761,7 @@ int main(int argc, char **argv) {
     RUN(edges_of_blocks);
     RUN(same_picture);
     RUN(allocation_failures);
+    RUN(memory_limits);
     RUN(arguments);
     return test_end();
 }

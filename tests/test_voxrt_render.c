@@ -745,7 +745,7 @@ static voxrt_tree *make_random(test_rng *r, uint32_t depth) {
     return make_tree(&c, depth, 2.0, 0);
 }
 
-/* The same of 200 random scenes, cameras (a few of them among the voxels) and tolerances. */
+/* The same of 240 random scenes, cameras (a few of them among the voxels) and tolerances. */
 TEST(tolerance_of_random_scenes) {
     enum { W = 72, H = 54 };
     const uint32_t count = test_quick() ? 40 : 240;

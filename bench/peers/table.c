@@ -72,6 +72,7 @@ static const target g_targets[] = {
     {"T4", "", "vtk_tetcast", JUDGE_HIGH, 1.5, 3, 1, "VTK has none"},
     {"T5", "default", "vtk_tetcast", JUDGE_LOW, 28, 20, 1, "Open VKL 256 to 350 B"},
     {"T5", "what rays need", "vtk_tetcast", JUDGE_LOW, 28, 20, 1, "Open VKL 256 to 350 B"},
+    {"T5", "strips", "vtk_tetcast", JUDGE_LOW, NONE, 12, 1, "VTK has none"},
     {"T6", "", "vtk_tetcast", JUDGE_LOW, 0.25, 0.08, 1, "Open VKL 10 s"},
     {"T7", "K32", "vtk_tetcast", JUDGE_HIGH, 1.5e6, 5e6, 1, "Open VKL 0.33 M/s; VTK has none"},
     {"T7", "D31k", "vtk_tetcast", JUDGE_HIGH, 1.5e6, 2.5e6, 1, "Open VKL 1.2 k/s; VTK has none"},

@@ -232,6 +232,7 @@ static void frames(const char *id, const char *kase, int mesh_id, const std::vec
     const right_picture centre = exact_picture(mesh, t, 0, 0), corner = exact_picture(mesh, t, -0.5, 0.5);
     tetcast_optics *optics = make_optics(TF_SMOOTH, nullptr);
     tetcast_render_desc d;
+    tetcast_render_stats stats;
     tetcast_image image;
     tetcast_mesh_info info;
     std::vector<float> rgba(4 * SIZE * SIZE);
@@ -261,7 +262,8 @@ static void frames(const char *id, const char *kase, int mesh_id, const std::vec
     p[0].run();
     peer_time(p.data(), (int)p.size(), ROUNDS, false);
     d.camera = turned(0);
-    must(tetcast_render(&d, mesh, optics, &image, nullptr), "render");
+    memset(&stats, 0, sizeof stats);
+    must(tetcast_render(&d, mesh, optics, &image, &stats), "render");
     std::vector<peer_side> psnr, off;
     for (size_t i = 0; i < p.size(); i++) {
         if (i > 0) view[i - 1]->draw(turned(0));
@@ -277,6 +279,7 @@ static void frames(const char *id, const char *kase, int mesh_id, const std::vec
         off.push_back(s);
     }
     p[0].hash = bench_hash_bytes(rgba.data(), 16 * SIZE * SIZE);
+    p[0].isa = psnr[0].isa = off[0].isa = tetcast_isa_name(stats.isa);
     peer_lines(id, kase, "frame_seconds", "s", 0, g_colour, p.data(), (int)p.size());
     const std::string more = kase;
     if (mesh_id == MESH_K32 && g_peer_threads == 1) {
@@ -293,6 +296,7 @@ static void empty_space(const char *kase, int mesh_id) {
     const tetcast_mesh *mesh = get_mesh(mesh_id);
     tetcast_optics *optics[2] = {make_optics(TF_SMOOTH, nullptr), make_optics(TF_FULL, nullptr)};
     tetcast_render_desc d;
+    tetcast_render_stats stats;
     tetcast_image image;
     std::vector<float> rgba(4 * SIZE * SIZE);
     peer_side p[2] = {peer_ours("tetcast_render", g_isa), peer_ours("tetcast_render", g_isa)};
@@ -303,9 +307,11 @@ static void empty_space(const char *kase, int mesh_id) {
     image.width = image.height = SIZE;
     image.rgba = rgba.data();
     for (int i = 0; i < 2; i++)
-        p[i].run = [&, i] { must(tetcast_render(&d, mesh, optics[i], &image, nullptr), "render"); };
+        p[i].run = [&, i] { must(tetcast_render(&d, mesh, optics[i], &image, &stats), "render"); };
+    memset(&stats, 0, sizeof stats);
     peer_time(p, 2, ROUNDS);
     p[0].run();
+    p[0].isa = tetcast_isa_name(stats.isa);
     p[0].error = judge(right, rgba.data(), 4).most;
     p[0].value = peer_median(p[1].seconds) / peer_median(p[0].seconds);
     p[0].seconds.clear();
@@ -372,6 +378,16 @@ static void build(const char *kase, const char *size, int mesh_id) {
     p[0].value = p[0].bytes_each;
     p[0].method = "Tet8, what rays need";
     peer_lines("T5", (std::string(size) + ", what rays need").c_str(), "bytes_per_cell", "B", 0, "cells lost", p, 2);
+    d.cells = TETCAST_CELLS_STRIPS;
+    tetcast_mesh_destroy(mesh);
+    mesh = build_mesh(t, &d);
+    tetcast_mesh_get_info(mesh, &info);
+    p[0].error = (double)(t->nt - info.cell_count);
+    put_bytes(&p[0], (double)info.total_bytes, t->nt);
+    p[0].value = p[0].bytes_each;
+    p[0].method = "strips, what rays need";
+    peer_lines("T5", (std::string(size) + ", strips").c_str(), "bytes_per_cell", "B", 0, "cells lost", p, 2);
+    d.cells = TETCAST_CELLS_TET8;
     const double theirs = p[1].bytes_each;
     tetcast_mesh_destroy(mesh);
     if (g_peer_threads > 1) return;
@@ -519,9 +535,11 @@ static void first_hit(const char *kase, int mesh_id) { /* VTK has no ray cast of
     tetcast_image image;
     std::vector<float> rgba(4 * SIZE * SIZE);
     peer_side p[1] = {peer_ours("tetcast_render, isosurface", g_isa)};
+    tetcast_render_stats stats;
     oracle_cells list;
     double most = 0;
     memset(&od, 0, sizeof od);
+    memset(&stats, 0, sizeof stats);
     memset(&iso, 0, sizeof iso);
     memset(&d, 0, sizeof d);
     memset(&image, 0, sizeof image);
@@ -535,8 +553,9 @@ static void first_hit(const char *kase, int mesh_id) { /* VTK has no ray cast of
     d.camera = turned(0);
     image.width = image.height = SIZE;
     image.rgba = rgba.data();
-    p[0].run = [&] { must(tetcast_render(&d, mesh, o, &image, nullptr), "render"); };
+    p[0].run = [&] { must(tetcast_render(&d, mesh, o, &image, &stats), "render"); };
     peer_time(p, 1, ROUNDS);
+    p[0].isa = tetcast_isa_name(stats.isa);
     for (uint32_t y = 4; y < SIZE; y += 8)
         for (uint32_t x = 4; x < SIZE; x += 8) {
             tetcast_ray ray;
@@ -580,6 +599,7 @@ static void foam(const char *kase, int mesh_id) {
         must(tetcast_foam_render(&d, f, &image, &stats), "render");
     };
     peer_time(p, 1, ROUNDS);
+    p[0].isa = tetcast_isa_name(stats.isa);
     p[0].error = foam_error(f, sites, t->nv, &d.camera, rgba.data(), SIZE, 128);
     put_bytes(&p[0], (double)info.bytes, info.cell_count);
     peer_lines("T12", kase, "cells_per_second", "1/s", (double)stats.steps, "largest difference of a colour from a march through all points", p, 1);

@@ -46,7 +46,12 @@ function browse() {
             child.stdio[3].write(JSON.stringify({ id: next++, method, params: params || {}, sessionId }) + '\0');
         }),
         close: () => new Promise(done => {
-            child.on('exit', () => { fs.rmSync(home, { recursive: true, force: true, maxRetries: 5 }); done(); });
+            child.on('exit', () => { 
+                try { fs.rmSync(home, { recursive: true, force: true, maxRetries: 20, retryDelay: 200 }); } catch (e) {
+                    console.log(`left behind: ${home} (${e.code})`); /* a helper of the browser still writes there */
+                }
+                done();
+            });
             child.kill();
         })
     };
