@@ -2319,13 +2319,13 @@ TETCASTI_INLINE int tetcasti_mul_size(size_t a, size_t b, size_t *out) {
 #  define tetcasti_atomic_add(p, v) __atomic_add_fetch(p, v, __ATOMIC_SEQ_CST)
 #  define tetcasti_atomic_load(p) __atomic_load_n(p, __ATOMIC_SEQ_CST)
 #  define tetcasti_atomic_store(p, v) __atomic_store_n(p, v, __ATOMIC_SEQ_CST)
-#  define tetcasti_atomic_max_step(p, seen, v) \
+#  define tetcasti_atomic_swap_if(p, seen, v) \
        __atomic_compare_exchange_n(p, seen, v, 0, __ATOMIC_SEQ_CST, __ATOMIC_SEQ_CST)
 #else /* no threads there, and the host's parallel-for has to be serial */
 #  define tetcasti_atomic_add(p, v) (*(p) += (v))
 #  define tetcasti_atomic_load(p) (*(p))
 #  define tetcasti_atomic_store(p, v) (*(p) = (v))
-#  define tetcasti_atomic_max_step(p, seen, v) (*(p) == *(seen) ? (*(p) = (v), 1) : (*(seen) = *(p), 0))
+#  define tetcasti_atomic_swap_if(p, seen, v) (*(p) == *(seen) ? (*(p) = (v), 1) : (*(seen) = *(p), 0))
 #endif
 
 /* Not every machine has 64-bit atomics: what threads add to is a low and a high half. Read it after they ended. */
@@ -2352,7 +2352,7 @@ static TETCASTI_UNUSED void *tetcasti_alloc(tetcasti_mem *mem, size_t bytes) {
         return NULL;
     }
     seen = tetcasti_atomic_load(&mem->peak);
-    while (seen < used && !tetcasti_atomic_max_step(&mem->peak, &seen, used)) { }
+    while (seen < used && !tetcasti_atomic_swap_if(&mem->peak, &seen, used)) { }
     skip = 128 - (size_t)((uintptr_t)raw & 63u);
     if (skip > 64 + 63) skip -= 64;
     p = raw + skip;
@@ -4235,7 +4235,7 @@ static void tetcasti_task_match(void *ctx, uint32_t task) {
         uint32_t seen = tetcasti_atomic_load(&m->first_nonmanifold);
         (void)tetcasti_atomic_add(&m->nonmanifold, found.nonmanifold);
         while (found.first_nonmanifold < seen &&
-               !tetcasti_atomic_max_step(&m->first_nonmanifold, &seen, found.first_nonmanifold)) { }
+               !tetcasti_atomic_swap_if(&m->first_nonmanifold, &seen, found.first_nonmanifold)) { }
     }
 }
 

@@ -1999,13 +1999,13 @@ VOXRTI_INLINE int voxrti_mul_size(size_t a, size_t b, size_t *out) {
 #  define voxrti_atomic_add(p, v) __atomic_add_fetch(p, v, __ATOMIC_SEQ_CST)
 #  define voxrti_atomic_load(p) __atomic_load_n(p, __ATOMIC_SEQ_CST)
 #  define voxrti_atomic_store(p, v) __atomic_store_n(p, v, __ATOMIC_SEQ_CST)
-#  define voxrti_atomic_max_step(p, seen, v) \
+#  define voxrti_atomic_swap_if(p, seen, v) \
        __atomic_compare_exchange_n(p, seen, v, 0, __ATOMIC_SEQ_CST, __ATOMIC_SEQ_CST)
 #else /* no threads there, and the host's parallel-for has to be serial */
 #  define voxrti_atomic_add(p, v) (*(p) += (v))
 #  define voxrti_atomic_load(p) (*(p))
 #  define voxrti_atomic_store(p, v) (*(p) = (v))
-#  define voxrti_atomic_max_step(p, seen, v) (*(p) == *(seen) ? (*(p) = (v), 1) : (*(seen) = *(p), 0))
+#  define voxrti_atomic_swap_if(p, seen, v) (*(p) == *(seen) ? (*(p) = (v), 1) : (*(seen) = *(p), 0))
 #endif
 
 /* Not every machine has 64-bit atomics: what threads add to is a low and a high half. Read it after they ended. */
@@ -2032,7 +2032,7 @@ static VOXRTI_UNUSED void *voxrti_alloc(voxrti_mem *mem, size_t bytes) {
         return NULL;
     }
     seen = voxrti_atomic_load(&mem->peak);
-    while (seen < used && !voxrti_atomic_max_step(&mem->peak, &seen, used)) { }
+    while (seen < used && !voxrti_atomic_swap_if(&mem->peak, &seen, used)) { }
     skip = 128 - (size_t)((uintptr_t)raw & 63u);
     if (skip > 64 + 63) skip -= 64;
     p = raw + skip;
@@ -3268,12 +3268,12 @@ VOXRTI_INLINE uint32_t voxrti_cset_slot(const voxrti_cset *s, uint32_t c) {
 static void voxrti_cset_add(voxrti_cset *s, uint32_t c) {
     if (s->bits != NULL) {
         uint32_t *word = &s->bits[c >> 5 << 1], bit = 1u << (c & 31u), old = voxrti_atomic_load(word);
-        while ((old & bit) == 0 && !voxrti_atomic_max_step(word, &old, old | bit)) { }
+        while ((old & bit) == 0 && !voxrti_atomic_swap_if(word, &old, old | bit)) { }
     } else {
         uint32_t h = c * 0x9e3779b1u >> 7 & s->slot_mask;
         for (;; h = (h + 1) & s->slot_mask) { /* a slot that is not empty keeps its code */
             uint32_t old = voxrti_atomic_load(&s->slot[2 * h]);
-            if (old == c + 1 || (old == 0 && voxrti_atomic_max_step(&s->slot[2 * h], &old, c + 1))) return;
+            if (old == c + 1 || (old == 0 && voxrti_atomic_swap_if(&s->slot[2 * h], &old, c + 1))) return;
             if (old == c + 1) return; /* another thread was first */
         }
     }
@@ -20323,7 +20323,7 @@ static void voxrti_paged_enter(voxrt_paged *p, int alone) {
 #else /* threads of the host, if there are any: one at a time */
     uint32_t none = 0;
     (void)alone;
-    while (!voxrti_atomic_max_step(&p->writer, &none, 1u)) none = 0;
+    while (!voxrti_atomic_swap_if(&p->writer, &none, 1u)) none = 0;
 #endif
 }
 
@@ -23615,7 +23615,7 @@ static void voxrti_task_gi_split(void *ctx, uint32_t index) {
         uint32_t n, most = voxrti_atomic_load(&b->most);
         if (b->crowd != 0 && b->sum[i].crowd != VOXRTI_GI_CROWDED) continue;
         n = voxrti_gi_split(&b->sum[i], (double)(128u >> b->crowd));
-        while (n > most && !voxrti_atomic_max_step(&b->most, &most, n)) { }
+        while (n > most && !voxrti_atomic_swap_if(&b->most, &most, n)) { }
     }
 }
 

@@ -1546,13 +1546,13 @@ ZBUFRANDI_INLINE int zbufrandi_mul_size(size_t a, size_t b, size_t *out) {
 #  define zbufrandi_atomic_add(p, v) __atomic_add_fetch(p, v, __ATOMIC_SEQ_CST)
 #  define zbufrandi_atomic_load(p) __atomic_load_n(p, __ATOMIC_SEQ_CST)
 #  define zbufrandi_atomic_store(p, v) __atomic_store_n(p, v, __ATOMIC_SEQ_CST)
-#  define zbufrandi_atomic_max_step(p, seen, v) \
+#  define zbufrandi_atomic_swap_if(p, seen, v) \
        __atomic_compare_exchange_n(p, seen, v, 0, __ATOMIC_SEQ_CST, __ATOMIC_SEQ_CST)
 #else /* no threads there, and the host's parallel-for has to be serial */
 #  define zbufrandi_atomic_add(p, v) (*(p) += (v))
 #  define zbufrandi_atomic_load(p) (*(p))
 #  define zbufrandi_atomic_store(p, v) (*(p) = (v))
-#  define zbufrandi_atomic_max_step(p, seen, v) (*(p) == *(seen) ? (*(p) = (v), 1) : (*(seen) = *(p), 0))
+#  define zbufrandi_atomic_swap_if(p, seen, v) (*(p) == *(seen) ? (*(p) = (v), 1) : (*(seen) = *(p), 0))
 #endif
 
 /* Not every machine has 64-bit atomics: what threads add to is a low and a high half. Read it after they ended. */
@@ -1579,7 +1579,7 @@ static ZBUFRANDI_UNUSED void *zbufrandi_alloc(zbufrandi_mem *mem, size_t bytes) 
         return NULL;
     }
     seen = zbufrandi_atomic_load(&mem->peak);
-    while (seen < used && !zbufrandi_atomic_max_step(&mem->peak, &seen, used)) { }
+    while (seen < used && !zbufrandi_atomic_swap_if(&mem->peak, &seen, used)) { }
     skip = 128 - (size_t)((uintptr_t)raw & 63u);
     if (skip > 64 + 63) skip -= 64;
     p = raw + skip;
@@ -13012,7 +13012,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_canvas_resolve(zbufrand_canvas *canvas, co
     uint32_t idle = 0;
     if (stats != NULL) memset(stats, 0, sizeof *stats);
     if (canvas == NULL || picture == NULL) return ZBUFRAND_ERR_INVALID_ARG;
-    if (!zbufrandi_atomic_max_step(&canvas->resolving, &idle, 1u)) return ZBUFRAND_ERR_INVALID_ARG;
+    if (!zbufrandi_atomic_swap_if(&canvas->resolving, &idle, 1u)) return ZBUFRAND_ERR_INVALID_ARG;
     result = zbufrandi_canvas_resolve(canvas, source, picture, stats);
     zbufrandi_atomic_store(&canvas->resolving, 0u);
     return result;
@@ -13131,7 +13131,7 @@ static void zbufrandi_layers_add(zbufrand_layers *l, size_t at, float z, const f
         uint32_t *front = &l->layer[i].front[at];
         memcpy(&bits, &z, sizeof bits);
         seen = zbufrandi_atomic_load(front);
-        while (bits < seen && !zbufrandi_atomic_max_step(front, &seen, bits)) { }
+        while (bits < seen && !zbufrandi_atomic_swap_if(front, &seen, bits)) { }
     }
 }
 
